@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+# Everything that we link, each once. Why each is here: docs/dependencies.md. Installed by
+# scripts/setup.sh. Foreign headers are SYSTEM so that our warning level stops at our own code.
+find_package(Threads REQUIRED)
+find_package(nlohmann_json 3.11 REQUIRED)  # JSON: only lib/model/json*.cc and the tools include it
+find_package(CLI11 2.1 REQUIRED)           # command lines: tools/ only
+find_package(fmt 9 REQUIRED)               # text formatting
+find_package(spdlog 1.10 REQUIRED)         # logs for people: lib/base/log.cc only
+find_package(SQLite3 REQUIRED)             # recorded inputs: lib/record only
+find_package(Eigen3 3.4 REQUIRED NO_MODULE)  # solver
+find_path(XAUTO_EXPECTED_INCLUDE tl/expected.hpp REQUIRED)  # Result<T>
+find_path(LPSOLVE_INCLUDE lpsolve/lp_lib.h REQUIRED)        # the ILP: solver/ only
+find_library(LPSOLVE_LIBRARY NAMES lpsolve55_pic lpsolve55 REQUIRED)
+add_library(lpsolve INTERFACE)
+target_include_directories(lpsolve SYSTEM INTERFACE ${LPSOLVE_INCLUDE})
+target_link_libraries(lpsolve INTERFACE ${LPSOLVE_LIBRARY} colamd m dl)

@@ -1,0 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
+# One warning level for all of our code. Errors in CI only (XAUTO_WERROR), so that a newer compiler
+# on a user's machine does not break the build.
+option(XAUTO_WERROR "Treat warnings as errors" OFF)
+add_compile_options(-Wall -Wextra -Wconversion -Wshadow -Wnon-virtual-dtor)
+if(XAUTO_WERROR)
+  add_compile_options(-Werror)
+endif()
+# GCC 12 reports false -Wmaybe-uninitialized through std::optional and std::variant under -O2.
+if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
+  add_compile_options(-Wno-maybe-uninitialized)
+endif()

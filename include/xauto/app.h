@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+// App: owns the modules, checks that they fit together, and runs them.
+#pragma once
+
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include <xauto/result.h>
+#include <xauto/topic.h>
+#include <xauto/xmodule.h>
+
+namespace xauto {
+
+namespace detail {
+struct AppSpecErased;
+struct SourceSpec {
+  TopicSpec topic;
+  std::chrono::microseconds period{};
+  std::function<std::shared_ptr<const void>(std::uint64_t sequence)> make;
+};
+}  // namespace detail
+
+/// An application. Threads: build and run it from one thread.
+///
+///   int main(int argc, char** argv) {
+///     xauto::App app("camera");
+///     app.add_source(image, 33ms, grab);
+///     app.add_module(camera);
+///     return app.main(argc, argv);
+///   }
+class App {
+ public:
+  explicit App(std::string name);
+  ~App();
+  App(const App&) = delete;
+  App& operator=(const App&) = delete;
+
+  template <class State>
+  App& add_module(const XModule<State>& module) {
+    add_module_spec(module.spec_);
+    return *this;
+  }
+
+  /// A sensor: publishes `make(sequence)` on `topic` every `period`. Sources of equal period release at
+  /// the same instants. With a recorded input, the recording's messages of this topic come instead.
+  template <class T, class Make>
+  App& add_source(const Topic<T>& topic, std::chrono::microseconds period, Make make) {
+    add_source_spec({detail::topic_spec(topic), period,
+                     [make = std::move(make)](std::uint64_t sequence) -> std::shared_ptr<const void> {
+                       return std::make_shared<const T>(make(sequence));
+                     }});
+    return *this;
+  }
+
+  /// Calls `callback(const T&, sequence)` for each message on `topic`, on the publishing thread: be
+  /// short. Several observers of one topic are called in the order of registration.
+  template <class T, class Callback>
+  App& on_message(const Topic<T>& topic, Callback callback) {
+    add_observer_spec(detail::topic_spec(topic),
+                      [callback = std::move(callback)](const void* message, std::uint64_t sequence) {
+                        callback(*static_cast<const T*>(message), sequence);
+                      });
+    return *this;
+  }
+
+  /// Called once after the last activation, before main() returns: the place to write results.
+  App& on_end(std::function<void()> callback);
+
+  /// Everything that is wrong with the graph as declared: names each module, XNode and topic involved.
+  [[nodiscard]] Status check() const;
+
+  /// The whole program: does what the `xauto` tool that started this process asks (run, profile,
+  /// describe); started by hand it hands itself to `xauto run`. Returns the exit status.
+  int main(int argc, char** argv);
+
+ private:
+  void add_module_spec(std::shared_ptr<detail::XModuleSpec> spec);
+  void add_source_spec(detail::SourceSpec spec);
+  void add_observer_spec(detail::TopicSpec topic,
+                         std::function<void(const void*, std::uint64_t)> callback);
+  std::unique_ptr<detail::AppSpecErased> spec_;
+};
+
+}  // namespace xauto

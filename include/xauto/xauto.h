@@ -1,0 +1,10 @@
+// SPDX-License-Identifier: Apache-2.0
+// The whole public API.
+#pragma once
+
+#include <xauto/app.h>
+#include <xauto/result.h>
+#include <xauto/topic.h>
+#include <xauto/xmodule.h>
+#include <xauto/xnode.h>
+#include <xauto/xpu.h>

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// AppSpec: what is to be scheduled, a DAG of XNodes with a WCET per XPU type. File: app.json.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+#include <xauto/result.h>
+
+#include "model/platform.h"
+
+namespace xauto {
+
+struct XNodeSpec {
+  std::string name;    ///< unique in the app, "fcd.infer"
+  std::string module;  ///< XModule it belongs to
+  /// XPU type -> WCET in us; one key per type that the XNode has an implementation for.
+  std::map<std::string, std::int64_t, std::less<>> wcet_us;
+
+  [[nodiscard]] std::optional<std::int64_t> wcet_on(std::string_view type) const;
+  bool operator==(const XNodeSpec&) const = default;
+};
+
+struct AppSpec {
+  std::string name;
+  std::vector<XNodeSpec> xnodes;
+  /// Indices into `xnodes`: first must finish before second starts. The whole precedence relation.
+  std::vector<std::pair<int, int>> edges;
+  std::optional<std::int64_t> deadline_us;
+
+  [[nodiscard]] int find(std::string_view xnode) const;  ///< index or -1
+  [[nodiscard]] std::vector<std::vector<int>> predecessors() const;
+  [[nodiscard]] std::vector<std::vector<int>> successors() const;
+  /// A topological order, smallest index first among equals; shorter than `xnodes` iff there is a cycle.
+  [[nodiscard]] std::vector<int> topological_order() const;
+  bool operator==(const AppSpec&) const = default;
+
+  /// 64-bit FNV-1a over the canonical text of names, modules, WCETs, edges and deadline, as 16 hex
+  /// digits. A policy carries it, so that a stale policy is refused rather than run.
+  [[nodiscard]] std::string hash() const;
+};
+
+inline constexpr std::size_t kMaxXNodes = 20'000;
+inline constexpr std::size_t kMaxEdges = 2'000'000;
+inline constexpr std::size_t kMaxNameBytes = 256;
+
+/// Names unique and non-empty, an implementation for every XNode, WCETs in [1, kMaxTimeUs], edges in
+/// range, no self edge, no duplicate edge, no cycle (the message names the XNodes of one cycle).
+[[nodiscard]] Status validate(const AppSpec& app);
+/// Every XNode has an implementation for a type that the platform has an instance of.
+[[nodiscard]] Status validate_on(const AppSpec& app, const Platform& platform);
+
+}  // namespace xauto

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+// Files <-> value types; the only JSON code of the library (tools print --json with it too).
+// Readers refuse what they do not understand with file, JSON pointer and cause; unknown keys are
+// ignored (docs/formats.md). Threads: pure apart from the file access.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <xauto/result.h>
+
+#include "model/app.h"
+#include "model/platform.h"
+#include "model/policy.h"
+#include "model/profile.h"
+
+namespace xauto {
+
+inline constexpr std::size_t kMaxFileBytes = 256u << 20;
+inline constexpr int kMaxJsonDepth = 64;
+
+// `origin` names the text in error messages, usually the file's path.
+[[nodiscard]] Result<AppSpec> parse_app(std::string_view text, std::string_view origin);
+[[nodiscard]] Result<Platform> parse_platform(std::string_view text, std::string_view origin);
+[[nodiscard]] Result<Profile> parse_profile(std::string_view text, std::string_view origin);
+/// XNode and XPU names are resolved against `app` and `platform`; `validate(policy, ...)` has passed.
+[[nodiscard]] Result<Policy> parse_policy(std::string_view text, std::string_view origin,
+                                          const AppSpec& app, const Platform& platform);
+
+[[nodiscard]] std::string to_json(const AppSpec& app);
+[[nodiscard]] std::string to_json(const Platform& platform);
+[[nodiscard]] std::string to_json(const Profile& profile);
+[[nodiscard]] std::string to_json(const Policy& policy, const AppSpec& app, const Platform& platform);
+
+[[nodiscard]] Result<AppSpec> load_app(const std::string& path);
+/// `name_or_path`: a built-in name ("small", "large") or a platform.json.
+[[nodiscard]] Result<Platform> load_platform(const std::string& name_or_path);
+[[nodiscard]] Result<Profile> load_profile(const std::string& path);
+[[nodiscard]] Result<Policy> load_policy(const std::string& path, const AppSpec& app,
+                                         const Platform& platform);
+
+/// Regular file, at most kMaxFileBytes.
+[[nodiscard]] Result<std::string> read_file(const std::string& path);
+/// Writes beside the target and renames, so that a reader never sees half a file.
+[[nodiscard]] Status write_file(const std::string& path, std::string_view text);
+
+}  // namespace xauto

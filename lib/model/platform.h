@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// Platform: the XPU instances that a policy may use. File format: docs/formats.md, platform.json.
+// Value type: no invariant is held by the struct itself; `validate` says whether it makes sense, and
+// every reader calls it, so code behind the readers may rely on it.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+#include <xauto/result.h>
+
+namespace xauto {
+
+/// One XPU instance: a CPU core, a GPU, a DLA, or any other processor that runs one job at a time.
+struct Xpu {
+  std::string id;    ///< unique, "gpu0"
+  std::string type;  ///< "cpu", "gpu", "dla", or any other word; XNodes name types, not instances
+  bool preemptive = true;
+  /// Cost of suspending a running job and starting another, paid on the XPU by the job that starts.
+  std::int64_t preempt_us = 0;
+  /// Round-robin time slice of the hardware when nobody schedules it; 0: ideal processor sharing.
+  std::int64_t timeslice_us = 0;
+  /// Cost of one hardware context switch between time slices; -1 (the default): as preempt_us.
+  std::int64_t switch_us = -1;
+
+  [[nodiscard]] std::int64_t effective_switch_us() const {
+    return switch_us >= 0 ? switch_us : preempt_us;
+  }
+  bool operator==(const Xpu&) const = default;
+};
+
+struct Platform {
+  std::string name;
+  std::vector<Xpu> xpus;
+
+  /// Index into `xpus`, or -1.
+  [[nodiscard]] int find(std::string_view id) const;
+  /// Indices into `xpus` of the instances of `type`, ascending.
+  [[nodiscard]] std::vector<int> instances_of(std::string_view type) const;
+  /// Distinct types in order of first appearance.
+  [[nodiscard]] std::vector<std::string> types() const;
+  bool operator==(const Platform&) const = default;
+
+  /// The paper's configurations: "small" = 4 cpu + 1 gpu + 1 dla, "large" = 8 cpu + 1 gpu + 2 dla.
+  /// GPU: preempt 275 us, DLA: 132 us, both with a time slice of 1 ms.
+  [[nodiscard]] static Result<Platform> builtin(std::string_view name);
+};
+
+/// Limits of a platform file.
+inline constexpr std::size_t kMaxXpus = 256;
+inline constexpr std::int64_t kMaxTimeUs = 1'000'000'000'000;  ///< about 11 days; sums stay far from overflow
+
+/// ids unique and non-empty, types non-empty, times in [0, kMaxTimeUs], 1..kMaxXpus instances.
+[[nodiscard]] Status validate(const Platform& platform);
+
+}  // namespace xauto

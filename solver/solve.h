@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// The one entry to all methods: AppSpec + Platform -> Policy.
+#pragma once
+
+#include <atomic>
+#include <functional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "solver/problem.h"
+
+namespace xauto::solver {
+
+struct Progress {
+  double elapsed_s = 0;
+  Time incumbent = 0, bound = 0;
+  double gap = 0;               ///< (incumbent - bound) / incumbent
+  double evaluations_per_s = 0;
+};
+
+struct SolveOptions {
+  std::string method = "auto";  ///< auto | search | ilp | heft | local
+  double time_limit_s = 10;
+  int threads = 1;
+  std::uint64_t seed = 1;
+  std::int64_t max_evaluations = 0;  ///< 0: no limit; with a limit the answer does not depend on speed
+  const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: return the best so far
+  std::function<void(const Progress&)> on_progress;  ///< called from the solving thread, at most 10 Hz
+};
+
+/// Errors: kInvalid / kInfeasible from Problem::create; kInvalid for an unknown method. A time limit is
+/// not an error: the best policy so far comes back with its bound.
+[[nodiscard]] Result<Policy> solve(const AppSpec& app, const Platform& platform,
+                                   const SolveOptions& options);
+
+/// A Policy from a Decision: simulated, priorities as given, bound/optimal/worst case left to the caller.
+[[nodiscard]] Policy make_policy(const AppSpec& app, const Platform& platform, const Problem& problem,
+                                 const Decision& decision, std::string method);
+
+}  // namespace xauto::solver

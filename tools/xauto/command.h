@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: Apache-2.0
+// The frame of the `xauto` command line: each verb lives in cmd_<verb>.cc and registers itself here.
+// Results go to stdout (a table, or one JSON object with --json); progress and logs go to stderr.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <functional>
+#include <string>
+#include <xauto/result.h>
+
+namespace xauto::cli {
+
+/// Exit statuses of every verb (shared/formats.md).
+enum Exit : int { kDone = 0, kAnswerIsNo = 1, kBadInput = 2 };
+
+/// kInfeasible -> 1; bad input, missing files -> 2; everything else (I/O, peers) -> 1.
+[[nodiscard]] int exit_status(const Error& error);
+/// Prints "xauto: error: ..." with its hint to stderr and returns exit_status(error).
+int report(const Error& error);
+
+struct Options {
+  bool json = false;  ///< --json, accepted by every verb
+};
+
+/// A verb's body: runs after parsing, returns the exit status.
+using Body = std::function<int(const Options&)>;
+
+class Commands {
+ public:
+  explicit Commands(CLI::App& root) : root_(root) {}
+  /// Declares a verb with its one-line description and the example shown under --help.
+  CLI::App* add(const std::string& verb, const std::string& description, const std::string& example,
+                Body body);
+  int run(int argc, char** argv);
+
+ private:
+  CLI::App& root_;
+  Options options_;
+  Body chosen_;
+};
+
+// One per cmd_*.cc.
+void add_check(Commands&);
+void add_compare(Commands&);
+void add_doctor(Commands&);
+void add_explain(Commands&);
+void add_generate(Commands&);
+void add_profile(Commands&);
+void add_record(Commands&);
+void add_run(Commands&);
+void add_simulate(Commands&);
+void add_solve(Commands&);
+void add_status(Commands&);
+
+/// A progress bar on stderr: drawn only on a terminal or, off a terminal, as a line every few seconds.
+/// Appears after two seconds of work. Threads: one caller.
+class Progress {
+ public:
+  Progress(std::string label, double total);
+  ~Progress();
+  void update(double done, const std::string& note = {});
+  void finish();
+ private:
+  void draw(bool last);
+  std::string label_, note_;
+  double total_, done_ = 0;
+  std::int64_t started_ms_, drawn_ms_ = 0;
+  bool terminal_, shown_ = false, finished_ = false;
+};
+
+}  // namespace xauto::cli
