@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: Apache-2.0
+// Time. Everything that measures uses CLOCK_MONOTONIC in nanoseconds.
+#pragma once
+
+#include <cerrno>
+#include <cstdint>
+#include <ctime>
+
+namespace xauto {
+
+[[nodiscard]] inline std::int64_t now_ns() {
+  timespec now{};
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return static_cast<std::int64_t>(now.tv_sec) * 1'000'000'000 + now.tv_nsec;
+}
+
+/// Sleeps until `due` on the same clock; returns at once if it has passed.
+inline void sleep_until_ns(std::int64_t due) {
+  const timespec until{due / 1'000'000'000, due % 1'000'000'000};
+  while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr) == EINTR) {
+  }
+}
+
+}  // namespace xauto

@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "base/log.h"
+
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include <cstdlib>
+#include <memory>
+#include <string>
+
+namespace xauto::log {
+namespace {
+
+spdlog::logger& logger() {
+  // Never destroyed: threads may log while the process ends.
+  static spdlog::logger* const instance = [] {
+    auto* made = new spdlog::logger("xauto", std::make_shared<spdlog::sinks::stderr_color_sink_mt>());
+    made->set_pattern("xauto: %^%l%$: %v");
+    const char* level = std::getenv("XAUTO_LOG");
+    made->set_level(level == nullptr ? spdlog::level::info : spdlog::level::from_str(level));
+    return made;
+  }();
+  return *instance;
+}
+
+}  // namespace
+
+void write(Level level, std::string_view text) {
+  static constexpr spdlog::level::level_enum kLevels[] = {spdlog::level::debug, spdlog::level::info,
+                                                          spdlog::level::warn, spdlog::level::err};
+  logger().log(kLevels[static_cast<int>(level)], "{}", text);
+}
+
+}  // namespace xauto::log

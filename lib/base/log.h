@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+// Logs for people, on stderr (spdlog). The job path never logs; it writes trace events.
+//   error: not done as asked · warn: done differently · info: a change a user cares about · debug: ours
+// XAUTO_LOG=debug|info|warn|error|off sets the level (default: info).
+#pragma once
+
+#include <fmt/format.h>
+
+#include <cstdint>
+#include <string_view>
+
+namespace xauto::log {
+
+enum class Level { kDebug, kInfo, kWarn, kError };
+void write(Level level, std::string_view text);
+
+template <class... Args>
+void debug(fmt::format_string<Args...> format, Args&&... args) {
+  write(Level::kDebug, fmt::format(format, std::forward<Args>(args)...));
+}
+template <class... Args>
+void info(fmt::format_string<Args...> format, Args&&... args) {
+  write(Level::kInfo, fmt::format(format, std::forward<Args>(args)...));
+}
+template <class... Args>
+void warn(fmt::format_string<Args...> format, Args&&... args) {
+  write(Level::kWarn, fmt::format(format, std::forward<Args>(args)...));
+}
+template <class... Args>
+void error(fmt::format_string<Args...> format, Args&&... args) {
+  write(Level::kError, fmt::format(format, std::forward<Args>(args)...));
+}
+/// What to do about the error just reported.
+template <class... Args>
+void hint(fmt::format_string<Args...> format, Args&&... args) {
+  write(Level::kError, "  hint: " + fmt::format(format, std::forward<Args>(args)...));
+}
+
+}  // namespace xauto::log

@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "base/memory_file.h"
+
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+
+namespace xauto {
+namespace {
+
+tl::unexpected<Error> io_error(const char* what) {
+  return fail(ErrorCode::kIo, std::string(what) + ": " + strerror(errno));
+}
+
+}  // namespace
+
+Result<UniqueFd> make_memory_file(const char* name) {
+  UniqueFd fd(memfd_create(name, MFD_CLOEXEC));
+  if (!fd) return io_error("memfd_create");
+  return fd;
+}
+
+Status write_memory_file(int fd, std::string_view text) {
+  if (ftruncate(fd, 0) != 0) return io_error("cannot empty a memory file");
+  std::size_t done = 0;
+  while (done < text.size()) {
+    const ssize_t wrote = pwrite(fd, text.data() + done, text.size() - done, static_cast<off_t>(done));
+    if (wrote < 0 && errno == EINTR) continue;
+    if (wrote <= 0) return io_error("cannot write a memory file");
+    done += static_cast<std::size_t>(wrote);
+  }
+  return {};
+}
+
+Result<std::string> read_memory_file(int fd) {
+  struct stat status {};
+  if (fstat(fd, &status) != 0) return io_error("cannot read a memory file");
+  if (status.st_size < 0 || static_cast<std::size_t>(status.st_size) > kMaxMemoryFileBytes)
+    return fail(ErrorCode::kInvalid, "memory file of " + std::to_string(status.st_size) + " bytes");
+  std::string text(static_cast<std::size_t>(status.st_size), '\0');
+  std::size_t done = 0;
+  while (done < text.size()) {
+    const ssize_t got = pread(fd, text.data() + done, text.size() - done, static_cast<off_t>(done));
+    if (got < 0 && errno == EINTR) continue;
+    if (got < 0) return io_error("cannot read a memory file");
+    if (got == 0) break;
+    done += static_cast<std::size_t>(got);
+  }
+  text.resize(done);
+  return text;
+}
+
+}  // namespace xauto

@@ -1,0 +1,158 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "base/process.h"
+
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <sys/prctl.h>
+#include <sys/syscall.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+
+extern char** environ;
+
+namespace xauto {
+namespace {
+
+/// In the child, between fork and exec: only async-signal-safe calls.
+[[noreturn]] void become(const std::vector<char*>& argv, const std::vector<char*>& environment,
+                         const std::vector<int>& keep, pid_t parent, int error_fd) {
+  const auto die = [&](int error) {
+    [[maybe_unused]] const ssize_t told = write(error_fd, &error, sizeof error);
+    _exit(127);
+  };
+  if (prctl(PR_SET_PDEATHSIG, SIGKILL) != 0) die(errno);
+  if (getppid() != parent) _exit(127);  // it died before we asked to be told
+  sigset_t none;
+  sigemptyset(&none);
+  sigprocmask(SIG_SETMASK, &none, nullptr);
+  for (const int number : {SIGINT, SIGTERM, SIGPIPE}) ::signal(number, SIG_DFL);
+  // `keep` is sorted: close the gaps between what is kept.
+  unsigned next = 3;
+  for (const int fd : keep) {
+    const auto kept = static_cast<unsigned>(fd);
+    if (kept > next) syscall(SYS_close_range, next, kept - 1, CLOSE_RANGE_CLOEXEC);
+    if (fcntl(fd, F_SETFD, 0) != 0) die(errno);
+    next = kept + 1;
+  }
+  syscall(SYS_close_range, next, ~0u, CLOSE_RANGE_CLOEXEC);
+  execvpe(argv[0], argv.data(), environment.data());
+  die(errno);
+  _exit(127);
+}
+
+}  // namespace
+
+std::string Exit::to_string() const {
+  if (!signalled) return "exit status " + std::to_string(value);
+  const char* name = sigabbrev_np(value);
+  return std::string("signal ") + (name != nullptr ? std::string("SIG") + name : std::to_string(value));
+}
+
+Result<Child> Child::spawn(const SpawnOptions& options) {
+  if (options.argv.empty()) return fail(ErrorCode::kInternal, "spawn without a program");
+  std::vector<std::string> words = options.argv;
+  std::vector<std::string> variables;
+  for (char** v = environ; *v != nullptr; ++v) {
+    const std::string variable = *v;
+    const std::string name = variable.substr(0, variable.find('='));
+    if (std::none_of(options.environment.begin(), options.environment.end(),
+                     [&](const auto& added) { return added.first == name; }))
+      variables.push_back(variable);
+  }
+  for (const auto& [name, value] : options.environment) variables.push_back(name + "=" + value);
+  std::vector<char*> argv, environment;
+  for (std::string& word : words) argv.push_back(word.data());
+  for (std::string& variable : variables) environment.push_back(variable.data());
+  argv.push_back(nullptr);
+  environment.push_back(nullptr);
+
+  int ends[2];
+  if (pipe2(ends, O_CLOEXEC) != 0)
+    return fail(ErrorCode::kIo, std::string("pipe: ") + strerror(errno));
+  UniqueFd read_end(ends[0]), write_end(ends[1]);
+  std::vector<int> keep = options.inherit;
+  std::erase_if(keep, [](int fd) { return fd < 3; });
+  std::sort(keep.begin(), keep.end());
+  const pid_t parent = getpid();
+  const pid_t pid = fork();
+  if (pid < 0) return fail(ErrorCode::kIo, std::string("fork: ") + strerror(errno));
+  if (pid == 0) become(argv, environment, keep, parent, write_end.get());
+
+  write_end.reset();
+  Child child;
+  child.pid_ = pid;
+  child.pidfd_ = UniqueFd(static_cast<int>(syscall(SYS_pidfd_open, pid, 0)));
+  int error = 0;
+  ssize_t got;
+  do {
+    got = read(read_end.get(), &error, sizeof error);  // end of file: exec succeeded
+  } while (got < 0 && errno == EINTR);
+  if (got == sizeof error)
+    return fail(error == ENOENT ? ErrorCode::kNotFound : ErrorCode::kIo,
+                std::string("cannot start: ") + strerror(error), options.argv.front());
+  if (!child.pidfd_) return fail(ErrorCode::kIo, std::string("pidfd_open: ") + strerror(errno));
+  return child;
+}
+
+Child::Child(Child&& other) noexcept
+    : pid_(std::exchange(other.pid_, -1)),
+      pidfd_(std::move(other.pidfd_)),
+      exit_(std::exchange(other.exit_, std::nullopt)) {}
+
+Child& Child::operator=(Child&& other) noexcept {
+  if (this != &other) {
+    if (running()) stop(0);
+    pid_ = std::exchange(other.pid_, -1);
+    pidfd_ = std::move(other.pidfd_);
+    exit_ = std::exchange(other.exit_, std::nullopt);
+  }
+  return *this;
+}
+
+Child::~Child() {
+  if (running()) stop(0);
+}
+
+void Child::signal(int number) const {
+  if (running()) kill(pid_, number);
+}
+
+std::optional<Exit> Child::poll() { return wait(0); }
+
+std::optional<Exit> Child::wait(int timeout_ms) {
+  if (exit_ || pid_ <= 0) return exit_;
+  pollfd ended{pidfd_.get(), POLLIN, 0};
+  if (pidfd_ && ::poll(&ended, 1, timeout_ms) == 0) return std::nullopt;
+  int status = 0;
+  const pid_t reaped = waitpid(pid_, &status, WNOHANG);
+  if (reaped != pid_) return std::nullopt;
+  exit_ = WIFSIGNALED(status) ? Exit{true, WTERMSIG(status)} : Exit{false, WEXITSTATUS(status)};
+  return exit_;
+}
+
+Exit Child::stop(int grace_ms) {
+  if (pid_ <= 0) return {};
+  if (!exit_ && grace_ms > 0) {
+    signal(SIGTERM);
+    wait(grace_ms);
+  }
+  if (!exit_) signal(SIGKILL);
+  while (!exit_) wait(1000);
+  return *exit_;
+}
+
+std::string program_directory() {
+  char path[4096];
+  const ssize_t length = readlink("/proc/self/exe", path, sizeof path);
+  const std::string program(path, length > 0 ? static_cast<std::size_t>(length) : 0);
+  const std::size_t slash = program.rfind('/');
+  return slash == std::string::npos ? "." : program.substr(0, slash);
+}
+
+}  // namespace xauto

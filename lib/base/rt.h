@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// Real-time properties of the calling thread. What was set is read back: a policy that is silently
+// ignored is worse than an error.
+#pragma once
+
+#include <string>
+#include <vector>
+#include <xauto/result.h>
+
+namespace xauto::rt {
+
+/// SCHED_FIFO at `priority`, 1..99. kPermission with fifo_hint() when the kernel refuses.
+[[nodiscard]] Status set_fifo(int priority);
+[[nodiscard]] Status set_other();
+/// Whether set_fifo(priority) would succeed for a thread of this process; changes nothing.
+[[nodiscard]] bool may_use_fifo(int priority);
+/// One line: how to get the right to real-time priorities.
+[[nodiscard]] std::string fifo_hint();
+
+[[nodiscard]] Status pin_to_core(int core);
+/// The cores that this process may use, ascending.
+[[nodiscard]] std::vector<int> allowed_cores();
+
+/// The default slack of 50 us would be added to every timed wake-up.
+void set_timer_slack_1ns();
+/// Best effort; false where the memlock limit forbids it.
+bool lock_memory();
+/// Cut to the kernel's 15 characters.
+void set_thread_name(const std::string& name);
+
+}  // namespace xauto::rt

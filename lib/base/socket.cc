@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "base/socket.h"
+
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <fstream>
+#include <sstream>
+
+namespace xauto {
+namespace {
+
+constexpr std::size_t kMaxAddress = 100;
+
+std::string errno_text(const char* call) { return std::string(call) + ": " + strerror(errno); }
+
+Result<socklen_t> fill(sockaddr_un& name, const std::string& address) {
+  if (address.empty() || address.size() > kMaxAddress)
+    return fail(ErrorCode::kInvalid, "socket address has " + std::to_string(address.size()) +
+                                         " bytes, not 1.." + std::to_string(kMaxAddress),
+                address);
+  name = {};
+  name.sun_family = AF_UNIX;
+  std::memcpy(name.sun_path + 1, address.data(), address.size());
+  return static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + 1 + address.size());
+}
+
+}  // namespace
+
+Result<UniqueFd> listen_abstract(const std::string& address) {
+  sockaddr_un name;
+  XAUTO_ASSIGN(const socklen_t length, fill(name, address));
+  UniqueFd socket(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  if (!socket) return fail(ErrorCode::kIo, errno_text("socket"), address);
+  if (bind(socket.get(), reinterpret_cast<sockaddr*>(&name), length) != 0 ||
+      listen(socket.get(), 64) != 0)
+    return fail(ErrorCode::kIo, errno_text("cannot listen"), address);
+  return socket;
+}
+
+Result<UniqueFd> connect_abstract(const std::string& address) {
+  sockaddr_un name;
+  XAUTO_ASSIGN(const socklen_t length, fill(name, address));
+  UniqueFd socket(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
+  if (!socket) return fail(ErrorCode::kIo, errno_text("socket"), address);
+  if (connect(socket.get(), reinterpret_cast<sockaddr*>(&name), length) != 0)
+    return fail(ErrorCode::kUnavailable, errno_text("cannot connect"), address,
+                "is the process that serves it still running? see `xauto status`");
+  return socket;
+}
+
+Result<UniqueFd> accept_own(int listener) {
+  UniqueFd peer(accept4(listener, nullptr, nullptr, SOCK_CLOEXEC));
+  if (!peer) return fail(ErrorCode::kIo, errno_text("accept"));
+  ucred who{};
+  socklen_t length = sizeof who;
+  if (getsockopt(peer.get(), SOL_SOCKET, SO_PEERCRED, &who, &length) != 0)
+    return fail(ErrorCode::kIo, errno_text("SO_PEERCRED"));
+  if (who.uid != geteuid() && who.uid != 0)
+    return fail(ErrorCode::kPermission,
+                "refused a connection of uid " + std::to_string(who.uid) + ", pid " +
+                    std::to_string(who.pid));
+  return peer;
+}
+
+Status send_packet(int socket, const void* data, std::size_t bytes, const std::vector<int>& fds) {
+  iovec part{const_cast<void*>(data), bytes};
+  msghdr message{};
+  message.msg_iov = &part;
+  message.msg_iovlen = 1;
+  alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int) * kMaxPassedFds)] = {};
+  if (!fds.empty()) {
+    if (fds.size() > kMaxPassedFds) return fail(ErrorCode::kInternal, "too many descriptors");
+    message.msg_control = control;
+    message.msg_controllen = CMSG_SPACE(sizeof(int) * fds.size());
+    cmsghdr* header = CMSG_FIRSTHDR(&message);
+    header->cmsg_level = SOL_SOCKET;
+    header->cmsg_type = SCM_RIGHTS;
+    header->cmsg_len = CMSG_LEN(sizeof(int) * fds.size());
+    std::memcpy(CMSG_DATA(header), fds.data(), sizeof(int) * fds.size());
+  }
+  ssize_t sent;
+  do {
+    sent = sendmsg(socket, &message, MSG_NOSIGNAL);
+  } while (sent < 0 && errno == EINTR);
+  if (sent < 0) return fail(ErrorCode::kUnavailable, errno_text("cannot send"));
+  return {};
+}
+
+Result<std::size_t> receive_packet(int socket, void* data, std::size_t bytes,
+                                   std::vector<UniqueFd>* fds) {
+  iovec part{data, bytes};
+  msghdr message{};
+  message.msg_iov = &part;
+  message.msg_iovlen = 1;
+  alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int) * kMaxPassedFds)] = {};
+  message.msg_control = control;
+  message.msg_controllen = sizeof control;
+  ssize_t received;
+  do {
+    received = recvmsg(socket, &message, MSG_CMSG_CLOEXEC);
+  } while (received < 0 && errno == EINTR);
+
+  std::vector<UniqueFd> passed;  // closed here unless the caller wants them
+  for (cmsghdr* header = CMSG_FIRSTHDR(&message); received >= 0 && header != nullptr;
+       header = CMSG_NXTHDR(&message, header)) {
+    if (header->cmsg_level != SOL_SOCKET || header->cmsg_type != SCM_RIGHTS) continue;
+    const std::size_t count = (header->cmsg_len - CMSG_LEN(0)) / sizeof(int);
+    for (std::size_t i = 0; i < count; ++i) {
+      int fd;
+      std::memcpy(&fd, CMSG_DATA(header) + i * sizeof(int), sizeof fd);
+      passed.emplace_back(fd);
+    }
+  }
+  if (received < 0) return fail(ErrorCode::kUnavailable, errno_text("cannot receive"));
+  if (received == 0) return fail(ErrorCode::kUnavailable, "the peer closed the connection");
+  if ((message.msg_flags & (MSG_TRUNC | MSG_CTRUNC)) != 0)
+    return fail(ErrorCode::kInvalid, "packet is longer than " + std::to_string(bytes) + " bytes");
+  if (fds != nullptr) *fds = std::move(passed);
+  return static_cast<std::size_t>(received);
+}
+
+void signal_eventfd(int fd) {
+  const std::uint64_t one = 1;
+  [[maybe_unused]] const ssize_t written = write(fd, &one, sizeof one);  // full counter: it is signalled
+}
+
+void drain_eventfd(int fd) {
+  std::uint64_t count;
+  [[maybe_unused]] const ssize_t got = read(fd, &count, sizeof count);  // empty: nothing to drain
+}
+
+std::vector<std::string> abstract_sockets(const std::string& prefix) {
+  // Num RefCount Protocol Flags Type St Inode Path; listening: flag __SO_ACCEPTCON (0x10000).
+  std::vector<std::string> names;
+  std::ifstream table("/proc/net/unix");
+  std::string line;
+  while (std::getline(table, line)) {
+    std::istringstream fields(line);
+    std::string num, references, protocol, flags, type, state, inode, path;
+    fields >> num >> references >> protocol >> flags >> type >> state >> inode >> path;
+    if (flags == "00010000" && path.size() > 1 && path[0] == '@' &&
+        path.compare(1, prefix.size(), prefix) == 0)
+      names.push_back(path.substr(1));
+  }
+  std::sort(names.begin(), names.end());
+  names.erase(std::unique(names.begin(), names.end()), names.end());
+  return names;
+}
+
+}  // namespace xauto

@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "coord/arbiter.h"
+
+#include <algorithm>
+
+#include "base/check.h"
+
+namespace xauto::coord {
+
+Arbiter::Arbiter(Discipline discipline,
+                 std::vector<std::pair<std::uint32_t, std::uint32_t>> order)
+    : discipline_(discipline) {
+  for (const auto& [u, v] : order) {
+    const std::size_t size = std::max({before_.size(), std::size_t{u} + 1, std::size_t{v} + 1});
+    before_.resize(size);
+    finished_.resize(size);
+    before_[v].push_back(u);
+  }
+}
+
+bool Arbiter::eligible(const Job& job) const {
+  if (job.xnode >= before_.size()) return true;
+  return std::all_of(before_[job.xnode].begin(), before_[job.xnode].end(),
+                     [&](std::uint32_t u) { return finished_[u] > job.sequence; });
+}
+
+int Arbiter::most_urgent() const {
+  int best = -1;
+  for (int i = 0; i < kMaxSlots; ++i) {
+    const Slot& s = slot(i);
+    if (s.phase == Phase::kNone) continue;
+    if (s.phase == Phase::kWaiting && !eligible(s.job)) continue;
+    if (best < 0 || s.job.priority > slot(best).job.priority ||
+        (s.job.priority == slot(best).job.priority && s.arrival < slot(best).arrival))
+      best = i;
+  }
+  return best;
+}
+
+bool Arbiter::idle() const {
+  return std::all_of(slots_.begin(), slots_.end(), [](const Slot& s) {
+    return s.phase == Phase::kNone && s.queue == Queue::kEnabled;
+  });
+}
+
+void Arbiter::start(int slot, const Job& job, std::vector<Action>& out) {
+  Slot& s = at(slot);
+  XAUTO_CHECK(s.phase == Phase::kNone);
+  s.phase = Phase::kWaiting;
+  s.job = job;
+  s.arrival = ++arrivals_;
+  decide(out);
+}
+
+void Arbiter::adopt(int slot, const Job& job, std::vector<Action>& out) {
+  Slot& s = at(slot);
+  XAUTO_CHECK(s.phase == Phase::kNone && s.queue == Queue::kEnabled);
+  s.phase = Phase::kAdmitted;
+  s.job = job;
+  s.arrival = ++arrivals_;
+  decide(out);
+}
+
+void Arbiter::finish(int slot, std::vector<Action>& out) {
+  Slot& s = at(slot);
+  XAUTO_CHECK(s.phase != Phase::kNone);
+  s.phase = Phase::kNone;
+  s.refuses = false;
+  if (s.job.xnode < finished_.size())
+    finished_[s.job.xnode] = std::max(finished_[s.job.xnode], s.job.sequence + 1);
+  decide(out);
+}
+
+void Arbiter::suspended(int slot, bool succeeded, std::vector<Action>& out) {
+  Slot& s = at(slot);
+  XAUTO_CHECK(s.queue == Queue::kSuspending);
+  s.queue = succeeded ? Queue::kSuspended : Queue::kEnabled;
+  s.refuses = !succeeded && s.phase != Phase::kNone;
+  decide(out);
+}
+
+void Arbiter::resumed(int slot, std::vector<Action>& out) {
+  Slot& s = at(slot);
+  XAUTO_CHECK(s.queue == Queue::kResuming);
+  s.queue = Queue::kEnabled;
+  decide(out);
+}
+
+void Arbiter::gone(int slot, std::vector<Action>& out) {
+  at(slot) = Slot{};
+  decide(out);
+}
+
+void Arbiter::finished(std::uint32_t xnode, std::uint64_t count, std::vector<Action>& out) {
+  if (xnode >= finished_.size() || finished_[xnode] >= count) return;
+  finished_[xnode] = count;
+  decide(out);
+}
+
+void Arbiter::decide(std::vector<Action>& out) {
+  const auto grant = [&](int slot) {
+    at(slot).phase = Phase::kAdmitted;
+    out.push_back({Action::Kind::kGrant, slot});
+  };
+
+  const int top = most_urgent();
+  switch (discipline_) {
+    case Discipline::kKernel:
+      for (int i = 0; i < kMaxSlots; ++i)
+        if (slot(i).phase == Phase::kWaiting && eligible(slot(i).job)) grant(i);
+      return;
+
+    case Discipline::kGate: {
+      const bool taken = std::any_of(slots_.begin(), slots_.end(),
+                                     [](const Slot& s) { return s.phase == Phase::kAdmitted; });
+      if (!taken && top >= 0) grant(top);
+      return;
+    }
+
+    case Discipline::kPreemptive:
+      // Victims first: their suspension is what the most urgent job waits for on the XPU.
+      for (int i = 0; i < kMaxSlots; ++i) {
+        Slot& s = at(i);
+        const bool runs = s.phase == Phase::kAdmitted && s.queue == Queue::kEnabled;
+        if (runs && i != top && !s.refuses) {
+          s.queue = Queue::kSuspending;
+          out.push_back({Action::Kind::kSuspend, i});
+        }
+        // A queue without an admitted job has nothing to be suspended for.
+        const bool stranded = s.phase != Phase::kAdmitted && s.queue == Queue::kSuspended;
+        const bool next = i == top && s.phase == Phase::kAdmitted && s.queue == Queue::kSuspended;
+        if (stranded || next) {
+          s.queue = Queue::kResuming;
+          out.push_back({Action::Kind::kResume, i});
+        }
+      }
+      if (top >= 0 && slot(top).phase == Phase::kWaiting && slot(top).queue == Queue::kEnabled)
+        grant(top);
+      return;
+  }
+}
+
+}  // namespace xauto::coord

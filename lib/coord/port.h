@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+// Life of a job, step 4: a worker's door to the coordinator of its XPU. START and FINISH are one atomic
+// each when nobody else is on the XPU; see shm_layout.h for the protocol.
+//
+// Threads: `start`, `finish` from the execution thread; `wait_command`, `acknowledge` from the management
+// thread; `skip` and `interrupt` from any thread.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+#include <xauto/result.h>
+
+#include "base/unique_fd.h"
+#include "coord/arbiter.h"
+#include "coord/shm_layout.h"
+
+namespace xauto::coord {
+
+enum class Command : std::uint8_t {
+  kSuspend,
+  kResume,
+  kLost,         ///< the coordinator is gone: resume what is suspended, jobs now run unscheduled
+  kInterrupted,  ///< `interrupt` was called
+};
+
+class Port {
+ public:
+  /// Registers a worker with the coordinator behind the abstract socket `address`. `order`: pairs (u, v)
+  /// of XNodes on this XPU, as the coordinator knows them.
+  [[nodiscard]] static Result<std::unique_ptr<Port>> connect(
+      const std::string& address, const std::string& worker, const std::vector<std::uint32_t>& xnodes,
+      const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order);
+  ~Port();
+  Port(const Port&) = delete;
+  Port& operator=(const Port&) = delete;
+
+  /// START: returns when the job may run. On a lost coordinator: at once.
+  void start(const Job& job);
+  /// FINISH of the job last started.
+  void finish();
+  /// Activations of `xnode` up to and including `sequence` will not be started: nobody waits for them.
+  void skip(std::uint32_t xnode, std::uint64_t sequence);
+
+  /// Blocks until there is a command for the management thread.
+  [[nodiscard]] Command wait_command();
+  /// The command last received was carried out (or, for a suspension, could not be).
+  void acknowledge(bool succeeded);
+  /// Makes `wait_command` return kInterrupted and `start` return: for shutdown.
+  void interrupt();
+
+  [[nodiscard]] bool lost() const { return lost_.load(std::memory_order_relaxed); }
+
+ private:
+  Port() = default;
+  [[nodiscard]] bool eligible(const Job& job) const;
+  void mark_finished(std::uint32_t xnode, std::uint64_t count);
+  void ring();
+  void wait_for_grant();
+
+  UniqueFd socket_, doorbell_, commands_, interrupt_;
+  Shm shm_;
+  std::size_t bytes_ = 0;
+  int slot_ = -1;
+  Discipline discipline_ = Discipline::kPreemptive;
+  std::vector<std::vector<std::uint32_t>> before_;  ///< [xnode] -> order predecessors on this XPU
+  std::vector<char> tracked_;                       ///< [xnode] -> somebody's order predecessor
+  Job job_;
+  std::uint32_t generation_ = 0;
+  std::uint32_t pending_command_ = 0;
+  std::atomic<bool> lost_{false}, interrupted_{false};
+};
+
+}  // namespace xauto::coord

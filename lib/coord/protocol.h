@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+// What travels over a coordinator's socket (abstract AF_UNIX, SOCK_SEQPACKET, one packet per message):
+// registration, with the shared memory's descriptors in the answer, and status. The socket's end is how
+// each side learns of the other's death. Everything on the job path is in shm_layout.h instead.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+namespace xauto::coord {
+
+inline constexpr std::uint32_t kProtocolVersion = 1;
+inline constexpr std::size_t kMaxWorkerName = 64;
+inline constexpr std::size_t kMaxWorkerXNodes = 256;
+inline constexpr std::size_t kMaxStatusBytes = 64 * 1024;
+
+enum class MessageKind : std::uint32_t {
+  kHello = 1,    ///< worker -> coordinator: Hello
+  kWelcome = 2,  ///< coordinator -> worker: Welcome + {memfd, doorbell eventfd, command eventfd}
+  kRefused = 3,  ///< coordinator -> worker: Refused, then the socket is closed
+  kStatus = 4,   ///< anybody -> coordinator: MessageKind alone; answered with JSON text
+};
+
+struct Hello {
+  std::uint32_t kind = static_cast<std::uint32_t>(MessageKind::kHello);
+  std::uint32_t version = kProtocolVersion;
+  char worker[kMaxWorkerName] = {};  ///< NUL-terminated, for people
+  std::uint32_t num_xnodes = 0;
+  std::uint32_t xnodes[kMaxWorkerXNodes] = {};  ///< whose jobs this worker will bring
+};
+
+struct Welcome {
+  std::uint32_t kind = static_cast<std::uint32_t>(MessageKind::kWelcome);
+  std::uint32_t slot = 0;
+};
+
+struct Refused {
+  std::uint32_t kind = static_cast<std::uint32_t>(MessageKind::kRefused);
+  char reason[124] = {};
+};
+
+static_assert(std::is_trivially_copyable_v<Hello> && sizeof(Hello) == 76 + 4 * kMaxWorkerXNodes);
+static_assert(std::is_trivially_copyable_v<Welcome> && sizeof(Welcome) == 8);
+static_assert(std::is_trivially_copyable_v<Refused> && sizeof(Refused) == 128);
+
+}  // namespace xauto::coord
