@@ -5,6 +5,7 @@
 #include <poll.h>
 #include <signal.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -21,13 +22,15 @@ namespace {
 
 /// In the child, between fork and exec: only async-signal-safe calls.
 [[noreturn]] void become(const std::vector<char*>& argv, const std::vector<char*>& environment,
-                         const std::vector<int>& keep, pid_t parent, int error_fd) {
+                         const std::vector<int>& keep, pid_t parent, bool own_group,
+                         int error_fd) {
   const auto die = [&](int error) {
     [[maybe_unused]] const ssize_t told = write(error_fd, &error, sizeof error);
     _exit(127);
   };
   if (prctl(PR_SET_PDEATHSIG, SIGKILL) != 0) die(errno);
   if (getppid() != parent) _exit(127);  // it died before we asked to be told
+  if (own_group) setpgid(0, 0);
   sigset_t none;
   sigemptyset(&none);
   sigprocmask(SIG_SETMASK, &none, nullptr);
@@ -82,7 +85,7 @@ Result<Child> Child::spawn(const SpawnOptions& options) {
   const pid_t parent = getpid();
   const pid_t pid = fork();
   if (pid < 0) return fail(ErrorCode::kIo, std::string("fork: ") + strerror(errno));
-  if (pid == 0) become(argv, environment, keep, parent, write_end.get());
+  if (pid == 0) become(argv, environment, keep, parent, options.own_group, write_end.get());
 
   write_end.reset();
   Child child;
@@ -130,9 +133,12 @@ std::optional<Exit> Child::wait(int timeout_ms) {
   pollfd ended{pidfd_.get(), POLLIN, 0};
   if (pidfd_ && ::poll(&ended, 1, timeout_ms) == 0) return std::nullopt;
   int status = 0;
-  const pid_t reaped = waitpid(pid_, &status, WNOHANG);
+  rusage usage{};
+  const pid_t reaped = wait4(pid_, &status, WNOHANG, &usage);
   if (reaped != pid_) return std::nullopt;
+  const auto us = [](const timeval& t) { return t.tv_sec * 1'000'000 + t.tv_usec; };
   exit_ = WIFSIGNALED(status) ? Exit{true, WTERMSIG(status)} : Exit{false, WEXITSTATUS(status)};
+  exit_->cpu_us = us(usage.ru_utime) + us(usage.ru_stime);
   return exit_;
 }
 

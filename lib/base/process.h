@@ -20,12 +20,15 @@ struct SpawnOptions {
   std::vector<std::string> argv;  ///< argv[0]: a path, or a name to look for in PATH
   std::vector<int> inherit;       ///< descriptors to keep, under their own numbers; all others are closed
   std::vector<std::pair<std::string, std::string>> environment;  ///< added to ours
+  /// A process group of its own: the terminal's Ctrl-C then reaches only us, who forward it once.
+  bool own_group = true;
 };
 
 /// How a child ended.
 struct Exit {
   bool signalled = false;
   int value = 0;  ///< exit status, or the signal's number
+  std::int64_t cpu_us = 0;  ///< user and system time that it used
   [[nodiscard]] std::string to_string() const;
 };
 

@@ -47,7 +47,7 @@ Result<std::unique_ptr<Port>> Port::connect(
   Welcome welcome;
   if (size != sizeof welcome || fds.size() != 3)
     return fail(ErrorCode::kUnavailable, "answered with an unknown message", where);
-  std::memcpy(&welcome, &answer, sizeof welcome);
+  std::memcpy(&welcome, static_cast<const void*>(&answer), sizeof welcome);
   port->doorbell_ = std::move(fds[1]);
   port->commands_ = std::move(fds[2]);
 

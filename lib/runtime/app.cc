@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: Apache-2.0
+// The public App, and the program around it: what a process does that an `xauto` tool has started.
+#include <cxxabi.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+#include <xauto/app.h>
+
+#include "base/log.h"
+#include "base/memory_file.h"
+#include "model/json.h"
+#include "runtime/engine.h"
+#include "runtime/graph.h"
+#include "runtime/profiler.h"
+#include "runtime/session.h"
+
+namespace xauto {
+
+namespace detail {
+
+std::string demangle(const char* name) {
+  int status = 0;
+  char* text = abi::__cxa_demangle(name, nullptr, nullptr, &status);
+  std::string result = status == 0 ? text : name;
+  std::free(text);
+  return result;
+}
+
+}  // namespace detail
+
+const detail::Envelope& Input::find(const std::string& topic, std::type_index type) const {
+  for (std::size_t i = 0; topics_ != nullptr && i < topics_->size(); ++i) {
+    if ((*topics_)[i].name != topic) continue;
+    if ((*topics_)[i].type != type)
+      throw std::logic_error("topic '" + topic + "' carries " + (*topics_)[i].type_name);
+    return messages_[i];
+  }
+  throw std::logic_error("topic '" + topic + "' is not an input of this XModule");
+}
+
+namespace {
+
+std::atomic<runtime::Engine*> g_engine{nullptr};
+
+// The first SIGTERM or SIGINT drains; a second one finds the default action restored and stops.
+void on_signal(int number) {
+  if (runtime::Engine* engine = g_engine.load()) engine->request_stop();
+  signal(number, SIG_DFL);
+}
+
+Result<std::string> answer(const detail::AppSpecErased& app, const runtime::Session& session) {
+  switch (session.mode) {
+    case runtime::Mode::kDescribe: {
+      XAUTO_ASSIGN(const runtime::Graph graph, runtime::Graph::build(app));
+      return runtime::describe(graph, session.platform);
+    }
+    case runtime::Mode::kProfile:
+      return runtime::profile(app, session);
+    case runtime::Mode::kRun: {
+      XAUTO_ASSIGN(const auto engine, runtime::Engine::create(app, session));
+      g_engine.store(engine.get());
+      auto report = engine->run();
+      g_engine.store(nullptr);
+      if (!report) return tl::unexpected<Error>(std::move(report).error());
+      return runtime::to_json(*report);
+    }
+  }
+  return fail(ErrorCode::kInternal, "unknown session mode");
+}
+
+/// Started by hand: let the tool do what only a parent can, with the same arguments.
+int hand_over(char** argv) {
+  std::vector<std::string> words = {"xauto", "run", "--", "/proc/self/exe"};
+  char path[4096];
+  if (const ssize_t length = readlink("/proc/self/exe", path, sizeof path); length > 0)
+    words.back() = std::string(path, static_cast<std::size_t>(length));
+  for (char** word = argv + 1; *word != nullptr; ++word) words.emplace_back(*word);
+  std::vector<char*> arguments;
+  for (std::string& word : words) arguments.push_back(word.data());
+  arguments.push_back(nullptr);
+  execvp("xauto", arguments.data());
+  log::error("cannot start the xauto tool: {}", strerror(errno));
+  log::hint("start this program with `xauto run --app app.json --policy policy.json -- {}`", argv[0]);
+  return 2;
+}
+
+}  // namespace
+
+App::App(std::string name) : spec_(std::make_unique<detail::AppSpecErased>()) {
+  spec_->name = std::move(name);
+}
+App::~App() = default;
+
+void App::add_module_spec(std::shared_ptr<detail::XModuleSpec> spec) {
+  spec_->modules.push_back(std::move(spec));
+}
+void App::add_source_spec(detail::SourceSpec spec) { spec_->sources.push_back(std::move(spec)); }
+void App::add_observer_spec(detail::TopicSpec topic,
+                            std::function<void(const void*, std::uint64_t)> callback) {
+  spec_->observers.push_back({std::move(topic), std::move(callback)});
+}
+App& App::on_end(std::function<void()> callback) {
+  spec_->on_end.push_back(std::move(callback));
+  return *this;
+}
+
+Status App::check() const {
+  XAUTO_TRY(runtime::Graph::build(*spec_));
+  return {};
+}
+
+int App::main(int, char** argv) {
+  const auto session = runtime::inherited_session();
+  if (!session) {
+    log::error("{}", session.error().to_string());
+    return 2;
+  }
+  if (!session->has_value()) {
+    if (const Status good = check(); !good) {
+      log::error("{}", good.error().to_string());
+      return 2;
+    }
+    return hand_over(argv);
+  }
+  struct sigaction action {};
+  action.sa_handler = on_signal;
+  sigaction(SIGTERM, &action, nullptr);
+  sigaction(SIGINT, &action, nullptr);
+
+  const auto text = answer(*spec_, **session);
+  const std::string written = text ? *text : runtime::error_to_json(text.error());
+  if (const Status done = write_memory_file((*session)->answer_fd, written); !done) {
+    log::error("{}", done.error().to_string());
+    return 1;
+  }
+  return text ? 0 : 1;
+}
+
+}  // namespace xauto

@@ -1,0 +1,506 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/engine.h"
+
+#include <sched.h>
+
+#include <algorithm>
+#include <set>
+
+#include "base/clock.h"
+#include "base/futex.h"
+#include "base/log.h"
+#include "base/rt.h"
+#include "record/recording.h"
+
+namespace xauto::runtime {
+namespace {
+
+// SCHED_FIFO priorities of one run, all below the kernel's own watchdogs and migration threads (99).
+// Management above execution, so that a suspension is never delayed by what it suspends.
+constexpr int kFifoManagement = 50;
+constexpr int kFifoSources = 45;
+constexpr int kFifoExecution = 40;  ///< of XPUs other than real CPUs: such a thread mostly waits
+constexpr int kFifoCpuLowest = 2, kFifoCpuHighest = 39;  ///< XNodes on real CPUs, by policy priority
+
+constexpr std::int64_t kStallNs = 10'000'000'000;  ///< no progress for so long: give up, say what hangs
+
+}  // namespace
+
+Engine::Engine(const detail::AppSpecErased& app, const Session& session, Graph graph)
+    : app_(app), session_(session), graph_(std::move(graph)) {}
+
+Engine::~Engine() {
+  for (const auto& worker : workers_) worker->stop();
+}
+
+Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
+                                               const Session& session) {
+  XAUTO_ASSIGN(Graph graph, Graph::build(app));
+  XAUTO_TRY(graph.matches(session.app));
+  auto engine = std::unique_ptr<Engine>(new Engine(app, session, std::move(graph)));
+  if (session.trace_fd >= 0) {
+    XAUTO_ASSIGN(engine->trace_, trace::Writer::create(session.trace_fd, session.trace_capacity));
+  }
+  XAUTO_TRY(engine->place());
+  XAUTO_TRY(engine->wire());
+  XAUTO_TRY(engine->start_workers());
+  return engine;
+}
+
+// ---- building --------------------------------------------------------------------------------------
+
+/// The XPU instance of `node`: the policy's, or with ROS 2 scheduling the first of its fastest type.
+int Engine::xpu_of(const Graph::Node& node, std::uint32_t xnode) const {
+  if (session_.scheduling != Scheduling::kRos2) return session_.policy.placements[xnode].xpu;
+  const XNodeSpec& spec = session_.app.xnodes[xnode];
+  int best = -1;
+  std::int64_t best_us = 0;
+  for (std::size_t i = 0; i < session_.platform.xpus.size(); ++i) {
+    const std::string& type = session_.platform.xpus[i].type;
+    const auto wcet = spec.wcet_on(type);
+    if (wcet && find_impl(*node.spec, type) != nullptr && (best < 0 || *wcet < best_us)) {
+      best = static_cast<int>(i);
+      best_us = *wcet;
+    }
+  }
+  return best;
+}
+
+/// SCHED_FIFO priorities for the XNodes of one real CPU: their rank by policy priority, so that any
+/// number of policy priorities fits; the most urgent always gets the highest.
+static std::vector<int> fifo_priorities(const Policy& policy) {
+  std::vector<int> fifo(policy.placements.size(), 0);
+  for (std::size_t i = 0; i < fifo.size(); ++i) {
+    std::set<std::int64_t> above;
+    for (const Placement& other : policy.placements)
+      if (other.xpu == policy.placements[i].xpu && other.priority > policy.placements[i].priority)
+        above.insert(other.priority);
+    fifo[i] = std::max(kFifoCpuLowest, kFifoCpuHighest - static_cast<int>(above.size()));
+  }
+  return fifo;
+}
+
+Status Engine::place() {
+  const Platform& platform = session_.platform;
+  const bool scheduled = session_.scheduling == Scheduling::kXAuto;
+  bool fifo = session_.emulated || session_.cpu_sched == CpuSched::kFifo;
+  if (fifo && !rt::may_use_fifo(kFifoManagement)) {
+    fifo = false;
+    note_ = "no permission for SCHED_FIFO: threads run as SCHED_OTHER; " + rt::fifo_hint();
+    log::warn("{}", note_);
+  }
+  const std::vector<int> fifo_by_xnode =
+      scheduled ? fifo_priorities(session_.policy) : std::vector<int>();
+  const std::vector<int> cores = rt::allowed_cores();
+
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
+  if (scheduled && !session_.policy.order.empty()) {
+    if (graph_.single_rate) {
+      for (const auto& [u, v] : session_.policy.order)
+        order.emplace_back(static_cast<std::uint32_t>(u), static_cast<std::uint32_t>(v));
+    } else {
+      note_ = "the sources have several periods: the policy's order constraints are not enforced, "
+              "its worst case does not hold";
+      log::warn("{}", note_);
+    }
+  }
+
+  xnode_of_.resize(graph_.nodes.size());
+  for (std::size_t n = 0; n < graph_.nodes.size(); ++n)
+    xnode_of_[n] = static_cast<std::uint32_t>(session_.app.find(graph_.nodes[n].name));
+
+  for (std::size_t m = 0; m < graph_.modules.size(); ++m) {
+    auto chain = std::make_unique<Chain>();
+    chain->module = static_cast<int>(m);
+    std::vector<std::pair<int, Worker*>> here;  // one worker per XPU of this module
+    std::vector<int> xpus;
+    for (const int n : graph_.modules[m].nodes) {
+      const Graph::Node& node = graph_.nodes[static_cast<std::size_t>(n)];
+      const std::uint32_t xnode = xnode_of_[static_cast<std::size_t>(n)];
+      const int xpu = xpu_of(node, xnode);
+      const std::string where = "XNode '" + node.name + "'";
+      if (xpu < 0)
+        return fail(ErrorCode::kInvalid, "has no implementation for any XPU of platform '" +
+                                             platform.name + "'", where);
+      const Xpu& x = platform.xpus[static_cast<std::size_t>(xpu)];
+      Placed placed;
+      placed.name = node.name;
+      placed.xnode = xnode;
+      placed.impl = find_impl(*node.spec, x.type);
+      if (placed.impl == nullptr)
+        return fail(ErrorCode::kInvalid,
+                    "is assigned to " + x.id + " but has no implementation for '" + x.type + "'", where,
+                    "add one with add_impl, or solve again with the app.json of this program");
+      const bool real_cpu = !session_.emulated && x.type == "cpu";
+      if (scheduled) {
+        placed.priority = session_.policy.placements[xnode].priority;
+        if (real_cpu && fifo) placed.fifo_priority = fifo_by_xnode[xnode];
+      }
+      auto at = std::find_if(here.begin(), here.end(), [&](const auto& h) { return h.first == xpu; });
+      if (at == here.end()) {
+        WorkerOptions options;
+        options.xpu = xpu;
+        options.xpu_id = xpu_id(platform, xpu);
+        options.name = graph_.modules[m].name + "@" + x.id;
+        options.emulated = session_.emulated;
+        options.mgmt_fifo = fifo ? kFifoManagement : 0;
+        if (real_cpu) {
+          if (scheduled || session_.scheduling == Scheduling::kTimeshare) {
+            if (options.xpu_id.index >= static_cast<int>(cores.size()))
+              return fail(ErrorCode::kInvalid,
+                          "platform '" + platform.name + "' has more CPUs than the " +
+                              std::to_string(cores.size()) + " that this process may use",
+                          x.id, "use a platform file of this machine, or --emulate");
+            options.core = cores[static_cast<std::size_t>(options.xpu_id.index)];
+          }
+          options.exec_fifo = scheduled && fifo ? kFifoCpuLowest : 0;
+        } else {
+          options.exec_fifo = fifo ? kFifoExecution : 0;
+        }
+        if (scheduled) {
+          const auto coordinator = session_.coordinators.find(x.id);
+          if (coordinator == session_.coordinators.end())
+            return fail(ErrorCode::kInternal, "session names no coordinator", x.id);
+          options.coordinator = coordinator->second;
+          for (const auto& pair : order)
+            if (session_.policy.placements[pair.first].xpu == xpu) options.order.push_back(pair);
+        }
+        workers_.push_back(std::make_unique<Worker>(std::move(options), *chain, trace_.get()));
+        here.emplace_back(xpu, workers_.back().get());
+        at = here.end() - 1;
+      }
+      placed.worker = at->second;
+      chain->nodes.push_back(std::move(placed));
+    }
+    chains_.push_back(std::move(chain));
+  }
+  return {};
+}
+
+Status Engine::wire() {
+  channels_.resize(graph_.topics.size());
+  for (std::size_t m = 0; m < graph_.modules.size(); ++m) {
+    const Graph::Module& module = graph_.modules[m];
+    std::vector<const transport::Channel*> outputs;
+    for (const int t : module.outputs) outputs.push_back(&channels_[static_cast<std::size_t>(t)]);
+    try {
+      modules_.push_back(std::make_unique<ModuleRuntime>(graph_, static_cast<int>(m), *this,
+                                                         std::move(outputs)));
+    } catch (const std::exception& e) {
+      return fail(ErrorCode::kUnavailable, std::string("the state's constructor threw: ") + e.what(),
+                  "XModule '" + module.name + "'");
+    }
+    chains_[m]->runtime = modules_.back().get();
+    counts_.push_back(std::make_unique<ModuleCounts>());
+    if (module.sink) ++num_sinks_;
+  }
+  for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
+    for (const detail::ObserverSpec& observer : app_.observers)
+      if (observer.topic.name == graph_.topics[t].spec.name)
+        channels_[t].subscribe([&observer](const detail::Envelope& envelope) {
+          if (envelope.message == nullptr) return;
+          try {
+            observer.callback(envelope.message.get(), envelope.sequence);
+          } catch (const std::exception& e) {
+            log::warn("on_message of topic '{}' threw: {}", observer.topic.name, e.what());
+          } catch (...) {
+            log::warn("on_message of topic '{}' threw", observer.topic.name);
+          }
+        });
+    for (const Graph::Subscriber& subscriber : graph_.topics[t].subscribers)
+      channels_[t].subscribe([module = modules_[static_cast<std::size_t>(subscriber.module)].get(),
+                              input = subscriber.input](const detail::Envelope& envelope) {
+        module->receive(input, envelope);
+      });
+  }
+  return {};
+}
+
+Status Engine::start_workers() {
+  for (const auto& worker : workers_) XAUTO_TRY(worker->start());
+  return {};
+}
+
+// ---- running ---------------------------------------------------------------------------------------
+
+Result<RunReport> Engine::run() {
+  Status status;
+  // The releasing thread runs the sources' callbacks, so it is not the caller's: its priority is ours.
+  std::thread releaser([&] {
+    rt::set_thread_name("xauto/sources");
+    rt::set_timer_slack_1ns();
+    if (rt::may_use_fifo(kFifoSources)) (void)rt::set_fifo(kFifoSources);
+    status = session_.input.empty() ? release_periodic() : release_recorded();
+  });
+  releaser.join();
+  XAUTO_TRY(status);
+  const bool drained = wait_drained(kStallNs);
+  RunReport result = report();
+  result.complete = drained && !stop_.load();
+  if (!drained) {
+    result.note += (result.note.empty() ? "" : "; ");
+    result.note += std::to_string(in_flight_.load()) + " activations did not end";
+  }
+  for (const auto& worker : workers_) worker->stop();
+  for (const auto& callback : app_.on_end) {
+    try {
+      callback();
+    } catch (const std::exception& e) {
+      return fail(ErrorCode::kIo, std::string("on_end threw: ") + e.what(), "app '" + app_.name + "'");
+    }
+  }
+  return result;
+}
+
+/// Every source at its period, on one absolute time grid, so that sources of equal period release at the
+/// same instants and nothing drifts.
+Status Engine::release_periodic() {
+  struct Source {
+    int topic;
+    std::int64_t period_ns;
+    std::uint64_t sequence = 0;
+  };
+  std::vector<Source> sources;
+  for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
+    if (graph_.topics[t].source < 0) continue;
+    const auto& spec = app_.sources[static_cast<std::size_t>(graph_.topics[t].source)];
+    const std::int64_t period_us =
+        session_.period_us > 0 ? session_.period_us : spec.period.count();
+    sources.push_back({static_cast<int>(t), period_us * 1000});
+  }
+  std::int64_t start = now_ns() + 20'000'000;
+  const std::uint64_t limit =
+      session_.activations == 0 ? kMaxActivations : session_.activations;
+  while (!stop_.load()) {
+    std::int64_t due = INT64_MAX;
+    for (const Source& s : sources)
+      if (s.sequence < limit)
+        due = std::min(due, start + static_cast<std::int64_t>(s.sequence) * s.period_ns);
+    if (due == INT64_MAX) break;
+    if (session_.lockstep) {
+      if (!wait_drained(kStallNs))
+        return fail(ErrorCode::kTimeout, "no progress for 10 s in lockstep",
+                    "app '" + app_.name + "'");
+      const std::int64_t now = now_ns();
+      start += std::max<std::int64_t>(0, now - due);
+      due = std::max(due, now);
+    }
+    // Messages are made before their release, so that making them does not count as latency.
+    std::vector<std::pair<int, std::shared_ptr<const void>>> messages;
+    std::uint64_t sequence = 0;
+    for (Source& s : sources) {
+      if (s.sequence >= limit || start + static_cast<std::int64_t>(s.sequence) * s.period_ns > due)
+        continue;
+      const auto& spec = app_.sources[static_cast<std::size_t>(
+          graph_.topics[static_cast<std::size_t>(s.topic)].source)];
+      try {
+        messages.emplace_back(s.topic, spec.make(s.sequence));
+      } catch (const std::exception& e) {
+        return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
+                    "the source of topic '" + spec.topic.name + "'");
+      }
+      sequence = s.sequence++;
+    }
+    sleep_until_ns(due);
+    release(now_ns(), sequence, messages);
+  }
+  return {};
+}
+
+void Engine::release(std::int64_t origin_ns, std::uint64_t sequence,
+                     const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages) {
+  if (graph_.single_rate && num_sinks_ > 0) {
+    const std::lock_guard lock(releases_mutex_);
+    if (open_.size() <= sequence) open_.resize(sequence + 1);
+    open_[sequence] = {origin_ns, origin_ns, num_sinks_, false};
+    in_flight_.fetch_add(1);
+  }
+  if (trace_)
+    trace_->write(XAUTO_EV_PUBLISH, sequence, XAUTO_EV_NONE, XAUTO_EV_NONE, XAUTO_EV_NONE);
+  for (const auto& [topic, message] : messages)
+    channels_[static_cast<std::size_t>(topic)].publish({message, origin_ns, sequence});
+}
+
+/// Releases a recording's messages: message k of each recorded source topic is release k. In lockstep, or
+/// at the recorded distances in time (or `period_us`).
+Status Engine::release_recorded() {
+  XAUTO_ASSIGN(auto recording, record::Recording::open(session_.input));
+  std::vector<int> topic_of(recording.topics().size(), -1);
+  std::set<int> missing;
+  for (std::size_t t = 0; t < graph_.topics.size(); ++t)
+    if (graph_.topics[t].source >= 0) missing.insert(static_cast<int>(t));
+  for (std::size_t r = 0; r < recording.topics().size(); ++r)
+    for (const int t : std::set<int>(missing))
+      if (graph_.topics[static_cast<std::size_t>(t)].spec.name == recording.topics()[r].name) {
+        topic_of[r] = t;
+        missing.erase(t);
+      }
+  const auto topic_name = [&](int t) { return graph_.topics[static_cast<std::size_t>(t)].spec.name; };
+  if (!missing.empty())
+    return fail(ErrorCode::kInvalid, "has no messages for topic '" + topic_name(*missing.begin()) + "'",
+                session_.input, "record the app's own sources with `xauto run --record`");
+
+  std::vector<std::uint64_t> sequence(graph_.topics.size(), 0);
+  // Messages of one instant are one release; so are the k-th messages of all topics in a single-rate app.
+  std::vector<std::pair<int, std::shared_ptr<const void>>> batch;
+  std::size_t num_topics = 0;
+  for (const int t : topic_of) num_topics += t >= 0 ? 1 : 0;
+  std::int64_t first_stamp = -1, start = 0;
+  std::uint64_t releases = 0;
+  while (!stop_.load() && (session_.activations == 0 || releases < session_.activations)) {
+    XAUTO_ASSIGN(auto message, recording.next());
+    if (!message) break;
+    const int t = topic_of[message->topic];
+    if (t < 0) continue;
+    const detail::TopicSpec& spec = graph_.topics[static_cast<std::size_t>(t)].spec;
+    if (spec.decode == nullptr)
+      return fail(ErrorCode::kInvalid, "messages of type " + spec.type_name + " cannot be decoded",
+                  "topic '" + spec.name + "'", "specialise xauto::Codec for it");
+    try {
+      batch.emplace_back(t, spec.decode(message->data));
+    } catch (const std::exception& e) {
+      return fail(ErrorCode::kInvalid,
+                  "message " + std::to_string(sequence[static_cast<std::size_t>(t)]) + ": " + e.what(),
+                  session_.input + ": topic '" + spec.name + "'");
+    }
+    const std::uint64_t number = sequence[static_cast<std::size_t>(t)]++;
+    if (graph_.single_rate && batch.size() < num_topics) continue;
+    if (first_stamp < 0) {
+      first_stamp = message->timestamp_ns;
+      start = now_ns() + 20'000'000;
+    }
+    if (session_.lockstep) {
+      if (!wait_drained(kStallNs))
+        return fail(ErrorCode::kTimeout, "no progress for 10 s in lockstep",
+                    "app '" + app_.name + "'");
+    } else if (session_.period_us > 0) {
+      sleep_until_ns(start + static_cast<std::int64_t>(releases) * session_.period_us * 1000);
+    } else {
+      sleep_until_ns(start + (message->timestamp_ns - first_stamp));
+    }
+    release(now_ns(), number, batch);
+    batch.clear();
+    ++releases;
+  }
+  return {};
+}
+
+/// Single rate: until every release is accounted for. Otherwise there is nothing to count by, so: until no
+/// module has ended an activation for 100 ms. False after `timeout_ns` without progress.
+bool Engine::wait_drained(std::int64_t timeout_ns) {
+  if (!graph_.single_rate) {
+    const auto total = [&] {
+      std::uint64_t sum = 0;
+      for (const auto& c : counts_) sum += c->activations + c->failed + c->dropped;
+      return sum;
+    };
+    for (std::uint64_t before = total();;) {
+      sleep_until_ns(now_ns() + 100'000'000);
+      const std::uint64_t now = total();
+      if (now == before) return true;
+      before = now;
+    }
+  }
+  std::int64_t since = now_ns();
+  for (std::uint32_t last = in_flight_.load();;) {
+    const std::uint32_t left = in_flight_.load();
+    if (left == 0) return true;
+    if (left != last) since = now_ns();
+    last = left;
+    if (now_ns() - since > timeout_ns) return false;
+    futex_wait(in_flight_, left);
+  }
+}
+
+// ---- accounting ------------------------------------------------------------------------------------
+
+void Engine::activate(int module) {
+  Chain& chain = *chains_[static_cast<std::size_t>(module)];
+  if (trace_)
+    trace_->write(XAUTO_EV_ACTIVATE, chain.runtime->input().sequence(), XAUTO_EV_NONE,
+                  static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
+  chain.nodes.front().worker->submit(0);
+}
+
+void Engine::done(int module, std::int64_t origin_ns, std::uint64_t sequence) {
+  const std::int64_t now = now_ns();
+  ModuleCounts& counts = *counts_[static_cast<std::size_t>(module)];
+  counts.activations.fetch_add(1, std::memory_order_relaxed);
+  if (trace_)
+    trace_->write(XAUTO_EV_DONE, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
+                  XAUTO_EV_NONE);
+  if (!graph_.modules[static_cast<std::size_t>(module)].sink) return;
+  {
+    const std::lock_guard lock(counts.mutex);
+    counts.latencies_us.push_back((now - origin_ns) / 1000);
+  }
+  account(sequence, now, false);
+}
+
+void Engine::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
+  ModuleCounts& counts = *counts_[static_cast<std::size_t>(module)];
+  (reason == XAUTO_DROP_FAILED ? counts.failed : counts.dropped).fetch_add(1, std::memory_order_relaxed);
+  if (trace_)
+    trace_->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
+                  XAUTO_EV_NONE, reason);
+  if (graph_.modules[static_cast<std::size_t>(module)].sink) account(sequence, now_ns(), true);
+}
+
+void Engine::skip(int module, std::uint64_t sequence) {
+  const Chain& chain = *chains_[static_cast<std::size_t>(module)];
+  for (std::size_t i = 0; i < chain.nodes.size(); ++i) chain.nodes[i].worker->skip(i, sequence);
+}
+
+/// One sink module is through with release `sequence`.
+void Engine::account(std::uint64_t sequence, std::int64_t now, bool lost) {
+  if (!graph_.single_rate) return;
+  {
+    const std::lock_guard lock(releases_mutex_);
+    if (sequence >= open_.size()) return;
+    Open& open = open_[sequence];
+    if (open.sinks_left == 0) return;
+    open.last_ns = std::max(open.last_ns, now);
+    open.lost |= lost;
+    if (--open.sinks_left > 0) return;
+    const std::int64_t latency_us = (open.last_ns - open.origin_ns) / 1000;
+    releases_.push_back({sequence, open.origin_ns, open.lost ? -1 : latency_us});
+    if (session_.app.deadline_us && (open.lost || latency_us > *session_.app.deadline_us))
+      deadline_misses_.fetch_add(1, std::memory_order_relaxed);
+  }
+  in_flight_.fetch_sub(1);
+  futex_wake(in_flight_, 1);
+}
+
+RunReport Engine::report() const {
+  RunReport result;
+  result.note = note_;
+  {
+    const std::lock_guard lock(releases_mutex_);
+    result.releases = releases_;
+  }
+  std::sort(result.releases.begin(), result.releases.end(),
+            [](const Release& a, const Release& b) { return a.sequence < b.sequence; });
+  for (std::size_t m = 0; m < graph_.modules.size(); ++m) {
+    ModuleCounts& counts = *counts_[m];
+    ModuleReport module{graph_.modules[m].name, graph_.modules[m].sink, counts.activations,
+                        counts.failed,          counts.dropped,         {}};
+    const std::lock_guard lock(counts.mutex);
+    module.latencies_us = counts.latencies_us;
+    result.modules.push_back(std::move(module));
+  }
+  for (const auto& worker : workers_)
+    if (worker->lost_coordinator()) result.lost_coordinators.push_back(worker->options().xpu_id.name);
+  std::sort(result.lost_coordinators.begin(), result.lost_coordinators.end());
+  result.lost_coordinators.erase(
+      std::unique(result.lost_coordinators.begin(), result.lost_coordinators.end()),
+      result.lost_coordinators.end());
+  result.deadline_misses = deadline_misses_.load();
+  for (const auto& worker : workers_) {
+    const std::string failure = worker->first_failure();
+    if (failure.empty()) continue;
+    result.note += (result.note.empty() ? "" : "; ") + failure;
+  }
+  return result;
+}
+
+}  // namespace xauto::runtime

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the `xauto` tool asks of an app that it starts, and what the app answers. The request travels as
+// JSON in an inherited memfd (environment XAUTO_SESSION = its number), the answer in another one, so
+// nothing is left behind however either of them ends.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+#include <xauto/result.h>
+
+#include "model/app.h"
+#include "model/platform.h"
+#include "model/policy.h"
+
+namespace xauto::runtime {
+
+enum class Mode : std::uint8_t {
+  kDescribe,  ///< print the graph
+  kProfile,   ///< time each XNode alone
+  kRun,
+};
+
+enum class Scheduling : std::uint8_t {
+  kXAuto,      ///< the policy's assignment and priorities, coordinators decide
+  kTimeshare,  ///< the policy's assignment, nobody schedules
+  kRos2,       ///< everybody on his fastest XPU type, nobody schedules
+};
+[[nodiscard]] const char* to_string(Scheduling scheduling);
+[[nodiscard]] std::optional<Scheduling> scheduling_from(const std::string& name);
+
+/// How threads of CPU XNodes are scheduled when the CPUs are real.
+enum class CpuSched : std::uint8_t { kFifo, kOther };
+
+struct Session {
+  Mode mode = Mode::kRun;
+  AppSpec app;  ///< kRun
+  Platform platform;
+  Policy policy;  ///< kRun with kXAuto, kTimeshare
+  Scheduling scheduling = Scheduling::kXAuto;
+  CpuSched cpu_sched = CpuSched::kFifo;
+  bool emulated = false;
+  std::map<std::string, std::string> coordinators;  ///< XPU id -> abstract socket; empty: none
+  std::uint64_t activations = 0;  ///< releases per source; 0: until told to stop, or the input's end
+  bool lockstep = false;          ///< the next release comes when the last one has drained
+  std::int64_t period_us = 0;     ///< instead of the sources' own; 0: theirs
+  std::string input;              ///< recorded input; empty: the sources' own messages
+  std::string record;             ///< record the sources' messages into this file; empty: don't
+  std::uint64_t warmup = 3, repetitions = 30;  ///< kProfile
+  std::int64_t margin_pct = 20;                ///< kProfile
+  int answer_fd = -1;  ///< memfd for the Answer
+  int trace_fd = -1;   ///< memfd for the trace; -1: none
+  std::uint64_t trace_capacity = 0;
+};
+
+inline constexpr const char* kSessionVariable = "XAUTO_SESSION";
+inline constexpr std::uint64_t kMaxActivations = 100'000'000;
+
+[[nodiscard]] std::string to_json(const Session& session);
+[[nodiscard]] Result<Session> parse_session(const std::string& text);
+/// Reads the memfd named by XAUTO_SESSION; nullopt if the variable is not set.
+[[nodiscard]] Result<std::optional<Session>> inherited_session();
+
+/// What became of one release of the sensors.
+struct Release {
+  std::uint64_t sequence = 0;
+  std::int64_t origin_ns = 0;
+  std::int64_t latency_us = -1;  ///< until the last sink module was done; -1: dropped somewhere
+};
+
+struct ModuleReport {
+  std::string name;
+  bool sink = false;
+  std::uint64_t activations = 0, failed = 0, dropped = 0;
+  std::vector<std::int64_t> latencies_us;  ///< sinks: origin to done, per activation
+};
+
+struct RunReport {
+  bool complete = false;  ///< every release was accounted for before the end
+  std::string note;       ///< why not, or what was done differently; for people
+  std::vector<Release> releases;
+  std::vector<ModuleReport> modules;
+  std::vector<std::string> lost_coordinators;
+  std::uint64_t deadline_misses = 0;
+};
+
+/// kDescribe answers an AppSpec without WCETs; kProfile a profile.json; kRun this. Errors of any mode:
+/// {"error": {...}}.
+[[nodiscard]] std::string to_json(const RunReport& report);
+[[nodiscard]] Result<RunReport> parse_run_report(const std::string& text);
+[[nodiscard]] std::string error_to_json(const Error& error);
+
+}  // namespace xauto::runtime

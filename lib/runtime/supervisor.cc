@@ -1,0 +1,226 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/supervisor.h"
+
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+
+#include "base/clock.h"
+#include "base/log.h"
+#include "base/memory_file.h"
+#include "base/rt.h"
+#include "model/json.h"
+
+namespace xauto::runtime {
+namespace {
+
+constexpr int kReadyTimeoutMs = 10'000;
+constexpr int kDrainMs = 15'000;  ///< more than the app's own patience with a stalled activation
+constexpr int kGraceMs = 2'000;
+
+struct Daemon {
+  std::string name;
+  Child child;
+  bool coordinator = false;
+  bool noticed = false;
+};
+
+/// Starts a daemon and waits until it says that its socket is there.
+Result<Child> start_daemon(const std::string& name, SpawnOptions options) {
+  int ends[2];
+  if (pipe2(ends, O_CLOEXEC) != 0)
+    return fail(ErrorCode::kIo, std::string("pipe: ") + strerror(errno));
+  const UniqueFd read_end(ends[0]);
+  UniqueFd write_end(ends[1]);
+  options.argv.push_back("--ready-fd");
+  options.argv.push_back(std::to_string(write_end.get()));
+  options.inherit.push_back(write_end.get());
+  XAUTO_ASSIGN(Child child, Child::spawn(options));
+  write_end.reset();
+  const std::int64_t limit = now_ns() + std::int64_t{kReadyTimeoutMs} * 1'000'000;
+  for (;;) {
+    pollfd ready{read_end.get(), POLLIN, 0};
+    const auto left = static_cast<int>(std::max<std::int64_t>(0, (limit - now_ns()) / 1'000'000));
+    const int count = poll(&ready, 1, left);
+    if (count < 0 && errno == EINTR) continue;
+    if (count == 0) return fail(ErrorCode::kTimeout, "was not ready within 10 s", name);
+    char byte;
+    if (read(read_end.get(), &byte, 1) == 1) return child;
+    const auto exit = child.wait(kGraceMs);
+    return fail(ErrorCode::kUnavailable,
+                "ended before it was ready" + (exit ? " (" + exit->to_string() + ")" : ""), name);
+  }
+}
+
+bool device_exists(const std::string& type) {
+  struct stat status {};
+  const auto there = [&](const char* path) { return stat(path, &status) == 0; };
+  if (type == "gpu") return there("/dev/nvgpu/igpu0/tsg") || there("/dev/nvhost-tsg-gpu");
+  if (type == "dla") return there("/dev/nvhost-ctrl-nvdla0") || there("/dev/nvdla0");
+  return true;
+}
+
+class Supervisor {
+ public:
+  explicit Supervisor(Supervision request) : request_(std::move(request)) {
+    static std::atomic<int> runs{0};
+    base_ = kSocketPrefix + std::to_string(getpid()) + "-" + std::to_string(runs.fetch_add(1)) + "/";
+    bin_ = request_.bin.empty() ? program_directory() : request_.bin;
+  }
+
+  Result<Outcome> run() {
+    XAUTO_TRY(start());
+    const std::int64_t started = now_ns();
+    watch();
+    outcome_.wall_s = static_cast<double>(now_ns() - started) * 1e-9;
+    outcome_.app = *app_.wait(0);
+    for (Daemon& daemon : daemons_) {
+      const Exit exit = daemon.child.stop(kGraceMs);
+      if (daemon.coordinator) outcome_.coordinators_cpu_us += exit.cpu_us;
+    }
+    return collect();
+  }
+
+ private:
+  Status start() {
+    Session& session = request_.session;
+    XAUTO_ASSIGN(answer_, make_memory_file("xauto-answer"));
+    session.answer_fd = answer_.get();
+    if (request_.trace_capacity > 0) {
+      XAUTO_ASSIGN(trace_, make_memory_file("xauto-trace"));
+      session.trace_fd = trace_.get();
+      session.trace_capacity = request_.trace_capacity;
+    }
+    if (session.emulated) {
+      XAUTO_ASSIGN(platform_, make_memory_file("xauto-platform"));
+      XAUTO_TRY(write_memory_file(platform_.get(), to_json(session.platform)));
+      SpawnOptions options;
+      options.argv = {bin_ + "/xauto-emud", "--socket", base_ + "emud", "--platform",
+                      "/proc/self/fd/" + std::to_string(platform_.get())};
+      options.inherit = {platform_.get()};
+      XAUTO_ASSIGN(Child child, start_daemon("xauto-emud", std::move(options)));
+      daemons_.push_back({"xauto-emud", std::move(child)});
+    }
+    const bool scheduled = session.mode == Mode::kRun && session.scheduling == Scheduling::kXAuto;
+    if (scheduled)
+      for (const Xpu& xpu : session.platform.xpus) session.coordinators[xpu.id] = base_ + xpu.id;
+    XAUTO_ASSIGN(session_, make_memory_file("xauto-session"));
+    XAUTO_TRY(write_memory_file(session_.get(), to_json(session)));
+    if (scheduled) {
+      for (const auto& [xpu, address] : session.coordinators) {
+        const std::string name = "xauto-coordinator of " + xpu;
+        SpawnOptions options;
+        options.argv = {bin_ + "/xauto-coordinator", "--xpu", xpu, "--socket", address,
+                        "--session-fd", std::to_string(session_.get())};
+        options.inherit = {session_.get()};
+        XAUTO_ASSIGN(Child child, start_daemon(name, std::move(options)));
+        daemons_.push_back({name, std::move(child), true});
+      }
+    }
+    SpawnOptions options;
+    options.argv = request_.command;
+    options.inherit = {session_.get(), answer_.get()};
+    if (trace_) options.inherit.push_back(trace_.get());
+    options.environment = {{kSessionVariable, std::to_string(session_.get())}};
+    if (session.emulated) options.environment.emplace_back("XAUTO_EMUD", base_ + "emud");
+    if (session.scheduling == Scheduling::kRos2 && session.mode == Mode::kRun)
+      options.environment.emplace_back("XAUTO_EMU_CPU_POOL", "1");
+    XAUTO_ASSIGN(app_, Child::spawn(options));
+    return {};
+  }
+
+  /// Until the app has ended.
+  void watch() {
+    const std::int64_t started = now_ns();
+    std::int64_t told_to_stop = 0;
+    const auto tell = [&](const char* why) {
+      if (told_to_stop != 0) return;
+      if (why != nullptr) outcome_.notes.emplace_back(why);
+      app_.signal(SIGTERM);
+      told_to_stop = now_ns();
+    };
+    while (!app_.wait(200)) {
+      const std::int64_t now = now_ns();
+      if (request_.on_tick) request_.on_tick(static_cast<double>(now - started) * 1e-9);
+      for (Daemon& daemon : daemons_) {
+        const auto exit = daemon.noticed ? std::nullopt : daemon.child.poll();
+        if (!exit) continue;
+        daemon.noticed = true;
+        outcome_.notes.push_back(daemon.name + " died (" + exit->to_string() + ")" +
+                                 (daemon.coordinator ? ": its XPU's jobs went on unscheduled"
+                                                     : ": the emulated XPUs are gone"));
+        log::warn("{}", outcome_.notes.back());
+        if (!daemon.coordinator) {
+          outcome_.emulator_died = true;
+          tell(nullptr);
+        }
+      }
+      if (request_.stop != nullptr && request_.stop->load()) tell("stopped by the user");
+      if (request_.time_limit_s > 0 && now - started > request_.time_limit_s * 1'000'000'000)
+        tell("stopped at its time limit");
+      if (told_to_stop != 0 && now - told_to_stop > std::int64_t{kDrainMs} * 1'000'000) {
+        outcome_.notes.emplace_back("the app did not end when asked and was killed");
+        app_.stop(0);
+      }
+    }
+  }
+
+  Result<Outcome> collect() {
+    XAUTO_ASSIGN(outcome_.answer, read_memory_file(answer_.get()));
+    if (trace_) {
+      auto trace = trace::read(trace_.get());
+      if (trace)
+        outcome_.trace = std::move(*trace);
+      else
+        outcome_.notes.push_back("no trace: " + trace.error().what);
+    }
+    if (outcome_.answer.empty()) {
+      std::string why;
+      for (const std::string& note : outcome_.notes) why += "; " + note;
+      return fail(ErrorCode::kUnavailable,
+                  "ended without an answer (" + outcome_.app.to_string() + ")" + why,
+                  request_.command.front(),
+                  "it must call xauto::App::main; a crash of it shows as a signal");
+    }
+    return std::move(outcome_);
+  }
+
+  Supervision request_;
+  std::string base_, bin_;
+  UniqueFd answer_, trace_, platform_, session_;
+  std::vector<Daemon> daemons_;
+  Child app_;
+  Outcome outcome_;
+};
+
+}  // namespace
+
+coord::Discipline discipline_of(const Xpu& xpu, bool emulated) {
+  if (!xpu.preemptive) return coord::Discipline::kGate;
+  if (emulated) return coord::Discipline::kPreemptive;
+  if (xpu.type == "cpu") return coord::Discipline::kKernel;
+  return coord::Discipline::kGate;  // until xauto.ko can suspend it
+}
+
+std::string needs_emulation(const Platform& platform) {
+  std::size_t cpus = 0;
+  for (const Xpu& xpu : platform.xpus) {
+    if (!device_exists(xpu.type)) return "this machine has no " + xpu.id + " (no device node)";
+    cpus += xpu.type == "cpu" ? 1 : 0;
+  }
+  const std::size_t cores = rt::allowed_cores().size();
+  if (cpus > cores)
+    return "platform '" + platform.name + "' has " + std::to_string(cpus) +
+           " CPUs, this process may use " + std::to_string(cores);
+  return {};
+}
+
+Result<Outcome> supervise(Supervision request) { return Supervisor(std::move(request)).run(); }
+
+}  // namespace xauto::runtime

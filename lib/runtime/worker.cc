@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: Apache-2.0
+// Steps 3, 4 and 9. The management thread, step 6, is in worker_mgmt.cc.
+#include "runtime/worker.h"
+
+#include <climits>
+#include <exception>
+#include <future>
+
+#include "base/clock.h"
+#include "base/futex.h"
+#include "base/log.h"
+#include "base/rt.h"
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::uint32_t kQuit = UINT32_MAX;
+
+}  // namespace
+
+Worker::Worker(WorkerOptions options, Chain& chain, trace::Writer* trace)
+    : options_(std::move(options)), chain_(chain), trace_(trace) {}
+
+Worker::~Worker() { stop(); }
+
+Status Worker::start() {
+  if (!options_.coordinator.empty()) {
+    std::vector<std::uint32_t> xnodes;
+    for (const Placed& placed : chain_.nodes)
+      if (placed.worker == this) xnodes.push_back(placed.xnode);
+    XAUTO_ASSIGN(port_, coord::Port::connect(options_.coordinator, options_.name, xnodes,
+                                             options_.order));
+    if (options_.emulated) {
+      XAUTO_ASSIGN(backend_, xpu::make_emulated());
+    } else {
+      backend_ = xpu::make_gate();
+    }
+    mgmt_ = std::thread([this] { manage(); });
+  }
+  std::promise<Status> ready;
+  std::future<Status> started = ready.get_future();
+  exec_ = std::thread([this, &ready] {
+    Status status = init_nodes();
+    const bool good = status.has_value();
+    ready.set_value(std::move(status));
+    if (good) execute();
+  });
+  return started.get();
+}
+
+/// On the execution thread: what `init` makes current stays current for `exec`.
+Status Worker::init_nodes() {
+  rt::set_thread_name(options_.name);
+  rt::set_timer_slack_1ns();
+  if (options_.core) XAUTO_TRY(rt::pin_to_core(*options_.core));
+  if (options_.exec_fifo > 0) XAUTO_TRY(rt::set_fifo(options_.exec_fifo));
+  fifo_now_ = options_.exec_fifo;
+  for (Placed& placed : chain_.nodes) {
+    if (placed.worker != this) continue;
+    const std::string where = "init of XNode '" + placed.name + "' on " + options_.xpu_id.name;
+    try {
+      placed.handle = placed.impl->init(options_.xpu_id);
+    } catch (const std::exception& e) {
+      return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
+    } catch (...) {
+      return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
+    }
+    if (options_.emulated && placed.handle.kind() != SchedHandle::Kind::kEmulated && port_)
+      return fail(ErrorCode::kInvalid, "returned a handle that is not an emulated context", where,
+                  "on an emulated platform `init` returns emu::Context::handle()");
+  }
+  return {};
+}
+
+void Worker::stop() {
+  std::uint32_t empty = 0;
+  // The mailbox may still hold a job: it is taken first, then we leave.
+  while (exec_.joinable() && !mailbox_.compare_exchange_weak(empty, kQuit)) {
+    if (port_) port_->interrupt();
+    futex_wait(mailbox_, empty);
+    empty = 0;
+  }
+  futex_wake(mailbox_, INT_MAX);
+  if (port_) port_->interrupt();
+  if (exec_.joinable()) exec_.join();
+  if (mgmt_.joinable()) mgmt_.join();
+}
+
+void Worker::submit(std::size_t node) {
+  record(XAUTO_EV_READY, chain_.nodes[node]);
+  mailbox_.store(static_cast<std::uint32_t>(node) + 1, std::memory_order_release);
+  futex_wake(mailbox_, 1);
+}
+
+void Worker::skip(std::size_t position, std::uint64_t sequence) {
+  if (port_) port_->skip(chain_.nodes[position].xnode, sequence);
+}
+
+void Worker::execute() {
+  for (;;) {
+    const std::uint32_t mail = mailbox_.load(std::memory_order_acquire);
+    if (mail == kQuit) return;
+    if (mail == 0) {
+      futex_wait(mailbox_, 0);
+      continue;
+    }
+    mailbox_.store(0, std::memory_order_release);
+    run_chain(mail - 1);
+  }
+}
+
+/// Runs XNodes from `node` on as long as they are placed here; then hands over, or ends the activation.
+void Worker::run_chain(std::size_t node) {
+  for (; node < chain_.nodes.size(); ++node) {
+    Placed& placed = chain_.nodes[node];
+    if (placed.worker != this) {
+      placed.worker->submit(node);
+      return;
+    }
+    if (!run_job(placed)) {
+      chain_.runtime->finish(false);
+      return;
+    }
+  }
+  chain_.runtime->finish(true);
+}
+
+bool Worker::run_job(Placed& placed) {
+  const Input& input = chain_.runtime->input();
+  if (placed.fifo_priority != 0 && placed.fifo_priority != fifo_now_) {
+    if (rt::set_fifo(placed.fifo_priority)) fifo_now_ = placed.fifo_priority;
+  }
+  if (port_) {
+    current_.store(&placed, std::memory_order_release);
+    record(XAUTO_EV_START, placed);
+    port_->start({placed.xnode, input.sequence(), placed.priority});
+  }
+  record(XAUTO_EV_RUN, placed);
+  bool succeeded = false;
+  try {
+    if (Status status = placed.impl->exec(chain_.runtime->state(), input); status)
+      succeeded = true;
+    else
+      note_failure(placed, status.error().to_string());
+  } catch (const std::exception& e) {
+    note_failure(placed, std::string("threw: ") + e.what());
+  } catch (...) {
+    note_failure(placed, "threw something that is no std::exception");
+  }
+  if (port_) port_->finish();
+  record(XAUTO_EV_FINISH, placed, succeeded ? 0 : 1);
+  return succeeded;
+}
+
+void Worker::record(std::uint16_t kind, const Placed& placed, std::uint32_t arg) {
+  if (trace_ != nullptr)
+    trace_->write(kind, chain_.runtime->input().sequence(),
+                  static_cast<std::uint16_t>(placed.xnode),
+                  static_cast<std::uint16_t>(chain_.module),
+                  static_cast<std::uint16_t>(options_.xpu), arg);
+}
+
+void Worker::note_failure(const Placed& placed, const std::string& what) {
+  const std::lock_guard lock(failure_mutex_);
+  if (!failure_.empty()) return;  // counted by the engine; one is enough to read
+  failure_ = "exec of XNode '" + placed.name + "' on " + options_.xpu_id.name + ": " + what;
+  log::warn("{} (activation {} dropped; further failures here are only counted)", failure_,
+            chain_.runtime->input().sequence());
+}
+
+std::string Worker::first_failure() const {
+  const std::lock_guard lock(failure_mutex_);
+  return failure_;
+}
+
+}  // namespace xauto::runtime

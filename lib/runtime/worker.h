@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: Apache-2.0
+// Life of a job, steps 3, 4, 6, 9: the worker of one (XModule, XPU instance). Its execution thread runs
+// the jobs of that module's XNodes on that XPU; its management thread suspends and resumes what the
+// execution thread has queued, when the coordinator says so.
+//
+// Consecutive XNodes on one XPU run in the same execution thread without a hand-over. Since a module has
+// one activation in flight, a worker has at most one job waiting: the mailbox is one word.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+#include <xauto/result.h>
+
+#include "coord/port.h"
+#include "runtime/graph.h"
+#include "runtime/xmodule.h"
+#include "trace/trace.h"
+#include "xpu/backend.h"
+
+namespace xauto::runtime {
+
+class Worker;
+
+/// One XNode as it was placed: everything that its job needs, looked up once.
+struct Placed {
+  std::string name;
+  std::uint32_t xnode = 0;  ///< index into app.json's xnodes
+  std::int64_t priority = 0;
+  int fifo_priority = 0;  ///< SCHED_FIFO priority on a real CPU; 0: leave as it is
+  const detail::ImplSpec* impl = nullptr;
+  Worker* worker = nullptr;
+  SchedHandle handle;
+};
+
+/// The chain of one module, shared by its workers.
+struct Chain {
+  int module = -1;
+  ModuleRuntime* runtime = nullptr;
+  std::vector<Placed> nodes;
+};
+
+struct WorkerOptions {
+  std::string name;  ///< "fcd@gpu0"
+  int xpu = -1;      ///< index into Platform::xpus
+  XpuId xpu_id;
+  std::optional<int> core;  ///< pin the execution thread here
+  int exec_fifo = 0;        ///< SCHED_FIFO priority of the execution thread; 0: SCHED_OTHER
+  int mgmt_fifo = 0;
+  std::string coordinator;  ///< abstract socket; empty: nobody schedules
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
+  bool emulated = false;
+};
+
+class Worker {
+ public:
+  /// `trace` may be null. The chain must outlive the worker.
+  Worker(WorkerOptions options, Chain& chain, trace::Writer* trace);
+  ~Worker();
+  Worker(const Worker&) = delete;
+  Worker& operator=(const Worker&) = delete;
+
+  /// Starts both threads, registers with the coordinator, and runs `init` of each XNode placed here, on
+  /// the execution thread. Errors name the XNode.
+  [[nodiscard]] Status start();
+  /// Waits for the running job, ends both threads. Idempotent.
+  void stop();
+
+  /// Hands over the module's activation: run from chain position `node` on. Any thread; must not be
+  /// called again before that job has left this worker.
+  void submit(std::size_t node);
+
+  /// Activations of XNode `position` of the chain up to `sequence` will not come.
+  void skip(std::size_t position, std::uint64_t sequence);
+
+  [[nodiscard]] bool lost_coordinator() const { return lost_.load(std::memory_order_relaxed); }
+  [[nodiscard]] const WorkerOptions& options() const { return options_; }
+  /// The first failure of an exec here, for the report; empty if none.
+  [[nodiscard]] std::string first_failure() const;
+
+ private:
+  void execute();
+  void manage();
+  [[nodiscard]] Status init_nodes();
+  void run_chain(std::size_t node);
+  bool run_job(Placed& placed);
+  void record(std::uint16_t kind, const Placed& placed, std::uint32_t arg = 0);
+  void note_failure(const Placed& placed, const std::string& what);
+
+  WorkerOptions options_;
+  Chain& chain_;
+  trace::Writer* trace_;
+  std::unique_ptr<coord::Port> port_;
+  std::unique_ptr<xpu::Backend> backend_;
+  std::thread exec_, mgmt_;
+  std::atomic<std::uint32_t> mailbox_{0};  ///< 0: empty; kQuit; else chain position + 1
+  std::atomic<const Placed*> current_{nullptr};  ///< the job whose queue the management thread acts on
+  std::atomic<bool> lost_{false};
+  std::atomic<std::uint64_t> sequence_{0};
+  int fifo_now_ = 0;
+  bool pinned_fifo_ = false;
+  mutable PiMutex failure_mutex_;
+  std::string failure_;
+};
+
+}  // namespace xauto::runtime

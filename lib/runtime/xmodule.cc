@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/xmodule.h"
+
+#include <algorithm>
+#include <utility>
+#include <uapi/xauto/event.h>
+
+#include "runtime/input_access.h"
+
+namespace xauto::runtime {
+
+ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
+                             std::vector<const transport::Channel*> outputs)
+    : module_(graph.modules[static_cast<std::size_t>(index)]),
+      single_rate_(graph.single_rate),
+      index_(index),
+      host_(host),
+      outputs_(std::move(outputs)),
+      topics_(module_.spec->inputs),
+      state_(module_.spec->make_state()),
+      slots_(topics_.size()) {
+  InputAccess::bind(input_, &topics_);
+}
+
+void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
+  std::vector<Lost> lost;
+  std::uint64_t skip_below = 0;
+  bool start = false;
+  {
+    const std::lock_guard lock(mutex_);
+    Slot& slot = slots_[static_cast<std::size_t>(input)];
+    if (single_rate_) {
+      if (envelope.sequence < next_) return;  // the rest of a release that is already lost
+      if (envelope.message == nullptr)
+        settle(envelope.sequence + 1, XAUTO_DROP_UPSTREAM, lost);
+      else if (slot.fresh)
+        settle(slot.envelope.sequence + 1, XAUTO_DROP_OVERRUN, lost);
+    } else if (slot.fresh) {
+      lost.push_back({slot.envelope.sequence, slot.envelope.sequence, XAUTO_DROP_OVERRUN});
+    }
+    if (envelope.message != nullptr) slot = {envelope, true};
+    start = !busy_ && take_if_fresh(lost);
+    if (!busy_) skip_below = std::exchange(skip_below_, 0);
+  }
+  tell(lost, skip_below);
+  if (start) host_.activate(index_);
+}
+
+/// Every release below `below` that is not settled yet is lost. Called with the mutex held.
+void ModuleRuntime::settle(std::uint64_t below, std::uint32_t reason, std::vector<Lost>& lost) {
+  if (below <= next_) return;
+  lost.push_back({next_, below - 1, reason});
+  next_ = below;
+  skip_below_ = below;
+  for (Slot& slot : slots_)
+    if (slot.fresh && slot.envelope.sequence < next_) slot = {};
+}
+
+/// Moves the fresh messages into the activation's input. Called with the mutex held.
+bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
+  if (!std::all_of(slots_.begin(), slots_.end(), [](const Slot& s) { return s.fresh; }))
+    return false;
+  const auto oldest = std::min_element(slots_.begin(), slots_.end(), [](const Slot& a, const Slot& b) {
+    return a.envelope.origin_ns < b.envelope.origin_ns;
+  });
+  const std::uint64_t sequence = oldest->envelope.sequence;
+  InputAccess::stamp(input_, oldest->envelope.origin_ns, sequence);
+  std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
+  for (std::size_t i = 0; i < slots_.size(); ++i) {
+    messages[i] = std::move(slots_[i].envelope);
+    slots_[i] = {};
+  }
+  if (single_rate_) {
+    settle(sequence, XAUTO_DROP_OVERRUN, lost);
+    next_ = std::max(next_, sequence + 1);
+  }
+  busy_ = true;
+  return true;
+}
+
+void ModuleRuntime::tell(const std::vector<Lost>& lost, std::uint64_t skip_below) {
+  for (const Lost& range : lost)
+    for (std::uint64_t sequence = range.first; sequence <= range.last; ++sequence)
+      host_.dropped(index_, sequence, range.reason);
+  if (skip_below == 0) return;
+  host_.skip(index_, skip_below - 1);
+  // One tombstone settles everything before it, too.
+  for (const transport::Channel* output : outputs_) output->publish({nullptr, 0, skip_below - 1});
+}
+
+void ModuleRuntime::finish(bool succeeded) {
+  const std::int64_t origin_ns = input_.origin().count();
+  const std::uint64_t sequence = input_.sequence();
+  std::vector<std::shared_ptr<const void>> messages;
+  if (succeeded) {
+    try {
+      for (const detail::OutputSpec& output : module_.spec->outputs)
+        messages.push_back(output.take(state_.get()));
+    } catch (...) {  // a user's copy constructor: as if the last exec had failed
+      succeeded = false;
+    }
+  }
+  if (succeeded) {
+    host_.done(index_, origin_ns, sequence);
+    for (std::size_t i = 0; i < messages.size(); ++i)
+      outputs_[i]->publish({std::move(messages[i]), origin_ns, sequence});
+  }
+  bool again;
+  std::uint64_t skip_below = 0;
+  std::vector<Lost> lost;
+  if (!succeeded) lost.push_back({sequence, sequence, XAUTO_DROP_FAILED});
+  {
+    const std::lock_guard lock(mutex_);
+    for (detail::Envelope& message : InputAccess::messages(input_)) message = {};
+    busy_ = false;
+    if (!succeeded && single_rate_) skip_below_ = std::max(skip_below_, sequence + 1);
+    again = take_if_fresh(lost);
+    skip_below = std::exchange(skip_below_, 0);
+  }
+  tell(lost, skip_below);
+  if (again) host_.activate(index_);
+}
+
+}  // namespace xauto::runtime

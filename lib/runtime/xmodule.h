@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+// Life of a job, steps 2 and 11: a module fires when all its inputs are fresh, its chain of XNodes runs,
+// its outputs are published.
+//
+//            all inputs fresh                 last XNode finished
+//   idle ────────────────────────► busy ──────────────────────────► idle (or busy again: inputs waited)
+//
+// One activation is in flight at a time, since the XNodes share the module's state. Each input keeps its
+// newest message: one that is replaced before it was used is an overrun, counted.
+//
+// In an app of one rate, activation k of every module stems from release k of the sensors. A release that
+// is lost somewhere (exec failed, overrun) is then lost for everything downstream: an envelope without a
+// message, a tombstone, travels in its place, so that nobody waits for it: neither a join of several
+// inputs nor a job that is ordered after one of the lost activation (Policy::order).
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <vector>
+
+#include "base/pi_mutex.h"
+#include "runtime/graph.h"
+#include "transport/topic.h"
+
+namespace xauto::runtime {
+
+/// What a module asks of its surroundings; implemented by the engine (and by tests).
+class ModuleHost {
+ public:
+  virtual ~ModuleHost() = default;
+  /// Run the chain of `module` from its first XNode, on its workers.
+  virtual void activate(int module) = 0;
+  /// Activation `sequence` of `module` is over: done, or dropped for `reason` (XAUTO_DROP_*).
+  virtual void done(int module, std::int64_t origin_ns, std::uint64_t sequence) = 0;
+  virtual void dropped(int module, std::uint64_t sequence, std::uint32_t reason) = 0;
+  /// No XNode of `module` will start a job of an activation up to `sequence` any more.
+  virtual void skip(int module, std::uint64_t sequence) = 0;
+};
+
+/// Threads: `receive` from any thread, `finish` from the thread that ran the last XNode.
+class ModuleRuntime {
+ public:
+  /// `outputs`: the channels of the module's output topics, in their order.
+  ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
+                std::vector<const transport::Channel*> outputs);
+
+  /// A message (or tombstone) for input number `input`.
+  void receive(int input, const detail::Envelope& envelope);
+  /// The chain of the current activation has ended.
+  void finish(bool succeeded);
+
+  // Of the current activation; stable while it is in flight.
+  [[nodiscard]] void* state() { return state_.get(); }
+  [[nodiscard]] const Input& input() const { return input_; }
+
+ private:
+  struct Slot {
+    detail::Envelope envelope;
+    bool fresh = false;
+  };
+  /// Releases first..last were lost for `reason`; told to the host without the mutex.
+  struct Lost {
+    std::uint64_t first, last;
+    std::uint32_t reason;
+  };
+
+  void settle(std::uint64_t below, std::uint32_t reason, std::vector<Lost>& lost);
+  bool take_if_fresh(std::vector<Lost>& lost);
+  void tell(const std::vector<Lost>& lost, std::uint64_t skip_below);
+
+  const Graph::Module& module_;
+  const bool single_rate_;
+  const int index_;
+  ModuleHost& host_;
+  std::vector<const transport::Channel*> outputs_;
+  std::vector<detail::TopicSpec> topics_;
+  std::shared_ptr<void> state_;
+
+  PiMutex mutex_;  ///< protects what follows; nothing is called while it is held
+  std::vector<Slot> slots_;
+  bool busy_ = false;
+  std::uint64_t next_ = 0;  ///< single rate: releases below this number are settled, taken or lost
+  /// Single rate: skip up to here (exclusive), and send the tombstone, once the activation in flight has
+  /// ended: it is older than what was lost and must not be taken for finished, nor overtaken downstream.
+  std::uint64_t skip_below_ = 0;
+
+  Input input_;  ///< of the current activation; written under the mutex before it starts
+};
+
+}  // namespace xauto::runtime

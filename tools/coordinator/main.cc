@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto-coordinator: decides who may use one XPU instance. Started by the xauto tool, one per XPU.
+#include <signal.h>
+#include <sys/signalfd.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <string>
+
+#include "base/log.h"
+#include "base/memory_file.h"
+#include "base/rt.h"
+#include "coord/server.h"
+#include "runtime/session.h"
+#include "runtime/supervisor.h"
+
+namespace {
+
+constexpr int kFifoCoordinator = 60;  ///< above every thread that waits for its decisions
+
+int complain(const xauto::Error& error) {
+  xauto::log::error("{}", error.to_string());
+  return error.code == xauto::ErrorCode::kInvalid ? 2 : 1;
+}
+
+xauto::Result<xauto::coord::ServerOptions> options_for(const std::string& xpu, int session_fd) {
+  XAUTO_ASSIGN(const std::string text, xauto::read_memory_file(session_fd));
+  XAUTO_ASSIGN(const xauto::runtime::Session session, xauto::runtime::parse_session(text));
+  const int index = session.platform.find(xpu);
+  if (index < 0)
+    return xauto::fail(xauto::ErrorCode::kInvalid, "is not an XPU of the platform", xpu);
+  xauto::coord::ServerOptions options;
+  options.xpu = xpu;
+  options.discipline = xauto::runtime::discipline_of(
+      session.platform.xpus[static_cast<std::size_t>(index)], session.emulated);
+  for (const auto& xnode : session.app.xnodes) options.xnodes.push_back(xnode.name);
+  for (const auto& [u, v] : session.policy.order)
+    if (session.policy.placements[static_cast<std::size_t>(v)].xpu == index)
+      options.order.emplace_back(static_cast<std::uint32_t>(u), static_cast<std::uint32_t>(v));
+  return options;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App cli("Decides who may use one XPU instance; started by the xauto tool.", "xauto-coordinator");
+  std::string xpu, address;
+  int session_fd = -1, ready_fd = -1;
+  cli.add_option("--xpu", xpu, "XPU instance, e.g. gpu0")->required();
+  cli.add_option("--socket", address, "abstract socket to listen on")->required();
+  cli.add_option("--session-fd", session_fd, "descriptor of the session's text")->required();
+  cli.add_option("--ready-fd", ready_fd, "descriptor that is told when the socket is there");
+  try {
+    cli.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return cli.exit(e) == 0 ? 0 : 2;
+  }
+
+  sigset_t signals;
+  sigemptyset(&signals);
+  sigaddset(&signals, SIGTERM);
+  sigaddset(&signals, SIGINT);
+  sigprocmask(SIG_BLOCK, &signals, nullptr);
+  const xauto::UniqueFd stop(signalfd(-1, &signals, SFD_CLOEXEC));
+
+  auto options = options_for(xpu, session_fd);
+  if (!options) return complain(options.error());
+  options->address = address;
+  auto server = xauto::coord::Server::create(std::move(*options));
+  if (!server) return complain(server.error());
+
+  xauto::rt::set_timer_slack_1ns();
+  xauto::rt::lock_memory();
+  if (const auto status = xauto::rt::set_fifo(kFifoCoordinator); !status)
+    xauto::log::debug("{}: {}", xpu, status.error().to_string());
+  if (ready_fd >= 0) {
+    [[maybe_unused]] const ssize_t told = write(ready_fd, "ready\n", 6);
+    close(ready_fd);
+  }
+  const auto status = (*server)->run(stop.get());
+  return status ? 0 : complain(status.error());
+}
