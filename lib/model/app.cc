@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "model/app.h"
+
+#include <algorithm>
+#include <cstdio>
+#include <functional>
+#include <queue>
+#include <set>
+#include <unordered_map>
+
+namespace xauto {
+namespace {
+
+std::size_t at(int index) { return static_cast<std::size_t>(index); }
+
+std::string quoted(const std::string& name) { return "'" + name + "'"; }
+
+/// XNodes of one cycle among those that a topological order leaves out, in order, first repeated at the end.
+std::string cycle_text(const AppSpec& app, const std::vector<int>& order) {
+  std::vector<char> ordered(app.xnodes.size(), 0);
+  for (const int i : order) ordered[at(i)] = 1;
+  // Every XNode left has a predecessor that is left: walking backwards must come round.
+  const auto pred = app.predecessors();
+  int node = 0;
+  while (ordered[at(node)]) ++node;
+  std::vector<int> path;
+  std::vector<char> seen(app.xnodes.size(), 0);
+  while (!seen[at(node)]) {
+    seen[at(node)] = 1;
+    path.push_back(node);
+    for (const int p : pred[at(node)])
+      if (!ordered[at(p)]) {
+        node = p;
+        break;
+      }
+  }
+  path.erase(path.begin(), std::find(path.begin(), path.end(), node));
+  std::reverse(path.begin(), path.end());
+  std::string text = quoted(app.xnodes[at(path.back())].name);
+  for (const int i : path) text += " -> " + quoted(app.xnodes[at(i)].name);
+  return text;
+}
+
+class Fnv {
+ public:
+  void add(std::string_view text) {
+    for (const char c : text) step(static_cast<unsigned char>(c));
+    step(0);  // ends the field, so that ("ab", "c") and ("a", "bc") differ
+  }
+  void add(std::int64_t value) { add(std::to_string(value)); }
+  [[nodiscard]] std::string hex() const {
+    char text[17];
+    std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(hash_));
+    return text;
+  }
+
+ private:
+  void step(unsigned char byte) { hash_ = (hash_ ^ byte) * 0x100000001b3u; }
+  std::uint64_t hash_ = 0xcbf29ce484222325u;
+};
+
+}  // namespace
+
+std::optional<std::int64_t> XNodeSpec::wcet_on(std::string_view type) const {
+  const auto found = wcet_us.find(type);
+  if (found == wcet_us.end()) return std::nullopt;
+  return found->second;
+}
+
+int AppSpec::find(std::string_view xnode) const {
+  for (std::size_t i = 0; i < xnodes.size(); ++i)
+    if (xnodes[i].name == xnode) return static_cast<int>(i);
+  return -1;
+}
+
+std::vector<std::vector<int>> AppSpec::predecessors() const {
+  std::vector<std::vector<int>> result(xnodes.size());
+  for (const auto& [u, v] : edges) result[at(v)].push_back(u);
+  return result;
+}
+
+std::vector<std::vector<int>> AppSpec::successors() const {
+  std::vector<std::vector<int>> result(xnodes.size());
+  for (const auto& [u, v] : edges) result[at(u)].push_back(v);
+  return result;
+}
+
+std::vector<int> AppSpec::topological_order() const {
+  std::vector<int> missing(xnodes.size(), 0), order;
+  for (const auto& [u, v] : edges) ++missing[at(v)];
+  const auto succ = successors();
+  std::priority_queue<int, std::vector<int>, std::greater<>> ready;
+  for (std::size_t i = 0; i < xnodes.size(); ++i)
+    if (missing[i] == 0) ready.push(static_cast<int>(i));
+  while (!ready.empty()) {
+    const int i = ready.top();
+    ready.pop();
+    order.push_back(i);
+    for (const int s : succ[at(i)])
+      if (--missing[at(s)] == 0) ready.push(s);
+  }
+  return order;
+}
+
+std::string AppSpec::hash() const {
+  Fnv fnv;
+  fnv.add(name);
+  fnv.add(static_cast<std::int64_t>(xnodes.size()));
+  for (const XNodeSpec& x : xnodes) {
+    fnv.add(x.name);
+    fnv.add(x.module);
+    fnv.add(static_cast<std::int64_t>(x.wcet_us.size()));
+    for (const auto& [type, us] : x.wcet_us) {
+      fnv.add(type);
+      fnv.add(us);
+    }
+  }
+  std::vector<std::pair<int, int>> sorted = edges;
+  std::sort(sorted.begin(), sorted.end());
+  for (const auto& [u, v] : sorted) {
+    fnv.add(u);
+    fnv.add(v);
+  }
+  fnv.add(deadline_us.value_or(0));
+  return fnv.hex();
+}
+
+Status validate(const AppSpec& app) {
+  if (app.xnodes.empty() || app.xnodes.size() > kMaxXNodes)
+    return fail(ErrorCode::kInvalid, std::to_string(app.xnodes.size()) + " XNodes; 1 to " +
+                                         std::to_string(kMaxXNodes) + " are possible",
+                "/xnodes");
+  if (app.edges.size() > kMaxEdges)
+    return fail(ErrorCode::kInvalid, std::to_string(app.edges.size()) + " edges; at most " +
+                                         std::to_string(kMaxEdges) + " are possible",
+                "/edges");
+  std::unordered_map<std::string_view, std::size_t> names;
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    const XNodeSpec& x = app.xnodes[i];
+    const std::string where = "/xnodes/" + std::to_string(i);
+    if (x.name.empty()) return fail(ErrorCode::kInvalid, "an XNode needs a name", where + "/name");
+    if (x.name.size() > kMaxNameBytes || x.module.size() > kMaxNameBytes)
+      return fail(ErrorCode::kInvalid, "a name is longer than " + std::to_string(kMaxNameBytes) + " bytes",
+                  where);
+    if (!names.try_emplace(x.name, i).second)
+      return fail(ErrorCode::kInvalid, "two XNodes are called " + quoted(x.name), where + "/name");
+    if (x.wcet_us.empty())
+      return fail(ErrorCode::kInvalid, "XNode " + quoted(x.name) + " has no implementation",
+                  where + "/wcet_us", "give a WCET for at least one XPU type");
+    for (const auto& [type, us] : x.wcet_us) {
+      if (type.empty())
+        return fail(ErrorCode::kInvalid, "XNode " + quoted(x.name) + " has an XPU type without name",
+                    where + "/wcet_us");
+      if (us < 1 || us > kMaxTimeUs)
+        return fail(ErrorCode::kInvalid,
+                    "XNode " + quoted(x.name) + ": " + std::to_string(us) + " is not a WCET from 1 to " +
+                        std::to_string(kMaxTimeUs) + " us",
+                    where + "/wcet_us/" + type);
+    }
+  }
+  if (app.deadline_us && (*app.deadline_us < 1 || *app.deadline_us > kMaxTimeUs))
+    return fail(ErrorCode::kInvalid, std::to_string(*app.deadline_us) + " is not a deadline from 1 to " +
+                                         std::to_string(kMaxTimeUs) + " us",
+                "/deadline_us");
+  std::set<std::pair<int, int>> seen;
+  for (std::size_t i = 0; i < app.edges.size(); ++i) {
+    const auto [u, v] = app.edges[i];
+    const std::string where = "/edges/" + std::to_string(i);
+    const auto known = [&](int x) { return x >= 0 && at(x) < app.xnodes.size(); };
+    if (!known(u) || !known(v)) return fail(ErrorCode::kInvalid, "names an unknown XNode", where);
+    if (u == v)
+      return fail(ErrorCode::kInvalid, "XNode " + quoted(app.xnodes[at(u)].name) + " precedes itself", where);
+    if (!seen.insert({u, v}).second)
+      return fail(ErrorCode::kInvalid,
+                  "edge " + quoted(app.xnodes[at(u)].name) + " -> " + quoted(app.xnodes[at(v)].name) +
+                      " is there twice",
+                  where);
+  }
+  const std::vector<int> order = app.topological_order();
+  if (order.size() != app.xnodes.size())
+    return fail(ErrorCode::kInvalid, "cycle of XNodes: " + cycle_text(app, order), "/edges");
+  return {};
+}
+
+Status validate_on(const AppSpec& app, const Platform& platform) {
+  const std::vector<std::string> types = platform.types();
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    const XNodeSpec& x = app.xnodes[i];
+    const bool runs = std::any_of(types.begin(), types.end(),
+                                  [&](const std::string& type) { return x.wcet_us.contains(type); });
+    if (runs) continue;
+    std::string has;
+    for (const auto& [type, us] : x.wcet_us) has += (has.empty() ? "" : ", ") + type;
+    return fail(ErrorCode::kInfeasible,
+                "XNode " + quoted(x.name) + " runs on " + has + " only, which platform '" +
+                    platform.name + "' lacks",
+                "/xnodes/" + std::to_string(i) + "/wcet_us");
+  }
+  return {};
+}
+
+}  // namespace xauto
