@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto compare: one app under several policies, side by side: the table, report.json, timeline.html.
+#include <sys/stat.h>
+
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <iostream>
+
+#include "base/log.h"
+#include "model/json.h"
+#include "solver/solve.h"
+#include "xauto/command.h"
+#include "xauto/report.h"
+#include "xauto/run_app.h"
+
+namespace xauto::cli {
+namespace {
+
+struct Flags : RunFlags {
+  std::vector<std::string> policies = {"ros2", "heft", "xauto", "xauto-unscheduled"};
+  std::string out = "compare";
+  double time_limit_s = 10;
+};
+
+const std::vector<std::pair<std::string, std::string>> kNames = {
+    {"ros2", "ROS 2 model"},
+    {"heft", "HEFT"},
+    {"local", "local optimum, scheduled"},
+    {"xauto", "XAuto"},
+    {"xauto-unscheduled", "XAuto without scheduling"}};
+
+std::string name_of(const std::string& id) {
+  for (const auto& [known, name] : kNames)
+    if (known == id) return name;
+  return id;
+}
+
+Result<PolicyRun> prepare(const Flags& flags, const std::string& id) {
+  PolicyRun run;
+  run.id = id;
+  run.name = name_of(id);
+  if (id == "ros2") {
+    run.scheduling = runtime::Scheduling::kRos2;
+  } else {
+    solver::SolveOptions options;
+    options.method = id == "xauto" || id == "xauto-unscheduled" ? "auto" : id;
+    options.time_limit_s = flags.time_limit_s;
+    options.threads = 2;
+    if (id == "xauto-unscheduled") run.scheduling = runtime::Scheduling::kTimeshare;
+    XAUTO_ASSIGN(run.policy, solver::solve(flags.app, flags.spec, options));
+    XAUTO_TRY(write_file(flags.out + "/" + id + ".policy.json",
+                         to_json(*run.policy, flags.app, flags.spec)));
+  }
+  XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
+  return run;
+}
+
+Result<int> compare(const Flags& given, const Options& options) {
+  Flags flags = given;
+  XAUTO_TRY(flags.prepare());
+  std::error_code error;
+  std::filesystem::create_directories(flags.out, error);
+  if (error) return fail(ErrorCode::kIo, "cannot make the folder: " + error.message(), flags.out);
+
+  std::vector<PolicyRun> runs;
+  bool good = true;
+  const StopOnSignal stop;
+  for (const std::string& id : flags.policies) {
+    XAUTO_ASSIGN(PolicyRun run, prepare(flags, id));
+    log::info("{}: {:.2f} ms simulated, running {} activations", run.name,
+              static_cast<double>(run.predicted.makespan) / 1000, flags.activations);
+    XAUTO_TRY(execute(flags, run, stop.flag()));
+    good = good && healthy(run);
+    runs.push_back(std::move(run));
+    if (stop.flag()->load()) break;
+  }
+  const std::string report = report_json(flags, runs);
+  XAUTO_TRY(write_file(flags.out + "/report.json", report));
+  XAUTO_TRY(write_file(flags.out + "/timeline.html", timeline_html(timeline_of(flags, runs))));
+  if (options.json)
+    std::cout << report;
+  else
+    std::cout << report_table(flags, runs) << "\n  " << flags.out << "/report.json    the numbers\n  "
+              << flags.out << "/timeline.html  the schedules; open it in a browser\n";
+  return good ? kDone : kAnswerIsNo;
+}
+
+}  // namespace
+
+void add_compare(Commands& commands) {
+  auto flags = std::make_shared<Flags>();
+  CLI::App* verb = commands.add(
+      "compare", "Run an app under several policies and compare their end-to-end latency.",
+      "xauto compare --app app.json --platform small --out build/demo -- build/bin/driving",
+      [flags](const Options& options) {
+        const auto status = compare(*flags, options);
+        return status ? *status : report(status.error());
+      });
+  flags->declare(*verb);
+  std::vector<std::string> known;
+  for (const auto& [id, name] : kNames) known.push_back(id);
+  verb->add_option("--policies", flags->policies, "which, in this order")
+      ->delimiter(',')
+      ->check(CLI::IsMember(known))
+      ->capture_default_str();
+  verb->add_option("--out", flags->out, "folder for report.json, timeline.html and the policies")
+      ->capture_default_str();
+  verb->add_option("--time-limit-s", flags->time_limit_s, "for the solver, per policy")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+}
+
+}  // namespace xauto::cli

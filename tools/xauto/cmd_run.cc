@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto run: an app under one policy, with its coordinators.
+#include <fmt/format.h>
+
+#include <iostream>
+#include <nlohmann/json.hpp>
+
+#include "base/log.h"
+#include "model/json.h"
+#include "xauto/command.h"
+#include "xauto/report.h"
+#include "xauto/run_app.h"
+
+namespace xauto::cli {
+namespace {
+
+struct Flags : RunFlags {
+  std::string policy_path, scheduling = "xauto", out, timeline, record;
+};
+
+Result<int> run(const Flags& given, const Options& options) {
+  Flags flags = given;
+  XAUTO_TRY(flags.prepare());
+  PolicyRun run;
+  run.scheduling = *runtime::scheduling_from(flags.scheduling);
+  if (run.scheduling == runtime::Scheduling::kRos2) {
+    run.id = "ros2";
+    run.name = "ROS 2 model";
+  } else {
+    if (flags.policy_path.empty())
+      return fail(ErrorCode::kInvalid, "is needed unless --scheduling ros2", "--policy",
+                  "make one with `xauto solve --app " + flags.app_path + " --platform " +
+                      flags.platform + " --out policy.json`");
+    XAUTO_ASSIGN(run.policy, load_policy(flags.policy_path, flags.app, flags.spec));
+    run.id = run.policy->method;
+    run.name = run.policy->method;
+  }
+  flags.record_path = flags.record;
+  XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
+  const StopOnSignal stop;
+  XAUTO_TRY(execute(flags, run, stop.flag()));
+
+  const std::vector<PolicyRun> runs = {run};
+  const std::string report = report_json(flags, runs);
+  if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, report));
+  if (!flags.timeline.empty())
+    XAUTO_TRY(write_file(flags.timeline, timeline_html(timeline_of(flags, runs))));
+  if (options.json)
+    std::cout << report;
+  else
+    std::cout << report_table(flags, runs);
+  return healthy(run) ? kDone : kAnswerIsNo;
+}
+
+}  // namespace
+
+void add_run(Commands& commands) {
+  auto flags = std::make_shared<Flags>();
+  CLI::App* verb = commands.add(
+      "run", "Run an app under a policy and measure its end-to-end latency.",
+      "xauto run --app app.json --policy policy.json --platform small -- build/bin/driving",
+      [flags](const Options& options) {
+        const auto status = run(*flags, options);
+        return status ? *status : report(status.error());
+      });
+  flags->declare(*verb);
+  verb->add_option("--policy", flags->policy_path, "policy.json from `xauto solve`");
+  verb->add_option("--scheduling", flags->scheduling,
+                   "xauto: as the policy says; timeshare: its assignment, nobody schedules; ros2: "
+                   "everybody on his fastest XPU, nobody schedules")
+      ->check(CLI::IsMember({"xauto", "timeshare", "ros2"}))
+      ->capture_default_str();
+  verb->add_option("--out", flags->out, "write report.json here");
+  verb->add_option("--timeline", flags->timeline, "write the schedule as an HTML page here");
+  verb->add_option("--record", flags->record, "record the sources' messages here (rosbag2 layout)");
+}
+
+}  // namespace xauto::cli

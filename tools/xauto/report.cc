@@ -1,0 +1,145 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/report.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <nlohmann/json.hpp>
+
+namespace xauto::cli {
+namespace {
+
+using nlohmann::ordered_json;
+
+std::uint64_t lost_releases(const PolicyRun& run) {
+  std::uint64_t lost = 0;
+  for (const runtime::Release& release : run.report.releases) lost += release.latency_us < 0 ? 1 : 0;
+  return lost;
+}
+
+const PolicyRun* ros2_of(const std::vector<PolicyRun>& runs) {
+  const auto at = std::find_if(runs.begin(), runs.end(), [](const PolicyRun& r) {
+    return r.scheduling == runtime::Scheduling::kRos2;
+  });
+  return at == runs.end() ? nullptr : &*at;
+}
+
+double ratio(std::int64_t a, std::int64_t b) {
+  return b == 0 ? 0.0 : static_cast<double>(a) / static_cast<double>(b);
+}
+
+double coordinators_cpu_pct(const PolicyRun& run) {
+  return run.outcome.wall_s <= 0
+             ? 0.0
+             : static_cast<double>(run.outcome.coordinators_cpu_us) / (run.outcome.wall_s * 1e4);
+}
+
+}  // namespace
+
+bool healthy(const PolicyRun& run) {
+  return run.report.complete && lost_releases(run) == 0 && run.report.lost_coordinators.empty() &&
+         !run.outcome.emulator_died;
+}
+
+std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
+  ordered_json list = ordered_json::array();
+  const PolicyRun* base = ros2_of(runs);
+  for (const PolicyRun& run : runs) {
+    ordered_json j = {{"policy", run.id},
+                      {"p50_us", run.latency.p50_us},
+                      {"p99_us", run.latency.p99_us},
+                      {"max_us", run.latency.max_us},
+                      {"predicted_us", run.predicted.makespan},
+                      {"mean_us", run.latency.mean_us},
+                      {"activations", run.latency.count},
+                      {"lost_activations", lost_releases(run)},
+                      {"complete", run.report.complete},
+                      {"deadline_misses", run.report.deadline_misses},
+                      {"scheduling", runtime::to_string(run.scheduling)},
+                      {"trace_events_lost", run.outcome.trace.lost},
+                      {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
+    if (base != nullptr) j["p99_speedup_over_ros2"] = ratio(base->latency.p99_us, run.latency.p99_us);
+    if (run.policy) {
+      j["optimal"] = run.policy->optimal;
+      j["lower_bound_us"] = run.policy->lower_bound_us;
+      if (run.policy->worst_case_us) j["worst_case_us"] = *run.policy->worst_case_us;
+      ordered_json placement = ordered_json::object();
+      for (std::size_t i = 0; i < flags.app.xnodes.size(); ++i)
+        placement[flags.app.xnodes[i].name] =
+            flags.spec.xpus[static_cast<std::size_t>(run.policy->placements[i].xpu)].id;
+      j["placement"] = std::move(placement);
+    }
+    ordered_json modules = ordered_json::array();
+    for (const runtime::ModuleReport& m : run.report.modules) {
+      ordered_json entry = {{"name", m.name},
+                            {"activations", m.activations},
+                            {"failed", m.failed},
+                            {"dropped", m.dropped}};
+      if (m.sink) {
+        const Latency latency = summarise(m.latencies_us);
+        entry["p50_us"] = latency.p50_us;
+        entry["p99_us"] = latency.p99_us;
+        entry["max_us"] = latency.max_us;
+      }
+      modules.push_back(std::move(entry));
+    }
+    j["modules"] = std::move(modules);
+    ordered_json notes = ordered_json::array();
+    if (!run.report.note.empty()) notes.push_back(run.report.note);
+    for (const std::string& note : run.outcome.notes) notes.push_back(note);
+    j["notes"] = std::move(notes);
+    list.push_back(std::move(j));
+  }
+  return ordered_json{{"schema", "xauto.report"},
+                      {"version", 1},
+                      {"app", flags.app.name},
+                      {"platform", flags.spec.name},
+                      {"emulated", flags.emulated},
+                      {"runs", std::move(list)}}
+             .dump(2) +
+         "\n";
+}
+
+std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
+  const PolicyRun* base = ros2_of(runs);
+  std::string out = fmt::format("{} on {}{}, end-to-end latency in ms\n\n", flags.app.name,
+                                flags.spec.name, flags.emulated ? " (emulated)" : "");
+  out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", "policy", "p50", "p99", "max",
+                     "simulated", "p50/sim", "p99 x", "n");
+  for (const PolicyRun& run : runs) {
+    const auto ms = [](std::int64_t us) { return fmt::format("{:.2f}", static_cast<double>(us) / 1000); };
+    out += fmt::format(
+        "  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", run.name, ms(run.latency.p50_us),
+        ms(run.latency.p99_us), ms(run.latency.max_us), ms(run.predicted.makespan),
+        fmt::format("{:+.1f} %", 100 * (ratio(run.latency.p50_us, run.predicted.makespan) - 1)),
+        base == nullptr ? "" : fmt::format("{:.2f}", ratio(base->latency.p99_us, run.latency.p99_us)),
+        run.latency.count);
+  }
+  if (base != nullptr) out += "\n  p99 x: how many times lower the p99 is than under the ROS 2 model.\n";
+  for (const PolicyRun& run : runs) {
+    if (run.scheduling == runtime::Scheduling::kXAuto)
+      out += fmt::format("  {}: coordinators used {:.2f} % of one CPU\n", run.name,
+                         coordinators_cpu_pct(run));
+    if (const std::uint64_t lost = lost_releases(run))
+      out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
+    if (run.report.deadline_misses > 0)
+      out += fmt::format("  {}: {} deadline misses\n", run.name, run.report.deadline_misses);
+    if (run.outcome.trace.lost > 0)
+      out += fmt::format("  {}: the trace lost {} events\n", run.name, run.outcome.trace.lost);
+    if (!run.report.note.empty()) out += fmt::format("  {}: {}\n", run.name, run.report.note);
+    for (const std::string& note : run.outcome.notes) out += fmt::format("  {}: {}\n", run.name, note);
+  }
+  return out;
+}
+
+Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
+  Timeline timeline;
+  timeline.title = flags.app.name + " on " + flags.spec.name;
+  timeline.note = fmt::format("{} XPUs, {} activations per policy; each chart shows the activation of median latency",
+                              flags.emulated ? "emulated" : "real",
+                              runs.empty() ? 0 : runs.front().latency.count);
+  for (const PolicyRun& run : runs) timeline.panels.push_back(panel_of(flags, run));
+  return timeline;
+}
+
+}  // namespace xauto::cli

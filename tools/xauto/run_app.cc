@@ -1,0 +1,234 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/run_app.h"
+
+#include <signal.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <map>
+#include <numeric>
+
+#include "base/log.h"
+#include "model/json.h"
+#include "solver/problem.h"
+#include "xauto/command.h"
+
+namespace xauto::cli {
+namespace {
+
+std::atomic<bool> g_stop{false};
+
+void on_signal(int number) {
+  g_stop.store(true);
+  signal(number, SIG_DFL);
+}
+
+/// Events of one job: about 8, more when it is preempted.
+constexpr std::uint64_t kEventsPerJob = 24;
+constexpr std::uint64_t kMinTraceEvents = 1u << 16, kMaxTraceEvents = 1u << 22;
+
+}  // namespace
+
+StopOnSignal::StopOnSignal() {
+  g_stop.store(false);
+  signal(SIGINT, on_signal);
+  signal(SIGTERM, on_signal);
+}
+StopOnSignal::~StopOnSignal() {
+  signal(SIGINT, SIG_DFL);
+  signal(SIGTERM, SIG_DFL);
+}
+const std::atomic<bool>* StopOnSignal::flag() const { return &g_stop; }
+
+void RunFlags::declare(CLI::App& verb) {
+  verb.add_option("--app", app_path, "app.json: the XNodes and their WCETs")->required();
+  verb.add_option("--platform", platform, "small, large, or a platform.json")->capture_default_str();
+  verb.add_option("--activations", activations, "releases of the sensors; 0: until Ctrl-C or the input's end")
+      ->check(CLI::Range(std::uint64_t{0}, runtime::kMaxActivations))
+      ->capture_default_str();
+  verb.add_option("--period-us", period_us, "release period instead of the app's own")
+      ->check(CLI::Range(std::int64_t{1}, std::int64_t{3'600'000'000}));
+  verb.add_option("--input", input, "recorded input to replay instead of the app's own messages");
+  verb.add_flag("--lockstep", lockstep, "release the next message when the last one has drained");
+  verb.add_option("--cpu-sched", cpu_sched, "threads of CPU XNodes on real cores: fifo or other")
+      ->check(CLI::IsMember({"fifo", "other"}))
+      ->capture_default_str();
+  auto* emulate_flag = verb.add_flag("--emulate", emulate, "emulate all XPUs (default: if some are missing)");
+  verb.add_flag("--real", real, "refuse to emulate")->excludes(emulate_flag);
+  verb.add_option("command", command, "the app's program and its arguments, after --")->required();
+}
+
+Status RunFlags::prepare() {
+  XAUTO_ASSIGN(app, load_app(app_path));
+  XAUTO_ASSIGN(spec, load_platform(platform));
+  XAUTO_TRY(validate_on(app, spec));
+  const std::string missing = runtime::needs_emulation(spec);
+  if (real && !missing.empty())
+    return fail(ErrorCode::kUnavailable, missing, "--real", "drop --real to emulate the platform");
+  emulated = emulate || !missing.empty();
+  if (emulated)
+    log::info("emulating platform '{}'{}", spec.name, missing.empty() ? "" : ": " + missing);
+  return {};
+}
+
+Latency summarise(std::vector<std::int64_t> us) {
+  Latency latency;
+  latency.count = us.size();
+  if (us.empty()) return latency;
+  std::sort(us.begin(), us.end());
+  const auto rank = [&](double q) {
+    const auto at = static_cast<std::size_t>(std::ceil(q * static_cast<double>(us.size())));
+    return us[std::clamp<std::size_t>(at, 1, us.size()) - 1];
+  };
+  latency.p50_us = rank(0.5);
+  latency.p99_us = rank(0.99);
+  latency.max_us = us.back();
+  latency.mean_us =
+      std::accumulate(us.begin(), us.end(), std::int64_t{0}) / static_cast<std::int64_t>(us.size());
+  return latency;
+}
+
+Result<solver::Simulation> predict(const AppSpec& app, const Platform& platform,
+                                   runtime::Scheduling scheduling,
+                                   const std::optional<Policy>& policy) {
+  XAUTO_ASSIGN(const solver::Problem problem, solver::Problem::create(app, platform));
+  solver::Decision decision;
+  if (policy) {
+    for (const Placement& p : policy->placements) {
+      decision.xpu.push_back(p.xpu);
+      decision.priority.push_back(p.priority);
+    }
+    decision.order = policy->order;
+  }
+  solver::SimulateOptions options;
+  options.slices = true;
+  switch (scheduling) {
+    case runtime::Scheduling::kXAuto:
+      return solver::simulate(problem, decision, options);
+    case runtime::Scheduling::kTimeshare:
+      return solver::simulate_shared(problem, platform, solver::Model::kTimeshare, decision, options);
+    case runtime::Scheduling::kRos2:
+      return solver::simulate_shared(problem, platform, solver::Model::kRos2, decision, options);
+  }
+  return fail(ErrorCode::kInternal, "unknown scheduling");
+}
+
+Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop) {
+  runtime::Supervision request;
+  runtime::Session& session = request.session;
+  session.mode = runtime::Mode::kRun;
+  session.app = flags.app;
+  session.platform = flags.spec;
+  session.scheduling = run.scheduling;
+  if (run.policy) session.policy = *run.policy;
+  session.cpu_sched =
+      flags.cpu_sched == "fifo" ? runtime::CpuSched::kFifo : runtime::CpuSched::kOther;
+  session.emulated = flags.emulated;
+  session.activations = flags.activations;
+  session.lockstep = flags.lockstep;
+  session.period_us = flags.period_us;
+  session.input = flags.input;
+  session.record = flags.record_path;
+  request.command = flags.command;
+  request.stop = stop;
+  request.trace_capacity =
+      std::clamp(flags.activations * flags.app.xnodes.size() * kEventsPerJob, kMinTraceEvents,
+                 kMaxTraceEvents);
+
+  // How far the app is, we know only by the clock: releases come at a fixed period.
+  Progress progress("run " + run.id, 0);
+  request.on_tick = [&](double elapsed_s) {
+    progress.update(elapsed_s, fmt::format("{:.0f} s", elapsed_s));
+  };
+  XAUTO_ASSIGN(run.outcome, runtime::supervise(std::move(request)));
+  progress.finish();
+  XAUTO_ASSIGN(run.report, runtime::parse_run_report(run.outcome.answer));
+  std::vector<std::int64_t> latencies;
+  for (const runtime::Release& release : run.report.releases)
+    if (release.latency_us >= 0) latencies.push_back(release.latency_us);
+  if (run.report.releases.empty())  // several rates: every chain's own latencies
+    for (const runtime::ModuleReport& module : run.report.modules)
+      latencies.insert(latencies.end(), module.latencies_us.begin(), module.latencies_us.end());
+  run.latency = summarise(std::move(latencies));
+  return {};
+}
+
+namespace {
+
+/// Bars of one activation from its trace events.
+std::vector<Bar> bars_of(const RunFlags& flags, const trace::Recording& trace, std::uint64_t sequence,
+                         std::int64_t origin_ns) {
+  struct Open {
+    std::int64_t since = -1;
+    BarKind kind = BarKind::kRun;
+    int row = -1;
+  };
+  std::vector<Bar> bars;
+  std::map<std::uint16_t, Open> open;
+  const auto us = [&](std::uint64_t ns) { return (static_cast<std::int64_t>(ns) - origin_ns) / 1000; };
+  const auto close = [&](std::uint16_t xnode, std::uint64_t ns) {
+    Open& o = open[xnode];
+    if (o.since >= 0 && us(ns) > o.since) {
+      const XNodeSpec& spec = flags.app.xnodes[xnode];
+      bars.push_back({o.row, spec.name, spec.module, o.since, us(ns), o.kind});
+    }
+    o.since = -1;
+  };
+  for (const trace::Event& event : trace.events) {
+    if (event.seq != sequence || event.xnode >= flags.app.xnodes.size() ||
+        event.xpu >= flags.spec.xpus.size())
+      continue;
+    const auto begin = [&](BarKind kind) {
+      close(event.xnode, event.ts_ns);
+      open[event.xnode] = {us(event.ts_ns), kind, event.xpu};
+    };
+    const Open& now = open[event.xnode];
+    switch (event.kind) {
+      case XAUTO_EV_START: begin(BarKind::kWait); break;
+      case XAUTO_EV_RUN: begin(BarKind::kRun); break;
+      // A suspension that comes after FINISH belongs to a job that is over.
+      case XAUTO_EV_SUSPEND: if (now.since >= 0) begin(BarKind::kSwitch); break;
+      case XAUTO_EV_SUSPENDED: if (now.since >= 0) begin(BarKind::kSuspended); break;
+      case XAUTO_EV_RESUMED: if (now.since >= 0) begin(BarKind::kRun); break;
+      case XAUTO_EV_FINISH: close(event.xnode, event.ts_ns); break;
+      default: break;
+    }
+  }
+  return bars;
+}
+
+}  // namespace
+
+Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
+  Panel panel;
+  panel.id = run.id;
+  panel.name = run.name;
+  for (const Xpu& xpu : flags.spec.xpus) panel.rows.push_back(xpu.id);
+  panel.p50_us = run.latency.p50_us;
+  panel.p99_us = run.latency.p99_us;
+  panel.max_us = run.latency.max_us;
+  panel.predicted_us = run.predicted.makespan;
+  const runtime::Release* shown = nullptr;
+  for (const runtime::Release& release : run.report.releases) {
+    if (release.latency_us < 0) continue;
+    panel.latencies_us.push_back(release.latency_us);
+    const auto distance = [&](const runtime::Release& r) {
+      return std::abs(r.latency_us - run.latency.p50_us);
+    };
+    if (shown == nullptr || distance(release) < distance(*shown)) shown = &release;
+  }
+  if (shown != nullptr) {
+    panel.shown_sequence = static_cast<std::int64_t>(shown->sequence);
+    panel.shown_latency_us = shown->latency_us;
+    panel.measured = bars_of(flags, run.outcome.trace, shown->sequence, shown->origin_ns);
+  }
+  for (const solver::Slice& slice : run.predicted.slices) {
+    const XNodeSpec& spec = flags.app.xnodes[static_cast<std::size_t>(slice.xnode)];
+    panel.predicted.push_back({slice.xpu, spec.name, spec.module, slice.begin, slice.end,
+                               slice.switching ? BarKind::kSwitch : BarKind::kRun});
+  }
+  return panel;
+}
+
+}  // namespace xauto::cli

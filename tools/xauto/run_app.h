@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+// One run of an app under one policy, from files and flags to numbers and bars: what `xauto run` and
+// `xauto compare` share.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <atomic>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+#include <xauto/result.h>
+
+#include "runtime/session.h"
+#include "runtime/supervisor.h"
+#include "solver/simulate.h"
+#include "xauto/timeline.h"
+
+namespace xauto::cli {
+
+/// Set by SIGINT and SIGTERM while a `StopOnSignal` lives: the run drains, its answer is still written. A
+/// second signal ends the tool at once (and the kernel its children).
+class StopOnSignal {
+ public:
+  StopOnSignal();
+  ~StopOnSignal();
+  [[nodiscard]] const std::atomic<bool>* flag() const;
+};
+
+/// Flags of every verb that starts an app.
+struct RunFlags {
+  std::string app_path, platform = "small", input, cpu_sched = "fifo", record_path;
+  std::uint64_t activations = 200;
+  std::int64_t period_us = 0;
+  bool emulate = false, real = false, lockstep = false;
+  std::vector<std::string> command;
+
+  void declare(CLI::App& verb);
+  /// Loads what the flags name; decides between emulated and real XPUs, and says so on stderr.
+  [[nodiscard]] Status prepare();
+
+  AppSpec app;
+  Platform spec;
+  bool emulated = false;
+};
+
+/// Nearest-rank quantiles of the releases that were completed.
+struct Latency {
+  std::int64_t p50_us = 0, p99_us = 0, max_us = 0, mean_us = 0;
+  std::size_t count = 0;
+};
+[[nodiscard]] Latency summarise(std::vector<std::int64_t> latencies_us);
+
+struct PolicyRun {
+  std::string id;    ///< "ros2", "heft", "xauto", "xauto-unscheduled"
+  std::string name;  ///< for people
+  runtime::Scheduling scheduling = runtime::Scheduling::kXAuto;
+  std::optional<Policy> policy;  ///< none for ros2
+  solver::Simulation predicted;
+  // Filled in by `execute`.
+  runtime::RunReport report;
+  runtime::Outcome outcome;
+  Latency latency;
+};
+
+/// What the simulator says of this policy and scheduling.
+[[nodiscard]] Result<solver::Simulation> predict(const AppSpec& app, const Platform& platform,
+                                                 runtime::Scheduling scheduling,
+                                                 const std::optional<Policy>& policy);
+
+/// Runs it. `label` heads the progress bar.
+[[nodiscard]] Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop);
+
+/// The measured bars of the activation whose latency is the median, and the predicted ones beside them.
+[[nodiscard]] Panel panel_of(const RunFlags& flags, const PolicyRun& run);
+
+}  // namespace xauto::cli

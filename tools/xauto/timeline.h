@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+// The picture of what was scheduled: one self-contained HTML page, a Gantt chart per policy.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace xauto::cli {
+
+enum class BarKind : std::uint8_t {
+  kRun,        ///< on the XPU
+  kWait,       ///< ready, not on the XPU yet
+  kSuspended,  ///< preempted
+  kSwitch,     ///< context switch or preemption cost
+};
+
+struct Bar {
+  int row = 0;  ///< index into Panel::rows
+  std::string xnode, module;
+  std::int64_t begin_us = 0, end_us = 0;  ///< since the sensors' release
+  BarKind kind = BarKind::kRun;
+};
+
+/// One policy.
+struct Panel {
+  std::string id, name;
+  std::vector<std::string> rows;  ///< XPU instances
+  std::int64_t p50_us = 0, p99_us = 0, max_us = 0;
+  std::int64_t predicted_us = 0;
+  std::vector<std::int64_t> latencies_us;  ///< one per completed release
+  std::int64_t shown_sequence = 0;         ///< which activation `measured` shows
+  std::int64_t shown_latency_us = 0;
+  std::vector<Bar> measured, predicted;
+};
+
+struct Timeline {
+  std::string title;
+  std::string note;  ///< conditions: platform, emulated or not, number of activations
+  std::vector<Panel> panels;
+};
+
+/// The whole page. Names are escaped; needs no network.
+[[nodiscard]] std::string timeline_html(const Timeline& timeline);
+
+}  // namespace xauto::cli
