@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: Apache-2.0
+// The runtime's side of an emulated device: suspending and resuming contexts, on a connection of its own.
+// The user's side is xauto/emu.h; both are in client.cc.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <xauto/emu.h>
+#include <xauto/result.h>
+
+#include "base/unique_fd.h"
+
+namespace xauto::emu {
+
+/// Threads: one at a time.
+class Control {
+ public:
+  /// The emulator of this session (XAUTO_EMUD).
+  [[nodiscard]] static Result<Control> connect();
+
+  /// Return once the emulator has done it: after suspend, the context makes no progress. kTimeout after a
+  /// second, kUnavailable when the emulator is gone.
+  [[nodiscard]] Status suspend(std::uint32_t context);
+  [[nodiscard]] Status resume(std::uint32_t context);
+
+ private:
+  explicit Control(UniqueFd socket) : socket_(std::move(socket)) {}
+  [[nodiscard]] Status request(std::uint32_t op, std::uint32_t answer, std::uint32_t context);
+  UniqueFd socket_;
+  std::uint64_t tag_ = 0;
+};
+
+}  // namespace xauto::emu

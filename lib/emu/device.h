@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: Apache-2.0
+// One emulated device; see machine.h for the rules.
+#pragma once
+
+#include <algorithm>
+#include <deque>
+#include <map>
+#include <vector>
+
+#include "emu/machine.h"
+
+namespace xauto::emu {
+
+class Device {
+ public:
+  Device(std::string name, bool preemptive, Nanos preempt_ns)
+      : preemptive_(preemptive), preempt_ns_(preempt_ns) {
+    stats_.name = std::move(name);
+  }
+  virtual ~Device() = default;
+
+  void open(ContextId id) { contexts_[id] = {}; }
+  void close(ContextId id) {
+    leave(id);
+    contexts_.erase(id);
+  }
+  Status submit(ContextId id, std::uint64_t tag, Nanos work_ns);
+  Status suspend(ContextId id, std::uint64_t tag, Nanos now, std::vector<Event>& events);
+  Status resume(ContextId id, std::uint64_t tag, Nanos now, std::vector<Event>& events);
+
+  [[nodiscard]] virtual Nanos next_event() const = 0;
+  /// One step: up to the next event or `limit`, whichever is first.
+  virtual void advance(Nanos limit, std::vector<Event>& events) = 0;
+
+  [[nodiscard]] const DeviceStats& stats() const { return stats_; }
+
+ protected:
+  struct Context {
+    bool busy = false, suspended = false;
+    std::uint64_t tag = 0;
+    Nanos left_ns = 0;
+  };
+  struct Ack {
+    ContextId context;
+    std::uint64_t tag;
+  };
+
+  /// `id` has become runnable (work and enabled), or stops being so.
+  virtual void join(ContextId id) = 0;
+  virtual void leave(ContextId id) = 0;
+  /// Takes `id` off the device if it is on it: true if that blocks the device for preempt_ns.
+  virtual bool evict(ContextId id) = 0;
+
+  void finish(ContextId id, Nanos time, std::vector<Event>& events) {
+    Context& context = contexts_[id];
+    context.busy = false;
+    ++stats_.jobs;
+    events.push_back({Event::Kind::kDone, id, context.tag, time});
+  }
+
+  const bool preemptive_;
+  const Nanos preempt_ns_;
+  Nanos now_ = 0;
+  Nanos blocked_until_ = 0;  ///< a preemption is in progress
+  std::vector<Ack> acks_;    ///< due at blocked_until_
+  std::map<ContextId, Context> contexts_;
+  DeviceStats stats_;
+};
+
+class TimeSliced final : public Device {
+ public:
+  TimeSliced(std::string name, bool preemptive, Nanos preempt_ns, Nanos slice_ns, Nanos switch_ns)
+      : Device(std::move(name), preemptive, preempt_ns), slice_ns_(slice_ns), switch_ns_(switch_ns) {}
+  [[nodiscard]] Nanos next_event() const override;
+  void advance(Nanos limit, std::vector<Event>& events) override;
+
+ private:
+  void join(ContextId id) override { queue_.push_back(id); }
+  void leave(ContextId id) override;
+  bool evict(ContextId id) override;
+
+  const Nanos slice_ns_, switch_ns_;
+  std::deque<ContextId> queue_;  ///< runnable, the front is on the device
+  bool on_device_ = false;       ///< the front has begun its slice
+  Nanos slice_left_ = 0;
+  Nanos switch_until_ = 0;
+};
+
+class Shared final : public Device {
+ public:
+  Shared(std::string name, bool preemptive, Nanos preempt_ns, std::int64_t cores)
+      : Device(std::move(name), preemptive, preempt_ns), cores_(cores) {}
+  [[nodiscard]] Nanos next_event() const override;
+  void advance(Nanos limit, std::vector<Event>& events) override;
+
+ private:
+  void join(ContextId id) override { running_.push_back(id); }
+  void leave(ContextId id) override { std::erase(running_, id); }
+  bool evict(ContextId id) override {
+    const bool there = std::find(running_.begin(), running_.end(), id) != running_.end();
+    leave(id);
+    return there && preempt_ns_ > 0;
+  }
+
+  const std::int64_t cores_;
+  std::vector<ContextId> running_;
+};
+
+}  // namespace xauto::emu

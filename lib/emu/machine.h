@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+// The emulated XPUs as a pure state machine: no clock, no I/O. Time is a parameter, in nanoseconds.
+//
+// The rules are the simulator's (solver/simulate.h), so that what is predicted and what is emulated agree:
+//
+//  * Time-sliced device (timeslice_us > 0: a GPU, a DLA). One context at a time. Enabled contexts with
+//    work take turns in order of arrival, a time slice each. A context that is switched out with work
+//    left costs switch_us before the next one runs; after the end of a job the next starts free.
+//  * Shared device (timeslice_us = 0: a CPU core, or the pool of all of them). All enabled contexts with
+//    work progress at once, each at rate min(1, cores / contexts).
+//  * Suspending a context that is on the device blocks the device for preempt_us, then the next one
+//    starts free; the acknowledgement comes when that time is over. Suspending any other context is
+//    acknowledged at once, and so is resuming, which is free.
+//  * A device that is not preemptive refuses suspension and runs each job to its end, in arrival order.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+#include <xauto/result.h>
+
+#include "model/platform.h"
+
+namespace xauto::emu {
+
+using ContextId = std::uint32_t;
+using Nanos = std::int64_t;
+
+inline constexpr std::size_t kMaxContexts = 4096;
+inline constexpr Nanos kMaxWorkNs = 3'600'000'000'000;  ///< an hour
+
+struct Event {
+  enum class Kind : std::uint8_t { kDone, kSuspended, kResumed } kind;
+  ContextId context;
+  std::uint64_t tag;  ///< the job of kDone, the request of the others
+  Nanos time;
+  bool operator==(const Event&) const = default;
+};
+
+struct DeviceStats {
+  std::string name;
+  Nanos busy_ns = 0;  ///< work done
+  Nanos overhead_ns = 0;  ///< switches and preemptions
+  std::uint64_t switches = 0, preemptions = 0, jobs = 0;
+};
+
+class Device;
+
+/// Threads: one. `now` never goes back; calls bring the machine up to `now` first.
+class Machine {
+ public:
+  /// Devices: every XPU by its id, and for each CPU type the pool of its instances by the type's name.
+  [[nodiscard]] static Result<Machine> create(const Platform& platform);
+  Machine(Machine&&) noexcept;
+  Machine& operator=(Machine&&) noexcept;
+  ~Machine();
+
+  [[nodiscard]] Result<ContextId> open(const std::string& device, Nanos now);
+  /// Its work, done or not, is gone.
+  void close(ContextId context, Nanos now);
+  /// One job at a time per context.
+  [[nodiscard]] Status submit(ContextId context, std::uint64_t tag, Nanos work_ns, Nanos now);
+  [[nodiscard]] Status suspend(ContextId context, std::uint64_t tag, Nanos now);
+  [[nodiscard]] Status resume(ContextId context, std::uint64_t tag, Nanos now);
+
+  /// When something will happen by itself; INT64_MAX: nothing.
+  [[nodiscard]] Nanos next_event() const;
+  /// Brings everything up to `now` and appends what happened, by time, then by device.
+  void advance(Nanos now, std::vector<Event>& events);
+
+  [[nodiscard]] std::vector<DeviceStats> stats() const;
+  [[nodiscard]] std::size_t num_contexts() const { return device_of_.size(); }
+
+ private:
+  Machine();
+  [[nodiscard]] Result<Device*> device_of(ContextId context);
+
+  std::vector<std::unique_ptr<Device>> devices_;
+  std::map<ContextId, Device*> device_of_;
+  std::vector<Event> pending_;  ///< happened in a call, not yet reported
+  ContextId next_id_ = 1;
+};
+
+}  // namespace xauto::emu

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// Packets between an emulated context's user and xauto-emud (abstract AF_UNIX, SOCK_SEQPACKET). One fixed
+// layout for all; unused fields are zero and checked.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+namespace xauto::emu {
+
+inline constexpr std::uint32_t kEmuVersion = 1;
+inline constexpr std::size_t kMaxDeviceName = 48;
+inline constexpr const char* kEmudVariable = "XAUTO_EMUD";       ///< abstract socket of this session
+inline constexpr const char* kCpuPoolVariable = "XAUTO_EMU_CPU_POOL";  ///< "1": CPU contexts on the pool
+
+enum class Op : std::uint32_t {
+  kOpen = 1,     ///< name, value = version -> kOpened
+  kSubmit = 2,   ///< context, tag, value = ns of work -> kDone when finished
+  kSuspend = 3,  ///< context (anybody's of this session), tag -> kSuspended
+  kResume = 4,   ///< context, tag -> kResumed
+  kOpened = 65,
+  kDone = 66,
+  kSuspended = 67,
+  kResumed = 68,
+  kError = 69,  ///< tag of the request, value = ErrorCode, name = text
+};
+
+struct Packet {
+  std::uint32_t op = 0;
+  std::uint32_t context = 0;
+  std::uint64_t tag = 0;
+  std::int64_t value = 0;
+  char name[kMaxDeviceName] = {};  ///< NUL-terminated
+};
+static_assert(sizeof(Packet) == 72 && std::is_trivially_copyable_v<Packet>);
+
+}  // namespace xauto::emu
