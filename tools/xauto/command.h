@@ -6,6 +6,7 @@
 #include <CLI/CLI.hpp>
 #include <functional>
 #include <string>
+#include <vector>
 #include <xauto/result.h>
 
 namespace xauto::cli {
@@ -33,6 +34,13 @@ class Commands {
                 Body body);
   int run(int argc, char** argv);
 
+  struct Verb {
+    std::string name, description;
+    std::vector<std::string> options;  ///< "--json", ...
+  };
+  /// What was declared, for shell completion.
+  [[nodiscard]] std::vector<Verb> verbs() const;
+
  private:
   CLI::App& root_;
   Options options_;
@@ -42,6 +50,7 @@ class Commands {
 // One per cmd_*.cc.
 void add_check(Commands&);
 void add_compare(Commands&);
+void add_completion(Commands&);
 void add_doctor(Commands&);
 void add_explain(Commands&);
 void add_generate(Commands&);

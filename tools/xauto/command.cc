@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/command.h"
+
+#include <iostream>
+
+#include "base/log.h"
+
+namespace xauto::cli {
+
+int exit_status(const Error& error) {
+  switch (error.code) {
+    case ErrorCode::kInvalid:
+    case ErrorCode::kNotFound:
+      return kBadInput;
+    default:
+      return kAnswerIsNo;
+  }
+}
+
+int report(const Error& error) {
+  log::error("{}", error.to_string());
+  return exit_status(error);
+}
+
+CLI::App* Commands::add(const std::string& verb, const std::string& description,
+                        const std::string& example, Body body) {
+  CLI::App* sub = root_.add_subcommand(verb, description);
+  sub->footer("Example:\n  " + example);
+  sub->add_flag("--json", options_.json, "print one JSON object on stdout");
+  sub->callback([this, body = std::move(body)] { chosen_ = body; });
+  return sub;
+}
+
+int Commands::run(int argc, char** argv) {
+  root_.require_subcommand(1);
+  root_.set_version_flag("--version", XAUTO_VERSION);
+  root_.footer("Exit status: 0 done, 1 the answer is no, 2 bad usage or bad input.\n"
+               "Next: xauto doctor");
+  try {
+    root_.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return root_.exit(e) == 0 ? kDone : kBadInput;
+  }
+  try {
+    return chosen_(options_);
+  } catch (const std::exception& e) {
+    // Our own code does not throw; this is memory exhaustion or a bug, and it gets a name either way.
+    log::error("unexpected: {}", e.what());
+    return kAnswerIsNo;
+  }
+}
+
+std::vector<Commands::Verb> Commands::verbs() const {
+  std::vector<Verb> verbs;
+  for (const CLI::App* sub : root_.get_subcommands({})) {
+    Verb verb{sub->get_name(), sub->get_description(), {}};
+    for (const CLI::Option* option : sub->get_options())
+      for (const std::string& name : option->get_lnames()) verb.options.push_back("--" + name);
+    verbs.push_back(std::move(verb));
+  }
+  return verbs;
+}
+
+}  // namespace xauto::cli

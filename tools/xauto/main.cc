@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto: one tool, one verb per step. Each verb is in cmd_<verb>.cc.
+#include "xauto/command.h"
+
+int main(int argc, char** argv) {
+  CLI::App root("XAuto: schedule the stages of a perception stack over CPUs, GPUs and DLAs.", "xauto");
+  xauto::cli::Commands commands(root);
+  xauto::cli::add_doctor(commands);
+  xauto::cli::add_generate(commands);
+  xauto::cli::add_profile(commands);
+  xauto::cli::add_solve(commands);
+  xauto::cli::add_explain(commands);
+  xauto::cli::add_simulate(commands);
+  xauto::cli::add_check(commands);
+  xauto::cli::add_run(commands);
+  xauto::cli::add_compare(commands);
+  xauto::cli::add_status(commands);
+  xauto::cli::add_record(commands);
+  xauto::cli::add_completion(commands);
+  return commands.run(argc, argv);
+}

@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdio>
+
+#include "base/clock.h"
+#include "xauto/command.h"
+
+namespace xauto::cli {
+namespace {
+
+constexpr std::int64_t kAppearAfterMs = 2000;
+constexpr std::int64_t kTerminalEveryMs = 100, kPlainEveryMs = 5000;
+constexpr int kBarWidth = 30;
+
+std::int64_t now_ms() { return now_ns() / 1'000'000; }
+
+}  // namespace
+
+Progress::Progress(std::string label, double total)
+    : label_(std::move(label)), total_(total), started_ms_(now_ms()), terminal_(isatty(2) == 1) {}
+
+Progress::~Progress() { finish(); }
+
+void Progress::update(double done, const std::string& note) {
+  done_ = done;
+  note_ = note;
+  const std::int64_t now = now_ms();
+  if (finished_ || now - started_ms_ < kAppearAfterMs) return;
+  if (shown_ && now - drawn_ms_ < (terminal_ ? kTerminalEveryMs : kPlainEveryMs)) return;
+  drawn_ms_ = now;
+  shown_ = true;
+  draw(false);
+}
+
+void Progress::finish() {
+  if (finished_) return;
+  finished_ = true;
+  if (shown_) draw(true);
+}
+
+void Progress::draw(bool last) {
+  std::string line = label_;
+  if (total_ > 0) {
+    const double part = std::clamp(done_ / total_, 0.0, 1.0);
+    const int filled = static_cast<int>(part * kBarWidth);
+    line += fmt::format(" [{:#<{}}{:.<{}}] {:3.0f} %", "", filled, "", kBarWidth - filled, 100 * part);
+  }
+  if (!note_.empty()) line += "  " + note_;
+  if (terminal_)
+    std::fprintf(stderr, "\r\033[K%s%s", line.c_str(), last ? "\n" : "");
+  else if (!last)
+    std::fprintf(stderr, "%s\n", line.c_str());
+  std::fflush(stderr);
+}
+
+}  // namespace xauto::cli
