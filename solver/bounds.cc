@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+// See bounds.h.
+#include "solver/bounds.h"
+
+#include <algorithm>
+
+#include "solver/evaluate.h"
+
+namespace xauto::solver {
+namespace {
+
+std::size_t at(int index) {
+  return static_cast<std::size_t>(index);
+}
+
+}  // namespace
+
+std::vector<Time> least_wcet(const Problem& problem) {
+  std::vector<Time> least(at(problem.num_xnodes), kNever);
+  for (int i = 0; i < problem.num_xnodes; ++i) {
+    for (int t = 0; t < problem.num_types; ++t) {
+      const Time wcet = problem.wcet(i, t);
+      if (wcet != kCannotRun && !problem.type_xpus[at(t)].empty())
+        least[at(i)] = std::min(least[at(i)], wcet);
+    }
+  }
+  return least;
+}
+
+std::vector<Time> static_heads(const Problem& problem) {
+  const std::vector<Time> least = least_wcet(problem);
+  std::vector<Time> heads(least.size(), 0);
+  for (int i : problem.topo)
+    for (int p : problem.pred[at(i)])
+      heads[at(i)] = std::max(heads[at(i)], heads[at(p)] + least[at(p)]);
+  return heads;
+}
+
+std::vector<Time> static_tails(const Problem& problem) {
+  const std::vector<Time> least = least_wcet(problem);
+  std::vector<Time> tails(least.size(), 0);
+  for (std::size_t k = problem.topo.size(); k-- > 0;) {
+    const int i = problem.topo[k];
+    for (int s : problem.succ[at(i)])
+      tails[at(i)] = std::max(tails[at(i)], tails[at(s)] + least[at(s)]);
+  }
+  return tails;
+}
+
+Time critical_path_bound(const Problem& problem) {
+  const std::vector<Time> least = least_wcet(problem), heads = static_heads(problem);
+  Time bound = 0;
+  for (std::size_t i = 0; i < least.size(); ++i) bound = std::max(bound, heads[i] + least[i]);
+  return bound;
+}
+
+Time load_bound(const Problem& problem) {
+  const std::vector<Time> least = least_wcet(problem), heads = static_heads(problem),
+                          tails = static_tails(problem);
+  // Types beyond the first 12 are left out of the subsets (the bound stays valid, only weaker).
+  const int types = std::min(problem.num_types, 12);
+  std::vector<unsigned> usable(least.size(), 0);
+  for (int i = 0; i < problem.num_xnodes; ++i)
+    for (int t = 0; t < problem.num_types; ++t)
+      if (problem.wcet(i, t) != kCannotRun && !problem.type_xpus[at(t)].empty())
+        usable[at(i)] |= 1u << std::min(t, 31);
+  Time bound = 0;
+  for (unsigned set = 1; set < (1u << types); ++set) {
+    Time work = 0, head = kNever, tail = kNever;
+    std::int64_t instances = 0;
+    for (int t = 0; t < types; ++t)
+      if (set >> t & 1u) instances += static_cast<std::int64_t>(problem.type_xpus[at(t)].size());
+    if (instances == 0) continue;
+    for (std::size_t i = 0; i < least.size(); ++i) {
+      if ((usable[i] & ~set) != 0) continue;
+      work += least[i];
+      head = std::min(head, heads[i]);
+      tail = std::min(tail, tails[i]);
+    }
+    if (work > 0) bound = std::max(bound, head + (work + instances - 1) / instances + tail);
+  }
+  return bound;
+}
+
+Time quick_bound(const Problem& problem) {
+  return std::max(critical_path_bound(problem), load_bound(problem));
+}
+
+}  // namespace xauto::solver

@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: Apache-2.0
+// Lower bounds on the makespan that take microseconds to compute. All are valid for every schedule
+// of problem.h's XNodes, preemptive, non-preemptive, with inserted idle time, on any assignment:
+// they use only that an XNode needs its WCET on the type it runs on, after its predecessors, one
+// XNode per XPU at a time. Sources and proofs: docs/solver.md.
+#pragma once
+
+#include <vector>
+
+#include "solver/problem.h"
+
+namespace xauto::solver {
+
+/// Least WCET over the types that the platform has an instance of.
+[[nodiscard]] std::vector<Time> least_wcet(const Problem& problem);
+/// Longest chain of least WCETs before / behind each XNode, itself excluded.
+[[nodiscard]] std::vector<Time> static_heads(const Problem& problem);
+[[nodiscard]] std::vector<Time> static_tails(const Problem& problem);
+
+[[nodiscard]] Time critical_path_bound(const Problem& problem);
+/// For every set S of types: the XNodes that can run only in S, each at its least WCET, over the
+/// number of instances in S, plus the least head and tail among them.
+[[nodiscard]] Time load_bound(const Problem& problem);
+/// The larger of the two.
+[[nodiscard]] Time quick_bound(const Problem& problem);
+
+}  // namespace xauto::solver

@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+// Evaluator: the makespan of one (assignment, priority order) after another, incrementally.
+//
+// The same rule as simulate.cc (problem.h), written for the search: a candidate differs from the
+// committed schedule in a few XNodes, and nothing can differ before the first of these becomes
+// ready. So the simulation restarts at the last snapshot before that instant, and stops as soon as
+// an XNode becomes ready too late for the limit: ready + wcet + longest chain behind it under the
+// current assignment. Run-time order pairs are not handled here; ordered schedules have their own
+// evaluator (ordered.h).
+//
+// Threads: one owner. Units: microseconds.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "solver/problem.h"
+
+namespace xauto::solver {
+
+inline constexpr Time kNever = std::numeric_limits<Time>::max() / 4;
+
+class Evaluator {
+ public:
+  explicit Evaluator(const Problem& problem);
+
+  /// Commits `xpu` and `sequence` (XNodes, most urgent first) with a full simulation.
+  void reset(const std::vector<int>& xpu, const std::vector<int>& sequence);
+
+  // A candidate: any number of edits of the committed solution, evaluate(), then commit() or
+  // rollback().
+  void assign(int xnode, int xpu);
+  /// Moves `xnode` to `position` of the sequence; those between shift by one.
+  void reposition(int xnode, int position);
+  /// The makespan, or kNever once it is certain to be >= `limit`.
+  [[nodiscard]] Time evaluate(Time limit);
+  void commit();
+  void rollback();
+
+  [[nodiscard]] Time makespan() const { return makespan_; }  ///< of the committed solution
+  [[nodiscard]] const std::vector<int>& xpu() const { return xpu_; }
+  [[nodiscard]] const std::vector<int>& sequence() const { return sequence_; }
+  [[nodiscard]] int position(int xnode) const { return position_[static_cast<std::size_t>(xnode)]; }
+  // Of the committed schedule.
+  [[nodiscard]] Time ready(int xnode) const { return ready_at_[static_cast<std::size_t>(xnode)]; }
+  [[nodiscard]] Time start(int xnode) const { return started_at_[static_cast<std::size_t>(xnode)]; }
+  [[nodiscard]] Time finish(int xnode) const {
+    return finished_at_[static_cast<std::size_t>(xnode)];
+  }
+  [[nodiscard]] Time load(int xpu) const { return load_[static_cast<std::size_t>(xpu)]; }
+  [[nodiscard]] Time tail(int xnode) const { return tail_[static_cast<std::size_t>(xnode)]; }
+  [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
+  /// The XNodes that set the makespan, last first: each was delayed by the next one, as its
+  /// predecessor or as the one that held its XPU.
+  void critical_chain(std::vector<int>& chain) const;
+
+ private:
+  enum Status : std::uint8_t { kWaiting, kReady, kRunning, kDone };
+  struct Snapshot {
+    Time now = 0;
+    Time latest = 0;
+    std::vector<std::uint8_t> status;
+    std::vector<std::uint16_t> missing;
+    std::vector<Time> remaining;
+    std::vector<int> running;
+    std::vector<Time> end;
+  };
+
+  template <bool kRecord>
+  Time run(Time limit);
+  void start_from_scratch();
+  void restore(const Snapshot& snapshot);
+  void save(Snapshot& snapshot, Time now, Time latest) const;
+  template <bool kRecord>
+  void decide(int xpu, Time now);
+  void move_position(int xnode, int position);
+  void update_tails(int xnode);
+  void push_ready(int xnode);
+
+  const Problem& problem_;
+  std::size_t n_, m_;
+  std::vector<int> succ_begin_, succ_list_, pred_begin_, pred_list_;  // adjacency, flat
+  std::vector<int> topo_rank_, sources_;
+
+  std::vector<int> xpu_, sequence_, position_;
+  std::vector<Time> work_;  // wcet on the assigned XPU
+  std::vector<Time> tail_;  // longest chain behind, under the assignment
+  std::vector<Time> load_;  // per XPU
+  Time makespan_ = 0;
+
+  // Simulation state.
+  std::vector<std::uint8_t> status_;
+  std::vector<std::uint16_t> missing_, in_degree_;
+  std::vector<Time> remaining_, end_;
+  std::vector<int> running_;
+  std::vector<std::uint16_t> ready_list_;  // [xpu * n + k]
+  std::vector<int> ready_count_;
+  std::vector<char> touched_;
+  std::vector<int> touched_list_;
+  Time now_ = 0, latest_ = 0;
+
+  // The committed schedule.
+  std::vector<Time> ready_at_, started_at_, finished_at_;
+  std::vector<Snapshot> snapshots_;
+  std::size_t snapshots_used_ = 0, stride_ = 1;
+
+  struct Edit {
+    int xnode, old_xpu, old_position;
+  };
+  std::vector<Edit> edits_;
+  Time dirty_from_ = kNever;
+  std::vector<char> in_queue_;
+  std::int64_t evaluations_ = 0;
+};
+
+}  // namespace xauto::solver

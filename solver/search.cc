@@ -1,0 +1,273 @@
+// SPDX-License-Identifier: Apache-2.0
+// See search.h.
+#include "solver/search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "solver/random.h"
+
+namespace xauto::solver {
+namespace {
+
+std::size_t at(int index) {
+  return static_cast<std::size_t>(index);
+}
+
+/// Non-preemptive insertion-free list scheduling: by descending rank, each XNode goes where it ends
+/// first.
+Solution list_schedule(const Problem& problem, const std::vector<double>& rank, double spread) {
+  const std::size_t n = at(problem.num_xnodes);
+  Solution solution;
+  solution.xpu.assign(n, -1);
+  std::vector<Time> free_at(at(problem.num_xpus), 0), finish(n, 0);
+  std::vector<int> missing(n, 0);
+  std::vector<int> ready;
+  for (std::size_t i = 0; i < n; ++i) {
+    missing[i] = static_cast<int>(problem.pred[i].size());
+    if (missing[i] == 0) ready.push_back(static_cast<int>(i));
+  }
+  std::vector<double> start(n, 0);
+  while (!ready.empty()) {
+    std::size_t best = 0;
+    for (std::size_t k = 1; k < ready.size(); ++k)
+      if (rank[at(ready[k])] > rank[at(ready[best])]) best = k;
+    const int i = ready[best];
+    ready.erase(ready.begin() + static_cast<std::ptrdiff_t>(best));
+    Time released = 0;
+    for (int p : problem.pred[at(i)]) released = std::max(released, finish[at(p)]);
+    double best_score = 0;
+    for (int x = 0; x < problem.num_xpus; ++x) {
+      const Time wcet = problem.wcet_on(i, x);
+      if (wcet == kCannotRun) continue;
+      const Time begin = std::max(released, free_at[at(x)]);
+      // `spread` charges the use of the XPU itself, so that scarce fast XPUs go to those who gain
+      // most.
+      const double score = static_cast<double>(begin + wcet) + spread * static_cast<double>(wcet);
+      if (solution.xpu[at(i)] < 0 || score < best_score) {
+        best_score = score;
+        solution.xpu[at(i)] = x;
+        start[at(i)] = static_cast<double>(begin);
+        finish[at(i)] = begin + wcet;
+      }
+    }
+    free_at[at(solution.xpu[at(i)])] = finish[at(i)];
+    for (int s : problem.succ[at(i)])
+      if (--missing[at(s)] == 0) ready.push_back(s);
+  }
+  solution.sequence.resize(n);
+  std::iota(solution.sequence.begin(), solution.sequence.end(), 0);
+  std::stable_sort(solution.sequence.begin(), solution.sequence.end(), [&](int a, int b) {
+    return start[at(a)] != start[at(b)] ? start[at(a)] < start[at(b)] : rank[at(a)] > rank[at(b)];
+  });
+  return solution;
+}
+
+class Annealer {
+ public:
+  Annealer(const Problem& problem, std::uint64_t seed, const Limits& limits,
+           const SearchCallbacks& callbacks)
+      : problem_(problem),
+        limits_(limits),
+        callbacks_(callbacks),
+        evaluator_(problem),
+        random_(seed) {
+    const std::size_t n = at(problem.num_xnodes);
+    options_.resize(n);
+    for (std::size_t i = 0; i < n; ++i) {
+      for (int x = 0; x < problem.num_xpus; ++x)
+        if (problem.wcet_on(static_cast<int>(i), x) != kCannotRun) options_[i].push_back(x);
+    }
+  }
+
+  Solution run(const Solution& start) {
+    best_ = start;
+    evaluator_.reset(start.xpu, start.sequence);
+    note_if_better();
+    // Rounds of growing length; each cools down from a temperature that suits the current solution.
+    std::int64_t length = 200 * static_cast<std::int64_t>(problem_.num_xnodes) + 2000;
+    for (int round = 0; !done_; ++round) {
+      const double hot = round % 3 == 2 ? 0.03 : 0.012;
+      cool(length, hot * static_cast<double>(best_.makespan),
+           0.0002 * static_cast<double>(best_.makespan));
+      if (round % 2 == 1) length += length / 2;
+      if (random_.below(4) != 0) evaluator_.reset(best_.xpu, best_.sequence);
+    }
+    if (callbacks_.on_evaluations) callbacks_.on_evaluations(evaluator_.evaluations() - reported_);
+    return best_;
+  }
+
+ private:
+  void cool(std::int64_t length, double hot, double cold) {
+    const double factor = std::pow(cold / hot, 1.0 / static_cast<double>(length / 64 + 1));
+    double temperature = hot;
+    evaluator_.critical_chain(chain_);
+    for (std::int64_t step = 0; step < length; ++step) {
+      if (step % 64 == 0) {
+        temperature *= factor;
+        if (check_limits()) return;
+      }
+      propose();
+      const double slack = -temperature * std::log(random_.unit());
+      const Time limit = evaluator_.makespan() + static_cast<Time>(slack) + 1;
+      if (evaluator_.evaluate(limit) == kNever) {
+        evaluator_.rollback();
+        continue;
+      }
+      evaluator_.commit();
+      note_if_better();
+      if (step % 8 == 0 || chain_.empty()) evaluator_.critical_chain(chain_);
+    }
+  }
+
+  void propose() {
+    const int n = problem_.num_xnodes;
+    const std::uint64_t kind = random_.below(100);
+    // Half of the moves start from the chain that sets the makespan.
+    const int i = (kind % 2 == 0 && !chain_.empty())
+                      ? chain_[random_.below(chain_.size())]
+                      : static_cast<int>(random_.below(static_cast<std::uint64_t>(n)));
+    if (kind < 40 && options_[at(i)].size() > 1) {
+      move_to(i, other_xpu(i));
+    } else if (kind < 55) {
+      // Exchange of places with an XNode on another XPU.
+      const int j = static_cast<int>(random_.below(static_cast<std::uint64_t>(n)));
+      const int xi = evaluator_.xpu()[at(i)], xj = evaluator_.xpu()[at(j)];
+      if (xi == xj || problem_.wcet_on(i, xj) == kCannotRun ||
+          problem_.wcet_on(j, xi) == kCannotRun) {
+        shift(i);
+        return;
+      }
+      const int pi = evaluator_.position(i), pj = evaluator_.position(j);
+      evaluator_.assign(i, xj);
+      evaluator_.assign(j, xi);
+      evaluator_.reposition(i, pj);
+      evaluator_.reposition(j, pi);
+    } else {
+      shift(i);
+    }
+  }
+
+  int other_xpu(int i) {
+    const auto& options = options_[at(i)];
+    while (true) {
+      const int x = options[random_.below(options.size())];
+      if (x != evaluator_.xpu()[at(i)]) return x;
+    }
+  }
+
+  void move_to(int i, int x) {
+    evaluator_.assign(i, x);
+    if (random_.below(2) == 0) shift(i);
+  }
+
+  /// Puts `i` just before or after another XNode of its XPU.
+  void shift(int i) {
+    const int x = evaluator_.xpu()[at(i)];
+    const int n = problem_.num_xnodes;
+    const int from = evaluator_.position(i);
+    // Up to a few neighbours away, in either direction.
+    const bool earlier = random_.below(2) == 0;
+    auto hops = static_cast<int>(1 + random_.below(3));
+    int target = from;
+    for (int p = from + (earlier ? -1 : 1); p >= 0 && p < n; p += earlier ? -1 : 1) {
+      if (evaluator_.xpu()[at(evaluator_.sequence()[at(p)])] != x) continue;
+      target = p;
+      if (--hops == 0) break;
+    }
+    if (target != from) evaluator_.reposition(i, target);
+  }
+
+  void note_if_better() {
+    if (evaluator_.makespan() >= best_.makespan) return;
+    best_ = {evaluator_.xpu(), evaluator_.sequence(), evaluator_.makespan()};
+    if (callbacks_.on_better) callbacks_.on_better(best_);
+  }
+
+  bool check_limits() {
+    const std::int64_t evaluations = evaluator_.evaluations();
+    if (limits_.max_evaluations > 0 && evaluations >= limits_.max_evaluations) done_ = true;
+    if (limits_.target != nullptr &&
+        best_.makespan <= limits_.target->load(std::memory_order_relaxed))
+      done_ = true;
+    if (++polls_ % 16 == 0) {
+      if (limits_.stopped()) done_ = true;
+      if (callbacks_.on_evaluations) callbacks_.on_evaluations(evaluations - reported_);
+      reported_ = evaluations;
+    }
+    return done_;
+  }
+
+  const Problem& problem_;
+  const Limits& limits_;
+  const SearchCallbacks& callbacks_;
+  Evaluator evaluator_;
+  Random random_;
+  std::vector<std::vector<int>> options_;
+  std::vector<int> chain_;
+  Solution best_;
+  bool done_ = false;
+  std::int64_t polls_ = 0, reported_ = 0;
+};
+
+}  // namespace
+
+std::vector<int> sequence_of(const std::vector<std::int64_t>& priority) {
+  std::vector<int> sequence(priority.size());
+  std::iota(sequence.begin(), sequence.end(), 0);
+  std::stable_sort(sequence.begin(), sequence.end(),
+                   [&](int a, int b) { return priority[at(a)] > priority[at(b)]; });
+  return sequence;
+}
+
+Decision to_decision(const Solution& solution) {
+  Decision decision;
+  decision.xpu = solution.xpu;
+  decision.priority.resize(solution.xpu.size());
+  std::int64_t priority = static_cast<std::int64_t>(solution.sequence.size());
+  for (int i : solution.sequence) decision.priority[at(i)] = priority--;
+  return decision;
+}
+
+std::vector<Solution> constructive_solutions(const Problem& problem) {
+  const std::size_t n = at(problem.num_xnodes);
+  std::vector<Solution> solutions;
+  Evaluator evaluator(problem);
+  for (int rule = 0; rule < 3; ++rule) {
+    std::vector<double> rank(n, 0);
+    for (std::size_t k = n; k-- > 0;) {
+      const int i = problem.topo[k];
+      double least = 1e300, greatest = 0, sum = 0, count = 0;
+      for (int t = 0; t < problem.num_types; ++t) {
+        const Time wcet = problem.wcet(i, t);
+        if (wcet == kCannotRun || problem.type_xpus[at(t)].empty()) continue;
+        const auto w = static_cast<double>(wcet);
+        least = std::min(least, w);
+        greatest = std::max(greatest, w);
+        const auto instances = static_cast<double>(problem.type_xpus[at(t)].size());
+        sum += w * instances;
+        count += instances;
+      }
+      double tail = 0;
+      for (int s : problem.succ[at(i)]) tail = std::max(tail, rank[at(s)]);
+      rank[at(i)] = tail + (rule == 0 ? least : rule == 1 ? sum / count : greatest);
+    }
+    for (double spread : {0.0, 0.5, 1.0}) {
+      Solution solution = list_schedule(problem, rank, spread);
+      evaluator.reset(solution.xpu, solution.sequence);
+      solution.makespan = evaluator.makespan();
+      solutions.push_back(std::move(solution));
+    }
+  }
+  std::stable_sort(solutions.begin(), solutions.end(),
+                   [](const Solution& a, const Solution& b) { return a.makespan < b.makespan; });
+  return solutions;
+}
+
+Solution anneal(const Problem& problem, const Solution& start, std::uint64_t seed,
+                const Limits& limits, const SearchCallbacks& callbacks) {
+  return Annealer(problem, seed, limits, callbacks).run(start);
+}
+
+}  // namespace xauto::solver

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// Anytime search over (assignment, priority): constructive starts, then simulated annealing with
+// critical-chain moves on the incremental Evaluator. Deterministic for a given seed when it is
+// ended by `max_evaluations`.
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <functional>
+#include <vector>
+
+#include "solver/evaluate.h"
+#include "solver/problem.h"
+
+namespace xauto::solver {
+
+using SteadyTime = std::chrono::steady_clock::time_point;
+
+/// When to end. `target`: an answer this good cannot be beaten (a lower bound, may rise meanwhile).
+struct Limits {
+  SteadyTime deadline = SteadyTime::max();
+  std::int64_t max_evaluations = 0;  ///< 0: no limit
+  const std::atomic<bool>* stop = nullptr;
+  const std::atomic<bool>* stop_too = nullptr;  ///< a second source of stop, e.g. "proven optimal"
+  const std::atomic<Time>* target = nullptr;
+
+  [[nodiscard]] bool stopped() const {
+    return (stop != nullptr && stop->load(std::memory_order_relaxed)) ||
+           (stop_too != nullptr && stop_too->load(std::memory_order_relaxed)) ||
+           (deadline != SteadyTime::max() && std::chrono::steady_clock::now() >= deadline);
+  }
+};
+
+struct Solution {
+  std::vector<int> xpu;
+  std::vector<int> sequence;  ///< XNodes, most urgent first
+  Time makespan = kNever;
+};
+
+/// List scheduling by earliest finish, one answer per ranking rule (longest tail by least, mean and
+/// greatest WCET, with and without the load of the fastest XPU type in view); best first.
+[[nodiscard]] std::vector<Solution> constructive_solutions(const Problem& problem);
+
+/// `sequence` that repeats a Decision's priorities.
+[[nodiscard]] std::vector<int> sequence_of(const std::vector<std::int64_t>& priority);
+[[nodiscard]] Decision to_decision(const Solution& solution);
+
+struct SearchCallbacks {
+  std::function<void(const Solution&)> on_better;    ///< each improvement of this search's best
+  std::function<void(std::int64_t)> on_evaluations;  ///< since the last call, every few thousand
+};
+
+/// Anneals from `start` until the limits; returns the best seen, `start` included.
+[[nodiscard]] Solution anneal(const Problem& problem, const Solution& start, std::uint64_t seed,
+                              const Limits& limits, const SearchCallbacks& callbacks = {});
+
+}  // namespace xauto::solver

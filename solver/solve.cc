@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+// The registry of methods: one switch from a name to what computes the decision, then the same
+// accounting for all: simulate, attach the bound, say whether it is proven, time it.
+#include "solver/solve.h"
+
+#include <algorithm>
+#include <chrono>
+
+#include "solver/auto.h"
+#include "solver/bounds.h"
+#include "solver/heft.h"
+#include "solver/simulate.h"
+
+namespace xauto::solver {
+namespace {
+
+Solution to_solution(const Problem& problem, const Decision& decision) {
+  Solution solution;
+  solution.xpu = decision.xpu;
+  solution.sequence = sequence_of(decision.priority);
+  solution.makespan = simulate(problem, decision).makespan;
+  return solution;
+}
+
+/// HEFT first: no answer of `search` or `auto` is ever worse than it.
+std::vector<Solution> starts(const Problem& problem) {
+  std::vector<Solution> all = constructive_solutions(problem);
+  all.insert(all.begin(), to_solution(problem, heft(problem)));
+  std::stable_sort(all.begin(), all.end(),
+                   [](const Solution& a, const Solution& b) { return a.makespan < b.makespan; });
+  return all;
+}
+
+}  // namespace
+
+Policy make_policy(const AppSpec& app, const Platform& platform, const Problem& problem,
+                   const Decision& decision, std::string method) {
+  const Simulation simulation = simulate(problem, decision);
+  Policy policy;
+  policy.app = app.name;
+  policy.app_hash = app.hash();
+  policy.platform = platform.name;
+  policy.method = std::move(method);
+  policy.order = decision.order;
+  policy.latency_us = simulation.makespan;
+  policy.placements.resize(app.xnodes.size());
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+    policy.placements[i] = {decision.xpu[i], decision.priority[i], simulation.start[i],
+                            simulation.finish[i]};
+  return policy;
+}
+
+Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOptions& options) {
+  const auto began = std::chrono::steady_clock::now();
+  XAUTO_ASSIGN(const Problem problem, Problem::create(app, platform));
+  Decision decision;
+  Time bound = 0;
+  if (options.method == "heft") {
+    decision = heft(problem);
+    bound = quick_bound(problem);
+  } else if (options.method == "local") {
+    decision = local(problem);
+    bound = quick_bound(problem);
+  } else if (options.method == "search" || options.method == "auto") {
+    const AutoResult result =
+        solve_in_parallel(problem, options, starts(problem), options.method == "auto");
+    decision = to_decision(result.best);
+    bound = result.bound;
+  } else {
+    return fail(ErrorCode::kInvalid, "unknown method '" + options.method + "'", "solve",
+                "one of: auto, search, ilp, heft, local");
+  }
+  Policy policy = make_policy(app, platform, problem, decision, options.method);
+  policy.lower_bound_us = std::min(bound, policy.latency_us);
+  policy.optimal = policy.lower_bound_us == policy.latency_us;
+  policy.solve_ms = std::chrono::duration_cast<std::chrono::milliseconds>(
+                        std::chrono::steady_clock::now() - began)
+                        .count();
+  return policy;
+}
+
+}  // namespace xauto::solver
