@@ -43,6 +43,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   }
   XAUTO_TRY(engine->place());
   XAUTO_TRY(engine->wire());
+  XAUTO_TRY(engine->open_recorder());
   XAUTO_TRY(engine->start_workers());
   return engine;
 }
@@ -235,6 +236,7 @@ Result<RunReport> Engine::run() {
   releaser.join();
   XAUTO_TRY(status);
   const bool drained = wait_drained(kStallNs);
+  if (recorder_) XAUTO_TRY(recorder_->close());
   RunReport result = report();
   result.complete = drained && !stop_.load();
   if (!drained) {
@@ -317,8 +319,46 @@ void Engine::release(std::int64_t origin_ns, std::uint64_t sequence,
   }
   if (trace_)
     trace_->write(XAUTO_EV_PUBLISH, sequence, XAUTO_EV_NONE, XAUTO_EV_NONE, XAUTO_EV_NONE);
+  if (recorder_) record(origin_ns, messages);
   for (const auto& [topic, message] : messages)
     channels_[static_cast<std::size_t>(topic)].publish({message, origin_ns, sequence});
+}
+
+Status Engine::open_recorder() {
+  if (session_.record.empty()) return {};
+  XAUTO_ASSIGN(auto recorder, record::Recorder::create(session_.record));
+  recorder_.emplace(std::move(recorder));
+  recorded_topic_.assign(graph_.topics.size(), 0);
+  for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
+    const Graph::Topic& topic = graph_.topics[t];
+    if (topic.source < 0) continue;
+    if (topic.spec.encode == nullptr)
+      return fail(ErrorCode::kInvalid, "messages of type " + topic.spec.type_name + " cannot be recorded",
+                  "topic '" + topic.spec.name + "'", "specialise xauto::Codec for it");
+    XAUTO_ASSIGN(recorded_topic_[t],
+                 recorder_->add_topic({topic.spec.name, topic.spec.type_name, "xauto"}));
+  }
+  return {};
+}
+
+/// The first failure ends the recording, not the run; the report tells.
+void Engine::record(std::int64_t origin_ns,
+                    const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages) {
+  for (const auto& [topic, message] : messages) {
+    const auto t = static_cast<std::size_t>(topic);
+    Status done;
+    try {
+      const std::vector<std::byte> bytes = graph_.topics[t].spec.encode(message.get());
+      done = recorder_->write(recorded_topic_[t], origin_ns, bytes);
+    } catch (const std::exception& e) {
+      done = fail(ErrorCode::kIo, e.what(), session_.record);
+    }
+    if (done) continue;
+    note_ += (note_.empty() ? "" : "; ") + ("recording ended early: " + done.error().to_string());
+    log::warn("recording ended early: {}", done.error().to_string());
+    recorder_.reset();
+    return;
+  }
 }
 
 /// Releases a recording's messages: message k of each recorded source topic is release k. In lockstep, or

@@ -5,9 +5,11 @@
 
 #include <atomic>
 #include <memory>
+#include <optional>
 #include <vector>
 #include <xauto/result.h>
 
+#include "record/recording.h"
 #include "runtime/app_spec.h"
 #include "runtime/graph.h"
 #include "runtime/session.h"
@@ -44,6 +46,9 @@ class Engine final : public ModuleHost {
   [[nodiscard]] Status release_recorded();
   void release(std::int64_t origin_ns, std::uint64_t sequence,
                const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages);
+  [[nodiscard]] Status open_recorder();
+  void record(std::int64_t origin_ns,
+              const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages);
   bool wait_drained(std::int64_t timeout_ns);
   [[nodiscard]] RunReport report() const;
   [[nodiscard]] int xpu_of(const Graph::Node& node, std::uint32_t xnode) const;
@@ -59,6 +64,8 @@ class Engine final : public ModuleHost {
   std::vector<std::unique_ptr<Worker>> workers_;
   std::vector<std::uint32_t> xnode_of_;               ///< [graph node] -> index in app.json
   std::string note_;
+  std::optional<record::Recorder> recorder_;  ///< of the releasing thread
+  std::vector<std::size_t> recorded_topic_;   ///< [topic] -> the recorder's index
   std::atomic<bool> stop_{false};
 
   /// Counts of one module, written by whichever thread ends its activation (one at a time).

@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto simulate: what a policy does, to the microsecond, without running anything.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <iostream>
+#include <memory>
+#include <nlohmann/json.hpp>
+
+#include "model/json.h"
+#include "solver/simulate.h"
+#include "xauto/command.h"
+#include "xauto/run_app.h"
+
+namespace xauto::cli {
+namespace {
+
+using nlohmann::ordered_json;
+
+struct Flags {
+  std::string app, platform = "small", policy, model = "xauto", out;
+};
+
+Result<int> simulate(const Flags& flags, const Options& options) {
+  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
+  XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  const auto scheduling = *runtime::scheduling_from(flags.model);
+  std::optional<Policy> policy;
+  if (scheduling != runtime::Scheduling::kRos2) {
+    if (flags.policy.empty())
+      return fail(ErrorCode::kInvalid, "is needed unless --model ros2", "--policy");
+    XAUTO_ASSIGN(policy, load_policy(flags.policy, app, platform));
+  }
+  XAUTO_ASSIGN(const solver::Simulation s, predict(app, platform, scheduling, policy));
+
+  std::vector<std::size_t> order(app.xnodes.size());
+  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    return std::pair(s.start[a], a) < std::pair(s.start[b], b);
+  });
+  ordered_json xnodes = ordered_json::array();
+  std::string table = fmt::format("  {:<24}{:<8}{:>12}{:>12}\n", "XNode", "XPU", "start us", "finish us");
+  for (const std::size_t i : order) {
+    const std::string& xpu = platform.xpus[static_cast<std::size_t>(s.xpu[i])].id;
+    xnodes.push_back({{"name", app.xnodes[i].name}, {"xpu", xpu}, {"start_us", s.start[i]},
+                      {"finish_us", s.finish[i]}});
+    table += fmt::format("  {:<24}{:<8}{:>12}{:>12}\n", app.xnodes[i].name, xpu, s.start[i], s.finish[i]);
+  }
+  const std::string result = ordered_json{{"schema", "xauto.simulation"},
+                                          {"version", 1},
+                                          {"app", app.name},
+                                          {"platform", platform.name},
+                                          {"model", flags.model},
+                                          {"latency_us", s.makespan},
+                                          {"preemptions", s.preemptions},
+                                          {"xnodes", std::move(xnodes)}}
+                                 .dump(2) +
+                             "\n";
+  if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, result));
+  if (options.json)
+    std::cout << result;
+  else
+    std::cout << table << fmt::format("\n  {} on {}, {}: latency {:.3f} ms, {} preemptions\n", app.name,
+                                      platform.name, flags.model, static_cast<double>(s.makespan) / 1000,
+                                      s.preemptions);
+  return kDone;
+}
+
+}  // namespace
+
+void add_simulate(Commands& commands) {
+  auto flags = std::make_shared<Flags>();
+  CLI::App* verb = commands.add(
+      "simulate", "Simulate a policy, or the ROS 2 model, to the microsecond.",
+      "xauto simulate --app app.json --platform small --policy policy.json",
+      [flags](const Options& options) {
+        const auto status = simulate(*flags, options);
+        return status ? *status : report(status.error());
+      });
+  verb->add_option("--app", flags->app, "app.json")->required();
+  verb->add_option("--platform", flags->platform, "small, large, or a platform.json")->capture_default_str();
+  verb->add_option("--policy", flags->policy, "policy.json");
+  verb->add_option("--model", flags->model,
+                   "xauto: the policy; timeshare: its assignment, nobody schedules; ros2: everybody on his "
+                   "fastest XPU, nobody schedules")
+      ->check(CLI::IsMember({"xauto", "timeshare", "ros2"}))
+      ->capture_default_str();
+  verb->add_option("--out", flags->out, "write the result here");
+}
+
+}  // namespace xauto::cli
