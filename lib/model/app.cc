@@ -11,11 +11,16 @@
 namespace xauto {
 namespace {
 
-std::size_t at(int index) { return static_cast<std::size_t>(index); }
+std::size_t at(int index) {
+  return static_cast<std::size_t>(index);
+}
 
-std::string quoted(const std::string& name) { return "'" + name + "'"; }
+std::string quoted(const std::string& name) {
+  return "'" + name + "'";
+}
 
-/// XNodes of one cycle among those that a topological order leaves out, in order, first repeated at the end.
+/// XNodes of one cycle among those that a topological order leaves out, in order, first repeated at
+/// the end.
 std::string cycle_text(const AppSpec& app, const std::vector<int>& order) {
   std::vector<char> ordered(app.xnodes.size(), 0);
   for (const int i : order) ordered[at(i)] = 1;
@@ -127,12 +132,14 @@ std::string AppSpec::hash() const {
 
 Status validate(const AppSpec& app) {
   if (app.xnodes.empty() || app.xnodes.size() > kMaxXNodes)
-    return fail(ErrorCode::kInvalid, std::to_string(app.xnodes.size()) + " XNodes; 1 to " +
-                                         std::to_string(kMaxXNodes) + " are possible",
+    return fail(ErrorCode::kInvalid,
+                std::to_string(app.xnodes.size()) + " XNodes; 1 to " + std::to_string(kMaxXNodes) +
+                    " are possible",
                 "/xnodes");
   if (app.edges.size() > kMaxEdges)
-    return fail(ErrorCode::kInvalid, std::to_string(app.edges.size()) + " edges; at most " +
-                                         std::to_string(kMaxEdges) + " are possible",
+    return fail(ErrorCode::kInvalid,
+                std::to_string(app.edges.size()) + " edges; at most " + std::to_string(kMaxEdges) +
+                    " are possible",
                 "/edges");
   std::unordered_map<std::string_view, std::size_t> names;
   for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
@@ -140,8 +147,8 @@ Status validate(const AppSpec& app) {
     const std::string where = "/xnodes/" + std::to_string(i);
     if (x.name.empty()) return fail(ErrorCode::kInvalid, "an XNode needs a name", where + "/name");
     if (x.name.size() > kMaxNameBytes || x.module.size() > kMaxNameBytes)
-      return fail(ErrorCode::kInvalid, "a name is longer than " + std::to_string(kMaxNameBytes) + " bytes",
-                  where);
+      return fail(ErrorCode::kInvalid,
+                  "a name is longer than " + std::to_string(kMaxNameBytes) + " bytes", where);
     if (!names.try_emplace(x.name, i).second)
       return fail(ErrorCode::kInvalid, "two XNodes are called " + quoted(x.name), where + "/name");
     if (x.wcet_us.empty())
@@ -149,18 +156,20 @@ Status validate(const AppSpec& app) {
                   where + "/wcet_us", "give a WCET for at least one XPU type");
     for (const auto& [type, us] : x.wcet_us) {
       if (type.empty())
-        return fail(ErrorCode::kInvalid, "XNode " + quoted(x.name) + " has an XPU type without name",
+        return fail(ErrorCode::kInvalid,
+                    "XNode " + quoted(x.name) + " has an XPU type without name",
                     where + "/wcet_us");
       if (us < 1 || us > kMaxTimeUs)
         return fail(ErrorCode::kInvalid,
-                    "XNode " + quoted(x.name) + ": " + std::to_string(us) + " is not a WCET from 1 to " +
-                        std::to_string(kMaxTimeUs) + " us",
+                    "XNode " + quoted(x.name) + ": " + std::to_string(us) +
+                        " is not a WCET from 1 to " + std::to_string(kMaxTimeUs) + " us",
                     where + "/wcet_us/" + type);
     }
   }
   if (app.deadline_us && (*app.deadline_us < 1 || *app.deadline_us > kMaxTimeUs))
-    return fail(ErrorCode::kInvalid, std::to_string(*app.deadline_us) + " is not a deadline from 1 to " +
-                                         std::to_string(kMaxTimeUs) + " us",
+    return fail(ErrorCode::kInvalid,
+                std::to_string(*app.deadline_us) + " is not a deadline from 1 to " +
+                    std::to_string(kMaxTimeUs) + " us",
                 "/deadline_us");
   std::set<std::pair<int, int>> seen;
   for (std::size_t i = 0; i < app.edges.size(); ++i) {
@@ -169,11 +178,12 @@ Status validate(const AppSpec& app) {
     const auto known = [&](int x) { return x >= 0 && at(x) < app.xnodes.size(); };
     if (!known(u) || !known(v)) return fail(ErrorCode::kInvalid, "names an unknown XNode", where);
     if (u == v)
-      return fail(ErrorCode::kInvalid, "XNode " + quoted(app.xnodes[at(u)].name) + " precedes itself", where);
+      return fail(ErrorCode::kInvalid,
+                  "XNode " + quoted(app.xnodes[at(u)].name) + " precedes itself", where);
     if (!seen.insert({u, v}).second)
       return fail(ErrorCode::kInvalid,
-                  "edge " + quoted(app.xnodes[at(u)].name) + " -> " + quoted(app.xnodes[at(v)].name) +
-                      " is there twice",
+                  "edge " + quoted(app.xnodes[at(u)].name) + " -> " +
+                      quoted(app.xnodes[at(v)].name) + " is there twice",
                   where);
   }
   const std::vector<int> order = app.topological_order();
@@ -186,8 +196,9 @@ Status validate_on(const AppSpec& app, const Platform& platform) {
   const std::vector<std::string> types = platform.types();
   for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
     const XNodeSpec& x = app.xnodes[i];
-    const bool runs = std::any_of(types.begin(), types.end(),
-                                  [&](const std::string& type) { return x.wcet_us.contains(type); });
+    const bool runs = std::any_of(types.begin(), types.end(), [&](const std::string& type) {
+      return x.wcet_us.contains(type);
+    });
     if (runs) continue;
     std::string has;
     for (const auto& [type, us] : x.wcet_us) has += (has.empty() ? "" : ", ") + type;

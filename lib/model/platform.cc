@@ -50,29 +50,36 @@ Result<Platform> Platform::builtin(std::string_view name) {
 
 Status validate(const Platform& platform) {
   if (platform.xpus.empty() || platform.xpus.size() > kMaxXpus)
-    return fail(ErrorCode::kInvalid, std::to_string(platform.xpus.size()) + " XPUs; 1 to " +
-                                         std::to_string(kMaxXpus) + " are possible",
+    return fail(ErrorCode::kInvalid,
+                std::to_string(platform.xpus.size()) + " XPUs; 1 to " + std::to_string(kMaxXpus) +
+                    " are possible",
                 "/xpus");
   std::set<std::string> ids;
   for (std::size_t i = 0; i < platform.xpus.size(); ++i) {
     const Xpu& xpu = platform.xpus[i];
     const std::string at = "/xpus/" + std::to_string(i);
     if (xpu.id.empty()) return fail(ErrorCode::kInvalid, "an XPU needs a name", at + "/id");
-    if (xpu.type.empty()) return fail(ErrorCode::kInvalid, "XPU '" + xpu.id + "' needs a type", at + "/type");
+    if (xpu.type.empty())
+      return fail(ErrorCode::kInvalid, "XPU '" + xpu.id + "' needs a type", at + "/type");
     if (!ids.insert(xpu.id).second)
       return fail(ErrorCode::kInvalid, "two XPUs are called '" + xpu.id + "'", at + "/id");
-    const auto in_range = [](std::int64_t us, std::int64_t low) { return us >= low && us <= kMaxTimeUs; };
+    const auto in_range = [](std::int64_t us, std::int64_t low) {
+      return us >= low && us <= kMaxTimeUs;
+    };
     if (!in_range(xpu.preempt_us, 0))
-      return fail(ErrorCode::kInvalid, std::to_string(xpu.preempt_us) + " is not a time from 0 to " +
-                                           std::to_string(kMaxTimeUs) + " us",
+      return fail(ErrorCode::kInvalid,
+                  std::to_string(xpu.preempt_us) + " is not a time from 0 to " +
+                      std::to_string(kMaxTimeUs) + " us",
                   at + "/preempt_us");
     if (!in_range(xpu.timeslice_us, 0))
-      return fail(ErrorCode::kInvalid, std::to_string(xpu.timeslice_us) + " is not a time from 0 to " +
-                                           std::to_string(kMaxTimeUs) + " us",
+      return fail(ErrorCode::kInvalid,
+                  std::to_string(xpu.timeslice_us) + " is not a time from 0 to " +
+                      std::to_string(kMaxTimeUs) + " us",
                   at + "/timeslice_us");
     if (!in_range(xpu.switch_us, -1))
-      return fail(ErrorCode::kInvalid, std::to_string(xpu.switch_us) + " is not a time from 0 to " +
-                                           std::to_string(kMaxTimeUs) + " us",
+      return fail(ErrorCode::kInvalid,
+                  std::to_string(xpu.switch_us) + " is not a time from 0 to " +
+                      std::to_string(kMaxTimeUs) + " us",
                   at + "/switch_us");
   }
   return {};

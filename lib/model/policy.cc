@@ -7,7 +7,9 @@
 namespace xauto {
 namespace {
 
-std::size_t at(int index) { return static_cast<std::size_t>(index); }
+std::size_t at(int index) {
+  return static_cast<std::size_t>(index);
+}
 
 Status check_placements(const Policy& policy, const AppSpec& app, const Platform& platform) {
   if (policy.placements.size() != app.xnodes.size())
@@ -19,26 +21,31 @@ Status check_placements(const Policy& policy, const AppSpec& app, const Platform
   for (std::size_t i = 0; i < policy.placements.size(); ++i) {
     const Placement& p = policy.placements[i];
     const std::string& name = app.xnodes[i].name;
-    const std::string where = "XNode '" + name + "'";
+    const std::string where = "/xnodes/" + std::to_string(i);
+    const std::string who = "XNode '" + name + "' ";
     if (p.xpu < 0 || at(p.xpu) >= platform.xpus.size())
-      return fail(ErrorCode::kInvalid, "is on no XPU of platform '" + platform.name + "'", where);
+      return fail(ErrorCode::kInvalid, who + "is on no XPU of platform '" + platform.name + "'",
+                  where + "/xpu");
     const Xpu& xpu = platform.xpus[at(p.xpu)];
     if (!app.xnodes[i].wcet_on(xpu.type))
       return fail(ErrorCode::kInvalid,
-                  "is on " + xpu.id + " but has no implementation for '" + xpu.type + "'", where);
+                  who + "is on " + xpu.id + " but has no implementation for '" + xpu.type + "'",
+                  where + "/xpu");
     if (p.priority < -kMaxTimeUs || p.priority > kMaxTimeUs)
-      return fail(ErrorCode::kInvalid, "priority " + std::to_string(p.priority) + " is out of range", where);
+      return fail(ErrorCode::kInvalid,
+                  who + "has priority " + std::to_string(p.priority) + ", out of range",
+                  where + "/priority");
     const auto [other, added] = priorities.try_emplace({p.xpu, p.priority}, i);
     if (!added)
       return fail(ErrorCode::kInvalid,
-                  "has priority " + std::to_string(p.priority) + " on " + xpu.id + ", as '" +
+                  who + "has priority " + std::to_string(p.priority) + " on " + xpu.id + ", as '" +
                       app.xnodes[other->second].name + "' has",
-                  where, "priorities are unique per XPU instance");
+                  where + "/priority", "priorities are unique per XPU instance");
     if (p.start_us < 0 || p.finish_us < p.start_us || p.finish_us > kMaxTimeUs)
       return fail(ErrorCode::kInvalid,
-                  "start " + std::to_string(p.start_us) + " us and finish " +
-                      std::to_string(p.finish_us) + " us make no interval",
-                  where);
+                  who + "has start " + std::to_string(p.start_us) + " us and finish " +
+                      std::to_string(p.finish_us) + " us, which make no interval",
+                  where + "/finish_us");
   }
   return {};
 }
@@ -54,27 +61,30 @@ Status check_order(const Policy& policy, const AppSpec& app) {
     const std::string where = "/order/" + std::to_string(i);
     if (u < 0 || v < 0 || at(u) >= app.xnodes.size() || at(v) >= app.xnodes.size())
       return fail(ErrorCode::kInvalid, "names an unknown XNode", where);
-    const std::string pair = "'" + app.xnodes[at(u)].name + "' before '" + app.xnodes[at(v)].name + "'";
+    const std::string pair =
+        "'" + app.xnodes[at(u)].name + "' before '" + app.xnodes[at(v)].name + "'";
     if (u == v) return fail(ErrorCode::kInvalid, pair + " cannot be", where);
     if (policy.placements[at(u)].xpu != policy.placements[at(v)].xpu)
       return fail(ErrorCode::kInvalid, pair + ": they are on different XPUs", where,
                   "run-time order is between XNodes of one XPU");
-    if (!seen.insert({u, v}).second) return fail(ErrorCode::kInvalid, pair + " is there twice", where);
+    if (!seen.insert({u, v}).second)
+      return fail(ErrorCode::kInvalid, pair + " is there twice", where);
     both.edges.emplace_back(u, v);
   }
   if (both.topological_order().size() != app.xnodes.size())
-    return fail(ErrorCode::kInvalid, "the order and the app's edges form a cycle: the app would hang",
-                "/order");
+    return fail(ErrorCode::kInvalid,
+                "the order and the app's edges form a cycle: the app would hang", "/order");
   return {};
 }
 
 }  // namespace
 
 Status validate(const Policy& policy, const AppSpec& app, const Platform& platform) {
-  const std::string hint = "solve again: `xauto solve --app app.json --platform ... --out policy.json`";
+  const std::string hint =
+      "solve again: `xauto solve --app app.json --platform ... --out policy.json`";
   if (policy.app != app.name)
-    return fail(ErrorCode::kInvalid, "is for app '" + policy.app + "', this is '" + app.name + "'", "/app",
-                hint);
+    return fail(ErrorCode::kInvalid, "is for app '" + policy.app + "', this is '" + app.name + "'",
+                "/app", hint);
   if (policy.app_hash != app.hash())
     return fail(ErrorCode::kInvalid,
                 "is '" + policy.app_hash + "', the app's is '" + app.hash() +
@@ -84,7 +94,8 @@ Status validate(const Policy& policy, const AppSpec& app, const Platform& platfo
   XAUTO_TRY(check_order(policy, app));
   const auto is_time = [](std::int64_t us) { return us >= 0 && us <= kMaxTimeUs; };
   if (!is_time(policy.latency_us))
-    return fail(ErrorCode::kInvalid, std::to_string(policy.latency_us) + " is no latency", "/latency_us");
+    return fail(ErrorCode::kInvalid, std::to_string(policy.latency_us) + " is no latency",
+                "/latency_us");
   if (!is_time(policy.lower_bound_us))
     return fail(ErrorCode::kInvalid, std::to_string(policy.lower_bound_us) + " is no bound",
                 "/lower_bound_us");

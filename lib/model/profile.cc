@@ -23,11 +23,13 @@ std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct)
 
 Status validate(const Profile& profile) {
   if (profile.margin_pct < 0 || profile.margin_pct > 1000)
-    return fail(ErrorCode::kInvalid, std::to_string(profile.margin_pct) + " is not a margin from 0 to 1000 %",
+    return fail(ErrorCode::kInvalid,
+                std::to_string(profile.margin_pct) + " is not a margin from 0 to 1000 %",
                 "/margin_pct");
   if (profile.xnodes.empty() || profile.xnodes.size() > kMaxXNodes)
-    return fail(ErrorCode::kInvalid, std::to_string(profile.xnodes.size()) + " XNodes; 1 to " +
-                                         std::to_string(kMaxXNodes) + " are possible",
+    return fail(ErrorCode::kInvalid,
+                std::to_string(profile.xnodes.size()) + " XNodes; 1 to " +
+                    std::to_string(kMaxXNodes) + " are possible",
                 "/xnodes");
   std::set<std::string> names;
   for (std::size_t i = 0; i < profile.xnodes.size(); ++i) {
@@ -41,7 +43,8 @@ Status validate(const Profile& profile) {
       if (s.count < 1) return fail(ErrorCode::kInvalid, "no samples", place + "/count");
       if (s.min_us < 0 || s.max_us > kMaxTimeUs || s.min_us > s.p50_us || s.p50_us > s.p99_us ||
           s.p99_us > s.max_us)
-        return fail(ErrorCode::kInvalid, "XNode '" + x.name + "': min, p50, p99, max do not ascend", place);
+        return fail(ErrorCode::kInvalid, "XNode '" + x.name + "': min, p50, p99, max do not ascend",
+                    place);
     }
   }
   for (std::size_t i = 0; i < profile.edges.size(); ++i)

@@ -1,0 +1,333 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "model/json_document.h"
+
+#include <algorithm>
+#include <set>
+#include <vector>
+
+#include "model/app.h"
+#include "model/json.h"
+
+namespace xauto::json_document {
+namespace {
+
+using nlohmann::json;
+using nlohmann::ordered_json;
+
+constexpr std::size_t kMaxShown = 60;    // bytes of a value or key that a message repeats
+constexpr std::size_t kLineWidth = 100;  // of files that we write
+
+/// `text` as it may stand in a message: cut, control characters and quotes escaped, ASCII.
+std::string shown(const std::string& text) {
+  std::string quoted =
+      json(text.substr(0, kMaxShown)).dump(-1, ' ', true, json::error_handler_t::replace);
+  if (text.size() > kMaxShown) quoted = quoted.substr(0, quoted.size() - 1) + "...\"";
+  return quoted;
+}
+
+std::string shown(const json& value) {
+  if (value.is_string()) return shown(value.get_ref<const std::string&>());
+  if (value.is_object()) return "an object";
+  if (value.is_array()) return "an array";
+  return value.dump();
+}
+
+/// One step of a JSON pointer (RFC 6901), cut if it is endless.
+std::string step(const std::string& key) {
+  std::string escaped;
+  for (const char c : key.substr(0, kMaxShown)) {
+    if (c == '~')
+      escaped += "~0";
+    else if (c == '/')
+      escaped += "~1";
+    else
+      escaped += static_cast<unsigned char>(c) < 0x20 || c == 0x7f ? '?' : c;
+  }
+  // A cut may have gone through a character of several bytes: drop what is left of it.
+  if (key.size() > kMaxShown) {
+    while (!escaped.empty() && (static_cast<unsigned char>(escaped.back()) & 0xc0) == 0x80)
+      escaped.pop_back();
+    if (!escaped.empty() && (static_cast<unsigned char>(escaped.back()) & 0x80) != 0)
+      escaped.pop_back();
+    escaped += "...";
+  }
+  return "/" + escaped;
+}
+
+/// Watches a parse for what nlohmann's own parser lets pass. Holds one frame per open array or
+/// object.
+class Guard {
+ public:
+  struct Refusal {
+    std::string what, path;
+  };
+
+  bool operator()(int /*depth*/, json::parse_event_t event, json& parsed) {
+    using Event = json::parse_event_t;
+    switch (event) {
+      case Event::object_start:
+      case Event::array_start:
+        count();
+        if (frames_.size() >= static_cast<std::size_t>(kMaxJsonDepth))
+          throw Refusal{"is nested deeper than " + std::to_string(kMaxJsonDepth), path()};
+        frames_.push_back({event == Event::array_start, 0, {}, {}});
+        break;
+      case Event::object_end:
+      case Event::array_end:
+        frames_.pop_back();
+        after_value();
+        break;
+      case Event::key: {
+        const std::string& key = parsed.get_ref<const std::string&>();
+        Frame& frame = frames_.back();
+        if (!frame.keys.insert(key).second)
+          throw Refusal{"key " + shown(key) + " is there twice", path()};
+        frame.key = key;
+        break;
+      }
+      case Event::value:
+        count();
+        after_value();
+        break;
+    }
+    return true;
+  }
+
+ private:
+  struct Frame {
+    bool array;
+    std::size_t index;           // of the array element being read
+    std::string key;             // of the object member being read
+    std::set<std::string> keys;  // seen in this object
+  };
+
+  void count() const {
+    if (++values_ > kMaxValues)
+      throw Refusal{"has more than " + std::to_string(kMaxValues) + " values", {}};
+  }
+  void after_value() {
+    if (frames_.empty()) return;
+    Frame& frame = frames_.back();
+    if (frame.array) ++frame.index;
+    frame.key.clear();
+  }
+  [[nodiscard]] std::string path() const {
+    std::string text;
+    for (const Frame& frame : frames_) {
+      if (frame.array)
+        text += "/" + std::to_string(frame.index);
+      else if (!frame.key.empty())
+        text += step(frame.key);
+    }
+    return text;
+  }
+
+  std::vector<Frame> frames_;
+  mutable std::size_t values_ = 0;
+};
+
+/// nlohmann's "[json.exception.parse_error.101] parse error at line 3, column 7: syntax error while
+/// …; last read: '…'" without its own name and without repeating a token of any length or encoding.
+std::string explain(std::string what) {
+  if (const std::size_t line = what.find("at line"); line != std::string::npos)
+    what = "is not JSON " + what.substr(line);
+  else if (const std::size_t bracket = what.find("] "); bracket != std::string::npos)
+    what = "is not JSON: " + what.substr(bracket + 2);
+  const bool plain =
+      std::all_of(what.begin(), what.end(), [](unsigned char c) { return c >= 0x20 && c < 0x7f; });
+  if (const std::size_t token = what.find("; last read: "); token != std::string::npos) {
+    const std::size_t expected = what.rfind("; expected ");
+    const std::string tail =
+        expected != std::string::npos && expected > token ? what.substr(expected) : "";
+    if (!plain || what.size() - token - tail.size() > kMaxShown)
+      what = what.substr(0, token) + tail;
+  }
+  for (char& c : what)
+    if (static_cast<unsigned char>(c) < 0x20 || static_cast<unsigned char>(c) >= 0x7f) c = '?';
+  if (what.size() > 300) what = what.substr(0, 297) + "...";
+  return what;
+}
+
+std::string place(const std::string& origin, const std::string& path) {
+  return path.empty() ? origin : origin + ": " + path;
+}
+
+// ---- writing ----
+
+std::string one_line(const ordered_json& value) {
+  if (!value.is_structured())
+    return value.dump(-1, ' ', false, ordered_json::error_handler_t::replace);
+  if (value.empty()) return value.is_object() ? "{}" : "[]";
+  std::string text = value.is_object() ? "{ " : "[";
+  bool first = true;
+  for (auto item = value.begin(); item != value.end(); ++item) {
+    if (!first) text += ", ";
+    first = false;
+    if (value.is_object()) text += one_line(ordered_json(item.key())) + ": ";
+    text += one_line(*item);
+  }
+  return text + (value.is_object() ? " }" : "]");
+}
+
+void write(std::string& out, const ordered_json& value, std::size_t indent, bool top) {
+  // The elements of a list of structures get a line each, however short: diffs stay readable.
+  const bool list = value.is_array() && !value.empty() && value.front().is_structured();
+  if (!value.is_structured() || (!top && !list)) {
+    const std::string line = one_line(value);
+    if (!value.is_structured() || indent + line.size() <= kLineWidth) {
+      out += line;
+      return;
+    }
+  }
+  out += value.is_object() ? "{" : "[";
+  bool first = true;
+  for (auto item = value.begin(); item != value.end(); ++item) {
+    out += first ? "\n" : ",\n";
+    first = false;
+    out.append(indent + 2, ' ');
+    if (value.is_object()) out += one_line(ordered_json(item.key())) + ": ";
+    write(out, *item, indent + 2, false);
+  }
+  if (!first) out.append("\n").append(indent, ' ');
+  out += value.is_object() ? "}" : "]";
+}
+
+}  // namespace
+
+Result<json> parse(std::string_view text, std::string_view origin) {
+  if (text.size() > kMaxFileBytes)
+    return fail(ErrorCode::kInvalid, "is longer than " + std::to_string(kMaxFileBytes) + " bytes",
+                std::string(origin));
+  try {
+    Guard guard;
+    return json::parse(text.begin(), text.end(), std::ref(guard));
+  } catch (const Guard::Refusal& refusal) {
+    return fail(ErrorCode::kInvalid, refusal.what, place(std::string(origin), refusal.path));
+  } catch (const std::exception& e) {
+    return fail(ErrorCode::kInvalid, explain(e.what()), std::string(origin));
+  }
+}
+
+std::string to_text(const ordered_json& document) {
+  std::string out;
+  write(out, document, 0, true);
+  return out + "\n";
+}
+
+// ---- Reader ----
+
+Status Reader::Context::status() const {
+  if (error) return tl::unexpected<Error>(*error);
+  return {};
+}
+
+void Reader::refuse(std::string what, std::string hint) const {
+  if (failed()) return;
+  context_.error =
+      Error{ErrorCode::kInvalid, std::move(what), place(context_.origin, path_), std::move(hint)};
+}
+
+bool Reader::has(const char* key) const {
+  if (value_ == nullptr || !value_->is_object()) return false;
+  const auto found = value_->find(key);
+  return found != value_->end() && !found->is_null();
+}
+
+Reader Reader::operator[](const char* key) const {
+  const json* found = nullptr;
+  if (value_ != nullptr && !value_->is_object()) {
+    refuse("must be an object, is " + shown(*value_));
+  } else if (value_ != nullptr) {
+    const auto member = value_->find(key);
+    if (member == value_->end())
+      refuse("key \"" + std::string(key) + "\" is missing");
+    else
+      found = &*member;
+  }
+  return below(key, failed() ? nullptr : found);
+}
+
+Reader Reader::below(const std::string& key, const json* value) const {
+  return {context_, value, path_ + step(key)};
+}
+
+bool Reader::is_array(std::size_t limit) const {
+  if (value_ == nullptr) return false;
+  if (!value_->is_array())
+    refuse("must be an array, is " + shown(*value_));
+  else if (value_->size() > limit)
+    refuse("has " + std::to_string(value_->size()) + " elements, at most " + std::to_string(limit) +
+           " are possible");
+  return !failed();
+}
+
+bool Reader::is_object(std::size_t limit) const {
+  if (value_ == nullptr) return false;
+  if (!value_->is_object())
+    refuse("must be an object, is " + shown(*value_));
+  else if (value_->size() > limit)
+    refuse("has " + std::to_string(value_->size()) + " members, at most " + std::to_string(limit) +
+           " are possible");
+  return !failed();
+}
+
+bool Reader::is_name(const std::string& text) const {
+  if (text.size() > kMaxNameBytes) {
+    refuse("name " + shown(text) + " is longer than " + std::to_string(kMaxNameBytes) + " bytes");
+  } else if (std::any_of(text.begin(), text.end(),
+                         [](unsigned char c) { return c < 0x20 || c == 0x7f; })) {
+    refuse("name " + shown(text) + " has a control character");
+  }
+  return !failed();
+}
+
+std::string Reader::text() const {
+  if (value_ == nullptr) return {};
+  if (!value_->is_string()) {
+    refuse("must be a string, is " + shown(*value_));
+    return {};
+  }
+  const auto& string = value_->get_ref<const std::string&>();
+  return is_name(string) ? string : std::string();
+}
+
+bool Reader::boolean() const {
+  if (value_ == nullptr) return false;
+  if (!value_->is_boolean()) {
+    refuse("must be true or false, is " + shown(*value_));
+    return false;
+  }
+  return value_->get<bool>();
+}
+
+std::int64_t Reader::integer(std::int64_t low, std::int64_t high) const {
+  if (value_ == nullptr) return low;
+  const bool fits = value_->is_number_unsigned()
+                        ? value_->get<std::uint64_t>() <= static_cast<std::uint64_t>(INT64_MAX)
+                        : value_->is_number_integer();
+  if (fits) {
+    const auto number = value_->get<std::int64_t>();
+    if (number >= low && number <= high) return number;
+  }
+  refuse("must be an integer from " + std::to_string(low) + " to " + std::to_string(high) +
+         ", is " + shown(*value_));
+  return low;
+}
+
+std::int64_t Reader::time() const {
+  return integer(0, kMaxTimeUs);
+}
+
+void Reader::expect(const char* schema) const {
+  const Reader given = (*this)["schema"];
+  const std::string name = given.text();
+  if (!failed() && name != schema)
+    given.refuse("is " + shown(name) + ", expected \"" + schema + "\"", "is this the right file?");
+  const Reader version = (*this)["version"];
+  const std::int64_t number = version.integer(0, INT32_MAX);
+  if (!failed() && number != 1)
+    version.refuse("is " + std::to_string(number) + ", this program reads version 1",
+                   "update xauto, or write the file again with this version");
+}
+
+}  // namespace xauto::json_document

@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+// Private to lib/model: a JSON text as a document, read with suspicion. `parse` bounds what a file
+// may hold at all; `Reader` is the cursor with which json.cc takes values out and refuses what is
+// wrong with file, JSON pointer, value and cause. nlohmann's exceptions end here.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include <nlohmann/json.hpp>
+
+#include <xauto/result.h>
+
+namespace xauto::json_document {
+
+/// Values (numbers, texts, arrays, objects, ...) in one file: bounds the memory of a parsed
+/// document. The largest app (kMaxEdges) has about six million.
+inline constexpr std::size_t kMaxValues = 8'000'000;
+
+/// Refuses, on top of what is not JSON: too long, too deep, too many values, a key twice in one
+/// object.
+[[nodiscard]] Result<nlohmann::json> parse(std::string_view text, std::string_view origin);
+
+/// For people: two spaces of indent, what fits into one line on one line; ends with a newline. Key
+/// order is the document's.
+[[nodiscard]] std::string to_text(const nlohmann::ordered_json& document);
+
+/// Cursor into a document. The first error sticks; reads after it give neutral values, so that the
+/// code using it needs no check per key: it asks the context for its status once at the end.
+class Reader {
+ public:
+  struct Context {
+    std::string origin;
+    std::optional<Error> error;
+    [[nodiscard]] Status status() const;
+  };
+
+  Reader(Context& context, const nlohmann::json* value, std::string path)
+      : context_(context), value_(value), path_(std::move(path)) {}
+
+  [[nodiscard]] bool failed() const { return context_.error.has_value(); }
+  void refuse(std::string what, std::string hint = {}) const;
+
+  /// There and not null: optional keys may be null.
+  [[nodiscard]] bool has(const char* key) const;
+  [[nodiscard]] Reader operator[](const char* key) const;
+
+  /// each(index, Reader), of an array of at most `limit` elements.
+  template <class Each>
+  void each_element(std::size_t limit, Each each) const {
+    if (!is_array(limit)) return;
+    for (std::size_t i = 0; i < value_->size() && !failed(); ++i)
+      each(i, Reader(context_, &(*value_)[i], path_ + "/" + std::to_string(i)));
+  }
+  /// each(key, Reader), of an object of at most `limit` members, in the order of the keys' bytes.
+  template <class Each>
+  void each_member(std::size_t limit, Each each) const {
+    if (!is_object(limit)) return;
+    for (auto member = value_->begin(); member != value_->end() && !failed(); ++member)
+      if (is_name(member.key())) each(member.key(), below(member.key(), &member.value()));
+  }
+  /// A name: valid UTF-8 (checked by the parser), at most kMaxNameBytes, no control characters.
+  [[nodiscard]] std::string text() const;
+  [[nodiscard]] bool boolean() const;
+  [[nodiscard]] std::int64_t integer(std::int64_t low, std::int64_t high) const;
+  [[nodiscard]] std::int64_t time() const;  ///< integer from 0 to kMaxTimeUs
+
+  /// "schema" and "version" 1: the file says what it is.
+  void expect(const char* schema) const;
+
+ private:
+  [[nodiscard]] bool is_array(std::size_t limit) const;
+  [[nodiscard]] bool is_object(std::size_t limit) const;
+  [[nodiscard]] bool is_name(const std::string& text) const;
+  [[nodiscard]] Reader below(const std::string& key, const nlohmann::json* value) const;
+
+  Context& context_;
+  const nlohmann::json* value_;  ///< null after an error
+  std::string path_;             ///< JSON pointer (RFC 6901)
+};
+
+}  // namespace xauto::json_document
