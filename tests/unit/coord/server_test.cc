@@ -1,0 +1,274 @@
+// SPDX-License-Identifier: Apache-2.0
+// Real ports against a real server in another thread: shared memory, sockets, doorbells, death.
+#include "coord/server.h"
+
+#include <gtest/gtest.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <random>
+#include <thread>
+
+#include "base/socket.h"
+#include "coord/port.h"
+#include "coord/protocol.h"
+
+namespace xauto::coord {
+namespace {
+
+std::string unique_address() {
+  static std::atomic<int> count{0};
+  return "xauto-test/" + std::to_string(getpid()) + "-" + std::to_string(count.fetch_add(1)) + "/gpu0";
+}
+
+/// A coordinator in a thread.
+class Running {
+ public:
+  explicit Running(Discipline discipline, std::vector<std::pair<std::uint32_t, std::uint32_t>> order = {})
+      : address_(unique_address()), order_(std::move(order)), stop_(eventfd(0, EFD_CLOEXEC)) {
+    auto server = Server::create({address_, "gpu0", discipline, std::vector<std::string>(16, "node"), order_});
+    EXPECT_TRUE(server) << server.error().to_string();
+    server_ = std::move(*server);
+    thread_ = std::thread([this] { EXPECT_TRUE(server_->run(stop_.get())); });
+  }
+  ~Running() { end(); }
+  void end() {
+    if (!thread_.joinable()) return;
+    signal_eventfd(stop_.get());
+    thread_.join();
+    server_.reset();  // its sockets close: to the ports, this is death
+  }
+  std::unique_ptr<Port> port(std::uint32_t xnode) {
+    auto port = Port::connect(address_, "worker" + std::to_string(xnode), {xnode}, order_);
+    EXPECT_TRUE(port) << port.error().to_string();
+    return std::move(*port);
+  }
+  [[nodiscard]] const std::string& address() const { return address_; }
+
+ private:
+  std::string address_;
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> order_;
+  UniqueFd stop_;
+  std::unique_ptr<Server> server_;
+  std::thread thread_;
+};
+
+/// A worker's management thread that obeys at once and counts.
+class Obedient {
+ public:
+  explicit Obedient(Port& port) : port_(port), thread_([this] {
+      for (;;) {
+        switch (port_.wait_command()) {
+          case Command::kSuspend:
+            suspended.store(true);
+            suspends.fetch_add(1);
+            port_.acknowledge(true);
+            break;
+          case Command::kResume:
+            suspended.store(false);
+            port_.acknowledge(true);
+            break;
+          case Command::kLost:
+            suspended.store(false);
+            break;
+          case Command::kInterrupted:
+            return;
+        }
+      }
+    }) {}
+  ~Obedient() {
+    port_.interrupt();
+    thread_.join();
+  }
+  std::atomic<bool> suspended{false};
+  std::atomic<int> suspends{0};
+
+ private:
+  Port& port_;
+  std::thread thread_;
+};
+
+void wait_for(const std::function<bool()>& condition) {
+  while (!condition()) std::this_thread::yield();  // the test's own time limit is the net
+}
+
+TEST(Server, UncontendedStartAndFinishNeedNoCoordinator) {
+  Running running(Discipline::kPreemptive);
+  const auto port = running.port(0);
+  running.end();  // nobody is there to decide
+  for (std::uint64_t i = 0; i < 1000; ++i) {
+    port->start({0, i, 1});
+    port->finish();
+  }
+}
+
+TEST(Server, MoreUrgentJobSuspendsTheRunningOneUntilItEnds) {
+  Running running(Discipline::kPreemptive);
+  const auto low = running.port(0), high = running.port(1);
+  Obedient low_mgmt(*low), high_mgmt(*high);
+  low->start({0, 0, 1});
+  high->start({1, 0, 2});
+  wait_for([&] { return low_mgmt.suspended.load(); });
+  high->finish();
+  wait_for([&] { return !low_mgmt.suspended.load(); });
+  low->finish();
+  EXPECT_EQ(low_mgmt.suspends.load(), 1);
+  EXPECT_EQ(high_mgmt.suspends.load(), 0);
+}
+
+TEST(Server, GateAdmitsOneAtATime) {
+  Running running(Discipline::kGate);
+  std::vector<std::unique_ptr<Port>> ports;
+  for (std::uint32_t i = 0; i < 4; ++i) ports.push_back(running.port(i));
+  std::atomic<int> inside{0}, most{0};
+  std::vector<std::thread> threads;
+  for (std::uint32_t i = 0; i < 4; ++i)
+    threads.emplace_back([&, i] {
+      for (std::uint64_t k = 0; k < 500; ++k) {
+        ports[i]->start({i, k, static_cast<std::int64_t>(i)});
+        const int now = inside.fetch_add(1) + 1;
+        if (now > most.load()) most.store(now);
+        if (k % 7 == i) std::this_thread::yield();
+        inside.fetch_sub(1);
+        ports[i]->finish();
+      }
+    });
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_EQ(most.load(), 1);
+}
+
+TEST(Server, NoStartIsLostUnderContention) {
+  Running running(Discipline::kPreemptive);
+  std::vector<std::unique_ptr<Port>> ports;
+  std::vector<std::unique_ptr<Obedient>> managers;
+  for (std::uint32_t i = 0; i < 5; ++i) {
+    ports.push_back(running.port(i));
+    managers.push_back(std::make_unique<Obedient>(*ports.back()));
+  }
+  std::atomic<std::uint64_t> done{0};
+  std::vector<std::thread> threads;
+  for (std::uint32_t i = 0; i < 5; ++i)
+    threads.emplace_back([&, i] {
+      std::mt19937 random(i);
+      for (std::uint64_t k = 0; k < 1000; ++k) {
+        ports[i]->start({i, k, static_cast<std::int64_t>(random() % 100)});
+        if (random() % 4 == 0) std::this_thread::yield();
+        ports[i]->finish();
+        done.fetch_add(1);
+      }
+    });
+  for (std::thread& thread : threads) thread.join();  // a lost START would hang here
+  EXPECT_EQ(done.load(), 5000u);
+  for (const auto& manager : managers) wait_for([&] { return !manager->suspended.load(); });
+}
+
+TEST(Server, OrderIsKeptAcrossWorkers) {
+  for (const Discipline d : {Discipline::kPreemptive, Discipline::kGate, Discipline::kKernel}) {
+    Running running(d, {{0, 1}});
+    const auto first = running.port(0), second = running.port(1);
+    Obedient first_mgmt(*first), second_mgmt(*second);
+    std::atomic<std::uint64_t> finished_first{0};
+    bool kept = true;
+    std::thread thread([&] {
+      for (std::uint64_t k = 0; k < 300; ++k) {
+        second->start({1, k, 9});
+        kept = kept && finished_first.load() > k;
+        second->finish();
+      }
+    });
+    for (std::uint64_t k = 0; k < 300; ++k) {
+      if (k % 3 == 0) std::this_thread::yield();
+      if (k % 50 == 49) {  // this one is dropped: nobody may wait for it
+        finished_first.store(k + 1);
+        first->skip(0, k);
+        continue;
+      }
+      first->start({0, k, 1});
+      finished_first.store(k + 1);
+      first->finish();
+    }
+    thread.join();
+    EXPECT_TRUE(kept);
+  }
+}
+
+TEST(Server, WorkerThatDiesWhileRunningLetsTheOthersRun) {
+  Running running(Discipline::kGate);
+  auto dying = running.port(0);
+  const auto waiting = running.port(1);
+  dying->start({0, 0, 1});
+  std::thread thread([&] {
+    waiting->start({1, 0, 1});
+    waiting->finish();
+  });
+  dying.reset();  // its socket closes, as when its process is killed
+  thread.join();
+}
+
+TEST(Server, CoordinatorThatDiesFreesWaitersAndSuspendedJobs) {
+  Running running(Discipline::kPreemptive);
+  const auto low = running.port(0), high = running.port(1), lowest = running.port(2);
+  Obedient low_mgmt(*low), high_mgmt(*high), lowest_mgmt(*lowest);
+  low->start({0, 0, 1});
+  high->start({1, 0, 2});
+  wait_for([&] { return low_mgmt.suspended.load(); });
+  std::thread thread([&] { lowest->start({2, 0, 0}); });
+  running.end();
+  thread.join();
+  wait_for([&] { return !low_mgmt.suspended.load(); });
+  high->finish();
+  low->finish();
+  lowest->finish();
+  EXPECT_TRUE(low->lost());
+}
+
+TEST(Server, TellsItsStateInWords) {
+  Running running(Discipline::kPreemptive);
+  const auto port = running.port(3);
+  port->start({3, 7, 5});
+  auto socket = connect_abstract(running.address());
+  ASSERT_TRUE(socket);
+  const auto kind = static_cast<std::uint32_t>(MessageKind::kStatus);
+  ASSERT_TRUE(send_packet(socket->get(), &kind, sizeof kind));
+  std::string text(kMaxStatusBytes, '\0');
+  const auto size = receive_packet(socket->get(), text.data(), text.size());
+  ASSERT_TRUE(size);
+  text.resize(*size);
+  EXPECT_NE(text.find("\"worker\":\"worker3\",\"state\":\"running\",\"xnode\":\"node\",\"job\":7,\"priority\":5"),
+            std::string::npos)
+      << text;
+  port->finish();
+}
+
+TEST(Server, RefusesWhatIsNoHello) {
+  Running running(Discipline::kPreemptive);
+  const auto refused = [&](const void* data, std::size_t bytes) {
+    auto socket = connect_abstract(running.address());
+    EXPECT_TRUE(socket);
+    EXPECT_TRUE(send_packet(socket->get(), data, bytes));
+    Refused answer;
+    const auto size = receive_packet(socket->get(), &answer, sizeof answer);
+    return !size || answer.kind == static_cast<std::uint32_t>(MessageKind::kRefused);
+  };
+  Hello hello;
+  hello.version = 99;
+  EXPECT_TRUE(refused(&hello, sizeof hello));
+  hello = {};
+  hello.num_xnodes = kMaxWorkerXNodes + 1;
+  EXPECT_TRUE(refused(&hello, sizeof hello));
+  hello = {};
+  hello.num_xnodes = 1;
+  hello.xnodes[0] = 16;  // the app has 0..15
+  EXPECT_TRUE(refused(&hello, sizeof hello));
+  hello = {};
+  std::fill(std::begin(hello.worker), std::end(hello.worker), 'x');
+  EXPECT_TRUE(refused(&hello, sizeof hello));
+  hello = {};
+  EXPECT_TRUE(refused(&hello, sizeof hello - 1));
+  EXPECT_TRUE(refused("?", 1));
+  EXPECT_TRUE(running.port(1));  // and it serves on
+}
+
+}  // namespace
+}  // namespace xauto::coord
