@@ -96,7 +96,9 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin) {
     });
     app.xnodes.push_back(std::move(spec));
   });
-  if (!root.failed()) app.edges = read_pairs(root["edges"], index_by_name(app.xnodes));
+  XAUTO_TRY(context.status());
+  XAUTO_TRY(in_file(validate(app), origin));  // before its XNodes are looked up by name
+  app.edges = read_pairs(root["edges"], index_by_name(app.xnodes));
   if (root.has("deadline_us")) app.deadline_us = root["deadline_us"].integer(1, kMaxTimeUs);
   XAUTO_TRY(context.status());
   XAUTO_TRY(in_file(validate(app), origin));
@@ -150,7 +152,9 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin) {
     });
     profile.xnodes.push_back(std::move(node));
   });
-  if (!root.failed()) profile.edges = read_pairs(root["edges"], index_by_name(profile.xnodes));
+  XAUTO_TRY(context.status());
+  XAUTO_TRY(in_file(validate(profile), origin));
+  profile.edges = read_pairs(root["edges"], index_by_name(profile.xnodes));
   XAUTO_TRY(context.status());
   XAUTO_TRY(in_file(validate(profile), origin));
   return profile;

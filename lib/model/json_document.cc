@@ -93,6 +93,18 @@ class Guard {
     return true;
   }
 
+  /// JSON pointer of what is being read.
+  [[nodiscard]] std::string path() const {
+    std::string text;
+    for (const Frame& frame : frames_) {
+      if (frame.array)
+        text += "/" + std::to_string(frame.index);
+      else if (!frame.key.empty())
+        text += step(frame.key);
+    }
+    return text;
+  }
+
  private:
   struct Frame {
     bool array;
@@ -111,17 +123,6 @@ class Guard {
     if (frame.array) ++frame.index;
     frame.key.clear();
   }
-  [[nodiscard]] std::string path() const {
-    std::string text;
-    for (const Frame& frame : frames_) {
-      if (frame.array)
-        text += "/" + std::to_string(frame.index);
-      else if (!frame.key.empty())
-        text += step(frame.key);
-    }
-    return text;
-  }
-
   std::vector<Frame> frames_;
   mutable std::size_t values_ = 0;
 };
@@ -198,13 +199,15 @@ Result<json> parse(std::string_view text, std::string_view origin) {
   if (text.size() > kMaxFileBytes)
     return fail(ErrorCode::kInvalid, "is longer than " + std::to_string(kMaxFileBytes) + " bytes",
                 std::string(origin));
+  Guard guard;
   try {
-    Guard guard;
     return json::parse(text.begin(), text.end(), std::ref(guard));
   } catch (const Guard::Refusal& refusal) {
     return fail(ErrorCode::kInvalid, refusal.what, place(std::string(origin), refusal.path));
-  } catch (const std::exception& e) {
+  } catch (const json::parse_error& e) {  // knows line and column
     return fail(ErrorCode::kInvalid, explain(e.what()), std::string(origin));
+  } catch (const std::exception& e) {
+    return fail(ErrorCode::kInvalid, explain(e.what()), place(std::string(origin), guard.path()));
   }
 }
 

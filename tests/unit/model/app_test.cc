@@ -1,0 +1,126 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "model/app.h"
+
+#include <gtest/gtest.h>
+
+#include "model/json.h"
+#include "model/profile.h"
+
+namespace xauto {
+namespace {
+
+AppSpec chain(int length) {
+  AppSpec app;
+  app.name = "chain";
+  for (int i = 0; i < length; ++i) {
+    app.xnodes.push_back({"n" + std::to_string(i), "M", {{"cpu", 100 + i}}});
+    if (i > 0) app.edges.emplace_back(i - 1, i);
+  }
+  return app;
+}
+
+TEST(AppSpec, TopologicalOrderTakesTheSmallestIndexFirst) {
+  AppSpec app = chain(1);
+  for (int i = 1; i < 5; ++i) app.xnodes.push_back({"n" + std::to_string(i), "M", {{"cpu", 1}}});
+  app.edges = {{4, 0}, {3, 1}};
+  EXPECT_EQ(app.topological_order(), (std::vector<int>{2, 3, 1, 4, 0}));
+}
+
+TEST(AppSpec, CycleIsNamedInTheDirectionOfItsEdges) {
+  AppSpec app = chain(5);
+  app.edges.emplace_back(3, 1);
+  const auto status = validate(app);
+  ASSERT_FALSE(status);
+  EXPECT_NE(status.error().what.find("'n1' -> 'n2' -> 'n3' -> 'n1'"), std::string::npos)
+      << status.error().what;
+  EXPECT_EQ(status.error().what.find("n4"), std::string::npos)
+      << "n4 is behind the cycle, not on it";
+}
+
+TEST(AppSpec, HashChangesWithEveryThingThatAPolicyDependsOn) {
+  const AppSpec app = chain(3);
+  std::vector<AppSpec> others(7, app);
+  others[0].name = "other";
+  others[1].xnodes[1].name = "m1";
+  others[2].xnodes[1].module = "N";
+  others[3].xnodes[1].wcet_us["cpu"] = 7;
+  others[4].xnodes[1].wcet_us["gpu"] = 7;
+  others[5].edges.pop_back();
+  others[6].deadline_us = 1000;
+  for (const AppSpec& other : others) EXPECT_NE(other.hash(), app.hash());
+  EXPECT_EQ(chain(3).hash(), app.hash());
+}
+
+TEST(AppSpec, HashKeepsNeighbouringNamesApart) {
+  AppSpec a = chain(1), b = chain(1);
+  a.xnodes[0].name = "ab", a.xnodes[0].module = "c";
+  b.xnodes[0].name = "a", b.xnodes[0].module = "bc";
+  EXPECT_NE(a.hash(), b.hash());
+}
+
+TEST(AppSpec, XNodeThatThePlatformCannotRunIsInfeasibleNotInvalid) {
+  AppSpec app = chain(2);
+  app.xnodes[1].wcet_us = {{"npu", 10}};
+  ASSERT_TRUE(validate(app));
+  const auto status = validate_on(app, Platform::builtin("small").value());
+  ASSERT_FALSE(status);
+  EXPECT_EQ(status.error().code, ErrorCode::kInfeasible);
+  EXPECT_NE(status.error().what.find("'n1' runs on npu only"), std::string::npos);
+}
+
+TEST(AppSpec, LimitsHold) {
+  AppSpec app = chain(2);
+  app.xnodes[0].wcet_us["cpu"] = kMaxTimeUs;
+  EXPECT_TRUE(validate(app));
+  app.xnodes[0].wcet_us["cpu"] = kMaxTimeUs + 1;
+  EXPECT_FALSE(validate(app));
+  EXPECT_FALSE(validate(chain(static_cast<int>(kMaxXNodes) + 1)));
+  app = chain(2);
+  app.edges = {{0, 2}};
+  EXPECT_FALSE(validate(app));
+  app.edges = {{-1, 0}};
+  EXPECT_FALSE(validate(app));
+}
+
+TEST(Platform, BuiltInsAreThePapers) {
+  const Platform small = Platform::builtin("small").value(),
+                 large = Platform::builtin("large").value();
+  EXPECT_EQ(small.instances_of("cpu").size(), 4u);
+  EXPECT_EQ(small.instances_of("gpu").size(), 1u);
+  EXPECT_EQ(small.instances_of("dla").size(), 1u);
+  EXPECT_EQ(large.instances_of("cpu").size(), 8u);
+  EXPECT_EQ(large.instances_of("dla").size(), 2u);
+  EXPECT_EQ(small.xpus[static_cast<std::size_t>(small.find("gpu0"))].preempt_us, 275);
+  EXPECT_EQ(small.xpus[static_cast<std::size_t>(small.find("dla0"))].preempt_us, 132);
+  EXPECT_TRUE(validate(small));
+  EXPECT_TRUE(validate(large));
+  EXPECT_FALSE(Platform::builtin("huge"));
+}
+
+TEST(Profile, WcetIsTheWorstInstancesMaxPlusMarginRoundedUp) {
+  const Platform platform = Platform::builtin("small").value();
+  Profile profile;
+  profile.app = "a";
+  profile.margin_pct = 20;
+  profile.xnodes = {
+      {"x",
+       "M",
+       {{"cpu0", {9, 1, 2, 3, 101}}, {"cpu1", {9, 1, 2, 4, 52}}, {"gpu0", {9, 0, 0, 0, 0}}}}};
+  const AppSpec app = to_app(profile, platform, WcetFrom::kMaxPlusMargin).value();
+  EXPECT_EQ(app.xnodes[0].wcet_on("cpu"), 122);  // 121.2
+  EXPECT_EQ(app.xnodes[0].wcet_on("gpu"), 1) << "an XNode takes at least a microsecond";
+  EXPECT_EQ(to_app(profile, platform, WcetFrom::kP99)->xnodes[0].wcet_on("cpu"), 4);
+  EXPECT_EQ(to_app(profile, platform, WcetFrom::kP50)->xnodes[0].wcet_on("cpu"), 2);
+}
+
+TEST(Profile, InstanceThatThePlatformLacksIsNamed) {
+  Profile profile;
+  profile.app = "a";
+  profile.xnodes = {{"x", "M", {{"npu3", {9, 1, 2, 3, 4}}}}};
+  const auto app = to_app(profile, Platform::builtin("small").value(), WcetFrom::kP99);
+  ASSERT_FALSE(app);
+  EXPECT_NE(app.error().to_string().find("npu3"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace xauto
