@@ -1,0 +1,241 @@
+// SPDX-License-Identifier: Apache-2.0
+// A whole app in this process, with real coordinators in threads: every job runs, in the policy's order,
+// faults of user code are contained, and everything is accounted for. No time is measured.
+#include "runtime/engine.h"
+
+#include <gtest/gtest.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+#include <xauto/xauto.h>
+
+#include <mutex>
+#include <thread>
+
+#include "base/memory_file.h"
+#include "base/socket.h"
+#include "coord/server.h"
+#include "runtime/supervisor.h"
+
+namespace xauto::runtime {
+namespace {
+
+using namespace std::chrono_literals;
+
+struct State {
+  int sum = 0;
+};
+
+/// camera -> A (a1 on cpu, a2 on npu) ┬-> C (c1 on npu, reads both)
+///         -> B (b1 on npu)           ┘
+class TestApp {
+ public:
+  TestApp() {
+    spec.name = "test";
+    const Topic<int> camera("camera"), a("a"), b("b"), c("c");
+    detail::SourceSpec source{detail::topic_spec(camera), 1ms, [](std::uint64_t k) -> std::shared_ptr<const void> {
+                                return std::make_shared<const int>(static_cast<int>(k));
+                              }};
+    spec.sources.push_back(source);
+    add("A", {"a1", "a2"}, {detail::topic_spec(camera)}, a);
+    add("B", {"b1"}, {detail::topic_spec(camera)}, b);
+    add("C", {"c1"}, {detail::topic_spec(a), detail::topic_spec(b)}, c);
+
+    session.platform.name = "test";
+    session.platform.xpus = {{"cpu0", "cpu"}, {"npu0", "npu", false}};
+    session.app.name = "test";
+    for (const char* name : {"a1", "a2", "b1", "c1"})
+      session.app.xnodes.push_back(
+          {name, std::string(1, static_cast<char>(std::toupper(name[0]))), {{name == std::string("a1") ? "cpu" : "npu", 10}}});
+    session.app.edges = {{0, 1}, {1, 3}, {2, 3}};
+    session.policy.placements = {{0, 4}, {1, 3}, {1, 2}, {1, 1}};
+    session.cpu_sched = CpuSched::kOther;
+    session.activations = 50;
+    session.lockstep = true;
+  }
+
+  /// Called in every exec, with the XNode's name and the activation's number.
+  std::function<Status(const std::string&, std::uint64_t)> exec = [](auto&&...) { return Status(); };
+
+  std::vector<std::string> log() {
+    const std::lock_guard lock(mutex_);
+    return log_;
+  }
+
+  Result<RunReport> run() {
+    std::vector<std::unique_ptr<coord::Server>> servers;
+    std::vector<std::thread> threads;
+    const UniqueFd stop(eventfd(0, EFD_CLOEXEC));
+    static std::atomic<int> runs{0};
+    if (session.scheduling == Scheduling::kXAuto) {
+      for (const Xpu& xpu : session.platform.xpus) {
+        const std::string address = "xauto-test/engine-" + std::to_string(getpid()) + "-" +
+                                    std::to_string(runs.fetch_add(1)) + "/" + xpu.id;
+        coord::ServerOptions options{address, xpu.id, discipline_of(xpu, false), {"a1", "a2", "b1", "c1"}, {}};
+        for (const auto& [u, v] : session.policy.order)
+          if (session.policy.placements[static_cast<std::size_t>(u)].xpu == session.platform.find(xpu.id))
+            options.order.emplace_back(u, v);
+        servers.push_back(std::move(*coord::Server::create(std::move(options))));
+        threads.emplace_back([server = servers.back().get(), &stop] { (void)server->run(stop.get()); });
+        session.coordinators[xpu.id] = address;
+      }
+    }
+    Result<RunReport> report = fail(ErrorCode::kInternal, "not run");
+    auto engine = Engine::create(spec, session);
+    if (engine)
+      report = (*engine)->run();
+    else
+      report = tl::unexpected<Error>(engine.error());
+    if (engine) engine->reset();
+    signal_eventfd(stop.get());
+    for (std::thread& thread : threads) thread.join();
+    return report;
+  }
+
+  detail::AppSpecErased spec;
+  Session session;
+
+ private:
+  void add(const std::string& name, const std::vector<std::string>& nodes, std::vector<detail::TopicSpec> inputs,
+           const Topic<int>& output) {
+    auto module = std::make_shared<detail::XModuleSpec>();
+    module->name = name;
+    module->make_state = []() -> std::shared_ptr<void> { return std::make_shared<State>(); };
+    for (const std::string& node : nodes) {
+      auto made = std::make_shared<detail::XNodeSpecErased>();
+      made->name = node;
+      for (const char* type : {"cpu", "npu"})
+        made->impls.push_back({XPU(type), [](const XpuId&) { return SchedHandle::gate(); },
+                               [this, node](void*, const Input& input) -> Status {
+                                 {
+                                   const std::lock_guard lock(mutex_);
+                                   log_.push_back(node + "#" + std::to_string(input.sequence()));
+                                 }
+                                 return exec(node, input.sequence());
+                               }});
+      module->nodes.push_back(made);
+    }
+    module->inputs = std::move(inputs);
+    module->outputs = {{detail::topic_spec(output), [](void*) { return std::make_shared<const int>(1); }}};
+    spec.modules.push_back(module);
+  }
+
+  std::mutex mutex_;
+  std::vector<std::string> log_;
+};
+
+std::uint64_t count(const std::vector<std::string>& log, const std::string& node) {
+  return static_cast<std::uint64_t>(
+      std::count_if(log.begin(), log.end(), [&](const std::string& l) { return l.rfind(node + "#", 0) == 0; }));
+}
+
+TEST(Engine, RunsEveryXNodeOfEveryRelease) {
+  for (const Scheduling scheduling : {Scheduling::kXAuto, Scheduling::kTimeshare, Scheduling::kRos2}) {
+    TestApp app;
+    app.session.scheduling = scheduling;
+    const auto report = app.run();
+    ASSERT_TRUE(report) << report.error().to_string();
+    EXPECT_TRUE(report->complete);
+    EXPECT_EQ(report->releases.size(), 50u);
+    for (const Release& release : report->releases) EXPECT_GE(release.latency_us, 0);
+    for (const char* node : {"a1", "a2", "b1", "c1"}) EXPECT_EQ(count(app.log(), node), 50u) << node;
+  }
+}
+
+TEST(Engine, OrderConstraintHoldsTheXNodeBackInEveryActivation) {
+  TestApp app;
+  app.session.policy.order = {{1, 2}};  // a2 before b1, though b1 is ready first
+  ASSERT_TRUE(app.run());
+  const auto log = app.log();
+  for (std::uint64_t k = 0; k < 50; ++k) {
+    const auto at = [&](const std::string& what) {
+      return std::find(log.begin(), log.end(), what + "#" + std::to_string(k)) - log.begin();
+    };
+    EXPECT_LT(at("a2"), at("b1")) << k;
+  }
+}
+
+TEST(Engine, ExceptionDropsTheActivationAndTheRestGoesOn) {
+  TestApp app;
+  app.session.policy.order = {{1, 2}};  // and nobody waits for the one that failed
+  app.exec = [](const std::string& node, std::uint64_t k) -> Status {
+    if (node == "a1" && k % 5 == 3) throw std::runtime_error("boom");
+    if (node == "b1" && k % 5 == 4) return fail(ErrorCode::kIo, "no frame");
+    if (node == "c1" && k == 10) throw 42;
+    return {};
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report);
+  EXPECT_TRUE(report->complete);
+  EXPECT_EQ(report->releases.size(), 50u);
+  std::uint64_t lost = 0;
+  for (const Release& release : report->releases) lost += release.latency_us < 0 ? 1 : 0;
+  EXPECT_EQ(lost, 21u);
+  EXPECT_EQ(report->modules[0].failed, 10u);
+  EXPECT_EQ(report->modules[1].failed, 10u);
+  EXPECT_EQ(report->modules[2].failed, 1u);
+  EXPECT_EQ(report->modules[2].dropped, 20u);
+  EXPECT_EQ(count(app.log(), "c1"), 30u);
+  EXPECT_NE(report->note.find("exec of XNode 'a1' on cpu0: threw: boom"), std::string::npos) << report->note;
+}
+
+TEST(Engine, FailingInitNamesTheXNode) {
+  TestApp app;
+  for (auto& impl : app.spec.modules[0]->nodes[1]->impls)
+    impl.init = [](const XpuId&) -> SchedHandle { throw std::runtime_error("no weights"); };
+  const auto report = app.run();
+  ASSERT_FALSE(report);
+  EXPECT_EQ(report.error().where, "init of XNode 'a2' on npu0");
+  EXPECT_EQ(report.error().what, "threw: no weights");
+}
+
+TEST(Engine, AssignmentWithoutImplementationNamesBoth) {
+  TestApp app;
+  auto& impls = app.spec.modules[1]->nodes[0]->impls;
+  std::erase_if(impls, [](const auto& impl) { return impl.xpu.type() == "npu"; });
+  const auto report = app.run();
+  ASSERT_FALSE(report);
+  EXPECT_NE(report.error().what.find("is assigned to npu0 but has no implementation for 'npu'"), std::string::npos);
+}
+
+TEST(Engine, RefusesAnAppThatIsNotTheSessions) {
+  TestApp app;
+  app.session.app.xnodes[2].module = "Z";
+  const auto report = app.run();
+  ASSERT_FALSE(report);
+  EXPECT_EQ(report.error().what, "XNode 'b1' is in XModule 'B', app.json says 'Z'");
+}
+
+TEST(Engine, OverrunsAreCountedAndNothingHangs) {
+  TestApp app;
+  app.session.lockstep = false;
+  app.session.activations = 40;
+  app.exec = [](const std::string& node, std::uint64_t) -> Status {
+    if (node == "c1") std::this_thread::sleep_for(3ms);  // the sources come every millisecond
+    return {};
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report);
+  EXPECT_TRUE(report->complete);
+  EXPECT_EQ(report->releases.size(), 40u);
+  const ModuleReport& c = report->modules[2];
+  EXPECT_EQ(c.activations + c.dropped, 40u);
+}
+
+TEST(Engine, TraceTellsEveryStepOfEveryJobInOrder) {
+  TestApp app;
+  const auto memory = make_memory_file("trace");
+  ASSERT_TRUE(memory);
+  app.session.trace_fd = memory->get();
+  app.session.trace_capacity = 10'000;
+  ASSERT_TRUE(app.run());
+  const auto trace = trace::read(memory->get());
+  ASSERT_TRUE(trace);
+  EXPECT_EQ(trace->lost, 0u);
+  std::vector<std::uint16_t> kinds;
+  for (const trace::Event& event : trace->events)
+    if (event.xnode == 0 && event.seq == 7) kinds.push_back(event.kind);
+  EXPECT_EQ(kinds, (std::vector<std::uint16_t>{XAUTO_EV_READY, XAUTO_EV_START, XAUTO_EV_RUN, XAUTO_EV_FINISH}));
+}
+
+}  // namespace
+}  // namespace xauto::runtime
