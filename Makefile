@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+# The front door. Every target does its own set-up (as root; otherwise it says what to install).
+#   make demo    the Driving Case on an emulated Orin under four policies: table, numbers, picture
+#   make check   everything that must pass
+JOBS ?= $(shell nproc)
+BUILD ?= build
+
+all: build
+
+build: setup
+	@cmake --preset release >$(BUILD)-configure.log 2>&1 || { cat $(BUILD)-configure.log; exit 1; }
+	@rm -f $(BUILD)-configure.log
+	@ninja -C build -j$(JOBS)
+
+demo:
+	@scripts/setup.sh build
+	@JOBS=$(JOBS) scripts/demo.sh
+
+pedestrians:
+	@scripts/setup.sh build pedestrians
+	@JOBS=$(JOBS) scripts/pedestrians.sh
+
+check:
+	@scripts/setup.sh build check pedestrians
+	@JOBS=$(JOBS) scripts/check.sh all
+
+# Parts of check, each by itself.
+style unit asan tsan fuzz:
+	@scripts/setup.sh build check pedestrians
+	@JOBS=$(JOBS) scripts/check.sh $@
+
+bench:
+	@scripts/setup.sh build bench
+	@JOBS=$(JOBS) scripts/bench.sh
+
+format:
+	@scripts/setup.sh check
+	@scripts/sources.sh | xargs clang-format -i
+
+tidy:
+	@scripts/setup.sh build check
+	@cmake --preset release >/dev/null
+	@scripts/sources.sh | grep '\.cc$$' | xargs clang-tidy -p build
+
+setup:
+	@scripts/setup.sh build
+
+clean:
+	@rm -rf build build-asan build-tsan build-fuzz
+
+.PHONY: all build demo pedestrians check style unit asan tsan fuzz bench format tidy setup clean

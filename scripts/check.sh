@@ -1,0 +1,90 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# What `make check` does: style, then the tests in a release build, under ASan+UBSan, and under TSan. Each
+# part runs by itself with `make style|unit|asan|tsan|fuzz`. The last line is the count over all parts.
+set -uo pipefail
+cd "$(dirname "$0")/.."
+jobs=${JOBS:-2}
+passed=0 failed=0
+started=$(date +%s)
+
+note() { echo "check: $* ($(($(date +%s) - started)) s)"; }
+
+# One check that is no ctest: counts as a test.
+one() {
+  local name=$1 log
+  shift
+  log=$(mktemp)
+  if "$@" >"$log" 2>&1; then
+    passed=$((passed + 1))
+  else
+    failed=$((failed + 1))
+    echo "check: FAILED: $name"
+    head -n 60 "$log"
+  fi
+  rm -f "$log"
+}
+
+build() {
+  local preset=$1 dir=$2
+  shift 2
+  note "build $preset"
+  if ! { cmake --preset "$preset" && ninja -C "$dir" -j"$jobs" "$@"; } >"build-$preset.log" 2>&1; then
+    grep -E 'error|warning|FAILED' -A 5 "build-$preset.log" | head -n 60
+    echo "check: the $preset build failed; its log is build-$preset.log"
+    failed=$((failed + 1))
+    return 1
+  fi
+}
+
+# ctest, with its JUnit report added to the count.
+tests() {
+  local dir=$1 report
+  shift
+  report=$PWD/$dir/junit.xml
+  rm -f "$report"
+  (cd "$dir" && ctest -j"$jobs" --output-on-failure --timeout 300 --output-junit "$report" "$@") |
+    grep -vE '^ *(Start |[0-9]+/[0-9]+ Test .*Passed)' || true
+  local total bad
+  total=$(sed -n 's/.*<testsuite .*tests="\([0-9]*\)".*/\1/p;s/^[[:space:]]*tests="\([0-9]*\)".*/\1/p' "$report" | head -n 1)
+  bad=$(grep -c '<failure' "$report" || true)
+  total=${total:-0}
+  if [ "$total" -eq 0 ]; then
+    echo "check: no test ran in $dir"
+    bad=1
+  fi
+  passed=$((passed + total - bad))
+  failed=$((failed + bad))
+}
+
+style() {
+  note "style"
+  one "clang-format" bash -c 'scripts/sources.sh | xargs clang-format --dry-run -Werror'
+  one "codespell" bash -c 'git ls-files | grep -vE "\.(db3|json|png|svg|expected)$|^LICENSES/|corpus/" | xargs codespell -L te,ot,nd,inout,dout,fo,ans,ser,fpr,thre,hist,tha,lod,tre,siz,parm,rcd,lastr'
+  one "SPDX lines" scripts/check-spdx.sh
+  one "paths named in the docs exist" scripts/check-doc-paths.sh
+}
+unit() { build ci build && { note "tests, release"; tests build; }; }
+asan() { build asan build-asan && { note "tests, ASan+UBSan"; tests build-asan -LE slow; }; }
+tsan() {
+  build tsan build-tsan test_base test_trace test_coord test_emu test_runtime &&
+    { note "tests, TSan"; tests build-tsan -R '^(base|trace|coord|emu|runtime)\.'; }
+}
+fuzz() { build asan build-asan && { note "fuzzers"; tests build-asan -L fuzz; }; }
+
+case ${1:-all} in
+  all)
+    style
+    unit
+    asan
+    tsan
+    ;;
+  style | unit | asan | tsan | fuzz) "$1" ;;
+  *)
+    echo "usage: scripts/check.sh [all|style|unit|asan|tsan|fuzz]" >&2
+    exit 2
+    ;;
+esac
+note "done"
+echo "$passed passed, $failed failed"
+[ "$failed" -eq 0 ] && [ "$passed" -gt 0 ]

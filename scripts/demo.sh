@@ -1,0 +1,13 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# The Driving Case on an emulated Orin, in real time, under four policies.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+echo "demo: building"
+cmake --preset release >/dev/null
+ninja -C build -j"${JOBS:-2}" xauto xauto-coordinator xauto-emud driving | tail -n 1
+echo "demo: running the Driving Case under four policies, about a minute and a half"
+build/bin/xauto compare --app examples/driving/app.json --platform small \
+  --activations "${ACTIVATIONS:-300}" --out build/demo -- build/bin/driving
+echo
+echo "Next: open build/demo/timeline.html in a browser; README.md tells how to schedule an app of your own."
