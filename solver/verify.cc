@@ -1,0 +1,348 @@
+// SPDX-License-Identifier: Apache-2.0
+// The checks, in the order in which policy.json states its numbers.
+#include "solver/verify.h"
+
+#include <algorithm>
+#include <numeric>
+#include <random>
+
+#include "solver/verify_world.h"
+
+namespace xauto::solver {
+namespace {
+
+using verification::Execution;
+using verification::Plan;
+using verification::Proof;
+using verification::Us;
+using verification::World;
+
+constexpr int kExactXNodes = 10;  ///< up to here executions are enumerated
+constexpr std::int64_t kTypeProofNodes = 200'000;
+constexpr std::int64_t kWork = 40'000'000;  ///< XNode visits that a kind of attack may cost
+
+std::size_t at(int i) {
+  return static_cast<std::size_t>(i);
+}
+std::string us(Us value) {
+  return std::to_string(value) + " us";
+}
+
+class Check {
+ public:
+  Check(const AppSpec& app, const Platform& platform, const Policy& policy,
+        const VerifyOptions& options)
+      : app_(app),
+
+        policy_(policy),
+        options_(options),
+        world_(app, platform),
+        engine_(options.seed) {
+    for (const Placement& p : policy.placements) {
+      plan_.xpu.push_back(p.xpu);
+      plan_.priority.push_back(p.priority);
+    }
+    plan_.order_before.resize(at(world_.n));
+    for (const auto& [u, v] : policy.order) plan_.order_before[at(v)].push_back(u);
+    for (int i = 0; i < world_.n; ++i) wcet_.push_back(*world_.wcet[at(i)][at(plan_.xpu[at(i)])]);
+  }
+
+  Verification run() {
+    schedule();
+    lower_bound();
+    optimal();
+    worst_case();
+    return std::move(v_);
+  }
+
+ private:
+  void lie(std::string text) { v_.lies.push_back(std::move(text)); }
+  void shown(std::string text) { v_.shown.push_back(std::move(text)); }
+  void taken(std::string text) { v_.taken.push_back(std::move(text)); }
+  [[nodiscard]] const std::string& name(int i) const { return app_.xnodes[at(i)].name; }
+  std::uint64_t below(std::uint64_t bound) { return engine_() % bound; }
+
+  void schedule() {
+    const Execution e = verification::execute(world_, plan_, wcet_);
+    v_.latency_us = e.latency;
+    int wrong = 0;
+    for (int i = 0; i < world_.n; ++i) {
+      const Placement& p = policy_.placements[at(i)];
+      if (p.start_us == e.start[at(i)] && p.finish_us == e.finish[at(i)]) continue;
+      if (++wrong <= 5)
+        lie("XNode '" + name(i) + "' is said to run from " + us(p.start_us) + " to " +
+            us(p.finish_us) + ", it runs from " + us(e.start[at(i)]) + " to " +
+            us(e.finish[at(i)]));
+    }
+    if (wrong > 5) lie("and " + std::to_string(wrong - 5) + " more XNodes with wrong times");
+    if (wrong == 0) shown("start and finish of all " + std::to_string(world_.n) + " XNodes");
+    if (policy_.latency_us != e.latency)
+      lie("latency_us is said to be " + us(policy_.latency_us) + ", it is " + us(e.latency));
+    else
+      shown("latency_us = " + us(e.latency));
+  }
+
+  void lower_bound() {
+    const Us claimed = policy_.lower_bound_us;
+    if (claimed > v_.latency_us)
+      lie("lower_bound_us of " + us(claimed) + " is above the policy's own latency of " +
+          us(v_.latency_us));
+    v_.own_bound_us = verification::simple_bound(world_);
+    v_.best_found_us = std::min(v_.latency_us, shortest_tried());
+    if (v_.best_found_us < claimed && claimed <= v_.latency_us)
+      lie("lower_bound_us of " + us(claimed) + " is above a schedule of " + us(v_.best_found_us));
+    if (claimed > v_.best_found_us) return;
+    v_.bound_proven = claimed <= v_.own_bound_us || prove(claimed);
+    if (v_.bound_proven)
+      shown("lower_bound_us = " + us(claimed) + ": no schedule of any kind is shorter");
+    else if (v_.lies.empty())
+      taken("lower_bound_us = " + us(claimed) + ": proven here only up to " + us(v_.own_bound_us) +
+            "; none of " + std::to_string(schedules_) + " schedules tried is shorter");
+  }
+
+  bool prove(Us claimed) {
+    const std::int64_t scale = std::max<std::int64_t>(1, world_.n / 20);
+    if (verification::prove_by_types(world_, claimed,
+                                     std::min(kTypeProofNodes, options_.proof_nodes) / scale) ==
+        Proof::kHolds)
+      return true;
+    if (world_.n > kExactXNodes) return false;
+    const Proof relaxed =
+        verification::prove_by_execution(world_.relaxed(), claimed, options_.proof_nodes);
+    if (relaxed == Proof::kHolds) return true;
+    if (relaxed == Proof::kBeaten && world_.preemption_is_free()) {
+      lie("lower_bound_us of " + us(claimed) +
+          " is too high: an assignment with priorities is shorter");
+      return false;
+    }
+    const Proof real = verification::prove_by_execution(world_, claimed, options_.proof_nodes);
+    if (real == Proof::kBeaten)
+      lie("lower_bound_us of " + us(claimed) +
+          " is too high: an assignment with priorities is shorter");
+    else if (real == Proof::kHolds)
+      taken("lower_bound_us = " + us(claimed) +
+            ": no assignment with fixed priorities is shorter (all were tried); schedules that "
+            "leave an XPU idle "
+            "on purpose were not");
+    return false;
+  }
+
+  /// Hill climbing over assignment and sequence, from the policy: fixed priorities and fixed
+  /// sequences.
+  Us shortest_tried() {
+    const std::size_t n = at(world_.n);
+    std::vector<int> xpu = plan_.xpu, sequence(n);
+    std::iota(sequence.begin(), sequence.end(), 0);
+    const Execution planned = verification::execute(world_, plan_, wcet_);
+    std::vector<std::size_t> depth(n);
+    for (std::size_t k = 0; k < n; ++k) depth[at(world_.first_to_last[k])] = k;
+    std::sort(sequence.begin(), sequence.end(), [&](int a, int b) {
+      return std::pair(planned.start[at(a)], depth[at(a)]) <
+             std::pair(planned.start[at(b)], depth[at(b)]);
+    });
+    const auto length = [&] {
+      Plan plan{xpu, std::vector<std::int64_t>(n), std::vector<std::vector<int>>(n)};
+      std::vector<Us> takes(n);
+      for (std::size_t k = 0; k < n; ++k)
+        plan.priority[at(sequence[k])] = static_cast<std::int64_t>(n - k);
+      for (std::size_t i = 0; i < n; ++i) takes[i] = *world_.wcet[i][at(xpu[i])];
+      ++schedules_;
+      return std::min(verification::execute(world_, plan, takes).latency,
+                      verification::in_sequence(world_, xpu, sequence));
+    };
+    Us best = length(), current = best;
+    const auto rounds = std::min(options_.schedules, kWork / 10 / std::max(1, world_.n));
+    for (std::int64_t round = 0; round < rounds && n > 1; ++round) {
+      const auto old_xpu = xpu;
+      const auto old_sequence = sequence;
+      if (below(2) == 0) {
+        const std::size_t i = below(n);
+        const std::size_t x = below(at(world_.m));
+        if (!world_.wcet[i][x]) continue;
+        xpu[i] = static_cast<int>(x);
+      } else if (!move_in(sequence)) {
+        continue;
+      }
+      const Us now = length();
+      best = std::min(best, now);
+      if (now <= current || below(100) < 2) {
+        current = now;
+      } else {
+        xpu = old_xpu;
+        sequence = old_sequence;
+      }
+    }
+    return best;
+  }
+
+  /// Moves one XNode up to a dozen places forward, as far as its predecessors allow.
+  bool move_in(std::vector<int>& sequence) {
+    std::size_t k = 1 + below(sequence.size() - 1);
+    std::size_t steps = 1 + below(12);
+    bool moved = false;
+    for (; steps > 0 && k > 0; --steps, --k) {
+      const auto& before = world_.before[at(sequence[k])];
+      if (std::find(before.begin(), before.end(), sequence[k - 1]) != before.end()) break;
+      std::swap(sequence[k], sequence[k - 1]);
+      moved = true;
+    }
+    return moved;
+  }
+
+  void optimal() {
+    if (!policy_.optimal) return;
+    if (policy_.latency_us != policy_.lower_bound_us || v_.latency_us != policy_.lower_bound_us)
+      lie("optimal is claimed, but the latency of " + us(v_.latency_us) +
+          " is not the lower bound of " + us(policy_.lower_bound_us));
+    else if (v_.best_found_us < v_.latency_us)
+      lie("optimal is claimed, but a schedule of " + us(v_.best_found_us) + " exists");
+    else if (v_.bound_proven)
+      shown("optimal: re-proven");
+    else
+      taken("optimal: the latency equals the bound claimed, which was not re-proven here");
+  }
+
+  void worst_case() {
+    if (!policy_.worst_case_us) return;
+    const Us claimed = *policy_.worst_case_us;
+    v_.worst_found_us = v_.latency_us;
+    if (claimed < v_.latency_us)
+      lie("worst_case_us of " + us(claimed) + " is below the latency of " + us(v_.latency_us));
+    attack();
+    if (claimed < v_.worst_found_us && v_.worst_found_us > v_.latency_us)
+      lie("worst_case_us is said to be " + us(claimed) + ", an execution within the WCETs takes " +
+          us(v_.worst_found_us));
+    if (claimed < v_.worst_found_us) return;
+    const std::optional<Us> certified = certificate();
+    if (certified && *certified <= claimed)
+      shown("worst_case_us = " + us(claimed) + ": no execution is longer than " + us(*certified));
+    else
+      taken("worst_case_us = " + us(claimed) + ": not re-derived; the longest of " +
+            std::to_string(v_.executions) + " executions took " + us(v_.worst_found_us));
+  }
+
+  void attack() {
+    std::vector<Us> takes = wcet_;
+    const auto rounds = std::min(options_.executions, kWork / std::max(1, world_.n));
+    std::vector<Us> worst = wcet_;
+    for (std::int64_t round = 0; round < rounds; ++round) {
+      const std::uint64_t kind = round < world_.n ? 0 : 1 + below(5);
+      for (std::size_t i = 0; i < takes.size(); ++i) {
+        const auto all = static_cast<std::uint64_t>(wcet_[i]);
+        switch (kind) {
+          case 0:
+            takes[i] = at(static_cast<int>(round)) == i ? 0 : wcet_[i];
+            break;  // one vanishes
+          case 1:
+            takes[i] = static_cast<Us>(below(all + 1));
+            break;
+          case 2:
+            takes[i] = below(2) == 0 ? 0 : wcet_[i];
+            break;  // corners
+          case 3:
+            takes[i] = below(8) == 0 ? 0 : wcet_[i];
+            break;  // few vanish
+          case 4:
+            takes[i] = static_cast<Us>(all - below(all / 4 + 1));
+            break;  // all a little early
+          default:  // around the worst so far
+            takes[i] = below(6) == 0 ? static_cast<Us>(below(all + 1)) : worst[i];
+        }
+      }
+      ++v_.executions;
+      const Us latency = verification::execute(world_, plan_, takes).latency;
+      if (latency >= v_.worst_found_us) {
+        v_.worst_found_us = latency;
+        worst = takes;
+      }
+    }
+  }
+
+  /// A worst case that needs no search, where the policy has one of two shapes on each XPU.
+  ///
+  /// Let C' be the WCET plus, for an XNode that might start by preempting, the cost of it; an XNode
+  /// pays it at most once. Let F be the finishes of an execution with C' where preemption is free.
+  /// If on each XPU (a) all XNodes are ordered by edges and run-time order, or (b) the XPU is
+  /// preemptive and its priorities follow F, then in every execution each XNode i finishes by F(i):
+  /// take a first one in violation, by F. What may run before it on its XPU has earlier F and
+  /// predecessors with earlier F, hence is released no later than in F's schedule and needs no more
+  /// time; that schedule meets the deadlines F, and priorities by deadline meet what any schedule
+  /// meets (Horn 1974).
+  std::optional<Us> certificate() {
+    const std::size_t n = at(world_.n);
+    if (n > 2000) return std::nullopt;
+    const std::vector<std::vector<bool>> reaches = closure();
+    std::vector<Us> inflated = wcet_;
+    std::vector<char> sequential(at(world_.m), 1);
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t j = 0; j < n; ++j) {
+        if (i == j || plan_.xpu[i] != plan_.xpu[j] || reaches[i][j] || reaches[j][i]) continue;
+        sequential[at(plan_.xpu[i])] = 0;
+        if (plan_.priority[i] > plan_.priority[j])
+          inflated[i] = wcet_[i] + world_.preempt_us[at(plan_.xpu[i])];
+      }
+    for (std::size_t x = 0; x < sequential.size(); ++x)
+      if (!sequential[x] && !world_.preemptive[x]) return std::nullopt;
+    const Execution e = verification::execute(world_.relaxed(), plan_, inflated);
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t j = 0; j < n; ++j)
+        if (i != j && plan_.xpu[i] == plan_.xpu[j] && !reaches[i][j] && !reaches[j][i] &&
+            plan_.priority[i] > plan_.priority[j] && e.finish[i] > e.finish[j])
+          return std::nullopt;
+    return e.latency;
+  }
+
+  /// [i][j]: j cannot start before i has finished.
+  [[nodiscard]] std::vector<std::vector<bool>> closure() const {
+    const std::size_t n = at(world_.n);
+    std::vector<std::vector<int>> after = world_.after;
+    std::vector<int> missing(n, 0), topological;
+    for (const auto& [u, v] : policy_.order) after[at(u)].push_back(v);
+    for (const auto& list : after)
+      for (const int v : list) ++missing[at(v)];
+    for (std::size_t i = 0; i < n; ++i)
+      if (missing[i] == 0) topological.push_back(static_cast<int>(i));
+    for (std::size_t k = 0; k < topological.size(); ++k)
+      for (const int v : after[at(topological[k])])
+        if (--missing[at(v)] == 0) topological.push_back(v);
+    std::vector<std::vector<bool>> reaches(n, std::vector<bool>(n, false));
+    for (auto it = topological.rbegin(); it != topological.rend(); ++it)
+      for (const int v : after[at(*it)]) {
+        reaches[at(*it)][at(v)] = true;
+        for (std::size_t j = 0; j < n; ++j)
+          if (reaches[at(v)][j]) reaches[at(*it)][j] = true;
+      }
+    return reaches;
+  }
+
+  const AppSpec& app_;
+
+  const Policy& policy_;
+  const VerifyOptions& options_;
+  const World world_;
+  std::mt19937_64 engine_;
+  Plan plan_;
+  std::vector<Us> wcet_;
+  std::int64_t schedules_ = 0;
+  Verification v_;
+};
+
+}  // namespace
+
+Verification verify(const AppSpec& app, const Platform& platform, const Policy& policy,
+                    const VerifyOptions& options) {
+  for (const Status& status : {validate(app), validate(platform), validate_on(app, platform),
+                               validate(policy, app, platform)})
+    if (!status) {
+      Verification answer;  // nothing else can be derived from it
+      answer.lies.push_back(status.error().to_string());
+      return answer;
+    }
+  Verification answer = Check(app, platform, policy, options).run();
+  if (!policy.platform.empty() && policy.platform != platform.name)
+    answer.lies.push_back("the policy was made for platform '" + policy.platform + "', not for '" +
+                          platform.name + "'");
+  return answer;
+}
+
+}  // namespace xauto::solver

@@ -1,0 +1,354 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/verify.h"
+
+#include <functional>
+
+#include <gtest/gtest.h>
+
+#include "solver/generate.h"
+#include "solver/heft.h"
+#include "solver/simulate.h"
+#include "solver/solve.h"
+#include "solver/verify_world.h"
+
+#include "brute_force.h"
+#include "problem_random.h"
+
+namespace xauto::solver::test {
+namespace {
+
+struct Case {
+  AppSpec app;
+  Platform platform;
+  Policy policy;
+};
+
+/// A policy whose every number is true and says as much as can be said.
+Case truthful(int nodes, std::uint64_t seed) {
+  GenerateOptions options;
+  options.nodes = nodes;
+  options.seed = seed;
+  Case c{*generate(options), *Platform::builtin("small"), {}};
+  const Problem p = *Problem::create(c.app, c.platform);
+  c.policy = make_policy(c.app, c.platform, p, heft(p), "heft");
+  c.policy.lower_bound_us = verification::simple_bound(verification::World(c.app, c.platform));
+  c.policy.optimal = false;
+  c.policy.worst_case_us = c.policy.latency_us * 4;
+  return c;
+}
+
+/// a: cpu 10 -> b: gpu 5, beside c: gpu 20; the GPU preempts for 1.
+Case tiny(std::int64_t preempt_us) {
+  Case c;
+  c.app.name = "tiny";
+  c.app.xnodes = {{"a", "A", {{"cpu", 10}}}, {"b", "B", {{"gpu", 5}}}, {"c", "C", {{"gpu", 20}}}};
+  c.app.edges = {{0, 1}};
+  c.platform = {"p", {{"cpu0", "cpu", true, 0, 0, -1}, {"gpu0", "gpu", true, preempt_us, 0, -1}}};
+  const Problem p = *Problem::create(c.app, c.platform);
+  Decision d{{0, 1, 1}, {3, 1, 2}, {}};
+  c.policy = make_policy(c.app, c.platform, p, d, "search");
+  c.policy.lower_bound_us = 25;
+  c.policy.optimal = true;
+  c.policy.worst_case_us = 25 + preempt_us;
+  return c;
+}
+
+bool tells_lie(const Case& c, const std::string& about) {
+  const Verification v =
+      verify(c.app, c.platform, c.policy, {.executions = 2000, .schedules = 2000});
+  for (const std::string& lie : v.lies)
+    if (lie.find(about) != std::string::npos) return true;
+  for (const std::string& lie : v.lies) ADD_FAILURE() << "another lie: " << lie;
+  return false;
+}
+
+TEST(Verify, AcceptsATruthfulPolicyAndSaysWhatItShowed) {
+  const Case c = tiny(1);
+  const Verification v = verify(c.app, c.platform, c.policy);
+  for (const std::string& lie : v.lies) ADD_FAILURE() << lie;
+  EXPECT_TRUE(v.bound_proven);
+  EXPECT_EQ(v.latency_us, 25);
+  EXPECT_EQ(v.shown.size(), 5U);
+  EXPECT_TRUE(v.taken.empty());
+}
+
+TEST(Verify, AcceptsHeftAndLocalOnTheSyntheticWorkload) {
+  for (const char* method : {"heft", "local"})
+    for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+      GenerateOptions options;
+      options.nodes = 25;
+      options.seed = seed;
+      const AppSpec app = *generate(options);
+      for (const char* name : {"small", "large"}) {
+        const Platform platform = *Platform::builtin(name);
+        SolveOptions solving;
+        solving.method = method;
+        const auto policy = solve(app, platform, solving);
+        ASSERT_TRUE(policy);
+        const Verification v = verify(app, platform, *policy);
+        for (const std::string& lie : v.lies) ADD_FAILURE() << method << " " << seed << ": " << lie;
+      }
+    }
+}
+
+TEST(Verify, AcceptsSearchAndAutoOnSmallApps) {
+  for (const char* method : {"search", "auto"})
+    for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+      GenerateOptions options;
+      options.nodes = 12;
+      options.seed = seed;
+      const AppSpec app = *generate(options);
+      SolveOptions solving;
+      solving.method = method;
+      solving.time_limit_s = 2;
+      solving.max_evaluations = 20'000;
+      const auto policy = solve(app, *Platform::builtin("small"), solving);
+      ASSERT_TRUE(policy);
+      const Verification v = verify(app, *Platform::builtin("small"), *policy);
+      for (const std::string& lie : v.lies) ADD_FAILURE() << method << " " << seed << ": " << lie;
+    }
+}
+
+TEST(Verify, RejectsAWrongLatency) {
+  Case c = truthful(20, 1);
+  --c.policy.latency_us;
+  EXPECT_TRUE(tells_lie(c, "latency_us is said to be"));
+}
+
+TEST(Verify, RejectsAWrongStart) {
+  Case c = truthful(20, 1);
+  for (Placement& p : c.policy.placements)
+    if (p.start_us > 0) {
+      --p.start_us;
+      break;
+    }
+  EXPECT_TRUE(tells_lie(c, "is said to run from"));
+}
+
+TEST(Verify, RejectsAWrongFinish) {
+  Case c = truthful(20, 1);
+  ++c.policy.placements[3].finish_us;
+  EXPECT_TRUE(tells_lie(c, "is said to run from"));
+}
+
+TEST(Verify, RejectsSwappedPriorities) {
+  Case c = tiny(1);
+  std::swap(c.policy.placements[1].priority, c.policy.placements[2].priority);
+  EXPECT_TRUE(tells_lie(c, "is said to run from"));
+}
+
+TEST(Verify, RejectsALowerBoundAboveTheLatency) {
+  Case c = truthful(20, 1);
+  c.policy.lower_bound_us = c.policy.latency_us + 1;
+  EXPECT_TRUE(tells_lie(c, "above the policy's own latency"));
+}
+
+TEST(Verify, RejectsALowerBoundAboveASchedule) {
+  // HEFT is not optimal here; its latency as a bound is refuted by a schedule.
+  int refuted = 0;
+  for (std::uint64_t seed = 1; seed <= 6; ++seed) {
+    Case c = truthful(30, seed);
+    c.policy.lower_bound_us = c.policy.latency_us;
+    const Verification v = verify(c.app, c.platform, c.policy);
+    for (const std::string& lie : v.lies)
+      refuted += lie.find("is above a schedule of") != std::string::npos;
+  }
+  EXPECT_GE(refuted, 4);
+}
+
+TEST(Verify, RejectsOptimalWithAGap) {
+  Case c = truthful(20, 1);
+  c.policy.optimal = true;
+  EXPECT_TRUE(tells_lie(c, "optimal is claimed"));
+}
+
+TEST(Verify, RejectsOptimalWhereAnExhaustiveSearchFindsBetter) {
+  Dice dice(1);
+  int tampered = 0;
+  for (int round = 0; round < 200; ++round) {
+    Shape shape;
+    shape.max_nodes = 6;
+    Case c;
+    c.platform = random_platform(dice, shape);
+    c.app = random_app(dice, shape, c.platform);
+    const Problem p = *Problem::create(c.app, c.platform);
+    c.policy = make_policy(c.app, c.platform, p, random_decision(dice, p), "search");
+    const Time best = brute_force(p).makespan;
+    if (c.policy.latency_us == best) continue;
+    ++tampered;
+    c.policy.lower_bound_us = c.policy.latency_us;
+    c.policy.optimal = true;
+    VerifyOptions weak;
+    weak.schedules = 0;  // only the proof is left to find out
+    EXPECT_FALSE(verify(c.app, c.platform, c.policy, weak).truthful()) << round;
+  }
+  EXPECT_GT(tampered, 100);
+}
+
+TEST(Verify, RejectsAWorstCaseBelowTheLatency) {
+  Case c = truthful(20, 1);
+  c.policy.worst_case_us = c.policy.latency_us - 1;
+  EXPECT_TRUE(tells_lie(c, "is below the latency"));
+}
+
+TEST(Verify, RejectsAWorstCaseThatAnAnomalyExceeds) {
+  // The WCET latency as worst case, for priorities at random: some of them have anomalies.
+  Dice dice(3);
+  int refuted = 0;
+  for (int round = 0; round < 3000 && refuted < 3; ++round) {
+    Case c;
+    c.platform = random_platform(dice, {});
+    c.app = random_app(dice, {}, c.platform);
+    const Problem p = *Problem::create(c.app, c.platform);
+    c.policy = make_policy(c.app, c.platform, p, random_decision(dice, p), "search");
+    c.policy.worst_case_us = c.policy.latency_us;
+    const Verification v = verify(c.app, c.platform, c.policy, {.executions = 200, .schedules = 0});
+    for (const std::string& lie : v.lies)
+      refuted += lie.find("an execution within the WCETs") != std::string::npos;
+  }
+  EXPECT_EQ(refuted, 3);
+}
+
+TEST(Verify, RejectsAnotherAppsHash) {
+  Case c = truthful(20, 1);
+  c.policy.app_hash = "0000000000000000";
+  EXPECT_TRUE(tells_lie(c, "another version of the app"));
+}
+
+TEST(Verify, RejectsAChangedApp) {
+  Case c = truthful(20, 1);
+  c.app.xnodes[0].wcet_us.begin()->second += 1;
+  EXPECT_TRUE(tells_lie(c, "another version of the app"));
+}
+
+TEST(Verify, RejectsAnotherPlatform) {
+  Case c = truthful(20, 1);
+  c.policy.platform = "small";
+  Platform large = *Platform::builtin("large");
+  std::swap(c.platform, large);
+  EXPECT_TRUE(tells_lie(c, "platform"));
+}
+
+TEST(Verify, RejectsAnXpuWithoutAnImplementation) {
+  Case c = tiny(1);
+  c.policy.placements[0].xpu = 1;
+  EXPECT_TRUE(tells_lie(c, "has no implementation"));
+}
+
+TEST(Verify, RejectsTwoXNodesOfOnePriority) {
+  Case c = tiny(1);
+  c.policy.placements[1].priority = c.policy.placements[2].priority;
+  EXPECT_TRUE(tells_lie(c, "has priority"));
+}
+
+TEST(Verify, RejectsAnOrderThatWouldHang) {
+  Case c = tiny(1);
+  c.policy.order = {{1, 2}, {2, 1}};
+  EXPECT_TRUE(tells_lie(c, "cycle"));
+}
+
+TEST(Verify, RejectsNumbersThatForgetTheOrder) {
+  Case c = tiny(1);
+  c.policy.order = {{1, 2}};
+  EXPECT_TRUE(tells_lie(c, "is said to run from"));
+}
+
+TEST(Verify, RejectsANegativeSolvingTime) {
+  Case c = tiny(1);
+  c.policy.solve_ms = -1;
+  EXPECT_TRUE(tells_lie(c, "is no time"));
+}
+
+TEST(Verify, CertifiesASequenceOnEachXpuAsItsLongestPath) {
+  Case c = tiny(1);
+  const Problem p = *Problem::create(c.app, c.platform);
+  c.policy = make_policy(c.app, c.platform, p, {{0, 1, 1}, {3, 1, 2}, {{2, 1}}}, "search");
+  c.policy.lower_bound_us = 25;
+  c.policy.worst_case_us = c.policy.latency_us;
+  const Verification v = verify(c.app, c.platform, c.policy);
+  EXPECT_TRUE(v.truthful());
+  EXPECT_TRUE(std::any_of(v.shown.begin(), v.shown.end(),
+                          [](const std::string& s) { return s.starts_with("worst_case_us"); }));
+}
+
+TEST(Verify, ItsCertificateIsNeverExceeded) {
+  // Priorities by finish, iterated: where the checker certifies, no execution is longer.
+  Dice dice(5);
+  int certified = 0;
+  for (int round = 0; round < 400; ++round) {
+    Shape shape;
+    shape.non_preemptive_percent = 0;
+    Case c;
+    c.platform = random_platform(dice, shape);
+    c.app = random_app(dice, shape, c.platform);
+    const Problem p = *Problem::create(c.app, c.platform);
+    Decision d = random_decision(dice, p);
+    for (int again = 0; again < 4; ++again) d.priority = priorities_by_key(simulate(p, d).finish);
+    c.policy = make_policy(c.app, c.platform, p, d, "search");
+    c.policy.worst_case_us = c.policy.latency_us * 3;
+    const Verification v = verify(c.app, c.platform, c.policy, {.executions = 0, .schedules = 0});
+    for (const std::string& s : v.shown) {
+      const auto found = s.find("no execution is longer than ");
+      if (found == std::string::npos) continue;
+      ++certified;
+      const Time limit = std::stoll(s.substr(found + 28));
+      Simulator simulator(p);
+      simulator.set(d);
+      for (int tries = 0; tries < 300; ++tries) {
+        std::vector<Time> actual;
+        for (int i = 0; i < p.num_xnodes; ++i) {
+          const auto wcet = static_cast<int>(p.wcet_on(i, d.xpu[static_cast<std::size_t>(i)]));
+          actual.push_back(dice.chance(40) ? wcet : dice.roll(0, wcet));
+        }
+        ASSERT_LE(simulator.run(actual), limit) << "round " << round;
+      }
+    }
+  }
+  EXPECT_GT(certified, 50);
+}
+
+TEST(Verify, OwnExecutionAgreesWithTheSimulator) {
+  Dice dice(7);
+  for (int round = 0; round < 2000; ++round) {
+    const Platform platform = random_platform(dice, {});
+    const AppSpec app = random_app(dice, {}, platform);
+    const Problem p = *Problem::create(app, platform);
+    Decision d = random_decision(dice, p);
+    if (round % 2 == 0) add_random_order(dice, p, d, 30);
+    verification::Plan plan{d.xpu, d.priority, std::vector<std::vector<int>>(app.xnodes.size())};
+    for (const auto& [u, v] : d.order) plan.order_before[static_cast<std::size_t>(v)].push_back(u);
+    std::vector<Time> actual;
+    for (int i = 0; i < p.num_xnodes; ++i)
+      actual.push_back(
+          dice.roll(0, static_cast<int>(p.wcet_on(i, d.xpu[static_cast<std::size_t>(i)]))));
+    const auto own = verification::execute(verification::World(app, platform), plan, actual);
+    const Simulation theirs = simulate(p, d, {.actual = actual});
+    ASSERT_EQ(own.finish, theirs.finish);
+    ASSERT_EQ(own.start, theirs.start);
+  }
+}
+
+TEST(Verify, OwnProofsAgreeWithBruteForce) {
+  Dice dice(8);
+  int by_types = 0;
+  for (int round = 0; round < 300; ++round) {
+    Shape shape;
+    shape.max_nodes = 7;
+    const Platform platform = random_platform(dice, shape);
+    const AppSpec app = random_app(dice, shape, platform);
+    const Problem p = *Problem::create(app, platform);
+    const verification::World world(app, platform);
+    const Time best = brute_force(p).makespan;
+    ASSERT_EQ(verification::prove_by_execution(world, best, 10'000'000),
+              verification::Proof::kHolds);
+    ASSERT_EQ(verification::prove_by_execution(world, best + 1, 10'000'000),
+              verification::Proof::kBeaten);
+    ASSERT_LE(verification::simple_bound(world), best);
+    ASSERT_NE(verification::prove_by_types(world, best + 1, 100'000), verification::Proof::kHolds);
+    by_types += verification::prove_by_types(world, best, 100'000) == verification::Proof::kHolds;
+  }
+  EXPECT_GT(by_types, 100);
+}
+
+}  // namespace
+}  // namespace xauto::solver::test

@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto check: is every number of a policy.json true? Exit status 1 and each lie by name if not.
+#include <iostream>
+#include <memory>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include "model/json.h"
+#include "solver/verify.h"
+
+#include "xauto/command.h"
+
+namespace xauto::cli {
+namespace {
+
+struct Flags {
+  std::string app, platform = "small", policy;
+  solver::VerifyOptions options;
+};
+
+Result<int> check(const Flags& flags, const Options& options) {
+  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
+  XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
+  const solver::Verification v = solver::verify(app, platform, policy, flags.options);
+  const int status = v.truthful() ? kDone : kAnswerIsNo;
+  if (options.json) {
+    std::cout << nlohmann::ordered_json{{"schema", "xauto.check"},
+                                        {"version", 1},
+                                        {"truthful", v.truthful()},
+                                        {"lies", v.lies},
+                                        {"shown", v.shown},
+                                        {"taken", v.taken},
+                                        {"latency_us", v.latency_us},
+                                        {"own_bound_us", v.own_bound_us},
+                                        {"best_found_us", v.best_found_us},
+                                        {"bound_proven", v.bound_proven},
+                                        {"worst_found_us", v.worst_found_us},
+                                        {"executions", v.executions}}
+                     .dump(2)
+              << "\n";
+    return status;
+  }
+  for (const std::string& lie : v.lies) std::cout << "  LIE    " << lie << "\n";
+  for (const std::string& shown : v.shown) std::cout << "  shown  " << shown << "\n";
+  for (const std::string& taken : v.taken) std::cout << "  taken  " << taken << "\n";
+  std::cout << (v.truthful() ? fmt::format("\n{} tells the truth.\n", flags.policy)
+                             : fmt::format("\n{} lies: {} of its statements are false.\n",
+                                           flags.policy, v.lies.size()));
+  return status;
+}
+
+}  // namespace
+
+void add_check(Commands& commands) {
+  auto flags = std::make_shared<Flags>();
+  CLI::App* verb = commands.add(
+      "check", "Re-derive every number of a policy; exit status 1 if one of them is false.",
+      "xauto check --app app.json --platform small --policy policy.json",
+      [flags](const Options& options) {
+        const auto status = check(*flags, options);
+        return status ? *status : report(status.error());
+      });
+  verb->add_option("--app", flags->app, "app.json")->required();
+  verb->add_option("--platform", flags->platform, "small, large, or a platform.json")
+      ->capture_default_str();
+  verb->add_option("--policy", flags->policy, "policy.json")->required();
+  verb->add_option("--executions", flags->options.executions,
+                   "random executions against worst_case_us")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  verb->add_option("--proof-nodes", flags->options.proof_nodes,
+                   "budget of the proof of lower_bound_us")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  verb->add_option("--seed", flags->options.seed, "of the attacks")->capture_default_str();
+}
+
+}  // namespace xauto::cli
