@@ -8,81 +8,214 @@
 #include <thread>
 
 #include "solver/bounds.h"
+#include "solver/exact.h"
+#include "solver/ordered.h"
 
 namespace xauto::solver {
+namespace {
 
-AutoResult solve_in_parallel(const Problem& problem, const SolveOptions& options,
-                             const std::vector<Solution>& starts, bool with_proof) {
-  (void)with_proof;
-  const auto began = std::chrono::steady_clock::now();
-  const int threads = std::clamp(options.threads, 1, 64);
-  std::atomic<Time> bound{quick_bound(problem)};
-  std::atomic<std::int64_t> evaluations{0};
-  std::mutex mutex;
-  std::condition_variable changed;
-  int running = threads;
-  Time incumbent = starts.front().makespan;
+using Clock = std::chrono::steady_clock;
 
-  Limits limits;
-  limits.deadline = began + std::chrono::duration_cast<std::chrono::steady_clock::duration>(
-                                std::chrono::duration<double>(std::max(0.0, options.time_limit_s)));
-  limits.stop = options.stop;
-  limits.target = &bound;
-  if (options.max_evaluations > 0)
-    limits.max_evaluations = std::max<std::int64_t>(1, options.max_evaluations / threads);
+Clock::duration seconds(double s) {
+  return std::chrono::duration_cast<Clock::duration>(
+      std::chrono::duration<double>(std::max(0.0, s)));
+}
 
-  SearchCallbacks callbacks;
-  callbacks.on_better = [&](const Solution& solution) {
-    const std::lock_guard lock(mutex);
-    if (solution.makespan < incumbent) incumbent = solution.makespan;
-  };
-  callbacks.on_evaluations = [&](std::int64_t count) {
-    evaluations.fetch_add(count, std::memory_order_relaxed);
-  };
-
-  std::vector<Solution> answers(static_cast<std::size_t>(threads));
-  std::vector<std::thread> workers;
-  for (int t = 0; t < threads; ++t) {
-    workers.emplace_back([&, t] {
-      const auto k = static_cast<std::size_t>(t);
-      Solution answer =
-          anneal(problem, starts[k % starts.size()],
-                 options.seed * 1000003 + static_cast<std::uint64_t>(t), limits, callbacks);
-      const std::lock_guard lock(mutex);
-      answers[k] = std::move(answer);
-      --running;
-      changed.notify_all();
-    });
+class Team {
+ public:
+  Team(const Problem& problem, const SolveOptions& options, const std::vector<Solution>& starts,
+       bool with_proof)
+      : problem_(problem),
+        options_(options),
+        starts_(starts),
+        with_proof_(with_proof),
+        threads_(std::clamp(options.threads, 1, 64)),
+        began_(Clock::now()),
+        deadline_(options.time_limit_s >= 1e6 ? SteadyTime::max()
+                                              : began_ + seconds(options.time_limit_s)) {
+    best_ = starts.front();
+    incumbent_.store(best_.makespan);
+    bound_.store(quick_bound(problem));
+    OrderedEvaluator evaluator(problem);
+    evaluator.reset(best_.xpu, best_.sequence);
+    ordered_ = {evaluator.xpu(), evaluator.sequence(), evaluator.makespan(), true};
+    ordered_best_.store(ordered_.makespan);
   }
-  {
-    std::unique_lock lock(mutex);
-    while (running > 0) {
-      changed.wait_for(lock, std::chrono::milliseconds(100));
-      if (!options.on_progress) continue;
+
+  AutoResult run() {
+    std::vector<std::thread> workers;
+    running_ = threads_;
+    for (int t = 0; t < threads_; ++t) {
+      workers.emplace_back([this, t] {
+        work(t);
+        const std::lock_guard lock(mutex_);
+        --running_;
+        changed_.notify_all();
+      });
+    }
+    report_until_done();
+    for (std::thread& worker : workers) worker.join();
+    AutoResult result;
+    result.best = best_;
+    result.ordered = ordered_;
+    // A schedule that keeps its order is worth more than one of the same latency that does not.
+    if (ordered_.makespan <= best_.makespan) result.best = ordered_;
+    result.bound = std::min(bound_.load(), std::min(best_.makespan, ordered_.makespan));
+    result.evaluations = evaluations_.load();
+    return result;
+  }
+
+ private:
+  /// With an evaluation budget, a worker must not depend on how fast the others are.
+  [[nodiscard]] bool counted() const { return options_.max_evaluations > 0; }
+
+  Limits limits(const Clock::duration slice, std::int64_t budget, int effort) const {
+    Limits limits;
+    limits.deadline = counted() ? deadline_ : std::min(deadline_, Clock::now() + slice);
+    limits.max_evaluations = budget;
+    limits.stop = options_.stop;
+    limits.stop_too = counted() ? nullptr : &done_;
+    limits.target = counted() ? nullptr : &bound_;
+    limits.effort = effort;
+    return limits;
+  }
+
+  [[nodiscard]] bool over() const {
+    return (options_.stop != nullptr && options_.stop->load()) || Clock::now() >= deadline_ ||
+           (!counted() && done_.load());
+  }
+
+  void work(int t) {
+    const auto k = static_cast<std::size_t>(t);
+    Solution own = starts_[k % starts_.size()];
+    Solution own_ordered = own;
+    own_ordered.makespan = kNever;
+    std::int64_t budget = options_.max_evaluations / threads_ + (counted() ? 1 : 0);
+    Clock::duration slice = seconds(std::min(0.05, options_.time_limit_s / 40));
+    std::int64_t share = 20'000;
+    // The last worker proves, once the search had its first turns.
+    const bool proves = with_proof_ && !counted() && t == threads_ - 1;
+    for (int turn = 0; !over(); ++turn) {
+      std::int64_t used = 0;
+      SearchCallbacks callbacks;
+      callbacks.on_evaluations = [&](std::int64_t count) {
+        used += count;
+        evaluations_.fetch_add(count, std::memory_order_relaxed);
+      };
+      const bool ordered = turn % 2 == 1;
+      if (options_.certify && !ordered && turn > 0) continue;
+      callbacks.on_better = [&](const Solution& solution) { note(solution, ordered); };
+      const Limits mine = limits(slice, counted() ? std::min(budget, share) : 0, turn / 2);
+      const std::uint64_t seed = options_.seed * 1000003 + static_cast<std::uint64_t>(t) * 7919 +
+                                 static_cast<std::uint64_t>(turn);
+      if (ordered) {
+        const Solution& start = own_ordered.makespan <= own.makespan ? own_ordered : own;
+        own_ordered = anneal_ordered(problem_, start, seed, mine, callbacks);
+      } else {
+        own = anneal(problem_, own, seed, mine, callbacks);
+      }
+      if (counted()) {
+        budget -= std::max<std::int64_t>(used, 1);
+        share += share / 4;
+        if (budget <= 0) return;
+        continue;
+      }
+      slice += slice / 4;
+      if (met()) done_.store(true);
+      if (proves && turn >= 1) {
+        prove();
+        // Proven, out of time, or nothing more to gain from it: back to searching.
+        if (over()) return;
+      }
+      if (turn % 4 == 3) take_over(own, own_ordered);
+    }
+  }
+
+  void prove() {
+    if (proof_ended_) return;
+    ProofControl control;
+    control.deadline = deadline_;
+    control.stop = options_.stop;
+    control.stop_too = &done_;
+    control.incumbent = &incumbent_;
+    control.on_bound = [&](Time bound) {
+      Time known = bound_.load();
+      while (bound > known && !bound_.compare_exchange_weak(known, bound)) {
+      }
+      if (met()) done_.store(true);
+    };
+    control.on_solution = [&](const Solution& solution) { note(solution, false); };
+    control.on_bound(prove_bound(problem_, control));
+    proof_ended_ = true;
+  }
+
+  [[nodiscard]] bool met() const {
+    if (options_.certify) return ordered_best_.load() <= bound_.load();
+    return incumbent_.load() <= bound_.load();
+  }
+
+  void note(const Solution& solution, bool ordered) {
+    const std::lock_guard lock(mutex_);
+    if (ordered && solution.makespan < ordered_.makespan) {
+      ordered_ = solution;
+      ordered_.ordered = true;
+      ordered_best_.store(ordered_.makespan);
+    }
+    if (solution.makespan >= best_.makespan) return;
+    best_ = solution;
+    best_.ordered = ordered;
+    incumbent_.store(best_.makespan);
+  }
+
+  /// Workers that fell behind go on from the team's best.
+  void take_over(Solution& own, Solution& own_ordered) {
+    const std::lock_guard lock(mutex_);
+    if (!best_.ordered && best_.makespan < own.makespan) own = best_;
+    if (ordered_.makespan < own_ordered.makespan) own_ordered = ordered_;
+  }
+
+  void report_until_done() {
+    std::unique_lock lock(mutex_);
+    while (running_ > 0) {
+      changed_.wait_for(lock, std::chrono::milliseconds(100));
+      if (!options_.on_progress || running_ == 0) continue;
       Progress progress;
-      progress.elapsed_s =
-          std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
-      progress.incumbent = incumbent;
-      progress.bound = bound.load();
-      progress.gap = incumbent > 0 ? static_cast<double>(incumbent - progress.bound) /
-                                         static_cast<double>(incumbent)
-                                   : 0;
+      progress.elapsed_s = std::chrono::duration<double>(Clock::now() - began_).count();
+      progress.incumbent = incumbent_.load();
+      progress.bound = std::min(bound_.load(), progress.incumbent);
+      if (progress.incumbent > 0)
+        progress.gap = static_cast<double>(progress.incumbent - progress.bound) /
+                       static_cast<double>(progress.incumbent);
       progress.evaluations_per_s =
-          static_cast<double>(evaluations.load()) / std::max(1e-9, progress.elapsed_s);
+          static_cast<double>(evaluations_.load()) / std::max(1e-9, progress.elapsed_s);
       lock.unlock();
-      options.on_progress(progress);
+      options_.on_progress(progress);
       lock.lock();
     }
   }
-  for (std::thread& worker : workers) worker.join();
 
-  AutoResult result;
-  result.best = starts.front();
-  for (Solution& answer : answers)
-    if (answer.makespan < result.best.makespan) result.best = std::move(answer);
-  result.bound = std::min(bound.load(), result.best.makespan);
-  result.evaluations = evaluations.load();
-  return result;
+  const Problem& problem_;
+  const SolveOptions& options_;
+  const std::vector<Solution>& starts_;
+  const bool with_proof_;
+  const int threads_;
+  const SteadyTime began_, deadline_;
+
+  std::mutex mutex_;  // best_, ordered_, running_
+  std::condition_variable changed_;
+  Solution best_, ordered_;
+  int running_ = 0;
+  std::atomic<Time> incumbent_{kNever}, ordered_best_{kNever}, bound_{0};
+  std::atomic<std::int64_t> evaluations_{0};
+  std::atomic<bool> done_{false};
+  bool proof_ended_ = false;  // only the proving worker
+};
+
+}  // namespace
+
+AutoResult solve_in_parallel(const Problem& problem, const SolveOptions& options,
+                             const std::vector<Solution>& starts, bool with_proof) {
+  return Team(problem, options, starts, with_proof).run();
 }
 
 }  // namespace xauto::solver

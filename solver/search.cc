@@ -6,6 +6,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "solver/ordered.h"
 #include "solver/random.h"
 
 namespace xauto::solver {
@@ -64,6 +65,8 @@ Solution list_schedule(const Problem& problem, const std::vector<double>& rank, 
   return solution;
 }
 
+/// `Eval`: Evaluator or OrderedEvaluator.
+template <class Eval>
 class Annealer {
  public:
   Annealer(const Problem& problem, std::uint64_t seed, const Limits& limits,
@@ -82,11 +85,12 @@ class Annealer {
   }
 
   Solution run(const Solution& start) {
-    best_ = start;
     evaluator_.reset(start.xpu, start.sequence);
+    best_.makespan = kNever;
     note_if_better();
     // Rounds of growing length; each cools down from a temperature that suits the current solution.
     std::int64_t length = 200 * static_cast<std::int64_t>(problem_.num_xnodes) + 2000;
+    for (int k = 0; k < limits_.effort; ++k) length += length / 2;
     for (int round = 0; !done_; ++round) {
       const double hot = round % 3 == 2 ? 0.03 : 0.012;
       cool(length, hot * static_cast<double>(best_.makespan),
@@ -202,7 +206,7 @@ class Annealer {
   const Problem& problem_;
   const Limits& limits_;
   const SearchCallbacks& callbacks_;
-  Evaluator evaluator_;
+  Eval evaluator_;
   Random random_;
   std::vector<std::vector<int>> options_;
   std::vector<int> chain_;
@@ -267,7 +271,14 @@ std::vector<Solution> constructive_solutions(const Problem& problem) {
 
 Solution anneal(const Problem& problem, const Solution& start, std::uint64_t seed,
                 const Limits& limits, const SearchCallbacks& callbacks) {
-  return Annealer(problem, seed, limits, callbacks).run(start);
+  return Annealer<Evaluator>(problem, seed, limits, callbacks).run(start);
+}
+
+Solution anneal_ordered(const Problem& problem, const Solution& start, std::uint64_t seed,
+                        const Limits& limits, const SearchCallbacks& callbacks) {
+  Solution answer = Annealer<OrderedEvaluator>(problem, seed, limits, callbacks).run(start);
+  answer.ordered = true;
+  return answer;
 }
 
 }  // namespace xauto::solver

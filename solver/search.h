@@ -23,6 +23,8 @@ struct Limits {
   const std::atomic<bool>* stop = nullptr;
   const std::atomic<bool>* stop_too = nullptr;  ///< a second source of stop, e.g. "proven optimal"
   const std::atomic<Time>* target = nullptr;
+  int effort =
+      0;  ///< lengthens the first cooling: 0 for a first search, more to go on from its answer
 
   [[nodiscard]] bool stopped() const {
     return (stop != nullptr && stop->load(std::memory_order_relaxed)) ||
@@ -35,6 +37,7 @@ struct Solution {
   std::vector<int> xpu;
   std::vector<int> sequence;  ///< XNodes, most urgent first
   Time makespan = kNever;
+  bool ordered = false;  ///< every XPU keeps to the sequence (Policy::order), no preemption
 };
 
 /// List scheduling by earliest finish, one answer per ranking rule (longest tail by least, mean and
@@ -53,5 +56,9 @@ struct SearchCallbacks {
 /// Anneals from `start` until the limits; returns the best seen, `start` included.
 [[nodiscard]] Solution anneal(const Problem& problem, const Solution& start, std::uint64_t seed,
                               const Limits& limits, const SearchCallbacks& callbacks = {});
+/// The same over ordered schedules (ordered.h); `start` may be any solution.
+[[nodiscard]] Solution anneal_ordered(const Problem& problem, const Solution& start,
+                                      std::uint64_t seed, const Limits& limits,
+                                      const SearchCallbacks& callbacks = {});
 
 }  // namespace xauto::solver

@@ -8,6 +8,7 @@
 
 #include "solver/auto.h"
 #include "solver/bounds.h"
+#include "solver/certify.h"
 #include "solver/heft.h"
 #include "solver/simulate.h"
 
@@ -64,14 +65,21 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
   } else if (options.method == "search" || options.method == "auto") {
     const AutoResult result =
         solve_in_parallel(problem, options, starts(problem), options.method == "auto");
-    decision = to_decision(result.best);
+    const Solution& chosen = options.certify ? result.ordered : result.best;
+    decision = to_decision(chosen);
+    if (chosen.ordered) decision.order = order_pairs(problem, chosen);
     bound = result.bound;
+    if (options.report != nullptr) {
+      options.report->evaluations = result.evaluations;
+      options.report->certified_us = result.ordered.makespan < kNever ? result.ordered.makespan : 0;
+    }
   } else {
     return fail(ErrorCode::kInvalid, "unknown method '" + options.method + "'", "solve",
                 "one of: auto, search, ilp, heft, local");
   }
   Policy policy = make_policy(app, platform, problem, decision, options.method);
   policy.lower_bound_us = std::min(bound, policy.latency_us);
+  policy.worst_case_us = worst_case(problem, decision);
   policy.optimal = policy.lower_bound_us == policy.latency_us;
   policy.solve_ms = std::chrono::duration_cast<std::chrono::milliseconds>(
                         std::chrono::steady_clock::now() - began)

@@ -15,7 +15,7 @@ namespace xauto::solver {
 struct Progress {
   double elapsed_s = 0;
   Time incumbent = 0, bound = 0;
-  double gap = 0;               ///< (incumbent - bound) / incumbent
+  double gap = 0;  ///< (incumbent - bound) / incumbent
   double evaluations_per_s = 0;
 };
 
@@ -24,18 +24,32 @@ struct SolveOptions {
   double time_limit_s = 10;
   int threads = 1;
   std::uint64_t seed = 1;
-  std::int64_t max_evaluations = 0;  ///< 0: no limit; with a limit the answer does not depend on speed
+  std::int64_t max_evaluations =
+      0;                 ///< 0: no limit; with a limit the answer does not depend on speed
+  bool certify = false;  ///< minimise the certified worst case instead of the latency
   const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: return the best so far
-  std::function<void(const Progress&)> on_progress;  ///< called from the solving thread, at most 10 Hz
+  std::function<void(const Progress&)>
+      on_progress;                       ///< called from the solving thread, at most 10 Hz
+  struct SolveReport* report = nullptr;  ///< filled in if not null
 };
 
-/// Errors: kInvalid / kInfeasible from Problem::create; kInvalid for an unknown method. A time limit is
-/// not an error: the best policy so far comes back with its bound.
+/// What a policy file has no place for.
+struct SolveReport {
+  std::int64_t evaluations = 0;
+  /// The least certified latency found (ordered schedules); 0: none was looked for. Where the
+  /// policy is not ordered itself, this minus its latency is the cost of certifying.
+  Time certified_us = 0;
+};
+
+/// Errors: kInvalid / kInfeasible from Problem::create; kInvalid for an unknown method. A time
+/// limit is not an error: the best policy so far comes back with its bound.
 [[nodiscard]] Result<Policy> solve(const AppSpec& app, const Platform& platform,
                                    const SolveOptions& options);
 
-/// A Policy from a Decision: simulated, priorities as given, bound/optimal/worst case left to the caller.
-[[nodiscard]] Policy make_policy(const AppSpec& app, const Platform& platform, const Problem& problem,
-                                 const Decision& decision, std::string method);
+/// A Policy from a Decision: simulated, priorities as given, bound/optimal/worst case left to the
+/// caller.
+[[nodiscard]] Policy make_policy(const AppSpec& app, const Platform& platform,
+                                 const Problem& problem, const Decision& decision,
+                                 std::string method);
 
 }  // namespace xauto::solver

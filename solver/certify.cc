@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: Apache-2.0
+// See certify.h.
+#include "solver/certify.h"
+
+#include <algorithm>
+#include <cstdint>
+#include <numeric>
+
+namespace xauto::solver {
+namespace {
+
+std::size_t at(int index) {
+  return static_cast<std::size_t>(index);
+}
+
+/// Which XNodes come before which, edges and order pairs together; one bit row per XNode.
+class Reach {
+ public:
+  Reach(std::size_t n, const std::vector<std::vector<int>>& succ, const std::vector<int>& topo)
+      : words_((n + 63) / 64), bits_(n * words_, 0) {
+    for (std::size_t k = topo.size(); k-- > 0;) {
+      const std::size_t i = at(topo[k]);
+      for (int s : succ[i]) {
+        bits_[i * words_ + at(s) / 64] |= std::uint64_t{1} << (at(s) % 64);
+        for (std::size_t w = 0; w < words_; ++w) bits_[i * words_ + w] |= bits_[at(s) * words_ + w];
+      }
+    }
+  }
+  [[nodiscard]] bool before(int a, int b) const {
+    return (bits_[at(a) * words_ + at(b) / 64] >> (at(b) % 64) & 1) != 0;
+  }
+
+ private:
+  std::size_t words_;
+  std::vector<std::uint64_t> bits_;
+};
+
+std::vector<int> topological(const std::vector<std::vector<int>>& succ) {
+  std::vector<int> missing(succ.size(), 0), order;
+  for (const auto& list : succ)
+    for (int s : list) ++missing[at(s)];
+  for (std::size_t i = 0; i < succ.size(); ++i)
+    if (missing[i] == 0) order.push_back(static_cast<int>(i));
+  for (std::size_t k = 0; k < order.size(); ++k)
+    for (int s : succ[at(order[k])])
+      if (--missing[at(s)] == 0) order.push_back(s);
+  return order;
+}
+
+/// Depth-first over all chains, from the sources; see the formula in certify.h.
+class Chains {
+ public:
+  Chains(const Problem& problem, const Decision& decision)
+      : n_(at(problem.num_xnodes)), succ_(problem.succ) {
+    for (const auto& [u, v] : decision.order) succ_[at(u)].push_back(v);
+    const std::vector<int> topo = topological(succ_);
+    const Reach reach(n_, succ_, topo);
+    own_.assign(n_, 0);
+    interferers_.resize(n_);
+    weight_.assign(n_, 0);
+    source_.assign(n_, 1);
+    for (const auto& list : succ_)
+      for (int s : list) source_[at(s)] = 0;
+    std::vector<std::vector<int>> on_xpu(at(problem.num_xpus));
+    for (std::size_t i = 0; i < n_; ++i) on_xpu[at(decision.xpu[i])].push_back(static_cast<int>(i));
+    for (int i = 0; i < problem.num_xnodes; ++i) {
+      const std::size_t x = at(decision.xpu[at(i)]);
+      Time blocking = 0;
+      bool may_preempt = false;
+      for (int j : on_xpu[x]) {
+        if (j == i || reach.before(i, j) || reach.before(j, i)) continue;
+        if (decision.priority[at(j)] > decision.priority[at(i)]) {
+          interferers_[at(i)].push_back(j);
+        } else if (problem.preemptive[x]) {
+          may_preempt = true;
+        } else {
+          blocking = std::max(blocking, problem.wcet_on(j, decision.xpu[at(j)]));
+        }
+      }
+      weight_[at(i)] =
+          problem.wcet_on(i, decision.xpu[at(i)]) + (may_preempt ? problem.preempt[x] : 0);
+      own_[at(i)] = weight_[at(i)] + blocking;
+    }
+    // Per-XNode counting from each XNode to the end: the bound that prunes the enumeration.
+    rest_.assign(n_, 0);
+    for (std::size_t k = topo.size(); k-- > 0;) {
+      const std::size_t i = at(topo[k]);
+      Time after = 0;
+      for (int s : succ_[i]) after = std::max(after, rest_[at(s)]);
+      rest_[i] = after + own_[i];
+      for (int j : interferers_[i]) rest_[i] += weight_[at(j)];
+    }
+    counted_.assign(n_, 0);
+  }
+
+  Time longest(std::int64_t max_steps) {
+    steps_ = max_steps;
+    std::vector<int> sources;
+    for (std::size_t i = 0; i < n_; ++i)
+      if (source_[i]) sources.push_back(static_cast<int>(i));
+    visit(sources, 0);
+    return best_;
+  }
+
+ private:
+  void visit(std::vector<int> next, Time length) {
+    if (next.empty()) {
+      best_ = std::max(best_, length);
+      return;
+    }
+    std::sort(next.begin(), next.end(), [&](int a, int b) { return rest_[at(a)] > rest_[at(b)]; });
+    for (int i : next) {
+      if (length + rest_[at(i)] <= best_) return;
+      if (--steps_ < 0) {
+        best_ = std::max(best_, length + rest_[at(i)]);
+        return;
+      }
+      // An XNode of the chain itself may also interfere with an earlier one of the chain only if
+      // the two are unordered, which chain members never are.
+      Time added = own_[at(i)];
+      for (int j : interferers_[at(i)])
+        if (counted_[at(j)]++ == 0) added += weight_[at(j)];
+      visit(succ_[at(i)], length + added);
+      for (int j : interferers_[at(i)]) --counted_[at(j)];
+    }
+  }
+
+  std::size_t n_;
+  std::vector<std::vector<int>> succ_, interferers_;
+  std::vector<Time> own_, weight_, rest_;
+  std::vector<char> source_;
+  std::vector<int> counted_;
+  Time best_ = 0;
+  std::int64_t steps_ = 0;
+};
+
+}  // namespace
+
+std::vector<std::pair<int, int>> order_pairs(const Problem& problem, const Solution& solution) {
+  const std::size_t n = at(problem.num_xnodes);
+  std::vector<std::pair<int, int>> pairs;
+  std::vector<int> last(at(problem.num_xpus), -1);
+  std::vector<std::vector<int>> succ = problem.succ;
+  for (int i : solution.sequence) {
+    int& before = last[at(solution.xpu[at(i)])];
+    if (before >= 0) {
+      pairs.emplace_back(before, i);
+      succ[at(before)].push_back(i);
+    }
+    before = i;
+  }
+  const Reach reach(n, succ, topological(succ));
+  // Redundant: an edge of the app says the same, or another successor of u comes before v.
+  std::erase_if(pairs, [&](const std::pair<int, int>& pair) {
+    const auto& [u, v] = pair;
+    const auto& direct = problem.succ[at(u)];
+    if (std::find(direct.begin(), direct.end(), v) != direct.end()) return true;
+    return std::any_of(succ[at(u)].begin(), succ[at(u)].end(),
+                       [&, w = v](int s) { return s != w && reach.before(s, w); });
+  });
+  return pairs;
+}
+
+Time worst_case(const Problem& problem, const Decision& decision, std::int64_t max_steps) {
+  return Chains(problem, decision).longest(max_steps);
+}
+
+}  // namespace xauto::solver

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// The worst case: a bound on the end-to-end latency that holds when every job takes anything in
+// [0, WCET], under the rule of problem.h, preemption costs and non-preemptive XPUs included.
+//
+// Fixed priorities alone have timing anomalies: a job that ends early may lengthen the whole. Two
+// ways out, both here: run-time order pairs that remove the anomalies (the bound is then the
+// longest path and equals the latency), and, for a policy without them, an analysis that is safe
+// but looser.
+#pragma once
+
+#include <utility>
+#include <vector>
+
+#include "solver/search.h"
+
+namespace xauto::solver {
+
+/// The order pairs of an ordered solution, transitively reduced: a pair that already follows from
+/// the edges and the other pairs is left out.
+[[nodiscard]] std::vector<std::pair<int, int>> order_pairs(const Problem& problem,
+                                                           const Solution& solution);
+
+/// A safe bound for any decision, with or without order pairs.
+///
+/// Take the XNode i that finishes last, then the predecessor (by edge or order pair) that made it
+/// eligible last, and so on to a source: a chain whose response intervals [eligible, finish] follow
+/// each other without a gap. Within i's interval its XPU is never idle and runs only i, XNodes of
+/// higher priority that are not ordered against i by the graph, and, on a non-preemptive XPU, at
+/// most one of lower priority that had started before. An XNode runs once, so along one chain each
+/// interferes once:
+///
+///   latency <= max over chains of  sum over i in chain of (C_i + S_i + B_i)
+///                                  + sum over j in the union of hp(i), i in chain, of (C_j + S_j)
+///
+/// S: preempt_us where a start can preempt; B: longest lower-priority C on a non-preemptive XPU.
+/// Chains are enumerated with a bound; past `max_steps`, each chain's interference is counted per
+/// XNode instead (classical response times), which is larger and still safe.
+[[nodiscard]] Time worst_case(const Problem& problem, const Decision& decision,
+                              std::int64_t max_steps = 2'000'000);
+
+}  // namespace xauto::solver

@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+// The relaxation inside the proof (exact.h): can the XNodes be shared out over the types so that
+// every time window of every type holds the work that must fall into it?
+//
+//   Windows [r_i, d_i] per XNode. If XNode i runs on type t, at least
+//     e_it(a, b) = max(0, min(b - a, w_it - max(0, a - r_i) - max(0, d_i - b)))
+//   of its work lies in [a, b], preemption allowed: outside it has no more room than a - r_i and
+//   d_i - b. With x_it the fraction of i on t, an assignment that works satisfies for all t, a < b
+//     sum over i of e_it(a, b) x_it  <=  (b - a) * instances(t).
+//
+// Source: energetic reasoning (Erschler, Lopez 1991; Baptiste, Le Pape, Nuijten, "Constraint-based
+// scheduling", 2001, section 3.3.3), here for fractional assignments, as an LP whose rows are
+// separated as needed. The simplex works in floating point; a refutation counts only after its
+// multipliers, rounded to integers, have been checked in exact arithmetic (Farkas).
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "solver/problem.h"
+
+namespace xauto::solver {
+
+/// What is left of the problem at a node of the proof.
+struct Windows {
+  std::vector<Time> r, d;            ///< earliest start, latest finish
+  std::vector<std::uint32_t> types;  ///< bit t: type t still possible
+};
+
+class EnergyLp {
+ public:
+  explicit EnergyLp(const Problem& problem);
+
+  /// False: refuted, with proof. True: not refuted; share() then holds the fractions.
+  [[nodiscard]] bool feasible(const Windows& windows);
+  /// Fraction of `xnode` on `type` in the last feasible solution.
+  [[nodiscard]] double share(int xnode, int type) const {
+    return share_[static_cast<std::size_t>(xnode * types_ + type)];
+  }
+  [[nodiscard]] std::int64_t solved() const { return solved_; }
+
+ private:
+  struct Row {
+    int type;  ///< -1: the fractions of one XNode sum to at most 1 (xnode in `a`)
+    Time a, b;
+  };
+
+  [[nodiscard]] Time energy(const Windows& windows, std::size_t i, int type, Time a, Time b) const;
+  void start(const Windows& windows);
+  void add_row(const Windows& windows, const Row& row);
+  /// 1 optimal, 0 infeasible in `bad_row_`, -1 gave up.
+  int dual_simplex();
+  void read_shares(const Windows& windows);
+  int separate(const Windows& windows);
+  [[nodiscard]] bool refutation_holds(const Windows& windows);
+  double& cell(std::size_t row, std::size_t col) { return tableau_[row * stride_ + col]; }
+
+  const Problem& problem_;
+  int n_, types_;
+  std::vector<double> share_;
+  std::vector<Row> pool_;  ///< rows that were tight lately: the first ones of the next LP
+
+  // Tableau: row k says  basic_k = rhs_k - sum over columns j of cell(k, j) * nonbasic_j, all >= 0.
+  std::vector<int> var_xnode_, var_type_;  ///< structural variables
+  std::vector<int> var_of_;                ///< [xnode * types + type] -> structural variable or -1
+  std::vector<int> base_;                  ///< type that takes what the variables of an XNode leave
+  std::vector<double> tableau_, rhs_, cost_;
+  std::size_t stride_ = 0, columns_ = 0;
+  std::vector<int> column_var_,
+      row_var_;  ///< < structurals: structural; else slack of rows_[v - structurals]
+  std::vector<Row> rows_;
+  std::size_t bad_row_ = 0;
+  std::int64_t solved_ = 0;
+};
+
+}  // namespace xauto::solver

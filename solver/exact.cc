@@ -1,0 +1,285 @@
+// SPDX-License-Identifier: Apache-2.0
+// See exact.h.
+#include "solver/exact.h"
+
+#include <algorithm>
+#include <bit>
+
+#include "solver/bounds.h"
+#include "solver/energy_lp.h"
+
+namespace xauto::solver {
+namespace {
+
+std::size_t at(int index) {
+  return static_cast<std::size_t>(index);
+}
+
+/// One attempt: is a makespan of at most T impossible?
+class Refuter {
+ public:
+  Refuter(const Problem& problem, const ProofControl& control)
+      : problem_(problem), control_(control), lp_(problem), n_(problem.num_xnodes) {}
+
+  enum class Answer { kRefuted, kOpen };
+
+  Windows root(Time makespan) const {
+    Windows windows;
+    windows.r.assign(at(n_), 0);
+    windows.d.assign(at(n_), makespan);
+    windows.types.assign(at(n_), 0);
+    for (int i = 0; i < n_; ++i)
+      for (int t = 0; t < problem_.num_types; ++t)
+        if (problem_.wcet(i, t) != kCannotRun && !problem_.type_xpus[at(t)].empty())
+          windows.types[at(i)] |= 1u << t;
+    return windows;
+  }
+
+  Answer refute(Time makespan, std::int64_t max_nodes, int shaving_rounds) {
+    nodes_left_ = max_nodes;
+    Windows windows = root(makespan);
+    if (!tighten(windows) || !lp_.feasible(windows)) return Answer::kRefuted;
+    for (int round = 0; round < shaving_rounds; ++round) {
+      const int answer = shave(windows);
+      if (answer < 0) return Answer::kRefuted;
+      if (answer == 0) break;
+    }
+    if (max_nodes <= 1) return Answer::kOpen;
+    return descend(windows, 0) ? Answer::kRefuted : Answer::kOpen;
+  }
+
+ private:
+  /// Windows from the precedence graph, types from the windows; false: empty.
+  bool tighten(Windows& w) const {
+    bool again = true;
+    while (again) {
+      again = false;
+      for (int i : problem_.topo) {
+        Time& r = w.r[at(i)];
+        for (int p : problem_.pred[at(i)]) r = std::max(r, w.r[at(p)] + least(w, p));
+      }
+      for (std::size_t k = problem_.topo.size(); k-- > 0;) {
+        const int i = problem_.topo[k];
+        Time& d = w.d[at(i)];
+        for (int s : problem_.succ[at(i)]) d = std::min(d, w.d[at(s)] - least(w, s));
+      }
+      for (int i = 0; i < n_; ++i) {
+        std::uint32_t& types = w.types[at(i)];
+        for (int t = 0; t < problem_.num_types; ++t) {
+          if ((types >> t & 1u) == 0 || w.r[at(i)] + problem_.wcet(i, t) <= w.d[at(i)]) continue;
+          types &= ~(1u << t);
+          again = true;
+        }
+        if (types == 0) return false;
+      }
+    }
+    return true;
+  }
+
+  Time least(const Windows& w, int i) const {
+    Time least = kNever;
+    for (std::uint32_t types = w.types[at(i)]; types != 0; types &= types - 1)
+      least = std::min(least, problem_.wcet(i, std::countr_zero(types)));
+    return least;
+  }
+
+  bool dead(Windows& w) { return !tighten(w) || !lp_.feasible(w); }
+
+  /// All predecessors of `i` done by `t` / `i` cannot start before `t`: the two halves of a split.
+  void ready_by(Windows& w, int i, Time t) const {
+    for (int p : problem_.pred[at(i)]) w.d[at(p)] = std::min(w.d[at(p)], t);
+  }
+  void done_by_others(Windows& w, int i, Time t) const {
+    for (int s : problem_.succ[at(i)]) w.r[at(s)] = std::max(w.r[at(s)], t);
+  }
+
+  /// Shaving: assume the extreme part of a window, refute it, cut it off. -1 refuted, 1 changed, 0
+  /// not.
+  int shave(Windows& w) {
+    bool changed = false;
+    for (int i = 0; i < n_; ++i) {
+      if (control_.stopped()) return 0;
+      for (int t = 0; t < problem_.num_types; ++t) {
+        if (std::has_single_bit(w.types[at(i)]) || (w.types[at(i)] >> t & 1u) == 0) continue;
+        Windows trial = w;
+        trial.types[at(i)] = 1u << t;
+        if (!dead(trial)) continue;
+        w.types[at(i)] &= ~(1u << t);
+        changed = true;
+        if (!tighten(w)) return -1;
+      }
+    }
+    for (int i : problem_.topo) {
+      if (control_.stopped()) return 0;
+      const int answer = shave_head(w, i);
+      if (answer < 0) return -1;
+      changed = changed || answer > 0;
+    }
+    for (std::size_t k = problem_.topo.size(); k-- > 0;) {
+      if (control_.stopped()) return 0;
+      const int answer = shave_tail(w, problem_.topo[k]);
+      if (answer < 0) return -1;
+      changed = changed || answer > 0;
+    }
+    return changed ? 1 : 0;
+  }
+
+  int shave_head(Windows& w, int i) {
+    if (problem_.pred[at(i)].size() < 2) return 0;
+    Time lo = w.r[at(i)], hi = w.d[at(i)] - least(w, i);
+    const Time resolution = std::max<Time>(1, (hi - lo) / 64);
+    const Time before = lo;
+    // Largest t such that "ready by t" is refuted; then r >= t + 1.
+    Time step = std::max<Time>(resolution, (hi - lo) / 8);
+    while (lo <= hi) {
+      const Time t = std::min(hi, lo + step - 1);
+      Windows trial = w;
+      ready_by(trial, i, t);
+      if (dead(trial)) {
+        lo = t + 1;
+      } else if (step > resolution) {
+        step = std::max(resolution, step / 4);
+      } else {
+        break;
+      }
+    }
+    if (lo == before) return 0;
+    w.r[at(i)] = lo;
+    return tighten(w) ? 1 : -1;
+  }
+
+  int shave_tail(Windows& w, int i) {
+    if (problem_.succ[at(i)].size() < 2) return 0;
+    Time lo = w.r[at(i)] + least(w, i), hi = w.d[at(i)];
+    const Time resolution = std::max<Time>(1, (hi - lo) / 64);
+    const Time before = hi;
+    Time step = std::max<Time>(resolution, (hi - lo) / 8);
+    while (lo <= hi) {
+      const Time t = std::max(lo, hi - step + 1);
+      Windows trial = w;
+      done_by_others(trial, i, t);
+      if (dead(trial)) {
+        hi = t - 1;
+      } else if (step > resolution) {
+        step = std::max(resolution, step / 4);
+      } else {
+        break;
+      }
+    }
+    if (hi == before) return 0;
+    w.d[at(i)] = hi;
+    return tighten(w) ? 1 : -1;
+  }
+
+  /// True: refuted. False: open, or out of nodes or time; the whole attempt has then failed.
+  bool descend(Windows& w, int depth) {
+    if (--nodes_left_ < 0 || control_.stopped() || depth > 400) return false;
+    if (dead(w)) return true;
+    // The XNode whose type is least decided, by the work that hangs on it.
+    int branch = -1, type = -1;
+    double best = 1e-6;
+    for (int i = 0; i < n_; ++i) {
+      if (std::has_single_bit(w.types[at(i)])) continue;
+      double top = 0;
+      int top_type = 0;
+      Time low = kNever, high = 0;
+      for (std::uint32_t types = w.types[at(i)]; types != 0; types &= types - 1) {
+        const int t = std::countr_zero(types);
+        low = std::min(low, problem_.wcet(i, t));
+        high = std::max(high, problem_.wcet(i, t));
+        if (lp_.share(i, t) > top) {
+          top = lp_.share(i, t);
+          top_type = t;
+        }
+      }
+      const double score = (1 - top) * static_cast<double>(high);
+      if (score > best) {
+        best = score;
+        branch = i;
+        type = top_type;
+      }
+    }
+    if (branch >= 0) {
+      Windows yes = w;
+      yes.types[at(branch)] = 1u << type;
+      if (!descend(yes, depth + 1)) return false;
+      w.types[at(branch)] &= ~(1u << type);
+      return descend(w, depth + 1);
+    }
+    // Every type decided by the LP: split the widest window of a join.
+    Time widest = 1;
+    for (int i = 0; i < n_; ++i) {
+      if (problem_.pred[at(i)].empty()) continue;
+      const Time slack = w.d[at(i)] - w.r[at(i)] - least(w, i);
+      if (slack > widest) {
+        widest = slack;
+        branch = i;
+      }
+    }
+    if (branch < 0) return false;
+    const Time middle = w.r[at(branch)] + widest / 2;
+    Windows early = w;
+    ready_by(early, branch, middle);
+    if (!descend(early, depth + 1)) return false;
+    w.r[at(branch)] = middle + 1;
+    return descend(w, depth + 1);
+  }
+
+  const Problem& problem_;
+  const ProofControl& control_;
+  EnergyLp lp_;
+  int n_;
+  std::int64_t nodes_left_ = 0;
+};
+
+}  // namespace
+
+Time prove_bound(const Problem& problem, const ProofControl& control) {
+  Time bound = quick_bound(problem);
+  if (problem.num_types > 16) return bound;
+  Refuter refuter(problem, control);
+  auto raise = [&](Time refuted) {
+    if (refuted + 1 <= bound) return;
+    bound = refuted + 1;
+    if (control.on_bound) control.on_bound(bound);
+  };
+  auto incumbent = [&] { return control.incumbent->load(std::memory_order_relaxed); };
+  using Answer = Refuter::Answer;
+
+  // 1. At the root alone: bisect for the largest makespan that is refuted, first without shaving.
+  for (int shaving : {0, 1, 3}) {
+    Time hi = incumbent() - 1;
+    Time lo = bound;
+    while (lo <= hi && !control.stopped()) {
+      // The likeliest end first: a proof of optimality.
+      const Time t = hi == incumbent() - 1 ? hi : lo + (hi - lo) / 2;
+      if (hi - lo < std::max<Time>(1, hi / 2000) && t != incumbent() - 1) break;
+      if (refuter.refute(t, 1, shaving) == Answer::kRefuted) {
+        raise(t);
+        lo = t + 1;
+      } else {
+        hi = t - 1;
+      }
+    }
+  }
+  // 2. With branching: ever more nodes, ever closer guesses.
+  std::int64_t nodes = 200;
+  while (!control.stopped() && bound < incumbent()) {
+    bool any = false;
+    for (const double part : {1.0, 0.5, 0.25, 0.1}) {
+      if (control.stopped() || bound >= incumbent()) break;
+      const Time gap = incumbent() - bound;
+      const Time t =
+          bound + std::max<Time>(0, static_cast<Time>(part * static_cast<double>(gap)) - 1);
+      if (refuter.refute(t, nodes, 2) == Answer::kRefuted && !control.stopped()) {
+        raise(t);
+        any = true;
+        break;
+      }
+    }
+    if (!any) nodes *= 3;
+  }
+  return bound;
+}
+
+}  // namespace xauto::solver

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bounds by proof: destructive improvement with branching on the assignment. docs/solver.md has the
+// argument in full.
+//
+// For a guessed makespan T the question is whether some assignment survives all necessary
+// conditions: windows [r, d] from the precedence graph and the WCETs left, energy in windows per
+// type, and the LP over the fractional assignment. If every branch is refuted, no schedule is
+// shorter than T + 1. All conditions hold for preemptive schedules too, and none of them counts a
+// preemption cost.
+#pragma once
+
+#include <atomic>
+#include <functional>
+
+#include "solver/search.h"
+
+namespace xauto::solver {
+
+struct ProofControl {
+  SteadyTime deadline = SteadyTime::max();
+  const std::atomic<bool>* stop = nullptr;
+  const std::atomic<bool>* stop_too = nullptr;
+  const std::atomic<Time>* incumbent =
+      nullptr;                         ///< falls meanwhile; the proof need not go beyond it
+  std::function<void(Time)> on_bound;  ///< each improvement
+  std::function<void(const Solution&)> on_solution;
+
+  [[nodiscard]] bool stopped() const {
+    return (stop != nullptr && stop->load(std::memory_order_relaxed)) ||
+           (stop_too != nullptr && stop_too->load(std::memory_order_relaxed)) ||
+           (deadline != SteadyTime::max() && std::chrono::steady_clock::now() >= deadline);
+  }
+};
+
+/// The best bound proven until `control` ends it.
+[[nodiscard]] Time prove_bound(const Problem& problem, const ProofControl& control);
+
+}  // namespace xauto::solver
