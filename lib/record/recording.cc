@@ -1,201 +1,279 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "record/recording.h"
 
-#include <sqlite3.h>
-#include <sys/stat.h>
-
+#include <algorithm>
+#include <cstring>
 #include <filesystem>
+#include <fstream>
+#include <set>
+
+#include <sqlite3.h>
 
 namespace xauto::record {
 namespace {
 
-constexpr std::size_t kBatch = 256;
-constexpr const char* kSchema =
-    "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);"
-    "CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);"
-    "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
-    " serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);"
-    "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,"
-    " timestamp INTEGER NOT NULL, data BLOB NOT NULL);"
-    "CREATE INDEX timestamp_idx ON messages (timestamp ASC);"
-    "INSERT INTO schema(schema_version, ros_distro) VALUES (3, 'xauto');";
+constexpr int kMaxSchemaVersion = 4;
+// Of SQLite's machine, per call of the progress handler; per byte of the file; and to start with.
+// Reading a recording once takes some 30 steps per message, and a message is at least 10 bytes
+// long.
+constexpr int kStepsPerCall = 1000;
+constexpr std::int64_t kStepsPerByte = 20, kStepsToStart = 2'000'000;
 
-tl::unexpected<Error> broken(const std::string& path, const std::string& what) {
-  return fail(ErrorCode::kInvalid, what, path);
+int spend(void* budget) {
+  auto& left = *static_cast<std::int64_t*>(budget);
+  left -= kStepsPerCall;
+  return left < 0 ? 1 : 0;
 }
 
-Result<Statement> prepare(sqlite3* database, const std::string& path, const char* sql) {
-  sqlite3_stmt* statement = nullptr;
-  if (sqlite3_prepare_v2(database, sql, -1, &statement, nullptr) != SQLITE_OK)
-    return broken(path, std::string("is no rosbag2 recording: ") + sqlite3_errmsg(database));
-  return Statement(statement);
-}
-
-/// The one .db3 file of a rosbag2 folder.
+/// The one .db3 file of a rosbag2 folder; any other path as it is.
 Result<std::string> resolve(const std::string& path) {
+  namespace fs = std::filesystem;
   std::error_code error;
-  if (!std::filesystem::is_directory(path, error)) return path;
-  std::string found;
-  for (const auto& entry : std::filesystem::directory_iterator(path, error)) {
-    if (entry.path().extension() != ".db3") continue;
-    if (!found.empty()) return broken(path, "holds several .db3 files; name the one to read");
-    found = entry.path().string();
-  }
-  if (error || found.empty()) return broken(path, "holds no .db3 file");
-  return found;
+  if (!fs::is_directory(path, error)) return path;
+  std::vector<std::string> found;
+  for (fs::directory_iterator entry(path, error), end; !error && entry != end;
+       entry.increment(error))
+    if (entry->path().extension() == ".db3") found.push_back(entry->path().string());
+  if (error) return fail(ErrorCode::kInvalid, "cannot be listed: " + error.message(), path);
+  if (found.empty())
+    return fail(ErrorCode::kInvalid, "holds no .db3 file", path,
+                "a rosbag2 folder of sqlite3 storage has one");
+  if (found.size() > 1)
+    return fail(ErrorCode::kInvalid, "holds " + std::to_string(found.size()) + " .db3 files", path,
+                "name the one to read");
+  return found.front();
 }
 
-Result<std::string> text_column(sqlite3_stmt* row, int column, const std::string& path,
-                                const char* name) {
-  if (sqlite3_column_type(row, column) != SQLITE_TEXT)
-    return broken(path, std::string("topics.") + name + " is not a text");
+std::string text_of(sqlite3_stmt* row, int column) {
   const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(row, column));
-  return std::string(text, static_cast<std::size_t>(sqlite3_column_bytes(row, column)));
+  return text == nullptr
+             ? ""
+             : std::string(text, static_cast<std::size_t>(sqlite3_column_bytes(row, column)));
+}
+
+/// A name of the file in a message: cut, printable.
+std::string shown(std::string text) {
+  if (text.size() > 60) text = text.substr(0, 57) + "...";
+  for (char& c : text)
+    if (static_cast<unsigned char>(c) < 0x20 || static_cast<unsigned char>(c) >= 0x7f) c = '?';
+  return "'" + text + "'";
 }
 
 }  // namespace
 
-void SqliteCloser::operator()(sqlite3* database) const { sqlite3_close_v2(database); }
-void SqliteCloser::operator()(sqlite3_stmt* statement) const { sqlite3_finalize(statement); }
+void SqliteCloser::operator()(sqlite3* database) const {
+  sqlite3_close_v2(database);
+}
+void SqliteCloser::operator()(sqlite3_stmt* statement) const {
+  sqlite3_finalize(statement);
+}
+
+tl::unexpected<Error> Recording::broken(const std::string& what) const {
+  return fail(ErrorCode::kInvalid, what, path_);
+}
+
+tl::unexpected<Error> Recording::damaged() const {
+  switch (sqlite3_errcode(database_.get())) {
+    case SQLITE_INTERRUPT:
+      return broken("is damaged: its pages lead in circles");
+    case SQLITE_TOOBIG:
+      return broken("holds a value of more than " + std::to_string(kMaxMessageBytes) + " bytes");
+    case SQLITE_READONLY:
+    case SQLITE_CANTOPEN:
+      return fail(ErrorCode::kInvalid, "was not closed by its recorder", path_,
+                  "`sqlite3 " + path_ + " .tables` repairs it, with the right to write there");
+    default:
+      return broken(std::string("is damaged: ") + sqlite3_errmsg(database_.get()));
+  }
+}
+
+Result<Statement> Recording::prepare(const char* sql) const {
+  sqlite3_stmt* statement = nullptr;
+  if (sqlite3_prepare_v2(database_.get(), sql, -1, &statement, nullptr) != SQLITE_OK)
+    return damaged();
+  return Statement(statement);
+}
 
 Result<Recording> Recording::open(const std::string& given) {
   Recording r;
   XAUTO_ASSIGN(r.path_, resolve(given));
-  struct stat status {};
-  if (stat(r.path_.c_str(), &status) != 0)
+  std::error_code error;
+  const auto status = std::filesystem::status(r.path_, error);
+  if (!std::filesystem::exists(status))
     return fail(ErrorCode::kNotFound, "there is no such recording", r.path_);
-  if (!S_ISREG(status.st_mode)) return broken(r.path_, "is not a regular file");
+  if (!std::filesystem::is_regular_file(status)) return r.broken("is not a regular file");
+  const std::uint64_t bytes = std::filesystem::file_size(r.path_, error);
+  char magic[16] = {};
+  if (std::ifstream in(r.path_, std::ios::binary); !in) {
+    return r.broken("cannot be opened");
+  } else if (!in.read(magic, sizeof magic) ||
+             std::memcmp(magic, "SQLite format 3", sizeof magic) != 0) {
+    return fail(ErrorCode::kInvalid, "is not an SQLite file", r.path_,
+                "recorded inputs are rosbag2 recordings of sqlite3 storage; mcap is not read");
+  }
   sqlite3* database = nullptr;
   const int opened = sqlite3_open_v2(r.path_.c_str(), &database, SQLITE_OPEN_READONLY, nullptr);
   r.database_.reset(database);
-  if (opened != SQLITE_OK) return broken(r.path_, "cannot be opened as SQLite");
-  // A hostile file must not run code or write: no views with functions, no schema tricks.
+  if (opened != SQLITE_OK) return r.damaged();
+  // A hostile file must not run code, write, or keep us for ever.
   sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
   sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
+  sqlite3_db_config(database, SQLITE_DBCONFIG_ENABLE_VIEW, 0, nullptr);
   sqlite3_limit(database, SQLITE_LIMIT_LENGTH, static_cast<int>(kMaxMessageBytes));
+  sqlite3_exec(database, "PRAGMA cell_size_check=ON; PRAGMA mmap_size=0", nullptr, nullptr,
+               nullptr);
+  r.budget_ = std::make_unique<std::int64_t>(kStepsToStart +
+                                             static_cast<std::int64_t>(bytes) * kStepsPerByte);
+  sqlite3_progress_handler(database, kStepsPerCall, spend, r.budget_.get());
 
-  XAUTO_ASSIGN(const Statement topics,
-               prepare(database, r.path_, "SELECT id, name, type, serialization_format FROM topics ORDER BY id"));
-  int step;
-  while ((step = sqlite3_step(topics.get())) == SQLITE_ROW) {
-    if (r.topics_.size() >= kMaxTopics) return broken(r.path_, "has more than 4096 topics");
-    if (sqlite3_column_type(topics.get(), 0) != SQLITE_INTEGER)
-      return broken(r.path_, "topics.id is not an integer");
-    Topic topic;
-    XAUTO_ASSIGN(topic.name, text_column(topics.get(), 1, r.path_, "name"));
-    XAUTO_ASSIGN(topic.type, text_column(topics.get(), 2, r.path_, "type"));
-    XAUTO_ASSIGN(topic.serialization_format,
-                 text_column(topics.get(), 3, r.path_, "serialization_format"));
-    if (topic.name.empty()) return broken(r.path_, "a topic has no name");
-    for (const Topic& other : r.topics_)
-      if (other.name == topic.name) return broken(r.path_, "topic '" + topic.name + "' is there twice");
-    r.topics_.push_back(std::move(topic));
-    r.topic_ids_.push_back(sqlite3_column_int64(topics.get(), 0));
-  }
-  if (step != SQLITE_DONE) return broken(r.path_, std::string("is damaged: ") + sqlite3_errmsg(database));
-  if (r.topics_.empty()) return broken(r.path_, "has no topics");
-
-  XAUTO_ASSIGN(const Statement count, prepare(database, r.path_, "SELECT count(*) FROM messages"));
-  if (sqlite3_step(count.get()) != SQLITE_ROW)
-    return broken(r.path_, std::string("is damaged: ") + sqlite3_errmsg(database));
-  r.num_messages_ = static_cast<std::uint64_t>(sqlite3_column_int64(count.get(), 0));
-  if (r.num_messages_ == 0) return broken(r.path_, "has no messages");
-  XAUTO_ASSIGN(r.messages_,
-               prepare(database, r.path_,
-                       "SELECT topic_id, timestamp, data, id FROM messages ORDER BY timestamp, id"));
+  XAUTO_TRY(r.check_layout());
+  XAUTO_TRY(r.read_topics());
+  XAUTO_TRY(r.count_messages(bytes));
+  XAUTO_ASSIGN(
+      r.order_,
+      r.prepare("SELECT rowid, topic_id, timestamp FROM messages ORDER BY timestamp, rowid"));
+  XAUTO_ASSIGN(r.data_, r.prepare("SELECT data FROM messages WHERE rowid = ?"));
   return r;
+}
+
+/// Real tables with real columns: views and generated columns would compute what the file's author
+/// wants.
+Status Recording::check_layout() const {
+  struct Table {
+    const char *name, *info;
+    std::vector<const char*> columns;
+  };
+  const Table tables[] = {
+      {"topics", "PRAGMA table_info(topics)", {"id", "name", "type", "serialization_format"}},
+      {"messages", "PRAGMA table_info(messages)", {"id", "topic_id", "timestamp", "data"}}};
+  for (const Table& table : tables) {
+    XAUTO_ASSIGN(const Statement find,
+                 prepare("SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = ?"));
+    sqlite3_bind_text(find.get(), 1, table.name, -1, SQLITE_STATIC);
+    const int step = sqlite3_step(find.get());
+    if (step != SQLITE_ROW && step != SQLITE_DONE) return damaged();
+    if (step == SQLITE_DONE || sqlite3_column_int64(find.get(), 0) <= 0)
+      return broken(std::string("is no rosbag2 recording: table '") + table.name + "' is missing");
+    XAUTO_ASSIGN(const Statement info, prepare(table.info));
+    std::set<std::string> there;
+    while (sqlite3_step(info.get()) == SQLITE_ROW) there.insert(text_of(info.get(), 1));
+    for (const char* column : table.columns)
+      if (!there.contains(column))
+        return broken(std::string("is no rosbag2 recording: table '") + table.name +
+                      "' has no column '" + column + "'");
+  }
+  XAUTO_ASSIGN(const Statement find,
+               prepare("SELECT rootpage FROM sqlite_master WHERE type = 'table'"
+                       " AND name = 'schema'"));
+  const int step = sqlite3_step(find.get());
+  if (step == SQLITE_DONE) return {};  // versions 1 and 2 had no such table
+  if (step != SQLITE_ROW || sqlite3_column_int64(find.get(), 0) <= 0) return damaged();
+  XAUTO_ASSIGN(const Statement version, prepare("SELECT schema_version FROM schema NOT INDEXED"));
+  if (sqlite3_step(version.get()) != SQLITE_ROW ||
+      sqlite3_column_type(version.get(), 0) != SQLITE_INTEGER)
+    return broken("table 'schema' states no version");
+  const std::int64_t number = sqlite3_column_int64(version.get(), 0);
+  if (number < 1 || number > kMaxSchemaVersion)
+    return broken("has schema version " + std::to_string(number) + ", this program reads 1 to " +
+                  std::to_string(kMaxSchemaVersion));
+  return {};
+}
+
+Status Recording::read_topics() {
+  XAUTO_ASSIGN(const Statement rows,
+               prepare("SELECT id, name, type, serialization_format FROM topics NOT INDEXED"));
+  static constexpr const char* kColumns[] = {"id", "name", "type", "serialization_format"};
+  std::set<std::string> names;
+  std::vector<std::pair<std::int64_t, Topic>> topics;
+  int step;
+  while ((step = sqlite3_step(rows.get())) == SQLITE_ROW) {
+    if (topics.size() >= kMaxTopics)
+      return broken("has more than " + std::to_string(kMaxTopics) + " topics");
+    if (sqlite3_column_type(rows.get(), 0) != SQLITE_INTEGER)
+      return broken("topics.id is not an integer");
+    for (int column = 1; column < 4; ++column) {
+      const std::string what = std::string("topics.") + kColumns[column];
+      if (sqlite3_column_type(rows.get(), column) != SQLITE_TEXT)
+        return broken(what + " is not a text");
+      if (static_cast<std::size_t>(sqlite3_column_bytes(rows.get(), column)) > kMaxTopicTextBytes)
+        return broken(what + " is longer than " + std::to_string(kMaxTopicTextBytes) + " bytes");
+    }
+    Topic topic{text_of(rows.get(), 1), text_of(rows.get(), 2), text_of(rows.get(), 3)};
+    if (topic.name.empty()) return broken("a topic has no name");
+    if (!names.insert(topic.name).second)
+      return broken("topic " + shown(topic.name) + " is there twice");
+    topics.emplace_back(sqlite3_column_int64(rows.get(), 0), std::move(topic));
+  }
+  if (step != SQLITE_DONE) return damaged();
+  if (topics.empty()) return broken("has no topics");
+  std::sort(topics.begin(), topics.end(),
+            [](const auto& a, const auto& b) { return a.first < b.first; });
+  for (auto& [id, topic] : topics) {
+    if (!topic_ids_.empty() && topic_ids_.back() == id)
+      return broken("topic id " + std::to_string(id) + " is there twice");
+    topic_ids_.push_back(id);
+    topics_.push_back(std::move(topic));
+  }
+  return {};
+}
+
+/// By reading every row's key once: count(*) cannot be interrupted.
+Status Recording::count_messages(std::uint64_t file_bytes) {
+  XAUTO_ASSIGN(const Statement rows, prepare("SELECT rowid FROM messages NOT INDEXED"));
+  int step;
+  while ((step = sqlite3_step(rows.get())) == SQLITE_ROW)
+    if (++num_messages_ > file_bytes) return broken("is damaged: its pages lead in circles");
+  if (step != SQLITE_DONE) return damaged();
+  if (num_messages_ == 0) return broken("has no messages");
+  return {};
 }
 
 Result<std::optional<Message>> Recording::next() {
-  sqlite3_stmt* row = messages_.get();
+  if (finished_) return std::optional<Message>();
+  sqlite3_stmt* row = order_.get();
   const int step = sqlite3_step(row);
-  if (step == SQLITE_DONE) return std::optional<Message>();
-  if (step != SQLITE_ROW)
-    return broken(path_, std::string("is damaged: ") + sqlite3_errmsg(database_.get()));
-  const std::string which = "message " + std::to_string(sqlite3_column_int64(row, 3));
-  if (sqlite3_column_type(row, 0) != SQLITE_INTEGER || sqlite3_column_type(row, 1) != SQLITE_INTEGER)
-    return broken(path_, which + ": topic_id or timestamp is not an integer");
-  const int kind = sqlite3_column_type(row, 2);
-  if (kind != SQLITE_BLOB) return broken(path_, which + ": data is not a blob");
-  Message message;
+  if (step == SQLITE_DONE && num_read_ == num_messages_) {
+    finished_ = true;
+    return std::optional<Message>();
+  }
+  if (step == SQLITE_DONE || (step == SQLITE_ROW && num_read_ == num_messages_))
+    return broken("is damaged: its index does not list its messages");
+  if (step != SQLITE_ROW) return damaged();
+  ++num_read_;
   const std::int64_t id = sqlite3_column_int64(row, 0);
-  while (message.topic < topic_ids_.size() && topic_ids_[message.topic] != id) ++message.topic;
-  if (message.topic == topic_ids_.size())
-    return broken(path_, which + ": topic_id " + std::to_string(id) + " is not in the topics table");
-  message.timestamp_ns = sqlite3_column_int64(row, 1);
-  if (message.timestamp_ns < 0)
-    return broken(path_, which + ": timestamp " + std::to_string(message.timestamp_ns) + " is negative");
-  const auto bytes = static_cast<std::size_t>(sqlite3_column_bytes(row, 2));
-  const auto* data = static_cast<const std::byte*>(sqlite3_column_blob(row, 2));
+  const std::string which = "message " + std::to_string(id) + ": ";
+  if (sqlite3_column_type(row, 1) != SQLITE_INTEGER)
+    return broken(which + "topic_id is not an integer");
+  if (sqlite3_column_type(row, 2) != SQLITE_INTEGER)
+    return broken(which + "timestamp is not an integer");
+  Message message;
+  const std::int64_t topic = sqlite3_column_int64(row, 1);
+  const auto found = std::lower_bound(topic_ids_.begin(), topic_ids_.end(), topic);
+  if (found == topic_ids_.end() || *found != topic)
+    return broken(which + "topic_id " + std::to_string(topic) + " is not in table 'topics'");
+  message.topic = static_cast<std::size_t>(found - topic_ids_.begin());
+  message.timestamp_ns = sqlite3_column_int64(row, 2);
+  if (message.timestamp_ns < 0 || message.timestamp_ns > kMaxTimestampNs)
+    return broken(which + "timestamp " + std::to_string(message.timestamp_ns) +
+                  " is not from 0 to " + std::to_string(kMaxTimestampNs) + " ns");
+  if (message.timestamp_ns < last_ns_) return broken("is damaged: its index is not in order");
+  last_ns_ = message.timestamp_ns;
+
+  sqlite3_stmt* blob = data_.get();
+  sqlite3_reset(blob);
+  sqlite3_bind_int64(blob, 1, id);
+  const int got = sqlite3_step(blob);
+  if (got == SQLITE_DONE)
+    return broken("is damaged: its index lists " + which + "which is not there");
+  if (got == SQLITE_TOOBIG)
+    return broken(which + "data is longer than " + std::to_string(kMaxMessageBytes) + " bytes");
+  if (got != SQLITE_ROW) return damaged();
+  if (sqlite3_column_type(blob, 0) != SQLITE_BLOB) return broken(which + "data is not a blob");
+  const auto* data = static_cast<const std::byte*>(sqlite3_column_blob(blob, 0));
+  const auto bytes = static_cast<std::size_t>(sqlite3_column_bytes(blob, 0));
+  if (data == nullptr && bytes > 0) return damaged();
   message.data.assign(data, data + bytes);
   return std::optional<Message>(std::move(message));
-}
-
-Result<Recorder> Recorder::create(const std::string& path) {
-  std::error_code error;
-  if (std::filesystem::exists(path, error))
-    return fail(ErrorCode::kInvalid, "exists already", path, "record into a new file");
-  Recorder r;
-  r.path_ = path;
-  sqlite3* database = nullptr;
-  const int opened =
-      sqlite3_open_v2(path.c_str(), &database, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE, nullptr);
-  r.database_.reset(database);
-  if (opened != SQLITE_OK)
-    return fail(ErrorCode::kNotFound, std::string("cannot be created: ") + sqlite3_errmsg(database), path);
-  for (const char* sql : {"PRAGMA journal_mode=MEMORY", kSchema, "BEGIN"})
-    if (sqlite3_exec(database, sql, nullptr, nullptr, nullptr) != SQLITE_OK)
-      return fail(ErrorCode::kIo, sqlite3_errmsg(database), path);
-  XAUTO_ASSIGN(r.insert_, prepare(database, path,
-                                  "INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)"));
-  return r;
-}
-
-Recorder::~Recorder() {
-  if (database_) (void)close();
-}
-
-Result<std::size_t> Recorder::add_topic(const Topic& topic) {
-  XAUTO_ASSIGN(const Statement insert,
-               prepare(database_.get(), path_,
-                       "INSERT INTO topics(id, name, type, serialization_format, offered_qos_profiles)"
-                       " VALUES (?, ?, ?, ?, '')"));
-  sqlite3_bind_int64(insert.get(), 1, static_cast<std::int64_t>(num_topics_ + 1));
-  const std::string* texts[] = {&topic.name, &topic.type, &topic.serialization_format};
-  for (int i = 0; i < 3; ++i)
-    sqlite3_bind_text(insert.get(), i + 2, texts[i]->data(), static_cast<int>(texts[i]->size()),
-                      SQLITE_TRANSIENT);
-  if (sqlite3_step(insert.get()) != SQLITE_DONE)
-    return fail(ErrorCode::kIo, sqlite3_errmsg(database_.get()), path_);
-  return num_topics_++;
-}
-
-Status Recorder::write(std::size_t topic, std::int64_t timestamp_ns, std::span<const std::byte> data) {
-  if (topic >= num_topics_) return fail(ErrorCode::kInvalid, "unknown topic", path_);
-  if (data.size() > kMaxMessageBytes)
-    return fail(ErrorCode::kInvalid, "message of " + std::to_string(data.size()) + " bytes is too long", path_);
-  sqlite3_reset(insert_.get());
-  sqlite3_bind_int64(insert_.get(), 1, static_cast<std::int64_t>(topic + 1));
-  sqlite3_bind_int64(insert_.get(), 2, timestamp_ns);
-  sqlite3_bind_blob64(insert_.get(), 3, data.empty() ? static_cast<const void*>("") : data.data(), data.size(),
-                      SQLITE_STATIC);
-  if (sqlite3_step(insert_.get()) != SQLITE_DONE)
-    return fail(ErrorCode::kIo, sqlite3_errmsg(database_.get()), path_);
-  if (++uncommitted_ < kBatch) return {};
-  uncommitted_ = 0;
-  if (sqlite3_exec(database_.get(), "COMMIT; BEGIN", nullptr, nullptr, nullptr) != SQLITE_OK)
-    return fail(ErrorCode::kIo, sqlite3_errmsg(database_.get()), path_);
-  return {};
-}
-
-Status Recorder::close() {
-  if (!database_) return {};
-  insert_.reset();
-  const bool good = sqlite3_exec(database_.get(), "COMMIT", nullptr, nullptr, nullptr) == SQLITE_OK;
-  const std::string why = good ? "" : sqlite3_errmsg(database_.get());
-  database_.reset();
-  if (!good) return fail(ErrorCode::kIo, "the last messages could not be written: " + why, path_);
-  return {};
 }
 
 }  // namespace xauto::record

@@ -1,65 +1,102 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto record: what is in a recorded input, and whether it can be read to its end. Recording itself is
-// `xauto run --record FILE`.
-#include <fmt/format.h>
-
+// xauto record: what is in a recorded input (info), and whether it can be read to its end (check).
+// Recording itself is `xauto run --record FILE`.
 #include <iostream>
 #include <memory>
+
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 #include "record/recording.h"
+
 #include "xauto/command.h"
 
 namespace xauto::cli {
 namespace {
 
-Result<int> info(const std::string& path, const Options& options) {
+/// Reads a recording to its end, with progress.
+struct Contents {
+  std::vector<record::Topic> topics;
+  std::vector<std::uint64_t> messages, bytes;  ///< per topic
+  std::uint64_t num_messages = 0;
+  double seconds = 0;
+};
+
+Result<Contents> read(const std::string& path) {
   XAUTO_ASSIGN(auto recording, record::Recording::open(path));
-  std::vector<std::uint64_t> count(recording.topics().size(), 0), bytes(count);
+  Contents c;
+  c.topics = recording.topics();
+  c.num_messages = recording.num_messages();
+  c.messages.resize(c.topics.size());
+  c.bytes.resize(c.topics.size());
   std::int64_t first = -1, last = 0;
+  std::uint64_t done = 0;
+  Progress progress("reading", static_cast<double>(c.num_messages));
   for (;;) {
     XAUTO_ASSIGN(const auto message, recording.next());
     if (!message) break;
     if (first < 0) first = message->timestamp_ns;
     last = message->timestamp_ns;
-    ++count[message->topic];
-    bytes[message->topic] += message->data.size();
+    ++c.messages[message->topic];
+    c.bytes[message->topic] += message->data.size();
+    progress.update(static_cast<double>(++done));
   }
-  const double seconds = static_cast<double>(last - first) * 1e-9;
+  progress.finish();
+  c.seconds = static_cast<double>(last - first) * 1e-9;
+  return c;
+}
+
+int print_info(const std::string& path, const Contents& c, const Options& options) {
   nlohmann::ordered_json topics = nlohmann::ordered_json::array();
-  std::string table = fmt::format("{}: {} messages, {:.3f} s\n", path, recording.num_messages(), seconds);
-  for (std::size_t i = 0; i < count.size(); ++i) {
-    const record::Topic& topic = recording.topics()[i];
-    table += fmt::format("  {:<32}{:>8} messages {:>12} bytes  {} ({})\n", topic.name, count[i], bytes[i],
-                         topic.type, topic.serialization_format);
+  std::string table = fmt::format("{}: {} messages, {:.3f} s\n", path, c.num_messages, c.seconds);
+  for (std::size_t i = 0; i < c.topics.size(); ++i) {
+    const record::Topic& topic = c.topics[i];
+    table += fmt::format("  {:<32}{:>8} messages {:>12} bytes  {} ({})\n", topic.name,
+                         c.messages[i], c.bytes[i], topic.type, topic.serialization_format);
     topics.push_back({{"name", topic.name},
                       {"type", topic.type},
                       {"serialization_format", topic.serialization_format},
-                      {"messages", count[i]},
-                      {"bytes", bytes[i]}});
+                      {"messages", c.messages[i]},
+                      {"bytes", c.bytes[i]}});
   }
+  const nlohmann::ordered_json all = {
+      {"messages", c.num_messages}, {"duration_s", c.seconds}, {"topics", topics}};
   if (options.json)
-    std::cout << nlohmann::ordered_json{{"messages", recording.num_messages()},
-                                        {"duration_s", seconds},
-                                        {"topics", topics}}
-                     .dump(2)
-              << "\n";
+    std::cout << all.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << "\n";
   else
     std::cout << table;
+  return kDone;
+}
+
+int print_check(const std::string& path, const Contents& c, const Options& options) {
+  if (options.json)
+    std::cout << nlohmann::ordered_json{{"readable", true}, {"messages", c.num_messages}}.dump(2)
+              << "\n";
+  else
+    std::cout << fmt::format("{}: all {} messages can be read\n", path, c.num_messages);
   return kDone;
 }
 
 }  // namespace
 
 void add_record(Commands& commands) {
-  auto path = std::make_shared<std::string>();
+  struct Flags {
+    std::string action, path;
+  };
+  auto flags = std::make_shared<Flags>();
   CLI::App* verb = commands.add(
       "record", "Tell what is in a recorded input; to make one: xauto run --record FILE.",
-      "xauto record drive.db3", [path](const Options& options) {
-        const auto status = info(*path, options);
-        return status ? *status : report(status.error());
+      "xauto record info drive.db3", [flags](const Options& options) {
+        const auto contents = read(flags->path);
+        if (!contents) return report(contents.error());
+        return flags->action == "check" ? print_check(flags->path, *contents, options)
+                                        : print_info(flags->path, *contents, options);
       });
-  verb->add_option("file", *path, "a .db3 file or a rosbag2 folder")->required();
+  verb->add_option("action", flags->action,
+                   "info: topics, counts, duration; check: only whether all can be read")
+      ->required()
+      ->check(CLI::IsMember({"info", "check"}));
+  verb->add_option("file", flags->path, "a .db3 file or a rosbag2 folder")->required();
 }
 
 }  // namespace xauto::cli

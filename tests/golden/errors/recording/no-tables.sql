@@ -1,0 +1,2 @@
+-- no tables
+CREATE TABLE t(x);

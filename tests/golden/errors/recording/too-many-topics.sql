@@ -1,0 +1,10 @@
+-- too many topics
+CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+INSERT INTO schema VALUES (3, '');
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
+ serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,
+ timestamp INTEGER NOT NULL, data BLOB NOT NULL);
+INSERT INTO messages VALUES (1, 1, 1000, x'00');
+WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n LIMIT 4097)
+ INSERT INTO topics SELECT i, 'topic' || i, 't', 'cdr', '[]' FROM n;
