@@ -204,7 +204,18 @@ Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
   Panel panel;
   panel.id = run.id;
   panel.name = run.name;
-  for (const Xpu& xpu : flags.spec.xpus) panel.rows.push_back(xpu.id);
+  // Under the ROS 2 model the CPUs are one pool: one row, named so, in the place of its first core.
+  std::vector<int> row_of(flags.spec.xpus.size(), -1);
+  for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x) {
+    const bool pooled = run.scheduling == runtime::Scheduling::kRos2 && flags.spec.xpus[x].type == "cpu";
+    const int first = pooled ? flags.spec.instances_of("cpu").front() : static_cast<int>(x);
+    if (first == static_cast<int>(x)) {
+      row_of[x] = static_cast<int>(panel.rows.size());
+      panel.rows.push_back(pooled ? "CPU pool" : flags.spec.xpus[x].id);
+    } else {
+      row_of[x] = row_of[static_cast<std::size_t>(first)];
+    }
+  }
   panel.p50_us = run.latency.p50_us;
   panel.p99_us = run.latency.p99_us;
   panel.max_us = run.latency.max_us;
@@ -222,10 +233,11 @@ Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
     panel.shown_sequence = static_cast<std::int64_t>(shown->sequence);
     panel.shown_latency_us = shown->latency_us;
     panel.measured = bars_of(flags, run.outcome.trace, shown->sequence, shown->origin_ns);
+    for (Bar& bar : panel.measured) bar.row = row_of[static_cast<std::size_t>(bar.row)];
   }
   for (const solver::Slice& slice : run.predicted.slices) {
     const XNodeSpec& spec = flags.app.xnodes[static_cast<std::size_t>(slice.xnode)];
-    panel.predicted.push_back({slice.xpu, spec.name, spec.module, slice.begin, slice.end,
+    panel.predicted.push_back({row_of[static_cast<std::size_t>(slice.xpu)], spec.name, spec.module, slice.begin, slice.end,
                                slice.switching ? BarKind::kSwitch : BarKind::kRun});
   }
   return panel;

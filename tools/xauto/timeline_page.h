@@ -1,0 +1,251 @@
+// SPDX-License-Identifier: Apache-2.0
+// Style and script of the timeline page; timeline.cc puts the data between them. Plain SVG and DOM, no
+// network, light and dark. Colours: Okabe and Ito's palette for colour-blind readers, by module.
+#pragma once
+
+namespace xauto::cli {
+
+inline constexpr const char* kPageHead =
+    R"(<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">)";
+
+inline constexpr const char* kPageStyle = R"css(<style>
+:root { --bg:#fbfbfc; --card:#fff; --fg:#1c1f24; --dim:#646b76; --line:#e3e6ea; --lane:#f4f5f7; --accent:#0b62c4; --ink:#111; }
+@media (prefers-color-scheme: dark) {
+  :root { --bg:#14161a; --card:#1c1f25; --fg:#e7e9ed; --dim:#9aa2ae; --line:#30353d; --lane:#22262d; --accent:#6cb2ff; --ink:#0b0c0e; }
+}
+* { box-sizing:border-box }
+body { margin:0; padding:24px 28px 48px; background:var(--bg); color:var(--fg); font:14px/1.45 system-ui,-apple-system,"Segoe UI",sans-serif }
+h1 { font-size:22px; margin:0 0 2px } h2 { font-size:15px; margin:0; font-weight:650 }
+.dim { color:var(--dim) }
+.card { background:var(--card); border:1px solid var(--line); border-radius:10px; padding:14px 16px; margin-top:16px }
+table { border-collapse:collapse; width:100% } th { text-align:right; color:var(--dim); font-weight:500; padding:3px 10px }
+td { text-align:right; padding:4px 10px; font-variant-numeric:tabular-nums; border-top:1px solid var(--line) }
+th:first-child,td:first-child { text-align:left } td.bar { width:34%; text-align:left }
+td.bar div { height:12px; border-radius:3px; background:var(--accent); opacity:.85 }
+.head { display:flex; align-items:baseline; gap:14px; flex-wrap:wrap; margin-bottom:6px }
+.head .big { font-size:18px; font-weight:650; font-variant-numeric:tabular-nums }
+.legend { display:flex; flex-wrap:wrap; gap:6px 8px; margin-top:10px }
+.legend button { display:flex; align-items:center; gap:6px; border:1px solid var(--line); background:none; color:var(--fg); border-radius:14px; padding:2px 10px 2px 8px; font:inherit; cursor:pointer }
+.legend button[aria-pressed=true] { border-color:var(--accent); box-shadow:0 0 0 1px var(--accent) }
+.legend i { width:12px; height:12px; border-radius:3px; display:inline-block }
+.legend span.key { display:flex; align-items:center; gap:6px; color:var(--dim); padding:2px 6px }
+svg { display:block; width:100%; height:auto; overflow:visible }
+svg text { fill:var(--fg); font-size:11px } svg text.dim { fill:var(--dim) } svg .grid { stroke:var(--line) }
+svg .lane { fill:var(--lane) } svg .end { stroke:var(--fg); stroke-width:1.5; stroke-dasharray:4 3 }
+svg .label { fill:var(--ink); font-size:10px; pointer-events:none } svg .faded { opacity:.15 }
+svg .plan { fill:none; stroke-width:1.2; opacity:.8 } svg .bar:hover { stroke:var(--fg); stroke-width:1.5 }
+#tip { position:fixed; pointer-events:none; background:var(--fg); color:var(--bg); border-radius:6px; padding:6px 9px; font-size:12px; display:none; z-index:9; max-width:340px; white-space:pre-line }
+.tools { float:right; color:var(--dim); font-size:12px } .tools button { font:inherit; border:1px solid var(--line); background:none; color:var(--fg); border-radius:6px; cursor:pointer; padding:1px 8px }
+</style>)css";
+
+inline constexpr const char* kPageBody = R"html(</head><body>
+<div class="tools">zoom <button id="in" title="key +">+</button> <button id="out" title="key -">&minus;</button> <button id="all" title="key 0">all</button></div>
+<h1 id="title"></h1><div id="note" class="dim"></div>
+<div class="card"><table id="table"></table></div>
+<div class="legend" id="legend"></div>
+<div id="panels"></div><div id="tip" role="tooltip"></div>
+)html";
+
+inline constexpr const char* kPageScript = R"js(<script>
+"use strict";
+const RUN = 0, WAIT = 1, SUSPENDED = 2, SWITCH = 3;
+const PALETTE = ["#E69F00","#56B4E9","#009E73","#F0E442","#5B8FF9","#D55E00","#CC79A7","#B8B8B8","#8FD175","#C9A0FF","#FFB3A7","#7FD6D0"];
+const $ = id => document.getElementById(id);
+const NS = "http://www.w3.org/2000/svg";
+function el(parent, name, attributes, text) {
+  const e = document.createElementNS(NS, name);
+  for (const k in attributes) e.setAttribute(k, attributes[k]);
+  if (text !== undefined) e.textContent = text;
+  parent.appendChild(e);
+  return e;
+}
+function html(parent, name, text, cls) {
+  const e = document.createElement(name);
+  if (text !== undefined) e.textContent = text;
+  if (cls) e.className = cls;
+  parent.appendChild(e);
+  return e;
+}
+const ms = us => (us / 1000).toFixed(2);
+const modules = [...new Set(DATA.panels.flatMap(p => p.plan.concat(p.measured).map(b => b[2])))].sort();
+const colour = m => PALETTE[modules.indexOf(m) % PALETTE.length];
+const longest = Math.max(1000, ...DATA.panels.map(p => Math.max(p.predicted, p.shownLatency,
+  ...p.measured.map(b => b[4]), ...p.plan.map(b => b[4]))));
+let view = [0, longest * 1.02], picked = null;
+
+$("title").textContent = DATA.title;
+$("note").textContent = DATA.note;
+
+// ---- the table: the answer in one look
+const base = DATA.panels.find(p => p.id === "ros2");
+const worst = Math.max(1, ...DATA.panels.map(p => p.p99));
+const head = html($("table"), "tr");
+for (const t of ["policy, end-to-end latency in ms", "p99", "", "p50", "max", "simulated", base ? "times faster than ROS 2 (p99)" : ""]) html(head, "th", t);
+for (const p of DATA.panels) {
+  const row = html($("table"), "tr");
+  html(row, "td", p.name);
+  html(row, "td", ms(p.p99)).style.fontWeight = 650;
+  html(html(row, "td", undefined, "bar"), "div").style.width = (100 * p.p99 / worst) + "%";
+  for (const v of [p.p50, p.max, p.predicted]) html(row, "td", ms(v));
+  html(row, "td", base ? (base.p99 / Math.max(1, p.p99)).toFixed(2) + "\u00d7" : "");
+}
+
+// ---- the legend: click a module to single it out
+for (const m of modules) {
+  const b = html($("legend"), "button");
+  b.setAttribute("aria-pressed", "false");
+  html(b, "i").style.background = colour(m);
+  b.appendChild(document.createTextNode(m));
+  b.onclick = () => {
+    picked = picked === m ? null : m;
+    for (const o of $("legend").querySelectorAll("button")) o.setAttribute("aria-pressed", String(o === b && picked !== null));
+    draw();
+  };
+}
+for (const [text, style] of [["measured", "background:var(--dim)"], ["plan", "border:1.5px solid var(--dim)"],
+                             ["waiting", "background:var(--dim);opacity:.25"],
+                             ["suspended or switching", "background:repeating-linear-gradient(45deg,var(--dim) 0 2px,transparent 2px 5px)"]]) {
+  const k = html($("legend"), "span", undefined, "key");
+  html(k, "i").style.cssText = style;
+  k.appendChild(document.createTextNode(text));
+}
+
+// ---- a lane for each of several bars that overlap on one row
+function lanes(bars) {
+  const ends = [];
+  const lane = new Map();
+  const names = new Map();  // all bars of one XNode stay in one lane
+  for (const b of [...bars].sort((a, c) => a[3] - c[3])) {
+    if (names.has(b[1])) { const n = names.get(b[1]); lane.set(b, n); ends[n] = Math.max(ends[n], b[4]); continue; }
+    const last = Math.max(...bars.filter(o => o[1] === b[1]).map(o => o[4]));
+    let n = ends.findIndex(e => e <= b[3] + 60);
+    if (n < 0) { n = ends.length; ends.push(0); }
+    ends[n] = last;
+    names.set(b[1], n);
+    lane.set(b, n);
+  }
+  return [lane, Math.max(1, ends.length)];
+}
+
+function tip(event, text) {
+  const t = $("tip");
+  t.textContent = text;
+  t.style.display = "block";
+  t.style.left = Math.min(innerWidth - t.offsetWidth - 8, event.clientX + 14) + "px";
+  t.style.top = Math.min(innerHeight - t.offsetHeight - 8, event.clientY + 14) + "px";
+}
+const hide = () => { $("tip").style.display = "none"; };
+
+const W = 1200, LEFT = 74, RIGHT = 16, LANE = 19, PLAN = 9;
+const x = us => LEFT + (us - view[0]) / (view[1] - view[0]) * (W - LEFT - RIGHT);
+function clipped(b) { return [Math.max(b[3], view[0]), Math.min(b[4], view[1])]; }
+
+function gantt(card, p) {
+  const rows = p.rows.map((name, i) => {
+    const measured = p.measured.filter(b => b[0] === i), plan = p.plan.filter(b => b[0] === i);
+    const [lane, n] = lanes(measured);
+    const [planLane, planN] = lanes(plan);
+    return { name, measured, plan, lane, planLane, n, planN, height: n * LANE + planN * PLAN + 8 };
+  });
+  const H = rows.reduce((s, r) => s + r.height, 0) + 26;
+  const svg = el(card, "svg", { viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": "schedule under " + p.name });
+  const pattern = el(el(svg, "defs", {}), "pattern", { id: "h" + p.id, width: 5, height: 5, patternTransform: "rotate(45)", patternUnits: "userSpaceOnUse" });
+  el(pattern, "rect", { width: 2, height: 5, fill: "var(--dim)" });
+  const span = view[1] - view[0];
+  const step = [100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000, 100000, 1000000].find(s => span / s <= 14) || 1e7;
+  let y = 4;
+  for (const r of rows) {
+    el(svg, "rect", { class: "lane", x: LEFT, y, width: W - LEFT - RIGHT, height: r.height - 4, rx: 3 });
+    el(svg, "text", { x: 4, y: y + r.height / 2 + 2 }, r.name);
+    y += r.height;
+  }
+  for (let t = Math.ceil(view[0] / step) * step; t <= view[1]; t += step) {
+    el(svg, "line", { class: "grid", x1: x(t), x2: x(t), y1: 0, y2: H - 18 });
+    el(svg, "text", { class: "dim", x: x(t), y: H - 5, "text-anchor": "middle" }, t / 1000 + (t + step > view[1] ? " ms" : ""));
+  }
+  y = 4;
+  for (const r of rows) {
+    for (const b of r.measured) {
+      const [from, to] = clipped(b);
+      if (to <= from) continue;
+      const yb = y + 2 + r.lane.get(b) * LANE, w = Math.max(1, x(to) - x(from));
+      const faded = picked && picked !== b[2] ? " faded" : "";
+      const fill = b[5] === SUSPENDED || b[5] === SWITCH ? `url(#h${p.id})` : colour(b[2]);
+      const bar = el(svg, "rect", { class: "bar" + faded, x: x(from), y: yb, width: w, height: LANE - 3, rx: 2, fill, "fill-opacity": b[5] === WAIT ? 0.28 : 1 });
+      const what = ["runs", "waits", "is suspended", "is being switched"][b[5]];
+      const planned = r.plan.filter(o => o[1] === b[1]);
+      bar.onmousemove = e => tip(e, `${b[1]} (${b[2]}) ${what} on ${r.name}\n${ms(b[3])} \u2013 ${ms(b[4])} ms, ${ms(b[4] - b[3])} ms` +
+        (planned.length ? `\nplan: ${ms(Math.min(...planned.map(o => o[3])))} \u2013 ${ms(Math.max(...planned.map(o => o[4])))} ms` : ""));
+      bar.onmouseleave = hide;
+      const label = b[1].length * 5.6 + 8 < w ? b[1] : (b[2].length * 6 + 6 < w ? b[2] : "");
+      if (b[5] === RUN && label) el(svg, "text", { class: "label" + faded, x: x(from) + 4, y: yb + 11.5 }, label);
+    }
+    for (const b of r.plan) {
+      const [from, to] = clipped(b);
+      if (to <= from) continue;
+      const bar = el(svg, "rect", { class: "plan" + (picked && picked !== b[2] ? " faded" : ""), x: x(from), width: Math.max(1, x(to) - x(from)),
+        y: y + 2 + r.n * LANE + r.planLane.get(b) * PLAN, height: PLAN - 3, rx: 1.5, stroke: colour(b[2]) });
+      if (b[5] === SWITCH) bar.setAttribute("fill", `url(#h${p.id})`);
+      bar.style.fill = b[5] === SWITCH ? `url(#h${p.id})` : "transparent";
+      bar.onmousemove = e => tip(e, `plan: ${b[1]} ${b[5] === SWITCH ? "is switched to" : "runs"} on ${r.name}\n${ms(b[3])} \u2013 ${ms(b[4])} ms`);
+      bar.onmouseleave = hide;
+    }
+    y += r.height;
+  }
+  if (p.shownLatency <= view[1] && p.shownLatency >= view[0]) {
+    el(svg, "line", { class: "end", x1: x(p.shownLatency), x2: x(p.shownLatency), y1: 0, y2: H - 18 });
+    const right = x(p.shownLatency) > W - 110;
+    el(svg, "text", { x: x(p.shownLatency) + (right ? -5 : 5), y: 12, "text-anchor": right ? "end" : "start" }, ms(p.shownLatency) + " ms");
+  }
+}
+
+/// Every activation's latency as a dot, on the same time axis.
+function strip(card, p) {
+  const svg = el(card, "svg", { viewBox: `0 0 ${W} 30`, role: "img", "aria-label": "latencies under " + p.name });
+  el(svg, "text", { class: "dim", x: 4, y: 19 }, "latencies");
+  p.latencies.forEach((l, i) => {
+    if (l < view[0] || l > view[1]) return;
+    const dot = el(svg, "circle", { cx: x(l), cy: 6 + (i * 7) % 19, r: 1.8, fill: "var(--accent)", "fill-opacity": 0.5 });
+    dot.onmousemove = e => tip(e, `activation ${i}: ${ms(l)} ms`);
+    dot.onmouseleave = hide;
+  });
+}
+
+function draw() {
+  $("panels").replaceChildren();
+  for (const p of DATA.panels) {
+    const card = html($("panels"), "div", undefined, "card");
+    const h = html(card, "div", undefined, "head");
+    html(h, "h2", p.name);
+    html(h, "span", ms(p.p50) + " ms", "big");
+    html(h, "span", `p50 of ${p.latencies.length}; p99 ${ms(p.p99)}, max ${ms(p.max)}, simulated ${ms(p.predicted)}; activation ${p.shown} shown`, "dim");
+    gantt(card, p);
+    strip(card, p);
+  }
+}
+function zoom(factor, centre) {
+  const c = centre === undefined ? (view[0] + view[1]) / 2 : centre;
+  const span = Math.min(longest * 1.02, Math.max(200, (view[1] - view[0]) * factor));
+  const from = Math.max(0, Math.min(longest * 1.02 - span, c - (c - view[0]) / (view[1] - view[0]) * span));
+  view = [from, from + span];
+  draw();
+}
+$("in").onclick = () => zoom(0.6);
+$("out").onclick = () => zoom(1 / 0.6);
+$("all").onclick = () => { view = [0, longest * 1.02]; draw(); };
+addEventListener("keydown", e => {
+  const pan = (view[1] - view[0]) * 0.2;
+  if (e.key === "+") zoom(0.6);
+  else if (e.key === "-") zoom(1 / 0.6);
+  else if (e.key === "0") { view = [0, longest * 1.02]; draw(); }
+  else if (e.key === "ArrowLeft" || e.key === "ArrowRight") {
+    const d = e.key === "ArrowLeft" ? -Math.min(pan, view[0]) : Math.min(pan, longest * 1.02 - view[1]);
+    view = [view[0] + d, view[1] + d];
+    draw();
+  }
+});
+draw();
+</script></body></html>
+)js";
+
+}  // namespace xauto::cli
