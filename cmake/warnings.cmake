@@ -8,5 +8,6 @@ if(XAUTO_WERROR)
 endif()
 # GCC 12 reports false -Wmaybe-uninitialized through std::optional and std::variant under -O2.
 if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
-  add_compile_options(-Wno-maybe-uninitialized)
+  # ... and -Wrestrict through std::string concatenation (GCC bug 105651).
+  add_compile_options(-Wno-maybe-uninitialized -Wno-restrict)
 endif()

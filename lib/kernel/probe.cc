@@ -1,0 +1,197 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "kernel/probe.h"
+
+#include <sys/resource.h>
+#include <sys/utsname.h>
+
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+
+#include "base/rt.h"
+
+namespace xauto::kernel {
+namespace {
+
+namespace fs = std::filesystem;
+
+class Probe {
+ public:
+  Probe(std::string root, const Limits& limits) : root_(std::move(root)), limits_(limits) {}
+
+  std::vector<Finding> run() {
+    kernel();
+    cores();
+    realtime();
+    throttling();
+    memory_lock();
+    sched_ext();
+    btf();
+    module();
+    gpu();
+    dla();
+    governor();
+    opencl();
+    return std::move(findings_);
+  }
+
+ private:
+  [[nodiscard]] bool there(const std::string& path) const {
+    std::error_code error;
+    return fs::exists(root_ + path, error);
+  }
+  [[nodiscard]] std::string first_line(const std::string& path) const {
+    std::ifstream file(root_ + path);
+    std::string line;
+    std::getline(file, line);
+    return line;
+  }
+  void add(std::string id, Verdict verdict, std::string found, std::string meaning, std::string advice = {}) {
+    findings_.push_back({std::move(id), verdict, std::move(found), std::move(meaning), std::move(advice)});
+  }
+
+  void kernel() {
+    const bool rt = first_line("/sys/kernel/realtime") == "1";
+    add("kernel", Verdict::kOk, limits_.kernel_release + (rt ? ", PREEMPT_RT" : ""),
+        rt ? "real-time kernel: sched_ext is refused, CPU XNodes use SCHED_FIFO" : "general kernel");
+  }
+
+  void cores() {
+    const std::string isolated = first_line("/sys/devices/system/cpu/isolated");
+    add("cores", Verdict::kOk,
+        std::to_string(limits_.cores) + " usable" + (isolated.empty() ? "" : ", isolated: " + isolated),
+        "platforms with up to " + std::to_string(limits_.cores) + " CPUs run for real, larger ones are emulated");
+  }
+
+  void realtime() {
+    const std::string limit = "rtprio limit " + std::to_string(limits_.rtprio_limit);
+    if (limits_.may_use_fifo)
+      add("realtime", Verdict::kOk, "SCHED_FIFO permitted", "CPU XNodes run by priority");
+    else
+      add("realtime", Verdict::kDegraded, "SCHED_FIFO refused, " + limit,
+          "CPU XNodes run as ordinary threads: priorities are not enforced on real CPUs",
+          "run as root, or `setcap cap_sys_nice+ep` the app, or add '@GROUP - rtprio 99' to "
+          "/etc/security/limits.conf and log in again");
+  }
+
+  void throttling() {
+    const std::string runtime = first_line("/proc/sys/kernel/sched_rt_runtime_us");
+    const std::string period = first_line("/proc/sys/kernel/sched_rt_period_us");
+    if (runtime.empty()) return;
+    if (runtime == "-1" || runtime == period)
+      add("rt_throttling", Verdict::kOk, "off", "real-time threads may use a whole core");
+    else
+      add("rt_throttling", Verdict::kDegraded, runtime + " of " + period + " us",
+          "a core that real-time threads keep busy for longer is taken from them for the rest of the period",
+          "keep CPU XNodes below that load, or `sysctl kernel.sched_rt_runtime_us=-1`");
+  }
+
+  void memory_lock() {
+    constexpr unsigned long long kEnough = 256ull << 20;
+    const bool unlimited = limits_.memlock_bytes == ~0ull;
+    if (unlimited || limits_.memlock_bytes >= kEnough)
+      add("memlock", Verdict::kOk, unlimited ? "unlimited" : std::to_string(limits_.memlock_bytes >> 20) + " MiB",
+          "coordinators keep their memory resident");
+    else
+      add("memlock", Verdict::kDegraded, std::to_string(limits_.memlock_bytes >> 20) + " MiB",
+          "coordinators may be paged out: rare long decisions",
+          "add '@GROUP - memlock unlimited' to /etc/security/limits.conf");
+  }
+
+  void sched_ext() {
+    if (!there("/sys/kernel/sched_ext")) {
+      add("sched_ext", Verdict::kMissing, "not in this kernel",
+          "CPU XNodes use SCHED_FIFO", "a kernel from 6.12 on with CONFIG_SCHED_CLASS_EXT has it");
+      return;
+    }
+    const std::string state = first_line("/sys/kernel/sched_ext/state");
+    if (state == "disabled" || state.empty()) {
+      add("sched_ext", Verdict::kOk, "available", "a BPF scheduler can be loaded");
+    } else {
+      const std::string who = first_line("/sys/kernel/sched_ext/root/ops");
+      add("sched_ext", Verdict::kDegraded, state + (who.empty() ? "" : " by '" + who + "'"),
+          "another BPF scheduler is loaded: CPU XNodes use SCHED_FIFO", "stop it to use XAuto's");
+    }
+  }
+
+  void btf() {
+    if (there("/sys/kernel/btf/vmlinux"))
+      add("btf", Verdict::kOk, "/sys/kernel/btf/vmlinux", "BPF programs fit themselves to this kernel");
+    else
+      add("btf", Verdict::kMissing, "no /sys/kernel/btf/vmlinux", "no BPF tracing",
+          "a kernel with CONFIG_DEBUG_INFO_BTF has it");
+  }
+
+  void module() {
+    std::ifstream modules(root_ + "/proc/modules");
+    bool loaded = false;
+    for (std::string line; std::getline(modules, line);) loaded |= line.rfind("xauto ", 0) == 0;
+    if (loaded)
+      add("xauto.ko", Verdict::kOk, "loaded", "GPU TSGs and DLA queues can be suspended");
+    else
+      add("xauto.ko", Verdict::kMissing, "not loaded",
+          "a GPU or DLA of this machine is gated: one job at a time, not preempted");
+  }
+
+  void gpu() {
+    for (const char* node : {"/dev/nvgpu/igpu0/tsg", "/dev/nvhost-tsg-gpu"})
+      if (there(node)) return add("gpu", Verdict::kOk, node, "a Jetson's GPU");
+    add("gpu", Verdict::kMissing, "no nvgpu device node",
+        "platforms with a GPU are emulated on this machine", "needs a Jetson with NVIDIA's kernel");
+  }
+
+  void dla() {
+    std::string nodes;
+    for (const char* node : {"/dev/nvhost-ctrl-nvdla0", "/dev/nvhost-ctrl-nvdla1", "/dev/nvdla0", "/dev/nvdla1"})
+      if (there(node)) nodes += (nodes.empty() ? "" : " ") + std::string(node);
+    if (!nodes.empty()) return add("dla", Verdict::kOk, nodes, "a Jetson's DLA");
+    add("dla", Verdict::kMissing, "no nvdla device node", "platforms with a DLA are emulated on this machine",
+        "needs a Jetson Xavier or Orin with NVIDIA's kernel");
+  }
+
+  void governor() {
+    const std::string governor = first_line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor");
+    if (governor.empty()) return add("cpufreq", Verdict::kOk, "no frequency scaling visible", "clocks are fixed, or hidden by a hypervisor");
+    if (governor == "performance") return add("cpufreq", Verdict::kOk, governor, "profiles hold at this clock");
+    add("cpufreq", Verdict::kDegraded, "governor " + governor,
+        "execution times change with the clock: a profile holds only while the clock does",
+        "`cpupower frequency-set -g performance`, on a Jetson `jetson_clocks`, before `xauto profile`");
+  }
+
+  void opencl() {
+    std::error_code error;
+    std::size_t icds = 0;
+    for (const auto& entry : fs::directory_iterator(root_ + "/etc/OpenCL/vendors", error))
+      icds += entry.path().extension() == ".icd" ? 1 : 0;
+    if (icds > 0)
+      add("opencl", Verdict::kOk, std::to_string(icds) + " driver(s)", "OpenCL XNodes run, gated");
+    else
+      add("opencl", Verdict::kMissing, "no driver in /etc/OpenCL/vendors", "the pedestrians example needs one",
+          "`apt-get install pocl-opencl-icd` runs OpenCL on the CPU");
+  }
+
+  const std::string root_;
+  const Limits& limits_;
+  std::vector<Finding> findings_;
+};
+
+}  // namespace
+
+Limits Limits::of_this_process() {
+  Limits limits;
+  utsname name{};
+  uname(&name);
+  limits.kernel_release = name.release;
+  limits.cores = static_cast<int>(rt::allowed_cores().size());
+  limits.may_use_fifo = rt::may_use_fifo(50);
+  rlimit limit{};
+  getrlimit(RLIMIT_RTPRIO, &limit);
+  limits.rtprio_limit = limit.rlim_cur;
+  getrlimit(RLIMIT_MEMLOCK, &limit);
+  limits.memlock_bytes = limit.rlim_cur == RLIM_INFINITY ? ~0ull : limit.rlim_cur;
+  return limits;
+}
+
+std::vector<Finding> probe(const std::string& root, const Limits& limits) { return Probe(root, limits).run(); }
+
+}  // namespace xauto::kernel

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// What this machine offers to XAuto, and what to do about what is missing.
+#pragma once
+
+#include <string>
+#include <vector>
+
+namespace xauto::kernel {
+
+enum class Verdict {
+  kOk,        ///< there
+  kDegraded,  ///< XAuto works, with less
+  kMissing,   ///< not there; XAuto works without it where `meaning` says so
+};
+
+struct Finding {
+  std::string id;       ///< stable, for programs: "sched_ext"
+  Verdict verdict = Verdict::kMissing;
+  std::string found;    ///< what was seen
+  std::string meaning;  ///< what follows from it
+  std::string advice;   ///< what to do; empty if there is nothing to do
+};
+
+/// What the probes ask the running kernel rather than a file; a test gives its own.
+struct Limits {
+  std::string kernel_release;
+  int cores = 0;              ///< that this process may use
+  bool may_use_fifo = false;
+  unsigned long rtprio_limit = 0;
+  unsigned long long memlock_bytes = 0;  ///< ~0: unlimited
+  [[nodiscard]] static Limits of_this_process();
+};
+
+/// `root`: "" for this machine, or a folder that stands for / in tests. Changes nothing, needs no privilege.
+[[nodiscard]] std::vector<Finding> probe(const std::string& root, const Limits& limits);
+
+}  // namespace xauto::kernel
