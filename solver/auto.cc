@@ -33,13 +33,14 @@ class Team {
         began_(Clock::now()),
         deadline_(options.time_limit_s >= 1e6 ? SteadyTime::max()
                                               : began_ + seconds(options.time_limit_s)) {
-    best_ = starts.front();
-    incumbent_.store(best_.makespan);
-    bound_.store(quick_bound(problem));
     OrderedEvaluator evaluator(problem);
-    evaluator.reset(best_.xpu, best_.sequence);
-    ordered_ = {evaluator.xpu(), evaluator.sequence(), evaluator.makespan(), true};
-    ordered_best_.store(ordered_.makespan);
+    evaluator.reset(starts.front().xpu, starts.front().sequence);
+    all_.best = starts.front();
+    all_.ordered = {evaluator.xpu(), evaluator.sequence(), evaluator.makespan(), true};
+    found_.resize(static_cast<std::size_t>(threads_));
+    incumbent_.store(std::min(all_.best.makespan, all_.ordered.makespan));
+    ordered_best_.store(all_.ordered.makespan);
+    bound_.store(quick_bound(problem));
   }
 
   AutoResult run() {
@@ -55,17 +56,27 @@ class Team {
     }
     report_until_done();
     for (std::thread& worker : workers) worker.join();
+    for (const Found& found : found_) {
+      if (found.ordered.makespan < kNever) merge(all_, found.ordered, true);
+      if (found.best.makespan < kNever) merge(all_, found.best, found.best.ordered);
+    }
+    // With a budget the proof comes last, on a fixed incumbent and with a budget of its own.
+    if (counted() && with_proof_ && !met()) prove();
     AutoResult result;
-    result.best = best_;
-    result.ordered = ordered_;
+    result.best = all_.best;
+    result.ordered = all_.ordered;
     // A schedule that keeps its order is worth more than one of the same latency that does not.
-    if (ordered_.makespan <= best_.makespan) result.best = ordered_;
-    result.bound = std::min(bound_.load(), std::min(best_.makespan, ordered_.makespan));
+    if (all_.ordered.makespan <= all_.best.makespan) result.best = all_.ordered;
+    result.bound = std::min(bound_.load(), result.best.makespan);
     result.evaluations = evaluations_.load();
     return result;
   }
 
  private:
+  struct Found {
+    Solution best, ordered;
+  };
+
   /// With an evaluation budget, a worker must not depend on how fast the others are.
   [[nodiscard]] bool counted() const { return options_.max_evaluations > 0; }
 
@@ -104,7 +115,7 @@ class Team {
       };
       const bool ordered = turn % 2 == 1;
       if (options_.certify && !ordered && turn > 0) continue;
-      callbacks.on_better = [&](const Solution& solution) { note(solution, ordered); };
+      callbacks.on_better = [&](const Solution& solution) { note(t, solution, ordered); };
       const Limits mine = limits(slice, counted() ? std::min(budget, share) : 0, turn / 2);
       const std::uint64_t seed = options_.seed * 1000003 + static_cast<std::uint64_t>(t) * 7919 +
                                  static_cast<std::uint64_t>(turn);
@@ -137,6 +148,7 @@ class Team {
     control.deadline = deadline_;
     control.stop = options_.stop;
     control.stop_too = &done_;
+    if (counted()) control.max_lps = options_.max_evaluations / 50 + 1;
     control.incumbent = &incumbent_;
     control.on_bound = [&](Time bound) {
       Time known = bound_.load();
@@ -144,7 +156,7 @@ class Team {
       }
       if (met()) done_.store(true);
     };
-    control.on_solution = [&](const Solution& solution) { note(solution, false); };
+    control.on_solution = [&](const Solution& solution) { note(threads_ - 1, solution, false); };
     control.on_bound(prove_bound(problem_, control));
     proof_ended_ = true;
   }
@@ -154,24 +166,40 @@ class Team {
     return incumbent_.load() <= bound_.load();
   }
 
-  void note(const Solution& solution, bool ordered) {
+  /// With a budget each worker keeps its own best, and the end merges them in their order: which of
+  /// two equals came first must not matter.
+  void note(int t, const Solution& solution, bool ordered) {
     const std::lock_guard lock(mutex_);
-    if (ordered && solution.makespan < ordered_.makespan) {
-      ordered_ = solution;
-      ordered_.ordered = true;
-      ordered_best_.store(ordered_.makespan);
+    if (counted())
+      merge(found_[static_cast<std::size_t>(t)], solution, ordered);
+    else
+      merge(all_, solution, ordered);
+    if (ordered) lower(ordered_best_, solution.makespan);
+    lower(incumbent_, solution.makespan);
+  }
+
+  static void merge(Found& found, const Solution& solution, bool ordered) {
+    if (ordered && solution.makespan < found.ordered.makespan) {
+      found.ordered = solution;
+      found.ordered.ordered = true;
     }
-    if (solution.makespan >= best_.makespan) return;
-    best_ = solution;
-    best_.ordered = ordered;
-    incumbent_.store(best_.makespan);
+    if (solution.makespan < found.best.makespan) {
+      found.best = solution;
+      found.best.ordered = ordered;
+    }
+  }
+
+  static void lower(std::atomic<Time>& value, Time to) {
+    Time known = value.load();
+    while (to < known && !value.compare_exchange_weak(known, to)) {
+    }
   }
 
   /// Workers that fell behind go on from the team's best.
   void take_over(Solution& own, Solution& own_ordered) {
     const std::lock_guard lock(mutex_);
-    if (!best_.ordered && best_.makespan < own.makespan) own = best_;
-    if (ordered_.makespan < own_ordered.makespan) own_ordered = ordered_;
+    if (!all_.best.ordered && all_.best.makespan < own.makespan) own = all_.best;
+    if (all_.ordered.makespan < own_ordered.makespan) own_ordered = all_.ordered;
   }
 
   void report_until_done() {
@@ -201,9 +229,10 @@ class Team {
   const int threads_;
   const SteadyTime began_, deadline_;
 
-  std::mutex mutex_;  // best_, ordered_, running_
+  std::mutex mutex_;  // all_, found_, running_
   std::condition_variable changed_;
-  Solution best_, ordered_;
+  Found all_;                 // the team's best
+  std::vector<Found> found_;  // with a budget: each worker's, merged at the end
   int running_ = 0;
   std::atomic<Time> incumbent_{kNever}, ordered_best_{kNever}, bound_{0};
   std::atomic<std::int64_t> evaluations_{0};

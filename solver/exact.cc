@@ -23,6 +23,10 @@ class Refuter {
 
   enum class Answer { kRefuted, kOpen };
 
+  [[nodiscard]] bool stopped() const {
+    return (control_.max_lps > 0 && lp_.solved() >= control_.max_lps) || control_.stopped();
+  }
+
   Windows root(Time makespan) const {
     Windows windows;
     windows.r.assign(at(n_), 0);
@@ -98,7 +102,7 @@ class Refuter {
   int shave(Windows& w) {
     bool changed = false;
     for (int i = 0; i < n_; ++i) {
-      if (control_.stopped()) return 0;
+      if (stopped()) return 0;
       for (int t = 0; t < problem_.num_types; ++t) {
         if (std::has_single_bit(w.types[at(i)]) || (w.types[at(i)] >> t & 1u) == 0) continue;
         Windows trial = w;
@@ -110,13 +114,13 @@ class Refuter {
       }
     }
     for (int i : problem_.topo) {
-      if (control_.stopped()) return 0;
+      if (stopped()) return 0;
       const int answer = shave_head(w, i);
       if (answer < 0) return -1;
       changed = changed || answer > 0;
     }
     for (std::size_t k = problem_.topo.size(); k-- > 0;) {
-      if (control_.stopped()) return 0;
+      if (stopped()) return 0;
       const int answer = shave_tail(w, problem_.topo[k]);
       if (answer < 0) return -1;
       changed = changed || answer > 0;
@@ -173,7 +177,7 @@ class Refuter {
 
   /// True: refuted. False: open, or out of nodes or time; the whole attempt has then failed.
   bool descend(Windows& w, int depth) {
-    if (--nodes_left_ < 0 || control_.stopped() || depth > 400) return false;
+    if (--nodes_left_ < 0 || stopped() || depth > 400) return false;
     if (dead(w)) return true;
     // The XNode whose type is least decided, by the work that hangs on it.
     int branch = -1, type = -1;
@@ -250,7 +254,7 @@ Time prove_bound(const Problem& problem, const ProofControl& control) {
   for (int shaving : {0, 1, 3}) {
     Time hi = incumbent() - 1;
     Time lo = bound;
-    while (lo <= hi && !control.stopped()) {
+    while (lo <= hi && !refuter.stopped()) {
       // The likeliest end first: a proof of optimality.
       const Time t = hi == incumbent() - 1 ? hi : lo + (hi - lo) / 2;
       if (hi - lo < std::max<Time>(1, hi / 2000) && t != incumbent() - 1) break;
@@ -264,14 +268,14 @@ Time prove_bound(const Problem& problem, const ProofControl& control) {
   }
   // 2. With branching: ever more nodes, ever closer guesses.
   std::int64_t nodes = 200;
-  while (!control.stopped() && bound < incumbent()) {
+  while (!refuter.stopped() && bound < incumbent()) {
     bool any = false;
     for (const double part : {1.0, 0.5, 0.25, 0.1}) {
-      if (control.stopped() || bound >= incumbent()) break;
+      if (refuter.stopped() || bound >= incumbent()) break;
       const Time gap = incumbent() - bound;
       const Time t =
           bound + std::max<Time>(0, static_cast<Time>(part * static_cast<double>(gap)) - 1);
-      if (refuter.refute(t, nodes, 2) == Answer::kRefuted && !control.stopped()) {
+      if (refuter.refute(t, nodes, 2) == Answer::kRefuted && !refuter.stopped()) {
         raise(t);
         any = true;
         break;

@@ -18,6 +18,7 @@ namespace xauto::solver {
 
 struct ProofControl {
   SteadyTime deadline = SteadyTime::max();
+  std::int64_t max_lps = 0;  ///< 0: no limit; with a limit the bound does not depend on speed
   const std::atomic<bool>* stop = nullptr;
   const std::atomic<bool>* stop_too = nullptr;
   const std::atomic<Time>* incumbent =
