@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/ilp_model.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <lpsolve/lp_lib.h>
+
+namespace xauto::solver {
+namespace {
+
+std::size_t at(int i) {
+  return static_cast<std::size_t>(i);
+}
+
+}  // namespace
+
+IlpModel::IlpModel() : lp_(make_lp(0, 0)) {
+  set_verbose(lp_, NEUTRAL);
+  set_add_rowmode(lp_, FALSE);
+}
+
+IlpModel::~IlpModel() {
+  delete_lp(lp_);
+}
+
+int IlpModel::add_column(const std::string& name, double low, double high) {
+  REAL value = 0;
+  int row = 0;
+  add_columnex(lp_, 0, &value, &row);
+  ++columns_;
+  std::string copy = name;
+  set_col_name(lp_, columns_, copy.data());
+  set_bounds(lp_, columns_, low, high);
+  return columns_;
+}
+
+int IlpModel::add_binary(const std::string& name) {
+  const int column = add_column(name, 0, 1);
+  set_int(lp_, column, TRUE);
+  return column;
+}
+
+void IlpModel::set_binary(int column, bool binary) {
+  set_int(lp_, column, binary ? TRUE : FALSE);
+}
+void IlpModel::set_range(int column, double low, double high) {
+  set_bounds(lp_, column, low, high);
+}
+
+void IlpModel::at_least(const std::string& name, const std::vector<Term>& terms, double right) {
+  add_row(name, terms, GE, right);
+}
+void IlpModel::at_most(const std::string& name, const std::vector<Term>& terms, double right) {
+  add_row(name, terms, LE, right);
+}
+void IlpModel::equal(const std::string& name, const std::vector<Term>& terms, double right) {
+  add_row(name, terms, EQ, right);
+}
+
+void IlpModel::add_row(const std::string& name, const std::vector<Term>& terms, int type,
+                       double right) {
+  // One column may come twice (i = k in equation 4): lp_solve wants it once.
+  std::vector<Term> sorted = terms;
+  std::sort(sorted.begin(), sorted.end(),
+            [](const Term& a, const Term& b) { return a.column < b.column; });
+  scratch_columns_.clear();
+  scratch_factors_.clear();
+  for (const Term& term : sorted) {
+    if (!scratch_columns_.empty() && scratch_columns_.back() == term.column) {
+      scratch_factors_.back() += term.factor;
+    } else {
+      scratch_columns_.push_back(term.column);
+      scratch_factors_.push_back(term.factor);
+    }
+  }
+  add_constraintex(lp_, static_cast<int>(scratch_columns_.size()), scratch_factors_.data(),
+                   scratch_columns_.data(), type, right);
+  std::string copy = name;
+  set_row_name(lp_, get_Nrows(lp_), copy.data());
+}
+
+void IlpModel::minimise(int column) {
+  REAL one = 1;
+  set_obj_fnex(lp_, 1, &one, &column);
+  set_minim(lp_);
+}
+
+int IlpModel::asked_to_stop(_lprec*, void* self) {
+  auto* model = static_cast<IlpModel*>(self);
+  if (model->stop_ != nullptr && model->stop_->load(std::memory_order_relaxed))
+    model->stopped_ = true;
+  if (std::chrono::steady_clock::now() >= model->deadline_) model->out_of_time_ = true;
+  return model->stopped_ || model->out_of_time_ ? TRUE : FALSE;
+}
+
+IlpModel::Outcome IlpModel::solve(double time_limit_s, const std::atomic<bool>* stop) {
+  stop_ = stop;
+  stopped_ = out_of_time_ = false;
+  deadline_ = std::chrono::steady_clock::now() +
+              std::chrono::microseconds(
+                  static_cast<std::int64_t>(std::clamp(time_limit_s, 0.0, 1e7) * 1e6));
+  // Whole seconds are all that set_timeout knows; the callback is precise, the timeout is the net
+  // below it.
+  set_timeout(lp_, static_cast<long>(std::ceil(std::clamp(time_limit_s, 0.0, 1e7))) + 1);
+  put_abortfunc(lp_, &IlpModel::asked_to_stop, this);
+  set_bb_floorfirst(lp_, BRANCH_CEILING);
+  set_bb_rule(lp_, NODE_FIRSTSELECT);
+  default_basis(lp_);
+  const int status = ::solve(lp_);
+  const bool has_values = status == OPTIMAL || status == SUBOPTIMAL || status == PRESOLVED ||
+                          (status == USERABORT && get_solutioncount(lp_) > 0);
+  if (has_values) {
+    values_.resize(at(columns_));
+    get_variables(lp_, values_.data());
+  }
+  switch (status) {
+    case OPTIMAL:
+    case PRESOLVED:
+      return out_of_time_ || stopped_ ? Outcome::kFeasible : Outcome::kOptimal;
+    case SUBOPTIMAL:
+      return Outcome::kFeasible;
+    case INFEASIBLE:
+      return stopped_       ? Outcome::kStopped
+             : out_of_time_ ? Outcome::kTimeLimit
+                            : Outcome::kInfeasible;
+    case TIMEOUT:
+      return Outcome::kTimeLimit;
+    case USERABORT:
+      return has_values ? Outcome::kFeasible : stopped_ ? Outcome::kStopped : Outcome::kTimeLimit;
+    default:
+      return stopped_ ? Outcome::kStopped : out_of_time_ ? Outcome::kTimeLimit : Outcome::kFailed;
+  }
+}
+
+std::int64_t IlpModel::nodes() const {
+  return get_total_nodes(lp_);
+}
+int IlpModel::rows() const {
+  return get_Nrows(lp_);
+}
+
+bool IlpModel::write(const std::string& path) {
+  std::string copy = path;
+  return (path.ends_with(".mps") ? write_freemps(lp_, copy.data()) : write_lp(lp_, copy.data())) !=
+         FALSE;
+}
+
+}  // namespace xauto::solver

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+// A thin owner of one lp_solve model: named columns and rows, minimise one column, end on time.
+// Private to ilp*.cc.
+#pragma once
+
+#include <chrono>
+#include <string>
+#include <vector>
+
+#include "solver/ilp.h"
+
+// lp_solve's header drags macros along (TRUE, EQ, ...); it stays in ilp_model.cc.
+struct _lprec;
+
+namespace xauto::solver {
+
+class IlpModel {
+ public:
+  enum class Outcome { kOptimal, kFeasible, kInfeasible, kTimeLimit, kStopped, kFailed };
+  struct Term {
+    int column;
+    double factor;
+  };
+
+  IlpModel();
+  ~IlpModel();
+  IlpModel(const IlpModel&) = delete;
+  IlpModel& operator=(const IlpModel&) = delete;
+
+  /// Continuous, within [low, high].
+  int add_column(const std::string& name, double low, double high);
+  int add_binary(const std::string& name);
+  /// sum of terms >= right / <= right / = right.
+  void at_least(const std::string& name, const std::vector<Term>& terms, double right);
+  void at_most(const std::string& name, const std::vector<Term>& terms, double right);
+  void equal(const std::string& name, const std::vector<Term>& terms, double right);
+  void set_binary(int column, bool binary);
+  void set_range(int column, double low, double high);
+  void minimise(int column);
+
+  [[nodiscard]] Outcome solve(double time_limit_s, const std::atomic<bool>* stop);
+  [[nodiscard]] double value(int column) const {
+    return values_[static_cast<std::size_t>(column - 1)];
+  }
+  [[nodiscard]] std::int64_t nodes() const;
+  [[nodiscard]] int rows() const;
+  [[nodiscard]] int columns() const { return columns_; }
+  [[nodiscard]] bool write(const std::string& path);  ///< *.mps: free MPS, else lp_format
+
+ private:
+  void add_row(const std::string& name, const std::vector<Term>& terms, int type, double right);
+
+  _lprec* lp_;
+  int columns_ = 0;
+  std::vector<double> values_;
+  const std::atomic<bool>* stop_ = nullptr;
+  std::chrono::steady_clock::time_point deadline_;
+  bool out_of_time_ = false, stopped_ = false;
+  std::vector<int> scratch_columns_;
+  std::vector<double> scratch_factors_;
+
+  static int asked_to_stop(_lprec*, void* self);
+};
+
+/// Priorities by finish, as the paper takes them; XPUs of `types` by earliest finish, longest tail
+/// first.
+[[nodiscard]] Decision decision_from_types(const Problem& problem, const std::vector<int>& types);
+
+}  // namespace xauto::solver
