@@ -38,7 +38,9 @@ void run_sql(const std::string& path, const std::string& sql) {
   sqlite3* database = nullptr;
   ASSERT_EQ(sqlite3_open(path.c_str(), &database), SQLITE_OK);
   char* message = nullptr;
-  EXPECT_EQ(sqlite3_exec(database, sql.c_str(), nullptr, nullptr, &message), SQLITE_OK)
+  EXPECT_EQ(
+      sqlite3_exec(database, ("PRAGMA synchronous=OFF;" + sql).c_str(), nullptr, nullptr, &message),
+      SQLITE_OK)
       << (message != nullptr ? message : "");
   sqlite3_free(message);
   sqlite3_close(database);

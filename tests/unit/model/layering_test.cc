@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: Apache-2.0
+// The arrows of docs/architecture.md, compared with the #include lines: who may include whom.
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <set>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace {
+
+namespace fs = std::filesystem;
+using Names = std::set<std::string>;
+
+/// Part of the tree -> parts it may include besides itself. "xauto" is include/xauto (public),
+/// "uapi" is include/uapi. Every part under lib/ may also include "base" and "xauto".
+const std::map<std::string, Names>& allowed() {
+  static const std::map<std::string, Names> table = {
+      {"lib/base", {}},
+      {"lib/model", {}},
+      {"lib/trace", {"uapi"}},
+      {"lib/record", {}},
+      {"lib/emu", {"model"}},
+      {"lib/coord", {"model", "trace", "uapi"}},
+      {"lib/transport", {"model"}},
+      {"lib/kernel", {"uapi"}},
+      {"lib/xpu", {"model", "emu", "kernel"}},
+      {"lib/runtime",
+       {"model", "trace", "record", "emu", "coord", "transport", "kernel", "xpu", "uapi"}},
+      {"solver", {"model"}},
+      {"include/xauto", {}},
+      {"include/uapi", {}},
+      {"examples", {}},
+  };
+  return table;
+}
+
+const Names kParts = {"base",  "model",     "trace",  "record", "emu",   "coord", "runtime",
+                      "xpu",   "transport", "kernel", "solver", "xauto", "uapi",  "tools",
+                      "bench", "examples",  "tests",  "lib",    "kmod",  "bpf",   "include"};
+
+/// First folders of what a text includes, of those that are ours.
+std::vector<std::string> included_parts(std::istream& text) {
+  std::vector<std::string> parts;
+  std::string line;
+  while (std::getline(text, line)) {
+    std::istringstream words(line);
+    std::string directive, target;
+    words >> directive >> target;
+    if (directive == "#" && target == "include")
+      words >> target;
+    else if (directive != "#include")
+      continue;
+    const std::size_t slash = target.find('/');
+    if (slash == std::string::npos || slash < 2) continue;
+    const std::string part = target.substr(1, slash - 1);
+    if (kParts.contains(part)) parts.push_back(part);
+  }
+  return parts;
+}
+
+bool may_include(const std::string& from, const std::string& to) {
+  if (from.substr(from.rfind('/') + 1) == to) return true;
+  if (to == "xauto") return from != "include/uapi";
+  if (to == "base" && (from.starts_with("lib/") || from == "solver")) return true;
+  return allowed().at(from).contains(to);
+}
+
+std::vector<fs::path> sources(const fs::path& folder) {
+  std::vector<fs::path> files;
+  for (const auto& entry : fs::recursive_directory_iterator(folder)) {
+    const fs::path extension = entry.path().extension();
+    if (extension == ".cc" || extension == ".h" || extension == ".c") files.push_back(entry.path());
+  }
+  return files;
+}
+
+TEST(Layering, EveryIncludeFollowsAnArrowOfTheArchitecture) {
+  const fs::path root = XAUTO_SOURCE_DIR;
+  int read = 0;
+  for (const auto& [part, may] : allowed()) {
+    if (!fs::exists(root / part)) continue;
+    for (const fs::path& file : sources(root / part)) {
+      ++read;
+      std::ifstream text(file);
+      for (const std::string& to : included_parts(text))
+        EXPECT_TRUE(may_include(part, to))
+            << fs::relative(file, root).string() << " includes " << to << "/";
+    }
+  }
+  EXPECT_GT(read, 40) << "the tree was not found";
+}
+
+TEST(Layering, EveryFolderOfLibHasItsArrows) {
+  for (const auto& entry : fs::directory_iterator(fs::path(XAUTO_SOURCE_DIR) / "lib"))
+    if (entry.is_directory()) {
+      EXPECT_TRUE(allowed().contains("lib/" + entry.path().filename().string()))
+          << entry.path() << ": add it to the table, and to docs/architecture.md";
+    }
+}
+
+// The checker itself: an arrow turned round is seen.
+TEST(Layering, ArrowTurnedRoundIsSeen) {
+  std::istringstream text(
+      "#include <vector>\n#include \"solver/solve.h\"\n  #include <xauto/app.h>\n#include "
+      "\"x.h\"\n");
+  EXPECT_EQ(included_parts(text), (std::vector<std::string>{"solver", "xauto"}));
+  EXPECT_FALSE(may_include("lib/runtime", "solver"));
+  EXPECT_FALSE(may_include("solver", "runtime"));
+  EXPECT_FALSE(may_include("lib/model", "trace"));
+  EXPECT_FALSE(may_include("examples", "model"));
+  EXPECT_FALSE(may_include("include/xauto", "base"));
+  EXPECT_TRUE(may_include("lib/runtime", "coord"));
+}
+
+}  // namespace
