@@ -10,6 +10,7 @@
 #include "solver/bounds.h"
 #include "solver/certify.h"
 #include "solver/heft.h"
+#include "solver/ilp.h"
 #include "solver/simulate.h"
 
 namespace xauto::solver {
@@ -30,6 +31,44 @@ std::vector<Solution> starts(const Problem& problem) {
   std::stable_sort(all.begin(), all.end(),
                    [](const Solution& a, const Solution& b) { return a.makespan < b.makespan; });
   return all;
+}
+
+/// The paper's model while it is small enough to have a chance, then the compact one on what is
+/// left of the time; the better answer and the better bound of both.
+Status solve_by_ilp(const Problem& problem, const SolveOptions& options, Decision& decision,
+                    Time& bound) {
+  constexpr int kPaperModel = 14;  // XNodes; beyond, lp_solve does not even find an incumbent
+  IlpOptions ilp;
+  ilp.stop = options.stop;
+  ilp.incumbent = to_decision(starts(problem).front());
+  ilp.known_bound = quick_bound(problem);
+  decision = *ilp.incumbent;
+  bound = ilp.known_bound;
+  Time best = simulate(problem, decision).makespan;
+  const auto take = [&](const IlpAnswer& answer) {
+    bound = std::max(bound, answer.bound);
+    if (answer.decision && answer.makespan < best) {
+      best = answer.makespan;
+      decision = *answer.decision;
+      ilp.incumbent = decision;
+    }
+    ilp.known_bound = bound;
+  };
+  ilp.time_limit_s = options.time_limit_s;
+  if (problem.num_xnodes <= kPaperModel) {
+    ilp.time_limit_s = options.time_limit_s * 0.7;
+    const auto began = std::chrono::steady_clock::now();
+    XAUTO_ASSIGN(const IlpAnswer answer, solve_ilp(problem, ilp));
+    take(answer);
+    const double used =
+        std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
+    ilp.time_limit_s = std::max(0.1, options.time_limit_s - used);
+  }
+  if (bound < best) {
+    XAUTO_ASSIGN(const IlpAnswer answer, solve_ilp_compact(problem, ilp));
+    take(answer);
+  }
+  return {};
 }
 
 }  // namespace
@@ -73,6 +112,8 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
       options.report->evaluations = result.evaluations;
       options.report->certified_us = result.ordered.makespan < kNever ? result.ordered.makespan : 0;
     }
+  } else if (options.method == "ilp") {
+    XAUTO_TRY(solve_by_ilp(problem, options, decision, bound));
   } else {
     return fail(ErrorCode::kInvalid, "unknown method '" + options.method + "'", "solve",
                 "one of: auto, search, ilp, heft, local");
