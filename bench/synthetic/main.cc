@@ -1,0 +1,160 @@
+// SPDX-License-Identifier: Apache-2.0
+// bench_synthetic: the paper's sections 6.1 and 6.2 on the synthetic workload, its scaling, and
+// other solvers.
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+
+#include <CLI/CLI.hpp>
+#include <fmt/format.h>
+
+#include "model/json.h"
+#include "solver/generate.h"
+
+#include "bench/synthetic/measure.h"
+#include "bench/synthetic/report.h"
+#include "bench/synthetic/yardsticks.h"
+
+namespace xauto::bench {
+namespace {
+
+struct Flags {
+  Settings settings;
+  std::vector<int> groups = {10, 15, 20, 25, 30, 35, 40};
+  int dags = 50;
+  std::vector<std::string> platforms = {"small", "large"};
+  std::vector<int> scaling;
+  double scaling_limit_s = 10;
+  std::vector<int> yardsticks;
+  double yardstick_limit_s = 30;
+  std::string out = "synthetic";
+};
+
+std::string options_text(const Flags& flags) {
+  solver::GenerateOptions o;
+  o.max_depth = flags.settings.max_depth;
+  std::string text;
+  for (const auto& [name, value] : o.describe())
+    if (name != "nodes" && name != "seed")
+      text += fmt::format("{}{} {}", text.empty() ? "" : ", ", name, value);
+  return text;
+}
+
+Result<std::string> workload_part(const Flags& flags, std::vector<Measured>& all) {
+  std::string lines;
+  for (const int nodes : flags.groups)
+    for (const std::string& name : flags.platforms) {
+      XAUTO_ASSIGN(const Platform platform, load_platform(name));
+      for (int dag = 1; dag <= flags.dags; ++dag) {
+        XAUTO_ASSIGN(const AppSpec app,
+                     workload(nodes, static_cast<std::uint64_t>(dag), flags.settings));
+        XAUTO_ASSIGN(Measured m, measure(app, platform, flags.settings));
+        m.seed = static_cast<std::uint64_t>(dag);
+        lines += json_line(m);
+        all.push_back(m);
+        std::fprintf(stderr, "\rN=%d %s: %d of %d ", nodes, name.c_str(), dag, flags.dags);
+      }
+    }
+  std::fprintf(stderr, "\n");
+  XAUTO_TRY(write_file(flags.out + "/workload.jsonl", lines));
+  for (const std::string& name : flags.platforms) {
+    XAUTO_TRY(write_file(flags.out + "/speedup-" + name + ".svg", speedup_svg(all, name)));
+    XAUTO_TRY(write_file(flags.out + "/ablation-" + name + ".svg", ablation_svg(all, name)));
+  }
+  return table(all);
+}
+
+Result<std::string> scaling_part(const Flags& flags) {
+  std::string text = fmt::format(
+      "scaling, {} s: gap to the proven bound\n  {:>6} {:>8} {:>12} {:>12} {:>8} {:>12} {:>10}\n",
+      flags.scaling_limit_s, "N", "platform", "XAuto ms", "bound ms", "gap %", "HEFT/XAuto",
+      "seconds");
+  Settings settings = flags.settings;
+  settings.time_limit_s = flags.scaling_limit_s;
+  std::string lines;
+  for (const int nodes : flags.scaling)
+    for (const std::string& name : flags.platforms) {
+      XAUTO_ASSIGN(const Platform platform, load_platform(name));
+      XAUTO_ASSIGN(const AppSpec app, workload(nodes, 1, settings));
+      XAUTO_ASSIGN(const Measured m, measure(app, platform, settings));
+      lines += json_line(m);
+      text += fmt::format("  {:>6} {:>8} {:>12.2f} {:>12.2f} {:>8.2f} {:>12.3f} {:>10.2f}\n", nodes,
+                          name, static_cast<double>(m.xauto) / 1000,
+                          static_cast<double>(m.bound) / 1000, 100 * m.gap(),
+                          static_cast<double>(m.heft) / static_cast<double>(m.xauto), m.solve_s);
+    }
+  XAUTO_TRY(write_file(flags.out + "/scaling.jsonl", lines));
+  return text + "\n";
+}
+
+Result<std::string> yardstick_part(const Flags& flags) {
+  std::string text =
+      fmt::format("side by side, small, at most {} s each\n", flags.yardstick_limit_s);
+  for (const int nodes : flags.yardsticks) {
+    XAUTO_ASSIGN(const Platform platform, load_platform("small"));
+    XAUTO_ASSIGN(const AppSpec app, workload(nodes, 1, flags.settings));
+    XAUTO_ASSIGN(const auto rows,
+                 run_yardsticks(app, platform, flags.yardstick_limit_s, flags.out));
+    for (const Yardstick& y : rows)
+      text += fmt::format("  N={:<4} {:<32} {:>12} {:>9.3f} s  {}\n", nodes, y.name,
+                          y.makespan_us > 0
+                              ? fmt::format("{:.3f} ms", static_cast<double>(y.makespan_us) / 1000)
+                              : "-",
+                          y.seconds, y.status);
+  }
+  return text;
+}
+
+Status bench(const Flags& flags) {
+  std::error_code error;
+  std::filesystem::create_directories(flags.out, error);
+  if (error) return fail(ErrorCode::kIo, "cannot make the folder: " + error.message(), flags.out);
+  std::string text = fmt::format(
+      "{} DAGs a group, {} s and {} thread(s) each; without assignment: a quarter of "
+      "that\nworkload: {}\n\n",
+      flags.dags, flags.settings.time_limit_s, flags.settings.threads, options_text(flags));
+  std::vector<Measured> all;
+  if (flags.dags > 0) {
+    XAUTO_ASSIGN(const std::string part, workload_part(flags, all));
+    text += part;
+  }
+  if (!flags.scaling.empty()) {
+    XAUTO_ASSIGN(const std::string part, scaling_part(flags));
+    text += part;
+  }
+  if (!flags.yardsticks.empty()) {
+    XAUTO_ASSIGN(const std::string part, yardstick_part(flags));
+    text += part;
+  }
+  XAUTO_TRY(write_file(flags.out + "/table.txt", text));
+  std::fputs(text.c_str(), stdout);
+  return {};
+}
+
+}  // namespace
+}  // namespace xauto::bench
+
+int main(int argc, char** argv) {
+  xauto::bench::Flags flags;
+  CLI::App app("The paper's synthetic workload: speed-ups, ablations, gaps, solving time.");
+  app.add_option("--dags", flags.dags, "DAGs a group; 0: none")->capture_default_str();
+  app.add_option("--groups", flags.groups, "XNodes per group")
+      ->delimiter(',')
+      ->capture_default_str();
+  app.add_option("--platforms", flags.platforms)->delimiter(',')->capture_default_str();
+  app.add_option("--time-limit-s", flags.settings.time_limit_s, "per DAG and platform")
+      ->capture_default_str();
+  app.add_option("--threads", flags.settings.threads)->capture_default_str();
+  app.add_option("--max-depth", flags.settings.max_depth, "of the workload's DAGs")
+      ->capture_default_str();
+  app.add_option("--scaling", flags.scaling, "sizes, e.g. 100,300,1000")->delimiter(',');
+  app.add_option("--scaling-limit-s", flags.scaling_limit_s)->capture_default_str();
+  app.add_option("--yardsticks", flags.yardsticks, "sizes for other solvers, e.g. 8,10,12")
+      ->delimiter(',');
+  app.add_option("--yardstick-limit-s", flags.yardstick_limit_s)->capture_default_str();
+  app.add_option("--out", flags.out, "folder for table.txt, *.jsonl, *.svg")->capture_default_str();
+  CLI11_PARSE(app, argc, argv);
+  const auto status = xauto::bench::bench(flags);
+  if (!status) std::fprintf(stderr, "bench_synthetic: %s\n", status.error().to_string().c_str());
+  return status ? 0 : 1;
+}

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bench/synthetic/measure.h"
+
+#include <algorithm>
+#include <chrono>
+
+#include "solver/generate.h"
+#include "solver/heft.h"
+#include "solver/simulate.h"
+#include "solver/solve.h"
+
+namespace xauto::bench {
+namespace {
+
+/// Every XNode keeps only its fastest type; the first of the platform among equals.
+AppSpec fastest_only(const AppSpec& app, const Platform& platform) {
+  AppSpec narrowed = app;
+  const std::vector<std::string> types = platform.types();
+  for (XNodeSpec& xnode : narrowed.xnodes) {
+    std::string fastest;
+    for (const std::string& type : types)
+      if (const auto us = xnode.wcet_on(type);
+          us && (fastest.empty() || *us < *xnode.wcet_on(fastest)))
+        fastest = type;
+    const std::int64_t us = *xnode.wcet_on(fastest);
+    xnode.wcet_us.clear();
+    xnode.wcet_us[fastest] = us;
+  }
+  return narrowed;
+}
+
+}  // namespace
+
+Result<AppSpec> workload(int nodes, std::uint64_t seed, const Settings& settings) {
+  solver::GenerateOptions options;
+  options.nodes = nodes;
+  options.seed = seed * 1000 + static_cast<std::uint64_t>(nodes);
+  options.max_depth = nodes <= 40 ? settings.max_depth : 0;
+  return solver::generate(options);
+}
+
+Result<Measured> measure(const AppSpec& app, const Platform& platform, const Settings& settings) {
+  XAUTO_ASSIGN(const solver::Problem problem, solver::Problem::create(app, platform));
+  Measured m;
+  m.platform = platform.name;
+  m.nodes = problem.num_xnodes;
+  using solver::Model;
+  solver::SimulateOptions ideal;
+  ideal.ideal_sharing = true;
+  m.ros2_ideal = solver::simulate_shared(problem, platform, Model::kRos2, {}, ideal).makespan;
+  m.ros2_slices = solver::simulate_shared(problem, platform, Model::kRos2, {}).makespan;
+  m.heft = solver::simulate(problem, solver::heft(problem)).makespan;
+
+  solver::SolveReport report;
+  solver::SolveOptions solving;
+  solving.time_limit_s = settings.time_limit_s;
+  solving.threads = settings.threads;
+  solving.report = &report;
+  const auto began = std::chrono::steady_clock::now();
+  XAUTO_ASSIGN(const Policy policy, solver::solve(app, platform, solving));
+  m.solve_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
+  m.xauto = policy.latency_us;
+  m.bound = policy.lower_bound_us;
+  m.optimal = policy.optimal;
+  m.certified = report.certified_us > 0
+                    ? std::max(report.certified_us, policy.order.empty() ? 0 : policy.latency_us)
+                    : 0;
+  m.evaluations_per_s = static_cast<double>(report.evaluations) / std::max(m.solve_s, 1e-9);
+
+  solver::Decision decision;
+  for (const Placement& p : policy.placements) {
+    decision.xpu.push_back(p.xpu);
+    decision.priority.push_back(p.priority);
+  }
+  m.unscheduled_ideal =
+      solver::simulate_shared(problem, platform, Model::kTimeshare, decision, ideal).makespan;
+  m.unscheduled_slices =
+      solver::simulate_shared(problem, platform, Model::kTimeshare, decision).makespan;
+
+  solving.method = "search";
+  solving.report = nullptr;
+  solving.time_limit_s = settings.time_limit_s / 4;
+  XAUTO_ASSIGN(const Policy unassigned,
+               solver::solve(fastest_only(app, platform), platform, solving));
+  m.unassigned = unassigned.latency_us;
+  return m;
+}
+
+}  // namespace xauto::bench

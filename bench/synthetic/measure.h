@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+// One DAG of the synthetic workload on one platform: everything that the paper's sections 6.1
+// and 6.2 plot.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "model/app.h"
+#include "model/platform.h"
+
+namespace xauto::bench {
+
+struct Settings {
+  double time_limit_s = 1;
+  int threads = 1;
+  int max_depth = 4;
+};
+
+/// Microseconds unless the name says otherwise.
+struct Measured {
+  std::string platform;
+  int nodes = 0;
+  std::uint64_t seed = 0;
+  std::int64_t ros2_ideal = 0;   ///< fastest type each, zero-cost processor sharing
+  std::int64_t ros2_slices = 0;  ///< the same with the platform's time slice and switch cost
+  std::int64_t heft = 0;
+  std::int64_t xauto = 0;
+  std::int64_t bound = 0;      ///< proven
+  std::int64_t certified = 0;  ///< least certified worst case found; 0: none
+  std::int64_t unscheduled_ideal = 0, unscheduled_slices = 0;  ///< XAuto's assignment, time sharing
+  std::int64_t unassigned = 0;  ///< fastest type each, instances and priorities searched
+  double solve_s = 0;
+  double evaluations_per_s = 0;
+  bool optimal = false;
+
+  [[nodiscard]] double gap() const {
+    return static_cast<double>(xauto - bound) / static_cast<double>(xauto);
+  }
+};
+
+/// The workload's DAG `seed` of a group of `nodes`.
+[[nodiscard]] Result<AppSpec> workload(int nodes, std::uint64_t seed, const Settings& settings);
+[[nodiscard]] Result<Measured> measure(const AppSpec& app, const Platform& platform,
+                                       const Settings& settings);
+
+}  // namespace xauto::bench

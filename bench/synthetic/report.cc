@@ -1,0 +1,220 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bench/synthetic/report.h"
+
+#include <algorithm>
+#include <numeric>
+#include <set>
+
+#include <fmt/format.h>
+
+namespace xauto::bench {
+namespace {
+
+double ratio(std::int64_t a, std::int64_t b) {
+  return static_cast<double>(a) / static_cast<double>(b);
+}
+
+const std::vector<Column>& columns() {
+  static const std::vector<Column> all = {
+      {"ROS2 ideal", [](const Measured& m) { return ratio(m.ros2_ideal, m.xauto); }},
+      {"ROS2 slices", [](const Measured& m) { return ratio(m.ros2_slices, m.xauto); }},
+      {"HEFT", [](const Measured& m) { return ratio(m.heft, m.xauto); }},
+      {"no sched", [](const Measured& m) { return ratio(m.unscheduled_ideal, m.xauto); }},
+      {"no sch slice", [](const Measured& m) { return ratio(m.unscheduled_slices, m.xauto); }},
+      {"no assign", [](const Measured& m) { return ratio(m.unassigned, m.xauto); }},
+      {"possible", [](const Measured& m) { return ratio(m.ros2_slices, m.bound); }}};
+  return all;
+}
+
+std::vector<const Measured*> select(const std::vector<Measured>& all, const std::string& platform,
+                                    int nodes) {
+  std::vector<const Measured*> chosen;
+  for (const Measured& m : all)
+    if (m.platform == platform && (nodes == 0 || m.nodes == nodes)) chosen.push_back(&m);
+  return chosen;
+}
+
+std::vector<double> values(const std::vector<const Measured*>& of,
+                           const std::function<double(const Measured&)>& value) {
+  std::vector<double> result;
+  for (const Measured* m : of) result.push_back(value(*m));
+  return result;
+}
+
+std::string row(const std::string& title, const std::vector<const Measured*>& of) {
+  std::string line = fmt::format("  {:>5} {:>4}", title, of.size());
+  for (const Column& c : columns()) line += fmt::format(" {:>12.3f}", mean(values(of, c.value)));
+  const std::vector<double> gaps = values(of, [](const Measured& m) { return 100 * m.gap(); });
+  const std::vector<double> times = values(of, [](const Measured& m) { return m.solve_s; });
+  int optimal = 0;
+  std::vector<double> certified;
+  for (const Measured* m : of) {
+    optimal += m->optimal;
+    if (m->certified > 0) certified.push_back(100 * (ratio(m->certified, m->xauto) - 1));
+  }
+  line += fmt::format(
+      " {:>7.2f} {:>7.2f} {:>7.2f} {:>4}/{:<4} {:>8} {:>7.3f} {:>7.2f}\n", mean(gaps), median(gaps),
+      *std::max_element(gaps.begin(), gaps.end()), optimal, of.size(),
+      certified.empty() ? "-" : fmt::format("{:.2f}", mean(certified)), median(times), mean(times));
+  return line;
+}
+
+std::set<int> groups(const std::vector<Measured>& all) {
+  std::set<int> found;
+  for (const Measured& m : all) found.insert(m.nodes);
+  return found;
+}
+
+struct Series {
+  std::string title, colour;
+  std::function<double(const Measured&)> value;
+};
+
+struct Line {
+  double y;
+  std::string title;
+};
+
+/// Grouped bars over N, with lines for the paper's overall figures.
+std::string bars(const std::vector<Measured>& all, const std::string& platform,
+                 const std::string& title, const std::string& y_title,
+                 const std::vector<Series>& series, const std::vector<Line>& lines, double low) {
+  constexpr double kLeft = 60, kTop = 70, kHeight = 260, kGroup = 92;
+  const std::set<int> ns = groups(all);
+  const double width = kLeft + kGroup * static_cast<double>(ns.size()) + 170;
+  double high = low;
+  for (const int n : ns)
+    for (const Series& s : series)
+      high = std::max(high, mean(values(select(all, platform, n), s.value)));
+  for (const Line& l : lines) high = std::max(high, l.y);
+  high = low + (high - low) * 1.08;
+  const auto y = [&](double v) { return kTop + kHeight - (v - low) / (high - low) * kHeight; };
+  std::string svg = fmt::format(
+      "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{:.0f}\" height=\"400\" "
+      "font-family=\"sans-serif\" "
+      "font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n"
+      "<text x=\"{:.0f}\" y=\"24\" font-size=\"15\">{}</text>\n"
+      "<text x=\"16\" y=\"{:.0f}\" transform=\"rotate(-90 16 {:.0f})\" "
+      "text-anchor=\"middle\">{}</text>\n",
+      width, kLeft, title, kTop + kHeight / 2, kTop + kHeight / 2, y_title);
+  const double step = high - low > 1.5 ? 0.5 : high - low > 0.5 ? 0.2 : 0.1;
+  for (double v = low; v <= high; v += step)
+    svg += fmt::format(
+        "<line x1=\"{0:.0f}\" x2=\"{1:.0f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\" stroke=\"#ddd\"/>"
+        "<text x=\"{3:.0f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5:.1f}</text>\n",
+        kLeft, width - 170, y(v), kLeft - 6, y(v) + 4, v);
+  double x = kLeft;
+  for (const int n : ns) {
+    const auto of = select(all, platform, n);
+    const double bar = (kGroup - 14) / static_cast<double>(series.size());
+    double at = x + 7;
+    for (const Series& s : series) {
+      const double v = mean(values(of, s.value));
+      svg += fmt::format(
+          "<rect x=\"{:.1f}\" y=\"{:.1f}\" width=\"{:.1f}\" height=\"{:.1f}\" "
+          "fill=\"{}\"><title>N={} {}: "
+          "{:.3f}</title></rect>\n",
+          at, y(v), bar - 1, std::max(0.0, kTop + kHeight - y(v)), s.colour, n, s.title, v);
+      at += bar;
+    }
+    svg += fmt::format("<text x=\"{:.1f}\" y=\"{:.1f}\" text-anchor=\"middle\">{}</text>\n",
+                       x + kGroup / 2, kTop + kHeight + 18, n);
+    x += kGroup;
+  }
+  svg += fmt::format(
+      "<text x=\"{:.1f}\" y=\"{:.1f}\" text-anchor=\"middle\">XNodes ({} DAGs a group)</text>\n",
+      kLeft + (x - kLeft) / 2, kTop + kHeight + 38, select(all, platform, *ns.begin()).size());
+  for (const Line& l : lines)
+    svg += fmt::format(
+        "<line x1=\"{0:.0f}\" x2=\"{1:.0f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\" stroke=\"#c00\" "
+        "stroke-dasharray=\"6 4\"/><text x=\"{3:.0f}\" y=\"{4:.1f}\" fill=\"#c00\">{5}</text>\n",
+        kLeft, width - 170, y(l.y), width - 165, y(l.y) + 4, l.title);
+  double legend = kLeft;
+  for (const Series& s : series) {
+    svg += fmt::format(
+        "<rect x=\"{0:.0f}\" y=\"36\" width=\"12\" height=\"12\" fill=\"{1}\"/><text x=\"{2:.0f}\" "
+        "y=\"47\">{3}</text>\n",
+        legend, s.colour, legend + 16, s.title);
+    legend += 40 + 7.0 * static_cast<double>(s.title.size());
+  }
+  return svg + "</svg>\n";
+}
+
+}  // namespace
+
+double mean(const std::vector<double>& v) {
+  return v.empty() ? 0 : std::accumulate(v.begin(), v.end(), 0.0) / static_cast<double>(v.size());
+}
+
+double median(std::vector<double> v) {
+  if (v.empty()) return 0;
+  std::sort(v.begin(), v.end());
+  return (v[(v.size() - 1) / 2] + v[v.size() / 2]) / 2;
+}
+
+std::string table(const std::vector<Measured>& all) {
+  std::string text;
+  for (const char* platform : {"small", "large"}) {
+    const auto of = select(all, platform, 0);
+    if (of.empty()) continue;
+    const bool small = std::string(platform) == "small";
+    text += fmt::format(
+        "{}: mean of latency / XAuto's latency per DAG; gap to the proven bound in %, certified "
+        "above the latency in %\n",
+        platform);
+    text += fmt::format("  {:>5} {:>4}", "N", "DAGs");
+    for (const Column& c : columns()) text += fmt::format(" {:>12}", c.title);
+    text += fmt::format(" {:>7} {:>7} {:>7} {:>9} {:>8} {:>7} {:>7}\n", "gap", "median", "max",
+                        "proven", "certif.", "med s", "mean s");
+    for (const int n : groups(all)) text += row(std::to_string(n), select(all, platform, n));
+    text += row("all", of);
+    text += fmt::format(
+        "  paper, all groups: ROS 2 {} (per group {}), HEFT {}, without scheduling -16.1 %, "
+        "without assignment "
+        "-37.3 %\n",
+        small ? "1.59" : "1.65", small ? "1.23-1.88" : "1.23-2.01", small ? "1.22" : "1.24");
+    const auto loss = [&](std::size_t column) {
+      return 100 * (1 - 1 / mean(values(of, columns()[column].value)));
+    };
+    text += fmt::format(
+        "  here, as a loss of performance (1 - 1/ratio): without scheduling -{:.1f} % (ideal "
+        "sharing) / -{:.1f} % (time "
+        "slices), without assignment -{:.1f} %\n\n",
+        loss(3), loss(4), loss(5));
+  }
+  return text;
+}
+
+std::string json_line(const Measured& m) {
+  return fmt::format(
+      "{{\"platform\":\"{}\",\"nodes\":{},\"seed\":{},\"ros2_ideal_us\":{},\"ros2_slices_us\":{},"
+      "\"heft_us\":{},"
+      "\"xauto_us\":{},\"bound_us\":{},\"certified_us\":{},\"unscheduled_ideal_us\":{},"
+      "\"unscheduled_slices_us\":{},"
+      "\"unassigned_us\":{},\"optimal\":{},\"solve_s\":{:.4f},\"evaluations_per_s\":{:.0f}}}\n",
+      m.platform, m.nodes, m.seed, m.ros2_ideal, m.ros2_slices, m.heft, m.xauto, m.bound,
+      m.certified, m.unscheduled_ideal, m.unscheduled_slices, m.unassigned, m.optimal, m.solve_s,
+      m.evaluations_per_s);
+}
+
+std::string speedup_svg(const std::vector<Measured>& all, const std::string& platform) {
+  const bool small = platform == "small";
+  return bars(all, platform, "Speed-up of XAuto, " + platform, "latency / XAuto's latency",
+              {{"ROS 2, time slices", "#4878a8", columns()[1].value},
+               {"ROS 2, ideal sharing", "#9fbfdf", columns()[0].value},
+               {"HEFT", "#e0a040", columns()[2].value},
+               {"possible at most (bound)", "#bbbbbb", columns()[6].value}},
+              {{small ? 1.59 : 1.65, small ? "paper, ROS 2: 1.59" : "paper, ROS 2: 1.65"},
+               {small ? 1.22 : 1.24, small ? "paper, HEFT: 1.22" : "paper, HEFT: 1.24"}},
+              1);
+}
+
+std::string ablation_svg(const std::vector<Measured>& all, const std::string& platform) {
+  return bars(all, platform, "XAuto without its parts, " + platform, "latency / XAuto's latency",
+              {{"without scheduling, time slices", "#4878a8", columns()[4].value},
+               {"without scheduling, ideal sharing", "#9fbfdf", columns()[3].value},
+               {"without assignment", "#e0a040", columns()[5].value}},
+              {{1 / (1 - 0.161), "paper: -16.1 %"}, {1 / (1 - 0.373), "paper: -37.3 %"}}, 1);
+}
+
+}  // namespace xauto::bench
