@@ -45,9 +45,11 @@ const detail::Envelope& Input::find(const std::string& topic, std::type_index ty
 namespace {
 
 std::atomic<runtime::Engine*> g_engine{nullptr};
+std::atomic<bool> g_stop{false};  // a signal may come before there is an engine to tell
 
 // The first SIGTERM or SIGINT drains; a second one finds the default action restored and stops.
 void on_signal(int number) {
+  g_stop.store(true);
   if (runtime::Engine* engine = g_engine.load()) engine->request_stop();
   signal(number, SIG_DFL);
 }
@@ -63,6 +65,7 @@ Result<std::string> answer(const detail::AppSpecErased& app, const runtime::Sess
     case runtime::Mode::kRun: {
       XAUTO_ASSIGN(const auto engine, runtime::Engine::create(app, session));
       g_engine.store(engine.get());
+      if (g_stop.load()) engine->request_stop();
       auto report = engine->run();
       g_engine.store(nullptr);
       if (!report) return tl::unexpected<Error>(std::move(report).error());
@@ -114,6 +117,11 @@ Status App::check() const {
 }
 
 int App::main(int, char** argv) {
+  struct sigaction action {};
+  action.sa_handler = on_signal;
+  sigaction(SIGTERM, &action, nullptr);
+  sigaction(SIGINT, &action, nullptr);
+
   const auto session = runtime::inherited_session();
   if (!session) {
     log::error("{}", session.error().to_string());
@@ -126,11 +134,6 @@ int App::main(int, char** argv) {
     }
     return hand_over(argv);
   }
-  struct sigaction action {};
-  action.sa_handler = on_signal;
-  sigaction(SIGTERM, &action, nullptr);
-  sigaction(SIGINT, &action, nullptr);
-
   const auto text = answer(*spec_, **session);
   const std::string written = text ? *text : runtime::error_to_json(text.error());
   if (const Status done = write_memory_file((*session)->answer_fd, written); !done) {

@@ -15,7 +15,7 @@ namespace xauto::cli {
 namespace {
 
 struct Flags {
-  std::string platform = "small", input, out, app_out, from = "wcet";
+  std::string platform = "small", input, out, app_out, from = "wcet", read;
   std::uint64_t warmup = 3, repetitions = 30;
   std::int64_t margin_pct = 20;
   bool emulate = false, real = false;
@@ -44,11 +44,12 @@ std::string table(const Profile& profile, const Platform& platform) {
   return out + fmt::format("\n  WCET: max + {} %\n", profile.margin_pct);
 }
 
-Result<int> profile(const Flags& flags, const Options& options) {
+/// Runs the app and times it.
+Result<Profile> measure(const Flags& flags, const Platform& platform) {
   runtime::Supervision request;
   runtime::Session& session = request.session;
   session.mode = runtime::Mode::kProfile;
-  XAUTO_ASSIGN(session.platform, load_platform(flags.platform));
+  session.platform = platform;
   const std::string missing = runtime::needs_emulation(session.platform);
   if (flags.real && !missing.empty())
     return fail(ErrorCode::kUnavailable, missing, "--real", "drop --real to emulate the platform");
@@ -64,14 +65,20 @@ Result<int> profile(const Flags& flags, const Options& options) {
   request.on_tick = [&](double elapsed_s) {
     progress.update(elapsed_s, fmt::format("{:.0f} s", elapsed_s));
   };
-  const Platform platform = session.platform;
   XAUTO_ASSIGN(const runtime::Outcome outcome, runtime::supervise(std::move(request)));
   progress.finish();
   auto result = parse_profile(outcome.answer, "answer of the app");
-  if (!result) {  // the answer is an error of the app's
-    XAUTO_TRY(runtime::parse_run_report(outcome.answer));
-    return tl::unexpected<Error>(std::move(result).error());
-  }
+  // What is no profile may be an error of the app's: that is the one to tell.
+  if (!result) XAUTO_TRY(runtime::parse_run_report(outcome.answer));
+  return result;
+}
+
+Result<int> profile(const Flags& flags, const Options& options) {
+  if (flags.read.empty() == flags.command.empty())
+    return fail(ErrorCode::kInvalid, "give either an app to run, after --, or --read profile.json");
+  XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  auto result = flags.read.empty() ? measure(flags, platform) : load_profile(flags.read);
+  if (!result) return tl::unexpected<Error>(std::move(result).error());
   const std::string text = to_json(*result);
   if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, text));
   if (!flags.app_out.empty()) {
@@ -119,7 +126,8 @@ void add_profile(Commands& commands) {
   verb->add_option("--app-out", flags->app_out, "write the app.json that follows here");
   auto* emulate = verb->add_flag("--emulate", flags->emulate, "emulate all XPUs");
   verb->add_flag("--real", flags->real, "refuse to emulate")->excludes(emulate);
-  verb->add_option("command", flags->command, "the app's program and its arguments, after --")->required();
+  verb->add_option("--read", flags->read, "an existing profile.json instead of measuring, e.g. for --app-out");
+  verb->add_option("command", flags->command, "the app's program and its arguments, after --");
 }
 
 }  // namespace xauto::cli

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every malformed file of tests/golden/errors makes the tool exit with 2 and say what its .expected says."""
+import pathlib
+import shutil
+import sqlite3
+import tempfile
+import unittest
+
+from common import SOURCE, xauto
+
+GOLDEN = SOURCE / "tests/golden"
+COMMANDS = {
+    "app": lambda f: ["simulate", "--model", "ros2", "--app", f],
+    "platform": lambda f: ["simulate", "--model", "ros2", "--app", GOLDEN / "app.json", "--platform", f],
+    "policy": lambda f: ["check", "--app", GOLDEN / "app.json", "--platform", GOLDEN / "platform.json",
+                         "--policy", f],
+    "profile": lambda f: ["profile", "--read", f],
+    "recording": lambda f: ["record", "check", f],
+}
+
+
+class Errors(unittest.TestCase):
+    def refuse(self, kind):
+        cases = [f for f in sorted((GOLDEN / "errors" / kind).iterdir()) if f.suffix != ".expected"]
+        self.assertGreaterEqual(len(cases), 8)
+        with tempfile.TemporaryDirectory() as folder:
+            for case in cases:
+                with self.subTest(case=case.name):
+                    given = pathlib.Path(folder) / case.name
+                    if case.suffix == ".sql":
+                        given = given.with_suffix(".db3")
+                        database = sqlite3.connect(given)
+                        database.executescript(case.read_text())
+                        database.close()
+                    elif case.suffix == ".bin":
+                        given = given.with_suffix(".db3")
+                        shutil.copy(case, given)
+                    else:
+                        shutil.copy(case, given)
+                    result = xauto(*COMMANDS[kind](given.name), cwd=folder)
+                    self.assertEqual(result.returncode, 2, result.stderr)
+                    expected = case.with_suffix(".expected").read_text(errors="replace")
+                    self.assertEqual(result.stderr, "xauto: error: " + expected)
+                    self.assertEqual(result.stdout, "")
+
+    def test_app(self):
+        self.refuse("app")
+
+    def test_platform(self):
+        self.refuse("platform")
+
+    def test_policy(self):
+        self.refuse("policy")
+
+    def test_profile(self):
+        self.refuse("profile")
+
+    def test_recording(self):
+        self.refuse("recording")
+
+    def test_usage(self):
+        for arguments in ([], ["nonsense"], ["solve"], ["simulate", "--app"], ["run", "--app", "x"],
+                          ["simulate", "--model", "cyberrt", "--app", GOLDEN / "app.json"]):
+            with self.subTest(arguments=arguments):
+                self.assertEqual(xauto(*arguments).returncode, 2)
+
+    def test_missing_files(self):
+        result = xauto("simulate", "--model", "ros2", "--app", "/nowhere/app.json")
+        self.assertEqual(result.returncode, 2)
+        self.assertIn("/nowhere/app.json: cannot be opened: No such file or directory", result.stderr)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole way: record, profile, solve, check, simulate, run, compare, status. Times are not judged here,
+except that the simulator must give the published latencies of the Driving Case."""
+import json
+import os
+import pathlib
+import subprocess
+import tempfile
+import time
+import unittest
+
+from common import APP, BIN, DRIVING, XAUTO, xauto
+
+
+def load(path):
+    return json.loads(pathlib.Path(path).read_text())
+
+
+class Flow(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory()
+        self.addCleanup(self.folder.cleanup)
+
+    def path(self, name):
+        return os.path.join(self.folder.name, name)
+
+    def good(self, *arguments, **keywords):
+        result = xauto(*arguments, **keywords)
+        self.assertEqual(result.returncode, 0, result.stderr)
+        return result.stdout
+
+    def test_driving_case_gives_the_published_latencies(self):
+        published = {"ros2": 42_000, "heft": 30_100, "auto": 26_100}
+        for method, latency in published.items():
+            arguments = ["simulate", "--app", APP, "--platform", "small", "--json"]
+            if method == "ros2":
+                arguments += ["--model", "ros2"]
+            else:
+                self.good("solve", "--app", APP, "--platform", "small", "--method", method,
+                          "--time-limit-s", 3, "--out", self.path("p.json"))
+                self.good("check", "--app", APP, "--platform", "small", "--policy", self.path("p.json"))
+                arguments += ["--policy", self.path("p.json")]
+            simulated = json.loads(self.good(*arguments))["latency_us"]
+            self.assertLess(abs(simulated - latency) / latency, 0.05, method)
+        placed = {x["name"]: x["xpu"] for x in load(self.path("p.json"))["xnodes"]}
+        self.assertEqual([n for n, x in sorted(placed.items()) if x == "dla0"], ["fcd.infer", "td.infer"])
+
+    def test_record_profile_solve_run(self):
+        solve = ["--platform", "small", "--time-limit-s", 1]
+        self.good("solve", "--app", APP, *solve, "--out", self.path("p.json"))
+        self.good("run", "--app", APP, "--policy", self.path("p.json"), "--platform", "small", "--emulate",
+                  "--activations", 8, "--record", self.path("drive.db3"), "--", DRIVING)
+        info = json.loads(self.good("record", "info", self.path("drive.db3"), "--json"))
+        self.assertEqual({t["name"]: t["messages"] for t in info["topics"]},
+                         {"camera/front": 8, "camera/rear": 8, "lidar/top": 8})
+
+        self.good("profile", "--platform", "small", "--emulate", "--input", self.path("drive.db3"),
+                  "--warmup", 1, "--repetitions", 4, "--out", self.path("profile.json"),
+                  "--app-out", self.path("app.json"), "--", DRIVING)
+        profile = load(self.path("profile.json"))
+        declared = {x["name"]: x["wcet_us"] for x in load(APP)["xnodes"]}
+        for xnode in profile["xnodes"]:
+            for xpu, samples in xnode["on"].items():
+                self.assertEqual(samples["count"], 4)
+                self.assertGreaterEqual(samples["min_us"], declared[xnode["name"]][xpu[:3]])
+
+        app = self.path("app.json")
+        self.good("solve", "--app", app, *solve, "--out", self.path("p2.json"))
+        report = json.loads(self.good("run", "--app", app, "--policy", self.path("p2.json"), "--platform",
+                                      "small", "--emulate", "--input", self.path("drive.db3"), "--json",
+                                      "--timeline", self.path("t.html"), "--", DRIVING))
+        run = report["runs"][0]
+        self.assertEqual((run["activations"], run["lost_activations"], run["complete"]), (8, 0, True))
+        self.assertEqual(run["trace_events_lost"], 0)
+        self.assertIn("fcd.infer", pathlib.Path(self.path("t.html")).read_text())
+
+    def test_stale_policy_is_refused(self):
+        self.good("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", self.path("p.json"))
+        changed = load(APP)
+        changed["xnodes"][0]["wcet_us"]["cpu"] += 1
+        pathlib.Path(self.path("app.json")).write_text(json.dumps(changed))
+        result = xauto("run", "--app", self.path("app.json"), "--policy", self.path("p.json"), "--", DRIVING)
+        self.assertEqual(result.returncode, 2)
+        self.assertIn("the policy was made for another version of the app", result.stderr)
+
+    def test_app_of_another_graph_is_refused(self):
+        self.good("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", self.path("p.json"))
+        result = xauto("run", "--app", APP, "--policy", self.path("p.json"), "--emulate", "--", BIN / "camera")
+        self.assertEqual(result.returncode, 2)
+        self.assertIn("XNode 'camera.preprocess' is not in app.json", result.stderr)
+
+    def test_program_that_is_no_app(self):
+        self.good("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", self.path("p.json"))
+        result = xauto("run", "--app", APP, "--policy", self.path("p.json"), "--emulate", "--", "true")
+        self.assertEqual(result.returncode, 1)
+        self.assertIn("true: ended without an answer (exit status 0)", result.stderr)
+
+    def test_compare_writes_report_and_page(self):
+        self.good("compare", "--app", APP, "--platform", "small", "--emulate", "--activations", 5,
+                  "--time-limit-s", 1, "--out", self.path("out"), "--", DRIVING)
+        runs = load(self.path("out/report.json"))["runs"]
+        self.assertEqual([r["policy"] for r in runs], ["ros2", "heft", "xauto", "xauto-unscheduled"])
+        for run in runs:
+            self.assertEqual(run["activations"], 5)
+            self.assertGreater(run["p50_us"], run["predicted_us"] * 0.9)
+        page = pathlib.Path(self.path("out/timeline.html")).read_text()
+        self.assertNotIn("http://", page.replace("http://www.w3.org/2000/svg", ""))
+        self.assertNotIn("https://", page)
+
+    def test_status_tells_who_runs(self):
+        self.assertEqual(json.loads(self.good("status", "--json")), {"sessions": {}})
+        self.good("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", self.path("p.json"))
+        run = subprocess.Popen([XAUTO, "run", "--app", APP, "--policy", self.path("p.json"), "--emulate",
+                                "--activations", "1000", "--", DRIVING], stdout=subprocess.DEVNULL,
+                               stderr=subprocess.DEVNULL)
+        seen = set()
+        deadline = time.monotonic() + 20
+        while not {"running", "suspended"} <= seen and time.monotonic() < deadline:
+            for xpus in json.loads(self.good("status", "--json"))["sessions"].values():
+                seen |= {w["state"] for xpu in xpus for w in xpu["workers"]}
+        run.terminate()
+        run.wait(timeout=30)
+        self.assertLessEqual({"running", "suspended"}, seen)  # HEFT preempts on the GPU
+
+    def test_generated_apps_pass_the_whole_chain(self):
+        for seed in (1, 2):
+            self.good("generate", "--nodes", 15, "--seed", seed, "--out", self.path("g.json"))
+            for method in ("local", "heft", "search", "auto"):
+                self.good("solve", "--app", self.path("g.json"), "--platform", "large", "--method", method,
+                          "--time-limit-s", 1, "--out", self.path("g.policy.json"))
+                self.good("check", "--app", self.path("g.json"), "--platform", "large", "--policy",
+                          self.path("g.policy.json"))
+
+    def test_help_of_every_verb_shows_an_example(self):
+        verbs = ["doctor", "generate", "profile", "solve", "simulate", "check", "run", "compare", "status",
+                 "record", "explain", "completion"]
+        for verb in verbs:
+            self.assertIn("Example:\n  ", self.good(verb, "--help"), verb)
+
+    def test_completion_is_valid_shell(self):
+        script = self.good("completion", "bash")
+        self.assertIn("--policy", script)
+        self.assertEqual(subprocess.run(["bash", "-n"], input=script, text=True).returncode, 0)
+        reply = subprocess.run(["bash", "-c", script + '\nCOMP_WORDS=(xauto so); COMP_CWORD=1; _xauto; '
+                                'echo "${COMPREPLY[@]}"'], capture_output=True, text=True)
+        self.assertEqual(reply.stdout.strip(), "solve")
+
+    def test_doctor(self):
+        findings = {f["id"]: f for f in json.loads(self.good("doctor", "--json"))["findings"]}
+        for name in ("kernel", "realtime", "sched_ext", "xauto.ko", "gpu", "dla", "cores"):
+            self.assertIn(findings[name]["state"], ("ok", "degraded", "missing"))
+
+
+if __name__ == "__main__":
+    unittest.main()
