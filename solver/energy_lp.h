@@ -15,6 +15,7 @@
 #pragma once
 
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "solver/problem.h"
@@ -25,6 +26,10 @@ namespace xauto::solver {
 struct Windows {
   std::vector<Time> r, d;            ///< earliest start, latest finish
   std::vector<std::uint32_t> types;  ///< bit t: type t still possible
+  std::vector<Time> extra;  ///< least time beyond its WCET between an XNode's start and finish
+  std::vector<std::pair<int, int>> arcs;  ///< decided: first finishes before second starts
+  std::vector<std::pair<int, int>>
+      nested;  ///< decided: second starts and finishes while first is suspended
 };
 
 class EnergyLp {

@@ -32,6 +32,7 @@ class Refuter {
     windows.r.assign(at(n_), 0);
     windows.d.assign(at(n_), makespan);
     windows.types.assign(at(n_), 0);
+    windows.extra.assign(at(n_), 0);
     for (int i = 0; i < n_; ++i)
       for (int t = 0; t < problem_.num_types; ++t)
         if (problem_.wcet(i, t) != kCannotRun && !problem_.type_xpus[at(t)].empty())
@@ -67,10 +68,20 @@ class Refuter {
         Time& d = w.d[at(i)];
         for (int s : problem_.succ[at(i)]) d = std::min(d, w.d[at(s)] - least(w, s));
       }
+      for (const auto& [i, j] : w.arcs) {
+        again |= raise(w.r[at(j)], w.r[at(i)] + least(w, i));
+        again |= lower(w.d[at(i)], w.d[at(j)] - least(w, j));
+      }
+      for (const auto& [i, j] : w.nested) {
+        again |= raise(w.r[at(j)], w.r[at(i)] + 1);
+        again |= lower(w.d[at(j)], w.d[at(i)] - 1);
+      }
       for (int i = 0; i < n_; ++i) {
         std::uint32_t& types = w.types[at(i)];
         for (int t = 0; t < problem_.num_types; ++t) {
-          if ((types >> t & 1u) == 0 || w.r[at(i)] + problem_.wcet(i, t) <= w.d[at(i)]) continue;
+          if ((types >> t & 1u) == 0 ||
+              w.r[at(i)] + problem_.wcet(i, t) + w.extra[at(i)] <= w.d[at(i)])
+            continue;
           types &= ~(1u << t);
           again = true;
         }
@@ -84,7 +95,105 @@ class Refuter {
     Time least = kNever;
     for (std::uint32_t types = w.types[at(i)]; types != 0; types &= types - 1)
       least = std::min(least, problem_.wcet(i, std::countr_zero(types)));
-    return least;
+    return least + w.extra[at(i)];
+  }
+
+  static bool raise(Time& value, Time to) {
+    if (to <= value) return false;
+    value = to;
+    return true;
+  }
+  static bool lower(Time& value, Time to) {
+    if (to >= value) return false;
+    value = to;
+    return true;
+  }
+
+  /// How two XNodes of a type with one instance may share it; see docs/solver.md, "pairs".
+  enum Relation : unsigned { kFirst = 1, kSecond = 2, kInFirst = 4, kInSecond = 8 };
+
+  [[nodiscard]] unsigned relations(const Windows& w, int i, int j, int type) const {
+    const int x = problem_.type_xpus[at(type)].front();
+    const Time wi = problem_.wcet(i, type), wj = problem_.wcet(j, type);
+    const Time di = wi + w.extra[at(i)], dj = wj + w.extra[at(j)];
+    unsigned possible = 0;
+    if (w.r[at(i)] + di + dj <= w.d[at(j)]) possible |= kFirst;
+    if (w.r[at(j)] + di + dj <= w.d[at(i)]) possible |= kSecond;
+    if (!problem_.preemptive[at(x)]) return possible;
+    const Time cost = problem_.preempt[at(x)];
+    if (w.r[at(i)] + wi + wj + cost <= w.d[at(i)] &&
+        std::max(w.r[at(i)] + 1, w.r[at(j)]) + dj < w.d[at(i)] && w.r[at(i)] + 1 + dj <= w.d[at(j)])
+      possible |= kInFirst;
+    if (w.r[at(j)] + wi + wj + cost <= w.d[at(j)] &&
+        std::max(w.r[at(j)] + 1, w.r[at(i)]) + di < w.d[at(j)] && w.r[at(j)] + 1 + di <= w.d[at(i)])
+      possible |= kInSecond;
+    return possible;
+  }
+
+  void relate(Windows& w, int i, int j, int type, Relation relation) const {
+    const Time cost = problem_.preempt[at(problem_.type_xpus[at(type)].front())];
+    switch (relation) {
+      case kFirst:
+        w.arcs.emplace_back(i, j);
+        break;
+      case kSecond:
+        w.arcs.emplace_back(j, i);
+        break;
+      case kInFirst:
+        w.nested.emplace_back(i, j);
+        raise(w.extra[at(i)], problem_.wcet(j, type) + cost);
+        break;
+      case kInSecond:
+        w.nested.emplace_back(j, i);
+        raise(w.extra[at(j)], problem_.wcet(i, type) + cost);
+        break;
+    }
+  }
+
+  /// Pairs on one-instance types: decides those with one relation left; false: a pair has none.
+  /// `open_*`: the tightest pair that is still open, -1 if all are decided.
+  bool settle_pairs(Windows& w, int& open_i, int& open_j) const {
+    bool again = true;
+    while (again) {
+      again = false;
+      open_i = open_j = -1;
+      Time tightest = kNever;
+      for (int i = 0; i < n_; ++i) {
+        if (!std::has_single_bit(w.types[at(i)])) continue;
+        const int type = std::countr_zero(w.types[at(i)]);
+        if (problem_.type_xpus[at(type)].size() != 1) continue;
+        for (int j = i + 1; j < n_; ++j) {
+          if (w.types[at(j)] != w.types[at(i)]) continue;
+          if (w.r[at(j)] >= w.d[at(i)] || w.r[at(i)] >= w.d[at(j)]) continue;
+          if (settled(w, i, j)) continue;
+          const unsigned possible = relations(w, i, j, type);
+          if (possible == 0) return false;
+          if (std::has_single_bit(possible)) {
+            relate(w, i, j, type, static_cast<Relation>(possible));
+            if (!tighten(w)) return false;
+            again = true;
+            continue;
+          }
+          const Time room = std::max(w.d[at(i)], w.d[at(j)]) - std::min(w.r[at(i)], w.r[at(j)]) -
+                            problem_.wcet(i, type) - problem_.wcet(j, type);
+          if (room < tightest) {
+            tightest = room;
+            open_i = i;
+            open_j = j;
+          }
+        }
+      }
+    }
+    return true;
+  }
+
+  static bool settled(const Windows& w, int i, int j) {
+    const auto has = [&](const std::vector<std::pair<int, int>>& list) {
+      return std::any_of(list.begin(), list.end(), [&](const std::pair<int, int>& pair) {
+        return (pair.first == i && pair.second == j) || (pair.first == j && pair.second == i);
+      });
+    };
+    return has(w.arcs) || has(w.nested);
   }
 
   bool dead(Windows& w) { return !tighten(w) || !lp_.feasible(w); }
@@ -178,7 +287,8 @@ class Refuter {
   /// True: refuted. False: open, or out of nodes or time; the whole attempt has then failed.
   bool descend(Windows& w, int depth) {
     if (--nodes_left_ < 0 || stopped() || depth > 400) return false;
-    if (dead(w)) return true;
+    int open_i = -1, open_j = -1;
+    if (!tighten(w) || !settle_pairs(w, open_i, open_j) || !lp_.feasible(w)) return true;
     // The XNode whose type is least decided, by the work that hangs on it.
     int branch = -1, type = -1;
     double best = 1e-6;
@@ -210,7 +320,40 @@ class Refuter {
       w.types[at(branch)] &= ~(1u << type);
       return descend(w, depth + 1);
     }
-    // Every type decided by the LP: split the widest window of a join.
+    // The LP's answer is whole: decide a type whose alternatives keep a window looser than it may
+    // be.
+    Time looseness = 0;
+    for (int i = 0; i < n_; ++i) {
+      if (std::has_single_bit(w.types[at(i)])) continue;
+      for (std::uint32_t types = w.types[at(i)]; types != 0; types &= types - 1) {
+        const int t = std::countr_zero(types);
+        if (lp_.share(i, t) < 0.5) continue;
+        const Time gain = 1 + problem_.wcet(i, t) - least(w, i);
+        if (gain <= looseness) continue;
+        looseness = gain;
+        branch = i;
+        type = t;
+      }
+    }
+    if (branch >= 0) {
+      Windows yes = w;
+      yes.types[at(branch)] = 1u << type;
+      if (!descend(yes, depth + 1)) return false;
+      w.types[at(branch)] &= ~(1u << type);
+      return descend(w, depth + 1);
+    }
+    if (open_i >= 0) {
+      const int shared = std::countr_zero(w.types[at(open_i)]);
+      const unsigned possible = relations(w, open_i, open_j, shared);
+      for (const Relation relation : {kFirst, kSecond, kInFirst, kInSecond}) {
+        if ((possible & relation) == 0) continue;
+        Windows child = w;
+        relate(child, open_i, open_j, shared, relation);
+        if (!descend(child, depth + 1)) return false;
+      }
+      return true;
+    }
+    // Every type decided: split the widest window of a join.
     Time widest = 1;
     for (int i = 0; i < n_; ++i) {
       if (problem_.pred[at(i)].empty()) continue;
