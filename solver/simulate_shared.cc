@@ -190,9 +190,13 @@ Simulation simulate_shared(const Problem& p, const Platform& platform, Model mod
     for (Resource& resource : resources) resource.advance(next, ended);
     std::sort(ended.begin(), ended.end());
     for (const int i : ended) result.finish[at(i)] = micros_up(next);
+    // What becomes ready at one instant arrives in the order of the app.
+    std::vector<int> ready;
     for (const int i : ended)
       for (const int s : p.succ[at(i)])
-        if (--waits_for[at(s)] == 0) begin(s, next);
+        if (--waits_for[at(s)] == 0) ready.push_back(s);
+    std::sort(ready.begin(), ready.end());
+    for (const int i : ready) begin(i, next);
   }
   for (const Time finish : result.finish) result.makespan = std::max(result.makespan, finish);
   return result;
