@@ -86,7 +86,7 @@ class Team {
     limits.max_evaluations = budget;
     limits.stop = options_.stop;
     limits.stop_too = counted() ? nullptr : &done_;
-    limits.target = counted() ? nullptr : &bound_;
+    limits.target = counted() || problem_.goal.weighted ? nullptr : &bound_;
     limits.effort = effort;
     return limits;
   }
@@ -162,6 +162,8 @@ class Team {
   }
 
   [[nodiscard]] bool met() const {
+    if (problem_.goal.weighted)
+      return false;  // the bound is on the makespan, the incumbent is a sum
     if (options_.certify) return ordered_best_.load() <= bound_.load();
     return incumbent_.load() <= bound_.load();
   }

@@ -177,7 +177,7 @@ void Evaluator::start_from_scratch() {
   std::fill(running_.begin(), running_.end(), -1);
   std::fill(ready_count_.begin(), ready_count_.end(), 0);
   now_ = 0;
-  latest_ = 0;
+  latest_ = charged_ = 0;
   for (std::size_t i = 0; i < n_; ++i) remaining_[i] = -1;
   for (int s : sources_) {
     ready_at_[at(s)] = 0;
@@ -187,9 +187,14 @@ void Evaluator::start_from_scratch() {
   for (std::size_t x = 0; x < m_; ++x) decide<true>(static_cast<int>(x), 0);
 }
 
+Time Evaluator::cost() const {
+  return (problem_.goal.weighted ? 0 : latest_) + charged_;
+}
+
 void Evaluator::save(Snapshot& snapshot, Time now, Time latest) const {
   snapshot.now = now;
   snapshot.latest = latest;
+  snapshot.charged = charged_;
   snapshot.status = status_;
   snapshot.missing = missing_;
   snapshot.remaining = remaining_;
@@ -200,6 +205,7 @@ void Evaluator::save(Snapshot& snapshot, Time now, Time latest) const {
 void Evaluator::restore(const Snapshot& snapshot) {
   now_ = snapshot.now;
   latest_ = snapshot.latest;
+  charged_ = snapshot.charged;
   status_ = snapshot.status;
   missing_ = snapshot.missing;
   remaining_ = snapshot.remaining;
@@ -263,7 +269,7 @@ Time Evaluator::run(Time limit) {
     }
     Time now = kNever;
     for (std::size_t x = 0; x < m_; ++x) now = std::min(now, end_[x]);
-    if (now == kNever) return latest_;
+    if (now == kNever) return cost();
     now_ = now;
     latest_ = now;
     for (std::size_t x = 0; x < m_; ++x) {
@@ -272,6 +278,7 @@ Time Evaluator::run(Time limit) {
       running_[x] = -1;
       end_[x] = kNever;
       status_[i] = kDone;
+      if (!problem_.goal.plain()) charged_ += problem_.goal.charge(i, now);
       if constexpr (kRecord) finished_at_[i] = now;
       if (!touched_[x]) {
         touched_[x] = 1;
@@ -281,7 +288,7 @@ Time Evaluator::run(Time limit) {
         const std::size_t s = at(succ_list_[at(e)]);
         if (--missing_[s] != 0) continue;
         if constexpr (!kRecord) {
-          if (now + work_[s] + tail_[s] >= limit) {
+          if (now + work_[s] + tail_[s] >= limit && !problem_.goal.weighted) {
             for (int t : touched_list_) touched_[at(t)] = 0;
             return kNever;
           }
@@ -308,10 +315,12 @@ Time Evaluator::run(Time limit) {
 Time Evaluator::evaluate(Time limit) {
   ++evaluations_;
   if (dirty_from_ == kNever) return makespan_ < limit ? makespan_ : kNever;
-  for (std::size_t x = 0; x < m_; ++x)
-    if (load_[x] >= limit) return kNever;
-  for (int s : sources_)
-    if (work_[at(s)] + tail_[at(s)] >= limit) return kNever;
+  if (!problem_.goal.weighted) {
+    for (std::size_t x = 0; x < m_; ++x)
+      if (load_[x] >= limit) return kNever;
+    for (int s : sources_)
+      if (work_[at(s)] + tail_[at(s)] >= limit) return kNever;
+  }
   // The last snapshot strictly before the first difference; its own decisions are then still valid.
   std::size_t k = snapshots_used_;
   while (k > 0 && snapshots_[k - 1].now >= dirty_from_) --k;
@@ -322,7 +331,7 @@ Time Evaluator::evaluate(Time limit) {
     std::fill(running_.begin(), running_.end(), -1);
     std::fill(ready_count_.begin(), ready_count_.end(), 0);
     std::fill(remaining_.begin(), remaining_.end(), -1);
-    now_ = latest_ = 0;
+    now_ = latest_ = charged_ = 0;
     for (int s : sources_) {
       status_[at(s)] = kReady;
       push_ready(s);
@@ -355,7 +364,7 @@ void Evaluator::critical_chain(std::vector<int>& chain) const {
   chain.clear();
   int current = -1;
   for (std::size_t i = 0; i < n_; ++i)
-    if (finished_at_[i] == makespan_) current = static_cast<int>(i);
+    if (current < 0 || finished_at_[i] > finished_at_[at(current)]) current = static_cast<int>(i);
   while (current >= 0 && chain.size() <= n_) {
     chain.push_back(current);
     const std::size_t i = at(current);

@@ -38,7 +38,8 @@ class Evaluator {
   void commit();
   void rollback();
 
-  [[nodiscard]] Time makespan() const { return makespan_; }  ///< of the committed solution
+  /// Of the committed solution; the cost where Problem::goal asks for something else.
+  [[nodiscard]] Time makespan() const { return makespan_; }
   [[nodiscard]] const std::vector<int>& xpu() const { return xpu_; }
   [[nodiscard]] const std::vector<int>& sequence() const { return sequence_; }
   [[nodiscard]] int position(int xnode) const { return position_[static_cast<std::size_t>(xnode)]; }
@@ -59,7 +60,7 @@ class Evaluator {
   enum Status : std::uint8_t { kWaiting, kReady, kRunning, kDone };
   struct Snapshot {
     Time now = 0;
-    Time latest = 0;
+    Time latest = 0, charged = 0;
     std::vector<std::uint8_t> status;
     std::vector<std::uint16_t> missing;
     std::vector<Time> remaining;
@@ -72,6 +73,7 @@ class Evaluator {
   void start_from_scratch();
   void restore(const Snapshot& snapshot);
   void save(Snapshot& snapshot, Time now, Time latest) const;
+  [[nodiscard]] Time cost() const;
   template <bool kRecord>
   void decide(int xpu, Time now);
   void move_position(int xnode, int position);
@@ -98,7 +100,7 @@ class Evaluator {
   std::vector<int> ready_count_;
   std::vector<char> touched_;
   std::vector<int> touched_list_;
-  Time now_ = 0, latest_ = 0;
+  Time now_ = 0, latest_ = 0, charged_ = 0;
 
   // The committed schedule.
   std::vector<Time> ready_at_, started_at_, finished_at_;

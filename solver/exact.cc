@@ -18,8 +18,13 @@ std::size_t at(int index) {
 /// One attempt: is a makespan of at most T impossible?
 class Refuter {
  public:
-  Refuter(const Problem& problem, const ProofControl& control)
-      : problem_(problem), control_(control), lp_(problem), n_(problem.num_xnodes) {}
+  /// `with_deadlines`: those of the goal must be met too.
+  Refuter(const Problem& problem, const ProofControl& control, bool with_deadlines = false)
+      : problem_(problem),
+        control_(control),
+        lp_(problem),
+        n_(problem.num_xnodes),
+        with_deadlines_(with_deadlines && !problem.goal.plain()) {}
 
   enum class Answer { kRefuted, kOpen };
 
@@ -37,6 +42,14 @@ class Refuter {
       for (int t = 0; t < problem_.num_types; ++t)
         if (problem_.wcet(i, t) != kCannotRun && !problem_.type_xpus[at(t)].empty())
           windows.types[at(i)] |= 1u << t;
+    for (const auto& group : problem_.groups) {
+      std::uint32_t common = ~0u;
+      for (int i : group) common &= windows.types[at(i)];
+      for (int i : group) windows.types[at(i)] = common;
+    }
+    if (with_deadlines_)
+      for (int i = 0; i < n_; ++i)
+        windows.d[at(i)] = std::min(windows.d[at(i)], problem_.goal.deadline[at(i)]);
     return windows;
   }
 
@@ -376,10 +389,20 @@ class Refuter {
   const ProofControl& control_;
   EnergyLp lp_;
   int n_;
+  bool with_deadlines_;
   std::int64_t nodes_left_ = 0;
 };
 
 }  // namespace
+
+bool deadlines_refuted(const Problem& problem, Time makespan_limit, const ProofControl& control) {
+  if (problem.num_types > 16) return false;
+  Refuter refuter(problem, control, true);
+  for (std::int64_t nodes = 1; !refuter.stopped(); nodes = nodes * 4 + 100)
+    if (refuter.refute(makespan_limit, nodes, nodes > 1 ? 2 : 0) == Refuter::Answer::kRefuted)
+      return true;
+  return false;
+}
 
 Time prove_bound(const Problem& problem, const ProofControl& control) {
   Time bound = quick_bound(problem);

@@ -36,4 +36,8 @@ struct ProofControl {
 /// The best bound proven until `control` ends it.
 [[nodiscard]] Time prove_bound(const Problem& problem, const ProofControl& control);
 
+/// True: proven that no schedule meets all deadlines of Problem::goal (and `makespan_limit`).
+[[nodiscard]] bool deadlines_refuted(const Problem& problem, Time makespan_limit,
+                                     const ProofControl& control);
+
 }  // namespace xauto::solver

@@ -91,12 +91,14 @@ void OrderedEvaluator::reposition(int xnode, int position) {
 Time OrderedEvaluator::evaluate(Time limit) {
   ++evaluations_;
   const auto first = at(first_);
-  Time makespan = 0;
+  const bool plain = problem_.goal.plain(), weighted = problem_.goal.weighted;
+  Time makespan = 0, charged = 0;
   std::fill(free_at_.begin(), free_at_.end(), 0);
   for (std::size_t k = 0; k < first; ++k) {
     const std::size_t i = at(sequence_[k]);
     free_at_[at(xpu_[i])] = try_finish_[i] = finish_[i];
     makespan = std::max(makespan, finish_[i]);
+    if (!plain) charged += problem_.goal.charge(i, finish_[i]);
   }
   for (std::size_t k = first; k < n_; ++k) {
     const int xnode = sequence_[k];
@@ -104,11 +106,13 @@ Time OrderedEvaluator::evaluate(Time limit) {
     Time begin = free_at_[at(xpu_[i])];
     for (int p : problem_.pred[i]) begin = std::max(begin, try_finish_[at(p)]);
     const Time end = begin + problem_.wcet_on(xnode, xpu_[i]);
-    if (end + tail_[i] >= limit) return kNever;
+    if (end + tail_[i] >= limit && !weighted) return kNever;
     try_finish_[i] = free_at_[at(xpu_[i])] = end;
     makespan = std::max(makespan, end);
+    if (!plain) charged += problem_.goal.charge(i, end);
   }
-  return makespan < limit ? makespan : kNever;
+  const Time cost = (weighted ? 0 : makespan) + charged;
+  return cost < limit ? cost : kNever;
 }
 
 void OrderedEvaluator::commit() {
@@ -123,6 +127,10 @@ void OrderedEvaluator::commit() {
     finish_[i] = free_at_[at(xpu_[i])] = begin + problem_.wcet_on(xnode, xpu_[i]);
     makespan_ = std::max(makespan_, finish_[i]);
   }
+  const Goal& goal = problem_.goal;
+  if (goal.plain()) return;
+  if (goal.weighted) makespan_ = 0;
+  for (std::size_t i = 0; i < n_; ++i) makespan_ += goal.charge(i, finish_[i]);
 }
 
 void OrderedEvaluator::rollback() {
@@ -138,7 +146,7 @@ void OrderedEvaluator::critical_chain(std::vector<int>& chain) const {
   chain.clear();
   int current = -1;
   for (std::size_t i = 0; i < n_; ++i)
-    if (finish_[i] == makespan_) current = static_cast<int>(i);
+    if (current < 0 || finish_[i] > finish_[at(current)]) current = static_cast<int>(i);
   while (current >= 0) {
     chain.push_back(current);
     const std::size_t i = at(current);

@@ -34,6 +34,24 @@ namespace xauto::solver {
 using Time = std::int64_t;  ///< microseconds
 inline constexpr Time kCannotRun = -1;
 
+/// What is minimised, if not the makespan alone (objectives.h):
+///   cost = (weighted ? sum of weight_i * finish_i : makespan)
+///          + kLate * sum over i of max(0, finish_i - deadline_i)
+struct Goal {
+  static constexpr Time kNone = std::int64_t{1} << 60;
+  static constexpr Time kLate = 1000;
+  bool weighted = false;
+  std::vector<std::int64_t> weight;  ///< [xnode]; empty: the makespan alone
+  std::vector<Time> deadline;        ///< [xnode], kNone where there is none
+
+  [[nodiscard]] bool plain() const { return weight.empty(); }
+  /// What a finish adds to the cost beside the makespan.
+  [[nodiscard]] Time charge(std::size_t xnode, Time finish) const {
+    return weight[xnode] * finish +
+           (finish > deadline[xnode] ? kLate * (finish - deadline[xnode]) : 0);
+  }
+};
+
 struct Problem {
   int num_xnodes = 0, num_xpus = 0, num_types = 0;
   std::vector<std::string> type_name;       ///< [type]
@@ -45,11 +63,20 @@ struct Problem {
   std::vector<std::vector<int>> pred, succ; ///< direct precedence, as given
   std::vector<int> topo;                    ///< a topological order
 
+  // Constraints of the user (objectives.h); empty: none.
+  std::vector<char> forbidden;           ///< [xnode * num_xpus + xpu]
+  std::vector<std::vector<int>> groups;  ///< XNodes that must share an instance
+  Goal goal;
+
   [[nodiscard]] Time wcet(int xnode, int type) const {
     return wcet_flat[static_cast<std::size_t>(xnode) * static_cast<std::size_t>(num_types) +
                      static_cast<std::size_t>(type)];
   }
+  /// kCannotRun also where the user forbids it.
   [[nodiscard]] Time wcet_on(int xnode, int xpu) const {
+    if (!forbidden.empty() && forbidden[static_cast<std::size_t>(xnode) * xpu_type.size() +
+                                        static_cast<std::size_t>(xpu)] != 0)
+      return kCannotRun;
     return wcet(xnode, xpu_type[static_cast<std::size_t>(xpu)]);
   }
 

@@ -82,6 +82,9 @@ class Annealer {
       for (int x = 0; x < problem.num_xpus; ++x)
         if (problem.wcet_on(static_cast<int>(i), x) != kCannotRun) options_[i].push_back(x);
     }
+    group_of_.assign(n, nullptr);
+    for (const auto& group : problem.groups)
+      for (int i : group) group_of_[at(i)] = &group;
   }
 
   Solution run(const Solution& start) {
@@ -138,8 +141,8 @@ class Annealer {
       // Exchange of places with an XNode on another XPU.
       const int j = static_cast<int>(random_.below(static_cast<std::uint64_t>(n)));
       const int xi = evaluator_.xpu()[at(i)], xj = evaluator_.xpu()[at(j)];
-      if (xi == xj || problem_.wcet_on(i, xj) == kCannotRun ||
-          problem_.wcet_on(j, xi) == kCannotRun) {
+      if (xi == xj || group_of_[at(i)] != nullptr || group_of_[at(j)] != nullptr ||
+          problem_.wcet_on(i, xj) == kCannotRun || problem_.wcet_on(j, xi) == kCannotRun) {
         shift(i);
         return;
       }
@@ -162,7 +165,11 @@ class Annealer {
   }
 
   void move_to(int i, int x) {
-    evaluator_.assign(i, x);
+    if (group_of_[at(i)] != nullptr) {
+      for (int member : *group_of_[at(i)]) evaluator_.assign(member, x);
+    } else {
+      evaluator_.assign(i, x);
+    }
     if (random_.below(2) == 0) shift(i);
   }
 
@@ -209,6 +216,7 @@ class Annealer {
   Eval evaluator_;
   Random random_;
   std::vector<std::vector<int>> options_;
+  std::vector<const std::vector<int>*> group_of_;
   std::vector<int> chain_;
   Solution best_;
   bool done_ = false;
@@ -223,6 +231,19 @@ std::vector<int> sequence_of(const std::vector<std::int64_t>& priority) {
   std::stable_sort(sequence.begin(), sequence.end(),
                    [&](int a, int b) { return priority[at(a)] > priority[at(b)]; });
   return sequence;
+}
+
+void gather_groups(const Problem& problem, std::vector<int>& xpu) {
+  for (const auto& group : problem.groups) {
+    std::vector<int> votes(at(problem.num_xpus), 0);
+    for (int i : group)
+      if (problem.wcet_on(group.front(), xpu[at(i)]) != kCannotRun) ++votes[at(xpu[at(i)])];
+    const auto most = std::max_element(votes.begin(), votes.end());
+    int target = static_cast<int>(most - votes.begin());
+    for (int x = 0; *most == 0 && x < problem.num_xpus; ++x)
+      if (problem.wcet_on(group.front(), x) != kCannotRun) target = x;
+    for (int i : group) xpu[at(i)] = target;
+  }
 }
 
 Decision to_decision(const Solution& solution) {
@@ -259,6 +280,7 @@ std::vector<Solution> constructive_solutions(const Problem& problem) {
     }
     for (double spread : {0.0, 0.5, 1.0}) {
       Solution solution = list_schedule(problem, rank, spread);
+      gather_groups(problem, solution.xpu);
       evaluator.reset(solution.xpu, solution.sequence);
       solution.makespan = evaluator.makespan();
       solutions.push_back(std::move(solution));

@@ -36,8 +36,8 @@ struct Limits {
 struct Solution {
   std::vector<int> xpu;
   std::vector<int> sequence;  ///< XNodes, most urgent first
-  Time makespan = kNever;
-  bool ordered = false;  ///< every XPU keeps to the sequence (Policy::order), no preemption
+  Time makespan = kNever;     ///< or the cost, where Problem::goal asks for something else
+  bool ordered = false;       ///< every XPU keeps to the sequence (Policy::order), no preemption
 };
 
 /// List scheduling by earliest finish, one answer per ranking rule (longest tail by least, mean and
@@ -46,6 +46,8 @@ struct Solution {
 
 /// `sequence` that repeats a Decision's priorities.
 [[nodiscard]] std::vector<int> sequence_of(const std::vector<std::int64_t>& priority);
+/// Puts every group (Problem::groups) on one instance, the one most of it is on.
+void gather_groups(const Problem& problem, std::vector<int>& xpu);
 [[nodiscard]] Decision to_decision(const Solution& solution);
 
 struct SearchCallbacks {

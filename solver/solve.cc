@@ -9,6 +9,7 @@
 #include "solver/auto.h"
 #include "solver/bounds.h"
 #include "solver/certify.h"
+#include "solver/exact.h"
 #include "solver/heft.h"
 #include "solver/ilp.h"
 #include "solver/simulate.h"
@@ -27,10 +28,54 @@ Solution to_solution(const Problem& problem, const Decision& decision) {
 /// HEFT first: no answer of `search` or `auto` is ever worse than it.
 std::vector<Solution> starts(const Problem& problem) {
   std::vector<Solution> all = constructive_solutions(problem);
-  all.insert(all.begin(), to_solution(problem, heft(problem)));
+  Evaluator evaluator(problem);
+  Solution by_heft = to_solution(problem, heft(problem));
+  gather_groups(problem, by_heft.xpu);
+  evaluator.reset(by_heft.xpu, by_heft.sequence);
+  by_heft.makespan = evaluator.makespan();
+  all.insert(all.begin(), std::move(by_heft));
   std::stable_sort(all.begin(), all.end(),
                    [](const Solution& a, const Solution& b) { return a.makespan < b.makespan; });
   return all;
+}
+
+/// Chains and deadlines of the finished policy; where one is missed, a last attempt to prove that
+/// it must be (a tenth of the time limit, on top of it).
+void account_for_deadlines(const AppSpec& app, const Problem& problem, const SolveOptions& options,
+                           const Policy& policy) {
+  if (options.report == nullptr) return;
+  SolveReport& report = *options.report;
+  report.chains = chain_outcomes(options.objectives, app, problem, policy);
+  const std::optional<Time> whole =
+      options.objectives.deadline_us ? options.objectives.deadline_us : app.deadline_us;
+  bool asked = whole.has_value(), met = !whole || policy.latency_us <= *whole;
+  for (const ChainOutcome& chain : report.chains) {
+    asked = asked || chain.deadline_us.has_value();
+    met = met && chain.met();
+  }
+  if (!asked) return;
+  report.feasibility = met ? Feasibility::kMet : Feasibility::kUnknown;
+  if (met) return;
+  if (whole && policy.lower_bound_us > *whole) {
+    report.feasibility = Feasibility::kImpossible;
+    return;
+  }
+  Time horizon = 0;
+  for (int i = 0; i < problem.num_xnodes; ++i) {
+    Time longest = 0;
+    for (int t = 0; t < problem.num_types; ++t) longest = std::max(longest, problem.wcet(i, t));
+    horizon += longest;
+  }
+  ProofControl control;
+  control.stop = options.stop;
+  if (options.max_evaluations > 0)
+    control.max_lps = options.max_evaluations / 50 + 1;
+  else
+    control.deadline =
+        std::chrono::steady_clock::now() +
+        std::chrono::milliseconds(static_cast<int>(std::min(options.time_limit_s, 3600.0) * 100));
+  if (deadlines_refuted(problem, std::min(horizon, whole.value_or(horizon)), control))
+    report.feasibility = Feasibility::kImpossible;
 }
 
 /// The paper's model while it is small enough to have a chance, then the compact one on what is
@@ -92,7 +137,8 @@ Policy make_policy(const AppSpec& app, const Platform& platform, const Problem& 
 
 Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOptions& options) {
   const auto began = std::chrono::steady_clock::now();
-  XAUTO_ASSIGN(const Problem problem, Problem::create(app, platform));
+  XAUTO_ASSIGN(Problem problem, Problem::create(app, platform));
+  XAUTO_TRY(resolve(options.objectives, app, platform, problem));
   Decision decision;
   Time bound = 0;
   if (options.method == "heft") {
@@ -121,6 +167,7 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
   Policy policy = make_policy(app, platform, problem, decision, options.method);
   policy.lower_bound_us = std::min(bound, policy.latency_us);
   policy.worst_case_us = worst_case(problem, decision);
+  account_for_deadlines(app, problem, options, policy);
   policy.optimal = policy.lower_bound_us == policy.latency_us;
   policy.solve_ms = std::chrono::duration_cast<std::chrono::milliseconds>(
                         std::chrono::steady_clock::now() - began)

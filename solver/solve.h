@@ -8,6 +8,7 @@
 #include <string_view>
 #include <vector>
 
+#include "solver/objectives.h"
 #include "solver/problem.h"
 
 namespace xauto::solver {
@@ -29,7 +30,8 @@ struct SolveOptions {
   bool certify = false;  ///< minimise the certified worst case instead of the latency
   const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: return the best so far
   std::function<void(const Progress&)>
-      on_progress;                       ///< called from the solving thread, at most 10 Hz
+      on_progress;        ///< called from the solving thread, at most 10 Hz
+  Objectives objectives;  ///< beyond the makespan; only auto and search honour chains and groups
   struct SolveReport* report = nullptr;  ///< filled in if not null
 };
 
@@ -39,6 +41,8 @@ struct SolveReport {
   /// The least certified latency found (ordered schedules); 0: none was looked for. Where the
   /// policy is not ordered itself, this minus its latency is the cost of certifying.
   Time certified_us = 0;
+  std::vector<ChainOutcome> chains;
+  Feasibility feasibility = Feasibility::kNotAsked;  ///< of all deadlines together
 };
 
 /// Errors: kInvalid / kInfeasible from Problem::create; kInvalid for an unknown method. A time
