@@ -29,7 +29,7 @@ EnergyLp::EnergyLp(const Problem& problem)
 }
 
 Time EnergyLp::energy(const Windows& windows, std::size_t i, int type, Time a, Time b) const {
-  const Time work = problem_.wcet(static_cast<int>(i), type);
+  const Time work = problem_.wcet(static_cast<int>(i), type) + windows.paid[i];
   const Time inside =
       work - std::max<Time>(0, a - windows.r[i]) - std::max<Time>(0, windows.d[i] - b);
   return std::max<Time>(0, std::min(b - a, inside));
@@ -204,7 +204,8 @@ int EnergyLp::separate(const Windows& windows) {
     for (int i = 0; i < n_; ++i) {
       const double x = share_[at(i * types_ + t)];
       if (x < 1e-9) continue;
-      items.push_back({windows.r[at(i)], windows.d[at(i)], problem_.wcet(i, t), x});
+      items.push_back(
+          {windows.r[at(i)], windows.d[at(i)], problem_.wcet(i, t) + windows.paid[at(i)], x});
       begins.push_back(windows.r[at(i)]);
       ends.push_back(windows.d[at(i)]);
     }

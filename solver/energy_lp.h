@@ -27,6 +27,8 @@ struct Windows {
   std::vector<Time> r, d;            ///< earliest start, latest finish
   std::vector<std::uint32_t> types;  ///< bit t: type t still possible
   std::vector<Time> extra;  ///< least time beyond its WCET between an XNode's start and finish
+  std::vector<Time>
+      paid;  ///< preemption cost that is certain to be paid between its start and finish
   std::vector<std::pair<int, int>> arcs;  ///< decided: first finishes before second starts
   std::vector<std::pair<int, int>>
       nested;  ///< decided: second starts and finishes while first is suspended

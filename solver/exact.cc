@@ -38,6 +38,7 @@ class Refuter {
     windows.d.assign(at(n_), makespan);
     windows.types.assign(at(n_), 0);
     windows.extra.assign(at(n_), 0);
+    windows.paid.assign(at(n_), 0);
     for (int i = 0; i < n_; ++i)
       for (int t = 0; t < problem_.num_types; ++t)
         if (problem_.wcet(i, t) != kCannotRun && !problem_.type_xpus[at(t)].empty())
@@ -134,10 +135,10 @@ class Refuter {
     if (w.r[at(j)] + di + dj <= w.d[at(i)]) possible |= kSecond;
     if (!problem_.preemptive[at(x)]) return possible;
     const Time cost = problem_.preempt[at(x)];
-    if (w.r[at(i)] + wi + wj + cost <= w.d[at(i)] &&
+    if (w.r[at(i)] + di + wj + cost - w.paid[at(i)] <= w.d[at(i)] &&
         std::max(w.r[at(i)] + 1, w.r[at(j)]) + dj < w.d[at(i)] && w.r[at(i)] + 1 + dj <= w.d[at(j)])
       possible |= kInFirst;
-    if (w.r[at(j)] + wi + wj + cost <= w.d[at(j)] &&
+    if (w.r[at(j)] + dj + wi + cost - w.paid[at(j)] <= w.d[at(j)] &&
         std::max(w.r[at(j)] + 1, w.r[at(i)]) + di < w.d[at(j)] && w.r[at(j)] + 1 + di <= w.d[at(i)])
       possible |= kInSecond;
     return possible;
@@ -154,13 +155,20 @@ class Refuter {
         break;
       case kInFirst:
         w.nested.emplace_back(i, j);
-        raise(w.extra[at(i)], problem_.wcet(j, type) + cost);
+        interrupt(w, i, problem_.wcet(j, type), cost);
         break;
       case kInSecond:
         w.nested.emplace_back(j, i);
-        raise(w.extra[at(j)], problem_.wcet(i, type) + cost);
+        interrupt(w, j, problem_.wcet(i, type), cost);
         break;
     }
+  }
+
+  /// All that is nested in `outer` runs within its span, and the first suspension of it costs at
+  /// least once.
+  static void interrupt(Windows& w, int outer, Time inner_work, Time cost) {
+    w.extra[at(outer)] += inner_work + cost - w.paid[at(outer)];
+    w.paid[at(outer)] = cost;
   }
 
   /// Pairs on one-instance types: decides those with one relation left; false: a pair has none.
