@@ -22,11 +22,13 @@ pedestrians:
 
 check:
 	@scripts/setup.sh build check pedestrians
+	@scripts/fetch-video.sh
 	@JOBS=$(JOBS) scripts/check.sh all
 
 # Parts of check, each by itself.
 style unit asan tsan fuzz:
 	@scripts/setup.sh build check pedestrians
+	@scripts/fetch-video.sh
 	@JOBS=$(JOBS) scripts/check.sh $@
 
 bench:

@@ -283,9 +283,10 @@ Status Engine::release_periodic() {
       if (!wait_drained(kStallNs))
         return fail(ErrorCode::kTimeout, "no progress for 10 s in lockstep",
                     "app '" + app_.name + "'");
+      // Now, whatever the period: the time grid moves along.
       const std::int64_t now = now_ns();
-      start += std::max<std::int64_t>(0, now - due);
-      due = std::max(due, now);
+      start += now - due;
+      due = now;
     }
     // Messages are made before their release, so that making them does not count as latency.
     std::vector<std::pair<int, std::shared_ptr<const void>>> messages;
