@@ -171,6 +171,27 @@ class Refuter {
     w.paid[at(outer)] = cost;
   }
 
+  bool charge_returns(Windows& w) const {
+    bool changed = false;
+    for (int outer = 0; outer < n_; ++outer) {
+      std::vector<int> inner;
+      for (const auto& [o, i] : w.nested)
+        if (o == outer) inner.push_back(i);
+      if (inner.size() < 2) continue;
+      std::sort(inner.begin(), inner.end(), [&](int a, int b) { return w.r[at(a)] < w.r[at(b)]; });
+      const int type = std::countr_zero(w.types[at(outer)]);
+      const Time cost = problem_.preempt[at(problem_.type_xpus[at(type)].front())];
+      Time extra = cost, latest = -1;
+      for (int i : inner) {
+        extra += problem_.wcet(i, type);
+        if (latest >= 0) extra += std::min(cost, std::max<Time>(0, w.r[at(i)] - latest));
+        latest = std::max(latest, w.d[at(i)]);
+      }
+      changed |= raise(w.extra[at(outer)], extra);
+    }
+    return changed;
+  }
+
   /// Pairs on one-instance types: decides those with one relation left; false: a pair has none.
   /// `open_*`: the tightest pair that is still open, -1 if all are decided.
   bool settle_pairs(Windows& w, int& open_i, int& open_j) const {
@@ -374,7 +395,13 @@ class Refuter {
       }
       return true;
     }
-    // Every type decided: split the widest window of a join.
+    // Every type and pair decided: what is nested in one XNode is known, and where its windows
+    // leave a gap, the outer one returns and is suspended again, or the XPU idles.
+    if (charge_returns(w)) {
+      if (!tighten(w)) return true;
+      return descend(w, depth + 1);
+    }
+    // Split the widest window of a join.
     Time widest = 1;
     for (int i = 0; i < n_; ++i) {
       if (problem_.pred[at(i)].empty()) continue;
