@@ -127,14 +127,17 @@ void Server::accept_connection() {
     log::warn("{}: {}", options_.xpu, peer.error().what);
     return;
   }
-  if (connections_.size() >= kMaxConnections) {
+  if (!adopt_connection(std::move(*peer)))
     log::warn("{}: refused a connection: {} are open", options_.xpu, connections_.size());
-    return;
-  }
-  const int fd = peer->get();
+}
+
+bool Server::adopt_connection(UniqueFd socket) {
+  const int fd = socket.get();
   epoll_event event{.events = EPOLLIN, .data = {.fd = fd}};
-  if (epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0) return;
-  connections_[fd].socket = std::move(*peer);
+  if (connections_.size() >= kMaxConnections || epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
+    return false;
+  connections_[fd].socket = std::move(socket);
+  return true;
 }
 
 bool Server::handle_packet(int fd, const void* data, std::size_t bytes) {

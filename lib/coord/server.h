@@ -47,6 +47,8 @@ class Server {
   /// Bytes from a connection, as run() would receive them; for the fuzzer. Returns whether the connection
   /// stays open.
   bool handle_packet(int connection, const void* data, std::size_t bytes);
+  /// A connection that was accepted elsewhere; returns false if there are too many.
+  bool adopt_connection(UniqueFd socket);
 
  private:
   struct Connection {

@@ -85,7 +85,8 @@ TEST(Verify, AcceptsHeftAndLocalOnTheSyntheticWorkload) {
         solving.method = method;
         const auto policy = solve(app, platform, solving);
         ASSERT_TRUE(policy);
-        const Verification v = verify(app, platform, *policy);
+        const Verification v =
+            verify(app, platform, *policy, {.executions = 3000, .schedules = 3000});
         for (const std::string& lie : v.lies) ADD_FAILURE() << method << " " << seed << ": " << lie;
       }
     }
@@ -104,7 +105,8 @@ TEST(Verify, AcceptsSearchAndAutoOnSmallApps) {
       solving.max_evaluations = 20'000;
       const auto policy = solve(app, *Platform::builtin("small"), solving);
       ASSERT_TRUE(policy);
-      const Verification v = verify(app, *Platform::builtin("small"), *policy);
+      const Verification v = verify(app, *Platform::builtin("small"), *policy,
+                                    {.executions = 3000, .schedules = 3000});
       for (const std::string& lie : v.lies) ADD_FAILURE() << method << " " << seed << ": " << lie;
     }
 }
@@ -149,7 +151,7 @@ TEST(Verify, RejectsALowerBoundAboveASchedule) {
   for (std::uint64_t seed = 1; seed <= 6; ++seed) {
     Case c = truthful(30, seed);
     c.policy.lower_bound_us = c.policy.latency_us;
-    const Verification v = verify(c.app, c.platform, c.policy);
+    const Verification v = verify(c.app, c.platform, c.policy, {.executions = 0});
     for (const std::string& lie : v.lies)
       refuted += lie.find("is above a schedule of") != std::string::npos;
   }

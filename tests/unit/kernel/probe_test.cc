@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: Apache-2.0
+// Other machines, as folders.
+#include "kernel/probe.h"
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+
+namespace xauto::kernel {
+namespace {
+
+namespace fs = std::filesystem;
+
+class Machine : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    root_ = fs::temp_directory_path() / ("xauto-probe-" + std::to_string(getpid()));
+    fs::remove_all(root_);
+    fs::create_directories(root_);
+  }
+  void TearDown() override { fs::remove_all(root_); }
+  void file(const std::string& path, const std::string& text = "") {
+    fs::create_directories((root_ / path).parent_path());
+    std::ofstream(root_ / path) << text;
+  }
+  Finding find(const std::string& id) {
+    for (const Finding& f : probe(root_.string(), limits_))
+      if (f.id == id) return f;
+    return {"absent", Verdict::kOk, "", "", ""};
+  }
+  fs::path root_;
+  Limits limits_{"6.1.0", 4, true, 99, ~0ull};
+};
+
+TEST_F(Machine, LaptopLacksWhatAJetsonHas) {
+  for (const char* id : {"gpu", "dla", "xauto.ko", "sched_ext", "btf", "opencl"})
+    EXPECT_EQ(find(id).verdict, Verdict::kMissing) << id;
+  EXPECT_EQ(find("realtime").verdict, Verdict::kOk);
+}
+
+TEST_F(Machine, OrinIsRecognised) {
+  file("dev/nvgpu/igpu0/tsg");
+  file("dev/nvhost-ctrl-nvdla0");
+  file("dev/nvhost-ctrl-nvdla1");
+  file("proc/modules", "nvgpu 1 0 - Live 0x0\nxauto 16384 0 - Live 0x0\n");
+  EXPECT_EQ(find("gpu").found, "/dev/nvgpu/igpu0/tsg");
+  EXPECT_EQ(find("dla").found, "/dev/nvhost-ctrl-nvdla0 /dev/nvhost-ctrl-nvdla1");
+  EXPECT_EQ(find("xauto.ko").verdict, Verdict::kOk);
+}
+
+TEST_F(Machine, ModuleOfASimilarNameIsNotOurs) {
+  file("proc/modules", "xauto_nvgpu_emu 1 0 - Live 0x0\n");
+  EXPECT_EQ(find("xauto.ko").verdict, Verdict::kMissing);
+}
+
+TEST_F(Machine, SchedExtThatIsTakenSaysByWhom) {
+  file("sys/kernel/sched_ext/state", "enabled\n");
+  file("sys/kernel/sched_ext/root/ops", "scx_lavd\n");
+  const Finding f = find("sched_ext");
+  EXPECT_EQ(f.verdict, Verdict::kDegraded);
+  EXPECT_EQ(f.found, "enabled by 'scx_lavd'");
+  file("sys/kernel/sched_ext/state", "disabled\n");
+  EXPECT_EQ(find("sched_ext").verdict, Verdict::kOk);
+}
+
+TEST_F(Machine, UnprivilegedUserIsToldHowToGetMore) {
+  limits_.may_use_fifo = false;
+  limits_.rtprio_limit = 0;
+  limits_.memlock_bytes = 8u << 20;
+  EXPECT_EQ(find("realtime").verdict, Verdict::kDegraded);
+  EXPECT_NE(find("realtime").advice.find("rtprio 99"), std::string::npos);
+  EXPECT_EQ(find("memlock").verdict, Verdict::kDegraded);
+}
+
+TEST_F(Machine, ThrottlingAndClocksAreSeen) {
+  file("proc/sys/kernel/sched_rt_runtime_us", "950000\n");
+  file("proc/sys/kernel/sched_rt_period_us", "1000000\n");
+  file("sys/devices/system/cpu/cpu0/cpufreq/scaling_governor", "schedutil\n");
+  EXPECT_EQ(find("rt_throttling").verdict, Verdict::kDegraded);
+  EXPECT_EQ(find("cpufreq").verdict, Verdict::kDegraded);
+  file("proc/sys/kernel/sched_rt_runtime_us", "-1\n");
+  file("sys/devices/system/cpu/cpu0/cpufreq/scaling_governor", "performance\n");
+  EXPECT_EQ(find("rt_throttling").verdict, Verdict::kOk);
+  EXPECT_EQ(find("cpufreq").verdict, Verdict::kOk);
+}
+
+}  // namespace
+}  // namespace xauto::kernel
