@@ -22,7 +22,8 @@ const std::vector<Column>& columns() {
       {"no sched", [](const Measured& m) { return ratio(m.unscheduled_ideal, m.xauto); }},
       {"no sch slice", [](const Measured& m) { return ratio(m.unscheduled_slices, m.xauto); }},
       {"no assign", [](const Measured& m) { return ratio(m.unassigned, m.xauto); }},
-      {"possible", [](const Measured& m) { return ratio(m.ros2_slices, m.bound); }}};
+      {"slices/bound", [](const Measured& m) { return ratio(m.ros2_slices, m.bound); }},
+      {"HEFT/bound", [](const Measured& m) { return ratio(m.heft, m.bound); }}};
   return all;
 }
 
