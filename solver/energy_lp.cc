@@ -12,7 +12,8 @@ namespace xauto::solver {
 namespace {
 
 constexpr double kEpsilon = 1e-9;
-constexpr int kMaxPivots = 600;
+constexpr int kMaxPivots = 600;        // plus four per column
+constexpr std::size_t kMaxEdges = 48;  // window ends tried per type; beyond, an even sample of them
 constexpr std::size_t kMaxRows = 160;
 
 std::size_t at(int index) {
@@ -117,7 +118,7 @@ void EnergyLp::add_row(const Windows& windows, const Row& row) {
 }
 
 int EnergyLp::dual_simplex() {
-  for (int pivot = 0; pivot < kMaxPivots; ++pivot) {
+  for (int pivot = 0; pivot < kMaxPivots + 4 * static_cast<int>(columns_); ++pivot) {
     std::size_t r = rhs_.size();
     double worst = -1e-7;
     for (std::size_t k = 0; k < rhs_.size(); ++k) {
@@ -211,10 +212,8 @@ int EnergyLp::separate(const Windows& windows) {
     }
     const auto instances = static_cast<double>(problem_.type_xpus[at(t)].size());
     if (static_cast<double>(items.size()) <= instances) continue;
-    std::sort(begins.begin(), begins.end());
-    begins.erase(std::unique(begins.begin(), begins.end()), begins.end());
-    std::sort(ends.begin(), ends.end());
-    ends.erase(std::unique(ends.begin(), ends.end()), ends.end());
+    sort_and_thin(begins);
+    sort_and_thin(ends);
     // The two most violated windows with different beginnings.
     double best[2] = {1e-6, 1e-6};
     Row found[2] = {{-2, 0, 0}, {-2, 0, 0}};

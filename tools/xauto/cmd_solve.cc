@@ -9,12 +9,15 @@
 #include <iostream>
 #include <memory>
 
+#include <nlohmann/json.hpp>
 #include <unistd.h>
 
 #include "model/json.h"
+#include "solver/explain.h"
 #include "solver/solve.h"
 
 #include "xauto/command.h"
+#include "xauto/objectives_file.h"
 
 namespace xauto::cli {
 namespace {
@@ -28,6 +31,11 @@ extern "C" void on_interrupt(int) {
 
 struct Flags {
   std::string app, platform, out;
+  std::vector<std::string> pins, forbids;
+  std::vector<std::string> groups;
+  std::int64_t deadline_us = 0;
+  bool what_if = false;
+  std::vector<std::string> implement;
   solver::SolveOptions options;
 };
 
@@ -58,6 +66,116 @@ class Line {
   bool terminal_ = isatty(STDERR_FILENO) != 0, drawn_ = false;
   double next_s_ = 2;
 };
+
+/// The problem as it was asked: keys of app.json, then the command line on top.
+Status read_objectives(Flags& flags) {
+  XAUTO_ASSIGN(solver::Objectives objectives, load_objectives(flags.app));
+  for (const std::string& pin : flags.pins) {
+    XAUTO_ASSIGN(auto parsed, parse_assignment(pin, "--pin"));
+    objectives.pins.push_back(std::move(parsed));
+  }
+  for (const std::string& forbid : flags.forbids) {
+    XAUTO_ASSIGN(auto parsed, parse_assignment(forbid, "--forbid"));
+    objectives.forbids.push_back(std::move(parsed));
+  }
+  for (const std::string& group : flags.groups) {
+    std::vector<std::string> names(1);
+    for (const char c : group) {
+      if (c == ',')
+        names.emplace_back();
+      else
+        names.back() += c;
+    }
+    objectives.groups.push_back(std::move(names));
+  }
+  if (flags.deadline_us > 0) objectives.deadline_us = flags.deadline_us;
+  const bool shaped = !objectives.chains.empty() || !objectives.pins.empty() ||
+                      !objectives.forbids.empty() || !objectives.groups.empty();
+  if (shaped && flags.options.method != "auto" && flags.options.method != "search")
+    return fail(ErrorCode::kInvalid, "chains, pins and groups need --method auto or search",
+                "--method " + flags.options.method);
+  flags.options.objectives = std::move(objectives);
+  return {};
+}
+
+const char* words(solver::Feasibility feasibility) {
+  switch (feasibility) {
+    case solver::Feasibility::kMet:
+      return "met";
+    case solver::Feasibility::kImpossible:
+      return "proven impossible";
+    case solver::Feasibility::kUnknown:
+      return "missed; not proven impossible";
+    default:
+      return "none";
+  }
+}
+
+/// The cases of --what-if and --implement, best first.
+Result<std::vector<solver::WhatIf>> ask_what_if(const Flags& flags, const AppSpec& app,
+                                                const Platform& platform, const Policy& policy) {
+  std::vector<solver::WhatIf> answers;
+  solver::SolveOptions options = flags.options;
+  options.time_limit_s = std::min(2.0, options.time_limit_s);
+  for (const std::string& text : flags.implement) {
+    XAUTO_ASSIGN(const auto parsed, parse_assignment(text, "--implement"));
+    const std::size_t colon = parsed.second.rfind(':');
+    std::int64_t wcet = 0;
+    if (colon != std::string::npos) wcet = std::atoll(parsed.second.c_str() + colon + 1);
+    if (wcet <= 0 || wcet > kMaxTimeUs)
+      return fail(ErrorCode::kInvalid, "'" + text + "' is not of the form XNODE=TYPE:WCET_US",
+                  "--implement");
+    XAUTO_ASSIGN(solver::WhatIf what,
+                 solver::what_if_implemented(app, platform, policy, parsed.first,
+                                             parsed.second.substr(0, colon), wcet, options));
+    answers.push_back(std::move(what));
+  }
+  if (!flags.what_if || interrupted.load()) return answers;
+  XAUTO_ASSIGN(std::vector<solver::WhatIf> all, solver::what_if(app, platform, policy, options));
+  answers.insert(answers.end(), all.begin(), all.end());
+  return answers;
+}
+
+void print_more(const Policy& policy, const solver::SolveReport& report,
+                const std::vector<solver::WhatIf>& answers) {
+  if (policy.order.empty() && report.certified_us > 0)
+    std::printf("  certified    %12s   with --certify: %+.2f %% latency, and never longer\n",
+                ms(report.certified_us).c_str(),
+                100 * static_cast<double>(report.certified_us - policy.latency_us) /
+                    static_cast<double>(std::max<std::int64_t>(1, policy.latency_us)));
+  if (report.feasibility != solver::Feasibility::kNotAsked)
+    std::printf("  deadlines    %12s   %s\n", "", words(report.feasibility));
+  for (const solver::ChainOutcome& chain : report.chains)
+    std::printf("  chain %-20s %s%s\n", chain.name.c_str(), ms(chain.latency_us).c_str(),
+                chain.deadline_us
+                    ? (" of " + ms(*chain.deadline_us) + (chain.met() ? "" : "  MISSED")).c_str()
+                    : "");
+  if (!answers.empty())
+    std::printf("\n  What if ...                              latency       gain\n");
+  for (const solver::WhatIf& what : answers)
+    std::printf("  %-36s %12s %8.1f %%\n", what.change.c_str(), ms(what.latency_us).c_str(),
+                100 * what.gain);
+}
+
+void print_json(const AppSpec& app, const Platform& platform, const Policy& policy,
+                const solver::SolveReport& report, const std::vector<solver::WhatIf>& answers) {
+  nlohmann::json root = nlohmann::json::parse(to_json(policy, app, platform));
+  root["evaluations"] = report.evaluations;
+  if (report.certified_us > 0) root["certified_us"] = report.certified_us;
+  if (report.feasibility != solver::Feasibility::kNotAsked)
+    root["deadlines"] = words(report.feasibility);
+  for (const solver::ChainOutcome& chain : report.chains)
+    root["chains"].push_back({{"name", chain.name},
+                              {"latency_us", chain.latency_us},
+                              {"lower_bound_us", chain.bound_us},
+                              {"met", chain.met()}});
+  for (const solver::WhatIf& what : answers)
+    root["what_if"].push_back({{"change", what.change},
+                               {"latency_us", what.latency_us},
+                               {"lower_bound_us", what.lower_bound_us},
+                               {"gain", what.gain}});
+  std::cout << root.dump(2) << "\n";
+}
 
 void print_table(const AppSpec& app, const Platform& platform, const Policy& policy) {
   const auto latency = static_cast<double>(std::max<std::int64_t>(1, policy.latency_us));
@@ -91,6 +209,9 @@ void print_table(const AppSpec& app, const Platform& platform, const Policy& pol
 Result<int> solve(Flags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  XAUTO_TRY(read_objectives(flags));
+  solver::SolveReport report;
+  flags.options.report = &report;
   Line line;
   flags.options.stop = &interrupted;
   flags.options.on_progress = [&](const solver::Progress& progress) { line.show(progress); };
@@ -101,13 +222,15 @@ Result<int> solve(Flags& flags, const Options& options) {
   if (!solved) return tl::unexpected<Error>(solved.error());
   const Policy& policy = *solved;
   if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, to_json(policy, app, platform)));
+  XAUTO_ASSIGN(const auto answers, ask_what_if(flags, app, platform, policy));
   if (options.json) {
-    std::cout << to_json(policy, app, platform);
+    print_json(app, platform, policy, report, answers);
   } else {
     print_table(app, platform, policy);
+    print_more(policy, report, answers);
     if (!flags.out.empty()) std::printf("\n  written to %s\n", flags.out.c_str());
   }
-  return kDone;
+  return report.feasibility == solver::Feasibility::kImpossible ? kAnswerIsNo : kDone;
 }
 
 }  // namespace
@@ -139,6 +262,19 @@ void add_solve(Commands& commands) {
           "--max-evaluations", flags->options.max_evaluations,
           "end after this many schedules; the answer then depends on seed and threads only")
       ->check(CLI::NonNegativeNumber);
+  verb->add_flag("--certify", flags->options.certify,
+                 "minimise the certified worst case: run-time order in every case");
+  verb->add_option("--deadline-us", flags->deadline_us,
+                   "of the whole app; exit status 1 if proven impossible")
+      ->check(CLI::NonNegativeNumber);
+  verb->add_option("--pin", flags->pins, "XNODE=XPU or XNODE=TYPE: only there");
+  verb->add_option("--forbid", flags->forbids, "XNODE=XPU or XNODE=TYPE: anywhere but there");
+  verb->add_option("--group", flags->groups, "XNODE,XNODE,...: on one instance");
+  verb->add_flag(
+      "--what-if", flags->what_if,
+      "what one more XPU, or another implementation on the chain that limits, would gain");
+  verb->add_option("--implement", flags->implement,
+                   "XNODE=TYPE:WCET_US: what this implementation would gain");
 }
 
 }  // namespace xauto::cli

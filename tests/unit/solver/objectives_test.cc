@@ -1,0 +1,195 @@
+// SPDX-License-Identifier: Apache-2.0
+// Pins, groups, chains and deadlines: kept by every answer, refused with names where they cannot
+// be.
+#include "solver/objectives.h"
+
+#include <gtest/gtest.h>
+
+#include "solver/explain.h"
+#include "solver/generate.h"
+#include "solver/solve.h"
+
+#include "brute_force.h"
+#include "problem_random.h"
+
+namespace xauto::solver {
+namespace {
+
+SolveOptions counted(SolveReport& report) {
+  SolveOptions options;
+  options.max_evaluations = 6000;
+  options.time_limit_s = 1e9;
+  options.report = &report;
+  return options;
+}
+
+/// Two sensors' chains that compete for one gpu, 10 ms each.
+AppSpec two_chains() {
+  AppSpec app;
+  app.name = "two";
+  app.xnodes = {{"a.in", "A", {{"cpu", 1000}}},
+                {"a.out", "A", {{"gpu", 10'000}}},
+                {"b.in", "B", {{"cpu", 1000}}},
+                {"b.out", "B", {{"gpu", 10'000}}}};
+  app.edges = {{0, 1}, {2, 3}};
+  return app;
+}
+
+Platform one_of_each() {
+  Platform platform;
+  platform.name = "one of each";
+  platform.xpus = {{"cpu0", "cpu", true, 0, 0, -1},
+                   {"cpu1", "cpu", true, 0, 0, -1},
+                   {"gpu0", "gpu", true, 100, 0, -1}};
+  return platform;
+}
+
+TEST(Objectives, PinsForbidsAndGroupsAreKept) {
+  const Platform platform = Platform::builtin("small").value();
+  GenerateOptions shape;
+  shape.nodes = 20;
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    shape.seed = seed;
+    const AppSpec app = generate(shape).value();
+    SolveReport report;
+    SolveOptions options = counted(report);
+    const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
+    options.objectives.pins = {{name(0), "cpu2"}};
+    options.objectives.forbids = {{name(1), "gpu"}};
+    options.objectives.groups = {{name(3), name(4), name(5)}};
+    const auto policy = solve(app, platform, options);
+    ASSERT_TRUE(policy.has_value()) << policy.error().to_string();
+    const auto xpu = [&](std::size_t i) {
+      return platform.xpus[static_cast<std::size_t>(policy->placements[i].xpu)];
+    };
+    EXPECT_EQ(xpu(0).id, "cpu2");
+    EXPECT_NE(xpu(1).type, "gpu");
+    EXPECT_EQ(xpu(3).id, xpu(4).id);
+    EXPECT_EQ(xpu(4).id, xpu(5).id);
+    EXPECT_TRUE(validate(*policy, app, platform).has_value());
+  }
+}
+
+TEST(Objectives, WithAPinTheBoundStillHoldsAgainstExhaustion) {
+  for (std::uint64_t seed = 0; seed < 60; ++seed) {
+    test::Dice dice(seed);
+    const Platform platform = test::random_platform(dice, {});
+    const AppSpec app = test::random_app(dice, {}, platform);
+    SolveReport report;
+    SolveOptions options = counted(report);
+    const std::string type = app.xnodes[0].wcet_us.begin()->first;
+    options.objectives.pins = {
+        {app.xnodes[0].name,
+         platform.xpus[static_cast<std::size_t>(platform.instances_of(type).front())].id}};
+    const auto policy = solve(app, platform, options);
+    ASSERT_TRUE(policy.has_value());
+    Problem problem = Problem::create(app, platform).value();
+    ASSERT_TRUE(resolve(options.objectives, app, platform, problem).has_value());
+    const Time exhausted = test::brute_force(problem).makespan;
+    EXPECT_LE(policy->lower_bound_us, exhausted) << "seed " << seed;
+    if (policy->optimal) {
+      EXPECT_LE(policy->latency_us, exhausted) << "seed " << seed;
+    }
+  }
+}
+
+TEST(Objectives, TheWeightDecidesWhoWaits) {
+  for (const bool a_first : {true, false}) {
+    SolveReport report;
+    SolveOptions options = counted(report);
+    options.objectives.chains = {{"a", "a.in", "a.out", {}, a_first ? 10 : 1},
+                                 {"b", "b.in", "b.out", {}, a_first ? 1 : 10}};
+    ASSERT_TRUE(solve(two_chains(), one_of_each(), options).has_value());
+    ASSERT_EQ(report.chains.size(), 2u);
+    EXPECT_EQ(report.chains[a_first ? 0 : 1].latency_us, 11'000);
+    EXPECT_EQ(report.chains[a_first ? 1 : 0].latency_us, 21'000);
+  }
+}
+
+TEST(Objectives, ADeadlineDecidesWhoWaits) {
+  SolveReport report;
+  SolveOptions options = counted(report);
+  options.objectives.chains = {{"a", "a.in", "a.out", 21'000, 0},
+                               {"b", "b.in", "b.out", 11'000, 0}};
+  ASSERT_TRUE(solve(two_chains(), one_of_each(), options).has_value());
+  EXPECT_EQ(report.feasibility, Feasibility::kMet);
+  EXPECT_EQ(report.chains[1].latency_us, 11'000);
+}
+
+TEST(Objectives, TwoDeadlinesThatExcludeEachOtherAreProvenImpossible) {
+  SolveReport report;
+  SolveOptions options = counted(report);
+  options.objectives.chains = {{"a", "a.in", "a.out", 12'000, 0},
+                               {"b", "b.in", "b.out", 12'000, 0}};
+  ASSERT_TRUE(solve(two_chains(), one_of_each(), options).has_value());
+  EXPECT_EQ(report.feasibility, Feasibility::kImpossible);
+}
+
+TEST(Objectives, ADeadlineOfTheWholeBelowTheBoundIsProvenImpossible) {
+  SolveReport report;
+  SolveOptions options = counted(report);
+  options.objectives.deadline_us = 20'999;
+  ASSERT_TRUE(solve(two_chains(), one_of_each(), options).has_value());
+  EXPECT_EQ(report.feasibility, Feasibility::kImpossible);
+  options.objectives.deadline_us = 21'000;
+  ASSERT_TRUE(solve(two_chains(), one_of_each(), options).has_value());
+  EXPECT_EQ(report.feasibility, Feasibility::kMet);
+}
+
+TEST(Objectives, WhatCannotBeIsRefusedByName) {
+  SolveReport report;
+  const auto error_of = [&](const Objectives& objectives) {
+    SolveOptions options = counted(report);
+    options.objectives = objectives;
+    const auto policy = solve(two_chains(), one_of_each(), options);
+    return policy ? Error{} : policy.error();
+  };
+  Objectives objectives;
+  objectives.pins = {{"nobody", "cpu0"}};
+  EXPECT_NE(error_of(objectives).what.find("nobody"), std::string::npos);
+  objectives = {};
+  objectives.pins = {{"a.in", "tpu7"}};
+  EXPECT_NE(error_of(objectives).what.find("tpu7"), std::string::npos);
+  objectives = {};
+  objectives.pins = {{"a.in", "gpu0"}};
+  EXPECT_EQ(error_of(objectives).code, ErrorCode::kInfeasible);
+  objectives = {};
+  objectives.groups = {{"a.in", "a.out"}};
+  EXPECT_EQ(error_of(objectives).code, ErrorCode::kInfeasible);
+  objectives = {};
+  objectives.chains = {{"odd", "a.in", "b.out", {}, 0}};
+  EXPECT_EQ(error_of(objectives).code, ErrorCode::kInvalid);
+}
+
+TEST(Explain, TheChainReachesFromZeroToTheLatencyAndNamesTheXpuThatLimits) {
+  SolveReport report;
+  const AppSpec app = two_chains();
+  const Platform platform = one_of_each();
+  const auto policy = solve(app, platform, counted(report));
+  ASSERT_TRUE(policy.has_value());
+  const auto why = explain(app, platform, *policy);
+  ASSERT_TRUE(why.has_value());
+  EXPECT_EQ(why->chain.front().ready_us, 0);
+  EXPECT_EQ(why->chain.back().finish_us, policy->latency_us);
+  EXPECT_EQ(platform.xpus[static_cast<std::size_t>(why->limiting_xpu)].id, "gpu0");
+  EXPECT_EQ(why->running_us, 11'000);
+}
+
+TEST(WhatIf, OneMoreGpuHalvesTwoChainsThatShareOne) {
+  SolveReport report;
+  const AppSpec app = two_chains();
+  const Platform platform = one_of_each();
+  const auto policy = solve(app, platform, counted(report));
+  ASSERT_TRUE(policy.has_value());
+  const auto answers = what_if(app, platform, *policy, counted(report));
+  ASSERT_TRUE(answers.has_value());
+  EXPECT_EQ(answers->front().change, "one more gpu");
+  EXPECT_EQ(answers->front().latency_us, 11'000);
+  const auto slower =
+      what_if_implemented(app, platform, *policy, "b.out", "cpu", 15'000, counted(report));
+  ASSERT_TRUE(slower.has_value());
+  EXPECT_EQ(slower->latency_us, 16'000);
+}
+
+}  // namespace
+}  // namespace xauto::solver
