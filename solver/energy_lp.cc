@@ -20,6 +20,16 @@ std::size_t at(int index) {
   return static_cast<std::size_t>(index);
 }
 
+void sort_and_thin(std::vector<Time>& times) {
+  std::sort(times.begin(), times.end());
+  times.erase(std::unique(times.begin(), times.end()), times.end());
+  if (times.size() <= kMaxEdges) return;
+  std::vector<Time> sample;
+  for (std::size_t k = 0; k < kMaxEdges; ++k)
+    sample.push_back(times[k * (times.size() - 1) / (kMaxEdges - 1)]);
+  times = std::move(sample);
+}
+
 }  // namespace
 
 EnergyLp::EnergyLp(const Problem& problem)
