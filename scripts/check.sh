@@ -37,23 +37,34 @@ build() {
   fi
 }
 
-# ctest, with its JUnit report added to the count.
+# ctest, with its JUnit report added to the count. A test that did not run counts as failed.
 tests() {
-  local dir=$1 report
+  local dir=$1 report counts status
   shift
   report=$PWD/$dir/junit.xml
   rm -f "$report"
   (cd "$dir" && ctest -j"$jobs" --output-on-failure --timeout 300 --output-junit "$report" "$@") |
-    grep -vE '^ *(Start |[0-9]+/[0-9]+ Test .*Passed)' || true
-  local total bad
-  total=$(sed -n 's/.*<testsuite .*tests="\([0-9]*\)".*/\1/p;s/^[[:space:]]*tests="\([0-9]*\)".*/\1/p' "$report" | head -n 1)
-  bad=$(grep -c '<failure' "$report" || true)
-  total=${total:-0}
-  if [ "$total" -eq 0 ]; then
-    echo "check: no test ran in $dir"
+    grep -vE '^ *(Start |[0-9]+/[0-9]+ Test .*Passed)'
+  status=${PIPESTATUS[0]}
+  counts=$(python3 - "$report" <<'PY'
+import sys, xml.etree.ElementTree as xml
+try:
+    cases = xml.parse(sys.argv[1]).getroot().findall("testcase")
+except (OSError, xml.ParseError):
+    cases = []
+good = sum(c.get("status") == "run" and c.find("failure") is None for c in cases)
+print(good, len(cases) - good)
+PY
+  )
+  read -r good bad <<<"$counts"
+  if [ "$good" -eq 0 ]; then
+    echo "check: no test passed in $dir"
+    bad=$((bad + 1))
+  elif [ "$bad" -eq 0 ] && [ "$status" -ne 0 ]; then
+    echo "check: ctest failed in $dir with status $status"
     bad=1
   fi
-  passed=$((passed + total - bad))
+  passed=$((passed + good))
   failed=$((failed + bad))
 }
 
