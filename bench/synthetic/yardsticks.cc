@@ -111,7 +111,7 @@ Result<std::vector<Yardstick>> run_yardsticks(const AppSpec& app, const Platform
   };
   Yardstick cbc{"CBC, paper's model", installed("cbc"), "not installed", 0, 0};
   if (cbc.present) {
-    const Output o = run(fmt::format("cbc {} sec {} solve", model, limit_s));
+    const Output o = run(fmt::format("cbc {} timeMode elapsed sec {} solve", model, limit_s));
     cbc.seconds = o.seconds;
     const bool infeasible = o.text.find("infeasible") != std::string::npos;
     const bool optimal = o.text.find("Optimal solution found") != std::string::npos;
