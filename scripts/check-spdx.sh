@@ -7,7 +7,7 @@ cd "$(dirname "$0")/.."
 status=0
 while read -r file; do
   case $file in
-    kmod/* | bpf/* | include/uapi/*) licence=GPL-2.0 ;;
+    kmod/* | bpf/* | include/uapi/* | Kbuild) licence=GPL-2.0 ;;
     *) licence=Apache-2.0 ;;
   esac
   if ! head -n 3 "$file" | grep -q "SPDX-License-Identifier: $licence"; then

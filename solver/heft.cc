@@ -7,7 +7,9 @@
 namespace xauto::solver {
 namespace {
 
-std::size_t at(int i) { return static_cast<std::size_t>(i); }
+std::size_t at(int i) {
+  return static_cast<std::size_t>(i);
+}
 
 /// Mean WCET over the instances it can run on, in units of 1/num_xpus us: integers keep ties exact.
 std::vector<Time> upward_ranks(const Problem& p) {
@@ -30,7 +32,8 @@ std::vector<Time> upward_ranks(const Problem& p) {
 std::vector<int> by_rank(const Problem& p) {
   const std::vector<Time> rank = upward_ranks(p);
   std::vector<int> order = p.topo;
-  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return rank[at(a)] > rank[at(b)]; });
+  std::stable_sort(order.begin(), order.end(),
+                   [&](int a, int b) { return rank[at(a)] > rank[at(b)]; });
   return order;
 }
 

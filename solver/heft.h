@@ -6,16 +6,16 @@
 
 namespace xauto::solver {
 
-/// Heterogeneous Earliest Finish Time, with insertion: XNodes by descending upward rank (mean WCET plus
-/// the longest way to the end), each on the instance and into the gap where it finishes first.
+/// Heterogeneous Earliest Finish Time, with insertion: XNodes by descending upward rank (mean WCET
+/// plus the longest way to the end), each on the instance and into the gap where it finishes first.
 /// Priorities: by planned start, earlier is more urgent.
 /// Source: Topcuoglu, Hariri, Wu, "Performance-effective and low-complexity task scheduling for
 /// heterogeneous computing", IEEE TPDS 13(3), 2002, sections 4.1 (equation 8, upward rank) and 4.2;
 /// communication costs are zero here. O(n^2 m).
 [[nodiscard]] Decision heft(const Problem& problem);
 
-/// The local optimum: every XNode on its fastest type, whatever the others do; among instances of that
-/// type the one where it finishes first. Priorities by planned start.
+/// The local optimum: every XNode on its fastest type, whatever the others do; among instances of
+/// that type the one where it finishes first. Priorities by planned start.
 [[nodiscard]] Decision local(const Problem& problem);
 
 }  // namespace xauto::solver

@@ -18,14 +18,16 @@ Result<Problem> Problem::create(const AppSpec& app, const Platform& platform) {
   p.type_xpus.resize(p.type_name.size());
   for (std::size_t m = 0; m < platform.xpus.size(); ++m) {
     const Xpu& xpu = platform.xpus[m];
-    const auto type = std::find(p.type_name.begin(), p.type_name.end(), xpu.type) - p.type_name.begin();
+    const auto type =
+        std::find(p.type_name.begin(), p.type_name.end(), xpu.type) - p.type_name.begin();
     p.xpu_type.push_back(static_cast<int>(type));
     p.type_xpus[static_cast<std::size_t>(type)].push_back(static_cast<int>(m));
     p.preemptive.push_back(xpu.preemptive ? 1 : 0);
     p.preempt.push_back(xpu.preempt_us);
   }
   for (const XNodeSpec& x : app.xnodes)
-    for (const std::string& type : p.type_name) p.wcet_flat.push_back(x.wcet_on(type).value_or(kCannotRun));
+    for (const std::string& type : p.type_name)
+      p.wcet_flat.push_back(x.wcet_on(type).value_or(kCannotRun));
   p.pred = app.predecessors();
   p.succ = app.successors();
   p.topo = app.topological_order();

@@ -4,15 +4,16 @@
 // The execution rule, exactly (the simulator, the search, the bounds, the checker and the naive
 // simulator in the tests all implement this text, each on its own):
 //
-//  * Time is integer microseconds. Every XNode without predecessors is released at 0; any other one is
+//  * Time is integer microseconds. Every XNode without predecessors is released at 0; any other one
+//  is
 //    ready when its last predecessor has finished. XNode i on XPU m takes wcet(i, type(m)).
 //  * Each XPU runs at most one XNode at a time: the ready one of highest priority (larger = more
-//    urgent) among those on it that are eligible, i.e. whose run-time order predecessors (Policy::order)
-//    have finished. It never idles while an eligible one is ready.
+//    urgent) among those on it that are eligible, i.e. whose run-time order predecessors
+//    (Policy::order) have finished. It never idles while an eligible one is ready.
 //  * Preemptive XPU: a ready, eligible XNode of higher priority than the running one suspends it at
-//    once. The XNode that starts by preempting another occupies the XPU for preempt_us more (its own
-//    remaining time grows by preempt_us). Resuming a suspended XNode is free. The first start on an idle
-//    XPU is free.
+//    once. The XNode that starts by preempting another occupies the XPU for preempt_us more (its
+//    own remaining time grows by preempt_us). Resuming a suspended XNode is free. The first start
+//    on an idle XPU is free.
 //  * Non-preemptive XPU: the running XNode runs to its end.
 //  * Everything that finishes at one instant finishes before any XPU decides at that instant.
 //  * start = when the XNode is first put on its XPU (before preempt_us is paid); finish = its end.
@@ -23,6 +24,7 @@
 #include <cstdint>
 #include <string>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "model/app.h"
@@ -59,9 +61,9 @@ struct Problem {
   std::vector<std::vector<int>> type_xpus;  ///< [type] -> its XPU instances, ascending
   std::vector<char> preemptive;             ///< [xpu]
   std::vector<Time> preempt;                ///< [xpu] preempt_us
-  std::vector<Time> wcet_flat;              ///< [xnode * num_types + type], kCannotRun if no implementation
-  std::vector<std::vector<int>> pred, succ; ///< direct precedence, as given
-  std::vector<int> topo;                    ///< a topological order
+  std::vector<Time> wcet_flat;  ///< [xnode * num_types + type], kCannotRun if no implementation
+  std::vector<std::vector<int>> pred, succ;  ///< direct precedence, as given
+  std::vector<int> topo;                     ///< a topological order
 
   // Constraints of the user (objectives.h); empty: none.
   std::vector<char> forbidden;           ///< [xnode * num_xpus + xpu]
@@ -84,14 +86,16 @@ struct Problem {
   [[nodiscard]] static Result<Problem> create(const AppSpec& app, const Platform& platform);
 };
 
-/// An answer of the decision variables alone: XPU and priority per XNode, plus run-time order pairs.
+/// An answer of the decision variables alone: XPU and priority per XNode, plus run-time order
+/// pairs.
 struct Decision {
   std::vector<int> xpu;
   std::vector<std::int64_t> priority;  ///< unique per XPU
   std::vector<std::pair<int, int>> order;
 };
 
-/// Earlier `key` = more urgent; priorities num_xnodes..1, unique over all XNodes (ties: smaller index).
+/// Earlier `key` = more urgent; priorities num_xnodes..1, unique over all XNodes (ties: smaller
+/// index).
 [[nodiscard]] std::vector<std::int64_t> priorities_by_key(const std::vector<Time>& key);
 
 }  // namespace xauto::solver

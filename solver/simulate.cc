@@ -10,7 +10,9 @@ namespace {
 
 constexpr Time kNever = std::numeric_limits<Time>::max();
 
-std::size_t at(int i) { return static_cast<std::size_t>(i); }
+std::size_t at(int i) {
+  return static_cast<std::size_t>(i);
+}
 
 class Run {
  public:
@@ -25,9 +27,11 @@ class Run {
     order_succ_.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
       waits_for_[i] = static_cast<int>(p_.pred[i].size());
-      left_[i] = options_.actual.empty() ? p_.wcet_on(static_cast<int>(i), d_.xpu[i]) : options_.actual[i];
+      left_[i] =
+          options_.actual.empty() ? p_.wcet_on(static_cast<int>(i), d_.xpu[i]) : options_.actual[i];
     }
-    // An order predecessor holds an XNode back exactly as a precedence does: it is not eligible before.
+    // An order predecessor holds an XNode back exactly as a precedence does: it is not eligible
+    // before.
     for (const auto& [u, v] : d_.order) {
       order_succ_[at(u)].push_back(v);
       ++waits_for_[at(v)];
@@ -43,8 +47,8 @@ class Run {
       if (waits_for_[at(i)] == 0) ready_[at(d_.xpu[at(i)])].push_back(i);
     Time now = 0;
     for (;;) {
-      // Everything that ends now ends before anybody decides. What takes no time (an actual execution
-      // time of 0) ends at the instant it is put on its XPU, hence the loop.
+      // Everything that ends now ends before anybody decides. What takes no time (an actual
+      // execution time of 0) ends at the instant it is put on its XPU, hence the loop.
       do {
         for (int m = 0; m < p_.num_xpus; ++m) decide(m, now);
       } while (complete(now));
@@ -132,7 +136,8 @@ class Run {
 
 }  // namespace
 
-Simulation simulate(const Problem& problem, const Decision& decision, const SimulateOptions& options) {
+Simulation simulate(const Problem& problem, const Decision& decision,
+                    const SimulateOptions& options) {
   return Run(problem, decision, options).run();
 }
 

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // What happens when nobody schedules: CPUs share fairly, everything else takes turns.
 //
-// Time is in nanoseconds inside, so that ideal sharing among n XNodes is exact to n ns; results are rounded
-// up to microseconds. The rules are those of the emulated devices (lib/emu/machine.h), and a test compares
-// the two: XNodes that share an XPU progress at rate min(1, cores / XNodes); XNodes that take turns get a
-// time slice each in order of arrival, and switching to another one while work is left costs switch_us.
+// Time is in nanoseconds inside, so that ideal sharing among n XNodes is exact to n ns; results are
+// rounded up to microseconds. The rules are those of the emulated devices (lib/emu/machine.h), and
+// a test compares the two: XNodes that share an XPU progress at rate min(1, cores / XNodes); XNodes
+// that take turns get a time slice each in order of arrival, and switching to another one while
+// work is left costs switch_us.
 #include <algorithm>
 #include <deque>
 #include <limits>
@@ -19,14 +20,18 @@ using Nanos = std::int64_t;
 constexpr Nanos kNever = std::numeric_limits<Nanos>::max();
 constexpr Nanos kMicro = 1000;
 
-std::size_t at(int i) { return static_cast<std::size_t>(i); }
-Time micros_up(Nanos ns) { return (ns + kMicro - 1) / kMicro; }
+std::size_t at(int i) {
+  return static_cast<std::size_t>(i);
+}
+Time micros_up(Nanos ns) {
+  return (ns + kMicro - 1) / kMicro;
+}
 
 /// One time-shared resource: an XPU instance, or the pool of all CPUs.
 class Resource {
  public:
-  Resource(int xpu, std::int64_t cores, Nanos slice, Nanos switch_cost, bool preemptive, bool record,
-           std::vector<Slice>& slices)
+  Resource(int xpu, std::int64_t cores, Nanos slice, Nanos switch_cost, bool preemptive,
+           bool record, std::vector<Slice>& slices)
       : xpu_(xpu),
         cores_(cores),
         slice_(slice),
@@ -48,7 +53,8 @@ class Resource {
       return now_ + (sharers <= cores_ ? least : (least * sharers + cores_ - 1) / cores_);
     }
     const Nanos begin = std::max(now_, switch_until_);
-    return begin + (takes_turns() ? std::min(queue_.front().left, slice_left_) : queue_.front().left);
+    return begin +
+           (takes_turns() ? std::min(queue_.front().left, slice_left_) : queue_.front().left);
   }
 
   /// Moves to `until`, at most the next event; appends the XNodes that end there.
@@ -129,7 +135,8 @@ class Resource {
 int fastest_type(const Problem& p, int xnode) {
   int best = -1;
   for (int t = 0; t < p.num_types; ++t)
-    if (p.wcet(xnode, t) != kCannotRun && (best < 0 || p.wcet(xnode, t) < p.wcet(xnode, best))) best = t;
+    if (p.wcet(xnode, t) != kCannotRun && (best < 0 || p.wcet(xnode, t) < p.wcet(xnode, best)))
+      best = t;
   return best;
 }
 
@@ -148,18 +155,21 @@ Simulation simulate_shared(const Problem& p, const Platform& platform, Model mod
     if (cpu && ros2) {
       if (pool < 0) {
         pool = static_cast<int>(resources.size());
-        resources.emplace_back(m, static_cast<std::int64_t>(p.type_xpus[at(p.xpu_type[at(m)])].size()), 0,
-                               0, true, options.slices, result.slices);
+        resources.emplace_back(m,
+                               static_cast<std::int64_t>(p.type_xpus[at(p.xpu_type[at(m)])].size()),
+                               0, 0, true, options.slices, result.slices);
       }
       resource_of[at(m)] = pool;
       continue;
     }
-    // Not preemptive: nothing switches, each XNode runs to its end; a slice only makes it take turns.
+    // Not preemptive: nothing switches, each XNode runs to its end; a slice only makes it take
+    // turns.
     const Nanos slice = options.ideal_sharing && xpu.preemptive ? 0
-                        : !xpu.preemptive                       ? std::max<Nanos>(1, xpu.timeslice_us * kMicro)
-                                                                : xpu.timeslice_us * kMicro;
+                        : !xpu.preemptive ? std::max<Nanos>(1, xpu.timeslice_us * kMicro)
+                                          : xpu.timeslice_us * kMicro;
     resource_of[at(m)] = static_cast<int>(resources.size());
-    resources.emplace_back(m, 1, slice, options.ideal_sharing ? 0 : xpu.effective_switch_us() * kMicro,
+    resources.emplace_back(m, 1, slice,
+                           options.ideal_sharing ? 0 : xpu.effective_switch_us() * kMicro,
                            xpu.preemptive, options.slices, result.slices);
   }
 
@@ -172,7 +182,8 @@ Simulation simulate_shared(const Problem& p, const Platform& platform, Model mod
     int xpu = ros2 ? -1 : decision.xpu[at(i)];
     if (ros2)  // the instance of the fastest type with the fewest XNodes now
       for (const int m : p.type_xpus[at(fastest_type(p, i))])
-        if (xpu < 0 || resources[at(resource_of[at(m)])].load() < resources[at(resource_of[at(xpu)])].load())
+        if (xpu < 0 ||
+            resources[at(resource_of[at(m)])].load() < resources[at(resource_of[at(xpu)])].load())
           xpu = m;
     const Time work = options.actual.empty() ? p.wcet_on(i, xpu) : options.actual[at(i)];
     result.xpu[at(i)] = xpu;

@@ -6,6 +6,7 @@
 #include <optional>
 #include <stdexcept>
 #include <vector>
+
 #include <xauto/emu.h>
 #include <xauto/xauto.h>
 
@@ -37,7 +38,8 @@ struct Engine {
     context = std::move(*opened);
     return context->handle();
   }
-  xauto::Status infer(const std::vector<float>& in, std::vector<float>& out, std::chrono::microseconds time) {
+  xauto::Status infer(const std::vector<float>& in, std::vector<float>& out,
+                      std::chrono::microseconds time) {
     out.assign(in.size() / 2, 0.5f);
     return context->run(time);
   }
@@ -62,10 +64,14 @@ int main(int argc, char** argv) {
   xauto::XNode<CameraState> infer("camera.infer");
   infer.add_impl(
       XPU::GPU, [&](const xauto::XpuId& xpu) { return gpu.load(xpu); },
-      [&](CameraState& state, const xauto::Input&) { return gpu.infer(state.tensor, state.logits, 5000us); });
+      [&](CameraState& state, const xauto::Input&) {
+        return gpu.infer(state.tensor, state.logits, 5000us);
+      });
   infer.add_impl(
       XPU::DLA, [&](const xauto::XpuId& xpu) { return dla.load(xpu); },
-      [&](CameraState& state, const xauto::Input&) { return dla.infer(state.tensor, state.logits, 8000us); });
+      [&](CameraState& state, const xauto::Input&) {
+        return dla.infer(state.tensor, state.logits, 8000us);
+      });
 
   xauto::XNode<CameraState> postprocess("camera.postprocess");
   postprocess.add_impl(

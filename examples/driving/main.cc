@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The Driving Case: three sensors, eight modules, from camera and LiDAR to the predicted paths of what
-// moves around the car. Every stage is a duration on an emulated XPU (times.h), so that an Orin fits a
-// laptop; the graph, its scheduling and all that runs it are real.
+// The Driving Case: three sensors, eight modules, from camera and LiDAR to the predicted paths of
+// what moves around the car. Every stage is a duration on an emulated XPU (times.h), so that an
+// Orin fits a laptop; the graph, its scheduling and all that runs it are real.
 //
 //   front ─┬─► LA  lane detection
 //          ├─► TD  traffic light detection ──► TC  their classification
@@ -14,6 +14,7 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+
 #include <xauto/emu.h>
 #include <xauto/xauto.h>
 
@@ -72,7 +73,8 @@ Module make_module(const std::string& name) {
 int main(int argc, char** argv) {
   const xauto::Topic<Frame> front("camera/front"), rear("camera/rear"), lidar("lidar/top");
   const xauto::Topic<Frame> lanes("lanes"), lights("lights"), signals("signals");
-  const xauto::Topic<Frame> ahead("obstacles/front"), behind("obstacles/rear"), around("obstacles/lidar");
+  const xauto::Topic<Frame> ahead("obstacles/front"), behind("obstacles/rear"),
+      around("obstacles/lidar");
   const xauto::Topic<Frame> tracks("tracks"), paths("paths");
 
   xauto::App app("driving");

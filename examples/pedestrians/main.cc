@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pedestrians in a real video, for real: decode, grey, HOG detection, background subtraction, fusion,
-// tracking, prediction, on this machine's cores and an OpenCL device.
+// Pedestrians in a real video, for real: decode, grey, HOG detection, background subtraction,
+// fusion, tracking, prediction, on this machine's cores and an OpenCL device.
 //
 //                          ┌─► HOG   hog.detect ───────────────┐
-//   video ─► IN in.decode ─┤                                   ├─► FUSE fuse ─► TRACK track ─► PREDICT predict
+//   video ─► IN in.decode ─┤                                   ├─► FUSE fuse ─► TRACK track ─►
+//   PREDICT predict
 //            in.grey (*)   └─► MOTION bg.subtract, bg.clean (*)┘
 //
 //   (*) has a second implementation for XPU "opencl", which is gated: one job at a time.
@@ -15,13 +16,15 @@
 #include <map>
 #include <memory>
 #include <mutex>
-#include <opencv2/core/utility.hpp>
-#include <opencv2/imgcodecs.hpp>
-#include <opencv2/videoio.hpp>
 #include <optional>
 #include <stdexcept>
 #include <string>
 #include <vector>
+
+#include <opencv2/core/utility.hpp>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/videoio.hpp>
+
 #include <xauto/xauto.h>
 
 #include "opencl.h"
@@ -87,7 +90,9 @@ struct PredictState {
   Paths paths;
 };
 
-xauto::SchedHandle on_thread(const xauto::XpuId&) { return xauto::SchedHandle::thread(); }
+xauto::SchedHandle on_thread(const xauto::XpuId&) {
+  return xauto::SchedHandle::thread();
+}
 
 /// An XNode's own OpenCL device, made when it is placed there.
 struct Accelerator {
@@ -105,8 +110,8 @@ std::string json_of(const std::map<std::uint64_t, std::vector<Track>>& tracks) {
     for (std::size_t i = 0; i < at->second.size(); ++i) {
       const Track& t = at->second[i];
       char text[128];
-      std::snprintf(text, sizeof text, "%s{\"id\": %d, \"box\": [%.0f, %.0f, %.0f, %.0f]}", i == 0 ? "" : ", ", t.id,
-                    t.box.x, t.box.y, t.box.width, t.box.height);
+      std::snprintf(text, sizeof text, "%s{\"id\": %d, \"box\": [%.0f, %.0f, %.0f, %.0f]}",
+                    i == 0 ? "" : ", ", t.id, t.box.x, t.box.y, t.box.width, t.box.height);
       out += text;
     }
     out += std::next(at) == tracks.end() ? "]}\n" : "]},\n";
@@ -121,10 +126,11 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "usage: xauto run ... -- pedestrians VIDEO OUTPUT-FOLDER\n");
     return 2;
   }
-  cv::setNumThreads(1);                          // an XNode is one thread: its CPU is the policy's choice
-  setenv("POCL_MAX_PTHREAD_COUNT", "1", 0);      // and so is PoCL's
+  cv::setNumThreads(1);  // an XNode is one thread: its CPU is the policy's choice
+  setenv("POCL_MAX_PTHREAD_COUNT", "1", 0);  // and so is PoCL's
   const std::string folder = argv[2];
-  auto video = std::make_shared<std::optional<Video>>();  // opened at the first frame: a recording needs none
+  auto video = std::make_shared<std::optional<Video>>();  // opened at the first frame: a recording
+                                                          // needs none
 
   const xauto::Topic<Jpeg> frames("video/frame");
   const xauto::Topic<Image> images("image");
@@ -141,13 +147,17 @@ int main(int argc, char** argv) {
     state.image.grey = {};  // the last one is still being read downstream
   });
   xauto::XNode<InState> in_grey("in.grey");
-  in_grey.add_impl(XPU::CPU, on_thread,
-                   [](InState& state, const xauto::Input&) { to_grey(state.image.colour, state.image.grey); });
+  in_grey.add_impl(XPU::CPU, on_thread, [](InState& state, const xauto::Input&) {
+    to_grey(state.image.colour, state.image.grey);
+  });
   in_grey.add_impl(
       kOpenCl, [&](const xauto::XpuId& xpu) { return grey_cl.load(xpu); },
-      [&](InState& state, const xauto::Input&) { grey_cl.cl->to_grey(state.image.colour, state.image.grey); });
+      [&](InState& state, const xauto::Input&) {
+        grey_cl.cl->to_grey(state.image.colour, state.image.grey);
+      });
   xauto::XModule<InState> in("IN");
-  in.add_node(in_decode).add_node(in_grey).add_input_topic(frames).add_output_topic(images, &InState::image);
+  in.add_node(in_decode).add_node(in_grey).add_input_topic(frames).add_output_topic(
+      images, &InState::image);
 
   xauto::XNode<HogState> hog_detect("hog.detect");
   hog_detect.add_impl(XPU::CPU, on_thread, [&](HogState& state, const xauto::Input& input) {
@@ -172,31 +182,38 @@ int main(int argc, char** argv) {
         clean_cl.cl->clean_mask(state.raw, state.clean);
       });
   xauto::XModule<MotionState> background("MOTION");
-  background.add_node(bg_subtract).add_node(bg_clean).add_input_topic(images).add_output_topic(motion,
-                                                                                             &MotionState::clean);
+  background.add_node(bg_subtract)
+      .add_node(bg_clean)
+      .add_input_topic(images)
+      .add_output_topic(motion, &MotionState::clean);
 
   xauto::XNode<FuseState> fuse_node("fuse");
   fuse_node.add_impl(XPU::CPU, on_thread, [&](FuseState& state, const xauto::Input& input) {
     state.detections = fuse(input.get(people), input.get(motion));
   });
   xauto::XModule<FuseState> fusion("FUSE");
-  fusion.add_node(fuse_node).add_input_topic(people).add_input_topic(motion).add_output_topic(detections,
-                                                                                             &FuseState::detections);
+  fusion.add_node(fuse_node).add_input_topic(people).add_input_topic(motion).add_output_topic(
+      detections, &FuseState::detections);
 
   xauto::XNode<TrackState> track_node("track");
   track_node.add_impl(XPU::CPU, on_thread, [&](TrackState& state, const xauto::Input& input) {
     state.tracks = state.tracker.update(input.get(detections));
   });
   xauto::XModule<TrackState> tracking("TRACK");
-  tracking.add_node(track_node).add_input_topic(detections).add_output_topic(tracks, &TrackState::tracks);
+  tracking.add_node(track_node)
+      .add_input_topic(detections)
+      .add_output_topic(tracks, &TrackState::tracks);
 
   xauto::XNode<PredictState> predict_node("predict");
   predict_node.add_impl(XPU::CPU, on_thread, [&](PredictState& state, const xauto::Input& input) {
     state.paths.clear();
-    for (const Track& track : input.get(tracks)) state.paths[track.id] = predict(track, kPathFrames);
+    for (const Track& track : input.get(tracks))
+      state.paths[track.id] = predict(track, kPathFrames);
   });
   xauto::XModule<PredictState> prediction("PREDICT");
-  prediction.add_node(predict_node).add_input_topic(tracks).add_output_topic(paths, &PredictState::paths);
+  prediction.add_node(predict_node)
+      .add_input_topic(tracks)
+      .add_output_topic(paths, &PredictState::paths);
 
   // What the run leaves behind: the tracks of every frame, and one frame to look at.
   std::mutex mutex;
@@ -208,8 +225,12 @@ int main(int argc, char** argv) {
     if (!*video) video->emplace(argv[1]);
     return (*video)->frame(number);
   });
-  app.add_module(in).add_module(hog).add_module(background).add_module(fusion).add_module(tracking).add_module(
-      prediction);
+  app.add_module(in)
+      .add_module(hog)
+      .add_module(background)
+      .add_module(fusion)
+      .add_module(tracking)
+      .add_module(prediction);
   app.on_message(images, [&](const Image& image, std::uint64_t number) {
     if (number > kShownFrame) return;
     const std::lock_guard lock(mutex);

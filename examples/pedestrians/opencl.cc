@@ -2,11 +2,11 @@
 #include "opencl.h"
 
 #define CL_TARGET_OPENCL_VERSION 120
-#include <CL/cl.h>
-
 #include <stdexcept>
 #include <string>
 #include <vector>
+
+#include <CL/cl.h>
 
 namespace pedestrians {
 namespace {
@@ -36,7 +36,8 @@ __kernel void majority(__global const uchar* mask, __global uchar* out) {
 )cl";
 
 void check(cl_int error, const char* call) {
-  if (error != CL_SUCCESS) throw std::runtime_error(std::string(call) + ": OpenCL error " + std::to_string(error));
+  if (error != CL_SUCCESS)
+    throw std::runtime_error(std::string(call) + ": OpenCL error " + std::to_string(error));
 }
 
 template <class Handle, cl_int (*kRelease)(Handle)>
@@ -80,19 +81,21 @@ struct OpenCl::Device {
   cl_mem sized(Sized& sized, std::size_t bytes) {
     if (sized.bytes != bytes) {
       cl_int error = CL_SUCCESS;
-      sized.buffer = Buffer(clCreateBuffer(context.get(), CL_MEM_READ_WRITE, bytes, nullptr, &error));
+      sized.buffer =
+          Buffer(clCreateBuffer(context.get(), CL_MEM_READ_WRITE, bytes, nullptr, &error));
       check(error, "clCreateBuffer");
       sized.bytes = bytes;
     }
     return sized.buffer.get();
   }
   void write(cl_mem to, const cv::Mat& from) {
-    check(clEnqueueWriteBuffer(queue.get(), to, CL_TRUE, 0, from.total() * from.elemSize(), from.data, 0, nullptr,
-                               nullptr),
+    check(clEnqueueWriteBuffer(queue.get(), to, CL_TRUE, 0, from.total() * from.elemSize(),
+                               from.data, 0, nullptr, nullptr),
           "clEnqueueWriteBuffer");
   }
   void read(cl_mem from, cv::Mat& to) {
-    check(clEnqueueReadBuffer(queue.get(), from, CL_TRUE, 0, to.total(), to.data, 0, nullptr, nullptr),
+    check(clEnqueueReadBuffer(queue.get(), from, CL_TRUE, 0, to.total(), to.data, 0, nullptr,
+                              nullptr),
           "clEnqueueReadBuffer");
   }
   template <class T>
@@ -101,8 +104,8 @@ struct OpenCl::Device {
   }
   void run(const Kernel& kernel, std::size_t width, std::size_t height) {
     const std::size_t size[] = {width, height};
-    check(clEnqueueNDRangeKernel(queue.get(), kernel.get(), height == 1 ? 1 : 2, nullptr, size, nullptr, 0, nullptr,
-                                 nullptr),
+    check(clEnqueueNDRangeKernel(queue.get(), kernel.get(), height == 1 ? 1 : 2, nullptr, size,
+                                 nullptr, 0, nullptr, nullptr),
           "clEnqueueNDRangeKernel");
   }
 };
@@ -112,7 +115,8 @@ OpenCl::OpenCl() : device_(std::make_unique<Device>()) {
   cl_platform_id platform = nullptr;
   cl_uint platforms = 0;
   if (clGetPlatformIDs(1, &platform, &platforms) != CL_SUCCESS || platforms == 0)
-    throw std::runtime_error("no OpenCL driver: `apt-get install pocl-opencl-icd` runs OpenCL on the CPU");
+    throw std::runtime_error(
+        "no OpenCL driver: `apt-get install pocl-opencl-icd` runs OpenCL on the CPU");
   check(clGetDeviceIDs(platform, CL_DEVICE_TYPE_ALL, 1, &d.id, nullptr), "clGetDeviceIDs");
   cl_int error = CL_SUCCESS;
   d.context = Context(clCreateContext(nullptr, 1, &d.id, nullptr, nullptr, &error));
@@ -124,7 +128,8 @@ OpenCl::OpenCl() : device_(std::make_unique<Device>()) {
   check(error, "clCreateProgramWithSource");
   if (clBuildProgram(d.program.get(), 1, &d.id, "", nullptr, nullptr) != CL_SUCCESS) {
     std::vector<char> log(16384, 0);
-    clGetProgramBuildInfo(d.program.get(), d.id, CL_PROGRAM_BUILD_LOG, log.size() - 1, log.data(), nullptr);
+    clGetProgramBuildInfo(d.program.get(), d.id, CL_PROGRAM_BUILD_LOG, log.size() - 1, log.data(),
+                          nullptr);
     throw std::runtime_error(std::string("the OpenCL kernels do not build: ") + log.data());
   }
   const auto kernel = [&](const char* name) {
@@ -153,7 +158,8 @@ void OpenCl::to_grey(const cv::Mat& bgr, Grey& grey) {
   Device::argument(d.grey_half, 0, full);
   Device::argument(d.grey_half, 1, half);
   Device::argument(d.grey_half, 2, static_cast<cl_int>(bgr.cols));
-  d.run(d.grey_half, static_cast<std::size_t>(grey.half.cols), static_cast<std::size_t>(grey.half.rows));
+  d.run(d.grey_half, static_cast<std::size_t>(grey.half.cols),
+        static_cast<std::size_t>(grey.half.rows));
   d.read(full, grey.full);
   d.read(half, grey.half);
 }

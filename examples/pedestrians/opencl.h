@@ -3,6 +3,7 @@
 #pragma once
 
 #include <memory>
+
 #include <opencv2/core.hpp>
 
 #include "stages.h"

@@ -2,11 +2,12 @@
 #include "stages.h"
 
 #include <algorithm>
+#include <stdexcept>
+#include <string>
+
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <opencv2/objdetect.hpp>
-#include <stdexcept>
-#include <string>
 
 namespace pedestrians {
 namespace {
@@ -22,13 +23,14 @@ double overlap(const cv::Rect2d& a, const cv::Rect2d& b) {
   return both <= 0 ? 0.0 : both / (a.area() + b.area() - both);
 }
 
-cv::Point2d centre(const cv::Rect2d& box) { return {box.x + box.width / 2, box.y + box.height / 2}; }
+cv::Point2d centre(const cv::Rect2d& box) {
+  return {box.x + box.width / 2, box.y + box.height / 2};
+}
 
 /// Drops boxes that overlap a better one.
 std::vector<Detection> best_of_overlapping(std::vector<Detection> all) {
-  std::stable_sort(all.begin(), all.end(), [](const Detection& a, const Detection& b) {
-    return a.score > b.score;
-  });
+  std::stable_sort(all.begin(), all.end(),
+                   [](const Detection& a, const Detection& b) { return a.score > b.score; });
   std::vector<Detection> kept;
   for (const Detection& d : all) {
     const auto inside = [&](const Detection& k) {
@@ -46,7 +48,8 @@ cv::Mat decode(const std::vector<std::byte>& jpeg) {
   const cv::Mat bytes(1, static_cast<int>(jpeg.size()), CV_8UC1,
                       const_cast<std::byte*>(jpeg.data()));  // imdecode does not write to it
   cv::Mat image = cv::imdecode(bytes, cv::IMREAD_COLOR);
-  if (image.empty()) throw std::runtime_error("frame of " + std::to_string(jpeg.size()) + " bytes is no image");
+  if (image.empty())
+    throw std::runtime_error("frame of " + std::to_string(jpeg.size()) + " bytes is no image");
   return image;
 }
 
@@ -57,14 +60,16 @@ void to_grey(const cv::Mat& bgr, Grey& grey) {
     const cv::Vec3b* in = bgr.ptr<cv::Vec3b>(y);
     unsigned char* out = grey.full.ptr(y);
     for (int x = 0; x < bgr.cols; ++x)
-      out[x] = static_cast<unsigned char>((77 * in[x][2] + 150 * in[x][1] + 29 * in[x][0] + 128) >> 8);
+      out[x] =
+          static_cast<unsigned char>((77 * in[x][2] + 150 * in[x][1] + 29 * in[x][0] + 128) >> 8);
   }
   for (int y = 0; y < grey.half.rows; ++y) {
     const unsigned char* a = grey.full.ptr(2 * y);
     const unsigned char* b = grey.full.ptr(2 * y + 1);
     unsigned char* out = grey.half.ptr(y);
     for (int x = 0; x < grey.half.cols; ++x)
-      out[x] = static_cast<unsigned char>((a[2 * x] + a[2 * x + 1] + b[2 * x] + b[2 * x + 1] + 2) >> 2);
+      out[x] =
+          static_cast<unsigned char>((a[2 * x] + a[2 * x + 1] + b[2 * x] + b[2 * x + 1] + 2) >> 2);
   }
 }
 
@@ -95,7 +100,8 @@ cv::Ptr<cv::BackgroundSubtractorMOG2> make_background() {
   return cv::createBackgroundSubtractorMOG2(100, 25, false);
 }
 
-void subtract_background(cv::BackgroundSubtractorMOG2& background, const cv::Mat& half, cv::Mat& mask) {
+void subtract_background(cv::BackgroundSubtractorMOG2& background, const cv::Mat& half,
+                         cv::Mat& mask) {
   background.apply(half, mask);
 }
 
@@ -107,7 +113,8 @@ void clean_mask(const cv::Mat& mask, cv::Mat& clean) {
       for (int dy = -1; dy <= 1; ++dy)
         for (int dx = -1; dx <= 1; ++dx) {
           const int yy = y + dy, xx = x + dx;
-          if (yy >= 0 && yy < mask.rows && xx >= 0 && xx < mask.cols) set += mask.ptr(yy)[xx] != 0 ? 1 : 0;
+          if (yy >= 0 && yy < mask.rows && xx >= 0 && xx < mask.cols)
+            set += mask.ptr(yy)[xx] != 0 ? 1 : 0;
         }
       clean.ptr(y)[x] = set >= 5 ? 255 : 0;
     }
@@ -116,7 +123,8 @@ void clean_mask(const cv::Mat& mask, cv::Mat& clean) {
 std::vector<Detection> fuse(const std::vector<Detection>& people, const cv::Mat& foreground) {
   std::vector<Detection> moving;
   for (const Detection& person : people) {
-    const cv::Rect half(person.box.x / 2, person.box.y / 2, person.box.width / 2, person.box.height / 2);
+    const cv::Rect half(person.box.x / 2, person.box.y / 2, person.box.width / 2,
+                        person.box.height / 2);
     const cv::Rect inside = half & cv::Rect(0, 0, foreground.cols, foreground.rows);
     if (inside.area() == 0) continue;
     const double share = static_cast<double>(cv::countNonZero(foreground(inside))) / inside.area();
@@ -125,10 +133,12 @@ std::vector<Detection> fuse(const std::vector<Detection>& people, const cv::Mat&
   cv::Mat labels, stats, centroids;
   const int blobs = cv::connectedComponentsWithStats(foreground, labels, stats, centroids, 8);
   for (int i = 1; i < blobs; ++i) {
-    const cv::Rect box(2 * stats.at<int>(i, cv::CC_STAT_LEFT), 2 * stats.at<int>(i, cv::CC_STAT_TOP),
-                       2 * stats.at<int>(i, cv::CC_STAT_WIDTH), 2 * stats.at<int>(i, cv::CC_STAT_HEIGHT));
+    const cv::Rect box(
+        2 * stats.at<int>(i, cv::CC_STAT_LEFT), 2 * stats.at<int>(i, cv::CC_STAT_TOP),
+        2 * stats.at<int>(i, cv::CC_STAT_WIDTH), 2 * stats.at<int>(i, cv::CC_STAT_HEIGHT));
     const double upright = static_cast<double>(box.height) / box.width;
-    if (stats.at<int>(i, cv::CC_STAT_AREA) < kMinBlobArea || upright < 1.2 || upright > 4.5) continue;
+    if (stats.at<int>(i, cv::CC_STAT_AREA) < kMinBlobArea || upright < 1.2 || upright > 4.5)
+      continue;
     moving.push_back({box, 0.2});  // less than any HOG detection: kept only where there is none
   }
   return best_of_overlapping(std::move(moving));
@@ -148,8 +158,10 @@ std::vector<Track> Tracker::update(const std::vector<Detection>& detections) {
   std::vector<Pair> pairs;
   for (std::size_t t = 0; t < tracks_.size(); ++t)
     for (std::size_t d = 0; d < detections.size(); ++d)
-      if (const double o = overlap(tracks_[t].box, detections[d].box); o >= kSameObject) pairs.push_back({o, t, d});
-  std::stable_sort(pairs.begin(), pairs.end(), [](const Pair& a, const Pair& b) { return a.overlap > b.overlap; });
+      if (const double o = overlap(tracks_[t].box, detections[d].box); o >= kSameObject)
+        pairs.push_back({o, t, d});
+  std::stable_sort(pairs.begin(), pairs.end(),
+                   [](const Pair& a, const Pair& b) { return a.overlap > b.overlap; });
   std::vector<char> track_used(tracks_.size(), 0), detection_used(detections.size(), 0);
   for (const Pair& pair : pairs) {
     if (track_used[pair.track] || detection_used[pair.detection]) continue;
@@ -181,13 +193,14 @@ std::vector<cv::Point2d> predict(const Track& track, int frames) {
 }
 
 void annotate(cv::Mat& image, const std::vector<Track>& tracks, int path_frames) {
-  static const cv::Scalar kColours[] = {{0, 159, 230}, {233, 180, 86}, {115, 158, 0}, {66, 228, 240},
-                                        {178, 114, 0}, {0, 94, 213}, {167, 121, 204}};
+  static const cv::Scalar kColours[] = {{0, 159, 230},  {233, 180, 86}, {115, 158, 0},
+                                        {66, 228, 240}, {178, 114, 0},  {0, 94, 213},
+                                        {167, 121, 204}};
   for (const Track& track : tracks) {
     const cv::Scalar& colour = kColours[static_cast<std::size_t>(track.id) % std::size(kColours)];
     cv::rectangle(image, track.box, colour, 2);
-    cv::putText(image, "#" + std::to_string(track.id), track.box.tl() + cv::Point2d(2, -5), cv::FONT_HERSHEY_SIMPLEX,
-                0.5, colour, 2);
+    cv::putText(image, "#" + std::to_string(track.id), track.box.tl() + cv::Point2d(2, -5),
+                cv::FONT_HERSHEY_SIMPLEX, 0.5, colour, 2);
     cv::Point2d from = centre(track.box);
     for (const cv::Point2d& to : predict(track, path_frames)) {
       cv::line(image, from, to, colour, 2);

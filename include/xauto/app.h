@@ -44,14 +44,16 @@ class App {
     return *this;
   }
 
-  /// A sensor: publishes `make(sequence)` on `topic` every `period`. Sources of equal period release at
-  /// the same instants. With a recorded input, the recording's messages of this topic come instead.
+  /// A sensor: publishes `make(sequence)` on `topic` every `period`. Sources of equal period
+  /// release at the same instants. With a recorded input, the recording's messages of this topic
+  /// come instead.
   template <class T, class Make>
   App& add_source(const Topic<T>& topic, std::chrono::microseconds period, Make make) {
-    add_source_spec({detail::topic_spec(topic), period,
-                     [make = std::move(make)](std::uint64_t sequence) -> std::shared_ptr<const void> {
-                       return std::make_shared<const T>(make(sequence));
-                     }});
+    add_source_spec(
+        {detail::topic_spec(topic), period,
+         [make = std::move(make)](std::uint64_t sequence) -> std::shared_ptr<const void> {
+           return std::make_shared<const T>(make(sequence));
+         }});
     return *this;
   }
 
@@ -59,17 +61,18 @@ class App {
   /// short. Several observers of one topic are called in the order of registration.
   template <class T, class Callback>
   App& on_message(const Topic<T>& topic, Callback callback) {
-    add_observer_spec(detail::topic_spec(topic),
-                      [callback = std::move(callback)](const void* message, std::uint64_t sequence) {
-                        callback(*static_cast<const T*>(message), sequence);
-                      });
+    add_observer_spec(detail::topic_spec(topic), [callback = std::move(callback)](
+                                                     const void* message, std::uint64_t sequence) {
+      callback(*static_cast<const T*>(message), sequence);
+    });
     return *this;
   }
 
   /// Called once after the last activation, before main() returns: the place to write results.
   App& on_end(std::function<void()> callback);
 
-  /// Everything that is wrong with the graph as declared: names each module, XNode and topic involved.
+  /// Everything that is wrong with the graph as declared: names each module, XNode and topic
+  /// involved.
   [[nodiscard]] Status check() const;
 
   /// The whole program: does what the `xauto` tool that started this process asks (run, profile,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Contexts on emulated XPUs (process xauto-emud): what a CUcontext is on a Jetson. Work is a duration on
-// a virtual processor, so an 8-core Orin with a GPU and two DLAs fits a laptop.
+// Contexts on emulated XPUs (process xauto-emud): what a CUcontext is on a Jetson. Work is a
+// duration on a virtual processor, so an 8-core Orin with a GPU and two DLAs fits a laptop.
 #pragma once
 
 #include <chrono>
@@ -11,8 +11,9 @@
 
 namespace xauto::emu {
 
-/// One context (a TSG, a DLA queue, a thread on an emulated core). Work submitted to it runs in order.
-/// Threads: one user at a time; suspending it is the runtime's business, on another connection.
+/// One context (a TSG, a DLA queue, a thread on an emulated core). Work submitted to it runs in
+/// order. Threads: one user at a time; suspending it is the runtime's business, on another
+/// connection.
 class Context {
  public:
   /// Connects to the emulator of this session. kUnavailable when this process was not started by an
@@ -23,8 +24,8 @@ class Context {
   Context& operator=(Context&&) noexcept;
   ~Context();
 
-  /// Submits work that takes `duration` alone on the XPU and waits until the XPU has finished it. Takes
-  /// longer in wall time when the XPU is shared or the context is suspended.
+  /// Submits work that takes `duration` alone on the XPU and waits until the XPU has finished it.
+  /// Takes longer in wall time when the XPU is shared or the context is suspended.
   [[nodiscard]] Status run(std::chrono::microseconds duration);
 
   [[nodiscard]] SchedHandle handle() const;

@@ -3,8 +3,9 @@
 #pragma once
 
 #include <string>
-#include <tl/expected.hpp>
 #include <utility>
+
+#include <tl/expected.hpp>
 
 namespace xauto {
 
@@ -42,16 +43,15 @@ using Status = Result<void>;
 
 [[nodiscard]] inline tl::unexpected<Error> fail(ErrorCode code, std::string what,
                                                 std::string where = {}, std::string hint = {}) {
-  return tl::unexpected<Error>(
-      Error{code, std::move(what), std::move(where), std::move(hint)});
+  return tl::unexpected<Error>(Error{code, std::move(what), std::move(where), std::move(hint)});
 }
 
 }  // namespace xauto
 
 /// Return early with the error of `expr`, a Result or Status.
-#define XAUTO_TRY(expr)                                                        \
-  do {                                                                         \
-    if (auto xauto_try_result = (expr); !xauto_try_result)                     \
+#define XAUTO_TRY(expr)                                                           \
+  do {                                                                            \
+    if (auto xauto_try_result = (expr); !xauto_try_result)                        \
       return tl::unexpected<::xauto::Error>(std::move(xauto_try_result).error()); \
   } while (false)
 
@@ -59,7 +59,7 @@ using Status = Result<void>;
 #define XAUTO_CONCAT(a, b) XAUTO_CONCAT_(a, b)
 /// `XAUTO_ASSIGN(auto x, expr)`: the value of `expr`, or return early with its error.
 #define XAUTO_ASSIGN(decl, expr) XAUTO_ASSIGN_(XAUTO_CONCAT(xauto_result_, __LINE__), decl, expr)
-#define XAUTO_ASSIGN_(tmp, decl, expr)                                         \
-  auto tmp = (expr);                                                           \
-  if (!tmp) return tl::unexpected<::xauto::Error>(std::move(tmp).error());     \
+#define XAUTO_ASSIGN_(tmp, decl, expr)                                     \
+  auto tmp = (expr);                                                       \
+  if (!tmp) return tl::unexpected<::xauto::Error>(std::move(tmp).error()); \
   decl = std::move(tmp).value()

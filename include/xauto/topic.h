@@ -16,8 +16,8 @@
 
 namespace xauto {
 
-/// A name and a message type. A value: copies name the same topic. Two modules that use one name with
-/// two types are refused when the App is built.
+/// A name and a message type. A value: copies name the same topic. Two modules that use one name
+/// with two types are refused when the App is built.
 template <class T>
 class Topic {
  public:
@@ -29,8 +29,8 @@ class Topic {
   std::string name_;
 };
 
-/// How messages become bytes, for recorded inputs. Plain data and byte strings work as they are; for any
-/// other type specialise it. `decode` throws std::exception when the bytes are not a T.
+/// How messages become bytes, for recorded inputs. Plain data and byte strings work as they are;
+/// for any other type specialise it. `decode` throws std::exception when the bytes are not a T.
 /// Plain data is stored in the memory layout of this machine: declare it without padding.
 template <class T, class Enable = void>
 struct Codec {
@@ -57,7 +57,9 @@ template <>
 struct Codec<std::vector<std::byte>> {
   static constexpr bool kAvailable = true;
   static std::vector<std::byte> encode(const std::vector<std::byte>& m) { return m; }
-  static std::vector<std::byte> decode(std::span<const std::byte> b) { return {b.begin(), b.end()}; }
+  static std::vector<std::byte> decode(std::span<const std::byte> b) {
+    return {b.begin(), b.end()};
+  }
 };
 template <>
 struct Codec<std::string> {
@@ -76,8 +78,8 @@ namespace detail {
 /// A message on its way: shared, never written again once published.
 struct Envelope {
   std::shared_ptr<const void> message;  ///< null: dropped upstream, see `Input` and docs/runtime.md
-  std::int64_t origin_ns = 0;  ///< CLOCK_MONOTONIC time at which the sensor released it
-  std::uint64_t sequence = 0;  ///< number of that release
+  std::int64_t origin_ns = 0;           ///< CLOCK_MONOTONIC time at which the sensor released it
+  std::uint64_t sequence = 0;           ///< number of that release
 };
 
 struct TopicSpec {
@@ -108,8 +110,8 @@ TopicSpec topic_spec(const Topic<T>& topic) {
 
 }  // namespace detail
 
-/// What `exec` sees of the messages that fired its module. Valid during the call, and for the following
-/// XNodes of the same activation; a message lives as long as somebody holds it.
+/// What `exec` sees of the messages that fired its module. Valid during the call, and for the
+/// following XNodes of the same activation; a message lives as long as somebody holds it.
 class Input {
  public:
   /// The message of an input topic of this module. Throws std::logic_error if it is not one.

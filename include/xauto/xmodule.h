@@ -18,7 +18,8 @@ namespace detail {
 
 struct OutputSpec {
   TopicSpec topic;
-  std::function<std::shared_ptr<const void>(void* state)> take;  ///< copies the message out of the state
+  std::function<std::shared_ptr<const void>(void* state)>
+      take;  ///< copies the message out of the state
 };
 
 struct XModuleSpec {
@@ -33,12 +34,13 @@ struct XModuleSpec {
 
 }  // namespace detail
 
-/// A module of an application: its XNodes run one after the other on the module's `State`, each on the
-/// XPU instance that the policy gives it. It fires when every input topic has a message newer than the
-/// last one it used. One activation is in flight at a time; a message that arrives meanwhile waits, and
-/// a newer one replaces it (counted as dropped).
+/// A module of an application: its XNodes run one after the other on the module's `State`, each on
+/// the XPU instance that the policy gives it. It fires when every input topic has a message newer
+/// than the last one it used. One activation is in flight at a time; a message that arrives
+/// meanwhile waits, and a newer one replaces it (counted as dropped).
 ///
-/// A handle: copies name the same module. `State` must be default-constructible, or a factory is given.
+/// A handle: copies name the same module. `State` must be default-constructible, or a factory is
+/// given.
 template <class State>
 class XModule {
  public:
@@ -48,7 +50,9 @@ class XModule {
       : spec_(std::make_shared<detail::XModuleSpec>()) {
     spec_->name = std::move(name);
     spec_->state = typeid(State);
-    spec_->make_state = [make = std::move(make_state)]() -> std::shared_ptr<void> { return make(); };
+    spec_->make_state = [make = std::move(make_state)]() -> std::shared_ptr<void> {
+      return make();
+    };
   }
 
   /// Appends `node` to the chain.
@@ -72,12 +76,14 @@ class XModule {
   XModule& add_output_topic(const Topic<T>& topic, T State::*output) {
     return add_output_topic(topic, [output](State& state) { return state.*output; });
   }
-  /// Publishes what `make(State&)` returns (a T or a std::shared_ptr<const T>) when the chain has ended.
+  /// Publishes what `make(State&)` returns (a T or a std::shared_ptr<const T>) when the chain has
+  /// ended.
   template <class T, class Make>
-    requires std::is_invocable_v<Make, State&>
-  XModule& add_output_topic(const Topic<T>& topic, Make make) {
+  requires std::is_invocable_v<Make, State&> XModule& add_output_topic(const Topic<T>& topic,
+                                                                       Make make) {
     spec_->outputs.push_back(
-        {detail::topic_spec(topic), [make = std::move(make)](void* state) -> std::shared_ptr<const void> {
+        {detail::topic_spec(topic),
+         [make = std::move(make)](void* state) -> std::shared_ptr<const void> {
            if constexpr (std::is_convertible_v<std::invoke_result_t<Make, State&>,
                                                std::shared_ptr<const T>>)
              return std::shared_ptr<const T>(make(*static_cast<State*>(state)));

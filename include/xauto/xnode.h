@@ -34,8 +34,8 @@ struct XNodeSpecErased {
 
 /// One stage that works on `State`, the state its module shares between its XNodes.
 ///
-/// A handle: copies name the same XNode. Threads: build it from one thread; the callbacks run one at a
-/// time per module, but not always on the same thread.
+/// A handle: copies name the same XNode. Threads: build it from one thread; the callbacks run one
+/// at a time per module, but not always on the same thread.
 template <class State>
 class XNode {
  public:
@@ -46,10 +46,12 @@ class XNode {
 
   /// Adds the implementation for one type of XPU.
   ///
-  /// init: `SchedHandle(const XpuId&)`. Called once per XPU instance on which this XNode is to run, on
-  ///   the worker's execution thread, before the first exec: load the weights, create the CUcontext,
-  ///   return the handle.
-  /// exec: `void(State&, const Input&)` or `Status(State&, const Input&)`. Runs the stage to its end:
+  /// init: `SchedHandle(const XpuId&)`. Called once per XPU instance on which this XNode is to run,
+  /// on
+  ///   the worker's execution thread, before the first exec: load the weights, create the
+  ///   CUcontext, return the handle.
+  /// exec: `void(State&, const Input&)` or `Status(State&, const Input&)`. Runs the stage to its
+  /// end:
   ///   when it returns, the XPU has finished. An exception or an error drops the activation, is
   ///   counted and reported; the App goes on.
   template <class Init, class Exec>

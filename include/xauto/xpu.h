@@ -9,8 +9,8 @@
 
 namespace xauto {
 
-/// A type of processor. The three of a Jetson have names; any other word names any other XPU, which is
-/// then gated (one job at a time, not preempted).
+/// A type of processor. The three of a Jetson have names; any other word names any other XPU, which
+/// is then gated (one job at a time, not preempted).
 class XPU {
  public:
   explicit XPU(std::string_view type) : type_(type) {}
@@ -33,9 +33,9 @@ struct XpuId {
   int index = 0;  ///< among the instances of its type
 };
 
-/// What `init` returns: the thing behind which all work of this XNode on this XPU instance is queued,
-/// so that suspending it suspends the XNode. A value; it does not own what it names: a CUcontext, a
-/// cudlaDevHandle or an emulated context must outlive the App's run.
+/// What `init` returns: the thing behind which all work of this XNode on this XPU instance is
+/// queued, so that suspending it suspends the XNode. A value; it does not own what it names: a
+/// CUcontext, a cudlaDevHandle or an emulated context must outlive the App's run.
 class SchedHandle {
  public:
   enum class Kind : std::uint8_t {

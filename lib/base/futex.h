@@ -2,25 +2,28 @@
 // Futexes on words in memory shared between processes.
 #pragma once
 
-#include <linux/futex.h>
-#include <sys/syscall.h>
-#include <unistd.h>
-
 #include <atomic>
 #include <cstdint>
 #include <ctime>
 
+#include <linux/futex.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
 namespace xauto {
 
-/// Sleeps while `word` holds `expected`, at most 50 ms: the limit is only a net for the one case that has
-/// no waker, a peer that died between its store and its wake. Callers loop on their condition.
+/// Sleeps while `word` holds `expected`, at most 50 ms: the limit is only a net for the one case
+/// that has no waker, a peer that died between its store and its wake. Callers loop on their
+/// condition.
 inline void futex_wait(std::atomic<std::uint32_t>& word, std::uint32_t expected) {
   const timespec limit{0, 50'000'000};
-  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAIT, expected, &limit, nullptr, 0);
+  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAIT, expected, &limit, nullptr,
+          0);
 }
 
 inline void futex_wake(std::atomic<std::uint32_t>& word, int waiters) {
-  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAKE, waiters, nullptr, nullptr, 0);
+  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAKE, waiters, nullptr, nullptr,
+          0);
 }
 
 }  // namespace xauto

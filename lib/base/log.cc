@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "base/log.h"
 
-#include <spdlog/sinks/stdout_color_sinks.h>
-#include <spdlog/spdlog.h>
-
 #include <cstdlib>
 #include <memory>
 #include <string>
+
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
 
 namespace xauto::log {
 namespace {
@@ -14,7 +14,8 @@ namespace {
 spdlog::logger& logger() {
   // Never destroyed: threads may log while the process ends.
   static spdlog::logger* const instance = [] {
-    auto* made = new spdlog::logger("xauto", std::make_shared<spdlog::sinks::stderr_color_sink_mt>());
+    auto* made =
+        new spdlog::logger("xauto", std::make_shared<spdlog::sinks::stderr_color_sink_mt>());
     made->set_pattern("xauto: %^%l%$: %v");
     const char* level = std::getenv("XAUTO_LOG");
     made->set_level(level == nullptr ? spdlog::level::info : spdlog::level::from_str(level));

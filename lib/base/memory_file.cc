@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "base/memory_file.h"
 
+#include <cerrno>
+#include <cstring>
+
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
-
-#include <cerrno>
-#include <cstring>
 
 namespace xauto {
 namespace {
@@ -27,7 +27,8 @@ Status write_memory_file(int fd, std::string_view text) {
   if (ftruncate(fd, 0) != 0) return io_error("cannot empty a memory file");
   std::size_t done = 0;
   while (done < text.size()) {
-    const ssize_t wrote = pwrite(fd, text.data() + done, text.size() - done, static_cast<off_t>(done));
+    const ssize_t wrote =
+        pwrite(fd, text.data() + done, text.size() - done, static_cast<off_t>(done));
     if (wrote < 0 && errno == EINTR) continue;
     if (wrote <= 0) return io_error("cannot write a memory file");
     done += static_cast<std::size_t>(wrote);

@@ -4,6 +4,7 @@
 
 #include <string>
 #include <string_view>
+
 #include <xauto/result.h>
 
 #include "base/unique_fd.h"

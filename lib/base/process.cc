@@ -1,6 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "base/process.h"
 
+#include <algorithm>
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+
 #include <fcntl.h>
 #include <poll.h>
 #include <signal.h>
@@ -10,11 +15,6 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <algorithm>
-#include <cerrno>
-#include <cstdlib>
-#include <cstring>
-
 extern char** environ;
 
 namespace xauto {
@@ -22,8 +22,7 @@ namespace {
 
 /// In the child, between fork and exec: only async-signal-safe calls.
 [[noreturn]] void become(const std::vector<char*>& argv, const std::vector<char*>& environment,
-                         const std::vector<int>& keep, pid_t parent, bool own_group,
-                         int error_fd) {
+                         const std::vector<int>& keep, pid_t parent, bool own_group, int error_fd) {
   const auto die = [&](int error) {
     [[maybe_unused]] const ssize_t told = write(error_fd, &error, sizeof error);
     _exit(127);
@@ -54,7 +53,8 @@ namespace {
 std::string Exit::to_string() const {
   if (!signalled) return "exit status " + std::to_string(value);
   const char* name = sigabbrev_np(value);
-  return std::string("signal ") + (name != nullptr ? std::string("SIG") + name : std::to_string(value));
+  return std::string("signal ") +
+         (name != nullptr ? std::string("SIG") + name : std::to_string(value));
 }
 
 Result<Child> Child::spawn(const SpawnOptions& options) {
@@ -126,7 +126,9 @@ void Child::signal(int number) const {
   if (running()) kill(pid_, number);
 }
 
-std::optional<Exit> Child::poll() { return wait(0); }
+std::optional<Exit> Child::poll() {
+  return wait(0);
+}
 
 std::optional<Exit> Child::wait(int timeout_ms) {
   if (exit_ || pid_ <= 0) return exit_;

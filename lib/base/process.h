@@ -3,13 +3,14 @@
 // (PR_SET_PDEATHSIG), and by the destructor.
 #pragma once
 
-#include <sys/types.h>
-
 #include <cstdint>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
+
+#include <sys/types.h>
+
 #include <xauto/result.h>
 
 #include "base/unique_fd.h"
@@ -18,7 +19,8 @@ namespace xauto {
 
 struct SpawnOptions {
   std::vector<std::string> argv;  ///< argv[0]: a path, or a name to look for in PATH
-  std::vector<int> inherit;       ///< descriptors to keep, under their own numbers; all others are closed
+  std::vector<int>
+      inherit;  ///< descriptors to keep, under their own numbers; all others are closed
   std::vector<std::pair<std::string, std::string>> environment;  ///< added to ours
   /// A process group of its own: the terminal's Ctrl-C then reaches only us, who forward it once.
   bool own_group = true;
@@ -27,12 +29,13 @@ struct SpawnOptions {
 /// How a child ended.
 struct Exit {
   bool signalled = false;
-  int value = 0;  ///< exit status, or the signal's number
+  int value = 0;            ///< exit status, or the signal's number
   std::int64_t cpu_us = 0;  ///< user and system time that it used
   [[nodiscard]] std::string to_string() const;
 };
 
-/// Threads: one. Must be destroyed on the thread that spawned it, since that thread's end kills the child.
+/// Threads: one. Must be destroyed on the thread that spawned it, since that thread's end kills the
+/// child.
 class Child {
  public:
   [[nodiscard]] static Result<Child> spawn(const SpawnOptions& options);

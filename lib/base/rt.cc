@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "base/rt.h"
 
+#include <cerrno>
+#include <cstring>
+#include <thread>
+
 #include <pthread.h>
 #include <sched.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
-
-#include <cerrno>
-#include <cstring>
-#include <thread>
 
 namespace xauto::rt {
 
@@ -57,7 +57,8 @@ Status pin_to_core(int core) {
   CPU_ZERO(&set);
   CPU_SET(static_cast<unsigned>(core), &set);
   if (const int error = pthread_setaffinity_np(pthread_self(), sizeof set, &set); error != 0)
-    return fail(ErrorCode::kInvalid, "cannot run on core " + std::to_string(core) + ": " + strerror(error));
+    return fail(ErrorCode::kInvalid,
+                "cannot run on core " + std::to_string(core) + ": " + strerror(error));
   return {};
 }
 
@@ -71,9 +72,13 @@ std::vector<int> allowed_cores() {
   return cores;
 }
 
-void set_timer_slack_1ns() { prctl(PR_SET_TIMERSLACK, 1ul, 0, 0, 0); }
+void set_timer_slack_1ns() {
+  prctl(PR_SET_TIMERSLACK, 1ul, 0, 0, 0);
+}
 
-bool lock_memory() { return mlockall(MCL_CURRENT | MCL_FUTURE) == 0; }
+bool lock_memory() {
+  return mlockall(MCL_CURRENT | MCL_FUTURE) == 0;
+}
 
 void set_thread_name(const std::string& name) {
   pthread_setname_np(pthread_self(), name.substr(0, 15).c_str());

@@ -5,6 +5,7 @@
 
 #include <string>
 #include <vector>
+
 #include <xauto/result.h>
 
 namespace xauto::rt {

@@ -1,10 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "base/socket.h"
 
-#include <sys/socket.h>
-#include <sys/un.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <cerrno>
 #include <cstddef>
@@ -13,17 +9,24 @@
 #include <fstream>
 #include <sstream>
 
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
 namespace xauto {
 namespace {
 
 constexpr std::size_t kMaxAddress = 100;
 
-std::string errno_text(const char* call) { return std::string(call) + ": " + strerror(errno); }
+std::string errno_text(const char* call) {
+  return std::string(call) + ": " + strerror(errno);
+}
 
 Result<socklen_t> fill(sockaddr_un& name, const std::string& address) {
   if (address.empty() || address.size() > kMaxAddress)
-    return fail(ErrorCode::kInvalid, "socket address has " + std::to_string(address.size()) +
-                                         " bytes, not 1.." + std::to_string(kMaxAddress),
+    return fail(ErrorCode::kInvalid,
+                "socket address has " + std::to_string(address.size()) + " bytes, not 1.." +
+                    std::to_string(kMaxAddress),
                 address);
   name = {};
   name.sun_family = AF_UNIX;
@@ -63,9 +66,8 @@ Result<UniqueFd> accept_own(int listener) {
   if (getsockopt(peer.get(), SOL_SOCKET, SO_PEERCRED, &who, &length) != 0)
     return fail(ErrorCode::kIo, errno_text("SO_PEERCRED"));
   if (who.uid != geteuid() && who.uid != 0)
-    return fail(ErrorCode::kPermission,
-                "refused a connection of uid " + std::to_string(who.uid) + ", pid " +
-                    std::to_string(who.pid));
+    return fail(ErrorCode::kPermission, "refused a connection of uid " + std::to_string(who.uid) +
+                                            ", pid " + std::to_string(who.pid));
   return peer;
 }
 
@@ -128,7 +130,8 @@ Result<std::size_t> receive_packet(int socket, void* data, std::size_t bytes,
 
 void signal_eventfd(int fd) {
   const std::uint64_t one = 1;
-  [[maybe_unused]] const ssize_t written = write(fd, &one, sizeof one);  // full counter: it is signalled
+  [[maybe_unused]] const ssize_t written =
+      write(fd, &one, sizeof one);  // full counter: it is signalled
 }
 
 void drain_eventfd(int fd) {

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Abstract AF_UNIX sockets, one packet per message, with descriptor passing. Abstract: nothing is left in
-// the file system however a process ends. Peers are checked by uid (SO_PEERCRED), since an abstract
-// name has no permissions of its own.
+// Abstract AF_UNIX sockets, one packet per message, with descriptor passing. Abstract: nothing is
+// left in the file system however a process ends. Peers are checked by uid (SO_PEERCRED), since an
+// abstract name has no permissions of its own.
 #pragma once
-
-#include <sys/types.h>
 
 #include <cstddef>
 #include <string>
 #include <vector>
+
+#include <sys/types.h>
+
 #include <xauto/result.h>
 
 #include "base/unique_fd.h"
@@ -23,8 +24,8 @@ namespace xauto {
 
 [[nodiscard]] Status send_packet(int socket, const void* data, std::size_t bytes,
                                  const std::vector<int>& fds = {});
-/// Waits for one packet of at most `bytes` and returns its size; a longer one is kInvalid, a closed peer
-/// kUnavailable. Descriptors beyond kMaxPassedFds are refused.
+/// Waits for one packet of at most `bytes` and returns its size; a longer one is kInvalid, a closed
+/// peer kUnavailable. Descriptors beyond kMaxPassedFds are refused.
 [[nodiscard]] Result<std::size_t> receive_packet(int socket, void* data, std::size_t bytes,
                                                  std::vector<UniqueFd>* fds = nullptr);
 inline constexpr std::size_t kMaxPassedFds = 8;

@@ -7,8 +7,7 @@
 
 namespace xauto::coord {
 
-Arbiter::Arbiter(Discipline discipline,
-                 std::vector<std::pair<std::uint32_t, std::uint32_t>> order)
+Arbiter::Arbiter(Discipline discipline, std::vector<std::pair<std::uint32_t, std::uint32_t>> order)
     : discipline_(discipline) {
   for (const auto& [u, v] : order) {
     const std::size_t size = std::max({before_.size(), std::size_t{u} + 1, std::size_t{v} + 1});

@@ -1,23 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
-// Life of a job, steps 5 and 10: who may use this XPU? A pure function of (state, event) -> actions: no
-// clock, thread or system call, so that tests enumerate every interleaving.
+// Life of a job, steps 5 and 10: who may use this XPU? A pure function of (state, event) ->
+// actions: no clock, thread or system call, so that tests enumerate every interleaving.
 //
-// One slot per worker; a worker has at most one job at a time. A slot is a job (or none) and a queue:
+// One slot per worker; a worker has at most one job at a time. A slot is a job (or none) and a
+// queue:
 //
 //   job:    none ──start──► waiting ──GRANT──► admitted ──finish──► none
-//   queue:  enabled ──SUSPEND──► suspending ──ack──► suspended ──RESUME──► resuming ──ack──► enabled
+//   queue:  enabled ──SUSPEND──► suspending ──ack──► suspended ──RESUME──► resuming ──ack──►
+//   enabled
 //
 // Rules (larger priority = more urgent; ties: who came first):
-//   preemptive  the most urgent eligible job is granted at once; every other admitted job's queue is
+//   preemptive  the most urgent eligible job is granted at once; every other admitted job's queue
+//   is
 //               suspended; the most urgent admitted job's queue is resumed.
 //   gate        a job is granted when nobody is admitted; it runs to its end.
 //   kernel      every eligible job is granted; the kernel's own scheduler keeps the priorities.
-// A job is eligible when its order predecessors (Policy::order) of the same activation have finished.
-// FINISH comes from the execution thread, acks from the management thread, so a FINISH may overtake an
-// ack: a queue without a job is resumed, and the slot's next job waits until the queue is enabled.
+// A job is eligible when its order predecessors (Policy::order) of the same activation have
+// finished. FINISH comes from the execution thread, acks from the management thread, so a FINISH
+// may overtake an ack: a queue without a job is resumed, and the slot's next job waits until the
+// queue is enabled.
 //
-// Invariants, checked after every event in the tests: with no ack outstanding, a preemptive XPU has its
-// most urgent eligible job running and no other; a gate never has two admitted jobs; a queue is
+// Invariants, checked after every event in the tests: with no ack outstanding, a preemptive XPU has
+// its most urgent eligible job running and no other; a gate never has two admitted jobs; a queue is
 // suspended only for an admitted job; every SUSPEND is followed by RESUME or by the slot's death.
 #pragma once
 
@@ -57,10 +61,12 @@ class Arbiter {
   };
 
   /// `order`: pairs (u, v) of xnodes on this XPU: v#k is not started before u#k has finished.
-  explicit Arbiter(Discipline discipline, std::vector<std::pair<std::uint32_t, std::uint32_t>> order = {});
+  explicit Arbiter(Discipline discipline,
+                   std::vector<std::pair<std::uint32_t, std::uint32_t>> order = {});
 
-  // Events. Each may make decisions: the actions to carry out, in this order, are appended to `out`.
-  // Precondition violations are our own bugs and end the process (what it suspended is resumed).
+  // Events. Each may make decisions: the actions to carry out, in this order, are appended to
+  // `out`. Precondition violations are our own bugs and end the process (what it suspended is
+  // resumed).
   void start(int slot, const Job& job, std::vector<Action>& out);
   /// A job that started on the uncontended fast path before the coordinator was involved.
   void adopt(int slot, const Job& job, std::vector<Action>& out);
@@ -72,7 +78,9 @@ class Arbiter {
   /// All activations of `xnode` below `count` have finished or will never come.
   void finished(std::uint32_t xnode, std::uint64_t count, std::vector<Action>& out);
 
-  [[nodiscard]] const Slot& slot(int index) const { return slots_[static_cast<std::size_t>(index)]; }
+  [[nodiscard]] const Slot& slot(int index) const {
+    return slots_[static_cast<std::size_t>(index)];
+  }
   [[nodiscard]] Discipline discipline() const { return discipline_; }
   /// No job and no queue in any other state than enabled: the fast path may have the XPU back.
   [[nodiscard]] bool idle() const;

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "coord/port.h"
 
-#include <poll.h>
-#include <sys/eventfd.h>
-#include <sys/mman.h>
-#include <sys/stat.h>
-
 #include <algorithm>
 #include <cerrno>
 #include <climits>
 #include <cstring>
+
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
 
 #include "base/clock.h"
 #include "base/futex.h"
@@ -42,7 +42,8 @@ Result<std::unique_ptr<Port>> Port::connect(
                receive_packet(port->socket_.get(), &answer, sizeof answer, &fds));
   if (size == sizeof(Refused) && answer.kind == static_cast<std::uint32_t>(MessageKind::kRefused)) {
     answer.reason[sizeof answer.reason - 1] = '\0';
-    return fail(ErrorCode::kUnavailable, std::string("refused the worker: ") + answer.reason, where);
+    return fail(ErrorCode::kUnavailable, std::string("refused the worker: ") + answer.reason,
+                where);
   }
   Welcome welcome;
   if (size != sizeof welcome || fds.size() != 3)
@@ -52,12 +53,11 @@ Result<std::unique_ptr<Port>> Port::connect(
   port->commands_ = std::move(fds[2]);
 
   struct stat status {};
-  if (fstat(fds[0].get(), &status) != 0 ||
-      static_cast<std::size_t>(status.st_size) < Shm::bytes(0))
+  if (fstat(fds[0].get(), &status) != 0 || static_cast<std::size_t>(status.st_size) < Shm::bytes(0))
     return fail(ErrorCode::kUnavailable, "shared memory is cut short", where);
   port->bytes_ = static_cast<std::size_t>(status.st_size);
-  void* memory =
-      mmap(nullptr, port->bytes_, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fds[0].get(), 0);
+  void* memory = mmap(nullptr, port->bytes_, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE,
+                      fds[0].get(), 0);
   if (memory == MAP_FAILED)
     return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno), where);
   port->shm_ = Shm::at(memory);
@@ -65,12 +65,11 @@ Result<std::unique_ptr<Port>> Port::connect(
   if (header.magic != kShmMagic || header.version != kShmVersion ||
       header.num_xnodes > kMaxSharedXNodes || port->bytes_ < Shm::bytes(header.num_xnodes) ||
       welcome.slot >= static_cast<std::uint32_t>(kMaxSlots))
-    return fail(ErrorCode::kUnavailable, "shared memory has another version than this library", where,
-                "use xauto-coordinator and libxauto of one build");
+    return fail(ErrorCode::kUnavailable, "shared memory has another version than this library",
+                where, "use xauto-coordinator and libxauto of one build");
   port->slot_ = static_cast<int>(welcome.slot);
   port->discipline_ = static_cast<Discipline>(header.discipline);
-  port->generation_ =
-      request_generation(port->shm_.slots[port->slot_].worker.request.load());
+  port->generation_ = request_generation(port->shm_.slots[port->slot_].worker.request.load());
 
   port->before_.resize(header.num_xnodes);
   port->tracked_.resize(header.num_xnodes);

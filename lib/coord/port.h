@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Life of a job, step 4: a worker's door to the coordinator of its XPU. START and FINISH are one atomic
-// each when nobody else is on the XPU; see shm_layout.h for the protocol.
+// Life of a job, step 4: a worker's door to the coordinator of its XPU. START and FINISH are one
+// atomic each when nobody else is on the XPU; see shm_layout.h for the protocol.
 //
-// Threads: `start`, `finish` from the execution thread; `wait_command`, `acknowledge` from the management
-// thread; `skip` and `interrupt` from any thread.
+// Threads: `start`, `finish` from the execution thread; `wait_command`, `acknowledge` from the
+// management thread; `skip` and `interrupt` from any thread.
 #pragma once
 
 #include <atomic>
@@ -12,6 +12,7 @@
 #include <string>
 #include <utility>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "base/unique_fd.h"
@@ -29,10 +30,11 @@ enum class Command : std::uint8_t {
 
 class Port {
  public:
-  /// Registers a worker with the coordinator behind the abstract socket `address`. `order`: pairs (u, v)
-  /// of XNodes on this XPU, as the coordinator knows them.
+  /// Registers a worker with the coordinator behind the abstract socket `address`. `order`: pairs
+  /// (u, v) of XNodes on this XPU, as the coordinator knows them.
   [[nodiscard]] static Result<std::unique_ptr<Port>> connect(
-      const std::string& address, const std::string& worker, const std::vector<std::uint32_t>& xnodes,
+      const std::string& address, const std::string& worker,
+      const std::vector<std::uint32_t>& xnodes,
       const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order);
   ~Port();
   Port(const Port&) = delete;
@@ -42,7 +44,8 @@ class Port {
   void start(const Job& job);
   /// FINISH of the job last started.
   void finish();
-  /// Activations of `xnode` up to and including `sequence` will not be started: nobody waits for them.
+  /// Activations of `xnode` up to and including `sequence` will not be started: nobody waits for
+  /// them.
   void skip(std::uint32_t xnode, std::uint64_t sequence);
 
   /// Blocks until there is a command for the management thread.

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// What travels over a coordinator's socket (abstract AF_UNIX, SOCK_SEQPACKET, one packet per message):
-// registration, with the shared memory's descriptors in the answer, and status. The socket's end is how
-// each side learns of the other's death. Everything on the job path is in shm_layout.h instead.
+// What travels over a coordinator's socket (abstract AF_UNIX, SOCK_SEQPACKET, one packet per
+// message): registration, with the shared memory's descriptors in the answer, and status. The
+// socket's end is how each side learns of the other's death. Everything on the job path is in
+// shm_layout.h instead.
 #pragma once
 
 #include <cstddef>

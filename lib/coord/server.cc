@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "coord/server.h"
 
+#include <algorithm>
+#include <cerrno>
+#include <climits>
+#include <cstring>
+
 #include <fcntl.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <sys/mman.h>
 #include <unistd.h>
-
-#include <algorithm>
-#include <cerrno>
-#include <climits>
-#include <cstring>
 
 #include "base/clock.h"
 #include "base/futex.h"
@@ -95,8 +95,8 @@ Status Server::run(int stop_fd) {
     return fail(ErrorCode::kIo, std::string("epoll_ctl: ") + strerror(errno));
   std::array<epoll_event, 32> events;
   for (;;) {
-    // Announce the sleep, then look once more: a ring before the announcement is seen by this look, a
-    // ring after it writes the eventfd.
+    // Announce the sleep, then look once more: a ring before the announcement is seen by this look,
+    // a ring after it writes the eventfd.
     shm_.header->waiting.store(1, std::memory_order_seq_cst);
     look();
     const int count = epoll_wait(epoll_.get(), events.data(), static_cast<int>(events.size()), -1);
@@ -119,7 +119,8 @@ Status Server::run(int stop_fd) {
   }
 }
 
-// ---- joining and leaving -------------------------------------------------------------------------
+// ---- joining and leaving
+// -------------------------------------------------------------------------
 
 void Server::accept_connection() {
   auto peer = accept_own(listener_.get());
@@ -134,7 +135,8 @@ void Server::accept_connection() {
 bool Server::adopt_connection(UniqueFd socket) {
   const int fd = socket.get();
   epoll_event event{.events = EPOLLIN, .data = {.fd = fd}};
-  if (connections_.size() >= kMaxConnections || epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
+  if (connections_.size() >= kMaxConnections ||
+      epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
     return false;
   connections_[fd].socket = std::move(socket);
   return true;
@@ -171,7 +173,8 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
   if (hello.num_xnodes > kMaxWorkerXNodes) return refuse("too many XNodes");
   for (std::uint32_t i = 0; i < hello.num_xnodes; ++i)
     if (hello.xnodes[i] >= options_.xnodes.size()) return refuse("names an unknown XNode");
-  const auto free = std::find_if(slots_.begin(), slots_.end(), [](const SlotInfo& s) { return !s.used; });
+  const auto free =
+      std::find_if(slots_.begin(), slots_.end(), [](const SlotInfo& s) { return !s.used; });
   if (free == slots_.end()) return refuse("all worker slots of this XPU are taken");
 
   const int slot = static_cast<int>(free - slots_.begin());
@@ -179,7 +182,8 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
   *free = SlotInfo{};
   free->command_fd = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   if (!free->command_fd) return refuse("out of descriptors");
-  // The generation goes on where the slot's last user left it, so that an old owner word never matches.
+  // The generation goes on where the slot's last user left it, so that an old owner word never
+  // matches.
   free->request = request_word(
       Want::kIdle, request_generation(memory.worker.request.load(std::memory_order_seq_cst)));
   memory.worker.request.store(free->request, std::memory_order_seq_cst);
@@ -229,7 +233,8 @@ void Server::drop(int fd) {
   look();
 }
 
-// ---- deciding --------------------------------------------------------------------------------------
+// ---- deciding
+// --------------------------------------------------------------------------------------
 
 Job Server::job_of(int slot) const {
   const WorkerLine& line = shm_.slots[slot].worker;
@@ -255,10 +260,10 @@ void Server::look() {
   std::vector<Action> actions;
   for (;;) {
     if (!fat_) {
-      const bool contended =
-          (shm_.header->owner.load(std::memory_order_seq_cst) & kContended) != 0;
+      const bool contended = (shm_.header->owner.load(std::memory_order_seq_cst) & kContended) != 0;
       if (!contended && !somebody_waits()) return;
-      // A START may be between its request and its CAS; after this exchange the CAS fails and it rings.
+      // A START may be between its request and its CAS; after this exchange the CAS fails and it
+      // rings.
       const std::uint64_t thin = shm_.header->owner.exchange(kContended);
       fat_ = true;
       // The thin owner is adopted before anybody else is heard: its job runs.
@@ -269,8 +274,8 @@ void Server::look() {
     carry_out(actions);
     actions.clear();
     if (!arbiter_.idle()) return;
-    // Nobody is left: hand the owner word back to the fast path. A START that still saw kContended has
-    // written its request and rings, or is seen by the next round.
+    // Nobody is left: hand the owner word back to the fast path. A START that still saw kContended
+    // has written its request and rings, or is seen by the next round.
     std::uint64_t expected = kContended;
     shm_.header->owner.compare_exchange_strong(expected, 0);
     fat_ = false;
@@ -285,7 +290,8 @@ void Server::scan(std::vector<Action>& actions) {
     arbiter_.finished(xnode, shm_.finished[xnode].load(std::memory_order_seq_cst), actions);
 }
 
-/// `thin`: the owner word as it was when the coordinator took it over, if this slot is in it; else 0.
+/// `thin`: the owner word as it was when the coordinator took it over, if this slot is in it; else
+/// 0.
 void Server::scan_slot(int slot, std::uint64_t thin, std::vector<Action>& actions) {
   SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
   const WorkerLine& line = shm_.slots[slot].worker;
@@ -346,7 +352,8 @@ void Server::carry_out(const std::vector<Action>& actions) {
   }
 }
 
-// ---- telling ---------------------------------------------------------------------------------------
+// ---- telling
+// ---------------------------------------------------------------------------------------
 
 std::string Server::xnode_name(std::uint32_t xnode) const {
   return xnode < options_.xnodes.size() ? options_.xnodes[xnode] : "?";
@@ -357,12 +364,12 @@ std::string Server::status() const {
   const std::uint64_t owner = shm_.header->owner.load(std::memory_order_seq_cst);
   const auto now = static_cast<std::uint64_t>(now_ns());
   const int top = fat_ ? arbiter_.most_urgent() : -1;
-  std::string out = "{\"xpu\":" + quoted(options_.xpu) + ",\"pid\":" + std::to_string(getpid()) +
-                    ",\"discipline\":" +
-                    quoted(kDisciplines[static_cast<int>(options_.discipline)]) +
-                    ",\"mode\":" + quoted(fat_ ? "arbitrated" : "uncontended") +
-                    ",\"looks\":" + std::to_string(looks_) +
-                    ",\"decisions\":" + std::to_string(decisions_) + ",\"workers\":[";
+  std::string out =
+      "{\"xpu\":" + quoted(options_.xpu) + ",\"pid\":" + std::to_string(getpid()) +
+      ",\"discipline\":" + quoted(kDisciplines[static_cast<int>(options_.discipline)]) +
+      ",\"mode\":" + quoted(fat_ ? "arbitrated" : "uncontended") +
+      ",\"looks\":" + std::to_string(looks_) + ",\"decisions\":" + std::to_string(decisions_) +
+      ",\"workers\":[";
   bool first = true;
   for (int i = 0; i < kMaxSlots; ++i) {
     const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
@@ -370,7 +377,8 @@ std::string Server::status() const {
     const std::uint32_t request = shm_.slots[i].worker.request.load(std::memory_order_seq_cst);
     const Arbiter::Slot& slot = arbiter_.slot(i);
     std::string state = "idle", by;
-    const bool thin = owner_slot(owner) == i && owner_generation(owner) == request_generation(request);
+    const bool thin =
+        owner_slot(owner) == i && owner_generation(owner) == request_generation(request);
     if (request_want(request) == Want::kRuns || (request_want(request) == Want::kRun && thin)) {
       state = "running";
     } else if (slot.phase == Phase::kWaiting) {
@@ -382,7 +390,8 @@ std::string Server::status() const {
     } else if (request_want(request) == Want::kRun) {
       state = "starting";
     }
-    if (top >= 0 && top != i && (state == "waiting" || state == "suspended" || state == "being suspended"))
+    if (top >= 0 && top != i &&
+        (state == "waiting" || state == "suspended" || state == "being suspended"))
       by = xnode_name(arbiter_.slot(top).job.xnode);
     out += first ? "{" : ",{";
     first = false;

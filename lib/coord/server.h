@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Life of a job, step 5: the coordinator of one XPU instance, as an event loop around the arbiter. Runs
-// in its own process (tools/coordinator). Sleeps unless a worker rings, joins or leaves.
+// Life of a job, step 5: the coordinator of one XPU instance, as an event loop around the arbiter.
+// Runs in its own process (tools/coordinator). Sleeps unless a worker rings, joins or leaves.
 #pragma once
 
 #include <array>
@@ -10,6 +10,7 @@
 #include <string>
 #include <utility>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "base/unique_fd.h"
@@ -22,7 +23,8 @@ struct ServerOptions {
   std::string address;  ///< abstract socket to listen on
   std::string xpu;      ///< "gpu0", for people
   Discipline discipline = Discipline::kPreemptive;
-  std::vector<std::string> xnodes;  ///< names by index, for people; its size bounds what workers may name
+  std::vector<std::string>
+      xnodes;  ///< names by index, for people; its size bounds what workers may name
   std::vector<std::pair<std::uint32_t, std::uint32_t>> order;  ///< pairs of XNodes on this XPU
 };
 
@@ -34,18 +36,19 @@ class Server {
   Server(const Server&) = delete;
   Server& operator=(const Server&) = delete;
 
-  /// Serves until `stop_fd` becomes readable. An error is the end of the event loop's own means (epoll).
+  /// Serves until `stop_fd` becomes readable. An error is the end of the event loop's own means
+  /// (epoll).
   [[nodiscard]] Status run(int stop_fd);
 
-  /// One pass over the shared words: feeds the arbiter what changed and carries out what it decides.
-  /// Public for the tests, which call it between the steps of real ports.
+  /// One pass over the shared words: feeds the arbiter what changed and carries out what it
+  /// decides. Public for the tests, which call it between the steps of real ports.
   void look();
 
   /// All state machines in words, as one JSON object.
   [[nodiscard]] std::string status() const;
 
-  /// Bytes from a connection, as run() would receive them; for the fuzzer. Returns whether the connection
-  /// stays open.
+  /// Bytes from a connection, as run() would receive them; for the fuzzer. Returns whether the
+  /// connection stays open.
   bool handle_packet(int connection, const void* data, std::size_t bytes);
   /// A connection that was accepted elsewhere; returns false if there are too many.
   bool adopt_connection(UniqueFd socket);

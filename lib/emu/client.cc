@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "emu/client.h"
 
-#include <poll.h>
-
 #include <cstdlib>
 #include <cstring>
+
+#include <poll.h>
 
 #include "base/clock.h"
 #include "base/socket.h"
@@ -31,7 +31,8 @@ Result<Packet> receive(int socket) {
   Packet packet;
   const auto size = receive_packet(socket, &packet, sizeof packet);
   if (!size) return gone();
-  if (*size != sizeof packet) return fail(ErrorCode::kInvalid, "the emulator sent a malformed packet");
+  if (*size != sizeof packet)
+    return fail(ErrorCode::kInvalid, "the emulator sent a malformed packet");
   packet.name[kMaxDeviceName - 1] = '\0';
   return packet;
 }
@@ -91,7 +92,9 @@ Status Context::run(std::chrono::microseconds duration) {
   }
 }
 
-SchedHandle Context::handle() const { return SchedHandle::emulated(connection_->context); }
+SchedHandle Context::handle() const {
+  return SchedHandle::emulated(connection_->context);
+}
 
 Result<Control> Control::connect() {
   XAUTO_ASSIGN(UniqueFd socket, connect_emud());
@@ -115,8 +118,8 @@ Status Control::request(std::uint32_t op, std::uint32_t answer_op, std::uint32_t
 }
 
 Status Control::suspend(std::uint32_t context) {
-  return request(static_cast<std::uint32_t>(Op::kSuspend), static_cast<std::uint32_t>(Op::kSuspended),
-                 context);
+  return request(static_cast<std::uint32_t>(Op::kSuspend),
+                 static_cast<std::uint32_t>(Op::kSuspended), context);
 }
 
 Status Control::resume(std::uint32_t context) {

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// The runtime's side of an emulated device: suspending and resuming contexts, on a connection of its own.
-// The user's side is xauto/emu.h; both are in client.cc.
+// The runtime's side of an emulated device: suspending and resuming contexts, on a connection of
+// its own. The user's side is xauto/emu.h; both are in client.cc.
 #pragma once
 
 #include <cstdint>
 #include <string>
+
 #include <xauto/emu.h>
 #include <xauto/result.h>
 
@@ -18,8 +19,8 @@ class Control {
   /// The emulator of this session (XAUTO_EMUD).
   [[nodiscard]] static Result<Control> connect();
 
-  /// Return once the emulator has done it: after suspend, the context makes no progress. kTimeout after a
-  /// second, kUnavailable when the emulator is gone.
+  /// Return once the emulator has done it: after suspend, the context makes no progress. kTimeout
+  /// after a second, kUnavailable when the emulator is gone.
   [[nodiscard]] Status suspend(std::uint32_t context);
   [[nodiscard]] Status resume(std::uint32_t context);
 

@@ -70,7 +70,9 @@ class Device {
 class TimeSliced final : public Device {
  public:
   TimeSliced(std::string name, bool preemptive, Nanos preempt_ns, Nanos slice_ns, Nanos switch_ns)
-      : Device(std::move(name), preemptive, preempt_ns), slice_ns_(slice_ns), switch_ns_(switch_ns) {}
+      : Device(std::move(name), preemptive, preempt_ns),
+        slice_ns_(slice_ns),
+        switch_ns_(switch_ns) {}
   [[nodiscard]] Nanos next_event() const override;
   void advance(Nanos limit, std::vector<Event>& events) override;
 

@@ -12,7 +12,8 @@ constexpr Nanos kNever = std::numeric_limits<Nanos>::max();
 
 }  // namespace
 
-// ---- what both kinds of device share ---------------------------------------------------------------
+// ---- what both kinds of device share
+// ---------------------------------------------------------------
 
 Status Device::submit(ContextId id, std::uint64_t tag, Nanos work_ns) {
   Context& context = contexts_[id];
@@ -25,8 +26,7 @@ Status Device::submit(ContextId id, std::uint64_t tag, Nanos work_ns) {
 }
 
 Status Device::suspend(ContextId id, std::uint64_t tag, Nanos now, std::vector<Event>& events) {
-  if (!preemptive_)
-    return fail(ErrorCode::kUnavailable, "is not preemptive", stats_.name);
+  if (!preemptive_) return fail(ErrorCode::kUnavailable, "is not preemptive", stats_.name);
   Context& context = contexts_[id];
   bool blocks = false;
   if (!context.suspended) {
@@ -55,7 +55,8 @@ Status Device::resume(ContextId id, std::uint64_t tag, Nanos now, std::vector<Ev
   return {};
 }
 
-// ---- time-sliced: one context at a time ------------------------------------------------------------
+// ---- time-sliced: one context at a time
+// ------------------------------------------------------------
 
 void TimeSliced::leave(ContextId id) {
   if (!queue_.empty() && queue_.front() == id) on_device_ = false;
@@ -104,7 +105,8 @@ void TimeSliced::advance(Nanos limit, std::vector<Event>& events) {
   }
   // Alone, a context's slice is renewed for free; a newcomer finds it wherever it happens to be.
   const bool sliced = preemptive_ && queue_.size() > 1;
-  const Nanos step = std::min(limit - now_, sliced ? std::min(context.left_ns, slice_left_) : context.left_ns);
+  const Nanos step =
+      std::min(limit - now_, sliced ? std::min(context.left_ns, slice_left_) : context.left_ns);
   now_ += step;
   context.left_ns -= step;
   stats_.busy_ns += step;
@@ -124,7 +126,8 @@ void TimeSliced::advance(Nanos limit, std::vector<Event>& events) {
   }
 }
 
-// ---- shared: everybody at once ---------------------------------------------------------------------
+// ---- shared: everybody at once
+// ---------------------------------------------------------------------
 
 Nanos Shared::next_event() const {
   if (!acks_.empty()) return blocked_until_;
@@ -170,7 +173,8 @@ void Shared::advance(Nanos limit, std::vector<Event>& events) {
   }
 }
 
-// ---- the machine -----------------------------------------------------------------------------------
+// ---- the machine
+// -----------------------------------------------------------------------------------
 
 Machine::Machine() = default;
 Machine::Machine(Machine&&) noexcept = default;
@@ -206,7 +210,8 @@ Result<Device*> Machine::device_of(ContextId context) {
 
 Result<ContextId> Machine::open(const std::string& name, Nanos now) {
   if (device_of_.size() >= kMaxContexts)
-    return fail(ErrorCode::kUnavailable, std::to_string(kMaxContexts) + " contexts are open already");
+    return fail(ErrorCode::kUnavailable,
+                std::to_string(kMaxContexts) + " contexts are open already");
   advance(now, pending_);
   for (const auto& device : devices_)
     if (device->stats().name == name) {

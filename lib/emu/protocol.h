@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets between an emulated context's user and xauto-emud (abstract AF_UNIX, SOCK_SEQPACKET). One fixed
-// layout for all; unused fields are zero and checked.
+// Packets between an emulated context's user and xauto-emud (abstract AF_UNIX, SOCK_SEQPACKET). One
+// fixed layout for all; unused fields are zero and checked.
 #pragma once
 
 #include <cstddef>
@@ -11,8 +11,9 @@ namespace xauto::emu {
 
 inline constexpr std::uint32_t kEmuVersion = 1;
 inline constexpr std::size_t kMaxDeviceName = 48;
-inline constexpr const char* kEmudVariable = "XAUTO_EMUD";       ///< abstract socket of this session
-inline constexpr const char* kCpuPoolVariable = "XAUTO_EMU_CPU_POOL";  ///< "1": CPU contexts on the pool
+inline constexpr const char* kEmudVariable = "XAUTO_EMUD";  ///< abstract socket of this session
+inline constexpr const char* kCpuPoolVariable =
+    "XAUTO_EMU_CPU_POOL";  ///< "1": CPU contexts on the pool
 
 enum class Op : std::uint32_t {
   kOpen = 1,     ///< name, value = version -> kOpened

@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "emu/server.h"
 
-#include <sys/epoll.h>
-#include <sys/socket.h>
-#include <sys/timerfd.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
 #include <limits>
+
+#include <sys/epoll.h>
+#include <sys/socket.h>
+#include <sys/timerfd.h>
+#include <unistd.h>
 
 #include "base/clock.h"
 #include "base/log.h"
@@ -18,7 +18,8 @@
 
 namespace xauto::emu {
 
-Result<std::unique_ptr<Server>> Server::create(const Platform& platform, const std::string& address) {
+Result<std::unique_ptr<Server>> Server::create(const Platform& platform,
+                                               const std::string& address) {
   XAUTO_ASSIGN(Machine machine, Machine::create(platform));
   auto server = std::unique_ptr<Server>(new Server(std::move(machine)));
   server->epoll_ = UniqueFd(epoll_create1(EPOLL_CLOEXEC));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The emulator's event loop: requests from sockets and the passing of time go into the Machine, what
-// happens there goes out when it is due.
+// The emulator's event loop: requests from sockets and the passing of time go into the Machine,
+// what happens there goes out when it is due.
 #pragma once
 
 #include <cstdint>
@@ -8,6 +8,7 @@
 #include <memory>
 #include <string>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "base/unique_fd.h"

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "kernel/probe.h"
 
-#include <sys/resource.h>
-#include <sys/utsname.h>
-
 #include <filesystem>
 #include <fstream>
 #include <sstream>
+
+#include <sys/resource.h>
+#include <sys/utsname.h>
 
 #include "base/rt.h"
 
@@ -46,21 +46,26 @@ class Probe {
     std::getline(file, line);
     return line;
   }
-  void add(std::string id, Verdict verdict, std::string found, std::string meaning, std::string advice = {}) {
-    findings_.push_back({std::move(id), verdict, std::move(found), std::move(meaning), std::move(advice)});
+  void add(std::string id, Verdict verdict, std::string found, std::string meaning,
+           std::string advice = {}) {
+    findings_.push_back(
+        {std::move(id), verdict, std::move(found), std::move(meaning), std::move(advice)});
   }
 
   void kernel() {
     const bool rt = first_line("/sys/kernel/realtime") == "1";
     add("kernel", Verdict::kOk, limits_.kernel_release + (rt ? ", PREEMPT_RT" : ""),
-        rt ? "real-time kernel: sched_ext is refused, CPU XNodes use SCHED_FIFO" : "general kernel");
+        rt ? "real-time kernel: sched_ext is refused, CPU XNodes use SCHED_FIFO"
+           : "general kernel");
   }
 
   void cores() {
     const std::string isolated = first_line("/sys/devices/system/cpu/isolated");
     add("cores", Verdict::kOk,
-        std::to_string(limits_.cores) + " usable" + (isolated.empty() ? "" : ", isolated: " + isolated),
-        "platforms with up to " + std::to_string(limits_.cores) + " CPUs run for real, larger ones are emulated");
+        std::to_string(limits_.cores) + " usable" +
+            (isolated.empty() ? "" : ", isolated: " + isolated),
+        "platforms with up to " + std::to_string(limits_.cores) +
+            " CPUs run for real, larger ones are emulated");
   }
 
   void realtime() {
@@ -82,7 +87,8 @@ class Probe {
       add("rt_throttling", Verdict::kOk, "off", "real-time threads may use a whole core");
     else
       add("rt_throttling", Verdict::kDegraded, runtime + " of " + period + " us",
-          "a core that real-time threads keep busy for longer is taken from them for the rest of the period",
+          "a core that real-time threads keep busy for longer is taken from them for the rest of "
+          "the period",
           "keep CPU XNodes below that load, or `sysctl kernel.sched_rt_runtime_us=-1`");
   }
 
@@ -90,7 +96,8 @@ class Probe {
     constexpr unsigned long long kEnough = 256ull << 20;
     const bool unlimited = limits_.memlock_bytes == ~0ull;
     if (unlimited || limits_.memlock_bytes >= kEnough)
-      add("memlock", Verdict::kOk, unlimited ? "unlimited" : std::to_string(limits_.memlock_bytes >> 20) + " MiB",
+      add("memlock", Verdict::kOk,
+          unlimited ? "unlimited" : std::to_string(limits_.memlock_bytes >> 20) + " MiB",
           "coordinators keep their memory resident");
     else
       add("memlock", Verdict::kDegraded, std::to_string(limits_.memlock_bytes >> 20) + " MiB",
@@ -100,8 +107,8 @@ class Probe {
 
   void sched_ext() {
     if (!there("/sys/kernel/sched_ext")) {
-      add("sched_ext", Verdict::kMissing, "not in this kernel",
-          "CPU XNodes use SCHED_FIFO", "a kernel from 6.12 on with CONFIG_SCHED_CLASS_EXT has it");
+      add("sched_ext", Verdict::kMissing, "not in this kernel", "CPU XNodes use SCHED_FIFO",
+          "a kernel from 6.12 on with CONFIG_SCHED_CLASS_EXT has it");
       return;
     }
     const std::string state = first_line("/sys/kernel/sched_ext/state");
@@ -116,7 +123,8 @@ class Probe {
 
   void btf() {
     if (there("/sys/kernel/btf/vmlinux"))
-      add("btf", Verdict::kOk, "/sys/kernel/btf/vmlinux", "BPF programs fit themselves to this kernel");
+      add("btf", Verdict::kOk, "/sys/kernel/btf/vmlinux",
+          "BPF programs fit themselves to this kernel");
     else
       add("btf", Verdict::kMissing, "no /sys/kernel/btf/vmlinux", "no BPF tracing",
           "a kernel with CONFIG_DEBUG_INFO_BTF has it");
@@ -142,20 +150,27 @@ class Probe {
 
   void dla() {
     std::string nodes;
-    for (const char* node : {"/dev/nvhost-ctrl-nvdla0", "/dev/nvhost-ctrl-nvdla1", "/dev/nvdla0", "/dev/nvdla1"})
+    for (const char* node :
+         {"/dev/nvhost-ctrl-nvdla0", "/dev/nvhost-ctrl-nvdla1", "/dev/nvdla0", "/dev/nvdla1"})
       if (there(node)) nodes += (nodes.empty() ? "" : " ") + std::string(node);
     if (!nodes.empty()) return add("dla", Verdict::kOk, nodes, "a Jetson's DLA");
-    add("dla", Verdict::kMissing, "no nvdla device node", "platforms with a DLA are emulated on this machine",
+    add("dla", Verdict::kMissing, "no nvdla device node",
+        "platforms with a DLA are emulated on this machine",
         "needs a Jetson Xavier or Orin with NVIDIA's kernel");
   }
 
   void governor() {
-    const std::string governor = first_line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor");
-    if (governor.empty()) return add("cpufreq", Verdict::kOk, "no frequency scaling visible", "clocks are fixed, or hidden by a hypervisor");
-    if (governor == "performance") return add("cpufreq", Verdict::kOk, governor, "profiles hold at this clock");
+    const std::string governor =
+        first_line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor");
+    if (governor.empty())
+      return add("cpufreq", Verdict::kOk, "no frequency scaling visible",
+                 "clocks are fixed, or hidden by a hypervisor");
+    if (governor == "performance")
+      return add("cpufreq", Verdict::kOk, governor, "profiles hold at this clock");
     add("cpufreq", Verdict::kDegraded, "governor " + governor,
         "execution times change with the clock: a profile holds only while the clock does",
-        "`cpupower frequency-set -g performance`, on a Jetson `jetson_clocks`, before `xauto profile`");
+        "`cpupower frequency-set -g performance`, on a Jetson `jetson_clocks`, before `xauto "
+        "profile`");
   }
 
   void opencl() {
@@ -166,7 +181,8 @@ class Probe {
     if (icds > 0)
       add("opencl", Verdict::kOk, std::to_string(icds) + " driver(s)", "OpenCL XNodes run, gated");
     else
-      add("opencl", Verdict::kMissing, "no driver in /etc/OpenCL/vendors", "the pedestrians example needs one",
+      add("opencl", Verdict::kMissing, "no driver in /etc/OpenCL/vendors",
+          "the pedestrians example needs one",
           "`apt-get install pocl-opencl-icd` runs OpenCL on the CPU");
   }
 
@@ -192,6 +208,8 @@ Limits Limits::of_this_process() {
   return limits;
 }
 
-std::vector<Finding> probe(const std::string& root, const Limits& limits) { return Probe(root, limits).run(); }
+std::vector<Finding> probe(const std::string& root, const Limits& limits) {
+  return Probe(root, limits).run();
+}
 
 }  // namespace xauto::kernel

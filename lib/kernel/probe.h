@@ -14,7 +14,7 @@ enum class Verdict {
 };
 
 struct Finding {
-  std::string id;       ///< stable, for programs: "sched_ext"
+  std::string id;  ///< stable, for programs: "sched_ext"
   Verdict verdict = Verdict::kMissing;
   std::string found;    ///< what was seen
   std::string meaning;  ///< what follows from it
@@ -24,14 +24,15 @@ struct Finding {
 /// What the probes ask the running kernel rather than a file; a test gives its own.
 struct Limits {
   std::string kernel_release;
-  int cores = 0;              ///< that this process may use
+  int cores = 0;  ///< that this process may use
   bool may_use_fifo = false;
   unsigned long rtprio_limit = 0;
   unsigned long long memlock_bytes = 0;  ///< ~0: unlimited
   [[nodiscard]] static Limits of_this_process();
 };
 
-/// `root`: "" for this machine, or a folder that stands for / in tests. Changes nothing, needs no privilege.
+/// `root`: "" for this machine, or a folder that stands for / in tests. Changes nothing, needs no
+/// privilege.
 [[nodiscard]] std::vector<Finding> probe(const std::string& root, const Limits& limits);
 
 }  // namespace xauto::kernel

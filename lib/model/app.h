@@ -9,6 +9,7 @@
 #include <string_view>
 #include <utility>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "model/platform.h"
@@ -35,7 +36,8 @@ struct AppSpec {
   [[nodiscard]] int find(std::string_view xnode) const;  ///< index or -1
   [[nodiscard]] std::vector<std::vector<int>> predecessors() const;
   [[nodiscard]] std::vector<std::vector<int>> successors() const;
-  /// A topological order, smallest index first among equals; shorter than `xnodes` iff there is a cycle.
+  /// A topological order, smallest index first among equals; shorter than `xnodes` iff there is a
+  /// cycle.
   [[nodiscard]] std::vector<int> topological_order() const;
   bool operator==(const AppSpec&) const = default;
 
@@ -48,8 +50,8 @@ inline constexpr std::size_t kMaxXNodes = 20'000;
 inline constexpr std::size_t kMaxEdges = 2'000'000;
 inline constexpr std::size_t kMaxNameBytes = 256;
 
-/// Names unique and non-empty, an implementation for every XNode, WCETs in [1, kMaxTimeUs], edges in
-/// range, no self edge, no duplicate edge, no cycle (the message names the XNodes of one cycle).
+/// Names unique and non-empty, an implementation for every XNode, WCETs in [1, kMaxTimeUs], edges
+/// in range, no self edge, no duplicate edge, no cycle (the message names the XNodes of one cycle).
 [[nodiscard]] Status validate(const AppSpec& app);
 /// Every XNode has an implementation for a type that the platform has an instance of.
 [[nodiscard]] Status validate_on(const AppSpec& app, const Platform& platform);

@@ -6,6 +6,7 @@
 
 #include <string>
 #include <string_view>
+
 #include <xauto/result.h>
 
 #include "model/app.h"
@@ -22,14 +23,16 @@ inline constexpr int kMaxJsonDepth = 64;
 [[nodiscard]] Result<AppSpec> parse_app(std::string_view text, std::string_view origin);
 [[nodiscard]] Result<Platform> parse_platform(std::string_view text, std::string_view origin);
 [[nodiscard]] Result<Profile> parse_profile(std::string_view text, std::string_view origin);
-/// XNode and XPU names are resolved against `app` and `platform`; `validate(policy, ...)` has passed.
+/// XNode and XPU names are resolved against `app` and `platform`; `validate(policy, ...)` has
+/// passed.
 [[nodiscard]] Result<Policy> parse_policy(std::string_view text, std::string_view origin,
                                           const AppSpec& app, const Platform& platform);
 
 [[nodiscard]] std::string to_json(const AppSpec& app);
 [[nodiscard]] std::string to_json(const Platform& platform);
 [[nodiscard]] std::string to_json(const Profile& profile);
-[[nodiscard]] std::string to_json(const Policy& policy, const AppSpec& app, const Platform& platform);
+[[nodiscard]] std::string to_json(const Policy& policy, const AppSpec& app,
+                                  const Platform& platform);
 
 [[nodiscard]] Result<AppSpec> load_app(const std::string& path);
 /// `name_or_path`: a built-in name ("small", "large") or a platform.json.

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Platform: the XPU instances that a policy may use. File format: docs/formats.md, platform.json.
-// Value type: no invariant is held by the struct itself; `validate` says whether it makes sense, and
-// every reader calls it, so code behind the readers may rely on it.
+// Value type: no invariant is held by the struct itself; `validate` says whether it makes sense,
+// and every reader calls it, so code behind the readers may rely on it.
 #pragma once
 
 #include <cstdint>
 #include <string>
 #include <string_view>
 #include <vector>
+
 #include <xauto/result.h>
 
 namespace xauto {
@@ -49,7 +50,8 @@ struct Platform {
 
 /// Limits of a platform file.
 inline constexpr std::size_t kMaxXpus = 256;
-inline constexpr std::int64_t kMaxTimeUs = 1'000'000'000'000;  ///< about 11 days; sums stay far from overflow
+inline constexpr std::int64_t kMaxTimeUs =
+    1'000'000'000'000;  ///< about 11 days; sums stay far from overflow
 
 /// ids unique and non-empty, types non-empty, times in [0, kMaxTimeUs], 1..kMaxXpus instances.
 [[nodiscard]] Status validate(const Platform& platform);

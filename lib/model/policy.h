@@ -7,6 +7,7 @@
 #include <string>
 #include <utility>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "model/app.h"
@@ -16,7 +17,7 @@ namespace xauto {
 
 /// Where one XNode runs and how urgent it is. Priority: larger is more urgent, everywhere in XAuto.
 struct Placement {
-  int xpu = -1;          ///< index into Platform::xpus
+  int xpu = -1;               ///< index into Platform::xpus
   std::int64_t priority = 0;  ///< unique per XPU instance
   std::int64_t start_us = 0;  ///< predicted, every job at its WCET, all sources released at 0
   std::int64_t finish_us = 0;
@@ -24,10 +25,10 @@ struct Placement {
 };
 
 struct Policy {
-  std::string app;       ///< AppSpec::name
-  std::string app_hash;  ///< AppSpec::hash()
-  std::string platform;  ///< Platform::name, for people
-  std::string method;    ///< "ilp", "search", "heft", "local", "auto"
+  std::string app;                    ///< AppSpec::name
+  std::string app_hash;               ///< AppSpec::hash()
+  std::string platform;               ///< Platform::name, for people
+  std::string method;                 ///< "ilp", "search", "heft", "local", "auto"
   std::vector<Placement> placements;  ///< one per AppSpec::xnodes entry, same order
   /// Run-time order constraints (u, v) between XNodes of one XPU: v is not started before u has
   /// finished, even when the XPU is idle. They remove timing anomalies (docs/solver.md).
@@ -41,9 +42,9 @@ struct Policy {
   bool operator==(const Policy&) const = default;
 };
 
-/// What can be said without a simulator: the policy is for this app (name and hash), every XNode is on an
-/// XPU of a type it has an implementation for, priorities are unique per XPU, order pairs are between
-/// XNodes of one XPU and acyclic together with the edges, times are in range.
+/// What can be said without a simulator: the policy is for this app (name and hash), every XNode is
+/// on an XPU of a type it has an implementation for, priorities are unique per XPU, order pairs are
+/// between XNodes of one XPU and acyclic together with the edges, times are in range.
 [[nodiscard]] Status validate(const Policy& policy, const AppSpec& app, const Platform& platform);
 
 }  // namespace xauto

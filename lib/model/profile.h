@@ -7,6 +7,7 @@
 #include <string>
 #include <utility>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "model/app.h"
@@ -32,7 +33,7 @@ struct ProfileConditions {
   std::string machine;   ///< uname nodename / CPU model
   std::string platform;  ///< Platform::name
   bool emulated = false;
-  std::string input;     ///< recorded input that was replayed
+  std::string input;  ///< recorded input that was replayed
   std::int64_t warmup = 0;
   std::int64_t repetitions = 0;
   std::string governor;  ///< cpufreq governor, empty if unknown
@@ -54,6 +55,7 @@ struct Profile {
 enum class WcetFrom { kMaxPlusMargin, kP99, kP50 };
 /// The app.json that follows: per XPU type the worst instance's statistic. `platform` gives each
 /// instance its type.
-[[nodiscard]] Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFrom from);
+[[nodiscard]] Result<AppSpec> to_app(const Profile& profile, const Platform& platform,
+                                     WcetFrom from);
 
 }  // namespace xauto

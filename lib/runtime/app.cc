@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // The public App, and the program around it: what a process does that an `xauto` tool has started.
-#include <cxxabi.h>
-#include <signal.h>
-#include <unistd.h>
-
 #include <atomic>
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
+
+#include <cxxabi.h>
+#include <signal.h>
+#include <unistd.h>
+
 #include <xauto/app.h>
 
 #include "base/log.h"
@@ -87,7 +88,8 @@ int hand_over(char** argv) {
   arguments.push_back(nullptr);
   execvp("xauto", arguments.data());
   log::error("cannot start the xauto tool: {}", strerror(errno));
-  log::hint("start this program with `xauto run --app app.json --policy policy.json -- {}`", argv[0]);
+  log::hint("start this program with `xauto run --app app.json --policy policy.json -- {}`",
+            argv[0]);
   return 2;
 }
 
@@ -101,7 +103,9 @@ App::~App() = default;
 void App::add_module_spec(std::shared_ptr<detail::XModuleSpec> spec) {
   spec_->modules.push_back(std::move(spec));
 }
-void App::add_source_spec(detail::SourceSpec spec) { spec_->sources.push_back(std::move(spec)); }
+void App::add_source_spec(detail::SourceSpec spec) {
+  spec_->sources.push_back(std::move(spec));
+}
 void App::add_observer_spec(detail::TopicSpec topic,
                             std::function<void(const void*, std::uint64_t)> callback) {
   spec_->observers.push_back({std::move(topic), std::move(callback)});

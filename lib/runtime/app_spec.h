@@ -7,6 +7,7 @@
 #include <memory>
 #include <string>
 #include <vector>
+
 #include <xauto/app.h>
 
 namespace xauto::detail {

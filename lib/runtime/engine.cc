@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "runtime/engine.h"
 
-#include <sched.h>
-
 #include <algorithm>
 #include <set>
+
+#include <sched.h>
 
 #include "base/clock.h"
 #include "base/futex.h"
@@ -15,14 +15,16 @@
 namespace xauto::runtime {
 namespace {
 
-// SCHED_FIFO priorities of one run, all below the kernel's own watchdogs and migration threads (99).
-// Management above execution, so that a suspension is never delayed by what it suspends.
+// SCHED_FIFO priorities of one run, all below the kernel's own watchdogs and migration threads
+// (99). Management above execution, so that a suspension is never delayed by what it suspends.
 constexpr int kFifoManagement = 50;
 constexpr int kFifoSources = 45;
 constexpr int kFifoExecution = 40;  ///< of XPUs other than real CPUs: such a thread mostly waits
-constexpr int kFifoCpuLowest = 2, kFifoCpuHighest = 39;  ///< XNodes on real CPUs, by policy priority
+constexpr int kFifoCpuLowest = 2,
+              kFifoCpuHighest = 39;  ///< XNodes on real CPUs, by policy priority
 
-constexpr std::int64_t kStallNs = 10'000'000'000;  ///< no progress for so long: give up, say what hangs
+constexpr std::int64_t kStallNs =
+    10'000'000'000;  ///< no progress for so long: give up, say what hangs
 
 }  // namespace
 
@@ -48,9 +50,11 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   return engine;
 }
 
-// ---- building --------------------------------------------------------------------------------------
+// ---- building
+// --------------------------------------------------------------------------------------
 
-/// The XPU instance of `node`: the policy's, or with ROS 2 scheduling the first of its fastest type.
+/// The XPU instance of `node`: the policy's, or with ROS 2 scheduling the first of its fastest
+/// type.
 int Engine::xpu_of(const Graph::Node& node, std::uint32_t xnode) const {
   if (session_.scheduling != Scheduling::kRos2) return session_.policy.placements[xnode].xpu;
   const XNodeSpec& spec = session_.app.xnodes[xnode];
@@ -100,8 +104,9 @@ Status Engine::place() {
       for (const auto& [u, v] : session_.policy.order)
         order.emplace_back(static_cast<std::uint32_t>(u), static_cast<std::uint32_t>(v));
     } else {
-      note_ = "the sources have several periods: the policy's order constraints are not enforced, "
-              "its worst case does not hold";
+      note_ =
+          "the sources have several periods: the policy's order constraints are not enforced, "
+          "its worst case does not hold";
       log::warn("{}", note_);
     }
   }
@@ -121,8 +126,8 @@ Status Engine::place() {
       const int xpu = xpu_of(node, xnode);
       const std::string where = "XNode '" + node.name + "'";
       if (xpu < 0)
-        return fail(ErrorCode::kInvalid, "has no implementation for any XPU of platform '" +
-                                             platform.name + "'", where);
+        return fail(ErrorCode::kInvalid,
+                    "has no implementation for any XPU of platform '" + platform.name + "'", where);
       const Xpu& x = platform.xpus[static_cast<std::size_t>(xpu)];
       Placed placed;
       placed.name = node.name;
@@ -130,14 +135,16 @@ Status Engine::place() {
       placed.impl = find_impl(*node.spec, x.type);
       if (placed.impl == nullptr)
         return fail(ErrorCode::kInvalid,
-                    "is assigned to " + x.id + " but has no implementation for '" + x.type + "'", where,
+                    "is assigned to " + x.id + " but has no implementation for '" + x.type + "'",
+                    where,
                     "add one with add_impl, or solve again with the app.json of this program");
       const bool real_cpu = !session_.emulated && x.type == "cpu";
       if (scheduled) {
         placed.priority = session_.policy.placements[xnode].priority;
         if (real_cpu && fifo) placed.fifo_priority = fifo_by_xnode[xnode];
       }
-      auto at = std::find_if(here.begin(), here.end(), [&](const auto& h) { return h.first == xpu; });
+      auto at =
+          std::find_if(here.begin(), here.end(), [&](const auto& h) { return h.first == xpu; });
       if (at == here.end()) {
         WorkerOptions options;
         options.xpu = xpu;
@@ -185,10 +192,11 @@ Status Engine::wire() {
     std::vector<const transport::Channel*> outputs;
     for (const int t : module.outputs) outputs.push_back(&channels_[static_cast<std::size_t>(t)]);
     try {
-      modules_.push_back(std::make_unique<ModuleRuntime>(graph_, static_cast<int>(m), *this,
-                                                         std::move(outputs)));
+      modules_.push_back(
+          std::make_unique<ModuleRuntime>(graph_, static_cast<int>(m), *this, std::move(outputs)));
     } catch (const std::exception& e) {
-      return fail(ErrorCode::kUnavailable, std::string("the state's constructor threw: ") + e.what(),
+      return fail(ErrorCode::kUnavailable,
+                  std::string("the state's constructor threw: ") + e.what(),
                   "XModule '" + module.name + "'");
     }
     chains_[m]->runtime = modules_.back().get();
@@ -222,11 +230,13 @@ Status Engine::start_workers() {
   return {};
 }
 
-// ---- running ---------------------------------------------------------------------------------------
+// ---- running
+// ---------------------------------------------------------------------------------------
 
 Result<RunReport> Engine::run() {
   Status status;
-  // The releasing thread runs the sources' callbacks, so it is not the caller's: its priority is ours.
+  // The releasing thread runs the sources' callbacks, so it is not the caller's: its priority is
+  // ours.
   std::thread releaser([&] {
     rt::set_thread_name("xauto/sources");
     rt::set_timer_slack_1ns();
@@ -248,14 +258,15 @@ Result<RunReport> Engine::run() {
     try {
       callback();
     } catch (const std::exception& e) {
-      return fail(ErrorCode::kIo, std::string("on_end threw: ") + e.what(), "app '" + app_.name + "'");
+      return fail(ErrorCode::kIo, std::string("on_end threw: ") + e.what(),
+                  "app '" + app_.name + "'");
     }
   }
   return result;
 }
 
-/// Every source at its period, on one absolute time grid, so that sources of equal period release at the
-/// same instants and nothing drifts.
+/// Every source at its period, on one absolute time grid, so that sources of equal period release
+/// at the same instants and nothing drifts.
 Status Engine::release_periodic() {
   struct Source {
     int topic;
@@ -271,8 +282,7 @@ Status Engine::release_periodic() {
     sources.push_back({static_cast<int>(t), period_us * 1000});
   }
   std::int64_t start = now_ns() + 20'000'000;
-  const std::uint64_t limit =
-      session_.activations == 0 ? kMaxActivations : session_.activations;
+  const std::uint64_t limit = session_.activations == 0 ? kMaxActivations : session_.activations;
   while (!stop_.load()) {
     std::int64_t due = INT64_MAX;
     for (const Source& s : sources)
@@ -334,7 +344,8 @@ Status Engine::open_recorder() {
     const Graph::Topic& topic = graph_.topics[t];
     if (topic.source < 0) continue;
     if (topic.spec.encode == nullptr)
-      return fail(ErrorCode::kInvalid, "messages of type " + topic.spec.type_name + " cannot be recorded",
+      return fail(ErrorCode::kInvalid,
+                  "messages of type " + topic.spec.type_name + " cannot be recorded",
                   "topic '" + topic.spec.name + "'", "specialise xauto::Codec for it");
     XAUTO_ASSIGN(recorded_topic_[t],
                  recorder_->add_topic({topic.spec.name, topic.spec.type_name, "xauto"}));
@@ -362,8 +373,8 @@ void Engine::record(std::int64_t origin_ns,
   }
 }
 
-/// Releases a recording's messages: message k of each recorded source topic is release k. In lockstep, or
-/// at the recorded distances in time (or `period_us`).
+/// Releases a recording's messages: message k of each recorded source topic is release k. In
+/// lockstep, or at the recorded distances in time (or `period_us`).
 Status Engine::release_recorded() {
   XAUTO_ASSIGN(auto recording, record::Recording::open(session_.input));
   std::vector<int> topic_of(recording.topics().size(), -1);
@@ -376,13 +387,17 @@ Status Engine::release_recorded() {
         topic_of[r] = t;
         missing.erase(t);
       }
-  const auto topic_name = [&](int t) { return graph_.topics[static_cast<std::size_t>(t)].spec.name; };
+  const auto topic_name = [&](int t) {
+    return graph_.topics[static_cast<std::size_t>(t)].spec.name;
+  };
   if (!missing.empty())
-    return fail(ErrorCode::kInvalid, "has no messages for topic '" + topic_name(*missing.begin()) + "'",
-                session_.input, "record the app's own sources with `xauto run --record`");
+    return fail(ErrorCode::kInvalid,
+                "has no messages for topic '" + topic_name(*missing.begin()) + "'", session_.input,
+                "record the app's own sources with `xauto run --record`");
 
   std::vector<std::uint64_t> sequence(graph_.topics.size(), 0);
-  // Messages of one instant are one release; so are the k-th messages of all topics in a single-rate app.
+  // Messages of one instant are one release; so are the k-th messages of all topics in a
+  // single-rate app.
   std::vector<std::pair<int, std::shared_ptr<const void>>> batch;
   std::size_t num_topics = 0;
   for (const int t : topic_of) num_topics += t >= 0 ? 1 : 0;
@@ -400,9 +415,10 @@ Status Engine::release_recorded() {
     try {
       batch.emplace_back(t, spec.decode(message->data));
     } catch (const std::exception& e) {
-      return fail(ErrorCode::kInvalid,
-                  "message " + std::to_string(sequence[static_cast<std::size_t>(t)]) + ": " + e.what(),
-                  session_.input + ": topic '" + spec.name + "'");
+      return fail(
+          ErrorCode::kInvalid,
+          "message " + std::to_string(sequence[static_cast<std::size_t>(t)]) + ": " + e.what(),
+          session_.input + ": topic '" + spec.name + "'");
     }
     const std::uint64_t number = sequence[static_cast<std::size_t>(t)]++;
     if (graph_.single_rate && batch.size() < num_topics) continue;
@@ -426,8 +442,8 @@ Status Engine::release_recorded() {
   return {};
 }
 
-/// Single rate: until every release is accounted for. Otherwise there is nothing to count by, so: until no
-/// module has ended an activation for 100 ms. False after `timeout_ns` without progress.
+/// Single rate: until every release is accounted for. Otherwise there is nothing to count by, so:
+/// until no module has ended an activation for 100 ms. False after `timeout_ns` without progress.
 bool Engine::wait_drained(std::int64_t timeout_ns) {
   if (!graph_.single_rate) {
     const auto total = [&] {
@@ -453,7 +469,8 @@ bool Engine::wait_drained(std::int64_t timeout_ns) {
   }
 }
 
-// ---- accounting ------------------------------------------------------------------------------------
+// ---- accounting
+// ------------------------------------------------------------------------------------
 
 void Engine::activate(int module) {
   Chain& chain = *chains_[static_cast<std::size_t>(module)];
@@ -480,7 +497,8 @@ void Engine::done(int module, std::int64_t origin_ns, std::uint64_t sequence) {
 
 void Engine::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
   ModuleCounts& counts = *counts_[static_cast<std::size_t>(module)];
-  (reason == XAUTO_DROP_FAILED ? counts.failed : counts.dropped).fetch_add(1, std::memory_order_relaxed);
+  (reason == XAUTO_DROP_FAILED ? counts.failed : counts.dropped)
+      .fetch_add(1, std::memory_order_relaxed);
   if (trace_)
     trace_->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
                   XAUTO_EV_NONE, reason);
@@ -530,7 +548,8 @@ RunReport Engine::report() const {
     result.modules.push_back(std::move(module));
   }
   for (const auto& worker : workers_)
-    if (worker->lost_coordinator()) result.lost_coordinators.push_back(worker->options().xpu_id.name);
+    if (worker->lost_coordinator())
+      result.lost_coordinators.push_back(worker->options().xpu_id.name);
   std::sort(result.lost_coordinators.begin(), result.lost_coordinators.end());
   result.lost_coordinators.erase(
       std::unique(result.lost_coordinators.begin(), result.lost_coordinators.end()),

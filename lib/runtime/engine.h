@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// The run itself: builds workers and modules from a graph and a session, releases the sensors, accounts
-// for every release, and tells what happened.
+// The run itself: builds workers and modules from a graph and a session, releases the sensors,
+// accounts for every release, and tells what happened.
 #pragma once
 
 #include <atomic>
 #include <memory>
 #include <optional>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "record/recording.h"
@@ -58,11 +59,11 @@ class Engine final : public ModuleHost {
   const Session& session_;
   const Graph graph_;
   std::unique_ptr<trace::Writer> trace_;
-  std::vector<transport::Channel> channels_;          ///< [topic]
+  std::vector<transport::Channel> channels_;  ///< [topic]
   std::vector<std::unique_ptr<ModuleRuntime>> modules_;
-  std::vector<std::unique_ptr<Chain>> chains_;        ///< [module]
+  std::vector<std::unique_ptr<Chain>> chains_;  ///< [module]
   std::vector<std::unique_ptr<Worker>> workers_;
-  std::vector<std::uint32_t> xnode_of_;               ///< [graph node] -> index in app.json
+  std::vector<std::uint32_t> xnode_of_;  ///< [graph node] -> index in app.json
   std::string note_;
   std::optional<record::Recorder> recorder_;  ///< of the releasing thread
   std::vector<std::size_t> recorded_topic_;   ///< [topic] -> the recorder's index
@@ -86,7 +87,8 @@ class Engine final : public ModuleHost {
   std::vector<Release> releases_;
   std::vector<Open> open_;  ///< by sequence
   int num_sinks_ = 0;
-  std::atomic<std::uint32_t> in_flight_{0};  ///< single rate: releases not yet accounted for; a futex
+  std::atomic<std::uint32_t> in_flight_{
+      0};  ///< single rate: releases not yet accounted for; a futex
   std::atomic<std::uint64_t> deadline_misses_{0};
 };
 

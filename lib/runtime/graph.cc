@@ -31,7 +31,8 @@ class Builder {
 
   /// The topic's index; reports a second type for one name.
   int topic(const detail::TopicSpec& spec, const std::string& who) {
-    const auto [at, added] = topic_by_name_.try_emplace(spec.name, static_cast<int>(graph_.topics.size()));
+    const auto [at, added] =
+        topic_by_name_.try_emplace(spec.name, static_cast<int>(graph_.topics.size()));
     if (added) {
       graph_.topics.push_back({spec, -1, -1, {}});
       first_user_.push_back(who);
@@ -67,7 +68,8 @@ class Builder {
     if (!module_names_.insert(spec.name).second)
       problem("two XModules are called '" + spec.name + "'");
     if (spec.nodes.empty()) problem("XModule '" + spec.name + "' has no XNode");
-    if (spec.inputs.empty()) problem("XModule '" + spec.name + "' has no input topic: it would never fire");
+    if (spec.inputs.empty())
+      problem("XModule '" + spec.name + "' has no input topic: it would never fire");
 
     Graph::Module module;
     module.name = spec.name;
@@ -187,7 +189,9 @@ class Builder {
 
 }  // namespace
 
-Result<Graph> Graph::build(const detail::AppSpecErased& app) { return Builder(app).build(); }
+Result<Graph> Graph::build(const detail::AppSpecErased& app) {
+  return Builder(app).build();
+}
 
 Status Graph::matches(const AppSpec& app) const {
   const std::string hint =
@@ -207,8 +211,8 @@ Status Graph::matches(const AppSpec& app) const {
   if (app.xnodes.size() != nodes.size()) {
     for (const XNodeSpec& x : app.xnodes)
       if (std::none_of(nodes.begin(), nodes.end(), [&](const Node& n) { return n.name == x.name; }))
-        return fail(ErrorCode::kInvalid, "app.json has an XNode '" + x.name + "' that the program lacks",
-                    name, hint);
+        return fail(ErrorCode::kInvalid,
+                    "app.json has an XNode '" + x.name + "' that the program lacks", name, hint);
   }
   std::set<std::pair<std::string, std::string>> ours, theirs;
   for (const auto& [u, v] : edges)
@@ -219,7 +223,8 @@ Status Graph::matches(const AppSpec& app) const {
   for (const auto& edge : ours)
     if (!theirs.contains(edge))
       return fail(ErrorCode::kInvalid,
-                  "edge '" + edge.first + "' -> '" + edge.second + "' is not in app.json", name, hint);
+                  "edge '" + edge.first + "' -> '" + edge.second + "' is not in app.json", name,
+                  hint);
   for (const auto& edge : theirs)
     if (!ours.contains(edge))
       return fail(ErrorCode::kInvalid,

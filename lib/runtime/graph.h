@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// The App as a graph, checked: modules, XNodes and topics as dense indices. The runtime and the profiler
-// read this; `names` of XNodes are what app.json and policy.json call them.
+// The App as a graph, checked: modules, XNodes and topics as dense indices. The runtime and the
+// profiler read this; `names` of XNodes are what app.json and policy.json call them.
 #pragma once
 
 #include <string>
 #include <utility>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "model/app.h"
@@ -43,9 +44,10 @@ struct Graph {
   std::vector<Node> nodes;
   std::vector<Module> modules;
   std::vector<Topic> topics;
-  std::vector<int> module_order;  ///< topological
+  std::vector<int> module_order;           ///< topological
   std::vector<std::pair<int, int>> edges;  ///< between nodes: chains, then topics
-  /// All sources have one period: activation k of every module stems from release k of every sensor.
+  /// All sources have one period: activation k of every module stems from release k of every
+  /// sensor.
   bool single_rate = true;
 
   /// Errors: everything that is wrong at once, a line each, with the names involved (kInvalid).

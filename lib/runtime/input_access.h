@@ -3,6 +3,7 @@
 #pragma once
 
 #include <vector>
+
 #include <xauto/topic.h>
 
 namespace xauto {

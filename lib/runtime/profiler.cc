@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// An XNode's input is what the XNodes before it left, so the profiler runs the app as a whole: for each
-// message of the input, every module in topological order, on one thread. In pass p each XNode runs on
-// the p-th of its XPU instances; there are as many passes as the XNode with most instances has, and each
-// pass replays the input from its start with fresh module states. Nothing else runs on the XPU meanwhile.
+// An XNode's input is what the XNodes before it left, so the profiler runs the app as a whole: for
+// each message of the input, every module in topological order, on one thread. In pass p each XNode
+// runs on the p-th of its XPU instances; there are as many passes as the XNode with most instances
+// has, and each pass replays the input from its start with fresh module states. Nothing else runs
+// on the XPU meanwhile.
 #include "runtime/profiler.h"
-
-#include <sys/utsname.h>
 
 #include <algorithm>
 #include <chrono>
@@ -14,6 +13,8 @@
 #include <map>
 #include <memory>
 #include <thread>
+
+#include <sys/utsname.h>
 
 #include "base/clock.h"
 #include "base/log.h"
@@ -32,7 +33,8 @@ using Messages = std::vector<std::shared_ptr<const void>>;  ///< [topic]
 /// One release after the other, from the recording or from the app's own sources.
 class Feed {
  public:
-  static Result<Feed> open(const detail::AppSpecErased& app, const Graph& graph, const Session& session) {
+  static Result<Feed> open(const detail::AppSpecErased& app, const Graph& graph,
+                           const Session& session) {
     Feed feed(app, graph);
     if (!session.input.empty()) {
       XAUTO_ASSIGN(auto recording, record::Recording::open(session.input));
@@ -45,7 +47,8 @@ class Feed {
         });
         if (at == topics.end())
           return fail(ErrorCode::kInvalid,
-                      "has no messages for topic '" + graph.topics[t].spec.name + "'", session.input);
+                      "has no messages for topic '" + graph.topics[t].spec.name + "'",
+                      session.input);
       }
     }
     return feed;
@@ -57,7 +60,8 @@ class Feed {
     if (!recording_) {
       for (std::size_t t = 0; t < graph_->topics.size(); ++t)
         if (graph_->topics[t].source >= 0)
-          messages[t] = app_->sources[static_cast<std::size_t>(graph_->topics[t].source)].make(sequence);
+          messages[t] =
+              app_->sources[static_cast<std::size_t>(graph_->topics[t].source)].make(sequence);
       return true;
     }
     std::size_t left = 0;
@@ -74,8 +78,8 @@ class Feed {
         const Graph::Topic& topic = graph_->topics[t];
         if (topic.source < 0 || topic.spec.name != name) continue;
         if (topic.spec.decode == nullptr)
-          return fail(ErrorCode::kInvalid, "messages of type " + topic.spec.type_name +
-                                               " cannot be decoded",
+          return fail(ErrorCode::kInvalid,
+                      "messages of type " + topic.spec.type_name + " cannot be decoded",
                       "topic '" + name + "'", "specialise xauto::Codec for it");
         if (messages[t] == nullptr) --left;
         messages[t] = topic.spec.decode(message->data);
@@ -133,27 +137,31 @@ class Run {
   Status run() {
     for (std::size_t n = 0; n < graph_.nodes.size(); ++n)
       if (alternatives_[n].empty())
-        return fail(ErrorCode::kInfeasible, "has no implementation for any XPU of platform '" +
-                                                session_.platform.name + "'",
-                    "XNode '" + graph_.nodes[n].name + "'");
+        return fail(
+            ErrorCode::kInfeasible,
+            "has no implementation for any XPU of platform '" + session_.platform.name + "'",
+            "XNode '" + graph_.nodes[n].name + "'");
     cores_ = rt::allowed_cores();
     rt::set_timer_slack_1ns();
     if (rt::may_use_fifo(kFifoProfile))
       XAUTO_TRY(rt::set_fifo(kFifoProfile));
     else
-      log::warn("no permission for SCHED_FIFO: neighbours' work shows in the times; {}", rt::fifo_hint());
+      log::warn("no permission for SCHED_FIFO: neighbours' work shows in the times; {}",
+                rt::fifo_hint());
     const std::uint64_t total = passes_ * (session_.warmup + session_.repetitions);
     std::uint64_t done = 0;
     std::int64_t told = now_ns();
     for (std::size_t pass = 0; pass < passes_; ++pass) {
       XAUTO_ASSIGN(Feed feed, Feed::open(app_, graph_, session_));
       std::vector<std::shared_ptr<void>> states;
-      for (const Graph::Module& module : graph_.modules) states.push_back(module.spec->make_state());
+      for (const Graph::Module& module : graph_.modules)
+        states.push_back(module.spec->make_state());
       for (std::uint64_t k = 0; k < session_.warmup + session_.repetitions; ++k, ++done) {
         Messages messages(graph_.topics.size());
         XAUTO_ASSIGN(const bool more, feed.next(messages));
         if (!more) {
-          if (k > session_.warmup) break;  // fewer repetitions than asked for; the profile says how many
+          if (k > session_.warmup)
+            break;  // fewer repetitions than asked for; the profile says how many
           return fail(ErrorCode::kInvalid,
                       "ends after " + std::to_string(k) + " releases, within the warm-up",
                       session_.input, "record more, or use fewer --warmup");

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The profiler: the whole app on recorded or generated input, one XNode at a time, each XNode in turn on
-// each XPU instance that it has an implementation for.
+// The profiler: the whole app on recorded or generated input, one XNode at a time, each XNode in
+// turn on each XPU instance that it has an implementation for.
 #pragma once
 
 #include <string>
+
 #include <xauto/result.h>
 
 #include "model/platform.h"

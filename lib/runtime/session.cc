@@ -3,11 +3,11 @@
 // program that may have died in the middle, so it is read as carefully as a file.
 #include "runtime/session.h"
 
-#include <unistd.h>
-
 #include <array>
 #include <cstdlib>
+
 #include <nlohmann/json.hpp>
+#include <unistd.h>
 
 #include "base/memory_file.h"
 #include "model/json.h"
@@ -63,7 +63,8 @@ std::string to_json(const Session& s) {
   // The formats of lib/model travel as the texts that their own readers check.
   if (s.mode == Mode::kRun) {
     j["app"] = xauto::to_json(s.app);
-    if (s.scheduling != Scheduling::kRos2) j["policy"] = xauto::to_json(s.policy, s.app, s.platform);
+    if (s.scheduling != Scheduling::kRos2)
+      j["policy"] = xauto::to_json(s.policy, s.app, s.platform);
   }
   return j.dump();
 }
@@ -113,9 +114,9 @@ Result<std::optional<Session>> inherited_session() {
   char* end = nullptr;
   const long fd = std::strtol(variable, &end, 10);
   if (end == variable || *end != '\0' || fd < 3 || fd > 1'000'000)
-    return fail(ErrorCode::kInvalid, std::string(kSessionVariable) + "='" + variable +
-                                         "' is not a descriptor",
-                {}, "start the app with `xauto run` rather than by hand");
+    return fail(ErrorCode::kInvalid,
+                std::string(kSessionVariable) + "='" + variable + "' is not a descriptor", {},
+                "start the app with `xauto run` rather than by hand");
   XAUTO_ASSIGN(const std::string text, read_memory_file(static_cast<int>(fd)));
   XAUTO_ASSIGN(Session session, parse_session(text));
   return std::optional<Session>(std::move(session));
@@ -155,8 +156,8 @@ Result<RunReport> parse_run_report(const std::string& text) {
     r.complete = j.at("complete").get<bool>();
     r.note = j.at("note").get<std::string>();
     for (const json& x : j.at("releases"))
-      r.releases.push_back({x.at(0).get<std::uint64_t>(), x.at(1).get<std::int64_t>(),
-                            x.at(2).get<std::int64_t>()});
+      r.releases.push_back(
+          {x.at(0).get<std::uint64_t>(), x.at(1).get<std::int64_t>(), x.at(2).get<std::int64_t>()});
     for (const json& m : j.at("modules"))
       r.modules.push_back({m.at("name").get<std::string>(), m.at("sink").get<bool>(),
                            m.at("activations").get<std::uint64_t>(),

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the `xauto` tool asks of an app that it starts, and what the app answers. The request travels as
-// JSON in an inherited memfd (environment XAUTO_SESSION = its number), the answer in another one, so
-// nothing is left behind however either of them ends.
+// What the `xauto` tool asks of an app that it starts, and what the app answers. The request
+// travels as JSON in an inherited memfd (environment XAUTO_SESSION = its number), the answer in
+// another one, so nothing is left behind however either of them ends.
 #pragma once
 
 #include <cstdint>
@@ -9,6 +9,7 @@
 #include <optional>
 #include <string>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "model/app.h"
@@ -43,15 +44,16 @@ struct Session {
   CpuSched cpu_sched = CpuSched::kFifo;
   bool emulated = false;
   std::map<std::string, std::string> coordinators;  ///< XPU id -> abstract socket; empty: none
-  std::uint64_t activations = 0;  ///< releases per source; 0: until told to stop, or the input's end
-  bool lockstep = false;          ///< the next release comes when the last one has drained
-  std::int64_t period_us = 0;     ///< instead of the sources' own; 0: theirs
-  std::string input;              ///< recorded input; empty: the sources' own messages
-  std::string record;             ///< record the sources' messages into this file; empty: don't
+  std::uint64_t activations =
+      0;                       ///< releases per source; 0: until told to stop, or the input's end
+  bool lockstep = false;       ///< the next release comes when the last one has drained
+  std::int64_t period_us = 0;  ///< instead of the sources' own; 0: theirs
+  std::string input;           ///< recorded input; empty: the sources' own messages
+  std::string record;          ///< record the sources' messages into this file; empty: don't
   std::uint64_t warmup = 3, repetitions = 30;  ///< kProfile
   std::int64_t margin_pct = 20;                ///< kProfile
-  int answer_fd = -1;  ///< memfd for the Answer
-  int trace_fd = -1;   ///< memfd for the trace; -1: none
+  int answer_fd = -1;                          ///< memfd for the Answer
+  int trace_fd = -1;                           ///< memfd for the trace; -1: none
   std::uint64_t trace_capacity = 0;
 };
 
@@ -86,7 +88,8 @@ struct RunReport {
   std::uint64_t deadline_misses = 0;
 };
 
-/// kDescribe answers an AppSpec without WCETs; kProfile a profile.json; kRun this. Errors of any mode:
+/// kDescribe answers an AppSpec without WCETs; kProfile a profile.json; kRun this. Errors of any
+/// mode:
 /// {"error": {...}}.
 [[nodiscard]] std::string to_json(const RunReport& report);
 [[nodiscard]] Result<RunReport> parse_run_report(const std::string& text);

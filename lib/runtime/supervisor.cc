@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "runtime/supervisor.h"
 
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+
 #include <fcntl.h>
 #include <poll.h>
 #include <signal.h>
 #include <sys/stat.h>
 #include <unistd.h>
-
-#include <algorithm>
-#include <cerrno>
-#include <cstring>
 
 #include "base/clock.h"
 #include "base/log.h"
@@ -70,7 +70,8 @@ class Supervisor {
  public:
   explicit Supervisor(Supervision request) : request_(std::move(request)) {
     static std::atomic<int> runs{0};
-    base_ = kSocketPrefix + std::to_string(getpid()) + "-" + std::to_string(runs.fetch_add(1)) + "/";
+    base_ =
+        kSocketPrefix + std::to_string(getpid()) + "-" + std::to_string(runs.fetch_add(1)) + "/";
     bin_ = request_.bin.empty() ? program_directory() : request_.bin;
   }
 
@@ -116,8 +117,9 @@ class Supervisor {
       for (const auto& [xpu, address] : session.coordinators) {
         const std::string name = "xauto-coordinator of " + xpu;
         SpawnOptions options;
-        options.argv = {bin_ + "/xauto-coordinator", "--xpu", xpu, "--socket", address,
-                        "--session-fd", std::to_string(session_.get())};
+        options.argv = {
+            bin_ + "/xauto-coordinator",   "--xpu", xpu, "--socket", address, "--session-fd",
+            std::to_string(session_.get())};
         options.inherit = {session_.get()};
         XAUTO_ASSIGN(Child child, start_daemon(name, std::move(options)));
         daemons_.push_back({name, std::move(child), true});
@@ -221,6 +223,8 @@ std::string needs_emulation(const Platform& platform) {
   return {};
 }
 
-Result<Outcome> supervise(Supervision request) { return Supervisor(std::move(request)).run(); }
+Result<Outcome> supervise(Supervision request) {
+  return Supervisor(std::move(request)).run();
+}
 
 }  // namespace xauto::runtime

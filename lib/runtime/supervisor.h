@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// The parent of a run: starts the emulator, the coordinators and the app, watches over them, and leaves
-// nothing behind. Whatever dies, the rest is ended or goes on as docs/runtime.md says:
+// The parent of a run: starts the emulator, the coordinators and the app, watches over them, and
+// leaves nothing behind. Whatever dies, the rest is ended or goes on as docs/runtime.md says:
 //   coordinator  its XPU's jobs go on unscheduled; the result says so
 //   emulator     the app is stopped: its XPUs are gone
 //   app          everything is stopped
 //   this process everything is killed by the kernel (PR_SET_PDEATHSIG)
-// Shared memory, sessions and answers are memfds, sockets are abstract: the file system is not used.
+// Shared memory, sessions and answers are memfds, sockets are abstract: the file system is not
+// used.
 #pragma once
 
 #include <atomic>
@@ -14,6 +15,7 @@
 #include <string>
 #include <utility>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "base/process.h"
@@ -29,18 +31,18 @@ inline constexpr const char* kSocketPrefix = "xauto/";
 /// Who keeps the priorities on this XPU: the coordinator by preemption, by gating, or the kernel.
 [[nodiscard]] coord::Discipline discipline_of(const Xpu& xpu, bool emulated);
 
-/// Whether this machine lacks XPUs of `platform`, with the reason: a GPU or DLA without device nodes, more
-/// CPUs than this process may use.
+/// Whether this machine lacks XPUs of `platform`, with the reason: a GPU or DLA without device
+/// nodes, more CPUs than this process may use.
 [[nodiscard]] std::string needs_emulation(const Platform& platform);
 
 struct Supervision {
   Session session;                   ///< addresses and descriptors are filled in
   std::vector<std::string> command;  ///< the app and its arguments
-  std::string bin;                   ///< where xauto-coordinator and xauto-emud are; empty: beside us
-  const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: drain; see stop_count for more
+  std::string bin;  ///< where xauto-coordinator and xauto-emud are; empty: beside us
+  const std::atomic<bool>* stop = nullptr;        ///< set by Ctrl-C: drain; see stop_count for more
   std::function<void(double elapsed_s)> on_tick;  ///< about five times a second
-  std::uint64_t trace_capacity = 0;         ///< events; 0: no trace
-  std::int64_t time_limit_s = 0;            ///< 0: none; then the app is stopped
+  std::uint64_t trace_capacity = 0;               ///< events; 0: no trace
+  std::int64_t time_limit_s = 0;                  ///< 0: none; then the app is stopped
 };
 
 struct Outcome {

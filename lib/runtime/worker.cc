@@ -21,15 +21,17 @@ constexpr std::uint32_t kQuit = UINT32_MAX;
 Worker::Worker(WorkerOptions options, Chain& chain, trace::Writer* trace)
     : options_(std::move(options)), chain_(chain), trace_(trace) {}
 
-Worker::~Worker() { stop(); }
+Worker::~Worker() {
+  stop();
+}
 
 Status Worker::start() {
   if (!options_.coordinator.empty()) {
     std::vector<std::uint32_t> xnodes;
     for (const Placed& placed : chain_.nodes)
       if (placed.worker == this) xnodes.push_back(placed.xnode);
-    XAUTO_ASSIGN(port_, coord::Port::connect(options_.coordinator, options_.name, xnodes,
-                                             options_.order));
+    XAUTO_ASSIGN(port_,
+                 coord::Port::connect(options_.coordinator, options_.name, xnodes, options_.order));
     if (options_.emulated) {
       XAUTO_ASSIGN(backend_, xpu::make_emulated());
     } else {
@@ -109,7 +111,8 @@ void Worker::execute() {
   }
 }
 
-/// Runs XNodes from `node` on as long as they are placed here; then hands over, or ends the activation.
+/// Runs XNodes from `node` on as long as they are placed here; then hands over, or ends the
+/// activation.
 void Worker::run_chain(std::size_t node) {
   for (; node < chain_.nodes.size(); ++node) {
     Placed& placed = chain_.nodes[node];
@@ -154,10 +157,9 @@ bool Worker::run_job(Placed& placed) {
 
 void Worker::record(std::uint16_t kind, const Placed& placed, std::uint32_t arg) {
   if (trace_ != nullptr)
-    trace_->write(kind, chain_.runtime->input().sequence(),
-                  static_cast<std::uint16_t>(placed.xnode),
-                  static_cast<std::uint16_t>(chain_.module),
-                  static_cast<std::uint16_t>(options_.xpu), arg);
+    trace_->write(
+        kind, chain_.runtime->input().sequence(), static_cast<std::uint16_t>(placed.xnode),
+        static_cast<std::uint16_t>(chain_.module), static_cast<std::uint16_t>(options_.xpu), arg);
 }
 
 void Worker::note_failure(const Placed& placed, const std::string& what) {

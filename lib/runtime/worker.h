@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Life of a job, steps 3, 4, 6, 9: the worker of one (XModule, XPU instance). Its execution thread runs
-// the jobs of that module's XNodes on that XPU; its management thread suspends and resumes what the
-// execution thread has queued, when the coordinator says so.
+// Life of a job, steps 3, 4, 6, 9: the worker of one (XModule, XPU instance). Its execution thread
+// runs the jobs of that module's XNodes on that XPU; its management thread suspends and resumes
+// what the execution thread has queued, when the coordinator says so.
 //
-// Consecutive XNodes on one XPU run in the same execution thread without a hand-over. Since a module has
-// one activation in flight, a worker has at most one job waiting: the mailbox is one word.
+// Consecutive XNodes on one XPU run in the same execution thread without a hand-over. Since a
+// module has one activation in flight, a worker has at most one job waiting: the mailbox is one
+// word.
 #pragma once
 
 #include <atomic>
@@ -14,6 +15,7 @@
 #include <string>
 #include <thread>
 #include <vector>
+
 #include <xauto/result.h>
 
 #include "coord/port.h"
@@ -64,8 +66,8 @@ class Worker {
   Worker(const Worker&) = delete;
   Worker& operator=(const Worker&) = delete;
 
-  /// Starts both threads, registers with the coordinator, and runs `init` of each XNode placed here, on
-  /// the execution thread. Errors name the XNode.
+  /// Starts both threads, registers with the coordinator, and runs `init` of each XNode placed
+  /// here, on the execution thread. Errors name the XNode.
   [[nodiscard]] Status start();
   /// Waits for the running job, ends both threads. Idempotent.
   void stop();
@@ -98,7 +100,8 @@ class Worker {
   std::unique_ptr<xpu::Backend> backend_;
   std::thread exec_, mgmt_;
   std::atomic<std::uint32_t> mailbox_{0};  ///< 0: empty; kQuit; else chain position + 1
-  std::atomic<const Placed*> current_{nullptr};  ///< the job whose queue the management thread acts on
+  std::atomic<const Placed*> current_{
+      nullptr};  ///< the job whose queue the management thread acts on
   std::atomic<bool> lost_{false};
   std::atomic<std::uint64_t> sequence_{0};
   int fifo_now_ = 0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Life of a job, step 6: the management thread. It sleeps until the coordinator has a command for this
-// worker, carries it out through the XPU's backend, and acknowledges.
+// Life of a job, step 6: the management thread. It sleeps until the coordinator has a command for
+// this worker, carries it out through the XPU's backend, and acknowledges.
 #include "base/log.h"
 #include "base/rt.h"
 #include "runtime/worker.h"
@@ -10,7 +10,8 @@ namespace xauto::runtime {
 void Worker::manage() {
   rt::set_thread_name(options_.name + "/m");
   rt::set_timer_slack_1ns();
-  // Not fatal: the coordinator of a user without real-time permission does its best, as doctor says.
+  // Not fatal: the coordinator of a user without real-time permission does its best, as doctor
+  // says.
   if (options_.mgmt_fifo > 0) (void)rt::set_fifo(options_.mgmt_fifo);
 
   // What we suspended, by value: the execution thread may be at its next job when RESUME comes.

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <utility>
+
 #include <uapi/xauto/event.h>
 
 #include "runtime/input_access.h"
@@ -60,9 +61,9 @@ void ModuleRuntime::settle(std::uint64_t below, std::uint32_t reason, std::vecto
 bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
   if (!std::all_of(slots_.begin(), slots_.end(), [](const Slot& s) { return s.fresh; }))
     return false;
-  const auto oldest = std::min_element(slots_.begin(), slots_.end(), [](const Slot& a, const Slot& b) {
-    return a.envelope.origin_ns < b.envelope.origin_ns;
-  });
+  const auto oldest = std::min_element(
+      slots_.begin(), slots_.end(),
+      [](const Slot& a, const Slot& b) { return a.envelope.origin_ns < b.envelope.origin_ns; });
   const std::uint64_t sequence = oldest->envelope.sequence;
   InputAccess::stamp(input_, oldest->envelope.origin_ns, sequence);
   std::vector<detail::Envelope>& messages = InputAccess::messages(input_);

@@ -1,17 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-// Life of a job, steps 2 and 11: a module fires when all its inputs are fresh, its chain of XNodes runs,
-// its outputs are published.
+// Life of a job, steps 2 and 11: a module fires when all its inputs are fresh, its chain of XNodes
+// runs, its outputs are published.
 //
 //            all inputs fresh                 last XNode finished
-//   idle ────────────────────────► busy ──────────────────────────► idle (or busy again: inputs waited)
+//   idle ────────────────────────► busy ──────────────────────────► idle (or busy again: inputs
+//   waited)
 //
-// One activation is in flight at a time, since the XNodes share the module's state. Each input keeps its
-// newest message: one that is replaced before it was used is an overrun, counted.
+// One activation is in flight at a time, since the XNodes share the module's state. Each input
+// keeps its newest message: one that is replaced before it was used is an overrun, counted.
 //
-// In an app of one rate, activation k of every module stems from release k of the sensors. A release that
-// is lost somewhere (exec failed, overrun) is then lost for everything downstream: an envelope without a
-// message, a tombstone, travels in its place, so that nobody waits for it: neither a join of several
-// inputs nor a job that is ordered after one of the lost activation (Policy::order).
+// In an app of one rate, activation k of every module stems from release k of the sensors. A
+// release that is lost somewhere (exec failed, overrun) is then lost for everything downstream: an
+// envelope without a message, a tombstone, travels in its place, so that nobody waits for it:
+// neither a join of several inputs nor a job that is ordered after one of the lost activation
+// (Policy::order).
 #pragma once
 
 #include <atomic>
@@ -83,8 +85,9 @@ class ModuleRuntime {
   std::vector<Slot> slots_;
   bool busy_ = false;
   std::uint64_t next_ = 0;  ///< single rate: releases below this number are settled, taken or lost
-  /// Single rate: skip up to here (exclusive), and send the tombstone, once the activation in flight has
-  /// ended: it is older than what was lost and must not be taken for finished, nor overtaken downstream.
+  /// Single rate: skip up to here (exclusive), and send the tombstone, once the activation in
+  /// flight has ended: it is older than what was lost and must not be taken for finished, nor
+  /// overtaken downstream.
   std::uint64_t skip_below_ = 0;
 
   Input input_;  ///< of the current activation; written under the mutex before it starts

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "trace/trace.h"
 
-#include <sys/mman.h>
-#include <sys/stat.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <ctime>
+
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 namespace xauto::trace {
 namespace {
@@ -20,7 +20,9 @@ std::uint64_t now_ns() {
          static_cast<std::uint64_t>(now.tv_nsec);
 }
 
-Event* events_of(Header* header) { return reinterpret_cast<Event*>(header + 1); }
+Event* events_of(Header* header) {
+  return reinterpret_cast<Event*>(header + 1);
+}
 
 }  // namespace
 
@@ -31,8 +33,7 @@ Result<std::unique_ptr<Writer>> Writer::create(int fd, std::uint64_t capacity) {
   const std::size_t bytes = sizeof(Header) + capacity * sizeof(Event);
   if (ftruncate(fd, static_cast<off_t>(bytes)) != 0)
     return fail(ErrorCode::kIo, std::string("cannot size the trace buffer: ") + strerror(errno));
-  void* memory =
-      mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0);
+  void* memory = mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0);
   if (memory == MAP_FAILED)
     return fail(ErrorCode::kIo, std::string("cannot map the trace buffer: ") + strerror(errno));
   auto* header = new (memory) Header;
@@ -42,10 +43,12 @@ Result<std::unique_ptr<Writer>> Writer::create(int fd, std::uint64_t capacity) {
   return std::unique_ptr<Writer>(new Writer(header, bytes));
 }
 
-Writer::~Writer() { munmap(header_, bytes_); }
+Writer::~Writer() {
+  munmap(header_, bytes_);
+}
 
-void Writer::write(std::uint16_t kind, std::uint64_t seq, std::uint16_t xnode,
-                   std::uint16_t module, std::uint16_t xpu, std::uint32_t arg) noexcept {
+void Writer::write(std::uint16_t kind, std::uint64_t seq, std::uint16_t xnode, std::uint16_t module,
+                   std::uint16_t xpu, std::uint32_t arg) noexcept {
   const std::uint64_t index = header_->claimed.fetch_add(1, std::memory_order_relaxed);
   if (index >= header_->capacity) return;
   events_of(header_)[index] = {now_ns(), seq, xnode, module, xpu, kind, arg, 0};

@@ -1,14 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// The one event record's writer and reader. The writer is wait-free: one fetch_add and one store of 32
-// bytes into memory that was touched beforehand; what does not fit is dropped and counted, and every
-// report says so. The buffer is a memfd, so that the parent reads it even if the writer was killed.
+// The one event record's writer and reader. The writer is wait-free: one fetch_add and one store of
+// 32 bytes into memory that was touched beforehand; what does not fit is dropped and counted, and
+// every report says so. The buffer is a memfd, so that the parent reads it even if the writer was
+// killed.
 #pragma once
 
 #include <atomic>
 #include <cstdint>
 #include <memory>
 #include <vector>
+
 #include <uapi/xauto/event.h>
+
 #include <xauto/result.h>
 
 namespace xauto::trace {
@@ -23,8 +26,9 @@ inline constexpr std::uint64_t kMaxEvents = 64u << 20;
 struct Header {
   std::uint32_t magic = 0;
   std::uint32_t version = 0;
-  std::uint64_t capacity = 0;            ///< events
-  std::atomic<std::uint64_t> claimed{};  ///< events asked for; above `capacity`: that many were lost
+  std::uint64_t capacity = 0;  ///< events
+  std::atomic<std::uint64_t>
+      claimed{};  ///< events asked for; above `capacity`: that many were lost
   std::uint64_t pad[5] = {};
 };
 static_assert(sizeof(Header) == 64);
@@ -52,8 +56,8 @@ struct Recording {
   std::uint64_t lost = 0;
 };
 
-/// Reads what a Writer left in `fd`, whether or not it is still alive. Checks every length; a record that
-/// was claimed but not written (its writer was killed) is counted as lost.
+/// Reads what a Writer left in `fd`, whether or not it is still alive. Checks every length; a
+/// record that was claimed but not written (its writer was killed) is counted as lost.
 [[nodiscard]] Result<Recording> read(int fd);
 
 }  // namespace xauto::trace

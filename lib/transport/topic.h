@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Life of a job, step 1: a message lands on a topic and its subscribers are told. Inside a process a
-// message is a pointer; it is never copied and never written after it was published.
+// Life of a job, step 1: a message lands on a topic and its subscribers are told. Inside a process
+// a message is a pointer; it is never copied and never written after it was published.
 #pragma once
 
 #include <functional>
 #include <vector>
+
 #include <xauto/topic.h>
 
 namespace xauto::transport {
 
-/// Threads: subscribe before the first publish; publish from any thread, subscribers must be able to
-/// take that. A subscriber is told on the publishing thread and must not block.
+/// Threads: subscribe before the first publish; publish from any thread, subscribers must be able
+/// to take that. A subscriber is told on the publishing thread and must not block.
 class Channel {
  public:
   using Subscriber = std::function<void(const detail::Envelope&)>;

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Life of a job, step 7: how the queue behind a scheduling handle is suspended and resumed. One file per
-// kind of XPU; nothing above this interface knows which it is.
+// Life of a job, step 7: how the queue behind a scheduling handle is suspended and resumed. One
+// file per kind of XPU; nothing above this interface knows which it is.
 #pragma once
 
 #include <memory>
+
 #include <xauto/result.h>
 #include <xauto/xpu.h>
 

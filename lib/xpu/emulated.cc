@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Emulated XPUs: suspend and resume are requests to xauto-emud, as TSG disable and enable are requests to
-// the driver.
+// Emulated XPUs: suspend and resume are requests to xauto-emud, as TSG disable and enable are
+// requests to the driver.
 #include "emu/client.h"
 #include "xpu/backend.h"
 

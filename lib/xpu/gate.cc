@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// XPUs without preemption: the coordinator's gate discipline admits one job at a time, so nobody has a
-// reason to call this.
+// XPUs without preemption: the coordinator's gate discipline admits one job at a time, so nobody
+// has a reason to call this.
 #include "xpu/backend.h"
 
 namespace xauto::xpu {
@@ -16,6 +16,8 @@ class Gate final : public Backend {
 
 }  // namespace
 
-std::unique_ptr<Backend> make_gate() { return std::make_unique<Gate>(); }
+std::unique_ptr<Backend> make_gate() {
+  return std::make_unique<Gate>();
+}
 
 }  // namespace xauto::xpu

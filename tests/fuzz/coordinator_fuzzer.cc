@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// A broken or hostile worker: packets to the coordinator's socket, and anything at all in the shared memory,
-// with a look of the coordinator after each step. It must neither die nor hang.
-#include <fcntl.h>
-#include <sys/mman.h>
-#include <sys/socket.h>
-#include <sys/stat.h>
-#include <unistd.h>
-
+// A broken or hostile worker: packets to the coordinator's socket, and anything at all in the
+// shared memory, with a look of the coordinator after each step. It must neither die nor hang.
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
 #include <string>
 #include <vector>
+
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include "base/socket.h"
 #include "coord/protocol.h"
@@ -23,7 +23,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const std::string address = "xauto-fuzz/coord-" + std::to_string(getpid());
   if (size < 2) return 0;
   const auto discipline = static_cast<Discipline>(data[0] % 3);
-  auto server = Server::create({address, "x", discipline, std::vector<std::string>(8, "n"), {{0, 1}, {2, 3}}});
+  auto server = Server::create(
+      {address, "x", discipline, std::vector<std::string>(8, "n"), {{0, 1}, {2, 3}}});
   if (!server) std::abort();
   // The server's side of a connection is handed to it as run() would; we keep the other end.
   int ends[2];
@@ -41,13 +42,16 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   struct stat status {};
   fstat(fds[0].get(), &status);
   const auto bytes = static_cast<std::size_t>(status.st_size);
-  auto* memory = static_cast<std::uint8_t*>(mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED, fds[0].get(), 0));
+  auto* memory = static_cast<std::uint8_t*>(
+      mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED, fds[0].get(), 0));
   if (memory == MAP_FAILED) std::abort();
   for (std::size_t i = 2; i + 4 <= size; i += 4) {
     // The words that matter are in the header and in our slot.
-    const std::size_t where = (static_cast<std::size_t>(data[i]) << 1 | (data[i + 1] & 1)) % (sizeof(Header) + sizeof(SlotMemory));
+    const std::size_t where = (static_cast<std::size_t>(data[i]) << 1 | (data[i + 1] & 1)) %
+                              (sizeof(Header) + sizeof(SlotMemory));
     memory[where % bytes] = data[i + 2];
-    if (data[i + 3] % 4 == 0) memory[sizeof(Header)] = static_cast<std::uint8_t>(data[i + 3] & 0xfd);
+    if (data[i + 3] % 4 == 0)
+      memory[sizeof(Header)] = static_cast<std::uint8_t>(data[i + 3] & 0xfd);
     (*server)->look();
     if (data[i + 3] % 32 == 1) (void)(*server)->status();
   }

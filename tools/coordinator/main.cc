@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto-coordinator: decides who may use one XPU instance. Started by the xauto tool, one per XPU.
+#include <string>
+
+#include <CLI/CLI.hpp>
 #include <signal.h>
 #include <sys/signalfd.h>
 #include <unistd.h>
-
-#include <CLI/CLI.hpp>
-#include <string>
 
 #include "base/log.h"
 #include "base/memory_file.h"
@@ -43,7 +43,8 @@ xauto::Result<xauto::coord::ServerOptions> options_for(const std::string& xpu, i
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App cli("Decides who may use one XPU instance; started by the xauto tool.", "xauto-coordinator");
+  CLI::App cli("Decides who may use one XPU instance; started by the xauto tool.",
+               "xauto-coordinator");
   std::string xpu, address;
   int session_fd = -1, ready_fd = -1;
   cli.add_option("--xpu", xpu, "XPU instance, e.g. gpu0")->required();

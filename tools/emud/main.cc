@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto-emud: emulates the XPUs of a platform for one session. Started by the xauto tool.
+#include <string>
+
+#include <CLI/CLI.hpp>
 #include <signal.h>
 #include <sys/signalfd.h>
 #include <unistd.h>
-
-#include <CLI/CLI.hpp>
-#include <string>
 
 #include "base/log.h"
 #include "base/rt.h"
@@ -18,7 +18,8 @@ constexpr int kFifoEmulator = 70;  ///< hardware does not wait for threads: abov
 
 int complain(const xauto::Error& error) {
   xauto::log::error("{}", error.to_string());
-  return error.code == xauto::ErrorCode::kInvalid || error.code == xauto::ErrorCode::kNotFound ? 2 : 1;
+  return error.code == xauto::ErrorCode::kInvalid || error.code == xauto::ErrorCode::kNotFound ? 2
+                                                                                               : 1;
 }
 
 }  // namespace

@@ -1,15 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto compare: one app under several policies, side by side: the table, report.json, timeline.html.
-#include <sys/stat.h>
-
+// xauto compare: one app under several policies, side by side: the table, report.json,
+// timeline.html.
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
 #include <iostream>
 
+#include <sys/stat.h>
+
 #include "base/log.h"
 #include "model/json.h"
 #include "solver/solve.h"
+
 #include "xauto/command.h"
 #include "xauto/report.h"
 #include "xauto/run_app.h"
@@ -81,8 +83,9 @@ Result<int> compare(const Flags& given, const Options& options) {
   if (options.json)
     std::cout << report;
   else
-    std::cout << report_table(flags, runs) << "\n  " << flags.out << "/report.json    the numbers\n  "
-              << flags.out << "/timeline.html  the schedules; open it in a browser\n";
+    std::cout << report_table(flags, runs) << "\n  " << flags.out
+              << "/report.json    the numbers\n  " << flags.out
+              << "/timeline.html  the schedules; open it in a browser\n";
   return good ? kDone : kAnswerIsNo;
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto completion: shell completion made from the verbs themselves, so that it is never out of date.
+// xauto completion: shell completion made from the verbs themselves, so that it is never out of
+// date.
 #include <iostream>
 #include <memory>
 
@@ -25,10 +26,13 @@ std::string bash(const std::vector<Commands::Verb>& verbs) {
          "_xauto() {\n"
          "  local current=\"${COMP_WORDS[COMP_CWORD]}\" words=\"\"\n"
          "  if [ \"$COMP_CWORD\" -eq 1 ]; then\n"
-         "    COMPREPLY=($(compgen -W \"" + joined(names) + "\" -- \"$current\"))\n"
+         "    COMPREPLY=($(compgen -W \"" +
+         joined(names) +
+         "\" -- \"$current\"))\n"
          "    return\n"
          "  fi\n"
-         "  case \"${COMP_WORDS[1]}\" in\n" + cases +
+         "  case \"${COMP_WORDS[1]}\" in\n" +
+         cases +
          "  esac\n"
          "  case \"$current\" in\n"
          "    -*) COMPREPLY=($(compgen -W \"$words\" -- \"$current\")) ;;\n"
@@ -41,18 +45,20 @@ std::string bash(const std::vector<Commands::Verb>& verbs) {
 std::string zsh(const std::vector<Commands::Verb>& verbs) {
   // zsh runs bash completions; one source of truth is worth more than prettier descriptions.
   return "# zsh completion for xauto: source <(xauto completion zsh)\n"
-         "autoload -U +X bashcompinit && bashcompinit\n" + bash(verbs);
+         "autoload -U +X bashcompinit && bashcompinit\n" +
+         bash(verbs);
 }
 
 }  // namespace
 
 void add_completion(Commands& commands) {
   auto shell = std::make_shared<std::string>("bash");
-  CLI::App* verb = commands.add("completion", "Print shell completion for bash or zsh.",
-                                "source <(xauto completion bash)", [&commands, shell](const Options&) {
-                                  std::cout << (*shell == "zsh" ? zsh(commands.verbs()) : bash(commands.verbs()));
-                                  return kDone;
-                                });
+  CLI::App* verb = commands.add(
+      "completion", "Print shell completion for bash or zsh.", "source <(xauto completion bash)",
+      [&commands, shell](const Options&) {
+        std::cout << (*shell == "zsh" ? zsh(commands.verbs()) : bash(commands.verbs()));
+        return kDone;
+      });
   verb->add_option("shell", *shell, "bash or zsh")
       ->check(CLI::IsMember({"bash", "zsh"}))
       ->capture_default_str();

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto doctor: what this machine offers, and what to do about each thing that is missing.
-#include <fmt/format.h>
-
 #include <iostream>
+
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 #include "kernel/probe.h"
+
 #include "xauto/command.h"
 
 namespace xauto::cli {
@@ -20,13 +21,17 @@ int doctor(const Options& options) {
   if (options.json) {
     nlohmann::ordered_json list = nlohmann::ordered_json::array();
     for (const kernel::Finding& f : findings)
-      list.push_back({{"id", f.id}, {"state", word(f.verdict)}, {"found", f.found}, {"meaning", f.meaning},
+      list.push_back({{"id", f.id},
+                      {"state", word(f.verdict)},
+                      {"found", f.found},
+                      {"meaning", f.meaning},
                       {"advice", f.advice}});
     std::cout << nlohmann::ordered_json{{"findings", std::move(list)}}.dump(2) << "\n";
     return kDone;
   }
   for (const kernel::Finding& f : findings) {
-    std::cout << fmt::format("  {:<9} {:<14} {}\n            {}\n", word(f.verdict), f.id, f.found, f.meaning);
+    std::cout << fmt::format("  {:<9} {:<14} {}\n            {}\n", word(f.verdict), f.id, f.found,
+                             f.meaning);
     if (!f.advice.empty()) std::cout << fmt::format("            -> {}\n", f.advice);
   }
   return kDone;
@@ -35,8 +40,8 @@ int doctor(const Options& options) {
 }  // namespace
 
 void add_doctor(Commands& commands) {
-  commands.add("doctor", "Tell what this machine offers, and what to do about what is missing.", "xauto doctor",
-               [](const Options& options) { return doctor(options); });
+  commands.add("doctor", "Tell what this machine offers, and what to do about what is missing.",
+               "xauto doctor", [](const Options& options) { return doctor(options); });
 }
 
 }  // namespace xauto::cli

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto profile: times each XNode alone on each XPU; profile.json, and the app.json that follows.
-#include <fmt/format.h>
-
 #include <iostream>
 #include <memory>
+
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 #include "base/log.h"
 #include "model/json.h"
+
 #include "xauto/command.h"
 #include "xauto/run_app.h"
 
@@ -23,12 +24,12 @@ struct Flags {
 };
 
 std::string table(const Profile& profile, const Platform& platform) {
-  std::string out = fmt::format("{} on {}{}: execution times in us, {} repetitions after {} warm-up\n\n",
-                                profile.app, platform.name,
-                                profile.conditions.emulated ? " (emulated)" : "",
-                                profile.conditions.repetitions, profile.conditions.warmup);
-  out += fmt::format("  {:<24}{:<8}{:>9}{:>9}{:>9}{:>9}{:>10}{:>6}\n", "XNode", "XPU", "min", "p50", "p99",
-                     "max", "WCET", "n");
+  std::string out =
+      fmt::format("{} on {}{}: execution times in us, {} repetitions after {} warm-up\n\n",
+                  profile.app, platform.name, profile.conditions.emulated ? " (emulated)" : "",
+                  profile.conditions.repetitions, profile.conditions.warmup);
+  out += fmt::format("  {:<24}{:<8}{:>9}{:>9}{:>9}{:>9}{:>10}{:>6}\n", "XNode", "XPU", "min", "p50",
+                     "p99", "max", "WCET", "n");
   for (const XNodeProfile& x : profile.xnodes) {
     std::string name = x.name;
     for (const Xpu& xpu : platform.xpus) {
@@ -109,7 +110,8 @@ void add_profile(Commands& commands) {
       });
   verb->add_option("--platform", flags->platform, "small, large, or a platform.json")
       ->capture_default_str();
-  verb->add_option("--input", flags->input, "recorded input (rosbag2 SQLite); default: the app's own messages");
+  verb->add_option("--input", flags->input,
+                   "recorded input (rosbag2 SQLite); default: the app's own messages");
   verb->add_option("--warmup", flags->warmup, "releases that are not counted")
       ->check(CLI::Range(0, 100000))
       ->capture_default_str();
@@ -119,14 +121,16 @@ void add_profile(Commands& commands) {
   verb->add_option("--margin-pct", flags->margin_pct, "WCET = max + this much")
       ->check(CLI::Range(0, 1000))
       ->capture_default_str();
-  verb->add_option("--from", flags->from, "what becomes the WCET in app.json: wcet (max + margin), p99, p50")
+  verb->add_option("--from", flags->from,
+                   "what becomes the WCET in app.json: wcet (max + margin), p99, p50")
       ->check(CLI::IsMember({"wcet", "p99", "p50"}))
       ->capture_default_str();
   verb->add_option("--out", flags->out, "write profile.json here");
   verb->add_option("--app-out", flags->app_out, "write the app.json that follows here");
   auto* emulate = verb->add_flag("--emulate", flags->emulate, "emulate all XPUs");
   verb->add_flag("--real", flags->real, "refuse to emulate")->excludes(emulate);
-  verb->add_option("--read", flags->read, "an existing profile.json instead of measuring, e.g. for --app-out");
+  verb->add_option("--read", flags->read,
+                   "an existing profile.json instead of measuring, e.g. for --app-out");
   verb->add_option("command", flags->command, "the app's program and its arguments, after --");
 }
 

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto run: an app under one policy, with its coordinators.
-#include <fmt/format.h>
-
 #include <iostream>
+
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 #include "base/log.h"
 #include "model/json.h"
+
 #include "xauto/command.h"
 #include "xauto/report.h"
 #include "xauto/run_app.h"

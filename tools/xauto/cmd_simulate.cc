@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto simulate: what a policy does, to the microsecond, without running anything.
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <iostream>
 #include <memory>
+
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 #include "model/json.h"
 #include "solver/simulate.h"
+
 #include "xauto/command.h"
 #include "xauto/run_app.h"
 
@@ -39,12 +40,16 @@ Result<int> simulate(const Flags& flags, const Options& options) {
     return std::pair(s.start[a], a) < std::pair(s.start[b], b);
   });
   ordered_json xnodes = ordered_json::array();
-  std::string table = fmt::format("  {:<24}{:<8}{:>12}{:>12}\n", "XNode", "XPU", "start us", "finish us");
+  std::string table =
+      fmt::format("  {:<24}{:<8}{:>12}{:>12}\n", "XNode", "XPU", "start us", "finish us");
   for (const std::size_t i : order) {
     const std::string& xpu = platform.xpus[static_cast<std::size_t>(s.xpu[i])].id;
-    xnodes.push_back({{"name", app.xnodes[i].name}, {"xpu", xpu}, {"start_us", s.start[i]},
+    xnodes.push_back({{"name", app.xnodes[i].name},
+                      {"xpu", xpu},
+                      {"start_us", s.start[i]},
                       {"finish_us", s.finish[i]}});
-    table += fmt::format("  {:<24}{:<8}{:>12}{:>12}\n", app.xnodes[i].name, xpu, s.start[i], s.finish[i]);
+    table += fmt::format("  {:<24}{:<8}{:>12}{:>12}\n", app.xnodes[i].name, xpu, s.start[i],
+                         s.finish[i]);
   }
   const std::string result = ordered_json{{"schema", "xauto.simulation"},
                                           {"version", 1},
@@ -60,9 +65,10 @@ Result<int> simulate(const Flags& flags, const Options& options) {
   if (options.json)
     std::cout << result;
   else
-    std::cout << table << fmt::format("\n  {} on {}, {}: latency {:.3f} ms, {} preemptions\n", app.name,
-                                      platform.name, flags.model, static_cast<double>(s.makespan) / 1000,
-                                      s.preemptions);
+    std::cout << table
+              << fmt::format("\n  {} on {}, {}: latency {:.3f} ms, {} preemptions\n", app.name,
+                             platform.name, flags.model, static_cast<double>(s.makespan) / 1000,
+                             s.preemptions);
   return kDone;
 }
 
@@ -70,19 +76,21 @@ Result<int> simulate(const Flags& flags, const Options& options) {
 
 void add_simulate(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb = commands.add(
-      "simulate", "Simulate a policy, or the ROS 2 model, to the microsecond.",
-      "xauto simulate --app app.json --platform small --policy policy.json",
-      [flags](const Options& options) {
-        const auto status = simulate(*flags, options);
-        return status ? *status : report(status.error());
-      });
+  CLI::App* verb =
+      commands.add("simulate", "Simulate a policy, or the ROS 2 model, to the microsecond.",
+                   "xauto simulate --app app.json --platform small --policy policy.json",
+                   [flags](const Options& options) {
+                     const auto status = simulate(*flags, options);
+                     return status ? *status : report(status.error());
+                   });
   verb->add_option("--app", flags->app, "app.json")->required();
-  verb->add_option("--platform", flags->platform, "small, large, or a platform.json")->capture_default_str();
+  verb->add_option("--platform", flags->platform, "small, large, or a platform.json")
+      ->capture_default_str();
   verb->add_option("--policy", flags->policy, "policy.json");
-  verb->add_option("--model", flags->model,
-                   "xauto: the policy; timeshare: its assignment, nobody schedules; ros2: everybody on his "
-                   "fastest XPU, nobody schedules")
+  verb->add_option(
+          "--model", flags->model,
+          "xauto: the policy; timeshare: its assignment, nobody schedules; ros2: everybody on his "
+          "fastest XPU, nobody schedules")
       ->check(CLI::IsMember({"xauto", "timeshare", "ros2"}))
       ->capture_default_str();
   verb->add_option("--out", flags->out, "write the result here");

@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto status: every state machine of every running app in words. Coordinators are found by the names of
-// their sockets and asked; nothing is written anywhere for this.
-#include <fmt/format.h>
-#include <poll.h>
-
+// xauto status: every state machine of every running app in words. Coordinators are found by the
+// names of their sockets and asked; nothing is written anywhere for this.
 #include <iostream>
 #include <map>
+
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
+#include <poll.h>
 
 #include "base/log.h"
 #include "base/socket.h"
 #include "coord/protocol.h"
 #include "runtime/supervisor.h"
+
 #include "xauto/command.h"
 
 namespace xauto::cli {
@@ -66,8 +67,9 @@ int status(const Options& options) {
   for (const auto& [session, xpus] : sessions.items()) {
     std::cout << "run " << session.substr(std::string(runtime::kSocketPrefix).size()) << "\n";
     for (const json& xpu : xpus) {
-      std::cout << fmt::format("  {:<8}{}, {}; coordinator pid {}, {} decisions\n", xpu.value("xpu", "?"),
-                               xpu.value("discipline", "?"), xpu.value("mode", "?"), xpu.value("pid", 0),
+      std::cout << fmt::format("  {:<8}{}, {}; coordinator pid {}, {} decisions\n",
+                               xpu.value("xpu", "?"), xpu.value("discipline", "?"),
+                               xpu.value("mode", "?"), xpu.value("pid", 0),
                                xpu.value("decisions", 0ull));
       for (const json& worker : xpu.value("workers", json::array()))
         std::cout << fmt::format("    {:<20}{}\n", worker.value("worker", "?"), words(worker));

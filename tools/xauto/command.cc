@@ -34,8 +34,9 @@ CLI::App* Commands::add(const std::string& verb, const std::string& description,
 int Commands::run(int argc, char** argv) {
   root_.require_subcommand(1);
   root_.set_version_flag("--version", XAUTO_VERSION);
-  root_.footer("Exit status: 0 done, 1 the answer is no, 2 bad usage or bad input.\n"
-               "Next: xauto doctor");
+  root_.footer(
+      "Exit status: 0 done, 1 the answer is no, 2 bad usage or bad input.\n"
+      "Next: xauto doctor");
   try {
     root_.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
@@ -44,7 +45,8 @@ int Commands::run(int argc, char** argv) {
   try {
     return chosen_(options_);
   } catch (const std::exception& e) {
-    // Our own code does not throw; this is memory exhaustion or a bug, and it gets a name either way.
+    // Our own code does not throw; this is memory exhaustion or a bug, and it gets a name either
+    // way.
     log::error("unexpected: {}", e.what());
     return kAnswerIsNo;
   }

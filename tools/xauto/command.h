@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// The frame of the `xauto` command line: each verb lives in cmd_<verb>.cc and registers itself here.
-// Results go to stdout (a table, or one JSON object with --json); progress and logs go to stderr.
+// The frame of the `xauto` command line: each verb lives in cmd_<verb>.cc and registers itself
+// here. Results go to stdout (a table, or one JSON object with --json); progress and logs go to
+// stderr.
 #pragma once
 
-#include <CLI/CLI.hpp>
 #include <functional>
 #include <string>
 #include <vector>
+
+#include <CLI/CLI.hpp>
+
 #include <xauto/result.h>
 
 namespace xauto::cli {
@@ -61,14 +64,15 @@ void add_simulate(Commands&);
 void add_solve(Commands&);
 void add_status(Commands&);
 
-/// A progress bar on stderr: drawn only on a terminal or, off a terminal, as a line every few seconds.
-/// Appears after two seconds of work. Threads: one caller.
+/// A progress bar on stderr: drawn only on a terminal or, off a terminal, as a line every few
+/// seconds. Appears after two seconds of work. Threads: one caller.
 class Progress {
  public:
   Progress(std::string label, double total);
   ~Progress();
   void update(double done, const std::string& note = {});
   void finish();
+
  private:
   void draw(bool last);
   std::string label_, note_;

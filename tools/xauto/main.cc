@@ -3,7 +3,8 @@
 #include "xauto/command.h"
 
 int main(int argc, char** argv) {
-  CLI::App root("XAuto: schedule the stages of a perception stack over CPUs, GPUs and DLAs.", "xauto");
+  CLI::App root("XAuto: schedule the stages of a perception stack over CPUs, GPUs and DLAs.",
+                "xauto");
   xauto::cli::Commands commands(root);
   xauto::cli::add_doctor(commands);
   xauto::cli::add_generate(commands);

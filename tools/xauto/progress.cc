@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <fmt/format.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <cstdio>
 
+#include <fmt/format.h>
+#include <unistd.h>
+
 #include "base/clock.h"
+
 #include "xauto/command.h"
 
 namespace xauto::cli {
@@ -15,14 +16,18 @@ constexpr std::int64_t kAppearAfterMs = 2000;
 constexpr std::int64_t kTerminalEveryMs = 100, kPlainEveryMs = 5000;
 constexpr int kBarWidth = 30;
 
-std::int64_t now_ms() { return now_ns() / 1'000'000; }
+std::int64_t now_ms() {
+  return now_ns() / 1'000'000;
+}
 
 }  // namespace
 
 Progress::Progress(std::string label, double total)
     : label_(std::move(label)), total_(total), started_ms_(now_ms()), terminal_(isatty(2) == 1) {}
 
-Progress::~Progress() { finish(); }
+Progress::~Progress() {
+  finish();
+}
 
 void Progress::update(double done, const std::string& note) {
   done_ = done;
@@ -46,7 +51,8 @@ void Progress::draw(bool last) {
   if (total_ > 0) {
     const double part = std::clamp(done_ / total_, 0.0, 1.0);
     const int filled = static_cast<int>(part * kBarWidth);
-    line += fmt::format(" [{:#<{}}{:.<{}}] {:3.0f} %", "", filled, "", kBarWidth - filled, 100 * part);
+    line +=
+        fmt::format(" [{:#<{}}{:.<{}}] {:3.0f} %", "", filled, "", kBarWidth - filled, 100 * part);
   }
   if (!note_.empty()) line += "  " + note_;
   if (terminal_)

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "xauto/report.h"
 
-#include <fmt/format.h>
-
 #include <algorithm>
+
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 namespace xauto::cli {
@@ -13,7 +13,8 @@ using nlohmann::ordered_json;
 
 std::uint64_t lost_releases(const PolicyRun& run) {
   std::uint64_t lost = 0;
-  for (const runtime::Release& release : run.report.releases) lost += release.latency_us < 0 ? 1 : 0;
+  for (const runtime::Release& release : run.report.releases)
+    lost += release.latency_us < 0 ? 1 : 0;
   return lost;
 }
 
@@ -58,7 +59,8 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                       {"scheduling", runtime::to_string(run.scheduling)},
                       {"trace_events_lost", run.outcome.trace.lost},
                       {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
-    if (base != nullptr) j["p99_speedup_over_ros2"] = ratio(base->latency.p99_us, run.latency.p99_us);
+    if (base != nullptr)
+      j["p99_speedup_over_ros2"] = ratio(base->latency.p99_us, run.latency.p99_us);
     if (run.policy) {
       j["optimal"] = run.policy->optimal;
       j["lower_bound_us"] = run.policy->lower_bound_us;
@@ -90,12 +92,9 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
     j["notes"] = std::move(notes);
     list.push_back(std::move(j));
   }
-  return ordered_json{{"schema", "xauto.report"},
-                      {"version", 1},
-                      {"app", flags.app.name},
-                      {"platform", flags.spec.name},
-                      {"emulated", flags.emulated},
-                      {"runs", std::move(list)}}
+  return ordered_json{{"schema", "xauto.report"},   {"version", 1},
+                      {"app", flags.app.name},      {"platform", flags.spec.name},
+                      {"emulated", flags.emulated}, {"runs", std::move(list)}}
              .dump(2) +
          "\n";
 }
@@ -104,18 +103,22 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
   const PolicyRun* base = ros2_of(runs);
   std::string out = fmt::format("{} on {}{}, end-to-end latency in ms\n\n", flags.app.name,
                                 flags.spec.name, flags.emulated ? " (emulated)" : "");
-  out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", "policy", "p50", "p99", "max",
-                     "simulated", "p50/sim", "p99 x", "n");
+  out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", "policy", "p50", "p99",
+                     "max", "simulated", "p50/sim", "p99 x", "n");
   for (const PolicyRun& run : runs) {
-    const auto ms = [](std::int64_t us) { return fmt::format("{:.2f}", static_cast<double>(us) / 1000); };
+    const auto ms = [](std::int64_t us) {
+      return fmt::format("{:.2f}", static_cast<double>(us) / 1000);
+    };
     out += fmt::format(
         "  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", run.name, ms(run.latency.p50_us),
         ms(run.latency.p99_us), ms(run.latency.max_us), ms(run.predicted.makespan),
         fmt::format("{:+.1f} %", 100 * (ratio(run.latency.p50_us, run.predicted.makespan) - 1)),
-        base == nullptr ? "" : fmt::format("{:.2f}", ratio(base->latency.p99_us, run.latency.p99_us)),
+        base == nullptr ? ""
+                        : fmt::format("{:.2f}", ratio(base->latency.p99_us, run.latency.p99_us)),
         run.latency.count);
   }
-  if (base != nullptr) out += "\n  p99 x: how many times lower the p99 is than under the ROS 2 model.\n";
+  if (base != nullptr)
+    out += "\n  p99 x: how many times lower the p99 is than under the ROS 2 model.\n";
   for (const PolicyRun& run : runs) {
     if (run.scheduling == runtime::Scheduling::kXAuto)
       out += fmt::format("  {}: coordinators used {:.2f} % of one CPU\n", run.name,
@@ -127,7 +130,8 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
     if (run.outcome.trace.lost > 0)
       out += fmt::format("  {}: the trace lost {} events\n", run.name, run.outcome.trace.lost);
     if (!run.report.note.empty()) out += fmt::format("  {}: {}\n", run.name, run.report.note);
-    for (const std::string& note : run.outcome.notes) out += fmt::format("  {}: {}\n", run.name, note);
+    for (const std::string& note : run.outcome.notes)
+      out += fmt::format("  {}: {}\n", run.name, note);
   }
   return out;
 }
@@ -135,9 +139,9 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
 Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
   Timeline timeline;
   timeline.title = flags.app.name + " on " + flags.spec.name;
-  timeline.note = fmt::format("{} XPUs, {} activations per policy; each chart shows the activation of median latency",
-                              flags.emulated ? "emulated" : "real",
-                              runs.empty() ? 0 : runs.front().latency.count);
+  timeline.note = fmt::format(
+      "{} XPUs, {} activations per policy; each chart shows the activation of median latency",
+      flags.emulated ? "emulated" : "real", runs.empty() ? 0 : runs.front().latency.count);
   for (const PolicyRun& run : runs) timeline.panels.push_back(panel_of(flags, run));
   return timeline;
 }

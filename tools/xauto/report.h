@@ -13,7 +13,8 @@ namespace xauto::cli {
 /// Every release accounted for, none dropped, no coordinator or emulator lost.
 [[nodiscard]] bool healthy(const PolicyRun& run);
 
-/// {"runs":[{"policy":"ros2","p50_us":…,"p99_us":…,"max_us":…,"predicted_us":…,…},…],…}, docs/formats.md.
+/// {"runs":[{"policy":"ros2","p50_us":…,"p99_us":…,"max_us":…,"predicted_us":…,…},…],…},
+/// docs/formats.md.
 [[nodiscard]] std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& runs);
 [[nodiscard]] std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& runs);
 [[nodiscard]] Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs);

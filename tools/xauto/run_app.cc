@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "xauto/run_app.h"
 
-#include <signal.h>
-
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <map>
 #include <numeric>
 
+#include <signal.h>
+
 #include "base/log.h"
 #include "model/json.h"
 #include "solver/problem.h"
+
 #include "xauto/command.h"
 
 namespace xauto::cli {
@@ -39,12 +40,16 @@ StopOnSignal::~StopOnSignal() {
   signal(SIGINT, SIG_DFL);
   signal(SIGTERM, SIG_DFL);
 }
-const std::atomic<bool>* StopOnSignal::flag() const { return &g_stop; }
+const std::atomic<bool>* StopOnSignal::flag() const {
+  return &g_stop;
+}
 
 void RunFlags::declare(CLI::App& verb) {
   verb.add_option("--app", app_path, "app.json: the XNodes and their WCETs")->required();
-  verb.add_option("--platform", platform, "small, large, or a platform.json")->capture_default_str();
-  verb.add_option("--activations", activations, "releases of the sensors; 0: until Ctrl-C or the input's end")
+  verb.add_option("--platform", platform, "small, large, or a platform.json")
+      ->capture_default_str();
+  verb.add_option("--activations", activations,
+                  "releases of the sensors; 0: until Ctrl-C or the input's end")
       ->check(CLI::Range(std::uint64_t{0}, runtime::kMaxActivations))
       ->capture_default_str();
   verb.add_option("--period-us", period_us, "release period instead of the app's own")
@@ -54,7 +59,8 @@ void RunFlags::declare(CLI::App& verb) {
   verb.add_option("--cpu-sched", cpu_sched, "threads of CPU XNodes on real cores: fifo or other")
       ->check(CLI::IsMember({"fifo", "other"}))
       ->capture_default_str();
-  auto* emulate_flag = verb.add_flag("--emulate", emulate, "emulate all XPUs (default: if some are missing)");
+  auto* emulate_flag =
+      verb.add_flag("--emulate", emulate, "emulate all XPUs (default: if some are missing)");
   verb.add_flag("--real", real, "refuse to emulate")->excludes(emulate_flag);
   verb.add_option("command", command, "the app's program and its arguments, after --")->required();
 }
@@ -107,7 +113,8 @@ Result<solver::Simulation> predict(const AppSpec& app, const Platform& platform,
     case runtime::Scheduling::kXAuto:
       return solver::simulate(problem, decision, options);
     case runtime::Scheduling::kTimeshare:
-      return solver::simulate_shared(problem, platform, solver::Model::kTimeshare, decision, options);
+      return solver::simulate_shared(problem, platform, solver::Model::kTimeshare, decision,
+                                     options);
     case runtime::Scheduling::kRos2:
       return solver::simulate_shared(problem, platform, solver::Model::kRos2, decision, options);
   }
@@ -132,9 +139,8 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.record = flags.record_path;
   request.command = flags.command;
   request.stop = stop;
-  request.trace_capacity =
-      std::clamp(flags.activations * flags.app.xnodes.size() * kEventsPerJob, kMinTraceEvents,
-                 kMaxTraceEvents);
+  request.trace_capacity = std::clamp(flags.activations * flags.app.xnodes.size() * kEventsPerJob,
+                                      kMinTraceEvents, kMaxTraceEvents);
 
   // How far the app is, we know only by the clock: releases come at a fixed period.
   Progress progress("run " + run.id, 0);
@@ -157,8 +163,8 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
 namespace {
 
 /// Bars of one activation from its trace events.
-std::vector<Bar> bars_of(const RunFlags& flags, const trace::Recording& trace, std::uint64_t sequence,
-                         std::int64_t origin_ns) {
+std::vector<Bar> bars_of(const RunFlags& flags, const trace::Recording& trace,
+                         std::uint64_t sequence, std::int64_t origin_ns) {
   struct Open {
     std::int64_t since = -1;
     BarKind kind = BarKind::kRun;
@@ -166,7 +172,9 @@ std::vector<Bar> bars_of(const RunFlags& flags, const trace::Recording& trace, s
   };
   std::vector<Bar> bars;
   std::map<std::uint16_t, Open> open;
-  const auto us = [&](std::uint64_t ns) { return (static_cast<std::int64_t>(ns) - origin_ns) / 1000; };
+  const auto us = [&](std::uint64_t ns) {
+    return (static_cast<std::int64_t>(ns) - origin_ns) / 1000;
+  };
   const auto close = [&](std::uint16_t xnode, std::uint64_t ns) {
     Open& o = open[xnode];
     if (o.since >= 0 && us(ns) > o.since) {
@@ -185,14 +193,27 @@ std::vector<Bar> bars_of(const RunFlags& flags, const trace::Recording& trace, s
     };
     const Open& now = open[event.xnode];
     switch (event.kind) {
-      case XAUTO_EV_START: begin(BarKind::kWait); break;
-      case XAUTO_EV_RUN: begin(BarKind::kRun); break;
+      case XAUTO_EV_START:
+        begin(BarKind::kWait);
+        break;
+      case XAUTO_EV_RUN:
+        begin(BarKind::kRun);
+        break;
       // A suspension that comes after FINISH belongs to a job that is over.
-      case XAUTO_EV_SUSPEND: if (now.since >= 0) begin(BarKind::kSwitch); break;
-      case XAUTO_EV_SUSPENDED: if (now.since >= 0) begin(BarKind::kSuspended); break;
-      case XAUTO_EV_RESUMED: if (now.since >= 0) begin(BarKind::kRun); break;
-      case XAUTO_EV_FINISH: close(event.xnode, event.ts_ns); break;
-      default: break;
+      case XAUTO_EV_SUSPEND:
+        if (now.since >= 0) begin(BarKind::kSwitch);
+        break;
+      case XAUTO_EV_SUSPENDED:
+        if (now.since >= 0) begin(BarKind::kSuspended);
+        break;
+      case XAUTO_EV_RESUMED:
+        if (now.since >= 0) begin(BarKind::kRun);
+        break;
+      case XAUTO_EV_FINISH:
+        close(event.xnode, event.ts_ns);
+        break;
+      default:
+        break;
     }
   }
   return bars;
@@ -207,7 +228,8 @@ Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
   // Under the ROS 2 model the CPUs are one pool: one row, named so, in the place of its first core.
   std::vector<int> row_of(flags.spec.xpus.size(), -1);
   for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x) {
-    const bool pooled = run.scheduling == runtime::Scheduling::kRos2 && flags.spec.xpus[x].type == "cpu";
+    const bool pooled =
+        run.scheduling == runtime::Scheduling::kRos2 && flags.spec.xpus[x].type == "cpu";
     const int first = pooled ? flags.spec.instances_of("cpu").front() : static_cast<int>(x);
     if (first == static_cast<int>(x)) {
       row_of[x] = static_cast<int>(panel.rows.size());
@@ -237,7 +259,8 @@ Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
   }
   for (const solver::Slice& slice : run.predicted.slices) {
     const XNodeSpec& spec = flags.app.xnodes[static_cast<std::size_t>(slice.xnode)];
-    panel.predicted.push_back({row_of[static_cast<std::size_t>(slice.xpu)], spec.name, spec.module, slice.begin, slice.end,
+    panel.predicted.push_back({row_of[static_cast<std::size_t>(slice.xpu)], spec.name, spec.module,
+                               slice.begin, slice.end,
                                slice.switching ? BarKind::kSwitch : BarKind::kRun});
   }
   return panel;

@@ -1,25 +1,28 @@
 // SPDX-License-Identifier: Apache-2.0
-// One run of an app under one policy, from files and flags to numbers and bars: what `xauto run` and
-// `xauto compare` share.
+// One run of an app under one policy, from files and flags to numbers and bars: what `xauto run`
+// and `xauto compare` share.
 #pragma once
 
-#include <CLI/CLI.hpp>
 #include <atomic>
 #include <cstdint>
 #include <optional>
 #include <string>
 #include <vector>
+
+#include <CLI/CLI.hpp>
+
 #include <xauto/result.h>
 
 #include "runtime/session.h"
 #include "runtime/supervisor.h"
 #include "solver/simulate.h"
+
 #include "xauto/timeline.h"
 
 namespace xauto::cli {
 
-/// Set by SIGINT and SIGTERM while a `StopOnSignal` lives: the run drains, its answer is still written. A
-/// second signal ends the tool at once (and the kernel its children).
+/// Set by SIGINT and SIGTERM while a `StopOnSignal` lives: the run drains, its answer is still
+/// written. A second signal ends the tool at once (and the kernel its children).
 class StopOnSignal {
  public:
   StopOnSignal();
@@ -71,7 +74,8 @@ struct PolicyRun {
 /// Runs it. `label` heads the progress bar.
 [[nodiscard]] Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop);
 
-/// The measured bars of the activation whose latency is the median, and the predicted ones beside them.
+/// The measured bars of the activation whose latency is the median, and the predicted ones beside
+/// them.
 [[nodiscard]] Panel panel_of(const RunFlags& flags, const PolicyRun& run);
 
 }  // namespace xauto::cli

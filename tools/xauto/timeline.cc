@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The page is data plus a fixed script: names from outside reach it only as JSON string values, and the
-// script only ever sets them as text. The script and style are in timeline_page.h.
+// The page is data plus a fixed script: names from outside reach it only as JSON string values, and
+// the script only ever sets them as text. The script and style are in timeline_page.h.
 #include "xauto/timeline.h"
 
 #include <nlohmann/json.hpp>
@@ -15,7 +15,8 @@ using nlohmann::ordered_json;
 ordered_json bars_to_json(const std::vector<Bar>& bars) {
   ordered_json out = ordered_json::array();
   for (const Bar& bar : bars)
-    out.push_back({bar.row, bar.xnode, bar.module, bar.begin_us, bar.end_us, static_cast<int>(bar.kind)});
+    out.push_back(
+        {bar.row, bar.xnode, bar.module, bar.begin_us, bar.end_us, static_cast<int>(bar.kind)});
   return out;
 }
 
@@ -37,11 +38,20 @@ std::string html_safe(const std::string& text) {
   std::string out;
   for (const char c : text) {
     switch (c) {
-      case '<': out += "&lt;"; break;
-      case '>': out += "&gt;"; break;
-      case '&': out += "&amp;"; break;
-      case '"': out += "&quot;"; break;
-      default: out += c;
+      case '<':
+        out += "&lt;";
+        break;
+      case '>':
+        out += "&gt;";
+        break;
+      case '&':
+        out += "&amp;";
+        break;
+      case '"':
+        out += "&quot;";
+        break;
+      default:
+        out += c;
     }
   }
   return out;
@@ -64,9 +74,10 @@ std::string timeline_html(const Timeline& timeline) {
                       {"latencies", p.latencies_us},
                       {"measured", bars_to_json(p.measured)},
                       {"plan", bars_to_json(p.predicted)}});
-  const ordered_json data = {{"title", timeline.title}, {"note", timeline.note}, {"panels", std::move(panels)}};
-  return std::string(kPageHead) + "<title>" + html_safe(timeline.title) + "</title>" + kPageStyle + kPageBody +
-         "<script>const DATA = " + script_safe(data) + ";</script>" + kPageScript;
+  const ordered_json data = {
+      {"title", timeline.title}, {"note", timeline.note}, {"panels", std::move(panels)}};
+  return std::string(kPageHead) + "<title>" + html_safe(timeline.title) + "</title>" + kPageStyle +
+         kPageBody + "<script>const DATA = " + script_safe(data) + ";</script>" + kPageScript;
 }
 
 }  // namespace xauto::cli

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Style and script of the timeline page; timeline.cc puts the data between them. Plain SVG and DOM, no
-// network, light and dark. Colours: Okabe and Ito's palette for colour-blind readers, by module.
+// Style and script of the timeline page; timeline.cc puts the data between them. Plain SVG and DOM,
+// no network, light and dark. Colours: Okabe and Ito's palette for colour-blind readers, by module.
 #pragma once
 
 namespace xauto::cli {

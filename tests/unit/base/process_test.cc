@@ -25,15 +25,19 @@ TEST(Process, TellsHowTheChildEnded) {
 TEST(Process, MissingProgramIsNamed) {
   const auto child = Child::spawn({.argv = {"/nowhere/xauto-emud"}});
   ASSERT_FALSE(child);
-  EXPECT_EQ(child.error().to_string(), "/nowhere/xauto-emud: cannot start: No such file or directory");
+  EXPECT_EQ(child.error().to_string(),
+            "/nowhere/xauto-emud: cannot start: No such file or directory");
 }
 
 TEST(Process, StopAsksFirst) {
-  auto child = Child::spawn({.argv = {"sh", "-c", "trap 'exit 3' TERM; echo ready >&2; while :; do sleep 0.01; done"}});
+  auto child = Child::spawn(
+      {.argv = {"sh", "-c", "trap 'exit 3' TERM; echo ready >&2; while :; do sleep 0.01; done"}});
   ASSERT_TRUE(child);
-  usleep(100'000);  // until the trap is set; otherwise the signal ends it and the check below says so
+  usleep(
+      100'000);  // until the trap is set; otherwise the signal ends it and the check below says so
   const Exit exit = child->stop(10'000);
-  EXPECT_TRUE(exit.to_string() == "exit status 3" || exit.to_string() == "signal SIGTERM") << exit.to_string();
+  EXPECT_TRUE(exit.to_string() == "exit status 3" || exit.to_string() == "signal SIGTERM")
+      << exit.to_string();
 }
 
 TEST(Process, OnlyWhatIsNamedIsInherited) {
@@ -41,8 +45,9 @@ TEST(Process, OnlyWhatIsNamedIsInherited) {
   auto closed = make_memory_file("closed");
   ASSERT_TRUE(kept && closed);
   const auto there = [](int fd) { return "[ -e /proc/self/fd/" + std::to_string(fd) + " ]"; };
-  auto child = Child::spawn({.argv = {"sh", "-c", there(kept->get()) + " && ! " + there(closed->get())},
-                             .inherit = {kept->get()}});
+  auto child =
+      Child::spawn({.argv = {"sh", "-c", there(kept->get()) + " && ! " + there(closed->get())},
+                    .inherit = {kept->get()}});
   ASSERT_TRUE(child);
   EXPECT_EQ(child->wait(10'000)->to_string(), "exit status 0");
 }

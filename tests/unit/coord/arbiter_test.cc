@@ -3,7 +3,6 @@
 
 #include <gtest/gtest.h>
 
-
 #include "explorer.h"
 
 namespace xauto::coord {
@@ -19,7 +18,8 @@ Job job(std::uint32_t xnode, std::int64_t priority, std::uint64_t sequence = 0) 
 }
 
 struct Bench {
-  explicit Bench(Discipline discipline, std::vector<std::pair<std::uint32_t, std::uint32_t>> order = {})
+  explicit Bench(Discipline discipline,
+                 std::vector<std::pair<std::uint32_t, std::uint32_t>> order = {})
       : arbiter(discipline, std::move(order)) {}
   std::vector<Action> take() { return std::exchange(out, {}); }
   Arbiter arbiter;
@@ -143,21 +143,32 @@ TEST(ArbiterExplorer, FourJobsOfFourWorkersKeepEveryInvariant) {
 
 TEST(ArbiterExplorer, ThreeWorkersOfTwoJobsEachWithDeathsAndRefusals) {
   for (const Discipline d : kAll)
-    expect_clean({d, {}, {{job(0, 1), job(1, 5)}, {job(2, 3), job(3, 2)}, {job(4, 4), job(5, 6)}}, true, true},
+    expect_clean({d,
+                  {},
+                  {{job(0, 1), job(1, 5)}, {job(2, 3), job(3, 2)}, {job(4, 4), job(5, 6)}},
+                  true,
+                  true},
                  300);
 }
 
 TEST(ArbiterExplorer, OrderConstraintsWithDeathsLeaveNobodyWaiting) {
   for (const Discipline d : kAll)
-    expect_clean({d, {{0, 2}, {2, 1}}, {{job(0, 1), job(1, 5)}, {job(2, 9)}, {job(3, 4)}}, true, true}, 100);
+    expect_clean(
+        {d, {{0, 2}, {2, 1}}, {{job(0, 1), job(1, 5)}, {job(2, 9)}, {job(3, 4)}}, true, true}, 100);
 }
 
 TEST(ArbiterExplorer, EqualPrioritiesKeepEveryInvariant) {
-  expect_clean({Discipline::kPreemptive, {}, {{job(0, 7)}, {job(1, 7)}, {job(2, 7), job(3, 7)}}, true, false}, 100);
+  expect_clean({Discipline::kPreemptive,
+                {},
+                {{job(0, 7)}, {job(1, 7)}, {job(2, 7), job(3, 7)}},
+                true,
+                false},
+               100);
 }
 
 TEST(ArbiterExplorer, FindsTheDeadlockOfAnOrderThatContradictsTheChain) {
-  // Worker 0 brings XNode 0 before XNode 1, but 0 is ordered after 1: a policy that `validate` refuses.
+  // Worker 0 brings XNode 0 before XNode 1, but 0 is ordered after 1: a policy that `validate`
+  // refuses.
   const Explored explored =
       Explorer({Discipline::kPreemptive, {{1, 0}}, {{job(0, 1), job(1, 2)}}, false, false}).run();
   EXPECT_EQ(explored.violation, "a job is never run: nothing can happen any more");

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every interleaving of a few workers and the arbiter: each worker brings its jobs in order; starting,
-// finishing, acknowledging a command and (if asked) dying may happen in any order that the protocol
-// allows. After each step the invariants of arbiter.h are checked, and where nothing can happen any more
-// all jobs must be done. States that were met before are not entered again.
+// Every interleaving of a few workers and the arbiter: each worker brings its jobs in order;
+// starting, finishing, acknowledging a command and (if asked) dying may happen in any order that
+// the protocol allows. After each step the invariants of arbiter.h are checked, and where nothing
+// can happen any more all jobs must be done. States that were met before are not entered again.
 #pragma once
 
 #include <deque>
@@ -41,11 +41,11 @@ class Explorer {
 
  private:
   struct Worker {
-    std::size_t next = 0;      ///< job it is at
-    bool started = false;      ///< START sent, FINISH not
+    std::size_t next = 0;  ///< job it is at
+    bool started = false;  ///< START sent, FINISH not
     bool granted = false;
     bool dead = false;
-    int command = 0;           ///< 0: none outstanding, 1: suspend, 2: resume
+    int command = 0;               ///< 0: none outstanding, 1: suspend, 2: resume
     bool queue_suspended = false;  ///< what the queue really is
   };
   struct State {
@@ -67,11 +67,12 @@ class Explorer {
       const Arbiter::Slot& slot = s.arbiter.slot(static_cast<int>(i));
       int rank = 0;
       for (std::size_t j = 0; j < s.workers.size(); ++j)
-        if (slot.phase != Phase::kNone && s.arbiter.slot(static_cast<int>(j)).phase != Phase::kNone &&
+        if (slot.phase != Phase::kNone &&
+            s.arbiter.slot(static_cast<int>(j)).phase != Phase::kNone &&
             s.arbiter.slot(static_cast<int>(j)).arrival < slot.arrival)
           ++rank;
-      for (const int part : {static_cast<int>(w.next), int{w.started}, int{w.granted}, int{w.dead}, w.command,
-                             int{w.queue_suspended}, static_cast<int>(slot.phase),
+      for (const int part : {static_cast<int>(w.next), int{w.started}, int{w.granted}, int{w.dead},
+                             w.command, int{w.queue_suspended}, static_cast<int>(slot.phase),
                              static_cast<int>(slot.queue), int{slot.refuses}, rank})
         k += static_cast<char>('0' + part);
     }
@@ -159,7 +160,8 @@ class Explorer {
           to.arbiter.start(slot, world_.workers[i][w.next], out);
         });
       }
-      // A job whose queue is suspended makes no progress; one being suspended may still come to its end.
+      // A job whose queue is suspended makes no progress; one being suspended may still come to its
+      // end.
       if (w.granted && !w.queue_suspended) {
         moved = true;
         step(s, who + " finishes", [&](State& to, std::vector<Action>& out) {
@@ -196,7 +198,8 @@ class Explorer {
     if (moved) return;
     for (std::size_t i = 0; i < s.workers.size(); ++i) {
       if (s.workers[i].dead) continue;
-      if (s.workers[i].next < world_.workers[i].size()) fail("a job is never run: nothing can happen any more");
+      if (s.workers[i].next < world_.workers[i].size())
+        fail("a job is never run: nothing can happen any more");
       if (s.workers[i].queue_suspended) fail("a queue stays suspended");
     }
     if (!s.arbiter.idle()) fail("the arbiter is not idle at the end");

@@ -2,13 +2,13 @@
 // Real ports against a real server in another thread: shared memory, sockets, doorbells, death.
 #include "coord/server.h"
 
-#include <gtest/gtest.h>
-#include <sys/eventfd.h>
-#include <unistd.h>
-
 #include <atomic>
 #include <random>
 #include <thread>
+
+#include <gtest/gtest.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
 
 #include "base/socket.h"
 #include "coord/port.h"
@@ -19,15 +19,18 @@ namespace {
 
 std::string unique_address() {
   static std::atomic<int> count{0};
-  return "xauto-test/" + std::to_string(getpid()) + "-" + std::to_string(count.fetch_add(1)) + "/gpu0";
+  return "xauto-test/" + std::to_string(getpid()) + "-" + std::to_string(count.fetch_add(1)) +
+         "/gpu0";
 }
 
 /// A coordinator in a thread.
 class Running {
  public:
-  explicit Running(Discipline discipline, std::vector<std::pair<std::uint32_t, std::uint32_t>> order = {})
+  explicit Running(Discipline discipline,
+                   std::vector<std::pair<std::uint32_t, std::uint32_t>> order = {})
       : address_(unique_address()), order_(std::move(order)), stop_(eventfd(0, EFD_CLOEXEC)) {
-    auto server = Server::create({address_, "gpu0", discipline, std::vector<std::string>(16, "node"), order_});
+    auto server = Server::create(
+        {address_, "gpu0", discipline, std::vector<std::string>(16, "node"), order_});
     EXPECT_TRUE(server) << server.error().to_string();
     server_ = std::move(*server);
     thread_ = std::thread([this] { EXPECT_TRUE(server_->run(stop_.get())); });
@@ -57,26 +60,27 @@ class Running {
 /// A worker's management thread that obeys at once and counts.
 class Obedient {
  public:
-  explicit Obedient(Port& port) : port_(port), thread_([this] {
-      for (;;) {
-        switch (port_.wait_command()) {
-          case Command::kSuspend:
-            suspended.store(true);
-            suspends.fetch_add(1);
-            port_.acknowledge(true);
-            break;
-          case Command::kResume:
-            suspended.store(false);
-            port_.acknowledge(true);
-            break;
-          case Command::kLost:
-            suspended.store(false);
-            break;
-          case Command::kInterrupted:
-            return;
-        }
-      }
-    }) {}
+  explicit Obedient(Port& port)
+      : port_(port), thread_([this] {
+          for (;;) {
+            switch (port_.wait_command()) {
+              case Command::kSuspend:
+                suspended.store(true);
+                suspends.fetch_add(1);
+                port_.acknowledge(true);
+                break;
+              case Command::kResume:
+                suspended.store(false);
+                port_.acknowledge(true);
+                break;
+              case Command::kLost:
+                suspended.store(false);
+                break;
+              case Command::kInterrupted:
+                return;
+            }
+          }
+        }) {}
   ~Obedient() {
     port_.interrupt();
     thread_.join();
@@ -235,7 +239,8 @@ TEST(Server, TellsItsStateInWords) {
   const auto size = receive_packet(socket->get(), text.data(), text.size());
   ASSERT_TRUE(size);
   text.resize(*size);
-  EXPECT_NE(text.find("\"worker\":\"worker3\",\"state\":\"running\",\"xnode\":\"node\",\"job\":7,\"priority\":5"),
+  EXPECT_NE(text.find("\"worker\":\"worker3\",\"state\":\"running\",\"xnode\":\"node\",\"job\":7,"
+                      "\"priority\":5"),
             std::string::npos)
       << text;
   port->finish();

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// The emulated XPUs in virtual time: cases by hand, and random operations that must never break a rule.
+// The emulated XPUs in virtual time: cases by hand, and random operations that must never break a
+// rule.
 #include "emu/machine.h"
-
-#include <gtest/gtest.h>
 
 #include <limits>
 #include <random>
 #include <string>
+
+#include <gtest/gtest.h>
 
 namespace xauto::emu {
 namespace {
@@ -14,7 +15,9 @@ namespace {
 constexpr Nanos kMs = 1'000'000, kUs = 1000;
 constexpr Nanos kNever = std::numeric_limits<Nanos>::max();
 
-Machine small() { return std::move(*Machine::create(*Platform::builtin("small"))); }
+Machine small() {
+  return std::move(*Machine::create(*Platform::builtin("small")));
+}
 
 /// Runs to the end; what happened as "done1@2000 ..." with times in us.
 std::string play(Machine& machine) {
@@ -24,8 +27,11 @@ std::string play(Machine& machine) {
     events.clear();
     machine.advance(machine.next_event(), events);
     for (const Event& e : events) {
-      const char* what = e.kind == Event::Kind::kDone ? "done" : e.kind == Event::Kind::kSuspended ? "susp" : "res";
-      out += (out.empty() ? "" : " ") + std::string(what) + std::to_string(e.tag) + "@" + std::to_string(e.time / kUs);
+      const char* what = e.kind == Event::Kind::kDone        ? "done"
+                         : e.kind == Event::Kind::kSuspended ? "susp"
+                                                             : "res";
+      out += (out.empty() ? "" : " ") + std::string(what) + std::to_string(e.tag) + "@" +
+             std::to_string(e.time / kUs);
     }
   }
   return out;

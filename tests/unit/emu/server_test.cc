@@ -2,14 +2,15 @@
 // The emulator behind its socket: real clients, short work, no times judged from above.
 #include "emu/server.h"
 
-#include <gtest/gtest.h>
-#include <sys/eventfd.h>
-#include <unistd.h>
-#include <xauto/emu.h>
-
 #include <cstdlib>
 #include <cstring>
 #include <thread>
+
+#include <gtest/gtest.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <xauto/emu.h>
 
 #include "base/clock.h"
 #include "base/socket.h"
@@ -109,7 +110,8 @@ TEST_F(EmuServer, RefusesUnknownXpusAndForeignContexts) {
 TEST_F(EmuServer, GarbageCostsOnlyTheConnectionThatSentIt) {
   auto context = Context::open(gpu());
   ASSERT_TRUE(context);
-  for (const std::size_t size : {std::size_t{1}, sizeof(Packet) - 1, sizeof(Packet), sizeof(Packet) + 9}) {
+  for (const std::size_t size :
+       {std::size_t{1}, sizeof(Packet) - 1, sizeof(Packet), sizeof(Packet) + 9}) {
     auto socket = connect_abstract(address_);
     ASSERT_TRUE(socket);
     const std::vector<char> junk(size, static_cast<char>(0xee));

@@ -2,11 +2,11 @@
 // Other machines, as folders.
 #include "kernel/probe.h"
 
-#include <gtest/gtest.h>
-#include <unistd.h>
-
 #include <filesystem>
 #include <fstream>
+
+#include <gtest/gtest.h>
+#include <unistd.h>
 
 namespace xauto::kernel {
 namespace {

@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// A whole app in this process, with real coordinators in threads: every job runs, in the policy's order,
-// faults of user code are contained, and everything is accounted for. No time is measured.
+// A whole app in this process, with real coordinators in threads: every job runs, in the policy's
+// order, faults of user code are contained, and everything is accounted for. No time is measured.
 #include "runtime/engine.h"
+
+#include <mutex>
+#include <thread>
 
 #include <gtest/gtest.h>
 #include <sys/eventfd.h>
 #include <unistd.h>
-#include <xauto/xauto.h>
 
-#include <mutex>
-#include <thread>
+#include <xauto/xauto.h>
 
 #include "base/memory_file.h"
 #include "base/socket.h"
@@ -32,7 +33,8 @@ class TestApp {
   TestApp() {
     spec.name = "test";
     const Topic<int> camera("camera"), a("a"), b("b"), c("c");
-    detail::SourceSpec source{detail::topic_spec(camera), 1ms, [](std::uint64_t k) -> std::shared_ptr<const void> {
+    detail::SourceSpec source{detail::topic_spec(camera), 1ms,
+                              [](std::uint64_t k) -> std::shared_ptr<const void> {
                                 return std::make_shared<const int>(static_cast<int>(k));
                               }};
     spec.sources.push_back(source);
@@ -44,8 +46,9 @@ class TestApp {
     session.platform.xpus = {{"cpu0", "cpu"}, {"npu0", "npu", false}};
     session.app.name = "test";
     for (const char* name : {"a1", "a2", "b1", "c1"})
-      session.app.xnodes.push_back(
-          {name, std::string(1, static_cast<char>(std::toupper(name[0]))), {{name == std::string("a1") ? "cpu" : "npu", 10}}});
+      session.app.xnodes.push_back({name,
+                                    std::string(1, static_cast<char>(std::toupper(name[0]))),
+                                    {{name == std::string("a1") ? "cpu" : "npu", 10}}});
     session.app.edges = {{0, 1}, {1, 3}, {2, 3}};
     session.policy.placements = {{0, 4}, {1, 3}, {1, 2}, {1, 1}};
     session.cpu_sched = CpuSched::kOther;
@@ -54,7 +57,9 @@ class TestApp {
   }
 
   /// Called in every exec, with the XNode's name and the activation's number.
-  std::function<Status(const std::string&, std::uint64_t)> exec = [](auto&&...) { return Status(); };
+  std::function<Status(const std::string&, std::uint64_t)> exec = [](auto&&...) {
+    return Status();
+  };
 
   std::vector<std::string> log() {
     const std::lock_guard lock(mutex_);
@@ -70,12 +75,15 @@ class TestApp {
       for (const Xpu& xpu : session.platform.xpus) {
         const std::string address = "xauto-test/engine-" + std::to_string(getpid()) + "-" +
                                     std::to_string(runs.fetch_add(1)) + "/" + xpu.id;
-        coord::ServerOptions options{address, xpu.id, discipline_of(xpu, false), {"a1", "a2", "b1", "c1"}, {}};
+        coord::ServerOptions options{
+            address, xpu.id, discipline_of(xpu, false), {"a1", "a2", "b1", "c1"}, {}};
         for (const auto& [u, v] : session.policy.order)
-          if (session.policy.placements[static_cast<std::size_t>(u)].xpu == session.platform.find(xpu.id))
+          if (session.policy.placements[static_cast<std::size_t>(u)].xpu ==
+              session.platform.find(xpu.id))
             options.order.emplace_back(u, v);
         servers.push_back(std::move(*coord::Server::create(std::move(options))));
-        threads.emplace_back([server = servers.back().get(), &stop] { (void)server->run(stop.get()); });
+        threads.emplace_back(
+            [server = servers.back().get(), &stop] { (void)server->run(stop.get()); });
         session.coordinators[xpu.id] = address;
       }
     }
@@ -95,8 +103,8 @@ class TestApp {
   Session session;
 
  private:
-  void add(const std::string& name, const std::vector<std::string>& nodes, std::vector<detail::TopicSpec> inputs,
-           const Topic<int>& output) {
+  void add(const std::string& name, const std::vector<std::string>& nodes,
+           std::vector<detail::TopicSpec> inputs, const Topic<int>& output) {
     auto module = std::make_shared<detail::XModuleSpec>();
     module->name = name;
     module->make_state = []() -> std::shared_ptr<void> { return std::make_shared<State>(); };
@@ -115,7 +123,8 @@ class TestApp {
       module->nodes.push_back(made);
     }
     module->inputs = std::move(inputs);
-    module->outputs = {{detail::topic_spec(output), [](void*) { return std::make_shared<const int>(1); }}};
+    module->outputs = {
+        {detail::topic_spec(output), [](void*) { return std::make_shared<const int>(1); }}};
     spec.modules.push_back(module);
   }
 
@@ -124,12 +133,13 @@ class TestApp {
 };
 
 std::uint64_t count(const std::vector<std::string>& log, const std::string& node) {
-  return static_cast<std::uint64_t>(
-      std::count_if(log.begin(), log.end(), [&](const std::string& l) { return l.rfind(node + "#", 0) == 0; }));
+  return static_cast<std::uint64_t>(std::count_if(
+      log.begin(), log.end(), [&](const std::string& l) { return l.rfind(node + "#", 0) == 0; }));
 }
 
 TEST(Engine, RunsEveryXNodeOfEveryRelease) {
-  for (const Scheduling scheduling : {Scheduling::kXAuto, Scheduling::kTimeshare, Scheduling::kRos2}) {
+  for (const Scheduling scheduling :
+       {Scheduling::kXAuto, Scheduling::kTimeshare, Scheduling::kRos2}) {
     TestApp app;
     app.session.scheduling = scheduling;
     const auto report = app.run();
@@ -137,7 +147,8 @@ TEST(Engine, RunsEveryXNodeOfEveryRelease) {
     EXPECT_TRUE(report->complete);
     EXPECT_EQ(report->releases.size(), 50u);
     for (const Release& release : report->releases) EXPECT_GE(release.latency_us, 0);
-    for (const char* node : {"a1", "a2", "b1", "c1"}) EXPECT_EQ(count(app.log(), node), 50u) << node;
+    for (const char* node : {"a1", "a2", "b1", "c1"})
+      EXPECT_EQ(count(app.log(), node), 50u) << node;
   }
 }
 
@@ -175,7 +186,8 @@ TEST(Engine, ExceptionDropsTheActivationAndTheRestGoesOn) {
   EXPECT_EQ(report->modules[2].failed, 1u);
   EXPECT_EQ(report->modules[2].dropped, 20u);
   EXPECT_EQ(count(app.log(), "c1"), 30u);
-  EXPECT_NE(report->note.find("exec of XNode 'a1' on cpu0: threw: boom"), std::string::npos) << report->note;
+  EXPECT_NE(report->note.find("exec of XNode 'a1' on cpu0: threw: boom"), std::string::npos)
+      << report->note;
 }
 
 TEST(Engine, FailingInitNamesTheXNode) {
@@ -194,7 +206,8 @@ TEST(Engine, AssignmentWithoutImplementationNamesBoth) {
   std::erase_if(impls, [](const auto& impl) { return impl.xpu.type() == "npu"; });
   const auto report = app.run();
   ASSERT_FALSE(report);
-  EXPECT_NE(report.error().what.find("is assigned to npu0 but has no implementation for 'npu'"), std::string::npos);
+  EXPECT_NE(report.error().what.find("is assigned to npu0 but has no implementation for 'npu'"),
+            std::string::npos);
 }
 
 TEST(Engine, RefusesAnAppThatIsNotTheSessions) {
@@ -234,7 +247,8 @@ TEST(Engine, TraceTellsEveryStepOfEveryJobInOrder) {
   std::vector<std::uint16_t> kinds;
   for (const trace::Event& event : trace->events)
     if (event.xnode == 0 && event.seq == 7) kinds.push_back(event.kind);
-  EXPECT_EQ(kinds, (std::vector<std::uint16_t>{XAUTO_EV_READY, XAUTO_EV_START, XAUTO_EV_RUN, XAUTO_EV_FINISH}));
+  EXPECT_EQ(kinds, (std::vector<std::uint16_t>{XAUTO_EV_READY, XAUTO_EV_START, XAUTO_EV_RUN,
+                                               XAUTO_EV_FINISH}));
 }
 
 }  // namespace

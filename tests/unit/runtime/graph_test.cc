@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "runtime/graph.h"
 
-#include <gtest/gtest.h>
-#include <xauto/xauto.h>
-
 #include <chrono>
+
+#include <gtest/gtest.h>
+
+#include <xauto/xauto.h>
 
 namespace xauto {
 namespace {
@@ -16,7 +17,9 @@ struct State {
 };
 const Topic<int> kIn("in"), kMid("mid"), kOut("out");
 
-SchedHandle no_handle(const XpuId&) { return SchedHandle::thread(); }
+SchedHandle no_handle(const XpuId&) {
+  return SchedHandle::thread();
+}
 void nothing(State&, const Input&) {}
 
 XNode<State> node(const std::string& name) {
@@ -26,7 +29,9 @@ XNode<State> node(const std::string& name) {
 }
 
 struct Builder {
-  Builder() { app.add_source(kIn, 10ms, [](std::uint64_t) { return 0; }); }
+  Builder() {
+    app.add_source(kIn, 10ms, [](std::uint64_t) { return 0; });
+  }
   std::string refusal() const {
     const Status status = app.check();
     return status ? "" : status.error().what;
@@ -36,13 +41,20 @@ struct Builder {
 
 TEST(Graph, ChainsAndTopicsGiveTheEdges) {
   Builder b;
-  b.app.add_module(XModule<State>("A").add_node(node("a1")).add_node(node("a2")).add_input_topic(kIn).add_output_topic(
-      kMid, &State::value));
-  b.app.add_module(XModule<State>("B").add_node(node("b1")).add_input_topic(kMid).add_output_topic(kOut, &State::value));
+  b.app.add_module(XModule<State>("A")
+                       .add_node(node("a1"))
+                       .add_node(node("a2"))
+                       .add_input_topic(kIn)
+                       .add_output_topic(kMid, &State::value));
+  b.app.add_module(XModule<State>("B")
+                       .add_node(node("b1"))
+                       .add_input_topic(kMid)
+                       .add_output_topic(kOut, &State::value));
   EXPECT_EQ(b.refusal(), "");
 }
 
-#define EXPECT_REFUSAL(builder, text) EXPECT_NE((builder).refusal().find(text), std::string::npos) << (builder).refusal()
+#define EXPECT_REFUSAL(builder, text) \
+  EXPECT_NE((builder).refusal().find(text), std::string::npos) << (builder).refusal()
 
 TEST(Graph, RefusesANodeAddedTwice) {
   Builder b;
@@ -61,8 +73,9 @@ TEST(Graph, RefusesANodeInTwoModules) {
 
 TEST(Graph, RefusesTwoImplementationsForOneXpu) {
   Builder b;
-  b.app.add_module(
-      XModule<State>("A").add_node(node("a1").add_impl(XPU::CPU, no_handle, nothing)).add_input_topic(kIn));
+  b.app.add_module(XModule<State>("A")
+                       .add_node(node("a1").add_impl(XPU::CPU, no_handle, nothing))
+                       .add_input_topic(kIn));
   EXPECT_REFUSAL(b, "XNode 'a1' has two implementations for 'cpu'");
 }
 
@@ -81,8 +94,10 @@ TEST(Graph, RefusesOneTopicWithTwoTypes) {
 TEST(Graph, RefusesTwoPublishers) {
   Builder b;
   for (const char* name : {"A", "B"})
-    b.app.add_module(XModule<State>(name).add_node(node(name + std::string("1"))).add_input_topic(kIn).add_output_topic(
-        kMid, &State::value));
+    b.app.add_module(XModule<State>(name)
+                         .add_node(node(name + std::string("1")))
+                         .add_input_topic(kIn)
+                         .add_output_topic(kMid, &State::value));
   EXPECT_REFUSAL(b, "topic 'mid' has two publishers: XModule 'A' and XModule 'B'");
 }
 
@@ -94,10 +109,15 @@ TEST(Graph, RefusesATopicThatNobodyPublishes) {
 
 TEST(Graph, RefusesACycleAndNamesIt) {
   Builder b;
-  b.app.add_module(XModule<State>("A").add_node(node("a1")).add_input_topic(kIn).add_input_topic(kOut).add_output_topic(
-      kMid, &State::value));
-  b.app.add_module(
-      XModule<State>("B").add_node(node("b1")).add_input_topic(kMid).add_output_topic(kOut, &State::value));
+  b.app.add_module(XModule<State>("A")
+                       .add_node(node("a1"))
+                       .add_input_topic(kIn)
+                       .add_input_topic(kOut)
+                       .add_output_topic(kMid, &State::value));
+  b.app.add_module(XModule<State>("B")
+                       .add_node(node("b1"))
+                       .add_input_topic(kMid)
+                       .add_output_topic(kOut, &State::value));
   EXPECT_REFUSAL(b, "cycle of XModules: A -> B -> A");
 }
 

@@ -2,10 +2,10 @@
 // Firing and losing, step by step, without threads: the host is the test.
 #include "runtime/xmodule.h"
 
+#include <string>
+
 #include <gtest/gtest.h>
 #include <uapi/xauto/event.h>
-
-#include <string>
 
 namespace xauto::runtime {
 namespace {
@@ -24,7 +24,8 @@ class Fixture : public ::testing::Test, public ModuleHost {
     spec_.name = "M";
     spec_.make_state = []() -> std::shared_ptr<void> { return std::make_shared<Value>(); };
     spec_.inputs = {detail::topic_spec(Topic<int>("a")), detail::topic_spec(Topic<int>("b"))};
-    spec_.outputs = {{detail::topic_spec(Topic<int>("c")), [](void*) { return std::make_shared<const int>(1); }}};
+    spec_.outputs = {{detail::topic_spec(Topic<int>("c")),
+                      [](void*) { return std::make_shared<const int>(1); }}};
     graph_ = {};
     graph_.modules.push_back({"M", &spec_, {}, {}, {}, true});
     graph_.single_rate = single_rate;
@@ -32,19 +33,25 @@ class Fixture : public ::testing::Test, public ModuleHost {
     channel_.subscribe([this](const detail::Envelope& e) {
       log_ += (e.message ? " out" : " tomb") + std::to_string(e.sequence);
     });
-    module_ = std::make_unique<ModuleRuntime>(graph_, 0, *this, std::vector<const transport::Channel*>{&channel_});
+    module_ = std::make_unique<ModuleRuntime>(graph_, 0, *this,
+                                              std::vector<const transport::Channel*>{&channel_});
     log_.clear();
   }
   void message(int input, std::uint64_t sequence) {
-    module_->receive(input, {std::make_shared<const int>(0), static_cast<std::int64_t>(1000 + sequence), sequence});
+    module_->receive(input, {std::make_shared<const int>(0),
+                             static_cast<std::int64_t>(1000 + sequence), sequence});
   }
-  void tombstone(int input, std::uint64_t sequence) { module_->receive(input, {nullptr, 0, sequence}); }
+  void tombstone(int input, std::uint64_t sequence) {
+    module_->receive(input, {nullptr, 0, sequence});
+  }
   std::string log() { return std::exchange(log_, ""); }
 
   void activate(int) override { log_ += " run" + std::to_string(module_->input().sequence()); }
   void done(int, std::int64_t, std::uint64_t s) override { log_ += " done" + std::to_string(s); }
   void dropped(int, std::uint64_t s, std::uint32_t reason) override {
-    log_ += (reason == XAUTO_DROP_FAILED ? " failed" : reason == XAUTO_DROP_OVERRUN ? " overrun" : " upstream") +
+    log_ += (reason == XAUTO_DROP_FAILED    ? " failed"
+             : reason == XAUTO_DROP_OVERRUN ? " overrun"
+                                            : " upstream") +
             std::to_string(s);
   }
   void skip(int, std::uint64_t s) override { log_ += " skip" + std::to_string(s); }

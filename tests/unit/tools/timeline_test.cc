@@ -8,7 +8,18 @@ namespace {
 
 TEST(Timeline, HoldsEveryBarAndNeedsNoNetwork) {
   Timeline t{"driving on small", "emulated", {}};
-  t.panels.push_back({"xauto", "XAuto", {"cpu0", "gpu0"}, 1, 2, 3, 4, {1, 2}, 0, 1, {{0, "fcd.pre", "FCD", 0, 900, BarKind::kRun}}, {}});
+  t.panels.push_back({"xauto",
+                      "XAuto",
+                      {"cpu0", "gpu0"},
+                      1,
+                      2,
+                      3,
+                      4,
+                      {1, 2},
+                      0,
+                      1,
+                      {{0, "fcd.pre", "FCD", 0, 900, BarKind::kRun}},
+                      {}});
   const std::string page = timeline_html(t);
   EXPECT_NE(page.find(R"([0,"fcd.pre","FCD",0,900,0])"), std::string::npos);
   std::size_t at = 0;
@@ -21,8 +32,18 @@ TEST(Timeline, HoldsEveryBarAndNeedsNoNetwork) {
 TEST(Timeline, NamesCannotLeaveTheirString) {
   Timeline t;
   t.title = "</title><script>alert(1)</script>";
-  t.panels.push_back({"x", "</script><script>alert(2)</script>", {"<!--"}, 0, 0, 0, 0, {}, 0, 0,
-                      {{0, "<img onerror=alert(3)>", "\"];alert(4);//", 0, 1, BarKind::kRun}}, {}});
+  t.panels.push_back({"x",
+                      "</script><script>alert(2)</script>",
+                      {"<!--"},
+                      0,
+                      0,
+                      0,
+                      0,
+                      {},
+                      0,
+                      0,
+                      {{0, "<img onerror=alert(3)>", "\"];alert(4);//", 0, 1, BarKind::kRun}},
+                      {}});
   const std::string page = timeline_html(t);
   EXPECT_EQ(page.find("<script>alert"), std::string::npos);
   EXPECT_EQ(page.find("<img"), std::string::npos);
