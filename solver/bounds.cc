@@ -82,8 +82,73 @@ Time load_bound(const Problem& problem) {
   return bound;
 }
 
+Time balanced_load_bound(const Problem& problem) {
+  const std::vector<Time> heads = static_heads(problem), tails = static_tails(problem);
+  const std::size_t types = at(problem.num_types);
+  const std::size_t steps = problem.num_xnodes > 200 ? 3 : 6;
+  const auto quantiles = [&](std::vector<Time> values) {
+    std::sort(values.begin(), values.end());
+    std::vector<Time> chosen;
+    for (std::size_t k = 0; k < steps; ++k)
+      chosen.push_back(values[k * (values.size() - 1) / (2 * steps)]);
+    chosen.erase(std::unique(chosen.begin(), chosen.end()), chosen.end());
+    return chosen;
+  };
+  std::vector<int> inside;
+  // Largest multiplier 2^20, times 2^40 us, times 2^14.3 XNodes: below 2^75, hence the wide
+  // integer.
+  const auto value = [&](const std::vector<std::int64_t>& y) {
+    __int128 work = 0, rate = 0;
+    for (std::size_t t = 0; t < types; ++t)
+      rate += static_cast<__int128>(y[t]) * static_cast<std::int64_t>(problem.type_xpus[t].size());
+    if (rate == 0) return Time{0};
+    for (int i : inside) {
+      __int128 least = -1;
+      for (std::size_t t = 0; t < types; ++t) {
+        const Time wcet = problem.wcet(i, static_cast<int>(t));
+        if (wcet == kCannotRun || problem.type_xpus[t].empty()) continue;
+        const __int128 charge = static_cast<__int128>(y[t]) * wcet;
+        if (least < 0 || charge < least) least = charge;
+      }
+      work += std::max<__int128>(least, 0);
+    }
+    return static_cast<Time>((work + rate - 1) / rate);
+  };
+  Time bound = 0;
+  for (const Time h : quantiles(heads)) {
+    for (const Time q : quantiles(tails)) {
+      inside.clear();
+      for (int i = 0; i < problem.num_xnodes; ++i)
+        if (heads[at(i)] >= h && tails[at(i)] >= q) inside.push_back(i);
+      std::vector<std::int64_t> y(types, 1 << 12);
+      Time best = value(y);
+      for (std::int64_t step = 8; step <= 1024; step *= 2) {
+        for (int round = 0; round < 12; ++round) {
+          bool better = false;
+          for (std::size_t t = 0; t < types; ++t) {
+            for (const bool up : {true, false}) {
+              std::vector<std::int64_t> trial = y;
+              const std::int64_t change = std::max<std::int64_t>(1, trial[t] * 4 / step);
+              trial[t] = std::clamp<std::int64_t>(trial[t] + (up ? change : -change), 0, 1 << 20);
+              const Time now = value(trial);
+              if (now <= best) continue;
+              best = now;
+              y = std::move(trial);
+              better = true;
+            }
+          }
+          if (!better) break;
+        }
+      }
+      bound = std::max(bound, h + q + best);
+    }
+  }
+  return bound;
+}
+
 Time quick_bound(const Problem& problem) {
-  return std::max(critical_path_bound(problem), load_bound(problem));
+  return std::max(
+      {critical_path_bound(problem), load_bound(problem), balanced_load_bound(problem)});
 }
 
 }  // namespace xauto::solver

@@ -21,7 +21,11 @@ namespace xauto::solver {
 /// For every set S of types: the XNodes that can run only in S, each at its least WCET, over the
 /// number of instances in S, plus the least head and tail among them.
 [[nodiscard]] Time load_bound(const Problem& problem);
-/// The larger of the two.
+/// The fractional assignment that balances the types best, as its dual: for any Y_t >= 0
+///   T >= h + q + sum over i in S(h, q) of min_t Y_t wcet_it / sum over t of Y_t instances(t)
+/// where S(h, q) are the XNodes with head >= h and tail >= q. Y by coordinate search, then exact.
+[[nodiscard]] Time balanced_load_bound(const Problem& problem);
+/// The largest of the three.
 [[nodiscard]] Time quick_bound(const Problem& problem);
 
 }  // namespace xauto::solver
