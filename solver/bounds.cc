@@ -82,7 +82,7 @@ Time load_bound(const Problem& problem) {
   return bound;
 }
 
-Time balanced_load_bound(const Problem& problem) {
+Time balanced_load_bound(const Problem& problem, std::vector<std::int64_t>* prices) {
   const std::vector<Time> heads = static_heads(problem), tails = static_tails(problem);
   const std::size_t types = at(problem.num_types);
   const std::size_t steps = problem.num_xnodes > 200 ? 3 : 6;
@@ -140,6 +140,8 @@ Time balanced_load_bound(const Problem& problem) {
           if (!better) break;
         }
       }
+      if (prices != nullptr && prices->empty())
+        *prices = y;  // the first pair holds the most XNodes
       bound = std::max(bound, h + q + best);
     }
   }

@@ -24,7 +24,9 @@ namespace xauto::solver {
 /// The fractional assignment that balances the types best, as its dual: for any Y_t >= 0
 ///   T >= h + q + sum over i in S(h, q) of min_t Y_t wcet_it / sum over t of Y_t instances(t)
 /// where S(h, q) are the XNodes with head >= h and tail >= q. Y by coordinate search, then exact.
-[[nodiscard]] Time balanced_load_bound(const Problem& problem);
+/// `prices`, if not null: the Y of the whole app, a hint for which type suits whom.
+[[nodiscard]] Time balanced_load_bound(const Problem& problem,
+                                       std::vector<std::int64_t>* prices = nullptr);
 /// The largest of the three.
 [[nodiscard]] Time quick_bound(const Problem& problem);
 

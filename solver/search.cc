@@ -6,6 +6,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "solver/bounds.h"
 #include "solver/ordered.h"
 #include "solver/random.h"
 
@@ -18,7 +19,9 @@ std::size_t at(int index) {
 
 /// Non-preemptive insertion-free list scheduling: by descending rank, each XNode goes where it ends
 /// first.
-Solution list_schedule(const Problem& problem, const std::vector<double>& rank, double spread) {
+/// `prices`, if not empty: an XNode may go only where price * wcet is within a tenth of its least.
+Solution list_schedule(const Problem& problem, const std::vector<double>& rank, double spread,
+                       const std::vector<std::int64_t>& prices = {}) {
   const std::size_t n = at(problem.num_xnodes);
   Solution solution;
   solution.xpu.assign(n, -1);
@@ -39,9 +42,17 @@ Solution list_schedule(const Problem& problem, const std::vector<double>& rank, 
     Time released = 0;
     for (int p : problem.pred[at(i)]) released = std::max(released, finish[at(p)]);
     double best_score = 0;
+    double cheapest = 1e300;
+    const auto charge = [&](int x) {
+      return prices.empty() ? 0
+                            : static_cast<double>(prices[at(problem.xpu_type[at(x)])]) *
+                                  static_cast<double>(problem.wcet_on(i, x));
+    };
+    for (int x = 0; x < problem.num_xpus; ++x)
+      if (problem.wcet_on(i, x) != kCannotRun) cheapest = std::min(cheapest, charge(x));
     for (int x = 0; x < problem.num_xpus; ++x) {
       const Time wcet = problem.wcet_on(i, x);
-      if (wcet == kCannotRun) continue;
+      if (wcet == kCannotRun || charge(x) > 1.1 * cheapest) continue;
       const Time begin = std::max(released, free_at[at(x)]);
       // `spread` charges the use of the XPU itself, so that scarce fast XPUs go to those who gain
       // most.
@@ -259,6 +270,8 @@ std::vector<Solution> constructive_solutions(const Problem& problem) {
   const std::size_t n = at(problem.num_xnodes);
   std::vector<Solution> solutions;
   Evaluator evaluator(problem);
+  std::vector<std::int64_t> prices;
+  (void)balanced_load_bound(problem, &prices);
   for (int rule = 0; rule < 3; ++rule) {
     std::vector<double> rank(n, 0);
     for (std::size_t k = n; k-- > 0;) {
@@ -278,8 +291,9 @@ std::vector<Solution> constructive_solutions(const Problem& problem) {
       for (int s : problem.succ[at(i)]) tail = std::max(tail, rank[at(s)]);
       rank[at(i)] = tail + (rule == 0 ? least : rule == 1 ? sum / count : greatest);
     }
-    for (double spread : {0.0, 0.5, 1.0}) {
-      Solution solution = list_schedule(problem, rank, spread);
+    for (double spread : {0.0, 0.5, 1.0, -1.0}) {
+      Solution solution = spread < 0 ? list_schedule(problem, rank, 0, prices)
+                                     : list_schedule(problem, rank, spread);
       gather_groups(problem, solution.xpu);
       evaluator.reset(solution.xpu, solution.sequence);
       solution.makespan = evaluator.makespan();

@@ -30,7 +30,9 @@ TEST(Trace, ReadsBackWhatManyThreadsWrote) {
   for (std::size_t i = 0; i < 4000; ++i) {
     const Event& e = recording->events[i];
     EXPECT_EQ(e.seq, next[e.xnode]++);  // each thread's events stay in order
-    if (i > 0) EXPECT_GE(e.ts_ns, recording->events[i - 1].ts_ns);
+    if (i > 0) {
+      EXPECT_GE(e.ts_ns, recording->events[i - 1].ts_ns);
+    }
   }
 }
 
