@@ -428,6 +428,32 @@ class Refuter {
   std::int64_t nodes_left_ = 0;
 };
 
+/// The same problem with each instance of a two-instance type as a type of its own: branching on
+/// types then decides instances, and pairs are decided on each. WCETs are those of the type.
+Problem per_instance(const Problem& problem) {
+  Problem split = problem;
+  split.num_types = 0;
+  split.type_name.clear();
+  split.type_xpus.clear();
+  std::vector<int> from;
+  for (int t = 0; t < problem.num_types; ++t) {
+    const auto& xpus = problem.type_xpus[at(t)];
+    const bool apart = xpus.size() == 2;
+    for (std::size_t k = 0; k < (apart ? 2 : 1); ++k) {
+      split.type_name.push_back(problem.type_name[at(t)]);
+      split.type_xpus.push_back(apart ? std::vector<int>{xpus[k]} : xpus);
+      for (int x : split.type_xpus.back()) split.xpu_type[at(x)] = split.num_types;
+      ++split.num_types;
+      from.push_back(t);
+    }
+  }
+  split.wcet_flat.assign(at(problem.num_xnodes) * from.size(), kCannotRun);
+  for (int i = 0; i < problem.num_xnodes; ++i)
+    for (std::size_t t = 0; t < from.size(); ++t)
+      split.wcet_flat[at(i) * from.size() + t] = problem.wcet(i, from[t]);
+  return split;
+}
+
 }  // namespace
 
 bool deadlines_refuted(const Problem& problem, Time makespan_limit, const ProofControl& control) {
@@ -468,6 +494,9 @@ Time prove_bound(const Problem& problem, const ProofControl& control) {
     }
   }
   // 2. With branching: ever more nodes, ever closer guesses.
+  const Problem split = per_instance(problem);
+  Refuter apart(split, control);
+  const bool has_pairs_of_instances = split.num_types > problem.num_types && split.num_types <= 16;
   std::int64_t nodes = 200;
   while (!refuter.stopped() && bound < incumbent()) {
     bool any = false;
@@ -476,7 +505,10 @@ Time prove_bound(const Problem& problem, const ProofControl& control) {
       const Time gap = incumbent() - bound;
       const Time t =
           bound + std::max<Time>(0, static_cast<Time>(part * static_cast<double>(gap)) - 1);
-      if (refuter.refute(t, nodes, 2) == Answer::kRefuted && !refuter.stopped()) {
+      const bool refuted =
+          (refuter.refute(t, nodes, 2) == Answer::kRefuted && !refuter.stopped()) ||
+          (has_pairs_of_instances && apart.refute(t, nodes, 2) == Answer::kRefuted);
+      if (refuted) {
         raise(t);
         any = true;
         break;
