@@ -106,9 +106,11 @@ class Annealer {
     std::int64_t length = 200 * static_cast<std::int64_t>(problem_.num_xnodes) + 2000;
     for (int k = 0; k < limits_.effort; ++k) length += length / 2;
     for (int round = 0; !done_; ++round) {
-      const double hot = round % 3 == 2 ? 0.03 : 0.012;
+      // Temperatures follow the size of one XNode's effect, which falls as the app grows.
+      const double scale = std::min(1.0, 60.0 / static_cast<double>(problem_.num_xnodes));
+      const double hot = (round % 3 == 2 ? 0.03 : 0.012) * scale;
       cool(length, hot * static_cast<double>(best_.makespan),
-           0.0002 * static_cast<double>(best_.makespan));
+           0.0002 * scale * static_cast<double>(best_.makespan));
       if (round % 2 == 1) length += length / 2;
       if (random_.below(4) != 0) evaluator_.reset(best_.xpu, best_.sequence);
     }
