@@ -6,8 +6,8 @@ cd "$(dirname "$0")/.."
 echo "demo: building"
 cmake --preset release >/dev/null
 ninja -C build -j"${JOBS:-2}" xauto xauto-coordinator xauto-emud driving | tail -n 1
-echo "demo: running the Driving Case under four policies, about a minute and a half"
+echo "demo: running the Driving Case under four policies, about a minute"
 build/bin/xauto compare --app examples/driving/app.json --platform small \
-  --activations "${ACTIVATIONS:-300}" --out build/demo -- build/bin/driving
+  --activations "${ACTIVATIONS:-220}" --out build/demo -- build/bin/driving
 echo
 echo "Next: open build/demo/timeline.html in a browser; README.md tells how to schedule an app of your own."

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "xauto/command.h"
 
+#include <algorithm>
 #include <iostream>
 
 #include "base/log.h"
@@ -37,6 +38,14 @@ int Commands::run(int argc, char** argv) {
   root_.footer(
       "Exit status: 0 done, 1 the answer is no, 2 bad usage or bad input.\n"
       "Next: xauto doctor");
+  // CLI11 would only say that a verb is missing.
+  const auto known = verbs();
+  if (argc > 1 && argv[1][0] != '-' &&
+      std::none_of(known.begin(), known.end(), [&](const Verb& v) { return v.name == argv[1]; })) {
+    log::error("there is no verb '{}'", argv[1]);
+    log::hint("`xauto --help` lists the verbs");
+    return kBadInput;
+  }
   try {
     root_.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
