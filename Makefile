@@ -40,7 +40,7 @@ format:
 	@scripts/sources.sh | xargs clang-format -i
 
 tidy:
-	@scripts/setup.sh build check
+	@scripts/setup.sh build tidy
 	@cmake --preset release >/dev/null
 	@scripts/sources.sh | grep '\.cc$$' | xargs clang-tidy -p build
 
