@@ -454,12 +454,15 @@ Problem per_instance(const Problem& problem) {
   return split;
 }
 
+/// A node budget that no clock lets be used up; rounds that end early would otherwise overflow it.
+constexpr std::int64_t kMostNodes = std::int64_t{1} << 50;
+
 }  // namespace
 
 bool deadlines_refuted(const Problem& problem, Time makespan_limit, const ProofControl& control) {
   if (problem.num_types > 16) return false;
   Refuter refuter(problem, control, true);
-  for (std::int64_t nodes = 1; !refuter.stopped(); nodes = nodes * 4 + 100)
+  for (std::int64_t nodes = 1; !refuter.stopped(); nodes = std::min(kMostNodes, nodes * 4 + 100))
     if (refuter.refute(makespan_limit, nodes, nodes > 1 ? 2 : 0) == Refuter::Answer::kRefuted)
       return true;
   return false;
@@ -514,7 +517,7 @@ Time prove_bound(const Problem& problem, const ProofControl& control) {
         break;
       }
     }
-    if (!any) nodes *= 3;
+    if (!any) nodes = std::min(kMostNodes, nodes * 3);
   }
   return bound;
 }
