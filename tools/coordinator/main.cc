@@ -3,13 +3,10 @@
 #include <string>
 
 #include <CLI/CLI.hpp>
-#include <signal.h>
-#include <sys/signalfd.h>
-#include <unistd.h>
 
+#include "base/daemon.h"
 #include "base/log.h"
 #include "base/memory_file.h"
-#include "base/rt.h"
 #include "coord/server.h"
 #include "runtime/session.h"
 #include "runtime/supervisor.h"
@@ -57,12 +54,7 @@ int main(int argc, char** argv) {
     return cli.exit(e) == 0 ? 0 : 2;
   }
 
-  sigset_t signals;
-  sigemptyset(&signals);
-  sigaddset(&signals, SIGTERM);
-  sigaddset(&signals, SIGINT);
-  sigprocmask(SIG_BLOCK, &signals, nullptr);
-  const xauto::UniqueFd stop(signalfd(-1, &signals, SFD_CLOEXEC));
+  const xauto::UniqueFd stop = xauto::daemon::stop_signals();
 
   auto options = options_for(xpu, session_fd);
   if (!options) return complain(options.error());
@@ -70,14 +62,8 @@ int main(int argc, char** argv) {
   auto server = xauto::coord::Server::create(std::move(*options));
   if (!server) return complain(server.error());
 
-  xauto::rt::set_timer_slack_1ns();
-  xauto::rt::lock_memory();
-  if (const auto status = xauto::rt::set_fifo(kFifoCoordinator); !status)
-    xauto::log::debug("{}: {}", xpu, status.error().to_string());
-  if (ready_fd >= 0) {
-    [[maybe_unused]] const ssize_t told = write(ready_fd, "ready\n", 6);
-    close(ready_fd);
-  }
+  xauto::daemon::settle(xpu, kFifoCoordinator);
+  xauto::daemon::tell_ready(ready_fd);
   const auto status = (*server)->run(stop.get());
   return status ? 0 : complain(status.error());
 }

@@ -3,12 +3,9 @@
 #include <string>
 
 #include <CLI/CLI.hpp>
-#include <signal.h>
-#include <sys/signalfd.h>
-#include <unistd.h>
 
+#include "base/daemon.h"
 #include "base/log.h"
-#include "base/rt.h"
 #include "emu/server.h"
 #include "model/json.h"
 
@@ -37,26 +34,15 @@ int main(int argc, char** argv) {
     return cli.exit(e) == 0 ? 0 : 2;
   }
 
-  sigset_t signals;
-  sigemptyset(&signals);
-  sigaddset(&signals, SIGTERM);
-  sigaddset(&signals, SIGINT);
-  sigprocmask(SIG_BLOCK, &signals, nullptr);
-  const xauto::UniqueFd stop(signalfd(-1, &signals, SFD_CLOEXEC));
+  const xauto::UniqueFd stop = xauto::daemon::stop_signals();
 
   const auto platform = xauto::load_platform(platform_path);
   if (!platform) return complain(platform.error());
   auto server = xauto::emu::Server::create(*platform, address);
   if (!server) return complain(server.error());
 
-  xauto::rt::set_timer_slack_1ns();
-  xauto::rt::lock_memory();
-  if (const auto status = xauto::rt::set_fifo(kFifoEmulator); !status)
-    xauto::log::debug("{}", status.error().to_string());
-  if (ready_fd >= 0) {
-    [[maybe_unused]] const ssize_t told = write(ready_fd, "ready\n", 6);
-    close(ready_fd);
-  }
+  xauto::daemon::settle("xauto-emud", kFifoEmulator);
+  xauto::daemon::tell_ready(ready_fd);
   const auto status = (*server)->run(stop.get());
   return status ? 0 : complain(status.error());
 }
