@@ -31,7 +31,8 @@ td.bar div { height:12px; border-radius:3px; background:var(--accent); opacity:.
 .legend span.key { display:flex; align-items:center; gap:6px; color:var(--dim); padding:2px 6px }
 svg { display:block; width:100%; height:auto; overflow:visible }
 svg text { fill:var(--fg); font-size:11px } svg text.dim { fill:var(--dim) } svg .grid { stroke:var(--line) }
-svg .lane { fill:var(--lane) } svg .end { stroke:var(--fg); stroke-width:1.5; stroke-dasharray:4 3 }
+svg .lane { fill:var(--lane) } svg text.latency { paint-order:stroke; stroke:var(--card); stroke-width:5px; stroke-linejoin:round; font-weight:650 }
+svg .end { stroke:var(--fg); stroke-width:1.5; stroke-dasharray:4 3 }
 svg .label { fill:var(--ink); font-size:10px; pointer-events:none } svg .faded { opacity:.15 }
 svg .plan { fill:none; stroke-width:1.2; opacity:.8 } svg .bar:hover { stroke:var(--fg); stroke-width:1.5 }
 #tip { position:fixed; pointer-events:none; background:var(--fg); color:var(--bg); border-radius:6px; padding:6px 9px; font-size:12px; display:none; z-index:9; max-width:340px; white-space:pre-line }
@@ -195,7 +196,7 @@ function gantt(card, p) {
   if (p.shownLatency <= view[1] && p.shownLatency >= view[0]) {
     el(svg, "line", { class: "end", x1: x(p.shownLatency), x2: x(p.shownLatency), y1: 0, y2: H - 18 });
     const right = x(p.shownLatency) > W - 110;
-    el(svg, "text", { x: x(p.shownLatency) + (right ? -5 : 5), y: 12, "text-anchor": right ? "end" : "start" }, ms(p.shownLatency) + " ms");
+    el(svg, "text", { class: "latency", x: x(p.shownLatency) + (right ? -5 : 5), y: 12, "text-anchor": right ? "end" : "start" }, ms(p.shownLatency) + " ms");
   }
 }
 
