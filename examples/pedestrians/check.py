@@ -25,7 +25,7 @@ def main():
     if missing:
         print(f"frames without result: {missing}")
         return 1
-    identity, expected, found, extra = {}, 0, 0, 0
+    identity, person, expected, found, extra = {}, {}, 0, 0, 0
     for frame, tracks in golden.items():
         unmatched = list(run[frame])
         for track in tracks:
@@ -34,6 +34,8 @@ def main():
             if best is None or iou(best["box"], track["box"]) < 0.7:
                 continue
             if identity.setdefault(track["id"], best["id"]) != best["id"]:
+                continue
+            if person.setdefault(best["id"], track["id"]) != track["id"]:  # two people under one identity
                 continue
             unmatched.remove(best)
             found += 1
