@@ -200,7 +200,7 @@ void annotate(cv::Mat& image, const std::vector<Track>& tracks, int path_frames)
     const cv::Scalar& colour = kColours[static_cast<std::size_t>(track.id) % std::size(kColours)];
     cv::rectangle(image, track.box, colour, 2);
     cv::putText(image, "#" + std::to_string(track.id), track.box.tl() + cv::Point2d(2, -5),
-                cv::FONT_HERSHEY_SIMPLEX, 0.5, colour, 2);
+                cv::FONT_HERSHEY_SIMPLEX, 0.6, colour, 1, cv::LINE_AA);
     cv::Point2d from = centre(track.box);
     for (const cv::Point2d& to : predict(track, path_frames)) {
       cv::line(image, from, to, colour, 2);
