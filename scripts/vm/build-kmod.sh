@@ -1,0 +1,30 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Builds the kernel modules against a kernel that fetch-kernel.sh unpacked.
+# usage: build-kmod.sh KERNEL_FOLDER OUT [VAR=VALUE ...]       OUT gets a copy of the sources and the .ko files
+# Warnings are errors: a module that warns is not shipped.
+set -euo pipefail
+kernel=$(realpath "$1") out=$(realpath -m "$2")
+shift 2
+root=$(realpath "$(dirname "$0")/../..")
+case $kernel in
+  *-arm64) cross=(ARCH=arm64 CROSS_COMPILE=aarch64-linux-gnu- CC=aarch64-linux-gnu-gcc-12) ;;
+  *) cross=(CC=gcc-12) ;;
+esac
+mkdir -p "$out"
+# The objects of one kernel must not be taken for another's, so each has its own copy of the sources.
+rm -rf "$out/kmod" "$out/include"
+cp -r "$root/Kbuild" "$root/kmod" "$out"
+mkdir -p "$out/include"
+cp -r "$root/include/uapi" "$out/include/"
+read -r -a needs <"$kernel/needs"
+log=$out/build.log
+if ! make -C "$kernel/build" M="$out" "${cross[@]}" "${needs[@]}" W=1 "$@" modules >"$log" 2>&1; then
+  grep -E 'error|warning|undefined' -A 4 "$log" | head -n 40 >&2
+  echo "build-kmod: failed against $(cat "$kernel/release"); the log is $log" >&2
+  exit 1
+fi
+if grep -E '(^|/)kmod/.*warning:|WARNING: modpost' "$log" >&2; then
+  echo "build-kmod: warnings against $(cat "$kernel/release"); the log is $log" >&2
+  exit 1
+fi

@@ -1,0 +1,42 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Packs an initramfs: busybox, our init, the tests and their libraries.
+# usage: mk-initrd.sh OUT.cpio.gz [ROOT=DIR] SRC[:DST] ...      a bare SRC lands in /bin; a folder is copied whole to DST
+# The libraries that each ELF needs are added. With ROOT (another architecture's root) they are looked up there.
+set -euo pipefail
+out=$(realpath -m "$1")
+shift
+here=$(dirname "$(realpath "$0")")
+sysroot=
+case ${1:-} in ROOT=*) sysroot=${1#ROOT=} && shift ;; esac
+dir=$(mktemp -d)
+trap 'rm -rf "$dir"' EXIT
+mkdir -p "$dir"/{bin,sbin,proc,sys,dev,tmp,etc,run,usr/bin,usr/sbin,root}
+install -m755 "${sysroot:+$sysroot/usr}${sysroot:-}/bin/busybox" "$dir/bin/busybox" 2>/dev/null || install -m755 "$(command -v busybox || echo /bin/busybox)" "$dir/bin/busybox"
+ln -s busybox "$dir/bin/sh"
+install -m755 "$here/../../tests/vm/init" "$dir/init"
+printf 'root:x:0:0::/root:/bin/sh\nuser:x:1000:1000::/tmp:/bin/sh\nother:x:1001:1001::/tmp:/bin/sh\n' >"$dir/etc/passwd"
+printf 'root:x:0:\nuser:x:1000:\nother:x:1001:\n' >"$dir/etc/group"
+
+libraries() { # the libraries an ELF needs, as paths
+  ldd "$1" 2>/dev/null | grep -oE '/[^ ]+\.so[^ ]*' | sort -u || true
+}
+add_libraries() {
+  local lib
+  for lib in $(libraries "$1"); do
+    [ -e "$dir$lib" ] || install -D -m755 "$(realpath "$lib")" "$dir$lib"
+  done
+}
+
+for item in "$@"; do
+  src=${item%%:*} dst=${item#*:}
+  [ "$dst" != "$item" ] || dst=/bin/$(basename "$src")
+  if [ -d "$src" ]; then
+    mkdir -p "$dir$dst"
+    cp -rL "$src/." "$dir$dst/"
+  else
+    install -D -m755 "$src" "$dir$dst"
+    [ -n "$sysroot" ] || add_libraries "$src"
+  fi
+done
+(cd "$dir" && find . | cpio -o -H newc --quiet -R 0:0 | gzip -1) >"$out"

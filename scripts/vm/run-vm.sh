@@ -1,0 +1,24 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Boots a kernel with an initramfs in QEMU (no KVM needed) and returns the status that the tests inside ended with.
+# usage: run-vm.sh KERNEL_FOLDER INITRD LOG [COMMAND]      COMMAND: what init runs, default /tests/run
+# Environment: VM_LIMIT_S (300), VM_CPUS (2), VM_MEMORY (1G), VM_APPEND (more kernel parameters)
+# Status: 0..123 the guest's own, 124 it took too long, 125 it died without a verdict.
+# The verdict travels on the serial line, since neither architecture's Debian cloud kernel can set QEMU's exit status.
+set -uo pipefail
+kernel=$1 initrd=$2 log=$3 run=${4:-/tests/run}
+# Two virtual CPUs are more reliable than four on a machine with two: what waits for a CPU that QEMU does not run looks like a stall.
+common=(-accel tcg,thread=multi -smp "${VM_CPUS:-2}" -m "${VM_MEMORY:-1G}" -nodefaults -no-reboot -display none -serial stdio
+  -monitor none -kernel "$kernel/vmlinuz" -initrd "$initrd")
+append="quiet oops=panic panic=-1 panic_on_warn=${VM_PANIC_ON_WARN:-0} xauto.run=$run ${VM_APPEND:-}"
+case $kernel in
+  *-arm64) command=(qemu-system-aarch64 -M "virt,gic-version=3" -cpu "max,pauth-impdef=on" "${common[@]}" -append "console=ttyAMA0 $append") ;;
+  *) command=(qemu-system-x86_64 -cpu max "${common[@]}" -append "console=ttyS0 $append") ;;
+esac
+timeout -k 5 "${VM_LIMIT_S:-300}" "${command[@]}" </dev/null >"$log" 2>&1
+status=$?
+sed -i 's/\r//g' "$log"
+[ "$status" -eq 124 ] && exit 124
+verdict=$(sed -n 's/^XAUTO-VM-EXIT=\([0-9]*\)$/\1/p' "$log" | tail -n 1)
+[ -n "$verdict" ] && exit "$verdict"
+exit 125
