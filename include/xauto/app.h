@@ -20,6 +20,8 @@ struct SourceSpec {
   TopicSpec topic;
   std::chrono::microseconds period{};
   std::function<std::shared_ptr<const void>(std::uint64_t sequence)> make;
+  /// The same, in the memory of a topic that leaves the process; may be empty.
+  std::function<std::shared_ptr<const void>(std::uint64_t sequence, MessageMemory*)> make_in;
 };
 }  // namespace detail
 
@@ -49,11 +51,15 @@ class App {
   /// come instead.
   template <class T, class Make>
   App& add_source(const Topic<T>& topic, std::chrono::microseconds period, Make make) {
-    add_source_spec(
-        {detail::topic_spec(topic), period,
-         [make = std::move(make)](std::uint64_t sequence) -> std::shared_ptr<const void> {
-           return std::make_shared<const T>(make(sequence));
-         }});
+    auto shared = std::make_shared<Make>(std::move(make));
+    add_source_spec({detail::topic_spec(topic), period,
+                     [shared](std::uint64_t sequence) -> std::shared_ptr<const void> {
+                       return std::make_shared<const T>((*shared)(sequence));
+                     },
+                     [shared](std::uint64_t sequence, MessageMemory* memory) {
+                       return detail::make_message<T>(memory,
+                                                      [&]() -> T { return (*shared)(sequence); });
+                     }});
     return *this;
   }
 

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <cstring>
 #include <memory>
+#include <new>
 #include <span>
 #include <stdexcept>
 #include <string>
@@ -73,6 +74,15 @@ struct Codec<std::string> {
   }
 };
 
+/// Where a message is made so that other processes can read it without a copy. Implemented by the
+/// transport; apps meet it only through Topic.
+class MessageMemory {
+ public:
+  virtual ~MessageMemory() = default;
+  /// Room for `bytes`, given back when nobody holds it any more; null: make it on the heap.
+  virtual std::shared_ptr<void> loan(std::size_t bytes) = 0;
+};
+
 namespace detail {
 
 /// A message on its way: shared, never written again once published.
@@ -89,7 +99,24 @@ struct TopicSpec {
   /// Null where the type has no Codec.
   std::vector<std::byte> (*encode)(const void*) = nullptr;
   std::shared_ptr<const void> (*decode)(std::span<const std::byte>) = nullptr;
+  /// sizeof(T) of plain data, which other processes read where it lies; 0: it is encoded.
+  std::size_t plain_bytes = 0;
+  /// Largest encoded message between processes: Codec<T>::kMaxBytes, if it says so.
+  std::size_t max_bytes = std::size_t{8} << 20;
 };
+
+/// A message of type T from `make`, a callable that returns a T, without a copy: in `memory` if T
+/// is plain data and there is room, else on the heap.
+template <class T, class Make>
+std::shared_ptr<const void> make_message(MessageMemory* memory, Make&& make) {
+  if constexpr (std::is_trivially_copyable_v<T> && !std::is_pointer_v<T> && alignof(T) <= 64)
+    if (memory != nullptr)
+      if (std::shared_ptr<void> room = memory->loan(sizeof(T))) {
+        ::new (room.get()) T(make());
+        return room;
+      }
+  return std::make_shared<const T>(make());
+}
 
 std::string demangle(const char* name);
 
@@ -104,7 +131,10 @@ TopicSpec topic_spec(const Topic<T>& topic) {
     spec.decode = [](std::span<const std::byte> b) -> std::shared_ptr<const void> {
       return std::make_shared<const T>(Codec<T>::decode(b));
     };
+    if constexpr (requires { Codec<T>::kMaxBytes; }) spec.max_bytes = Codec<T>::kMaxBytes;
   }
+  if constexpr (std::is_trivially_copyable_v<T> && !std::is_pointer_v<T>)
+    spec.plain_bytes = sizeof(T);
   return spec;
 }
 

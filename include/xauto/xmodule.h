@@ -20,6 +20,8 @@ struct OutputSpec {
   TopicSpec topic;
   std::function<std::shared_ptr<const void>(void* state)>
       take;  ///< copies the message out of the state
+  /// The same, in the memory of a topic that leaves the process; may be empty.
+  std::function<std::shared_ptr<const void>(void* state, MessageMemory*)> take_in;
 };
 
 struct XModuleSpec {
@@ -81,15 +83,17 @@ class XModule {
   template <class T, class Make>
   requires std::is_invocable_v<Make, State&> XModule& add_output_topic(const Topic<T>& topic,
                                                                        Make make) {
+    auto take = [make = std::move(make)](void* state,
+                                         MessageMemory* memory) -> std::shared_ptr<const void> {
+      State& from = *static_cast<State*>(state);
+      if constexpr (std::is_convertible_v<std::invoke_result_t<Make, State&>,
+                                          std::shared_ptr<const T>>)
+        return std::shared_ptr<const T>(make(from));
+      else
+        return detail::make_message<T>(memory, [&]() -> T { return make(from); });
+    };
     spec_->outputs.push_back(
-        {detail::topic_spec(topic),
-         [make = std::move(make)](void* state) -> std::shared_ptr<const void> {
-           if constexpr (std::is_convertible_v<std::invoke_result_t<Make, State&>,
-                                               std::shared_ptr<const T>>)
-             return std::shared_ptr<const T>(make(*static_cast<State*>(state)));
-           else
-             return std::make_shared<const T>(make(*static_cast<State*>(state)));
-         }});
+        {detail::topic_spec(topic), [take](void* state) { return take(state, nullptr); }, take});
     return *this;
   }
 

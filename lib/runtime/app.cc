@@ -5,7 +5,6 @@
 #include <cstdlib>
 #include <cstring>
 
-#include <cxxabi.h>
 #include <signal.h>
 #include <unistd.h>
 
@@ -20,18 +19,6 @@
 #include "runtime/session.h"
 
 namespace xauto {
-
-namespace detail {
-
-std::string demangle(const char* name) {
-  int status = 0;
-  char* text = abi::__cxa_demangle(name, nullptr, nullptr, &status);
-  std::string result = status == 0 ? text : name;
-  std::free(text);
-  return result;
-}
-
-}  // namespace detail
 
 const detail::Envelope& Input::find(const std::string& topic, std::type_index type) const {
   for (std::size_t i = 0; topics_ != nullptr && i < topics_->size(); ++i) {

@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "transport/receiver.h"
+
+#include <algorithm>
+
+namespace xauto::transport {
+
+void Receiver::add(int tag, std::shared_ptr<Subscriber> subscriber, bool blank, Deliver deliver) {
+  const std::lock_guard lock(mutex_);
+  inputs_.push_back({tag, std::move(subscriber), blank, std::move(deliver)});
+  doorbell_.ring();
+}
+
+void Receiver::remove(int tag) {
+  const std::lock_guard lock(mutex_);
+  for (const Input& input : inputs_)
+    if (input.tag == tag) lost_before_ += input.subscriber->lost();
+  std::erase_if(inputs_, [&](const Input& input) { return input.tag == tag; });
+}
+
+void Receiver::start(std::function<void()> enter) {
+  thread_ = std::thread([this, enter = std::move(enter)] {
+    enter();
+    run();
+  });
+}
+
+void Receiver::stop() {
+  stop_.store(true);
+  doorbell_.ring();
+  if (thread_.joinable()) thread_.join();
+}
+
+std::uint64_t Receiver::lost() const {
+  const std::lock_guard lock(mutex_);
+  std::uint64_t sum = lost_before_;
+  for (const Input& input : inputs_) sum += input.subscriber->lost();
+  return sum;
+}
+
+/// One message of each input in turn, so that a fast topic does not hold up the others.
+bool Receiver::pass() {
+  const std::lock_guard lock(mutex_);
+  bool any = false;
+  for (const Input& input : inputs_) {
+    const auto envelope = input.blank ? input.subscriber->take_blank() : input.subscriber->take();
+    if (!envelope) continue;
+    any = true;
+    input.deliver(*envelope);
+  }
+  return any;
+}
+
+void Receiver::run() {
+  while (!stop_.load(std::memory_order_relaxed)) {
+    if (pass()) continue;
+    doorbell_.wait([this] {
+      const std::lock_guard lock(mutex_);
+      return !stop_.load(std::memory_order_relaxed) &&
+             std::all_of(inputs_.begin(), inputs_.end(),
+                         [](const Input& input) { return input.subscriber->empty(); });
+    });
+  }
+}
+
+}  // namespace xauto::transport

@@ -1,0 +1,374 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "transport/shm_topic.h"
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cerrno>
+#include <cstring>
+#include <mutex>
+#include <string>
+
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+namespace xauto::transport {
+namespace {
+
+constexpr std::uint64_t kAlignment = 4096;  ///< of chunks: SIMD, GPU mappings, and no shared page
+
+std::uint64_t round_up(std::uint64_t bytes, std::uint64_t to) {
+  return (bytes + to - 1) / to * to;
+}
+
+std::uint32_t chunks_of(const TopicShape& s) {
+  return s.subscribers * (s.depth + s.keep) + s.keep + 2;
+}
+
+/// Small messages lie close together, large ones on pages of their own.
+std::uint64_t stride_of(const TopicShape& s) {
+  return s.chunk_bytes >= kAlignment ? round_up(s.chunk_bytes, kAlignment)
+                                     : round_up(std::max<std::uint64_t>(s.chunk_bytes, 1), 64);
+}
+
+std::size_t control_bytes(const TopicShape& s) {
+  return sizeof(TopicHeader) + s.subscribers * (sizeof(TopicQueue) + s.depth * sizeof(TopicSlot)) +
+         chunks_of(s) * sizeof(std::uint64_t);
+}
+
+Status check(const TopicShape& s) {
+  if (s.subscribers == 0 || s.subscribers > kMaxTopicSubscribers || s.depth == 0 ||
+      s.depth > kMaxQueueDepth || s.keep > kMaxKeep || s.chunk_bytes > kMaxChunkBytes)
+    return fail(ErrorCode::kInvalid, "topic of " + std::to_string(s.subscribers) +
+                                         " subscribers, queue " + std::to_string(s.depth) +
+                                         ", keep " + std::to_string(s.keep) + ", messages of " +
+                                         std::to_string(s.chunk_bytes) +
+                                         " bytes is beyond the limits");
+  return {};
+}
+
+Result<UniqueFd> sealed_memory(const char* name, std::size_t bytes) {
+  UniqueFd fd(memfd_create(name, MFD_CLOEXEC | MFD_ALLOW_SEALING));
+  if (!fd || ftruncate(fd.get(), static_cast<off_t>(bytes)) != 0)
+    return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
+  // Sealed: a client that shrinks it would kill the others with SIGBUS.
+  if (fcntl(fd.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
+    return fail(ErrorCode::kIo, std::string("cannot seal shared memory: ") + strerror(errno));
+  return fd;
+}
+
+Result<std::byte*> map_data(const TopicControl& control, int fd, int protection) {
+  const std::size_t bytes = control.chunks() * control.stride();
+  struct stat status {};
+  if (fstat(fd, &status) != 0 || static_cast<std::size_t>(status.st_size) < bytes)
+    return fail(ErrorCode::kInvalid, "a topic's data is cut short");
+  void* memory = mmap(nullptr, bytes, protection, MAP_SHARED, fd, 0);
+  if (memory == MAP_FAILED)
+    return fail(ErrorCode::kIo, std::string("cannot map a topic's data: ") + strerror(errno));
+  return static_cast<std::byte*>(memory);
+}
+
+}  // namespace
+
+Result<TopicFds> make_topic(const TopicShape& shape) {
+  XAUTO_TRY(check(shape));
+  TopicFds fds;
+  XAUTO_ASSIGN(fds.control, sealed_memory("xauto-topic", control_bytes(shape)));
+  XAUTO_ASSIGN(fds.data, sealed_memory("xauto-topic-data", chunks_of(shape) * stride_of(shape)));
+  TopicHeader header;
+  header.magic = kTopicMagic;
+  header.subscribers = shape.subscribers;
+  header.depth = shape.depth;
+  header.keep = shape.keep;
+  header.chunks = chunks_of(shape);
+  header.chunk_bytes = shape.chunk_bytes;
+  // All else starts as zeros.
+  if (pwrite(fds.control.get(), static_cast<const void*>(&header), sizeof header, 0) !=
+      static_cast<ssize_t>(sizeof header))
+    return fail(ErrorCode::kIo, std::string("cannot write shared memory: ") + strerror(errno));
+  return fds;
+}
+
+Result<UniqueFd> read_only(int data_fd) {
+  UniqueFd fd(open(("/proc/self/fd/" + std::to_string(data_fd)).c_str(), O_RDONLY | O_CLOEXEC));
+  if (!fd) return fail(ErrorCode::kIo, std::string("cannot reopen memory: ") + strerror(errno));
+  return fd;
+}
+
+// ---- control -----------------------------------------------------------------------------------
+
+Result<std::shared_ptr<TopicControl>> TopicControl::map(int fd) {
+  struct stat status {};
+  if (fstat(fd, &status) != 0 || static_cast<std::size_t>(status.st_size) < sizeof(TopicHeader))
+    return fail(ErrorCode::kInvalid, "a topic's shared memory is cut short");
+  auto control = std::shared_ptr<TopicControl>(new TopicControl);
+  TopicControl& c = *control;
+  c.bytes_ = static_cast<std::size_t>(status.st_size);
+  void* memory = mmap(nullptr, c.bytes_, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0);
+  if (memory == MAP_FAILED)
+    return fail(ErrorCode::kIo, std::string("cannot map a topic: ") + strerror(errno));
+  c.memory_ = memory;
+  c.header_ = static_cast<TopicHeader*>(memory);
+  const TopicHeader& h = *c.header_;
+  c.shape_ = {h.chunk_bytes, h.subscribers, h.depth, h.keep};
+  if (h.magic != kTopicMagic || !check(c.shape_) || h.chunks != chunks_of(c.shape_) ||
+      c.bytes_ < control_bytes(c.shape_))
+    return fail(ErrorCode::kInvalid, "a topic's shared memory has no valid header", {},
+                "all processes of an app must be of one build");
+  c.chunks_ = h.chunks;
+  c.stride_ = stride_of(c.shape_);
+  auto* at = reinterpret_cast<std::byte*>(c.header_ + 1);
+  for (std::uint32_t s = 0; s < c.shape_.subscribers; ++s) {
+    c.queues_.push_back(reinterpret_cast<TopicQueue*>(at));
+    at += sizeof(TopicQueue);
+    c.slots_.push_back(reinterpret_cast<TopicSlot*>(at));
+    at += c.shape_.depth * sizeof(TopicSlot);
+  }
+  c.held_ = reinterpret_cast<std::atomic<std::uint64_t>*>(at);
+  return control;
+}
+
+TopicControl::~TopicControl() {
+  if (memory_ != nullptr) munmap(memory_, bytes_);
+}
+
+void TopicControl::release_all(std::uint32_t subscriber) {
+  for (std::uint32_t c = 0; c < chunks_; ++c)
+    held_[c].fetch_and(~(std::uint64_t{1} << subscriber), std::memory_order_seq_cst);
+}
+
+// ---- publishing --------------------------------------------------------------------------------
+
+Result<std::shared_ptr<Publisher>> Publisher::open(const detail::TopicSpec& spec, int control_fd,
+                                                   int data_fd, Ringer* ringer) {
+  auto publisher = std::shared_ptr<Publisher>(new Publisher);
+  publisher->spec_ = spec;
+  publisher->ringer_ = ringer;
+  XAUTO_ASSIGN(publisher->control_, TopicControl::map(control_fd));
+  TopicControl& control = *publisher->control_;
+  XAUTO_ASSIGN(publisher->data_, map_data(control, data_fd, PROT_READ | PROT_WRITE));
+  publisher->queued_.resize(control.chunks());
+  publisher->loaned_ = std::make_unique<std::atomic<std::uint32_t>[]>(control.chunks());
+  for (std::uint32_t s = 0; s < control.shape().subscribers; ++s) {
+    // A predecessor that died between its last slot and `tail`.
+    TopicQueue& queue = control.queue(s);
+    const std::uint64_t tail = queue.tail.load();
+    if (control.slot(s, tail).word.load() == tail + 1) queue.tail.store(tail + 1);
+  }
+  return publisher;
+}
+
+Publisher::~Publisher() {
+  if (data_ != nullptr) munmap(data_, control_->chunks() * control_->stride());
+}
+
+/// Called with the mutex held. Queues before `held`: see the top of shm_topic.h.
+std::uint32_t Publisher::find_free() {
+  TopicControl& c = *control_;
+  std::fill(queued_.begin(), queued_.end(), std::uint8_t{0});
+  for (std::uint32_t s = 0; s < c.shape().subscribers; ++s)
+    for (std::uint32_t i = 0; i < c.shape().depth; ++i) {
+      TopicSlot& slot = c.slot(s, i);
+      if (slot.word.load(std::memory_order_seq_cst) == 0) continue;
+      const std::uint32_t chunk = slot.chunk.load(std::memory_order_relaxed);
+      if (chunk < c.chunks()) queued_[chunk] = 1;
+    }
+  // Lowest first: few chunks are ever touched, and they stay in the cache.
+  for (std::uint32_t i = 0; i < c.chunks(); ++i)
+    if (queued_[i] == 0 && loaned_[i].load(std::memory_order_acquire) == 0 &&
+        c.held(i).load(std::memory_order_seq_cst) == 0)
+      return i;
+  return kNoChunk;
+}
+
+std::shared_ptr<void> Publisher::loan(std::size_t bytes) {
+  if (bytes > control_->shape().chunk_bytes) return nullptr;
+  std::uint32_t chunk;
+  {
+    const std::lock_guard lock(mutex_);
+    // Our own process keeps too many: the others must not starve for it.
+    std::uint32_t kept = 0;
+    for (std::uint32_t i = 0; i < control_->chunks(); ++i)
+      kept += loaned_[i].load(std::memory_order_relaxed) != 0 ? 1 : 0;
+    if (kept > control_->shape().keep) return nullptr;
+    chunk = find_free();
+    if (chunk == kNoChunk) return nullptr;
+    loaned_[chunk].store(1, std::memory_order_relaxed);
+  }
+  return {data_ + chunk * control_->stride(), [self = shared_from_this(), chunk](void*) {
+            self->loaned_[chunk].store(0, std::memory_order_release);
+          }};
+}
+
+std::uint32_t Publisher::chunk_of(const void* message) const {
+  const auto at = reinterpret_cast<std::uintptr_t>(message);
+  const auto start = reinterpret_cast<std::uintptr_t>(data_);
+  if (at < start || at >= start + control_->chunks() * control_->stride()) return kNoChunk;
+  return static_cast<std::uint32_t>((at - start) / control_->stride());
+}
+
+/// Called with the mutex held.
+std::uint32_t Publisher::store(const void* message, std::uint64_t& bytes) {
+  const std::uint32_t chunk = find_free();
+  if (chunk == kNoChunk) return kNoChunk;
+  std::byte* at = data_ + chunk * control_->stride();
+  if (spec_.plain_bytes > 0) {
+    bytes = spec_.plain_bytes;
+    if (bytes > control_->shape().chunk_bytes) return kNoChunk;
+    std::memcpy(at, message, bytes);
+    return chunk;
+  }
+  if (spec_.encode == nullptr) return kNoChunk;
+  try {
+    const std::vector<std::byte> encoded = spec_.encode(message);
+    bytes = encoded.size();
+    if (bytes > control_->shape().chunk_bytes) return kNoChunk;
+    if (bytes > 0) std::memcpy(at, encoded.data(), bytes);
+  } catch (...) {
+    return kNoChunk;
+  }
+  return chunk;
+}
+
+void Publisher::publish(const detail::Envelope& envelope) {
+  TopicControl& c = *control_;
+  {
+    const std::lock_guard lock(mutex_);
+    std::uint32_t chunk = kNoChunk;
+    std::uint64_t bytes = 0;
+    if (envelope.message != nullptr) {
+      chunk = chunk_of(envelope.message.get());
+      bytes = spec_.plain_bytes;
+      if (chunk == kNoChunk) chunk = store(envelope.message.get(), bytes);
+      if (chunk == kNoChunk) unsent_.fetch_add(1, std::memory_order_relaxed);
+    }
+    std::array<std::uint32_t, kMaxTopicSubscribers> kept{};
+    if (chunk != kNoChunk)
+      for (std::uint32_t i = 0; i < c.chunks(); ++i)
+        for (std::uint64_t readers = c.held(i).load(std::memory_order_relaxed); readers != 0;
+             readers &= readers - 1)
+          ++kept[static_cast<std::size_t>(std::countr_zero(readers))];
+    for (std::uint32_t s = 0; s < c.shape().subscribers; ++s) {
+      const bool refused = kept[s] > 0 && kept[s] >= c.shape().keep;
+      if (refused) c.queue(s).dropped.fetch_add(1, std::memory_order_relaxed);
+      push(s, envelope, refused ? kNoChunk : chunk, bytes);
+    }
+    c.header().next_sequence.store(envelope.sequence + 1, std::memory_order_release);
+  }
+  if (ringer_ != nullptr)
+    for (std::uint32_t s = 0; s < c.shape().subscribers; ++s) ringer_->ring(s);
+}
+
+void Publisher::push(std::uint32_t s, const detail::Envelope& envelope, std::uint32_t chunk,
+                     std::uint64_t bytes) {
+  TopicQueue& queue = control_->queue(s);
+  const std::uint64_t tail = queue.tail.load(std::memory_order_relaxed);
+  TopicSlot& slot = control_->slot(s, tail);
+  // The oldest message, if nobody has taken it: lost for this subscriber.
+  if (slot.word.exchange(0, std::memory_order_seq_cst) != 0)
+    queue.dropped.fetch_add(1, std::memory_order_relaxed);
+  slot.sequence.store(envelope.sequence, std::memory_order_relaxed);
+  slot.origin_ns.store(envelope.origin_ns, std::memory_order_relaxed);
+  slot.chunk.store(chunk, std::memory_order_relaxed);
+  slot.bytes.store(bytes, std::memory_order_relaxed);
+  slot.word.store(tail + 1, std::memory_order_seq_cst);
+  queue.tail.store(tail + 1, std::memory_order_seq_cst);
+}
+
+// ---- subscribing -------------------------------------------------------------------------------
+
+Result<std::shared_ptr<Subscriber>> Subscriber::open(const detail::TopicSpec& spec, int control_fd,
+                                                     int data_fd, std::uint32_t index) {
+  auto subscriber = std::shared_ptr<Subscriber>(new Subscriber);
+  subscriber->spec_ = spec;
+  XAUTO_ASSIGN(subscriber->control_, TopicControl::map(control_fd));
+  if (index >= subscriber->control_->shape().subscribers)
+    return fail(ErrorCode::kInvalid, "subscriber " + std::to_string(index) + " of a topic with " +
+                                         std::to_string(subscriber->control_->shape().subscribers));
+  XAUTO_ASSIGN(subscriber->data_, map_data(*subscriber->control_, data_fd, PROT_READ));
+  subscriber->index_ = index;
+  subscriber->bit_ = std::uint64_t{1} << index;
+  subscriber->head_ = subscriber->control_->queue(index).head.load();
+  return subscriber;
+}
+
+Subscriber::~Subscriber() {
+  if (data_ != nullptr)
+    munmap(const_cast<std::byte*>(data_), control_->chunks() * control_->stride());
+}
+
+bool Subscriber::empty() const {
+  return control_->queue(index_).tail.load(std::memory_order_seq_cst) <= head_;
+}
+
+void Subscriber::release(std::uint32_t chunk) {
+  control_->held(chunk).fetch_and(~bit_, std::memory_order_seq_cst);
+}
+
+std::optional<Subscriber::Taken> Subscriber::next() {
+  TopicQueue& queue = control_->queue(index_);
+  const std::uint64_t depth = control_->shape().depth;
+  for (;;) {
+    TopicSlot& slot = control_->slot(index_, head_);
+    std::uint64_t word = slot.word.load(std::memory_order_seq_cst);
+    if (word != head_ + 1) {
+      const std::uint64_t tail = queue.tail.load(std::memory_order_seq_cst);
+      if (tail <= head_) return std::nullopt;
+      // Overwritten, or just being overwritten: the oldest that may still be there.
+      const std::uint64_t oldest = tail > depth ? tail - depth : 0;
+      const std::uint64_t next = std::max(head_ + 1, oldest);
+      // Its word may be there although this look came too early for it.
+      if (slot.word.load(std::memory_order_seq_cst) == head_ + 1) continue;
+      lost_ += next - head_;
+      head_ = next;
+      queue.head.store(head_, std::memory_order_relaxed);
+      continue;
+    }
+    const Taken taken{slot.chunk.load(std::memory_order_relaxed),
+                      slot.bytes.load(std::memory_order_relaxed),
+                      slot.sequence.load(std::memory_order_relaxed),
+                      slot.origin_ns.load(std::memory_order_relaxed)};
+    const bool message = taken.chunk < control_->chunks();
+    if (message) control_->held(taken.chunk).fetch_or(bit_, std::memory_order_seq_cst);
+    if (!slot.word.compare_exchange_strong(word, 0, std::memory_order_seq_cst)) {
+      if (message) release(taken.chunk);
+      continue;
+    }
+    queue.head.store(++head_, std::memory_order_relaxed);
+    return taken;
+  }
+}
+
+std::optional<detail::Envelope> Subscriber::take_blank() {
+  const auto taken = next();
+  if (!taken) return std::nullopt;
+  if (taken->chunk < control_->chunks()) release(taken->chunk);
+  return detail::Envelope{nullptr, taken->origin_ns, taken->sequence};
+}
+
+std::optional<detail::Envelope> Subscriber::take() {
+  const auto taken = next();
+  if (!taken) return std::nullopt;
+  detail::Envelope envelope{nullptr, taken->origin_ns, taken->sequence};
+  if (taken->chunk >= control_->chunks()) return envelope;
+  const std::byte* at = data_ + taken->chunk * control_->stride();
+  const bool fits = taken->bytes <= control_->shape().chunk_bytes;
+  if (spec_.plain_bytes > 0 && fits && taken->bytes == spec_.plain_bytes) {
+    envelope.message = {
+        static_cast<const void*>(at),
+        [self = shared_from_this(), chunk = taken->chunk](const void*) { self->release(chunk); }};
+    return envelope;
+  }
+  if (spec_.plain_bytes == 0 && fits && spec_.decode != nullptr) {
+    try {
+      envelope.message = spec_.decode({at, static_cast<std::size_t>(taken->bytes)});
+    } catch (...) {  // as if it had been lost on the way
+    }
+  }
+  release(taken->chunk);
+  return envelope;
+}
+
+}  // namespace xauto::transport
