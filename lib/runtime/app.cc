@@ -12,6 +12,7 @@
 
 #include "base/log.h"
 #include "base/memory_file.h"
+#include "base/rt.h"
 #include "model/json.h"
 #include "runtime/engine.h"
 #include "runtime/graph.h"
@@ -57,6 +58,7 @@ Result<std::string> answer(const detail::AppSpecErased& app, const runtime::Sess
       auto report = engine->run();
       g_engine.store(nullptr);
       if (!report) return tl::unexpected<Error>(std::move(report).error());
+      if (engine->member()) return std::string();  // told to the hub
       return runtime::to_json(*report);
     }
   }
@@ -125,7 +127,14 @@ int App::main(int, char** argv) {
     }
     return hand_over(argv);
   }
+  if (const int process = (*session)->process; process != 0)
+    rt::set_thread_name("m:" +
+                        (*session)->processes[static_cast<std::size_t>(process - 1)].front());
   const auto text = answer(*spec_, **session);
+  if ((*session)->process != 0) {
+    if (!text) log::error("{}", text.error().to_string());
+    return text ? 0 : 1;
+  }
   const std::string written = text ? *text : runtime::error_to_json(text.error());
   if (const Status done = write_memory_file((*session)->answer_fd, written); !done) {
     log::error("{}", done.error().to_string());

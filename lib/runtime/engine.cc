@@ -32,6 +32,8 @@ Engine::Engine(const detail::AppSpecErased& app, const Session& session, Graph g
     : app_(app), session_(session), graph_(std::move(graph)) {}
 
 Engine::~Engine() {
+  hub_.reset();
+  if (receiver_) receiver_->stop();
   for (const auto& worker : workers_) worker->stop();
 }
 
@@ -40,13 +42,28 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   XAUTO_ASSIGN(Graph graph, Graph::build(app));
   XAUTO_TRY(graph.matches(session.app));
   auto engine = std::unique_ptr<Engine>(new Engine(app, session, std::move(graph)));
-  if (session.trace_fd >= 0) {
-    XAUTO_ASSIGN(engine->trace_, trace::Writer::create(session.trace_fd, session.trace_capacity));
+  Engine& e = *engine;
+  XAUTO_ASSIGN(e.plan_, Plan::make(e.graph_, app, session));
+  if (session.trace_fd >= 0 && session.process == 0) {  // before any member may attach to it
+    XAUTO_ASSIGN(e.trace_, trace::Writer::create(session.trace_fd, session.trace_capacity));
   }
-  XAUTO_TRY(engine->place());
-  XAUTO_TRY(engine->wire());
-  XAUTO_TRY(engine->open_recorder());
-  XAUTO_TRY(engine->start_workers());
+  if (e.plan_.processes == 1) {
+    e.board_ = Board::local(static_cast<std::uint32_t>(e.graph_.modules.size()));
+  } else if (session.process == 0) {
+    XAUTO_ASSIGN(e.hub_, Hub::create(e.plan_, e.graph_, session, e));
+    e.board_ = e.hub_->board();
+  } else {
+    XAUTO_ASSIGN(e.member_, Member::join(e.plan_, e.graph_, session));
+    e.board_ = e.member_->board();
+    if (session.trace_fd >= 0) {
+      XAUTO_ASSIGN(e.trace_, trace::Writer::attach(session.trace_fd));
+    }
+  }
+  XAUTO_TRY(e.place());
+  XAUTO_TRY(e.open_topics());
+  XAUTO_TRY(e.wire());
+  if (!e.member_) XAUTO_TRY(e.open_recorder());
+  XAUTO_TRY(e.start_workers());
   return engine;
 }
 
@@ -118,6 +135,10 @@ Status Engine::place() {
   for (std::size_t m = 0; m < graph_.modules.size(); ++m) {
     auto chain = std::make_unique<Chain>();
     chain->module = static_cast<int>(m);
+    if (!hosted(m)) {
+      chains_.push_back(std::move(chain));
+      continue;
+    }
     std::vector<std::pair<int, Worker*>> here;  // one worker per XPU of this module
     std::vector<int> xpus;
     for (const int n : graph_.modules[m].nodes) {
@@ -189,23 +210,37 @@ Status Engine::wire() {
   channels_.resize(graph_.topics.size());
   for (std::size_t m = 0; m < graph_.modules.size(); ++m) {
     const Graph::Module& module = graph_.modules[m];
+    latencies_.push_back(std::make_unique<Latencies>());
+    if (module.sink) ++num_sinks_;
+    if (!hosted(m)) {
+      modules_.push_back(nullptr);
+      continue;
+    }
     std::vector<const transport::Channel*> outputs;
-    for (const int t : module.outputs) outputs.push_back(&channels_[static_cast<std::size_t>(t)]);
+    std::vector<MessageMemory*> memories;
+    for (const int t : module.outputs) {
+      outputs.push_back(&channels_[static_cast<std::size_t>(t)]);
+      memories.push_back(publishers_[static_cast<std::size_t>(t)].get());
+    }
     try {
-      modules_.push_back(
-          std::make_unique<ModuleRuntime>(graph_, static_cast<int>(m), *this, std::move(outputs)));
+      modules_.push_back(std::make_unique<ModuleRuntime>(graph_, static_cast<int>(m), *this,
+                                                         std::move(outputs), std::move(memories)));
     } catch (const std::exception& e) {
       return fail(ErrorCode::kUnavailable,
                   std::string("the state's constructor threw: ") + e.what(),
                   "XModule '" + module.name + "'");
     }
     chains_[m]->runtime = modules_.back().get();
-    counts_.push_back(std::make_unique<ModuleCounts>());
-    if (module.sink) ++num_sinks_;
   }
+  sink_next_.assign(graph_.modules.size(), 0);
   for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
+    // Other processes first: they have a longer way.
+    if (publishers_[t] != nullptr)
+      channels_[t].subscribe([publisher = publishers_[t].get()](const detail::Envelope& envelope) {
+        publisher->publish(envelope);
+      });
     for (const detail::ObserverSpec& observer : app_.observers)
-      if (observer.topic.name == graph_.topics[t].spec.name)
+      if (!member_ && observer.topic.name == graph_.topics[t].spec.name)
         channels_[t].subscribe([&observer](const detail::Envelope& envelope) {
           if (envelope.message == nullptr) return;
           try {
@@ -217,10 +252,12 @@ Status Engine::wire() {
           }
         });
     for (const Graph::Subscriber& subscriber : graph_.topics[t].subscribers)
-      channels_[t].subscribe([module = modules_[static_cast<std::size_t>(subscriber.module)].get(),
-                              input = subscriber.input](const detail::Envelope& envelope) {
-        module->receive(input, envelope);
-      });
+      if (hosted(static_cast<std::size_t>(subscriber.module)))
+        channels_[t].subscribe(
+            [module = modules_[static_cast<std::size_t>(subscriber.module)].get(),
+             input = subscriber.input](const detail::Envelope& envelope) {
+              module->receive(input, envelope);
+            });
   }
   return {};
 }
@@ -230,10 +267,147 @@ Status Engine::start_workers() {
   return {};
 }
 
+// ---- topics between processes
+// -------------------------------------------------------------------
+
+const transport::TopicFds& Engine::topic_fds(std::size_t topic) const {
+  return hub_ ? hub_->topic(static_cast<int>(topic)) : member_->topic(static_cast<int>(topic));
+}
+
+/// What this process publishes to others.
+Status Engine::open_topics() {
+  publishers_.resize(graph_.topics.size());
+  for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
+    const Plan::Remote& remote = plan_.topics[t];
+    if (remote.readers.empty() || remote.publisher != session_.process) continue;
+    const transport::TopicFds& fds = topic_fds(t);
+    ringers_.push_back(std::make_unique<BoardRinger>(board_, remote.readers));
+    XAUTO_ASSIGN(publishers_[t],
+                 transport::Publisher::open(graph_.topics[t].spec, fds.control.get(),
+                                            fds.data.get(), ringers_.back().get()));
+  }
+  return {};
+}
+
+/// What this process reads of others. From here on messages come in.
+Status Engine::open_inputs() {
+  if (plan_.processes == 1) return {};
+  receiver_ = std::make_unique<transport::Receiver>(board_->process(session_.process).doorbell);
+  for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
+    const int reader = plan_.topics[t].reader(session_.process);
+    if (reader < 0) continue;
+    const transport::TopicFds& fds = topic_fds(t);
+    XAUTO_ASSIGN(auto subscriber,
+                 transport::Subscriber::open(graph_.topics[t].spec, fds.control.get(),
+                                             fds.data.get(), static_cast<std::uint32_t>(reader)));
+    receiver_->add(-1, std::move(subscriber), false,
+                   [channel = &channels_[t]](const detail::Envelope& envelope) {
+                     channel->publish(envelope);
+                   });
+  }
+  receiver_->start([] {
+    rt::set_thread_name("xauto/topics");
+    rt::set_timer_slack_1ns();
+    if (rt::may_use_fifo(kFifoSources)) (void)rt::set_fifo(kFifoSources);
+  });
+  return {};
+}
+
+void Engine::event(const Packet& packet) {
+  sink_through(static_cast<int>(packet.index), packet.sequence, packet.origin_ns, packet.now_ns,
+               packet.lost != 0);
+}
+
+void Engine::left(int process) {
+  std::string modules;
+  for (std::size_t m = 0; m < graph_.modules.size(); ++m) {
+    if (plan_.process_of[m] != process) continue;
+    modules += (modules.empty() ? "" : ", ") + graph_.modules[m].name;
+    // It may have died between counting a release and telling.
+    const std::uint64_t settled = board_->module(static_cast<int>(m)).settled();
+    if (graph_.modules[m].sink && graph_.single_rate && settled > 0)
+      account(static_cast<int>(m), settled - 1, now_ns(), true);
+  }
+  log::warn("the process of {} died: its activations are dropped", modules);
+  auto ghost = Ghost::haunt(
+      process, plan_, graph_, *hub_, *receiver_,
+      [this](int module, std::uint64_t sequence) { dropped(module, sequence, XAUTO_DROP_DIED); });
+  if (!ghost) {
+    log::error("cannot stand in for it: {}", ghost.error().to_string());
+    stop_.store(true);
+    return;
+  }
+  ghosts_[process] = std::move(*ghost);
+  board_->process(process).stand_in.store(0);
+  board_->process(0).doorbell.ring();
+}
+
+void Engine::joins(int process) {
+  receiver_->remove(process);
+  ghosts_.erase(process);
+  board_->process(process).stand_in.store(static_cast<std::uint32_t>(process));
+}
+
+Result<RunReport> Engine::run_member() {
+  XAUTO_ASSIGN(const bool go, member_->ready(stop_));
+  if (go) {
+    if (graph_.single_rate)
+      for (std::size_t m = 0; m < modules_.size(); ++m)
+        if (modules_[m] != nullptr) {
+          const std::uint64_t next = board_->module(static_cast<int>(m)).settled();
+          modules_[m]->begin_at(next);
+          if (next > 0) skip(static_cast<int>(m), next - 1);
+        }
+    XAUTO_TRY(open_inputs());
+    if (!member_->wait_stop(stop_))
+      return fail(ErrorCode::kUnavailable, "the app's hub is gone", "app '" + app_.name + "'");
+  }
+  if (receiver_) receiver_->stop();
+  for (const auto& worker : workers_) worker->stop();
+  RunReport result = report();
+  member_->report(to_json(result));
+  return result;
+}
+
+/// Adds what the members have to tell. The counts are on the board, the latencies came with events.
+void Engine::gather(const std::vector<std::string>& reports, RunReport& report) const {
+  const auto note = [&](const std::string& text) {
+    if (text.empty() || report.note.find(text) != std::string::npos) return;
+    report.note += (report.note.empty() ? "" : "; ") + text;
+  };
+  for (const std::string& text : reports) {
+    const auto member = parse_run_report(text);
+    if (!member) {
+      note("a module process's report is unreadable");
+      continue;
+    }
+    note(member->note);
+    report.lost_coordinators.insert(report.lost_coordinators.end(),
+                                    member->lost_coordinators.begin(),
+                                    member->lost_coordinators.end());
+  }
+  std::sort(report.lost_coordinators.begin(), report.lost_coordinators.end());
+  report.lost_coordinators.erase(
+      std::unique(report.lost_coordinators.begin(), report.lost_coordinators.end()),
+      report.lost_coordinators.end());
+  for (const int process : hub_->deaths())
+    for (const std::string& module : session_.processes[static_cast<std::size_t>(process - 1)])
+      report.died.push_back(module);
+}
+
 // ---- running
 // ---------------------------------------------------------------------------------------
 
 Result<RunReport> Engine::run() {
+  if (member_) return run_member();
+  if (hub_) {
+    XAUTO_TRY(open_inputs());
+    XAUTO_ASSIGN(const bool ready, hub_->wait_ready(stop_));
+    if (!ready) {
+      (void)hub_->stop();
+      return report();
+    }
+  }
   Status status;
   // The releasing thread runs the sources' callbacks, so it is not the caller's: its priority is
   // ours.
@@ -247,7 +421,13 @@ Result<RunReport> Engine::run() {
   XAUTO_TRY(status);
   const bool drained = wait_drained(kStallNs);
   if (recorder_) XAUTO_TRY(recorder_->close());
+  std::vector<std::string> members;
+  if (hub_) {
+    members = hub_->stop();
+    receiver_->stop();
+  }
   RunReport result = report();
+  if (hub_) gather(members, result);
   result.complete = drained && !stop_.load();
   if (!drained) {
     result.note += (result.note.empty() ? "" : "; ");
@@ -307,7 +487,10 @@ Status Engine::release_periodic() {
       const auto& spec = app_.sources[static_cast<std::size_t>(
           graph_.topics[static_cast<std::size_t>(s.topic)].source)];
       try {
-        messages.emplace_back(s.topic, spec.make(s.sequence));
+        MessageMemory* memory = publishers_[static_cast<std::size_t>(s.topic)].get();
+        messages.emplace_back(s.topic, memory != nullptr && spec.make_in
+                                           ? spec.make_in(s.sequence, memory)
+                                           : spec.make(s.sequence));
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
                     "the source of topic '" + spec.topic.name + "'");
@@ -446,14 +629,9 @@ Status Engine::release_recorded() {
 /// until no module has ended an activation for 100 ms. False after `timeout_ns` without progress.
 bool Engine::wait_drained(std::int64_t timeout_ns) {
   if (!graph_.single_rate) {
-    const auto total = [&] {
-      std::uint64_t sum = 0;
-      for (const auto& c : counts_) sum += c->activations + c->failed + c->dropped;
-      return sum;
-    };
-    for (std::uint64_t before = total();;) {
+    for (std::uint64_t before = board_->settled();;) {
       sleep_until_ns(now_ns() + 100'000'000);
-      const std::uint64_t now = total();
+      const std::uint64_t now = board_->settled();
       if (now == before) return true;
       before = now;
     }
@@ -482,27 +660,38 @@ void Engine::activate(int module) {
 
 void Engine::done(int module, std::int64_t origin_ns, std::uint64_t sequence) {
   const std::int64_t now = now_ns();
-  ModuleCounts& counts = *counts_[static_cast<std::size_t>(module)];
-  counts.activations.fetch_add(1, std::memory_order_relaxed);
+  board_->module(module).activations.fetch_add(1, std::memory_order_relaxed);
   if (trace_)
     trace_->write(XAUTO_EV_DONE, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
                   XAUTO_EV_NONE);
-  if (!graph_.modules[static_cast<std::size_t>(module)].sink) return;
-  {
-    const std::lock_guard lock(counts.mutex);
-    counts.latencies_us.push_back((now - origin_ns) / 1000);
+  if (graph_.modules[static_cast<std::size_t>(module)].sink)
+    sink_through(module, sequence, origin_ns, now, false);
+}
+
+/// A sink module is through with release `sequence`; known here, or told by its process.
+void Engine::sink_through(int module, std::uint64_t sequence, std::int64_t origin_ns,
+                          std::int64_t now, bool lost) {
+  if (member_) {
+    member_->tell(module, sequence, origin_ns, now, lost);
+    return;
   }
-  account(sequence, now, false);
+  if (!lost) {
+    Latencies& latencies = *latencies_[static_cast<std::size_t>(module)];
+    const std::lock_guard lock(latencies.mutex);
+    latencies.us.push_back((now - origin_ns) / 1000);
+  }
+  account(module, sequence, now, lost);
 }
 
 void Engine::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
-  ModuleCounts& counts = *counts_[static_cast<std::size_t>(module)];
+  ModuleLine& counts = board_->module(module);
   (reason == XAUTO_DROP_FAILED ? counts.failed : counts.dropped)
       .fetch_add(1, std::memory_order_relaxed);
   if (trace_)
     trace_->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
                   XAUTO_EV_NONE, reason);
-  if (graph_.modules[static_cast<std::size_t>(module)].sink) account(sequence, now_ns(), true);
+  if (graph_.modules[static_cast<std::size_t>(module)].sink)
+    sink_through(module, sequence, 0, now_ns(), true);
 }
 
 void Engine::skip(int module, std::uint64_t sequence) {
@@ -510,23 +699,28 @@ void Engine::skip(int module, std::uint64_t sequence) {
   for (std::size_t i = 0; i < chain.nodes.size(); ++i) chain.nodes[i].worker->skip(i, sequence);
 }
 
-/// One sink module is through with release `sequence`.
-void Engine::account(std::uint64_t sequence, std::int64_t now, bool lost) {
+/// A sink module settles its releases in order and each once; what it left out was lost with its
+/// process, what comes twice was told by a process that died meanwhile.
+void Engine::account(int module, std::uint64_t sequence, std::int64_t now, bool lost) {
   if (!graph_.single_rate) return;
+  std::uint32_t complete = 0;
   {
     const std::lock_guard lock(releases_mutex_);
-    if (sequence >= open_.size()) return;
-    Open& open = open_[sequence];
-    if (open.sinks_left == 0) return;
-    open.last_ns = std::max(open.last_ns, now);
-    open.lost |= lost;
-    if (--open.sinks_left > 0) return;
-    const std::int64_t latency_us = (open.last_ns - open.origin_ns) / 1000;
-    releases_.push_back({sequence, open.origin_ns, open.lost ? -1 : latency_us});
-    if (session_.app.deadline_us && (open.lost || latency_us > *session_.app.deadline_us))
-      deadline_misses_.fetch_add(1, std::memory_order_relaxed);
+    std::uint64_t& next = sink_next_[static_cast<std::size_t>(module)];
+    for (; next <= sequence && next < open_.size(); ++next) {
+      Open& open = open_[next];
+      open.last_ns = std::max(open.last_ns, now);
+      open.lost |= lost || next < sequence;
+      if (--open.sinks_left > 0) continue;
+      const std::int64_t latency_us = (open.last_ns - open.origin_ns) / 1000;
+      releases_.push_back({next, open.origin_ns, open.lost ? -1 : latency_us});
+      if (session_.app.deadline_us && (open.lost || latency_us > *session_.app.deadline_us))
+        deadline_misses_.fetch_add(1, std::memory_order_relaxed);
+      ++complete;
+    }
   }
-  in_flight_.fetch_sub(1);
+  if (complete == 0) return;
+  in_flight_.fetch_sub(complete);
   futex_wake(in_flight_, 1);
 }
 
@@ -540,11 +734,11 @@ RunReport Engine::report() const {
   std::sort(result.releases.begin(), result.releases.end(),
             [](const Release& a, const Release& b) { return a.sequence < b.sequence; });
   for (std::size_t m = 0; m < graph_.modules.size(); ++m) {
-    ModuleCounts& counts = *counts_[m];
+    const ModuleLine& counts = board_->module(static_cast<int>(m));
     ModuleReport module{graph_.modules[m].name, graph_.modules[m].sink, counts.activations,
                         counts.failed,          counts.dropped,         {}};
-    const std::lock_guard lock(counts.mutex);
-    module.latencies_us = counts.latencies_us;
+    const std::lock_guard lock(latencies_[m]->mutex);
+    module.latencies_us = latencies_[m]->us;
     result.modules.push_back(std::move(module));
   }
   for (const auto& worker : workers_)

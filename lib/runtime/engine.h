@@ -12,23 +12,29 @@
 
 #include "record/recording.h"
 #include "runtime/app_spec.h"
+#include "runtime/board.h"
+#include "runtime/ghost.h"
 #include "runtime/graph.h"
+#include "runtime/isolation.h"
 #include "runtime/session.h"
 #include "runtime/worker.h"
 #include "runtime/xmodule.h"
 #include "trace/trace.h"
+#include "transport/receiver.h"
 
 namespace xauto::runtime {
 
 /// Threads: one, apart from `request_stop`, which is async-signal-safe.
-class Engine final : public ModuleHost {
+class Engine final : public ModuleHost, private HubHost {
  public:
   [[nodiscard]] static Result<std::unique_ptr<Engine>> create(const detail::AppSpecErased& app,
                                                               const Session& session);
   ~Engine() override;
 
-  /// Releases until the session's end, waits for what is in flight, stops the workers.
+  /// Releases until the session's end, waits for what is in flight, stops the workers. In a member
+  /// (isolation.h): until the hub says so; its report is part of the hub's.
   [[nodiscard]] Result<RunReport> run();
+  [[nodiscard]] bool member() const { return member_ != nullptr; }
   /// No further releases; what is in flight is finished.
   void request_stop() { stop_.store(true); }
 
@@ -40,6 +46,19 @@ class Engine final : public ModuleHost {
 
  private:
   Engine(const detail::AppSpecErased& app, const Session& session, Graph graph);
+  // HubHost, called on the hub's thread.
+  void event(const Packet& packet) override;
+  void left(int process) override;
+  void joins(int process) override;
+
+  [[nodiscard]] bool hosted(std::size_t module) const {
+    return plan_.process_of[module] == session_.process;
+  }
+  [[nodiscard]] const transport::TopicFds& topic_fds(std::size_t topic) const;
+  [[nodiscard]] Status open_topics();
+  [[nodiscard]] Status open_inputs();
+  [[nodiscard]] Result<RunReport> run_member();
+  void gather(const std::vector<std::string>& reports, RunReport& report) const;
   [[nodiscard]] Status place();
   [[nodiscard]] Status wire();
   [[nodiscard]] Status start_workers();
@@ -53,11 +72,18 @@ class Engine final : public ModuleHost {
   bool wait_drained(std::int64_t timeout_ns);
   [[nodiscard]] RunReport report() const;
   [[nodiscard]] int xpu_of(const Graph::Node& node, std::uint32_t xnode) const;
-  void account(std::uint64_t sequence, std::int64_t now, bool lost);
+  void sink_through(int module, std::uint64_t sequence, std::int64_t origin_ns, std::int64_t now,
+                    bool lost);
+  void account(int module, std::uint64_t sequence, std::int64_t now, bool lost);
 
   const detail::AppSpecErased& app_;
   const Session& session_;
   const Graph graph_;
+  Plan plan_;
+  std::shared_ptr<Board> board_;
+  std::vector<std::unique_ptr<BoardRinger>> ringers_;
+  std::vector<std::shared_ptr<transport::Publisher>> publishers_;  ///< [topic]; null: inside only
+  std::unique_ptr<transport::Receiver> receiver_;                  ///< none with one process
   std::unique_ptr<trace::Writer> trace_;
   std::vector<transport::Channel> channels_;  ///< [topic]
   std::vector<std::unique_ptr<ModuleRuntime>> modules_;
@@ -69,13 +95,12 @@ class Engine final : public ModuleHost {
   std::vector<std::size_t> recorded_topic_;   ///< [topic] -> the recorder's index
   std::atomic<bool> stop_{false};
 
-  /// Counts of one module, written by whichever thread ends its activation (one at a time).
-  struct ModuleCounts {
-    std::atomic<std::uint64_t> activations{0}, failed{0}, dropped{0};
+  /// Latencies of the sinks; the counts are on the board.
+  struct Latencies {
     PiMutex mutex;
-    std::vector<std::int64_t> latencies_us;  ///< guarded by mutex; sinks only
+    std::vector<std::int64_t> us;  ///< guarded by mutex
   };
-  std::vector<std::unique_ptr<ModuleCounts>> counts_;
+  std::vector<std::unique_ptr<Latencies>> latencies_;  ///< [module]
 
   /// Releases in flight and past. Written under the mutex: once per release and sink, not per job.
   struct Open {
@@ -85,11 +110,16 @@ class Engine final : public ModuleHost {
   };
   mutable PiMutex releases_mutex_;
   std::vector<Release> releases_;
-  std::vector<Open> open_;  ///< by sequence
+  std::vector<Open> open_;                ///< by sequence
+  std::vector<std::uint64_t> sink_next_;  ///< [module] single rate: the next release to account for
   int num_sinks_ = 0;
   std::atomic<std::uint32_t> in_flight_{
       0};  ///< single rate: releases not yet accounted for; a futex
   std::atomic<std::uint64_t> deadline_misses_{0};
+  std::map<int, std::unique_ptr<Ghost>> ghosts_;  ///< by process; of the hub's thread
+  // Last, so that their threads end before what they use.
+  std::unique_ptr<Member> member_;
+  std::unique_ptr<Hub> hub_;
 };
 
 }  // namespace xauto::runtime

@@ -59,7 +59,12 @@ std::string to_json(const Session& s) {
             {"margin_pct", s.margin_pct},
             {"answer_fd", s.answer_fd},
             {"trace_fd", s.trace_fd},
-            {"trace_capacity", s.trace_capacity}};
+            {"trace_capacity", s.trace_capacity},
+            {"processes", s.processes},
+            {"hub", s.hub},
+            {"hub_fd", s.hub_fd},
+            {"queue_depth", s.queue_depth},
+            {"keep", s.keep}};
   // The formats of lib/model travel as the texts that their own readers check.
   if (s.mode == Mode::kRun) {
     j["app"] = xauto::to_json(s.app);
@@ -97,6 +102,11 @@ Result<Session> parse_session(const std::string& text) {
     s.answer_fd = j.at("answer_fd").get<int>();
     s.trace_fd = j.at("trace_fd").get<int>();
     s.trace_capacity = j.at("trace_capacity").get<std::uint64_t>();
+    s.processes = j.at("processes").get<std::vector<std::vector<std::string>>>();
+    s.hub = j.at("hub").get<std::string>();
+    s.hub_fd = j.at("hub_fd").get<int>();
+    s.queue_depth = j.at("queue_depth").get<std::uint32_t>();
+    s.keep = j.at("keep").get<std::uint32_t>();
     if (s.mode == Mode::kRun) {
       XAUTO_ASSIGN(s.app, parse_app(j.at("app").get<std::string>(), "session"));
       if (s.scheduling != Scheduling::kRos2) {
@@ -119,6 +129,14 @@ Result<std::optional<Session>> inherited_session() {
                 "start the app with `xauto run` rather than by hand");
   XAUTO_ASSIGN(const std::string text, read_memory_file(static_cast<int>(fd)));
   XAUTO_ASSIGN(Session session, parse_session(text));
+  if (const char* process = std::getenv(kProcessVariable); process != nullptr) {
+    const long index = std::strtol(process, &end, 10);
+    if (end == process || *end != '\0' || index < 0 ||
+        index > static_cast<long>(session.processes.size()))
+      return fail(ErrorCode::kInvalid, std::string(kProcessVariable) + "='" + process +
+                                           "' is not a process of this app");
+    session.process = static_cast<int>(index);
+  }
   return std::optional<Session>(std::move(session));
 }
 
@@ -138,6 +156,7 @@ std::string to_json(const RunReport& r) {
               {"releases", std::move(releases)},
               {"modules", std::move(modules)},
               {"lost_coordinators", r.lost_coordinators},
+              {"died", r.died},
               {"deadline_misses", r.deadline_misses}}
       .dump();
 }
@@ -165,6 +184,7 @@ Result<RunReport> parse_run_report(const std::string& text) {
                            m.at("dropped").get<std::uint64_t>(),
                            m.at("latencies_us").get<std::vector<std::int64_t>>()});
     r.lost_coordinators = j.at("lost_coordinators").get<std::vector<std::string>>();
+    r.died = j.at("died").get<std::vector<std::string>>();
     r.deadline_misses = j.at("deadline_misses").get<std::uint64_t>();
     return r;
   });

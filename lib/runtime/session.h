@@ -55,9 +55,17 @@ struct Session {
   int answer_fd = -1;                          ///< memfd for the Answer
   int trace_fd = -1;                           ///< memfd for the trace; -1: none
   std::uint64_t trace_capacity = 0;
+
+  /// Modules by process, beside the hub; empty: all in one. See isolation.h.
+  std::vector<std::vector<std::string>> processes;
+  std::string hub;  ///< abstract socket
+  int hub_fd = -1;  ///< the same, listening, inherited by the hub; -1: it makes it
+  int process = 0;  ///< which of them this is (environment XAUTO_PROCESS); 0: the hub
+  std::uint32_t queue_depth = 8, keep = 8;  ///< of topics between processes, see TopicShape
 };
 
 inline constexpr const char* kSessionVariable = "XAUTO_SESSION";
+inline constexpr const char* kProcessVariable = "XAUTO_PROCESS";
 inline constexpr std::uint64_t kMaxActivations = 100'000'000;
 
 [[nodiscard]] std::string to_json(const Session& session);
@@ -85,6 +93,7 @@ struct RunReport {
   std::vector<Release> releases;
   std::vector<ModuleReport> modules;
   std::vector<std::string> lost_coordinators;
+  std::vector<std::string> died;  ///< modules whose process ended before its time, each time
   std::uint64_t deadline_misses = 0;
 };
 

@@ -15,7 +15,9 @@
 #include "base/log.h"
 #include "base/memory_file.h"
 #include "base/rt.h"
+#include "base/socket.h"
 #include "model/json.h"
+#include "runtime/isolation.h"
 
 namespace xauto::runtime {
 namespace {
@@ -28,6 +30,16 @@ struct Daemon {
   std::string name;
   Child child;
   bool coordinator = false;
+  bool noticed = false;
+};
+
+/// A process of the app that hosts modules.
+struct ModuleProcess {
+  int index = 0;
+  std::string name;
+  SpawnOptions options;
+  Child child;
+  int starts = 1;
   bool noticed = false;
 };
 
@@ -81,6 +93,7 @@ class Supervisor {
     watch();
     outcome_.wall_s = static_cast<double>(now_ns() - started) * 1e-9;
     outcome_.app = *app_.wait(0);
+    for (ModuleProcess& process : processes_) process.child.stop(kGraceMs);
     for (Daemon& daemon : daemons_) {
       const Exit exit = daemon.child.stop(kGraceMs);
       if (daemon.coordinator) outcome_.coordinators_cpu_us += exit.cpu_us;
@@ -102,7 +115,7 @@ class Supervisor {
       XAUTO_ASSIGN(platform_, make_memory_file("xauto-platform"));
       XAUTO_TRY(write_memory_file(platform_.get(), to_json(session.platform)));
       SpawnOptions options;
-      options.argv = {bin_ + "/xauto-emud", "--socket", base_ + "emud", "--platform",
+      options.argv = {bin_ + "/xauto-emud", "--socket", base_ + kEmudName, "--platform",
                       "/proc/self/fd/" + std::to_string(platform_.get())};
       options.inherit = {platform_.get()};
       XAUTO_ASSIGN(Child child, start_daemon("xauto-emud", std::move(options)));
@@ -111,6 +124,12 @@ class Supervisor {
     const bool scheduled = session.mode == Mode::kRun && session.scheduling == Scheduling::kXAuto;
     if (scheduled)
       for (const Xpu& xpu : session.platform.xpus) session.coordinators[xpu.id] = base_ + xpu.id;
+    UniqueFd hub;  // closed here once the app has it: its end must show
+    if (session.mode == Mode::kRun && !session.processes.empty()) {
+      session.hub = base_ + kHubName;
+      XAUTO_ASSIGN(hub, listen_abstract(session.hub));
+      session.hub_fd = hub.get();
+    }
     XAUTO_ASSIGN(session_, make_memory_file("xauto-session"));
     XAUTO_TRY(write_memory_file(session_.get(), to_json(session)));
     if (scheduled) {
@@ -130,11 +149,56 @@ class Supervisor {
     options.inherit = {session_.get(), answer_.get()};
     if (trace_) options.inherit.push_back(trace_.get());
     options.environment = {{kSessionVariable, std::to_string(session_.get())}};
-    if (session.emulated) options.environment.emplace_back("XAUTO_EMUD", base_ + "emud");
+    if (session.emulated) options.environment.emplace_back("XAUTO_EMUD", base_ + kEmudName);
     if (session.scheduling == Scheduling::kRos2 && session.mode == Mode::kRun)
       options.environment.emplace_back("XAUTO_EMU_CPU_POOL", "1");
+    if (hub) options.inherit.push_back(hub.get());
     XAUTO_ASSIGN(app_, Child::spawn(options));
+    if (!hub) return {};
+    std::erase(options.inherit, hub.get());
+    std::erase(options.inherit, answer_.get());
+    for (std::size_t p = 0; p < session.processes.size(); ++p) {
+      ModuleProcess process;
+      process.index = static_cast<int>(p) + 1;
+      for (const std::string& module : session.processes[p])
+        process.name += (process.name.empty() ? "" : "+") + module;
+      process.options = options;
+      process.options.environment.emplace_back(kProcessVariable, std::to_string(process.index));
+      XAUTO_ASSIGN(process.child, Child::spawn(process.options));
+      processes_.push_back(std::move(process));
+    }
     return {};
+  }
+
+  /// A module process has ended: start it again, or tell the hub that it will not come back.
+  void attend(ModuleProcess& process, const Exit& exit) {
+    std::string note = "the process of " + process.name + " died (" + exit.to_string() + ")";
+    if (process.starts <= request_.restarts) {
+      ++process.starts;
+      if (auto child = Child::spawn(process.options)) {
+        process.child = std::move(*child);
+        outcome_.notes.push_back(note + " and was started again");
+        return;
+      }
+    }
+    process.noticed = true;
+    outcome_.notes.push_back(note);
+    // Not connected yet: nobody else would tell the hub.
+    if (const auto socket = connect_abstract(request_.session.hub)) {
+      const Packet gone{.word = static_cast<std::uint32_t>(Word::kGone),
+                        .index = static_cast<std::uint32_t>(process.index)};
+      (void)send_packet(socket->get(), &gone, sizeof gone);
+    }
+  }
+
+  /// Sleeps until a child ends, at most 200 ms.
+  void wait_for_children() {
+    std::vector<pollfd> fds = {{app_.pidfd(), POLLIN, 0}};
+    for (const Daemon& daemon : daemons_)
+      if (!daemon.noticed) fds.push_back({daemon.child.pidfd(), POLLIN, 0});
+    for (const ModuleProcess& process : processes_)
+      if (!process.noticed) fds.push_back({process.child.pidfd(), POLLIN, 0});
+    poll(fds.data(), fds.size(), 200);
   }
 
   /// Until the app has ended.
@@ -147,7 +211,9 @@ class Supervisor {
       app_.signal(SIGTERM);
       told_to_stop = now_ns();
     };
-    while (!app_.wait(200)) {
+    for (;;) {
+      wait_for_children();
+      if (app_.poll()) return;
       const std::int64_t now = now_ns();
       if (request_.on_tick) request_.on_tick(static_cast<double>(now - started) * 1e-9);
       for (Daemon& daemon : daemons_) {
@@ -163,6 +229,13 @@ class Supervisor {
           tell(nullptr);
         }
       }
+      for (ModuleProcess& process : processes_)
+        if (!process.noticed)
+          if (const auto exit = process.child.poll()) {
+            // Its hub's end shows in both at once; then it is no death of its own.
+            if (app_.wait(told_to_stop != 0 ? kGraceMs : 20)) return;
+            attend(process, *exit);
+          }
       if (request_.stop != nullptr && request_.stop->load()) tell("stopped by the user");
       if (request_.time_limit_s > 0 && now - started > request_.time_limit_s * 1'000'000'000)
         tell("stopped at its time limit");
@@ -197,6 +270,7 @@ class Supervisor {
   std::string base_, bin_;
   UniqueFd answer_, trace_, platform_, session_;
   std::vector<Daemon> daemons_;
+  std::vector<ModuleProcess> processes_;
   Child app_;
   Outcome outcome_;
 };

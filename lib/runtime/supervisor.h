@@ -3,7 +3,8 @@
 // leaves nothing behind. Whatever dies, the rest is ended or goes on as docs/runtime.md says:
 //   coordinator  its XPU's jobs go on unscheduled; the result says so
 //   emulator     the app is stopped: its XPUs are gone
-//   app          everything is stopped
+//   app          everything is stopped; a module process of it: its modules' activations are
+//                dropped, the rest runs, and it is started again if `restarts` says so
 //   this process everything is killed by the kernel (PR_SET_PDEATHSIG)
 // Shared memory, sessions and answers are memfds, sockets are abstract: the file system is not
 // used.
@@ -28,6 +29,10 @@ namespace xauto::runtime {
 /// Sockets of one run are called PREFIX<pid>-<n>/<xpu>; `xauto status` finds them by this prefix.
 inline constexpr const char* kSocketPrefix = "xauto/";
 
+/// Last parts of socket names that are no coordinator's.
+inline constexpr const char* kHubName = "hub";
+inline constexpr const char* kEmudName = "emud";
+
 /// Who keeps the priorities on this XPU: the coordinator by preemption, by gating, or the kernel.
 [[nodiscard]] coord::Discipline discipline_of(const Xpu& xpu, bool emulated);
 
@@ -43,6 +48,7 @@ struct Supervision {
   std::function<void(double elapsed_s)> on_tick;  ///< about five times a second
   std::uint64_t trace_capacity = 0;               ///< events; 0: no trace
   std::int64_t time_limit_s = 0;                  ///< 0: none; then the app is stopped
+  int restarts = 0;  ///< of each module process (session.processes) that dies
 };
 
 struct Outcome {

@@ -11,16 +11,19 @@
 namespace xauto::runtime {
 
 ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
-                             std::vector<const transport::Channel*> outputs)
+                             std::vector<const transport::Channel*> outputs,
+                             std::vector<MessageMemory*> memories)
     : module_(graph.modules[static_cast<std::size_t>(index)]),
       single_rate_(graph.single_rate),
       index_(index),
       host_(host),
       outputs_(std::move(outputs)),
+      memories_(std::move(memories)),
       topics_(module_.spec->inputs),
       state_(module_.spec->make_state()),
       slots_(topics_.size()) {
   InputAccess::bind(input_, &topics_);
+  memories_.resize(module_.spec->outputs.size());
 }
 
 void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
@@ -32,6 +35,12 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
     Slot& slot = slots_[static_cast<std::size_t>(input)];
     if (single_rate_) {
       if (envelope.sequence < next_) return;  // the rest of a release that is already lost
+      // Messages come in order: what lies between was lost on the way (a full queue between
+      // processes).
+      std::uint64_t& expected = slot.expected;
+      if (envelope.sequence > expected && envelope.message != nullptr)
+        settle(envelope.sequence, XAUTO_DROP_OVERRUN, lost);
+      expected = envelope.sequence + 1;
       if (envelope.message == nullptr)
         settle(envelope.sequence + 1, XAUTO_DROP_UPSTREAM, lost);
       else if (slot.fresh)
@@ -39,7 +48,10 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
     } else if (slot.fresh) {
       lost.push_back({slot.envelope.sequence, slot.envelope.sequence, XAUTO_DROP_OVERRUN});
     }
-    if (envelope.message != nullptr) slot = {envelope, true};
+    if (envelope.message != nullptr) {
+      slot.envelope = envelope;
+      slot.fresh = true;
+    }
     start = !busy_ && take_if_fresh(lost);
     if (!busy_) skip_below = std::exchange(skip_below_, 0);
   }
@@ -54,7 +66,10 @@ void ModuleRuntime::settle(std::uint64_t below, std::uint32_t reason, std::vecto
   next_ = below;
   skip_below_ = below;
   for (Slot& slot : slots_)
-    if (slot.fresh && slot.envelope.sequence < next_) slot = {};
+    if (slot.fresh && slot.envelope.sequence < next_) {
+      slot.envelope = {};
+      slot.fresh = false;
+    }
 }
 
 /// Moves the fresh messages into the activation's input. Called with the mutex held.
@@ -69,7 +84,8 @@ bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
   std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
   for (std::size_t i = 0; i < slots_.size(); ++i) {
     messages[i] = std::move(slots_[i].envelope);
-    slots_[i] = {};
+    slots_[i].envelope = {};
+    slots_[i].fresh = false;
   }
   if (single_rate_) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
@@ -95,8 +111,12 @@ void ModuleRuntime::finish(bool succeeded) {
   std::vector<std::shared_ptr<const void>> messages;
   if (succeeded) {
     try {
-      for (const detail::OutputSpec& output : module_.spec->outputs)
-        messages.push_back(output.take(state_.get()));
+      for (std::size_t i = 0; i < module_.spec->outputs.size(); ++i) {
+        const detail::OutputSpec& output = module_.spec->outputs[i];
+        messages.push_back(memories_[i] != nullptr && output.take_in
+                               ? output.take_in(state_.get(), memories_[i])
+                               : output.take(state_.get()));
+      }
     } catch (...) {  // a user's copy constructor: as if the last exec had failed
       succeeded = false;
     }

@@ -45,9 +45,16 @@ class ModuleHost {
 /// Threads: `receive` from any thread, `finish` from the thread that ran the last XNode.
 class ModuleRuntime {
  public:
-  /// `outputs`: the channels of the module's output topics, in their order.
+  /// `outputs`: the channels of the module's output topics, in their order; `memories`: where their
+  /// messages are made.
   ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
-                std::vector<const transport::Channel*> outputs);
+                std::vector<const transport::Channel*> outputs,
+                std::vector<MessageMemory*> memories = {});
+  /// Single rate: releases below `next` are settled already. Before the first message.
+  void begin_at(std::uint64_t next) {
+    next_ = next;
+    for (Slot& slot : slots_) slot.expected = next;
+  }
 
   /// A message (or tombstone) for input number `input`.
   void receive(int input, const detail::Envelope& envelope);
@@ -62,6 +69,7 @@ class ModuleRuntime {
   struct Slot {
     detail::Envelope envelope;
     bool fresh = false;
+    std::uint64_t expected = 0;  ///< single rate: number of the next message
   };
   /// Releases first..last were lost for `reason`; told to the host without the mutex.
   struct Lost {
@@ -78,6 +86,7 @@ class ModuleRuntime {
   const int index_;
   ModuleHost& host_;
   std::vector<const transport::Channel*> outputs_;
+  std::vector<MessageMemory*> memories_;  ///< of the outputs; null: the heap
   std::vector<detail::TopicSpec> topics_;
   std::shared_ptr<void> state_;
 

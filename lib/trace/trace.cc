@@ -43,6 +43,22 @@ Result<std::unique_ptr<Writer>> Writer::create(int fd, std::uint64_t capacity) {
   return std::unique_ptr<Writer>(new Writer(header, bytes));
 }
 
+Result<std::unique_ptr<Writer>> Writer::attach(int fd) {
+  struct stat status {};
+  if (fstat(fd, &status) != 0 || static_cast<std::size_t>(status.st_size) < sizeof(Header))
+    return fail(ErrorCode::kInvalid, "trace buffer is cut short");
+  const auto bytes = static_cast<std::size_t>(status.st_size);
+  void* memory = mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0);
+  if (memory == MAP_FAILED)
+    return fail(ErrorCode::kIo, std::string("cannot map the trace buffer: ") + strerror(errno));
+  auto* header = static_cast<Header*>(memory);
+  auto writer = std::unique_ptr<Writer>(new Writer(header, bytes));
+  if (header->magic != kMagic || header->version != XAUTO_EVENT_VERSION ||
+      header->capacity > (bytes - sizeof(Header)) / sizeof(Event))
+    return fail(ErrorCode::kInvalid, "trace buffer has no valid header");
+  return writer;
+}
+
 Writer::~Writer() {
   munmap(header_, bytes_);
 }

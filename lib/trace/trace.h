@@ -38,6 +38,8 @@ class Writer {
  public:
   /// Maps and prefaults `fd`, sized to hold `capacity` events. Takes no ownership of `fd`.
   [[nodiscard]] static Result<std::unique_ptr<Writer>> create(int fd, std::uint64_t capacity);
+  /// Maps the buffer that another process of the app has created in `fd`.
+  [[nodiscard]] static Result<std::unique_ptr<Writer>> attach(int fd);
   ~Writer();
   Writer(const Writer&) = delete;
   Writer& operator=(const Writer&) = delete;

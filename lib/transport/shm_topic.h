@@ -152,6 +152,7 @@ class Publisher : public MessageMemory, public std::enable_shared_from_this<Publ
   /// (plain data) or encoded.
   void publish(const detail::Envelope& envelope);
 
+  [[nodiscard]] std::uint64_t next_sequence() const { return control_->next_sequence(); }
   /// Messages that could not be sent to anybody: too large, no chunk, or encode threw.
   [[nodiscard]] std::uint64_t unsent() const { return unsent_.load(std::memory_order_relaxed); }
 

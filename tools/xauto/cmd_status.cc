@@ -51,7 +51,8 @@ int status(const Options& options) {
   json sessions = json::object();
   for (const std::string& address : abstract_sockets(runtime::kSocketPrefix)) {
     const std::size_t slash = address.rfind('/');
-    if (address.substr(slash + 1) == "emud") continue;
+    const std::string name = address.substr(slash + 1);
+    if (name == runtime::kEmudName || name == runtime::kHubName) continue;
     auto answer = ask(address);
     if (!answer) {  // it ended between the look at the table and the question
       log::debug("{}", answer.error().to_string());

@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <map>
 #include <numeric>
+#include <set>
 
 #include <signal.h>
 
@@ -62,6 +63,10 @@ void RunFlags::declare(CLI::App& verb) {
   auto* emulate_flag =
       verb.add_flag("--emulate", emulate, "emulate all XPUs (default: if some are missing)");
   verb.add_flag("--real", real, "refuse to emulate")->excludes(emulate_flag);
+  verb.add_flag("--isolate", isolate, "each XModule in a process of its own");
+  verb.add_option("--restarts", restarts, "how often a module's process that died is started again")
+      ->check(CLI::Range(0, 1'000'000))
+      ->capture_default_str();
   verb.add_option("command", command, "the app's program and its arguments, after --")->required();
 }
 
@@ -137,6 +142,12 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.period_us = flags.period_us;
   session.input = flags.input;
   session.record = flags.record_path;
+  if (flags.isolate) {
+    std::set<std::string> seen;
+    for (const XNodeSpec& xnode : flags.app.xnodes)
+      if (seen.insert(xnode.module).second) session.processes.push_back({xnode.module});
+  }
+  request.restarts = flags.restarts;
   request.command = flags.command;
   request.stop = stop;
   request.trace_capacity = std::clamp(flags.activations * flags.app.xnodes.size() * kEventsPerJob,

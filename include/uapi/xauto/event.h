@@ -29,6 +29,7 @@
 #define XAUTO_DROP_FAILED 1	 /* exec threw or returned an error */
 #define XAUTO_DROP_UPSTREAM 2	 /* an input of this activation was dropped upstream */
 #define XAUTO_DROP_OVERRUN 3	 /* a newer message replaced it before the module was free */
+#define XAUTO_DROP_DIED 4	 /* the process of the module died */
 
 #define XAUTO_EV_NONE 0xffff	 /* xnode, module, xpu: not applicable */
 

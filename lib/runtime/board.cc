@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/board.h"
+
+#include <cerrno>
+#include <cstring>
+#include <new>
+
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::uint32_t kBoardMagic = 0x58424f41;  // "XBOA"
+
+std::size_t bytes_of(std::uint32_t processes, std::uint32_t modules) {
+  return sizeof(BoardHeader) + processes * sizeof(ProcessLine) + modules * sizeof(ModuleLine);
+}
+
+void fill(void* memory, std::uint32_t processes, std::uint32_t modules) {
+  auto* header = new (memory) BoardHeader{kBoardMagic, processes, modules, 0};
+  auto* lines = reinterpret_cast<ProcessLine*>(header + 1);
+  for (std::uint32_t p = 0; p < processes; ++p) (new (lines + p) ProcessLine)->stand_in.store(p);
+  auto* counts = reinterpret_cast<ModuleLine*>(lines + processes);
+  for (std::uint32_t m = 0; m < modules; ++m) new (counts + m) ModuleLine;
+}
+
+}  // namespace
+
+Board::Board(void* memory, std::size_t bytes, bool mapped, std::uint32_t processes,
+             std::uint32_t modules)
+    : memory_(memory),
+      bytes_(bytes),
+      mapped_(mapped),
+      header_(static_cast<BoardHeader*>(memory)),
+      processes_(reinterpret_cast<ProcessLine*>(header_ + 1)),
+      modules_(reinterpret_cast<ModuleLine*>(processes_ + processes)) {
+  static_cast<void>(modules);
+}
+
+Board::~Board() {
+  if (mapped_)
+    munmap(memory_, bytes_);
+  else
+    ::operator delete (memory_, std::align_val_t{64});
+}
+
+std::shared_ptr<Board> Board::local(std::uint32_t modules) {
+  const std::size_t bytes = bytes_of(1, modules);
+  void* memory = ::operator new (bytes, std::align_val_t{64});
+  fill(memory, 1, modules);
+  return std::shared_ptr<Board>(new Board(memory, bytes, false, 1, modules));
+}
+
+Result<std::shared_ptr<Board>> Board::create(std::uint32_t processes, std::uint32_t modules,
+                                             UniqueFd& fd) {
+  if (processes == 0 || processes > kMaxProcesses || modules > kMaxBoardModules)
+    return fail(ErrorCode::kInvalid, std::to_string(processes) + " processes and " +
+                                         std::to_string(modules) + " modules are too many");
+  const std::size_t bytes = bytes_of(processes, modules);
+  fd = UniqueFd(memfd_create("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING));
+  if (!fd || ftruncate(fd.get(), static_cast<off_t>(bytes)) != 0 ||
+      fcntl(fd.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
+    return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
+  void* memory =
+      mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd.get(), 0);
+  if (memory == MAP_FAILED)
+    return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
+  fill(memory, processes, modules);
+  return std::shared_ptr<Board>(new Board(memory, bytes, true, processes, modules));
+}
+
+Result<std::shared_ptr<Board>> Board::map(int fd, std::uint32_t processes, std::uint32_t modules) {
+  const std::size_t bytes = bytes_of(processes, modules);
+  struct stat status {};
+  if (fstat(fd, &status) != 0 || static_cast<std::size_t>(status.st_size) < bytes)
+    return fail(ErrorCode::kInvalid, "the app's shared memory is cut short");
+  void* memory = mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0);
+  if (memory == MAP_FAILED)
+    return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
+  auto board = std::shared_ptr<Board>(new Board(memory, bytes, true, processes, modules));
+  const BoardHeader& h = *board->header_;
+  if (h.magic != kBoardMagic || h.processes != processes || h.modules != modules)
+    return fail(ErrorCode::kInvalid, "the app's shared memory is another app's", {},
+                "all processes of an app must be of one build");
+  return board;
+}
+
+std::uint64_t Board::settled() const {
+  std::uint64_t sum = 0;
+  for (std::uint32_t m = 0; m < header_->modules; ++m) sum += modules_[m].settled();
+  return sum;
+}
+
+}  // namespace xauto::runtime

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/ghost.h"
+
+namespace xauto::runtime {
+
+Result<std::unique_ptr<Ghost>> Ghost::haunt(int process, const Plan& plan, const Graph& graph,
+                                            Hub& hub, transport::Receiver& receiver, Lose lose) {
+  auto ghost = std::unique_ptr<Ghost>(new Ghost(plan, graph, hub, std::move(lose)));
+  Ghost& g = *ghost;
+  g.process_ = process;
+  g.publishers_.resize(graph.topics.size());
+  for (std::size_t t = 0; t < graph.topics.size(); ++t) {
+    const Plan::Remote& remote = plan.topics[t];
+    if (remote.publisher != process || remote.readers.empty()) continue;
+    const transport::TopicFds& fds = hub.topic(static_cast<int>(t));
+    g.ringers_.push_back(std::make_unique<BoardRinger>(hub.board(), remote.readers));
+    XAUTO_ASSIGN(g.publishers_[t],
+                 transport::Publisher::open(graph.topics[t].spec, fds.control.get(), fds.data.get(),
+                                            g.ringers_.back().get()));
+  }
+  if (graph.single_rate)
+    for (const int m : graph.module_order) {
+      if (plan.process_of[static_cast<std::size_t>(m)] != process) continue;
+      // It may have died between settling a release and publishing it.
+      const std::uint64_t settled = hub.board()->module(m).settled();
+      if (settled > 0) g.tombstone(m, settled - 1);
+    }
+  for (std::size_t t = 0; t < graph.topics.size(); ++t) {
+    const int reader = plan.topics[t].reader(process);
+    if (reader < 0) continue;
+    const transport::TopicFds& fds = hub.topic(static_cast<int>(t));
+    XAUTO_ASSIGN(auto subscriber,
+                 transport::Subscriber::open(graph.topics[t].spec, fds.control.get(),
+                                             fds.data.get(), static_cast<std::uint32_t>(reader)));
+    receiver.add(process, std::move(subscriber), true, [&g, t](const detail::Envelope& envelope) {
+      for (const Graph::Subscriber& s : g.graph_.topics[t].subscribers)
+        if (g.plan_.process_of[static_cast<std::size_t>(s.module)] == g.process_)
+          g.arrive(s.module, envelope.sequence);
+    });
+  }
+  return ghost;
+}
+
+void Ghost::arrive(int module, std::uint64_t sequence) {
+  if (!graph_.single_rate) {  // numbers of several sensors don't compare: counted, not passed on
+    lose_(module, sequence);
+    return;
+  }
+  const ModuleLine& line = hub_.board()->module(module);
+  if (sequence < line.settled()) return;
+  while (line.settled() <= sequence) lose_(module, line.settled());
+  tombstone(module, sequence);
+}
+
+void Ghost::tombstone(int module, std::uint64_t sequence) {
+  for (const int t : graph_.modules[static_cast<std::size_t>(module)].outputs) {
+    const auto& publisher = publishers_[static_cast<std::size_t>(t)];
+    // One settles everything before it, so nothing is said twice.
+    if (publisher != nullptr && publisher->next_sequence() <= sequence)
+      publisher->publish({nullptr, 0, sequence});
+    for (const Graph::Subscriber& s : graph_.topics[static_cast<std::size_t>(t)].subscribers)
+      if (plan_.process_of[static_cast<std::size_t>(s.module)] == process_)
+        arrive(s.module, sequence);
+  }
+}
+
+}  // namespace xauto::runtime
