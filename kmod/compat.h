@@ -1,0 +1,84 @@
+/* SPDX-License-Identifier: GPL-2.0-only */
+/*
+ * Every difference between kernel versions, and nowhere else. 5.10 is L4T 35's kernel.
+ */
+#ifndef XAUTO_COMPAT_H
+#define XAUTO_COMPAT_H
+
+#include <linux/version.h>
+
+#if LINUX_VERSION_CODE < KERNEL_VERSION(5, 10, 0)
+#error "xauto needs Linux 5.10 or later"
+#endif
+
+#include <linux/device.h>
+#include <linux/fs.h>
+#include <linux/hrtimer.h>
+#include <net/genetlink.h>
+
+/* Since 6.1: the number of the first command that checks reserved header bytes. */
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 1, 0)
+#define XAUTO_GENL_RESV_START_OP(nr) .resv_start_op = (nr),
+#else
+#define XAUTO_GENL_RESV_START_OP(nr)
+#endif
+
+/* Since 6.1 a multicast group can ask for a capability of those who join. */
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 1, 0)
+#define XAUTO_MCGRP_NEEDS_NET_ADMIN .flags = GENL_MCAST_CAP_NET_ADMIN
+#else
+#define XAUTO_MCGRP_NEEDS_NET_ADMIN
+#endif
+
+/* Since 6.1 an extended acknowledgement takes a format. */
+#ifndef GENL_SET_ERR_MSG_FMT
+#define GENL_SET_ERR_MSG_FMT(info, format, ...) GENL_SET_ERR_MSG(info, format)
+#endif
+
+/* Since 6.4 a class belongs to no module. */
+static inline struct class *xauto_class_create(const char *name)
+{
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 4, 0)
+	return class_create(name);
+#else
+	return class_create(THIS_MODULE, name);
+#endif
+}
+
+/* Since 6.2 the device that devnode() names is const. */
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 2, 0)
+#define XAUTO_DEVNODE_CONST const
+#else
+#define XAUTO_DEVNODE_CONST
+#endif
+
+/* 6.13 has hrtimer_setup(); 6.15 removed hrtimer_init(). */
+static inline void xauto_hrtimer_setup(struct hrtimer *timer,
+				       enum hrtimer_restart (*function)(struct hrtimer *),
+				       enum hrtimer_mode mode)
+{
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 13, 0)
+	hrtimer_setup(timer, function, CLOCK_MONOTONIC, mode);
+#else
+	hrtimer_init(timer, CLOCK_MONOTONIC, mode);
+	timer->function = function;
+#endif
+}
+
+/* Since 6.11 a platform driver's remove() returns nothing. */
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 11, 0)
+#define XAUTO_PLATFORM_REMOVE_RETURN void
+#define XAUTO_PLATFORM_REMOVED
+#else
+#define XAUTO_PLATFORM_REMOVE_RETURN int
+#define XAUTO_PLATFORM_REMOVED return 0
+#endif
+
+/* Since 6.12 seeking is refused by leaving llseek out. */
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 12, 0)
+#define XAUTO_NO_LLSEEK
+#else
+#define XAUTO_NO_LLSEEK .llseek = no_llseek,
+#endif
+
+#endif /* XAUTO_COMPAT_H */

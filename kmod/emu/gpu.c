@@ -1,0 +1,431 @@
+// SPDX-License-Identifier: GPL-2.0-only
+/*
+ * xauto_nvgpu_emu.ko: nvgpu's device nodes and ioctls, with their numbers and structures, over an emulated engine
+ * (gpu_engine.h). Work is given as a duration (include/uapi/xauto/emu.h).
+ */
+#include <linux/anon_inodes.h>
+#include <linux/cdev.h>
+#include <linux/debugfs.h>
+#include <linux/device.h>
+#include <linux/file.h>
+#include <linux/fs.h>
+#include <linux/module.h>
+#include <linux/platform_device.h>
+#include <linux/pm_runtime.h>
+#include <linux/poll.h>
+#include <linux/seq_file.h>
+#include <linux/slab.h>
+#include <linux/uaccess.h>
+
+#include <uapi/xauto/emu.h>
+#include <uapi/xauto/nvgpu.h>
+
+#include "compat.h"
+#include "gpu_engine.h"
+
+/* Faults, in debugfs: how many of the next calls fail. */
+static u32 fail_preempt;
+static u32 fail_enable;
+
+enum { NODE_CTRL, NODE_TSG, NODE_CHANNEL, N_NODES };
+
+static const char * const node_names[N_NODES] = { "ctrl", "tsg", "channel" };
+
+static struct gpu gpu;
+static struct platform_device *pdev;
+static struct class *node_class;
+static struct cdev node_cdev;
+static dev_t node_base;
+static struct dentry *debug_dir;
+
+static bool take_fault(u32 *count)
+{
+	u32 left = READ_ONCE(*count);
+
+	return left && cmpxchg(count, left, left - 1) == left;
+}
+
+static int tsg_release(struct inode *inode, struct file *file)
+{
+	gpu_tsg_free(file->private_data);
+	return 0;
+}
+
+static const struct file_operations channel_fops;
+
+static long bind_channel(struct gpu_tsg *tsg, void __user *arg)
+{
+	struct file *file;
+	long err = -EINVAL;
+	int fd;
+
+	if (copy_from_user(&fd, arg, sizeof(fd)))
+		return -EFAULT;
+	file = fget(fd);
+	if (!file)
+		return -EBADF;
+	/* A channel is another file of ours; the "channel" node has them as well as OPEN_CHANNEL. */
+	if (file->f_op == &channel_fops)
+		err = gpu_channel_bind(tsg, file->private_data);
+	fput(file);
+	return err;
+}
+
+static long tsg_ioctl(struct file *file, unsigned int cmd, unsigned long value)
+{
+	void __user *arg = (void __user *)value;
+	struct nvgpu_runlist_interleave_args interleave;
+	struct nvgpu_timeslice_args slice = {};
+	struct gpu_tsg *tsg = file->private_data;
+
+	switch (cmd) {
+	case NVGPU_TSG_IOCTL_BIND_CHANNEL:
+		return bind_channel(tsg, arg);
+	case NVGPU_IOCTL_TSG_ENABLE:
+		return take_fault(&fail_enable) ? -EIO : gpu_tsg_enable(tsg);
+	case NVGPU_IOCTL_TSG_DISABLE:
+		gpu_tsg_disable(tsg);
+		return 0;
+	case NVGPU_IOCTL_TSG_PREEMPT:
+		return take_fault(&fail_preempt) ? -ETIMEDOUT : gpu_tsg_preempt(tsg);
+	case NVGPU_IOCTL_TSG_SET_RUNLIST_INTERLEAVE:
+		if (copy_from_user(&interleave, arg, sizeof(interleave)))
+			return -EFAULT;
+		return gpu_tsg_set_level(tsg, interleave.level);
+	case NVGPU_IOCTL_TSG_SET_TIMESLICE:
+		if (copy_from_user(&slice, arg, sizeof(slice)))
+			return -EFAULT;
+		return gpu_tsg_set_timeslice(tsg, slice.timeslice_us);
+	case NVGPU_IOCTL_TSG_GET_TIMESLICE:
+		slice.timeslice_us = READ_ONCE(tsg->timeslice_us);
+		return copy_to_user(arg, &slice, sizeof(slice)) ? -EFAULT : 0;
+	}
+	return -ENOTTY;
+}
+
+static const struct file_operations tsg_fops = {
+	.owner = THIS_MODULE,
+	.release = tsg_release,
+	.unlocked_ioctl = tsg_ioctl,
+	.compat_ioctl = tsg_ioctl,
+	XAUTO_NO_LLSEEK
+};
+
+static int channel_release(struct inode *inode, struct file *file)
+{
+	gpu_channel_close(file->private_data);
+	return 0;
+}
+
+static long channel_ioctl(struct file *file, unsigned int cmd, unsigned long value)
+{
+	void __user *arg = (void __user *)value;
+	struct xauto_emu_work work;
+	long err;
+
+	if (cmd != XAUTO_EMU_IOCTL_SUBMIT)
+		return -ENOTTY;
+	if (copy_from_user(&work, arg, sizeof(work)))
+		return -EFAULT;
+	if (!work.duration_ns || work.duration_ns > XAUTO_EMU_MAX_DURATION_NS)
+		return -EINVAL;
+	err = gpu_channel_submit(file->private_data, work.duration_ns, &work.sequence);
+	if (err)
+		return err;
+	return copy_to_user(arg, &work, sizeof(work)) ? -EFAULT : 0;
+}
+
+static __poll_t channel_poll(struct file *file, struct poll_table_struct *table)
+{
+	struct gpu_channel *channel = file->private_data;
+	u64 finished;
+
+	poll_wait(file, &channel->done, table);
+	return gpu_channel_idle(channel, &finished) ? EPOLLIN | EPOLLRDNORM : 0;
+}
+
+static ssize_t channel_read(struct file *file, char __user *to, size_t size, loff_t *at)
+{
+	struct gpu_channel *channel = file->private_data;
+	u64 finished;
+
+	if (size < sizeof(finished))
+		return -EINVAL;
+	gpu_channel_idle(channel, &finished);
+	return copy_to_user(to, &finished, sizeof(finished)) ? -EFAULT : sizeof(finished);
+}
+
+static const struct file_operations channel_fops = {
+	.owner = THIS_MODULE,
+	.release = channel_release,
+	.unlocked_ioctl = channel_ioctl,
+	.compat_ioctl = channel_ioctl,
+	.poll = channel_poll,
+	.read = channel_read,
+	XAUTO_NO_LLSEEK
+};
+
+static long open_tsg(void __user *arg)
+{
+	struct nvgpu_gpu_open_tsg_args args;
+	struct gpu_tsg *tsg;
+	struct file *file;
+	char name[32];
+	int fd;
+
+	if (copy_from_user(&args, arg, sizeof(args)))
+		return -EFAULT;
+	if (args.flags)
+		return -EOPNOTSUPP; /* sharing between processes is not emulated */
+	tsg = gpu_tsg_new(&gpu);
+	if (IS_ERR(tsg))
+		return PTR_ERR(tsg);
+	fd = get_unused_fd_flags(O_CLOEXEC);
+	if (fd < 0) {
+		gpu_tsg_free(tsg);
+		return fd;
+	}
+	snprintf(name, sizeof(name), "nvgpu-ga10b-tsg%d", fd);
+	file = anon_inode_getfile(name, &tsg_fops, tsg, O_RDWR | O_CLOEXEC);
+	if (IS_ERR(file)) {
+		put_unused_fd(fd);
+		gpu_tsg_free(tsg);
+		return PTR_ERR(file);
+	}
+	args.tsg_fd = fd;
+	if (copy_to_user(arg, &args, sizeof(args))) {
+		put_unused_fd(fd);
+		fput(file);
+		return -EFAULT;
+	}
+	fd_install(fd, file);
+	return 0;
+}
+
+static long open_channel(void __user *arg)
+{
+	struct nvgpu_gpu_open_channel_args args;
+	struct gpu_channel *channel;
+	struct file *file;
+	char name[32];
+	int fd;
+
+	if (copy_from_user(&args, arg, sizeof(args)))
+		return -EFAULT;
+	if (args.in.runlist_id != -1 && args.in.runlist_id != 0)
+		return -EINVAL; /* there is one engine */
+	channel = gpu_channel_new(&gpu);
+	if (!channel)
+		return -ENOMEM;
+	fd = get_unused_fd_flags(O_CLOEXEC);
+	if (fd < 0) {
+		gpu_channel_put(channel);
+		return fd;
+	}
+	snprintf(name, sizeof(name), "nvhost-ga10b-fd%d", fd);
+	file = anon_inode_getfile(name, &channel_fops, channel, O_RDWR | O_CLOEXEC);
+	if (IS_ERR(file)) {
+		put_unused_fd(fd);
+		gpu_channel_put(channel);
+		return PTR_ERR(file);
+	}
+	args.out.channel_fd = fd;
+	if (copy_to_user(arg, &args, sizeof(args))) {
+		put_unused_fd(fd);
+		fput(file);
+		return -EFAULT;
+	}
+	fd_install(fd, file);
+	return 0;
+}
+
+static long ctrl_ioctl(struct file *file, unsigned int cmd, unsigned long value)
+{
+	switch (cmd) {
+	case NVGPU_GPU_IOCTL_OPEN_TSG:
+		return open_tsg((void __user *)value);
+	case NVGPU_GPU_IOCTL_OPEN_CHANNEL:
+		return open_channel((void __user *)value);
+	}
+	return -ENOTTY;
+}
+
+static const struct file_operations ctrl_fops = {
+	.owner = THIS_MODULE,
+	.unlocked_ioctl = ctrl_ioctl,
+	.compat_ioctl = ctrl_ioctl,
+	XAUTO_NO_LLSEEK
+};
+
+/* The node decides what the file is. */
+static int node_open(struct inode *inode, struct file *file)
+{
+	void *made;
+
+	switch (iminor(inode)) {
+	case NODE_CTRL:
+		replace_fops(file, fops_get(&ctrl_fops));
+		return 0;
+	case NODE_TSG:
+		made = gpu_tsg_new(&gpu);
+		if (IS_ERR(made))
+			return PTR_ERR(made);
+		file->private_data = made;
+		replace_fops(file, fops_get(&tsg_fops));
+		return 0;
+	case NODE_CHANNEL:
+		made = gpu_channel_new(&gpu);
+		if (!made)
+			return -ENOMEM;
+		file->private_data = made;
+		replace_fops(file, fops_get(&channel_fops));
+		return 0;
+	}
+	return -ENXIO;
+}
+
+static const struct file_operations node_fops = {
+	.owner = THIS_MODULE,
+	.open = node_open,
+};
+
+static char *devnode(XAUTO_DEVNODE_CONST struct device *dev, umode_t *mode)
+{
+	if (mode)
+		*mode = 0666;
+	return kasprintf(GFP_KERNEL, "nvgpu/igpu0/%s", node_names[MINOR(dev->devt)]);
+}
+
+static int create_nodes(void)
+{
+	int i, err;
+
+	err = alloc_chrdev_region(&node_base, 0, N_NODES, "nvgpu");
+	if (err)
+		return err;
+	cdev_init(&node_cdev, &node_fops);
+	node_cdev.owner = THIS_MODULE;
+	err = cdev_add(&node_cdev, node_base, N_NODES);
+	if (err)
+		goto err_region;
+	node_class = xauto_class_create("nvgpu-emu");
+	if (IS_ERR(node_class)) {
+		err = PTR_ERR(node_class);
+		goto err_cdev;
+	}
+	node_class->devnode = devnode;
+	for (i = 0; i < N_NODES; i++) {
+		struct device *dev = device_create(node_class, &pdev->dev, node_base + i, NULL,
+						   "igpu0-%s", node_names[i]);
+
+		if (IS_ERR(dev)) {
+			err = PTR_ERR(dev);
+			goto err_nodes;
+		}
+	}
+	return 0;
+
+err_nodes:
+	while (i-- > 0)
+		device_destroy(node_class, node_base + i);
+	class_destroy(node_class);
+err_cdev:
+	cdev_del(&node_cdev);
+err_region:
+	unregister_chrdev_region(node_base, N_NODES);
+	return err;
+}
+
+static void remove_nodes(void)
+{
+	int i;
+
+	for (i = 0; i < N_NODES; i++)
+		device_destroy(node_class, node_base + i);
+	class_destroy(node_class);
+	cdev_del(&node_cdev);
+	unregister_chrdev_region(node_base, N_NODES);
+}
+
+static int state_show(struct seq_file *out, void *data)
+{
+	gpu_show(&gpu, out);
+	seq_printf(out, "powered=%d\n", pm_runtime_active(&pdev->dev));
+	return 0;
+}
+DEFINE_SHOW_ATTRIBUTE(state);
+
+static int gpu_runtime_suspend(struct device *dev)
+{
+	gpu_power_off(&gpu);
+	return 0;
+}
+
+static int gpu_runtime_resume(struct device *dev)
+{
+	return 0;
+}
+
+static const struct dev_pm_ops gpu_pm_ops = {
+	SET_RUNTIME_PM_OPS(gpu_runtime_suspend, gpu_runtime_resume, NULL)
+};
+
+static struct platform_driver driver = {
+	.driver = {
+		.name = "xauto-gk20a",
+		.owner = THIS_MODULE,
+		.pm = &gpu_pm_ops,
+	},
+};
+
+static int __init gpu_emu_init(void)
+{
+	int err = platform_driver_register(&driver);
+
+	if (err)
+		return err;
+	pdev = platform_device_register_simple("xauto-gk20a", PLATFORM_DEVID_NONE, NULL, 0);
+	if (IS_ERR(pdev)) {
+		err = PTR_ERR(pdev);
+		goto err_driver;
+	}
+	gpu_init(&gpu, &pdev->dev);
+	/* Rail gating, quicker than on the board so that tests meet it. */
+	pm_runtime_set_autosuspend_delay(&pdev->dev, 50);
+	pm_runtime_use_autosuspend(&pdev->dev);
+	pm_runtime_enable(&pdev->dev);
+	err = create_nodes();
+	if (err)
+		goto err_device;
+	debug_dir = debugfs_create_dir("xauto_nvgpu_emu", NULL);
+	debugfs_create_file("state", 0444, debug_dir, NULL, &state_fops);
+	debugfs_create_u32("fail_preempt", 0644, debug_dir, &fail_preempt);
+	debugfs_create_u32("fail_enable", 0644, debug_dir, &fail_enable);
+	return 0;
+
+err_device:
+	pm_runtime_disable(&pdev->dev);
+	pm_runtime_dont_use_autosuspend(&pdev->dev);
+	platform_device_unregister(pdev);
+err_driver:
+	platform_driver_unregister(&driver);
+	return err;
+}
+
+static void __exit gpu_emu_exit(void)
+{
+	debugfs_remove_recursive(debug_dir);
+	remove_nodes();
+	gpu_stop(&gpu);
+	pm_runtime_disable(&pdev->dev);
+	pm_runtime_dont_use_autosuspend(&pdev->dev);
+	platform_device_unregister(pdev);
+	platform_driver_unregister(&driver);
+}
+
+module_init(gpu_emu_init);
+module_exit(gpu_emu_exit);
+
+MODULE_DESCRIPTION("nvgpu's interface without a GPU, for tests");
+MODULE_AUTHOR("The XAuto authors");
+MODULE_LICENSE("GPL");

@@ -1,0 +1,580 @@
+// SPDX-License-Identifier: GPL-2.0-only
+/*
+ * The door: policies, parsing, permission, replies, events. Touches no hardware. The ABI and its rules are in
+ * include/uapi/xauto/netlink.h.
+ */
+#include <linux/cred.h>
+#include <linux/file.h>
+#include <linux/pid.h>
+#include <linux/sched.h>
+#include <net/genetlink.h>
+#include <net/net_namespace.h>
+
+#include <uapi/xauto/netlink.h>
+
+#include "compat.h"
+#include "event.h"
+#include "netlink.h"
+#include "owner.h"
+#include "queue.h"
+#define CREATE_TRACE_POINTS
+#include "trace.h"
+
+static struct genl_family family;
+
+static const struct nla_policy op_policy[XAUTO_OP_MAX + 1] = {
+	[XAUTO_OP_ACTION] = NLA_POLICY_RANGE(NLA_U32, XAUTO_ACTION_SUSPEND, XAUTO_ACTION_SET_INTERLEAVE),
+	[XAUTO_OP_HANDLE] = NLA_POLICY_MIN(NLA_U32, 1),
+	[XAUTO_OP_VALUE] = { .type = NLA_U32 },
+};
+
+static const struct nla_policy register_policy[XAUTO_A_MAX + 1] = {
+	[XAUTO_A_TYPE] = NLA_POLICY_RANGE(NLA_U32, XAUTO_QUEUE_GPU_TSG, XAUTO_QUEUE_DLA),
+	[XAUTO_A_FD] = NLA_POLICY_MIN(NLA_S32, 0),
+	[XAUTO_A_PID] = NLA_POLICY_MIN(NLA_U32, 1),
+};
+
+static const struct nla_policy handle_policy[XAUTO_A_MAX + 1] = {
+	[XAUTO_A_HANDLE] = NLA_POLICY_MIN(NLA_U32, 1),
+};
+
+static const struct nla_policy control_policy[XAUTO_A_MAX + 1] = {
+	[XAUTO_A_OPS] = NLA_POLICY_NESTED_ARRAY(op_policy),
+};
+
+static const struct nla_policy watchdog_policy[XAUTO_A_MAX + 1] = {
+	[XAUTO_A_TIMEOUT_MS] = NLA_POLICY_MAX(NLA_U32, XAUTO_WATCHDOG_MAX_MS),
+};
+
+/* @skb: the caller's message: both who sent it and who opened the socket need the capability. */
+static bool may_touch(struct sk_buff *skb, const struct cred *opener)
+{
+	return uid_eq(current_euid(), opener->euid) ||
+	       netlink_ns_capable(skb, opener->user_ns, CAP_SYS_NICE);
+}
+
+static int missing(struct genl_info *info, const char *what)
+{
+	GENL_SET_ERR_MSG_FMT(info, "%s is missing", what);
+	return -EINVAL;
+}
+
+/* Whose queue it is: the caller's, or that of the process named, if it is the opener's or the caller may touch it anyway. */
+static struct pid *target_pid(struct sk_buff *skb, struct genl_info *info, const struct cred *opener)
+{
+	struct nlattr *attr = info->attrs[XAUTO_A_PID];
+	struct task_struct *task;
+	struct pid *pid;
+	kuid_t uid = INVALID_UID;
+
+	if (!attr)
+		return get_pid(task_tgid(current));
+	pid = find_get_pid(nla_get_u32(attr));
+	rcu_read_lock();
+	task = pid ? pid_task(pid, PIDTYPE_TGID) : NULL;
+	if (task)
+		uid = task_euid(task);
+	rcu_read_unlock();
+	if (!task) {
+		put_pid(pid);
+		NL_SET_ERR_MSG_ATTR(info->extack, attr, "there is no such process");
+		return ERR_PTR(-ESRCH);
+	}
+	if (!uid_eq(uid, opener->euid) && !netlink_ns_capable(skb, opener->user_ns, CAP_SYS_NICE)) {
+		put_pid(pid);
+		NL_SET_ERR_MSG_ATTR(info->extack, attr, "that process is not the user's who opened the queue");
+		return ERR_PTR(-EPERM);
+	}
+	return pid;
+}
+
+static int reply_registered(struct genl_info *info, u32 handle, u32 id)
+{
+	struct sk_buff *msg = genlmsg_new(NLMSG_DEFAULT_SIZE, GFP_KERNEL);
+	void *header;
+
+	if (!msg)
+		return -ENOMEM;
+	header = genlmsg_put_reply(msg, info, &family, 0, XAUTO_CMD_REGISTER);
+	if (!header || nla_put_u32(msg, XAUTO_A_HANDLE, handle) ||
+	    nla_put_u32(msg, XAUTO_A_QUEUE, id)) {
+		nlmsg_free(msg);
+		return -EMSGSIZE;
+	}
+	genlmsg_end(msg, header);
+	return genlmsg_reply(msg, info);
+}
+
+static int claim_file(struct sk_buff *skb, struct genl_info *info, struct file *file)
+{
+	struct xauto_owner *owner;
+	struct xauto_queue *queue;
+	u32 handle = 0, id;
+	struct pid *pid;
+	int err;
+
+	if (!may_touch(skb, file->f_cred)) {
+		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_FD],
+				    "another user opened it: CAP_SYS_NICE in that user's namespace is needed");
+		return -EPERM;
+	}
+	pid = target_pid(skb, info, file->f_cred);
+	if (IS_ERR(pid))
+		return PTR_ERR(pid);
+	queue = xauto_queue_get(nla_get_u32(info->attrs[XAUTO_A_TYPE]), file, pid, info->extack);
+	put_pid(pid);
+	if (IS_ERR(queue)) {
+		NL_SET_BAD_ATTR(info->extack, info->attrs[XAUTO_A_FD]);
+		return PTR_ERR(queue);
+	}
+	id = queue->id;
+	owner = xauto_owner_get(info->snd_portid, info->extack);
+	if (IS_ERR(owner)) {
+		xauto_queue_put(queue);
+		return PTR_ERR(owner);
+	}
+	err = xauto_owner_claim(owner, queue, &handle, info->extack);
+	if (!err) {
+		err = reply_registered(info, handle, id);
+		if (err)
+			xauto_owner_unclaim(owner, handle);
+	}
+	xauto_owner_put(owner);
+	return err;
+}
+
+static int cmd_register(struct sk_buff *skb, struct genl_info *info)
+{
+	struct file *file;
+	int err;
+
+	if (!info->attrs[XAUTO_A_TYPE])
+		return missing(info, "XAUTO_A_TYPE");
+	if (!info->attrs[XAUTO_A_FD])
+		return missing(info, "XAUTO_A_FD");
+	file = fget(nla_get_s32(info->attrs[XAUTO_A_FD]));
+	if (!file) {
+		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_FD], "no such file descriptor in the calling process");
+		return -EBADF;
+	}
+	err = claim_file(skb, info, file);
+	fput(file);
+	return err;
+}
+
+static struct xauto_owner *caller(struct genl_info *info)
+{
+	struct xauto_owner *owner = xauto_owner_find(info->snd_portid);
+
+	if (!owner)
+		GENL_SET_ERR_MSG(info, "nothing is registered on this socket");
+	return owner;
+}
+
+static int cmd_unregister(struct sk_buff *skb, struct genl_info *info)
+{
+	struct xauto_owner *owner;
+	int err;
+
+	if (!info->attrs[XAUTO_A_HANDLE])
+		return missing(info, "XAUTO_A_HANDLE");
+	owner = caller(info);
+	if (!owner)
+		return -ENOENT;
+	err = xauto_owner_unclaim(owner, nla_get_u32(info->attrs[XAUTO_A_HANDLE]));
+	if (err == -ENOENT)
+		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_HANDLE], "no such handle on this socket");
+	else if (err)
+		NL_SET_ERR_MSG(info->extack, "unregistered, but the driver did not resume it; the module tries again");
+	xauto_owner_put(owner);
+	return err;
+}
+
+/* The acknowledgement's text must be constant, so it is a ladder and no table. */
+static void explain(struct netlink_ext_ack *extack, struct nlattr *at, u32 action, int err)
+{
+	if (err == -ENOENT)
+		NL_SET_ERR_MSG(extack, "no such handle on this socket");
+	else if (err == -ENODEV)
+		NL_SET_ERR_MSG(extack, "the queue's process is gone");
+	else if (err == -EOPNOTSUPP)
+		NL_SET_ERR_MSG(extack, "a DLA queue has neither time slice nor interleave level");
+	else if (action == XAUTO_ACTION_RESUME)
+		NL_SET_ERR_MSG(extack, "the driver did not resume it; the module tries again");
+	else if (action == XAUTO_ACTION_SUSPEND && err == -ETIMEDOUT)
+		NL_SET_ERR_MSG(extack, "the work did not leave the engine in time; it runs again");
+	else if (action == XAUTO_ACTION_SET_TIMESLICE && err == -EINVAL)
+		NL_SET_ERR_MSG(extack, "the driver refused this time slice (nvgpu: 1000..50000 us)");
+	else if (action == XAUTO_ACTION_SET_INTERLEAVE && err == -EINVAL)
+		NL_SET_ERR_MSG(extack, "the driver refused this interleave level (nvgpu: 0..2)");
+	else if (err == -EPERM)
+		NL_SET_ERR_MSG(extack, "the driver refused: another program holds its scheduling controls");
+	else
+		NL_SET_ERR_MSG(extack, "the driver refused; the error is its answer");
+	NL_SET_BAD_ATTR(extack, at);
+}
+
+static int do_op(struct genl_info *info, struct xauto_owner *owner, struct nlattr *nest, struct sk_buff *reply)
+{
+	struct nlattr *tb[XAUTO_OP_MAX + 1], *result;
+	u32 action, handle, value = 0;
+	u64 cost;
+	int err;
+
+	err = nla_parse_nested(tb, XAUTO_OP_MAX, nest, op_policy, info->extack);
+	if (err)
+		return err;
+	if (!tb[XAUTO_OP_ACTION] || !tb[XAUTO_OP_HANDLE]) {
+		NL_SET_ERR_MSG_ATTR(info->extack, nest, "an operation needs XAUTO_OP_ACTION and XAUTO_OP_HANDLE");
+		return -EINVAL;
+	}
+	action = nla_get_u32(tb[XAUTO_OP_ACTION]);
+	handle = nla_get_u32(tb[XAUTO_OP_HANDLE]);
+	if (action == XAUTO_ACTION_SET_TIMESLICE || action == XAUTO_ACTION_SET_INTERLEAVE) {
+		if (!tb[XAUTO_OP_VALUE]) {
+			NL_SET_ERR_MSG_ATTR(info->extack, nest, "this operation needs XAUTO_OP_VALUE");
+			return -EINVAL;
+		}
+		value = nla_get_u32(tb[XAUTO_OP_VALUE]);
+	}
+	err = xauto_owner_act(owner, action, handle, value, &cost);
+	if (err) {
+		explain(info->extack, nest, action, err);
+		return err;
+	}
+	if (!reply)
+		return 0;
+	result = nla_nest_start(reply, 1);
+	if (!result || nla_put_u32(reply, XAUTO_A_HANDLE, handle) ||
+	    nla_put_u64_64bit(reply, XAUTO_A_COST_NS, cost, XAUTO_A_PAD))
+		return -EMSGSIZE;
+	nla_nest_end(reply, result);
+	return 0;
+}
+
+static int count_ops(struct nlattr *ops)
+{
+	struct nlattr *nest;
+	int rest, count = 0;
+
+	nla_for_each_nested(nest, ops, rest)
+		count++;
+	return count;
+}
+
+static int do_ops(struct genl_info *info, struct xauto_owner *owner, struct sk_buff *reply)
+{
+	struct nlattr *nest, *results = NULL;
+	int rest, err;
+
+	if (reply) {
+		results = nla_nest_start(reply, XAUTO_A_RESULTS);
+		if (!results)
+			return -EMSGSIZE;
+	}
+	nla_for_each_nested(nest, info->attrs[XAUTO_A_OPS], rest) {
+		err = do_op(info, owner, nest, reply);
+		if (err)
+			return err;
+	}
+	if (results)
+		nla_nest_end(reply, results);
+	return 0;
+}
+
+static int cmd_control(struct sk_buff *skb, struct genl_info *info)
+{
+	struct xauto_owner *owner;
+	struct sk_buff *reply = NULL;
+	void *header = NULL;
+	int count, err;
+
+	if (!info->attrs[XAUTO_A_OPS])
+		return missing(info, "XAUTO_A_OPS");
+	count = count_ops(info->attrs[XAUTO_A_OPS]);
+	if (!count || count > XAUTO_MAX_OPS) {
+		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_OPS], "a message holds 1 to 64 operations");
+		return -EINVAL;
+	}
+	owner = caller(info);
+	if (!owner)
+		return -ENOENT;
+	/* Before anything is done, since what is done is not undone. 24 bytes of payload and two headers an operation. */
+	if (info->nlhdr->nlmsg_flags & NLM_F_ECHO) {
+		err = -ENOMEM;
+		reply = genlmsg_new(nla_total_size(count * 40), GFP_KERNEL);
+		if (!reply)
+			goto out;
+		header = genlmsg_put_reply(reply, info, &family, 0, XAUTO_CMD_CONTROL);
+		if (!header)
+			goto out;
+	}
+	err = do_ops(info, owner, reply);
+	if (!err && reply) {
+		genlmsg_end(reply, header);
+		err = genlmsg_reply(reply, info);
+		reply = NULL;
+	}
+out:
+	nlmsg_free(reply);
+	xauto_owner_put(owner);
+	return err;
+}
+
+static int cmd_watchdog(struct sk_buff *skb, struct genl_info *info)
+{
+	struct nlattr *attr = info->attrs[XAUTO_A_TIMEOUT_MS];
+	struct xauto_owner *owner;
+	int err = 0;
+	u32 ms;
+
+	owner = caller(info); /* which feeds it */
+	if (!owner)
+		return -ENOENT;
+	if (attr) {
+		ms = nla_get_u32(attr);
+		if (ms && ms < XAUTO_WATCHDOG_MIN_MS) {
+			NL_SET_ERR_MSG_ATTR(info->extack, attr, "a watchdog is 10 to 60000 ms, or 0 for none");
+			err = -EINVAL;
+		} else if (!ms && !netlink_ns_capable(skb, &init_user_ns, CAP_SYS_NICE)) {
+			NL_SET_ERR_MSG_ATTR(info->extack, attr, "going without a watchdog needs CAP_SYS_NICE");
+			err = -EPERM;
+		} else {
+			xauto_owner_set_watchdog(owner, ms);
+		}
+	}
+	if (!err && xauto_owner_expired(owner)) {
+		NL_SET_ERR_MSG(info->extack, "the watchdog had expired: what this socket had suspended was resumed");
+		err = -ETIMEDOUT;
+	}
+	xauto_owner_put(owner);
+	return err;
+}
+
+static int put_queue(struct sk_buff *msg, struct xauto_queue *queue, struct xauto_owner *owner, bool ask_driver)
+{
+	struct xauto_queue_info q;
+	u32 handle = owner ? xauto_owner_handle(owner, queue) : 0;
+
+	xauto_queue_describe(queue, ask_driver, &q);
+	if (nla_put_u32(msg, XAUTO_A_QUEUE, q.id) || nla_put_u32(msg, XAUTO_A_TYPE, q.type) ||
+	    nla_put_u32(msg, XAUTO_A_PID, pid_vnr(queue->pid)) ||
+	    nla_put_u8(msg, XAUTO_A_SUSPENDED, q.suspended) ||
+	    nla_put_u32(msg, XAUTO_A_VOTES, q.votes) ||
+	    nla_put_u64_64bit(msg, XAUTO_A_SUSPENDS, q.stats.suspends, XAUTO_A_PAD) ||
+	    nla_put_u64_64bit(msg, XAUTO_A_RESUMES, q.stats.resumes, XAUTO_A_PAD) ||
+	    nla_put_u64_64bit(msg, XAUTO_A_ERRORS, q.stats.errors, XAUTO_A_PAD) ||
+	    nla_put_u64_64bit(msg, XAUTO_A_SUSPENDED_NS, q.stats.suspended_ns, XAUTO_A_PAD) ||
+	    nla_put_u64_64bit(msg, XAUTO_A_COST_NS, q.stats.cost_ns, XAUTO_A_PAD) ||
+	    nla_put_u64_64bit(msg, XAUTO_A_COST_MAX_NS, q.stats.cost_max_ns, XAUTO_A_PAD) ||
+	    (q.timeslice_us && nla_put_u32(msg, XAUTO_A_TIMESLICE_US, q.timeslice_us)) ||
+	    (handle && nla_put_u32(msg, XAUTO_A_HANDLE, handle)))
+		return -EMSGSIZE;
+	return 0;
+}
+
+static int cmd_get(struct sk_buff *skb, struct genl_info *info)
+{
+	struct xauto_queue *queue = NULL;
+	struct xauto_owner *owner;
+	struct sk_buff *msg;
+	void *header;
+	int err;
+
+	if (!info->attrs[XAUTO_A_HANDLE])
+		return missing(info, "XAUTO_A_HANDLE (or NLM_F_DUMP)");
+	owner = caller(info);
+	if (owner)
+		queue = xauto_owner_queue(owner, nla_get_u32(info->attrs[XAUTO_A_HANDLE]));
+	if (!queue) {
+		if (owner) {
+			NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_HANDLE], "no such handle on this socket");
+			xauto_owner_put(owner);
+		}
+		return -ENOENT;
+	}
+	err = -ENOMEM;
+	msg = genlmsg_new(NLMSG_DEFAULT_SIZE, GFP_KERNEL);
+	if (!msg)
+		goto out;
+	err = -EMSGSIZE;
+	header = genlmsg_put_reply(msg, info, &family, 0, XAUTO_CMD_GET);
+	if (!header || put_queue(msg, queue, owner, true)) {
+		nlmsg_free(msg);
+		goto out;
+	}
+	genlmsg_end(msg, header);
+	err = genlmsg_reply(msg, info);
+out:
+	xauto_queue_put(queue);
+	xauto_owner_put(owner);
+	return err;
+}
+
+static int dump_queue(struct sk_buff *msg, struct netlink_callback *cb, struct xauto_queue *queue)
+{
+	const struct cred *opener = xauto_queue_cred(queue);
+	struct xauto_owner *owner;
+	void *header;
+	int err;
+
+	if (!opener)
+		return 0;
+	if (!may_touch(cb->skb, opener)) {
+		put_cred(opener);
+		return 0;
+	}
+	put_cred(opener);
+	header = genlmsg_put(msg, NETLINK_CB(cb->skb).portid, cb->nlh->nlmsg_seq, &family, NLM_F_MULTI,
+			     XAUTO_CMD_GET);
+	if (!header)
+		return -EMSGSIZE;
+	owner = xauto_owner_find(NETLINK_CB(cb->skb).portid);
+	err = put_queue(msg, queue, owner, false);
+	if (owner)
+		xauto_owner_put(owner);
+	if (err)
+		genlmsg_cancel(msg, header);
+	else
+		genlmsg_end(msg, header);
+	return err;
+}
+
+static int cmd_dump(struct sk_buff *msg, struct netlink_callback *cb)
+{
+	unsigned long id = cb->args[0];
+	struct xauto_queue *queue;
+	int err = 0;
+
+	while (!err && (queue = xauto_queue_next(&id))) {
+		err = dump_queue(msg, cb, queue);
+		xauto_queue_put(queue);
+		if (!err)
+			id++;
+	}
+	cb->args[0] = id;
+	return msg->len;
+}
+
+static const struct genl_ops ops[] = {
+	{
+		.cmd = XAUTO_CMD_REGISTER,
+		.doit = cmd_register,
+		.policy = register_policy,
+		.maxattr = XAUTO_A_MAX,
+	},
+	{
+		.cmd = XAUTO_CMD_UNREGISTER,
+		.doit = cmd_unregister,
+		.policy = handle_policy,
+		.maxattr = XAUTO_A_MAX,
+	},
+	{
+		.cmd = XAUTO_CMD_CONTROL,
+		.doit = cmd_control,
+		.policy = control_policy,
+		.maxattr = XAUTO_A_MAX,
+	},
+	{
+		.cmd = XAUTO_CMD_WATCHDOG,
+		.doit = cmd_watchdog,
+		.policy = watchdog_policy,
+		.maxattr = XAUTO_A_MAX,
+	},
+	{
+		.cmd = XAUTO_CMD_GET,
+		.doit = cmd_get,
+		.dumpit = cmd_dump,
+		.policy = handle_policy,
+		.maxattr = XAUTO_A_MAX,
+	},
+};
+
+static const struct genl_multicast_group groups[] = {
+	{ .name = XAUTO_MCGRP_EVENTS, XAUTO_MCGRP_NEEDS_NET_ADMIN },
+};
+
+static struct genl_family family __ro_after_init = {
+	.name = XAUTO_FAMILY_NAME,
+	.version = XAUTO_FAMILY_VERSION,
+	.maxattr = XAUTO_A_MAX,
+	.module = THIS_MODULE,
+	.ops = ops,
+	.n_ops = ARRAY_SIZE(ops),
+	.mcgrps = groups,
+	.n_mcgrps = ARRAY_SIZE(groups),
+	.parallel_ops = true, /* one coordinator does not wait for another's driver call */
+	XAUTO_GENL_RESV_START_OP(XAUTO_CMD_GET + 1)
+};
+
+static void multicast(u32 kind, struct xauto_queue *queue, struct pid *pid, u32 portid, u64 cost_ns, int err)
+{
+	struct sk_buff *msg;
+	void *header;
+
+	if (!genl_has_listeners(&family, &init_net, 0))
+		return;
+	msg = genlmsg_new(NLMSG_DEFAULT_SIZE, GFP_KERNEL);
+	if (!msg)
+		return; /* a listener that must miss nothing reads the trace events */
+	header = genlmsg_put(msg, 0, 0, &family, 0, XAUTO_CMD_EVENT);
+	if (!header || nla_put_u32(msg, XAUTO_A_EVENT, kind) ||
+	    (queue && (nla_put_u32(msg, XAUTO_A_QUEUE, queue->id) ||
+		       nla_put_u32(msg, XAUTO_A_TYPE, queue->type))) ||
+	    nla_put_u32(msg, XAUTO_A_PID, pid_nr(pid)) || nla_put_u32(msg, XAUTO_A_PORTID, portid) ||
+	    nla_put_u64_64bit(msg, XAUTO_A_TIME_NS, ktime_get_ns(), XAUTO_A_PAD) ||
+	    nla_put_u64_64bit(msg, XAUTO_A_COST_NS, cost_ns, XAUTO_A_PAD) ||
+	    nla_put_u32(msg, XAUTO_A_ERRNO, -err)) {
+		nlmsg_free(msg);
+		return;
+	}
+	genlmsg_end(msg, header);
+	genlmsg_multicast(&family, msg, 0, 0, GFP_KERNEL);
+}
+
+void xauto_event(u32 kind, struct xauto_queue *queue, u32 portid, u64 cost_ns, int err)
+{
+	switch (kind) {
+	case XAUTO_KEV_REGISTER:
+		trace_register_queue(queue, portid, cost_ns, err);
+		break;
+	case XAUTO_KEV_UNREGISTER:
+		trace_unregister_queue(queue, portid, cost_ns, err);
+		break;
+	case XAUTO_KEV_SUSPEND:
+		trace_suspend(queue, portid, cost_ns, err);
+		break;
+	case XAUTO_KEV_RESUME:
+		trace_resume(queue, portid, cost_ns, err);
+		break;
+	case XAUTO_KEV_SET_TIMESLICE:
+		trace_set_timeslice(queue, portid, cost_ns, err);
+		break;
+	case XAUTO_KEV_SET_INTERLEAVE:
+		trace_set_interleave(queue, portid, cost_ns, err);
+		break;
+	case XAUTO_KEV_TARGET_GONE:
+		trace_target_gone(queue, portid, cost_ns, err);
+		break;
+	}
+	multicast(kind, queue, queue->pid, portid, cost_ns, err);
+}
+
+void xauto_owner_event(u32 kind, u32 portid, struct pid *pid)
+{
+	if (kind == XAUTO_KEV_WATCHDOG)
+		trace_watchdog(portid, pid_nr(pid));
+	else
+		trace_owner_gone(portid, pid_nr(pid));
+	multicast(kind, NULL, pid, portid, 0, 0);
+}
+
+int xauto_netlink_init(void)
+{
+	return genl_register_family(&family);
+}
+
+void xauto_netlink_exit(void)
+{
+	genl_unregister_family(&family);
+}

@@ -1,0 +1,406 @@
+// SPDX-License-Identifier: GPL-2.0-only
+/*
+ * Owners: sockets, their claims, watchdogs and deaths; and the sweeper. owner.h tells the rules.
+ */
+#include <linux/moduleparam.h>
+#include <linux/netlink.h>
+#include <linux/notifier.h>
+#include <linux/pid.h>
+#include <linux/sched/signal.h>
+#include <linux/slab.h>
+#include <net/net_namespace.h>
+
+#include "compat.h"
+#include "event.h"
+#include "owner.h"
+#include "queue.h"
+
+static unsigned int sweep_ms = 50;
+module_param(sweep_ms, uint, 0444);
+MODULE_PARM_DESC(sweep_ms, "how often dead processes and orphaned queues are looked for (default: 50 ms)");
+
+/* In an owner's table of handles. @vote is covered by the queue's lock. */
+struct xauto_claim {
+	struct xauto_queue *queue;
+	bool vote;
+};
+
+static DEFINE_XARRAY(owners); /* by port id; the array's own lock orders additions and removals */
+static atomic_t n_owners = ATOMIC_INIT(0);
+static struct workqueue_struct *reaper;
+
+static void sweep(struct work_struct *work);
+static DECLARE_DELAYED_WORK(sweeper, sweep);
+
+static void release(struct kref *ref)
+{
+	struct xauto_owner *owner = container_of(ref, struct xauto_owner, ref);
+
+	xa_destroy(&owner->claims);
+	put_pid(owner->pid);
+	kfree_rcu(owner, rcu);
+	atomic_dec(&n_owners);
+}
+
+void xauto_owner_put(struct xauto_owner *owner)
+{
+	kref_put(&owner->ref, release);
+}
+
+struct xauto_owner *xauto_owner_find(u32 portid)
+{
+	struct xauto_owner *owner;
+
+	rcu_read_lock();
+	owner = xa_load(&owners, portid);
+	if (owner && !kref_get_unless_zero(&owner->ref))
+		owner = NULL;
+	rcu_read_unlock();
+	if (owner)
+		WRITE_ONCE(owner->fed, jiffies);
+	return owner;
+}
+
+/* Ends the claim's vote; the owner's lock is held. */
+static int end_vote(struct xauto_owner *owner, struct xauto_claim *claim, u64 *cost_ns)
+{
+	bool voted = claim->vote;
+	int err = xauto_queue_vote(claim->queue, &claim->vote, false, owner->portid, cost_ns);
+
+	owner->n_votes -= voted;
+	return err;
+}
+
+static void end_votes(struct xauto_owner *owner)
+{
+	struct xauto_claim *claim;
+	unsigned long handle;
+
+	lockdep_assert_held(&owner->lock);
+	xa_for_each(&owner->claims, handle, claim)
+		end_vote(owner, claim, NULL);
+}
+
+/* Work: the owner is out of the table, nobody finds it any more. */
+static void reap(struct work_struct *work)
+{
+	struct xauto_owner *owner = container_of(work, struct xauto_owner, reap);
+	struct xauto_claim *claim;
+	unsigned long handle;
+
+	mutex_lock(&owner->lock);
+	owner->dead = true; /* nobody starts the watchdog from here on */
+	mutex_unlock(&owner->lock);
+	cancel_delayed_work_sync(&owner->watchdog);
+
+	mutex_lock(&owner->lock);
+	xauto_owner_event(XAUTO_KEV_OWNER_GONE, owner->portid, owner->pid);
+	/* All votes before any claim: what is suspended comes first. */
+	end_votes(owner);
+	xa_for_each(&owner->claims, handle, claim) {
+		xa_erase(&owner->claims, handle);
+		xauto_queue_put(claim->queue);
+		kfree(claim);
+	}
+	mutex_unlock(&owner->lock);
+	xauto_owner_put(owner);
+}
+
+/* The table's reference becomes the work's. Any context that may take the array's lock. */
+static void bury(struct xauto_owner *owner)
+{
+	if (xa_cmpxchg(&owners, owner->portid, owner, NULL, 0) == owner)
+		queue_work(reaper, &owner->reap);
+}
+
+static void watchdog(struct work_struct *work)
+{
+	struct xauto_owner *owner = container_of(work, struct xauto_owner, watchdog.work);
+	unsigned long due;
+
+	mutex_lock(&owner->lock);
+	due = READ_ONCE(owner->fed) + msecs_to_jiffies(owner->watchdog_ms);
+	if (!owner->n_votes || !owner->watchdog_ms)
+		goto out;
+	if (time_before(jiffies, due)) {
+		queue_delayed_work(reaper, &owner->watchdog, due - jiffies);
+		goto out;
+	}
+	owner->expired = true;
+	xauto_owner_event(XAUTO_KEV_WATCHDOG, owner->portid, owner->pid);
+	end_votes(owner);
+out:
+	mutex_unlock(&owner->lock);
+}
+
+static void start_watchdog(struct xauto_owner *owner)
+{
+	lockdep_assert_held(&owner->lock);
+	if (owner->watchdog_ms && owner->n_votes && !owner->dead)
+		mod_delayed_work(reaper, &owner->watchdog, msecs_to_jiffies(owner->watchdog_ms));
+}
+
+static struct xauto_owner *new_owner(u32 portid)
+{
+	struct xauto_owner *owner = kzalloc(sizeof(*owner), GFP_KERNEL_ACCOUNT);
+
+	if (!owner)
+		return NULL;
+	kref_init(&owner->ref);
+	mutex_init(&owner->lock);
+	xa_init_flags(&owner->claims, XA_FLAGS_ALLOC1);
+	INIT_DELAYED_WORK(&owner->watchdog, watchdog);
+	INIT_WORK(&owner->reap, reap);
+	owner->portid = portid;
+	owner->pid = get_pid(task_tgid(current));
+	owner->watchdog_ms = XAUTO_WATCHDOG_DEFAULT_MS;
+	owner->fed = jiffies;
+	return owner;
+}
+
+struct xauto_owner *xauto_owner_get(u32 portid, struct netlink_ext_ack *extack)
+{
+	struct xauto_owner *owner = xauto_owner_find(portid);
+	int err;
+
+	if (owner)
+		return owner;
+	if (atomic_inc_return(&n_owners) > XAUTO_MAX_OWNERS) {
+		atomic_dec(&n_owners);
+		NL_SET_ERR_MSG(extack, "too many owners on this machine");
+		return ERR_PTR(-ENOSPC);
+	}
+	owner = new_owner(portid);
+	if (!owner) {
+		atomic_dec(&n_owners);
+		return ERR_PTR(-ENOMEM);
+	}
+	kref_get(&owner->ref); /* the caller's, beside the table's */
+	err = xa_insert(&owners, portid, owner, GFP_KERNEL);
+	if (err) {
+		/* Two threads sent on one socket; the other was first. */
+		xauto_owner_put(owner);
+		xauto_owner_put(owner);
+		owner = err == -EBUSY ? xauto_owner_find(portid) : NULL;
+		return owner ?: ERR_PTR(err == -EBUSY ? -EAGAIN : err);
+	}
+	queue_delayed_work(reaper, &sweeper, msecs_to_jiffies(sweep_ms));
+	return owner;
+}
+
+u32 xauto_owner_handle(struct xauto_owner *owner, struct xauto_queue *queue)
+{
+	struct xauto_claim *claim;
+	unsigned long handle;
+	u32 found = 0;
+
+	mutex_lock(&owner->lock);
+	xa_for_each(&owner->claims, handle, claim)
+		if (claim->queue == queue)
+			found = handle;
+	mutex_unlock(&owner->lock);
+	return found;
+}
+
+int xauto_owner_claim(struct xauto_owner *owner, struct xauto_queue *queue, u32 *handle,
+		      struct netlink_ext_ack *extack)
+{
+	struct xauto_claim *claim;
+	unsigned long at;
+	int err = 0;
+
+	mutex_lock(&owner->lock);
+	xa_for_each(&owner->claims, at, claim) {
+		if (claim->queue == queue) {
+			*handle = at;
+			goto put;
+		}
+	}
+	if (owner->dead || owner->n_claims >= XAUTO_MAX_CLAIMS) {
+		NL_SET_ERR_MSG(extack, "too many queues on this socket");
+		err = -ENOSPC;
+		goto put;
+	}
+	claim = kzalloc(sizeof(*claim), GFP_KERNEL_ACCOUNT);
+	if (!claim) {
+		err = -ENOMEM;
+		goto put;
+	}
+	claim->queue = queue;
+	err = xa_alloc_cyclic(&owner->claims, handle, claim, XA_LIMIT(1, INT_MAX),
+			      &owner->next_handle, GFP_KERNEL);
+	if (err < 0) {
+		kfree(claim);
+		goto put;
+	}
+	owner->n_claims++;
+	xauto_event(XAUTO_KEV_REGISTER, queue, owner->portid, 0, 0);
+	mutex_unlock(&owner->lock);
+	return 0;
+put:
+	mutex_unlock(&owner->lock);
+	xauto_queue_put(queue);
+	return err;
+}
+
+int xauto_owner_unclaim(struct xauto_owner *owner, u32 handle)
+{
+	struct xauto_claim *claim;
+	int err;
+
+	mutex_lock(&owner->lock);
+	claim = xa_erase(&owner->claims, handle);
+	if (!claim) {
+		mutex_unlock(&owner->lock);
+		return -ENOENT;
+	}
+	err = end_vote(owner, claim, NULL);
+	owner->n_claims--;
+	xauto_event(XAUTO_KEV_UNREGISTER, claim->queue, owner->portid, 0, 0);
+	mutex_unlock(&owner->lock);
+	xauto_queue_put(claim->queue);
+	kfree(claim);
+	return err == -ENODEV ? 0 : err;
+}
+
+int xauto_owner_act(struct xauto_owner *owner, u32 action, u32 handle, u32 value, u64 *cost_ns)
+{
+	struct xauto_claim *claim;
+	int err;
+
+	*cost_ns = 0;
+	mutex_lock(&owner->lock);
+	claim = owner->dead ? NULL : xa_load(&owner->claims, handle);
+	if (!claim) {
+		err = -ENOENT;
+	} else if (action == XAUTO_ACTION_SUSPEND) {
+		bool voted = claim->vote;
+
+		err = xauto_queue_vote(claim->queue, &claim->vote, true, owner->portid, cost_ns);
+		if (claim->vote && !voted && !owner->n_votes++)
+			start_watchdog(owner);
+	} else if (action == XAUTO_ACTION_RESUME) {
+		err = end_vote(owner, claim, cost_ns);
+	} else {
+		err = xauto_queue_set(claim->queue, action, value, owner->portid, cost_ns);
+	}
+	mutex_unlock(&owner->lock);
+	return err;
+}
+
+struct xauto_queue *xauto_owner_queue(struct xauto_owner *owner, u32 handle)
+{
+	struct xauto_queue *queue = NULL;
+	struct xauto_claim *claim;
+
+	mutex_lock(&owner->lock);
+	claim = xa_load(&owner->claims, handle);
+	if (claim) {
+		queue = claim->queue;
+		kref_get(&queue->ref);
+	}
+	mutex_unlock(&owner->lock);
+	return queue;
+}
+
+void xauto_owner_set_watchdog(struct xauto_owner *owner, u32 timeout_ms)
+{
+	mutex_lock(&owner->lock);
+	owner->watchdog_ms = timeout_ms;
+	start_watchdog(owner);
+	mutex_unlock(&owner->lock);
+}
+
+bool xauto_owner_expired(struct xauto_owner *owner)
+{
+	bool expired;
+
+	mutex_lock(&owner->lock);
+	expired = owner->expired;
+	owner->expired = false;
+	mutex_unlock(&owner->lock);
+	return expired;
+}
+
+/* Every thread has begun to exit. Its descriptors close then, but the socket may live on in a child. */
+static bool process_is_dead(struct pid *pid)
+{
+	struct task_struct *task;
+	bool dead;
+
+	rcu_read_lock();
+	task = pid_task(pid, PIDTYPE_TGID);
+	dead = !task || !atomic_read(&task->signal->live);
+	rcu_read_unlock();
+	return dead;
+}
+
+static void sweep(struct work_struct *work)
+{
+	struct xauto_owner *owner;
+	unsigned long portid;
+
+	xa_for_each(&owners, portid, owner) {
+		rcu_read_lock();
+		owner = xa_load(&owners, portid);
+		if (owner && !kref_get_unless_zero(&owner->ref))
+			owner = NULL;
+		rcu_read_unlock();
+		if (!owner)
+			continue;
+		if (process_is_dead(owner->pid))
+			bury(owner);
+		xauto_owner_put(owner);
+	}
+	if (xauto_queue_sweep() || atomic_read(&n_owners))
+		queue_delayed_work(reaper, &sweeper, msecs_to_jiffies(sweep_ms));
+}
+
+static int on_netlink(struct notifier_block *block, unsigned long state, void *data)
+{
+	struct netlink_notify *notify = data;
+	struct xauto_owner *owner;
+
+	if (state != NETLINK_URELEASE || notify->protocol != NETLINK_GENERIC ||
+	    !net_eq(notify->net, &init_net) || !notify->portid)
+		return NOTIFY_DONE;
+	owner = xauto_owner_find(notify->portid);
+	if (owner) {
+		bury(owner);
+		xauto_owner_put(owner);
+	}
+	return NOTIFY_DONE;
+}
+
+static struct notifier_block netlink_block = { .notifier_call = on_netlink };
+
+int xauto_owner_init(void)
+{
+	int err;
+
+	/* Of its own, and urgent: what is suspended waits for it. */
+	reaper = alloc_workqueue("xauto", WQ_UNBOUND | WQ_HIGHPRI | WQ_MEM_RECLAIM, 0);
+	if (!reaper)
+		return -ENOMEM;
+	err = netlink_register_notifier(&netlink_block);
+	if (err) {
+		destroy_workqueue(reaper);
+		return err;
+	}
+	sweep_ms = clamp(sweep_ms, 1u, 1000u);
+	return 0;
+}
+
+void xauto_owner_exit(void)
+{
+	struct xauto_owner *owner;
+	unsigned long portid;
+
+	netlink_unregister_notifier(&netlink_block);
+	cancel_delayed_work_sync(&sweeper);
+	xa_for_each(&owners, portid, owner)
+		bury(owner);
+	destroy_workqueue(reaper); /* waits for them */
+	xa_destroy(&owners);
+	rcu_barrier(); /* for kfree_rcu() of structures that this module's code made */
+}

@@ -1,0 +1,324 @@
+// SPDX-License-Identifier: GPL-2.0-only
+/*
+ * Hardware queues: registry, votes, driver calls. queue.h tells the states.
+ */
+#include <linux/cred.h>
+#include <linux/file.h>
+#include <linux/fs.h>
+#include <linux/module.h>
+#include <linux/netlink.h>
+#include <linux/pid.h>
+#include <linux/slab.h>
+#include <linux/xarray.h>
+
+#include "compat.h"
+#include "event.h"
+#include "power.h"
+#include "queue.h"
+
+static DEFINE_XARRAY_ALLOC1(queues);
+static DEFINE_MUTEX(registry_lock); /* finding or adding by file, and removing */
+static u32 next_id;
+
+static const struct xauto_queue_ops *ops_of(u32 type)
+{
+	return type == XAUTO_QUEUE_GPU_TSG ? &xauto_tsg_ops : &xauto_dla_ops;
+}
+
+static struct xauto_queue *find_by_file(struct file *file)
+{
+	struct xauto_queue *queue;
+	unsigned long id;
+
+	lockdep_assert_held(&registry_lock);
+	xa_for_each(&queues, id, queue)
+		if (READ_ONCE(queue->file) == file && kref_get_unless_zero(&queue->ref))
+			return queue;
+	return NULL;
+}
+
+static struct xauto_queue *add(u32 type, struct file *file, struct pid *pid)
+{
+	struct xauto_queue *queue;
+	int err;
+
+	queue = kzalloc(sizeof(*queue), GFP_KERNEL_ACCOUNT);
+	if (!queue)
+		return ERR_PTR(-ENOMEM);
+	kref_init(&queue->ref);
+	mutex_init(&queue->lock);
+	queue->type = type;
+	queue->ops = ops_of(type);
+	err = xa_alloc_cyclic(&queues, &queue->id, queue, XA_LIMIT(1, INT_MAX), &next_id, GFP_KERNEL);
+	if (err < 0) {
+		kfree(queue);
+		return ERR_PTR(err);
+	}
+	queue->pid = get_pid(pid);
+	xauto_power_find(file->f_op->owner, queue->power);
+	WRITE_ONCE(queue->file, get_file(file)); /* from here on the sweeper sees it */
+	return queue;
+}
+
+struct xauto_queue *xauto_queue_get(u32 type, struct file *file, struct pid *pid,
+				    struct netlink_ext_ack *extack)
+{
+	struct xauto_queue *queue;
+	int err;
+
+	err = ops_of(type)->verify(file, extack);
+	if (err)
+		return ERR_PTR(err);
+	mutex_lock(&registry_lock);
+	queue = find_by_file(file);
+	if (!queue)
+		queue = add(type, file, pid);
+	mutex_unlock(&registry_lock);
+	if (IS_ERR(queue))
+		NL_SET_ERR_MSG(extack, "no memory for one more queue");
+	return queue;
+}
+
+/* The last claim is gone and it is no orphan: nothing is suspended. */
+static void release(struct kref *ref)
+{
+	struct xauto_queue *queue = container_of(ref, struct xauto_queue, ref);
+
+	WARN_ON(queue->suspended || queue->votes);
+	xa_erase(&queues, queue->id);
+	mutex_unlock(&registry_lock);
+	if (queue->file)
+		fput(queue->file);
+	xauto_power_forget(queue->power);
+	put_pid(queue->pid);
+	kfree_rcu(queue, rcu);
+}
+
+void xauto_queue_put(struct xauto_queue *queue)
+{
+	kref_put_mutex(&queue->ref, release, &registry_lock);
+}
+
+static u64 account(struct xauto_queue *queue, u64 begin, int err)
+{
+	u64 cost = ktime_get_ns() - begin;
+
+	queue->stats.cost_ns += cost;
+	queue->stats.cost_max_ns = max(queue->stats.cost_max_ns, cost);
+	queue->stats.errors += !!err;
+	return cost;
+}
+
+static int resume(struct xauto_queue *queue, u32 portid, u64 *cost)
+{
+	u64 begin = ktime_get_ns();
+	int err = queue->ops->resume(queue->file);
+
+	lockdep_assert_held(&queue->lock);
+	*cost = account(queue, begin, err);
+	if (!err) {
+		queue->stats.resumes++;
+		queue->stats.suspended_ns += begin + *cost - queue->suspended_at;
+		queue->suspended = false;
+		xauto_power_put(queue->power);
+	}
+	xauto_event(XAUTO_KEV_RESUME, queue, portid, *cost, err);
+	if (err && !queue->orphan) {
+		queue->orphan = true;
+		kref_get(&queue->ref);
+	}
+	return err;
+}
+
+static int suspend(struct xauto_queue *queue, u32 portid, u64 *cost)
+{
+	u64 begin = ktime_get_ns(), undo;
+	int err = 0;
+
+	lockdep_assert_held(&queue->lock);
+	if (!queue->suspended) {
+		err = xauto_power_get(queue->power);
+		if (err)
+			goto out;
+		queue->suspended = true;
+		queue->suspended_at = begin;
+	}
+	/* Also where it is suspended: its process may have enabled it behind our back. */
+	err = queue->ops->suspend(queue->file);
+	if (!err)
+		queue->stats.suspends++;
+out:
+	*cost = account(queue, begin, err);
+	xauto_event(XAUTO_KEV_SUSPEND, queue, portid, *cost, err);
+	/* Half a suspension is none, unless another owner wants it suspended. */
+	if (err && queue->suspended && !queue->votes)
+		resume(queue, portid, &undo);
+	return err;
+}
+
+int xauto_queue_vote(struct xauto_queue *queue, bool *vote, bool want, u32 portid, u64 *cost_ns)
+{
+	u64 cost = 0;
+	int err = 0;
+
+	mutex_lock(&queue->lock);
+	if (*vote == want) {
+		if (want && !queue->file)
+			err = -ENODEV;
+		goto out;
+	}
+	if (want) {
+		err = queue->file ? suspend(queue, portid, &cost) : -ENODEV;
+		if (!err) {
+			*vote = true;
+			queue->votes++;
+		}
+		goto out;
+	}
+	*vote = false;
+	queue->votes--;
+	if (!queue->file) {
+		err = -ENODEV;
+	} else if (!queue->votes && queue->suspended) {
+		err = resume(queue, portid, &cost);
+	}
+out:
+	mutex_unlock(&queue->lock);
+	if (cost_ns)
+		*cost_ns = cost;
+	return err;
+}
+
+int xauto_queue_set(struct xauto_queue *queue, u32 action, u32 value, u32 portid, u64 *cost_ns)
+{
+	bool slice = action == XAUTO_ACTION_SET_TIMESLICE;
+	int (*set)(struct file *file, u32 value) =
+		slice ? queue->ops->set_timeslice : queue->ops->set_interleave;
+	int err = -ENODEV;
+	u64 begin;
+
+	if (!set)
+		return -EOPNOTSUPP;
+	mutex_lock(&queue->lock);
+	*cost_ns = 0;
+	if (queue->file) {
+		begin = ktime_get_ns();
+		err = set(queue->file, value);
+		*cost_ns = account(queue, begin, err);
+		xauto_event(slice ? XAUTO_KEV_SET_TIMESLICE : XAUTO_KEV_SET_INTERLEAVE, queue, portid,
+			    *cost_ns, err);
+	}
+	mutex_unlock(&queue->lock);
+	return err;
+}
+
+void xauto_queue_describe(struct xauto_queue *queue, bool ask_driver, struct xauto_queue_info *info)
+{
+	mutex_lock(&queue->lock);
+	info->id = queue->id;
+	info->type = queue->type;
+	info->votes = queue->votes;
+	info->suspended = queue->suspended;
+	info->stats = queue->stats;
+	if (queue->suspended)
+		info->stats.suspended_ns += ktime_get_ns() - queue->suspended_at;
+	info->timeslice_us = 0;
+	if (ask_driver && queue->file && queue->ops->get_timeslice &&
+	    queue->ops->get_timeslice(queue->file, &info->timeslice_us))
+		info->timeslice_us = 0;
+	mutex_unlock(&queue->lock);
+}
+
+const struct cred *xauto_queue_cred(struct xauto_queue *queue)
+{
+	const struct cred *cred = NULL;
+
+	mutex_lock(&queue->lock);
+	if (queue->file)
+		cred = get_cred(queue->file->f_cred);
+	mutex_unlock(&queue->lock);
+	return cred;
+}
+
+struct xauto_queue *xauto_queue_next(unsigned long *id)
+{
+	struct xauto_queue *queue;
+
+	rcu_read_lock();
+	for (queue = xa_find(&queues, id, ULONG_MAX, XA_PRESENT);
+	     queue && !kref_get_unless_zero(&queue->ref);
+	     queue = xa_find_after(&queues, id, ULONG_MAX, XA_PRESENT))
+		;
+	rcu_read_unlock();
+	return queue;
+}
+
+/* Nobody else can reach the queue any more: let the driver release one that runs. */
+static struct file *take_gone(struct xauto_queue *queue)
+{
+	struct file *file = queue->file;
+	u64 cost;
+
+	lockdep_assert_held(&queue->lock);
+	if (queue->suspended && resume(queue, 0, &cost)) {
+		/* Closing it is all that is left; the driver tears it down as it is. */
+		queue->suspended = false;
+		xauto_power_put(queue->power);
+	}
+	WRITE_ONCE(queue->file, NULL);
+	xauto_event(XAUTO_KEV_TARGET_GONE, queue, 0, 0, 0);
+	return file;
+}
+
+static void sweep(struct xauto_queue *queue)
+{
+	struct file *gone = NULL;
+	bool adopted = false;
+	u64 cost;
+
+	mutex_lock(&queue->lock);
+	if (queue->file && file_count(queue->file) == 1)
+		gone = take_gone(queue);
+	else if (queue->file && queue->suspended && !queue->votes)
+		resume(queue, 0, &cost);
+	if (queue->orphan && !queue->suspended) {
+		queue->orphan = false;
+		adopted = true;
+	}
+	mutex_unlock(&queue->lock);
+	if (gone)
+		fput(gone);
+	if (adopted)
+		xauto_queue_put(queue);
+}
+
+bool xauto_queue_sweep(void)
+{
+	struct xauto_queue *queue;
+	unsigned long id;
+
+	for (id = 0; (queue = xauto_queue_next(&id)); id++) {
+		sweep(queue);
+		xauto_queue_put(queue);
+	}
+	return !xa_empty(&queues);
+}
+
+void xauto_queue_exit(void)
+{
+	struct xauto_queue *queue;
+	unsigned long id;
+
+	xauto_queue_sweep();
+	for (id = 0; (queue = xauto_queue_next(&id)); id++) {
+		if (queue->orphan) {
+			pr_err("xauto: queue %u stays suspended: its driver refuses to resume it\n", queue->id);
+			queue->orphan = false;
+			queue->suspended = false;
+			xauto_power_put(queue->power);
+			xauto_queue_put(queue);
+		}
+		xauto_queue_put(queue);
+	}
+	xa_destroy(&queues);
+}
