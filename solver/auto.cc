@@ -24,15 +24,15 @@ Clock::duration seconds(double s) {
 class Team {
  public:
   Team(const Problem& problem, const SolveOptions& options, const std::vector<Solution>& starts,
-       bool with_proof)
+       bool with_proof, SteadyTime began)
       : problem_(problem),
         options_(options),
         starts_(starts),
         with_proof_(with_proof),
         threads_(std::clamp(options.threads, 1, 64)),
-        began_(Clock::now()),
+        began_(began),
         deadline_(options.time_limit_s >= 1e6 ? SteadyTime::max()
-                                              : began_ + seconds(options.time_limit_s)) {
+                                              : Clock::now() + seconds(options.time_limit_s)) {
     OrderedEvaluator evaluator(problem);
     evaluator.reset(starts.front().xpu, starts.front().sequence);
     all_.best = starts.front();
@@ -40,6 +40,8 @@ class Team {
     found_.resize(static_cast<std::size_t>(threads_));
     incumbent_.store(std::min(all_.best.makespan, all_.ordered.makespan));
     ordered_best_.store(all_.ordered.makespan);
+    // The first answer is out before anything that takes longer begins.
+    report();
     bound_.store(quick_bound(problem));
   }
 
@@ -133,9 +135,9 @@ class Team {
       }
       slice += slice / 4;
       if (met()) done_.store(true);
-      if (proves && turn >= 1) {
+      // Again after an exhausted proof only below a better incumbent.
+      if (proves && turn >= 1 && incumbent_.load() < proof_ended_at_) {
         prove();
-        // Proven, out of time, or nothing more to gain from it: back to searching.
         if (over()) return;
       }
       if (turn % 4 == 3) take_over(own, own_ordered);
@@ -143,8 +145,8 @@ class Team {
   }
 
   void prove() {
-    if (proof_ended_) return;
     ProofControl control;
+    control.known_bound = bound_.load();
     control.deadline = deadline_;
     control.stop = options_.stop;
     control.stop_too = &done_;
@@ -158,7 +160,7 @@ class Team {
     };
     control.on_solution = [&](const Solution& solution) { note(threads_ - 1, solution, false); };
     control.on_bound(prove_bound(problem_, control));
-    proof_ended_ = true;
+    proof_ended_at_ = incumbent_.load();
   }
 
   [[nodiscard]] bool met() const {
@@ -204,22 +206,27 @@ class Team {
     if (all_.ordered.makespan < own_ordered.makespan) own_ordered = all_.ordered;
   }
 
+  void report() const {
+    if (!options_.on_progress) return;
+    Progress progress;
+    progress.elapsed_s = std::chrono::duration<double>(Clock::now() - began_).count();
+    progress.incumbent = incumbent_.load();
+    progress.bound = std::min(bound_.load(), progress.incumbent);
+    if (progress.incumbent > 0)
+      progress.gap = static_cast<double>(progress.incumbent - progress.bound) /
+                     static_cast<double>(progress.incumbent);
+    progress.evaluations_per_s =
+        static_cast<double>(evaluations_.load()) / std::max(1e-9, progress.elapsed_s);
+    options_.on_progress(progress);
+  }
+
   void report_until_done() {
     std::unique_lock lock(mutex_);
     while (running_ > 0) {
       changed_.wait_for(lock, std::chrono::milliseconds(100));
       if (!options_.on_progress || running_ == 0) continue;
-      Progress progress;
-      progress.elapsed_s = std::chrono::duration<double>(Clock::now() - began_).count();
-      progress.incumbent = incumbent_.load();
-      progress.bound = std::min(bound_.load(), progress.incumbent);
-      if (progress.incumbent > 0)
-        progress.gap = static_cast<double>(progress.incumbent - progress.bound) /
-                       static_cast<double>(progress.incumbent);
-      progress.evaluations_per_s =
-          static_cast<double>(evaluations_.load()) / std::max(1e-9, progress.elapsed_s);
       lock.unlock();
-      options_.on_progress(progress);
+      report();
       lock.lock();
     }
   }
@@ -239,14 +246,15 @@ class Team {
   std::atomic<Time> incumbent_{kNever}, ordered_best_{kNever}, bound_{0};
   std::atomic<std::int64_t> evaluations_{0};
   std::atomic<bool> done_{false};
-  bool proof_ended_ = false;  // only the proving worker
+  Time proof_ended_at_ = kNever;  // the incumbent of the last proof; only the proving worker
 };
 
 }  // namespace
 
 AutoResult solve_in_parallel(const Problem& problem, const SolveOptions& options,
-                             const std::vector<Solution>& starts, bool with_proof) {
-  return Team(problem, options, starts, with_proof).run();
+                             const std::vector<Solution>& starts, bool with_proof,
+                             SteadyTime began) {
+  return Team(problem, options, starts, with_proof, began).run();
 }
 
 }  // namespace xauto::solver

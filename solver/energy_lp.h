@@ -28,7 +28,9 @@ struct Windows {
   std::vector<std::uint32_t> types;  ///< bit t: type t still possible
   std::vector<Time> extra;  ///< least time beyond its WCET between an XNode's start and finish
   std::vector<Time>
-      paid;  ///< preemption cost that is certain to be paid between its start and finish
+      paid;  ///< preemption cost that its XPU is certain to lose between its start and finish
+  std::vector<Time> cut;      ///< preemption cost in `extra` because it is suspended at least once
+  std::vector<char> starter;  ///< it starts by suspending another: it pays for that itself
   std::vector<std::pair<int, int>> arcs;  ///< decided: first finishes before second starts
   std::vector<std::pair<int, int>>
       nested;  ///< decided: second starts and finishes while first is suspended

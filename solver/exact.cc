@@ -28,6 +28,9 @@ class Refuter {
 
   enum class Answer { kRefuted, kOpen };
 
+  /// The last refute() met a leaf that nothing refutes, with nodes and time to spare.
+  [[nodiscard]] bool met_open_leaf() const { return open_leaf_; }
+
   [[nodiscard]] bool stopped() const {
     return (control_.max_lps > 0 && lp_.solved() >= control_.max_lps) || control_.stopped();
   }
@@ -39,6 +42,8 @@ class Refuter {
     windows.types.assign(at(n_), 0);
     windows.extra.assign(at(n_), 0);
     windows.paid.assign(at(n_), 0);
+    windows.cut.assign(at(n_), 0);
+    windows.starter.assign(at(n_), 0);
     for (int i = 0; i < n_; ++i)
       for (int t = 0; t < problem_.num_types; ++t)
         if (problem_.wcet(i, t) != kCannotRun && !problem_.type_xpus[at(t)].empty())
@@ -56,6 +61,7 @@ class Refuter {
 
   Answer refute(Time makespan, std::int64_t max_nodes, int shaving_rounds) {
     nodes_left_ = max_nodes;
+    open_leaf_ = false;
     Windows windows = root(makespan);
     if (!tighten(windows) || !lp_.feasible(windows)) return Answer::kRefuted;
     for (int round = 0; round < shaving_rounds; ++round) {
@@ -135,13 +141,22 @@ class Refuter {
     if (w.r[at(j)] + di + dj <= w.d[at(i)]) possible |= kSecond;
     if (!problem_.preemptive[at(x)]) return possible;
     const Time cost = problem_.preempt[at(x)];
-    if (w.r[at(i)] + di + wj + cost - w.paid[at(i)] <= w.d[at(i)] &&
+    // Under fixed priorities only what becomes ready after the other has started can suspend it.
+    if (latest_ready(w, j) > w.r[at(i)] &&
+        w.r[at(i)] + di + wj + cost - w.cut[at(i)] <= w.d[at(i)] &&
         std::max(w.r[at(i)] + 1, w.r[at(j)]) + dj < w.d[at(i)] && w.r[at(i)] + 1 + dj <= w.d[at(j)])
       possible |= kInFirst;
-    if (w.r[at(j)] + dj + wi + cost - w.paid[at(j)] <= w.d[at(j)] &&
+    if (latest_ready(w, i) > w.r[at(j)] &&
+        w.r[at(j)] + dj + wi + cost - w.cut[at(j)] <= w.d[at(j)] &&
         std::max(w.r[at(j)] + 1, w.r[at(i)]) + di < w.d[at(j)] && w.r[at(j)] + 1 + di <= w.d[at(i)])
       possible |= kInSecond;
     return possible;
+  }
+
+  [[nodiscard]] Time latest_ready(const Windows& w, int i) const {
+    Time latest = 0;
+    for (int p : problem_.pred[at(i)]) latest = std::max(latest, w.d[at(p)]);
+    return latest;
   }
 
   void relate(Windows& w, int i, int j, int type, Relation relation) const {
@@ -167,29 +182,97 @@ class Refuter {
   /// All that is nested in `outer` runs within its span, and the first suspension of it costs at
   /// least once.
   static void interrupt(Windows& w, int outer, Time inner_work, Time cost) {
-    w.extra[at(outer)] += inner_work + cost - w.paid[at(outer)];
-    w.paid[at(outer)] = cost;
+    w.extra[at(outer)] += inner_work + cost - w.cut[at(outer)];
+    w.paid[at(outer)] += cost - w.cut[at(outer)];
+    w.cut[at(outer)] = cost;
   }
 
-  bool charge_returns(Windows& w) const {
+  /// Of those nested in one XNode, whoever starts first has suspended it, hence pays. So does one
+  /// that starts after all earlier ones have ended: in between, the suspended one was back. Certain
+  /// once no other XNode can join them: all types that could are decided, and all pairs.
+  bool charge_starters(Windows& w) const {
     bool changed = false;
     for (int outer = 0; outer < n_; ++outer) {
-      std::vector<int> inner;
-      for (const auto& [o, i] : w.nested)
-        if (o == outer) inner.push_back(i);
-      if (inner.size() < 2) continue;
-      std::sort(inner.begin(), inner.end(), [&](int a, int b) { return w.r[at(a)] < w.r[at(b)]; });
+      if (w.cut[at(outer)] == 0) continue;
       const int type = std::countr_zero(w.types[at(outer)]);
-      const Time cost = problem_.preempt[at(problem_.type_xpus[at(type)].front())];
-      Time extra = cost, latest = -1;
-      for (int i : inner) {
-        extra += problem_.wcet(i, type);
-        if (latest >= 0) extra += std::min(cost, std::max<Time>(0, w.r[at(i)] - latest));
-        latest = std::max(latest, w.d[at(i)]);
+      bool open = false;
+      for (int i = 0; i < n_ && !open; ++i)
+        open = (w.types[at(i)] >> type & 1u) != 0 && !std::has_single_bit(w.types[at(i)]) &&
+               w.r[at(i)] < w.d[at(outer)] && w.r[at(outer)] < w.d[at(i)];
+      if (open) continue;
+      const Time cost = w.cut[at(outer)];
+      Time within = 0;
+      bool first_known = false;
+      for (const auto& [o, i] : w.nested) {
+        if (o != outer) continue;
+        within += problem_.wcet(i, type);
+        bool first = true, pays = true;
+        for (const auto& [o2, k] : w.nested) {
+          if (o2 != outer || k == i || starts_before(w, i, k)) continue;
+          first = false;  // k starts earlier, or may
+          pays = pays && w.d[at(k)] < w.r[at(i)];
+        }
+        if (pays && w.starter[at(i)] == 0) {
+          w.starter[at(i)] = 1;
+          w.extra[at(i)] += cost;
+          w.paid[at(i)] += cost;
+          changed = true;
+        }
+        first_known = first_known || first;
+        if (w.starter[at(i)] == 0) continue;
+        within += cost;
+        // It has started the moment it was ready, and only what is nested in it delays its end.
+        Time end = latest_ready(w, i) + problem_.wcet(i, type) + cost;
+        for (const auto& [o2, k] : w.nested)
+          if (o2 == i) end += problem_.wcet(k, type) + cost;
+        changed |= lower(w.d[at(i)], end);
       }
-      changed |= raise(w.extra[at(outer)], extra);
+      if (!first_known) continue;
+      // The XPU's loss now counts with those that suspend.
+      w.paid[at(outer)] = w.starter[at(outer)] != 0 ? cost : 0;
+      changed |= raise(w.extra[at(outer)], within + (w.starter[at(outer)] != 0 ? cost : 0));
     }
     return changed;
+  }
+
+  /// Once something is nested, the policy goes by fixed priorities alone, and no XPU idles while
+  /// one of its XNodes is ready: from there to its end, i waits only for what may run in between.
+  bool conserve_work(Windows& w) const {
+    if (w.nested.empty()) return false;
+    const auto is_nested = [&](int i) {
+      return std::any_of(w.nested.begin(), w.nested.end(),
+                         [&](const auto& pair) { return pair.second == i; });
+    };
+    const auto contains = [&](int outer, int i) {
+      return std::find(w.nested.begin(), w.nested.end(), std::pair(outer, i)) != w.nested.end();
+    };
+    bool changed = false;
+    for (int i = 0; i < n_; ++i) {
+      if (!std::has_single_bit(w.types[at(i)])) continue;
+      const int type = std::countr_zero(w.types[at(i)]);
+      if (problem_.type_xpus[at(type)].size() != 1) continue;
+      const Time cost = problem_.preempt[at(problem_.type_xpus[at(type)].front())];
+      Time earliest = 0;
+      for (int p : problem_.pred[at(i)]) earliest = std::max(earliest, w.r[at(p)] + least(w, p));
+      Time end = latest_ready(w, i) + problem_.wcet(i, type) + (is_nested(i) ? cost : 0);
+      for (int k = 0; k < n_; ++k) {
+        if (k == i || (w.types[at(k)] >> type & 1u) == 0 || w.d[at(k)] <= earliest) continue;
+        // Those behind i start after its end; the one it suspends has a lower priority.
+        const bool decided = std::has_single_bit(w.types[at(k)]);
+        if (decided && (contains(k, i) || (starts_before(w, i, k) && !contains(i, k)))) continue;
+        end += problem_.wcet(k, type) + (!decided || is_nested(k) ? cost : 0);
+      }
+      changed |= lower(w.d[at(i)], end);
+    }
+    return changed;
+  }
+
+  [[nodiscard]] bool starts_before(const Windows& w, int k, int i) const {
+    if (w.d[at(k)] <= w.r[at(i)]) return true;
+    const auto has = [&](const std::vector<std::pair<int, int>>& list) {
+      return std::find(list.begin(), list.end(), std::pair(k, i)) != list.end();
+    };
+    return has(w.arcs) || has(w.nested);
   }
 
   /// Pairs on one-instance types: decides those with one relation left; false: a pair has none.
@@ -328,9 +411,13 @@ class Refuter {
 
   /// True: refuted. False: open, or out of nodes or time; the whole attempt has then failed.
   bool descend(Windows& w, int depth) {
+    if (depth > 400) open_leaf_ = true;  // as good as: a larger budget ends here again
     if (--nodes_left_ < 0 || stopped() || depth > 400) return false;
     int open_i = -1, open_j = -1;
-    if (!tighten(w) || !settle_pairs(w, open_i, open_j) || !lp_.feasible(w)) return true;
+    if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
+    while (open_i < 0 && (charge_starters(w) || conserve_work(w)))
+      if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
+    if (!lp_.feasible(w)) return true;
     // The XNode whose type is least decided, by the work that hangs on it.
     int branch = -1, type = -1;
     double best = 1e-6;
@@ -395,24 +482,20 @@ class Refuter {
       }
       return true;
     }
-    // Every type and pair decided: what is nested in one XNode is known, and where its windows
-    // leave a gap, the outer one returns and is suspended again, or the XPU idles.
-    if (charge_returns(w)) {
-      if (!tighten(w)) return true;
-      return descend(w, depth + 1);
-    }
-    // Split the widest window of a join.
-    Time widest = 1;
+    // Split when an XNode becomes ready: its predecessors are all done by the middle, or it cannot
+    // start before. Each half is narrower, so that this ends.
+    Time widest = 0;
     for (int i = 0; i < n_; ++i) {
-      if (problem_.pred[at(i)].empty()) continue;
-      const Time slack = w.d[at(i)] - w.r[at(i)] - least(w, i);
-      if (slack > widest) {
-        widest = slack;
-        branch = i;
-      }
+      const Time width = latest_ready(w, i) - w.r[at(i)];
+      if (width <= widest) continue;
+      widest = width;
+      branch = i;
     }
-    if (branch < 0) return false;
-    const Time middle = w.r[at(branch)] + widest / 2;
+    if (branch < 0) {
+      open_leaf_ = true;
+      return false;
+    }
+    const Time middle = w.r[at(branch)] + (widest - 1) / 2;
     Windows early = w;
     ready_by(early, branch, middle);
     if (!descend(early, depth + 1)) return false;
@@ -426,6 +509,7 @@ class Refuter {
   int n_;
   bool with_deadlines_;
   std::int64_t nodes_left_ = 0;
+  bool open_leaf_ = false;
 };
 
 /// The same problem with each instance of a two-instance type as a type of its own: branching on
@@ -462,14 +546,16 @@ constexpr std::int64_t kMostNodes = std::int64_t{1} << 50;
 bool deadlines_refuted(const Problem& problem, Time makespan_limit, const ProofControl& control) {
   if (problem.num_types > 16) return false;
   Refuter refuter(problem, control, true);
-  for (std::int64_t nodes = 1; !refuter.stopped(); nodes = std::min(kMostNodes, nodes * 4 + 100))
+  for (std::int64_t nodes = 1; !refuter.stopped(); nodes = std::min(kMostNodes, nodes * 4 + 100)) {
     if (refuter.refute(makespan_limit, nodes, nodes > 1 ? 2 : 0) == Refuter::Answer::kRefuted)
       return true;
+    if (refuter.met_open_leaf()) return false;
+  }
   return false;
 }
 
 Time prove_bound(const Problem& problem, const ProofControl& control) {
-  Time bound = quick_bound(problem);
+  Time bound = std::max(control.known_bound, quick_bound(problem));
   if (problem.num_types > 16) return bound;
   Refuter refuter(problem, control);
   auto raise = [&](Time refuted) {
@@ -502,22 +588,28 @@ Time prove_bound(const Problem& problem, const ProofControl& control) {
   const bool has_pairs_of_instances = split.num_types > problem.num_types && split.num_types <= 16;
   std::int64_t nodes = 200;
   while (!refuter.stopped() && bound < incumbent()) {
-    bool any = false;
+    bool any = false, more_nodes_help = false;
     for (const double part : {1.0, 0.5, 0.25, 0.1}) {
       if (refuter.stopped() || bound >= incumbent()) break;
       const Time gap = incumbent() - bound;
       const Time t =
           bound + std::max<Time>(0, static_cast<Time>(part * static_cast<double>(gap)) - 1);
-      const bool refuted =
-          (refuter.refute(t, nodes, 2) == Answer::kRefuted && !refuter.stopped()) ||
-          (has_pairs_of_instances && apart.refute(t, nodes, 2) == Answer::kRefuted);
+      bool refuted = refuter.refute(t, nodes, 2) == Answer::kRefuted;
+      bool ended = refuter.met_open_leaf();
+      if (!refuted && has_pairs_of_instances && !refuter.stopped()) {
+        refuted = apart.refute(t, nodes, 2) == Answer::kRefuted;
+        ended = ended && apart.met_open_leaf();
+      }
+      more_nodes_help = more_nodes_help || !ended;
       if (refuted) {
         raise(t);
         any = true;
         break;
       }
     }
-    if (!any) nodes = std::min(kMostNodes, nodes * 3);
+    if (any) continue;
+    if (!more_nodes_help) break;
+    nodes = std::min(kMostNodes, nodes * 3);
   }
   return bound;
 }

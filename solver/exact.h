@@ -23,6 +23,7 @@ struct ProofControl {
   const std::atomic<bool>* stop_too = nullptr;
   const std::atomic<Time>* incumbent =
       nullptr;                         ///< falls meanwhile; the proof need not go beyond it
+  Time known_bound = 0;                ///< from elsewhere; the proof starts there
   std::function<void(Time)> on_bound;  ///< each improvement
   std::function<void(const Solution&)> on_solution;
 
@@ -33,7 +34,9 @@ struct ProofControl {
   }
 };
 
-/// The best bound proven until `control` ends it.
+/// The best bound proven until `control` ends it, or until every tree below the incumbent was
+/// searched to its end and kept a leaf that no condition refutes: more time then proves nothing
+/// more, a better incumbent might.
 [[nodiscard]] Time prove_bound(const Problem& problem, const ProofControl& control);
 
 /// True: proven that no schedule meets all deadlines of Problem::goal (and `makespan_limit`).

@@ -141,6 +141,12 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
   XAUTO_TRY(resolve(options.objectives, app, platform, problem));
   Decision decision;
   Time bound = 0;
+  const auto note_first = [&](Time latency) {
+    if (options.report == nullptr) return;
+    options.report->first_latency_us = latency;
+    options.report->first_answer_ms =
+        std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - began).count();
+  };
   if (options.method == "heft") {
     decision = heft(problem);
     bound = quick_bound(problem);
@@ -148,8 +154,10 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
     decision = local(problem);
     bound = quick_bound(problem);
   } else if (options.method == "search" || options.method == "auto") {
+    const std::vector<Solution> first = starts(problem);
+    note_first(first.front().makespan);
     const AutoResult result =
-        solve_in_parallel(problem, options, starts(problem), options.method == "auto");
+        solve_in_parallel(problem, options, first, options.method == "auto", began);
     const Solution& chosen = options.certify ? result.ordered : result.best;
     decision = to_decision(chosen);
     if (chosen.ordered) decision.order = order_pairs(problem, chosen);

@@ -29,8 +29,8 @@ struct SolveOptions {
       0;                 ///< 0: no limit; with a limit the answer does not depend on speed
   bool certify = false;  ///< minimise the certified worst case instead of the latency
   const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: return the best so far
-  std::function<void(const Progress&)>
-      on_progress;        ///< called from the solving thread, at most 10 Hz
+  /// Called from the solving thread: at once with the first answer, then at most 10 Hz.
+  std::function<void(const Progress&)> on_progress;
   Objectives objectives;  ///< beyond the makespan; only auto and search honour chains and groups
   struct SolveReport* report = nullptr;  ///< filled in if not null
 };
@@ -38,6 +38,9 @@ struct SolveOptions {
 /// What a policy file has no place for.
 struct SolveReport {
   std::int64_t evaluations = 0;
+  /// The first answer, from the call of solve() on; on_progress has shown it by then.
+  Time first_latency_us = 0;
+  double first_answer_ms = 0;
   /// The least certified latency found (ordered schedules); 0: none was looked for. Where the
   /// policy is not ordered itself, this minus its latency is the cost of certifying.
   Time certified_us = 0;

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // bench_synthetic: the paper's sections 6.1 and 6.2 on the synthetic workload, its scaling, and
 // other solvers.
-#include <chrono>
+#include <algorithm>
 #include <cstdio>
 #include <filesystem>
+#include <fstream>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
@@ -27,12 +28,15 @@ struct Flags {
   double scaling_limit_s = 10;
   std::vector<int> yardsticks;
   double yardstick_limit_s = 30;
+  int scaling_apps = 1;
+  bool summarise = false;
   std::string out = "synthetic";
 };
 
 std::string options_text(const Flags& flags) {
   solver::GenerateOptions o;
   o.max_depth = flags.settings.max_depth;
+  o.fork_join = flags.settings.fork_join;
   std::string text;
   for (const auto& [name, value] : o.describe())
     if (name != "nodes" && name != "seed")
@@ -40,49 +44,73 @@ std::string options_text(const Flags& flags) {
   return text;
 }
 
+/// What an earlier run of the same folder has measured.
+std::vector<Measured> read_lines(const std::string& path) {
+  std::vector<Measured> known;
+  std::ifstream file(path);
+  for (std::string line; std::getline(file, line);)
+    if (auto m = read_line(line)) known.push_back(*std::move(m));
+  return known;
+}
+
+/// One DAG of every group on every platform, then the next: a run cut short has measured all groups
+/// alike, and the next one goes on from its lines.
 Result<std::string> workload_part(const Flags& flags, std::vector<Measured>& all) {
-  std::string lines;
-  for (const int nodes : flags.groups)
-    for (const std::string& name : flags.platforms) {
-      XAUTO_ASSIGN(const Platform platform, load_platform(name));
-      for (int dag = 1; dag <= flags.dags; ++dag) {
-        XAUTO_ASSIGN(const AppSpec app,
-                     workload(nodes, static_cast<std::uint64_t>(dag), flags.settings));
+  const std::string path = flags.out + "/workload.jsonl";
+  all = read_lines(path);
+  std::ofstream lines(path, std::ios::app);
+  if (!lines) return fail(ErrorCode::kIo, "cannot write here", path);
+  for (int dag = 1; dag <= flags.dags && !flags.summarise; ++dag)
+    for (const int nodes : flags.groups)
+      for (const std::string& name : flags.platforms) {
+        const auto seed = static_cast<std::uint64_t>(dag);
+        if (std::any_of(all.begin(), all.end(), [&](const Measured& m) {
+              return m.nodes == nodes && m.seed == seed && m.platform == name;
+            }))
+          continue;
+        XAUTO_ASSIGN(const Platform platform, load_platform(name));
+        XAUTO_ASSIGN(const AppSpec app, workload(nodes, seed, flags.settings));
         XAUTO_ASSIGN(Measured m, measure(app, platform, flags.settings));
-        m.seed = static_cast<std::uint64_t>(dag);
-        lines += json_line(m);
+        m.seed = seed;
+        lines << json_line(m) << std::flush;
         all.push_back(m);
-        std::fprintf(stderr, "\rN=%d %s: %d of %d ", nodes, name.c_str(), dag, flags.dags);
+        std::fprintf(stderr, "\rDAG %d of %d: N=%d %s    ", dag, flags.dags, nodes, name.c_str());
       }
-    }
   std::fprintf(stderr, "\n");
-  XAUTO_TRY(write_file(flags.out + "/workload.jsonl", lines));
+  if (all.empty()) return fail(ErrorCode::kNotFound, "no measured lines", path);
   for (const std::string& name : flags.platforms) {
     XAUTO_TRY(write_file(flags.out + "/speedup-" + name + ".svg", speedup_svg(all, name)));
     XAUTO_TRY(write_file(flags.out + "/ablation-" + name + ".svg", ablation_svg(all, name)));
   }
-  return table(all);
+  return table(all) + calibration(all) + speed(all);
 }
 
 Result<std::string> scaling_part(const Flags& flags) {
   std::string text = fmt::format(
-      "scaling, {} s: gap to the proven bound\n  {:>6} {:>8} {:>12} {:>12} {:>8} {:>12} {:>10}\n",
-      flags.scaling_limit_s, "N", "platform", "XAuto ms", "bound ms", "gap %", "HEFT/XAuto",
-      "seconds");
+      "scaling, {} s: gap to the proven bound\n  {:>6} {:>8} {:>4} {:>12} {:>12} {:>8} {:>12} "
+      "{:>12} "
+      "{:>10}\n",
+      flags.scaling_limit_s, "N", "platform", "app", "XAuto ms", "bound ms", "gap %", "HEFT/XAuto",
+      "certif./XAuto", "seconds");
   Settings settings = flags.settings;
   settings.time_limit_s = flags.scaling_limit_s;
   std::string lines;
   for (const int nodes : flags.scaling)
-    for (const std::string& name : flags.platforms) {
-      XAUTO_ASSIGN(const Platform platform, load_platform(name));
-      XAUTO_ASSIGN(const AppSpec app, workload(nodes, 1, settings));
-      XAUTO_ASSIGN(const Measured m, measure(app, platform, settings));
-      lines += json_line(m);
-      text += fmt::format("  {:>6} {:>8} {:>12.2f} {:>12.2f} {:>8.2f} {:>12.3f} {:>10.2f}\n", nodes,
-                          name, static_cast<double>(m.xauto) / 1000,
-                          static_cast<double>(m.bound) / 1000, 100 * m.gap(),
-                          static_cast<double>(m.heft) / static_cast<double>(m.xauto), m.solve_s);
-    }
+    for (const std::string& name : flags.platforms)
+      for (int k = 1; k <= flags.scaling_apps; ++k) {
+        XAUTO_ASSIGN(const Platform platform, load_platform(name));
+        XAUTO_ASSIGN(const AppSpec app, workload(nodes, static_cast<std::uint64_t>(k), settings));
+        XAUTO_ASSIGN(Measured m, measure(app, platform, settings));
+        m.seed = static_cast<std::uint64_t>(k);
+        lines += json_line(m);
+        XAUTO_TRY(write_file(flags.out + "/scaling.jsonl", lines));
+        text += fmt::format(
+            "  {:>6} {:>8} {:>4} {:>12.2f} {:>12.2f} {:>8.2f} {:>12.3f} {:>12.3f} {:>10.2f}\n",
+            nodes, name, k, static_cast<double>(m.xauto) / 1000,
+            static_cast<double>(m.bound) / 1000, 100 * m.gap(),
+            static_cast<double>(m.heft) / static_cast<double>(m.xauto),
+            static_cast<double>(m.certified) / static_cast<double>(m.xauto), m.solve_s);
+      }
   XAUTO_TRY(write_file(flags.out + "/scaling.jsonl", lines));
   return text + "\n";
 }
@@ -159,10 +187,16 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--scaling", flags.scaling, "sizes, e.g. 100,300,1000")->delimiter(',');
   app.add_option("--scaling-limit-s", flags.scaling_limit_s)->capture_default_str();
+  app.add_option("--scaling-apps", flags.scaling_apps, "apps a size")->capture_default_str();
+  app.add_flag("!--no-fork-join", flags.settings.fork_join,
+               "the workload's forks and joins are no XNodes");
+  app.add_flag("--summarise", flags.summarise, "tables and plots of what --out has; solve nothing");
   app.add_option("--yardsticks", flags.yardsticks, "sizes for other solvers, e.g. 8,10,12")
       ->delimiter(',');
   app.add_option("--yardstick-limit-s", flags.yardstick_limit_s)->capture_default_str();
-  app.add_option("--out", flags.out, "folder for table.txt, *.jsonl, *.svg")->capture_default_str();
+  app.add_option("--out", flags.out,
+                 "folder for table.txt, *.jsonl, *.svg; goes on from its workload.jsonl")
+      ->capture_default_str();
   CLI11_PARSE(app, argc, argv);
   const auto status = xauto::bench::bench(flags);
   if (!status) std::fprintf(stderr, "bench_synthetic: %s\n", status.error().to_string().c_str());

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <chrono>
 
+#include "model/json.h"
 #include "solver/generate.h"
 #include "solver/heft.h"
 #include "solver/simulate.h"
@@ -36,6 +37,7 @@ Result<AppSpec> workload(int nodes, std::uint64_t seed, const Settings& settings
   options.nodes = nodes;
   options.seed = seed * 1000 + static_cast<std::uint64_t>(nodes);
   options.max_depth = nodes <= 40 ? settings.max_depth : 0;
+  options.fork_join = settings.fork_join;
   return solver::generate(options);
 }
 
@@ -56,9 +58,19 @@ Result<Measured> measure(const AppSpec& app, const Platform& platform, const Set
   solving.time_limit_s = settings.time_limit_s;
   solving.threads = settings.threads;
   solving.report = &report;
-  const auto began = std::chrono::steady_clock::now();
-  XAUTO_ASSIGN(const Policy policy, solver::solve(app, platform, solving));
-  m.solve_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
+  // From the two texts, as the tool reads them from its files.
+  const std::string app_text = to_json(app), platform_text = to_json(platform);
+  using Clock = std::chrono::steady_clock;
+  const auto began = Clock::now();
+  solving.on_progress = [&](const solver::Progress& progress) {
+    if (m.first_ms > 0) return;
+    m.first_ms = std::chrono::duration<double, std::milli>(Clock::now() - began).count();
+    m.first = progress.incumbent;
+  };
+  XAUTO_ASSIGN(const AppSpec read_app, parse_app(app_text, "app"));
+  XAUTO_ASSIGN(const Platform read_platform, parse_platform(platform_text, "platform"));
+  XAUTO_ASSIGN(const Policy policy, solver::solve(read_app, read_platform, solving));
+  m.solve_s = std::chrono::duration<double>(Clock::now() - began).count();
   m.xauto = policy.latency_us;
   m.bound = policy.lower_bound_us;
   m.optimal = policy.optimal;
@@ -77,7 +89,7 @@ Result<Measured> measure(const AppSpec& app, const Platform& platform, const Set
   m.unscheduled_slices =
       solver::simulate_shared(problem, platform, Model::kTimeshare, decision).makespan;
 
-  solving.method = "search";
+  solving.on_progress = nullptr;
   solving.report = nullptr;
   solving.time_limit_s = settings.time_limit_s / 4;
   XAUTO_ASSIGN(const Policy unassigned,

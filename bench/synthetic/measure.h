@@ -16,6 +16,7 @@ struct Settings {
   double time_limit_s = 1;
   int threads = 1;
   int max_depth = 4;
+  bool fork_join = true;  ///< of the workload: fork and join count as XNodes
 };
 
 /// Microseconds unless the name says otherwise.
@@ -31,6 +32,8 @@ struct Measured {
   std::int64_t certified = 0;  ///< least certified worst case found; 0: none
   std::int64_t unscheduled_ideal = 0, unscheduled_slices = 0;  ///< XAuto's assignment, time sharing
   std::int64_t unassigned = 0;  ///< fastest type each, instances and priorities searched
+  std::int64_t first = 0;       ///< the first answer's latency
+  double first_ms = 0;          ///< from the JSON texts to the first answer shown as progress
   double solve_s = 0;
   double evaluations_per_s = 0;
   bool optimal = false;

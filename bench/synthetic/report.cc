@@ -2,10 +2,13 @@
 #include "bench/synthetic/report.h"
 
 #include <algorithm>
+#include <cmath>
+#include <map>
 #include <numeric>
 #include <set>
 
 #include <fmt/format.h>
+#include <nlohmann/json.hpp>
 
 namespace xauto::bench {
 namespace {
@@ -186,16 +189,111 @@ std::string table(const std::vector<Measured>& all) {
   return text;
 }
 
+/// Half the width of the 95 % confidence interval of the mean, by the normal distribution.
+double interval(const std::vector<double>& v) {
+  if (v.size() < 2) return 0;
+  const double middle = mean(v);
+  double squares = 0;
+  for (const double x : v) squares += (x - middle) * (x - middle);
+  return 1.96 *
+         std::sqrt(squares / static_cast<double>(v.size() - 1) / static_cast<double>(v.size()));
+}
+
+std::string calibration(const std::vector<Measured>& all) {
+  // Prototype, 8 DAGs a group, annealing for 1 s; nothing was measured in between.
+  const std::map<std::string, std::map<int, double>> known = {
+      {"small", {{10, 1.24}, {20, 1.32}, {30, 1.52}, {40, 1.66}}},
+      {"large", {{10, 1.26}, {20, 1.33}, {30, 1.61}, {40, 1.79}}}};
+  std::string text =
+      "ROS 2 (ideal sharing) / XAuto, mean and 95 % confidence interval of the mean; the "
+      "calibration's\nmean of 8 DAGs; ROS 2 / proven bound, which no solver can exceed on these "
+      "DAGs\n";
+  for (const auto& [platform, by_size] : known) {
+    if (select(all, platform, 0).empty()) continue;
+    text += fmt::format("  {}\n  {:>5} {:>4} {:>18} {:>12} {:>10}\n", platform, "N", "DAGs", "here",
+                        "calibration", "at most");
+    for (const int n : groups(all)) {
+      const auto of = select(all, platform, n);
+      if (of.empty()) continue;
+      const auto ours = values(of, [](const Measured& m) { return ratio(m.ros2_ideal, m.xauto); });
+      const auto most = values(of, [](const Measured& m) { return ratio(m.ros2_ideal, m.bound); });
+      const auto found = by_size.find(n);
+      text += fmt::format("  {:>5} {:>4} {:>10.3f} ± {:.3f} {:>12} {:>10.3f}\n", n, of.size(),
+                          mean(ours), interval(ours),
+                          found == by_size.end() ? "-" : fmt::format("{:.2f}", found->second),
+                          mean(most));
+    }
+  }
+  return text + "\n";
+}
+
+std::string speed(const std::vector<Measured>& all) {
+  std::string text =
+      "proven optimal, seconds, and the first answer (ms from the JSON texts; how often no worse "
+      "than HEFT)\n";
+  for (const char* platform : {"small", "large"}) {
+    if (select(all, platform, 0).empty()) continue;
+    text += fmt::format("  {}\n  {:>5} {:>9} {:>7} {:>8} {:>8} {:>9} {:>9} {:>9}\n", platform, "N",
+                        "proven", "%", "median s", "mean s", "median ms", "most ms", "<= HEFT");
+    std::vector<int> rows(1, 0);
+    for (const int n : groups(all)) rows.push_back(n);
+    std::rotate(rows.begin(), rows.begin() + 1, rows.end());
+    for (const int n : rows) {
+      const auto of = select(all, platform, n);
+      if (of.empty()) continue;
+      const auto first = values(of, [](const Measured& m) { return m.first_ms; });
+      const auto seconds = values(of, [](const Measured& m) { return m.solve_s; });
+      const auto count = [&](const auto& holds) {
+        return std::count_if(of.begin(), of.end(), [&](const Measured* m) { return holds(*m); });
+      };
+      const auto proven = count([](const Measured& m) { return m.optimal; });
+      const auto good = count([](const Measured& m) { return m.first > 0 && m.first <= m.heft; });
+      text += fmt::format(
+          "  {:>5} {:>4}/{:<4} {:>7.1f} {:>8.3f} {:>8.3f} {:>9.2f} {:>9.2f} {:>4}/{:<4}\n",
+          n == 0 ? "all" : std::to_string(n), proven, of.size(),
+          100 * static_cast<double>(proven) / static_cast<double>(of.size()), median(seconds),
+          mean(seconds), median(first), *std::max_element(first.begin(), first.end()), good,
+          of.size());
+    }
+  }
+  return text + "\n";
+}
+
+std::optional<Measured> read_line(const std::string& line) {
+  const nlohmann::json j = nlohmann::json::parse(line, nullptr, false);
+  if (!j.is_object()) return std::nullopt;
+  Measured m;
+  const auto take = [&](const char* key, auto& into) {
+    const auto found = j.find(key);
+    if (found == j.end() || found->is_string() != std::is_same_v<decltype(into), std::string&> ||
+        found->is_structured())
+      return false;
+    found->get_to(into);
+    return true;
+  };
+  const bool whole =
+      take("platform", m.platform) && take("nodes", m.nodes) && take("seed", m.seed) &&
+      take("ros2_ideal_us", m.ros2_ideal) && take("ros2_slices_us", m.ros2_slices) &&
+      take("heft_us", m.heft) && take("xauto_us", m.xauto) && take("bound_us", m.bound) &&
+      take("certified_us", m.certified) && take("unscheduled_ideal_us", m.unscheduled_ideal) &&
+      take("unscheduled_slices_us", m.unscheduled_slices) && take("unassigned_us", m.unassigned) &&
+      take("optimal", m.optimal) && take("first_us", m.first) && take("first_ms", m.first_ms) &&
+      take("solve_s", m.solve_s) && take("evaluations_per_s", m.evaluations_per_s);
+  if (!whole || m.xauto <= 0 || m.bound <= 0) return std::nullopt;
+  return m;
+}
+
 std::string json_line(const Measured& m) {
   return fmt::format(
       "{{\"platform\":\"{}\",\"nodes\":{},\"seed\":{},\"ros2_ideal_us\":{},\"ros2_slices_us\":{},"
       "\"heft_us\":{},"
       "\"xauto_us\":{},\"bound_us\":{},\"certified_us\":{},\"unscheduled_ideal_us\":{},"
       "\"unscheduled_slices_us\":{},"
-      "\"unassigned_us\":{},\"optimal\":{},\"solve_s\":{:.4f},\"evaluations_per_s\":{:.0f}}}\n",
+      "\"unassigned_us\":{},\"optimal\":{},\"first_us\":{},\"first_ms\":{:.3f},\"solve_s\":{:.4f},"
+      "\"evaluations_per_s\":{:.0f}}}\n",
       m.platform, m.nodes, m.seed, m.ros2_ideal, m.ros2_slices, m.heft, m.xauto, m.bound,
-      m.certified, m.unscheduled_ideal, m.unscheduled_slices, m.unassigned, m.optimal, m.solve_s,
-      m.evaluations_per_s);
+      m.certified, m.unscheduled_ideal, m.unscheduled_slices, m.unassigned, m.optimal, m.first,
+      m.first_ms, m.solve_s, m.evaluations_per_s);
 }
 
 std::string speedup_svg(const std::vector<Measured>& all, const std::string& platform) {

@@ -1,0 +1,254 @@
+// SPDX-License-Identifier: Apache-2.0
+// See composite.h.
+#include "solver/composite.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <queue>
+
+#include "solver/bounds.h"
+#include "solver/random.h"
+
+namespace xauto::solver {
+namespace {
+
+using Prices = std::vector<std::int64_t>;
+
+std::size_t at(int index) {
+  return static_cast<std::size_t>(index);
+}
+
+class Composite {
+ public:
+  explicit Composite(const Problem& problem)
+      : p_(problem),
+        n_(at(problem.num_xnodes)),
+        least_(least_wcet(problem)),
+        heads_(static_heads(problem)),
+        tails_(static_tails(problem)) {
+    // Fractions of a microsecond, as far as sums stay far below 2^63.
+    const Time total = std::accumulate(least_.begin(), least_.end(), Time{0});
+    scale_ = total < (Time{1} << 42) ? 1024 : 1;
+    (void)balanced_load_bound(problem, &base_);
+    if (base_.empty()) base_.assign(at(problem.num_types), 1 << 12);
+  }
+
+  CompositeBound run(int effort) {
+    if (effort > 0) {
+      fill_family();
+      deepen(p_.pred, p_.succ, p_.topo, heads_);
+      const std::vector<int> reversed(p_.topo.rbegin(), p_.topo.rend());
+      deepen(p_.succ, p_.pred, reversed, tails_);
+    }
+    CompositeBound answer;
+    answer.prices = base_;
+    answer.bound = refine(answer.prices);
+    answer.heads = heads_;
+    answer.tails = tails_;
+    for (std::size_t i = 0; i < n_; ++i)
+      answer.bound = std::max(answer.bound, heads_[i] + least_[i] + tails_[i]);
+    return answer;
+  }
+
+ private:
+  /// p_i under prices `y`, in 1/scale_ us, rounded down.
+  void worths(const Prices& y, std::vector<Time>& p) const {
+    p.assign(n_, 0);
+    __int128 rate = 0;
+    for (std::size_t t = 0; t < y.size(); ++t)
+      rate += static_cast<__int128>(y[t]) * static_cast<std::int64_t>(p_.type_xpus[t].size());
+    if (rate == 0) return;
+    for (std::size_t i = 0; i < n_; ++i) {
+      __int128 least = -1;
+      for (std::size_t t = 0; t < y.size(); ++t) {
+        const Time wcet = p_.wcet(static_cast<int>(i), static_cast<int>(t));
+        if (wcet == kCannotRun || p_.type_xpus[t].empty()) continue;
+        const __int128 value = static_cast<__int128>(y[t]) * wcet;
+        if (least < 0 || value < least) least = value;
+      }
+      p[i] = static_cast<Time>(least * scale_ / rate);
+    }
+  }
+
+  /// The prices of the whole app, and others around them: part of an app may lack another type.
+  void fill_family() {
+    const std::size_t types = base_.size();
+    std::vector<std::size_t> present;
+    for (std::size_t t = 0; t < types; ++t)
+      if (!p_.type_xpus[t].empty()) present.push_back(t);
+    std::vector<Prices> family = {base_};
+    const auto scaled = [](std::int64_t price, double factor) {
+      return std::clamp<std::int64_t>(
+          std::llround(static_cast<double>(std::max<std::int64_t>(price, 64)) * factor), 0,
+          1 << 20);
+    };
+    constexpr double kFactors[] = {0.3, 0.55, 0.75, 0.88, 1.0, 1.15, 1.35, 1.8, 3.5};
+    if (present.size() == 2) {
+      for (const double f : kFactors) {
+        family.push_back(base_);
+        family.back()[present[1]] = scaled(base_[present[1]], f);
+      }
+    } else if (present.size() == 3) {
+      for (const double f : kFactors)
+        for (const double g : kFactors) {
+          family.push_back(base_);
+          family.back()[present[1]] = scaled(base_[present[1]], f);
+          family.back()[present[2]] = scaled(base_[present[2]], g);
+        }
+    } else if (present.size() > 3) {
+      Random random(1);
+      for (int k = 0; k < 100; ++k) {
+        family.push_back(base_);
+        for (const std::size_t t : present)
+          family.back()[t] = scaled(base_[t], std::exp(2.4 * (random.unit() - 0.5)));
+      }
+    }
+    // One type alone, and all but one.
+    for (const std::size_t t : present) {
+      family.push_back(base_);
+      family.back()[t] = 0;
+      family.emplace_back(types, 0);
+      family.back()[t] = 1 << 12;
+    }
+    worth_.clear();
+    for (const Prices& y : family) {
+      worth_.emplace_back();
+      worths(y, worth_.back());
+    }
+  }
+
+  /// Raises `head` of every XNode by what its ancestors (by `pred`) need; `order`: topological.
+  void deepen(const std::vector<std::vector<int>>& pred, const std::vector<std::vector<int>>& succ,
+              const std::vector<int>& order, std::vector<Time>& head) {
+    std::vector<Time> behind(n_, -1);  // longest path from an ancestor's end to i's start
+    std::vector<int> rank(n_, 0), inside;
+    for (std::size_t k = 0; k < n_; ++k) rank[at(order[k])] = static_cast<int>(k);
+    for (const int i : order) {
+      Time& h = head[at(i)];
+      for (const int u : pred[at(i)]) h = std::max(h, head[at(u)] + least_[at(u)]);
+      if (pred[at(i)].empty()) continue;
+      // One predecessor alone: all that it waits for is in its own head.
+      if (pred[at(i)].size() == 1) continue;
+      inside.clear();
+      std::fill(behind.begin(), behind.end(), -1);
+      for (const int u : pred[at(i)])
+        if (behind[at(u)] < 0) {
+          behind[at(u)] = 0;
+          inside.push_back(u);
+        }
+      for (std::size_t k = 0; k < inside.size(); ++k)
+        for (const int u : pred[at(inside[k])])
+          if (behind[at(u)] < 0) {
+            behind[at(u)] = 0;
+            inside.push_back(u);
+          }
+      std::sort(inside.begin(), inside.end(),
+                [&](int a, int b) { return rank[at(a)] > rank[at(b)]; });
+      for (const int u : inside) {
+        Time longest = 0;
+        for (const int s : succ[at(u)])
+          if (s != i && behind[at(s)] >= 0)
+            longest = std::max(longest, behind[at(s)] + least_[at(s)]);
+        behind[at(u)] = longest;
+      }
+      // First without tails, one pass per price vector; then Jackson's schedule for the best two.
+      std::sort(inside.begin(), inside.end(),
+                [&](int a, int b) { return head[at(a)] > head[at(b)]; });
+      std::size_t best[2] = {0, 0};
+      Time value[2] = {-1, -1};
+      for (std::size_t y = 0; y < worth_.size(); ++y) {
+        Time sum = 0, most = 0;
+        for (const int u : inside) {
+          sum += worth_[y][at(u)];
+          most = std::max(most, head[at(u)] * scale_ + sum);
+        }
+        if (most > value[0]) {
+          value[1] = value[0];
+          best[1] = best[0];
+          value[0] = most;
+          best[0] = y;
+        } else if (most > value[1]) {
+          value[1] = most;
+          best[1] = y;
+        }
+      }
+      for (const std::size_t y : best) h = std::max(h, jackson(inside, head, behind, worth_[y]));
+    }
+  }
+
+  /// Jackson's preemptive schedule of `members`, which are in descending order of head.
+  Time jackson(const std::vector<int>& members, const std::vector<Time>& head,
+               const std::vector<Time>& tail, const std::vector<Time>& p) const {
+    std::priority_queue<std::pair<Time, int>> open;  // longest tail first
+    left_.assign(p.begin(), p.end());
+    Time now = 0, end = 0;
+    std::size_t k = members.size();
+    while (k > 0 || !open.empty()) {
+      if (open.empty()) now = std::max(now, head[at(members[k - 1])] * scale_);
+      while (k > 0 && head[at(members[k - 1])] * scale_ <= now) {
+        --k;
+        open.emplace(tail[at(members[k])], members[k]);
+      }
+      const int i = open.top().second;
+      const Time next = k > 0 ? head[at(members[k - 1])] * scale_ : now + left_[at(i)];
+      const Time run = std::min(left_[at(i)], std::max<Time>(0, next - now));
+      now += run;
+      left_[at(i)] -= run;
+      if (left_[at(i)] > 0) continue;
+      end = std::max(end, now + open.top().first * scale_);
+      open.pop();
+    }
+    return (end + scale_ - 1) / scale_;
+  }
+
+  Time value(const Prices& y, const std::vector<int>& all) {
+    worths(y, trial_);
+    return jackson(all, heads_, tails_, trial_);
+  }
+
+  /// Coordinate search over the prices, from those of the whole app.
+  Time refine(Prices& y) {
+    std::vector<int> all(n_);
+    std::iota(all.begin(), all.end(), 0);
+    std::stable_sort(all.begin(), all.end(),
+                     [&](int a, int b) { return heads_[at(a)] > heads_[at(b)]; });
+    Time best = value(y, all);
+    for (double step : {0.4, 0.2, 0.1, 0.05, 0.02, 0.01}) {
+      for (int round = 0; round < 6; ++round) {
+        bool better = false;
+        for (std::size_t t = 0; t < y.size(); ++t) {
+          for (const double factor : {1 + step, 1 / (1 + step)}) {
+            Prices trial = y;
+            trial[t] = std::clamp<std::int64_t>(
+                std::llround(static_cast<double>(trial[t]) * factor), 0, 1 << 20);
+            const Time now = value(trial, all);
+            if (now <= best) continue;
+            best = now;
+            y = std::move(trial);
+            better = true;
+          }
+        }
+        if (!better) break;
+      }
+    }
+    return best;
+  }
+
+  const Problem& p_;
+  const std::size_t n_;
+  std::vector<Time> least_, heads_, tails_;
+  Time scale_ = 1;
+  Prices base_;
+  std::vector<std::vector<Time>> worth_;
+  std::vector<Time> trial_;
+  mutable std::vector<Time> left_;
+};
+
+}  // namespace
+
+CompositeBound composite_bound(const Problem& problem, int effort) {
+  return Composite(problem).run(effort);
+}
+
+}  // namespace xauto::solver
