@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: Apache-2.0
+// An app for the integration tests: its results are numbers that depend on every message, so that
+// two ways of running it can be compared, and it fails where it is told to.
+//
+//   src ─┬─► A (a1 cpu, a2 npu; plain data) ─┐
+//        ├─► B (b1 npu; a string)  ──────────┴─► C (c1 cpu) ─► result, written to FILE at the end
+//        └─► D (d1 cpu) ─► aside: not affected by what happens to the others
+//
+//   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US]
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <fstream>
+#include <mutex>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <xauto/xauto.h>
+
+namespace {
+
+struct Block {
+  std::array<std::uint64_t, 512> words;
+};
+
+struct Fault {
+  std::string kind, module;
+  std::uint64_t at = 0;
+  int ms = 0;
+} g_fault;
+
+std::uint64_t mix(std::uint64_t x) {
+  x ^= x >> 30;
+  x *= 0xbf58476d1ce4e5b9u;
+  x ^= x >> 27;
+  x *= 0x94d049bb133111ebu;
+  return x ^ x >> 31;
+}
+
+Block make_block(std::uint64_t seed) {
+  Block block;
+  for (std::size_t i = 0; i < block.words.size(); ++i) block.words[i] = mix(seed + i);
+  return block;
+}
+
+std::uint64_t sum(const Block& block) {
+  std::uint64_t total = 0;
+  for (const std::uint64_t word : block.words) total = mix(total + word);
+  return total;
+}
+
+void misbehave(const std::string& module, std::uint64_t k) {
+  if (g_fault.module != module) return;
+  if (g_fault.kind == "slow") std::this_thread::sleep_for(std::chrono::milliseconds(g_fault.ms));
+  if (k != g_fault.at) return;
+  if (g_fault.kind == "crash") std::abort();
+  if (g_fault.kind == "throw") throw std::runtime_error("told to");
+  if (g_fault.kind == "hang") std::this_thread::sleep_for(std::chrono::milliseconds(g_fault.ms));
+}
+
+struct State {
+  std::uint64_t value = 0;
+  Block block{};
+  std::string text;
+};
+
+template <class Exec>
+xauto::XNode<State> node(const std::string& name, const std::string& xpu, const std::string& module,
+                         Exec exec) {
+  xauto::XNode<State> made(name);
+  made.add_impl(
+      xauto::XPU(xpu),
+      [module](const xauto::XpuId&) {
+        if (g_fault.kind == "exit" && g_fault.module == module) std::_Exit(3);
+        return xauto::SchedHandle::gate();
+      },
+      [module, exec](State& state, const xauto::Input& input) {
+        misbehave(module, input.sequence());
+        exec(state, input);
+      });
+  return made;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  const std::string file = argc > 1 ? argv[1] : "/dev/null";
+  std::chrono::microseconds period{2000};
+  for (int i = 2; i < argc; ++i) {
+    const std::string word = argv[i];
+    if (word == "period" && i + 1 < argc) {
+      period = std::chrono::microseconds(std::atoll(argv[++i]));
+    } else if (i + 2 < argc) {
+      g_fault = {word, argv[i + 1], std::strtoull(argv[i + 2], nullptr, 10), 0};
+      i += 2;
+      if (i + 1 < argc && std::string(argv[i + 1]) != "period") g_fault.ms = std::atoi(argv[++i]);
+    }
+  }
+
+  const xauto::Topic<Block> source("src"), a("a");
+  const xauto::Topic<std::string> b("b");
+  const xauto::Topic<std::uint64_t> c("c"), d("d");
+  xauto::App app("testapp");
+  app.add_source(source, period, [](std::uint64_t k) { return make_block(k); });
+
+  xauto::XModule<State> A("A"), B("B"), C("C"), D("D");
+  A.add_node(node("a1", "cpu", "A",
+                  [source](State& s, const xauto::Input& in) { s.value = sum(in.get(source)); }))
+      .add_node(node("a2", "npu", "A",
+                     [](State& s, const xauto::Input&) { s.block = make_block(s.value); }))
+      .add_input_topic(source)
+      .add_output_topic(a, &State::block);
+  B.add_node(node("b1", "npu", "B",
+                  [source](State& s, const xauto::Input& in) {
+                    s.text = std::to_string(sum(in.get(source)) ^ 0x5555) +
+                             std::string(in.sequence() % 97, 'b');
+                  }))
+      .add_input_topic(source)
+      .add_output_topic(b, &State::text);
+  C.add_node(node("c1", "cpu", "C",
+                  [a, b](State& s, const xauto::Input& in) {
+                    s.value = sum(in.get(a));
+                    for (const char x : in.get(b))
+                      s.value = mix(s.value + static_cast<unsigned char>(x));
+                  }))
+      .add_input_topic(a)
+      .add_input_topic(b)
+      .add_output_topic(c, &State::value);
+  D.add_node(node("d1", "cpu", "D",
+                  [source](State& s, const xauto::Input& in) { s.value = sum(in.get(source)); }))
+      .add_input_topic(source)
+      .add_output_topic(d, &State::value);
+  app.add_module(A).add_module(B).add_module(C).add_module(D);
+
+  std::mutex mutex;
+  std::vector<std::string> lines;
+  const auto keep = [&](const char* topic) {
+    return [&, topic](const std::uint64_t& value, std::uint64_t k) {
+      const std::lock_guard lock(mutex);
+      lines.push_back(std::string(topic) + " " + std::to_string(k) + " " + std::to_string(value));
+    };
+  };
+  app.on_message(c, keep("c")).on_message(d, keep("d"));
+  app.on_end([&] {
+    std::ofstream out(file);
+    std::stable_sort(lines.begin(), lines.end(),
+                     [](const auto& x, const auto& y) { return x[0] < y[0]; });
+    for (const std::string& line : lines) out << line << "\n";
+  });
+  return app.main(argc, argv);
+}
