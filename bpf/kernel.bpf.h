@@ -1,0 +1,147 @@
+/* SPDX-License-Identifier: GPL-2.0-only */
+/*
+ * What we use of the kernel's types, by name. libbpf finds each member in the running kernel's BTF and
+ * patches the offsets (CO-RE), so only names matter here and one object fits every kernel; no kernel
+ * header and no vmlinux.h is needed to build. Enumerators that differ between kernels are read with
+ * bpf_core_enum_value(); the values given here are placeholders then.
+ */
+#ifndef _XAUTO_KERNEL_BPF_H
+#define _XAUTO_KERNEL_BPF_H
+
+typedef signed char __s8;
+typedef unsigned char __u8;
+typedef short __s16;
+typedef unsigned short __u16;
+typedef int __s32;
+typedef unsigned int __u32;
+typedef long long __s64;
+typedef unsigned long long __u64;
+typedef __u16 __be16;
+typedef __u32 __be32;
+typedef __u64 __be64;
+typedef __u16 __le16;
+typedef __u32 __le32;
+typedef __u64 __le64;
+typedef __u32 __wsum;
+typedef __s32 s32;
+typedef __u32 u32;
+typedef __s64 s64;
+typedef __u64 u64;
+#ifndef __cplusplus
+typedef _Bool bool;
+#define true 1
+#define false 0
+#define NULL ((void *)0)
+#endif
+#define XAUTO_BPF_TYPES_ARE_DEFINED
+
+enum bpf_map_type {
+	BPF_MAP_TYPE_HASH = 1,
+	BPF_MAP_TYPE_ARRAY = 2,
+	BPF_MAP_TYPE_PERF_EVENT_ARRAY = 4,
+	BPF_MAP_TYPE_RINGBUF = 27,
+};
+
+enum { BPF_ANY = 0, BPF_F_MMAPABLE = 1U << 10 };
+#define BPF_F_CURRENT_CPU 0xffffffffULL
+
+#define PF_EXITING 0x00000004
+#define PF_KTHREAD 0x00200000
+
+#pragma clang attribute push(__attribute__((preserve_access_index)), apply_to = record)
+
+/* Whole, not only declared: libbpf compares the kinds of types that a kfunc's arguments point to. */
+struct cpumask {
+	unsigned long bits[1];
+};
+
+struct sched_ext_entity {
+	u32 flags;
+	u32 weight;
+	u64 slice;
+	u64 dsq_vtime;
+};
+
+struct task_struct {
+	unsigned int flags;
+	unsigned int __state;
+	int pid;
+	int tgid;
+	int nr_cpus_allowed;
+	const struct cpumask *cpus_ptr;
+	struct sched_ext_entity scx;
+	char comm[16];
+};
+
+/* Before 5.14 `__state` was called `state`, and was a long. */
+struct task_struct___old {
+	long state;
+};
+
+struct scx_exit_task_args {
+	bool cancelled;
+};
+
+enum scx_exit_kind {
+	SCX_EXIT_NONE,
+};
+
+struct scx_exit_info {
+	enum scx_exit_kind kind;
+	s64 exit_code;
+	const char *reason;
+	char *msg;
+};
+
+#pragma clang attribute pop
+
+/* Read through CO-RE only. */
+enum scx_public_consts {
+	SCX_SLICE_DFL = 20000000ULL,
+	SCX_SLICE_INF = 0xffffffffffffffffULL,
+};
+enum scx_dsq_id_flags {
+	SCX_DSQ_LOCAL = 0x8000000000000002ULL,
+};
+enum scx_enq_flags {
+	SCX_ENQ_WAKEUP = 1ULL,
+	SCX_ENQ_HEAD = 1ULL << 4,
+	SCX_ENQ_PREEMPT = 1ULL << 32,
+};
+enum scx_ent_flags {
+	SCX_TASK_QUEUED = 1,
+};
+enum scx_kick_flags {
+	SCX_KICK_IDLE = 1,
+	SCX_KICK_PREEMPT = 2,
+};
+
+/*
+ * The operations that we implement. libbpf matches members by name, so those that we leave out, and
+ * those that a kernel adds, don't matter.
+ */
+struct sched_ext_ops {
+	s32 (*select_cpu)(struct task_struct *, s32, u64);
+	void (*enqueue)(struct task_struct *, u64);
+	void (*dispatch)(s32, struct task_struct *);
+	void (*tick)(struct task_struct *);
+	void (*running)(struct task_struct *);
+	void (*stopping)(struct task_struct *, bool);
+	void (*enable)(struct task_struct *);
+	void (*exit_task)(struct task_struct *, struct scx_exit_task_args *);
+	s32 (*init)(void);
+	void (*exit)(struct scx_exit_info *);
+	u64 flags;
+	u32 timeout_ms;
+	char name[128];
+};
+
+struct bpf_iter_num {
+	__u64 opaque[1];
+} __attribute__((aligned(8)));
+
+struct bpf_iter_scx_dsq {
+	u64 opaque[6];
+} __attribute__((aligned(8)));
+
+#endif /* _XAUTO_KERNEL_BPF_H */

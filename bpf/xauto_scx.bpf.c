@@ -1,0 +1,675 @@
+// SPDX-License-Identifier: GPL-2.0-only
+/*
+ * XNode threads by fixed priority, everything else behind them: a sched_ext scheduler.
+ *
+ * Each CPU has a queue of the XNode threads that the policy places on it, ordered by priority and,
+ * among equals, by arrival of the job. A waking job that is more urgent than what runs preempts it at
+ * once; it runs on the CPU of its table entry and nowhere else. Ordinary threads share one fair queue
+ * (virtual time, weighted by nice). Who gets CPU c when it has to choose:
+ *
+ *   1. kernel threads that were woken: short, and everything stalls without them;
+ *   2. the floor: an ordinary thread, or an XNode thread that has waited for age_ms, as long as the
+ *      CPU has credit. Credit grows by floor_permille of time up to floor_burst_us. Without it a
+ *      busy XNode would lock its CPU, and the kernel's watchdog would throw us out;
+ *   3. the head of c's XNode queue, or the XNode thread that runs if the head is not more urgent;
+ *   4. the fair queue.
+ *
+ * Example: priorities 9 and 5 spin on one CPU, a shell wants 2 ms. 9 runs; at the end of its slice
+ * there are 5 ms of credit, the shell gets its 2 ms at once; then 9 until it ends, then 5. A second
+ * shell that spins gets 5 ms, and from then on 5 % of the CPU.
+ *
+ * Weak points, known: the tick is the clock of slices, so a grant or a budget may be overrun by one
+ * tick; and a wake-up that races with the start of a thread on its CPU is noticed at the next tick
+ * (see xauto_tick), since the kernel inserts into the queue only after enqueue() has returned.
+ *
+ * How a thread says what it runs: one store into slots[].job (include/uapi/xauto/bpf.h). The entry is
+ * copied ("latched") once per job, so that replacing the table never changes a job half way.
+ *
+ * Locks: all callbacks of a thread run under its run queue's lock, which therefore protects jobs[].
+ * cpu_state[] is written by its own CPU and read by others without a lock, as said at each place.
+ */
+#include "kernel.bpf.h"
+#include <bpf/bpf_helpers.h>
+#include <bpf/bpf_tracing.h>
+#include <bpf/bpf_core_read.h>
+#include "compat.bpf.h"
+#include "uapi/xauto/bpf.h"
+#include "maps.bpf.h"
+
+char _license[] SEC("license") = "GPL";
+
+/* Set by the loader before it loads. Plain C types: the C++ skeleton has no u32. */
+const volatile unsigned int nr_cpus = 1;
+const volatile unsigned int xnode_slice_us = 4000;    /* after it, the floor and the budget are looked at */
+const volatile unsigned int ordinary_slice_us = 5000;
+const volatile unsigned int grant_us = 1000;	     /* least credit that buys a turn */
+const volatile unsigned int floor_permille = 50;
+const volatile unsigned int floor_burst_us = 5000;
+const volatile unsigned int age_ms = 1000;
+
+#define FAIR_DSQ 0x58460000ULL
+#define XNODE_DSQ(cpu) (0x58440000ULL | (u32)(cpu))
+#define NS_PER_US 1000ULL
+#define ARRIVAL_MASK 0x0000ffffffffffffULL
+#define COPY_ATTEMPTS 8
+#define AGED_SCAN 64 /* queued threads looked at for one that waited too long */
+
+/* cpu_state.current, besides a slot number */
+#define CURRENT_SWITCHING (-1) /* between two threads, or idle: nobody to preempt */
+#define CURRENT_KERNEL (-2)
+#define CURRENT_ORDINARY (-3)
+
+/**
+ * struct cpu_state - one CPU, written by it alone except @woken
+ * @current:   who runs: a slot, or CURRENT_*. Never "nobody, priority -1" between two threads: whoever
+ *             wakes then would kick, and kick again, and the CPU would do nothing else
+ * @credit_ns: of the floor; negative after a turn that a late tick made longer
+ * @credit_at: when it was last refilled
+ * @began_ns:  when @current began, or was last accounted
+ * @granted:   the next thread runs on the floor's credit
+ * @woken:     an XNode thread woke up since the last choice: it goes before the floor
+ */
+struct cpu_state {
+	s64 current;
+	s64 credit_ns;
+	u64 credit_at;
+	u64 began_ns;
+	u32 granted;
+	u32 woken;
+};
+
+struct {
+	__uint(type, BPF_MAP_TYPE_ARRAY);
+	__uint(max_entries, XAUTO_BPF_MAX_CPUS);
+	__type(key, u32);
+	__type(value, struct cpu_state);
+} cpu_states SEC(".maps");
+
+XAUTO_MAP_HEAD;
+XAUTO_MAP_TABLE;
+XAUTO_MAP_SLOTS;
+XAUTO_MAP_JOBS;
+XAUTO_MAP_SCHED;
+XAUTO_MAP_THREADS;
+
+static unsigned long long vtime_now; /* of the fair queue: the largest that has begun to run */
+static unsigned long long arrivals;
+
+static __always_inline void count(u32 what)
+{
+	struct xauto_bpf_sched *s = bpf_map_lookup_elem(&sched, &(u32){ 0 });
+
+	if (s && what < XAUTO_BPF_STATS)
+		__sync_fetch_and_add(&s->stats[what], 1);
+}
+
+static __always_inline struct cpu_state *state_of(s32 cpu)
+{
+	return bpf_map_lookup_elem(&cpu_states, &cpu);
+}
+
+/* ---- jobs ---------------------------------------------------------------------------------- */
+
+static __always_inline u64 job_word(const struct xauto_bpf_slot *slot)
+{
+	return *(volatile u64 *)&slot->job & ~XAUTO_BPF_JOB_ENDED;
+}
+
+/* Copies the XNode's entry of the table in force; false: there is none. */
+static __noinline bool copy_entry(u64 word, struct xauto_bpf_entry *out, u32 *torn)
+{
+	struct xauto_bpf_head *h = bpf_map_lookup_elem(&head, &(u32){ 0 });
+	u32 xnode = (u32)(word >> XAUTO_BPF_JOB_SHIFT) - 1;
+	int i;
+
+	if (!h || !out || !torn || !word || xnode >= h->xnodes)
+		return false;
+	for (i = 0; i < COPY_ATTEMPTS; i++) {
+		/* Atomic additions of nothing: BPF has no other way to order loads. */
+		u64 version = __sync_fetch_and_add(&h->version, 0);
+		u32 at = (u32)(version % XAUTO_BPF_BANKS) * h->xnodes + xnode;
+		struct xauto_bpf_entry *e = bpf_map_lookup_elem(&table, &at);
+
+		if (!version || !e)
+			return false;
+		out->version = version;
+		out->cpu = *(volatile u32 *)&e->cpu;
+		out->priority = *(volatile u32 *)&e->priority;
+		out->budget_ns = *(volatile u64 *)&e->budget_ns;
+		/* A writer clears the stamp before it touches an entry and sets it afterwards. */
+		if (__sync_fetch_and_add(&e->version, 0) == version)
+			return true;
+		++*torn;
+	}
+	return false;
+}
+
+/* Takes up the thread's present job, once per job. */
+static __always_inline void latch(struct xauto_bpf_job *job, struct xauto_bpf_slot *slot)
+{
+	struct xauto_bpf_entry entry = {};
+	u64 word = job_word(slot);
+	u32 torn = 0;
+
+	if (word == job->job)
+		return;
+	if (!copy_entry(word, &entry, &torn)) {
+		if (word)
+			count(XAUTO_BPF_STAT_UNKNOWN);
+		entry.cpu = XAUTO_BPF_NO_CPU;
+		entry.priority = 0;
+	}
+	if (torn) {
+		job->torn += torn;
+		count(XAUTO_BPF_STAT_TORN);
+	}
+	job->version = entry.version;
+	job->cpu = entry.cpu;
+	job->priority = entry.priority > XAUTO_BPF_MAX_PRIORITY ? XAUTO_BPF_MAX_PRIORITY : entry.priority;
+	job->budget_ns = entry.budget_ns;
+	job->used_ns = 0;
+	job->flags = 0;
+	job->arrival = __sync_fetch_and_add(&arrivals, 1) & ARRIVAL_MASK;
+	/* Last, for readers in user space: the rest is this job's. */
+	__sync_lock_test_and_set(&job->job, word);
+	count(XAUTO_BPF_STAT_LATCHED);
+}
+
+/* 0: as an ordinary thread. */
+static __always_inline u32 rank(const struct xauto_bpf_job *job)
+{
+	return job->flags & XAUTO_BPF_JOB_DEMOTED || job->cpu >= nr_cpus ? 0 : job->priority;
+}
+
+/* The rank of a thread that runs elsewhere, by its present word: it may not be latched yet. */
+static __noinline u32 rank_of_running(u32 at)
+{
+	struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, &at);
+	struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, &at);
+	struct xauto_bpf_entry entry = {};
+	u32 torn = 0;
+	u64 word;
+
+	if (!job || !slot)
+		return 0;
+	word = job_word(slot);
+	if (word == job->job)
+		return rank(job);
+	return copy_entry(word, &entry, &torn) && entry.cpu < nr_cpus ? entry.priority : 0;
+}
+
+static __always_inline u32 *slot_of(struct task_struct *p)
+{
+	u32 tid = p->pid;
+
+	return bpf_map_lookup_elem(&threads, &tid);
+}
+
+/* Charges the running thread for its time since began_ns, and demotes its job when over budget. */
+static __always_inline void charge(struct cpu_state *c, struct xauto_bpf_job *job,
+				   struct xauto_bpf_slot *slot, u64 now)
+{
+	u64 from = c->began_ns;
+	u64 since = slot->since_ns;
+
+	/* Time before the job's beginning was the previous job's. */
+	if (since > from && since < now)
+		from = since;
+	if (now > from)
+		job->used_ns += now - from;
+	c->began_ns = now;
+	if (job->budget_ns && job->used_ns > job->budget_ns && !(job->flags & XAUTO_BPF_JOB_DEMOTED) &&
+	    !(slot->job & XAUTO_BPF_JOB_ENDED)) {
+		job->flags |= XAUTO_BPF_JOB_DEMOTED;
+		count(XAUTO_BPF_STAT_DEMOTED);
+	}
+}
+
+static __always_inline u64 slice_of(const struct xauto_bpf_job *job)
+{
+	u64 slice = xnode_slice_us * NS_PER_US;
+
+	if (job->budget_ns > job->used_ns && job->budget_ns - job->used_ns < slice)
+		slice = job->budget_ns - job->used_ns;
+	return slice;
+}
+
+/* ---- queues -------------------------------------------------------------------------------- */
+
+/* Priority of the head of the CPU's queue, 0: empty. It is the upper part of the queue's key. */
+static __noinline u32 head_priority(s32 cpu)
+{
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+	u32 priority = 0;
+
+	if (!bpf_iter_scx_dsq_new(&it, XNODE_DSQ(cpu), 0)) {
+		p = bpf_iter_scx_dsq_next(&it);
+		if (p)
+			priority = XAUTO_BPF_MAX_PRIORITY - (u32)(p->scx.dsq_vtime >> 48);
+	}
+	bpf_iter_scx_dsq_destroy(&it);
+	return priority;
+}
+
+static __always_inline void enqueue_xnode(struct task_struct *p, struct xauto_bpf_job *job, u64 enq_flags)
+{
+	u32 priority = rank(job);
+	u64 key = ((u64)(XAUTO_BPF_MAX_PRIORITY - priority) << 48) | job->arrival;
+	s32 cpu = (s32)job->cpu;
+	struct cpu_state *c;
+	s64 current;
+
+	if (!bpf_cpumask_test_cpu(cpu, p->cpus_ptr)) {
+		cpu = (s32)bpf_cpumask_first(p->cpus_ptr);
+		count(XAUTO_BPF_STAT_MISPLACED);
+	}
+	job->queued_ns = bpf_ktime_get_ns();
+	insert_vtime(p, XNODE_DSQ(cpu), slice_of(job), key, enq_flags);
+	count(XAUTO_BPF_STAT_QUEUED);
+
+	c = state_of(cpu);
+	if (!c)
+		return;
+	if (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP))
+		c->woken = 1;
+	current = *(volatile s64 *)&c->current;
+	if (current == CURRENT_SWITCHING) {
+		/* Wakes it if it is idle. If it is not, running() or tick() will look at the queue. */
+		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_IDLE));
+		return;
+	}
+	if (current == CURRENT_KERNEL)
+		return; /* it is short, and dispatch() follows it */
+	if (current >= 0) {
+		u32 at = (u32)current;
+		struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, &at);
+
+		/* Its worker looks at `waiting` after storing a new job, we at the job after storing
+		 * `waiting`: one of the two sees the other. The exchange is the barrier between.
+		 */
+		if (slot)
+			__sync_lock_test_and_set(&slot->waiting, 1);
+		if (rank_of_running(at) >= priority)
+			return;
+	}
+	count(XAUTO_BPF_STAT_KICKED);
+	scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
+}
+
+static __always_inline void enqueue_kernel_thread(struct task_struct *p, u64 enq_flags)
+{
+	struct cpu_state *c = state_of(scx_bpf_task_cpu(p));
+
+	/* Only a waking one jumps the queue, and not before its own kind: a kernel thread that spins
+	 * alternates with everybody else at the end of its slices.
+	 */
+	if (c && c->current != CURRENT_KERNEL && (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP)))
+		enq_flags |= SCX_VALUE(scx_enq_flags, SCX_ENQ_HEAD) |
+			     SCX_VALUE(scx_enq_flags, SCX_ENQ_PREEMPT);
+	insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), SCX_VALUE(scx_public_consts, SCX_SLICE_DFL),
+	       enq_flags);
+}
+
+static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flags)
+{
+	u64 slice = ordinary_slice_us * NS_PER_US;
+	u64 vtime = p->scx.dsq_vtime;
+	s32 cpu;
+
+	/* Sleeping earns at most one slice. */
+	if ((s64)(vtime_now - vtime) > (s64)slice)
+		vtime = vtime_now - slice;
+	insert_vtime(p, FAIR_DSQ, slice, vtime, enq_flags);
+	cpu = scx_bpf_pick_idle_cpu(p->cpus_ptr, 0);
+	if (cpu >= 0)
+		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_IDLE));
+}
+
+/* ---- callbacks, in the order in which a thread meets them --------------------------------- */
+
+SEC("struct_ops/xauto_select_cpu")
+s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_flags)
+{
+	u32 *at = slot_of(p);
+	bool idle = false;
+	s32 cpu;
+
+	if (at) {
+		struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
+		struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
+
+		if (job && slot) {
+			latch(job, slot);
+			/* Not straight to the local queue even if idle: XNode threads get there only by
+			 * dispatch(), so that their order is the queue's.
+			 */
+			if (rank(job) && bpf_cpumask_test_cpu(job->cpu, p->cpus_ptr))
+				return (s32)job->cpu;
+		}
+	}
+	cpu = scx_bpf_select_cpu_dfl(p, prev_cpu, wake_flags, &idle);
+	if (idle)
+		insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), ordinary_slice_us * NS_PER_US, 0);
+	return cpu;
+}
+
+SEC("struct_ops/xauto_enqueue")
+void BPF_PROG(xauto_enqueue, struct task_struct *p, u64 enq_flags)
+{
+	u32 *at = slot_of(p);
+
+	if (at) {
+		struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
+		struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
+
+		if (job && slot) {
+			latch(job, slot);
+			if (rank(job)) {
+				enqueue_xnode(p, job, enq_flags);
+				return;
+			}
+		}
+	}
+	if (p->flags & PF_KTHREAD)
+		enqueue_kernel_thread(p, enq_flags);
+	else
+		enqueue_ordinary(p, enq_flags);
+}
+
+/* An XNode thread of the queue that has waited for age_ms gets a turn: true if there is one. */
+static __noinline bool dispatch_aged(s32 cpu)
+{
+	u64 oldest = bpf_ktime_get_ns() - age_ms * 1000 * NS_PER_US;
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+	bool moved = false;
+	int i;
+
+	if (bpf_iter_scx_dsq_new(&it, XNODE_DSQ(cpu), 0))
+		goto out;
+	for (i = 0; i < AGED_SCAN; i++) {
+		struct xauto_bpf_job *job;
+		u32 *at;
+
+		p = bpf_iter_scx_dsq_next(&it);
+		if (!p)
+			break;
+		at = slot_of(p);
+		job = at ? bpf_map_lookup_elem(&jobs, at) : NULL;
+		if (!job || !job->queued_ns || job->queued_ns > oldest)
+			continue;
+		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
+		if (moved)
+			break;
+	}
+out:
+	bpf_iter_scx_dsq_destroy(&it);
+	return moved;
+}
+
+static __always_inline void refill(struct cpu_state *c, u64 now)
+{
+	s64 most = (s64)(floor_burst_us * NS_PER_US);
+
+	c->credit_ns += (s64)((now - c->credit_at) * floor_permille / 1000);
+	if (c->credit_ns > most)
+		c->credit_ns = most;
+	c->credit_at = now;
+}
+
+/*
+ * The CPU needs a thread. `prev` may be one that is ready but whose slice has ended: it is on no queue
+ * yet, so taking the head without comparing would let a less urgent one overtake it. If we move
+ * nothing, the kernel lets it go on.
+ */
+SEC("struct_ops/xauto_dispatch")
+void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
+{
+	struct cpu_state *c = state_of(cpu);
+	struct xauto_bpf_job *job = NULL;
+	u32 waiting, mine = 0;
+	u64 now = bpf_ktime_get_ns();
+
+	if (!c)
+		return;
+	if (prev && (prev->scx.flags & SCX_VALUE(scx_ent_flags, SCX_TASK_QUEUED))) {
+		u32 *at = slot_of(prev);
+
+		if (at) {
+			struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
+
+			job = bpf_map_lookup_elem(&jobs, at);
+			if (job && slot) {
+				latch(job, slot);
+				charge(c, job, slot, now);
+				mine = rank(job);
+			}
+		}
+	}
+	waiting = head_priority(cpu);
+	refill(c, now);
+	if (!waiting && !mine) {
+		c->woken = 0;
+		move_to_local(FAIR_DSQ);
+		return;
+	}
+	if (!c->woken && c->credit_ns >= (s64)(grant_us * NS_PER_US)) {
+		if (dispatch_aged(cpu)) {
+			c->granted = 1;
+			count(XAUTO_BPF_STAT_AGED);
+			return;
+		}
+		if (scx_bpf_dsq_nr_queued(FAIR_DSQ) > 0 && move_to_local(FAIR_DSQ)) {
+			c->granted = 1;
+			count(XAUTO_BPF_STAT_FLOOR);
+			return;
+		}
+	}
+	c->woken = 0;
+	if (mine >= waiting && prev && job) {
+		set_slice(prev, slice_of(job));
+		count(XAUTO_BPF_STAT_KEPT);
+		return;
+	}
+	move_to_local(XNODE_DSQ(cpu));
+}
+
+SEC("struct_ops/xauto_running")
+void BPF_PROG(xauto_running, struct task_struct *p)
+{
+	s32 cpu = scx_bpf_task_cpu(p);
+	struct cpu_state *c = state_of(cpu);
+	u32 *at = slot_of(p);
+	bool kernel = p->flags & PF_KTHREAD;
+	struct xauto_bpf_slot *slot = NULL;
+	s64 current = kernel ? CURRENT_KERNEL : CURRENT_ORDINARY;
+	u32 mine = 0, waiting;
+
+	if (!c)
+		return;
+	c->began_ns = bpf_ktime_get_ns();
+	if (at) {
+		struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
+
+		slot = bpf_map_lookup_elem(&slots, at);
+		if (job && slot) {
+			latch(job, slot);
+			job->queued_ns = 0;
+			mine = rank(job);
+			if (mine)
+				current = *at;
+		}
+	}
+	if (!mine && (s64)(p->scx.dsq_vtime - vtime_now) > 0)
+		vtime_now = p->scx.dsq_vtime; /* races only make it a little smaller */
+
+	/* Publish first, then look: whoever was queued while nobody could be preempted is seen here.
+	 * A thread that a fair or real-time thread had interrupted comes back this way without
+	 * dispatch(), so this is the only place that sees a more urgent one queued meanwhile.
+	 */
+	__sync_lock_test_and_set(&c->current, current);
+	waiting = head_priority(cpu);
+	if (slot)
+		slot->waiting = waiting != 0;
+	if (kernel)
+		return;
+	if (c->granted) {
+		set_slice(p, grant_us * NS_PER_US);
+		return;
+	}
+	if (waiting > mine) {
+		c->woken = 1;
+		count(XAUTO_BPF_STAT_RECHECKED);
+		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
+	}
+}
+
+/* The safety net: a job that became less urgent without yielding, a wake-up that raced, a budget. */
+SEC("struct_ops/xauto_tick")
+void BPF_PROG(xauto_tick, struct task_struct *p)
+{
+	s32 cpu = scx_bpf_task_cpu(p);
+	struct cpu_state *c = state_of(cpu);
+	u32 *at = slot_of(p);
+	u32 mine = 0;
+
+	if (!c || c->granted || p->flags & PF_KTHREAD)
+		return;
+	if (at) {
+		struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
+		struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
+
+		if (job && slot) {
+			u32 before = rank(job);
+
+			latch(job, slot);
+			charge(c, job, slot, bpf_ktime_get_ns());
+			mine = rank(job);
+			/* Demoted just now: it must go through a queue to become ordinary. */
+			if (before && !mine) {
+				set_slice(p, 0);
+				scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
+				return;
+			}
+		}
+	}
+	if (head_priority(cpu) > mine) {
+		c->woken = 1;
+		count(XAUTO_BPF_STAT_RECHECKED);
+		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
+	}
+}
+
+SEC("struct_ops/xauto_stopping")
+void BPF_PROG(xauto_stopping, struct task_struct *p, bool runnable)
+{
+	s32 cpu = scx_bpf_task_cpu(p);
+	struct cpu_state *c = state_of(cpu);
+	u64 now = bpf_ktime_get_ns();
+	u32 *at = slot_of(p);
+	u64 ran;
+	u32 mine = 0;
+
+	if (!c)
+		return;
+	ran = now - c->began_ns;
+	if (at) {
+		struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
+		struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
+
+		if (job && slot) {
+			latch(job, slot);
+			charge(c, job, slot, now);
+			mine = rank(job);
+		}
+	}
+	if (!mine)
+		set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
+	if (c->granted && !(p->flags & PF_KTHREAD)) {
+		c->credit_ns -= (s64)ran;
+		c->granted = 0;
+	}
+	c->current = CURRENT_SWITCHING;
+}
+
+SEC("struct_ops/xauto_enable")
+void BPF_PROG(xauto_enable, struct task_struct *p)
+{
+	set_vtime(p, vtime_now);
+}
+
+/* Also called for every thread when we are unloaded: then they stay registered. */
+SEC("struct_ops/xauto_exit_task")
+void BPF_PROG(xauto_exit_task, struct task_struct *p, struct scx_exit_task_args *args)
+{
+	u32 tid = p->pid;
+
+	if (p->flags & PF_EXITING)
+		bpf_map_delete_elem(&threads, &tid);
+}
+
+SEC("struct_ops.s/xauto_init")
+s32 BPF_PROG(xauto_init)
+{
+	struct xauto_bpf_sched *s = bpf_map_lookup_elem(&sched, &(u32){ 0 });
+	struct bpf_iter_num it;
+	s32 error;
+	int *i;
+
+	if (!s)
+		return -22; /* EINVAL; cannot be: the map has one element */
+	error = scx_bpf_create_dsq(FAIR_DSQ, -1);
+	if (error)
+		return error;
+	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
+	while ((i = bpf_iter_num_next(&it))) {
+		u32 cpu = *i;
+		struct cpu_state *c = bpf_map_lookup_elem(&cpu_states, &cpu);
+
+		if (cpu >= nr_cpus)
+			break;
+		if (c) {
+			c->current = CURRENT_SWITCHING;
+			c->credit_at = bpf_ktime_get_ns();
+			c->credit_ns = (s64)(floor_burst_us * NS_PER_US);
+		}
+		error = scx_bpf_create_dsq(XNODE_DSQ(cpu), -1);
+		if (error)
+			break;
+	}
+	bpf_iter_num_destroy(&it);
+	if (!error)
+		s->running = 1;
+	return error;
+}
+
+SEC("struct_ops/xauto_exit")
+void BPF_PROG(xauto_exit, struct scx_exit_info *info)
+{
+	struct xauto_bpf_sched *s = bpf_map_lookup_elem(&sched, &(u32){ 0 });
+
+	if (!s)
+		return;
+	s->exit_code = info->exit_code;
+	bpf_probe_read_kernel_str(s->exit_reason, sizeof(s->exit_reason), info->reason);
+	bpf_probe_read_kernel_str(s->exit_msg, sizeof(s->exit_msg), info->msg);
+	s->exit_kind = (u32)info->kind;
+	s->running = 0;
+}
+
+SEC(".struct_ops.link")
+struct sched_ext_ops xauto_ops = {
+	.select_cpu = (void *)xauto_select_cpu,
+	.enqueue = (void *)xauto_enqueue,
+	.dispatch = (void *)xauto_dispatch,
+	.running = (void *)xauto_running,
+	.tick = (void *)xauto_tick,
+	.stopping = (void *)xauto_stopping,
+	.enable = (void *)xauto_enable,
+	.exit_task = (void *)xauto_exit_task,
+	.init = (void *)xauto_init,
+	.exit = (void *)xauto_exit,
+	.timeout_ms = 10000,
+	.name = "xauto",
+};

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <fstream>
+#include <thread>
+
+#include <unistd.h>
+
+#include "kernel/libbpf/session.h"
+#include "kernel/scx_scheduler.h"
+
+#include "xauto_scx.skel.h"
+
+namespace xauto::kernel {
+namespace {
+
+/// enum scx_ops_flags: the same value from 6.12 on.
+constexpr std::uint64_t kSwitchPartial = 1u << 3;
+constexpr const char* kScx = "/sys/kernel/sched_ext";
+constexpr auto kEnableLimit = std::chrono::seconds(5);
+
+std::string first_line(const std::string& path) {
+  std::ifstream file(path);
+  std::string line;
+  std::getline(file, line);
+  return line;
+}
+
+}  // namespace
+
+struct ScxScheduler::Loaded {
+  xauto_scx* object = nullptr;
+  bpf_link* link = nullptr;
+  ~Loaded() {
+    bpf_link__destroy(link);
+    xauto_scx__destroy(object);
+  }
+};
+
+ScxScheduler::ScxScheduler() = default;
+ScxScheduler::ScxScheduler(ScxScheduler&&) noexcept = default;
+ScxScheduler::~ScxScheduler() = default;
+
+Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& options) {
+  if (std::string refusal = scx_refusal(""); !refusal.empty())
+    return fail(ErrorCode::kUnavailable, std::move(refusal));
+  const long cpus = sysconf(_SC_NPROCESSORS_CONF);
+  if (cpus > XAUTO_BPF_MAX_CPUS)
+    return fail(ErrorCode::kUnavailable, std::to_string(cpus) + " CPUs; the scheduler knows " +
+                                             std::to_string(XAUTO_BPF_MAX_CPUS));
+  ScxScheduler scheduler;
+  scheduler.choice_ = choose_scx_mode("", options);
+  scheduler.loaded_ = std::make_unique<Loaded>();
+  Loaded& loaded = *scheduler.loaded_;
+
+  const LibbpfMessages messages;
+  loaded.object = xauto_scx__open();
+  if (loaded.object == nullptr) return libbpf_failed("opening the scheduler", errno);
+  auto& constants = *loaded.object->rodata;
+  constants.nr_cpus = static_cast<unsigned>(cpus);
+  constants.floor_permille = options.floor_permille;
+  constants.floor_burst_us = options.floor_burst_us;
+  constants.xnode_slice_us = options.xnode_slice_us;
+  constants.age_ms = options.age_ms;
+  auto* ops = loaded.object->struct_ops.xauto_ops;
+  ops->timeout_ms = options.timeout_ms;
+  if (scheduler.choice_.partial) ops->flags |= kSwitchPartial;
+  for (bpf_map* map :
+       {loaded.object->maps.head, loaded.object->maps.table, loaded.object->maps.slots,
+        loaded.object->maps.jobs, loaded.object->maps.sched, loaded.object->maps.threads})
+    XAUTO_TRY(reuse(map, maps));
+  if (const int error = xauto_scx__load(loaded.object); error != 0)
+    return libbpf_failed("the kernel did not accept the scheduler", error);
+  // By hand: a skeleton of bpftool 7.5 attaches struct_ops only with a newer libbpf than Debian's.
+  loaded.link = bpf_map__attach_struct_ops(loaded.object->maps.xauto_ops);
+  if (loaded.link == nullptr) return libbpf_failed("enabling the scheduler", errno);
+
+  // Attaching returns before the kernel has switched over. What was asked for is read back.
+  const auto limit = std::chrono::steady_clock::now() + kEnableLimit;
+  while (first_line(std::string(kScx) + "/state") != "enabled") {
+    if (const auto exit = scx_exit_of(maps.sched()))
+      return fail(ErrorCode::kUnavailable, "the kernel ended the scheduler: " + *exit);
+    if (std::chrono::steady_clock::now() > limit)
+      return fail(ErrorCode::kTimeout,
+                  "the scheduler was attached but is not enabled after 5 s: '" +
+                      first_line(std::string(kScx) + "/state") + "'");
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  const std::string ops_name = first_line(std::string(kScx) + "/root/ops");
+  if (ops_name.rfind("xauto", 0) != 0)
+    return fail(ErrorCode::kUnavailable, "the kernel runs scheduler '" + ops_name + "', not ours");
+  if (const int fd = bpf_map__fd(loaded.object->maps.cpu_states); fd >= 0)
+    XAUTO_TRY(maps.pin(fd, "cpu_states"));
+  return scheduler;
+}
+
+}  // namespace xauto::kernel

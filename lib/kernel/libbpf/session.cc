@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "kernel/libbpf/session.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdarg>
+#include <cstdio>
+#include <cstring>
+#include <mutex>
+#include <string_view>
+
+#include "base/log.h"
+
+namespace xauto::kernel {
+namespace {
+
+constexpr std::size_t kLongest = 1u << 17;
+std::mutex g_mutex;
+std::string g_said;  // guarded by g_mutex
+
+int keep(libbpf_print_level level, const char* format, va_list arguments) {
+  std::string line(kLongest, '\0');  // a verifier's log is one message
+  const int length = vsnprintf(line.data(), line.size(), format, arguments);
+  line.resize(
+      static_cast<std::size_t>(std::min<int>(std::max(length, 0), static_cast<int>(kLongest) - 1)));
+  while (!line.empty() && line.back() == '\n') line.pop_back();
+  if (level == LIBBPF_WARN) {
+    // The first line that is neither the verifier's log nor "failed to load" says what was wrong.
+    constexpr std::string_view kPrefix = "libbpf: ";
+    const std::lock_guard lock(g_mutex);
+    if (g_said.empty() && line.find('\n') == std::string::npos &&
+        line.find("failed to load") == std::string::npos && line.size() < 200)
+      g_said = line.rfind(kPrefix, 0) == 0 ? line.substr(kPrefix.size()) : line;
+  }
+  log::debug("{}", line);
+  return length;
+}
+
+}  // namespace
+
+LibbpfMessages::LibbpfMessages() {
+  const std::lock_guard lock(g_mutex);
+  g_said.clear();
+  libbpf_set_print(keep);
+}
+
+LibbpfMessages::~LibbpfMessages() {
+  libbpf_set_print(keep);
+}
+
+std::string LibbpfMessages::said() {
+  const std::lock_guard lock(g_mutex);
+  return g_said;
+}
+
+tl::unexpected<Error> libbpf_failed(const std::string& what, int error) {
+  error = error < 0 ? -error : error;
+  const std::string said = LibbpfMessages::said();
+  const bool denied = error == EPERM || error == EACCES;
+  return fail(denied ? ErrorCode::kPermission : ErrorCode::kUnavailable,
+              what + ": " + strerror(error) + (said.empty() ? "" : " (" + said + ")"), {},
+              denied ? bpf_hint() : "XAUTO_LOG=debug shows all that libbpf says");
+}
+
+Status reuse(bpf_map* map, const RunMaps& maps) {
+  const std::string name = bpf_map__name(map);
+  const int fd = maps.fd(name);
+  if (fd < 0) return fail(ErrorCode::kInternal, "the run has no map '" + name + "'");
+  // Compared here, since libbpf would take over whatever size the map has.
+  XAUTO_TRY(check_shape(fd, name, bpf_map__value_size(map), 1));
+  if (const int error = bpf_map__reuse_fd(map, fd); error != 0)
+    return libbpf_failed("map '" + name + "'", error);
+  return {};
+}
+
+}  // namespace xauto::kernel

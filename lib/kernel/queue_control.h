@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+// The client of xauto.ko: GPU TSGs and DLA queues, registered, suspended and resumed over generic
+// netlink. The rules (owners, watchdog, permission) are in include/uapi/xauto/netlink.h.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include <sys/types.h>
+#include <uapi/xauto/netlink.h>
+
+#include <xauto/result.h>
+
+namespace xauto::kernel {
+
+enum class QueueType : std::uint32_t {
+  kGpuTsg = XAUTO_QUEUE_GPU_TSG,
+  kDla = XAUTO_QUEUE_DLA,
+};
+
+/// A queue as this connection knows it.
+struct RegisteredQueue {
+  std::uint32_t handle = 0;  ///< of this connection
+  std::uint32_t queue = 0;   ///< of the machine; in events
+};
+
+/// One step of a batch.
+struct QueueOp {
+  xauto_action action = XAUTO_ACTION_SUSPEND;
+  std::uint32_t handle = 0;
+  std::uint32_t value = 0;  ///< time slice in us, or interleave level
+};
+
+struct QueueInfo {
+  std::uint32_t queue = 0;
+  QueueType type = QueueType::kGpuTsg;
+  pid_t pid = 0;
+  std::uint32_t handle = 0;  ///< 0: not registered on this connection
+  bool suspended = false;
+  std::uint32_t votes = 0;         ///< owners that want it suspended
+  std::uint32_t timeslice_us = 0;  ///< 0: not asked, or it has none
+  std::uint64_t suspends = 0, resumes = 0, errors = 0;
+  std::uint64_t suspended_ns = 0, cost_ns = 0, cost_max_ns = 0;
+};
+
+/// A connection is an owner: what it suspended runs again when it is destroyed, however that
+/// happens. Threads: one at a time; connections of several threads do not wait for each other.
+class QueueControl {
+ public:
+  /// kUnavailable when xauto.ko is not loaded.
+  [[nodiscard]] static Result<QueueControl> open();
+  QueueControl(QueueControl&&) noexcept;
+  QueueControl& operator=(QueueControl&&) noexcept;
+  ~QueueControl();
+
+  /// `fd`: this process's; it may be closed afterwards. `pid`: whose queue it is, 0: ours. For
+  /// another process's queue see queue_files.h.
+  [[nodiscard]] Result<RegisteredQueue> register_queue(QueueType type, int fd, pid_t pid = 0);
+  /// Resumes it first.
+  [[nodiscard]] Status unregister(std::uint32_t handle);
+
+  /// When they return: none of a TSG's work runs; none of a DLA queue's tasks is started.
+  [[nodiscard]] Status suspend(std::uint32_t handle);
+  [[nodiscard]] Status resume(std::uint32_t handle);
+  /// In order, up to the first that fails; the error tells which. At most XAUTO_MAX_OPS.
+  [[nodiscard]] Status control(std::span<const QueueOp> ops);
+  /// The same, with the time that each step spent in the driver, ns.
+  [[nodiscard]] Result<std::vector<std::uint64_t>> control_timed(std::span<const QueueOp> ops);
+
+  /// 10..60000 ms without a message and the kernel resumes what this connection suspended; it
+  /// starts at XAUTO_WATCHDOG_DEFAULT_MS. 0 switches it off and needs CAP_SYS_NICE.
+  [[nodiscard]] Status set_watchdog(std::uint32_t timeout_ms);
+  /// kTimeout once, after it has expired.
+  [[nodiscard]] Status feed_watchdog();
+
+  [[nodiscard]] Result<QueueInfo> query(std::uint32_t handle);
+  /// Every queue that this user may see.
+  [[nodiscard]] Result<std::vector<QueueInfo>> list();
+
+  /// For a test that sends what this class would not: the descriptor and the family's number.
+  [[nodiscard]] int descriptor() const;
+  [[nodiscard]] int family() const;
+
+ private:
+  struct Socket;
+  explicit QueueControl(std::unique_ptr<Socket> socket);
+  std::unique_ptr<Socket> socket_;
+};
+
+struct QueueEvent {
+  xauto_kevent kind = XAUTO_KEV_REGISTER;
+  std::uint32_t queue = 0;  ///< 0 for an owner's events
+  pid_t pid = 0;
+  std::uint32_t port = 0;
+  std::uint64_t time_ns = 0;  ///< CLOCK_MONOTONIC
+  std::uint64_t cost_ns = 0;
+  int error = 0;  ///< a positive errno
+};
+
+/// What xauto.ko does, as it does it. Threads: one at a time.
+class QueueEvents {
+ public:
+  /// kPermission without CAP_NET_ADMIN.
+  [[nodiscard]] static Result<QueueEvents> subscribe();
+  QueueEvents(QueueEvents&&) noexcept;
+  QueueEvents& operator=(QueueEvents&&) noexcept;
+  ~QueueEvents();
+
+  /// The next one, or nothing within the time. kIo with "lost" in it when the kernel had to drop
+  /// some.
+  [[nodiscard]] Result<std::optional<QueueEvent>> next(int timeout_ms);
+
+ private:
+  struct Socket;
+  explicit QueueEvents(std::unique_ptr<Socket> socket);
+  std::unique_ptr<Socket> socket_;
+};
+
+}  // namespace xauto::kernel

@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "kernel/queue_files.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <charconv>
+#include <cstring>
+#include <filesystem>
+#include <string_view>
+#include <system_error>
+
+#include <sys/syscall.h>
+#include <unistd.h>
+
+namespace xauto::kernel {
+namespace {
+
+namespace fs = std::filesystem;
+
+bool ends_with_number(std::string_view text, std::string_view prefix, int& number) {
+  if (!text.starts_with(prefix)) return false;
+  text.remove_prefix(prefix.size());
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  return error == std::errc{} && end == text.data() + text.size() && !text.empty();
+}
+
+bool is_anonymous_tsg(std::string_view target) {
+  if (!target.starts_with("anon_inode:nvgpu-")) return false;
+  const std::size_t at = target.rfind("-tsg");
+  int number = 0;
+  return at != std::string_view::npos && ends_with_number(target.substr(at), "-tsg", number);
+}
+
+}  // namespace
+
+bool classify_queue_file(const std::string& target, QueueFile& file) {
+  file.target = target;
+  file.instance = -1;
+  const bool tsg_node = target == "/dev/nvhost-tsg-gpu" ||
+                        (target.starts_with("/dev/nvgpu/") && target.ends_with("/tsg"));
+  if (is_anonymous_tsg(target) || tsg_node) {
+    file.type = QueueType::kGpuTsg;
+    return true;
+  }
+  for (const char* prefix : {"/dev/nvhost-ctrl-nvdla", "/dev/nvdla"})
+    if (ends_with_number(target, prefix, file.instance)) {
+      file.type = QueueType::kDla;
+      return true;
+    }
+  return false;
+}
+
+Result<std::vector<QueueFile>> find_queue_files(pid_t pid, const std::string& root) {
+  const std::string folder = root + "/proc/" + std::to_string(pid) + "/fd";
+  std::error_code error;
+  std::vector<QueueFile> found;
+  for (fs::directory_iterator it(folder, error), end; !error && it != end; it.increment(error)) {
+    std::error_code gone;  // a descriptor may close while we look
+    const std::string target = fs::read_symlink(it->path(), gone).string();
+    QueueFile file;
+    const std::string name = it->path().filename().string();
+    if (gone || !classify_queue_file(target, file)) continue;
+    if (std::from_chars(name.data(), name.data() + name.size(), file.fd).ec != std::errc{})
+      continue;
+    found.push_back(std::move(file));
+  }
+  if (error == std::errc::permission_denied)
+    return fail(ErrorCode::kPermission, "its descriptors are not ours to look at", folder,
+                "run as the user of that process or as root");
+  if (error) return fail(ErrorCode::kNotFound, "no such process: " + error.message(), folder);
+  std::sort(found.begin(), found.end(),
+            [](const QueueFile& a, const QueueFile& b) { return a.fd < b.fd; });
+  return found;
+}
+
+Result<UniqueFd> take_descriptor(pid_t pid, int fd) {
+  const std::string where =
+      "descriptor " + std::to_string(fd) + " of process " + std::to_string(pid);
+  const UniqueFd process(static_cast<int>(syscall(SYS_pidfd_open, pid, 0)));
+  if (!process) return fail(ErrorCode::kNotFound, std::strerror(errno), where);
+  UniqueFd copy(static_cast<int>(syscall(SYS_pidfd_getfd, process.get(), fd, 0)));
+  if (copy) return copy;
+  if (errno == EPERM)
+    return fail(ErrorCode::kPermission, "the kernel does not let this process trace that one",
+                where,
+                "run as the same user with kernel.yama.ptrace_scope=0, or with CAP_SYS_PTRACE");
+  return fail(errno == EBADF ? ErrorCode::kNotFound : ErrorCode::kIo, std::strerror(errno), where);
+}
+
+}  // namespace xauto::kernel

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which TSGs and DLA queues does a process hold? A CUcontext and a cudlaDevHandle are opaque; what
+// they opened in the kernel is visible as descriptors.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <sys/types.h>
+
+#include <xauto/result.h>
+
+#include "base/unique_fd.h"
+#include "kernel/queue_control.h"
+
+namespace xauto::kernel {
+
+struct QueueFile {
+  int fd = -1;  ///< in that process
+  QueueType type = QueueType::kGpuTsg;
+  int instance = -1;   ///< which DLA; -1 for a TSG
+  std::string target;  ///< what the descriptor leads to: "anon_inode:nvgpu-ga10b-tsg12"
+  bool operator==(const QueueFile&) const = default;
+};
+
+/// What the link of a descriptor says about it; nothing if it is neither. The names are nvgpu's and
+/// nvdla's (include/uapi/xauto/nvgpu.h, nvdla.h); xauto.ko has the last word.
+[[nodiscard]] bool classify_queue_file(const std::string& target, QueueFile& file);
+
+/// In order of descriptors. kNotFound: no such process; kPermission: not ours to look at. `root`
+/// stands for / in tests.
+[[nodiscard]] Result<std::vector<QueueFile>> find_queue_files(pid_t pid,
+                                                              const std::string& root = {});
+
+/// A duplicate, in this process, of another's descriptor: pidfd_getfd(2), so ptrace's rules hold.
+[[nodiscard]] Result<UniqueFd> take_descriptor(pid_t pid, int fd);
+
+}  // namespace xauto::kernel

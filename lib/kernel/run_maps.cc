@@ -1,0 +1,229 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "kernel/run_maps.h"
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+
+#include <linux/bpf.h>
+#include <signal.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
+
+namespace xauto::kernel {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Known {
+  const char* name;
+  std::size_t value_size;
+};
+constexpr std::array<Known, 6> kKnown = {{{"head", sizeof(xauto_bpf_head)},
+                                          {"table", sizeof(xauto_bpf_entry)},
+                                          {"slots", sizeof(xauto_bpf_slot)},
+                                          {"jobs", sizeof(xauto_bpf_job)},
+                                          {"sched", sizeof(xauto_bpf_sched)},
+                                          {"threads", sizeof(std::uint32_t)}}};
+
+bool good_name(const std::string& run) {
+  return !run.empty() && run.size() <= 64 && std::all_of(run.begin(), run.end(), [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
+  });
+}
+
+Status check_name(const std::string& run) {
+  if (good_name(run)) return {};
+  return fail(ErrorCode::kInvalid, "is no name for a run", "'" + run + "'",
+              "letters, digits and dashes; `xauto top --list` shows the runs");
+}
+
+/// The maker's pid is how the name of a run begins: "1234-0".
+bool maker_lives(const std::string& run) {
+  char* end = nullptr;
+  const long pid = std::strtol(run.c_str(), &end, 10);
+  if (end == run.c_str() || *end != '-' || pid <= 0) return true;  // not ours to judge
+  return kill(static_cast<pid_t>(pid), 0) == 0 || errno != ESRCH;
+}
+
+std::vector<std::string> folders() {
+  std::vector<std::string> names;
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(XAUTO_BPF_ROOT, error))
+    if (entry.is_directory(error) && good_name(entry.path().filename().string()))
+      names.push_back(entry.path().filename().string());
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+}  // namespace
+
+std::string RunMaps::folder(const std::string& run) {
+  return std::string(XAUTO_BPF_ROOT) + "/" + run;
+}
+
+std::vector<std::string> RunMaps::runs() {
+  std::vector<std::string> alive = folders();
+  std::erase_if(alive, [](const std::string& run) { return !maker_lives(run); });
+  return alive;
+}
+
+void RunMaps::remove(const std::string& run) {
+  std::error_code error;
+  if (!good_name(run)) return;
+  for (const auto& entry : fs::directory_iterator(folder(run), error))
+    fs::remove(entry.path(), error);
+  fs::remove(folder(run), error);
+}
+
+RunMaps& RunMaps::operator=(RunMaps&& other) noexcept {
+  std::swap(run_, other.run_);
+  std::swap(owner_, other.owner_);
+  std::swap(maps_, other.maps_);
+  std::swap(head_, other.head_);
+  std::swap(table_, other.table_);
+  std::swap(slots_, other.slots_);
+  std::swap(jobs_, other.jobs_);
+  std::swap(sched_, other.sched_);
+  return *this;
+}
+
+RunMaps::~RunMaps() {
+  if (owner_ && !maps_.empty()) remove(run_);
+}
+
+Result<RunMaps> RunMaps::create(const std::string& run, std::uint32_t xnodes, std::uint32_t slots) {
+  XAUTO_TRY(check_name(run));
+  if (xnodes == 0 || xnodes > XAUTO_BPF_MAX_XNODES)
+    return fail(ErrorCode::kInvalid, std::to_string(xnodes) + " XNodes; the BPF table holds 1 to " +
+                                         std::to_string(XAUTO_BPF_MAX_XNODES));
+  slots = std::clamp<std::uint32_t>(slots, 1, XAUTO_BPF_MAX_SLOTS);
+  XAUTO_TRY(bpf_is_built_in());
+  XAUTO_TRY(mount_bpffs());
+  for (const std::string& old : folders())
+    if (!maker_lives(old)) remove(old);
+  for (const std::string& path : {std::string(XAUTO_BPF_ROOT), folder(run)})
+    if (mkdir(path.c_str(), 0700) != 0 && errno != EEXIST)
+      return fail(errno == EACCES || errno == EPERM ? ErrorCode::kPermission : ErrorCode::kIo,
+                  path + ": " + strerror(errno), {}, bpf_hint());
+  RunMaps maps;
+  maps.run_ = run;
+  maps.owner_ = true;
+  auto loaded = load_maps(folder(run), xnodes, slots);
+  if (!loaded) {
+    remove(run);
+    return tl::unexpected<Error>(std::move(loaded).error());
+  }
+  maps.maps_ = std::move(*loaded);
+  XAUTO_TRY(maps.map_all(true));
+  auto& head = *maps.head_.as<xauto_bpf_head>();
+  head.abi = XAUTO_BPF_ABI;
+  head.xnodes = xnodes;
+  head.slots = slots;
+  head.owner = static_cast<__u64>(getpid());
+  return maps;
+}
+
+Result<RunMaps> RunMaps::open(const std::string& run) {
+  XAUTO_TRY(check_name(run));
+  RunMaps maps;
+  maps.run_ = run;
+  for (const Known& known : kKnown) {
+    XAUTO_ASSIGN(UniqueFd fd, open_pinned_map(folder(run) + "/" + known.name));
+    XAUTO_TRY(check_shape(fd.get(), known.name, known.value_size, 1));
+    maps.maps_.push_back({known.name, std::move(fd)});
+  }
+  XAUTO_TRY(maps.map_all(false));
+  const xauto_bpf_head& head = maps.head();
+  if (head.abi != XAUTO_BPF_ABI)
+    return fail(ErrorCode::kInvalid,
+                "maps of layout " + std::to_string(head.abi) + ", this program knows layout " +
+                    std::to_string(XAUTO_BPF_ABI),
+                folder(run), "use one version of XAuto for all");
+  if (head.xnodes == 0 || head.xnodes > XAUTO_BPF_MAX_XNODES || head.slots == 0 ||
+      head.slots > maps.slots_.size() || head.slots > maps.jobs_.size() ||
+      std::uint64_t{head.xnodes} * XAUTO_BPF_BANKS > maps.table_.size())
+    return fail(ErrorCode::kInvalid, "the map 'head' contradicts the sizes of the others",
+                folder(run), "remove the folder");
+  return maps;
+}
+
+Status RunMaps::map_all(bool owner) {
+  const auto attach = [&](MappedMap& into, const char* name, std::size_t size,
+                          bool writable) -> Status {
+    auto mapped = MappedMap::map(fd(name), size, writable);
+    if (!mapped) {
+      Error error = std::move(mapped).error();
+      error.where = "map '" + std::string(name) + "'";
+      return tl::unexpected<Error>(std::move(error));
+    }
+    into = std::move(*mapped);
+    return {};
+  };
+  XAUTO_TRY(attach(head_, "head", sizeof(xauto_bpf_head), owner));
+  XAUTO_TRY(attach(table_, "table", sizeof(xauto_bpf_entry), owner));
+  XAUTO_TRY(attach(slots_, "slots", sizeof(xauto_bpf_slot), false));
+  XAUTO_TRY(attach(jobs_, "jobs", sizeof(xauto_bpf_job), false));
+  return attach(sched_, "sched", sizeof(xauto_bpf_sched), false);
+}
+
+int RunMaps::fd(const std::string& name) const {
+  for (const NamedMap& map : maps_)
+    if (map.name == name) return map.fd.get();
+  return -1;
+}
+
+Status RunMaps::pin(int map_fd, const std::string& name) const {
+  const std::string path = folder(run_) + "/" + name;
+  unlink(path.c_str());
+  bpf_attr attributes{};
+  attributes.pathname = reinterpret_cast<std::uint64_t>(path.c_str());
+  attributes.bpf_fd = static_cast<__u32>(map_fd);
+  if (syscall(SYS_bpf, BPF_OBJ_PIN, &attributes, sizeof attributes) != 0)
+    return fail(ErrorCode::kIo, "pinning " + path + ": " + strerror(errno));
+  return {};
+}
+
+std::uint64_t RunMaps::version() const {
+  return std::atomic_ref(head_.as<xauto_bpf_head>()->version).load(std::memory_order_acquire);
+}
+
+Status RunMaps::replace_table(const std::vector<TableRow>& rows) {
+  if (!owner_)
+    return fail(ErrorCode::kPermission, "only the process that made the table replaces it", run_);
+  auto& head = *head_.as<xauto_bpf_head>();
+  if (rows.size() != head.xnodes)
+    return fail(ErrorCode::kInvalid, "a table of " + std::to_string(rows.size()) + " rows for " +
+                                         std::to_string(head.xnodes) + " XNodes");
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const TableRow& row = rows[i];
+    const bool on_cpu = row.cpu != XAUTO_BPF_NO_CPU;
+    if (on_cpu && (row.cpu >= XAUTO_BPF_MAX_CPUS || row.priority == 0 ||
+                   row.priority > XAUTO_BPF_MAX_PRIORITY || row.budget_us < 0))
+      return fail(ErrorCode::kInvalid,
+                  "row " + std::to_string(i) + ": CPU " + std::to_string(row.cpu) + ", priority " +
+                      std::to_string(row.priority) + ", budget " + std::to_string(row.budget_us) +
+                      " us; CPUs are below " + std::to_string(XAUTO_BPF_MAX_CPUS) +
+                      ", priorities 1 to " + std::to_string(XAUTO_BPF_MAX_PRIORITY));
+  }
+  const __u64 version = head.version + 1;
+  xauto_bpf_entry* bank = table_.as<xauto_bpf_entry>() + (version % XAUTO_BPF_BANKS) * head.xnodes;
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    std::atomic_ref stamp(bank[i].version);
+    stamp.store(0, std::memory_order_relaxed);
+    std::atomic_thread_fence(std::memory_order_seq_cst);
+    std::atomic_ref(bank[i].cpu).store(rows[i].cpu, std::memory_order_relaxed);
+    std::atomic_ref(bank[i].priority).store(rows[i].priority, std::memory_order_relaxed);
+    std::atomic_ref(bank[i].budget_ns)
+        .store(static_cast<__u64>(rows[i].budget_us) * 1000, std::memory_order_relaxed);
+    stamp.store(version, std::memory_order_release);
+  }
+  std::atomic_ref(head.version).store(version, std::memory_order_seq_cst);
+  return {};
+}
+
+}  // namespace xauto::kernel

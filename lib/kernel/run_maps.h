@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: Apache-2.0
+// The BPF maps of one run (include/uapi/xauto/bpf.h): made by the xauto tool before the app starts,
+// pinned under /sys/fs/bpf/xauto/RUN/ for the scheduler, the tracer and bpftool, gone with the
+// tool.
+//
+// Threads: one, except where said.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <uapi/xauto/bpf.h>
+
+#include <xauto/result.h>
+
+#include "base/unique_fd.h"
+#include "kernel/bpf_sys.h"
+
+namespace xauto::kernel {
+
+/// Whether this build has the BPF programs at all, and if not, why.
+[[nodiscard]] Status bpf_is_built_in();
+
+struct NamedMap {
+  std::string name;
+  UniqueFd fd;
+};
+
+/// What the policy says of one XNode, for the table.
+struct TableRow {
+  std::uint32_t cpu = XAUTO_BPF_NO_CPU;  ///< the kernel's number
+  std::uint32_t priority = 0;            ///< 1..XAUTO_BPF_MAX_PRIORITY, larger is more urgent
+  std::int64_t budget_us = 0;            ///< 0: none
+};
+
+class RunMaps {
+ public:
+  /// `run`: a name of letters, digits and dashes. Removes what runs that were killed left behind.
+  [[nodiscard]] static Result<RunMaps> create(const std::string& run, std::uint32_t xnodes,
+                                              std::uint32_t slots);
+  /// The maps that another process made; their layout is checked.
+  [[nodiscard]] static Result<RunMaps> open(const std::string& run);
+  /// Names of the runs that have maps and whose maker lives.
+  [[nodiscard]] static std::vector<std::string> runs();
+  [[nodiscard]] static std::string folder(const std::string& run);
+  /// Unpins whatever the run has pinned.
+  static void remove(const std::string& run);
+
+  RunMaps(RunMaps&&) noexcept = default;
+  RunMaps& operator=(RunMaps&& other) noexcept;
+  ~RunMaps();
+
+  /// Puts a new table into force, as a whole: each job goes by the one that it began with. No
+  /// system call.
+  [[nodiscard]] Status replace_table(const std::vector<TableRow>& rows);
+  /// A number that grows with each replacement.
+  [[nodiscard]] std::uint64_t version() const;
+
+  [[nodiscard]] const std::string& run() const { return run_; }
+  [[nodiscard]] const xauto_bpf_head& head() const { return *head_.as<xauto_bpf_head>(); }
+  [[nodiscard]] const xauto_bpf_slot* slots() const { return slots_.as<xauto_bpf_slot>(); }
+  [[nodiscard]] const xauto_bpf_job* jobs() const { return jobs_.as<xauto_bpf_job>(); }
+  [[nodiscard]] const xauto_bpf_sched& sched() const { return *sched_.as<xauto_bpf_sched>(); }
+  [[nodiscard]] const xauto_bpf_entry* table() const { return table_.as<xauto_bpf_entry>(); }
+
+  /// Descriptors of the maps by name: "head", "table", "slots", "jobs", "sched", "threads".
+  [[nodiscard]] int fd(const std::string& name) const;
+  /// Pins one more map of this run; `remove` takes it away.
+  [[nodiscard]] Status pin(int map_fd, const std::string& name) const;
+
+ private:
+  RunMaps() = default;
+  [[nodiscard]] Status map_all(bool owner);
+  std::string run_;
+  bool owner_ = false;
+  std::vector<NamedMap> maps_;
+  MappedMap head_, table_, slots_, jobs_, sched_;
+};
+
+/// In libbpf/maps.cc: makes and pins the maps.
+[[nodiscard]] Result<std::vector<NamedMap>> load_maps(const std::string& folder,
+                                                      std::uint32_t xnodes, std::uint32_t slots);
+
+}  // namespace xauto::kernel

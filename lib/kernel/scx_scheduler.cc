@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+// The part that needs no libbpf: whether sched_ext can be used, and in which mode.
+#include "kernel/scx_scheduler.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+
+namespace xauto::kernel {
+namespace {
+
+std::string first_line(const std::string& path) {
+  std::ifstream file(path);
+  std::string line;
+  std::getline(file, line);
+  return line;
+}
+
+}  // namespace
+
+std::string scx_refusal(const std::string& root) {
+  std::error_code error;
+  const std::string scx = root + "/sys/kernel/sched_ext";
+  if (!std::filesystem::exists(scx, error))
+    return "this kernel has no sched_ext (6.12 and later have it with CONFIG_SCHED_CLASS_EXT)";
+  if (first_line(root + "/sys/kernel/realtime") == "1")
+    return "a PREEMPT_RT kernel refuses sched_ext";
+  const std::string state = first_line(scx + "/state");
+  if (state != "disabled" && !state.empty()) {
+    const std::string who = first_line(scx + "/root/ops");
+    return "another sched_ext scheduler is loaded" + (who.empty() ? "" : ": '" + who + "'");
+  }
+  if (!std::filesystem::exists(root + "/sys/kernel/btf/vmlinux", error))
+    return "this kernel has no BTF (/sys/kernel/btf/vmlinux; CONFIG_DEBUG_INFO_BTF)";
+  return {};
+}
+
+std::vector<int> parse_cpu_list(const std::string& text) {
+  std::vector<int> cpus;
+  const char* at = text.c_str();
+  while (*at != '\0') {
+    char* end = nullptr;
+    const long first = std::strtol(at, &end, 10);
+    if (end == at || first < 0 || first >= XAUTO_BPF_MAX_CPUS) break;
+    long last = first;
+    at = end;
+    if (*at == '-') {
+      last = std::strtol(at + 1, &end, 10);
+      if (end == at + 1 || last < first || last >= XAUTO_BPF_MAX_CPUS) break;
+      at = end;
+    }
+    for (long cpu = first; cpu <= last; ++cpu) cpus.push_back(static_cast<int>(cpu));
+    if (*at != ',') break;
+    ++at;
+  }
+  return cpus;
+}
+
+ScxChoice choose_scx_mode(const std::string& root, const ScxOptions& options) {
+  if (options.mode == ScxMode::kFull) return {false, "full mode, as asked"};
+  if (options.mode == ScxMode::kPartial) return {true, "partial mode, as asked"};
+  const std::vector<int> isolated =
+      parse_cpu_list(first_line(root + "/sys/devices/system/cpu/isolated"));
+  for (const int cpu : options.cpus)
+    if (std::find(isolated.begin(), isolated.end(), cpu) == isolated.end())
+      return {false, "full mode: CPU " + std::to_string(cpu) +
+                         " is not isolated, and the kernel ranks SCHED_EXT below ordinary threads"};
+  if (options.cpus.empty()) return {false, "full mode: no CPU was named"};
+  return {true, "partial mode: all CPUs of the policy are isolated"};
+}
+
+std::optional<std::string> scx_exit_of(const xauto_bpf_sched& sched) {
+  auto& kind = const_cast<__u64&>(sched.exit_kind);
+  if (std::atomic_ref(kind).load(std::memory_order_acquire) == 0) return std::nullopt;
+  std::string text(sched.exit_reason, strnlen(sched.exit_reason, sizeof sched.exit_reason));
+  const std::string message(sched.exit_msg, strnlen(sched.exit_msg, sizeof sched.exit_msg));
+  if (!message.empty()) text += " (" + message + ")";
+  return text.empty() ? "ended without a reason" : text;
+}
+
+}  // namespace xauto::kernel

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+// The sched_ext scheduler (bpf/xauto_scx.bpf.c) loaded by this process, for as long as the object
+// lives: when it, or the process, goes, the kernel goes back to its own scheduler by itself.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "kernel/run_maps.h"
+
+namespace xauto::kernel {
+
+enum class ScxMode : std::uint8_t { kAuto, kFull, kPartial };
+
+struct ScxOptions {
+  ScxMode mode = ScxMode::kAuto;
+  std::vector<int> cpus;  ///< that the policy gives to XNodes; decides the mode
+  std::uint32_t timeout_ms = 10'000;
+  std::uint32_t floor_permille = 50;
+  std::uint32_t floor_burst_us = 5'000;
+  std::uint32_t xnode_slice_us = 4'000;
+  std::uint32_t age_ms = 1'000;
+};
+
+/// Why sched_ext cannot be used here, one line; empty if nothing speaks against it. `root`: "" for
+/// this machine, or a folder that stands for / in tests.
+[[nodiscard]] std::string scx_refusal(const std::string& root);
+
+struct ScxChoice {
+  bool partial = false;
+  std::string why;  ///< for people
+};
+/// Full mode, unless every CPU is isolated: then ordinary threads are not there to be ranked above
+/// ours, and need not be scheduled by us.
+[[nodiscard]] ScxChoice choose_scx_mode(const std::string& root, const ScxOptions& options);
+
+/// "0-2,5" -> 0 1 2 5; nonsense ends the list.
+[[nodiscard]] std::vector<int> parse_cpu_list(const std::string& text);
+
+class ScxScheduler {
+ public:
+  /// Loads and attaches; returns when the kernel says that it is enabled.
+  [[nodiscard]] static Result<ScxScheduler> load(const RunMaps& maps, const ScxOptions& options);
+  ScxScheduler(ScxScheduler&&) noexcept;
+  ~ScxScheduler();
+
+  [[nodiscard]] const ScxChoice& choice() const { return choice_; }
+
+ private:
+  ScxScheduler();
+  struct Loaded;
+  std::unique_ptr<Loaded> loaded_;
+  ScxChoice choice_;
+};
+
+/// Why the scheduler ended, if it has: "runnable task stall (...)"; nullopt while it runs.
+[[nodiscard]] std::optional<std::string> scx_exit_of(const xauto_bpf_sched& sched);
+
+}  // namespace xauto::kernel

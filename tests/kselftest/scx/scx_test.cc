@@ -1,0 +1,542 @@
+// SPDX-License-Identifier: Apache-2.0
+// The scheduler by itself: order, preemption, and the traps that each cost somebody a failing run.
+// KTAP; run as root on a kernel with sched_ext and at least two CPUs. Asserts orders and generous
+// shares, never short times: it runs in an emulator.
+//   scx_test [NAME]      all tests, or those whose name contains NAME
+#include <algorithm>
+#include <cstring>
+#include <mutex>
+#include <random>
+
+#include <sched.h>
+#include <sys/syscall.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "base/futex.h"
+#include "kernel/scx_scheduler.h"
+#include "kernel/tracer.h"
+
+#include "../ktap.h"
+#include "world.h"
+
+namespace xauto::test {
+namespace {
+
+constexpr int kCpu = 1;
+
+void spin(const std::atomic<bool>& stop) {
+  while (!stop.load(std::memory_order_relaxed)) asm volatile("");
+}
+
+void sleep_ms(int ms) {
+  std::this_thread::sleep_for(std::chrono::milliseconds(ms));
+}
+
+/// An XNode thread that waits for work, as a worker of the runtime does.
+class Waiter {
+ public:
+  Waiter(World& world, std::uint32_t xnode, std::function<void(const kernel::Slot&)> job)
+      : thread_(world, xnode, [this, job = std::move(job)](const kernel::Slot& slot) {
+          slot_ = slot;
+          for (;;) {
+            const std::uint32_t mail = mail_.load();
+            if (mail == 2) return;
+            if (mail == 0) {
+              futex_wait(mail_, 0);
+              continue;
+            }
+            mail_.store(0);
+            job(slot);
+            done_.fetch_add(1);
+          }
+        }) {}
+  ~Waiter() {
+    mail_.store(2);
+    futex_wake(mail_, 1);
+    thread_.join();
+  }
+  void wake() {
+    mail_.store(1);
+    futex_wake(mail_, 1);
+  }
+  [[nodiscard]] std::uint32_t done() const { return done_.load(); }
+  [[nodiscard]] std::uint32_t index() const { return thread_.index(); }
+
+ private:
+  std::atomic<std::uint32_t> mail_{0}, done_{0};
+  kernel::Slot slot_;
+  XNodeThread thread_;
+};
+
+bool queued(const World& world, std::uint32_t slot) {
+  return *const_cast<volatile const __u64*>(&world.maps.jobs()[slot].queued_ns) != 0;
+}
+
+// ---- order and preemption
+// ------------------------------------------------------------------------
+
+void two_spinners() {
+  World world(2, kCpu);
+  world.load();
+  for (const bool high_first : {false, true}) {
+    std::atomic<bool> stop{false};
+    const auto body = [&](const kernel::Slot&) { spin(stop); };
+    XNodeThread first(world, high_first ? 1 : 0, body), second(world, high_first ? 0 : 1, body);
+    XNodeThread& high = high_first ? first : second;
+    XNodeThread& low = high_first ? second : first;
+    sleep_ms(1500);
+    stop = true;
+    first.join();
+    second.join();
+    ktap_test(high.cpu() > 1.1 && low.cpu() < 0.2,
+              "of two spinners on a CPU the more urgent has it, %s first: %.2f and %.2f s of 1.5",
+              high_first ? "it" : "the other", high.cpu(), low.cpu());
+  }
+}
+
+void order_of_eight() {
+  constexpr int kRounds = 1000, kThreads = 8;
+  World world(kThreads + 1, kCpu);
+  world.load();
+  std::vector<int> order;  // only the thread that has the CPU writes
+  std::atomic<bool> open{false}, holding{false};
+  std::vector<std::unique_ptr<Waiter>> waiters;
+  for (int i = 0; i < kThreads; ++i)
+    waiters.push_back(
+        std::make_unique<Waiter>(world, static_cast<std::uint32_t>(i),
+                                 [&order, i](const kernel::Slot&) { order.push_back(i); }));
+  Waiter gate(world, kThreads, [&](const kernel::Slot&) {
+    holding = true;
+    spin(open);
+  });
+  std::mt19937 random(7);
+  int wrong = 0, stuck = 0;
+  std::vector<int> shuffled(kThreads);
+  for (int i = 0; i < kThreads; ++i) shuffled[static_cast<std::size_t>(i)] = i;
+  for (int round = 0; round < kRounds && stuck == 0; ++round) {
+    order.clear();
+    open = false;
+    holding = false;
+    gate.wake();
+    if (!wait_for([&] { return holding.load(); })) ++stuck;
+    std::shuffle(shuffled.begin(), shuffled.end(), random);
+    for (const int i : shuffled) waiters[static_cast<std::size_t>(i)]->wake();
+    for (const auto& waiter : waiters)
+      if (!wait_for([&] { return queued(world, waiter->index()); })) ++stuck;
+    open = true;
+    const auto target = static_cast<std::uint32_t>(round + 1);
+    for (const auto& waiter : waiters)
+      if (!wait_for([&] { return waiter->done() == target; })) ++stuck;
+    for (int i = 0; i < kThreads; ++i)
+      if (order.size() != kThreads || order[static_cast<std::size_t>(i)] != kThreads - 1 - i) {
+        ++wrong;
+        break;
+      }
+  }
+  open = true;
+  ktap_test(
+      wrong == 0 && stuck == 0,
+      "eight priorities run in exact order in each of %d rounds, woken in any order (%d wrong)",
+      kRounds, wrong);
+}
+
+void equal_priorities() {
+  constexpr int kThreads = 6;
+  World world(kThreads + 1, kCpu);
+  for (int i = 0; i < kThreads; ++i) world.rows[static_cast<std::size_t>(i)].priority = 30;
+  world.put_rows();
+  world.load({"--slice-us", "1000"});
+  std::vector<int> order;
+  std::atomic<bool> open{false}, holding{false};
+  std::vector<std::unique_ptr<Waiter>> waiters;
+  for (int i = 0; i < kThreads; ++i)
+    waiters.push_back(std::make_unique<Waiter>(
+        world, static_cast<std::uint32_t>(i), [&order, i](const kernel::Slot&) {
+          burn_us(15'000);  // several slices: nobody equal may come between
+          order.push_back(i);
+        }));
+  Waiter gate(world, kThreads, [&](const kernel::Slot&) {
+    holding = true;
+    spin(open);
+  });
+  gate.wake();
+  wait_for([&] { return holding.load(); });
+  const int arrival[kThreads] = {3, 0, 5, 1, 4, 2};
+  for (const int i : arrival) {
+    // A new job each: arrival is the job's, not the thread's.
+    waiters[static_cast<std::size_t>(i)]->wake();
+    wait_for([&] { return queued(world, waiters[static_cast<std::size_t>(i)]->index()); });
+  }
+  open = true;
+  wait_for([&] {
+    return std::all_of(waiters.begin(), waiters.end(), [](auto& w) { return w->done() == 1; });
+  });
+  // The threads' jobs were latched when they entered, in the order 0, 1, 2, ...
+  ktap_test(order == std::vector<int>({0, 1, 2, 3, 4, 5}),
+            "equal priorities keep the order in which their jobs arrived, over many slices");
+}
+
+void preemption() {
+  World world(2, kCpu);
+  world.load();
+  auto tracer = kernel::Tracer::attach(world.maps, {});
+  if (!tracer) ktap_bail("tracer: %s", tracer.error().to_string().c_str());
+  std::atomic<bool> stop{false};
+  std::atomic<std::uint32_t> low_tid{0}, high_tid{0};
+  std::vector<double> latencies;
+  std::atomic<std::int64_t> woken{0};
+  const auto now_us = [] {
+    return std::chrono::duration_cast<std::chrono::microseconds>(Clock::now().time_since_epoch())
+        .count();
+  };
+  {
+    XNodeThread low(world, 0, [&](const kernel::Slot& slot) {
+      low_tid = slot.tid();
+      spin(stop);
+    });
+    Waiter high(world, 1, [&](const kernel::Slot& slot) {
+      high_tid = slot.tid();
+      latencies.push_back(static_cast<double>(now_us() - woken.load()));
+    });
+    for (std::uint32_t i = 0; i < 200; ++i) {
+      sleep_ms(2);
+      woken = now_us();
+      high.wake();
+      wait_for([&] { return high.done() == i + 1; });
+    }
+    stop = true;
+  }
+  int preemptions = 0;
+  const auto sink = [&](const xauto_bpf_event& e) {
+    preemptions += e.kind == XAUTO_BPF_EV_PREEMPT && e.tid == low_tid && e.arg == high_tid ? 1 : 0;
+  };
+  while (tracer->read(0, sink).value_or(0) > 0) {
+  }
+  std::sort(latencies.begin(), latencies.end());
+  ktap_note("wake-up of the urgent job over the running one, us: p50 %.0f p99 %.0f max %.0f",
+            latencies[100], latencies[197], latencies[199]);
+  ktap_test(latencies[100] < 3000, "a waking urgent job runs at once, median of 200 below 3 ms");
+  ktap_test(preemptions >= 190 && tracer->losses().events == 0,
+            "the trace shows the running job preempted by it: %d of 200 times, %llu records lost",
+            preemptions, static_cast<unsigned long long>(tracer->losses().events));
+}
+
+void placement() {
+  World world(2, kCpu);
+  world.rows[0].cpu = 0;
+  world.rows[1].cpu = 1;
+  world.put_rows();
+  world.load();
+  int wrong = 0, jobs = 0;
+  {
+    XNodeThread thread(world, 0, [&](const kernel::Slot& slot) {
+      for (; jobs < 200; ++jobs) {
+        const auto xnode = static_cast<std::uint32_t>(jobs % 2);
+        (void)slot.tell(xnode, static_cast<std::uint64_t>(jobs));
+        usleep(500);  // the wake-up places it
+        wrong += sched_getcpu() != static_cast<int>(xnode) ? 1 : 0;
+      }
+    });
+  }
+  ktap_test(wrong == 0, "each job runs on the CPU of its table entry: %d of %d did not", wrong,
+            jobs);
+}
+
+void lowered_by_store() {
+  World world(3, kCpu);
+  world.load();
+  std::vector<int> order;
+  {
+    std::atomic<bool> go{false};
+    XNodeThread changing(world, 2, [&](const kernel::Slot& slot) {
+      spin(go);
+      order.push_back(0);
+      if (slot.tell(0, 1)) sched_yield();  // from 30 to 10, while 20 waits
+      order.push_back(2);
+    });
+    Waiter waiting(world, 1, [&](const kernel::Slot&) { order.push_back(1); });
+    waiting.wake();
+    wait_for([&] { return queued(world, waiting.index()); });
+    go = true;
+    changing.join();
+    wait_for([&] { return waiting.done() == 1; });
+  }
+  ktap_test(order == std::vector<int>({0, 1, 2}),
+            "a job less urgent than one that waits, told by a store, yields to it at once");
+  World again(3, kCpu);
+  world.unload();
+  again.load();
+  std::atomic<bool> go{false}, stop{false};
+  XNodeThread silent(again, 2, [&](const kernel::Slot& slot) {
+    spin(go);
+    (void)slot.tell(0, 1);  // and does not yield
+    spin(stop);
+  });
+  Waiter waiting(again, 1, [](const kernel::Slot&) {});
+  waiting.wake();
+  wait_for([&] { return queued(again, waiting.index()); });
+  go = true;
+  const bool ran = wait_for([&] { return waiting.done() == 1; }, 5);
+  stop = true;
+  silent.join();
+  ktap_test(ran, "... and if it does not yield, the tick takes the CPU from it");
+}
+
+// ---- the traps
+// -----------------------------------------------------------------------------------
+
+// A real-time thread interrupts an XNode thread that has slice left: it comes back without
+// dispatch(), and whoever more urgent was queued meanwhile used to wait for seconds.
+void lost_preemption() {
+  World world(2, kCpu);
+  world.load({"--slice-us", "100000"});
+  std::atomic<bool> stop{false};
+  int late = 0;
+  double worst = 0;
+  {
+    XNodeThread low(world, 0, [&](const kernel::Slot&) { spin(stop); });
+    Clock::time_point ran;
+    Waiter high(world, 1, [&](const kernel::Slot&) { ran = Clock::now(); });
+    for (std::uint32_t i = 0; i < 30; ++i) {
+      std::atomic<bool> interrupting{false}, leave{false};
+      Clock::time_point left;
+      std::thread realtime([&] {
+        pin(kCpu);
+        sched_param priority{};
+        priority.sched_priority = 40;
+        sched_setscheduler(0, SCHED_FIFO, &priority);
+        interrupting = true;
+        spin(leave);
+        left = Clock::now();
+      });
+      wait_for([&] { return interrupting.load(); });
+      high.wake();
+      wait_for([&] { return queued(world, high.index()); });
+      leave = true;
+      realtime.join();
+      if (!wait_for([&] { return high.done() == i + 1; }, 5)) ++late;
+      const double wait = seconds(ran - left);
+      worst = std::max(worst, wait);
+      late += wait > 0.05 ? 1 : 0;
+    }
+    stop = true;
+  }
+  ktap_test(late == 0, "no preemption is lost behind a real-time thread: worst of 30 %.1f ms",
+            worst * 1e3);
+}
+
+void kick_storm() {
+  World world(9, kCpu);
+  world.load();
+  std::atomic<bool> stop{false};
+  std::atomic<std::uint64_t> rounds{0};
+  {
+    XNodeThread low(world, 0, [&](const kernel::Slot&) { spin(stop); });
+    std::vector<std::unique_ptr<Waiter>> waiters;
+    for (std::uint32_t i = 1; i < 9; ++i)
+      waiters.push_back(std::make_unique<Waiter>(world, i, [&](const kernel::Slot&) { ++rounds; }));
+    const auto end = Clock::now() + std::chrono::seconds(3);
+    while (Clock::now() < end)
+      for (auto& waiter : waiters) waiter->wake();
+    stop = true;
+  }
+  const auto kicks = world.stat(XAUTO_BPF_STAT_KICKED) + world.stat(XAUTO_BPF_STAT_RECHECKED);
+  const auto wakes = world.stat(XAUTO_BPF_STAT_QUEUED);
+  ktap_test(
+      scx_state() == "enabled" && kicks <= wakes + 100 && rounds > 100,
+      "a storm of wake-ups causes at most one kick each: %llu wake-ups, %llu kicks, %llu jobs",
+      static_cast<unsigned long long>(wakes), static_cast<unsigned long long>(kicks),
+      static_cast<unsigned long long>(rounds.load()));
+}
+
+void finite_slice() {
+  World world(2, kCpu);
+  world.load({"--slice-us", "1000", "--floor-permille", "0", "--age-ms", "20000"});
+  std::atomic<bool> stop{false};
+  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  XNodeThread low(world, 0, body), high(world, 1, body);
+  sleep_ms(200);  // what the floor's first credit bought is over
+  const std::uint64_t kept = world.stat(XAUTO_BPF_STAT_KEPT);
+  sleep_ms(1000);
+  const std::uint64_t ended = world.stat(XAUTO_BPF_STAT_KEPT) - kept;
+  stop = true;
+  low.join();
+  high.join();
+  ktap_test(ended > 50 && low.cpu() < 0.05,
+            "when a slice ends the more urgent goes on: %llu slices, the other got %.3f s",
+            static_cast<unsigned long long>(ended), low.cpu());
+}
+
+void watchdog() {
+  World world(2, kCpu);
+  world.load({"--timeout-ms", "2000", "--age-ms", "500"});
+  std::atomic<bool> stop{false};
+  double ordinary = 0;
+  std::atomic<bool> started{false};
+  std::thread other([&] {
+    pin(kCpu);
+    started = true;
+    const double begin = cpu_seconds();
+    spin(stop);
+    ordinary = cpu_seconds() - begin;
+  });
+  wait_for([&] { return started.load(); });
+  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  XNodeThread low(world, 0, body), high(world, 1, body);
+  const auto begin = Clock::now();
+  sleep_ms(8000);
+  const std::string state = scx_state();
+  stop = true;
+  low.join();
+  high.join();
+  other.join();
+  const double wall = seconds(Clock::now() - begin);
+  ktap_test(state == "enabled",
+            "a runaway does not get us thrown out by the watchdog: 8 s, limit 2 s");
+  ktap_test(low.cpu() > 0.005, "a starved XNode thread gets turns: %.3f s of %.1f", low.cpu(),
+            wall);
+  ktap_test(ordinary > 0.01 * wall && ordinary < 0.2 * wall && high.cpu() > 0.75 * wall,
+            "an ordinary spinner gets the floor, not more: %.2f of %.2f s, the XNode %.2f",
+            ordinary, wall, high.cpu());
+}
+
+void responsive_shell() {
+  World world(2, kCpu);
+  world.rows[1].cpu = 0;
+  world.put_rows();
+  world.load();
+  std::atomic<bool> stop{false};
+  // Both CPUs have a runaway, so that the shell has nowhere to go.
+  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  XNodeThread first(world, 0, body), second(world, 1, body);
+  std::vector<double> took;
+  for (int i = 0; i < 11; ++i) {
+    sleep_ms(200);
+    const auto begin = Clock::now();
+    const pid_t child = fork();
+    if (child == 0) {
+      execl("/bin/sh", "sh", "-c", "echo hello >/dev/null", nullptr);
+      _exit(1);
+    }
+    int status = 1;
+    waitpid(child, &status, 0);
+    if (status == 0) took.push_back(seconds(Clock::now() - begin));
+  }
+  stop = true;
+  first.join();
+  second.join();
+  std::sort(took.begin(), took.end());
+  ktap_test(took.size() == 11 && took[5] < 0.5,
+            "a shell under runaways on all CPUs: a command takes %.0f ms, median of 11 (max %.0f)",
+            took.size() == 11 ? took[5] * 1e3 : -1.0, took.empty() ? -1.0 : took.back() * 1e3);
+}
+
+void budget() {
+  World world(2, kCpu);
+  world.rows[1].budget_us = 50'000;
+  world.put_rows();
+  world.load();
+  std::atomic<bool> stop{false};
+  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  XNodeThread low(world, 0, body), runaway(world, 1, body);
+  sleep_ms(1500);
+  const xauto_bpf_job job = world.maps.jobs()[runaway.index()];
+  stop = true;
+  low.join();
+  runaway.join();
+  ktap_test(job.flags & XAUTO_BPF_JOB_DEMOTED && world.stat(XAUTO_BPF_STAT_DEMOTED) == 1,
+            "a job over its budget of 50 ms is demoted, after %.1f ms",
+            static_cast<double>(job.used_ns) * 1e-6);
+  ktap_test(low.cpu() > 0.9 && runaway.cpu() < 0.4,
+            "... and the less urgent one has the CPU: %.2f and %.2f s of 1.5", low.cpu(),
+            runaway.cpu());
+}
+
+void kernel_threads() {
+  World world(2, kCpu);
+  world.rows[1].cpu = 0;
+  world.put_rows();
+  world.load();
+  std::atomic<bool> stop{false};
+  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  XNodeThread first(world, 0, body), second(world, 1, body);
+  // An expedited RCU grace period and a flush of all per-CPU work need kernel threads on each CPU.
+  std::vector<double> took;
+  for (int i = 0; i < 21; ++i) {
+    const auto begin = Clock::now();
+    syscall(SYS_membarrier, 1 /* MEMBARRIER_CMD_GLOBAL: waits for a grace period */, 0, 0);
+    took.push_back(seconds(Clock::now() - begin));
+    sleep_ms(10);
+  }
+  stop = true;
+  first.join();
+  second.join();
+  std::sort(took.begin(), took.end());
+  ktap_test(took[10] < 0.3,
+            "kernel threads stay prompt under runaways: a grace period takes %.0f ms",
+            took[10] * 1e3);
+}
+
+// ---- coming and going
+// ----------------------------------------------------------------------------
+
+void leaves_nothing() {
+  std::string folder;
+  {
+    World world(1, kCpu);
+    folder = kernel::RunMaps::folder(world.maps.run());
+    world.load();
+    ktap_test(access((folder + "/table").c_str(), F_OK) == 0 &&
+                  access((folder + "/cpu_states").c_str(), F_OK) == 0,
+              "the maps are pinned below %s", XAUTO_BPF_ROOT);
+    world.unload();
+    ktap_test(scx_state() == "disabled", "ended in order, the scheduler is gone");
+  }
+  ktap_test(access(folder.c_str(), F_OK) != 0, "... and so is the folder with the pins");
+}
+
+struct Test {
+  const char* name;
+  int count;
+  void (*run)();
+};
+
+const Test kTests[] = {
+    {"two_spinners", 2, two_spinners},
+    {"order_of_eight", 1, order_of_eight},
+    {"equal_priorities", 1, equal_priorities},
+    {"preemption", 2, preemption},
+    {"placement", 1, placement},
+    {"lowered_by_store", 2, lowered_by_store},
+    {"lost_preemption", 1, lost_preemption},
+    {"kick_storm", 1, kick_storm},
+    {"finite_slice", 1, finite_slice},
+    {"watchdog", 3, watchdog},
+    {"responsive_shell", 1, responsive_shell},
+    {"budget", 2, budget},
+    {"kernel_threads", 1, kernel_threads},
+    {"leaves_nothing", 3, leaves_nothing},
+};
+
+}  // namespace
+}  // namespace xauto::test
+
+int main(int argc, char** argv) {
+  using namespace xauto::test;
+  const char* wanted = argc > 1 ? argv[1] : "";
+  int count = 0;
+  for (const Test& test : kTests) count += strstr(test.name, wanted) != nullptr ? test.count : 0;
+  ktap_plan(count);
+  if (!xauto::kernel::scx_refusal("").empty()) {
+    for (int i = 0; i < count; ++i) ktap_skip("scheduler", xauto::kernel::scx_refusal("").c_str());
+    return ktap_exit();
+  }
+  become_controller();
+  for (const Test& test : kTests) {
+    if (strstr(test.name, wanted) == nullptr) continue;
+    ktap_note("%s", test.name);
+    test.run();
+  }
+  return ktap_exit();
+}

@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "world.h"
+
+#include <ctime>
+#include <fstream>
+
+#include <sched.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include "base/process.h"
+
+#include "../ktap.h"
+
+namespace xauto::test {
+namespace {
+
+template <class T>
+T must(Result<T> result, const char* what) {
+  if (!result) ktap_bail("%s: %s", what, result.error().to_string().c_str());
+  return std::move(*result);
+}
+
+std::string next_run() {
+  static int number = 0;
+  return std::to_string(getpid()) + "-" + std::to_string(number++);
+}
+
+}  // namespace
+
+std::string slurp(const std::string& path) {
+  std::ifstream file(path);
+  std::string line;
+  std::getline(file, line);
+  return line;
+}
+
+double cpu_seconds() {
+  timespec t{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
+  return static_cast<double>(t.tv_sec) + static_cast<double>(t.tv_nsec) * 1e-9;
+}
+
+void pin(int cpu) {
+  cpu_set_t set;
+  CPU_ZERO(&set);
+  CPU_SET(static_cast<unsigned>(cpu), &set);
+  sched_setaffinity(0, sizeof set, &set);
+}
+
+void burn_us(std::int64_t us) {
+  const double until = cpu_seconds() + static_cast<double>(us) * 1e-6;
+  while (cpu_seconds() < until)
+    for (int i = 0; i < 200; ++i) asm volatile("");
+}
+
+bool wait_for(const std::function<bool()>& done, double limit_s) {
+  const auto limit = Clock::now() + std::chrono::duration<double>(limit_s);
+  while (!done()) {
+    if (Clock::now() > limit) return false;
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  return true;
+}
+
+World::World(std::uint32_t xnodes, int on_cpu, std::uint32_t slot_count)
+    : maps(must(kernel::RunMaps::create(next_run(), xnodes, slot_count), "making the maps")),
+      slots(must(kernel::ThreadSlots::attach(maps.fd("slots"), maps.fd("threads")),
+                 "mapping the slots")),
+      cpu(on_cpu) {
+  for (std::uint32_t i = 0; i < xnodes; ++i)
+    rows.push_back({static_cast<std::uint32_t>(cpu), 10 * (i + 1), 0});
+  put_rows();
+}
+
+void World::put_rows() {
+  if (auto status = maps.replace_table(rows); !status)
+    ktap_bail("table: %s", status.error().to_string().c_str());
+}
+
+Result<kernel::ScxProcess> World::try_load(const std::vector<std::string>& arguments) const {
+  return kernel::start_scx(program_folder(), maps.run(), {cpu}, arguments);
+}
+
+void World::load(const std::vector<std::string>& arguments) {
+  loader = must(try_load(arguments), "loading the scheduler");
+}
+
+void World::unload() {
+  loader.reset();
+  if (!wait_for([] { return scx_state() == "disabled"; }))
+    ktap_bail("the scheduler is still there: %s", scx_state().c_str());
+}
+
+std::uint64_t World::stat(int which) const {
+  return *const_cast<volatile const __u64*>(&maps.sched().stats[which]);
+}
+
+XNodeThread::XNodeThread(World& world, std::uint32_t xnode,
+                         std::function<void(const kernel::Slot&)> body, bool ext) {
+  const kernel::Slot slot = world.slots.take(0);
+  index_ = static_cast<std::uint32_t>(world.slots.index(slot));
+  std::atomic<bool> entered{false};
+  thread_ = std::thread([&world, &entered, slot, xnode, ext, body = std::move(body), this] {
+    if (ext) {
+      sched_param none{};
+      if (syscall(SYS_sched_setscheduler, 0, SCHED_EXT, &none) != 0) ktap_bail("SCHED_EXT refused");
+    }
+    cpu_set_t all;  // the controller's affinity is not theirs: the table says where they run
+    CPU_ZERO(&all);
+    for (unsigned c = 0; c < 64; ++c) CPU_SET(c, &all);
+    sched_setaffinity(0, sizeof all, &all);
+    (void)slot.tell(xnode, 0);
+    if (auto status = world.slots.enter(slot); !status)
+      ktap_bail("entering: %s", status.error().to_string().c_str());
+    entered = true;
+    const double begin = cpu_seconds();
+    body(slot);
+    cpu_s_ = cpu_seconds() - begin;
+    world.slots.leave(slot);
+  });
+  // Sleeping: the controller is real-time, and the new thread begins on its CPU.
+  if (!wait_for([&] { return entered.load(); })) ktap_bail("a thread did not begin");
+}
+
+void XNodeThread::join() {
+  if (thread_.joinable()) thread_.join();
+}
+
+void become_controller() {
+  pin(0);
+  sched_param priority{};
+  priority.sched_priority = 50;
+  if (sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &priority) != 0)
+    ktap_bail("the test needs SCHED_FIFO");
+}
+
+std::string scx_state() {
+  return slurp("/sys/kernel/sched_ext/state");
+}
+
+std::string program_folder() {
+  return program_directory();
+}
+
+}  // namespace xauto::test

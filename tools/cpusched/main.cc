@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto-cpusched: holds the sched_ext scheduler of one run. A process of its own, so that whatever
+// happens to it, the app goes on: when it ends, in whatever way, the kernel goes back to its own
+// scheduler. Started by the xauto tool (lib/kernel/scx_process.cc).
+//
+// Tells on --ready-fd, in one line, "ok WHY" or "no WHY" (a second line: what to do); then runs
+// until it is told to stop (status 0) or the kernel ends the scheduler (status 1, the reason on
+// stderr).
+#include <string>
+
+#include <CLI/CLI.hpp>
+#include <poll.h>
+#include <sys/prctl.h>
+#include <unistd.h>
+
+#include "base/daemon.h"
+#include "base/log.h"
+#include "kernel/run_maps.h"
+#include "kernel/scx_scheduler.h"
+
+namespace {
+
+constexpr int kLookMs = 20;  ///< how soon an ejection is noticed
+
+void tell(int fd, const std::string& text) {
+  if (fd < 0) {
+    xauto::log::info("{}", text);
+    return;
+  }
+  (void)!write(fd, text.data(), text.size());
+  close(fd);
+}
+
+int serve(const std::string& run, const xauto::kernel::ScxOptions& options, int ready_fd) {
+  const xauto::UniqueFd stop = xauto::daemon::stop_signals();
+  const auto refuse = [&](const xauto::Error& error) {
+    tell(ready_fd, "no " + error.what + (error.hint.empty() ? "" : "\n" + error.hint));
+    return error.code == xauto::ErrorCode::kInvalid ? 2 : 1;
+  };
+  auto maps = xauto::kernel::RunMaps::open(run);
+  if (!maps) return refuse(maps.error());
+  auto scheduler = xauto::kernel::ScxScheduler::load(*maps, options);
+  if (!scheduler) return refuse(scheduler.error());
+  tell(ready_fd, "ok " + scheduler->choice().why);
+  for (;;) {
+    pollfd wait{stop.get(), POLLIN, 0};
+    if (poll(&wait, 1, kLookMs) > 0) return 0;
+    if (const auto exit = xauto::kernel::scx_exit_of(maps->sched())) {
+      xauto::log::error("the kernel ended the sched_ext scheduler: {}", *exit);
+      return 1;
+    }
+  }
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App root("Holds XAuto's sched_ext scheduler for one run. Started by `xauto run`.",
+                "xauto-cpusched");
+  std::string run, mode = "auto", cpus;
+  int ready_fd = -1;
+  xauto::kernel::ScxOptions options;
+  root.set_version_flag("--version", XAUTO_VERSION);
+  root.add_option("--run", run, "name of the run below /sys/fs/bpf/xauto")->required();
+  root.add_option("--cpus", cpus, "CPUs of the policy: \"2-3\"; partial mode if all are isolated");
+  root.add_option("--mode", mode, "auto, full: all threads are ours; partial: SCHED_EXT ones only")
+      ->check(CLI::IsMember({"auto", "full", "partial"}))
+      ->capture_default_str();
+  root.add_option("--timeout-ms", options.timeout_ms, "the kernel's watchdog")
+      ->check(CLI::Range(100u, 30'000u))
+      ->capture_default_str();
+  root.add_option("--floor-permille", options.floor_permille, "CPU share kept for everybody else")
+      ->check(CLI::Range(0u, 500u))
+      ->capture_default_str();
+  root.add_option("--floor-burst-us", options.floor_burst_us, "how much of it may be saved up")
+      ->check(CLI::Range(1000u, 1'000'000u))
+      ->capture_default_str();
+  root.add_option("--slice-us", options.xnode_slice_us, "how often floor and budgets are looked at")
+      ->check(CLI::Range(500u, 100'000u))
+      ->capture_default_str();
+  root.add_option("--age-ms", options.age_ms, "after which an XNode that waits gets a turn")
+      ->check(CLI::Range(10u, 20'000u))
+      ->capture_default_str();
+  root.add_option("--ready-fd", ready_fd, "tell here when the scheduler is enabled, or why not");
+  CLI11_PARSE(root, argc, argv);
+  options.mode = mode == "full"      ? xauto::kernel::ScxMode::kFull
+                 : mode == "partial" ? xauto::kernel::ScxMode::kPartial
+                                     : xauto::kernel::ScxMode::kAuto;
+  options.cpus = xauto::kernel::parse_cpu_list(cpus);
+  prctl(PR_SET_NAME, "xauto-cpusched");
+  return serve(run, options, ready_fd);
+}
