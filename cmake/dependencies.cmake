@@ -14,3 +14,7 @@ find_library(LPSOLVE_LIBRARY NAMES lpsolve55_pic lpsolve55 REQUIRED)
 add_library(lpsolve INTERFACE)
 target_include_directories(lpsolve SYSTEM INTERFACE ${LPSOLVE_INCLUDE})
 target_link_libraries(lpsolve INTERFACE ${LPSOLVE_LIBRARY} colamd m dl)
+
+# Netlink to xauto.ko.
+find_package(PkgConfig REQUIRED)
+pkg_check_modules(LIBNL REQUIRED IMPORTED_TARGET libnl-genl-3.0)
