@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""xauto solve as a user runs it: progress, the time limit, Ctrl-C with the best answer written, and memory."""
+import json
+import os
+import pathlib
+import re
+import signal
+import subprocess
+import tempfile
+import time
+import unittest
+
+from common import XAUTO, xauto
+
+MOST_KIB = 500 * 1024
+
+
+class Solve(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory()
+        self.addCleanup(self.folder.cleanup)
+        self.at = pathlib.Path(self.folder.name)
+
+    def app(self, nodes, seed=3):
+        path = self.at / f"app-{nodes}-{seed}.json"
+        made = xauto("generate", "--nodes", nodes, "--seed", seed, "--out", path)
+        self.assertEqual(made.returncode, 0, made.stderr)
+        return path
+
+    def solve(self, app, *arguments, interrupt_after_s=None):
+        """Exit status, both texts, the policy, and the peak of resident memory in KiB."""
+        policy = self.at / "policy.json"
+        policy.unlink(missing_ok=True)
+        with open(self.at / "out", "w+") as out, open(self.at / "err", "w+") as err:
+            process = subprocess.Popen([XAUTO, "solve", "--app", app, "--platform", "small", "--out", policy,
+                                        *map(str, arguments)], stdout=out, stderr=err)
+            if interrupt_after_s is not None:
+                time.sleep(interrupt_after_s)
+                os.kill(process.pid, signal.SIGINT)  # a zombie takes it too
+            _, status, usage = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+            out.seek(0)
+            err.seek(0)
+            return process.returncode, out.read(), err.read(), json.loads(policy.read_text()), usage.ru_maxrss
+
+    def check(self, app):
+        checked = xauto("check", "--app", app, "--platform", "small", "--policy", self.at / "policy.json")
+        self.assertEqual(checked.returncode, 0, checked.stdout + checked.stderr)
+
+    def test_ctrl_c_on_40_xnodes_writes_the_best_so_far(self):
+        app = self.app(40)
+        code, out, err, policy, memory = self.solve(app, "--time-limit-s", 600, interrupt_after_s=5)
+        self.assertEqual(code, 0, err)
+        self.assertIn("interrupted: best so far", out)
+        lines = re.findall(r"best ([\d.]+) ms +bound ([\d.]+) ms +gap ([\d.]+) %.*evaluations/s", err)
+        self.assertGreaterEqual(len(lines), 2, err)
+        for best, bound, gap in lines:
+            self.assertLessEqual(float(bound), float(best))
+            self.assertAlmostEqual(float(gap), 100 * (1 - float(bound) / float(best)), delta=0.02)
+        self.assertLessEqual(policy["latency_us"], float(lines[-1][0]) * 1000 + 5)
+        self.assertLessEqual(policy["lower_bound_us"], policy["latency_us"])
+        self.assertLess(memory, MOST_KIB)
+        self.check(app)
+
+    def test_40_xnodes_to_the_time_limit_stay_small(self):
+        app = self.app(40)
+        code, _, err, _, memory = self.solve(app, "--time-limit-s", 3, "--threads", 4)
+        self.assertEqual(code, 0, err)
+        self.assertLess(memory, MOST_KIB)
+        self.check(app)
+
+    def test_ilp_takes_a_time_limit_and_ctrl_c(self):
+        heft = json.loads(xauto("solve", "--app", self.app(14, 20), "--platform", "small", "--method", "heft",
+                                "--json").stdout)
+        for arguments, interrupt in ((("--time-limit-s", 2), None), (("--time-limit-s", 600), 2)):
+            app = self.app(14, 20)
+            code, _, err, policy, memory = self.solve(app, "--method", "ilp", *arguments, interrupt_after_s=interrupt)
+            self.assertEqual(code, 0, err)
+            self.assertEqual(policy["method"], "ilp")
+            self.assertLessEqual(policy["latency_us"], heft["latency_us"])
+            self.assertLess(memory, MOST_KIB)
+            self.check(app)
+
+
+if __name__ == "__main__":
+    unittest.main()
