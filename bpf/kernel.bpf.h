@@ -116,6 +116,11 @@ enum scx_kick_flags {
 	SCX_KICK_PREEMPT = 2,
 };
 
+/* These have the same value from 6.12 on. */
+enum {
+	SCX_OPS_ENQ_EXITING = 1 << 2, /* ask us about exiting threads too */
+};
+
 /*
  * The operations that we implement. libbpf matches members by name, so those that we leave out, and
  * those that a kernel adds, don't matter.

