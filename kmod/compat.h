@@ -35,6 +35,13 @@
 #define GENL_SET_ERR_MSG_FMT(info, format, ...) GENL_SET_ERR_MSG(info, format)
 #endif
 
+/* Since 6.3 a policy's range is const. */
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 3, 0)
+#define XAUTO_RANGE_CONST const
+#else
+#define XAUTO_RANGE_CONST
+#endif
+
 /* Since 6.4 a class belongs to no module. */
 static inline struct class *xauto_class_create(const char *name)
 {

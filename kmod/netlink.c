@@ -42,8 +42,12 @@ static const struct nla_policy control_policy[XAUTO_A_MAX + 1] = {
 	[XAUTO_A_OPS] = NLA_POLICY_NESTED_ARRAY(op_policy),
 };
 
+static XAUTO_RANGE_CONST struct netlink_range_validation watchdog_range = {
+	.max = XAUTO_WATCHDOG_MAX_MS, /* the short form ends at 32767 */
+};
+
 static const struct nla_policy watchdog_policy[XAUTO_A_MAX + 1] = {
-	[XAUTO_A_TIMEOUT_MS] = NLA_POLICY_MAX(NLA_U32, XAUTO_WATCHDOG_MAX_MS),
+	[XAUTO_A_TIMEOUT_MS] = NLA_POLICY_FULL_RANGE(NLA_U32, &watchdog_range),
 };
 
 /* @skb: the caller's message: both who sent it and who opened the socket need the capability. */

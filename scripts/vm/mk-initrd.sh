@@ -11,6 +11,7 @@ sysroot=
 case ${1:-} in ROOT=*) sysroot=${1#ROOT=} && shift ;; esac
 dir=$(mktemp -d)
 trap 'rm -rf "$dir"' EXIT
+chmod 755 "$dir"
 mkdir -p "$dir"/{bin,sbin,proc,sys,dev,tmp,etc,run,usr/bin,usr/sbin,root}
 install -m755 "${sysroot:+$sysroot/usr}${sysroot:-}/bin/busybox" "$dir/bin/busybox" 2>/dev/null || install -m755 "$(command -v busybox || echo /bin/busybox)" "$dir/bin/busybox"
 ln -s busybox "$dir/bin/sh"

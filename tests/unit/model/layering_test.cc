@@ -23,7 +23,7 @@ const std::map<std::string, Names>& allowed() {
       {"lib/model", {}},
       {"lib/trace", {"uapi"}},
       {"lib/record", {}},
-      {"lib/emu", {"model"}},
+      {"lib/emu", {"model", "uapi"}},
       {"lib/coord", {"model", "trace", "uapi"}},
       {"lib/transport", {"model"}},
       {"lib/kernel", {"uapi"}},

@@ -1,0 +1,81 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# The kernel side's tests, each in a freshly booted VM: what `make kernel-check` does and `make check` includes.
+# usage: kernel-check.sh [BUILD_DIR] [LANE ...]        lanes: see below; default: those of `make check`
+# Prints failures and a last line "N passed, M failed, K skipped"; the whole logs are in BUILD_DIR/vm/.
+set -uo pipefail
+cd "$(dirname "$0")/.."
+build=${1:-build}
+shift || true
+lanes=("$@")
+out=$build/vm
+mkdir -p "$out"
+passed=0 failed=0 skipped=0
+started=$(date +%s)
+note() { echo "kernel-check: $* ($(($(date +%s) - started)) s)"; }
+
+# The TAP streams of a log, counted; what a program planned and did not run counts as failed.
+count() {
+  local log=$1 counts
+  counts=$(awk '
+    /^TAP version/ { if (planned > run) lost += planned - run; planned = run = 0 }
+    /^1\.\.[0-9]+/ { planned = substr($0, 4) + 0 }
+    /^ok [0-9]+/ { run++; if ($0 ~ /# SKIP/) skip++; else good++ }
+    /^not ok [0-9]+/ { run++; bad++ }
+    /^Bail out!/ { lost++; planned = run }
+    END { if (planned > run) lost += planned - run; print good + 0, bad + lost, skip + 0 }' "$log")
+  read -r good bad skip <<<"$counts"
+  passed=$((passed + good)) failed=$((failed + bad)) skipped=$((skipped + skip))
+  [ "$bad" -eq 0 ] || { grep -E '^not ok|^Bail|^# planned' "$log" | head -n 20; }
+}
+
+# in_vm NAME KERNEL_FOLDER RUN ITEM...: boots, runs, counts. RUN: the script in tests/vm/ that the guest executes.
+in_vm() {
+  local name=$1 kernel=$2 run=$3 status before=$failed
+  shift 3
+  scripts/vm/mk-initrd.sh "$out/$name.cpio.gz" "tests/vm/$run:/tests/run" "$@" || { failed=$((failed + 1)); return; }
+  scripts/vm/run-vm.sh "$kernel" "$out/$name.cpio.gz" "$out/$name.log"
+  status=$?
+  rm -f "$out/$name.cpio.gz"
+  count "$out/$name.log"
+  case $status in
+    0) ;;
+    124) echo "kernel-check: $name took longer than ${VM_LIMIT_S:-300} s"; failed=$((failed + 1)) ;;
+    125) echo "kernel-check: the guest of $name died without a verdict"; tail -n 15 "$out/$name.log"; failed=$((failed + 1)) ;;
+    *) [ "$failed" -gt "$before" ] || { echo "kernel-check: $name ended with status $status"; failed=$((failed + 1)); } ;;
+  esac
+  note "$name: see $out/$name.log"
+}
+
+modules_of() { # KERNEL_FOLDER OUT: builds, prints the items for the guest
+  scripts/vm/build-kmod.sh "$1" "$2" || return 1
+  local module
+  for module in xauto emu/xauto_nvgpu_emu emu/xauto_nvdla_emu; do
+    echo "$2/kmod/$module.ko:/modules/$(basename "$module").ko"
+  done
+}
+
+# kmod NAME [ARCH]: xauto.ko and the emulators, on one of fetch-kernel.sh's kernels.
+kmod() {
+  local kernel items program
+  note "xauto.ko on Linux $1 ${2:-amd64}"
+  kernel=$(scripts/vm/fetch-kernel.sh "$@") || { failed=$((failed + 1)); return; }
+  mapfile -t items < <(modules_of "$kernel" "$out/kmod-$1-${2:-amd64}")
+  [ ${#items[@]} -gt 0 ] || { failed=$((failed + 1)); return; }
+  for program in "$build"/bin/kmod_*_test; do items+=("$program:/tests/$(basename "$program")"); done
+  in_vm "kmod-$1-${2:-amd64}" "$kernel" run-kmod "${items[@]}"
+}
+
+[ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1)
+for lane in "${lanes[@]}"; do
+  case $lane in
+    kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;
+    kmod-*) kmod "${lane#kmod-}" ;;
+    *)
+      echo "kernel-check: no lane '$lane'" >&2
+      exit 2
+      ;;
+  esac
+done
+echo "$passed passed, $failed failed, $skipped skipped"
+[ "$failed" -eq 0 ] && [ "$passed" -gt 0 ]

@@ -1,0 +1,378 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto.ko over the emulators: what each command does, and what each refusal says.
+#include <csignal>
+#include <vector>
+
+#include <fcntl.h>
+#include <sys/ioctl.h>
+#include <sys/wait.h>
+#include <uapi/xauto/nvgpu.h>
+#include <unistd.h>
+
+#include "emu/driver_queue.h"
+#include "kernel/queue_control.h"
+#include "kernel/queue_files.h"
+
+#include "../ktap.h"
+#include "guest.h"
+
+using namespace std::chrono_literals;
+using guest::has, guest::text_of;
+using xauto::emu::DriverQueue;
+using xauto::kernel::QueueControl;
+using xauto::kernel::QueueEvents;
+using xauto::kernel::QueueOp;
+using xauto::kernel::QueueType;
+
+namespace {
+
+DriverQueue gpu() {
+  auto queue = DriverQueue::open_gpu();
+  if (!queue) ktap_bail("no GPU: %s", queue.error().to_string().c_str());
+  return std::move(*queue);
+}
+DriverQueue dla(int instance = 0) {
+  auto queue = DriverQueue::open_dla(instance);
+  if (!queue) ktap_bail("no DLA: %s", queue.error().to_string().c_str());
+  return std::move(*queue);
+}
+QueueControl control() {
+  auto control = QueueControl::open();
+  if (!control) ktap_bail("no xauto.ko: %s", control.error().to_string().c_str());
+  return std::move(*control);
+}
+std::uint32_t registered(QueueControl& control, const DriverQueue& queue, QueueType type) {
+  auto handle = control.register_queue(type, queue.descriptor());
+  if (!handle) ktap_bail("not registered: %s", handle.error().to_string().c_str());
+  return handle->handle;
+}
+int finished(const DriverQueue& queue) {
+  return static_cast<int>(queue.finished().value_or(99));
+}
+
+void refusals() {
+  QueueControl c = control();
+  DriverQueue tsg = gpu(), queue = dla();
+  const int ctrl = open("/dev/nvgpu/igpu0/ctrl", O_RDWR);
+  const int channel = open("/dev/nvgpu/igpu0/channel", O_RDWR);
+  auto text = [&](QueueType type, int fd) { return text_of(c.register_queue(type, fd)); };
+  ktap_test(has(text(QueueType::kGpuTsg, 999), "no such file descriptor"),
+            "a closed descriptor is refused");
+  ktap_test(has(text(QueueType::kGpuTsg, 0), "not of a GPU driver"),
+            "a file of another driver is no TSG");
+  ktap_test(has(text(QueueType::kGpuTsg, channel), "not a TSG"), "a channel is no TSG");
+  ktap_test(has(text(QueueType::kGpuTsg, ctrl), "not a TSG"), "a ctrl node is no TSG");
+  ktap_test(has(text(QueueType::kGpuTsg, queue.descriptor()), "not of a GPU driver"),
+            "a DLA queue is no TSG");
+  ktap_test(has(text(QueueType::kDla, tsg.descriptor()), "not of a DLA driver"),
+            "a TSG is no DLA queue");
+  ktap_test(has(text_of(c.suspend(1)), "nothing is registered"),
+            "a socket that registered nothing owns nothing");
+  const auto handle = registered(c, tsg, QueueType::kGpuTsg);
+  ktap_test(has(text_of(c.suspend(handle + 7)), "no such handle"), "an unknown handle is refused");
+  ktap_test(has(text_of(c.register_queue(QueueType::kGpuTsg, tsg.descriptor(), 999999)),
+                "no such process"),
+            "an unknown process is refused");
+  ktap_test(has(text_of(c.set_watchdog(3)), "10 to 60000"),
+            "a watchdog below the least is refused");
+  ktap_test(!text_of(c.set_watchdog(99999)).empty(), "a watchdog above the greatest is refused");
+  const std::vector<QueueOp> none, many(65, QueueOp{XAUTO_ACTION_SUSPEND, handle});
+  ktap_test(has(text_of(c.control(none)), "XAUTO_A_OPS is missing"), "an empty batch is refused");
+  ktap_test(has(text_of(c.control(many)), "1 to 64"), "a batch of 65 is refused");
+  ktap_test(guest::suspended() == 0, "a refused batch did nothing");
+  const QueueOp slice{XAUTO_ACTION_SET_TIMESLICE, handle, 100};
+  ktap_test(has(text_of(c.control({&slice, 1})), "1000..50000"),
+            "a time slice that nvgpu refuses is explained");
+  const QueueOp level{XAUTO_ACTION_SET_INTERLEAVE, handle, 3};
+  ktap_test(has(text_of(c.control({&level, 1})), "0..2"),
+            "an interleave level that nvgpu refuses is explained");
+  const auto dla_handle = registered(c, queue, QueueType::kDla);
+  const QueueOp dla_slice{XAUTO_ACTION_SET_TIMESLICE, dla_handle, 2000};
+  ktap_test(has(text_of(c.control({&dla_slice, 1})), "neither time slice"),
+            "a DLA queue has no time slice");
+  const QueueOp batch[] = {{XAUTO_ACTION_SUSPEND, dla_handle}, {XAUTO_ACTION_SUSPEND, 77}};
+  const auto failed = c.control(batch);
+  ktap_test(!failed && has(failed.error().where, "operation 2 of 2"),
+            "a batch's error names the operation");
+  ktap_test(guest::suspended() == 1, "what came before it stays done");
+  close(ctrl);
+  close(channel);
+}
+
+void gpu_priority() {
+  QueueControl c = control();
+  DriverQueue low = gpu(), high = gpu();
+  const auto l = registered(c, low, QueueType::kGpuTsg),
+             h = registered(c, high, QueueType::kGpuTsg);
+  ktap_test(l != h && registered(c, low, QueueType::kGpuTsg) == l,
+            "registering again gives the same handle");
+  (void)low.submit(300ms);
+  ktap_test(c.suspend(l).has_value(), "a running TSG is suspended");
+  ktap_test(has(guest::gpu_state(), "enabled=0 current=0"), "it is disabled and off the engine");
+  (void)high.submit(50ms);
+  ktap_test(high.wait(10000).value_or(false) && finished(low) == 0,
+            "the more urgent one finishes first");
+  guest::sleep_ms(400);
+  ktap_test(finished(low) == 0, "no work of a suspended TSG runs");
+  const QueueOp swap[] = {{XAUTO_ACTION_SUSPEND, h}, {XAUTO_ACTION_RESUME, l}};
+  const auto costs = c.control_timed(swap);
+  ktap_test(costs && costs->size() == 2 && (*costs)[0] > 0,
+            "a batch suspends one and resumes the other, with costs");
+  ktap_test(low.wait(10000).value_or(false) && finished(low) == 1, "resumed, it finishes");
+  ktap_test(c.suspend(h).has_value() && c.resume(l).has_value(),
+            "suspending twice and resuming twice are no errors");
+  const auto info = c.query(l);
+  ktap_test(info && info->suspends == 1 && info->resumes == 1 && info->suspended_ns > 300'000'000 &&
+                !info->suspended,
+            "the statistics tell what happened");
+  const QueueOp slice{XAUTO_ACTION_SET_TIMESLICE, l, 5000};
+  ktap_test(c.control({&slice, 1}).has_value() && c.query(l).value().timeslice_us == 5000,
+            "a time slice is set, and read back from the driver");
+  const QueueOp level{XAUTO_ACTION_SET_INTERLEAVE, h, 2};
+  ktap_test(c.control({&level, 1}).has_value() && has(guest::gpu_state(), "level=2"),
+            "an interleave level is set");
+  ktap_test(c.unregister(h).has_value() && guest::suspended() == 0, "unregistering resumes");
+}
+
+void dla_queues() {
+  QueueControl c = control();
+  DriverQueue low = dla(), high = dla();
+  const auto l = registered(c, low, QueueType::kDla);
+  (void)low.submit(100ms);
+  (void)low.submit(100ms);
+  ktap_test(c.suspend(l).has_value(), "a DLA queue is suspended");
+  (void)high.submit(30ms);
+  ktap_test(high.wait(10000).value_or(false) && finished(low) == 1,
+            "its running task completes, then the other queue's runs");
+  guest::sleep_ms(200);
+  ktap_test(finished(low) == 1, "no task of a suspended queue is started");
+  ktap_test(c.resume(l).has_value() && low.wait(10000).value_or(false) && finished(low) == 2,
+            "resumed, it goes on");
+}
+
+void faults() {
+  QueueControl c = control();
+  DriverQueue tsg = gpu();
+  const auto handle = registered(c, tsg, QueueType::kGpuTsg);
+  (void)tsg.submit(50ms);
+  guest::gpu_fault("fail_preempt", 1);
+  const auto refused = c.suspend(handle);
+  ktap_test(!refused && refused.error().code == xauto::ErrorCode::kTimeout &&
+                has(refused.error().what, "runs again"),
+            "a TSG that does not leave the engine is an error");
+  ktap_test(guest::suspended() == 0 && tsg.wait(10000).value_or(false), "and it runs again");
+  (void)c.suspend(handle);
+  guest::gpu_fault("fail_enable", 3);
+  ktap_test(has(text_of(c.resume(handle)), "tries again"),
+            "a driver that does not resume is an error");
+  ktap_test(guest::eventually([] { return guest::suspended() == 0; }), "the sweeper resumes it");
+  (void)c.suspend(handle);
+  guest::gpu_fault("fail_enable", 2);
+  (void)c.unregister(handle);
+  ktap_test(guest::eventually([] { return guest::suspended() == 0; }),
+            "also when nobody has it registered any more");
+}
+
+void owners() {
+  DriverQueue tsg = gpu();
+  auto first = std::make_unique<QueueControl>(control());
+  auto second = std::make_unique<QueueControl>(control());
+  const auto a = registered(*first, tsg, QueueType::kGpuTsg),
+             b = registered(*second, tsg, QueueType::kGpuTsg);
+  (void)first->suspend(a);
+  (void)second->suspend(b);
+  (void)first->resume(a);
+  ktap_test(guest::suspended() == 1, "one owner's resume does not undo another's suspend");
+  (void)first->suspend(a);
+  second.reset();
+  guest::sleep_ms(100);
+  ktap_test(guest::suspended() == 1, "nor does another's end");
+  first.reset();
+  ktap_test(guest::eventually([] { return guest::suspended() == 0; }),
+            "the last owner's end resumes");
+
+  QueueControl starved = control();
+  const auto handle = registered(starved, tsg, QueueType::kGpuTsg);
+  (void)starved.set_watchdog(50);
+  (void)starved.suspend(handle);
+  for (int i = 0; i < 20; ++i) {
+    guest::sleep_ms(10);
+    (void)starved.feed_watchdog();
+  }
+  ktap_test(guest::suspended() == 1, "a watchdog that is fed does not bite");
+  ktap_test(guest::eventually([] { return guest::suspended() == 0; }), "one that starves resumes");
+  ktap_test(
+      has(text_of(starved.feed_watchdog()), "had expired") && starved.feed_watchdog().has_value(),
+      "and says so, once");
+}
+
+void power() {
+  QueueControl c = control();
+  DriverQueue tsg = gpu(), raw = gpu();
+  const auto handle = registered(c, tsg, QueueType::kGpuTsg);
+  (void)tsg.submit(200ms);
+  (void)c.suspend(handle);
+  guest::sleep_ms(400);
+  ktap_test(has(guest::gpu_state(), "powered=1") && has(guest::gpu_state(), "lost=0"),
+            "the GPU keeps its power while a context is suspended");
+  (void)c.resume(handle);
+  ktap_test(tsg.wait(10000).value_or(false), "so its work survives");
+  ktap_test(guest::eventually([] { return has(guest::gpu_state(), "powered=0"); }),
+            "and the GPU sleeps afterwards");
+  // The emulator must be able to lose a context, or the test above could not fail.
+  (void)raw.submit(200ms);
+  ioctl(raw.descriptor(), NVGPU_IOCTL_TSG_DISABLE);
+  ioctl(raw.descriptor(), NVGPU_IOCTL_TSG_PREEMPT);
+  ktap_test(guest::eventually([] { return has(guest::gpu_state(), "lost=1"); }),
+            "one disabled behind the module's back loses its context");
+}
+
+/// Runs `body` in a child of the given user; its exit status, or -1.
+int as_user(uid_t user, const std::function<int()>& body) {
+  const pid_t child = fork();
+  if (child == 0) {
+    if (setgid(user) != 0 || setuid(user) != 0) _exit(99);
+    const int status = body();
+    fflush(stdout);
+    _exit(status);
+  }
+  int status = 0;
+  waitpid(child, &status, 0);
+  return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+}
+
+void permissions() {
+  DriverQueue roots = gpu();
+  ktap_test(
+      as_user(1000,
+              [&] {
+                auto c = QueueControl::open();
+                return c && has(text_of(c->register_queue(QueueType::kGpuTsg, roots.descriptor())),
+                                "another user")
+                           ? 0
+                           : 1;
+              }) == 0,
+      "a user cannot register what another user opened");
+  ktap_test(as_user(1000,
+                    [&] {
+                      auto c = QueueControl::open();
+                      auto own = DriverQueue::open_gpu();
+                      if (!own) ktap_note("%s", own.error().to_string().c_str());
+                      if (!c || !own) return 2;
+                      auto handle = c->register_queue(QueueType::kGpuTsg, own->descriptor());
+
+                      return handle && c->suspend(handle->handle) && c->resume(handle->handle) ? 0
+                                                                                               : 1;
+                    }) == 0,
+            "a user suspends what he opened himself");
+  ktap_test(
+      as_user(1000,
+              [&] {
+                auto c = QueueControl::open();
+                auto own = DriverQueue::open_gpu();
+                if (!c || !own) return 2;
+                return has(text_of(c->register_queue(QueueType::kGpuTsg, own->descriptor(), 1)),
+                           "not the user's")
+                           ? 0
+                           : 1;
+              }) == 0,
+      "nor say that it is another user's process's");
+  QueueControl c = control();
+  (void)registered(c, roots, QueueType::kGpuTsg);
+  ktap_test(as_user(1000,
+                    [&] {
+                      auto other = QueueControl::open();
+                      auto list = other ? other->list() : decltype(other->list())();
+                      return list && list->empty() ? 0 : 1;
+                    }) == 0,
+            "a user does not see another's queues");
+  ktap_test(c.list().value().size() == 1 && c.list().value()[0].pid == getpid(),
+            "root does, with its process");
+  ktap_test(
+      as_user(1000,
+              [&] {
+                auto other = QueueControl::open();
+                auto own = DriverQueue::open_gpu();
+                if (!other || !own || !other->register_queue(QueueType::kGpuTsg, own->descriptor()))
+                  return 2;
+                return has(text_of(other->set_watchdog(0)), "CAP_SYS_NICE") ? 0 : 1;
+              }) == 0,
+      "going without a watchdog is not for everybody");
+}
+
+void other_process() {
+  QueueControl c = control();
+  int ready[2];
+  if (pipe(ready) != 0) ktap_bail("pipe");
+  const pid_t app = fork();
+  if (app == 0) {
+    DriverQueue tsg = gpu(), queue = dla(1);
+    (void)tsg.submit(10s);
+    (void)!write(ready[1], "x", 1);
+    pause();
+    _exit(0);
+  }
+  char byte = 0;
+  (void)!read(ready[0], &byte, 1);
+  auto events = QueueEvents::subscribe();
+  const auto files = xauto::kernel::find_queue_files(app);
+  int tsg_fd = -1, dla_fd = -1;
+  for (const auto& file : files ? *files : std::vector<xauto::kernel::QueueFile>())
+    (file.type == QueueType::kGpuTsg ? tsg_fd : dla_fd) = file.fd;
+  ktap_test(files && files->size() == 2 && tsg_fd >= 0 && dla_fd >= 0,
+            "a process's TSG and DLA queue are found among its descriptors");
+  auto fd = xauto::kernel::take_descriptor(app, tsg_fd);
+  if (!fd) ktap_bail("%s", fd.error().to_string().c_str());
+  const auto handle = c.register_queue(QueueType::kGpuTsg, fd->get(), app);
+  if (!handle) ktap_bail("%s", handle.error().to_string().c_str());
+  fd->reset();
+  ktap_test(handle && c.suspend(handle->handle).has_value() && guest::suspended() == 1,
+            "its TSG is suspended");
+  ktap_test(c.query(handle->handle).value().pid == app, "and known by its process");
+  kill(app, SIGKILL);
+  waitpid(app, nullptr, 0);
+  ktap_test(guest::eventually([] { return guest::count(guest::gpu_state(), "tsg=") == 0; }),
+            "a process that dies while suspended is cleaned up");
+  ktap_test(has(text_of(c.suspend(handle->handle)), "process is gone"), "its handle says so");
+  std::vector<xauto_kevent> seen;
+  for (;;) {
+    const auto event = events->next(200);
+    if (!event || !*event) break;
+    if ((*event)->pid == app)
+      seen.push_back((*event)->kind);  // an earlier owner may still be on its way out
+  }
+  const std::vector<xauto_kevent> want = {XAUTO_KEV_REGISTER, XAUTO_KEV_SUSPEND, XAUTO_KEV_RESUME,
+                                          XAUTO_KEV_TARGET_GONE};
+  ktap_test(seen == want, "the events tell it in order");
+  close(ready[0]);
+  close(ready[1]);
+}
+
+void unload() {
+  DriverQueue tsg = gpu(), queue = dla();
+  QueueControl c = control();
+  (void)c.suspend(registered(c, tsg, QueueType::kGpuTsg));
+  (void)c.suspend(registered(c, queue, QueueType::kDla));
+  ktap_test(guest::suspended() == 2, "a TSG and a DLA queue are suspended");
+  ktap_test(system("rmmod xauto") == 0, "the module unloads");
+  ktap_test(guest::suspended() == 0, "and has resumed both");
+  ktap_test(system("insmod /modules/xauto.ko") == 0, "it loads again");
+}
+
+}  // namespace
+
+int main() {
+  ktap_plan(67);
+  refusals();
+  ktap_test(guest::eventually([] { return guest::suspended() == 0; }),
+            "nothing is left suspended by the refusals");
+  gpu_priority();
+  dla_queues();
+  faults();
+  owners();
+  power();
+  permissions();
+  other_process();
+  unload();
+  return ktap_exit();
+}

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the tests of the kernel side share: the emulators' state and faults in debugfs, and waiting
+// for something to become true. Root in the guest.
+#pragma once
+
+#include <chrono>
+#include <cstdio>
+#include <fstream>
+#include <functional>
+#include <sstream>
+#include <string>
+#include <thread>
+
+#include "kernel/queue_control.h"
+
+namespace guest {
+
+inline std::string slurp(const std::string& path) {
+  std::ifstream file(path);
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+inline void write(const std::string& path, const std::string& text) {
+  std::ofstream(path) << text;
+}
+
+inline std::string gpu_state() {
+  return slurp("/sys/kernel/debug/xauto_nvgpu_emu/state");
+}
+inline std::string dla_state() {
+  return slurp("/sys/kernel/debug/xauto_nvdla_emu/state");
+}
+inline void gpu_fault(const std::string& name, int times) {
+  write("/sys/kernel/debug/xauto_nvgpu_emu/" + name, std::to_string(times));
+}
+inline void dla_fault(const std::string& name, int times) {
+  write("/sys/kernel/debug/xauto_nvdla_emu/" + name, std::to_string(times));
+}
+
+inline int count(const std::string& text, const std::string& part) {
+  int found = 0;
+  for (std::size_t at = text.find(part); at != std::string::npos; at = text.find(part, at + 1))
+    ++found;
+  return found;
+}
+
+/// TSGs and DLA queues that the hardware (the emulators) holds suspended.
+inline int suspended() {
+  return count(gpu_state(), "enabled=0") + count(dla_state(), "suspended=1");
+}
+
+/// Polls; the limit is generous, since nothing here is about speed.
+inline bool eventually(const std::function<bool()>& condition, int limit_ms = 5000) {
+  const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(limit_ms);
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > end) return false;
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  return true;
+}
+
+inline void sleep_ms(int ms) {
+  std::this_thread::sleep_for(std::chrono::milliseconds(ms));
+}
+
+/// The text of a refusal, or "" for success; printed by a test that fails.
+template <class T>
+std::string text_of(const T& result) {
+  return result ? std::string() : result.error().what;
+}
+
+inline bool has(const std::string& text, const std::string& part) {
+  return text.find(part) != std::string::npos;
+}
+
+}  // namespace guest
