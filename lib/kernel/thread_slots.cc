@@ -5,30 +5,39 @@
 #include <unistd.h>
 
 namespace xauto::kernel {
+namespace {
 
-Result<ThreadSlots> ThreadSlots::attach(int slots_fd, int threads_fd) {
+/// In a slot's tid: somebody has it, his thread has not entered yet.
+constexpr std::uint32_t kTaken = 0xffffffffu;
+
+}  // namespace
+
+Result<ThreadSlots> ThreadSlots::attach(UniqueFd slots_fd, UniqueFd threads_fd) {
   ThreadSlots slots;
-  XAUTO_TRY(check_shape(slots_fd, "slots", sizeof(xauto_bpf_slot), 1));
-  XAUTO_TRY(check_shape(threads_fd, "threads", sizeof(std::uint32_t), 1));
-  XAUTO_ASSIGN(slots.map_, MappedMap::map(slots_fd, sizeof(xauto_bpf_slot), true));
-  slots.threads_fd_ = threads_fd;
+  XAUTO_TRY(check_shape(slots_fd.get(), "slots", sizeof(xauto_bpf_slot), 1));
+  XAUTO_TRY(check_shape(threads_fd.get(), "threads", sizeof(std::uint32_t), 1));
+  XAUTO_ASSIGN(slots.map_, MappedMap::map(slots_fd.get(), sizeof(xauto_bpf_slot), true));
+  slots.threads_ = std::move(threads_fd);
   return slots;
 }
 
-ThreadSlots ThreadSlots::unobserved(std::uint32_t count) {
-  ThreadSlots slots;
-  slots.own_.reserve(count);
-  return slots;
+ThreadSlots ThreadSlots::unobserved() {
+  return {};
 }
 
 Slot ThreadSlots::take(std::uint32_t xpu) {
   Slot slot;
-  if (map_ && next_ < map_.size()) {
-    slot.slot_ = map_.as<xauto_bpf_slot>() + next_++;
-  } else {
+  for (std::uint32_t i = 0; i < map_.size() && slot.slot_ == nullptr; ++i) {
+    xauto_bpf_slot* candidate = map_.as<xauto_bpf_slot>() + i;
+    std::uint32_t nobody = 0;  // several processes take from one map
+    if (std::atomic_ref(candidate->tid).compare_exchange_strong(nobody, kTaken))
+      slot.slot_ = candidate;
+  }
+  if (slot.slot_ == nullptr) {
     own_.push_back(std::make_unique<xauto_bpf_slot>());
     slot.slot_ = own_.back().get();
   }
+  std::atomic_ref(slot.slot_->job).store(0, std::memory_order_relaxed);
   slot.slot_->xpu = xpu;
   return slot;
 }
@@ -44,14 +53,14 @@ Status ThreadSlots::enter(const Slot& slot) const {
   std::atomic_ref(slot.slot_->tid).store(tid, std::memory_order_release);
   const int at = index(slot);
   if (at < 0) return {};
-  XAUTO_TRY(set_element(threads_fd_, &tid, &at));
+  XAUTO_TRY(set_element(threads_.get(), &tid, &at));
   sched_yield();  // so that the scheduler meets it once as what it is now
   return {};
 }
 
 void ThreadSlots::leave(const Slot& slot) const {
   const std::uint32_t tid = slot.tid();
-  if (tid != 0 && index(slot) >= 0) remove_element(threads_fd_, &tid);
+  if (tid != 0 && tid != kTaken && index(slot) >= 0) remove_element(threads_.get(), &tid);
   std::atomic_ref(slot.slot_->tid).store(0, std::memory_order_release);
 }
 

@@ -68,16 +68,17 @@ class Slot {
 
 class ThreadSlots {
  public:
-  /// `slots_fd`, `threads_fd`: the run's maps, inherited; the descriptors stay the caller's.
-  [[nodiscard]] static Result<ThreadSlots> attach(int slots_fd, int threads_fd);
+  /// `slots_fd`, `threads_fd`: the run's maps.
+  [[nodiscard]] static Result<ThreadSlots> attach(UniqueFd slots_fd, UniqueFd threads_fd);
   /// Memory of our own, for a run without BPF.
-  [[nodiscard]] static ThreadSlots unobserved(std::uint32_t count);
+  [[nodiscard]] static ThreadSlots unobserved();
 
-  /// The next free one; when there are no more, one that nobody looks at.
+  /// One that nobody has, of any process of the run; when there are no more, one that nobody looks
+  /// at.
   [[nodiscard]] Slot take(std::uint32_t xpu);
   /// The calling thread is the one of `slot` from now on: scheduler and tracer know it.
   [[nodiscard]] Status enter(const Slot& slot) const;
-  /// ... and no longer, before it ends.
+  /// ... and no longer, before it ends. The slot may then be taken again.
   void leave(const Slot& slot) const;
   [[nodiscard]] bool observed() const { return static_cast<bool>(map_); }
   /// Number of the slot in the map; -1: it is not there.
@@ -85,8 +86,7 @@ class ThreadSlots {
 
  private:
   MappedMap map_;
-  int threads_fd_ = -1;
-  std::uint32_t next_ = 0;
+  UniqueFd threads_;
   std::vector<std::unique_ptr<xauto_bpf_slot>> own_;
 };
 

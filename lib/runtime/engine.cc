@@ -105,7 +105,11 @@ static std::vector<int> fifo_priorities(const Policy& policy) {
 Status Engine::place() {
   const Platform& platform = session_.platform;
   const bool scheduled = session_.scheduling == Scheduling::kXAuto;
-  bool fifo = session_.emulated || session_.cpu_sched == CpuSched::kFifo;
+  // With sched_ext too: what is no XNode runs above it, and it may go at any time.
+  bool fifo = session_.emulated || session_.cpu_sched != CpuSched::kOther;
+  XAUTO_ASSIGN(threads_, xpu::CpuThreads::create({.run = session_.cpu_run,
+                                                  .scheduler_pid = session_.cpu_scheduler_pid,
+                                                  .partial = session_.cpu_partial}));
   if (fifo && !rt::may_use_fifo(kFifoManagement)) {
     fifo = false;
     note_ = "no permission for SCHED_FIFO: threads run as SCHED_OTHER; " + rt::fifo_hint();
@@ -194,7 +198,9 @@ Status Engine::place() {
           for (const auto& pair : order)
             if (session_.policy.placements[pair.first].xpu == xpu) options.order.push_back(pair);
         }
-        workers_.push_back(std::make_unique<Worker>(std::move(options), *chain, trace_.get()));
+        options.real_cpu = real_cpu && scheduled;
+        workers_.push_back(
+            std::make_unique<Worker>(std::move(options), *chain, trace_.get(), *threads_));
         here.emplace_back(xpu, workers_.back().get());
         at = here.end() - 1;
       }
@@ -727,6 +733,8 @@ void Engine::account(int module, std::uint64_t sequence, std::int64_t now, bool 
 RunReport Engine::report() const {
   RunReport result;
   result.note = note_;
+  if (const std::string note = threads_->note(); !note.empty())
+    result.note += (result.note.empty() ? "" : "; ") + note;
   {
     const std::lock_guard lock(releases_mutex_);
     result.releases = releases_;

@@ -88,6 +88,7 @@ class Engine final : public ModuleHost, private HubHost {
   std::vector<transport::Channel> channels_;  ///< [topic]
   std::vector<std::unique_ptr<ModuleRuntime>> modules_;
   std::vector<std::unique_ptr<Chain>> chains_;  ///< [module]
+  std::unique_ptr<xpu::CpuThreads> threads_;    ///< outlives the workers
   std::vector<std::unique_ptr<Worker>> workers_;
   std::vector<std::uint32_t> xnode_of_;  ///< [graph node] -> index in app.json
   std::string note_;

@@ -47,6 +47,9 @@ std::string to_json(const Session& s) {
             {"platform", xauto::to_json(s.platform)},
             {"scheduling", to_string(s.scheduling)},
             {"cpu_sched", static_cast<int>(s.cpu_sched)},
+            {"cpu_run", s.cpu_run},
+            {"cpu_scheduler_pid", s.cpu_scheduler_pid},
+            {"cpu_partial", s.cpu_partial},
             {"emulated", s.emulated},
             {"coordinators", s.coordinators},
             {"activations", s.activations},
@@ -88,7 +91,12 @@ Result<Session> parse_session(const std::string& text) {
     const auto scheduling = scheduling_from(j.at("scheduling").get<std::string>());
     if (!scheduling) return fail(ErrorCode::kInvalid, "unknown scheduling");
     s.scheduling = *scheduling;
-    s.cpu_sched = j.at("cpu_sched").get<int>() == 0 ? CpuSched::kFifo : CpuSched::kOther;
+    const int cpu_sched = j.at("cpu_sched").get<int>();
+    if (cpu_sched < 0 || cpu_sched > 2) return fail(ErrorCode::kInvalid, "unknown cpu_sched");
+    s.cpu_sched = static_cast<CpuSched>(cpu_sched);
+    s.cpu_run = j.at("cpu_run").get<std::string>();
+    s.cpu_scheduler_pid = j.at("cpu_scheduler_pid").get<int>();
+    s.cpu_partial = j.at("cpu_partial").get<bool>();
     s.emulated = j.at("emulated").get<bool>();
     s.coordinators = j.at("coordinators").get<std::map<std::string, std::string>>();
     s.activations = j.at("activations").get<std::uint64_t>();

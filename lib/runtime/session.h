@@ -33,7 +33,7 @@ enum class Scheduling : std::uint8_t {
 [[nodiscard]] std::optional<Scheduling> scheduling_from(const std::string& name);
 
 /// How threads of CPU XNodes are scheduled when the CPUs are real.
-enum class CpuSched : std::uint8_t { kFifo, kOther };
+enum class CpuSched : std::uint8_t { kFifo, kOther, kExt };
 
 struct Session {
   Mode mode = Mode::kRun;
@@ -42,6 +42,9 @@ struct Session {
   Policy policy;  ///< kRun with kXAuto, kTimeshare
   Scheduling scheduling = Scheduling::kXAuto;
   CpuSched cpu_sched = CpuSched::kFifo;
+  std::string cpu_run;        ///< the run's BPF maps (kernel/run_maps.h); empty: none
+  int cpu_scheduler_pid = 0;  ///< xauto-cpusched holds the sched_ext scheduler; 0: there is none
+  bool cpu_partial = false;   ///< ... which schedules only threads that ask for SCHED_EXT
   bool emulated = false;
   std::map<std::string, std::string> coordinators;  ///< XPU id -> abstract socket; empty: none
   std::uint64_t activations =

@@ -18,6 +18,7 @@
 #include "base/socket.h"
 #include "model/json.h"
 #include "runtime/isolation.h"
+#include "xpu/cpu_run.h"
 
 namespace xauto::runtime {
 namespace {
@@ -122,6 +123,7 @@ class Supervisor {
       daemons_.push_back({"xauto-emud", std::move(child)});
     }
     const bool scheduled = session.mode == Mode::kRun && session.scheduling == Scheduling::kXAuto;
+    if (session.mode == Mode::kRun) prepare_cpus(scheduled);
     if (scheduled)
       for (const Xpu& xpu : session.platform.xpus) session.coordinators[xpu.id] = base_ + xpu.id;
     UniqueFd hub;  // closed here once the app has it: its end must show
@@ -168,6 +170,33 @@ class Supervisor {
       processes_.push_back(std::move(process));
     }
     return {};
+  }
+
+  /// The run's BPF maps and, if asked for, the sched_ext scheduler; what cannot be had is noted.
+  void prepare_cpus(bool scheduled) {
+    Session& session = request_.session;
+    std::string name = base_.substr(std::string(kSocketPrefix).size());
+    name.pop_back();
+    cpus_ = xpu::prepare_cpus({.run = name,
+                               .bin = bin_,
+                               .app = session.app,
+                               .platform = session.platform,
+                               .policy = scheduled ? &session.policy : nullptr,
+                               .emulated = session.emulated,
+                               .want_ext = session.cpu_sched == CpuSched::kExt,
+                               .budget_pct = request_.cpu_budget_pct});
+    if (!cpus_.note.empty()) {
+      log::warn("{}", cpus_.note);
+      outcome_.notes.push_back(cpus_.note);
+    }
+    if (!cpus_.info.empty()) log::info("{}", cpus_.info);
+    if (cpus_.maps) session.cpu_run = name;
+    if (cpus_.scheduler) {
+      session.cpu_scheduler_pid = cpus_.scheduler->child.pid();
+      session.cpu_partial = cpus_.partial;
+    } else if (session.cpu_sched == CpuSched::kExt) {
+      session.cpu_sched = CpuSched::kFifo;
+    }
   }
 
   /// A module process has ended: start it again, or tell the hub that it will not come back.
@@ -229,6 +258,11 @@ class Supervisor {
           tell(nullptr);
         }
       }
+      if (cpus_.scheduler)
+        if (const auto exit = cpus_.scheduler->child.poll()) {
+          outcome_.notes.push_back("xauto-cpusched ended (" + exit->to_string() + ")");
+          cpus_.scheduler.reset();
+        }
       for (ModuleProcess& process : processes_)
         if (!process.noticed)
           if (const auto exit = process.child.poll()) {
@@ -272,6 +306,7 @@ class Supervisor {
   std::vector<Daemon> daemons_;
   std::vector<ModuleProcess> processes_;
   Child app_;
+  xpu::CpuRun cpus_;
   Outcome outcome_;
 };
 

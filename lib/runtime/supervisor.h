@@ -48,6 +48,7 @@ struct Supervision {
   std::function<void(double elapsed_s)> on_tick;  ///< about five times a second
   std::uint64_t trace_capacity = 0;               ///< events; 0: no trace
   std::int64_t time_limit_s = 0;                  ///< 0: none; then the app is stopped
+  std::int64_t cpu_budget_pct = 0;                ///< sched_ext: of a job's WCET; 0: no budgets
   int restarts = 0;  ///< of each module process (session.processes) that dies
 };
 

@@ -18,8 +18,11 @@ constexpr std::uint32_t kQuit = UINT32_MAX;
 
 }  // namespace
 
-Worker::Worker(WorkerOptions options, Chain& chain, trace::Writer* trace)
-    : options_(std::move(options)), chain_(chain), trace_(trace) {}
+Worker::Worker(WorkerOptions options, Chain& chain, trace::Writer* trace, xpu::CpuThreads& threads)
+    : options_(std::move(options)),
+      chain_(chain),
+      trace_(trace),
+      thread_(threads.add(static_cast<std::uint32_t>(options_.xpu))) {}
 
 Worker::~Worker() {
   stop();
@@ -46,6 +49,7 @@ Status Worker::start() {
     const bool good = status.has_value();
     ready.set_value(std::move(status));
     if (good) execute();
+    thread_->leave();
   });
   return started.get();
 }
@@ -55,8 +59,7 @@ Status Worker::init_nodes() {
   rt::set_thread_name(options_.name);
   rt::set_timer_slack_1ns();
   if (options_.core) XAUTO_TRY(rt::pin_to_core(*options_.core));
-  if (options_.exec_fifo > 0) XAUTO_TRY(rt::set_fifo(options_.exec_fifo));
-  fifo_now_ = options_.exec_fifo;
+  XAUTO_TRY(thread_->enter(options_.real_cpu, options_.exec_fifo));
   for (Placed& placed : chain_.nodes) {
     if (placed.worker != this) continue;
     const std::string where = "init of XNode '" + placed.name + "' on " + options_.xpu_id.name;
@@ -90,6 +93,7 @@ void Worker::stop() {
 
 void Worker::submit(std::size_t node) {
   record(XAUTO_EV_READY, chain_.nodes[node]);
+  thread_->announce(chain_.nodes[node].xnode, chain_.runtime->input().sequence());
   mailbox_.store(static_cast<std::uint32_t>(node) + 1, std::memory_order_release);
   futex_wake(mailbox_, 1);
 }
@@ -130,9 +134,7 @@ void Worker::run_chain(std::size_t node) {
 
 bool Worker::run_job(Placed& placed) {
   const Input& input = chain_.runtime->input();
-  if (placed.fifo_priority != 0 && placed.fifo_priority != fifo_now_) {
-    if (rt::set_fifo(placed.fifo_priority)) fifo_now_ = placed.fifo_priority;
-  }
+  thread_->next(placed.xnode, input.sequence(), placed.fifo_priority);
   if (port_) {
     current_.store(&placed, std::memory_order_release);
     record(XAUTO_EV_START, placed);
@@ -156,6 +158,22 @@ bool Worker::run_job(Placed& placed) {
 }
 
 void Worker::record(std::uint16_t kind, const Placed& placed, std::uint32_t arg) {
+  switch (kind) {  // for those who watch from outside: xauto top, xauto trace
+    case XAUTO_EV_RUN:
+      thread_->begin(now_ns());
+      [[fallthrough]];
+    case XAUTO_EV_RESUMED:
+      thread_->hold(now_ns());
+      break;
+    case XAUTO_EV_FINISH:
+      thread_->end();
+      [[fallthrough]];
+    case XAUTO_EV_SUSPENDED:
+      thread_->release(now_ns());
+      break;
+    default:
+      break;
+  }
   if (trace_ != nullptr)
     trace_->write(
         kind, chain_.runtime->input().sequence(), static_cast<std::uint16_t>(placed.xnode),

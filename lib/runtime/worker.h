@@ -23,6 +23,7 @@
 #include "runtime/xmodule.h"
 #include "trace/trace.h"
 #include "xpu/backend.h"
+#include "xpu/cpu_threads.h"
 
 namespace xauto::runtime {
 
@@ -51,6 +52,7 @@ struct WorkerOptions {
   int xpu = -1;      ///< index into Platform::xpus
   XpuId xpu_id;
   std::optional<int> core;  ///< pin the execution thread here
+  bool real_cpu = false;    ///< its jobs are scheduled on a CPU by their priority
   int exec_fifo = 0;        ///< SCHED_FIFO priority of the execution thread; 0: SCHED_OTHER
   int mgmt_fifo = 0;
   std::string coordinator;  ///< abstract socket; empty: nobody schedules
@@ -60,8 +62,8 @@ struct WorkerOptions {
 
 class Worker {
  public:
-  /// `trace` may be null. The chain must outlive the worker.
-  Worker(WorkerOptions options, Chain& chain, trace::Writer* trace);
+  /// `trace` may be null. The chain and `threads` must outlive the worker.
+  Worker(WorkerOptions options, Chain& chain, trace::Writer* trace, xpu::CpuThreads& threads);
   ~Worker();
   Worker(const Worker&) = delete;
   Worker& operator=(const Worker&) = delete;
@@ -96,6 +98,7 @@ class Worker {
   WorkerOptions options_;
   Chain& chain_;
   trace::Writer* trace_;
+  std::unique_ptr<xpu::CpuThread> thread_;  ///< how the execution thread gets its CPU
   std::unique_ptr<coord::Port> port_;
   std::unique_ptr<xpu::Backend> backend_;
   std::thread exec_, mgmt_;
@@ -104,8 +107,6 @@ class Worker {
       nullptr};  ///< the job whose queue the management thread acts on
   std::atomic<bool> lost_{false};
   std::atomic<std::uint64_t> sequence_{0};
-  int fifo_now_ = 0;
-  bool pinned_fifo_ = false;
   mutable PiMutex failure_mutex_;
   std::string failure_;
 };

@@ -57,8 +57,14 @@ void RunFlags::declare(CLI::App& verb) {
       ->check(CLI::Range(std::int64_t{1}, std::int64_t{3'600'000'000}));
   verb.add_option("--input", input, "recorded input to replay instead of the app's own messages");
   verb.add_flag("--lockstep", lockstep, "release the next message when the last one has drained");
-  verb.add_option("--cpu-sched", cpu_sched, "threads of CPU XNodes on real cores: fifo or other")
-      ->check(CLI::IsMember({"fifo", "other"}))
+  verb.add_option("--cpu-sched", cpu_sched,
+                  "threads of CPU XNodes on real cores: ext (sched_ext, else fifo), fifo or other")
+      ->check(CLI::IsMember({"ext", "fifo", "other"}))
+      ->capture_default_str();
+  verb.add_option("--cpu-budget-pct", cpu_budget_pct,
+                  "with ext: a job that runs longer than this much of its WCET becomes an ordinary "
+                  "thread; 0: never")
+      ->check(CLI::Range(std::int64_t{0}, std::int64_t{100'000}))
       ->capture_default_str();
   auto* emulate_flag =
       verb.add_flag("--emulate", emulate, "emulate all XPUs (default: if some are missing)");
@@ -134,8 +140,10 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.platform = flags.spec;
   session.scheduling = run.scheduling;
   if (run.policy) session.policy = *run.policy;
-  session.cpu_sched =
-      flags.cpu_sched == "fifo" ? runtime::CpuSched::kFifo : runtime::CpuSched::kOther;
+  session.cpu_sched = flags.cpu_sched == "ext"    ? runtime::CpuSched::kExt
+                      : flags.cpu_sched == "fifo" ? runtime::CpuSched::kFifo
+                                                  : runtime::CpuSched::kOther;
+  request.cpu_budget_pct = flags.cpu_budget_pct;
   session.emulated = flags.emulated;
   session.activations = flags.activations;
   session.lockstep = flags.lockstep;

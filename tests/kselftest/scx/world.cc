@@ -65,7 +65,8 @@ bool wait_for(const std::function<bool()>& done, double limit_s) {
 
 World::World(std::uint32_t xnodes, int on_cpu, std::uint32_t slot_count)
     : maps(must(kernel::RunMaps::create(next_run(), xnodes, slot_count), "making the maps")),
-      slots(must(kernel::ThreadSlots::attach(maps.fd("slots"), maps.fd("threads")),
+      slots(must(kernel::ThreadSlots::attach(UniqueFd(dup(maps.fd("slots"))),
+                                             UniqueFd(dup(maps.fd("threads")))),
                  "mapping the slots")),
       cpu(on_cpu) {
   for (std::uint32_t i = 0; i < xnodes; ++i)

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+// How the execution threads of one process get their CPU: as XNode threads of the sched_ext
+// scheduler, by SCHED_FIFO, or as ordinary threads. The worker says which job comes next and does
+// not know which of the three it is. If the scheduler goes, its threads go on under SCHED_FIFO at
+// once.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "base/unique_fd.h"
+#include "kernel/thread_slots.h"
+
+namespace xauto::xpu {
+
+struct CpuThreadsOptions {
+  std::string run;        ///< of the maps below /sys/fs/bpf/xauto; empty: nobody observes
+  int scheduler_pid = 0;  ///< of xauto-cpusched; 0: no sched_ext
+  bool partial = false;   ///< threads must ask for SCHED_EXT
+};
+
+class CpuThreads;
+
+/// One execution thread. `announce` by whoever hands it a job while it has none; the others by the
+/// thread itself, `hold` and `release` also by its management thread.
+class CpuThread {
+ public:
+  ~CpuThread();
+  /// Begins: the calling thread is it. `scheduled`: it runs XNodes of a real CPU. `fifo`: its
+  /// SCHED_FIFO priority where sched_ext does not schedule it; 0: ordinary. What was set is read
+  /// back.
+  [[nodiscard]] Status enter(bool scheduled, int fifo);
+  void leave();
+
+  /// The next job, before the thread is woken for it.
+  void announce(std::uint32_t xnode, std::uint64_t sequence) const {
+    (void)slot_.tell(xnode, sequence);
+  }
+  /// The next job, now. `fifo`: its SCHED_FIFO priority, used without sched_ext; 0: leave it.
+  void next(std::uint32_t xnode, std::uint64_t sequence, int fifo);
+  void begin(std::int64_t now_ns) const { slot_.begin(now_ns); }
+  void end() const { slot_.end(); }
+  void hold(std::int64_t now_ns) const { slot_.hold(now_ns); }
+  void release(std::int64_t now_ns) const { slot_.release(now_ns); }
+
+ private:
+  friend class CpuThreads;
+  CpuThread(CpuThreads& all, kernel::Slot slot) : all_(all), slot_(slot) {}
+  void fall_back();  // by the watching thread
+
+  CpuThreads& all_;
+  kernel::Slot slot_;
+  std::atomic<int> tid_{0};
+  std::atomic<int> fifo_wanted_{0};  ///< of the present job
+  int fifo_now_ = 0;                 ///< the thread's own view
+  bool scheduled_ = false;
+};
+
+class CpuThreads {
+ public:
+  [[nodiscard]] static Result<std::unique_ptr<CpuThreads>> create(const CpuThreadsOptions& options);
+  ~CpuThreads();
+  CpuThreads(const CpuThreads&) = delete;
+  CpuThreads& operator=(const CpuThreads&) = delete;
+
+  /// `xpu`: index into the platform. Must not outlive this object.
+  [[nodiscard]] std::unique_ptr<CpuThread> add(std::uint32_t xpu);
+  /// sched_ext schedules now.
+  [[nodiscard]] bool ext() const { return ext_.load(std::memory_order_seq_cst); }
+  /// For the report: that and when the scheduler went; empty if it did not.
+  [[nodiscard]] std::string note() const;
+
+ private:
+  friend class CpuThread;
+  CpuThreads() = default;
+  void watch();
+
+  std::atomic<bool> ext_{false};
+  bool partial_ = false;
+  UniqueFd scheduler_, quit_;  ///< pidfd; eventfd
+  std::thread watcher_;
+  mutable std::mutex mutex_;
+  std::vector<CpuThread*> threads_;  ///< guarded by mutex_
+  std::string note_;                 ///< guarded by mutex_
+  kernel::ThreadSlots slots_;
+};
+
+}  // namespace xauto::xpu
