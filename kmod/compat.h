@@ -30,11 +30,6 @@
 #define XAUTO_MCGRP_NEEDS_NET_ADMIN
 #endif
 
-/* Since 6.1 an extended acknowledgement takes a format. */
-#ifndef GENL_SET_ERR_MSG_FMT
-#define GENL_SET_ERR_MSG_FMT(info, format, ...) GENL_SET_ERR_MSG(info, format)
-#endif
-
 /* Since 6.3 a policy's range is const. */
 #if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 3, 0)
 #define XAUTO_RANGE_CONST const

@@ -57,11 +57,9 @@ static bool may_touch(struct sk_buff *skb, const struct cred *opener)
 	       netlink_ns_capable(skb, opener->user_ns, CAP_SYS_NICE);
 }
 
-static int missing(struct genl_info *info, const char *what)
-{
-	GENL_SET_ERR_MSG_FMT(info, "%s is missing", what);
-	return -EINVAL;
-}
+/* Is this attribute there? If not, says so; the text must be constant, hence no function. */
+#define has_attr(info, attr) \
+	((info)->attrs[attr] ? true : ({ GENL_SET_ERR_MSG(info, #attr " is missing"); false; }))
 
 /* Whose queue it is: the caller's, or that of the process named, if it is the opener's or the caller may touch it anyway. */
 static struct pid *target_pid(struct sk_buff *skb, struct genl_info *info, const struct cred *opener)
@@ -152,10 +150,10 @@ static int cmd_register(struct sk_buff *skb, struct genl_info *info)
 	struct file *file;
 	int err;
 
-	if (!info->attrs[XAUTO_A_TYPE])
-		return missing(info, "XAUTO_A_TYPE");
-	if (!info->attrs[XAUTO_A_FD])
-		return missing(info, "XAUTO_A_FD");
+	if (!has_attr(info, XAUTO_A_TYPE))
+		return -EINVAL;
+	if (!has_attr(info, XAUTO_A_FD))
+		return -EINVAL;
 	file = fget(nla_get_s32(info->attrs[XAUTO_A_FD]));
 	if (!file) {
 		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_FD], "no such file descriptor in the calling process");
@@ -180,8 +178,8 @@ static int cmd_unregister(struct sk_buff *skb, struct genl_info *info)
 	struct xauto_owner *owner;
 	int err;
 
-	if (!info->attrs[XAUTO_A_HANDLE])
-		return missing(info, "XAUTO_A_HANDLE");
+	if (!has_attr(info, XAUTO_A_HANDLE))
+		return -EINVAL;
 	owner = caller(info);
 	if (!owner)
 		return -ENOENT;
@@ -293,8 +291,8 @@ static int cmd_control(struct sk_buff *skb, struct genl_info *info)
 	void *header = NULL;
 	int count, err;
 
-	if (!info->attrs[XAUTO_A_OPS])
-		return missing(info, "XAUTO_A_OPS");
+	if (!has_attr(info, XAUTO_A_OPS))
+		return -EINVAL;
 	count = count_ops(info->attrs[XAUTO_A_OPS]);
 	if (!count || count > XAUTO_MAX_OPS) {
 		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_OPS], "a message holds 1 to 64 operations");
@@ -385,8 +383,8 @@ static int cmd_get(struct sk_buff *skb, struct genl_info *info)
 	void *header;
 	int err;
 
-	if (!info->attrs[XAUTO_A_HANDLE])
-		return missing(info, "XAUTO_A_HANDLE (or NLM_F_DUMP)");
+	if (!has_attr(info, XAUTO_A_HANDLE))
+		return -EINVAL;
 	owner = caller(info);
 	if (owner)
 		queue = xauto_owner_queue(owner, nla_get_u32(info->attrs[XAUTO_A_HANDLE]));

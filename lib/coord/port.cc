@@ -167,7 +167,7 @@ void Port::ring() {
     signal_eventfd(doorbell_.get());
 }
 
-Command Port::wait_command() {
+Command Port::wait_command(int timeout_ms) {
   const CoordinatorLine& line = shm_.slots[slot_].coordinator;
   for (;;) {
     if (interrupted_.load(std::memory_order_relaxed)) return Command::kInterrupted;
@@ -179,7 +179,9 @@ Command Port::wait_command() {
     pollfd fds[3] = {{commands_.get(), POLLIN, 0},
                      {interrupt_.get(), POLLIN, 0},
                      {lost() ? -1 : socket_.get(), POLLIN, 0}};
-    if (poll(fds, 3, -1) < 0) continue;  // EINTR
+    const int ready = poll(fds, 3, timeout_ms);
+    if (ready == 0) return Command::kNothing;
+    if (ready < 0) continue;  // EINTR
     if (fds[0].revents != 0) drain_eventfd(commands_.get());
     // The coordinator sends nothing after Welcome: anything here is its end, or its ruin.
     if (fds[2].revents != 0) {

@@ -26,6 +26,7 @@ enum class Command : std::uint8_t {
   kResume,
   kLost,         ///< the coordinator is gone: resume what is suspended, jobs now run unscheduled
   kInterrupted,  ///< `interrupt` was called
+  kNothing,      ///< the time is over
 };
 
 class Port {
@@ -49,7 +50,7 @@ class Port {
   void skip(std::uint32_t xnode, std::uint64_t sequence);
 
   /// Blocks until there is a command for the management thread.
-  [[nodiscard]] Command wait_command();
+  [[nodiscard]] Command wait_command(int timeout_ms = -1);
   /// The command last received was carried out (or, for a suspension, could not be).
   void acknowledge(bool succeeded);
   /// Makes `wait_command` return kInterrupted and `start` return: for shutdown.

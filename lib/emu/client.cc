@@ -3,11 +3,13 @@
 
 #include <cstdlib>
 #include <cstring>
+#include <optional>
 
 #include <poll.h>
 
 #include "base/clock.h"
 #include "base/socket.h"
+#include "emu/driver_queue.h"
 #include "emu/protocol.h"
 
 namespace xauto::emu {
@@ -46,7 +48,10 @@ Status error_of(const Packet& packet) {
 
 }  // namespace
 
+/// Work goes to xauto-emud, or, where the run is with the emulator modules, to a driver's node.
 struct Context::Connection {
+  std::optional<DriverQueue> driver;
+  bool gpu = false;
   UniqueFd socket;
   std::uint32_t context = 0;
   std::uint64_t tag = 0;
@@ -58,6 +63,14 @@ Context& Context::operator=(Context&&) noexcept = default;
 Context::~Context() = default;
 
 Result<Context> Context::open(const XpuId& xpu) {
+  const char* drivers = std::getenv(kDriversVariable);
+  if (drivers != nullptr && std::strcmp(drivers, "1") == 0 && xpu.type != XPU::CPU) {
+    auto connection = std::make_unique<Connection>();
+    connection->gpu = xpu.type == XPU::GPU;
+    XAUTO_ASSIGN(connection->driver,
+                 connection->gpu ? DriverQueue::open_gpu() : DriverQueue::open_dla(xpu.index));
+    return Context(std::move(connection));
+  }
   const char* pool = std::getenv(kCpuPoolVariable);
   const bool pooled = pool != nullptr && std::strcmp(pool, "1") == 0 && xpu.type == XPU::CPU;
   const std::string device = pooled ? xpu.type.type() : xpu.name;
@@ -79,6 +92,11 @@ Result<Context> Context::open(const XpuId& xpu) {
 
 Status Context::run(std::chrono::microseconds duration) {
   Connection& c = *connection_;
+  if (c.driver) {
+    XAUTO_TRY(c.driver->submit(duration));
+    XAUTO_TRY(c.driver->wait());
+    return {};
+  }
   const Packet packet{.op = static_cast<std::uint32_t>(Op::kSubmit),
                       .context = c.context,
                       .tag = ++c.tag,
@@ -93,6 +111,10 @@ Status Context::run(std::chrono::microseconds duration) {
 }
 
 SchedHandle Context::handle() const {
+  // As opaque as a CUcontext: the runtime has to find the TSG behind it.
+  if (connection_->driver)
+    return connection_->gpu ? SchedHandle::cuda_context(connection_.get())
+                            : SchedHandle::cudla_device(connection_.get());
   return SchedHandle::emulated(connection_->context);
 }
 

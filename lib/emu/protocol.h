@@ -15,6 +15,9 @@ inline constexpr const char* kEmudVariable = "XAUTO_EMUD";  ///< abstract socket
 inline constexpr const char* kCpuPoolVariable =
     "XAUTO_EMU_CPU_POOL";  ///< "1": CPU contexts on the pool
 
+inline constexpr const char* kDriversVariable =
+    "XAUTO_EMU_DRIVERS";  ///< "1": GPU and DLA contexts on the emulator modules' nodes
+
 enum class Op : std::uint32_t {
   kOpen = 1,     ///< name, value = version -> kOpened
   kSubmit = 2,   ///< context, tag, value = ns of work -> kDone when finished

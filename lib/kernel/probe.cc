@@ -131,10 +131,7 @@ class Probe {
   }
 
   void module() {
-    std::ifstream modules(root_ + "/proc/modules");
-    bool loaded = false;
-    for (std::string line; std::getline(modules, line);) loaded |= line.rfind("xauto ", 0) == 0;
-    if (loaded)
+    if (module_is_loaded(root_))
       add("xauto.ko", Verdict::kOk, "loaded", "GPU TSGs and DLA queues can be suspended");
     else
       add("xauto.ko", Verdict::kMissing, "not loaded",
@@ -206,6 +203,13 @@ Limits Limits::of_this_process() {
   getrlimit(RLIMIT_MEMLOCK, &limit);
   limits.memlock_bytes = limit.rlim_cur == RLIM_INFINITY ? ~0ull : limit.rlim_cur;
   return limits;
+}
+
+bool module_is_loaded(const std::string& root) {
+  std::ifstream modules(root + "/proc/modules");
+  for (std::string line; std::getline(modules, line);)
+    if (line.rfind("xauto ", 0) == 0) return true;
+  return false;
 }
 
 std::vector<Finding> probe(const std::string& root, const Limits& limits) {

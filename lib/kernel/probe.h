@@ -31,6 +31,9 @@ struct Limits {
   [[nodiscard]] static Limits of_this_process();
 };
 
+/// Is xauto.ko loaded?
+[[nodiscard]] bool module_is_loaded(const std::string& root = {});
+
 /// `root`: "" for this machine, or a folder that stands for / in tests. Changes nothing, needs no
 /// privilege.
 [[nodiscard]] std::vector<Finding> probe(const std::string& root, const Limits& limits);

@@ -11,6 +11,7 @@
 #include "base/log.h"
 #include "base/rt.h"
 #include "record/recording.h"
+#include "runtime/supervisor.h"
 
 namespace xauto::runtime {
 namespace {
@@ -176,6 +177,7 @@ Status Engine::place() {
         options.xpu_id = xpu_id(platform, xpu);
         options.name = graph_.modules[m].name + "@" + x.id;
         options.emulated = session_.emulated;
+        options.driver = suspended_by_module(x, session_.emulated, session_.emulator_modules);
         options.mgmt_fifo = fifo ? kFifoManagement : 0;
         if (real_cpu) {
           if (scheduled || session_.scheduling == Scheduling::kTimeshare) {

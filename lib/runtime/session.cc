@@ -51,6 +51,7 @@ std::string to_json(const Session& s) {
             {"cpu_scheduler_pid", s.cpu_scheduler_pid},
             {"cpu_partial", s.cpu_partial},
             {"emulated", s.emulated},
+            {"emulator_modules", s.emulator_modules},
             {"coordinators", s.coordinators},
             {"activations", s.activations},
             {"lockstep", s.lockstep},
@@ -98,6 +99,7 @@ Result<Session> parse_session(const std::string& text) {
     s.cpu_scheduler_pid = j.at("cpu_scheduler_pid").get<int>();
     s.cpu_partial = j.at("cpu_partial").get<bool>();
     s.emulated = j.at("emulated").get<bool>();
+    s.emulator_modules = j.at("emulator_modules").get<bool>();
     s.coordinators = j.at("coordinators").get<std::map<std::string, std::string>>();
     s.activations = j.at("activations").get<std::uint64_t>();
     s.lockstep = j.at("lockstep").get<bool>();

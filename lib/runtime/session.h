@@ -46,6 +46,7 @@ struct Session {
   int cpu_scheduler_pid = 0;  ///< xauto-cpusched holds the sched_ext scheduler; 0: there is none
   bool cpu_partial = false;   ///< ... which schedules only threads that ask for SCHED_EXT
   bool emulated = false;
+  bool emulator_modules = false;  ///< with `emulated`: GPUs and DLAs are those of kmod/emu/
   std::map<std::string, std::string> coordinators;  ///< XPU id -> abstract socket; empty: none
   std::uint64_t activations =
       0;                       ///< releases per source; 0: until told to stop, or the input's end

@@ -16,6 +16,8 @@
 #include "base/memory_file.h"
 #include "base/rt.h"
 #include "base/socket.h"
+#include "emu/protocol.h"
+#include "kernel/probe.h"
 #include "model/json.h"
 #include "runtime/isolation.h"
 #include "xpu/cpu_run.h"
@@ -152,6 +154,7 @@ class Supervisor {
     if (trace_) options.inherit.push_back(trace_.get());
     options.environment = {{kSessionVariable, std::to_string(session_.get())}};
     if (session.emulated) options.environment.emplace_back("XAUTO_EMUD", base_ + kEmudName);
+    if (session.emulator_modules) options.environment.emplace_back(emu::kDriversVariable, "1");
     if (session.scheduling == Scheduling::kRos2 && session.mode == Mode::kRun)
       options.environment.emplace_back("XAUTO_EMU_CPU_POOL", "1");
     if (hub) options.inherit.push_back(hub.get());
@@ -316,7 +319,13 @@ coord::Discipline discipline_of(const Xpu& xpu, bool emulated) {
   if (!xpu.preemptive) return coord::Discipline::kGate;
   if (emulated) return coord::Discipline::kPreemptive;
   if (xpu.type == "cpu") return coord::Discipline::kKernel;
-  return coord::Discipline::kGate;  // until xauto.ko can suspend it
+  return suspended_by_module(xpu, emulated, false) ? coord::Discipline::kPreemptive
+                                                   : coord::Discipline::kGate;
+}
+
+bool suspended_by_module(const Xpu& xpu, bool emulated, bool emulator_modules) {
+  if (!xpu.preemptive || (xpu.type != "gpu" && xpu.type != "dla")) return false;
+  return emulated ? emulator_modules : kernel::module_is_loaded();
 }
 
 std::string needs_emulation(const Platform& platform) {

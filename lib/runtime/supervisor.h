@@ -36,6 +36,10 @@ inline constexpr const char* kEmudName = "emud";
 /// Who keeps the priorities on this XPU: the coordinator by preemption, by gating, or the kernel.
 [[nodiscard]] coord::Discipline discipline_of(const Xpu& xpu, bool emulated);
 
+/// Does xauto.ko preempt this XPU's work? A GPU or DLA of this machine when the module is loaded; an
+/// emulated one when the run is with the emulator modules.
+[[nodiscard]] bool suspended_by_module(const Xpu& xpu, bool emulated, bool emulator_modules);
+
 /// Whether this machine lacks XPUs of `platform`, with the reason: a GPU or DLA without device
 /// nodes, more CPUs than this process may use.
 [[nodiscard]] std::string needs_emulation(const Platform& platform);

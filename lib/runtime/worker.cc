@@ -35,7 +35,9 @@ Status Worker::start() {
       if (placed.worker == this) xnodes.push_back(placed.xnode);
     XAUTO_ASSIGN(port_,
                  coord::Port::connect(options_.coordinator, options_.name, xnodes, options_.order));
-    if (options_.emulated) {
+    if (options_.driver) {
+      XAUTO_ASSIGN(backend_, xpu::make_kernel_queue(options_.xpu_id));
+    } else if (options_.emulated) {
       XAUTO_ASSIGN(backend_, xpu::make_emulated());
     } else {
       backend_ = xpu::make_gate();
@@ -63,6 +65,7 @@ Status Worker::init_nodes() {
   for (Placed& placed : chain_.nodes) {
     if (placed.worker != this) continue;
     const std::string where = "init of XNode '" + placed.name + "' on " + options_.xpu_id.name;
+    if (backend_) XAUTO_TRY(backend_->before_init());
     try {
       placed.handle = placed.impl->init(options_.xpu_id);
     } catch (const std::exception& e) {
@@ -70,7 +73,14 @@ Status Worker::init_nodes() {
     } catch (...) {
       return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
     }
-    if (options_.emulated && placed.handle.kind() != SchedHandle::Kind::kEmulated && port_)
+    if (backend_) {
+      if (Status attached = backend_->attach(placed.handle); !attached) {
+        attached.error().where = where;
+        return attached;
+      }
+    }
+    if (options_.emulated && !options_.driver &&
+        placed.handle.kind() != SchedHandle::Kind::kEmulated && port_)
       return fail(ErrorCode::kInvalid, "returned a handle that is not an emulated context", where,
                   "on an emulated platform `init` returns emu::Context::handle()");
   }

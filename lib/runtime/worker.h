@@ -58,6 +58,7 @@ struct WorkerOptions {
   std::string coordinator;  ///< abstract socket; empty: nobody schedules
   std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
   bool emulated = false;
+  bool driver = false;  ///< a GPU or DLA that xauto.ko suspends
 };
 
 class Worker {

@@ -17,7 +17,7 @@ void Worker::manage() {
   // What we suspended, by value: the execution thread may be at its next job when RESUME comes.
   std::optional<SchedHandle> suspended;
   for (;;) {
-    const coord::Command command = port_->wait_command();
+    const coord::Command command = port_->wait_command(suspended ? xpu::kStillWantedMs : -1);
     const Placed* job = current_.load(std::memory_order_acquire);
     switch (command) {
       case coord::Command::kSuspend: {
@@ -41,6 +41,11 @@ void Worker::manage() {
         }
         record(XAUTO_EV_RESUMED, *job);
         port_->acknowledge(true);
+        break;
+      case coord::Command::kNothing:
+        if (const Status fed = backend_->still_wanted(); !fed)
+          log::warn("{}: runs although the coordinator suspended it: {}", options_.name,
+                    fed.error().to_string());
         break;
       case coord::Command::kLost:
       case coord::Command::kInterrupted:

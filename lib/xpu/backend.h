@@ -10,19 +10,32 @@
 
 namespace xauto::xpu {
 
+inline constexpr int kStillWantedMs = 250;
+
 /// Threads: one management thread at a time.
 class Backend {
  public:
   virtual ~Backend() = default;
+  /// Called right before and right after the `init` whose handle will be given to the others; on
+  /// the execution thread, while no other `init` of this process runs.
+  [[nodiscard]] virtual Status before_init() { return {}; }
+  [[nodiscard]] virtual Status attach(const SchedHandle&) { return {}; }
   /// Suspends the work queued behind `handle`: when it returns, none of it runs. Suspending what is
   /// suspended is no error. An error leaves it running.
   [[nodiscard]] virtual Status preempt(const SchedHandle& handle) = 0;
   /// Lets it run again. Resuming what runs is no error.
   [[nodiscard]] virtual Status restore(const SchedHandle& handle) = 0;
+  /// What is suspended shall stay so: called at least every kStillWantedMs while something is. A
+  /// backend whose device has a watchdog feeds it. kTimeout: it was too late, everything runs
+  /// again.
+  [[nodiscard]] virtual Status still_wanted() { return {}; }
 };
 
 /// Contexts of xauto-emud, over a connection of its own (emulated.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_emulated();
+/// A GPU or DLA of NVIDIA's drivers, or of the emulator modules, through xauto.ko
+/// (kernel_queue.cc). kUnavailable when the module is not loaded.
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_kernel_queue(const XpuId& xpu);
 /// XPUs that cannot be preempted: both calls are refused (gate.cc).
 [[nodiscard]] std::unique_ptr<Backend> make_gate();
 

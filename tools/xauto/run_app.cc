@@ -11,6 +11,7 @@
 #include <signal.h>
 
 #include "base/log.h"
+#include "kernel/probe.h"
 #include "model/json.h"
 #include "solver/problem.h"
 
@@ -69,6 +70,8 @@ void RunFlags::declare(CLI::App& verb) {
   auto* emulate_flag =
       verb.add_flag("--emulate", emulate, "emulate all XPUs (default: if some are missing)");
   verb.add_flag("--real", real, "refuse to emulate")->excludes(emulate_flag);
+  verb.add_flag("--emulator-modules", emulator_modules,
+                "emulate GPUs and DLAs by the kernel modules of kmod/emu, suspended through xauto.ko");
   verb.add_flag("--isolate", isolate, "each XModule in a process of its own");
   verb.add_option("--restarts", restarts, "how often a module's process that died is started again")
       ->check(CLI::Range(0, 1'000'000))
@@ -83,6 +86,12 @@ Status RunFlags::prepare() {
   const std::string missing = runtime::needs_emulation(spec);
   if (real && !missing.empty())
     return fail(ErrorCode::kUnavailable, missing, "--real", "drop --real to emulate the platform");
+  if (emulator_modules) {
+    if (!kernel::module_is_loaded())
+      return fail(ErrorCode::kUnavailable, "xauto.ko is not loaded", "--emulator-modules",
+                  "as root: insmod xauto.ko xauto_nvgpu_emu.ko xauto_nvdla_emu.ko (docs/kernel.md)");
+    emulate = true;
+  }
   emulated = emulate || !missing.empty();
   if (emulated)
     log::info("emulating platform '{}'{}", spec.name, missing.empty() ? "" : ": " + missing);
@@ -145,6 +154,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
                                                   : runtime::CpuSched::kOther;
   request.cpu_budget_pct = flags.cpu_budget_pct;
   session.emulated = flags.emulated;
+  session.emulator_modules = flags.emulator_modules;
   session.activations = flags.activations;
   session.lockstep = flags.lockstep;
   session.period_us = flags.period_us;

@@ -35,7 +35,7 @@ struct RunFlags {
   std::string app_path, platform = "small", input, cpu_sched = "fifo", record_path;
   std::uint64_t activations = 200;
   std::int64_t period_us = 0, cpu_budget_pct = 0;
-  bool emulate = false, real = false, lockstep = false, isolate = false;
+  bool emulate = false, real = false, lockstep = false, isolate = false, emulator_modules = false;
   int restarts = 0;
   std::vector<std::string> command;
 
