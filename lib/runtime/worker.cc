@@ -84,6 +84,8 @@ Status Worker::init_nodes() {
       return fail(ErrorCode::kInvalid, "returned a handle that is not an emulated context", where,
                   "on an emulated platform `init` returns emu::Context::handle()");
   }
+  for (auto node = chain_.nodes.rbegin(); node != chain_.nodes.rend(); ++node)
+    if (node->worker == this) thread_->expect(node->xnode);
   return {};
 }
 
@@ -103,7 +105,8 @@ void Worker::stop() {
 
 void Worker::submit(std::size_t node) {
   record(XAUTO_EV_READY, chain_.nodes[node]);
-  thread_->announce(chain_.nodes[node].xnode, chain_.runtime->input().sequence());
+  thread_->announce(chain_.nodes[node].xnode, chain_.runtime->input().sequence(),
+                    chain_.nodes[node].fifo_priority);
   mailbox_.store(static_cast<std::uint32_t>(node) + 1, std::memory_order_release);
   futex_wake(mailbox_, 1);
 }

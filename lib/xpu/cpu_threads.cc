@@ -73,6 +73,15 @@ void CpuThread::leave() {
   all_.slots_.leave(slot_);
 }
 
+void CpuThread::announce(std::uint32_t xnode, std::uint64_t sequence, int fifo) {
+  if (fifo > 0) fifo_wanted_.store(fifo, std::memory_order_seq_cst);
+  (void)slot_.tell(xnode, sequence);
+  const int tid = tid_.load();
+  if (tid == 0 || fifo <= 0 || (scheduled_ && all_.ext()) || fifo == fifo_now_) return;
+  // The thread is idle, and its wake-up comes after this: fifo_now_ is ours meanwhile.
+  if (set_fifo_of(tid, fifo)) fifo_now_ = fifo;
+}
+
 void CpuThread::next(std::uint32_t xnode, std::uint64_t sequence, int fifo) {
   if (fifo > 0) fifo_wanted_.store(fifo, std::memory_order_seq_cst);
   const bool waited_for = slot_.tell(xnode, sequence);

@@ -39,10 +39,11 @@ class CpuThread {
   [[nodiscard]] Status enter(bool scheduled, int fifo);
   void leave();
 
-  /// The next job, before the thread is woken for it.
-  void announce(std::uint32_t xnode, std::uint64_t sequence) const {
-    (void)slot_.tell(xnode, sequence);
-  }
+  /// The next job, before the thread is woken for it: so that it is woken with that job's priority,
+  /// not with its last one's. `fifo` as for `next`.
+  void announce(std::uint32_t xnode, std::uint64_t sequence, int fifo);
+  /// What it will most likely run first, so that it has a priority before its first job.
+  void expect(std::uint32_t xnode) const { (void)slot_.tell(xnode, XAUTO_BPF_JOB_SEQ); }
   /// The next job, now. `fifo`: its SCHED_FIFO priority, used without sched_ext; 0: leave it.
   void next(std::uint32_t xnode, std::uint64_t sequence, int fifo);
   void begin(std::int64_t now_ns) const { slot_.begin(now_ns); }

@@ -1,0 +1,74 @@
+#!/bin/sh
+# SPDX-License-Identifier: Apache-2.0
+# The tools end to end on real CPUs, in the VM: the Driving Case under sched_ext and under SCHED_FIFO, the fallback, tracing. KTAP.
+count=0 failed=0
+ok() { # NAME CONDITION...
+  name=$1
+  shift
+  count=$((count + 1))
+  if "$@"; then echo "ok $count $name"; else
+    echo "not ok $count $name"
+    failed=$((failed + 1))
+  fi
+}
+has() { grep -q -- "$1" "$2"; }
+state() { cat /sys/kernel/sched_ext/state; }
+dir=/tmp/tools
+mkdir -p $dir && cd $dir || exit 1
+echo "TAP version 13"
+if [ ! -e /sys/kernel/sched_ext ]; then
+  echo "1..0 # SKIP this kernel has no sched_ext"
+  exit 4
+fi
+driving_cpu --app-json >app.json
+# One CPU, the second: there the order of completion follows from the priorities alone.
+echo '{"schema":"xauto.platform","version":1,"name":"one","xpus":[{"id":"cpu0","type":"cpu","preemptive":true,"preempt_us":0}]}' >one.json
+xauto solve --app app.json --platform one.json --method heft --out policy.json >solve.log 2>&1 || cat solve.log
+drive() { # NAME CPU_SCHED ACTIVATIONS [OPTIONS]: the app's order in NAME.order, the report in NAME.json
+  name=$1 sched=$2 activations=$3
+  shift 3
+  taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations "$activations" --period-us 250000 \
+    --cpu-sched "$sched" --out "$name.json" "$@" -- driving_cpu --order "$dir/$name.order" >"$name.out" 2>"$name.err"
+}
+
+drive ext ext 12
+status=$?
+ok "the Driving Case runs under sched_ext" [ $status -eq 0 ]
+ok "... which says so, and in which mode" has "sched_ext, full mode" ext.err
+ok "... and is gone afterwards" [ "$(state)" = disabled ]
+ok "... with its maps" [ -z "$(ls /sys/fs/bpf/xauto 2>/dev/null)" ]
+drive fifo fifo 12
+ok "the Driving Case runs under SCHED_FIFO" [ $? -eq 0 ]
+ok "both complete all stages in the same order, in each of 12 activations" cmp -s ext.order fifo.order
+ok "... all 19 stages of each" [ "$(wc -w <ext.order)" -eq 240 ]
+drive other other 12
+cmp -s ext.order other.order && echo "# without priorities the order happened to be the same" || echo "# without priorities the order is another one"
+
+# The loader dies in the middle.
+drive killed ext 40 &
+run=$!
+while [ "$(state)" != enabled ]; do sleep 0.1; done
+sleep 2
+kill -9 "$(pidof xauto-cpusched)"
+wait $run
+status=$?
+ok "the loader killed: the app goes on to its end" [ $status -eq 0 ]
+ok "... in the same order under the fallback" [ "$(head -n 12 killed.order | cut -d' ' -f2-)" = "$(cut -d' ' -f2- ext.order)" ]
+ok "... and says so" has "the sched_ext scheduler ended: CPU XNodes went on under SCHED_FIFO" killed.json
+ok "... with all activations" [ "$(wc -l <killed.order)" -eq 40 ]
+ok "... and the kernel is back at its own scheduler" [ "$(state)" = disabled ]
+
+# Taken: somebody else's scheduler (here our own, of another run).
+drive first ext 20 &
+run=$!
+while [ "$(state)" != enabled ]; do sleep 0.1; done
+drive second ext 4
+ok "with another scheduler loaded the app runs under SCHED_FIFO and says so" \
+  has "no sched_ext: another sched_ext scheduler is loaded: 'xauto" second.json
+wait $run
+
+
+
+echo "1..$count"
+echo "# pass:$((count - failed)) fail:$failed skip:0"
+[ $failed -eq 0 ]
