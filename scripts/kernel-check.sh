@@ -66,9 +66,21 @@ kmod() {
   in_vm "kmod-$1-${2:-amd64}" "$kernel" run-kmod "${items[@]}"
 }
 
-[ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1)
+# The Driving Case over the emulator modules, in the guest's own virtual time.
+driving() {
+  local kernel items program
+  note "the Driving Case through xauto.ko"
+  kernel=$(scripts/vm/fetch-kernel.sh 7.x) || { failed=$((failed + 1)); return; }
+  mapfile -t items < <(modules_of "$kernel" "$out/kmod-7.x-amd64")
+  for program in xauto xauto-coordinator xauto-emud driving; do items+=("$build/bin/$program:/opt/xauto/bin/$program"); done
+  VM_ICOUNT=1 in_vm driving "$kernel" run-driving examples/driving/app.json:/opt/xauto/app.json "${items[@]}"
+  grep -A 8 '^# driving on' "$out/driving.log"
+}
+
+[ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 driving)
 for lane in "${lanes[@]}"; do
   case $lane in
+    driving) driving ;;
     kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;
     kmod-*) kmod "${lane#kmod-}" ;;
     *)
