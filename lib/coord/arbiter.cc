@@ -25,7 +25,7 @@ bool Arbiter::eligible(const Job& job) const {
 
 int Arbiter::most_urgent() const {
   int best = -1;
-  for (int i = 0; i < kMaxSlots; ++i) {
+  for (int i = 0; i < high(); ++i) {
     const Slot& s = slot(i);
     if (s.phase == Phase::kNone) continue;
     if (s.phase == Phase::kWaiting && !eligible(s.job)) continue;
@@ -42,6 +42,45 @@ bool Arbiter::idle() const {
   });
 }
 
+int Arbiter::admitted() const {
+  for (int i = 0; i < high(); ++i)
+    if (slot(i).phase == Phase::kAdmitted) return i;
+  return -1;
+}
+
+bool Arbiter::settled() const {
+  const int owner = admitted();
+  for (int i = 0; i < high(); ++i) {
+    const Slot& s = slot(i);
+    if (s.phase == Phase::kAdmitted && i != owner) return false;
+    if (s.queue != Queue::kEnabled && !(i == owner && s.queue == Queue::kResuming)) return false;
+    // Whoever finishes hands over; without an owner nobody would.
+    if (s.phase == Phase::kWaiting && (owner < 0 || !eligible(s.job))) return false;
+  }
+  return true;
+}
+
+bool Arbiter::needs_acks() const {
+  const int top = most_urgent();
+  for (int i = 0; i < high(); ++i) {
+    const Slot& s = slot(i);
+    const bool admitted = s.phase == Phase::kAdmitted;
+    if (s.queue == Queue::kSuspending && (!admitted || i == top)) return true;
+    if (s.queue == Queue::kResuming && (admitted ? i != top : i == top)) return true;
+  }
+  return false;
+}
+
+void Arbiter::release(std::vector<Action>& out) {
+  held_ = false;
+  decide(out);
+}
+
+void Arbiter::restore(int slot, const Slot& state) {
+  at(slot) = state;
+  at(slot).arrival = state.phase == Phase::kNone ? 0 : ++arrivals_;
+}
+
 void Arbiter::start(int slot, const Job& job, std::vector<Action>& out) {
   Slot& s = at(slot);
   XAUTO_CHECK(s.phase == Phase::kNone);
@@ -53,10 +92,10 @@ void Arbiter::start(int slot, const Job& job, std::vector<Action>& out) {
 
 void Arbiter::adopt(int slot, const Job& job, std::vector<Action>& out) {
   Slot& s = at(slot);
-  XAUTO_CHECK(s.phase == Phase::kNone && s.queue == Queue::kEnabled);
+  XAUTO_CHECK(s.phase != Phase::kAdmitted);
+  if (s.phase == Phase::kNone) s.arrival = ++arrivals_;
   s.phase = Phase::kAdmitted;
   s.job = job;
-  s.arrival = ++arrivals_;
   decide(out);
 }
 
@@ -97,6 +136,7 @@ void Arbiter::finished(std::uint32_t xnode, std::uint64_t count, std::vector<Act
 }
 
 void Arbiter::decide(std::vector<Action>& out) {
+  if (held_) return;
   const auto grant = [&](int slot) {
     at(slot).phase = Phase::kAdmitted;
     out.push_back({Action::Kind::kGrant, slot});
@@ -105,20 +145,19 @@ void Arbiter::decide(std::vector<Action>& out) {
   const int top = most_urgent();
   switch (discipline_) {
     case Discipline::kKernel:
-      for (int i = 0; i < kMaxSlots; ++i)
+      for (int i = 0; i < high(); ++i)
         if (slot(i).phase == Phase::kWaiting && eligible(slot(i).job)) grant(i);
       return;
 
     case Discipline::kGate: {
-      const bool taken = std::any_of(slots_.begin(), slots_.end(),
-                                     [](const Slot& s) { return s.phase == Phase::kAdmitted; });
+      const bool taken = admitted() >= 0;
       if (!taken && top >= 0) grant(top);
       return;
     }
 
     case Discipline::kPreemptive:
       // Victims first: their suspension is what the most urgent job waits for on the XPU.
-      for (int i = 0; i < kMaxSlots; ++i) {
+      for (int i = 0; i < high(); ++i) {
         Slot& s = at(i);
         const bool runs = s.phase == Phase::kAdmitted && s.queue == Queue::kEnabled;
         if (runs && i != top && !s.refuses) {

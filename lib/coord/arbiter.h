@@ -25,7 +25,6 @@
 // suspended only for an admitted job; every SUSPEND is followed by RESUME or by the slot's death.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <utility>
 #include <vector>
@@ -78,8 +77,24 @@ class Arbiter {
   /// All activations of `xnode` below `count` have finished or will never come.
   void finished(std::uint32_t xnode, std::uint64_t count, std::vector<Action>& out);
 
+  /// Several events at once: between `hold` and `release` they are only noted.
+  void hold() { held_ = true; }
+  void release(std::vector<Action>& out);
+  /// As it was found in shared memory by a new coordinator. Decides nothing.
+  void restore(int slot, const Slot& state);
+
+  /// Nobody needs the coordinator: at most one job is admitted, its queue is enabled or on its way
+  /// there, no other queue is touched, and nobody waits who could not be handed the XPU.
+  [[nodiscard]] bool settled() const;
+  /// The admitted job; -1 if there is none.
+  [[nodiscard]] int admitted() const;
+  /// An acknowledgement that is outstanding would lead to another decision.
+  [[nodiscard]] bool needs_acks() const;
+
   [[nodiscard]] const Slot& slot(int index) const {
-    return slots_[static_cast<std::size_t>(index)];
+    static const Slot kUnused;
+    const auto i = static_cast<std::size_t>(index);
+    return i < slots_.size() ? slots_[i] : kUnused;
   }
   [[nodiscard]] Discipline discipline() const { return discipline_; }
   /// No job and no queue in any other state than enabled: the fast path may have the XPU back.
@@ -89,11 +104,17 @@ class Arbiter {
   [[nodiscard]] bool eligible(const Job& job) const;
 
  private:
-  Slot& at(int slot) { return slots_[static_cast<std::size_t>(slot)]; }
+  Slot& at(int slot) {
+    if (static_cast<std::size_t>(slot) >= slots_.size())
+      slots_.resize(static_cast<std::size_t>(slot) + 1);
+    return slots_[static_cast<std::size_t>(slot)];
+  }
   void decide(std::vector<Action>& out);
+  [[nodiscard]] int high() const { return static_cast<int>(slots_.size()); }
 
   Discipline discipline_;
-  std::array<Slot, kMaxSlots> slots_{};
+  bool held_ = false;
+  std::vector<Slot> slots_;  ///< as many as were ever used
   std::uint64_t arrivals_ = 0;
   std::vector<std::vector<std::uint32_t>> before_;  ///< [xnode] -> its order predecessors
   std::vector<std::uint64_t> finished_;             ///< [xnode] -> activations finished

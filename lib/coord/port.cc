@@ -17,6 +17,11 @@
 #include "coord/protocol.h"
 
 namespace xauto::coord {
+namespace {
+
+constexpr int kRejoinMs = 3'000;
+
+}  // namespace
 
 Result<std::unique_ptr<Port>> Port::connect(
     const std::string& address, const std::string& worker, const std::vector<std::uint32_t>& xnodes,
@@ -28,18 +33,51 @@ Result<std::unique_ptr<Port>> Port::connect(
                     " XNodes, at most " + std::to_string(kMaxWorkerXNodes) + " are possible",
                 where);
   auto port = std::unique_ptr<Port>(new Port);
-  XAUTO_ASSIGN(port->socket_, connect_abstract(address));
-
-  Hello hello;
+  port->address_ = address;
+  Hello& hello = port->hello_;
   std::strncpy(hello.worker, worker.c_str(), kMaxWorkerName - 1);
   hello.num_xnodes = static_cast<std::uint32_t>(xnodes.size());
   std::copy(xnodes.begin(), xnodes.end(), hello.xnodes);
-  XAUTO_TRY(send_packet(port->socket_.get(), &hello, sizeof hello));
+  XAUTO_TRY(port->introduce(hello, -1));
 
+  struct stat status {};
+  const int memory_fd = port->memory_.get();
+  if (fstat(memory_fd, &status) != 0 || static_cast<std::size_t>(status.st_size) < Shm::bytes(0))
+    return fail(ErrorCode::kUnavailable, "shared memory is cut short", where);
+  port->bytes_ = static_cast<std::size_t>(status.st_size);
+  void* memory =
+      mmap(nullptr, port->bytes_, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, memory_fd, 0);
+  if (memory == MAP_FAILED)
+    return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno), where);
+  port->shm_ = Shm::at(memory);
+  const Header& header = *port->shm_.header;
+  if (header.magic != kShmMagic || header.version != kShmVersion ||
+      header.num_xnodes > kMaxSharedXNodes || port->bytes_ < Shm::bytes(header.num_xnodes) ||
+      port->slot_ >= kMaxSlots)
+    return fail(ErrorCode::kUnavailable, "shared memory has another version than this library",
+                where, "use xauto-coordinator and libxauto of one build");
+  for (const auto& [u, v] : order)
+    if (u >= header.num_xnodes || v >= header.num_xnodes)
+      return fail(ErrorCode::kInvalid, "order names an XNode beyond the app's", where);
+  port->rules_ = Rules(static_cast<Discipline>(header.discipline), header.num_xnodes, order);
+  port->words_ = Words<RealAtomics>(port->shm_, &port->rules_);
+  port->generation_ = request_generation(port->shm_.slots[port->slot_].worker.request.load());
+  port->interrupt_ = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  if (!port->interrupt_) return fail(ErrorCode::kIo, std::string("eventfd: ") + strerror(errno));
+  return port;
+}
+
+/// Hello and its answer, on a new socket.
+Status Port::introduce(const Hello& hello, int timeout_ms) {
+  const std::string where = "coordinator '" + address_ + "'";
+  XAUTO_ASSIGN(UniqueFd socket, connect_abstract(address_));
+  XAUTO_TRY(send_packet(socket.get(), &hello, sizeof hello));
+  pollfd answered{socket.get(), POLLIN, 0};
+  if (timeout_ms >= 0 && poll(&answered, 1, timeout_ms) <= 0)
+    return fail(ErrorCode::kTimeout, "did not answer", where);
   std::vector<UniqueFd> fds;
   Refused answer;  // the largest of the possible answers
-  XAUTO_ASSIGN(const std::size_t size,
-               receive_packet(port->socket_.get(), &answer, sizeof answer, &fds));
+  XAUTO_ASSIGN(const std::size_t size, receive_packet(socket.get(), &answer, sizeof answer, &fds));
   if (size == sizeof(Refused) && answer.kind == static_cast<std::uint32_t>(MessageKind::kRefused)) {
     answer.reason[sizeof answer.reason - 1] = '\0';
     return fail(ErrorCode::kUnavailable, std::string("refused the worker: ") + answer.reason,
@@ -49,78 +87,50 @@ Result<std::unique_ptr<Port>> Port::connect(
   if (size != sizeof welcome || fds.size() != 3)
     return fail(ErrorCode::kUnavailable, "answered with an unknown message", where);
   std::memcpy(&welcome, static_cast<const void*>(&answer), sizeof welcome);
-  port->doorbell_ = std::move(fds[1]);
-  port->commands_ = std::move(fds[2]);
-
-  struct stat status {};
-  if (fstat(fds[0].get(), &status) != 0 || static_cast<std::size_t>(status.st_size) < Shm::bytes(0))
-    return fail(ErrorCode::kUnavailable, "shared memory is cut short", where);
-  port->bytes_ = static_cast<std::size_t>(status.st_size);
-  void* memory = mmap(nullptr, port->bytes_, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE,
-                      fds[0].get(), 0);
-  if (memory == MAP_FAILED)
-    return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno), where);
-  port->shm_ = Shm::at(memory);
-  const Header& header = *port->shm_.header;
-  if (header.magic != kShmMagic || header.version != kShmVersion ||
-      header.num_xnodes > kMaxSharedXNodes || port->bytes_ < Shm::bytes(header.num_xnodes) ||
-      welcome.slot >= static_cast<std::uint32_t>(kMaxSlots))
-    return fail(ErrorCode::kUnavailable, "shared memory has another version than this library",
-                where, "use xauto-coordinator and libxauto of one build");
-  port->slot_ = static_cast<int>(welcome.slot);
-  port->discipline_ = static_cast<Discipline>(header.discipline);
-  port->generation_ = request_generation(port->shm_.slots[port->slot_].worker.request.load());
-
-  port->before_.resize(header.num_xnodes);
-  port->tracked_.resize(header.num_xnodes);
-  for (const auto& [u, v] : order) {
-    if (u >= header.num_xnodes || v >= header.num_xnodes)
-      return fail(ErrorCode::kInvalid, "order names an XNode beyond the app's", where);
-    port->before_[v].push_back(u);
-    port->tracked_[u] = 1;
+  if (welcome.slot >= static_cast<std::uint32_t>(kMaxSlots))
+    return fail(ErrorCode::kUnavailable, "answered with an unknown slot", where);
+  slot_ = static_cast<int>(welcome.slot);
+  socket_ = std::move(socket);
+  if (!memory_) {  // a coordinator that took over has the same memory and doorbell
+    memory_ = std::move(fds[0]);
+    doorbell_ = std::move(fds[1]);
   }
-  port->interrupt_ = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-  if (!port->interrupt_) return fail(ErrorCode::kIo, std::string("eventfd: ") + strerror(errno));
-  return port;
+  commands_ = std::move(fds[2]);
+  return {};
+}
+
+/// The coordinator has died. If another one takes over, jobs never notice; they wait for its grants
+/// as they did before.
+bool Port::rejoin() {
+  Hello hello = hello_;
+  hello.rejoin = static_cast<std::uint32_t>(slot_) + 1;
+  const std::int64_t limit = now_ns() + std::int64_t{kRejoinMs} * 1'000'000;
+  while (!interrupted_.load() && now_ns() < limit) {
+    // Its address is inherited by its successor: without anybody to listen, there will be none.
+    const Status status = introduce(hello, kRejoinMs);
+    if (status) return true;
+    if (status.error().code != ErrorCode::kTimeout) break;
+  }
+  return false;
 }
 
 Port::~Port() {
   if (shm_.header != nullptr) munmap(shm_.header, bytes_);
 }
 
-bool Port::eligible(const Job& job) const {
-  if (job.xnode >= before_.size()) return true;
-  const auto& before = before_[job.xnode];
-  return std::all_of(before.begin(), before.end(), [&](std::uint32_t u) {
-    return shm_.finished[u].load(std::memory_order_seq_cst) > job.sequence;
-  });
-}
-
 void Port::start(const Job& job) {
   job_ = job;
   if (lost()) return;
-  WorkerLine& line = shm_.slots[slot_].worker;
-  line.xnode.store(job.xnode, std::memory_order_relaxed);
-  line.priority.store(job.priority, std::memory_order_relaxed);
-  line.sequence.store(job.sequence, std::memory_order_relaxed);
-  line.since_ns.store(static_cast<std::uint64_t>(now_ns()), std::memory_order_relaxed);
   generation_ = (generation_ + 1) & kGenerationMask;
-
-  std::atomic<std::uint64_t>& owner = shm_.header->owner;
-  if (discipline_ == Discipline::kKernel && eligible(job)) {
-    line.request.store(request_word(Want::kRuns, generation_), std::memory_order_seq_cst);
-    return;
+  switch (words_.start(slot_, generation_, job, static_cast<std::uint64_t>(now_ns()))) {
+    case Started::kRuns:
+      return;
+    case Started::kDecided:
+      ring();
+      break;
+    case Started::kWaits:
+      break;
   }
-  line.request.store(request_word(Want::kRun, generation_), std::memory_order_seq_cst);
-  std::uint64_t seen = owner.load(std::memory_order_seq_cst);
-  while ((seen & kContended) == 0) {
-    if (seen == 0 && discipline_ != Discipline::kKernel && eligible(job)) {
-      if (owner.compare_exchange_weak(seen, owner_word(slot_, generation_))) return;
-    } else {
-      if (owner.compare_exchange_weak(seen, seen | kContended)) break;
-    }
-  }
-  ring();
   wait_for_grant();
 }
 
@@ -133,38 +143,19 @@ void Port::wait_for_grant() {
   }
 }
 
-void Port::mark_finished(std::uint32_t xnode, std::uint64_t count) {
-  std::atomic<std::uint64_t>& finished = shm_.finished[xnode];
-  std::uint64_t seen = finished.load(std::memory_order_relaxed);
-  while (seen < count && !finished.compare_exchange_weak(seen, count, std::memory_order_seq_cst)) {
-  }
-}
-
 void Port::finish() {
   if (lost()) return;
-  if (job_.xnode < tracked_.size() && tracked_[job_.xnode])
-    mark_finished(job_.xnode, job_.sequence + 1);
-  WorkerLine& line = shm_.slots[slot_].worker;
-  line.request.store(request_word(Want::kIdle, generation_), std::memory_order_seq_cst);
-  std::atomic<std::uint64_t>& owner = shm_.header->owner;
-  if (discipline_ == Discipline::kKernel) {
-    if ((owner.load(std::memory_order_seq_cst) & kContended) != 0) ring();
-    return;
-  }
-  std::uint64_t mine = owner_word(slot_, generation_);
-  if (!owner.compare_exchange_strong(mine, 0)) ring();
+  const Finished finished = words_.finish(slot_, generation_, job_);
+  if (finished.wake >= 0) futex_wake(shm_.slots[finished.wake].coordinator.grant, 1);
+  if (finished.ring) ring();
 }
 
 void Port::skip(std::uint32_t xnode, std::uint64_t sequence) {
-  if (lost() || xnode >= tracked_.size() || !tracked_[xnode]) return;
-  mark_finished(xnode, sequence + 1);
-  if ((shm_.header->owner.load(std::memory_order_seq_cst) & kContended) != 0) ring();
+  if (!lost() && words_.skip(xnode, sequence)) ring();
 }
 
 void Port::ring() {
-  shm_.header->rings.fetch_add(1, std::memory_order_seq_cst);
-  if (shm_.header->waiting.exchange(0, std::memory_order_seq_cst) != 0)
-    signal_eventfd(doorbell_.get());
+  if (words_.ring()) signal_eventfd(doorbell_.get());
 }
 
 Command Port::wait_command(int timeout_ms) {
@@ -184,7 +175,7 @@ Command Port::wait_command(int timeout_ms) {
     if (ready < 0) continue;  // EINTR
     if (fds[0].revents != 0) drain_eventfd(commands_.get());
     // The coordinator sends nothing after Welcome: anything here is its end, or its ruin.
-    if (fds[2].revents != 0) {
+    if (fds[2].revents != 0 && !rejoin()) {
       lost_.store(true);
       futex_wake(shm_.slots[slot_].coordinator.grant, INT_MAX);
       return Command::kLost;
@@ -193,9 +184,7 @@ Command Port::wait_command(int timeout_ms) {
 }
 
 void Port::acknowledge(bool succeeded) {
-  shm_.slots[slot_].worker.ack.store(pending_command_ | (succeeded ? 0u : kAckFailed),
-                                     std::memory_order_seq_cst);
-  ring();
+  if (words_.acknowledge(slot_, pending_command_ | (succeeded ? 0u : kAckFailed))) ring();
 }
 
 void Port::interrupt() {

@@ -17,14 +17,17 @@
 
 #include "base/unique_fd.h"
 #include "coord/arbiter.h"
+#include "coord/protocol.h"
 #include "coord/shm_layout.h"
+#include "coord/words.h"
 
 namespace xauto::coord {
 
 enum class Command : std::uint8_t {
   kSuspend,
   kResume,
-  kLost,         ///< the coordinator is gone: resume what is suspended, jobs now run unscheduled
+  kLost,         ///< the coordinator is gone for good: resume what is suspended, jobs now run
+                 ///< unscheduled
   kInterrupted,  ///< `interrupt` was called
   kNothing,      ///< the time is over
 };
@@ -60,18 +63,19 @@ class Port {
 
  private:
   Port() = default;
-  [[nodiscard]] bool eligible(const Job& job) const;
-  void mark_finished(std::uint32_t xnode, std::uint64_t count);
+  [[nodiscard]] Status introduce(const Hello& hello, int timeout_ms);
+  [[nodiscard]] bool rejoin();
   void ring();
   void wait_for_grant();
 
-  UniqueFd socket_, doorbell_, commands_, interrupt_;
+  std::string address_;
+  Hello hello_;
+  UniqueFd socket_, memory_, doorbell_, commands_, interrupt_;
   Shm shm_;
   std::size_t bytes_ = 0;
   int slot_ = -1;
-  Discipline discipline_ = Discipline::kPreemptive;
-  std::vector<std::vector<std::uint32_t>> before_;  ///< [xnode] -> order predecessors on this XPU
-  std::vector<char> tracked_;                       ///< [xnode] -> somebody's order predecessor
+  Rules rules_;
+  Words<RealAtomics> words_;
   Job job_;
   std::uint32_t generation_ = 0;
   std::uint32_t pending_command_ = 0;

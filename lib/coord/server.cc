@@ -10,6 +10,7 @@
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <sys/mman.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "base/clock.h"
@@ -22,6 +23,7 @@ namespace xauto::coord {
 namespace {
 
 constexpr std::size_t kMaxConnections = 2 * kMaxSlots;
+constexpr int kRejoinMs = 2'000;  ///< a worker sees at once that its coordinator is gone
 
 std::string quoted(const std::string& text) {
   std::string out = "\"";
@@ -34,12 +36,7 @@ std::string quoted(const std::string& text) {
 
 }  // namespace
 
-Server::Server(ServerOptions options)
-    : options_(std::move(options)), arbiter_(options_.discipline, options_.order) {
-  for (const auto& [u, v] : options_.order) tracked_.push_back(u);
-  std::sort(tracked_.begin(), tracked_.end());
-  tracked_.erase(std::unique(tracked_.begin(), tracked_.end()), tracked_.end());
-}
+Server::Server(ServerOptions options) : options_(std::move(options)) {}
 
 Server::~Server() {
   if (shm_.header != nullptr) munmap(shm_.header, bytes_);
@@ -55,38 +52,81 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
   Server& s = *server;
   const auto num_xnodes = static_cast<std::uint32_t>(s.options_.xnodes.size());
 
-  s.memory_fd_ = UniqueFd(memfd_create("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING));
+  s.memory_fd_ = UniqueFd(s.options_.memory_fd >= 0
+                              ? s.options_.memory_fd
+                              : memfd_create("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING));
   s.bytes_ = Shm::bytes(num_xnodes);
-  if (!s.memory_fd_ || ftruncate(s.memory_fd_.get(), static_cast<off_t>(s.bytes_)) != 0)
+  struct stat status {};
+  if (!s.memory_fd_ || fstat(s.memory_fd_.get(), &status) != 0)
     return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
+  const bool fresh = status.st_size == 0;
   // Sealed: a client that shrinks it would kill us with SIGBUS.
-  if (fcntl(s.memory_fd_.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
+  if (fresh &&
+      (ftruncate(s.memory_fd_.get(), static_cast<off_t>(s.bytes_)) != 0 ||
+       fcntl(s.memory_fd_.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0))
     return fail(ErrorCode::kIo, std::string("cannot seal shared memory: ") + strerror(errno));
+  if (!fresh && static_cast<std::size_t>(status.st_size) != s.bytes_)
+    return fail(ErrorCode::kInvalid, "the shared memory is another app's");
   void* memory = mmap(nullptr, s.bytes_, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE,
                       s.memory_fd_.get(), 0);
   if (memory == MAP_FAILED)
     return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
   s.shm_ = Shm::at(memory);
-  new (s.shm_.header) Header;
-  for (int i = 0; i < kMaxSlots; ++i) new (s.shm_.slots + i) SlotMemory;
-  for (std::uint32_t i = 0; i < num_xnodes; ++i)
-    new (s.shm_.finished + i) std::atomic<std::uint64_t>(0);
-  s.shm_.header->magic = kShmMagic;
-  s.shm_.header->version = kShmVersion;
-  s.shm_.header->num_xnodes = num_xnodes;
-  s.shm_.header->discipline = static_cast<std::uint8_t>(s.options_.discipline);
+  // A predecessor may have died before it was through with this: then nobody has seen it yet.
+  const bool filled = !fresh && s.shm_.header->magic == kShmMagic;
+  if (!filled) {
+    new (s.shm_.header) Header;
+    for (int i = 0; i < kMaxSlots; ++i) new (s.shm_.slots + i) SlotMemory;
+    for (std::uint32_t i = 0; i < num_xnodes; ++i)
+      new (s.shm_.finished + i) std::atomic<std::uint64_t>(0);
+    s.shm_.header->version = kShmVersion;
+    s.shm_.header->num_xnodes = num_xnodes;
+    s.shm_.header->discipline = static_cast<std::uint8_t>(s.options_.discipline);
+    std::atomic_thread_fence(std::memory_order_release);
+    s.shm_.header->magic = kShmMagic;
+  } else if (s.shm_.header->version != kShmVersion || s.shm_.header->num_xnodes != num_xnodes ||
+             s.shm_.header->discipline != static_cast<std::uint8_t>(s.options_.discipline)) {
+    return fail(ErrorCode::kInvalid, "the shared memory is another app's");
+  }
+  s.referee_.emplace(s.shm_, s.options_.discipline, s.options_.order);
 
-  s.doorbell_ = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  s.doorbell_ = UniqueFd(s.options_.doorbell_fd >= 0 ? s.options_.doorbell_fd
+                                                     : eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   s.epoll_ = UniqueFd(epoll_create1(EPOLL_CLOEXEC));
   if (!s.doorbell_ || !s.epoll_)
     return fail(ErrorCode::kIo, std::string("eventfd/epoll: ") + strerror(errno));
-  XAUTO_ASSIGN(s.listener_, listen_abstract(s.options_.address));
+  s.listener_ = UniqueFd(s.options_.listener_fd);
+  if (!s.listener_) {
+    XAUTO_ASSIGN(s.listener_, listen_abstract(s.options_.address));
+  }
   for (const int fd : {s.doorbell_.get(), s.listener_.get()}) {
     epoll_event event{.events = EPOLLIN, .data = {.fd = fd}};
     if (epoll_ctl(s.epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
       return fail(ErrorCode::kIo, std::string("epoll_ctl: ") + strerror(errno));
   }
+  if (filled) s.take_over_from_predecessor();
   return server;
+}
+
+void Server::take_over_from_predecessor() {
+  Wakes wakes;
+  referee_->rebuild(wakes);
+  wake(wakes);
+  int absent = 0;
+  for (int i = 0; i < kMaxSlots; ++i)
+    if (referee_->used(i)) {
+      slots_[static_cast<std::size_t>(i)].absent = true;
+      ++absent;
+    }
+  if (absent > 0) absent_until_ns_ = now_ns() + std::int64_t{kRejoinMs} * 1'000'000;
+  log::info("{}: took over from a coordinator that died: {} workers", options_.xpu, absent);
+}
+
+/// Workers of our predecessor that have not come back: they died meanwhile.
+void Server::give_up_absent() {
+  absent_until_ns_ = 0;
+  for (int i = 0; i < kMaxSlots; ++i)
+    if (slots_[static_cast<std::size_t>(i)].absent) leave(i);
 }
 
 Status Server::run(int stop_fd) {
@@ -99,7 +139,13 @@ Status Server::run(int stop_fd) {
     // a ring after it writes the eventfd.
     shm_.header->waiting.store(1, std::memory_order_seq_cst);
     look();
-    const int count = epoll_wait(epoll_.get(), events.data(), static_cast<int>(events.size()), -1);
+    int timeout_ms = -1;
+    if (absent_until_ns_ != 0) {
+      if (now_ns() >= absent_until_ns_) give_up_absent();
+      timeout_ms = kRejoinMs / 10;
+    }
+    const int count =
+        epoll_wait(epoll_.get(), events.data(), static_cast<int>(events.size()), timeout_ms);
     shm_.header->waiting.store(0, std::memory_order_seq_cst);
     if (count < 0 && errno != EINTR)
       return fail(ErrorCode::kIo, std::string("epoll_wait: ") + strerror(errno));
@@ -173,32 +219,29 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
   if (hello.num_xnodes > kMaxWorkerXNodes) return refuse("too many XNodes");
   for (std::uint32_t i = 0; i < hello.num_xnodes; ++i)
     if (hello.xnodes[i] >= options_.xnodes.size()) return refuse("names an unknown XNode");
-  const auto free =
-      std::find_if(slots_.begin(), slots_.end(), [](const SlotInfo& s) { return !s.used; });
-  if (free == slots_.end()) return refuse("all worker slots of this XPU are taken");
-
-  const int slot = static_cast<int>(free - slots_.begin());
-  SlotMemory& memory = shm_.slots[slot];
-  *free = SlotInfo{};
-  free->command_fd = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-  if (!free->command_fd) return refuse("out of descriptors");
-  // The generation goes on where the slot's last user left it, so that an old owner word never
-  // matches.
-  free->request = request_word(
-      Want::kIdle, request_generation(memory.worker.request.load(std::memory_order_seq_cst)));
-  memory.worker.request.store(free->request, std::memory_order_seq_cst);
-  memory.worker.ack.store(0, std::memory_order_seq_cst);
-  memory.coordinator.command.store(0, std::memory_order_seq_cst);
-  memory.coordinator.grant.store(kGenerationMask + 1, std::memory_order_seq_cst);  // matches none
-  const Welcome answer{.slot = static_cast<std::uint32_t>(slot)};
-  if (!send_packet(connection.socket.get(), &answer, sizeof answer,
-                   {memory_fd_.get(), doorbell_.get(), free->command_fd.get()}))
-    return false;
-  free->worker = hello.worker;
-  free->xnodes.assign(hello.xnodes, hello.xnodes + hello.num_xnodes);
-  free->used = true;
+  int slot = 0;
+  const bool rejoins = hello.rejoin != 0;
+  if (rejoins) {
+    slot = static_cast<int>(hello.rejoin) - 1;
+    if (hello.rejoin > kMaxSlots || !slots_[static_cast<std::size_t>(slot)].absent)
+      return refuse("comes back to a slot that is not its own");
+  } else {
+    while (slot < kMaxSlots && referee_->used(slot)) ++slot;
+    if (slot == kMaxSlots) return refuse("all worker slots of this XPU are taken");
+  }
+  SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
+  UniqueFd command_fd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  if (!command_fd) return refuse("out of descriptors");
+  info = SlotInfo{};
+  info.command_fd = std::move(command_fd);
+  info.worker = hello.worker;
+  info.xnodes.assign(hello.xnodes, hello.xnodes + hello.num_xnodes);
+  if (!rejoins) referee_->join(slot);
   connection.slot = slot;
-  return true;
+  const Welcome answer{.slot = static_cast<std::uint32_t>(slot)};
+  return send_packet(connection.socket.get(), &answer, sizeof answer,
+                     {memory_fd_.get(), doorbell_.get(), info.command_fd.get()})
+      .has_value();
 }
 
 void Server::drop(int fd) {
@@ -207,149 +250,37 @@ void Server::drop(int fd) {
   const int slot = found->second.slot;
   epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, fd, nullptr);
   connections_.erase(found);
-  if (slot < 0) return;
+  if (slot >= 0) leave(slot);
+}
 
-  // Whatever the dead worker's words say is void: its job is over and nobody waits for it.
+/// Its job is over and nobody waits for it.
+void Server::leave(int slot) {
   SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
-  WorkerLine& line = shm_.slots[slot].worker;
-  const std::uint32_t generation = request_generation(line.request.load(std::memory_order_seq_cst));
-  info.request = request_word(Want::kIdle, generation);
-  line.request.store(info.request, std::memory_order_seq_cst);
-  for (const std::uint32_t xnode : info.xnodes)
-    if (std::binary_search(tracked_.begin(), tracked_.end(), xnode))
-      shm_.finished[xnode].store(UINT64_MAX, std::memory_order_seq_cst);
-  std::vector<Action> actions;
-  if (arbiter_.slot(slot).phase != Phase::kNone || arbiter_.slot(slot).queue != Queue::kEnabled) {
+  const Arbiter::Slot& state = referee_->arbiter().slot(slot);
+  if (referee_->fat() && (state.phase != Phase::kNone || state.queue != Queue::kEnabled))
     log::warn("{}: worker '{}' left with a job of {}", options_.xpu, info.worker,
-              xnode_name(arbiter_.slot(slot).job.xnode));
-    arbiter_.gone(slot, actions);
-  }
-  std::uint64_t owner = shm_.header->owner.load(std::memory_order_seq_cst);
-  while (owner_slot(owner) == slot &&
-         !shm_.header->owner.compare_exchange_weak(owner, owner & kContended)) {
-  }
-  info.used = false;
-  carry_out(actions);
-  look();
+              xnode_name(state.job.xnode));
+  info.absent = false;
+  Wakes wakes;
+  referee_->leave(slot, info.xnodes, wakes);
+  wake(wakes);
 }
 
 // ---- deciding
 // --------------------------------------------------------------------------------------
 
-Job Server::job_of(int slot) const {
-  const WorkerLine& line = shm_.slots[slot].worker;
-  return {line.xnode.load(std::memory_order_relaxed), line.sequence.load(std::memory_order_relaxed),
-          line.priority.load(std::memory_order_relaxed)};
-}
-
-/// A request that is neither idle nor the thin owner's: the fast path did not serve it.
-bool Server::somebody_waits() const {
-  const std::uint64_t owner = shm_.header->owner.load(std::memory_order_seq_cst);
-  for (int i = 0; i < kMaxSlots; ++i) {
-    if (!slots_[static_cast<std::size_t>(i)].used) continue;
-    const std::uint32_t request = shm_.slots[i].worker.request.load(std::memory_order_seq_cst);
-    if (request_want(request) != Want::kRun) continue;
-    if (owner_slot(owner) == i && owner_generation(owner) == request_generation(request)) continue;
-    return true;
-  }
-  return false;
-}
-
 void Server::look() {
   ++looks_;
-  std::vector<Action> actions;
-  for (;;) {
-    if (!fat_) {
-      const bool contended = (shm_.header->owner.load(std::memory_order_seq_cst) & kContended) != 0;
-      if (!contended && !somebody_waits()) return;
-      // A START may be between its request and its CAS; after this exchange the CAS fails and it
-      // rings.
-      const std::uint64_t thin = shm_.header->owner.exchange(kContended);
-      fat_ = true;
-      // The thin owner is adopted before anybody else is heard: its job runs.
-      const int owner = owner_slot(thin);
-      if (owner >= 0 && owner < kMaxSlots) scan_slot(owner, thin, actions);
-    }
-    scan(actions);
-    carry_out(actions);
-    actions.clear();
-    if (!arbiter_.idle()) return;
-    // Nobody is left: hand the owner word back to the fast path. A START that still saw kContended
-    // has written its request and rings, or is seen by the next round.
-    std::uint64_t expected = kContended;
-    shm_.header->owner.compare_exchange_strong(expected, 0);
-    fat_ = false;
-    if (!somebody_waits()) return;
-  }
+  Wakes wakes;
+  referee_->look(wakes);
+  wake(wakes);
 }
 
-void Server::scan(std::vector<Action>& actions) {
-  for (int i = 0; i < kMaxSlots; ++i)
-    if (slots_[static_cast<std::size_t>(i)].used) scan_slot(i, 0, actions);
-  for (const std::uint32_t xnode : tracked_)
-    arbiter_.finished(xnode, shm_.finished[xnode].load(std::memory_order_seq_cst), actions);
-}
-
-/// `thin`: the owner word as it was when the coordinator took it over, if this slot is in it; else
-/// 0.
-void Server::scan_slot(int slot, std::uint64_t thin, std::vector<Action>& actions) {
-  SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
-  const WorkerLine& line = shm_.slots[slot].worker;
-
-  // Acknowledgements first: a job that follows waits for the queue to be enabled.
-  const std::uint32_t ack = line.ack.load(std::memory_order_seq_cst);
-  if (ack != info.ack) {
-    info.ack = ack;
-    const Queue queue = arbiter_.slot(slot).queue;
-    if ((ack & ~kAckFailed) == info.command) {  // an answer to anything else is a broken client's
-      if (queue == Queue::kSuspending) arbiter_.suspended(slot, (ack & kAckFailed) == 0, actions);
-      if (queue == Queue::kResuming) arbiter_.resumed(slot, actions);
-    }
-  }
-
-  std::uint32_t request = line.request.load(std::memory_order_seq_cst);
-  if (request == info.request) return;
-  Job job = job_of(slot);
-  // The worker may have gone on to its next job while we read; what counts is a consistent pair.
-  for (std::uint32_t again; (again = line.request.load(std::memory_order_seq_cst)) != request;
-       request = again)
-    job = job_of(slot);
-  if (job.xnode >= options_.xnodes.size()) job.xnode = 0;  // a broken client hurts only its own job
-
-  if (arbiter_.slot(slot).phase != Phase::kNone) arbiter_.finish(slot, actions);
-  info.request = request;
-  switch (request_want(request)) {
-    case Want::kRun: {
-      const bool owns =
-          owner_slot(thin) == slot && owner_generation(thin) == request_generation(request);
-      if (owns && arbiter_.slot(slot).queue == Queue::kEnabled)
-        arbiter_.adopt(slot, job, actions);
-      else
-        arbiter_.start(slot, job, actions);
-      break;
-    }
-    case Want::kRuns:  // kernel-scheduled: it neither asked nor waits
-    case Want::kIdle:
-      break;
-  }
-}
-
-void Server::carry_out(const std::vector<Action>& actions) {
-  for (const Action& action : actions) {
-    ++decisions_;
-    SlotInfo& info = slots_[static_cast<std::size_t>(action.slot)];
-    CoordinatorLine& line = shm_.slots[action.slot].coordinator;
-    if (!info.used) continue;
-    if (action.kind == Action::Kind::kGrant) {
-      line.grant.store(request_generation(info.request), std::memory_order_seq_cst);
-      futex_wake(line.grant, 1);
-      continue;
-    }
-    const bool suspend = action.kind == Action::Kind::kSuspend;
-    info.command = command_word(suspend, (info.command >> 2) + 1);
-    line.command.store(info.command, std::memory_order_seq_cst);
-    signal_eventfd(info.command_fd.get());
-  }
+void Server::wake(const Wakes& wakes) {
+  for (const int slot : wakes.granted) futex_wake(shm_.slots[slot].coordinator.grant, 1);
+  for (const int slot : wakes.commanded)
+    if (const UniqueFd& fd = slots_[static_cast<std::size_t>(slot)].command_fd)
+      signal_eventfd(fd.get());
 }
 
 // ---- telling
@@ -363,41 +294,48 @@ std::string Server::status() const {
   static constexpr const char* kDisciplines[] = {"preemptive", "gate", "kernel"};
   const std::uint64_t owner = shm_.header->owner.load(std::memory_order_seq_cst);
   const auto now = static_cast<std::uint64_t>(now_ns());
-  const int top = fat_ ? arbiter_.most_urgent() : -1;
+  const Arbiter& arbiter = referee_->arbiter();
+  const bool fat = referee_->fat();
+  const int top = fat ? arbiter.most_urgent() : -1;
   std::string out =
       "{\"xpu\":" + quoted(options_.xpu) + ",\"pid\":" + std::to_string(getpid()) +
       ",\"discipline\":" + quoted(kDisciplines[static_cast<int>(options_.discipline)]) +
-      ",\"mode\":" + quoted(fat_ ? "arbitrated" : "uncontended") +
-      ",\"looks\":" + std::to_string(looks_) + ",\"decisions\":" + std::to_string(decisions_) +
-      ",\"workers\":[";
+      ",\"mode\":" + quoted(fat ? "arbitrated" : "uncontended") +
+      ",\"looks\":" + std::to_string(looks_) +
+      ",\"decisions\":" + std::to_string(referee_->decisions()) + ",\"workers\":[";
   bool first = true;
   for (int i = 0; i < kMaxSlots; ++i) {
     const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
-    if (!info.used) continue;
+    if (!referee_->used(i)) continue;
     const std::uint32_t request = shm_.slots[i].worker.request.load(std::memory_order_seq_cst);
-    const Arbiter::Slot& slot = arbiter_.slot(i);
+    const Arbiter::Slot& slot = arbiter.slot(i);
     std::string state = "idle", by;
     const bool thin =
         owner_slot(owner) == i && owner_generation(owner) == request_generation(request);
     if (request_want(request) == Want::kRuns || (request_want(request) == Want::kRun && thin)) {
       state = "running";
+    } else if (!fat && request_want(request) == Want::kRun) {
+      state = "waiting";
+      if (owner_slot(owner) >= 0) by = xnode_name(referee_->job_of(owner_slot(owner)).xnode);
+    } else if (!fat) {
+      state = "idle";
     } else if (slot.phase == Phase::kWaiting) {
-      state = arbiter_.eligible(slot.job) ? "waiting" : "waiting for its order predecessors";
+      state = arbiter.eligible(slot.job) ? "waiting" : "waiting for its order predecessors";
     } else if (slot.phase == Phase::kAdmitted) {
       static constexpr const char* kQueues[] = {"running", "being suspended", "suspended",
                                                 "being resumed"};
       state = kQueues[static_cast<int>(slot.queue)];
-    } else if (request_want(request) == Want::kRun) {
+    } else if (request_want(request) == Want::kRun || request_want(request) == Want::kHold) {
       state = "starting";
     }
     if (top >= 0 && top != i &&
         (state == "waiting" || state == "suspended" || state == "being suspended"))
-      by = xnode_name(arbiter_.slot(top).job.xnode);
+      by = xnode_name(arbiter.slot(top).job.xnode);
     out += first ? "{" : ",{";
     first = false;
     out += "\"worker\":" + quoted(info.worker) + ",\"state\":" + quoted(state);
     if (state != "idle") {
-      const Job job = job_of(i);
+      const Job job = referee_->job_of(i);
       const std::uint64_t since = shm_.slots[i].worker.since_ns.load(std::memory_order_relaxed);
       out += ",\"xnode\":" + quoted(xnode_name(job.xnode)) +
              ",\"job\":" + std::to_string(job.sequence) +

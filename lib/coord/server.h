@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -15,6 +16,7 @@
 
 #include "base/unique_fd.h"
 #include "coord/arbiter.h"
+#include "coord/referee.h"
 #include "coord/shm_layout.h"
 
 namespace xauto::coord {
@@ -26,6 +28,9 @@ struct ServerOptions {
   std::vector<std::string>
       xnodes;  ///< names by index, for people; its size bounds what workers may name
   std::vector<std::pair<std::uint32_t, std::uint32_t>> order;  ///< pairs of XNodes on this XPU
+  /// What outlives a coordinator, made by whoever starts it again when it dies: the listening
+  /// socket, the shared memory (empty: the first one fills it), the doorbell. -1: made here.
+  int listener_fd = -1, memory_fd = -1, doorbell_fd = -1;
 };
 
 /// Threads: one.
@@ -62,33 +67,28 @@ class Server {
     std::string worker;
     std::vector<std::uint32_t> xnodes;
     UniqueFd command_fd;
-    std::uint32_t request = 0;  ///< last seen
-    std::uint32_t ack = 0;      ///< last seen
-    std::uint32_t command = 0;  ///< last given
-    bool used = false;
+    bool absent = false;  ///< of the coordinator before us; has not come back yet
   };
 
   explicit Server(ServerOptions options);
   void accept_connection();
   bool welcome(Connection& connection, const void* data, std::size_t bytes);
   void drop(int connection);
-  void scan(std::vector<Action>& actions);
-  void scan_slot(int slot, std::uint64_t thin, std::vector<Action>& actions);
-  [[nodiscard]] bool somebody_waits() const;
-  void carry_out(const std::vector<Action>& actions);
-  [[nodiscard]] Job job_of(int slot) const;
+  void leave(int slot);
+  void take_over_from_predecessor();
+  void give_up_absent();
+  void wake(const Wakes& wakes);
   [[nodiscard]] std::string xnode_name(std::uint32_t xnode) const;
 
   ServerOptions options_;
-  Arbiter arbiter_;
   UniqueFd epoll_, listener_, memory_fd_, doorbell_;
   Shm shm_;
   std::size_t bytes_ = 0;
-  bool fat_ = false;  ///< the owner word is ours, see shm_layout.h
+  std::optional<Referee<RealAtomics>> referee_;
   std::array<SlotInfo, kMaxSlots> slots_;
   std::map<int, Connection> connections_;  ///< by descriptor
-  std::vector<std::uint32_t> tracked_;     ///< XNodes that are somebody's order predecessor
-  std::uint64_t decisions_ = 0, looks_ = 0;
+  std::int64_t absent_until_ns_ = 0;       ///< 0: everybody of our predecessor's is back
+  std::uint64_t looks_ = 0;
 };
 
 }  // namespace xauto::coord

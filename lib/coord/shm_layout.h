@@ -5,23 +5,28 @@
 //   ┌ Header ┬ slots[kMaxSlots] ┬ finished[num_xnodes] ┐
 //
 // State is level-triggered: the coordinator recomputes from the words; a ring of the doorbell only
-// says "look". No lock is shared; a client that dies or misbehaves holds up nothing but its own
-// job.
+// says "look". No lock is shared; a client that dies holds up nothing but its own job. The memory
+// outlives the coordinator, and a new one rebuilds everything from it.
 //
-// The owner word makes uncontended START and FINISH one atomic each, without waking anybody:
+// The owner word: who has the XPU, and who decides. START and FINISH of a job that meets nobody are
+// one atomic each; a job that is less urgent than the owner parks, and the owner's FINISH hands the
+// XPU over to the most urgent that is parked: one wake-up, and no coordinator. It is asked when a
+// queue must be suspended, an order constraint waited for, or a worker has died.
 //
-//        0 ──START: CAS──► {slot, generation} ──FINISH: CAS──► 0          "thin": nobody else is
-//        there │                        │ └──── START that finds it taken, or is not eligible: sets
-//        kContended, rings ────┐
-//                                 ▼                                                      ▼
-//                            kContended            "fat": every START and FINISH rings; the
-//                            coordinator
-//                                 │                 adopts the thin owner and decides with the
-//                                 arbiter └─ nobody has a job left: coordinator CAS ──► 0
+//          START: CAS               START of a less urgent job: CAS, parks      (the count in the
+//     0 ──────────────► {owner} ─────────────────────────► {owner, kParked}     word makes FINISH
+//     ▲   FINISH: CAS      │                                   │        │       see every parking)
+//     └────────────────────┤ ◄── FINISH, the last one parked ──┘ ◄──────┘ FINISH: {next, kParked}
+//                          ▼
+//              more urgent START (or not eligible, or a death): CAS to | kFat, rings
+//                          │
+//            {.., kFat}: the coordinator alone writes the word; every START and FINISH rings
+//                          │ no queue is suspended or being suspended, one job at most is admitted
+//                          └──► back to 0, {owner} or {owner, kParked}
 //
-// A START writes its request before it looks at the owner word, and always rings after it has seen
-// or set kContended; the coordinator scans all requests after each ring. Hence no START is lost,
-// whichever way the words are interleaved (tests/unit/coord explores them).
+// A START writes its request before it looks at the owner word; the coordinator looks at all
+// requests after it has handed the word back. Hence no START is lost, whichever way the words are
+// interleaved: tests/unit/coord/protocol_test.cc tries all ways, with deaths.
 //
 // Who writes: [W] the worker of the slot, [C] the coordinator, [*] both, by the protocol above.
 #pragma once
@@ -35,10 +40,14 @@
 namespace xauto::coord {
 
 inline constexpr std::uint32_t kShmMagic = 0x58434f52;  // "XCOR"
-inline constexpr std::uint32_t kShmVersion = 1;
+inline constexpr std::uint32_t kShmVersion = 2;
 
-/// Owner word: bit 63 contended, bits 40..47 slot + 1 (0: nobody), bits 0..31 generation.
-inline constexpr std::uint64_t kContended = 1ull << 63;
+/// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bits 48..61 count of
+/// parkings, bits 40..47 slot + 1 (0: nobody), bits 0..31 generation.
+inline constexpr std::uint64_t kFat = 1ull << 63;
+inline constexpr std::uint64_t kParked = 1ull << 62;
+inline constexpr std::uint64_t kParkings = 0x3fffull << 48;
+inline constexpr std::uint64_t kOneParking = 1ull << 48;
 constexpr std::uint64_t owner_word(int slot, std::uint32_t generation) {
   return (static_cast<std::uint64_t>(slot) + 1) << 40 | generation;
 }
@@ -48,12 +57,16 @@ constexpr int owner_slot(std::uint64_t word) {
 constexpr std::uint32_t owner_generation(std::uint64_t word) {
   return static_cast<std::uint32_t>(word);
 }
+constexpr std::uint64_t one_more_parked(std::uint64_t word) {
+  return (word & ~kParkings) | ((word + kOneParking) & kParkings) | kParked;
+}
 
 /// Request word: bits 0..1 what the worker's job is doing, bits 2..31 its generation.
 enum class Want : std::uint32_t {
   kIdle = 0,  ///< no job
-  kRun = 1,   ///< has a job: running if it is the thin owner or was granted, waiting otherwise
+  kRun = 1,   ///< has a job: running if it is the owner or was granted, parked otherwise
   kRuns = 2,  ///< kernel-scheduled XPU: runs without asking
+  kHold = 3,  ///< has a job that was not eligible: the coordinator says when
 };
 inline constexpr std::uint32_t kGenerationMask = (1u << 30) - 1;
 constexpr std::uint32_t request_word(Want want, std::uint32_t generation) {
@@ -64,6 +77,12 @@ constexpr Want request_want(std::uint32_t word) {
 }
 constexpr std::uint32_t request_generation(std::uint32_t word) {
   return word >> 2;
+}
+
+/// Generations go round; of two that are in use the later one is less than half a turn ahead.
+constexpr bool later(std::uint32_t a, std::uint32_t b) {
+  const std::uint32_t ahead = (a - b) & kGenerationMask;
+  return ahead != 0 && ahead < (1u << 29);
 }
 
 /// Command and acknowledgement: bit 0 the queue shall be suspended, bit 1 (ack only) that failed,
@@ -84,8 +103,9 @@ struct alignas(64) WorkerLine {
       since_ns{};  ///< [W] CLOCK_MONOTONIC of the request; for `xauto status`
 };
 struct alignas(64) CoordinatorLine {
-  std::atomic<std::uint32_t> grant{};    ///< [C] generation that may run; a futex
+  std::atomic<std::uint32_t> grant{};    ///< [*] generation that may run; a futex
   std::atomic<std::uint32_t> command{};  ///< [C] for the management thread
+  std::atomic<std::uint32_t> used{};     ///< [C] 1: a worker has this slot
 };
 struct SlotMemory {
   WorkerLine worker;
@@ -101,7 +121,9 @@ struct alignas(64) Header {
   std::uint8_t pad[3] = {};
   alignas(64) std::atomic<std::uint64_t> owner{};  ///< [*]
   alignas(64) std::atomic<std::uint32_t> rings{};  ///< [*] counts rings of the doorbell
-  std::atomic<std::uint32_t> waiting{};  ///< [*] 1: the coordinator sleeps, ring its eventfd
+  std::atomic<std::uint32_t> waiting{};    ///< [*] 1: the coordinator sleeps, ring its eventfd
+  std::atomic<std::uint32_t> want_acks{};  ///< [C] 1: an acknowledgement rings, too
+  std::atomic<std::uint32_t> high{};       ///< [C] slots from here on were never used
 };
 static_assert(sizeof(Header) == 192);
 

@@ -76,6 +76,8 @@ class Obedient {
               case Command::kLost:
                 suspended.store(false);
                 break;
+              case Command::kNothing:
+                break;
               case Command::kInterrupted:
                 return;
             }

@@ -1,0 +1,317 @@
+// SPDX-License-Identifier: Apache-2.0
+// Life of a job, step 5: the coordinator's side of the protocol in shm_layout.h, between the shared
+// words and the arbiter. No system call, no clock: whom to wake is left in `Wakes`. `A` does the
+// atomic accesses, see words.h; the tests copy a Referee to try every interleaving.
+//
+// Threads: one.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "coord/arbiter.h"
+#include "coord/shm_layout.h"
+#include "coord/words.h"
+
+namespace xauto::coord {
+
+/// Side effects that a look asks for.
+struct Wakes {
+  std::vector<int> granted;    ///< futex of these slots' grant words
+  std::vector<int> commanded;  ///< management threads of these slots
+};
+
+template <class A>
+class Referee {
+ public:
+  Referee(Shm shm, Discipline discipline,
+          const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order)
+      : shm_(shm), arbiter_(discipline, order) {
+    for (const auto& [u, v] : order) tracked_.push_back(u);
+    std::sort(tracked_.begin(), tracked_.end());
+    tracked_.erase(std::unique(tracked_.begin(), tracked_.end()), tracked_.end());
+  }
+
+  /// A worker has this slot from now on. The generation goes on where the slot's last user left it,
+  /// so that an old owner word never matches.
+  void join(int slot) {
+    SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
+    SlotMemory& memory = shm_.slots[slot];
+    const std::uint32_t generation = request_generation(A::load(memory.worker.request));
+    info = SlotInfo{};
+    info.used = true;
+    info.request = request_word(Want::kIdle, generation);
+    A::store(memory.worker.request, info.request);
+    A::store(memory.worker.ack, 0u);
+    A::store(memory.coordinator.command, 0u);
+    A::store(memory.coordinator.grant, generation);  // matches none that follows
+    A::store(memory.coordinator.used, 1u);
+    if (static_cast<std::uint32_t>(slot) >= A::peek(shm_.header->high))
+      A::store(shm_.header->high, static_cast<std::uint32_t>(slot) + 1);
+  }
+
+  /// The worker of this slot is dead: whatever its words say is void.
+  void leave(int slot, const std::vector<std::uint32_t>& xnodes, Wakes& wakes) {
+    // First of all: a FINISH that is just handing over to the dead must not succeed.
+    take_over();
+    SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
+    WorkerLine& line = shm_.slots[slot].worker;
+    info.request = request_word(Want::kIdle, request_generation(A::peek(line.request)));
+    A::store(line.request, info.request);
+    info.used = false;
+    A::store_relaxed(shm_.slots[slot].coordinator.used, 0u);
+    for (const std::uint32_t xnode : xnodes)
+      if (std::binary_search(tracked_.begin(), tracked_.end(), xnode))
+        A::store(shm_.finished[xnode], UINT64_MAX);
+    arbiter_.gone(slot, held_actions());
+    look_fat(wakes);
+  }
+
+  /// One look at the shared words: feeds the arbiter what changed and carries out what it decides.
+  void look(Wakes& wakes) {
+    if (!fat_) {
+      if ((A::load(shm_.header->owner) & kFat) == 0) return;
+      take_over();
+    }
+    look_fat(wakes);
+  }
+
+  /// A predecessor has died: everything is in the words. The slots are as good as joined; those
+  /// whose workers don't come back are to `leave`.
+  void rebuild(Wakes& wakes) {
+    const std::uint64_t owner = A::fetch_or(shm_.header->owner, kFat);
+    fat_ = true;
+    arbiter_.hold();
+    for (int i = 0; i < high(); ++i) {
+      SlotInfo& info = slots_[static_cast<std::size_t>(i)];
+      const SlotMemory& memory = shm_.slots[i];
+      info.used = A::peek(memory.coordinator.used) != 0;
+      if (!info.used) continue;
+      info.command = A::peek(memory.coordinator.command);
+      info.ack = A::load(memory.worker.ack);
+      info.request = A::load(memory.worker.request);
+      Arbiter::Slot slot;
+      slot.job = read_job(i, info.request);
+      const Want want = request_want(info.request);
+      const std::uint32_t generation = request_generation(info.request);
+      if (want == Want::kRun || want == Want::kHold) {
+        const bool owns = owner_slot(owner) == i && owner_generation(owner) == generation;
+        const bool granted = A::load(memory.coordinator.grant) == generation;
+        slot.phase = owns || granted ? Phase::kAdmitted : Phase::kWaiting;
+        if (owns) give<A>(shm_.slots[i].coordinator.grant, generation);
+        if (slot.phase == Phase::kAdmitted) wakes.granted.push_back(i);
+      }
+      const bool suspend = (info.command & 1u) != 0;
+      const bool answered = (info.ack & ~kAckFailed) == info.command;
+      const bool refused = answered && (info.ack & kAckFailed) != 0;
+      if (info.command != 0) {
+        slot.queue = suspend ? (answered ? Queue::kSuspended : Queue::kSuspending)
+                             : (answered ? Queue::kEnabled : Queue::kResuming);
+        if (refused) slot.queue = Queue::kEnabled;
+        slot.refuses = refused && suspend && slot.phase == Phase::kAdmitted;
+      }
+      arbiter_.restore(i, slot);
+    }
+    look_fat(wakes);
+  }
+
+  [[nodiscard]] const Arbiter& arbiter() const { return arbiter_; }
+  [[nodiscard]] bool fat() const { return fat_; }
+  [[nodiscard]] bool used(int slot) const { return slots_[static_cast<std::size_t>(slot)].used; }
+  [[nodiscard]] std::uint64_t decisions() const { return decisions_; }
+  [[nodiscard]] Job job_of(int slot) const {
+    const WorkerLine& line = shm_.slots[slot].worker;
+    return {A::peek(line.xnode), A::peek(line.sequence), A::peek(line.priority)};
+  }
+  /// The same, looking at a copy of the memory; for the tests.
+  void move_to(Shm shm) { shm_ = shm; }
+  /// What tells two states apart, for the tests.
+  template <class Each>
+  void describe(Each each) const {
+    each(fat_ ? 1u : 0u);
+    for (int i = 0; i < kMaxSlots; ++i) {
+      const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
+      if (!info.used) continue;
+      for (const std::uint32_t part :
+           {static_cast<std::uint32_t>(i), info.request, info.ack, info.command})
+        each(part);
+    }
+  }
+
+ private:
+  struct SlotInfo {
+    bool used = false;
+    std::uint32_t request = 0;  ///< last seen
+    std::uint32_t ack = 0;      ///< last seen
+    std::uint32_t command = 0;  ///< last given
+  };
+
+  [[nodiscard]] int high() const {
+    return std::min(static_cast<int>(A::peek(shm_.header->high)), kMaxSlots);
+  }
+  /// Where decisions of a held arbiter go: there are none.
+  std::vector<Action>& held_actions() {
+    nothing_.clear();
+    return nothing_;
+  }
+
+  /// From here on nobody else writes the owner word. Its owner is adopted before anybody else is
+  /// heard: its job runs.
+  void take_over() {
+    arbiter_.hold();
+    if (fat_) return;
+    const std::uint64_t word = A::fetch_or(shm_.header->owner, kFat);
+    fat_ = true;
+    adopt_ = owner_slot(word) < kMaxSlots ? owner_slot(word) : -1;
+    adopt_generation_ = owner_generation(word);
+  }
+
+  void look_fat(Wakes& wakes) {
+    std::vector<Action> actions;
+    for (;;) {
+      arbiter_.hold();
+      for (int i = 0; i < high(); ++i)
+        if (slots_[static_cast<std::size_t>(i)].used) scan_slot(i, wakes);
+      adopt_ = -1;
+      for (const std::uint32_t xnode : tracked_)
+        arbiter_.finished(xnode, A::load(shm_.finished[xnode]), held_actions());
+      arbiter_.release(actions);
+      carry_out(actions, wakes);
+      actions.clear();
+      const std::uint32_t need = arbiter_.needs_acks() ? 1 : 0;
+      if (A::peek(shm_.header->want_acks) != need) A::store(shm_.header->want_acks, need);
+      // Came before the flag was up: it did not ring.
+      if (need != 0 && some_ack_is_new()) continue;
+      if (!hand_back()) return;
+      if (!something_was_missed()) return;
+      take_over();
+    }
+  }
+
+  [[nodiscard]] bool some_ack_is_new() const {
+    for (int i = 0; i < high(); ++i) {
+      const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
+      if (info.used && A::load(shm_.slots[i].worker.ack) != info.ack) return true;
+    }
+    return false;
+  }
+
+  /// Gives the owner word back to the workers, if none of them needs us.
+  bool hand_back() {
+    if (!arbiter_.settled()) return false;
+    bool parked = false;
+    for (int i = 0; i < kMaxSlots; ++i) {
+      const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
+      if (!info.used || arbiter_.slot(i).phase != Phase::kWaiting) continue;
+      if (request_want(info.request) != Want::kRun) return false;  // only we may start it
+      parked = true;
+    }
+    const bool kernel = arbiter_.discipline() == Discipline::kKernel;  // has no owner
+    const int owner = kernel ? -1 : arbiter_.admitted();
+    const std::uint64_t word = A::peek(shm_.header->owner);  // ours
+    std::uint64_t back = one_more_parked(word) & kParkings;
+    if (owner >= 0)
+      back |=
+          owner_word(owner, request_generation(slots_[static_cast<std::size_t>(owner)].request)) |
+          (parked ? kParked : 0);
+    A::store(shm_.header->owner, back);
+    fat_ = false;
+    return true;
+  }
+
+  /// A START or FINISH that still saw our word has written its request before that.
+  [[nodiscard]] bool something_was_missed() const {
+    for (int i = 0; i < high(); ++i) {
+      const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
+      if (info.used && A::load(shm_.slots[i].worker.request) != info.request) return true;
+    }
+    return false;
+  }
+
+  [[nodiscard]] Job read_job(int slot, std::uint32_t& request) const {
+    const WorkerLine& line = shm_.slots[slot].worker;
+    Job job = job_of(slot);
+    // The worker may have gone on to its next job while we read; what counts is a consistent pair.
+    for (std::uint32_t again; (again = A::load(line.request)) != request; request = again)
+      job = job_of(slot);
+    if (job.xnode >= shm_.header->num_xnodes) job.xnode = 0;  // a broken client
+    return job;
+  }
+
+  void scan_slot(int slot, Wakes& wakes) {
+    SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
+    const WorkerLine& line = shm_.slots[slot].worker;
+
+    // Acknowledgements first: a job that follows waits for the queue to be enabled.
+    const std::uint32_t ack = A::load(line.ack);
+    if (ack != info.ack) {
+      info.ack = ack;
+      const Queue queue = arbiter_.slot(slot).queue;
+      if ((ack & ~kAckFailed) == info.command) {  // an answer to anything else is a broken client's
+        if (queue == Queue::kSuspending)
+          arbiter_.suspended(slot, (ack & kAckFailed) == 0, held_actions());
+        if (queue == Queue::kResuming) arbiter_.resumed(slot, held_actions());
+      }
+    }
+
+    std::uint32_t request = A::load(line.request);
+    const bool owner = slot == adopt_;
+    if (request == info.request && !owner) return;
+    const Job job = read_job(slot, request);
+    if (request != info.request && arbiter_.slot(slot).phase != Phase::kNone)
+      arbiter_.finish(slot, held_actions());
+    info.request = request;
+    const std::uint32_t generation = request_generation(request);
+    switch (request_want(request)) {
+      case Want::kRun:
+      case Want::kHold:
+        if (owner && adopt_generation_ == generation) {
+          if (arbiter_.slot(slot).phase != Phase::kAdmitted)
+            arbiter_.adopt(slot, job, held_actions());
+          // Whoever handed the XPU over may have died before it said so.
+          if (A::load(shm_.slots[slot].coordinator.grant) != generation) {
+            give<A>(shm_.slots[slot].coordinator.grant, generation);
+            wakes.granted.push_back(slot);
+          }
+        } else if (arbiter_.slot(slot).phase == Phase::kNone) {
+          arbiter_.start(slot, job, held_actions());
+        }
+        break;
+      case Want::kRuns:  // kernel-scheduled: it neither asked nor waits
+      case Want::kIdle:
+        break;
+    }
+  }
+
+  void carry_out(const std::vector<Action>& actions, Wakes& wakes) {
+    for (const Action& action : actions) {
+      ++decisions_;
+      SlotInfo& info = slots_[static_cast<std::size_t>(action.slot)];
+      CoordinatorLine& line = shm_.slots[action.slot].coordinator;
+      if (!info.used) continue;
+      if (action.kind == Action::Kind::kGrant) {
+        give<A>(line.grant, request_generation(info.request));
+        wakes.granted.push_back(action.slot);
+        continue;
+      }
+      info.command = command_word(action.kind == Action::Kind::kSuspend, (info.command >> 2) + 1);
+      A::store(line.command, info.command);
+      wakes.commanded.push_back(action.slot);
+    }
+  }
+
+  Shm shm_;
+  Arbiter arbiter_;
+  bool fat_ = false;  ///< the owner word is ours
+  int adopt_ = -1;    ///< the owner at the moment of the take-over
+  std::uint32_t adopt_generation_ = 0;
+  std::array<SlotInfo, kMaxSlots> slots_;
+  std::vector<std::uint32_t> tracked_;  ///< XNodes that are somebody's order predecessor
+  std::vector<Action> nothing_;
+  std::uint64_t decisions_ = 0;
+};
+
+}  // namespace xauto::coord

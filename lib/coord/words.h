@@ -1,0 +1,233 @@
+// SPDX-License-Identifier: Apache-2.0
+// Life of a job, step 4, the worker's side of the protocol in shm_layout.h: what START, FINISH and
+// an acknowledgement do to the shared words, and nothing else: no system call, no clock. `A` does
+// the atomic accesses: RealAtomics here, one that tries every interleaving in the tests.
+//
+// All accesses are sequentially consistent where two words are involved: the proofs by exhaustion
+// in tests/unit/coord/protocol_test.cc assume it.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "coord/arbiter.h"
+#include "coord/shm_layout.h"
+
+namespace xauto::coord {
+
+struct RealAtomics {
+  template <class T>
+  static T load(const std::atomic<T>& x) {
+    return x.load(std::memory_order_seq_cst);
+  }
+  /// Of a word that cannot change now, or that belongs to the one read before.
+  template <class T>
+  static T peek(const std::atomic<T>& x) {
+    return x.load(std::memory_order_seq_cst);
+  }
+  template <class T>
+  static void store(std::atomic<T>& x, T value) {
+    x.store(value, std::memory_order_seq_cst);
+  }
+  /// For words that become visible with the next store().
+  template <class T>
+  static void store_relaxed(std::atomic<T>& x, T value) {
+    x.store(value, std::memory_order_relaxed);
+  }
+  template <class T>
+  static T exchange(std::atomic<T>& x, T value) {
+    return x.exchange(value, std::memory_order_seq_cst);
+  }
+  template <class T>
+  static T fetch_or(std::atomic<T>& x, T bits) {
+    return x.fetch_or(bits, std::memory_order_seq_cst);
+  }
+  template <class T>
+  static T fetch_add(std::atomic<T>& x, T value) {
+    return x.fetch_add(value, std::memory_order_seq_cst);
+  }
+  /// On failure `expected` is what was there.
+  template <class T>
+  static bool cas(std::atomic<T>& x, T& expected, T desired) {
+    return x.compare_exchange_strong(expected, desired, std::memory_order_seq_cst);
+  }
+};
+
+/// Writes a grant unless a later one is there: whoever hands over may be delayed between its two
+/// writes, while the job that it chose runs, ends, and is followed by the next.
+template <class A>
+void give(std::atomic<std::uint32_t>& grant, std::uint32_t generation) {
+  std::uint32_t seen = A::load(grant);
+  while (later(generation, seen) && !A::cas(grant, seen, generation)) {
+  }
+}
+
+/// What is the same for all workers of an XPU.
+struct Rules {
+  Discipline discipline = Discipline::kPreemptive;
+  std::vector<std::vector<std::uint32_t>> before;  ///< [xnode] -> order predecessors on this XPU
+  std::vector<char> tracked;                       ///< [xnode] -> somebody's order predecessor
+
+  Rules() = default;
+  Rules(Discipline d, std::uint32_t num_xnodes,
+        const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order)
+      : discipline(d), before(num_xnodes), tracked(num_xnodes) {
+    for (const auto& [u, v] : order) {
+      before[v].push_back(u);
+      tracked[u] = 1;
+    }
+  }
+};
+
+/// What the caller has to do after START.
+enum class Started : std::uint8_t {
+  kRuns,     ///< run
+  kWaits,    ///< wait for the grant: the owner hands over
+  kDecided,  ///< ring, then wait for the grant: the coordinator decides
+};
+
+/// What the caller has to do after FINISH.
+struct Finished {
+  int wake = -1;      ///< slot whose grant was written: wake it
+  bool ring = false;  ///< the coordinator decides
+};
+
+template <class A>
+class Words {
+ public:
+  Words() = default;
+  Words(Shm shm, const Rules* rules) : shm_(shm), rules_(rules) {}
+
+  [[nodiscard]] bool eligible(const Job& job) const {
+    if (job.xnode >= rules_->before.size()) return true;
+    for (const std::uint32_t u : rules_->before[job.xnode])
+      if (A::load(shm_.finished[u]) <= job.sequence) return false;
+    return true;
+  }
+
+  Started start(int slot, std::uint32_t generation, const Job& job, std::uint64_t since_ns) const {
+    WorkerLine& line = shm_.slots[slot].worker;
+    A::store_relaxed(line.xnode, job.xnode);
+    A::store_relaxed(line.priority, job.priority);
+    A::store_relaxed(line.sequence, job.sequence);
+    A::store_relaxed(line.since_ns, since_ns);
+    const bool may = eligible(job);
+    const bool kernel = rules_->discipline == Discipline::kKernel;
+    if (may && kernel) {
+      A::store(line.request, request_word(Want::kRuns, generation));
+      return Started::kRuns;
+    }
+    A::store(line.request, request_word(may ? Want::kRun : Want::kHold, generation));
+    std::atomic<std::uint64_t>& owner = shm_.header->owner;
+    std::uint64_t seen = A::load(owner);
+    for (;;) {
+      if ((seen & kFat) != 0) return Started::kDecided;
+      const int other = owner_slot(seen);
+      if (!may) {
+        if (A::cas(owner, seen, seen | kFat)) return Started::kDecided;
+      } else if (other < 0) {
+        if (A::cas(owner, seen, (seen & kParkings) | owner_word(slot, generation)))
+          return Started::kRuns;
+      } else if (other == slot && owner_generation(seen) == generation) {
+        return Started::kRuns;  // handed over to us before we could park
+      } else if (rules_->discipline == Discipline::kPreemptive &&
+                 job.priority > A::load(shm_.slots[other].worker.priority)) {
+        if (A::cas(owner, seen, seen | kFat)) return Started::kDecided;
+      } else if (A::cas(owner, seen, one_more_parked(seen))) {
+        return Started::kWaits;
+      }
+    }
+  }
+
+  Finished finish(int slot, std::uint32_t generation, const Job& job) const {
+    if (job.xnode < rules_->tracked.size() && rules_->tracked[job.xnode] != 0)
+      mark_finished(job.xnode, job.sequence + 1);
+    A::store(shm_.slots[slot].worker.request, request_word(Want::kIdle, generation));
+    std::atomic<std::uint64_t>& owner = shm_.header->owner;
+    std::uint64_t seen = A::load(owner);
+    if (rules_->discipline == Discipline::kKernel) return {-1, (seen & kFat) != 0};
+    for (;;) {
+      if ((seen & kFat) != 0 || owner_slot(seen) != slot) return {-1, true};
+      if ((seen & kParked) == 0) {
+        if (A::cas(owner, seen, seen & kParkings)) return {};
+        continue;
+      }
+      const Pick next = pick(slot);
+      const std::uint64_t after =
+          (seen & kParkings) |
+          (next.slot < 0 ? 0 : owner_word(next.slot, next.generation) | (next.more ? kParked : 0));
+      if (!A::cas(owner, seen, after)) continue;
+      if (next.slot < 0) return {};
+      give<A>(shm_.slots[next.slot].coordinator.grant, next.generation);
+      return {next.slot, false};
+    }
+  }
+
+  /// Returns whether to ring.
+  bool skip(std::uint32_t xnode, std::uint64_t sequence) const {
+    if (xnode >= rules_->tracked.size() || rules_->tracked[xnode] == 0) return false;
+    mark_finished(xnode, sequence + 1);
+    return (A::load(shm_.header->owner) & kFat) != 0;
+  }
+
+  /// Returns whether to ring.
+  bool acknowledge(int slot, std::uint32_t ack) const {
+    A::store(shm_.slots[slot].worker.ack, ack);
+    return A::load(shm_.header->want_acks) != 0;
+  }
+
+  /// Returns whether the coordinator sleeps and must be woken through its descriptor.
+  bool ring() const {
+    A::fetch_add(shm_.header->rings, 1u);
+    return A::exchange(shm_.header->waiting, 0u) != 0;
+  }
+
+  [[nodiscard]] bool granted(int slot, std::uint32_t generation) const {
+    return A::load(shm_.slots[slot].coordinator.grant) == generation;
+  }
+
+ private:
+  struct Pick {
+    int slot = -1;
+    std::uint32_t generation = 0;
+    bool more = false;  ///< others are parked, too
+  };
+
+  /// The most urgent job that is parked (or is about to park: then it finds itself the owner).
+  Pick pick(int self) const {
+    Pick best;
+    std::int64_t priority = 0;
+    std::uint64_t since = 0;
+    const int high = static_cast<int>(A::peek(shm_.header->high));
+    for (int i = 0; i < high && i < kMaxSlots; ++i) {
+      if (i == self) continue;
+      const WorkerLine& line = shm_.slots[i].worker;
+      const std::uint32_t request = A::load(line.request);
+      if (request_want(request) != Want::kRun) continue;
+      const std::int64_t its = A::peek(line.priority);
+      const std::uint64_t came = A::peek(line.since_ns);
+      const bool better = best.slot < 0 || its > priority || (its == priority && came < since);
+      best.more = best.slot >= 0;
+      if (!better) continue;
+      best.slot = i;
+      best.generation = request_generation(request);
+      priority = its;
+      since = came;
+    }
+    return best;
+  }
+
+  void mark_finished(std::uint32_t xnode, std::uint64_t count) const {
+    std::atomic<std::uint64_t>& finished = shm_.finished[xnode];
+    std::uint64_t seen = A::load(finished);
+    while (seen < count && !A::cas(finished, seen, count)) {
+    }
+  }
+
+  Shm shm_;
+  const Rules* rules_ = nullptr;
+};
+
+}  // namespace xauto::coord

@@ -1,0 +1,628 @@
+// SPDX-License-Identifier: Apache-2.0
+// Every interleaving of the shared-memory protocol, on the real code: Words (START, FINISH,
+// acknowledgement) and Referee (the coordinator) with atomic accesses that stop after each one.
+//
+// An operation is replayed: what it has read so far is recorded, so running it again from its start
+// with the recorded values brings it back to where it was, and one access further on the memory as
+// it is now. A state is the memory, the private state of everybody, and the records. States that
+// were met before are not entered again; sequential consistency is assumed, as in words.h.
+//
+// What sleeps here really sleeps: a worker that waits for its grant looks again only after a
+// futex_wake of its slot, a management thread after a signal, the coordinator after its doorbell
+// was signalled or a worker died. So a lost wake-up shows as a state in which nothing can happen.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <optional>
+#include <string>
+#include <unordered_set>
+#include <utility>
+#include <vector>
+
+#include "coord/referee.h"
+#include "coord/words.h"
+
+namespace xauto::coord::testing {
+
+/// One operation on its way.
+struct Record {
+  std::vector<std::uint64_t> values;
+  std::size_t at = 0;
+  bool stepped = false;  ///< its one access of this step is done
+};
+struct Stop {};
+
+struct SteppedAtomics {
+  static inline Record* record = nullptr;  ///< null: set-up, everything at once
+
+  template <class Access>
+  static std::uint64_t access(Access now, bool yields = true) {
+    if (record == nullptr) return now();
+    if (record->at < record->values.size()) return record->values[record->at++];
+    if (yields) {
+      if (record->stepped) throw Stop{};
+      record->stepped = true;
+    }
+    record->values.push_back(now());
+    return record->values[record->at++];
+  }
+  template <class T>
+  static T load(const std::atomic<T>& x) {
+    return static_cast<T>(access([&] { return static_cast<std::uint64_t>(x.load()); }));
+  }
+  template <class T>
+  static T peek(const std::atomic<T>& x) {
+    return static_cast<T>(access([&] { return static_cast<std::uint64_t>(x.load()); }, false));
+  }
+  template <class T>
+  static void store(std::atomic<T>& x, T value) {
+    access([&] {
+      x.store(value);
+      return std::uint64_t{0};
+    });
+  }
+  template <class T>
+  static void store_relaxed(std::atomic<T>& x, T value) {
+    access(
+        [&] {
+          x.store(value);
+          return std::uint64_t{0};
+        },
+        false);
+  }
+  template <class T>
+  static T exchange(std::atomic<T>& x, T value) {
+    return static_cast<T>(access([&] { return static_cast<std::uint64_t>(x.exchange(value)); }));
+  }
+  template <class T>
+  static T fetch_or(std::atomic<T>& x, T bits) {
+    return static_cast<T>(access([&] { return static_cast<std::uint64_t>(x.fetch_or(bits)); }));
+  }
+  /// Only counts what nobody reads: the rings.
+  template <class T>
+  static T fetch_add(std::atomic<T>&, T) {
+    return 0;
+  }
+  template <class T>
+  static bool cas(std::atomic<T>& x, T& expected, T desired) {
+    T seen = expected;
+    const bool done =
+        access([&] { return std::uint64_t{x.compare_exchange_strong(seen, desired)}; }) != 0;
+    // What was there belongs to the same access.
+    expected = static_cast<T>(access([&] { return static_cast<std::uint64_t>(seen); }, false));
+    return done;
+  }
+};
+
+struct ProtocolWorld {
+  struct Task {
+    int xpu = 0;
+    Job job;
+  };
+  std::vector<Discipline> xpus;
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;  ///< on XPU 0
+  std::vector<std::vector<Task>> modules;  ///< each: its jobs, one after the other
+  int deaths = 0;                          ///< workers (modules) that may die
+  int coordinator_deaths = 0;
+  bool may_refuse = false;
+  bool coarse = false;              ///< the coordinator does all it does at once
+  bool lose_wakes = false;          ///< break it: whoever hands over does not wake
+  bool verbose = false;             ///< the trail tells the words
+  std::uint64_t limit = 3'000'000;  ///< states
+};
+
+struct ProtocolResult {
+  std::uint64_t states = 0, steps = 0;
+  bool complete = true;
+  std::string violation;
+  std::vector<std::string> trail;
+};
+
+class ProtocolExplorer {
+  using A = SteppedAtomics;
+
+ public:
+  explicit ProtocolExplorer(ProtocolWorld world) : world_(std::move(world)) {
+    for (const Discipline d : world_.xpus) rules_.emplace_back(d, kXNodes, world_.order);
+  }
+
+  ProtocolResult run() {
+    State initial;
+    for (std::size_t x = 0; x < world_.xpus.size(); ++x) {
+      initial.xpus.emplace_back(*this, x);
+      for (std::size_t m = 0; m < world_.modules.size(); ++m)
+        initial.xpus[x].referee->join(static_cast<int>(m));
+    }
+    initial.modules.resize(world_.modules.size());
+    for (Module& module : initial.modules) module.managers.resize(world_.xpus.size());
+    visit(initial);
+    return std::move(result_);
+  }
+
+ private:
+  static constexpr std::uint32_t kXNodes = 8;
+  static constexpr std::size_t kSlots = 4;
+  struct Memory {
+    Header header;
+    SlotMemory slots[kSlots];
+    std::atomic<std::uint64_t> finished[kXNodes];
+  };
+
+  enum class Act : std::uint8_t { kIdle, kStart, kAsk, kAsleep, kRun, kFinish, kDone, kDead };
+  struct Manager {
+    bool awake = false, suspended = false;
+    std::uint32_t pending = 0;  ///< command last received
+    int doing = 0;              ///< 0 nothing, 1 looks for a command, 2 acknowledges
+    bool refuses = false;
+    Record record;
+  };
+  struct Module {
+    Act act = Act::kIdle;
+    std::size_t next = 0;  ///< job it is at
+    std::vector<std::uint32_t> generation = std::vector<std::uint32_t>(2, 0);
+    Record record;
+    std::vector<Manager> managers;
+  };
+  struct Xpu {
+    Xpu(const ProtocolExplorer& explorer, std::size_t index) : memory(new Memory) {
+      memory->header.num_xnodes = kXNodes;
+      referee.emplace(shm(), explorer.world_.xpus[index],
+                      index == 0 ? explorer.world_.order : decltype(explorer.world_.order){});
+      discipline = explorer.world_.xpus[index];
+      memory->header.waiting.store(1);
+    }
+    Xpu(const Xpu& other)
+        : memory(new Memory),
+          referee(other.referee),
+          discipline(other.discipline),
+          doorbell(other.doorbell),
+          doing(other.doing),
+          dead(other.dead),
+          leaving(other.leaving),
+          record(other.record) {
+      std::memcpy(static_cast<void*>(memory.get()), other.memory.get(), sizeof(Memory));
+      referee->move_to(shm());
+    }
+    Xpu(Xpu&&) = default;
+    Shm shm() const {
+      Shm s;
+      s.header = &memory->header;
+      s.slots = memory->slots;
+      s.finished = memory->finished;
+      return s;
+    }
+    std::unique_ptr<Memory> memory;
+    std::optional<Referee<A>> referee;
+    Discipline discipline = Discipline::kPreemptive;
+    bool doorbell = false;
+    int doing = 0;          ///< 0 asleep, 1 looks, 2 a worker has left, 3 rebuilds
+    std::vector<int> dead;  ///< slots whose death it has not noticed yet
+    int leaving = -1;
+    Record record;
+  };
+  struct State {
+    std::vector<Xpu> xpus;
+    std::vector<Module> modules;
+    int deaths = 0, coordinator_deaths = 0;
+  };
+
+  void fail(const std::string& what) {
+    if (!result_.violation.empty()) return;
+    result_.violation = what;
+    result_.trail = trail_;
+  }
+
+  // ---- one step of each kind; true: the operation is complete
+
+  template <class Operation>
+  bool advance(Record* record, Operation operation) {
+    if (record == nullptr) {
+      operation();
+      return true;
+    }
+    record->at = 0;
+    record->stepped = false;
+    A::record = record;
+    bool complete = true;
+    try {
+      operation();
+    } catch (const Stop&) {
+      complete = false;
+    }
+    A::record = nullptr;
+    if (complete) *record = {};
+    return complete;
+  }
+
+  void wake(State& s, std::size_t x, int slot) {
+    Module& module = s.modules[static_cast<std::size_t>(slot)];
+    if (module.act == Act::kAsleep && task(module, slot).xpu == static_cast<int>(x))
+      module.act = Act::kAsk;
+  }
+  const ProtocolWorld::Task& task(const Module& module, int index) const {
+    return world_.modules[static_cast<std::size_t>(index)][module.next];
+  }
+
+  void step_start(State& s, std::size_t m) {
+    Module& module = s.modules[m];
+    const auto& t = task(module, static_cast<int>(m));
+    Xpu& xpu = s.xpus[static_cast<std::size_t>(t.xpu)];
+    const std::uint32_t generation = module.generation[static_cast<std::size_t>(t.xpu)] + 1;
+    const Words<A> words(xpu.shm(), &rules_[static_cast<std::size_t>(t.xpu)]);
+    Started started = Started::kRuns;
+    bool signal = false;
+    if (!advance(&module.record, [&] {
+          started = words.start(static_cast<int>(m), generation, t.job, m);
+          if (started == Started::kDecided) signal = words.ring();
+        }))
+      return;
+    module.generation[static_cast<std::size_t>(t.xpu)] = generation;
+    if (signal) xpu.doorbell = true;
+    module.act = started == Started::kRuns ? Act::kRun : Act::kAsk;
+  }
+
+  /// The futex: looks and, if there is nothing, sleeps, in one.
+  void step_ask(State& s, std::size_t m) {
+    Module& module = s.modules[m];
+    const int x = task(module, static_cast<int>(m)).xpu;
+    const bool granted =
+        s.xpus[static_cast<std::size_t>(x)].memory->slots[m].coordinator.grant.load() ==
+        module.generation[static_cast<std::size_t>(x)];
+    module.act = granted ? Act::kRun : Act::kAsleep;
+  }
+
+  void step_finish(State& s, std::size_t m) {
+    Module& module = s.modules[m];
+    const auto& t = task(module, static_cast<int>(m));
+    const auto x = static_cast<std::size_t>(t.xpu);
+    Xpu& xpu = s.xpus[x];
+    const Words<A> words(xpu.shm(), &rules_[x]);
+    Finished finished;
+    bool signal = false;
+    if (!advance(&module.record, [&] {
+          finished = words.finish(static_cast<int>(m), module.generation[x], t.job);
+          if (finished.ring) signal = words.ring();
+        }))
+      return;
+    if (signal) xpu.doorbell = true;
+    if (finished.wake >= 0 && !world_.lose_wakes) wake_pending_ = {{x, finished.wake}};
+    module.act = ++module.next < world_.modules[m].size() ? Act::kIdle : Act::kDone;
+    for (const auto& [wx, slot] : wake_pending_) wake(s, wx, slot);
+    wake_pending_.clear();
+  }
+
+  void step_manager(State& s, std::size_t m, std::size_t x) {
+    Manager& manager = s.modules[m].managers[x];
+    Xpu& xpu = s.xpus[x];
+    const Words<A> words(xpu.shm(), &rules_[x]);
+    if (manager.doing != 2) {
+      manager.doing = 1;
+      std::uint32_t command = 0;
+      if (!advance(&manager.record,
+                   [&] { command = A::load(xpu.memory->slots[m].coordinator.command); }))
+        return;
+      manager.doing = 0;
+      if (command == manager.pending) {
+        manager.awake = false;
+        return;
+      }
+      manager.pending = command;
+      if (!manager.refuses) manager.suspended = (command & 1u) != 0;
+      if ((command & 1u) == 0) manager.refuses = false;
+      manager.doing = 2;
+      return;
+    }
+    bool signal = false;
+    const bool refused = manager.refuses && (manager.pending & 1u) != 0;
+    if (!advance(&manager.record, [&] {
+          if (words.acknowledge(static_cast<int>(m), manager.pending | (refused ? kAckFailed : 0u)))
+            signal = words.ring();
+        }))
+      return;
+    if (signal) xpu.doorbell = true;
+    manager.doing = 0;
+    manager.refuses = false;
+  }
+
+  void step_coordinator(State& s, std::size_t x) {
+    Xpu& xpu = s.xpus[x];
+    if (xpu.doing == 0) {
+      xpu.doorbell = false;
+      if (!xpu.dead.empty()) {
+        xpu.leaving = xpu.dead.back();
+        xpu.dead.pop_back();
+        xpu.doing = 2;
+      } else {
+        xpu.doing = 1;
+      }
+    }
+    Referee<A> referee = *xpu.referee;  // as it was when the operation began
+    Wakes wakes;
+    Header& header = xpu.memory->header;
+    if (!advance(world_.coarse ? nullptr : &xpu.record, [&] {
+          if (xpu.doing == 3) {
+            referee.rebuild(wakes);
+          } else {
+            A::store(header.waiting, 0u);
+            if (xpu.doing == 2) {
+              std::vector<std::uint32_t> xnodes;
+              for (const auto& t : world_.modules[static_cast<std::size_t>(xpu.leaving)])
+                xnodes.push_back(t.job.xnode);
+              referee.leave(xpu.leaving, xnodes, wakes);
+            }
+          }
+          A::store(header.waiting, 1u);
+          referee.look(wakes);
+        }))
+      return;
+    xpu.referee.emplace(std::move(referee));
+    xpu.doing = 0;
+    xpu.leaving = -1;
+    for (const int slot : wakes.granted) wake(s, x, slot);
+    for (const int slot : wakes.commanded)
+      s.modules[static_cast<std::size_t>(slot)].managers[x].awake = true;
+  }
+
+  // ---- what must hold
+
+  [[nodiscard]] bool alive(const Module& module) const {
+    return module.act != Act::kDead && module.act != Act::kDone;
+  }
+
+  void check_always(const State& s) {
+    for (std::size_t x = 0; x < s.xpus.size(); ++x) {
+      if (s.xpus[x].discipline != Discipline::kGate) continue;
+      int owners = 0;
+      for (std::size_t m = 0; m < s.modules.size(); ++m)
+        if (s.modules[m].act == Act::kRun &&
+            task(s.modules[m], static_cast<int>(m)).xpu == static_cast<int>(x))
+          ++owners;
+      if (owners > 1) fail("two owners of a gate");
+    }
+  }
+
+  /// Nothing is under way but jobs that run and starts that may come.
+  void check_quiet(const State& s) {
+    for (std::size_t x = 0; x < s.xpus.size(); ++x) {
+      if (s.xpus[x].discipline == Discipline::kKernel) continue;
+      int top = -1, running = 0;
+      for (std::size_t m = 0; m < s.modules.size(); ++m) {
+        const Module& module = s.modules[m];
+        if (module.act != Act::kRun && module.act != Act::kAsleep) continue;
+        const auto& t = task(module, static_cast<int>(m));
+        if (t.xpu != static_cast<int>(x)) continue;
+        const bool runs = module.act == Act::kRun && !module.managers[x].suspended;
+        running += runs ? 1 : 0;
+        if (!Words<RealAtomics>(s.xpus[x].shm(), &rules_[x]).eligible(t.job)) {
+          if (runs) fail("a job runs before its order predecessors have finished");
+          continue;
+        }
+        if (top < 0 ||
+            t.job.priority > task(s.modules[static_cast<std::size_t>(top)], top).job.priority)
+          top = static_cast<int>(m);
+      }
+      if (top < 0) continue;
+      if (running == 0) fail("an XPU stands idle although somebody wants it");
+      const Module& first = s.modules[static_cast<std::size_t>(top)];
+      if (s.xpus[x].discipline == Discipline::kPreemptive) {
+        if (first.act != Act::kRun || first.managers[x].suspended)
+          fail("the most urgent job does not run");
+        if (running > 1 && !world_.may_refuse) fail("two jobs run on a preemptive XPU");
+      }
+    }
+  }
+
+  void check_end(const State& s) {
+    for (const Module& module : s.modules) {
+      if (module.act == Act::kDead) continue;
+      if (module.act != Act::kDone) fail("a job is never run: nothing can happen any more");
+      for (const Manager& manager : module.managers)
+        if (manager.suspended) fail("a queue stays suspended");
+    }
+  }
+
+  // ---- all ways
+
+  struct Hash {
+    std::uint64_t a = 0x9e3779b97f4a7c15u, b = 0xc2b2ae3d27d4eb4fu;
+    void add(std::uint64_t v) {
+      a = (a ^ v) * 0xff51afd7ed558ccdu;
+      a ^= a >> 32;
+      b = (b + v) * 0xc4ceb9fe1a85ec53u;
+      b ^= b >> 29;
+    }
+    void add(const Record& record) {
+      add(record.values.size() + 77);
+      for (const std::uint64_t v : record.values) add(v);
+    }
+    bool operator==(const Hash&) const = default;
+  };
+  struct Hasher {
+    std::size_t operator()(const Hash& h) const { return h.a; }
+  };
+
+  Hash key(const State& s) const {
+    Hash h;
+    h.add(static_cast<std::uint64_t>(s.deaths * 16 + s.coordinator_deaths));
+    for (const Xpu& xpu : s.xpus) {
+      const Memory& memory = *xpu.memory;
+      h.add(memory.header.owner.load());
+      h.add(memory.header.waiting.load() * 2 + memory.header.want_acks.load());
+      for (std::size_t i = 0; i < s.modules.size(); ++i) {
+        const SlotMemory& slot = memory.slots[i];
+        h.add(std::uint64_t{slot.worker.request.load()} << 32 | slot.worker.ack.load());
+        h.add(std::uint64_t{slot.coordinator.grant.load()} << 32 | slot.coordinator.command.load());
+        h.add(static_cast<std::uint64_t>(slot.worker.priority.load()) * 2 +
+              slot.coordinator.used.load());
+      }
+      for (const auto& f : memory.finished) h.add(f.load());
+      xpu.referee->describe([&](std::uint32_t part) { h.add(part); });
+      const Arbiter& arbiter = xpu.referee->arbiter();
+      for (std::size_t i = 0; i < s.modules.size(); ++i) {
+        const Arbiter::Slot& slot = arbiter.slot(static_cast<int>(i));
+        int rank = 0;
+        for (std::size_t j = 0; j < s.modules.size(); ++j) {
+          const Arbiter::Slot& other = arbiter.slot(static_cast<int>(j));
+          rank += slot.phase != Phase::kNone && other.phase != Phase::kNone &&
+                          other.arrival < slot.arrival
+                      ? 1
+                      : 0;
+        }
+        h.add(static_cast<std::uint64_t>(slot.phase) << 8 |
+              static_cast<std::uint64_t>(slot.queue) << 4 | (slot.refuses ? 1u : 0u) |
+              static_cast<std::uint64_t>(rank) << 12 |
+              static_cast<std::uint64_t>(slot.job.priority) << 16);
+      }
+      h.add(static_cast<std::uint64_t>(xpu.doing * 4 + (xpu.doorbell ? 1 : 0)) * 64 +
+            static_cast<std::uint64_t>(xpu.leaving + 1));
+      for (const int slot : xpu.dead) h.add(static_cast<std::uint64_t>(slot) + 1000);
+      h.add(xpu.record);
+    }
+    for (const Module& module : s.modules) {
+      h.add(static_cast<std::uint64_t>(module.act) * 64 + module.next);
+      for (const std::uint32_t g : module.generation) h.add(g);
+      h.add(module.record);
+      for (const Manager& manager : module.managers) {
+        h.add(static_cast<std::uint64_t>(manager.awake) |
+              static_cast<std::uint64_t>(manager.suspended) << 1 |
+              static_cast<std::uint64_t>(manager.refuses) << 2 |
+              static_cast<std::uint64_t>(manager.doing) << 3 |
+              static_cast<std::uint64_t>(manager.pending) << 8);
+        h.add(manager.record);
+      }
+    }
+    return h;
+  }
+
+  template <class Apply>
+  void go(const State& from, const char* what, std::size_t who, std::size_t where, Apply apply) {
+    if (!result_.violation.empty() || !result_.complete) return;
+    State to = from;
+    ++result_.steps;
+    trail_.push_back(std::string(what) + " " + std::to_string(who) + " on " +
+                     std::to_string(where));
+    apply(to);
+    if (world_.verbose) {
+      const Memory& m = *to.xpus[0].memory;
+      char line[200];
+      std::snprintf(line, sizeof line,
+                    "  owner %llx waiting %u bell %d fat %d | req %x %x grant %x %x",
+                    static_cast<unsigned long long>(m.header.owner.load()), m.header.waiting.load(),
+                    to.xpus[0].doorbell ? 1 : 0, to.xpus[0].referee->fat() ? 1 : 0,
+                    m.slots[0].worker.request.load(), m.slots[1].worker.request.load(),
+                    m.slots[0].coordinator.grant.load(), m.slots[1].coordinator.grant.load());
+      trail_.back() += line;
+    }
+    check_always(to);
+    visit(to);
+    trail_.pop_back();
+  }
+
+  void visit(const State& s) {
+    if (!result_.violation.empty() || !seen_.insert(key(s)).second) return;
+    if (++result_.states > world_.limit) {
+      result_.complete = false;
+      result_.trail = trail_;
+      return;
+    }
+    bool busy = false, possible = false;
+    for (std::size_t x = 0; x < s.xpus.size(); ++x) {
+      const Xpu& xpu = s.xpus[x];
+      if (xpu.doing != 0 || xpu.doorbell || !xpu.dead.empty()) {
+        busy = true;
+        go(s, "coordinator", x, x, [&](State& to) { step_coordinator(to, x); });
+      }
+      if (s.coordinator_deaths < world_.coordinator_deaths)
+        go(s, "coordinator dies", x, x, [&](State& to) {
+          ++to.coordinator_deaths;
+          Xpu& at = to.xpus[x];
+          if (at.leaving >= 0 && at.memory->slots[at.leaving].coordinator.used.load() != 0)
+            at.dead.push_back(at.leaving);
+          at.leaving = -1;
+          at.record = {};
+          at.referee.emplace(at.shm(), at.discipline,
+                             x == 0 ? world_.order : decltype(world_.order){});
+          at.doing = 3;
+          // Management threads see the closed socket, come back, and look for commands again.
+          for (Module& module : to.modules)
+            if (module.act != Act::kDead)
+              module.managers[x].awake |=
+                  module.managers[x].pending !=
+                  at.memory->slots[&module - to.modules.data()].coordinator.command.load();
+        });
+    }
+    for (std::size_t m = 0; m < s.modules.size(); ++m) {
+      const Module& module = s.modules[m];
+      if (module.act == Act::kDead) continue;
+      const auto at = module.act == Act::kDone
+                          ? std::size_t{0}
+                          : static_cast<std::size_t>(task(module, static_cast<int>(m)).xpu);
+      switch (module.act) {
+        case Act::kIdle:
+          possible = true;
+          go(s, "module starts", m, at, [&](State& to) {
+            to.modules[m].act = Act::kStart;
+            step_start(to, m);
+          });
+          break;
+        case Act::kStart:
+          busy = true;
+          go(s, "module starts", m, at, [&](State& to) { step_start(to, m); });
+          break;
+        case Act::kAsk:
+          busy = true;
+          go(s, "module asks", m, at, [&](State& to) { step_ask(to, m); });
+          break;
+        case Act::kRun:
+          if (module.managers[at].suspended) break;
+          possible = true;
+          go(s, "module finishes", m, at, [&](State& to) {
+            to.modules[m].act = Act::kFinish;
+            step_finish(to, m);
+          });
+          break;
+        case Act::kFinish:
+          busy = true;
+          go(s, "module finishes", m, at, [&](State& to) { step_finish(to, m); });
+          break;
+        case Act::kAsleep:
+        case Act::kDone:
+        case Act::kDead:
+          break;
+      }
+      for (std::size_t x = 0; x < s.xpus.size(); ++x) {
+        const Manager& manager = module.managers[x];
+        if (!manager.awake && manager.doing == 0) continue;
+        busy = true;
+        go(s, "manager", m, x, [&](State& to) { step_manager(to, m, x); });
+        if (world_.may_refuse && manager.doing == 0 && !manager.refuses && !manager.suspended)
+          go(s, "manager refuses", m, x, [&](State& to) {
+            to.modules[m].managers[x].refuses = true;
+            step_manager(to, m, x);
+          });
+      }
+      if (s.deaths < world_.deaths && module.act != Act::kIdle && module.act != Act::kDone)
+        go(s, "module dies", m, at, [&](State& to) {
+          ++to.deaths;
+          Module& dead = to.modules[m];
+          dead.act = Act::kDead;
+          dead.record = {};
+          for (Manager& manager : dead.managers) manager = {};
+          for (Xpu& xpu : to.xpus) xpu.dead.push_back(static_cast<int>(m));
+        });
+    }
+    if (!busy) check_quiet(s);
+    if (!busy && !possible) check_end(s);
+  }
+
+  ProtocolWorld world_;
+  std::vector<Rules> rules_;
+  ProtocolResult result_;
+  std::unordered_set<Hash, Hasher> seen_;
+  std::vector<std::string> trail_;
+  std::vector<std::pair<std::size_t, int>> wake_pending_;
+};
+
+}  // namespace xauto::coord::testing

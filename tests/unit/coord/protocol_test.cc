@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+// The shared-memory protocol, exhaustively: never two owners of a gate, the most urgent job runs or
+// is being resumed, no wake-up is lost, every suspension ends, whoever dies at whatever access.
+#include <cstdlib>
+
+#include <gtest/gtest.h>
+
+#include "protocol_explorer.h"
+
+namespace xauto::coord {
+namespace {
+
+using testing::ProtocolExplorer;
+using testing::ProtocolResult;
+using testing::ProtocolWorld;
+
+ProtocolWorld::Task task(std::uint32_t xnode, std::int64_t priority, int xpu = 0) {
+  return {xpu, {xnode, 0, priority}};
+}
+
+ProtocolResult expect_clean(const ProtocolWorld& world, std::uint64_t at_least_states) {
+  const ProtocolResult result = ProtocolExplorer(world).run();
+  std::string trail;
+  for (const std::string& step : result.trail) trail += "\n  " + step;
+  EXPECT_EQ(result.violation, "") << trail;
+  EXPECT_TRUE(result.complete) << "more than " << world.limit << " states";
+  EXPECT_GE(result.states, at_least_states);
+  ::testing::Test::RecordProperty("states", std::to_string(result.states));
+  if (std::getenv("XAUTO_EXPLORER_STATES") != nullptr)
+    std::printf("%lu states, %lu steps\n", static_cast<unsigned long>(result.states),
+                static_cast<unsigned long>(result.steps));
+  return result;
+}
+
+constexpr Discipline kBoth[] = {Discipline::kPreemptive, Discipline::kGate};
+
+/// The rest of what is worth hours: XAUTO_EXPLORER_FULL=1.
+bool full() {
+  return std::getenv("XAUTO_EXPLORER_FULL") != nullptr;
+}
+
+ProtocolWorld world(std::vector<Discipline> xpus,
+                    std::vector<std::vector<ProtocolWorld::Task>> modules) {
+  ProtocolWorld w;
+  w.xpus = std::move(xpus);
+  w.modules = std::move(modules);
+  return w;
+}
+
+// Every access of everybody is a step.
+
+TEST(Protocol, TwoJobsEveryAccessWithTheDeathOfAWorkerAnywhere) {
+  for (const Discipline d : kBoth) {
+    ProtocolWorld w = world({d}, {{task(0, 1)}, {task(2, 3)}});
+    w.deaths = 1;
+    expect_clean(w, 5000);
+  }
+}
+
+TEST(Protocol, TwoJobsEveryAccessWithSuspensionsThatFail) {
+  ProtocolWorld w = world({Discipline::kPreemptive}, {{task(0, 1)}, {task(2, 3)}});
+  w.may_refuse = true;
+  expect_clean(w, 1000);
+}
+
+TEST(Protocol, ThreeJobsEveryAccessOnAGate) {
+  expect_clean(world({Discipline::kGate}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}}), 4000);
+}
+
+TEST(Protocol, EveryAccessWithTheDeathOfTheCoordinatorAnywhere) {
+  if (!full()) GTEST_SKIP() << "millions of states: XAUTO_EXPLORER_FULL=1";
+  for (const Discipline d : kBoth) {
+    ProtocolWorld w = world({d}, {{task(0, 1)}, {task(2, 3)}});
+    w.coordinator_deaths = 1;
+    w.limit = 200'000'000;
+    expect_clean(w, 100'000);
+  }
+}
+
+TEST(Protocol, ThreeJobsEveryAccessPreemptive) {
+  if (!full()) GTEST_SKIP() << "millions of states: XAUTO_EXPLORER_FULL=1";
+  ProtocolWorld w = world({Discipline::kPreemptive}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
+  w.limit = 200'000'000;
+  expect_clean(w, 100'000);
+}
+
+// Every access of the workers is a step, each look of the coordinator is one.
+
+TEST(Protocol, ThreeJobsOnOneXpuWithADeath) {
+  for (const Discipline d : kBoth) {
+    ProtocolWorld w = world({d}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
+    w.coarse = true;
+    w.deaths = 1;
+    expect_clean(w, 20'000);
+  }
+}
+
+TEST(Protocol, ThreeJobsOnOneXpuWithDeathsOfAWorkerAndOfTheCoordinator) {
+  for (const Discipline d : kBoth) {
+    if (d == Discipline::kPreemptive && !full()) continue;
+    ProtocolWorld w = world({d}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
+    w.coarse = true;
+    w.deaths = w.coordinator_deaths = 1;
+    expect_clean(w, 100'000);
+  }
+}
+
+TEST(Protocol, TwoJobsOnTwoXpusWithDeaths) {
+  for (const Discipline d : kBoth)
+    for (const int first : {0, 1}) {
+      ProtocolWorld w = world(
+          {d, d}, {{task(0, 1, 0), task(1, 4, 1)}, {task(2, 3, first), task(3, 2, 1 - first)}});
+      w.coarse = true;
+      w.deaths = 1;
+      expect_clean(w, 1000);
+    }
+}
+
+TEST(Protocol, WorkersThatBringSeveralJobs) {
+  for (const Discipline d : kBoth) {
+    ProtocolWorld w = world({d}, {{task(0, 1), task(1, 4)}, {task(2, 3), task(3, 2)}});
+    w.coarse = true;
+    expect_clean(w, 1000);
+  }
+}
+
+TEST(Protocol, OrderConstraintsHoldAndNobodyWaitsForTheDead) {
+  for (const Discipline d : {Discipline::kPreemptive, Discipline::kGate, Discipline::kKernel}) {
+    ProtocolWorld w = world({d}, {{task(0, 1)}, {task(1, 9)}});
+    if (full()) w.modules.push_back({task(2, 4)});
+    w.order = {{0, 1}};
+    w.coarse = true;
+    w.deaths = 1;
+    w.coordinator_deaths = 1;
+    expect_clean(w, 100);
+  }
+}
+
+TEST(Protocol, TheExplorerFindsALostWakeUp) {
+  ProtocolWorld w = world({Discipline::kGate}, {{task(0, 1)}, {task(2, 3)}});
+  w.lose_wakes = true;
+  EXPECT_NE(ProtocolExplorer(w).run().violation, "");
+}
+
+}  // namespace
+}  // namespace xauto::coord
