@@ -67,15 +67,6 @@ static inline void xauto_hrtimer_setup(struct hrtimer *timer,
 #endif
 }
 
-/* Since 6.11 a platform driver's remove() returns nothing. */
-#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 11, 0)
-#define XAUTO_PLATFORM_REMOVE_RETURN void
-#define XAUTO_PLATFORM_REMOVED
-#else
-#define XAUTO_PLATFORM_REMOVE_RETURN int
-#define XAUTO_PLATFORM_REMOVED return 0
-#endif
-
 /* Since 6.12 seeking is refused by leaving llseek out. */
 #if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 12, 0)
 #define XAUTO_NO_LLSEEK

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
- * xauto.ko: GPU TSGs and DLA queues of user processes, suspended and resumed by their schedulers. Reading order: this ladder,
- * netlink.c (the door), owner.h and owner.c (who), queue.h and queue.c (what), tsg.c and dla.c (how), uarg.c and power.c.
+ * xauto.ko: GPU TSGs and DLA queues of user processes, suspended and resumed by their schedulers.
+ * Reading order: this ladder, netlink.c (the door), owner.h and owner.c (who), queue.h and queue.c
+ * (what), tsg.c and dla.c (how), uarg.c and power.c.
  */
 #include <linux/module.h>
 #include <net/genetlink.h>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
- * The door: policies, parsing, permission, replies, events. Touches no hardware. The ABI and its rules are in
- * include/uapi/xauto/netlink.h.
+ * The door: policies, parsing, permission, replies, events. Touches no hardware. The ABI and its
+ * rules are in include/uapi/xauto/netlink.h.
  */
 #include <linux/cred.h>
 #include <linux/file.h>
@@ -23,7 +23,8 @@
 static struct genl_family family;
 
 static const struct nla_policy op_policy[XAUTO_OP_MAX + 1] = {
-	[XAUTO_OP_ACTION] = NLA_POLICY_RANGE(NLA_U32, XAUTO_ACTION_SUSPEND, XAUTO_ACTION_SET_INTERLEAVE),
+	[XAUTO_OP_ACTION] =
+		NLA_POLICY_RANGE(NLA_U32, XAUTO_ACTION_SUSPEND, XAUTO_ACTION_SET_INTERLEAVE),
 	[XAUTO_OP_HANDLE] = NLA_POLICY_MIN(NLA_U32, 1),
 	[XAUTO_OP_VALUE] = { .type = NLA_U32 },
 };
@@ -58,11 +59,18 @@ static bool may_touch(struct sk_buff *skb, const struct cred *opener)
 }
 
 /* Is this attribute there? If not, says so; the text must be constant, hence no function. */
-#define has_attr(info, attr) \
-	((info)->attrs[attr] ? true : ({ GENL_SET_ERR_MSG(info, #attr " is missing"); false; }))
+#define has_attr(info, attr)                                                                       \
+	((info)->attrs[attr] ? true : ({                                                           \
+		GENL_SET_ERR_MSG(info, #attr " is missing");                                       \
+		false;                                                                             \
+	}))
 
-/* Whose queue it is: the caller's, or that of the process named, if it is the opener's or the caller may touch it anyway. */
-static struct pid *target_pid(struct sk_buff *skb, struct genl_info *info, const struct cred *opener)
+/*
+ * Whose queue it is: the caller's, or that of the process named, if it is the opener's or the
+ * caller may touch it anyway.
+ */
+static struct pid *target_pid(struct sk_buff *skb, struct genl_info *info,
+			      const struct cred *opener)
 {
 	struct nlattr *attr = info->attrs[XAUTO_A_PID];
 	struct task_struct *task;
@@ -84,7 +92,8 @@ static struct pid *target_pid(struct sk_buff *skb, struct genl_info *info, const
 	}
 	if (!uid_eq(uid, opener->euid) && !netlink_ns_capable(skb, opener->user_ns, CAP_SYS_NICE)) {
 		put_pid(pid);
-		NL_SET_ERR_MSG_ATTR(info->extack, attr, "that process is not the user's who opened the queue");
+		NL_SET_ERR_MSG_ATTR(info->extack, attr,
+				    "that process is not the user's who opened the queue");
 		return ERR_PTR(-EPERM);
 	}
 	return pid;
@@ -116,8 +125,9 @@ static int claim_file(struct sk_buff *skb, struct genl_info *info, struct file *
 	int err;
 
 	if (!may_touch(skb, file->f_cred)) {
-		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_FD],
-				    "another user opened it: CAP_SYS_NICE in that user's namespace is needed");
+		NL_SET_ERR_MSG_ATTR(
+			info->extack, info->attrs[XAUTO_A_FD],
+			"another user opened it: CAP_SYS_NICE in that user's namespace is needed");
 		return -EPERM;
 	}
 	pid = target_pid(skb, info, file->f_cred);
@@ -156,7 +166,8 @@ static int cmd_register(struct sk_buff *skb, struct genl_info *info)
 		return -EINVAL;
 	file = fget(nla_get_s32(info->attrs[XAUTO_A_FD]));
 	if (!file) {
-		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_FD], "no such file descriptor in the calling process");
+		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_FD],
+				    "no such file descriptor in the calling process");
 		return -EBADF;
 	}
 	err = claim_file(skb, info, file);
@@ -185,14 +196,17 @@ static int cmd_unregister(struct sk_buff *skb, struct genl_info *info)
 		return -ENOENT;
 	err = xauto_owner_unclaim(owner, nla_get_u32(info->attrs[XAUTO_A_HANDLE]));
 	if (err == -ENOENT)
-		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_HANDLE], "no such handle on this socket");
+		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_HANDLE],
+				    "no such handle on this socket");
 	else if (err)
-		NL_SET_ERR_MSG(info->extack, "unregistered, but the driver did not resume it; the module tries again");
+		NL_SET_ERR_MSG(
+			info->extack,
+			"unregistered, but the driver did not resume it; the module tries again");
 	xauto_owner_put(owner);
 	return err;
 }
 
-/* The acknowledgement's text must be constant, so it is a ladder and no table. */
+/* The acknowledgment's text must be constant, so it is a ladder and no table. */
 static void explain(struct netlink_ext_ack *extack, struct nlattr *at, u32 action, int err)
 {
 	if (err == -ENOENT)
@@ -206,17 +220,20 @@ static void explain(struct netlink_ext_ack *extack, struct nlattr *at, u32 actio
 	else if (action == XAUTO_ACTION_SUSPEND && err == -ETIMEDOUT)
 		NL_SET_ERR_MSG(extack, "the work did not leave the engine in time; it runs again");
 	else if (action == XAUTO_ACTION_SET_TIMESLICE && err == -EINVAL)
-		NL_SET_ERR_MSG(extack, "the driver refused this time slice (nvgpu: 1000..50000 us)");
+		NL_SET_ERR_MSG(extack,
+			       "the driver refused this time slice (nvgpu: 1000..50000 us)");
 	else if (action == XAUTO_ACTION_SET_INTERLEAVE && err == -EINVAL)
 		NL_SET_ERR_MSG(extack, "the driver refused this interleave level (nvgpu: 0..2)");
 	else if (err == -EPERM)
-		NL_SET_ERR_MSG(extack, "the driver refused: another program holds its scheduling controls");
+		NL_SET_ERR_MSG(extack,
+			       "the driver refused: another program holds its scheduling controls");
 	else
 		NL_SET_ERR_MSG(extack, "the driver refused; the error is its answer");
 	NL_SET_BAD_ATTR(extack, at);
 }
 
-static int do_op(struct genl_info *info, struct xauto_owner *owner, struct nlattr *nest, struct sk_buff *reply)
+static int do_op(struct genl_info *info, struct xauto_owner *owner, struct nlattr *nest,
+		 struct sk_buff *reply)
 {
 	struct nlattr *tb[XAUTO_OP_MAX + 1], *result;
 	u32 action, handle, value = 0;
@@ -227,14 +244,16 @@ static int do_op(struct genl_info *info, struct xauto_owner *owner, struct nlatt
 	if (err)
 		return err;
 	if (!tb[XAUTO_OP_ACTION] || !tb[XAUTO_OP_HANDLE]) {
-		NL_SET_ERR_MSG_ATTR(info->extack, nest, "an operation needs XAUTO_OP_ACTION and XAUTO_OP_HANDLE");
+		NL_SET_ERR_MSG_ATTR(info->extack, nest,
+				    "an operation needs XAUTO_OP_ACTION and XAUTO_OP_HANDLE");
 		return -EINVAL;
 	}
 	action = nla_get_u32(tb[XAUTO_OP_ACTION]);
 	handle = nla_get_u32(tb[XAUTO_OP_HANDLE]);
 	if (action == XAUTO_ACTION_SET_TIMESLICE || action == XAUTO_ACTION_SET_INTERLEAVE) {
 		if (!tb[XAUTO_OP_VALUE]) {
-			NL_SET_ERR_MSG_ATTR(info->extack, nest, "this operation needs XAUTO_OP_VALUE");
+			NL_SET_ERR_MSG_ATTR(info->extack, nest,
+					    "this operation needs XAUTO_OP_VALUE");
 			return -EINVAL;
 		}
 		value = nla_get_u32(tb[XAUTO_OP_VALUE]);
@@ -295,13 +314,17 @@ static int cmd_control(struct sk_buff *skb, struct genl_info *info)
 		return -EINVAL;
 	count = count_ops(info->attrs[XAUTO_A_OPS]);
 	if (!count || count > XAUTO_MAX_OPS) {
-		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_OPS], "a message holds 1 to 64 operations");
+		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_OPS],
+				    "a message holds 1 to 64 operations");
 		return -EINVAL;
 	}
 	owner = caller(info);
 	if (!owner)
 		return -ENOENT;
-	/* Before anything is done, since what is done is not undone. 24 bytes of payload and two headers an operation. */
+	/*
+	 * Before anything is done, since what is done is not undone. 24 bytes of payload and two
+	 * headers an operation.
+	 */
 	if (info->nlhdr->nlmsg_flags & NLM_F_ECHO) {
 		err = -ENOMEM;
 		reply = genlmsg_new(nla_total_size(count * 40), GFP_KERNEL);
@@ -336,24 +359,29 @@ static int cmd_watchdog(struct sk_buff *skb, struct genl_info *info)
 	if (attr) {
 		ms = nla_get_u32(attr);
 		if (ms && ms < XAUTO_WATCHDOG_MIN_MS) {
-			NL_SET_ERR_MSG_ATTR(info->extack, attr, "a watchdog is 10 to 60000 ms, or 0 for none");
+			NL_SET_ERR_MSG_ATTR(info->extack, attr,
+					    "a watchdog is 10 to 60000 ms, or 0 for none");
 			err = -EINVAL;
 		} else if (!ms && !netlink_ns_capable(skb, &init_user_ns, CAP_SYS_NICE)) {
-			NL_SET_ERR_MSG_ATTR(info->extack, attr, "going without a watchdog needs CAP_SYS_NICE");
+			NL_SET_ERR_MSG_ATTR(info->extack, attr,
+					    "going without a watchdog needs CAP_SYS_NICE");
 			err = -EPERM;
 		} else {
 			xauto_owner_set_watchdog(owner, ms);
 		}
 	}
 	if (!err && xauto_owner_expired(owner)) {
-		NL_SET_ERR_MSG(info->extack, "the watchdog had expired: what this socket had suspended was resumed");
+		NL_SET_ERR_MSG(
+			info->extack,
+			"the watchdog had expired: what this socket had suspended was resumed");
 		err = -ETIMEDOUT;
 	}
 	xauto_owner_put(owner);
 	return err;
 }
 
-static int put_queue(struct sk_buff *msg, struct xauto_queue *queue, struct xauto_owner *owner, bool ask_driver)
+static int put_queue(struct sk_buff *msg, struct xauto_queue *queue, struct xauto_owner *owner,
+		     bool ask_driver)
 {
 	struct xauto_queue_info q;
 	u32 handle = owner ? xauto_owner_handle(owner, queue) : 0;
@@ -390,7 +418,8 @@ static int cmd_get(struct sk_buff *skb, struct genl_info *info)
 		queue = xauto_owner_queue(owner, nla_get_u32(info->attrs[XAUTO_A_HANDLE]));
 	if (!queue) {
 		if (owner) {
-			NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_HANDLE], "no such handle on this socket");
+			NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_HANDLE],
+					    "no such handle on this socket");
 			xauto_owner_put(owner);
 		}
 		return -ENOENT;
@@ -427,8 +456,8 @@ static int dump_queue(struct sk_buff *msg, struct netlink_callback *cb, struct x
 		return 0;
 	}
 	put_cred(opener);
-	header = genlmsg_put(msg, NETLINK_CB(cb->skb).portid, cb->nlh->nlmsg_seq, &family, NLM_F_MULTI,
-			     XAUTO_CMD_GET);
+	header = genlmsg_put(msg, NETLINK_CB(cb->skb).portid, cb->nlh->nlmsg_seq, &family,
+			     NLM_F_MULTI, XAUTO_CMD_GET);
 	if (!header)
 		return -EMSGSIZE;
 	owner = xauto_owner_find(NETLINK_CB(cb->skb).portid);
@@ -506,10 +535,10 @@ static struct genl_family family __ro_after_init = {
 	.mcgrps = groups,
 	.n_mcgrps = ARRAY_SIZE(groups),
 	.parallel_ops = true, /* one coordinator does not wait for another's driver call */
-	XAUTO_GENL_RESV_START_OP(XAUTO_CMD_GET + 1)
-};
+	XAUTO_GENL_RESV_START_OP(XAUTO_CMD_GET + 1)};
 
-static void multicast(u32 kind, struct xauto_queue *queue, struct pid *pid, u32 portid, u64 cost_ns, int err)
+static void multicast(u32 kind, struct xauto_queue *queue, struct pid *pid, u32 portid, u64 cost_ns,
+		      int err)
 {
 	struct sk_buff *msg;
 	void *header;
@@ -523,7 +552,8 @@ static void multicast(u32 kind, struct xauto_queue *queue, struct pid *pid, u32 
 	if (!header || nla_put_u32(msg, XAUTO_A_EVENT, kind) ||
 	    (queue && (nla_put_u32(msg, XAUTO_A_QUEUE, queue->id) ||
 		       nla_put_u32(msg, XAUTO_A_TYPE, queue->type))) ||
-	    nla_put_u32(msg, XAUTO_A_PID, pid_nr(pid)) || nla_put_u32(msg, XAUTO_A_PORTID, portid) ||
+	    nla_put_u32(msg, XAUTO_A_PID, pid_nr(pid)) ||
+	    nla_put_u32(msg, XAUTO_A_PORTID, portid) ||
 	    nla_put_u64_64bit(msg, XAUTO_A_TIME_NS, ktime_get_ns(), XAUTO_A_PAD) ||
 	    nla_put_u64_64bit(msg, XAUTO_A_COST_NS, cost_ns, XAUTO_A_PAD) ||
 	    nla_put_u32(msg, XAUTO_A_ERRNO, -err)) {

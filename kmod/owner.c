@@ -17,7 +17,8 @@
 
 static unsigned int sweep_ms = 50;
 module_param(sweep_ms, uint, 0444);
-MODULE_PARM_DESC(sweep_ms, "how often dead processes and orphaned queues are looked for (default: 50 ms)");
+MODULE_PARM_DESC(sweep_ms,
+		 "how often dead processes and orphaned queues are looked for (default: 50 ms)");
 
 /* In an owner's table of handles. @vote is covered by the queue's lock. */
 struct xauto_claim {
@@ -322,7 +323,10 @@ bool xauto_owner_expired(struct xauto_owner *owner)
 	return expired;
 }
 
-/* Every thread has begun to exit. Its descriptors close then, but the socket may live on in a child. */
+/*
+ * Every thread has begun to exit. Its descriptors close then, but the socket may live on in a
+ * child.
+ */
 static bool process_is_dead(struct pid *pid)
 {
 	struct task_struct *task;

@@ -2,14 +2,15 @@
 /*
  * DOC: owners
  *
- * An owner is a netlink socket on which something was registered. Its claims, one per queue, carry its votes. All votes of an owner
- * end together when
+ * An owner is a netlink socket on which something was registered. Its claims, one per queue, carry
+ * its votes. All votes of an owner end together when
  *   - its socket closes (netlink's release notifier),
- *   - the process that first registered on it dies while another holds the socket (seen by the sweeper),
+ *   - the process that first registered on it dies while another holds the socket (seen by the
+ *   sweeper),
  *   - its watchdog was not fed (it stays, without votes),
  *   - the module unloads.
- * The notifier only takes the owner out of the table; the driver calls happen on our work queue, so that no exiting process waits
- * for a driver.
+ * The notifier only takes the owner out of the table; the driver calls happen on our work queue,
+ * so that no exiting process waits for a driver.
  *
  * Locks: owner->lock covers claims and the watchdog's settings; a queue's lock is taken inside it.
  */
@@ -53,7 +54,7 @@ struct xauto_owner {
 	struct rcu_head rcu;
 	u32 portid;
 	struct pid *pid;
-	struct mutex lock;
+	struct mutex lock; /* everything below except @fed */
 	struct xarray claims;
 	u32 next_handle;
 	u32 n_claims;

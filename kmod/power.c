@@ -2,9 +2,10 @@
 /*
  * Power for what is suspended.
  *
- * A disabled TSG has no work on the engine, so runtime power management may gate the GPU while the TSG's context is off it; boards were
- * wedged that way. From a TSG's file no public way leads to its device, so all platform devices of the driver that made the file
- * (one GPU, two DLAs) stay powered while something of that driver is suspended.
+ * A disabled TSG has no work on the engine, so runtime power management may gate the GPU while the
+ * TSG's context is off it; boards were wedged that way. From a TSG's file no public way leads to
+ * its device, so all platform devices of the driver that made the file (one GPU, two DLAs) stay
+ * powered while something of that driver is suspended.
  */
 #include <linux/device.h>
 #include <linux/platform_device.h>

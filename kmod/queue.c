@@ -49,7 +49,8 @@ static struct xauto_queue *add(u32 type, struct file *file, struct pid *pid)
 	mutex_init(&queue->lock);
 	queue->type = type;
 	queue->ops = ops_of(type);
-	err = xa_alloc_cyclic(&queues, &queue->id, queue, XA_LIMIT(1, INT_MAX), &next_id, GFP_KERNEL);
+	err = xa_alloc_cyclic(&queues, &queue->id, queue, XA_LIMIT(1, INT_MAX), &next_id,
+			      GFP_KERNEL);
 	if (err < 0) {
 		kfree(queue);
 		return ERR_PTR(err);
@@ -177,11 +178,10 @@ int xauto_queue_vote(struct xauto_queue *queue, bool *vote, bool want, u32 porti
 	}
 	*vote = false;
 	queue->votes--;
-	if (!queue->file) {
+	if (!queue->file)
 		err = -ENODEV;
-	} else if (!queue->votes && queue->suspended) {
+	else if (!queue->votes && queue->suspended)
 		err = resume(queue, portid, &cost);
-	}
 out:
 	mutex_unlock(&queue->lock);
 	if (cost_ns)
@@ -192,11 +192,11 @@ out:
 int xauto_queue_set(struct xauto_queue *queue, u32 action, u32 value, u32 portid, u64 *cost_ns)
 {
 	bool slice = action == XAUTO_ACTION_SET_TIMESLICE;
-	int (*set)(struct file *file, u32 value) =
-		slice ? queue->ops->set_timeslice : queue->ops->set_interleave;
+	int (*set)(struct file *file, u32 value);
 	int err = -ENODEV;
 	u64 begin;
 
+	set = slice ? queue->ops->set_timeslice : queue->ops->set_interleave;
 	if (!set)
 		return -EOPNOTSUPP;
 	mutex_lock(&queue->lock);
@@ -205,8 +205,8 @@ int xauto_queue_set(struct xauto_queue *queue, u32 action, u32 value, u32 portid
 		begin = ktime_get_ns();
 		err = set(queue->file, value);
 		*cost_ns = account(queue, begin, err);
-		xauto_event(slice ? XAUTO_KEV_SET_TIMESLICE : XAUTO_KEV_SET_INTERLEAVE, queue, portid,
-			    *cost_ns, err);
+		xauto_event(slice ? XAUTO_KEV_SET_TIMESLICE : XAUTO_KEV_SET_INTERLEAVE, queue,
+			    portid, *cost_ns, err);
 	}
 	mutex_unlock(&queue->lock);
 	return err;
@@ -312,7 +312,8 @@ void xauto_queue_exit(void)
 	xauto_queue_sweep();
 	for (id = 0; (queue = xauto_queue_next(&id)); id++) {
 		if (queue->orphan) {
-			pr_err("xauto: queue %u stays suspended: its driver refuses to resume it\n", queue->id);
+			pr_err("xauto: queue %u stays suspended: its driver refuses to resume it\n",
+			       queue->id);
 			queue->orphan = false;
 			queue->suspended = false;
 			xauto_power_put(queue->power);

@@ -2,21 +2,23 @@
 /*
  * DOC: a hardware queue
  *
- * One struct xauto_queue stands for one GPU TSG or DLA queue, however many owners registered it. Each owner's claim holds a vote;
- * the hardware is suspended while there is a vote. What is done to the hardware is derived from the votes at that moment and
- * done to that queue alone; there is no set of running or suspended queues that could be written over another.
+ * One struct xauto_queue stands for one GPU TSG or DLA queue, however many owners registered it.
+ * Each owner's claim holds a vote; the hardware is suspended while there is a vote. What is done
+ * to the hardware is derived from the votes at that moment and done to that queue alone; there is
+ * no set of running or suspended queues that could be written over another.
  *
  *	             first vote: driver suspends
  *	  RUNNING ---------------------------------> SUSPENDED   (votes > 0)
  *	    ^  ^ <---- the driver refused: undone ----  |
  *	    |  '----- last vote gone: driver resumes ---'
  *	    |                       | the driver refused
- *	    '--- sweeper resumes --- ORPHAN          (suspended, votes == 0, kept alive until it runs)
+ *	    '--- sweeper resumes --- ORPHAN          (suspended, votes == 0, kept alive until it
+ *	    runs)
  *
  *	  any state -- nobody but us holds the file --> GONE      (resumed first, file given back)
  *
- * Locks: an owner's lock is taken before a queue's, the registry's inside neither. queue->lock covers the votes, the state and the driver's
- * calls; it is a mutex, since drivers sleep.
+ * Locks: an owner's lock is taken before a queue's, the registry's inside neither. queue->lock
+ * covers the votes, the state and the driver's calls; it is a mutex, since drivers sleep.
  */
 #ifndef XAUTO_QUEUE_H
 #define XAUTO_QUEUE_H
@@ -42,7 +44,8 @@ struct pid;
  * @suspend: stop its work; on failure the caller resumes
  * @resume: let it run
  *
- * All may sleep and are called with the queue's lock held, except @verify. The last three may be missing.
+ * All may sleep and are called with the queue's lock held, except @verify. The last three may be
+ * missing.
  */
 struct xauto_queue_ops {
 	int (*verify)(struct file *file, struct netlink_ext_ack *extack);
@@ -80,7 +83,8 @@ struct xauto_queue_stats {
  * @suspended: the driver was told to suspend and not yet to resume
  * @orphan: suspended without a vote since the driver refused to resume; the sweeper tries again
  * @suspended_at: ktime in ns when @suspended became true
- * @power: devices that stay powered while @suspended: taking power from a GPU whose context is off loses it
+ * @power: devices that stay powered while @suspended: taking power from a GPU whose context is off
+ *   loses it
  * @stats: for GET
  */
 struct xauto_queue {
@@ -90,7 +94,7 @@ struct xauto_queue {
 	u32 type;
 	const struct xauto_queue_ops *ops;
 	struct pid *pid;
-	struct mutex lock;
+	struct mutex lock; /* everything below */
 	struct file *file;
 	unsigned int votes;
 	bool suspended;
@@ -113,8 +117,9 @@ void xauto_queue_put(struct xauto_queue *queue);
  * @portid: whose vote, for events; 0: the module's own doing
  * @cost_ns: out, may be NULL: time in the driver
  *
- * Return: 0; -ENODEV when the process is gone; else what the driver answered. A vote to suspend that failed is not kept; a
- * vote that was taken back is gone even where the driver refused to resume.
+ * Return: 0; -ENODEV when the process is gone; else what the driver answered. A vote to suspend
+ * that failed is not kept; a vote that was taken back is gone even where the driver refused to
+ * resume.
  */
 int xauto_queue_vote(struct xauto_queue *queue, bool *vote, bool want, u32 portid, u64 *cost_ns);
 
@@ -127,7 +132,9 @@ struct xauto_queue_info {
 	bool suspended;
 	struct xauto_queue_stats stats;
 };
-void xauto_queue_describe(struct xauto_queue *queue, bool ask_driver, struct xauto_queue_info *info);
+
+void xauto_queue_describe(struct xauto_queue *queue, bool ask_driver,
+			  struct xauto_queue_info *info);
 
 /* Who opened the file: its credentials, with a reference, or NULL once it is gone. */
 const struct cred *xauto_queue_cred(struct xauto_queue *queue);
@@ -135,7 +142,10 @@ const struct cred *xauto_queue_cred(struct xauto_queue *queue);
 /* The next queue with an id of at least *@id, with a reference; NULL at the end. */
 struct xauto_queue *xauto_queue_next(unsigned long *id);
 
-/* One look at every queue: finds those whose process is gone, and retries orphans. Return: is there any queue left? */
+/*
+ * One look at every queue: finds those whose process is gone, and retries orphans. Return: is there
+ * any queue left?
+ */
 bool xauto_queue_sweep(void);
 /* At module exit, all owners gone: the last attempt at orphans. */
 void xauto_queue_exit(void);

@@ -35,7 +35,8 @@ DECLARE_EVENT_CLASS(xauto_queue,
 		__entry->err = err;
 	),
 	TP_printk("queue=%u type=%s pid=%d portid=%u votes=%u cost_ns=%llu err=%d", __entry->queue,
-		  __print_symbolic(__entry->type, { XAUTO_QUEUE_GPU_TSG, "gpu" }, { XAUTO_QUEUE_DLA, "dla" }),
+		  __print_symbolic(__entry->type, { XAUTO_QUEUE_GPU_TSG, "gpu" },
+				   { XAUTO_QUEUE_DLA, "dla" }),
 		  __entry->pid, __entry->portid, __entry->votes, __entry->cost_ns, __entry->err)
 );
 

@@ -26,15 +26,17 @@ static int tsg_get_timeslice(struct file *file, u32 *us)
 }
 
 /*
- * nvgpu's other files (channels, address spaces, ctrl) have another set of operations of the same module. Their ioctls have
- * other numbers, so a question that only a TSG answers tells them apart, whatever the file is called.
+ * nvgpu's other files (channels, address spaces, ctrl) have another set of operations of the same
+ * module. Their ioctls have other numbers, so a question that only a TSG answers tells them apart,
+ * whatever the file is called.
  */
 static int tsg_verify(struct file *file, struct netlink_ext_ack *extack)
 {
 	u32 us = 0;
 
 	if (!xauto_file_is_of(file, gpu_drivers)) {
-		NL_SET_ERR_MSG(extack, "the file is not of a GPU driver (module parameter gpu_drivers)");
+		NL_SET_ERR_MSG(extack,
+			       "the file is not of a GPU driver (module parameter gpu_drivers)");
 		return -EINVAL;
 	}
 	if (tsg_get_timeslice(file, &us) || !us) {

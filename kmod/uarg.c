@@ -4,17 +4,20 @@
  *
  * DOC: an address space for arguments
  *
- * A driver reads an ioctl's argument with copy_from_user(), and since set_fs() went there is no way to hand it kernel memory. The
- * fail-safe paths need such ioctls (a DLA queue's resume takes a struct) at moments when the owner's process is dead and its
- * memory gone, so the memory must be ours and must outlive every client.
+ * A driver reads an ioctl's argument with copy_from_user(), and since set_fs() went there is no
+ * way to hand it kernel memory. The fail-safe paths need such ioctls (a DLA queue's resume takes a
+ * struct) at moments when the owner's process is dead and its memory gone, so the memory must be
+ * ours and must outlive every client.
  *
- * So the module maps one page in the address space of the process that loads it and keeps that address space (not the process)
- * alive. Our kernel threads enter it for the time of one call. Once the loader has exited, nobody but us is in there, and
- * what it had mapped beside our page is given back. What stays pinned until the module unloads is that page, its page tables
- * and the loader's executable.
+ * So the module maps one page in the address space of the process that loads it and keeps that
+ * address space (not the process) alive. Our kernel threads enter it for the time of one call.
+ * Once the loader has exited, nobody but us is in there, and what it had mapped beside our page is
+ * given back. What stays pinned until the module unloads is that page, its page tables and the
+ * loader's executable.
  *
- * Rejected: memory of the caller (it can unmap or rewrite it while the driver reads, and it is gone when it is needed most); memory of
- * the queue's process (the same); the drivers' internal functions (not exported, and another set in each release).
+ * Rejected: memory of the caller (it can unmap or rewrite it while the driver reads, and it is
+ * gone when it is needed most); memory of the queue's process (the same); the drivers' internal
+ * functions (not exported, and another set in each release).
  */
 #include <linux/fs.h>
 #include <linux/kthread.h>
@@ -38,13 +41,14 @@
  * @worker: the thread
  * @work: the call
  * @address: of this lane's bytes in the page
- * @file: the call's, as the next three: written before the work is queued, read after it was flushed
+ * @file: the call's, as the next three: written before the work is queued, read after it was
+ *   flushed
  * @cmd: the ioctl's number
  * @arg: kernel memory, in and out
  * @result: the driver's answer
  */
 struct uarg_lane {
-	struct mutex busy;
+	struct mutex busy; /* one call at a time */
 	struct kthread_worker *worker;
 	struct kthread_work work;
 	unsigned long address;
@@ -81,7 +85,8 @@ static void uarg_call(struct kthread_work *work)
 	if (copy_to_user(user, lane->arg, size)) {
 		lane->result = -EFAULT;
 	} else {
-		lane->result = lane->file->f_op->unlocked_ioctl(lane->file, lane->cmd, lane->address);
+		lane->result =
+			lane->file->f_op->unlocked_ioctl(lane->file, lane->cmd, lane->address);
 		if ((_IOC_DIR(lane->cmd) & _IOC_READ) && copy_from_user(lane->arg, user, size))
 			lane->result = -EFAULT;
 	}
@@ -142,7 +147,8 @@ int xauto_uarg_init(void)
 
 	if (!current->mm)
 		return -ENODEV; /* built into the kernel: there is no loader */
-	uarg_page = vm_mmap(NULL, 0, PAGE_SIZE, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, 0);
+	uarg_page =
+		vm_mmap(NULL, 0, PAGE_SIZE, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, 0);
 	if (IS_ERR_VALUE(uarg_page))
 		return (int)uarg_page;
 	uarg_mm = current->mm;

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
- * xauto_nvdla_emu.ko: nvdla's device nodes and ioctls, with their numbers and structures, over emulated DLAs.
+ * xauto_nvdla_emu.ko: nvdla's device nodes and ioctls, with their numbers and structures, over
+ * emulated DLAs.
  *
- * A DLA runs one task at a time, to its end. Queues take turns, a task each. A suspended queue starts none; the task that
- * runs when it is suspended completes. Tasks are durations (include/uapi/xauto/emu.h).
+ * A DLA runs one task at a time, to its end. Queues take turns, a task each. A suspended queue
+ * starts none; the task that runs when it is suspended completes. Tasks are durations
+ * (include/uapi/xauto/emu.h).
  */
 #include <linux/cdev.h>
 #include <linux/debugfs.h>
@@ -24,9 +26,9 @@
 
 #include "compat.h"
 
-#define N_DLAS 2
-#define MAX_QUEUES 16 /* of one DLA, as nvdla has */
-#define MAX_TASKS 256 /* waiting in one queue */
+#define N_DLAS		 2
+#define MAX_QUEUES	 16  /* of one DLA, as nvdla has */
+#define MAX_TASKS	 256 /* waiting in one queue */
 #define FIRMWARE_VERSION 0x010802
 
 static unsigned int command_us = 50;
@@ -75,7 +77,7 @@ struct queue {
  * @end: the task's, hrtimer
  */
 struct dla {
-	spinlock_t lock;
+	spinlock_t lock; /* the DLA and its queues */
 	struct platform_device *pdev;
 	struct list_head queues;
 	u32 n_queues;
@@ -93,7 +95,7 @@ struct dla {
  */
 struct dla_file {
 	struct dla *dla;
-	struct mutex lock;
+	struct mutex lock; /* @queue */
 	struct queue *queue;
 	wait_queue_head_t done;
 };
@@ -424,10 +426,12 @@ static int state_show(struct seq_file *out, void *data)
 		struct dla *dla = &dlas[i];
 
 		spin_lock_bh(&dla->lock);
-		seq_printf(out, "dla=%d busy=%d powered=%d\n", i, dla->busy, pm_runtime_active(&dla->pdev->dev));
+		seq_printf(out, "dla=%d busy=%d powered=%d\n", i, dla->busy,
+			   pm_runtime_active(&dla->pdev->dev));
 		list_for_each_entry(queue, &dla->queues, node)
 			seq_printf(out, "queue suspended=%d running=%d waiting=%u finished=%llu\n",
-				   queue->suspended, dla->running == queue, queue->waiting, queue->finished);
+				   queue->suspended, dla->running == queue, queue->waiting,
+				   queue->finished);
 		spin_unlock_bh(&dla->lock);
 	}
 	return 0;
@@ -501,8 +505,8 @@ static int create_nodes(void)
 	}
 	node_class->devnode = devnode;
 	for (i = 0; i < N_DLAS; i++) {
-		struct device *dev = device_create(node_class, &dlas[i].pdev->dev, node_base + i, NULL,
-						   "ctrl-nvdla%d", i);
+		struct device *dev = device_create(node_class, &dlas[i].pdev->dev, node_base + i,
+						   NULL, "ctrl-nvdla%d", i);
 
 		if (IS_ERR(dev)) {
 			remove_nodes(i);

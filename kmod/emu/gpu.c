@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
- * xauto_nvgpu_emu.ko: nvgpu's device nodes and ioctls, with their numbers and structures, over an emulated engine
- * (gpu_engine.h). Work is given as a duration (include/uapi/xauto/emu.h).
+ * xauto_nvgpu_emu.ko: nvgpu's device nodes and ioctls, with their numbers and structures, over an
+ * emulated engine (gpu_engine.h). Work is given as a duration (include/uapi/xauto/emu.h).
  */
 #include <linux/anon_inodes.h>
 #include <linux/cdev.h>
@@ -64,7 +64,9 @@ static long bind_channel(struct gpu_tsg *tsg, void __user *arg)
 	file = fget(fd);
 	if (!file)
 		return -EBADF;
-	/* A channel is another file of ours; the "channel" node has them as well as OPEN_CHANNEL. */
+	/*
+	 * A channel is another file of ours; the "channel" node has them as well as OPEN_CHANNEL.
+	 */
 	if (file->f_op == &channel_fops)
 		err = gpu_channel_bind(tsg, file->private_data);
 	fput(file);

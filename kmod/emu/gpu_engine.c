@@ -30,7 +30,10 @@ static u64 us_to_ns(u32 us)
 	return (u64)us * NSEC_PER_USEC;
 }
 
-/* The channel whose work is next; round robin is left out, channels of a TSG run one after the other. */
+/*
+ * The channel whose work is next; round robin is left out, channels of a TSG run one after the
+ * other.
+ */
 static struct gpu_channel *busy_channel(struct gpu_tsg *tsg)
 {
 	struct gpu_channel *channel;
@@ -106,7 +109,10 @@ static bool others_wait(struct gpu *gpu)
 	return false;
 }
 
-/* The engine has power while it is not idle. The one who ends the idleness holds a reference of his own. */
+/*
+ * The engine has power while it is not idle. The one who ends the idleness holds a reference of his
+ * own.
+ */
 static void set_phase(struct gpu *gpu, enum gpu_phase phase)
 {
 	if (gpu->phase == GPU_IDLE && phase != GPU_IDLE)
@@ -226,7 +232,10 @@ static void change(struct gpu *gpu, u64 now)
 	}
 }
 
-/* Everything that has happened up to now; with the lock held before whatever is changed, and again after. */
+/*
+ * Everything that has happened up to now; with the lock held before whatever is changed, and again
+ * after.
+ */
 static void catch_up(struct gpu *gpu)
 {
 	u64 now = ktime_get_ns(), at;
@@ -528,7 +537,8 @@ void gpu_power_off(struct gpu *gpu)
 	list_for_each_entry(tsg, &gpu->tsgs, node) {
 		if (!tsg->enabled && busy_channel(tsg)) {
 			tsg->lost = true;
-			dev_err(gpu->dev, "power went while a disabled TSG had work: its context is lost\n");
+			dev_err(gpu->dev,
+				"power went while a disabled TSG had work: its context is lost\n");
 		}
 	}
 	spin_unlock_bh(&gpu->lock);
@@ -544,8 +554,11 @@ void gpu_show(struct gpu *gpu, struct seq_file *out)
 	seq_printf(out, "phase=%s switches=%llu runlist=%u\n", phases[gpu->phase], gpu->switches,
 		   gpu->runlist_length);
 	list_for_each_entry(tsg, &gpu->tsgs, node)
-		seq_printf(out, "tsg=%u enabled=%d current=%d lost=%d level=%u timeslice_us=%u busy=%d ran_us=%llu\n",
-			   i++, tsg->enabled, tsg == gpu->current_tsg, tsg->lost, tsg->level,
-			   tsg->timeslice_us, !!busy_channel(tsg), div_u64(tsg->ran_ns, NSEC_PER_USEC));
+		seq_printf(
+			out,
+			"tsg=%u enabled=%d current=%d lost=%d level=%u timeslice_us=%u busy=%d ran_us=%llu\n",
+			i++, tsg->enabled, tsg == gpu->current_tsg, tsg->lost, tsg->level,
+			tsg->timeslice_us, !!busy_channel(tsg),
+			div_u64(tsg->ran_ns, NSEC_PER_USEC));
 	leave(gpu);
 }

@@ -2,16 +2,19 @@
 /*
  * DOC: the emulated GPU
  *
- * One engine, a runlist of TSGs, each with channels that hold work in order. The engine runs one TSG at a time for its time slice,
- * then the next runnable one in the runlist; in it, a TSG of a higher interleave level stands before every one of a lower level.
- * Changing the TSG costs saving the old context and restoring the new one.
+ * One engine, a runlist of TSGs, each with channels that hold work in order. The engine runs one
+ * TSG at a time for its time slice, then the next runnable one in the runlist; in it, a TSG of a
+ * higher interleave level stands before every one of a lower level. Changing the TSG costs saving
+ * the old context and restoring the new one.
  *
- *	IDLE --work--> RESTORE --> RUN --slice over, preempted, no work left--> SAVE --> (the next one's RESTORE, or IDLE)
+ *	IDLE --work--> RESTORE --> RUN --slice over, preempted, no work left--> SAVE --> (the next
+ *	one's RESTORE, or IDLE)
  *
- * A disabled TSG is not picked again; the one that is on the engine stays until its slice ends or it is preempted. A TSG without
- * work stays loaded while nobody else has any.
+ * A disabled TSG is not picked again; the one that is on the engine stays until its slice ends or
+ * it is preempted. A TSG without work stays loaded while nobody else has any.
  *
- * Time is real (ktime); an hrtimer fires at the next change, so the CPU has little to do however long the work is.
+ * Time is real (ktime); an hrtimer fires at the next change, so the CPU has little to do however
+ * long the work is.
  */
 #ifndef XAUTO_EMU_GPU_ENGINE_H
 #define XAUTO_EMU_GPU_ENGINE_H
@@ -98,7 +101,7 @@ enum gpu_phase { GPU_IDLE, GPU_RESTORE, GPU_RUN, GPU_SAVE };
  * @switches: contexts restored
  */
 struct gpu {
-	spinlock_t lock;
+	spinlock_t lock; /* the GPU, its TSGs and channels */
 	struct device *dev;
 	struct list_head tsgs;
 	u32 n_tsgs;

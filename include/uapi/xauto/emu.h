@@ -1,10 +1,11 @@
 /* SPDX-License-Identifier: GPL-2.0-only WITH Linux-syscall-note */
 /*
- * What the emulator modules (kmod/emu/) take in place of real work: a duration. Everything else about them is nvgpu.h's and
- * nvdla.h's. On a GPU, work goes to a channel; on a DLA, through the driver's own EMU_TASK_SUBMIT.
+ * What the emulator modules (kmod/emu/) take in place of real work: a duration. Everything else
+ * about them is nvgpu.h's and nvdla.h's. On a GPU, work goes to a channel; on a DLA, through the
+ * driver's own EMU_TASK_SUBMIT.
  *
- * A channel or DLA file polls readable when all work submitted to it has finished; read(2) of 8 bytes then gives how many
- * pieces of work that file has finished so far.
+ * A channel or DLA file polls readable when all work submitted to it has finished; read(2) of 8
+ * bytes then gives how many pieces of work that file has finished so far.
  */
 #ifndef _UAPI_XAUTO_EMU_H
 #define _UAPI_XAUTO_EMU_H
@@ -29,6 +30,9 @@ struct xauto_emu_work {
 /* On a channel that is bound to a TSG. */
 #define XAUTO_EMU_IOCTL_SUBMIT _IOWR(XAUTO_EMU_IOCTL_MAGIC, 1, struct xauto_emu_work)
 
-/* NVDLA_IOCTL_EMU_TASK_SUBMIT takes an array of struct xauto_emu_work, version %XAUTO_EMU_TASK_VERSION. */
+/*
+ * NVDLA_IOCTL_EMU_TASK_SUBMIT takes an array of struct xauto_emu_work, version
+ * %XAUTO_EMU_TASK_VERSION.
+ */
 
 #endif /* _UAPI_XAUTO_EMU_H */

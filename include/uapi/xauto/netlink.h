@@ -1,46 +1,54 @@
 /* SPDX-License-Identifier: GPL-2.0-only WITH Linux-syscall-note */
 /*
- * xauto.ko's generic-netlink family: suspending and resuming hardware queues (GPU TSGs, DLA queues) of processes.
- * A client can be written from this file alone.
+ * xauto.ko's generic-netlink family: suspending and resuming hardware queues (GPU TSGs, DLA
+ * queues) of processes. A client can be written from this file alone.
  *
  * Owners
  * ------
- * The socket is the owner. What it suspended is resumed when it closes, when the process that first registered on it dies,
- * when its watchdog is not fed, and when the module unloads. A queue that several owners suspended runs again when the last
- * of them resumed it: suspension is a union of votes, never one owner's word over another's.
+ * The socket is the owner. What it suspended is resumed when it closes, when the process that
+ * first registered on it dies, when its watchdog is not fed, and when the module unloads. A queue
+ * that several owners suspended runs again when the last of them resumed it: suspension is a union
+ * of votes, never one owner's word over another's.
  *
  * Commands, each with its tree of attributes (? = optional), the reply after the arrow
  * --------
  * XAUTO_CMD_REGISTER    TYPE, FD, PID?  ->  HANDLE, QUEUE
- *     FD is a descriptor of the caller's. The module takes its own reference, so the caller may close it. To register another
- *     process's queue, take its descriptor with pidfd_getfd(2), whose ptrace rules then apply, and say in PID whose it is.
- *     Registering a queue again on the same socket gives the handle it has.
+ *     FD is a descriptor of the caller's. The module takes its own reference, so the caller may
+ *     close it. To register another process's queue, take its descriptor with pidfd_getfd(2),
+ *     whose ptrace rules then apply, and say in PID whose it is. Registering a queue again on the
+ *     same socket gives the handle it has.
  * XAUTO_CMD_UNREGISTER  HANDLE
  *     Resumes it first.
- * XAUTO_CMD_CONTROL     OPS { OP { OP_ACTION, OP_HANDLE, OP_VALUE? } ... }  ->  with NLM_F_ECHO: RESULTS { HANDLE, COST_NS ... }
- *     Done in the order given, at most %XAUTO_MAX_OPS. The first that fails ends the message; those before it stay done; the
- *     extended acknowledgement points at it. Suspending what this owner has suspended, and resuming what it has not, is no error.
- *     When a suspend returns, none of the queue's work runs (GPU) or none is started (DLA: the running task completes).
+ * XAUTO_CMD_CONTROL     OPS { OP { OP_ACTION, OP_HANDLE, OP_VALUE? } ... }  ->  with NLM_F_ECHO:
+ * RESULTS { HANDLE, COST_NS ... }
+ *     Done in the order given, at most %XAUTO_MAX_OPS. The first that fails ends the message;
+ *     those before it stay done; the extended acknowledgment points at it. Suspending what this
+ *     owner has suspended, and resuming what it has not, is no error. When a suspend returns, none
+ *     of the queue's work runs (GPU) or none is started (DLA: the running task completes).
  * XAUTO_CMD_WATCHDOG    TIMEOUT_MS?
- *     Sets the owner's watchdog, 10..60000 ms; without TIMEOUT_MS it only feeds it. Every command feeds it too. It bites only
- *     while this owner has something suspended. An owner starts with %XAUTO_WATCHDOG_DEFAULT_MS. 0, no watchdog, needs CAP_SYS_NICE.
- * XAUTO_CMD_GET         HANDLE           ->  one queue, with TIMESLICE_US as the driver says it now (GPU)
- * XAUTO_CMD_GET         (dump)           ->  every queue that the caller may see
- *     A queue: QUEUE, TYPE, PID, SUSPENDED, VOTES, SUSPENDS, RESUMES, ERRORS, SUSPENDED_NS, COST_NS (of all driver calls),
- *     COST_MAX_NS, and HANDLE where it is registered on this socket.
+ *     Sets the owner's watchdog, 10..60000 ms; without TIMEOUT_MS it only feeds it. Every command
+ *     feeds it too. It bites only while this owner has something suspended. An owner starts with
+ *     %XAUTO_WATCHDOG_DEFAULT_MS. 0, no watchdog, needs CAP_SYS_NICE.
+ * XAUTO_CMD_GET         HANDLE           ->  one queue, with TIMESLICE_US as the driver says it
+ * now (GPU) XAUTO_CMD_GET         (dump)           ->  every queue that the caller may see
+ *     A queue: QUEUE, TYPE, PID, SUSPENDED, VOTES, SUSPENDS, RESUMES, ERRORS, SUSPENDED_NS,
+ *     COST_NS (of all driver calls), COST_MAX_NS, and HANDLE where it is registered on this socket.
  * XAUTO_CMD_EVENT       multicast to the group %XAUTO_MCGRP_EVENTS:
- *     EVENT, QUEUE, TYPE, PID, PORTID, TIME_NS, COST_NS, ERRNO. Needs CAP_NET_ADMIN to join where the kernel can ask for it.
+ *     EVENT, QUEUE, TYPE, PID, PORTID, TIME_NS, COST_NS, ERRNO. Needs CAP_NET_ADMIN to join where
+ *     the kernel can ask for it.
  *
  * Permission
  * ----------
- * The file must have been opened by the caller's effective user, or the caller needs CAP_SYS_NICE in the user namespace of the
- * one who opened it. The family lives in the initial network namespace.
+ * The file must have been opened by the caller's effective user, or the caller needs CAP_SYS_NICE
+ * in the user namespace of the one who opened it. The family lives in the initial network
+ * namespace.
  *
- * Errors, each with a text in the extended acknowledgement
+ * Errors, each with a text in the extended acknowledgment
  * ------
- * EBADF no such descriptor · EINVAL the file is not what TYPE says, or a value is out of range · EPERM · ENOENT no such handle
- * ESRCH no such process · ENOSPC too many queues or owners · ETIMEDOUT the GPU did not leave the queue in time (it runs again)
- * ENODEV the queue's process is gone · others: what the driver answered
+ * EBADF no such descriptor · EINVAL the file is not what TYPE says, or a value is out of range ·
+ * EPERM · ENOENT no such handle ESRCH no such process · ENOSPC too many queues or owners ·
+ * ETIMEDOUT the GPU did not leave the queue in time (it runs again) ENODEV the queue's process is
+ * gone · others: what the driver answered
  *
  * Rules: append attributes and commands, never renumber; unknown attributes are refused.
  * History: 1 - first version.

@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: GPL-2.0-only WITH Linux-syscall-note */
 /*
- * The part of nvdla's ioctl interface that XAuto wraps, written from its description: numbers and layouts are the driver's.
- * Used by kmod/, kmod/emu/ and lib/kernel/, as nvgpu.h is.
+ * The part of nvdla's ioctl interface that XAuto wraps, written from its description: numbers and
+ * layouts are the driver's. Used by kmod/, kmod/emu/ and lib/kernel/, as nvgpu.h is.
  *
- * The ctrl node is opened once per process and DLA; a queue is allocated to that file. Suspending acts on the file's queue: the
- * running task completes, none is started.
+ * The ctrl node is opened once per process and DLA; a queue is allocated to that file. Suspending
+ * acts on the file's queue: the running task completes, none is started.
  */
 #ifndef _UAPI_XAUTO_NVDLA_H
 #define _UAPI_XAUTO_NVDLA_H

@@ -1,10 +1,11 @@
 /* SPDX-License-Identifier: GPL-2.0-only WITH Linux-syscall-note */
 /*
- * The part of nvgpu's ioctl interface that XAuto wraps, written from its description: numbers and layouts are the driver's.
- * Used by kmod/ (xauto.ko calls these), kmod/emu/ (which answers them) and lib/kernel/ (which recognises the files).
+ * The part of nvgpu's ioctl interface that XAuto wraps, written from its description: numbers and
+ * layouts are the driver's. Used by kmod/ (xauto.ko calls these), kmod/emu/ (which answers them)
+ * and lib/kernel/ (which recognises the files).
  *
- * A TSG (time slice group) is a file: the "tsg" node opened, or what OPEN_TSG on the "ctrl" node returned, an anonymous
- * inode named nvgpu-<gpu>-tsg<fd>. Holding the file is the right to use it.
+ * A TSG (time slice group) is a file: the "tsg" node opened, or what OPEN_TSG on the "ctrl" node
+ * returned, an anonymous inode named nvgpu-<gpu>-tsg<fd>. Holding the file is the right to use it.
  */
 #ifndef _UAPI_XAUTO_NVGPU_H
 #define _UAPI_XAUTO_NVGPU_H
@@ -31,7 +32,8 @@ struct nvgpu_gpu_open_tsg_args {
 
 /**
  * struct nvgpu_gpu_open_channel_args - a new channel (ctrl node)
- * @in.runlist_id: in: -1: the graphics engine's; out: the channel's file descriptor, in the same place
+ * @in.runlist_id: in: -1: the graphics engine's; out: the channel's file descriptor, in the same
+ *   place
  */
 struct nvgpu_gpu_open_channel_args {
 	union {
