@@ -275,13 +275,13 @@ static enum hrtimer_restart on_timer(struct hrtimer *timer)
 	return HRTIMER_NORESTART; /* settle() has set the next */
 }
 
-static void enter(struct gpu *gpu)
+static void enter(struct gpu *gpu) __acquires(&gpu->lock)
 {
 	spin_lock_bh(&gpu->lock);
 	catch_up(gpu);
 }
 
-static void leave(struct gpu *gpu)
+static void leave(struct gpu *gpu) __releases(&gpu->lock)
 {
 	settle(gpu);
 	spin_unlock_bh(&gpu->lock);
