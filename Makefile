@@ -21,7 +21,7 @@ pedestrians:
 	@JOBS=$(JOBS) scripts/pedestrians.sh
 
 check:
-	@scripts/setup.sh build check pedestrians
+	@scripts/setup.sh build check pedestrians kernel
 	@scripts/fetch-video.sh
 	@JOBS=$(JOBS) scripts/check.sh all
 
@@ -30,6 +30,16 @@ style unit asan tsan fuzz:
 	@scripts/setup.sh build check pedestrians
 	@scripts/fetch-video.sh
 	@JOBS=$(JOBS) scripts/check.sh $@
+
+# The kernel side alone: xauto.ko and the emulator modules on several Debian kernels, in QEMU.
+kernel-check:
+	@scripts/setup.sh build check kernel
+	@JOBS=$(JOBS) scripts/check.sh kernel
+
+# The modules for the running kernel, or for KERNEL=/path/to/its/build/tree.
+KERNEL ?= /lib/modules/$(shell uname -r)/build
+modules:
+	@$(MAKE) -C $(KERNEL) M=$(CURDIR) modules
 
 bench:
 	@scripts/setup.sh build bench
@@ -50,4 +60,4 @@ setup:
 clean:
 	@rm -rf build build-asan build-tsan build-fuzz
 
-.PHONY: all build demo pedestrians check style unit asan tsan fuzz bench format tidy setup clean
+.PHONY: all build demo pedestrians check kernel-check modules style unit asan tsan fuzz bench format tidy setup clean

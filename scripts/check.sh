@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# What `make check` does: style, then the tests in a release build, under ASan+UBSan, and under TSan. Each
-# part runs by itself with `make style|unit|asan|tsan|fuzz`. The last line is the count over all parts.
+# What `make check` does: style, then the tests in a release build, under ASan+UBSan, and under TSan, then the kernel
+# side in booted VMs. Each part runs by itself with `make style|unit|asan|tsan|fuzz|kernel-check`. The last line is the count over all parts.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 jobs=${JOBS:-2}
@@ -81,6 +81,20 @@ tsan() {
   build tsan build-tsan test_base test_trace test_coord test_emu test_runtime &&
     { note "tests, TSan"; tests build-tsan -R '^(base|trace|coord|emu|runtime)\.'; }
 }
+# Programs and modules in VMs; scripts/kernel-check.sh counts them.
+kernel() {
+  local counts
+  build ci build all kmod_tests || return
+  note "kernel side, in VMs"
+  counts=$(scripts/kernel-check.sh build | tee /dev/stderr | tail -n 1)
+  if [[ $counts =~ ^([0-9]+)\ passed,\ ([0-9]+)\ failed ]]; then
+    passed=$((passed + BASH_REMATCH[1]))
+    failed=$((failed + BASH_REMATCH[2]))
+  else
+    echo "check: the kernel side gave no count"
+    failed=$((failed + 1))
+  fi
+}
 fuzz() { build asan build-asan && { note "fuzzers"; tests build-asan -L fuzz; }; }
 
 case ${1:-all} in
@@ -89,10 +103,11 @@ case ${1:-all} in
     unit
     asan
     tsan
+    kernel
     ;;
-  style | unit | asan | tsan | fuzz) "$1" ;;
+  style | unit | asan | tsan | fuzz | kernel) "$1" ;;
   *)
-    echo "usage: scripts/check.sh [all|style|unit|asan|tsan|fuzz]" >&2
+    echo "usage: scripts/check.sh [all|style|unit|asan|tsan|fuzz|kernel]" >&2
     exit 2
     ;;
 esac
