@@ -8,6 +8,7 @@
 #include <thread>
 
 #include "solver/bounds.h"
+#include "solver/composite.h"
 #include "solver/exact.h"
 #include "solver/ordered.h"
 
@@ -43,6 +44,7 @@ class Team {
     // The first answer is out before anything that takes longer begins.
     report();
     bound_.store(quick_bound(problem));
+    if (large()) bound_.store(std::max(bound_.load(), composite_bound(problem).bound));
   }
 
   AutoResult run() {
@@ -63,7 +65,7 @@ class Team {
       if (found.best.makespan < kNever) merge(all_, found.best, found.best.ordered);
     }
     // With a budget the proof comes last, on a fixed incumbent and with a budget of its own.
-    if (counted() && with_proof_ && !met()) prove();
+    if (counted() && with_proof_ && !met() && problem_.num_xnodes <= kMostToProve) prove();
     AutoResult result;
     result.best = all_.best;
     result.ordered = all_.ordered;
@@ -75,6 +77,8 @@ class Team {
   }
 
  private:
+  static constexpr int kMostToProve = 400;  // XNodes; beyond, one LP of the proof takes too long
+
   struct Found {
     Solution best, ordered;
   };
@@ -98,6 +102,45 @@ class Team {
            (!counted() && done_.load());
   }
 
+  [[nodiscard]] bool large() const { return problem_.num_xnodes > kLarge; }
+
+  /// A few starts get a little time each, the better half of them more, until one is left.
+  Solution race(int t, std::int64_t& budget) {
+    constexpr std::size_t kRunners = 4;
+    std::vector<Solution> runners;
+    for (std::size_t k = 0; k < kRunners; ++k) {
+      const std::size_t from =
+          1 + k * static_cast<std::size_t>(threads_) + static_cast<std::size_t>(t);
+      if (from < starts_.size()) runners.push_back(starts_[from]);
+    }
+    if (runners.empty()) return starts_.front();
+    SearchCallbacks callbacks;
+    std::int64_t used = 0;
+    callbacks.on_evaluations = [&](std::int64_t count) {
+      used += count;
+      evaluations_.fetch_add(count, std::memory_order_relaxed);
+    };
+    callbacks.on_better = [&](const Solution& solution) { note(t, solution, false); };
+    const std::int64_t level = budget / 9;
+    for (int round = 0; runners.size() > 1 && !over(); ++round) {
+      const double each = options_.time_limit_s / 9 / static_cast<double>(runners.size());
+      for (std::size_t k = 0; k < runners.size() && !over(); ++k) {
+        const Limits mine =
+            limits(seconds(each), level / static_cast<std::int64_t>(runners.size()) + 1, 0);
+        runners[k] = anneal(problem_, runners[k],
+                            options_.seed * 1000003 + static_cast<std::uint64_t>(t) * 7919 + 500 +
+                                static_cast<std::uint64_t>(round) * 31 + k,
+                            mine, callbacks);
+      }
+      std::stable_sort(runners.begin(), runners.end(), [](const Solution& a, const Solution& b) {
+        return a.makespan < b.makespan;
+      });
+      runners.resize((runners.size() + 1) / 2);
+    }
+    if (counted()) budget -= used;
+    return runners.front();
+  }
+
   void work(int t) {
     const auto k = static_cast<std::size_t>(t);
     Solution own = starts_[k % starts_.size()];
@@ -107,7 +150,10 @@ class Team {
     Clock::duration slice = seconds(std::min(0.05, options_.time_limit_s / 40));
     std::int64_t share = 20'000;
     // The last worker proves, once the search had its first turns.
-    const bool proves = with_proof_ && !counted() && t == threads_ - 1;
+    const bool proves =
+        with_proof_ && !counted() && t == threads_ - 1 && problem_.num_xnodes <= kMostToProve;
+    if (large() && !options_.certify) own = race(t, budget);
+    if (counted() && budget <= 0) return;
     for (int turn = 0; !over(); ++turn) {
       std::int64_t used = 0;
       SearchCallbacks callbacks;
@@ -115,7 +161,7 @@ class Team {
         used += count;
         evaluations_.fetch_add(count, std::memory_order_relaxed);
       };
-      const bool ordered = turn % 2 == 1;
+      const bool ordered = large() && !options_.certify ? turn % 4 == 3 : turn % 2 == 1;
       if (options_.certify && !ordered && turn > 0) continue;
       callbacks.on_better = [&](const Solution& solution) { note(t, solution, ordered); };
       const Limits mine = limits(slice, counted() ? std::min(budget, share) : 0, turn / 2);
@@ -139,6 +185,7 @@ class Team {
       if (proves && turn >= 1 && incumbent_.load() < proof_ended_at_) {
         prove();
         if (over()) return;
+        if (large()) proof_ended_at_ = 0;
       }
       if (turn % 4 == 3) take_over(own, own_ordered);
     }
@@ -148,6 +195,9 @@ class Team {
     ProofControl control;
     control.known_bound = bound_.load();
     control.deadline = deadline_;
+    // What the root alone gives comes early; the search needs the thread more.
+    if (large() && !counted())
+      control.deadline = std::min(deadline_, Clock::now() + seconds(options_.time_limit_s / 3));
     control.stop = options_.stop;
     control.stop_too = &done_;
     if (counted()) control.max_lps = options_.max_evaluations / 50 + 1;

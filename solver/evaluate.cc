@@ -3,6 +3,7 @@
 #include "solver/evaluate.h"
 
 #include <algorithm>
+#include <bit>
 
 namespace xauto::solver {
 namespace {
@@ -40,15 +41,16 @@ Evaluator::Evaluator(const Problem& problem)
   remaining_.assign(n_, 0);
   end_.assign(m_, kNever);
   running_.assign(m_, -1);
-  ready_list_.assign(m_ * n_, 0);
+  words_ = (n_ + 63) / 64;
+  ready_.assign(m_ * words_, 0);
   ready_count_.assign(m_, 0);
   touched_.assign(m_, 0);
   ready_at_.assign(n_, 0);
   started_at_.assign(n_, 0);
   finished_at_.assign(n_, 0);
   in_queue_.assign(n_, 0);
-  // About 64 snapshots at most: beyond that, copying state costs more than it saves.
-  stride_ = std::max<std::size_t>(1, n_ / 64);
+  // Few snapshots where they are large: beyond that, copying state costs more than it saves.
+  stride_ = std::max<std::size_t>(1, n_ / (n_ > 200 ? 32 : 64));
 }
 
 void Evaluator::reset(const std::vector<int>& xpu, const std::vector<int>& sequence) {
@@ -165,8 +167,8 @@ void Evaluator::rollback() {
 }
 
 void Evaluator::push_ready(int xnode) {
-  const std::size_t x = at(xpu_[at(xnode)]);
-  ready_list_[x * n_ + at(ready_count_[x])] = static_cast<std::uint16_t>(xnode);
+  const std::size_t x = at(xpu_[at(xnode)]), place = at(position_[at(xnode)]);
+  ready_[x * words_ + place / 64] |= std::uint64_t{1} << (place % 64);
   ++ready_count_[x];
 }
 
@@ -176,6 +178,7 @@ void Evaluator::start_from_scratch() {
   std::fill(end_.begin(), end_.end(), kNever);
   std::fill(running_.begin(), running_.end(), -1);
   std::fill(ready_count_.begin(), ready_count_.end(), 0);
+  std::fill(ready_.begin(), ready_.end(), 0);
   now_ = 0;
   latest_ = charged_ = 0;
   for (std::size_t i = 0; i < n_; ++i) remaining_[i] = -1;
@@ -212,6 +215,7 @@ void Evaluator::restore(const Snapshot& snapshot) {
   running_ = snapshot.running;
   end_ = snapshot.end;
   std::fill(ready_count_.begin(), ready_count_.end(), 0);
+  std::fill(ready_.begin(), ready_.end(), 0);
   for (std::size_t i = 0; i < n_; ++i)
     if (status_[i] == kReady) push_ready(static_cast<int>(i));
 }
@@ -219,32 +223,26 @@ void Evaluator::restore(const Snapshot& snapshot) {
 template <bool kRecord>
 void Evaluator::decide(int xpu, Time now) {
   const std::size_t x = at(xpu);
-  const int count = ready_count_[x];
-  if (count == 0) return;
+  if (ready_count_[x] == 0) return;
   const int running = running_[x];
   if (running >= 0 && !problem_.preemptive[x]) return;
-  std::uint16_t* list = ready_list_.data() + x * n_;
-  int best = 0;
-  int best_position = position_[list[0]];
-  for (int k = 1; k < count; ++k) {
-    const int position = position_[list[k]];
-    if (position < best_position) {
-      best_position = position;
-      best = k;
-    }
-  }
-  const std::size_t i = list[best];
+  std::uint64_t* word = ready_.data() + x * words_;
+  std::size_t k = 0;
+  while (word[k] == 0) ++k;
+  const int best = static_cast<int>(k * 64) + std::countr_zero(word[k]);
   Time cost = 0;
   if (running >= 0) {
-    if (best_position > position_[at(running)]) return;
+    const int place = position_[at(running)];
+    if (best > place) return;
     remaining_[at(running)] = end_[x] - now;
     status_[at(running)] = kReady;
-    list[best] = static_cast<std::uint16_t>(running);
+    word[at(place) / 64] |= std::uint64_t{1} << (place % 64);
     cost = problem_.preempt[x];
   } else {
-    list[best] = list[count - 1];
-    ready_count_[x] = count - 1;
+    --ready_count_[x];
   }
+  word[k] &= word[k] - 1;
+  const std::size_t i = at(sequence_[at(best)]);
   if (remaining_[i] < 0) {
     if constexpr (kRecord) started_at_[i] = now;
     remaining_[i] = work_[i];
@@ -330,6 +328,7 @@ Time Evaluator::evaluate(Time limit) {
     std::fill(end_.begin(), end_.end(), kNever);
     std::fill(running_.begin(), running_.end(), -1);
     std::fill(ready_count_.begin(), ready_count_.end(), 0);
+    std::fill(ready_.begin(), ready_.end(), 0);
     std::fill(remaining_.begin(), remaining_.end(), -1);
     now_ = latest_ = charged_ = 0;
     for (int s : sources_) {
@@ -363,6 +362,18 @@ void Evaluator::commit() {
 void Evaluator::critical_chain(std::vector<int>& chain) const {
   chain.clear();
   int current = -1;
+  // The XNodes of each XPU, one XPU after the other.
+  xpu_begin_.assign(m_ + 1, 0);
+  on_xpu_.resize(n_);
+  for (std::size_t i = 0; i < n_; ++i) ++xpu_begin_[at(xpu_[i]) + 1];
+  for (std::size_t x = 0; x < m_; ++x) xpu_begin_[x + 1] += xpu_begin_[x];
+  for (std::size_t i = n_; i-- > 0;) {
+    std::size_t& filled = xpu_begin_[at(xpu_[i]) + 1];
+    on_xpu_[--filled] = static_cast<int>(i);
+  }
+  // Filling from behind has moved each end to its beginning.
+  xpu_begin_.erase(xpu_begin_.begin());
+  xpu_begin_.push_back(n_);
   for (std::size_t i = 0; i < n_; ++i)
     if (current < 0 || finished_at_[i] > finished_at_[at(current)]) current = static_cast<int>(i);
   while (current >= 0 && chain.size() <= n_) {
@@ -374,8 +385,9 @@ void Evaluator::critical_chain(std::vector<int>& chain) const {
     // otherwise the predecessor that released it.
     if (finished_at_[i] - begin > work_[i] || begin > ready_at_[i]) {
       Time latest = -1;
-      for (std::size_t j = 0; j < n_; ++j) {
-        if (j == i || xpu_[j] != xpu_[i] || finished_at_[j] >= finished_at_[i]) continue;
+      for (std::size_t k = xpu_begin_[at(xpu_[i])]; k < xpu_begin_[at(xpu_[i]) + 1]; ++k) {
+        const std::size_t j = at(on_xpu_[k]);
+        if (j == i || finished_at_[j] >= finished_at_[i]) continue;
         if (finished_at_[j] > ready_at_[i] && finished_at_[j] > latest) {
           latest = finished_at_[j];
           next = static_cast<int>(j);

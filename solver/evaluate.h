@@ -96,8 +96,9 @@ class Evaluator {
   std::vector<std::uint16_t> missing_, in_degree_;
   std::vector<Time> remaining_, end_;
   std::vector<int> running_;
-  std::vector<std::uint16_t> ready_list_;  // [xpu * n + k]
+  std::vector<std::uint64_t> ready_;  // [xpu * words_ + k]: bit per place in the sequence
   std::vector<int> ready_count_;
+  std::size_t words_;
   std::vector<char> touched_;
   std::vector<int> touched_list_;
   Time now_ = 0, latest_ = 0, charged_ = 0;
@@ -113,6 +114,8 @@ class Evaluator {
   std::vector<Edit> edits_;
   Time dirty_from_ = kNever;
   std::vector<char> in_queue_;
+  mutable std::vector<int> on_xpu_;  // critical_chain's
+  mutable std::vector<std::size_t> xpu_begin_;
   std::int64_t evaluations_ = 0;
 };
 

@@ -106,8 +106,11 @@ class Annealer {
     std::int64_t length = 200 * static_cast<std::int64_t>(problem_.num_xnodes) + 2000;
     for (int k = 0; k < limits_.effort; ++k) length += length / 2;
     for (int round = 0; !done_; ++round) {
-      // Temperatures follow the size of one XNode's effect, which falls as the app grows.
-      const double scale = std::min(1.0, 60.0 / static_cast<double>(problem_.num_xnodes));
+      // Temperatures follow the size of one XNode's effect, which falls as the app grows; and a
+      // large app has no time to cool down from anything that is far from its start.
+      const double share =
+          std::min(1.0, static_cast<double>(kLarge) / static_cast<double>(problem_.num_xnodes));
+      const double scale = share * share;
       const double hot = (round % 3 == 2 ? 0.03 : 0.012) * scale;
       cool(length, hot * static_cast<double>(best_.makespan),
            0.0002 * scale * static_cast<double>(best_.makespan));

@@ -40,6 +40,10 @@ struct Solution {
   bool ordered = false;       ///< every XPU keeps to the sequence (Policy::order), no preemption
 };
 
+/// Above this many XNodes, the search changes: more starts, raced against each other, and colder
+/// annealing (docs/solver.md, "Large apps").
+inline constexpr int kLarge = 60;
+
 /// List scheduling by earliest finish, one answer per ranking rule (longest tail by least, mean and
 /// greatest WCET, with and without the load of the fastest XPU type in view); best first.
 [[nodiscard]] std::vector<Solution> constructive_solutions(const Problem& problem);

@@ -9,6 +9,7 @@
 #include "solver/auto.h"
 #include "solver/bounds.h"
 #include "solver/certify.h"
+#include "solver/construct.h"
 #include "solver/exact.h"
 #include "solver/heft.h"
 #include "solver/ilp.h"
@@ -34,9 +35,17 @@ std::vector<Solution> starts(const Problem& problem) {
   evaluator.reset(by_heft.xpu, by_heft.sequence);
   by_heft.makespan = evaluator.makespan();
   all.insert(all.begin(), std::move(by_heft));
-  std::stable_sort(all.begin(), all.end(),
-                   [](const Solution& a, const Solution& b) { return a.makespan < b.makespan; });
-  return all;
+  const auto shorter = [](const Solution& a, const Solution& b) { return a.makespan < b.makespan; };
+  std::stable_sort(all.begin(), all.end(), shorter);
+  if (problem.num_xnodes <= kLarge) return all;
+  // Large apps: the best of all, then what the race of the search begins with.
+  std::vector<Solution> large = priced_solutions(problem, composite_bound(problem, 0));
+  constexpr std::ptrdiff_t kPriced = 6, kOthers = 2;
+  large.insert(large.begin() + kPriced, all.begin(), all.begin() + kOthers);
+  large.insert(
+      large.begin(),
+      std::min(all.front(), *std::min_element(large.begin(), large.end(), shorter), shorter));
+  return large;
 }
 
 /// Chains and deadlines of the finished policy; where one is missed, a last attempt to prove that
