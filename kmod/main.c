@@ -19,9 +19,12 @@ static int __init xauto_init(void)
 	err = xauto_uarg_init();
 	if (err)
 		return err;
-	err = xauto_owner_init();
+	err = xauto_queue_init();
 	if (err)
 		goto err_uarg;
+	err = xauto_owner_init();
+	if (err)
+		goto err_queue;
 	err = xauto_netlink_init();
 	if (err)
 		goto err_owner;
@@ -29,6 +32,8 @@ static int __init xauto_init(void)
 
 err_owner:
 	xauto_owner_exit();
+err_queue:
+	xauto_queue_exit();
 err_uarg:
 	xauto_uarg_exit();
 	return err;
@@ -40,7 +45,6 @@ static void __exit xauto_exit(void)
 	xauto_owner_exit();
 	xauto_queue_exit();
 	xauto_uarg_exit();
-	rcu_barrier(); /* the structures that kfree_rcu() still holds were ours */
 }
 
 module_init(xauto_init);

@@ -29,9 +29,16 @@ struct xauto_claim {
 static DEFINE_XARRAY(owners); /* by port id; the array's own lock orders additions and removals */
 static atomic_t n_owners = ATOMIC_INIT(0);
 static struct workqueue_struct *reaper;
+static struct kmem_cache *owner_cache; /* caches of their own: a leak shows at unload */
+static struct kmem_cache *claim_cache;
 
 static void sweep(struct work_struct *work);
 static DECLARE_DELAYED_WORK(sweeper, sweep);
+
+static void free_owner(struct rcu_head *rcu)
+{
+	kmem_cache_free(owner_cache, container_of(rcu, struct xauto_owner, rcu));
+}
 
 static void release(struct kref *ref)
 {
@@ -39,7 +46,7 @@ static void release(struct kref *ref)
 
 	xa_destroy(&owner->claims);
 	put_pid(owner->pid);
-	kfree_rcu(owner, rcu);
+	call_rcu(&owner->rcu, free_owner);
 	atomic_dec(&n_owners);
 }
 
@@ -101,7 +108,7 @@ static void reap(struct work_struct *work)
 	xa_for_each(&owner->claims, handle, claim) {
 		xa_erase(&owner->claims, handle);
 		xauto_queue_put(claim->queue);
-		kfree(claim);
+		kmem_cache_free(claim_cache, claim);
 	}
 	mutex_unlock(&owner->lock);
 	xauto_owner_put(owner);
@@ -143,7 +150,7 @@ static void start_watchdog(struct xauto_owner *owner)
 
 static struct xauto_owner *new_owner(u32 portid)
 {
-	struct xauto_owner *owner = kzalloc(sizeof(*owner), GFP_KERNEL_ACCOUNT);
+	struct xauto_owner *owner = kmem_cache_zalloc(owner_cache, GFP_KERNEL);
 
 	if (!owner)
 		return NULL;
@@ -222,7 +229,7 @@ int xauto_owner_claim(struct xauto_owner *owner, struct xauto_queue *queue, u32 
 		err = -ENOSPC;
 		goto put;
 	}
-	claim = kzalloc(sizeof(*claim), GFP_KERNEL_ACCOUNT);
+	claim = kmem_cache_zalloc(claim_cache, GFP_KERNEL);
 	if (!claim) {
 		err = -ENOMEM;
 		goto put;
@@ -231,7 +238,7 @@ int xauto_owner_claim(struct xauto_owner *owner, struct xauto_queue *queue, u32 
 	err = xa_alloc_cyclic(&owner->claims, handle, claim, XA_LIMIT(1, INT_MAX),
 			      &owner->next_handle, GFP_KERNEL);
 	if (err < 0) {
-		kfree(claim);
+		kmem_cache_free(claim_cache, claim);
 		goto put;
 	}
 	owner->n_claims++;
@@ -260,7 +267,7 @@ int xauto_owner_unclaim(struct xauto_owner *owner, u32 handle)
 	xauto_event(XAUTO_KEV_UNREGISTER, claim->queue, owner->portid, 0, 0);
 	mutex_unlock(&owner->lock);
 	xauto_queue_put(claim->queue);
-	kfree(claim);
+	kmem_cache_free(claim_cache, claim);
 	return err == -ENODEV ? 0 : err;
 }
 
@@ -378,21 +385,36 @@ static int on_netlink(struct notifier_block *block, unsigned long state, void *d
 
 static struct notifier_block netlink_block = { .notifier_call = on_netlink };
 
+static void free_caches(void)
+{
+	/* NULL is none. */
+	kmem_cache_destroy(owner_cache);
+	kmem_cache_destroy(claim_cache);
+}
+
 int xauto_owner_init(void)
 {
-	int err;
+	int err = -ENOMEM;
 
+	owner_cache = KMEM_CACHE(xauto_owner, SLAB_ACCOUNT);
+	claim_cache = KMEM_CACHE(xauto_claim, SLAB_ACCOUNT);
+	if (!owner_cache || !claim_cache)
+		goto err_caches;
 	/* Of its own, and urgent: what is suspended waits for it. */
 	reaper = alloc_workqueue("xauto", WQ_UNBOUND | WQ_HIGHPRI | WQ_MEM_RECLAIM, 0);
 	if (!reaper)
-		return -ENOMEM;
+		goto err_caches;
 	err = netlink_register_notifier(&netlink_block);
-	if (err) {
-		destroy_workqueue(reaper);
-		return err;
-	}
+	if (err)
+		goto err_reaper;
 	sweep_ms = clamp(sweep_ms, 1u, 1000u);
 	return 0;
+
+err_reaper:
+	destroy_workqueue(reaper);
+err_caches:
+	free_caches();
+	return err;
 }
 
 void xauto_owner_exit(void)
@@ -406,5 +428,6 @@ void xauto_owner_exit(void)
 		bury(owner);
 	destroy_workqueue(reaper); /* waits for them */
 	xa_destroy(&owners);
-	rcu_barrier(); /* for kfree_rcu() of structures that this module's code made */
+	rcu_barrier(); /* the last owners are on their way to free_owner() */
+	free_caches();
 }

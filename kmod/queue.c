@@ -19,6 +19,7 @@
 static DEFINE_XARRAY_ALLOC1(queues);
 static DEFINE_MUTEX(registry_lock); /* finding or adding by file, and removing */
 static u32 next_id;
+static struct kmem_cache *cache; /* of its own: what is not given back shows at unload */
 
 static const struct xauto_queue_ops *ops_of(u32 type)
 {
@@ -42,7 +43,7 @@ static struct xauto_queue *add(u32 type, struct file *file, struct pid *pid)
 	struct xauto_queue *queue;
 	int err;
 
-	queue = kzalloc(sizeof(*queue), GFP_KERNEL_ACCOUNT);
+	queue = kmem_cache_zalloc(cache, GFP_KERNEL);
 	if (!queue)
 		return ERR_PTR(-ENOMEM);
 	kref_init(&queue->ref);
@@ -52,7 +53,7 @@ static struct xauto_queue *add(u32 type, struct file *file, struct pid *pid)
 	err = xa_alloc_cyclic(&queues, &queue->id, queue, XA_LIMIT(1, INT_MAX), &next_id,
 			      GFP_KERNEL);
 	if (err < 0) {
-		kfree(queue);
+		kmem_cache_free(cache, queue);
 		return ERR_PTR(err);
 	}
 	queue->pid = get_pid(pid);
@@ -80,6 +81,11 @@ struct xauto_queue *xauto_queue_get(u32 type, struct file *file, struct pid *pid
 	return queue;
 }
 
+static void free_queue(struct rcu_head *rcu)
+{
+	kmem_cache_free(cache, container_of(rcu, struct xauto_queue, rcu));
+}
+
 /* The last claim is gone and it is no orphan: nothing is suspended. */
 static void release(struct kref *ref)
 {
@@ -92,7 +98,7 @@ static void release(struct kref *ref)
 		fput(queue->file);
 	xauto_power_forget(queue->power);
 	put_pid(queue->pid);
-	kfree_rcu(queue, rcu);
+	call_rcu(&queue->rcu, free_queue);
 }
 
 void xauto_queue_put(struct xauto_queue *queue)
@@ -304,6 +310,12 @@ bool xauto_queue_sweep(void)
 	return !xa_empty(&queues);
 }
 
+int xauto_queue_init(void)
+{
+	cache = KMEM_CACHE(xauto_queue, SLAB_ACCOUNT);
+	return cache ? 0 : -ENOMEM;
+}
+
 void xauto_queue_exit(void)
 {
 	struct xauto_queue *queue;
@@ -322,4 +334,6 @@ void xauto_queue_exit(void)
 		xauto_queue_put(queue);
 	}
 	xa_destroy(&queues);
+	rcu_barrier();
+	kmem_cache_destroy(cache);
 }

@@ -147,6 +147,7 @@ struct xauto_queue *xauto_queue_next(unsigned long *id);
  * any queue left?
  */
 bool xauto_queue_sweep(void);
+int xauto_queue_init(void);
 /* At module exit, all owners gone: the last attempt at orphans. */
 void xauto_queue_exit(void);
 

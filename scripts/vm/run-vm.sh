@@ -14,7 +14,7 @@ clock=(-accel tcg,thread=multi)
 [ "${VM_ICOUNT:-0}" = 1 ] && clock=(-accel tcg,thread=single -icount "shift=1,sleep=off")
 common=("${clock[@]}" -smp "${VM_CPUS:-2}" -m "${VM_MEMORY:-1G}" -nodefaults -no-reboot -display none -serial stdio
   -monitor none -kernel "$kernel/vmlinuz" -initrd "$initrd")
-append="quiet oops=panic panic=-1 panic_on_warn=${VM_PANIC_ON_WARN:-0} xauto.run=$run ${VM_APPEND:-}"
+append="quiet slab_nomerge oops=panic panic=-1 panic_on_warn=${VM_PANIC_ON_WARN:-0} xauto.run=$run ${VM_APPEND:-}"
 case $kernel in
   *-arm64) command=(qemu-system-aarch64 -M "virt,gic-version=3" -cpu "max,pauth-impdef=on" "${common[@]}" -append "console=ttyAMA0 $append") ;;
   *) command=(qemu-system-x86_64 -cpu max "${common[@]}" -append "console=ttyS0 $append") ;;
