@@ -84,7 +84,7 @@ tsan() {
 # Programs and modules in VMs; scripts/kernel-check.sh counts them.
 kernel() {
   local counts
-  build ci build all kmod_tests || return
+  build ci build all kmod_tests scx_tests || return
   note "kernel side, in VMs"
   counts=$(scripts/kernel-check.sh build | tee /dev/stderr | tail -n 1)
   if [[ $counts =~ ^([0-9]+)\ passed,\ ([0-9]+)\ failed ]]; then

@@ -66,6 +66,22 @@ kmod() {
   in_vm "kmod-$1-${2:-amd64}" "$kernel" run-kmod "${items[@]}"
 }
 
+# scx NAME: the sched_ext scheduler and the tracer, on fetch-kernel.sh's 7.x or on the self-built 6.12.
+scx() {
+  local kernel items=() program
+  note "sched_ext and tracing on Linux $1"
+  case $1 in
+    6.12) kernel=$(scripts/vm/build-kernel.sh) || { failed=$((failed + 1)); return; } ;;
+    *) kernel=$(scripts/vm/fetch-kernel.sh "$1") || { failed=$((failed + 1)); return; } ;;
+  esac
+  for program in scx_test scx_life_test driving_cpu xauto xauto-coordinator xauto-emud xauto-cpusched; do
+    items+=("$build/bin/$program")
+  done
+  items+=("$(command -v bpftool || echo /usr/sbin/bpftool)")
+  for program in run tools trace; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
+  VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
+}
+
 # The Driving Case over the emulator modules, in the guest's own virtual time.
 driving() {
   local kernel items program
@@ -77,10 +93,11 @@ driving() {
   grep -A 8 '^# driving on' "$out/driving.log"
 }
 
-[ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 driving)
+[ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 driving scx-7.x)
 for lane in "${lanes[@]}"; do
   case $lane in
     driving) driving ;;
+    scx-*) scx "${lane#scx-}" ;;
     kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;
     kmod-*) kmod "${lane#kmod-}" ;;
     *)

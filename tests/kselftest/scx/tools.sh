@@ -69,6 +69,8 @@ wait $run
 
 
 
+. "$(dirname "$0")/trace.sh"
+
 echo "1..$count"
 echo "# pass:$((count - failed)) fail:$failed skip:0"
 [ $failed -eq 0 ]

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+# Sourced by tools.sh: tracing with our tools and with bpftool, all at once on one run under sched_ext.
+drive traced ext 40 &
+run=$!
+while [ "$(state)" != enabled ]; do sleep 0.1; done
+xauto trace --duration-s 4 --out trace.jsonl --events --printk >trace.txt 2>trace.err &
+trace=$!
+while [ ! -e /sys/fs/bpf/xauto/*/pipe ]; do sleep 0.1; done
+maps=$(echo /sys/fs/bpf/xauto/*)
+bpftool map event_pipe pinned "$maps/pipe" >pipe.txt 2>&1 &
+pipe=$!
+bpftool prog tracelog >tracelog.txt 2>&1 &
+log=$!
+bpftool prog list >prog_list.txt
+bpftool struct_ops list >struct_ops.txt
+for map in head table slots jobs sched names threads hist cpus losses cpu_states; do
+  bpftool map dump pinned "$maps/$map" >"dump_$map.txt" 2>&1 || echo "# no dump of $map"
+done
+xauto top --count 2 --interval-ms 800 >top.txt 2>top.err
+kill -INT $pipe $log
+wait $trace
+status=$?
+wait $run
+ok "xauto trace records a run" [ $status -eq 0 ]
+ok "... whose first line tells what it lost" sh -c 'head -n 1 trace.txt | grep -qE "^(complete|INCOMPLETE): "'
+ok "... with wake-ups, runs, preemptions, sleeps" sh -c 'for k in wakeup run preempt sleep; do grep -q "\"$k\"" trace.jsonl || exit 1; done'
+ok "... by XNode" has "pr.predict" trace.txt
+ok "xauto top shows each XNode and each XPU's load" sh -c 'grep -q "cpu0 .* %" top.txt && grep -q "tr.track" top.txt'
+ok "bpftool map event_pipe prints events" has "CPU: " pipe.txt
+ok "bpftool prog tracelog prints events" has "xauto kind" tracelog.txt
+ok "bpftool prog list shows the programs" sh -c 'grep -q struct_ops prog_list.txt && grep -q tracing prog_list.txt'
+ok "bpftool struct_ops list shows the scheduler" has "sched_ext_ops" struct_ops.txt
+ok "bpftool map dump shows the table" has '"priority": 19' dump_table.txt
+ok "... what each thread goes by" has '"version": 1' dump_jobs.txt
+ok "... and the histograms" has '"latency": ' dump_hist.txt
+ok "nothing stays pinned" [ -z "$(ls /sys/fs/bpf/xauto 2>/dev/null)" ]
