@@ -74,8 +74,9 @@ class Message {
 
  private:
   void append(const void* data, std::size_t size) {
-    const auto* from = static_cast<const unsigned char*>(data);
-    bytes_.insert(bytes_.end(), from, from + size);
+    if (size == 0) return;
+    bytes_.resize(bytes_.size() + size);
+    std::memcpy(bytes_.data() + bytes_.size() - size, data, size);
   }
   std::vector<unsigned char> bytes_;
 };
