@@ -21,6 +21,7 @@
 #define XAUTO_MAP_SLOTS SHARED_ARRAY(slots, XAUTO_BPF_MAX_SLOTS, struct xauto_bpf_slot)
 #define XAUTO_MAP_JOBS SHARED_ARRAY(jobs, XAUTO_BPF_MAX_SLOTS, struct xauto_bpf_job)
 #define XAUTO_MAP_SCHED SHARED_ARRAY(sched, 1, struct xauto_bpf_sched)
+#define XAUTO_MAP_NAMES SHARED_ARRAY(names, XAUTO_BPF_MAX_XNODES, struct xauto_bpf_name)
 
 /* Thread id to slot. A thread enters itself; it is taken out when it ends. */
 #define XAUTO_MAP_THREADS                                       \

@@ -23,11 +23,12 @@ struct Known {
   const char* name;
   std::size_t value_size;
 };
-constexpr std::array<Known, 6> kKnown = {{{"head", sizeof(xauto_bpf_head)},
+constexpr std::array<Known, 7> kKnown = {{{"head", sizeof(xauto_bpf_head)},
                                           {"table", sizeof(xauto_bpf_entry)},
                                           {"slots", sizeof(xauto_bpf_slot)},
                                           {"jobs", sizeof(xauto_bpf_job)},
                                           {"sched", sizeof(xauto_bpf_sched)},
+                                          {"names", sizeof(xauto_bpf_name)},
                                           {"threads", sizeof(std::uint32_t)}}};
 
 bool good_name(const std::string& run) {
@@ -89,6 +90,7 @@ RunMaps& RunMaps::operator=(RunMaps&& other) noexcept {
   std::swap(slots_, other.slots_);
   std::swap(jobs_, other.jobs_);
   std::swap(sched_, other.sched_);
+  std::swap(names_, other.names_);
   return *this;
 }
 
@@ -145,7 +147,8 @@ Result<RunMaps> RunMaps::open(const std::string& run) {
                     std::to_string(XAUTO_BPF_ABI),
                 folder(run), "use one version of XAuto for all");
   if (head.xnodes == 0 || head.xnodes > XAUTO_BPF_MAX_XNODES || head.slots == 0 ||
-      head.slots > maps.slots_.size() || head.slots > maps.jobs_.size() ||
+      head.xnodes > maps.names_.size() || head.slots > maps.slots_.size() ||
+      head.slots > maps.jobs_.size() ||
       std::uint64_t{head.xnodes} * XAUTO_BPF_BANKS > maps.table_.size())
     return fail(ErrorCode::kInvalid, "the map 'head' contradicts the sizes of the others",
                 folder(run), "remove the folder");
@@ -168,7 +171,8 @@ Status RunMaps::map_all(bool owner) {
   XAUTO_TRY(attach(table_, "table", sizeof(xauto_bpf_entry), owner));
   XAUTO_TRY(attach(slots_, "slots", sizeof(xauto_bpf_slot), false));
   XAUTO_TRY(attach(jobs_, "jobs", sizeof(xauto_bpf_job), false));
-  return attach(sched_, "sched", sizeof(xauto_bpf_sched), false);
+  XAUTO_TRY(attach(sched_, "sched", sizeof(xauto_bpf_sched), false));
+  return attach(names_, "names", sizeof(xauto_bpf_name), owner);
 }
 
 int RunMaps::fd(const std::string& name) const {
@@ -186,6 +190,28 @@ Status RunMaps::pin(int map_fd, const std::string& name) const {
   if (syscall(SYS_bpf, BPF_OBJ_PIN, &attributes, sizeof attributes) != 0)
     return fail(ErrorCode::kIo, "pinning " + path + ": " + strerror(errno));
   return {};
+}
+
+Status RunMaps::set_names(const std::vector<XNodeName>& names) {
+  if (!owner_ || names.size() != head().xnodes)
+    return fail(ErrorCode::kInvalid, std::to_string(names.size()) + " names for " +
+                                         std::to_string(head().xnodes) + " XNodes");
+  auto* into = names_.as<xauto_bpf_name>();
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    names[i].xnode.copy(into[i].xnode, sizeof into[i].xnode - 1);
+    names[i].xpu.copy(into[i].xpu, sizeof into[i].xpu - 1);
+    into[i].at = names[i].at;
+  }
+  return {};
+}
+
+std::vector<XNodeName> RunMaps::names() const {
+  std::vector<XNodeName> names(head().xnodes);
+  const auto* from = names_.as<xauto_bpf_name>();
+  for (std::size_t i = 0; i < names.size(); ++i)
+    names[i] = {std::string(from[i].xnode, strnlen(from[i].xnode, sizeof from[i].xnode)),
+                std::string(from[i].xpu, strnlen(from[i].xpu, sizeof from[i].xpu)), from[i].at};
+  return names;
 }
 
 std::uint64_t RunMaps::version() const {

@@ -34,6 +34,11 @@ struct TableRow {
   std::int64_t budget_us = 0;            ///< 0: none
 };
 
+struct XNodeName {
+  std::string xnode, xpu;
+  std::uint32_t at = 0;  ///< index of the XPU in the platform
+};
+
 class RunMaps {
  public:
   /// `run`: a name of letters, digits and dashes. Removes what runs that were killed left behind.
@@ -54,6 +59,9 @@ class RunMaps {
   /// Puts a new table into force, as a whole: each job goes by the one that it began with. No
   /// system call.
   [[nodiscard]] Status replace_table(const std::vector<TableRow>& rows);
+  /// What the numbers mean, for those who look from outside.
+  [[nodiscard]] Status set_names(const std::vector<XNodeName>& names);
+  [[nodiscard]] std::vector<XNodeName> names() const;
   /// A number that grows with each replacement.
   [[nodiscard]] std::uint64_t version() const;
 
@@ -64,7 +72,8 @@ class RunMaps {
   [[nodiscard]] const xauto_bpf_sched& sched() const { return *sched_.as<xauto_bpf_sched>(); }
   [[nodiscard]] const xauto_bpf_entry* table() const { return table_.as<xauto_bpf_entry>(); }
 
-  /// Descriptors of the maps by name: "head", "table", "slots", "jobs", "sched", "threads".
+  /// Descriptors of the maps by name: "head", "table", "slots", "jobs", "sched", "names",
+  /// "threads".
   [[nodiscard]] int fd(const std::string& name) const;
   /// Pins one more map of this run; `remove` takes it away.
   [[nodiscard]] Status pin(int map_fd, const std::string& name) const;
@@ -75,7 +84,7 @@ class RunMaps {
   std::string run_;
   bool owner_ = false;
   std::vector<NamedMap> maps_;
-  MappedMap head_, table_, slots_, jobs_, sched_;
+  MappedMap head_, table_, slots_, jobs_, sched_, names_;
 };
 
 /// In libbpf/maps.cc: makes and pins the maps.

@@ -58,6 +58,15 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
     if (want_ext) instead(put.error());
     return run;
   }
+  std::vector<kernel::XNodeName> names;
+  for (std::size_t i = 0; i < request.app.xnodes.size(); ++i) {
+    const int xpu = request.policy != nullptr ? request.policy->placements[i].xpu : -1;
+    const auto at = static_cast<std::size_t>(std::max(xpu, 0));
+    names.push_back({request.app.xnodes[i].name,
+                     xpu < 0 ? std::string() : request.platform.xpus[at].id,
+                     static_cast<std::uint32_t>(at)});
+  }
+  (void)run.maps->set_names(names);
   if (!want_ext) return run;
   std::set<int> cpus;
   for (const kernel::TableRow& row : rows)

@@ -63,6 +63,8 @@ void add_run(Commands&);
 void add_simulate(Commands&);
 void add_solve(Commands&);
 void add_status(Commands&);
+void add_top(Commands&);
+void add_trace(Commands&);
 
 /// A progress bar on stderr: drawn only on a terminal or, off a terminal, as a line every few
 /// seconds. Appears after two seconds of work. Threads: one caller.

@@ -170,6 +170,21 @@ struct xauto_bpf_sched {
 #define XAUTO_BPF_MODE_FULL 1	 /* every ordinary thread is ours too, in a fair queue */
 #define XAUTO_BPF_MODE_PARTIAL 2 /* only SCHED_EXT threads; for isolated CPUs */
 
+/**
+ * struct xauto_bpf_name - what the numbers of XNodes mean, for people. Map "names", by XNode.
+ * Written by the loader only, before anybody else looks.
+ * @xnode: name of the XNode, cut, ended by 0
+ * @xpu:   name of its XPU
+ * @at:    index of that XPU in the platform
+ * @pad:   zero
+ */
+struct xauto_bpf_name {
+	char xnode[48];
+	char xpu[24];
+	__u32 at;
+	__u32 pad;
+};
+
 /* ---- tracing ------------------------------------------------------------------------------- */
 
 #define XAUTO_BPF_EV_WAKEUP 1  /* the thread became ready; arg: tid that woke it */
@@ -267,6 +282,7 @@ XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_entry) == 24);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_slot) == 128);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_job) == 64);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_sched) == 408);
+XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_name) == 80);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_event) == 56);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_hist) == 632);
 

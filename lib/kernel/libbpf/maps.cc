@@ -20,6 +20,7 @@ Result<std::vector<NamedMap>> load_maps(const std::string& folder, std::uint32_t
   } const maps{xauto_maps__open()};
   if (maps.object == nullptr) return libbpf_failed("opening the BPF maps", errno);
   bpf_map__set_max_entries(maps.object->maps.table, XAUTO_BPF_BANKS * xnodes);
+  bpf_map__set_max_entries(maps.object->maps.names, xnodes);
   bpf_map__set_max_entries(maps.object->maps.slots, slots);
   bpf_map__set_max_entries(maps.object->maps.jobs, slots);
   bpf_map__set_max_entries(maps.object->maps.threads, slots);

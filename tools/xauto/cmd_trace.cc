@@ -1,0 +1,185 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto trace: what happens to the XNode threads of a run in the kernel. docs/tracing.md.
+#include <chrono>
+#include <cstring>
+#include <fstream>
+#include <iostream>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include "base/log.h"
+
+#include "xauto/command.h"
+#include "xauto/live.h"
+#include "xauto/run_app.h"
+
+namespace xauto::cli {
+namespace {
+
+using nlohmann::ordered_json;
+
+constexpr std::size_t kMostEvents = 4'000'000;  ///< kept in memory, 56 bytes each
+constexpr int kPollMs = 100;
+
+struct Flags {
+  std::string run, out;
+  int duration_s = 0, wait_s = 10;
+  std::uint32_t ring_kb = 1024;
+  bool events = false, printk = false;
+};
+
+const char* kind_of(std::uint16_t kind) {
+  constexpr const char* kNames[] = {"?", "wakeup", "run", "preempt", "sleep", "migrate"};
+  return kind < std::size(kNames) ? kNames[kind] : "?";
+}
+
+/// Text of a fixed field that the kernel has ended by 0.
+std::string text_of(const char (&field)[16]) {
+  return std::string(field, strnlen(field, sizeof field));
+}
+
+std::string describe(const xauto_bpf_event& e) {
+  const double us = static_cast<double>(e.delta_ns) * 1e-3;
+  switch (e.kind) {
+    case XAUTO_BPF_EV_WAKEUP:
+      return fmt::format("by {} ({})", text_of(e.other), e.arg);
+    case XAUTO_BPF_EV_RUN:
+      return fmt::format("after {:.1f} us", us);
+    case XAUTO_BPF_EV_PREEMPT:
+      return fmt::format("after {:.1f} us, by {} ({})", us, text_of(e.other), e.arg);
+    case XAUTO_BPF_EV_SLEEP:
+      return fmt::format("after {:.1f} us", us);
+    case XAUTO_BPF_EV_MIGRATE:
+      return fmt::format("to CPU {}", e.cpu);
+    default:
+      return {};
+  }
+}
+
+ordered_json event_json(const Live& live, const xauto_bpf_event& e) {
+  ordered_json j = {
+      {"ts_ns", e.ts_ns},      {"kind", kind_of(e.kind)},       {"cpu", e.cpu},
+      {"tid", e.tid},          {"xnode", live.xnode_of(e.job)}, {"job", e.job & XAUTO_BPF_JOB_SEQ},
+      {"delta_ns", e.delta_ns}};
+  if (e.kind == XAUTO_BPF_EV_WAKEUP || e.kind == XAUTO_BPF_EV_PREEMPT) {
+    j["by_tid"] = e.arg;
+    j["by"] = text_of(e.other);
+  }
+  return j;
+}
+
+Result<int> trace(const Flags& flags, const Options& options) {
+  const StopOnSignal stop;
+  kernel::TracerOptions tracer_options;
+  tracer_options.ring_bytes = flags.ring_kb * 1024;
+  tracer_options.print = flags.printk;
+  XAUTO_ASSIGN(Live live, observe(flags.run, flags.wait_s, tracer_options, *stop.flag()));
+  log::info("tracing run {}; maps are pinned below {}", live.maps.run(),
+            kernel::RunMaps::folder(live.maps.run()));
+
+  std::vector<xauto_bpf_event> events;
+  std::uint64_t not_kept = 0;
+  const auto keep = [&](const xauto_bpf_event& e) {
+    if (events.size() < kMostEvents)
+      events.push_back(e);
+    else
+      ++not_kept;
+  };
+  const auto begin = std::chrono::steady_clock::now();
+  while (!stop.flag()->load() && live.goes_on() &&
+         (flags.duration_s == 0 ||
+          std::chrono::steady_clock::now() - begin < std::chrono::seconds(flags.duration_s)))
+    XAUTO_TRY(live.tracer.read(kPollMs, keep));
+  for (;;) {
+    XAUTO_ASSIGN(const std::size_t count, live.tracer.read(0, keep));
+    if (count == 0) break;
+  }
+  const std::string first = losses_line(live.tracer.losses(), not_kept);
+
+  if (!flags.out.empty()) {
+    std::ofstream file(flags.out);
+    const xauto_bpf_losses losses = live.tracer.losses();
+    file << ordered_json{{"lost_events", losses.events + not_kept}, {"lost_jobs", losses.jobs}}
+         << "\n";
+    for (const xauto_bpf_event& e : events) file << event_json(live, e) << "\n";
+    if (!file) return fail(ErrorCode::kIo, "cannot be written", flags.out);
+  }
+  const std::vector<xauto_bpf_hist> hist = live.tracer.histograms();
+  const xauto_bpf_hist zero{};
+  if (options.json) {
+    ordered_json j;
+    const xauto_bpf_losses losses = live.tracer.losses();
+    j["complete"] = first.rfind("complete", 0) == 0;
+    j["lost"] = {
+        {"events", losses.events + not_kept}, {"jobs", losses.jobs}, {"pipe", losses.pipe}};
+    j["events"] = losses.written;
+    j["xnodes"] = ordered_json::array();
+    for (std::size_t i = 0; i < hist.size(); ++i) {
+      const XNodeNumbers n = numbers_of(hist[i], zero);
+      if (n.jobs + n.wakeups == 0) continue;
+      j["xnodes"].push_back(
+          {{"xnode", live.names[i].xnode},
+           {"xpu", live.names[i].xpu},
+           {"jobs", n.jobs},
+           {"latency_us",
+            {{"p50", n.latency_p50_us}, {"p99", n.latency_p99_us}, {"max", n.latency_max_us}}},
+           {"run_us", {{"p50", n.run_p50_us}, {"p99", n.run_p99_us}}},
+           {"wait_p99_us", n.wait_p99_us},
+           {"preemptions", n.preemptions},
+           {"migrations", n.migrations}});
+    }
+    std::cout << j.dump(2) << "\n";
+    return kDone;
+  }
+  std::cout << first << "\n";
+  if (flags.events) {
+    const std::uint64_t origin = events.empty() ? 0 : events.front().ts_ns;
+    for (const xauto_bpf_event& e : events)
+      std::cout << fmt::format("{:>12.3f} ms  cpu{:<3} {:<8} {:<16} job {:<6} tid {:<7} {}\n",
+                               static_cast<double>(e.ts_ns - origin) * 1e-6, e.cpu, kind_of(e.kind),
+                               live.xnode_of(e.job), e.job & XAUTO_BPF_JOB_SEQ, e.tid, describe(e));
+  }
+  std::cout << fmt::format("\n  {:<18}{:<8}{:>7}{:>12}{:>9}{:>9}{:>11}{:>9}{:>10}{:>10}{:>7}\n",
+                           "XNode", "XPU", "jobs", "latency p50", "p99", "max", "run p50", "p99",
+                           "wait p99", "preempted", "moved");
+  for (std::size_t i = 0; i < hist.size(); ++i) {
+    const XNodeNumbers n = numbers_of(hist[i], zero);
+    if (n.jobs + n.wakeups == 0) continue;
+    std::cout << fmt::format("  {:<18}{:<8}{:>7}{:>12}{:>9}{:>9}{:>11}{:>9}{:>10}{:>10}{:>7}\n",
+                             live.names[i].xnode, live.names[i].xpu, n.jobs, n.latency_p50_us,
+                             n.latency_p99_us, n.latency_max_us, n.run_p50_us, n.run_p99_us,
+                             n.wait_p99_us, n.preemptions, n.migrations);
+  }
+  std::cout
+      << "\n  us; p50 and p99 are upper edges of powers of two; run and wait per job on a CPU\n";
+  return kDone;
+}
+
+}  // namespace
+
+void add_trace(Commands& commands) {
+  auto flags = std::make_shared<Flags>();
+  CLI::App* verb =
+      commands.add("trace", "Record what the kernel does with the XNode threads of a run.",
+                   "xauto trace --duration-s 5 --events", [flags](const Options& options) {
+                     const auto status = trace(*flags, options);
+                     return status ? *status : report(status.error());
+                   });
+  verb->add_option("--run", flags->run, "which run, if there are several");
+  verb->add_option("--duration-s", flags->duration_s, "0: until the run ends, or Ctrl-C")
+      ->check(CLI::Range(0, 86'400))
+      ->capture_default_str();
+  verb->add_option("--wait-s", flags->wait_s, "how long to wait for a run to begin")
+      ->check(CLI::Range(0, 86'400))
+      ->capture_default_str();
+  verb->add_option("--ring-kb", flags->ring_kb, "buffer between kernel and us")
+      ->check(CLI::Range(4u, 262'144u))
+      ->capture_default_str();
+  verb->add_option("--out", flags->out, "write the events here, a JSON object per line");
+  verb->add_flag("--events", flags->events, "print each event");
+  verb->add_flag("--printk", flags->printk,
+                 "also into the kernel's trace pipe (bpftool prog tracelog)");
+}
+
+}  // namespace xauto::cli

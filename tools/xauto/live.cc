@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/live.h"
+
+#include <algorithm>
+#include <chrono>
+#include <thread>
+
+#include <fmt/format.h>
+
+namespace xauto::cli {
+
+bool Live::goes_on() const {
+  const std::vector<std::string> runs = kernel::RunMaps::runs();
+  return std::find(runs.begin(), runs.end(), maps.run()) != runs.end();
+}
+
+std::string Live::xnode_of(std::uint64_t job) const {
+  const std::uint64_t number = job >> XAUTO_BPF_JOB_SHIFT;
+  if (number == 0 || number > names.size()) return "-";
+  return names[number - 1].xnode;
+}
+
+Result<Live> observe(const std::string& run, int wait_s, const kernel::TracerOptions& options,
+                     const std::atomic<bool>& stop) {
+  XAUTO_TRY(kernel::bpf_is_built_in());
+  std::string name = run;
+  const auto limit = std::chrono::steady_clock::now() + std::chrono::seconds(wait_s);
+  for (;;) {
+    const std::vector<std::string> runs = kernel::RunMaps::runs();
+    if (!run.empty() && std::find(runs.begin(), runs.end(), run) != runs.end()) break;
+    if (run.empty() && runs.size() == 1) {
+      name = runs.front();
+      break;
+    }
+    if (run.empty() && runs.size() > 1) {
+      std::string list;
+      for (const std::string& one : runs) list += " " + one;
+      return fail(ErrorCode::kInvalid, "several runs are going on:" + list, "--run", "name one");
+    }
+    if (stop.load() || std::chrono::steady_clock::now() >= limit)
+      return fail(ErrorCode::kNotFound,
+                  run.empty() ? "no run is going on that can be observed"
+                              : "no run '" + run + "' is going on",
+                  XAUTO_BPF_ROOT, "start `xauto run ...` as root, then this, or see --wait-s");
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  }
+  // The folder is there before its last file.
+  Result<kernel::RunMaps> maps = kernel::RunMaps::open(name);
+  for (int again = 0; again < 50 && !maps && maps.error().code == ErrorCode::kNotFound; ++again) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    maps = kernel::RunMaps::open(name);
+  }
+  if (!maps) return tl::unexpected<Error>(std::move(maps).error());
+  XAUTO_ASSIGN(kernel::Tracer tracer, kernel::Tracer::attach(*maps, options));
+  std::vector<kernel::XNodeName> names = maps->names();
+  return Live{std::move(*maps), std::move(names), std::move(tracer)};
+}
+
+XNodeNumbers numbers_of(const xauto_bpf_hist& now, const xauto_bpf_hist& before) {
+  xauto_bpf_hist d{};
+  for (int i = 0; i < XAUTO_BPF_BUCKETS; ++i) {
+    d.latency[i] = now.latency[i] - before.latency[i];
+    d.run[i] = now.run[i] - before.run[i];
+    d.wait[i] = now.wait[i] - before.wait[i];
+  }
+  XNodeNumbers n;
+  n.jobs = now.jobs - before.jobs;
+  n.wakeups = now.wakeups - before.wakeups;
+  n.preemptions = now.preemptions - before.preemptions;
+  n.migrations = now.migrations - before.migrations;
+  n.latency_p50_us = kernel::quantile_us(d.latency, 500);
+  n.latency_p99_us = kernel::quantile_us(d.latency, 990);
+  n.latency_max_us = now.latency_max_ns / 1000;
+  n.run_p50_us = kernel::quantile_us(d.run, 500);
+  n.run_p99_us = kernel::quantile_us(d.run, 990);
+  n.wait_p99_us = kernel::quantile_us(d.wait, 990);
+  n.run_ms = static_cast<double>(now.run_ns - before.run_ns) * 1e-6;
+  n.wait_ms = static_cast<double>(now.wait_ns - before.wait_ns) * 1e-6;
+  return n;
+}
+
+std::string losses_line(const xauto_bpf_losses& losses, std::uint64_t not_kept) {
+  if (losses.events + losses.pipe + losses.jobs + not_kept == 0)
+    return fmt::format("complete: {} events, none lost", losses.written);
+  std::string text = fmt::format("INCOMPLETE: of {} events {} were lost",
+                                 losses.written + losses.events, losses.events + not_kept);
+  if (losses.jobs > 0) text += fmt::format("; {} short jobs are in no histogram", losses.jobs);
+  if (losses.pipe > 0) text += fmt::format("; a reader of the pipe missed {}", losses.pipe);
+  if (losses.events > 0) text += " (--ring-kb makes the buffer larger)";
+  return text;
+}
+
+}  // namespace xauto::cli

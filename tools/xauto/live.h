@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+// What `xauto trace` and `xauto top` share: finding the run, attaching the tracer, naming things.
+#pragma once
+
+#include <atomic>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "kernel/run_maps.h"
+#include "kernel/tracer.h"
+
+namespace xauto::cli {
+
+struct Live {
+  kernel::RunMaps maps;
+  std::vector<kernel::XNodeName> names;
+  kernel::Tracer tracer;
+  /// Whether the observed run still goes on.
+  [[nodiscard]] bool goes_on() const;
+  /// "fcd.infer"; "-" for none.
+  [[nodiscard]] std::string xnode_of(std::uint64_t job) const;
+};
+
+/// The run named `run`, or with an empty name the only one, waited for at most `wait_s`.
+[[nodiscard]] Result<Live> observe(const std::string& run, int wait_s,
+                                   const kernel::TracerOptions& options,
+                                   const std::atomic<bool>& stop);
+
+/// One XNode's numbers over a time: the difference of two histograms.
+struct XNodeNumbers {
+  std::uint64_t jobs = 0, wakeups = 0, preemptions = 0, migrations = 0;
+  std::uint64_t latency_p50_us = 0, latency_p99_us = 0, latency_max_us = 0;
+  std::uint64_t run_p50_us = 0, run_p99_us = 0, wait_p99_us = 0;
+  double run_ms = 0, wait_ms = 0;
+};
+[[nodiscard]] XNodeNumbers numbers_of(const xauto_bpf_hist& now, const xauto_bpf_hist& before);
+
+/// "INCOMPLETE: ..." or "complete: ...", the first line of every report.
+[[nodiscard]] std::string losses_line(const xauto_bpf_losses& losses, std::uint64_t not_kept);
+
+}  // namespace xauto::cli
