@@ -22,6 +22,7 @@ namespace xauto::coord {
 struct Wakes {
   std::vector<int> granted;    ///< futex of these slots' grant words
   std::vector<int> commanded;  ///< management threads of these slots
+  bool again = false;          ///< look again soon: somebody changes his words all the time
 };
 
 template <class A>
@@ -149,6 +150,8 @@ class Referee {
     std::uint32_t command = 0;  ///< last given
   };
 
+  static constexpr int kMaxRounds = 64;  ///< so that no client keeps us from the others
+
   [[nodiscard]] int high() const {
     return std::min(static_cast<int>(A::peek(shm_.header->high)), kMaxSlots);
   }
@@ -171,7 +174,12 @@ class Referee {
 
   void look_fat(Wakes& wakes) {
     std::vector<Action> actions;
-    for (;;) {
+    for (int round = 0;; ++round) {
+      if (round == kMaxRounds) {
+        if (!fat_) take_over();
+        wakes.again = true;
+        return;
+      }
       arbiter_.hold();
       for (int i = 0; i < high(); ++i)
         if (slots_[static_cast<std::size_t>(i)].used) scan_slot(i, wakes);
@@ -235,7 +243,10 @@ class Referee {
     const WorkerLine& line = shm_.slots[slot].worker;
     Job job = job_of(slot);
     // The worker may have gone on to its next job while we read; what counts is a consistent pair.
-    for (std::uint32_t again; (again = A::load(line.request)) != request; request = again)
+    // A broken client that changes it all the time gets the priority of one of them.
+    int tries = 0;
+    for (std::uint32_t again; (again = A::load(line.request)) != request && tries < kMaxRounds;
+         request = again, ++tries)
       job = job_of(slot);
     if (job.xnode >= shm_.header->num_xnodes) job.xnode = 0;  // a broken client
     return job;

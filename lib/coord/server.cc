@@ -277,6 +277,7 @@ void Server::look() {
 }
 
 void Server::wake(const Wakes& wakes) {
+  if (wakes.again) signal_eventfd(doorbell_.get());
   for (const int slot : wakes.granted) futex_wake(shm_.slots[slot].coordinator.grant, 1);
   for (const int slot : wakes.commanded)
     if (const UniqueFd& fd = slots_[static_cast<std::size_t>(slot)].command_fd)

@@ -125,7 +125,7 @@ class Words {
     for (;;) {
       if ((seen & kFat) != 0) return Started::kDecided;
       const int other = owner_slot(seen);
-      if (!may) {
+      if (!may || other >= kMaxSlots) {
         if (A::cas(owner, seen, seen | kFat)) return Started::kDecided;
       } else if (other < 0) {
         if (A::cas(owner, seen, (seen & kParkings) | owner_word(slot, generation)))

@@ -8,6 +8,8 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <signal.h>
+#include <sys/eventfd.h>
+#include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -28,12 +30,16 @@ namespace {
 constexpr int kReadyTimeoutMs = 10'000;
 constexpr int kDrainMs = 15'000;  ///< more than the app's own patience with a stalled activation
 constexpr int kGraceMs = 2'000;
+constexpr int kMaxRestarts = 100;  ///< of one coordinator; then its jobs go on unscheduled
 
 struct Daemon {
   std::string name;
   Child child;
   bool coordinator = false;
   bool noticed = false;
+  SpawnOptions options;  ///< to start it again
+  UniqueFd kept[3];      ///< a coordinator's: what outlives it, see coord::ServerOptions
+  int starts = 1;
 };
 
 /// A process of the app that hosts modules.
@@ -139,13 +145,28 @@ class Supervisor {
     if (scheduled) {
       for (const auto& [xpu, address] : session.coordinators) {
         const std::string name = "xauto-coordinator of " + xpu;
-        SpawnOptions options;
+        Daemon daemon;
+        daemon.name = name;
+        daemon.coordinator = true;
+        XAUTO_ASSIGN(daemon.kept[0], listen_abstract(address));
+        daemon.kept[1] =
+            UniqueFd(memfd_create("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING));
+        daemon.kept[2] = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+        if (!daemon.kept[1] || !daemon.kept[2])
+          return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
+        SpawnOptions& options = daemon.options;
         options.argv = {
             bin_ + "/xauto-coordinator",   "--xpu", xpu, "--socket", address, "--session-fd",
             std::to_string(session_.get())};
         options.inherit = {session_.get()};
-        XAUTO_ASSIGN(Child child, start_daemon(name, std::move(options)));
-        daemons_.push_back({name, std::move(child), true});
+        static constexpr const char* kFlags[] = {"--listen-fd", "--memory-fd", "--doorbell-fd"};
+        for (std::size_t i = 0; i < 3; ++i) {
+          options.argv.emplace_back(kFlags[i]);
+          options.argv.push_back(std::to_string(daemon.kept[i].get()));
+          options.inherit.push_back(daemon.kept[i].get());
+        }
+        XAUTO_ASSIGN(daemon.child, start_daemon(name, options));
+        daemons_.push_back(std::move(daemon));
       }
     }
     SpawnOptions options;
@@ -202,6 +223,26 @@ class Supervisor {
     }
   }
 
+  /// A coordinator has died: the next one goes on with its memory, and no job notices.
+  bool restart(Daemon& daemon, const Exit& exit) {
+    outcome_.coordinators_cpu_us += exit.cpu_us;
+    if (daemon.starts > kMaxRestarts) {
+      daemon.kept[0].reset();  // nobody listens any more: its workers go on by themselves
+      return false;
+    }
+    ++daemon.starts;
+    auto child = start_daemon(daemon.name, daemon.options);
+    if (!child) {
+      daemon.kept[0].reset();
+      return false;
+    }
+    daemon.child = std::move(*child);
+    outcome_.notes.push_back(daemon.name + " died (" + exit.to_string() +
+                             ") and was started again");
+    log::warn("{}", outcome_.notes.back());
+    return true;
+  }
+
   /// A module process has ended: start it again, or tell the hub that it will not come back.
   void attend(ModuleProcess& process, const Exit& exit) {
     std::string note = "the process of " + process.name + " died (" + exit.to_string() + ")";
@@ -251,6 +292,7 @@ class Supervisor {
       for (Daemon& daemon : daemons_) {
         const auto exit = daemon.noticed ? std::nullopt : daemon.child.poll();
         if (!exit) continue;
+        if (daemon.coordinator && restart(daemon, *exit)) continue;
         daemon.noticed = true;
         outcome_.notes.push_back(daemon.name + " died (" + exit->to_string() + ")" +
                                  (daemon.coordinator ? ": its XPU's jobs went on unscheduled"

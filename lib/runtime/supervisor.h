@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The parent of a run: starts the emulator, the coordinators and the app, watches over them, and
 // leaves nothing behind. Whatever dies, the rest is ended or goes on as docs/runtime.md says:
-//   coordinator  its XPU's jobs go on unscheduled; the result says so
+//   coordinator  started again; the next one goes on where it was (its memory outlives it). If
+//                that fails its XPU's jobs go on unscheduled, and the result says so
 //   emulator     the app is stopped: its XPUs are gone
 //   app          everything is stopped; a module process of it: its modules' activations are
 //                dropped, the rest runs, and it is started again if `restarts` says so
@@ -36,8 +37,8 @@ inline constexpr const char* kEmudName = "emud";
 /// Who keeps the priorities on this XPU: the coordinator by preemption, by gating, or the kernel.
 [[nodiscard]] coord::Discipline discipline_of(const Xpu& xpu, bool emulated);
 
-/// Does xauto.ko preempt this XPU's work? A GPU or DLA of this machine when the module is loaded; an
-/// emulated one when the run is with the emulator modules.
+/// Does xauto.ko preempt this XPU's work? A GPU or DLA of this machine when the module is loaded;
+/// an emulated one when the run is with the emulator modules.
 [[nodiscard]] bool suspended_by_module(const Xpu& xpu, bool emulated, bool emulator_modules);
 
 /// Whether this machine lacks XPUs of `platform`, with the reason: a GPU or DLA without device

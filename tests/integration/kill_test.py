@@ -71,11 +71,12 @@ class Kill(unittest.TestCase):
             with self.subTest(seed=seed):
                 tool, family, before = self.kill_one("xauto-coordinat", signal.SIGKILL, seed, running=True)
                 time.sleep(0.5)
-                self.assertIsNone(tool.poll(), "the app goes on without the coordinator")
+                self.assertIsNone(tool.poll(), "the app goes on")
+                self.assertEqual(len(children_of(tool.pid)), 8, "it was started again")
                 tool.send_signal(signal.SIGTERM)  # drains: what is in flight ends
                 out, err = tool.communicate(timeout=30)
-                self.assertEqual(tool.returncode, 1, err)
-                self.assertIn("its XPU's jobs went on unscheduled", out + err)
+                self.assertEqual(tool.returncode, 0, out + err)
+                self.assertIn("and was started again", out + err)
                 self.assertNotIn("was killed", out)
                 self.assert_nothing_left(tool, family, before)
 
@@ -111,8 +112,8 @@ class Kill(unittest.TestCase):
             with self.subTest(seed=seed):
                 tool, family, before = self.kill_one("xauto-coordinat", signal.SIGKILL, seed)
                 tool.send_signal(signal.SIGTERM)
-                tool.communicate(timeout=30)  # started or not: it ends, and says no
-                self.assertEqual(tool.returncode, 1)
+                tool.communicate(timeout=30)  # started or not: it ends
+                self.assertIn(tool.returncode, (0, 1))
                 self.assert_nothing_left(tool, family, before)
 
     def test_interrupt_drains_and_reports(self):

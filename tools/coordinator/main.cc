@@ -43,11 +43,14 @@ int main(int argc, char** argv) {
   CLI::App cli("Decides who may use one XPU instance; started by the xauto tool.",
                "xauto-coordinator");
   std::string xpu, address;
-  int session_fd = -1, ready_fd = -1;
+  int session_fd = -1, ready_fd = -1, listen_fd = -1, memory_fd = -1, doorbell_fd = -1;
   cli.add_option("--xpu", xpu, "XPU instance, e.g. gpu0")->required();
   cli.add_option("--socket", address, "abstract socket to listen on")->required();
   cli.add_option("--session-fd", session_fd, "descriptor of the session's text")->required();
   cli.add_option("--ready-fd", ready_fd, "descriptor that is told when the socket is there");
+  cli.add_option("--listen-fd", listen_fd, "the socket, listening: it outlives a coordinator");
+  cli.add_option("--memory-fd", memory_fd, "the shared memory, which outlives it, too");
+  cli.add_option("--doorbell-fd", doorbell_fd, "and the doorbell");
   try {
     cli.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
@@ -59,6 +62,9 @@ int main(int argc, char** argv) {
   auto options = options_for(xpu, session_fd);
   if (!options) return complain(options.error());
   options->address = address;
+  options->listener_fd = listen_fd;
+  options->memory_fd = memory_fd;
+  options->doorbell_fd = doorbell_fd;
   auto server = xauto::coord::Server::create(std::move(*options));
   if (!server) return complain(server.error());
 
