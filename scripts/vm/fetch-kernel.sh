@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # Fetches a Debian kernel with its build headers into the cache, unpacked and never installed.
-# usage: fetch-kernel.sh NAME [ARCH]      NAME: 7.x (sid's newest), 6.12, 6.1      ARCH: amd64 (default), arm64
+# usage: fetch-kernel.sh NAME [ARCH]      NAME: 7.x (sid's newest), 6.12, 6.1, 5.10      ARCH: amd64 (default), arm64
 # Prints the folder, which then holds
 #   release    the kernel's release, as uname -r says it
 #   vmlinuz    the image to boot
@@ -22,9 +22,10 @@ fi
 case $name in
   7.x) suites=sid meta=linux-headers-cloud-$arch newest=sid ;;
   6.12) suites=bookworm-security meta=linux-headers-6.12-cloud-$arch newest=bookworm-security ;;
+  5.10) suites="bullseye bullseye-security" meta=linux-headers-cloud-$arch newest=bullseye-security ;; # L4T 35's version
   6.1) suites=bookworm-security meta=linux-headers-cloud-$arch newest=bookworm-security ;;
   *)
-    echo "fetch-kernel: no kernel '$name'; there are 7.x, 6.12 and 6.1" >&2
+    echo "fetch-kernel: no kernel '$name'; there are 7.x, 6.12, 6.1 and 5.10" >&2
     exit 2
     ;;
 esac
@@ -114,9 +115,12 @@ if [ ${#newer[@]} -gt 0 ]; then
   done
 fi
 
-# What a gcc 12 build needs against a tree that gcc 14 or 15 configured, found with each kernel.
-case $name in
-  7.x) echo "CONFIG_CC_HAS_MIN_FUNCTION_ALIGNMENT= CONFIG_DEBUG_INFO_BTF_MODULES= KCFLAGS=-Wno-attributes" ;;
+# What a gcc 12 build needs against a tree that gcc 14 or 15 configured, found with each kernel. arm64's ftrace patches eight aligned bytes
+# in front of each function; gcc 12 does not align cold functions (every __init one), and 7.2 then stops at a BUG when it loads the module. So
+# our functions have no ftrace entry there; the trace events need none.
+case $name-$arch in
+  7.x-arm64) echo "CONFIG_CC_HAS_MIN_FUNCTION_ALIGNMENT= CONFIG_DEBUG_INFO_BTF_MODULES= KCFLAGS=-Wno-attributes CC_FLAGS_FTRACE=" ;;
+  7.x-*) echo "CONFIG_CC_HAS_MIN_FUNCTION_ALIGNMENT= CONFIG_DEBUG_INFO_BTF_MODULES= KCFLAGS=-Wno-attributes" ;;
   *) echo "CONFIG_DEBUG_INFO_BTF_MODULES=" ;;
 esac >"$work/needs"
 
