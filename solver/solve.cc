@@ -90,7 +90,7 @@ void account_for_deadlines(const AppSpec& app, const Problem& problem, const Sol
 /// The paper's model while it is small enough to have a chance, then the compact one on what is
 /// left of the time; the better answer and the better bound of both.
 Status solve_by_ilp(const Problem& problem, const SolveOptions& options, Decision& decision,
-                    Time& bound) {
+                    Time& bound, const std::function<void(Time)>& note_first) {
   constexpr int kPaperModel = 14;  // XNodes; beyond, lp_solve does not even find an incumbent
   IlpOptions ilp;
   ilp.stop = options.stop;
@@ -99,6 +99,7 @@ Status solve_by_ilp(const Problem& problem, const SolveOptions& options, Decisio
   decision = *ilp.incumbent;
   bound = ilp.known_bound;
   Time best = simulate(problem, decision).makespan;
+  note_first(best);
   const auto take = [&](const IlpAnswer& answer) {
     bound = std::max(bound, answer.bound);
     if (answer.decision && answer.makespan < best) {
@@ -176,7 +177,7 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
       options.report->certified_us = result.ordered.makespan < kNever ? result.ordered.makespan : 0;
     }
   } else if (options.method == "ilp") {
-    XAUTO_TRY(solve_by_ilp(problem, options, decision, bound));
+    XAUTO_TRY(solve_by_ilp(problem, options, decision, bound, note_first));
   } else {
     return fail(ErrorCode::kInvalid, "unknown method '" + options.method + "'", "solve",
                 "one of: auto, search, ilp, heft, local");

@@ -37,6 +37,7 @@ class Check {
         policy_(policy),
         options_(options),
         world_(app, platform),
+        kinds_(world_),
         engine_(options.seed) {
     for (const Placement& p : policy.placements) {
       plan_.xpu.push_back(p.xpu);
@@ -45,6 +46,7 @@ class Check {
     plan_.order_before.resize(at(world_.n));
     for (const auto& [u, v] : policy.order) plan_.order_before[at(v)].push_back(u);
     for (int i = 0; i < world_.n; ++i) wcet_.push_back(*world_.wcet[at(i)][at(plan_.xpu[at(i)])]);
+    wishes(platform);
   }
 
   Verification run() {
@@ -52,6 +54,7 @@ class Check {
     lower_bound();
     optimal();
     worst_case();
+    deadlines();
     return std::move(v_);
   }
 
@@ -62,9 +65,93 @@ class Check {
   [[nodiscard]] const std::string& name(int i) const { return app_.xnodes[at(i)].name; }
   std::uint64_t below(std::uint64_t bound) { return engine_() % bound; }
 
+  // ---- what was asked for
+
+  /// -1 and a lie where the app has no such XNode.
+  int asked_xnode(const std::string& called) {
+    for (int i = 0; i < world_.n; ++i)
+      if (name(i) == called) return i;
+    lie("'" + called + "' was asked for, but no XNode is called that");
+    return -1;
+  }
+
+  /// Takes the implementations away that nobody asked for, and checks the policy against that.
+  void wishes(const Platform& platform) {
+    std::vector<std::vector<char>> allowed(at(world_.n), std::vector<char>(at(world_.m), 1));
+    const auto means = [&](int x, const std::string& target) {
+      return platform.xpus[at(x)].id == target ||
+             (platform.find(target) < 0 && platform.xpus[at(x)].type == target);
+    };
+    const auto narrow = [&](const auto& list, bool keep) {
+      for (const auto& [called, target] : list) {
+        const int i = asked_xnode(called);
+        if (i < 0) continue;
+        for (int x = 0; x < world_.m; ++x)
+          if (means(x, target) != keep) allowed[at(i)][at(x)] = 0;
+        if (allowed[at(i)][at(plan_.xpu[at(i)])] == 0)
+          lie("XNode '" + called + (keep ? "' must run on " : "' must not run on ") + target +
+              ", it runs on " + platform.xpus[at(plan_.xpu[at(i)])].id);
+        else
+          shown("'" + called + (keep ? "' runs on " : "' does not run on ") + target);
+      }
+    };
+    narrow(options_.asked.pins, true);
+    narrow(options_.asked.forbids, false);
+    group_of_.assign(at(world_.n), -1);
+    for (const auto& names : options_.asked.groups) {
+      std::vector<int> members;
+      for (const std::string& called : names)
+        if (const int i = asked_xnode(called); i >= 0) members.push_back(i);
+      const bool together = std::all_of(members.begin(), members.end(), [&](int i) {
+        return plan_.xpu[at(i)] == plan_.xpu[at(members.front())];
+      });
+      if (!members.empty() && together)
+        shown("the group of '" + names.front() + "' runs on one XPU");
+      else if (!members.empty())
+        lie("the group of '" + names.front() + "' must run on one XPU, it does not");
+      for (const int i : members) group_of_[at(i)] = static_cast<int>(groups_.size());
+      groups_.push_back(std::move(members));
+      exact_ = false;
+    }
+    for (int i = 0; i < world_.n; ++i)
+      for (int x = 0; x < world_.m; ++x) {
+        if (allowed[at(i)][at(x)] != 0) continue;
+        world_.wcet[at(i)][at(x)] = std::nullopt;
+        // For the proofs, which take instances of one kind as equal: gone only if gone on all.
+        bool elsewhere = false;
+        for (int y = 0; y < world_.m; ++y)
+          elsewhere =
+              elsewhere || (world_.kind[at(x)] == world_.kind[at(y)] && allowed[at(i)][at(y)] != 0);
+        if (elsewhere)
+          exact_ = false;
+        else
+          kinds_.wcet[at(i)][at(x)] = std::nullopt;
+      }
+    broken_wish_ = !v_.lies.empty();
+  }
+
+  /// Of the whole and of every chain: said, not judged, for a policy states no deadlines.
+  void deadlines() {
+    const auto tell = [&](const std::string& what, Us latency, const std::optional<Us>& deadline) {
+      if (deadline && latency > *deadline)
+        v_.missed.push_back(what + ": " + us(latency) + ", its deadline is " + us(*deadline));
+      else
+        shown(what + ": " + us(latency) + (deadline ? " of " + us(*deadline) : ""));
+    };
+    const std::optional<Us> whole =
+        options_.asked.deadline_us ? options_.asked.deadline_us : app_.deadline_us;
+    if (whole) tell("the deadline", v_.latency_us, whole);
+    for (const Chain& chain : options_.asked.chains) {
+      const int to = asked_xnode(chain.to);
+      if (asked_xnode(chain.from) < 0 || to < 0) continue;
+      tell("chain '" + chain.name + "'", finish_[at(to)], chain.deadline_us);
+    }
+  }
+
   void schedule() {
     const Execution e = verification::execute(world_, plan_, wcet_);
     v_.latency_us = e.latency;
+    finish_ = e.finish;
     int wrong = 0;
     for (int i = 0; i < world_.n; ++i) {
       const Placement& p = policy_.placements[at(i)];
@@ -87,7 +174,9 @@ class Check {
     if (claimed > v_.latency_us)
       lie("lower_bound_us of " + us(claimed) + " is above the policy's own latency of " +
           us(v_.latency_us));
-    v_.own_bound_us = verification::simple_bound(world_);
+    // A policy that does not do what was asked: its bound is about another problem.
+    if (broken_wish_) return;
+    v_.own_bound_us = verification::simple_bound(kinds_);
     v_.best_found_us = std::min(v_.latency_us, shortest_tried());
     if (v_.best_found_us < claimed && claimed <= v_.latency_us)
       lie("lower_bound_us of " + us(claimed) + " is above a schedule of " + us(v_.best_found_us));
@@ -102,20 +191,21 @@ class Check {
 
   bool prove(Us claimed) {
     const std::int64_t scale = std::max<std::int64_t>(1, world_.n / 20);
-    if (verification::prove_by_types(world_, claimed,
+    if (verification::prove_by_types(kinds_, claimed,
                                      std::min(kTypeProofNodes, options_.proof_nodes) / scale) ==
         Proof::kHolds)
       return true;
     if (world_.n > kExactXNodes) return false;
     const Proof relaxed =
-        verification::prove_by_execution(world_.relaxed(), claimed, options_.proof_nodes);
+        verification::prove_by_execution(kinds_.relaxed(), claimed, options_.proof_nodes);
     if (relaxed == Proof::kHolds) return true;
+    if (!exact_) return false;  // what beats it may be what was not asked for
     if (relaxed == Proof::kBeaten && world_.preemption_is_free()) {
       lie("lower_bound_us of " + us(claimed) +
           " is too high: an assignment with priorities is shorter");
       return false;
     }
-    const Proof real = verification::prove_by_execution(world_, claimed, options_.proof_nodes);
+    const Proof real = verification::prove_by_execution(kinds_, claimed, options_.proof_nodes);
     if (real == Proof::kBeaten)
       lie("lower_bound_us of " + us(claimed) +
           " is too high: an assignment with priorities is shorter");
@@ -158,8 +248,10 @@ class Check {
       if (below(2) == 0) {
         const std::size_t i = below(n);
         const std::size_t x = below(at(world_.m));
-        if (!world_.wcet[i][x]) continue;
+        if (!may_move(i, x)) continue;
         xpu[i] = static_cast<int>(x);
+        if (group_of_[i] >= 0)
+          for (const int member : groups_[at(group_of_[i])]) xpu[at(member)] = static_cast<int>(x);
       } else if (!move_in(sequence)) {
         continue;
       }
@@ -173,6 +265,13 @@ class Check {
       }
     }
     return best;
+  }
+
+  [[nodiscard]] bool may_move(std::size_t i, std::size_t x) const {
+    if (group_of_[i] < 0) return world_.wcet[i][x].has_value();
+    const auto& group = groups_[at(group_of_[i])];
+    return std::all_of(group.begin(), group.end(),
+                       [&](int member) { return world_.wcet[at(member)][x].has_value(); });
   }
 
   /// Moves one XNode up to a dozen places forward, as far as its predecessors allow.
@@ -319,10 +418,15 @@ class Check {
 
   const Policy& policy_;
   const VerifyOptions& options_;
-  const World world_;
+  World world_;  ///< with what was asked for, instance by instance
+  World kinds_;  ///< the same, but a kind of XPU is open to an XNode if one instance is
+  bool broken_wish_ = false;
+  bool exact_ = true;  ///< kinds_ says it all: no groups, no single instances
+  std::vector<std::vector<int>> groups_;
+  std::vector<int> group_of_;
   std::mt19937_64 engine_;
   Plan plan_;
-  std::vector<Us> wcet_;
+  std::vector<Us> wcet_, finish_;
   std::int64_t schedules_ = 0;
   Verification v_;
 };

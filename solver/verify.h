@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "model/policy.h"
+#include "solver/objectives.h"
 
 namespace xauto::solver {
 
@@ -21,12 +22,14 @@ struct VerifyOptions {
   std::int64_t proof_nodes = 2'000'000;  ///< budget of the proof that lower_bound_us holds
   std::int64_t schedules = 100'000;      ///< schedules tried against lower_bound_us
   std::uint64_t seed = 1;
+  Objectives asked;  ///< pins, forbids and groups the policy must keep; chains it may miss
 };
 
 struct Verification {
   std::vector<std::string> lies;
   std::vector<std::string> shown;
   std::vector<std::string> taken;
+  std::vector<std::string> missed;  ///< deadlines that the policy does not meet: no lie, but a no
   std::int64_t latency_us = 0;      ///< what the rule of problem.h gives
   std::int64_t own_bound_us = 0;    ///< proven here, <= any schedule
   std::int64_t best_found_us = 0;   ///< the shortest schedule that the check constructed

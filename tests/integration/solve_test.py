@@ -81,6 +81,34 @@ class Solve(unittest.TestCase):
             self.assertLess(memory, MOST_KIB)
             self.check(app)
 
+    def test_check_knows_what_was_asked_for(self):
+        app = self.app(12, 4)
+        spec = json.loads(app.read_text())
+        first, second = spec["xnodes"][0]["name"], spec["xnodes"][1]["name"]
+        asked = ["--pin", f"{first}=cpu3", "--group", f"{first},{second}"]
+        code, out, err, policy, _ = self.solve(app, "--json", *asked)
+        self.assertEqual(code, 0, err)
+        answer = json.loads(out)["first_answer"]
+        self.assertGreaterEqual(answer["latency_us"], policy["latency_us"])
+        self.assertGreater(answer["after_ms"], 0)
+
+        def checked(*arguments):
+            return xauto("check", "--app", app, "--platform", "small", "--policy", self.at / "policy.json", *arguments)
+
+        self.assertEqual(checked(*asked).returncode, 0, checked(*asked).stdout)
+        other = checked("--pin", f"{first}=cpu2")
+        self.assertEqual(other.returncode, 1)
+        self.assertIn(f"LIE    XNode '{first}' must run on cpu2, it runs on cpu3", other.stdout)
+        late = checked(*asked, "--deadline-us", policy["latency_us"] - 1)
+        self.assertEqual(late.returncode, 1)
+        self.assertIn("MISSED the deadline", late.stdout)
+        # The same in app.json: solve and check read it from there.
+        spec["pins"] = [{"xnode": first, "xpu": "cpu3"}]
+        app.write_text(json.dumps(spec))
+        code, _, err, policy, _ = self.solve(app)
+        self.assertEqual(code, 0, err)
+        self.assertEqual(checked().returncode, 0, checked().stdout)
+
 
 if __name__ == "__main__":
     unittest.main()

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto check: is every number of a policy.json true? Exit status 1 and each lie by name if not.
+// xauto check: is every number of a policy.json true, and does it do what was asked for (pins,
+// groups, deadlines)? Exit status 1 and each lie or miss by name if not.
 #include <iostream>
 #include <memory>
 
@@ -10,6 +11,7 @@
 #include "solver/verify.h"
 
 #include "xauto/command.h"
+#include "xauto/objectives_file.h"
 
 namespace xauto::cli {
 namespace {
@@ -17,14 +19,18 @@ namespace {
 struct Flags {
   std::string app, platform = "small", policy;
   solver::VerifyOptions options;
+  Wishes wishes;
 };
 
 Result<int> check(const Flags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
-  const solver::Verification v = solver::verify(app, platform, policy, flags.options);
-  const int status = v.truthful() ? kDone : kAnswerIsNo;
+  solver::VerifyOptions asked = flags.options;
+  XAUTO_ASSIGN(asked.asked, load_objectives(flags.app));
+  XAUTO_TRY(add_to_objectives(flags.wishes, asked.asked));
+  const solver::Verification v = solver::verify(app, platform, policy, asked);
+  const int status = v.truthful() && v.missed.empty() ? kDone : kAnswerIsNo;
   if (options.json) {
     std::cout << nlohmann::ordered_json{{"schema", "xauto.check"},
                                         {"version", 1},
@@ -32,6 +38,7 @@ Result<int> check(const Flags& flags, const Options& options) {
                                         {"lies", v.lies},
                                         {"shown", v.shown},
                                         {"taken", v.taken},
+                                        {"missed", v.missed},
                                         {"latency_us", v.latency_us},
                                         {"own_bound_us", v.own_bound_us},
                                         {"best_found_us", v.best_found_us},
@@ -43,6 +50,7 @@ Result<int> check(const Flags& flags, const Options& options) {
     return status;
   }
   for (const std::string& lie : v.lies) std::cout << "  LIE    " << lie << "\n";
+  for (const std::string& missed : v.missed) std::cout << "  MISSED " << missed << "\n";
   for (const std::string& shown : v.shown) std::cout << "  shown  " << shown << "\n";
   for (const std::string& taken : v.taken) std::cout << "  taken  " << taken << "\n";
   std::cout << (v.truthful() ? fmt::format("\n{} tells the truth.\n", flags.policy)
@@ -74,6 +82,7 @@ void add_check(Commands& commands) {
                    "budget of the proof of lower_bound_us")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
+  add_wishes(*verb, flags->wishes);
   verb->add_option("--seed", flags->options.seed, "of the attacks")->capture_default_str();
 }
 

@@ -4,6 +4,7 @@
 // ends the search and writes the best policy so far.
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <csignal>
 #include <cstdio>
 #include <iostream>
@@ -31,9 +32,7 @@ extern "C" void on_interrupt(int) {
 
 struct Flags {
   std::string app, platform, out;
-  std::vector<std::string> pins, forbids;
-  std::vector<std::string> groups;
-  std::int64_t deadline_us = 0;
+  Wishes wishes;
   bool what_if = false;
   std::vector<std::string> implement;
   solver::SolveOptions options;
@@ -70,25 +69,7 @@ class Line {
 /// The problem as it was asked: keys of app.json, then the command line on top.
 Status read_objectives(Flags& flags) {
   XAUTO_ASSIGN(solver::Objectives objectives, load_objectives(flags.app));
-  for (const std::string& pin : flags.pins) {
-    XAUTO_ASSIGN(auto parsed, parse_assignment(pin, "--pin"));
-    objectives.pins.push_back(std::move(parsed));
-  }
-  for (const std::string& forbid : flags.forbids) {
-    XAUTO_ASSIGN(auto parsed, parse_assignment(forbid, "--forbid"));
-    objectives.forbids.push_back(std::move(parsed));
-  }
-  for (const std::string& group : flags.groups) {
-    std::vector<std::string> names(1);
-    for (const char c : group) {
-      if (c == ',')
-        names.emplace_back();
-      else
-        names.back() += c;
-    }
-    objectives.groups.push_back(std::move(names));
-  }
-  if (flags.deadline_us > 0) objectives.deadline_us = flags.deadline_us;
+  XAUTO_TRY(add_to_objectives(flags.wishes, objectives));
   const bool shaped = !objectives.chains.empty() || !objectives.pins.empty() ||
                       !objectives.forbids.empty() || !objectives.groups.empty();
   if (shaped && flags.options.method != "auto" && flags.options.method != "search")
@@ -158,9 +139,13 @@ void print_more(const Policy& policy, const solver::SolveReport& report,
 }
 
 void print_json(const AppSpec& app, const Platform& platform, const Policy& policy,
-                const solver::SolveReport& report, const std::vector<solver::WhatIf>& answers) {
+                const solver::SolveReport& report, const std::vector<solver::WhatIf>& answers,
+                double reading_ms) {
   nlohmann::json root = nlohmann::json::parse(to_json(policy, app, platform));
   root["evaluations"] = report.evaluations;
+  if (report.first_latency_us > 0)
+    root["first_answer"] = {{"latency_us", report.first_latency_us},
+                            {"after_ms", reading_ms + report.first_answer_ms}};
   if (report.certified_us > 0) root["certified_us"] = report.certified_us;
   if (report.feasibility != solver::Feasibility::kNotAsked)
     root["deadlines"] = words(report.feasibility);
@@ -197,7 +182,7 @@ void print_table(const AppSpec& app, const Platform& platform, const Policy& pol
   }
   std::printf("\n  latency      %12s\n", ms(policy.latency_us).c_str());
   std::printf("  lower bound  %12s   %s\n", ms(policy.lower_bound_us).c_str(),
-              policy.optimal ? "proven optimal" : "no schedule of any kind is shorter");
+              policy.optimal ? "proven optimal" : "no policy is shorter");
   std::printf("  gap          %10.2f %%\n",
               100 * static_cast<double>(policy.latency_us - policy.lower_bound_us) / latency);
   if (policy.worst_case_us)
@@ -207,6 +192,7 @@ void print_table(const AppSpec& app, const Platform& platform, const Policy& pol
 }
 
 Result<int> solve(Flags& flags, const Options& options) {
+  const auto began = std::chrono::steady_clock::now();
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   XAUTO_TRY(read_objectives(flags));
@@ -217,6 +203,8 @@ Result<int> solve(Flags& flags, const Options& options) {
   flags.options.on_progress = [&](const solver::Progress& progress) { line.show(progress); };
   std::signal(SIGINT, on_interrupt);
   std::signal(SIGTERM, on_interrupt);
+  const double reading_ms =
+      std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - began).count();
   const auto solved = solver::solve(app, platform, flags.options);
   line.end();
   if (!solved) return tl::unexpected<Error>(solved.error());
@@ -224,7 +212,7 @@ Result<int> solve(Flags& flags, const Options& options) {
   if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, to_json(policy, app, platform)));
   XAUTO_ASSIGN(const auto answers, ask_what_if(flags, app, platform, policy));
   if (options.json) {
-    print_json(app, platform, policy, report, answers);
+    print_json(app, platform, policy, report, answers, reading_ms);
   } else {
     print_table(app, platform, policy);
     print_more(policy, report, answers);
@@ -264,12 +252,7 @@ void add_solve(Commands& commands) {
       ->check(CLI::NonNegativeNumber);
   verb->add_flag("--certify", flags->options.certify,
                  "minimise the certified worst case: run-time order in every case");
-  verb->add_option("--deadline-us", flags->deadline_us,
-                   "of the whole app; exit status 1 if proven impossible")
-      ->check(CLI::NonNegativeNumber);
-  verb->add_option("--pin", flags->pins, "XNODE=XPU or XNODE=TYPE: only there");
-  verb->add_option("--forbid", flags->forbids, "XNODE=XPU or XNODE=TYPE: anywhere but there");
-  verb->add_option("--group", flags->groups, "XNODE,XNODE,...: on one instance");
+  add_wishes(*verb, flags->wishes);
   verb->add_flag(
       "--what-if", flags->what_if,
       "what one more XPU, or another implementation on the chain that limits, would gain");

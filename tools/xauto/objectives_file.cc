@@ -39,8 +39,43 @@ Result<std::int64_t> number(const json& object, const char* key, const std::stri
 }  // namespace
 
 Result<solver::Objectives> load_objectives(const std::string& app_path) {
-  solver::Objectives objectives;
   XAUTO_ASSIGN(const std::string file, read_file(app_path));
+  return parse_objectives(file, app_path);
+}
+
+void add_wishes(CLI::App& verb, Wishes& wishes) {
+  verb.add_option("--deadline-us", wishes.deadline_us, "of the whole app")
+      ->check(CLI::NonNegativeNumber);
+  verb.add_option("--pin", wishes.pins, "XNODE=XPU or XNODE=TYPE: only there");
+  verb.add_option("--forbid", wishes.forbids, "XNODE=XPU or XNODE=TYPE: anywhere but there");
+  verb.add_option("--group", wishes.groups, "XNODE,XNODE,...: on one instance");
+}
+
+Status add_to_objectives(const Wishes& wishes, solver::Objectives& objectives) {
+  for (const std::string& pin : wishes.pins) {
+    XAUTO_ASSIGN(auto parsed, parse_assignment(pin, "--pin"));
+    objectives.pins.push_back(std::move(parsed));
+  }
+  for (const std::string& forbid : wishes.forbids) {
+    XAUTO_ASSIGN(auto parsed, parse_assignment(forbid, "--forbid"));
+    objectives.forbids.push_back(std::move(parsed));
+  }
+  for (const std::string& group : wishes.groups) {
+    std::vector<std::string> names(1);
+    for (const char c : group) {
+      if (c == ',')
+        names.emplace_back();
+      else
+        names.back() += c;
+    }
+    objectives.groups.push_back(std::move(names));
+  }
+  if (wishes.deadline_us > 0) objectives.deadline_us = wishes.deadline_us;
+  return {};
+}
+
+Result<solver::Objectives> parse_objectives(const std::string& file, const std::string& app_path) {
+  solver::Objectives objectives;
   // load_app has parsed the same text before, so it is JSON and an object.
   const json root = json::parse(file, nullptr, false);
   if (!root.is_object()) return objectives;
@@ -64,7 +99,7 @@ Result<solver::Objectives> load_objectives(const std::string& app_path) {
     if (chains[k].contains("weight")) {
       XAUTO_ASSIGN(chain.weight, number(chains[k], "weight", app_path, pointer));
       if (chain.weight > 1000)
-        return bad(app_path, pointer + "/weight", "a weight is at most 1000");
+        return bad(app_path, pointer + "/weight", "a weight from 0 to 1000 is expected here");
     }
     objectives.chains.push_back(std::move(chain));
   }

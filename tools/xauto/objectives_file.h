@@ -5,6 +5,10 @@
 #pragma once
 
 #include <string>
+#include <utility>
+#include <vector>
+
+#include <CLI/CLI.hpp>
 
 #include <xauto/result.h>
 
@@ -13,6 +17,17 @@
 namespace xauto::cli {
 
 [[nodiscard]] Result<solver::Objectives> load_objectives(const std::string& app_path);
+/// The same of a text; `origin` is named in errors. Not JSON or no object: none.
+[[nodiscard]] Result<solver::Objectives> parse_objectives(const std::string& text,
+                                                          const std::string& origin);
+
+/// What the command line asks for on top.
+struct Wishes {
+  std::vector<std::string> pins, forbids, groups;
+  std::int64_t deadline_us = 0;
+};
+void add_wishes(CLI::App& verb, Wishes& wishes);
+[[nodiscard]] Status add_to_objectives(const Wishes& wishes, solver::Objectives& objectives);
 /// "xnode=target" of a command line option.
 [[nodiscard]] Result<std::pair<std::string, std::string>> parse_assignment(
     const std::string& text, const std::string& option);

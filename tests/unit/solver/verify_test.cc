@@ -330,6 +330,83 @@ TEST(Verify, OwnExecutionAgreesWithTheSimulator) {
   }
 }
 
+TEST(Verify, APolicyMadeWithPinsAndGroupsTellsTheTruthAboutThem) {
+  // Its bound is above what the app could do without them, which must not be called a lie.
+  Dice dice(31);
+  int above_free = 0, solved = 0;
+  for (int round = 0; round < 60; ++round) {
+    Shape shape;
+    shape.max_nodes = 7;
+    const Platform platform = random_platform(dice, shape);
+    const AppSpec app = random_app(dice, shape, platform);
+    SolveOptions options;
+    options.max_evaluations = 3000;
+    options.time_limit_s = 1e9;
+    const auto pick = [&] {
+      return app
+          .xnodes[static_cast<std::size_t>(dice.roll(0, static_cast<int>(app.xnodes.size()) - 1))]
+          .name;
+    };
+    const auto xpu = [&] {
+      return platform
+          .xpus[static_cast<std::size_t>(dice.roll(0, static_cast<int>(platform.xpus.size()) - 1))]
+          .id;
+    };
+    options.objectives.pins = {{pick(), xpu()}};
+    options.objectives.forbids = {{pick(), xpu()}};
+    if (round % 3 == 0) options.objectives.groups = {{app.xnodes[0].name, app.xnodes[1].name}};
+    options.objectives.chains = {{"all", app.xnodes[0].name, app.xnodes[0].name, 1, 0}};
+    const auto policy = solve(app, platform, options);
+    if (!policy) continue;  // no XPU left: refused
+    ++solved;
+    VerifyOptions verify_options;
+    verify_options.executions = 200;
+    verify_options.schedules = 2000;
+    verify_options.asked = options.objectives;
+    const Verification v = verify(app, platform, *policy, verify_options);
+    EXPECT_TRUE(v.truthful()) << "round " << round << ": " << v.lies.front();
+    verify_options.asked = {};
+    above_free += !verify(app, platform, *policy, verify_options).truthful();
+  }
+  EXPECT_GT(solved, 20);
+  EXPECT_GT(above_free, 3);  // without them the same bounds are lies, and found
+}
+
+TEST(Verify, ABrokenPinAndAMissedDeadlineAreNamed) {
+  AppSpec app;
+  app.name = "two";
+  app.xnodes = {{"camera", "m", {{"cpu", 4}, {"gpu", 2}}}, {"brakes", "m", {{"cpu", 6}}}};
+  app.edges = {{0, 1}};
+  Platform platform;
+  platform.name = "p";
+  platform.xpus = {{"cpu0", "cpu", true, 0, 0, -1}, {"gpu0", "gpu", true, 0, 0, -1}};
+  SolveOptions options;
+  options.max_evaluations = 500;
+  const Policy policy = *solve(app, platform, options);
+  ASSERT_EQ(policy.latency_us, 8);
+  VerifyOptions asked;
+  asked.asked.pins = {{"camera", "cpu"}};
+  const Verification pinned = verify(app, platform, policy, asked);
+  ASSERT_FALSE(pinned.truthful());
+  EXPECT_NE(pinned.lies.front().find("'camera' must run on cpu, it runs on gpu0"),
+            std::string::npos);
+  asked.asked = {};
+  asked.asked.groups = {{"camera", "brakes"}};
+  EXPECT_FALSE(verify(app, platform, policy, asked).truthful());
+  asked.asked = {};
+  asked.asked.forbids = {{"camera", "gpu0"}};
+  EXPECT_FALSE(verify(app, platform, policy, asked).truthful());
+  asked.asked = {};
+  asked.asked.pins = {{"lidar", "cpu"}};
+  EXPECT_NE(verify(app, platform, policy, asked).lies.front().find("lidar"), std::string::npos);
+  asked.asked = {};
+  asked.asked.chains = {{"stop", "camera", "brakes", 7, 0}, {"see", "camera", "camera", 7, 0}};
+  const Verification late = verify(app, platform, policy, asked);
+  EXPECT_TRUE(late.truthful());
+  ASSERT_EQ(late.missed.size(), 1U);
+  EXPECT_EQ(late.missed.front(), "chain 'stop': 8 us, its deadline is 7 us");
+}
+
 TEST(Verify, OwnProofsAgreeWithBruteForce) {
   Dice dice(8);
   int by_types = 0;
