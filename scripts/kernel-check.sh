@@ -29,11 +29,12 @@ count() {
   [ "$bad" -eq 0 ] || { grep -E '^not ok|^Bail|^# planned' "$log" | head -n 20; }
 }
 
-# in_vm NAME KERNEL_FOLDER RUN ITEM...: boots, runs, counts. RUN: the script in tests/vm/ that the guest executes.
+# in_vm NAME KERNEL_FOLDER RUN [ROOT=DIR] ITEM...: boots, runs, counts. RUN: the script in tests/vm/ that the guest executes.
 in_vm() {
-  local name=$1 kernel=$2 run=$3 status before=$failed
+  local name=$1 kernel=$2 run=$3 status before=$failed root=()
   shift 3
-  scripts/vm/mk-initrd.sh "$out/$name.cpio.gz" "tests/vm/$run:/tests/run" "$@" || { failed=$((failed + 1)); return; }
+  case ${1:-} in ROOT=*) root=("$1") && shift ;; esac
+  scripts/vm/mk-initrd.sh "$out/$name.cpio.gz" "${root[@]}" "tests/vm/$run:/tests/run" "$@" || { failed=$((failed + 1)); return; }
   scripts/vm/run-vm.sh "$kernel" "$out/$name.cpio.gz" "$out/$name.log"
   status=$?
   rm -f "$out/$name.cpio.gz"
@@ -57,12 +58,18 @@ modules_of() { # KERNEL_FOLDER OUT: builds, prints the items for the guest
 
 # kmod NAME [ARCH]: xauto.ko and the emulators, on one of fetch-kernel.sh's kernels.
 kmod() {
-  local kernel items program
+  local kernel items program programs
   note "xauto.ko on Linux $1 ${2:-amd64}"
   kernel=$(scripts/vm/fetch-kernel.sh "$@") || { failed=$((failed + 1)); return; }
   mapfile -t items < <(modules_of "$kernel" "$out/kmod-$1-${2:-amd64}")
   [ ${#items[@]} -gt 0 ] || { failed=$((failed + 1)); return; }
-  for program in "$build"/bin/kmod_*_test; do items+=("$program:/tests/$(basename "$program")"); done
+  programs=$build/bin
+  if [ "${2:-amd64}" = arm64 ]; then
+    programs=$out/arm64-tests
+    scripts/vm/build-arm64-tests.sh "$programs" || { failed=$((failed + 1)); return; }
+    items=("ROOT=$programs" "${items[@]}")
+  fi
+  for program in "$programs"/kmod_*_test; do items+=("$program:/tests/$(basename "$program")"); done
   in_vm "kmod-$1-${2:-amd64}" "$kernel" run-kmod "${items[@]}"
 }
 

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Packs an initramfs: busybox, our init, the tests and their libraries.
 # usage: mk-initrd.sh OUT.cpio.gz [ROOT=DIR] SRC[:DST] ...      a bare SRC lands in /bin; a folder is copied whole to DST
-# The libraries that each ELF needs are added. With ROOT (another architecture's root) they are looked up there.
+# The libraries that each ELF needs are added. With ROOT (a folder of another architecture, with its bin/busybox) they are not: what comes
+# from there is linked statically.
 set -euo pipefail
 out=$(realpath -m "$1")
 shift
@@ -13,7 +14,9 @@ dir=$(mktemp -d)
 trap 'rm -rf "$dir"' EXIT
 chmod 755 "$dir"
 mkdir -p "$dir"/{bin,sbin,proc,sys,dev,tmp,etc,run,usr/bin,usr/sbin,root}
-install -m755 "${sysroot:+$sysroot/usr}${sysroot:-}/bin/busybox" "$dir/bin/busybox" 2>/dev/null || install -m755 "$(command -v busybox || echo /bin/busybox)" "$dir/bin/busybox"
+busybox=$sysroot/bin/busybox
+[ -n "$sysroot" ] || busybox=$(command -v busybox)
+install -m755 "$busybox" "$dir/bin/busybox"
 ln -s busybox "$dir/bin/sh"
 install -m755 "$here/../../tests/vm/init" "$dir/init"
 printf 'root:x:0:0::/root:/bin/sh\nuser:x:1000:1000::/tmp:/bin/sh\nother:x:1001:1001::/tmp:/bin/sh\n' >"$dir/etc/passwd"
