@@ -100,7 +100,7 @@ driving() {
   grep -A 8 '^# driving on' "$out/driving.log"
 }
 
-[ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 driving scx-7.x)
+[ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 driving scx-7.x)
 for lane in "${lanes[@]}"; do
   case $lane in
     driving) driving ;;
