@@ -18,3 +18,6 @@ target_link_libraries(lpsolve INTERFACE ${LPSOLVE_LIBRARY} colamd m dl)
 # Netlink to xauto.ko.
 find_package(PkgConfig REQUIRED)
 pkg_check_modules(LIBNL REQUIRED IMPORTED_TARGET libnl-genl-3.0)
+
+# Timelines in Perfetto's format: tools/ only.
+find_package(Protobuf 3.21 REQUIRED)
