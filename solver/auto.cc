@@ -44,7 +44,7 @@ class Team {
     // The first answer is out before anything that takes longer begins.
     report();
     bound_.store(quick_bound(problem));
-    if (large()) bound_.store(std::max(bound_.load(), composite_bound(problem).bound));
+    if (large() && counted()) raise_bound(composite_bound(problem).bound);
   }
 
   AutoResult run() {
@@ -152,6 +152,8 @@ class Team {
     // The last worker proves, once the search had its first turns.
     const bool proves =
         with_proof_ && !counted() && t == threads_ - 1 && problem_.num_xnodes <= kMostToProve;
+    // The bound of a large app takes a few tenths of a second: one worker begins with it.
+    if (large() && !counted() && t == threads_ - 1) raise_bound(composite_bound(problem_).bound);
     if (large() && !options_.certify) own = race(t, budget);
     if (counted() && budget <= 0) return;
     for (int turn = 0; !over(); ++turn) {
@@ -203,9 +205,7 @@ class Team {
     if (counted()) control.max_lps = options_.max_evaluations / 50 + 1;
     control.incumbent = &incumbent_;
     control.on_bound = [&](Time bound) {
-      Time known = bound_.load();
-      while (bound > known && !bound_.compare_exchange_weak(known, bound)) {
-      }
+      raise_bound(bound);
       if (met()) done_.store(true);
     };
     control.on_solution = [&](const Solution& solution) { note(threads_ - 1, solution, false); };
@@ -218,6 +218,12 @@ class Team {
       return false;  // the bound is on the makespan, the incumbent is a sum
     if (options_.certify) return ordered_best_.load() <= bound_.load();
     return incumbent_.load() <= bound_.load();
+  }
+
+  void raise_bound(Time bound) {
+    Time known = bound_.load();
+    while (bound > known && !bound_.compare_exchange_weak(known, bound)) {
+    }
   }
 
   /// With a budget each worker keeps its own best, and the end merges them in their order: which of

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <numeric>
 #include <queue>
 
@@ -111,11 +112,69 @@ class Composite {
       family.emplace_back(types, 0);
       family.back()[t] = 1 << 12;
     }
-    worth_.clear();
     for (const Prices& y : family) {
       worth_.emplace_back();
       worths(y, worth_.back());
+      shares_.push_back(shares(y));
     }
+  }
+
+  /// Of the rate, per instance, dearest first, in 2^-20, rounded down.
+  [[nodiscard]] std::vector<std::int64_t> shares(const Prices& y) const {
+    std::int64_t rate = 0;
+    for (std::size_t t = 0; t < y.size(); ++t)
+      rate += y[t] * static_cast<std::int64_t>(p_.type_xpus[t].size());
+    std::vector<std::int64_t> g;
+    for (std::size_t t = 0; t < y.size() && rate > 0; ++t)
+      g.insert(g.end(), p_.type_xpus[t].size(), (y[t] << 20) / rate);
+    std::sort(g.rbegin(), g.rend());
+    return g;
+  }
+
+  /// sum of g_k times the k-th smallest head plus the same for tails. An instance that gets nothing
+  /// of S is lost for all of T, which is at least the largest head: it counts as that one with the
+  /// heads (the cheapest do), as nothing with the tails (the dearest do).
+  [[nodiscard]] Time edges(const std::vector<std::int64_t>& g) const {
+    __int128 sum = 0;
+    const std::size_t used = least_heads_.size(), unused = g.size() - used;
+    for (std::size_t k = 0; k < g.size(); ++k)
+      sum += static_cast<__int128>(g[k]) * least_heads_[std::min(k, used - 1)];
+    for (std::size_t k = 0; k < used; ++k)
+      sum += static_cast<__int128>(g[k + unused]) * least_tails_[k];
+    return static_cast<Time>((sum * scale_) >> 20);
+  }
+
+  /// The second bound for all S = {head >= h, tail >= q}, a few q; `members` by descending head.
+  [[nodiscard]] Time parallel(const std::vector<int>& members, const std::vector<Time>& head,
+                              const std::vector<Time>& tail, const std::vector<Time>& p,
+                              const std::vector<std::int64_t>& g, std::size_t thresholds) {
+    sorted_.clear();
+    for (const int i : members) sorted_.push_back(tail[at(i)]);
+    std::sort(sorted_.begin(), sorted_.end());
+    Time most = 0, before = -1;
+    if (g.empty()) return 0;
+    for (std::size_t k = 0; k < thresholds; ++k) {
+      const Time q = sorted_[k * k * (sorted_.size() - 1) / (thresholds * thresholds)];
+      if (q == before) continue;
+      before = q;
+      Time sum = 0;
+      least_heads_.clear();
+      least_tails_.clear();
+      for (const int i : members) {
+        if (tail[at(i)] < q) continue;
+        sum += p[at(i)];
+        // Heads come in descending order: the last are the smallest.
+        least_heads_.insert(least_heads_.begin(), head[at(i)]);
+        if (least_heads_.size() > g.size()) least_heads_.pop_back();
+        const auto place = std::upper_bound(least_tails_.begin(), least_tails_.end(), tail[at(i)]);
+        if (place != least_tails_.end() || least_tails_.size() < g.size()) {
+          least_tails_.insert(place, tail[at(i)]);
+          if (least_tails_.size() > g.size()) least_tails_.pop_back();
+        }
+        most = std::max(most, sum + edges(g));
+      }
+    }
+    return (most + scale_ - 1) / scale_;
   }
 
   /// Raises `head` of every XNode by what its ancestors (by `pred`) need; `order`: topological.
@@ -152,28 +211,26 @@ class Composite {
             longest = std::max(longest, behind[at(s)] + least_[at(s)]);
         behind[at(u)] = longest;
       }
-      // First without tails, one pass per price vector; then Jackson's schedule for the best two.
+      // First without tails, one pass per price vector; then the bounds for the best few.
       std::sort(inside.begin(), inside.end(),
                 [&](int a, int b) { return head[at(a)] > head[at(b)]; });
-      std::size_t best[2] = {0, 0};
-      Time value[2] = {-1, -1};
+      ranking_.clear();
       for (std::size_t y = 0; y < worth_.size(); ++y) {
         Time sum = 0, most = 0;
         for (const int u : inside) {
           sum += worth_[y][at(u)];
           most = std::max(most, head[at(u)] * scale_ + sum);
         }
-        if (most > value[0]) {
-          value[1] = value[0];
-          best[1] = best[0];
-          value[0] = most;
-          best[0] = y;
-        } else if (most > value[1]) {
-          value[1] = most;
-          best[1] = y;
-        }
+        ranking_.emplace_back(most, y);
       }
-      for (const std::size_t y : best) h = std::max(h, jackson(inside, head, behind, worth_[y]));
+      const std::size_t tried = std::min<std::size_t>(4, ranking_.size());
+      std::partial_sort(ranking_.begin(), ranking_.begin() + static_cast<std::ptrdiff_t>(tried),
+                        ranking_.end(), std::greater<>());
+      for (std::size_t k = 0; k < tried; ++k) {
+        const std::size_t y = ranking_[k].second;
+        h = std::max(h, jackson(inside, head, behind, worth_[y]));
+        h = std::max(h, parallel(inside, head, behind, worth_[y], shares_[y], 3));
+      }
     }
   }
 
@@ -204,7 +261,8 @@ class Composite {
 
   Time value(const Prices& y, const std::vector<int>& all) {
     worths(y, trial_);
-    return jackson(all, heads_, tails_, trial_);
+    return std::max(jackson(all, heads_, tails_, trial_),
+                    parallel(all, heads_, tails_, trial_, shares(y), 12));
   }
 
   /// Coordinate search over the prices, from those of the whole app.
@@ -241,7 +299,9 @@ class Composite {
   Time scale_ = 1;
   Prices base_;
   std::vector<std::vector<Time>> worth_;
-  std::vector<Time> trial_;
+  std::vector<std::vector<std::int64_t>> shares_;
+  std::vector<std::pair<Time, std::size_t>> ranking_;
+  std::vector<Time> trial_, sorted_, least_heads_, least_tails_;
   mutable std::vector<Time> left_;
 };
 
