@@ -1,0 +1,188 @@
+// SPDX-License-Identifier: Apache-2.0
+// One message from a process to another: from before it is published until the reader has it; the
+// payload's pages are touched before. Beside the floor: one buffer, one futex. And inside a
+// process.
+#include <atomic>
+#include <memory>
+#include <thread>
+
+#include <signal.h>
+#include <sys/mman.h>
+#include <sys/prctl.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "base/futex.h"
+#include "transport/receiver.h"
+#include "transport/shm_topic.h"
+#include "transport/topic.h"
+
+#include "bench.h"
+
+namespace xauto::bench {
+namespace {
+
+constexpr std::int64_t kPauseNs = 1'000'000;
+
+struct Shared {
+  std::atomic<std::uint32_t> ready, done;
+  std::atomic<std::int64_t> arrived;
+  transport::Doorbell doorbell;
+  std::atomic<std::uint32_t> word;
+};
+
+template <std::size_t Bytes>
+struct Payload {
+  std::byte bytes[Bytes];
+};
+
+pid_t child(const std::function<void()>& body) {
+  const pid_t pid = fork();
+  if (pid != 0) return pid;
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  body();
+  _exit(0);
+}
+
+std::uint64_t touch(const std::byte* at, std::size_t bytes) {
+  std::uint64_t sum = 0;
+  for (std::size_t i = 0; i < bytes; i += 4096) sum += static_cast<std::uint64_t>(at[i]);
+  return sum;
+}
+
+struct OneDoorbell final : transport::Ringer {
+  explicit OneDoorbell(transport::Doorbell& d) : doorbell(d) {}
+  void ring(std::uint32_t) override { doorbell.ring(); }
+  transport::Doorbell& doorbell;
+};
+
+/// `send` publishes number k, `receive` waits for one and touches it; both in their own process.
+template <class Send, class Receive>
+Samples measure(const Options& options, Shared& shared, std::uint64_t rounds, Send send,
+                Receive receive) {
+  const Cores c = cores();
+  const pid_t pid = child([&] {
+    (void)rt::pin_to_core(c.second);
+    rt::set_timer_slack_1ns();
+    if (options.fifo) (void)rt::set_fifo(45);
+    auto take = receive();
+    shared.ready.store(1);
+    for (;;) {
+      take();
+      shared.done.fetch_add(1);
+      futex_wake(shared.done, 1);
+    }
+  });
+  while (shared.ready.load() == 0) usleep(1000);
+  (void)rt::pin_to_core(c.first);
+  if (options.fifo) (void)rt::set_fifo(40);
+  Samples samples;
+  for (std::uint32_t k = 0; k < rounds; ++k) {
+    sleep_until_ns(now_ns() + kPauseNs);
+    const std::int64_t start = send(k);
+    while (shared.done.load() == k) futex_wait(shared.done, k);
+    if (k > 8) samples.add(shared.arrived.load() - start);
+  }
+  (void)rt::set_other();
+  kill(pid, SIGKILL);
+  waitpid(pid, nullptr, 0);
+  return samples;
+}
+
+template <std::size_t Bytes>
+void size(const Options& options, Table& table, const std::string& name) {
+  using Message = Payload<Bytes>;
+  const std::uint64_t rounds = std::min<std::uint64_t>(options.rounds, 500);
+  auto* shared = static_cast<Shared*>(
+      mmap(nullptr, sizeof(Shared), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0));
+  const auto reset = [&] { new (shared) Shared; };
+
+  {  // the floor
+    reset();
+    volatile std::uint64_t sink = 0;
+    auto* buffer = static_cast<std::byte*>(
+        mmap(nullptr, Bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0));
+    auto floor = measure(
+        options, *shared, rounds,
+        [&](std::uint32_t k) {
+          std::fill(buffer, buffer + Bytes, static_cast<std::byte>(k));
+          const std::int64_t start = now_ns();
+          shared->word.store(k + 1);
+          futex_wake(shared->word, 1);
+          return start;
+        },
+        [&] {
+          return [&, seen = std::uint32_t{0}]() mutable {
+            while (shared->word.load() == seen) futex_wait(shared->word, seen);
+            seen = shared->word.load();
+            sink = sink + touch(buffer, Bytes);
+            shared->arrived.store(now_ns());
+          };
+        });
+    table.add("transfer", name + " between processes", "own-shm-futex", floor);
+    munmap(buffer, Bytes);
+  }
+  {
+    reset();
+    const detail::TopicSpec spec = detail::topic_spec(Topic<Message>("t"));
+    const auto fds = transport::make_topic({Bytes, 1, 8, 8});
+    OneDoorbell ringer(shared->doorbell);
+    const auto publisher =
+        *transport::Publisher::open(spec, fds->control.get(), fds->data.get(), &ringer);
+    volatile std::uint64_t sink = 0;
+    auto ours = measure(
+        options, *shared, rounds,
+        [&](std::uint32_t k) {
+          auto room = publisher->loan(Bytes);
+          auto* bytes = static_cast<std::byte*>(room.get());
+          std::fill(bytes, bytes + Bytes, static_cast<std::byte>(k));
+          const std::int64_t start = now_ns();
+          publisher->publish({std::move(room), start, k});
+          return start;
+        },
+        [&] {
+          auto subscriber =
+              *transport::Subscriber::open(spec, fds->control.get(), fds->data.get(), 0);
+          return [&, subscriber] {
+            for (;;) {
+              if (const auto envelope = subscriber->take()) {
+                sink = sink + touch(static_cast<const std::byte*>(envelope->message.get()), Bytes);
+                shared->arrived.store(now_ns());
+                return;
+              }
+              shared->doorbell.wait([&] { return subscriber->empty(); });
+            }
+          };
+        });
+    table.add("transfer", name + " between processes", "xauto", ours);
+  }
+  {  // inside: a pointer, to the subscriber's callback
+    transport::Channel channel;
+    std::int64_t arrived = 0;
+    volatile std::uint64_t sink = 0;
+    channel.subscribe([&](const detail::Envelope& envelope) {
+      sink = sink + touch(static_cast<const std::byte*>(envelope.message.get()), Bytes);
+      arrived = now_ns();
+    });
+    Samples inside;
+    auto message = std::shared_ptr<Message>(new Message);
+    for (std::uint64_t k = 0; k < rounds; ++k) {
+      std::fill(message->bytes, message->bytes + Bytes, static_cast<std::byte>(k));
+      const std::int64_t start = now_ns();
+      channel.publish({message, start, k});
+      inside.add(arrived - start);
+    }
+    table.add("transfer", name + " inside", "xauto", inside);
+  }
+  munmap(shared, sizeof(Shared));
+}
+
+}  // namespace
+
+void transfers(const Options& options, Table& table) {
+  size<1024>(options, table, "1 KB");
+  size<std::size_t{1} << 20>(options, table, "1 MB");
+  size<std::size_t{6} << 20>(options, table, "6 MB");
+}
+
+}  // namespace xauto::bench
