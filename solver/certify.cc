@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <numeric>
 
+#include "solver/simulate.h"
+
 namespace xauto::solver {
 namespace {
 
@@ -134,6 +136,55 @@ class Chains {
   std::int64_t steps_ = 0;
 };
 
+/// The problem in which preemption is free and whoever may start by preempting takes that much
+/// longer.
+class Inflated {
+ public:
+  Inflated(const Problem& problem, const Decision& decision)
+      : n_(at(problem.num_xnodes)), given_(problem), problem_(problem) {
+    std::vector<std::vector<int>> succ = problem.succ;
+    for (const auto& [u, v] : decision.order) succ[at(u)].push_back(v);
+    reach_.emplace(n_, succ, topological(succ));
+    std::fill(problem_.preempt.begin(), problem_.preempt.end(), 0);
+    std::fill(problem_.preemptive.begin(), problem_.preemptive.end(), 1);
+    on_xpu_.resize(at(problem.num_xpus));
+    for (int i = 0; i < problem.num_xnodes; ++i) on_xpu_[at(decision.xpu[at(i)])].push_back(i);
+    for (std::size_t x = 0; x < on_xpu_.size(); ++x)
+      for (const int i : on_xpu_[x])
+        if (problem.preemptive[x] && std::any_of(on_xpu_[x].begin(), on_xpu_[x].end(), [&](int j) {
+              return open(i, j) && decision.priority[at(j)] < decision.priority[at(i)];
+            }))
+          problem_.wcet_flat[at(i) * at(problem.num_types) + at(problem.xpu_type[x])] +=
+              problem.preempt[x];
+  }
+
+  [[nodiscard]] std::vector<Time> finishes(const Decision& decision) const {
+    return simulate(problem_, decision).finish;
+  }
+
+  [[nodiscard]] bool follows(const Decision& decision, const std::vector<Time>& finish) const {
+    for (std::size_t x = 0; x < on_xpu_.size(); ++x)
+      for (const int i : on_xpu_[x])
+        for (const int j : on_xpu_[x]) {
+          if (!open(i, j) || decision.priority[at(i)] < decision.priority[at(j)]) continue;
+          if (!given_.preemptive[x] || finish[at(i)] > finish[at(j)]) return false;
+        }
+    return true;
+  }
+
+ private:
+  /// Neither edges nor order pairs say which of the two is first.
+  [[nodiscard]] bool open(int i, int j) const {
+    return i != j && !reach_->before(i, j) && !reach_->before(j, i);
+  }
+
+  std::size_t n_;
+  const Problem& given_;
+  Problem problem_;
+  std::optional<Reach> reach_;
+  std::vector<std::vector<int>> on_xpu_;
+};
+
 }  // namespace
 
 std::vector<std::pair<int, int>> order_pairs(const Problem& problem, const Solution& solution) {
@@ -161,8 +212,40 @@ std::vector<std::pair<int, int>> order_pairs(const Problem& problem, const Solut
   return pairs;
 }
 
+std::optional<Time> deadline_certificate(const Problem& problem, const Decision& decision) {
+  const Inflated inflated(problem, decision);
+  const std::vector<Time> finish = inflated.finishes(decision);
+  if (!inflated.follows(decision, finish)) return std::nullopt;
+  return *std::max_element(finish.begin(), finish.end());
+}
+
+Decision settle_priorities(const Problem& problem, const Decision& decision) {
+  constexpr int kRounds = 12;
+  const Time latency = simulate(problem, decision).makespan;
+  Decision settled = decision;
+  std::optional<Decision> best;
+  Time least = 0;
+  for (int round = 0; round < kRounds; ++round) {
+    const Inflated inflated(problem, settled);
+    const std::vector<Time> finish = inflated.finishes(settled);
+    const bool follows = inflated.follows(settled, finish);
+    const Time bound = *std::max_element(finish.begin(), finish.end());
+    if (follows && simulate(problem, settled).makespan <= latency && (!best || bound < least)) {
+      best = settled;
+      least = bound;
+    }
+    Decision next = settled;
+    next.priority = priorities_by_key(finish);
+    if (next.priority == settled.priority) break;
+    settled = std::move(next);
+  }
+  return best ? *best : decision;
+}
+
 Time worst_case(const Problem& problem, const Decision& decision, std::int64_t max_steps) {
-  return Chains(problem, decision).longest(max_steps);
+  const Time by_chains = Chains(problem, decision).longest(max_steps);
+  const std::optional<Time> by_deadlines = deadline_certificate(problem, decision);
+  return by_deadlines ? std::min(by_chains, *by_deadlines) : by_chains;
 }
 
 }  // namespace xauto::solver

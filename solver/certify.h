@@ -8,6 +8,7 @@
 // but looser.
 #pragma once
 
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -20,7 +21,22 @@ namespace xauto::solver {
 [[nodiscard]] std::vector<std::pair<int, int>> order_pairs(const Problem& problem,
                                                            const Solution& solution);
 
-/// A safe bound for any decision, with or without order pairs.
+/// Priorities by deadline: the shorter of two safe bounds, where it applies.
+///
+/// Let C' be the WCET plus, for an XNode that may start by preempting, the cost of that (it starts
+/// once). Let F be the finishes of the execution with C' and free preemption. If every XPU either
+/// has all its XNodes ordered by edges and order pairs, or is preemptive and its priorities follow
+/// F, then no execution of the real rule finishes any XNode after its F: docs/ilp.md, theorem, with
+/// F as deadlines. nullopt where neither holds for an XPU.
+[[nodiscard]] std::optional<Time> deadline_certificate(const Problem& problem,
+                                                       const Decision& decision);
+
+/// The decision with priorities put in the order of their own F, so that the certificate applies,
+/// where that keeps the latency; otherwise as given. Order pairs stay.
+[[nodiscard]] Decision settle_priorities(const Problem& problem, const Decision& decision);
+
+/// A safe bound for any decision, with or without order pairs: the least of deadline_certificate()
+/// and of what follows.
 ///
 /// Take the XNode i that finishes last, then the predecessor (by edge or order pair) that made it
 /// eligible last, and so on to a source: a chain whose response intervals [eligible, finish] follow

@@ -6,6 +6,7 @@
 #include <bit>
 
 #include "solver/bounds.h"
+#include "solver/composite.h"
 #include "solver/energy_lp.h"
 
 namespace xauto::solver {
@@ -24,7 +25,10 @@ class Refuter {
         control_(control),
         lp_(problem),
         n_(problem.num_xnodes),
-        with_deadlines_(with_deadlines && !problem.goal.plain()) {}
+        with_deadlines_(with_deadlines && !problem.goal.plain()) {
+    // A large app's windows begin with what its load says; shaving finds that in a small one.
+    if (n_ > kLarge) start_ = composite_bound(problem);
+  }
 
   enum class Answer { kRefuted, kOpen };
 
@@ -53,6 +57,11 @@ class Refuter {
       for (int i : group) common &= windows.types[at(i)];
       for (int i : group) windows.types[at(i)] = common;
     }
+    if (n_ > kLarge)
+      for (int i = 0; i < n_; ++i) {
+        windows.r[at(i)] = start_.heads[at(i)];
+        windows.d[at(i)] = makespan - start_.tails[at(i)];
+      }
     if (with_deadlines_)
       for (int i = 0; i < n_; ++i)
         windows.d[at(i)] = std::min(windows.d[at(i)], problem_.goal.deadline[at(i)]);
@@ -507,6 +516,7 @@ class Refuter {
   const ProofControl& control_;
   EnergyLp lp_;
   int n_;
+  CompositeBound start_;
   bool with_deadlines_;
   std::int64_t nodes_left_ = 0;
   bool open_leaf_ = false;

@@ -182,6 +182,10 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
     return fail(ErrorCode::kInvalid, "unknown method '" + options.method + "'", "solve",
                 "one of: auto, search, ilp, heft, local");
   }
+  // The same latency, but a worst case close to it. The baselines stay as they are.
+  if (decision.order.empty() && problem.goal.plain() && options.method != "heft" &&
+      options.method != "local")
+    decision = settle_priorities(problem, decision);
   Policy policy = make_policy(app, platform, problem, decision, options.method);
   policy.lower_bound_us = std::min(bound, policy.latency_us);
   policy.worst_case_us = worst_case(problem, decision);

@@ -141,5 +141,58 @@ TEST(Certify, CertifyingTakesTheLeastCertifiedLatency) {
   EXPECT_EQ(policy->worst_case_us, policy->latency_us);
 }
 
+TEST(Certify, PrioritiesByDeadlineAreSafeAndCloseToTheLatency) {
+  int applies = 0, tighter = 0, plain = 0;
+  for (std::uint64_t seed = 0; seed < 300; ++seed) {
+    test::Dice dice(80'000 + seed);
+    Case c = random_case(dice, 16);
+    for (char& preemptive : c.problem.preemptive)
+      if (seed % 4 != 0) preemptive = 1;
+    const Decision drawn = test::random_decision(dice, c.problem);
+    const Decision settled = settle_priorities(c.problem, drawn);
+    ASSERT_LE(simulate(c.problem, settled).makespan, simulate(c.problem, drawn).makespan);
+    ASSERT_EQ(settled.xpu, drawn.xpu);
+    const auto certificate = deadline_certificate(c.problem, settled);
+    if (!certificate) continue;
+    ++applies;
+    ASSERT_GE(*certificate, simulate(c.problem, settled).makespan);
+    ASSERT_LE(longest_execution(dice, c.problem, settled, 400), *certificate) << "seed " << seed;
+    plain += worst_case(c.problem, drawn) > *certificate;
+    tighter += worst_case(c.problem, settled) < worst_case(c.problem, drawn);
+  }
+  EXPECT_GT(applies, 150);
+  EXPECT_GT(plain, 60);
+  EXPECT_GT(tighter, 60);
+}
+
+TEST(Certify, NoCertificateWherePrioritiesDoNotFollowTheFinishes) {
+  // gpu: long first by priority although short, ready at the same time, would end sooner in any
+  // order by finish that puts it first; the certificate must not claim what it cannot show.
+  AppSpec app;
+  app.name = "two";
+  app.xnodes = {{"root", "m", {{"cpu", 1}}},
+                {"low", "m", {{"gpu", 5}}},
+                {"high", "m", {{"gpu", 3}}},
+                {"last", "m", {{"cpu", 9}}}};
+  app.edges = {{0, 2}, {1, 3}};
+  Platform platform;
+  platform.name = "p";
+  platform.xpus = {{"cpu0", "cpu", true, 0, 0, -1}, {"gpu0", "gpu", true, 2, 0, -1}};
+  const Problem problem = Problem::create(app, platform).value();
+  // high preempts low at 1: it ends at 1 + 2 + 3 = 6, low at 10. F of high is 6, of low 10:
+  // follows.
+  const Decision by_finish{{0, 1, 1, 0}, {3, 1, 2, 2}, {}};
+  EXPECT_EQ(deadline_certificate(problem, by_finish), std::optional<Time>(19));
+  EXPECT_EQ(simulate(problem, by_finish).makespan, 19);
+  // On a GPU that cannot preempt, nothing of the kind is claimed.
+  platform.xpus[1].preemptive = false;
+  EXPECT_FALSE(deadline_certificate(Problem::create(app, platform).value(), by_finish));
+  // Unless the two are ordered at run time.
+  Decision ordered = by_finish;
+  ordered.order = {{1, 2}};
+  EXPECT_EQ(deadline_certificate(Problem::create(app, platform).value(), ordered),
+            std::optional<Time>(14));
+}
+
 }  // namespace
 }  // namespace xauto::solver
