@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto compare: one app under several policies, side by side: the table, report.json,
-// timeline.html.
+// timeline.html, a Perfetto trace each.
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
@@ -82,6 +82,8 @@ Result<int> compare(const Flags& given, const Options& options) {
               static_cast<double>(run.predicted.makespan) / 1000, flags.activations);
     XAUTO_TRY(execute(flags, run, stop.flag()));
     good = good && healthy(run);
+    XAUTO_ASSIGN(const std::string trace, perfetto_of(flags, run));
+    XAUTO_TRY(write_file(flags.out + "/" + id + ".pftrace", trace));
     runs.push_back(std::move(run));
     if (stop.flag()->load()) break;
   }
@@ -93,7 +95,8 @@ Result<int> compare(const Flags& given, const Options& options) {
   else
     std::cout << report_table(flags, runs) << "\n  " << flags.out
               << "/report.json    the numbers\n  " << flags.out
-              << "/timeline.html  the schedules; open it in a browser\n";
+              << "/timeline.html  the schedules; open it in a browser\n  " << flags.out
+              << "/*.pftrace      what ran, all of it; open one at ui.perfetto.dev\n";
   return good ? kDone : kAnswerIsNo;
 }
 
@@ -115,7 +118,8 @@ void add_compare(Commands& commands) {
       ->delimiter(',')
       ->check(CLI::IsMember(known))
       ->capture_default_str();
-  verb->add_option("--out", flags->out, "folder for report.json, timeline.html and the policies")
+  verb->add_option("--out", flags->out,
+                   "folder for report.json, timeline.html, the traces and the policies")
       ->capture_default_str();
   verb->add_option("--time-limit-s", flags->time_limit_s, "for the solver, per policy")
       ->check(CLI::PositiveNumber)

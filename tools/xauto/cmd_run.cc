@@ -16,7 +16,7 @@ namespace xauto::cli {
 namespace {
 
 struct Flags : RunFlags {
-  std::string policy_path, scheduling = "xauto", out, timeline, record;
+  std::string policy_path, scheduling = "xauto", out, timeline, trace_out, record;
 };
 
 Result<int> run(const Flags& given, const Options& options) {
@@ -46,6 +46,10 @@ Result<int> run(const Flags& given, const Options& options) {
   if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, report));
   if (!flags.timeline.empty())
     XAUTO_TRY(write_file(flags.timeline, timeline_html(timeline_of(flags, runs))));
+  if (!flags.trace_out.empty()) {
+    XAUTO_ASSIGN(const std::string trace, perfetto_of(flags, run));
+    XAUTO_TRY(write_file(flags.trace_out, trace));
+  }
   if (options.json)
     std::cout << report;
   else
@@ -73,6 +77,8 @@ void add_run(Commands& commands) {
       ->capture_default_str();
   verb->add_option("--out", flags->out, "write report.json here");
   verb->add_option("--timeline", flags->timeline, "write the schedule as an HTML page here");
+  verb->add_option("--trace-out", flags->trace_out,
+                   "write what ran here, for Perfetto's viewers (FILE.pftrace)");
   verb->add_option("--record", flags->record, "record the sources' messages here (rosbag2 layout)");
 }
 

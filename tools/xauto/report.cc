@@ -6,6 +6,9 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include "xauto/perfetto.h"
+#include "xauto/run_trace.h"
+
 namespace xauto::cli {
 namespace {
 
@@ -134,6 +137,33 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
       out += fmt::format("  {}: {}\n", run.name, note);
   }
   return out;
+}
+
+Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
+  Scene scene;
+  scene.title = flags.app.name + " on " + flags.spec.name + ": " + run.name;
+  scene.note = fmt::format("{} XPUs, {}", flags.emulated ? "emulated" : "real",
+                           runtime::to_string(run.scheduling));
+  Rows rows = rows_of(flags.spec, run.scheduling);
+  for (std::string& name : rows.names) scene.rows.push_back({std::move(name), true});
+  scene.row_of = std::move(rows.of);
+  // Without our coordinators jobs share an XPU, and on real CPUs the kernel preempts unseen.
+  for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x) {
+    const Xpu& xpu = flags.spec.xpus[x];
+    const auto& lost = run.report.lost_coordinators;
+    if (run.scheduling != runtime::Scheduling::kXAuto ||
+        runtime::discipline_of(xpu, flags.emulated) == coord::Discipline::kKernel ||
+        std::find(lost.begin(), lost.end(), xpu.id) != lost.end())
+      scene.rows[static_cast<std::size_t>(scene.row_of[x])].exclusive = false;
+  }
+  for (const runtime::ModuleReport& module : run.report.modules)
+    scene.modules.push_back({module.name, module.sink});
+  if (run.policy)
+    for (const Placement& p : run.policy->placements) scene.priorities.push_back(p.priority);
+  scene.plan = run.predicted.slices;
+  XAUTO_ASSIGN(const Story story,
+               story_of(flags.app, flags.spec, scene.modules, run.outcome.trace));
+  return perfetto_trace(flags.app, scene, story, boottime_offset_ns());
 }
 
 Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {

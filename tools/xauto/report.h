@@ -17,6 +17,8 @@ namespace xauto::cli {
 /// docs/formats.md.
 [[nodiscard]] std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& runs);
 [[nodiscard]] std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& runs);
+/// The run as a file for Perfetto's viewers. Errors: it left no trace.
+[[nodiscard]] Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run);
 [[nodiscard]] Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs);
 
 }  // namespace xauto::cli

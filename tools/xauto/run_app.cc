@@ -70,8 +70,9 @@ void RunFlags::declare(CLI::App& verb) {
   auto* emulate_flag =
       verb.add_flag("--emulate", emulate, "emulate all XPUs (default: if some are missing)");
   verb.add_flag("--real", real, "refuse to emulate")->excludes(emulate_flag);
-  verb.add_flag("--emulator-modules", emulator_modules,
-                "emulate GPUs and DLAs by the kernel modules of kmod/emu, suspended through xauto.ko");
+  verb.add_flag(
+      "--emulator-modules", emulator_modules,
+      "emulate GPUs and DLAs by the kernel modules of kmod/emu, suspended through xauto.ko");
   verb.add_flag("--isolate", isolate, "each XModule in a process of its own");
   verb.add_option("--restarts", restarts, "how often a module's process that died is started again")
       ->check(CLI::Range(0, 1'000'000))
@@ -88,8 +89,9 @@ Status RunFlags::prepare() {
     return fail(ErrorCode::kUnavailable, missing, "--real", "drop --real to emulate the platform");
   if (emulator_modules) {
     if (!kernel::module_is_loaded())
-      return fail(ErrorCode::kUnavailable, "xauto.ko is not loaded", "--emulator-modules",
-                  "as root: insmod xauto.ko xauto_nvgpu_emu.ko xauto_nvdla_emu.ko (docs/kernel.md)");
+      return fail(
+          ErrorCode::kUnavailable, "xauto.ko is not loaded", "--emulator-modules",
+          "as root: insmod xauto.ko xauto_nvgpu_emu.ko xauto_nvdla_emu.ko (docs/kernel.md)");
     emulate = true;
   }
   emulated = emulate || !missing.empty();
@@ -250,23 +252,29 @@ std::vector<Bar> bars_of(const RunFlags& flags, const trace::Recording& trace,
 
 }  // namespace
 
+Rows rows_of(const Platform& platform, runtime::Scheduling scheduling) {
+  Rows rows;
+  rows.of.assign(platform.xpus.size(), -1);
+  for (std::size_t x = 0; x < platform.xpus.size(); ++x) {
+    const bool pooled = scheduling == runtime::Scheduling::kRos2 && platform.xpus[x].type == "cpu";
+    const int first = pooled ? platform.instances_of("cpu").front() : static_cast<int>(x);
+    if (first == static_cast<int>(x)) {
+      rows.of[x] = static_cast<int>(rows.names.size());
+      rows.names.push_back(pooled ? "CPU pool" : platform.xpus[x].id);
+    } else {
+      rows.of[x] = rows.of[static_cast<std::size_t>(first)];
+    }
+  }
+  return rows;
+}
+
 Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
   Panel panel;
   panel.id = run.id;
   panel.name = run.name;
-  // Under the ROS 2 model the CPUs are one pool: one row, named so, in the place of its first core.
-  std::vector<int> row_of(flags.spec.xpus.size(), -1);
-  for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x) {
-    const bool pooled =
-        run.scheduling == runtime::Scheduling::kRos2 && flags.spec.xpus[x].type == "cpu";
-    const int first = pooled ? flags.spec.instances_of("cpu").front() : static_cast<int>(x);
-    if (first == static_cast<int>(x)) {
-      row_of[x] = static_cast<int>(panel.rows.size());
-      panel.rows.push_back(pooled ? "CPU pool" : flags.spec.xpus[x].id);
-    } else {
-      row_of[x] = row_of[static_cast<std::size_t>(first)];
-    }
-  }
+  Rows rows = rows_of(flags.spec, run.scheduling);
+  const std::vector<int> row_of = std::move(rows.of);
+  panel.rows = std::move(rows.names);
   panel.p50_us = run.latency.p50_us;
   panel.p99_us = run.latency.p99_us;
   panel.max_us = run.latency.max_us;

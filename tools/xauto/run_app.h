@@ -75,6 +75,14 @@ struct PolicyRun {
 /// Runs it. `label` heads the progress bar.
 [[nodiscard]] Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop);
 
+/// The rows of a picture. Under the ROS 2 model the CPUs are one pool: one row, named so, in the
+/// place of its first core.
+struct Rows {
+  std::vector<std::string> names;
+  std::vector<int> of;  ///< XPU -> row
+};
+[[nodiscard]] Rows rows_of(const Platform& platform, runtime::Scheduling scheduling);
+
 /// The measured bars of the activation whose latency is the median, and the predicted ones beside
 /// them.
 [[nodiscard]] Panel panel_of(const RunFlags& flags, const PolicyRun& run);

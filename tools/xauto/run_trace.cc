@@ -1,0 +1,454 @@
+// SPDX-License-Identifier: Apache-2.0
+// Flows: one arrow per edge of the app and release, from the last slice of the XNode that hands
+// over to the first of the one that takes, so that a viewer follows what really waited for what.
+// With several rates numbers of releases mean nothing across modules: arrows inside modules only.
+#include "xauto/run_trace.h"
+
+#include <algorithm>
+#include <map>
+
+#include <fmt/format.h>
+
+#include "xauto/perfetto.h"
+
+namespace xauto::cli {
+namespace {
+
+using Track = PerfettoWriter::Track;
+using Details = PerfettoWriter::Details;
+
+/// Puts slices on one track so that they nest whatever their times are: a child is cut to its
+/// parent, a slice to the next one of its depth. Slices come by begin, parents first.
+class Nest {
+ public:
+  Nest(PerfettoWriter& out, Track track) : out_(out), track_(track) {}
+  ~Nest() { leave(0, stack_.empty() ? 0 : stack_.front().end); }
+  Nest(const Nest&) = delete;
+  Nest& operator=(const Nest&) = delete;
+
+  void add(int depth, std::int64_t begin, std::int64_t end, const std::string& name,
+           Details details = {}) {
+    begin = std::max(begin, last_);
+    leave(depth, begin);
+    if (!stack_.empty()) end = std::min(end, stack_.back().end);
+    end = std::max(begin, end);
+    out_.begin(track_, begin, name, std::move(details));
+    stack_.push_back({depth, end});
+    last_ = begin;
+  }
+
+  void instant(std::int64_t ts, const std::string& name, Details details = {}) {
+    ts = std::max(ts, last_);
+    out_.instant(track_, ts, name, std::move(details));
+    last_ = ts;
+  }
+
+ private:
+  struct Open {
+    int depth;
+    std::int64_t end;
+  };
+  void leave(int depth, std::int64_t now) {
+    while (!stack_.empty() && (stack_.back().depth >= depth || stack_.back().end <= now)) {
+      last_ = std::max(last_, std::min(stack_.back().end, now));
+      out_.end(track_, last_);
+      stack_.pop_back();
+    }
+  }
+  PerfettoWriter& out_;
+  Track track_;
+  std::vector<Open> stack_;
+  std::int64_t last_ = 0;
+};
+
+/// A stretch of time on an XPU's row.
+struct Piece {
+  int row = -1;
+  std::int64_t begin = 0, end = 0;
+  std::string name;
+  Details details;
+  int lane = 0;
+};
+
+/// Pieces of a row that overlap go to lanes of their own: one track may only nest.
+int assign_lanes(std::vector<Piece*>& pieces) {
+  std::stable_sort(pieces.begin(), pieces.end(),
+                   [](const Piece* a, const Piece* b) { return a->begin < b->begin; });
+  std::vector<std::int64_t> busy_until;
+  for (Piece* piece : pieces) {
+    auto lane = std::find_if(busy_until.begin(), busy_until.end(),
+                             [&](std::int64_t until) { return until <= piece->begin; });
+    if (lane == busy_until.end()) lane = busy_until.insert(lane, 0);
+    *lane = piece->end;
+    piece->lane = static_cast<int>(lane - busy_until.begin());
+  }
+  return static_cast<int>(busy_until.size());
+}
+
+class Painter {
+ public:
+  Painter(const AppSpec& app, const Scene& scene, const Story& story)
+      : app_(app), scene_(scene), story_(story) {}
+
+  std::string paint(std::int64_t clock_offset_ns) {
+    root_ = out_.add_track(PerfettoWriter::kNoParent, scene_.title, scene_.note);
+    if (story_.lost > 0) {
+      out_.mark_lossy();
+      out_.instant(root_, story_.begin_ns,
+                   fmt::format("INCOMPLETE: {} events were lost", story_.lost),
+                   {"loss", {}, {}, {}});
+    }
+    collect_run();
+    connect();
+    paint_releases();
+    paint_rows("run", "what ran on each XPU; a preempted job is cut", run_, true);
+    paint_plan();
+    paint_modules();
+    paint_results();
+    paint_counters();
+    return out_.write(clock_offset_ns);
+  }
+
+ private:
+  const std::string& name(int xnode) const {
+    return app_.xnodes[static_cast<std::size_t>(xnode)].name;
+  }
+  std::string names(const std::vector<int>& xnodes) const {
+    std::string out;
+    for (const int xnode : xnodes) out += (out.empty() ? "" : ", ") + name(xnode);
+    return out;
+  }
+  int row_of(int xpu) const { return scene_.row_of[static_cast<std::size_t>(xpu)]; }
+
+  /// What each job did on its XPU; where its first and last pieces are, for the arrows.
+  void collect_run() {
+    first_.assign(story_.jobs.size(), -1);
+    last_ = first_;
+    for (std::size_t j = 0; j < story_.jobs.size(); ++j) {
+      const Job& job = story_.jobs[j];
+      std::int64_t waited_ns = 0;
+      int part = 0;
+      std::string waited_for;
+      for (std::size_t p = 0; p < job.phases.size(); ++p) {
+        const Phase& phase = job.phases[p];
+        if (phase.kind == PhaseKind::kWaiting || phase.kind == PhaseKind::kSuspended) {
+          waited_ns += phase.end_ns - phase.begin_ns;
+          waited_for = names(phase.by);
+          continue;
+        }
+        const bool runs = phase.kind == PhaseKind::kRunning;
+        Piece piece{row_of(job.xpu),
+                    phase.begin_ns,
+                    phase.end_ns,
+                    runs ? name(job.xnode) : "switch: " + name(job.xnode),
+                    {},
+                    0};
+        piece.details.category = runs ? "run" : "switch";
+        auto& args = piece.details.args;
+        args.emplace_back("release", static_cast<std::int64_t>(job.sequence));
+        args.emplace_back("module", app_.xnodes[static_cast<std::size_t>(job.xnode)].module);
+        if (runs) {
+          if (!scene_.priorities.empty())
+            args.emplace_back("priority", scene_.priorities[static_cast<std::size_t>(job.xnode)]);
+          args.emplace_back("part", static_cast<std::int64_t>(++part));
+          args.emplace_back("waited_us", waited_ns / 1000);
+          if (!waited_for.empty())
+            args.emplace_back(part == 1 ? "waited_for" : "preempted_by", waited_for);
+          if (job.failed) args.emplace_back("failed", std::int64_t{1});
+          if (!job.complete) args.emplace_back("incomplete", std::int64_t{1});
+          if (first_[j] < 0) first_[j] = static_cast<int>(run_.size());
+          last_[j] = static_cast<int>(run_.size());
+        }
+        run_.push_back(std::move(piece));
+      }
+    }
+  }
+
+  void arrow(Details& from, Details& to) {
+    from.flows_out.push_back(++flows_);
+    to.flows_in.push_back(flows_);
+  }
+  Details* first_piece(std::size_t job) {
+    return first_[job] < 0 ? nullptr : &run_[static_cast<std::size_t>(first_[job])].details;
+  }
+  Details* last_piece(std::size_t job) {
+    return last_[job] < 0 ? nullptr : &run_[static_cast<std::size_t>(last_[job])].details;
+  }
+
+  void connect() {
+    releases_.resize(story_.releases.size());
+    activations_.resize(story_.activations.size());
+    results_.resize(story_.activations.size());
+    std::map<std::pair<int, std::uint64_t>, std::size_t> job_of;  // (XNode, release)
+    for (std::size_t j = 0; j < story_.jobs.size(); ++j)
+      job_of.try_emplace({story_.jobs[j].xnode, story_.jobs[j].sequence}, j);
+    std::map<std::uint64_t, std::size_t> release_of;
+    for (std::size_t r = 0; r < story_.releases.size(); ++r)
+      release_of.try_emplace(story_.releases[r].sequence, r);
+    std::map<std::pair<int, std::uint64_t>, std::size_t> activation_of;
+    for (std::size_t a = 0; a < story_.activations.size(); ++a)
+      activation_of.try_emplace({story_.activations[a].module, story_.activations[a].sequence}, a);
+
+    const auto predecessors = app_.predecessors();
+    const auto successors = app_.successors();
+    const auto within = [&](int u, int v) {
+      return !story_.several_rates || app_.xnodes[static_cast<std::size_t>(u)].module ==
+                                          app_.xnodes[static_cast<std::size_t>(v)].module;
+    };
+    for (std::size_t j = 0; j < story_.jobs.size(); ++j) {
+      const Job& job = story_.jobs[j];
+      Details* first = first_piece(j);
+      if (first == nullptr) continue;
+      bool from_somewhere = false;
+      for (const int u : predecessors[static_cast<std::size_t>(job.xnode)]) {
+        if (!within(u, job.xnode)) continue;
+        from_somewhere = true;
+        const auto at = job_of.find({u, job.sequence});
+        if (at == job_of.end() || last_piece(at->second) == nullptr) continue;
+        if (run_[static_cast<std::size_t>(last_[at->second])].begin <=
+            run_[static_cast<std::size_t>(first_[j])].begin)
+          arrow(*last_piece(at->second), *first);
+      }
+      const auto activation = activation_of.find({job.module, job.sequence});
+      if (!from_somewhere) {  // its origin: the release, or with several rates the activation
+        if (const auto r = release_of.find(job.sequence);
+            !story_.several_rates && r != release_of.end())
+          arrow(releases_[r->second], *first);
+        else if (story_.several_rates && activation != activation_of.end() &&
+                 story_.activations[activation->second].begin_ns <= job.begin_ns())
+          arrow(activations_[activation->second], *first);
+      }
+      const auto& next = successors[static_cast<std::size_t>(job.xnode)];
+      const bool ends =
+          std::none_of(next.begin(), next.end(), [&](int v) { return within(job.xnode, v); });
+      if (ends && activation != activation_of.end() &&
+          story_.activations[activation->second].fate == Fate::kDone)
+        arrow(*last_piece(j), results_[activation->second]);
+    }
+  }
+
+  void paint_releases() {
+    std::vector<Piece> spans;
+    for (std::size_t r = 0; r < story_.releases.size(); ++r) {
+      const ReleaseSpan& release = story_.releases[r];
+      Piece piece{0,
+                  release.begin_ns,
+                  release.end_ns,
+                  fmt::format("release {}", release.sequence),
+                  releases_[r],
+                  0};
+      piece.details.category = "release";
+      auto& args = piece.details.args;
+      args.emplace_back("release", static_cast<std::int64_t>(release.sequence));
+      const std::int64_t latency_us = (release.end_ns - release.begin_ns) / 1000;
+      if (release.fate == Fate::kDone) {
+        args.emplace_back("latency_us", latency_us);
+        if (app_.deadline_us)
+          args.emplace_back("deadline", latency_us > *app_.deadline_us ? "missed" : "met");
+      } else if (release.fate == Fate::kDropped) {
+        args.emplace_back("result", "dropped");
+      }
+      spans.push_back(std::move(piece));
+    }
+    paint_lanes(root_, "releases",
+                story_.several_rates ? "a sensor's message; several rates, so only when it came"
+                                     : "from the sensors' messages to the last output",
+                spans, false);
+  }
+
+  void paint_lanes(Track parent, const std::string& title, const std::string& description,
+                   std::vector<Piece>& pieces, bool exclusive) {
+    std::vector<Piece*> list;
+    for (Piece& piece : pieces) list.push_back(&piece);
+    paint_lanes(parent, title, description, list, exclusive);
+  }
+
+  void paint_lanes(Track parent, const std::string& title, const std::string& description,
+                   std::vector<Piece*>& pieces, bool exclusive) {
+    int lanes = 1;
+    if (exclusive)
+      std::stable_sort(pieces.begin(), pieces.end(),
+                       [](const Piece* a, const Piece* b) { return a->begin < b->begin; });
+    else
+      lanes = std::max(1, assign_lanes(pieces));
+    for (int lane = 0; lane < lanes; ++lane) {
+      Nest nest(out_, out_.add_track(parent, title, lane == 0 ? description : ""));
+      for (Piece* piece : pieces)
+        if (exclusive || piece->lane == lane)
+          nest.add(0, piece->begin, piece->end, piece->name, std::move(piece->details));
+    }
+  }
+
+  void paint_rows(const std::string& title, const std::string& description,
+                  std::vector<Piece>& pieces, bool measured) {
+    const Track group = out_.add_track(root_, title, description);
+    std::vector<std::vector<Piece*>> by_row(scene_.rows.size());
+    for (Piece& piece : pieces) by_row[static_cast<std::size_t>(piece.row)].push_back(&piece);
+    for (std::size_t r = 0; r < scene_.rows.size(); ++r)
+      paint_lanes(group, scene_.rows[r].name + (measured ? "" : " plan"), "", by_row[r],
+                  measured && scene_.rows[r].exclusive);
+  }
+
+  /// Under every release; with several rates, for which there is no such plan, under the first.
+  void paint_plan() {
+    std::vector<Piece> pieces;
+    for (const ReleaseSpan& release : story_.releases) {
+      for (const solver::Slice& slice : scene_.plan) {
+        Piece piece{row_of(slice.xpu),
+                    release.begin_ns + slice.begin * 1000,
+                    release.begin_ns + slice.end * 1000,
+                    (slice.switching ? "switch: " : "") + name(slice.xnode),
+                    {},
+                    0};
+        piece.details.category = "plan";
+        piece.details.args.emplace_back("release", static_cast<std::int64_t>(release.sequence));
+        pieces.push_back(std::move(piece));
+      }
+      if (story_.several_rates) break;
+    }
+    paint_rows("plan", "the schedule as simulated, every job at its WCET, from each release on",
+               pieces, false);
+  }
+
+  void paint_modules() {
+    const Track group =
+        out_.add_track(root_, "modules", "activations, their jobs, the jobs' states");
+    struct Entry {
+      std::int64_t begin, end;
+      int depth;
+      std::string name;
+      Details details;
+    };
+    std::vector<std::vector<Entry>> entries(scene_.modules.size());
+    for (std::size_t a = 0; a < story_.activations.size(); ++a) {
+      const Activation& activation = story_.activations[a];
+      Details details = activations_[a];
+      details.category = "module";
+      details.args.emplace_back("release", static_cast<std::int64_t>(activation.sequence));
+      if (activation.fate == Fate::kDropped)
+        details.args.emplace_back("dropped", drop_reason(activation.reason));
+      entries[static_cast<std::size_t>(activation.module)].push_back(
+          {activation.begin_ns, activation.end_ns, 0,
+           fmt::format("{} {}{}", scene_.modules[static_cast<std::size_t>(activation.module)].name,
+                       activation.sequence, activation.fate == Fate::kDropped ? " dropped" : ""),
+           std::move(details)});
+    }
+    for (const Job& job : story_.jobs) {
+      auto& list = entries[static_cast<std::size_t>(job.module)];
+      Details details{
+          "job", {{"xpu", scene_.rows[static_cast<std::size_t>(row_of(job.xpu))].name}}, {}, {}};
+      if (job.failed) details.args.emplace_back("failed", std::int64_t{1});
+      list.push_back({job.begin_ns(), job.end_ns(), 1, name(job.xnode), std::move(details)});
+      for (const Phase& phase : job.phases) {
+        Details why{"state", {}, {}, {}};
+        if (!phase.by.empty())
+          why.args.emplace_back(phase.kind == PhaseKind::kSuspended ? "preempted_by" : "waited_for",
+                                names(phase.by));
+        list.push_back({phase.begin_ns, phase.end_ns, 2, to_string(phase.kind), std::move(why)});
+      }
+    }
+    for (std::size_t m = 0; m < entries.size(); ++m) {
+      std::stable_sort(entries[m].begin(), entries[m].end(), [](const Entry& a, const Entry& b) {
+        return a.begin != b.begin ? a.begin < b.begin : a.depth < b.depth;
+      });
+      Nest nest(out_, out_.add_track(group, scene_.modules[m].name));
+      for (Entry& e : entries[m]) nest.add(e.depth, e.begin, e.end, e.name, std::move(e.details));
+    }
+  }
+
+  /// Where the arrows end: outputs published.
+  void paint_results() {
+    Nest nest(out_, out_.add_track(root_, "done", "outputs published"));
+    std::vector<std::size_t> order;
+    for (std::size_t a = 0; a < story_.activations.size(); ++a)
+      if (story_.activations[a].fate == Fate::kDone && !results_[a].flows_in.empty())
+        order.push_back(a);
+    std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+      return story_.activations[a].end_ns < story_.activations[b].end_ns;
+    });
+    for (const std::size_t a : order) {
+      const Activation& activation = story_.activations[a];
+      Details& details = results_[a];
+      details.category = "done";
+      details.args.emplace_back("release", static_cast<std::int64_t>(activation.sequence));
+      nest.instant(
+          activation.end_ns,
+          fmt::format("{} {}", scene_.modules[static_cast<std::size_t>(activation.module)].name,
+                      activation.sequence),
+          std::move(details));
+    }
+  }
+
+  using Steps = std::vector<std::pair<std::int64_t, std::int64_t>>;  ///< time, change
+  void paint_counter(Track parent, const std::string& title, Steps steps) {
+    const Track track = out_.add_counter(parent, title);
+    out_.count(track, story_.begin_ns, 0);
+    std::stable_sort(steps.begin(), steps.end(),
+                     [](const auto& a, const auto& b) { return a.first < b.first; });
+    std::int64_t value = 0;
+    for (std::size_t i = 0; i < steps.size(); ++i) {
+      value += steps[i].second;
+      if (i + 1 == steps.size() || steps[i + 1].first != steps[i].first)
+        out_.count(track, steps[i].first, value);
+    }
+  }
+
+  void paint_counters() {
+    const Track group = out_.add_track(root_, "counters");
+    std::vector<Steps> waiting(scene_.rows.size()), suspended(scene_.rows.size());
+    for (const Job& job : story_.jobs)
+      for (const Phase& phase : job.phases) {
+        const auto row = static_cast<std::size_t>(row_of(job.xpu));
+        Steps* steps = phase.kind == PhaseKind::kWaiting     ? &waiting[row]
+                       : phase.kind == PhaseKind::kSuspended ? &suspended[row]
+                                                             : nullptr;
+        if (steps == nullptr) continue;
+        steps->emplace_back(phase.begin_ns, 1);
+        steps->emplace_back(phase.end_ns, -1);
+      }
+    for (std::size_t r = 0; r < scene_.rows.size(); ++r) {
+      paint_counter(group, scene_.rows[r].name + " jobs waiting", std::move(waiting[r]));
+      paint_counter(group, scene_.rows[r].name + " jobs suspended", std::move(suspended[r]));
+    }
+    Steps dropped, missed;
+    for (const Activation& a : story_.activations)
+      if (a.fate == Fate::kDropped) dropped.emplace_back(a.end_ns, 1);
+    if (app_.deadline_us && !story_.several_rates)
+      for (const ReleaseSpan& r : story_.releases)
+        if (r.fate == Fate::kDropped ||
+            (r.fate == Fate::kDone && (r.end_ns - r.begin_ns) / 1000 > *app_.deadline_us))
+          missed.emplace_back(r.end_ns, 1);
+    paint_counter(group, "activations dropped", std::move(dropped));
+    if (app_.deadline_us) paint_counter(group, "deadlines missed", std::move(missed));
+    const Track lost = out_.add_counter(group, "trace events lost");
+    out_.count(lost, story_.begin_ns, static_cast<std::int64_t>(story_.lost));
+    out_.count(lost, story_.end_ns, static_cast<std::int64_t>(story_.lost));
+  }
+
+  const AppSpec& app_;
+  const Scene& scene_;
+  const Story& story_;
+  PerfettoWriter out_;
+  Track root_ = 0;
+  std::vector<Piece> run_;
+  std::vector<int> first_, last_;  ///< by job: index into run_, -1: it never ran
+  std::vector<Details> releases_, activations_, results_;  ///< arrows of each
+  std::uint64_t flows_ = 0;
+};
+
+}  // namespace
+
+Result<std::string> perfetto_trace(const AppSpec& app, const Scene& scene, const Story& story,
+                                   std::int64_t clock_offset_ns) {
+  for (const int row : scene.row_of)
+    if (row < 0 || static_cast<std::size_t>(row) >= scene.rows.size())
+      return fail(ErrorCode::kInternal, "an XPU has no row", "timeline");
+  for (const solver::Slice& slice : scene.plan)
+    if (slice.xnode < 0 || static_cast<std::size_t>(slice.xnode) >= app.xnodes.size() ||
+        slice.xpu < 0 || static_cast<std::size_t>(slice.xpu) >= scene.row_of.size())
+      return fail(ErrorCode::kInvalid, "the plan names an XNode or XPU that is not there",
+                  "timeline");
+  return Painter(app, scene, story).paint(clock_offset_ns);
+}
+
+}  // namespace xauto::cli

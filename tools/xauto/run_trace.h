@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// A run as a trace file for Perfetto's viewers: what is drawn, and where. docs/timeline.md has the
+// picture.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "solver/simulate.h"
+
+#include "xauto/story.h"
+
+namespace xauto::cli {
+
+/// A row of the picture: an XPU, or several that are one pool.
+struct Row {
+  std::string name;
+  bool exclusive = true;  ///< at most one job at a time: an overlap is a late time stamp
+};
+
+struct Scene {
+  std::string title, note;
+  std::vector<Row> rows;
+  std::vector<int> row_of;  ///< XPU -> row
+  std::vector<ModuleInfo> modules;
+  std::vector<std::int64_t> priorities;  ///< by XNode; empty: none
+  std::vector<solver::Slice> plan;       ///< of one release, from its beginning
+};
+
+/// The file. Errors: the plan names what the app or the platform does not have.
+[[nodiscard]] Result<std::string> perfetto_trace(const AppSpec& app, const Scene& scene,
+                                                 const Story& story, std::int64_t clock_offset_ns);
+
+}  // namespace xauto::cli

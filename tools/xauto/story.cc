@@ -1,0 +1,248 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/story.h"
+
+#include <algorithm>
+#include <limits>
+#include <map>
+#include <optional>
+
+namespace xauto::cli {
+namespace {
+
+class Reader {
+ public:
+  Reader(const AppSpec& app, const Platform& platform, const std::vector<ModuleInfo>& modules)
+      : app_(app),
+        platform_(platform),
+        modules_(modules),
+        open_jobs_(app.xnodes.size()),
+        open_activations_(modules.size()) {}
+
+  void take(const trace::Event& event) {
+    if (!makes_sense(event)) {
+      ++story_.lost;
+      return;
+    }
+    const auto ts = static_cast<std::int64_t>(event.ts_ns);
+    if (story_.begin_ns == 0) story_.begin_ns = ts;
+    story_.end_ns = ts;
+    switch (event.kind) {
+      case XAUTO_EV_PUBLISH:
+        story_.several_rates |= !published_.emplace(event.seq, story_.releases.size()).second;
+        story_.releases.push_back({event.seq, ts, ts, Fate::kUnknown});
+        break;
+      case XAUTO_EV_ACTIVATE:
+        leave(open_activations_[event.module], ts, Fate::kUnknown, 0);
+        open_activations_[event.module] = {event.module, event.seq, ts, ts, Fate::kUnknown, 0};
+        break;
+      case XAUTO_EV_DONE:
+      case XAUTO_EV_DROP:
+        end_of_activation(event, ts);
+        break;
+      default:
+        job_step(event, ts);
+    }
+  }
+
+  Story finish() {
+    for (auto& job : open_jobs_) close(job, story_.end_ns);
+    for (auto& activation : open_activations_) leave(activation, story_.end_ns, Fate::kUnknown, 0);
+    std::stable_sort(story_.jobs.begin(), story_.jobs.end(),
+                     [](const Job& a, const Job& b) { return a.begin_ns() < b.begin_ns(); });
+    std::stable_sort(
+        story_.activations.begin(), story_.activations.end(),
+        [](const Activation& a, const Activation& b) { return a.begin_ns < b.begin_ns; });
+    if (!story_.several_rates) end_releases();
+    name_blockers();
+    return std::move(story_);
+  }
+
+ private:
+  bool makes_sense(const trace::Event& e) const {
+    if (e.ts_ns == 0 || e.ts_ns > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2)
+      return false;
+    if (e.kind == XAUTO_EV_PUBLISH) return true;
+    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_DROP || e.module >= modules_.size())
+      return false;
+    if (e.kind == XAUTO_EV_ACTIVATE || e.kind == XAUTO_EV_DONE || e.kind == XAUTO_EV_DROP)
+      return true;
+    return e.xnode < app_.xnodes.size() && e.xpu < platform_.xpus.size() &&
+           app_.xnodes[e.xnode].module == modules_[e.module].name;
+  }
+
+  void job_step(const trace::Event& e, std::int64_t ts) {
+    std::optional<Job>& open = open_jobs_[e.xnode];
+    const bool opens =
+        e.kind == XAUTO_EV_READY || e.kind == XAUTO_EV_START || e.kind == XAUTO_EV_RUN;
+    if (open && open->sequence != e.seq && opens) close(open, ts);
+    if (!open && opens) {
+      open = Job{e.xnode, e.module, e.xpu, e.seq, {}, false, false};
+      enter(*open, PhaseKind::kWaiting, ts);
+    }
+    // What comes after FINISH, or of another activation, belongs to a job that is over.
+    if (!open || open->sequence != e.seq) return;
+    open->xpu = e.xpu;
+    switch (e.kind) {
+      case XAUTO_EV_RUN:
+      case XAUTO_EV_RESUMED:
+        enter(*open, PhaseKind::kRunning, ts);
+        break;
+      case XAUTO_EV_SUSPEND:
+      case XAUTO_EV_RESUME:
+        enter(*open, PhaseKind::kSwitching, ts);
+        break;
+      case XAUTO_EV_SUSPENDED:
+        enter(*open, PhaseKind::kSuspended, ts);
+        break;
+      case XAUTO_EV_FINISH:
+        open->complete = true;
+        open->failed = e.arg != 0;
+        close(open, ts);
+        break;
+      default:
+        break;
+    }
+  }
+
+  static void enter(Job& job, PhaseKind kind, std::int64_t ts) {
+    if (!job.phases.empty()) {
+      if (job.phases.back().kind == kind) return;
+      job.phases.back().end_ns = ts;
+      if (job.phases.back().begin_ns == ts) job.phases.pop_back();
+    }
+    job.phases.push_back({kind, ts, ts, {}});
+  }
+
+  void close(std::optional<Job>& job, std::int64_t ts) {
+    if (!job) return;
+    job->phases.back().end_ns = ts;
+    story_.jobs.push_back(std::move(*job));
+    job.reset();
+  }
+
+  void leave(std::optional<Activation>& open, std::int64_t ts, Fate fate, std::uint32_t reason) {
+    if (!open) return;
+    open->end_ns = ts;
+    open->fate = fate;
+    open->reason = reason;
+    story_.activations.push_back(*open);
+    open.reset();
+  }
+
+  void end_of_activation(const trace::Event& e, std::int64_t ts) {
+    const Fate fate = e.kind == XAUTO_EV_DONE ? Fate::kDone : Fate::kDropped;
+    std::optional<Activation>& open = open_activations_[e.module];
+    if (open && open->sequence == e.seq)
+      leave(open, ts, fate, e.arg);
+    else  // it never began, or its beginning was lost
+      story_.activations.push_back({e.module, e.seq, ts, ts, fate, e.arg});
+  }
+
+  /// A release is over when every sink module is through with it.
+  void end_releases() {
+    const auto sinks = static_cast<std::size_t>(std::count_if(
+        modules_.begin(), modules_.end(), [](const ModuleInfo& m) { return m.sink; }));
+    std::vector<std::size_t> through(story_.releases.size(), 0);
+    std::vector<bool> dropped(story_.releases.size(), false);
+    for (const Activation& a : story_.activations) {
+      const auto at = published_.find(a.sequence);
+      if (at == published_.end() || !modules_[static_cast<std::size_t>(a.module)].sink ||
+          a.fate == Fate::kUnknown)
+        continue;
+      ReleaseSpan& release = story_.releases[at->second];
+      release.end_ns = std::max(release.end_ns, a.end_ns);
+      dropped[at->second] = dropped[at->second] || a.fate == Fate::kDropped;
+      if (++through[at->second] == sinks)
+        release.fate = dropped[at->second] ? Fate::kDropped : Fate::kDone;
+    }
+  }
+
+  /// Who ran on the XPU while a job waited for it or was suspended.
+  void name_blockers() {
+    struct Run {
+      std::int64_t begin, end, latest_end;  ///< latest of all up to this one
+      int xnode;
+    };
+    std::vector<std::vector<Run>> runs(platform_.xpus.size());
+    for (const Job& job : story_.jobs)
+      for (const Phase& phase : job.phases)
+        if (phase.kind == PhaseKind::kRunning)
+          runs[static_cast<std::size_t>(job.xpu)].push_back(
+              {phase.begin_ns, phase.end_ns, 0, job.xnode});
+    for (auto& list : runs) {
+      std::sort(list.begin(), list.end(),
+                [](const Run& a, const Run& b) { return a.begin < b.begin; });
+      std::int64_t latest = 0;
+      for (Run& run : list) run.latest_end = latest = std::max(latest, run.end);
+    }
+    for (Job& job : story_.jobs) {
+      const auto& list = runs[static_cast<std::size_t>(job.xpu)];
+      for (Phase& phase : job.phases) {
+        if (phase.kind != PhaseKind::kWaiting && phase.kind != PhaseKind::kSuspended) continue;
+        auto at = std::lower_bound(list.begin(), list.end(), phase.begin_ns,
+                                   [](const Run& r, std::int64_t ts) { return r.begin < ts; });
+        while (at != list.begin() && std::prev(at)->latest_end > phase.begin_ns) --at;
+        for (; at != list.end() && at->begin < phase.end_ns; ++at)
+          if (at->end > phase.begin_ns && at->xnode != job.xnode &&
+              std::find(phase.by.begin(), phase.by.end(), at->xnode) == phase.by.end())
+            phase.by.push_back(at->xnode);
+      }
+    }
+  }
+
+  const AppSpec& app_;
+  const Platform& platform_;
+  const std::vector<ModuleInfo>& modules_;
+  std::vector<std::optional<Job>> open_jobs_;
+  std::vector<std::optional<Activation>> open_activations_;
+  std::map<std::uint64_t, std::size_t> published_;  ///< sequence -> index into releases
+  Story story_;
+};
+
+}  // namespace
+
+const char* to_string(PhaseKind kind) {
+  switch (kind) {
+    case PhaseKind::kWaiting:
+      return "waiting";
+    case PhaseKind::kRunning:
+      return "running";
+    case PhaseKind::kSwitching:
+      return "switching";
+    case PhaseKind::kSuspended:
+      return "suspended";
+  }
+  return "?";
+}
+
+const char* drop_reason(std::uint32_t reason) {
+  switch (reason) {
+    case XAUTO_DROP_FAILED:
+      return "an XNode failed";
+    case XAUTO_DROP_UPSTREAM:
+      return "an input was dropped upstream";
+    case XAUTO_DROP_OVERRUN:
+      return "a newer message replaced it";
+    case XAUTO_DROP_DIED:
+      return "the module's process died";
+    default:
+      return "for an unknown reason";
+  }
+}
+
+Result<Story> story_of(const AppSpec& app, const Platform& platform,
+                       const std::vector<ModuleInfo>& modules, const trace::Recording& trace) {
+  Reader reader(app, platform, modules);
+  for (const trace::Event& event : trace.events) reader.take(event);
+  Story story = reader.finish();
+  if (story.begin_ns == 0)
+    return fail(ErrorCode::kUnavailable,
+                trace.events.empty() ? "the run left no event"
+                                     : "none of the run's " + std::to_string(trace.events.size()) +
+                                           " events fits the app and the platform",
+                "trace", "was the app linked against another version of XAuto?");
+  story.lost += trace.lost;
+  return story;
+}
+
+}  // namespace xauto::cli

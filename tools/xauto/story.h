@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a run's trace tells: jobs with their phases, activations, releases. Between the event record
+// (lib/trace) and everything that draws or explains (run_trace.h, html_report.h). Pure.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "model/app.h"
+#include "model/platform.h"
+#include "trace/trace.h"
+
+namespace xauto::cli {
+
+enum class PhaseKind : std::uint8_t {
+  kWaiting,    ///< ready, not on the XPU yet
+  kRunning,    ///< on the XPU
+  kSwitching,  ///< being taken off, or put back
+  kSuspended,  ///< preempted
+};
+[[nodiscard]] const char* to_string(PhaseKind kind);
+
+struct Phase {
+  PhaseKind kind = PhaseKind::kWaiting;
+  std::int64_t begin_ns = 0, end_ns = 0;
+  std::vector<int> by;  ///< waiting, suspended: XNodes that ran on the XPU meanwhile, in order
+};
+
+/// One XNode's work for one activation.
+struct Job {
+  int xnode = -1, module = -1, xpu = -1;
+  std::uint64_t sequence = 0;
+  std::vector<Phase> phases;  ///< one after the other, at least one
+  bool failed = false;
+  bool complete = false;  ///< its FINISH is in the trace
+  [[nodiscard]] std::int64_t begin_ns() const { return phases.front().begin_ns; }
+  [[nodiscard]] std::int64_t end_ns() const { return phases.back().end_ns; }
+};
+
+enum class Fate : std::uint8_t { kDone, kDropped, kUnknown };
+
+/// One pass through a module's chain.
+struct Activation {
+  int module = -1;
+  std::uint64_t sequence = 0;
+  std::int64_t begin_ns = 0, end_ns = 0;
+  Fate fate = Fate::kUnknown;  ///< unknown: its end is not in the trace
+  std::uint32_t reason = 0;    ///< XAUTO_DROP_*
+};
+
+/// One release of the sensors. With several rates only its begin is known.
+struct ReleaseSpan {
+  std::uint64_t sequence = 0;
+  std::int64_t begin_ns = 0, end_ns = 0;
+  Fate fate = Fate::kUnknown;
+};
+
+/// A module of the run; index = `module` of the events.
+struct ModuleInfo {
+  std::string name;
+  bool sink = false;
+};
+
+struct Story {
+  std::vector<Job> jobs;                ///< by begin
+  std::vector<Activation> activations;  ///< by begin; a dropped one that never began has no length
+  std::vector<ReleaseSpan> releases;    ///< by begin
+  bool several_rates = false;  ///< sources count their own releases: equal numbers mean nothing
+  std::int64_t begin_ns = 0, end_ns = 0;
+  std::uint64_t lost = 0;  ///< events that did not fit, or that make no sense
+};
+
+/// The trace may have been cut short anywhere, its writer killed at any point: what does not fit
+/// the app is counted as lost, never followed. Errors: there is no event to tell of.
+[[nodiscard]] Result<Story> story_of(const AppSpec& app, const Platform& platform,
+                                     const std::vector<ModuleInfo>& modules,
+                                     const trace::Recording& trace);
+
+[[nodiscard]] const char* drop_reason(std::uint32_t reason);
+
+}  // namespace xauto::cli
