@@ -52,7 +52,6 @@ const volatile unsigned int age_ms = 1000;
 #define NS_PER_US 1000ULL
 #define ARRIVAL_MASK 0x0000ffffffffffffULL
 #define COPY_ATTEMPTS 8
-#define AGED_SCAN 64 /* queued threads looked at for one that waited too long */
 
 /* cpu_state.current, besides a slot number */
 #define CURRENT_SWITCHING (-1) /* between two threads, or idle: nobody to preempt */
@@ -122,15 +121,18 @@ static __always_inline u64 job_word(const struct xauto_bpf_slot *slot)
 	return *(volatile u64 *)&slot->job & ~XAUTO_BPF_JOB_ENDED;
 }
 
-/* Copies the XNode's entry of the table in force; false: there is none. */
-static __noinline bool copy_entry(u64 word, struct xauto_bpf_entry *out, u32 *torn)
+/*
+ * Copies the XNode's entry of the table in force. Returns how often it had to begin again, -1: there is
+ * none. Global functions are verified once, by themselves, and not again for each path to each call.
+ */
+__noinline int copy_entry(u64 word, struct xauto_bpf_entry *out)
 {
 	struct xauto_bpf_head *h = bpf_map_lookup_elem(&head, &(u32){ 0 });
 	u32 xnode = (u32)(word >> XAUTO_BPF_JOB_SHIFT) - 1;
 	int i;
 
-	if (!h || !out || !torn || !word || xnode >= h->xnodes)
-		return false;
+	if (!h || !out || !word || xnode >= h->xnodes)
+		return -1;
 	for (i = 0; i < COPY_ATTEMPTS; i++) {
 		/* Atomic additions of nothing: BPF has no other way to order loads. */
 		u64 version = __sync_fetch_and_add(&h->version, 0);
@@ -138,17 +140,16 @@ static __noinline bool copy_entry(u64 word, struct xauto_bpf_entry *out, u32 *to
 		struct xauto_bpf_entry *e = bpf_map_lookup_elem(&table, &at);
 
 		if (!version || !e)
-			return false;
+			return -1;
 		out->version = version;
 		out->cpu = *(volatile u32 *)&e->cpu;
 		out->priority = *(volatile u32 *)&e->priority;
 		out->budget_ns = *(volatile u64 *)&e->budget_ns;
 		/* A writer clears the stamp before it touches an entry and sets it afterwards. */
 		if (__sync_fetch_and_add(&e->version, 0) == version)
-			return true;
-		++*torn;
+			return i;
 	}
-	return false;
+	return -1;
 }
 
 /* Takes up the thread's present job, once per job. */
@@ -156,17 +157,18 @@ static __always_inline void latch(struct xauto_bpf_job *job, struct xauto_bpf_sl
 {
 	struct xauto_bpf_entry entry = {};
 	u64 word = job_word(slot);
-	u32 torn = 0;
+	int torn;
 
 	if (word == job->job)
 		return;
-	if (!copy_entry(word, &entry, &torn)) {
+	torn = copy_entry(word, &entry);
+	if (torn < 0) {
 		if (word)
 			count(XAUTO_BPF_STAT_UNKNOWN);
 		entry.cpu = XAUTO_BPF_NO_CPU;
 		entry.priority = 0;
 	}
-	if (torn) {
+	if (torn > 0) {
 		job->torn += torn;
 		count(XAUTO_BPF_STAT_TORN);
 	}
@@ -189,12 +191,11 @@ static __always_inline u32 rank(const struct xauto_bpf_job *job)
 }
 
 /* The rank of a thread that runs elsewhere, by its present word: it may not be latched yet. */
-static __noinline u32 rank_of_running(u32 at)
+__noinline u32 rank_of_running(u32 at)
 {
 	struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, &at);
 	struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, &at);
 	struct xauto_bpf_entry entry = {};
-	u32 torn = 0;
 	u64 word;
 
 	if (!job || !slot)
@@ -202,7 +203,7 @@ static __noinline u32 rank_of_running(u32 at)
 	word = job_word(slot);
 	if (word == job->job)
 		return rank(job);
-	return copy_entry(word, &entry, &torn) && entry.cpu < nr_cpus ? entry.priority : 0;
+	return copy_entry(word, &entry) >= 0 && entry.cpu < nr_cpus ? entry.priority : 0;
 }
 
 static __always_inline u32 *slot_of(struct task_struct *p)
@@ -243,20 +244,49 @@ static __always_inline u64 slice_of(const struct xauto_bpf_job *job)
 
 /* ---- queues -------------------------------------------------------------------------------- */
 
-/* Priority of the head of the CPU's queue, 0: empty. It is the upper part of the queue's key. */
-static __noinline u32 head_priority(s32 cpu)
+/*
+ * The most urgent thread of the CPU's queue: its priority, 0 if there is none, and who it is. That is the
+ * head, unless a thread further back was told another job while it waited: it was queued by the priority of
+ * the old one, so the present words are what counts. Queues are as long as a CPU has XNode threads.
+ */
+__noinline u32 most_urgent(s32 cpu, s32 *who)
 {
 	struct bpf_iter_scx_dsq it;
 	struct task_struct *p;
-	u32 priority = 0;
+	u32 best = 0;
 
-	if (!bpf_iter_scx_dsq_new(&it, XNODE_DSQ(cpu), 0)) {
-		p = bpf_iter_scx_dsq_next(&it);
-		if (p)
-			priority = XAUTO_BPF_MAX_PRIORITY - (u32)(p->scx.dsq_vtime >> 48);
+	if (!who)
+		return 0;
+	*who = 0;
+	if (bpf_iter_scx_dsq_new(&it, XNODE_DSQ(cpu), 0))
+		goto out;
+	while ((p = bpf_iter_scx_dsq_next(&it))) {
+		u32 priority, *at;
+
+		priority = XAUTO_BPF_MAX_PRIORITY - (u32)(p->scx.dsq_vtime >> 48);
+		at = slot_of(p);
+		if (at) {
+			struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
+			struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
+
+			if (job && slot && job_word(slot) != job->job)
+				priority = rank_of_running(*at) ?: 1;
+		}
+		if (priority > best) {
+			best = priority;
+			*who = p->pid;
+		}
 	}
+out:
 	bpf_iter_scx_dsq_destroy(&it);
-	return priority;
+	return best;
+}
+
+__noinline u32 head_priority(s32 cpu)
+{
+	s32 who = 0;
+
+	return most_urgent(cpu, &who);
 }
 
 static __always_inline void enqueue_xnode(struct task_struct *p, struct xauto_bpf_job *job, u64 enq_flags)
@@ -385,23 +415,19 @@ void BPF_PROG(xauto_enqueue, struct task_struct *p, u64 enq_flags)
 }
 
 /* An XNode thread of the queue that has waited for age_ms gets a turn: true if there is one. */
-static __noinline bool dispatch_aged(s32 cpu)
+__noinline int dispatch_aged(s32 cpu)
 {
 	u64 oldest = bpf_ktime_get_ns() - age_ms * 1000 * NS_PER_US;
 	struct bpf_iter_scx_dsq it;
 	struct task_struct *p;
 	bool moved = false;
-	int i;
 
 	if (bpf_iter_scx_dsq_new(&it, XNODE_DSQ(cpu), 0))
 		goto out;
-	for (i = 0; i < AGED_SCAN; i++) {
+	while ((p = bpf_iter_scx_dsq_next(&it))) {
 		struct xauto_bpf_job *job;
 		u32 *at;
 
-		p = bpf_iter_scx_dsq_next(&it);
-		if (!p)
-			break;
 		at = slot_of(p);
 		job = at ? bpf_map_lookup_elem(&jobs, at) : NULL;
 		if (!job || !job->queued_ns || job->queued_ns > oldest)
@@ -409,6 +435,25 @@ static __noinline bool dispatch_aged(s32 cpu)
 		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
 		if (moved)
 			break;
+	}
+out:
+	bpf_iter_scx_dsq_destroy(&it);
+	return moved;
+}
+
+__noinline int dispatch_thread(s32 cpu, s32 who)
+{
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+	bool moved = false;
+
+	if (bpf_iter_scx_dsq_new(&it, XNODE_DSQ(cpu), 0))
+		goto out;
+	while ((p = bpf_iter_scx_dsq_next(&it))) {
+		if (p->pid != who)
+			continue;
+		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
+		break;
 	}
 out:
 	bpf_iter_scx_dsq_destroy(&it);
@@ -437,6 +482,7 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 	struct xauto_bpf_job *job = NULL;
 	u32 waiting, mine = 0;
 	u64 now = bpf_ktime_get_ns();
+	s32 who = 0;
 
 	if (!c)
 		return;
@@ -455,7 +501,7 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 			}
 		}
 	}
-	waiting = head_priority(cpu);
+	waiting = most_urgent(cpu, &who);
 	refill(c, now);
 	if (!waiting && !mine) {
 		c->woken = 0;
@@ -480,7 +526,9 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 		count(XAUTO_BPF_STAT_KEPT);
 		return;
 	}
-	move_to_local(XNODE_DSQ(cpu));
+	/* It may have been taken off the queue meanwhile: then whoever is first. */
+	if (!dispatch_thread(cpu, who))
+		move_to_local(XNODE_DSQ(cpu));
 }
 
 SEC("struct_ops/xauto_running")

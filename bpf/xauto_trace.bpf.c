@@ -118,7 +118,10 @@ static __always_inline struct xauto_bpf_hist *hist_of(u64 job)
 {
 	u32 xnode = (u32)(job >> XAUTO_BPF_JOB_SHIFT) - 1;
 
-	return bpf_map_lookup_elem(&hist, &xnode); /* none for job 0 */
+	/* What a thread expects to run first is no job yet. Job 0 has no XNode. */
+	if ((job & XAUTO_BPF_JOB_SEQ) == XAUTO_BPF_JOB_EXPECTED)
+		return NULL;
+	return bpf_map_lookup_elem(&hist, &xnode);
 }
 
 static __always_inline void emit(void *ctx, struct xauto_bpf_event *e)

@@ -21,6 +21,13 @@ inline void futex_wait(std::atomic<std::uint32_t>& word, std::uint32_t expected)
           0);
 }
 
+/// Without the limit: for words of one process, whose waker cannot die alone. A thread that sleeps
+/// so is woken once per job and never in between.
+inline void futex_wait_forever(std::atomic<std::uint32_t>& word, std::uint32_t expected) {
+  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAIT, expected, nullptr,
+          nullptr, 0);
+}
+
 inline void futex_wake(std::atomic<std::uint32_t>& word, int waiters) {
   syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAKE, waiters, nullptr, nullptr,
           0);

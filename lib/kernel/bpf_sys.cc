@@ -41,6 +41,16 @@ std::string bpf_hint() {
   return "BPF needs root, or CAP_BPF, CAP_PERFMON and CAP_SYS_NICE";
 }
 
+bool may_use_bpf() {
+  bpf_attr attributes{};
+  attributes.map_type = BPF_MAP_TYPE_HASH;  // an array is allowed to everybody on some kernels
+  attributes.key_size = attributes.value_size = 4;
+  attributes.max_entries = 1;
+  const UniqueFd fd(static_cast<int>(bpf(BPF_MAP_CREATE, attributes)));
+  // Making a map may be open to all; pinning it for others is not.
+  return static_cast<bool>(fd) && geteuid() == 0;
+}
+
 Result<UniqueFd> open_pinned_map(const std::string& path) {
   bpf_attr attributes{};
   attributes.pathname = word(path.c_str());

@@ -57,6 +57,8 @@ class MappedMap {
 /// Makes sure that a BPF file system is mounted at /sys/fs/bpf, as bpftool does.
 [[nodiscard]] Status mount_bpffs();
 
+/// Whether this process may make BPF maps: tries one.
+[[nodiscard]] bool may_use_bpf();
 /// One line: which right the kernel wants for BPF.
 [[nodiscard]] std::string bpf_hint();
 

@@ -9,6 +9,9 @@
 #include <sys/utsname.h>
 
 #include "base/rt.h"
+#include "kernel/bpf_sys.h"
+#include "kernel/run_maps.h"
+#include "kernel/scx_scheduler.h"
 
 namespace xauto::kernel {
 namespace {
@@ -27,6 +30,7 @@ class Probe {
     memory_lock();
     sched_ext();
     btf();
+    bpf();
     module();
     gpu();
     dla();
@@ -111,14 +115,26 @@ class Probe {
           "a kernel from 6.12 on with CONFIG_SCHED_CLASS_EXT has it");
       return;
     }
-    const std::string state = first_line("/sys/kernel/sched_ext/state");
-    if (state == "disabled" || state.empty()) {
-      add("sched_ext", Verdict::kOk, "available", "a BPF scheduler can be loaded");
-    } else {
-      const std::string who = first_line("/sys/kernel/sched_ext/root/ops");
-      add("sched_ext", Verdict::kDegraded, state + (who.empty() ? "" : " by '" + who + "'"),
-          "another BPF scheduler is loaded: CPU XNodes use SCHED_FIFO", "stop it to use XAuto's");
-    }
+    if (const std::string refusal = scx_refusal(root_); !refusal.empty())
+      return add("sched_ext", Verdict::kDegraded, refusal, "CPU XNodes use SCHED_FIFO",
+                 refusal.rfind("another", 0) == 0 ? "stop it to use XAuto's" : "");
+    const std::string isolated = first_line("/sys/devices/system/cpu/isolated");
+    add("sched_ext", Verdict::kOk, "available",
+        "`xauto run --cpu-sched ext` schedules CPU XNodes" +
+            (isolated.empty() ? std::string(" and everything else beside them (full mode)")
+                              : "; alone on isolated CPUs (" + isolated +
+                                    "), else with everything beside them"));
+  }
+
+  void bpf() {
+    if (const Status built = bpf_is_built_in(); !built)
+      add("bpf", Verdict::kMissing, built.error().what, "no sched_ext, no `xauto trace`",
+          built.error().hint);
+    else if (!limits_.may_use_bpf)
+      add("bpf", Verdict::kDegraded, "built in, but not permitted to this user",
+          "no sched_ext, no `xauto trace`", bpf_hint());
+    else
+      add("bpf", Verdict::kOk, "built in and permitted", "`xauto trace` and `xauto top` work");
   }
 
   void btf() {
@@ -197,6 +213,7 @@ Limits Limits::of_this_process() {
   limits.kernel_release = name.release;
   limits.cores = static_cast<int>(rt::allowed_cores().size());
   limits.may_use_fifo = rt::may_use_fifo(50);
+  limits.may_use_bpf = kernel::may_use_bpf();
   rlimit limit{};
   getrlimit(RLIMIT_RTPRIO, &limit);
   limits.rtprio_limit = limit.rlim_cur;

@@ -28,6 +28,7 @@ struct Limits {
   bool may_use_fifo = false;
   unsigned long rtprio_limit = 0;
   unsigned long long memlock_bytes = 0;  ///< ~0: unlimited
+  bool may_use_bpf = false;
   [[nodiscard]] static Limits of_this_process();
 };
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "kernel/thread_slots.h"
 
-#include <sched.h>
+#include <ctime>
+
 #include <unistd.h>
 
 namespace xauto::kernel {
@@ -54,7 +55,10 @@ Status ThreadSlots::enter(const Slot& slot) const {
   const int at = index(slot);
   if (at < 0) return {};
   XAUTO_TRY(set_element(threads_.get(), &tid, &at));
-  sched_yield();  // so that the scheduler meets it once as what it is now
+  // A wake-up, so that the scheduler places it as what it is now. A yield is not enough: on the
+  // wrong CPU, with nobody else there, the kernel would let it go on.
+  const timespec moment{0, 1'000'000};
+  nanosleep(&moment, nullptr);
   return {};
 }
 

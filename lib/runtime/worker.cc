@@ -120,7 +120,7 @@ void Worker::execute() {
     const std::uint32_t mail = mailbox_.load(std::memory_order_acquire);
     if (mail == kQuit) return;
     if (mail == 0) {
-      futex_wait(mailbox_, 0);
+      futex_wait_forever(mailbox_, 0);
       continue;
     }
     mailbox_.store(0, std::memory_order_release);

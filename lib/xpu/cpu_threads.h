@@ -43,7 +43,7 @@ class CpuThread {
   /// not with its last one's. `fifo` as for `next`.
   void announce(std::uint32_t xnode, std::uint64_t sequence, int fifo);
   /// What it will most likely run first, so that it has a priority before its first job.
-  void expect(std::uint32_t xnode) const { (void)slot_.tell(xnode, XAUTO_BPF_JOB_SEQ); }
+  void expect(std::uint32_t xnode) const { (void)slot_.tell(xnode, XAUTO_BPF_JOB_EXPECTED); }
   /// The next job, now. `fifo`: its SCHED_FIFO priority, used without sched_ext; 0: leave it.
   void next(std::uint32_t xnode, std::uint64_t sequence, int fifo);
   void begin(std::int64_t now_ns) const { slot_.begin(now_ns); }

@@ -20,7 +20,7 @@
 
 namespace {
 
-constexpr int kLookMs = 20;  ///< how soon an ejection is noticed
+constexpr int kLookMs = 100;  ///< how soon an ejection is noticed
 
 void tell(int fd, const std::string& text) {
   if (fd < 0) {

@@ -57,6 +57,12 @@ std::string describe(const xauto_bpf_event& e) {
   }
 }
 
+/// "17"; "-" before the thread's first job.
+std::string number_of(std::uint64_t job) {
+  const std::uint64_t number = job & XAUTO_BPF_JOB_SEQ;
+  return job == 0 || number == XAUTO_BPF_JOB_EXPECTED ? "-" : std::to_string(number);
+}
+
 ordered_json event_json(const Live& live, const xauto_bpf_event& e) {
   ordered_json j = {
       {"ts_ns", e.ts_ns},      {"kind", kind_of(e.kind)},       {"cpu", e.cpu},
@@ -138,7 +144,7 @@ Result<int> trace(const Flags& flags, const Options& options) {
     for (const xauto_bpf_event& e : events)
       std::cout << fmt::format("{:>12.3f} ms  cpu{:<3} {:<8} {:<16} job {:<6} tid {:<7} {}\n",
                                static_cast<double>(e.ts_ns - origin) * 1e-6, e.cpu, kind_of(e.kind),
-                               live.xnode_of(e.job), e.job & XAUTO_BPF_JOB_SEQ, e.tid, describe(e));
+                               live.xnode_of(e.job), number_of(e.job), e.tid, describe(e));
   }
   std::cout << fmt::format("\n  {:<18}{:<8}{:>7}{:>12}{:>9}{:>9}{:>11}{:>9}{:>10}{:>10}{:>7}\n",
                            "XNode", "XPU", "jobs", "latency p50", "p99", "max", "run p50", "p99",

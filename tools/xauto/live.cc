@@ -16,7 +16,8 @@ bool Live::goes_on() const {
 
 std::string Live::xnode_of(std::uint64_t job) const {
   const std::uint64_t number = job >> XAUTO_BPF_JOB_SHIFT;
-  if (number == 0 || number > names.size()) return "-";
+  if (number == 0 || number > names.size() || (job & XAUTO_BPF_JOB_SEQ) == XAUTO_BPF_JOB_EXPECTED)
+    return "-";
   return names[number - 1].xnode;
 }
 

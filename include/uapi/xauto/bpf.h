@@ -40,6 +40,7 @@
 #define XAUTO_BPF_JOB_SHIFT 48
 #define XAUTO_BPF_JOB_SEQ 0x00007fffffffffffULL
 #define XAUTO_BPF_JOB_ENDED 0x0000800000000000ULL /* exec() has returned; the thread keeps its priority */
+#define XAUTO_BPF_JOB_EXPECTED XAUTO_BPF_JOB_SEQ /* as a number: no job, but what the thread will run first */
 #define XAUTO_BPF_JOB(xnode, seq) \
 	((((__u64)(xnode) + 1) << XAUTO_BPF_JOB_SHIFT) | ((__u64)(seq) & XAUTO_BPF_JOB_SEQ))
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The Driving Case on real CPUs: the graph and the times of examples/driving, each stage burning CPU
-// time. For comparing schedulers: --order FILE receives the order in which stages were completed.
+// The Driving Case on real CPUs: the graph and the times of examples/driving, each stage burning
+// CPU time. For comparing schedulers: --order FILE receives the order in which stages were
+// completed.
 //   driving_cpu --app-json > app.json
 //   xauto run ... -- driving_cpu --order FILE
 // The tests' CMake builds it; it is no example, since an XNode should do something useful.
@@ -73,8 +74,8 @@ int print_app_json() {
   std::map<std::string, std::string> first, last;
   bool comma = false;
   for (const driving::Stage& stage : driving::kStages) {
-    std::printf("%s{\"name\": \"%s\", \"module\": \"%s\", \"wcet_us\": {\"cpu\": %d}}", comma ? ",\n" : "",
-                stage.xnode, stage.module, cpu_us(stage) * 12 / 10);
+    std::printf("%s{\"name\": \"%s\", \"module\": \"%s\", \"wcet_us\": {\"cpu\": %d}}",
+                comma ? ",\n" : "", stage.xnode, stage.module, cpu_us(stage) * 12 / 10);
     comma = true;
     if (last.contains(stage.module))
       edges.push_back("[\"" + last[stage.module] + "\", \"" + stage.xnode + "\"]");

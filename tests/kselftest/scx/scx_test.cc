@@ -61,6 +61,9 @@ class Waiter {
     syscall(SYS_futex, &mail_, FUTEX_WAKE, 1, nullptr, nullptr, 0);
   }
   [[nodiscard]] std::uint32_t done() const { return done_.load(); }
+  void tell(std::uint32_t xnode, std::uint64_t sequence) const {
+    (void)slot_.tell(xnode, sequence);
+  }
   [[nodiscard]] std::uint32_t index() const { return thread_.index(); }
   /// Tells its next job for it, as the runtime does who hands a job over, and wakes it.
   void submit(std::uint32_t xnode, std::uint64_t sequence) {
@@ -297,6 +300,31 @@ void lowered_by_store() {
   ktap_test(ran, "... and if it does not yield, the tick takes the CPU from it");
 }
 
+void told_while_queued() {
+  World world(4, kCpu);
+  world.load();
+  std::vector<int> order;
+  std::atomic<bool> open{false}, holding{false};
+  {
+    Waiter first(world, 0, [&](const kernel::Slot&) { order.push_back(0); });
+    Waiter second(world, 1, [&](const kernel::Slot&) { order.push_back(1); });
+    Waiter gate(world, 3, [&](const kernel::Slot&) {
+      holding = true;
+      spin(open);
+    });
+    gate.wake();
+    wait_for([&] { return holding.load(); });
+    first.wake();
+    second.wake();
+    wait_for([&] { return queued(world, first.index()) && queued(world, second.index()); });
+    first.tell(2, 1);  // from 10 to 30, above the other's 20, without a wake-up
+    open = true;
+    wait_for([&] { return first.done() == 1 && second.done() == 1; });
+  }
+  ktap_test(order == std::vector<int>({0, 1}),
+            "a thread told a more urgent job while it waits is served by that one");
+}
+
 // ---- the traps
 // -----------------------------------------------------------------------------------
 
@@ -529,6 +557,7 @@ const Test kTests[] = {
     {"preemption", 2, preemption},
     {"placement", 1, placement},
     {"lowered_by_store", 2, lowered_by_store},
+    {"told_while_queued", 1, told_while_queued},
     {"lost_preemption", 1, lost_preemption},
     {"kick_storm", 1, kick_storm},
     {"finite_slice", 1, finite_slice},

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Sourced by tools.sh: tracing with our tools and with bpftool, all at once on one run under sched_ext.
-drive traced ext 40 &
+drive traced ext 70 &
 run=$!
 while [ "$(state)" != enabled ]; do sleep 0.1; done
 xauto trace --duration-s 4 --out trace.jsonl --events --printk >trace.txt 2>trace.err &

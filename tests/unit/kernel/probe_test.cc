@@ -60,9 +60,15 @@ TEST_F(Machine, SchedExtThatIsTakenSaysByWhom) {
   file("sys/kernel/sched_ext/root/ops", "scx_lavd\n");
   const Finding f = find("sched_ext");
   EXPECT_EQ(f.verdict, Verdict::kDegraded);
-  EXPECT_EQ(f.found, "enabled by 'scx_lavd'");
+  EXPECT_EQ(f.found, "another sched_ext scheduler is loaded: 'scx_lavd'");
   file("sys/kernel/sched_ext/state", "disabled\n");
+  EXPECT_NE(find("sched_ext").found.find("no BTF"), std::string::npos);
+  file("sys/kernel/btf/vmlinux", "");
   EXPECT_EQ(find("sched_ext").verdict, Verdict::kOk);
+  file("sys/devices/system/cpu/isolated", "2-3\n");
+  EXPECT_NE(find("sched_ext").meaning.find("isolated CPUs (2-3)"), std::string::npos);
+  file("sys/kernel/realtime", "1\n");
+  EXPECT_EQ(find("sched_ext").verdict, Verdict::kDegraded);
 }
 
 TEST_F(Machine, UnprivilegedUserIsToldHowToGetMore) {

@@ -1,0 +1,139 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""Tracing on this machine's kernel, whatever it is: the emulated Driving Case under `xauto trace` and `xauto top`."""
+import json
+import os
+import pathlib
+import subprocess
+import tempfile
+import unittest
+
+from common import APP, DRIVING, XAUTO, xauto
+
+ROOT = pathlib.Path("/sys/fs/bpf/xauto")
+KINDS = {"wakeup", "run", "preempt", "sleep", "migrate"}
+
+
+def why_not():
+    """Why this machine cannot trace; empty if it can."""
+    if os.geteuid() != 0:
+        return "needs root"
+    if not pathlib.Path("/sys/kernel/btf/vmlinux").exists():
+        return "this kernel has no BTF"
+    found = {f["id"]: f for f in json.loads(xauto("doctor", "--json").stdout)["findings"]}
+    return "" if found["bpf"]["state"] == "ok" else found["bpf"]["found"]
+
+
+WHY_NOT = why_not()
+
+
+@unittest.skipIf(WHY_NOT, WHY_NOT)
+class Trace(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.dir = tempfile.TemporaryDirectory()
+        cls.policy = os.path.join(cls.dir.name, "policy.json")
+        solved = xauto("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", cls.policy)
+        assert solved.returncode == 0, solved.stderr
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.dir.cleanup()
+
+    def drive(self, *options, activations=60):
+        return subprocess.Popen([XAUTO, "run", "--app", APP, "--platform", "small", "--policy", self.policy, "--activations",
+                                 str(activations), *options, "--json", "--", DRIVING],
+                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def own(self, run):
+        """Folders of this run's maps."""
+        return [p.name for p in ROOT.glob(f"{run.pid}-*")] if ROOT.exists() else []
+
+    def test_every_xnode_of_a_run_is_seen_and_losses_are_told_first(self):
+        run = self.drive()
+        events = os.path.join(self.dir.name, "events.jsonl")
+        trace = xauto("trace", "--run", f"{run.pid}-0", "--json", "--out", events)
+        answer, _ = run.communicate(timeout=60)
+        self.assertEqual(run.returncode, 0, answer)
+        self.assertEqual(trace.returncode, 0, trace.stderr)
+        seen = json.loads(trace.stdout)
+        names = {x["name"] for x in json.load(open(APP))["xnodes"]}
+        self.assertEqual({x["xnode"] for x in seen["xnodes"]}, names)
+        self.assertEqual(seen["complete"], seen["lost"]["events"] + seen["lost"]["jobs"] + seen["lost"]["pipe"] == 0)
+        for xnode in seen["xnodes"]:
+            # What was released before the tracer was attached is missing; one job may be seen at each end.
+            self.assertLessEqual(xnode["jobs"], 61, xnode)
+            self.assertGreater(xnode["jobs"], 20, xnode)
+            self.assertGreater(xnode["run_us"]["p50"], 0, xnode)
+        lines = [json.loads(line) for line in open(events)]
+        self.assertEqual(lines[0], {"lost_events": seen["lost"]["events"], "lost_jobs": seen["lost"]["jobs"]})
+        self.assertEqual(len(lines) - 1, seen["events"])
+        self.assertLessEqual({e["kind"] for e in lines[1:]}, KINDS)
+        self.assertTrue(all("by" in e for e in lines[1:] if e["kind"] in ("wakeup", "preempt")))
+        # A thread that gets a CPU was ready before, and runs until it is switched out: so its events alternate.
+        running = set()
+        for event in lines[1:]:
+            if event["kind"] == "run":
+                self.assertNotIn(event["tid"], running)
+                running.add(event["tid"])
+            elif event["kind"] in ("preempt", "sleep"):
+                running.discard(event["tid"])
+
+    def test_a_buffer_that_is_too_small_is_told_in_the_first_line(self):
+        run = self.drive()
+        trace = subprocess.Popen([XAUTO, "trace", "--run", f"{run.pid}-0", "--ring-kb", "4"], stdout=subprocess.PIPE,
+                                 stderr=subprocess.PIPE, text=True)
+        # Stopped for a while, it cannot empty 4 kB, 56 bytes each.
+        import time
+        deadline = time.monotonic() + 20
+        while not list(ROOT.glob(f"{run.pid}-*/events")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        trace.send_signal(19)
+        time.sleep(1)
+        trace.send_signal(18)
+        run.communicate(timeout=60)
+        text, errors = trace.communicate(timeout=30)
+        self.assertEqual(trace.returncode, 0, errors)
+        self.assertRegex(text.splitlines()[0], r"^INCOMPLETE: of \d+ events [1-9]\d* were lost")
+
+    def test_top_shows_load_and_xnodes(self):
+        run = self.drive()
+        top = xauto("top", "--run", f"{run.pid}-0", "--count", "2", "--interval-ms", "700", "--json")
+        run.communicate(timeout=60)
+        self.assertEqual(top.returncode, 0, top.stderr)
+        last = json.loads(top.stdout.splitlines()[-1])
+        load = {x["xpu"]: x["load_pct"] for x in last["xpus"]}
+        self.assertEqual(set(load), {"cpu0", "cpu1", "cpu2", "cpu3", "gpu0", "dla0"} & set(load))
+        self.assertGreater(load["gpu0"], 5)
+        self.assertLess(load["gpu0"], 100)
+        self.assertTrue(any(x["jobs"] > 0 for x in last["xnodes"]))
+
+    def test_nothing_stays_behind(self):
+        run = self.drive(activations=10)
+        run.communicate(timeout=60)
+        self.assertEqual(self.own(run), [])
+        # Killed, it cannot tidy up; the next run does.
+        run = self.drive(activations=1000)
+        xauto("trace", "--run", f"{run.pid}-0", "--duration-s", "1")
+        self.assertEqual(len(self.own(run)), 1)
+        run.kill()
+        run.communicate()
+        after = self.drive(activations=2)
+        after.communicate(timeout=60)
+        self.assertEqual(self.own(run), [])
+
+    def test_without_a_run_it_says_so(self):
+        trace = xauto("trace", "--run", "1-999", "--wait-s", "0")
+        self.assertEqual(trace.returncode, 2)
+        self.assertIn("no run '1-999' is going on", trace.stderr)
+        trace = xauto("trace", "--run", "../etc", "--wait-s", "0")
+        self.assertEqual(trace.returncode, 2)
+
+    def test_emulated_cpus_are_not_scheduled_by_sched_ext(self):
+        run = self.drive("--cpu-sched", "ext", activations=2)
+        answer, _ = run.communicate(timeout=60)
+        self.assertIn("the CPUs are emulated: --cpu-sched ext has no effect", answer)
+
+
+if __name__ == "__main__":
+    unittest.main()
