@@ -102,7 +102,7 @@ void two_spinners() {
     stop = true;
     first.join();
     second.join();
-    ktap_test(high.cpu() > 1.1 && low.cpu() < 0.2,
+    ktap_test(high.cpu() > 1.1 && low.cpu() < 0.3,
               "of two spinners on a CPU the more urgent has it, %s first: %.2f and %.2f s of 1.5",
               high_first ? "it" : "the other", high.cpu(), low.cpu());
   }
@@ -400,14 +400,19 @@ void finite_slice() {
   XNodeThread low(world, 0, body), high(world, 1, body);
   sleep_ms(200);  // what the floor's first credit bought is over
   const std::uint64_t kept = world.stat(XAUTO_BPF_STAT_KEPT);
+  const auto used_ns = [&] {
+    return *const_cast<volatile const __u64*>(&world.maps.jobs()[low.index()].used_ns);
+  };
+  const std::uint64_t before = used_ns();
   sleep_ms(1000);
   const std::uint64_t ended = world.stat(XAUTO_BPF_STAT_KEPT) - kept;
+  const double got_ms = static_cast<double>(used_ns() - before) * 1e-6;
   stop = true;
   low.join();
   high.join();
-  ktap_test(ended > 50 && low.cpu() < 0.05,
-            "when a slice ends the more urgent goes on: %llu slices, the other got %.3f s",
-            static_cast<unsigned long long>(ended), low.cpu());
+  ktap_test(ended > 50 && got_ms < 10,
+            "when a slice ends the more urgent goes on: %llu slices, the other got %.1f ms",
+            static_cast<unsigned long long>(ended), got_ms);
 }
 
 void watchdog() {
