@@ -8,6 +8,7 @@
 #include "solver/bounds.h"
 #include "solver/composite.h"
 #include "solver/energy_lp.h"
+#include "solver/rules.h"
 
 namespace xauto::solver {
 namespace {
@@ -17,14 +18,13 @@ std::size_t at(int index) {
 }
 
 /// One attempt: is a makespan of at most T impossible?
-class Refuter {
+class Refuter : private Rules {
  public:
   /// `with_deadlines`: those of the goal must be met too.
   Refuter(const Problem& problem, const ProofControl& control, bool with_deadlines = false)
-      : problem_(problem),
+      : Rules(problem),
         control_(control),
         lp_(problem),
-        n_(problem.num_xnodes),
         with_deadlines_(with_deadlines && !problem.goal.plain()) {
     // A large app's windows begin with what its load says; shaving finds that in a small one.
     if (n_ > kLarge) start_ = composite_bound(problem);
@@ -83,262 +83,7 @@ class Refuter {
   }
 
  private:
-  /// Windows from the precedence graph, types from the windows; false: empty.
-  bool tighten(Windows& w) const {
-    bool again = true;
-    while (again) {
-      again = false;
-      for (int i : problem_.topo) {
-        Time& r = w.r[at(i)];
-        for (int p : problem_.pred[at(i)]) r = std::max(r, w.r[at(p)] + least(w, p));
-      }
-      for (std::size_t k = problem_.topo.size(); k-- > 0;) {
-        const int i = problem_.topo[k];
-        Time& d = w.d[at(i)];
-        for (int s : problem_.succ[at(i)]) d = std::min(d, w.d[at(s)] - least(w, s));
-      }
-      for (const auto& [i, j] : w.arcs) {
-        again |= raise(w.r[at(j)], w.r[at(i)] + least(w, i));
-        again |= lower(w.d[at(i)], w.d[at(j)] - least(w, j));
-      }
-      for (const auto& [i, j] : w.nested) {
-        again |= raise(w.r[at(j)], w.r[at(i)] + 1);
-        again |= lower(w.d[at(j)], w.d[at(i)] - 1);
-      }
-      for (int i = 0; i < n_; ++i) {
-        std::uint32_t& types = w.types[at(i)];
-        for (int t = 0; t < problem_.num_types; ++t) {
-          if ((types >> t & 1u) == 0 ||
-              w.r[at(i)] + problem_.wcet(i, t) + w.extra[at(i)] <= w.d[at(i)])
-            continue;
-          types &= ~(1u << t);
-          again = true;
-        }
-        if (types == 0) return false;
-      }
-    }
-    return true;
-  }
-
-  Time least(const Windows& w, int i) const {
-    Time least = kNever;
-    for (std::uint32_t types = w.types[at(i)]; types != 0; types &= types - 1)
-      least = std::min(least, problem_.wcet(i, std::countr_zero(types)));
-    return least + w.extra[at(i)];
-  }
-
-  static bool raise(Time& value, Time to) {
-    if (to <= value) return false;
-    value = to;
-    return true;
-  }
-  static bool lower(Time& value, Time to) {
-    if (to >= value) return false;
-    value = to;
-    return true;
-  }
-
-  /// How two XNodes of a type with one instance may share it; see docs/solver.md, "pairs".
-  enum Relation : unsigned { kFirst = 1, kSecond = 2, kInFirst = 4, kInSecond = 8 };
-
-  [[nodiscard]] unsigned relations(const Windows& w, int i, int j, int type) const {
-    const int x = problem_.type_xpus[at(type)].front();
-    const Time wi = problem_.wcet(i, type), wj = problem_.wcet(j, type);
-    const Time di = wi + w.extra[at(i)], dj = wj + w.extra[at(j)];
-    unsigned possible = 0;
-    if (w.r[at(i)] + di + dj <= w.d[at(j)]) possible |= kFirst;
-    if (w.r[at(j)] + di + dj <= w.d[at(i)]) possible |= kSecond;
-    if (!problem_.preemptive[at(x)]) return possible;
-    const Time cost = problem_.preempt[at(x)];
-    // Under fixed priorities only what becomes ready after the other has started can suspend it.
-    if (latest_ready(w, j) > w.r[at(i)] &&
-        w.r[at(i)] + di + wj + cost - w.cut[at(i)] <= w.d[at(i)] &&
-        std::max(w.r[at(i)] + 1, w.r[at(j)]) + dj < w.d[at(i)] && w.r[at(i)] + 1 + dj <= w.d[at(j)])
-      possible |= kInFirst;
-    if (latest_ready(w, i) > w.r[at(j)] &&
-        w.r[at(j)] + dj + wi + cost - w.cut[at(j)] <= w.d[at(j)] &&
-        std::max(w.r[at(j)] + 1, w.r[at(i)]) + di < w.d[at(j)] && w.r[at(j)] + 1 + di <= w.d[at(i)])
-      possible |= kInSecond;
-    return possible;
-  }
-
-  [[nodiscard]] Time latest_ready(const Windows& w, int i) const {
-    Time latest = 0;
-    for (int p : problem_.pred[at(i)]) latest = std::max(latest, w.d[at(p)]);
-    return latest;
-  }
-
-  void relate(Windows& w, int i, int j, int type, Relation relation) const {
-    const Time cost = problem_.preempt[at(problem_.type_xpus[at(type)].front())];
-    switch (relation) {
-      case kFirst:
-        w.arcs.emplace_back(i, j);
-        break;
-      case kSecond:
-        w.arcs.emplace_back(j, i);
-        break;
-      case kInFirst:
-        w.nested.emplace_back(i, j);
-        interrupt(w, i, problem_.wcet(j, type), cost);
-        break;
-      case kInSecond:
-        w.nested.emplace_back(j, i);
-        interrupt(w, j, problem_.wcet(i, type), cost);
-        break;
-    }
-  }
-
-  /// All that is nested in `outer` runs within its span, and the first suspension of it costs at
-  /// least once.
-  static void interrupt(Windows& w, int outer, Time inner_work, Time cost) {
-    w.extra[at(outer)] += inner_work + cost - w.cut[at(outer)];
-    w.paid[at(outer)] += cost - w.cut[at(outer)];
-    w.cut[at(outer)] = cost;
-  }
-
-  /// Of those nested in one XNode, whoever starts first has suspended it, hence pays. So does one
-  /// that starts after all earlier ones have ended: in between, the suspended one was back. Certain
-  /// once no other XNode can join them: all types that could are decided, and all pairs.
-  bool charge_starters(Windows& w) const {
-    bool changed = false;
-    for (int outer = 0; outer < n_; ++outer) {
-      if (w.cut[at(outer)] == 0) continue;
-      const int type = std::countr_zero(w.types[at(outer)]);
-      bool open = false;
-      for (int i = 0; i < n_ && !open; ++i)
-        open = (w.types[at(i)] >> type & 1u) != 0 && !std::has_single_bit(w.types[at(i)]) &&
-               w.r[at(i)] < w.d[at(outer)] && w.r[at(outer)] < w.d[at(i)];
-      if (open) continue;
-      const Time cost = w.cut[at(outer)];
-      Time within = 0;
-      bool first_known = false;
-      for (const auto& [o, i] : w.nested) {
-        if (o != outer) continue;
-        within += problem_.wcet(i, type);
-        bool first = true, pays = true;
-        for (const auto& [o2, k] : w.nested) {
-          if (o2 != outer || k == i || starts_before(w, i, k)) continue;
-          first = false;  // k starts earlier, or may
-          pays = pays && w.d[at(k)] < w.r[at(i)];
-        }
-        if (pays && w.starter[at(i)] == 0) {
-          w.starter[at(i)] = 1;
-          w.extra[at(i)] += cost;
-          w.paid[at(i)] += cost;
-          changed = true;
-        }
-        first_known = first_known || first;
-        if (w.starter[at(i)] == 0) continue;
-        within += cost;
-        // It has started the moment it was ready, and only what is nested in it delays its end.
-        Time end = latest_ready(w, i) + problem_.wcet(i, type) + cost;
-        for (const auto& [o2, k] : w.nested)
-          if (o2 == i) end += problem_.wcet(k, type) + cost;
-        changed |= lower(w.d[at(i)], end);
-      }
-      if (!first_known) continue;
-      // The XPU's loss now counts with those that suspend.
-      w.paid[at(outer)] = w.starter[at(outer)] != 0 ? cost : 0;
-      changed |= raise(w.extra[at(outer)], within + (w.starter[at(outer)] != 0 ? cost : 0));
-    }
-    return changed;
-  }
-
-  /// Once something is nested, the policy goes by fixed priorities alone, and no XPU idles while
-  /// one of its XNodes is ready: from there to its end, i waits only for what may run in between.
-  bool conserve_work(Windows& w) const {
-    if (w.nested.empty()) return false;
-    const auto is_nested = [&](int i) {
-      return std::any_of(w.nested.begin(), w.nested.end(),
-                         [&](const auto& pair) { return pair.second == i; });
-    };
-    const auto contains = [&](int outer, int i) {
-      return std::find(w.nested.begin(), w.nested.end(), std::pair(outer, i)) != w.nested.end();
-    };
-    bool changed = false;
-    for (int i = 0; i < n_; ++i) {
-      if (!std::has_single_bit(w.types[at(i)])) continue;
-      const int type = std::countr_zero(w.types[at(i)]);
-      if (problem_.type_xpus[at(type)].size() != 1) continue;
-      const Time cost = problem_.preempt[at(problem_.type_xpus[at(type)].front())];
-      Time earliest = 0;
-      for (int p : problem_.pred[at(i)]) earliest = std::max(earliest, w.r[at(p)] + least(w, p));
-      Time end = latest_ready(w, i) + problem_.wcet(i, type) + (is_nested(i) ? cost : 0);
-      for (int k = 0; k < n_; ++k) {
-        if (k == i || (w.types[at(k)] >> type & 1u) == 0 || w.d[at(k)] <= earliest) continue;
-        // Those behind i start after its end; the one it suspends has a lower priority.
-        const bool decided = std::has_single_bit(w.types[at(k)]);
-        if (decided && (contains(k, i) || (starts_before(w, i, k) && !contains(i, k)))) continue;
-        end += problem_.wcet(k, type) + (!decided || is_nested(k) ? cost : 0);
-      }
-      changed |= lower(w.d[at(i)], end);
-    }
-    return changed;
-  }
-
-  [[nodiscard]] bool starts_before(const Windows& w, int k, int i) const {
-    if (w.d[at(k)] <= w.r[at(i)]) return true;
-    const auto has = [&](const std::vector<std::pair<int, int>>& list) {
-      return std::find(list.begin(), list.end(), std::pair(k, i)) != list.end();
-    };
-    return has(w.arcs) || has(w.nested);
-  }
-
-  /// Pairs on one-instance types: decides those with one relation left; false: a pair has none.
-  /// `open_*`: the tightest pair that is still open, -1 if all are decided.
-  bool settle_pairs(Windows& w, int& open_i, int& open_j) const {
-    bool again = true;
-    while (again) {
-      again = false;
-      open_i = open_j = -1;
-      Time tightest = kNever;
-      for (int i = 0; i < n_; ++i) {
-        if (!std::has_single_bit(w.types[at(i)])) continue;
-        const int type = std::countr_zero(w.types[at(i)]);
-        if (problem_.type_xpus[at(type)].size() != 1) continue;
-        for (int j = i + 1; j < n_; ++j) {
-          if (w.types[at(j)] != w.types[at(i)]) continue;
-          if (w.r[at(j)] >= w.d[at(i)] || w.r[at(i)] >= w.d[at(j)]) continue;
-          if (settled(w, i, j)) continue;
-          const unsigned possible = relations(w, i, j, type);
-          if (possible == 0) return false;
-          if (std::has_single_bit(possible)) {
-            relate(w, i, j, type, static_cast<Relation>(possible));
-            if (!tighten(w)) return false;
-            again = true;
-            continue;
-          }
-          const Time room = std::max(w.d[at(i)], w.d[at(j)]) - std::min(w.r[at(i)], w.r[at(j)]) -
-                            problem_.wcet(i, type) - problem_.wcet(j, type);
-          if (room < tightest) {
-            tightest = room;
-            open_i = i;
-            open_j = j;
-          }
-        }
-      }
-    }
-    return true;
-  }
-
-  static bool settled(const Windows& w, int i, int j) {
-    const auto has = [&](const std::vector<std::pair<int, int>>& list) {
-      return std::any_of(list.begin(), list.end(), [&](const std::pair<int, int>& pair) {
-        return (pair.first == i && pair.second == j) || (pair.first == j && pair.second == i);
-      });
-    };
-    return has(w.arcs) || has(w.nested);
-  }
-
   bool dead(Windows& w) { return !tighten(w) || !lp_.feasible(w); }
-
-  /// All predecessors of `i` done by `t` / `i` cannot start before `t`: the two halves of a split.
-  void ready_by(Windows& w, int i, Time t) const {
-    for (int p : problem_.pred[at(i)]) w.d[at(p)] = std::min(w.d[at(p)], t);
-  }
-  void done_by_others(Windows& w, int i, Time t) const {
-    for (int s : problem_.succ[at(i)]) w.r[at(s)] = std::max(w.r[at(s)], t);
-  }
 
   /// Shaving: assume the extreme part of a window, refute it, cut it off. -1 refuted, 1 changed, 0
   /// not.
@@ -512,10 +257,8 @@ class Refuter {
     return descend(w, depth + 1);
   }
 
-  const Problem& problem_;
   const ProofControl& control_;
   EnergyLp lp_;
-  int n_;
   CompositeBound start_;
   bool with_deadlines_;
   std::int64_t nodes_left_ = 0;

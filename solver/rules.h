@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+// What must hold of every policy at a node of the proof (exact.h): windows from the precedence
+// graph, pairs of XNodes on one instance, who pays for a suspension, no idling. Each rule only
+// narrows the windows; the arguments are in docs/solver.md, "Proof".
+#pragma once
+
+#include "solver/energy_lp.h"
+#include "solver/problem.h"
+
+namespace xauto::solver {
+
+class Rules {
+ public:
+  explicit Rules(const Problem& problem) : problem_(problem), n_(problem.num_xnodes) {}
+
+  /// How two XNodes of a type with one instance may share it; see docs/solver.md, "pairs".
+  enum Relation : unsigned { kFirst = 1, kSecond = 2, kInFirst = 4, kInSecond = 8 };
+
+  /// Windows from the precedence graph, types from the windows; false: empty.
+  [[nodiscard]] bool tighten(Windows& w) const;
+  [[nodiscard]] Time least(const Windows& w, int i) const;
+  [[nodiscard]] unsigned relations(const Windows& w, int i, int j, int type) const;
+  [[nodiscard]] Time latest_ready(const Windows& w, int i) const;
+  void relate(Windows& w, int i, int j, int type, Relation relation) const;
+  /// All that is nested in `outer` runs within its span, and the first suspension of it costs at
+  /// least once.
+  static void interrupt(Windows& w, int outer, Time inner_work, Time cost);
+  /// Of those nested in one XNode, whoever starts first has suspended it, hence pays. So does one
+  /// that starts after all earlier ones have ended: in between, the suspended one was back. Certain
+  /// once no other XNode can join them: all types that could are decided, and all pairs.
+  [[nodiscard]] bool charge_starters(Windows& w) const;
+  /// Once something is nested, the policy goes by fixed priorities alone, and no XPU idles while
+  /// one of its XNodes is ready: from there to its end, i waits only for what may run in between.
+  [[nodiscard]] bool conserve_work(Windows& w) const;
+  [[nodiscard]] bool starts_before(const Windows& w, int k, int i) const;
+  /// Pairs on one-instance types: decides those with one relation left; false: a pair has none.
+  /// `open_*`: the tightest pair that is still open, -1 if all are decided.
+  [[nodiscard]] bool settle_pairs(Windows& w, int& open_i, int& open_j) const;
+  [[nodiscard]] static bool settled(const Windows& w, int i, int j);
+  /// All predecessors of `i` done by `t` / `i` cannot start before `t`: the two halves of a split.
+  void ready_by(Windows& w, int i, Time t) const;
+  void done_by_others(Windows& w, int i, Time t) const;
+
+ protected:
+  const Problem& problem_;
+  const int n_;
+};
+
+}  // namespace xauto::solver
