@@ -118,8 +118,13 @@ Port::~Port() {
   if (shm_.header != nullptr) munmap(shm_.header, bytes_);
 }
 
-void Port::start(const Job& job) {
+bool Port::contended() const {
+  return (shm_.header->owner.load(std::memory_order_relaxed) & (kFat | kParked)) != 0;
+}
+
+void Port::begin(const Job& job) {
   job_ = job;
+  waits_ = false;
   if (lost()) return;
   generation_ = (generation_ + 1) & kGenerationMask;
   switch (words_.start(slot_, generation_, job, static_cast<std::uint64_t>(now_ns()))) {
@@ -131,10 +136,11 @@ void Port::start(const Job& job) {
     case Started::kWaits:
       break;
   }
-  wait_for_grant();
+  waits_ = true;
 }
 
-void Port::wait_for_grant() {
+void Port::wait() {
+  if (!waits_) return;
   std::atomic<std::uint32_t>& grant = shm_.slots[slot_].coordinator.grant;
   while (!lost() && !interrupted_.load(std::memory_order_relaxed)) {
     const std::uint32_t seen = grant.load(std::memory_order_acquire);

@@ -45,7 +45,17 @@ class Port {
   Port& operator=(const Port&) = delete;
 
   /// START: returns when the job may run. On a lost coordinator: at once.
-  void start(const Job& job);
+  void start(const Job& job) {
+    begin(job);
+    wait();
+  }
+  /// START in two steps: others see from `begin` on that the job wants the XPU.
+  void begin(const Job& job);
+  void wait();
+  /// Whether others may be waiting for the XPU, or the coordinator decides: then a job that is
+  /// ready should `begin` before this one finishes.
+  [[nodiscard]] bool contended() const;
+  [[nodiscard]] Discipline discipline() const { return rules_.discipline; }
   /// FINISH of the job last started.
   void finish();
   /// Activations of `xnode` up to and including `sequence` will not be started: nobody waits for
@@ -66,7 +76,6 @@ class Port {
   [[nodiscard]] Status introduce(const Hello& hello, int timeout_ms);
   [[nodiscard]] bool rejoin();
   void ring();
-  void wait_for_grant();
 
   std::string address_;
   Hello hello_;
@@ -78,6 +87,7 @@ class Port {
   Words<RealAtomics> words_;
   Job job_;
   std::uint32_t generation_ = 0;
+  bool waits_ = false;  ///< begun, and not known to run
   std::uint32_t pending_command_ = 0;
   std::atomic<bool> lost_{false}, interrupted_{false};
 };

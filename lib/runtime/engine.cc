@@ -435,7 +435,12 @@ Result<RunReport> Engine::run() {
     receiver_->stop();
   }
   RunReport result = report();
-  if (hub_) gather(members, result);
+  if (hub_) {
+    gather(members, result);
+    if (const std::uint64_t lost = receiver_->lost(); lost > 0)
+      result.note += (result.note.empty() ? "" : "; ") + std::to_string(lost) +
+                     " messages to this process were lost in full queues";
+  }
   result.complete = drained && !stop_.load();
   if (!drained) {
     result.note += (result.note.empty() ? "" : "; ");
@@ -647,7 +652,11 @@ bool Engine::wait_drained(std::int64_t timeout_ns) {
   std::int64_t since = now_ns();
   for (std::uint32_t last = in_flight_.load();;) {
     const std::uint32_t left = in_flight_.load();
-    if (left == 0) return true;
+    if (left == 0) {
+      // A sink's process says that it is through beside its messages, which observers here get.
+      while (receiver_ && !receiver_->idle()) sleep_until_ns(now_ns() + 20'000);
+      return true;
+    }
     if (left != last) since = now_ns();
     last = left;
     if (now_ns() - since > timeout_ns) return false;

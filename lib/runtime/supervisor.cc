@@ -245,6 +245,10 @@ class Supervisor {
 
   /// A module process has ended: start it again, or tell the hub that it will not come back.
   void attend(ModuleProcess& process, const Exit& exit) {
+    if (!exit.signalled && exit.value == 0) {  // the hub has told it to stop
+      process.noticed = true;
+      return;
+    }
     std::string note = "the process of " + process.name + " died (" + exit.to_string() + ")";
     if (process.starts <= request_.restarts) {
       ++process.starts;

@@ -2,6 +2,7 @@
 // Steps 3, 4 and 9. The management thread, step 6, is in worker_mgmt.cc.
 #include "runtime/worker.h"
 
+#include <algorithm>
 #include <climits>
 #include <exception>
 #include <future>
@@ -23,6 +24,8 @@ Worker::Worker(WorkerOptions options, Chain& chain, trace::Writer* trace, xpu::C
       chain_(chain),
       trace_(trace),
       thread_(threads.add(static_cast<std::uint32_t>(options_.xpu))) {}
+
+thread_local Worker* Worker::t_home = nullptr;
 
 Worker::~Worker() {
   stop();
@@ -84,6 +87,11 @@ Status Worker::init_nodes() {
       return fail(ErrorCode::kInvalid, "returned a handle that is not an emulated context", where,
                   "on an emulated platform `init` returns emu::Context::handle()");
   }
+  // With order constraints a thread could wait for a job that is behind it in its own lane.
+  shares_ = port_ && port_->discipline() == coord::Discipline::kGate && options_.order.empty();
+  for (const Placed& placed : chain_.nodes)
+    if (placed.worker == this && placed.handle.kind() != SchedHandle::Kind::kGate) shares_ = false;
+  lane_.reserve(64);
   for (auto node = chain_.nodes.rbegin(); node != chain_.nodes.rend(); ++node)
     if (node->worker == this) thread_->expect(node->xnode);
   return {};
@@ -105,6 +113,10 @@ void Worker::stop() {
 
 void Worker::submit(std::size_t node) {
   record(XAUTO_EV_READY, chain_.nodes[node]);
+  if (shares_ && t_home != nullptr && t_home->shares_ && t_home->options_.xpu == options_.xpu) {
+    t_home->lane_.push_back({this, node, false});
+    return;
+  }
   thread_->announce(chain_.nodes[node].xnode, chain_.runtime->input().sequence(),
                     chain_.nodes[node].fifo_priority);
   mailbox_.store(static_cast<std::uint32_t>(node) + 1, std::memory_order_release);
@@ -116,6 +128,7 @@ void Worker::skip(std::size_t position, std::uint64_t sequence) {
 }
 
 void Worker::execute() {
+  t_home = this;
   for (;;) {
     const std::uint32_t mail = mailbox_.load(std::memory_order_acquire);
     if (mail == kQuit) return;
@@ -124,20 +137,43 @@ void Worker::execute() {
       continue;
     }
     mailbox_.store(0, std::memory_order_release);
-    run_chain(mail - 1);
+    run_chain(mail - 1, false);
+    run_lane();
+  }
+}
+
+/// The most urgent job of this thread first, as the XPU itself would be given.
+void Worker::run_lane() {
+  while (!lane_.empty()) {
+    const auto next =
+        std::max_element(lane_.begin(), lane_.end(), [](const Ready& a, const Ready& b) {
+          return a.worker->chain_.nodes[a.node].priority < b.worker->chain_.nodes[b.node].priority;
+        });
+    const Ready job = *next;
+    lane_.erase(next);
+    job.worker->run_chain(job.node, job.begun);
+  }
+}
+
+/// Before the XPU is given away: whoever gets it next must be more urgent than what waits here.
+void Worker::show_lane() {
+  for (Ready& job : t_home->lane_) {
+    if (job.begun) continue;
+    job.worker->begin(job.worker->chain_.nodes[job.node]);
+    job.begun = true;
   }
 }
 
 /// Runs XNodes from `node` on as long as they are placed here; then hands over, or ends the
 /// activation.
-void Worker::run_chain(std::size_t node) {
-  for (; node < chain_.nodes.size(); ++node) {
+void Worker::run_chain(std::size_t node, bool begun) {
+  for (; node < chain_.nodes.size(); ++node, begun = false) {
     Placed& placed = chain_.nodes[node];
     if (placed.worker != this) {
       placed.worker->submit(node);
       return;
     }
-    if (!run_job(placed)) {
+    if (!run_job(placed, begun)) {
       chain_.runtime->finish(false);
       return;
     }
@@ -145,13 +181,20 @@ void Worker::run_chain(std::size_t node) {
   chain_.runtime->finish(true);
 }
 
-bool Worker::run_job(Placed& placed) {
+/// START, without waiting for what comes of it.
+void Worker::begin(Placed& placed) {
+  const Input& input = chain_.runtime->input();
+  current_.store(&placed, std::memory_order_release);
+  record(XAUTO_EV_START, placed);
+  port_->begin({placed.xnode, input.sequence(), placed.priority});
+}
+
+bool Worker::run_job(Placed& placed, bool begun) {
   const Input& input = chain_.runtime->input();
   thread_->next(placed.xnode, input.sequence(), placed.fifo_priority);
   if (port_) {
-    current_.store(&placed, std::memory_order_release);
-    record(XAUTO_EV_START, placed);
-    port_->start({placed.xnode, input.sequence(), placed.priority});
+    if (!begun) begin(placed);
+    port_->wait();
   }
   record(XAUTO_EV_RUN, placed);
   bool succeeded = false;
@@ -165,7 +208,10 @@ bool Worker::run_job(Placed& placed) {
   } catch (...) {
     note_failure(placed, "threw something that is no std::exception");
   }
-  if (port_) port_->finish();
+  if (port_) {
+    if (shares_ && !t_home->lane_.empty() && port_->contended()) show_lane();
+    port_->finish();
+  }
   record(XAUTO_EV_FINISH, placed, succeeded ? 0 : 1);
   return succeeded;
 }

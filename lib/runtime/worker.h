@@ -91,10 +91,22 @@ class Worker {
   void execute();
   void manage();
   [[nodiscard]] Status init_nodes();
-  void run_chain(std::size_t node);
-  bool run_job(Placed& placed);
+  void run_chain(std::size_t node, bool begun);
+  bool run_job(Placed& placed, bool begun);
+  void begin(Placed& placed);
+  void run_lane();
+  void show_lane();
   void record(std::uint16_t kind, const Placed& placed, std::uint32_t arg = 0);
   void note_failure(const Placed& placed, const std::string& what);
+
+  /// Jobs that became ready on this execution thread, for workers of the same XPU: where only one
+  /// job runs at a time and nothing of it belongs to a thread, changing threads gains nothing.
+  struct Ready {
+    Worker* worker;
+    std::size_t node;
+    bool begun;  ///< its START is out
+  };
+  static thread_local Worker* t_home;  ///< whose execution thread this is
 
   WorkerOptions options_;
   Chain& chain_;
@@ -103,6 +115,8 @@ class Worker {
   std::unique_ptr<coord::Port> port_;
   std::unique_ptr<xpu::Backend> backend_;
   std::thread exec_, mgmt_;
+  bool shares_ = false;                    ///< its jobs may run on another worker's thread
+  std::vector<Ready> lane_;                ///< of its execution thread
   std::atomic<std::uint32_t> mailbox_{0};  ///< 0: empty; kQuit; else chain position + 1
   std::atomic<const Placed*> current_{
       nullptr};  ///< the job whose queue the management thread acts on

@@ -38,6 +38,12 @@ std::uint64_t Receiver::lost() const {
   return sum;
 }
 
+bool Receiver::idle() const {
+  const std::lock_guard lock(mutex_);
+  return std::all_of(inputs_.begin(), inputs_.end(),
+                     [](const Input& input) { return input.subscriber->empty(); });
+}
+
 /// One message of each input in turn, so that a fast topic does not hold up the others.
 bool Receiver::pass() {
   const std::lock_guard lock(mutex_);
@@ -54,12 +60,7 @@ bool Receiver::pass() {
 void Receiver::run() {
   while (!stop_.load(std::memory_order_relaxed)) {
     if (pass()) continue;
-    doorbell_.wait([this] {
-      const std::lock_guard lock(mutex_);
-      return !stop_.load(std::memory_order_relaxed) &&
-             std::all_of(inputs_.begin(), inputs_.end(),
-                         [](const Input& input) { return input.subscriber->empty(); });
-    });
+    doorbell_.wait([this] { return !stop_.load(std::memory_order_relaxed) && idle(); });
   }
 }
 

@@ -31,6 +31,8 @@ class Receiver {
   /// `enter`: called once on the new thread.
   void start(std::function<void()> enter);
   void stop();
+  /// Nothing waits in any queue, and nothing is being delivered.
+  [[nodiscard]] bool idle() const;
   /// Messages lost in full queues.
   [[nodiscard]] std::uint64_t lost() const;
 
