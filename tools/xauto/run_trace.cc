@@ -164,7 +164,10 @@ class Painter {
     }
   }
 
-  void arrow(Details& from, Details& to) {
+  /// Never back in time, whatever a damaged trace says: viewers take the earlier end for the
+  /// source.
+  void arrow(Details& from, Details& to, bool forward) {
+    if (!forward) return;
     from.flows_out.push_back(++flows_);
     to.flows_in.push_back(flows_);
   }
@@ -174,6 +177,8 @@ class Painter {
   Details* last_piece(std::size_t job) {
     return last_[job] < 0 ? nullptr : &run_[static_cast<std::size_t>(last_[job])].details;
   }
+
+  std::int64_t begin_of(int piece) const { return run_[static_cast<std::size_t>(piece)].begin; }
 
   void connect() {
     releases_.resize(story_.releases.size());
@@ -205,25 +210,25 @@ class Painter {
         from_somewhere = true;
         const auto at = job_of.find({u, job.sequence});
         if (at == job_of.end() || last_piece(at->second) == nullptr) continue;
-        if (run_[static_cast<std::size_t>(last_[at->second])].begin <=
-            run_[static_cast<std::size_t>(first_[j])].begin)
-          arrow(*last_piece(at->second), *first);
+        arrow(*last_piece(at->second), *first, begin_of(last_[at->second]) < begin_of(first_[j]));
       }
       const auto activation = activation_of.find({job.module, job.sequence});
       if (!from_somewhere) {  // its origin: the release, or with several rates the activation
         if (const auto r = release_of.find(job.sequence);
             !story_.several_rates && r != release_of.end())
-          arrow(releases_[r->second], *first);
-        else if (story_.several_rates && activation != activation_of.end() &&
-                 story_.activations[activation->second].begin_ns <= job.begin_ns())
-          arrow(activations_[activation->second], *first);
+          arrow(releases_[r->second], *first,
+                story_.releases[r->second].begin_ns <= begin_of(first_[j]));
+        else if (story_.several_rates && activation != activation_of.end())
+          arrow(activations_[activation->second], *first,
+                story_.activations[activation->second].begin_ns < begin_of(first_[j]));
       }
       const auto& next = successors[static_cast<std::size_t>(job.xnode)];
       const bool ends =
           std::none_of(next.begin(), next.end(), [&](int v) { return within(job.xnode, v); });
       if (ends && activation != activation_of.end() &&
           story_.activations[activation->second].fate == Fate::kDone)
-        arrow(*last_piece(j), results_[activation->second]);
+        arrow(*last_piece(j), results_[activation->second],
+              begin_of(last_[j]) <= story_.activations[activation->second].end_ns);
     }
   }
 

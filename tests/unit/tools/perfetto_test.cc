@@ -1,0 +1,436 @@
+// SPDX-License-Identifier: Apache-2.0
+// Trace files read back: by the generated classes, by protoc with the schema (the golden) and by
+// protoc without it. Perfetto's own trace_processor is no Debian package.
+#include "xauto/perfetto.h"
+
+#include <cstdlib>
+#include <fstream>
+#include <map>
+#include <random>
+#include <set>
+
+#include <gtest/gtest.h>
+
+#include "../golden_cases.h"
+#include "xauto/perfetto.pb.h"
+#include "xauto/run_trace.h"
+
+namespace xauto::cli {
+namespace {
+
+namespace proto = ::xauto::perfetto;
+using test::golden;
+using test::slurp;
+
+constexpr std::uint16_t kNone = XAUTO_EV_NONE;
+
+/// Two modules on a CPU and a GPU: CAM (pre, infer) is urgent, BIG (infer) is preempted by it.
+struct Tiny {
+  AppSpec app;
+  Platform platform;
+  Scene scene;
+  trace::Recording trace;
+
+  Tiny() {
+    app.name = "tiny";
+    app.xnodes = {{"cam.pre", "CAM", {{"cpu", 100}}},
+                  {"cam.infer", "CAM", {{"gpu", 200}}},
+                  {"big.infer", "BIG", {{"gpu", 500}}}};
+    app.edges = {{0, 1}};
+    app.deadline_us = 800;
+    platform.name = "two";
+    platform.xpus = {{"cpu0", "cpu"}, {"gpu0", "gpu"}};
+    scene.title = "tiny on two: xauto";
+    scene.note = "emulated XPUs, xauto";
+    scene.rows = {{"cpu0", true}, {"gpu0", true}};
+    scene.row_of = {0, 1};
+    scene.modules = {{"CAM", true}, {"BIG", true}};
+    scene.priorities = {1, 2, 1};
+    scene.plan = {{0, 0, 0, 100, false},
+                  {2, 1, 0, 100, false},
+                  {1, 1, 100, 110, true},
+                  {1, 1, 110, 310, false},
+                  {2, 1, 310, 710, false}};
+  }
+
+  void at(std::int64_t us, std::uint16_t kind, std::uint64_t seq, std::uint16_t xnode = kNone,
+          std::uint16_t module = kNone, std::uint16_t xpu = kNone, std::uint32_t arg = 0) {
+    trace.events.push_back(
+        {static_cast<std::uint64_t>(1'000'000 + us * 1000), seq, xnode, module, xpu, kind, arg, 0});
+  }
+
+  /// One release, beginning at `us`: BIG runs, is preempted by CAM, resumes.
+  void release(std::int64_t us, std::uint64_t seq) {
+    at(us, XAUTO_EV_PUBLISH, seq);
+    at(us + 1, XAUTO_EV_ACTIVATE, seq, kNone, 0);
+    at(us + 2, XAUTO_EV_READY, seq, 0, 0, 0);
+    at(us + 3, XAUTO_EV_ACTIVATE, seq, kNone, 1);
+    at(us + 4, XAUTO_EV_READY, seq, 2, 1, 1);
+    at(us + 5, XAUTO_EV_START, seq, 0, 0, 0);
+    at(us + 6, XAUTO_EV_RUN, seq, 0, 0, 0);
+    at(us + 7, XAUTO_EV_START, seq, 2, 1, 1);
+    at(us + 8, XAUTO_EV_RUN, seq, 2, 1, 1);
+    at(us + 100, XAUTO_EV_FINISH, seq, 0, 0, 0);
+    at(us + 101, XAUTO_EV_READY, seq, 1, 0, 1);
+    at(us + 102, XAUTO_EV_START, seq, 1, 0, 1);
+    at(us + 104, XAUTO_EV_SUSPEND, seq, 2, 1, 1);
+    at(us + 114, XAUTO_EV_SUSPENDED, seq, 2, 1, 1);
+    at(us + 115, XAUTO_EV_RUN, seq, 1, 0, 1);
+    at(us + 315, XAUTO_EV_RESUME, seq, 2, 1, 1);
+    at(us + 318, XAUTO_EV_RESUMED, seq, 2, 1, 1);
+    at(us + 320, XAUTO_EV_FINISH, seq, 1, 0, 1);  // later than the XPU was handed over
+    at(us + 321, XAUTO_EV_DONE, seq, kNone, 0);
+    at(us + 720, XAUTO_EV_FINISH, seq, 2, 1, 1);
+    at(us + 721, XAUTO_EV_DONE, seq, kNone, 1);
+  }
+
+  std::string file() const {
+    const auto story = story_of(app, platform, scene.modules, trace);
+    EXPECT_TRUE(story) << story.error().to_string();
+    if (!story) return {};
+    const auto bytes = perfetto_trace(app, scene, *story, 0);
+    EXPECT_TRUE(bytes) << bytes.error().to_string();
+    return bytes.value_or(std::string());
+  }
+};
+
+struct Slice {
+  std::string name;
+  std::uint64_t begin = 0, end = 0;
+  int depth = 0;
+  std::map<std::string, std::string> args;
+};
+
+/// The file as a viewer reads it. Fails the test on whatever a viewer would have to repair.
+struct Viewed {
+  std::map<std::uint64_t, std::string> names;
+  std::map<std::uint64_t, std::uint64_t> parents;
+  std::map<std::string, std::vector<Slice>> slices;  ///< by track's path
+  std::map<std::string, std::vector<std::pair<std::uint64_t, std::int64_t>>> counters;
+  std::vector<std::string> instants;
+  struct End {
+    std::uint64_t ts;
+    std::string name;
+  };
+  std::map<std::uint64_t, std::pair<End, End>> flows;
+  bool lossy = false;
+  int packets = 0;
+
+  std::string path(std::uint64_t track) const {
+    const auto parent = parents.find(track);
+    return (parent == parents.end() ? "" : path(parent->second) + "/") + names.at(track);
+  }
+
+  explicit Viewed(const std::string& bytes) { read(bytes); }
+  void read(const std::string& bytes) {
+    proto::Trace trace;
+    EXPECT_TRUE(trace.ParseFromString(bytes));
+    packets = trace.packet_size();
+    std::map<std::uint64_t, std::vector<Slice>> open;
+    std::uint64_t last = 0;
+    std::set<std::uint64_t> sources, sinks;
+    EXPECT_TRUE(trace.packet_size() > 0 && trace.packet(0).first_packet_on_sequence());
+    lossy = trace.packet_size() > 0 && trace.packet(0).previous_packet_dropped() != 0;
+    for (const proto::TracePacket& packet : trace.packet()) {
+      EXPECT_NE(packet.trusted_packet_sequence_id(), 0u);
+      if (packet.has_track_descriptor()) {
+        const auto& track = packet.track_descriptor();
+        EXPECT_TRUE(names.emplace(track.uuid(), track.name()).second);
+        if (track.has_parent_uuid()) {
+          EXPECT_TRUE(names.count(track.parent_uuid())) << "the parent comes first";
+          parents[track.uuid()] = track.parent_uuid();
+        }
+        continue;
+      }
+      const auto& event = packet.track_event();
+      ASSERT_TRUE(names.count(event.track_uuid()));
+      EXPECT_GE(packet.timestamp(), last) << "times go forward";
+      last = packet.timestamp();
+      auto& stack = open[event.track_uuid()];
+      switch (event.type()) {
+        case proto::TrackEvent::TYPE_SLICE_BEGIN: {
+          EXPECT_FALSE(event.name().empty());
+          Slice slice{event.name(), last, 0, static_cast<int>(stack.size()), {}};
+          for (const auto& arg : event.debug_annotations())
+            slice.args[arg.name()] =
+                arg.has_string_value() ? arg.string_value() : std::to_string(arg.int_value());
+          stack.push_back(std::move(slice));
+          break;
+        }
+        case proto::TrackEvent::TYPE_SLICE_END:
+          ASSERT_FALSE(stack.empty()) << "an end without a begin on " << path(event.track_uuid());
+          stack.back().end = last;
+          slices[path(event.track_uuid())].push_back(std::move(stack.back()));
+          stack.pop_back();
+          break;
+        case proto::TrackEvent::TYPE_INSTANT:
+          instants.push_back(event.name());
+          break;
+        case proto::TrackEvent::TYPE_COUNTER:
+          counters[path(event.track_uuid())].emplace_back(last, event.counter_value());
+          break;
+        default:
+          ADD_FAILURE() << "event of no type";
+      }
+      for (const std::uint64_t flow : event.flow_ids()) {
+        EXPECT_TRUE(sources.insert(flow).second) << "an arrow begins once";
+        flows[flow].first = {last, event.name()};
+      }
+      for (const std::uint64_t flow : event.terminating_flow_ids()) {
+        EXPECT_TRUE(sources.count(flow)) << "an arrow begins before it ends";
+        EXPECT_TRUE(sinks.insert(flow).second) << "an arrow ends once";
+        flows[flow].second = {last, event.name()};
+      }
+    }
+    EXPECT_EQ(sources, sinks);
+    for (const auto& [track, stack] : open)
+      EXPECT_TRUE(stack.empty()) << "left open on " << path(track);
+  }
+
+  std::multiset<std::string> arrows() const {
+    std::multiset<std::string> out;
+    for (const auto& [id, ends] : flows) out.insert(ends.first.name + " > " + ends.second.name);
+    return out;
+  }
+};
+
+const std::string kRoot = "tiny on two: xauto/";
+
+TEST(Perfetto, HasATrackForEachXpuModuleAndPlan) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  const Viewed viewed(tiny.file());
+  std::set<std::string> paths;
+  for (const auto& [track, name] : viewed.names) paths.insert(viewed.path(track));
+  for (const char* path :
+       {"releases", "run/cpu0", "run/gpu0", "plan/cpu0 plan", "plan/gpu0 plan", "modules/CAM",
+        "modules/BIG", "done", "counters/gpu0 jobs suspended", "counters/activations dropped",
+        "counters/deadlines missed", "counters/trace events lost"})
+    EXPECT_TRUE(paths.count(kRoot + path)) << path;
+}
+
+TEST(Perfetto, APreemptedJobIsCutAndSaysByWhom) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  const Viewed viewed(tiny.file());
+  const auto& gpu = viewed.slices.at(kRoot + "run/gpu0");
+  std::vector<std::string> names;
+  for (const Slice& slice : gpu) {
+    names.push_back(slice.name);
+    EXPECT_EQ(slice.depth, 0) << "one job at a time";
+  }
+  EXPECT_EQ(names, (std::vector<std::string>{"big.infer", "switch: big.infer", "cam.infer",
+                                             "switch: big.infer", "big.infer"}));
+  EXPECT_EQ(gpu.back().args.at("preempted_by"), "cam.infer");
+  EXPECT_EQ(gpu.back().args.at("part"), "2");
+  EXPECT_EQ(gpu.back().args.at("waited_us"), std::to_string((8 - 4) + (315 - 114)));
+  EXPECT_EQ(gpu[2].args.at("waited_for"), "big.infer");
+  EXPECT_EQ(gpu[2].end, 1'315'000u) << "cut where the next one begins, not at its late FINISH";
+
+  std::map<std::string, int> states;
+  for (const Slice& slice : viewed.slices.at(kRoot + "modules/BIG"))
+    if (slice.depth == 2) ++states[slice.name];
+  EXPECT_EQ(states, (std::map<std::string, int>{
+                        {"waiting", 1}, {"running", 2}, {"switching", 2}, {"suspended", 1}}));
+}
+
+TEST(Perfetto, ArrowsGoFromTheReleaseAlongTheEdgesToTheOutputs) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  tiny.release(2000, 1);
+  EXPECT_EQ(
+      Viewed(tiny.file()).arrows(),
+      (std::multiset<std::string>{"release 0 > cam.pre", "cam.pre > cam.infer", "cam.infer > CAM 0",
+                                  "release 0 > big.infer", "big.infer > BIG 0",
+                                  "release 1 > cam.pre", "cam.pre > cam.infer", "cam.infer > CAM 1",
+                                  "release 1 > big.infer", "big.infer > BIG 1"}));
+}
+
+TEST(Perfetto, WithSeveralRatesArrowsStayInsideModules) {
+  Tiny tiny;
+  tiny.app.edges = {{0, 1}, {1, 2}};
+  tiny.release(0, 0);
+  tiny.at(1000, XAUTO_EV_PUBLISH, 0);  // a second source's release 0
+  EXPECT_EQ(
+      Viewed(tiny.file()).arrows(),
+      (std::multiset<std::string>{"CAM 0 > cam.pre", "cam.pre > cam.infer", "cam.infer > CAM 0",
+                                  "BIG 0 > big.infer", "big.infer > BIG 0"}));
+}
+
+TEST(Perfetto, ThePlanIsDrawnUnderEveryRelease) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  tiny.release(2000, 1);
+  const Viewed viewed(tiny.file());
+  const auto& plan = viewed.slices.at(kRoot + "plan/gpu0 plan");
+  ASSERT_EQ(plan.size(), 8u);
+  EXPECT_EQ(plan[1].name, "switch: cam.infer");
+  EXPECT_EQ(plan[1].begin, 1'100'000u);
+  EXPECT_EQ(plan[7].begin, 3'310'000u);
+  EXPECT_EQ(plan[7].end, 3'710'000u);
+}
+
+TEST(Perfetto, CountsWhatWaitsIsSuspendedDroppedAndLate) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  tiny.release(2000, 1);
+  tiny.at(4000, XAUTO_EV_PUBLISH, 2);
+  tiny.at(4001, XAUTO_EV_DROP, 2, kNone, 0, kNone, XAUTO_DROP_OVERRUN);
+  tiny.at(4002, XAUTO_EV_DROP, 2, kNone, 1, kNone, XAUTO_DROP_UPSTREAM);
+  const Viewed viewed(tiny.file());
+  const auto& suspended = viewed.counters.at(kRoot + "counters/gpu0 jobs suspended");
+  ASSERT_EQ(suspended.size(), 5u);
+  EXPECT_EQ(suspended[1], (std::pair<std::uint64_t, std::int64_t>{1'114'000, 1}));
+  EXPECT_EQ(suspended[4].second, 0);
+  EXPECT_EQ(viewed.counters.at(kRoot + "counters/activations dropped").back().second, 2);
+  EXPECT_EQ(viewed.counters.at(kRoot + "counters/deadlines missed").back().second, 1)
+      << "721 us are in time, a dropped release is not";
+  EXPECT_EQ(viewed.counters.at(kRoot + "counters/trace events lost").back().second, 0);
+  EXPECT_FALSE(viewed.lossy);
+}
+
+TEST(Perfetto, SaysWhenEventsWereLost) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  tiny.trace.lost = 3;
+  tiny.at(800, XAUTO_EV_RUN, 0, 99, 0, 0);  // no such XNode
+  tiny.at(800, XAUTO_EV_RUN, 0, 0, 1, 0);   // not an XNode of this module
+  tiny.at(800, 77, 0, 0, 0, 0);             // no such kind
+  const Viewed viewed(tiny.file());
+  EXPECT_TRUE(viewed.lossy);
+  EXPECT_EQ(viewed.counters.at(kRoot + "counters/trace events lost").front().second, 6);
+  EXPECT_EQ(viewed.instants.front(), "INCOMPLETE: 6 events were lost");
+}
+
+TEST(Perfetto, JobsThatShareAnXpuGetLanes) {
+  Tiny tiny;
+  tiny.scene.rows[1].exclusive = false;
+  tiny.at(0, XAUTO_EV_PUBLISH, 0);
+  tiny.at(1, XAUTO_EV_RUN, 0, 1, 0, 1);
+  tiny.at(2, XAUTO_EV_RUN, 0, 2, 1, 1);
+  tiny.at(5, XAUTO_EV_FINISH, 0, 1, 0, 1);
+  tiny.at(9, XAUTO_EV_FINISH, 0, 2, 1, 1);
+  const Viewed viewed(tiny.file());
+  int lanes = 0;
+  for (const auto& [track, name] : viewed.names) lanes += name == "gpu0" ? 1 : 0;
+  EXPECT_EQ(lanes, 2);
+  std::map<std::string, std::uint64_t> length;
+  for (const Slice& slice : viewed.slices.at(kRoot + "run/gpu0"))
+    length[slice.name] = slice.end - slice.begin;
+  EXPECT_EQ(length,
+            (std::map<std::string, std::uint64_t>{{"cam.infer", 4000}, {"big.infer", 7000}}));
+}
+
+TEST(Perfetto, ATraceCutShortAnywhereIsStillAPicture) {
+  Tiny whole;
+  whole.release(0, 0);
+  whole.release(2000, 1);
+  for (std::size_t n = 1; n < whole.trace.events.size(); ++n) {
+    Tiny cut = whole;
+    cut.trace.events.resize(n);
+    (void)Viewed(cut.file());
+    Tiny hole = whole;
+    hole.trace.events.erase(hole.trace.events.begin() + static_cast<std::ptrdiff_t>(n));
+    (void)Viewed(hole.file());
+  }
+}
+
+TEST(Perfetto, ATraceOfNonsenseIsStillAPicture) {
+  std::mt19937 random(7);
+  const auto below = [&](std::uint32_t n) { return static_cast<std::uint16_t>(random() % n); };
+  for (int round = 0; round < 100; ++round) {
+    Tiny tiny;
+    tiny.scene.rows[1].exclusive = round % 2 == 0;
+    tiny.release(0, 0);
+    std::int64_t us = 800;
+    for (int i = 0; i < 120; ++i) {
+      us += below(3);
+      const std::uint16_t xnode = below(3);
+      tiny.at(us, below(13), below(3), xnode, xnode == 2 ? 1 : 0, below(2), below(5));
+    }
+    (void)Viewed(tiny.file());
+  }
+}
+
+TEST(Perfetto, AnEmptyTraceIsAnError) {
+  const Tiny tiny;
+  const auto story = story_of(tiny.app, tiny.platform, tiny.scene.modules, tiny.trace);
+  ASSERT_FALSE(story);
+  EXPECT_EQ(story.error().what, "the run left no event");
+}
+
+TEST(Perfetto, ATraceOfAnotherAppIsAnError) {
+  Tiny tiny;
+  tiny.at(1, XAUTO_EV_RUN, 0, 99, 0, 0);
+  const auto story = story_of(tiny.app, tiny.platform, tiny.scene.modules, tiny.trace);
+  ASSERT_FALSE(story);
+  EXPECT_NE(story.error().what.find("none of the run's 1 events fits"), std::string::npos);
+}
+
+TEST(Perfetto, APlanForAnotherAppIsAnError) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  tiny.scene.plan.push_back({3, 0, 0, 1, false});
+  const auto story = story_of(tiny.app, tiny.platform, tiny.scene.modules, tiny.trace);
+  ASSERT_TRUE(story);
+  EXPECT_FALSE(perfetto_trace(tiny.app, tiny.scene, *story, 0));
+}
+
+TEST(Perfetto, NamesThatAreNoUtf8AreMendedAndClocksAreShifted) {
+  PerfettoWriter out;
+  const auto track = out.add_track(PerfettoWriter::kNoParent, "gr\xc3\xbcn \xff\xc3");
+  out.instant(track, 5, "\xe2\x82", {});
+  proto::Trace trace;
+  ASSERT_TRUE(trace.ParseFromString(out.write(1000)));
+  EXPECT_EQ(trace.packet(0).track_descriptor().name(), "gr\xc3\xbcn ??");
+  EXPECT_EQ(trace.packet(1).track_event().name(), "??");
+  EXPECT_EQ(trace.packet(1).timestamp(), 1005u);
+  ASSERT_TRUE(trace.ParseFromString(out.write(-1000)));
+  EXPECT_EQ(trace.packet(1).timestamp(), 0u);
+}
+
+// ---- other readers
+
+std::string protoc(const std::string& arguments, const std::string& bytes) {
+  const std::string in = ::testing::TempDir() + "xauto_perfetto.pftrace";
+  const std::string out = ::testing::TempDir() + "xauto_perfetto.txt";
+  std::ofstream(in, std::ios::binary) << bytes;
+  const std::string command = std::string(XAUTO_PROTOC) + " " + arguments + " <" + in + " >" + out;
+  EXPECT_EQ(std::system(command.c_str()), 0) << command;
+  return slurp(out);
+}
+
+TEST(Perfetto, ATinyRunIsWrittenAsItAlwaysWas) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  const std::string text = protoc("--decode=xauto.perfetto.Trace -I " XAUTO_SOURCE_DIR
+                                  "/tools " XAUTO_SOURCE_DIR "/tools/xauto/perfetto.proto",
+                                  tiny.file());
+  const auto expected = golden() / "tiny.pftrace.txt";
+  if (std::getenv("XAUTO_UPDATE_GOLDEN") != nullptr)
+    std::ofstream(expected, std::ios::binary) << text;
+  EXPECT_EQ(slurp(expected), text) << "XAUTO_UPDATE_GOLDEN=1 writes it; read the diff";
+}
+
+TEST(Perfetto, AReaderWithoutOurSchemaSeesTheFormatsFieldNumbers) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  const std::string bytes = tiny.file();
+  const std::string raw = protoc("--decode_raw", bytes);
+  int packets = 0, others = 0, tracks = 0, events = 0;
+  for (std::size_t at = 0; at < raw.size(); at = raw.find('\n', at) + 1) {
+    packets += raw.compare(at, 4, "1 {\n") == 0 ? 1 : 0;
+    others += raw[at] != ' ' && raw[at] != '}' && raw.compare(at, 4, "1 {\n") != 0 ? 1 : 0;
+    tracks += raw.compare(at, 7, "  60 {\n") == 0 ? 1 : 0;
+    events += raw.compare(at, 7, "  11 {\n") == 0 ? 1 : 0;
+  }
+  EXPECT_EQ(packets, Viewed(bytes).packets);
+  EXPECT_EQ(others, 0) << "a Trace is packets and nothing else";
+  EXPECT_EQ(tracks + events, packets);
+  EXPECT_NE(raw.find("\n    47: 0x0000000000000001\n"), std::string::npos)
+      << "flow_ids are fixed64";
+  EXPECT_NE(raw.find("\n    48: 0x0000000000000001\n"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace xauto::cli
