@@ -45,6 +45,11 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   auto engine = std::unique_ptr<Engine>(new Engine(app, session, std::move(graph)));
   Engine& e = *engine;
   XAUTO_ASSIGN(e.plan_, Plan::make(e.graph_, app, session));
+  for (const auto& [name, policy] : session.overload)
+    if (!name.empty() &&
+        std::none_of(e.graph_.modules.begin(), e.graph_.modules.end(),
+                     [&, &wanted = name](const Graph::Module& m) { return m.name == wanted; }))
+      return fail(ErrorCode::kInvalid, "is not a module of the program", "XModule '" + name + "'");
   if (session.trace_fd >= 0 && session.process == 0) {  // before any member may attach to it
     XAUTO_ASSIGN(e.trace_, trace::Writer::create(session.trace_fd, session.trace_capacity));
   }
@@ -239,6 +244,12 @@ Status Engine::wire() {
                   "XModule '" + module.name + "'");
     }
     chains_[m]->runtime = modules_.back().get();
+    auto overload = session_.overload.find(module.name);
+    if (overload == session_.overload.end()) overload = session_.overload.find("");
+    if (overload != session_.overload.end()) {
+      XAUTO_ASSIGN(const Overload parsed, Overload::parse(overload->second));
+      modules_.back()->set_overload(parsed);
+    }
   }
   sink_next_.assign(graph_.modules.size(), 0);
   for (std::size_t t = 0; t < graph_.topics.size(); ++t) {

@@ -64,6 +64,7 @@ std::string to_json(const Session& s) {
             {"answer_fd", s.answer_fd},
             {"trace_fd", s.trace_fd},
             {"trace_capacity", s.trace_capacity},
+            {"overload", s.overload},
             {"processes", s.processes},
             {"hub", s.hub},
             {"hub_fd", s.hub_fd},
@@ -112,6 +113,7 @@ Result<Session> parse_session(const std::string& text) {
     s.answer_fd = j.at("answer_fd").get<int>();
     s.trace_fd = j.at("trace_fd").get<int>();
     s.trace_capacity = j.at("trace_capacity").get<std::uint64_t>();
+    s.overload = j.at("overload").get<std::map<std::string, std::string>>();
     s.processes = j.at("processes").get<std::vector<std::vector<std::string>>>();
     s.hub = j.at("hub").get<std::string>();
     s.hub_fd = j.at("hub_fd").get<int>();

@@ -60,6 +60,9 @@ struct Session {
   int trace_fd = -1;                           ///< memfd for the trace; -1: none
   std::uint64_t trace_capacity = 0;
 
+  /// Overload policy by module, "" for all others; texts of Overload::parse.
+  std::map<std::string, std::string> overload;
+
   /// Modules by process, beside the hub; empty: all in one. See isolation.h.
   std::vector<std::vector<std::string>> processes;
   std::string hub;  ///< abstract socket

@@ -2,6 +2,8 @@
 #include "runtime/xmodule.h"
 
 #include <algorithm>
+#include <charconv>
+#include <string_view>
 #include <utility>
 
 #include <uapi/xauto/event.h>
@@ -9,6 +11,21 @@
 #include "runtime/input_access.h"
 
 namespace xauto::runtime {
+
+Result<Overload> Overload::parse(const std::string& text) {
+  if (text == "newest") return Overload{};
+  if (text == "skip") return Overload{Kind::kSkip, 1};
+  constexpr std::string_view kPrefix = "queue:";
+  unsigned depth = 0;
+  if (text.starts_with(kPrefix)) {
+    const auto [end, error] =
+        std::from_chars(text.data() + kPrefix.size(), text.data() + text.size(), depth);
+    if (error == std::errc() && end == text.data() + text.size() && depth >= 1 && depth <= 256)
+      return Overload{Kind::kQueue, depth};
+  }
+  return fail(ErrorCode::kInvalid, "overload policy '" + text + "'", {},
+              "newest, skip, or queue:N with N from 1 to 256");
+}
 
 ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
                              std::vector<const transport::Channel*> outputs,
@@ -33,30 +50,65 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
   {
     const std::lock_guard lock(mutex_);
     Slot& slot = slots_[static_cast<std::size_t>(input)];
-    if (single_rate_) {
-      if (envelope.sequence < next_) return;  // the rest of a release that is already lost
-      // Messages come in order: what lies between was lost on the way (a full queue between
-      // processes).
-      std::uint64_t& expected = slot.expected;
-      if (envelope.sequence > expected && envelope.message != nullptr)
-        settle(envelope.sequence, XAUTO_DROP_OVERRUN, lost);
-      expected = envelope.sequence + 1;
-      if (envelope.message == nullptr)
-        settle(envelope.sequence + 1, XAUTO_DROP_UPSTREAM, lost);
-      else if (slot.fresh)
-        settle(slot.envelope.sequence + 1, XAUTO_DROP_OVERRUN, lost);
-    } else if (slot.fresh) {
-      lost.push_back({slot.envelope.sequence, slot.envelope.sequence, XAUTO_DROP_OVERRUN});
-    }
-    if (envelope.message != nullptr) {
-      slot.envelope = envelope;
-      slot.fresh = true;
-    }
+    if (single_rate_ && envelope.sequence < next_) return;  // of a release that is already lost
+    arrive(slot, envelope, lost);
     start = !busy_ && take_if_fresh(lost);
     if (!busy_) skip_below = std::exchange(skip_below_, 0);
   }
   tell(lost, skip_below);
   if (start) host_.activate(index_);
+}
+
+/// Called with the mutex held.
+void ModuleRuntime::arrive(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost) {
+  // Messages come in order: what lies between was lost on the way (a full queue between processes).
+  const std::uint64_t expected = std::exchange(slot.expected, envelope.sequence + 1);
+  const bool gap = envelope.sequence > expected && envelope.message != nullptr;
+  if (overload_.kind == Overload::Kind::kQueue) {
+    // Losses wait in the queue, too: what came before them is not lost.
+    if (single_rate_ && gap) slot.waiting.push_back({nullptr, 0, envelope.sequence - 1});
+    if (single_rate_ || envelope.message != nullptr) slot.waiting.push_back(envelope);
+    while (slot.waiting.size() > overload_.depth) {
+      const std::uint64_t oldest = slot.waiting.front().sequence;
+      if (single_rate_) {
+        settle(oldest + 1, XAUTO_DROP_OVERRUN, lost);
+      } else {
+        lost.push_back({oldest, oldest, XAUTO_DROP_OVERRUN});
+        slot.waiting.pop_front();
+      }
+    }
+    return;
+  }
+  const bool skip = overload_.kind == Overload::Kind::kSkip && busy_ && envelope.message != nullptr;
+  if (single_rate_) {
+    if (gap) settle(envelope.sequence, XAUTO_DROP_OVERRUN, lost);
+    if (envelope.message == nullptr)
+      settle(envelope.sequence + 1, XAUTO_DROP_UPSTREAM, lost);
+    else if (skip)
+      settle(envelope.sequence + 1, XAUTO_DROP_OVERRUN, lost);
+    else if (!slot.waiting.empty())
+      settle(slot.waiting.front().sequence + 1, XAUTO_DROP_OVERRUN, lost);
+  } else if (skip) {
+    lost.push_back({envelope.sequence, envelope.sequence, XAUTO_DROP_OVERRUN});
+  } else if (!slot.waiting.empty()) {
+    const std::uint64_t old = slot.waiting.front().sequence;
+    lost.push_back({old, old, XAUTO_DROP_OVERRUN});
+  }
+  if (envelope.message == nullptr || skip) return;
+  slot.waiting.clear();
+  slot.waiting.push_back(envelope);
+}
+
+/// Losses whose turn it is. Called with the mutex held.
+void ModuleRuntime::resolve(std::vector<Lost>& lost) {
+  for (bool again = single_rate_; again;) {
+    again = false;
+    for (const Slot& slot : slots_)
+      if (!slot.waiting.empty() && slot.waiting.front().message == nullptr) {
+        settle(slot.waiting.front().sequence + 1, XAUTO_DROP_UPSTREAM, lost);
+        again = true;
+      }
+  }
 }
 
 /// Every release below `below` that is not settled yet is lost. Called with the mutex held.
@@ -66,26 +118,24 @@ void ModuleRuntime::settle(std::uint64_t below, std::uint32_t reason, std::vecto
   next_ = below;
   skip_below_ = below;
   for (Slot& slot : slots_)
-    if (slot.fresh && slot.envelope.sequence < next_) {
-      slot.envelope = {};
-      slot.fresh = false;
-    }
+    while (!slot.waiting.empty() && slot.waiting.front().sequence < next_) slot.waiting.pop_front();
 }
 
 /// Moves the fresh messages into the activation's input. Called with the mutex held.
 bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
-  if (!std::all_of(slots_.begin(), slots_.end(), [](const Slot& s) { return s.fresh; }))
+  resolve(lost);
+  if (std::any_of(slots_.begin(), slots_.end(), [](const Slot& s) { return s.waiting.empty(); }))
     return false;
-  const auto oldest = std::min_element(
-      slots_.begin(), slots_.end(),
-      [](const Slot& a, const Slot& b) { return a.envelope.origin_ns < b.envelope.origin_ns; });
-  const std::uint64_t sequence = oldest->envelope.sequence;
-  InputAccess::stamp(input_, oldest->envelope.origin_ns, sequence);
+  const auto oldest =
+      std::min_element(slots_.begin(), slots_.end(), [](const Slot& a, const Slot& b) {
+        return a.waiting.front().origin_ns < b.waiting.front().origin_ns;
+      });
+  const std::uint64_t sequence = oldest->waiting.front().sequence;
+  InputAccess::stamp(input_, oldest->waiting.front().origin_ns, sequence);
   std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
   for (std::size_t i = 0; i < slots_.size(); ++i) {
-    messages[i] = std::move(slots_[i].envelope);
-    slots_[i].envelope = {};
-    slots_[i].fresh = false;
+    messages[i] = std::move(slots_[i].waiting.front());
+    slots_[i].waiting.pop_front();
   }
   if (single_rate_) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);

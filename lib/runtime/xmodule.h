@@ -18,6 +18,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <deque>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -28,6 +29,19 @@
 #include "transport/topic.h"
 
 namespace xauto::runtime {
+
+/// What becomes of a message that comes while the module is not free.
+struct Overload {
+  enum class Kind : std::uint8_t {
+    kNewest,  ///< it waits, and replaces one that waited before it
+    kQueue,   ///< up to `depth` of them wait, in order; then the oldest is lost
+    kSkip,    ///< it is lost: only a module that is free takes a release
+  } kind = Kind::kNewest;
+  std::uint32_t depth = 1;
+
+  /// "newest", "skip", "queue:N" with N from 1 to 256.
+  [[nodiscard]] static Result<Overload> parse(const std::string& text);
+};
 
 /// What a module asks of its surroundings; implemented by the engine (and by tests).
 class ModuleHost {
@@ -51,6 +65,8 @@ class ModuleRuntime {
                 std::vector<const transport::Channel*> outputs,
                 std::vector<MessageMemory*> memories = {});
   /// Single rate: releases below `next` are settled already. Before the first message.
+  /// Before the first message.
+  void set_overload(Overload overload) { overload_ = overload; }
   void begin_at(std::uint64_t next) {
     next_ = next;
     for (Slot& slot : slots_) slot.expected = next;
@@ -67,9 +83,8 @@ class ModuleRuntime {
 
  private:
   struct Slot {
-    detail::Envelope envelope;
-    bool fresh = false;
-    std::uint64_t expected = 0;  ///< single rate: number of the next message
+    std::deque<detail::Envelope> waiting;  ///< in order; at most one unless queued
+    std::uint64_t expected = 0;            ///< single rate: number of the next message
   };
   /// Releases first..last were lost for `reason`; told to the host without the mutex.
   struct Lost {
@@ -78,6 +93,8 @@ class ModuleRuntime {
   };
 
   void settle(std::uint64_t below, std::uint32_t reason, std::vector<Lost>& lost);
+  void arrive(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost);
+  void resolve(std::vector<Lost>& lost);
   bool take_if_fresh(std::vector<Lost>& lost);
   void tell(const std::vector<Lost>& lost, std::uint64_t skip_below);
 
@@ -93,6 +110,7 @@ class ModuleRuntime {
   PiMutex mutex_;  ///< protects what follows; nothing is called while it is held
   std::vector<Slot> slots_;
   bool busy_ = false;
+  Overload overload_;
   std::uint64_t next_ = 0;  ///< single rate: releases below this number are settled, taken or lost
   /// Single rate: skip up to here (exclusive), and send the tombstone, once the activation in
   /// flight has ended: it is older than what was lost and must not be taken for finished, nor

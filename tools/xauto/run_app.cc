@@ -73,6 +73,9 @@ void RunFlags::declare(CLI::App& verb) {
   verb.add_flag(
       "--emulator-modules", emulator_modules,
       "emulate GPUs and DLAs by the kernel modules of kmod/emu, suspended through xauto.ko");
+  verb.add_option("--overload", overload,
+                  "what a module that is not free does with further messages: newest, queue:N or "
+                  "skip, for all or as MODULE=POLICY");
   verb.add_flag("--isolate", isolate, "each XModule in a process of its own");
   verb.add_option("--restarts", restarts, "how often a module's process that died is started again")
       ->check(CLI::Range(0, 1'000'000))
@@ -168,6 +171,11 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
       if (seen.insert(xnode.module).second) session.processes.push_back({xnode.module});
   }
   request.restarts = flags.restarts;
+  for (const std::string& text : flags.overload) {
+    const std::size_t equals = text.find('=');
+    const bool one = equals != std::string::npos;
+    session.overload[one ? text.substr(0, equals) : ""] = one ? text.substr(equals + 1) : text;
+  }
   request.command = flags.command;
   request.stop = stop;
   request.trace_capacity = std::clamp(flags.activations * flags.app.xnodes.size() * kEventsPerJob,

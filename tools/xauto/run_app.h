@@ -37,6 +37,7 @@ struct RunFlags {
   std::int64_t period_us = 0, cpu_budget_pct = 0;
   bool emulate = false, real = false, lockstep = false, isolate = false, emulator_modules = false;
   int restarts = 0;
+  std::vector<std::string> overload;
   std::vector<std::string> command;
 
   void declare(CLI::App& verb);

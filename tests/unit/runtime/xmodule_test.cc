@@ -128,6 +128,58 @@ TEST_F(Fixture, EveryReleaseIsAccountedForOnce) {
   EXPECT_EQ(log(), "");
 }
 
+TEST_F(Fixture, QueueKeepsReleasesInOrderUntilItIsFull) {
+  module_->set_overload({Overload::Kind::kQueue, 2});
+  for (std::uint64_t k = 0; k < 4; ++k) {
+    message(0, k);
+    message(1, k);
+  }
+  EXPECT_EQ(log(), " run0 overrun1");  // 0 in flight, 2 and 3 wait
+  module_->finish(true);
+  EXPECT_EQ(log(), " done0 out0 skip1 tomb1 run2");
+  module_->finish(true);
+  module_->finish(true);
+  EXPECT_EQ(log(), " done2 out2 run3 done3 out3");
+}
+
+TEST_F(Fixture, QueueLosesWhatIsLostUpstreamInItsTurn) {
+  module_->set_overload({Overload::Kind::kQueue, 8});
+  message(0, 0);
+  message(1, 0);
+  message(0, 1);
+  message(1, 1);
+  tombstone(0, 2);
+  message(1, 2);
+  message(0, 5);  // 3 and 4 were lost on the way
+  message(1, 5);
+  EXPECT_EQ(log(), " run0");
+  module_->finish(true);
+  EXPECT_EQ(log(), " done0 out0 run1");
+  module_->finish(true);
+  EXPECT_EQ(log(), " done1 out1 upstream2 upstream3 upstream4 skip4 tomb4 run5");
+}
+
+TEST_F(Fixture, SkipTakesNothingWhileItIsBusy) {
+  module_->set_overload({Overload::Kind::kSkip, 1});
+  message(0, 0);
+  message(1, 0);
+  message(0, 1);
+  message(1, 1);
+  EXPECT_EQ(log(), " run0 overrun1");
+  module_->finish(true);
+  EXPECT_EQ(log(), " done0 out0 skip1 tomb1");
+  message(0, 2);
+  message(1, 2);
+  EXPECT_EQ(log(), " run2");
+}
+
+TEST_F(Fixture, OverloadPoliciesAreParsedStrictly) {
+  EXPECT_EQ(Overload::parse("queue:4")->depth, 4u);
+  EXPECT_EQ(Overload::parse("skip")->kind, Overload::Kind::kSkip);
+  for (const char* wrong : {"", "queue", "queue:", "queue:0", "queue:257", "queue:4x", "drop"})
+    EXPECT_FALSE(Overload::parse(wrong)) << wrong;
+}
+
 TEST_F(Fixture, SeveralRatesTakeTheNewestOfEach) {
   build(false);
   message(0, 0);
