@@ -86,7 +86,7 @@ scx() {
   done
   items+=("$(command -v bpftool || echo /usr/sbin/bpftool)")
   for program in run tools trace; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
-  VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
+  VM_THREADS=single VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
 }
 
 # The Driving Case over the emulator modules, in the guest's own virtual time.

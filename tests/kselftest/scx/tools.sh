@@ -54,7 +54,10 @@ kill -9 "$(pidof xauto-cpusched)"
 wait $run
 status=$?
 ok "the loader killed: the app goes on to its end" [ $status -eq 0 ]
-ok "... in the same order under the fallback" [ "$(head -n 12 killed.order | cut -d' ' -f2-)" = "$(cut -d' ' -f2- ext.order)" ]
+# Whatever ran or was waiting at that moment was for a while an ordinary thread: that activation may differ, and the one begun meanwhile.
+usual=$(tail -n 1 ext.order | cut -d' ' -f2-)
+differ=$(tail -n +2 killed.order | cut -d' ' -f2- | grep -vcxF "$usual")
+ok "... in the same order under the fallback, but for two activations at most ($differ)" [ "$differ" -le 2 ]
 ok "... and says so" has "the sched_ext scheduler ended: CPU XNodes went on under SCHED_FIFO" killed.json
 ok "... with all activations" [ "$(wc -l <killed.order)" -eq 60 ]
 ok "... and the kernel is back at its own scheduler" [ "$(state)" = disabled ]

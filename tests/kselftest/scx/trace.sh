@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 # Sourced by tools.sh: tracing with our tools and with bpftool, all at once on one run under sched_ext.
-drive traced ext 70 &
+drive traced ext 0 & # until it is stopped
 run=$!
 while [ "$(state)" != enabled ]; do sleep 0.1; done
-xauto trace --duration-s 4 --out trace.jsonl --events --printk >trace.txt 2>trace.err &
+xauto trace --out trace.jsonl --events --printk >trace.txt 2>trace.err &
 trace=$!
 while [ ! -e /sys/fs/bpf/xauto/*/pipe ]; do sleep 0.1; done
 maps=$(echo /sys/fs/bpf/xauto/*)
@@ -18,6 +18,8 @@ for map in head table slots jobs sched names threads hist cpus losses cpu_states
 done
 xauto top --count 2 --interval-ms 800 >top.txt 2>top.err
 kill -INT $pipe $log
+sleep 1
+pkill -INT -f "xauto run"
 wait $trace
 status=$?
 wait $run
