@@ -140,7 +140,7 @@ static int claim_file(struct sk_buff *skb, struct genl_info *info, struct file *
 		return PTR_ERR(queue);
 	}
 	id = queue->id;
-	owner = xauto_owner_get(info->snd_portid, info->extack);
+	owner = xauto_owner_get(skb, info->extack);
 	if (IS_ERR(owner)) {
 		xauto_queue_put(queue);
 		return PTR_ERR(owner);
@@ -175,9 +175,9 @@ static int cmd_register(struct sk_buff *skb, struct genl_info *info)
 	return err;
 }
 
-static struct xauto_owner *caller(struct genl_info *info)
+static struct xauto_owner *caller(struct sk_buff *skb, struct genl_info *info)
 {
-	struct xauto_owner *owner = xauto_owner_find(info->snd_portid);
+	struct xauto_owner *owner = xauto_owner_find(skb);
 
 	if (!owner)
 		GENL_SET_ERR_MSG(info, "nothing is registered on this socket");
@@ -191,7 +191,7 @@ static int cmd_unregister(struct sk_buff *skb, struct genl_info *info)
 
 	if (!has_attr(info, XAUTO_A_HANDLE))
 		return -EINVAL;
-	owner = caller(info);
+	owner = caller(skb, info);
 	if (!owner)
 		return -ENOENT;
 	err = xauto_owner_unclaim(owner, nla_get_u32(info->attrs[XAUTO_A_HANDLE]));
@@ -318,7 +318,7 @@ static int cmd_control(struct sk_buff *skb, struct genl_info *info)
 				    "a message holds 1 to 64 operations");
 		return -EINVAL;
 	}
-	owner = caller(info);
+	owner = caller(skb, info);
 	if (!owner)
 		return -ENOENT;
 	/*
@@ -353,7 +353,7 @@ static int cmd_watchdog(struct sk_buff *skb, struct genl_info *info)
 	int err = 0;
 	u32 ms;
 
-	owner = caller(info); /* which feeds it */
+	owner = caller(skb, info); /* which feeds it */
 	if (!owner)
 		return -ENOENT;
 	if (attr) {
@@ -413,7 +413,7 @@ static int cmd_get(struct sk_buff *skb, struct genl_info *info)
 
 	if (!has_attr(info, XAUTO_A_HANDLE))
 		return -EINVAL;
-	owner = caller(info);
+	owner = caller(skb, info);
 	if (owner)
 		queue = xauto_owner_queue(owner, nla_get_u32(info->attrs[XAUTO_A_HANDLE]));
 	if (!queue) {
@@ -460,7 +460,7 @@ static int dump_queue(struct sk_buff *msg, struct netlink_callback *cb, struct x
 			     NLM_F_MULTI, XAUTO_CMD_GET);
 	if (!header)
 		return -EMSGSIZE;
-	owner = xauto_owner_find(NETLINK_CB(cb->skb).portid);
+	owner = xauto_owner_find(cb->skb);
 	err = put_queue(msg, queue, owner, false);
 	if (owner)
 		xauto_owner_put(owner);

@@ -9,6 +9,7 @@
 #include <linux/sched/signal.h>
 #include <linux/slab.h>
 #include <net/net_namespace.h>
+#include <net/sock.h>
 
 #include "compat.h"
 #include "event.h"
@@ -46,6 +47,7 @@ static void release(struct kref *ref)
 
 	xa_destroy(&owner->claims);
 	put_pid(owner->pid);
+	sock_put(owner->sk);
 	call_rcu(&owner->rcu, free_owner);
 	atomic_dec(&n_owners);
 }
@@ -55,7 +57,8 @@ void xauto_owner_put(struct xauto_owner *owner)
 	kref_put(&owner->ref, release);
 }
 
-struct xauto_owner *xauto_owner_find(u32 portid)
+/* The table's, whoever's socket it is. */
+static struct xauto_owner *look_up(unsigned long portid)
 {
 	struct xauto_owner *owner;
 
@@ -64,6 +67,26 @@ struct xauto_owner *xauto_owner_find(u32 portid)
 	if (owner && !kref_get_unless_zero(&owner->ref))
 		owner = NULL;
 	rcu_read_unlock();
+	return owner;
+}
+
+/* The table's reference becomes the work's. Any context that may take the array's lock. */
+static void bury(struct xauto_owner *owner)
+{
+	if (xa_cmpxchg(&owners, owner->portid, owner, NULL, 0) == owner)
+		queue_work(reaper, &owner->reap);
+}
+
+struct xauto_owner *xauto_owner_find(struct sk_buff *skb)
+{
+	struct xauto_owner *owner = look_up(NETLINK_CB(skb).portid);
+
+	if (owner && owner->sk != NETLINK_CB(skb).sk) {
+		/* Its socket has closed, else this one could not have its port. */
+		bury(owner);
+		xauto_owner_put(owner);
+		owner = NULL;
+	}
 	if (owner)
 		WRITE_ONCE(owner->fed, jiffies);
 	return owner;
@@ -114,13 +137,6 @@ static void reap(struct work_struct *work)
 	xauto_owner_put(owner);
 }
 
-/* The table's reference becomes the work's. Any context that may take the array's lock. */
-static void bury(struct xauto_owner *owner)
-{
-	if (xa_cmpxchg(&owners, owner->portid, owner, NULL, 0) == owner)
-		queue_work(reaper, &owner->reap);
-}
-
 static void watchdog(struct work_struct *work)
 {
 	struct xauto_owner *owner = container_of(work, struct xauto_owner, watchdog.work);
@@ -148,7 +164,7 @@ static void start_watchdog(struct xauto_owner *owner)
 		mod_delayed_work(reaper, &owner->watchdog, msecs_to_jiffies(owner->watchdog_ms));
 }
 
-static struct xauto_owner *new_owner(u32 portid)
+static struct xauto_owner *new_owner(struct sk_buff *skb)
 {
 	struct xauto_owner *owner = kmem_cache_zalloc(owner_cache, GFP_KERNEL);
 
@@ -159,16 +175,18 @@ static struct xauto_owner *new_owner(u32 portid)
 	xa_init_flags(&owner->claims, XA_FLAGS_ALLOC1);
 	INIT_DELAYED_WORK(&owner->watchdog, watchdog);
 	INIT_WORK(&owner->reap, reap);
-	owner->portid = portid;
+	owner->sk = NETLINK_CB(skb).sk;
+	sock_hold(owner->sk);
+	owner->portid = NETLINK_CB(skb).portid;
 	owner->pid = get_pid(task_tgid(current));
 	owner->watchdog_ms = XAUTO_WATCHDOG_DEFAULT_MS;
 	owner->fed = jiffies;
 	return owner;
 }
 
-struct xauto_owner *xauto_owner_get(u32 portid, struct netlink_ext_ack *extack)
+struct xauto_owner *xauto_owner_get(struct sk_buff *skb, struct netlink_ext_ack *extack)
 {
-	struct xauto_owner *owner = xauto_owner_find(portid);
+	struct xauto_owner *owner = xauto_owner_find(skb);
 	int err;
 
 	if (owner)
@@ -178,21 +196,24 @@ struct xauto_owner *xauto_owner_get(u32 portid, struct netlink_ext_ack *extack)
 		NL_SET_ERR_MSG(extack, "too many owners on this machine");
 		return ERR_PTR(-ENOSPC);
 	}
-	owner = new_owner(portid);
+	owner = new_owner(skb);
 	if (!owner) {
 		atomic_dec(&n_owners);
 		return ERR_PTR(-ENOMEM);
 	}
 	kref_get(&owner->ref); /* the caller's, beside the table's */
-	err = xa_insert(&owners, portid, owner, GFP_KERNEL);
+	/* Before others see the owner: what they do with it is swept even if we get no CPU. */
+	queue_delayed_work(reaper, &sweeper, msecs_to_jiffies(sweep_ms));
+	err = xa_insert(&owners, owner->portid, owner, GFP_KERNEL);
 	if (err) {
 		/* Two threads sent on one socket; the other was first. */
 		xauto_owner_put(owner);
 		xauto_owner_put(owner);
-		owner = err == -EBUSY ? xauto_owner_find(portid) : NULL;
+		owner = err == -EBUSY ? xauto_owner_find(skb) : NULL;
+		if (!owner)
+			NL_SET_ERR_MSG(extack, "the socket's owner just ended; register again");
 		return owner ?: ERR_PTR(err == -EBUSY ? -EAGAIN : err);
 	}
-	queue_delayed_work(reaper, &sweeper, msecs_to_jiffies(sweep_ms));
 	return owner;
 }
 
@@ -352,11 +373,7 @@ static void sweep(struct work_struct *work)
 	unsigned long portid;
 
 	xa_for_each(&owners, portid, owner) {
-		rcu_read_lock();
-		owner = xa_load(&owners, portid);
-		if (owner && !kref_get_unless_zero(&owner->ref))
-			owner = NULL;
-		rcu_read_unlock();
+		owner = look_up(portid);
 		if (!owner)
 			continue;
 		if (process_is_dead(owner->pid))
@@ -375,9 +392,11 @@ static int on_netlink(struct notifier_block *block, unsigned long state, void *d
 	if (state != NETLINK_URELEASE || notify->protocol != NETLINK_GENERIC ||
 	    !net_eq(notify->net, &init_net) || !notify->portid)
 		return NOTIFY_DONE;
-	owner = xauto_owner_find(notify->portid);
+	owner = look_up(notify->portid);
 	if (owner) {
-		bury(owner);
+		/* Not one of a socket that was quick to take the port. */
+		if (sock_flag(owner->sk, SOCK_DEAD))
+			bury(owner);
 		xauto_owner_put(owner);
 	}
 	return NOTIFY_DONE;

@@ -9,6 +9,10 @@
  *   sweeper),
  *   - its watchdog was not fed (it stays, without votes),
  *   - the module unloads.
+ * A port id does not name a socket for ever: it is free before the notifier is called, so that
+ * another process may have a socket on it by then. Hence an owner holds its socket, a message finds
+ * only the owner of the socket it came from, and the notifier takes none whose socket lives.
+ *
  * The notifier only takes the owner out of the table; the driver calls happen on our work queue,
  * so that no exiting process waits for a driver.
  *
@@ -26,6 +30,8 @@
 
 struct netlink_ext_ack;
 struct pid;
+struct sk_buff;
+struct sock;
 struct xauto_queue;
 
 #define XAUTO_MAX_OWNERS 1024
@@ -35,7 +41,8 @@ struct xauto_queue;
  * struct xauto_owner - a netlink socket
  * @ref: one of the table's, one of a handler at work, one while a work item is queued
  * @rcu: the table is read without a lock
- * @portid: the socket
+ * @sk: the socket, held so that no other has its address
+ * @portid: its name in events, and the table's key
  * @pid: the process that registered first
  * @lock: covers everything below except @fed
  * @claims: handle to struct xauto_claim
@@ -52,6 +59,7 @@ struct xauto_queue;
 struct xauto_owner {
 	struct kref ref;
 	struct rcu_head rcu;
+	struct sock *sk;
 	u32 portid;
 	struct pid *pid;
 	struct mutex lock; /* everything below except @fed */
@@ -67,10 +75,10 @@ struct xauto_owner {
 	struct work_struct reap;
 };
 
-/* The owner that this socket is, fed, with a reference; NULL if it is none. */
-struct xauto_owner *xauto_owner_find(u32 portid);
+/* The owner that this message's socket is, fed, with a reference; NULL if it is none. */
+struct xauto_owner *xauto_owner_find(struct sk_buff *skb);
 /* ... made if it is none; an ERR_PTR with the extack set on failure. */
-struct xauto_owner *xauto_owner_get(u32 portid, struct netlink_ext_ack *extack);
+struct xauto_owner *xauto_owner_get(struct sk_buff *skb, struct netlink_ext_ack *extack);
 void xauto_owner_put(struct xauto_owner *owner);
 
 /* Takes over the caller's reference to the queue, also on failure. */
