@@ -6,6 +6,7 @@ import os
 import pathlib
 import subprocess
 import tempfile
+import time
 import unittest
 
 from common import APP, DRIVING, XAUTO, xauto
@@ -57,7 +58,7 @@ class Trace(unittest.TestCase):
         self.assertEqual(run.returncode, 0, answer)
         self.assertEqual(trace.returncode, 0, trace.stderr)
         seen = json.loads(trace.stdout)
-        names = {x["name"] for x in json.load(open(APP))["xnodes"]}
+        names = {x["name"] for x in json.loads(pathlib.Path(APP).read_text())["xnodes"]}
         self.assertEqual({x["xnode"] for x in seen["xnodes"]}, names)
         self.assertEqual(seen["complete"], seen["lost"]["events"] + seen["lost"]["jobs"] + seen["lost"]["pipe"] == 0)
         for xnode in seen["xnodes"]:
@@ -65,7 +66,7 @@ class Trace(unittest.TestCase):
             self.assertLessEqual(xnode["jobs"], 61, xnode)
             self.assertGreater(xnode["jobs"], 20, xnode)
             self.assertGreater(xnode["run_us"]["p50"], 0, xnode)
-        lines = [json.loads(line) for line in open(events)]
+        lines = [json.loads(line) for line in pathlib.Path(events).read_text().splitlines()]
         self.assertEqual(lines[0], {"lost_events": seen["lost"]["events"], "lost_jobs": seen["lost"]["jobs"]})
         self.assertEqual(len(lines) - 1, seen["events"])
         self.assertLessEqual({e["kind"] for e in lines[1:]}, KINDS)
@@ -84,7 +85,6 @@ class Trace(unittest.TestCase):
         trace = subprocess.Popen([XAUTO, "trace", "--run", f"{run.pid}-0", "--ring-kb", "4"], stdout=subprocess.PIPE,
                                  stderr=subprocess.PIPE, text=True)
         # Stopped for a while, it cannot empty 4 kB, 56 bytes each.
-        import time
         deadline = time.monotonic() + 20
         while not list(ROOT.glob(f"{run.pid}-*/events")) and time.monotonic() < deadline:
             time.sleep(0.05)
