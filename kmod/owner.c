@@ -210,7 +210,7 @@ struct xauto_owner *xauto_owner_get(struct sk_buff *skb, struct netlink_ext_ack 
 		xauto_owner_put(owner);
 		xauto_owner_put(owner);
 		owner = err == -EBUSY ? xauto_owner_find(skb) : NULL;
-		if (!owner)
+		if (!owner && err == -EBUSY)
 			NL_SET_ERR_MSG(extack, "the socket's owner just ended; register again");
 		return owner ?: ERR_PTR(err == -EBUSY ? -EAGAIN : err);
 	}

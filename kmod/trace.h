@@ -13,6 +13,10 @@
 
 #include "queue.h"
 
+/* perf and trace-cmd read the events' formats, where a name without its value means nothing. */
+TRACE_DEFINE_ENUM(XAUTO_QUEUE_GPU_TSG);
+TRACE_DEFINE_ENUM(XAUTO_QUEUE_DLA);
+
 DECLARE_EVENT_CLASS(xauto_queue,
 	TP_PROTO(struct xauto_queue *queue, u32 portid, u64 cost_ns, int err),
 	TP_ARGS(queue, portid, cost_ns, err),
