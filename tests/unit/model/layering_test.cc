@@ -57,6 +57,7 @@ std::vector<std::string> included_parts(std::istream& text) {
     const std::size_t slash = target.find('/');
     if (slash == std::string::npos || slash < 2) continue;
     const std::string part = target.substr(1, slash - 1);
+    if (part == "bpf" && target.front() == '<') continue;  // libbpf's headers, not our programs
     if (kParts.contains(part)) parts.push_back(part);
   }
   return parts;
