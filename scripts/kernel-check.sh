@@ -100,10 +100,30 @@ driving() {
   grep -A 8 '^# driving on' "$out/driving.log"
 }
 
+# trace-cmd, perf, bpftrace and bpftool on xauto.ko's events; their packages are the group `trace`. No part of make check.
+consumers() {
+  local kernel items program tool
+  note "who reads xauto.ko's trace events"
+  for tool in trace-cmd perf bpftrace bpftool clang-19; do
+    PATH=$PATH:/usr/sbin command -v "$tool" >/dev/null ||
+      { echo "kernel-check: $tool is missing; run scripts/setup.sh kernel trace" >&2; failed=$((failed + 1)); return; }
+  done
+  kernel=$(scripts/vm/fetch-kernel.sh 7.x) || { failed=$((failed + 1)); return; }
+  mapfile -t items < <(modules_of "$kernel" "$out/kmod-7.x-amd64")
+  [ ${#items[@]} -gt 0 ] || { failed=$((failed + 1)); return; }
+  clang-19 -g -O2 -target bpf -mcpu=v3 -I"/usr/include/$(uname -m)-linux-gnu" -c tests/vm/consumers.bpf.c -o "$out/consumers.bpf.o" ||
+    { failed=$((failed + 1)); return; }
+  items+=("$out/consumers.bpf.o:/tests/consumers.bpf.o")
+  for program in xauto xauto-coordinator xauto-emud driving; do items+=("$build/bin/$program:/opt/xauto/bin/$program"); done
+  for tool in trace-cmd perf bpftrace bpftool; do items+=("$(PATH=$PATH:/usr/sbin command -v "$tool")"); done
+  VM_ICOUNT=1 VM_MEMORY=3G VM_LIMIT_S=${VM_LIMIT_S:-600} \
+    in_vm consumers "$kernel" run-consumers examples/driving/app.json:/opt/xauto/app.json "${items[@]}"
+}
+
 [ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 driving scx-7.x)
 for lane in "${lanes[@]}"; do
   case $lane in
-    driving) driving ;;
+    driving | consumers) "$lane" ;;
     scx-*) scx "${lane#scx-}" ;;
     kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;
     kmod-*) kmod "${lane#kmod-}" ;;
