@@ -56,6 +56,7 @@ std::vector<std::string> included_parts(std::istream& text) {
       continue;
     const std::size_t slash = target.find('/');
     if (slash == std::string::npos || slash < 2) continue;
+    if (target.starts_with("<bpf/")) continue;  // libbpf's; nobody includes our bpf/
     const std::string part = target.substr(1, slash - 1);
     if (part == "bpf" && target.front() == '<') continue;  // libbpf's headers, not our programs
     if (kParts.contains(part)) parts.push_back(part);
