@@ -59,6 +59,7 @@ void add_explain(Commands&);
 void add_generate(Commands&);
 void add_profile(Commands&);
 void add_record(Commands&);
+void add_report(Commands&);
 void add_run(Commands&);
 void add_simulate(Commands&);
 void add_solve(Commands&);

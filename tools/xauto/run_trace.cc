@@ -248,8 +248,10 @@ class Painter {
       const std::int64_t latency_us = (release.end_ns - release.begin_ns) / 1000;
       if (release.fate == Fate::kDone) {
         args.emplace_back("latency_us", latency_us);
-        if (app_.deadline_us)
+        if (app_.deadline_us) {
+          args.emplace_back("deadline_us", *app_.deadline_us);
           args.emplace_back("deadline", latency_us > *app_.deadline_us ? "missed" : "met");
+        }
       } else if (release.fate == Fate::kDropped) {
         args.emplace_back("result", "dropped");
       }
@@ -271,16 +273,24 @@ class Painter {
   void paint_lanes(Track parent, const std::string& title, const std::string& description,
                    std::vector<Piece*>& pieces, bool exclusive) {
     int lanes = 1;
+    // A job is let on while its predecessor is still being taken off: the switch is drawn inside
+    // it.
+    const auto depth = [](const Piece* piece) {
+      return piece->details.category == "switch" ? 1 : 0;
+    };
     if (exclusive)
-      std::stable_sort(pieces.begin(), pieces.end(),
-                       [](const Piece* a, const Piece* b) { return a->begin < b->begin; });
+      std::stable_sort(pieces.begin(), pieces.end(), [&](const Piece* a, const Piece* b) {
+        return a->begin != b->begin ? a->begin < b->begin : depth(a) < depth(b);
+      });
     else
       lanes = std::max(1, assign_lanes(pieces));
     for (int lane = 0; lane < lanes; ++lane) {
       Nest nest(out_, out_.add_track(parent, title, lane == 0 ? description : ""));
-      for (Piece* piece : pieces)
-        if (exclusive || piece->lane == lane)
-          nest.add(0, piece->begin, piece->end, piece->name, std::move(piece->details));
+      for (Piece* piece : pieces) {
+        if (!exclusive && piece->lane != lane) continue;
+        const int at = exclusive ? depth(piece) : 0;
+        nest.add(at, piece->begin, piece->end, piece->name, std::move(piece->details));
+      }
     }
   }
 

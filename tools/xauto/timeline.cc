@@ -34,6 +34,8 @@ std::string script_safe(const ordered_json& value) {
   return out;
 }
 
+}  // namespace
+
 std::string html_safe(const std::string& text) {
   std::string out;
   for (const char c : text) {
@@ -57,8 +59,6 @@ std::string html_safe(const std::string& text) {
   return out;
 }
 
-}  // namespace
-
 std::string timeline_html(const Timeline& timeline) {
   ordered_json panels = ordered_json::array();
   for (const Panel& p : timeline.panels)
@@ -77,7 +77,8 @@ std::string timeline_html(const Timeline& timeline) {
   const ordered_json data = {
       {"title", timeline.title}, {"note", timeline.note}, {"panels", std::move(panels)}};
   return std::string(kPageHead) + "<title>" + html_safe(timeline.title) + "</title>" + kPageStyle +
-         kPageBody + "<script>const DATA = " + script_safe(data) + ";</script>" + kPageScript;
+         kPageBody + timeline.sections + kPagePanels + "<script>const DATA = " + script_safe(data) +
+         ";</script>" + kPageScript;
 }
 
 }  // namespace xauto::cli

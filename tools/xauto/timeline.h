@@ -38,7 +38,11 @@ struct Timeline {
   std::string title;
   std::string note;  ///< conditions: platform, emulated or not, number of activations
   std::vector<Panel> panels;
+  std::string sections = {};  ///< HTML above the panels; its author has escaped it
 };
+
+/// Text for between HTML's tags, or for an attribute in double quotes.
+[[nodiscard]] std::string html_safe(const std::string& text);
 
 /// The whole page. Names are escaped; needs no network.
 [[nodiscard]] std::string timeline_html(const Timeline& timeline);

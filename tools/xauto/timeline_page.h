@@ -43,7 +43,10 @@ inline constexpr const char* kPageBody = R"html(</head><body>
 <div class="tools">zoom <button id="in" title="key +">+</button> <button id="out" title="key -">&minus;</button> <button id="all" title="key 0">all</button></div>
 <h1 id="title"></h1><div id="note" class="dim"></div>
 <div class="card"><table id="table"></table></div>
-<div class="legend" id="legend"></div>
+)html";
+
+/// After the sections, if there are any.
+inline constexpr const char* kPagePanels = R"html(<div class="legend" id="legend"></div>
 <div id="panels"></div><div id="tip" role="tooltip"></div>
 )html";
 

@@ -12,8 +12,10 @@
 #include <gtest/gtest.h>
 
 #include "../golden_cases.h"
+#include "xauto/html_report.h"
 #include "xauto/perfetto.pb.h"
 #include "xauto/run_trace.h"
+#include "xauto/trace_reader.h"
 
 namespace xauto::cli {
 namespace {
@@ -216,22 +218,39 @@ TEST(Perfetto, APreemptedJobIsCutAndSaysByWhom) {
   const auto& gpu = viewed.slices.at(kRoot + "run/gpu0");
   std::vector<std::string> names;
   for (const Slice& slice : gpu) {
-    names.push_back(slice.name);
-    EXPECT_EQ(slice.depth, 0) << "one job at a time";
+    names.push_back((slice.depth == 0 ? "" : "in it: ") + slice.name);
   }
-  EXPECT_EQ(names, (std::vector<std::string>{"big.infer", "switch: big.infer", "cam.infer",
-                                             "switch: big.infer", "big.infer"}));
+  EXPECT_EQ(names,
+            (std::vector<std::string>{"big.infer", "switch: big.infer", "in it: switch: big.infer",
+                                      "cam.infer", "big.infer"}));
   EXPECT_EQ(gpu.back().args.at("preempted_by"), "cam.infer");
   EXPECT_EQ(gpu.back().args.at("part"), "2");
   EXPECT_EQ(gpu.back().args.at("waited_us"), std::to_string((8 - 4) + (315 - 114)));
-  EXPECT_EQ(gpu[2].args.at("waited_for"), "big.infer");
-  EXPECT_EQ(gpu[2].end, 1'315'000u) << "cut where the next one begins, not at its late FINISH";
+  EXPECT_EQ(gpu[3].args.at("waited_for"), "big.infer");
+  EXPECT_EQ(gpu[3].end, 1'318'000u) << "cut where the next one begins, not at its late FINISH";
 
   std::map<std::string, int> states;
   for (const Slice& slice : viewed.slices.at(kRoot + "modules/BIG"))
     if (slice.depth == 2) ++states[slice.name];
   EXPECT_EQ(states, (std::map<std::string, int>{
                         {"waiting", 1}, {"running", 2}, {"switching", 2}, {"suspended", 1}}));
+}
+
+TEST(Perfetto, AJobThatIsLetOnDuringTheSwitchIsNotCut) {
+  Tiny tiny;
+  tiny.at(0, XAUTO_EV_PUBLISH, 0);
+  tiny.at(1, XAUTO_EV_RUN, 0, 2, 1, 1);
+  tiny.at(100, XAUTO_EV_RUN, 0, 1, 0, 1);
+  tiny.at(101, XAUTO_EV_SUSPEND, 0, 2, 1, 1);
+  tiny.at(130, XAUTO_EV_SUSPENDED, 0, 2, 1, 1);
+  tiny.at(300, XAUTO_EV_FINISH, 0, 1, 0, 1);
+  std::map<std::string, std::uint64_t> length;
+  const Viewed viewed(tiny.file());
+  for (const Slice& slice : viewed.slices.at(kRoot + "run/gpu0"))
+    length[slice.name] = slice.end - slice.begin;
+  EXPECT_EQ(length,
+            (std::map<std::string, std::uint64_t>{
+                {"big.infer", 99'000}, {"switch: big.infer", 29'000}, {"cam.infer", 200'000}}));
 }
 
 TEST(Perfetto, ArrowsGoFromTheReleaseAlongTheEdgesToTheOutputs) {
@@ -387,6 +406,90 @@ TEST(Perfetto, NamesThatAreNoUtf8AreMendedAndClocksAreShifted) {
   EXPECT_EQ(trace.packet(1).timestamp(), 1005u);
   ASSERT_TRUE(trace.ParseFromString(out.write(-1000)));
   EXPECT_EQ(trace.packet(1).timestamp(), 0u);
+}
+
+// ---- read back by `xauto report`
+
+TEST(Report, TheChainOfTheWorstReleaseSaysWhoWasWaitedFor) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  const auto trace = read_trace(tiny.file(), "t.pftrace");
+  ASSERT_TRUE(trace) << trace.error().to_string();
+  EXPECT_EQ(trace->rows, (std::vector<std::string>{"cpu0", "gpu0"}));
+  ASSERT_EQ(trace->releases.size(), 1u);
+  EXPECT_EQ(trace->releases[0].latency_us, 721);
+  EXPECT_EQ(trace->deadline_us, 800);
+  const auto chain = critical_chain(*trace, 0);
+  ASSERT_EQ(chain.size(), 1u);  // BIG is done last, and waits for nobody's output
+  EXPECT_EQ(chain[0].xnode, "big.infer");
+  EXPECT_EQ(chain[0].preempted_by, "cam.infer");
+  EXPECT_EQ(chain[0].ran_us, (104 - 8) + (720 - 318));
+  EXPECT_EQ(chain[0].suspended_us, 318 - 104);
+  EXPECT_EQ(chain[0].planned_us, 500);
+}
+
+TEST(Report, AChainIsFollowedFromTheOutputToTheSensors) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  while (tiny.trace.events.back().kind != XAUTO_EV_DONE || tiny.trace.events.back().module != 0)
+    tiny.trace.events.pop_back();
+  const auto trace = read_trace(tiny.file(), "t.pftrace");
+  ASSERT_TRUE(trace) << trace.error().to_string();
+  const auto chain = critical_chain(*trace, 0);
+  ASSERT_EQ(chain.size(), 2u);
+  EXPECT_EQ(chain[0].xnode, "cam.pre");
+  EXPECT_EQ(chain[0].xpu, "cpu0");
+  EXPECT_EQ(chain[1].xnode, "cam.infer");
+  EXPECT_EQ(chain[1].handover_us, 1);
+  EXPECT_EQ(chain[1].waited_us, 115 - 101);
+  EXPECT_EQ(chain[1].waited_for, "big.infer");
+}
+
+TEST(Report, ThePageHoldsTheNumbersAndEscapesNames) {
+  Tiny tiny;
+  tiny.scene.title = "<img src=x>: xauto";
+  tiny.release(0, 0);
+  tiny.release(2000, 1);
+  const auto trace = read_trace(tiny.file(), "t.pftrace");
+  ASSERT_TRUE(trace) << trace.error().to_string();
+  const std::string page = html_report({{"xauto", "", *trace}});
+  EXPECT_EQ(page.find("<img"), std::string::npos);
+  EXPECT_NE(page.find("release 0, 0.72 ms"), std::string::npos);
+  EXPECT_NE(page.find("off the XPU for 0.21 ms, preempted by cam.infer"), std::string::npos);
+  EXPECT_NE(page.find("<td>BIG</td><td>2</td><td>0.72</td>"), std::string::npos);
+}
+
+TEST(Report, FilesThatAreNoTraceOfOursAreRefused) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  const std::string good = tiny.file();
+  const auto refused = [](const std::string& bytes) {
+    const auto trace = read_trace(bytes, "t.pftrace");
+    EXPECT_FALSE(trace);
+    if (trace) return std::string();
+    EXPECT_EQ(trace.error().code, ErrorCode::kInvalid);
+    return trace.error().to_string();
+  };
+  EXPECT_EQ(refused(""), "t.pftrace: is empty\n  hint: did the run end before it wrote it?");
+  EXPECT_NE(refused("{\"schema\": 1}").find("is no Perfetto trace"), std::string::npos);
+  EXPECT_NE(refused(good.substr(0, good.size() - 1)).find("was broken off"), std::string::npos);
+  PerfettoWriter other;
+  const auto track = other.add_track(PerfettoWriter::kNoParent, "another tool's");
+  EXPECT_NE(refused(other.write(0)).find("was not written by `xauto run"), std::string::npos);
+  other.end(track, 1);
+  EXPECT_NE(refused(other.write(0)).find("that never began"), std::string::npos);
+}
+
+TEST(Report, ADamagedTraceIsReadOrRefused) {
+  Tiny tiny;
+  tiny.release(0, 0);
+  const std::string good = tiny.file();
+  std::mt19937 random(11);
+  for (int round = 0; round < 2000; ++round) {
+    std::string bytes = good;
+    for (int k = 0; k < 3; ++k) bytes[random() % bytes.size()] = static_cast<char>(random() & 0xff);
+    if (const auto trace = read_trace(bytes, "t.pftrace")) (void)html_report({{"t", "", *trace}});
+  }
 }
 
 // ---- other readers

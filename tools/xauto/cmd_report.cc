@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto report: traces of finished runs as one page. docs/timeline.md.
+#include <filesystem>
+#include <iostream>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include "model/json.h"
+
+#include "xauto/command.h"
+#include "xauto/html_report.h"
+
+namespace xauto::cli {
+namespace {
+
+struct Flags {
+  std::vector<std::string> traces;
+  std::string report, out = "report.html";
+};
+
+/// What report.json says of the run that the trace is of: the one of its name, or the only one.
+std::string fact_of(const nlohmann::json& report, const std::string& id) {
+  const auto runs = report.find("runs");
+  if (runs == report.end() || !runs->is_array()) return {};
+  for (const auto& run : *runs) {
+    if (!run.is_object() || (runs->size() > 1 && run.value("policy", "") != id)) continue;
+    std::string out;
+    const auto add = [&](const char* key, const char* what) {
+      if (const auto at = run.find(key); at != run.end() && at->is_number())
+        out +=
+            fmt::format("{}{} {:.2f} ms", out.empty() ? "" : ", ", what, at->get<double>() / 1000);
+    };
+    add("predicted_us", "simulated");
+    add("worst_case_us", "certified worst case");
+    add("lower_bound_us", "nothing is shorter than");
+    return out;
+  }
+  return {};
+}
+
+Result<int> make(const Flags& flags, const Options& options) {
+  nlohmann::json report;
+  if (!flags.report.empty()) {
+    XAUTO_ASSIGN(const std::string text, read_file(flags.report));
+    report = nlohmann::json::parse(text, nullptr, false);
+    if (!report.is_object() || !report.contains("schema") || report["schema"] != "xauto.report")
+      return fail(ErrorCode::kInvalid, "is no report.json", flags.report,
+                  "`xauto run --out` and `xauto compare` write it");
+  }
+  std::vector<ReportedTrace> traces;
+  for (const std::string& path : flags.traces) {
+    XAUTO_ASSIGN(const std::string bytes, read_file(path));
+    XAUTO_ASSIGN(ReadTrace trace, read_trace(bytes, path));
+    const std::string id = std::filesystem::path(path).stem().string();
+    std::string fact = report.is_object() ? fact_of(report, id) : std::string();
+    traces.push_back({id, std::move(fact), std::move(trace)});
+  }
+  XAUTO_TRY(write_file(flags.out, html_report(traces)));
+  if (options.json) {
+    auto list = nlohmann::ordered_json::array();
+    for (const ReportedTrace& t : traces)
+      list.push_back(
+          {{"trace", t.id}, {"releases", t.trace.releases.size()}, {"lost", t.trace.lost}});
+    std::cout << nlohmann::ordered_json{{"out", flags.out}, {"traces", std::move(list)}}.dump(2)
+              << "\n";
+  } else {
+    std::cout << flags.out << "    open it in a browser\n";
+  }
+  return kDone;
+}
+
+}  // namespace
+
+void add_report(Commands& commands) {
+  auto flags = std::make_shared<Flags>();
+  CLI::App* verb = commands.add(
+      "report", "Make a page of traces: latencies, the worst release and why, XPU load.",
+      "xauto report build/demo/heft.pftrace build/demo/xauto.pftrace --out report.html",
+      [flags](const Options& options) {
+        const auto status = make(*flags, options);
+        return status ? *status : report(status.error());
+      });
+  verb->add_option("traces", flags->traces, "files of `xauto run --trace-out` or `xauto compare`")
+      ->required();
+  verb->add_option("--report", flags->report,
+                   "report.json of the same runs, for what was predicted");
+  verb->add_option("--out", flags->out, "the page")->capture_default_str();
+}
+
+}  // namespace xauto::cli

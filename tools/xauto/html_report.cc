@@ -1,0 +1,316 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sections are written here as plain HTML, every text from outside through html_safe(); the
+// schedule below them is the timeline page's (timeline_page.h), showing the worst release instead
+// of the median one.
+#include "xauto/html_report.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "xauto/timeline.h"
+
+namespace xauto::cli {
+namespace {
+
+using Latencies = std::vector<std::int64_t>;
+
+std::int64_t quantile(const Latencies& sorted, double q) {
+  if (sorted.empty()) return 0;
+  const auto rank = static_cast<std::size_t>(std::ceil(q * static_cast<double>(sorted.size())));
+  return sorted[std::clamp<std::size_t>(rank, 1, sorted.size()) - 1];
+}
+
+std::string ms(std::int64_t us) {
+  return fmt::format("{:.2f}", static_cast<double>(us) / 1000);
+}
+
+/// "LD 12" is the output of module LD.
+std::string module_of(const TraceSlice& output) {
+  return output.name.substr(0, output.name.rfind(' '));
+}
+
+std::map<std::string, Latencies> latencies_by_output(const ReadTrace& trace) {
+  std::map<std::int64_t, std::int64_t> begin;
+  for (const TraceRelease& release : trace.releases)
+    if (release.latency_us >= 0) begin.emplace(release.number, release.begin_ns);
+  std::map<std::string, Latencies> out;
+  for (const TraceSlice& slice : trace.run) {
+    if (slice.category != "done") continue;
+    const auto at = begin.find(slice.release);
+    if (at != begin.end()) out[module_of(slice)].push_back((slice.begin_ns - at->second) / 1000);
+  }
+  for (auto& [name, list] : out) std::sort(list.begin(), list.end());
+  return out;
+}
+
+/// As bars, from the least to the greatest latency of the page's section.
+std::string histogram(const Latencies& sorted, std::int64_t from, std::int64_t to) {
+  constexpr int kBins = 48;
+  std::vector<int> bins(kBins, 0);
+  for (const std::int64_t us : sorted)
+    ++bins[static_cast<std::size_t>(std::min<std::int64_t>(
+        kBins - 1, (us - from) * kBins / std::max<std::int64_t>(1, to - from)))];
+  const int most = std::max(1, *std::max_element(bins.begin(), bins.end()));
+  std::string svg = fmt::format(
+      "<svg viewBox='0 0 240 34' style='width:240px' role='img' aria-label='distribution from {} "
+      "to {} ms'>"
+      "<line class='grid' x1='0' x2='240' y1='33' y2='33'/>",
+      ms(from), ms(to));
+  for (int b = 0; b < kBins; ++b) {
+    const int count = bins[static_cast<std::size_t>(b)];
+    if (count == 0) continue;
+    const int height = std::max(2, 32 * count / most);
+    svg += fmt::format("<rect x='{}' y='{}' width='4' height='{}' fill='var(--accent)'/>", b * 5,
+                       33 - height, height);
+  }
+  return svg + "</svg>";
+}
+
+std::string chains_section(const ReadTrace& trace) {
+  const auto outputs = latencies_by_output(trace);
+  if (outputs.empty())
+    return "<p class='dim'>No latency per output: no release was completed, or sources of several "
+           "rates "
+           "count their releases each for itself.</p>";
+  std::int64_t from = outputs.begin()->second.front(), to = from;
+  for (const auto& [name, list] : outputs) {
+    from = std::min(from, list.front());
+    to = std::max(to, list.back());
+  }
+  std::string html = fmt::format(
+      "<table><tr><th>output of, "
+      "ms</th><th>n</th><th>p50</th><th>p99</th><th>max</th><th>misses</th>"
+      "<th style='text-align:left'>from {} to {} ms</th></tr>",
+      ms(from), ms(to));
+  for (const auto& [name, list] : outputs) {
+    const auto misses = std::count_if(list.begin(), list.end(), [&](std::int64_t us) {
+      return trace.deadline_us >= 0 && us > trace.deadline_us;
+    });
+    html += fmt::format(
+        "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>"
+        "<td style='text-align:left'>{}</td></tr>",
+        html_safe(name), list.size(), ms(quantile(list, 0.5)), ms(quantile(list, 0.99)),
+        ms(list.back()), trace.deadline_us < 0 ? "no deadline" : std::to_string(misses),
+        histogram(list, from, to));
+  }
+  return html + "</table>";
+}
+
+std::string reason_of(const ChainStep& step) {
+  constexpr std::int64_t kWorthSaying = 50;
+  std::vector<std::string> reasons;
+  if (step.handover_us >= kWorthSaying)
+    reasons.push_back("became ready " + ms(step.handover_us) + " ms after the step before");
+  if (step.waited_us >= kWorthSaying)
+    reasons.push_back("waited " + ms(step.waited_us) + " ms" +
+                      (step.waited_for.empty() ? "" : " for " + step.waited_for));
+  if (step.suspended_us >= kWorthSaying)
+    reasons.push_back("off the XPU for " + ms(step.suspended_us) + " ms" +
+                      (step.preempted_by.empty() ? "" : ", preempted by " + step.preempted_by));
+  if (step.planned_us >= 0 && step.ran_us > step.planned_us + kWorthSaying)
+    reasons.push_back("ran " + ms(step.ran_us - step.planned_us) + " ms longer than planned");
+  std::string out;
+  for (const std::string& reason : reasons) out += (out.empty() ? "" : "; ") + reason;
+  return out;
+}
+
+std::string worst_section(const ReadTrace& trace, const TraceRelease* worst) {
+  if (worst == nullptr) return {};
+  const std::vector<ChainStep> chain = critical_chain(trace, worst->number);
+  std::int64_t ran = 0;
+  for (const ChainStep& step : chain) ran += step.ran_us;
+  std::string html = fmt::format(
+      "<h2>What set the worst case: release {}, {} ms</h2><p class='dim'>Backwards from the last "
+      "output, "
+      "always to the one that handed over last. {} ms of it is work.</p><table><tr><th>step</th>"
+      "<th style='text-align:left'>on</th><th>begins</th><th>ends</th><th>work</th><th>plan</th>"
+      "<th style='text-align:left'>why not sooner</th></tr>",
+      worst->number, ms(worst->latency_us), ms(ran));
+  for (const ChainStep& step : chain)
+    html += fmt::format(
+        "<tr><td>{}</td><td "
+        "style='text-align:left'>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>"
+        "<td style='text-align:left'>{}</td></tr>",
+        html_safe(step.xnode), html_safe(step.xpu), ms(step.begin_us), ms(step.end_us),
+        ms(step.ran_us), step.planned_us < 0 ? "" : ms(step.planned_us),
+        html_safe(reason_of(step)));
+  return html + "</table>";
+}
+
+/// Time in which at least one of the slices holds, of the whole.
+double share(std::vector<std::pair<std::int64_t, std::int64_t>> spans, std::int64_t whole) {
+  std::sort(spans.begin(), spans.end());
+  std::int64_t busy = 0, until = 0;
+  for (const auto& [begin, end] : spans) {
+    busy += std::max<std::int64_t>(0, end - std::max(begin, until));
+    until = std::max(until, end);
+  }
+  return whole <= 0 ? 0 : 100.0 * static_cast<double>(busy) / static_cast<double>(whole);
+}
+
+std::string load_section(const ReadTrace& trace) {
+  std::string html =
+      "<h2>XPU load</h2><table><tr><th>XPU</th><th>busy</th><th>of it switching</th>"
+      "<th>jobs</th><th>preemptions</th><th></th></tr>";
+  const std::int64_t whole = trace.end_ns - trace.begin_ns;
+  for (std::size_t r = 0; r < trace.rows.size(); ++r) {
+    std::vector<std::pair<std::int64_t, std::int64_t>> all, switching;
+    int jobs = 0, preemptions = 0;
+    for (const TraceSlice& slice : trace.run) {
+      if (slice.row != static_cast<int>(r)) continue;
+      all.emplace_back(slice.begin_ns, slice.end_ns);
+      if (slice.category == "switch") switching.emplace_back(slice.begin_ns, slice.end_ns);
+      if (slice.category == "run") (slice.part == 1 ? jobs : preemptions) += 1;
+    }
+    const double busy = share(all, whole);
+    html += fmt::format(
+        "<tr><td>{}</td><td>{:.1f} %</td><td>{:.1f} %</td><td>{}</td><td>{}</td>"
+        "<td class='bar'><div style='width:{:.1f}%'></div></td></tr>",
+        html_safe(trace.rows[r]), busy, share(switching, whole), jobs, preemptions, busy);
+  }
+  return html + "</table>";
+}
+
+const TraceRelease* worst_of(const ReadTrace& trace) {
+  const TraceRelease* worst = nullptr;
+  for (const TraceRelease& release : trace.releases)
+    if (release.latency_us >= 0 && (worst == nullptr || release.latency_us > worst->latency_us))
+      worst = &release;
+  return worst;
+}
+
+Panel panel_of(const ReportedTrace& reported, std::size_t number, const TraceRelease* worst) {
+  const ReadTrace& trace = reported.trace;
+  Panel panel;
+  const bool plain = !reported.id.empty() &&
+                     std::all_of(reported.id.begin(), reported.id.end(), [](unsigned char c) {
+                       return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '-';
+                     });
+  panel.id = plain ? reported.id : "trace" + std::to_string(number);
+  const auto colon = trace.title.rfind(": ");
+  panel.name = (colon == std::string::npos ? trace.title : trace.title.substr(colon + 2)) +
+               (worst == nullptr ? "" : ", its worst release");
+  panel.rows = trace.rows;
+  for (const TraceRelease& release : trace.releases)
+    if (release.latency_us >= 0) panel.latencies_us.push_back(release.latency_us);
+  Latencies sorted = panel.latencies_us;
+  std::sort(sorted.begin(), sorted.end());
+  panel.p50_us = quantile(sorted, 0.5);
+  panel.p99_us = quantile(sorted, 0.99);
+  panel.max_us = sorted.empty() ? 0 : sorted.back();
+  if (worst == nullptr) return panel;
+  panel.shown_sequence = worst->number;
+  panel.shown_latency_us = worst->latency_us;
+  const auto us = [&](std::int64_t ns) { return (ns - worst->begin_ns) / 1000; };
+  std::map<std::string, std::string> module;
+  std::map<std::string, std::int64_t> waited;
+  for (const TraceSlice& s : trace.run) {
+    if (s.release != worst->number || s.category == "done") continue;
+    const bool switching = s.category == "switch";
+    const std::string name = switching ? s.name.substr(s.name.find(' ') + 1) : s.name;
+    module[name] = s.module;
+    if (!switching && s.waited_us > waited[name]) {
+      const std::int64_t off = s.waited_us - waited[name];
+      panel.measured.push_back({s.row, name, s.module, us(s.begin_ns) - off, us(s.begin_ns),
+                                s.part == 1 ? BarKind::kWait : BarKind::kSuspended});
+      waited[name] = s.waited_us;
+    }
+    panel.measured.push_back({s.row, name, s.module, us(s.begin_ns), us(s.end_ns),
+                              switching ? BarKind::kSwitch : BarKind::kRun});
+  }
+  for (const TraceSlice& s : trace.plan) {
+    if (s.release != worst->number) continue;
+    const bool switching = s.name.rfind("switch: ", 0) == 0;
+    const std::string name = switching ? s.name.substr(s.name.find(' ') + 1) : s.name;
+    panel.predicted.push_back({s.row, name, module[name], us(s.begin_ns), us(s.end_ns),
+                               switching ? BarKind::kSwitch : BarKind::kRun});
+    panel.predicted_us = std::max(panel.predicted_us, us(s.end_ns));
+  }
+  return panel;
+}
+
+}  // namespace
+
+std::vector<ChainStep> critical_chain(const ReadTrace& trace, std::int64_t release) {
+  const auto at = std::find_if(trace.releases.begin(), trace.releases.end(),
+                               [&](const TraceRelease& r) { return r.number == release; });
+  if (at == trace.releases.end()) return {};
+  const auto us = [&](std::int64_t ns) { return (ns - at->begin_ns) / 1000; };
+  std::map<std::string, std::vector<const TraceSlice*>> parts;  // of the release's jobs, by time
+  std::map<std::string, std::int64_t> planned;
+  const TraceSlice* last = nullptr;
+  for (const TraceSlice& slice : trace.run) {
+    if (slice.release != release) continue;
+    if (slice.category == "run") parts[slice.name].push_back(&slice);
+    if (slice.category == "done" && (last == nullptr || slice.begin_ns >= last->begin_ns))
+      last = &slice;
+  }
+  for (const TraceSlice& slice : trace.plan)
+    if (slice.release == release) planned[slice.name] += (slice.end_ns - slice.begin_ns) / 1000;
+  std::vector<ChainStep> chain;
+  // Each job once: a damaged file may hold a circle.
+  while (last != nullptr && chain.size() <= parts.size()) {
+    const TraceSlice* before = nullptr;
+    for (const int i : last->from) {
+      const TraceSlice& source = trace.run[static_cast<std::size_t>(i)];
+      if (source.category == "run" && source.release == release &&
+          (before == nullptr || source.end_ns > before->end_ns))
+        before = &source;
+    }
+    if (before == nullptr) break;
+    const auto& pieces = parts[before->name];
+    const TraceSlice& first = *pieces.front();
+    ChainStep step;
+    step.xnode = before->name;
+    step.xpu = before->row < 0 ? "" : trace.rows[static_cast<std::size_t>(before->row)];
+    step.begin_us = us(first.begin_ns);
+    step.end_us = us(before->end_ns);
+    step.waited_us = first.waited_us;
+    step.waited_for = first.waited_for;
+    for (const TraceSlice* piece : pieces) {
+      step.ran_us += (piece->end_ns - piece->begin_ns) / 1000;
+      if (piece->part > 1 && !piece->preempted_by.empty() &&
+          step.preempted_by.find(piece->preempted_by) == std::string::npos)
+        step.preempted_by += (step.preempted_by.empty() ? "" : ", ") + piece->preempted_by;
+    }
+    step.suspended_us = step.end_us - step.begin_us - step.ran_us;
+    if (const auto plan = planned.find(step.xnode); plan != planned.end())
+      step.planned_us = plan->second;
+    chain.push_back(std::move(step));
+    last = &first;
+  }
+  std::reverse(chain.begin(), chain.end());
+  for (std::size_t i = 0; i < chain.size(); ++i)
+    chain[i].handover_us = std::max<std::int64_t>(
+        0, chain[i].begin_us - chain[i].waited_us - (i == 0 ? 0 : chain[i - 1].end_us));
+  return chain;
+}
+
+std::string html_report(const std::vector<ReportedTrace>& traces) {
+  Timeline page;
+  page.note = "written by xauto report; below, the worst release of each trace";
+  for (std::size_t i = 0; i < traces.size(); ++i) {
+    const ReadTrace& trace = traces[i].trace;
+    if (page.title.empty()) page.title = trace.title.substr(0, trace.title.rfind(": "));
+    const TraceRelease* worst = worst_of(trace);
+    page.sections +=
+        "<div class='card'><h2>" + html_safe(trace.title) + "</h2><p class='dim'>" +
+        html_safe(trace.note) +
+        fmt::format(", {} releases, {} activations dropped", trace.releases.size(), trace.dropped) +
+        (traces[i].fact.empty() ? "" : "; " + html_safe(traces[i].fact)) + "</p>";
+    if (trace.lost > 0)
+      page.sections += fmt::format(
+          "<p><b>Incomplete: the trace lost {} events.</b> Numbers below are of what is there.</p>",
+          trace.lost);
+    page.sections +=
+        chains_section(trace) + worst_section(trace, worst) + load_section(trace) + "</div>";
+    page.panels.push_back(panel_of(traces[i], i, worst));
+  }
+  return timeline_html(page);
+}
+
+}  // namespace xauto::cli

@@ -1,0 +1,201 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/trace_reader.h"
+
+#include <algorithm>
+#include <limits>
+#include <map>
+#include <unordered_map>
+
+#include "xauto/perfetto.pb.h"
+
+namespace xauto::cli {
+namespace {
+
+namespace proto = ::xauto::perfetto;
+
+enum class Place : std::uint8_t { kOther, kReleases, kRun, kPlan, kDone, kLost, kDropped };
+
+class TraceFile {
+ public:
+  explicit TraceFile(const std::string& where) : where_(where) {}
+
+  Status take(const proto::TracePacket& packet) {
+    ++packet_;
+    if (packet.has_track_descriptor()) return take_track(packet.track_descriptor());
+    if (packet.has_track_event()) return take_event(packet);
+    return {};  // other data sources' packets are not ours to judge
+  }
+
+  Result<ReadTrace> finish() {
+    if (!ours_)
+      return bad(
+          "was not written by `xauto run --trace-out` or `xauto compare`: it has no track "
+          "'releases' and 'run'");
+    for (const auto& [track, stack] : open_)
+      if (!stack.empty()) return bad("ends inside a slice of track '" + tracks_[track].name + "'");
+    return std::move(out_);
+  }
+
+ private:
+  struct Track {
+    std::string name;
+    std::uint64_t parent = 0;
+    Place place = Place::kOther;
+    int row = -1;
+  };
+
+  tl::unexpected<Error> bad(const std::string& what) const {
+    return fail(ErrorCode::kInvalid, what, where_ + ", packet " + std::to_string(packet_));
+  }
+
+  Status take_track(const proto::TrackDescriptor& d) {
+    Track track{d.name(), d.parent_uuid(), Place::kOther, -1};
+    const auto parent = tracks_.find(track.parent);
+    const std::string above = parent == tracks_.end() ? "" : parent->second.name;
+    if (parent == tracks_.end()) {
+      if (out_.title.empty()) {
+        out_.title = track.name;
+        out_.note = d.description();
+      }
+    } else if (track.name == "releases") {
+      track.place = Place::kReleases;
+    } else if (track.name == "done") {
+      track.place = Place::kDone;
+    } else if (track.name == "trace events lost") {
+      track.place = Place::kLost;
+    } else if (track.name == "activations dropped") {
+      track.place = Place::kDropped;
+    } else if (above == "run") {
+      ours_ = true;
+      track.place = Place::kRun;
+      track.row = row_of(track.name);
+    } else if (above == "plan") {
+      track.place = Place::kPlan;
+      constexpr std::size_t kSuffix = 5;  // " plan"
+      track.row =
+          row_of(track.name.substr(0, track.name.size() - std::min(kSuffix, track.name.size())));
+    }
+    if (d.uuid() == 0 || !tracks_.emplace(d.uuid(), std::move(track)).second)
+      return bad("describes track " + std::to_string(d.uuid()) + " twice");
+    return {};
+  }
+
+  int row_of(const std::string& name) {
+    const auto at = std::find(out_.rows.begin(), out_.rows.end(), name);
+    if (at == out_.rows.end()) out_.rows.push_back(name);
+    return static_cast<int>(std::find(out_.rows.begin(), out_.rows.end(), name) -
+                            out_.rows.begin());
+  }
+
+  Status take_event(const proto::TracePacket& packet) {
+    const proto::TrackEvent& event = packet.track_event();
+    const auto at = tracks_.find(event.track_uuid());
+    if (at == tracks_.end()) return bad("is on a track that was not described");
+    const Track& track = at->second;
+    if (packet.timestamp() > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2)
+      return bad("has a time stamp out of range");
+    const auto ts = static_cast<std::int64_t>(packet.timestamp());
+    if (ts < out_.end_ns) return bad("goes back in time");
+    if (track.place == Place::kRun || track.place == Place::kReleases) {
+      if (out_.begin_ns == 0) out_.begin_ns = ts;
+      out_.end_ns = ts;
+    }
+    switch (event.type()) {
+      case proto::TrackEvent::TYPE_COUNTER:
+        if (track.place == Place::kLost) out_.lost = event.counter_value();
+        if (track.place == Place::kDropped) out_.dropped = event.counter_value();
+        return {};
+      case proto::TrackEvent::TYPE_SLICE_END:
+        return end(event.track_uuid(), track, ts);
+      case proto::TrackEvent::TYPE_SLICE_BEGIN:
+      case proto::TrackEvent::TYPE_INSTANT:
+        return begin(event, track, ts);
+      default:
+        return {};
+    }
+  }
+
+  Status begin(const proto::TrackEvent& event, const Track& track, std::int64_t ts) {
+    const bool slice = event.type() == proto::TrackEvent::TYPE_SLICE_BEGIN;
+    int index = -1;
+    if (track.place == Place::kReleases && slice) {
+      index = static_cast<int>(out_.releases.size());
+      TraceRelease release{0, ts, ts, -1};
+      for (const auto& arg : event.debug_annotations()) {
+        if (arg.name() == "release") release.number = arg.int_value();
+        if (arg.name() == "latency_us") release.latency_us = arg.int_value();
+        if (arg.name() == "deadline_us") out_.deadline_us = arg.int_value();
+      }
+      out_.releases.push_back(release);
+    } else if (track.place == Place::kRun || track.place == Place::kPlan ||
+               track.place == Place::kDone) {
+      auto& list = track.place == Place::kPlan ? out_.plan : out_.run;
+      index = static_cast<int>(list.size());
+      list.push_back(slice_of(event, track.row, ts));
+      for (const std::uint64_t flow : event.terminating_flow_ids())
+        if (const auto source = flows_.find(flow); source != flows_.end())
+          list.back().from.push_back(source->second);
+      if (track.place != Place::kPlan)
+        for (const std::uint64_t flow : event.flow_ids()) flows_[flow] = index;
+    }
+    if (slice) open_[event.track_uuid()].push_back(index);
+    return {};
+  }
+
+  Status end(std::uint64_t uuid, const Track& track, std::int64_t ts) {
+    auto& stack = open_[uuid];
+    if (stack.empty()) return bad("ends a slice of track '" + track.name + "' that never began");
+    const int index = stack.back();
+    stack.pop_back();
+    if (index < 0) return {};
+    const auto i = static_cast<std::size_t>(index);
+    if (track.place == Place::kReleases)
+      out_.releases[i].end_ns = ts;
+    else
+      (track.place == Place::kPlan ? out_.plan : out_.run)[i].end_ns = ts;
+    return {};
+  }
+
+  static TraceSlice slice_of(const proto::TrackEvent& event, int row, std::int64_t ts) {
+    TraceSlice s;
+    s.name = event.name();
+    if (event.categories_size() > 0) s.category = event.categories(0);
+    s.row = row;
+    s.begin_ns = s.end_ns = ts;
+    for (const auto& arg : event.debug_annotations()) {
+      if (arg.name() == "release") s.release = arg.int_value();
+      if (arg.name() == "waited_us") s.waited_us = arg.int_value();
+      if (arg.name() == "part") s.part = arg.int_value();
+      if (arg.name() == "module") s.module = arg.string_value();
+      if (arg.name() == "waited_for") s.waited_for = arg.string_value();
+      if (arg.name() == "preempted_by") s.preempted_by = arg.string_value();
+    }
+    return s;
+  }
+
+  const std::string& where_;
+  ReadTrace out_;
+  std::unordered_map<std::uint64_t, Track> tracks_;
+  std::unordered_map<std::uint64_t, std::vector<int>> open_;
+  std::unordered_map<std::uint64_t, int> flows_;  ///< arrow -> its source in `run`
+  std::size_t packet_ = 0;
+  bool ours_ = false;
+};
+
+}  // namespace
+
+Result<ReadTrace> read_trace(const std::string& bytes, const std::string& where) {
+  if (bytes.empty())
+    return fail(ErrorCode::kInvalid, "is empty", where, "did the run end before it wrote it?");
+  if (bytes.size() > kMaxTraceBytes)
+    return fail(ErrorCode::kInvalid, "is larger than 1 GiB", where, "trace fewer activations");
+  proto::Trace trace;
+  if (!trace.ParseFromString(bytes))
+    return fail(ErrorCode::kInvalid, "is no Perfetto trace, or was broken off", where,
+                "write one with `xauto run --trace-out FILE.pftrace`");
+  TraceFile file(where);
+  for (const proto::TracePacket& packet : trace.packet()) XAUTO_TRY(file.take(packet));
+  return file.finish();
+}
+
+}  // namespace xauto::cli
