@@ -98,7 +98,7 @@ void killed_loader() {
   const auto begin = Clock::now();
   world.load();
   // From before its first system call until well after it is enabled, whatever that takes here.
-  const auto span_us = static_cast<std::uint32_t>(2.5e6 * seconds(Clock::now() - begin));
+  const auto span_us = static_cast<std::uint32_t>(1e6 * seconds(Clock::now() - begin));
   world.unload();
   {
     std::vector<std::unique_ptr<XNodeThread>> threads;
@@ -106,9 +106,9 @@ void killed_loader() {
       threads.push_back(std::make_unique<XNodeThread>(world, t, [&, t](const kernel::Slot& slot) {
         for (std::uint64_t n = 0; !stop; ++n) {
           if (slot.tell(t, n)) sched_yield();
-          burn_us(300);
+          burn_us(100);
           ++progress[t];
-          usleep(500 * (t + 1));
+          usleep(2000 * (t + 1));
         }
       }));
     for (int i = 0; i < g_kills; ++i) {
@@ -124,7 +124,9 @@ void killed_loader() {
               world.maps.run().c_str(), "--cpus", "1", nullptr);
         _exit(127);
       }
-      usleep(static_cast<useconds_t>(random() % span_us));
+      // Every other time somewhere in the loading, else some time after it.
+      if (i % 2 == 0) wait_for([] { return scx_state() == "enabled"; }, 20);
+      usleep(static_cast<useconds_t>(random() % (i % 2 == 0 ? 100'000 : span_us)));
       enabled += scx_state() == "enabled" ? 1 : 0;
       kill(child, SIGKILL);
       waitpid(child, nullptr, 0);
@@ -139,10 +141,13 @@ void killed_loader() {
               },
               5))
         ++stuck;
+      if (i % 25 == 24)
+        ktap_note("%d kills, %d while enabled; not disabled %d, threads stuck %d", i + 1, enabled,
+                  not_disabled, stuck);
     }
     stop = true;
   }
-  ktap_test(not_disabled == 0 && stuck == 0 && enabled >= g_kills / 10,
+  ktap_test(not_disabled == 0 && stuck == 0 && enabled >= g_kills * 4 / 10,
             "the loader killed at %d random moments (%d times while enabled): state disabled, all "
             "threads go on (%d, %d times not)",
             g_kills, enabled, not_disabled, stuck);
