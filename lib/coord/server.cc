@@ -311,8 +311,9 @@ std::string Server::status() const {
     const std::uint32_t request = shm_.slots[i].worker.request.load(std::memory_order_seq_cst);
     const Arbiter::Slot& slot = arbiter.slot(i);
     std::string state = "idle", by;
+    // A fat word still names who had the XPU last; whether that job runs is the arbiter's to say.
     const bool thin =
-        owner_slot(owner) == i && owner_generation(owner) == request_generation(request);
+        !fat && owner_slot(owner) == i && owner_generation(owner) == request_generation(request);
     if (request_want(request) == Want::kRuns || (request_want(request) == Want::kRun && thin)) {
       state = "running";
     } else if (!fat && request_want(request) == Want::kRun) {
