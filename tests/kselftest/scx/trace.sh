@@ -19,7 +19,7 @@ done
 xauto top --count 2 --interval-ms 800 >top.txt 2>top.err
 kill -INT $pipe $log
 sleep 1
-pkill -INT -f "xauto run"
+kill -TERM $(pidof xauto) # the run, and the tracer with it; both end in order
 wait $trace
 status=$?
 wait $run
