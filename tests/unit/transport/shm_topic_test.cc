@@ -5,6 +5,7 @@
 
 #include <array>
 #include <atomic>
+#include <random>
 #include <thread>
 
 #include <gtest/gtest.h>
@@ -196,6 +197,29 @@ TEST(ShmTopic, RefusesMemoryThatIsNoTopic) {
   EXPECT_FALSE(make_topic({0, 65, 4, 3}));
   EXPECT_FALSE(make_topic({0, 1, 0, 3}));
   EXPECT_FALSE(make_topic({kMaxChunkBytes + 1, 1, 4, 3}));
+}
+
+TEST(ShmTopic, HostileWordsNeitherCrashNorHangTheOthers) {
+  std::mt19937_64 random(1);
+  for (int round = 0; round < 200; ++round) {
+    World world(2, 4, 3);
+    auto control = *TopicControl::map(world.fds.control.get());
+    auto* first = reinterpret_cast<std::atomic<std::uint64_t>*>(&control->header());
+    auto* last = &control->held(control->chunks() - 1);
+    const auto words = static_cast<std::size_t>(last - first) + 1;
+    for (std::uint64_t k = 0; k < 50; ++k) {
+      for (int i = 0; i < 4; ++i)
+        first[random() % words].store(random() % 3 == 0 ? random() : random() % 64);
+      world.publish(k);
+      for (const auto& reader : world.readers) {
+        for (int taken = 0; taken < 8; ++taken) {
+          const auto envelope = reader->take();
+          if (!envelope) break;
+          if (envelope->message != nullptr) (void)number(*envelope);  // inside the mapping
+        }
+      }
+    }
+  }
 }
 
 TEST(ShmTopic, UnderLoadEveryMessageIsReadWholeInOrderOrCountedAsLost) {
