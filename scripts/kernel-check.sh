@@ -120,6 +120,7 @@ consumers() {
     in_vm consumers "$kernel" run-consumers examples/driving/app.json:/opt/xauto/app.json "${items[@]}"
 }
 
+{ # read whole before it runs: the file may be edited meanwhile
 [ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 driving scx-7.x)
 for lane in "${lanes[@]}"; do
   case $lane in
@@ -135,3 +136,5 @@ for lane in "${lanes[@]}"; do
 done
 echo "$passed passed, $failed failed, $skipped skipped"
 [ "$failed" -eq 0 ] && [ "$passed" -gt 0 ]
+  exit
+}
