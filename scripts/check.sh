@@ -5,7 +5,7 @@
 set -uo pipefail
 cd "$(dirname "$0")/.."
 jobs=${JOBS:-2}
-passed=0 failed=0
+passed=0 failed=0 skipped=0
 started=$(date +%s)
 
 note() { echo "check: $* ($(($(date +%s) - started)) s)"; }
@@ -37,7 +37,8 @@ build() {
   fi
 }
 
-# ctest, with its JUnit report added to the count. A test that did not run counts as failed.
+# ctest, with its JUnit report added to the count. A test that said why it does not run here is skipped; one that did not
+# run for any other reason counts as failed.
 tests() {
   local dir=$1 report counts status
   shift
@@ -53,10 +54,12 @@ try:
 except (OSError, xml.ParseError):
     cases = []
 good = sum(c.get("status") == "run" and c.find("failure") is None for c in cases)
-print(good, len(cases) - good)
+said = [c.find("skipped") for c in cases if c.get("status") == "notrun"]
+skipped = sum(s is not None and s.get("message", "").startswith("SKIP_") for s in said)
+print(good, len(cases) - good - skipped, skipped)
 PY
   )
-  read -r good bad <<<"$counts"
+  read -r good bad skip <<<"$counts"
   if [ "$good" -eq 0 ]; then
     echo "check: no test passed in $dir"
     bad=$((bad + 1))
@@ -66,6 +69,7 @@ PY
   fi
   passed=$((passed + good))
   failed=$((failed + bad))
+  skipped=$((skipped + skip))
 }
 
 style() {
@@ -87,9 +91,10 @@ kernel() {
   build ci build all kmod_tests scx_tests || return
   note "kernel side, in VMs"
   counts=$(scripts/kernel-check.sh build | tee /dev/stderr | tail -n 1)
-  if [[ $counts =~ ^([0-9]+)\ passed,\ ([0-9]+)\ failed ]]; then
+  if [[ $counts =~ ^([0-9]+)\ passed,\ ([0-9]+)\ failed,\ ([0-9]+)\ skipped ]]; then
     passed=$((passed + BASH_REMATCH[1]))
     failed=$((failed + BASH_REMATCH[2]))
+    skipped=$((skipped + BASH_REMATCH[3]))
   else
     echo "check: the kernel side gave no count"
     failed=$((failed + 1))
@@ -112,5 +117,5 @@ case ${1:-all} in
     ;;
 esac
 note "done"
-echo "$passed passed, $failed failed"
+echo "$passed passed, $failed failed, $skipped skipped"
 [ "$failed" -eq 0 ] && [ "$passed" -gt 0 ]
