@@ -15,7 +15,7 @@ inline constexpr const char* kPageStyle = R"css(<style>
 }
 * { box-sizing:border-box }
 body { margin:0; padding:24px 28px 48px; background:var(--bg); color:var(--fg); font:14px/1.45 system-ui,-apple-system,"Segoe UI",sans-serif }
-h1 { font-size:22px; margin:0 0 2px } h2 { font-size:15px; margin:0; font-weight:650 }
+h1 { font-size:22px; margin:0 0 2px } h2 { font-size:15px; margin:0; font-weight:650 } table + h2 { margin-top:22px }
 .dim { color:var(--dim) }
 .card { background:var(--card); border:1px solid var(--line); border-radius:10px; padding:14px 16px; margin-top:16px }
 table { border-collapse:collapse; width:100% } th { text-align:right; color:var(--dim); font-weight:500; padding:3px 10px }
