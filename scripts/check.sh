@@ -87,10 +87,13 @@ tsan() {
 }
 # Programs and modules in VMs; scripts/kernel-check.sh counts them.
 kernel() {
-  local counts
+  local counts log
   build ci build all kmod_tests scx_tests || return
   note "kernel side, in VMs"
-  counts=$(scripts/kernel-check.sh build | tee /dev/stderr | tail -n 1)
+  log=$(mktemp)
+  scripts/kernel-check.sh build | tee "$log"
+  counts=$(tail -n 1 "$log")
+  rm -f "$log"
   if [[ $counts =~ ^([0-9]+)\ passed,\ ([0-9]+)\ failed,\ ([0-9]+)\ skipped ]]; then
     passed=$((passed + BASH_REMATCH[1]))
     failed=$((failed + BASH_REMATCH[2]))
