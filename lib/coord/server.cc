@@ -318,7 +318,8 @@ std::string Server::status() const {
       state = "running";
     } else if (!fat && request_want(request) == Want::kRun) {
       state = "waiting";
-      if (owner_slot(owner) >= 0) by = xnode_name(referee_->job_of(owner_slot(owner)).xnode);
+      const int at = owner_slot(owner);  // as a worker may have written it
+      if (at >= 0 && at < kMaxSlots) by = xnode_name(referee_->job_of(at).xnode);
     } else if (!fat) {
       state = "idle";
     } else if (slot.phase == Phase::kWaiting) {
