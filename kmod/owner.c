@@ -217,34 +217,39 @@ struct xauto_owner *xauto_owner_get(struct sk_buff *skb, struct netlink_ext_ack 
 	return owner;
 }
 
-u32 xauto_owner_handle(struct xauto_owner *owner, struct xauto_queue *queue)
+/* 0: none. */
+static u32 find_handle(struct xauto_owner *owner, struct xauto_queue *queue)
 {
 	struct xauto_claim *claim;
 	unsigned long handle;
-	u32 found = 0;
 
-	mutex_lock(&owner->lock);
+	lockdep_assert_held(&owner->lock);
 	xa_for_each(&owner->claims, handle, claim)
 		if (claim->queue == queue)
-			found = handle;
+			return handle;
+	return 0;
+}
+
+u32 xauto_owner_handle(struct xauto_owner *owner, struct xauto_queue *queue)
+{
+	u32 handle;
+
+	mutex_lock(&owner->lock);
+	handle = find_handle(owner, queue);
 	mutex_unlock(&owner->lock);
-	return found;
+	return handle;
 }
 
 int xauto_owner_claim(struct xauto_owner *owner, struct xauto_queue *queue, u32 *handle,
 		      struct netlink_ext_ack *extack)
 {
 	struct xauto_claim *claim;
-	unsigned long at;
 	int err = 0;
 
 	mutex_lock(&owner->lock);
-	xa_for_each(&owner->claims, at, claim) {
-		if (claim->queue == queue) {
-			*handle = at;
-			goto put;
-		}
-	}
+	*handle = find_handle(owner, queue);
+	if (*handle)
+		goto put;
 	if (owner->dead || owner->n_claims >= XAUTO_MAX_CLAIMS) {
 		NL_SET_ERR_MSG(extack, "too many queues on this socket");
 		err = -ENOSPC;

@@ -25,6 +25,7 @@
 #include <uapi/xauto/nvdla.h>
 
 #include "compat.h"
+#include "fault.h"
 
 #define N_DLAS		 2
 #define MAX_QUEUES	 16  /* of one DLA, as nvdla has */
@@ -105,13 +106,6 @@ static struct class *node_class;
 static struct cdev node_cdev;
 static dev_t node_base;
 static struct dentry *debug_dir;
-
-static bool take_fault(u32 *count)
-{
-	u32 left = READ_ONCE(*count);
-
-	return left && cmpxchg(count, left, left - 1) == left;
-}
 
 /* The DLA is idle: whose turn is it? */
 static void start_next(struct dla *dla)

@@ -21,6 +21,7 @@
 #include <uapi/xauto/nvgpu.h>
 
 #include "compat.h"
+#include "fault.h"
 #include "gpu_engine.h"
 
 /* Faults, in debugfs: how many of the next calls fail. */
@@ -37,13 +38,6 @@ static struct class *node_class;
 static struct cdev node_cdev;
 static dev_t node_base;
 static struct dentry *debug_dir;
-
-static bool take_fault(u32 *count)
-{
-	u32 left = READ_ONCE(*count);
-
-	return left && cmpxchg(count, left, left - 1) == left;
-}
 
 static int tsg_release(struct inode *inode, struct file *file)
 {

@@ -293,25 +293,23 @@ std::string operation_at(nl_msg* message, std::uint32_t offset, std::span<const 
 
 }  // namespace
 
-Result<std::vector<std::uint64_t>> QueueControl::control_timed(std::span<const QueueOp> ops) {
-  const NlMessage message = socket_->message(XAUTO_CMD_CONTROL, NLM_F_ACK | NLM_F_ECHO);
-  if (!message) return fail(ErrorCode::kIo, "out of memory");
-  put_ops(message.get(), ops);
-  socket_->costs.clear();
-  if (Status done = socket_->exchange(message.get(), "control"); !done) {
-    done.error().where = operation_at(message.get(), socket_->error_offset, ops);
-    return tl::unexpected<Error>(std::move(done).error());
-  }
-  return socket_->costs;
-}
-
-Status QueueControl::control(std::span<const QueueOp> ops) {
-  const NlMessage message = socket_->message(XAUTO_CMD_CONTROL, NLM_F_ACK);
+Status QueueControl::send_ops(std::span<const QueueOp> ops, int flags) {
+  const NlMessage message = socket_->message(XAUTO_CMD_CONTROL, NLM_F_ACK | flags);
   if (!message) return fail(ErrorCode::kIo, "out of memory");
   put_ops(message.get(), ops);
   Status done = socket_->exchange(message.get(), "control");
   if (!done) done.error().where = operation_at(message.get(), socket_->error_offset, ops);
   return done;
+}
+
+Status QueueControl::control(std::span<const QueueOp> ops) {
+  return send_ops(ops, 0);
+}
+
+Result<std::vector<std::uint64_t>> QueueControl::control_timed(std::span<const QueueOp> ops) {
+  socket_->costs.clear();
+  XAUTO_TRY(send_ops(ops, NLM_F_ECHO));
+  return socket_->costs;
 }
 
 Status QueueControl::set_watchdog(std::uint32_t timeout_ms) {

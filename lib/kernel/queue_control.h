@@ -87,6 +87,7 @@ class QueueControl {
  private:
   struct Socket;
   explicit QueueControl(std::unique_ptr<Socket> socket);
+  [[nodiscard]] Status send_ops(std::span<const QueueOp> ops, int flags);
   std::unique_ptr<Socket> socket_;
 };
 
