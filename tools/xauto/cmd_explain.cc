@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto explain: which chain sets the latency of a policy, and which XPU limits it.
+// xauto explain: which chain sets the latency of a policy, and which XPU limits it; or, of a trace,
+// why one release took as long as it did.
+#include <charconv>
 #include <cstdio>
 #include <iostream>
 #include <memory>
@@ -9,20 +11,102 @@
 #include "model/json.h"
 #include "solver/explain.h"
 
+#include "xauto/account.h"
 #include "xauto/command.h"
 
 namespace xauto::cli {
 namespace {
 
 struct Flags {
-  std::string app, platform, policy;
+  std::string app, platform, policy, trace, activation = "worst";
 };
 
-double in_ms(std::int64_t us) {
+nlohmann::ordered_json to_json(const std::vector<Blocker>& list) {
+  auto out = nlohmann::ordered_json::array();
+  for (const Blocker& b : list) out.push_back({{"who", b.who}, {"us", b.us}});
+  return out;
+}
+
+nlohmann::ordered_json to_json(const Account& account) {
+  auto steps = nlohmann::ordered_json::array();
+  for (const ChainStep& step : account.steps) {
+    nlohmann::ordered_json j = {{"xnode", step.xnode},
+                                {"xpu", step.xpu},
+                                {"begin_us", step.begin_us},
+                                {"end_us", step.end_us},
+                                {"handover_us", step.handover_us},
+                                {"waited_us", step.waited_us},
+                                {"ran_us", step.ran_us},
+                                {"switched_us", step.switched_us},
+                                {"suspended_us", step.suspended_us},
+                                {"busy_with", to_json(step.busy_with)},
+                                {"waited_for", to_json(step.waited_for)},
+                                {"preempted_by", to_json(step.preempted_by)},
+                                {"beside", to_json(step.beside)}};
+    if (step.planned_us >= 0) j["planned_us"] = step.planned_us;
+    if (step.planned_end_us >= 0) j["planned_end_us"] = step.planned_end_us;
+    steps.push_back(std::move(j));
+  }
+  nlohmann::ordered_json j = {{"release", account.release},
+                              {"latency_us", account.latency_us},
+                              {"rank", account.rank},
+                              {"of", account.of},
+                              {"median_us", account.median_us}};
+  if (account.planned_us >= 0) j["planned_us"] = account.planned_us;
+  j["steps"] = std::move(steps);
+  j["publish_us"] = account.publish_us;
+  return j;
+}
+
+Result<std::int64_t> wanted_release(const ReadTrace& trace, const std::string& text,
+                                    const std::string& where) {
+  if (text == "worst" || text == "median") {
+    const TraceRelease* found = text == "worst" ? worst_release(trace) : median_release(trace);
+    if (found == nullptr)
+      return fail(ErrorCode::kInfeasible, "no release in it has a latency", where,
+                  "with sources of several rates the trace does not tell which releases belong "
+                  "together; `xauto report` shows the load");
+    return found->number;
+  }
+  std::int64_t number = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  if (error != std::errc() || end != text.data() + text.size() || number < 0)
+    return fail(ErrorCode::kInvalid, "'" + text + "' is no activation", "--activation",
+                "worst, median, or a number from 0 on");
+  return number;
+}
+
+Result<int> explain_trace(const Flags& flags, const Options& options) {
+  XAUTO_ASSIGN(const std::string bytes, read_file(flags.trace));
+  XAUTO_ASSIGN(const ReadTrace trace, read_trace(bytes, flags.trace));
+  XAUTO_ASSIGN(const std::int64_t release, wanted_release(trace, flags.activation, flags.trace));
+  XAUTO_ASSIGN(const Account account, account_of(trace, release));
+  if (options.json) {
+    nlohmann::ordered_json j = to_json(account);
+    j["events_lost"] = trace.lost;
+    std::cout << j.dump(2) << "\n";
+    return kDone;
+  }
+  std::cout << trace.title << "\n";
+  if (trace.lost > 0)
+    std::cout << "INCOMPLETE: the trace lost " << trace.lost
+              << " events; what follows is of what is there\n";
+  std::cout << account_text(account);
+  return kDone;
+}
+
+double ms(std::int64_t us) {
   return static_cast<double>(us) / 1000;
 }
 
 Result<int> explain(const Flags& flags, const Options& options) {
+  if (!flags.trace.empty()) return explain_trace(flags, options);
+  for (const auto& [path, option] :
+       {std::pair{&flags.app, "--app"}, std::pair{&flags.platform, "--platform"},
+        std::pair{&flags.policy, "--policy"}})
+    if (path->empty())
+      return fail(ErrorCode::kInvalid, "is needed", option,
+                  "or give the trace of a run: xauto explain --trace FILE.pftrace");
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
@@ -63,11 +147,11 @@ Result<int> explain(const Flags& flags, const Options& options) {
     std::string behind;
     for (int j : link.behind) behind += (behind.empty() ? "" : ", ") + name(j);
     std::printf("  %-24s %-8s %10.2f %10.2f %10.2f   %s\n", name(link.xnode).c_str(),
-                xpu(link.xnode).c_str(), in_ms(link.ready_us), in_ms(link.wcet_us),
-                in_ms(link.finish_us), behind.c_str());
+                xpu(link.xnode).c_str(), ms(link.ready_us), ms(link.wcet_us), ms(link.finish_us),
+                behind.c_str());
   }
   std::printf("\n  On any number of XPUs the app would still take %.2f ms (its critical path).\n",
-              in_ms(why.critical_path_us));
+              ms(why.critical_path_us));
   return kDone;
 }
 
@@ -75,16 +159,24 @@ Result<int> explain(const Flags& flags, const Options& options) {
 
 void add_explain(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb =
-      commands.add("explain", "Name the chain that sets the latency and the XPU that limits it.",
-                   "xauto explain --app app.json --platform small --policy policy.json",
-                   [flags](const Options& options) {
-                     const auto status = explain(*flags, options);
-                     return status ? *status : report(status.error());
-                   });
-  verb->add_option("--app", flags->app, "app.json")->required();
-  verb->add_option("--platform", flags->platform, "small, large, or a platform.json")->required();
-  verb->add_option("--policy", flags->policy, "policy.json")->required();
+  CLI::App* verb = commands.add(
+      "explain", "Name the chain that sets the latency: of a policy, or of one release of a run.",
+      "xauto explain --trace drive.pftrace --activation worst", [flags](const Options& options) {
+        const auto status = explain(*flags, options);
+        return status ? *status : report(status.error());
+      });
+  verb->add_option("--app", flags->app, "app.json");
+  verb->add_option("--platform", flags->platform, "small, large, or a platform.json");
+  verb->add_option("--policy", flags->policy, "policy.json");
+  verb->add_option(
+          "--trace", flags->trace,
+          "instead of the three above: a file of `xauto run --trace-out` or `xauto compare`")
+      ->excludes("--app")
+      ->excludes("--platform")
+      ->excludes("--policy");
+  verb->add_option("--activation", flags->activation,
+                   "of the trace: the release's number, worst or median")
+      ->capture_default_str();
 }
 
 }  // namespace xauto::cli

@@ -11,12 +11,15 @@
 
 #include <fmt/format.h>
 
+#include "xauto/account.h"
 #include "xauto/timeline.h"
 
 namespace xauto::cli {
 namespace {
 
 using Latencies = std::vector<std::int64_t>;
+
+constexpr std::int64_t kWorthSayingUs = 50;
 
 std::int64_t quantile(const Latencies& sorted, double q) {
   if (sorted.empty()) return 0;
@@ -100,45 +103,32 @@ std::string chains_section(const ReadTrace& trace) {
   return html + "</table>";
 }
 
-std::string reason_of(const ChainStep& step) {
-  constexpr std::int64_t kWorthSaying = 50;
-  std::vector<std::string> reasons;
-  if (step.handover_us >= kWorthSaying)
-    reasons.push_back("became ready " + ms(step.handover_us) + " ms after the step before");
-  if (step.waited_us >= kWorthSaying)
-    reasons.push_back("waited " + ms(step.waited_us) + " ms" +
-                      (step.waited_for.empty() ? "" : " for " + step.waited_for));
-  if (step.suspended_us >= kWorthSaying)
-    reasons.push_back("off the XPU for " + ms(step.suspended_us) + " ms" +
-                      (step.preempted_by.empty() ? "" : ", preempted by " + step.preempted_by));
-  if (step.planned_us >= 0 && step.ran_us > step.planned_us + kWorthSaying)
-    reasons.push_back("ran " + ms(step.ran_us - step.planned_us) + " ms longer than planned");
-  std::string out;
-  for (const std::string& reason : reasons) out += (out.empty() ? "" : "; ") + reason;
-  return out;
-}
-
 std::string worst_section(const ReadTrace& trace, const TraceRelease* worst) {
   if (worst == nullptr) return {};
-  const std::vector<ChainStep> chain = critical_chain(trace, worst->number);
+  const auto account = account_of(trace, worst->number);
+  if (!account) return "<p class='dim'>" + html_safe(account.error().to_string()) + "</p>";
   std::int64_t ran = 0;
-  for (const ChainStep& step : chain) ran += step.ran_us;
+  for (const ChainStep& step : account->steps) ran += step.ran_us;
   std::string html = fmt::format(
       "<h2>What set the worst case: release {}, {} ms</h2><p class='dim'>Backwards from the last "
-      "output, "
-      "always to the one that handed over last. {} ms of it is work.</p><table><tr><th>step</th>"
-      "<th style='text-align:left'>on</th><th>begins</th><th>ends</th><th>work</th><th>plan</th>"
+      "output, always to the one that handed over last. {} ms of it is work. What the steps took "
+      "adds "
+      "up to the latency.</p><table class='worst'><tr><th>step</th><th "
+      "style='text-align:left'>on</th>"
+      "<th>took</th><th>begins</th><th>ends</th><th>work</th><th>planned work</th>"
       "<th style='text-align:left'>why not sooner</th></tr>",
       worst->number, ms(worst->latency_us), ms(ran));
-  for (const ChainStep& step : chain)
+  for (const ChainStep& step : account->steps)
     html += fmt::format(
-        "<tr><td>{}</td><td "
-        "style='text-align:left'>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>"
-        "<td style='text-align:left'>{}</td></tr>",
-        html_safe(step.xnode), html_safe(step.xpu), ms(step.begin_us), ms(step.end_us),
-        ms(step.ran_us), step.planned_us < 0 ? "" : ms(step.planned_us),
-        html_safe(reason_of(step)));
-  return html + "</table>";
+        "<tr><td>{}</td><td style='text-align:left'>{}</td><td>{}</td><td>{}</td><td>{}</td>"
+        "<td>{}</td><td>{}</td><td style='text-align:left'>{}</td></tr>",
+        html_safe(step.xnode), html_safe(step.xpu), in_ms(step.took_us()), ms(step.begin_us),
+        ms(step.end_us), ms(step.ran_us), step.planned_us < 0 ? "" : ms(step.planned_us),
+        html_safe(reasons_of(step, kWorthSayingUs)));
+  return html + fmt::format(
+                    "<tr><td>published</td><td></td><td>{}</td><td></td><td>{}</td><td></td>"
+                    "<td></td><td></td></tr></table>",
+                    in_ms(account->publish_us), ms(account->latency_us));
 }
 
 /// Time in which at least one of the slices holds, of the whole.
@@ -173,14 +163,6 @@ std::string load_section(const ReadTrace& trace) {
         html_safe(trace.rows[r]), busy, share(switching, whole), jobs, preemptions, busy);
   }
   return html + "</table>";
-}
-
-const TraceRelease* worst_of(const ReadTrace& trace) {
-  const TraceRelease* worst = nullptr;
-  for (const TraceRelease& release : trace.releases)
-    if (release.latency_us >= 0 && (worst == nullptr || release.latency_us > worst->latency_us))
-      worst = &release;
-  return worst;
 }
 
 Panel panel_of(const ReportedTrace& reported, std::size_t number, const TraceRelease* worst) {
@@ -235,68 +217,13 @@ Panel panel_of(const ReportedTrace& reported, std::size_t number, const TraceRel
 
 }  // namespace
 
-std::vector<ChainStep> critical_chain(const ReadTrace& trace, std::int64_t release) {
-  const auto at = std::find_if(trace.releases.begin(), trace.releases.end(),
-                               [&](const TraceRelease& r) { return r.number == release; });
-  if (at == trace.releases.end()) return {};
-  const auto us = [&](std::int64_t ns) { return (ns - at->begin_ns) / 1000; };
-  std::map<std::string, std::vector<const TraceSlice*>> parts;  // of the release's jobs, by time
-  std::map<std::string, std::int64_t> planned;
-  const TraceSlice* last = nullptr;
-  for (const TraceSlice& slice : trace.run) {
-    if (slice.release != release) continue;
-    if (slice.category == "run") parts[slice.name].push_back(&slice);
-    if (slice.category == "done" && (last == nullptr || slice.begin_ns >= last->begin_ns))
-      last = &slice;
-  }
-  for (const TraceSlice& slice : trace.plan)
-    if (slice.release == release) planned[slice.name] += (slice.end_ns - slice.begin_ns) / 1000;
-  std::vector<ChainStep> chain;
-  // Each job once: a damaged file may hold a circle.
-  while (last != nullptr && chain.size() <= parts.size()) {
-    const TraceSlice* before = nullptr;
-    for (const int i : last->from) {
-      const TraceSlice& source = trace.run[static_cast<std::size_t>(i)];
-      if (source.category == "run" && source.release == release &&
-          (before == nullptr || source.end_ns > before->end_ns))
-        before = &source;
-    }
-    if (before == nullptr) break;
-    const auto& pieces = parts[before->name];
-    const TraceSlice& first = *pieces.front();
-    ChainStep step;
-    step.xnode = before->name;
-    step.xpu = before->row < 0 ? "" : trace.rows[static_cast<std::size_t>(before->row)];
-    step.begin_us = us(first.begin_ns);
-    step.end_us = us(before->end_ns);
-    step.waited_us = first.waited_us;
-    step.waited_for = first.waited_for;
-    for (const TraceSlice* piece : pieces) {
-      step.ran_us += (piece->end_ns - piece->begin_ns) / 1000;
-      if (piece->part > 1 && !piece->preempted_by.empty() &&
-          step.preempted_by.find(piece->preempted_by) == std::string::npos)
-        step.preempted_by += (step.preempted_by.empty() ? "" : ", ") + piece->preempted_by;
-    }
-    step.suspended_us = step.end_us - step.begin_us - step.ran_us;
-    if (const auto plan = planned.find(step.xnode); plan != planned.end())
-      step.planned_us = plan->second;
-    chain.push_back(std::move(step));
-    last = &first;
-  }
-  std::reverse(chain.begin(), chain.end());
-  for (std::size_t i = 0; i < chain.size(); ++i)
-    chain[i].handover_us = std::max<std::int64_t>(
-        0, chain[i].begin_us - chain[i].waited_us - (i == 0 ? 0 : chain[i - 1].end_us));
-  return chain;
-}
-
 std::string html_report(const std::vector<ReportedTrace>& traces) {
   Timeline page;
   page.note = "written by xauto report; below, the worst release of each trace";
   for (std::size_t i = 0; i < traces.size(); ++i) {
     const ReadTrace& trace = traces[i].trace;
     if (page.title.empty()) page.title = trace.title.substr(0, trace.title.rfind(": "));
-    const TraceRelease* worst = worst_of(trace);
+    const TraceRelease* worst = worst_release(trace);
     page.sections +=
         "<div class='card'><h2>" + html_safe(trace.title) + "</h2><p class='dim'>" +
         html_safe(trace.note) +

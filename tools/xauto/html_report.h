@@ -16,20 +16,6 @@ struct ReportedTrace {
   ReadTrace trace;
 };
 
-/// One step of the chain that set a release's latency.
-struct ChainStep {
-  std::string xnode, xpu;
-  std::int64_t begin_us = 0, end_us = 0;  ///< on the XPU, since the release
-  std::int64_t handover_us = 0;           ///< from the step before until it was ready
-  std::int64_t waited_us = 0, suspended_us = 0, ran_us = 0;
-  std::int64_t planned_us = -1;  ///< its time in the plan; -1: unknown
-  std::string waited_for, preempted_by;
-};
-
-/// Backwards from the last output: always the one that handed over last. Empty if the trace does
-/// not tell.
-[[nodiscard]] std::vector<ChainStep> critical_chain(const ReadTrace& trace, std::int64_t release);
-
 [[nodiscard]] std::string html_report(const std::vector<ReportedTrace>& traces);
 
 }  // namespace xauto::cli

@@ -12,9 +12,9 @@
 #include <gtest/gtest.h>
 
 #include "../golden_cases.h"
+#include "tiny_run.h"
 #include "xauto/html_report.h"
 #include "xauto/perfetto.pb.h"
-#include "xauto/run_trace.h"
 #include "xauto/trace_reader.h"
 
 namespace xauto::cli {
@@ -22,79 +22,9 @@ namespace {
 
 namespace proto = ::xauto::perfetto;
 using test::golden;
+using test::kNone;
 using test::slurp;
-
-constexpr std::uint16_t kNone = XAUTO_EV_NONE;
-
-/// Two modules on a CPU and a GPU: CAM (pre, infer) is urgent, BIG (infer) is preempted by it.
-struct Tiny {
-  AppSpec app;
-  Platform platform;
-  Scene scene;
-  trace::Recording trace;
-
-  Tiny() {
-    app.name = "tiny";
-    app.xnodes = {{"cam.pre", "CAM", {{"cpu", 100}}},
-                  {"cam.infer", "CAM", {{"gpu", 200}}},
-                  {"big.infer", "BIG", {{"gpu", 500}}}};
-    app.edges = {{0, 1}};
-    app.deadline_us = 800;
-    platform.name = "two";
-    platform.xpus = {{"cpu0", "cpu"}, {"gpu0", "gpu"}};
-    scene.title = "tiny on two: xauto";
-    scene.note = "emulated XPUs, xauto";
-    scene.rows = {{"cpu0", true}, {"gpu0", true}};
-    scene.row_of = {0, 1};
-    scene.modules = {{"CAM", true}, {"BIG", true}};
-    scene.priorities = {1, 2, 1};
-    scene.plan = {{0, 0, 0, 100, false},
-                  {2, 1, 0, 100, false},
-                  {1, 1, 100, 110, true},
-                  {1, 1, 110, 310, false},
-                  {2, 1, 310, 710, false}};
-  }
-
-  void at(std::int64_t us, std::uint16_t kind, std::uint64_t seq, std::uint16_t xnode = kNone,
-          std::uint16_t module = kNone, std::uint16_t xpu = kNone, std::uint32_t arg = 0) {
-    trace.events.push_back(
-        {static_cast<std::uint64_t>(1'000'000 + us * 1000), seq, xnode, module, xpu, kind, arg, 0});
-  }
-
-  /// One release, beginning at `us`: BIG runs, is preempted by CAM, resumes.
-  void release(std::int64_t us, std::uint64_t seq) {
-    at(us, XAUTO_EV_PUBLISH, seq);
-    at(us + 1, XAUTO_EV_ACTIVATE, seq, kNone, 0);
-    at(us + 2, XAUTO_EV_READY, seq, 0, 0, 0);
-    at(us + 3, XAUTO_EV_ACTIVATE, seq, kNone, 1);
-    at(us + 4, XAUTO_EV_READY, seq, 2, 1, 1);
-    at(us + 5, XAUTO_EV_START, seq, 0, 0, 0);
-    at(us + 6, XAUTO_EV_RUN, seq, 0, 0, 0);
-    at(us + 7, XAUTO_EV_START, seq, 2, 1, 1);
-    at(us + 8, XAUTO_EV_RUN, seq, 2, 1, 1);
-    at(us + 100, XAUTO_EV_FINISH, seq, 0, 0, 0);
-    at(us + 101, XAUTO_EV_READY, seq, 1, 0, 1);
-    at(us + 102, XAUTO_EV_START, seq, 1, 0, 1);
-    at(us + 104, XAUTO_EV_SUSPEND, seq, 2, 1, 1);
-    at(us + 114, XAUTO_EV_SUSPENDED, seq, 2, 1, 1);
-    at(us + 115, XAUTO_EV_RUN, seq, 1, 0, 1);
-    at(us + 315, XAUTO_EV_RESUME, seq, 2, 1, 1);
-    at(us + 318, XAUTO_EV_RESUMED, seq, 2, 1, 1);
-    at(us + 320, XAUTO_EV_FINISH, seq, 1, 0, 1);  // later than the XPU was handed over
-    at(us + 321, XAUTO_EV_DONE, seq, kNone, 0);
-    at(us + 720, XAUTO_EV_FINISH, seq, 2, 1, 1);
-    at(us + 721, XAUTO_EV_DONE, seq, kNone, 1);
-  }
-
-  std::string file() const {
-    const auto story = story_of(app, platform, scene.modules, trace);
-    EXPECT_TRUE(story) << story.error().to_string();
-    if (!story) return {};
-    const auto bytes = perfetto_trace(app, scene, *story, 0);
-    EXPECT_TRUE(bytes) << bytes.error().to_string();
-    return bytes.value_or(std::string());
-  }
-};
+using test::Tiny;
 
 struct Slice {
   std::string name;
@@ -410,41 +340,6 @@ TEST(Perfetto, NamesThatAreNoUtf8AreMendedAndClocksAreShifted) {
 
 // ---- read back by `xauto report`
 
-TEST(Report, TheChainOfTheWorstReleaseSaysWhoWasWaitedFor) {
-  Tiny tiny;
-  tiny.release(0, 0);
-  const auto trace = read_trace(tiny.file(), "t.pftrace");
-  ASSERT_TRUE(trace) << trace.error().to_string();
-  EXPECT_EQ(trace->rows, (std::vector<std::string>{"cpu0", "gpu0"}));
-  ASSERT_EQ(trace->releases.size(), 1u);
-  EXPECT_EQ(trace->releases[0].latency_us, 721);
-  EXPECT_EQ(trace->deadline_us, 800);
-  const auto chain = critical_chain(*trace, 0);
-  ASSERT_EQ(chain.size(), 1u);  // BIG is done last, and waits for nobody's output
-  EXPECT_EQ(chain[0].xnode, "big.infer");
-  EXPECT_EQ(chain[0].preempted_by, "cam.infer");
-  EXPECT_EQ(chain[0].ran_us, (104 - 8) + (720 - 318));
-  EXPECT_EQ(chain[0].suspended_us, 318 - 104);
-  EXPECT_EQ(chain[0].planned_us, 500);
-}
-
-TEST(Report, AChainIsFollowedFromTheOutputToTheSensors) {
-  Tiny tiny;
-  tiny.release(0, 0);
-  while (tiny.trace.events.back().kind != XAUTO_EV_DONE || tiny.trace.events.back().module != 0)
-    tiny.trace.events.pop_back();
-  const auto trace = read_trace(tiny.file(), "t.pftrace");
-  ASSERT_TRUE(trace) << trace.error().to_string();
-  const auto chain = critical_chain(*trace, 0);
-  ASSERT_EQ(chain.size(), 2u);
-  EXPECT_EQ(chain[0].xnode, "cam.pre");
-  EXPECT_EQ(chain[0].xpu, "cpu0");
-  EXPECT_EQ(chain[1].xnode, "cam.infer");
-  EXPECT_EQ(chain[1].handover_us, 1);
-  EXPECT_EQ(chain[1].waited_us, 115 - 101);
-  EXPECT_EQ(chain[1].waited_for, "big.infer");
-}
-
 TEST(Report, ThePageHoldsTheNumbersAndEscapesNames) {
   Tiny tiny;
   tiny.scene.title = "<img src=x>: xauto";
@@ -455,7 +350,7 @@ TEST(Report, ThePageHoldsTheNumbersAndEscapesNames) {
   const std::string page = html_report({{"xauto", "", *trace}});
   EXPECT_EQ(page.find("<img"), std::string::npos);
   EXPECT_NE(page.find("release 0, 0.72 ms"), std::string::npos);
-  EXPECT_NE(page.find("off the XPU for 0.21 ms, preempted by cam.infer"), std::string::npos);
+  EXPECT_NE(page.find("off the XPU for 0.214 ms, preempted by cam.infer"), std::string::npos);
   EXPECT_NE(page.find("<td>BIG</td><td>2</td><td>0.72</td>"), std::string::npos);
 }
 
