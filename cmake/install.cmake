@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+# What `cmake --install` puts where, by component: runtime (libxauto.so.0), development (headers, CMake package, pkg-config), tools.
+# debian/ makes packages of the same; docs/packages.md says what is in which.
+if(XAUTO_SANITIZE)
+  return() # not for users
+endif()
+include(CMakePackageConfigHelpers)
+
+# The shared library: the files that implement include/xauto/, and of the archives only what these need. The tools use more of
+# the archives than the API offers, so they stay linked statically. The tools make the run's BPF maps, apps open them: no libbpf here.
+set(XAUTO_SOVERSION 0)
+set(map ${PROJECT_SOURCE_DIR}/packaging/libxauto.map)
+set(no_libbpf lib/kernel/without_libbpf/none.cc)
+add_library(xauto_shared SHARED lib/runtime/app.cc lib/transport/topic.cc lib/emu/client.cc ${no_libbpf})
+set_source_files_properties(${no_libbpf} PROPERTIES COMPILE_DEFINITIONS XAUTO_NO_BPF_REASON="the xauto tool loads them")
+target_link_libraries(xauto_shared PRIVATE xauto_runtime)
+target_link_options(xauto_shared PRIVATE -Wl,--version-script=${map} -Wl,--no-undefined -Wl,--as-needed -Wl,--gc-sections
+                                         -Wl,-z,relro -Wl,-z,now)
+target_include_directories(xauto_shared INTERFACE $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
+target_compile_features(xauto_shared INTERFACE cxx_std_20)
+set_target_properties(xauto_shared PROPERTIES OUTPUT_NAME xauto EXPORT_NAME xauto VERSION ${PROJECT_VERSION}
+                                              SOVERSION ${XAUTO_SOVERSION} LINK_DEPENDS ${map}
+                                              LIBRARY_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/lib)
+install(TARGETS xauto_shared EXPORT xauto-targets
+        LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT runtime NAMELINK_COMPONENT development)
+
+# Development: find_package(xauto), pkg-config, headers.
+set(cmake_dir ${CMAKE_INSTALL_LIBDIR}/cmake/xauto)
+install(EXPORT xauto-targets NAMESPACE xauto:: DESTINATION ${cmake_dir} COMPONENT development)
+configure_package_config_file(packaging/xauto-config.cmake.in ${PROJECT_BINARY_DIR}/package/xauto-config.cmake
+                              INSTALL_DESTINATION ${cmake_dir})
+write_basic_package_version_file(${PROJECT_BINARY_DIR}/package/xauto-config-version.cmake COMPATIBILITY SameMinorVersion)
+install(FILES ${PROJECT_BINARY_DIR}/package/xauto-config.cmake ${PROJECT_BINARY_DIR}/package/xauto-config-version.cmake
+        DESTINATION ${cmake_dir} COMPONENT development)
+string(REGEX REPLACE "[^/]+" ".." XAUTO_PC_UP ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
+configure_file(packaging/xauto.pc.in ${PROJECT_BINARY_DIR}/package/xauto.pc @ONLY)
+install(FILES ${PROJECT_BINARY_DIR}/package/xauto.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT development)
+install(DIRECTORY include/xauto DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT development FILES_MATCHING PATTERN "*.h")
+
+# Tools: xauto looks for the daemons beside itself, behind symbolic links, so only the link is in the PATH.
+set(tools xauto xauto-coordinator xauto-emud xauto-cpusched)
+install(TARGETS ${tools} RUNTIME DESTINATION ${CMAKE_INSTALL_LIBEXECDIR}/xauto COMPONENT tools)
+file(CREATE_LINK ../${CMAKE_INSTALL_LIBEXECDIR}/xauto/xauto ${PROJECT_BINARY_DIR}/package/xauto SYMBOLIC)
+install(FILES ${PROJECT_BINARY_DIR}/package/xauto DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT tools)
