@@ -223,6 +223,8 @@ const char* drop_reason(std::uint32_t reason) {
       return "an input was dropped upstream";
     case XAUTO_DROP_OVERRUN:
       return "a newer message replaced it";
+    case XAUTO_DROP_HUNG:
+      return "it ran past its hang limit";
     case XAUTO_DROP_DIED:
       return "the module's process died";
     default:

@@ -30,6 +30,7 @@
 #define XAUTO_DROP_UPSTREAM 2	 /* an input of this activation was dropped upstream */
 #define XAUTO_DROP_OVERRUN 3	 /* a newer message replaced it before the module was free */
 #define XAUTO_DROP_DIED 4	 /* the process of the module died */
+#define XAUTO_DROP_HUNG 5	 /* an XNode ran past its hang limit and was given up */
 
 #define XAUTO_EV_NONE 0xffff	 /* xnode, module, xpu: not applicable */
 
