@@ -12,11 +12,12 @@
 
 namespace xauto {
 
-/// Sleeps while `word` holds `expected`, at most 50 ms: the limit is only a net for the one case
-/// that has no waker, a peer that died between its store and its wake. Callers loop on their
+/// Sleeps while `word` holds `expected`, at most `limit_ns`: the limit is only a net for the one
+/// case that has no waker, a peer that died between its store and its wake. Callers loop on their
 /// condition.
-inline void futex_wait(std::atomic<std::uint32_t>& word, std::uint32_t expected) {
-  const timespec limit{0, 50'000'000};
+inline void futex_wait(std::atomic<std::uint32_t>& word, std::uint32_t expected,
+                       std::int64_t limit_ns = 50'000'000) {
+  const timespec limit{limit_ns / 1'000'000'000, limit_ns % 1'000'000'000};
   syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAIT, expected, &limit, nullptr,
           0);
 }
