@@ -2,6 +2,7 @@
 // Typed topics and what travels on them.
 #pragma once
 
+#include <array>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
@@ -85,11 +86,16 @@ class MessageMemory {
 
 namespace detail {
 
+/// Release times by source, of an app whose sources have several periods; 0: not involved.
+inline constexpr std::size_t kMaxOrigins = 8;  ///< further sources are known by the oldest only
+using Origins = std::array<std::int64_t, kMaxOrigins>;
+
 /// A message on its way: shared, never written again once published.
 struct Envelope {
   std::shared_ptr<const void> message;  ///< null: dropped upstream, see `Input` and docs/runtime.md
   std::int64_t origin_ns = 0;           ///< CLOCK_MONOTONIC time at which the sensor released it
   std::uint64_t sequence = 0;           ///< number of that release
+  std::shared_ptr<const Origins> origins = {};  ///< null in an app of one rate
 };
 
 struct TopicSpec {

@@ -34,6 +34,7 @@ const detail::Envelope& Input::find(const std::string& topic, std::type_index ty
 namespace {
 
 std::atomic<runtime::Engine*> g_engine{nullptr};
+bool g_stuck = false;             // a thread is in an exec for ever: end without its consent
 std::atomic<bool> g_stop{false};  // a signal may come before there is an engine to tell
 
 // The first SIGTERM or SIGINT drains; a second one finds the default action restored and stops.
@@ -52,13 +53,18 @@ Result<std::string> answer(const detail::AppSpecErased& app, const runtime::Sess
     case runtime::Mode::kProfile:
       return runtime::profile(app, session);
     case runtime::Mode::kRun: {
-      XAUTO_ASSIGN(const auto engine, runtime::Engine::create(app, session));
+      XAUTO_ASSIGN(auto engine, runtime::Engine::create(app, session));
       g_engine.store(engine.get());
       if (g_stop.load()) engine->request_stop();
       auto report = engine->run();
       g_engine.store(nullptr);
+      const bool member = engine->member();
+      if (engine->stuck()) {
+        g_stuck = true;
+        (void)engine.release();
+      }
       if (!report) return tl::unexpected<Error>(std::move(report).error());
-      if (engine->member()) return std::string();  // told to the hub
+      if (member) return std::string();  // told to the hub
       return runtime::to_json(*report);
     }
   }
@@ -131,16 +137,18 @@ int App::main(int, char** argv) {
     rt::set_thread_name("m:" +
                         (*session)->processes[static_cast<std::size_t>(process - 1)].front());
   const auto text = answer(*spec_, **session);
+  int status = text ? 0 : 1;
   if ((*session)->process != 0) {
     if (!text) log::error("{}", text.error().to_string());
-    return text ? 0 : 1;
+  } else {
+    const std::string written = text ? *text : runtime::error_to_json(text.error());
+    if (const Status done = write_memory_file((*session)->answer_fd, written); !done) {
+      log::error("{}", done.error().to_string());
+      status = 1;
+    }
   }
-  const std::string written = text ? *text : runtime::error_to_json(text.error());
-  if (const Status done = write_memory_file((*session)->answer_fd, written); !done) {
-    log::error("{}", done.error().to_string());
-    return 1;
-  }
-  return text ? 0 : 1;
+  if (g_stuck) _exit(status);
+  return status;
 }
 
 }  // namespace xauto

@@ -10,35 +10,38 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "model/app.h"
+
 namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kBoardMagic = 0x58424f41;  // "XBOA"
 
-std::size_t bytes_of(std::uint32_t processes, std::uint32_t modules) {
-  return sizeof(BoardHeader) + processes * sizeof(ProcessLine) + modules * sizeof(ModuleLine);
+std::size_t bytes_of(const BoardShape& shape) {
+  return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
+         shape.modules * sizeof(ModuleLine) + shape.nodes * sizeof(XNodeLine);
 }
 
-void fill(void* memory, std::uint32_t processes, std::uint32_t modules) {
-  auto* header = new (memory) BoardHeader{kBoardMagic, processes, modules, 0};
+void fill(void* memory, const BoardShape& s) {
+  auto* header = new (memory) BoardHeader{kBoardMagic, s.processes, s.modules, s.nodes};
   auto* lines = reinterpret_cast<ProcessLine*>(header + 1);
-  for (std::uint32_t p = 0; p < processes; ++p) (new (lines + p) ProcessLine)->stand_in.store(p);
-  auto* counts = reinterpret_cast<ModuleLine*>(lines + processes);
-  for (std::uint32_t m = 0; m < modules; ++m) new (counts + m) ModuleLine;
+  for (std::uint32_t p = 0; p < s.processes; ++p) (new (lines + p) ProcessLine)->stand_in.store(p);
+  auto* counts = reinterpret_cast<ModuleLine*>(lines + s.processes);
+  for (std::uint32_t m = 0; m < s.modules; ++m) new (counts + m) ModuleLine;
+  auto* xnodes = reinterpret_cast<XNodeLine*>(counts + s.modules);
+  for (std::uint32_t n = 0; n < s.nodes; ++n) new (xnodes + n) XNodeLine;
 }
 
 }  // namespace
 
-Board::Board(void* memory, std::size_t bytes, bool mapped, std::uint32_t processes,
-             std::uint32_t modules)
+Board::Board(void* memory, std::size_t bytes, bool mapped, const BoardShape& shape)
     : memory_(memory),
       bytes_(bytes),
       mapped_(mapped),
       header_(static_cast<BoardHeader*>(memory)),
       processes_(reinterpret_cast<ProcessLine*>(header_ + 1)),
-      modules_(reinterpret_cast<ModuleLine*>(processes_ + processes)) {
-  static_cast<void>(modules);
-}
+      modules_(reinterpret_cast<ModuleLine*>(processes_ + shape.processes)),
+      xnodes_(reinterpret_cast<XNodeLine*>(modules_ + shape.modules)) {}
 
 Board::~Board() {
   if (mapped_)
@@ -47,19 +50,19 @@ Board::~Board() {
     ::operator delete (memory_, std::align_val_t{64});
 }
 
-std::shared_ptr<Board> Board::local(std::uint32_t modules) {
-  const std::size_t bytes = bytes_of(1, modules);
+std::shared_ptr<Board> Board::local(const BoardShape& shape) {
+  const std::size_t bytes = bytes_of(shape);
   void* memory = ::operator new (bytes, std::align_val_t{64});
-  fill(memory, 1, modules);
-  return std::shared_ptr<Board>(new Board(memory, bytes, false, 1, modules));
+  fill(memory, shape);
+  return std::shared_ptr<Board>(new Board(memory, bytes, false, shape));
 }
 
-Result<std::shared_ptr<Board>> Board::create(std::uint32_t processes, std::uint32_t modules,
-                                             UniqueFd& fd) {
-  if (processes == 0 || processes > kMaxProcesses || modules > kMaxBoardModules)
-    return fail(ErrorCode::kInvalid, std::to_string(processes) + " processes and " +
-                                         std::to_string(modules) + " modules are too many");
-  const std::size_t bytes = bytes_of(processes, modules);
+Result<std::shared_ptr<Board>> Board::create(const BoardShape& shape, UniqueFd& fd) {
+  if (shape.processes == 0 || shape.processes > kMaxProcesses || shape.modules > kMaxXNodes ||
+      shape.nodes > kMaxXNodes)
+    return fail(ErrorCode::kInvalid, std::to_string(shape.processes) + " processes and " +
+                                         std::to_string(shape.modules) + " modules are too many");
+  const std::size_t bytes = bytes_of(shape);
   fd = UniqueFd(memfd_create("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING));
   if (!fd || ftruncate(fd.get(), static_cast<off_t>(bytes)) != 0 ||
       fcntl(fd.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
@@ -68,21 +71,22 @@ Result<std::shared_ptr<Board>> Board::create(std::uint32_t processes, std::uint3
       mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd.get(), 0);
   if (memory == MAP_FAILED)
     return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
-  fill(memory, processes, modules);
-  return std::shared_ptr<Board>(new Board(memory, bytes, true, processes, modules));
+  fill(memory, shape);
+  return std::shared_ptr<Board>(new Board(memory, bytes, true, shape));
 }
 
-Result<std::shared_ptr<Board>> Board::map(int fd, std::uint32_t processes, std::uint32_t modules) {
-  const std::size_t bytes = bytes_of(processes, modules);
+Result<std::shared_ptr<Board>> Board::map(int fd, const BoardShape& shape) {
+  const std::size_t bytes = bytes_of(shape);
   struct stat status {};
   if (fstat(fd, &status) != 0 || static_cast<std::size_t>(status.st_size) < bytes)
     return fail(ErrorCode::kInvalid, "the app's shared memory is cut short");
   void* memory = mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0);
   if (memory == MAP_FAILED)
     return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
-  auto board = std::shared_ptr<Board>(new Board(memory, bytes, true, processes, modules));
+  auto board = std::shared_ptr<Board>(new Board(memory, bytes, true, shape));
   const BoardHeader& h = *board->header_;
-  if (h.magic != kBoardMagic || h.processes != processes || h.modules != modules)
+  if (h.magic != kBoardMagic || h.processes != shape.processes || h.modules != shape.modules ||
+      h.nodes != shape.nodes)
     return fail(ErrorCode::kInvalid, "the app's shared memory is another app's", {},
                 "all processes of an app must be of one build");
   return board;

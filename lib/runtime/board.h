@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the processes of one app share besides topics: a doorbell each, and the counts of every
-// module, which so survive the process that wrote them. With one process it is ordinary memory.
+// module and XNode, which so survive the process that wrote them. With one process it is ordinary
+// memory.
 //
 // [M] written by the process that hosts the module (or by the hub in its place once it is dead),
 // [H] by the hub.
@@ -20,20 +21,29 @@
 namespace xauto::runtime {
 
 inline constexpr std::uint32_t kMaxProcesses = 256;
-inline constexpr std::uint32_t kMaxBoardModules = 20'000;
 
 struct alignas(64) BoardHeader {
-  std::uint32_t magic = 0, processes = 0, modules = 0, pad = 0;
+  std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0;
+};
+
+/// What is counted, and checked when memory of another process is mapped.
+struct BoardShape {
+  std::uint32_t processes = 1, modules = 0, nodes = 0;
 };
 
 /// A release is settled once: done, failed or dropped. In an app of one rate they are settled in
 /// order, so the sum of the three is the number of the next one.
 struct alignas(64) ModuleLine {
   std::atomic<std::uint64_t> activations{}, failed{}, dropped{};  ///< [M]
-  std::atomic<std::uint64_t> overruns{};                          ///< [M] over their budget
   [[nodiscard]] std::uint64_t settled() const {
     return activations.load() + failed.load() + dropped.load();
   }
+};
+
+/// Jobs of one XNode that has limits (watch.h).
+struct alignas(64) XNodeLine {
+  std::atomic<std::uint64_t> jobs{}, overruns{}, hangs{};  ///< [M]
+  std::atomic<std::int64_t> longest_ns{};                  ///< [M]
 };
 
 struct alignas(64) ProcessLine {
@@ -45,17 +55,16 @@ struct alignas(64) ProcessLine {
 class Board {
  public:
   /// In this process only.
-  [[nodiscard]] static std::shared_ptr<Board> local(std::uint32_t modules);
+  [[nodiscard]] static std::shared_ptr<Board> local(const BoardShape& shape);
   /// In a memfd, which is left in `fd`.
-  [[nodiscard]] static Result<std::shared_ptr<Board>> create(std::uint32_t processes,
-                                                             std::uint32_t modules, UniqueFd& fd);
-  [[nodiscard]] static Result<std::shared_ptr<Board>> map(int fd, std::uint32_t processes,
-                                                          std::uint32_t modules);
+  [[nodiscard]] static Result<std::shared_ptr<Board>> create(const BoardShape& shape, UniqueFd& fd);
+  [[nodiscard]] static Result<std::shared_ptr<Board>> map(int fd, const BoardShape& shape);
   ~Board();
   Board(const Board&) = delete;
   Board& operator=(const Board&) = delete;
 
   ModuleLine& module(int index) { return modules_[index]; }
+  XNodeLine& xnode(std::size_t node) { return xnodes_[node]; }
   ProcessLine& process(int index) { return processes_[index]; }
   [[nodiscard]] int processes() const { return static_cast<int>(header_->processes); }
   [[nodiscard]] std::uint64_t settled() const;
@@ -66,14 +75,14 @@ class Board {
   }
 
  private:
-  Board(void* memory, std::size_t bytes, bool mapped, std::uint32_t processes,
-        std::uint32_t modules);
+  Board(void* memory, std::size_t bytes, bool mapped, const BoardShape& shape);
   void* memory_;
   std::size_t bytes_;
   bool mapped_;
   BoardHeader* header_;
   ProcessLine* processes_;
   ModuleLine* modules_;
+  XNodeLine* xnodes_;
 };
 
 }  // namespace xauto::runtime

@@ -5,6 +5,8 @@
 #include <set>
 
 #include <sched.h>
+#include <signal.h>
+#include <unistd.h>
 
 #include "base/clock.h"
 #include "base/futex.h"
@@ -26,6 +28,7 @@ constexpr int kFifoCpuLowest = 2,
 
 constexpr std::int64_t kStallNs =
     10'000'000'000;  ///< no progress for so long: give up, say what hangs
+constexpr std::int64_t kPatienceNs = 1'000'000'000;  ///< with an exec, once the run is over
 
 }  // namespace
 
@@ -45,16 +48,13 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   auto engine = std::unique_ptr<Engine>(new Engine(app, session, std::move(graph)));
   Engine& e = *engine;
   XAUTO_ASSIGN(e.plan_, Plan::make(e.graph_, app, session));
-  for (const auto& [name, policy] : session.overload)
-    if (!name.empty() &&
-        std::none_of(e.graph_.modules.begin(), e.graph_.modules.end(),
-                     [&, &wanted = name](const Graph::Module& m) { return m.name == wanted; }))
-      return fail(ErrorCode::kInvalid, "is not a module of the program", "XModule '" + name + "'");
+  XAUTO_ASSIGN(e.routes_, Routes::make(e.graph_, session.deployment, session.app.deadline_us));
   if (session.trace_fd >= 0 && session.process == 0) {  // before any member may attach to it
     XAUTO_ASSIGN(e.trace_, trace::Writer::create(session.trace_fd, session.trace_capacity));
   }
   if (e.plan_.processes == 1) {
-    e.board_ = Board::local(static_cast<std::uint32_t>(e.graph_.modules.size()));
+    e.board_ = Board::local({1, static_cast<std::uint32_t>(e.graph_.modules.size()),
+                             static_cast<std::uint32_t>(e.graph_.nodes.size())});
   } else if (session.process == 0) {
     XAUTO_ASSIGN(e.hub_, Hub::create(e.plan_, e.graph_, session, e));
     e.board_ = e.hub_->board();
@@ -138,11 +138,22 @@ Status Engine::place() {
     }
   }
 
+  limits_.resize(graph_.nodes.size());
   xnode_of_.resize(graph_.nodes.size());
   for (std::size_t n = 0; n < graph_.nodes.size(); ++n)
     xnode_of_[n] = static_cast<std::uint32_t>(session_.app.find(graph_.nodes[n].name));
 
   for (std::size_t m = 0; m < graph_.modules.size(); ++m) {
+    for (const int n : graph_.modules[m].nodes) {
+      const Graph::Node& node = graph_.nodes[static_cast<std::size_t>(n)];
+      const std::uint32_t xnode = xnode_of_[static_cast<std::size_t>(n)];
+      if (const int xpu = xpu_of(node, xnode); xpu >= 0)
+        limits_[static_cast<std::size_t>(n)] =
+            Limits::of(session_.deployment, graph_.modules[m].name, node.name,
+                       session_.app.xnodes[xnode]
+                           .wcet_on(platform.xpus[static_cast<std::size_t>(xpu)].type)
+                           .value_or(0));
+    }
     auto chain = std::make_unique<Chain>();
     chain->module = static_cast<int>(m);
     if (!hosted(m)) {
@@ -169,6 +180,8 @@ Status Engine::place() {
                     "is assigned to " + x.id + " but has no implementation for '" + x.type + "'",
                     where,
                     "add one with add_impl, or solve again with the app.json of this program");
+      placed.limits = limits_[static_cast<std::size_t>(n)];
+      placed.line = &board_->xnode(static_cast<std::size_t>(n));
       const bool real_cpu = !session_.emulated && x.type == "cpu";
       if (scheduled) {
         placed.priority = session_.policy.placements[xnode].priority;
@@ -244,12 +257,10 @@ Status Engine::wire() {
                   "XModule '" + module.name + "'");
     }
     chains_[m]->runtime = modules_.back().get();
-    auto overload = session_.overload.find(module.name);
-    if (overload == session_.overload.end()) overload = session_.overload.find("");
-    if (overload != session_.overload.end()) {
-      XAUTO_ASSIGN(const Overload parsed, Overload::parse(overload->second));
-      modules_.back()->set_overload(parsed);
-    }
+    const ModuleDeployment said = session_.deployment.of(module.name);
+    if (said.overload) modules_.back()->set_overload(*said.overload);
+    if (said.match_us) modules_.back()->match_within(*said.match_us * 1000);
+    if (said.on_hang == OnHang::kDrop) modules_.back()->watch();
   }
   sink_next_.assign(graph_.modules.size(), 0);
   for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
@@ -283,7 +294,67 @@ Status Engine::wire() {
 
 Status Engine::start_workers() {
   for (const auto& worker : workers_) XAUTO_TRY(worker->start());
+  start_watchdog();
   return {};
+}
+
+/// Looks often enough to notice a hang within a quarter of the shortest limit.
+void Engine::start_watchdog() {
+  std::int64_t shortest = 0;
+  for (std::size_t n = 0; n < limits_.size(); ++n)
+    if (const std::int64_t ns = limits_[n].hang_ns;
+        ns > 0 && hosted(static_cast<std::size_t>(graph_.nodes[n].module)))
+      shortest = shortest == 0 ? ns : std::min(shortest, ns);
+  if (shortest == 0) return;
+  watchdog_ = std::make_unique<Watchdog>(
+      std::clamp<std::int64_t>(shortest / 4, 1'000'000, 50'000'000), [this](std::int64_t now) {
+        for (const auto& worker : workers_)
+          if (const auto job = worker->find_hung(now)) hung(*worker, *job);
+      });
+}
+
+void Engine::hung(const Worker& worker, const Worker::Hung& job) {
+  const int module =
+      graph_
+          .nodes[static_cast<std::size_t>(
+              std::find(xnode_of_.begin(), xnode_of_.end(), job.placed->xnode) - xnode_of_.begin())]
+          .module;
+  const std::string text = "XNode '" + job.placed->name + "' on " + worker.options().xpu_id.name +
+                           " ran past its hang limit of " +
+                           std::to_string(job.placed->limits.hang_ns / 1'000'000) +
+                           " ms in activation " + std::to_string(job.sequence);
+  const bool first = job.placed->line->hangs.load(std::memory_order_relaxed) == 1;
+  if (first) {
+    const std::lock_guard lock(hung_mutex_);
+    hung_note_ += (hung_note_.empty() ? "" : "; ") + text;
+  }
+  switch (job.placed->limits.on_hang) {
+    case OnHang::kLog:
+      if (first) log::warn("{} (further ones are only counted)", text);
+      break;
+    case OnHang::kDrop:
+      if (modules_[static_cast<std::size_t>(module)]->abandon(job.sequence) && first)
+        log::warn("{}: given up (further ones are only counted)", text);
+      break;
+    case OnHang::kRestart:
+      log::error("{}: its process is killed", text);
+      (void)kill(getpid(), SIGKILL);
+      break;
+  }
+}
+
+void Engine::stop_workers() {
+  const std::int64_t limit = now_ns() + kPatienceNs;
+  for (const auto& worker : workers_)
+    if (!worker->stop(std::max<std::int64_t>(0, limit - now_ns()))) {
+      stuck_ = true;
+      const std::string text =
+          "an exec of " + worker->options().name + " never returned; its thread was left behind";
+      log::error("{}", text);
+      const std::lock_guard lock(hung_mutex_);
+      hung_note_ += (hung_note_.empty() ? "" : "; ") + text;
+    }
+  watchdog_.reset();
 }
 
 // ---- topics between processes
@@ -333,8 +404,8 @@ Status Engine::open_inputs() {
 }
 
 void Engine::event(const Packet& packet) {
-  sink_through(static_cast<int>(packet.index), packet.sequence, packet.origin_ns, packet.now_ns,
-               packet.lost != 0);
+  through(static_cast<int>(packet.index), packet.sequence, packet.origin_ns,
+          packet.rates != 0 ? &packet.origins : nullptr, packet.now_ns, packet.lost != 0);
 }
 
 void Engine::left(int process) {
@@ -382,8 +453,9 @@ Result<RunReport> Engine::run_member() {
       return fail(ErrorCode::kUnavailable, "the app's hub is gone", "app '" + app_.name + "'");
   }
   if (receiver_) receiver_->stop();
-  for (const auto& worker : workers_) worker->stop();
-  RunReport result = report();
+  stop_workers();
+  RunReport result;  // the counts are on the board
+  tell_notes(result);
   member_->report(to_json(result));
   return result;
 }
@@ -418,7 +490,12 @@ void Engine::gather(const std::vector<std::string>& reports, RunReport& report) 
 // ---------------------------------------------------------------------------------------
 
 Result<RunReport> Engine::run() {
-  if (member_) return run_member();
+  auto result = member_ ? run_member() : run_whole();
+  stop_workers();  // if there was an error
+  return result;
+}
+
+Result<RunReport> Engine::run_whole() {
   if (hub_) {
     XAUTO_TRY(open_inputs());
     XAUTO_ASSIGN(const bool ready, hub_->wait_ready(stop_));
@@ -445,6 +522,7 @@ Result<RunReport> Engine::run() {
     members = hub_->stop();
     receiver_->stop();
   }
+  stop_workers();
   RunReport result = report();
   if (hub_) {
     gather(members, result);
@@ -457,7 +535,6 @@ Result<RunReport> Engine::run() {
     result.note += (result.note.empty() ? "" : "; ");
     result.note += std::to_string(in_flight_.load()) + " activations did not end";
   }
-  for (const auto& worker : workers_) worker->stop();
   for (const auto& callback : app_.on_end) {
     try {
       callback();
@@ -531,15 +608,26 @@ void Engine::release(std::int64_t origin_ns, std::uint64_t sequence,
                      const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages) {
   if (graph_.single_rate && num_sinks_ > 0) {
     const std::lock_guard lock(releases_mutex_);
-    if (open_.size() <= sequence) open_.resize(sequence + 1);
-    open_[sequence] = {origin_ns, origin_ns, num_sinks_, false};
+    while (open_base_ + open_.size() <= sequence) open_.push_back({});
+    if (sequence >= open_base_)
+      open_[sequence - open_base_] = {origin_ns, origin_ns, num_sinks_, false};
     in_flight_.fetch_add(1);
   }
   if (trace_)
     trace_->write(XAUTO_EV_PUBLISH, sequence, XAUTO_EV_NONE, XAUTO_EV_NONE, XAUTO_EV_NONE);
   if (recorder_) record(origin_ns, messages);
-  for (const auto& [topic, message] : messages)
-    channels_[static_cast<std::size_t>(topic)].publish({message, origin_ns, sequence});
+  for (const auto& [topic, message] : messages) {
+    detail::Envelope envelope{message, origin_ns, sequence};
+    if (!graph_.single_rate) {
+      auto origins = std::make_shared<detail::Origins>();
+      origins->fill(0);
+      const auto source =
+          static_cast<std::size_t>(graph_.topics[static_cast<std::size_t>(topic)].source);
+      if (source < origins->size()) (*origins)[source] = origin_ns;
+      envelope.origins = std::move(origins);
+    }
+    channels_[static_cast<std::size_t>(topic)].publish(envelope);
+  }
 }
 
 Status Engine::open_recorder() {
@@ -692,21 +780,25 @@ void Engine::done(int module, std::int64_t origin_ns, std::uint64_t sequence) {
   if (trace_)
     trace_->write(XAUTO_EV_DONE, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
                   XAUTO_EV_NONE);
-  if (graph_.modules[static_cast<std::size_t>(module)].sink)
-    sink_through(module, sequence, origin_ns, now, false);
+  if (graph_.modules[static_cast<std::size_t>(module)].sink || routes_->end_at(module))
+    through(module, sequence, origin_ns,
+            modules_[static_cast<std::size_t>(module)]->origins().get(), now, false);
 }
 
-/// A sink module is through with release `sequence`; known here, or told by its process.
-void Engine::sink_through(int module, std::uint64_t sequence, std::int64_t origin_ns,
-                          std::int64_t now, bool lost) {
+/// A sink module, or one where a chain ends, is through with release `sequence`; known here, or
+/// told by its process.
+void Engine::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
+                     const detail::Origins* origins, std::int64_t now, bool lost) {
   if (member_) {
-    member_->tell(module, sequence, origin_ns, now, lost);
+    member_->tell(module, sequence, origin_ns, now, lost, origins);
     return;
   }
+  if (!lost) routes_->published(module, origin_ns, origins, now);
+  if (!graph_.modules[static_cast<std::size_t>(module)].sink) return;
   if (!lost) {
     Latencies& latencies = *latencies_[static_cast<std::size_t>(module)];
     const std::lock_guard lock(latencies.mutex);
-    latencies.us.push_back((now - origin_ns) / 1000);
+    latencies.us.add((now - origin_ns) / 1000);
   }
   account(module, sequence, now, lost);
 }
@@ -719,7 +811,7 @@ void Engine::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
     trace_->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
                   XAUTO_EV_NONE, reason);
   if (graph_.modules[static_cast<std::size_t>(module)].sink)
-    sink_through(module, sequence, 0, now_ns(), true);
+    through(module, sequence, 0, nullptr, now_ns(), true);
 }
 
 void Engine::skip(int module, std::uint64_t sequence) {
@@ -735,34 +827,63 @@ void Engine::account(int module, std::uint64_t sequence, std::int64_t now, bool 
   {
     const std::lock_guard lock(releases_mutex_);
     std::uint64_t& next = sink_next_[static_cast<std::size_t>(module)];
-    for (; next <= sequence && next < open_.size(); ++next) {
-      Open& open = open_[next];
+    for (; next <= sequence && next < open_base_ + open_.size(); ++next) {
+      Open& open = open_[next - open_base_];
       open.last_ns = std::max(open.last_ns, now);
       open.lost |= lost || next < sequence;
       if (--open.sinks_left > 0) continue;
       const std::int64_t latency_us = (open.last_ns - open.origin_ns) / 1000;
       releases_.push_back({next, open.origin_ns, open.lost ? -1 : latency_us});
+      if (releases_.size() > kKeptReleases) releases_.pop_front();
+      ++num_releases_;
+      if (open.lost)
+        ++lost_releases_;
+      else
+        release_latencies_us_.add(latency_us);
       if (session_.app.deadline_us && (open.lost || latency_us > *session_.app.deadline_us))
         deadline_misses_.fetch_add(1, std::memory_order_relaxed);
       ++complete;
     }
+    for (; !open_.empty() && open_.front().sinks_left == 0; ++open_base_) open_.pop_front();
   }
   if (complete == 0) return;
   in_flight_.fetch_sub(complete);
   futex_wake(in_flight_, 1);
 }
 
-RunReport Engine::report() const {
+/// What this process has to tell, apart from counts.
+void Engine::tell_notes(RunReport& result) {
+  const auto note = [&](const std::string& text) {
+    if (!text.empty()) result.note += (result.note.empty() ? "" : "; ") + text;
+  };
+  note(note_);
+  note(threads_->note());
+  for (const auto& worker : workers_) {
+    note(worker->first_failure());
+    if (worker->lost_coordinator())
+      result.lost_coordinators.push_back(worker->options().xpu_id.name);
+  }
+  std::sort(result.lost_coordinators.begin(), result.lost_coordinators.end());
+  result.lost_coordinators.erase(
+      std::unique(result.lost_coordinators.begin(), result.lost_coordinators.end()),
+      result.lost_coordinators.end());
+  const std::lock_guard lock(hung_mutex_);
+  note(hung_note_);
+}
+
+RunReport Engine::report() {
   RunReport result;
-  result.note = note_;
-  if (const std::string note = threads_->note(); !note.empty())
-    result.note += (result.note.empty() ? "" : "; ") + note;
+  tell_notes(result);
   {
     const std::lock_guard lock(releases_mutex_);
-    result.releases = releases_;
+    result.releases.assign(releases_.begin(), releases_.end());
+    result.num_releases = num_releases_;
+    result.lost_releases = lost_releases_;
+    result.latencies_us = release_latencies_us_;
   }
   std::sort(result.releases.begin(), result.releases.end(),
             [](const Release& a, const Release& b) { return a.sequence < b.sequence; });
+  std::vector<std::uint64_t> lost;  // [module]
   for (std::size_t m = 0; m < graph_.modules.size(); ++m) {
     const ModuleLine& counts = board_->module(static_cast<int>(m));
     ModuleReport module{graph_.modules[m].name, graph_.modules[m].sink, counts.activations,
@@ -770,20 +891,17 @@ RunReport Engine::report() const {
     const std::lock_guard lock(latencies_[m]->mutex);
     module.latencies_us = latencies_[m]->us;
     result.modules.push_back(std::move(module));
+    lost.push_back(counts.failed + counts.dropped);
   }
-  for (const auto& worker : workers_)
-    if (worker->lost_coordinator())
-      result.lost_coordinators.push_back(worker->options().xpu_id.name);
-  std::sort(result.lost_coordinators.begin(), result.lost_coordinators.end());
-  result.lost_coordinators.erase(
-      std::unique(result.lost_coordinators.begin(), result.lost_coordinators.end()),
-      result.lost_coordinators.end());
+  result.routes = routes_->report(lost);
+  for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
+    if (!limits_[n].any()) continue;
+    const XNodeLine& line = board_->xnode(n);
+    result.xnodes.push_back({graph_.nodes[n].name, limits_[n].budget_ns / 1000,
+                             limits_[n].hang_ns / 1000, line.jobs, line.overruns, line.hangs,
+                             line.longest_ns / 1000});
+  }
   result.deadline_misses = deadline_misses_.load();
-  for (const auto& worker : workers_) {
-    const std::string failure = worker->first_failure();
-    if (failure.empty()) continue;
-    result.note += (result.note.empty() ? "" : "; ") + failure;
-  }
   return result;
 }
 

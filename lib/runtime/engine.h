@@ -4,6 +4,7 @@
 #pragma once
 
 #include <atomic>
+#include <deque>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -16,7 +17,9 @@
 #include "runtime/ghost.h"
 #include "runtime/graph.h"
 #include "runtime/isolation.h"
+#include "runtime/routes.h"
 #include "runtime/session.h"
+#include "runtime/watch.h"
 #include "runtime/worker.h"
 #include "runtime/xmodule.h"
 #include "trace/trace.h"
@@ -35,6 +38,9 @@ class Engine final : public ModuleHost, private HubHost {
   /// (isolation.h): until the hub says so; its report is part of the hub's.
   [[nodiscard]] Result<RunReport> run();
   [[nodiscard]] bool member() const { return member_ != nullptr; }
+  /// After `run`: an exec has not returned and never may. Its thread uses this engine, so it must
+  /// not be destroyed: end the process without it.
+  [[nodiscard]] bool stuck() const { return stuck_; }
   /// No further releases; what is in flight is finished.
   void request_stop() { stop_.store(true); }
 
@@ -69,11 +75,16 @@ class Engine final : public ModuleHost, private HubHost {
   [[nodiscard]] Status open_recorder();
   void record(std::int64_t origin_ns,
               const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages);
+  [[nodiscard]] Result<RunReport> run_whole();
+  void start_watchdog();
+  void hung(const Worker& worker, const Worker::Hung& job);
+  void stop_workers();
   bool wait_drained(std::int64_t timeout_ns);
-  [[nodiscard]] RunReport report() const;
+  void tell_notes(RunReport& result);
+  [[nodiscard]] RunReport report();
   [[nodiscard]] int xpu_of(const Graph::Node& node, std::uint32_t xnode) const;
-  void sink_through(int module, std::uint64_t sequence, std::int64_t origin_ns, std::int64_t now,
-                    bool lost);
+  void through(int module, std::uint64_t sequence, std::int64_t origin_ns,
+               const detail::Origins* origins, std::int64_t now, bool lost);
   void account(int module, std::uint64_t sequence, std::int64_t now, bool lost);
 
   const detail::AppSpecErased& app_;
@@ -95,11 +106,16 @@ class Engine final : public ModuleHost, private HubHost {
   std::optional<record::Recorder> recorder_;  ///< of the releasing thread
   std::vector<std::size_t> recorded_topic_;   ///< [topic] -> the recorder's index
   std::atomic<bool> stop_{false};
+  bool stuck_ = false;
+  std::vector<Limits> limits_;  ///< [graph node]
+  PiMutex hung_mutex_;
+  std::string hung_note_;  ///< guarded by hung_mutex_
+  std::unique_ptr<Watchdog> watchdog_;
 
   /// Latencies of the sinks; the counts are on the board.
   struct Latencies {
     PiMutex mutex;
-    std::vector<std::int64_t> us;  ///< guarded by mutex
+    Distribution us;  ///< guarded by mutex
   };
   std::vector<std::unique_ptr<Latencies>> latencies_;  ///< [module]
 
@@ -110,13 +126,17 @@ class Engine final : public ModuleHost, private HubHost {
     bool lost = false;
   };
   mutable PiMutex releases_mutex_;
-  std::vector<Release> releases_;
-  std::vector<Open> open_;                ///< by sequence
+  std::deque<Release> releases_;  ///< the last kKeptReleases
+  std::uint64_t num_releases_ = 0, lost_releases_ = 0;
+  Distribution release_latencies_us_;
+  std::deque<Open> open_;                 ///< from open_base_ on; those before are accounted for
+  std::uint64_t open_base_ = 0;           ///< a sequence
   std::vector<std::uint64_t> sink_next_;  ///< [module] single rate: the next release to account for
   int num_sinks_ = 0;
   std::atomic<std::uint32_t> in_flight_{
       0};  ///< single rate: releases not yet accounted for; a futex
   std::atomic<std::uint64_t> deadline_misses_{0};
+  std::optional<Routes> routes_;
   std::map<int, std::unique_ptr<Ghost>> ghosts_;  ///< by process; of the hub's thread
   // Last, so that their threads end before what they use.
   std::unique_ptr<Member> member_;

@@ -28,11 +28,19 @@ Status say(int socket, Word word, int index = 0, const std::vector<int>& fds = {
   return send_packet(socket, &packet, sizeof packet, fds);
 }
 
+BoardShape board_shape(const Plan& plan, const Graph& graph) {
+  return {static_cast<std::uint32_t>(plan.processes),
+          static_cast<std::uint32_t>(graph.modules.size()),
+          static_cast<std::uint32_t>(graph.nodes.size())};
+}
+
 transport::TopicShape shape_of(const Graph::Topic& topic, std::size_t readers,
                                const Session& session) {
   const detail::TopicSpec& spec = topic.spec;
   return {spec.plain_bytes > 0 ? spec.plain_bytes : spec.max_bytes,
-          static_cast<std::uint32_t>(readers), session.queue_depth, session.keep};
+          static_cast<std::uint32_t>(readers),
+          static_cast<std::uint32_t>(session.deployment.queue_depth.value_or(kQueueDepth)),
+          static_cast<std::uint32_t>(session.deployment.keep.value_or(kKeep))};
 }
 
 }  // namespace
@@ -100,9 +108,7 @@ Result<Plan> Plan::make(const Graph& graph, const detail::AppSpecErased& app,
 Result<std::unique_ptr<Hub>> Hub::create(const Plan& plan, const Graph& graph,
                                          const Session& session, HubHost& host) {
   auto hub = std::unique_ptr<Hub>(new Hub(plan, graph, host));
-  XAUTO_ASSIGN(hub->board_,
-               Board::create(static_cast<std::uint32_t>(plan.processes),
-                             static_cast<std::uint32_t>(graph.modules.size()), hub->board_fd_));
+  XAUTO_ASSIGN(hub->board_, Board::create(board_shape(plan, graph), hub->board_fd_));
   hub->topics_.resize(graph.topics.size());
   for (std::size_t t = 0; t < graph.topics.size(); ++t)
     if (const std::size_t readers = plan.topics[t].readers.size(); readers > 0) {
@@ -358,9 +364,7 @@ Result<std::unique_ptr<Member>> Member::join(const Plan& plan, const Graph& grap
         packet.index < graph.topics.size()) {
       member->topics_[packet.index] = {std::move(fds[0]), std::move(fds[1])};
     } else if (size == sizeof packet && word == Word::kBoard && fds.size() == 1) {
-      XAUTO_ASSIGN(member->board_,
-                   Board::map(fds[0].get(), static_cast<std::uint32_t>(plan.processes),
-                              static_cast<std::uint32_t>(graph.modules.size())));
+      XAUTO_ASSIGN(member->board_, Board::map(fds[0].get(), board_shape(plan, graph)));
     } else if (size == sizeof packet && word == Word::kBegin && member->board_ != nullptr) {
       return member;
     } else {
@@ -390,13 +394,15 @@ Result<bool> Member::ready(const std::atomic<bool>& stop) {
 }
 
 void Member::tell(int module, std::uint64_t sequence, std::int64_t origin_ns, std::int64_t now_ns,
-                  bool lost) {
-  const Packet packet{.word = static_cast<std::uint32_t>(Word::kEvent),
-                      .index = static_cast<std::uint32_t>(module),
-                      .sequence = sequence,
-                      .origin_ns = origin_ns,
-                      .now_ns = now_ns,
-                      .lost = lost ? 1u : 0u};
+                  bool lost, const detail::Origins* origins) {
+  Packet packet{.word = static_cast<std::uint32_t>(Word::kEvent),
+                .index = static_cast<std::uint32_t>(module),
+                .sequence = sequence,
+                .origin_ns = origin_ns,
+                .now_ns = now_ns,
+                .lost = lost ? 1u : 0u,
+                .rates = origins != nullptr ? 1u : 0u};
+  if (origins != nullptr) packet.origins = *origins;
   (void)send_packet(socket_.get(), &packet, sizeof packet);  // a dead hub: we are ended as well
 }
 

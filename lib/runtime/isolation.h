@@ -72,9 +72,11 @@ struct Packet {
   std::uint32_t index = 0;  ///< process, topic, or module
   std::uint64_t sequence = 0;
   std::int64_t origin_ns = 0, now_ns = 0;
-  std::uint32_t lost = 0, pad = 0;
+  std::uint32_t lost = 0;
+  std::uint32_t rates = 0;    ///< 1: `origins` is filled in
+  detail::Origins origins{};  ///< by source, see Envelope
 };
-static_assert(sizeof(Packet) == 40);
+static_assert(sizeof(Packet) == 104);
 inline constexpr std::size_t kMaxReportBytes = 32 * 1024;
 
 /// What the hub's engine wants to know. Called on the hub's thread.
@@ -153,9 +155,9 @@ class Member {
   }
   /// Says Ready and waits for Go. False: told to stop, or the hub is gone.
   [[nodiscard]] Result<bool> ready(const std::atomic<bool>& stop);
-  /// A sink module is through with a release. Any thread.
+  /// A sink module, or one where a chain ends, is through with a release. Any thread.
   void tell(int module, std::uint64_t sequence, std::int64_t origin_ns, std::int64_t now_ns,
-            bool lost);
+            bool lost, const detail::Origins* origins);
   /// Until the hub says Stop (true) or is gone (false), or `stop` is set (true).
   [[nodiscard]] bool wait_stop(const std::atomic<bool>& stop);
   void report(const std::string& text);

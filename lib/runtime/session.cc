@@ -5,6 +5,7 @@
 
 #include <array>
 #include <cstdlib>
+#include <stdexcept>
 
 #include <nlohmann/json.hpp>
 #include <unistd.h>
@@ -27,6 +28,25 @@ auto guarded(const char* what, Parse parse) -> decltype(parse()) {
     return fail(ErrorCode::kInvalid, std::string("malformed ") + what + ": " + e.what(), {},
                 "the app and the xauto tool must be of one build");
   }
+}
+
+json to_document(const Distribution& d) {
+  json buckets = json::array();
+  for (const auto& [bucket, count] : d.buckets()) buckets.push_back({bucket, count});
+  return {
+      {"values", d.exact()}, {"buckets", std::move(buckets)}, {"sum", d.sum()}, {"max", d.max()}};
+}
+
+/// Throws, as the library does, when it is none.
+Distribution distribution_from(const json& j) {
+  std::map<std::uint32_t, std::uint64_t> buckets;
+  for (const json& pair : j.at("buckets"))
+    buckets[pair.at(0).get<std::uint32_t>()] = pair.at(1).get<std::uint64_t>();
+  Distribution d;
+  if (!Distribution::restore(j.at("values").get<std::vector<std::int64_t>>(), std::move(buckets),
+                             j.at("sum").get<std::int64_t>(), j.at("max").get<std::int64_t>(), d))
+    throw std::runtime_error("impossible distribution");
+  return d;
 }
 
 }  // namespace
@@ -64,15 +84,15 @@ std::string to_json(const Session& s) {
             {"answer_fd", s.answer_fd},
             {"trace_fd", s.trace_fd},
             {"trace_capacity", s.trace_capacity},
-            {"overload", s.overload},
             {"processes", s.processes},
             {"hub", s.hub},
-            {"hub_fd", s.hub_fd},
-            {"queue_depth", s.queue_depth},
-            {"keep", s.keep}};
+            {"hub_fd", s.hub_fd}};
   // The formats of lib/model travel as the texts that their own readers check.
   if (s.mode == Mode::kRun) {
     j["app"] = xauto::to_json(s.app);
+    Deployment deployment = s.deployment;
+    deployment.app = s.app.name;
+    j["deployment"] = xauto::to_json(deployment);
     if (s.scheduling != Scheduling::kRos2)
       j["policy"] = xauto::to_json(s.policy, s.app, s.platform);
   }
@@ -113,14 +133,13 @@ Result<Session> parse_session(const std::string& text) {
     s.answer_fd = j.at("answer_fd").get<int>();
     s.trace_fd = j.at("trace_fd").get<int>();
     s.trace_capacity = j.at("trace_capacity").get<std::uint64_t>();
-    s.overload = j.at("overload").get<std::map<std::string, std::string>>();
     s.processes = j.at("processes").get<std::vector<std::vector<std::string>>>();
     s.hub = j.at("hub").get<std::string>();
     s.hub_fd = j.at("hub_fd").get<int>();
-    s.queue_depth = j.at("queue_depth").get<std::uint32_t>();
-    s.keep = j.at("keep").get<std::uint32_t>();
     if (s.mode == Mode::kRun) {
       XAUTO_ASSIGN(s.app, parse_app(j.at("app").get<std::string>(), "session"));
+      XAUTO_ASSIGN(s.deployment,
+                   parse_deployment(j.at("deployment").get<std::string>(), "session", s.app));
       if (s.scheduling != Scheduling::kRos2) {
         XAUTO_ASSIGN(s.policy,
                      parse_policy(j.at("policy").get<std::string>(), "session", s.app, s.platform));
@@ -162,11 +181,38 @@ std::string to_json(const RunReport& r) {
                        {"activations", m.activations},
                        {"failed", m.failed},
                        {"dropped", m.dropped},
-                       {"latencies_us", m.latencies_us}});
+                       {"latencies_us", to_document(m.latencies_us)}});
+  json xnodes = json::array();
+  for (const XNodeReport& x : r.xnodes)
+    xnodes.push_back({{"name", x.name},
+                      {"budget_us", x.budget_us},
+                      {"hang_us", x.hang_us},
+                      {"jobs", x.jobs},
+                      {"overruns", x.overruns},
+                      {"hangs", x.hangs},
+                      {"longest_us", x.longest_us}});
+  json routes = json::array();
+  for (const RouteReport& x : r.routes) {
+    routes.push_back({{"name", x.name},
+                      {"from", x.from},
+                      {"to", x.to},
+                      {"deadline_misses", x.deadline_misses},
+                      {"lost", x.lost},
+                      {"age_misses", x.age_misses},
+                      {"latency_us", to_document(x.latency_us)},
+                      {"age_us", to_document(x.age_us)}});
+    if (x.deadline_us) routes.back()["deadline_us"] = *x.deadline_us;
+    if (x.max_age_us) routes.back()["max_age_us"] = *x.max_age_us;
+  }
   return json{{"complete", r.complete},
               {"note", r.note},
               {"releases", std::move(releases)},
+              {"num_releases", r.num_releases},
+              {"lost_releases", r.lost_releases},
+              {"latencies_us", to_document(r.latencies_us)},
               {"modules", std::move(modules)},
+              {"xnodes", std::move(xnodes)},
+              {"routes", std::move(routes)},
               {"lost_coordinators", r.lost_coordinators},
               {"died", r.died},
               {"deadline_misses", r.deadline_misses}}
@@ -189,12 +235,35 @@ Result<RunReport> parse_run_report(const std::string& text) {
     for (const json& x : j.at("releases"))
       r.releases.push_back(
           {x.at(0).get<std::uint64_t>(), x.at(1).get<std::int64_t>(), x.at(2).get<std::int64_t>()});
+    r.num_releases = j.at("num_releases").get<std::uint64_t>();
+    r.lost_releases = j.at("lost_releases").get<std::uint64_t>();
+    r.latencies_us = distribution_from(j.at("latencies_us"));
     for (const json& m : j.at("modules"))
-      r.modules.push_back({m.at("name").get<std::string>(), m.at("sink").get<bool>(),
-                           m.at("activations").get<std::uint64_t>(),
-                           m.at("failed").get<std::uint64_t>(),
-                           m.at("dropped").get<std::uint64_t>(),
-                           m.at("latencies_us").get<std::vector<std::int64_t>>()});
+      r.modules.push_back(
+          {m.at("name").get<std::string>(), m.at("sink").get<bool>(),
+           m.at("activations").get<std::uint64_t>(), m.at("failed").get<std::uint64_t>(),
+           m.at("dropped").get<std::uint64_t>(), distribution_from(m.at("latencies_us"))});
+    for (const json& x : j.at("xnodes"))
+      r.xnodes.push_back({x.at("name").get<std::string>(), x.at("budget_us").get<std::int64_t>(),
+                          x.at("hang_us").get<std::int64_t>(), x.at("jobs").get<std::uint64_t>(),
+                          x.at("overruns").get<std::uint64_t>(), x.at("hangs").get<std::uint64_t>(),
+                          x.at("longest_us").get<std::int64_t>()});
+    for (const json& x : j.at("routes")) {
+      RouteReport route;
+      route.name = x.at("name").get<std::string>();
+      route.from = x.at("from").get<std::string>();
+      route.to = x.at("to").get<std::string>();
+      if (const auto d = x.find("deadline_us"); d != x.end())
+        route.deadline_us = d->get<std::int64_t>();
+      if (const auto a = x.find("max_age_us"); a != x.end())
+        route.max_age_us = a->get<std::int64_t>();
+      route.deadline_misses = x.at("deadline_misses").get<std::uint64_t>();
+      route.lost = x.at("lost").get<std::uint64_t>();
+      route.age_misses = x.at("age_misses").get<std::uint64_t>();
+      route.latency_us = distribution_from(x.at("latency_us"));
+      route.age_us = distribution_from(x.at("age_us"));
+      r.routes.push_back(std::move(route));
+    }
     r.lost_coordinators = j.at("lost_coordinators").get<std::vector<std::string>>();
     r.died = j.at("died").get<std::vector<std::string>>();
     r.deadline_misses = j.at("deadline_misses").get<std::uint64_t>();

@@ -13,8 +13,11 @@
 #include <xauto/result.h>
 
 #include "model/app.h"
+#include "model/deployment.h"
 #include "model/platform.h"
 #include "model/policy.h"
+#include "runtime/distribution.h"
+#include "runtime/routes.h"
 
 namespace xauto::runtime {
 
@@ -60,16 +63,15 @@ struct Session {
   int trace_fd = -1;                           ///< memfd for the trace; -1: none
   std::uint64_t trace_capacity = 0;
 
-  /// Overload policy by module, "" for all others; texts of Overload::parse.
-  std::map<std::string, std::string> overload;
+  Deployment deployment;  ///< kRun
 
   /// Modules by process, beside the hub; empty: all in one. See isolation.h.
   std::vector<std::vector<std::string>> processes;
   std::string hub;  ///< abstract socket
   int hub_fd = -1;  ///< the same, listening, inherited by the hub; -1: it makes it
   int process = 0;  ///< which of them this is (environment XAUTO_PROCESS); 0: the hub
-  std::uint32_t queue_depth = 8, keep = 8;  ///< of topics between processes, see TopicShape
 };
+inline constexpr std::uint32_t kQueueDepth = 8, kKeep = 8;  ///< unless the deployment says more
 
 inline constexpr const char* kSessionVariable = "XAUTO_SESSION";
 inline constexpr const char* kProcessVariable = "XAUTO_PROCESS";
@@ -91,14 +93,27 @@ struct ModuleReport {
   std::string name;
   bool sink = false;
   std::uint64_t activations = 0, failed = 0, dropped = 0;
-  std::vector<std::int64_t> latencies_us;  ///< sinks: origin to done, per activation
+  Distribution latencies_us;  ///< sinks: origin to done, per activation
 };
 
+/// An XNode with a budget or a hang limit; see watch.h for what is timed.
+struct XNodeReport {
+  std::string name;
+  std::int64_t budget_us = 0, hang_us = 0;  ///< 0: none
+  std::uint64_t jobs = 0, overruns = 0, hangs = 0;
+  std::int64_t longest_us = 0;
+};
+inline constexpr std::size_t kKeptReleases = 65'536;
+
 struct RunReport {
-  bool complete = false;  ///< every release was accounted for before the end
-  std::string note;       ///< why not, or what was done differently; for people
-  std::vector<Release> releases;
+  bool complete = false;          ///< every release was accounted for before the end
+  std::string note;               ///< why not, or what was done differently; for people
+  std::vector<Release> releases;  ///< of an app of one rate: the last kKeptReleases
+  std::uint64_t num_releases = 0, lost_releases = 0;  ///< of all
+  Distribution latencies_us;                          ///< of all that were not lost
   std::vector<ModuleReport> modules;
+  std::vector<XNodeReport> xnodes;  ///< those with limits
+  std::vector<RouteReport> routes;
   std::vector<std::string> lost_coordinators;
   std::vector<std::string> died;  ///< modules whose process ended before its time, each time
   std::uint64_t deadline_misses = 0;

@@ -48,7 +48,7 @@ struct ModuleProcess {
   std::string name;
   SpawnOptions options;
   Child child;
-  int starts = 1;
+  std::int64_t restarts = 0;  ///< left
   bool noticed = false;
 };
 
@@ -186,8 +186,11 @@ class Supervisor {
     for (std::size_t p = 0; p < session.processes.size(); ++p) {
       ModuleProcess process;
       process.index = static_cast<int>(p) + 1;
-      for (const std::string& module : session.processes[p])
+      for (const std::string& module : session.processes[p]) {
         process.name += (process.name.empty() ? "" : "+") + module;
+        process.restarts =
+            std::max(process.restarts, session.deployment.of(module).restarts.value_or(0));
+      }
       process.options = options;
       process.options.environment.emplace_back(kProcessVariable, std::to_string(process.index));
       XAUTO_ASSIGN(process.child, Child::spawn(process.options));
@@ -250,8 +253,8 @@ class Supervisor {
       return;
     }
     std::string note = "the process of " + process.name + " died (" + exit.to_string() + ")";
-    if (process.starts <= request_.restarts) {
-      ++process.starts;
+    if (process.restarts > 0) {
+      --process.restarts;
       if (auto child = Child::spawn(process.options)) {
         process.child = std::move(*child);
         outcome_.notes.push_back(note + " and was started again");

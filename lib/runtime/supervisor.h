@@ -5,7 +5,7 @@
 //                that fails its XPU's jobs go on unscheduled, and the result says so
 //   emulator     the app is stopped: its XPUs are gone
 //   app          everything is stopped; a module process of it: its modules' activations are
-//                dropped, the rest runs, and it is started again if `restarts` says so
+//                dropped, the rest runs, and it is started again if the deployment says so
 //   this process everything is killed by the kernel (PR_SET_PDEATHSIG)
 // Shared memory, sessions and answers are memfds, sockets are abstract: the file system is not
 // used.
@@ -54,7 +54,6 @@ struct Supervision {
   std::uint64_t trace_capacity = 0;               ///< events; 0: no trace
   std::int64_t time_limit_s = 0;                  ///< 0: none; then the app is stopped
   std::int64_t cpu_budget_pct = 0;                ///< sched_ext: of a job's WCET; 0: no budgets
-  int restarts = 0;  ///< of each module process (session.processes) that dies
 };
 
 struct Outcome {

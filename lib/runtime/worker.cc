@@ -55,6 +55,8 @@ Status Worker::start() {
     ready.set_value(std::move(status));
     if (good) execute();
     thread_->leave();
+    ended_.store(1);
+    futex_wake(ended_, INT_MAX);
   });
   return started.get();
 }
@@ -97,18 +99,28 @@ Status Worker::init_nodes() {
   return {};
 }
 
-void Worker::stop() {
+bool Worker::stop(std::int64_t patience_ns) {
+  const std::int64_t since = now_ns();
+  const auto patient = [&] { return now_ns() - since < patience_ns; };
   std::uint32_t empty = 0;
   // The mailbox may still hold a job: it is taken first, then we leave.
-  while (exec_.joinable() && !mailbox_.compare_exchange_weak(empty, kQuit)) {
+  while (exec_.joinable() && !mailbox_.compare_exchange_weak(empty, kQuit) && patient()) {
     if (port_) port_->interrupt();
     futex_wait(mailbox_, empty);
     empty = 0;
   }
   futex_wake(mailbox_, INT_MAX);
   if (port_) port_->interrupt();
-  if (exec_.joinable()) exec_.join();
+  while (exec_.joinable() && ended_.load() == 0 && patient()) futex_wait(ended_, 0);
+  const bool returned = !exec_.joinable() || ended_.load() != 0;
+  if (exec_.joinable()) {
+    if (returned)
+      exec_.join();
+    else
+      exec_.detach();
+  }
   if (mgmt_.joinable()) mgmt_.join();
+  return returned;
 }
 
 void Worker::submit(std::size_t node) {
@@ -197,6 +209,8 @@ bool Worker::run_job(Placed& placed, bool begun) {
     port_->wait();
   }
   record(XAUTO_EV_RUN, placed);
+  const bool limited = placed.limits.any();
+  if (limited) begin_limited(placed, input.sequence());
   bool succeeded = false;
   try {
     if (Status status = placed.impl->exec(chain_.runtime->state(), input); status)
@@ -208,6 +222,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
   } catch (...) {
     note_failure(placed, "threw something that is no std::exception");
   }
+  if (limited && !end_limited(placed)) succeeded = false;
   if (port_) {
     if (shares_ && !t_home->lane_.empty() && port_->contended()) show_lane();
     port_->finish();

@@ -19,7 +19,9 @@
 #include <xauto/result.h>
 
 #include "coord/port.h"
+#include "runtime/board.h"
 #include "runtime/graph.h"
+#include "runtime/watch.h"
 #include "runtime/xmodule.h"
 #include "trace/trace.h"
 #include "xpu/backend.h"
@@ -38,6 +40,8 @@ struct Placed {
   const detail::ImplSpec* impl = nullptr;
   Worker* worker = nullptr;
   SchedHandle handle;
+  Limits limits;
+  XNodeLine* line = nullptr;  ///< set if there are limits
 };
 
 /// The chain of one module, shared by its workers.
@@ -72,8 +76,18 @@ class Worker {
   /// Starts both threads, registers with the coordinator, and runs `init` of each XNode placed
   /// here, on the execution thread. Errors name the XNode.
   [[nodiscard]] Status start();
-  /// Waits for the running job, ends both threads. Idempotent.
-  void stop();
+  /// Waits for the running job, ends both threads. Idempotent. False: its exec has not returned
+  /// within `patience_ns`. Nothing can end it but the end of the process, so its thread is left
+  /// behind; this object must then outlive the process.
+  bool stop(std::int64_t patience_ns = INT64_MAX);
+
+  /// A job that has run past its hang limit, each once. One thread.
+  struct Hung {
+    const Placed* placed;
+    std::uint64_t sequence;
+    std::int64_t took_ns;
+  };
+  [[nodiscard]] std::optional<Hung> find_hung(std::int64_t now_ns);
 
   /// Hands over the module's activation: run from chain position `node` on. Any thread; must not be
   /// called again before that job has left this worker.
@@ -98,6 +112,8 @@ class Worker {
   void show_lane();
   void record(std::uint16_t kind, const Placed& placed, std::uint32_t arg = 0);
   void note_failure(const Placed& placed, const std::string& what);
+  void begin_limited(const Placed& placed, std::uint64_t sequence);
+  bool end_limited(const Placed& placed);
 
   /// Jobs that became ready on this execution thread, for workers of the same XPU: where only one
   /// job runs at a time and nothing of it belongs to a thread, changing threads gains nothing.
@@ -121,7 +137,11 @@ class Worker {
   std::atomic<const Placed*> current_{
       nullptr};  ///< the job whose queue the management thread acts on
   std::atomic<bool> lost_{false};
-  std::atomic<std::uint64_t> sequence_{0};
+  std::atomic<std::uint32_t> ended_{0};          ///< 1: the execution thread is through; a futex
+  Stopwatch watch_;                              ///< of jobs with limits
+  std::atomic<const Placed*> limited_{nullptr};  ///< whose job that is
+  std::uint64_t hung_job_ = 0;                   ///< of find_hung
+  std::int64_t cpu_since_ns_ = 0;                ///< of the execution thread
   mutable PiMutex failure_mutex_;
   std::string failure_;
 };

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Life of a job, step 6: the management thread. It sleeps until the coordinator has a command for
-// this worker, carries it out through the XPU's backend, and acknowledges.
+// this worker, carries it out through the XPU's backend, and acknowledges. Also what there is to
+// do for jobs with limits, see watch.h.
+#include "base/clock.h"
 #include "base/log.h"
 #include "base/rt.h"
 #include "runtime/worker.h"
@@ -25,6 +27,7 @@ void Worker::manage() {
         const Status done = backend_->preempt(job->handle);
         if (done) {
           suspended = job->handle;
+          watch_.away(now_ns());
           record(XAUTO_EV_SUSPENDED, *job);
         } else {
           log::debug("{}: not suspended: {}", options_.name, done.error().to_string());
@@ -38,6 +41,7 @@ void Worker::manage() {
           if (const Status done = backend_->restore(*suspended); !done)
             log::warn("{}: not resumed: {}", options_.name, done.error().to_string());
           suspended.reset();
+          watch_.back(now_ns());
         }
         record(XAUTO_EV_RESUMED, *job);
         port_->acknowledge(true);
@@ -51,6 +55,7 @@ void Worker::manage() {
       case coord::Command::kInterrupted:
         if (suspended) (void)backend_->restore(*suspended);
         suspended.reset();
+        watch_.back(now_ns());
         if (command == coord::Command::kInterrupted) return;
         lost_.store(true);
         log::warn("{}: the coordinator of {} is gone: its jobs go on unscheduled", options_.name,
@@ -58,6 +63,50 @@ void Worker::manage() {
         break;
     }
   }
+}
+
+// ---- limits ------------------------------------------------------------------------------------
+
+namespace {
+
+std::int64_t thread_cpu_ns() {
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return static_cast<std::int64_t>(now.tv_sec) * 1'000'000'000 + now.tv_nsec;
+}
+
+}  // namespace
+
+void Worker::begin_limited(const Placed& placed, std::uint64_t sequence) {
+  limited_.store(&placed, std::memory_order_release);
+  if (options_.real_cpu) cpu_since_ns_ = thread_cpu_ns();
+  watch_.begin(now_ns(), sequence);
+}
+
+/// False: the activation was given up meanwhile.
+bool Worker::end_limited(const Placed& placed) {
+  const std::int64_t wall_ns = watch_.end(now_ns());
+  const std::int64_t took_ns = options_.real_cpu ? thread_cpu_ns() - cpu_since_ns_ : wall_ns;
+  XNodeLine& line = *placed.line;  // of this worker alone
+  line.jobs.fetch_add(1, std::memory_order_relaxed);
+  if (placed.limits.budget_ns > 0 && took_ns > placed.limits.budget_ns)
+    line.overruns.fetch_add(1, std::memory_order_relaxed);
+  if (took_ns > line.longest_ns.load(std::memory_order_relaxed))
+    line.longest_ns.store(took_ns, std::memory_order_relaxed);
+  return !chain_.runtime->abandoned();
+}
+
+std::optional<Worker::Hung> Worker::find_hung(std::int64_t now_ns) {
+  const auto seen = watch_.look(now_ns);
+  if (!seen || seen->job == hung_job_) return std::nullopt;
+  const Placed* placed = limited_.load(std::memory_order_acquire);
+  if (placed->limits.hang_ns <= 0 || seen->took_ns <= placed->limits.hang_ns) return std::nullopt;
+  // limited_ belongs to the job that was seen only if that one still runs.
+  const auto again = watch_.look(now_ns);
+  if (!again || again->job != seen->job) return std::nullopt;
+  hung_job_ = seen->job;
+  placed->line->hangs.fetch_add(1, std::memory_order_relaxed);
+  return Hung{placed, seen->sequence, seen->took_ns};
 }
 
 }  // namespace xauto::runtime

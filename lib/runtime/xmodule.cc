@@ -2,8 +2,6 @@
 #include "runtime/xmodule.h"
 
 #include <algorithm>
-#include <charconv>
-#include <string_view>
 #include <utility>
 
 #include <uapi/xauto/event.h>
@@ -11,21 +9,6 @@
 #include "runtime/input_access.h"
 
 namespace xauto::runtime {
-
-Result<Overload> Overload::parse(const std::string& text) {
-  if (text == "newest") return Overload{};
-  if (text == "skip") return Overload{Kind::kSkip, 1};
-  constexpr std::string_view kPrefix = "queue:";
-  unsigned depth = 0;
-  if (text.starts_with(kPrefix)) {
-    const auto [end, error] =
-        std::from_chars(text.data() + kPrefix.size(), text.data() + text.size(), depth);
-    if (error == std::errc() && end == text.data() + text.size() && depth >= 1 && depth <= 256)
-      return Overload{Kind::kQueue, depth};
-  }
-  return fail(ErrorCode::kInvalid, "overload policy '" + text + "'", {},
-              "newest, skip, or queue:N with N from 1 to 256");
-}
 
 ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
                              std::vector<const transport::Channel*> outputs,
@@ -53,7 +36,7 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
     if (single_rate_ && envelope.sequence < next_) return;  // of a release that is already lost
     arrive(slot, envelope, lost);
     start = !busy_ && take_if_fresh(lost);
-    if (!busy_) skip_below = std::exchange(skip_below_, 0);
+    if (!busy_ || hung_) skip_below = std::exchange(skip_below_, 0);
   }
   tell(lost, skip_below);
   if (start) host_.activate(index_);
@@ -61,9 +44,21 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
 
 /// Called with the mutex held.
 void ModuleRuntime::arrive(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost) {
+  if (hung_) return lose_while_hung(slot, envelope, lost);
   // Messages come in order: what lies between was lost on the way (a full queue between processes).
   const std::uint64_t expected = std::exchange(slot.expected, envelope.sequence + 1);
   const bool gap = envelope.sequence > expected && envelope.message != nullptr;
+  if (match_ns_ >= 0 && !single_rate_) {
+    constexpr std::size_t kDepth = 16;  // unless it says queue:N
+    const std::size_t depth = overload_.kind == Overload::Kind::kQueue ? overload_.depth : kDepth;
+    if (envelope.message != nullptr) slot.waiting.push_back(envelope);
+    while (slot.waiting.size() > depth) {
+      const std::uint64_t oldest = slot.waiting.front().sequence;
+      lost.push_back({oldest, oldest, XAUTO_DROP_OVERRUN});
+      slot.waiting.pop_front();
+    }
+    return;
+  }
   if (overload_.kind == Overload::Kind::kQueue) {
     // Losses wait in the queue, too: what came before them is not lost.
     if (single_rate_ && gap) slot.waiting.push_back({nullptr, 0, envelope.sequence - 1});
@@ -99,6 +94,16 @@ void ModuleRuntime::arrive(Slot& slot, const detail::Envelope& envelope, std::ve
   slot.waiting.push_back(envelope);
 }
 
+/// What comes while exec does not return. Called with the mutex held.
+void ModuleRuntime::lose_while_hung(Slot& slot, const detail::Envelope& envelope,
+                                    std::vector<Lost>& lost) {
+  slot.expected = std::max(slot.expected, envelope.sequence + 1);
+  if (single_rate_)
+    settle(envelope.sequence + 1, XAUTO_DROP_HUNG, lost);
+  else if (envelope.message != nullptr)
+    lost.push_back({envelope.sequence, envelope.sequence, XAUTO_DROP_HUNG});
+}
+
 /// Losses whose turn it is. Called with the mutex held.
 void ModuleRuntime::resolve(std::vector<Lost>& lost) {
   for (bool again = single_rate_; again;) {
@@ -121,11 +126,44 @@ void ModuleRuntime::settle(std::uint64_t below, std::uint32_t reason, std::vecto
     while (!slot.waiting.empty() && slot.waiting.front().sequence < next_) slot.waiting.pop_front();
 }
 
+/// Whether the oldest messages belong together; those that can have no partner are lost: every
+/// queue is in the order of its origins, so what is older than all that another queue can still
+/// bring, less the tolerance, waits in vain. Called with the mutex held.
+bool ModuleRuntime::matched(std::vector<Lost>& lost) {
+  const auto by_origin = [](const Slot& a, const Slot& b) {
+    return a.waiting.front().origin_ns < b.waiting.front().origin_ns;
+  };
+  while (
+      std::none_of(slots_.begin(), slots_.end(), [](const Slot& s) { return s.waiting.empty(); })) {
+    const auto [oldest, newest] = std::minmax_element(slots_.begin(), slots_.end(), by_origin);
+    if (newest->waiting.front().origin_ns - oldest->waiting.front().origin_ns <= match_ns_)
+      return true;
+    const std::uint64_t sequence = oldest->waiting.front().sequence;
+    lost.push_back({sequence, sequence, XAUTO_DROP_OVERRUN});
+    oldest->waiting.pop_front();
+  }
+  return false;
+}
+
+/// By source, the oldest of what this activation is made from. Called with the mutex held.
+void ModuleRuntime::gather_origins() {
+  auto origins = std::make_shared<detail::Origins>();
+  origins->fill(0);
+  for (const Slot& slot : slots_)
+    if (const auto& of = slot.waiting.front().origins)
+      for (std::size_t i = 0; i < origins->size(); ++i)
+        if ((*of)[i] != 0 && ((*origins)[i] == 0 || (*of)[i] < (*origins)[i]))
+          (*origins)[i] = (*of)[i];
+  origins_ = std::move(origins);
+}
+
 /// Moves the fresh messages into the activation's input. Called with the mutex held.
 bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
   resolve(lost);
+  if (match_ns_ >= 0 && !single_rate_ && !matched(lost)) return false;
   if (std::any_of(slots_.begin(), slots_.end(), [](const Slot& s) { return s.waiting.empty(); }))
     return false;
+  if (!single_rate_) gather_origins();
   const auto oldest =
       std::min_element(slots_.begin(), slots_.end(), [](const Slot& a, const Slot& b) {
         return a.waiting.front().origin_ns < b.waiting.front().origin_ns;
@@ -156,6 +194,10 @@ void ModuleRuntime::tell(const std::vector<Lost>& lost, std::uint64_t skip_below
 }
 
 void ModuleRuntime::finish(bool succeeded) {
+  if (watched_) {
+    Fate open = Fate::kOpen;
+    if (!fate_.compare_exchange_strong(open, Fate::kEnding)) return finish_abandoned();
+  }
   const std::int64_t origin_ns = input_.origin().count();
   const std::uint64_t sequence = input_.sequence();
   std::vector<std::shared_ptr<const void>> messages;
@@ -174,7 +216,7 @@ void ModuleRuntime::finish(bool succeeded) {
   if (succeeded) {
     host_.done(index_, origin_ns, sequence);
     for (std::size_t i = 0; i < messages.size(); ++i)
-      outputs_[i]->publish({std::move(messages[i]), origin_ns, sequence});
+      outputs_[i]->publish({std::move(messages[i]), origin_ns, sequence, origins_});
   }
   bool again;
   std::uint64_t skip_below = 0;
@@ -184,12 +226,43 @@ void ModuleRuntime::finish(bool succeeded) {
     const std::lock_guard lock(mutex_);
     for (detail::Envelope& message : InputAccess::messages(input_)) message = {};
     busy_ = false;
+    if (watched_) fate_.store(Fate::kOpen);
     if (!succeeded && single_rate_) skip_below_ = std::max(skip_below_, sequence + 1);
     again = take_if_fresh(lost);
     skip_below = std::exchange(skip_below_, 0);
   }
   tell(lost, skip_below);
   if (again) host_.activate(index_);
+}
+
+bool ModuleRuntime::abandon(std::uint64_t sequence) {
+  std::vector<Lost> lost;
+  std::uint64_t skip_below = 0;
+  {
+    const std::lock_guard lock(mutex_);
+    Fate open = Fate::kOpen;
+    if (!busy_ || input_.sequence() != sequence ||
+        !fate_.compare_exchange_strong(open, Fate::kAbandoned))
+      return false;
+    hung_ = true;
+    lost.push_back({sequence, sequence, XAUTO_DROP_HUNG});
+    if (single_rate_) skip_below_ = std::max(skip_below_, sequence + 1);
+    for (Slot& slot : slots_)
+      for (const detail::Envelope& waiting : std::exchange(slot.waiting, {}))
+        lose_while_hung(slot, waiting, lost);
+    skip_below = std::exchange(skip_below_, 0);
+  }
+  tell(lost, skip_below);
+  return true;
+}
+
+/// It returned after all; what it did is lost, and known to be.
+void ModuleRuntime::finish_abandoned() {
+  const std::lock_guard lock(mutex_);
+  for (detail::Envelope& message : InputAccess::messages(input_)) message = {};
+  busy_ = false;
+  hung_ = false;
+  fate_.store(Fate::kOpen);
 }
 
 }  // namespace xauto::runtime

@@ -25,23 +25,11 @@
 #include <vector>
 
 #include "base/pi_mutex.h"
+#include "model/deployment.h"
 #include "runtime/graph.h"
 #include "transport/topic.h"
 
 namespace xauto::runtime {
-
-/// What becomes of a message that comes while the module is not free.
-struct Overload {
-  enum class Kind : std::uint8_t {
-    kNewest,  ///< it waits, and replaces one that waited before it
-    kQueue,   ///< up to `depth` of them wait, in order; then the oldest is lost
-    kSkip,    ///< it is lost: only a module that is free takes a release
-  } kind = Kind::kNewest;
-  std::uint32_t depth = 1;
-
-  /// "newest", "skip", "queue:N" with N from 1 to 256.
-  [[nodiscard]] static Result<Overload> parse(const std::string& text);
-};
 
 /// What a module asks of its surroundings; implemented by the engine (and by tests).
 class ModuleHost {
@@ -64,9 +52,14 @@ class ModuleRuntime {
   ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
                 std::vector<const transport::Channel*> outputs,
                 std::vector<MessageMemory*> memories = {});
-  /// Single rate: releases below `next` are settled already. Before the first message.
-  /// Before the first message.
+  // Before the first message.
   void set_overload(Overload overload) { overload_ = overload; }
+  /// Several rates: fires with messages whose origins are at most `tolerance_ns` apart, the oldest
+  /// such ones first; a message that can have no partner any more is lost.
+  void match_within(std::int64_t tolerance_ns) { match_ns_ = tolerance_ns; }
+  /// `abandon` may be called.
+  void watch() { watched_ = true; }
+  /// Single rate: releases below `next` are settled already.
   void begin_at(std::uint64_t next) {
     next_ = next;
     for (Slot& slot : slots_) slot.expected = next;
@@ -77,9 +70,19 @@ class ModuleRuntime {
   /// The chain of the current activation has ended.
   void finish(bool succeeded);
 
+  /// Gives up activation `sequence`, whose exec does not return: it is lost, and so is everything
+  /// that comes until `finish` is called for it after all. False: it has ended. Any thread.
+  bool abandon(std::uint64_t sequence);
+  /// The activation in flight was given up.
+  [[nodiscard]] bool abandoned() const {
+    return fate_.load(std::memory_order_acquire) == Fate::kAbandoned;
+  }
+
   // Of the current activation; stable while it is in flight.
   [[nodiscard]] void* state() { return state_.get(); }
   [[nodiscard]] const Input& input() const { return input_; }
+  /// Null in an app of one rate.
+  [[nodiscard]] const std::shared_ptr<const detail::Origins>& origins() const { return origins_; }
 
  private:
   struct Slot {
@@ -94,7 +97,11 @@ class ModuleRuntime {
 
   void settle(std::uint64_t below, std::uint32_t reason, std::vector<Lost>& lost);
   void arrive(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost);
+  void lose_while_hung(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost);
   void resolve(std::vector<Lost>& lost);
+  [[nodiscard]] bool matched(std::vector<Lost>& lost);
+  void gather_origins();
+  void finish_abandoned();
   bool take_if_fresh(std::vector<Lost>& lost);
   void tell(const std::vector<Lost>& lost, std::uint64_t skip_below);
 
@@ -117,7 +124,17 @@ class ModuleRuntime {
   /// overtaken downstream.
   std::uint64_t skip_below_ = 0;
 
-  Input input_;  ///< of the current activation; written under the mutex before it starts
+  bool hung_ = false;  ///< the activation in flight was given up
+
+  /// Of the activation in flight: `finish` and `abandon` race for it.
+  enum class Fate : std::uint8_t { kOpen, kEnding, kAbandoned };
+  std::atomic<Fate> fate_{Fate::kOpen};
+  bool watched_ = false;
+  std::int64_t match_ns_ = -1;
+
+  // Of the current activation; written under the mutex before it starts.
+  Input input_;
+  std::shared_ptr<const detail::Origins> origins_;
 };
 
 }  // namespace xauto::runtime

@@ -273,6 +273,10 @@ void Publisher::push(std::uint32_t s, const detail::Envelope& envelope, std::uin
   slot.origin_ns.store(envelope.origin_ns, std::memory_order_relaxed);
   slot.chunk.store(chunk, std::memory_order_relaxed);
   slot.bytes.store(bytes, std::memory_order_relaxed);
+  slot.rates.store(envelope.origins != nullptr ? 1 : 0, std::memory_order_relaxed);
+  if (envelope.origins != nullptr)
+    for (std::size_t i = 0; i < detail::kMaxOrigins; ++i)
+      slot.origins[i].store((*envelope.origins)[i], std::memory_order_relaxed);
   slot.word.store(tail + 1, std::memory_order_seq_cst);
   queue.tail.store(tail + 1, std::memory_order_seq_cst);
 }
@@ -326,10 +330,16 @@ std::optional<Subscriber::Taken> Subscriber::next() {
       queue.head.store(head_, std::memory_order_relaxed);
       continue;
     }
-    const Taken taken{slot.chunk.load(std::memory_order_relaxed),
-                      slot.bytes.load(std::memory_order_relaxed),
-                      slot.sequence.load(std::memory_order_relaxed),
-                      slot.origin_ns.load(std::memory_order_relaxed)};
+    Taken taken{slot.chunk.load(std::memory_order_relaxed),
+                slot.bytes.load(std::memory_order_relaxed),
+                slot.sequence.load(std::memory_order_relaxed),
+                slot.origin_ns.load(std::memory_order_relaxed), nullptr};
+    if (slot.rates.load(std::memory_order_relaxed) != 0) {
+      auto origins = std::make_shared<detail::Origins>();
+      for (std::size_t i = 0; i < detail::kMaxOrigins; ++i)
+        (*origins)[i] = slot.origins[i].load(std::memory_order_relaxed);
+      taken.origins = std::move(origins);
+    }
     const bool message = taken.chunk < control_->chunks();
     if (message) control_->held(taken.chunk).fetch_or(bit_, std::memory_order_seq_cst);
     if (!slot.word.compare_exchange_strong(word, 0, std::memory_order_seq_cst)) {
@@ -345,13 +355,13 @@ std::optional<detail::Envelope> Subscriber::take_blank() {
   const auto taken = next();
   if (!taken) return std::nullopt;
   if (taken->chunk < control_->chunks()) release(taken->chunk);
-  return detail::Envelope{nullptr, taken->origin_ns, taken->sequence};
+  return detail::Envelope{nullptr, taken->origin_ns, taken->sequence, taken->origins};
 }
 
 std::optional<detail::Envelope> Subscriber::take() {
   const auto taken = next();
   if (!taken) return std::nullopt;
-  detail::Envelope envelope{nullptr, taken->origin_ns, taken->sequence};
+  detail::Envelope envelope{nullptr, taken->origin_ns, taken->sequence, taken->origins};
   if (taken->chunk >= control_->chunks()) return envelope;
   const std::byte* at = data_ + taken->chunk * control_->stride();
   const bool fits = taken->bytes <= control_->shape().chunk_bytes;

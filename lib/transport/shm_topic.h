@@ -65,9 +65,11 @@ struct TopicSlot {
   std::atomic<std::int64_t> origin_ns{};
   std::atomic<std::uint64_t> bytes{};
   std::atomic<std::uint32_t> chunk{};  ///< kNoChunk: a tombstone
-  std::uint32_t pad[7] = {};
+  std::atomic<std::uint32_t> rates{};  ///< 1: `origins` belongs to this message
+  std::uint32_t pad[6] = {};
+  std::atomic<std::int64_t> origins[detail::kMaxOrigins] = {};
 };
-static_assert(sizeof(TopicSlot) == 64);
+static_assert(sizeof(TopicSlot) == 128);
 
 struct alignas(64) TopicQueue {
   std::atomic<std::uint64_t> tail{};              ///< [P] positions written
@@ -197,6 +199,7 @@ class Subscriber : public std::enable_shared_from_this<Subscriber> {
     std::uint32_t chunk;
     std::uint64_t bytes, sequence;
     std::int64_t origin_ns;
+    std::shared_ptr<const detail::Origins> origins;
   };
   std::optional<Taken> next();
   void release(std::uint32_t chunk);

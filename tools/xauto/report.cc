@@ -15,10 +15,38 @@ namespace {
 using nlohmann::ordered_json;
 
 std::uint64_t lost_releases(const PolicyRun& run) {
-  std::uint64_t lost = 0;
-  for (const runtime::Release& release : run.report.releases)
-    lost += release.latency_us < 0 ? 1 : 0;
-  return lost;
+  return run.report.lost_releases;
+}
+
+ordered_json quantiles_json(const runtime::Distribution& us) {
+  const Latency l = summarise(us);
+  return {{"p50", l.p50_us}, {"p99", l.p99_us}, {"max", l.max_us}};
+}
+
+/// Chains and XNodes with limits.
+std::string limits_table(const PolicyRun& run) {
+  std::string out;
+  const auto ms = [](std::int64_t us) {
+    return fmt::format("{:.2f}", static_cast<double>(us) / 1000);
+  };
+  if (!run.report.routes.empty()) {
+    out += fmt::format("\n  {:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n", "chain", "p50",
+                       "p99", "max", "deadline", "age max", "missed", "old", "n");
+    for (const runtime::RouteReport& r : run.report.routes) {
+      const Latency l = summarise(r.latency_us);
+      out +=
+          fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n", r.name, ms(l.p50_us),
+                      ms(l.p99_us), ms(l.max_us), r.deadline_us ? ms(*r.deadline_us) : "",
+                      ms(r.age_us.max()), r.deadline_us ? std::to_string(r.deadline_misses) : "",
+                      r.max_age_us ? std::to_string(r.age_misses) : "", l.count);
+    }
+  }
+  for (const runtime::XNodeReport& x : run.report.xnodes)
+    if (x.overruns > 0 || x.hangs > 0)
+      out +=
+          fmt::format("  XNode {}: of {} jobs {} exceeded {} ms, {} hung; the longest took {} ms\n",
+                      x.name, x.jobs, x.overruns, ms(x.budget_us), x.hangs, ms(x.longest_us));
+  return out;
 }
 
 const PolicyRun* ros2_of(const std::vector<PolicyRun>& runs) {
@@ -89,6 +117,40 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       modules.push_back(std::move(entry));
     }
     j["modules"] = std::move(modules);
+    ordered_json chains = ordered_json::array();
+    for (const runtime::RouteReport& r : run.report.routes) {
+      ordered_json chain = {{"name", r.name},
+                            {"from", r.from},
+                            {"to", r.to},
+                            {"results", r.latency_us.count()},
+                            {"lost", r.lost},
+                            {"latency_us", quantiles_json(r.latency_us)},
+                            {"age_us", quantiles_json(r.age_us)}};
+      if (r.deadline_us) {
+        chain["deadline_us"] = *r.deadline_us;
+        chain["deadline_misses"] = r.deadline_misses;
+      }
+      if (r.max_age_us) {
+        chain["max_age_us"] = *r.max_age_us;
+        chain["age_misses"] = r.age_misses;
+      }
+      chains.push_back(std::move(chain));
+    }
+    j["chains"] = std::move(chains);
+    ordered_json xnodes = ordered_json::array();
+    for (const runtime::XNodeReport& x : run.report.xnodes) {
+      ordered_json entry = {{"name", x.name}, {"jobs", x.jobs}, {"longest_us", x.longest_us}};
+      if (x.budget_us > 0) {
+        entry["budget_us"] = x.budget_us;
+        entry["overruns"] = x.overruns;
+      }
+      if (x.hang_us > 0) {
+        entry["hang_us"] = x.hang_us;
+        entry["hangs"] = x.hangs;
+      }
+      xnodes.push_back(std::move(entry));
+    }
+    j["limited_xnodes"] = std::move(xnodes);
     ordered_json notes = ordered_json::array();
     if (!run.report.note.empty()) notes.push_back(run.report.note);
     for (const std::string& note : run.outcome.notes) notes.push_back(note);
@@ -128,6 +190,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
                          coordinators_cpu_pct(run));
     if (const std::uint64_t lost = lost_releases(run))
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
+    if (!flags.deployment_path.empty() || run.report.num_releases == 0) out += limits_table(run);
     if (run.report.deadline_misses > 0)
       out += fmt::format("  {}: {} deadline misses\n", run.name, run.report.deadline_misses);
     if (run.outcome.trace.lost > 0)

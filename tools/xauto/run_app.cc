@@ -73,6 +73,9 @@ void RunFlags::declare(CLI::App& verb) {
   verb.add_flag(
       "--emulator-modules", emulator_modules,
       "emulate GPUs and DLAs by the kernel modules of kmod/emu, suspended through xauto.ko");
+  verb.add_option("--deployment", deployment_path,
+                  "deployment.json: processes, restarts, overload, budgets, chains (the flags "
+                  "--isolate, --restarts and --overload go before it)");
   verb.add_option("--overload", overload,
                   "what a module that is not free does with further messages: newest, queue:N or "
                   "skip, for all or as MODULE=POLICY");
@@ -100,24 +103,39 @@ Status RunFlags::prepare() {
   emulated = emulate || !missing.empty();
   if (emulated)
     log::info("emulating platform '{}'{}", spec.name, missing.empty() ? "" : ": " + missing);
+  return prepare_deployment();
+}
+
+Status RunFlags::prepare_deployment() {
+  deployment.app = app.name;
+  if (!deployment_path.empty()) {
+    XAUTO_ASSIGN(deployment, load_deployment(deployment_path, app));
+  }
+  ModuleDeployment& all = deployment.defaults;
+  if (isolate) {
+    all.isolate = true;
+    all.process.reset();
+  }
+  if (restarts > 0) all.restarts = restarts;
+  for (const std::string& text : overload) {
+    const std::size_t equals = text.find('=');
+    const bool one = equals != std::string::npos;
+    const std::string name = one ? text.substr(0, equals) : "";
+    if (one && std::none_of(app.xnodes.begin(), app.xnodes.end(),
+                            [&](const XNodeSpec& x) { return x.module == name; }))
+      return fail(ErrorCode::kInvalid, "XModule '" + name + "' is not in the app", "--overload");
+    auto parsed = Overload::parse(one ? text.substr(equals + 1) : text);
+    if (!parsed) {
+      parsed.error().where = "--overload";
+      return tl::unexpected<Error>(std::move(parsed).error());
+    }
+    (one ? deployment.modules[name] : all).overload = *parsed;
+  }
   return {};
 }
 
-Latency summarise(std::vector<std::int64_t> us) {
-  Latency latency;
-  latency.count = us.size();
-  if (us.empty()) return latency;
-  std::sort(us.begin(), us.end());
-  const auto rank = [&](double q) {
-    const auto at = static_cast<std::size_t>(std::ceil(q * static_cast<double>(us.size())));
-    return us[std::clamp<std::size_t>(at, 1, us.size()) - 1];
-  };
-  latency.p50_us = rank(0.5);
-  latency.p99_us = rank(0.99);
-  latency.max_us = us.back();
-  latency.mean_us =
-      std::accumulate(us.begin(), us.end(), std::int64_t{0}) / static_cast<std::int64_t>(us.size());
-  return latency;
+Latency summarise(const runtime::Distribution& us) {
+  return {us.quantile(0.5), us.quantile(0.99), us.max(), us.mean(), us.count()};
 }
 
 Result<solver::Simulation> predict(const AppSpec& app, const Platform& platform,
@@ -165,17 +183,8 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.period_us = flags.period_us;
   session.input = flags.input;
   session.record = flags.record_path;
-  if (flags.isolate) {
-    std::set<std::string> seen;
-    for (const XNodeSpec& xnode : flags.app.xnodes)
-      if (seen.insert(xnode.module).second) session.processes.push_back({xnode.module});
-  }
-  request.restarts = flags.restarts;
-  for (const std::string& text : flags.overload) {
-    const std::size_t equals = text.find('=');
-    const bool one = equals != std::string::npos;
-    session.overload[one ? text.substr(0, equals) : ""] = one ? text.substr(equals + 1) : text;
-  }
+  session.deployment = flags.deployment;
+  session.processes = flags.deployment.processes(flags.app);
   request.command = flags.command;
   request.stop = stop;
   request.trace_capacity = std::clamp(flags.activations * flags.app.xnodes.size() * kEventsPerJob,
@@ -189,13 +198,11 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   XAUTO_ASSIGN(run.outcome, runtime::supervise(std::move(request)));
   progress.finish();
   XAUTO_ASSIGN(run.report, runtime::parse_run_report(run.outcome.answer));
-  std::vector<std::int64_t> latencies;
-  for (const runtime::Release& release : run.report.releases)
-    if (release.latency_us >= 0) latencies.push_back(release.latency_us);
-  if (run.report.releases.empty())  // several rates: every chain's own latencies
+  runtime::Distribution latencies = run.report.latencies_us;
+  if (run.report.num_releases == 0)  // several rates: every sink's own latencies
     for (const runtime::ModuleReport& module : run.report.modules)
-      latencies.insert(latencies.end(), module.latencies_us.begin(), module.latencies_us.end());
-  run.latency = summarise(std::move(latencies));
+      latencies.merge(module.latencies_us);
+  run.latency = summarise(latencies);
   return {};
 }
 

@@ -13,6 +13,7 @@
 
 #include <xauto/result.h>
 
+#include "model/deployment.h"
 #include "runtime/session.h"
 #include "runtime/supervisor.h"
 #include "solver/simulate.h"
@@ -37,24 +38,27 @@ struct RunFlags {
   std::int64_t period_us = 0, cpu_budget_pct = 0;
   bool emulate = false, real = false, lockstep = false, isolate = false, emulator_modules = false;
   int restarts = 0;
+  std::string deployment_path;
   std::vector<std::string> overload;
   std::vector<std::string> command;
 
   void declare(CLI::App& verb);
   /// Loads what the flags name; decides between emulated and real XPUs, and says so on stderr.
   [[nodiscard]] Status prepare();
+  [[nodiscard]] Status prepare_deployment();
 
   AppSpec app;
   Platform spec;
+  Deployment deployment;  ///< the file's, with what other flags say
   bool emulated = false;
 };
 
-/// Nearest-rank quantiles of the releases that were completed.
+/// Nearest-rank quantiles of the releases that were completed (see runtime/distribution.h).
 struct Latency {
   std::int64_t p50_us = 0, p99_us = 0, max_us = 0, mean_us = 0;
   std::size_t count = 0;
 };
-[[nodiscard]] Latency summarise(std::vector<std::int64_t> latencies_us);
+[[nodiscard]] Latency summarise(const runtime::Distribution& latencies_us);
 
 struct PolicyRun {
   std::string id;    ///< "ros2", "heft", "xauto", "xauto-unscheduled"

@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/routes.h"
+
+#include <algorithm>
+#include <mutex>
+
+namespace xauto::runtime {
+namespace {
+
+/// [module] whether messages of `topic` reach it, directly or through others.
+std::vector<char> reached(const Graph& graph, int topic) {
+  std::vector<char> seen(graph.modules.size(), 0);
+  std::vector<int> topics = {topic};
+  while (!topics.empty()) {
+    const Graph::Topic& at = graph.topics[static_cast<std::size_t>(topics.back())];
+    topics.pop_back();
+    for (const Graph::Subscriber& s : at.subscribers) {
+      char& mark = seen[static_cast<std::size_t>(s.module)];
+      if (mark != 0) continue;
+      mark = 1;
+      const std::vector<int>& outputs = graph.modules[static_cast<std::size_t>(s.module)].outputs;
+      topics.insert(topics.end(), outputs.begin(), outputs.end());
+    }
+  }
+  return seen;
+}
+
+}  // namespace
+
+Result<Routes> Routes::make(const Graph& graph, const Deployment& deployment,
+                            std::optional<std::int64_t> deadline_us) {
+  Routes routes;
+  routes.single_rate_ = graph.single_rate;
+  routes.ends_.assign(graph.modules.size(), 0);
+  const auto add = [&](RouteReport counts, std::size_t topic, std::size_t module) {
+    Route route;
+    route.counts = std::move(counts);
+    route.module = static_cast<int>(module);
+    route.source = static_cast<std::size_t>(graph.topics[topic].source);
+    routes.routes_.push_back(std::move(route));
+    routes.ends_[module] = 1;
+  };
+  for (const ChainDeployment& chain : deployment.chains) {
+    const std::string where = "chain '" + chain.name + "'";
+    const auto topic = std::find_if(
+        graph.topics.begin(), graph.topics.end(),
+        [&](const Graph::Topic& t) { return t.source >= 0 && t.spec.name == chain.from; });
+    if (topic == graph.topics.end())
+      return fail(ErrorCode::kInvalid, "'" + chain.from + "' is not the topic of a source", where);
+    const auto module = std::find_if(graph.modules.begin(), graph.modules.end(),
+                                     [&](const Graph::Module& m) { return m.name == chain.to; });
+    const auto t = static_cast<std::size_t>(topic - graph.topics.begin());
+    const auto m = static_cast<std::size_t>(module - graph.modules.begin());
+    if (module == graph.modules.end() || reached(graph, static_cast<int>(t))[m] == 0)
+      return fail(ErrorCode::kInvalid,
+                  "nothing of topic '" + chain.from + "' reaches XModule '" + chain.to + "'",
+                  where);
+    add({chain.name, chain.from, chain.to, chain.deadline_us, chain.max_age_us, 0, 0, 0, {}, {}}, t,
+        m);
+  }
+  if (!deployment.chains.empty()) return routes;
+  for (std::size_t t = 0; t < graph.topics.size(); ++t) {
+    if (graph.topics[t].source < 0) continue;
+    const std::vector<char> reach = reached(graph, static_cast<int>(t));
+    const std::string& from = graph.topics[t].spec.name;
+    for (std::size_t m = 0; m < reach.size(); ++m)
+      if (reach[m] != 0 && graph.modules[m].sink && routes.routes_.size() < kMaxChains) {
+        const std::string& to = graph.modules[m].name;
+        add({from + " -> " + to, from, to, deadline_us, {}, 0, 0, 0, {}, {}}, t, m);
+      }
+  }
+  return routes;
+}
+
+void Routes::published(int module, std::int64_t origin_ns, const detail::Origins* origins,
+                       std::int64_t now_ns) {
+  if (!end_at(module)) return;
+  const std::lock_guard lock(*mutex_);
+  for (Route& route : routes_) {
+    if (route.module != module) continue;
+    std::int64_t origin = origin_ns;
+    if (origins != nullptr && route.source < origins->size()) origin = (*origins)[route.source];
+    if (origin == 0) continue;  // nothing of this sensor is in it
+    RouteReport& counts = route.counts;
+    const std::int64_t latency_us = (now_ns - origin) / 1000;
+    counts.latency_us.add(latency_us);
+    if (counts.deadline_us && latency_us > *counts.deadline_us) ++counts.deadline_misses;
+    if (route.last_origin_ns != 0) {
+      const std::int64_t age_us = (now_ns - route.last_origin_ns) / 1000;
+      counts.age_us.add(age_us);
+      if (counts.max_age_us && age_us > *counts.max_age_us) ++counts.age_misses;
+    }
+    route.last_origin_ns = origin;
+  }
+}
+
+std::vector<RouteReport> Routes::report(const std::vector<std::uint64_t>& lost) const {
+  std::vector<RouteReport> result;
+  const std::lock_guard lock(*mutex_);
+  for (const Route& route : routes_) {
+    RouteReport counts = route.counts;
+    counts.lost = lost[static_cast<std::size_t>(route.module)];
+    if (single_rate_ && counts.deadline_us) counts.deadline_misses += counts.lost;
+    result.push_back(std::move(counts));
+  }
+  return result;
+}
+
+}  // namespace xauto::runtime

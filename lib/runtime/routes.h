@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+// Chains, end to end: from a sensor's topic to a module that reads it directly or through others.
+//
+//   origin k ───────────► publish k                        latency of k, counted against
+//   deadline_us origin k ───────────────────────────► publish k+1      age of k when it is
+//   replaced: the oldest
+//                                                          that the chain's result ever gets;
+//                                                          counted against max_age_us
+//
+// "Publish" is the end of the module's chain of XNodes. With sensors of several periods a result
+// has one origin per sensor (Envelope::origins), so every chain has latencies of its own.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "base/pi_mutex.h"
+#include "model/deployment.h"
+#include "runtime/distribution.h"
+#include "runtime/graph.h"
+
+namespace xauto::runtime {
+
+struct RouteReport {
+  std::string name, from, to;
+  std::optional<std::int64_t> deadline_us, max_age_us;
+  /// Results later than the deadline, and in an app of one rate releases without one.
+  std::uint64_t deadline_misses = 0;
+  std::uint64_t lost = 0;        ///< activations of `to` that failed or were dropped
+  std::uint64_t age_misses = 0;  ///< results that became older than max_age_us
+  Distribution latency_us, age_us;
+};
+
+/// Threads: any.
+class Routes {
+ public:
+  /// The deployment's chains; without any, every sensor to every sink, with the app's deadline.
+  /// Errors: a chain from a topic that is no sensor's, or to a module that cannot hear of it.
+  [[nodiscard]] static Result<Routes> make(const Graph& graph, const Deployment& deployment,
+                                           std::optional<std::int64_t> deadline_us);
+
+  /// Whether a chain ends at `module`.
+  [[nodiscard]] bool end_at(int module) const {
+    return ends_[static_cast<std::size_t>(module)] != 0;
+  }
+  /// `module` has published what stems from `origin_ns`, or by source from `origins`.
+  void published(int module, std::int64_t origin_ns, const detail::Origins* origins,
+                 std::int64_t now_ns);
+  /// `lost`: [module] activations that failed or were dropped.
+  [[nodiscard]] std::vector<RouteReport> report(const std::vector<std::uint64_t>& lost) const;
+
+ private:
+  struct Route {
+    RouteReport counts;
+    int module = -1;
+    std::size_t source = 0;  ///< index into Origins; beyond it: the oldest origin
+    std::int64_t last_origin_ns = 0;
+  };
+  std::vector<char> ends_;  ///< [module]
+  bool single_rate_ = true;
+  mutable std::unique_ptr<PiMutex> mutex_ = std::make_unique<PiMutex>();
+  std::vector<Route> routes_;  ///< counts guarded by mutex_
+};
+
+}  // namespace xauto::runtime
