@@ -6,7 +6,10 @@
 //        ├─► B (b1 npu; a string)  ──────────┴─► C (c1 cpu) ─► result, written to FILE at the end
 //        └─► D (d1 cpu) ─► aside: not affected by what happens to the others
 //
-//   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US]
+//   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US] [tally]
+//
+// With `tally` FILE gets one line per topic instead of one per message, so that a soak's own memory
+// does not grow: TOPIC MESSAGES FIRST LAST DISORDER CHECKSUM.
 #include <algorithm>
 #include <array>
 #include <chrono>
@@ -14,6 +17,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
+#include <map>
 #include <mutex>
 #include <stdexcept>
 #include <string>
@@ -69,6 +73,18 @@ struct State {
   std::string text;
 };
 
+struct Tally {
+  std::uint64_t messages = 0, first = 0, last = 0, disorder = 0, checksum = 0;
+  void add(std::uint64_t value, std::uint64_t k) {
+    if (messages++ == 0)
+      first = k;
+    else if (k <= last)
+      ++disorder;
+    last = k;
+    checksum += mix(value ^ mix(k));
+  }
+};
+
 template <class Exec>
 xauto::XNode<State> node(const std::string& name, const std::string& xpu, const std::string& module,
                          Exec exec) {
@@ -91,14 +107,17 @@ xauto::XNode<State> node(const std::string& name, const std::string& xpu, const 
 int main(int argc, char** argv) {
   const std::string file = argc > 1 ? argv[1] : "/dev/null";
   std::chrono::microseconds period{2000};
+  bool tallied = false;
   for (int i = 2; i < argc; ++i) {
     const std::string word = argv[i];
     if (word == "period" && i + 1 < argc) {
       period = std::chrono::microseconds(std::atoll(argv[++i]));
+    } else if (word == "tally") {
+      tallied = true;
     } else if (i + 2 < argc) {
       g_fault = {word, argv[i + 1], std::strtoull(argv[i + 2], nullptr, 10), 0};
       i += 2;
-      if (i + 1 < argc && std::string(argv[i + 1]) != "period") g_fault.ms = std::atoi(argv[++i]);
+      if (i + 1 < argc && std::atoi(argv[i + 1]) > 0) g_fault.ms = std::atoi(argv[++i]);
     }
   }
 
@@ -139,9 +158,11 @@ int main(int argc, char** argv) {
 
   std::mutex mutex;
   std::vector<std::string> lines;
+  std::map<std::string, Tally> tallies;
   const auto keep = [&](const char* topic) {
     return [&, topic](const std::uint64_t& value, std::uint64_t k) {
       const std::lock_guard lock(mutex);
+      if (tallied) return tallies[topic].add(value, k);
       lines.push_back(std::string(topic) + " " + std::to_string(k) + " " + std::to_string(value));
     };
   };
@@ -151,6 +172,9 @@ int main(int argc, char** argv) {
     std::stable_sort(lines.begin(), lines.end(),
                      [](const auto& x, const auto& y) { return x[0] < y[0]; });
     for (const std::string& line : lines) out << line << "\n";
+    for (const auto& [topic, t] : tallies)
+      out << topic << " " << t.messages << " " << t.first << " " << t.last << " " << t.disorder
+          << " " << t.checksum << "\n";
   });
   return app.main(argc, argv);
 }
