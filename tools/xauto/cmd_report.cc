@@ -32,7 +32,7 @@ std::string fact_of(const nlohmann::json& report, const std::string& id) {
             fmt::format("{}{} {:.2f} ms", out.empty() ? "" : ", ", what, at->get<double>() / 1000);
     };
     add("predicted_us", "simulated");
-    add("worst_case_us", "certified worst case");
+    add("worst_case_us", "if no job outlasts its WCET, never longer than");
     add("lower_bound_us", "nothing is shorter than");
     return out;
   }

@@ -17,7 +17,7 @@ inline constexpr const char* kPageStyle = R"css(<style>
 body { margin:0; padding:24px 28px 48px; background:var(--bg); color:var(--fg); font:14px/1.45 system-ui,-apple-system,"Segoe UI",sans-serif }
 h1 { font-size:22px; margin:0 0 2px } h2 { font-size:15px; margin:0; font-weight:650 } table + h2 { margin-top:22px }
 .dim { color:var(--dim) }
-.card { background:var(--card); border:1px solid var(--line); border-radius:10px; padding:14px 16px; margin-top:16px }
+.card { background:var(--card); border:1px solid var(--line); border-radius:10px; padding:14px 16px; margin-top:16px; overflow-x:auto }
 table { border-collapse:collapse; width:100% } th { text-align:right; color:var(--dim); font-weight:500; padding:3px 10px }
 td { text-align:right; padding:4px 10px; font-variant-numeric:tabular-nums; border-top:1px solid var(--line) }
 th:first-child,td:first-child { text-align:left } td.bar { width:34%; text-align:left }
@@ -40,7 +40,7 @@ svg .plan { fill:none; stroke-width:1.2; opacity:.8 } svg .bar:hover { stroke:va
 </style>)css";
 
 inline constexpr const char* kPageBody = R"html(</head><body>
-<div class="tools">zoom <button id="in" title="key +">+</button> <button id="out" title="key -">&minus;</button> <button id="all" title="key 0">all</button></div>
+<div class="tools"><span title="in the schedules below: Ctrl and the wheel; keys + - 0 and the arrows">zoom</span> <button id="in" title="key +">+</button> <button id="out" title="key -">&minus;</button> <button id="all" title="key 0">all</button></div>
 <h1 id="title"></h1><div id="note" class="dim"></div>
 <div class="card"><table id="table"></table></div>
 )html";
@@ -234,6 +234,16 @@ function zoom(factor, centre) {
   view = [from, from + span];
   draw();
 }
+// Ctrl and the wheel, or two fingers on a touchpad: what is under the pointer stays there.
+$("panels").addEventListener("wheel", e => {
+  const svg = e.target.closest("svg");
+  if (!e.ctrlKey || !svg) return;
+  e.preventDefault();
+  const box = svg.getBoundingClientRect();
+  const at = ((e.clientX - box.left) / box.width * W - LEFT) / (W - LEFT - RIGHT);
+  hide();
+  zoom(e.deltaY < 0 ? 0.7 : 1 / 0.7, view[0] + Math.min(1, Math.max(0, at)) * (view[1] - view[0]));
+}, { passive: false });
 $("in").onclick = () => zoom(0.6);
 $("out").onclick = () => zoom(1 / 0.6);
 $("all").onclick = () => { view = [0, longest * 1.02]; draw(); };
