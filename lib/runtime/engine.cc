@@ -346,7 +346,7 @@ void Engine::hung(const Worker& worker, const Worker::Hung& job) {
 void Engine::stop_workers() {
   const std::int64_t limit = now_ns() + kPatienceNs;
   for (const auto& worker : workers_)
-    if (!worker->stop(std::max<std::int64_t>(0, limit - now_ns()))) {
+    if (!worker->stop(std::max<std::int64_t>(kPatienceNs / 5, limit - now_ns()))) {
       stuck_ = true;
       const std::string text =
           "an exec of " + worker->options().name + " never returned; its thread was left behind";
@@ -533,7 +533,9 @@ Result<RunReport> Engine::run_whole() {
   result.complete = drained && !stop_.load();
   if (!drained) {
     result.note += (result.note.empty() ? "" : "; ");
-    result.note += std::to_string(in_flight_.load()) + " activations did not end";
+    result.note += in_flight_.load() > 0
+                       ? std::to_string(in_flight_.load()) + " activations did not end"
+                       : "a module whose result was not needed did not end";
   }
   for (const auto& callback : app_.on_end) {
     try {
@@ -608,6 +610,7 @@ void Engine::release(std::int64_t origin_ns, std::uint64_t sequence,
                      const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages) {
   if (graph_.single_rate && num_sinks_ > 0) {
     const std::lock_guard lock(releases_mutex_);
+    num_released_ = sequence + 1;
     while (open_base_ + open_.size() <= sequence) open_.push_back({});
     if (sequence >= open_base_)
       open_[sequence - open_base_] = {origin_ns, origin_ns, num_sinks_, false};
@@ -737,6 +740,14 @@ Status Engine::release_recorded() {
   return {};
 }
 
+/// Every module is through with every release. Those whose result nobody waits for, since another
+/// input of the same release was lost, are so later than the sinks.
+bool Engine::settled() const {
+  for (std::size_t m = 0; m < graph_.modules.size(); ++m)
+    if (board_->module(static_cast<int>(m)).settled() < num_released_) return false;
+  return true;
+}
+
 /// Single rate: until every release is accounted for. Otherwise there is nothing to count by, so:
 /// until no module has ended an activation for 100 ms. False after `timeout_ns` without progress.
 bool Engine::wait_drained(std::int64_t timeout_ns) {
@@ -749,8 +760,18 @@ bool Engine::wait_drained(std::int64_t timeout_ns) {
     }
   }
   std::int64_t since = now_ns();
+  std::uint64_t settled_before = 0;
   for (std::uint32_t last = in_flight_.load();;) {
     const std::uint32_t left = in_flight_.load();
+    if (left == 0 && !settled()) {
+      if (const std::uint64_t sum = board_->settled(); sum != settled_before) {
+        settled_before = sum;
+        since = now_ns();
+      }
+      if (now_ns() - since > timeout_ns) return false;
+      sleep_until_ns(now_ns() + 20'000);
+      continue;
+    }
     if (left == 0) {
       // A sink's process says that it is through beside its messages, which observers here get.
       while (receiver_ && !receiver_->idle()) sleep_until_ns(now_ns() + 20'000);

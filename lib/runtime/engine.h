@@ -79,6 +79,7 @@ class Engine final : public ModuleHost, private HubHost {
   void start_watchdog();
   void hung(const Worker& worker, const Worker::Hung& job);
   void stop_workers();
+  [[nodiscard]] bool settled() const;
   bool wait_drained(std::int64_t timeout_ns);
   void tell_notes(RunReport& result);
   [[nodiscard]] RunReport report();
@@ -131,6 +132,7 @@ class Engine final : public ModuleHost, private HubHost {
   Distribution release_latencies_us_;
   std::deque<Open> open_;                 ///< from open_base_ on; those before are accounted for
   std::uint64_t open_base_ = 0;           ///< a sequence
+  std::uint64_t num_released_ = 0;        ///< single rate; of the releasing thread, then of `run`'s
   std::vector<std::uint64_t> sink_next_;  ///< [module] single rate: the next release to account for
   int num_sinks_ = 0;
   std::atomic<std::uint32_t> in_flight_{
