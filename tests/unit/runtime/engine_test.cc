@@ -3,6 +3,7 @@
 // order, faults of user code are contained, and everything is accounted for. No time is measured.
 #include "runtime/engine.h"
 
+#include <future>
 #include <mutex>
 #include <thread>
 
@@ -232,6 +233,87 @@ TEST(Engine, OverrunsAreCountedAndNothingHangs) {
   EXPECT_EQ(report->releases.size(), 40u);
   const ModuleReport& c = report->modules[2];
   EXPECT_EQ(c.activations + c.dropped, 40u);
+}
+
+TEST(Engine, AHungActivationIsGivenUpAndTheOthersGoOn) {
+  TestApp app;
+  app.session.policy.placements = {{0, 4}, {1, 3}, {0, 2}, {1, 1}};  // B on cpu0
+  for (auto& xnode : app.session.app.xnodes) xnode.wcet_us = {{"cpu", 10}, {"npu", 10}};
+  ModuleDeployment& b = app.session.deployment.modules["B"];
+  b.hang_us = 300'000;
+  b.on_hang = OnHang::kDrop;
+  std::promise<void> release;
+  std::future<void> released = release.get_future();
+  std::atomic<bool> once{false};
+  app.exec = [&](const std::string& node, std::uint64_t k) -> Status {
+    if (node == "b1" && k == 5) released.wait();
+    // In lockstep release 7 comes when 5 and 6 are settled, so B was given up, and lost 6.
+    if (node == "a1" && k == 7 && !once.exchange(true)) release.set_value();
+    return {};
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->complete);
+  EXPECT_EQ(report->num_releases, 50u);
+  EXPECT_EQ(report->releases.at(5).latency_us, -1);
+  EXPECT_EQ(report->releases.at(6).latency_us, -1);
+  EXPECT_GE(report->lost_releases, 2u);
+  for (const ModuleReport& m : report->modules)
+    EXPECT_EQ(m.activations + m.failed + m.dropped, 50u) << m.name;
+  EXPECT_EQ(report->modules[0].activations, 50u);  // A is not affected
+  ASSERT_EQ(report->xnodes.size(), 1u);
+  EXPECT_EQ(report->xnodes[0].name, "b1");
+  EXPECT_GE(report->xnodes[0].hangs, 1u);
+  EXPECT_NE(report->note.find("XNode 'b1' on cpu0 ran past its hang limit of 300 ms"),
+            std::string::npos)
+      << report->note;
+}
+
+TEST(Engine, JobsOverTheirBudgetAreCounted) {
+  TestApp app;
+  app.session.app.xnodes[3].wcet_us = {{"npu", 100}};
+  app.session.deployment.defaults.budget_pct = 100'000'000;
+  app.session.deployment.budgets_us["c1"] = 2'000;
+  app.exec = [](const std::string& node, std::uint64_t k) -> Status {
+    if (node == "c1" && k % 10 == 0) std::this_thread::sleep_for(3ms);
+    return {};
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  ASSERT_EQ(report->xnodes.size(), 4u);
+  for (const XNodeReport& xnode : report->xnodes) {
+    EXPECT_EQ(xnode.jobs, 50u);
+    EXPECT_EQ(xnode.hangs, 0u);
+    if (xnode.name == "c1")
+      EXPECT_GE(xnode.overruns, 5u);  // a busy machine may add to them
+    else
+      EXPECT_EQ(xnode.overruns, 0u) << xnode.name;
+  }
+}
+
+TEST(Engine, SourcesOfTwoPeriodsGiveEveryChainItsOwnLatency) {
+  TestApp app;
+  const Topic<int> slow("slow");
+  app.spec.sources.push_back({detail::topic_spec(slow),
+                              3ms,
+                              [](std::uint64_t k) -> std::shared_ptr<const void> {
+                                return std::make_shared<const int>(static_cast<int>(k));
+                              },
+                              {}});
+  app.spec.modules[1]->inputs = {detail::topic_spec(slow)};  // B
+  app.session.lockstep = false;
+  app.session.activations = 20;
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  ASSERT_EQ(report->routes.size(), 2u);
+  EXPECT_EQ(report->routes[0].name, "camera -> C");
+  EXPECT_EQ(report->routes[1].name, "slow -> C");
+  const std::uint64_t results = report->modules[2].activations;
+  EXPECT_GE(results, 1u);
+  for (const RouteReport& route : report->routes) {
+    EXPECT_EQ(route.latency_us.count(), results);
+    EXPECT_EQ(route.age_us.count(), results - 1);
+  }
 }
 
 TEST(Engine, TraceTellsEveryStepOfEveryJobInOrder) {

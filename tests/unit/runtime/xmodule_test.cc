@@ -7,6 +7,8 @@
 #include <gtest/gtest.h>
 #include <uapi/xauto/event.h>
 
+#include "runtime/input_access.h"
+
 namespace xauto::runtime {
 namespace {
 
@@ -51,6 +53,7 @@ class Fixture : public ::testing::Test, public ModuleHost {
   void dropped(int, std::uint64_t s, std::uint32_t reason) override {
     log_ += (reason == XAUTO_DROP_FAILED    ? " failed"
              : reason == XAUTO_DROP_OVERRUN ? " overrun"
+             : reason == XAUTO_DROP_HUNG    ? " hung"
                                             : " upstream") +
             std::to_string(s);
   }
@@ -178,6 +181,95 @@ TEST_F(Fixture, OverloadPoliciesAreParsedStrictly) {
   EXPECT_EQ(Overload::parse("skip")->kind, Overload::Kind::kSkip);
   for (const char* wrong : {"", "queue", "queue:", "queue:0", "queue:257", "queue:4x", "drop"})
     EXPECT_FALSE(Overload::parse(wrong)) << wrong;
+}
+
+TEST_F(Fixture, AnAbandonedActivationIsLostAndSoIsWhatComesUntilItReturns) {
+  module_->watch();
+  message(0, 0);
+  message(1, 0);
+  message(0, 1);
+  EXPECT_EQ(log(), " run0");
+  EXPECT_TRUE(module_->abandon(0));
+  EXPECT_EQ(log(), " hung0 hung1 skip1 tomb1");  // at once: nobody waits downstream
+  EXPECT_TRUE(module_->abandoned());
+  EXPECT_FALSE(module_->abandon(0));
+  message(1, 1);  // of a release that is settled
+  message(0, 2);
+  EXPECT_EQ(log(), " hung2 skip2 tomb2");
+  tombstone(1, 3);
+  EXPECT_EQ(log(), " hung3 skip3 tomb3");
+  module_->finish(true);  // it returned after all: too late
+  EXPECT_EQ(log(), "");
+  message(0, 4);
+  message(1, 4);
+  module_->finish(true);
+  EXPECT_EQ(log(), " run4 done4 out4");
+}
+
+TEST_F(Fixture, WhatHasEndedCannotBeAbandoned) {
+  module_->watch();
+  message(0, 0);
+  message(1, 0);
+  EXPECT_FALSE(module_->abandon(7));
+  module_->finish(true);
+  EXPECT_FALSE(module_->abandon(0));
+  EXPECT_EQ(log(), " run0 done0 out0");
+}
+
+TEST_F(Fixture, AnAbandonedActivationOfSeveralRates) {
+  build(false);
+  module_->watch();
+  message(0, 0);
+  message(1, 0);
+  message(0, 1);
+  EXPECT_TRUE(module_->abandon(0));
+  message(1, 5);
+  EXPECT_EQ(log(), " run0 hung0 hung1 hung5");
+  module_->finish(false);
+  message(0, 2);
+  message(1, 6);
+  EXPECT_EQ(log(), " run2");
+}
+
+TEST_F(Fixture, MatchesMessagesWhoseOriginsAreClose) {
+  build(false);
+  module_->match_within(3);  // origins are 1000 + number
+  message(0, 10);
+  message(1, 2);  // 8 apart: it waits in vain, as all that comes on 0 is later still
+  EXPECT_EQ(log(), " overrun2");
+  message(1, 8);
+  EXPECT_EQ(log(), " run8");
+  EXPECT_EQ(InputAccess::messages(const_cast<Input&>(module_->input()))[0].sequence, 10u);
+  // While it is busy messages wait in order, none replaces another.
+  for (const std::uint64_t k : {20u, 30u, 40u}) message(0, k);
+  for (const std::uint64_t k : {29u, 41u}) message(1, k);
+  EXPECT_EQ(log(), "");
+  module_->finish(true);
+  EXPECT_EQ(log(), " done8 out8 overrun20 run29");
+  module_->finish(true);
+  EXPECT_EQ(log(), " done29 out29 run40");
+}
+
+TEST_F(Fixture, MatchingKeepsABoundedNumberOfMessages) {
+  build(false);
+  module_->match_within(3);
+  for (std::uint64_t k = 0; k < 18; ++k) message(0, k);
+  EXPECT_EQ(log(), " overrun0 overrun1");
+  module_->set_overload({Overload::Kind::kQueue, 2});
+  message(0, 18);
+  EXPECT_TRUE(log().ends_with(" overrun16"));
+}
+
+TEST_F(Fixture, OriginsOfAllSensorsTravelOn) {
+  build(false);
+  const auto send = [&](int input, std::uint64_t k, detail::Origins origins) {
+    module_->receive(input, {std::make_shared<const int>(0), static_cast<std::int64_t>(k), k,
+                             std::make_shared<const detail::Origins>(origins)});
+  };
+  send(0, 4, {400, 0, 390});
+  send(1, 5, {395, 500, 0});
+  ASSERT_TRUE(module_->origins());
+  EXPECT_EQ(*module_->origins(), (detail::Origins{395, 500, 390}));
 }
 
 TEST_F(Fixture, SeveralRatesTakeTheNewestOfEach) {

@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: Apache-2.0
+// deployment.json: what holds for a module, who is in which process, what is refused and how.
+#include "model/deployment.h"
+
+#include <gtest/gtest.h>
+
+namespace xauto {
+namespace {
+
+AppSpec make_app() {
+  return {"drive",
+          {{"a1", "A", {{"cpu", 10}}},
+           {"a2", "A", {{"gpu", 10}}},
+           {"b1", "B", {{"cpu", 10}}},
+           {"c1", "C", {{"cpu", 10}}}},
+          {{0, 1}},
+          {}};
+}
+
+Result<Deployment> parse(const std::string& body) {
+  return parse_deployment(
+      R"({"schema": "xauto.deployment", "version": 1, "app": "drive")" + body + "}", "d.json",
+      make_app());
+}
+
+std::string refusal(const std::string& body) {
+  const auto d = parse(body);
+  return d ? "" : d.error().where + ": " + d.error().what;
+}
+
+TEST(Deployment, WhatIsSaidOfAModuleGoesBeforeTheDefaults) {
+  const auto d = parse(R"(, "defaults": {"isolate": true, "restarts": 3, "overload": "skip",
+                            "hang_pct": 1000, "on_hang": "restart"},
+      "modules": {"B": {"overload": "queue:4", "hang_us": 7000},
+                  "C": {"isolate": false, "on_hang": "drop"}})");
+  ASSERT_TRUE(d) << d.error().to_string();
+  EXPECT_EQ(d->of("A"), d->defaults);
+  const ModuleDeployment b = d->of("B");
+  EXPECT_EQ(b.overload->to_string(), "queue:4");
+  EXPECT_EQ(b.hang_us, 7000);
+  EXPECT_FALSE(b.hang_pct);  // one of the two
+  EXPECT_EQ(b.restarts, 3);
+  EXPECT_EQ(b.on_hang, OnHang::kRestart);
+  EXPECT_EQ(d->of("C").isolate, false);
+  EXPECT_EQ(d->of("C").on_hang, OnHang::kDrop);
+}
+
+TEST(Deployment, ModulesOfOneProcessNameShareAProcess) {
+  const auto d = parse(R"(, "defaults": {"isolate": true},
+      "modules": {"A": {"process": "left"}, "C": {"process": "left"}})");
+  ASSERT_TRUE(d);
+  EXPECT_EQ(d->processes(make_app()), (std::vector<std::vector<std::string>>{{"A", "C"}, {"B"}}));
+  EXPECT_EQ(parse("")->processes(make_app()).size(), 0u);
+}
+
+TEST(Deployment, WhatIsWrittenIsReadAgain) {
+  const auto d = parse(R"(, "queue_depth": 4, "keep": 2,
+      "defaults": {"budget_pct": 120, "hang_us": 5, "on_hang": "log", "match_us": 0},
+      "modules": {"B": {"process": "x", "restarts": 1}}, "budgets_us": {"a2": 900},
+      "chains": [{"name": "n", "from": "camera", "to": "C", "deadline_us": 5, "max_age_us": 6}])");
+  ASSERT_TRUE(d) << d.error().to_string();
+  const auto again = parse_deployment(to_json(*d), "again", make_app());
+  ASSERT_TRUE(again) << again.error().to_string();
+  EXPECT_EQ(*again, *d);
+}
+
+TEST(Deployment, RefusalsNameThePlaceAndTheCause) {
+  const std::pair<const char*, const char*> cases[] = {
+      {R"(, "modules": {"Z": {}})", "d.json: /modules/Z: XModule 'Z' is not in the app"},
+      {R"(, "modules": [])", "d.json: /modules: must be an object, is an array"},
+      {R"(, "budgets_us": {"zz": 1})", "d.json: /budgets_us/zz: XNode 'zz' is not in the app"},
+      {R"(, "budgets_us": {"a1": 0})",
+       "d.json: /budgets_us/a1: must be an integer from 1 to 1000000000000, is 0"},
+      {R"(, "defaults": {"isolate": true, "process": "p"})",
+       "d.json: /defaults/process: excludes \"isolate\""},
+      {R"(, "defaults": {"hang_us": 1, "hang_pct": 2})",
+       "d.json: /defaults/hang_us: excludes \"hang_pct\""},
+      {R"(, "modules": {"A": {"overload": "queue:0"}})",
+       "d.json: /modules/A/overload: overload policy 'queue:0'"},
+      {R"(, "modules": {"A": {"on_hang": "drop"}})",
+       "d.json: /modules/A/on_hang: XModule 'A' has no hang limit"},
+      {R"(, "defaults": {"hang_us": 1, "on_hang": "restart"})",
+       "d.json: /defaults/on_hang: XModule 'A' has no process of its own to restart"},
+      {R"(, "defaults": {"on_hang": "pray"})",
+       "d.json: /defaults/on_hang: must be \"log\", \"drop\" or \"restart\""},
+      {R"(, "chains": [{"name": "n", "from": "t", "to": "Q"}])",
+       "d.json: /chains/0/to: XModule 'Q' is not in the app"},
+      {R"(, "chains": [{"name": "n", "from": "t", "to": "A"}, {"name": "n", "from": "t", "to": "B"}])",
+       "d.json: /chains/1/name: is the name of another chain, too"},
+  };
+  for (const auto& [body, message] : cases) EXPECT_EQ(refusal(body), message) << body;
+  const auto other = parse_deployment(
+      R"({"schema": "xauto.deployment", "version": 1, "app": "fly"})", "d.json", make_app());
+  ASSERT_FALSE(other);
+  EXPECT_EQ(other.error().what, "is for app 'fly', not for 'drive'");
+}
+
+}  // namespace
+}  // namespace xauto
