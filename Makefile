@@ -21,7 +21,7 @@ pedestrians:
 	@JOBS=$(JOBS) scripts/pedestrians.sh
 
 check:
-	@scripts/setup.sh build check pedestrians kernel
+	@scripts/setup.sh build check pedestrians kernel package
 	@scripts/fetch-video.sh
 	@JOBS=$(JOBS) scripts/check.sh all
 
@@ -35,6 +35,17 @@ style unit asan tsan fuzz:
 kernel-check:
 	@scripts/setup.sh build check kernel
 	@JOBS=$(JOBS) scripts/check.sh kernel
+
+# Debian packages of the release build, in build/package/debs; for another machine: make packages ARCH=arm64
+ARCH ?=
+packages:
+	@scripts/setup.sh build kernel package
+	@JOBS=$(JOBS) scripts/packages.sh $(ARCH)
+
+# ... and whether they install, work and go away again in a clean Debian root.
+package-check:
+	@scripts/setup.sh build check pedestrians kernel package
+	@JOBS=$(JOBS) scripts/check.sh package
 
 # The modules for the running kernel, or for KERNEL=/path/to/its/build/tree.
 KERNEL ?= /lib/modules/$(shell uname -r)/build
@@ -60,4 +71,4 @@ setup:
 clean:
 	@rm -rf build build-asan build-tsan build-fuzz
 
-.PHONY: all build demo pedestrians check kernel-check modules style unit asan tsan fuzz bench format tidy setup clean
+.PHONY: all build demo pedestrians check kernel-check packages package-check modules style unit asan tsan fuzz bench format tidy setup clean

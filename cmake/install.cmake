@@ -39,6 +39,9 @@ install(DIRECTORY include/xauto DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONEN
 
 # Tools: xauto looks for the daemons beside itself, behind symbolic links, so only the link is in the PATH.
 set(tools xauto xauto-coordinator xauto-emud xauto-cpusched)
+foreach(tool ${tools})
+  target_link_options(${tool} PRIVATE -Wl,-z,relro -Wl,-z,now)
+endforeach()
 install(TARGETS ${tools} RUNTIME DESTINATION ${CMAKE_INSTALL_LIBEXECDIR}/xauto COMPONENT tools)
 file(CREATE_LINK ../${CMAKE_INSTALL_LIBEXECDIR}/xauto/xauto ${PROJECT_BINARY_DIR}/package/xauto SYMBOLIC)
 install(FILES ${PROJECT_BINARY_DIR}/package/xauto DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT tools)

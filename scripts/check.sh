@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # What `make check` does: style, then the tests in a release build, under ASan+UBSan, and under TSan, then the kernel
-# side in booted VMs. Each part runs by itself with `make style|unit|asan|tsan|fuzz|kernel-check`. The last line is the count over all parts.
+# side in booted VMs, then the Debian packages in a clean root. Each part runs by itself with
+# `make style|unit|asan|tsan|fuzz|kernel-check|package-check`. The last line is the count over all parts.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 jobs=${JOBS:-2}
@@ -78,6 +79,7 @@ style() {
   one "codespell" bash -c 'git ls-files | grep -vE "\.(db3|json|png|svg|expected)$|^LICENSES/|corpus/" | xargs codespell -L te,ot,nd,inout,dout,fo,ans,ser,fpr,thre,hist,tha,lod,tre,siz,parm,rcd,lastr'
   one "SPDX lines" scripts/check-spdx.sh
   one "paths named in the docs exist" scripts/check-doc-paths.sh
+  one "the API is documented (doxygen)" scripts/check-api-docs.sh
 }
 unit() { build ci build && { note "tests, release"; tests build; }; }
 asan() { build asan build-asan && { note "tests, ASan+UBSan"; tests build-asan -LE slow; }; }
@@ -85,13 +87,12 @@ tsan() {
   build tsan build-tsan test_base test_trace test_coord test_emu test_runtime &&
     { note "tests, TSan"; tests build-tsan -R '^(base|trace|coord|emu|runtime)\.'; }
 }
-# Programs and modules in VMs; scripts/kernel-check.sh counts them.
-kernel() {
-  local counts log
-  build ci build all kmod_tests scx_tests || return
-  note "kernel side, in VMs"
+# A script whose last line is "N passed, M failed, K skipped".
+counted() {
+  local name=$1 counts log
+  shift
   log=$(mktemp)
-  scripts/kernel-check.sh build | tee "$log"
+  "$@" | tee "$log"
   counts=$(tail -n 1 "$log")
   rm -f "$log"
   if [[ $counts =~ ^([0-9]+)\ passed,\ ([0-9]+)\ failed,\ ([0-9]+)\ skipped ]]; then
@@ -99,9 +100,21 @@ kernel() {
     failed=$((failed + BASH_REMATCH[2]))
     skipped=$((skipped + BASH_REMATCH[3]))
   else
-    echo "check: the kernel side gave no count"
+    echo "check: $name gave no count"
     failed=$((failed + 1))
   fi
+}
+# Programs and modules in VMs; scripts/kernel-check.sh counts them.
+kernel() {
+  build ci build all kmod_tests scx_tests || return
+  note "kernel side, in VMs"
+  counted "the kernel side" scripts/kernel-check.sh build
+}
+# The Debian packages, made of the release build and tried in a clean root; scripts/package-check.sh counts.
+package() {
+  build ci build xauto_shared xauto xauto-coordinator xauto-emud xauto-cpusched || return
+  note "packages, in a clean Debian root"
+  counted "the packages" scripts/package-check.sh build
 }
 fuzz() { build asan build-asan && { note "fuzzers"; tests build-asan -L fuzz; }; }
 
@@ -112,10 +125,11 @@ case ${1:-all} in
     asan
     tsan
     kernel
+    package
     ;;
-  style | unit | asan | tsan | fuzz | kernel) "$1" ;;
+  style | unit | asan | tsan | fuzz | kernel | package) "$1" ;;
   *)
-    echo "usage: scripts/check.sh [all|style|unit|asan|tsan|fuzz|kernel]" >&2
+    echo "usage: scripts/check.sh [all|style|unit|asan|tsan|fuzz|kernel|package]" >&2
     exit 2
     ;;
 esac

@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 # Makes the Debian packages from a finished build tree; compiles nothing twice. What `make packages` does; docs/packages.md.
 # usage: package-build.sh BUILD_DIR OUT        OUT gets libxauto0, libxauto-dev, xauto-tools, xauto-dkms (*.deb)
-# Environment: PACKAGE_ARCH (default: this machine's), XAUTO_HOST_TOOLS: see debian/rules
 set -euo pipefail
 build=$(realpath "$1") out=$(realpath -m "$2")
 root=$(realpath "$(dirname "$0")/..")
-arch=${PACKAGE_ARCH:-$(dpkg --print-architecture)}
 for tool in dh dh_dkms dpkg-buildpackage; do
   command -v $tool >/dev/null || { echo "package-build: $tool is missing; run scripts/setup.sh package" >&2; exit 1; }
 done
@@ -21,7 +19,7 @@ cp -r --parents debian packaging kmod Kbuild include/uapi examples/template exam
 log=$out/build.log
 # Debian's build dependencies are checked by CMake, which finds the libraries themselves: -d.
 if ! (cd "$stage" && XAUTO_BUILD=$build DEB_BUILD_OPTIONS="parallel=${JOBS:-2} nocheck noautodbgsym" \
-  dpkg-buildpackage --build=binary --host-arch="$arch" -d -nc -us -uc) >"$log" 2>&1; then
+  dpkg-buildpackage --build=binary -d -nc -us -uc) >"$log" 2>&1; then
   tail -n 30 "$log" >&2
   echo "package-build: failed; the whole log is $log" >&2
   exit 1

@@ -1,0 +1,52 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Compares libxauto's ABI (its symbols, and the layout of the types in include/xauto/ that they use) with the committed reference,
+# packaging/abi/libxauto.so.0.ARCH.abi. Red on a change that breaks programs already built; docs/packages.md says what to do then.
+# usage: package-abi.sh OUT [SOURCE_TREE]      compares; OUT gets what was compared
+#        package-abi.sh --update               writes the reference anew
+set -euo pipefail
+root=$(realpath "$(dirname "$0")/..")
+update=
+if [ "${1:-}" = --update ]; then
+  update=1
+  set -- "$(mktemp -d)"
+fi
+out=$(realpath -m "$1") source=$(realpath "${2:-$root}")
+reference=$root/packaging/abi/libxauto.so.0.$(dpkg --print-architecture).abi
+for tool in abidw abidiff; do
+  command -v $tool >/dev/null || { echo "package-abi: $tool is missing; run scripts/setup.sh package" >&2; exit 1; }
+done
+mkdir -p "$out"
+
+# The release build has no debug information, and the types are in it: so the API's three files once more, with nothing behind them.
+compiler=(g++)
+command -v ccache >/dev/null && compiler=(ccache g++)
+objects=()
+for file in lib/runtime/app.cc lib/transport/topic.cc lib/emu/client.cc; do
+  object=$out/$(basename "$file" .cc).o
+  (cd "$source" && "${compiler[@]}" -std=c++20 -g -O1 -fPIC -Iinclude -Ilib -I. -c "$file" -o "$object") &
+  objects+=("$object")
+done
+for _ in "${objects[@]}"; do wait -n; done
+g++ -shared -Wl,-soname,libxauto.so.0 -Wl,--version-script="$source/packaging/libxauto.map" "${objects[@]}" -o "$out/libxauto.so.0"
+abidw --headers-dir "$source/include/xauto" --drop-private-types --exported-interfaces-only --no-comp-dir-path --no-corpus-path \
+  --no-show-locs --type-id-style hash --out-file "$out/libxauto.abi" "$out/libxauto.so.0"
+if [ -n "$update" ]; then
+  install -D -m 644 "$out/libxauto.abi" "$reference"
+  rm -r "$out"
+  exit 0
+fi
+if [ ! -e "$reference" ]; then
+  echo "there is no reference for this architecture: $(basename "$reference")"
+  exit 77
+fi
+status=0
+abidiff --no-corpus-path "$reference" "$out/libxauto.abi" >"$out/diff.txt" 2>&1 || status=$?
+[ $status -eq 0 ] && exit 0
+head -n 60 "$out/diff.txt"
+if abidiff --no-corpus-path --no-added-syms "$reference" "$out/libxauto.abi" >/dev/null 2>&1; then
+  echo "package-abi: only additions: write the reference anew with scripts/package-abi.sh --update (docs/packages.md, Versions)"
+else
+  echo "package-abi: programs built before break: a new soname, or leave the ABI as it was (docs/packages.md, Versions)"
+fi
+exit 1

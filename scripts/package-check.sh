@@ -1,0 +1,87 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Makes the packages of a finished build and tries them: lintian, the ABI, and in a clean Debian 12 root install, build the template
+# app, profile, solve, run, report, build the module by DKMS, purge. What `make package-check` does and `make check` includes.
+# usage: package-check.sh [BUILD_DIR]       Prints TAP and a last line "N passed, M failed, K skipped"; logs in BUILD_DIR/package/
+# Everything is mounted in a mount namespace of its own, in memory: however this ends, nothing stays mounted.
+set -uo pipefail
+root=$(realpath "$(dirname "$0")/..")
+cd "$root" || exit 2
+if [ "${1:-}" != --inside ]; then
+  build=$(realpath -m "${1:-build}")
+  if [ "$(id -u)" -ne 0 ] || ! unshare --mount --pid --fork true 2>/dev/null; then
+    echo "package-check: a clean root needs mount and PID namespaces: run it as root, in a container with CAP_SYS_ADMIN" >&2
+    echo "0 passed, 1 failed, 0 skipped"
+    exit 1
+  fi
+  mkdir -p "$build/package"
+  log=$build/package/check.log
+  # 20 minutes is for a machine with a slow mirror; on this project's 2 cores it takes a minute and a half.
+  timeout -k 10 1200 unshare --mount --propagation private --pid --fork --kill-child --mount-proc \
+    "$0" --inside "$build" </dev/null 2>&1 | tee "$log"
+  awk -v status="${PIPESTATUS[0]}" '
+    /^1\.\.[0-9]+/ { planned += substr($0, 4) }
+    /^ok [0-9]+/ { run++; if ($0 ~ /# SKIP/) skip++; else good++ }
+    /^not ok [0-9]+/ { run++; bad++ }
+    END {
+      if (planned != run || !run) { bad++; print "# " run + 0 " checks ran, " planned + 0 " were planned" }
+      else if (status != 0 && !bad) bad++
+      printf "%d passed, %d failed, %d skipped\n", good, bad, skip
+      exit bad > 0
+    }' "$log"
+  exit
+fi
+
+{ # read whole before it runs: the file may be edited meanwhile
+. tests/package/tap.sh
+build=$2
+debs=$build/package/debs
+abi() { scripts/package-abi.sh "$build/package/abi"; }
+abi_break() { tests/package/abi-break.sh "$build/package/abi"; }
+
+check "packages are made" scripts/package-build.sh "$build" "$debs" || { plan; exit 1; }
+check "lintian finds no error" lintian --allow-root --fail-on error "$debs"/*.changes
+check "the ABI is the committed one" abi
+check "the ABI check is red on deliberate breaks" abi_break
+
+# In memory if there is room: installing is faster by far, and a full disk is not our doing.
+work=$build/package/root
+mkdir -p "$work"
+if [ "$(awk '/^MemAvailable/ { print int($2 / 1048576) }' /proc/meminfo)" -ge 4 ]; then
+  mount -t tmpfs -o size=3500m,mode=755 xauto-package "$work"
+fi
+clean=$work/root
+make_root() {
+  local tar
+  mkdir -p "$work/tmp" "$clean"
+  tar=$(TMPDIR=$work/tmp scripts/package-root.sh)
+  tar -xf "$tar" -C "$clean"
+  cp /etc/resolv.conf /etc/hosts "$clean/etc/"
+  echo force-unsafe-io >"$clean/etc/dpkg/dpkg.cfg.d/unsafe-io"
+  mount -t proc proc "$clean/proc"
+  mount -t sysfs -o ro sysfs "$clean/sys"
+  mount -t bpf bpf "$clean/sys/fs/bpf" || true # without BPF in the kernel there is none, and the tools say so
+  mount -t tmpfs -o mode=755 dev "$clean/dev"
+  for node in null zero full random urandom tty; do
+    : >"$clean/dev/$node"
+    mount --bind "/dev/$node" "$clean/dev/$node"
+  done
+  mkdir -m 1777 "$clean/dev/shm"
+  mount -t tmpfs -o mode=1777 shm "$clean/dev/shm"
+  ln -s /proc/self/fd "$clean/dev/fd"
+  mount -t tmpfs -o mode=1777 work "$clean/tmp"
+  mkdir "$clean/tmp/debs"
+  cp "$debs"/*.deb "$clean/tmp/debs"
+  cp tests/package/*.sh "$clean/tmp"
+}
+check "a clean Debian 12 root" make_root || { plan; exit 1; }
+plan
+here_bad=$bad
+env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive \
+  chroot "$clean" bash /tmp/in-root.sh
+status=$?
+umount -R -l "$clean"/* 2>/dev/null
+mountpoint -q "$work" || rm -rf --one-file-system "$work"
+[ $status -eq 0 ] && [ "$here_bad" -eq 0 ]
+exit
+}

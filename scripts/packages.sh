@@ -1,0 +1,54 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# What `make packages [ARCH=arm64]` does. For this machine: the release build, packaged. For another: a cross-build in a Debian root that
+# has its libraries, as Debian's own builders do it. usage: packages.sh [ARCH]      environment: JOBS
+set -euo pipefail
+cd "$(dirname "$0")/.."
+jobs=${JOBS:-2}
+native=$(dpkg --print-architecture)
+arch=${1:-$native}
+targets="xauto_shared xauto xauto-coordinator xauto-emud xauto-cpusched"
+case $arch in
+  "$native" | arm64) ;;
+  *) echo "packages: no packages for '$arch': there are $native and arm64" >&2; exit 2 ;;
+esac
+
+# The host's tools are needed in any case: they write the man pages.
+cmake --preset release >/dev/null
+# shellcheck disable=SC2086
+ninja -C build -j"$jobs" $targets
+if [ "$arch" = "$native" ]; then
+  exec scripts/package-build.sh build build/package/debs
+fi
+
+[ "$(id -u)" -eq 0 ] || { echo "packages: a cross-build needs root, for its Debian root" >&2; exit 1; }
+if [ "${XAUTO_INSIDE:-}" != 1 ]; then
+  # A mount namespace of its own: however this ends, nothing stays mounted.
+  XAUTO_INSIDE=1 exec unshare --mount --propagation private --pid --fork --kill-child --mount-proc "$0" "$arch" </dev/null
+fi
+out=$PWD/build-$arch
+mkdir -p "$out/work" "$out/ccache"
+mount -t tmpfs -o size=8g,mode=755 xauto-packages "$out/work"
+root=$out/work/root
+mkdir -p "$root" "$out/work/tmp"
+tar=$(TMPDIR=$out/work/tmp scripts/package-root.sh "$arch")
+tar -xf "$tar" -C "$root"
+mount -t proc proc "$root/proc"
+mount --rbind /dev "$root/dev"
+mkdir -p "$root/src" "$root/host" "$root/ccache"
+mount --bind "$out/ccache" "$root/ccache"
+git ls-files -z | tar --null --ignore-failed-read -T - -cf - | tar -xf - -C "$root/src"
+mkdir -p "$root/host/man" "$root/host/completion"
+packaging/make-man.py build/bin "$root/host/man"
+build/bin/xauto completion bash >"$root/host/completion/xauto"
+if ! env -i PATH=/usr/lib/ccache:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8 CCACHE_DIR=/ccache XAUTO_HOST_DOCS=/host \
+  DEB_BUILD_OPTIONS="parallel=$jobs nocheck noautodbgsym" chroot "$root" \
+  sh -c "cd /src && dpkg-buildpackage --build=any --host-arch=$arch -d -us -uc" >"$out/build.log" 2>&1; then
+  tail -n 30 "$out/build.log" >&2
+  echo "packages: the build for $arch failed; the whole log is $out/build.log" >&2
+  exit 1
+fi
+rm -rf "$out/debs"
+mkdir -p "$out/debs"
+mv "$root"/*.deb "$root"/*.changes "$root"/*.buildinfo "$out/debs"
+ls "$out"/debs/*.deb
