@@ -67,8 +67,10 @@ Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& o
        {loaded.object->maps.head, loaded.object->maps.table, loaded.object->maps.slots,
         loaded.object->maps.jobs, loaded.object->maps.sched, loaded.object->maps.threads})
     XAUTO_TRY(reuse(map, maps));
-  if (const int error = xauto_scx__load(loaded.object); error != 0)
-    return libbpf_failed("the kernel did not accept the scheduler", error);
+  const VerifierLog verifier(loaded.object->obj);
+  const int load_error = xauto_scx__load(loaded.object);
+  verifier.write();
+  if (load_error != 0) return libbpf_failed("the kernel did not accept the scheduler", load_error);
   // By hand: a skeleton of bpftool 7.5 attaches struct_ops only with a newer libbpf than Debian's.
   loaded.link = bpf_map__attach_struct_ops(loaded.object->maps.xauto_ops);
   if (loaded.link == nullptr) return libbpf_failed("enabling the scheduler", errno);

@@ -5,9 +5,13 @@
 #include <cerrno>
 #include <cstdarg>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
+#include <fstream>
 #include <mutex>
 #include <string_view>
+
+#include <sys/utsname.h>
 
 #include "base/log.h"
 
@@ -15,6 +19,7 @@ namespace xauto::kernel {
 namespace {
 
 constexpr std::size_t kLongest = 1u << 17;
+constexpr unsigned kVerifierCounts = 4;  ///< the kernel's BPF_LOG_STATS
 std::mutex g_mutex;
 std::string g_said;  // guarded by g_mutex
 
@@ -60,6 +65,32 @@ tl::unexpected<Error> libbpf_failed(const std::string& what, int error) {
   return fail(denied ? ErrorCode::kPermission : ErrorCode::kUnavailable,
               what + ": " + strerror(error) + (said.empty() ? "" : " (" + said + ")"), {},
               denied ? bpf_hint() : "XAUTO_LOG=debug shows all that libbpf says");
+}
+
+VerifierLog::VerifierLog(bpf_object* object)
+    : path_(secure_getenv("XAUTO_VERIFIER_LOG")), object_(object) {
+  if (path_ == nullptr) return;
+  bpf_program* program = nullptr;
+  bpf_object__for_each_program(program, object)
+      logs_.emplace_back(bpf_program__name(program), std::string(kLongest, '\0'));
+  std::size_t at = 0;
+  bpf_object__for_each_program(program, object) {
+    std::string& log = logs_[at++].second;
+    bpf_program__set_log_buf(program, log.data(), log.size());
+    bpf_program__set_log_level(program, kVerifierCounts);
+  }
+}
+
+void VerifierLog::write() const {
+  if (path_ == nullptr) return;
+  std::ofstream file(path_, std::ios::app);
+  utsname machine{};
+  uname(&machine);
+  file << "# " << bpf_object__name(object_) << " on Linux " << machine.release
+       << "; libbpf: " << (LibbpfMessages::said().empty() ? "no warning" : LibbpfMessages::said())
+       << '\n';
+  for (const auto& [name, log] : logs_) file << name << ":\n" << log.c_str();
+  if (!file) log::warn("cannot write the verifier's log to '{}'", path_);
 }
 
 Status reuse(bpf_map* map, const RunMaps& maps) {

@@ -4,6 +4,8 @@
 #pragma once
 
 #include <string>
+#include <utility>
+#include <vector>
 
 #include <bpf/bpf.h>
 #include <bpf/libbpf.h>
@@ -25,6 +27,21 @@ class LibbpfMessages {
 
 /// An Error from a negative errno of libbpf, with what libbpf said about it.
 [[nodiscard]] tl::unexpected<Error> libbpf_failed(const std::string& what, int error);
+
+/// What the kernel's verifier says of each program of an opened object, if the environment names a
+/// file for it: XAUTO_VERIFIER_LOG=FILE, to which is added. Of an accepted program that is its
+/// counts. Lives until the object is loaded; not thread-safe, since it sets the object's buffers.
+class VerifierLog {
+ public:
+  explicit VerifierLog(bpf_object* object);
+  /// After the loading, whether it went well or not.
+  void write() const;
+
+ private:
+  const char* path_;
+  bpf_object* object_;
+  std::vector<std::pair<std::string, std::string>> logs_;  ///< program, what was said of it
+};
 
 /// Makes `map` of an opened object the run's map of that name.
 [[nodiscard]] Status reuse(bpf_map* map, const RunMaps& maps);

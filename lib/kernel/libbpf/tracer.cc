@@ -53,8 +53,10 @@ Result<Tracer> Tracer::attach(const RunMaps& maps, const TracerOptions& options)
   bpf_map__set_max_entries(of.cpus, static_cast<__u32>(sysconf(_SC_NPROCESSORS_CONF)));
   bpf_map__set_max_entries(of.events,
                            std::bit_ceil(std::max(options.ring_bytes, std::uint32_t{4096})));
-  if (const int error = xauto_trace__load(attached.object); error != 0)
-    return libbpf_failed("the kernel did not accept the tracer", error);
+  const VerifierLog verifier(attached.object->obj);
+  const int load_error = xauto_trace__load(attached.object);
+  verifier.write();
+  if (load_error != 0) return libbpf_failed("the kernel did not accept the tracer", load_error);
   if (const int error = xauto_trace__attach(attached.object); error != 0)
     return libbpf_failed("attaching the tracer", error);
   const auto map_array = [](MappedMap& into, const bpf_map* map, std::size_t size) -> Status {

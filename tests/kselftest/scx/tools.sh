@@ -20,6 +20,7 @@ if [ ! -e /sys/kernel/sched_ext ]; then
   echo "1..0 # SKIP this kernel has no sched_ext"
   exit 4
 fi
+export XAUTO_VERIFIER_LOG=$dir/verifier.log
 driving_cpu --app-json >app.json
 # One CPU, the second: there the order of completion follows from the priorities alone.
 echo '{"schema":"xauto.platform","version":1,"name":"one","xpus":[{"id":"cpu0","type":"cpu","preemptive":true,"preempt_us":0}]}' >one.json
@@ -76,9 +77,33 @@ ok "with another scheduler loaded the app runs under SCHED_FIFO and says so" \
   has "no sched_ext: another sched_ext scheduler is loaded: 'xauto" second.json
 wait $run
 
+# No BTF: an empty folder in its place.
+mkdir -p empty && mount -o bind empty /sys/kernel/btf
+drive nobtf ext 4
+status=$?
+umount /sys/kernel/btf
+ok "without BTF the app runs to its end" [ $status -eq 0 ]
+ok "... under SCHED_FIFO, and says so" has "no sched_ext: this kernel has no BTF" nobtf.json
+ok "... with all activations" [ "$(wc -l <nobtf.order)" -eq 4 ]
 
+# No privilege: somebody else than root.
+chmod 1777 $dir
+su user -s /bin/sh -c "cd $dir && taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations 4 \
+  --period-us 500000 --cpu-sched ext --out plain.json -- driving_cpu --order $dir/plain.order" >plain.out 2>plain.err
+status=$?
+grep -h "no sched_ext\|SCHED_FIFO" plain.err | sed 's/^/# /'
+ok "without privilege the app runs to its end" [ $status -eq 0 ]
+ok "... as ordinary threads, and says why" sh -c 'grep -q "no sched_ext" plain.json && grep -q "SCHED_FIFO" plain.json'
+ok "... and how to get more" has "CAP_SYS_NICE\|root" plain.err
+ok "... with all activations" [ "$(wc -l <plain.order)" -eq 4 ]
 
 . "$(dirname "$0")/trace.sh"
+
+# What the verifier said of everything that was loaded above: counts, and nothing else.
+ok "the verifier's log tells of both objects" sh -c 'grep -q "^# xauto_scx on" verifier.log && grep -q "^# xauto_trace on" verifier.log'
+ok "... and is clean" sh -c '[ -s verifier.log ] && ! grep -vE "^(# .*; libbpf: no warning|[a-z_]+:|(insns )?processed [0-9]+( insns .*)?|verification time .*|stack depth .*)$" verifier.log'
+awk '/^#/ { object = $2 " " $5 } /^[a-z_]+:$/ { program = $1 } /^processed/ { if (!seen[object program]++) print "# verifier: " object " " program " " $2 " instructions" }' \
+  verifier.log
 
 echo "1..$count"
 echo "# pass:$((count - failed)) fail:$failed skip:0"
