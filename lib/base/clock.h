@@ -16,6 +16,8 @@ namespace xauto {
 
 /// Sleeps until `due` on the same clock; returns at once if it has passed.
 inline void sleep_until_ns(std::int64_t due) {
+  // The kernel would set a timer and give the CPU away, even for an instant that has passed.
+  if (now_ns() >= due) return;
   const timespec until{due / 1'000'000'000, due % 1'000'000'000};
   while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr) == EINTR) {
   }
