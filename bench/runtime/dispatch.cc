@@ -92,7 +92,7 @@ Samples run_own_worker(const Dag& dag, std::uint64_t rounds) {
     rt::set_timer_slack_1ns();
     std::vector<int> left(dag.before), ring(static_cast<std::size_t>(dag.nodes));
     for (std::uint32_t seen = 0;;) {
-      while (go.load() == seen && !quit.load()) futex_wait(go, seen);
+      while (go.load() == seen && !quit.load()) futex_wait_local(go, seen);
       if (quit.load()) return;
       seen = go.load();
       left = dag.before;
@@ -106,7 +106,7 @@ Samples run_own_worker(const Dag& dag, std::uint64_t rounds) {
           if (--left[static_cast<std::size_t>(next)] == 0) ring[tail++] = next;
       }
       done.store(seen);
-      futex_wake(done, 1);
+      futex_wake_local(done, 1);
     }
   });
   Samples samples;
@@ -114,13 +114,13 @@ Samples run_own_worker(const Dag& dag, std::uint64_t rounds) {
   for (std::uint32_t k = 1; k <= rounds; ++k) {
     const std::int64_t start = now_ns();
     go.store(k);
-    futex_wake(go, 1);
-    for (std::uint32_t seen; (seen = done.load()) != k;) futex_wait(done, seen);
+    futex_wake_local(go, 1);
+    for (std::uint32_t seen; (seen = done.load()) != k;) futex_wait_local(done, seen);
     samples.add(now_ns() - start);
   }
   quit.store(true);
   go.fetch_add(1);
-  futex_wake(go, 1);
+  futex_wake_local(go, 1);
   worker.join();
   return samples;
 }
@@ -135,12 +135,12 @@ Samples run_thread_per_node(int nodes, std::uint64_t rounds) {
       auto& mine = word[static_cast<std::size_t>(i)];
       auto& next = word[static_cast<std::size_t>(i) + 1];
       for (std::uint32_t seen = 0;;) {
-        while (mine.load() == seen) futex_wait(mine, seen);
+        while (mine.load() == seen) futex_wait_local(mine, seen);
         seen = mine.load();
         if (quit.load()) return;
         node_body();
         next.store(seen);
-        futex_wake(next, 1);
+        futex_wake_local(next, 1);
       }
     });
   Samples samples;
@@ -149,14 +149,14 @@ Samples run_thread_per_node(int nodes, std::uint64_t rounds) {
   for (std::uint32_t k = 1; k <= rounds; ++k) {
     const std::int64_t start = now_ns();
     word[0].store(k);
-    futex_wake(word[0], 1);
-    for (std::uint32_t seen; (seen = last.load()) != k;) futex_wait(last, seen);
+    futex_wake_local(word[0], 1);
+    for (std::uint32_t seen; (seen = last.load()) != k;) futex_wait_local(last, seen);
     samples.add(now_ns() - start);
   }
   quit.store(true);
   for (auto& w : word) {
     w.fetch_add(1);
-    futex_wake(w, 1);
+    futex_wake_local(w, 1);
   }
   for (std::thread& thread : threads) thread.join();
   return samples;
@@ -299,6 +299,7 @@ Samples run_tbb(const Dag& dag, std::uint64_t rounds) {
 void dispatch(const Options& options, Table& table) {
   // Everybody on one core: what is measured is the work, not the inter-processor interrupts.
   if (const Status pinned = rt::pin_to_core(cores().first); !pinned) return;
+  if (options.fifo) (void)rt::set_fifo(45);  // inherited by the threads of all rows
   for (const Dag& dag : {chain(1), chain(3), chain(10), dag40()}) {
     const bool is_chain = dag.nodes != 40;
     const double n = dag.nodes;

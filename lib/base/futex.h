@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Futexes on words in memory shared between processes.
+// Futexes on words in memory shared between processes, and on those of one process.
 #pragma once
 
 #include <atomic>
@@ -22,16 +22,23 @@ inline void futex_wait(std::atomic<std::uint32_t>& word, std::uint32_t expected,
           0);
 }
 
-/// Without the limit: for words of one process, whose waker cannot die alone. A thread that sleeps
-/// so is woken once per job and never in between.
-inline void futex_wait_forever(std::atomic<std::uint32_t>& word, std::uint32_t expected) {
-  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAIT, expected, nullptr,
-          nullptr, 0);
-}
-
 inline void futex_wake(std::atomic<std::uint32_t>& word, int waiters) {
   syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAKE, waiters, nullptr, nullptr,
           0);
+}
+
+/// The same for words that only this process knows: the kernel has no page to look up. Without a
+/// limit by default, since such a waker cannot die alone.
+inline void futex_wait_local(std::atomic<std::uint32_t>& word, std::uint32_t expected,
+                             std::int64_t limit_ns = -1) {
+  const timespec limit{limit_ns / 1'000'000'000, limit_ns % 1'000'000'000};
+  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAIT_PRIVATE, expected,
+          limit_ns < 0 ? nullptr : &limit, nullptr, 0);
+}
+
+inline void futex_wake_local(std::atomic<std::uint32_t>& word, int waiters) {
+  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAKE_PRIVATE, waiters, nullptr,
+          nullptr, 0);
 }
 
 }  // namespace xauto

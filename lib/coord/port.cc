@@ -122,12 +122,12 @@ bool Port::contended() const {
   return (shm_.header->owner.load(std::memory_order_relaxed) & (kFat | kParked)) != 0;
 }
 
-void Port::begin(const Job& job) {
+void Port::begin(const Job& job, std::int64_t now_ns) {
   job_ = job;
   waits_ = false;
   if (lost()) return;
   generation_ = (generation_ + 1) & kGenerationMask;
-  switch (words_.start(slot_, generation_, job, static_cast<std::uint64_t>(now_ns()))) {
+  switch (words_.start(slot_, generation_, job, static_cast<std::uint64_t>(now_ns))) {
     case Started::kRuns:
       return;
     case Started::kDecided:
@@ -139,14 +139,15 @@ void Port::begin(const Job& job) {
   waits_ = true;
 }
 
-void Port::wait() {
-  if (!waits_) return;
+bool Port::wait() {
+  if (!waits_) return false;
   std::atomic<std::uint32_t>& grant = shm_.slots[slot_].coordinator.grant;
   while (!lost() && !interrupted_.load(std::memory_order_relaxed)) {
     const std::uint32_t seen = grant.load(std::memory_order_acquire);
-    if (seen == generation_) return;
+    if (seen == generation_) break;
     futex_wait(grant, seen);
   }
+  return true;
 }
 
 void Port::finish() {

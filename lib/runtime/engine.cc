@@ -780,7 +780,7 @@ bool Engine::wait_drained(std::int64_t timeout_ns) {
     if (left != last) since = now_ns();
     last = left;
     if (now_ns() - since > timeout_ns) return false;
-    futex_wait(in_flight_, left);
+    futex_wait_local(in_flight_, left, 50'000'000);
   }
 }
 
@@ -796,14 +796,13 @@ void Engine::activate(int module) {
 }
 
 void Engine::done(int module, std::int64_t origin_ns, std::uint64_t sequence) {
-  const std::int64_t now = now_ns();
   board_->module(module).activations.fetch_add(1, std::memory_order_relaxed);
   if (trace_)
     trace_->write(XAUTO_EV_DONE, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
                   XAUTO_EV_NONE);
   if (graph_.modules[static_cast<std::size_t>(module)].sink || routes_->end_at(module))
     through(module, sequence, origin_ns,
-            modules_[static_cast<std::size_t>(module)]->origins().get(), now, false);
+            modules_[static_cast<std::size_t>(module)]->origins().get(), now_ns(), false);
 }
 
 /// A sink module, or one where a chain ends, is through with release `sequence`; known here, or
@@ -869,7 +868,7 @@ void Engine::account(int module, std::uint64_t sequence, std::int64_t now, bool 
   }
   if (complete == 0) return;
   in_flight_.fetch_sub(complete);
-  futex_wake(in_flight_, 1);
+  futex_wake_local(in_flight_, 1);
 }
 
 /// What this process has to tell, apart from counts.

@@ -70,14 +70,14 @@ Watchdog::Watchdog(std::int64_t period_ns, std::function<void(std::int64_t)> loo
     : thread_([this, period_ns, look = std::move(look)] {
         rt::set_thread_name("xauto/watch");
         while (quit_.load() == 0) {
-          futex_wait(quit_, 0, period_ns);
+          futex_wait_local(quit_, 0, period_ns);
           if (quit_.load() == 0) look(now_ns());
         }
       }) {}
 
 void Watchdog::stop() {
   quit_.store(1);
-  futex_wake(quit_, INT_MAX);
+  futex_wake_local(quit_, INT_MAX);
   if (thread_.joinable()) thread_.join();
 }
 

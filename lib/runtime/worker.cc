@@ -16,6 +16,7 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kQuit = UINT32_MAX;
+constexpr std::int64_t kLookNs = 50'000'000;  ///< how often a stopping thread looks at the time
 
 }  // namespace
 
@@ -56,7 +57,7 @@ Status Worker::start() {
     if (good) execute();
     thread_->leave();
     ended_.store(1);
-    futex_wake(ended_, INT_MAX);
+    futex_wake_local(ended_, INT_MAX);
   });
   return started.get();
 }
@@ -106,12 +107,12 @@ bool Worker::stop(std::int64_t patience_ns) {
   // The mailbox may still hold a job: it is taken first, then we leave.
   while (exec_.joinable() && !mailbox_.compare_exchange_weak(empty, kQuit) && patient()) {
     if (port_) port_->interrupt();
-    futex_wait(mailbox_, empty);
+    futex_wait_local(mailbox_, empty, kLookNs);
     empty = 0;
   }
-  futex_wake(mailbox_, INT_MAX);
+  futex_wake_local(mailbox_, INT_MAX);
   if (port_) port_->interrupt();
-  while (exec_.joinable() && ended_.load() == 0 && patient()) futex_wait(ended_, 0);
+  while (exec_.joinable() && ended_.load() == 0 && patient()) futex_wait_local(ended_, 0, kLookNs);
   const bool returned = !exec_.joinable() || ended_.load() != 0;
   if (exec_.joinable()) {
     if (returned)
@@ -132,7 +133,7 @@ void Worker::submit(std::size_t node) {
   thread_->announce(chain_.nodes[node].xnode, chain_.runtime->input().sequence(),
                     chain_.nodes[node].fifo_priority);
   mailbox_.store(static_cast<std::uint32_t>(node) + 1, std::memory_order_release);
-  futex_wake(mailbox_, 1);
+  futex_wake_local(mailbox_, 1);
 }
 
 void Worker::skip(std::size_t position, std::uint64_t sequence) {
@@ -145,7 +146,7 @@ void Worker::execute() {
     const std::uint32_t mail = mailbox_.load(std::memory_order_acquire);
     if (mail == kQuit) return;
     if (mail == 0) {
-      futex_wait_forever(mailbox_, 0);
+      futex_wait_local(mailbox_, 0);
       continue;
     }
     mailbox_.store(0, std::memory_order_release);
@@ -171,7 +172,7 @@ void Worker::run_lane() {
 void Worker::show_lane() {
   for (Ready& job : t_home->lane_) {
     if (job.begun) continue;
-    job.worker->begin(job.worker->chain_.nodes[job.node]);
+    (void)job.worker->begin(job.worker->chain_.nodes[job.node]);
     job.begun = true;
   }
 }
@@ -193,20 +194,28 @@ void Worker::run_chain(std::size_t node, bool begun) {
   chain_.runtime->finish(true);
 }
 
-/// START, without waiting for what comes of it.
-void Worker::begin(Placed& placed) {
+/// START, without waiting for what comes of it. Returns when that was.
+std::int64_t Worker::begin(Placed& placed) {
   const Input& input = chain_.runtime->input();
   current_.store(&placed, std::memory_order_release);
   record(XAUTO_EV_START, placed);
-  port_->begin({placed.xnode, input.sequence(), placed.priority});
+  const std::int64_t now = now_ns();
+  port_->begin({placed.xnode, input.sequence(), placed.priority}, now);
+  return now;
 }
 
 bool Worker::run_job(Placed& placed, bool begun) {
   const Input& input = chain_.runtime->input();
   thread_->next(placed.xnode, input.sequence(), placed.fifo_priority);
+  std::int64_t since = 0;  // the clock is read once, if START and RUN are one
   if (port_) {
-    if (!begun) begin(placed);
-    port_->wait();
+    if (!begun) since = begin(placed);
+    if (port_->wait()) since = 0;
+  }
+  if (thread_->observed()) {
+    if (since == 0) since = now_ns();
+    thread_->begin(since);
+    thread_->hold(since);
   }
   record(XAUTO_EV_RUN, placed);
   const bool limited = placed.limits.any();
@@ -227,27 +236,13 @@ bool Worker::run_job(Placed& placed, bool begun) {
     if (shares_ && !t_home->lane_.empty() && port_->contended()) show_lane();
     port_->finish();
   }
+  thread_->end();
+  if (thread_->observed()) thread_->release(now_ns());
   record(XAUTO_EV_FINISH, placed, succeeded ? 0 : 1);
   return succeeded;
 }
 
 void Worker::record(std::uint16_t kind, const Placed& placed, std::uint32_t arg) {
-  switch (kind) {  // for those who watch from outside: xauto top, xauto trace
-    case XAUTO_EV_RUN:
-      thread_->begin(now_ns());
-      [[fallthrough]];
-    case XAUTO_EV_RESUMED:
-      thread_->hold(now_ns());
-      break;
-    case XAUTO_EV_FINISH:
-      thread_->end();
-      [[fallthrough]];
-    case XAUTO_EV_SUSPENDED:
-      thread_->release(now_ns());
-      break;
-    default:
-      break;
-  }
   if (trace_ != nullptr)
     trace_->write(
         kind, chain_.runtime->input().sequence(), static_cast<std::uint16_t>(placed.xnode),

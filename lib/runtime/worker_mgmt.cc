@@ -28,6 +28,7 @@ void Worker::manage() {
         if (done) {
           suspended = job->handle;
           watch_.away(now_ns());
+          thread_->release(now_ns());
           record(XAUTO_EV_SUSPENDED, *job);
         } else {
           log::debug("{}: not suspended: {}", options_.name, done.error().to_string());
@@ -43,6 +44,7 @@ void Worker::manage() {
           suspended.reset();
           watch_.back(now_ns());
         }
+        thread_->hold(now_ns());
         record(XAUTO_EV_RESUMED, *job);
         port_->acknowledge(true);
         break;

@@ -200,14 +200,13 @@ void ModuleRuntime::finish(bool succeeded) {
   }
   const std::int64_t origin_ns = input_.origin().count();
   const std::uint64_t sequence = input_.sequence();
-  std::vector<std::shared_ptr<const void>> messages;
   if (succeeded) {
     try {
       for (std::size_t i = 0; i < module_.spec->outputs.size(); ++i) {
         const detail::OutputSpec& output = module_.spec->outputs[i];
-        messages.push_back(memories_[i] != nullptr && output.take_in
-                               ? output.take_in(state_.get(), memories_[i])
-                               : output.take(state_.get()));
+        taken_.push_back(memories_[i] != nullptr && output.take_in
+                             ? output.take_in(state_.get(), memories_[i])
+                             : output.take(state_.get()));
       }
     } catch (...) {  // a user's copy constructor: as if the last exec had failed
       succeeded = false;
@@ -215,9 +214,10 @@ void ModuleRuntime::finish(bool succeeded) {
   }
   if (succeeded) {
     host_.done(index_, origin_ns, sequence);
-    for (std::size_t i = 0; i < messages.size(); ++i)
-      outputs_[i]->publish({std::move(messages[i]), origin_ns, sequence, origins_});
+    for (std::size_t i = 0; i < taken_.size(); ++i)
+      outputs_[i]->publish({std::move(taken_[i]), origin_ns, sequence, origins_});
   }
+  taken_.clear();
   bool again;
   std::uint64_t skip_below = 0;
   std::vector<Lost> lost;
@@ -248,8 +248,8 @@ bool ModuleRuntime::abandon(std::uint64_t sequence) {
     lost.push_back({sequence, sequence, XAUTO_DROP_HUNG});
     if (single_rate_) skip_below_ = std::max(skip_below_, sequence + 1);
     for (Slot& slot : slots_)
-      for (const detail::Envelope& waiting : std::exchange(slot.waiting, {}))
-        lose_while_hung(slot, waiting, lost);
+      for (auto waiting = std::exchange(slot.waiting, {}); !waiting.empty(); waiting.pop_front())
+        lose_while_hung(slot, waiting.front(), lost);
     skip_below = std::exchange(skip_below_, 0);
   }
   tell(lost, skip_below);

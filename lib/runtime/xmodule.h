@@ -18,13 +18,13 @@
 
 #include <atomic>
 #include <cstdint>
-#include <deque>
 #include <functional>
 #include <memory>
 #include <mutex>
 #include <vector>
 
 #include "base/pi_mutex.h"
+#include "base/ring.h"
 #include "model/deployment.h"
 #include "runtime/graph.h"
 #include "transport/topic.h"
@@ -86,8 +86,8 @@ class ModuleRuntime {
 
  private:
   struct Slot {
-    std::deque<detail::Envelope> waiting;  ///< in order; at most one unless queued
-    std::uint64_t expected = 0;            ///< single rate: number of the next message
+    Ring<detail::Envelope> waiting;  ///< in order; at most one unless queued
+    std::uint64_t expected = 0;      ///< single rate: number of the next message
   };
   /// Releases first..last were lost for `reason`; told to the host without the mutex.
   struct Lost {
@@ -111,6 +111,8 @@ class ModuleRuntime {
   ModuleHost& host_;
   std::vector<const transport::Channel*> outputs_;
   std::vector<MessageMemory*> memories_;  ///< of the outputs; null: the heap
+  std::vector<std::shared_ptr<const void>>
+      taken_;  ///< of finish; a member, so that it keeps its memory
   std::vector<detail::TopicSpec> topics_;
   std::shared_ptr<void> state_;
 

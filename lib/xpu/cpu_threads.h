@@ -46,6 +46,8 @@ class CpuThread {
   void expect(std::uint32_t xnode) const { (void)slot_.tell(xnode, XAUTO_BPF_JOB_EXPECTED); }
   /// The next job, now. `fifo`: its SCHED_FIFO priority, used without sched_ext; 0: leave it.
   void next(std::uint32_t xnode, std::uint64_t sequence, int fifo);
+  /// Whether anybody sees the following: without BPF, nobody.
+  [[nodiscard]] bool observed() const;
   void begin(std::int64_t now_ns) const { slot_.begin(now_ns); }
   void end() const { slot_.end(); }
   void hold(std::int64_t now_ns) const { slot_.hold(now_ns); }
@@ -92,5 +94,9 @@ class CpuThreads {
   std::string note_;                 ///< guarded by mutex_
   kernel::ThreadSlots slots_;
 };
+
+inline bool CpuThread::observed() const {
+  return all_.slots_.observed();
+}
 
 }  // namespace xauto::xpu
