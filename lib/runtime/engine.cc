@@ -530,7 +530,8 @@ Result<RunReport> Engine::run_whole() {
       result.note += (result.note.empty() ? "" : "; ") + std::to_string(lost) +
                      " messages to this process were lost in full queues";
   }
-  result.complete = drained && !stop_.load();
+  // A run without an end of its own is complete when it has been told to stop.
+  result.complete = drained && (!stop_.load() || session_.activations == 0);
   if (!drained) {
     result.note += (result.note.empty() ? "" : "; ");
     result.note += in_flight_.load() > 0
