@@ -6,6 +6,8 @@
 
 #include <algorithm>
 #include <map>
+#include <optional>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -18,7 +20,8 @@ using Track = PerfettoWriter::Track;
 using Details = PerfettoWriter::Details;
 
 /// Puts slices on one track so that they nest whatever their times are: a child is cut to its
-/// parent, a slice to the next one of its depth. Slices come by begin, parents first.
+/// parent, a slice to the next one of its depth. A switch that began before the next job was let on
+/// goes on inside that one. Slices come by begin, parents first.
 class Nest {
  public:
   Nest(PerfettoWriter& out, Track track) : out_(out), track_(track) {}
@@ -30,11 +33,16 @@ class Nest {
            Details details = {}) {
     begin = std::max(begin, last_);
     leave(depth, begin);
+    std::optional<Switch> rest = std::exchange(switch_, std::nullopt);
+    if (depth > 0 && stack_.empty() && details.category == "switch")
+      switch_ = Switch{end, name, details};
     if (!stack_.empty()) end = std::min(end, stack_.back().end);
     end = std::max(begin, end);
     out_.begin(track_, begin, name, std::move(details));
     stack_.push_back({depth, end});
     last_ = begin;
+    if (rest && depth == 0 && rest->end > begin)
+      add(1, begin, rest->end, rest->name, std::move(rest->details));
   }
 
   void instant(std::int64_t ts, const std::string& name, Details details = {}) {
@@ -48,6 +56,11 @@ class Nest {
     int depth;
     std::int64_t end;
   };
+  struct Switch {  ///< the last slice, if it is a switch in no job
+    std::int64_t end;
+    std::string name;
+    Details details;
+  };
   void leave(int depth, std::int64_t now) {
     while (!stack_.empty() && (stack_.back().depth >= depth || stack_.back().end <= now)) {
       last_ = std::max(last_, std::min(stack_.back().end, now));
@@ -58,6 +71,7 @@ class Nest {
   PerfettoWriter& out_;
   Track track_;
   std::vector<Open> stack_;
+  std::optional<Switch> switch_;
   std::int64_t last_ = 0;
 };
 

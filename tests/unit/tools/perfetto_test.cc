@@ -183,6 +183,25 @@ TEST(Perfetto, AJobThatIsLetOnDuringTheSwitchIsNotCut) {
                 {"big.infer", 99'000}, {"switch: big.infer", 29'000}, {"cam.infer", 200'000}}));
 }
 
+TEST(Perfetto, ASwitchThatBeganBeforeTheNextJobGoesOnInsideIt) {
+  Tiny tiny;
+  tiny.at(0, XAUTO_EV_PUBLISH, 0);
+  tiny.at(1, XAUTO_EV_RUN, 0, 2, 1, 1);
+  tiny.at(98, XAUTO_EV_SUSPEND, 0, 2, 1, 1);
+  tiny.at(100, XAUTO_EV_RUN, 0, 1, 0, 1);
+  tiny.at(130, XAUTO_EV_SUSPENDED, 0, 2, 1, 1);
+  tiny.at(300, XAUTO_EV_FINISH, 0, 1, 0, 1);
+  tiny.at(310, XAUTO_EV_RUN, 0, 0, 0, 0);
+  const Viewed viewed(tiny.file());
+  std::string seen;
+  for (const Slice& s : viewed.slices.at(kRoot + "run/gpu0"))
+    seen += s.name + " " + std::to_string(s.begin / 1000 - 1000) + "-" +
+            std::to_string(s.end / 1000 - 1000) + " in " + std::to_string(s.depth) + "\n";
+  EXPECT_EQ(seen,
+            "big.infer 1-98 in 0\nswitch: big.infer 98-100 in 0\n"
+            "switch: big.infer 100-130 in 1\ncam.infer 100-300 in 0\n");
+}
+
 TEST(Perfetto, ArrowsGoFromTheReleaseAlongTheEdgesToTheOutputs) {
   Tiny tiny;
   tiny.release(0, 0);
