@@ -9,6 +9,10 @@ for tool in dh dh_dkms dpkg-buildpackage; do
   command -v $tool >/dev/null || { echo "package-build: $tool is missing; run scripts/setup.sh package" >&2; exit 1; }
 done
 [ -e "$build/lib/libxauto.so.0" ] || { echo "package-build: $build holds no finished build" >&2; exit 1; }
+version=$(sed -n 's/^project(xauto VERSION \([0-9.]*\).*/\1/p' "$root/CMakeLists.txt")
+packaged=$(dpkg-parsechangelog -l "$root/debian/changelog" -S Version)
+[ "$version" = "$packaged" ] ||
+  { echo "package-build: CMakeLists.txt says version $version, debian/changelog $packaged" >&2; exit 1; }
 
 # debhelper writes beside debian/, so it gets a copy of what it packages, not the working tree.
 stage=$out/stage/xauto

@@ -33,6 +33,10 @@ root=$out/work/root
 mkdir -p "$root" "$out/work/tmp"
 tar=$(TMPDIR=$out/work/tmp scripts/package-root.sh "$arch")
 tar -xf "$tar" -C "$root"
+triplet=$(dpkg-architecture -a"$arch" -qDEB_HOST_MULTIARCH 2>/dev/null)
+printf '#!/bin/sh\nPKG_CONFIG_LIBDIR=/usr/lib/%s/pkgconfig:/usr/share/pkgconfig exec pkg-config "$@"\n' "$triplet" >"$root/usr/local/bin/pkg-config-$arch"
+chmod 755 "$root/usr/local/bin/pkg-config-$arch"
+ln -sf "/usr/local/bin/pkg-config-$arch" "$root/usr/bin/$triplet-pkg-config"
 mount -t proc proc "$root/proc"
 mount --rbind /dev "$root/dev"
 mkdir -p "$root/src" "$root/host" "$root/ccache"

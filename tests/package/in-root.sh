@@ -93,6 +93,14 @@ use() {
   absent grep xauto /proc/net/unix
   [ -z "$(ls -A /dev/shm)" ]
 }
+# As xauto@.service runs it: without root, until it is told to stop, which is a good end.
+without_root() {
+  cd /tmp/template
+  timeout --preserve-status -s TERM 3 setpriv --reuid 65534 --regid 65534 --clear-groups xauto run --app app.json --platform small --emulate \
+    --policy policy.json --activations 0 -- build/template 2>&1 | tee said
+  grep -E 'template: [1-9][0-9]* frames tracked' said
+  grep -F 'stopped by the user' said
+}
 dependencies_there() {
   local program
   for program in /usr/libexec/xauto/* "/usr/lib/$triplet/libxauto.so.0"; do
@@ -136,7 +144,8 @@ check "each installed header compiles alone" headers_alone
 check "the template app builds with find_package(xauto)" with_cmake
 check "the template app builds with pkg-config" with_pkgconfig
 check "find_package() refuses a version that is not there" newer_wanted
-check "profile, solve, check, run, report; no socket and no shared memory is left" unshare --net bash -ec use
+check "profile, solve, check, run, report; no socket and no shared memory is left" unshare --net bash -eo pipefail -c use
+check "runs without root until it is told to stop" without_root
 check "a man page for each verb" pages
 check "bash completes verbs" completion
 check "the systemd unit and tmpfiles are valid" unit
