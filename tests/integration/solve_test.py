@@ -13,8 +13,8 @@ import unittest
 from common import XAUTO, xauto
 
 MOST_KIB = 500 * 1024
-# AddressSanitizer keeps freed memory in a quarantine (256 MiB of it by default), which is its memory, not the solver's.
-SMALL_QUARANTINE = {**os.environ, "ASAN_OPTIONS": os.environ.get("ASAN_OPTIONS", "") + ":quarantine_size_mb=16"}
+# AddressSanitizer keeps freed memory in a quarantine, and every stack that ever allocated: its memory, not the solver's.
+LITTLE_OF_ASAN = {**os.environ, "ASAN_OPTIONS": os.environ.get("ASAN_OPTIONS", "") + ":quarantine_size_mb=16:malloc_context_size=1"}
 
 
 class Solve(unittest.TestCase):
@@ -35,7 +35,7 @@ class Solve(unittest.TestCase):
         policy.unlink(missing_ok=True)
         with open(self.at / "out", "w+") as out, open(self.at / "err", "w+") as err:
             process = subprocess.Popen([XAUTO, "solve", "--app", app, "--platform", "small", "--out", policy,
-                                        *map(str, arguments)], stdout=out, stderr=err, env=SMALL_QUARANTINE)
+                                        *map(str, arguments)], stdout=out, stderr=err, env=LITTLE_OF_ASAN)
             if interrupt_after_s is not None:
                 time.sleep(interrupt_after_s)
                 os.kill(process.pid, signal.SIGINT)  # a zombie takes it too
