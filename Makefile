@@ -56,6 +56,12 @@ bench:
 	@scripts/setup.sh build bench
 	@JOBS=$(JOBS) scripts/bench.sh
 
+# The API's reference: build/docs/html/index.html.
+docs:
+	@scripts/setup.sh check
+	@scripts/check-api-docs.sh
+	@echo "build/docs/html/index.html"
+
 format:
 	@scripts/setup.sh check
 	@scripts/sources.sh | xargs clang-format -i
@@ -71,4 +77,4 @@ setup:
 clean:
 	@rm -rf build build-asan build-tsan build-fuzz
 
-.PHONY: all build demo pedestrians check kernel-check packages package-check modules style unit asan tsan fuzz bench format tidy setup clean
+.PHONY: all build demo pedestrians check kernel-check packages package-check modules style unit asan tsan fuzz bench docs format tidy setup clean

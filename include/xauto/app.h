@@ -35,20 +35,23 @@ struct SourceSpec {
 ///   }
 class App {
  public:
+  /// `name` is what the tools and app.json call the app.
   explicit App(std::string name);
   ~App();
   App(const App&) = delete;
   App& operator=(const App&) = delete;
 
+  /// Adds a module. XNodes that are appended to it later still count, until check() or main().
   template <class State>
   App& add_module(const XModule<State>& module) {
     add_module_spec(module.spec_);
     return *this;
   }
 
-  /// A sensor: publishes `make(sequence)` on `topic` every `period`. Sources of equal period
-  /// release at the same instants. With a recorded input, the recording's messages of this topic
-  /// come instead.
+  /// A sensor: publishes `make(sequence)`, a T, on `topic` every `period` (more than 0), from
+  /// sequence 0 on. `make` is called before the release is due, on one thread for all sources; if
+  /// it throws a std::exception, the run ends with the message. Sources of equal period release at
+  /// the same instants. With a recorded input, the recording's messages of this topic come instead.
   template <class T, class Make>
   App& add_source(const Topic<T>& topic, std::chrono::microseconds period, Make make) {
     auto shared = std::make_shared<Make>(std::move(make));
@@ -64,7 +67,8 @@ class App {
   }
 
   /// Calls `callback(const T&, sequence)` for each message on `topic`, on the publishing thread: be
-  /// short. Several observers of one topic are called in the order of registration.
+  /// short. Several observers of one topic are called in the order of registration. What it throws
+  /// is logged.
   template <class T, class Callback>
   App& on_message(const Topic<T>& topic, Callback callback) {
     add_observer_spec(detail::topic_spec(topic), [callback = std::move(callback)](
@@ -78,7 +82,7 @@ class App {
   App& on_end(std::function<void()> callback);
 
   /// Everything that is wrong with the graph as declared: names each module, XNode and topic
-  /// involved.
+  /// involved. Error: kInvalid.
   [[nodiscard]] Status check() const;
 
   /// The whole program: does what the `xauto` tool that started this process asks (run, profile,

@@ -20,14 +20,18 @@ class Context {
   /// `xauto` tool with an emulated platform, or the emulator is gone.
   [[nodiscard]] static Result<Context> open(const XpuId& xpu);
 
+  /// A context that was moved from may only be assigned to or destroyed.
   Context(Context&&) noexcept;
+  /// As the constructor.
   Context& operator=(Context&&) noexcept;
   ~Context();
 
   /// Submits work that takes `duration` alone on the XPU and waits until the XPU has finished it.
-  /// Takes longer in wall time when the XPU is shared or the context is suspended.
+  /// Takes longer in wall time when the XPU is shared or the context is suspended. `duration` is
+  /// not negative. Error: kUnavailable when the emulator is gone.
   [[nodiscard]] Status run(std::chrono::microseconds duration);
 
+  /// What `init` returns, so that the runtime can suspend this context.
   [[nodiscard]] SchedHandle handle() const;
 
  private:

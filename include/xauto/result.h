@@ -23,10 +23,10 @@ enum class ErrorCode {
 
 /// One failure, written for the person who has to act on it.
 struct Error {
-  ErrorCode code = ErrorCode::kInternal;
-  std::string what;   ///< what was wrong, with the offending value
-  std::string where;  ///< file, field, XNode, XPU: the place; may be empty
-  std::string hint;   ///< what to do about it; may be empty
+  ErrorCode code = ErrorCode::kInternal;  ///< the kind, for programs
+  std::string what;                       ///< what was wrong, with the offending value
+  std::string where;                      ///< file, field, XNode, XPU: the place; may be empty
+  std::string hint;                       ///< what to do about it; may be empty
 
   /// "where: what" and, on a second line, "hint: ...".
   [[nodiscard]] std::string to_string() const {
@@ -39,8 +39,10 @@ struct Error {
 /// A value or an Error. `[[nodiscard]]` comes with tl::expected.
 template <class T>
 using Result = tl::expected<T, Error>;
+/// Done, or an Error.
 using Status = Result<void>;
 
+/// The Error to return: `return fail(ErrorCode::kNotFound, "no such file", path);`
 [[nodiscard]] inline tl::unexpected<Error> fail(ErrorCode code, std::string what,
                                                 std::string where = {}, std::string hint = {}) {
   return tl::unexpected<Error>(Error{code, std::move(what), std::move(where), std::move(hint)});

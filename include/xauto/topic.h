@@ -23,8 +23,10 @@ namespace xauto {
 template <class T>
 class Topic {
  public:
-  using Message = T;
+  using Message = T;  ///< what travels on it
+  /// `name` is the topic's; two topics of one name are the same topic.
   explicit Topic(std::string name) : name_(std::move(name)) {}
+  /// As given.
   [[nodiscard]] const std::string& name() const { return name_; }
 
  private:
@@ -36,16 +38,20 @@ class Topic {
 /// Plain data is stored in the memory layout of this machine: declare it without padding.
 template <class T, class Enable = void>
 struct Codec {
+  /// Whether the type can leave the process and be recorded.
   static constexpr bool kAvailable = false;
 };
+/// Plain data: its bytes.
 template <class T>
 struct Codec<T, std::enable_if_t<std::is_trivially_copyable_v<T> && !std::is_pointer_v<T>>> {
-  static constexpr bool kAvailable = true;
+  static constexpr bool kAvailable = true;  ///< yes
+  /// The bytes of a message.
   static std::vector<std::byte> encode(const T& message) {
     std::vector<std::byte> bytes(sizeof(T));
     std::memcpy(bytes.data(), &message, sizeof(T));
     return bytes;
   }
+  /// A message of these bytes; throws std::runtime_error when there are more or fewer than a T has.
   static T decode(std::span<const std::byte> bytes) {
     if (bytes.size() != sizeof(T))
       throw std::runtime_error("message of " + std::to_string(bytes.size()) + " bytes, expected " +
@@ -55,21 +61,27 @@ struct Codec<T, std::enable_if_t<std::is_trivially_copyable_v<T> && !std::is_poi
     return message;
   }
 };
+/// Bytes, as they are.
 template <>
 struct Codec<std::vector<std::byte>> {
-  static constexpr bool kAvailable = true;
+  static constexpr bool kAvailable = true;  ///< yes
+  /// The bytes of a message.
   static std::vector<std::byte> encode(const std::vector<std::byte>& m) { return m; }
+  /// A message of these bytes.
   static std::vector<std::byte> decode(std::span<const std::byte> b) {
     return {b.begin(), b.end()};
   }
 };
+/// Text, without an end mark.
 template <>
 struct Codec<std::string> {
-  static constexpr bool kAvailable = true;
+  static constexpr bool kAvailable = true;  ///< yes
+  /// The bytes of a message.
   static std::vector<std::byte> encode(const std::string& m) {
     const auto* data = reinterpret_cast<const std::byte*>(m.data());
     return {data, data + m.size()};
   }
+  /// A message of these bytes.
   static std::string decode(std::span<const std::byte> b) {
     return {reinterpret_cast<const char*>(b.data()), b.size()};
   }
@@ -164,6 +176,7 @@ class Input {
   [[nodiscard]] std::chrono::nanoseconds origin() const {
     return std::chrono::nanoseconds(origin_ns_);
   }
+  /// Number of that release, from 0 on.
   [[nodiscard]] std::uint64_t sequence() const { return sequence_; }
 
  private:

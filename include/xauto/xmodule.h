@@ -46,8 +46,11 @@ struct XModuleSpec {
 template <class State>
 class XModule {
  public:
+  /// `name` must be unique in the app. The state is made by `State()`, once per run.
   explicit XModule(std::string name)
       : XModule(std::move(name), [] { return std::make_shared<State>(); }) {}
+  /// The same with a factory, for a State that is not default-constructible. It must not return
+  /// null; what it throws ends the run.
   XModule(std::string name, std::function<std::shared_ptr<State>()> make_state)
       : spec_(std::make_shared<detail::XModuleSpec>()) {
     spec_->name = std::move(name);
@@ -57,7 +60,7 @@ class XModule {
     };
   }
 
-  /// Appends `node` to the chain.
+  /// Appends `node` to the chain. One that is in it already is reported by App::check().
   XModule& add_node(const XNode<State>& node) {
     for (const auto& other : spec_->nodes)
       if (other == node.spec_ || other->name == node.spec_->name)
@@ -67,6 +70,7 @@ class XModule {
     return *this;
   }
 
+  /// The module fires when each of its input topics has a new message. At least one is needed.
   template <class T>
   XModule& add_input_topic(const Topic<T>& topic) {
     spec_->inputs.push_back(detail::topic_spec(topic));
@@ -97,6 +101,7 @@ class XModule {
     return *this;
   }
 
+  /// As given.
   [[nodiscard]] const std::string& name() const { return spec_->name; }
 
  private:

@@ -39,6 +39,7 @@ struct XNodeSpecErased {
 template <class State>
 class XNode {
  public:
+  /// `name` must be unique in the app; by convention "module.stage".
   explicit XNode(std::string name) : spec_(std::make_shared<detail::XNodeSpecErased>()) {
     spec_->name = std::move(name);
     spec_->state = typeid(State);
@@ -77,6 +78,7 @@ class XNode {
     return *this;
   }
 
+  /// As given.
   [[nodiscard]] const std::string& name() const { return spec_->name; }
 
  private:

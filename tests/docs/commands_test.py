@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every command in README.md and docs/tutorial.md is run, in order, and must print what the page shows.
+
+A ```console block holds `$ command` lines, each followed by what it prints to stdout. Compared up to numbers (each is
+a #), instances of XPUs (times decide which), runs of blanks and rulers; `...` on a line of its own stands for any lines, `…` inside a line for any text. Every
+command must end with status 0. Where a number says how long something took, no page can be wrong about it.
+
+The folder is a temporary checkout: links to this one, a `build` of its own that links to what is built, its own home.
+`make`, which would build again, is asked whether it knows the target (`make -n`); `make demo` runs what it
+runs after building, with fewer activations."""
+import os
+import pathlib
+import re
+import shlex
+import subprocess
+import tempfile
+import unittest
+
+SOURCE = pathlib.Path(__file__).resolve().parents[2]
+BIN = pathlib.Path(os.environ.get("XAUTO_BIN", SOURCE / "build/bin"))
+PAGES = ("README.md", "docs/tutorial.md")
+TIMEOUT_S = 200  # of one command
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+def normal(line):
+    line = re.sub(r"[-=_|]{3,}", "---", line)
+    line = re.sub(r"\b(?:cpu|gpu|dla)(?=\d)", "xpu", line)
+    return re.sub(r"\s+", " ", NUMBER.sub("#", line)).strip()
+
+
+def difference(shown, printed):
+    """What is wrong with the shown lines, or None."""
+    shown = [line for line in map(normal, shown)]
+    printed = [line for line in map(normal, printed)]
+    while printed and not printed[-1]:
+        printed.pop()
+    while shown and not shown[-1]:
+        shown.pop()
+
+    def matches(line, text):
+        return re.fullmatch(".*".join(map(re.escape, line.split("…"))), text) is not None
+
+    # at[i]: how many printed lines the first i shown lines can have used up.
+    at = [{0}]
+    for line in shown:
+        if line == "...":
+            at.append(set(range(min(at[-1]), len(printed) + 1)))
+        else:
+            at.append({p + 1 for p in at[-1] if p < len(printed) and matches(line, printed[p])})
+        if not at[-1]:
+            tried = sorted(p for p in at[-2] if p < len(printed))
+            got = f"printed is: {printed[tried[0]]}" if tried else "nothing more is printed"
+            return f"shown is: {line}\n  {got}"
+    if len(printed) not in at[-1]:
+        return f"not shown is: {printed[max(at[-1])]}"
+    return None
+
+
+def blocks(text):
+    """(line number, command, shown lines) of each console block."""
+    found, inside, number = [], False, 0
+    for line in text.splitlines():
+        number += 1
+        if line.startswith("```"):
+            inside = not inside and line.strip() == "```console"
+        elif inside and line.startswith("$ "):
+            found.append((number, line[2:], []))
+        elif inside and found and found[-1][1].endswith("\\"):
+            found[-1] = (found[-1][0], found[-1][1][:-1] + line.strip(), [])
+        elif inside and found:
+            found[-1][2].append(line)
+        elif inside:
+            raise ValueError(f"line {number}: no command before '{line}'")
+    return found
+
+
+def uncovered(text):
+    """Commands outside of console blocks, where nothing runs them."""
+    found, kind = [], None
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.startswith("```"):
+            kind = None if kind is not None else line[3:].strip()
+        elif kind == "console":
+            continue
+        elif (kind is not None or line.startswith("    ")) and re.match(
+                r"\s*(?:\$ )?(?:xauto |make\b|build/bin/|scripts/|cmake |apt)", line):
+            found.append(f"line {number}: {line.strip()}")
+    return found
+
+
+class Checkout:
+    """What a reader has in front of him, and the shell that he types into."""
+
+    def __init__(self, folder):
+        self.root = pathlib.Path(folder) / "xauto"
+        home = pathlib.Path(folder) / "home"
+        for place in (self.root / "build", home):
+            place.mkdir(parents=True)
+        for entry in SOURCE.iterdir():
+            if not entry.name.startswith(("build", ".")):
+                (self.root / entry.name).symlink_to(entry)
+        for entry in BIN.parent.iterdir():
+            if entry.name != "demo":
+                (self.root / "build" / entry.name).symlink_to(entry)
+        # make demo builds before it runs; here everything is built.
+        idle = pathlib.Path(folder) / "idle"
+        idle.mkdir()
+        for tool in ("cmake", "ninja"):
+            (idle / tool).write_text("#!/bin/sh\nexit 0\n")
+            (idle / tool).chmod(0o755)
+        self.idle, self.state = idle, pathlib.Path(folder) / "state"
+        self.environment = {**os.environ, "HOME": str(home), "ACTIVATIONS": "10", "LC_ALL": "C.UTF-8"}
+        self.environment.pop("XAUTO_BIN", None)
+        self.state.write_text(f"cd {shlex.quote(str(self.root))}\n")
+
+    def run(self, command):
+        environment = dict(self.environment)
+        words = command.split("#")[0].split()
+        if words == ["make", "demo"]:
+            environment["PATH"] = f"{self.idle}:{environment['PATH']}"
+            command = "scripts/demo.sh"
+        elif words[:1] == ["make"]:
+            command = "make -n " + " ".join(map(shlex.quote, words[1:])) + " >/dev/null"
+        script = f""". {shlex.quote(str(self.state))}
+{command}
+status=$?
+{{ export -p; printf 'cd %q\\n' "$PWD"; }} >{shlex.quote(str(self.state))}
+exit $status
+"""
+        for _ in range(2):
+            result = subprocess.run(["bash", "-c", script], cwd=self.root, env=environment, capture_output=True,
+                                    text=True, timeout=TIMEOUT_S, errors="replace", stdin=subprocess.DEVNULL)
+            # Where a busy machine stops the run for two periods a release is lost, which is status 1: once more then.
+            if result.returncode != 1 or not re.search(r"xauto run|xauto compare|demo\.sh", command):
+                break
+        return result
+
+
+def wrong_in(text, checkout):
+    """The first thing that is wrong, or None: what follows would only be its consequence."""
+    for number, command, shown in blocks(text):
+        result = checkout.run(command)
+        if result.returncode != 0:
+            return f"line {number}: $ {command}\n  ends with status {result.returncode}: {result.stderr[-2000:]}"
+        if problem := difference(shown, result.stdout.splitlines()):
+            return f"line {number}: $ {command}\n  {problem}"
+    return None
+
+
+class Pages(unittest.TestCase):
+    def judge(self, page):
+        text = (SOURCE / page).read_text()
+        self.assertEqual(uncovered(text), [], f"{page}: commands that no test runs")
+        self.assertGreater(len(blocks(text)), 3, f"{page}: where are the commands?")
+        with tempfile.TemporaryDirectory() as folder:
+            self.assertIsNone(problem := wrong_in(text, Checkout(folder)), f"{page}, {problem}")
+
+    def test_readme(self):
+        self.judge("README.md")
+
+    def test_tutorial(self):
+        self.judge("docs/tutorial.md")
+
+
+class TheTestItself(unittest.TestCase):
+    def wrong(self, text):
+        with tempfile.TemporaryDirectory() as folder:
+            return wrong_in(text, Checkout(folder))
+
+    def page(self, *lines):
+        return "\n".join(["# A page", "```console", *lines, "```", ""])
+
+    def test_a_true_page_passes(self):
+        self.assertIsNone(self.wrong(self.page("$ echo 'took 17.3 ms,  all well'", "took 9 ms, all well")))
+        self.assertIsNone(self.wrong(self.page("$ seq 3; echo end", "1", "...", "end")))
+        self.assertIsNone(self.wrong(self.page("$ X=3; export X", "$ cd docs", "$ basename $PWD; echo $X a", "docs", "3 a")))
+        self.assertIsNone(self.wrong(self.page("$ echo one \\", "    two", "one two")))
+        self.assertIsNone(self.wrong(self.page("$ make check", "$ echo the rest", "the …st")))
+
+    def test_a_wrong_line_is_seen(self):
+        for page in (self.page("$ echo one", "two"), self.page("$ echo one"), self.page("$ echo one", "one", "two"),
+                     self.page("$ echo one; echo two", "two", "one"), self.page("$ true", "one"),
+                     self.page("$ seq 3; echo end", "1", "...", "and"), self.page("$ echo the rest", "that…")):
+            self.assertIsNotNone(self.wrong(page), page)
+
+    def test_a_command_that_fails_is_seen(self):
+        self.assertIn("status 3", self.wrong(self.page("$ echo one; (exit 3)", "one")))
+        self.assertIn("status 2", self.wrong(self.page("$ make no-such-target")))
+
+    def test_a_command_in_no_console_block_is_seen(self):
+        self.assertEqual(len(uncovered("text\n\n    xauto solve --app a\n")), 1)
+        self.assertEqual(len(uncovered("```\n$ make demo\n```\n")), 1)
+        self.assertEqual(uncovered("```console\n$ make demo\n```\nmake is a tool\n"), [])
+
+
+if __name__ == "__main__":
+    unittest.main()
