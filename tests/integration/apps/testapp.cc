@@ -6,10 +6,12 @@
 //        ├─► B (b1 npu; a string)  ──────────┴─► C (c1 cpu) ─► result, written to FILE at the end
 //        └─► D (d1 cpu) ─► aside: not affected by what happens to the others
 //
-//   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US] [tally]
+//   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US] [tally] [times]
 //
 // With `tally` FILE gets one line per topic instead of one per message, so that a soak's own memory
-// does not grow: TOPIC MESSAGES FIRST LAST DISORDER CHECKSUM.
+// does not grow: TOPIC MESSAGES FIRST LAST DISORDER CHECKSUM. With `times` the values of topic d
+// are not results but when: the release in us of CLOCK_MONOTONIC, shifted left by 24, and the
+// latency of D from there in us. For bench/runtime/kills.py.
 #include <algorithm>
 #include <array>
 #include <chrono>
@@ -73,6 +75,15 @@ struct State {
   std::string text;
 };
 
+std::uint64_t when(std::chrono::nanoseconds origin) {
+  const auto now = std::chrono::steady_clock::now().time_since_epoch();
+  const auto us = [](auto t) {
+    return static_cast<std::uint64_t>(
+        std::chrono::duration_cast<std::chrono::microseconds>(t).count());
+  };
+  return us(origin) << 24 | std::min<std::uint64_t>(us(now - origin), (1u << 24) - 1);
+}
+
 struct Tally {
   std::uint64_t messages = 0, first = 0, last = 0, disorder = 0, checksum = 0;
   void add(std::uint64_t value, std::uint64_t k) {
@@ -107,13 +118,15 @@ xauto::XNode<State> node(const std::string& name, const std::string& xpu, const 
 int main(int argc, char** argv) {
   const std::string file = argc > 1 ? argv[1] : "/dev/null";
   std::chrono::microseconds period{2000};
-  bool tallied = false;
+  bool tallied = false, timed = false;
   for (int i = 2; i < argc; ++i) {
     const std::string word = argv[i];
     if (word == "period" && i + 1 < argc) {
       period = std::chrono::microseconds(std::atoll(argv[++i]));
     } else if (word == "tally") {
       tallied = true;
+    } else if (word == "times") {
+      timed = true;
     } else if (i + 2 < argc) {
       g_fault = {word, argv[i + 1], std::strtoull(argv[i + 2], nullptr, 10), 0};
       i += 2;
@@ -151,7 +164,10 @@ int main(int argc, char** argv) {
       .add_input_topic(b)
       .add_output_topic(c, &State::value);
   D.add_node(node("d1", "cpu", "D",
-                  [source](State& s, const xauto::Input& in) { s.value = sum(in.get(source)); }))
+                  [source, timed](State& s, const xauto::Input& in) {
+                    s.value = sum(in.get(source));
+                    if (timed) s.value = when(in.origin());
+                  }))
       .add_input_topic(source)
       .add_output_topic(d, &State::value);
   app.add_module(A).add_module(B).add_module(C).add_module(D);

@@ -79,6 +79,21 @@ TEST(ShmTopic, MessageArrivesWholeWithItsStamps) {
   EXPECT_FALSE(world.readers[0]->take());
 }
 
+TEST(ShmTopic, OriginsBySourceTravelWithTheirMessageOnly) {
+  World world;
+  detail::Origins origins{};
+  for (std::size_t i = 0; i < origins.size(); ++i) origins[i] = static_cast<std::int64_t>(100 + i);
+  for (std::uint64_t k = 0; k < 2 * world.shape.depth; ++k) {  // every slot is used for both
+    const bool with = (k + k / world.shape.depth) % 2 == 0;
+    world.publisher->publish({std::make_shared<const Frame>(frame(k)), 0, k,
+                              with ? std::make_shared<const detail::Origins>(origins) : nullptr});
+    const auto envelope = world.readers[0]->take();
+    ASSERT_TRUE(envelope);
+    ASSERT_EQ(envelope->origins != nullptr, with);
+    if (with) EXPECT_EQ(*envelope->origins, origins);
+  }
+}
+
 TEST(ShmTopic, AMessageMadeInALoanedChunkIsNotCopied) {
   World world;
   auto message = detail::make_message<Frame>(world.publisher.get(), [] { return frame(1); });
