@@ -3,7 +3,8 @@
 # Makes a clean Debian 12 root as a tar file in the cache, and prints its path. Made again when older than a week.
 # usage: package-root.sh            to try packages in: a developer's tools (compiler, CMake, DKMS, a kernel's headers), and nothing of
 #                                   XAuto or of what it depends on
-#        package-root.sh ARCH       to build packages for ARCH in: cross-compiler, and XAuto's build dependencies of that architecture
+#        package-root.sh ARCH       to build packages for ARCH in: cross-compiler, XAuto's build dependencies of that architecture, and an
+#                                   emulator to try them
 # environment: TMPDIR, better on a tmpfs: dpkg waits for the disk after every file
 set -euo pipefail
 here=$(dirname "$(realpath "$0")")
@@ -21,7 +22,7 @@ if [ -z "$target" ]; then
 else
   name=cross-$target
   suites+=" bookworm-backports"
-  packages="crossbuild-essential-$target debhelper dh-dkms cmake ninja-build ccache pkg-config python3 protobuf-compiler clang-19
+  packages="crossbuild-essential-$target qemu-user-static debhelper dh-dkms cmake ninja-build ccache pkg-config python3 protobuf-compiler clang-19
     libexpected-dev nlohmann-json3-dev libcli11-dev libeigen3-dev"
   for library in libfmt-dev libspdlog-dev libsqlite3-dev liblpsolve55-dev libsuitesparse-dev libnl-genl-3-dev libprotobuf-dev libelf-dev zlib1g-dev; do
     packages+=" $library:$target"

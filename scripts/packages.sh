@@ -52,6 +52,20 @@ if ! env -i PATH=/usr/lib/ccache:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL
   echo "packages: the build for $arch failed; the whole log is $out/build.log" >&2
   exit 1
 fi
+# What was built runs there: emulated, it must find what this machine's solver finds.
+cp examples/driving/app.json "$root/tmp/app.json"
+found() { # APP TOOL...
+  local app=$1
+  shift
+  "$@" solve --app "$app" --platform small --method heft --json | sed -n 's/.*"latency_us": *\([0-9]*\).*/\1/p'
+}
+emulated=$(found /tmp/app.json chroot "$root" "qemu-${triplet%%-*}-static" /src/debian/xauto-tools/usr/libexec/xauto/xauto)
+here=$(found examples/driving/app.json build/bin/xauto)
+if [ -z "$here" ] || [ "$emulated" != "$here" ]; then
+  echo "packages: the solver built for $arch finds ${emulated:-nothing} us, this machine's $here us" >&2
+  exit 1
+fi
+echo "packages: the $arch solver, emulated, finds the Driving Case's HEFT latency: $emulated us"
 rm -rf "$out/debs"
 mkdir -p "$out/debs"
 mv "$root"/*.deb "$root"/*.changes "$root"/*.buildinfo "$out/debs"

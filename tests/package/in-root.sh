@@ -111,10 +111,11 @@ dependencies_there() {
 }
 pages() {
   local verb
+  export MANWIDTH=80
   for verb in $(xauto --help | awk '/^Subcommands:/ { on = 1; next } /^$/ { on = 0 } on { print $1 }'); do
-    MANWIDTH=80 man "xauto-$verb" | grep -q 'EXIT STATUS'
+    says 'EXIT STATUS' man "xauto-$verb"
   done
-  man xauto | grep -q /etc/xauto/NAME.conf
+  says /etc/xauto/NAME.conf man xauto
 }
 completion() {
   bash -ec '

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# TAP for the package tests, sourced: `check NAME COMMAND...` runs the command with a time limit (LIMIT_S, default 120) and prints
+# TAP for the package tests, sourced: `check NAME COMMAND...` runs the command with a time limit (LIMIT_S, default 300) and prints
 # "ok N - NAME" or "not ok N - NAME" and what it said; status 77 is a skip with its reason in the last line. `plan` says how many there were.
 checks=0 bad=0
 set -a # variables and functions reach the shells that `check` starts
@@ -9,7 +9,7 @@ check() {
   checks=$((checks + 1))
   log=$(mktemp)
   # In a shell of its own, where `set -e` holds inside functions whatever called us.
-  timeout -k 5 "${LIMIT_S:-120}" bash -euo pipefail -c '"$@"' "$name" "$@" >"$log" 2>&1
+  timeout -k 5 "${LIMIT_S:-300}" bash -euo pipefail -c '"$@"' "$name" "$@" >"$log" 2>&1
   status=$?
   if [ $status -eq 0 ]; then
     echo "ok $checks - $name ($((SECONDS - started)) s)"
@@ -30,6 +30,13 @@ absent() {
     echo "that should not be there: $*"
     return 1
   fi
+}
+# A command that must succeed and say something: says PATTERN COMMAND... (a `grep -q` in a pipe may kill what it reads from).
+says() {
+  local pattern=$1 text
+  shift
+  text=$("$@") || return
+  grep -qE "$pattern" <<<"$text" || { echo "does not say '$pattern': $*"; tail -n 10 <<<"$text"; return 1; }
 }
 # A command that must fail, and say why: refused PATTERN COMMAND...
 refused() {
