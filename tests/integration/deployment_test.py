@@ -96,6 +96,31 @@ class Deployment(Case):
         chain = run["chains"][0]
         self.assertEqual((chain["results"], chain["lost"], chain["deadline_misses"]), (199, 1, 1))
 
+    def run_two_periods(self, *flags):
+        """The report alone: numbers of two sensors do not compare, so results are not told apart by them."""
+        command = self.command(*flags, period=10_000, activations=60, more=("second", 33_000))
+        done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        return json.loads(done.stdout)["runs"][0]
+
+    def test_sensors_of_two_periods_have_latencies_of_their_own(self):
+        for isolate in ([], ["--isolate"]):
+            run = self.run_two_periods(*isolate)
+            chains = {chain["name"]: chain for chain in run["chains"]}
+            self.assertEqual(set(chains), {"src -> C", "src -> D", "src2 -> D"})
+            done = {m["name"]: m["activations"] for m in run["modules"]}["D"]
+            first, second = chains["src -> D"], chains["src2 -> D"]
+            self.assertTrue(0 < first["results"] == second["results"] == done <= 60, (first, second, done))
+            self.assertNotEqual(first["latency_us"], second["latency_us"])
+            self.assertLess(second["latency_us"]["p50"], 3_000_000)  # an instant of this run
+
+    def test_inputs_are_matched_by_their_time(self):
+        flags = self.deploy(modules={"D": {"match_us": 6_000}})
+        run = self.run_two_periods(*flags)
+        module = {m["name"]: m for m in run["modules"]}["D"]
+        self.assertGreater(module["activations"], 5)  # a busy machine releases late
+        self.assertGreater(module["dropped"], 5)  # every second or third message of src has no partner
+
     def test_what_does_not_fit_is_refused(self):
         cases = [
             ({"modules": {"Z": {}}}, "/modules/Z: XModule 'Z' is not in the app"),

@@ -38,10 +38,10 @@ class Case(unittest.TestCase):
     def path(cls, name):
         return os.path.join(cls.folder.name, name)
 
-    def command(self, *flags, fault=(), period=2000, activations=200):
+    def command(self, *flags, fault=(), period=2000, activations=200, more=()):
         return [XAUTO, "run", "--app", self.path("app.json"), "--policy", self.path("policy.json"), "--platform",
                 self.path("platform.json"), "--real", "--json", "--activations", str(activations), *map(str, flags),
-                "--", TESTAPP, self.path("result"), *map(str, fault), "period", str(period)]
+                "--", TESTAPP, self.path("result"), *map(str, fault), "period", str(period), *map(str, more)]
 
     def run_app(self, *flags, status=0, **keywords):
         """The run's report and what came out, by topic: {number: value}."""

@@ -6,8 +6,9 @@
 //        ├─► B (b1 npu; a string)  ──────────┴─► C (c1 cpu) ─► result, written to FILE at the end
 //        └─► D (d1 cpu) ─► aside: not affected by what happens to the others
 //
-//   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US] [tally] [times]
+//   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US] [tally] [times] [second US]
 //
+// With `second` there is another source of that period, and D reads both.
 // With `tally` FILE gets one line per topic instead of one per message, so that a soak's own memory
 // does not grow: TOPIC MESSAGES FIRST LAST DISORDER CHECKSUM. With `times` the values of topic d
 // are not results but when: the release in us of CLOCK_MONOTONIC, shifted left by 24, and the
@@ -118,10 +119,13 @@ xauto::XNode<State> node(const std::string& name, const std::string& xpu, const 
 int main(int argc, char** argv) {
   const std::string file = argc > 1 ? argv[1] : "/dev/null";
   std::chrono::microseconds period{2000};
+  std::chrono::microseconds second{0};
   bool tallied = false, timed = false;
   for (int i = 2; i < argc; ++i) {
     const std::string word = argv[i];
-    if (word == "period" && i + 1 < argc) {
+    if (word == "second" && i + 1 < argc) {
+      second = std::chrono::microseconds(std::atoll(argv[++i]));
+    } else if (word == "period" && i + 1 < argc) {
       period = std::chrono::microseconds(std::atoll(argv[++i]));
     } else if (word == "tally") {
       tallied = true;
@@ -170,6 +174,11 @@ int main(int argc, char** argv) {
                   }))
       .add_input_topic(source)
       .add_output_topic(d, &State::value);
+  const xauto::Topic<std::uint64_t> source2("src2");
+  if (second.count() > 0) {
+    app.add_source(source2, second, [](std::uint64_t k) { return k; });
+    D.add_input_topic(source2);
+  }
   app.add_module(A).add_module(B).add_module(C).add_module(D);
 
   std::mutex mutex;

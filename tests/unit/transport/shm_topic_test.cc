@@ -90,7 +90,9 @@ TEST(ShmTopic, OriginsBySourceTravelWithTheirMessageOnly) {
     const auto envelope = world.readers[0]->take();
     ASSERT_TRUE(envelope);
     ASSERT_EQ(envelope->origins != nullptr, with);
-    if (with) EXPECT_EQ(*envelope->origins, origins);
+    if (with) {
+      EXPECT_EQ(*envelope->origins, origins);
+    }
   }
 }
 
