@@ -82,12 +82,15 @@ def main():
     run = json.loads(tool.communicate(timeout=60)[0])["runs"][0]
 
     times = []  # (release, latency), us
+    numbers = {}  # of D's results -> release
     for line in pathlib.Path(case.path("result")).read_text().splitlines():
-        topic, _, value = line.split()
+        topic, number, value = line.split()
         if topic == "d":
             times.append((int(value) >> 24, int(value) & ((1 << 24) - 1)))
+            numbers[int(number)] = times[-1][0]
     times.sort()
     result = judge(kills, times)
+    result["missing"] = missing(kills, numbers)
     result["d"] = next(m for m in run["modules"] if m["name"] == "D")
     counts = {m["activations"] + m["failed"] + m["dropped"] for m in run["modules"]}
     result["counts_add_up"] = len(counts) == 1
@@ -101,7 +104,22 @@ def main():
               f"{row['p50_kill'] / row['p50_quiet']:>7.3f}{row['p99_quiet']:>11}{row['p99_kill']:>10}"
               f"{row['p99_kill'] / row['p99_quiet']:>7.2f}{row['pairs']:>8.3f}")
     print(f"D: {result['d']['activations']} done, {result['d']['failed']} failed, {result['d']['dropped']} dropped; "
-          f"counts of all modules {'add up' if result['counts_add_up'] else 'DO NOT ADD UP'}")
+          f"counts of all modules {'add up' if result['counts_add_up'] else 'DO NOT ADD UP'}; of D's results "
+          f"{result['missing'][0]} are missing in quiet windows and {result['missing'][1]} in those with a kill")
+
+
+def missing(kills, numbers):
+    """Results that did not come, in quiet windows and in those with a kill; releases are on a grid of time."""
+    first = min(numbers)
+    found = [0, 0]
+    for number in range(first, max(numbers) + 1):
+        if number in numbers:
+            continue
+        stamp = numbers[first] + (number - first) * PERIOD_US
+        for _, start, middle, end in kills:
+            if start <= stamp < end:
+                found[stamp >= middle] += 1
+    return found
 
 
 def judge(kills, times):
