@@ -54,7 +54,7 @@ modules:
 
 bench:
 	@scripts/setup.sh build bench
-	@JOBS=$(JOBS) scripts/bench.sh
+	@JOBS=$(JOBS) scripts/bench.sh $(if $(QUICK),--quick)
 
 # The API's reference: build/docs/html/index.html.
 docs:

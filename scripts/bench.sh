@@ -1,13 +1,10 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# The benchmarks: tables for people, JSON lines beside them in build/bench/. Takes its time; nothing of it is
-# part of `make check`.
+# `make bench`: builds, runs every program of bench/ and the Driving Case, and writes docs/results/README.md with tables, plots, machine,
+# date and runs. Takes hours; with --quick (make bench QUICK=1) minutes, into build/bench/quick, to see that it works.
+#   scripts/bench.sh [--quick] [--only NAME[,NAME]] [--out FOLDER]
 set -euo pipefail
 cd "$(dirname "$0")/.."
 cmake --preset release >/dev/null
 ninja -C build -j"${JOBS:-2}" all | tail -n 1
-mkdir -p build/bench
-for program in build/bench/bench_*; do
-  echo "bench: $(basename "$program")"
-  "$program" ${BENCH_FLAGS:-}
-done
+exec python3 scripts/bench-page.py --bin build "$@"
