@@ -9,6 +9,7 @@ import tempfile
 import time
 import unittest
 
+import pftrace
 from common import APP, DRIVING, XAUTO, xauto
 
 ROOT = pathlib.Path("/sys/fs/bpf/xauto")
@@ -95,6 +96,30 @@ class Trace(unittest.TestCase):
         text, errors = trace.communicate(timeout=30)
         self.assertEqual(trace.returncode, 0, errors)
         self.assertRegex(text.splitlines()[0], r"^INCOMPLETE: of \d+ events [1-9]\d* were lost")
+
+    def test_the_kernels_cpus_and_the_run_are_one_picture(self):
+        run_file, cpus = (pathlib.Path(self.dir.name, name) for name in ("run.pftrace", "cpus.pftrace"))
+        run = self.drive("--trace-out", str(run_file), activations=30)
+        trace = xauto("trace", "--run", f"{run.pid}-0", "--json", "--out", cpus)
+        answer, _ = run.communicate(timeout=60)
+        self.assertEqual(run.returncode, 0, answer)
+        self.assertEqual(trace.returncode, 0, trace.stderr)
+        both = pftrace.Trace(run_file.read_bytes() + cpus.read_bytes())
+        tracks = {s.track for s in both.slices if s.category == "cpu"}
+        self.assertLessEqual(tracks, {f"kernel cpu{n}" for n in range(os.cpu_count())})
+        self.assertTrue(tracks)
+        stays = [s for s in both.slices if s.category == "cpu"]
+        self.assertLessEqual({s.name for s in stays if not s.name.startswith("thread ")},
+                             {x["name"] for x in json.loads(pathlib.Path(APP).read_text())["xnodes"]})
+        # One clock: what the kernel saw lies within the run as the runtime saw it, or close to it.
+        run_begin, run_end = (f(s.begin for s in both.on("run")) for f in (min, max))
+        inside = [s for s in stays if run_begin <= s.begin <= run_end]
+        self.assertGreater(len(inside), len(stays) / 2)
+        joined = pathlib.Path(self.dir.name, "both.pftrace")
+        joined.write_bytes(run_file.read_bytes() + cpus.read_bytes())
+        answers = [xauto("explain", "--trace", path, "--json") for path in (run_file, joined)]
+        self.assertEqual(answers[0].returncode, 0, answers[0].stderr)
+        self.assertEqual(answers[0].stdout, answers[1].stdout)
 
     def test_top_shows_load_and_xnodes(self):
         run = self.drive()

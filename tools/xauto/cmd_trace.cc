@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto trace: what happens to the XNode threads of a run in the kernel. docs/tracing.md.
+#include <algorithm>
 #include <chrono>
 #include <cstring>
 #include <fstream>
@@ -11,7 +12,9 @@
 #include "base/log.h"
 
 #include "xauto/command.h"
+#include "xauto/cpu_trace.h"
 #include "xauto/live.h"
+#include "xauto/perfetto.h"
 #include "xauto/run_app.h"
 
 namespace xauto::cli {
@@ -75,6 +78,22 @@ ordered_json event_json(const Live& live, const xauto_bpf_event& e) {
   return j;
 }
 
+std::string perfetto_of(const Live& live, const std::vector<xauto_bpf_event>& events,
+                        std::uint64_t lost) {
+  std::vector<CpuStep> steps;
+  steps.reserve(events.size());
+  for (const xauto_bpf_event& e : events) {
+    const std::uint64_t number = e.job & XAUTO_BPF_JOB_SEQ;
+    const bool none = e.job == 0 || number == XAUTO_BPF_JOB_EXPECTED;
+    steps.push_back({static_cast<std::int64_t>(e.ts_ns), e.kind, e.cpu, e.tid, live.xnode_of(e.job),
+                     none ? -1 : static_cast<std::int64_t>(number),
+                     static_cast<std::int64_t>(e.delta_ns), text_of(e.other)});
+  }
+  std::stable_sort(steps.begin(), steps.end(),
+                   [](const CpuStep& a, const CpuStep& b) { return a.ts_ns < b.ts_ns; });
+  return cpu_trace("kernel, run " + live.maps.run(), steps, lost, boottime_offset_ns());
+}
+
 Result<int> trace(const Flags& flags, const Options& options) {
   const StopOnSignal stop;
   kernel::TracerOptions tracer_options;
@@ -104,11 +123,15 @@ Result<int> trace(const Flags& flags, const Options& options) {
   const std::string first = losses_line(live.tracer.losses(), not_kept);
 
   if (!flags.out.empty()) {
-    std::ofstream file(flags.out);
+    std::ofstream file(flags.out, std::ios::binary);
     const xauto_bpf_losses losses = live.tracer.losses();
-    file << ordered_json{{"lost_events", losses.events + not_kept}, {"lost_jobs", losses.jobs}}
-         << "\n";
-    for (const xauto_bpf_event& e : events) file << event_json(live, e) << "\n";
+    if (flags.out.ends_with(".pftrace")) {
+      file << perfetto_of(live, events, losses.events + not_kept);
+    } else {
+      file << ordered_json{{"lost_events", losses.events + not_kept}, {"lost_jobs", losses.jobs}}
+           << "\n";
+      for (const xauto_bpf_event& e : events) file << event_json(live, e) << "\n";
+    }
     if (!file) return fail(ErrorCode::kIo, "cannot be written", flags.out);
   }
   const std::vector<xauto_bpf_hist> hist = live.tracer.histograms();
@@ -182,7 +205,9 @@ void add_trace(Commands& commands) {
   verb->add_option("--ring-kb", flags->ring_kb, "buffer between kernel and us")
       ->check(CLI::Range(4u, 262'144u))
       ->capture_default_str();
-  verb->add_option("--out", flags->out, "write the events here, a JSON object per line");
+  verb->add_option(
+      "--out", flags->out,
+      "write the events here: FILE.pftrace for Perfetto's viewers, else a JSON object per line");
   verb->add_flag("--events", flags->events, "print each event");
   verb->add_flag("--printk", flags->printk,
                  "also into the kernel's trace pipe (bpftool prog tracelog)");

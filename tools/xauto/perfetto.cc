@@ -13,7 +13,6 @@ namespace {
 namespace proto = ::xauto::perfetto;
 
 /// One writer, one sequence: any number but 0.
-constexpr std::uint32_t kSequence = 1;
 constexpr std::uint32_t kIncrementalStateCleared = 1;
 
 /// A Trace is packets one after the other, so that we need never hold two of them.
@@ -102,10 +101,11 @@ void PerfettoWriter::count(Track track, std::int64_t ts_ns, std::int64_t value) 
 
 std::string PerfettoWriter::write(std::int64_t clock_offset_ns) const {
   std::string file;
+  const std::uint64_t base = std::uint64_t{sequence_ - 1} << 32;
   bool first = true;
   for (std::size_t t = 0; t < tracks_.size(); ++t) {
     proto::TracePacket packet;
-    packet.set_trusted_packet_sequence_id(kSequence);
+    packet.set_trusted_packet_sequence_id(sequence_);
     if (first) {
       packet.set_first_packet_on_sequence(true);
       packet.set_sequence_flags(kIncrementalStateCleared);
@@ -113,9 +113,9 @@ std::string PerfettoWriter::write(std::int64_t clock_offset_ns) const {
       first = false;
     }
     proto::TrackDescriptor& track = *packet.mutable_track_descriptor();
-    track.set_uuid(t + 1);
+    track.set_uuid(base + t + 1);
     track.set_name(utf8(tracks_[t].name));
-    if (tracks_[t].parent != kNoParent) track.set_parent_uuid(tracks_[t].parent);
+    if (tracks_[t].parent != kNoParent) track.set_parent_uuid(base + tracks_[t].parent);
     if (!tracks_[t].description.empty()) track.set_description(utf8(tracks_[t].description));
     track.set_sibling_order_rank(static_cast<std::int32_t>(t));
     if (tracks_[t].counter)
@@ -135,9 +135,9 @@ std::string PerfettoWriter::write(std::int64_t clock_offset_ns) const {
     proto::TracePacket packet;
     packet.set_timestamp(
         static_cast<std::uint64_t>(std::max<std::int64_t>(0, event.ts_ns + clock_offset_ns)));
-    packet.set_trusted_packet_sequence_id(kSequence);
+    packet.set_trusted_packet_sequence_id(sequence_);
     proto::TrackEvent& out = *packet.mutable_track_event();
-    out.set_track_uuid(event.track);
+    out.set_track_uuid(base + event.track);
     switch (event.kind) {
       case Kind::kBegin:
         out.set_type(proto::TrackEvent::TYPE_SLICE_BEGIN);
@@ -165,8 +165,8 @@ std::string PerfettoWriter::write(std::int64_t clock_offset_ns) const {
         else
           arg.set_string_value(utf8(std::get<std::string>(value)));
       }
-      for (const std::uint64_t flow : details.flows_out) out.add_flow_ids(flow);
-      for (const std::uint64_t flow : details.flows_in) out.add_terminating_flow_ids(flow);
+      for (const std::uint64_t flow : details.flows_out) out.add_flow_ids(base + flow);
+      for (const std::uint64_t flow : details.flows_in) out.add_terminating_flow_ids(base + flow);
     }
     append(file, packet);
   }

@@ -18,6 +18,11 @@ namespace xauto::cli {
 class PerfettoWriter {
  public:
   using Track = std::uint64_t;
+
+  /// `sequence`: from 1 on. Files of different ones can be put one behind the other: their tracks
+  /// stay apart.
+  explicit PerfettoWriter(std::uint32_t sequence = 1) : sequence_(sequence) {}
+
   static constexpr Track kNoParent = 0;
 
   /// What a viewer shows when the slice is picked.
@@ -68,6 +73,7 @@ class PerfettoWriter {
   std::vector<std::string> names_;
   std::map<std::string, std::uint32_t> name_index_;
   std::vector<Details> details_;
+  std::uint32_t sequence_;
   bool lossy_ = false;
 };
 
