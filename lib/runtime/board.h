@@ -50,6 +50,7 @@ struct alignas(64) ProcessLine {
   transport::Doorbell doorbell;
   std::atomic<std::uint32_t> stand_in{};  ///< [H] whose doorbell is rung instead: its own index, or
                                           ///< 0 while it is dead
+  std::atomic<std::int64_t> watched_ns{};  ///< [M] when its watchdog last looked; 0: not yet
 };
 
 class Board {

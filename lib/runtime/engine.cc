@@ -28,6 +28,7 @@ constexpr int kFifoCpuLowest = 2,
 
 constexpr std::int64_t kStallNs =
     10'000'000'000;  ///< no progress for so long: give up, say what hangs
+constexpr std::int64_t kSilenceNs = 3'000'000'000;   ///< of a watchdog, beyond the hang limit
 constexpr std::int64_t kPatienceNs = 1'000'000'000;  ///< with an exec, once the run is over
 
 }  // namespace
@@ -301,16 +302,39 @@ Status Engine::start_workers() {
 /// Looks often enough to notice a hang within a quarter of the shortest limit.
 void Engine::start_watchdog() {
   std::int64_t shortest = 0;
-  for (std::size_t n = 0; n < limits_.size(); ++n)
-    if (const std::int64_t ns = limits_[n].hang_ns;
-        ns > 0 && hosted(static_cast<std::size_t>(graph_.nodes[n].module)))
+  for (std::size_t n = 0; n < limits_.size(); ++n) {
+    const std::int64_t ns = limits_[n].hang_ns;
+    const auto module = static_cast<std::size_t>(graph_.nodes[n].module);
+    if (ns <= 0) continue;
+    if (hosted(module)) {
       shortest = shortest == 0 ? ns : std::min(shortest, ns);
-  if (shortest == 0) return;
-  watchdog_ = std::make_unique<Watchdog>(
-      std::clamp<std::int64_t>(shortest / 4, 1'000'000, 50'000'000), [this](std::int64_t now) {
-        for (const auto& worker : workers_)
-          if (const auto job = worker->find_hung(now)) hung(*worker, *job);
-      });
+    } else if (hub_ && limits_[n].on_hang == OnHang::kRestart) {
+      std::int64_t& silence = silence_ns_[plan_.process_of[module]];
+      silence = std::max(silence, std::min(ns, INT64_MAX - kSilenceNs) + kSilenceNs);
+    }
+  }
+  if (shortest == 0 && silence_ns_.empty()) return;
+  const std::int64_t period =
+      shortest == 0 ? 50'000'000 : std::clamp<std::int64_t>(shortest / 4, 1'000'000, 50'000'000);
+  watchdog_ = std::make_unique<Watchdog>(period, [this](std::int64_t now) {
+    for (const auto& worker : workers_)
+      if (const auto job = worker->find_hung(now)) hung(*worker, *job);
+    if (member_) board_->process(session_.process).watched_ns.store(now);
+    watch_members(now);
+  });
+}
+
+/// In the hub: a process that has stopped as a whole cannot tell that it hangs.
+void Engine::watch_members(std::int64_t now) {
+  for (const auto& [process, silence] : silence_ns_) {
+    std::atomic<std::int64_t>& watched = board_->process(process).watched_ns;
+    const std::int64_t last = watched.load();
+    if (last == 0 || now - last <= silence) continue;
+    watched.store(0);  // of this one; the next starts anew
+    log::error("process {} has not looked after itself for {} ms: it is killed", process,
+               (now - last) / 1'000'000);
+    hub_->kill(process);
+  }
 }
 
 void Engine::hung(const Worker& worker, const Worker::Hung& job) {

@@ -78,6 +78,7 @@ class Engine final : public ModuleHost, private HubHost {
   [[nodiscard]] Result<RunReport> run_whole();
   void start_watchdog();
   void hung(const Worker& worker, const Worker::Hung& job);
+  void watch_members(std::int64_t now);
   void stop_workers();
   [[nodiscard]] bool settled() const;
   bool wait_drained(std::int64_t timeout_ns);
@@ -110,7 +111,8 @@ class Engine final : public ModuleHost, private HubHost {
   bool stuck_ = false;
   std::vector<Limits> limits_;  ///< [graph node]
   PiMutex hung_mutex_;
-  std::string hung_note_;  ///< guarded by hung_mutex_
+  std::string hung_note_;                   ///< guarded by hung_mutex_
+  std::map<int, std::int64_t> silence_ns_;  ///< hub: by process, after which it is killed
   std::unique_ptr<Watchdog> watchdog_;
 
   /// Latencies of the sinks; the counts are on the board.

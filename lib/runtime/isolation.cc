@@ -8,7 +8,9 @@
 #include <set>
 
 #include <poll.h>
+#include <signal.h>
 #include <sys/eventfd.h>
+#include <sys/socket.h>
 
 #include "base/clock.h"
 #include "base/futex.h"
@@ -279,6 +281,7 @@ void Hub::lose(int process) {
     stopping = stopping_;
     if (!stopping) deaths_.push_back(process);
   }
+  board_->process(process).watched_ns.store(0);  // the next one may need long to start
   for (std::size_t t = 0; t < topics_.size(); ++t) {
     const int reader = plan_.topics[t].reader(process);
     if (reader < 0) continue;
@@ -319,6 +322,18 @@ Result<bool> Hub::wait_ready(const std::atomic<bool>& stop) {
                   "app '" + graph_.name + "'");
     futex_wait(changes_, seen);
   }
+}
+
+void Hub::kill(int process) {
+  const std::lock_guard lock(mutex_);
+  const Member& member = members_[static_cast<std::size_t>(process)];
+  ucred peer{};
+  socklen_t size = sizeof peer;
+  // The kernel's word, not the member's; the pid is its own as long as the socket is connected.
+  if (stopping_ || !member.socket ||
+      getsockopt(member.socket.get(), SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0 || peer.pid <= 0)
+    return;
+  (void)::kill(peer.pid, SIGKILL);
 }
 
 std::vector<std::string> Hub::stop() {

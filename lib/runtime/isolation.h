@@ -106,6 +106,9 @@ class Hub {
   }
   /// Until every member is ready; then they are sent Go. False: `stop` was set.
   [[nodiscard]] Result<bool> wait_ready(const std::atomic<bool>& stop);
+  /// Its process does not even watch itself any more (SIGSTOP, say): ends it, which shows as a
+  /// death.
+  void kill(int process);
   /// Ends the members and returns their reports.
   [[nodiscard]] std::vector<std::string> stop();
   /// Processes that ended before they were told to, each time it happened.

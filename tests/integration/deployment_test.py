@@ -77,6 +77,25 @@ class Deployment(Case):
         self.assertGreaterEqual(self.limited(run, "b1")["hangs"], 1)
         self.assertIn("the process of B died (signal SIGKILL) and was started again", " ".join(run["notes"]))
 
+    def test_a_stopped_process_is_killed_and_started_again(self):
+        flags = self.deploy(modules={"B": {"isolate": True, "restarts": 1, "hang_us": 500_000,
+                                           "on_hang": "restart"}})
+        tool = subprocess.Popen(self.command(*flags, activations=4000), stdout=subprocess.PIPE,
+                                stderr=subprocess.PIPE, text=True)
+        deadline = time.monotonic() + 60
+        victim = None
+        while victim is None and time.monotonic() < deadline:
+            victim = next((pid for pid, name in children_of(tool.pid).items() if name == "m:B"), None)
+            time.sleep(0.01)
+        time.sleep(1)
+        os.kill(victim, signal.SIGSTOP)
+        out, err = tool.communicate(timeout=100)
+        run = json.loads(out)["runs"][0]
+        self.assert_counts_add_up(run, 4000)
+        self.assertIn("the process of B died (signal SIGKILL) and was started again", " ".join(run["notes"]))
+        self.assertIn("has not looked after itself", err)
+        self.assertGreater(max(map(int, self.results()["c"])), 1000)  # stopped at 500 or before
+
     def test_chains_have_latencies_ages_and_deadlines(self):
         flags = self.deploy(chains=[
             {"name": "late", "from": "src", "to": "C", "deadline_us": 5_000, "max_age_us": 1},
