@@ -125,7 +125,7 @@ class Bench:
 
     def runtime(self):
         runs, rounds, seconds = (2, 40, 1) if self.quick else (3, 500, 3)
-        rows, head = {}, None
+        rows = {}
         for number in range(runs):
             file = self.work / f"runtime-{number}.json"
             text = self.run(self.bin / "bench/bench_runtime", "--fifo", "--rounds", rounds, "--seconds", seconds, "--json", file)
@@ -133,10 +133,14 @@ class Bench:
                 rows.setdefault((row["section"], row["case"], row["program"]), []).append((row["p50"], row["p99"]))
         self.section("The runtime beside its floors and peers", "measured", f"{runs} runs of {rounds} samples a row; microseconds unless the row says %, "
                      "medians over the runs, in brackets the least and the greatest p50.")
-        self.table(["case", "program", "p50", "p99"],
-                   [[f"{case}", program, "{:.2f} ({:.2f}–{:.2f})".format(statistics.median(p50), min(p50), max(p50)),
-                     f"{statistics.median(p99):.2f}"]
-                    for (_, case, program), values in rows.items() for p50, p99 in [list(zip(*values))]])
+        table = []
+        for (_, case, program), values in rows.items():
+            p50, p99 = zip(*values)
+            middle, share = statistics.median(p50), program.endswith("%")
+            digits = 2 if middle >= 0.1 else 3
+            table.append([case, program, f"{middle:.{digits}f} ({min(p50):.{digits}f}–{max(p50):.{digits}f})",
+                          "" if share else f"{statistics.median(p99):.{digits}f}"])
+        self.table(["case", "program", "p50", "p99"], table)
         self.text("runtime.txt", "\n".join(line for line in text.splitlines() if not line.startswith("R\t")))
 
     def synthetic(self):
@@ -187,12 +191,14 @@ class Bench:
                 failures.append(f"{name}: {error}")
                 self.page += [f"## {name}", "", f"**Not measured here**: {str(error).splitlines()[0]}", ""]
                 print(f"bench: {name}: {error}", file=sys.stderr)
+        took = time.monotonic() - began
+        took = f"{took:.0f} seconds" if took < 120 else f"{took / 60:.0f} minutes"
         loads = sorted(self.loads) or [os.getloadavg()[0]]
         note = (f"Load average while it ran: median {statistics.median(loads):.1f}, from {loads[0]:.1f} to {loads[-1]:.1f}, of which the "
                 f"benchmarks' own threads are a part; {os.cpu_count()} cores.")
         busy = statistics.median(loads) > 2 * os.cpu_count()
         head = ["# Benchmarks", "", "Written by `make bench`" + (" with `QUICK=1`: **a few repetitions, to see that it works; no result**" if self.quick else "") +
-                f", in {(time.monotonic() - began) / 60:.0f} minutes. Nothing here was measured on a Jetson.", ""]
+                f", in {took}. Nothing here was measured on a Jetson.", ""]
         head += ["| machine | |", "| --- | --- |"] + [f"| {k} | {v} |" for k, v in machine()] + ["", note]
         head += ["**The machine was busy with other things: compare rows of one table only.**"] if busy else []
         (self.out / "README.md").write_text("\n".join([*head, "", *self.page]).rstrip() + "\n")
