@@ -159,10 +159,12 @@ void ModuleRuntime::gather_origins() {
 
 /// Moves the fresh messages into the activation's input. Called with the mutex held.
 bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
-  resolve(lost);
+  if (overload_.kind == Overload::Kind::kQueue) resolve(lost);  // only there do losses wait
+  if (slots_[empty_].waiting.empty()) return false;
   if (match_ns_ >= 0 && !single_rate_ && !matched(lost)) return false;
-  if (std::any_of(slots_.begin(), slots_.end(), [](const Slot& s) { return s.waiting.empty(); }))
-    return false;
+  for (empty_ = 0; empty_ < slots_.size() && !slots_[empty_].waiting.empty();) ++empty_;
+  if (empty_ < slots_.size()) return false;
+  empty_ = 0;
   if (!single_rate_) gather_origins();
   const auto oldest =
       std::min_element(slots_.begin(), slots_.end(), [](const Slot& a, const Slot& b) {

@@ -118,6 +118,7 @@ class ModuleRuntime {
 
   PiMutex mutex_;  ///< protects what follows; nothing is called while it is held
   std::vector<Slot> slots_;
+  std::size_t empty_ = 0;  ///< a slot that was empty when last looked at: the first to look at
   bool busy_ = false;
   Overload overload_;
   std::uint64_t next_ = 0;  ///< single rate: releases below this number are settled, taken or lost
