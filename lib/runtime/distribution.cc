@@ -35,18 +35,34 @@ void Distribution::add(std::int64_t value) {
     exact_.push_back(value);
     return;
   }
-  for (const std::int64_t old : exact_) ++buckets_[bucket_of(old)];
-  exact_.clear();
-  exact_.shrink_to_fit();
-  ++buckets_[bucket_of(value)];
+  give_up_exactness();
+  put(bucket_of(value), 1);
+}
+
+void Distribution::put(std::uint32_t bucket, std::uint64_t times) {
+  if (buckets_.size() <= bucket) buckets_.resize(bucket + 1);
+  buckets_[bucket] += times;
+}
+
+void Distribution::give_up_exactness() {
+  if (exact_.empty()) return;
+  for (const std::int64_t value : exact_) put(bucket_of(value), 1);
+  exact_ = {};
+}
+
+std::map<std::uint32_t, std::uint64_t> Distribution::buckets() const {
+  std::map<std::uint32_t, std::uint64_t> used;
+  for (std::uint32_t b = 0; b < buckets_.size(); ++b)
+    if (buckets_[b] != 0) used[b] = buckets_[b];
+  return used;
 }
 
 void Distribution::merge(const Distribution& other) {
   for (const std::int64_t value : other.exact_) add(value);
   if (other.buckets_.empty()) return;
-  for (const std::int64_t old : exact_) ++buckets_[bucket_of(old)];
-  exact_.clear();
-  for (const auto& [bucket, count] : other.buckets_) buckets_[bucket] += count;
+  give_up_exactness();
+  for (std::uint32_t b = 0; b < other.buckets_.size(); ++b)
+    if (other.buckets_[b] != 0) put(b, other.buckets_[b]);
   count_ += other.count_;
   sum_ += other.sum_;
   max_ = std::max(max_, other.max_);
@@ -63,9 +79,9 @@ std::int64_t Distribution::quantile(double q) const {
     return *at;
   }
   std::uint64_t seen = 0;
-  for (const auto& [bucket, count] : buckets_) {
-    seen += count;
-    if (seen >= rank) return std::min(end_of(bucket), max_);
+  for (std::uint32_t b = 0; b < buckets_.size(); ++b) {
+    seen += buckets_[b];
+    if (seen >= rank) return std::min(end_of(b), max_);
   }
   return max_;
 }
@@ -74,15 +90,17 @@ bool Distribution::restore(std::vector<std::int64_t> exact,
                            std::map<std::uint32_t, std::uint64_t> buckets, std::int64_t sum,
                            std::int64_t max, Distribution& into) {
   if (exact.size() > kMaxExact || (!exact.empty() && !buckets.empty())) return false;
+  for (const auto& [bucket, times] : buckets)
+    if (bucket >= kBuckets || times > std::uint64_t{1} << 40) return false;
+  into = {};
   into.count_ = exact.size();
-  for (const auto& [bucket, count] : buckets) {
-    if (bucket >= kBuckets || count > std::uint64_t{1} << 40) return false;
-    into.count_ += count;
+  for (const auto& [bucket, times] : buckets) {
+    into.put(bucket, times);
+    into.count_ += times;
   }
   into.sum_ = sum;
   into.max_ = max;
   into.exact_ = std::move(exact);
-  into.buckets_ = std::move(buckets);
   return true;
 }
 

@@ -26,7 +26,7 @@ class Distribution {
 
   // For the way between processes: either the values, or buckets with their counts.
   [[nodiscard]] const std::vector<std::int64_t>& exact() const { return exact_; }
-  [[nodiscard]] const std::map<std::uint32_t, std::uint64_t>& buckets() const { return buckets_; }
+  [[nodiscard]] std::map<std::uint32_t, std::uint64_t> buckets() const;
   [[nodiscard]] std::int64_t sum() const { return sum_; }
   /// False: these numbers cannot come from a Distribution.
   [[nodiscard]] static bool restore(std::vector<std::int64_t> exact,
@@ -39,10 +39,12 @@ class Distribution {
   [[nodiscard]] static std::int64_t end_of(std::uint32_t bucket);
 
  private:
+  void put(std::uint32_t bucket, std::uint64_t times);
+  void give_up_exactness();
   std::uint64_t count_ = 0;
   std::int64_t sum_ = 0, max_ = 0;
-  std::vector<std::int64_t> exact_;                 ///< unless there are buckets
-  std::map<std::uint32_t, std::uint64_t> buckets_;  ///< few are ever in use
+  std::vector<std::int64_t> exact_;     ///< unless there are buckets
+  std::vector<std::uint64_t> buckets_;  ///< up to the largest one in use
 };
 
 }  // namespace xauto::runtime

@@ -31,14 +31,14 @@ Result<Routes> Routes::make(const Graph& graph, const Deployment& deployment,
                             std::optional<std::int64_t> deadline_us) {
   Routes routes;
   routes.single_rate_ = graph.single_rate;
-  routes.ends_.assign(graph.modules.size(), 0);
+  routes.ends_.resize(graph.modules.size());
   const auto add = [&](RouteReport counts, std::size_t topic, std::size_t module) {
     Route route;
     route.counts = std::move(counts);
     route.module = static_cast<int>(module);
     route.source = static_cast<std::size_t>(graph.topics[topic].source);
     routes.routes_.push_back(std::move(route));
-    routes.ends_[module] = 1;
+    routes.ends_[module].push_back(routes.routes_.size() - 1);
   };
   for (const ChainDeployment& chain : deployment.chains) {
     const std::string where = "chain '" + chain.name + "'";
@@ -76,8 +76,8 @@ void Routes::published(int module, std::int64_t origin_ns, const detail::Origins
                        std::int64_t now_ns) {
   if (!end_at(module)) return;
   const std::lock_guard lock(*mutex_);
-  for (Route& route : routes_) {
-    if (route.module != module) continue;
+  for (const std::size_t index : ends_[static_cast<std::size_t>(module)]) {
+    Route& route = routes_[index];
     std::int64_t origin = origin_ns;
     if (origins != nullptr && route.source < origins->size()) origin = (*origins)[route.source];
     if (origin == 0) continue;  // nothing of this sensor is in it

@@ -45,7 +45,7 @@ class Routes {
 
   /// Whether a chain ends at `module`.
   [[nodiscard]] bool end_at(int module) const {
-    return ends_[static_cast<std::size_t>(module)] != 0;
+    return !ends_[static_cast<std::size_t>(module)].empty();
   }
   /// `module` has published what stems from `origin_ns`, or by source from `origins`.
   void published(int module, std::int64_t origin_ns, const detail::Origins* origins,
@@ -60,7 +60,7 @@ class Routes {
     std::size_t source = 0;  ///< index into Origins; beyond it: the oldest origin
     std::int64_t last_origin_ns = 0;
   };
-  std::vector<char> ends_;  ///< [module]
+  std::vector<std::vector<std::size_t>> ends_;  ///< [module] -> routes
   bool single_rate_ = true;
   mutable std::unique_ptr<PiMutex> mutex_ = std::make_unique<PiMutex>();
   std::vector<Route> routes_;  ///< counts guarded by mutex_
