@@ -10,9 +10,10 @@ cd "$root" || exit 2
 if [ "${1:-}" != --inside ]; then
   build=$(realpath -m "${1:-build}")
   if [ "$(id -u)" -ne 0 ] || ! unshare --mount --pid --fork true 2>/dev/null; then
-    echo "package-check: a clean root needs mount and PID namespaces: run it as root, in a container with CAP_SYS_ADMIN" >&2
-    echo "0 passed, 1 failed, 0 skipped"
-    exit 1
+    # Said and counted, not failed: a container without these rights says nothing about the packages.
+    echo "package-check: skipped: a clean root needs mount and PID namespaces: run it as root, in a container with CAP_SYS_ADMIN" >&2
+    echo "0 passed, 0 failed, 1 skipped"
+    exit 0
   fi
   mkdir -p "$build/package"
   log=$build/package/check.log
