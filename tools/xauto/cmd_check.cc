@@ -66,10 +66,7 @@ void add_check(Commands& commands) {
   CLI::App* verb = commands.add(
       "check", "Re-derive every number of a policy; exit status 1 if one of them is false.",
       "xauto check --app app.json --platform small --policy policy.json",
-      [flags](const Options& options) {
-        const auto status = check(*flags, options);
-        return status ? *status : report(status.error());
-      });
+      [flags](const Options& options) { return check(*flags, options); });
   verb->add_option("--app", flags->app, "app.json")->required();
   verb->add_option("--platform", flags->platform, "small, large, or a platform.json")
       ->capture_default_str();

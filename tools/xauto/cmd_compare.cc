@@ -107,10 +107,7 @@ void add_compare(Commands& commands) {
   CLI::App* verb = commands.add(
       "compare", "Run an app under several policies and compare their end-to-end latency.",
       "xauto compare --app app.json --platform small --out build/demo -- build/bin/driving",
-      [flags](const Options& options) {
-        const auto status = compare(*flags, options);
-        return status ? *status : report(status.error());
-      });
+      [flags](const Options& options) { return compare(*flags, options); });
   flags->declare(*verb);
   std::vector<std::string> known;
   for (const auto& [id, name] : kNames) known.push_back(id);

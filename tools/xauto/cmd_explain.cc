@@ -161,10 +161,8 @@ void add_explain(Commands& commands) {
   auto flags = std::make_shared<Flags>();
   CLI::App* verb = commands.add(
       "explain", "Name the chain that sets the latency: of a policy, or of one release of a run.",
-      "xauto explain --trace drive.pftrace --activation worst", [flags](const Options& options) {
-        const auto status = explain(*flags, options);
-        return status ? *status : report(status.error());
-      });
+      "xauto explain --trace drive.pftrace --activation worst",
+      [flags](const Options& options) { return explain(*flags, options); });
   verb->add_option("--app", flags->app, "app.json");
   verb->add_option("--platform", flags->platform, "small, large, or a platform.json");
   verb->add_option("--policy", flags->policy, "policy.json");

@@ -104,10 +104,7 @@ void add_profile(Commands& commands) {
       "profile", "Time each XNode of an app alone on each XPU that it can run on.",
       "xauto profile --platform small --input drive.db3 --out profile.json --app-out app.json -- "
       "build/bin/driving",
-      [flags](const Options& options) {
-        const auto status = profile(*flags, options);
-        return status ? *status : report(status.error());
-      });
+      [flags](const Options& options) { return profile(*flags, options); });
   verb->add_option("--platform", flags->platform, "small, large, or a platform.json")
       ->capture_default_str();
   verb->add_option("--input", flags->input,

@@ -86,11 +86,10 @@ void add_record(Commands& commands) {
   auto flags = std::make_shared<Flags>();
   CLI::App* verb = commands.add(
       "record", "Tell what is in a recorded input; to make one: xauto run --record FILE.",
-      "xauto record info drive.db3", [flags](const Options& options) {
-        const auto contents = read(flags->path);
-        if (!contents) return report(contents.error());
-        return flags->action == "check" ? print_check(flags->path, *contents, options)
-                                        : print_info(flags->path, *contents, options);
+      "xauto record info drive.db3", [flags](const Options& options) -> Result<int> {
+        XAUTO_ASSIGN(const auto contents, read(flags->path));
+        return flags->action == "check" ? print_check(flags->path, contents, options)
+                                        : print_info(flags->path, contents, options);
       });
   verb->add_option("action", flags->action,
                    "info: topics, counts, duration; check: only whether all can be read")

@@ -77,10 +77,7 @@ void add_report(Commands& commands) {
   CLI::App* verb = commands.add(
       "report", "Make a page of traces: latencies, the worst release and why, XPU load.",
       "xauto report build/demo/heft.pftrace build/demo/xauto.pftrace --out report.html",
-      [flags](const Options& options) {
-        const auto status = make(*flags, options);
-        return status ? *status : report(status.error());
-      });
+      [flags](const Options& options) { return make(*flags, options); });
   verb->add_option("traces", flags->traces, "files of `xauto run --trace-out` or `xauto compare`")
       ->required();
   verb->add_option("--report", flags->report,

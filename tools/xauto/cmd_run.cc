@@ -64,10 +64,7 @@ void add_run(Commands& commands) {
   CLI::App* verb = commands.add(
       "run", "Run an app under a policy and measure its end-to-end latency.",
       "xauto run --app app.json --policy policy.json --platform small -- build/bin/driving",
-      [flags](const Options& options) {
-        const auto status = run(*flags, options);
-        return status ? *status : report(status.error());
-      });
+      [flags](const Options& options) { return run(*flags, options); });
   flags->declare(*verb);
   verb->add_option("--policy", flags->policy_path, "policy.json from `xauto solve`");
   verb->add_option("--scheduling", flags->scheduling,

@@ -79,10 +79,7 @@ void add_simulate(Commands& commands) {
   CLI::App* verb =
       commands.add("simulate", "Simulate a policy, or the ROS 2 model, to the microsecond.",
                    "xauto simulate --app app.json --platform small --policy policy.json",
-                   [flags](const Options& options) {
-                     const auto status = simulate(*flags, options);
-                     return status ? *status : report(status.error());
-                   });
+                   [flags](const Options& options) { return simulate(*flags, options); });
   verb->add_option("--app", flags->app, "app.json")->required();
   verb->add_option("--platform", flags->platform, "small, large, or a platform.json")
       ->capture_default_str();

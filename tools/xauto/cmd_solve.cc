@@ -228,10 +228,7 @@ void add_solve(Commands& commands) {
   CLI::App* verb = commands.add(
       "solve", "Choose an XPU and a priority for every XNode so that the app ends soonest.",
       "xauto solve --app app.json --platform small --time-limit-s 10 --out policy.json",
-      [flags](const Options& options) {
-        const auto status = solve(*flags, options);
-        return status ? *status : report(status.error());
-      });
+      [flags](const Options& options) { return solve(*flags, options); });
   verb->add_option("--app", flags->app, "app.json")->required();
   verb->add_option("--platform", flags->platform, "small, large, or a platform.json")->required();
   verb->add_option("--out", flags->out, "where policy.json goes");

@@ -164,10 +164,7 @@ void add_top(Commands& commands) {
   auto flags = std::make_shared<Flags>();
   CLI::App* verb =
       commands.add("top", "Show a run live: latency, run and waiting time per XNode, load per XPU.",
-                   "xauto top", [flags](const Options& options) {
-                     const auto status = top(*flags, options);
-                     return status ? *status : report(status.error());
-                   });
+                   "xauto top", [flags](const Options& options) { return top(*flags, options); });
   verb->add_option("--run", flags->run, "which run, if there are several");
   verb->add_option("--interval-ms", flags->interval_ms, "between two looks")
       ->check(CLI::Range(50, 60'000))

@@ -191,10 +191,8 @@ void add_trace(Commands& commands) {
   auto flags = std::make_shared<Flags>();
   CLI::App* verb =
       commands.add("trace", "Record what the kernel does with the XNode threads of a run.",
-                   "xauto trace --duration-s 5 --events", [flags](const Options& options) {
-                     const auto status = trace(*flags, options);
-                     return status ? *status : report(status.error());
-                   });
+                   "xauto trace --duration-s 5 --events",
+                   [flags](const Options& options) { return trace(*flags, options); });
   verb->add_option("--run", flags->run, "which run, if there are several");
   verb->add_option("--duration-s", flags->duration_s, "0: until the run ends, or Ctrl-C")
       ->check(CLI::Range(0, 86'400))

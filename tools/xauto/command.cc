@@ -18,7 +18,8 @@ int exit_status(const Error& error) {
   }
 }
 
-int report(const Error& error) {
+/// Prints "xauto: error: ..." with its hint to stderr and returns exit_status(error).
+static int report(const Error& error) {
   log::error("{}", error.to_string());
   return exit_status(error);
 }
@@ -52,7 +53,8 @@ int Commands::run(int argc, char** argv) {
     return root_.exit(e) == 0 ? kDone : kBadInput;
   }
   try {
-    return chosen_(options_);
+    const Result<int> status = chosen_(options_);
+    return status ? *status : report(status.error());
   } catch (const std::exception& e) {
     // Our own code does not throw; this is memory exhaustion or a bug, and it gets a name either
     // way.

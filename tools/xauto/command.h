@@ -19,15 +19,13 @@ enum Exit : int { kDone = 0, kAnswerIsNo = 1, kBadInput = 2 };
 
 /// kInfeasible -> 1; bad input, missing files -> 2; everything else (I/O, peers) -> 1.
 [[nodiscard]] int exit_status(const Error& error);
-/// Prints "xauto: error: ..." with its hint to stderr and returns exit_status(error).
-int report(const Error& error);
 
 struct Options {
   bool json = false;  ///< --json, accepted by every verb
 };
 
-/// A verb's body: runs after parsing, returns the exit status.
-using Body = std::function<int(const Options&)>;
+/// A verb's body: runs after parsing, returns the exit status. Its error is reported by `run`.
+using Body = std::function<Result<int>(const Options&)>;
 
 class Commands {
  public:
