@@ -31,6 +31,11 @@ constexpr std::int64_t kStallNs =
 constexpr std::int64_t kSilenceNs = 3'000'000'000;   ///< of a watchdog, beyond the hang limit
 constexpr std::int64_t kPatienceNs = 1'000'000'000;  ///< with an exec, once the run is over
 
+/// To the notes of a report, which are one text; "" adds none.
+void add_note(std::string& notes, const std::string& text) {
+  if (!text.empty()) notes += (notes.empty() ? "" : "; ") + text;
+}
+
 }  // namespace
 
 Engine::Engine(const detail::AppSpecErased& app, const Session& session, Graph graph)
@@ -338,11 +343,6 @@ void Engine::watch_members(std::int64_t now) {
 }
 
 void Engine::hung(const Worker& worker, const Worker::Hung& job) {
-  const int module =
-      graph_
-          .nodes[static_cast<std::size_t>(
-              std::find(xnode_of_.begin(), xnode_of_.end(), job.placed->xnode) - xnode_of_.begin())]
-          .module;
   const std::string text = "XNode '" + job.placed->name + "' on " + worker.options().xpu_id.name +
                            " ran past its hang limit of " +
                            std::to_string(job.placed->limits.hang_ns / 1'000'000) +
@@ -350,14 +350,14 @@ void Engine::hung(const Worker& worker, const Worker::Hung& job) {
   const bool first = job.placed->line->hangs.load(std::memory_order_relaxed) == 1;
   if (first) {
     const std::lock_guard lock(hung_mutex_);
-    hung_note_ += (hung_note_.empty() ? "" : "; ") + text;
+    add_note(hung_note_, text);
   }
   switch (job.placed->limits.on_hang) {
     case OnHang::kLog:
       if (first) log::warn("{} (further ones are only counted)", text);
       break;
     case OnHang::kDrop:
-      if (modules_[static_cast<std::size_t>(module)]->abandon(job.sequence) && first)
+      if (modules_[static_cast<std::size_t>(job.module)]->abandon(job.sequence) && first)
         log::warn("{}: given up (further ones are only counted)", text);
       break;
     case OnHang::kRestart:
@@ -376,7 +376,7 @@ void Engine::stop_workers() {
           "an exec of " + worker->options().name + " never returned; its thread was left behind";
       log::error("{}", text);
       const std::lock_guard lock(hung_mutex_);
-      hung_note_ += (hung_note_.empty() ? "" : "; ") + text;
+      add_note(hung_note_, text);
     }
   watchdog_.reset();
 }
@@ -487,8 +487,7 @@ Result<RunReport> Engine::run_member() {
 /// Adds what the members have to tell. The counts are on the board, the latencies came with events.
 void Engine::gather(const std::vector<std::string>& reports, RunReport& report) const {
   const auto note = [&](const std::string& text) {
-    if (text.empty() || report.note.find(text) != std::string::npos) return;
-    report.note += (report.note.empty() ? "" : "; ") + text;
+    if (report.note.find(text) == std::string::npos) add_note(report.note, text);
   };
   for (const std::string& text : reports) {
     const auto member = parse_run_report(text);
@@ -551,17 +550,15 @@ Result<RunReport> Engine::run_whole() {
   if (hub_) {
     gather(members, result);
     if (const std::uint64_t lost = receiver_->lost(); lost > 0)
-      result.note += (result.note.empty() ? "" : "; ") + std::to_string(lost) +
-                     " messages to this process were lost in full queues";
+      add_note(result.note,
+               std::to_string(lost) + " messages to this process were lost in full queues");
   }
   // A run without an end of its own is complete when it has been told to stop.
   result.complete = drained && (!stop_.load() || session_.activations == 0);
-  if (!drained) {
-    result.note += (result.note.empty() ? "" : "; ");
-    result.note += in_flight_.load() > 0
-                       ? std::to_string(in_flight_.load()) + " activations did not end"
-                       : "a module whose result was not needed did not end";
-  }
+  if (!drained)
+    add_note(result.note, in_flight_.load() > 0
+                              ? std::to_string(in_flight_.load()) + " activations did not end"
+                              : "a module whose result was not needed did not end");
   for (const auto& callback : app_.on_end) {
     try {
       callback();
@@ -689,7 +686,7 @@ void Engine::record(std::int64_t origin_ns,
       done = fail(ErrorCode::kIo, e.what(), session_.record);
     }
     if (done) continue;
-    note_ += (note_.empty() ? "" : "; ") + ("recording ended early: " + done.error().to_string());
+    add_note(note_, "recording ended early: " + done.error().to_string());
     log::warn("recording ended early: {}", done.error().to_string());
     recorder_.reset();
     return;
@@ -898,13 +895,10 @@ void Engine::account(int module, std::uint64_t sequence, std::int64_t now, bool 
 
 /// What this process has to tell, apart from counts.
 void Engine::tell_notes(RunReport& result) {
-  const auto note = [&](const std::string& text) {
-    if (!text.empty()) result.note += (result.note.empty() ? "" : "; ") + text;
-  };
-  note(note_);
-  note(threads_->note());
+  add_note(result.note, note_);
+  add_note(result.note, threads_->note());
   for (const auto& worker : workers_) {
-    note(worker->first_failure());
+    add_note(result.note, worker->first_failure());
     if (worker->lost_coordinator())
       result.lost_coordinators.push_back(worker->options().xpu_id.name);
   }
@@ -913,7 +907,7 @@ void Engine::tell_notes(RunReport& result) {
       std::unique(result.lost_coordinators.begin(), result.lost_coordinators.end()),
       result.lost_coordinators.end());
   const std::lock_guard lock(hung_mutex_);
-  note(hung_note_);
+  add_note(result.note, hung_note_);
 }
 
 RunReport Engine::report() {

@@ -85,7 +85,7 @@ class Worker {
   struct Hung {
     const Placed* placed;
     std::uint64_t sequence;
-    std::int64_t took_ns;
+    int module;
   };
   [[nodiscard]] std::optional<Hung> find_hung(std::int64_t now_ns);
 

@@ -27,8 +27,9 @@ void Worker::manage() {
         const Status done = backend_->preempt(job->handle);
         if (done) {
           suspended = job->handle;
-          watch_.away(now_ns());
-          thread_->release(now_ns());
+          const std::int64_t now = now_ns();
+          watch_.away(now);
+          thread_->release(now);
           record(XAUTO_EV_SUSPENDED, *job);
         } else {
           log::debug("{}: not suspended: {}", options_.name, done.error().to_string());
@@ -108,7 +109,7 @@ std::optional<Worker::Hung> Worker::find_hung(std::int64_t now_ns) {
   if (!again || again->job != seen->job) return std::nullopt;
   hung_job_ = seen->job;
   placed->line->hangs.fetch_add(1, std::memory_order_relaxed);
-  return Hung{placed, seen->sequence, seen->took_ns};
+  return Hung{placed, seen->sequence, chain_.module};
 }
 
 }  // namespace xauto::runtime
