@@ -53,7 +53,7 @@ modules:
 	@$(MAKE) -C $(KERNEL) M=$(CURDIR) modules
 
 bench:
-	@scripts/setup.sh build bench
+	@scripts/setup.sh build bench transport
 	@JOBS=$(JOBS) scripts/bench.sh $(if $(QUICK),--quick)
 
 # The API's reference: build/docs/html/index.html.

@@ -27,6 +27,7 @@ class Samples {
     return static_cast<double>(ns_[at]) / 1000;
   }
   [[nodiscard]] std::size_t count() const { return ns_.size(); }
+  [[nodiscard]] const std::vector<std::int64_t>& ns() const { return ns_; }
 
  private:
   std::vector<std::int64_t> ns_;
@@ -74,12 +75,13 @@ struct Options {
   std::string only;
 };
 
-/// The cores to use: one, or two (the same one twice on a machine with one core).
+/// The cores to use: one, or two (the same one twice on a machine with one core). As they were when
+/// the program started: the first call is in main, before any row pins its thread.
 struct Cores {
   int first, second;
 };
 inline Cores cores() {
-  const std::vector<int> allowed = rt::allowed_cores();
+  static const std::vector<int> allowed = rt::allowed_cores();
   return {allowed.front(), allowed.size() > 1 ? allowed[1] : allowed.front()};
 }
 

@@ -23,6 +23,7 @@
 #include "coord/server.h"
 
 #include "bench.h"
+#include "peers.h"
 
 namespace xauto::bench {
 namespace {
@@ -272,6 +273,10 @@ void decisions(const Options& options, Table& table) {
     const std::string where = same ? " 1 core" : " 2 cores";
     auto futex = futex_round_trip(options, c.first, there);
     table.add("decision", "contended" + where, "futex round trip", futex);
+    for (const Peer& peer : peers())
+      if (peer.round_trip != nullptr)
+        add_peer(table, "decision", "contended" + where, peer.name + ", 64 bytes and back",
+                 [&] { return peer.round_trip(options, c.first, there); });
     auto parked = hand_over(options, c.first, there);
     table.add("decision", "contended" + where, "xauto, parked", parked);
     Samples granted, told;

@@ -6,9 +6,9 @@
 //   own-worker   one thread, ready ring, join counters, one futex hand-over each way: the floor
 //   xauto        the engine, as `xauto run` uses it, coordinator included
 //   tbb-flow     oneTBB's flow graph (where it is installed)
+//   others       peers.h, where their packages are installed
 #include <atomic>
 #include <memory>
-#include <random>
 #include <thread>
 
 #include <sys/eventfd.h>
@@ -21,6 +21,7 @@
 #include "runtime/supervisor.h"
 
 #include "bench.h"
+#include "peers.h"
 
 #ifdef XAUTO_BENCH_TBB
 #include <tbb/flow_graph.h>
@@ -28,51 +29,6 @@
 
 namespace xauto::bench {
 namespace {
-
-struct Dag {
-  std::string name;
-  int nodes = 0;
-  std::vector<std::vector<int>> after;  ///< [node] -> successors
-  std::vector<int> before;              ///< [node] -> number of predecessors
-};
-
-Dag chain(int nodes) {
-  Dag dag{"chain" + std::to_string(nodes), nodes, {}, {}};
-  dag.after.resize(static_cast<std::size_t>(nodes));
-  dag.before.assign(static_cast<std::size_t>(nodes), 1);
-  dag.before[0] = 0;
-  for (int i = 1; i < nodes; ++i) dag.after[static_cast<std::size_t>(i) - 1].push_back(i);
-  return dag;
-}
-
-/// 40 nodes, 83 edges: node 0 is the only source, node 39 the only sink.
-Dag dag40() {
-  Dag dag{"dag40", 40, {}, {}};
-  dag.after.resize(40);
-  dag.before.assign(40, 0);
-  std::mt19937 random(7);
-  int edges = 0;
-  const auto add = [&](int u, int v) {
-    auto& after = dag.after[static_cast<std::size_t>(u)];
-    if (u >= v || std::find(after.begin(), after.end(), v) != after.end()) return;
-    after.push_back(v);
-    ++dag.before[static_cast<std::size_t>(v)];
-    ++edges;
-  };
-  for (int v = 1; v < 40; ++v) add(static_cast<int>(random() % static_cast<unsigned>(v)), v);
-  for (int u = 0; u < 39; ++u)
-    if (dag.after[static_cast<std::size_t>(u)].empty()) add(u, 39);
-  while (edges < 83) {
-    const int u = static_cast<int>(random() % 39);
-    add(u, u + 1 + static_cast<int>(random() % static_cast<unsigned>(39 - u)));
-  }
-  return dag;
-}
-
-volatile std::uint64_t g_work;
-void node_body() {
-  g_work = g_work + 1;
-}
 
 Samples run_calls(const Dag& dag, std::uint64_t rounds) {
   Samples samples;
@@ -313,6 +269,11 @@ void dispatch(const Options& options, Table& table) {
     auto tbb = run_tbb(dag, options.rounds);
     table.add("dispatch", dag.name, "tbb-flow", tbb, n);
 #endif
+    for (const Peer& peer : peers())
+      if (peer.dispatch != nullptr)
+        add_peer(
+            table, "dispatch", dag.name, peer.dispatch_name,
+            [&] { return peer.dispatch(options, dag); }, n);
   }
   auto floor = run_thread_per_node(10, options.rounds);
   table.add("dispatch", "xpu change", "futex hand-over", floor, 10);

@@ -67,6 +67,7 @@ int main(int argc, char** argv) {
   cli.add_flag("--fifo", options.fifo, "SCHED_FIFO, as a run with the permission for it");
   CLI11_PARSE(cli, argc, argv);
 
+  (void)cores();
   Table table;
   fmt::print("  {:<12}{:<26}{:<24}{:>10}{:>10}{:>10}\n", "us", "case", "program", "p50", "p99",
              "p99.9");

@@ -18,76 +18,22 @@
 #include "transport/topic.h"
 
 #include "bench.h"
+#include "pair.h"
+#include "peers.h"
 
 namespace xauto::bench {
 namespace {
-
-constexpr std::int64_t kPauseNs = 1'000'000;
-
-struct Shared {
-  std::atomic<std::uint32_t> ready, done;
-  std::atomic<std::int64_t> arrived;
-  transport::Doorbell doorbell;
-  std::atomic<std::uint32_t> word;
-};
 
 template <std::size_t Bytes>
 struct Payload {
   std::byte bytes[Bytes];
 };
 
-pid_t child(const std::function<void()>& body) {
-  const pid_t pid = fork();
-  if (pid != 0) return pid;
-  prctl(PR_SET_PDEATHSIG, SIGKILL);
-  body();
-  _exit(0);
-}
-
-std::uint64_t touch(const std::byte* at, std::size_t bytes) {
-  std::uint64_t sum = 0;
-  for (std::size_t i = 0; i < bytes; i += 4096) sum += static_cast<std::uint64_t>(at[i]);
-  return sum;
-}
-
 struct OneDoorbell final : transport::Ringer {
   explicit OneDoorbell(transport::Doorbell& d) : doorbell(d) {}
   void ring(std::uint32_t) override { doorbell.ring(); }
   transport::Doorbell& doorbell;
 };
-
-/// `send` publishes number k, `receive` waits for one and touches it; both in their own process.
-template <class Send, class Receive>
-Samples measure(const Options& options, Shared& shared, std::uint64_t rounds, Send send,
-                Receive receive) {
-  const Cores c = cores();
-  const pid_t pid = child([&] {
-    (void)rt::pin_to_core(c.second);
-    rt::set_timer_slack_1ns();
-    if (options.fifo) (void)rt::set_fifo(45);
-    auto take = receive();
-    shared.ready.store(1);
-    for (;;) {
-      take();
-      shared.done.fetch_add(1);
-      futex_wake(shared.done, 1);
-    }
-  });
-  while (shared.ready.load() == 0) usleep(1000);
-  (void)rt::pin_to_core(c.first);
-  if (options.fifo) (void)rt::set_fifo(40);
-  Samples samples;
-  for (std::uint32_t k = 0; k < rounds; ++k) {
-    sleep_until_ns(now_ns() + kPauseNs);
-    const std::int64_t start = send(k);
-    while (shared.done.load() == k) futex_wait(shared.done, k);
-    if (k > 8) samples.add(shared.arrived.load() - start);
-  }
-  (void)rt::set_other();
-  kill(pid, SIGKILL);
-  waitpid(pid, nullptr, 0);
-  return samples;
-}
 
 template <std::size_t Bytes>
 void size(const Options& options, Table& table, const std::string& name) {
@@ -113,10 +59,12 @@ void size(const Options& options, Table& table, const std::string& name) {
         },
         [&] {
           return [&, seen = std::uint32_t{0}]() mutable {
-            while (shared->word.load() == seen) futex_wait(shared->word, seen);
+            if (shared->word.load() == seen) futex_wait(shared->word, seen);
+            if (shared->word.load() == seen) return false;
             seen = shared->word.load();
             sink = sink + touch(buffer, Bytes);
             shared->arrived.store(now_ns());
+            return true;
           };
         });
     table.add("transfer", name + " between processes", "own-shm-futex", floor);
@@ -144,18 +92,20 @@ void size(const Options& options, Table& table, const std::string& name) {
           auto subscriber =
               *transport::Subscriber::open(spec, fds->control.get(), fds->data.get(), 0);
           return [&, subscriber] {
-            for (;;) {
-              if (const auto envelope = subscriber->take()) {
-                sink = sink + touch(static_cast<const std::byte*>(envelope->message.get()), Bytes);
-                shared->arrived.store(now_ns());
-                return;
-              }
-              shared->doorbell.wait([&] { return subscriber->empty(); });
-            }
+            shared->doorbell.wait([&] { return subscriber->empty(); });
+            const auto envelope = subscriber->take();
+            if (!envelope) return false;
+            sink = sink + touch(static_cast<const std::byte*>(envelope->message.get()), Bytes);
+            shared->arrived.store(now_ns());
+            return true;
           };
         });
     table.add("transfer", name + " between processes", "xauto", ours);
   }
+  for (const Peer& peer : peers())
+    if (peer.transfer != nullptr)
+      add_peer(table, "transfer", name + " between processes", peer.name,
+               [&] { return peer.transfer(options, Bytes, rounds); });
   {  // inside: a pointer, to the subscriber's callback
     transport::Channel channel;
     std::int64_t arrived = 0;
