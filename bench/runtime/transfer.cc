@@ -76,7 +76,7 @@ void size(const Options& options, Table& table, const std::string& name) {
     const auto fds = transport::make_topic({Bytes, 1, 8, 8});
     OneDoorbell ringer(shared->doorbell);
     const auto publisher =
-        *transport::Publisher::open(spec, fds->control.get(), fds->data.get(), &ringer);
+        *transport::ShmPublisher::open(spec, fds->control.get(), fds->data.get(), &ringer);
     volatile std::uint64_t sink = 0;
     auto ours = measure(
         options, *shared, rounds,
@@ -90,7 +90,7 @@ void size(const Options& options, Table& table, const std::string& name) {
         },
         [&] {
           auto subscriber =
-              *transport::Subscriber::open(spec, fds->control.get(), fds->data.get(), 0);
+              *transport::ShmSubscriber::open(spec, fds->control.get(), fds->data.get(), 0);
           return [&, subscriber] {
             shared->doorbell.wait([&] { return subscriber->empty(); });
             const auto envelope = subscriber->take();

@@ -271,10 +271,7 @@ Status Engine::wire() {
   sink_next_.assign(graph_.modules.size(), 0);
   for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
     // Other processes first: they have a longer way.
-    if (publishers_[t] != nullptr)
-      channels_[t].subscribe([publisher = publishers_[t].get()](const detail::Envelope& envelope) {
-        publisher->publish(envelope);
-      });
+    if (publishers_[t] != nullptr) channels_[t].subscribe(publishers_[t]->sender());
     for (const detail::ObserverSpec& observer : app_.observers)
       if (!member_ && observer.topic.name == graph_.topics[t].spec.name)
         channels_[t].subscribe([&observer](const detail::Envelope& envelope) {
@@ -397,8 +394,8 @@ Status Engine::open_topics() {
     const transport::TopicFds& fds = topic_fds(t);
     ringers_.push_back(std::make_unique<BoardRinger>(board_, remote.readers));
     XAUTO_ASSIGN(publishers_[t],
-                 transport::Publisher::open(graph_.topics[t].spec, fds.control.get(),
-                                            fds.data.get(), ringers_.back().get()));
+                 transport::ShmPublisher::open(graph_.topics[t].spec, fds.control.get(),
+                                               fds.data.get(), ringers_.back().get()));
   }
   return {};
 }
@@ -411,9 +408,9 @@ Status Engine::open_inputs() {
     const int reader = plan_.topics[t].reader(session_.process);
     if (reader < 0) continue;
     const transport::TopicFds& fds = topic_fds(t);
-    XAUTO_ASSIGN(auto subscriber,
-                 transport::Subscriber::open(graph_.topics[t].spec, fds.control.get(),
-                                             fds.data.get(), static_cast<std::uint32_t>(reader)));
+    XAUTO_ASSIGN(auto subscriber, transport::ShmSubscriber::open(
+                                      graph_.topics[t].spec, fds.control.get(), fds.data.get(),
+                                      static_cast<std::uint32_t>(reader)));
     receiver_->add(-1, std::move(subscriber), false,
                    [channel = &channels_[t]](const detail::Envelope& envelope) {
                      channel->publish(envelope);

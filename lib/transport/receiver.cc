@@ -7,7 +7,8 @@ namespace xauto::transport {
 
 void Receiver::add(int tag, std::shared_ptr<Subscriber> subscriber, bool blank, Deliver deliver) {
   const std::lock_guard lock(mutex_);
-  inputs_.push_back({tag, std::move(subscriber), blank, std::move(deliver)});
+  auto* const shared_memory = dynamic_cast<ShmSubscriber*>(subscriber.get());
+  inputs_.push_back({tag, std::move(subscriber), shared_memory, blank, std::move(deliver)});
   doorbell_.ring();
 }
 
@@ -44,12 +45,18 @@ bool Receiver::idle() const {
                      [](const Input& input) { return input.subscriber->empty(); });
 }
 
+std::optional<detail::Envelope> Receiver::take(const Input& input) {
+  if (input.shared_memory != nullptr)
+    return input.blank ? input.shared_memory->take_blank() : input.shared_memory->take();
+  return input.blank ? input.subscriber->take_blank() : input.subscriber->take();
+}
+
 /// One message of each input in turn, so that a fast topic does not hold up the others.
 bool Receiver::pass() {
   const std::lock_guard lock(mutex_);
   bool any = false;
   for (const Input& input : inputs_) {
-    const auto envelope = input.blank ? input.subscriber->take_blank() : input.subscriber->take();
+    const auto envelope = take(input);
     if (!envelope) continue;
     any = true;
     input.deliver(*envelope);

@@ -40,10 +40,12 @@ class Receiver {
   struct Input {
     int tag;
     std::shared_ptr<Subscriber> subscriber;
+    ShmSubscriber* shared_memory;  ///< the same, if it is one: asked without a virtual call
     bool blank;
     Deliver deliver;
   };
   bool pass();
+  static std::optional<detail::Envelope> take(const Input& input);
   void run();
 
   Doorbell& doorbell_;

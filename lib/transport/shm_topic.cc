@@ -141,9 +141,10 @@ void TopicControl::release_all(std::uint32_t subscriber) {
 
 // ---- publishing --------------------------------------------------------------------------------
 
-Result<std::shared_ptr<Publisher>> Publisher::open(const detail::TopicSpec& spec, int control_fd,
-                                                   int data_fd, Ringer* ringer) {
-  auto publisher = std::shared_ptr<Publisher>(new Publisher);
+Result<std::shared_ptr<ShmPublisher>> ShmPublisher::open(const detail::TopicSpec& spec,
+                                                         int control_fd, int data_fd,
+                                                         Ringer* ringer) {
+  auto publisher = std::shared_ptr<ShmPublisher>(new ShmPublisher);
   publisher->spec_ = spec;
   publisher->ringer_ = ringer;
   XAUTO_ASSIGN(publisher->control_, TopicControl::map(control_fd));
@@ -160,12 +161,12 @@ Result<std::shared_ptr<Publisher>> Publisher::open(const detail::TopicSpec& spec
   return publisher;
 }
 
-Publisher::~Publisher() {
+ShmPublisher::~ShmPublisher() {
   if (data_ != nullptr) munmap(data_, control_->chunks() * control_->stride());
 }
 
 /// Called with the mutex held. Queues before `held`: see the top of shm_topic.h.
-std::uint32_t Publisher::find_free() {
+std::uint32_t ShmPublisher::find_free() {
   TopicControl& c = *control_;
   std::fill(queued_.begin(), queued_.end(), std::uint8_t{0});
   for (std::uint32_t s = 0; s < c.shape().subscribers; ++s)
@@ -183,7 +184,7 @@ std::uint32_t Publisher::find_free() {
   return kNoChunk;
 }
 
-std::shared_ptr<void> Publisher::loan(std::size_t bytes) {
+std::shared_ptr<void> ShmPublisher::loan(std::size_t bytes) {
   if (bytes > control_->shape().chunk_bytes) return nullptr;
   std::uint32_t chunk;
   {
@@ -202,7 +203,7 @@ std::shared_ptr<void> Publisher::loan(std::size_t bytes) {
           }};
 }
 
-std::uint32_t Publisher::chunk_of(const void* message) const {
+std::uint32_t ShmPublisher::chunk_of(const void* message) const {
   const auto at = reinterpret_cast<std::uintptr_t>(message);
   const auto start = reinterpret_cast<std::uintptr_t>(data_);
   if (at < start || at >= start + control_->chunks() * control_->stride()) return kNoChunk;
@@ -210,7 +211,7 @@ std::uint32_t Publisher::chunk_of(const void* message) const {
 }
 
 /// Called with the mutex held.
-std::uint32_t Publisher::store(const void* message, std::uint64_t& bytes) {
+std::uint32_t ShmPublisher::store(const void* message, std::uint64_t& bytes) {
   const std::uint32_t chunk = find_free();
   if (chunk == kNoChunk) return kNoChunk;
   std::byte* at = data_ + chunk * control_->stride();
@@ -232,7 +233,7 @@ std::uint32_t Publisher::store(const void* message, std::uint64_t& bytes) {
   return chunk;
 }
 
-void Publisher::publish(const detail::Envelope& envelope) {
+void ShmPublisher::publish(const detail::Envelope& envelope) {
   TopicControl& c = *control_;
   {
     const std::lock_guard lock(mutex_);
@@ -261,8 +262,8 @@ void Publisher::publish(const detail::Envelope& envelope) {
     for (std::uint32_t s = 0; s < c.shape().subscribers; ++s) ringer_->ring(s);
 }
 
-void Publisher::push(std::uint32_t s, const detail::Envelope& envelope, std::uint32_t chunk,
-                     std::uint64_t bytes) {
+void ShmPublisher::push(std::uint32_t s, const detail::Envelope& envelope, std::uint32_t chunk,
+                        std::uint64_t bytes) {
   TopicQueue& queue = control_->queue(s);
   const std::uint64_t tail = queue.tail.load(std::memory_order_relaxed);
   TopicSlot& slot = control_->slot(s, tail);
@@ -283,9 +284,10 @@ void Publisher::push(std::uint32_t s, const detail::Envelope& envelope, std::uin
 
 // ---- subscribing -------------------------------------------------------------------------------
 
-Result<std::shared_ptr<Subscriber>> Subscriber::open(const detail::TopicSpec& spec, int control_fd,
-                                                     int data_fd, std::uint32_t index) {
-  auto subscriber = std::shared_ptr<Subscriber>(new Subscriber);
+Result<std::shared_ptr<ShmSubscriber>> ShmSubscriber::open(const detail::TopicSpec& spec,
+                                                           int control_fd, int data_fd,
+                                                           std::uint32_t index) {
+  auto subscriber = std::shared_ptr<ShmSubscriber>(new ShmSubscriber);
   subscriber->spec_ = spec;
   XAUTO_ASSIGN(subscriber->control_, TopicControl::map(control_fd));
   if (index >= subscriber->control_->shape().subscribers)
@@ -298,20 +300,20 @@ Result<std::shared_ptr<Subscriber>> Subscriber::open(const detail::TopicSpec& sp
   return subscriber;
 }
 
-Subscriber::~Subscriber() {
+ShmSubscriber::~ShmSubscriber() {
   if (data_ != nullptr)
     munmap(const_cast<std::byte*>(data_), control_->chunks() * control_->stride());
 }
 
-bool Subscriber::empty() const {
+bool ShmSubscriber::empty() const {
   return control_->queue(index_).tail.load(std::memory_order_seq_cst) <= head_;
 }
 
-void Subscriber::release(std::uint32_t chunk) {
+void ShmSubscriber::release(std::uint32_t chunk) {
   control_->held(chunk).fetch_and(~bit_, std::memory_order_seq_cst);
 }
 
-std::optional<Subscriber::Taken> Subscriber::next() {
+std::optional<ShmSubscriber::Taken> ShmSubscriber::next() {
   TopicQueue& queue = control_->queue(index_);
   const std::uint64_t depth = control_->shape().depth;
   for (;;) {
@@ -351,14 +353,14 @@ std::optional<Subscriber::Taken> Subscriber::next() {
   }
 }
 
-std::optional<detail::Envelope> Subscriber::take_blank() {
+std::optional<detail::Envelope> ShmSubscriber::take_blank() {
   const auto taken = next();
   if (!taken) return std::nullopt;
   if (taken->chunk < control_->chunks()) release(taken->chunk);
   return detail::Envelope{nullptr, taken->origin_ns, taken->sequence, taken->origins};
 }
 
-std::optional<detail::Envelope> Subscriber::take() {
+std::optional<detail::Envelope> ShmSubscriber::take() {
   const auto taken = next();
   if (!taken) return std::nullopt;
   detail::Envelope envelope{nullptr, taken->origin_ns, taken->sequence, taken->origins};

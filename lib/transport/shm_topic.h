@@ -36,6 +36,7 @@
 
 #include "base/pi_mutex.h"
 #include "base/unique_fd.h"
+#include "transport/transport.h"
 
 namespace xauto::transport {
 
@@ -50,13 +51,6 @@ struct TopicShape {
   std::uint32_t subscribers = 0;  ///< processes that read it
   std::uint32_t depth = 8;        ///< messages that wait for one of them; then the oldest is lost
   std::uint32_t keep = 8;         ///< messages that each of them (and the publisher) may keep
-};
-
-/// Where a publisher rings after it has put something into somebody's queue; see doorbell.h.
-class Ringer {
- public:
-  virtual ~Ringer() = default;
-  virtual void ring(std::uint32_t subscriber) = 0;
 };
 
 struct TopicSlot {
@@ -140,26 +134,31 @@ class TopicControl {
 };
 
 /// The writing end. Threads: `loan` and `publish` from any thread of one process.
-class Publisher : public MessageMemory, public std::enable_shared_from_this<Publisher> {
+class ShmPublisher final : public Publisher, public std::enable_shared_from_this<ShmPublisher> {
  public:
-  [[nodiscard]] static Result<std::shared_ptr<Publisher>> open(const detail::TopicSpec& spec,
-                                                               int control_fd, int data_fd,
-                                                               Ringer* ringer);
-  ~Publisher() override;
+  [[nodiscard]] static Result<std::shared_ptr<ShmPublisher>> open(const detail::TopicSpec& spec,
+                                                                  int control_fd, int data_fd,
+                                                                  Ringer* ringer);
+  ~ShmPublisher() override;
 
   /// A chunk to make a message in; null if the message is too large or no chunk is free, and then a
   /// message is made on the heap: it is copied later, or lost for other processes.
   std::shared_ptr<void> loan(std::size_t bytes) override;
   /// Never waits. A message that lies in a loaned chunk travels as it is; any other one is copied
   /// (plain data) or encoded.
-  void publish(const detail::Envelope& envelope);
+  void publish(const detail::Envelope& envelope) override;
+  [[nodiscard]] Sender sender() override {
+    return [this](const detail::Envelope& envelope) { publish(envelope); };
+  }
 
-  [[nodiscard]] std::uint64_t next_sequence() const { return control_->next_sequence(); }
+  [[nodiscard]] std::uint64_t next_sequence() const override { return control_->next_sequence(); }
   /// Messages that could not be sent to anybody: too large, no chunk, or encode threw.
-  [[nodiscard]] std::uint64_t unsent() const { return unsent_.load(std::memory_order_relaxed); }
+  [[nodiscard]] std::uint64_t unsent() const override {
+    return unsent_.load(std::memory_order_relaxed);
+  }
 
  private:
-  Publisher() = default;
+  ShmPublisher() = default;
   [[nodiscard]] std::uint32_t find_free();
   [[nodiscard]] std::uint32_t chunk_of(const void* message) const;
   std::uint32_t store(const void* message, std::uint64_t& bytes);
@@ -178,23 +177,23 @@ class Publisher : public MessageMemory, public std::enable_shared_from_this<Publ
 };
 
 /// The reading end of one process. Threads: `take` from one; the messages from any.
-class Subscriber : public std::enable_shared_from_this<Subscriber> {
+class ShmSubscriber final : public Subscriber, public std::enable_shared_from_this<ShmSubscriber> {
  public:
-  [[nodiscard]] static Result<std::shared_ptr<Subscriber>> open(const detail::TopicSpec& spec,
-                                                                int control_fd, int data_fd,
-                                                                std::uint32_t index);
-  ~Subscriber();
+  [[nodiscard]] static Result<std::shared_ptr<ShmSubscriber>> open(const detail::TopicSpec& spec,
+                                                                   int control_fd, int data_fd,
+                                                                   std::uint32_t index);
+  ~ShmSubscriber() override;
 
   /// The next message or tombstone; nullopt: none. A message that cannot be decoded comes as a
   /// tombstone.
-  [[nodiscard]] std::optional<detail::Envelope> take();
+  [[nodiscard]] std::optional<detail::Envelope> take() override;
   /// The same without ever touching the message: for whoever stands in for a dead reader.
-  [[nodiscard]] std::optional<detail::Envelope> take_blank();
-  [[nodiscard]] bool empty() const;
-  [[nodiscard]] std::uint64_t lost() const { return lost_; }
+  [[nodiscard]] std::optional<detail::Envelope> take_blank() override;
+  [[nodiscard]] bool empty() const override;
+  [[nodiscard]] std::uint64_t lost() const override { return lost_; }
 
  private:
-  Subscriber() = default;
+  ShmSubscriber() = default;
   struct Taken {
     std::uint32_t chunk;
     std::uint64_t bytes, sequence;

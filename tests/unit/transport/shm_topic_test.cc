@@ -34,15 +34,15 @@ struct World {
     publisher = open_publisher();
     for (std::uint32_t s = 0; s < subscribers; ++s) readers.push_back(open_reader(s));
   }
-  std::shared_ptr<Publisher> open_publisher() {
-    auto opened = Publisher::open(spec, fds.control.get(), fds.data.get(), nullptr);
+  std::shared_ptr<ShmPublisher> open_publisher() {
+    auto opened = ShmPublisher::open(spec, fds.control.get(), fds.data.get(), nullptr);
     EXPECT_TRUE(opened) << opened.error().to_string();
     return *opened;
   }
-  std::shared_ptr<Subscriber> open_reader(std::uint32_t index) {
+  std::shared_ptr<ShmSubscriber> open_reader(std::uint32_t index) {
     const auto fd = read_only(fds.data.get());
     EXPECT_TRUE(fd);
-    auto opened = Subscriber::open(spec, fds.control.get(), fd->get(), index);
+    auto opened = ShmSubscriber::open(spec, fds.control.get(), fd->get(), index);
     EXPECT_TRUE(opened) << opened.error().to_string();
     return *opened;
   }
@@ -60,8 +60,8 @@ struct World {
   TopicShape shape;
   detail::TopicSpec spec = detail::topic_spec(Topic<Frame>("frames"));
   TopicFds fds;
-  std::shared_ptr<Publisher> publisher;
-  std::vector<std::shared_ptr<Subscriber>> readers;
+  std::shared_ptr<ShmPublisher> publisher;
+  std::vector<std::shared_ptr<ShmSubscriber>> readers;
 };
 
 std::uint64_t number(const detail::Envelope& envelope) {
@@ -187,8 +187,8 @@ TEST(ShmTopic, EncodedMessagesAndOversizeOnes) {
   detail::TopicSpec spec = detail::topic_spec(Topic<std::string>("text"));
   auto fds = make_topic({16, 1, 4, 2});
   ASSERT_TRUE(fds);
-  auto publisher = *Publisher::open(spec, fds->control.get(), fds->data.get(), nullptr);
-  auto reader = *Subscriber::open(spec, fds->control.get(), fds->data.get(), 0);
+  auto publisher = *ShmPublisher::open(spec, fds->control.get(), fds->data.get(), nullptr);
+  auto reader = *ShmSubscriber::open(spec, fds->control.get(), fds->data.get(), 0);
   publisher->publish({std::make_shared<const std::string>("hello"), 0, 0});
   publisher->publish({std::make_shared<const std::string>(17, 'x'), 0, 1});
   EXPECT_EQ(*static_cast<const std::string*>(reader->take()->message.get()), "hello");
@@ -200,7 +200,7 @@ TEST(ShmTopic, ReadersCannotWriteMessages) {
   World world;
   const auto fd = read_only(world.fds.data.get());
   ASSERT_TRUE(fd);
-  EXPECT_FALSE(Publisher::open(world.spec, world.fds.control.get(), fd->get(), nullptr));
+  EXPECT_FALSE(ShmPublisher::open(world.spec, world.fds.control.get(), fd->get(), nullptr));
 }
 
 TEST(ShmTopic, RefusesMemoryThatIsNoTopic) {
@@ -208,8 +208,8 @@ TEST(ShmTopic, RefusesMemoryThatIsNoTopic) {
   auto other = make_topic({sizeof(Frame), 2, 4, 3});
   ASSERT_TRUE(other);
   EXPECT_FALSE(TopicControl::map(world.fds.data.get()));
-  EXPECT_FALSE(Subscriber::open(world.spec, world.fds.control.get(), world.fds.data.get(), 1));
-  EXPECT_FALSE(Publisher::open(world.spec, other->control.get(), world.fds.data.get(), nullptr));
+  EXPECT_FALSE(ShmSubscriber::open(world.spec, world.fds.control.get(), world.fds.data.get(), 1));
+  EXPECT_FALSE(ShmPublisher::open(world.spec, other->control.get(), world.fds.data.get(), nullptr));
   EXPECT_FALSE(make_topic({0, 0, 4, 3}));
   EXPECT_FALSE(make_topic({0, 65, 4, 3}));
   EXPECT_FALSE(make_topic({0, 1, 0, 3}));
@@ -249,7 +249,7 @@ TEST(ShmTopic, UnderLoadEveryMessageIsReadWholeInOrderOrCountedAsLost) {
     std::vector<Doorbell>& bells;
   } ringer(bells);
   world.publisher =
-      *Publisher::open(world.spec, world.fds.control.get(), world.fds.data.get(), &ringer);
+      *ShmPublisher::open(world.spec, world.fds.control.get(), world.fds.data.get(), &ringer);
   std::vector<std::unique_ptr<Receiver>> receivers;
   std::array<std::atomic<std::uint64_t>, 3> got{}, torn{}, next{};
   for (std::size_t s = 0; s < 3; ++s) {

@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the runtime asks of whatever carries a topic out of its process. The default is our own
+// shared memory (shm_topic.h); plug-ins carry it elsewhere (bridge.h). Inside a process a topic is
+// a pointer (topic.h).
+//
+//   publishing:  loan room, make the message there, sender()(envelope)       never waits
+//   reading:     wait on a Doorbell (doorbell.h), take() until it has nothing
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+
+#include <xauto/topic.h>
+
+namespace xauto::transport {
+
+/// The writing end. Threads: any of one process.
+class Publisher : public MessageMemory {
+ public:
+  using Sender = std::function<void(const detail::Envelope&)>;
+
+  /// Never waits: what a reader has no room for is lost for that reader. An envelope without a
+  /// message is a tombstone.
+  virtual void publish(const detail::Envelope& envelope) = 0;
+  /// The same as a callable, made once at set-up: bound to the transport's own class, so that a
+  /// message costs no virtual call. Valid as long as the publisher is.
+  [[nodiscard]] virtual Sender sender() = 0;
+  /// One beyond the last release that went out.
+  [[nodiscard]] virtual std::uint64_t next_sequence() const = 0;
+  /// Messages that could not be sent to anybody.
+  [[nodiscard]] virtual std::uint64_t unsent() const = 0;
+};
+
+/// The reading end of one process. Threads: `take` from one; the messages from any.
+class Subscriber {
+ public:
+  Subscriber() = default;
+  virtual ~Subscriber() = default;
+  Subscriber(const Subscriber&) = delete;
+  Subscriber& operator=(const Subscriber&) = delete;
+
+  /// The next message or tombstone; nullopt: none. Never waits.
+  [[nodiscard]] virtual std::optional<detail::Envelope> take() = 0;
+  /// The same without ever touching the message: for whoever stands in for a dead reader.
+  [[nodiscard]] virtual std::optional<detail::Envelope> take_blank() = 0;
+  [[nodiscard]] virtual bool empty() const = 0;
+  /// Messages that came too fast for this reader, or were not acceptable.
+  [[nodiscard]] virtual std::uint64_t lost() const = 0;
+};
+
+/// Where a publisher rings after it has put something into somebody's queue; see doorbell.h.
+class Ringer {
+ public:
+  virtual ~Ringer() = default;
+  virtual void ring(std::uint32_t subscriber) = 0;
+};
+
+}  // namespace xauto::transport
