@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a decision costs: START that meets nobody, START that waits for the owner's FINISH, START
-// that suspends the owner (two processes away: the coordinator is one of its own, as in a run), and
-// the coordinators' share of a CPU. Beside the futex round trip between two processes.
+// that suspends the owner (until it runs, and until the management thread of the owner is told),
+// and the coordinators' share of a CPU. Beside the futex round trip between two processes.
 #include <array>
 #include <atomic>
 #include <ctime>

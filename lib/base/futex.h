@@ -3,6 +3,7 @@
 #pragma once
 
 #include <atomic>
+#include <cerrno>
 #include <cstdint>
 #include <ctime>
 
@@ -12,14 +13,15 @@
 
 namespace xauto {
 
-/// Sleeps while `word` holds `expected`, at most `limit_ns`: the limit is only a net for the one
-/// case that has no waker, a peer that died between its store and its wake. Callers loop on their
-/// condition.
-inline void futex_wait(std::atomic<std::uint32_t>& word, std::uint32_t expected,
+/// Sleeps while `word` holds `expected`, at most `limit_ns` (negative: without limit): the default
+/// is only a net for the one case that has no waker, a peer that died between its store and its
+/// wake. Callers loop on their condition. False: that time was over.
+inline bool futex_wait(std::atomic<std::uint32_t>& word, std::uint32_t expected,
                        std::int64_t limit_ns = 50'000'000) {
   const timespec limit{limit_ns / 1'000'000'000, limit_ns % 1'000'000'000};
-  syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAIT, expected, &limit, nullptr,
-          0);
+  return syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAIT, expected,
+                 limit_ns < 0 ? nullptr : &limit, nullptr, 0) == 0 ||
+         errno != ETIMEDOUT;
 }
 
 inline void futex_wake(std::atomic<std::uint32_t>& word, int waiters) {

@@ -7,7 +7,6 @@
 #include <cstring>
 
 #include <poll.h>
-#include <sys/eventfd.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 
@@ -62,8 +61,9 @@ Result<std::unique_ptr<Port>> Port::connect(
   port->rules_ = Rules(static_cast<Discipline>(header.discipline), header.num_xnodes, order);
   port->words_ = Words<RealAtomics>(port->shm_, &port->rules_);
   port->generation_ = request_generation(port->shm_.slots[port->slot_].worker.request.load());
-  port->interrupt_ = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-  if (!port->interrupt_) return fail(ErrorCode::kIo, std::string("eventfd: ") + strerror(errno));
+  port->pending_command_ = port->shm_.slots[port->slot_].coordinator.command.load();
+  XAUTO_ASSIGN(port->watch_, SocketWatch::of_process());
+  XAUTO_TRY(port->watch_socket());
   return port;
 }
 
@@ -84,7 +84,7 @@ Status Port::introduce(const Hello& hello, int timeout_ms) {
                 where);
   }
   Welcome welcome;
-  if (size != sizeof welcome || fds.size() != 3)
+  if (size != sizeof welcome || fds.size() != 2)
     return fail(ErrorCode::kUnavailable, "answered with an unknown message", where);
   std::memcpy(&welcome, static_cast<const void*>(&answer), sizeof welcome);
   if (welcome.slot >= static_cast<std::uint32_t>(kMaxSlots))
@@ -95,26 +95,35 @@ Status Port::introduce(const Hello& hello, int timeout_ms) {
     memory_ = std::move(fds[0]);
     doorbell_ = std::move(fds[1]);
   }
-  commands_ = std::move(fds[2]);
   return {};
+}
+
+Status Port::watch_socket() {
+  ended_.store(false);
+  return watch_->add(socket_.get(), [this] {
+    ended_.store(true);
+    ring_manager(slot_);
+  });
 }
 
 /// The coordinator has died. If another one takes over, jobs never notice; they wait for its grants
 /// as they did before.
 bool Port::rejoin() {
+  watch_->remove(socket_.get());
   Hello hello = hello_;
   hello.rejoin = static_cast<std::uint32_t>(slot_) + 1;
   const std::int64_t limit = now_ns() + std::int64_t{kRejoinMs} * 1'000'000;
   while (!interrupted_.load() && now_ns() < limit) {
     // Its address is inherited by its successor: without anybody to listen, there will be none.
     const Status status = introduce(hello, kRejoinMs);
-    if (status) return true;
+    if (status) return watch_socket().has_value();
     if (status.error().code != ErrorCode::kTimeout) break;
   }
   return false;
 }
 
 Port::~Port() {
+  if (watch_) watch_->remove(socket_.get());
   if (shm_.header != nullptr) munmap(shm_.header, bytes_);
 }
 
@@ -127,8 +136,12 @@ void Port::begin(const Job& job, std::int64_t now_ns) {
   waits_ = false;
   if (lost()) return;
   generation_ = (generation_ + 1) & kGenerationMask;
-  switch (words_.start(slot_, generation_, job, static_cast<std::uint64_t>(now_ns))) {
+  const Start start = words_.start(slot_, generation_, job, static_cast<std::uint64_t>(now_ns));
+  switch (start.started) {
     case Started::kRuns:
+      return;
+    case Started::kTook:
+      ring_manager(start.victim);
       return;
     case Started::kDecided:
       ring();
@@ -165,28 +178,30 @@ void Port::ring() {
   if (words_.ring()) signal_eventfd(doorbell_.get());
 }
 
+void Port::ring_manager(int slot) {
+  std::atomic<std::uint32_t>& bell = shm_.slots[slot].coordinator.bell;
+  bell.fetch_add(1);
+  futex_wake(bell, 1);
+}
+
 Command Port::wait_command(int timeout_ms) {
-  const CoordinatorLine& line = shm_.slots[slot_].coordinator;
-  for (;;) {
-    if (interrupted_.load(std::memory_order_relaxed)) return Command::kInterrupted;
-    const std::uint32_t command = line.command.load(std::memory_order_acquire);
+  CoordinatorLine& line = shm_.slots[slot_].coordinator;
+  const std::int64_t limit_ns = timeout_ms < 0 ? -1 : std::int64_t{timeout_ms} * 1'000'000;
+  for (bool woken = true;;) {
+    const std::uint32_t bell = line.bell.load();  // what is rung from here on wakes us
+    if (interrupted_.load()) return Command::kInterrupted;
+    const std::uint32_t command = line.command.load();
     if (command != pending_command_) {
       pending_command_ = command;
       return (command & 1u) != 0 ? Command::kSuspend : Command::kResume;
     }
-    pollfd fds[3] = {{commands_.get(), POLLIN, 0},
-                     {interrupt_.get(), POLLIN, 0},
-                     {lost() ? -1 : socket_.get(), POLLIN, 0}};
-    const int ready = poll(fds, 3, timeout_ms);
-    if (ready == 0) return Command::kNothing;
-    if (ready < 0) continue;  // EINTR
-    if (fds[0].revents != 0) drain_eventfd(commands_.get());
-    // The coordinator sends nothing after Welcome: anything here is its end, or its ruin.
-    if (fds[2].revents != 0 && !rejoin()) {
+    if (ended_.load() && !lost() && !rejoin()) {
       lost_.store(true);
-      futex_wake(shm_.slots[slot_].coordinator.grant, INT_MAX);
+      futex_wake(line.grant, INT_MAX);
       return Command::kLost;
     }
+    if (!woken) return Command::kNothing;
+    woken = futex_wait(line.bell, bell, limit_ns);
   }
 }
 
@@ -196,7 +211,7 @@ void Port::acknowledge(bool succeeded) {
 
 void Port::interrupt() {
   interrupted_.store(true);
-  signal_eventfd(interrupt_.get());
+  ring_manager(slot_);
   futex_wake(shm_.slots[slot_].coordinator.grant, INT_MAX);
 }
 

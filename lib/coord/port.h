@@ -20,6 +20,7 @@
 #include "coord/arbiter.h"
 #include "coord/protocol.h"
 #include "coord/shm_layout.h"
+#include "coord/socket_watch.h"
 #include "coord/words.h"
 
 namespace xauto::coord {
@@ -76,12 +77,15 @@ class Port {
  private:
   Port() = default;
   [[nodiscard]] Status introduce(const Hello& hello, int timeout_ms);
+  [[nodiscard]] Status watch_socket();
   [[nodiscard]] bool rejoin();
   void ring();
+  void ring_manager(int slot);
 
   std::string address_;
   Hello hello_;
-  UniqueFd socket_, memory_, doorbell_, commands_, interrupt_;
+  UniqueFd socket_, memory_, doorbell_;
+  std::shared_ptr<SocketWatch> watch_;
   Shm shm_;
   std::size_t bytes_ = 0;
   int slot_ = -1;
@@ -92,6 +96,7 @@ class Port {
   bool waits_ = false;  ///< begun, and not known to run
   std::uint32_t pending_command_ = 0;
   std::atomic<bool> lost_{false}, interrupted_{false};
+  std::atomic<bool> ended_{false};  ///< the socket: its coordinator is dead
 };
 
 }  // namespace xauto::coord

@@ -11,14 +11,14 @@
 
 namespace xauto::coord {
 
-inline constexpr std::uint32_t kProtocolVersion = 2;
+inline constexpr std::uint32_t kProtocolVersion = 3;
 inline constexpr std::size_t kMaxWorkerName = 64;
 inline constexpr std::size_t kMaxWorkerXNodes = 256;
 inline constexpr std::size_t kMaxStatusBytes = 64 * 1024;
 
 enum class MessageKind : std::uint32_t {
   kHello = 1,    ///< worker -> coordinator: Hello
-  kWelcome = 2,  ///< coordinator -> worker: Welcome + {memfd, doorbell eventfd, command eventfd}
+  kWelcome = 2,  ///< coordinator -> worker: Welcome + {memfd, doorbell eventfd}
   kRefused = 3,  ///< coordinator -> worker: Refused, then the socket is closed
   kStatus = 4,   ///< anybody -> coordinator: MessageKind alone; answered with JSON text
 };

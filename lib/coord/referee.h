@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -46,8 +47,10 @@ class Referee {
     info.used = true;
     info.request = request_word(Want::kIdle, generation);
     A::store(memory.worker.request, info.request);
-    A::store(memory.worker.ack, 0u);
-    A::store(memory.coordinator.command, 0u);
+    // So do commands: a taker of the slot's last user may still be about to write its own.
+    info.command = info.ack = next_command(A::load(memory.coordinator.command), false);
+    A::store(memory.worker.ack, info.ack);
+    A::store(memory.coordinator.command, info.command);
     A::store(memory.coordinator.grant, generation);  // matches none that follows
     A::store(memory.coordinator.used, 1u);
     if (static_cast<std::uint32_t>(slot) >= A::peek(shm_.header->high))
@@ -57,7 +60,7 @@ class Referee {
   /// The worker of this slot is dead: whatever its words say is void.
   void leave(int slot, const std::vector<std::uint32_t>& xnodes, Wakes& wakes) {
     // First of all: a FINISH that is just handing over to the dead must not succeed.
-    take_over();
+    take_over(wakes);
     SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
     WorkerLine& line = shm_.slots[slot].worker;
     info.request = request_word(Want::kIdle, request_generation(A::peek(line.request)));
@@ -75,7 +78,7 @@ class Referee {
   void look(Wakes& wakes) {
     if (!fat_) {
       if ((A::load(shm_.header->owner) & kFat) == 0) return;
-      take_over();
+      take_over(wakes);
     }
     look_fat(wakes);
   }
@@ -86,6 +89,8 @@ class Referee {
     const std::uint64_t owner = A::fetch_or(shm_.header->owner, kFat);
     fat_ = true;
     arbiter_.hold();
+    const Taking taking = complete_taking(owner);
+    if (taking.victim >= 0) wakes.commanded.push_back(taking.victim);
     for (int i = 0; i < high(); ++i) {
       SlotInfo& info = slots_[static_cast<std::size_t>(i)];
       const SlotMemory& memory = shm_.slots[i];
@@ -100,8 +105,9 @@ class Referee {
       const std::uint32_t generation = request_generation(info.request);
       if (want == Want::kRun || want == Want::kHold) {
         const bool owns = owner_slot(owner) == i && owner_generation(owner) == generation;
+        const bool owned = taking.victim == i && taking.generation == generation;
         const bool granted = A::load(memory.coordinator.grant) == generation;
-        slot.phase = owns || granted ? Phase::kAdmitted : Phase::kWaiting;
+        slot.phase = owns || owned || granted ? Phase::kAdmitted : Phase::kWaiting;
         if (owns) give<A>(shm_.slots[i].coordinator.grant, generation);
         if (slot.phase == Phase::kAdmitted) wakes.granted.push_back(i);
       }
@@ -161,29 +167,56 @@ class Referee {
     return nothing_;
   }
 
-  /// From here on nobody else writes the owner word. Its owner is adopted before anybody else is
-  /// heard: its job runs.
-  void take_over() {
+  struct Taking {
+    int victim = -1;
+    std::uint32_t generation = 0, command = 0;
+  };
+
+  /// The owner of this word took the XPU from somebody: its management thread is commanded now,
+  /// whether or not the taker came to it.
+  Taking complete_taking(std::uint64_t word) {
+    const int taker = owner_slot(word);
+    if ((word & kTaken) == 0 || taker < 0 || taker >= kMaxSlots) return {};
+    const WorkerLine& line = shm_.slots[taker].worker;
+    const std::uint64_t from = A::peek(line.victim);
+    const int victim = owner_slot(from);
+    if (victim < 0 || victim >= kMaxSlots || victim == taker) return {};  // a broken client
+    if (A::peek(shm_.slots[victim].coordinator.used) == 0) return {};
+    return {victim, owner_generation(from),
+            take<A>(shm_.slots[victim].coordinator.command, A::peek(line.victim_command))};
+  }
+
+  /// From here on nobody else writes the owner word. Its owner, and from whom that took the XPU,
+  /// are adopted before anybody else is heard: those jobs run.
+  void take_over(Wakes& wakes) {
     arbiter_.hold();
     if (fat_) return;
     const std::uint64_t word = A::fetch_or(shm_.header->owner, kFat);
     fat_ = true;
-    adopt_ = owner_slot(word) < kMaxSlots ? owner_slot(word) : -1;
-    adopt_generation_ = owner_generation(word);
+    if (const Taking taking = complete_taking(word); taking.victim >= 0) {
+      SlotInfo& info = slots_[static_cast<std::size_t>(taking.victim)];
+      if (info.used && taking.command == next_command(info.command, true)) {
+        info.command = taking.command;
+        arbiter_.taken(taking.victim);
+        hear(taking.victim, taking.generation, wakes);
+        wakes.commanded.push_back(taking.victim);
+      }
+    }
+    if (const int owner = owner_slot(word); owner >= 0 && owner < kMaxSlots)
+      if (slots_[static_cast<std::size_t>(owner)].used) hear(owner, owner_generation(word), wakes);
   }
 
   void look_fat(Wakes& wakes) {
     std::vector<Action> actions;
     for (int round = 0;; ++round) {
       if (round == kMaxRounds) {
-        if (!fat_) take_over();
+        if (!fat_) take_over(wakes);
         wakes.again = true;
         return;
       }
       arbiter_.hold();
       for (int i = 0; i < high(); ++i)
         if (slots_[static_cast<std::size_t>(i)].used) scan_slot(i, wakes);
-      adopt_ = -1;
       for (const std::uint32_t xnode : tracked_)
         arbiter_.finished(xnode, A::load(shm_.finished[xnode]), held_actions());
       arbiter_.release(actions);
@@ -195,7 +228,7 @@ class Referee {
       if (need != 0 && some_ack_is_new()) continue;
       if (!hand_back()) return;
       if (!something_was_missed()) return;
-      take_over();
+      take_over(wakes);
     }
   }
 
@@ -254,10 +287,9 @@ class Referee {
 
   void scan_slot(int slot, Wakes& wakes) {
     SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
-    const WorkerLine& line = shm_.slots[slot].worker;
 
     // Acknowledgements first: a job that follows waits for the queue to be enabled.
-    const std::uint32_t ack = A::load(line.ack);
+    const std::uint32_t ack = A::load(shm_.slots[slot].worker.ack);
     if (ack != info.ack) {
       info.ack = ack;
       const Queue queue = arbiter_.slot(slot).queue;
@@ -268,9 +300,14 @@ class Referee {
       }
     }
 
-    std::uint32_t request = A::load(line.request);
-    const bool owner = slot == adopt_;
-    if (request == info.request && !owner) return;
+    hear(slot, std::nullopt, wakes);
+  }
+
+  /// What the worker's job is doing. `owns`: the generation of the job that has, or had, the XPU.
+  void hear(int slot, std::optional<std::uint32_t> owns, Wakes& wakes) {
+    SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
+    std::uint32_t request = A::load(shm_.slots[slot].worker.request);
+    if (request == info.request && !owns) return;
     const Job job = read_job(slot, request);
     if (request != info.request && arbiter_.slot(slot).phase != Phase::kNone)
       arbiter_.finish(slot, held_actions());
@@ -279,7 +316,7 @@ class Referee {
     switch (request_want(request)) {
       case Want::kRun:
       case Want::kHold:
-        if (owner && adopt_generation_ == generation) {
+        if (owns == generation) {
           if (arbiter_.slot(slot).phase != Phase::kAdmitted)
             arbiter_.adopt(slot, job, held_actions());
           // Whoever handed the XPU over may have died before it said so.
@@ -308,7 +345,7 @@ class Referee {
         wakes.granted.push_back(action.slot);
         continue;
       }
-      info.command = command_word(action.kind == Action::Kind::kSuspend, (info.command >> 2) + 1);
+      info.command = next_command(info.command, action.kind == Action::Kind::kSuspend);
       A::store(line.command, info.command);
       wakes.commanded.push_back(action.slot);
     }
@@ -317,8 +354,6 @@ class Referee {
   Shm shm_;
   Arbiter arbiter_;
   bool fat_ = false;  ///< the owner word is ours
-  int adopt_ = -1;    ///< the owner at the moment of the take-over
-  std::uint32_t adopt_generation_ = 0;
   std::array<SlotInfo, kMaxSlots> slots_;
   std::vector<std::uint32_t> tracked_;  ///< XNodes that are somebody's order predecessor
   std::vector<Action> nothing_;

@@ -193,6 +193,7 @@ bool Server::handle_packet(int fd, const void* data, std::size_t bytes) {
   if (bytes < sizeof kind) return false;
   std::memcpy(&kind, data, sizeof kind);
   if (kind == static_cast<std::uint32_t>(MessageKind::kStatus)) {
+    look();  // whoever took the XPU has not told us
     const std::string text = status();
     return send_packet(fd, text.data(), std::min(text.size(), kMaxStatusBytes)).has_value();
   }
@@ -230,17 +231,14 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
     if (slot == kMaxSlots) return refuse("all worker slots of this XPU are taken");
   }
   SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
-  UniqueFd command_fd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-  if (!command_fd) return refuse("out of descriptors");
   info = SlotInfo{};
-  info.command_fd = std::move(command_fd);
   info.worker = hello.worker;
   info.xnodes.assign(hello.xnodes, hello.xnodes + hello.num_xnodes);
   if (!rejoins) referee_->join(slot);
   connection.slot = slot;
   const Welcome answer{.slot = static_cast<std::uint32_t>(slot)};
   return send_packet(connection.socket.get(), &answer, sizeof answer,
-                     {memory_fd_.get(), doorbell_.get(), info.command_fd.get()})
+                     {memory_fd_.get(), doorbell_.get()})
       .has_value();
 }
 
@@ -279,9 +277,11 @@ void Server::look() {
 void Server::wake(const Wakes& wakes) {
   if (wakes.again) signal_eventfd(doorbell_.get());
   for (const int slot : wakes.granted) futex_wake(shm_.slots[slot].coordinator.grant, 1);
-  for (const int slot : wakes.commanded)
-    if (const UniqueFd& fd = slots_[static_cast<std::size_t>(slot)].command_fd)
-      signal_eventfd(fd.get());
+  for (const int slot : wakes.commanded) {
+    std::atomic<std::uint32_t>& bell = shm_.slots[slot].coordinator.bell;
+    bell.fetch_add(1);
+    futex_wake(bell, 1);
+  }
 }
 
 // ---- telling

@@ -66,7 +66,6 @@ class Server {
   struct SlotInfo {
     std::string worker;
     std::vector<std::uint32_t> xnodes;
-    UniqueFd command_fd;
     bool absent = false;  ///< of the coordinator before us; has not come back yet
   };
 

@@ -10,19 +10,27 @@
 //
 // The owner word: who has the XPU, and who decides. START and FINISH of a job that meets nobody are
 // one atomic each; a job that is less urgent than the owner parks, and the owner's FINISH hands the
-// XPU over to the most urgent that is parked: one wake-up, and no coordinator. It is asked when a
-// queue must be suspended, an order constraint waited for, or a worker has died.
+// XPU over to the most urgent that is parked: one wake-up, and no coordinator. A job that is more
+// urgent takes the XPU: it commands the owner's management thread to suspend, and runs. What
+// follows on that, an order constraint, and a death are the coordinator's.
 //
 //          START: CAS               START of a less urgent job: CAS, parks      (the count in the
 //     0 ──────────────► {owner} ─────────────────────────► {owner, kParked}     word makes FINISH
 //     ▲   FINISH: CAS      │                                   │        │       see every parking)
 //     └────────────────────┤ ◄── FINISH, the last one parked ──┘ ◄──────┘ FINISH: {next, kParked}
-//                          ▼
-//              more urgent START (or not eligible, or a death): CAS to | kFat, rings
 //                          │
+//                          ├── more urgent START: CAS to {it, kTaken, kFat}, commands the owner's
+//                          │   management thread; nobody rings until its FINISH or another START
+//                          ├── not eligible, a queue under way, a death: CAS to {.., kFat}, rings
+//                          ▼
 //            {.., kFat}: the coordinator alone writes the word; every START and FINISH rings
 //                          │ no queue is suspended or being suspended, one job at most is admitted
 //                          └──► back to 0, {owner} or {owner, kParked}
+//
+// Taking is two writes, the owner word and the command. Whoever takes says before the first one, in
+// `victim` and `victim_command` of its own line, what the second will be; the coordinator, when it
+// finds kTaken, does that write if it has not been done: each command is one CAS from the one
+// before, so it is done once, however late the taker comes to it, or if it never does.
 //
 // A START writes its request before it looks at the owner word; the coordinator looks at all
 // requests after it has handed the word back. Hence no START is lost, whichever way the words are
@@ -40,13 +48,15 @@
 namespace xauto::coord {
 
 inline constexpr std::uint32_t kShmMagic = 0x58434f52;  // "XCOR"
-inline constexpr std::uint32_t kShmVersion = 2;
+inline constexpr std::uint32_t kShmVersion = 3;
 
-/// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bits 48..61 count of
-/// parkings, bits 40..47 slot + 1 (0: nobody), bits 0..31 generation.
+/// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bit 61 the owner took the
+/// XPU from its `victim` (only with bit 63), bits 48..60 count of parkings, bits 40..47 slot + 1
+/// (0: nobody), bits 0..31 generation.
 inline constexpr std::uint64_t kFat = 1ull << 63;
 inline constexpr std::uint64_t kParked = 1ull << 62;
-inline constexpr std::uint64_t kParkings = 0x3fffull << 48;
+inline constexpr std::uint64_t kTaken = 1ull << 61;
+inline constexpr std::uint64_t kParkings = 0x1fffull << 48;
 inline constexpr std::uint64_t kOneParking = 1ull << 48;
 constexpr std::uint64_t owner_word(int slot, std::uint32_t generation) {
   return (static_cast<std::uint64_t>(slot) + 1) << 40 | generation;
@@ -91,20 +101,24 @@ constexpr std::uint32_t command_word(bool suspend, std::uint32_t count) {
   return count << 2 | (suspend ? 1u : 0u);
 }
 inline constexpr std::uint32_t kAckFailed = 2;
+constexpr std::uint32_t next_command(std::uint32_t last, bool suspend) {
+  return command_word(suspend, (last >> 2) + 1);
+}
 
 struct alignas(64) WorkerLine {
-  std::atomic<std::uint32_t> request{};  ///< [W]
-  std::atomic<std::uint32_t> ack{};      ///< [W] management thread: last command carried out
-  std::atomic<std::uint32_t> xnode{};    ///< [W] the job, written before `request`
-  std::atomic<std::uint32_t> pad{};
-  std::atomic<std::int64_t> priority{};   ///< [W]
-  std::atomic<std::uint64_t> sequence{};  ///< [W]
-  std::atomic<std::uint64_t>
-      since_ns{};  ///< [W] CLOCK_MONOTONIC of the request; for `xauto status`
+  std::atomic<std::uint32_t> request{};         ///< [W]
+  std::atomic<std::uint32_t> ack{};             ///< [W] management thread: last command carried out
+  std::atomic<std::uint32_t> xnode{};           ///< [W] the job, written before `request`
+  std::atomic<std::uint32_t> victim_command{};  ///< [W] the victim's command before it was taken
+  std::atomic<std::int64_t> priority{};         ///< [W]
+  std::atomic<std::uint64_t> sequence{};        ///< [W]
+  std::atomic<std::uint64_t> since_ns{};  ///< [W] CLOCK_MONOTONIC of the request; ties, and status
+  std::atomic<std::uint64_t> victim{};    ///< [W] owner_word from which it takes, or wanted to
 };
 struct alignas(64) CoordinatorLine {
   std::atomic<std::uint32_t> grant{};    ///< [*] generation that may run; a futex
-  std::atomic<std::uint32_t> command{};  ///< [C] for the management thread
+  std::atomic<std::uint32_t> command{};  ///< [*] for the management thread
+  std::atomic<std::uint32_t> bell{};     ///< [*] counts its wake-ups; a futex
   std::atomic<std::uint32_t> used{};     ///< [C] 1: a worker has this slot
 };
 struct SlotMemory {

@@ -64,6 +64,14 @@ void give(std::atomic<std::uint32_t>& grant, std::uint32_t generation) {
   }
 }
 
+/// The second write of taking an XPU; done once, by whoever comes first.
+template <class A>
+std::uint32_t take(std::atomic<std::uint32_t>& command, std::uint32_t last) {
+  const std::uint32_t next = next_command(last, true);
+  (void)A::cas(command, last, next);
+  return next;
+}
+
 /// What is the same for all workers of an XPU.
 struct Rules {
   Discipline discipline = Discipline::kPreemptive;
@@ -84,8 +92,14 @@ struct Rules {
 /// What the caller has to do after START.
 enum class Started : std::uint8_t {
   kRuns,     ///< run
+  kTook,     ///< wake the victim's management thread, and run
   kWaits,    ///< wait for the grant: the owner hands over
   kDecided,  ///< ring, then wait for the grant: the coordinator decides
+};
+
+struct Start {
+  Started started = Started::kRuns;
+  int victim = -1;  ///< slot, of kTook
 };
 
 /// What the caller has to do after FINISH.
@@ -107,7 +121,7 @@ class Words {
     return true;
   }
 
-  Started start(int slot, std::uint32_t generation, const Job& job, std::uint64_t since_ns) const {
+  Start start(int slot, std::uint32_t generation, const Job& job, std::uint64_t since_ns) const {
     WorkerLine& line = shm_.slots[slot].worker;
     A::store_relaxed(line.xnode, job.xnode);
     A::store_relaxed(line.priority, job.priority);
@@ -117,26 +131,35 @@ class Words {
     const bool kernel = rules_->discipline == Discipline::kKernel;
     if (may && kernel) {
       A::store(line.request, request_word(Want::kRuns, generation));
-      return Started::kRuns;
+      return {};
     }
     A::store(line.request, request_word(may ? Want::kRun : Want::kHold, generation));
     std::atomic<std::uint64_t>& owner = shm_.header->owner;
     std::uint64_t seen = A::load(owner);
     for (;;) {
-      if ((seen & kFat) != 0) return Started::kDecided;
+      if ((seen & kFat) != 0) return {Started::kDecided};
       const int other = owner_slot(seen);
       if (!may || other >= kMaxSlots) {
-        if (A::cas(owner, seen, seen | kFat)) return Started::kDecided;
+        if (A::cas(owner, seen, seen | kFat)) return {Started::kDecided};
       } else if (other < 0) {
-        if (A::cas(owner, seen, (seen & kParkings) | owner_word(slot, generation)))
-          return Started::kRuns;
+        if (A::cas(owner, seen, (seen & kParkings) | owner_word(slot, generation))) return {};
       } else if (other == slot && owner_generation(seen) == generation) {
-        return Started::kRuns;  // handed over to us before we could park
+        return {};  // handed over to us before we could park
       } else if (rules_->discipline == Discipline::kPreemptive &&
                  job.priority > A::load(shm_.slots[other].worker.priority)) {
-        if (A::cas(owner, seen, seen | kFat)) return Started::kDecided;
+        const std::uint32_t command = A::load(shm_.slots[other].coordinator.command);
+        if ((command & 1u) != 0 || A::load(shm_.slots[other].worker.ack) != command) {
+          if (A::cas(owner, seen, seen | kFat)) return {Started::kDecided};
+          continue;
+        }
+        A::store_relaxed(line.victim, seen);
+        A::store_relaxed(line.victim_command, command);
+        const std::uint64_t taken = (seen & (kParkings | kParked)) | owner_word(slot, generation);
+        if (!A::cas(owner, seen, taken | kTaken | kFat)) continue;
+        take<A>(shm_.slots[other].coordinator.command, command);
+        return {Started::kTook, other};
       } else if (A::cas(owner, seen, one_more_parked(seen))) {
-        return Started::kWaits;
+        return {Started::kWaits};
       }
     }
   }

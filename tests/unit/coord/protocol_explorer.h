@@ -136,7 +136,10 @@ class ProtocolExplorer {
         initial.xpus[x].referee->join(static_cast<int>(m));
     }
     initial.modules.resize(world_.modules.size());
-    for (Module& module : initial.modules) module.managers.resize(world_.xpus.size());
+    for (std::size_t m = 0; m < initial.modules.size(); ++m)
+      for (const Xpu& xpu : initial.xpus)
+        initial.modules[m].managers.push_back(
+            {.pending = xpu.memory->slots[m].coordinator.command.load()});
     visit(initial);
     return std::move(result_);
   }
@@ -150,17 +153,28 @@ class ProtocolExplorer {
     std::atomic<std::uint64_t> finished[kXNodes];
   };
 
-  enum class Act : std::uint8_t { kIdle, kStart, kAsk, kAsleep, kRun, kFinish, kDone, kDead };
+  enum class Act : std::uint8_t {
+    kIdle,
+    kStart,
+    kAsk,
+    kAsleep,
+    kTook,
+    kRun,
+    kFinish,
+    kDone,
+    kDead
+  };
   struct Manager {
     bool awake = false, suspended = false;
     std::uint32_t pending = 0;  ///< command last received
     int doing = 0;              ///< 0 nothing, 1 looks for a command, 2 acknowledges
     bool refuses = false;
-    Record record;
+    Record record = {};
   };
   struct Module {
     Act act = Act::kIdle;
     std::size_t next = 0;  ///< job it is at
+    int victim = -1;       ///< of kTook
     std::vector<std::uint32_t> generation = std::vector<std::uint32_t>(2, 0);
     Record record;
     std::vector<Manager> managers;
@@ -251,16 +265,29 @@ class ProtocolExplorer {
     Xpu& xpu = s.xpus[static_cast<std::size_t>(t.xpu)];
     const std::uint32_t generation = module.generation[static_cast<std::size_t>(t.xpu)] + 1;
     const Words<A> words(xpu.shm(), &rules_[static_cast<std::size_t>(t.xpu)]);
-    Started started = Started::kRuns;
+    Start start;
     bool signal = false;
     if (!advance(&module.record, [&] {
-          started = words.start(static_cast<int>(m), generation, t.job, m);
-          if (started == Started::kDecided) signal = words.ring();
+          start = words.start(static_cast<int>(m), generation, t.job, m);
+          if (start.started == Started::kDecided) signal = words.ring();
         }))
       return;
     module.generation[static_cast<std::size_t>(t.xpu)] = generation;
     if (signal) xpu.doorbell = true;
-    module.act = started == Started::kRuns ? Act::kRun : Act::kAsk;
+    module.victim = start.victim;
+    module.act = start.started == Started::kRuns   ? Act::kRun
+                 : start.started == Started::kTook ? Act::kTook
+                                                   : Act::kAsk;
+  }
+
+  /// Rings the management thread of the one it took the XPU from.
+  void step_took(State& s, std::size_t m) {
+    Module& module = s.modules[m];
+    const auto x = static_cast<std::size_t>(task(module, static_cast<int>(m)).xpu);
+    Module& victim = s.modules[static_cast<std::size_t>(module.victim)];
+    if (victim.act != Act::kDead && !world_.lose_wakes) victim.managers[x].awake = true;
+    module.victim = -1;
+    module.act = Act::kRun;
   }
 
   /// The futex: looks and, if there is nothing, sleeps, in one.
@@ -361,8 +388,10 @@ class ProtocolExplorer {
     xpu.doing = 0;
     xpu.leaving = -1;
     for (const int slot : wakes.granted) wake(s, x, slot);
-    for (const int slot : wakes.commanded)
-      s.modules[static_cast<std::size_t>(slot)].managers[x].awake = true;
+    for (const int slot : wakes.commanded) {
+      Module& module = s.modules[static_cast<std::size_t>(slot)];
+      if (module.act != Act::kDead) module.managers[x].awake = true;
+    }
   }
 
   // ---- what must hold
@@ -456,6 +485,7 @@ class ProtocolExplorer {
         h.add(std::uint64_t{slot.coordinator.grant.load()} << 32 | slot.coordinator.command.load());
         h.add(static_cast<std::uint64_t>(slot.worker.priority.load()) * 2 +
               slot.coordinator.used.load());
+        h.add(slot.worker.victim.load() ^ slot.worker.victim_command.load());
       }
       for (const auto& f : memory.finished) h.add(f.load());
       xpu.referee->describe([&](std::uint32_t part) { h.add(part); });
@@ -481,7 +511,8 @@ class ProtocolExplorer {
       h.add(xpu.record);
     }
     for (const Module& module : s.modules) {
-      h.add(static_cast<std::uint64_t>(module.act) * 64 + module.next);
+      h.add((static_cast<std::uint64_t>(module.act) * 64 + module.next) * 8 +
+            static_cast<std::uint64_t>(module.victim + 1));
       for (const std::uint32_t g : module.generation) h.add(g);
       h.add(module.record);
       for (const Manager& manager : module.managers) {
@@ -570,6 +601,10 @@ class ProtocolExplorer {
         case Act::kStart:
           busy = true;
           go(s, "module starts", m, at, [&](State& to) { step_start(to, m); });
+          break;
+        case Act::kTook:
+          busy = true;
+          go(s, "module rings", m, at, [&](State& to) { step_took(to, m); });
           break;
         case Act::kAsk:
           busy = true;

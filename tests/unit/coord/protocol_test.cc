@@ -148,9 +148,11 @@ TEST(Protocol, OrderConstraintsHoldAndNobodyWaitsForTheDead) {
 }
 
 TEST(Protocol, TheExplorerFindsALostWakeUp) {
-  ProtocolWorld w = world({Discipline::kGate}, {{task(0, 1)}, {task(2, 3)}});
-  w.lose_wakes = true;
-  EXPECT_NE(ProtocolExplorer(w).run().violation, "");
+  for (const Discipline d : kBoth) {
+    ProtocolWorld w = world({d}, {{task(0, 1)}, {task(2, 3)}});
+    w.lose_wakes = true;
+    EXPECT_NE(ProtocolExplorer(w).run().violation, "");
+  }
 }
 
 }  // namespace
