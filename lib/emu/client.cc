@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "emu/client.h"
 
+#include <cstdint>
 #include <cstdlib>
 #include <cstring>
 #include <optional>
@@ -10,6 +11,7 @@
 #include "base/clock.h"
 #include "base/socket.h"
 #include "emu/driver_queue.h"
+#include "emu/machine.h"
 #include "emu/protocol.h"
 
 namespace xauto::emu {
@@ -21,22 +23,55 @@ tl::unexpected<Error> gone() {
   return fail(ErrorCode::kUnavailable, "the emulator (xauto-emud) is gone");
 }
 
-Result<UniqueFd> connect_emud() {
+Result<std::string> emud_address() {
   const char* address = std::getenv(kEmudVariable);
   if (address == nullptr)
     return fail(ErrorCode::kUnavailable, "there is no emulator in this session", {},
                 "run the app with `xauto run --emulate`, or on a platform that this machine lacks");
-  return connect_abstract(address);
+  return std::string(address);
 }
 
-Result<Packet> receive(int socket) {
-  Packet packet;
-  const auto size = receive_packet(socket, &packet, sizeof packet);
-  if (!size) return gone();
-  if (*size != sizeof packet)
-    return fail(ErrorCode::kInvalid, "the emulator sent a malformed packet");
-  packet.name[kMaxDeviceName - 1] = '\0';
-  return packet;
+/// kUnavailable: the connection is at its end; kTimeout: nothing came before `limit_ns`.
+Result<Packet> receive(int socket, std::int64_t limit_ns) {
+  for (;;) {
+    if (limit_ns != INT64_MAX) {
+      pollfd ready{socket, POLLIN, 0};
+      const std::int64_t left_ms = (limit_ns - now_ns() + 999'999) / 1'000'000;
+      if (left_ms <= 0) return fail(ErrorCode::kTimeout, "the emulator did not answer in time");
+      if (poll(&ready, 1, static_cast<int>(left_ms)) <= 0) continue;
+    }
+    Packet packet;
+    XAUTO_ASSIGN(const std::size_t size, receive_packet(socket, &packet, sizeof packet));
+    if (size != sizeof packet)
+      return fail(ErrorCode::kInvalid, "the emulator sent a malformed packet");
+    packet.name[kMaxDeviceName - 1] = '\0';
+    return packet;
+  }
+}
+
+bool is(const Packet& packet, Op op) {
+  return packet.op == static_cast<std::uint32_t>(op);
+}
+
+/// Sends `request` and waits for its answer; an emulator that dies before it is followed by
+/// another one, or the connection is refused and it is gone. Only what may be asked twice.
+Result<Packet> ask_until_answered(const std::string& address, UniqueFd& socket,
+                                  const Packet& request) {
+  const std::int64_t limit_ns = now_ns() + kComeBackNs;
+  for (;;) {
+    if (!socket) {
+      auto connected = connect_abstract(address);
+      if (!connected) return gone();
+      socket = std::move(*connected);
+    }
+    if (send_packet(socket.get(), &request, sizeof request)) {
+      auto answer = receive(socket.get(), limit_ns);
+      if (answer) return answer;
+      if (answer.error().code == ErrorCode::kTimeout) return gone();
+      if (answer.error().code != ErrorCode::kUnavailable) return answer;
+    }
+    socket.reset();
+  }
 }
 
 Status error_of(const Packet& packet) {
@@ -52,9 +87,15 @@ Status error_of(const Packet& packet) {
 struct Context::Connection {
   std::optional<DriverQueue> driver;
   bool gpu = false;
+  std::string address;
   UniqueFd socket;
   std::uint32_t context = 0;
+  std::int64_t key = 0;
   std::uint64_t tag = 0;
+
+  [[nodiscard]] Status submit_and_wait(std::int64_t work_ns);
+  /// At the next emulator, after the death of ours: what became of the call `tag`.
+  [[nodiscard]] Result<Progress> rejoin();
 };
 
 Context::Context(std::unique_ptr<Connection> connection) : connection_(std::move(connection)) {}
@@ -77,16 +118,17 @@ Result<Context> Context::open(const XpuId& xpu) {
   if (device.size() >= kMaxDeviceName)
     return fail(ErrorCode::kInvalid, "XPU name is too long to be emulated", device);
   auto connection = std::make_unique<Connection>();
-  XAUTO_ASSIGN(connection->socket, connect_emud());
+  XAUTO_ASSIGN(connection->address, emud_address());
+  XAUTO_ASSIGN(connection->socket, connect_abstract(connection->address));
   Packet packet{.op = static_cast<std::uint32_t>(Op::kOpen), .value = kEmuVersion};
   std::memcpy(packet.name, device.data(), device.size());
-  XAUTO_TRY(send_packet(connection->socket.get(), &packet, sizeof packet));
-  XAUTO_ASSIGN(const Packet answer, receive(connection->socket.get()));
-  if (answer.op == static_cast<std::uint32_t>(Op::kError))
-    return tl::unexpected<Error>(error_of(answer).error());
-  if (answer.op != static_cast<std::uint32_t>(Op::kOpened))
+  XAUTO_ASSIGN(const Packet answer,
+               ask_until_answered(connection->address, connection->socket, packet));
+  if (is(answer, Op::kError)) return tl::unexpected<Error>(error_of(answer).error());
+  if (!is(answer, Op::kOpened))
     return fail(ErrorCode::kInvalid, "the emulator answered with something else", device);
   connection->context = answer.context;
+  connection->key = answer.value;
   return Context(std::move(connection));
 }
 
@@ -97,17 +139,44 @@ Status Context::run(std::chrono::microseconds duration) {
     XAUTO_TRY(c.driver->wait());
     return {};
   }
+  ++c.tag;
+  return c.submit_and_wait(duration.count() * 1000);
+}
+
+/// Whenever the emulator dies, the context is taken up again at the next one, which tells whether
+/// the work is done, goes on, or has to be submitted (again).
+Status Context::Connection::submit_and_wait(std::int64_t work_ns) {
   const Packet packet{.op = static_cast<std::uint32_t>(Op::kSubmit),
-                      .context = c.context,
-                      .tag = ++c.tag,
-                      .value = duration.count() * 1000};
-  if (!send_packet(c.socket.get(), &packet, sizeof packet)) return gone();
+                      .context = context,
+                      .tag = tag,
+                      .value = work_ns};
+  Progress progress = Progress::kUnknown;
   for (;;) {
-    XAUTO_ASSIGN(const Packet answer, receive(c.socket.get()));
-    if (answer.tag != c.tag) continue;
-    if (answer.op == static_cast<std::uint32_t>(Op::kDone)) return {};
-    if (answer.op == static_cast<std::uint32_t>(Op::kError)) return error_of(answer);
+    if (progress == Progress::kDone) return {};
+    if (progress == Progress::kUnderWay ||
+        (socket && send_packet(socket.get(), &packet, sizeof packet))) {
+      auto answer = receive(socket.get(), INT64_MAX);
+      while (answer && answer->tag != tag) answer = receive(socket.get(), INT64_MAX);
+      if (answer && is(*answer, Op::kDone)) return {};
+      if (answer && is(*answer, Op::kError)) return error_of(*answer);
+      if (answer) return fail(ErrorCode::kInvalid, "the emulator answered with something else");
+      if (answer.error().code != ErrorCode::kUnavailable)
+        return tl::unexpected<Error>(answer.error());
+    }
+    XAUTO_ASSIGN(progress, rejoin());
   }
+}
+
+Result<Progress> Context::Connection::rejoin() {
+  socket.reset();
+  const Packet packet{
+      .op = static_cast<std::uint32_t>(Op::kRejoin), .context = context, .tag = tag, .value = key};
+  XAUTO_ASSIGN(const Packet answer, ask_until_answered(address, socket, packet));
+  if (is(answer, Op::kError)) return tl::unexpected<Error>(error_of(answer).error());
+  if (!is(answer, Op::kRejoined) || answer.value < 0 ||
+      answer.value > static_cast<std::int64_t>(Progress::kDone))
+    return fail(ErrorCode::kInvalid, "the emulator answered with something else");
+  return static_cast<Progress>(answer.value);
 }
 
 SchedHandle Context::handle() const {
@@ -119,29 +188,48 @@ SchedHandle Context::handle() const {
 }
 
 Result<Control> Control::connect() {
-  XAUTO_ASSIGN(UniqueFd socket, connect_emud());
-  return Control(std::move(socket));
+  XAUTO_ASSIGN(std::string address, emud_address());
+  XAUTO_ASSIGN(UniqueFd socket, connect_abstract(address));
+  return Control(std::move(address), std::move(socket));
 }
 
+/// Asked of every emulator until one has answered: suspending twice is suspending once.
 Status Control::request(std::uint32_t op, std::uint32_t answer_op, std::uint32_t context) {
   const Packet packet{.op = op, .context = context, .tag = ++tag_};
-  if (!send_packet(socket_.get(), &packet, sizeof packet)) return gone();
-  const std::int64_t limit = now_ns() + kControlTimeoutNs;
+  std::int64_t limit_ns = now_ns() + kControlTimeoutNs;
+  bool asked = socket_ && send_packet(socket_.get(), &packet, sizeof packet);
   for (;;) {
-    pollfd ready{socket_.get(), POLLIN, 0};
-    const std::int64_t left_ms = (limit - now_ns()) / 1'000'000;
-    if (left_ms <= 0) return fail(ErrorCode::kTimeout, "the emulator did not answer within 1 s");
-    if (poll(&ready, 1, static_cast<int>(left_ms)) <= 0) continue;
-    XAUTO_ASSIGN(const Packet answer, receive(socket_.get()));
-    if (answer.tag != tag_) continue;  // the late answer to a request that timed out
-    if (answer.op == answer_op) return {};
-    if (answer.op == static_cast<std::uint32_t>(Op::kError)) return error_of(answer);
+    if (!asked) {
+      socket_.reset();
+      auto connected = connect_abstract(address_);
+      if (!connected) return gone();
+      socket_ = std::move(*connected);
+      asked = send_packet(socket_.get(), &packet, sizeof packet).has_value();
+      limit_ns = now_ns() + kComeBackNs;
+      continue;
+    }
+    const auto answer = receive(socket_.get(), limit_ns);
+    if (!answer && answer.error().code == ErrorCode::kUnavailable) {
+      asked = false;
+      continue;
+    }
+    if (!answer) return tl::unexpected<Error>(answer.error());
+    if (answer->tag != tag_) continue;  // the late answer to a request that timed out
+    if (answer->op == answer_op) return {};
+    if (is(*answer, Op::kError)) return error_of(*answer);
   }
 }
 
 Status Control::suspend(std::uint32_t context) {
-  return request(static_cast<std::uint32_t>(Op::kSuspend),
-                 static_cast<std::uint32_t>(Op::kSuspended), context);
+  const Status done = request(static_cast<std::uint32_t>(Op::kSuspend),
+                              static_cast<std::uint32_t>(Op::kSuspended), context);
+  if (!done && done.error().code == ErrorCode::kTimeout) {
+    // It may still come to it, and nobody would resume what nobody takes for suspended.
+    const Packet undo{
+        .op = static_cast<std::uint32_t>(Op::kResume), .context = context, .tag = ++tag_};
+    (void)send_packet(socket_.get(), &undo, sizeof undo);
+  }
+  return done;
 }
 
 Status Control::resume(std::uint32_t context) {

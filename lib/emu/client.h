@@ -13,20 +13,28 @@
 
 namespace xauto::emu {
 
+/// How long a call waits for another emulator in the place of one that died. The tool that starts
+/// it keeps the socket meanwhile; once it gives up, every call ends at once.
+inline constexpr std::int64_t kComeBackNs = 15'000'000'000;
+
 /// Threads: one at a time.
 class Control {
  public:
   /// The emulator of this session (XAUTO_EMUD).
   [[nodiscard]] static Result<Control> connect();
 
-  /// Return once the emulator has done it: after suspend, the context makes no progress. kTimeout
-  /// after a second, kUnavailable when the emulator is gone.
+  /// Return once the emulator has done it: after suspend, the context makes no progress. An
+  /// emulator that dies meanwhile is waited for, as Context::run does. kTimeout after a second with
+  /// one that does not answer: then it will not have been suspended. kUnavailable when the emulator
+  /// is gone.
   [[nodiscard]] Status suspend(std::uint32_t context);
   [[nodiscard]] Status resume(std::uint32_t context);
 
  private:
-  explicit Control(UniqueFd socket) : socket_(std::move(socket)) {}
+  Control(std::string address, UniqueFd socket)
+      : address_(std::move(address)), socket_(std::move(socket)) {}
   [[nodiscard]] Status request(std::uint32_t op, std::uint32_t answer, std::uint32_t context);
+  std::string address_;
   UniqueFd socket_;
   std::uint64_t tag_ = 0;
 };

@@ -5,9 +5,11 @@
 #include <algorithm>
 #include <deque>
 #include <map>
+#include <span>
 #include <vector>
 
 #include "emu/machine.h"
+#include "emu/snapshot.h"
 
 namespace xauto::emu {
 
@@ -24,6 +26,11 @@ class Device {
     leave(id);
     contexts_.erase(id);
   }
+  [[nodiscard]] Progress progress(ContextId id, std::uint64_t tag) const {
+    const Context& context = contexts_.at(id);
+    if (context.tag != tag) return Progress::kUnknown;
+    return context.busy ? Progress::kUnderWay : Progress::kDone;
+  }
   Status submit(ContextId id, std::uint64_t tag, Nanos work_ns);
   Status suspend(ContextId id, std::uint64_t tag, Nanos now, std::vector<Event>& events);
   Status resume(ContextId id, std::uint64_t tag, Nanos now, std::vector<Event>& events);
@@ -34,11 +41,18 @@ class Device {
 
   [[nodiscard]] const DeviceStats& stats() const { return stats_; }
 
+  /// Appends the device and its contexts.
+  void save(Snapshot& snapshot) const;
+  /// Into a device without contexts. An error leaves it unfit for use.
+  Status restore(const DeviceRecord& record, std::span<const ContextRecord> contexts, Nanos now);
+
  protected:
   struct Context {
     bool busy = false, suspended = false;
-    std::uint64_t tag = 0;
+    std::uint64_t tag = 0;  ///< of the job, or of the last one
     Nanos left_ns = 0;
+    std::uint64_t block = 0;  ///< suspended: the preemption that took it off; 0: none
+    [[nodiscard]] bool runnable() const { return busy && !suspended; }
   };
   struct Ack {
     ContextId context;
@@ -50,6 +64,11 @@ class Device {
   virtual void leave(ContextId id) = 0;
   /// Takes `id` off the device if it is on it: true if that blocks the device for preempt_ns.
   virtual bool evict(ContextId id) = 0;
+  /// Those that are runnable, in their order.
+  [[nodiscard]] virtual std::vector<ContextId> order() const = 0;
+  /// What the kind of device has beyond its contexts.
+  virtual void save_more(DeviceRecord&) const {}
+  virtual Status restore_more(const DeviceRecord&) { return {}; }
 
   void finish(ContextId id, Nanos time, std::vector<Event>& events) {
     Context& context = contexts_[id];
@@ -61,7 +80,8 @@ class Device {
   const bool preemptive_;
   const Nanos preempt_ns_;
   Nanos now_ = 0;
-  Nanos blocked_until_ = 0;  ///< a preemption is in progress
+  Nanos blocked_until_ = 0;  ///< a preemption is in progress, or several in a row
+  std::uint64_t block_ = 0;  ///< its number
   std::vector<Ack> acks_;    ///< due at blocked_until_
   std::map<ContextId, Context> contexts_;
   DeviceStats stats_;
@@ -80,6 +100,11 @@ class TimeSliced final : public Device {
   void join(ContextId id) override { queue_.push_back(id); }
   void leave(ContextId id) override;
   bool evict(ContextId id) override;
+  [[nodiscard]] std::vector<ContextId> order() const override {
+    return {queue_.begin(), queue_.end()};
+  }
+  void save_more(DeviceRecord& record) const override;
+  Status restore_more(const DeviceRecord& record) override;
 
   const Nanos slice_ns_, switch_ns_;
   std::deque<ContextId> queue_;  ///< runnable, the front is on the device
@@ -103,6 +128,7 @@ class Shared final : public Device {
     leave(id);
     return there && preempt_ns_ > 0;
   }
+  [[nodiscard]] std::vector<ContextId> order() const override { return running_; }
 
   const std::int64_t cores_;
   std::vector<ContextId> running_;

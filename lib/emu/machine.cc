@@ -10,6 +10,18 @@ namespace {
 
 constexpr Nanos kNever = std::numeric_limits<Nanos>::max();
 
+/// Far enough from the end that sums of times do not overflow.
+bool is_time(Nanos time) {
+  return time >= 0 && time < kNever / 4;
+}
+
+/// FNV-1a: the same in every build.
+std::uint64_t hash_of(const std::string& text) {
+  std::uint64_t hash = 0xcbf29ce484222325;
+  for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3;
+  return hash;
+}
+
 }  // namespace
 
 // ---- what both kinds of device share
@@ -28,20 +40,22 @@ Status Device::submit(ContextId id, std::uint64_t tag, Nanos work_ns) {
 Status Device::suspend(ContextId id, std::uint64_t tag, Nanos now, std::vector<Event>& events) {
   if (!preemptive_) return fail(ErrorCode::kUnavailable, "is not preemptive", stats_.name);
   Context& context = contexts_[id];
-  bool blocks = false;
   if (!context.suspended) {
     context.suspended = true;
-    if (context.busy) blocks = evict(id);
+    if (context.busy && evict(id)) {
+      // A second preemption within the first one's time waits for it.
+      ++stats_.preemptions;
+      stats_.overhead_ns += preempt_ns_;
+      if (blocked_until_ <= now) ++block_;
+      blocked_until_ = std::max(blocked_until_, now) + preempt_ns_;
+      context.block = block_;
+    }
   }
-  if (!blocks) {
+  // Also when it is asked for again: not before it is true.
+  if (context.block == block_ && blocked_until_ > now)
+    acks_.push_back({id, tag});
+  else
     events.push_back({Event::Kind::kSuspended, id, tag, now});
-    return {};
-  }
-  // A second preemption within the first one's time waits for it.
-  ++stats_.preemptions;
-  stats_.overhead_ns += preempt_ns_;
-  blocked_until_ = std::max(blocked_until_, now) + preempt_ns_;
-  acks_.push_back({id, tag});
   return {};
 }
 
@@ -49,6 +63,7 @@ Status Device::resume(ContextId id, std::uint64_t tag, Nanos now, std::vector<Ev
   Context& context = contexts_[id];
   if (context.suspended) {
     context.suspended = false;
+    context.block = 0;
     if (context.busy) join(id);
   }
   events.push_back({Event::Kind::kResumed, id, tag, now});
@@ -173,6 +188,86 @@ void Shared::advance(Nanos limit, std::vector<Event>& events) {
   }
 }
 
+// ---- what outlives the process
+// --------------------------------------------------------------------------------
+
+void Device::save(Snapshot& snapshot) const {
+  DeviceRecord device{.name = hash_of(stats_.name),
+                      .now = now_,
+                      .blocked_until = blocked_until_,
+                      .block = block_,
+                      .busy_ns = stats_.busy_ns,
+                      .overhead_ns = stats_.overhead_ns,
+                      .switches = stats_.switches,
+                      .preemptions = stats_.preemptions,
+                      .jobs = stats_.jobs,
+                      .contexts = static_cast<std::uint32_t>(contexts_.size())};
+  save_more(device);
+  snapshot.devices.push_back(device);
+  const auto append = [&](ContextId id, const Context& context) {
+    snapshot.contexts.push_back({.id = id,
+                                 .busy = context.busy,
+                                 .suspended = context.suspended,
+                                 .tag = context.tag,
+                                 .left_ns = context.left_ns,
+                                 .block = context.block});
+  };
+  for (const ContextId id : order()) append(id, contexts_.at(id));
+  for (const auto& [id, context] : contexts_)
+    if (!context.runnable()) append(id, context);
+}
+
+Status Device::restore(const DeviceRecord& record, std::span<const ContextRecord> contexts,
+                       Nanos now) {
+  const auto refuse = [&](const char* what) {
+    return fail(ErrorCode::kInvalid, what, stats_.name);
+  };
+  if (record.name != hash_of(stats_.name)) return refuse("another device is here");
+  if (record.now < 0 || record.now > now || !is_time(record.blocked_until) ||
+      !is_time(record.busy_ns) || !is_time(record.overhead_ns))
+    return refuse("a time of the device is impossible");
+  now_ = record.now;
+  blocked_until_ = record.blocked_until;
+  block_ = record.block;
+  stats_.busy_ns = record.busy_ns;
+  stats_.overhead_ns = record.overhead_ns;
+  stats_.switches = record.switches;
+  stats_.preemptions = record.preemptions;
+  stats_.jobs = record.jobs;
+  bool runnable = true;
+  for (const ContextRecord& c : contexts) {
+    if (c.busy > 1 || c.suspended > 1 || c.zero != 0 || c.zero2 != 0)
+      return refuse("a context's state is impossible");
+    if (c.suspended != 0 ? !preemptive_ || c.block > record.block : c.block != 0)
+      return refuse("a context cannot be suspended like that");
+    if (c.busy != 0 ? c.left_ns <= 0 || c.left_ns > kMaxWorkNs : c.left_ns != 0)
+      return refuse("a context's work is impossible");
+    const Context context{c.busy != 0, c.suspended != 0, c.tag, c.left_ns, c.block};
+    if (context.runnable() && !runnable) return refuse("its contexts are out of order");
+    runnable = context.runnable();
+    contexts_[c.id] = context;
+    if (runnable) join(c.id);
+  }
+  return restore_more(record);
+}
+
+void TimeSliced::save_more(DeviceRecord& record) const {
+  record.switch_until = switch_until_;
+  record.slice_left = slice_left_;
+  record.on_device = on_device_ ? 1 : 0;
+}
+
+Status TimeSliced::restore_more(const DeviceRecord& record) {
+  if (!is_time(record.switch_until) || record.on_device > 1 || record.slice_left < 0 ||
+      record.slice_left > slice_ns_ ||
+      (record.on_device != 0 && (queue_.empty() || record.slice_left == 0)))
+    return fail(ErrorCode::kInvalid, "its time slice is impossible", stats_.name);
+  switch_until_ = record.switch_until;
+  slice_left_ = record.slice_left;
+  on_device_ = record.on_device != 0;
+  return {};
+}
+
 // ---- the machine
 // -----------------------------------------------------------------------------------
 
@@ -249,6 +344,41 @@ Status Machine::resume(ContextId context, std::uint64_t tag, Nanos now) {
   XAUTO_ASSIGN(Device * device, device_of(context));
   advance(now, pending_);
   return device->resume(context, tag, now, pending_);
+}
+
+Result<Progress> Machine::progress(ContextId context, std::uint64_t tag) {
+  XAUTO_ASSIGN(const Device* const device, device_of(context));
+  return device->progress(context, tag);
+}
+
+void Machine::save(Snapshot& snapshot) const {
+  snapshot.next_id = next_id_;
+  snapshot.devices.clear();
+  snapshot.contexts.clear();
+  for (const auto& device : devices_) device->save(snapshot);
+}
+
+Result<Machine> Machine::restore(const Platform& platform, const Snapshot& snapshot, Nanos now) {
+  XAUTO_ASSIGN(Machine machine, create(platform));
+  if (snapshot.devices.size() != machine.devices_.size())
+    return fail(ErrorCode::kInvalid, "another platform's devices are here");
+  std::span<const ContextRecord> left(snapshot.contexts);
+  for (std::size_t i = 0; i < machine.devices_.size(); ++i) {
+    const DeviceRecord& record = snapshot.devices[i];
+    if (record.contexts > left.size())
+      return fail(ErrorCode::kInvalid, "contexts are missing", machine.devices_[i]->stats().name);
+    const auto own = left.first(record.contexts);
+    left = left.subspan(record.contexts);
+    for (const ContextRecord& context : own)
+      if (context.id == 0 || context.id >= snapshot.next_id ||
+          !machine.device_of_.emplace(context.id, machine.devices_[i].get()).second)
+        return fail(ErrorCode::kInvalid, "context " + std::to_string(context.id) + " cannot be",
+                    machine.devices_[i]->stats().name);
+    XAUTO_TRY(machine.devices_[i]->restore(record, own, now));
+  }
+  if (!left.empty()) return fail(ErrorCode::kInvalid, "contexts are on no device");
+  machine.next_id_ = snapshot.next_id;
+  return machine;
 }
 
 Nanos Machine::next_event() const {

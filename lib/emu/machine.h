@@ -54,6 +54,10 @@ struct DeviceStats {
 };
 
 class Device;
+struct Snapshot;
+
+/// What a context knows of a job.
+enum class Progress : std::uint8_t { kUnknown, kUnderWay, kDone };
 
 /// Threads: one. `now` never goes back; calls bring the machine up to `now` first.
 class Machine {
@@ -72,6 +76,18 @@ class Machine {
   [[nodiscard]] Status submit(ContextId context, std::uint64_t tag, Nanos work_ns, Nanos now);
   [[nodiscard]] Status suspend(ContextId context, std::uint64_t tag, Nanos now);
   [[nodiscard]] Status resume(ContextId context, std::uint64_t tag, Nanos now);
+
+  /// Of the job `tag`; only the last one of a context is remembered.
+  [[nodiscard]] Result<Progress> progress(ContextId context, std::uint64_t tag);
+
+  /// Everything but the acknowledgements that are still due and events that nobody has fetched:
+  /// who waits for one asks again, and a suspension that is asked for again is acknowledged when
+  /// it is over, as if it had been asked for once. Nothing else tells the machine that went on
+  /// from the one that was restored.
+  void save(Snapshot& snapshot) const;
+  /// Of a machine of the same platform; `snapshot` is checked in full. Its times must be past.
+  [[nodiscard]] static Result<Machine> restore(const Platform& platform, const Snapshot& snapshot,
+                                               Nanos now);
 
   /// When something will happen by itself; INT64_MAX: nothing.
   [[nodiscard]] Nanos next_event() const;

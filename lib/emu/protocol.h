@@ -9,7 +9,7 @@
 
 namespace xauto::emu {
 
-inline constexpr std::uint32_t kEmuVersion = 1;
+inline constexpr std::uint32_t kEmuVersion = 2;
 inline constexpr std::size_t kMaxDeviceName = 48;
 inline constexpr const char* kEmudVariable = "XAUTO_EMUD";  ///< abstract socket of this session
 inline constexpr const char* kCpuPoolVariable =
@@ -23,11 +23,15 @@ enum class Op : std::uint32_t {
   kSubmit = 2,   ///< context, tag, value = ns of work -> kDone when finished
   kSuspend = 3,  ///< context (anybody's of this session), tag -> kSuspended
   kResume = 4,   ///< context, tag -> kResumed
-  kOpened = 65,
+  kRejoin = 5,   ///< to the next emulator: context, value = its key, tag of the call under way (0:
+                 ///< none) -> kRejoined
+  kOpened = 65,  ///< context, value = the key that has it back
   kDone = 66,
   kSuspended = 67,
   kResumed = 68,
-  kError = 69,  ///< tag of the request, value = ErrorCode, name = text
+  kError = 69,     ///< tag of the request, value = ErrorCode, name = text
+  kRejoined = 70,  ///< context, tag, value = Progress of the call: kUnknown -> submit it again,
+                   ///< kUnderWay -> kDone will come
 };
 
 struct Packet {

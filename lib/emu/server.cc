@@ -6,9 +6,12 @@
 #include <cerrno>
 #include <cstring>
 #include <limits>
+#include <set>
 
 #include <sys/epoll.h>
+#include <sys/random.h>
 #include <sys/socket.h>
+#include <sys/syscall.h>
 #include <sys/timerfd.h>
 #include <unistd.h>
 
@@ -18,27 +21,83 @@
 
 namespace xauto::emu {
 
+namespace {
+
+Status watch(int epoll, int fd) {
+  epoll_event event{.events = EPOLLIN, .data = {.fd = fd}};
+  if (epoll_ctl(epoll, EPOLL_CTL_ADD, fd, &event) != 0)
+    return fail(ErrorCode::kIo, std::string("epoll_ctl: ") + strerror(errno));
+  return {};
+}
+
+}  // namespace
+
 Result<std::unique_ptr<Server>> Server::create(const Platform& platform,
-                                               const std::string& address) {
-  XAUTO_ASSIGN(Machine machine, Machine::create(platform));
+                                               const ServerOptions& options) {
+  UniqueFd listener(options.listener_fd);
+  UniqueFd memory_fd(options.memory_fd);
+  std::optional<StateMemory> memory;
+  std::optional<Snapshot> before;
+  if (memory_fd) {
+    XAUTO_ASSIGN(StateMemory mapped, StateMemory::map(std::move(memory_fd)));
+    memory.emplace(std::move(mapped));
+    XAUTO_ASSIGN(before, memory->load());
+  }
+  XAUTO_ASSIGN(Machine machine,
+               before ? Machine::restore(platform, *before, now_ns()) : Machine::create(platform));
   auto server = std::unique_ptr<Server>(new Server(std::move(machine)));
+  if (memory) server->memory_.emplace(std::move(*memory));
   server->epoll_ = UniqueFd(epoll_create1(EPOLL_CLOEXEC));
   server->timer_ = UniqueFd(timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC | TFD_NONBLOCK));
   if (!server->epoll_ || !server->timer_)
     return fail(ErrorCode::kIo, std::string("epoll/timerfd: ") + strerror(errno));
-  XAUTO_ASSIGN(server->listener_, listen_abstract(address));
-  for (const int fd : {server->timer_.get(), server->listener_.get()}) {
-    epoll_event event{.events = EPOLLIN, .data = {.fd = fd}};
-    if (epoll_ctl(server->epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
-      return fail(ErrorCode::kIo, std::string("epoll_ctl: ") + strerror(errno));
+  server->listener_ = std::move(listener);
+  if (!server->listener_) {
+    XAUTO_ASSIGN(server->listener_, listen_abstract(options.address));
   }
+  // Whoever comes back after a death does not wait in connect().
+  if (listen(server->listener_.get(), SOMAXCONN) != 0)
+    return fail(ErrorCode::kIo, std::string("listen: ") + strerror(errno), options.address);
+  for (const int fd : {server->timer_.get(), server->listener_.get()})
+    XAUTO_TRY(watch(server->epoll_.get(), fd));
+  if (before) XAUTO_TRY(server->take_over(*before));
   return server;
 }
 
+/// The contexts wait for their owners as long as those live: an idle owner notices our
+/// predecessor's death only at its next call.
+Status Server::take_over(const Snapshot& snapshot) {
+  std::set<pid_t> ended, watched;
+  for (const ContextRecord& context : snapshot.contexts) {
+    owner_[context.id] = {.key = context.key, .pid = context.pid};
+    if (context.pid <= 0 || !watched.insert(context.pid).second) continue;
+    UniqueFd pidfd(static_cast<int>(syscall(SYS_pidfd_open, context.pid, 0)));
+    if (!pidfd && errno == ESRCH) ended.insert(context.pid);
+    if (!pidfd) continue;
+    const int fd = pidfd.get();
+    XAUTO_TRY(watch(epoll_.get(), fd));
+    orphans_[fd] = {context.pid, std::move(pidfd)};
+  }
+  for (const pid_t process : ended) give_up(process);
+  log::info("emud: took over from an emulator that died: {} contexts", owner_.size());
+  return {};
+}
+
+/// Closes the contexts of a process that has ended without coming back for them.
+void Server::give_up(pid_t process) {
+  for (auto at = owner_.begin(); at != owner_.end();) {
+    if (at->second.connection != kAbsent || at->second.pid != process) {
+      ++at;
+      continue;
+    }
+    machine_.close(at->first, now_ns());
+    dirty_ = true;
+    at = owner_.erase(at);
+  }
+}
+
 Status Server::run(int stop_fd) {
-  epoll_event stop{.events = EPOLLIN, .data = {.fd = stop_fd}};
-  if (epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, stop_fd, &stop) != 0)
-    return fail(ErrorCode::kIo, std::string("epoll_ctl: ") + strerror(errno));
+  XAUTO_TRY(watch(epoll_.get(), stop_fd));
   std::array<epoll_event, 64> ready;
   for (;;) {
     arm();
@@ -57,11 +116,39 @@ Status Server::run(int stop_fd) {
         Packet packet;
         const auto size = receive_packet(fd, &packet, sizeof packet);
         if (!size || !handle_packet(fd, &packet, *size, now_ns())) drop(fd);
+      } else if (const auto orphans = orphans_.find(fd); orphans != orphans_.end()) {
+        const pid_t process = orphans->second.pid;
+        orphans_.erase(orphans);  // its end takes the descriptor out of epoll
+        give_up(process);
       }
     }
-    deliver(now_ns());
-    for (const int fd : std::exchange(broken_, {})) drop(fd);
+    settle(now_ns());
   }
+}
+
+void Server::settle(Nanos now) {
+  deliver(now);
+  if (dirty_) save();
+  for (const Answer& answer : outbox_)
+    // Never waits: a client that does not read loses its connection.
+    if (send(answer.connection, &answer.packet, sizeof answer.packet,
+             MSG_NOSIGNAL | MSG_DONTWAIT) != sizeof answer.packet)
+      broken_.push_back(answer.connection);
+  outbox_.clear();
+  for (const int fd : std::exchange(broken_, {})) drop(fd);
+}
+
+void Server::save() {
+  dirty_ = false;
+  if (!memory_) return;
+  machine_.save(snapshot_);
+  for (ContextRecord& context : snapshot_.contexts) {
+    const auto owner = owner_.find(context.id);
+    if (owner == owner_.end()) continue;
+    context.key = owner->second.key;
+    context.pid = owner->second.pid;
+  }
+  memory_->save(snapshot_);
 }
 
 /// The timer goes off when the machine has something to tell.
@@ -83,8 +170,10 @@ void Server::accept_connection() {
   }
   if (connections_.size() >= kMaxConnections) return;
   const int fd = peer->get();
-  epoll_event event{.events = EPOLLIN, .data = {.fd = fd}};
-  if (epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) == 0) connections_[fd] = std::move(*peer);
+  ucred who{};
+  socklen_t length = sizeof who;
+  if (getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &who, &length) != 0) return;
+  if (watch(epoll_.get(), fd)) connections_[fd] = {std::move(*peer), who.pid};
 }
 
 void Server::drop(int fd) {
@@ -93,14 +182,16 @@ void Server::drop(int fd) {
   epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, fd, nullptr);
   connections_.erase(found);
   for (auto at = owner_.begin(); at != owner_.end();) {
-    if (at->second != fd) {
+    if (at->second.connection != fd) {
       ++at;
       continue;
     }
     machine_.close(at->first, now_ns());
+    dirty_ = true;
     at = owner_.erase(at);
   }
   std::erase_if(requests_, [&](const auto& r) { return r.second.connection == fd; });
+  std::erase_if(outbox_, [&](const Answer& a) { return a.connection == fd; });
 }
 
 bool Server::handle_packet(int connection, const void* data, std::size_t bytes, Nanos now) {
@@ -109,32 +200,27 @@ bool Server::handle_packet(int connection, const void* data, std::size_t bytes, 
   std::memcpy(&packet, data, sizeof packet);
   if (std::memchr(packet.name, 0, sizeof packet.name) == nullptr) return false;
   switch (static_cast<Op>(packet.op)) {
-    case Op::kOpen: {
-      if (packet.value != kEmuVersion) {
-        refuse(connection, packet.tag, {ErrorCode::kInvalid, "another protocol version", {}, {}});
-        return true;
-      }
-      const auto context = machine_.open(packet.name, now);
-      if (!context) {
-        refuse(connection, packet.tag, context.error());
-        return true;
-      }
-      owner_[*context] = connection;
-      answer(connection, {.op = static_cast<std::uint32_t>(Op::kOpened), .context = *context});
-      return true;
-    }
+    case Op::kOpen:
+      return open(connection, packet, now);
+    case Op::kRejoin:
+      return rejoin(connection, packet);
     case Op::kSubmit: {
       const auto owner = owner_.find(packet.context);
-      if (owner == owner_.end() || owner->second != connection) {
+      if (owner == owner_.end() || owner->second.connection != connection) {
         refuse(connection, packet.tag, {ErrorCode::kInvalid, "not a context of yours", {}, {}});
         return true;
       }
       if (const auto done = machine_.submit(packet.context, packet.tag, packet.value, now); !done)
         refuse(connection, packet.tag, done.error());
+      dirty_ = true;
       return true;
     }
     case Op::kSuspend:
     case Op::kResume: {
+      if (requests_.size() >= kMaxRequests) {
+        refuse(connection, packet.tag, {ErrorCode::kUnavailable, "too many requests", {}, {}});
+        return true;
+      }
       const std::uint64_t request = next_request_++;
       requests_[request] = {connection, packet.tag};
       const auto done = packet.op == static_cast<std::uint32_t>(Op::kSuspend)
@@ -144,6 +230,7 @@ bool Server::handle_packet(int connection, const void* data, std::size_t bytes, 
         requests_.erase(request);
         refuse(connection, packet.tag, done.error());
       }
+      dirty_ = true;
       return true;
     }
     default:
@@ -151,16 +238,55 @@ bool Server::handle_packet(int connection, const void* data, std::size_t bytes, 
   }
 }
 
+bool Server::open(int connection, const Packet& packet, Nanos now) {
+  if (packet.value != kEmuVersion) {
+    refuse(connection, packet.tag, {ErrorCode::kInvalid, "another protocol version", {}, {}});
+    return true;
+  }
+  std::uint64_t key = 0;
+  if (getrandom(&key, sizeof key, 0) != sizeof key) return false;
+  const auto context = machine_.open(packet.name, now);
+  if (!context) {
+    refuse(connection, packet.tag, context.error());
+    return true;
+  }
+  const auto client = connections_.find(connection);
+  owner_[*context] = {connection, key, client != connections_.end() ? client->second.pid : 0};
+  dirty_ = true;
+  answer(connection, {.op = static_cast<std::uint32_t>(Op::kOpened),
+                      .context = *context,
+                      .value = static_cast<std::int64_t>(key)});
+  return true;
+}
+
+/// A client whose emulator died has the context back, and hears what became of its call.
+bool Server::rejoin(int connection, const Packet& packet) {
+  const auto owner = owner_.find(packet.context);
+  const auto progress = machine_.progress(packet.context, packet.tag);
+  if (owner == owner_.end() || owner->second.connection != kAbsent || !progress ||
+      owner->second.key != static_cast<std::uint64_t>(packet.value)) {
+    refuse(connection, packet.tag, {ErrorCode::kInvalid, "no context to come back to", {}, {}});
+    return true;
+  }
+  owner->second.connection = connection;
+  answer(connection, {.op = static_cast<std::uint32_t>(Op::kRejoined),
+                      .context = packet.context,
+                      .tag = packet.tag,
+                      .value = static_cast<std::int64_t>(*progress)});
+  return true;
+}
+
 void Server::deliver(Nanos now) {
   events_.clear();
   machine_.advance(now, events_);
+  if (!events_.empty()) dirty_ = true;
   for (const Event& event : events_) {
     if (event.kind == Event::Kind::kDone) {
       const auto owner = owner_.find(event.context);
-      if (owner != owner_.end())
-        answer(owner->second, {.op = static_cast<std::uint32_t>(Op::kDone),
-                               .context = event.context,
-                               .tag = event.tag});
+      if (owner != owner_.end() && owner->second.connection != kAbsent)
+        answer(owner->second.connection, {.op = static_cast<std::uint32_t>(Op::kDone),
+                                          .context = event.context,
+                                          .tag = event.tag});
       continue;
     }
     const auto request = requests_.find(event.tag);
@@ -173,10 +299,8 @@ void Server::deliver(Nanos now) {
   }
 }
 
-/// Never waits: a client that does not read loses its connection.
 void Server::answer(int connection, const Packet& packet) {
-  if (send(connection, &packet, sizeof packet, MSG_NOSIGNAL | MSG_DONTWAIT) != sizeof packet)
-    broken_.push_back(connection);
+  outbox_.push_back({connection, packet});
 }
 
 void Server::refuse(int connection, std::uint64_t tag, const Error& error) {

@@ -15,7 +15,7 @@
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using namespace xauto;
   const std::string address = "xauto-fuzz/emud-" + std::to_string(getpid());
-  auto server = emu::Server::create(*Platform::builtin("small"), address);
+  auto server = emu::Server::create(*Platform::builtin("small"), {.address = address});
   if (!server) std::abort();
   int ends[2];
   if (socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, ends) != 0)

@@ -23,10 +23,14 @@ int complain(const xauto::Error& error) {
 
 int main(int argc, char** argv) {
   CLI::App cli("Emulates the XPUs of a platform; started by the xauto tool.", "xauto-emud");
-  std::string platform_path, address;
+  std::string platform_path;
+  xauto::emu::ServerOptions options;
   int ready_fd = -1;
   cli.add_option("--platform", platform_path, "small, large, or a platform.json")->required();
-  cli.add_option("--socket", address, "abstract socket to listen on")->required();
+  cli.add_option("--socket", options.address, "abstract socket to listen on")->required();
+  cli.add_option("--listen-fd", options.listener_fd,
+                 "the listening socket, kept by who starts us again");
+  cli.add_option("--memory-fd", options.memory_fd, "memory of the state, likewise");
   cli.add_option("--ready-fd", ready_fd, "descriptor that is told when the socket is there");
   try {
     cli.parse(argc, argv);
@@ -38,7 +42,7 @@ int main(int argc, char** argv) {
 
   const auto platform = xauto::load_platform(platform_path);
   if (!platform) return complain(platform.error());
-  auto server = xauto::emu::Server::create(*platform, address);
+  auto server = xauto::emu::Server::create(*platform, options);
   if (!server) return complain(server.error());
 
   xauto::daemon::settle("xauto-emud", kFifoEmulator);

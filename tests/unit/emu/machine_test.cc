@@ -133,6 +133,30 @@ TEST(Machine, ClosedContextTakesItsWorkAlong) {
   EXPECT_EQ(play(m), "done2@1200");
 }
 
+TEST(Machine, SuspendingAgainWaitsForThePreemptionUnderWay) {
+  Machine m = small();
+  const ContextId a = *m.open("gpu0", 0);
+  ASSERT_TRUE(m.submit(a, 1, 5 * kMs, 0));
+  ASSERT_TRUE(m.suspend(a, 8, 1 * kMs));
+  ASSERT_TRUE(m.suspend(a, 9, 1100 * kUs));
+  EXPECT_EQ(play(m), "susp8@1275 susp9@1275");
+  ASSERT_TRUE(m.suspend(a, 10, 2 * kMs));
+  EXPECT_EQ(play(m), "susp10@2000");
+  EXPECT_EQ(m.stats()[4].preemptions, 1u);
+}
+
+TEST(Machine, RemembersTheLastJobOfAContext) {
+  Machine m = small();
+  const ContextId a = *m.open("gpu0", 0);
+  EXPECT_EQ(m.progress(a, 7), Progress::kUnknown);
+  ASSERT_TRUE(m.submit(a, 7, 1 * kMs, 0));
+  EXPECT_EQ(m.progress(a, 7), Progress::kUnderWay);
+  EXPECT_EQ(play(m), "done7@1000");
+  EXPECT_EQ(m.progress(a, 7), Progress::kDone);
+  EXPECT_EQ(m.progress(a, 8), Progress::kUnknown);
+  EXPECT_FALSE(m.progress(a + 1, 7));
+}
+
 TEST(Machine, RefusesNonsense) {
   Machine m = small();
   EXPECT_FALSE(m.open("gpu7", 0));

@@ -26,7 +26,7 @@ class EmuServer : public ::testing::Test {
   void SetUp() override {
     address_ = "xauto-test/emud-" + std::to_string(getpid());
     stop_ = UniqueFd(eventfd(0, EFD_CLOEXEC));
-    server_ = std::move(*Server::create(*Platform::builtin("small"), address_));
+    server_ = std::move(*Server::create(*Platform::builtin("small"), {.address = address_}));
     thread_ = std::thread([this] { EXPECT_TRUE(server_->run(stop_.get())); });
     setenv(kEmudVariable, address_.c_str(), 1);
   }
