@@ -19,6 +19,7 @@
 #include "base/rt.h"
 #include "base/socket.h"
 #include "emu/protocol.h"
+#include "emu/state_memory.h"
 #include "kernel/probe.h"
 #include "model/json.h"
 #include "runtime/isolation.h"
@@ -30,7 +31,8 @@ namespace {
 constexpr int kReadyTimeoutMs = 10'000;
 constexpr int kDrainMs = 15'000;  ///< more than the app's own patience with a stalled activation
 constexpr int kGraceMs = 2'000;
-constexpr int kMaxRestarts = 100;  ///< of one coordinator; then its jobs go on unscheduled
+constexpr int kMaxRestarts = 100;  ///< of one daemon; then it stays dead, see supervisor.h
+constexpr int kStartAttempts = 5;  ///< in a row
 
 struct Daemon {
   std::string name;
@@ -38,8 +40,20 @@ struct Daemon {
   bool coordinator = false;
   bool noticed = false;
   SpawnOptions options;  ///< to start it again
-  UniqueFd kept[3];      ///< a coordinator's: what outlives it, see coord::ServerOptions
+  UniqueFd kept[3];      ///< what outlives it: see coord::ServerOptions, emu::ServerOptions
   int starts = 1;
+  int deaths = 0;        ///< after which it was started again
+  std::size_t note = 0;  ///< where the outcome says so
+
+  /// What outlives it goes to it as arguments.
+  void hand_over(std::initializer_list<const char*> flags) {
+    std::size_t i = 0;
+    for (const char* flag : flags) {
+      options.argv.emplace_back(flag);
+      options.argv.push_back(std::to_string(kept[i].get()));
+      options.inherit.push_back(kept[i++].get());
+    }
+  }
 };
 
 /// A process of the app that hosts modules.
@@ -123,12 +137,16 @@ class Supervisor {
     if (session.emulated) {
       XAUTO_ASSIGN(platform_, make_memory_file("xauto-platform"));
       XAUTO_TRY(write_memory_file(platform_.get(), to_json(session.platform)));
-      SpawnOptions options;
-      options.argv = {bin_ + "/xauto-emud", "--socket", base_ + kEmudName, "--platform",
-                      "/proc/self/fd/" + std::to_string(platform_.get())};
-      options.inherit = {platform_.get()};
-      XAUTO_ASSIGN(Child child, start_daemon("xauto-emud", std::move(options)));
-      daemons_.push_back({"xauto-emud", std::move(child)});
+      Daemon daemon;
+      daemon.name = "xauto-emud";
+      XAUTO_ASSIGN(daemon.kept[0], listen_abstract(base_ + kEmudName));
+      XAUTO_ASSIGN(daemon.kept[1], emu::StateMemory::make());
+      daemon.options.argv = {bin_ + "/xauto-emud", "--socket", base_ + kEmudName, "--platform",
+                             "/proc/self/fd/" + std::to_string(platform_.get())};
+      daemon.options.inherit = {platform_.get()};
+      daemon.hand_over({"--listen-fd", "--memory-fd"});
+      XAUTO_ASSIGN(daemon.child, start_daemon(daemon.name, daemon.options));
+      daemons_.push_back(std::move(daemon));
     }
     const bool scheduled = session.mode == Mode::kRun && session.scheduling == Scheduling::kXAuto;
     if (session.mode == Mode::kRun) prepare_cpus(scheduled);
@@ -159,12 +177,7 @@ class Supervisor {
             bin_ + "/xauto-coordinator",   "--xpu", xpu, "--socket", address, "--session-fd",
             std::to_string(session_.get())};
         options.inherit = {session_.get()};
-        static constexpr const char* kFlags[] = {"--listen-fd", "--memory-fd", "--doorbell-fd"};
-        for (std::size_t i = 0; i < 3; ++i) {
-          options.argv.emplace_back(kFlags[i]);
-          options.argv.push_back(std::to_string(daemon.kept[i].get()));
-          options.inherit.push_back(daemon.kept[i].get());
-        }
+        daemon.hand_over({"--listen-fd", "--memory-fd", "--doorbell-fd"});
         XAUTO_ASSIGN(daemon.child, start_daemon(name, options));
         daemons_.push_back(std::move(daemon));
       }
@@ -226,23 +239,31 @@ class Supervisor {
     }
   }
 
-  /// A coordinator has died: the next one goes on with its memory, and no job notices.
+  /// A daemon has died: the next one goes on with what it left, and no job notices.
   bool restart(Daemon& daemon, const Exit& exit) {
-    outcome_.coordinators_cpu_us += exit.cpu_us;
-    if (daemon.starts > kMaxRestarts) {
-      daemon.kept[0].reset();  // nobody listens any more: its workers go on by themselves
-      return false;
+    if (daemon.coordinator) outcome_.coordinators_cpu_us += exit.cpu_us;
+    Result<Child> child = fail(ErrorCode::kUnavailable, "died too often");
+    // One that dies while it starts is followed, too, but not for ever.
+    for (int attempt = 0; attempt < kStartAttempts && daemon.starts <= kMaxRestarts; ++attempt) {
+      ++daemon.starts;
+      child = start_daemon(daemon.name, daemon.options);
+      if (child || child.error().code != ErrorCode::kUnavailable) break;
     }
-    ++daemon.starts;
-    auto child = start_daemon(daemon.name, daemon.options);
     if (!child) {
-      daemon.kept[0].reset();
+      log::warn("{}: not started again: {}", daemon.name, child.error().what);
+      daemon.kept[0].reset();  // nobody listens any more: who waits for it need not
       return false;
     }
     daemon.child = std::move(*child);
-    outcome_.notes.push_back(daemon.name + " died (" + exit.to_string() +
-                             ") and was started again");
-    log::warn("{}", outcome_.notes.back());
+    const std::string what = daemon.name + " died (" + exit.to_string() + ")";
+    log::warn("{} and was started again", what);
+    if (++daemon.deaths == 1) {
+      daemon.note = outcome_.notes.size();
+      outcome_.notes.push_back(what + " and was started again");
+    } else {
+      outcome_.notes[daemon.note] =
+          what + " and was started again, " + std::to_string(daemon.deaths) + " times";
+    }
     return true;
   }
 
@@ -299,7 +320,7 @@ class Supervisor {
       for (Daemon& daemon : daemons_) {
         const auto exit = daemon.noticed ? std::nullopt : daemon.child.poll();
         if (!exit) continue;
-        if (daemon.coordinator && restart(daemon, *exit)) continue;
+        if (restart(daemon, *exit)) continue;
         daemon.noticed = true;
         outcome_.notes.push_back(daemon.name + " died (" + exit->to_string() + ")" +
                                  (daemon.coordinator ? ": its XPU's jobs went on unscheduled"

@@ -3,7 +3,7 @@
 // leaves nothing behind. Whatever dies, the rest is ended or goes on as docs/runtime.md says:
 //   coordinator  started again; the next one goes on where it was (its memory outlives it). If
 //                that fails its XPU's jobs go on unscheduled, and the result says so
-//   emulator     the app is stopped: its XPUs are gone
+//   emulator     likewise; if that fails its XPUs are gone and the app is stopped
 //   app          everything is stopped; a module process of it: its modules' activations are
 //                dropped, the rest runs, and it is started again if the deployment says so
 //   this process everything is killed by the kernel (PR_SET_PDEATHSIG)
