@@ -14,6 +14,13 @@ namespace xauto {
   return static_cast<std::int64_t>(now.tv_sec) * 1'000'000'000 + now.tv_nsec;
 }
 
+/// The same clock as of the last tick, up to 10 ms ago: for a fifth of the price.
+[[nodiscard]] inline std::int64_t coarse_now_ns() {
+  timespec now{};
+  clock_gettime(CLOCK_MONOTONIC_COARSE, &now);
+  return static_cast<std::int64_t>(now.tv_sec) * 1'000'000'000 + now.tv_nsec;
+}
+
 /// Sleeps until `due` on the same clock; returns at once if it has passed.
 inline void sleep_until_ns(std::int64_t due) {
   // The kernel would set a timer and give the CPU away, even for an instant that has passed.

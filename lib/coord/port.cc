@@ -131,12 +131,15 @@ bool Port::contended() const {
   return (shm_.header->owner.load(std::memory_order_relaxed) & (kFat | kParked)) != 0;
 }
 
-void Port::begin(const Job& job, std::int64_t now_ns) {
+void Port::begin(const Job& job) {
   job_ = job;
   waits_ = false;
   if (lost()) return;
   generation_ = (generation_ + 1) & kGenerationMask;
-  const Start start = words_.start(slot_, generation_, job, static_cast<std::uint64_t>(now_ns));
+  // Who came first matters only among those that meet; who meets nobody need not know so exactly.
+  const bool alone = (shm_.header->owner.load(std::memory_order_relaxed) & ~kParkings) == 0;
+  const std::int64_t since_ns = alone ? coarse_now_ns() : now_ns();
+  const Start start = words_.start(slot_, generation_, job, static_cast<std::uint64_t>(since_ns));
   switch (start.started) {
     case Started::kRuns:
       return;
@@ -152,15 +155,14 @@ void Port::begin(const Job& job, std::int64_t now_ns) {
   waits_ = true;
 }
 
-bool Port::wait() {
-  if (!waits_) return false;
+void Port::wait() {
+  if (!waits_) return;
   std::atomic<std::uint32_t>& grant = shm_.slots[slot_].coordinator.grant;
   while (!lost() && !interrupted_.load(std::memory_order_relaxed)) {
     const std::uint32_t seen = grant.load(std::memory_order_acquire);
     if (seen == generation_) break;
     futex_wait(grant, seen);
   }
-  return true;
 }
 
 void Port::finish() {

@@ -15,7 +15,6 @@
 
 #include <xauto/result.h>
 
-#include "base/clock.h"
 #include "base/unique_fd.h"
 #include "coord/arbiter.h"
 #include "coord/protocol.h"
@@ -48,13 +47,13 @@ class Port {
 
   /// START: returns when the job may run. On a lost coordinator: at once.
   void start(const Job& job) {
-    begin(job, now_ns());
-    (void)wait();
+    begin(job);
+    wait();
   }
-  /// START in two steps: others see from `begin` on that the job wants the XPU, since `now_ns`.
-  void begin(const Job& job, std::int64_t now_ns);
-  /// Whether it had to wait.
-  bool wait();
+  /// START in two steps: others see from `begin` on that the job wants the XPU.
+  void begin(const Job& job);
+  /// Returns when the job may run. On a lost coordinator: at once.
+  void wait();
   /// Whether others may be waiting for the XPU, or the coordinator decides: then a job that is
   /// ready should `begin` before this one finishes.
   [[nodiscard]] bool contended() const;

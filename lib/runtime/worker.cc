@@ -172,7 +172,7 @@ void Worker::run_lane() {
 void Worker::show_lane() {
   for (Ready& job : t_home->lane_) {
     if (job.begun) continue;
-    (void)job.worker->begin(job.worker->chain_.nodes[job.node]);
+    job.worker->begin(job.worker->chain_.nodes[job.node]);
     job.begun = true;
   }
 }
@@ -194,26 +194,23 @@ void Worker::run_chain(std::size_t node, bool begun) {
   chain_.runtime->finish(true);
 }
 
-/// START, without waiting for what comes of it. Returns when that was.
-std::int64_t Worker::begin(Placed& placed) {
+/// START, without waiting for what comes of it.
+void Worker::begin(Placed& placed) {
   const Input& input = chain_.runtime->input();
   current_.store(&placed, std::memory_order_release);
   record(XAUTO_EV_START, placed);
-  const std::int64_t now = now_ns();
-  port_->begin({placed.xnode, input.sequence(), placed.priority}, now);
-  return now;
+  port_->begin({placed.xnode, input.sequence(), placed.priority});
 }
 
 bool Worker::run_job(Placed& placed, bool begun) {
   const Input& input = chain_.runtime->input();
   thread_->next(placed.xnode, input.sequence(), placed.fifo_priority);
-  std::int64_t since = 0;  // the clock is read once, if START and RUN are one
   if (port_) {
-    if (!begun) since = begin(placed);
-    if (port_->wait()) since = 0;
+    if (!begun) begin(placed);
+    port_->wait();
   }
   if (thread_->observed()) {
-    if (since == 0) since = now_ns();
+    const std::int64_t since = now_ns();
     thread_->begin(since);
     thread_->hold(since);
   }

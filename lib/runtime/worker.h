@@ -107,7 +107,7 @@ class Worker {
   [[nodiscard]] Status init_nodes();
   void run_chain(std::size_t node, bool begun);
   bool run_job(Placed& placed, bool begun);
-  std::int64_t begin(Placed& placed);
+  void begin(Placed& placed);
   void run_lane();
   void show_lane();
   void record(std::uint16_t kind, const Placed& placed, std::uint32_t arg = 0);
