@@ -21,9 +21,9 @@ UniqueFd stop_signals() {
 
 void settle(const std::string& name, int priority) {
   rt::set_timer_slack_1ns();
-  rt::lock_memory();
-  if (const Status status = rt::set_fifo(priority); !status)
+  if (const Status status = rt::set_fifo_up_to(priority); !status)
     log::debug("{}: {}", name, status.error().to_string());
+  rt::lock_memory();
 }
 
 void tell_ready(int fd) {

@@ -12,7 +12,8 @@ namespace xauto::daemon {
 /// Blocks SIGTERM and SIGINT and returns a descriptor that is readable once one of them has come.
 [[nodiscard]] UniqueFd stop_signals();
 
-/// Resident memory, exact timers and SCHED_FIFO at `priority`, each as far as it is permitted.
+/// Resident memory, exact timers and SCHED_FIFO at up to `priority`, each as far as it is
+/// permitted.
 void settle(const std::string& name, int priority);
 
 /// Tells the parent that the socket is there; `fd` < 0: nobody waits for that.

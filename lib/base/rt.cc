@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "base/rt.h"
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <thread>
@@ -10,6 +11,7 @@
 #include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
+#include <unistd.h>
 
 namespace xauto::rt {
 
@@ -44,12 +46,26 @@ bool may_use_fifo(int priority) {
   return allowed;
 }
 
+int highest_fifo() {
+  const int most = sched_get_priority_max(SCHED_FIFO);
+  if (may_use_fifo(most)) return most;
+  rlimit limit{};
+  getrlimit(RLIMIT_RTPRIO, &limit);
+  const int highest = static_cast<int>(std::min<rlim_t>(limit.rlim_cur, 99));
+  return highest > 0 && may_use_fifo(highest) ? highest : 0;
+}
+
+Status set_fifo_up_to(int priority) {
+  if (const Status set = set_fifo(priority)) return set;
+  return set_fifo(std::clamp(highest_fifo(), 1, priority));
+}
+
 std::string fifo_hint() {
   rlimit limit{};
   getrlimit(RLIMIT_RTPRIO, &limit);
   return "the real-time limit is " + std::to_string(limit.rlim_cur) +
-         ": run as root, or `setcap cap_sys_nice+ep` the program, or add '@GROUP - rtprio 99' to "
-         "/etc/security/limits.conf and log in again";
+         ": an administrator can raise it in /etc/xauto/grants.json (docs/runtime.md, "
+         "\"Privilege\") or in /etc/security/limits.conf ('@GROUP - rtprio 60'); or run as root";
 }
 
 Status pin_to_core(int core) {
@@ -77,7 +93,12 @@ void set_timer_slack_1ns() {
 }
 
 bool lock_memory() {
-  return mlockall(MCL_CURRENT | MCL_FUTURE) == 0;
+  rlimit limit{};
+  getrlimit(RLIMIT_MEMLOCK, &limit);
+  // Under a limit, locking what is yet to come would let any later mapping fail, a thread's stack
+  // included.
+  const bool unlimited = limit.rlim_cur == RLIM_INFINITY || geteuid() == 0;
+  return mlockall(unlimited ? MCL_CURRENT | MCL_FUTURE : MCL_CURRENT) == 0;
 }
 
 void set_thread_name(const std::string& name) {

@@ -15,6 +15,10 @@ namespace xauto::rt {
 [[nodiscard]] Status set_other();
 /// Whether set_fifo(priority) would succeed for a thread of this process; changes nothing.
 [[nodiscard]] bool may_use_fifo(int priority);
+/// The highest priority for which that holds; 0: none.
+[[nodiscard]] int highest_fifo();
+/// As far as it may: `priority`, or the highest below it.
+[[nodiscard]] Status set_fifo_up_to(int priority);
 /// One line: how to get the right to real-time priorities.
 [[nodiscard]] std::string fifo_hint();
 

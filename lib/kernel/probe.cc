@@ -74,13 +74,20 @@ class Probe {
 
   void realtime() {
     const std::string limit = "rtprio limit " + std::to_string(limits_.rtprio_limit);
-    if (limits_.may_use_fifo)
+    constexpr int kEnough = 60;  // of the coordinators; lib/runtime/priorities.h
+    if (limits_.highest_fifo >= kEnough)
       add("realtime", Verdict::kOk, "SCHED_FIFO permitted", "CPU XNodes run by priority");
+    else if (limits_.highest_fifo > 0)
+      add("realtime", Verdict::kOk,
+          "SCHED_FIFO permitted up to " + std::to_string(limits_.highest_fifo),
+          "CPU XNodes run by priority; those beyond what the range has room for share one");
     else
-      add("realtime", Verdict::kDegraded, "SCHED_FIFO refused, " + limit,
+      add("realtime", Verdict::kDegraded,
+          "SCHED_FIFO refused, " + limit +
+              (limits_.grant_refused.empty() ? "" : "; " + limits_.grant_refused),
           "CPU XNodes run as ordinary threads: priorities are not enforced on real CPUs",
-          "run as root, or `setcap cap_sys_nice+ep` the app, or add '@GROUP - rtprio 99' to "
-          "/etc/security/limits.conf and log in again");
+          "have them granted in /etc/xauto/grants.json (docs/runtime.md, \"Privilege\"), or add "
+          "'@GROUP - rtprio 60' to /etc/security/limits.conf and log in again, or run as root");
   }
 
   void throttling() {
@@ -212,7 +219,7 @@ Limits Limits::of_this_process() {
   uname(&name);
   limits.kernel_release = name.release;
   limits.cores = static_cast<int>(rt::allowed_cores().size());
-  limits.may_use_fifo = rt::may_use_fifo(50);
+  limits.highest_fifo = rt::highest_fifo();
   limits.may_use_bpf = kernel::may_use_bpf();
   rlimit limit{};
   getrlimit(RLIMIT_RTPRIO, &limit);

@@ -24,11 +24,12 @@ struct Finding {
 /// What the probes ask the running kernel rather than a file; a test gives its own.
 struct Limits {
   std::string kernel_release;
-  int cores = 0;  ///< that this process may use
-  bool may_use_fifo = false;
+  int cores = 0;         ///< that this process may use
+  int highest_fifo = 0;  ///< SCHED_FIFO priority that this process may use; 0: none
   unsigned long rtprio_limit = 0;
   unsigned long long memlock_bytes = 0;  ///< ~0: unlimited
   bool may_use_bpf = false;
+  std::string grant_refused;  ///< by xauto-grant: why
   [[nodiscard]] static Limits of_this_process();
 };
 

@@ -18,14 +18,6 @@
 namespace xauto::runtime {
 namespace {
 
-// SCHED_FIFO priorities of one run, all below the kernel's own watchdogs and migration threads
-// (99). Management above execution, so that a suspension is never delayed by what it suspends.
-constexpr int kFifoManagement = 50;
-constexpr int kFifoSources = 45;
-constexpr int kFifoExecution = 40;  ///< of XPUs other than real CPUs: such a thread mostly waits
-constexpr int kFifoCpuLowest = 2,
-              kFifoCpuHighest = 39;  ///< XNodes on real CPUs, by policy priority
-
 constexpr std::int64_t kStallNs =
     10'000'000'000;  ///< no progress for so long: give up, say what hangs
 constexpr std::int64_t kSilenceNs = 3'000'000'000;   ///< of a watchdog, beyond the hang limit
@@ -100,20 +92,6 @@ int Engine::xpu_of(const Graph::Node& node, std::uint32_t xnode) const {
   return best;
 }
 
-/// SCHED_FIFO priorities for the XNodes of one real CPU: their rank by policy priority, so that any
-/// number of policy priorities fits; the most urgent always gets the highest.
-static std::vector<int> fifo_priorities(const Policy& policy) {
-  std::vector<int> fifo(policy.placements.size(), 0);
-  for (std::size_t i = 0; i < fifo.size(); ++i) {
-    std::set<std::int64_t> above;
-    for (const Placement& other : policy.placements)
-      if (other.xpu == policy.placements[i].xpu && other.priority > policy.placements[i].priority)
-        above.insert(other.priority);
-    fifo[i] = std::max(kFifoCpuLowest, kFifoCpuHighest - static_cast<int>(above.size()));
-  }
-  return fifo;
-}
-
 Status Engine::place() {
   const Platform& platform = session_.platform;
   const bool scheduled = session_.scheduling == Scheduling::kXAuto;
@@ -122,14 +100,28 @@ Status Engine::place() {
   XAUTO_ASSIGN(threads_, xpu::CpuThreads::create({.run = session_.cpu_run,
                                                   .scheduler_pid = session_.cpu_scheduler_pid,
                                                   .partial = session_.cpu_partial}));
-  if (fifo && !rt::may_use_fifo(kFifoManagement)) {
+  const int highest_fifo = rt::highest_fifo();
+  fifo_ = FifoPlan::within(session_.fifo_lowest, highest_fifo);
+  if (fifo && fifo_.none()) {
     fifo = false;
-    note_ = "no permission for SCHED_FIFO: threads run as SCHED_OTHER; " + rt::fifo_hint();
+    note_ = "no permission for SCHED_FIFO: threads run as SCHED_OTHER; " +
+            (session_.fifo_why.empty() ? "" : session_.fifo_why + "; ") + rt::fifo_hint();
     log::warn("{}", note_);
   }
   const std::vector<int> fifo_by_xnode =
-      scheduled ? fifo_priorities(session_.policy) : std::vector<int>();
+      scheduled ? fifo_.by_rank(session_.policy) : std::vector<int>();
   const std::vector<int> cores = rt::allowed_cores();
+
+  if (fifo && scheduled && !session_.emulated) {
+    std::vector<int> cpus;
+    for (std::size_t x = 0; x < platform.xpus.size(); ++x)
+      if (platform.xpus[x].type == "cpu") cpus.push_back(static_cast<int>(x));
+    if (const std::string pressed = fifo_.note(highest_fifo, session_.policy, cpus);
+        !pressed.empty()) {
+      add_note(note_, pressed);
+      if (session_.process == 0) log::warn("{}", pressed);
+    }
+  }
 
   std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
   if (scheduled && !session_.policy.order.empty()) {
@@ -137,10 +129,11 @@ Status Engine::place() {
       for (const auto& [u, v] : session_.policy.order)
         order.emplace_back(static_cast<std::uint32_t>(u), static_cast<std::uint32_t>(v));
     } else {
-      note_ =
+      const std::string unordered =
           "the sources have several periods: the policy's order constraints are not enforced, "
           "its worst case does not hold";
-      log::warn("{}", note_);
+      add_note(note_, unordered);
+      log::warn("{}", unordered);
     }
   }
 
@@ -202,7 +195,7 @@ Status Engine::place() {
         options.name = graph_.modules[m].name + "@" + x.id;
         options.emulated = session_.emulated;
         options.driver = suspended_by_module(x, session_.emulated, session_.emulator_modules);
-        options.mgmt_fifo = fifo ? kFifoManagement : 0;
+        options.mgmt_fifo = fifo ? fifo_.management : 0;
         if (real_cpu) {
           if (scheduled || session_.scheduling == Scheduling::kTimeshare) {
             if (options.xpu_id.index >= static_cast<int>(cores.size()))
@@ -212,9 +205,9 @@ Status Engine::place() {
                           x.id, "use a platform file of this machine, or --emulate");
             options.core = cores[static_cast<std::size_t>(options.xpu_id.index)];
           }
-          options.exec_fifo = scheduled && fifo ? kFifoCpuLowest : 0;
+          options.exec_fifo = scheduled && fifo ? fifo_.cpu_lowest : 0;
         } else {
-          options.exec_fifo = fifo ? kFifoExecution : 0;
+          options.exec_fifo = fifo ? fifo_.execution : 0;
         }
         if (scheduled) {
           const auto coordinator = session_.coordinators.find(x.id);
@@ -416,10 +409,10 @@ Status Engine::open_inputs() {
                      channel->publish(envelope);
                    });
   }
-  receiver_->start([] {
+  receiver_->start([priority = fifo_.sources] {
     rt::set_thread_name("xauto/topics");
     rt::set_timer_slack_1ns();
-    if (rt::may_use_fifo(kFifoSources)) (void)rt::set_fifo(kFifoSources);
+    if (priority > 0) (void)rt::set_fifo(priority);
   });
   return {};
 }
@@ -530,7 +523,7 @@ Result<RunReport> Engine::run_whole() {
   std::thread releaser([&] {
     rt::set_thread_name("xauto/sources");
     rt::set_timer_slack_1ns();
-    if (rt::may_use_fifo(kFifoSources)) (void)rt::set_fifo(kFifoSources);
+    if (fifo_.sources > 0) (void)rt::set_fifo(fifo_.sources);
     status = session_.input.empty() ? release_periodic() : release_recorded();
   });
   releaser.join();

@@ -17,6 +17,7 @@
 #include "runtime/ghost.h"
 #include "runtime/graph.h"
 #include "runtime/isolation.h"
+#include "runtime/priorities.h"
 #include "runtime/routes.h"
 #include "runtime/session.h"
 #include "runtime/watch.h"
@@ -104,6 +105,7 @@ class Engine final : public ModuleHost, private HubHost {
   std::unique_ptr<xpu::CpuThreads> threads_;    ///< outlives the workers
   std::vector<std::unique_ptr<Worker>> workers_;
   std::vector<std::uint32_t> xnode_of_;  ///< [graph node] -> index in app.json
+  FifoPlan fifo_;                        ///< what this process may; place()
   std::string note_;
   std::optional<record::Recorder> recorder_;  ///< of the releasing thread
   std::vector<std::size_t> recorded_topic_;   ///< [topic] -> the recorder's index

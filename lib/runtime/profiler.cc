@@ -143,11 +143,9 @@ class Run {
             "XNode '" + graph_.nodes[n].name + "'");
     cores_ = rt::allowed_cores();
     rt::set_timer_slack_1ns();
-    if (rt::may_use_fifo(kFifoProfile))
-      XAUTO_TRY(rt::set_fifo(kFifoProfile));
-    else
-      log::warn("no permission for SCHED_FIFO: neighbours' work shows in the times; {}",
-                rt::fifo_hint());
+    if (!rt::set_fifo_up_to(kFifoProfile))
+      log::warn("no permission for SCHED_FIFO: neighbours' work shows in the times; {}{}",
+                session_.fifo_why.empty() ? "" : session_.fifo_why + "; ", rt::fifo_hint());
     const std::uint64_t total = passes_ * (session_.warmup + session_.repetitions);
     std::uint64_t done = 0;
     std::int64_t told = now_ns();

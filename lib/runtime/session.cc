@@ -70,6 +70,8 @@ std::string to_json(const Session& s) {
             {"cpu_run", s.cpu_run},
             {"cpu_scheduler_pid", s.cpu_scheduler_pid},
             {"cpu_partial", s.cpu_partial},
+            {"fifo_lowest", s.fifo_lowest},
+            {"fifo_why", s.fifo_why},
             {"emulated", s.emulated},
             {"emulator_modules", s.emulator_modules},
             {"coordinators", s.coordinators},
@@ -119,6 +121,8 @@ Result<Session> parse_session(const std::string& text) {
     s.cpu_run = j.at("cpu_run").get<std::string>();
     s.cpu_scheduler_pid = j.at("cpu_scheduler_pid").get<int>();
     s.cpu_partial = j.at("cpu_partial").get<bool>();
+    s.fifo_lowest = j.at("fifo_lowest").get<int>();
+    s.fifo_why = j.at("fifo_why").get<std::string>();
     s.emulated = j.at("emulated").get<bool>();
     s.emulator_modules = j.at("emulator_modules").get<bool>();
     s.coordinators = j.at("coordinators").get<std::map<std::string, std::string>>();

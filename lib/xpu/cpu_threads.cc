@@ -165,7 +165,7 @@ std::string CpuThreads::note() const {
 void CpuThreads::watch() {
   rt::set_thread_name("xauto/cpusched");
   constexpr int kAboveJobs = 55;
-  (void)rt::set_fifo(kAboveJobs);
+  (void)rt::set_fifo_up_to(kAboveJobs);
   pollfd fds[2] = {{scheduler_.get(), POLLIN, 0}, {quit_.get(), POLLIN, 0}};
   while (poll(fds, 2, -1) < 0 && errno == EINTR) {
   }

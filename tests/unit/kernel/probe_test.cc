@@ -31,7 +31,7 @@ class Machine : public ::testing::Test {
     return {"absent", Verdict::kOk, "", "", ""};
   }
   fs::path root_;
-  Limits limits_{"6.1.0", 4, true, 99, ~0ull};
+  Limits limits_{"6.1.0", 4, 99, 99, ~0ull, false, {}};
 };
 
 TEST_F(Machine, LaptopLacksWhatAJetsonHas) {
@@ -72,12 +72,23 @@ TEST_F(Machine, SchedExtThatIsTakenSaysByWhom) {
 }
 
 TEST_F(Machine, UnprivilegedUserIsToldHowToGetMore) {
-  limits_.may_use_fifo = false;
+  limits_.highest_fifo = 0;
+  limits_.grant_refused = "grants.json grants nothing";
   limits_.rtprio_limit = 0;
   limits_.memlock_bytes = 8u << 20;
   EXPECT_EQ(find("realtime").verdict, Verdict::kDegraded);
-  EXPECT_NE(find("realtime").advice.find("rtprio 99"), std::string::npos);
+  EXPECT_NE(find("realtime").advice.find("rtprio 60"), std::string::npos);
+  EXPECT_NE(find("realtime").advice.find("grants.json"), std::string::npos);
+  EXPECT_NE(find("realtime").found.find("grants nothing"), std::string::npos);
   EXPECT_EQ(find("memlock").verdict, Verdict::kDegraded);
+}
+
+TEST_F(Machine, RangeOfPrioritiesThatIsGrantedIsTold) {
+  limits_.highest_fifo = 20;
+  EXPECT_EQ(find("realtime").verdict, Verdict::kOk);
+  EXPECT_EQ(find("realtime").found, "SCHED_FIFO permitted up to 20");
+  limits_.highest_fifo = 60;
+  EXPECT_EQ(find("realtime").found, "SCHED_FIFO permitted");
 }
 
 TEST_F(Machine, ThrottlingAndClocksAreSeen) {

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/priorities.h"
+
+#include <algorithm>
+#include <set>
+
+namespace xauto::runtime {
+
+FifoPlan FifoPlan::within(int lowest, int highest) {
+  if (highest <= 0) return {0, 0, 0, 0, 0};
+  highest = std::min(highest, kFifoHighest);
+  lowest = std::clamp(lowest, 1, highest);
+  // Levels above those of the CPUs' XNodes, as many as there are; with fewer than four, neighbours
+  // share one: first sources with management, then that with the coordinators, then execution with
+  // the XNodes on CPUs.
+  static constexpr int kLevel[5][3] = {
+      // management, sources, execution; the coordinators are at the top
+      {0, 0, 0},
+      {1, 1, 0},
+      {2, 2, 1},
+      {2, 2, 1},
+      {3, 2, 1}};
+  const int above = std::min(4, highest - lowest);
+  const int* level = kLevel[above];
+  const FifoPlan wanted;
+  const int up = std::max(0, lowest - wanted.cpu_lowest);
+  const auto at = [&](int index, int preferred) {
+    return std::min(highest - (above - index), preferred + up);
+  };
+  FifoPlan plan;
+  plan.management = at(level[0], wanted.management);
+  plan.sources = at(level[1], wanted.sources);
+  plan.execution = at(level[2], wanted.execution);
+  plan.cpu_highest = at(0, wanted.cpu_highest);
+  plan.cpu_lowest = std::min(wanted.cpu_lowest + up, plan.cpu_highest);
+  return plan;
+}
+
+std::vector<int> FifoPlan::by_rank(const Policy& policy) const {
+  std::vector<int> fifo(policy.placements.size(), 0);
+  for (std::size_t i = 0; i < fifo.size(); ++i) {
+    std::set<std::int64_t> above;
+    for (const Placement& other : policy.placements)
+      if (other.xpu == policy.placements[i].xpu && other.priority > policy.placements[i].priority)
+        above.insert(other.priority);
+    fifo[i] = std::max(cpu_lowest, cpu_highest - static_cast<int>(above.size()));
+  }
+  return fifo;
+}
+
+std::string FifoPlan::note(int highest, const Policy& policy, const std::vector<int>& cpus) const {
+  if (none() || *this == FifoPlan{}) return {};
+  const auto levels = static_cast<std::size_t>(cpu_highest - cpu_lowest + 1);
+  std::size_t sharing = 0;
+  for (const int cpu : cpus) {
+    std::set<std::int64_t> priorities;
+    for (const Placement& placement : policy.placements)
+      if (placement.xpu == cpu) priorities.insert(placement.priority);
+    if (priorities.size() > levels) sharing += priorities.size() - levels + 1;
+  }
+  std::string text = "SCHED_FIFO is permitted up to " + std::to_string(highest) + ", not " +
+                     std::to_string(kFifoHighest) + ": XNodes on CPUs use " +
+                     std::to_string(cpu_lowest) + " to " + std::to_string(cpu_highest);
+  if (sharing > 0)
+    text += "; the " + std::to_string(sharing) + " least urgent of them share the lowest";
+  return text;
+}
+
+}  // namespace xauto::runtime

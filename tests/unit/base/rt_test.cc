@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "base/rt.h"
+
+#include <functional>
+#include <thread>
+
+#include <gtest/gtest.h>
+#include <sched.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+namespace xauto::rt {
+namespace {
+
+/// In a process of its own that has given up root, with a real-time limit; true: `holds` held.
+bool as_nobody(rlim_t limit, const std::function<bool()>& holds) {
+  const pid_t pid = fork();
+  if (pid == 0) {
+    const rlimit both{limit, limit};
+    const bool ready =
+        setrlimit(RLIMIT_RTPRIO, &both) == 0 && setgid(65534) == 0 && setuid(65534) == 0;
+    _exit(ready ? (holds() ? 0 : 1) : 77);
+  }
+  int status = 0;
+  waitpid(pid, &status, 0);
+  EXPECT_TRUE(WIFEXITED(status));
+  if (WEXITSTATUS(status) == 77) return true;  // no right to become nobody, or to that limit
+  return WEXITSTATUS(status) == 0;
+}
+
+TEST(Rt, HighestPriorityIsTheOneThatTheKernelAcceptsLast) {
+  const int highest = highest_fifo();
+  EXPECT_GE(highest, 0);
+  EXPECT_LE(highest, 99);
+  if (highest > 0) {
+    EXPECT_TRUE(may_use_fifo(highest));
+  }
+  if (highest < 99) {
+    EXPECT_FALSE(may_use_fifo(highest + 1));
+  }
+}
+
+TEST(Rt, WithoutRootTheLimitDecides) {
+  EXPECT_TRUE(
+      as_nobody(0, [] { return highest_fifo() == 0 && !set_fifo_up_to(60) && !may_use_fifo(1); }));
+  EXPECT_TRUE(as_nobody(20, [] {
+    if (highest_fifo() != 20 || may_use_fifo(21) || !set_fifo_up_to(60)) return false;
+    sched_param got{};
+    sched_getparam(0, &got);
+    return sched_getscheduler(0) == SCHED_FIFO && got.sched_priority == 20;
+  }));
+}
+
+TEST(Rt, HintSaysWhereTheLimitComesFrom) {
+  EXPECT_NE(fifo_hint().find("/etc/xauto/grants.json"), std::string::npos);
+  EXPECT_NE(fifo_hint().find("limits.conf"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace xauto::rt
