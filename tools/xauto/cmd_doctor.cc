@@ -8,13 +8,16 @@
 #include "kernel/probe.h"
 
 #include "xauto/command.h"
+#include "xauto/priorities.h"
 
 namespace xauto::cli {
 namespace {
 
 int doctor(const Options& options) {
   using kernel::Verdict;
-  const auto findings = kernel::probe("", kernel::Limits::of_this_process());
+  kernel::Limits limits = kernel::Limits::of_this_process();
+  limits.grant_refused = granted().why;
+  const auto findings = kernel::probe("", limits);
   const auto word = [](Verdict v) {
     return v == Verdict::kOk ? "ok" : v == Verdict::kDegraded ? "degraded" : "missing";
   };

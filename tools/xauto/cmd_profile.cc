@@ -10,6 +10,7 @@
 #include "model/json.h"
 
 #include "xauto/command.h"
+#include "xauto/priorities.h"
 #include "xauto/run_app.h"
 
 namespace xauto::cli {
@@ -55,6 +56,8 @@ Result<Profile> measure(const Flags& flags, const Platform& platform) {
   if (flags.real && !missing.empty())
     return fail(ErrorCode::kUnavailable, missing, "--real", "drop --real to emulate the platform");
   session.emulated = flags.emulate || !missing.empty();
+  session.fifo_lowest = granted().lowest;
+  session.fifo_why = granted().why;
   session.input = flags.input;
   session.warmup = flags.warmup;
   session.repetitions = flags.repetitions;

@@ -6,6 +6,8 @@
 
 #include "base/log.h"
 
+#include "xauto/priorities.h"
+
 namespace xauto::cli {
 
 int exit_status(const Error& error) {
@@ -52,6 +54,9 @@ int Commands::run(int argc, char** argv) {
   } catch (const CLI::ParseError& e) {
     return root_.exit(e) == 0 ? kDone : kBadInput;
   }
+  // Verbs that start an app, and the one that says how an app would run.
+  for (const char* verb : {"run", "compare", "profile", "doctor"})
+    if (root_.got_subcommand(verb)) obtain_priorities(argv);
   try {
     const Result<int> status = chosen_(options_);
     return status ? *status : report(status.error());

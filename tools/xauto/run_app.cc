@@ -16,6 +16,7 @@
 #include "solver/problem.h"
 
 #include "xauto/command.h"
+#include "xauto/priorities.h"
 
 namespace xauto::cli {
 namespace {
@@ -175,6 +176,8 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.cpu_sched = flags.cpu_sched == "ext"    ? runtime::CpuSched::kExt
                       : flags.cpu_sched == "fifo" ? runtime::CpuSched::kFifo
                                                   : runtime::CpuSched::kOther;
+  session.fifo_lowest = granted().lowest;
+  session.fifo_why = granted().why;
   request.cpu_budget_pct = flags.cpu_budget_pct;
   session.emulated = flags.emulated;
   session.emulator_modules = flags.emulator_modules;
