@@ -8,6 +8,7 @@ import os
 import pathlib
 import shutil
 import signal
+import socket
 import subprocess
 import tempfile
 import time
@@ -132,6 +133,58 @@ class Grants(unittest.TestCase):
             status, _, err = self.end(process)
         self.assertEqual(status, 0, err)
 
+    def test_another_user_reaches_nothing_of_a_run(self):
+        """Not its sockets, not the memory and sessions behind its descriptors, not its processes; and it is not disturbed."""
+        process = self.run_driving()
+        self.wait_for_app(process)
+        family = [process.pid, *common.children_of(process.pid)]
+        prefix = f"@xauto/{process.pid}-"
+        names = [line.split()[-1] for line in pathlib.Path("/proc/net/unix").read_text().splitlines() if prefix in line]
+        addresses = sorted({name for name in names if name.startswith(prefix)})
+        self.assertGreater(len(addresses), 5, "coordinators and the emulator")
+        report, told = os.pipe()
+        stranger = os.fork()
+        if stranger == 0:
+            try:
+                os.setgroups([])
+                os.setgid(NOBODY - 1)
+                os.setuid(NOBODY - 1)
+                os.write(told, "; ".join(["tried", *self.attack(family, addresses)]).encode())
+            finally:
+                os._exit(0)
+        os.close(told)
+        os.waitpid(stranger, 0)
+        self.assertEqual(os.read(report, 65536).decode(), "tried")
+        os.close(report)
+        process.send_signal(signal.SIGTERM)
+        status, _, err = self.end(process)
+        self.assertEqual(status, 0, err)
+
+    def attack(self, family, addresses):
+        """What succeeds of it."""
+        done = []
+        for address in addresses:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as peer:
+                peer.settimeout(10)
+                peer.connect("\0" + address[1:])
+                for packet in (b"\x04\0\0\0", b"\x01\0\0\0\x02\0\0\0" + bytes(1096), os.urandom(500)):
+                    try:
+                        peer.send(packet)
+                        if peer.recv(65536):
+                            done.append(f"answer from {address}")
+                    except ConnectionError:
+                        pass
+        for pid in family:
+            for attempt in (lambda p: os.listdir(f"/proc/{p}/fd"), lambda p: os.kill(p, 0), lambda p: open(f"/proc/{p}/mem", "rb"),
+                            lambda p: open(f"/proc/{p}/environ", "rb").read(), lambda p: os.sched_setscheduler(p, os.SCHED_BATCH,
+                                                                                                           os.sched_param(0))):
+                try:
+                    attempt(pid)
+                    done.append(f"process {pid}")
+                except PermissionError:
+                    pass
+        return done
+
     def test_still_dies_with_its_parent(self):
         """The kernel forgets PR_SET_PDEATHSIG when a program with a capability starts."""
         report, told = os.pipe()
@@ -178,9 +231,9 @@ class Grants(unittest.TestCase):
             return subprocess.run([self.helper, "--query", str(draft)], capture_output=True, text=True, timeout=20)
         good = query('{"schema":"xauto.grants","version":1,"grants":[{"user":"root","lowest":3,"highest":9}]}')
         self.assertEqual((good.returncode, good.stdout.split(" for ")[0]), (0, "SCHED_FIFO 3 to 9"))
-        bad = query('{"schema":"xauto.grants","version":1,"grants":[{"user":"root","higest":9}]}')
+        bad = query('{"schema":"xauto.grants","version":1,"grants":[{"user":"root","topmost":9}]}')
         self.assertEqual(bad.returncode, 1)
-        self.assertIn("/grants/0/higest", bad.stdout)
+        self.assertIn("/grants/0/topmost", bad.stdout)
 
 
 if __name__ == "__main__":
