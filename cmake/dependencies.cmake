@@ -21,3 +21,14 @@ pkg_check_modules(LIBNL REQUIRED IMPORTED_TARGET libnl-genl-3.0)
 
 # Timelines in Perfetto's format: tools/ only.
 find_package(Protobuf 3.21 REQUIRED)
+
+# Topics to and from DDS: lib/transport/cyclonedds only, a plug-in.
+option(XAUTO_CYCLONEDDS "Build the plug-in for Cyclone DDS (ROS 2) where cyclonedds-dev is installed" ON)
+set(XAUTO_HAVE_CYCLONEDDS OFF)
+if(XAUTO_CYCLONEDDS)
+  find_package(CycloneDDS QUIET)
+  if(CycloneDDS_FOUND)
+    set(XAUTO_HAVE_CYCLONEDDS ON)
+  endif()
+endif()
+message(STATUS "Plug-in for Cyclone DDS: ${XAUTO_HAVE_CYCLONEDDS}")

@@ -20,6 +20,7 @@ using nlohmann::ordered_json;
 constexpr std::int64_t kMaxRestarts = 1'000'000;
 constexpr std::int64_t kMaxQueue = 256;
 constexpr const char* kOnHangNames[] = {"log", "drop", "restart"};
+constexpr const char* kTransportNames[] = {"cyclonedds", "cyclonedds:feed"};
 
 ModuleDeployment read_module(const Reader& r) {
   ModuleDeployment m;
@@ -93,6 +94,10 @@ void check(const Deployment& d, const std::set<std::string>& modules, const Read
 
 const char* to_string(OnHang action) {
   return kOnHangNames[static_cast<std::size_t>(action)];
+}
+
+const char* to_string(TopicTransport transport) {
+  return kTransportNames[static_cast<std::size_t>(transport)];
 }
 
 Result<Overload> Overload::parse(const std::string& text) {
@@ -203,6 +208,14 @@ Result<Deployment> parse_deployment(std::string_view text, std::string_view orig
       if (c.has("max_age_us")) chain.max_age_us = c["max_age_us"].integer(1, kMaxTimeUs);
       d.chains.push_back(std::move(chain));
     });
+  if (root.has("transport"))
+    root["transport"].each_member(kMaxTransports, [&](const std::string& topic, const Reader& r) {
+      if (topic.empty()) return r.refuse("is for a topic without a name");
+      const std::string where = r.text();
+      for (std::size_t i = 0; i < std::size(kTransportNames); ++i)
+        if (where == kTransportNames[i]) d.transport.emplace(topic, static_cast<TopicTransport>(i));
+      if (!d.transport.contains(topic)) r.refuse("must be \"cyclonedds\" or \"cyclonedds:feed\"");
+    });
   XAUTO_TRY(context.status());
   check(d, modules, root);
   XAUTO_TRY(context.status());
@@ -233,6 +246,11 @@ std::string to_json(const Deployment& d) {
     chains.push_back(std::move(chain));
   }
   document["chains"] = std::move(chains);
+  if (!d.transport.empty()) {
+    ordered_json transport = ordered_json::object();
+    for (const auto& [topic, where] : d.transport) transport[topic] = to_string(where);
+    document["transport"] = std::move(transport);
+  }
   return json_document::to_text(document);
 }
 

@@ -39,6 +39,13 @@ struct Overload {
   bool operator==(const Overload&) const = default;
 };
 
+/// Where else a topic goes, beside the app's own processes.
+enum class TopicTransport : std::uint8_t {
+  kCycloneDds,      ///< its messages are published to DDS, too
+  kCycloneDdsFeed,  ///< a source's topic: its messages come from DDS
+};
+[[nodiscard]] const char* to_string(TopicTransport transport);
+
 /// What is said of one XModule; of all others in `Deployment::defaults`.
 struct ModuleDeployment {
   std::optional<bool> isolate;         ///< in a process of its own
@@ -70,6 +77,7 @@ struct Deployment {
   std::map<std::string, ModuleDeployment, std::less<>> modules;
   std::map<std::string, std::int64_t, std::less<>> budgets_us;  ///< XNode -> its budget
   std::vector<ChainDeployment> chains;
+  std::map<std::string, TopicTransport, std::less<>> transport;  ///< topic -> where it goes
   bool operator==(const Deployment&) const = default;
 
   /// What holds for one module: what is said of it, else what is said of all.
@@ -79,6 +87,7 @@ struct Deployment {
 };
 
 inline constexpr std::size_t kMaxChains = 256;
+inline constexpr std::size_t kMaxTransports = 256;
 inline constexpr std::int64_t kMaxBudgetPct = 1'000'000;
 
 /// `origin` names the text in messages. Checked against `app`: its name, modules and XNodes.

@@ -65,6 +65,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   }
   XAUTO_TRY(e.place());
   XAUTO_TRY(e.open_topics());
+  XAUTO_ASSIGN(e.interop_, Interop::open(e.graph_, e.plan_, session));
   XAUTO_TRY(e.wire());
   if (!e.member_) XAUTO_TRY(e.open_recorder());
   XAUTO_TRY(e.start_workers());
@@ -284,6 +285,8 @@ Status Engine::wire() {
              input = subscriber.input](const detail::Envelope& envelope) {
               module->receive(input, envelope);
             });
+    if (interop_ && interop_->publisher(t) != nullptr)
+      channels_[t].subscribe(interop_->publisher(t)->sender());
   }
   return {};
 }
@@ -595,10 +598,19 @@ Status Engine::release_periodic() {
     }
     // Messages are made before their release, so that making them does not count as latency.
     std::vector<std::pair<int, std::shared_ptr<const void>>> messages;
+    std::vector<int> fed;
+    std::int64_t fed_period_ns = 0;
     std::uint64_t sequence = 0;
     for (Source& s : sources) {
       if (s.sequence >= limit || start + static_cast<std::int64_t>(s.sequence) * s.period_ns > due)
         continue;
+      if (interop_ && interop_->feeds(static_cast<std::size_t>(s.topic))) {
+        fed.push_back(s.topic);
+        fed_period_ns =
+            s.sequence == 0 ? INT64_MAX : s.period_ns;  // nothing to do before the first
+        sequence = s.sequence++;
+        continue;
+      }
       const auto& spec = app_.sources[static_cast<std::size_t>(
           graph_.topics[static_cast<std::size_t>(s.topic)].source)];
       try {
@@ -613,9 +625,31 @@ Status Engine::release_periodic() {
       sequence = s.sequence++;
     }
     sleep_until_ns(due);
+    if (!fed.empty()) {
+      take_fed(fed, fed_period_ns, messages);
+      if (stop_.load()) break;
+      // The next release is a period after this one: the time grid follows whoever feeds us.
+      if (graph_.single_rate) start += now_ns() - due;
+      if (messages.empty()) continue;
+    }
     release(now_ns(), sequence, messages);
   }
   return {};
+}
+
+/// Messages that programs outside feed us. In an app of one rate a release waits for its message,
+/// for up to a period; without one it is lost, and told so downstream. Otherwise there is one or
+/// there is none.
+void Engine::take_fed(const std::vector<int>& topics, std::int64_t period_ns,
+                      std::vector<std::pair<int, std::shared_ptr<const void>>>& messages) {
+  if (graph_.single_rate) {
+    const std::int64_t now = now_ns();
+    interop_->wait(topics, period_ns > INT64_MAX - now ? INT64_MAX : now + period_ns, stop_);
+  }
+  for (const int topic : topics) {
+    auto message = interop_->newest(topic);
+    if (message != nullptr || graph_.single_rate) messages.emplace_back(topic, std::move(message));
+  }
 }
 
 void Engine::release(std::int64_t origin_ns, std::uint64_t sequence,
@@ -887,6 +921,10 @@ void Engine::account(int module, std::uint64_t sequence, std::int64_t now, bool 
 void Engine::tell_notes(RunReport& result) {
   add_note(result.note, note_);
   add_note(result.note, threads_->note());
+  if (interop_) {
+    interop_->stop();
+    for (const std::string& note : interop_->notes()) add_note(result.note, note);
+  }
   for (const auto& worker : workers_) {
     add_note(result.note, worker->first_failure());
     if (worker->lost_coordinator())

@@ -16,6 +16,7 @@
 #include "runtime/board.h"
 #include "runtime/ghost.h"
 #include "runtime/graph.h"
+#include "runtime/interop.h"
 #include "runtime/isolation.h"
 #include "runtime/priorities.h"
 #include "runtime/routes.h"
@@ -71,6 +72,8 @@ class Engine final : public ModuleHost, private HubHost {
   [[nodiscard]] Status start_workers();
   [[nodiscard]] Status release_periodic();
   [[nodiscard]] Status release_recorded();
+  void take_fed(const std::vector<int>& topics, std::int64_t period_ns,
+                std::vector<std::pair<int, std::shared_ptr<const void>>>& messages);
   void release(std::int64_t origin_ns, std::uint64_t sequence,
                const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages);
   [[nodiscard]] Status open_recorder();
@@ -98,6 +101,7 @@ class Engine final : public ModuleHost, private HubHost {
   std::vector<std::unique_ptr<BoardRinger>> ringers_;
   std::vector<std::shared_ptr<transport::Publisher>> publishers_;  ///< [topic]; null: inside only
   std::unique_ptr<transport::Receiver> receiver_;                  ///< none with one process
+  std::unique_ptr<Interop> interop_;                               ///< none: nobody outside
   std::unique_ptr<trace::Writer> trace_;
   std::vector<transport::Channel> channels_;  ///< [topic]
   std::vector<std::unique_ptr<ModuleRuntime>> modules_;

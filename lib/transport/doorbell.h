@@ -22,10 +22,10 @@ struct alignas(64) Doorbell {
   }
   /// One thread. `nothing_to_do` is asked after the announcement, so that no ring is missed.
   template <class NothingToDo>
-  void wait(NothingToDo nothing_to_do) {
+  void wait(NothingToDo nothing_to_do, std::int64_t limit_ns = 50'000'000) {
     const std::uint32_t seen = rings.load(std::memory_order_seq_cst);
     waiting.store(1, std::memory_order_seq_cst);
-    if (nothing_to_do()) futex_wait(rings, seen);
+    if (nothing_to_do()) futex_wait(rings, seen, limit_ns);
     waiting.store(0, std::memory_order_seq_cst);
   }
 };

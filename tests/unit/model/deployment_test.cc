@@ -57,7 +57,8 @@ TEST(Deployment, WhatIsWrittenIsReadAgain) {
   const auto d = parse(R"(, "queue_depth": 4, "keep": 2,
       "defaults": {"budget_pct": 120, "hang_us": 5, "on_hang": "log", "match_us": 0},
       "modules": {"B": {"process": "x", "restarts": 1}}, "budgets_us": {"a2": 900},
-      "chains": [{"name": "n", "from": "camera", "to": "C", "deadline_us": 5, "max_age_us": 6}])");
+      "chains": [{"name": "n", "from": "camera", "to": "C", "deadline_us": 5, "max_age_us": 6}],
+      "transport": {"camera": "cyclonedds:feed", "objects": "cyclonedds"})");
   ASSERT_TRUE(d) << d.error().to_string();
   const auto again = parse_deployment(to_json(*d), "again", make_app());
   ASSERT_TRUE(again) << again.error().to_string();

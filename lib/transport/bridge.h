@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bridges: topics to and from programs that are not XAuto's, by somebody else's middleware. Each is
+// a shared library of its own, loaded only into processes that use it, so that an app without it
+// pays nothing. Built where its package is installed: lib/transport/cyclonedds/.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+#include <xauto/topic.h>
+
+#include "transport/doorbell.h"
+#include "transport/transport.h"
+
+namespace xauto::transport {
+
+/// What one process has of a middleware. Threads: publish and subscribe from one, before `start`.
+class Bridge {
+ public:
+  Bridge() = default;
+  virtual ~Bridge() = default;
+  Bridge(const Bridge&) = delete;
+  Bridge& operator=(const Bridge&) = delete;
+
+  /// A publisher never waits: kBridgeQueue messages wait for the bridge's own thread, then the
+  /// oldest is lost for the outside.
+  [[nodiscard]] virtual Result<std::shared_ptr<Publisher>> publish(
+      const detail::TopicSpec& topic) = 0;
+  /// `arrived` is rung by a thread of the middleware.
+  [[nodiscard]] virtual Result<std::shared_ptr<Subscriber>> subscribe(
+      const detail::TopicSpec& topic, Doorbell& arrived) = 0;
+  /// Sends what waits, for at most a second, and ends the threads.
+  virtual void stop() = 0;
+  /// What went wrong since the start, for the run's report; a line each.
+  [[nodiscard]] virtual std::vector<std::string> notes() const = 0;
+};
+
+inline constexpr std::size_t kBridgeQueue = 4;
+
+struct BridgeOptions {
+  int domain = 0;                 ///< DDS: who has the same hears each other
+  std::size_t largest_bytes = 0;  ///< of any message, in or out
+};
+
+/// What the shared library exports under kPluginSymbol.
+struct Plugin {
+  std::uint32_t magic;  ///< kPluginMagic
+  const char* build;    ///< plugin_build(): C++ objects cross the boundary, so both are one build
+  Result<std::unique_ptr<Bridge>> (*open)(const BridgeOptions& options);
+};
+inline constexpr std::uint32_t kPluginMagic = 0x58504c31;  // "XPL1"
+inline constexpr const char* kPluginSymbol = "xauto_transport_plugin";
+[[nodiscard]] inline const char* plugin_build() {
+  return XAUTO_VERSION_TEXT " " __VERSION__;
+}
+
+/// Loads plug-in `name` ("cyclonedds") and opens it. kUnavailable where it is not installed.
+[[nodiscard]] Result<std::unique_ptr<Bridge>> open_bridge(const std::string& name,
+                                                          const BridgeOptions& options);
+
+}  // namespace xauto::transport

@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+// The plug-in for DDS, through its door: what goes out comes in, nothing waits, nothing foreign
+// gets through. Two participants of one process, in a domain on the loopback interface.
+#include "transport/bridge.h"
+
+#include <array>
+#include <chrono>
+#include <cstdlib>
+#include <string>
+#include <thread>
+
+#include <gtest/gtest.h>
+
+#include "base/clock.h"
+
+namespace xauto::transport {
+namespace {
+
+using std::chrono::milliseconds;
+
+struct Point {
+  std::int64_t x, y;
+};
+
+TEST(Bridge, PlugInThatIsNotThereIsNamed) {
+  const auto bridge = open_bridge("carrier-pigeon", {});
+  ASSERT_FALSE(bridge);
+  EXPECT_EQ(bridge.error().code, ErrorCode::kUnavailable);
+  EXPECT_EQ(bridge.error().what, "transport 'carrier-pigeon' is not there");
+}
+
+class Dds : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    setenv("CYCLONEDDS_URI",
+           "<CycloneDDS><Domain id=\"any\"><General><Interfaces><NetworkInterface name=\"lo\"/>"
+           "</Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery>"
+           "<ParticipantIndex>auto</ParticipantIndex><Peers><Peer address=\"localhost\"/></Peers>"
+           "</Discovery></Domain></CycloneDDS>",
+           1);
+    auto one = open_bridge("cyclonedds", options());
+    if (!one && one.error().code == ErrorCode::kUnavailable &&
+        one.error().what.find("is not there") != std::string::npos)
+      GTEST_SKIP() << "cyclonedds-dev is not installed";
+    ASSERT_TRUE(one) << one.error().to_string();
+    auto two = open_bridge("cyclonedds", options());
+    ASSERT_TRUE(two) << two.error().to_string();
+    here_ = std::move(*one);
+    there_ = std::move(*two);
+  }
+  static BridgeOptions options() { return {.domain = 79, .largest_bytes = 1 << 20}; }
+
+  /// Publishes `send` until something comes, which is so when both have found each other.
+  template <class T>
+  static std::shared_ptr<const void> until_heard(Publisher& publisher, Subscriber& subscriber,
+                                                 const T& send) {
+    for (std::uint64_t k = 0; k < 2000; ++k) {
+      publisher.publish({std::make_shared<const T>(send), now_ns(), k});
+      if (auto envelope = subscriber.take()) return envelope->message;
+      std::this_thread::sleep_for(milliseconds(5));
+    }
+    return nullptr;
+  }
+
+  Doorbell doorbell_;
+  std::unique_ptr<Bridge> here_, there_;
+};
+
+TEST_F(Dds, MessageComesOutAsItWentIn) {
+  const auto spec = detail::topic_spec(Topic<std::string>("text"));
+  const auto publisher = *here_->publish(spec);
+  const auto subscriber = *there_->subscribe(spec, doorbell_);
+  EXPECT_EQ(publisher->loan(8), nullptr);
+  const auto message = until_heard(*publisher, *subscriber, std::string("a pedestrian"));
+  ASSERT_NE(message, nullptr);
+  EXPECT_EQ(*static_cast<const std::string*>(message.get()), "a pedestrian");
+}
+
+TEST_F(Dds, MessageOfAnotherSizeIsRefusedAndCounted) {
+  const auto publisher = *here_->publish(detail::topic_spec(Topic<std::string>("point")));
+  const auto subscriber = *there_->subscribe(detail::topic_spec(Topic<Point>("point")), doorbell_);
+  for (int i = 0; i < 2000 && subscriber->lost() == 0; ++i) {
+    publisher->publish({std::make_shared<const std::string>("no point"), now_ns(), 0});
+    EXPECT_FALSE(subscriber->take());
+    std::this_thread::sleep_for(milliseconds(5));
+  }
+  EXPECT_GT(subscriber->lost(), 0u);
+  const auto notes = there_->notes();
+  ASSERT_EQ(notes.size(), 1u);
+  EXPECT_NE(notes[0].find("topic 'point' from DDS"), std::string::npos) << notes[0];
+  // Sixteen bytes are a Point, whatever they mean.
+  const auto message = until_heard(*publisher, *subscriber, std::string(sizeof(Point), '\1'));
+  ASSERT_NE(message, nullptr);
+  EXPECT_EQ(static_cast<const Point*>(message.get())->x, 0x0101010101010101);
+}
+
+TEST_F(Dds, TombstonesAreOfTheAppAlone) {
+  const auto spec = detail::topic_spec(Topic<std::string>("quiet"));
+  const auto publisher = *here_->publish(spec);
+  const auto subscriber = *there_->subscribe(spec, doorbell_);
+  ASSERT_NE(until_heard(*publisher, *subscriber, std::string("x")), nullptr);
+  here_->stop();  // what waited is out, and nobody empties the queue
+  for (std::uint64_t k = 0; k < 2 * kBridgeQueue; ++k) publisher->publish({nullptr, 0, k});
+  EXPECT_EQ(publisher->next_sequence(), 2 * kBridgeQueue);
+  EXPECT_EQ(publisher->unsent(), 0u);  // none was queued
+}
+
+TEST_F(Dds, PublisherNeverWaitsAndTheOldestIsLost) {
+  const auto spec = detail::topic_spec(Topic<std::string>("flood"));
+  const auto publisher = *here_->publish(spec);
+  here_->stop();  // as if DDS took nothing any more
+  for (std::uint64_t k = 0; k < 100; ++k)
+    publisher->publish({std::make_shared<const std::string>("x"), now_ns(), k});
+  EXPECT_EQ(publisher->unsent(), 100 - kBridgeQueue);
+  EXPECT_NE(here_->notes().at(0).find("96 messages were lost"), std::string::npos);
+}
+
+TEST_F(Dds, NameThatRos2ForbidsIsRefused) {
+  for (const char* name : {"", "a b", "1st", "a//b", "a/", "\xc3\xa4"}) {
+    const auto refused = here_->publish(detail::topic_spec(Topic<std::string>(name)));
+    ASSERT_FALSE(refused) << name;
+    EXPECT_EQ(refused.error().what, "is no name that ROS 2 allows");
+  }
+  EXPECT_TRUE(here_->publish(detail::topic_spec(Topic<std::string>("front/camera_1"))));
+}
+
+TEST_F(Dds, DomainOutOfRangeIsRefused) {
+  EXPECT_FALSE(open_bridge("cyclonedds", {.domain = 233, .largest_bytes = 1}));
+  EXPECT_FALSE(open_bridge("cyclonedds", {.domain = -1, .largest_bytes = 1}));
+}
+
+}  // namespace
+}  // namespace xauto::transport
