@@ -701,6 +701,7 @@ Status Engine::open_recorder() {
 void Engine::record(std::int64_t origin_ns,
                     const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages) {
   for (const auto& [topic, message] : messages) {
+    if (message == nullptr) continue;
     const auto t = static_cast<std::size_t>(topic);
     Status done;
     try {

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics to and from another program over DDS (Cyclone), in the way of ROS 2: what it hears is what the app published, what it feeds is what
+the app computes with, and it can neither stop nor slow the app. dds_peer is that program; it knows the DDS type only."""
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import unittest
+
+from common import BIN
+from isolate_test import Case as Runs  # the test app and how it is run
+
+PEER = BIN / "dds_peer"
+PLUGIN = BIN.parent / "lib/xauto/cyclonedds.so"
+DOMAIN = str(101 + os.getpid() % 100)  # others may test on this machine
+LOOPBACK = ("<CycloneDDS><Domain id='any'><General><Interfaces><NetworkInterface name='lo'/></Interfaces><AllowMulticast>false</AllowMulticast>"
+            "</General><Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer address='localhost'/></Peers></Discovery></Domain></CycloneDDS>")
+
+
+def peer(*arguments):
+    return subprocess.Popen([PEER, *map(str, arguments)], stdout=subprocess.PIPE, text=True)
+
+
+class Dds(Runs):
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        os.environ["CYCLONEDDS_URI"], os.environ["ROS_DOMAIN_ID"] = LOOPBACK, DOMAIN
+
+    def deployment(self, **transport):
+        path = self.path("deployment.json")
+        with open(path, "w") as file:
+            json.dump({"schema": "xauto.deployment", "version": 1, "app": "testapp", "transport": transport}, file)
+        return path
+
+    def read(self, name):
+        """{number: (age in us, bytes)} of what the peer heard."""
+        with open(self.path(name)) as file:
+            rows = [line.rstrip("\n").split(" ") for line in file]
+        return {int(number): (int(age), bytes.fromhex(data)) for number, age, size, data in rows}
+
+    def hear(self, *flags):
+        """The app's own source and two results, heard by the peers."""
+        peers = {topic: peer("hear", "rt/" + topic, self.path(topic), 20) for topic in ("src", "b", "c")}
+        run, results = self.run_app("--deployment", self.deployment(src="cyclonedds", b="cyclonedds", c="cyclonedds"), *flags,
+                                    period=10000)
+        for process in peers.values():
+            process.communicate(timeout=30)
+            self.assertEqual(process.returncode, 0)
+        return run, results, {topic: self.read(topic) for topic in peers}
+
+    def check_heard(self, run, results, heard):
+        self.assertGreater(run["activations"], 190, run)
+        for topic, messages in heard.items():
+            # Those before the two have found each other are missing, and what a busy machine loses.
+            self.assertGreater(len(messages), 100, topic)
+        for number, (age, data) in heard["c"].items():
+            self.assertEqual(int.from_bytes(data, "little"), int(results["c"][str(number)]), number)
+            self.assertTrue(0 <= age < 5_000_000, age)
+        for number, (_, data) in heard["src"].items():
+            self.assertEqual(len(data), 4096)
+        self.assertEqual(len({data for _, data in heard["src"].values()}), len(heard["src"]))
+
+    def test_what_is_heard_is_what_was_published(self):
+        self.check_heard(*self.hear())
+
+    def test_so_it_is_with_modules_in_processes_of_their_own(self):
+        self.check_heard(*self.hear("--isolate"))
+
+    def feed(self, messages, period_us, *flags, activations=100, app_period=10000):
+        """The app is fed `messages` [(number, bytes)]; its report, results, and warnings."""
+        with open(self.path("feed"), "w") as file:
+            file.writelines(f"{number} 0 {len(data)} {data.hex()}\n" for number, data in messages)
+        feeder = peer("feed", "rt/src", self.path("feed"), period_us)
+        try:
+            done = subprocess.run(self.command("--deployment", self.deployment(src="cyclonedds:feed"), *flags, period=app_period,
+                                               activations=activations), capture_output=True, text=True, timeout=100)
+        finally:
+            feeder.kill()
+            feeder.communicate()
+        self.assertIn(done.returncode, (0, 1), done.stderr)  # 1: releases were lost
+        run = json.loads(done.stdout)["runs"][0]
+        self.assertTrue(run["complete"], done.stdout)
+        self.assertEqual(run["activations"] + run["lost_activations"], activations, done.stdout)
+        return run, self.results()
+
+    def test_what_is_fed_is_what_it_computes_with(self):
+        _, own, heard = self.hear()
+        blocks = [(number, data) for number, (_, data) in sorted(heard["src"].items())]
+        for flags in ((), ("--isolate",)):
+            run, fed = self.feed(blocks, 20_000, *flags, activations=80, app_period=10000)
+            self.assertGreater(len(fed["c"]), 60, run)  # at most a few came too close to each other
+            self.assertLessEqual(set(fed["d"].values()), set(own["d"].values()))
+
+    def test_message_of_another_type_is_refused_and_told(self):
+        good = bytes(range(256)) * 16
+        run, results = self.feed([(k, good if k % 2 else b"short") for k in range(120)], 10_000, activations=30)
+        self.assertRegex(" ".join(run["notes"]), "topic 'src' from DDS: [0-9]+ messages were refused")
+        self.assertEqual(len(set(results["d"].values())), 1)
+
+    def test_feeder_that_stops_costs_releases_not_the_run(self):
+        run, results = self.feed([(k, bytes([k]) * 4096) for k in range(20)], 10_000, activations=40)
+        self.assertGreater(run["lost_activations"], 0)
+        self.assertLessEqual(len(set(results["d"].values())), 20)
+        self.assertGreater(len(results["d"]), 5)
+
+    def test_with_a_second_sensor_there_is_a_message_or_there_is_none(self):
+        path = self.deployment(src="cyclonedds:feed")
+        with open(self.path("feed"), "w") as file:
+            file.writelines(f"{k} 0 4096 {bytes([k] * 4096).hex()}\n" for k in range(60))
+        feeder = peer("feed", "rt/src", self.path("feed"), 10_000)
+        try:
+            done = subprocess.run(self.command("--deployment", path, period=10_000, activations=40, more=("second", 15_000)),
+                                  capture_output=True, text=True, timeout=100)
+        finally:
+            feeder.kill()
+            feeder.communicate()
+        self.assertIn(done.returncode, (0, 1), done.stderr)
+        modules = {m["name"]: m for m in json.loads(done.stdout)["runs"][0]["modules"]}
+        self.assertTrue(0 < modules["A"]["activations"] <= 40, done.stdout)
+        self.assertEqual(modules["A"]["failed"], 0)
+
+    def test_listener_that_is_stopped_or_dead_holds_nobody_up(self):
+        listener = peer("hear", "rt/src", self.path("stopped"), 60)
+        other = peer("hear", "rt/src", self.path("dead"), 60)
+        path = self.deployment(src="cyclonedds", a="cyclonedds")
+        app = subprocess.Popen(self.command("--deployment", path, period=2000, activations=1500), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                               text=True)
+        try:
+            self.assertEqual(listener.stdout.readline(), "ready\n")
+            self.assertEqual(other.stdout.readline(), "ready\n")
+            listener.send_signal(signal.SIGSTOP)
+            other.kill()
+            began = time.monotonic()
+            out, err = app.communicate(timeout=60)
+            self.assertIn(app.returncode, (0, 1), err)
+            self.assertLess(time.monotonic() - began, 20)  # 3 s of releases
+            run = json.loads(out)["runs"][0]
+            self.assertTrue(run["complete"], out)
+            self.assertGreater(run["activations"], 1400, out)  # a busy machine may cost it some
+        finally:
+            for process in (listener, other):
+                process.kill()
+                process.communicate()
+
+    def test_what_cannot_be_is_said_before_the_run(self):
+        for transport, text in (({"zz": "cyclonedds"}, "transport of topic 'zz': the app has no such topic"),
+                                ({"c": "cyclonedds:feed"}, "is published by a module, so it cannot be fed"),
+                                ({"c": "pigeon"}, 'must be "cyclonedds" or "cyclonedds:feed"')):
+            done = subprocess.run(self.command("--deployment", self.deployment(**transport)), capture_output=True, text=True, timeout=60)
+            self.assertNotEqual(done.returncode, 0)
+            self.assertIn(text, done.stderr)
+        done = subprocess.run(self.command("--deployment", self.deployment(src="cyclonedds:feed"), "--lockstep"), capture_output=True, text=True,
+                              timeout=60)
+        self.assertIn("run without --lockstep", done.stderr)
+        done = subprocess.run(self.command("--deployment", self.deployment(c="cyclonedds")), capture_output=True, text=True, timeout=60,
+                              env={**os.environ, "ROS_DOMAIN_ID": "x"})
+        self.assertIn("ROS_DOMAIN_ID is 'x'", done.stderr)
+
+
+del Runs  # or its own tests would run here, too
+
+if __name__ == "__main__":
+    if not PEER.exists() or not PLUGIN.exists():
+        print("skipped: built without Cyclone DDS (scripts/setup.sh transport, then build again)")
+        sys.exit(77)
+    unittest.main()
