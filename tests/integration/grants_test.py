@@ -81,14 +81,19 @@ class Grants(unittest.TestCase):
         found = self.realtime(prepare=lambda: libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0))
         self.assertIn("no right to raise limits", found["found"])
 
-    def test_capabilities_of_its_own_are_kept(self):
-        """Ambient ones, as a systemd unit gives them, would be lost on the way."""
-        words = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", "--inh-caps=+net_raw",
-                 "--ambient-caps=+net_raw", str(self.folder / "xauto"), "doctor", "--json"]
+    def realtime_with(self, capability):
+        words = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", f"--inh-caps=-all,+{capability}",
+                 f"--ambient-caps=+{capability}", str(self.folder / "xauto"), "doctor", "--json"]
         said = subprocess.run(words, capture_output=True, text=True, timeout=60)
         self.assertEqual(said.returncode, 0, said.stderr)
-        found = next(f for f in json.loads(said.stdout)["findings"] if f["id"] == "realtime")
-        self.assertIn("has capabilities, which would be lost", found["found"])
+        return next(f for f in json.loads(said.stdout)["findings"] if f["id"] == "realtime")["found"]
+
+    def test_capabilities_of_its_own_are_kept(self):
+        """Ambient ones, as a systemd unit gives them, would be lost on the way."""
+        self.assertIn("has capabilities, which would be lost", self.realtime_with("net_raw"))
+
+    def test_capability_of_every_login_is_no_obstacle(self):
+        self.assertNotIn("has capabilities", self.realtime_with("wake_alarm"))
 
     def run_driving(self, **more):
         policy = self.folder / "policy.json"

@@ -33,14 +33,16 @@ Granted& outcome() {
   return granted;
 }
 
-/// What a program with a capability in its file would take from us: going through it clears the
-/// ambient ones, which whoever started us has meant for us.
+/// What xauto-grant would take from us: the ambient and inheritable ones, which whoever started us
+/// has meant for us. CAP_WAKE_ALARM does not count: newer systemds give it to every login, and no
+/// app of ours sets an alarm clock.
 bool has_capabilities() {
   __user_cap_header_struct header{_LINUX_CAPABILITY_VERSION_3, 0};
   __user_cap_data_struct words[2] = {};
-  return syscall(SYS_capget, &header, words) != 0 ||
-         (words[0].permitted | words[1].permitted | words[0].inheritable | words[1].inheritable) !=
-             0;
+  if (syscall(SYS_capget, &header, words) != 0) return true;
+  const std::uint32_t first = words[0].permitted | words[0].inheritable;
+  const std::uint32_t second = words[1].permitted | words[1].inheritable;
+  return (first | (second & ~CAP_TO_MASK(CAP_WAKE_ALARM))) != 0;
 }
 
 /// By anybody who could start us; it changes nothing but what we say and the lowest priority that
