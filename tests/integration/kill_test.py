@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever is killed at whatever moment, nothing is left: no process, no socket, no file, no hung call."""
+import json
 import os
 import pathlib
 import random
+import shutil
 import signal
 import subprocess
 import tempfile
 import time
 import unittest
 
-from common import APP, DRIVING, XAUTO, alive, children_of, xauto
+from common import APP, BIN, DRIVING, XAUTO, alive, children_of, xauto
+
+TESTAPP = str(BIN / "testapp")
 
 ROUNDS = int(os.environ.get("XAUTO_KILL_ROUNDS", "6"))
 
@@ -26,11 +30,11 @@ class Kill(unittest.TestCase):
     def tearDownClass(cls):
         cls.folder.cleanup()
 
-    def start(self):
+    def start(self, program=XAUTO, activations=100000):
         before = set(os.listdir("/dev/shm"))
         # With queues, a machine that cannot keep up loses nothing either: what is lost, a death has lost.
-        tool = subprocess.Popen([XAUTO, "run", "--app", APP, "--policy", self.policy, "--platform", "small", "--emulate",
-                                 "--overload", "queue:64", "--activations", "100000", "--period-us", "120000", "--", DRIVING],
+        tool = subprocess.Popen([program, "run", "--app", APP, "--policy", self.policy, "--platform", "small", "--emulate",
+                                 "--overload", "queue:64", "--activations", str(activations), "--period-us", "120000", "--", DRIVING],
                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         deadline = time.monotonic() + 20
         while time.monotonic() < deadline:  # until all of them are there: 6 coordinators, emud, the app
@@ -82,16 +86,120 @@ class Kill(unittest.TestCase):
                 self.assertNotIn("was killed", out)
                 self.assert_nothing_left(tool, family, before)
 
+    def kill_emulator(self, tool):
+        """And wait until there is another one."""
+        of = lambda: [pid for pid, name in children_of(tool.pid).items() if name == "xauto-emud"]
+        victim, = of()
+        os.kill(victim, signal.SIGKILL)
+        since = time.monotonic()
+        while not [pid for pid in of() if pid != victim]:
+            self.assertLess(time.monotonic(), since + 20, "it was not started again")
+            self.assertIsNone(tool.poll(), "the run has ended")
+            time.sleep(0.005)
+
+    def run_testapp(self, folder, *flags, kills=0, seed=0):
+        """Its results, line by line; all of its work is on the emulator, with preemption on the npu."""
+        def path(name):
+            return os.path.join(folder, name)
+
+        xnodes = [("a1", "A", "cpu"), ("a2", "A", "npu"), ("b1", "B", "npu"), ("c1", "C", "cpu"), ("d1", "D", "cpu")]
+        pathlib.Path(path("platform.json")).write_text(json.dumps({
+            "schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
+                {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0},
+                {"id": "npu0", "type": "npu", "preemptive": True, "preempt_us": 100, "timeslice_us": 500}]}))
+        pathlib.Path(path("app.json")).write_text(json.dumps({
+            "schema": "xauto.app", "version": 1, "name": "testapp",
+            "xnodes": [{"name": n, "module": m, "wcet_us": {x: 3000}} for n, m, x in xnodes],
+            "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]}))
+        done = xauto("solve", "--app", path("app.json"), "--platform", path("platform.json"), "--method", "heft",
+                     "--out", path("policy.json"))
+        self.assertEqual(done.returncode, 0, done.stderr)
+        tool = subprocess.Popen([XAUTO, "run", "--app", path("app.json"), "--policy", path("policy.json"), "--platform",
+                                 path("platform.json"), "--emulate", "--overload", "queue:256", "--activations", "300",
+                                 *flags, "--", TESTAPP, path("result"), "period", "15000", "emulated", "3000"],
+                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        before = set(os.listdir("/dev/shm"))
+        rng = random.Random(seed)
+        time.sleep(1)
+        family = children_of(tool.pid)
+        for _ in range(kills):
+            time.sleep(rng.uniform(0, 0.3))
+            self.kill_emulator(tool)
+        out, err = tool.communicate(timeout=60)
+        self.assertEqual(tool.returncode, 0, out + err)
+        if kills:
+            self.assertIn(f"xauto-emud died (signal SIGKILL) and was started again, {kills} times", out)
+        self.assert_nothing_left(tool, family, before)
+        lines = pathlib.Path(path("result")).read_text().splitlines()
+        self.assertEqual(len(lines), 600, "300 releases, two topics")
+        return sorted(lines)
+
     def test_emulator(self):
+        """Killed again and again in one run: every call goes on at the next one; the results are the same."""
+        with tempfile.TemporaryDirectory() as folder:
+            results = self.run_testapp(folder)
+            for flags in ([], ["--isolate"]):
+                with self.subTest(flags=flags):
+                    self.assertEqual(self.run_testapp(folder, *flags, kills=10, seed=1), results)
+
+    def test_emulator_at_random_moments(self):
         for seed in range(ROUNDS):
             with self.subTest(seed=seed):
-                running = seed % 2 == 0
-                tool, family, before = self.kill_one("xauto-emud", signal.SIGKILL, seed, running)
-                out, err = tool.communicate(timeout=40)
-                self.assertEqual(tool.returncode, 1, err)
-                if running:
-                    self.assertIn("the emulated XPUs are gone", out + err)
+                tool, family, before = self.start(activations=20)
+                self.wait_until_it_runs()
+                rng = random.Random(seed)
+                for _ in range(5):
+                    time.sleep(rng.uniform(0, 0.2))
+                    self.kill_emulator(tool)
+                out, err = tool.communicate(timeout=60)
+                self.assertEqual(tool.returncode, 0, out + err)  # complete, and nothing was lost
+                self.assertIn("xauto-emud died (signal SIGKILL) and was started again, 5 times", out)
+                self.assertNotIn("dropped", out + err)  # no error has reached an exec
                 self.assert_nothing_left(tool, family, before)
+
+    def test_emulator_and_a_coordinator(self):
+        """Both at once: neither is rebuilt from the other."""
+        for seed in range(ROUNDS):
+            with self.subTest(seed=seed):
+                tool, family, before = self.start(activations=15)
+                self.wait_until_it_runs()
+                rng = random.Random(seed)
+                time.sleep(rng.uniform(0, 0.4))
+                coordinator = rng.choice([pid for pid, n in family.items() if n.startswith("xauto-coordinat")])
+                if rng.random() < 0.5:
+                    os.kill(coordinator, signal.SIGKILL)
+                    self.kill_emulator(tool)
+                else:
+                    self.kill_emulator(tool)
+                    os.kill(coordinator, signal.SIGKILL)
+                out, err = tool.communicate(timeout=60)
+                self.assertEqual(tool.returncode, 0, out + err)
+                self.assertEqual(out.count("and was started again"), 2, out)
+                self.assert_nothing_left(tool, family, before)
+
+    def test_emulator_during_start_up(self):
+        for seed in range(ROUNDS):
+            with self.subTest(seed=seed):
+                tool, family, before = self.kill_one("xauto-emud", signal.SIGKILL, seed)
+                time.sleep(0.3)
+                tool.send_signal(signal.SIGTERM)
+                tool.communicate(timeout=30)  # started or not: it ends
+                self.assertIn(tool.returncode, (0, 1))
+                self.assert_nothing_left(tool, family, before)
+
+    def test_emulator_that_cannot_be_started_again(self):
+        """Then its XPUs are gone: every call returns an error, the app is stopped."""
+        with tempfile.TemporaryDirectory() as folder:
+            for name in ("xauto", "xauto-coordinator", "xauto-emud"):
+                shutil.copy(os.path.join(os.path.dirname(XAUTO), name), folder)
+            tool, family, before = self.start(os.path.join(folder, "xauto"))
+            self.wait_until_it_runs()
+            os.unlink(os.path.join(folder, "xauto-emud"))
+            os.kill(next(pid for pid, name in family.items() if name == "xauto-emud"), signal.SIGKILL)
+            out, err = tool.communicate(timeout=40)
+            self.assertEqual(tool.returncode, 1, err)
+            self.assertIn("the emulated XPUs are gone", out + err)
+            self.assert_nothing_left(tool, family, before)
 
     def test_app(self):
         for seed in range(ROUNDS):

@@ -7,7 +7,9 @@
 //        └─► D (d1 cpu) ─► aside: not affected by what happens to the others
 //
 //   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US] [tally] [times] [second US]
+//           [emulated US]
 //
+// With `emulated` every XNode has a context of the emulator's and first takes so long on it.
 // With `second` there is another source of that period, and D reads both.
 // With `tally` FILE gets one line per topic instead of one per message, so that a soak's own memory
 // does not grow: TOPIC MESSAGES FIRST LAST DISORDER CHECKSUM. With `times` the values of topic d
@@ -21,12 +23,15 @@
 #include <cstring>
 #include <fstream>
 #include <map>
+#include <memory>
 #include <mutex>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include <xauto/emu.h>
 #include <xauto/xauto.h>
 
 namespace {
@@ -40,6 +45,8 @@ struct Fault {
   std::uint64_t at = 0;
   int ms = 0;
 } g_fault;
+
+std::chrono::microseconds g_emulated{0};  ///< work of each XNode on the emulator; 0: none
 
 std::uint64_t mix(std::uint64_t x) {
   x ^= x >> 30;
@@ -101,14 +108,22 @@ template <class Exec>
 xauto::XNode<State> node(const std::string& name, const std::string& xpu, const std::string& module,
                          Exec exec) {
   xauto::XNode<State> made(name);
+  auto context = std::make_shared<std::optional<xauto::emu::Context>>();
   made.add_impl(
       xauto::XPU(xpu),
-      [module](const xauto::XpuId&) {
+      [module, context](const xauto::XpuId& id) {
         if (g_fault.kind == "exit" && g_fault.module == module) std::_Exit(3);
-        return xauto::SchedHandle::gate();
+        if (g_emulated.count() == 0) return xauto::SchedHandle::gate();
+        auto opened = xauto::emu::Context::open(id);
+        if (!opened) throw std::runtime_error(opened.error().to_string());
+        context->emplace(std::move(*opened));
+        return (*context)->handle();
       },
-      [module, exec](State& state, const xauto::Input& input) {
+      [module, exec, context](State& state, const xauto::Input& input) {
         misbehave(module, input.sequence());
+        if (*context)
+          if (const xauto::Status done = (*context)->run(g_emulated); !done)
+            throw std::runtime_error(done.error().to_string());
         exec(state, input);
       });
   return made;
@@ -125,6 +140,8 @@ int main(int argc, char** argv) {
     const std::string word = argv[i];
     if (word == "second" && i + 1 < argc) {
       second = std::chrono::microseconds(std::atoll(argv[++i]));
+    } else if (word == "emulated" && i + 1 < argc) {
+      g_emulated = std::chrono::microseconds(std::atoll(argv[++i]));
     } else if (word == "period" && i + 1 < argc) {
       period = std::chrono::microseconds(std::atoll(argv[++i]));
     } else if (word == "tally") {
