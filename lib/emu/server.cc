@@ -79,7 +79,8 @@ Status Server::take_over(const Snapshot& snapshot) {
     orphans_[fd] = {context.pid, std::move(pidfd)};
   }
   for (const pid_t process : ended) give_up(process);
-  log::info("emud: took over from an emulator that died: {} contexts", owner_.size());
+  log::info("emud: took over from an emulator that died: {} context{}", owner_.size(),
+            owner_.size() == 1 ? "" : "s");
   return {};
 }
 
@@ -99,6 +100,7 @@ void Server::give_up(pid_t process) {
 Status Server::run(int stop_fd) {
   XAUTO_TRY(watch(epoll_.get(), stop_fd));
   std::array<epoll_event, 64> ready;
+  settle(now_ns());  // what came of taking over
   for (;;) {
     arm();
     const int count = epoll_wait(epoll_.get(), ready.data(), static_cast<int>(ready.size()), -1);

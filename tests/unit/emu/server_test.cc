@@ -6,8 +6,10 @@
 #include <cstring>
 #include <thread>
 
+#include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/eventfd.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include <xauto/emu.h>
@@ -26,21 +28,42 @@ class EmuServer : public ::testing::Test {
   void SetUp() override {
     address_ = "xauto-test/emud-" + std::to_string(getpid());
     stop_ = UniqueFd(eventfd(0, EFD_CLOEXEC));
-    server_ = std::move(*Server::create(*Platform::builtin("small"), {.address = address_}));
-    thread_ = std::thread([this] { EXPECT_TRUE(server_->run(stop_.get())); });
+    listener_ = std::move(*listen_abstract(address_));
+    memory_ = std::move(*StateMemory::make());
     setenv(kEmudVariable, address_.c_str(), 1);
+    begin();
   }
   void TearDown() override { end(); }
+  /// An emulator in the place of the one before, as the tool starts it.
+  void begin() {
+    stop_ = UniqueFd(eventfd(0, EFD_CLOEXEC));
+    auto server = Server::create(*Platform::builtin("small"),
+                                 {.address = address_,
+                                  .listener_fd = fcntl(listener_.get(), F_DUPFD_CLOEXEC, 3),
+                                  .memory_fd = fcntl(memory_.get(), F_DUPFD_CLOEXEC, 3)});
+    ASSERT_TRUE(server) << server.error().to_string();
+    server_ = std::move(*server);
+    thread_ = std::thread([this] { EXPECT_TRUE(server_->run(stop_.get())); });
+  }
+  /// As a death of the process: its connections end, and nobody has put anything in order.
   void end() {
     if (!thread_.joinable()) return;
     signal_eventfd(stop_.get());
     thread_.join();
     server_.reset();
   }
+  /// What the next emulator would find. The one that runs may be writing: then once more.
+  [[nodiscard]] Snapshot newest() const {
+    for (;;) {
+      auto memory = StateMemory::map(UniqueFd(fcntl(memory_.get(), F_DUPFD_CLOEXEC, 3)));
+      auto found = memory->load();
+      if (found && *found) return std::move(**found);
+    }
+  }
   static XpuId gpu() { return {"gpu0", XPU::GPU, 0}; }
 
   std::string address_;
-  UniqueFd stop_;
+  UniqueFd stop_, listener_, memory_;
   std::unique_ptr<Server> server_;
   std::thread thread_;
 };
@@ -80,6 +103,7 @@ TEST_F(EmuServer, DeathOfTheEmulatorIsAnErrorAndNoHang) {
   });
   std::this_thread::sleep_for(5ms);
   end();
+  listener_.reset();  // the tool gives up
   runner.join();
   EXPECT_EQ(control->suspend(1).error().code, ErrorCode::kUnavailable);
   EXPECT_FALSE(context->run(1us));
@@ -120,6 +144,153 @@ TEST_F(EmuServer, GarbageCostsOnlyTheConnectionThatSentIt) {
     EXPECT_FALSE(receive_packet(socket->get(), &answer, sizeof answer));  // closed
   }
   EXPECT_TRUE(context->run(100us));
+}
+
+// ---- an emulator that dies is followed by another one -----------------------------------------
+
+TEST_F(EmuServer, CallUnderWayGoesOnAtTheNextEmulator) {
+  auto context = Context::open(gpu());
+  ASSERT_TRUE(context);
+  const std::int64_t before = now_ns();
+  std::thread runner([&] {
+    const Status done = context->run(30ms);
+    EXPECT_TRUE(done) << done.error().to_string();
+  });
+  for (int death = 0; death < 5; ++death) {
+    std::this_thread::sleep_for(3ms);
+    end();
+    begin();
+  }
+  runner.join();
+  EXPECT_GE(now_ns() - before, 30'000'000);
+  EXPECT_TRUE(context->run(100us));
+  EXPECT_EQ(server_->machine().stats()[4].jobs, 2u);  // the first was done once
+}
+
+TEST_F(EmuServer, CallThatEndsWhileThereIsNoEmulatorIsDoneWhenThereIsOne) {
+  auto context = Context::open(gpu());
+  ASSERT_TRUE(context);
+  std::atomic<bool> returned{false};
+  std::thread runner([&] {
+    EXPECT_TRUE(context->run(2ms));
+    returned.store(true);
+  });
+  while (newest().contexts.at(0).busy == 0) std::this_thread::yield();
+  end();
+  std::this_thread::sleep_for(10ms);
+  EXPECT_FALSE(returned.load());
+  begin();
+  runner.join();
+}
+
+TEST_F(EmuServer, SuspendedContextStaysSuspendedUntilTheNextEmulatorResumesIt) {
+  auto context = Context::open(gpu());
+  auto control = Control::connect();
+  ASSERT_TRUE(context && control);
+  const auto id = static_cast<std::uint32_t>(context->handle().value());
+  ASSERT_TRUE(control->suspend(id));
+  std::atomic<bool> done{false};
+  std::thread runner([&] {
+    EXPECT_TRUE(context->run(500us));
+    done.store(true);
+  });
+  end();
+  begin();
+  std::this_thread::sleep_for(20ms);
+  EXPECT_FALSE(done.load());
+  ASSERT_TRUE(control->resume(id));
+  runner.join();
+}
+
+TEST_F(EmuServer, RequestsAndNewContextsWaitForTheNextEmulator) {
+  auto context = Context::open(gpu());
+  auto control = Control::connect();
+  ASSERT_TRUE(context && control);
+  const auto id = static_cast<std::uint32_t>(context->handle().value());
+  end();
+  std::thread asker([&] {
+    EXPECT_TRUE(control->suspend(id));
+    EXPECT_TRUE(control->resume(id));
+    auto other = Context::open(gpu());
+    ASSERT_TRUE(other) << other.error().to_string();
+    EXPECT_NE(other->handle().value(), id);
+    EXPECT_TRUE(other->run(100us));
+  });
+  std::this_thread::sleep_for(5ms);
+  begin();
+  asker.join();
+  EXPECT_TRUE(context->run(100us));
+}
+
+TEST_F(EmuServer, NobodyTakesUpAContextThatIsNotTheirs) {
+  auto mine = Context::open(gpu());
+  ASSERT_TRUE(mine);
+  const auto id = static_cast<std::uint32_t>(mine->handle().value());
+  end();
+  begin();
+  auto socket = connect_abstract(address_);
+  ASSERT_TRUE(socket);
+  for (const std::int64_t key : {0, 1, -1}) {
+    const Packet theft{.op = static_cast<std::uint32_t>(Op::kRejoin), .context = id, .value = key};
+    ASSERT_TRUE(send_packet(socket->get(), &theft, sizeof theft));
+    Packet answer;
+    ASSERT_TRUE(receive_packet(socket->get(), &answer, sizeof answer));
+    EXPECT_EQ(answer.op, static_cast<std::uint32_t>(Op::kError));
+  }
+  EXPECT_TRUE(mine->run(100us));
+  // Nor while it has an owner, with the right key either.
+  const Packet late{.op = static_cast<std::uint32_t>(Op::kRejoin),
+                    .context = id,
+                    .value = static_cast<std::int64_t>(newest().contexts.at(0).key)};
+  ASSERT_TRUE(send_packet(socket->get(), &late, sizeof late));
+  Packet answer;
+  ASSERT_TRUE(receive_packet(socket->get(), &answer, sizeof answer));
+  EXPECT_EQ(answer.op, static_cast<std::uint32_t>(Op::kError));
+}
+
+TEST_F(EmuServer, ContextsOfAProcessThatDoesNotComeBackAreClosed) {
+  end();
+  int gate[2];
+  ASSERT_EQ(pipe2(gate, O_CLOEXEC), 0);
+  const pid_t dead = fork();
+  if (dead == 0) _exit(0);
+  ASSERT_EQ(waitpid(dead, nullptr, 0), dead);
+  const pid_t alive = fork();
+  if (alive == 0) {
+    char byte;
+    close(gate[1]);
+    [[maybe_unused]] const ssize_t end = read(gate[0], &byte, 1);
+    _exit(0);
+  }
+  Machine machine = *Machine::create(*Platform::builtin("small"));
+  for (int i = 0; i < 4; ++i) ASSERT_TRUE(machine.open("gpu0", 0));
+  Snapshot snapshot;
+  machine.save(snapshot);
+  snapshot.contexts[0].pid = dead;
+  snapshot.contexts[1].pid = alive;
+  snapshot.contexts[2].pid = alive;
+  snapshot.contexts[3].pid = getpid();
+  StateMemory::map(UniqueFd(fcntl(memory_.get(), F_DUPFD_CLOEXEC, 3)))->save(snapshot);
+
+  begin();
+  while (newest().contexts.size() != 3) std::this_thread::yield();
+  for (const ContextRecord& context : newest().contexts) EXPECT_NE(context.pid, dead);
+  close(gate[1]);  // the other one ends, too
+  ASSERT_EQ(waitpid(alive, nullptr, 0), alive);
+  while (newest().contexts.size() != 1) std::this_thread::yield();
+  EXPECT_EQ(newest().contexts[0].pid, getpid());
+  close(gate[0]);
+}
+
+TEST_F(EmuServer, MemoryOfAnotherPlatformIsRefused) {
+  end();
+  Snapshot snapshot;
+  Machine::create(*Platform::builtin("large"))->save(snapshot);
+  StateMemory::map(UniqueFd(fcntl(memory_.get(), F_DUPFD_CLOEXEC, 3)))->save(snapshot);
+  EXPECT_FALSE(Server::create(*Platform::builtin("small"),
+                              {.address = address_,
+                               .listener_fd = fcntl(listener_.get(), F_DUPFD_CLOEXEC, 3),
+                               .memory_fd = fcntl(memory_.get(), F_DUPFD_CLOEXEC, 3)}));
 }
 
 }  // namespace
