@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever is killed at whatever moment, nothing is left: no process, no socket, no file, no hung call."""
+import functools
 import json
 import os
 import pathlib
@@ -16,6 +17,26 @@ from common import APP, BIN, DRIVING, XAUTO, alive, children_of, xauto
 TESTAPP = str(BIN / "testapp")
 
 ROUNDS = int(os.environ.get("XAUTO_KILL_ROUNDS", "6"))
+
+
+def emulated_testapp(folder, *flags, period_us=15000):
+    """The command of a run whose work is all on the emulator, with preemption on the npu."""
+    path = functools.partial(os.path.join, folder)
+    xnodes = [("a1", "A", "cpu"), ("a2", "A", "npu"), ("b1", "B", "npu"), ("c1", "C", "cpu"), ("d1", "D", "cpu")]
+    pathlib.Path(path("platform.json")).write_text(json.dumps({
+        "schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
+            {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0},
+            {"id": "npu0", "type": "npu", "preemptive": True, "preempt_us": 100, "timeslice_us": 500}]}))
+    pathlib.Path(path("app.json")).write_text(json.dumps({
+        "schema": "xauto.app", "version": 1, "name": "testapp",
+        "xnodes": [{"name": n, "module": m, "wcet_us": {x: 3000}} for n, m, x in xnodes],
+        "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]}))
+    done = xauto("solve", "--app", path("app.json"), "--platform", path("platform.json"), "--method", "heft",
+                 "--out", path("policy.json"))
+    assert done.returncode == 0, done.stderr
+    return [XAUTO, "run", "--app", path("app.json"), "--policy", path("policy.json"), "--platform",
+            path("platform.json"), "--emulate", *map(str, flags), "--", TESTAPP, path("result"), "period",
+            str(period_us), "emulated", "3000"]
 
 
 class Kill(unittest.TestCase):
@@ -98,25 +119,9 @@ class Kill(unittest.TestCase):
             time.sleep(0.005)
 
     def run_testapp(self, folder, *flags, kills=0, seed=0):
-        """Its results, line by line; all of its work is on the emulator, with preemption on the npu."""
-        def path(name):
-            return os.path.join(folder, name)
-
-        xnodes = [("a1", "A", "cpu"), ("a2", "A", "npu"), ("b1", "B", "npu"), ("c1", "C", "cpu"), ("d1", "D", "cpu")]
-        pathlib.Path(path("platform.json")).write_text(json.dumps({
-            "schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
-                {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0},
-                {"id": "npu0", "type": "npu", "preemptive": True, "preempt_us": 100, "timeslice_us": 500}]}))
-        pathlib.Path(path("app.json")).write_text(json.dumps({
-            "schema": "xauto.app", "version": 1, "name": "testapp",
-            "xnodes": [{"name": n, "module": m, "wcet_us": {x: 3000}} for n, m, x in xnodes],
-            "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]}))
-        done = xauto("solve", "--app", path("app.json"), "--platform", path("platform.json"), "--method", "heft",
-                     "--out", path("policy.json"))
-        self.assertEqual(done.returncode, 0, done.stderr)
-        tool = subprocess.Popen([XAUTO, "run", "--app", path("app.json"), "--policy", path("policy.json"), "--platform",
-                                 path("platform.json"), "--emulate", "--overload", "queue:256", "--activations", "300",
-                                 *flags, "--", TESTAPP, path("result"), "period", "15000", "emulated", "3000"],
+        """Its results, line by line."""
+        path = functools.partial(os.path.join, folder)
+        tool = subprocess.Popen(emulated_testapp(folder, "--overload", "queue:256", "--activations", "300", *flags),
                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         before = set(os.listdir("/dev/shm"))
         rng = random.Random(seed)
