@@ -28,7 +28,8 @@ class Context {
 
   /// Submits work that takes `duration` alone on the XPU and waits until the XPU has finished it.
   /// Takes longer in wall time when the XPU is shared or the context is suspended. `duration` is
-  /// not negative. Error: kUnavailable when the emulator is gone.
+  /// not negative. An emulator that dies meanwhile is replaced, and the work goes on; error:
+  /// kUnavailable when it is gone for good.
   [[nodiscard]] Status run(std::chrono::microseconds duration);
 
   /// What `init` returns, so that the runtime can suspend this context.

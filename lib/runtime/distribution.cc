@@ -3,7 +3,8 @@
 
 #include <algorithm>
 #include <bit>
-#include <cmath>
+
+#include "base/quantile.h"
 
 namespace xauto::runtime {
 namespace {
@@ -70,8 +71,7 @@ void Distribution::merge(const Distribution& other) {
 
 std::int64_t Distribution::quantile(double q) const {
   if (count_ == 0) return 0;
-  const auto rank = std::clamp<std::uint64_t>(
-      static_cast<std::uint64_t>(std::ceil(q * static_cast<double>(count_))), 1, count_);
+  const std::uint64_t rank = nearest_rank(q, count_);
   if (buckets_.empty()) {
     std::vector<std::int64_t> sorted = exact_;
     const auto at = sorted.begin() + static_cast<std::ptrdiff_t>(rank - 1);

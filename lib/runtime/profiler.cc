@@ -8,7 +8,6 @@
 
 #include <algorithm>
 #include <chrono>
-#include <cmath>
 #include <fstream>
 #include <map>
 #include <memory>
@@ -18,6 +17,7 @@
 
 #include "base/clock.h"
 #include "base/log.h"
+#include "base/quantile.h"
 #include "base/rt.h"
 #include "model/json.h"
 #include "record/recording.h"
@@ -99,11 +99,8 @@ class Feed {
 Samples summarise(std::vector<std::int64_t> us) {
   if (us.empty()) return {};
   std::sort(us.begin(), us.end());
-  const auto rank = [&](double q) {  // nearest rank
-    const auto at = static_cast<std::size_t>(std::ceil(q * static_cast<double>(us.size())));
-    return us[std::min(us.size() - 1, at == 0 ? 0 : at - 1)];
-  };
-  return {static_cast<std::int64_t>(us.size()), us.front(), rank(0.5), rank(0.99), us.back()};
+  return {static_cast<std::int64_t>(us.size()), us.front(), quantile_of_sorted(us, 0.5),
+          quantile_of_sorted(us, 0.99), us.back()};
 }
 
 ProfileConditions conditions(const Session& session) {

@@ -5,11 +5,12 @@
 #include "xauto/html_report.h"
 
 #include <algorithm>
-#include <cmath>
 #include <map>
 #include <numeric>
 
 #include <fmt/format.h>
+
+#include "base/quantile.h"
 
 #include "xauto/account.h"
 #include "xauto/timeline.h"
@@ -20,12 +21,6 @@ namespace {
 using Latencies = std::vector<std::int64_t>;
 
 constexpr std::int64_t kWorthSayingUs = 50;
-
-std::int64_t quantile(const Latencies& sorted, double q) {
-  if (sorted.empty()) return 0;
-  const auto rank = static_cast<std::size_t>(std::ceil(q * static_cast<double>(sorted.size())));
-  return sorted[std::clamp<std::size_t>(rank, 1, sorted.size()) - 1];
-}
 
 std::string ms(std::int64_t us) {
   return fmt::format("{:.2f}", static_cast<double>(us) / 1000);
@@ -96,9 +91,9 @@ std::string chains_section(const ReadTrace& trace) {
     html += fmt::format(
         "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>"
         "<td style='text-align:left'>{}</td></tr>",
-        html_safe(name), list.size(), ms(quantile(list, 0.5)), ms(quantile(list, 0.99)),
-        ms(list.back()), trace.deadline_us < 0 ? "no deadline" : std::to_string(misses),
-        histogram(list, from, to));
+        html_safe(name), list.size(), ms(quantile_of_sorted(list, 0.5)),
+        ms(quantile_of_sorted(list, 0.99)), ms(list.back()),
+        trace.deadline_us < 0 ? "no deadline" : std::to_string(misses), histogram(list, from, to));
   }
   return html + "</table>";
 }
@@ -181,8 +176,8 @@ Panel panel_of(const ReportedTrace& reported, std::size_t number, const TraceRel
     if (release.latency_us >= 0) panel.latencies_us.push_back(release.latency_us);
   Latencies sorted = panel.latencies_us;
   std::sort(sorted.begin(), sorted.end());
-  panel.p50_us = quantile(sorted, 0.5);
-  panel.p99_us = quantile(sorted, 0.99);
+  panel.p50_us = quantile_of_sorted(sorted, 0.5);
+  panel.p99_us = quantile_of_sorted(sorted, 0.99);
   panel.max_us = sorted.empty() ? 0 : sorted.back();
   if (worst == nullptr) return panel;
   panel.shown_sequence = worst->number;
