@@ -128,7 +128,7 @@ std::string no_right() {
   const ssize_t length = readlink("/proc/self/exe", path, sizeof path);
   return "xauto-grant has no right to raise limits: `setcap cap_sys_resource=p " +
          std::string(path, length > 0 ? static_cast<std::size_t>(length) : 0) +
-         "` as root; not in a container or service that forbids it";
+         "` as root, where no container or service forbids it";
 }
 
 /// Only upwards: who has more already keeps it.
