@@ -6,6 +6,7 @@ import ctypes
 import json
 import os
 import pathlib
+import random
 import shutil
 import signal
 import socket
@@ -226,6 +227,39 @@ class Grants(unittest.TestCase):
                 status, out, err = self.end(self.start("xauto-grant", *words))
                 self.assertEqual((status, out), (2, ""))
                 self.assertTrue(err.startswith("xauto-grant: "), err)
+
+    def test_any_arguments_and_environments_end_orderly(self):
+        """Chosen by a fixed seed: started, or refused with a message; never a signal, never another status."""
+        dice = random.Random(6)
+        program, started = str(self.folder / "started"), 0
+        pathlib.Path(program).write_text("#!/bin/sh\nexit 42\n")
+        os.chmod(program, 0o755)
+        numbers = ["0", "3", "4", "9", "64", "65", "-3", "2147483648", "99999999999999999999", "", "0x3", "3 ", "\xff"]
+
+        def mostly(good):
+            return good if dice.random() < 0.8 else dice.choice(numbers)
+        for _ in range(150):
+            environment = dice.choice([b"A=1\0", b"", b"\0", b"\0\0=\0", b"no end", b"XAUTO_GRANT=9-9\0B=2\0", dice.randbytes(200),
+                                       dice.randbytes(5000) + b"\0"])
+            words = [dice.choice(["--exec"] * 9 + ["", "-", "--exe"]),
+                     mostly("3"), mostly("0"), mostly("0"), dice.choice([program] * 6 + ["/", "", "/no/such"]), "x",
+                     *["y" * dice.randrange(9)] * dice.randrange(3)]
+            words = words[:len(words) if dice.random() < 0.8 else dice.randrange(len(words))]
+            memory = os.memfd_create("environment", 0)
+            os.write(memory, environment)
+
+            def place(fd=memory):
+                os.dup2(fd, 3)
+            status, _, err = self.end(self.start("xauto-grant", *words, prepare=place, close_fds=False, errors="replace"))
+            os.close(memory)
+            said = (words, environment[:40], status, err[-300:])
+            if status == 42:
+                started += 1
+            else:
+                # 128 + N: the parent is not the one that was named, whose death would send N.
+                self.assertIn(status, (2, *range(129, 193)), said)
+                self.assertTrue(status > 2 or err.startswith("xauto-grant: "), said)
+        self.assertGreater(started, 20, "some of them are good")
 
     def test_draft_is_judged_before_it_is_installed(self):
         draft = self.folder / "draft.json"
