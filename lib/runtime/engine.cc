@@ -377,8 +377,8 @@ void Engine::stop_workers() {
 // ---- topics between processes
 // -------------------------------------------------------------------
 
-const transport::TopicFds& Engine::topic_fds(std::size_t topic) const {
-  return hub_ ? hub_->topic(static_cast<int>(topic)) : member_->topic(static_cast<int>(topic));
+transport::Link& Engine::link(std::size_t topic) const {
+  return hub_ ? hub_->topic(topic) : member_->topic(topic);
 }
 
 /// What this process publishes to others.
@@ -387,11 +387,8 @@ Status Engine::open_topics() {
   for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
     const Plan::Remote& remote = plan_.topics[t];
     if (remote.readers.empty() || remote.publisher != session_.process) continue;
-    const transport::TopicFds& fds = topic_fds(t);
     ringers_.push_back(std::make_unique<BoardRinger>(board_, remote.readers));
-    XAUTO_ASSIGN(publishers_[t],
-                 transport::ShmPublisher::open(graph_.topics[t].spec, fds.control.get(),
-                                               fds.data.get(), ringers_.back().get()));
+    XAUTO_ASSIGN(publishers_[t], link(t).publisher(graph_.topics[t].spec, ringers_.back().get()));
   }
   return {};
 }
@@ -403,10 +400,8 @@ Status Engine::open_inputs() {
   for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
     const int reader = plan_.topics[t].reader(session_.process);
     if (reader < 0) continue;
-    const transport::TopicFds& fds = topic_fds(t);
-    XAUTO_ASSIGN(auto subscriber, transport::ShmSubscriber::open(
-                                      graph_.topics[t].spec, fds.control.get(), fds.data.get(),
-                                      static_cast<std::uint32_t>(reader)));
+    XAUTO_ASSIGN(auto subscriber,
+                 link(t).subscriber(graph_.topics[t].spec, static_cast<std::uint32_t>(reader)));
     receiver_->add(-1, std::move(subscriber), false,
                    [channel = &channels_[t]](const detail::Envelope& envelope) {
                      channel->publish(envelope);
@@ -921,11 +916,11 @@ void Engine::account(int module, std::uint64_t sequence, std::int64_t now, bool 
 /// What this process has to tell, apart from counts.
 void Engine::tell_notes(RunReport& result) {
   add_note(result.note, note_);
-  add_note(result.note, threads_->note());
   if (interop_) {
     interop_->stop();
     for (const std::string& note : interop_->notes()) add_note(result.note, note);
   }
+  add_note(result.note, threads_->note());
   for (const auto& worker : workers_) {
     add_note(result.note, worker->first_failure());
     if (worker->lost_coordinator())

@@ -62,7 +62,7 @@ class Engine final : public ModuleHost, private HubHost {
   [[nodiscard]] bool hosted(std::size_t module) const {
     return plan_.process_of[module] == session_.process;
   }
-  [[nodiscard]] const transport::TopicFds& topic_fds(std::size_t topic) const;
+  [[nodiscard]] transport::Link& link(std::size_t topic) const;
   [[nodiscard]] Status open_topics();
   [[nodiscard]] Status open_inputs();
   [[nodiscard]] Result<RunReport> run_member();

@@ -12,11 +12,9 @@ Result<std::unique_ptr<Ghost>> Ghost::haunt(int process, const Plan& plan, const
   for (std::size_t t = 0; t < graph.topics.size(); ++t) {
     const Plan::Remote& remote = plan.topics[t];
     if (remote.publisher != process || remote.readers.empty()) continue;
-    const transport::TopicFds& fds = hub.topic(static_cast<int>(t));
     g.ringers_.push_back(std::make_unique<BoardRinger>(hub.board(), remote.readers));
     XAUTO_ASSIGN(g.publishers_[t],
-                 transport::ShmPublisher::open(graph.topics[t].spec, fds.control.get(),
-                                               fds.data.get(), g.ringers_.back().get()));
+                 hub.topic(t).publisher(graph.topics[t].spec, g.ringers_.back().get()));
   }
   if (graph.single_rate)
     for (const int m : graph.module_order) {
@@ -28,10 +26,8 @@ Result<std::unique_ptr<Ghost>> Ghost::haunt(int process, const Plan& plan, const
   for (std::size_t t = 0; t < graph.topics.size(); ++t) {
     const int reader = plan.topics[t].reader(process);
     if (reader < 0) continue;
-    const transport::TopicFds& fds = hub.topic(static_cast<int>(t));
-    XAUTO_ASSIGN(auto subscriber, transport::ShmSubscriber::open(
-                                      graph.topics[t].spec, fds.control.get(), fds.data.get(),
-                                      static_cast<std::uint32_t>(reader)));
+    XAUTO_ASSIGN(auto subscriber,
+                 hub.topic(t).subscriber(graph.topics[t].spec, static_cast<std::uint32_t>(reader)));
     receiver.add(process, std::move(subscriber), true, [&g, t](const detail::Envelope& envelope) {
       for (const Graph::Subscriber& s : g.graph_.topics[t].subscribers)
         if (g.plan_.process_of[static_cast<std::size_t>(s.module)] == g.process_)

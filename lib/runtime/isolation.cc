@@ -115,7 +115,7 @@ Result<std::unique_ptr<Hub>> Hub::create(const Plan& plan, const Graph& graph,
   for (std::size_t t = 0; t < graph.topics.size(); ++t)
     if (const std::size_t readers = plan.topics[t].readers.size(); readers > 0) {
       XAUTO_ASSIGN(hub->topics_[t],
-                   transport::make_topic(shape_of(graph.topics[t], readers, session)));
+                   transport::make_link(shape_of(graph.topics[t], readers, session)));
     }
   hub->members_.resize(static_cast<std::size_t>(plan.processes));
   hub->listener_ = UniqueFd(session.hub_fd);
@@ -256,14 +256,12 @@ Status Hub::introduce(int process) {
   for (std::size_t t = 0; t < topics_.size(); ++t) {
     const Plan::Remote& remote = plan_.topics[t];
     if (remote.readers.empty()) continue;
-    if (remote.publisher == process) {
-      XAUTO_TRY(say(socket, Word::kTopic, static_cast<int>(t),
-                    {topics_[t].control.get(), topics_[t].data.get()}));
-    } else if (remote.reader(process) >= 0) {
-      XAUTO_ASSIGN(const UniqueFd data, transport::read_only(topics_[t].data.get()));
-      XAUTO_TRY(
-          say(socket, Word::kTopic, static_cast<int>(t), {topics_[t].control.get(), data.get()}));
-    }
+    const bool publishes = remote.publisher == process;
+    if (!publishes && remote.reader(process) < 0) continue;
+    XAUTO_ASSIGN(const std::vector<UniqueFd> fds, topics_[t]->invite(publishes));
+    std::vector<int> numbers;
+    for (const UniqueFd& fd : fds) numbers.push_back(fd.get());
+    XAUTO_TRY(say(socket, Word::kTopic, static_cast<int>(t), numbers));
   }
   XAUTO_TRY(say(socket, Word::kBoard, 0, {board_fd_.get()}));
   return say(socket, Word::kBegin);
@@ -284,9 +282,7 @@ void Hub::lose(int process) {
   board_->process(process).watched_ns.store(0);  // the next one may need long to start
   for (std::size_t t = 0; t < topics_.size(); ++t) {
     const int reader = plan_.topics[t].reader(process);
-    if (reader < 0) continue;
-    if (auto control = transport::TopicControl::map(topics_[t].control.get()))
-      (*control)->release_all(static_cast<std::uint32_t>(reader));
+    if (reader >= 0) topics_[t]->release_all(static_cast<std::uint32_t>(reader));
   }
   if (running && !stopping) host_.left(process);
   changes_.fetch_add(1);
@@ -375,12 +371,19 @@ Result<std::unique_ptr<Member>> Member::join(const Plan& plan, const Graph& grap
     std::vector<UniqueFd> fds;
     XAUTO_ASSIGN(const std::size_t size, receive_packet(socket, &packet, sizeof packet, &fds));
     const Word word = static_cast<Word>(packet.word);
-    if (size == sizeof packet && word == Word::kTopic && fds.size() == 2 &&
-        packet.index < graph.topics.size()) {
-      member->topics_[packet.index] = {std::move(fds[0]), std::move(fds[1])};
+    if (size == sizeof packet && word == Word::kTopic && packet.index < graph.topics.size()) {
+      XAUTO_ASSIGN(member->topics_[packet.index], transport::join_link(std::move(fds)));
     } else if (size == sizeof packet && word == Word::kBoard && fds.size() == 1) {
       XAUTO_ASSIGN(member->board_, Board::map(fds[0].get(), board_shape(plan, graph)));
     } else if (size == sizeof packet && word == Word::kBegin && member->board_ != nullptr) {
+      for (std::size_t t = 0; t < graph.topics.size(); ++t) {
+        const Plan::Remote& remote = plan.topics[t];
+        const bool ours = remote.publisher == session.process ? !remote.readers.empty()
+                                                              : remote.reader(session.process) >= 0;
+        if (ours && member->topics_[t] == nullptr)
+          return fail(ErrorCode::kUnavailable, "the app's hub did not share it",
+                      "topic '" + graph.topics[t].spec.name + "'");
+      }
       return member;
     } else {
       return fail(ErrorCode::kUnavailable, "the app's hub answered with an unknown message");

@@ -101,9 +101,7 @@ class Hub {
 
   [[nodiscard]] const std::shared_ptr<Board>& board() const { return board_; }
   /// Of a topic that leaves its process.
-  [[nodiscard]] const transport::TopicFds& topic(int index) const {
-    return topics_.at(static_cast<std::size_t>(index));
-  }
+  [[nodiscard]] transport::Link& topic(std::size_t index) const { return *topics_.at(index); }
   /// Until every member is ready; then they are sent Go. False: `stop` was set.
   [[nodiscard]] Result<bool> wait_ready(const std::atomic<bool>& stop);
   /// Its process does not even watch itself any more (SIGSTOP, say): ends it, which shows as a
@@ -133,8 +131,8 @@ class Hub {
   HubHost& host_;
   std::shared_ptr<Board> board_;
   UniqueFd board_fd_, listener_, wake_;
-  std::vector<transport::TopicFds> topics_;  ///< [topic]
-  std::vector<UniqueFd> strangers_;          ///< connected, not yet said Hello; of serve()
+  std::vector<std::unique_ptr<transport::Link>> topics_;  ///< [topic]; null: stays inside
+  std::vector<UniqueFd> strangers_;  ///< connected, not yet said Hello; of serve()
   std::thread thread_;
 
   mutable PiMutex mutex_;
@@ -153,9 +151,7 @@ class Member {
   [[nodiscard]] static Result<std::unique_ptr<Member>> join(const Plan& plan, const Graph& graph,
                                                             const Session& session);
   [[nodiscard]] const std::shared_ptr<Board>& board() const { return board_; }
-  [[nodiscard]] const transport::TopicFds& topic(int index) const {
-    return topics_.at(static_cast<std::size_t>(index));
-  }
+  [[nodiscard]] transport::Link& topic(std::size_t index) const { return *topics_.at(index); }
   /// Says Ready and waits for Go. False: told to stop, or the hub is gone.
   [[nodiscard]] Result<bool> ready(const std::atomic<bool>& stop);
   /// A sink module, or one where a chain ends, is through with a release. Any thread.
@@ -169,7 +165,7 @@ class Member {
   [[nodiscard]] Result<bool> hear(Word wanted, const std::atomic<bool>& stop);
   UniqueFd socket_;
   std::shared_ptr<Board> board_;
-  std::vector<transport::TopicFds> topics_;
+  std::vector<std::unique_ptr<transport::Link>> topics_;  ///< [topic]; null: not ours
 };
 
 /// Rings the readers of one topic.

@@ -383,4 +383,54 @@ std::optional<detail::Envelope> ShmSubscriber::take() {
   return envelope;
 }
 
+// ---- as a Link ---------------------------------------------------------------------------------
+
+namespace {
+
+class ShmLink final : public Link {
+ public:
+  explicit ShmLink(TopicFds fds) : fds_(std::move(fds)) {}
+
+  Result<std::shared_ptr<Publisher>> publisher(const detail::TopicSpec& topic,
+                                               Ringer* ringer) override {
+    return ShmPublisher::open(topic, fds_.control.get(), fds_.data.get(), ringer);
+  }
+  Result<std::shared_ptr<Subscriber>> subscriber(const detail::TopicSpec& topic,
+                                                 std::uint32_t reader) override {
+    return ShmSubscriber::open(topic, fds_.control.get(), fds_.data.get(), reader);
+  }
+  Result<std::vector<UniqueFd>> invite(bool publishes) const override {
+    std::vector<UniqueFd> fds(2);
+    fds[0] = UniqueFd(fcntl(fds_.control.get(), F_DUPFD_CLOEXEC, 0));
+    if (publishes) {
+      fds[1] = UniqueFd(fcntl(fds_.data.get(), F_DUPFD_CLOEXEC, 0));
+    } else {
+      XAUTO_ASSIGN(fds[1], read_only(fds_.data.get()));
+    }
+    if (!fds[0] || !fds[1])
+      return fail(ErrorCode::kIo, std::string("cannot share a topic: ") + strerror(errno));
+    return fds;
+  }
+  void release_all(std::uint32_t reader) override {
+    if (auto control = TopicControl::map(fds_.control.get())) (*control)->release_all(reader);
+  }
+
+ private:
+  TopicFds fds_;
+};
+
+}  // namespace
+
+Result<std::unique_ptr<Link>> make_link(const TopicShape& shape) {
+  XAUTO_ASSIGN(TopicFds fds, make_topic(shape));
+  return std::make_unique<ShmLink>(std::move(fds));
+}
+
+Result<std::unique_ptr<Link>> join_link(std::vector<UniqueFd> fds) {
+  if (fds.size() != 2)
+    return fail(ErrorCode::kInvalid,
+                "a topic came with " + std::to_string(fds.size()) + " descriptors, not 2");
+  return std::make_unique<ShmLink>(TopicFds{std::move(fds[0]), std::move(fds[1])});
+}
+
 }  // namespace xauto::transport

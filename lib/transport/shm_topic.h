@@ -210,4 +210,9 @@ class ShmSubscriber final : public Subscriber, public std::enable_shared_from_th
   std::uint64_t bit_ = 0, head_ = 0, lost_ = 0;
 };
 
+/// A topic in new shared memory.
+[[nodiscard]] Result<std::unique_ptr<Link>> make_link(const TopicShape& shape);
+/// The same in another process, with what it was invited with.
+[[nodiscard]] Result<std::unique_ptr<Link>> join_link(std::vector<UniqueFd> fds);
+
 }  // namespace xauto::transport

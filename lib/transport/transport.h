@@ -9,9 +9,14 @@
 
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <optional>
+#include <vector>
 
+#include <xauto/result.h>
 #include <xauto/topic.h>
+
+#include "base/unique_fd.h"
 
 namespace xauto::transport {
 
@@ -54,6 +59,26 @@ class Ringer {
  public:
   virtual ~Ringer() = default;
   virtual void ring(std::uint32_t subscriber) = 0;
+};
+
+/// One topic between the processes of an app, as one of them has it: what makes its ends there. The
+/// process that made it (make_link, shm_topic.h) gives the others descriptors to join it with.
+class Link {
+ public:
+  Link() = default;
+  virtual ~Link() = default;
+  Link(const Link&) = delete;
+  Link& operator=(const Link&) = delete;
+
+  /// `ringer`: rung for each reader after a message; null: nobody is.
+  [[nodiscard]] virtual Result<std::shared_ptr<Publisher>> publisher(const detail::TopicSpec& topic,
+                                                                     Ringer* ringer) = 0;
+  [[nodiscard]] virtual Result<std::shared_ptr<Subscriber>> subscriber(
+      const detail::TopicSpec& topic, std::uint32_t reader) = 0;
+  /// For a process that publishes it, or only reads it.
+  [[nodiscard]] virtual Result<std::vector<UniqueFd>> invite(bool publishes) const = 0;
+  /// The process of this reader is dead: it holds no message any more.
+  virtual void release_all(std::uint32_t reader) = 0;
 };
 
 }  // namespace xauto::transport

@@ -275,5 +275,21 @@ TEST(ShmTopic, UnderLoadEveryMessageIsReadWholeInOrderOrCountedAsLost) {
   EXPECT_EQ(world.held(), 0u);
 }
 
+TEST(ShmTopic, LinkIsJoinedWithWhatItInvitesWith) {
+  const auto spec = detail::topic_spec(Topic<Frame>("t"));
+  auto here = *make_link({sizeof(Frame), 1, 4, 3});
+  auto there = *join_link(*here->invite(false));
+  const auto publisher = *here->publisher(spec, nullptr);
+  const auto reader = *there->subscriber(spec, 0);
+  publisher->sender()(
+      {detail::make_message<Frame>(publisher.get(), [] { return frame(5); }), 1, 0});
+  const auto envelope = reader->take();
+  ASSERT_TRUE(envelope && envelope->message);
+  EXPECT_EQ(static_cast<const Frame*>(envelope->message.get())->words[3], 5u);
+  // Who is only invited to read cannot write.
+  EXPECT_FALSE(there->publisher(spec, nullptr));
+  EXPECT_FALSE(join_link({}));
+}
+
 }  // namespace
 }  // namespace xauto::transport
