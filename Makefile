@@ -21,13 +21,13 @@ pedestrians:
 	@JOBS=$(JOBS) scripts/pedestrians.sh
 
 check:
-	@scripts/setup.sh build check pedestrians kernel package
+	@scripts/setup.sh build check transport pedestrians kernel package
 	@scripts/fetch-video.sh
 	@JOBS=$(JOBS) scripts/check.sh all
 
 # Parts of check, each by itself.
 style unit asan tsan fuzz:
-	@scripts/setup.sh build check pedestrians
+	@scripts/setup.sh build check transport pedestrians
 	@scripts/fetch-video.sh
 	@JOBS=$(JOBS) scripts/check.sh $@
 

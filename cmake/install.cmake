@@ -24,6 +24,11 @@ set_target_properties(xauto_shared PROPERTIES OUTPUT_NAME xauto EXPORT_NAME xaut
 install(TARGETS xauto_shared EXPORT xauto-targets
         LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT runtime NAMELINK_COMPONENT development)
 
+# A plug-in, found beside it; no Debian package has it.
+if(TARGET xauto_cyclonedds)
+  install(TARGETS xauto_cyclonedds LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR}/xauto COMPONENT interop)
+endif()
+
 # Development: find_package(xauto), pkg-config, headers.
 set(cmake_dir ${CMAKE_INSTALL_LIBDIR}/cmake/xauto)
 install(EXPORT xauto-targets NAMESPACE xauto:: DESTINATION ${cmake_dir} COMPONENT development)

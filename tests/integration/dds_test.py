@@ -45,17 +45,18 @@ class Dds(Runs):
         """The app's own source and two results, heard by the peers."""
         peers = {topic: peer("hear", "rt/" + topic, self.path(topic), 20) for topic in ("src", "b", "c")}
         run, results = self.run_app("--deployment", self.deployment(src="cyclonedds", b="cyclonedds", c="cyclonedds"), *flags,
-                                    period=10000)
+                                    period=10000, activations=400)
         for process in peers.values():
             process.communicate(timeout=30)
             self.assertEqual(process.returncode, 0)
         return run, results, {topic: self.read(topic) for topic in peers}
 
     def check_heard(self, run, results, heard):
-        self.assertGreater(run["activations"], 190, run)
+        self.assertGreater(run["activations"], 380, run)
         for topic, messages in heard.items():
             # Those before the two have found each other are missing, and what a busy machine loses.
             self.assertGreater(len(messages), 100, topic)
+            self.assertGreater(max(messages), 390, topic)
         for number, (age, data) in heard["c"].items():
             self.assertEqual(int.from_bytes(data, "little"), int(results["c"][str(number)]), number)
             self.assertTrue(0 <= age < 5_000_000, age)

@@ -88,6 +88,10 @@ TEST(Deployment, RefusalsNameThePlaceAndTheCause) {
        "d.json: /chains/0/to: XModule 'Q' is not in the app"},
       {R"(, "chains": [{"name": "n", "from": "t", "to": "A"}, {"name": "n", "from": "t", "to": "B"}])",
        "d.json: /chains/1/name: is the name of another chain, too"},
+      {R"(, "transport": {"t": "pigeon"})",
+       "d.json: /transport/t: must be \"cyclonedds\" or \"cyclonedds:feed\""},
+      {R"(, "transport": {"": "cyclonedds"})",
+       "d.json: /transport/: is for a topic without a name"},
   };
   for (const auto& [body, message] : cases) EXPECT_EQ(refusal(body), message) << body;
   const auto other = parse_deployment(
