@@ -87,6 +87,7 @@ inline Cores cores() {
 
 void dispatch(const Options& options, Table& table);
 void decisions(const Options& options, Table& table);
+void suspensions(const Options& options, Table& table);
 void transfers(const Options& options, Table& table);
 void coordinators(const Options& options, Table& table);
 

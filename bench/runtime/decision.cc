@@ -4,81 +4,21 @@
 // and the coordinators' share of a CPU. Beside the futex round trip between two processes.
 #include <array>
 #include <atomic>
-#include <ctime>
-#include <functional>
-#include <memory>
 #include <random>
 #include <thread>
 
-#include <signal.h>
-#include <sys/eventfd.h>
 #include <sys/mman.h>
-#include <sys/prctl.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include "base/futex.h"
-#include "base/socket.h"
 #include "coord/port.h"
-#include "coord/server.h"
 
 #include "bench.h"
+#include "coordinator.h"
 #include "peers.h"
 
 namespace xauto::bench {
 namespace {
-
-/// Another process that runs `body` until it is killed.
-class Process {
- public:
-  explicit Process(const std::function<void()>& body) : pid_(fork()) {
-    if (pid_ != 0) return;
-    prctl(PR_SET_PDEATHSIG, SIGKILL);
-    body();
-    _exit(0);
-  }
-  ~Process() {
-    kill(pid_, SIGKILL);
-    waitpid(pid_, nullptr, 0);
-  }
-  Process(const Process&) = delete;
-  Process& operator=(const Process&) = delete;
-  [[nodiscard]] std::int64_t cpu_ns() const {
-    clockid_t clock;
-    timespec time{};
-    clock_getcpuclockid(pid_, &clock);
-    clock_gettime(clock, &time);
-    return time.tv_sec * 1'000'000'000 + time.tv_nsec;
-  }
-
- private:
-  pid_t pid_;
-};
-
-std::string next_address() {
-  static int count = 0;
-  return "xauto-bench/" + std::to_string(getpid()) + "-d" + std::to_string(count++) + "/x";
-}
-
-std::unique_ptr<Process> start_coordinator(const std::string& address, coord::Discipline discipline,
-                                           int core, bool fifo, std::size_t xnodes = 64) {
-  auto process = std::make_unique<Process>([&] {
-    (void)rt::pin_to_core(core);
-    rt::set_timer_slack_1ns();
-    rt::lock_memory();
-    if (fifo) (void)rt::set_fifo(60);
-    coord::ServerOptions options;
-    options.address = address;
-    options.xpu = "x";
-    options.discipline = discipline;
-    options.xnodes.assign(xnodes, "n");
-    auto server = coord::Server::create(std::move(options));
-    const int never = eventfd(0, EFD_CLOEXEC);
-    if (server) (void)(*server)->run(never);
-  });
-  for (int i = 0; i < 500 && !connect_abstract(address); ++i) usleep(10'000);
-  return process;
-}
 
 /// A management thread that obeys.
 class Obedient {

@@ -63,7 +63,7 @@ int main(int argc, char** argv) {
   cli.add_option("--rounds", options.rounds, "samples per row")->capture_default_str();
   cli.add_option("--seconds", options.seconds, "of the coordinators' load")->capture_default_str();
   cli.add_option("--json", json, "write the rows here")->capture_default_str();
-  cli.add_option("--only", options.only, "dispatch, decision, transfer, or coordinator");
+  cli.add_option("--only", options.only, "dispatch, decision, suspend, transfer, or coordinator");
   cli.add_flag("--fifo", options.fifo, "SCHED_FIFO, as a run with the permission for it");
   CLI11_PARSE(cli, argc, argv);
 
@@ -75,6 +75,7 @@ int main(int argc, char** argv) {
     return options.only.empty() || options.only == what;
   };
   if (wanted("decision")) decisions(options, table);
+  if (wanted("suspend")) suspensions(options, table);
   if (wanted("transfer")) transfers(options, table);
   if (wanted("coordinator")) coordinators(options, table);
   if (wanted("dispatch")) dispatch(options, table);

@@ -24,7 +24,7 @@ constexpr int kRejoinMs = 3'000;
 
 Result<std::unique_ptr<Port>> Port::connect(
     const std::string& address, const std::string& worker, const std::vector<std::uint32_t>& xnodes,
-    const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order) {
+    const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order, int fifo) {
   const std::string where = "coordinator '" + address + "'";
   if (xnodes.size() > kMaxWorkerXNodes)
     return fail(ErrorCode::kInvalid,
@@ -62,7 +62,7 @@ Result<std::unique_ptr<Port>> Port::connect(
   port->words_ = Words<RealAtomics>(port->shm_, &port->rules_);
   port->generation_ = request_generation(port->shm_.slots[port->slot_].worker.request.load());
   port->pending_command_ = port->shm_.slots[port->slot_].coordinator.command.load();
-  XAUTO_ASSIGN(port->watch_, SocketWatch::of_process());
+  XAUTO_ASSIGN(port->watch_, SocketWatch::of_process(fifo));
   XAUTO_TRY(port->watch_socket());
   return port;
 }

@@ -36,11 +36,12 @@ enum class Command : std::uint8_t {
 class Port {
  public:
   /// Registers a worker with the coordinator behind the abstract socket `address`. `order`: pairs
-  /// (u, v) of XNodes on this XPU, as the coordinator knows them.
+  /// (u, v) of XNodes on this XPU, as the coordinator knows them. `fifo`: SCHED_FIFO priority of
+  /// management threads, also of the one that hears of the coordinator's death; 0: none.
   [[nodiscard]] static Result<std::unique_ptr<Port>> connect(
       const std::string& address, const std::string& worker,
       const std::vector<std::uint32_t>& xnodes,
-      const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order);
+      const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order, int fifo = 0);
   ~Port();
   Port(const Port&) = delete;
   Port& operator=(const Port&) = delete;

@@ -13,13 +13,8 @@
 #include "base/socket.h"
 
 namespace xauto::coord {
-namespace {
 
-constexpr int kFifo = 50;  ///< as management threads: what it has to say is for them
-
-}  // namespace
-
-Result<std::shared_ptr<SocketWatch>> SocketWatch::of_process() {
+Result<std::shared_ptr<SocketWatch>> SocketWatch::of_process(int fifo) {
   static PiMutex mutex;
   static std::weak_ptr<SocketWatch> current;
   const std::lock_guard lock(mutex);
@@ -31,7 +26,7 @@ Result<std::shared_ptr<SocketWatch>> SocketWatch::of_process() {
   if (!watch->epoll_ || !watch->stop_ ||
       epoll_ctl(watch->epoll_.get(), EPOLL_CTL_ADD, watch->stop_.get(), &stop) != 0)
     return fail(ErrorCode::kIo, std::string("epoll/eventfd: ") + strerror(errno));
-  watch->thread_ = std::thread([self = watch.get()] { self->run(); });
+  watch->thread_ = std::thread([self = watch.get(), fifo] { self->run(fifo); });
   current = watch;
   return watch;
 }
@@ -56,9 +51,9 @@ void SocketWatch::remove(int socket) {
   if (watched_.erase(socket) != 0) epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, socket, nullptr);
 }
 
-void SocketWatch::run() {
+void SocketWatch::run(int fifo) {
   rt::set_thread_name("xauto/watch");
-  (void)rt::set_fifo(kFifo);
+  if (fifo > 0) (void)rt::set_fifo(fifo);
   std::array<epoll_event, 8> events;
   for (;;) {
     const int count = epoll_wait(epoll_.get(), events.data(), static_cast<int>(events.size()), -1);

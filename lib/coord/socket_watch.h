@@ -19,8 +19,9 @@ namespace xauto::coord {
 /// Threads: any.
 class SocketWatch {
  public:
-  /// The one of this process; its thread ends with the last user.
-  [[nodiscard]] static Result<std::shared_ptr<SocketWatch>> of_process();
+  /// The one of this process; its thread ends with the last user. `fifo`: SCHED_FIFO priority of
+  /// that thread, if this call starts it; 0: SCHED_OTHER.
+  [[nodiscard]] static Result<std::shared_ptr<SocketWatch>> of_process(int fifo);
   ~SocketWatch();
   SocketWatch(const SocketWatch&) = delete;
   SocketWatch& operator=(const SocketWatch&) = delete;
@@ -33,7 +34,7 @@ class SocketWatch {
 
  private:
   SocketWatch() = default;
-  void run();
+  void run(int fifo);
 
   UniqueFd epoll_, stop_;
   PiMutex mutex_;  ///< held during `ended`

@@ -37,8 +37,8 @@ Status Worker::start() {
     std::vector<std::uint32_t> xnodes;
     for (const Placed& placed : chain_.nodes)
       if (placed.worker == this) xnodes.push_back(placed.xnode);
-    XAUTO_ASSIGN(port_,
-                 coord::Port::connect(options_.coordinator, options_.name, xnodes, options_.order));
+    XAUTO_ASSIGN(port_, coord::Port::connect(options_.coordinator, options_.name, xnodes,
+                                             options_.order, options_.mgmt_fifo));
     if (options_.driver) {
       XAUTO_ASSIGN(backend_, xpu::make_kernel_queue(options_.xpu_id));
     } else if (options_.emulated) {

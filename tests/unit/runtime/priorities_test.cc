@@ -49,8 +49,9 @@ TEST(FifoPlan, InAnyRangeStaysInsideAndKeepsTheOrder) {
         EXPECT_GT(p.management, p.sources) << range;
       }
       // What is left is the XNodes'.
-      if (highest - lowest >= 6 && highest < 40)
+      if (highest - lowest >= 6 && highest < 40) {
         EXPECT_GE(p.cpu_highest - p.cpu_lowest, 1) << range;
+      }
     }
 }
 
