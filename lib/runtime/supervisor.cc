@@ -23,6 +23,7 @@
 #include "kernel/probe.h"
 #include "model/json.h"
 #include "runtime/isolation.h"
+#include "runtime/pulse.h"
 #include "xpu/cpu_run.h"
 
 namespace xauto::runtime {
@@ -44,6 +45,7 @@ struct Daemon {
   int starts = 1;
   int deaths = 0;        ///< after which it was started again
   std::size_t note = 0;  ///< where the outcome says so
+  Pulse pulse;           ///< a coordinator's
 
   /// What outlives it goes to it as arguments.
   void hand_over(std::initializer_list<const char*> flags) {
@@ -167,8 +169,7 @@ class Supervisor {
         daemon.name = name;
         daemon.coordinator = true;
         XAUTO_ASSIGN(daemon.kept[0], listen_abstract(address));
-        daemon.kept[1] =
-            UniqueFd(memfd_create("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING));
+        daemon.kept[1] = private_memfd("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING);
         daemon.kept[2] = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
         if (!daemon.kept[1] || !daemon.kept[2])
           return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
@@ -179,6 +180,7 @@ class Supervisor {
         options.inherit = {session_.get()};
         daemon.hand_over({"--listen-fd", "--memory-fd", "--doorbell-fd"});
         XAUTO_ASSIGN(daemon.child, start_daemon(name, options));
+        XAUTO_ASSIGN(daemon.pulse, Pulse::of(daemon.kept[1].get(), daemon.kept[0].get()));
         daemons_.push_back(std::move(daemon));
       }
     }
@@ -318,7 +320,12 @@ class Supervisor {
       const std::int64_t now = now_ns();
       if (request_.on_tick) request_.on_tick(static_cast<double>(now - started) * 1e-9);
       for (Daemon& daemon : daemons_) {
-        const auto exit = daemon.noticed ? std::nullopt : daemon.child.poll();
+        if (daemon.noticed) continue;
+        if (daemon.pulse.hangs(daemon.child.pid(), now)) {
+          log::warn("{} has hung for {} s and is killed", daemon.name, kHungNs / 1'000'000'000);
+          daemon.child.signal(SIGKILL);
+        }
+        const auto exit = daemon.child.poll();
         if (!exit) continue;
         if (restart(daemon, *exit)) continue;
         daemon.noticed = true;

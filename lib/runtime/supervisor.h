@@ -2,7 +2,8 @@
 // The parent of a run: starts the emulator, the coordinators and the app, watches over them, and
 // leaves nothing behind. Whatever dies, the rest is ended or goes on as docs/runtime.md says:
 //   coordinator  started again; the next one goes on where it was (its memory outlives it). If
-//                that fails its XPU's jobs go on unscheduled, and the result says so
+//                that fails its XPU's jobs go on unscheduled, and the result says so. One that
+//                hangs is killed first (pulse.h)
 //   emulator     likewise; if that fails its XPUs are gone and the app is stopped
 //   app          everything is stopped; a module process of it: its modules' activations are
 //                dropped, the rest runs, and it is started again if the deployment says so

@@ -107,6 +107,19 @@ class Kill(unittest.TestCase):
                 self.assertNotIn("was killed", out)
                 self.assert_nothing_left(tool, family, before)
 
+    def test_coordinator_that_hangs(self):
+        """Stopped, it answers nobody: the tool kills it, and the next one goes on."""
+        tool, family, before = self.start(activations=60)
+        self.wait_until_it_runs()
+        victims = [pid for pid, name in family.items() if name.startswith("xauto-coordinat")]
+        for pid in victims:  # all: whichever is rung
+            os.kill(pid, signal.SIGSTOP)
+        out, err = tool.communicate(timeout=60)
+        self.assertEqual(tool.returncode, 0, out + err)
+        self.assertIn("has hung for 2 s and is killed", err)
+        self.assertIn("and was started again", out)
+        self.assert_nothing_left(tool, family, before)
+
     def kill_emulator(self, tool):
         """And wait until there is another one."""
         of = lambda: [pid for pid, name in children_of(tool.pid).items() if name == "xauto-emud"]

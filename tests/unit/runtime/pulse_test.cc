@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/pulse.h"
+
+#include <cstring>
+#include <new>
+
+#include <gtest/gtest.h>
+#include <sys/mman.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "base/socket.h"
+#include "base/unique_fd.h"
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::int64_t kMs = 1'000'000;
+
+TEST(Stall, IsSomethingToDoAndNoProgressForTwoSeconds) {
+  Stall stall;
+  for (int ms = 0; ms < 2000; ms += 200) EXPECT_FALSE(stall.look(true, 7, ms * kMs)) << ms;
+  EXPECT_TRUE(stall.look(true, 7, 2000 * kMs));
+}
+
+TEST(Stall, WhoSleepsInBetweenIsBusyAndWell) {
+  Stall stall;
+  for (std::uint64_t sleeps = 0; sleeps < 50; ++sleeps)
+    EXPECT_FALSE(stall.look(true, sleeps, static_cast<std::int64_t>(sleeps) * 1900 * kMs));
+}
+
+TEST(Stall, WhoHasNothingToDoMayStayAsItIs) {
+  Stall stall;
+  EXPECT_FALSE(stall.look(true, 7, 0));
+  EXPECT_FALSE(stall.look(false, 7, 1900 * kMs));
+  EXPECT_FALSE(stall.look(true, 7, 60'000 * kMs));
+  EXPECT_FALSE(stall.look(true, 7, 61'900 * kMs));
+  EXPECT_TRUE(stall.look(true, 7, 62'000 * kMs));
+}
+
+/// A coordinator's header and socket; the process is this one, asleep as often as it likes.
+TEST(Pulse, SeesARingThatNobodyAnswersAndAConnectionThatNobodyAccepts) {
+  const UniqueFd memory(memfd_create("test", MFD_CLOEXEC));
+  ASSERT_EQ(ftruncate(memory.get(), 4096), 0);
+  void* mapped = mmap(nullptr, 4096, PROT_READ | PROT_WRITE, MAP_SHARED, memory.get(), 0);
+  ASSERT_NE(mapped, MAP_FAILED);
+  auto* header = new (mapped) coord::Header;
+  const std::string address = "xauto-test/pulse-" + std::to_string(getpid());
+  const auto listener = listen_abstract(address);
+  ASSERT_TRUE(listener);
+  auto pulse = Pulse::of(memory.get(), listener->get());
+  ASSERT_TRUE(pulse) << pulse.error().to_string();
+  // A process whose sleeps do not count up: it has ended.
+  const pid_t nobody = 0;
+
+  header->waiting.store(1);
+  EXPECT_FALSE(pulse->hangs(nobody, 0));
+  EXPECT_FALSE(pulse->hangs(nobody, 9000 * kMs));
+  header->waiting.store(0);
+  EXPECT_FALSE(pulse->hangs(nobody, 10'000 * kMs));
+  EXPECT_TRUE(pulse->hangs(nobody, 12'000 * kMs));
+  EXPECT_FALSE(pulse->hangs(nobody, 12'200 * kMs));  // of the next one nothing is known yet
+  header->waiting.store(1);
+  EXPECT_FALSE(pulse->hangs(nobody, 20'000 * kMs));
+  const auto client = connect_abstract(address);
+  ASSERT_TRUE(client);
+  EXPECT_FALSE(pulse->hangs(nobody, 20'200 * kMs));
+  EXPECT_TRUE(pulse->hangs(nobody, 22'200 * kMs));
+  munmap(mapped, 4096);
+}
+
+TEST(Pulse, OfNothingNeverHangs) {
+  Pulse pulse;
+  EXPECT_FALSE(pulse.hangs(getpid(), 0));
+  EXPECT_FALSE(pulse.hangs(getpid(), 9000 * kMs));
+}
+
+}  // namespace
+}  // namespace xauto::runtime
