@@ -13,6 +13,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "base/memory_file.h"
+
 namespace xauto::emu {
 namespace {
 
@@ -48,7 +50,7 @@ struct StateMemory::Layout {
 };
 
 Result<UniqueFd> StateMemory::make() {
-  UniqueFd fd(memfd_create("xauto-emulator", MFD_CLOEXEC | MFD_ALLOW_SEALING));
+  UniqueFd fd = private_memfd("xauto-emulator", MFD_CLOEXEC | MFD_ALLOW_SEALING);
   // Sealed: nobody can make it shorter and its user die of SIGBUS.
   if (!fd || ftruncate(fd.get(), sizeof(Layout)) != 0 ||
       fcntl(fd.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
@@ -102,8 +104,8 @@ void StateMemory::save(const Snapshot& snapshot) {
                       b = copies[1].sequence.load(std::memory_order_relaxed);
   Layout::Copy& older = copies[a <= b ? 0 : 1];
   older.sequence.store(0, std::memory_order_relaxed);
-  // The fences keep the compiler, and another CPU's view, from moving the bytes across the number.
-  std::atomic_thread_fence(std::memory_order_seq_cst);
+  // Against the compiler; the CPU's order is the program's for who reads after the process's end.
+  std::atomic_signal_fence(std::memory_order_seq_cst);
   older.bytes = snapshot.bytes();
   snapshot.encode(older.data);
   older.checksum = checksum(older.data, older.bytes);
