@@ -84,8 +84,8 @@ style() {
 unit() { build ci build && { note "tests, release"; tests build; }; }
 asan() { build asan build-asan && { note "tests, ASan+UBSan"; tests build-asan -LE slow; }; }
 tsan() {
-  build tsan build-tsan test_base test_trace test_coord test_emu test_runtime &&
-    { note "tests, TSan"; tests build-tsan -R '^(base|trace|coord|emu|runtime)\.'; }
+  build tsan build-tsan test_base test_trace test_coord test_emu test_transport test_runtime &&
+    { note "tests, TSan"; tests build-tsan -R '^(base|trace|coord|emu|transport|runtime)\.'; }
 }
 # A script whose last line is "N passed, M failed, K skipped".
 counted() {

@@ -14,6 +14,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "base/memory_file.h"
+
 namespace xauto::transport {
 namespace {
 
@@ -50,7 +52,7 @@ Status check(const TopicShape& s) {
 }
 
 Result<UniqueFd> sealed_memory(const char* name, std::size_t bytes) {
-  UniqueFd fd(memfd_create(name, MFD_CLOEXEC | MFD_ALLOW_SEALING));
+  UniqueFd fd = private_memfd(name, MFD_CLOEXEC | MFD_ALLOW_SEALING);
   if (!fd || ftruncate(fd.get(), static_cast<off_t>(bytes)) != 0)
     return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
   // Sealed: a client that shrinks it would kill the others with SIGBUS.
