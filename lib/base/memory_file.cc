@@ -17,8 +17,14 @@ tl::unexpected<Error> io_error(const char* what) {
 
 }  // namespace
 
+UniqueFd private_memfd(const char* name, unsigned flags) {
+  UniqueFd fd(memfd_create(name, flags));
+  if (fd && fchmod(fd.get(), S_IRUSR | S_IWUSR) != 0) fd.reset();
+  return fd;
+}
+
 Result<UniqueFd> make_memory_file(const char* name) {
-  UniqueFd fd(memfd_create(name, MFD_CLOEXEC));
+  UniqueFd fd = private_memfd(name, MFD_CLOEXEC);
   if (!fd) return io_error("memfd_create");
   return fd;
 }

@@ -13,6 +13,9 @@ namespace xauto {
 
 inline constexpr std::size_t kMaxMemoryFileBytes = 1u << 30;
 
+/// memfd_create(2), for its owner alone: the kernel makes them writable by everybody who comes by a
+/// path to them. -1 and errno where it fails.
+[[nodiscard]] UniqueFd private_memfd(const char* name, unsigned flags);
 [[nodiscard]] Result<UniqueFd> make_memory_file(const char* name);
 /// Replaces the content.
 [[nodiscard]] Status write_memory_file(int fd, std::string_view text);

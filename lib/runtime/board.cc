@@ -10,6 +10,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "base/memory_file.h"
 #include "model/app.h"
 
 namespace xauto::runtime {
@@ -63,7 +64,7 @@ Result<std::shared_ptr<Board>> Board::create(const BoardShape& shape, UniqueFd& 
     return fail(ErrorCode::kInvalid, std::to_string(shape.processes) + " processes and " +
                                          std::to_string(shape.modules) + " modules are too many");
   const std::size_t bytes = bytes_of(shape);
-  fd = UniqueFd(memfd_create("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING));
+  fd = private_memfd("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING);
   if (!fd || ftruncate(fd.get(), static_cast<off_t>(bytes)) != 0 ||
       fcntl(fd.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
     return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));

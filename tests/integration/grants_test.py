@@ -10,6 +10,7 @@ import random
 import shutil
 import signal
 import socket
+import stat
 import subprocess
 import tempfile
 import time
@@ -96,7 +97,7 @@ class Grants(unittest.TestCase):
     def test_capability_of_every_login_is_no_obstacle(self):
         self.assertNotIn("has capabilities", self.realtime_with("wake_alarm"))
 
-    def run_driving(self, **more):
+    def run_driving(self, *options, **more):
         policy = self.folder / "policy.json"
         shutil.copy(common.APP, self.folder / "app.json")
         solved = common.xauto("solve", "--app", common.APP, "--platform", "small", "--method", "heft", "--out", policy)
@@ -104,7 +105,7 @@ class Grants(unittest.TestCase):
         for file in (policy, self.folder / "app.json"):
             file.chmod(0o644)
         return self.start("xauto", "run", "--app", str(self.folder / "app.json"), "--platform", "small", "--emulate", "--policy",
-                          str(policy), "--activations", "0", "--", str(self.folder / "driving"), **more)
+                          str(policy), "--activations", "0", *options, "--", str(self.folder / "driving"), **more)
 
     def wait_for_app(self, process):
         until = time.monotonic() + 60
@@ -141,9 +142,22 @@ class Grants(unittest.TestCase):
 
     def test_another_user_reaches_nothing_of_a_run(self):
         """Not its sockets, not the memory and sessions behind its descriptors, not its processes; and it is not disturbed."""
-        process = self.run_driving()
+        process = self.run_driving("--isolate")
         self.wait_for_app(process)
         family = [process.pid, *common.children_of(process.pid)]
+        open_to_all, seen = set(), set()
+        for pid in family:
+            for fd in pathlib.Path(f"/proc/{pid}/fd").iterdir():
+                try:
+                    status, name = fd.stat(), os.readlink(fd)
+                except OSError:
+                    continue  # closed meanwhile
+                if stat.S_ISREG(status.st_mode):
+                    seen.add(name)
+                    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+                        open_to_all.add(name)
+        self.assertGreater(len(seen), 4, "memory of the run")
+        self.assertFalse(open_to_all)
         prefix = f"@xauto/{process.pid}-"
         names = [line.split()[-1] for line in pathlib.Path("/proc/net/unix").read_text().splitlines() if prefix in line]
         addresses = sorted({name for name in names if name.startswith(prefix)})
