@@ -107,11 +107,11 @@ class Grants(unittest.TestCase):
         return self.start("xauto", "run", "--app", str(self.folder / "app.json"), "--platform", "small", "--emulate", "--policy",
                           str(policy), "--activations", "0", *options, "--", str(self.folder / "driving"), **more)
 
-    def wait_for_app(self, process):
+    def wait_for_app(self, process, threads=8):
         until = time.monotonic() + 60
         while time.monotonic() < until:
             app = [pid for pid, name in common.children_of(process.pid).items() if name == "driving"]
-            if app and len(list(pathlib.Path(f"/proc/{app[0]}/task").iterdir())) > 8:
+            if app and len(list(pathlib.Path(f"/proc/{app[0]}/task").iterdir())) > threads:
                 return app[0]
             if process.poll() is not None:
                 self.fail(f"the run ended: {process.communicate()}")
@@ -143,7 +143,7 @@ class Grants(unittest.TestCase):
     def test_another_user_reaches_nothing_of_a_run(self):
         """Not its sockets, not the memory and sessions behind its descriptors, not its processes; and it is not disturbed."""
         process = self.run_driving("--isolate")
-        self.wait_for_app(process)
+        self.wait_for_app(process, threads=2)  # the hub, which begins when all modules are ready
         family = [process.pid, *common.children_of(process.pid)]
         open_to_all, seen = set(), set()
         for pid in family:
