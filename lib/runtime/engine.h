@@ -67,7 +67,13 @@ class Engine final : public ModuleHost, private HubHost {
   [[nodiscard]] Status open_inputs();
   [[nodiscard]] Result<RunReport> run_member();
   void gather(const std::vector<std::string>& reports, RunReport& report) const;
+  struct Placing;
   [[nodiscard]] Status place();
+  [[nodiscard]] FifoPlan choose_priorities();
+  [[nodiscard]] std::vector<std::pair<std::uint32_t, std::uint32_t>> order_in_force();
+  [[nodiscard]] Status place_module(std::size_t m, const Placing& placing);
+  [[nodiscard]] Result<WorkerOptions> worker_options(std::size_t module, int xpu,
+                                                     const Placing& placing) const;
   [[nodiscard]] Status wire();
   [[nodiscard]] Status start_workers();
   [[nodiscard]] Status release_periodic();
@@ -85,7 +91,7 @@ class Engine final : public ModuleHost, private HubHost {
   void watch_members(std::int64_t now);
   void stop_workers();
   [[nodiscard]] bool settled() const;
-  bool wait_drained(std::int64_t timeout_ns);
+  bool wait_drained();
   void tell_notes(RunReport& result);
   [[nodiscard]] RunReport report();
   [[nodiscard]] int xpu_of(const Graph::Node& node, std::uint32_t xnode) const;
@@ -108,8 +114,7 @@ class Engine final : public ModuleHost, private HubHost {
   std::vector<std::unique_ptr<Chain>> chains_;  ///< [module]
   std::unique_ptr<xpu::CpuThreads> threads_;    ///< outlives the workers
   std::vector<std::unique_ptr<Worker>> workers_;
-  std::vector<std::uint32_t> xnode_of_;  ///< [graph node] -> index in app.json
-  FifoPlan fifo_;                        ///< what this process may; place()
+  FifoPlan fifo_;  ///< what this process may
   std::string note_;
   std::optional<record::Recorder> recorder_;  ///< of the releasing thread
   std::vector<std::size_t> recorded_topic_;   ///< [topic] -> the recorder's index
