@@ -25,6 +25,7 @@ enum class Op : std::uint32_t {
   kResume = 4,   ///< context, tag -> kResumed
   kRejoin = 5,   ///< to the next emulator: context, value = its key, tag of the call under way (0:
                  ///< none) -> kRejoined
+  kPing = 6,     ///< tag -> kPong: the tool asks whether the emulator still answers
   kOpened = 65,  ///< context, value = the key that has it back
   kDone = 66,
   kSuspended = 67,
@@ -32,6 +33,7 @@ enum class Op : std::uint32_t {
   kError = 69,     ///< tag of the request, value = ErrorCode, name = text
   kRejoined = 70,  ///< context, tag, value = Progress of the call: kUnknown -> submit it again,
                    ///< kUnderWay -> kDone will come
+  kPong = 71,
 };
 
 struct Packet {

@@ -206,6 +206,9 @@ bool Server::handle_packet(int connection, const void* data, std::size_t bytes, 
       return open(connection, packet, now);
     case Op::kRejoin:
       return rejoin(connection, packet);
+    case Op::kPing:
+      answer(connection, {.op = static_cast<std::uint32_t>(Op::kPong), .tag = packet.tag});
+      return true;
     case Op::kSubmit: {
       const auto owner = owner_.find(packet.context);
       if (owner == owner_.end() || owner->second.connection != connection) {

@@ -9,6 +9,10 @@
 
 #include <poll.h>
 #include <sys/mman.h>
+#include <sys/socket.h>
+
+#include "base/socket.h"
+#include "emu/protocol.h"
 
 namespace xauto::runtime {
 namespace {
@@ -75,6 +79,36 @@ bool Pulse::hangs(pid_t coordinator, std::int64_t now_ns) {
   if (!stall_.look(busy, busy ? sleeps_of(coordinator) : 0, now_ns)) return false;
   stall_ = {};  // the next one is another process
   return true;
+}
+
+bool Ping::hangs(std::int64_t now_ns) {
+  if (socket_) hear();
+  if (!asked_ && now_ns >= next_ns_) {
+    next_ns_ = now_ns + kPingEveryNs;
+    if (!socket_) {
+      if (auto connected = connect_abstract(address_)) socket_ = std::move(*connected);
+    }
+    const emu::Packet ping{.op = static_cast<std::uint32_t>(emu::Op::kPing), .tag = answers_ + 1};
+    asked_ = socket_ && send(socket_.get(), &ping, sizeof ping, MSG_NOSIGNAL | MSG_DONTWAIT) ==
+                            static_cast<ssize_t>(sizeof ping);
+  }
+  if (!stall_.look(asked_, answers_, now_ns)) return false;
+  socket_.reset();
+  asked_ = false;
+  stall_ = {};
+  return true;
+}
+
+void Ping::hear() {
+  emu::Packet packet;
+  const ssize_t got = recv(socket_.get(), &packet, sizeof packet, MSG_DONTWAIT);
+  if (got < 0 && (errno == EAGAIN || errno == EINTR)) return;
+  asked_ = false;
+  stall_ = {};
+  if (got > 0)
+    ++answers_;
+  else
+    socket_.reset();  // it has died: the next one is asked
 }
 
 }  // namespace xauto::runtime

@@ -1,24 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
-// Does a coordinator still live? One that is stopped (SIGSTOP, a debugger) or goes round in circles
-// dies for nobody: its workers would wait for ever. The xauto tool looks now and then, and ends one
-// that has had something to do for kHungNs and has not got to its event loop; then it is started
-// again as after any death.
-//
-// Nothing is asked of the coordinator: whether it has something to do is in its memory (it says
-// that it sleeps, and a ring takes that back) and in the queue of its socket.
+// Does a daemon still live? One that is stopped (SIGSTOP, a debugger) or goes round in circles dies
+// for nobody: who needs it would wait for ever. The xauto tool looks now and then, and ends one
+// that has had something to do for kHungNs and has not got round to it; then it is started again as
+// after any death.
 #pragma once
 
 #include <cstdint>
+#include <string>
+#include <utility>
 
 #include <sys/types.h>
 
 #include <xauto/result.h>
 
+#include "base/unique_fd.h"
 #include "coord/shm_layout.h"
 
 namespace xauto::runtime {
 
 inline constexpr std::int64_t kHungNs = 2'000'000'000;
+inline constexpr std::int64_t kPingEveryNs = 1'000'000'000;
 
 /// The rule, without a clock.
 class Stall {
@@ -32,7 +33,8 @@ class Stall {
   std::uint64_t progress_ = 0;
 };
 
-/// Threads: one.
+/// A coordinator's. It is asked nothing: whether it has something to do is in its memory (it says
+/// that it sleeps, and a ring takes that back) and in the queue of its socket. Threads: one.
 class Pulse {
  public:
   /// `memory_fd`: the coordinator's, mapped read-only. `listener_fd` outlives the object.
@@ -48,6 +50,24 @@ class Pulse {
  private:
   const coord::Header* header_ = nullptr;
   int listener_fd_ = -1;
+  Stall stall_;
+};
+
+/// The emulator's. It has work in many sockets, so it is asked, once a second. Threads: one.
+class Ping {
+ public:
+  explicit Ping(std::string address) : address_(std::move(address)) {}
+  /// Whether the emulator has left a question unanswered for too long. Never waits.
+  [[nodiscard]] bool hangs(std::int64_t now_ns);
+
+ private:
+  void hear();
+
+  std::string address_;
+  UniqueFd socket_;
+  bool asked_ = false;
+  std::uint64_t answers_ = 0;
+  std::int64_t next_ns_ = 0;
   Stall stall_;
 };
 

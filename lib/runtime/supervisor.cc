@@ -43,9 +43,10 @@ struct Daemon {
   SpawnOptions options;  ///< to start it again
   UniqueFd kept[3];      ///< what outlives it: see coord::ServerOptions, emu::ServerOptions
   int starts = 1;
-  int deaths = 0;        ///< after which it was started again
-  std::size_t note = 0;  ///< where the outcome says so
-  Pulse pulse;           ///< a coordinator's
+  int deaths = 0;            ///< after which it was started again
+  std::size_t note = 0;      ///< where the outcome says so
+  Pulse pulse;               ///< a coordinator's
+  std::optional<Ping> ping;  ///< the emulator's
 
   /// What outlives it goes to it as arguments.
   void hand_over(std::initializer_list<const char*> flags) {
@@ -148,6 +149,7 @@ class Supervisor {
       daemon.options.inherit = {platform_.get()};
       daemon.hand_over({"--listen-fd", "--memory-fd"});
       XAUTO_ASSIGN(daemon.child, start_daemon(daemon.name, daemon.options));
+      daemon.ping.emplace(base_ + kEmudName);
       daemons_.push_back(std::move(daemon));
     }
     const bool scheduled = session.mode == Mode::kRun && session.scheduling == Scheduling::kXAuto;
@@ -321,7 +323,8 @@ class Supervisor {
       if (request_.on_tick) request_.on_tick(static_cast<double>(now - started) * 1e-9);
       for (Daemon& daemon : daemons_) {
         if (daemon.noticed) continue;
-        if (daemon.pulse.hangs(daemon.child.pid(), now)) {
+        if (daemon.pulse.hangs(daemon.child.pid(), now) ||
+            (daemon.ping && daemon.ping->hangs(now))) {
           log::warn("{} has hung for {} s and is killed", daemon.name, kHungNs / 1'000'000'000);
           daemon.child.signal(SIGKILL);
         }

@@ -107,18 +107,23 @@ class Kill(unittest.TestCase):
                 self.assertNotIn("was killed", out)
                 self.assert_nothing_left(tool, family, before)
 
-    def test_coordinator_that_hangs(self):
+    def hang(self, name):
         """Stopped, it answers nobody: the tool kills it, and the next one goes on."""
         tool, family, before = self.start(activations=60)
         self.wait_until_it_runs()
-        victims = [pid for pid, name in family.items() if name.startswith("xauto-coordinat")]
-        for pid in victims:  # all: whichever is rung
+        for pid in [pid for pid, n in family.items() if n.startswith(name)]:
             os.kill(pid, signal.SIGSTOP)
         out, err = tool.communicate(timeout=60)
         self.assertEqual(tool.returncode, 0, out + err)
         self.assertIn("has hung for 2 s and is killed", err)
         self.assertIn("and was started again", out)
         self.assert_nothing_left(tool, family, before)
+
+    def test_coordinators_that_hang(self):
+        self.hang("xauto-coordinat")
+
+    def test_emulator_that_hangs(self):
+        self.hang("xauto-emud")
 
     def kill_emulator(self, tool):
         """And wait until there is another one."""

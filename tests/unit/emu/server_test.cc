@@ -146,6 +146,17 @@ TEST_F(EmuServer, GarbageCostsOnlyTheConnectionThatSentIt) {
   EXPECT_TRUE(context->run(100us));
 }
 
+TEST_F(EmuServer, AnswersWhoAsksWhetherItIsThere) {
+  auto socket = connect_abstract(address_);
+  ASSERT_TRUE(socket);
+  const Packet ping{.op = static_cast<std::uint32_t>(Op::kPing), .tag = 7};
+  ASSERT_TRUE(send_packet(socket->get(), &ping, sizeof ping));
+  Packet answer;
+  ASSERT_TRUE(receive_packet(socket->get(), &answer, sizeof answer));
+  EXPECT_EQ(answer.op, static_cast<std::uint32_t>(Op::kPong));
+  EXPECT_EQ(answer.tag, 7u);
+}
+
 // ---- an emulator that dies is followed by another one -----------------------------------------
 
 TEST_F(EmuServer, CallUnderWayGoesOnAtTheNextEmulator) {

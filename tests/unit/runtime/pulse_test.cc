@@ -11,6 +11,7 @@
 
 #include "base/socket.h"
 #include "base/unique_fd.h"
+#include "emu/protocol.h"
 
 namespace xauto::runtime {
 namespace {
@@ -67,6 +68,41 @@ TEST(Pulse, SeesARingThatNobodyAnswersAndAConnectionThatNobodyAccepts) {
   EXPECT_FALSE(pulse->hangs(nobody, 20'200 * kMs));
   EXPECT_TRUE(pulse->hangs(nobody, 22'200 * kMs));
   munmap(mapped, 4096);
+}
+
+TEST(Ping, SeesAnEmulatorThatDoesNotAnswer) {
+  const std::string address = "xauto-test/ping-" + std::to_string(getpid());
+  auto listener = listen_abstract(address);
+  ASSERT_TRUE(listener);
+  Ping ping(address);
+  EXPECT_FALSE(ping.hangs(0));
+  UniqueFd emulator(accept4(listener->get(), nullptr, nullptr, SOCK_CLOEXEC));
+  ASSERT_TRUE(emulator);
+  const auto answer = [&] {
+    emu::Packet packet;
+    if (!receive_packet(emulator.get(), &packet, sizeof packet)) return false;
+    EXPECT_EQ(packet.op, static_cast<std::uint32_t>(emu::Op::kPing));
+    packet.op = static_cast<std::uint32_t>(emu::Op::kPong);
+    return send_packet(emulator.get(), &packet, sizeof packet).has_value();
+  };
+  for (std::int64_t s = 1; s < 10; ++s) {  // asked once a second, answered in time
+    ASSERT_TRUE(answer());
+    EXPECT_FALSE(ping.hangs(s * 1000 * kMs));
+  }
+  EXPECT_FALSE(ping.hangs(10'900 * kMs));
+  EXPECT_TRUE(ping.hangs(11'000 * kMs));  // the question of second 9
+  emulator.reset();
+
+  // The next one is another connection; one that dies is none that hangs.
+  EXPECT_FALSE(ping.hangs(12'000 * kMs));
+  emulator = UniqueFd(accept4(listener->get(), nullptr, nullptr, SOCK_CLOEXEC));
+  ASSERT_TRUE(answer());
+  EXPECT_FALSE(ping.hangs(13'000 * kMs));
+  emulator.reset();
+  EXPECT_FALSE(ping.hangs(20'000 * kMs));
+  // Nobody listens: there is nobody to hang.
+  listener->reset();
+  for (std::int64_t s = 21; s < 30; ++s) EXPECT_FALSE(ping.hangs(s * 1000 * kMs));
 }
 
 TEST(Pulse, OfNothingNeverHangs) {
