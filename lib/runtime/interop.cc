@@ -92,7 +92,7 @@ std::shared_ptr<const void> Interop::newest(int topic) {
 }
 
 void Interop::stop() {
-  bridge_->stop();
+  if (bridge_) bridge_->stop();  // none: it could not be opened
 }
 
 std::vector<std::string> Interop::notes() const {

@@ -3,6 +3,7 @@
 the app computes with, and it can neither stop nor slow the app. dds_peer is that program; it knows the DDS type only."""
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,11 +17,8 @@ PEER = BIN / "dds_peer"
 PLUGIN = BIN.parent / "lib/xauto/cyclonedds.so"
 DOMAIN = str(101 + os.getpid() % 100)  # others may test on this machine
 LOOPBACK = ("<CycloneDDS><Domain id='any'><General><Interfaces><NetworkInterface name='lo'/></Interfaces><AllowMulticast>false</AllowMulticast>"
-            "</General><Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer address='localhost'/></Peers></Discovery></Domain></CycloneDDS>")
-
-
-def peer(*arguments):
-    return subprocess.Popen([PEER, *map(str, arguments)], stdout=subprocess.PIPE, text=True)
+            "</General><Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>40</MaxAutoParticipantIndex>"
+            "<Peers><Peer address='localhost'/></Peers></Discovery></Domain></CycloneDDS>")
 
 
 class Dds(Runs):
@@ -28,6 +26,24 @@ class Dds(Runs):
     def setUpClass(cls):
         super().setUpClass()
         os.environ["CYCLONEDDS_URI"], os.environ["ROS_DOMAIN_ID"] = LOOPBACK, DOMAIN
+
+    def peer(self, *arguments):
+        process = subprocess.Popen([PEER, *map(str, arguments)], stdout=subprocess.PIPE, text=True)
+
+        def end():
+            process.kill()
+            process.communicate()
+        self.addCleanup(end)
+        return process
+
+    def run_dds(self, *flags, **keywords):
+        """The run's report. Releases may be lost, since the machine has other things to do: status 1."""
+        done = subprocess.run(self.command(*flags, **keywords), capture_output=True, text=True, timeout=100)
+        self.assertIn(done.returncode, (0, 1), done.stderr)
+        self.assertTrue(done.stdout, done.stderr)
+        run = json.loads(done.stdout)["runs"][0]
+        self.assertTrue(run["complete"], done.stdout)
+        return run
 
     def deployment(self, **transport):
         path = self.path("deployment.json")
@@ -43,16 +59,17 @@ class Dds(Runs):
 
     def hear(self, *flags):
         """The app's own source and two results, heard by the peers."""
-        peers = {topic: peer("hear", "rt/" + topic, self.path(topic), 20) for topic in ("src", "b", "c")}
-        run, results = self.run_app("--deployment", self.deployment(src="cyclonedds", b="cyclonedds", c="cyclonedds"), *flags,
+        peers = {topic: self.peer("hear", "rt/" + topic, self.path(topic), 20) for topic in ("src", "b", "c")}
+        run = self.run_dds("--deployment", self.deployment(src="cyclonedds", b="cyclonedds", c="cyclonedds"), *flags,
                                     period=10000, activations=400)
+        results = self.results()
         for process in peers.values():
             process.communicate(timeout=30)
             self.assertEqual(process.returncode, 0)
         return run, results, {topic: self.read(topic) for topic in peers}
 
     def check_heard(self, run, results, heard):
-        self.assertGreater(run["activations"], 380, run)
+        self.assertGreater(run["activations"], 300, run)
         for topic, messages in heard.items():
             # Those before the two have found each other are missing, and what a busy machine loses.
             self.assertGreater(len(messages), 100, topic)
@@ -74,17 +91,9 @@ class Dds(Runs):
         """The app is fed `messages` [(number, bytes)]; its report, results, and warnings."""
         with open(self.path("feed"), "w") as file:
             file.writelines(f"{number} 0 {len(data)} {data.hex()}\n" for number, data in messages)
-        feeder = peer("feed", "rt/src", self.path("feed"), period_us)
-        try:
-            done = subprocess.run(self.command("--deployment", self.deployment(src="cyclonedds:feed"), *flags, period=app_period,
-                                               activations=activations), capture_output=True, text=True, timeout=100)
-        finally:
-            feeder.kill()
-            feeder.communicate()
-        self.assertIn(done.returncode, (0, 1), done.stderr)  # 1: releases were lost
-        run = json.loads(done.stdout)["runs"][0]
-        self.assertTrue(run["complete"], done.stdout)
-        self.assertEqual(run["activations"] + run["lost_activations"], activations, done.stdout)
+        self.peer("feed", "rt/src", self.path("feed"), period_us)
+        run = self.run_dds("--deployment", self.deployment(src="cyclonedds:feed"), *flags, period=app_period, activations=activations)
+        self.assertEqual(run["activations"] + run["lost_activations"], activations, run)
         return run, self.results()
 
     def test_what_is_fed_is_what_it_computes_with(self):
@@ -108,43 +117,30 @@ class Dds(Runs):
         self.assertGreater(len(results["d"]), 5)
 
     def test_with_a_second_sensor_there_is_a_message_or_there_is_none(self):
-        path = self.deployment(src="cyclonedds:feed")
         with open(self.path("feed"), "w") as file:
             file.writelines(f"{k} 0 4096 {bytes([k] * 4096).hex()}\n" for k in range(60))
-        feeder = peer("feed", "rt/src", self.path("feed"), 10_000)
-        try:
-            done = subprocess.run(self.command("--deployment", path, period=10_000, activations=40, more=("second", 15_000)),
-                                  capture_output=True, text=True, timeout=100)
-        finally:
-            feeder.kill()
-            feeder.communicate()
-        self.assertIn(done.returncode, (0, 1), done.stderr)
-        modules = {m["name"]: m for m in json.loads(done.stdout)["runs"][0]["modules"]}
-        self.assertTrue(0 < modules["A"]["activations"] <= 40, done.stdout)
+        self.peer("feed", "rt/src", self.path("feed"), 10_000)
+        run = self.run_dds("--deployment", self.deployment(src="cyclonedds:feed"), period=10_000, activations=40, more=("second", 15_000))
+        modules = {m["name"]: m for m in run["modules"]}
+        self.assertTrue(0 < modules["A"]["activations"] <= 40, run)
         self.assertEqual(modules["A"]["failed"], 0)
 
     def test_listener_that_is_stopped_or_dead_holds_nobody_up(self):
-        listener = peer("hear", "rt/src", self.path("stopped"), 60)
-        other = peer("hear", "rt/src", self.path("dead"), 60)
-        path = self.deployment(src="cyclonedds", a="cyclonedds")
-        app = subprocess.Popen(self.command("--deployment", path, period=2000, activations=1500), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                               text=True)
-        try:
-            self.assertEqual(listener.stdout.readline(), "ready\n")
-            self.assertEqual(other.stdout.readline(), "ready\n")
-            listener.send_signal(signal.SIGSTOP)
-            other.kill()
-            began = time.monotonic()
-            out, err = app.communicate(timeout=60)
-            self.assertIn(app.returncode, (0, 1), err)
-            self.assertLess(time.monotonic() - began, 20)  # 3 s of releases
-            run = json.loads(out)["runs"][0]
-            self.assertTrue(run["complete"], out)
-            self.assertGreater(run["activations"], 1400, out)  # a busy machine may cost it some
-        finally:
-            for process in (listener, other):
-                process.kill()
-                process.communicate()
+        listener = self.peer("hear", "rt/src", self.path("stopped"), 60)
+        other = self.peer("hear", "rt/src", self.path("dead"), 60)
+        app = subprocess.Popen(self.command("--deployment", self.deployment(src="cyclonedds", a="cyclonedds"), period=5000, activations=600),
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.assertEqual(listener.stdout.readline(), "ready\n")
+        self.assertEqual(other.stdout.readline(), "ready\n")
+        listener.send_signal(signal.SIGSTOP)
+        other.kill()
+        began = time.monotonic()
+        out, err = app.communicate(timeout=60)
+        self.assertIn(app.returncode, (0, 1), err)
+        self.assertLess(time.monotonic() - began, 20)  # 3 s of releases
+        run = json.loads(out)["runs"][0]
+        self.assertTrue(run["complete"], out)
+        self.assertGreater(run["activations"], 500, out)  # a busy machine may cost it some
 
     def test_what_cannot_be_is_said_before_the_run(self):
         for transport, text in (({"zz": "cyclonedds"}, "transport of topic 'zz': the app has no such topic"),
@@ -153,6 +149,13 @@ class Dds(Runs):
             done = subprocess.run(self.command("--deployment", self.deployment(**transport)), capture_output=True, text=True, timeout=60)
             self.assertNotEqual(done.returncode, 0)
             self.assertIn(text, done.stderr)
+        alone = shutil.copy(BIN / "testapp", self.path("alone"))  # where no plug-in is
+        command = self.command("--deployment", self.deployment(c="cyclonedds"))
+        command[command.index("--") + 1] = alone
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        self.assertEqual(done.returncode, 1, done.stderr)
+        self.assertIn("transport 'cyclonedds' is not there", done.stderr)
+        self.assertIn("scripts/setup.sh transport", done.stderr)
         done = subprocess.run(self.command("--deployment", self.deployment(src="cyclonedds:feed"), "--lockstep"), capture_output=True, text=True,
                               timeout=60)
         self.assertIn("run without --lockstep", done.stderr)
