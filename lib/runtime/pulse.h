@@ -19,7 +19,8 @@
 namespace xauto::runtime {
 
 inline constexpr std::int64_t kHungNs = 2'000'000'000;
-inline constexpr std::int64_t kPingEveryNs = 1'000'000'000;
+inline constexpr std::int64_t kLookEveryNs = 1'000'000'000;
+inline constexpr std::int64_t kPingEveryNs = 2'000'000'000;
 
 /// The rule, without a clock.
 class Stall {
@@ -53,7 +54,7 @@ class Pulse {
   Stall stall_;
 };
 
-/// The emulator's. It has work in many sockets, so it is asked, once a second. Threads: one.
+/// The emulator's. It has work in many sockets, so it is asked, every kPingEveryNs. Threads: one.
 class Ping {
  public:
   explicit Ping(std::string address) : address_(std::move(address)) {}

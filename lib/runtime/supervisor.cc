@@ -309,7 +309,7 @@ class Supervisor {
   /// Until the app has ended.
   void watch() {
     const std::int64_t started = now_ns();
-    std::int64_t told_to_stop = 0;
+    std::int64_t told_to_stop = 0, next_look = 0;
     const auto tell = [&](const char* why) {
       if (told_to_stop != 0) return;
       if (why != nullptr) outcome_.notes.emplace_back(why);
@@ -321,10 +321,12 @@ class Supervisor {
       if (app_.poll()) return;
       const std::int64_t now = now_ns();
       if (request_.on_tick) request_.on_tick(static_cast<double>(now - started) * 1e-9);
+      const bool look = now >= next_look;
+      if (look) next_look = now + kLookEveryNs;
       for (Daemon& daemon : daemons_) {
         if (daemon.noticed) continue;
-        if (daemon.pulse.hangs(daemon.child.pid(), now) ||
-            (daemon.ping && daemon.ping->hangs(now))) {
+        if (look && (daemon.pulse.hangs(daemon.child.pid(), now) ||
+                     (daemon.ping && daemon.ping->hangs(now)))) {
           log::warn("{} has hung for {} s and is killed", daemon.name, kHungNs / 1'000'000'000);
           daemon.child.signal(SIGKILL);
         }
