@@ -142,6 +142,14 @@ class Dds(Runs):
         self.assertTrue(run["complete"], out)
         self.assertGreater(run["activations"], 500, out)  # a busy machine may cost it some
 
+    def test_module_that_dies_is_heard_again_when_it_is_back(self):
+        listener = self.peer("hear", "rt/c", self.path("c"), 20)
+        run = self.run_dds("--deployment", self.deployment(c="cyclonedds"), "--isolate", "--restarts", 1, fault=("crash", "C", 150), period=10_000,
+                           activations=400)
+        listener.communicate(timeout=40)
+        self.assertRegex(" ".join(run["notes"]), "the process of C died .* and was started again")
+        self.assertGreater(max(self.read("c")), 390)
+
     def test_what_cannot_be_is_said_before_the_run(self):
         for transport, text in (({"zz": "cyclonedds"}, "transport of topic 'zz': the app has no such topic"),
                                 ({"c": "cyclonedds:feed"}, "is published by a module, so it cannot be fed"),
