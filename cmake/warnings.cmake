@@ -3,7 +3,7 @@
 # on a user's machine does not break the build.
 option(XAUTO_WERROR "Treat warnings as errors" OFF)
 # Designated initialisers leave out members on purpose: the others have defaults.
-add_compile_options(-Wall -Wextra -Wconversion -Wshadow -Wnon-virtual-dtor -Wno-missing-field-initializers)
+add_compile_options(-Wall -Wextra -Wconversion -Wshadow $<$<COMPILE_LANGUAGE:CXX>:-Wnon-virtual-dtor> -Wno-missing-field-initializers)
 if(XAUTO_WERROR)
   add_compile_options(-Werror)
 endif()
