@@ -17,8 +17,6 @@
 namespace xauto::emu {
 namespace {
 
-constexpr std::int64_t kControlTimeoutNs = 1'000'000'000;
-
 tl::unexpected<Error> gone() {
   return fail(ErrorCode::kUnavailable, "the emulator (xauto-emud) is gone");
 }
@@ -196,7 +194,7 @@ Result<Control> Control::connect() {
 /// Asked of every emulator until one has answered: suspending twice is suspending once.
 Status Control::request(std::uint32_t op, std::uint32_t answer_op, std::uint32_t context) {
   const Packet packet{.op = op, .context = context, .tag = ++tag_};
-  std::int64_t limit_ns = now_ns() + kControlTimeoutNs;
+  std::int64_t limit_ns = now_ns() + kComeBackNs;
   bool asked = socket_ && send_packet(socket_.get(), &packet, sizeof packet);
   for (;;) {
     if (!asked) {

@@ -13,8 +13,9 @@
 
 namespace xauto::emu {
 
-/// How long a call waits for another emulator in the place of one that died. The tool that starts
-/// it keeps the socket meanwhile; once it gives up, every call ends at once.
+/// How long a call waits for another emulator in the place of one that died, and a request for an
+/// answer of one that hangs: the tool kills it after a few seconds (runtime/pulse.h). It keeps the
+/// socket meanwhile; once it gives up, every call ends at once.
 inline constexpr std::int64_t kComeBackNs = 15'000'000'000;
 
 /// Threads: one at a time.
@@ -24,9 +25,8 @@ class Control {
   [[nodiscard]] static Result<Control> connect();
 
   /// Return once the emulator has done it: after suspend, the context makes no progress. An
-  /// emulator that dies meanwhile is waited for, as Context::run does. kTimeout after a second with
-  /// one that does not answer: then it will not have been suspended. kUnavailable when the emulator
-  /// is gone.
+  /// emulator that dies or hangs meanwhile is waited for, as Context::run does. kTimeout after
+  /// kComeBackNs: then it will not have been suspended. kUnavailable when the emulator is gone.
   [[nodiscard]] Status suspend(std::uint32_t context);
   [[nodiscard]] Status resume(std::uint32_t context);
 

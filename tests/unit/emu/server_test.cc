@@ -233,6 +233,24 @@ TEST_F(EmuServer, RequestsAndNewContextsWaitForTheNextEmulator) {
   EXPECT_TRUE(context->run(100us));
 }
 
+/// The emulator accepts no connection and reads nothing, for longer than anything takes; the tool
+/// then starts another one. The context must not stay suspended for good.
+TEST_F(EmuServer, ResumingAtOneThatHangsIsDoneByTheNext) {
+  auto context = Context::open(gpu());
+  auto control = Control::connect();
+  ASSERT_TRUE(context && control);
+  const auto id = static_cast<std::uint32_t>(context->handle().value());
+  ASSERT_TRUE(control->suspend(id));
+  signal_eventfd(stop_.get());  // it has stopped reading; its connections are open
+  thread_.join();
+  std::thread resumer([&] { EXPECT_TRUE(control->resume(id)); });
+  std::this_thread::sleep_for(1100ms);
+  server_.reset();
+  begin();
+  resumer.join();
+  EXPECT_TRUE(context->run(100us));
+}
+
 TEST_F(EmuServer, NobodyTakesUpAContextThatIsNotTheirs) {
   auto mine = Context::open(gpu());
   ASSERT_TRUE(mine);
