@@ -98,14 +98,13 @@ Status Engine::release_periodic() {
 /// there is none.
 void Engine::take_fed(const std::vector<int>& topics, std::int64_t period_ns,
                       std::vector<std::pair<int, std::shared_ptr<const void>>>& messages) {
-  if (graph_.single_rate) {
-    const std::int64_t now = now_ns();
-    interop_->wait(topics, period_ns > INT64_MAX - now ? INT64_MAX : now + period_ns, stop_);
-  }
-  for (const int topic : topics) {
-    auto message = interop_->newest(topic);
-    if (message != nullptr || graph_.single_rate) messages.emplace_back(topic, std::move(message));
-  }
+  const std::int64_t now = now_ns();
+  std::int64_t until = now;
+  if (graph_.single_rate) until = period_ns > INT64_MAX - now ? INT64_MAX : now + period_ns;
+  auto taken = interop_->take(topics, until, stop_);
+  for (std::size_t i = 0; i < topics.size(); ++i)
+    if (taken[i] != nullptr || graph_.single_rate)
+      messages.emplace_back(topics[i], std::move(taken[i]));
 }
 
 void Engine::release(std::int64_t origin_ns, std::uint64_t sequence,

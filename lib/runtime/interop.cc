@@ -72,23 +72,29 @@ Interop::~Interop() {
   stop();
 }
 
-void Interop::wait(const std::vector<int>& topics, std::int64_t until_ns,
-                   const std::atomic<bool>& stop) {
-  const auto lacking = [&] {
-    return !stop.load() && std::any_of(topics.begin(), topics.end(), [&](int t) {
-      return feeds_[static_cast<std::size_t>(t)]->empty();
-    });
-  };
+std::vector<std::shared_ptr<const void>> Interop::take(const std::vector<int>& topics,
+                                                       std::int64_t until_ns,
+                                                       const std::atomic<bool>& stop) {
   constexpr std::int64_t kLookNs = 50'000'000;  // at `stop`, which nobody rings for
-  for (std::int64_t left; lacking() && (left = until_ns - now_ns()) > 0;)
-    arrived_.wait(lacking, std::min(left, kLookNs));
-}
-
-std::shared_ptr<const void> Interop::newest(int topic) {
-  std::shared_ptr<const void> message;
-  while (auto envelope = feeds_[static_cast<std::size_t>(topic)]->take())
-    message = std::move(envelope->message);
-  return message;
+  std::vector<std::shared_ptr<const void>> messages(topics.size());
+  for (;;) {
+    bool all = true;
+    for (std::size_t i = 0; i < topics.size(); ++i) {
+      while (auto envelope = feeds_[static_cast<std::size_t>(topics[i])]->take())
+        messages[i] = std::move(envelope->message);
+      all = all && messages[i] != nullptr;
+    }
+    const std::int64_t left = until_ns - now_ns();
+    if (all || left <= 0 || stop.load()) return messages;
+    // Rung also for what was taken already, or is refused: then there is another round.
+    arrived_.wait(
+        [&] {
+          return !stop.load() && std::all_of(topics.begin(), topics.end(), [&](int t) {
+            return feeds_[static_cast<std::size_t>(t)]->empty();
+          });
+        },
+        std::min(left, kLookNs));
+  }
 }
 
 void Interop::stop() {

@@ -33,10 +33,11 @@ class Interop {
   }
   /// Messages of this source's topic come from outside.
   [[nodiscard]] bool feeds(std::size_t topic) const { return feeds_[topic] != nullptr; }
-  /// Until each of `topics` has a new message; not beyond `until_ns` or a stop.
-  void wait(const std::vector<int>& topics, std::int64_t until_ns, const std::atomic<bool>& stop);
-  /// The newest message that was not taken yet; null: none.
-  [[nodiscard]] std::shared_ptr<const void> newest(int topic);
+  /// The newest message of each of `topics` that was not taken yet. Waits until all have one, not
+  /// beyond `until_ns` or a stop; null: none came.
+  [[nodiscard]] std::vector<std::shared_ptr<const void>> take(const std::vector<int>& topics,
+                                                              std::int64_t until_ns,
+                                                              const std::atomic<bool>& stop);
   /// Ends it, after what waits has been sent.
   void stop();
   /// What went wrong; a line each.

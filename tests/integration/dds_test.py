@@ -100,8 +100,8 @@ class Dds(Runs):
         _, own, heard = self.hear()
         blocks = [(number, data) for number, (_, data) in sorted(heard["src"].items())]
         for flags in ((), ("--isolate",)):
-            run, fed = self.feed(blocks, 20_000, *flags, activations=80, app_period=10000)
-            self.assertGreater(len(fed["c"]), 60, run)  # at most a few came too close to each other
+            run, fed = self.feed(blocks, 20_000, *flags, activations=80, app_period=15_000)
+            self.assertGreater(len(fed["c"]), 70, run)  # at most a few came too close to each other
             self.assertLessEqual(set(fed["d"].values()), set(own["d"].values()))
 
     def test_message_of_another_type_is_refused_and_told(self):
@@ -141,6 +141,17 @@ class Dds(Runs):
         run = json.loads(out)["runs"][0]
         self.assertTrue(run["complete"], out)
         self.assertGreater(run["activations"], 500, out)  # a busy machine may cost it some
+
+    def test_app_that_nobody_feeds_waits_until_it_is_told_to_stop(self):
+        for flags in ((), ("--isolate",)):
+            app = subprocess.Popen(self.command("--deployment", self.deployment(src="cyclonedds:feed"), *flags, activations=10),
+                                   stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            time.sleep(1)
+            self.assertIsNone(app.poll())
+            app.terminate()
+            out, err = app.communicate(timeout=20)
+            run = json.loads(out)["runs"][0]
+            self.assertEqual((run["activations"], run["lost_activations"]), (0, 0), out + err)
 
     def test_module_that_dies_is_heard_again_when_it_is_back(self):
         listener = self.peer("hear", "rt/c", self.path("c"), 20)

@@ -319,15 +319,12 @@ class DdsBridge final : public Bridge {
     XAUTO_ASSIGN(const dds_entity_t topic, make_topic(spec));
     auto subscriber = std::make_shared<DdsSubscriber>(spec, arrived);
     const Qos qos(1);
-    const dds_entity_t reader = dds_create_reader(participant_, topic, qos.qos, nullptr);
-    if (reader < 0) return failed("reader", spec, reader);
-    subscriber->read_from(reader);
     dds_listener_t* listener = dds_create_listener(subscriber.get());
     dds_lset_data_available(listener, &DdsSubscriber::on_data);
-    const dds_return_t set = dds_set_listener(reader, listener);
+    const dds_entity_t reader = dds_create_reader(participant_, topic, qos.qos, listener);
     dds_delete_listener(listener);
-    if (set < 0) return failed("listener", spec, set);
-    DdsSubscriber::on_data(reader, subscriber.get());  // what came before the listener
+    if (reader < 0) return failed("reader", spec, reader);
+    subscriber->read_from(reader);
     subscribers_.push_back(subscriber);
     readers_.push_back(reader);
     return subscriber;
