@@ -3,6 +3,7 @@
 // order, faults of user code are contained, and everything is accounted for. No time is measured.
 #include "runtime/engine.h"
 
+#include <condition_variable>
 #include <future>
 #include <mutex>
 #include <thread>
@@ -233,6 +234,36 @@ TEST(Engine, OverrunsAreCountedAndNothingHangs) {
   EXPECT_EQ(report->releases.size(), 40u);
   const ModuleReport& c = report->modules[2];
   EXPECT_EQ(c.activations + c.dropped, 40u);
+}
+
+TEST(Engine, ReleasesAreInFlightTogetherAndEndInOrder) {
+  TestApp app;
+  app.session.lockstep = false;
+  // Nothing is lost however late a release is: each waits for its turn.
+  app.session.deployment.defaults.overload = Overload{Overload::Kind::kQueue, 64};
+  std::mutex mutex;
+  std::condition_variable changed;
+  std::uint64_t begun = 0;
+  std::vector<std::uint64_t> ended;
+  app.exec = [&](const std::string& node, std::uint64_t k) -> Status {
+    std::unique_lock lock(mutex);
+    if (node == "a1") {
+      begun = k + 1;
+      changed.notify_all();
+    }
+    if (node != "c1") return {};
+    ended.push_back(k);
+    // The next release is under way before this one ends: without that, nothing would go on.
+    const bool next = k + 1 == app.session.activations ||
+                      changed.wait_for(lock, 20s, [&] { return begun > k + 1; });
+    return next ? Status() : Status(fail(ErrorCode::kTimeout, "no other release is in flight"));
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->complete) << report->note;
+  EXPECT_EQ(report->lost_releases, 0u) << report->note;
+  ASSERT_EQ(ended.size(), app.session.activations);
+  EXPECT_TRUE(std::is_sorted(ended.begin(), ended.end()));
 }
 
 TEST(Engine, AHungActivationIsGivenUpAndTheOthersGoOn) {
