@@ -17,7 +17,6 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <unordered_set>
 #include <utility>
 #include <vector>
 
@@ -468,8 +467,36 @@ class ProtocolExplorer {
     }
     bool operator==(const Hash&) const = default;
   };
-  struct Hasher {
-    std::size_t operator()(const Hash& h) const { return h.a; }
+  /// States met before, in one piece of memory: there are tens of millions.
+  class Seen {
+   public:
+    /// False: it was there.
+    bool insert(const Hash& hash) {
+      if (++count_ * 4 > table_.size() * 3) grow();
+      return put(hash);
+    }
+
+   private:
+    bool put(const Hash& hash) {
+      std::size_t at = hash.a & (table_.size() - 1);
+      while (!(table_[at] == Hash{0, 0})) {
+        if (table_[at] == hash) {
+          --count_;
+          return false;
+        }
+        at = (at + 1) & (table_.size() - 1);
+      }
+      table_[at] = hash;
+      return true;
+    }
+    void grow() {
+      std::vector<Hash> old(table_.size() * 2, Hash{0, 0});
+      old.swap(table_);
+      for (const Hash& hash : old)
+        if (!(hash == Hash{0, 0})) put(hash);
+    }
+    std::vector<Hash> table_ = std::vector<Hash>(1024, Hash{0, 0});
+    std::size_t count_ = 0;
   };
 
   Hash key(const State& s) const {
@@ -552,7 +579,7 @@ class ProtocolExplorer {
   }
 
   void visit(const State& s) {
-    if (!result_.violation.empty() || !seen_.insert(key(s)).second) return;
+    if (!result_.violation.empty() || !seen_.insert(key(s))) return;
     if (++result_.states > world_.limit) {
       result_.complete = false;
       result_.trail = trail_;
@@ -655,7 +682,7 @@ class ProtocolExplorer {
   ProtocolWorld world_;
   std::vector<Rules> rules_;
   ProtocolResult result_;
-  std::unordered_set<Hash, Hasher> seen_;
+  Seen seen_;
   std::vector<std::string> trail_;
   std::vector<std::pair<std::size_t, int>> wake_pending_;
 };
