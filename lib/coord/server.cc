@@ -16,6 +16,7 @@
 #include "base/clock.h"
 #include "base/futex.h"
 #include "base/log.h"
+#include "base/memory_file.h"
 #include "base/socket.h"
 #include "coord/protocol.h"
 
@@ -52,9 +53,9 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
   Server& s = *server;
   const auto num_xnodes = static_cast<std::uint32_t>(s.options_.xnodes.size());
 
-  s.memory_fd_ = UniqueFd(s.options_.memory_fd >= 0
-                              ? s.options_.memory_fd
-                              : memfd_create("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING));
+  s.memory_fd_ = s.options_.memory_fd >= 0
+                     ? UniqueFd(s.options_.memory_fd)
+                     : private_memfd("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING);
   s.bytes_ = Shm::bytes(num_xnodes);
   struct stat status {};
   if (!s.memory_fd_ || fstat(s.memory_fd_.get(), &status) != 0)
