@@ -47,7 +47,7 @@ Result<std::unique_ptr<Bridge>> open_bridge(const std::string& name, const Bridg
                                      : "transports are described in docs/interop.md");
   const auto* plugin = static_cast<const Plugin*>(dlsym(library, kPluginSymbol));
   if (plugin == nullptr || plugin->magic != kPluginMagic ||
-      std::strcmp(plugin->build, plugin_build()) != 0)
+      std::strcmp(plugin->build, XAUTO_PLUGIN_BUILD) != 0)
     return fail(ErrorCode::kUnavailable, "transport '" + name + "' is of another build of XAuto",
                 {}, "install both from the same version");
   return plugin->open(options);

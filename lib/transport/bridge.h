@@ -49,14 +49,14 @@ struct BridgeOptions {
 /// What the shared library exports under kPluginSymbol.
 struct Plugin {
   std::uint32_t magic;  ///< kPluginMagic
-  const char* build;    ///< plugin_build(): C++ objects cross the boundary, so both are one build
+  const char* build;    ///< XAUTO_PLUGIN_BUILD: C++ objects cross the boundary, so both are one
+                        ///< build
   Result<std::unique_ptr<Bridge>> (*open)(const BridgeOptions& options);
 };
 inline constexpr std::uint32_t kPluginMagic = 0x58504c31;  // "XPL1"
 inline constexpr const char* kPluginSymbol = "xauto_transport_plugin";
-[[nodiscard]] inline const char* plugin_build() {
-  return XAUTO_VERSION_TEXT " " __VERSION__;
-}
+/// XAUTO_VERSION_TEXT is defined where a plug-in is loaded and in plug-ins, nowhere else.
+#define XAUTO_PLUGIN_BUILD XAUTO_VERSION_TEXT " " __VERSION__
 
 /// Loads plug-in `name` ("cyclonedds") and opens it. kUnavailable where it is not installed.
 [[nodiscard]] Result<std::unique_ptr<Bridge>> open_bridge(const std::string& name,

@@ -404,6 +404,5 @@ class DdsBridge final : public Bridge {
 }  // namespace xauto::transport
 
 extern "C" const xauto::transport::Plugin xauto_transport_plugin;
-const xauto::transport::Plugin xauto_transport_plugin = {xauto::transport::kPluginMagic,
-                                                         XAUTO_VERSION_TEXT " " __VERSION__,
-                                                         &xauto::transport::DdsBridge::open};
+const xauto::transport::Plugin xauto_transport_plugin = {
+    xauto::transport::kPluginMagic, XAUTO_PLUGIN_BUILD, &xauto::transport::DdsBridge::open};
