@@ -70,9 +70,11 @@ class Arbiter {
   /// A job that started on the uncontended fast path before the coordinator was involved.
   void adopt(int slot, const Job& job, std::vector<Action>& out);
   void finish(int slot, std::vector<Action>& out);
-  /// A more urgent job took the XPU from this slot, and had its queue be suspended. Decides
-  /// nothing.
-  void taken(int slot) { at(slot).queue = Queue::kSuspending; }
+  /// Another job took the XPU from this slot and had its queue be suspended, or gave it back and
+  /// had it be resumed. Decides nothing.
+  void commanded(int slot, bool suspend) {
+    at(slot).queue = suspend ? Queue::kSuspending : Queue::kResuming;
+  }
   void suspended(int slot, bool succeeded, std::vector<Action>& out);
   void resumed(int slot, std::vector<Action>& out);
   /// The worker died or left: its job and its queue are no more.

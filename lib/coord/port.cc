@@ -169,6 +169,7 @@ void Port::finish() {
   if (lost()) return;
   const Finished finished = words_.finish(slot_, generation_, job_);
   if (finished.wake >= 0) futex_wake(shm_.slots[finished.wake].coordinator.grant, 1);
+  if (finished.victim >= 0) ring_manager(finished.victim);
   if (finished.ring) ring();
 }
 

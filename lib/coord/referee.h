@@ -90,14 +90,15 @@ class Referee {
     fat_ = true;
     arbiter_.hold();
     const Taking taking = complete_taking(owner);
-    if (taking.victim >= 0) wakes.commanded.push_back(taking.victim);
     for (int i = 0; i < high(); ++i) {
       SlotInfo& info = slots_[static_cast<std::size_t>(i)];
       const SlotMemory& memory = shm_.slots[i];
       info.used = A::peek(memory.coordinator.used) != 0;
       if (!info.used) continue;
-      info.command = A::peek(memory.coordinator.command);
+      claim_command(i);
+      info.command = A::load(memory.coordinator.command);
       info.ack = A::load(memory.worker.ack);
+      if ((info.ack & ~kAckFailed) != info.command) wakes.commanded.push_back(i);
       info.request = A::load(memory.worker.request);
       Arbiter::Slot slot;
       slot.job = read_job(i, info.request);
@@ -169,7 +170,7 @@ class Referee {
 
   struct Taking {
     int victim = -1;
-    std::uint32_t generation = 0, command = 0;
+    std::uint32_t generation = 0;
   };
 
   /// The owner of this word took the XPU from somebody: its management thread is commanded now,
@@ -182,8 +183,16 @@ class Referee {
     const int victim = owner_slot(from);
     if (victim < 0 || victim >= kMaxSlots || victim == taker) return {};  // a broken client
     if (A::peek(shm_.slots[victim].coordinator.used) == 0) return {};
-    return {victim, owner_generation(from),
-            take<A>(shm_.slots[victim].coordinator.command, A::peek(line.victim_command))};
+    command<A>(shm_.slots[victim].coordinator.command, A::peek(line.victim_command), true);
+    return {victim, owner_generation(from)};
+  }
+
+  /// Whoever gives the XPU back writes the owner word first and the command second. If that is
+  /// late, it shall find another command: to suspend once more is to do nothing.
+  void claim_command(int slot) {
+    std::atomic<std::uint32_t>& word = shm_.slots[slot].coordinator.command;
+    const std::uint32_t last = A::load(word);
+    if ((last & 1u) != 0) command<A>(word, last, true);
   }
 
   /// From here on nobody else writes the owner word. Its owner, and from whom that took the XPU,
@@ -194,13 +203,11 @@ class Referee {
     const std::uint64_t word = A::fetch_or(shm_.header->owner, kFat);
     fat_ = true;
     if (const Taking taking = complete_taking(word); taking.victim >= 0) {
-      SlotInfo& info = slots_[static_cast<std::size_t>(taking.victim)];
-      if (info.used && taking.command == next_command(info.command, true)) {
-        info.command = taking.command;
-        arbiter_.taken(taking.victim);
+      if (slots_[static_cast<std::size_t>(taking.victim)].used)
         hear(taking.victim, taking.generation, wakes);
-        wakes.commanded.push_back(taking.victim);
-      }
+    } else if (arbiter_.discipline() == Discipline::kPreemptive) {
+      for (int i = 0; i < high(); ++i)
+        if (slots_[static_cast<std::size_t>(i)].used) claim_command(i);
     }
     if (const int owner = owner_slot(word); owner >= 0 && owner < kMaxSlots)
       if (slots_[static_cast<std::size_t>(owner)].used) hear(owner, owner_generation(word), wakes);
@@ -288,8 +295,15 @@ class Referee {
   void scan_slot(int slot, Wakes& wakes) {
     SlotInfo& info = slots_[static_cast<std::size_t>(slot)];
 
-    // Acknowledgements first: a job that follows waits for the queue to be enabled.
+    // Others took the XPU from this slot, or gave it back, and may have died before they rang.
+    const std::uint32_t last = A::load(shm_.slots[slot].coordinator.command);
     const std::uint32_t ack = A::load(shm_.slots[slot].worker.ack);
+    if (last != info.command) {
+      info.command = last;
+      arbiter_.commanded(slot, (last & 1u) != 0);
+      if ((ack & ~kAckFailed) != last) wakes.commanded.push_back(slot);
+    }
+    // Acknowledgements before jobs: one that follows waits for the queue to be enabled.
     if (ack != info.ack) {
       info.ack = ack;
       const Queue queue = arbiter_.slot(slot).queue;

@@ -318,7 +318,8 @@ std::string Server::status() const {
     if (request_want(request) == Want::kRuns || (request_want(request) == Want::kRun && thin)) {
       state = "running";
     } else if (!fat && request_want(request) == Want::kRun) {
-      state = "waiting";
+      const bool taken = (shm_.slots[i].coordinator.command.load() & 1u) != 0;
+      state = taken ? "suspended" : "waiting";
       const int at = owner_slot(owner);  // as a worker may have written it
       if (at >= 0 && at < kMaxSlots) by = xnode_name(referee_->job_of(at).xnode);
     } else if (!fat) {

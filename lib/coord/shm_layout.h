@@ -11,26 +11,33 @@
 // The owner word: who has the XPU, and who decides. START and FINISH of a job that meets nobody are
 // one atomic each; a job that is less urgent than the owner parks, and the owner's FINISH hands the
 // XPU over to the most urgent that is parked: one wake-up, and no coordinator. A job that is more
-// urgent takes the XPU: it commands the owner's management thread to suspend, and runs. What
-// follows on that, an order constraint, and a death are the coordinator's.
+// urgent takes the XPU: it commands the owner's management thread to suspend, and runs; its FINISH
+// gives the XPU back. What is more than that, an order constraint, and a death are the
+// coordinator's.
 //
 //          START: CAS               START of a less urgent job: CAS, parks      (the count in the
 //     0 ──────────────► {owner} ─────────────────────────► {owner, kParked}     word makes FINISH
 //     ▲   FINISH: CAS      │                                   │        │       see every parking)
 //     └────────────────────┤ ◄── FINISH, the last one parked ──┘ ◄──────┘ FINISH: {next, kParked}
 //                          │
-//                          ├── more urgent START: CAS to {it, kTaken, kFat}, commands the owner's
-//                          │   management thread; nobody rings until its FINISH or another START
-//                          ├── not eligible, a queue under way, a death: CAS to {.., kFat}, rings
-//                          ▼
+//                          │  more urgent START: CAS, command to suspend
+//                          ├──────────────────────────────────────────────► {it, kTaken}
+//                          │  FINISH, nobody parked is more urgent than the      │
+//                          │  victim: CAS to {victim}, command to resume         │
+//                          │ ◄───────────────────────────────────────────────────┤
+//                          ▼                                                     ▼
+//              a START or FINISH that may do none of these, a death: CAS to | kFat, rings
+//                          │
 //            {.., kFat}: the coordinator alone writes the word; every START and FINISH rings
 //                          │ no queue is suspended or being suspended, one job at most is admitted
 //                          └──► back to 0, {owner} or {owner, kParked}
 //
-// Taking is two writes, the owner word and the command. Whoever takes says before the first one, in
-// `victim` and `victim_command` of its own line, what the second will be; the coordinator, when it
-// finds kTaken, does that write if it has not been done: each command is one CAS from the one
-// before, so it is done once, however late the taker comes to it, or if it never does.
+// Taking is two writes, the owner word and the command, and so is giving back. Commands count, and
+// each is one CAS from the one before, so that a late second write finds its turn gone:
+//   - whoever takes says before the first write, in `victim` and `victim_command` of its own line,
+//     what the second will be; the coordinator does it for a taker that has not come to it;
+//   - whoever gives back may be late as well: the coordinator repeats the command to suspend, which
+//     changes nothing but the count.
 //
 // A START writes its request before it looks at the owner word; the coordinator looks at all
 // requests after it has handed the word back. Hence no START is lost, whichever way the words are
@@ -51,7 +58,7 @@ inline constexpr std::uint32_t kShmMagic = 0x58434f52;  // "XCOR"
 inline constexpr std::uint32_t kShmVersion = 3;
 
 /// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bit 61 the owner took the
-/// XPU from its `victim` (only with bit 63), bits 48..60 count of parkings, bits 40..47 slot + 1
+/// XPU from its `victim`, bits 48..60 count of parkings, bits 40..47 slot + 1
 /// (0: nobody), bits 0..31 generation.
 inline constexpr std::uint64_t kFat = 1ull << 63;
 inline constexpr std::uint64_t kParked = 1ull << 62;

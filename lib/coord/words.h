@@ -64,11 +64,11 @@ void give(std::atomic<std::uint32_t>& grant, std::uint32_t generation) {
   }
 }
 
-/// The second write of taking an XPU; done once, by whoever comes first.
+/// The second write of taking an XPU, and of giving it back; done once, by whoever comes first.
 template <class A>
-std::uint32_t take(std::atomic<std::uint32_t>& command, std::uint32_t last) {
-  const std::uint32_t next = next_command(last, true);
-  (void)A::cas(command, last, next);
+std::uint32_t command(std::atomic<std::uint32_t>& word, std::uint32_t last, bool suspend) {
+  const std::uint32_t next = next_command(last, suspend);
+  (void)A::cas(word, last, next);
   return next;
 }
 
@@ -106,6 +106,7 @@ struct Start {
 struct Finished {
   int wake = -1;      ///< slot whose grant was written: wake it
   bool ring = false;  ///< the coordinator decides
+  int victim = -1;    ///< slot that has the XPU back: wake its management thread
 };
 
 template <class A>
@@ -147,16 +148,17 @@ class Words {
         return {};  // handed over to us before we could park
       } else if (rules_->discipline == Discipline::kPreemptive &&
                  job.priority > A::load(shm_.slots[other].worker.priority)) {
-        const std::uint32_t command = A::load(shm_.slots[other].coordinator.command);
-        if ((command & 1u) != 0 || A::load(shm_.slots[other].worker.ack) != command) {
+        const std::uint32_t last = A::load(shm_.slots[other].coordinator.command);
+        if ((seen & kTaken) != 0 || (last & 1u) != 0 ||
+            A::load(shm_.slots[other].worker.ack) != last) {
           if (A::cas(owner, seen, seen | kFat)) return {Started::kDecided};
           continue;
         }
         A::store_relaxed(line.victim, seen);
-        A::store_relaxed(line.victim_command, command);
+        A::store_relaxed(line.victim_command, last);
         const std::uint64_t taken = (seen & (kParkings | kParked)) | owner_word(slot, generation);
-        if (!A::cas(owner, seen, taken | kTaken | kFat)) continue;
-        take<A>(shm_.slots[other].coordinator.command, command);
+        if (!A::cas(owner, seen, taken | kTaken)) continue;
+        command<A>(shm_.slots[other].coordinator.command, last, true);
         return {Started::kTook, other};
       } else if (A::cas(owner, seen, one_more_parked(seen))) {
         return {Started::kWaits};
@@ -172,7 +174,26 @@ class Words {
     std::uint64_t seen = A::load(owner);
     if (rules_->discipline == Discipline::kKernel) return {-1, (seen & kFat) != 0};
     for (;;) {
-      if ((seen & kFat) != 0 || owner_slot(seen) != slot) return {-1, true};
+      if ((seen & kFat) != 0) return {-1, true};
+      if (owner_slot(seen) != slot) {  // taken from us, and over before it was suspended
+        if (A::cas(owner, seen, seen | kFat)) return {-1, true};
+        continue;
+      }
+      if ((seen & kTaken) != 0) {
+        const WorkerLine& line = shm_.slots[slot].worker;
+        const std::uint64_t from = A::peek(line.victim);
+        const Pick next = pick(slot);
+        if (next.slot != owner_slot(from) || next.generation != owner_generation(from)) {
+          if (A::cas(owner, seen, seen | kFat)) return {-1, true};
+          continue;
+        }
+        const std::uint64_t back =
+            owner_word(next.slot, next.generation) | (next.more ? kParked : 0);
+        if (!A::cas(owner, seen, (seen & kParkings) | back)) continue;
+        command<A>(shm_.slots[next.slot].coordinator.command,
+                   next_command(A::peek(line.victim_command), true), false);
+        return {-1, false, next.slot};
+      }
       if ((seen & kParked) == 0) {
         if (A::cas(owner, seen, seen & kParkings)) return {};
         continue;

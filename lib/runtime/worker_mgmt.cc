@@ -23,6 +23,10 @@ void Worker::manage() {
     const Placed* job = current_.load(std::memory_order_acquire);
     switch (command) {
       case coord::Command::kSuspend: {
+        if (suspended) {  // said twice; what the execution thread is at may be the next job
+          port_->acknowledge(true);
+          break;
+        }
         record(XAUTO_EV_SUSPEND, *job);
         const Status done = backend_->preempt(job->handle);
         if (done) {
@@ -38,15 +42,15 @@ void Worker::manage() {
         break;
       }
       case coord::Command::kResume:
-        record(XAUTO_EV_RESUME, *job);
-        if (suspended) {
+        if (suspended) {  // otherwise it is back before we came to suspend it, or could not be
+          record(XAUTO_EV_RESUME, *job);
           if (const Status done = backend_->restore(*suspended); !done)
             log::warn("{}: not resumed: {}", options_.name, done.error().to_string());
           suspended.reset();
           watch_.back(now_ns());
+          thread_->hold(now_ns());
+          record(XAUTO_EV_RESUMED, *job);
         }
-        thread_->hold(now_ns());
-        record(XAUTO_EV_RESUMED, *job);
         port_->acknowledge(true);
         break;
       case coord::Command::kNothing:

@@ -158,6 +158,7 @@ class ProtocolExplorer {
     kAsk,
     kAsleep,
     kTook,
+    kReturned,
     kRun,
     kFinish,
     kDone,
@@ -173,7 +174,7 @@ class ProtocolExplorer {
   struct Module {
     Act act = Act::kIdle;
     std::size_t next = 0;  ///< job it is at
-    int victim = -1;       ///< of kTook
+    int victim = -1;       ///< of kTook and kReturned
     std::vector<std::uint32_t> generation = std::vector<std::uint32_t>(2, 0);
     Record record;
     std::vector<Manager> managers;
@@ -279,14 +280,21 @@ class ProtocolExplorer {
                                                    : Act::kAsk;
   }
 
-  /// Rings the management thread of the one it took the XPU from.
-  void step_took(State& s, std::size_t m) {
+  void end_job(Module& module, std::size_t m) {
+    module.act = ++module.next < world_.modules[m].size() ? Act::kIdle : Act::kDone;
+  }
+
+  /// Rings the management thread of the one it took the XPU from, or gave it back to.
+  void step_ring(State& s, std::size_t m) {
     Module& module = s.modules[m];
     const auto x = static_cast<std::size_t>(task(module, static_cast<int>(m)).xpu);
     Module& victim = s.modules[static_cast<std::size_t>(module.victim)];
     if (victim.act != Act::kDead && !world_.lose_wakes) victim.managers[x].awake = true;
     module.victim = -1;
-    module.act = Act::kRun;
+    if (module.act == Act::kTook)
+      module.act = Act::kRun;
+    else
+      end_job(module, m);
   }
 
   /// The futex: looks and, if there is nothing, sleeps, in one.
@@ -314,7 +322,12 @@ class ProtocolExplorer {
       return;
     if (signal) xpu.doorbell = true;
     if (finished.wake >= 0 && !world_.lose_wakes) wake_pending_ = {{x, finished.wake}};
-    module.act = ++module.next < world_.modules[m].size() ? Act::kIdle : Act::kDone;
+    if (finished.victim >= 0) {
+      module.victim = finished.victim;
+      module.act = Act::kReturned;
+      return;
+    }
+    end_job(module, m);
     for (const auto& [wx, slot] : wake_pending_) wake(s, wx, slot);
     wake_pending_.clear();
   }
@@ -630,8 +643,9 @@ class ProtocolExplorer {
           go(s, "module starts", m, at, [&](State& to) { step_start(to, m); });
           break;
         case Act::kTook:
+        case Act::kReturned:
           busy = true;
-          go(s, "module rings", m, at, [&](State& to) { step_took(to, m); });
+          go(s, "module rings", m, at, [&](State& to) { step_ring(to, m); });
           break;
         case Act::kAsk:
           busy = true;

@@ -88,18 +88,28 @@ TEST(Protocol, EveryAccessWithTheDeathOfTheCoordinatorAnywhere) {
 TEST(Protocol, ThreeJobsEveryAccessPreemptive) {
   if (!full()) GTEST_SKIP() << "millions of states: XAUTO_EXPLORER_FULL=1";
   ProtocolWorld w = world({Discipline::kPreemptive}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
-  w.limit = 200'000'000;
+  w.limit = 400'000'000;
   expect_clean(w, 100'000);
 }
 
 // Every access of the workers is a step, each look of the coordinator is one.
 
-TEST(Protocol, ThreeJobsOnOneXpuWithADeath) {
+TEST(Protocol, ThreeJobsOnOneXpu) {
   for (const Discipline d : kBoth) {
     if (d == Discipline::kPreemptive && kSmallOnly) continue;
     ProtocolWorld w = world({d}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
     w.coarse = true;
+    expect_clean(w, 1000);
+  }
+}
+
+TEST(Protocol, ThreeJobsOnOneXpuWithADeath) {
+  for (const Discipline d : kBoth) {
+    if (d == Discipline::kPreemptive && !full()) continue;
+    ProtocolWorld w = world({d}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
+    w.coarse = true;
     w.deaths = 1;
+    w.limit = 200'000'000;
     expect_clean(w, 20'000);
   }
 }
@@ -110,6 +120,7 @@ TEST(Protocol, ThreeJobsOnOneXpuWithDeathsOfAWorkerAndOfTheCoordinator) {
     ProtocolWorld w = world({d}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
     w.coarse = true;
     w.deaths = w.coordinator_deaths = 1;
+    w.limit = 400'000'000;
     expect_clean(w, 100'000);
   }
 }
