@@ -107,12 +107,17 @@ class Grants(unittest.TestCase):
         return self.start("xauto", "run", "--app", str(self.folder / "app.json"), "--platform", "small", "--emulate", "--policy",
                           str(policy), "--activations", "0", *options, "--", str(self.folder / "driving"), **more)
 
-    def wait_for_app(self, process, threads=8):
+    def wait_for_app(self, process):
+        """The process that has the sources, once it releases: then all threads and processes of the run are there."""
         until = time.monotonic() + 60
         while time.monotonic() < until:
-            app = [pid for pid, name in common.children_of(process.pid).items() if name == "driving"]
-            if app and len(list(pathlib.Path(f"/proc/{app[0]}/task").iterdir())) > threads:
-                return app[0]
+            for pid in [pid for pid, name in common.children_of(process.pid).items() if name == "driving"]:
+                for task in pathlib.Path(f"/proc/{pid}/task").glob("*/comm"):
+                    try:
+                        if task.read_text() == "xauto/sources\n":
+                            return pid
+                    except OSError:
+                        continue  # it has just ended
             if process.poll() is not None:
                 self.fail(f"the run ended: {process.communicate()}")
             time.sleep(0.05)
@@ -143,7 +148,7 @@ class Grants(unittest.TestCase):
     def test_another_user_reaches_nothing_of_a_run(self):
         """Not its sockets, not the memory and sessions behind its descriptors, not its processes; and it is not disturbed."""
         process = self.run_driving("--isolate")
-        self.wait_for_app(process, threads=2)  # the hub, which begins when all modules are ready
+        self.wait_for_app(process)
         family = [process.pid, *common.children_of(process.pid)]
         open_to_all, seen = set(), set()
         for pid in family:
