@@ -109,7 +109,8 @@ class Referee {
         const bool owned = taking.victim == i && taking.generation == generation;
         const bool granted = A::load(memory.coordinator.grant) == generation;
         slot.phase = owns || owned || granted ? Phase::kAdmitted : Phase::kWaiting;
-        if (owns) give<A>(shm_.slots[i].coordinator.grant, generation);
+        // Whoever handed the XPU over to it may have died before it said so.
+        if (owns || owned) give<A>(shm_.slots[i].coordinator.grant, generation);
         if (slot.phase == Phase::kAdmitted) wakes.granted.push_back(i);
       }
       const bool suspend = (info.command & 1u) != 0;

@@ -141,6 +141,7 @@ TEST(Protocol, OrderConstraintsHoldAndNobodyWaitsForTheDead) {
   for (const Discipline d : {Discipline::kPreemptive, Discipline::kGate, Discipline::kKernel}) {
     ProtocolWorld w = world({d}, {{task(0, 1)}, {task(1, 9)}});
     if (full()) w.modules.push_back({task(2, 4)});
+    w.limit = 400'000'000;
     w.order = {{0, 1}};
     w.coarse = true;
     w.deaths = 1;
