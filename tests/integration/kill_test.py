@@ -31,10 +31,13 @@ def emulated_testapp(folder, *flags, period_us=15000):
         "schema": "xauto.app", "version": 1, "name": "testapp",
         "xnodes": [{"name": n, "module": m, "wcet_us": {x: 3000}} for n, m, x in xnodes],
         "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]}))
+    # What waits between processes while the emulator is dead is not lost either.
+    pathlib.Path(path("deployment.json")).write_text(json.dumps({
+        "schema": "xauto.deployment", "version": 1, "app": "testapp", "queue_depth": 256, "keep": 256}))
     done = xauto("solve", "--app", path("app.json"), "--platform", path("platform.json"), "--method", "heft",
                  "--out", path("policy.json"))
     assert done.returncode == 0, done.stderr
-    return [XAUTO, "run", "--app", path("app.json"), "--policy", path("policy.json"), "--platform",
+    return [XAUTO, "run", "--deployment", path("deployment.json"), "--app", path("app.json"), "--policy", path("policy.json"), "--platform",
             path("platform.json"), "--emulate", *map(str, flags), "--", TESTAPP, path("result"), "period",
             str(period_us), "emulated", "3000"]
 
