@@ -6,6 +6,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <thread>
 #include <utility>
 
 #include <signal.h>
@@ -15,6 +16,7 @@
 #include <unistd.h>
 
 #include "base/socket.h"
+#include "coord/port.h"
 #include "coord/server.h"
 
 #include "bench.h"
@@ -38,10 +40,8 @@ class Process {
   Process& operator=(const Process&) = delete;
   [[nodiscard]] std::int64_t cpu_ns() const {
     clockid_t clock;
-    timespec time{};
     clock_getcpuclockid(pid_, &clock);
-    clock_gettime(clock, &time);
-    return time.tv_sec * 1'000'000'000 + time.tv_nsec;
+    return clock_ns(clock);
   }
 
  private:
@@ -73,5 +73,31 @@ inline std::unique_ptr<Process> start_coordinator(const std::string& address,
   for (int i = 0; i < 500 && !connect_abstract(address); ++i) usleep(10'000);
   return process;
 }
+
+/// A worker's management thread: `obey` carries a command out and says whether it could.
+class ManagementThread {
+ public:
+  ManagementThread(coord::Port& port, int core, bool fifo, std::function<bool(bool suspends)> obey)
+      : port_(port), thread_([&port, core, fifo, obey = std::move(obey)] {
+          (void)rt::pin_to_core(core);
+          rt::set_timer_slack_1ns();
+          if (fifo) (void)rt::set_fifo(50);
+          for (;;) {
+            const coord::Command command = port.wait_command();
+            if (command == coord::Command::kInterrupted) return;
+            port.acknowledge(obey(command == coord::Command::kSuspend));
+          }
+        }) {}
+  ~ManagementThread() {
+    port_.interrupt();
+    thread_.join();
+  }
+  ManagementThread(const ManagementThread&) = delete;
+  ManagementThread& operator=(const ManagementThread&) = delete;
+
+ private:
+  coord::Port& port_;
+  std::thread thread_;
+};
 
 }  // namespace xauto::bench

@@ -20,30 +20,15 @@
 namespace xauto::bench {
 namespace {
 
-/// A management thread that obeys.
-class Obedient {
- public:
-  explicit Obedient(coord::Port& port, int core, bool fifo)
-      : port_(port), thread_([this, core, fifo] {
-          (void)rt::pin_to_core(core);
-          rt::set_timer_slack_1ns();
-          if (fifo) (void)rt::set_fifo(50);
-          for (;;) {
-            const coord::Command command = port_.wait_command();
-            if (command == coord::Command::kInterrupted) return;
-            if (command == coord::Command::kSuspend) suspended.store(now_ns());
-            port_.acknowledge(true);
-          }
+/// Says when it was told to suspend, and does nothing.
+struct Obedient {
+  std::atomic<std::int64_t> suspended{0};
+  ManagementThread thread;
+  Obedient(coord::Port& port, int core, bool fifo)
+      : thread(port, core, fifo, [this](bool suspends) {
+          if (suspends) suspended.store(now_ns());
+          return true;
         }) {}
-  ~Obedient() {
-    port_.interrupt();
-    thread_.join();
-  }
-  std::atomic<std::int64_t> suspended{0};  ///< when it was told to
-
- private:
-  coord::Port& port_;
-  std::thread thread_;
 };
 
 /// 4 bytes to another process and back, both asleep in between.

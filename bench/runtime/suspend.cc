@@ -21,34 +21,6 @@
 namespace xauto::bench {
 namespace {
 
-/// The management thread of the job that will be suspended.
-class Manager {
- public:
-  Manager(coord::Port& port, xpu::Backend& backend, SchedHandle handle, int core, bool fifo)
-      : port_(port), thread_([this, &backend, handle, core, fifo] {
-          (void)rt::pin_to_core(core);
-          rt::set_timer_slack_1ns();
-          if (fifo) (void)rt::set_fifo(50);
-          for (;;) {
-            const coord::Command command = port_.wait_command();
-            if (command == coord::Command::kInterrupted) return;
-            const bool suspends = command == coord::Command::kSuspend;
-            const Status done = suspends ? backend.preempt(handle) : backend.restore(handle);
-            (suspends ? suspended : resumed).store(done ? now_ns() : -1);
-            port_.acknowledge(done.has_value());
-          }
-        }) {}
-  ~Manager() {
-    port_.interrupt();
-    thread_.join();
-  }
-  std::atomic<std::int64_t> suspended{0}, resumed{0};
-
- private:
-  coord::Port& port_;
-  std::thread thread_;
-};
-
 /// A context of xauto-emud that is at work all the time.
 void emulated(const Options& options, const Cores& c, Table& table) {
   const std::string address = next_address();
@@ -81,21 +53,27 @@ void emulated(const Options& options, const Cores& c, Table& table) {
   const auto high = *coord::Port::connect(xpu, "high", {1}, {});
   Samples suspended, resumed;
   {
-    Manager manager(*low, **backend, context->handle(), c.second, options.fifo);
+    std::atomic<std::int64_t> suspended_at{0}, resumed_at{0};
+    const ManagementThread manager(*low, c.second, options.fifo, [&](bool suspends) {
+      const SchedHandle handle = context->handle();
+      const Status done = suspends ? (*backend)->preempt(handle) : (*backend)->restore(handle);
+      (suspends ? suspended_at : resumed_at).store(done ? now_ns() : -1);
+      return done.has_value();
+    });
     (void)rt::pin_to_core(c.first);
     if (options.fifo) (void)rt::set_fifo(40);
     for (std::uint64_t k = 1; k <= options.rounds; ++k) {
       low->start({0, k, 1});
-      manager.suspended.store(0);
+      suspended_at.store(0);
       std::int64_t start = now_ns();
       high->start({1, k, 2});
-      while (manager.suspended.load() == 0) sleep_until_ns(now_ns() + 5'000);
-      suspended.add(manager.suspended.load() - start);
-      manager.resumed.store(0);
+      while (suspended_at.load() == 0) sleep_until_ns(now_ns() + 5'000);
+      suspended.add(suspended_at.load() - start);
+      resumed_at.store(0);
       start = now_ns();
       high->finish();
-      while (manager.resumed.load() == 0) sleep_until_ns(now_ns() + 5'000);
-      resumed.add(manager.resumed.load() - start);
+      while (resumed_at.load() == 0) sleep_until_ns(now_ns() + 5'000);
+      resumed.add(resumed_at.load() - start);
       low->finish();
       sleep_until_ns(now_ns() + 100'000);
     }

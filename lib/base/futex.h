@@ -43,4 +43,10 @@ inline void futex_wake_local(std::atomic<std::uint32_t>& word, int waiters) {
           nullptr, 0);
 }
 
+/// For shared words that only count: whoever slept on the value before wakes.
+inline void futex_advance(std::atomic<std::uint32_t>& word, int waiters) {
+  word.fetch_add(1);
+  futex_wake(word, waiters);
+}
+
 }  // namespace xauto

@@ -182,9 +182,7 @@ void Port::ring() {
 }
 
 void Port::ring_manager(int slot) {
-  std::atomic<std::uint32_t>& bell = shm_.slots[slot].coordinator.bell;
-  bell.fetch_add(1);
-  futex_wake(bell, 1);
+  futex_advance(shm_.slots[slot].coordinator.bell, 1);
 }
 
 Command Port::wait_command(int timeout_ms) {

@@ -278,11 +278,7 @@ void Server::look() {
 void Server::wake(const Wakes& wakes) {
   if (wakes.again) signal_eventfd(doorbell_.get());
   for (const int slot : wakes.granted) futex_wake(shm_.slots[slot].coordinator.grant, 1);
-  for (const int slot : wakes.commanded) {
-    std::atomic<std::uint32_t>& bell = shm_.slots[slot].coordinator.bell;
-    bell.fetch_add(1);
-    futex_wake(bell, 1);
-  }
+  for (const int slot : wakes.commanded) futex_advance(shm_.slots[slot].coordinator.bell, 1);
 }
 
 // ---- telling

@@ -12,20 +12,12 @@
 
 namespace xauto {
 
-Result<std::string> read_file(const std::string& path) {
-  const int fd = open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
-  if (fd < 0)
-    return fail(errno == ENOENT ? ErrorCode::kNotFound : ErrorCode::kInvalid,
-                std::string("cannot be opened: ") + strerror(errno), path);
-  struct Closer {
-    int fd;
-    ~Closer() { close(fd); }
-  } const closer{fd};
+Result<std::string> read_open_file(int fd, const std::string& path, std::size_t max_bytes) {
   struct stat status {};
   if (fstat(fd, &status) != 0 || !S_ISREG(status.st_mode))
     return fail(ErrorCode::kInvalid, "is not a regular file", path);
-  if (static_cast<std::size_t>(status.st_size) > kMaxFileBytes)
-    return fail(ErrorCode::kInvalid, "is longer than " + std::to_string(kMaxFileBytes) + " bytes",
+  if (static_cast<std::size_t>(status.st_size) > max_bytes)
+    return fail(ErrorCode::kInvalid, "is longer than " + std::to_string(max_bytes) + " bytes",
                 path);
   std::string text(static_cast<std::size_t>(status.st_size), '\0');
   std::size_t done = 0;
@@ -39,6 +31,18 @@ Result<std::string> read_file(const std::string& path) {
   }
   text.resize(done);
   return text;
+}
+
+Result<std::string> read_file(const std::string& path) {
+  const int fd = open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+  if (fd < 0)
+    return fail(errno == ENOENT ? ErrorCode::kNotFound : ErrorCode::kInvalid,
+                std::string("cannot be opened: ") + strerror(errno), path);
+  struct Closer {
+    int fd;
+    ~Closer() { close(fd); }
+  } const closer{fd};
+  return read_open_file(fd, path, kMaxFileBytes);
 }
 
 Status write_file(const std::string& path, std::string_view text) {

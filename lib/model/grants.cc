@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include "base/unique_fd.h"
+#include "model/json.h"
 #include "model/json_document.h"
 
 namespace xauto {
@@ -168,17 +169,7 @@ Result<Grants> load_grants(const std::string& path, uid_t owner) {
                 std::string("cannot be opened: ") + strerror(errno), path);
   if (!S_ISREG(status.st_mode)) return fail(ErrorCode::kPermission, "is not a regular file", path);
   XAUTO_TRY(check_owner(status, owner, path));
-  std::string text(kMaxGrantsBytes + 1, '\0');
-  std::size_t done = 0;
-  while (done < text.size()) {
-    const ssize_t got = read(file.get(), text.data() + done, text.size() - done);
-    if (got < 0 && errno == EINTR) continue;
-    if (got < 0)
-      return fail(ErrorCode::kIo, std::string("cannot be read: ") + strerror(errno), path);
-    if (got == 0) break;
-    done += static_cast<std::size_t>(got);
-  }
-  text.resize(done);
+  XAUTO_ASSIGN(const std::string text, read_open_file(file.get(), path, kMaxGrantsBytes));
   return parse_grants(text, path);
 }
 

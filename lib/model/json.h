@@ -43,6 +43,9 @@ inline constexpr int kMaxJsonDepth = 64;
 
 /// Regular file, at most kMaxFileBytes.
 [[nodiscard]] Result<std::string> read_file(const std::string& path);
+/// The same of one that is open; `path` is for messages.
+[[nodiscard]] Result<std::string> read_open_file(int fd, const std::string& path,
+                                                 std::size_t max_bytes);
 /// Writes beside the target and renames, so that a reader never sees half a file.
 [[nodiscard]] Status write_file(const std::string& path, std::string_view text);
 

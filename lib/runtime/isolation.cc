@@ -196,8 +196,7 @@ bool Hub::hear(int fd) {
       const std::lock_guard lock(mutex_);
       Member& member = members_[packet.index];
       if (!member.socket) member.state = State::kGone;
-      changes_.fetch_add(1);
-      futex_wake(changes_, INT_MAX);
+      futex_advance(changes_, INT_MAX);
       return false;
     }
     if (word != Word::kHello) return false;
@@ -230,8 +229,7 @@ bool Hub::hear(int fd) {
         member.state = State::kRunning;
         if (!say(member.socket.get(), Word::kGo)) return false;
       }
-      changes_.fetch_add(1);
-      futex_wake(changes_, INT_MAX);
+      futex_advance(changes_, INT_MAX);
       return true;
     }
     case Word::kEvent:
@@ -285,8 +283,7 @@ void Hub::lose(int process) {
     if (reader >= 0) topics_[t]->release_all(static_cast<std::uint32_t>(reader));
   }
   if (running && !stopping) host_.left(process);
-  changes_.fetch_add(1);
-  futex_wake(changes_, INT_MAX);
+  futex_advance(changes_, INT_MAX);
 }
 
 Result<bool> Hub::wait_ready(const std::atomic<bool>& stop) {

@@ -74,26 +74,17 @@ void Worker::manage() {
 
 // ---- limits ------------------------------------------------------------------------------------
 
-namespace {
-
-std::int64_t thread_cpu_ns() {
-  timespec now{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return static_cast<std::int64_t>(now.tv_sec) * 1'000'000'000 + now.tv_nsec;
-}
-
-}  // namespace
-
 void Worker::begin_limited(const Placed& placed, std::uint64_t sequence) {
   limited_.store(&placed, std::memory_order_release);
-  if (options_.real_cpu) cpu_since_ns_ = thread_cpu_ns();
+  if (options_.real_cpu) cpu_since_ns_ = clock_ns(CLOCK_THREAD_CPUTIME_ID);
   watch_.begin(now_ns(), sequence);
 }
 
 /// False: the activation was given up meanwhile.
 bool Worker::end_limited(const Placed& placed) {
   const std::int64_t wall_ns = watch_.end(now_ns());
-  const std::int64_t took_ns = options_.real_cpu ? thread_cpu_ns() - cpu_since_ns_ : wall_ns;
+  const std::int64_t took_ns =
+      options_.real_cpu ? clock_ns(CLOCK_THREAD_CPUTIME_ID) - cpu_since_ns_ : wall_ns;
   XNodeLine& line = *placed.line;  // of this worker alone
   line.jobs.fetch_add(1, std::memory_order_relaxed);
   if (placed.limits.budget_ns > 0 && took_ns > placed.limits.budget_ns)

@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include <time.h>
+#include "base/clock.h"
 
 #include "xauto/perfetto.pb.h"
 
@@ -174,12 +174,7 @@ std::string PerfettoWriter::write(std::int64_t clock_offset_ns) const {
 }
 
 std::int64_t boottime_offset_ns() {
-  const auto read = [](clockid_t clock) {
-    timespec t{};
-    clock_gettime(clock, &t);
-    return static_cast<std::int64_t>(t.tv_sec) * 1'000'000'000 + t.tv_nsec;
-  };
-  return read(CLOCK_BOOTTIME) - read(CLOCK_MONOTONIC);
+  return clock_ns(CLOCK_BOOTTIME) - now_ns();
 }
 
 }  // namespace xauto::cli

@@ -4,6 +4,7 @@
 
 #include <cstdlib>
 #include <cstring>
+#include <functional>
 #include <thread>
 
 #include <fcntl.h>
@@ -61,6 +62,24 @@ class EmuServer : public ::testing::Test {
     }
   }
   static XpuId gpu() { return {"gpu0", XPU::GPU, 0}; }
+  /// A suspended context makes no progress until it is resumed, whatever happens `meanwhile`.
+  void expect_suspended_until_resumed(const std::function<void()>& meanwhile) {
+    auto context = Context::open(gpu());
+    auto control = Control::connect();
+    ASSERT_TRUE(context && control);
+    const auto id = static_cast<std::uint32_t>(context->handle().value());
+    ASSERT_TRUE(control->suspend(id));
+    std::atomic<bool> done{false};
+    std::thread runner([&] {
+      EXPECT_TRUE(context->run(500us));
+      done.store(true);
+    });
+    meanwhile();
+    std::this_thread::sleep_for(20ms);
+    EXPECT_FALSE(done.load());
+    ASSERT_TRUE(control->resume(id));
+    runner.join();
+  }
 
   std::string address_;
   UniqueFd stop_, listener_, memory_;
@@ -77,20 +96,7 @@ TEST_F(EmuServer, RunTakesAtLeastItsTime) {
 }
 
 TEST_F(EmuServer, SuspendedContextMakesNoProgressUntilItIsResumed) {
-  auto context = Context::open(gpu());
-  auto control = Control::connect();
-  ASSERT_TRUE(context && control);
-  const auto id = static_cast<std::uint32_t>(context->handle().value());
-  ASSERT_TRUE(control->suspend(id));
-  std::atomic<bool> done{false};
-  std::thread runner([&] {
-    EXPECT_TRUE(context->run(500us));
-    done.store(true);
-  });
-  std::this_thread::sleep_for(20ms);
-  EXPECT_FALSE(done.load());
-  ASSERT_TRUE(control->resume(id));
-  runner.join();
+  expect_suspended_until_resumed([] {});
 }
 
 TEST_F(EmuServer, DeathOfTheEmulatorIsAnErrorAndNoHang) {
@@ -195,22 +201,10 @@ TEST_F(EmuServer, CallThatEndsWhileThereIsNoEmulatorIsDoneWhenThereIsOne) {
 }
 
 TEST_F(EmuServer, SuspendedContextStaysSuspendedUntilTheNextEmulatorResumesIt) {
-  auto context = Context::open(gpu());
-  auto control = Control::connect();
-  ASSERT_TRUE(context && control);
-  const auto id = static_cast<std::uint32_t>(context->handle().value());
-  ASSERT_TRUE(control->suspend(id));
-  std::atomic<bool> done{false};
-  std::thread runner([&] {
-    EXPECT_TRUE(context->run(500us));
-    done.store(true);
+  expect_suspended_until_resumed([this] {
+    end();
+    begin();
   });
-  end();
-  begin();
-  std::this_thread::sleep_for(20ms);
-  EXPECT_FALSE(done.load());
-  ASSERT_TRUE(control->resume(id));
-  runner.join();
 }
 
 TEST_F(EmuServer, RequestsAndNewContextsWaitForTheNextEmulator) {
