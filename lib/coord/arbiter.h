@@ -85,6 +85,8 @@ class Arbiter {
   /// Several events at once: between `hold` and `release` they are only noted.
   void hold() { held_ = true; }
   void release(std::vector<Action>& out);
+  /// Every job is eligible from now on. Before the first event.
+  void forget_order() { before_.clear(); }
   /// As it was found in shared memory by a new coordinator. Decides nothing.
   void restore(int slot, const Slot& state);
 

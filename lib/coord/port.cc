@@ -37,6 +37,7 @@ Result<std::unique_ptr<Port>> Port::connect(
   std::strncpy(hello.worker, worker.c_str(), kMaxWorkerName - 1);
   hello.num_xnodes = static_cast<std::uint32_t>(xnodes.size());
   std::copy(xnodes.begin(), xnodes.end(), hello.xnodes);
+  hello.num_order = static_cast<std::uint32_t>(order.size());
   XAUTO_TRY(port->introduce(hello, -1));
 
   struct stat status {};

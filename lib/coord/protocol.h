@@ -11,7 +11,7 @@
 
 namespace xauto::coord {
 
-inline constexpr std::uint32_t kProtocolVersion = 3;
+inline constexpr std::uint32_t kProtocolVersion = 4;
 inline constexpr std::size_t kMaxWorkerName = 64;
 inline constexpr std::size_t kMaxWorkerXNodes = 256;
 inline constexpr std::size_t kMaxStatusBytes = 64 * 1024;
@@ -28,6 +28,9 @@ struct Hello {
   std::uint32_t version = kProtocolVersion;
   char worker[kMaxWorkerName] = {};  ///< NUL-terminated, for people
   std::uint32_t rejoin = 0;          ///< slot + 1 that it had with a coordinator that died; 0: none
+  /// Order pairs on this XPU that its app keeps: all that the coordinator knows, or none. The app
+  /// knows its sources' rates, the coordinator does not.
+  std::uint32_t num_order = 0;
   std::uint32_t num_xnodes = 0;
   std::uint32_t xnodes[kMaxWorkerXNodes] = {};  ///< whose jobs this worker will bring
 };
@@ -42,7 +45,7 @@ struct Refused {
   char reason[124] = {};
 };
 
-static_assert(std::is_trivially_copyable_v<Hello> && sizeof(Hello) == 80 + 4 * kMaxWorkerXNodes);
+static_assert(std::is_trivially_copyable_v<Hello> && sizeof(Hello) == 84 + 4 * kMaxWorkerXNodes);
 static_assert(std::is_trivially_copyable_v<Welcome> && sizeof(Welcome) == 8);
 static_assert(std::is_trivially_copyable_v<Refused> && sizeof(Refused) == 128);
 

@@ -37,6 +37,12 @@ class Referee {
     tracked_.erase(std::unique(tracked_.begin(), tracked_.end()), tracked_.end());
   }
 
+  /// Order constraints are not kept. Before the first job.
+  void forget_order() {
+    tracked_.clear();
+    arbiter_.forget_order();
+  }
+
   /// A worker has this slot from now on. The generation goes on where the slot's last user left it,
   /// so that an old owner word never matches.
   void join(int slot) {

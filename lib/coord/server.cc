@@ -90,6 +90,7 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
     return fail(ErrorCode::kInvalid, "the shared memory is another app's");
   }
   s.referee_.emplace(s.shm_, s.options_.discipline, s.options_.order);
+  if (filled && s.shm_.header->order == OrderKept::kNotKept) s.referee_->forget_order();
 
   s.doorbell_ = UniqueFd(s.options_.doorbell_fd >= 0 ? s.options_.doorbell_fd
                                                      : eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
@@ -221,6 +222,7 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
   if (hello.num_xnodes > kMaxWorkerXNodes) return refuse("too many XNodes");
   for (std::uint32_t i = 0; i < hello.num_xnodes; ++i)
     if (hello.xnodes[i] >= options_.xnodes.size()) return refuse("names an unknown XNode");
+  if (!agree_on_order(hello.num_order)) return refuse("keeps other order constraints than we do");
   int slot = 0;
   const bool rejoins = hello.rejoin != 0;
   if (rejoins) {
@@ -241,6 +243,17 @@ bool Server::welcome(Connection& connection, const void* data, std::size_t bytes
   return send_packet(connection.socket.get(), &answer, sizeof answer,
                      {memory_fd_.get(), doorbell_.get()})
       .has_value();
+}
+
+/// What one side keeps and the other does not would leave a job waiting for ever, so whether order
+/// is kept is said once, by the first worker, and outlives us.
+bool Server::agree_on_order(std::uint32_t num_order) {
+  OrderKept& kept = shm_.header->order;
+  if (kept == OrderKept::kUnknown) {
+    kept = num_order == 0 ? OrderKept::kNotKept : OrderKept::kKept;
+    if (num_order == 0) referee_->forget_order();
+  }
+  return num_order == (kept == OrderKept::kKept ? options_.order.size() : 0);
 }
 
 void Server::drop(int fd) {

@@ -72,6 +72,7 @@ class Server {
   explicit Server(ServerOptions options);
   void accept_connection();
   bool welcome(Connection& connection, const void* data, std::size_t bytes);
+  [[nodiscard]] bool agree_on_order(std::uint32_t num_order);
   void drop(int connection);
   void leave(int slot);
   void take_over_from_predecessor();

@@ -55,7 +55,7 @@
 namespace xauto::coord {
 
 inline constexpr std::uint32_t kShmMagic = 0x58434f52;  // "XCOR"
-inline constexpr std::uint32_t kShmVersion = 3;
+inline constexpr std::uint32_t kShmVersion = 4;
 
 /// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bit 61 the owner took the
 /// XPU from its `victim`, bits 48..60 count of parkings, bits 40..47 slot + 1
@@ -134,12 +134,16 @@ struct SlotMemory {
 };
 static_assert(sizeof(SlotMemory) == 128);
 
+/// Whether the order constraints are kept, as the first worker said.
+enum class OrderKept : std::uint8_t { kUnknown, kKept, kNotKept };
+
 struct alignas(64) Header {
   std::uint32_t magic = 0;
   std::uint32_t version = 0;
   std::uint32_t num_xnodes = 0;
   std::uint8_t discipline = 0;
-  std::uint8_t pad[3] = {};
+  OrderKept order = OrderKept::kUnknown;  ///< [C]
+  std::uint8_t pad[2] = {};
   alignas(64) std::atomic<std::uint64_t> owner{};  ///< [*]
   alignas(64) std::atomic<std::uint32_t> rings{};  ///< [*] counts rings of the doorbell
   std::atomic<std::uint32_t> waiting{};    ///< [*] 1: the coordinator sleeps, ring its eventfd

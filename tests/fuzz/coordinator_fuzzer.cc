@@ -33,6 +33,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const UniqueFd ours(ends[1]);
   Hello hello;
   hello.num_xnodes = 4;
+  hello.num_order = data[0] % 2 == 0 ? 2 : 0;
   for (std::uint32_t i = 0; i < 4; ++i) hello.xnodes[i] = i;
   if (data[1] % 4 == 0) std::memcpy(&hello, data, std::min(size, sizeof hello));
   if (!(*server)->handle_packet(ends[0], &hello, sizeof hello)) return 0;

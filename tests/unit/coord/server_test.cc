@@ -3,6 +3,9 @@
 #include "coord/server.h"
 
 #include <atomic>
+#include <chrono>
+#include <functional>
+#include <future>
 #include <random>
 #include <thread>
 
@@ -16,6 +19,8 @@
 
 namespace xauto::coord {
 namespace {
+
+using namespace std::chrono_literals;
 
 std::string unique_address() {
   static std::atomic<int> count{0};
@@ -227,6 +232,47 @@ TEST(Server, CoordinatorThatDiesFreesWaitersAndSuspendedJobs) {
   low->finish();
   lowest->finish();
   EXPECT_TRUE(low->lost());
+}
+
+/// An app of several rates keeps no order, whatever the policy says: what the coordinator alone
+/// kept left jobs waiting for seconds.
+TEST(Server, OrderThatTheWorkersDoNotKeepIsNotKept) {
+  for (const auto discipline : {Discipline::kPreemptive, Discipline::kGate, Discipline::kKernel}) {
+    Running running(discipline, {{1, 2}});
+    auto first = Port::connect(running.address(), "first", {1}, {});
+    auto second = Port::connect(running.address(), "second", {2}, {});
+    ASSERT_TRUE(first && second);
+    std::promise<void> through;
+    std::thread other([&] {
+      // Contended, so that the coordinator decides; 1 never finishes release 7.
+      (*first)->begin({1, 0, 9});
+      (*second)->begin({2, 7, 5});
+      (*first)->wait();
+      (*first)->finish();
+      (*second)->wait();
+      (*second)->finish();
+      through.set_value();
+    });
+    const bool done = through.get_future().wait_for(10s) == std::future_status::ready;
+    EXPECT_TRUE(done) << "release 7 of 2 waits for release 7 of 1, which never comes";
+    if (!done) (*second)->interrupt();
+    other.join();
+    auto ordered = Port::connect(running.address(), "ordered", {3}, {{1, 2}});
+    EXPECT_FALSE(ordered) << "one of them would wait for ever";
+  }
+}
+
+TEST(Server, OrderThatTheWorkersKeepIsKept) {
+  Running running(Discipline::kGate, {{1, 2}});
+  const auto first = running.port(1);
+  const auto second = running.port(2);
+  second->begin({2, 0, 9});
+  first->begin({1, 0, 5});
+  first->wait();  // the less urgent one, since the other is not eligible
+  first->finish();
+  second->wait();
+  second->finish();
+  EXPECT_FALSE(Port::connect(running.address(), "unordered", {3}, {}));
 }
 
 TEST(Server, TellsItsStateInWords) {
