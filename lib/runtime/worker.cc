@@ -125,13 +125,13 @@ bool Worker::stop(std::int64_t patience_ns) {
 }
 
 void Worker::submit(std::size_t node) {
-  record(XAUTO_EV_READY, chain_.nodes[node]);
+  const std::uint64_t sequence = chain_.runtime->input().sequence();
+  record(XAUTO_EV_READY, chain_.nodes[node], sequence);
   if (shares_ && t_home != nullptr && t_home->shares_ && t_home->options_.xpu == options_.xpu) {
     t_home->lane_.push_back({this, node, false});
     return;
   }
-  thread_->announce(chain_.nodes[node].xnode, chain_.runtime->input().sequence(),
-                    chain_.nodes[node].fifo_priority);
+  thread_->announce(chain_.nodes[node].xnode, sequence, chain_.nodes[node].fifo_priority);
   mailbox_.store(static_cast<std::uint32_t>(node) + 1, std::memory_order_release);
   futex_wake_local(mailbox_, 1);
 }
@@ -196,10 +196,11 @@ void Worker::run_chain(std::size_t node, bool begun) {
 
 /// START, without waiting for what comes of it.
 void Worker::begin(Placed& placed) {
-  const Input& input = chain_.runtime->input();
-  current_.store(&placed, std::memory_order_release);
-  record(XAUTO_EV_START, placed);
-  port_->begin({placed.xnode, input.sequence(), placed.priority});
+  const std::uint64_t sequence = chain_.runtime->input().sequence();
+  const auto position = static_cast<std::uint64_t>(&placed - chain_.nodes.data());
+  current_.store(position << kSequenceBits | sequence, std::memory_order_release);
+  record(XAUTO_EV_START, placed, sequence);
+  port_->begin({placed.xnode, sequence, placed.priority});
 }
 
 bool Worker::run_job(Placed& placed, bool begun) {
@@ -214,7 +215,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
     thread_->begin(since);
     thread_->hold(since);
   }
-  record(XAUTO_EV_RUN, placed);
+  record(XAUTO_EV_RUN, placed, input.sequence());
   const bool limited = placed.limits.any();
   if (limited) begin_limited(placed, input.sequence());
   bool succeeded = false;
@@ -235,15 +236,16 @@ bool Worker::run_job(Placed& placed, bool begun) {
   }
   thread_->end();
   if (thread_->observed()) thread_->release(now_ns());
-  record(XAUTO_EV_FINISH, placed, succeeded ? 0 : 1);
+  record(XAUTO_EV_FINISH, placed, input.sequence(), succeeded ? 0 : 1);
   return succeeded;
 }
 
-void Worker::record(std::uint16_t kind, const Placed& placed, std::uint32_t arg) {
+void Worker::record(std::uint16_t kind, const Placed& placed, std::uint64_t sequence,
+                    std::uint32_t arg) {
   if (trace_ != nullptr)
-    trace_->write(
-        kind, chain_.runtime->input().sequence(), static_cast<std::uint16_t>(placed.xnode),
-        static_cast<std::uint16_t>(chain_.module), static_cast<std::uint16_t>(options_.xpu), arg);
+    trace_->write(kind, sequence, static_cast<std::uint16_t>(placed.xnode),
+                  static_cast<std::uint16_t>(chain_.module),
+                  static_cast<std::uint16_t>(options_.xpu), arg);
 }
 
 void Worker::note_failure(const Placed& placed, const std::string& what) {

@@ -110,7 +110,8 @@ class Worker {
   void begin(Placed& placed);
   void run_lane();
   void show_lane();
-  void record(std::uint16_t kind, const Placed& placed, std::uint32_t arg = 0);
+  void record(std::uint16_t kind, const Placed& placed, std::uint64_t sequence,
+              std::uint32_t arg = 0);
   void note_failure(const Placed& placed, const std::string& what);
   void begin_limited(const Placed& placed, std::uint64_t sequence);
   bool end_limited(const Placed& placed);
@@ -134,8 +135,10 @@ class Worker {
   bool shares_ = false;                    ///< its jobs may run on another worker's thread
   std::vector<Ready> lane_;                ///< of its execution thread
   std::atomic<std::uint32_t> mailbox_{0};  ///< 0: empty; kQuit; else chain position + 1
-  std::atomic<const Placed*> current_{
-      nullptr};  ///< the job whose queue the management thread acts on
+  /// The job whose queue the management thread acts on, in one word: its XNode's position in the
+  /// chain above kSequenceBits, its activation's number below.
+  std::atomic<std::uint64_t> current_{0};
+  static constexpr int kSequenceBits = 48;
   std::atomic<bool> lost_{false};
   std::atomic<std::uint32_t> ended_{0};          ///< 1: the execution thread is through; a futex
   Stopwatch watch_;                              ///< of jobs with limits

@@ -17,24 +17,31 @@ void Worker::manage() {
   if (options_.mgmt_fifo > 0) (void)rt::set_fifo(options_.mgmt_fifo);
 
   // What we suspended, by value: the execution thread may be at its next job when RESUME comes.
-  std::optional<SchedHandle> suspended;
+  struct Suspended {
+    SchedHandle handle;
+    const Placed* job;
+    std::uint64_t sequence;
+  };
+  std::optional<Suspended> suspended;
   for (;;) {
     const coord::Command command = port_->wait_command(suspended ? xpu::kStillWantedMs : -1);
-    const Placed* job = current_.load(std::memory_order_acquire);
     switch (command) {
       case coord::Command::kSuspend: {
         if (suspended) {  // said twice; what the execution thread is at may be the next job
           port_->acknowledge(true);
           break;
         }
-        record(XAUTO_EV_SUSPEND, *job);
+        const std::uint64_t current = current_.load(std::memory_order_acquire);
+        const Placed* job = &chain_.nodes[current >> kSequenceBits];
+        const std::uint64_t sequence = current & ((std::uint64_t{1} << kSequenceBits) - 1);
+        record(XAUTO_EV_SUSPEND, *job, sequence);
         const Status done = backend_->preempt(job->handle);
         if (done) {
-          suspended = job->handle;
+          suspended = {job->handle, job, sequence};
           const std::int64_t now = now_ns();
           watch_.away(now);
           thread_->release(now);
-          record(XAUTO_EV_SUSPENDED, *job);
+          record(XAUTO_EV_SUSPENDED, *job, sequence);
         } else {
           log::debug("{}: not suspended: {}", options_.name, done.error().to_string());
         }
@@ -43,13 +50,13 @@ void Worker::manage() {
       }
       case coord::Command::kResume:
         if (suspended) {  // otherwise it is back before we came to suspend it, or could not be
-          record(XAUTO_EV_RESUME, *job);
-          if (const Status done = backend_->restore(*suspended); !done)
+          record(XAUTO_EV_RESUME, *suspended->job, suspended->sequence);
+          if (const Status done = backend_->restore(suspended->handle); !done)
             log::warn("{}: not resumed: {}", options_.name, done.error().to_string());
-          suspended.reset();
           watch_.back(now_ns());
           thread_->hold(now_ns());
-          record(XAUTO_EV_RESUMED, *job);
+          record(XAUTO_EV_RESUMED, *suspended->job, suspended->sequence);
+          suspended.reset();
         }
         port_->acknowledge(true);
         break;
@@ -60,7 +67,7 @@ void Worker::manage() {
         break;
       case coord::Command::kLost:
       case coord::Command::kInterrupted:
-        if (suspended) (void)backend_->restore(*suspended);
+        if (suspended) (void)backend_->restore(suspended->handle);
         suspended.reset();
         watch_.back(now_ns());
         if (command == coord::Command::kInterrupted) return;
