@@ -35,6 +35,7 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
     Slot& slot = slots_[static_cast<std::size_t>(input)];
     if (single_rate_ && envelope.sequence < next_) return;  // of a release that is already lost
     arrive(slot, envelope, lost);
+    put_off(lost);
     start = !busy_ && take_if_fresh(lost);
     if (!busy_ || hung_) skip_below = std::exchange(skip_below_, 0);
   }
@@ -46,7 +47,9 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
 void ModuleRuntime::arrive(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost) {
   if (hung_) return lose_while_hung(slot, envelope, lost);
   // Messages come in order: what lies between was lost on the way (a full queue between processes).
-  const std::uint64_t expected = std::exchange(slot.expected, envelope.sequence + 1);
+  // What was settled meanwhile is not missing.
+  const std::uint64_t expected =
+      std::max(std::exchange(slot.expected, envelope.sequence + 1), single_rate_ ? next_ : 0);
   const bool gap = envelope.sequence > expected && envelope.message != nullptr;
   if (match_ns_ >= 0 && !single_rate_) {
     constexpr std::size_t kDepth = 16;  // unless it says queue:N
@@ -185,6 +188,19 @@ bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
   return true;
 }
 
+/// Called with the mutex held.
+void ModuleRuntime::put_off(std::vector<Lost>& lost) {
+  if (!single_rate_ || !busy_ || hung_) return;
+  for (const Lost& range : lost) {
+    if (!later_.empty() && later_.back().reason == range.reason &&
+        later_.back().last + 1 == range.first)
+      later_.back().last = range.last;
+    else
+      later_.push_back(range);
+  }
+  lost.clear();
+}
+
 void ModuleRuntime::tell(const std::vector<Lost>& lost, std::uint64_t skip_below) {
   for (const Lost& range : lost)
     for (std::uint64_t sequence = range.first; sequence <= range.last; ++sequence)
@@ -230,6 +246,8 @@ void ModuleRuntime::finish(bool succeeded) {
     busy_ = false;
     if (watched_) fate_.store(Fate::kOpen);
     if (!succeeded && single_rate_) skip_below_ = std::max(skip_below_, sequence + 1);
+    lost.insert(lost.end(), later_.begin(), later_.end());
+    later_.clear();
     again = take_if_fresh(lost);
     skip_below = std::exchange(skip_below_, 0);
   }
@@ -249,6 +267,8 @@ bool ModuleRuntime::abandon(std::uint64_t sequence) {
     hung_ = true;
     lost.push_back({sequence, sequence, XAUTO_DROP_HUNG});
     if (single_rate_) skip_below_ = std::max(skip_below_, sequence + 1);
+    lost.insert(lost.end(), later_.begin(), later_.end());
+    later_.clear();
     for (Slot& slot : slots_)
       for (auto waiting = std::exchange(slot.waiting, {}); !waiting.empty(); waiting.pop_front())
         lose_while_hung(slot, waiting.front(), lost);

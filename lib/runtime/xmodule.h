@@ -103,6 +103,7 @@ class ModuleRuntime {
   void gather_origins();
   void finish_abandoned();
   bool take_if_fresh(std::vector<Lost>& lost);
+  void put_off(std::vector<Lost>& lost);
   void tell(const std::vector<Lost>& lost, std::uint64_t skip_below);
 
   const Graph::Module& module_;
@@ -126,6 +127,9 @@ class ModuleRuntime {
   /// flight has ended: it is older than what was lost and must not be taken for finished, nor
   /// overtaken downstream.
   std::uint64_t skip_below_ = 0;
+  /// Single rate: losses newer than the activation in flight, told after its end: releases are
+  /// settled in order, and whoever hears of k+1 takes an untold k for lost.
+  std::vector<Lost> later_;
 
   bool hung_ = false;  ///< the activation in flight was given up
 
