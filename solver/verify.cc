@@ -6,6 +6,7 @@
 #include <numeric>
 #include <random>
 
+#include "model/claims.h"
 #include "solver/verify_world.h"
 
 namespace xauto::solver {
@@ -314,7 +315,8 @@ class Check {
     if (claimed < v_.worst_found_us) return;
     const std::optional<Us> certified = certificate();
     if (certified && *certified <= claimed)
-      shown("worst_case_us = " + us(claimed) + ": no execution is longer than " + us(*certified));
+      shown("worst_case_us = " + us(claimed) + ": not longer than " + us(*certified) +
+            ", the worst case of " + kWorstCaseScope);
     else
       taken("worst_case_us = " + us(claimed) + ": not re-derived; the longest of " +
             std::to_string(v_.executions) + " executions took " + us(v_.worst_found_us));

@@ -9,6 +9,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "model/claims.h"
 #include "model/json_document.h"
 
 namespace xauto {
@@ -288,7 +289,10 @@ std::string to_json(const Policy& policy, const AppSpec& app, const Platform& pl
   document["latency_us"] = policy.latency_us;
   document["lower_bound_us"] = policy.lower_bound_us;
   document["optimal"] = policy.optimal;
-  if (policy.worst_case_us) document["worst_case_us"] = *policy.worst_case_us;
+  if (policy.worst_case_us) {
+    document["worst_case_us"] = *policy.worst_case_us;
+    document["worst_case_of"] = kWorstCaseScope;
+  }
   document["solve_ms"] = policy.solve_ms;
   return dump(document);
 }

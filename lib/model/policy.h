@@ -36,7 +36,7 @@ struct Policy {
   std::int64_t latency_us = 0;      ///< makespan of the predicted schedule, with `order` enforced
   std::int64_t lower_bound_us = 0;  ///< proven: no schedule of any kind on this platform is shorter
   bool optimal = false;             ///< proven: latency_us == lower_bound_us
-  /// No execution in which every job takes at most its WCET is longer; nullopt where not certified.
+  /// Bounds every execution that kWorstCaseScope (model/claims.h) is about; nullopt: not certified.
   std::optional<std::int64_t> worst_case_us;
   std::int64_t solve_ms = 0;
   bool operator==(const Policy&) const = default;

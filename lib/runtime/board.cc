@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "runtime/board.h"
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <new>
@@ -91,6 +92,11 @@ Result<std::shared_ptr<Board>> Board::map(int fd, const BoardShape& shape) {
     return fail(ErrorCode::kInvalid, "the app's shared memory is another app's", {},
                 "all processes of an app must be of one build");
   return board;
+}
+
+bool Board::busy() const {
+  return std::any_of(modules_, modules_ + header_->modules,
+                     [](const ModuleLine& line) { return line.in_flight.load() != 0; });
 }
 
 std::uint64_t Board::settled() const {

@@ -35,6 +35,7 @@ struct BoardShape {
 /// order, so the sum of the three is the number of the next one.
 struct alignas(64) ModuleLine {
   std::atomic<std::uint64_t> activations{}, failed{}, dropped{};  ///< [M]
+  std::atomic<std::uint32_t> in_flight{};  ///< [M] 1: an activation is
   [[nodiscard]] std::uint64_t settled() const {
     return activations.load() + failed.load() + dropped.load();
   }
@@ -69,6 +70,8 @@ class Board {
   ProcessLine& process(int index) { return processes_[index]; }
   [[nodiscard]] int processes() const { return static_cast<int>(header_->processes); }
   [[nodiscard]] std::uint64_t settled() const;
+  /// Some module has an activation in flight.
+  [[nodiscard]] bool busy() const;
   /// Rings whoever reads the queues of `process` now.
   void ring(int process) {
     const std::uint32_t at = processes_[process].stand_in.load(std::memory_order_acquire);

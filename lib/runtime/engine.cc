@@ -5,9 +5,12 @@
 
 #include <algorithm>
 
+#include <fmt/format.h>
+
 #include "base/clock.h"
 #include "base/log.h"
 #include "base/rt.h"
+#include "model/claims.h"
 #include "runtime/notes.h"
 #include "runtime/supervisor.h"
 
@@ -56,6 +59,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   XAUTO_ASSIGN(e.interop_, Interop::open(e.graph_, e.plan_, session));
   XAUTO_TRY(e.wire());
   if (!e.member_) XAUTO_TRY(e.open_recorder());
+  if (!e.member_) e.compare_with_certificate();
   XAUTO_TRY(e.start_workers());
   return engine;
 }
@@ -150,16 +154,42 @@ FifoPlan Engine::choose_priorities() {
   return fifo_;
 }
 
+/// What is known before the first release of the assumptions behind the policy's worst case: the
+/// user hears of it now, not after an hour.
+void Engine::compare_with_certificate() {
+  if (session_.scheduling != Scheduling::kXAuto || !session_.policy.worst_case_us) return;
+  const std::int64_t worst_us = *session_.policy.worst_case_us;
+  const auto ms = [](std::int64_t us) {
+    return fmt::format("{:.2f} ms", static_cast<double>(us) / 1000);
+  };
+  if (!graph_.single_rate) {
+    unkept_.emplace_back("the sources have several periods, so releases overlap in any phase");
+  } else if (session_.input.empty() && !session_.lockstep && !app_.sources.empty()) {
+    const std::int64_t period_us =
+        session_.period_us > 0 ? session_.period_us : app_.sources.front().period.count();
+    if (period_us < worst_us)
+      log::warn(
+          "releases come every {}, the worst case of {} is {}: those that overlap may be later",
+          ms(period_us), kWorstCaseScope, ms(worst_us));
+  }
+  const bool kept = session_.cpu_sched == CpuSched::kExt ||
+                    (session_.cpu_sched == CpuSched::kFifo && !fifo_.none());
+  if (!session_.emulated && !kept && !session_.platform.instances_of("cpu").empty())
+    unkept_.emplace_back("nobody keeps the priorities on CPUs (SCHED_OTHER)");
+  for (const std::string& why : unkept_)
+    log::warn("the policy's worst case of {} does not hold in this run: {}", ms(worst_us), why);
+}
+
 /// The policy's pairs of XNodes, on all XPUs.
 std::vector<std::pair<std::uint32_t, std::uint32_t>> Engine::order_in_force() {
   std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
   if (session_.policy.order.empty()) return order;
   if (!graph_.single_rate) {
+    // A pair would have to say which release of u comes before which of v.
     const std::string unordered =
-        "the sources have several periods: the policy's order constraints are not enforced, "
-        "its worst case does not hold";
+        "the sources have several periods: the policy's order constraints are not enforced";
     add_note(note_, unordered);
-    log::warn("{}", unordered);
+    unkept_.push_back("its order constraints are not enforced");
     return order;
   }
   for (const auto& [u, v] : session_.policy.order)
@@ -368,11 +398,13 @@ Result<RunReport> Engine::run_whole() {
                std::to_string(lost) + " messages to this process were lost in full queues");
   }
   // A run without an end of its own is complete when it has been told to stop.
-  result.complete = drained && (!stop_.load() || session_.activations == 0);
+  const bool endless = session_.activations == 0 && session_.duration_us == 0;
+  result.complete = drained && (!stop_.load() || endless);
   if (!drained)
     add_note(result.note, in_flight_.load() > 0
                               ? std::to_string(in_flight_.load()) + " activations did not end"
-                              : "a module whose result was not needed did not end");
+                          : graph_.single_rate ? "a module whose result was not needed did not end"
+                                               : "a module's last activation did not end");
   for (const auto& callback : app_.on_end) {
     try {
       callback();

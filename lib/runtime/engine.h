@@ -70,21 +70,27 @@ class Engine final : public ModuleHost, private HubHost {
   struct Placing;
   [[nodiscard]] Status place();
   [[nodiscard]] FifoPlan choose_priorities();
+  void compare_with_certificate();
   [[nodiscard]] std::vector<std::pair<std::uint32_t, std::uint32_t>> order_in_force();
   [[nodiscard]] Status place_module(std::size_t m, const Placing& placing);
   [[nodiscard]] Result<WorkerOptions> worker_options(std::size_t module, int xpu,
                                                      const Placing& placing) const;
   [[nodiscard]] Status wire();
   [[nodiscard]] Status start_workers();
+  [[nodiscard]] std::int64_t run_length_ns(std::int64_t slowest_period_ns) const;
+  [[nodiscard]] int slowest_source() const;
   [[nodiscard]] Status release_periodic();
   [[nodiscard]] Status release_recorded();
-  void take_fed(const std::vector<int>& topics, std::int64_t period_ns,
-                std::vector<std::pair<int, std::shared_ptr<const void>>>& messages);
-  void release(std::int64_t origin_ns, std::uint64_t sequence,
-               const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages);
+  /// What a source releases: its own number, which in an app of one rate is everybody's.
+  struct Sample {
+    int topic = -1;
+    std::uint64_t sequence = 0;
+    std::shared_ptr<const void> message;  ///< null: lost
+  };
+  void take_fed(std::vector<Sample> fed, std::int64_t period_ns, std::vector<Sample>& samples);
+  void release(std::int64_t origin_ns, const std::vector<Sample>& samples);
   [[nodiscard]] Status open_recorder();
-  void record(std::int64_t origin_ns,
-              const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages);
+  void record(std::int64_t origin_ns, const std::vector<Sample>& samples);
   [[nodiscard]] Result<RunReport> run_whole();
   void start_watchdog();
   void hung(const Worker& worker, const Worker::Hung& job);
@@ -116,6 +122,7 @@ class Engine final : public ModuleHost, private HubHost {
   std::vector<std::unique_ptr<Worker>> workers_;
   FifoPlan fifo_;  ///< what this process may
   std::string note_;
+  std::vector<std::string> unkept_;           ///< see RunReport
   std::optional<record::Recorder> recorder_;  ///< of the releasing thread
   std::vector<std::size_t> recorded_topic_;   ///< [topic] -> the recorder's index
   std::atomic<bool> stop_{false};
@@ -141,7 +148,7 @@ class Engine final : public ModuleHost, private HubHost {
   };
   mutable PiMutex releases_mutex_;
   std::deque<Release> releases_;  ///< the last kKeptReleases
-  std::uint64_t num_releases_ = 0, lost_releases_ = 0;
+  std::uint64_t num_releases_ = 0, lost_releases_ = 0, overlapping_releases_ = 0;
   Distribution release_latencies_us_;
   std::deque<Open> open_;                 ///< from open_base_ on; those before are accounted for
   std::uint64_t open_base_ = 0;           ///< a sequence

@@ -16,6 +16,7 @@ namespace xauto::runtime {
 
 void Engine::activate(int module) {
   Chain& chain = *chains_[static_cast<std::size_t>(module)];
+  board_->module(module).in_flight.store(1);
   if (trace_)
     trace_->write(XAUTO_EV_ACTIVATE, chain.runtime->input().sequence(), XAUTO_EV_NONE,
                   static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
@@ -24,12 +25,14 @@ void Engine::activate(int module) {
 
 void Engine::done(int module, std::int64_t origin_ns, std::uint64_t sequence) {
   board_->module(module).activations.fetch_add(1, std::memory_order_relaxed);
+  board_->module(module).in_flight.store(0, std::memory_order_relaxed);
+  const std::int64_t now = now_ns();  // one instant for all accounts: the trace and the table agree
   if (trace_)
-    trace_->write(XAUTO_EV_DONE, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
-                  XAUTO_EV_NONE);
+    trace_->write_at(now, XAUTO_EV_DONE, sequence, XAUTO_EV_NONE,
+                     static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
   if (graph_.modules[static_cast<std::size_t>(module)].sink || routes_->end_at(module))
     through(module, sequence, origin_ns,
-            modules_[static_cast<std::size_t>(module)]->origins().get(), now_ns(), false);
+            modules_[static_cast<std::size_t>(module)]->origins().get(), now, false);
 }
 
 /// A sink module, or one where a chain ends, is through with release `sequence`; known here, or
@@ -54,6 +57,8 @@ void Engine::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
   ModuleLine& counts = board_->module(module);
   (reason == XAUTO_DROP_FAILED ? counts.failed : counts.dropped)
       .fetch_add(1, std::memory_order_relaxed);
+  if (reason == XAUTO_DROP_FAILED || reason == XAUTO_DROP_HUNG || reason == XAUTO_DROP_DIED)
+    counts.in_flight.store(0, std::memory_order_relaxed);
   if (trace_)
     trace_->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
                   XAUTO_EV_NONE, reason);
@@ -124,6 +129,7 @@ RunReport Engine::report() {
     result.releases.assign(releases_.begin(), releases_.end());
     result.num_releases = num_releases_;
     result.lost_releases = lost_releases_;
+    result.overlapping_releases = overlapping_releases_;
     result.latencies_us = release_latencies_us_;
   }
   std::sort(result.releases.begin(), result.releases.end(),
@@ -147,6 +153,7 @@ RunReport Engine::report() {
                              line.longest_ns / 1000});
   }
   result.deadline_misses = deadline_misses_.load();
+  result.unkept = unkept_;
   return result;
 }
 

@@ -59,6 +59,7 @@ void Engine::left(int process) {
   for (std::size_t m = 0; m < graph_.modules.size(); ++m) {
     if (plan_.process_of[m] != process) continue;
     modules += (modules.empty() ? "" : ", ") + graph_.modules[m].name;
+    board_->module(static_cast<int>(m)).in_flight.store(0);
     // It may have died between counting a release and telling.
     const std::uint64_t settled = board_->module(static_cast<int>(m)).settled();
     if (graph_.modules[m].sink && graph_.single_rate && settled > 0)

@@ -16,8 +16,20 @@ namespace {
 
 /// No progress for so long: give up, say what hangs.
 constexpr std::int64_t kStallNs = 10'000'000'000;
+/// Longer than any run, and a sum of two of them is no overflow.
+constexpr std::int64_t kForeverNs = INT64_MAX / 4;
 
 }  // namespace
+
+/// How long to release, from the first release on. A count is of the slowest source's releases, so
+/// that no source falls silent before the others.
+std::int64_t Engine::run_length_ns(std::int64_t slowest_period_ns) const {
+  if (session_.duration_us > 0) return session_.duration_us * 1000;
+  const std::uint64_t count = session_.activations;
+  if (count == 0 || count > static_cast<std::uint64_t>(kForeverNs / slowest_period_ns))
+    return kForeverNs;
+  return static_cast<std::int64_t>(count) * slowest_period_ns;
+}
 
 /// Every source at its period, on one absolute time grid, so that sources of equal period release
 /// at the same instants and nothing drifts.
@@ -26,23 +38,28 @@ Status Engine::release_periodic() {
     int topic;
     std::int64_t period_ns;
     std::uint64_t sequence = 0;
+    /// Of its next release, from the first one of all on.
+    [[nodiscard]] std::int64_t due_ns() const {
+      return static_cast<std::int64_t>(sequence) * period_ns;
+    }
   };
   std::vector<Source> sources;
+  std::int64_t slowest_ns = 1;
   for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
     if (graph_.topics[t].source < 0) continue;
     const auto& spec = app_.sources[static_cast<std::size_t>(graph_.topics[t].source)];
     const std::int64_t period_us =
         session_.period_us > 0 ? session_.period_us : spec.period.count();
     sources.push_back({static_cast<int>(t), period_us * 1000});
+    slowest_ns = std::max(slowest_ns, period_us * 1000);
   }
   std::int64_t start = now_ns() + 20'000'000;
-  const std::uint64_t limit = session_.activations == 0 ? kMaxActivations : session_.activations;
+  const std::int64_t length_ns = run_length_ns(slowest_ns);
   while (!stop_.load()) {
-    std::int64_t due = INT64_MAX;
-    for (const Source& s : sources)
-      if (s.sequence < limit)
-        due = std::min(due, start + static_cast<std::int64_t>(s.sequence) * s.period_ns);
-    if (due == INT64_MAX) break;
+    std::int64_t next_ns = length_ns;
+    for (const Source& s : sources) next_ns = std::min(next_ns, s.due_ns());
+    if (next_ns >= length_ns) break;
+    std::int64_t due = start + next_ns;
     if (session_.lockstep) {
       if (!wait_drained())
         return fail(ErrorCode::kTimeout, "no progress for 10 s in lockstep",
@@ -53,42 +70,38 @@ Status Engine::release_periodic() {
       due = now;
     }
     // Messages are made before their release, so that making them does not count as latency.
-    std::vector<std::pair<int, std::shared_ptr<const void>>> messages;
-    std::vector<int> fed;
+    std::vector<Sample> samples, fed;
     std::int64_t fed_period_ns = 0;
-    std::uint64_t sequence = 0;
     for (Source& s : sources) {
-      if (s.sequence >= limit || start + static_cast<std::int64_t>(s.sequence) * s.period_ns > due)
-        continue;
+      if (s.due_ns() > next_ns) continue;
       if (interop_ && interop_->feeds(static_cast<std::size_t>(s.topic))) {
-        fed.push_back(s.topic);
         fed_period_ns =
             s.sequence == 0 ? INT64_MAX : s.period_ns;  // nothing to do before the first
-        sequence = s.sequence++;
+        fed.push_back({s.topic, s.sequence++, nullptr});
         continue;
       }
       const auto& spec = app_.sources[static_cast<std::size_t>(
           graph_.topics[static_cast<std::size_t>(s.topic)].source)];
       try {
         MessageMemory* memory = publishers_[static_cast<std::size_t>(s.topic)].get();
-        messages.emplace_back(s.topic, memory != nullptr && spec.make_in
-                                           ? spec.make_in(s.sequence, memory)
-                                           : spec.make(s.sequence));
+        samples.push_back({s.topic, s.sequence,
+                           memory != nullptr && spec.make_in ? spec.make_in(s.sequence, memory)
+                                                             : spec.make(s.sequence)});
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
                     "the source of topic '" + spec.topic.name + "'");
       }
-      sequence = s.sequence++;
+      ++s.sequence;
     }
     sleep_until_ns(due);
     if (!fed.empty()) {
-      take_fed(fed, fed_period_ns, messages);
+      take_fed(std::move(fed), fed_period_ns, samples);
       if (stop_.load()) break;
       // The next release is a period after this one: the time grid follows whoever feeds us.
       if (graph_.single_rate) start += now_ns() - due;
-      if (messages.empty()) continue;
+      if (samples.empty()) continue;
     }
-    release(now_ns(), sequence, messages);
+    release(now_ns(), samples);
   }
   return {};
 }
@@ -96,32 +109,41 @@ Status Engine::release_periodic() {
 /// Messages that programs outside feed us. In an app of one rate a release waits for its message,
 /// for up to a period; without one it is lost, and told so downstream. Otherwise there is one or
 /// there is none.
-void Engine::take_fed(const std::vector<int>& topics, std::int64_t period_ns,
-                      std::vector<std::pair<int, std::shared_ptr<const void>>>& messages) {
+void Engine::take_fed(std::vector<Sample> fed, std::int64_t period_ns,
+                      std::vector<Sample>& samples) {
   const std::int64_t now = now_ns();
   std::int64_t until = now;
   if (graph_.single_rate) until = period_ns > INT64_MAX - now ? INT64_MAX : now + period_ns;
+  std::vector<int> topics;
+  for (const Sample& sample : fed) topics.push_back(sample.topic);
   auto taken = interop_->take(topics, until, stop_);
-  for (std::size_t i = 0; i < topics.size(); ++i)
-    if (taken[i] != nullptr || graph_.single_rate)
-      messages.emplace_back(topics[i], std::move(taken[i]));
+  for (std::size_t i = 0; i < fed.size(); ++i) {
+    if (taken[i] == nullptr && !graph_.single_rate) continue;
+    fed[i].message = std::move(taken[i]);
+    samples.push_back(std::move(fed[i]));
+  }
 }
 
-void Engine::release(std::int64_t origin_ns, std::uint64_t sequence,
-                     const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages) {
+void Engine::release(std::int64_t origin_ns, const std::vector<Sample>& samples) {
+  const std::uint64_t sequence = samples.front().sequence;
   if (graph_.single_rate && num_sinks_ > 0) {
     const std::lock_guard lock(releases_mutex_);
     num_released_ = sequence + 1;
     while (open_base_ + open_.size() <= sequence) open_.push_back({});
     if (sequence >= open_base_)
       open_[sequence - open_base_] = {origin_ns, origin_ns, num_sinks_, false};
-    in_flight_.fetch_add(1);
+    if (in_flight_.fetch_add(1) > 0) ++overlapping_releases_;
   }
-  if (trace_)
-    trace_->write(XAUTO_EV_PUBLISH, sequence, XAUTO_EV_NONE, XAUTO_EV_NONE, XAUTO_EV_NONE);
-  if (recorder_) record(origin_ns, messages);
-  for (const auto& [topic, message] : messages) {
-    detail::Envelope envelope{message, origin_ns, sequence};
+  if (trace_) {
+    // One release in an app of one rate, several otherwise.
+    const std::size_t count = graph_.single_rate ? 1 : samples.size();
+    for (std::size_t i = 0; i < count; ++i)
+      trace_->write_at(origin_ns, XAUTO_EV_PUBLISH, samples[i].sequence, XAUTO_EV_NONE,
+                       XAUTO_EV_NONE, XAUTO_EV_NONE);
+  }
+  if (recorder_) record(origin_ns, samples);
+  for (const auto& [topic, number, message] : samples) {
+    detail::Envelope envelope{message, origin_ns, number};
     if (!graph_.single_rate) {
       auto origins = std::make_shared<detail::Origins>();
       origins->fill(0);
@@ -153,9 +175,8 @@ Status Engine::open_recorder() {
 }
 
 /// The first failure ends the recording, not the run; the report tells.
-void Engine::record(std::int64_t origin_ns,
-                    const std::vector<std::pair<int, std::shared_ptr<const void>>>& messages) {
-  for (const auto& [topic, message] : messages) {
+void Engine::record(std::int64_t origin_ns, const std::vector<Sample>& samples) {
+  for (const auto& [topic, sequence, message] : samples) {
     if (message == nullptr) continue;
     const auto t = static_cast<std::size_t>(topic);
     Status done;
@@ -171,6 +192,21 @@ void Engine::record(std::int64_t origin_ns,
     recorder_.reset();
     return;
   }
+}
+
+/// The topic of the source with the longest period.
+int Engine::slowest_source() const {
+  int slowest = -1;
+  std::chrono::microseconds longest{0};
+  for (std::size_t t = 0; t < graph_.topics.size(); ++t) {
+    if (graph_.topics[t].source < 0) continue;
+    const auto period = app_.sources[static_cast<std::size_t>(graph_.topics[t].source)].period;
+    if (period > longest) {
+      longest = period;
+      slowest = static_cast<int>(t);
+    }
+  }
+  return slowest;
 }
 
 /// Releases a recording's messages: message k of each recorded source topic is release k. In
@@ -198,12 +234,13 @@ Status Engine::release_recorded() {
   std::vector<std::uint64_t> sequence(graph_.topics.size(), 0);
   // Messages of one instant are one release; so are the k-th messages of all topics in a
   // single-rate app.
-  std::vector<std::pair<int, std::shared_ptr<const void>>> batch;
+  std::vector<Sample> batch;
   std::size_t num_topics = 0;
   for (const int t : topic_of) num_topics += t >= 0 ? 1 : 0;
   std::int64_t first_stamp = -1, start = 0;
-  std::uint64_t releases = 0;
-  while (!stop_.load() && (session_.activations == 0 || releases < session_.activations)) {
+  std::uint64_t releases = 0, counted = 0;  // of all sources; of the slowest
+  const int slowest = slowest_source();
+  while (!stop_.load() && (session_.activations == 0 || counted < session_.activations)) {
     XAUTO_ASSIGN(auto message, recording.next());
     if (!message) break;
     const int t = topic_of[message->topic];
@@ -212,32 +249,34 @@ Status Engine::release_recorded() {
     if (spec.decode == nullptr)
       return fail(ErrorCode::kInvalid, "messages of type " + spec.type_name + " cannot be decoded",
                   "topic '" + spec.name + "'", "specialise xauto::Codec for it");
+    std::uint64_t& number = sequence[static_cast<std::size_t>(t)];
     try {
-      batch.emplace_back(t, spec.decode(message->data));
+      batch.push_back({t, number, spec.decode(message->data)});
     } catch (const std::exception& e) {
-      return fail(
-          ErrorCode::kInvalid,
-          "message " + std::to_string(sequence[static_cast<std::size_t>(t)]) + ": " + e.what(),
-          session_.input + ": topic '" + spec.name + "'");
+      return fail(ErrorCode::kInvalid, "message " + std::to_string(number) + ": " + e.what(),
+                  session_.input + ": topic '" + spec.name + "'");
     }
-    const std::uint64_t number = sequence[static_cast<std::size_t>(t)]++;
+    ++number;
     if (graph_.single_rate && batch.size() < num_topics) continue;
     if (first_stamp < 0) {
       first_stamp = message->timestamp_ns;
       start = now_ns() + 20'000'000;
     }
+    const std::int64_t at_ns = session_.period_us > 0
+                                   ? static_cast<std::int64_t>(releases) * session_.period_us * 1000
+                                   : message->timestamp_ns - first_stamp;
+    if (session_.duration_us > 0 && at_ns >= session_.duration_us * 1000) break;
     if (session_.lockstep) {
       if (!wait_drained())
         return fail(ErrorCode::kTimeout, "no progress for 10 s in lockstep",
                     "app '" + app_.name + "'");
-    } else if (session_.period_us > 0) {
-      sleep_until_ns(start + static_cast<std::int64_t>(releases) * session_.period_us * 1000);
     } else {
-      sleep_until_ns(start + (message->timestamp_ns - first_stamp));
+      sleep_until_ns(start + at_ns);
     }
-    release(now_ns(), number, batch);
+    release(now_ns(), batch);
     batch.clear();
     ++releases;
+    if (graph_.single_rate || t == slowest) ++counted;
   }
   return {};
 }
@@ -251,14 +290,18 @@ bool Engine::settled() const {
 }
 
 /// Single rate: until every release is accounted for. Otherwise there is nothing to count by, so:
-/// until no module has ended an activation for 100 ms. False after `timeout_ns` without progress.
+/// until no module has an activation in flight or has ended one for 100 ms. False after kStallNs
+/// without progress.
 bool Engine::wait_drained() {
   if (!graph_.single_rate) {
+    std::int64_t since = now_ns();
     for (std::uint64_t before = board_->settled();;) {
       sleep_until_ns(now_ns() + 100'000'000);
-      const std::uint64_t now = board_->settled();
-      if (now == before) return true;
-      before = now;
+      const std::uint64_t settled = board_->settled();
+      if (settled == before && !board_->busy()) return true;
+      if (settled != before) since = now_ns();
+      if (now_ns() - since > kStallNs) return false;
+      before = settled;
     }
   }
   std::int64_t since = now_ns();

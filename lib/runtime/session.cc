@@ -76,6 +76,7 @@ std::string to_json(const Session& s) {
             {"emulator_modules", s.emulator_modules},
             {"coordinators", s.coordinators},
             {"activations", s.activations},
+            {"duration_us", s.duration_us},
             {"lockstep", s.lockstep},
             {"period_us", s.period_us},
             {"input", s.input},
@@ -127,6 +128,7 @@ Result<Session> parse_session(const std::string& text) {
     s.emulator_modules = j.at("emulator_modules").get<bool>();
     s.coordinators = j.at("coordinators").get<std::map<std::string, std::string>>();
     s.activations = j.at("activations").get<std::uint64_t>();
+    s.duration_us = j.at("duration_us").get<std::int64_t>();
     s.lockstep = j.at("lockstep").get<bool>();
     s.period_us = j.at("period_us").get<std::int64_t>();
     s.input = j.at("input").get<std::string>();
@@ -219,7 +221,9 @@ std::string to_json(const RunReport& r) {
               {"routes", std::move(routes)},
               {"lost_coordinators", r.lost_coordinators},
               {"died", r.died},
-              {"deadline_misses", r.deadline_misses}}
+              {"deadline_misses", r.deadline_misses},
+              {"overlapping_releases", r.overlapping_releases},
+              {"unkept", r.unkept}}
       .dump();
 }
 
@@ -271,6 +275,8 @@ Result<RunReport> parse_run_report(const std::string& text) {
     r.lost_coordinators = j.at("lost_coordinators").get<std::vector<std::string>>();
     r.died = j.at("died").get<std::vector<std::string>>();
     r.deadline_misses = j.at("deadline_misses").get<std::uint64_t>();
+    r.overlapping_releases = j.at("overlapping_releases").get<std::uint64_t>();
+    r.unkept = j.at("unkept").get<std::vector<std::string>>();
     return r;
   });
 }

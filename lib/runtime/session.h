@@ -53,12 +53,14 @@ struct Session {
   bool emulated = false;
   bool emulator_modules = false;  ///< with `emulated`: GPUs and DLAs are those of kmod/emu/
   std::map<std::string, std::string> coordinators;  ///< XPU id -> abstract socket; empty: none
-  std::uint64_t activations =
-      0;                       ///< releases per source; 0: until told to stop, or the input's end
-  bool lockstep = false;       ///< the next release comes when the last one has drained
-  std::int64_t period_us = 0;  ///< instead of the sources' own; 0: theirs
-  std::string input;           ///< recorded input; empty: the sources' own messages
-  std::string record;          ///< record the sources' messages into this file; empty: don't
+  /// Releases of the slowest source, of the others as many as fit into that time; 0: until told to
+  /// stop, or the input's end.
+  std::uint64_t activations = 0;
+  std::int64_t duration_us = 0;  ///< release for so long instead; 0: count
+  bool lockstep = false;         ///< the next release comes when the last one has drained
+  std::int64_t period_us = 0;    ///< instead of the sources' own; 0: theirs
+  std::string input;             ///< recorded input; empty: the sources' own messages
+  std::string record;            ///< record the sources' messages into this file; empty: don't
   std::uint64_t warmup = 3, repetitions = 30;  ///< kProfile
   std::int64_t margin_pct = 20;                ///< kProfile
   int answer_fd = -1;                          ///< memfd for the Answer
@@ -119,6 +121,11 @@ struct RunReport {
   std::vector<std::string> lost_coordinators;
   std::vector<std::string> died;  ///< modules whose process ended before its time, each time
   std::uint64_t deadline_misses = 0;
+  /// Of an app of one rate: releases that came while an earlier one was still in flight.
+  std::uint64_t overlapping_releases = 0;
+  /// What the policy's worst case takes for granted (kWorstCaseScope) and this run does not keep by
+  /// the way it was set up; a line each, for people.
+  std::vector<std::string> unkept;
 };
 
 /// kDescribe answers an AppSpec without WCETs; kProfile a profile.json; kRun this. Errors of any

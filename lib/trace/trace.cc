@@ -65,9 +65,15 @@ Writer::~Writer() {
 
 void Writer::write(std::uint16_t kind, std::uint64_t seq, std::uint16_t xnode, std::uint16_t module,
                    std::uint16_t xpu, std::uint32_t arg) noexcept {
+  write_at(now_ns(), kind, seq, xnode, module, xpu, arg);
+}
+
+void Writer::write_at(std::int64_t ts_ns, std::uint16_t kind, std::uint64_t seq,
+                      std::uint16_t xnode, std::uint16_t module, std::uint16_t xpu,
+                      std::uint32_t arg) noexcept {
   const std::uint64_t index = header_->claimed.fetch_add(1, std::memory_order_relaxed);
   if (index >= header_->capacity) return;
-  events_of(header_)[index] = {now_ns(), seq, xnode, module, xpu, kind, arg, 0};
+  events_of(header_)[index] = {static_cast<std::uint64_t>(ts_ns), seq, xnode, module, xpu, kind, arg, 0};
 }
 
 Result<Recording> read(int fd) {

@@ -46,6 +46,10 @@ class Writer {
 
   void write(std::uint16_t kind, std::uint64_t seq, std::uint16_t xnode, std::uint16_t module,
              std::uint16_t xpu, std::uint32_t arg = 0) noexcept;
+  /// The same, of an instant that was read already: what is accounted for by it agrees with the
+  /// trace.
+  void write_at(std::int64_t ts_ns, std::uint16_t kind, std::uint64_t seq, std::uint16_t xnode,
+                std::uint16_t module, std::uint16_t xpu, std::uint32_t arg = 0) noexcept;
 
  private:
   Writer(Header* header, std::size_t bytes) : header_(header), bytes_(bytes) {}

@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include "model/claims.h"
 #include "model/json.h"
 
 #include "xauto/command.h"
@@ -32,8 +33,12 @@ std::string fact_of(const nlohmann::json& report, const std::string& id) {
             fmt::format("{}{} {:.2f} ms", out.empty() ? "" : ", ", what, at->get<double>() / 1000);
     };
     add("predicted_us", "simulated");
-    add("worst_case_us", "if no job outlasts its WCET, never longer than");
-    add("lower_bound_us", "nothing is shorter than");
+    add("lower_bound_us", "lower bound");
+    add("worst_case_us", "worst case");
+    if (run.contains("worst_case_us")) out += std::string(" of ") + kWorstCaseScope;
+    if (const auto broken = run.find("worst_case_broken");
+        broken != run.end() && broken->is_array() && !broken->empty())
+      out += ", which this run is not";
     return out;
   }
   return {};

@@ -6,8 +6,11 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include "model/claims.h"
+
 #include "xauto/perfetto.h"
 #include "xauto/run_trace.h"
+#include "xauto/worst_case.h"
 
 namespace xauto::cli {
 namespace {
@@ -95,7 +98,12 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
     if (run.policy) {
       j["optimal"] = run.policy->optimal;
       j["lower_bound_us"] = run.policy->lower_bound_us;
-      if (run.policy->worst_case_us) j["worst_case_us"] = *run.policy->worst_case_us;
+      if (const auto worst = worst_case_of(flags, run)) {
+        j["worst_case_us"] = worst->us;
+        j["worst_case_scope"] = kWorstCaseScope;
+        j["worst_case_exceeded"] = worst->exceeded;
+        j["worst_case_broken"] = worst->broken;
+      }
       ordered_json placement = ordered_json::object();
       for (std::size_t i = 0; i < flags.app.xnodes.size(); ++i)
         placement[flags.app.xnodes[i].name] =
@@ -188,6 +196,8 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
     if (run.scheduling == runtime::Scheduling::kXAuto)
       out += fmt::format("  {}: coordinators used {:.2f} % of one CPU\n", run.name,
                          coordinators_cpu_pct(run));
+    if (const auto worst = worst_case_of(flags, run))
+      out += fmt::format("  {}: {}\n", run.name, to_string(*worst));
     if (const std::uint64_t lost = lost_releases(run))
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
     if (!flags.deployment_path.empty() || run.report.num_releases == 0) out += limits_table(run);

@@ -51,10 +51,14 @@ void RunFlags::declare(CLI::App& verb) {
   verb.add_option("--app", app_path, "app.json: the XNodes and their WCETs")->required();
   verb.add_option("--platform", platform, "small, large, or a platform.json")
       ->capture_default_str();
-  verb.add_option("--activations", activations,
-                  "releases of the sensors; 0: until Ctrl-C or the input's end")
-      ->check(CLI::Range(std::uint64_t{0}, runtime::kMaxActivations))
-      ->capture_default_str();
+  auto* count = verb.add_option("--activations", activations,
+                                "releases of the slowest sensor, the others as many as fit into "
+                                "that time; 0: until Ctrl-C or the input's end")
+                    ->check(CLI::Range(std::uint64_t{0}, runtime::kMaxActivations))
+                    ->capture_default_str();
+  verb.add_option("--seconds", seconds, "release for so long instead")
+      ->check(CLI::Range(0.001, 31'536'000.0))
+      ->excludes(count);
   verb.add_option("--period-us", period_us, "release period instead of the app's own")
       ->check(CLI::Range(std::int64_t{1}, std::int64_t{3'600'000'000}));
   verb.add_option("--input", input, "recorded input to replay instead of the app's own messages");
@@ -182,6 +186,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.emulated = flags.emulated;
   session.emulator_modules = flags.emulator_modules;
   session.activations = flags.activations;
+  session.duration_us = static_cast<std::int64_t>(std::llround(flags.seconds * 1e6));
   session.lockstep = flags.lockstep;
   session.period_us = flags.period_us;
   session.input = flags.input;

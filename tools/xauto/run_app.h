@@ -35,6 +35,7 @@ class StopOnSignal {
 struct RunFlags {
   std::string app_path, platform = "small", input, cpu_sched = "fifo", record_path;
   std::uint64_t activations = 200;
+  double seconds = 0;  ///< 0: `activations` counts
   std::int64_t period_us = 0, cpu_budget_pct = 0;
   bool emulate = false, real = false, lockstep = false, isolate = false, emulator_modules = false;
   int restarts = 0;

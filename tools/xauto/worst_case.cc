@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/worst_case.h"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include "model/claims.h"
+
+#include "xauto/story.h"
+
+namespace xauto::cli {
+namespace {
+
+std::string ms(std::int64_t us) {
+  return fmt::format("{:.2f} ms", static_cast<double>(us) / 1000);
+}
+
+/// Jobs in the trace that ran for longer than their WCET, in words; empty: none. On real CPUs the
+/// kernel preempts unseen, so nothing is said of them.
+std::string overruns(const RunFlags& flags, const PolicyRun& run) {
+  std::vector<ModuleInfo> modules;
+  for (const runtime::ModuleReport& module : run.report.modules)
+    modules.push_back({module.name, module.sink});
+  const auto story = story_of(flags.app, flags.spec, modules, run.outcome.trace);
+  if (!story) return {};
+  std::uint64_t count = 0;
+  std::int64_t worst_us = 0;
+  int worst = -1;
+  for (const Job& job : story->jobs) {
+    const Xpu& xpu = flags.spec.xpus[static_cast<std::size_t>(job.xpu)];
+    const XNodeSpec& xnode = flags.app.xnodes[static_cast<std::size_t>(job.xnode)];
+    const auto wcet_us = xnode.wcet_on(xpu.type);
+    if (!job.complete || !wcet_us ||
+        runtime::discipline_of(xpu, flags.emulated) == coord::Discipline::kKernel)
+      continue;
+    std::int64_t ran_ns = 0;
+    for (const Phase& phase : job.phases)
+      if (phase.kind == PhaseKind::kRunning) ran_ns += phase.end_ns - phase.begin_ns;
+    const std::int64_t over_us = ran_ns / 1000 - *wcet_us;
+    if (over_us <= 0) continue;
+    ++count;
+    if (over_us > worst_us) {
+      worst_us = over_us;
+      worst = job.xnode;
+    }
+  }
+  if (count == 0) return {};
+  return fmt::format("{} of {} jobs outran their WCET, {} by {}", count, story->jobs.size(),
+                     flags.app.xnodes[static_cast<std::size_t>(worst)].name, ms(worst_us));
+}
+
+}  // namespace
+
+std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& run) {
+  if (run.scheduling != runtime::Scheduling::kXAuto || !run.policy || !run.policy->worst_case_us)
+    return std::nullopt;
+  WorstCase worst;
+  worst.us = *run.policy->worst_case_us;
+  worst.exceeded = run.latency.max_us > worst.us;
+  worst.broken = run.report.unkept;
+  if (run.report.overlapping_releases > 0)
+    worst.broken.push_back(fmt::format("{} of {} releases came while an earlier one was in flight",
+                                       run.report.overlapping_releases, run.report.num_releases));
+  if (std::string over = overruns(flags, run); !over.empty())
+    worst.broken.push_back(std::move(over));
+  if (!run.report.lost_coordinators.empty() || !run.report.died.empty())
+    worst.broken.emplace_back("processes of the run died");
+  return worst;
+}
+
+std::string to_string(const WorstCase& worst) {
+  std::string text = fmt::format("worst case {}, of {}: ", ms(worst.us), kWorstCaseScope);
+  if (worst.broken.empty())
+    return text + (worst.exceeded ? "exceeded, though nothing that is watched was broken; please "
+                                    "report this run"
+                                  : "kept");
+  text += worst.exceeded ? "exceeded, and not claimed here: " : "not claimed here: ";
+  for (std::size_t i = 0; i < worst.broken.size(); ++i)
+    text += (i == 0 ? "" : "; ") + worst.broken[i];
+  return text;
+}
+
+}  // namespace xauto::cli
