@@ -5,6 +5,7 @@
 #include <iostream>
 
 #include "base/log.h"
+#include "model/keys.h"
 
 #include "xauto/priorities.h"
 
@@ -41,6 +42,11 @@ int Commands::run(int argc, char** argv) {
   root_.footer(
       "Exit status: 0 done, 1 the answer is no, 2 bad usage or bad input.\n"
       "Next: xauto doctor");
+  for (CLI::App* sub : root_.get_subcommands({}))
+    if (sub->get_option_no_throw("--app") != nullptr ||
+        sub->get_option_no_throw("--platform") != nullptr)
+      sub->add_flag("--strict", options_.strict,
+                    "refuse files with keys that their format does not have");
   // CLI11 would only say that a verb is missing.
   const auto known = verbs();
   if (argc > 1 && argv[1][0] != '-' &&
@@ -57,6 +63,7 @@ int Commands::run(int argc, char** argv) {
   // Verbs that start an app, and the one that says how an app would run.
   for (const char* verb : {"run", "compare", "profile", "doctor"})
     if (root_.got_subcommand(verb)) obtain_priorities(argv);
+  if (options_.strict) set_unknown_keys(UnknownKeys::kRefuse);
   try {
     const Result<int> status = chosen_(options_);
     return status ? *status : report(status.error());

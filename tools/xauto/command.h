@@ -21,7 +21,8 @@ enum Exit : int { kDone = 0, kAnswerIsNo = 1, kBadInput = 2 };
 [[nodiscard]] int exit_status(const Error& error);
 
 struct Options {
-  bool json = false;  ///< --json, accepted by every verb
+  bool json = false;    ///< --json, accepted by every verb
+  bool strict = false;  ///< --strict, accepted by every verb that reads files of ours
 };
 
 /// A verb's body: runs after parsing, returns the exit status. Its error is reported by `run`.
