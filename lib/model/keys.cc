@@ -15,9 +15,8 @@ std::atomic<UnknownKeys> what_to_do{UnknownKeys::kWarn};
 }  // namespace
 
 std::string said_of(const Keys::Unknown& key) {
-  return key.nearest.empty()
-             ? "is no key of this format"
-             : "is no key of this format; did you mean \"" + key.nearest + "\"?";
+  return key.nearest.empty() ? "is no key of this format"
+                             : "is no key of this format; did you mean \"" + key.nearest + "\"?";
 }
 
 void set_unknown_keys(UnknownKeys what) {
