@@ -75,12 +75,33 @@ int Commands::run(int argc, char** argv) {
   }
 }
 
+/// CLI11 keeps the words of IsMember in the option's type only: "TEXT:{auto,heft}".
+static std::vector<std::string> values_of(const CLI::Option& option) {
+  const std::string type = option.get_type_name();
+  const std::size_t open = type.find('{'), close = type.rfind('}');
+  std::vector<std::string> values;
+  if (open == std::string::npos || close == std::string::npos || close < open) return values;
+  std::string word;
+  for (std::size_t i = open + 1; i <= close; ++i) {
+    if (type[i] != ',' && i < close) {
+      word += type[i];
+      continue;
+    }
+    values.push_back(std::move(word));
+    word.clear();
+  }
+  return values;
+}
+
 std::vector<Commands::Verb> Commands::verbs() const {
   std::vector<Verb> verbs;
   for (const CLI::App* sub : root_.get_subcommands({})) {
     Verb verb{sub->get_name(), sub->get_description(), {}};
-    for (const CLI::Option* option : sub->get_options())
-      for (const std::string& name : option->get_lnames()) verb.options.push_back("--" + name);
+    for (const CLI::Option* option : sub->get_options()) {
+      if (option->get_lnames().empty()) verb.options.push_back({"", values_of(*option)});
+      for (const std::string& name : option->get_lnames())
+        verb.options.push_back({"--" + name, values_of(*option)});
+    }
     verbs.push_back(std::move(verb));
   }
   return verbs;

@@ -36,9 +36,13 @@ class Commands {
                 Body body);
   int run(int argc, char** argv);
 
+  struct CommandOption {
+    std::string name;                 ///< "--json"; empty: what stands without an option's name
+    std::vector<std::string> values;  ///< all that it takes, where they are a few words
+  };
   struct Verb {
     std::string name, description;
-    std::vector<std::string> options;  ///< "--json", ...
+    std::vector<CommandOption> options;
   };
   /// What was declared, for shell completion.
   [[nodiscard]] std::vector<Verb> verbs() const;
