@@ -50,3 +50,6 @@ endforeach()
 install(TARGETS ${tools} RUNTIME DESTINATION ${CMAKE_INSTALL_LIBEXECDIR}/xauto COMPONENT tools)
 file(CREATE_LINK ../${CMAKE_INSTALL_LIBEXECDIR}/xauto/xauto ${PROJECT_BINARY_DIR}/package/xauto SYMBOLIC)
 install(FILES ${PROJECT_BINARY_DIR}/package/xauto DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT tools)
+
+# For editors and other programs.
+install(DIRECTORY docs/schema/ DESTINATION ${CMAKE_INSTALL_DATADIR}/xauto/schema COMPONENT tools FILES_MATCHING PATTERN "*.schema.json")

@@ -33,14 +33,15 @@ struct Explanation {
 
 /// One change and what it would bring.
 struct WhatIf {
-  std::string change;  ///< "one more gpu", "fcd.infer on dla in 9.00 ms"
+  std::string change;  ///< "one more gpu", "fcd.infer on gpu, if 9.00 ms"
   Time latency_us = 0, lower_bound_us = 0;
   double gain = 0;  ///< (before - after) / before
 };
 
 /// One more instance of each type, and, for each type an XNode of the latency's chain lacks, an
 /// implementation there. Its assumed WCET: its least one, times the mean ratio of that type to the
-/// XNodes' least over those that have both. Each answer is a search of `options`; sorted by gain.
+/// XNodes' least over those that have both; where that would be slower than what the XNode has,
+/// nothing is assumed. Each answer is a search of `options`; sorted by gain.
 [[nodiscard]] Result<std::vector<WhatIf>> what_if(const AppSpec& app, const Platform& platform,
                                                   const Policy& policy,
                                                   const SolveOptions& options);

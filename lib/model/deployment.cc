@@ -170,7 +170,7 @@ std::vector<std::vector<std::string>> Deployment::processes(const AppSpec& spec)
 }
 
 Result<Deployment> parse_deployment(std::string_view text, std::string_view origin,
-                                    const AppSpec& app) {
+                                    const AppSpec& app, Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
@@ -219,12 +219,16 @@ Result<Deployment> parse_deployment(std::string_view text, std::string_view orig
   XAUTO_TRY(context.status());
   check(d, modules, root);
   XAUTO_TRY(context.status());
+  if (keys != nullptr) *keys = context.keys(document);
   return d;
 }
 
 Result<Deployment> load_deployment(const std::string& path, const AppSpec& app) {
   XAUTO_ASSIGN(const std::string text, read_file(path));
-  return parse_deployment(text, path, app);
+  Keys keys;
+  XAUTO_ASSIGN(Deployment deployment, parse_deployment(text, path, app, &keys));
+  XAUTO_TRY(judge(keys, path));
+  return deployment;
 }
 
 std::string to_json(const Deployment& d) {

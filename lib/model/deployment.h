@@ -13,6 +13,7 @@
 #include <xauto/result.h>
 
 #include "model/app.h"
+#include "model/keys.h"
 
 namespace xauto {
 
@@ -92,7 +93,7 @@ inline constexpr std::int64_t kMaxBudgetPct = 1'000'000;
 
 /// `origin` names the text in messages. Checked against `app`: its name, modules and XNodes.
 [[nodiscard]] Result<Deployment> parse_deployment(std::string_view text, std::string_view origin,
-                                                  const AppSpec& app);
+                                                  const AppSpec& app, Keys* keys = nullptr);
 [[nodiscard]] Result<Deployment> load_deployment(const std::string& path, const AppSpec& app);
 [[nodiscard]] std::string to_json(const Deployment& deployment);
 

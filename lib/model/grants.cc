@@ -22,18 +22,10 @@ using json_document::Reader;
 using nlohmann::ordered_json;
 
 constexpr std::array<const char*, 3> kTo = {"user", "group", "cgroup"};
-constexpr std::size_t kMaxMembers = 16;  ///< of an object; ours has five at most
+constexpr const char* kWhyOnly = "a misspelt key would change who may what";
 
 const char* word(Grant::To to) {
   return kTo[static_cast<std::size_t>(to)];
-}
-
-template <std::size_t N>
-void refuse_others(const Reader& object, const std::array<const char*, N>& known) {
-  object.each_member(kMaxMembers, [&](const std::string& key, const Reader& value) {
-    if (std::none_of(known.begin(), known.end(), [&](const char* k) { return key == k; }))
-      value.refuse("is no key of grants.json", "a misspelt key would change who may what");
-  });
 }
 
 /// "/a/b": absolute, no empty, "." or ".." part, no slash at the end; or "/", everybody.
@@ -50,8 +42,7 @@ bool is_cgroup_path(const std::string& path) {
 }
 
 Grant read_grant(const Reader& r) {
-  static constexpr std::array kKeys = {"user", "group", "cgroup", "lowest", "highest"};
-  refuse_others(r, kKeys);
+  r.allow_only({"user", "group", "cgroup", "lowest", "highest"}, kWhyOnly);
   Grant grant;
   int named = 0;
   for (std::size_t i = 0; i < kTo.size(); ++i)
@@ -121,7 +112,7 @@ const Grant* Grants::find(const Identity& identity) const {
   return best;
 }
 
-Result<Grants> parse_grants(std::string_view text, std::string_view origin) {
+Result<Grants> parse_grants(std::string_view text, std::string_view origin, Keys* keys) {
   if (text.size() > kMaxGrantsBytes)
     return fail(ErrorCode::kInvalid, "is longer than " + std::to_string(kMaxGrantsBytes) + " bytes",
                 std::string(origin));
@@ -129,13 +120,13 @@ Result<Grants> parse_grants(std::string_view text, std::string_view origin) {
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
   root.expect("xauto.grants");
-  static constexpr std::array kKeys = {"schema", "version", "grants"};
-  refuse_others(root, kKeys);
+  root.allow_only({"schema", "version", "grants"}, kWhyOnly);
   Grants grants;
   root["grants"].each_element(kMaxGrants, [&](std::size_t, const Reader& element) {
     grants.grants.push_back(read_grant(element));
   });
   XAUTO_TRY(context.status());
+  if (keys != nullptr) *keys = context.keys(document);
   return grants;
 }
 

@@ -13,6 +13,8 @@
 
 #include <xauto/result.h>
 
+#include "model/keys.h"
+
 namespace xauto {
 
 /// SCHED_FIFO priorities, both ends included; {0, 0}: none.
@@ -55,7 +57,8 @@ struct Grants {
 };
 
 /// Unlike in our other files, an unknown key is an error: a misspelt one would change who may what.
-[[nodiscard]] Result<Grants> parse_grants(std::string_view text, std::string_view origin);
+[[nodiscard]] Result<Grants> parse_grants(std::string_view text, std::string_view origin,
+                                          Keys* keys = nullptr);
 [[nodiscard]] std::string to_json(const Grants& grants);
 /// Refused unless file and folder belong to `owner` and nobody else can write them.
 [[nodiscard]] Result<Grants> load_grants(const std::string& path, uid_t owner = 0);

@@ -83,11 +83,15 @@ std::string dump(const ordered_json& document) {
 // ---- readers
 // ---------------------------------------------------------------------------------------
 
-Result<AppSpec> parse_app(std::string_view text, std::string_view origin) {
+Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
   root.expect("xauto.app");
+  // What is asked of the solver; tools/xauto/objectives_file.h reads it.
+  root.knows({"chains/*/name", "chains/*/from", "chains/*/to", "chains/*/deadline_us",
+              "chains/*/weight", "pins/*/xnode", "pins/*/xpu", "forbids/*/xnode", "forbids/*/xpu",
+              "groups"});
   AppSpec app;
   app.name = root["name"].text();
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
@@ -103,10 +107,11 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin) {
   if (root.has("deadline_us")) app.deadline_us = root["deadline_us"].integer(1, kMaxTimeUs);
   XAUTO_TRY(context.status());
   XAUTO_TRY(in_file(validate(app), origin));
+  if (keys != nullptr) *keys = context.keys(document);
   return app;
 }
 
-Result<Platform> parse_platform(std::string_view text, std::string_view origin) {
+Result<Platform> parse_platform(std::string_view text, std::string_view origin, Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
@@ -125,10 +130,11 @@ Result<Platform> parse_platform(std::string_view text, std::string_view origin) 
   });
   XAUTO_TRY(context.status());
   XAUTO_TRY(in_file(validate(platform), origin));
+  if (keys != nullptr) *keys = context.keys(document);
   return platform;
 }
 
-Result<Profile> parse_profile(std::string_view text, std::string_view origin) {
+Result<Profile> parse_profile(std::string_view text, std::string_view origin, Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
@@ -158,11 +164,12 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin) {
   profile.edges = read_pairs(root["edges"], index_by_name(profile.xnodes));
   XAUTO_TRY(context.status());
   XAUTO_TRY(in_file(validate(profile), origin));
+  if (keys != nullptr) *keys = context.keys(document);
   return profile;
 }
 
 Result<Policy> parse_policy(std::string_view text, std::string_view origin, const AppSpec& app,
-                            const Platform& platform) {
+                            const Platform& platform, Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
@@ -205,11 +212,13 @@ Result<Policy> parse_policy(std::string_view text, std::string_view origin, cons
   policy.lower_bound_us = root["lower_bound_us"].time();
   policy.optimal = root["optimal"].boolean();
   if (root.has("worst_case_us")) policy.worst_case_us = root["worst_case_us"].time();
+  if (root.has("worst_case_of")) (void)root["worst_case_of"].text();  // for people
   if (root.has("solve_ms")) policy.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
   XAUTO_TRY(context.status());
   Status valid = validate(policy, app, platform);
   if (!valid) valid = in_file_order(std::move(valid).error(), line_of);
   XAUTO_TRY(in_file(std::move(valid), origin));
+  if (keys != nullptr) *keys = context.keys(document);
   return policy;
 }
 
@@ -302,7 +311,10 @@ std::string to_json(const Policy& policy, const AppSpec& app, const Platform& pl
 
 Result<AppSpec> load_app(const std::string& path) {
   XAUTO_ASSIGN(const std::string text, read_file(path));
-  return parse_app(text, path);
+  Keys keys;
+  XAUTO_ASSIGN(AppSpec app, parse_app(text, path, &keys));
+  XAUTO_TRY(judge(keys, path));
+  return app;
 }
 
 Result<Platform> load_platform(const std::string& name_or_path) {
@@ -313,17 +325,26 @@ Result<Platform> load_platform(const std::string& name_or_path) {
     error.hint = "use small, large, or the path of a platform.json";
     return tl::unexpected<Error>(std::move(error));
   }
-  return parse_platform(*text, name_or_path);
+  Keys keys;
+  XAUTO_ASSIGN(Platform platform, parse_platform(*text, name_or_path, &keys));
+  XAUTO_TRY(judge(keys, name_or_path));
+  return platform;
 }
 
 Result<Profile> load_profile(const std::string& path) {
   XAUTO_ASSIGN(const std::string text, read_file(path));
-  return parse_profile(text, path);
+  Keys keys;
+  XAUTO_ASSIGN(Profile profile, parse_profile(text, path, &keys));
+  XAUTO_TRY(judge(keys, path));
+  return profile;
 }
 
 Result<Policy> load_policy(const std::string& path, const AppSpec& app, const Platform& platform) {
   XAUTO_ASSIGN(const std::string text, read_file(path));
-  return parse_policy(text, path, app, platform);
+  Keys keys;
+  XAUTO_ASSIGN(Policy policy, parse_policy(text, path, app, platform, &keys));
+  XAUTO_TRY(judge(keys, path));
+  return policy;
 }
 
 }  // namespace xauto

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Files <-> value types; the only JSON code of the library (tools print --json with it too).
-// Readers refuse what they do not understand with file, JSON pointer and cause; unknown keys are
-// ignored (docs/formats.md). Threads: pure apart from the file access.
+// Readers refuse what they do not understand with file, JSON pointer and cause. Unknown keys are
+// ignored by `parse_*`, which list them in `keys`, and told or refused by `load_*` (keys.h).
+// Threads: pure apart from the file access.
 #pragma once
 
 #include <string>
@@ -10,6 +11,7 @@
 #include <xauto/result.h>
 
 #include "model/app.h"
+#include "model/keys.h"
 #include "model/platform.h"
 #include "model/policy.h"
 #include "model/profile.h"
@@ -20,13 +22,17 @@ inline constexpr std::size_t kMaxFileBytes = 256u << 20;
 inline constexpr int kMaxJsonDepth = 64;
 
 // `origin` names the text in error messages, usually the file's path.
-[[nodiscard]] Result<AppSpec> parse_app(std::string_view text, std::string_view origin);
-[[nodiscard]] Result<Platform> parse_platform(std::string_view text, std::string_view origin);
-[[nodiscard]] Result<Profile> parse_profile(std::string_view text, std::string_view origin);
+[[nodiscard]] Result<AppSpec> parse_app(std::string_view text, std::string_view origin,
+                                        Keys* keys = nullptr);
+[[nodiscard]] Result<Platform> parse_platform(std::string_view text, std::string_view origin,
+                                              Keys* keys = nullptr);
+[[nodiscard]] Result<Profile> parse_profile(std::string_view text, std::string_view origin,
+                                            Keys* keys = nullptr);
 /// XNode and XPU names are resolved against `app` and `platform`; `validate(policy, ...)` has
 /// passed.
 [[nodiscard]] Result<Policy> parse_policy(std::string_view text, std::string_view origin,
-                                          const AppSpec& app, const Platform& platform);
+                                          const AppSpec& app, const Platform& platform,
+                                          Keys* keys = nullptr);
 
 [[nodiscard]] std::string to_json(const AppSpec& app);
 [[nodiscard]] std::string to_json(const Platform& platform);

@@ -164,6 +164,68 @@ std::string place(const std::string& origin, const std::string& path) {
   return path.empty() ? origin : origin + ": " + path;
 }
 
+// ---- keys that nobody asked for ----
+
+/// Whether there is an object with keys of ours at the place or below.
+bool has_keys(const Place& place) {
+  return !place.keys.empty() || (place.each && has_keys(*place.each));
+}
+
+void list_known(const Place& place, const std::string& path, std::vector<std::string>& known) {
+  for (const auto& [key, below] : place.keys) {
+    known.push_back(path + "/" + key);
+    list_known(*below, known.back(), known);
+  }
+  if (place.each) list_known(*place.each, path + "/*", known);
+}
+
+/// Edit distance in which two neighbours exchanged count once (optimal string alignment).
+std::size_t distance(std::string_view a, std::string_view b) {
+  std::vector<std::vector<std::size_t>> d(a.size() + 1, std::vector<std::size_t>(b.size() + 1));
+  for (std::size_t i = 0; i <= a.size(); ++i)
+    for (std::size_t j = 0; j <= b.size(); ++j) {
+      if (i == 0 || j == 0) {
+        d[i][j] = i + j;
+        continue;
+      }
+      d[i][j] = std::min(
+          {d[i - 1][j] + 1, d[i][j - 1] + 1, d[i - 1][j - 1] + (a[i - 1] == b[j - 1] ? 0 : 1)});
+      if (i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1])
+        d[i][j] = std::min(d[i][j], d[i - 2][j - 2] + 1);
+    }
+  return d[a.size()][b.size()];
+}
+
+/// The key of ours that was most probably meant: a third of its letters may be wrong.
+std::string nearest(const Place& place, const std::string& given) {
+  std::string best;
+  std::size_t least = SIZE_MAX;
+  if (given.size() > kMaxShown) return best;
+  for (const auto& [key, below] : place.keys) {
+    const std::size_t wrong = distance(given, key);
+    if (wrong > std::max<std::size_t>(1, key.size() / 3) || wrong >= least) continue;
+    least = wrong;
+    best = key;
+  }
+  return best;
+}
+
+void list_unknown(const json& value, const Place& place, const std::string& path,
+                  std::vector<Keys::Unknown>& unknown) {
+  if (!has_keys(place)) return;
+  if (value.is_array() && place.each)
+    for (std::size_t i = 0; i < value.size(); ++i)
+      list_unknown(value[i], *place.each, path + "/" + std::to_string(i), unknown);
+  if (!value.is_object()) return;
+  for (auto member = value.begin(); member != value.end(); ++member) {
+    const std::string& key = member.key();
+    if (const Place* below = place.each ? place.each.get() : place.find(key))
+      list_unknown(*member, *below, path + step(key), unknown);
+    else if (!key.starts_with(kOthersKeys))
+      unknown.push_back({path + step(key), nearest(place, key)});
+  }
+}
+
 // ---- writing ----
 
 std::string one_line(const ordered_json& value) {
@@ -241,7 +303,52 @@ void Reader::refuse(std::string what, std::string hint) const {
       Error{ErrorCode::kInvalid, std::move(what), place(context_.origin, path_), std::move(hint)};
 }
 
+Place* Place::find(std::string_view key) const {
+  for (const auto& [name, place] : keys)
+    if (name == key) return place.get();
+  return nullptr;
+}
+
+Place* Place::at(std::string_view key) {
+  if (Place* known = find(key)) return known;
+  return keys.emplace_back(key, std::make_unique<Place>()).second.get();
+}
+
+Place* Place::any() {
+  if (!each) each = std::make_unique<Place>();
+  return each.get();
+}
+
+Keys Reader::Context::keys(const json& document) const {
+  Keys keys;
+  list_known(root, "", keys.known);
+  list_unknown(document, root, "", keys.unknown);
+  return keys;
+}
+
+void Reader::knows(std::initializer_list<std::string_view> paths) const {
+  for (std::string_view path : paths) {
+    Place* place = place_;
+    for (std::size_t end = 0; end != std::string_view::npos; path.remove_prefix(end + 1)) {
+      end = path.find('/');
+      const std::string_view key = path.substr(0, end);
+      place = key == "*" ? place->any() : place->at(key);
+      if (end == std::string_view::npos) break;
+    }
+  }
+}
+
+void Reader::allow_only(std::initializer_list<const char*> keys, const char* why) const {
+  for (const char* key : keys) place_->at(key);
+  if (value_ == nullptr || !value_->is_object()) return;
+  for (auto member = value_->begin(); member != value_->end(); ++member)
+    if (place_->find(member.key()) == nullptr && !member.key().starts_with(kOthersKeys))
+      below(member.key(), nullptr, nullptr)
+          .refuse(said_of({{}, nearest(*place_, member.key())}), why);
+}
+
 bool Reader::has(const char* key) const {
+  place_->at(key);
   if (value_ == nullptr || !value_->is_object()) return false;
   const auto found = value_->find(key);
   return found != value_->end() && !found->is_null();
@@ -258,11 +365,12 @@ Reader Reader::operator[](const char* key) const {
     else
       found = &*member;
   }
-  return below(key, failed() ? nullptr : found);
+  // Where the file names its members itself, one of them is as good as any other.
+  return below(key, failed() ? nullptr : found, place_->each ? place_->any() : place_->at(key));
 }
 
-Reader Reader::below(const std::string& key, const json* value) const {
-  return {context_, value, path_ + step(key)};
+Reader Reader::below(const std::string& key, const json* value, Place* place) const {
+  return {context_, value, path_ + step(key), place};
 }
 
 bool Reader::is_array(std::size_t limit) const {

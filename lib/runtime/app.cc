@@ -2,6 +2,7 @@
 // The public App, and the program around it: what a process does that an `xauto` tool has started.
 #include <atomic>
 #include <cerrno>
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 
@@ -88,6 +89,34 @@ int hand_over(char** argv) {
   return 2;
 }
 
+/// Of a program that was started by hand: what it is, and who runs it.
+void print_help(const detail::AppSpecErased& app, const char* program) {
+  std::string modules, sources;
+  const auto add = [](std::string& list, const std::string& name) {
+    list += (list.empty() ? "" : ", ") + name;
+  };
+  for (const auto& module : app.modules) add(modules, module->name);
+  for (const detail::SourceSpec& source : app.sources)
+    add(sources, source.topic.name + " (every " + std::to_string(source.period.count()) + " us)");
+  std::printf(
+      "%s: an app for XAuto, which schedules its stages over CPUs, GPUs and DLAs.\n\n"
+      "  XModules  %s\n  sources   %s\n\n"
+      "The xauto tool starts it:\n"
+      "  xauto profile --platform small --app-out app.json -- %s\n"
+      "  xauto solve --app app.json --platform small --out policy.json\n"
+      "  xauto run --app app.json --platform small --policy policy.json -- %s\n\n"
+      "What stands behind the program's name there is handed to it. `xauto run --help` has the "
+      "flags.\n",
+      app.name.c_str(), modules.empty() ? "none" : modules.c_str(),
+      sources.empty() ? "none" : sources.c_str(), program, program);
+}
+
+bool asks_for_help(char** argv) {
+  for (char** word = argv; *word != nullptr; ++word)
+    if (std::strcmp(*word, "--help") == 0 || std::strcmp(*word, "-h") == 0) return true;
+  return false;
+}
+
 }  // namespace
 
 App::App(std::string name) : spec_(std::make_unique<detail::AppSpecErased>()) {
@@ -130,6 +159,10 @@ int App::main(int, char** argv) {
     if (const Status good = check(); !good) {
       log::error("{}", good.error().to_string());
       return 2;
+    }
+    if (asks_for_help(argv)) {
+      print_help(*spec_, argv[0]);
+      return 0;
     }
     return hand_over(argv);
   }

@@ -101,6 +101,7 @@ class Engine final : public ModuleHost, private HubHost {
   void tell_notes(RunReport& result);
   [[nodiscard]] RunReport report();
   [[nodiscard]] int xpu_of(const Graph::Node& node, std::uint32_t xnode) const;
+  void trace_inputs(int module, ModuleRuntime& runtime);
   void through(int module, std::uint64_t sequence, std::int64_t origin_ns,
                const detail::Origins* origins, std::int64_t now, bool lost);
   void account(int module, std::uint64_t sequence, std::int64_t now, bool lost);

@@ -20,7 +20,21 @@ void Engine::activate(int module) {
   if (trace_)
     trace_->write(XAUTO_EV_ACTIVATE, chain.runtime->input().sequence(), XAUTO_EV_NONE,
                   static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
+  if (trace_ && !graph_.single_rate) trace_inputs(module, *chain.runtime);
   chain.nodes.front().worker->submit(0);
+}
+
+/// Numbers of releases mean nothing across sources of several rates: what an activation was made of
+/// is told by origins.
+void Engine::trace_inputs(int module, ModuleRuntime& runtime) {
+  const std::vector<int>& inputs = graph_.modules[static_cast<std::size_t>(module)].inputs;
+  for (std::size_t i = 0; i < inputs.size(); ++i) {
+    const Graph::Topic& topic = graph_.topics[static_cast<std::size_t>(inputs[i])];
+    const auto from = static_cast<std::uint32_t>(std::max(topic.source, topic.module));
+    trace_->write(XAUTO_EV_TAKE, static_cast<std::uint64_t>(runtime.origin_of(i)), XAUTO_EV_NONE,
+                  static_cast<std::uint16_t>(module), XAUTO_EV_NONE,
+                  topic.source >= 0 ? XAUTO_TAKE_SOURCE | from : from);
+  }
 }
 
 void Engine::done(int module, std::int64_t origin_ns, std::uint64_t sequence) {

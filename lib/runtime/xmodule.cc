@@ -211,6 +211,10 @@ void ModuleRuntime::tell(const std::vector<Lost>& lost, std::uint64_t skip_below
   for (const transport::Channel* output : outputs_) output->publish({nullptr, 0, skip_below - 1});
 }
 
+std::int64_t ModuleRuntime::origin_of(std::size_t input) {
+  return InputAccess::messages(input_)[input].origin_ns;
+}
+
 void ModuleRuntime::finish(bool succeeded) {
   if (watched_) {
     Fate open = Fate::kOpen;

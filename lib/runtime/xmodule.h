@@ -81,6 +81,8 @@ class ModuleRuntime {
   // Of the current activation; stable while it is in flight.
   [[nodiscard]] void* state() { return state_.get(); }
   [[nodiscard]] const Input& input() const { return input_; }
+  /// When the sensor released what input number `input` was given.
+  [[nodiscard]] std::int64_t origin_of(std::size_t input);
   /// Null in an app of one rate.
   [[nodiscard]] const std::shared_ptr<const detail::Origins>& origins() const { return origins_; }
 

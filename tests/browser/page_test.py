@@ -163,9 +163,34 @@ class Pages(unittest.TestCase):
         self.assertLess(dark, 3 * 60)
 
     def test_nothing_sticks_out_on_a_narrow_screen(self):
-        for width in (1600, 900, 600):
-            self.browser.size(width, 900)
-            self.assertLessEqual(self.browser.js("document.documentElement.scrollWidth"), width)
+        for page in (self.report, self.timeline):
+            self.browser.open(page)
+            for width in (1600, 900, 600, 420):
+                self.browser.size(width, 900)
+                self.assertLessEqual(self.browser.js("document.documentElement.scrollWidth"), width, page)
+
+    def test_a_schedule_can_be_read_on_a_telephone(self):
+        """What is drawn keeps its size, and the card around it scrolls."""
+        self.browser.size(420, 900)
+        for page in (self.report, self.timeline):
+            self.browser.open(page)
+            smallest = self.browser.js("Math.min(...[...document.querySelectorAll('#panels svg text')].map(t => "
+                                       "parseFloat(getComputedStyle(t).fontSize) * t.getScreenCTM().a))")
+            self.assertGreaterEqual(smallest, 8, page)
+            if SHOTS:
+                self.browser.screenshot(os.path.join(SHOTS, "narrow-" + os.path.basename(page) + ".png"))
+
+    def test_the_number_in_the_head_is_the_one_that_the_chart_shows(self):
+        for page, which in ((self.report, "the slowest of"), (self.timeline, "the median of")):
+            self.browser.open(page)
+            cards = self.browser.js("[...document.querySelectorAll('#panels .card')].map(c => "
+                                    "[c.querySelector('.big').textContent, c.querySelector('.dim').textContent, "
+                                    "c.querySelector('svg text.latency').textContent])")
+            for big, words, drawn in cards:
+                self.assertEqual(big, drawn)
+                self.assertTrue(words.startswith(which), words)
+                if which == "the slowest of":
+                    self.assertIn("max " + big.split()[0] + ",", words)
 
 
 if __name__ == "__main__":

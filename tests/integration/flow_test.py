@@ -145,6 +145,107 @@ class Flow(unittest.TestCase):
                                 'echo "${COMPREPLY[@]}"'], capture_output=True, text=True)
         self.assertEqual(reply.stdout.strip(), "solve")
 
+    def completed(self, *words):
+        script = self.good("completion", "bash")
+        line = " ".join(f"'{word}'" for word in words)
+        reply = subprocess.run(["bash", "-c", f"{script}\nCOMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _xauto; "
+                                'printf "%s\\n" "${COMPREPLY[@]}"'], capture_output=True, text=True,
+                               cwd=self.folder.name)
+        self.assertEqual(reply.stderr, "")
+        return set(reply.stdout.split())
+
+    def test_completion_offers_values_and_stops_behind_the_dashes(self):
+        self.assertEqual(self.completed("xauto", "solve", "--method", ""),
+                         {"auto", "search", "ilp", "heft", "local"})
+        self.assertEqual(self.completed("xauto", "solve", "--method", "he"), {"heft"})
+        self.assertEqual(self.completed("xauto", "run", "--platform", "s"), {"small"})
+        self.assertEqual(self.completed("xauto", "run", "--overload", ""), {"newest", "skip", "queue:"})
+        self.assertEqual(self.completed("xauto", "run", "--scheduling", "t"), {"timeshare"})
+        self.assertEqual(self.completed("xauto", "completion", "z"), {"zsh"})
+        self.assertIn("--policy", self.completed("xauto", "run", "--app", "a", "--p"))
+        self.assertEqual(self.completed("xauto", "run", "--app", "a", "--", "prog", "--p"), set())
+        pathlib.Path(self.path("small.json")).write_text("{}")
+        self.assertEqual(self.completed("xauto", "run", "--platform", "s"), {"small", "small.json"})
+
+    def test_an_app_tells_what_it_is_and_who_starts_it(self):
+        for flag in ("--help", "-h"):
+            answer = subprocess.run([DRIVING, flag], capture_output=True, text=True, timeout=60)
+            self.assertEqual((answer.returncode, answer.stderr), (0, ""))
+            self.assertIn("driving: an app for XAuto", answer.stdout)
+            for word in ("FCD", "camera/front", f"xauto run --app app.json --platform small --policy policy.json -- {DRIVING}"):
+                self.assertIn(word, answer.stdout)
+
+    def test_a_run_is_called_by_its_policys_file_or_by_name(self):
+        self.good("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", self.path("night.json"))
+        run = ["run", "--app", APP, "--policy", self.path("night.json"), "--platform", "small", "--emulate",
+               "--activations", 3]
+        answer = self.good(*run, "--out", self.path("r.json"), "--", DRIVING)
+        self.assertRegex(answer, r"(?m)^  night +\d")
+        report = load(self.path("r.json"))["runs"][0]
+        self.assertEqual((report["policy"], report["name"]), ("night", "night"))
+        self.assertRegex(self.good(*run, "--name", "as it was", "--", DRIVING), r"(?m)^  as it was +\d")
+
+    def test_a_comparison_says_how_far_each_run_is_spread(self):
+        answer = self.good("compare", "--app", APP, "--platform", "small", "--emulate", "--activations", 6, "--policies",
+                           "heft,ros2", "--out", self.path("out"), "--", DRIVING)
+        self.assertIn("One run each.", answer)
+        runs = {r["name"]: r for r in load(self.path("out/report.json"))["runs"]}
+        for name, run in runs.items():
+            self.assertLessEqual(run["p10_us"], run["p50_us"])
+            self.assertLessEqual(run["p50_us"], run["p90_us"])
+            self.assertIn(f"{run['p10_us'] / 1000:.2f} to", next(
+                line for line in answer.splitlines() if line.startswith("  " + name) and " to " in line))
+        heft, ros2 = runs["HEFT"], runs["ROS 2 model"]
+        apart = not (heft["p10_us"] <= ros2["p50_us"] <= heft["p90_us"] and
+                     ros2["p10_us"] <= heft["p50_us"] <= ros2["p90_us"])
+        self.assertEqual("the difference is noise" in answer, not apart, answer)
+
+    def test_status_tells_of_another_users_run(self):
+        if os.geteuid() != 0:
+            self.skipTest("no right to become another user")
+        self.good("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", self.path("p.json"))
+        run = subprocess.Popen([XAUTO, "run", "--app", APP, "--policy", self.path("p.json"), "--platform", "small",
+                                "--emulate", "--activations", "2000", "--", DRIVING],
+                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            deadline = time.monotonic() + 30
+            answer = ""
+            while "answers only that user" not in answer and time.monotonic() < deadline:
+                answer = subprocess.run([XAUTO, "status"], capture_output=True, text=True, user=65534, group=65534,
+                                        cwd="/").stdout
+                time.sleep(0.05)
+            self.assertRegex(answer, r"not seen: coordinator pid \d+ of root answers only that user and root; "
+                                     r"`sudo xauto status` asks it")
+            self.assertNotIn("no app is running", answer)
+        finally:
+            run.terminate()
+            run.wait(timeout=30)
+
+    def test_status_tells_of_a_run_that_it_cannot_ask(self):
+        """A coordinator's program under our name in a network namespace of its own."""
+        new = subprocess.run(["unshare", "--net", "true"], capture_output=True)
+        if new.returncode != 0:
+            self.skipTest("no right to make a network namespace")
+        self.good("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", self.path("p.json"))
+        run = subprocess.Popen(["unshare", "--net", XAUTO, "run", "--app", APP, "--policy", self.path("p.json"),
+                                "--platform", "small", "--emulate", "--activations", "2000", "--", DRIVING],
+                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            deadline = time.monotonic() + 30
+            answer = ""
+            while "network namespace; " not in answer and time.monotonic() < deadline:
+                answer = self.good("status")
+                time.sleep(0.05)
+            self.assertRegex(answer, r"not seen: coordinator pid \d+ of \S+ is in another network namespace; "
+                                     r"`sudo nsenter -t \d+ -n xauto status`")
+            self.assertNotIn("no app is running", answer)
+            pid = answer.split("nsenter -t ")[1].split()[0]
+            there = subprocess.run(["nsenter", "-t", pid, "-n", XAUTO, "status"], capture_output=True, text=True)
+            self.assertIn("coordinator pid " + pid, there.stdout)
+        finally:
+            run.terminate()
+            run.wait(timeout=30)
+
     def test_doctor(self):
         findings = {f["id"]: f for f in json.loads(self.good("doctor", "--json"))["findings"]}
         for name in ("kernel", "realtime", "sched_ext", "xauto.ko", "gpu", "dla", "cores"):

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <map>
+#include <set>
 
 #include <fmt/format.h>
 
@@ -16,8 +17,9 @@ constexpr std::size_t kMostNames = 3;
 
 class Accountant {
  public:
-  Accountant(const ReadTrace& trace, const TraceRelease& release)
-      : trace_(trace), release_(release) {}
+  /// `chain`: null with one rate.
+  Accountant(const ReadTrace& trace, const TraceRelease& release, const TraceChain* chain)
+      : trace_(trace), release_(release), chain_(chain) {}
 
   Result<Account> settle() {
     const TraceSlice* output = collect();
@@ -26,7 +28,9 @@ class Accountant {
     const auto chain = follow(*output);
     if (chain.empty())
       return fail(ErrorCode::kInfeasible, "no arrow leads to its output", where(), kLost);
+    for (const auto* pieces : chain) own_.insert(key_of(*pieces->front()));
     Account account;
+    if (chain_ != nullptr) account.chain = chain_->name;
     account.release = release_.number;
     account.latency_us = release_.latency_us;
     for (const auto* pieces : chain) account.steps.push_back(step_of(*pieces));
@@ -34,7 +38,7 @@ class Accountant {
     for (const auto& [name, planned] : planned_)
       account.planned_us = std::max(account.planned_us, planned.end);
     std::vector<std::int64_t> all;
-    for (const TraceRelease& other : trace_.releases)
+    for (const TraceRelease& other : chain_ != nullptr ? chain_->results : trace_.releases)
       if (other.latency_us >= 0) {
         all.push_back(other.latency_us);
         account.rank += other.latency_us > account.latency_us ? 1 : 0;
@@ -52,6 +56,16 @@ class Accountant {
   };
   static constexpr const char* kLost = "was the trace cut short? its beginning says so then";
 
+  /// What belongs to one job, or one release.
+  using Key = std::pair<std::int64_t, std::string>;
+  Key key_of(const TraceSlice& s) const {
+    if (chain_ == nullptr || s.activation < 0) return {s.release, ""};
+    return {s.activation, "activation"};
+  }
+  bool is_own(const TraceSlice& s) const {
+    return chain_ == nullptr ? s.release == release_.number : own_.contains(key_of(s));
+  }
+
   std::string where() const { return "release " + std::to_string(release_.number); }
   std::int64_t us(std::int64_t ns) const {
     return std::clamp<std::int64_t>((ns - release_.begin_ns) / 1000, 0, release_.latency_us);
@@ -61,12 +75,15 @@ class Accountant {
   const TraceSlice* collect() {
     const TraceSlice* last = nullptr;
     for (const TraceSlice& slice : trace_.run) {
-      if (slice.release != release_.number) continue;
-      if (slice.category == "run") pieces_[slice.name].push_back(&slice);
+      if (chain_ == nullptr && slice.release != release_.number) continue;
+      if (slice.category == "run") pieces_[{key_of(slice), slice.name}].push_back(&slice);
       if (slice.category == "switch") switches_.push_back(&slice);
+      if (chain_ != nullptr) continue;
       if (slice.category == "done" && (last == nullptr || slice.begin_ns >= last->begin_ns))
         last = &slice;
     }
+    if (chain_ != nullptr)  // there is no plan for releases that overlap as they please
+      return &trace_.run[static_cast<std::size_t>(release_.output)];
     for (const TraceSlice& slice : trace_.plan) {
       if (slice.release != release_.number || slice.name.rfind("switch: ", 0) == 0) continue;
       Planned& planned = planned_[slice.name];
@@ -84,12 +101,12 @@ class Accountant {
       const TraceSlice* before = nullptr;
       for (const int i : last->from) {
         const TraceSlice& source = trace_.run[static_cast<std::size_t>(i)];
-        if (source.category == "run" && source.release == release_.number &&
+        if (source.category == "run" && (chain_ != nullptr || source.release == release_.number) &&
             (before == nullptr || source.end_ns > before->end_ns))
           before = &source;
       }
       if (before == nullptr) break;
-      chain.push_back(&pieces_.at(before->name));
+      chain.push_back(&pieces_.at({key_of(*before), before->name}));
       last = chain.back()->front();
     }
     std::reverse(chain.begin(), chain.end());
@@ -107,22 +124,22 @@ class Accountant {
     step.begin_us = begin;
     step.handover_us = ready - since;
     step.waited_us = begin - ready;
+    if (first.released_ns > release_.begin_ns && chain_ != nullptr)
+      step.sensor_us = std::max<std::int64_t>(0, std::min(ready, us(first.released_ns)) - since);
     if (step.handover_us > 0) step.busy_with = same_module(first, since, ready);
-    if (step.waited_us > 0) step.waited_for = others_on(first.row, step.xnode, ready, begin);
+    if (step.waited_us > 0) step.waited_for = others_on(first, ready, begin);
     cursor_ = begin;
     for (const TraceSlice* piece : pieces) {
       const std::int64_t from = std::max(cursor_, us(piece->begin_ns));
       if (from > cursor_) {
-        const std::int64_t switched = switching(first.name, cursor_, from);
+        const std::int64_t switched = switching(first, cursor_, from);
         step.switched_us += switched;
         step.suspended_us += from - cursor_ - switched;
-        for (Blocker& by : others_on(first.row, step.xnode, cursor_, from))
-          add(step.preempted_by, by.who, by.us);
+        for (Blocker& by : others_on(first, cursor_, from)) add(step.preempted_by, by.who, by.us);
       }
       const std::int64_t to = std::max(from, us(piece->end_ns));
       step.ran_us += to - from;
-      for (const Blocker& other : others_on(first.row, step.xnode, from, to))
-        add(step.beside, other.who, other.us);
+      for (const Blocker& other : others_on(first, from, to)) add(step.beside, other.who, other.us);
       cursor_ = to;
     }
     step.end_us = cursor_;
@@ -143,7 +160,7 @@ class Accountant {
   }
 
   std::string called(const TraceSlice& slice) const {
-    return slice.release == release_.number
+    return is_own(slice) || (chain_ != nullptr && !of_own_module(slice))
                ? slice.name
                : fmt::format("{} of release {}", slice.name, slice.release);
   }
@@ -162,24 +179,29 @@ class Accountant {
                      [](const Blocker& a, const Blocker& b) { return a.us > b.us; });
     return list;
   }
-  std::vector<Blocker> others_on(int row, const std::string& xnode, std::int64_t from,
-                                 std::int64_t to) const {
+  std::vector<Blocker> others_on(const TraceSlice& job, std::int64_t from, std::int64_t to) const {
     return meanwhile(from, to, [&](const TraceSlice& s) {
-      return s.row == row && (s.name != xnode || s.release != release_.number);
+      return s.row == job.row && (s.name != job.name || key_of(s) != key_of(job));
     });
   }
-  std::vector<Blocker> same_module(const TraceSlice& slice, std::int64_t from,
+  std::vector<Blocker> same_module(const TraceSlice& job, std::int64_t from,
                                    std::int64_t to) const {
     return meanwhile(from, to, [&](const TraceSlice& s) {
-      return s.module == slice.module && s.release != release_.number;
+      return s.module == job.module && key_of(s) != key_of(job);
+    });
+  }
+  /// Several rates: of a module of the chain, whose releases a number can tell apart.
+  bool of_own_module(const TraceSlice& slice) const {
+    return std::any_of(pieces_.begin(), pieces_.end(), [&](const auto& job) {
+      return own_.contains(job.first.first) && job.second.front()->module == slice.module;
     });
   }
 
   /// How much of a job's absence it was being switched.
-  std::int64_t switching(const std::string& xnode, std::int64_t from, std::int64_t to) const {
+  std::int64_t switching(const TraceSlice& job, std::int64_t from, std::int64_t to) const {
     std::int64_t total = 0, until = from;
     for (const TraceSlice* slice : switches_) {
-      if (slice->name != "switch: " + xnode) continue;
+      if (slice->name != "switch: " + job.name || key_of(*slice) != key_of(job)) continue;
       const std::int64_t begin = std::max(until, us(slice->begin_ns));
       const std::int64_t end = std::min(to, us(slice->end_ns));
       if (end <= begin) continue;
@@ -191,15 +213,17 @@ class Accountant {
 
   const ReadTrace& trace_;
   const TraceRelease& release_;
-  std::map<std::string, Pieces> pieces_;  ///< of the release's jobs, by time
+  const TraceChain* chain_;
+  std::map<std::pair<Key, std::string>, Pieces> pieces_;  ///< of each job, by time
+  std::set<Key> own_;                                     ///< of the jobs on the way
   Pieces switches_;
   std::map<std::string, Planned> planned_;
   std::int64_t cursor_ = 0;  ///< how far the latency is accounted for
 };
 
-std::vector<const TraceRelease*> by_latency(const ReadTrace& trace) {
+std::vector<const TraceRelease*> by_latency(const std::vector<TraceRelease>& releases) {
   std::vector<const TraceRelease*> list;
-  for (const TraceRelease& release : trace.releases)
+  for (const TraceRelease& release : releases)
     if (release.latency_us >= 0) list.push_back(&release);
   std::stable_sort(list.begin(), list.end(), [](const TraceRelease* a, const TraceRelease* b) {
     return a->latency_us > b->latency_us;
@@ -225,13 +249,13 @@ std::string in_ms(std::int64_t us) {
   return fmt::format("{:.3f}", static_cast<double>(us) / 1000);
 }
 
-const TraceRelease* worst_release(const ReadTrace& trace) {
-  const auto list = by_latency(trace);
+const TraceRelease* worst_of(const std::vector<TraceRelease>& releases) {
+  const auto list = by_latency(releases);
   return list.empty() ? nullptr : list.front();
 }
 
-const TraceRelease* median_release(const ReadTrace& trace) {
-  const auto list = by_latency(trace);
+const TraceRelease* median_of(const std::vector<TraceRelease>& releases) {
+  const auto list = by_latency(releases);
   return list.empty() ? nullptr : list[list.size() / 2];
 }
 
@@ -246,17 +270,22 @@ Result<Account> account_of(const ReadTrace& trace, std::int64_t release) {
                     : fmt::format("it has {} to {}", trace.releases.front().number,
                                   trace.releases.back().number));
   if (at->latency_us < 0)
-    return fail(
-        ErrorCode::kInfeasible, "has no latency: it was dropped, or its end is not in the trace",
-        where,
-        "with sources of several rates the trace does not tell which releases belong together");
-  return Accountant(trace, *at).settle();
+    return fail(ErrorCode::kInfeasible,
+                "has no latency: it was dropped, or its end is not in the trace", where);
+  return Accountant(trace, *at, nullptr).settle();
+}
+
+Result<Account> account_of(const ReadTrace& trace, const TraceChain& chain,
+                           const TraceRelease& result) {
+  return Accountant(trace, result, &chain).settle();
 }
 
 std::string reasons_of(const ChainStep& step, std::int64_t least_us) {
   std::string out;
   const auto say = [&](const std::string& text) { out += (out.empty() ? "" : "; ") + text; };
-  if (step.handover_us >= least_us)
+  if (step.sensor_us >= least_us)
+    say("needed a message that was released " + in_ms(step.sensor_us) + " ms later");
+  else if (step.handover_us >= least_us)
     say(step.busy_with.empty() ? "ready " + in_ms(step.handover_us) + " ms after what it follows"
                                : "its module was busy for " + in_ms(step.handover_us) +
                                      " ms with " + names_of(step.busy_with, step.handover_us));
@@ -278,7 +307,8 @@ std::string reasons_of(const ChainStep& step, std::int64_t least_us) {
 
 std::string account_text(const Account& account) {
   std::string out =
-      fmt::format("release {} took {} ms, ", account.release, in_ms(account.latency_us));
+      fmt::format("{}release {} took {} ms, ", account.chain.empty() ? "" : account.chain + ": ",
+                  account.release, in_ms(account.latency_us));
   if (account.rank == 1)
     out += fmt::format("the longest of {}", account.of);
   else

@@ -24,7 +24,9 @@ struct ChainStep {
   std::string xnode, xpu;
   std::int64_t begin_us = 0, end_us = 0;  ///< on the XPU, since the release
   std::int64_t handover_us = 0;           ///< until it was ready
-  std::int64_t waited_us = 0;             ///< ready, not on the XPU yet
+  std::int64_t sensor_us = 0;  ///< several rates, of the handover: until the last message it takes
+                               ///< was released
+  std::int64_t waited_us = 0;  ///< ready, not on the XPU yet
   std::int64_t ran_us = 0;
   std::int64_t switched_us = 0;   ///< being taken off and put back
   std::int64_t suspended_us = 0;  ///< off the XPU besides
@@ -39,6 +41,7 @@ struct ChainStep {
 };
 
 struct Account {
+  std::string chain;  ///< several rates: the module whose result it is; empty: the whole app's
   std::int64_t release = 0, latency_us = 0;
   std::int64_t rank = 1, of = 1;  ///< 1: the longest
   std::int64_t median_us = 0;     ///< of all releases
@@ -50,13 +53,16 @@ struct Account {
 
 /// The release of the greatest latency, the first of several; of the median (of an even number the
 /// lower) one. null: none was completed.
-[[nodiscard]] const TraceRelease* worst_release(const ReadTrace& trace);
-[[nodiscard]] const TraceRelease* median_release(const ReadTrace& trace);
+[[nodiscard]] const TraceRelease* worst_of(const std::vector<TraceRelease>& releases);
+[[nodiscard]] const TraceRelease* median_of(const std::vector<TraceRelease>& releases);
 
 /// Backwards from the last output, always to the XNode that handed over last. Errors: no such
 /// release (kNotFound); it was dropped, its latency is not in the trace, or no arrow leads to its
 /// output (kInfeasible).
 [[nodiscard]] Result<Account> account_of(const ReadTrace& trace, std::int64_t release);
+/// The same of a result of one chain, with several rates.
+[[nodiscard]] Result<Account> account_of(const ReadTrace& trace, const TraceChain& chain,
+                                         const TraceRelease& result);
 
 /// What a step waited for, in words; parts below `least_us` are left out. Empty: nothing to say.
 [[nodiscard]] std::string reasons_of(const ChainStep& step, std::int64_t least_us);

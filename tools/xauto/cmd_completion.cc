@@ -2,6 +2,7 @@
 // xauto completion: shell completion made from the verbs themselves, so that it is never out of
 // date.
 #include <iostream>
+#include <map>
 #include <memory>
 
 #include "xauto/command.h"
@@ -15,28 +16,57 @@ std::string joined(const std::vector<std::string>& words) {
   return out;
 }
 
+/// Words that an option also takes, or that begin what it takes.
+const std::map<std::string, std::vector<std::string>> kMoreValues = {
+    {"--platform", {"small", "large"}},
+    {"--overload", {"newest", "skip", "queue:"}},
+    {"--activation", {"worst", "median"}}};
+
 std::string bash(const std::vector<Commands::Verb>& verbs) {
   std::vector<std::string> names;
-  std::string cases;
+  std::string words, values;
   for (const auto& verb : verbs) {
     names.push_back(verb.name);
-    cases += "    " + verb.name + ") words=\"" + joined(verb.options) + "\" ;;\n";
+    std::vector<std::string> options;
+    for (const auto& option : verb.options) {
+      if (!option.name.empty()) options.push_back(option.name);
+      std::vector<std::string> takes = option.values;
+      if (const auto more = kMoreValues.find(option.name); more != kMoreValues.end())
+        takes.insert(takes.end(), more->second.begin(), more->second.end());
+      if (!takes.empty())
+        values +=
+            "    '" + verb.name + " " + option.name + "') values=\"" + joined(takes) + "\" ;;\n";
+    }
+    words += "    " + verb.name + ") words=\"" + joined(options) + "\" ;;\n";
   }
   return "# bash completion for xauto: source <(xauto completion bash)\n"
          "_xauto() {\n"
-         "  local current=\"${COMP_WORDS[COMP_CWORD]}\" words=\"\"\n"
+         "  local current=\"${COMP_WORDS[COMP_CWORD]}\" before=\"${COMP_WORDS[COMP_CWORD-1]}\"\n"
+         "  local verb=\"${COMP_WORDS[1]}\" words=\"\" values=\"\" i\n"
          "  if [ \"$COMP_CWORD\" -eq 1 ]; then\n"
          "    COMPREPLY=($(compgen -W \"" +
          joined(names) +
          "\" -- \"$current\"))\n"
          "    return\n"
          "  fi\n"
-         "  case \"${COMP_WORDS[1]}\" in\n" +
-         cases +
+         "  for ((i = 2; i < COMP_CWORD; i++)); do  # behind -- it is the app's command line\n"
+         "    if [ \"${COMP_WORDS[i]}\" = \"--\" ]; then\n"
+         "      COMPREPLY=($(compgen -f -- \"$current\"))\n"
+         "      return\n"
+         "    fi\n"
+         "  done\n"
+         "  case \"$verb\" in\n" +
+         words +
+         "  esac\n"
+         "  case \"$before\" in -*) ;; *) before=\"\" ;; esac\n"
+         "  case \"$verb $before\" in\n" +
+         values +
          "  esac\n"
          "  case \"$current\" in\n"
          "    -*) COMPREPLY=($(compgen -W \"$words\" -- \"$current\")) ;;\n"
-         "    *) COMPREPLY=($(compgen -f -- \"$current\")) ;;\n"
+         "    *) COMPREPLY=($(compgen -W \"$values\" -- \"$current\") $(compgen -f -- "
+         "\"$current\")) "
+         ";;\n"
          "  esac\n"
          "}\n"
          "complete -o filenames -F _xauto xauto\n";

@@ -18,7 +18,7 @@ namespace xauto::cli {
 namespace {
 
 struct Flags {
-  std::string app, platform, policy, trace, activation = "worst";
+  std::string app, platform, policy, trace, chain, activation = "worst";
 };
 
 nlohmann::ordered_json to_json(const std::vector<Blocker>& list) {
@@ -35,6 +35,7 @@ nlohmann::ordered_json to_json(const Account& account) {
                                 {"begin_us", step.begin_us},
                                 {"end_us", step.end_us},
                                 {"handover_us", step.handover_us},
+                                {"sensor_us", step.sensor_us},
                                 {"waited_us", step.waited_us},
                                 {"ran_us", step.ran_us},
                                 {"switched_us", step.switched_us},
@@ -47,42 +48,83 @@ nlohmann::ordered_json to_json(const Account& account) {
     if (step.planned_end_us >= 0) j["planned_end_us"] = step.planned_end_us;
     steps.push_back(std::move(j));
   }
-  nlohmann::ordered_json j = {{"release", account.release},
-                              {"latency_us", account.latency_us},
-                              {"rank", account.rank},
-                              {"of", account.of},
-                              {"median_us", account.median_us}};
+  nlohmann::ordered_json j;
+  if (!account.chain.empty()) j["chain"] = account.chain;
+  j["release"] = account.release;
+  j["latency_us"] = account.latency_us;
+  j["rank"] = account.rank;
+  j["of"] = account.of;
+  j["median_us"] = account.median_us;
   if (account.planned_us >= 0) j["planned_us"] = account.planned_us;
   j["steps"] = std::move(steps);
   j["publish_us"] = account.publish_us;
   return j;
 }
 
-Result<std::int64_t> wanted_release(const ReadTrace& trace, const std::string& text,
-                                    const std::string& where) {
+/// One of `releases`; `where` is for messages.
+Result<const TraceRelease*> wanted(const std::vector<TraceRelease>& releases,
+                                   const std::string& text, const std::string& where) {
   if (text == "worst" || text == "median") {
-    const TraceRelease* found = text == "worst" ? worst_release(trace) : median_release(trace);
+    const TraceRelease* found = text == "worst" ? worst_of(releases) : median_of(releases);
     if (found == nullptr)
       return fail(ErrorCode::kInfeasible, "no release in it has a latency", where,
-                  "with sources of several rates the trace does not tell which releases belong "
-                  "together; `xauto report` shows the load");
-    return found->number;
+                  "was everything dropped? `xauto report` shows the load");
+    return found;
   }
   std::int64_t number = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
   if (error != std::errc() || end != text.data() + text.size() || number < 0)
     return fail(ErrorCode::kInvalid, "'" + text + "' is no activation", "--activation",
                 "worst, median, or a number from 0 on");
-  return number;
+  for (const TraceRelease& release : releases)
+    if (release.number == number) return &release;
+  return fail(ErrorCode::kNotFound, "is not in the trace", "release " + std::to_string(number),
+              releases.empty() ? "there is no release in it"
+                               : "it has " + std::to_string(releases.front().number) + " to " +
+                                     std::to_string(releases.back().number));
+}
+
+/// With one rate the app's release; with several the release of each chain, or of the one asked
+/// for.
+Result<std::vector<Account>> accounts_of(const Flags& flags, const ReadTrace& trace) {
+  std::vector<Account> accounts;
+  if (trace.chains.empty()) {
+    if (!flags.chain.empty())
+      return fail(ErrorCode::kInvalid, "is for apps of several rates", "--chain",
+                  "this one has one: a release is over when all its outputs are there");
+    XAUTO_ASSIGN(const TraceRelease* release,
+                 wanted(trace.releases, flags.activation, flags.trace));
+    XAUTO_ASSIGN(Account account, account_of(trace, release->number));
+    accounts.push_back(std::move(account));
+    return accounts;
+  }
+  std::string known;
+  for (const TraceChain& chain : trace.chains) {
+    known += (known.empty() ? "" : ", ") + chain.name;
+    if (!flags.chain.empty() && chain.name != flags.chain) continue;
+    XAUTO_ASSIGN(const TraceRelease* release,
+                 wanted(chain.results, flags.activation, flags.trace + ", " + chain.name));
+    XAUTO_ASSIGN(Account account, account_of(trace, chain, *release));
+    accounts.push_back(std::move(account));
+  }
+  if (accounts.empty())
+    return fail(ErrorCode::kNotFound, "'" + flags.chain + "' has no result in the trace", "--chain",
+                "there are " + known);
+  return accounts;
 }
 
 Result<int> explain_trace(const Flags& flags, const Options& options) {
   XAUTO_ASSIGN(const std::string bytes, read_file(flags.trace));
   XAUTO_ASSIGN(const ReadTrace trace, read_trace(bytes, flags.trace));
-  XAUTO_ASSIGN(const std::int64_t release, wanted_release(trace, flags.activation, flags.trace));
-  XAUTO_ASSIGN(const Account account, account_of(trace, release));
+  XAUTO_ASSIGN(const std::vector<Account> accounts, accounts_of(flags, trace));
   if (options.json) {
-    nlohmann::ordered_json j = to_json(account);
+    nlohmann::ordered_json j;
+    if (trace.chains.empty()) {
+      j = to_json(accounts.front());
+    } else {
+      j["chains"] = nlohmann::ordered_json::array();
+      for (const Account& account : accounts) j["chains"].push_back(to_json(account));
+    }
     j["events_lost"] = trace.lost;
     std::cout << j.dump(2) << "\n";
     return kDone;
@@ -91,7 +133,8 @@ Result<int> explain_trace(const Flags& flags, const Options& options) {
   if (trace.lost > 0)
     std::cout << "INCOMPLETE: the trace lost " << trace.lost
               << " events; what follows is of what is there\n";
-  std::cout << account_text(account);
+  for (const Account& account : accounts)
+    std::cout << (&account == &accounts.front() ? "" : "\n") << account_text(account);
   return kDone;
 }
 
@@ -175,6 +218,10 @@ void add_explain(Commands& commands) {
   verb->add_option("--activation", flags->activation,
                    "of the trace: the release's number, worst or median")
       ->capture_default_str();
+  verb->add_option("--chain", flags->chain,
+                   "of a trace with several rates: the module whose results; default: each that "
+                   "nobody reads")
+      ->needs("--trace");
 }
 
 }  // namespace xauto::cli

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto run: an app under one policy, with its coordinators.
+#include <filesystem>
 #include <iostream>
 
 #include <fmt/format.h>
@@ -16,7 +17,7 @@ namespace xauto::cli {
 namespace {
 
 struct Flags : RunFlags {
-  std::string policy_path, scheduling = "xauto", out, timeline, trace_out, record;
+  std::string policy_path, scheduling = "xauto", name, out, timeline, trace_out, record;
 };
 
 Result<int> run(const Flags& given, const Options& options) {
@@ -33,9 +34,9 @@ Result<int> run(const Flags& given, const Options& options) {
                   "make one with `xauto solve --app " + flags.app_path + " --platform " +
                       flags.platform + " --out policy.json`");
     XAUTO_ASSIGN(run.policy, load_policy(flags.policy_path, flags.app, flags.spec));
-    run.id = run.policy->method;
-    run.name = run.policy->method;
+    run.id = run.name = std::filesystem::path(flags.policy_path).stem().string();
   }
+  if (!flags.name.empty()) run.id = run.name = flags.name;
   flags.record_path = flags.record;
   XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
   const StopOnSignal stop;
@@ -67,6 +68,9 @@ void add_run(Commands& commands) {
       [flags](const Options& options) { return run(*flags, options); });
   flags->declare(*verb);
   verb->add_option("--policy", flags->policy_path, "policy.json from `xauto solve`");
+  verb->add_option("--name", flags->name,
+                   "what the run is called in tables, pages and report.json; default: the policy's "
+                   "file without folder and suffix");
   verb->add_option("--scheduling", flags->scheduling,
                    "xauto: as the policy says; timeshare: its assignment, nobody schedules; ros2: "
                    "everybody on his fastest XPU, nobody schedules")

@@ -1,12 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto status: every state machine of every running app in words. Coordinators are found by the
 // names of their sockets and asked; nothing is written anywhere for this.
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
 #include <iostream>
 #include <map>
+#include <set>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 #include <poll.h>
+#include <pwd.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include "base/log.h"
 #include "base/socket.h"
@@ -20,6 +27,7 @@ namespace {
 
 using nlohmann::json;
 constexpr int kAnswerTimeoutMs = 1000;
+constexpr const char* kCoordinator = "xauto-coordinat";  // as /proc/PID/comm cuts it
 
 Result<json> ask(const std::string& address) {
   XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
@@ -47,8 +55,54 @@ std::string words(const json& worker) {
   return text;
 }
 
+/// A coordinator that did not answer us, by what /proc tells everybody.
+struct Unseen {
+  int pid = 0;
+  unsigned uid = 0;
+  bool elsewhere = false;  ///< known to be in another network namespace
+};
+
+std::string user_name(unsigned uid) {
+  const passwd* entry = getpwuid(uid);
+  return entry != nullptr ? entry->pw_name : "uid " + std::to_string(uid);
+}
+
+std::vector<Unseen> coordinators_but(const std::set<int>& answered) {
+  std::error_code error;
+  const auto mine = std::filesystem::read_symlink("/proc/self/ns/net", error);
+  std::vector<Unseen> unseen;
+  for (const auto& entry : std::filesystem::directory_iterator("/proc", error)) {
+    const std::string name = entry.path().filename().string();
+    const int pid = std::atoi(name.c_str());
+    if (pid <= 0 || answered.contains(pid)) continue;
+    std::string command;
+    std::ifstream file(entry.path() / "comm");
+    std::getline(file, command);
+    struct stat owner {};
+    if (command != kCoordinator || stat(entry.path().c_str(), &owner) != 0) continue;
+    const auto theirs = std::filesystem::read_symlink(entry.path() / "ns/net", error);
+    unseen.push_back({pid, owner.st_uid, !error && theirs != mine});
+  }
+  return unseen;
+}
+
+/// What is there and cannot be asked from here, and how it can.
+std::string words(const Unseen& one) {
+  const std::string user = user_name(one.uid);
+  std::string text = fmt::format("coordinator pid {} of {}", one.pid, user);
+  if (one.elsewhere)
+    return text + fmt::format(
+                      " is in another network namespace; "
+                      "`sudo nsenter -t {0} -n xauto status` asks it",
+                      one.pid);
+  if (one.uid != geteuid())
+    return text + fmt::format(" answers only that user and root; `sudo xauto status` asks it");
+  return text + " did not answer";
+}
+
 int status(const Options& options) {
   json sessions = json::object();
+  std::set<int> answered;
   for (const std::string& address : abstract_sockets(runtime::kSocketPrefix)) {
     const std::size_t slash = address.rfind('/');
     const std::string name = address.substr(slash + 1);
@@ -58,13 +112,25 @@ int status(const Options& options) {
       log::debug("{}", answer.error().to_string());
       continue;
     }
+    answered.insert(answer->value("pid", 0));
     sessions[address.substr(0, slash)].push_back(std::move(*answer));
   }
+  const std::vector<Unseen> unseen = coordinators_but(answered);
   if (options.json) {
-    std::cout << json{{"sessions", sessions}}.dump(2) << "\n";
+    json list = json::array();
+    for (const Unseen& one : unseen)
+      list.push_back({{"pid", one.pid}, {"user", user_name(one.uid)}, {"why", words(one)}});
+    json all = {{"sessions", sessions}};
+    if (!list.empty()) all["unseen"] = list;
+    std::cout << all.dump(2) << "\n";
     return kDone;
   }
-  if (sessions.empty()) std::cout << "no app is running under XAuto\n";
+  if (sessions.empty())
+    std::cout << (unseen.empty()
+                      ? "no app is running under XAuto, as far as can be seen from here: in this "
+                        "network namespace and its processes\n"
+                      : "no app that can be asked from here is running under XAuto\n");
+  for (const Unseen& one : unseen) std::cout << "  not seen: " << words(one) << "\n";
   for (const auto& [session, xpus] : sessions.items()) {
     std::cout << "run " << session.substr(std::string(runtime::kSocketPrefix).size()) << "\n";
     for (const json& xpu : xpus) {

@@ -5,6 +5,7 @@
 #include <iostream>
 
 #include "base/log.h"
+#include "model/keys.h"
 
 #include "xauto/priorities.h"
 
@@ -41,6 +42,11 @@ int Commands::run(int argc, char** argv) {
   root_.footer(
       "Exit status: 0 done, 1 the answer is no, 2 bad usage or bad input.\n"
       "Next: xauto doctor");
+  for (CLI::App* sub : root_.get_subcommands({}))
+    if (sub->get_option_no_throw("--app") != nullptr ||
+        sub->get_option_no_throw("--platform") != nullptr)
+      sub->add_flag("--strict", options_.strict,
+                    "refuse files with keys that their format does not have");
   // CLI11 would only say that a verb is missing.
   const auto known = verbs();
   if (argc > 1 && argv[1][0] != '-' &&
@@ -57,6 +63,7 @@ int Commands::run(int argc, char** argv) {
   // Verbs that start an app, and the one that says how an app would run.
   for (const char* verb : {"run", "compare", "profile", "doctor"})
     if (root_.got_subcommand(verb)) obtain_priorities(argv);
+  if (options_.strict) set_unknown_keys(UnknownKeys::kRefuse);
   try {
     const Result<int> status = chosen_(options_);
     return status ? *status : report(status.error());
@@ -68,12 +75,33 @@ int Commands::run(int argc, char** argv) {
   }
 }
 
+/// CLI11 keeps the words of IsMember in the option's type only: "TEXT:{auto,heft}".
+static std::vector<std::string> values_of(const CLI::Option& option) {
+  const std::string type = option.get_type_name();
+  const std::size_t open = type.find('{'), close = type.rfind('}');
+  std::vector<std::string> values;
+  if (open == std::string::npos || close == std::string::npos || close < open) return values;
+  std::string word;
+  for (std::size_t i = open + 1; i <= close; ++i) {
+    if (type[i] != ',' && i < close) {
+      word += type[i];
+      continue;
+    }
+    values.push_back(std::move(word));
+    word.clear();
+  }
+  return values;
+}
+
 std::vector<Commands::Verb> Commands::verbs() const {
   std::vector<Verb> verbs;
   for (const CLI::App* sub : root_.get_subcommands({})) {
     Verb verb{sub->get_name(), sub->get_description(), {}};
-    for (const CLI::Option* option : sub->get_options())
-      for (const std::string& name : option->get_lnames()) verb.options.push_back("--" + name);
+    for (const CLI::Option* option : sub->get_options()) {
+      if (option->get_lnames().empty()) verb.options.push_back({"", values_of(*option)});
+      for (const std::string& name : option->get_lnames())
+        verb.options.push_back({"--" + name, values_of(*option)});
+    }
     verbs.push_back(std::move(verb));
   }
   return verbs;

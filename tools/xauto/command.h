@@ -21,7 +21,8 @@ enum Exit : int { kDone = 0, kAnswerIsNo = 1, kBadInput = 2 };
 [[nodiscard]] int exit_status(const Error& error);
 
 struct Options {
-  bool json = false;  ///< --json, accepted by every verb
+  bool json = false;    ///< --json, accepted by every verb
+  bool strict = false;  ///< --strict, accepted by every verb that reads files of ours
 };
 
 /// A verb's body: runs after parsing, returns the exit status. Its error is reported by `run`.
@@ -35,9 +36,13 @@ class Commands {
                 Body body);
   int run(int argc, char** argv);
 
+  struct CommandOption {
+    std::string name;                 ///< "--json"; empty: what stands without an option's name
+    std::vector<std::string> values;  ///< all that it takes, where they are a few words
+  };
   struct Verb {
     std::string name, description;
-    std::vector<std::string> options;  ///< "--json", ...
+    std::vector<CommandOption> options;
   };
   /// What was declared, for shell completion.
   [[nodiscard]] std::vector<Verb> verbs() const;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sections are written here as plain HTML, every text from outside through html_safe(); the
-// schedule below them is the timeline page's (timeline_page.h), showing the worst release instead
+// schedule below them is the timeline page's (timeline_page.h), showing the slowest release instead
 // of the median one.
 #include "xauto/html_report.h"
 
@@ -31,6 +31,13 @@ std::string module_of(const TraceSlice& output) {
   return output.name.substr(0, output.name.rfind(' '));
 }
 
+Latencies latencies_of(const std::vector<TraceRelease>& releases) {
+  Latencies list;
+  for (const TraceRelease& release : releases)
+    if (release.latency_us >= 0) list.push_back(release.latency_us);
+  return list;
+}
+
 std::map<std::string, Latencies> latencies_by_output(const ReadTrace& trace) {
   std::map<std::int64_t, std::int64_t> begin;
   for (const TraceRelease& release : trace.releases)
@@ -41,6 +48,7 @@ std::map<std::string, Latencies> latencies_by_output(const ReadTrace& trace) {
     const auto at = begin.find(slice.release);
     if (at != begin.end()) out[module_of(slice)].push_back((slice.begin_ns - at->second) / 1000);
   }
+  for (const TraceChain& chain : trace.chains) out[chain.name] = latencies_of(chain.results);
   for (auto& [name, list] : out) std::sort(list.begin(), list.end());
   return out;
 }
@@ -70,10 +78,7 @@ std::string histogram(const Latencies& sorted, std::int64_t from, std::int64_t t
 
 std::string chains_section(const ReadTrace& trace) {
   const auto outputs = latencies_by_output(trace);
-  if (outputs.empty())
-    return "<p class='dim'>No latency per output: no release was completed, or sources of several "
-           "rates "
-           "count their releases each for itself.</p>";
+  if (outputs.empty()) return "<p class='dim'>No latency: no result is in the trace.</p>";
   std::int64_t from = outputs.begin()->second.front(), to = from;
   for (const auto& [name, list] : outputs) {
     from = std::min(from, list.front());
@@ -98,21 +103,25 @@ std::string chains_section(const ReadTrace& trace) {
   return html + "</table>";
 }
 
-std::string worst_section(const ReadTrace& trace, const TraceRelease* worst) {
+/// `chain`: null with one rate.
+std::string worst_section(const ReadTrace& trace, const TraceRelease* worst,
+                          const TraceChain* chain) {
   if (worst == nullptr) return {};
-  const auto account = account_of(trace, worst->number);
+  const auto account =
+      chain != nullptr ? account_of(trace, *chain, *worst) : account_of(trace, worst->number);
   if (!account) return "<p class='dim'>" + html_safe(account.error().to_string()) + "</p>";
   std::int64_t ran = 0;
   for (const ChainStep& step : account->steps) ran += step.ran_us;
   std::string html = fmt::format(
-      "<h2>What set the worst case: release {}, {} ms</h2><p class='dim'>Backwards from the last "
+      "<h2>What set the worst case{}: release {}, {} ms</h2><p class='dim'>Backwards from the last "
       "output, always to the one that handed over last. {} ms of it is work. What the steps took "
       "adds "
       "up to the latency.</p><table class='worst'><tr><th>step</th><th "
       "style='text-align:left'>on</th>"
       "<th>took</th><th>begins</th><th>ends</th><th>work</th><th>planned work</th>"
       "<th style='text-align:left'>why not sooner</th></tr>",
-      worst->number, ms(worst->latency_us), ms(ran));
+      chain != nullptr ? " of " + html_safe(chain->name) : "", worst->number, ms(worst->latency_us),
+      ms(ran));
   for (const ChainStep& step : account->steps)
     html += fmt::format(
         "<tr><td>{}</td><td style='text-align:left'>{}</td><td>{}</td><td>{}</td><td>{}</td>"
@@ -160,28 +169,37 @@ std::string load_section(const ReadTrace& trace) {
   return html + "</table>";
 }
 
-Panel panel_of(const ReportedTrace& reported, std::size_t number, const TraceRelease* worst) {
-  const ReadTrace& trace = reported.trace;
-  Panel panel;
-  const bool plain = !reported.id.empty() &&
-                     std::all_of(reported.id.begin(), reported.id.end(), [](unsigned char c) {
-                       return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '-';
-                     });
-  panel.id = plain ? reported.id : "trace" + std::to_string(number);
+std::string policy_of(const ReadTrace& trace) {
   const auto colon = trace.title.rfind(": ");
-  panel.name = (colon == std::string::npos ? trace.title : trace.title.substr(colon + 2)) +
-               (worst == nullptr ? "" : ", its worst release");
+  return colon == std::string::npos ? trace.title : trace.title.substr(colon + 2);
+}
+
+/// What all panels have: the numbers, and which release is shown.
+Panel numbers_of(const ReadTrace& trace, const std::vector<TraceRelease>& releases,
+                 const TraceRelease* shown) {
+  Panel panel;
   panel.rows = trace.rows;
-  for (const TraceRelease& release : trace.releases)
-    if (release.latency_us >= 0) panel.latencies_us.push_back(release.latency_us);
+  panel.latencies_us = latencies_of(releases);
   Latencies sorted = panel.latencies_us;
   std::sort(sorted.begin(), sorted.end());
-  panel.p50_us = quantile_of_sorted(sorted, 0.5);
-  panel.p99_us = quantile_of_sorted(sorted, 0.99);
-  panel.max_us = sorted.empty() ? 0 : sorted.back();
+  if (!sorted.empty()) {
+    panel.p50_us = quantile_of_sorted(sorted, 0.5);
+    panel.p99_us = quantile_of_sorted(sorted, 0.99);
+    panel.max_us = sorted.back();
+  }
+  if (shown != nullptr) {
+    panel.shown_sequence = shown->number;
+    panel.shown_latency_us = shown->latency_us;
+    panel.shown = "the slowest";
+  }
+  return panel;
+}
+
+Panel panel_of(const std::string& id, const ReadTrace& trace, const TraceRelease* worst) {
+  Panel panel = numbers_of(trace, trace.releases, worst);
+  panel.id = id;
+  panel.name = policy_of(trace);
   if (worst == nullptr) return panel;
-  panel.shown_sequence = worst->number;
-  panel.shown_latency_us = worst->latency_us;
   const auto us = [&](std::int64_t ns) { return (ns - worst->begin_ns) / 1000; };
   std::map<std::string, std::string> module;
   std::map<std::string, std::int64_t> waited;
@@ -205,20 +223,54 @@ Panel panel_of(const ReportedTrace& reported, std::size_t number, const TraceRel
     const std::string name = switching ? s.name.substr(s.name.find(' ') + 1) : s.name;
     panel.predicted.push_back({s.row, name, module[name], us(s.begin_ns), us(s.end_ns),
                                switching ? BarKind::kSwitch : BarKind::kRun});
-    panel.predicted_us = std::max(panel.predicted_us, us(s.end_ns));
+    panel.predicted_us = std::max(panel.predicted_us.value_or(0), us(s.end_ns));
   }
   return panel;
 }
 
+std::string id_of(const ReportedTrace& reported, std::size_t number) {
+  const bool plain = !reported.id.empty() &&
+                     std::all_of(reported.id.begin(), reported.id.end(), [](unsigned char c) {
+                       return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '-';
+                     });
+  return plain ? reported.id : "trace" + std::to_string(number);
+}
+
 }  // namespace
+
+std::vector<Panel> chain_panels(const std::string& id, const std::string& name,
+                                const ReadTrace& trace) {
+  std::vector<Panel> panels;
+  for (const TraceChain& chain : trace.chains) {
+    const TraceRelease* worst = worst_of(chain.results);
+    Panel panel = numbers_of(trace, chain.results, worst);
+    panel.id = id + "-" + std::to_string(panels.size());
+    panel.name = name + ": " + chain.name;
+    // Others' releases, too: with several rates they are what is waited for.
+    for (const TraceSlice& s : trace.run) {
+      if (worst == nullptr || s.category == "done" || s.end_ns <= worst->begin_ns ||
+          s.begin_ns >= worst->end_ns)
+        continue;
+      const bool switching = s.category == "switch";
+      const auto us = [&](std::int64_t ns) {
+        return (std::clamp(ns, worst->begin_ns, worst->end_ns) - worst->begin_ns) / 1000;
+      };
+      panel.measured.push_back({s.row, switching ? s.name.substr(s.name.find(' ') + 1) : s.name,
+                                s.module, us(s.begin_ns), us(s.end_ns),
+                                switching ? BarKind::kSwitch : BarKind::kRun});
+    }
+    panels.push_back(std::move(panel));
+  }
+  return panels;
+}
 
 std::string html_report(const std::vector<ReportedTrace>& traces) {
   Timeline page;
-  page.note = "written by xauto report; below, the worst release of each trace";
+  page.note = "written by xauto report; each chart shows the slowest release";
   for (std::size_t i = 0; i < traces.size(); ++i) {
     const ReadTrace& trace = traces[i].trace;
     if (page.title.empty()) page.title = trace.title.substr(0, trace.title.rfind(": "));
-    const TraceRelease* worst = worst_release(trace);
+    const TraceRelease* worst = trace.chains.empty() ? worst_of(trace.releases) : nullptr;
     page.sections +=
         "<div class='card'><h2>" + html_safe(trace.title) + "</h2><p class='dim'>" +
         html_safe(trace.note) +
@@ -228,9 +280,13 @@ std::string html_report(const std::vector<ReportedTrace>& traces) {
       page.sections += fmt::format(
           "<p><b>Incomplete: the trace lost {} events.</b> Numbers below are of what is there.</p>",
           trace.lost);
-    page.sections +=
-        chains_section(trace) + worst_section(trace, worst) + load_section(trace) + "</div>";
-    page.panels.push_back(panel_of(traces[i], i, worst));
+    page.sections += chains_section(trace) + worst_section(trace, worst, nullptr);
+    for (const TraceChain& chain : trace.chains)
+      page.sections += worst_section(trace, worst_of(chain.results), &chain);
+    page.sections += load_section(trace) + "</div>";
+    if (trace.chains.empty()) page.panels.push_back(panel_of(id_of(traces[i], i), trace, worst));
+    for (Panel& panel : chain_panels(id_of(traces[i], i), policy_of(trace), trace))
+      page.panels.push_back(std::move(panel));
   }
   return timeline_html(page);
 }

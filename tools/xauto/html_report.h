@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "xauto/timeline.h"
 #include "xauto/trace_reader.h"
 
 namespace xauto::cli {
@@ -15,6 +16,11 @@ struct ReportedTrace {
   std::string fact;  ///< what report.json adds, for people; may be empty
   ReadTrace trace;
 };
+
+/// With several rates: a panel for each chain with what ran between its slowest release and the
+/// result. `id` is of letters, digits and '-'.
+[[nodiscard]] std::vector<Panel> chain_panels(const std::string& id, const std::string& name,
+                                              const ReadTrace& trace);
 
 [[nodiscard]] std::string html_report(const std::vector<ReportedTrace>& traces);
 

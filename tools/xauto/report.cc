@@ -2,14 +2,17 @@
 #include "xauto/report.h"
 
 #include <algorithm>
+#include <optional>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 #include "model/claims.h"
 
+#include "xauto/html_report.h"
 #include "xauto/perfetto.h"
 #include "xauto/run_trace.h"
+#include "xauto/trace_reader.h"
 #include "xauto/worst_case.h"
 
 namespace xauto::cli {
@@ -21,34 +24,90 @@ std::uint64_t lost_releases(const PolicyRun& run) {
   return run.report.lost_releases;
 }
 
-ordered_json quantiles_json(const runtime::Distribution& us) {
-  const Latency l = summarise(us);
-  return {{"p50", l.p50_us}, {"p99", l.p99_us}, {"max", l.max_us}};
+/// null where nothing was measured.
+ordered_json or_null(std::int64_t us, std::size_t count) {
+  return count == 0 ? ordered_json() : ordered_json(us);
 }
 
-/// Chains and XNodes with limits.
-std::string limits_table(const PolicyRun& run) {
+ordered_json quantiles_json(const runtime::Distribution& us) {
+  const Latency l = summarise(us);
+  return {{"p50", or_null(l.p50_us, l.count)},
+          {"p99", or_null(l.p99_us, l.count)},
+          {"max", or_null(l.max_us, l.count)}};
+}
+
+/// "-" where nothing was measured.
+std::string in_ms(std::int64_t us, std::size_t count) {
+  return count == 0 ? "-" : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
+}
+
+bool has_several_rates(const PolicyRun& run) {
+  return run.report.num_releases == 0;
+}
+
+/// Late results: of releases, with several rates of chains. Missing: nothing has a deadline.
+std::optional<std::uint64_t> deadline_misses(const RunFlags& flags, const PolicyRun& run) {
+  if (!has_several_rates(run))
+    return flags.app.deadline_us ? std::optional(run.report.deadline_misses) : std::nullopt;
+  std::optional<std::uint64_t> misses;
+  for (const runtime::RouteReport& r : run.report.routes)
+    if (r.deadline_us) misses = misses.value_or(0) + r.deadline_misses;
+  return misses;
+}
+
+/// Chains and XNodes with limits. `who` begins each line: the policy, where there are several.
+std::string limits_table(const PolicyRun& run, const std::string& who) {
   std::string out;
-  const auto ms = [](std::int64_t us) {
-    return fmt::format("{:.2f}", static_cast<double>(us) / 1000);
-  };
   if (!run.report.routes.empty()) {
-    out += fmt::format("\n  {:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n", "chain", "p50",
-                       "p99", "max", "deadline", "age max", "missed", "old", "n");
+    out += fmt::format("\n  {}{:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n",
+                       std::string(who.size(), ' '), "chain", "p50", "p99", "max", "deadline",
+                       "age max", "missed", "old", "n");
     for (const runtime::RouteReport& r : run.report.routes) {
       const Latency l = summarise(r.latency_us);
-      out +=
-          fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n", r.name, ms(l.p50_us),
-                      ms(l.p99_us), ms(l.max_us), r.deadline_us ? ms(*r.deadline_us) : "",
-                      ms(r.age_us.max()), r.deadline_us ? std::to_string(r.deadline_misses) : "",
-                      r.max_age_us ? std::to_string(r.age_misses) : "", l.count);
+      out += fmt::format("  {}{:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n", who, r.name,
+                         in_ms(l.p50_us, l.count), in_ms(l.p99_us, l.count),
+                         in_ms(l.max_us, l.count), r.deadline_us ? in_ms(*r.deadline_us, 1) : "",
+                         in_ms(r.age_us.max(), r.age_us.count()),
+                         r.deadline_us ? std::to_string(r.deadline_misses) : "",
+                         r.max_age_us ? std::to_string(r.age_misses) : "", l.count);
     }
   }
   for (const runtime::XNodeReport& x : run.report.xnodes)
     if (x.overruns > 0 || x.hangs > 0)
-      out +=
-          fmt::format("  XNode {}: of {} jobs {} exceeded {} ms, {} hung; the longest took {} ms\n",
-                      x.name, x.jobs, x.overruns, ms(x.budget_us), x.hangs, ms(x.longest_us));
+      out += fmt::format(
+          "  {}XNode {}: of {} jobs {} exceeded {} ms, {} hung; the longest took {} ms\n", who,
+          x.name, x.jobs, x.overruns, in_ms(x.budget_us, 1), x.hangs, in_ms(x.longest_us, x.jobs));
+  return out;
+}
+
+std::string losses_of(const PolicyRun& run) {
+  std::string out;
+  for (const runtime::ModuleReport& m : run.report.modules)
+    if (m.failed + m.dropped > 0)
+      out += fmt::format("  {}: XModule {}: {} activations done, {} dropped, {} failed\n", run.name,
+                         m.name, m.activations, m.dropped, m.failed);
+  return out;
+}
+
+/// How far the runs of a comparison are apart, against how far each is spread.
+std::string spread_of(const std::vector<PolicyRun>& runs) {
+  if (runs.size() < 2) return {};
+  std::string out =
+      "\n  One run each. Within a run, in ms, from the 10th to the 90th percentile:\n";
+  for (const PolicyRun& run : runs)
+    out += fmt::format("  {:<28}{:>9} to {:>6}\n", run.name,
+                       in_ms(run.latency.p10_us, run.latency.count),
+                       in_ms(run.latency.p90_us, run.latency.count));
+  const auto holds = [](const PolicyRun& run, std::int64_t us) {
+    return run.latency.p10_us <= us && us <= run.latency.p90_us;
+  };
+  for (std::size_t a = 0; a < runs.size(); ++a)
+    for (std::size_t b = a + 1; b < runs.size(); ++b)
+      if (runs[a].latency.count > 0 && runs[b].latency.count > 0 &&
+          holds(runs[a], runs[b].latency.p50_us) && holds(runs[b], runs[a].latency.p50_us))
+        out += fmt::format(
+            "  {} and {}: the difference is noise. Each median is within the other's spread.\n",
+            runs[a].name, runs[b].name);
   return out;
 }
 
@@ -59,8 +118,17 @@ const PolicyRun* ros2_of(const std::vector<PolicyRun>& runs) {
   return at == runs.end() ? nullptr : &*at;
 }
 
-double ratio(std::int64_t a, std::int64_t b) {
-  return b == 0 ? 0.0 : static_cast<double>(a) / static_cast<double>(b);
+/// Missing: one of the two was not measured.
+std::optional<double> ratio(const Latency& a, std::int64_t Latency::*of, const Latency& b) {
+  if (a.count == 0 || b.count == 0 || b.*of == 0) return std::nullopt;
+  return static_cast<double>(a.*of) / static_cast<double>(b.*of);
+}
+
+/// What may be part of an identifier in the page; a policy's name may be anything.
+std::string page_id(const std::string& name) {
+  std::string id;
+  for (const char c : name) id += (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') ? c : '-';
+  return id;
 }
 
 double coordinators_cpu_pct(const PolicyRun& run) {
@@ -80,21 +148,28 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
   ordered_json list = ordered_json::array();
   const PolicyRun* base = ros2_of(runs);
   for (const PolicyRun& run : runs) {
+    const std::size_t n = run.latency.count;
+    const auto misses = deadline_misses(flags, run);
     ordered_json j = {{"policy", run.id},
-                      {"p50_us", run.latency.p50_us},
-                      {"p99_us", run.latency.p99_us},
-                      {"max_us", run.latency.max_us},
+                      {"name", run.name},
+                      {"p50_us", or_null(run.latency.p50_us, n)},
+                      {"p99_us", or_null(run.latency.p99_us, n)},
+                      {"max_us", or_null(run.latency.max_us, n)},
                       {"predicted_us", run.predicted.makespan},
-                      {"mean_us", run.latency.mean_us},
-                      {"activations", run.latency.count},
+                      {"mean_us", or_null(run.latency.mean_us, n)},
+                      {"p10_us", or_null(run.latency.p10_us, n)},
+                      {"p90_us", or_null(run.latency.p90_us, n)},
+                      {"activations", n},
                       {"lost_activations", lost_releases(run)},
                       {"complete", run.report.complete},
-                      {"deadline_misses", run.report.deadline_misses},
+                      {"deadline_misses", misses ? ordered_json(*misses) : ordered_json()},
                       {"scheduling", runtime::to_string(run.scheduling)},
                       {"trace_events_lost", run.outcome.trace.lost},
                       {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
-    if (base != nullptr)
-      j["p99_speedup_over_ros2"] = ratio(base->latency.p99_us, run.latency.p99_us);
+    if (base != nullptr) {
+      const auto times = ratio(base->latency, &Latency::p99_us, run.latency);
+      j["p99_speedup_over_ros2"] = times ? ordered_json(*times) : ordered_json();
+    }
     if (run.policy) {
       j["optimal"] = run.policy->optimal;
       j["lower_bound_us"] = run.policy->lower_bound_us;
@@ -118,9 +193,9 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                             {"dropped", m.dropped}};
       if (m.sink) {
         const Latency latency = summarise(m.latencies_us);
-        entry["p50_us"] = latency.p50_us;
-        entry["p99_us"] = latency.p99_us;
-        entry["max_us"] = latency.max_us;
+        entry["p50_us"] = or_null(latency.p50_us, latency.count);
+        entry["p99_us"] = or_null(latency.p99_us, latency.count);
+        entry["max_us"] = or_null(latency.max_us, latency.count);
       }
       modules.push_back(std::move(entry));
     }
@@ -147,7 +222,8 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
     j["chains"] = std::move(chains);
     ordered_json xnodes = ordered_json::array();
     for (const runtime::XNodeReport& x : run.report.xnodes) {
-      ordered_json entry = {{"name", x.name}, {"jobs", x.jobs}, {"longest_us", x.longest_us}};
+      ordered_json entry = {
+          {"name", x.name}, {"jobs", x.jobs}, {"longest_us", or_null(x.longest_us, x.jobs)}};
       if (x.budget_us > 0) {
         entry["budget_us"] = x.budget_us;
         entry["overruns"] = x.overruns;
@@ -179,19 +255,25 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
   out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", "policy", "p50", "p99",
                      "max", "simulated", "p50/sim", "p99 x", "n");
   for (const PolicyRun& run : runs) {
-    const auto ms = [](std::int64_t us) {
-      return fmt::format("{:.2f}", static_cast<double>(us) / 1000);
-    };
+    const Latency& l = run.latency;
+    // With several rates a result is not of the one release that was simulated.
+    const bool same = l.count > 0 && !has_several_rates(run) && run.predicted.makespan > 0;
+    const auto times = base == nullptr ? std::nullopt : ratio(base->latency, &Latency::p99_us, l);
     out += fmt::format(
-        "  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", run.name, ms(run.latency.p50_us),
-        ms(run.latency.p99_us), ms(run.latency.max_us), ms(run.predicted.makespan),
-        fmt::format("{:+.1f} %", 100 * (ratio(run.latency.p50_us, run.predicted.makespan) - 1)),
+        "  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", run.name, in_ms(l.p50_us, l.count),
+        in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count), in_ms(run.predicted.makespan, 1),
+        same ? fmt::format("{:+.1f} %", 100 * (static_cast<double>(l.p50_us) /
+                                                   static_cast<double>(run.predicted.makespan) -
+                                               1))
+             : "-",
         base == nullptr ? ""
-                        : fmt::format("{:.2f}", ratio(base->latency.p99_us, run.latency.p99_us)),
-        run.latency.count);
+        : times         ? fmt::format("{:.2f}", *times)
+                        : "-",
+        l.count);
   }
   if (base != nullptr)
     out += "\n  p99 x: how many times lower the p99 is than under the ROS 2 model.\n";
+  out += spread_of(runs);
   for (const PolicyRun& run : runs) {
     if (run.scheduling == runtime::Scheduling::kXAuto)
       out += fmt::format("  {}: coordinators used {:.2f} % of one CPU\n", run.name,
@@ -200,9 +282,11 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
       out += fmt::format("  {}: {}\n", run.name, to_string(*worst));
     if (const std::uint64_t lost = lost_releases(run))
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
-    if (!flags.deployment_path.empty() || run.report.num_releases == 0) out += limits_table(run);
-    if (run.report.deadline_misses > 0)
-      out += fmt::format("  {}: {} deadline misses\n", run.name, run.report.deadline_misses);
+    out += losses_of(run);
+    if (!flags.deployment_path.empty() || has_several_rates(run))
+      out += limits_table(run, runs.size() > 1 ? run.name + ": " : "");
+    if (const auto misses = deadline_misses(flags, run); misses.value_or(0) > 0)
+      out += fmt::format("  {}: {} deadline misses\n", run.name, *misses);
     if (run.outcome.trace.lost > 0)
       out += fmt::format("  {}: the trace lost {} events\n", run.name, run.outcome.trace.lost);
     if (!run.report.note.empty()) out += fmt::format("  {}: {}\n", run.name, run.report.note);
@@ -242,10 +326,24 @@ Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
 Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
   Timeline timeline;
   timeline.title = flags.app.name + " on " + flags.spec.name;
+  const bool several = !runs.empty() && has_several_rates(runs.front());
   timeline.note = fmt::format(
-      "{} XPUs, {} activations per policy; each chart shows the activation of median latency",
-      flags.emulated ? "emulated" : "real", runs.empty() ? 0 : runs.front().latency.count);
-  for (const PolicyRun& run : runs) timeline.panels.push_back(panel_of(flags, run));
+      "{} XPUs, {} {} per policy; each chart shows {}", flags.emulated ? "emulated" : "real",
+      runs.empty() ? 0 : runs.front().latency.count, several ? "results" : "activations",
+      several ? "what ran from the slowest release of a chain to its result"
+              : "the activation of median latency");
+  for (const PolicyRun& run : runs) {
+    std::vector<Panel> panels;
+    if (has_several_rates(run))
+      if (const auto bytes = perfetto_of(flags, run))
+        if (const auto trace = read_trace(*bytes, run.name))
+          panels = chain_panels(page_id(run.id), run.name, *trace);
+    if (panels.empty()) {
+      panels.push_back(panel_of(flags, run));
+      panels.back().id = page_id(run.id);
+    }
+    for (Panel& panel : panels) timeline.panels.push_back(std::move(panel));
+  }
   return timeline;
 }
 

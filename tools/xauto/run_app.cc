@@ -140,7 +140,8 @@ Status RunFlags::prepare_deployment() {
 }
 
 Latency summarise(const runtime::Distribution& us) {
-  return {us.quantile(0.5), us.quantile(0.99), us.max(), us.mean(), us.count()};
+  return {us.quantile(0.5), us.quantile(0.99), us.max(),        us.mean(),
+          us.count(),       us.quantile(0.1),  us.quantile(0.9)};
 }
 
 Result<solver::Simulation> predict(const AppSpec& app, const Platform& platform,
@@ -298,9 +299,11 @@ Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
   Rows rows = rows_of(flags.spec, run.scheduling);
   const std::vector<int> row_of = std::move(rows.of);
   panel.rows = std::move(rows.names);
-  panel.p50_us = run.latency.p50_us;
-  panel.p99_us = run.latency.p99_us;
-  panel.max_us = run.latency.max_us;
+  if (run.latency.count > 0) {
+    panel.p50_us = run.latency.p50_us;
+    panel.p99_us = run.latency.p99_us;
+    panel.max_us = run.latency.max_us;
+  }
   panel.predicted_us = run.predicted.makespan;
   const runtime::Release* shown = nullptr;
   for (const runtime::Release& release : run.report.releases) {
@@ -314,6 +317,7 @@ Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
   if (shown != nullptr) {
     panel.shown_sequence = static_cast<std::int64_t>(shown->sequence);
     panel.shown_latency_us = shown->latency_us;
+    panel.shown = "the median";
     panel.measured = bars_of(flags, run.outcome.trace, shown->sequence, shown->origin_ns);
     for (Bar& bar : panel.measured) bar.row = row_of[static_cast<std::size_t>(bar.row)];
   }

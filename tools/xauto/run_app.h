@@ -55,14 +55,16 @@ struct RunFlags {
 };
 
 /// Nearest-rank quantiles of the releases that were completed (see runtime/distribution.h).
+/// Without a release no number is a measurement: look at `count` first.
 struct Latency {
   std::int64_t p50_us = 0, p99_us = 0, max_us = 0, mean_us = 0;
   std::size_t count = 0;
+  std::int64_t p10_us = 0, p90_us = 0;
 };
 [[nodiscard]] Latency summarise(const runtime::Distribution& latencies_us);
 
 struct PolicyRun {
-  std::string id;    ///< "ros2", "heft", "xauto", "xauto-unscheduled"
+  std::string id;    ///< "ros2", "heft", "xauto"; of a policy file its name
   std::string name;  ///< for people
   runtime::Scheduling scheduling = runtime::Scheduling::kXAuto;
   std::optional<Policy> policy;  ///< none for ros2

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Flows: one arrow per edge of the app and release, from the last slice of the XNode that hands
 // over to the first of the one that takes, so that a viewer follows what really waited for what.
-// With several rates numbers of releases mean nothing across modules: arrows inside modules only.
+// With several rates numbers of releases mean nothing across modules: an activation's arrows come
+// from what it took. A trace that does not tell what it took has arrows inside modules only.
 #include "xauto/run_trace.h"
 
 #include <algorithm>
@@ -160,6 +161,8 @@ class Painter {
         piece.details.category = runs ? "run" : "switch";
         auto& args = piece.details.args;
         args.emplace_back("release", static_cast<std::int64_t>(job.sequence));
+        if (story_.several_rates && job.activation >= 0)
+          args.emplace_back("activation", static_cast<std::int64_t>(job.activation));
         args.emplace_back("module", app_.xnodes[static_cast<std::size_t>(job.xnode)].module);
         if (runs) {
           if (!scene_.priorities.empty())
@@ -194,19 +197,33 @@ class Painter {
 
   std::int64_t begin_of(int piece) const { return run_[static_cast<std::size_t>(piece)].begin; }
 
+  /// Which jobs belong together: of one release, or with several rates of one activation.
+  [[nodiscard]] std::int64_t key_of(const Job& job) const {
+    return story_.several_rates && job.activation >= 0 ? job.activation
+                                                       : static_cast<std::int64_t>(job.sequence);
+  }
+  [[nodiscard]] const std::vector<Take>& takes_of(int activation) const {
+    static const std::vector<Take> kNone;
+    return activation < 0 ? kNone : story_.activations[static_cast<std::size_t>(activation)].takes;
+  }
+
   void connect() {
     releases_.resize(story_.releases.size());
     activations_.resize(story_.activations.size());
     results_.resize(story_.activations.size());
-    std::map<std::pair<int, std::uint64_t>, std::size_t> job_of;  // (XNode, release)
+    std::map<std::pair<int, std::int64_t>, std::size_t> job_of;  // (XNode, key)
     for (std::size_t j = 0; j < story_.jobs.size(); ++j)
-      job_of.try_emplace({story_.jobs[j].xnode, story_.jobs[j].sequence}, j);
+      job_of.try_emplace({story_.jobs[j].xnode, key_of(story_.jobs[j])}, j);
     std::map<std::uint64_t, std::size_t> release_of;
     for (std::size_t r = 0; r < story_.releases.size(); ++r)
       release_of.try_emplace(story_.releases[r].sequence, r);
     std::map<std::pair<int, std::uint64_t>, std::size_t> activation_of;
     for (std::size_t a = 0; a < story_.activations.size(); ++a)
       activation_of.try_emplace({story_.activations[a].module, story_.activations[a].sequence}, a);
+    std::vector<int> last_job(story_.activations.size(), -1);
+    for (std::size_t j = 0; j < story_.jobs.size(); ++j)
+      if (const int a = story_.jobs[j].activation; a >= 0 && last_piece(j) != nullptr)
+        last_job[static_cast<std::size_t>(a)] = static_cast<int>(j);
 
     const auto predecessors = app_.predecessors();
     const auto successors = app_.successors();
@@ -222,27 +239,48 @@ class Painter {
       for (const int u : predecessors[static_cast<std::size_t>(job.xnode)]) {
         if (!within(u, job.xnode)) continue;
         from_somewhere = true;
-        const auto at = job_of.find({u, job.sequence});
+        const auto at = job_of.find({u, key_of(job)});
         if (at == job_of.end() || last_piece(at->second) == nullptr) continue;
         arrow(*last_piece(at->second), *first, begin_of(last_[at->second]) < begin_of(first_[j]));
       }
-      const auto activation = activation_of.find({job.module, job.sequence});
-      if (!from_somewhere) {  // its origin: the release, or with several rates the activation
+      int own = job.activation;
+      if (!story_.several_rates) {
+        const auto at = activation_of.find({job.module, job.sequence});
+        own = at == activation_of.end() ? -1 : static_cast<int>(at->second);
+      }
+      const std::vector<Take>& takes = takes_of(own);
+      if (!from_somewhere) {  // its origin
+        for (const Take& take : takes) connect_take(take, last_job, *first, begin_of(first_[j]));
         if (const auto r = release_of.find(job.sequence);
             !story_.several_rates && r != release_of.end())
           arrow(releases_[r->second], *first,
                 story_.releases[r->second].begin_ns <= begin_of(first_[j]));
-        else if (story_.several_rates && activation != activation_of.end())
-          arrow(activations_[activation->second], *first,
-                story_.activations[activation->second].begin_ns < begin_of(first_[j]));
+        else if (story_.several_rates && takes.empty() && own >= 0)
+          arrow(activations_[static_cast<std::size_t>(own)], *first,
+                story_.activations[static_cast<std::size_t>(own)].begin_ns < begin_of(first_[j]));
       }
       const auto& next = successors[static_cast<std::size_t>(job.xnode)];
       const bool ends =
           std::none_of(next.begin(), next.end(), [&](int v) { return within(job.xnode, v); });
-      if (ends && activation != activation_of.end() &&
-          story_.activations[activation->second].fate == Fate::kDone)
-        arrow(*last_piece(j), results_[activation->second],
-              begin_of(last_[j]) <= story_.activations[activation->second].end_ns);
+      if (!ends || own < 0) continue;
+      const Activation& activation = story_.activations[static_cast<std::size_t>(own)];
+      const bool output =
+          takes.empty() || scene_.modules[static_cast<std::size_t>(activation.module)].sink;
+      if (output && activation.fate == Fate::kDone)
+        arrow(*last_piece(j), results_[static_cast<std::size_t>(own)],
+              begin_of(last_[j]) <= activation.end_ns);
+    }
+  }
+
+  void connect_take(const Take& take, const std::vector<int>& last_job, Details& to,
+                    std::int64_t begin) {
+    if (take.from < 0) return;
+    const auto from = static_cast<std::size_t>(take.from);
+    if (take.source >= 0) {
+      arrow(releases_[from], to, story_.releases[from].begin_ns <= begin);
+    } else if (const int job = last_job[from]; job >= 0) {
+      const auto j = static_cast<std::size_t>(job);
+      arrow(*last_piece(j), to, begin_of(last_[j]) < begin);
     }
   }
 
@@ -400,6 +438,10 @@ class Painter {
       Details& details = results_[a];
       details.category = "done";
       details.args.emplace_back("release", static_cast<std::int64_t>(activation.sequence));
+      if (const std::int64_t origin_ns = activation.origin_ns(); origin_ns > 0) {
+        details.args.emplace_back("latency_us", (activation.end_ns - origin_ns) / 1000);
+        if (app_.deadline_us) details.args.emplace_back("deadline_us", *app_.deadline_us);
+      }
       nest.instant(
           activation.end_ns,
           fmt::format("{} {}", scene_.modules[static_cast<std::size_t>(activation.module)].name,
@@ -442,6 +484,11 @@ class Painter {
     Steps dropped, missed;
     for (const Activation& a : story_.activations)
       if (a.fate == Fate::kDropped) dropped.emplace_back(a.end_ns, 1);
+    if (app_.deadline_us && story_.several_rates)
+      for (const Activation& a : story_.activations)
+        if (a.fate == Fate::kDone && scene_.modules[static_cast<std::size_t>(a.module)].sink &&
+            a.origin_ns() > 0 && (a.end_ns - a.origin_ns()) / 1000 > *app_.deadline_us)
+          missed.emplace_back(a.end_ns, 1);
     if (app_.deadline_us && !story_.several_rates)
       for (const ReleaseSpan& r : story_.releases)
         if (r.fate == Fate::kDropped ||

@@ -16,7 +16,8 @@ class Reader {
         platform_(platform),
         modules_(modules),
         open_jobs_(app.xnodes.size()),
-        open_activations_(modules.size()) {}
+        open_activations_(modules.size()),
+        open_ids_(modules.size(), -1) {}
 
   void take(const trace::Event& event) {
     if (!makes_sense(event)) {
@@ -33,7 +34,12 @@ class Reader {
         break;
       case XAUTO_EV_ACTIVATE:
         leave(open_activations_[event.module], ts, Fate::kUnknown, 0);
-        open_activations_[event.module] = {event.module, event.seq, ts, ts, Fate::kUnknown, 0};
+        open_activations_[event.module] =
+            Activation{event.module, event.seq, ts, ts, Fate::kUnknown, 0};
+        open_ids_[event.module] = next_id_++;
+        break;
+      case XAUTO_EV_TAKE:
+        take_input(event);
         break;
       case XAUTO_EV_DONE:
       case XAUTO_EV_DROP:
@@ -49,10 +55,11 @@ class Reader {
     for (auto& activation : open_activations_) leave(activation, story_.end_ns, Fate::kUnknown, 0);
     std::stable_sort(story_.jobs.begin(), story_.jobs.end(),
                      [](const Job& a, const Job& b) { return a.begin_ns() < b.begin_ns(); });
-    std::stable_sort(
-        story_.activations.begin(), story_.activations.end(),
-        [](const Activation& a, const Activation& b) { return a.begin_ns < b.begin_ns; });
-    if (!story_.several_rates) end_releases();
+    sort_activations();
+    if (story_.several_rates)
+      find_inputs();
+    else
+      end_releases();
     name_blockers();
     return std::move(story_);
   }
@@ -62,8 +69,9 @@ class Reader {
     if (e.ts_ns == 0 || e.ts_ns > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2)
       return false;
     if (e.kind == XAUTO_EV_PUBLISH) return true;
-    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_DROP || e.module >= modules_.size())
+    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_TAKE || e.module >= modules_.size())
       return false;
+    if (e.kind == XAUTO_EV_TAKE) return (e.arg & XAUTO_TAKE_SOURCE) != 0 || e.arg < modules_.size();
     if (e.kind == XAUTO_EV_ACTIVATE || e.kind == XAUTO_EV_DONE || e.kind == XAUTO_EV_DROP)
       return true;
     return e.xnode < app_.xnodes.size() && e.xpu < platform_.xpus.size() &&
@@ -77,6 +85,9 @@ class Reader {
     if (open && open->sequence != e.seq && opens) close(open, ts);
     if (!open && opens) {
       open = Job{e.xnode, e.module, e.xpu, e.seq, {}, false, false};
+      if (const auto& activation = open_activations_[e.module];
+          activation && activation->sequence == e.seq)
+        open->activation = open_ids_[e.module];
       enter(*open, PhaseKind::kWaiting, ts);
     }
     // What comes after FINISH, or of another activation, belongs to a job that is over.
@@ -125,17 +136,84 @@ class Reader {
     open->end_ns = ts;
     open->fate = fate;
     open->reason = reason;
-    story_.activations.push_back(*open);
+    ids_.push_back(open_ids_[static_cast<std::size_t>(open->module)]);
+    story_.activations.push_back(std::move(*open));
     open.reset();
+  }
+
+  void take_input(const trace::Event& e) {
+    std::optional<Activation>& open = open_activations_[e.module];
+    if (!open || e.seq > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2) return;
+    story_.several_rates = true;
+    const bool source = (e.arg & XAUTO_TAKE_SOURCE) != 0;
+    const auto index = static_cast<int>(e.arg & ~XAUTO_TAKE_SOURCE);
+    open->takes.push_back(
+        {source ? index : -1, source ? -1 : index, static_cast<std::int64_t>(e.seq), -1});
+  }
+
+  /// By begin; jobs then know theirs by index.
+  void sort_activations() {
+    std::vector<std::size_t> order(story_.activations.size());
+    for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+    std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+      return story_.activations[a].begin_ns < story_.activations[b].begin_ns;
+    });
+    std::vector<Activation> sorted;
+    std::vector<int> index_of(static_cast<std::size_t>(next_id_), -1);
+    for (const std::size_t i : order) {
+      if (ids_[i] >= 0)
+        index_of[static_cast<std::size_t>(ids_[i])] = static_cast<int>(sorted.size());
+      sorted.push_back(std::move(story_.activations[i]));
+    }
+    story_.activations = std::move(sorted);
+    for (Job& job : story_.jobs)
+      if (job.activation >= 0) job.activation = index_of[static_cast<std::size_t>(job.activation)];
+  }
+
+  /// A source's message: the first release from its origin on. A module's: its last output of that
+  /// origin before it was taken.
+  void find_inputs() {
+    std::vector<std::vector<int>> outputs(modules_.size());
+    for (std::size_t a = 0; a < story_.activations.size(); ++a)
+      if (story_.activations[a].fate == Fate::kDone)
+        outputs[static_cast<std::size_t>(story_.activations[a].module)].push_back(
+            static_cast<int>(a));
+    const auto activation = [&](int i) -> Activation& {
+      return story_.activations[static_cast<std::size_t>(i)];
+    };
+    for (Activation& taker : story_.activations)
+      for (Take& take : taker.takes) {
+        if (take.source >= 0) {
+          const auto at = std::lower_bound(
+              story_.releases.begin(), story_.releases.end(), take.origin_ns,
+              [](const ReleaseSpan& r, std::int64_t ns) { return r.begin_ns < ns; });
+          if (at != story_.releases.end() && at->begin_ns <= taker.begin_ns)
+            take.from = static_cast<int>(at - story_.releases.begin());
+          continue;
+        }
+        // A module has one activation at a time: its outputs come in the order of their begins.
+        const auto& list = outputs[static_cast<std::size_t>(take.module)];
+        auto at =
+            std::upper_bound(list.begin(), list.end(), taker.begin_ns,
+                             [&](std::int64_t ns, int a) { return ns < activation(a).end_ns; });
+        constexpr int kMostWaiting = 1024;  // more than any queue holds
+        for (int tried = 0; at != list.begin() && tried < kMostWaiting; ++tried)
+          if (activation(*--at).origin_ns() == take.origin_ns) {
+            take.from = *at;
+            break;
+          }
+      }
   }
 
   void end_of_activation(const trace::Event& e, std::int64_t ts) {
     const Fate fate = e.kind == XAUTO_EV_DONE ? Fate::kDone : Fate::kDropped;
     std::optional<Activation>& open = open_activations_[e.module];
-    if (open && open->sequence == e.seq)
+    if (open && open->sequence == e.seq) {
       leave(open, ts, fate, e.arg);
-    else  // it never began, or its beginning was lost
+    } else {  // it never began, or its beginning was lost
+      ids_.push_back(-1);
       story_.activations.push_back({e.module, e.seq, ts, ts, fate, e.arg});
+    }
   }
 
   /// A release is over when every sink module is through with it.
@@ -195,11 +273,21 @@ class Reader {
   const std::vector<ModuleInfo>& modules_;
   std::vector<std::optional<Job>> open_jobs_;
   std::vector<std::optional<Activation>> open_activations_;
+  std::vector<int> open_ids_;  ///< of open_activations_, in the order of their begins
+  std::vector<int> ids_;       ///< of Story::activations; -1: it never began
+  int next_id_ = 0;
   std::map<std::uint64_t, std::size_t> published_;  ///< sequence -> index into releases
   Story story_;
 };
 
 }  // namespace
+
+std::int64_t Activation::origin_ns() const {
+  std::int64_t oldest = 0;
+  for (const Take& take : takes)
+    if (oldest == 0 || take.origin_ns < oldest) oldest = take.origin_ns;
+  return oldest;
+}
 
 const char* to_string(PhaseKind kind) {
   switch (kind) {

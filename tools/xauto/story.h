@@ -36,11 +36,19 @@ struct Job {
   std::vector<Phase> phases;  ///< one after the other, at least one
   bool failed = false;
   bool complete = false;  ///< its FINISH is in the trace
+  int activation = -1;    ///< index into Story::activations; -1: its beginning is not in the trace
   [[nodiscard]] std::int64_t begin_ns() const { return phases.front().begin_ns; }
   [[nodiscard]] std::int64_t end_ns() const { return phases.back().end_ns; }
 };
 
 enum class Fate : std::uint8_t { kDone, kDropped, kUnknown };
+
+/// With several rates: what an activation was made of.
+struct Take {
+  int source = -1, module = -1;  ///< who published it; one of the two
+  std::int64_t origin_ns = 0;    ///< when the sensor released it
+  int from = -1;  ///< index into Story::releases (source) or activations (module); -1: unknown
+};
 
 /// One pass through a module's chain.
 struct Activation {
@@ -49,6 +57,9 @@ struct Activation {
   std::int64_t begin_ns = 0, end_ns = 0;
   Fate fate = Fate::kUnknown;  ///< unknown: its end is not in the trace
   std::uint32_t reason = 0;    ///< XAUTO_DROP_*
+  std::vector<Take> takes = {};
+  /// The oldest of what it took, from which its latency counts; 0: unknown, or one rate.
+  [[nodiscard]] std::int64_t origin_ns() const;
 };
 
 /// One release of the sensors. With several rates only its begin is known.

@@ -20,6 +20,10 @@ ordered_json bars_to_json(const std::vector<Bar>& bars) {
   return out;
 }
 
+ordered_json or_null(const std::optional<std::int64_t>& us) {
+  return us ? ordered_json(*us) : ordered_json();
+}
+
 /// JSON that may stand inside <script>: no "</script>", no "<!--".
 std::string script_safe(const ordered_json& value) {
   const std::string text = value.dump(-1, ' ', true, ordered_json::error_handler_t::replace);
@@ -65,12 +69,13 @@ std::string timeline_html(const Timeline& timeline) {
     panels.push_back({{"id", p.id},
                       {"name", p.name},
                       {"rows", p.rows},
-                      {"p50", p.p50_us},
-                      {"p99", p.p99_us},
-                      {"max", p.max_us},
-                      {"predicted", p.predicted_us},
+                      {"p50", or_null(p.p50_us)},
+                      {"p99", or_null(p.p99_us)},
+                      {"max", or_null(p.max_us)},
+                      {"predicted", or_null(p.predicted_us)},
                       {"shown", p.shown_sequence},
                       {"shownLatency", p.shown_latency_us},
+                      {"shownIs", p.shown},
                       {"latencies", p.latencies_us},
                       {"measured", bars_to_json(p.measured)},
                       {"plan", bars_to_json(p.predicted)}});

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -25,13 +26,14 @@ struct Bar {
 /// One policy.
 struct Panel {
   std::string id, name;
-  std::vector<std::string> rows;  ///< XPU instances
-  std::int64_t p50_us = 0, p99_us = 0, max_us = 0;
-  std::int64_t predicted_us = 0;
-  std::vector<std::int64_t> latencies_us;  ///< one per completed release
-  std::int64_t shown_sequence = 0;         ///< which activation `measured` shows
+  std::vector<std::string> rows;                       ///< XPU instances
+  std::optional<std::int64_t> p50_us, p99_us, max_us;  ///< missing: nothing was measured
+  std::optional<std::int64_t> predicted_us;            ///< missing: there is no plan of it
+  std::vector<std::int64_t> latencies_us;              ///< one per completed release
+  std::int64_t shown_sequence = 0;                     ///< which activation `measured` shows
   std::int64_t shown_latency_us = 0;
   std::vector<Bar> measured, predicted;
+  std::string shown = {};  ///< which activation that is: "the slowest"; empty: there is none
 };
 
 struct Timeline {

@@ -37,6 +37,11 @@ svg .label { fill:var(--ink); font-size:10px; pointer-events:none } svg .faded {
 svg .plan { fill:none; stroke-width:1.2; opacity:.8 } svg .bar:hover { stroke:var(--fg); stroke-width:1.5 }
 #tip { position:fixed; pointer-events:none; background:var(--fg); color:var(--bg); border-radius:6px; padding:6px 9px; font-size:12px; display:none; z-index:9; max-width:340px; white-space:pre-line }
 .tools { float:right; color:var(--dim); font-size:12px } .tools button { font:inherit; border:1px solid var(--line); background:none; color:var(--fg); border-radius:6px; cursor:pointer; padding:1px 8px }
+@media (max-width: 700px) {
+  body { padding:14px 12px 32px } .card { padding:12px } h1 { font-size:19px; overflow-wrap:anywhere } #note, p, .head span { overflow-wrap:anywhere }
+  .tools { float:none; margin-bottom:8px } th, td { padding-left:6px; padding-right:6px } td.bar { min-width:60px }
+  .card > svg { min-width:1000px } /* the card scrolls, not the page: smaller text could not be read */
+}
 </style>)css";
 
 inline constexpr const char* kPageBody = R"html(</head><body>
@@ -70,7 +75,7 @@ function html(parent, name, text, cls) {
   parent.appendChild(e);
   return e;
 }
-const ms = us => (us / 1000).toFixed(2);
+const ms = us => us === null ? "\u2013" : (us / 1000).toFixed(2);  // a dash: nothing was measured
 const modules = [...new Set(DATA.panels.flatMap(p => p.plan.concat(p.measured).map(b => b[2])))].sort();
 const colour = m => PALETTE[modules.indexOf(m) % PALETTE.length];
 const longest = Math.max(1000, ...DATA.panels.map(p => Math.max(p.predicted, p.shownLatency,
@@ -91,7 +96,7 @@ for (const p of DATA.panels) {
   html(row, "td", ms(p.p99)).style.fontWeight = 650;
   html(html(row, "td", undefined, "bar"), "div").style.width = (100 * p.p99 / worst) + "%";
   for (const v of [p.p50, p.max, p.predicted]) html(row, "td", ms(v));
-  html(row, "td", base ? (base.p99 / Math.max(1, p.p99)).toFixed(2) + "\u00d7" : "");
+  html(row, "td", base && base.p99 !== null && p.p99 !== null ? (base.p99 / Math.max(1, p.p99)).toFixed(2) + "\u00d7" : "");
 }
 
 // ---- the legend: click a module to single it out
@@ -196,7 +201,7 @@ function gantt(card, p) {
     }
     y += r.height;
   }
-  if (p.shownLatency <= view[1] && p.shownLatency >= view[0]) {
+  if (p.shownIs !== "" && p.shownLatency <= view[1] && p.shownLatency >= view[0]) {
     el(svg, "line", { class: "end", x1: x(p.shownLatency), x2: x(p.shownLatency), y1: 0, y2: H - 18 });
     const right = x(p.shownLatency) > W - 110;
     el(svg, "text", { class: "latency", x: x(p.shownLatency) + (right ? -5 : 5), y: 12, "text-anchor": right ? "end" : "start" }, ms(p.shownLatency) + " ms");
@@ -221,8 +226,15 @@ function draw() {
     const card = html($("panels"), "div", undefined, "card");
     const h = html(card, "div", undefined, "head");
     html(h, "h2", p.name);
-    html(h, "span", ms(p.p50) + " ms", "big");
-    html(h, "span", `p50 of ${p.latencies.length}; p99 ${ms(p.p99)}, max ${ms(p.max)}, simulated ${ms(p.predicted)}; activation ${p.shown} shown`, "dim");
+    const plan = p.predicted === null ? "" : `, simulated ${ms(p.predicted)}`;
+    if (p.shownIs === "") {
+      html(h, "span", "no result: nothing to measure" + plan, "dim");
+      if (p.plan.length) gantt(card, p);
+      continue;
+    }
+    // The number beside the heading is the one that the chart shows.
+    html(h, "span", ms(p.shownLatency) + " ms", "big");
+    html(h, "span", `${p.shownIs} of ${p.latencies.length} is shown, activation ${p.shown}; p50 ${ms(p.p50)}, p99 ${ms(p.p99)}, max ${ms(p.max)}${plan}`, "dim");
     gantt(card, p);
     strip(card, p);
   }

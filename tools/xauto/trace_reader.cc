@@ -128,6 +128,7 @@ class TraceFile {
         if (arg.name() == "deadline_us") out_.deadline_us = arg.int_value();
       }
       out_.releases.push_back(release);
+      for (const std::uint64_t flow : event.flow_ids()) released_[flow] = ts;
     } else if (track.place == Place::kRun || track.place == Place::kPlan ||
                track.place == Place::kDone) {
       auto& list = track.place == Place::kPlan ? out_.plan : out_.run;
@@ -136,11 +137,32 @@ class TraceFile {
       for (const std::uint64_t flow : event.terminating_flow_ids())
         if (const auto source = flows_.find(flow); source != flows_.end())
           list.back().from.push_back(source->second);
+        else if (const auto release = released_.find(flow); release != released_.end())
+          list.back().released_ns = std::max(list.back().released_ns, release->second);
+      if (track.place == Place::kDone) take_result(event, index, ts);
       if (track.place != Place::kPlan)
         for (const std::uint64_t flow : event.flow_ids()) flows_[flow] = index;
     }
     if (slice) open_[event.track_uuid()].push_back(index);
     return {};
+  }
+
+  /// Only with several rates an output has a latency of its own.
+  void take_result(const proto::TrackEvent& event, int index, std::int64_t ts) {
+    TraceRelease result{0, ts, ts, -1, index};
+    for (const auto& arg : event.debug_annotations()) {
+      if (arg.name() == "release") result.number = arg.int_value();
+      if (arg.name() == "latency_us") result.latency_us = arg.int_value();
+      if (arg.name() == "deadline_us") out_.deadline_us = arg.int_value();
+    }
+    if (result.latency_us < 0 || result.latency_us > ts / 1000) return;
+    result.begin_ns = ts - result.latency_us * 1000;
+    const std::string& name = event.name();  // "LD 12" is the output of module LD
+    const std::string module = name.substr(0, name.rfind(' '));
+    auto chain = std::find_if(out_.chains.begin(), out_.chains.end(),
+                              [&](const TraceChain& c) { return c.name == module; });
+    if (chain == out_.chains.end()) chain = out_.chains.insert(chain, {module, {}});
+    chain->results.push_back(result);
   }
 
   Status end(std::uint64_t uuid, const Track& track, std::int64_t ts) {
@@ -165,6 +187,7 @@ class TraceFile {
     s.begin_ns = s.end_ns = ts;
     for (const auto& arg : event.debug_annotations()) {
       if (arg.name() == "release") s.release = arg.int_value();
+      if (arg.name() == "activation") s.activation = arg.int_value();
       if (arg.name() == "waited_us") s.waited_us = arg.int_value();
       if (arg.name() == "part") s.part = arg.int_value();
       if (arg.name() == "module") s.module = arg.string_value();
@@ -178,7 +201,8 @@ class TraceFile {
   ReadTrace out_;
   std::unordered_map<std::uint64_t, Track> tracks_;
   std::unordered_map<std::uint64_t, std::vector<int>> open_;
-  std::unordered_map<std::uint64_t, int> flows_;  ///< arrow -> its source in `run`
+  std::unordered_map<std::uint64_t, int> flows_;              ///< arrow -> its source in `run`
+  std::unordered_map<std::uint64_t, std::int64_t> released_;  ///< arrow -> its release's time
   std::size_t packet_ = 0;
   bool ours_ = false;
 };

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: GPL-2.0-only WITH Linux-syscall-note */
 /*
- * The trace vocabulary: one fixed record for every layer (runtime, coordinator, kernel, BPF), so that
- * all of them tell one story. Rules: append kinds, never renumber; padding is zero.
+ * The trace vocabulary: one fixed record for every layer (runtime, coordinator, kernel, BPF), so
+ * that all of them tell one story. Rules: append kinds, never renumber; padding is zero.
  *
  * History: 1 - first version.
  */
@@ -13,26 +13,33 @@
 #define XAUTO_EVENT_VERSION 1
 
 /* What happened. In the order in which one job meets them. */
-#define XAUTO_EV_PUBLISH 1	 /* a source released a message; seq = its number */
-#define XAUTO_EV_ACTIVATE 2	 /* all inputs of a module are fresh: its chain starts */
-#define XAUTO_EV_READY 3	 /* the job was handed to the worker of its XPU */
-#define XAUTO_EV_START 4	 /* the worker asked the coordinator for the XPU */
-#define XAUTO_EV_RUN 5		 /* the worker may run: exec() is entered */
-#define XAUTO_EV_SUSPEND 6	 /* the management thread was told to suspend the job's queue */
-#define XAUTO_EV_SUSPENDED 7	 /* ... and has done so */
-#define XAUTO_EV_RESUME 8	 /* the management thread was told to resume it */
-#define XAUTO_EV_RESUMED 9	 /* ... and has done so */
-#define XAUTO_EV_FINISH 10	 /* exec() returned and the XPU was given back; arg != 0: it failed */
-#define XAUTO_EV_DONE 11	 /* the module's chain ended and its outputs are published */
-#define XAUTO_EV_DROP 12	 /* an activation was dropped; arg = XAUTO_DROP_* */
+#define XAUTO_EV_PUBLISH 1   /* a source released a message; seq = its number */
+#define XAUTO_EV_ACTIVATE 2  /* all inputs of a module are fresh: its chain starts */
+#define XAUTO_EV_READY 3     /* the job was handed to the worker of its XPU */
+#define XAUTO_EV_START 4     /* the worker asked the coordinator for the XPU */
+#define XAUTO_EV_RUN 5       /* the worker may run: exec() is entered */
+#define XAUTO_EV_SUSPEND 6   /* the management thread was told to suspend the job's queue */
+#define XAUTO_EV_SUSPENDED 7 /* ... and has done so */
+#define XAUTO_EV_RESUME 8    /* the management thread was told to resume it */
+#define XAUTO_EV_RESUMED 9   /* ... and has done so */
+#define XAUTO_EV_FINISH 10   /* exec() returned and the XPU was given back; arg != 0: it failed */
+#define XAUTO_EV_DONE 11     /* the module's chain ended and its outputs are published */
+#define XAUTO_EV_DROP 12     /* an activation was dropped; arg = XAUTO_DROP_* */
 
-#define XAUTO_DROP_FAILED 1	 /* exec threw or returned an error */
-#define XAUTO_DROP_UPSTREAM 2	 /* an input of this activation was dropped upstream */
-#define XAUTO_DROP_OVERRUN 3	 /* a newer message replaced it before the module was free */
-#define XAUTO_DROP_DIED 4	 /* the process of the module died */
-#define XAUTO_DROP_HUNG 5	 /* an XNode ran past its hang limit and was given up */
+#define XAUTO_EV_TAKE                                                             \
+  13 /* with several rates, after ACTIVATE, once per input: seq = when the sensor \
+      * released what was taken (its origin, ts_ns); arg = the module that        \
+      * published it, or XAUTO_TAKE_SOURCE | the source's index */
 
-#define XAUTO_EV_NONE 0xffff	 /* xnode, module, xpu: not applicable */
+#define XAUTO_TAKE_SOURCE 0x80000000u
+
+#define XAUTO_DROP_FAILED 1   /* exec threw or returned an error */
+#define XAUTO_DROP_UPSTREAM 2 /* an input of this activation was dropped upstream */
+#define XAUTO_DROP_OVERRUN 3  /* a newer message replaced it before the module was free */
+#define XAUTO_DROP_DIED 4     /* the process of the module died */
+#define XAUTO_DROP_HUNG 5     /* an XNode ran past its hang limit and was given up */
+
+#define XAUTO_EV_NONE 0xffff /* xnode, module, xpu: not applicable */
 
 /**
  * struct xauto_event - one step of one job
@@ -46,14 +53,14 @@
  * @pad:    zero
  */
 struct xauto_event {
-	__u64 ts_ns;
-	__u64 seq;
-	__u16 xnode;
-	__u16 module;
-	__u16 xpu;
-	__u16 kind;
-	__u32 arg;
-	__u32 pad;
+  __u64 ts_ns;
+  __u64 seq;
+  __u16 xnode;
+  __u16 module;
+  __u16 xpu;
+  __u16 kind;
+  __u32 arg;
+  __u32 pad;
 };
 
 #endif /* _UAPI_XAUTO_EVENT_H */

@@ -3,6 +3,8 @@
 // be.
 #include "solver/objectives.h"
 
+#include <set>
+
 #include <gtest/gtest.h>
 
 #include "solver/explain.h"
@@ -189,6 +191,28 @@ TEST(WhatIf, OneMoreGpuHalvesTwoChainsThatShareOne) {
       what_if_implemented(app, platform, *policy, "b.out", "cpu", 15'000, counted(report));
   ASSERT_TRUE(slower.has_value());
   EXPECT_EQ(slower->latency_us, 16'000);
+}
+
+/// On CPUs the app's stages are three times slower than on GPUs. That `a` could be as slow there is
+/// no idea; that `c` could be as fast as the others on a GPU is one.
+TEST(WhatIf, NoSlowerImplementationIsInvented) {
+  SolveReport report;
+  AppSpec app;
+  app.name = "app";
+  app.xnodes = {{"a", "M", {{"gpu", 5'000}}},
+                {"b", "M", {{"cpu", 9'000}, {"gpu", 3'000}}},
+                {"c", "M", {{"cpu", 6'000}}}};
+  app.edges = {{0, 1}, {1, 2}};
+  const Platform platform = one_of_each();
+  const auto policy = solve(app, platform, counted(report));
+  ASSERT_TRUE(policy.has_value());
+  const auto answers = what_if(app, platform, *policy, counted(report));
+  ASSERT_TRUE(answers.has_value());
+  std::set<std::string> changes;
+  for (const WhatIf& what : *answers) changes.insert(what.change);
+  EXPECT_TRUE(changes.contains("c on gpu, if 2.00 ms"));
+  for (const std::string& change : changes)
+    EXPECT_EQ(change.find("a on cpu"), std::string::npos) << change;
 }
 
 }  // namespace

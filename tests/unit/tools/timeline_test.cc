@@ -52,6 +52,15 @@ TEST(Timeline, NamesCannotLeaveTheirString) {
   EXPECT_NE(page.find(R"(\"];alert(4);//)"), std::string::npos);
 }
 
+TEST(Timeline, WhatWasNotMeasuredIsNoNumber) {
+  Timeline t;
+  t.panels.emplace_back();
+  const std::string page = timeline_html(t);
+  for (const char* key : {"p50", "p99", "max", "predicted"})
+    EXPECT_NE(page.find("\"" + std::string(key) + "\":null"), std::string::npos) << key;
+  EXPECT_NE(page.find(R"("shownIs":"")"), std::string::npos);
+}
+
 TEST(Timeline, BrokenUtf8DoesNotBreakThePage) {
   Timeline t;
   t.title = "\xff\xfe";

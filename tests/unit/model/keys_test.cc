@@ -1,0 +1,230 @@
+// SPDX-License-Identifier: Apache-2.0
+// Misspelt keys, and that docs/schema/ has the keys that the readers ask for: neither more nor
+// fewer. tests/docs/schema_test.py validates files against the schemas.
+#include "model/keys.h"
+
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <set>
+#include <sstream>
+
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+#include <unistd.h>
+
+#include "model/deployment.h"
+#include "model/grants.h"
+#include "model/json.h"
+
+namespace xauto {
+namespace {
+
+using nlohmann::json;
+const std::string kSource = XAUTO_SOURCE_DIR;
+
+std::string slurp(const std::string& path) {
+  std::ifstream file(path);
+  EXPECT_TRUE(file) << path;
+  std::stringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+/// "/xnodes/*/name" of every key that a schema describes. Maps are "*", as arrays are.
+void describe(const json& root, const json& schema, const std::string& path,
+              std::set<std::string>& keys) {
+  if (schema.contains("$ref")) {
+    const auto target = schema["$ref"].get<std::string>();
+    return describe(root, root.at(json::json_pointer(target.substr(1))), path, keys);
+  }
+  for (const json& one : schema.value("anyOf", json::array())) describe(root, one, path, keys);
+  const json properties = schema.value("properties", json::object());
+  for (auto key = properties.begin(); key != properties.end(); ++key) {
+    keys.insert(path + "/" + key.key());
+    describe(root, key.value(), path + "/" + key.key(), keys);
+  }
+  for (const char* each : {"items", "additionalProperties"})
+    if (schema.contains(each) && schema[each].is_object())
+      describe(root, schema[each], path + "/*", keys);
+}
+
+/// The golden file of a format, read; "" is the schema's name in docs/schema/.
+Keys keys_of(const std::string& format, const std::string& text) {
+  Keys keys;
+  const AppSpec app = parse_app(slurp(kSource + "/tests/golden/app.json"), "app.json").value();
+  const Platform platform =
+      parse_platform(slurp(kSource + "/tests/golden/platform.json"), "platform.json").value();
+  const auto expect = [&](const auto& result) {
+    EXPECT_TRUE(result) << format << ": " << result.error().to_string();
+  };
+  if (format == "app") expect(parse_app(text, format, &keys));
+  if (format == "platform") expect(parse_platform(text, format, &keys));
+  if (format == "profile") expect(parse_profile(text, format, &keys));
+  if (format == "policy") expect(parse_policy(text, format, app, platform, &keys));
+  if (format == "deployment") expect(parse_deployment(text, format, app, &keys));
+  if (format == "grants") expect(parse_grants(text, format, &keys));
+  return keys;
+}
+
+/// What the golden file leaves out; not every format has one.
+std::string with_other_keys(const std::string& format) {
+  const std::string path = kSource + "/tests/golden/keys/" + format + ".json";
+  return std::filesystem::exists(path) ? slurp(path) : std::string();
+}
+
+std::string golden(const std::string& format) {
+  return slurp(kSource + "/tests/golden/" + format + ".json");
+}
+
+const char* const kFormats[] = {"app", "platform", "profile", "policy", "deployment", "grants"};
+
+TEST(Keys, SchemasHaveTheKeysThatTheReadersAskFor) {
+  for (const std::string format : kFormats) {
+    const json schema = json::parse(slurp(kSource + "/docs/schema/" + format + ".schema.json"));
+    std::set<std::string> described;
+    describe(schema, schema, "", described);
+    const Keys keys = keys_of(format, golden(format));
+    std::set<std::string> known(keys.known.begin(), keys.known.end());
+    if (const std::string text = with_other_keys(format); !text.empty()) {
+      const Keys more = keys_of(format, text);
+      known.insert(more.known.begin(), more.known.end());
+      EXPECT_TRUE(more.unknown.empty()) << format << ": " << more.unknown.front().where;
+    }
+    EXPECT_EQ(described, known) << format;
+    EXPECT_TRUE(keys.unknown.empty()) << format << ": " << keys.unknown.front().where;
+  }
+}
+
+/// Every key of every golden file, one after the other, with its last letter left out or its last
+/// two exchanged: the reader either refuses the file, because the key is required, or says what was
+/// meant. Nothing passes in silence.
+TEST(Keys, NoMisspeltKeyPassesInSilence) {
+  int told = 0, refused = 0;
+  const std::function<void(const std::string&, const json&, json&, json&)> spoil =
+      [&](const std::string& format, const json& schema, json& whole, json& at) {
+        if (at.is_array())
+          for (json& element : at) spoil(format, schema, whole, element);
+        if (!at.is_object()) return;
+        std::vector<std::string> names;
+        for (auto member = at.begin(); member != at.end(); ++member) names.push_back(member.key());
+        for (const std::string& name : names) {
+          std::set<std::string> ours;
+          describe(schema, schema, "", ours);
+          const bool key_of_ours = std::any_of(
+              ours.begin(), ours.end(),
+              [&](const std::string& path) { return path.substr(path.rfind('/') + 1) == name; });
+          if (key_of_ours && name.size() > 3) {
+            std::string short_by_one = name.substr(0, name.size() - 1), swapped = name;
+            std::swap(swapped[swapped.size() - 1], swapped[swapped.size() - 2]);
+            for (const std::string& typo : {short_by_one, swapped}) {
+              if (typo == name) continue;
+              const json before = at;
+              at[typo] = at[name];
+              at.erase(name);
+              Keys keys;
+              const std::string text = whole.dump();
+              const AppSpec app = parse_app(golden("app"), "app").value();
+              const Platform platform = parse_platform(golden("platform"), "platform").value();
+              bool accepted = false;
+              if (format == "app") accepted = parse_app(text, format, &keys).has_value();
+              if (format == "platform") accepted = parse_platform(text, format, &keys).has_value();
+              if (format == "profile") accepted = parse_profile(text, format, &keys).has_value();
+              if (format == "policy")
+                accepted = parse_policy(text, format, app, platform, &keys).has_value();
+              if (format == "deployment")
+                accepted = parse_deployment(text, format, app, &keys).has_value();
+              if (format == "grants") accepted = parse_grants(text, format, &keys).has_value();
+              if (!accepted) {
+                ++refused;
+              } else {
+                ++told;
+                EXPECT_EQ(keys.unknown.size(), 1u) << format << " " << typo;
+                for (const Keys::Unknown& key : keys.unknown) {
+                  EXPECT_TRUE(key.where.ends_with("/" + typo)) << key.where;
+                  EXPECT_EQ(key.nearest, name) << format;
+                }
+              }
+              at = before;
+            }
+          }
+          spoil(format, schema, whole, at[name]);
+        }
+      };
+  for (const std::string format : kFormats) {
+    json document = json::parse(golden(format));
+    const json schema = json::parse(slurp(kSource + "/docs/schema/" + format + ".schema.json"));
+    spoil(format, schema, document, document);
+  }
+  EXPECT_GE(told, 40);
+  EXPECT_GE(refused, 80);
+}
+
+std::string app_text(const std::string& rest) {
+  return R"({"schema":"xauto.app","version":1,"name":"a",)"
+         R"("xnodes":[{"name":"x","module":"M","wcet_us":{"cpu":1}}],"edges":[])" +
+         rest + "}";
+}
+
+TEST(Keys, TyposOfTheIssueAreNamedWithWhatWasMeant) {
+  Keys keys;
+  ASSERT_TRUE(
+      parse_app(app_text(R"(,"deadine_us":5,"pinz":[],"chains":[{"wieght":1}])"), "a.json", &keys));
+  ASSERT_EQ(keys.unknown.size(), 3u);
+  EXPECT_EQ(keys.unknown[0].where, "/chains/0/wieght");
+  EXPECT_EQ(keys.unknown[0].nearest, "weight");
+  EXPECT_EQ(keys.unknown[1].nearest, "deadline_us");
+  EXPECT_EQ(keys.unknown[2].nearest, "pins");
+  const AppSpec app = parse_app(app_text(""), "a.json").value();
+  ASSERT_TRUE(parse_deployment(R"({"schema":"xauto.deployment","version":1,"app":"a",)"
+                               R"("defaults":{"isolat":true},"modules":{"M":{"buget_pct":5}}})",
+                               "d.json", app, &keys));
+  ASSERT_EQ(keys.unknown.size(), 2u);
+  EXPECT_EQ(keys.unknown[0].where, "/defaults/isolat");
+  EXPECT_EQ(keys.unknown[0].nearest, "isolate");
+  EXPECT_EQ(keys.unknown[1].where, "/modules/M/buget_pct");
+  EXPECT_EQ(keys.unknown[1].nearest, "budget_pct");
+}
+
+TEST(Keys, KeysOfOthersAndWhatIsInThemAreNeverTold) {
+  Keys keys;
+  ASSERT_TRUE(
+      parse_app(app_text(R"(,"x-":1,"x-deadine_us":{"pinz":[{"a":1}]},"colour":{"pinz":0})"),
+                "a.json", &keys));
+  ASSERT_EQ(keys.unknown.size(), 1u);
+  EXPECT_EQ(keys.unknown[0].where, "/colour");
+  EXPECT_EQ(keys.unknown[0].nearest, "");
+  EXPECT_TRUE(
+      parse_grants(R"({"schema":"xauto.grants","version":1,"x-by":"me","grants":[]})", "g"));
+}
+
+TEST(Keys, NamesThatTheFileChoosesAreNoKeys) {
+  Keys keys;
+  ASSERT_TRUE(parse_platform(R"({"schema":"xauto.platform","version":1,"name":"p",)"
+                             R"("xpus":[{"id":"c","type":"cpu"}]})",
+                             "p.json", &keys));
+  EXPECT_TRUE(keys.unknown.empty());
+  ASSERT_TRUE(parse_app(R"({"schema":"xauto.app","version":1,"name":"a","edges":[],"xnodes":[)"
+                        R"({"name":"x","module":"M","wcet_us":{"cpu":1,"name":2,"anything":3}}]})",
+                        "a.json", &keys));
+  EXPECT_TRUE(keys.unknown.empty()) << keys.unknown.front().where;
+}
+
+TEST(Keys, StrictRefusesTheFileAndOtherwiseItIsRead) {
+  const auto path = (std::filesystem::temp_directory_path() /
+                     ("xauto_keys_test." + std::to_string(getpid()) + ".json"))
+                        .string();
+  ASSERT_TRUE(write_file(path, app_text(R"(,"deadine_us":5)")));
+  EXPECT_TRUE(load_app(path));
+  set_unknown_keys(UnknownKeys::kRefuse);
+  const auto refused = load_app(path);
+  set_unknown_keys(UnknownKeys::kWarn);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, ErrorCode::kInvalid);
+  EXPECT_EQ(refused.error().where, path + ": /deadine_us");
+  EXPECT_NE(refused.error().what.find("did you mean \"deadline_us\"?"), std::string::npos);
+  std::filesystem::remove(path);
+}
+
+}  // namespace
+}  // namespace xauto
