@@ -20,6 +20,7 @@ class Case:
 
     def __init__(self, folder, sensors, deadline_us=None):
         self.folder, self.sensors = folder, sensors
+        self.host = {}  # XNode -> "+US" that it spends without its XPU
         xnodes, edges = [], []
         for name, (_, stages) in sensors.items():
             for i, stage in enumerate(stages):
@@ -35,8 +36,10 @@ class Case:
         return os.path.join(self.folder, name)
 
     def command(self):
+        def work(name, i, stage):
+            return "/".join(f"{xpu}={us}{self.host.get(f'{name}.{i}', '')}" for xpu, us in stage.items())
         return ["--", RATESAPP, self.path("seen")] + [
-            f"{name}:{period}:" + ",".join("/".join(f"{x}={us}" for x, us in stage.items()) for stage in stages)
+            f"{name}:{period}:" + ",".join(work(name, i, stage) for i, stage in enumerate(stages))
             for name, (period, stages) in self.sensors.items()]
 
     def solve(self):
@@ -144,6 +147,35 @@ class SeveralRates(unittest.TestCase):
         # The last release of the camera, at 290 ms, is its 29th; those at 0, 100, 200 ms coincide with the lidar's.
         self.assertIn(latest["camera"], (28, 29))
         self.assertEqual(latest["lidar"], 2)
+
+
+class Trace(unittest.TestCase):
+    def test_who_is_resumed_is_who_was_suspended(self):
+        """low.0 is suspended while it is busy without the GPU, and is through before it is resumed: what is resumed then
+        is its queue, not low.1, which waits for the GPU all the time."""
+        with tempfile.TemporaryDirectory() as folder:
+            case = Case(folder, {"low": (100_000, [{"gpu": 100}, {"gpu": 100}]),
+                                 "high": (100_000, [{"cpu": 3000}, {"gpu": 15_000}])})
+            case.host = {"low.0": "+9000"}
+            policy = case.solve()
+            rank = {"high.1": 9, "high.0": 4, "low.0": 3, "low.1": 2}
+            for xnode in policy["xnodes"]:
+                xnode["priority"] = rank[xnode["name"]]
+                xnode["xpu"] = "cpu0" if xnode["name"] == "high.0" else "gpu0"
+            policy.pop("order", None)
+            pathlib.Path(case.path("policy.json")).write_text(json.dumps(policy))
+            trace = case.path("t.pftrace")
+            run, _, _ = case.run("--activations", 5, "--trace-out", trace)
+            self.assertEqual(run["activations"], 5)
+            pieces = pftrace.Trace(pathlib.Path(trace).read_bytes()).on("run/gpu0")
+            switches = {s.args["release"]: s for s in pieces if s.category == "switch" and "low.0" in s.name}
+            self.assertEqual(len(switches), 5, "low.0 is suspended in each release")
+            for s in pieces:
+                if s.name == "low.1" and s.category == "run":
+                    high = next(h for h in pieces if h.name == "high.1" and h.category == "run" and
+                                h.args["release"] == s.args["release"])
+                    self.assertGreaterEqual(s.begin, high.end, "low.1 runs when high.1 has finished")
+            self.assertFalse([s for s in pieces if s.category == "switch" and "low.1" in s.name])
 
 
 if __name__ == "__main__":

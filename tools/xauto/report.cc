@@ -175,7 +175,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       j["lower_bound_us"] = run.policy->lower_bound_us;
       if (const auto worst = worst_case_of(flags, run)) {
         j["worst_case_us"] = worst->us;
-        j["worst_case_scope"] = kWorstCaseScope;
+        j["worst_case_of"] = kWorstCaseScope;
         j["worst_case_exceeded"] = worst->exceeded;
         j["worst_case_broken"] = worst->broken;
       }

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // An app of independent sensors, each with a chain of its own, on emulated XPUs:
 //
-//   ratesapp FILE NAME:PERIOD_US:STAGE,STAGE,...  ...        STAGE = TYPE=US[/TYPE=US...]
+//   ratesapp FILE NAME:PERIOD_US:STAGE,...  ...      STAGE = IMPL[/IMPL...]
+//                                                    IMPL = TYPE=US[+HOST_US]
 //
-// Sensor NAME releases every PERIOD_US to XModule NAME, whose XNodes NAME.0, NAME.1, ... take so
-// long on an XPU of that type. FILE gets a line per sensor at the end, by observers with a clock of
-// their own: NAME MESSAGES LONGEST_US LATEST_NUMBER.
+// Sensor NAME releases every PERIOD_US to XModule NAME, whose XNodes NAME.0, NAME.1, ... take US on
+// an XPU of that type, and then HOST_US without it. FILE gets a line per sensor at the end, by
+// observers with a clock of their own: NAME MESSAGES LONGEST_US LATEST_NUMBER.
 #include <algorithm>
 #include <chrono>
 #include <cstdint>
@@ -18,6 +19,7 @@
 #include <sstream>
 #include <stdexcept>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include <xauto/emu.h>
@@ -47,7 +49,9 @@ xauto::XNode<Result> stage(const std::string& name, const std::string& text) {
   for (const std::string& impl : split(text, '/')) {
     const auto parts = split(impl, '=');
     if (parts.size() != 2) throw std::runtime_error("no TYPE=US: " + impl);
-    const microseconds work(std::atoll(parts[1].c_str()));
+    const auto times = split(parts[1], '+');
+    const microseconds work(std::atoll(times[0].c_str()));
+    const microseconds host(times.size() > 1 ? std::atoll(times[1].c_str()) : 0);
     auto context = std::make_shared<std::optional<xauto::emu::Context>>();
     node.add_impl(
         xauto::XPU(parts[0]),
@@ -57,9 +61,11 @@ xauto::XNode<Result> stage(const std::string& name, const std::string& text) {
           *context = std::move(*opened);
           return (*context)->handle();
         },
-        [context, work](Result& state, const xauto::Input& input) {
+        [context, work, host](Result& state, const xauto::Input& input) {
           state.origin_ns = input.origin().count();
-          return (*context)->run(work);
+          xauto::Status done = (*context)->run(work);
+          std::this_thread::sleep_for(host);
+          return done;
         });
   }
   return node;
