@@ -78,6 +78,12 @@ int AppSpec::find(std::string_view xnode) const {
   return -1;
 }
 
+std::size_t AppSpec::rates() const {
+  std::set<std::int64_t> periods;
+  for (const SourceSpec& source : sources) periods.insert(source.period_us);
+  return periods.size();
+}
+
 std::vector<std::vector<int>> AppSpec::predecessors() const {
   std::vector<std::vector<int>> result(xnodes.size());
   for (const auto& [u, v] : edges) result[at(v)].push_back(u);
@@ -130,7 +136,36 @@ std::string AppSpec::hash() const {
   return fnv.hex();
 }
 
+Status validate(const std::vector<SourceSpec>& sources) {
+  if (sources.size() > kMaxSources)
+    return fail(ErrorCode::kInvalid,
+                std::to_string(sources.size()) + " sources; at most " +
+                    std::to_string(kMaxSources) + " are possible",
+                "/sources");
+  std::set<std::string_view> names;
+  for (std::size_t i = 0; i < sources.size(); ++i) {
+    const SourceSpec& source = sources[i];
+    const std::string where = "/sources/" + std::to_string(i);
+    if (source.name.empty())
+      return fail(ErrorCode::kInvalid, "a source needs a name", where + "/name");
+    if (source.name.size() > kMaxNameBytes)
+      return fail(ErrorCode::kInvalid,
+                  "a name is longer than " + std::to_string(kMaxNameBytes) + " bytes",
+                  where + "/name");
+    if (!names.insert(source.name).second)
+      return fail(ErrorCode::kInvalid, "two sources are called " + quoted(source.name),
+                  where + "/name");
+    if (source.period_us < 1 || source.period_us > kMaxPeriodUs)
+      return fail(ErrorCode::kInvalid,
+                  "source " + quoted(source.name) + ": " + std::to_string(source.period_us) +
+                      " is not a period from 1 to " + std::to_string(kMaxPeriodUs) + " us",
+                  where + "/period_us");
+  }
+  return {};
+}
+
 Status validate(const AppSpec& app) {
+  XAUTO_TRY(validate(app.sources));
   if (app.xnodes.empty() || app.xnodes.size() > kMaxXNodes)
     return fail(ErrorCode::kInvalid,
                 std::to_string(app.xnodes.size()) + " XNodes; 1 to " + std::to_string(kMaxXNodes) +

@@ -66,6 +66,22 @@ NameIndex index_by_name(const std::vector<Node>& nodes) {
   return index;
 }
 
+std::vector<SourceSpec> read_sources(const Reader& root) {
+  std::vector<SourceSpec> sources;
+  if (root.has("sources"))
+    root["sources"].each_element(kMaxSources, [&](std::size_t, const Reader& source) {
+      sources.push_back({source["name"].text(), source["period_us"].integer(1, kMaxPeriodUs)});
+    });
+  return sources;
+}
+
+ordered_json sources_to_json(const std::vector<SourceSpec>& sources) {
+  ordered_json out = ordered_json::array();
+  for (const SourceSpec& source : sources)
+    out.push_back({{"name", source.name}, {"period_us", source.period_us}});
+  return out;
+}
+
 template <class Names>
 ordered_json pairs_to_json(const std::vector<std::pair<int, int>>& pairs, const Names& name) {
   ordered_json out = ordered_json::array();
@@ -89,6 +105,7 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin) {
   root.expect("xauto.app");
   AppSpec app;
   app.name = root["name"].text();
+  app.sources = read_sources(root);
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     XNodeSpec spec{x["name"].text(), x["module"].text(), {}};
     x["wcet_us"].each_member(kMaxXpus, [&](const std::string& type, const Reader& us) {
@@ -144,6 +161,7 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin) {
   c.repetitions = conditions["repetitions"].integer(0, kMaxTimeUs);
   c.governor = conditions["governor"].text();
   profile.margin_pct = root["margin_pct"].integer(0, 1000);
+  profile.sources = read_sources(root);
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     XNodeProfile node{x["name"].text(), x["module"].text(), {}};
     x["on"].each_member(kMaxXpus, [&](const std::string& xpu, const Reader& s) {
@@ -221,6 +239,7 @@ std::string to_json(const AppSpec& app) {
     xnodes.push_back(
         {{"name", x.name}, {"module", x.module}, {"wcet_us", ordered_json(x.wcet_us)}});
   ordered_json document = {{"schema", "xauto.app"}, {"version", 1}, {"name", app.name}};
+  if (!app.sources.empty()) document["sources"] = sources_to_json(app.sources);
   document["xnodes"] = std::move(xnodes);
   document["edges"] =
       pairs_to_json(app.edges, [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; });
@@ -263,6 +282,7 @@ std::string to_json(const Profile& profile) {
                             {"warmup", c.warmup},     {"repetitions", c.repetitions},
                             {"governor", c.governor}};
   document["margin_pct"] = profile.margin_pct;
+  if (!profile.sources.empty()) document["sources"] = sources_to_json(profile.sources);
   document["xnodes"] = std::move(xnodes);
   document["edges"] = pairs_to_json(
       profile.edges, [&](int i) { return profile.xnodes[static_cast<std::size_t>(i)].name; });

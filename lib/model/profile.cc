@@ -31,6 +31,7 @@ Status validate(const Profile& profile) {
                 std::to_string(profile.xnodes.size()) + " XNodes; 1 to " +
                     std::to_string(kMaxXNodes) + " are possible",
                 "/xnodes");
+  XAUTO_TRY(validate(profile.sources));
   std::set<std::string> names;
   for (std::size_t i = 0; i < profile.xnodes.size(); ++i) {
     const XNodeProfile& x = profile.xnodes[i];
@@ -58,6 +59,7 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
   XAUTO_TRY(validate(profile));
   AppSpec app;
   app.name = profile.app;
+  app.sources = profile.sources;
   app.edges = profile.edges;
   for (const XNodeProfile& x : profile.xnodes) {
     XNodeSpec spec{x.name, x.module, {}};

@@ -46,6 +46,7 @@ struct Profile {
   std::int64_t margin_pct = 20;  ///< WCET = max * (1 + margin)
   std::vector<XNodeProfile> xnodes;
   std::vector<std::pair<int, int>> edges;  ///< as AppSpec::edges
+  std::vector<SourceSpec> sources = {};    ///< as AppSpec::sources
   bool operator==(const Profile&) const = default;
 };
 

@@ -41,6 +41,7 @@ struct Graph {
   };
 
   std::string name;
+  std::vector<SourceSpec> sources;  ///< as the App's
   std::vector<Node> nodes;
   std::vector<Module> modules;
   std::vector<Topic> topics;

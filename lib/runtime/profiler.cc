@@ -177,6 +177,7 @@ class Run {
     p.app = graph_.name;
     p.conditions = conditions(session_);
     p.margin_pct = session_.margin_pct;
+    p.sources = graph_.sources;
     p.edges = graph_.edges;
     for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
       const Graph::Node& node = graph_.nodes[n];
@@ -291,6 +292,7 @@ Result<std::string> describe(const Graph& graph, const Platform& platform) {
   Profile p;
   p.app = graph.name;
   p.conditions.platform = platform.name;
+  p.sources = graph.sources;
   p.edges = graph.edges;
   for (const Graph::Node& node : graph.nodes)
     p.xnodes.push_back({node.name, graph.modules[static_cast<std::size_t>(node.module)].name, {}});
