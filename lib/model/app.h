@@ -21,6 +21,8 @@ struct XNodeSpec {
   std::string module;  ///< XModule it belongs to
   /// XPU type -> WCET in us; one key per type that the XNode has an implementation for.
   std::map<std::string, std::int64_t, std::less<>> wcet_us;
+  /// Indices into AppSpec::sources: what an XNode without predecessors hears of; empty: not known.
+  std::vector<int> sources = {};
 
   [[nodiscard]] std::optional<std::int64_t> wcet_on(std::string_view type) const;
   bool operator==(const XNodeSpec&) const = default;
@@ -44,6 +46,9 @@ struct AppSpec {
 
   [[nodiscard]] int find(std::string_view xnode) const;  ///< index or -1
   [[nodiscard]] std::size_t rates() const;               ///< different periods of its sources
+  /// [xnode] how often it runs: the longest period among the sources that it hears of, itself or
+  /// through others, since a join waits for the slowest; 0: not known.
+  [[nodiscard]] std::vector<std::int64_t> periods() const;
   [[nodiscard]] std::vector<std::vector<int>> predecessors() const;
   [[nodiscard]] std::vector<std::vector<int>> successors() const;
   /// A topological order, smallest index first among equals; shorter than `xnodes` iff there is a
@@ -65,10 +70,17 @@ inline constexpr std::int64_t kMaxPeriodUs = 3'600'000'000;  ///< an hour
 
 /// Names unique and not empty, periods in [1, kMaxPeriodUs].
 [[nodiscard]] Status validate(const std::vector<SourceSpec>& sources);
+/// What an XNode hears of: sources of the app, each once, and none behind a predecessor.
+[[nodiscard]] Status validate_heard(const std::vector<int>& heard, std::size_t sources,
+                                    bool has_predecessor, const std::string& where);
 /// Names unique and non-empty, an implementation for every XNode, WCETs in [1, kMaxTimeUs], edges
 /// in range, no self edge, no duplicate edge, no cycle (the message names the XNodes of one cycle).
 [[nodiscard]] Status validate(const AppSpec& app);
-/// Every XNode has an implementation for a type that the platform has an instance of.
+/// What a policy leaves open where the sources have several rates, in one line; otherwise empty.
+[[nodiscard]] std::string rates_note(const AppSpec& app);
+/// Every XNode has an implementation for a type that the platform has an instance of, and all of
+/// them one after the other, each on its slowest and paying for a preemption, end by kMaxTimeUs: a
+/// time of any policy then fits into its file.
 [[nodiscard]] Status validate_on(const AppSpec& app, const Platform& platform);
 
 }  // namespace xauto

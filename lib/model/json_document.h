@@ -61,6 +61,7 @@ class Reader {
     for (auto member = value_->begin(); member != value_->end() && !failed(); ++member)
       if (is_name(member.key())) each(member.key(), below(member.key(), &member.value()));
   }
+  [[nodiscard]] bool is_text() const { return value_ != nullptr && value_->is_string(); }
   /// A name: valid UTF-8 (checked by the parser), at most kMaxNameBytes, no control characters.
   [[nodiscard]] std::string text() const;
   [[nodiscard]] bool boolean() const;

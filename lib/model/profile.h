@@ -25,6 +25,7 @@ struct XNodeProfile {
   std::string name;
   std::string module;
   std::map<std::string, Samples, std::less<>> on;  ///< XPU instance id -> samples
+  std::vector<int> sources = {};                   ///< as XNodeSpec::sources
   bool operator==(const XNodeProfile&) const = default;
 };
 

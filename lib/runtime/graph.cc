@@ -134,6 +134,16 @@ class Builder {
           graph_.edges.push_back(edge);
       }
     }
+    std::vector<char> has_predecessor(graph_.nodes.size(), 0);
+    for (const auto& [u, v] : graph_.edges) has_predecessor[static_cast<std::size_t>(v)] = 1;
+    for (const Graph::Module& module : graph_.modules) {
+      if (module.nodes.empty()) continue;
+      const auto first = static_cast<std::size_t>(module.nodes.front());
+      if (has_predecessor[first]) continue;
+      for (const int t : module.inputs)
+        if (const int s = graph_.topics[static_cast<std::size_t>(t)].source; s >= 0)
+          graph_.nodes[first].sources.push_back(s);
+    }
     for (Graph::Module& module : graph_.modules)
       module.sink = std::all_of(module.outputs.begin(), module.outputs.end(), [&](int t) {
         return graph_.topics[static_cast<std::size_t>(t)].subscribers.empty();

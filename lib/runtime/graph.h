@@ -20,6 +20,7 @@ struct Graph {
     std::string name;
     int module = -1;
     const detail::XNodeSpecErased* spec = nullptr;
+    std::vector<int> sources = {};  ///< as XNodeSpec::sources
   };
   struct Subscriber {
     int module = -1;

@@ -38,6 +38,9 @@ TEST(Golden, SourcesAreWrittenAsTheyWereReadAndDoNotChangeTheHash) {
   ASSERT_TRUE(app) << app.error().to_string();
   EXPECT_EQ(app->sources, (std::vector<SourceSpec>{{"camera", 33333}, {"lidar/größe", 100000}}));
   EXPECT_EQ(app->rates(), 2u);
+  EXPECT_EQ(app->xnodes[3].sources, (std::vector<int>{0, 1}));
+  // A join waits for its slowest input.
+  EXPECT_EQ(app->periods(), (std::vector<std::int64_t>{33333, 33333, 33333, 100000}));
   EXPECT_EQ(to_json(*app), text);
   EXPECT_EQ(app->hash(), golden_app().hash());
 
