@@ -121,10 +121,11 @@ class Solve(unittest.TestCase):
     def huge(self):
         path = self.at / "huge.json"
         if not path.exists():
-            xnodes = [{"name": f"x{i}", "module": "m", "wcet_us": {"cpu": 100 + i * 7919 % 800, "gpu": 50 + i * 104729 % 300}}
-                      for i in range(20000)]
+            xnodes = [{"name": f"x{i}", "module": "m",
+                       "wcet_us": {"cpu": 100 + i * 7919 % 800, "gpu": 50 + i * 104729 % 300}} for i in range(20000)]
             edges = [[f"x{i - 2000 + k * 7}", f"x{i}"] for i in range(2000, 20000) for k in range(3)]
-            path.write_text(json.dumps({"schema": "xauto.app", "version": 1, "name": "huge", "xnodes": xnodes, "edges": edges}))
+            path.write_text(json.dumps({"schema": "xauto.app", "version": 1, "name": "huge", "xnodes": xnodes,
+                                        "edges": edges}))
         return path
 
     def test_the_largest_app_keeps_the_time_limit(self):
@@ -132,7 +133,8 @@ class Solve(unittest.TestCase):
         code, _, err, policy, _ = self.solve(self.huge(), "--time-limit-s", 1, "--threads", 1)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         self.assertEqual(code, 0, err)
-        self.assertLess(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, SLACK * (2 * (1.3 + 1) + 2))
+        used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        self.assertLess(used, SLACK * (2 * (1.3 + 1) + 2))
         self.assertLessEqual(policy["lower_bound_us"], policy["latency_us"])
         checked = xauto("check", "--app", self.huge(), "--platform", "small", "--policy", self.at / "policy.json")
         self.assertEqual(checked.returncode, 0, checked.stdout + checked.stderr)
@@ -141,8 +143,9 @@ class Solve(unittest.TestCase):
 
     def test_ctrl_c_on_the_largest_app_writes_the_best_so_far(self):
         policy = self.at / "policy.json"
-        process = subprocess.Popen([XAUTO, "solve", "--app", self.huge(), "--platform", "small", "--threads", "1", "--out", policy,
-                                    "--time-limit-s", "600"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen([XAUTO, "solve", "--app", self.huge(), "--platform", "small", "--threads", "1",
+                                    "--out", policy, "--time-limit-s", "600"],
+                                   stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.addCleanup(process.stdout.close)
         self.addCleanup(process.stderr.close)
         self.assertIn("best", process.stderr.readline())  # the first answer is there, the search goes on
@@ -165,8 +168,8 @@ class Solve(unittest.TestCase):
             if xnode["name"] in roots:
                 xnode["source"] = "camera"
         app.write_text(json.dumps(spec))
-        line = "the sources have 2 rates; this version plans one release of all of them, so nothing is claimed optimal " \
-               "for the rates"
+        line = ("the sources have 2 rates; this version plans one release of all of them, so nothing is claimed "
+                "optimal for the rates")
         code, out, err, policy, _ = self.solve(app)
         self.assertEqual(code, 0, err)
         self.assertIn(line, out)
