@@ -33,18 +33,20 @@ class Team {
         threads_(std::clamp(options.threads, 1, 64)),
         began_(began),
         deadline_(options.time_limit_s >= 1e6 ? SteadyTime::max()
-                                              : Clock::now() + seconds(options.time_limit_s)) {
+                                              : began + seconds(options.time_limit_s)) {
     OrderedEvaluator evaluator(problem);
     evaluator.reset(starts.front().xpu, starts.front().sequence);
     all_.best = starts.front();
     all_.ordered = {evaluator.xpu(), evaluator.sequence(), evaluator.makespan(), true};
     found_.resize(static_cast<std::size_t>(threads_));
+    if (options.priorities_only) all_.ordered.makespan = kNever;
     incumbent_.store(std::min(all_.best.makespan, all_.ordered.makespan));
     ordered_best_.store(all_.ordered.makespan);
     // The first answer is out before anything that takes longer begins.
     report();
-    bound_.store(quick_bound(problem));
-    if (large() && counted()) raise_bound(composite_bound(problem).bound);
+    const Until until{deadline_, options.stop};
+    bound_.store(quick_bound(problem, until));
+    if (large() && counted()) raise_bound(composite_bound(problem, 1, until).bound);
   }
 
   AutoResult run() {
@@ -77,8 +79,6 @@ class Team {
   }
 
  private:
-  static constexpr int kMostToProve = 400;  // XNodes; beyond, one LP of the proof takes too long
-
   struct Found {
     Solution best, ordered;
   };
@@ -152,8 +152,13 @@ class Team {
     // The last worker proves, once the search had its first turns.
     const bool proves =
         with_proof_ && !counted() && t == threads_ - 1 && problem_.num_xnodes <= kMostToProve;
-    // The bound of a large app takes a few tenths of a second: one worker begins with it.
-    if (large() && !counted() && t == threads_ - 1) raise_bound(composite_bound(problem_).bound);
+    // The bound of a large app takes a few tenths of a second, of a huge one as much as it may:
+    // one worker begins with it.
+    if (large() && !counted() && t == threads_ - 1) {
+      const Until until{std::min(deadline_, Clock::now() + seconds(options_.time_limit_s / 3)),
+                        options_.stop};
+      raise_bound(composite_bound(problem_, 1, until).bound);
+    }
     if (large() && !options_.certify) own = race(t, budget);
     if (counted() && budget <= 0) return;
     for (int turn = 0; !over(); ++turn) {
@@ -163,7 +168,9 @@ class Team {
         used += count;
         evaluations_.fetch_add(count, std::memory_order_relaxed);
       };
-      const bool ordered = large() && !options_.certify ? turn % 4 == 3 : turn % 2 == 1;
+      const bool ordered = options_.priorities_only       ? false
+                           : large() && !options_.certify ? turn % 4 == 3
+                                                          : turn % 2 == 1;
       if (options_.certify && !ordered && turn > 0) continue;
       callbacks.on_better = [&](const Solution& solution) { note(t, solution, ordered); };
       const Limits mine = limits(slice, counted() ? std::min(budget, share) : 0, turn / 2);

@@ -23,7 +23,7 @@ struct AutoResult {
   std::int64_t evaluations = 0;
 };
 
-/// `began`: from when on elapsed time is counted; the time limit counts from the call. `starts`,
+/// `began`: from when on elapsed time and the time limit count. `starts`,
 /// best first, are reported as progress before anything else begins.
 [[nodiscard]] AutoResult solve_in_parallel(const Problem& problem, const SolveOptions& options,
                                            const std::vector<Solution>& starts, bool with_proof,

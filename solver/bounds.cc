@@ -3,6 +3,7 @@
 #include "solver/bounds.h"
 
 #include <algorithm>
+#include <set>
 
 #include "solver/evaluate.h"
 
@@ -54,7 +55,7 @@ Time critical_path_bound(const Problem& problem) {
   return bound;
 }
 
-Time load_bound(const Problem& problem) {
+Time load_bound(const Problem& problem, const Until& until) {
   const std::vector<Time> least = least_wcet(problem), heads = static_heads(problem),
                           tails = static_tails(problem);
   // Types beyond the first 12 are left out of the subsets (the bound stays valid, only weaker).
@@ -65,7 +66,7 @@ Time load_bound(const Problem& problem) {
       if (problem.wcet(i, t) != kCannotRun && !problem.type_xpus[at(t)].empty())
         usable[at(i)] |= 1u << std::min(t, 31);
   Time bound = 0;
-  for (unsigned set = 1; set < (1u << types); ++set) {
+  for (unsigned set = 1; set < (1u << types) && !until.over(); ++set) {
     Time work = 0, head = kNever, tail = kNever;
     std::int64_t instances = 0;
     for (int t = 0; t < types; ++t)
@@ -82,7 +83,65 @@ Time load_bound(const Problem& problem) {
   return bound;
 }
 
-Time balanced_load_bound(const Problem& problem, std::vector<std::int64_t>* prices) {
+Time placement_bound(const Problem& problem, const Until& until) {
+  if (problem.forbidden.empty() && problem.groups.empty()) return 0;
+  const std::vector<Time> heads = static_heads(problem), tails = static_tails(problem);
+  const int n = problem.num_xnodes, m = problem.num_xpus;
+  // Head, work and tail of XNodes that share something.
+  struct Shared {
+    Time head = kNever, work = 0, tail = kNever;
+  };
+  const auto join = [&](Shared& shared, int i) {
+    shared.head = std::min(shared.head, heads[at(i)]);
+    shared.tail = std::min(shared.tail, tails[at(i)]);
+  };
+  Time bound = 0;
+  for (const auto& group : problem.groups) {
+    Shared block;
+    for (const int i : group) join(block, i);
+    Time least = kNever;
+    for (int x = 0; x < m; ++x) {
+      Time sum = 0;
+      for (const int i : group) {
+        const Time wcet = problem.wcet_on(i, x);
+        sum = wcet == kCannotRun || sum == kNever ? kNever : sum + wcet;
+      }
+      least = std::min(least, sum);
+    }
+    if (least < kNever) bound = std::max(bound, block.head + least + block.tail);
+  }
+  // Each set of XPUs that is all that some XNode has.
+  std::set<std::vector<char>> sets;
+  std::vector<std::vector<char>> open(at(n), std::vector<char>(at(m), 0));
+  std::vector<Time> least(at(n), kNever);
+  for (int i = 0; i < n; ++i) {
+    for (int x = 0; x < m; ++x) {
+      const Time wcet = problem.wcet_on(i, x);
+      if (wcet == kCannotRun) continue;
+      open[at(i)][at(x)] = 1;
+      least[at(i)] = std::min(least[at(i)], wcet);
+    }
+    sets.insert(open[at(i)]);
+  }
+  for (const std::vector<char>& set : sets) {
+    if (until.over()) break;
+    const Time count = std::count(set.begin(), set.end(), char{1});
+    if (count == 0) continue;
+    Shared inside;
+    for (int i = 0; i < n; ++i) {
+      if (!std::equal(set.begin(), set.end(), open[at(i)].begin(),
+                      [](char in, char needed) { return in != 0 || needed == 0; }))
+        continue;
+      join(inside, i);
+      inside.work += least[at(i)];
+    }
+    bound = std::max(bound, inside.head + (inside.work + count - 1) / count + inside.tail);
+  }
+  return bound;
+}
+
+Time balanced_load_bound(const Problem& problem, std::vector<std::int64_t>* prices,
+                         const Until& until) {
   const std::vector<Time> heads = static_heads(problem), tails = static_tails(problem);
   const std::size_t types = at(problem.num_types);
   const std::size_t steps = problem.num_xnodes > 200 ? 3 : 6;
@@ -126,6 +185,7 @@ Time balanced_load_bound(const Problem& problem, std::vector<std::int64_t>* pric
         for (int round = 0; round < 12; ++round) {
           bool better = false;
           for (std::size_t t = 0; t < types; ++t) {
+            if (until.over()) break;
             for (const bool up : {true, false}) {
               std::vector<std::int64_t> trial = y;
               const std::int64_t change = std::max<std::int64_t>(1, trial[t] * 4 / step);
@@ -148,9 +208,9 @@ Time balanced_load_bound(const Problem& problem, std::vector<std::int64_t>* pric
   return bound;
 }
 
-Time quick_bound(const Problem& problem) {
-  return std::max(
-      {critical_path_bound(problem), load_bound(problem), balanced_load_bound(problem)});
+Time quick_bound(const Problem& problem, const Until& until) {
+  return std::max({critical_path_bound(problem), load_bound(problem, until),
+                   placement_bound(problem, until), balanced_load_bound(problem, nullptr, until)});
 }
 
 }  // namespace xauto::solver

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "solver/problem.h"
+#include "solver/until.h"
 
 namespace xauto::solver {
 
@@ -20,14 +21,18 @@ namespace xauto::solver {
 [[nodiscard]] Time critical_path_bound(const Problem& problem);
 /// For every set S of types: the XNodes that can run only in S, each at its least WCET, over the
 /// number of instances in S, plus the least head and tail among them.
-[[nodiscard]] Time load_bound(const Problem& problem);
+[[nodiscard]] Time load_bound(const Problem& problem, const Until& until = {});
+/// The same by instance, where the user has said who runs where: the XNodes that can run only on a
+/// set of XPUs share these; a group is one block on one of its XPUs. 0 without pins and groups.
+[[nodiscard]] Time placement_bound(const Problem& problem, const Until& until = {});
 /// The fractional assignment that balances the types best, as its dual: for any Y_t >= 0
 ///   T >= h + q + sum over i in S(h, q) of min_t Y_t wcet_it / sum over t of Y_t instances(t)
 /// where S(h, q) are the XNodes with head >= h and tail >= q. Y by coordinate search, then exact.
 /// `prices`, if not null: the Y of the whole app, a hint for which type suits whom.
 [[nodiscard]] Time balanced_load_bound(const Problem& problem,
-                                       std::vector<std::int64_t>* prices = nullptr);
-/// The largest of the three.
-[[nodiscard]] Time quick_bound(const Problem& problem);
+                                       std::vector<std::int64_t>* prices = nullptr,
+                                       const Until& until = {});
+/// The largest of the four; what is left out when `until` ends it makes it weaker only.
+[[nodiscard]] Time quick_bound(const Problem& problem, const Until& until = {});
 
 }  // namespace xauto::solver

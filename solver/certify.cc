@@ -15,12 +15,15 @@ std::size_t at(int index) {
   return static_cast<std::size_t>(index);
 }
 
-/// Which XNodes come before which, edges and order pairs together; one bit row per XNode.
+/// Which XNodes come before which, edges and order pairs together; one bit row per XNode. Ended by
+/// `until`, it knows less: whoever asks takes two XNodes for open of which nobody says otherwise.
 class Reach {
  public:
-  Reach(std::size_t n, const std::vector<std::vector<int>>& succ, const std::vector<int>& topo)
+  Reach(std::size_t n, const std::vector<std::vector<int>>& succ, const std::vector<int>& topo,
+        const Until& until)
       : words_((n + 63) / 64), bits_(n * words_, 0) {
     for (std::size_t k = topo.size(); k-- > 0;) {
+      if (k % 64 == 0 && until.over()) return;
       const std::size_t i = at(topo[k]);
       for (int s : succ[i]) {
         bits_[i * words_ + at(s) / 64] |= std::uint64_t{1} << (at(s) % 64);
@@ -52,11 +55,11 @@ std::vector<int> topological(const std::vector<std::vector<int>>& succ) {
 /// Depth-first over all chains, from the sources; see the formula in certify.h.
 class Chains {
  public:
-  Chains(const Problem& problem, const Decision& decision)
-      : n_(at(problem.num_xnodes)), succ_(problem.succ) {
+  Chains(const Problem& problem, const Decision& decision, const Until& until)
+      : n_(at(problem.num_xnodes)), until_(until), succ_(problem.succ) {
     for (const auto& [u, v] : decision.order) succ_[at(u)].push_back(v);
     const std::vector<int> topo = topological(succ_);
-    const Reach reach(n_, succ_, topo);
+    const Reach reach(n_, succ_, topo, until);
     own_.assign(n_, 0);
     interferers_.resize(n_);
     weight_.assign(n_, 0);
@@ -113,7 +116,8 @@ class Chains {
     std::sort(next.begin(), next.end(), [&](int a, int b) { return rest_[at(a)] > rest_[at(b)]; });
     for (int i : next) {
       if (length + rest_[at(i)] <= best_) return;
-      if (--steps_ < 0) {
+      if (--steps_ < 0 || (steps_ % 256 == 0 && until_.over())) {
+        steps_ = std::min<std::int64_t>(steps_, 0);
         best_ = std::max(best_, length + rest_[at(i)]);
         return;
       }
@@ -128,6 +132,7 @@ class Chains {
   }
 
   std::size_t n_;
+  const Until until_;
   std::vector<std::vector<int>> succ_, interferers_;
   std::vector<Time> own_, weight_, rest_;
   std::vector<char> source_;
@@ -140,20 +145,21 @@ class Chains {
 /// longer.
 class Inflated {
  public:
-  Inflated(const Problem& problem, const Decision& decision)
-      : n_(at(problem.num_xnodes)), given_(problem), problem_(problem) {
+  Inflated(const Problem& problem, const Decision& decision, const Until& until)
+      : n_(at(problem.num_xnodes)), until_(until), given_(problem), problem_(problem) {
     std::vector<std::vector<int>> succ = problem.succ;
     for (const auto& [u, v] : decision.order) succ[at(u)].push_back(v);
-    reach_.emplace(n_, succ, topological(succ));
+    reach_.emplace(n_, succ, topological(succ), until);
     std::fill(problem_.preempt.begin(), problem_.preempt.end(), 0);
     std::fill(problem_.preemptive.begin(), problem_.preemptive.end(), 1);
     on_xpu_.resize(at(problem.num_xpus));
     for (int i = 0; i < problem.num_xnodes; ++i) on_xpu_[at(decision.xpu[at(i)])].push_back(i);
     for (std::size_t x = 0; x < on_xpu_.size(); ++x)
       for (const int i : on_xpu_[x])
-        if (problem.preemptive[x] && std::any_of(on_xpu_[x].begin(), on_xpu_[x].end(), [&](int j) {
-              return open(i, j) && decision.priority[at(j)] < decision.priority[at(i)];
-            }))
+        if (problem.preemptive[x] &&
+            (until.over() || std::any_of(on_xpu_[x].begin(), on_xpu_[x].end(), [&](int j) {
+               return open(i, j) && decision.priority[at(j)] < decision.priority[at(i)];
+             })))
           problem_.wcet_flat[at(i) * at(problem.num_types) + at(problem.xpu_type[x])] +=
               problem.preempt[x];
   }
@@ -163,12 +169,23 @@ class Inflated {
   }
 
   [[nodiscard]] bool follows(const Decision& decision, const std::vector<Time>& finish) const {
-    for (std::size_t x = 0; x < on_xpu_.size(); ++x)
-      for (const int i : on_xpu_[x])
+    for (std::size_t x = 0; x < on_xpu_.size(); ++x) {
+      // All of the XPU in the order of its priorities, whoever is open: then no pair is needed.
+      std::vector<int> urgent = on_xpu_[x];
+      std::sort(urgent.begin(), urgent.end(),
+                [&](int a, int b) { return decision.priority[at(a)] > decision.priority[at(b)]; });
+      if (given_.preemptive[x] && std::is_sorted(urgent.begin(), urgent.end(), [&](int a, int b) {
+            return finish[at(a)] < finish[at(b)];
+          }))
+        continue;
+      for (const int i : on_xpu_[x]) {
+        if (until_.over()) return false;
         for (const int j : on_xpu_[x]) {
           if (!open(i, j) || decision.priority[at(i)] < decision.priority[at(j)]) continue;
           if (!given_.preemptive[x] || finish[at(i)] > finish[at(j)]) return false;
         }
+      }
+    }
     return true;
   }
 
@@ -179,6 +196,7 @@ class Inflated {
   }
 
   std::size_t n_;
+  const Until until_;
   const Problem& given_;
   Problem problem_;
   std::optional<Reach> reach_;
@@ -187,7 +205,8 @@ class Inflated {
 
 }  // namespace
 
-std::vector<std::pair<int, int>> order_pairs(const Problem& problem, const Solution& solution) {
+std::vector<std::pair<int, int>> order_pairs(const Problem& problem, const Solution& solution,
+                                             const Until& until) {
   const std::size_t n = at(problem.num_xnodes);
   std::vector<std::pair<int, int>> pairs;
   std::vector<int> last(at(problem.num_xpus), -1);
@@ -200,7 +219,7 @@ std::vector<std::pair<int, int>> order_pairs(const Problem& problem, const Solut
     }
     before = i;
   }
-  const Reach reach(n, succ, topological(succ));
+  const Reach reach(n, succ, topological(succ), until);
   // Redundant: an edge of the app says the same, or another successor of u comes before v.
   std::erase_if(pairs, [&](const std::pair<int, int>& pair) {
     const auto& [u, v] = pair;
@@ -212,21 +231,22 @@ std::vector<std::pair<int, int>> order_pairs(const Problem& problem, const Solut
   return pairs;
 }
 
-std::optional<Time> deadline_certificate(const Problem& problem, const Decision& decision) {
-  const Inflated inflated(problem, decision);
+std::optional<Time> deadline_certificate(const Problem& problem, const Decision& decision,
+                                         const Until& until) {
+  const Inflated inflated(problem, decision, until);
   const std::vector<Time> finish = inflated.finishes(decision);
   if (!inflated.follows(decision, finish)) return std::nullopt;
   return *std::max_element(finish.begin(), finish.end());
 }
 
-Decision settle_priorities(const Problem& problem, const Decision& decision) {
+Decision settle_priorities(const Problem& problem, const Decision& decision, const Until& until) {
   constexpr int kRounds = 12;
   const Time latency = simulate(problem, decision).makespan;
   Decision settled = decision;
   std::optional<Decision> best;
   Time least = 0;
-  for (int round = 0; round < kRounds; ++round) {
-    const Inflated inflated(problem, settled);
+  for (int round = 0; round < kRounds && !until.over(); ++round) {
+    const Inflated inflated(problem, settled, until);
     const std::vector<Time> finish = inflated.finishes(settled);
     const bool follows = inflated.follows(settled, finish);
     const Time bound = *std::max_element(finish.begin(), finish.end());
@@ -242,10 +262,20 @@ Decision settle_priorities(const Problem& problem, const Decision& decision) {
   return best ? *best : decision;
 }
 
-Time worst_case(const Problem& problem, const Decision& decision, std::int64_t max_steps) {
-  const Time by_chains = Chains(problem, decision).longest(max_steps);
-  const std::optional<Time> by_deadlines = deadline_certificate(problem, decision);
-  return by_deadlines ? std::min(by_chains, *by_deadlines) : by_chains;
+Time worst_case(const Problem& problem, const Decision& decision, std::int64_t max_steps,
+                const Until& until) {
+  constexpr int kMostChained = 5000;  // XNodes: the lists of who delays whom are quadratic
+  Time bound = 0;
+  for (int i = 0; i < problem.num_xnodes; ++i) {
+    const std::size_t x = at(decision.xpu[at(i)]);
+    bound += problem.wcet_on(i, decision.xpu[at(i)]) +
+             (problem.preemptive[x] != 0 ? problem.preempt[x] : 0);
+  }
+  if (problem.num_xnodes <= kMostChained)
+    bound = std::min(bound, Chains(problem, decision, until).longest(max_steps));
+  if (const auto by_deadlines = deadline_certificate(problem, decision, until))
+    bound = std::min(bound, *by_deadlines);
+  return bound;
 }
 
 }  // namespace xauto::solver

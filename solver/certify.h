@@ -16,10 +16,13 @@
 
 namespace xauto::solver {
 
+inline constexpr std::int64_t kMostChainSteps = 2'000'000;
+
 /// The order pairs of an ordered solution, transitively reduced: a pair that already follows from
 /// the edges and the other pairs is left out.
 [[nodiscard]] std::vector<std::pair<int, int>> order_pairs(const Problem& problem,
-                                                           const Solution& solution);
+                                                           const Solution& solution,
+                                                           const Until& until = {});
 
 /// Priorities by deadline: the shorter of two safe bounds, where it applies.
 ///
@@ -29,11 +32,13 @@ namespace xauto::solver {
 /// F, then no execution of the real rule finishes any XNode after its F: docs/ilp.md, theorem, with
 /// F as deadlines. nullopt where neither holds for an XPU.
 [[nodiscard]] std::optional<Time> deadline_certificate(const Problem& problem,
-                                                       const Decision& decision);
+                                                       const Decision& decision,
+                                                       const Until& until = {});
 
 /// The decision with priorities put in the order of their own F, so that the certificate applies,
 /// where that keeps the latency; otherwise as given. Order pairs stay.
-[[nodiscard]] Decision settle_priorities(const Problem& problem, const Decision& decision);
+[[nodiscard]] Decision settle_priorities(const Problem& problem, const Decision& decision,
+                                         const Until& until = {});
 
 /// A safe bound for any decision, with or without order pairs: the least of deadline_certificate()
 /// and of what follows.
@@ -49,9 +54,12 @@ namespace xauto::solver {
 ///                                  + sum over j in the union of hp(i), i in chain, of (C_j + S_j)
 ///
 /// S: preempt_us where a start can preempt; B: longest lower-priority C on a non-preemptive XPU.
-/// Chains are enumerated with a bound; past `max_steps`, each chain's interference is counted per
-/// XNode instead (classical response times), which is larger and still safe.
+/// Chains are enumerated with a bound; past `max_steps` or `until`, each chain's interference is
+/// counted per XNode instead (classical response times), which is larger and still safe.
+///
+/// Never more than all XNodes one after the other, each paying for a preemption: some XPU is busy
+/// until the last one has ended. That alone is left of the chains above a few thousand XNodes.
 [[nodiscard]] Time worst_case(const Problem& problem, const Decision& decision,
-                              std::int64_t max_steps = 2'000'000);
+                              std::int64_t max_steps = kMostChainSteps, const Until& until = {});
 
 }  // namespace xauto::solver

@@ -22,8 +22,9 @@ std::size_t at(int index) {
 
 class Composite {
  public:
-  explicit Composite(const Problem& problem)
+  Composite(const Problem& problem, const Until& until)
       : p_(problem),
+        until_(until),
         n_(at(problem.num_xnodes)),
         least_(least_wcet(problem)),
         heads_(static_heads(problem)),
@@ -31,7 +32,7 @@ class Composite {
     // Fractions of a microsecond, as far as sums stay far below 2^63.
     const Time total = std::accumulate(least_.begin(), least_.end(), Time{0});
     scale_ = total < (Time{1} << 42) ? 1024 : 1;
-    (void)balanced_load_bound(problem, &base_);
+    (void)balanced_load_bound(problem, &base_, until);
     if (base_.empty()) base_.assign(at(problem.num_types), 1 << 12);
   }
 
@@ -113,6 +114,7 @@ class Composite {
       family.back()[t] = 1 << 12;
     }
     for (const Prices& y : family) {
+      if (until_.over()) break;
       worth_.emplace_back();
       worths(y, worth_.back());
       shares_.push_back(shares(y));
@@ -189,6 +191,7 @@ class Composite {
       if (pred[at(i)].empty()) continue;
       // One predecessor alone: all that it waits for is in its own head.
       if (pred[at(i)].size() == 1) continue;
+      if (worth_.empty() || until_.over()) continue;
       inside.clear();
       std::fill(behind.begin(), behind.end(), -1);
       for (const int u : pred[at(i)])
@@ -226,7 +229,7 @@ class Composite {
       const std::size_t tried = std::min<std::size_t>(4, ranking_.size());
       std::partial_sort(ranking_.begin(), ranking_.begin() + static_cast<std::ptrdiff_t>(tried),
                         ranking_.end(), std::greater<>());
-      for (std::size_t k = 0; k < tried; ++k) {
+      for (std::size_t k = 0; k < tried && !until_.over(); ++k) {
         const std::size_t y = ranking_[k].second;
         h = std::max(h, jackson(inside, head, behind, worth_[y]));
         h = std::max(h, parallel(inside, head, behind, worth_[y], shares_[y], 3));
@@ -277,6 +280,7 @@ class Composite {
         bool better = false;
         for (std::size_t t = 0; t < y.size(); ++t) {
           for (const double factor : {1 + step, 1 / (1 + step)}) {
+            if (until_.over()) return best;
             Prices trial = y;
             trial[t] = std::clamp<std::int64_t>(
                 std::llround(static_cast<double>(trial[t]) * factor), 0, 1 << 20);
@@ -294,6 +298,7 @@ class Composite {
   }
 
   const Problem& p_;
+  const Until until_;
   const std::size_t n_;
   std::vector<Time> least_, heads_, tails_;
   Time scale_ = 1;
@@ -307,8 +312,8 @@ class Composite {
 
 }  // namespace
 
-CompositeBound composite_bound(const Problem& problem, int effort) {
-  return Composite(problem).run(effort);
+CompositeBound composite_bound(const Problem& problem, int effort, const Until& until) {
+  return Composite(problem, until).run(effort);
 }
 
 }  // namespace xauto::solver

@@ -22,6 +22,7 @@
 #include <vector>
 
 #include "solver/problem.h"
+#include "solver/until.h"
 
 namespace xauto::solver {
 
@@ -32,7 +33,8 @@ struct CompositeBound {
 };
 
 /// `effort` 0: heads and tails by longest paths only (microseconds at 40 XNodes); 1: all of it
-/// (about 0.3 s at 1000 XNodes).
-[[nodiscard]] CompositeBound composite_bound(const Problem& problem, int effort = 1);
+/// (about 0.3 s at 1000 XNodes), or as much of it as `until` allows.
+[[nodiscard]] CompositeBound composite_bound(const Problem& problem, int effort = 1,
+                                             const Until& until = {});
 
 }  // namespace xauto::solver

@@ -123,7 +123,8 @@ class Lister {
 
 }  // namespace
 
-std::vector<Solution> priced_solutions(const Problem& problem, const CompositeBound& composite) {
+std::vector<Solution> priced_solutions(const Problem& problem, const CompositeBound& composite,
+                                       const Until& until) {
   const std::size_t n = at(problem.num_xnodes);
   Lister lister(problem, composite.prices);
   // Tails that know the load behind; longest paths of mean WCETs; of the WCETs of the cheapest XPU.
@@ -151,6 +152,7 @@ std::vector<Solution> priced_solutions(const Problem& problem, const CompositeBo
   std::vector<Solution> solutions;
   Evaluator evaluator(problem);
   const auto add = [&](const Rule& rule) {
+    if (!solutions.empty() && until.over()) return;
     Solution solution = lister.list(rule);
     gather_groups(problem, solution.xpu);
     evaluator.reset(solution.xpu, solution.sequence);

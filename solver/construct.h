@@ -15,8 +15,10 @@
 
 namespace xauto::solver {
 
-/// The most promising for a long search first; evaluated under fixed priorities.
+/// The most promising for a long search first; evaluated under fixed priorities. At least one, and
+/// all of them unless `until` ends it.
 [[nodiscard]] std::vector<Solution> priced_solutions(const Problem& problem,
-                                                     const CompositeBound& composite);
+                                                     const CompositeBound& composite,
+                                                     const Until& until = {});
 
 }  // namespace xauto::solver

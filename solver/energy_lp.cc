@@ -32,8 +32,8 @@ void sort_and_thin(std::vector<Time>& times) {
 
 }  // namespace
 
-EnergyLp::EnergyLp(const Problem& problem)
-    : problem_(problem), n_(problem.num_xnodes), types_(problem.num_types) {
+EnergyLp::EnergyLp(const Problem& problem, std::function<bool()> stop)
+    : problem_(problem), stop_(std::move(stop)), n_(problem.num_xnodes), types_(problem.num_types) {
   share_.assign(at(n_ * types_), 0);
   var_of_.assign(at(n_ * types_), -1);
   base_.assign(at(n_), 0);
@@ -129,6 +129,7 @@ void EnergyLp::add_row(const Windows& windows, const Row& row) {
 
 int EnergyLp::dual_simplex() {
   for (int pivot = 0; pivot < kMaxPivots + 4 * static_cast<int>(columns_); ++pivot) {
+    if (pivot % 64 == 63 && stop_ && stop_()) return -1;
     std::size_t r = rhs_.size();
     double worst = -1e-7;
     for (std::size_t k = 0; k < rhs_.size(); ++k) {

@@ -15,6 +15,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <utility>
 #include <vector>
 
@@ -38,7 +39,8 @@ struct Windows {
 
 class EnergyLp {
  public:
-  explicit EnergyLp(const Problem& problem);
+  /// `stop`: asked now and then; then feasible() gives up, which is "not refuted".
+  explicit EnergyLp(const Problem& problem, std::function<bool()> stop = {});
 
   /// False: refuted, with proof. True: not refuted; share() then holds the fractions.
   [[nodiscard]] bool feasible(const Windows& windows);
@@ -65,6 +67,7 @@ class EnergyLp {
   double& cell(std::size_t row, std::size_t col) { return tableau_[row * stride_ + col]; }
 
   const Problem& problem_;
+  std::function<bool()> stop_;
   int n_, types_;
   std::vector<double> share_;
   std::vector<Row> pool_;  ///< rows that were tight lately: the first ones of the next LP

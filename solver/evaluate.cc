@@ -374,6 +374,11 @@ void Evaluator::critical_chain(std::vector<int>& chain) const {
   // Filling from behind has moved each end to its beginning.
   xpu_begin_.erase(xpu_begin_.begin());
   xpu_begin_.push_back(n_);
+  // By finish: two XNodes of one XPU never end at the same time.
+  const auto ends_first = [&](int a, int b) { return finished_at_[at(a)] < finished_at_[at(b)]; };
+  for (std::size_t x = 0; x < m_; ++x)
+    std::sort(on_xpu_.begin() + static_cast<std::ptrdiff_t>(xpu_begin_[x]),
+              on_xpu_.begin() + static_cast<std::ptrdiff_t>(xpu_begin_[x + 1]), ends_first);
   for (std::size_t i = 0; i < n_; ++i)
     if (current < 0 || finished_at_[i] > finished_at_[at(current)]) current = static_cast<int>(i);
   while (current >= 0 && chain.size() <= n_) {
@@ -384,15 +389,10 @@ void Evaluator::critical_chain(std::vector<int>& chain) const {
     // Delayed on its XPU: whoever finished there at its start, or ran while it was suspended;
     // otherwise the predecessor that released it.
     if (finished_at_[i] - begin > work_[i] || begin > ready_at_[i]) {
-      Time latest = -1;
-      for (std::size_t k = xpu_begin_[at(xpu_[i])]; k < xpu_begin_[at(xpu_[i]) + 1]; ++k) {
-        const std::size_t j = at(on_xpu_[k]);
-        if (j == i || finished_at_[j] >= finished_at_[i]) continue;
-        if (finished_at_[j] > ready_at_[i] && finished_at_[j] > latest) {
-          latest = finished_at_[j];
-          next = static_cast<int>(j);
-        }
-      }
+      const auto first = on_xpu_.begin() + static_cast<std::ptrdiff_t>(xpu_begin_[at(xpu_[i])]);
+      const auto last = on_xpu_.begin() + static_cast<std::ptrdiff_t>(xpu_begin_[at(xpu_[i]) + 1]);
+      const auto own = std::lower_bound(first, last, current, ends_first);
+      if (own != first && finished_at_[at(*(own - 1))] > ready_at_[i]) next = *(own - 1);
     }
     if (next < 0) {
       for (int e = pred_begin_[i]; e < pred_begin_[i + 1]; ++e) {

@@ -24,10 +24,10 @@ class Refuter : private Rules {
   Refuter(const Problem& problem, const ProofControl& control, bool with_deadlines = false)
       : Rules(problem),
         control_(control),
-        lp_(problem),
+        lp_(problem, [&control] { return control.stopped(); }),
         with_deadlines_(with_deadlines && !problem.goal.plain()) {
     // A large app's windows begin with what its load says; shaving finds that in a small one.
-    if (n_ > kLarge) start_ = composite_bound(problem);
+    if (n_ > kLarge) start_ = composite_bound(problem, 1, {control.deadline, control.stop});
   }
 
   enum class Answer { kRefuted, kOpen };

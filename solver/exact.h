@@ -16,6 +16,9 @@
 
 namespace xauto::solver {
 
+/// XNodes; beyond, one LP of the proof takes too long.
+inline constexpr int kMostToProve = 400;
+
 struct ProofControl {
   SteadyTime deadline = SteadyTime::max();
   std::int64_t max_lps = 0;  ///< 0: no limit; with a limit the bound does not depend on speed

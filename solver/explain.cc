@@ -128,11 +128,13 @@ Result<WhatIf> what_if_implemented(const AppSpec& app, const Platform& platform,
 Result<std::vector<WhatIf>> what_if(const AppSpec& app, const Platform& platform,
                                     const Policy& policy, const SolveOptions& options) {
   std::vector<WhatIf> answers;
+  const auto stopped = [&] { return options.stop != nullptr && options.stop->load(); };
   for (const std::string& type : platform.types()) {
     Platform larger = platform;
     Xpu more = larger.xpus[at(larger.instances_of(type).front())];
     for (int k = 0; larger.find(more.id) >= 0; ++k) more.id = type + std::to_string(k);
     larger.xpus.push_back(more);
+    if (stopped()) return answers;
     XAUTO_ASSIGN(WhatIf what, try_change(app, larger, policy, options, "one more " + type));
     answers.push_back(std::move(what));
   }
@@ -157,6 +159,7 @@ Result<std::vector<WhatIf>> what_if(const AppSpec& app, const Platform& platform
     for (const Link& link : why.chain) {
       const XNodeSpec& xnode = app.xnodes[at(link.xnode)];
       if (xnode.wcet_on(type)) continue;
+      if (stopped()) return answers;
       const auto assumed =
           std::max<Time>(1, static_cast<Time>(static_cast<double>(least(xnode)) * ratio / both));
       // Nobody writes an implementation to be slower: whoever would asks with its WCET.

@@ -39,13 +39,15 @@ std::vector<int> by_rank(const Problem& p) {
 
 class Plan {
  public:
-  explicit Plan(const Problem& p) : p_(p), busy_(at(p.num_xpus)), finish_(at(p.num_xnodes), 0) {
+  Plan(const Problem& p, const Until& until)
+      : p_(p), until_(until), busy_(at(p.num_xpus)), finish_(at(p.num_xnodes), 0) {
     decision_.xpu.assign(at(p.num_xnodes), -1);
     start_.assign(at(p.num_xnodes), 0);
   }
 
   /// Puts `i` on the one of `xpus` where it finishes first.
   void place(int i, const std::vector<int>& xpus) {
+    hurry_ = hurry_ || (++placed_ % 64 == 0 && until_.over());
     Time ready = 0;
     for (const int u : p_.pred[at(i)]) ready = std::max(ready, finish_[at(u)]);
     int best = -1;
@@ -75,15 +77,22 @@ class Plan {
 
  private:
   [[nodiscard]] Time first_gap(int m, Time ready, Time wcet) const {
+    const auto& busy = busy_[at(m)];
+    if (busy.empty()) return ready;
+    if (hurry_) return std::max(ready, busy.back().second);
+    // Apart from each other, they end in the order in which they begin.
+    auto next = std::upper_bound(busy.begin(), busy.end(), ready,
+                                 [](Time time, const auto& span) { return time < span.second; });
     Time start = ready;
-    for (const auto& [begin, end] : busy_[at(m)]) {
-      if (start + wcet <= begin) break;
-      start = std::max(start, end);
-    }
+    for (; next != busy.end() && start + wcet > next->first; ++next)
+      start = std::max(start, next->second);
     return start;
   }
 
   const Problem& p_;
+  const Until until_;
+  bool hurry_ = false;  ///< no gaps any more
+  int placed_ = 0;
   std::vector<std::vector<std::pair<Time, Time>>> busy_;  ///< [xpu] by begin
   std::vector<Time> start_, finish_;
   Decision decision_;
@@ -91,16 +100,16 @@ class Plan {
 
 }  // namespace
 
-Decision heft(const Problem& problem) {
+Decision heft(const Problem& problem, const Until& until) {
   std::vector<int> all(at(problem.num_xpus));
   std::iota(all.begin(), all.end(), 0);
-  Plan plan(problem);
+  Plan plan(problem, until);
   for (const int i : by_rank(problem)) plan.place(i, all);
   return plan.decision();
 }
 
-Decision local(const Problem& problem) {
-  Plan plan(problem);
+Decision local(const Problem& problem, const Until& until) {
+  Plan plan(problem, until);
   for (const int i : by_rank(problem)) {
     int fastest = -1;
     for (int t = 0; t < problem.num_types; ++t)

@@ -134,13 +134,13 @@ class PaperModel {
     }
   }
 
-  /// Of identical instances, the r-th is open to an XNode only if an XNode ahead of it (in
-  /// topological order) has the (r-1)-th.
+  /// Of instances that nothing tells apart, neither their properties nor who may run there, the
+  /// r-th is open to an XNode only if an XNode ahead of it (in topological order) has the (r-1)-th.
   void symmetry() {
     for (int m = 1; m < p_.num_xpus; ++m) {
       if (p_.xpu_type[at(m)] != p_.xpu_type[at(m - 1)] ||
           p_.preemptive[at(m)] != p_.preemptive[at(m - 1)] ||
-          p_.preempt[at(m)] != p_.preempt[at(m - 1)])
+          p_.preempt[at(m)] != p_.preempt[at(m - 1)] || !open_alike(m - 1, m))
         continue;
       std::vector<Term> ahead;
       for (const int i : p_.topo) {
@@ -151,6 +151,12 @@ class PaperModel {
         ahead.push_back({p(i, m - 1), 1});
       }
     }
+  }
+
+  [[nodiscard]] bool open_alike(int x, int y) const {
+    for (int i = 0; i < p_.num_xnodes; ++i)
+      if (p_.wcet_on(i, x) != p_.wcet_on(i, y)) return false;
+    return true;
   }
 
   /// a_ik = 1 if s_i <= s_k; b_kj = 1 if f_k <= f_j; c_ij = 1 if s_i <= f_j. Times are whole

@@ -147,13 +147,14 @@ void OrderedEvaluator::critical_chain(std::vector<int>& chain) const {
   int current = -1;
   for (std::size_t i = 0; i < n_; ++i)
     if (current < 0 || finish_[i] > finish_[at(current)]) current = static_cast<int>(i);
+  std::vector<int> before(n_, -1), last(m_, -1);  // on the same XPU
+  for (const int i : sequence_) before[at(i)] = std::exchange(last[at(xpu_[at(i)])], i);
   while (current >= 0) {
     chain.push_back(current);
     const std::size_t i = at(current);
     int next = -1;
     if (start_[i] > 0) {
-      for (std::size_t j = 0; j < n_; ++j)
-        if (xpu_[j] == xpu_[i] && finish_[j] == start_[i]) next = static_cast<int>(j);
+      if (before[i] >= 0 && finish_[at(before[i])] == start_[i]) next = before[i];
       for (int p : problem_.pred[i])
         if (finish_[at(p)] == start_[i]) next = p;
     }

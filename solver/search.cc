@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <queue>
+#include <tuple>
 
 #include "solver/bounds.h"
 #include "solver/ordered.h"
@@ -27,18 +29,19 @@ Solution list_schedule(const Problem& problem, const std::vector<double>& rank, 
   solution.xpu.assign(n, -1);
   std::vector<Time> free_at(at(problem.num_xpus), 0), finish(n, 0);
   std::vector<int> missing(n, 0);
-  std::vector<int> ready;
+  // Highest rank first; of equals, whoever became ready first.
+  using Waiting = std::tuple<double, int, int>;  // rank, - order of arrival, XNode
+  std::priority_queue<Waiting> ready;
+  int arrivals = 0;
+  const auto arrive = [&](int i) { ready.emplace(rank[at(i)], --arrivals, i); };
   for (std::size_t i = 0; i < n; ++i) {
     missing[i] = static_cast<int>(problem.pred[i].size());
-    if (missing[i] == 0) ready.push_back(static_cast<int>(i));
+    if (missing[i] == 0) arrive(static_cast<int>(i));
   }
   std::vector<double> start(n, 0);
   while (!ready.empty()) {
-    std::size_t best = 0;
-    for (std::size_t k = 1; k < ready.size(); ++k)
-      if (rank[at(ready[k])] > rank[at(ready[best])]) best = k;
-    const int i = ready[best];
-    ready.erase(ready.begin() + static_cast<std::ptrdiff_t>(best));
+    const int i = std::get<2>(ready.top());
+    ready.pop();
     Time released = 0;
     for (int p : problem.pred[at(i)]) released = std::max(released, finish[at(p)]);
     double best_score = 0;
@@ -66,7 +69,7 @@ Solution list_schedule(const Problem& problem, const std::vector<double>& rank, 
     }
     free_at[at(solution.xpu[at(i)])] = finish[at(i)];
     for (int s : problem.succ[at(i)])
-      if (--missing[at(s)] == 0) ready.push_back(s);
+      if (--missing[at(s)] == 0) arrive(s);
   }
   solution.sequence.resize(n);
   std::iota(solution.sequence.begin(), solution.sequence.end(), 0);
@@ -93,6 +96,9 @@ class Annealer {
       for (int x = 0; x < problem.num_xpus; ++x)
         if (problem.wcet_on(static_cast<int>(i), x) != kCannotRun) options_[i].push_back(x);
     }
+    std::int64_t size = problem.num_xnodes;
+    for (const auto& list : problem.succ) size += static_cast<std::int64_t>(list.size());
+    look_ = std::clamp<std::int64_t>(400'000 / size, 1, 1024);
     group_of_.assign(n, nullptr);
     for (const auto& group : problem.groups)
       for (int i : group) group_of_[at(i)] = &group;
@@ -130,6 +136,10 @@ class Annealer {
       if (step % 64 == 0) {
         temperature *= factor;
         if (check_limits()) return;
+      }
+      if (step % look_ == 0 && limits_.stopped()) {
+        done_ = true;
+        return;
       }
       propose();
       const double slack = -temperature * std::log(random_.unit());
@@ -219,7 +229,6 @@ class Annealer {
         best_.makespan <= limits_.target->load(std::memory_order_relaxed))
       done_ = true;
     if (++polls_ % 16 == 0) {
-      if (limits_.stopped()) done_ = true;
       if (callbacks_.on_evaluations) callbacks_.on_evaluations(evaluations - reported_);
       reported_ = evaluations;
     }
@@ -236,6 +245,7 @@ class Annealer {
   std::vector<int> chain_;
   Solution best_;
   bool done_ = false;
+  std::int64_t look_ = 1;  // steps between two looks at the clock: some ten milliseconds at most
   std::int64_t polls_ = 0, reported_ = 0;
 };
 
@@ -271,12 +281,12 @@ Decision to_decision(const Solution& solution) {
   return decision;
 }
 
-std::vector<Solution> constructive_solutions(const Problem& problem) {
+std::vector<Solution> constructive_solutions(const Problem& problem, const Until& until) {
   const std::size_t n = at(problem.num_xnodes);
   std::vector<Solution> solutions;
   Evaluator evaluator(problem);
   std::vector<std::int64_t> prices;
-  (void)balanced_load_bound(problem, &prices);
+  (void)balanced_load_bound(problem, &prices, until);
   for (int rule = 0; rule < 3; ++rule) {
     std::vector<double> rank(n, 0);
     for (std::size_t k = n; k-- > 0;) {
@@ -297,6 +307,7 @@ std::vector<Solution> constructive_solutions(const Problem& problem) {
       rank[at(i)] = tail + (rule == 0 ? least : rule == 1 ? sum / count : greatest);
     }
     for (double spread : {0.0, 0.5, 1.0, -1.0}) {
+      if (!solutions.empty() && until.over()) break;
       Solution solution = spread < 0 ? list_schedule(problem, rank, 0, prices)
                                      : list_schedule(problem, rank, spread);
       gather_groups(problem, solution.xpu);

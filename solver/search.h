@@ -11,10 +11,9 @@
 
 #include "solver/evaluate.h"
 #include "solver/problem.h"
+#include "solver/until.h"
 
 namespace xauto::solver {
-
-using SteadyTime = std::chrono::steady_clock::time_point;
 
 /// When to end. `target`: an answer this good cannot be beaten (a lower bound, may rise meanwhile).
 struct Limits {
@@ -46,7 +45,9 @@ inline constexpr int kLarge = 60;
 
 /// List scheduling by earliest finish, one answer per ranking rule (longest tail by least, mean and
 /// greatest WCET, with and without the load of the fastest XPU type in view); best first.
-[[nodiscard]] std::vector<Solution> constructive_solutions(const Problem& problem);
+/// At least one, and all of them unless `until` ends it.
+[[nodiscard]] std::vector<Solution> constructive_solutions(const Problem& problem,
+                                                           const Until& until = {});
 
 /// `sequence` that repeats a Decision's priorities.
 [[nodiscard]] std::vector<int> sequence_of(const std::vector<std::int64_t>& priority);

@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <limits>
+#include <queue>
+#include <utility>
 
 namespace xauto::solver {
 namespace {
@@ -44,7 +46,7 @@ class Run {
 
   Simulation run() {
     for (int i = 0; i < p_.num_xnodes; ++i)
-      if (waits_for_[at(i)] == 0) ready_[at(d_.xpu[at(i)])].push_back(i);
+      if (waits_for_[at(i)] == 0) wait(i);
     Time now = 0;
     for (;;) {
       // Everything that ends now ends before anybody decides. What takes no time (an actual
@@ -80,23 +82,22 @@ class Run {
   }
 
   void release(int i) {
-    if (--waits_for_[at(i)] == 0) ready_[at(d_.xpu[at(i)])].push_back(i);
+    if (--waits_for_[at(i)] == 0) wait(i);
   }
 
+  void wait(int i) { ready_[at(d_.xpu[at(i)])].emplace(d_.priority[at(i)], i); }
+
   void decide(int m, Time now) {
-    std::vector<int>& ready = ready_[at(m)];
+    auto& ready = ready_[at(m)];
     if (ready.empty()) return;
     const int current = running_[at(m)];
     if (current >= 0 && !p_.preemptive[at(m)]) return;
-    const auto best = std::max_element(ready.begin(), ready.end(), [&](int a, int b) {
-      return d_.priority[at(a)] < d_.priority[at(b)];
-    });
-    const int i = *best;
+    const int i = ready.top().second;
     if (current >= 0 && d_.priority[at(i)] <= d_.priority[at(current)]) return;
-    ready.erase(best);
+    ready.pop();
     if (current >= 0) {
       put_off(m, now);
-      ready.push_back(current);
+      wait(current);
       left_[at(i)] += p_.preempt[at(m)];
       switching_[at(i)] += p_.preempt[at(m)];
       ++result_.preemptions;
@@ -128,10 +129,11 @@ class Run {
   std::vector<int> waits_for_;
   std::vector<Time> left_;
   std::vector<std::vector<int>> order_succ_;
-  std::vector<std::vector<int>> ready_;  ///< [xpu]
-  std::vector<int> running_;             ///< [xpu] XNode or -1
-  std::vector<Time> since_;              ///< [xpu] when the running XNode was put on
-  std::vector<Time> switching_;          ///< [xnode] preemption cost still to be paid
+  /// [xpu] most urgent first, (priority, XNode)
+  std::vector<std::priority_queue<std::pair<std::int64_t, int>>> ready_;
+  std::vector<int> running_;     ///< [xpu] XNode or -1
+  std::vector<Time> since_;      ///< [xpu] when the running XNode was put on
+  std::vector<Time> switching_;  ///< [xnode] preemption cost still to be paid
 };
 
 }  // namespace

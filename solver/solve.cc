@@ -18,6 +18,21 @@
 namespace xauto::solver {
 namespace {
 
+bool method_searches(const std::string& method) {
+  return method == "auto" || method == "search";
+}
+
+/// For what comes after the search: two of these fit into what the limit may be exceeded by. With a
+/// budget of evaluations the clock must not decide, so only the huge have one.
+Until a_moment(const Problem& problem, const SolveOptions& options) {
+  if (options.max_evaluations > 0 && problem.num_xnodes <= 1000) return {};
+  const bool stopped = options.stop != nullptr && options.stop->load();
+  const double seconds = 0.2 + (stopped ? 0 : 0.1 * std::min(options.time_limit_s, 1e6));
+  return {std::chrono::steady_clock::now() +
+              std::chrono::microseconds(static_cast<std::int64_t>(seconds * 1e6)),
+          nullptr};
+}
+
 Solution to_solution(const Problem& problem, const Decision& decision) {
   Solution solution;
   solution.xpu = decision.xpu;
@@ -27,10 +42,10 @@ Solution to_solution(const Problem& problem, const Decision& decision) {
 }
 
 /// HEFT first: no answer of `search` or `auto` is ever worse than it.
-std::vector<Solution> starts(const Problem& problem) {
-  std::vector<Solution> all = constructive_solutions(problem);
+std::vector<Solution> starts(const Problem& problem, const Until& until) {
+  std::vector<Solution> all = constructive_solutions(problem, until);
   Evaluator evaluator(problem);
-  Solution by_heft = to_solution(problem, heft(problem));
+  Solution by_heft = to_solution(problem, heft(problem, until));
   gather_groups(problem, by_heft.xpu);
   evaluator.reset(by_heft.xpu, by_heft.sequence);
   by_heft.makespan = evaluator.makespan();
@@ -39,9 +54,11 @@ std::vector<Solution> starts(const Problem& problem) {
   std::stable_sort(all.begin(), all.end(), shorter);
   if (problem.num_xnodes <= kLarge) return all;
   // Large apps: the best of all, then what the race of the search begins with.
-  std::vector<Solution> large = priced_solutions(problem, composite_bound(problem, 0));
-  constexpr std::ptrdiff_t kPriced = 6, kOthers = 2;
-  large.insert(large.begin() + kPriced, all.begin(), all.begin() + kOthers);
+  std::vector<Solution> large =
+      priced_solutions(problem, composite_bound(problem, 0, until), until);
+  constexpr std::size_t kPriced = 6, kOthers = 2;
+  large.insert(large.begin() + static_cast<std::ptrdiff_t>(std::min(kPriced, large.size())),
+               all.begin(), all.begin() + kOthers);
   large.insert(
       large.begin(),
       std::min(all.front(), *std::min_element(large.begin(), large.end(), shorter), shorter));
@@ -65,10 +82,13 @@ void account_for_deadlines(const AppSpec& app, const Problem& problem, const Sol
   if (!asked) return;
   report.feasibility = met ? Feasibility::kMet : Feasibility::kUnknown;
   if (met) return;
+  // What is proven is proven of one release.
+  if (app.rates() > 1) return;
   if (whole && policy.lower_bound_us > *whole) {
     report.feasibility = Feasibility::kImpossible;
     return;
   }
+  if (problem.num_xnodes > kMostToProve) return;
   Time horizon = 0;
   for (int i = 0; i < problem.num_xnodes; ++i) {
     Time longest = 0;
@@ -90,12 +110,13 @@ void account_for_deadlines(const AppSpec& app, const Problem& problem, const Sol
 /// The paper's model while it is small enough to have a chance, then the compact one on what is
 /// left of the time; the better answer and the better bound of both.
 Status solve_by_ilp(const Problem& problem, const SolveOptions& options, Decision& decision,
-                    Time& bound, const std::function<void(Time)>& note_first) {
-  constexpr int kPaperModel = 14;  // XNodes; beyond, lp_solve does not even find an incumbent
+                    Time& bound, const Until& until, const std::function<void(Time)>& note_first) {
+  constexpr int kPaperModel = 14;      // XNodes; beyond, lp_solve does not even find an incumbent
+  constexpr int kCompactModel = 1000;  // beyond, lp_solve does not look at its clock for minutes
   IlpOptions ilp;
   ilp.stop = options.stop;
-  ilp.incumbent = to_decision(starts(problem).front());
-  ilp.known_bound = quick_bound(problem);
+  ilp.incumbent = to_decision(starts(problem, until).front());
+  ilp.known_bound = quick_bound(problem, until);
   decision = *ilp.incumbent;
   bound = ilp.known_bound;
   Time best = simulate(problem, decision).makespan;
@@ -119,11 +140,26 @@ Status solve_by_ilp(const Problem& problem, const SolveOptions& options, Decisio
         std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
     ilp.time_limit_s = std::max(0.1, options.time_limit_s - used);
   }
-  if (bound < best) {
+  if (bound < best && problem.num_xnodes <= kCompactModel) {
     XAUTO_ASSIGN(const IlpAnswer answer, solve_ilp_compact(problem, ilp));
     take(answer);
   }
   return {};
+}
+
+/// Priorities by period, the shortest first; those of one period stay as they are among
+/// themselves, and what runs how often nobody knows comes last.
+void rate_monotonic(const AppSpec& app, Decision& decision) {
+  const std::vector<std::int64_t> periods = app.periods();
+  std::vector<int> sequence = sequence_of(decision.priority);
+  const auto period = [&](int i) {
+    const std::int64_t known = periods[static_cast<std::size_t>(i)];
+    return known > 0 ? known : kMaxPeriodUs + 1;
+  };
+  std::stable_sort(sequence.begin(), sequence.end(),
+                   [&](int a, int b) { return period(a) < period(b); });
+  std::int64_t priority = static_cast<std::int64_t>(sequence.size());
+  for (const int i : sequence) decision.priority[static_cast<std::size_t>(i)] = priority--;
 }
 
 }  // namespace
@@ -149,7 +185,25 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
   const auto began = std::chrono::steady_clock::now();
   XAUTO_ASSIGN(Problem problem, Problem::create(app, platform));
   XAUTO_TRY(resolve(options.objectives, app, platform, problem));
+  const bool several_rates = app.rates() > 1, searches = method_searches(options.method);
+  if (!searches && (!problem.goal.plain() || !problem.groups.empty()))
+    return fail(ErrorCode::kInvalid, "chains and groups need method auto or search",
+                "method " + options.method);
+  if (several_rates && options.certify)
+    return fail(
+        ErrorCode::kInvalid,
+        "what is certified is kept by run-time order, and nothing enforces an order between "
+        "the " +
+            std::to_string(app.rates()) + " rates of the sources",
+        "certify", "leave it out: the policy then goes by priorities");
+  // What the search begins with has a part of its time; a method without search all of it.
+  const auto at_most = [&](double share) {
+    const double seconds = 0.2 + share * std::min(options.time_limit_s, 1e6);
+    return Until{began + std::chrono::microseconds(static_cast<std::int64_t>(seconds * 1e6)),
+                 options.stop};
+  };
   Decision decision;
+  bool ordered = false;
   Time bound = 0;
   const auto note_first = [&](Time latency) {
     if (options.report == nullptr) return;
@@ -158,39 +212,47 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
         std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - began).count();
   };
   if (options.method == "heft") {
-    decision = heft(problem);
-    bound = quick_bound(problem);
+    decision = heft(problem, at_most(1));
+    bound = quick_bound(problem, at_most(1));
   } else if (options.method == "local") {
-    decision = local(problem);
-    bound = quick_bound(problem);
-  } else if (options.method == "search" || options.method == "auto") {
-    const std::vector<Solution> first = starts(problem);
+    decision = local(problem, at_most(1));
+    bound = quick_bound(problem, at_most(1));
+  } else if (searches) {
+    const std::vector<Solution> first = starts(problem, at_most(0.4));
     note_first(first.front().makespan);
+    SolveOptions asked = options;
+    asked.priorities_only = asked.priorities_only || several_rates;
     const AutoResult result =
-        solve_in_parallel(problem, options, first, options.method == "auto", began);
+        solve_in_parallel(problem, asked, first, options.method == "auto", began);
     const Solution& chosen = options.certify ? result.ordered : result.best;
     decision = to_decision(chosen);
-    if (chosen.ordered) decision.order = order_pairs(problem, chosen);
+    ordered = chosen.ordered;
+    if (ordered) decision.order = order_pairs(problem, chosen, a_moment(problem, options));
     bound = result.bound;
     if (options.report != nullptr) {
       options.report->evaluations = result.evaluations;
       options.report->certified_us = result.ordered.makespan < kNever ? result.ordered.makespan : 0;
     }
   } else if (options.method == "ilp") {
-    XAUTO_TRY(solve_by_ilp(problem, options, decision, bound, note_first));
+    XAUTO_TRY(solve_by_ilp(problem, options, decision, bound, at_most(0.4), note_first));
   } else {
     return fail(ErrorCode::kInvalid, "unknown method '" + options.method + "'", "solve",
                 "one of: auto, search, ilp, heft, local");
   }
   // The same latency, but a worst case close to it. The baselines stay as they are.
-  if (decision.order.empty() && problem.goal.plain() && options.method != "heft" &&
-      options.method != "local")
-    decision = settle_priorities(problem, decision);
+  const bool baseline = options.method == "heft" || options.method == "local";
+  if (several_rates && !baseline)
+    rate_monotonic(app, decision);
+  else if (!ordered && problem.goal.plain() && !baseline)
+    decision = settle_priorities(problem, decision, a_moment(problem, options));
   Policy policy = make_policy(app, platform, problem, decision, options.method);
   policy.lower_bound_us = std::min(bound, policy.latency_us);
-  policy.worst_case_us = worst_case(problem, decision);
+  // Where every XPU keeps an order, the latency is the longest path: certify.h.
+  policy.worst_case_us =
+      ordered ? policy.latency_us
+              : worst_case(problem, decision, kMostChainSteps, a_moment(problem, options));
   account_for_deadlines(app, problem, options, policy);
-  policy.optimal = policy.lower_bound_us == policy.latency_us;
+  policy.optimal = policy.lower_bound_us == policy.latency_us && !several_rates;
   policy.solve_ms = std::chrono::duration_cast<std::chrono::milliseconds>(
                         std::chrono::steady_clock::now() - began)
                         .count();

@@ -48,7 +48,7 @@ class App {
     return *this;
   }
 
-  /// A sensor: publishes `make(sequence)`, a T, on `topic` every `period` (more than 0), from
+  /// A sensor: publishes `make(sequence)`, a T, on `topic` every `period` (1 us to 1 h), from
   /// sequence 0 on. `make` is called before the release is due, on one thread for all sources; if
   /// it throws a std::exception, the run ends with the message. Sources of equal period release at
   /// the same instants. With a recorded input, the recording's messages of this topic come instead.

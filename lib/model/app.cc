@@ -46,6 +46,19 @@ std::string cycle_text(const AppSpec& app, const std::vector<int>& order) {
   return text;
 }
 
+/// The first edge that is there before; a sort, since two million in a tree take seconds.
+std::optional<std::size_t> second_of_two(const std::vector<std::pair<int, int>>& edges) {
+  std::vector<std::pair<std::pair<int, int>, std::size_t>> sorted;
+  sorted.reserve(edges.size());
+  for (std::size_t i = 0; i < edges.size(); ++i) sorted.emplace_back(edges[i], i);
+  std::sort(sorted.begin(), sorted.end());
+  std::optional<std::size_t> found;
+  for (std::size_t k = 1; k < sorted.size(); ++k)
+    if (sorted[k].first == sorted[k - 1].first && (!found || sorted[k].second < *found))
+      found = sorted[k].second;
+  return found;
+}
+
 class Fnv {
  public:
   void add(std::string_view text) {
@@ -76,6 +89,27 @@ int AppSpec::find(std::string_view xnode) const {
   for (std::size_t i = 0; i < xnodes.size(); ++i)
     if (xnodes[i].name == xnode) return static_cast<int>(i);
   return -1;
+}
+
+std::size_t AppSpec::rates() const {
+  std::set<std::int64_t> periods;
+  for (const SourceSpec& source : sources) periods.insert(source.period_us);
+  return periods.size();
+}
+
+std::vector<std::int64_t> AppSpec::periods() const {
+  constexpr std::int64_t kUnknown = -1;
+  std::vector<std::int64_t> period(xnodes.size(), 0);
+  const auto pred = predecessors();
+  for (const int i : topological_order()) {
+    std::int64_t& own = period[at(i)];
+    if (pred[at(i)].empty() && xnodes[at(i)].sources.empty()) own = kUnknown;
+    for (const int s : xnodes[at(i)].sources) own = std::max(own, sources[at(s)].period_us);
+    for (const int p : pred[at(i)])
+      own = own == kUnknown || period[at(p)] == kUnknown ? kUnknown : std::max(own, period[at(p)]);
+  }
+  for (std::int64_t& own : period) own = std::max<std::int64_t>(own, 0);
+  return period;
 }
 
 std::vector<std::vector<int>> AppSpec::predecessors() const {
@@ -130,7 +164,50 @@ std::string AppSpec::hash() const {
   return fnv.hex();
 }
 
+Status validate(const std::vector<SourceSpec>& sources) {
+  if (sources.size() > kMaxSources)
+    return fail(ErrorCode::kInvalid,
+                std::to_string(sources.size()) + " sources; at most " +
+                    std::to_string(kMaxSources) + " are possible",
+                "/sources");
+  std::set<std::string_view> names;
+  for (std::size_t i = 0; i < sources.size(); ++i) {
+    const SourceSpec& source = sources[i];
+    const std::string where = "/sources/" + std::to_string(i);
+    if (source.name.empty())
+      return fail(ErrorCode::kInvalid, "a source needs a name", where + "/name");
+    if (source.name.size() > kMaxNameBytes)
+      return fail(ErrorCode::kInvalid,
+                  "a name is longer than " + std::to_string(kMaxNameBytes) + " bytes",
+                  where + "/name");
+    if (!names.insert(source.name).second)
+      return fail(ErrorCode::kInvalid, "two sources are called " + quoted(source.name),
+                  where + "/name");
+    if (source.period_us < 1 || source.period_us > kMaxPeriodUs)
+      return fail(ErrorCode::kInvalid,
+                  "source " + quoted(source.name) + ": " + std::to_string(source.period_us) +
+                      " is not a period from 1 to " + std::to_string(kMaxPeriodUs) + " us",
+                  where + "/period_us");
+  }
+  return {};
+}
+
+Status validate_heard(const std::vector<int>& heard, std::size_t sources, bool has_predecessor,
+                      const std::string& where) {
+  if (heard.empty()) return {};
+  if (has_predecessor)
+    return fail(ErrorCode::kInvalid, "an XNode with predecessors hears of sources through them",
+                where);
+  const std::set<int> distinct(heard.begin(), heard.end());
+  if (distinct.size() != heard.size())
+    return fail(ErrorCode::kInvalid, "names a source twice", where);
+  if (*distinct.begin() < 0 || at(*distinct.rbegin()) >= sources)
+    return fail(ErrorCode::kInvalid, "names an unknown source", where);
+  return {};
+}
+
 Status validate(const AppSpec& app) {
+  XAUTO_TRY(validate(app.sources));
   if (app.xnodes.empty() || app.xnodes.size() > kMaxXNodes)
     return fail(ErrorCode::kInvalid,
                 std::to_string(app.xnodes.size()) + " XNodes; 1 to " + std::to_string(kMaxXNodes) +
@@ -171,7 +248,6 @@ Status validate(const AppSpec& app) {
                 std::to_string(*app.deadline_us) + " is not a deadline from 1 to " +
                     std::to_string(kMaxTimeUs) + " us",
                 "/deadline_us");
-  std::set<std::pair<int, int>> seen;
   for (std::size_t i = 0; i < app.edges.size(); ++i) {
     const auto [u, v] = app.edges[i];
     const std::string where = "/edges/" + std::to_string(i);
@@ -180,16 +256,28 @@ Status validate(const AppSpec& app) {
     if (u == v)
       return fail(ErrorCode::kInvalid,
                   "XNode " + quoted(app.xnodes[at(u)].name) + " precedes itself", where);
-    if (!seen.insert({u, v}).second)
-      return fail(ErrorCode::kInvalid,
-                  "edge " + quoted(app.xnodes[at(u)].name) + " -> " +
-                      quoted(app.xnodes[at(v)].name) + " is there twice",
-                  where);
   }
+  if (const auto i = second_of_two(app.edges))
+    return fail(ErrorCode::kInvalid,
+                "edge " + quoted(app.xnodes[at(app.edges[*i].first)].name) + " -> " +
+                    quoted(app.xnodes[at(app.edges[*i].second)].name) + " is there twice",
+                "/edges/" + std::to_string(*i));
+  const auto pred = app.predecessors();
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+    XAUTO_TRY(validate_heard(app.xnodes[i].sources, app.sources.size(), !pred[i].empty(),
+                             "/xnodes/" + std::to_string(i) + "/source"));
   const std::vector<int> order = app.topological_order();
   if (order.size() != app.xnodes.size())
     return fail(ErrorCode::kInvalid, "cycle of XNodes: " + cycle_text(app, order), "/edges");
   return {};
+}
+
+std::string rates_note(const AppSpec& app) {
+  const std::size_t rates = app.rates();
+  if (rates < 2) return {};
+  return "the sources have " + std::to_string(rates) +
+         " rates; this version plans one release of all of them, so nothing is claimed optimal for "
+         "the rates";
 }
 
 Status validate_on(const AppSpec& app, const Platform& platform) {
@@ -207,6 +295,19 @@ Status validate_on(const AppSpec& app, const Platform& platform) {
                     platform.name + "' lacks",
                 "/xnodes/" + std::to_string(i) + "/wcet_us");
   }
+  std::int64_t switch_us = 0, total = 0;
+  for (const Xpu& xpu : platform.xpus)
+    if (xpu.preemptive) switch_us = std::max(switch_us, xpu.preempt_us);
+  for (const XNodeSpec& x : app.xnodes) {
+    std::int64_t longest = 0;
+    for (const std::string& type : types) longest = std::max(longest, x.wcet_on(type).value_or(0));
+    total += longest + switch_us;  // at most 2 * 10^12 each, 20 000 of them
+  }
+  if (total > kMaxTimeUs)
+    return fail(ErrorCode::kInvalid,
+                "the WCETs, with a preemption each, sum to " + std::to_string(total) +
+                    " us; policy.json holds times up to " + std::to_string(kMaxTimeUs) + " us",
+                "/xnodes", "is the unit a microsecond?");
   return {};
 }
 

@@ -21,9 +21,19 @@ struct XNodeSpec {
   std::string module;  ///< XModule it belongs to
   /// XPU type -> WCET in us; one key per type that the XNode has an implementation for.
   std::map<std::string, std::int64_t, std::less<>> wcet_us;
+  /// Indices into AppSpec::sources: what an XNode without predecessors hears of; empty: not known.
+  std::vector<int> sources = {};
 
   [[nodiscard]] std::optional<std::int64_t> wcet_on(std::string_view type) const;
   bool operator==(const XNodeSpec&) const = default;
+};
+
+/// A sensor as it was when the app was profiled. A policy is not made for the periods yet: they say
+/// what a policy of one release leaves open.
+struct SourceSpec {
+  std::string name;  ///< its topic
+  std::int64_t period_us = 0;
+  bool operator==(const SourceSpec&) const = default;
 };
 
 struct AppSpec {
@@ -32,8 +42,13 @@ struct AppSpec {
   /// Indices into `xnodes`: first must finish before second starts. The whole precedence relation.
   std::vector<std::pair<int, int>> edges;
   std::optional<std::int64_t> deadline_us;
+  std::vector<SourceSpec> sources = {};  ///< empty: not known
 
   [[nodiscard]] int find(std::string_view xnode) const;  ///< index or -1
+  [[nodiscard]] std::size_t rates() const;               ///< different periods of its sources
+  /// [xnode] how often it runs: the longest period among the sources that it hears of, itself or
+  /// through others, since a join waits for the slowest; 0: not known.
+  [[nodiscard]] std::vector<std::int64_t> periods() const;
   [[nodiscard]] std::vector<std::vector<int>> predecessors() const;
   [[nodiscard]] std::vector<std::vector<int>> successors() const;
   /// A topological order, smallest index first among equals; shorter than `xnodes` iff there is a
@@ -42,18 +57,30 @@ struct AppSpec {
   bool operator==(const AppSpec&) const = default;
 
   /// 64-bit FNV-1a over the canonical text of names, modules, WCETs, edges and deadline, as 16 hex
-  /// digits. A policy carries it, so that a stale policy is refused rather than run.
+  /// digits. A policy carries it, so that a stale policy is refused rather than run. Sources do not
+  /// enter it: what a policy orders does not depend on them.
   [[nodiscard]] std::string hash() const;
 };
 
 inline constexpr std::size_t kMaxXNodes = 20'000;
 inline constexpr std::size_t kMaxEdges = 2'000'000;
 inline constexpr std::size_t kMaxNameBytes = 256;
+inline constexpr std::size_t kMaxSources = 4096;
+inline constexpr std::int64_t kMaxPeriodUs = 3'600'000'000;  ///< an hour
 
+/// Names unique and not empty, periods in [1, kMaxPeriodUs].
+[[nodiscard]] Status validate(const std::vector<SourceSpec>& sources);
+/// What an XNode hears of: sources of the app, each once, and none behind a predecessor.
+[[nodiscard]] Status validate_heard(const std::vector<int>& heard, std::size_t sources,
+                                    bool has_predecessor, const std::string& where);
 /// Names unique and non-empty, an implementation for every XNode, WCETs in [1, kMaxTimeUs], edges
 /// in range, no self edge, no duplicate edge, no cycle (the message names the XNodes of one cycle).
 [[nodiscard]] Status validate(const AppSpec& app);
-/// Every XNode has an implementation for a type that the platform has an instance of.
+/// What a policy leaves open where the sources have several rates, in one line; otherwise empty.
+[[nodiscard]] std::string rates_note(const AppSpec& app);
+/// Every XNode has an implementation for a type that the platform has an instance of, and all of
+/// them one after the other, each on its slowest and paying for a preemption, end by kMaxTimeUs: a
+/// time of any policy then fits into its file.
 [[nodiscard]] Status validate_on(const AppSpec& app, const Platform& platform);
 
 }  // namespace xauto

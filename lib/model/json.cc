@@ -67,6 +67,49 @@ NameIndex index_by_name(const std::vector<Node>& nodes) {
   return index;
 }
 
+std::vector<SourceSpec> read_sources(const Reader& root) {
+  std::vector<SourceSpec> sources;
+  if (root.has("sources"))
+    root["sources"].each_element(kMaxSources, [&](std::size_t, const Reader& source) {
+      sources.push_back({source["name"].text(), source["period_us"].integer(1, kMaxPeriodUs)});
+    });
+  return sources;
+}
+
+/// "source" of an XNode: a name, or an array of names.
+std::vector<int> read_heard(const Reader& xnode, const NameIndex& sources) {
+  std::vector<int> heard;
+  if (!xnode.has("source")) return heard;
+  const auto read = [&](const Reader& one) {
+    const std::string name = one.text();
+    if (one.failed()) return;
+    const auto found = sources.find(name);
+    if (found == sources.end()) return one.refuse("source '" + name + "' is not in \"sources\"");
+    heard.push_back(found->second);
+  };
+  const Reader source = xnode["source"];
+  if (source.is_text())
+    read(source);
+  else
+    source.each_element(kMaxSources, [&](std::size_t, const Reader& one) { read(one); });
+  return heard;
+}
+
+void write_heard(const std::vector<int>& heard, const std::vector<SourceSpec>& sources,
+                 ordered_json& xnode) {
+  ordered_json names = ordered_json::array();
+  for (const int s : heard) names.push_back(sources[static_cast<std::size_t>(s)].name);
+  if (heard.size() == 1) xnode["source"] = names.front();
+  if (heard.size() > 1) xnode["source"] = std::move(names);
+}
+
+ordered_json sources_to_json(const std::vector<SourceSpec>& sources) {
+  ordered_json out = ordered_json::array();
+  for (const SourceSpec& source : sources)
+    out.push_back({{"name", source.name}, {"period_us", source.period_us}});
+  return out;
+}
+
 template <class Names>
 ordered_json pairs_to_json(const std::vector<std::pair<int, int>>& pairs, const Names& name) {
   ordered_json out = ordered_json::array();
@@ -94,11 +137,14 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
               "groups"});
   AppSpec app;
   app.name = root["name"].text();
+  app.sources = read_sources(root);
+  const NameIndex source_index = index_by_name(app.sources);
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     XNodeSpec spec{x["name"].text(), x["module"].text(), {}};
     x["wcet_us"].each_member(kMaxXpus, [&](const std::string& type, const Reader& us) {
       spec.wcet_us[type] = us.integer(1, kMaxTimeUs);
     });
+    spec.sources = read_heard(x, source_index);
     app.xnodes.push_back(std::move(spec));
   });
   XAUTO_TRY(context.status());
@@ -151,12 +197,15 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
   c.repetitions = conditions["repetitions"].integer(0, kMaxTimeUs);
   c.governor = conditions["governor"].text();
   profile.margin_pct = root["margin_pct"].integer(0, 1000);
+  profile.sources = read_sources(root);
+  const NameIndex source_index = index_by_name(profile.sources);
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     XNodeProfile node{x["name"].text(), x["module"].text(), {}};
     x["on"].each_member(kMaxXpus, [&](const std::string& xpu, const Reader& s) {
       node.on[xpu] = {s["count"].integer(1, kMaxTimeUs), s["min_us"].time(), s["p50_us"].time(),
                       s["p99_us"].time(), s["max_us"].time()};
     });
+    node.sources = read_heard(x, source_index);
     profile.xnodes.push_back(std::move(node));
   });
   XAUTO_TRY(context.status());
@@ -227,10 +276,14 @@ Result<Policy> parse_policy(std::string_view text, std::string_view origin, cons
 
 std::string to_json(const AppSpec& app) {
   ordered_json xnodes = ordered_json::array();
-  for (const XNodeSpec& x : app.xnodes)
-    xnodes.push_back(
-        {{"name", x.name}, {"module", x.module}, {"wcet_us", ordered_json(x.wcet_us)}});
+  for (const XNodeSpec& x : app.xnodes) {
+    ordered_json xnode = {{"name", x.name}, {"module", x.module}};
+    write_heard(x.sources, app.sources, xnode);
+    xnode["wcet_us"] = ordered_json(x.wcet_us);
+    xnodes.push_back(std::move(xnode));
+  }
   ordered_json document = {{"schema", "xauto.app"}, {"version", 1}, {"name", app.name}};
+  if (!app.sources.empty()) document["sources"] = sources_to_json(app.sources);
   document["xnodes"] = std::move(xnodes);
   document["edges"] =
       pairs_to_json(app.edges, [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; });
@@ -265,7 +318,10 @@ std::string to_json(const Profile& profile) {
                  {"p50_us", s.p50_us},
                  {"p99_us", s.p99_us},
                  {"max_us", s.max_us}};
-    xnodes.push_back({{"name", x.name}, {"module", x.module}, {"on", std::move(on)}});
+    ordered_json xnode = {{"name", x.name}, {"module", x.module}};
+    write_heard(x.sources, profile.sources, xnode);
+    xnode["on"] = std::move(on);
+    xnodes.push_back(std::move(xnode));
   }
   ordered_json document = {{"schema", "xauto.profile"}, {"version", 1}, {"app", profile.app}};
   document["conditions"] = {{"machine", c.machine},   {"platform", c.platform},
@@ -273,6 +329,7 @@ std::string to_json(const Profile& profile) {
                             {"warmup", c.warmup},     {"repetitions", c.repetitions},
                             {"governor", c.governor}};
   document["margin_pct"] = profile.margin_pct;
+  if (!profile.sources.empty()) document["sources"] = sources_to_json(profile.sources);
   document["xnodes"] = std::move(xnodes);
   document["edges"] = pairs_to_json(
       profile.edges, [&](int i) { return profile.xnodes[static_cast<std::size_t>(i)].name; });

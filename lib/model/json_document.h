@@ -86,6 +86,7 @@ class Reader {
       if (is_name(member.key()))
         each(member.key(), below(member.key(), &member.value(), place_->any()));
   }
+  [[nodiscard]] bool is_text() const { return value_ != nullptr && value_->is_string(); }
   /// A name: valid UTF-8 (checked by the parser), at most kMaxNameBytes, no control characters.
   [[nodiscard]] std::string text() const;
   [[nodiscard]] bool boolean() const;

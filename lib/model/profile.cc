@@ -31,6 +31,7 @@ Status validate(const Profile& profile) {
                 std::to_string(profile.xnodes.size()) + " XNodes; 1 to " +
                     std::to_string(kMaxXNodes) + " are possible",
                 "/xnodes");
+  XAUTO_TRY(validate(profile.sources));
   std::set<std::string> names;
   for (std::size_t i = 0; i < profile.xnodes.size(); ++i) {
     const XNodeProfile& x = profile.xnodes[i];
@@ -51,6 +52,11 @@ Status validate(const Profile& profile) {
     for (const int end : {profile.edges[i].first, profile.edges[i].second})
       if (end < 0 || static_cast<std::size_t>(end) >= profile.xnodes.size())
         return fail(ErrorCode::kInvalid, "names an unknown XNode", "/edges/" + std::to_string(i));
+  std::vector<char> has_predecessor(profile.xnodes.size(), 0);
+  for (const auto& [u, v] : profile.edges) has_predecessor[static_cast<std::size_t>(v)] = 1;
+  for (std::size_t i = 0; i < profile.xnodes.size(); ++i)
+    XAUTO_TRY(validate_heard(profile.xnodes[i].sources, profile.sources.size(),
+                             has_predecessor[i] != 0, "/xnodes/" + std::to_string(i) + "/source"));
   return {};
 }
 
@@ -58,9 +64,10 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
   XAUTO_TRY(validate(profile));
   AppSpec app;
   app.name = profile.app;
+  app.sources = profile.sources;
   app.edges = profile.edges;
   for (const XNodeProfile& x : profile.xnodes) {
-    XNodeSpec spec{x.name, x.module, {}};
+    XNodeSpec spec{x.name, x.module, {}, x.sources};
     for (const auto& [id, samples] : x.on) {
       const int xpu = platform.find(id);
       if (xpu < 0)

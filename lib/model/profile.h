@@ -25,6 +25,7 @@ struct XNodeProfile {
   std::string name;
   std::string module;
   std::map<std::string, Samples, std::less<>> on;  ///< XPU instance id -> samples
+  std::vector<int> sources = {};                   ///< as XNodeSpec::sources
   bool operator==(const XNodeProfile&) const = default;
 };
 
@@ -46,6 +47,7 @@ struct Profile {
   std::int64_t margin_pct = 20;  ///< WCET = max * (1 + margin)
   std::vector<XNodeProfile> xnodes;
   std::vector<std::pair<int, int>> edges;  ///< as AppSpec::edges
+  std::vector<SourceSpec> sources = {};    ///< as AppSpec::sources
   bool operator==(const Profile&) const = default;
 };
 

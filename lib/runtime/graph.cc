@@ -53,9 +53,12 @@ class Builder {
       Graph::Topic& info = graph_.topics[static_cast<std::size_t>(t)];
       if (info.source >= 0) problem("topic '" + info.spec.name + "' has two sources");
       info.source = static_cast<int>(i);
-      if (source.period.count() <= 0)
+      const std::int64_t period_us = source.period.count();
+      if (period_us < 1 || period_us > kMaxPeriodUs)
         problem("the source of topic '" + info.spec.name + "' has a period of " +
-                std::to_string(source.period.count()) + " us; it must be positive");
+                std::to_string(period_us) + " us; possible are 1 to " +
+                std::to_string(kMaxPeriodUs) + " us");
+      graph_.sources.push_back({info.spec.name, period_us});
       if (source.period != app_.sources.front().period) graph_.single_rate = false;
     }
     if (app_.sources.empty()) problem("no source: nothing would ever fire");
@@ -130,6 +133,16 @@ class Builder {
         if (std::find(graph_.edges.begin(), graph_.edges.end(), edge) == graph_.edges.end())
           graph_.edges.push_back(edge);
       }
+    }
+    std::vector<char> has_predecessor(graph_.nodes.size(), 0);
+    for (const auto& [u, v] : graph_.edges) has_predecessor[static_cast<std::size_t>(v)] = 1;
+    for (const Graph::Module& module : graph_.modules) {
+      if (module.nodes.empty()) continue;
+      const auto first = static_cast<std::size_t>(module.nodes.front());
+      if (has_predecessor[first]) continue;
+      for (const int t : module.inputs)
+        if (const int s = graph_.topics[static_cast<std::size_t>(t)].source; s >= 0)
+          graph_.nodes[first].sources.push_back(s);
     }
     for (Graph::Module& module : graph_.modules)
       module.sink = std::all_of(module.outputs.begin(), module.outputs.end(), [&](int t) {

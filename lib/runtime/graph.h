@@ -20,6 +20,7 @@ struct Graph {
     std::string name;
     int module = -1;
     const detail::XNodeSpecErased* spec = nullptr;
+    std::vector<int> sources = {};  ///< as XNodeSpec::sources
   };
   struct Subscriber {
     int module = -1;
@@ -41,6 +42,7 @@ struct Graph {
   };
 
   std::string name;
+  std::vector<SourceSpec> sources;  ///< as the App's
   std::vector<Node> nodes;
   std::vector<Module> modules;
   std::vector<Topic> topics;

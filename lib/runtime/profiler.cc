@@ -177,10 +177,12 @@ class Run {
     p.app = graph_.name;
     p.conditions = conditions(session_);
     p.margin_pct = session_.margin_pct;
+    p.sources = graph_.sources;
     p.edges = graph_.edges;
     for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
       const Graph::Node& node = graph_.nodes[n];
-      XNodeProfile x{node.name, graph_.modules[static_cast<std::size_t>(node.module)].name, {}};
+      XNodeProfile x{
+          node.name, graph_.modules[static_cast<std::size_t>(node.module)].name, {}, node.sources};
       for (const auto& [xpu, us] : samples_[n])
         x.on[session_.platform.xpus[static_cast<std::size_t>(xpu)].id] = summarise(us);
       p.xnodes.push_back(std::move(x));
@@ -291,9 +293,11 @@ Result<std::string> describe(const Graph& graph, const Platform& platform) {
   Profile p;
   p.app = graph.name;
   p.conditions.platform = platform.name;
+  p.sources = graph.sources;
   p.edges = graph.edges;
   for (const Graph::Node& node : graph.nodes)
-    p.xnodes.push_back({node.name, graph.modules[static_cast<std::size_t>(node.module)].name, {}});
+    p.xnodes.push_back(
+        {node.name, graph.modules[static_cast<std::size_t>(node.module)].name, {}, node.sources});
   return to_json(p);
 }
 

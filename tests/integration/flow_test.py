@@ -65,6 +65,13 @@ class Flow(unittest.TestCase):
                 self.assertGreaterEqual(samples["min_us"], declared[xnode["name"]][xpu[:3]])
 
         app = self.path("app.json")
+        # With which periods the app was built, and who hears of which source, as far as nobody comes before him.
+        spec = load(app)
+        sensors = {t: 60000 for t in ("camera/front", "camera/rear", "lidar/top")}
+        self.assertEqual({s["name"]: s["period_us"] for s in spec["sources"]}, sensors)
+        self.assertEqual(spec["sources"], profile["sources"])
+        roots = {x["name"] for x in spec["xnodes"]} - {v for _, v in spec["edges"]}
+        self.assertEqual({x["name"] for x in spec["xnodes"] if "source" in x}, roots)
         self.good("solve", "--app", app, *solve, "--out", self.path("p2.json"))
         report = json.loads(self.good("run", "--app", app, "--policy", self.path("p2.json"), "--platform",
                                       "small", "--emulate", "--input", self.path("drive.db3"), "--json",

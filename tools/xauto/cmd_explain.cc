@@ -173,15 +173,15 @@ Result<int> explain(const Flags& flags, const Options& options) {
                        {"wcet_us", link.wcet_us},
                        {"behind", behind}});
     }
-    std::cout << nlohmann::json{{"sentence", why.sentence},
-                                {"limiting_xpu",
-                                 platform.xpus[static_cast<std::size_t>(why.limiting_xpu)].id},
-                                {"limiting_us", why.limiting_us},
-                                {"running_us", why.running_us},
-                                {"critical_path_us", why.critical_path_us},
-                                {"chain", chain}}
-                     .dump(2)
-              << "\n";
+    nlohmann::json answer = {
+        {"sentence", why.sentence},
+        {"limiting_xpu", platform.xpus[static_cast<std::size_t>(why.limiting_xpu)].id},
+        {"limiting_us", why.limiting_us},
+        {"running_us", why.running_us},
+        {"critical_path_us", why.critical_path_us},
+        {"chain", chain}};
+    if (app.rates() > 1) answer["note"] = rates_note(app);
+    std::cout << answer.dump(2) << "\n";
     return kDone;
   }
   std::printf("%s\n\n  %-24s %-8s %10s %10s %10s   behind\n", why.sentence.c_str(), "XNode", "XPU",
@@ -193,6 +193,7 @@ Result<int> explain(const Flags& flags, const Options& options) {
                 xpu(link.xnode).c_str(), ms(link.ready_us), ms(link.wcet_us), ms(link.finish_us),
                 behind.c_str());
   }
+  if (app.rates() > 1) std::printf("\n  %s\n", rates_note(app).c_str());
   std::printf("\n  On any number of XPUs the app would still take %.2f ms (its critical path).\n",
               ms(why.critical_path_us));
   return kDone;

@@ -51,16 +51,17 @@ Result<int> simulate(const Flags& flags, const Options& options) {
     table += fmt::format("  {:<24}{:<8}{:>12}{:>12}\n", app.xnodes[i].name, xpu, s.start[i],
                          s.finish[i]);
   }
-  const std::string result = ordered_json{{"schema", "xauto.simulation"},
-                                          {"version", 1},
-                                          {"app", app.name},
-                                          {"platform", platform.name},
-                                          {"model", flags.model},
-                                          {"latency_us", s.makespan},
-                                          {"preemptions", s.preemptions},
-                                          {"xnodes", std::move(xnodes)}}
-                                 .dump(2) +
-                             "\n";
+  ordered_json document = {{"schema", "xauto.simulation"},
+                           {"version", 1},
+                           {"app", app.name},
+                           {"platform", platform.name},
+                           {"model", flags.model},
+                           {"latency_us", s.makespan},
+                           {"preemptions", s.preemptions},
+                           {"xnodes", std::move(xnodes)}};
+  const std::string note = rates_note(app);
+  if (!note.empty()) document["note"] = note;
+  const std::string result = document.dump(2) + "\n";
   if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, result));
   if (options.json)
     std::cout << result;
@@ -68,7 +69,8 @@ Result<int> simulate(const Flags& flags, const Options& options) {
     std::cout << table
               << fmt::format("\n  {} on {}, {}: latency {:.3f} ms, {} preemptions\n", app.name,
                              platform.name, flags.model, static_cast<double>(s.makespan) / 1000,
-                             s.preemptions);
+                             s.preemptions)
+              << (note.empty() ? "" : "\n  " + note + "\n");
   return kDone;
 }
 

@@ -30,6 +30,27 @@ TEST(Golden, AppIsWrittenAsItWasRead) {
   EXPECT_EQ(to_json(*app), text);
 }
 
+// Version 1 knew no sources: without them a file stays byte for byte what it was (above), and with
+// them the app is the same app.
+TEST(Golden, SourcesAreWrittenAsTheyWereReadAndDoNotChangeTheHash) {
+  const std::string text = slurp(golden() / "app-sources.json");
+  const auto app = parse_app(text, "app-sources.json");
+  ASSERT_TRUE(app) << app.error().to_string();
+  EXPECT_EQ(app->sources, (std::vector<SourceSpec>{{"camera", 33333}, {"lidar/größe", 100000}}));
+  EXPECT_EQ(app->rates(), 2u);
+  EXPECT_EQ(app->xnodes[3].sources, (std::vector<int>{0, 1}));
+  // A join waits for its slowest input.
+  EXPECT_EQ(app->periods(), (std::vector<std::int64_t>{33333, 33333, 33333, 100000}));
+  EXPECT_EQ(to_json(*app), text);
+  EXPECT_EQ(app->hash(), golden_app().hash());
+
+  const std::string measured = slurp(golden() / "profile-sources.json");
+  const auto profile = parse_profile(measured, "profile-sources.json");
+  ASSERT_TRUE(profile) << profile.error().to_string();
+  EXPECT_EQ(profile->sources, app->sources);
+  EXPECT_EQ(to_json(*profile), measured);
+}
+
 TEST(Golden, PlatformIsWrittenAsItWasRead) {
   const std::string text = slurp(golden() / "platform.json");
   const auto platform = parse_platform(text, "platform.json");

@@ -56,6 +56,15 @@ TEST(Graph, ChainsAndTopicsGiveTheEdges) {
 #define EXPECT_REFUSAL(builder, text) \
   EXPECT_NE((builder).refusal().find(text), std::string::npos) << (builder).refusal()
 
+TEST(Graph, RefusesAPeriodThatNoFileHolds) {
+  for (const auto& [period, text] :
+       {std::pair(0us, "0 us"), std::pair(2h + 0us, "7200000000 us")}) {
+    Builder b;
+    b.app.add_source(Topic<int>("slow"), period, [](std::uint64_t) { return 0; });
+    EXPECT_REFUSAL(b, std::string("the source of topic 'slow' has a period of ") + text);
+  }
+}
+
 TEST(Graph, RefusesANodeAddedTwice) {
   Builder b;
   const auto twice = node("a1");

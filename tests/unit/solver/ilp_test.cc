@@ -10,6 +10,7 @@
 
 #include "solver/bounds.h"
 #include "solver/generate.h"
+#include "solver/objectives.h"
 #include "solver/simulate.h"
 
 #include "brute_force.h"
@@ -39,6 +40,31 @@ TEST(Ilp, EqualsBruteForceWherePreemptionIsFree) {
     ASSERT_TRUE(answer->finished) << "round " << round << ": " << answer->status;
     ASSERT_EQ(answer->makespan, brute_force(p).makespan) << "round " << round;
     ASSERT_TRUE(answer->proven);
+  }
+}
+
+// Instances of one type are not alike where one of them is forbidden to somebody: what breaks their
+// symmetry must not cut the optimum off.
+TEST(Ilp, EqualsBruteForceWhereSingleInstancesAreForbidden) {
+  Dice dice(9);
+  for (int round = 0; round < 150; ++round) {
+    Shape shape = free_preemption(5);
+    shape.max_cpus = 3;
+    const Platform platform = random_platform(dice, shape);
+    const AppSpec app = random_app(dice, shape, platform);
+    const auto forbidden = random_forbids(dice, app, platform, 40);
+    Objectives asked;
+    for (const auto& [i, x] : forbidden)
+      asked.forbids.emplace_back(app.xnodes[static_cast<std::size_t>(i)].name,
+                                 platform.xpus[static_cast<std::size_t>(x)].id);
+    Problem p = *Problem::create(app, platform);
+    ASSERT_TRUE(resolve(asked, app, platform, p));
+    const Apart apart = instance_by_instance(app, platform, forbidden);
+    const Time best = brute_force(*Problem::create(apart.app, apart.platform)).makespan;
+    ASSERT_LE(quick_bound(p), best) << "round " << round;
+    const auto answer = solve_ilp(p, {.time_limit_s = 200});
+    ASSERT_TRUE(answer && answer->finished);
+    ASSERT_EQ(answer->makespan, best) << "round " << round;
   }
 }
 

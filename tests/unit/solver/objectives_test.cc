@@ -7,6 +7,8 @@
 
 #include <gtest/gtest.h>
 
+#include "solver/bounds.h"
+#include "solver/evaluate.h"
 #include "solver/explain.h"
 #include "solver/generate.h"
 #include "solver/solve.h"
@@ -70,6 +72,59 @@ TEST(Objectives, PinsForbidsAndGroupsAreKept) {
     EXPECT_EQ(xpu(4).id, xpu(5).id);
     EXPECT_TRUE(validate(*policy, app, platform).has_value());
   }
+}
+
+/// Six stages of 5 ms side by side, one CPU for all of them or one for their group.
+TEST(Objectives, WhatIsPinnedOrGroupedIsItsXpusLoad) {
+  AppSpec app;
+  app.name = "six";
+  for (int i = 0; i < 6; ++i) app.xnodes.push_back({test::numbered("x", i), "m", {{"cpu", 5000}}});
+  const Platform platform = Platform::builtin("small").value();
+  Objectives pinned, grouped;
+  for (const XNodeSpec& x : app.xnodes) pinned.pins.emplace_back(x.name, "cpu1");
+  grouped.groups.emplace_back();
+  for (const XNodeSpec& x : app.xnodes) grouped.groups.front().push_back(x.name);
+  for (const Objectives& asked : {pinned, grouped}) {
+    SolveReport report;
+    SolveOptions options = counted(report);
+    options.objectives = asked;
+    const auto policy = solve(app, platform, options);
+    ASSERT_TRUE(policy.has_value()) << policy.error().to_string();
+    EXPECT_EQ(policy->latency_us, 30'000);
+    EXPECT_EQ(policy->lower_bound_us, 30'000);
+    EXPECT_TRUE(policy->optimal);
+  }
+}
+
+/// Exhaustion over the one XPU that the group shares, in turn.
+TEST(Objectives, TheBoundOfAGroupHoldsAgainstExhaustion) {
+  test::Dice dice(21);
+  int grouped = 0;
+  for (int round = 0; round < 200; ++round) {
+    test::Shape shape;
+    shape.min_nodes = 3;
+    shape.max_nodes = 5;
+    const Platform platform = test::random_platform(dice, shape);
+    const AppSpec app = test::random_app(dice, shape, platform);
+    Objectives asked;
+    asked.groups = {{app.xnodes[0].name, app.xnodes[1].name, app.xnodes[2].name}};
+    Problem p = *Problem::create(app, platform);
+    if (!resolve(asked, app, platform, p)) continue;  // no XPU can run all of them
+    ++grouped;
+    Time best = kNever;
+    for (int x = 0; x < p.num_xpus; ++x) {
+      if (p.wcet_on(0, x) == kCannotRun) continue;
+      std::vector<std::pair<int, int>> elsewhere;
+      for (int i = 0; i < 3; ++i)
+        for (int y = 0; y < p.num_xpus; ++y)
+          if (y != x) elsewhere.emplace_back(i, y);
+      const test::Apart apart = test::instance_by_instance(app, platform, elsewhere);
+      best =
+          std::min(best, test::brute_force(*Problem::create(apart.app, apart.platform)).makespan);
+    }
+    ASSERT_LE(quick_bound(p), best) << "round " << round;
+  }
+  EXPECT_GT(grouped, 50);
 }
 
 TEST(Objectives, WithAPinTheBoundStillHoldsAgainstExhaustion) {

@@ -84,6 +84,46 @@ inline AppSpec random_app(Dice& dice, const Shape& shape, const Platform& platfo
   return app;
 }
 
+/// The same problem in which every instance is a type of its own, so that what single instances
+/// are forbidden is plainly a missing implementation.
+struct Apart {
+  AppSpec app;
+  Platform platform;
+};
+inline Apart instance_by_instance(const AppSpec& app, const Platform& platform,
+                                  const std::vector<std::pair<int, int>>& forbidden) {
+  Apart apart{app, platform};
+  for (Xpu& xpu : apart.platform.xpus) xpu.type = xpu.id;
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    apart.app.xnodes[i].wcet_us.clear();
+    for (std::size_t x = 0; x < platform.xpus.size(); ++x) {
+      const auto wcet = app.xnodes[i].wcet_on(platform.xpus[x].type);
+      const bool gone =
+          std::find(forbidden.begin(), forbidden.end(),
+                    std::pair(static_cast<int>(i), static_cast<int>(x))) != forbidden.end();
+      if (wcet && !gone) apart.app.xnodes[i].wcet_us[platform.xpus[x].id] = *wcet;
+    }
+  }
+  return apart;
+}
+
+/// Pairs (XNode, instance), never the last instance of an XNode.
+inline std::vector<std::pair<int, int>> random_forbids(Dice& dice, const AppSpec& app,
+                                                       const Platform& platform, int percent) {
+  std::vector<std::pair<int, int>> forbidden;
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    int left = 0;
+    for (const Xpu& xpu : platform.xpus) left += app.xnodes[i].wcet_on(xpu.type).has_value();
+    for (std::size_t x = 0; x < platform.xpus.size(); ++x) {
+      if (!app.xnodes[i].wcet_on(platform.xpus[x].type) || left < 2 || !dice.chance(percent))
+        continue;
+      --left;
+      forbidden.emplace_back(static_cast<int>(i), static_cast<int>(x));
+    }
+  }
+  return forbidden;
+}
+
 /// Any legal assignment, any unique priorities.
 inline Decision random_decision(Dice& dice, const Problem& problem) {
   Decision decision;

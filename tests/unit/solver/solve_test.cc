@@ -3,17 +3,28 @@
 // it.
 #include "solver/solve.h"
 
+#include <atomic>
+#include <ctime>
+
 #include <gtest/gtest.h>
 
+#include "model/json.h"
 #include "solver/generate.h"
 #include "solver/heft.h"
 #include "solver/simulate.h"
+#include "solver/verify.h"
 
 #include "brute_force.h"
 #include "problem_random.h"
 
 namespace xauto::solver {
 namespace {
+
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+constexpr double kSlack = 12;
+#else
+constexpr double kSlack = 1.5;
+#endif
 
 AppSpec synthetic(int nodes, std::uint64_t seed) {
   GenerateOptions options;
@@ -110,6 +121,140 @@ TEST(Solve, TheFirstProgressIsAnAnswerNoWorseThanHeft) {
     EXPECT_LE(report.first_latency_us, heft_latency(app, platform));
     EXPECT_GE(seen.front().incumbent, policy->latency_us);
     EXPECT_GT(report.first_answer_ms, 0);
+  }
+}
+
+/// Camera and lidar share one GPU; what lidar starts goes on for long.
+AppSpec two_rates() {
+  AppSpec app;
+  app.name = "rates";
+  app.sources = {{"camera", 33'333}, {"lidar", 100'000}};
+  app.xnodes = {{"lidar.pre", "L", {{"gpu", 30'000}}, {1}},
+                {"lidar.post", "L", {{"cpu", 40'000}}},
+                {"camera.infer", "C", {{"gpu", 8000}}, {0}},
+                {"camera.post", "C", {{"cpu", 1000}}}};
+  app.edges = {{0, 1}, {2, 3}};
+  return app;
+}
+
+TEST(Solve, WithSeveralRatesNothingIsOrderedOrOptimalAndTheFrequentComeFirst) {
+  const Platform platform = *Platform::builtin("small");
+  AppSpec app = two_rates(), one_rate = app;
+  one_rate.sources[1].period_us = one_rate.sources[0].period_us;
+  SolveOptions options;
+  options.max_evaluations = 4000;
+  options.time_limit_s = 1e9;
+  const auto single = solve(one_rate, platform, options);
+  ASSERT_TRUE(single.has_value());
+  EXPECT_TRUE(single->optimal);  // one release is easy, and lidar first is best for it
+  EXPECT_GT(single->placements[0].priority, single->placements[2].priority);
+  for (const char* method : {"auto", "search", "ilp", "heft", "local"}) {
+    options.method = method;
+    if (std::string(method) == "ilp") options.time_limit_s = 5;
+    const auto policy = solve(app, platform, options);
+    ASSERT_TRUE(policy.has_value()) << policy.error().to_string();
+    EXPECT_TRUE(policy->order.empty()) << method;
+    EXPECT_FALSE(policy->optimal) << method;
+    if (std::string(method) == "heft" || std::string(method) == "local") continue;
+    EXPECT_GT(policy->placements[2].priority, policy->placements[0].priority) << method;
+    EXPECT_GT(policy->placements[3].priority, policy->placements[1].priority) << method;
+    // The worst case is that of the priorities: nothing within the WCETs goes beyond it.
+    const Problem problem = *Problem::create(app, platform);
+    Decision decision;
+    for (const Placement& p : policy->placements) {
+      decision.xpu.push_back(p.xpu);
+      decision.priority.push_back(p.priority);
+    }
+    test::Dice dice(1);
+    for (int round = 0; round < 300; ++round) {
+      std::vector<Time> takes;
+      for (int i = 0; i < problem.num_xnodes; ++i) {
+        const int xpu = decision.xpu[static_cast<std::size_t>(i)];
+        takes.push_back(dice.roll(0, static_cast<int>(problem.wcet_on(i, xpu))));
+      }
+      SimulateOptions actual;
+      actual.actual = takes;
+      ASSERT_LE(simulate(problem, decision, actual).makespan, *policy->worst_case_us);
+    }
+  }
+  options.method = "auto";
+  options.certify = true;
+  const auto certified = solve(app, platform, options);
+  ASSERT_FALSE(certified.has_value());
+  EXPECT_NE(certified.error().to_string().find("2 rates"), std::string::npos);
+}
+
+TEST(Solve, WhatAPolicyFileCannotHoldIsRefusedBeforeItIsSolved) {
+  const Platform platform = *Platform::builtin("small");
+  AppSpec app;
+  app.name = "long";
+  const std::int64_t most = kMaxTimeUs - 2 * 275;  // a preemption of small's GPU each
+  app.xnodes = {{"a", "A", {{"cpu", most / 2}}}, {"b", "B", {{"cpu", most / 2}}}};
+  app.edges = {{0, 1}};
+  SolveOptions options;
+  options.time_limit_s = 1;
+  for (const char* method : {"auto", "heft"}) {
+    options.method = method;
+    const auto policy = solve(app, platform, options);
+    ASSERT_TRUE(policy.has_value()) << policy.error().to_string();
+    const auto again = parse_policy(to_json(*policy, app, platform), "policy.json", app, platform);
+    ASSERT_TRUE(again.has_value()) << again.error().to_string();
+    EXPECT_TRUE(verify(app, platform, *again, {.executions = 10, .schedules = 10}).truthful());
+  }
+  app.xnodes[1].wcet_us["cpu"] += 2;
+  const auto refused = solve(app, platform, options);
+  ASSERT_FALSE(refused.has_value());
+  EXPECT_EQ(refused.error().code, ErrorCode::kInvalid);
+  EXPECT_NE(refused.error().to_string().find("sum to 1000000000002 us"), std::string::npos)
+      << refused.error().to_string();
+}
+
+/// Layers of `width`, each XNode behind `fan` of the layer before: the shape that costs most, for
+/// everything is open to everything in its layer.
+AppSpec layered(int nodes, int width, int fan) {
+  AppSpec app;
+  app.name = "layered";
+  test::Dice dice(5);
+  for (int i = 0; i < nodes; ++i) {
+    app.xnodes.push_back({test::numbered("x", i), "m", {{"cpu", dice.roll(100, 900)}}});
+    if (dice.chance(60)) app.xnodes.back().wcet_us["gpu"] = dice.roll(50, 300);
+    const int layer = i / width * width;
+    for (int k = 0; k < fan && layer > 0; ++k)
+      app.edges.emplace_back(layer - width + (i + k * 7) % width, i);
+  }
+  return app;
+}
+
+/// The rule of solve.h in CPU time, which a busy machine does not lengthen, of one thread.
+TEST(Solve, TheLargestAppsKeepTheTimeLimitAndAStop) {
+  const Platform platform = *Platform::builtin("small");
+  const auto cpu_s = [] {
+    timespec time{};
+    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &time);
+    return static_cast<double>(time.tv_sec) + static_cast<double>(time.tv_nsec) * 1e-9;
+  };
+  for (const AppSpec& app : {layered(20'000, 2000, 3), layered(20'000, 20'000, 1),
+                             layered(20'000, 10, 2), layered(5000, 500, 60)}) {
+    for (const char* method : {"auto", "heft", "ilp"}) {
+      const std::string what = std::to_string(app.xnodes.size()) + " XNodes, " +
+                               std::to_string(app.edges.size()) + " edges, " + method;
+      SolveOptions options;
+      options.method = method;
+      options.time_limit_s = 1;
+      const double began = cpu_s();
+      const auto policy = solve(app, platform, options);
+      EXPECT_LT(cpu_s() - began, kSlack * (1.3 * options.time_limit_s + 1)) << what;
+      ASSERT_TRUE(policy.has_value()) << what;
+      EXPECT_LE(policy->lower_bound_us, policy->latency_us);
+      EXPECT_GE(policy->worst_case_us, policy->latency_us);
+
+      const std::atomic<bool> stop{true};
+      options.stop = &stop;
+      options.time_limit_s = 1000;
+      const double stopped = cpu_s();
+      ASSERT_TRUE(solve(app, platform, options).has_value());
+      EXPECT_LT(cpu_s() - stopped, kSlack * 1) << what;
+    }
   }
 }
 

@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: Apache-2.0
+// When a computation that could go on shall give what it has: at a deadline, or when told.
+//
+// Whoever takes one asks it at least every few ten milliseconds on the largest app that the file
+// format allows, and once it is over, ends with an answer that is weaker but still true.
+#pragma once
+
+#include <atomic>
+#include <chrono>
+
+namespace xauto::solver {
+
+using SteadyTime = std::chrono::steady_clock::time_point;
+
+struct Until {
+  SteadyTime deadline = SteadyTime::max();
+  const std::atomic<bool>* stop = nullptr;
+
+  [[nodiscard]] bool over() const {
+    return (stop != nullptr && stop->load(std::memory_order_relaxed)) ||
+           (deadline != SteadyTime::max() && std::chrono::steady_clock::now() >= deadline);
+  }
+};
+
+}  // namespace xauto::solver
