@@ -151,6 +151,7 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
   XAUTO_TRY(resolve(options.objectives, app, platform, problem));
   Decision decision;
   Time bound = 0;
+  bool ordered = false;
   const auto note_first = [&](Time latency) {
     if (options.report == nullptr) return;
     options.report->first_latency_us = latency;
@@ -171,6 +172,7 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
     const Solution& chosen = options.certify ? result.ordered : result.best;
     decision = to_decision(chosen);
     if (chosen.ordered) decision.order = order_pairs(problem, chosen);
+    ordered = chosen.ordered;
     bound = result.bound;
     if (options.report != nullptr) {
       options.report->evaluations = result.evaluations;
@@ -183,8 +185,7 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
                 "one of: auto, search, ilp, heft, local");
   }
   // The same latency, but a worst case close to it. The baselines stay as they are.
-  if (decision.order.empty() && problem.goal.plain() && options.method != "heft" &&
-      options.method != "local")
+  if (!ordered && problem.goal.plain() && options.method != "heft" && options.method != "local")
     decision = settle_priorities(problem, decision);
   Policy policy = make_policy(app, platform, problem, decision, options.method);
   policy.lower_bound_us = std::min(bound, policy.latency_us);
