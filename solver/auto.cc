@@ -29,11 +29,17 @@ class Team {
       : problem_(problem),
         options_(options),
         starts_(starts),
+        undisturbed_(problem),
         with_proof_(with_proof),
         threads_(std::clamp(options.threads, 1, 64)),
         began_(began),
         deadline_(options.time_limit_s >= 1e6 ? SteadyTime::max()
                                               : Clock::now() + seconds(options.time_limit_s)) {
+    for (std::size_t x = 0; x < problem.preemptive.size(); ++x) {
+      some_preempt_ = some_preempt_ || problem.preemptive[x];
+      some_pay_ = some_pay_ || !problem.preemptive[x] || problem.preempt[x] > 0;
+      undisturbed_.preemptive[x] = 0;
+    }
     OrderedEvaluator evaluator(problem);
     evaluator.reset(starts.front().xpu, starts.front().sequence);
     all_.best = starts.front();
@@ -102,28 +108,38 @@ class Team {
            (!counted() && done_.load());
   }
 
-  enum class Space { kPriorities, kOrdered, kMixed };
+  /// kDispatched: priorities on XPUs that do not preempt, kept as the order that this gives.
+  enum class Space { kPriorities, kOrdered, kDispatched, kMixed };
 
   /// Whose turn it is. Where preemption is free everywhere, priorities alone reach what any policy
-  /// reaches; where it is possible nowhere, order alone does.
+  /// reaches; where it is possible nowhere, they are dispatched as they are, and order alone does.
   [[nodiscard]] Space space_of(int turn) const {
     if (options_.certify) return turn % 2 == 1 ? Space::kOrdered : Space::kPriorities;
-    const bool mixing = mixing_helps();
+    const bool mixing = some_preempt_ && some_pay_;
     if (large()) {
       if (turn % 4 == 3) return Space::kOrdered;
       return mixing && turn % 8 == 6 ? Space::kMixed : Space::kPriorities;
     }
-    constexpr Space kRound[] = {Space::kPriorities, Space::kOrdered, Space::kMixed};
-    return kRound[turn % (mixing ? 3 : 2)];
+    constexpr Space kRound[] = {Space::kPriorities, Space::kOrdered, Space::kDispatched,
+                                Space::kMixed};
+    return kRound[turn % round_length()];
   }
 
-  [[nodiscard]] bool mixing_helps() const {
-    bool free = true, never = true;
-    for (std::size_t x = 0; x < problem_.preemptive.size(); ++x) {
-      free = free && problem_.preemptive[x] && problem_.preempt[x] == 0;
-      never = never && !problem_.preemptive[x];
-    }
-    return !free && !never;
+  [[nodiscard]] int round_length() const {
+    if (large() || options_.certify || !some_preempt_) return 2;
+    return some_pay_ ? 4 : 3;
+  }
+
+  /// An order that takes no longer than `solution` does where nothing preempts.
+  [[nodiscard]] Solution in_order(const Solution& solution) const {
+    Evaluator evaluator(undisturbed_);
+    evaluator.reset(solution.xpu, solution.sequence);
+    std::vector<int> sequence = solution.sequence;
+    std::stable_sort(sequence.begin(), sequence.end(),
+                     [&](int a, int b) { return evaluator.start(a) < evaluator.start(b); });
+    OrderedEvaluator ordered(problem_);
+    ordered.reset(solution.xpu, sequence);
+    return {ordered.xpu(), ordered.sequence(), ordered.makespan(), true, {}};
   }
 
   [[nodiscard]] bool large() const { return problem_.num_xnodes > kLarge; }
@@ -181,7 +197,6 @@ class Team {
     if (large() && !counted() && t == threads_ - 1) raise_bound(composite_bound(problem_).bound);
     if (large() && !options_.certify) own = race(t, budget);
     if (counted() && budget <= 0) return;
-    const int rounds = mixing_helps() && !large() && !options_.certify ? 3 : 2;
     for (int turn = 0; !over(); ++turn) {
       std::int64_t used = 0;
       SearchCallbacks callbacks;
@@ -194,7 +209,8 @@ class Team {
       callbacks.on_better = [&](const Solution& solution) {
         note(t, solution, space == Space::kOrdered);
       };
-      const Limits mine = limits(slice, counted() ? std::min(budget, share) : 0, turn / rounds);
+      const Limits mine =
+          limits(slice, counted() ? std::min(budget, share) : 0, turn / round_length());
       const std::uint64_t seed = options_.seed * 1000003 + static_cast<std::uint64_t>(t) * 7919 +
                                  static_cast<std::uint64_t>(turn);
       switch (space) {
@@ -204,6 +220,17 @@ class Team {
         case Space::kOrdered: {
           const Solution& start = own_ordered.makespan <= own.makespan ? own_ordered : own;
           own_ordered = anneal_ordered(problem_, start, seed, mine, callbacks);
+          break;
+        }
+        case Space::kDispatched: {
+          const Solution start = own_ordered.makespan <= own.makespan ? own_ordered : own;
+          callbacks.on_better = [&](const Solution& solution) {
+            Solution ordered = in_order(solution);
+            if (ordered.makespan >= own_ordered.makespan) return;
+            note(t, ordered, true);
+            own_ordered = std::move(ordered);
+          };
+          (void)anneal(undisturbed_, start, seed, mine, callbacks);
           break;
         }
         case Space::kMixed: {
@@ -232,7 +259,7 @@ class Team {
       slice += slice / 4;
       if (met()) done_.store(true);
       // Again after an exhausted proof only below a better incumbent.
-      if (proves && turn >= rounds - 1 && incumbent_.load() < proof_ended_at_) {
+      if (proves && turn >= round_length() - 1 && incumbent_.load() < proof_ended_at_) {
         prove();
         if (over()) return;
         if (large()) proof_ended_at_ = 0;
@@ -341,6 +368,8 @@ class Team {
   const Problem& problem_;
   const SolveOptions& options_;
   const std::vector<Solution>& starts_;
+  Problem undisturbed_;  // the same, but nothing preempts
+  bool some_preempt_ = false, some_pay_ = false;
   const bool with_proof_;
   const int threads_;
   const SteadyTime began_, deadline_;
