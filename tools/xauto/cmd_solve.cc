@@ -119,7 +119,7 @@ Result<std::vector<solver::WhatIf>> ask_what_if(const Flags& flags, const AppSpe
 
 void print_more(const Policy& policy, const solver::SolveReport& report,
                 const std::vector<solver::WhatIf>& answers) {
-  if (policy.order.empty() && report.certified_us > 0)
+  if (policy.worst_case_us != policy.latency_us && report.certified_us > 0)
     std::printf("  certified    %12s   with --certify: %+.2f %% latency, and never longer\n",
                 ms(report.certified_us).c_str(),
                 100 * static_cast<double>(report.certified_us - policy.latency_us) /
