@@ -35,6 +35,10 @@ namespace xauto::solver {
 /// where that keeps the latency; otherwise as given. Order pairs stay.
 [[nodiscard]] Decision settle_priorities(const Problem& problem, const Decision& decision);
 
+/// The decision with the order of its own schedule on every XPU on which that suspends nobody: at
+/// WCET nothing changes, and the certificate needs nothing else of those XPUs.
+[[nodiscard]] Decision order_undisturbed(const Problem& problem, const Decision& decision);
+
 /// A safe bound for any decision, with or without order pairs: the least of deadline_certificate()
 /// and of what follows.
 ///

@@ -186,7 +186,8 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
   }
   // The same latency, but a worst case close to it. The baselines stay as they are.
   if (!ordered && problem.goal.plain() && options.method != "heft" && options.method != "local")
-    decision = settle_priorities(problem, decision);
+    decision = settle_priorities(
+        problem, decision.order.empty() ? decision : order_undisturbed(problem, decision));
   Policy policy = make_policy(app, platform, problem, decision, options.method);
   policy.lower_bound_us = std::min(bound, policy.latency_us);
   policy.worst_case_us = worst_case(problem, decision);

@@ -165,6 +165,7 @@ TEST(Exact, OrderOnOneXpuAndPrioritiesOnAnotherAreInTheClass) {
   EXPECT_EQ(policy->lower_bound_us, 26'000);
   EXPECT_EQ(policy->latency_us, 26'000);
   EXPECT_FALSE(policy->order.empty());
+  EXPECT_EQ(policy->worst_case_us, 26'000);  // the DLA in full order, the GPU by deadlines
   EXPECT_EQ(report.feasibility, Feasibility::kMet);
   // With another answer in hand, the deadline must not be called impossible either.
   Problem with_deadline = problem;
