@@ -29,11 +29,17 @@ class Team {
       : problem_(problem),
         options_(options),
         starts_(starts),
+        undisturbed_(problem),
         with_proof_(with_proof),
         threads_(std::clamp(options.threads, 1, 64)),
         began_(began),
         deadline_(options.time_limit_s >= 1e6 ? SteadyTime::max()
                                               : began + seconds(options.time_limit_s)) {
+    for (std::size_t x = 0; x < problem.preemptive.size(); ++x) {
+      some_preempt_ = some_preempt_ || problem.preemptive[x];
+      some_pay_ = some_pay_ || !problem.preemptive[x] || problem.preempt[x] > 0;
+      undisturbed_.preemptive[x] = 0;
+    }
     OrderedEvaluator evaluator(problem);
     evaluator.reset(starts.front().xpu, starts.front().sequence);
     all_.best = starts.front();
@@ -102,6 +108,42 @@ class Team {
            (!counted() && done_.load());
   }
 
+  /// kDispatched: priorities on XPUs that do not preempt, kept as the order that this gives.
+  enum class Space { kPriorities, kOrdered, kDispatched, kMixed };
+
+  /// Whose turn it is. Where preemption is free everywhere, priorities alone reach what any policy
+  /// reaches; where it is possible nowhere, they are dispatched as they are, and order alone does.
+  [[nodiscard]] Space space_of(int turn) const {
+    if (options_.priorities_only) return Space::kPriorities;
+    if (options_.certify) return turn % 2 == 1 ? Space::kOrdered : Space::kPriorities;
+    const bool mixing = some_preempt_ && some_pay_;
+    if (large()) {
+      if (turn % 4 == 3) return Space::kOrdered;
+      return mixing && turn % 8 == 6 ? Space::kMixed : Space::kPriorities;
+    }
+    constexpr Space kRound[] = {Space::kPriorities, Space::kOrdered, Space::kDispatched,
+                                Space::kMixed};
+    return kRound[turn % round_length()];
+  }
+
+  [[nodiscard]] int round_length() const {
+    if (options_.priorities_only) return 1;
+    if (large() || options_.certify || !some_preempt_) return 2;
+    return some_pay_ ? 4 : 3;
+  }
+
+  /// An order that takes no longer than `solution` does where nothing preempts.
+  [[nodiscard]] Solution in_order(const Solution& solution) const {
+    Evaluator evaluator(undisturbed_);
+    evaluator.reset(solution.xpu, solution.sequence);
+    std::vector<int> sequence = solution.sequence;
+    std::stable_sort(sequence.begin(), sequence.end(),
+                     [&](int a, int b) { return evaluator.start(a) < evaluator.start(b); });
+    OrderedEvaluator ordered(problem_);
+    ordered.reset(solution.xpu, sequence);
+    return {ordered.xpu(), ordered.sequence(), ordered.makespan(), true, {}};
+  }
+
   [[nodiscard]] bool large() const { return problem_.num_xnodes > kLarge; }
 
   /// A few starts get a little time each, the better half of them more, until one is left.
@@ -144,11 +186,12 @@ class Team {
   void work(int t) {
     const auto k = static_cast<std::size_t>(t);
     Solution own = starts_[k % starts_.size()];
-    Solution own_ordered = own;
-    own_ordered.makespan = kNever;
+    Solution own_ordered = own, own_mixed = own;
+    own_ordered.makespan = own_mixed.makespan = kNever;
     std::int64_t budget = options_.max_evaluations / threads_ + (counted() ? 1 : 0);
     Clock::duration slice = seconds(std::min(0.05, options_.time_limit_s / 40));
-    std::int64_t share = 20'000;
+    // All spaces have a turn, however small the budget.
+    std::int64_t share = std::clamp<std::int64_t>(budget / 6, 1, 20'000);
     // The last worker proves, once the search had its first turns.
     const bool proves =
         with_proof_ && !counted() && t == threads_ - 1 && problem_.num_xnodes <= kMostToProve;
@@ -168,19 +211,51 @@ class Team {
         used += count;
         evaluations_.fetch_add(count, std::memory_order_relaxed);
       };
-      const bool ordered = options_.priorities_only       ? false
-                           : large() && !options_.certify ? turn % 4 == 3
-                                                          : turn % 2 == 1;
-      if (options_.certify && !ordered && turn > 0) continue;
-      callbacks.on_better = [&](const Solution& solution) { note(t, solution, ordered); };
-      const Limits mine = limits(slice, counted() ? std::min(budget, share) : 0, turn / 2);
+      const Space space = space_of(turn);
+      if (options_.certify && space != Space::kOrdered && turn > 0) continue;
+      callbacks.on_better = [&](const Solution& solution) {
+        note(t, solution, space == Space::kOrdered);
+      };
+      const Limits mine =
+          limits(slice, counted() ? std::min(budget, share) : 0, turn / round_length());
       const std::uint64_t seed = options_.seed * 1000003 + static_cast<std::uint64_t>(t) * 7919 +
                                  static_cast<std::uint64_t>(turn);
-      if (ordered) {
-        const Solution& start = own_ordered.makespan <= own.makespan ? own_ordered : own;
-        own_ordered = anneal_ordered(problem_, start, seed, mine, callbacks);
-      } else {
-        own = anneal(problem_, own, seed, mine, callbacks);
+      switch (space) {
+        case Space::kPriorities:
+          own = anneal(problem_, own, seed, mine, callbacks);
+          break;
+        case Space::kOrdered: {
+          const Solution& start = own_ordered.makespan <= own.makespan ? own_ordered : own;
+          own_ordered = anneal_ordered(problem_, start, seed, mine, callbacks);
+          break;
+        }
+        case Space::kDispatched: {
+          const Solution start = own_ordered.makespan <= own.makespan ? own_ordered : own;
+          callbacks.on_better = [&](const Solution& solution) {
+            Solution ordered = in_order(solution);
+            if (ordered.makespan >= own_ordered.makespan) return;
+            note(t, ordered, true);
+            own_ordered = std::move(ordered);
+          };
+          (void)anneal(undisturbed_, start, seed, mine, callbacks);
+          break;
+        }
+        case Space::kMixed: {
+          const Solution* start = &own;
+          if (own_mixed.makespan < start->makespan) start = &own_mixed;
+          if (own_ordered.makespan < start->makespan) start = &own_ordered;
+          own_mixed = anneal_mixed(problem_, start->ordered ? as_waiting(*start) : *start, seed,
+                                   mine, callbacks);
+          break;
+        }
+      }
+      if (own_ordered.makespan < own.makespan) {
+        // What one space has found is a start in the other.
+        Solution shared = by_finish(problem_, own_ordered);
+        if (shared.makespan < own.makespan) {
+          note(t, shared, false);
+          own = std::move(shared);
+        }
       }
       if (counted()) {
         budget -= std::max<std::int64_t>(used, 1);
@@ -191,12 +266,12 @@ class Team {
       slice += slice / 4;
       if (met()) done_.store(true);
       // Again after an exhausted proof only below a better incumbent.
-      if (proves && turn >= 1 && incumbent_.load() < proof_ended_at_) {
+      if (proves && turn >= round_length() - 1 && incumbent_.load() < proof_ended_at_) {
         prove();
         if (over()) return;
         if (large()) proof_ended_at_ = 0;
       }
-      if (turn % 4 == 3) take_over(own, own_ordered);
+      if (turn % 4 == 3) take_over(own, own_ordered, own_mixed);
     }
   }
 
@@ -263,9 +338,12 @@ class Team {
   }
 
   /// Workers that fell behind go on from the team's best.
-  void take_over(Solution& own, Solution& own_ordered) {
+  void take_over(Solution& own, Solution& own_ordered, Solution& own_mixed) {
     const std::lock_guard lock(mutex_);
-    if (!all_.best.ordered && all_.best.makespan < own.makespan) own = all_.best;
+    if (!all_.best.ordered) {
+      Solution& mine = all_.best.waits_for.empty() ? own : own_mixed;
+      if (all_.best.makespan < mine.makespan) mine = all_.best;
+    }
     if (all_.ordered.makespan < own_ordered.makespan) own_ordered = all_.ordered;
   }
 
@@ -297,6 +375,8 @@ class Team {
   const Problem& problem_;
   const SolveOptions& options_;
   const std::vector<Solution>& starts_;
+  Problem undisturbed_;  // the same, but nothing preempts
+  bool some_preempt_ = false, some_pay_ = false;
   const bool with_proof_;
   const int threads_;
   const SteadyTime began_, deadline_;

@@ -2,10 +2,9 @@
 // The methods `auto` and `search`: workers on several threads that share one incumbent and one
 // bound.
 //
-//   search   every worker anneals, fixed priorities and ordered schedules in turn; quick bounds
-//   only auto     the same, but once the search has had its first turns, one worker proves: it
-//   raises the
-//            bound and enumerates what is left (exact.h)
+//   search   every worker anneals: priorities, order, and both together in turn; quick bounds only
+//   auto     the same, but once the search has had its first turns, one worker proves: it raises
+//            the bound and enumerates what is left (exact.h)
 //
 // Deterministic for a given seed and number of threads when max_evaluations ends it: workers then
 // neither read each other's incumbents nor the clock.
@@ -17,7 +16,7 @@
 namespace xauto::solver {
 
 struct AutoResult {
-  Solution best;     ///< least latency, of either kind; ordered where that costs nothing
+  Solution best;     ///< least latency, of any kind; ordered where that costs nothing
   Solution ordered;  ///< least certified latency
   Time bound = 0;
   std::int64_t evaluations = 0;

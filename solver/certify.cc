@@ -262,6 +262,32 @@ Decision settle_priorities(const Problem& problem, const Decision& decision, con
   return best ? *best : decision;
 }
 
+Decision order_undisturbed(const Problem& problem, const Decision& decision) {
+  const Simulation simulation = simulate(problem, decision);
+  std::vector<std::vector<int>> on_xpu(at(problem.num_xpus));
+  for (int i = 0; i < problem.num_xnodes; ++i) on_xpu[at(decision.xpu[at(i)])].push_back(i);
+  Decision ordered = decision;
+  for (std::size_t x = 0; x < on_xpu.size(); ++x) {
+    std::vector<int>& list = on_xpu[x];
+    std::sort(list.begin(), list.end(),
+              [&](int a, int b) { return simulation.start[at(a)] < simulation.start[at(b)]; });
+    bool disturbed = false;
+    for (std::size_t k = 1; k < list.size(); ++k)
+      disturbed = disturbed || simulation.start[at(list[k])] < simulation.finish[at(list[k - 1])];
+    if (disturbed) continue;
+    // What was asked of this XPU follows from the whole order.
+    std::erase_if(ordered.order, [&](const std::pair<int, int>& pair) {
+      return at(decision.xpu[at(pair.first)]) == x;
+    });
+    for (std::size_t k = 1; k < list.size(); ++k) {
+      const auto& direct = problem.succ[at(list[k - 1])];
+      if (std::find(direct.begin(), direct.end(), list[k]) == direct.end())
+        ordered.order.emplace_back(list[k - 1], list[k]);
+    }
+  }
+  return ordered;
+}
+
 Time worst_case(const Problem& problem, const Decision& decision, std::int64_t max_steps,
                 const Until& until) {
   constexpr int kMostChained = 5000;  // XNodes: the lists of who delays whom are quadratic

@@ -40,6 +40,10 @@ inline constexpr std::int64_t kMostChainSteps = 2'000'000;
 [[nodiscard]] Decision settle_priorities(const Problem& problem, const Decision& decision,
                                          const Until& until = {});
 
+/// The decision with the order of its own schedule on every XPU on which that suspends nobody: at
+/// WCET nothing changes, and the certificate needs nothing else of those XPUs.
+[[nodiscard]] Decision order_undisturbed(const Problem& problem, const Decision& decision);
+
 /// A safe bound for any decision, with or without order pairs: the least of deadline_certificate()
 /// and of what follows.
 ///

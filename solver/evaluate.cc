@@ -45,6 +45,10 @@ Evaluator::Evaluator(const Problem& problem)
   ready_.assign(m_ * words_, 0);
   ready_count_.assign(m_, 0);
   touched_.assign(m_, 0);
+  waits_for_.assign(n_, -1);
+  first_waiting_.assign(n_, -1);
+  next_waiting_.assign(n_, -1);
+  released_at_.assign(n_, 0);
   ready_at_.assign(n_, 0);
   started_at_.assign(n_, 0);
   finished_at_.assign(n_, 0);
@@ -53,8 +57,11 @@ Evaluator::Evaluator(const Problem& problem)
   stride_ = std::max<std::size_t>(1, n_ / (n_ > 200 ? 32 : 64));
 }
 
-void Evaluator::reset(const std::vector<int>& xpu, const std::vector<int>& sequence) {
+void Evaluator::reset(const std::vector<int>& xpu, const std::vector<int>& sequence,
+                      const std::vector<int>& waits_for) {
   edits_.clear();
+  for (std::size_t i = 0; i < n_; ++i)
+    link(static_cast<int>(i), waits_for.empty() ? -1 : waits_for[i]);
   xpu_ = xpu;
   sequence_ = sequence;
   std::fill(load_.begin(), load_.end(), 0);
@@ -113,8 +120,10 @@ void Evaluator::update_tails(int xnode) {
 void Evaluator::assign(int xnode, int xpu) {
   const std::size_t i = at(xnode);
   if (xpu_[i] == xpu) return;
-  edits_.push_back({xnode, xpu_[i], position_[i]});
-  dirty_from_ = std::min(dirty_from_, ready_at_[i]);
+  edits_.push_back({xnode, xpu_[i], position_[i], waits_for_[i]});
+  dirty_from_ = std::min(dirty_from_, released_at_[i]);
+  for (int w = first_waiting_[i]; w >= 0; w = next_waiting_[at(w)])
+    dirty_from_ = std::min(dirty_from_, released_at_[at(w)]);
   load_[at(xpu_[i])] -= work_[i];
   const Time before = work_[i];
   xpu_[i] = xpu;
@@ -143,9 +152,38 @@ void Evaluator::move_position(int xnode, int position) {
 void Evaluator::reposition(int xnode, int position) {
   const std::size_t i = at(xnode);
   if (position_[i] == position) return;
-  edits_.push_back({xnode, xpu_[i], position_[i]});
+  edits_.push_back({xnode, xpu_[i], position_[i], waits_for_[i]});
   dirty_from_ = std::min(dirty_from_, ready_at_[i]);
   move_position(xnode, position);
+}
+
+void Evaluator::link(int xnode, int other) {
+  const std::size_t i = at(xnode);
+  if (waits_for_[i] == other) return;
+  if (waits_for_[i] >= 0) {
+    --waiting_;
+    int* place = &first_waiting_[at(waits_for_[i])];
+    while (*place != xnode) place = &next_waiting_[at(*place)];
+    *place = next_waiting_[i];
+  }
+  waits_for_[i] = other;
+  if (other < 0) return;
+  ++waiting_;
+  next_waiting_[i] = first_waiting_[at(other)];
+  first_waiting_[at(other)] = xnode;
+}
+
+void Evaluator::wait_for(int xnode, int other) {
+  const std::size_t i = at(xnode);
+  if (waits_for_[i] == other) return;
+  edits_.push_back({xnode, xpu_[i], position_[i], waits_for_[i]});
+  dirty_from_ = std::min(dirty_from_, released_at_[i]);
+  link(xnode, other);
+}
+
+bool Evaluator::hangs() const {
+  return waiting_ > 0 && std::any_of(status_.begin(), status_.end(),
+                                     [](std::uint8_t status) { return status != kDone; });
 }
 
 void Evaluator::rollback() {
@@ -162,6 +200,7 @@ void Evaluator::rollback() {
       if (work_[i] != before) update_tails(edit.xnode);
     }
     if (position_[i] != edit.old_position) move_position(edit.xnode, edit.old_position);
+    link(edit.xnode, edit.old_waits_for);
   }
   dirty_from_ = kNever;
 }
@@ -183,7 +222,8 @@ void Evaluator::start_from_scratch() {
   latest_ = charged_ = 0;
   for (std::size_t i = 0; i < n_; ++i) remaining_[i] = -1;
   for (int s : sources_) {
-    ready_at_[at(s)] = 0;
+    released_at_[at(s)] = ready_at_[at(s)] = 0;
+    if (held(at(s))) continue;
     status_[at(s)] = kReady;
     push_ready(s);
   }
@@ -267,7 +307,7 @@ Time Evaluator::run(Time limit) {
     }
     Time now = kNever;
     for (std::size_t x = 0; x < m_; ++x) now = std::min(now, end_[x]);
-    if (now == kNever) return cost();
+    if (now == kNever) return hangs() ? kNever : cost();
     now_ = now;
     latest_ = now;
     for (std::size_t x = 0; x < m_; ++x) {
@@ -282,14 +322,10 @@ Time Evaluator::run(Time limit) {
         touched_[x] = 1;
         touched_list_.push_back(static_cast<int>(x));
       }
-      for (int e = succ_begin_[i]; e < succ_begin_[i + 1]; ++e) {
-        const std::size_t s = at(succ_list_[at(e)]);
-        if (--missing_[s] != 0) continue;
+      // False: too late for the limit.
+      const auto make_ready = [&](std::size_t s) {
         if constexpr (!kRecord) {
-          if (now + work_[s] + tail_[s] >= limit && !problem_.goal.weighted) {
-            for (int t : touched_list_) touched_[at(t)] = 0;
-            return kNever;
-          }
+          if (now + work_[s] + tail_[s] >= limit && !problem_.goal.weighted) return false;
         } else {
           ready_at_[s] = now;
         }
@@ -300,6 +336,21 @@ Time Evaluator::run(Time limit) {
           touched_[sx] = 1;
           touched_list_.push_back(static_cast<int>(sx));
         }
+        return true;
+      };
+      bool in_time = true;
+      for (int e = succ_begin_[i]; e < succ_begin_[i + 1] && in_time; ++e) {
+        const std::size_t s = at(succ_list_[at(e)]);
+        if (--missing_[s] != 0) continue;
+        if constexpr (kRecord) released_at_[s] = now;
+        if (!held(s)) in_time = make_ready(s);
+      }
+      for (int w = first_waiting_[i]; w >= 0 && in_time; w = next_waiting_[at(w)])
+        if (status_[at(w)] == kWaiting && missing_[at(w)] == 0 && xpu_[at(w)] == xpu_[i])
+          in_time = make_ready(at(w));
+      if (!in_time) {
+        for (int t : touched_list_) touched_[at(t)] = 0;
+        return kNever;
       }
     }
     for (int t : touched_list_) {
@@ -332,6 +383,7 @@ Time Evaluator::evaluate(Time limit) {
     std::fill(remaining_.begin(), remaining_.end(), -1);
     now_ = latest_ = charged_ = 0;
     for (int s : sources_) {
+      if (held(at(s))) continue;
       status_[at(s)] = kReady;
       push_ready(s);
     }
@@ -399,6 +451,8 @@ void Evaluator::critical_chain(std::vector<int>& chain) const {
         const int p = pred_list_[at(e)];
         if (finished_at_[at(p)] == ready_at_[i]) next = p;
       }
+      const int other = waits_for_[i];
+      if (next < 0 && other >= 0 && xpu_[at(other)] == xpu_[i]) next = other;
     }
     current = next;
   }

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evaluator: the makespan of one (assignment, priority order) after another, incrementally.
+// Evaluator: the makespan of one (assignment, priority order) after another, incrementally; each
+// XNode may also wait for one other XNode of its XPU (a pair of Policy::order).
 //
 // The same rule as simulate.cc (problem.h), written for the search: a candidate differs from the
 // committed schedule in a few XNodes, and nothing can differ before the first of these becomes
 // ready. So the simulation restarts at the last snapshot before that instant, and stops as soon as
 // an XNode becomes ready too late for the limit: ready + wcet + longest chain behind it under the
-// current assignment. Run-time order pairs are not handled here; ordered schedules have their own
-// evaluator (ordered.h).
+// current assignment. One pair per XNode reaches every WCET schedule that any set of pairs reaches:
+// of those it waits for, the one that finishes last decides. Schedules that are ordered on every
+// XPU have a faster evaluator of their own (ordered.h).
 //
 // Threads: one owner. Units: microseconds.
 #pragma once
@@ -25,15 +27,20 @@ class Evaluator {
  public:
   explicit Evaluator(const Problem& problem);
 
-  /// Commits `xpu` and `sequence` (XNodes, most urgent first) with a full simulation.
-  void reset(const std::vector<int>& xpu, const std::vector<int>& sequence);
+  /// Commits `xpu`, `sequence` (XNodes, most urgent first) and `waits_for` (empty: nobody waits)
+  /// with a full simulation. kNever if some wait for each other.
+  void reset(const std::vector<int>& xpu, const std::vector<int>& sequence,
+             const std::vector<int>& waits_for = {});
 
   // A candidate: any number of edits of the committed solution, evaluate(), then commit() or
   // rollback().
   void assign(int xnode, int xpu);
   /// Moves `xnode` to `position` of the sequence; those between shift by one.
   void reposition(int xnode, int position);
-  /// The makespan, or kNever once it is certain to be >= `limit`.
+  /// `xnode` does not start before `other` has finished (-1: nobody). Dormant while they are on
+  /// different XPUs.
+  void wait_for(int xnode, int other);
+  /// The makespan, or kNever once it is certain to be >= `limit`, or if some wait for each other.
   [[nodiscard]] Time evaluate(Time limit);
   void commit();
   void rollback();
@@ -43,6 +50,8 @@ class Evaluator {
   [[nodiscard]] const std::vector<int>& xpu() const { return xpu_; }
   [[nodiscard]] const std::vector<int>& sequence() const { return sequence_; }
   [[nodiscard]] int position(int xnode) const { return position_[static_cast<std::size_t>(xnode)]; }
+  /// As given, dormant ones too.
+  [[nodiscard]] const std::vector<int>& waits_for() const { return waits_for_; }
   // Of the committed schedule.
   [[nodiscard]] Time ready(int xnode) const { return ready_at_[static_cast<std::size_t>(xnode)]; }
   [[nodiscard]] Time start(int xnode) const { return started_at_[static_cast<std::size_t>(xnode)]; }
@@ -79,6 +88,13 @@ class Evaluator {
   void move_position(int xnode, int position);
   void update_tails(int xnode);
   void push_ready(int xnode);
+  void link(int xnode, int other);
+  [[nodiscard]] bool held(std::size_t i) const {
+    const int other = waits_for_[i];
+    return other >= 0 && status_[static_cast<std::size_t>(other)] != kDone &&
+           xpu_[static_cast<std::size_t>(other)] == xpu_[i];
+  }
+  [[nodiscard]] bool hangs() const;
 
   const Problem& problem_;
   std::size_t n_, m_;
@@ -86,6 +102,9 @@ class Evaluator {
   std::vector<int> topo_rank_, sources_;
 
   std::vector<int> xpu_, sequence_, position_;
+  std::vector<int> waits_for_;
+  std::vector<int> first_waiting_, next_waiting_;  // lists of those that wait for the same one
+  int waiting_ = 0;
   std::vector<Time> work_;  // wcet on the assigned XPU
   std::vector<Time> tail_;  // longest chain behind, under the assignment
   std::vector<Time> load_;  // per XPU
@@ -104,12 +123,14 @@ class Evaluator {
   Time now_ = 0, latest_ = 0, charged_ = 0;
 
   // The committed schedule.
-  std::vector<Time> ready_at_, started_at_, finished_at_;
+  std::vector<Time> released_at_;  // the last predecessor has finished
+  std::vector<Time> ready_at_;     // and so has whom it waits for
+  std::vector<Time> started_at_, finished_at_;
   std::vector<Snapshot> snapshots_;
   std::size_t snapshots_used_ = 0, stride_ = 1;
 
   struct Edit {
-    int xnode, old_xpu, old_position;
+    int xnode, old_xpu, old_position, old_waits_for;
   };
   std::vector<Edit> edits_;
   Time dirty_from_ = kNever;

@@ -169,7 +169,7 @@ class Refuter : private Rules {
     if (--nodes_left_ < 0 || stopped() || depth > 400) return false;
     int open_i = -1, open_j = -1;
     if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
-    while (open_i < 0 && (charge_starters(w) || conserve_work(w)))
+    while (open_i < 0 && charge_starters(w))
       if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
     if (!lp_.feasible(w)) return true;
     // The XNode whose type is least decided, by the work that hangs on it.

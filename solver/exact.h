@@ -5,8 +5,8 @@
 // For a guessed makespan T the question is whether some assignment survives all necessary
 // conditions: windows [r, d] from the precedence graph and the WCETs left, energy in windows per
 // type, the LP over the fractional assignment, and the rules about pairs and suspensions of
-// rules.h. If every branch is refuted, no policy is shorter than T + 1: none that goes by fixed
-// priorities alone, and none that keeps a full order on every XPU.
+// rules.h. If every branch is refuted, no policy is shorter than T + 1, whatever its priorities and
+// its run-time order pairs.
 #pragma once
 
 #include <atomic>

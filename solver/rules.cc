@@ -80,14 +80,28 @@ unsigned Rules::relations(const Windows& w, int i, int j, int type) const {
   if (w.r[at(j)] + di + dj <= w.d[at(i)]) possible |= kSecond;
   if (!problem_.preemptive[at(x)]) return possible;
   const Time cost = problem_.preempt[at(x)];
-  // Under fixed priorities only what becomes ready after the other has started can suspend it.
-  if (latest_ready(w, j) > w.r[at(i)] && w.r[at(i)] + di + wj + cost - w.cut[at(i)] <= w.d[at(i)] &&
+  if (may_come_late(w, i, j, type) && w.r[at(i)] + di + wj + cost - w.cut[at(i)] <= w.d[at(i)] &&
       std::max(w.r[at(i)] + 1, w.r[at(j)]) + dj < w.d[at(i)] && w.r[at(i)] + 1 + dj <= w.d[at(j)])
     possible |= kInFirst;
-  if (latest_ready(w, i) > w.r[at(j)] && w.r[at(j)] + dj + wi + cost - w.cut[at(j)] <= w.d[at(j)] &&
+  if (may_come_late(w, j, i, type) && w.r[at(j)] + dj + wi + cost - w.cut[at(j)] <= w.d[at(j)] &&
       std::max(w.r[at(j)] + 1, w.r[at(i)]) + di < w.d[at(j)] && w.r[at(j)] + 1 + di <= w.d[at(i)])
     possible |= kInSecond;
   return possible;
+}
+
+bool Rules::may_come_late(const Windows& w, int outer, int inner, int type) const {
+  if (latest_ready(w, inner) > w.r[at(outer)]) return true;
+  const Time work = problem_.wcet(inner, type);
+  const Time room = w.d[at(outer)] - w.r[at(outer)] - problem_.wcet(outer, type) - work;
+  for (int k = 0; k < n_; ++k) {
+    if (k == outer || k == inner || (w.types[at(k)] >> type & 1u) == 0) continue;
+    const Time first = problem_.wcet(k, type);
+    if (latest_ready(w, k) > w.r[at(outer)] && first <= room &&
+        std::max(w.r[at(outer)] + 1, w.r[at(k)]) + first + work + w.extra[at(inner)] <=
+            w.d[at(inner)])
+      return true;
+  }
+  return false;
 }
 
 Time Rules::latest_ready(const Windows& w, int i) const {
@@ -163,40 +177,6 @@ bool Rules::charge_starters(Windows& w) const {
     // The XPU's loss now counts with those that suspend.
     w.paid[at(outer)] = w.starter[at(outer)] != 0 ? cost : 0;
     changed |= raise(w.extra[at(outer)], within + (w.starter[at(outer)] != 0 ? cost : 0));
-  }
-  return changed;
-}
-
-bool Rules::conserve_work(Windows& w) const {
-  if (w.nested.empty()) return false;
-  const auto is_nested = [&](int i) {
-    return std::any_of(w.nested.begin(), w.nested.end(),
-                       [&](const auto& pair) { return pair.second == i; });
-  };
-  const auto contains = [&](int outer, int i) {
-    return std::find(w.nested.begin(), w.nested.end(), std::pair(outer, i)) != w.nested.end();
-  };
-  bool changed = false;
-  for (int i = 0; i < n_; ++i) {
-    if (!std::has_single_bit(w.types[at(i)])) continue;
-    const int type = std::countr_zero(w.types[at(i)]);
-    if (problem_.type_xpus[at(type)].size() != 1) continue;
-    const Time cost = problem_.preempt[at(problem_.type_xpus[at(type)].front())];
-    Time earliest = 0;
-    for (int p : problem_.pred[at(i)]) earliest = std::max(earliest, w.r[at(p)] + least(w, p));
-    // While a type is undecided, anything might still turn out to suspend that XNode.
-    bool open = false;
-    for (int k = 0; k < n_ && !open; ++k)
-      open = (w.types[at(k)] >> type & 1u) != 0 && !std::has_single_bit(w.types[at(k)]);
-    Time end = latest_ready(w, i) + problem_.wcet(i, type) + (open || is_nested(i) ? cost : 0);
-    for (int k = 0; k < n_; ++k) {
-      if (k == i || (w.types[at(k)] >> type & 1u) == 0 || w.d[at(k)] <= earliest) continue;
-      // Those behind i start after its end; the one it suspends has a lower priority.
-      const bool decided = std::has_single_bit(w.types[at(k)]);
-      if (decided && (contains(k, i) || (starts_before(w, i, k) && !contains(i, k)))) continue;
-      end += problem_.wcet(k, type) + (open || is_nested(k) ? cost : 0);
-    }
-    changed |= lower(w.d[at(i)], end);
   }
   return changed;
 }

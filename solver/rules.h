@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // What must hold of every policy at a node of the proof (exact.h): windows from the precedence
-// graph, pairs of XNodes on one instance, who pays for a suspension, no idling. Each rule only
-// narrows the windows; the arguments are in docs/solver.md, "Proof".
+// graph, pairs of XNodes on one instance, who pays for a suspension. A policy is an assignment,
+// priorities, and any run-time order pairs: an XPU may stay idle while an XNode of it is ready.
+// Each rule only narrows the windows; the arguments are in docs/solver.md, "Proof".
 #pragma once
 
 #include "solver/energy_lp.h"
@@ -20,6 +21,10 @@ class Rules {
   [[nodiscard]] bool tighten(Windows& w) const;
   [[nodiscard]] Time least(const Windows& w, int i) const;
   [[nodiscard]] unsigned relations(const Windows& w, int i, int j, int type) const;
+  /// Can `inner` become eligible after `outer` has started? Otherwise it runs first. Its last
+  /// predecessor finishes after that, or it waits, by run-time order, for somebody else nested in
+  /// `outer`; the first of those does not wait, so that its last predecessor finishes after that.
+  [[nodiscard]] bool may_come_late(const Windows& w, int outer, int inner, int type) const;
   [[nodiscard]] Time latest_ready(const Windows& w, int i) const;
   void relate(Windows& w, int i, int j, int type, Relation relation) const;
   /// All that is nested in `outer` runs within its span, and the first suspension of it costs at
@@ -29,9 +34,6 @@ class Rules {
   /// that starts after all earlier ones have ended: in between, the suspended one was back. Certain
   /// once no other XNode can join them: all types that could are decided, and all pairs.
   [[nodiscard]] bool charge_starters(Windows& w) const;
-  /// Once something is nested, the policy goes by fixed priorities alone, and no XPU idles while
-  /// one of its XNodes is ready: from there to its end, i waits only for what may run in between.
-  [[nodiscard]] bool conserve_work(Windows& w) const;
   [[nodiscard]] bool starts_before(const Windows& w, int k, int i) const;
   /// Pairs on one-instance types: decides those with one relation left; false: a pair has none.
   /// `open_*`: the tightest pair that is still open, -1 if all are decided.

@@ -79,8 +79,8 @@ Solution list_schedule(const Problem& problem, const std::vector<double>& rank, 
   return solution;
 }
 
-/// `Eval`: Evaluator or OrderedEvaluator.
-template <class Eval>
+/// `Eval`: Evaluator or OrderedEvaluator; `kMixed`: XNodes may wait for each other.
+template <class Eval, bool kMixed = false>
 class Annealer {
  public:
   Annealer(const Problem& problem, std::uint64_t seed, const Limits& limits,
@@ -105,7 +105,7 @@ class Annealer {
   }
 
   Solution run(const Solution& start) {
-    evaluator_.reset(start.xpu, start.sequence);
+    reset(start);
     best_.makespan = kNever;
     note_if_better();
     // Rounds of growing length; each cools down from a temperature that suits the current solution.
@@ -121,13 +121,20 @@ class Annealer {
       cool(length, hot * static_cast<double>(best_.makespan),
            0.0002 * scale * static_cast<double>(best_.makespan));
       if (round % 2 == 1) length += length / 2;
-      if (random_.below(4) != 0) evaluator_.reset(best_.xpu, best_.sequence);
+      if (random_.below(4) != 0) reset(best_);
     }
     if (callbacks_.on_evaluations) callbacks_.on_evaluations(evaluator_.evaluations() - reported_);
     return best_;
   }
 
  private:
+  void reset(const Solution& solution) {
+    if constexpr (kMixed)
+      evaluator_.reset(solution.xpu, solution.sequence, solution.waits_for);
+    else
+      evaluator_.reset(solution.xpu, solution.sequence);
+  }
+
   void cool(std::int64_t length, double hot, double cold) {
     const double factor = std::pow(cold / hot, 1.0 / static_cast<double>(length / 64 + 1));
     double temperature = hot;
@@ -161,6 +168,12 @@ class Annealer {
     const int i = (kind % 2 == 0 && !chain_.empty())
                       ? chain_[random_.below(chain_.size())]
                       : static_cast<int>(random_.below(static_cast<std::uint64_t>(n)));
+    if constexpr (kMixed) {
+      if (random_.below(2) == 0) {
+        change_waiting(i);
+        return;
+      }
+    }
     if (kind < 40 && options_[at(i)].size() > 1) {
       move_to(i, other_xpu(i));
     } else if (kind < 55) {
@@ -182,6 +195,38 @@ class Annealer {
     }
   }
 
+  /// `i` waits no more; those that wait for it go on waiting for whom it waited for, or for nobody.
+  void leave(int i) {
+    const std::vector<int>& waits_for = evaluator_.waits_for();
+    const int before = random_.below(2) == 0 ? waits_for[at(i)] : -1;
+    for (int j = 0; j < problem_.num_xnodes; ++j)
+      if (waits_for[at(j)] == i) evaluator_.wait_for(j, before);
+    evaluator_.wait_for(i, -1);
+  }
+
+  /// `i` waits for another one of its XPU; those that wait for that one then wait for `i`, or not.
+  void join(int i) {
+    const std::vector<int>& waits_for = evaluator_.waits_for();
+    mates_.clear();
+    for (int j = 0; j < problem_.num_xnodes; ++j)
+      if (j != i && evaluator_.xpu()[at(j)] == evaluator_.xpu()[at(i)]) mates_.push_back(j);
+    if (mates_.empty()) return;
+    const int other = mates_[random_.below(mates_.size())];
+    if (random_.below(2) == 0)
+      for (int j : mates_)
+        if (waits_for[at(j)] == other) evaluator_.wait_for(j, i);
+    evaluator_.wait_for(i, other);
+  }
+
+  void change_waiting(int i) {
+    const bool waited = evaluator_.waits_for()[at(i)] >= 0;
+    leave(i);
+    if (waited && random_.below(2) == 0)
+      shift(i);
+    else
+      join(i);
+  }
+
   int other_xpu(int i) {
     const auto& options = options_[at(i)];
     while (true) {
@@ -191,11 +236,15 @@ class Annealer {
   }
 
   void move_to(int i, int x) {
+    if constexpr (kMixed)
+      if (random_.below(2) == 0) leave(i);
     if (group_of_[at(i)] != nullptr) {
       for (int member : *group_of_[at(i)]) evaluator_.assign(member, x);
     } else {
       evaluator_.assign(i, x);
     }
+    if constexpr (kMixed)
+      if (random_.below(2) == 0) join(i);
     if (random_.below(2) == 0) shift(i);
   }
 
@@ -219,7 +268,21 @@ class Annealer {
   void note_if_better() {
     if (evaluator_.makespan() >= best_.makespan) return;
     best_ = {evaluator_.xpu(), evaluator_.sequence(), evaluator_.makespan()};
+    if constexpr (kMixed) best_.waits_for = active_waiting();
     if (callbacks_.on_better) callbacks_.on_better(best_);
+  }
+
+  /// Without the dormant ones; empty if nobody waits.
+  std::vector<int> active_waiting() const {
+    std::vector<int> waits_for = evaluator_.waits_for();
+    bool any = false;
+    for (std::size_t i = 0; i < waits_for.size(); ++i) {
+      int& other = waits_for[i];
+      if (other >= 0 && evaluator_.xpu()[at(other)] != evaluator_.xpu()[i]) other = -1;
+      any = any || other >= 0;
+    }
+    if (!any) waits_for.clear();
+    return waits_for;
   }
 
   bool check_limits() {
@@ -242,7 +305,7 @@ class Annealer {
   Random random_;
   std::vector<std::vector<int>> options_;
   std::vector<const std::vector<int>*> group_of_;
-  std::vector<int> chain_;
+  std::vector<int> chain_, mates_;
   Solution best_;
   bool done_ = false;
   std::int64_t look_ = 1;  // steps between two looks at the clock: some ten milliseconds at most
@@ -278,6 +341,9 @@ Decision to_decision(const Solution& solution) {
   decision.priority.resize(solution.xpu.size());
   std::int64_t priority = static_cast<std::int64_t>(solution.sequence.size());
   for (int i : solution.sequence) decision.priority[at(i)] = priority--;
+  for (std::size_t i = 0; i < solution.waits_for.size(); ++i)
+    if (solution.waits_for[i] >= 0)
+      decision.order.emplace_back(solution.waits_for[i], static_cast<int>(i));
   return decision;
 }
 
@@ -331,6 +397,37 @@ Solution anneal_ordered(const Problem& problem, const Solution& start, std::uint
   Solution answer = Annealer<OrderedEvaluator>(problem, seed, limits, callbacks).run(start);
   answer.ordered = true;
   return answer;
+}
+
+Solution anneal_mixed(const Problem& problem, const Solution& start, std::uint64_t seed,
+                      const Limits& limits, const SearchCallbacks& callbacks) {
+  return Annealer<Evaluator, true>(problem, seed, limits, callbacks).run(start);
+}
+
+Solution as_waiting(const Solution& ordered) {
+  Solution waiting = ordered;
+  waiting.ordered = false;
+  waiting.waits_for.assign(ordered.xpu.size(), -1);
+  std::vector<int> last(ordered.xpu.size(), -1);  // by XPU, of which there may be more
+  for (int i : ordered.sequence) {
+    const std::size_t x = at(ordered.xpu[at(i)]);
+    if (x >= last.size()) last.resize(x + 1, -1);
+    waiting.waits_for[at(i)] = last[x];
+    last[x] = i;
+  }
+  return waiting;
+}
+
+Solution by_finish(const Problem& problem, const Solution& solution) {
+  Evaluator evaluator(problem);
+  const Solution waiting = solution.ordered ? as_waiting(solution) : solution;
+  evaluator.reset(waiting.xpu, waiting.sequence, waiting.waits_for);
+  Solution sorted{solution.xpu, solution.sequence};
+  std::stable_sort(sorted.sequence.begin(), sorted.sequence.end(),
+                   [&](int a, int b) { return evaluator.finish(a) < evaluator.finish(b); });
+  evaluator.reset(sorted.xpu, sorted.sequence);
+  sorted.makespan = evaluator.makespan();
+  return sorted;
 }
 
 }  // namespace xauto::solver

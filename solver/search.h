@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Anytime search over (assignment, priority): constructive starts, then simulated annealing with
-// critical-chain moves on the incremental Evaluator. Deterministic for a given seed when it is
-// ended by `max_evaluations`.
+// Anytime search: constructive starts, then simulated annealing with critical-chain moves, over
+// (assignment, priority), over (assignment, order per XPU), and over both together. Deterministic
+// for a given seed when it is ended by `max_evaluations`.
 #pragma once
 
 #include <atomic>
@@ -34,9 +34,10 @@ struct Limits {
 
 struct Solution {
   std::vector<int> xpu;
-  std::vector<int> sequence;  ///< XNodes, most urgent first
-  Time makespan = kNever;     ///< or the cost, where Problem::goal asks for something else
-  bool ordered = false;       ///< every XPU keeps to the sequence (Policy::order), no preemption
+  std::vector<int> sequence;   ///< XNodes, most urgent first
+  Time makespan = kNever;      ///< or the cost, where Problem::goal asks for something else
+  bool ordered = false;        ///< every XPU keeps to the sequence (Policy::order), no preemption
+  std::vector<int> waits_for;  ///< whom each XNode waits for on its XPU (evaluate.h); empty: nobody
 };
 
 /// Above this many XNodes, the search changes: more starts, raced against each other, and colder
@@ -67,5 +68,14 @@ struct SearchCallbacks {
 [[nodiscard]] Solution anneal_ordered(const Problem& problem, const Solution& start,
                                       std::uint64_t seed, const Limits& limits,
                                       const SearchCallbacks& callbacks = {});
+/// The same over all policies: priorities, and each XNode may wait for another one of its XPU.
+[[nodiscard]] Solution anneal_mixed(const Problem& problem, const Solution& start,
+                                    std::uint64_t seed, const Limits& limits,
+                                    const SearchCallbacks& callbacks = {});
+/// An ordered solution as one in which each XNode waits for the one before it on its XPU.
+[[nodiscard]] Solution as_waiting(const Solution& ordered);
+/// Priorities alone, by the finishes of `solution`: where preemption is free it takes no
+/// longer (docs/ilp.md, theorem), elsewhere it may or may not.
+[[nodiscard]] Solution by_finish(const Problem& problem, const Solution& solution);
 
 }  // namespace xauto::solver

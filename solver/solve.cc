@@ -244,7 +244,9 @@ Result<Policy> solve(const AppSpec& app, const Platform& platform, const SolveOp
   if (several_rates && !baseline)
     rate_monotonic(app, decision);
   else if (!ordered && problem.goal.plain() && !baseline)
-    decision = settle_priorities(problem, decision, a_moment(problem, options));
+    decision = settle_priorities(
+        problem, decision.order.empty() ? decision : order_undisturbed(problem, decision),
+        a_moment(problem, options));
   Policy policy = make_policy(app, platform, problem, decision, options.method);
   policy.lower_bound_us = std::min(bound, policy.latency_us);
   // Where every XPU keeps an order, the latency is the longest path: certify.h.

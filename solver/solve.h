@@ -45,7 +45,7 @@ struct SolveReport {
   Time first_latency_us = 0;
   double first_answer_ms = 0;
   /// The least certified latency found (ordered schedules); 0: none was looked for. Where the
-  /// policy is not ordered itself, this minus its latency is the cost of certifying.
+  /// policy is not ordered on every XPU, this minus its latency is the cost of certifying.
   Time certified_us = 0;
   std::vector<ChainOutcome> chains;
   Feasibility feasibility = Feasibility::kNotAsked;  ///< of all deadlines together

@@ -9,6 +9,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -23,6 +24,8 @@ struct VerifyOptions {
   std::int64_t schedules = 100'000;      ///< schedules tried against lower_bound_us
   std::uint64_t seed = 1;
   Objectives asked;  ///< pins, forbids and groups the policy must keep; chains it may miss
+  /// Claimed elsewhere for all policies of this app, e.g. by `solve`; held against this one, too.
+  std::optional<std::int64_t> other_bound_us;
 };
 
 struct Verification {
@@ -36,6 +39,9 @@ struct Verification {
   std::int64_t worst_found_us = 0;  ///< the longest of the executions tried
   std::int64_t executions = 0;
   bool bound_proven = false;  ///< lower_bound_us re-proven
+  /// A policy that takes less than what is claimed as a bound on all policies: in words, with both
+  /// numbers. Whoever claimed it has proven something false. Empty: none was met.
+  std::string counterexample;
 
   [[nodiscard]] bool truthful() const { return lies.empty(); }
 };

@@ -34,7 +34,7 @@ struct Policy {
   /// finished, even when the XPU is idle. They remove timing anomalies (docs/solver.md).
   std::vector<std::pair<int, int>> order;
   std::int64_t latency_us = 0;      ///< makespan of the predicted schedule, with `order` enforced
-  std::int64_t lower_bound_us = 0;  ///< proven: no schedule of any kind on this platform is shorter
+  std::int64_t lower_bound_us = 0;  ///< proven: no Policy for this app and platform is shorter
   bool optimal = false;             ///< proven: latency_us == lower_bound_us
   /// Bounds every execution that kWorstCaseScope (model/claims.h) is about; nullopt: not certified.
   std::optional<std::int64_t> worst_case_us;

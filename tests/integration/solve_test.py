@@ -187,6 +187,29 @@ class Solve(unittest.TestCase):
             self.assertIn(line, said.stdout, verb)
             self.assertIn(line, xauto(verb, *arguments, "--json").stdout, verb)
 
+    def test_a_number_below_a_bound_cannot_be_overlooked(self):
+        app = self.app(12, 4)
+        code, _, err, policy, _ = self.solve(app)
+        self.assertEqual(code, 0, err)
+        other = self.at / "other.json"
+
+        def checked(bound, *arguments):
+            other.write_text(json.dumps({**policy, "lower_bound_us": bound, "optimal": False}))
+            return xauto("check", "--app", app, "--platform", "small", *arguments)
+
+        latency = policy["latency_us"]
+        mine = "--policy", self.at / "policy.json", "--against", other
+        self.assertEqual(checked(latency, *mine).returncode, 0)
+        beaten = checked(latency + 1, *mine)
+        self.assertEqual(beaten.returncode, 1)
+        self.assertIn("tells the truth", beaten.stdout)
+        self.assertIn(f"COUNTEREXAMPLE  this policy takes {latency} us, but the other policy claims that none takes "
+                      f"less than {latency + 1} us", beaten.stdout)
+        itself = checked(latency + 1, "--policy", other)
+        self.assertEqual(itself.returncode, 1)
+        self.assertIn("COUNTEREXAMPLE  this policy takes", itself.stdout)
+        self.assertIn("this policy takes", json.loads(checked(latency + 1, *mine, "--json").stdout)["counterexample"])
+
 
 def cpu_seconds(pid):
     fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()

@@ -17,7 +17,7 @@ namespace xauto::cli {
 namespace {
 
 struct Flags {
-  std::string app, platform = "small", policy;
+  std::string app, platform = "small", policy, against;
   solver::VerifyOptions options;
   Wishes wishes;
 };
@@ -29,8 +29,13 @@ Result<int> check(const Flags& flags, const Options& options) {
   solver::VerifyOptions asked = flags.options;
   XAUTO_ASSIGN(asked.asked, load_objectives(flags.app));
   XAUTO_TRY(add_to_objectives(flags.wishes, asked.asked));
+  if (!flags.against.empty()) {
+    XAUTO_ASSIGN(const Policy other, load_policy(flags.against, app, platform));
+    asked.other_bound_us = other.lower_bound_us;
+  }
   const solver::Verification v = solver::verify(app, platform, policy, asked);
-  const int status = v.truthful() && v.missed.empty() ? kDone : kAnswerIsNo;
+  const int status =
+      v.truthful() && v.missed.empty() && v.counterexample.empty() ? kDone : kAnswerIsNo;
   if (options.json) {
     std::cout << nlohmann::ordered_json{{"schema", "xauto.check"},
                                         {"version", 1},
@@ -39,6 +44,7 @@ Result<int> check(const Flags& flags, const Options& options) {
                                         {"shown", v.shown},
                                         {"taken", v.taken},
                                         {"missed", v.missed},
+                                        {"counterexample", v.counterexample},
                                         {"latency_us", v.latency_us},
                                         {"own_bound_us", v.own_bound_us},
                                         {"best_found_us", v.best_found_us},
@@ -56,6 +62,11 @@ Result<int> check(const Flags& flags, const Options& options) {
   std::cout << (v.truthful() ? fmt::format("\n{} tells the truth.\n", flags.policy)
                              : fmt::format("\n{} lies: {} of its statements are false.\n",
                                            flags.policy, v.lies.size()));
+  if (!v.counterexample.empty())
+    std::cout << "\n  COUNTEREXAMPLE  " << v.counterexample
+              << ".\n  If both are about the same pins, forbids and groups, that bound is false: a "
+                 "fault of who proved it.\n  If xauto solve did, report it with app, platform and "
+                 "policy.\n";
   return status;
 }
 
@@ -80,6 +91,9 @@ void add_check(Commands& commands) {
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
   add_wishes(*verb, flags->wishes);
+  verb->add_option(
+      "--against", flags->against,
+      "another policy.json of this app: is this one shorter than what it calls a bound?");
   verb->add_option("--seed", flags->options.seed, "of the attacks")->capture_default_str();
 }
 

@@ -121,7 +121,7 @@ Result<std::vector<solver::WhatIf>> ask_what_if(const Flags& flags, const AppSpe
 
 void print_more(const AppSpec& app, const Policy& policy, const solver::SolveReport& report,
                 const std::vector<solver::WhatIf>& answers) {
-  if (policy.order.empty() && report.certified_us > 0)
+  if (policy.worst_case_us != policy.latency_us && report.certified_us > 0)
     std::printf(
         "  certified    %12s   with --certify: %+.2f %% latency, and that as the worst case\n",
         ms(report.certified_us).c_str(),

@@ -165,6 +165,49 @@ TEST(Certify, PrioritiesByDeadlineAreSafeAndCloseToTheLatency) {
   EXPECT_GT(tighter, 60);
 }
 
+TEST(Certify, OrderOnSomeXpusAndPrioritiesByDeadlineOnOthersAreSafe) {
+  int applies = 0, mixed = 0;
+  for (std::uint64_t seed = 0; seed < 400; ++seed) {
+    test::Dice dice(90'000 + seed);
+    const Case c = random_case(dice, 14);
+    Decision decision = test::random_decision(dice, c.problem);
+    // Full order where nothing preempts, some or no pairs elsewhere.
+    for (std::size_t a = 0; a < c.problem.topo.size(); ++a)
+      for (std::size_t b = a + 1; b < c.problem.topo.size(); ++b) {
+        const int u = c.problem.topo[a], v = c.problem.topo[b];
+        const int x = decision.xpu[static_cast<std::size_t>(u)];
+        if (x != decision.xpu[static_cast<std::size_t>(v)]) continue;
+        if (!c.problem.preemptive[static_cast<std::size_t>(x)] || dice.chance(15))
+          decision.order.emplace_back(u, v);
+      }
+    const Decision settled = settle_priorities(c.problem, decision);
+    ASSERT_EQ(settled.order, decision.order);
+    const auto certificate = deadline_certificate(c.problem, settled);
+    if (!certificate) continue;
+    ++applies;
+    mixed += simulate(c.problem, settled).preemptions > 0 && !settled.order.empty();
+    ASSERT_GE(*certificate, simulate(c.problem, settled).makespan) << "seed " << seed;
+    ASSERT_LE(longest_execution(dice, c.problem, settled, 300), *certificate) << "seed " << seed;
+  }
+  EXPECT_GT(applies, 200);
+  EXPECT_GT(mixed, 20);
+}
+
+TEST(Certify, TheOrderOfAnUndisturbedXpuChangesNothingAtWcet) {
+  int added = 0;
+  for (std::uint64_t seed = 0; seed < 200; ++seed) {
+    test::Dice dice(95'000 + seed);
+    const Case c = random_case(dice, 14);
+    Decision decision = test::random_decision(dice, c.problem);
+    test::add_random_order(dice, c.problem, decision, 10);
+    const Decision ordered = order_undisturbed(c.problem, decision);
+    ASSERT_EQ(simulate(c.problem, ordered).finish, simulate(c.problem, decision).finish) << seed;
+    ASSERT_LE(longest_execution(dice, c.problem, ordered, 60), worst_case(c.problem, ordered));
+    added += ordered.order.size() > decision.order.size();
+  }
+  EXPECT_GT(added, 100);
+}
+
 TEST(Certify, NoCertificateWherePrioritiesDoNotFollowTheFinishes) {
   // gpu: long first by priority although short, ready at the same time, would end sooner in any
   // order by finish that puts it first; the certificate must not claim what it cannot show.

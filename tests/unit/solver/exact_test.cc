@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include "solver/bounds.h"
+#include "solver/generate.h"
 #include "solver/ordered.h"
 #include "solver/simulate.h"
 #include "solver/solve.h"
@@ -25,6 +26,41 @@ SolveOptions counted(std::int64_t evaluations) {
 struct Agreement {
   int cases = 0, optimal = 0, ordered = 0;
 };
+
+/// What runs where is given, and the XNodes form a few chains across the XPUs: here run-time order,
+/// priorities and mixtures of both beat each other often enough to be told apart.
+struct Crossing {
+  AppSpec app;
+  Platform platform;
+};
+
+Crossing crossing_chains(test::Dice& dice, int min_nodes, int max_nodes) {
+  Crossing c;
+  c.platform.name = "crossing";
+  const std::vector<std::string> types = {"cpu", "gpu", "dla"};
+  const int used = dice.roll(2, 3);
+  for (int t = 0; t < used; ++t) {
+    // Free, with cost, or not preemptive.
+    const int kind = dice.roll(0, 2);
+    const std::string& type = types[static_cast<std::size_t>(t)];
+    c.platform.xpus.push_back(
+        {type + "0", type, kind != 2, kind == 1 ? dice.roll(1, 4) : 0, 3, -1});
+  }
+  c.app.name = "crossing";
+  std::vector<int> last(static_cast<std::size_t>(dice.roll(2, 4)), -1);
+  const int n = dice.roll(min_nodes, max_nodes);
+  for (int i = 0; i < n; ++i) {
+    XNodeSpec xnode;
+    xnode.name = test::numbered("x", i);
+    xnode.module = test::numbered("m", i);
+    xnode.wcet_us[types[static_cast<std::size_t>(dice.roll(0, used - 1))]] = dice.roll(1, 12);
+    c.app.xnodes.push_back(std::move(xnode));
+    int& before = last[static_cast<std::size_t>(dice.roll(0, static_cast<int>(last.size()) - 1))];
+    if (before >= 0) c.app.edges.emplace_back(before, i);
+    before = i;
+  }
+  return c;
+}
 
 Agreement compare_with_exhaustion(const test::Shape& shape, std::uint64_t first_seed, int cases) {
   Agreement agreement;
@@ -67,6 +103,119 @@ TEST(Exact, OptimalAgreesWithExhaustionWithCostsAndNonPreemptiveXpus) {
   const Agreement agreement = compare_with_exhaustion(test::Shape{}, 5000, 350);
   EXPECT_GE(agreement.optimal, 340);
   EXPECT_GT(agreement.ordered, 0);
+}
+
+TEST(Exact, NoPolicyWhateverItsOrderPairsIsBelowTheBound) {
+  int optimal = 0, order_pays = 0;
+  constexpr int kCases = 400;
+  for (int k = 0; k < kCases; ++k) {
+    test::Dice dice(60'000 + static_cast<std::uint64_t>(k));
+    const Crossing c = crossing_chains(dice, 4, 7);
+    const Problem problem = *Problem::create(c.app, c.platform);
+    const auto policy = solve(c.app, c.platform, counted(4000));
+    ASSERT_TRUE(policy.has_value());
+    const Time best = test::brute_force_policies(problem).makespan;
+    EXPECT_LE(policy->lower_bound_us, best) << "case " << k;
+    EXPECT_GE(policy->latency_us, best) << "case " << k;
+    optimal += policy->optimal;
+    order_pays += best < test::brute_force(problem).makespan;
+  }
+  EXPECT_GE(optimal, kCases - 2);
+  EXPECT_GE(order_pays, 5);  // the test would be that of priorities alone otherwise
+}
+
+/// Two chains over a GPU, preemptive and free, and a DLA that is not. The DLA must wait for x3
+/// while x4 is ready; the GPU must suspend. Neither order everywhere nor priorities everywhere do
+/// that.
+Crossing order_on_the_dla_only() {
+  Crossing c;
+  c.app.name = "mixed";
+  const auto add = [&](const char* type, std::int64_t wcet_us) {
+    const int i = static_cast<int>(c.app.xnodes.size());
+    c.app.xnodes.push_back({test::numbered("x", i), "m", {{type, wcet_us}}});
+  };
+  add("gpu", 9000);
+  add("dla", 1000);
+  add("gpu", 7000);
+  add("dla", 7000);
+  add("dla", 3000);
+  add("dla", 1000);
+  add("gpu", 8000);
+  add("dla", 8000);
+  c.app.edges = {{1, 3}, {2, 4}, {3, 5}, {4, 6}, {6, 7}};
+  c.platform.name = "gpu and dla";
+  c.platform.xpus = {{"gpu0", "gpu", true, 0, 0, -1}, {"dla0", "dla", false, 0, 0, -1}};
+  return c;
+}
+
+TEST(Exact, OrderOnOneXpuAndPrioritiesOnAnotherAreInTheClass) {
+  const Crossing c = order_on_the_dla_only();
+  const Problem problem = *Problem::create(c.app, c.platform);
+  Problem never = problem;  // without preemption all that is left is order
+  never.preemptive = {0, 0};
+  EXPECT_EQ(test::brute_force(problem).makespan, 27'000);
+  EXPECT_EQ(test::brute_force_policies(never).makespan, 27'000);
+  EXPECT_EQ(test::brute_force_policies(problem).makespan, 26'000);
+  SolveOptions options = counted(20'000);
+  SolveReport report;
+  options.report = &report;
+  options.objectives.deadline_us = 26'500;
+  const auto policy = solve(c.app, c.platform, options);
+  ASSERT_TRUE(policy.has_value());
+  EXPECT_EQ(policy->lower_bound_us, 26'000);
+  EXPECT_EQ(policy->latency_us, 26'000);
+  EXPECT_FALSE(policy->order.empty());
+  EXPECT_EQ(policy->worst_case_us, 26'000);  // the DLA in full order, the GPU by deadlines
+  EXPECT_EQ(report.feasibility, Feasibility::kMet);
+  // With another answer in hand, the deadline must not be called impossible either.
+  Problem with_deadline = problem;
+  Objectives objectives;
+  objectives.deadline_us = 26'500;
+  ASSERT_TRUE(resolve(objectives, c.app, c.platform, with_deadline));
+  ProofControl control;
+  control.max_lps = 2000;
+  EXPECT_FALSE(deadlines_refuted(with_deadline, 26'500, control));
+  EXPECT_TRUE(deadlines_refuted(with_deadline, 25'999, control));
+}
+
+TEST(Exact, ASyntheticAppWithANonPreemptiveDlaIsNotCalledOptimalTooEarly) {
+  // 93 646 us were claimed to be optimal while policies were taken as all order or all priorities.
+  GenerateOptions synthetic;
+  synthetic.seed = 1011;
+  const AppSpec app = *generate(synthetic);
+  Platform platform = *Platform::builtin("small");
+  for (Xpu& xpu : platform.xpus)
+    if (xpu.type == "dla") xpu.preemptive = false;
+  const Problem problem = *Problem::create(app, platform);
+  const std::atomic<Time> incumbent{93'646};
+  ProofControl control;
+  control.incumbent = &incumbent;
+  control.max_lps = 10'000;
+  EXPECT_LE(prove_bound(problem, control), 93'615);
+  SolveOptions options = counted(100'000);
+  options.seed = 7;
+  const auto policy = solve(app, platform, options);
+  ASSERT_TRUE(policy.has_value());
+  EXPECT_LE(policy->latency_us, 93'615);
+  // That there is one, by the simulator that shares nothing with the solver.
+  Decision decision;
+  decision.order = policy->order;
+  for (const Placement& placement : policy->placements) {
+    decision.xpu.push_back(placement.xpu);
+    decision.priority.push_back(placement.priority);
+  }
+  EXPECT_EQ(test::naive_simulate(problem, decision).makespan, policy->latency_us);
+}
+
+TEST(BruteForce, OnePairPerXNodeReachesWhatAnySetOfPairsReaches) {
+  for (std::uint64_t seed = 0; seed < 60; ++seed) {
+    test::Dice dice(70'000 + seed);
+    const Crossing c = crossing_chains(dice, 3, 4);
+    const Problem problem = *Problem::create(c.app, c.platform);
+    EXPECT_EQ(test::brute_force_policies(problem).makespan,
+              test::enumerate_policies(problem).makespan)
+        << seed;
+  }
 }
 
 TEST(Exact, NoScheduleOfAnyKindIsBelowAProvenBound) {

@@ -2,6 +2,8 @@
 // The incremental evaluators against the simulators, and what the search promises.
 #include "solver/search.h"
 
+#include <algorithm>
+
 #include <gtest/gtest.h>
 
 #include "solver/certify.h"
@@ -70,6 +72,74 @@ TEST(Evaluator, AgreesWithTheNaiveSimulatorAfterEveryEdit) {
         evaluator.rollback();
         ASSERT_EQ(evaluator.evaluate(kNever), before);
       }
+    }
+  }
+}
+
+TEST(Evaluator, AgreesWithTheNaiveSimulatorWhereXNodesWait) {
+  int hangs = 0, waits = 0;
+  for (std::uint64_t seed = 0; seed < 80; ++seed) {
+    test::Dice dice(300 + seed);
+    const Problem problem = random_problem(dice, 14);
+    const Decision start = test::random_decision(dice, problem);
+    Evaluator evaluator(problem);
+    evaluator.reset(start.xpu, sequence_of(start.priority));
+    for (int k = 0; k < 60; ++k) {
+      if (dice.chance(50)) edit(dice, problem, evaluator);
+      for (int edits = dice.roll(0, 3); edits > 0; --edits)
+        evaluator.wait_for(dice.roll(0, problem.num_xnodes - 1),
+                           dice.roll(-1, problem.num_xnodes - 1));
+      Decision decision = to_decision({evaluator.xpu(), evaluator.sequence()});
+      for (int v = 0; v < problem.num_xnodes; ++v) {
+        const auto i = static_cast<std::size_t>(v);
+        const int u = evaluator.waits_for()[i];
+        if (u >= 0 && decision.xpu[static_cast<std::size_t>(u)] == decision.xpu[i])
+          decision.order.emplace_back(u, v);
+      }
+      const auto naive = test::naive_simulate(problem, decision);
+      if (std::any_of(naive.finish.begin(), naive.finish.end(), [](Time t) { return t < 0; })) {
+        ++hangs;
+        ASSERT_EQ(evaluator.evaluate(kNever), kNever) << "seed " << seed << " step " << k;
+        evaluator.rollback();
+        continue;
+      }
+      waits += !decision.order.empty();
+      ASSERT_EQ(evaluator.evaluate(kNever), naive.makespan) << "seed " << seed << " step " << k;
+      ASSERT_EQ(evaluator.evaluate(naive.makespan), kNever);
+      if (dice.chance(40)) {
+        evaluator.rollback();
+        continue;
+      }
+      evaluator.commit();
+      ASSERT_EQ(evaluator.makespan(), naive.makespan) << "seed " << seed << " step " << k;
+      for (int i = 0; i < problem.num_xnodes; ++i) {
+        ASSERT_EQ(evaluator.start(i), naive.start[static_cast<std::size_t>(i)]);
+        ASSERT_EQ(evaluator.finish(i), naive.finish[static_cast<std::size_t>(i)]);
+      }
+    }
+  }
+  EXPECT_GT(hangs, 100);
+  EXPECT_GT(waits, 500);
+}
+
+TEST(Search, AnOrderedSolutionIsTheSameWhereEachWaitsForTheOneBefore) {
+  for (std::uint64_t seed = 0; seed < 100; ++seed) {
+    test::Dice dice(600 + seed);
+    Problem problem = random_problem(dice, 14);
+    if (seed % 2 == 0) {
+      std::fill(problem.preemptive.begin(), problem.preemptive.end(), 1);
+      std::fill(problem.preempt.begin(), problem.preempt.end(), 0);
+    }
+    const Decision drawn = test::random_decision(dice, problem);
+    OrderedEvaluator ordered(problem);
+    ordered.reset(drawn.xpu, sequence_of(drawn.priority));
+    const Solution solution{ordered.xpu(), ordered.sequence(), ordered.makespan(), true};
+    const Solution waiting = as_waiting(solution);
+    EXPECT_EQ(simulate(problem, to_decision(waiting)).makespan, solution.makespan);
+    const Solution sorted = by_finish(problem, solution);
+    EXPECT_EQ(simulate(problem, to_decision(sorted)).makespan, sorted.makespan);
+    if (seed % 2 == 0) {
+      EXPECT_LE(sorted.makespan, solution.makespan);  // docs/ilp.md, theorem
     }
   }
 }

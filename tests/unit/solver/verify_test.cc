@@ -175,6 +175,53 @@ TEST(Verify, RejectsALowerBoundAboveASchedule) {
   EXPECT_GE(refuted, 4);
 }
 
+TEST(Verify, ANumberBelowABoundIsACounterexample) {
+  Case c = tiny(1);
+  const std::int64_t latency = c.policy.latency_us;
+  EXPECT_EQ(verify(c.app, c.platform, c.policy).counterexample, "");
+  // Its own bound.
+  c.policy.lower_bound_us = latency + 3;
+  EXPECT_EQ(verify(c.app, c.platform, c.policy).counterexample,
+            "this policy takes " + std::to_string(latency) +
+                " us, but this policy claims that none takes less than " +
+                std::to_string(latency + 3) + " us");
+  // That of another policy of the same app, while this one says nothing wrong.
+  c = tiny(1);
+  VerifyOptions against;
+  against.other_bound_us = latency;
+  EXPECT_EQ(verify(c.app, c.platform, c.policy, against).counterexample, "");
+  against.other_bound_us = latency + 1;
+  const Verification v = verify(c.app, c.platform, c.policy, against);
+  EXPECT_TRUE(v.truthful());
+  EXPECT_NE(v.counterexample.find("the other policy claims"), std::string::npos);
+}
+
+TEST(Verify, FindsAPolicyThatIsOrderedOnOneXpuAndPreemptsOnAnother) {
+  // What `solve` once called optimal: 27 ms, the best of all order and of all priorities.
+  Case c;
+  c.app.name = "mixed";
+  const std::vector<std::pair<const char*, std::int64_t>> wcets = {
+      {"gpu", 9000}, {"dla", 1000}, {"gpu", 7000}, {"dla", 7000},
+      {"dla", 3000}, {"dla", 1000}, {"gpu", 8000}, {"dla", 8000}};
+  for (std::size_t i = 0; i < wcets.size(); ++i)
+    c.app.xnodes.push_back(
+        {numbered("x", static_cast<int>(i)), "m", {{wcets[i].first, wcets[i].second}}});
+  c.app.edges = {{1, 3}, {2, 4}, {3, 5}, {4, 6}, {6, 7}};
+  c.platform.name = "gpu and dla";
+  c.platform.xpus = {{"gpu0", "gpu", true, 0, 0, -1}, {"dla0", "dla", false, 0, 0, -1}};
+  const Problem p = *Problem::create(c.app, c.platform);
+  Decision d = brute_force(p).decision;
+  c.policy = make_policy(c.app, c.platform, p, d, "auto");
+  ASSERT_EQ(c.policy.latency_us, 27'000);
+  c.policy.lower_bound_us = 27'000;
+  c.policy.optimal = true;
+  const Verification v = verify(c.app, c.platform, c.policy);
+  EXPECT_FALSE(v.truthful());
+  EXPECT_EQ(v.counterexample,
+            "a policy found here takes 26000 us, but this policy claims that none takes less than "
+            "27000 us");
+}
+
 TEST(Verify, RejectsOptimalWithAGap) {
   Case c = truthful(20, 1);
   c.policy.optimal = true;
