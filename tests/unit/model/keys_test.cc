@@ -169,9 +169,9 @@ std::string app_text(const std::string& rest) {
 TEST(Keys, TyposOfTheIssueAreNamedWithWhatWasMeant) {
   Keys keys;
   ASSERT_TRUE(
-      parse_app(app_text(R"(,"deadine_us":5,"pinz":[],"chains":[{"wieght":1}])"), "a.json", &keys));
+      parse_app(app_text(R"(,"deadine_us":5,"pinz":[],"chains":[{"weigh":1}])"), "a.json", &keys));
   ASSERT_EQ(keys.unknown.size(), 3u);
-  EXPECT_EQ(keys.unknown[0].where, "/chains/0/wieght");
+  EXPECT_EQ(keys.unknown[0].where, "/chains/0/weigh");
   EXPECT_EQ(keys.unknown[0].nearest, "weight");
   EXPECT_EQ(keys.unknown[1].nearest, "deadline_us");
   EXPECT_EQ(keys.unknown[2].nearest, "pins");
