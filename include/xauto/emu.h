@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Contexts on emulated XPUs (process xauto-emud): what a CUcontext is on a Jetson. Work is a
-// duration on a virtual processor, so an 8-core Orin with a GPU and two DLAs fits a laptop.
+// duration on a virtual processor, so an 8-core Orin with a GPU and two DLAs fits a laptop. On a
+// CPU that is real in this run, the work keeps that CPU busy for as long instead.
 #pragma once
 
 #include <chrono>
@@ -17,7 +18,7 @@ namespace xauto::emu {
 class Context {
  public:
   /// Connects to the emulator of this session. kUnavailable when this process was not started by an
-  /// `xauto` tool with an emulated platform, or the emulator is gone.
+  /// `xauto` tool with that XPU emulated, or the emulator is gone.
   [[nodiscard]] static Result<Context> open(const XpuId& xpu);
 
   /// A context that was moved from may only be assigned to or destroyed.

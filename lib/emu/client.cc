@@ -5,6 +5,8 @@
 #include <cstdlib>
 #include <cstring>
 #include <optional>
+#include <sstream>
+#include <string>
 
 #include <poll.h>
 
@@ -47,6 +49,21 @@ Result<Packet> receive(int socket, std::int64_t limit_ns) {
   }
 }
 
+bool is_real(const std::string& xpu) {
+  const char* list = std::getenv(kRealVariable);
+  std::istringstream ids(list == nullptr ? "" : list);
+  for (std::string id; std::getline(ids, id);)
+    if (id == xpu) return true;
+  return false;
+}
+
+/// Keeps the calling thread's CPU busy until the thread has had it for so long.
+void burn(std::int64_t work_ns) {
+  const std::int64_t end = clock_ns(CLOCK_THREAD_CPUTIME_ID) + work_ns;
+  while (clock_ns(CLOCK_THREAD_CPUTIME_ID) < end) {
+  }
+}
+
 bool is(const Packet& packet, Op op) {
   return packet.op == static_cast<std::uint32_t>(op);
 }
@@ -81,8 +98,10 @@ Status error_of(const Packet& packet) {
 
 }  // namespace
 
-/// Work goes to xauto-emud, or, where the run is with the emulator modules, to a driver's node.
+/// Work goes to xauto-emud, or, where the run is with the emulator modules, to a driver's node; on
+/// a CPU that is real it keeps that CPU busy.
 struct Context::Connection {
+  bool real_cpu = false;
   std::optional<DriverQueue> driver;
   bool gpu = false;
   std::string address;
@@ -110,6 +129,14 @@ Result<Context> Context::open(const XpuId& xpu) {
                  connection->gpu ? DriverQueue::open_gpu() : DriverQueue::open_dla(xpu.index));
     return Context(std::move(connection));
   }
+  if (is_real(xpu.name)) {
+    if (xpu.type != XPU::CPU)
+      return fail(ErrorCode::kUnavailable, "is real in this run, the emulator does not have it",
+                  xpu.name, "have it emulated with --emulate " + xpu.type.type());
+    auto connection = std::make_unique<Connection>();
+    connection->real_cpu = true;
+    return Context(std::move(connection));
+  }
   const char* pool = std::getenv(kCpuPoolVariable);
   const bool pooled = pool != nullptr && std::strcmp(pool, "1") == 0 && xpu.type == XPU::CPU;
   const std::string device = pooled ? xpu.type.type() : xpu.name;
@@ -132,6 +159,10 @@ Result<Context> Context::open(const XpuId& xpu) {
 
 Status Context::run(std::chrono::microseconds duration) {
   Connection& c = *connection_;
+  if (c.real_cpu) {
+    burn(duration.count() * 1000);
+    return {};
+  }
   if (c.driver) {
     XAUTO_TRY(c.driver->submit(duration));
     XAUTO_TRY(c.driver->wait());
@@ -178,6 +209,7 @@ Result<Progress> Context::Connection::rejoin() {
 }
 
 SchedHandle Context::handle() const {
+  if (connection_->real_cpu) return SchedHandle::thread();
   // As opaque as a CUcontext: the runtime has to find the TSG behind it.
   if (connection_->driver)
     return connection_->gpu ? SchedHandle::cuda_context(connection_.get())

@@ -15,6 +15,8 @@ inline constexpr const char* kEmudVariable = "XAUTO_EMUD";  ///< abstract socket
 inline constexpr const char* kCpuPoolVariable =
     "XAUTO_EMU_CPU_POOL";  ///< "1": CPU contexts on the pool
 
+/// Ids of the XPUs of this run that are real, each with a line end behind it.
+inline constexpr const char* kRealVariable = "XAUTO_REAL";
 inline constexpr const char* kDriversVariable =
     "XAUTO_EMU_DRIVERS";  ///< "1": GPU and DLA contexts on the emulator modules' nodes
 

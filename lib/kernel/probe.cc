@@ -68,8 +68,8 @@ class Probe {
     add("cores", Verdict::kOk,
         std::to_string(limits_.cores) + " usable" +
             (isolated.empty() ? "" : ", isolated: " + isolated),
-        "platforms with up to " + std::to_string(limits_.cores) +
-            " CPUs run for real, larger ones are emulated");
+        "XNodes that compute themselves have up to " + std::to_string(limits_.cores) +
+            " CPUs of a platform; stand-ins any number, emulated");
   }
 
   void realtime() {
@@ -165,7 +165,7 @@ class Probe {
     for (const char* node : {"/dev/nvgpu/igpu0/tsg", "/dev/nvhost-tsg-gpu"})
       if (there(node)) return add("gpu", Verdict::kOk, node, "a Jetson's GPU");
     add("gpu", Verdict::kMissing, "no nvgpu device node",
-        "platforms with a GPU are emulated on this machine", "needs a Jetson with NVIDIA's kernel");
+        "a platform's GPU is emulated on this machine", "needs a Jetson with NVIDIA's kernel");
   }
 
   void dla() {
@@ -175,7 +175,7 @@ class Probe {
       if (there(node)) nodes += (nodes.empty() ? "" : " ") + std::string(node);
     if (!nodes.empty()) return add("dla", Verdict::kOk, nodes, "a Jetson's DLA");
     add("dla", Verdict::kMissing, "no nvdla device node",
-        "platforms with a DLA are emulated on this machine",
+        "a platform's DLAs are emulated on this machine",
         "needs a Jetson Xavier or Orin with NVIDIA's kernel");
   }
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -23,6 +24,9 @@ struct XNodeSpec {
   std::map<std::string, std::int64_t, std::less<>> wcet_us;
   /// Indices into AppSpec::sources: what an XNode without predecessors hears of; empty: not known.
   std::vector<int> sources = {};
+  /// XPU types, of those in wcet_us, on which it computes itself: what it was measured on was no
+  /// emulated stand-in. Where it runs there, the XPU has to be real.
+  std::set<std::string, std::less<>> real_on = {};
 
   [[nodiscard]] std::optional<std::int64_t> wcet_on(std::string_view type) const;
   bool operator==(const XNodeSpec&) const = default;

@@ -145,6 +145,13 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
       spec.wcet_us[type] = us.integer(1, kMaxTimeUs);
     });
     spec.sources = read_heard(x, source_index);
+    if (x.has("real_on"))
+      x["real_on"].each_element(kMaxXpus, [&](std::size_t, const Reader& type) {
+        const std::string name = type.text();
+        if (!type.failed() && !spec.wcet_us.contains(name))
+          return type.refuse("'" + name + "' is no key of wcet_us");
+        spec.real_on.insert(name);
+      });
     app.xnodes.push_back(std::move(spec));
   });
   XAUTO_TRY(context.status());
@@ -172,6 +179,7 @@ Result<Platform> parse_platform(std::string_view text, std::string_view origin, 
     if (x.has("preempt_us")) xpu.preempt_us = x["preempt_us"].time();
     if (x.has("timeslice_us")) xpu.timeslice_us = x["timeslice_us"].time();
     if (x.has("switch_us")) xpu.switch_us = x["switch_us"].time();
+    if (x.has("emulated")) xpu.emulated = x["emulated"].boolean();
     platform.xpus.push_back(std::move(xpu));
   });
   XAUTO_TRY(context.status());
@@ -199,13 +207,25 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
   profile.margin_pct = root["margin_pct"].integer(0, 1000);
   profile.sources = read_sources(root);
   const NameIndex source_index = index_by_name(profile.sources);
+  if (root.has("incomplete")) profile.incomplete = root["incomplete"].text();
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     XNodeProfile node{x["name"].text(), x["module"].text(), {}};
     x["on"].each_member(kMaxXpus, [&](const std::string& xpu, const Reader& s) {
-      node.on[xpu] = {s["count"].integer(1, kMaxTimeUs), s["min_us"].time(), s["p50_us"].time(),
-                      s["p99_us"].time(), s["max_us"].time()};
+      Samples& samples = node.on[xpu];
+      samples = {s["count"].integer(1, kMaxTimeUs), s["min_us"].time(), s["p50_us"].time(),
+                 s["p99_us"].time(), s["max_us"].time()};
+      samples.emulated = s.has("emulated") ? s["emulated"].boolean() : c.emulated;
+      if (s.has("max_at")) samples.max_at = s["max_at"].integer(1, kMaxTimeUs);
+      if (s.has("outlier")) {
+        const Reader o = s["outlier"];
+        samples.outlier = {o["count"].integer(1, kMaxTimeUs), o["max_us"].time(),
+                           o["later_count"].integer(0, kMaxTimeUs)};
+      }
     });
     node.sources = read_heard(x, source_index);
+    if (x.has("missing"))
+      x["missing"].each_element(
+          kMaxXpus, [&](std::size_t, const Reader& xpu) { node.missing.push_back(xpu.text()); });
     profile.xnodes.push_back(std::move(node));
   });
   XAUTO_TRY(context.status());
@@ -280,6 +300,7 @@ std::string to_json(const AppSpec& app) {
     ordered_json xnode = {{"name", x.name}, {"module", x.module}};
     write_heard(x.sources, app.sources, xnode);
     xnode["wcet_us"] = ordered_json(x.wcet_us);
+    if (!x.real_on.empty()) xnode["real_on"] = x.real_on;
     xnodes.push_back(std::move(xnode));
   }
   ordered_json document = {{"schema", "xauto.app"}, {"version", 1}, {"name", app.name}};
@@ -300,6 +321,7 @@ std::string to_json(const Platform& platform) {
                         {"preempt_us", x.preempt_us},
                         {"timeslice_us", x.timeslice_us}};
     if (x.switch_us >= 0) xpu["switch_us"] = x.switch_us;
+    if (x.emulated) xpu["emulated"] = *x.emulated;
     xpus.push_back(std::move(xpu));
   }
   ordered_json document = {{"schema", "xauto.platform"}, {"version", 1}, {"name", platform.name}};
@@ -312,15 +334,24 @@ std::string to_json(const Profile& profile) {
   ordered_json xnodes = ordered_json::array();
   for (const XNodeProfile& x : profile.xnodes) {
     ordered_json on = ordered_json::object();
-    for (const auto& [xpu, s] : x.on)
-      on[xpu] = {{"count", s.count},
-                 {"min_us", s.min_us},
-                 {"p50_us", s.p50_us},
-                 {"p99_us", s.p99_us},
-                 {"max_us", s.max_us}};
+    for (const auto& [xpu, s] : x.on) {
+      ordered_json& entry = on[xpu];
+      entry = {{"count", s.count},
+               {"min_us", s.min_us},
+               {"p50_us", s.p50_us},
+               {"p99_us", s.p99_us},
+               {"max_us", s.max_us}};
+      if (s.max_at > 0) entry["max_at"] = s.max_at;
+      if (s.emulated != c.emulated) entry["emulated"] = s.emulated;
+      if (s.outlier)
+        entry["outlier"] = {{"count", s.outlier->count},
+                            {"max_us", s.outlier->max_us},
+                            {"later_count", s.outlier->later_count}};
+    }
     ordered_json xnode = {{"name", x.name}, {"module", x.module}};
     write_heard(x.sources, profile.sources, xnode);
     xnode["on"] = std::move(on);
+    if (!x.missing.empty()) xnode["missing"] = x.missing;
     xnodes.push_back(std::move(xnode));
   }
   ordered_json document = {{"schema", "xauto.profile"}, {"version", 1}, {"app", profile.app}};
@@ -330,6 +361,7 @@ std::string to_json(const Profile& profile) {
                             {"governor", c.governor}};
   document["margin_pct"] = profile.margin_pct;
   if (!profile.sources.empty()) document["sources"] = sources_to_json(profile.sources);
+  if (!profile.incomplete.empty()) document["incomplete"] = profile.incomplete;
   document["xnodes"] = std::move(xnodes);
   document["edges"] = pairs_to_json(
       profile.edges, [&](int i) { return profile.xnodes[static_cast<std::size_t>(i)].name; });

@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -24,6 +25,9 @@ struct Xpu {
   std::int64_t timeslice_us = 0;
   /// Cost of one hardware context switch between time slices; -1 (the default): as preempt_us.
   std::int64_t switch_us = -1;
+  /// Emulated or real, whatever this machine has; unset: emulated where this machine lacks it, see
+  /// runtime/presence.h.
+  std::optional<bool> emulated = {};
 
   [[nodiscard]] std::int64_t effective_switch_us() const {
     return switch_us >= 0 ? switch_us : preempt_us;

@@ -4,22 +4,48 @@
 #include <algorithm>
 #include <set>
 
+#include "base/quantile.h"
+
 namespace xauto {
-namespace {
+
+Samples summarise(const std::vector<std::int64_t>& samples, std::int64_t settled_after) {
+  if (samples.empty()) return {};
+  std::vector<std::int64_t> sorted = samples;
+  std::sort(sorted.begin(), sorted.end());
+  Samples s;
+  s.count = static_cast<std::int64_t>(samples.size());
+  s.min_us = sorted.front();
+  s.p50_us = quantile_of_sorted(sorted, 0.5);
+  s.p99_us = quantile_of_sorted(sorted, 0.99);
+  s.max_us = sorted.back();
+  s.max_at = std::max_element(samples.begin(), samples.end()) - samples.begin() + 1;
+  if (settled_after <= 0 || !s.spread()) return s;
+  Outlier outlier;
+  for (const std::int64_t us : samples) {
+    ++outlier.later_count;
+    if (us > 2 * s.p50_us) {
+      ++outlier.count;
+      outlier.later_count = 0;
+    } else {
+      outlier.max_us = std::max(outlier.max_us, us);
+    }
+  }
+  if (outlier.later_count >= settled_after) s.outlier = outlier;
+  return s;
+}
 
 std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct) {
+  const std::int64_t max_us = s.outlier ? s.outlier->max_us : s.max_us;
   switch (from) {
     case WcetFrom::kP50:
       return s.p50_us;
     case WcetFrom::kP99:
       return s.p99_us;
     case WcetFrom::kMaxPlusMargin:
-      return s.max_us + (s.max_us * margin_pct + 99) / 100;
+      return max_us + (max_us * margin_pct + 99) / 100;
   }
-  return s.max_us;
+  return max_us;
 }
-
-}  // namespace
 
 Status validate(const Profile& profile) {
   if (profile.margin_pct < 0 || profile.margin_pct > 1000)
@@ -46,6 +72,14 @@ Status validate(const Profile& profile) {
           s.p99_us > s.max_us)
         return fail(ErrorCode::kInvalid, "XNode '" + x.name + "': min, p50, p99, max do not ascend",
                     place);
+      if (s.max_at > s.count)
+        return fail(
+            ErrorCode::kInvalid,
+            std::to_string(s.max_at) + " is none of " + std::to_string(s.count) + " samples",
+            place + "/max_at");
+      if (s.outlier && (s.outlier->max_us < s.min_us || s.outlier->max_us > s.max_us ||
+                        s.outlier->count + s.outlier->later_count > s.count))
+        return fail(ErrorCode::kInvalid, "is not of these samples", place + "/outlier");
     }
   }
   for (std::size_t i = 0; i < profile.edges.size(); ++i)
@@ -67,6 +101,10 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
   app.sources = profile.sources;
   app.edges = profile.edges;
   for (const XNodeProfile& x : profile.xnodes) {
+    if (x.on.empty())
+      return fail(
+          ErrorCode::kInvalid, "was not measured on any XPU", "XNode '" + x.name + "'",
+          profile.incomplete.empty() ? "" : "the profile is incomplete: " + profile.incomplete);
     XNodeSpec spec{x.name, x.module, {}, x.sources};
     for (const auto& [id, samples] : x.on) {
       const int xpu = platform.find(id);
@@ -74,7 +112,14 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
         return fail(ErrorCode::kInvalid,
                     "was measured on '" + id + "', which platform '" + platform.name + "' lacks",
                     "XNode '" + x.name + "'", "use the platform that the profile was taken on");
-      std::int64_t& wcet = spec.wcet_us[platform.xpus[static_cast<std::size_t>(xpu)].type];
+      if (from == WcetFrom::kP99 && samples.count < kP99Samples)
+        return fail(ErrorCode::kInvalid,
+                    std::to_string(samples.count) + " samples have no p99: it takes " +
+                        std::to_string(kP99Samples),
+                    "XNode '" + x.name + "' on " + id, "profile with --repetitions 100 or more");
+      const std::string& type = platform.xpus[static_cast<std::size_t>(xpu)].type;
+      if (!samples.emulated) spec.real_on.insert(type);
+      std::int64_t& wcet = spec.wcet_us[type];
       wcet = std::max({wcet, statistic(samples, from, profile.margin_pct), std::int64_t{1}});
     }
     app.xnodes.push_back(std::move(spec));

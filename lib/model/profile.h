@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -14,27 +15,52 @@
 
 namespace xauto {
 
+/// Fewer samples have no p99: it would be their maximum.
+inline constexpr std::int64_t kP99Samples = 100;
+
+/// What was measured above twice the median at first, and never again in so many further samples:
+/// the WCET is taken from those at most that big. Only of `profile --stable`; docs/formats.md has
+/// the rule.
+struct Outlier {
+  std::int64_t count = 0;        ///< of such samples
+  std::int64_t max_us = 0;       ///< of the others
+  std::int64_t later_count = 0;  ///< samples after the last of them, all at most max_us
+  bool operator==(const Outlier&) const = default;
+};
+
 /// Summary of `count` execution times of one XNode alone on one XPU instance, warm-up left out.
 struct Samples {
   std::int64_t count = 0;
-  std::int64_t min_us = 0, p50_us = 0, p99_us = 0, max_us = 0;
+  std::int64_t min_us = 0, p50_us = 0, p99_us = 0, max_us = 0;  ///< of all, outliers among them
+  bool emulated = false;                                        ///< a stand-in's, on the emulator
+  std::int64_t max_at = 0;  ///< which sample was the longest, from 1 on; 0: not known
+  std::optional<Outlier> outlier = {};
+
+  /// Longer than twice the median: worth a look before it becomes a plan.
+  [[nodiscard]] bool spread() const { return max_us > 2 * p50_us; }
   bool operator==(const Samples&) const = default;
 };
+
+/// What `samples`, in the order in which they were taken, amount to. `settled_after` > 0: those
+/// above twice the median are outliers once so many have come after the last of them.
+[[nodiscard]] Samples summarise(const std::vector<std::int64_t>& samples,
+                                std::int64_t settled_after = 0);
 
 struct XNodeProfile {
   std::string name;
   std::string module;
   std::map<std::string, Samples, std::less<>> on;  ///< XPU instance id -> samples
   std::vector<int> sources = {};                   ///< as XNodeSpec::sources
+  std::vector<std::string> missing = {};  ///< XPU instances where it was to be measured and was not
   bool operator==(const XNodeProfile&) const = default;
 };
 
 /// Under what conditions the times hold. A profile taken under others must not be trusted silently.
 struct ProfileConditions {
-  std::string machine;   ///< uname nodename / CPU model
-  std::string platform;  ///< Platform::name
-  bool emulated = false;
-  std::string input;  ///< recorded input that was replayed
+  std::string machine;    ///< uname nodename / CPU model
+  std::string platform;   ///< Platform::name
+  bool emulated = false;  ///< some of the XPUs, at least; the samples say which
+  std::string input;      ///< recorded input that was replayed
   std::int64_t warmup = 0;
   std::int64_t repetitions = 0;
   std::string governor;  ///< cpufreq governor, empty if unknown
@@ -48,6 +74,7 @@ struct Profile {
   std::vector<XNodeProfile> xnodes;
   std::vector<std::pair<int, int>> edges;  ///< as AppSpec::edges
   std::vector<SourceSpec> sources = {};    ///< as AppSpec::sources
+  std::string incomplete = {};             ///< why it ended early; empty: it did not
   bool operator==(const Profile&) const = default;
 };
 
@@ -55,8 +82,10 @@ struct Profile {
 
 /// Which statistic of the samples becomes the WCET of app.json.
 enum class WcetFrom { kMaxPlusMargin, kP99, kP50 };
+/// What is the WCET of these samples: see WcetFrom. The maximum is that without outliers.
+[[nodiscard]] std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct);
 /// The app.json that follows: per XPU type the worst instance's statistic. `platform` gives each
-/// instance its type.
+/// instance its type. A p99 needs kP99Samples.
 [[nodiscard]] Result<AppSpec> to_app(const Profile& profile, const Platform& platform,
                                      WcetFrom from);
 

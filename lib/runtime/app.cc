@@ -51,8 +51,11 @@ Result<std::string> answer(const detail::AppSpecErased& app, const runtime::Sess
       XAUTO_ASSIGN(const runtime::Graph graph, runtime::Graph::build(app));
       return runtime::describe(graph, session.platform);
     }
-    case runtime::Mode::kProfile:
-      return runtime::profile(app, session);
+    case runtime::Mode::kProfile: {
+      XAUTO_ASSIGN(runtime::Profiled profiled, runtime::profile(app, session, g_stop));
+      g_stuck = profiled.left_behind;
+      return std::move(profiled.text);
+    }
     case runtime::Mode::kRun: {
       XAUTO_ASSIGN(auto engine, runtime::Engine::create(app, session));
       g_engine.store(engine.get());

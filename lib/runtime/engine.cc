@@ -134,24 +134,26 @@ FifoPlan Engine::choose_priorities() {
   const int highest = rt::highest_fifo();
   fifo_ = FifoPlan::within(session_.fifo_lowest, highest);
   // With sched_ext too: what is no XNode runs above it, and it may go at any time.
-  const bool wanted = session_.emulated || session_.cpu_sched != CpuSched::kOther;
-  if (!wanted) return FifoPlan::within(0, 0);
+  const bool real_cpus_wanted = session_.cpu_sched != CpuSched::kOther;
+  if (!session_.emulates() && !real_cpus_wanted) return FifoPlan::within(0, 0);
   if (fifo_.none()) {
     note_ = "no permission for SCHED_FIFO: threads run as SCHED_OTHER; " +
             (session_.fifo_why.empty() ? "" : session_.fifo_why + "; ") + rt::fifo_hint();
     log::warn("{}", note_);
     return fifo_;
   }
-  if (session_.scheduling == Scheduling::kXAuto && !session_.emulated) {
-    std::vector<int> cpus;
-    for (std::size_t x = 0; x < session_.platform.xpus.size(); ++x)
-      if (session_.platform.xpus[x].type == "cpu") cpus.push_back(static_cast<int>(x));
+  std::vector<int> cpus;  // real ones
+  for (const int x : session_.platform.instances_of("cpu"))
+    if (session_.presence_of(x) == Presence::kReal) cpus.push_back(x);
+  if (session_.scheduling == Scheduling::kXAuto && real_cpus_wanted && !cpus.empty()) {
     if (const std::string pressed = fifo_.note(highest, session_.policy, cpus); !pressed.empty()) {
       add_note(note_, pressed);
       if (session_.process == 0) log::warn("{}", pressed);
     }
   }
-  return fifo_;
+  FifoPlan plan = fifo_;
+  if (!real_cpus_wanted) plan.cpu_lowest = plan.cpu_highest = 0;
+  return plan;
 }
 
 /// What is known before the first release of the assumptions behind the policy's worst case: the
@@ -174,7 +176,11 @@ void Engine::compare_with_certificate() {
   }
   const bool kept = session_.cpu_sched == CpuSched::kExt ||
                     (session_.cpu_sched == CpuSched::kFifo && !fifo_.none());
-  if (!session_.emulated && !kept && !session_.platform.instances_of("cpu").empty())
+  const std::vector<int> cpus = session_.platform.instances_of("cpu");
+  const bool real_cpus = std::any_of(cpus.begin(), cpus.end(), [&](int x) {
+    return session_.presence_of(x) == Presence::kReal;
+  });
+  if (real_cpus && !kept)
     unkept_.emplace_back("nobody keeps the priorities on CPUs (SCHED_OTHER)");
   for (const std::string& why : unkept_)
     log::warn("the policy's worst case of {} does not hold in this run: {}", ms(worst_us), why);
@@ -224,7 +230,7 @@ Status Engine::place_module(std::size_t m, const Placing& placing) {
     placed.line = &board_->xnode(index);
     if (scheduled) {
       placed.priority = session_.policy.placements[placed.xnode].priority;
-      if (!session_.emulated && x.type == "cpu")
+      if (!session_.emulated(xpu) && x.type == "cpu")
         placed.fifo_priority = placing.fifo_by_xnode[placed.xnode];
     }
     auto at = std::find_if(here.begin(), here.end(), [&](const auto& h) { return h.first == xpu; });
@@ -245,22 +251,23 @@ Result<WorkerOptions> Engine::worker_options(std::size_t module, int xpu,
   const Platform& platform = session_.platform;
   const Xpu& x = platform.xpus[static_cast<std::size_t>(xpu)];
   const bool scheduled = session_.scheduling == Scheduling::kXAuto;
-  const bool real_cpu = !session_.emulated && x.type == "cpu";
+  const bool emulated = session_.emulated(xpu);
+  const bool real_cpu = !emulated && x.type == "cpu";
   WorkerOptions options;
   options.xpu = xpu;
   options.xpu_id = xpu_id(platform, xpu);
   options.name = graph_.modules[module].name + "@" + x.id;
-  options.emulated = session_.emulated;
-  options.driver = suspended_by_module(x, session_.emulated, session_.emulator_modules);
+  options.emulated = emulated;
+  options.driver = suspended_by_module(x, emulated, session_.emulator_modules);
   options.real_cpu = real_cpu && scheduled;
   options.mgmt_fifo = placing.fifo.management;
   options.exec_fifo = !real_cpu ? placing.fifo.execution : scheduled ? placing.fifo.cpu_lowest : 0;
+  const Machine machine = Machine::here();
+  if (session_.presence_of(xpu) == Presence::kAbsent ||
+      (!emulated && !machine.has(platform, static_cast<std::size_t>(xpu)) && x.type == "cpu"))
+    return fail(ErrorCode::kInvalid, "has XNodes in this run, and is not here: " + machine.lacks(x),
+                x.id, "use a platform file of this machine: xauto doctor --platform-out here.json");
   if (real_cpu && (scheduled || session_.scheduling == Scheduling::kTimeshare)) {
-    if (options.xpu_id.index >= static_cast<int>(placing.cores.size()))
-      return fail(ErrorCode::kInvalid,
-                  "platform '" + platform.name + "' has more CPUs than the " +
-                      std::to_string(placing.cores.size()) + " that this process may use",
-                  x.id, "use a platform file of this machine, or --emulate");
     options.core = placing.cores[static_cast<std::size_t>(options.xpu_id.index)];
   }
   if (scheduled) {

@@ -3,21 +3,23 @@
 // each message of the input, every module in topological order, on one thread. In pass p each XNode
 // runs on the p-th of its XPU instances; there are as many passes as the XNode with most instances
 // has, and each pass replays the input from its start with fresh module states. Nothing else runs
-// on the XPU meanwhile.
+// on the XPU meanwhile. The thread that asked for the profile watches: when it is told to stop, or
+// when an exec takes too long, it answers with what there is, and the other thread is left behind.
 #include "runtime/profiler.h"
 
 #include <algorithm>
 #include <chrono>
 #include <fstream>
+#include <future>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <thread>
 
 #include <sys/utsname.h>
 
 #include "base/clock.h"
 #include "base/log.h"
-#include "base/quantile.h"
 #include "base/rt.h"
 #include "model/json.h"
 #include "record/recording.h"
@@ -27,6 +29,11 @@ namespace xauto::runtime {
 namespace {
 
 constexpr int kFifoProfile = 40;
+constexpr auto kLookEvery = std::chrono::milliseconds(20);
+constexpr int kLooksAfterStop = 10;  ///< for an exec that is about to return
+/// With --stable: a time above twice the median that has not come back in so many rounds of
+/// repetitions is an outlier.
+constexpr std::uint64_t kSettledRounds = 3;
 
 using Messages = std::vector<std::shared_ptr<const void>>;  ///< [topic]
 
@@ -96,20 +103,12 @@ class Feed {
   std::uint64_t sequence_ = 0;
 };
 
-Samples summarise(std::vector<std::int64_t> us) {
-  if (us.empty()) return {};
-  std::sort(us.begin(), us.end());
-  return {static_cast<std::int64_t>(us.size()), us.front(), quantile_of_sorted(us, 0.5),
-          quantile_of_sorted(us, 0.99), us.back()};
-}
-
 ProfileConditions conditions(const Session& session) {
   ProfileConditions c;
   utsname name{};
   uname(&name);
   c.machine = std::string(name.nodename) + " " + name.machine + " " + name.release;
   c.platform = session.platform.name;
-  c.emulated = session.emulated;
   c.input = session.input;
   c.warmup = static_cast<std::int64_t>(session.warmup);
   c.repetitions = static_cast<std::int64_t>(session.repetitions);
@@ -123,10 +122,10 @@ class Run {
       : app_(app), session_(session), graph_(graph), samples_(graph.nodes.size()) {
     for (const Graph::Node& node : graph.nodes) {
       std::vector<int> xpus;
-      for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
-        if (find_impl(*node.spec, session.platform.xpus[x].type) != nullptr)
-          xpus.push_back(static_cast<int>(x));
-      passes_ = std::max(passes_, xpus.size());
+      for (int x = 0; x < static_cast<int>(session.platform.xpus.size()); ++x)
+        if (find_impl(*node.spec, xpu(x).type) != nullptr &&
+            session.presence_of(x) != Presence::kAbsent)
+          xpus.push_back(x);
       alternatives_.push_back(std::move(xpus));
     }
   }
@@ -134,23 +133,124 @@ class Run {
   Status run() {
     for (std::size_t n = 0; n < graph_.nodes.size(); ++n)
       if (alternatives_[n].empty())
-        return fail(
-            ErrorCode::kInfeasible,
-            "has no implementation for any XPU of platform '" + session_.platform.name + "'",
-            "XNode '" + graph_.nodes[n].name + "'");
+        return fail(ErrorCode::kInfeasible,
+                    "has no implementation for any XPU of platform '" + session_.platform.name +
+                        "' that is here or emulated",
+                    "XNode '" + graph_.nodes[n].name + "'");
     cores_ = rt::allowed_cores();
     rt::set_timer_slack_1ns();
     if (!rt::set_fifo_up_to(kFifoProfile))
       log::warn("no permission for SCHED_FIFO: neighbours' work shows in the times; {}{}",
                 session_.fifo_why.empty() ? "" : session_.fifo_why + "; ", rt::fifo_hint());
-    const std::uint64_t total = passes_ * (session_.warmup + session_.repetitions);
+    XAUTO_TRY(leave_out_missing_cores());
+    std::vector<std::vector<int>> everywhere = alternatives_;
+    XAUTO_TRY(run_passes(everywhere));
+    for (std::uint64_t round = 0; round < session_.stable_rounds; ++round) {
+      std::vector<std::vector<int>> again(alternatives_.size());
+      bool any = false;
+      for (std::size_t n = 0; n < again.size(); ++n)
+        for (const auto& [x, taken] : samples_[n]) {
+          const Samples s = summarise(taken.us, settled_after());
+          if (!s.spread() || s.outlier) continue;
+          again[n].push_back(x);
+          any = true;
+        }
+      if (!any) break;
+      XAUTO_TRY(run_passes(again));
+    }
+    return {};
+  }
+
+  /// `incomplete`: why it ended early. Any thread.
+  Profile result(const std::string& incomplete) {
+    const std::lock_guard lock(mutex_);
+    closed_ = true;
+    Profile p;
+    p.app = graph_.name;
+    p.conditions = conditions(session_);
+    p.margin_pct = session_.margin_pct;
+    p.sources = graph_.sources;
+    p.edges = graph_.edges;
+    p.incomplete = incomplete;
+    for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
+      const Graph::Node& node = graph_.nodes[n];
+      XNodeProfile x{
+          node.name, graph_.modules[static_cast<std::size_t>(node.module)].name, {}, node.sources};
+      for (const auto& [at, taken] : samples_[n]) {
+        Samples& s = x.on[xpu(at).id] = summarise(taken.us, settled_after());
+        s.emulated = taken.emulated;
+        p.conditions.emulated = p.conditions.emulated || s.emulated;
+      }
+      for (const int at : alternatives_[n])
+        if (!samples_[n].contains(at)) x.missing.push_back(xpu(at).id);
+      p.xnodes.push_back(std::move(x));
+    }
+    return p;
+  }
+
+  /// "exec of XNode 'x' on gpu0", if that has taken longer than `limit_ns`. Any thread.
+  [[nodiscard]] std::string takes_too_long(std::int64_t limit_ns) {
+    const std::lock_guard lock(mutex_);
+    return exec_since_ns_ != 0 && now_ns() - exec_since_ns_ > limit_ns ? exec_of_ : "";
+  }
+
+ private:
+  struct Taken {
+    std::vector<std::int64_t> us;
+    bool emulated = false;
+  };
+
+  [[nodiscard]] const Xpu& xpu(int x) const {
+    return session_.platform.xpus[static_cast<std::size_t>(x)];
+  }
+  [[nodiscard]] std::int64_t settled_after() const {
+    return session_.stable_rounds == 0
+               ? 0
+               : static_cast<std::int64_t>(kSettledRounds * session_.repetitions);
+  }
+
+  /// Cores that this machine lacks are emulated, for stand-ins. An XNode that computes itself was
+  /// not measured on the others to be measured on what is not there.
+  Status leave_out_missing_cores() {
+    const Machine machine = Machine::here();
+    for (std::size_t n = 0; n < alternatives_.size(); ++n) {
+      std::vector<int>& xpus = alternatives_[n];
+      const auto either = std::find_if(xpus.begin(), xpus.end(), [&](int x) {
+        return xpu(x).type == "cpu" && session_.presence_of(x) == Presence::kEither;
+      });
+      if (either == xpus.end()) continue;
+      XAUTO_TRY(prepare(static_cast<int>(n), *either));
+      if (active_[static_cast<int>(n)].emulated) continue;
+      const std::lock_guard lock(mutex_);
+      std::erase_if(xpus, [&](int x) {
+        return xpu(x).type == "cpu" && !machine.has(session_.platform, static_cast<std::size_t>(x));
+      });
+    }
+    return {};
+  }
+
+  /// Each XNode on each of `xpus[node]`, one per pass; where that is none, on its first one, for
+  /// those behind it.
+  Status run_passes(const std::vector<std::vector<int>>& xpus) {
+    std::size_t passes = 0;
+    for (const auto& of_node : xpus) passes = std::max(passes, of_node.size());
+    const std::uint64_t total = passes * (session_.warmup + session_.repetitions);
     std::uint64_t done = 0;
     std::int64_t told = now_ns();
-    for (std::size_t pass = 0; pass < passes_; ++pass) {
+    for (std::size_t pass = 0; pass < passes; ++pass) {
       XAUTO_ASSIGN(Feed feed, Feed::open(app_, graph_, session_));
       std::vector<std::shared_ptr<void>> states;
       for (const Graph::Module& module : graph_.modules)
         states.push_back(module.spec->make_state());
+      std::vector<int> on(xpus.size());
+      std::vector<bool> counts(xpus.size());
+      for (std::size_t n = 0; n < xpus.size(); ++n) {
+        // Each XPU instance once: a later pass that comes round to it again adds nothing new.
+        counts[n] = pass < xpus[n].size();
+        on[n] = counts[n]         ? xpus[n][pass]
+                : xpus[n].empty() ? alternatives_[n].front()
+                                  : xpus[n][pass % xpus[n].size()];
+      }
       for (std::uint64_t k = 0; k < session_.warmup + session_.repetitions; ++k, ++done) {
         Messages messages(graph_.topics.size());
         XAUTO_ASSIGN(const bool more, feed.next(messages));
@@ -162,7 +262,8 @@ class Run {
                       session_.input, "record more, or use fewer --warmup");
         }
         for (const int m : graph_.module_order)
-          XAUTO_TRY(run_module(m, pass, k, states[static_cast<std::size_t>(m)].get(), messages));
+          XAUTO_TRY(
+              run_module(m, on, counts, k, states[static_cast<std::size_t>(m)].get(), messages));
         if (now_ns() - told > 1'000'000'000) {
           log::info("profile: {} of {} releases", done, total);
           told = now_ns();
@@ -172,26 +273,8 @@ class Run {
     return {};
   }
 
-  Profile result() const {
-    Profile p;
-    p.app = graph_.name;
-    p.conditions = conditions(session_);
-    p.margin_pct = session_.margin_pct;
-    p.sources = graph_.sources;
-    p.edges = graph_.edges;
-    for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
-      const Graph::Node& node = graph_.nodes[n];
-      XNodeProfile x{
-          node.name, graph_.modules[static_cast<std::size_t>(node.module)].name, {}, node.sources};
-      for (const auto& [xpu, us] : samples_[n])
-        x.on[session_.platform.xpus[static_cast<std::size_t>(xpu)].id] = summarise(us);
-      p.xnodes.push_back(std::move(x));
-    }
-    return p;
-  }
-
- private:
-  Status run_module(int m, std::size_t pass, std::uint64_t k, void* state, Messages& messages) {
+  Status run_module(int m, const std::vector<int>& on, const std::vector<bool>& counts,
+                    std::uint64_t k, void* state, Messages& messages) {
     const Graph::Module& module = graph_.modules[static_cast<std::size_t>(m)];
     Input input;
     InputAccess::bind(input, &module.spec->inputs);
@@ -201,11 +284,15 @@ class Run {
       InputAccess::messages(input)[i] = {message, now_ns(), k};
     }
     for (const int n : module.nodes) {
-      const auto& xpus = alternatives_[static_cast<std::size_t>(n)];
-      const int xpu = xpus[pass % xpus.size()];
-      XAUTO_ASSIGN(const detail::ImplSpec* impl, prepare(n, xpu));
-      const std::string where = "exec of XNode '" + graph_.nodes[static_cast<std::size_t>(n)].name +
-                                "' on " + session_.platform.xpus[static_cast<std::size_t>(xpu)].id;
+      const auto index = static_cast<std::size_t>(n);
+      XAUTO_ASSIGN(const detail::ImplSpec* impl, prepare(n, on[index]));
+      const std::string where =
+          "exec of XNode '" + graph_.nodes[index].name + "' on " + xpu(on[index]).id;
+      {
+        const std::lock_guard lock(mutex_);
+        exec_of_ = where;
+        exec_since_ns_ = now_ns();
+      }
       const std::int64_t before = now_ns();
       try {
         if (Status status = impl->exec(state, input); !status) {
@@ -219,9 +306,13 @@ class Run {
         return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
       }
       const std::int64_t us = (now_ns() - before + 999) / 1000;
-      // Each XPU instance once: a later pass that comes round to it again adds nothing new.
-      if (k >= session_.warmup && pass < xpus.size())
-        samples_[static_cast<std::size_t>(n)][xpu].push_back(us);
+      const std::lock_guard lock(mutex_);
+      exec_since_ns_ = 0;
+      if (closed_) return fail(ErrorCode::kUnavailable, "stopped");
+      if (k < session_.warmup || !counts[index]) continue;
+      Taken& taken = samples_[index][on[index]];
+      taken.us.push_back(us);
+      taken.emulated = active_[n].emulated;
     }
     for (std::size_t i = 0; i < module.outputs.size(); ++i)
       messages[static_cast<std::size_t>(module.outputs[i])] = module.spec->outputs[i].take(state);
@@ -229,39 +320,34 @@ class Run {
   }
 
   /// Initialises once per XNode and instance; moves this thread to the core of a real CPU.
-  Result<const detail::ImplSpec*> prepare(int n, int xpu) {
-    const Xpu& x = session_.platform.xpus[static_cast<std::size_t>(xpu)];
+  Result<const detail::ImplSpec*> prepare(int n, int at) {
+    const Xpu& x = xpu(at);
+    const Presence presence = session_.presence_of(at);
     const Graph::Node& node = graph_.nodes[static_cast<std::size_t>(n)];
     const detail::ImplSpec* impl = find_impl(*node.spec, x.type);
-    const XpuId id = xpu_id(session_.platform, xpu);
-    if (!session_.emulated) {
-      // An XPU's host thread may run anywhere; a CPU XNode runs on the instance that is measured.
-      int core = cores_.front();
-      if (x.type == "cpu") {
-        if (id.index >= static_cast<int>(cores_.size()))
-          return fail(ErrorCode::kInvalid,
-                      "platform '" + session_.platform.name + "' has more CPUs than the " +
-                          std::to_string(cores_.size()) + " that this process may use",
-                      x.id, "use a platform file of this machine, or --emulate");
-        core = cores_[static_cast<std::size_t>(id.index)];
-      }
-      if (core != core_now_) {
-        XAUTO_TRY(rt::pin_to_core(core));
-        core_now_ = core;
-      }
+    const XpuId id = xpu_id(session_.platform, at);
+    // An XPU's host thread may run anywhere; a CPU XNode runs on the instance that is measured.
+    const bool real_core = x.type == "cpu" && presence != Presence::kEmulated &&
+                           id.index < static_cast<int>(cores_.size());
+    const int core = real_core ? cores_[static_cast<std::size_t>(id.index)] : cores_.front();
+    if (presence != Presence::kEmulated && core != core_now_) {
+      XAUTO_TRY(rt::pin_to_core(core));
+      core_now_ = core;
     }
     // A closure usually keeps the context that its last init made: coming back needs init again.
     const auto active = active_.find(n);
-    if (active == active_.end() || active->second != xpu) {
+    if (active == active_.end() || active->second.xpu != at) {
       const std::string where = "init of XNode '" + node.name + "' on " + x.id;
+      SchedHandle handle;
       try {
-        (void)impl->init(id);
+        handle = impl->init(id);
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
       } catch (...) {
         return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
       }
-      active_[n] = xpu;
+      if (presence == Presence::kEmulated) XAUTO_TRY(check_emulated(handle, x.id, where));
+      active_[n] = {at, handle.kind() == SchedHandle::Kind::kEmulated};
     }
     return impl;
   }
@@ -270,23 +356,53 @@ class Run {
   const Session& session_;
   const Graph& graph_;
   std::vector<std::vector<int>> alternatives_;  ///< [node] -> XPU instances
-  std::size_t passes_ = 0;
-  std::vector<std::map<int, std::vector<std::int64_t>>> samples_;  ///< [node] XPU -> us
-  std::map<int, int> active_;  ///< node -> XPU it was last initialised for
+  struct Active {
+    int xpu = -1;
+    bool emulated = false;
+  };
+  std::map<int, Active> active_;  ///< node -> XPU it was last initialised for
   std::vector<int> cores_;
   int core_now_ = -1;
+
+  std::mutex mutex_;                           ///< guards what follows, and writing alternatives_
+  std::vector<std::map<int, Taken>> samples_;  ///< [node] XPU -> in the order of the repetitions
+  std::string exec_of_;
+  std::int64_t exec_since_ns_ = 0;  ///< 0: none runs
+  bool closed_ = false;             ///< the result was taken
 };
 
 }  // namespace
 
-Result<std::string> profile(const detail::AppSpecErased& app, const Session& session) {
-  XAUTO_ASSIGN(const Graph graph, Graph::build(app));
-  Run run(app, session, graph);
+Result<Profiled> profile(const detail::AppSpecErased& app, const Session& session,
+                         const std::atomic<bool>& stop) {
+  struct Shared {
+    Graph graph;
+    Run run;
+    std::promise<Status> ended;
+    Shared(const detail::AppSpecErased& app, const Session& session, Graph built)
+        : graph(std::move(built)), run(app, session, graph) {}
+  };
+  XAUTO_ASSIGN(Graph graph, Graph::build(app));
+  // The thread may be left behind with it.
+  auto shared = std::make_shared<Shared>(app, session, std::move(graph));
+  std::future<Status> ended = shared->ended.get_future();
   // A thread of its own, so that the caller's priority and affinity stay as they are.
-  Status status;
-  std::thread([&] { status = run.run(); }).join();
-  XAUTO_TRY(status);
-  return to_json(run.result());
+  std::thread thread([shared] { shared->ended.set_value(shared->run.run()); });
+  std::string incomplete;
+  int looks_left = kLooksAfterStop;
+  while (incomplete.empty() && ended.wait_for(kLookEvery) != std::future_status::ready) {
+    if (stop.load() && --looks_left == 0) incomplete = "stopped by the user";
+    if (const std::string exec = shared->run.takes_too_long(session.exec_limit_s * 1'000'000'000);
+        !exec.empty())
+      incomplete = exec + " did not return within " + std::to_string(session.exec_limit_s) + " s";
+  }
+  if (incomplete.empty()) {
+    thread.join();
+    XAUTO_TRY(ended.get());
+    return Profiled{to_json(shared->run.result({})), false};
+  }
+  thread.detach();
+  return Profiled{to_json(shared->run.result(incomplete)), true};
 }
 
 Result<std::string> describe(const Graph& graph, const Platform& platform) {

@@ -3,6 +3,7 @@
 // turn on each XPU instance that it has an implementation for.
 #pragma once
 
+#include <atomic>
 #include <string>
 
 #include <xauto/result.h>
@@ -14,8 +15,15 @@
 
 namespace xauto::runtime {
 
-/// profile.json's text. Uses session.platform, input, warmup, repetitions, margin_pct.
-[[nodiscard]] Result<std::string> profile(const detail::AppSpecErased& app, const Session& session);
+struct Profiled {
+  std::string text;          ///< profile.json's, maybe an incomplete one's
+  bool left_behind = false;  ///< a thread that may be in an exec for ever: only _exit ends it
+};
+
+/// Uses session.platform, presence, input, warmup, repetitions, margin_pct, exec_limit_s and
+/// stable_rounds. `app` must outlive the process if a thread is left behind.
+[[nodiscard]] Result<Profiled> profile(const detail::AppSpecErased& app, const Session& session,
+                                       const std::atomic<bool>& stop);
 
 /// The graph as profile.json without samples: what `describe` answers.
 [[nodiscard]] Result<std::string> describe(const Graph& graph, const Platform& platform);

@@ -62,6 +62,8 @@ std::optional<Scheduling> scheduling_from(const std::string& name) {
 }
 
 std::string to_json(const Session& s) {
+  std::vector<int> presence;
+  for (const Presence p : s.presence) presence.push_back(static_cast<int>(p));
   json j = {{"version", kSessionVersion},
             {"mode", static_cast<int>(s.mode)},
             {"platform", xauto::to_json(s.platform)},
@@ -72,7 +74,7 @@ std::string to_json(const Session& s) {
             {"cpu_partial", s.cpu_partial},
             {"fifo_lowest", s.fifo_lowest},
             {"fifo_why", s.fifo_why},
-            {"emulated", s.emulated},
+            {"presence", presence},
             {"emulator_modules", s.emulator_modules},
             {"coordinators", s.coordinators},
             {"activations", s.activations},
@@ -84,6 +86,8 @@ std::string to_json(const Session& s) {
             {"warmup", s.warmup},
             {"repetitions", s.repetitions},
             {"margin_pct", s.margin_pct},
+            {"exec_limit_s", s.exec_limit_s},
+            {"stable_rounds", s.stable_rounds},
             {"answer_fd", s.answer_fd},
             {"trace_fd", s.trace_fd},
             {"trace_capacity", s.trace_capacity},
@@ -124,7 +128,13 @@ Result<Session> parse_session(const std::string& text) {
     s.cpu_partial = j.at("cpu_partial").get<bool>();
     s.fifo_lowest = j.at("fifo_lowest").get<int>();
     s.fifo_why = j.at("fifo_why").get<std::string>();
-    s.emulated = j.at("emulated").get<bool>();
+    for (const int p : j.at("presence").get<std::vector<int>>()) {
+      if (p < 0 || p > static_cast<int>(Presence::kAbsent))
+        return fail(ErrorCode::kInvalid, "unknown presence");
+      s.presence.push_back(static_cast<Presence>(p));
+    }
+    if (!s.presence.empty() && s.presence.size() != s.platform.xpus.size())
+      return fail(ErrorCode::kInvalid, "the session does not say of each XPU whether it is real");
     s.emulator_modules = j.at("emulator_modules").get<bool>();
     s.coordinators = j.at("coordinators").get<std::map<std::string, std::string>>();
     s.activations = j.at("activations").get<std::uint64_t>();
@@ -136,6 +146,8 @@ Result<Session> parse_session(const std::string& text) {
     s.warmup = j.at("warmup").get<std::uint64_t>();
     s.repetitions = j.at("repetitions").get<std::uint64_t>();
     s.margin_pct = j.at("margin_pct").get<std::int64_t>();
+    s.exec_limit_s = j.at("exec_limit_s").get<std::int64_t>();
+    s.stable_rounds = j.at("stable_rounds").get<std::uint64_t>();
     s.answer_fd = j.at("answer_fd").get<int>();
     s.trace_fd = j.at("trace_fd").get<int>();
     s.trace_capacity = j.at("trace_capacity").get<std::uint64_t>();

@@ -4,6 +4,7 @@
 // another one, so nothing is left behind however either of them ends.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -17,6 +18,7 @@
 #include "model/platform.h"
 #include "model/policy.h"
 #include "runtime/distribution.h"
+#include "runtime/presence.h"
 #include "runtime/routes.h"
 
 namespace xauto::runtime {
@@ -50,8 +52,8 @@ struct Session {
   bool cpu_partial = false;   ///< ... which schedules only threads that ask for SCHED_EXT
   int fifo_lowest = 0;        ///< SCHED_FIFO: granted from here on, see priorities.h; 0: from 1
   std::string fifo_why;       ///< nothing was granted though it was asked for, for people
-  bool emulated = false;
-  bool emulator_modules = false;  ///< with `emulated`: GPUs and DLAs are those of kmod/emu/
+  std::vector<Presence> presence;  ///< [XPU]; empty: all are real
+  bool emulator_modules = false;   ///< emulated GPUs and DLAs are those of kmod/emu/
   std::map<std::string, std::string> coordinators;  ///< XPU id -> abstract socket; empty: none
   /// Releases of the slowest source, of the others as many as fit into that time; 0: until told to
   /// stop, or the input's end.
@@ -63,8 +65,10 @@ struct Session {
   std::string record;            ///< record the sources' messages into this file; empty: don't
   std::uint64_t warmup = 3, repetitions = 30;  ///< kProfile
   std::int64_t margin_pct = 20;                ///< kProfile
-  int answer_fd = -1;                          ///< memfd for the Answer
-  int trace_fd = -1;                           ///< memfd for the trace; -1: none
+  std::int64_t exec_limit_s = 30;              ///< kProfile: one that takes longer ends it
+  std::uint64_t stable_rounds = 0;  ///< kProfile: further rounds of repetitions for wide spreads
+  int answer_fd = -1;               ///< memfd for the Answer
+  int trace_fd = -1;                ///< memfd for the trace; -1: none
   std::uint64_t trace_capacity = 0;
 
   Deployment deployment;  ///< kRun
@@ -74,6 +78,16 @@ struct Session {
   std::string hub;  ///< abstract socket
   int hub_fd = -1;  ///< the same, listening, inherited by the hub; -1: it makes it
   int process = 0;  ///< which of them this is (environment XAUTO_PROCESS); 0: the hub
+
+  [[nodiscard]] Presence presence_of(int xpu) const {
+    return presence.empty() ? Presence::kReal : presence[static_cast<std::size_t>(xpu)];
+  }
+  [[nodiscard]] bool emulated(int xpu) const { return presence_of(xpu) == Presence::kEmulated; }
+  [[nodiscard]] bool emulates() const {  ///< there is an emulator
+    return std::any_of(presence.begin(), presence.end(), [](Presence p) {
+      return p == Presence::kEmulated || p == Presence::kEither;
+    });
+  }
 };
 inline constexpr std::uint32_t kQueueDepth = 8, kKeep = 8;  ///< unless the deployment says more
 

@@ -31,6 +31,7 @@ namespace {
 
 constexpr int kReadyTimeoutMs = 10'000;
 constexpr int kDrainMs = 15'000;  ///< more than the app's own patience with a stalled activation
+constexpr int kProfileDrainMs = 3'000;  ///< an app that profiles answers with what it has
 constexpr int kGraceMs = 2'000;
 constexpr int kMaxRestarts = 100;  ///< of one daemon; then it stays dead, see supervisor.h
 constexpr int kStartAttempts = 5;  ///< in a row
@@ -96,12 +97,11 @@ Result<Child> start_daemon(const std::string& name, SpawnOptions options) {
   }
 }
 
-bool device_exists(const std::string& type) {
-  struct stat status {};
-  const auto there = [&](const char* path) { return stat(path, &status) == 0; };
-  if (type == "gpu") return there("/dev/nvgpu/igpu0/tsg") || there("/dev/nvhost-tsg-gpu");
-  if (type == "dla") return there("/dev/nvhost-ctrl-nvdla0") || there("/dev/nvdla0");
-  return true;
+std::vector<bool> real_xpus(const Session& session) {
+  std::vector<bool> real;
+  for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
+    real.push_back(session.presence_of(static_cast<int>(x)) == Presence::kReal);
+  return real;
 }
 
 class Supervisor {
@@ -137,9 +137,13 @@ class Supervisor {
       session.trace_fd = trace_.get();
       session.trace_capacity = request_.trace_capacity;
     }
-    if (session.emulated) {
+    if (session.emulates()) {
+      Platform emulated{session.platform.name, {}};
+      for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
+        if (session.presence[x] == Presence::kEmulated || session.presence[x] == Presence::kEither)
+          emulated.xpus.push_back(session.platform.xpus[x]);
       XAUTO_ASSIGN(platform_, make_memory_file("xauto-platform"));
-      XAUTO_TRY(write_memory_file(platform_.get(), to_json(session.platform)));
+      XAUTO_TRY(write_memory_file(platform_.get(), to_json(emulated)));
       Daemon daemon;
       daemon.name = "xauto-emud";
       XAUTO_ASSIGN(daemon.kept[0], listen_abstract(base_ + kEmudName));
@@ -191,7 +195,12 @@ class Supervisor {
     options.inherit = {session_.get(), answer_.get()};
     if (trace_) options.inherit.push_back(trace_.get());
     options.environment = {{kSessionVariable, std::to_string(session_.get())}};
-    if (session.emulated) options.environment.emplace_back("XAUTO_EMUD", base_ + kEmudName);
+    if (session.emulates()) options.environment.emplace_back(emu::kEmudVariable, base_ + kEmudName);
+    const std::vector<bool> is_real = real_xpus(session);
+    std::string real;
+    for (std::size_t x = 0; x < is_real.size(); ++x)
+      if (is_real[x]) real += session.platform.xpus[x].id + "\n";
+    options.environment.emplace_back(emu::kRealVariable, real);
     if (session.emulator_modules) options.environment.emplace_back(emu::kDriversVariable, "1");
     if (session.scheduling == Scheduling::kRos2 && session.mode == Mode::kRun)
       options.environment.emplace_back("XAUTO_EMU_CPU_POOL", "1");
@@ -226,7 +235,7 @@ class Supervisor {
                                .app = session.app,
                                .platform = session.platform,
                                .policy = scheduled ? &session.policy : nullptr,
-                               .emulated = session.emulated,
+                               .real = real_xpus(session),
                                .want_ext = session.cpu_sched == CpuSched::kExt,
                                .budget_pct = request_.cpu_budget_pct});
     if (!cpus_.note.empty()) {
@@ -355,10 +364,15 @@ class Supervisor {
             if (app_.wait(told_to_stop != 0 ? kGraceMs : 20)) return;
             attend(process, *exit);
           }
-      if (request_.stop != nullptr && request_.stop->load()) tell("stopped by the user");
+      if (request_.stop != nullptr && request_.stop->load()) {
+        tell("stopped by the user");
+        stopped_ = true;
+      }
       if (request_.time_limit_s > 0 && now - started > request_.time_limit_s * 1'000'000'000)
         tell("stopped at its time limit");
-      if (told_to_stop != 0 && now - told_to_stop > std::int64_t{kDrainMs} * 1'000'000) {
+      const std::int64_t drain_ms =
+          request_.session.mode == Mode::kProfile ? kProfileDrainMs : kDrainMs;
+      if (told_to_stop != 0 && now - told_to_stop > drain_ms * 1'000'000) {
         outcome_.notes.emplace_back("the app did not end when asked and was killed");
         app_.stop(0);
       }
@@ -380,7 +394,7 @@ class Supervisor {
       return fail(ErrorCode::kUnavailable,
                   "ended without an answer (" + outcome_.app.to_string() + ")" + why,
                   request_.command.front(),
-                  "it must call xauto::App::main; a crash of it shows as a signal");
+                  stopped_ ? "" : "it must call xauto::App::main; a crash of it shows as a signal");
     }
     return std::move(outcome_);
   }
@@ -392,6 +406,7 @@ class Supervisor {
   std::vector<ModuleProcess> processes_;
   Child app_;
   xpu::CpuRun cpus_;
+  bool stopped_ = false;  ///< by the user
   Outcome outcome_;
 };
 
@@ -408,19 +423,6 @@ coord::Discipline discipline_of(const Xpu& xpu, bool emulated) {
 bool suspended_by_module(const Xpu& xpu, bool emulated, bool emulator_modules) {
   if (!xpu.preemptive || (xpu.type != "gpu" && xpu.type != "dla")) return false;
   return emulated ? emulator_modules : kernel::module_is_loaded();
-}
-
-std::string needs_emulation(const Platform& platform) {
-  std::size_t cpus = 0;
-  for (const Xpu& xpu : platform.xpus) {
-    if (!device_exists(xpu.type)) return "this machine has no " + xpu.id + " (no device node)";
-    cpus += xpu.type == "cpu" ? 1 : 0;
-  }
-  const std::size_t cores = rt::allowed_cores().size();
-  if (cpus > cores)
-    return "platform '" + platform.name + "' has " + std::to_string(cpus) +
-           " CPUs, this process may use " + std::to_string(cores);
-  return {};
 }
 
 Result<Outcome> supervise(Supervision request) {

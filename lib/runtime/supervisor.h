@@ -42,10 +42,6 @@ inline constexpr const char* kEmudName = "emud";
 /// an emulated one when the run is with the emulator modules.
 [[nodiscard]] bool suspended_by_module(const Xpu& xpu, bool emulated, bool emulator_modules);
 
-/// Whether this machine lacks XPUs of `platform`, with the reason: a GPU or DLA without device
-/// nodes, more CPUs than this process may use.
-[[nodiscard]] std::string needs_emulation(const Platform& platform);
-
 struct Supervision {
   Session session;                   ///< addresses and descriptors are filled in
   std::vector<std::string> command;  ///< the app and its arguments

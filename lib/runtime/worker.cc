@@ -11,6 +11,7 @@
 #include "base/futex.h"
 #include "base/log.h"
 #include "base/rt.h"
+#include "runtime/presence.h"
 
 namespace xauto::runtime {
 namespace {
@@ -85,10 +86,8 @@ Status Worker::init_nodes() {
         return attached;
       }
     }
-    if (options_.emulated && !options_.driver &&
-        placed.handle.kind() != SchedHandle::Kind::kEmulated && port_)
-      return fail(ErrorCode::kInvalid, "returned a handle that is not an emulated context", where,
-                  "on an emulated platform `init` returns emu::Context::handle()");
+    if (options_.emulated && !options_.driver)
+      XAUTO_TRY(check_emulated(placed.handle, options_.xpu_id.name, where));
   }
   // With order constraints a thread could wait for a job that is behind it in its own lane.
   shares_ = port_ && port_->discipline() == coord::Discipline::kGate && options_.order.empty();

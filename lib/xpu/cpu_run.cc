@@ -13,7 +13,7 @@ namespace xauto::xpu {
 std::vector<kernel::TableRow> table_rows(const CpuRunRequest& request,
                                          const std::vector<int>& cores) {
   std::vector<kernel::TableRow> rows(request.app.xnodes.size());
-  if (request.policy == nullptr || request.emulated) return rows;
+  if (request.policy == nullptr) return rows;
   const std::vector<int> cpus = request.platform.instances_of("cpu");
   std::map<int, std::set<std::int64_t>> priorities;
   for (const Placement& placement : request.policy->placements)
@@ -21,7 +21,7 @@ std::vector<kernel::TableRow> table_rows(const CpuRunRequest& request,
   for (std::size_t i = 0; i < rows.size(); ++i) {
     const Placement& placement = request.policy->placements[i];
     const auto cpu = std::find(cpus.begin(), cpus.end(), placement.xpu);
-    if (cpu == cpus.end()) continue;
+    if (cpu == cpus.end() || !request.real[static_cast<std::size_t>(*cpu)]) continue;
     const auto instance = static_cast<std::size_t>(cpu - cpus.begin());
     if (instance >= cores.size()) continue;
     const std::set<std::int64_t>& all = priorities[placement.xpu];
@@ -36,8 +36,11 @@ std::vector<kernel::TableRow> table_rows(const CpuRunRequest& request,
 
 CpuRun prepare_cpus(const CpuRunRequest& request) {
   CpuRun run;
-  const bool want_ext = request.want_ext && request.policy != nullptr && !request.emulated;
-  if (request.want_ext && request.emulated)
+  const std::vector<int> all = request.platform.instances_of("cpu");
+  const bool real_cpus = std::any_of(
+      all.begin(), all.end(), [&](int x) { return request.real[static_cast<std::size_t>(x)]; });
+  const bool want_ext = request.want_ext && request.policy != nullptr && real_cpus;
+  if (request.want_ext && !real_cpus)
     run.note = "the CPUs are emulated: --cpu-sched ext has no effect";
   const auto instead = [&](const Error& error) {
     run.note = "no sched_ext: " + error.what + "; SCHED_FIFO instead";

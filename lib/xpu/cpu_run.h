@@ -24,7 +24,7 @@ struct CpuRunRequest {
   const AppSpec& app;
   const Platform& platform;
   const Policy* policy = nullptr;  ///< null: nobody schedules
-  bool emulated = false;
+  std::vector<bool> real;          ///< [XPU]; of the CPUs, those that the kernel schedules
   bool want_ext = false;
   /// A job's budget is its WCET times this; 0: no budgets. Only sched_ext enforces it.
   std::int64_t budget_pct = 0;

@@ -58,8 +58,9 @@ Result<PolicyRun> prepare(const Flags& flags, const std::string& id,
       XAUTO_ASSIGN(run.policy, solver::solve(flags.app, flags.spec, options));
       if (ours) solved = run.policy;
     }
-    XAUTO_TRY(write_file(flags.out + "/" + id + ".policy.json",
-                         to_json(*run.policy, flags.app, flags.spec)));
+    const std::string path = flags.out + "/" + id + ".policy.json";
+    XAUTO_TRY(write_file(path, to_json(*run.policy, flags.app, flags.spec)));
+    XAUTO_TRY(check_placements(flags.app, flags.spec, flags.presence, *run.policy, path));
   }
   XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
   return run;

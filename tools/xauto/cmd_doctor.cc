@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto doctor: what this machine offers, and what to do about each thing that is missing.
 #include <iostream>
+#include <memory>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 #include "kernel/probe.h"
+#include "model/json.h"
+#include "runtime/presence.h"
 
 #include "xauto/command.h"
 #include "xauto/priorities.h"
@@ -13,7 +16,14 @@
 namespace xauto::cli {
 namespace {
 
-int doctor(const Options& options) {
+/// A platform file of this machine, for the XNodes that compute themselves.
+Status write_platform(const std::string& path) {
+  const runtime::Machine machine = runtime::Machine::here();
+  return write_file(path, to_json(platform_of(machine, "here")));
+}
+
+Result<int> doctor(const std::string& platform_out, const Options& options) {
+  if (!platform_out.empty()) XAUTO_TRY(write_platform(platform_out));
   using kernel::Verdict;
   kernel::Limits limits = kernel::Limits::of_this_process();
   limits.grant_refused = granted().why;
@@ -43,8 +53,14 @@ int doctor(const Options& options) {
 }  // namespace
 
 void add_doctor(Commands& commands) {
-  commands.add("doctor", "Tell what this machine offers, and what to do about what is missing.",
-               "xauto doctor", [](const Options& options) { return doctor(options); });
+  auto platform_out = std::make_shared<std::string>();
+  CLI::App* verb = commands.add(
+      "doctor", "Tell what this machine offers, and what to do about what is missing.",
+      "xauto doctor",
+      [platform_out](const Options& options) { return doctor(*platform_out, options); });
+  verb->add_option("--platform-out", *platform_out,
+                   "write a platform.json with this machine's CPUs here; a GPU or DLA that it "
+                   "lacks is in it as an emulated one");
 }
 
 }  // namespace xauto::cli

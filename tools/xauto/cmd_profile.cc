@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto profile: times each XNode alone on each XPU; profile.json, and the app.json that follows.
+#include <algorithm>
 #include <iostream>
 #include <memory>
 
@@ -10,6 +11,7 @@
 #include "model/json.h"
 
 #include "xauto/command.h"
+#include "xauto/emulation.h"
 #include "xauto/priorities.h"
 #include "xauto/run_app.h"
 
@@ -19,15 +21,68 @@ namespace {
 struct Flags {
   std::string platform = "small", input, out, app_out, from = "wcet", read;
   std::uint64_t warmup = 3, repetitions = 30;
-  std::int64_t margin_pct = 20;
-  bool emulate = false, real = false;
+  std::int64_t margin_pct = 20, exec_limit_s = 30;
+  bool stable = false;
+  CLI::Option* repetitions_given = nullptr;
+  EmulationOptions emulation;
   std::vector<std::string> command;
 };
+
+/// Further rounds of repetitions with --stable, at most: docs/formats.md, profile.json.
+constexpr std::uint64_t kStableRounds = 10;
+
+const char* conditions_of(const Profile& profile) {
+  if (!profile.conditions.emulated) return "";
+  for (const XNodeProfile& x : profile.xnodes)
+    for (const auto& [id, samples] : x.on)
+      if (!samples.emulated) return " (emulated, real where it says so)";
+  return " (emulated)";
+}
+
+/// Wide spreads and what became of them, and what is not there: a line each.
+std::vector<std::string> remarks(const Profile& profile, const Platform& platform) {
+  std::vector<std::string> lines;
+  const auto below = profile.conditions.repetitions;
+  for (const XNodeProfile& x : profile.xnodes) {
+    for (const Xpu& xpu : platform.xpus) {
+      const auto at = x.on.find(xpu.id);
+      if (at == x.on.end()) continue;
+      const Samples& s = at->second;
+      const std::string where = x.name + " on " + xpu.id;
+      const double times =
+          static_cast<double>(s.max_us) / static_cast<double>(std::max<std::int64_t>(1, s.p50_us));
+      if (s.outlier)
+        lines.push_back(fmt::format(
+            "{}: outlier: repetition {} took {} us{}, and none of the {} after that more than "
+            "twice "
+            "the median; the WCET is from the others' maximum, {} us",
+            where, s.max_at, s.max_us,
+            s.outlier->count > 1 ? fmt::format(" (one of {} so long)", s.outlier->count) : "",
+            s.outlier->later_count, s.outlier->max_us));
+      else if (s.spread() && s.count > below)
+        lines.push_back(
+            fmt::format("{}: repetition {} took {} us, {:.1f} times the median, and such times "
+                        "came back within "
+                        "{} repetitions: the WCET is from the maximum of all",
+                        where, s.max_at, s.max_us, times, s.count));
+      else if (s.spread())
+        lines.push_back(fmt::format(
+            "{}: repetition {} of {} took {} us, {:.1f} times the median, and becomes the WCET; "
+            "--stable repeats until it is seen whether that comes back",
+            where, s.max_at, s.count, s.max_us, times));
+      if (!profile.incomplete.empty() && s.count < below)
+        lines.push_back(fmt::format("{}: {} of {} repetitions", where, s.count, below));
+    }
+    for (const std::string& xpu : x.missing)
+      lines.push_back(fmt::format("{} on {}: not measured", x.name, xpu));
+  }
+  return lines;
+}
 
 std::string table(const Profile& profile, const Platform& platform) {
   std::string out =
       fmt::format("{} on {}{}: execution times in us, {} repetitions after {} warm-up\n\n",
-                  profile.app, platform.name, profile.conditions.emulated ? " (emulated)" : "",
+                  profile.app, platform.name, conditions_of(profile),
                   profile.conditions.repetitions, profile.conditions.warmup);
   out += fmt::format("  {:<24}{:<8}{:>9}{:>9}{:>9}{:>9}{:>10}{:>6}\n", "XNode", "XPU", "min", "p50",
                      "p99", "max", "WCET", "n");
@@ -37,13 +92,17 @@ std::string table(const Profile& profile, const Platform& platform) {
       const auto at = x.on.find(xpu.id);
       if (at == x.on.end()) continue;
       const Samples& s = at->second;
-      out += fmt::format("  {:<24}{:<8}{:>9}{:>9}{:>9}{:>9}{:>10}{:>6}\n", name, xpu.id, s.min_us,
-                         s.p50_us, s.p99_us, s.max_us,
-                         s.max_us + (s.max_us * profile.margin_pct + 99) / 100, s.count);
+      out += fmt::format("  {:<24}{:<8}{:>9}{:>9}{:>9}{:>9}{:>10}{:>6}{}\n", name, xpu.id, s.min_us,
+                         s.p50_us, s.count < kP99Samples ? "-" : std::to_string(s.p99_us), s.max_us,
+                         statistic(s, WcetFrom::kMaxPlusMargin, profile.margin_pct), s.count,
+                         profile.conditions.emulated && !s.emulated ? "  real" : "");
       name.clear();
     }
   }
-  return out + fmt::format("\n  WCET: max + {} %\n", profile.margin_pct);
+  out += fmt::format("\n  WCET: max + {} %\n", profile.margin_pct);
+  for (const std::string& line : remarks(profile, platform)) out += "  " + line + "\n";
+  if (!profile.incomplete.empty()) out += "  incomplete: " + profile.incomplete + "\n";
+  return out;
 }
 
 /// Runs the app and times it.
@@ -52,16 +111,15 @@ Result<Profile> measure(const Flags& flags, const Platform& platform) {
   runtime::Session& session = request.session;
   session.mode = runtime::Mode::kProfile;
   session.platform = platform;
-  const std::string missing = runtime::needs_emulation(session.platform);
-  if (flags.real && !missing.empty())
-    return fail(ErrorCode::kUnavailable, missing, "--real", "drop --real to emulate the platform");
-  session.emulated = flags.emulate || !missing.empty();
+  XAUTO_ASSIGN(session.presence, flags.emulation.decide(platform, nullptr));
   session.fifo_lowest = granted().lowest;
   session.fifo_why = granted().why;
   session.input = flags.input;
   session.warmup = flags.warmup;
   session.repetitions = flags.repetitions;
   session.margin_pct = flags.margin_pct;
+  session.exec_limit_s = flags.exec_limit_s;
+  session.stable_rounds = flags.stable ? kStableRounds : 0;
   request.command = flags.command;
   const StopOnSignal stop;
   request.stop = stop.flag();
@@ -77,9 +135,18 @@ Result<Profile> measure(const Flags& flags, const Platform& platform) {
   return result;
 }
 
-Result<int> profile(const Flags& flags, const Options& options) {
+Result<int> profile(const Flags& given, const Options& options) {
+  Flags flags = given;
   if (flags.read.empty() == flags.command.empty())
     return fail(ErrorCode::kInvalid, "give either an app to run, after --, or --read profile.json");
+  if (flags.from == "p99" && flags.read.empty()) {
+    if (flags.repetitions_given->count() == 0) flags.repetitions = kP99Samples;
+    if (flags.repetitions < static_cast<std::uint64_t>(kP99Samples))
+      return fail(
+          ErrorCode::kInvalid,
+          fmt::format("{} repetitions have no p99: it takes {}", flags.repetitions, kP99Samples),
+          "--repetitions", "leave --repetitions out, or use --from wcet");
+  }
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   auto result = flags.read.empty() ? measure(flags, platform) : load_profile(flags.read);
   if (!result) return tl::unexpected<Error>(std::move(result).error());
@@ -89,14 +156,23 @@ Result<int> profile(const Flags& flags, const Options& options) {
     const WcetFrom from = flags.from == "p50"   ? WcetFrom::kP50
                           : flags.from == "p99" ? WcetFrom::kP99
                                                 : WcetFrom::kMaxPlusMargin;
-    XAUTO_ASSIGN(const AppSpec app, to_app(*result, platform, from));
-    XAUTO_TRY(write_file(flags.app_out, to_json(app)));
+    const auto app = to_app(*result, platform, from);
+    if (app)
+      XAUTO_TRY(write_file(flags.app_out, to_json(*app)));
+    else if (result->incomplete.empty())
+      return tl::unexpected<Error>(app.error());
+    else
+      log::error("{} is not written: {}", flags.app_out, app.error().to_string());
   }
-  if (options.json)
+  if (options.json) {
     std::cout << text;
-  else
+    for (const std::string& line : remarks(*result, platform)) log::warn("{}", line);
+  } else {
     std::cout << table(*result, platform);
-  return kDone;
+  }
+  if (result->incomplete.empty()) return kDone;
+  log::error("the profile is incomplete: {}", result->incomplete);
+  return kAnswerIsNo;
 }
 
 }  // namespace
@@ -115,8 +191,18 @@ void add_profile(Commands& commands) {
   verb->add_option("--warmup", flags->warmup, "releases that are not counted")
       ->check(CLI::Range(0, 100000))
       ->capture_default_str();
-  verb->add_option("--repetitions", flags->repetitions, "releases that are counted")
-      ->check(CLI::Range(1, 1000000))
+  flags->repetitions_given =
+      verb->add_option("--repetitions", flags->repetitions,
+                       "releases that are counted; with --from p99 100 unless it says more")
+          ->check(CLI::Range(1, 1000000))
+          ->capture_default_str();
+  verb->add_flag(
+      "--stable", flags->stable,
+      "where the maximum is above twice the median, repeat until it is seen whether such "
+      "times come back; one that does not is reported, and does not make the WCET");
+  verb->add_option("--exec-limit-s", flags->exec_limit_s,
+                   "an exec that takes longer ends the profile; what was measured is written")
+      ->check(CLI::Range(std::int64_t{1}, std::int64_t{1'000'000}))
       ->capture_default_str();
   verb->add_option("--margin-pct", flags->margin_pct, "WCET = max + this much")
       ->check(CLI::Range(0, 1000))
@@ -127,8 +213,7 @@ void add_profile(Commands& commands) {
       ->capture_default_str();
   verb->add_option("--out", flags->out, "write profile.json here");
   verb->add_option("--app-out", flags->app_out, "write the app.json that follows here");
-  auto* emulate = verb->add_flag("--emulate", flags->emulate, "emulate all XPUs");
-  verb->add_flag("--real", flags->real, "refuse to emulate")->excludes(emulate);
+  flags->emulation.declare(*verb);
   verb->add_option("--read", flags->read,
                    "an existing profile.json instead of measuring, e.g. for --app-out");
   verb->add_option("command", flags->command, "the app's program and its arguments, after --");

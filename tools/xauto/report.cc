@@ -131,6 +131,13 @@ std::string page_id(const std::string& name) {
   return id;
 }
 
+/// "emulated XPUs", "real XPUs", or which is which.
+std::string xpus_text(const RunFlags& flags) {
+  const std::string said = runtime::describe(flags.spec, flags.presence);
+  if (said.empty()) return "real XPUs";
+  return said == "emulated" ? "emulated XPUs" : "XPUs " + said;
+}
+
 double coordinators_cpu_pct(const PolicyRun& run) {
   return run.outcome.wall_s <= 0
              ? 0.0
@@ -241,9 +248,13 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
     j["notes"] = std::move(notes);
     list.push_back(std::move(j));
   }
-  return ordered_json{{"schema", "xauto.report"},   {"version", 1},
-                      {"app", flags.app.name},      {"platform", flags.spec.name},
-                      {"emulated", flags.emulated}, {"runs", std::move(list)}}
+  ordered_json real = ordered_json::array();
+  for (std::size_t x = 0; x < flags.presence.size(); ++x)
+    if (flags.presence[x] == runtime::Presence::kReal) real.push_back(flags.spec.xpus[x].id);
+  return ordered_json{{"schema", "xauto.report"},     {"version", 1},
+                      {"app", flags.app.name},        {"platform", flags.spec.name},
+                      {"emulated", flags.emulates()}, {"real_xpus", std::move(real)},
+                      {"runs", std::move(list)}}
              .dump(2) +
          "\n";
 }
@@ -251,7 +262,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
 std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
   const PolicyRun* base = ros2_of(runs);
   std::string out = fmt::format("{} on {}{}, end-to-end latency in ms\n\n", flags.app.name,
-                                flags.spec.name, flags.emulated ? " (emulated)" : "");
+                                flags.spec.name, in_parentheses(flags.spec, flags.presence));
   out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", "policy", "p50", "p99",
                      "max", "simulated", "p50/sim", "p99 x", "n");
   for (const PolicyRun& run : runs) {
@@ -299,8 +310,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
   Scene scene;
   scene.title = flags.app.name + " on " + flags.spec.name + ": " + run.name;
-  scene.note = fmt::format("{} XPUs, {}", flags.emulated ? "emulated" : "real",
-                           runtime::to_string(run.scheduling));
+  scene.note = fmt::format("{}, {}", xpus_text(flags), runtime::to_string(run.scheduling));
   Rows rows = rows_of(flags.spec, run.scheduling);
   for (std::string& name : rows.names) scene.rows.push_back({std::move(name), true});
   scene.row_of = std::move(rows.of);
@@ -309,7 +319,8 @@ Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
     const Xpu& xpu = flags.spec.xpus[x];
     const auto& lost = run.report.lost_coordinators;
     if (run.scheduling != runtime::Scheduling::kXAuto ||
-        runtime::discipline_of(xpu, flags.emulated) == coord::Discipline::kKernel ||
+        runtime::discipline_of(xpu, flags.presence[x] == runtime::Presence::kEmulated) ==
+            coord::Discipline::kKernel ||
         std::find(lost.begin(), lost.end(), xpu.id) != lost.end())
       scene.rows[static_cast<std::size_t>(scene.row_of[x])].exclusive = false;
   }
@@ -327,11 +338,11 @@ Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) 
   Timeline timeline;
   timeline.title = flags.app.name + " on " + flags.spec.name;
   const bool several = !runs.empty() && has_several_rates(runs.front());
-  timeline.note = fmt::format(
-      "{} XPUs, {} {} per policy; each chart shows {}", flags.emulated ? "emulated" : "real",
-      runs.empty() ? 0 : runs.front().latency.count, several ? "results" : "activations",
-      several ? "what ran from the slowest release of a chain to its result"
-              : "the activation of median latency");
+  timeline.note = fmt::format("{}, {} {} per policy; each chart shows {}", xpus_text(flags),
+                              runs.empty() ? 0 : runs.front().latency.count,
+                              several ? "results" : "activations",
+                              several ? "what ran from the slowest release of a chain to its result"
+                                      : "the activation of median latency");
   for (const PolicyRun& run : runs) {
     std::vector<Panel> panels;
     if (has_several_rates(run))

@@ -72,9 +72,7 @@ void RunFlags::declare(CLI::App& verb) {
                   "thread; 0: never")
       ->check(CLI::Range(std::int64_t{0}, std::int64_t{100'000}))
       ->capture_default_str();
-  auto* emulate_flag =
-      verb.add_flag("--emulate", emulate, "emulate all XPUs (default: if some are missing)");
-  verb.add_flag("--real", real, "refuse to emulate")->excludes(emulate_flag);
+  emulation.declare(verb);
   verb.add_flag(
       "--emulator-modules", emulator_modules,
       "emulate GPUs and DLAs by the kernel modules of kmod/emu, suspended through xauto.ko");
@@ -95,20 +93,20 @@ Status RunFlags::prepare() {
   XAUTO_ASSIGN(app, load_app(app_path));
   XAUTO_ASSIGN(spec, load_platform(platform));
   XAUTO_TRY(validate_on(app, spec));
-  const std::string missing = runtime::needs_emulation(spec);
-  if (real && !missing.empty())
-    return fail(ErrorCode::kUnavailable, missing, "--real", "drop --real to emulate the platform");
   if (emulator_modules) {
     if (!kernel::module_is_loaded())
       return fail(
           ErrorCode::kUnavailable, "xauto.ko is not loaded", "--emulator-modules",
           "as root: insmod xauto.ko xauto_nvgpu_emu.ko xauto_nvdla_emu.ko (docs/kernel.md)");
-    emulate = true;
+    emulation.all_asked = true;
   }
-  emulated = emulate || !missing.empty();
-  if (emulated)
-    log::info("emulating platform '{}'{}", spec.name, missing.empty() ? "" : ": " + missing);
+  XAUTO_ASSIGN(presence, emulation.decide(spec, &app));
   return prepare_deployment();
+}
+
+bool RunFlags::emulates() const {
+  return std::find(presence.begin(), presence.end(), runtime::Presence::kEmulated) !=
+         presence.end();
 }
 
 Status RunFlags::prepare_deployment() {
@@ -184,7 +182,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.fifo_lowest = granted().lowest;
   session.fifo_why = granted().why;
   request.cpu_budget_pct = flags.cpu_budget_pct;
-  session.emulated = flags.emulated;
+  session.presence = flags.presence;
   session.emulator_modules = flags.emulator_modules;
   session.activations = flags.activations;
   session.duration_us = static_cast<std::int64_t>(std::llround(flags.seconds * 1e6));

@@ -18,6 +18,7 @@
 #include "runtime/supervisor.h"
 #include "solver/simulate.h"
 
+#include "xauto/emulation.h"
 #include "xauto/timeline.h"
 
 namespace xauto::cli {
@@ -37,7 +38,8 @@ struct RunFlags {
   std::uint64_t activations = 200;
   double seconds = 0;  ///< 0: `activations` counts
   std::int64_t period_us = 0, cpu_budget_pct = 0;
-  bool emulate = false, real = false, lockstep = false, isolate = false, emulator_modules = false;
+  bool lockstep = false, isolate = false, emulator_modules = false;
+  EmulationOptions emulation;
   int restarts = 0;
   std::string deployment_path;
   std::vector<std::string> overload;
@@ -50,8 +52,9 @@ struct RunFlags {
 
   AppSpec app;
   Platform spec;
-  Deployment deployment;  ///< the file's, with what other flags say
-  bool emulated = false;
+  Deployment deployment;                    ///< the file's, with what other flags say
+  std::vector<runtime::Presence> presence;  ///< [XPU]
+  [[nodiscard]] bool emulates() const;      ///< some of them
 };
 
 /// Nearest-rank quantiles of the releases that were completed (see runtime/distribution.h).

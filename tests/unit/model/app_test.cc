@@ -105,12 +105,72 @@ TEST(Profile, WcetIsTheWorstInstancesMaxPlusMarginRoundedUp) {
   profile.xnodes = {
       {"x",
        "M",
-       {{"cpu0", {9, 1, 2, 3, 101}}, {"cpu1", {9, 1, 2, 4, 52}}, {"gpu0", {9, 0, 0, 0, 0}}}}};
+       {{"cpu0", {100, 1, 2, 3, 101}}, {"cpu1", {100, 1, 2, 4, 52}}, {"gpu0", {100, 0, 0, 0, 0}}}}};
   const AppSpec app = to_app(profile, platform, WcetFrom::kMaxPlusMargin).value();
   EXPECT_EQ(app.xnodes[0].wcet_on("cpu"), 122);  // 121.2
   EXPECT_EQ(app.xnodes[0].wcet_on("gpu"), 1) << "an XNode takes at least a microsecond";
   EXPECT_EQ(to_app(profile, platform, WcetFrom::kP99)->xnodes[0].wcet_on("cpu"), 4);
   EXPECT_EQ(to_app(profile, platform, WcetFrom::kP50)->xnodes[0].wcet_on("cpu"), 2);
+}
+
+TEST(Profile, FewSamplesHaveNoP99) {
+  const Platform platform = Platform::builtin("small").value();
+  Profile profile;
+  profile.app = "a";
+  profile.xnodes = {{"x", "M", {{"cpu0", {99, 1, 2, 3, 4}}}}};
+  EXPECT_FALSE(to_app(profile, platform, WcetFrom::kP99));
+  profile.xnodes[0].on["cpu0"].count = 100;
+  EXPECT_TRUE(to_app(profile, platform, WcetFrom::kP99));
+}
+
+TEST(Profile, WhereItWasNoStandInItIsReal) {
+  const Platform platform = Platform::builtin("small").value();
+  Profile profile;
+  profile.app = "a";
+  profile.xnodes = {{"x", "M", {{"cpu0", {9, 1, 2, 3, 4}}, {"gpu0", {9, 1, 2, 3, 4}}}}};
+  profile.xnodes[0].on["gpu0"].emulated = true;
+  const AppSpec app = to_app(profile, platform, WcetFrom::kMaxPlusMargin).value();
+  EXPECT_EQ(app.xnodes[0].real_on, (std::set<std::string, std::less<>>{"cpu"}));
+  const auto read = parse_app(to_json(app), "app.json");
+  ASSERT_TRUE(read) << read.error().to_string();
+  EXPECT_EQ(*read, app);
+}
+
+TEST(Profile, WhatComesBackIsNoOutlier) {
+  std::vector<std::int64_t> us(30, 100);
+  us[16] = 1000;
+  Samples s = summarise(us);
+  EXPECT_EQ(s.max_at, 17);
+  EXPECT_TRUE(s.spread());
+  EXPECT_FALSE(s.outlier) << "nobody asked";
+  EXPECT_FALSE(summarise(us, 90).outlier) << "13 samples after it are too few";
+  us.insert(us.end(), 90, 120);
+  s = summarise(us, 90);
+  ASSERT_TRUE(s.outlier);
+  EXPECT_EQ(*s.outlier, (Outlier{1, 120, 103}));
+  EXPECT_EQ(s.max_us, 1000) << "what was seen is never dropped";
+  EXPECT_EQ(statistic(s, WcetFrom::kMaxPlusMargin, 20), 144);
+  us.back() = 900;
+  s = summarise(us, 90);
+  EXPECT_FALSE(s.outlier);
+  EXPECT_EQ(statistic(s, WcetFrom::kMaxPlusMargin, 20), 1200);
+  // At twice the median nothing is wide.
+  us = {100, 100, 200};
+  EXPECT_FALSE(summarise(us).spread());
+}
+
+TEST(Profile, IncompleteOnesAreReadAsWritten) {
+  Profile profile;
+  profile.app = "a";
+  profile.conditions.emulated = true;
+  profile.incomplete = "stopped by the user";
+  profile.xnodes = {{"x", "M", {{"cpu0", {9, 1, 2, 3, 4}}, {"cpu1", {9, 1, 2, 3, 40}}}, {"gpu0"}}};
+  profile.xnodes[0].on["cpu0"].emulated = true;
+  profile.xnodes[0].on["cpu1"].max_at = 3;
+  profile.xnodes[0].on["cpu1"].outlier = Outlier{1, 4, 6};
+  const auto read = parse_profile(to_json(profile), "profile.json");
+  ASSERT_TRUE(read) << read.error().to_string();
+  EXPECT_EQ(*read, profile);
 }
 
 TEST(Profile, InstanceThatThePlatformLacksIsNamed) {

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Profile, solve and run of an app that is half written: a stage computes, the others are stand-ins. What is real,
+what is emulated, what is refused; profiles that end early; outliers."""
+import json
+import os
+import pathlib
+import signal
+import subprocess
+import tempfile
+import time
+import unittest
+
+from common import BIN, XAUTO, children_of
+
+STAGES = str(BIN / "stages")
+CORES = sorted(os.sched_getaffinity(0))[:2]  # all that the tool may use here: fewer than `small` has
+
+
+def compute(x):
+    """What the app's m.work does, once more."""
+    for _ in range(300_000):
+        x ^= x >> 30
+        x = (x * 0xbf58476d1ce4e5b9 + 1) & (1 << 64) - 1
+    return x
+
+
+class Case(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = pathlib.Path(folder.name)
+
+    def path(self, name):
+        return str(self.folder / name)
+
+    def xauto(self, *arguments, timeout=120):
+        return subprocess.run([XAUTO, *map(str, arguments)], capture_output=True, text=True, timeout=timeout,
+                              cwd=self.folder, preexec_fn=lambda: os.sched_setaffinity(0, CORES))
+
+    def good(self, *arguments, status=0):
+        done = self.xauto(*arguments)
+        self.assertEqual(done.returncode, status, (arguments, done.stdout, done.stderr))
+        return done
+
+    def read(self, name):
+        return json.loads((self.folder / name).read_text())
+
+    def profile(self, platform, *more, status=0, app=(STAGES, "/dev/null")):
+        return self.good("profile", "--platform", platform, "--warmup", 1, "--repetitions", 5, "--out", "profile.json",
+                         "--app-out", "app.json", *more, "--", *app, status=status)
+
+    def on(self, xnode):
+        return next(x["on"] for x in self.read("profile.json")["xnodes"] if x["name"] == xnode)
+
+
+class RealAndEmulated(Case):
+    def test_profile_solve_run_with_a_stage_that_computes(self):
+        self.good("doctor", "--platform-out", "here.json")
+        here = self.read("here.json")
+        self.assertEqual([x["id"] for x in here["xpus"] if x["type"] == "cpu"], [f"cpu{i}" for i in range(len(CORES))])
+        self.profile("here.json")
+        self.good("solve", "--app", "app.json", "--platform", "here.json", "--out", "policy.json")
+        run = self.good("run", "--app", "app.json", "--platform", "here.json", "--policy", "policy.json", "--activations",
+                        20, "--json", "--", STAGES, "result")
+        report = json.loads(run.stdout)
+        self.assertTrue(report["emulated"])
+        self.assertEqual(report["real_xpus"], [f"cpu{i}" for i in range(len(CORES))])
+        *lines, cores = (self.folder / "result").read_text().splitlines()
+        self.assertEqual(len(lines), 20)
+        for line in lines[:3]:
+            k, value = map(int, line.split())
+            self.assertEqual(value, compute(k))
+        placed = next(x["xpu"] for x in self.read("policy.json")["xnodes"] if x["name"] == "m.work")
+        self.assertEqual(cores, f"cores {CORES[int(placed.removeprefix('cpu'))]}", "the core that the policy names")
+
+    def test_small_measures_the_cores_there_are(self):
+        done = self.profile("small")
+        self.assertEqual(sorted(self.on("m.work")), [f"cpu{i}" for i in range(len(CORES))])
+        self.assertTrue(all(s["emulated"] is False for s in self.on("m.work").values()))
+        self.assertEqual(sorted(self.on("m.prep")), ["cpu0", "cpu1", "cpu2", "cpu3"], "a stand-in runs on any")
+        self.assertNotIn("emulated", self.on("m.infer")["gpu0"], "as the conditions say")
+        self.assertTrue(self.read("profile.json")["conditions"]["emulated"])
+        app = {x["name"]: x for x in self.read("app.json")["xnodes"]}
+        self.assertEqual(app["m.work"]["real_on"], ["cpu"])
+        self.assertNotIn("real_on", app["m.infer"])
+        self.assertIn("real", done.stdout)
+        # A placement on a core that is there runs, on one that is not is refused before anything starts.
+        self.good("solve", "--app", "app.json", "--platform", "small", "--out", "policy.json")
+        policy = self.read("policy.json")
+        work = next(x for x in policy["xnodes"] if x["name"] == "m.work")
+        for xpu, status in (("cpu0", 0), ("cpu3", 2)):
+            for x in policy["xnodes"]:
+                x["xpu"] = xpu if x["xpu"].startswith("cpu") else x["xpu"]
+            (self.folder / "moved.json").write_text(json.dumps(policy))
+            run = self.good("run", "--app", "app.json", "--platform", "small", "--policy", "moved.json", "--activations", 5,
+                            "--", STAGES, "/dev/null", status=status)
+        self.assertEqual(work["name"], "m.work")
+        for word in ("moved.json: XNode 'm.work'", "cpu3", f"may use {len(CORES)} CPU", "doctor --platform-out"):
+            self.assertIn(word, run.stderr)
+
+    def test_names_say_what_is_emulated(self):
+        self.profile("small", "--emulate", "gpu,dla")
+        self.assertEqual(sorted(self.on("m.prep")), [f"cpu{i}" for i in range(len(CORES))], "real, as the others")
+        self.assertGreaterEqual(self.on("m.prep")["cpu0"]["min_us"], 1000, "keeps the core busy for as long")
+        self.good("solve", "--app", "app.json", "--platform", "small", "--out", "policy.json")
+        refused = self.good("run", "--app", "app.json", "--policy", "policy.json", "--emulate", "gpu,tpu", "--", STAGES,
+                            status=2)
+        self.assertIn("'tpu' is no XPU of platform 'small'", refused.stderr)
+
+    def test_bare_emulate_is_all_and_says_what_a_computing_stage_needs(self):
+        refused = self.good("profile", "--emulate", "--", STAGES, status=2)
+        self.assertIn("m.work", refused.stderr)
+        self.assertIn("SchedHandle::thread()", refused.stderr)
+        self.assertIn("--emulate gpu,dla", refused.stderr)
+
+    def test_the_platform_file_says_it_per_xpu(self):
+        self.good("doctor", "--platform-out", "here.json")
+        here = self.read("here.json")
+        for x in here["xpus"]:
+            if x["id"] == "cpu0":
+                x["emulated"] = True
+        (self.folder / "half.json").write_text(json.dumps(here))
+        refused = self.good("profile", "--platform", "half.json", "--", STAGES, status=2)
+        self.assertIn("cpu0 is emulated in this run", refused.stderr)
+
+    def test_an_app_of_stand_ins_is_emulated_as_ever(self):
+        done = self.good("profile", "--platform", "small", "--repetitions", 3, "--out", "profile.json", "--app-out",
+                         "app.json", "--", BIN / "camera")
+        self.assertIn("(emulated)", done.stdout)
+        self.assertNotIn("real_on", (self.folder / "app.json").read_text())
+
+
+class EndsEarly(Case):
+    def profile_and_stop(self, *app):
+        tool = subprocess.Popen([XAUTO, "profile", "--platform", "small", "--warmup", "0", "--repetitions", "100000", "--out",
+                                 "profile.json", "--", *app], cwd=self.folder, stdout=subprocess.PIPE,
+                                stderr=subprocess.PIPE, text=True, preexec_fn=lambda: os.sched_setaffinity(0, CORES))
+        self.addCleanup(tool.kill)
+        limit = time.monotonic() + 20
+        while time.monotonic() < limit and "stages" not in children_of(tool.pid).values():
+            time.sleep(0.05)
+        time.sleep(2)
+        tool.send_signal(signal.SIGINT)
+        told = time.monotonic()
+        out, err = tool.communicate(timeout=60)
+        return tool.returncode, time.monotonic() - told, out, err
+
+    def test_ctrl_c_writes_what_there_is(self):
+        for app in ((STAGES, "/dev/null"), (STAGES, "/dev/null", "hang", "20", "cpu0")):
+            with self.subTest(app=app):
+                status, took, out, err = self.profile_and_stop(*app)
+                self.assertEqual(status, 1, err)
+                self.assertLess(took, 3)
+                self.assertIn("incomplete: stopped by the user", out)
+                self.assertGreater(self.on("m.work")["cpu0"]["count"], 5)
+                written = self.read("profile.json")
+                self.assertEqual(written["incomplete"], "stopped by the user")
+                work = next(x for x in written["xnodes"] if x["name"] == "m.work")
+                self.assertEqual(work.get("missing", []), [f"cpu{i}" for i in range(1, len(CORES))])
+                os.remove(self.folder / "profile.json")
+
+    def test_an_exec_that_hangs_is_named_and_the_rest_kept(self):
+        last = f"cpu{len(CORES) - 1}"
+        started = time.monotonic()
+        done = self.profile("small", "--exec-limit-s", 1, status=1, app=(STAGES, "/dev/null", "hang", "9", last))
+        self.assertLess(time.monotonic() - started, 15)
+        self.assertIn(f"exec of XNode 'm.work' on {last} did not return within 1 s", done.stderr)
+        self.assertEqual(self.on("m.infer")["gpu0"]["count"], 5)
+        self.assertTrue((self.folder / "app.json").exists(), "each XNode was measured somewhere")
+
+    def test_an_xnode_without_a_time_makes_no_app(self):
+        done = self.profile("small", "--exec-limit-s", 1, status=1, app=(STAGES, "/dev/null", "hang", "1", "cpu0"))
+        self.assertIn("m.work", done.stderr)
+        self.assertFalse((self.folder / "app.json").exists())
+        self.assertNotIn("m.work", [x["name"] for x in self.read("profile.json")["xnodes"] if x["on"]])
+
+
+class Outliers(Case):
+    WORK = "m.work on cpu0"
+
+    def measure(self, *fault, flags=()):
+        done = self.profile("small", *flags, app=(STAGES, "/dev/null", *map(str, fault)))
+        wcet = next(x["wcet_us"]["cpu"] for x in self.read("app.json")["xnodes"] if x["name"] == "m.work")
+        return done.stdout, self.on("m.work")["cpu0"], wcet
+
+    def test_one_is_named_and_becomes_the_wcet(self):
+        out, samples, wcet = self.measure("once", 4, 300)
+        self.assertGreaterEqual(samples["max_us"], 300_000)
+        self.assertIn(f"{self.WORK}: repetition 3 of 5 took", out)  # after one warm-up
+        self.assertIn("--stable", out)
+        self.assertGreaterEqual(wcet, 360_000)
+
+    def test_one_that_does_not_come_back_is_reported_as_such(self):
+        out, samples, wcet = self.measure("once", 4, 300, flags=["--stable"])
+        self.assertGreaterEqual(samples["max_us"], 300_000, "what was seen is never dropped")
+        self.assertEqual(samples["outlier"]["count"], 1)
+        self.assertGreaterEqual(samples["outlier"]["later_count"], 15)
+        self.assertIn(f"{self.WORK}: outlier: repetition 3 took", out)
+        self.assertLess(wcet, 150_000)
+
+    def test_one_that_comes_back_stays(self):
+        out, samples, wcet = self.measure("each", 3, 300, flags=["--stable"])
+        self.assertNotIn("outlier", samples)
+        self.assertGreater(samples["count"], 5)
+        self.assertIn("came back", out)
+        self.assertGreaterEqual(wcet, 360_000)
+
+    def test_few_samples_have_no_p99(self):
+        done = self.profile("small")
+        line = next(x for x in done.stdout.splitlines() if x.startswith("  m.infer"))
+        self.assertEqual(line.split()[4], "-")
+        refused = self.profile("small", "--from", "p99", status=2)
+        self.assertIn("5 repetitions have no p99", refused.stderr)
+        done = self.good("profile", "--platform", "small", "--from", "p99", "--emulate", "gpu", "--repetitions", 100, "--out",
+                         "profile.json", "--", STAGES)
+        self.assertEqual(self.on("m.infer")["gpu0"]["count"], 100)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/emulation.h"
+
+#include <algorithm>
+#include <sstream>
+
+#include "base/log.h"
+
+namespace xauto::cli {
+
+using runtime::Machine;
+using runtime::Presence;
+
+void EmulationOptions::declare(CLI::App& verb) {
+  emulate_ = verb.add_option("--emulate", names_,
+                             "emulate these types or XPUs (gpu,dla), and have the others real; "
+                             "without names all. Default: what this machine lacks, and what the "
+                             "app only has stand-ins for")
+                 ->expected(0, 1)
+                 ->type_name("XPU,...");
+  verb.add_flag("--real", real_, "refuse to emulate")->excludes(emulate_);
+}
+
+Result<std::vector<Presence>> EmulationOptions::decide(const Platform& platform,
+                                                       const AppSpec* app) const {
+  runtime::EmulationFlags flags;
+  flags.none = real_;
+  std::istringstream names(names_);
+  for (std::string name; std::getline(names, name, ',');)
+    if (!name.empty()) flags.names.push_back(name);
+  flags.all = all_asked || (emulate_->count() > 0 && flags.names.empty());
+  const Machine machine = Machine::here();
+  XAUTO_ASSIGN(std::vector<Presence> presence, presence_of(platform, flags, app, machine));
+  std::string why;
+  for (std::size_t i = 0; i < presence.size() && why.empty(); ++i)
+    if (!machine.has(platform, i) && presence[i] != Presence::kReal)
+      why = ": " + machine.lacks(platform.xpus[i]);
+  if (const std::string said = describe(platform, presence); said == "emulated")
+    log::info("emulating platform '{}'{}", platform.name, why);
+  else if (!said.empty())
+    log::info("platform '{}': {}{}", platform.name, said, why);
+  return presence;
+}
+
+Status check_placements(const AppSpec& app, const Platform& platform,
+                        const std::vector<Presence>& presence, const Policy& policy,
+                        const std::string& path) {
+  const Machine machine = Machine::here();
+  const char* hint =
+      "xauto doctor --platform-out here.json writes a platform file of this machine: profile and "
+      "solve with that";
+  for (std::size_t i = 0; i < policy.placements.size(); ++i) {
+    const XNodeSpec& xnode = app.xnodes[i];
+    const auto at = static_cast<std::size_t>(policy.placements[i].xpu);
+    const Xpu& xpu = platform.xpus[at];
+    const std::string where = path + ": XNode '" + xnode.name + "'";
+    if (presence[at] == Presence::kAbsent)
+      return fail(ErrorCode::kInvalid,
+                  "is placed on " + xpu.id + ", which is not here: " + machine.lacks(xpu), where,
+                  hint);
+    // An emulated core that this machine has was asked for: what `init` returns there is seen soon.
+    if (presence[at] == Presence::kEmulated && xpu.type == "cpu" && xnode.real_on.contains("cpu") &&
+        !machine.has(platform, at))
+      return fail(ErrorCode::kInvalid,
+                  "computes itself (real_on in app.json) and is placed on " + xpu.id +
+                      ", which this machine lacks: " + machine.lacks(xpu),
+                  where, hint);
+  }
+  return {};
+}
+
+std::string in_parentheses(const Platform& platform, const std::vector<Presence>& presence) {
+  const std::string said = describe(platform, presence);
+  return said.empty() ? "" : " (" + said + ")";
+}
+
+}  // namespace xauto::cli

@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: Apache-2.0
+// --emulate and --real, of every verb that starts an app.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include <xauto/result.h>
+
+#include "model/app.h"
+#include "model/platform.h"
+#include "model/policy.h"
+#include "runtime/presence.h"
+
+namespace xauto::cli {
+
+class EmulationOptions {
+ public:
+  void declare(CLI::App& verb);
+  /// Decides, and says on stderr what is emulated and why. `app` null: it is about to be profiled.
+  [[nodiscard]] Result<std::vector<runtime::Presence>> decide(const Platform& platform,
+                                                              const AppSpec* app) const;
+  bool all_asked = false;  ///< as a bare --emulate would
+
+ private:
+  std::string names_;  ///< with commas between
+  bool real_ = false;
+  CLI::Option* emulate_ = nullptr;
+};
+
+/// Refuses a policy that places an XNode where this machine has nothing for it, naming `path`.
+[[nodiscard]] Status check_placements(const AppSpec& app, const Platform& platform,
+                                      const std::vector<runtime::Presence>& presence,
+                                      const Policy& policy, const std::string& path);
+
+/// " (emulated)", " (real: cpu0; emulated: gpu0)" or nothing.
+[[nodiscard]] std::string in_parentheses(const Platform& platform,
+                                         const std::vector<runtime::Presence>& presence);
+
+}  // namespace xauto::cli
