@@ -353,7 +353,8 @@ Result<RunReport> Engine::run_whole() {
   releaser.join();
   XAUTO_TRY(status);
   const bool drained = wait_drained();
-  if (recorder_) XAUTO_TRY(recorder_->close());
+  if (recorder_)
+    if (const Status closed = recorder_->close(); !closed) recording_error_ = closed.error().what;
   std::vector<std::string> members;
   if (hub_) {
     members = hub_->stop();

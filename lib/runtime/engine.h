@@ -117,6 +117,7 @@ class Engine final : public ModuleHost, private HubHost {
   FifoPlan fifo_;  ///< what this process may
   std::string note_;
   std::optional<record::Recorder> recorder_;  ///< of the releasing thread
+  std::string recording_error_;               ///< of the releasing thread, then of `run`'s
   std::vector<std::size_t> recorded_topic_;   ///< [topic] -> the recorder's index
   std::atomic<bool> stop_{false};
   bool stuck_ = false;

@@ -147,6 +147,7 @@ RunReport Engine::report() {
                              line.longest_ns / 1000});
   }
   result.deadline_misses = deadline_misses_.load();
+  result.recording_error = recording_error_;
   return result;
 }
 

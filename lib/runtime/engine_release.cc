@@ -166,8 +166,8 @@ void Engine::record(std::int64_t origin_ns,
       done = fail(ErrorCode::kIo, e.what(), session_.record);
     }
     if (done) continue;
-    add_note(note_, "recording ended early: " + done.error().to_string());
-    log::warn("recording ended early: {}", done.error().to_string());
+    recording_error_ = "recording ended early: " + done.error().what;
+    log::warn("{}", recording_error_);
     recorder_.reset();
     return;
   }

@@ -219,7 +219,8 @@ std::string to_json(const RunReport& r) {
               {"routes", std::move(routes)},
               {"lost_coordinators", r.lost_coordinators},
               {"died", r.died},
-              {"deadline_misses", r.deadline_misses}}
+              {"deadline_misses", r.deadline_misses},
+              {"recording_error", r.recording_error}}
       .dump();
 }
 
@@ -271,6 +272,7 @@ Result<RunReport> parse_run_report(const std::string& text) {
     r.lost_coordinators = j.at("lost_coordinators").get<std::vector<std::string>>();
     r.died = j.at("died").get<std::vector<std::string>>();
     r.deadline_misses = j.at("deadline_misses").get<std::uint64_t>();
+    r.recording_error = j.at("recording_error").get<std::string>();
     return r;
   });
 }

@@ -119,6 +119,7 @@ struct RunReport {
   std::vector<std::string> lost_coordinators;
   std::vector<std::string> died;  ///< modules whose process ended before its time, each time
   std::uint64_t deadline_misses = 0;
+  std::string recording_error;  ///< why the recording is not whole; empty: it is, or there is none
 };
 
 /// kDescribe answers an AppSpec without WCETs; kProfile a profile.json; kRun this. Errors of any

@@ -10,6 +10,7 @@
 #include "model/json.h"
 
 #include "xauto/command.h"
+#include "xauto/outputs.h"
 #include "xauto/priorities.h"
 #include "xauto/run_app.h"
 
@@ -81,22 +82,25 @@ Result<int> profile(const Flags& flags, const Options& options) {
   if (flags.read.empty() == flags.command.empty())
     return fail(ErrorCode::kInvalid, "give either an app to run, after --, or --read profile.json");
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", flags.out));
+  XAUTO_TRY(outputs.expect("--app-out", flags.app_out));
   auto result = flags.read.empty() ? measure(flags, platform) : load_profile(flags.read);
   if (!result) return tl::unexpected<Error>(std::move(result).error());
   const std::string text = to_json(*result);
-  if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, text));
+  if (options.json)
+    std::cout << text;
+  else
+    std::cout << table(*result, platform);
+  outputs.write(flags.out, text);
   if (!flags.app_out.empty()) {
     const WcetFrom from = flags.from == "p50"   ? WcetFrom::kP50
                           : flags.from == "p99" ? WcetFrom::kP99
                                                 : WcetFrom::kMaxPlusMargin;
     XAUTO_ASSIGN(const AppSpec app, to_app(*result, platform, from));
-    XAUTO_TRY(write_file(flags.app_out, to_json(app)));
+    outputs.write(flags.app_out, to_json(app));
   }
-  if (options.json)
-    std::cout << text;
-  else
-    std::cout << table(*result, platform);
-  return kDone;
+  return outputs.status(kDone);
 }
 
 }  // namespace

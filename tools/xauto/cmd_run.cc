@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto run: an app under one policy, with its coordinators.
+#include <filesystem>
 #include <iostream>
 
 #include <fmt/format.h>
@@ -9,6 +10,7 @@
 #include "model/json.h"
 
 #include "xauto/command.h"
+#include "xauto/outputs.h"
 #include "xauto/report.h"
 #include "xauto/run_app.h"
 
@@ -37,24 +39,36 @@ Result<int> run(const Flags& given, const Options& options) {
     run.name = run.policy->method;
   }
   flags.record_path = flags.record;
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", flags.out));
+  XAUTO_TRY(outputs.expect("--timeline", flags.timeline));
+  XAUTO_TRY(outputs.expect("--trace-out", flags.trace_out));
+  // One that exists is refused by the app's recorder, which also makes folders ("drive/").
+  if (!std::filesystem::exists(flags.record))
+    XAUTO_TRY(
+        outputs.expect("--record", flags.record.substr(0, flags.record.find_last_not_of('/') + 1)));
   XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
   const StopOnSignal stop;
   XAUTO_TRY(execute(flags, run, stop.flag()));
 
   const std::vector<PolicyRun> runs = {run};
   const std::string report = report_json(flags, runs);
-  if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, report));
-  if (!flags.timeline.empty())
-    XAUTO_TRY(write_file(flags.timeline, timeline_html(timeline_of(flags, runs))));
-  if (!flags.trace_out.empty()) {
-    XAUTO_ASSIGN(const std::string trace, perfetto_of(flags, run));
-    XAUTO_TRY(write_file(flags.trace_out, trace));
-  }
   if (options.json)
     std::cout << report;
   else
     std::cout << report_table(flags, runs);
-  return healthy(run) ? kDone : kAnswerIsNo;
+  outputs.write(flags.out, report);
+  if (!flags.timeline.empty())
+    outputs.write(flags.timeline, timeline_html(timeline_of(flags, runs)));
+  if (!flags.trace_out.empty()) {
+    if (const Result<std::string> trace = perfetto_of(flags, run))
+      outputs.write(flags.trace_out, *trace);
+    else
+      outputs.failed(trace.error());
+  }
+  if (!run.report.recording_error.empty())
+    outputs.failed({ErrorCode::kIo, run.report.recording_error, "--record " + flags.record, {}});
+  return outputs.status(healthy(run) ? kDone : kAnswerIsNo);
 }
 
 }  // namespace
