@@ -1,16 +1,16 @@
 /* SPDX-License-Identifier: GPL-2.0-only WITH Linux-syscall-note */
 /*
  * The trace vocabulary: one fixed record for every layer (runtime, coordinator, kernel, BPF), so that
- * all of them tell one story. Rules: append kinds, never renumber; padding is zero.
+ * all of them tell one story. Rules: append kinds, never renumber.
  *
- * History: 1 - first version.
+ * History: 1 - first version. 2 - MISS and HANG; what was padding is the stamp of the ring's slot.
  */
 #ifndef _UAPI_XAUTO_EVENT_H
 #define _UAPI_XAUTO_EVENT_H
 
 #include <linux/types.h>
 
-#define XAUTO_EVENT_VERSION 1
+#define XAUTO_EVENT_VERSION 2
 
 /* What happened. In the order in which one job meets them. */
 #define XAUTO_EV_PUBLISH 1	 /* a source released a message; seq = its number */
@@ -25,6 +25,8 @@
 #define XAUTO_EV_FINISH 10	 /* exec() returned and the XPU was given back; arg != 0: it failed */
 #define XAUTO_EV_DONE 11	 /* the module's chain ended and its outputs are published */
 #define XAUTO_EV_DROP 12	 /* an activation was dropped; arg = XAUTO_DROP_* */
+#define XAUTO_EV_MISS 13	 /* a result was later than its deadline, or lost; arg = latency, us */
+#define XAUTO_EV_HANG 14	 /* a job ran past its hang limit; arg = the limit, ms */
 
 #define XAUTO_DROP_FAILED 1	 /* exec threw or returned an error */
 #define XAUTO_DROP_UPSTREAM 2	 /* an input of this activation was dropped upstream */
@@ -43,7 +45,7 @@
  * @xpu:    index into the platform's XPUs
  * @kind:   XAUTO_EV_*
  * @arg:    depends on @kind
- * @pad:    zero
+ * @stamp:  of the slot in the ring (lib/trace/trace.h), zero elsewhere
  */
 struct xauto_event {
 	__u64 ts_ns;
@@ -53,7 +55,7 @@ struct xauto_event {
 	__u16 xpu;
 	__u16 kind;
 	__u32 arg;
-	__u32 pad;
+	__u32 stamp;
 };
 
 #endif /* _UAPI_XAUTO_EVENT_H */
