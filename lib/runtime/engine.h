@@ -63,6 +63,7 @@ class Engine final : public ModuleHost, private HubHost {
     return plan_.process_of[module] == session_.process;
   }
   [[nodiscard]] transport::Link& link(std::size_t topic) const;
+  [[nodiscard]] std::uint64_t trace_capacity() const;
   [[nodiscard]] Status open_topics();
   [[nodiscard]] Status open_inputs();
   [[nodiscard]] Result<RunReport> run_member();
@@ -97,6 +98,7 @@ class Engine final : public ModuleHost, private HubHost {
   [[nodiscard]] int xpu_of(const Graph::Node& node, std::uint32_t xnode) const;
   void through(int module, std::uint64_t sequence, std::int64_t origin_ns,
                const detail::Origins* origins, std::int64_t now, bool lost);
+  void missed(int module, std::uint64_t sequence, std::int64_t latency_us);
   void account(int module, std::uint64_t sequence, std::int64_t now, bool lost);
 
   const detail::AppSpecErased& app_;

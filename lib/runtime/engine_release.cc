@@ -117,6 +117,7 @@ void Engine::release(std::int64_t origin_ns, std::uint64_t sequence,
       open_[sequence - open_base_] = {origin_ns, origin_ns, num_sinks_, false};
     in_flight_.fetch_add(1);
   }
+  board_->count_release();
   if (trace_)
     trace_->write(XAUTO_EV_PUBLISH, sequence, XAUTO_EV_NONE, XAUTO_EV_NONE, XAUTO_EV_NONE);
   if (recorder_) record(origin_ns, messages);

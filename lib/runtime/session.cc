@@ -85,7 +85,8 @@ std::string to_json(const Session& s) {
             {"margin_pct", s.margin_pct},
             {"answer_fd", s.answer_fd},
             {"trace_fd", s.trace_fd},
-            {"trace_capacity", s.trace_capacity},
+            {"board_fd", s.board_fd},
+            {"trace_keep_s", s.trace_keep_s},
             {"processes", s.processes},
             {"hub", s.hub},
             {"hub_fd", s.hub_fd}};
@@ -136,7 +137,8 @@ Result<Session> parse_session(const std::string& text) {
     s.margin_pct = j.at("margin_pct").get<std::int64_t>();
     s.answer_fd = j.at("answer_fd").get<int>();
     s.trace_fd = j.at("trace_fd").get<int>();
-    s.trace_capacity = j.at("trace_capacity").get<std::uint64_t>();
+    s.board_fd = j.at("board_fd").get<int>();
+    s.trace_keep_s = j.at("trace_keep_s").get<double>();
     s.processes = j.at("processes").get<std::vector<std::vector<std::string>>>();
     s.hub = j.at("hub").get<std::string>();
     s.hub_fd = j.at("hub_fd").get<int>();

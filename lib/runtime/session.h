@@ -63,7 +63,8 @@ struct Session {
   std::int64_t margin_pct = 20;                ///< kProfile
   int answer_fd = -1;                          ///< memfd for the Answer
   int trace_fd = -1;                           ///< memfd for the trace; -1: none
-  std::uint64_t trace_capacity = 0;
+  int board_fd = -1;                           ///< memfd for the board (board.h); -1: nobody looks
+  double trace_keep_s = 0;  ///< for so long the trace holds what happens (if memory allows)
 
   Deployment deployment;  ///< kRun
 

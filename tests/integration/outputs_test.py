@@ -10,25 +10,14 @@ import tempfile
 import time
 import unittest
 
-from common import BIN, XAUTO, xauto
-
-TESTAPP = str(BIN / "testapp")
+from common import TESTAPP, XAUTO, testapp_files, xauto
 
 
 class Outputs(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.folder = tempfile.TemporaryDirectory()
-        xnodes = [("a1", "A", "cpu"), ("a2", "A", "npu"), ("b1", "B", "npu"), ("c1", "C", "cpu"), ("d1", "D", "cpu")]
-        cls.write("platform.json", {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
-            {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0},
-            {"id": "npu0", "type": "npu", "preemptive": True, "preempt_us": 100, "timeslice_us": 500}]})
-        cls.write("app.json", {"schema": "xauto.app", "version": 1, "name": "testapp",
-                               "xnodes": [{"name": n, "module": m, "wcet_us": {x: 1000}} for n, m, x in xnodes],
-                               "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]]})
-        done = xauto("solve", "--app", cls.path("app.json"), "--platform", cls.path("platform.json"), "--method",
-                     "heft", "--out", cls.path("policy.json"))
-        assert done.returncode == 0, done.stderr
+        testapp_files(cls.folder.name)
 
     @classmethod
     def tearDownClass(cls):
@@ -37,10 +26,6 @@ class Outputs(unittest.TestCase):
     @classmethod
     def path(cls, name):
         return os.path.join(cls.folder.name, name)
-
-    @classmethod
-    def write(cls, name, value):
-        pathlib.Path(cls.path(name)).write_text(json.dumps(value))
 
     def app(self, marker, *words):
         """The app's command; `marker` is there once it was started."""

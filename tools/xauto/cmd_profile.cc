@@ -67,7 +67,7 @@ Result<Profile> measure(const Flags& flags, const Platform& platform) {
   const StopOnSignal stop;
   request.stop = stop.flag();
   Progress progress("profile", 0);
-  request.on_tick = [&](double elapsed_s) {
+  request.on_tick = [&](double elapsed_s, const runtime::Board*) {
     progress.update(elapsed_s, fmt::format("{:.0f} s", elapsed_s));
   };
   XAUTO_ASSIGN(const runtime::Outcome outcome, runtime::supervise(std::move(request)));
