@@ -35,6 +35,12 @@ class Reader {
         leave(open_activations_[event.module], ts, Fate::kUnknown, 0);
         open_activations_[event.module] = {event.module, event.seq, ts, ts, Fate::kUnknown, 0};
         break;
+      case XAUTO_EV_MISS:
+      case XAUTO_EV_HANG:
+        story_.incidents.push_back(
+            {ts, std::int64_t{event.arg} * (event.kind == XAUTO_EV_HANG ? 1000 : 1), event.module,
+             event.kind == XAUTO_EV_HANG ? event.xnode : -1, event.seq});
+        break;
       case XAUTO_EV_DONE:
       case XAUTO_EV_DROP:
         end_of_activation(event, ts);
@@ -62,9 +68,10 @@ class Reader {
     if (e.ts_ns == 0 || e.ts_ns > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2)
       return false;
     if (e.kind == XAUTO_EV_PUBLISH) return true;
-    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_DROP || e.module >= modules_.size())
+    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_HANG || e.module >= modules_.size())
       return false;
-    if (e.kind == XAUTO_EV_ACTIVATE || e.kind == XAUTO_EV_DONE || e.kind == XAUTO_EV_DROP)
+    if (e.kind == XAUTO_EV_ACTIVATE || e.kind == XAUTO_EV_DONE || e.kind == XAUTO_EV_DROP ||
+        e.kind == XAUTO_EV_MISS)
       return true;
     return e.xnode < app_.xnodes.size() && e.xpu < platform_.xpus.size() &&
            app_.xnodes[e.xnode].module == modules_[e.module].name;
@@ -244,6 +251,7 @@ Result<Story> story_of(const AppSpec& app, const Platform& platform,
                                            " events fits the app and the platform",
                 "trace", "was the app linked against another version of XAuto?");
   story.lost += trace.lost;
+  story.overwritten = trace.overwritten;
   return story;
 }
 
