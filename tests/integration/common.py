@@ -39,7 +39,7 @@ def testapp_files(folder, deployment=None, **of_app):
     policy = os.path.join(folder, "policy.json")
     done = xauto("solve", "--app", app, "--platform", platform, "--method", "heft", "--out", policy)
     assert os.path.exists(policy), done.stderr  # status 1: no policy keeps the deadline, but there is one
-    arguments = ["--app", app, "--platform", platform, "--policy", policy, "--emulate"]
+    arguments = ["--app", app, "--platform", platform, "--policy", policy]
     if deployment is not None:
         path = write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "testapp", **deployment})
         arguments += ["--deployment", path]

@@ -36,8 +36,8 @@ class Outputs(unittest.TestCase):
         """Verb -> the arguments that it needs, and what comes behind."""
         files = ["--app", self.path("app.json"), "--platform", self.path("platform.json")]
         app = ["--", *self.app(marker)]
-        return {"run": ([*files, "--policy", self.path("policy.json"), "--emulate", "--activations", 3], app),
-                "profile": (["--platform", self.path("platform.json"), "--emulate", "--repetitions", 2], app),
+        return {"run": ([*files, "--policy", self.path("policy.json"), "--activations", 3], app),
+                "profile": (["--platform", self.path("platform.json"), "--repetitions", 2], app),
                 "compare": ([*files, "--policies", "heft", "--activations", 3], app),
                 "solve": ([*files, "--method", "heft"], []),
                 "simulate": ([*files, "--policy", self.path("policy.json")], []),
@@ -105,7 +105,7 @@ class Outputs(unittest.TestCase):
 
     def test_a_recording_that_cannot_be_written_does_not_cost_the_table(self):
         # The app limits the size of its files: as on a full disk, SQLite's writes fail.
-        done = xauto("run", *self.verbs("x")["run"][0], "--activations", 40, "--record", self.path("limited.db3"), "--",
+        done = xauto("run", *self.verbs("x")["run"][0][:-1], 40, "--record", self.path("limited.db3"), "--",
                      *self.app("x", "filelimit", "65536"))
         self.assertEqual(done.returncode, 1, done.stderr)
         self.assertRegex(done.stdout, r"heft +\d+\.\d\d.* 40\n")
@@ -125,7 +125,7 @@ class Outputs(unittest.TestCase):
         out = pathlib.Path(self.path("kept.json"))
         out.write_text("what was there")
         words, app = self.verbs("killed")["run"]
-        tool = subprocess.Popen([XAUTO, "run", *map(str, words), "--activations", "0", "--out", str(out), *app],
+        tool = subprocess.Popen([XAUTO, "run", *map(str, words[:-1]), "0", "--out", str(out), *app],
                                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         deadline = time.monotonic() + 30
         while not os.path.exists(self.path("killed")) and time.monotonic() < deadline:

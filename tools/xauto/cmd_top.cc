@@ -290,7 +290,7 @@ Result<int> top(const Flags& flags, const Options& options) {
   tracer_options.pin = false;
   tracer_options.ring_bytes = 4096;
   if (auto live = observe(observed.run.run, 0, tracer_options, *stop.flag()))
-    observed.live = std::move(*live);
+    observed.live.emplace(std::move(*live));
   else
     observed.why_not = live.error().what;
   Look before = observed.look();
