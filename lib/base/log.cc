@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "base/log.h"
 
+#include <cstdio>
 #include <cstdlib>
 #include <memory>
 #include <string>
@@ -17,6 +18,8 @@ spdlog::logger& logger() {
   static spdlog::logger* const instance = [] {
     auto* made =
         new spdlog::logger("xauto", std::make_shared<spdlog::sinks::stderr_color_sink_mt>());
+    // Whole lines, so that those of several processes do not mix.
+    if (isatty(STDERR_FILENO) == 1) setvbuf(stderr, nullptr, _IOLBF, BUFSIZ);
     // On a terminal there may be a progress line, of this process or of the one that started it:
     // what is logged takes its place, and it comes again below.
     made->set_pattern(isatty(STDERR_FILENO) == 1 ? "\r\033[Kxauto: %^%l%$: %v"

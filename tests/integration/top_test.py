@@ -3,6 +3,7 @@
 """`xauto top` without BPF, and the progress line of a run."""
 import json
 import os
+import pathlib
 import pty
 import re
 import signal
@@ -117,6 +118,10 @@ class Top(unittest.TestCase):
         self.assertEqual(done.returncode, 2)
         self.assertIn("no run '1-99' is going on", done.stderr)
 
+    @staticmethod
+    def is_member(pid):
+        return b"XAUTO_PROCESS=" in pathlib.Path(f"/proc/{pid}/environ").read_bytes()
+
     def test_progress_and_logs_do_not_run_into_each_other(self):
         files = testapp_files(self.folder)
         outer, inner = pty.openpty()
@@ -134,9 +139,9 @@ class Top(unittest.TestCase):
             data += got
             # After the line has appeared: logs of the tool, and of the app's hub.
             if killed < 2 and b" % " in data and time.monotonic() - begun > 3 + killed:
-                name = ("xauto-coordinat", "testapp")[killed]
-                # The app's last child is a member; the hub is the first.
-                os.kill([pid for pid, n in sorted(children_of(tool.pid).items()) if n == name][-1], signal.SIGKILL)
+                # A coordinator; then of the app a member, not the hub.
+                os.kill(next(pid for pid, name in children_of(tool.pid).items()
+                             if (name == "xauto-coordinat" if killed == 0 else self.is_member(pid))), signal.SIGKILL)
                 killed += 1
         tool.wait(timeout=60)
         os.close(outer)
