@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "base/log.h"
 
+#include <cstdio>
 #include <cstdlib>
 #include <memory>
 #include <string>
 
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
+#include <unistd.h>
 
 namespace xauto::log {
 namespace {
@@ -16,7 +18,12 @@ spdlog::logger& logger() {
   static spdlog::logger* const instance = [] {
     auto* made =
         new spdlog::logger("xauto", std::make_shared<spdlog::sinks::stderr_color_sink_mt>());
-    made->set_pattern("xauto: %^%l%$: %v");
+    // Whole lines, so that those of several processes do not mix.
+    if (isatty(STDERR_FILENO) == 1) setvbuf(stderr, nullptr, _IOLBF, BUFSIZ);
+    // On a terminal there may be a progress line, of this process or of the one that started it:
+    // what is logged takes its place, and it comes again below.
+    made->set_pattern(isatty(STDERR_FILENO) == 1 ? "\r\033[Kxauto: %^%l%$: %v"
+                                                 : "xauto: %^%l%$: %v");
     const char* level = std::getenv("XAUTO_LOG");
     made->set_level(level == nullptr ? spdlog::level::info : spdlog::level::from_str(level));
     return made;

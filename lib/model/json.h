@@ -52,7 +52,10 @@ inline constexpr int kMaxJsonDepth = 64;
 /// The same of one that is open; `path` is for messages.
 [[nodiscard]] Result<std::string> read_open_file(int fd, const std::string& path,
                                                  std::size_t max_bytes);
-/// Writes beside the target and renames, so that a reader never sees half a file.
+/// Whether `write_file` could make this file now. Leaves nothing behind, and what is there alone.
+[[nodiscard]] Status check_writable(const std::string& path);
+/// Writes beside the target and renames, so that a reader never sees half a file and what was there
+/// stays until all is written. A device or a pipe is written into.
 [[nodiscard]] Status write_file(const std::string& path, std::string_view text);
 
 }  // namespace xauto

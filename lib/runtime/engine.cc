@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include <fcntl.h>
 #include <fmt/format.h>
 
 #include "base/clock.h"
@@ -18,6 +19,10 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::int64_t kPatienceNs = 1'000'000'000;  ///< with an exec, once the run is over
+
+/// Of a job in the trace: about 8, more when it is preempted.
+constexpr double kEventsPerJob = 24;
+constexpr std::uint64_t kMinTraceEvents = 1u << 12, kMaxTraceEvents = 1u << 22;  ///< 32 bytes each
 
 }  // namespace
 
@@ -39,20 +44,33 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   XAUTO_ASSIGN(e.plan_, Plan::make(e.graph_, app, session));
   XAUTO_ASSIGN(e.routes_, Routes::make(e.graph_, session.deployment, session.app.deadline_us));
   if (session.trace_fd >= 0 && session.process == 0) {  // before any member may attach to it
-    XAUTO_ASSIGN(e.trace_, trace::Writer::create(session.trace_fd, session.trace_capacity));
+    XAUTO_ASSIGN(e.trace_, trace::Writer::create(session.trace_fd, e.trace_capacity()));
   }
+  const std::size_t flows = 1 + e.routes_->size();
   if (e.plan_.processes == 1) {
-    e.board_ = Board::local({1, static_cast<std::uint32_t>(e.graph_.modules.size()),
-                             static_cast<std::uint32_t>(e.graph_.nodes.size())});
+    const BoardShape shape{1, static_cast<std::uint32_t>(e.graph_.modules.size()),
+                           static_cast<std::uint32_t>(e.graph_.nodes.size()),
+                           static_cast<std::uint32_t>(flows)};
+    if (session.board_fd >= 0) {
+      UniqueFd fd(fcntl(session.board_fd, F_DUPFD_CLOEXEC, 3));
+      XAUTO_ASSIGN(e.board_, Board::create(shape, fd));
+    } else {
+      e.board_ = Board::local(shape);
+    }
   } else if (session.process == 0) {
-    XAUTO_ASSIGN(e.hub_, Hub::create(e.plan_, e.graph_, session, e));
+    XAUTO_ASSIGN(e.hub_, Hub::create(e.plan_, e.graph_, session, flows, e));
     e.board_ = e.hub_->board();
   } else {
-    XAUTO_ASSIGN(e.member_, Member::join(e.plan_, e.graph_, session));
+    XAUTO_ASSIGN(e.member_, Member::join(e.plan_, e.graph_, session, flows));
     e.board_ = e.member_->board();
     if (session.trace_fd >= 0) {
       XAUTO_ASSIGN(e.trace_, trace::Writer::attach(session.trace_fd));
     }
+  }
+  if (!e.member_) {
+    for (std::size_t m = 0; m < e.graph_.modules.size(); ++m)
+      name_line(e.board_->module(static_cast<int>(m)).name, e.graph_.modules[m].name);
+    e.routes_->show_on(*e.board_);
   }
   XAUTO_TRY(e.place());
   XAUTO_TRY(e.open_topics());
@@ -62,6 +80,21 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   if (!e.member_) e.compare_with_certificate();
   XAUTO_TRY(e.start_workers());
   return engine;
+}
+
+/// Every XNode as often as the fastest source releases. In lockstep, or when an input is replayed
+/// faster, the trace goes back less far than was asked for; reports say how far.
+std::uint64_t Engine::trace_capacity() const {
+  std::int64_t fastest_us = session_.period_us;
+  if (fastest_us == 0)
+    for (const auto& source : app_.sources)
+      if (fastest_us == 0 || source.period.count() < fastest_us) fastest_us = source.period.count();
+  const double jobs_per_s = static_cast<double>(graph_.nodes.size()) * 1e6 /
+                            static_cast<double>(std::max<std::int64_t>(1, fastest_us));
+  const double events = session_.trace_keep_s * jobs_per_s * kEventsPerJob;
+  return events >= static_cast<double>(kMaxTraceEvents)
+             ? kMaxTraceEvents
+             : std::max(kMinTraceEvents, static_cast<std::uint64_t>(events));
 }
 
 // ---- building
@@ -390,7 +423,8 @@ Result<RunReport> Engine::run_whole() {
   releaser.join();
   XAUTO_TRY(status);
   const bool drained = wait_drained();
-  if (recorder_) XAUTO_TRY(recorder_->close());
+  if (recorder_)
+    if (const Status closed = recorder_->close(); !closed) recording_error_ = closed.error().what;
   std::vector<std::string> members;
   if (hub_) {
     members = hub_->stop();

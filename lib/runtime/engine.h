@@ -63,6 +63,7 @@ class Engine final : public ModuleHost, private HubHost {
     return plan_.process_of[module] == session_.process;
   }
   [[nodiscard]] transport::Link& link(std::size_t topic) const;
+  [[nodiscard]] std::uint64_t trace_capacity() const;
   [[nodiscard]] Status open_topics();
   [[nodiscard]] Status open_inputs();
   [[nodiscard]] Result<RunReport> run_member();
@@ -104,6 +105,7 @@ class Engine final : public ModuleHost, private HubHost {
   void trace_inputs(int module, ModuleRuntime& runtime);
   void through(int module, std::uint64_t sequence, std::int64_t origin_ns,
                const detail::Origins* origins, std::int64_t now, bool lost);
+  void missed(int module, std::uint64_t sequence, std::int64_t latency_us);
   void account(int module, std::uint64_t sequence, std::int64_t now, bool lost);
 
   const detail::AppSpecErased& app_;
@@ -125,6 +127,7 @@ class Engine final : public ModuleHost, private HubHost {
   std::string note_;
   std::vector<std::string> unkept_;           ///< see RunReport
   std::optional<record::Recorder> recorder_;  ///< of the releasing thread
+  std::string recording_error_;               ///< of the releasing thread, then of `run`'s
   std::vector<std::size_t> recorded_topic_;   ///< [topic] -> the recorder's index
   std::atomic<bool> stop_{false};
   bool stuck_ = false;

@@ -57,7 +57,10 @@ void Engine::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
     member_->tell(module, sequence, origin_ns, now, lost, origins);
     return;
   }
-  if (!lost) routes_->published(module, origin_ns, origins, now);
+  if (!lost)
+    if (const auto late_us = routes_->published(module, origin_ns, origins, now);
+        late_us && (!graph_.single_rate || !session_.deployment.chains.empty()))
+      missed(module, sequence, *late_us);
   if (!graph_.modules[static_cast<std::size_t>(module)].sink) return;
   if (!lost) {
     Latencies& latencies = *latencies_[static_cast<std::size_t>(module)];
@@ -78,6 +81,14 @@ void Engine::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
                   XAUTO_EV_NONE, reason);
   if (graph_.modules[static_cast<std::size_t>(module)].sink)
     through(module, sequence, 0, nullptr, now_ns(), true);
+}
+
+/// Into the trace, which so tells the tool.
+void Engine::missed(int module, std::uint64_t sequence, std::int64_t latency_us) {
+  if (!trace_) return;
+  trace_->write(XAUTO_EV_MISS, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
+                XAUTO_EV_NONE,
+                static_cast<std::uint32_t>(std::clamp<std::int64_t>(latency_us, 0, UINT32_MAX)));
 }
 
 void Engine::skip(int module, std::uint64_t sequence) {
@@ -102,12 +113,19 @@ void Engine::account(int module, std::uint64_t sequence, std::int64_t now, bool 
       releases_.push_back({next, open.origin_ns, open.lost ? -1 : latency_us});
       if (releases_.size() > kKeptReleases) releases_.pop_front();
       ++num_releases_;
-      if (open.lost)
+      FlowLine& whole = board_->flow(0);
+      if (open.lost) {
         ++lost_releases_;
-      else
+        whole.lost.fetch_add(1, std::memory_order_relaxed);
+      } else {
         release_latencies_us_.add(latency_us);
-      if (session_.app.deadline_us && (open.lost || latency_us > *session_.app.deadline_us))
+        whole.add(latency_us);
+      }
+      if (session_.app.deadline_us && (open.lost || latency_us > *session_.app.deadline_us)) {
         deadline_misses_.fetch_add(1, std::memory_order_relaxed);
+        whole.late.fetch_add(1, std::memory_order_relaxed);
+        missed(module, next, latency_us);
+      }
       ++complete;
     }
     for (; !open_.empty() && open_.front().sinks_left == 0; ++open_base_) open_.pop_front();
@@ -168,6 +186,7 @@ RunReport Engine::report() {
   }
   result.deadline_misses = deadline_misses_.load();
   result.unkept = unkept_;
+  result.recording_error = recording_error_;
   return result;
 }
 

@@ -134,6 +134,7 @@ void Engine::release(std::int64_t origin_ns, const std::vector<Sample>& samples)
       open_[sequence - open_base_] = {origin_ns, origin_ns, num_sinks_, false};
     if (in_flight_.fetch_add(1) > 0) ++overlapping_releases_;
   }
+  board_->count_release();
   if (trace_) {
     // One release in an app of one rate, several otherwise.
     const std::size_t count = graph_.single_rate ? 1 : samples.size();
@@ -187,8 +188,8 @@ void Engine::record(std::int64_t origin_ns, const std::vector<Sample>& samples) 
       done = fail(ErrorCode::kIo, e.what(), session_.record);
     }
     if (done) continue;
-    add_note(note_, "recording ended early: " + done.error().to_string());
-    log::warn("recording ended early: {}", done.error().to_string());
+    recording_error_ = "recording ended early: " + done.error().what;
+    log::warn("{}", recording_error_);
     recorder_.reset();
     return;
   }

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include <signal.h>
+#include <uapi/xauto/event.h>
 #include <unistd.h>
 
 #include "base/clock.h"
@@ -65,6 +66,12 @@ void Engine::hung(const Worker& worker, const Worker::Hung& job) {
     const std::lock_guard lock(hung_mutex_);
     add_note(hung_note_, text);
   }
+  if (trace_)
+    trace_->write(XAUTO_EV_HANG, job.sequence, static_cast<std::uint16_t>(job.placed->xnode),
+                  static_cast<std::uint16_t>(job.module),
+                  static_cast<std::uint16_t>(worker.options().xpu),
+                  static_cast<std::uint32_t>(
+                      std::min<std::int64_t>(UINT32_MAX, job.placed->limits.hang_ns / 1'000'000)));
   switch (job.placed->limits.on_hang) {
     case OnHang::kLog:
       if (first) log::warn("{} (further ones are only counted)", text);

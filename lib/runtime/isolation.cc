@@ -7,6 +7,7 @@
 #include <cstring>
 #include <set>
 
+#include <fcntl.h>
 #include <poll.h>
 #include <signal.h>
 #include <sys/eventfd.h>
@@ -30,10 +31,10 @@ Status say(int socket, Word word, int index = 0, const std::vector<int>& fds = {
   return send_packet(socket, &packet, sizeof packet, fds);
 }
 
-BoardShape board_shape(const Plan& plan, const Graph& graph) {
+BoardShape board_shape(const Plan& plan, const Graph& graph, std::size_t flows) {
   return {static_cast<std::uint32_t>(plan.processes),
           static_cast<std::uint32_t>(graph.modules.size()),
-          static_cast<std::uint32_t>(graph.nodes.size())};
+          static_cast<std::uint32_t>(graph.nodes.size()), static_cast<std::uint32_t>(flows)};
 }
 
 transport::TopicShape shape_of(const Graph::Topic& topic, std::size_t readers,
@@ -108,9 +109,10 @@ Result<Plan> Plan::make(const Graph& graph, const detail::AppSpecErased& app,
 // ---- hub ---------------------------------------------------------------------------------------
 
 Result<std::unique_ptr<Hub>> Hub::create(const Plan& plan, const Graph& graph,
-                                         const Session& session, HubHost& host) {
+                                         const Session& session, std::size_t flows, HubHost& host) {
   auto hub = std::unique_ptr<Hub>(new Hub(plan, graph, host));
-  XAUTO_ASSIGN(hub->board_, Board::create(board_shape(plan, graph), hub->board_fd_));
+  if (session.board_fd >= 0) hub->board_fd_ = UniqueFd(fcntl(session.board_fd, F_DUPFD_CLOEXEC, 3));
+  XAUTO_ASSIGN(hub->board_, Board::create(board_shape(plan, graph, flows), hub->board_fd_));
   hub->topics_.resize(graph.topics.size());
   for (std::size_t t = 0; t < graph.topics.size(); ++t)
     if (const std::size_t readers = plan.topics[t].readers.size(); readers > 0) {
@@ -357,7 +359,7 @@ std::vector<int> Hub::deaths() const {
 // ---- member ------------------------------------------------------------------------------------
 
 Result<std::unique_ptr<Member>> Member::join(const Plan& plan, const Graph& graph,
-                                             const Session& session) {
+                                             const Session& session, std::size_t flows) {
   auto member = std::unique_ptr<Member>(new Member);
   XAUTO_ASSIGN(member->socket_, connect_abstract(session.hub));
   const int socket = member->socket_.get();
@@ -371,7 +373,7 @@ Result<std::unique_ptr<Member>> Member::join(const Plan& plan, const Graph& grap
     if (size == sizeof packet && word == Word::kTopic && packet.index < graph.topics.size()) {
       XAUTO_ASSIGN(member->topics_[packet.index], transport::join_link(std::move(fds)));
     } else if (size == sizeof packet && word == Word::kBoard && fds.size() == 1) {
-      XAUTO_ASSIGN(member->board_, Board::map(fds[0].get(), board_shape(plan, graph)));
+      XAUTO_ASSIGN(member->board_, Board::map(fds[0].get(), board_shape(plan, graph, flows)));
     } else if (size == sizeof packet && word == Word::kBegin && member->board_ != nullptr) {
       for (std::size_t t = 0; t < graph.topics.size(); ++t) {
         const Plan::Remote& remote = plan.topics[t];

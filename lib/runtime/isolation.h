@@ -94,7 +94,8 @@ class HubHost {
 class Hub {
  public:
   [[nodiscard]] static Result<std::unique_ptr<Hub>> create(const Plan& plan, const Graph& graph,
-                                                           const Session& session, HubHost& host);
+                                                           const Session& session,
+                                                           std::size_t flows, HubHost& host);
   ~Hub();
   Hub(const Hub&) = delete;
   Hub& operator=(const Hub&) = delete;
@@ -147,9 +148,10 @@ class Hub {
 /// A member's side.
 class Member {
  public:
-  /// Says Hello and receives everything up to Begin.
+  /// `flows`: see board.h. Says Hello and receives everything up to Begin.
   [[nodiscard]] static Result<std::unique_ptr<Member>> join(const Plan& plan, const Graph& graph,
-                                                            const Session& session);
+                                                            const Session& session,
+                                                            std::size_t flows);
   [[nodiscard]] const std::shared_ptr<Board>& board() const { return board_; }
   [[nodiscard]] transport::Link& topic(std::size_t index) const { return *topics_.at(index); }
   /// Says Ready and waits for Go. False: told to stop, or the hub is gone.

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <mutex>
 
+#include "runtime/board.h"
+
 namespace xauto::runtime {
 namespace {
 
@@ -72,9 +74,19 @@ Result<Routes> Routes::make(const Graph& graph, const Deployment& deployment,
   return routes;
 }
 
-void Routes::published(int module, std::int64_t origin_ns, const detail::Origins* origins,
-                       std::int64_t now_ns) {
-  if (!end_at(module)) return;
+void Routes::show_on(Board& board) {
+  for (std::size_t i = 0; i < routes_.size(); ++i) {
+    Route& route = routes_[i];
+    route.line = &board.flow(i + 1);
+    route.line->module = static_cast<std::uint32_t>(route.module);
+    name_line(route.line->name, route.counts.name);
+  }
+}
+
+std::optional<std::int64_t> Routes::published(int module, std::int64_t origin_ns,
+                                              const detail::Origins* origins, std::int64_t now_ns) {
+  std::optional<std::int64_t> missed_us;
+  if (!end_at(module)) return missed_us;
   const std::lock_guard lock(*mutex_);
   for (const std::size_t index : ends_[static_cast<std::size_t>(module)]) {
     Route& route = routes_[index];
@@ -84,14 +96,27 @@ void Routes::published(int module, std::int64_t origin_ns, const detail::Origins
     RouteReport& counts = route.counts;
     const std::int64_t latency_us = (now_ns - origin) / 1000;
     counts.latency_us.add(latency_us);
-    if (counts.deadline_us && latency_us > *counts.deadline_us) ++counts.deadline_misses;
+    if (route.line != nullptr) route.line->add(latency_us);
+    if (counts.deadline_us && latency_us > *counts.deadline_us) {
+      ++counts.deadline_misses;
+      if (route.line != nullptr) route.line->late.fetch_add(1, std::memory_order_relaxed);
+      missed_us = std::max(missed_us.value_or(0), latency_us);
+    }
     if (route.last_origin_ns != 0) {
       const std::int64_t age_us = (now_ns - route.last_origin_ns) / 1000;
       counts.age_us.add(age_us);
-      if (counts.max_age_us && age_us > *counts.max_age_us) ++counts.age_misses;
+      if (route.line != nullptr)
+        route.line->max_age_us.store(counts.age_us.max(), std::memory_order_relaxed);
+      if (counts.max_age_us && age_us > *counts.max_age_us) {
+        ++counts.age_misses;
+        if (route.line != nullptr) route.line->old.fetch_add(1, std::memory_order_relaxed);
+        missed_us = std::max(missed_us.value_or(0), age_us);
+      }
     }
     route.last_origin_ns = origin;
+    if (route.line != nullptr) route.line->last_origin_ns.store(origin, std::memory_order_relaxed);
   }
+  return missed_us;
 }
 
 std::vector<RouteReport> Routes::report(const std::vector<std::uint64_t>& lost) const {

@@ -25,6 +25,9 @@
 
 namespace xauto::runtime {
 
+class Board;
+struct FlowLine;
+
 struct RouteReport {
   std::string name, from, to;
   std::optional<std::int64_t> deadline_us, max_age_us;
@@ -43,13 +46,17 @@ class Routes {
   [[nodiscard]] static Result<Routes> make(const Graph& graph, const Deployment& deployment,
                                            std::optional<std::int64_t> deadline_us);
 
+  [[nodiscard]] std::size_t size() const { return routes_.size(); }
+  /// Counts on the board from here on, too: chain i is flow i + 1.
+  void show_on(Board& board);
   /// Whether a chain ends at `module`.
   [[nodiscard]] bool end_at(int module) const {
     return !ends_[static_cast<std::size_t>(module)].empty();
   }
-  /// `module` has published what stems from `origin_ns`, or by source from `origins`.
-  void published(int module, std::int64_t origin_ns, const detail::Origins* origins,
-                 std::int64_t now_ns);
+  /// `module` has published what stems from `origin_ns`, or by source from `origins`. Returns the
+  /// latency of a chain that so missed its deadline, or the age of a result that became too old.
+  std::optional<std::int64_t> published(int module, std::int64_t origin_ns,
+                                        const detail::Origins* origins, std::int64_t now_ns);
   /// `lost`: [module] activations that failed or were dropped.
   [[nodiscard]] std::vector<RouteReport> report(const std::vector<std::uint64_t>& lost) const;
 
@@ -59,6 +66,7 @@ class Routes {
     int module = -1;
     std::size_t source = 0;  ///< index into Origins; beyond it: the oldest origin
     std::int64_t last_origin_ns = 0;
+    FlowLine* line = nullptr;  ///< null: nobody looks
   };
   std::vector<std::vector<std::size_t>> ends_;  ///< [module] -> routes
   bool single_rate_ = true;

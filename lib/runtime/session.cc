@@ -90,7 +90,8 @@ std::string to_json(const Session& s) {
             {"stable_rounds", s.stable_rounds},
             {"answer_fd", s.answer_fd},
             {"trace_fd", s.trace_fd},
-            {"trace_capacity", s.trace_capacity},
+            {"board_fd", s.board_fd},
+            {"trace_keep_s", s.trace_keep_s},
             {"processes", s.processes},
             {"hub", s.hub},
             {"hub_fd", s.hub_fd}};
@@ -150,7 +151,8 @@ Result<Session> parse_session(const std::string& text) {
     s.stable_rounds = j.at("stable_rounds").get<std::uint64_t>();
     s.answer_fd = j.at("answer_fd").get<int>();
     s.trace_fd = j.at("trace_fd").get<int>();
-    s.trace_capacity = j.at("trace_capacity").get<std::uint64_t>();
+    s.board_fd = j.at("board_fd").get<int>();
+    s.trace_keep_s = j.at("trace_keep_s").get<double>();
     s.processes = j.at("processes").get<std::vector<std::vector<std::string>>>();
     s.hub = j.at("hub").get<std::string>();
     s.hub_fd = j.at("hub_fd").get<int>();
@@ -235,7 +237,8 @@ std::string to_json(const RunReport& r) {
               {"died", r.died},
               {"deadline_misses", r.deadline_misses},
               {"overlapping_releases", r.overlapping_releases},
-              {"unkept", r.unkept}}
+              {"unkept", r.unkept},
+              {"recording_error", r.recording_error}}
       .dump();
 }
 
@@ -289,6 +292,7 @@ Result<RunReport> parse_run_report(const std::string& text) {
     r.deadline_misses = j.at("deadline_misses").get<std::uint64_t>();
     r.overlapping_releases = j.at("overlapping_releases").get<std::uint64_t>();
     r.unkept = j.at("unkept").get<std::vector<std::string>>();
+    r.recording_error = j.at("recording_error").get<std::string>();
     return r;
   });
 }

@@ -69,7 +69,8 @@ struct Session {
   std::uint64_t stable_rounds = 0;  ///< kProfile: further rounds of repetitions for wide spreads
   int answer_fd = -1;               ///< memfd for the Answer
   int trace_fd = -1;                ///< memfd for the trace; -1: none
-  std::uint64_t trace_capacity = 0;
+  int board_fd = -1;                ///< memfd for the board (board.h); -1: nobody looks
+  double trace_keep_s = 0;          ///< for so long the trace holds what happens (if memory allows)
 
   Deployment deployment;  ///< kRun
 
@@ -140,6 +141,7 @@ struct RunReport {
   /// What the policy's worst case takes for granted (kWorstCaseScope) and this run does not keep by
   /// the way it was set up; a line each, for people.
   std::vector<std::string> unkept;
+  std::string recording_error;  ///< why the recording is not whole; empty: it is, or there is none
 };
 
 /// kDescribe answers an AppSpec without WCETs; kProfile a profile.json; kRun this. Errors of any

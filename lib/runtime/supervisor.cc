@@ -6,6 +6,7 @@
 #include <cstring>
 
 #include <fcntl.h>
+#include <nlohmann/json.hpp>
 #include <poll.h>
 #include <signal.h>
 #include <sys/eventfd.h>
@@ -35,6 +36,16 @@ constexpr int kProfileDrainMs = 3'000;  ///< an app that profiles answers with w
 constexpr int kGraceMs = 2'000;
 constexpr int kMaxRestarts = 100;  ///< of one daemon; then it stays dead, see supervisor.h
 constexpr int kStartAttempts = 5;  ///< in a row
+
+constexpr std::uint64_t kMaxDumps = 3;  ///< of misses, and of hangs
+constexpr std::int64_t kAftermathNs = 300'000'000, kBeforeNs = 1'000'000'000;  ///< what they show
+
+/// What was told of misses, or of hangs.
+struct Dumps {
+  std::uint64_t seen = 0, written = 0;
+  std::int64_t due_ns = 0;     ///< when the next one is made; 0: nothing new
+  std::uint64_t shown_ns = 0;  ///< what happened until then is in one
+};
 
 struct Daemon {
   std::string name;
@@ -132,10 +143,10 @@ class Supervisor {
     Session& session = request_.session;
     XAUTO_ASSIGN(answer_, make_memory_file("xauto-answer"));
     session.answer_fd = answer_.get();
-    if (request_.trace_capacity > 0) {
+    if (request_.trace_keep_s > 0) {
       XAUTO_ASSIGN(trace_, make_memory_file("xauto-trace"));
       session.trace_fd = trace_.get();
-      session.trace_capacity = request_.trace_capacity;
+      session.trace_keep_s = request_.trace_keep_s;
     }
     if (session.emulates()) {
       Platform emulated{session.platform.name, {}};
@@ -157,7 +168,14 @@ class Supervisor {
       daemons_.push_back(std::move(daemon));
     }
     const bool scheduled = session.mode == Mode::kRun && session.scheduling == Scheduling::kXAuto;
-    if (session.mode == Mode::kRun) prepare_cpus(scheduled);
+    if (session.mode == Mode::kRun) {
+      board_fd_ = private_memfd("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING);
+      if (!board_fd_)
+        return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
+      session.board_fd = board_fd_.get();
+      XAUTO_ASSIGN(live_, listen_abstract(base_ + kLiveName));
+      prepare_cpus(scheduled);
+    }
     if (scheduled)
       for (const Xpu& xpu : session.platform.xpus) session.coordinators[xpu.id] = base_ + xpu.id;
     UniqueFd hub;  // closed here once the app has it: its end must show
@@ -194,6 +212,7 @@ class Supervisor {
     options.argv = request_.command;
     options.inherit = {session_.get(), answer_.get()};
     if (trace_) options.inherit.push_back(trace_.get());
+    if (board_fd_) options.inherit.push_back(board_fd_.get());
     options.environment = {{kSessionVariable, std::to_string(session_.get())}};
     if (session.emulates()) options.environment.emplace_back(emu::kEmudVariable, base_ + kEmudName);
     const std::vector<bool> is_real = real_xpus(session);
@@ -209,6 +228,7 @@ class Supervisor {
     if (!hub) return {};
     std::erase(options.inherit, hub.get());
     std::erase(options.inherit, answer_.get());
+    std::erase(options.inherit, board_fd_.get());  // they get it from the hub
     for (std::size_t p = 0; p < session.processes.size(); ++p) {
       ModuleProcess process;
       process.index = static_cast<int>(p) + 1;
@@ -255,6 +275,7 @@ class Supervisor {
   /// A daemon has died: the next one goes on with what it left, and no job notices.
   bool restart(Daemon& daemon, const Exit& exit) {
     if (daemon.coordinator) outcome_.coordinators_cpu_us += exit.cpu_us;
+    ++outcome_.deaths;
     Result<Child> child = fail(ErrorCode::kUnavailable, "died too often");
     // One that dies while it starts is followed, too, but not for ever.
     for (int attempt = 0; attempt < kStartAttempts && daemon.starts <= kMaxRestarts; ++attempt) {
@@ -286,6 +307,7 @@ class Supervisor {
       process.noticed = true;
       return;
     }
+    ++outcome_.deaths;
     std::string note = "the process of " + process.name + " died (" + exit.to_string() + ")";
     if (process.restarts > 0) {
       --process.restarts;
@@ -312,7 +334,66 @@ class Supervisor {
       if (!daemon.noticed) fds.push_back({daemon.child.pidfd(), POLLIN, 0});
     for (const ModuleProcess& process : processes_)
       if (!process.noticed) fds.push_back({process.child.pidfd(), POLLIN, 0});
-    poll(fds.data(), fds.size(), 200);
+    if (live_) fds.push_back({live_.get(), POLLIN, 0});
+    if (poll(fds.data(), fds.size(), 200) > 0 && live_ && fds.back().revents != 0) introduce();
+  }
+
+  /// To somebody who wants to look at the run. He reads the board himself, and cannot write it.
+  void introduce() {
+    const auto peer = accept_own(live_.get());
+    if (!peer) return;
+    const UniqueFd board(
+        open(("/proc/self/fd/" + std::to_string(board_fd_.get())).c_str(), O_RDONLY | O_CLOEXEC));
+    const Session& session = request_.session;
+    const std::string text = nlohmann::json{
+        {"app", session.app.name},
+        {"platform", session.platform.name},
+        {"scheduling", to_string(session.scheduling)},
+        {"activations", session.activations},
+        {"pid", getpid()}}.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
+    if (board) (void)send_packet(peer->get(), text.data(), text.size(), {board.get()});
+  }
+
+  /// The trace says by two counters that there is something new; what it was is among its events.
+  /// `now` is INT64_MAX when the app has ended: no aftermath will come.
+  void look_for_incidents(std::int64_t now) {
+    if (!trace_ || !request_.on_incident) return;
+    const trace::Alarms alarms = trace::alarms(trace_.get());
+    const std::uint64_t seen[] = {alarms.misses, alarms.hangs};
+    for (const bool hang : {false, true}) {
+      Dumps& dumps = dumps_[hang ? 1 : 0];
+      const std::uint64_t count = seen[hang ? 1 : 0];
+      if (count == dumps.seen || dumps.written == kMaxDumps) continue;
+      if (dumps.due_ns == 0) dumps.due_ns = now == INT64_MAX ? now : now + kAftermathNs;
+      if (now < dumps.due_ns) continue;
+      dumps.due_ns = 0;
+      dumps.seen = count;
+      if (auto trace = trace::read(trace_.get())) dump(hang, dumps, std::move(*trace));
+    }
+  }
+
+  void dump(bool hang, Dumps& dumps, trace::Recording trace) {
+    const std::uint16_t kind = hang ? XAUTO_EV_HANG : XAUTO_EV_MISS;
+    auto& events = trace.events;
+    // What an earlier dump shows needs none of its own.
+    const auto first = std::find_if(events.begin(), events.end(), [&](const trace::Event& e) {
+      return e.kind == kind && e.ts_ns > dumps.shown_ns;
+    });
+    if (first == events.end()) return;
+    Incident incident{hang, *first, {}};
+    // From before the release that it is about: a miss tells its latency, a hang its limit.
+    const std::uint64_t took = std::uint64_t{first->arg} * (hang ? 1'000'000 : 1'000);
+    const std::uint64_t before = took + kBeforeNs;
+    const std::uint64_t begin = first->ts_ns > before ? first->ts_ns - before : 0;
+    const std::uint64_t end = first->ts_ns + std::uint64_t{2 * kAftermathNs};
+    dumps.shown_ns = std::min<std::uint64_t>(end, events.back().ts_ns);
+    ++dumps.written;
+    for (const trace::Event& e : events)
+      if (e.ts_ns >= begin && e.ts_ns <= end) incident.trace.events.push_back(e);
+    incident.trace.lost = trace.lost;
+    // Only what this window lacks is missing in it.
+    if (events.front().ts_ns > begin) incident.trace.overwritten = trace.overwritten;
+    request_.on_incident(incident);
   }
 
   /// Until the app has ended.
@@ -329,7 +410,11 @@ class Supervisor {
       wait_for_children();
       if (app_.poll()) return;
       const std::int64_t now = now_ns();
-      if (request_.on_tick) request_.on_tick(static_cast<double>(now - started) * 1e-9);
+      if (!board_ && board_fd_)
+        if (auto board = Board::observe(board_fd_.get())) board_ = std::move(*board);
+      if (request_.on_tick)
+        request_.on_tick(static_cast<double>(now - started) * 1e-9, board_.get());
+      look_for_incidents(now);
       const bool look = now >= next_look;
       if (look) next_look = now + kLookEveryNs;
       for (Daemon& daemon : daemons_) {
@@ -381,6 +466,7 @@ class Supervisor {
 
   Result<Outcome> collect() {
     XAUTO_ASSIGN(outcome_.answer, read_memory_file(answer_.get()));
+    look_for_incidents(INT64_MAX);
     if (trace_) {
       auto trace = trace::read(trace_.get());
       if (trace)
@@ -401,12 +487,14 @@ class Supervisor {
 
   Supervision request_;
   std::string base_, bin_;
-  UniqueFd answer_, trace_, platform_, session_;
+  UniqueFd answer_, trace_, platform_, session_, board_fd_, live_;
+  std::shared_ptr<const Board> board_;
   std::vector<Daemon> daemons_;
   std::vector<ModuleProcess> processes_;
   Child app_;
   xpu::CpuRun cpus_;
   bool stopped_ = false;  ///< by the user
+  Dumps dumps_[2];  ///< misses, hangs
   Outcome outcome_;
 };
 

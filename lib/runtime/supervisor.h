@@ -23,6 +23,7 @@
 
 #include "base/process.h"
 #include "coord/arbiter.h"
+#include "runtime/board.h"
 #include "runtime/session.h"
 #include "trace/trace.h"
 
@@ -34,6 +35,9 @@ inline constexpr const char* kSocketPrefix = "xauto/";
 /// Last parts of socket names that are no coordinator's.
 inline constexpr const char* kHubName = "hub";
 inline constexpr const char* kEmudName = "emud";
+/// Of the tool: answers any packet with one line of JSON about the run and the board's memfd, to be
+/// read (`Board::observe`).
+inline constexpr const char* kLiveName = "live";
 
 /// Who keeps the priorities on this XPU: the coordinator by preemption, by gating, or the kernel.
 [[nodiscard]] coord::Discipline discipline_of(const Xpu& xpu, bool emulated);
@@ -42,15 +46,25 @@ inline constexpr const char* kEmudName = "emud";
 /// an emulated one when the run is with the emulator modules.
 [[nodiscard]] bool suspended_by_module(const Xpu& xpu, bool emulated, bool emulator_modules);
 
+/// A deadline miss or a hang, and what was traced around it.
+struct Incident {
+  bool hang = false;
+  trace::Event event{};  ///< XAUTO_EV_MISS or XAUTO_EV_HANG
+  trace::Recording trace;
+};
+
 struct Supervision {
   Session session;                   ///< addresses and descriptors are filled in
   std::vector<std::string> command;  ///< the app and its arguments
   std::string bin;  ///< where xauto-coordinator and xauto-emud are; empty: beside us
-  const std::atomic<bool>* stop = nullptr;        ///< set by Ctrl-C: drain; see stop_count for more
-  std::function<void(double elapsed_s)> on_tick;  ///< about five times a second
-  std::uint64_t trace_capacity = 0;               ///< events; 0: no trace
-  std::int64_t time_limit_s = 0;                  ///< 0: none; then the app is stopped
-  std::int64_t cpu_budget_pct = 0;                ///< sched_ext: of a job's WCET; 0: no budgets
+  const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: drain; see stop_count for more
+  /// About five times a second. `board` is null until the app has made it.
+  std::function<void(double elapsed_s, const Board* board)> on_tick;
+  double trace_keep_s = 0;  ///< the trace keeps the newest events of so long; 0: no trace
+  /// Of the first few of each kind, shortly after it happened. Called on the caller's thread.
+  std::function<void(const Incident&)> on_incident;
+  std::int64_t time_limit_s = 0;    ///< 0: none; then the app is stopped
+  std::int64_t cpu_budget_pct = 0;  ///< sched_ext: of a job's WCET; 0: no budgets
 };
 
 struct Outcome {
@@ -59,6 +73,7 @@ struct Outcome {
   trace::Recording trace;
   std::vector<std::string> notes;  ///< what died or was done differently, for people
   bool emulator_died = false;
+  std::uint64_t deaths = 0;              ///< of daemons and modules' processes, before their time
   std::int64_t coordinators_cpu_us = 0;  ///< CPU time of all coordinators together
   double wall_s = 0;                     ///< of the app
 };

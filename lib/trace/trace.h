@@ -1,8 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// The one event record's writer and reader. The writer is wait-free: one fetch_add and one store of
-// 32 bytes into memory that was touched beforehand; what does not fit is dropped and counted, and
-// every report says so. The buffer is a memfd, so that the parent reads it even if the writer was
-// killed.
+// The one event record's writer and reader: a flight recorder. The buffer is a ring of slots in a
+// memfd, so that it keeps the newest events, and the parent reads it even if the writer was killed.
+//
+// A writer claims the next index by one fetch_add; slot = index % capacity. It then takes the slot
+// by one compare-and-swap of its stamp, writes the event and gives the slot back, so it never
+// waits:
+//
+//   stamp   lap * 2 + 1   a writer of this lap is in the slot (lap = index / capacity + 1)
+//           lap * 2       the event of this lap is in it; 0: none yet
+//
+// A writer that finds its slot taken, or already ahead of it, was asleep for a whole lap or meets
+// one that was: it gives its own event up and counts it. One that is killed inside a slot costs
+// that slot. A reader takes an event only if the stamp was this lap's before and after its copy.
 #pragma once
 
 #include <atomic>
@@ -22,14 +31,15 @@ static_assert(sizeof(Event) == 32);
 inline constexpr std::uint32_t kMagic = 0x58545243;  // "XTRC"
 inline constexpr std::uint64_t kMaxEvents = 64u << 20;
 
-/// Start of the shared buffer; the events follow it.
+/// Start of the shared buffer; the slots follow it.
 struct Header {
   std::uint32_t magic = 0;
   std::uint32_t version = 0;
-  std::uint64_t capacity = 0;  ///< events
-  std::atomic<std::uint64_t>
-      claimed{};  ///< events asked for; above `capacity`: that many were lost
-  std::uint64_t pad[5] = {};
+  std::uint64_t capacity = 0;            ///< slots
+  std::atomic<std::uint64_t> claimed{};  ///< indices handed out
+  std::atomic<std::uint64_t> misses{};   ///< XAUTO_EV_MISS written
+  std::atomic<std::uint64_t> hangs{};    ///< XAUTO_EV_HANG written
+  std::uint64_t pad[3] = {};
 };
 static_assert(sizeof(Header) == 64);
 
@@ -59,11 +69,20 @@ class Writer {
 
 struct Recording {
   std::vector<Event> events;  ///< by time
-  std::uint64_t lost = 0;
+  std::uint64_t lost = 0;     ///< within that time: never written, or given up
+  /// Before that time: the ring has gone round. 0: `events` is all since the beginning.
+  std::uint64_t overwritten = 0;
 };
 
-/// Reads what a Writer left in `fd`, whether or not it is still alive. Checks every length; a
-/// record that was claimed but not written (its writer was killed) is counted as lost.
+/// Reads the newest of what Writers have left in `fd`, whether or not they still write. Checks
+/// every length; an event that was claimed but is not there (its writer was killed, or has not
+/// ended yet) is counted as lost.
 [[nodiscard]] Result<Recording> read(int fd);
+
+/// How often something went wrong so far; a writer may be at work. Zeros: no buffer yet.
+struct Alarms {
+  std::uint64_t misses = 0, hangs = 0;
+};
+[[nodiscard]] Alarms alarms(int fd);
 
 }  // namespace xauto::trace

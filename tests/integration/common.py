@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where things are, and how to call them. Environment: XAUTO_BIN (set by ctest), else build/bin."""
+import json
 import os
 import pathlib
 import subprocess
@@ -15,6 +16,34 @@ def xauto(*arguments, cwd=None, timeout=120, stdin=None):
     """Runs the tool to its end."""
     return subprocess.run([XAUTO, *map(str, arguments)], cwd=cwd, timeout=timeout, capture_output=True,
                           text=True, input=stdin, errors="replace")
+
+
+TESTAPP = str(BIN / "testapp")
+
+
+def testapp_files(folder, deployment=None, **of_app):
+    """app.json, platform.json and policy.json of tests/integration/apps/testapp.cc, and the arguments of `run` that
+    name them. `of_app`: further keys of the app; `deployment`: keys of a deployment.json."""
+    def write(name, value):
+        path = os.path.join(folder, name)
+        pathlib.Path(path).write_text(json.dumps(value))
+        return path
+
+    xnodes = [("a1", "A", "cpu"), ("a2", "A", "npu"), ("b1", "B", "npu"), ("c1", "C", "cpu"), ("d1", "D", "cpu")]
+    platform = write("platform.json", {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
+        {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0},
+        {"id": "npu0", "type": "npu", "preemptive": True, "preempt_us": 100, "timeslice_us": 500}]})
+    app = write("app.json", {"schema": "xauto.app", "version": 1, "name": "testapp",
+                             "xnodes": [{"name": n, "module": m, "wcet_us": {x: 1000}} for n, m, x in xnodes],
+                             "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]], **of_app})
+    policy = os.path.join(folder, "policy.json")
+    done = xauto("solve", "--app", app, "--platform", platform, "--method", "heft", "--out", policy)
+    assert os.path.exists(policy), done.stderr  # status 1: no policy keeps the deadline, but there is one
+    arguments = ["--app", app, "--platform", platform, "--policy", policy]
+    if deployment is not None:
+        path = write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "testapp", **deployment})
+        arguments += ["--deployment", path]
+    return arguments
 
 
 def children_of(pid):

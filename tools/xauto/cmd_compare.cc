@@ -13,6 +13,7 @@
 #include "solver/solve.h"
 
 #include "xauto/command.h"
+#include "xauto/outputs.h"
 #include "xauto/report.h"
 #include "xauto/run_app.h"
 
@@ -39,8 +40,8 @@ std::string name_of(const std::string& id) {
 }
 
 /// `solved`: XAuto's policy, solved once for the runs with and without scheduling.
-Result<PolicyRun> prepare(const Flags& flags, const std::string& id,
-                          std::optional<Policy>& solved) {
+Result<PolicyRun> prepare(const Flags& flags, const std::string& id, std::optional<Policy>& solved,
+                          Outputs& outputs) {
   PolicyRun run;
   run.id = id;
   run.name = name_of(id);
@@ -59,7 +60,7 @@ Result<PolicyRun> prepare(const Flags& flags, const std::string& id,
       if (ours) solved = run.policy;
     }
     const std::string path = flags.out + "/" + id + ".policy.json";
-    XAUTO_TRY(write_file(path, to_json(*run.policy, flags.app, flags.spec)));
+    outputs.write(path, to_json(*run.policy, flags.app, flags.spec));
     XAUTO_TRY(check_placements(flags.app, flags.spec, flags.presence, *run.policy, path));
   }
   XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
@@ -72,33 +73,41 @@ Result<int> compare(const Flags& given, const Options& options) {
   std::error_code error;
   std::filesystem::create_directories(flags.out, error);
   if (error) return fail(ErrorCode::kIo, "cannot make the folder: " + error.message(), flags.out);
+  Outputs outputs;
+  const std::string report_path = flags.out + "/report.json";
+  const std::string timeline_path = flags.out + "/timeline.html";
+  XAUTO_TRY(outputs.expect("--out", report_path));
+  XAUTO_TRY(outputs.expect("--out", timeline_path));
 
   std::vector<PolicyRun> runs;
   std::optional<Policy> solved;
   bool good = true;
   const StopOnSignal stop;
   for (const std::string& id : flags.policies) {
-    XAUTO_ASSIGN(PolicyRun run, prepare(flags, id, solved));
+    XAUTO_ASSIGN(PolicyRun run, prepare(flags, id, solved, outputs));
     log::info("{}: {:.2f} ms simulated, running {} activations", run.name,
               static_cast<double>(run.predicted.makespan) / 1000, flags.activations);
     XAUTO_TRY(execute(flags, run, stop.flag()));
     good = good && healthy(run);
-    XAUTO_ASSIGN(const std::string trace, perfetto_of(flags, run));
-    XAUTO_TRY(write_file(flags.out + "/" + id + ".pftrace", trace));
+    if (const Result<std::string> trace = perfetto_of(flags, run))
+      outputs.write(flags.out + "/" + id + ".pftrace", *trace);
+    else
+      outputs.failed(trace.error());
     runs.push_back(std::move(run));
     if (stop.flag()->load()) break;
   }
   const std::string report = report_json(flags, runs);
-  XAUTO_TRY(write_file(flags.out + "/report.json", report));
-  XAUTO_TRY(write_file(flags.out + "/timeline.html", timeline_html(timeline_of(flags, runs))));
   if (options.json)
     std::cout << report;
   else
-    std::cout << report_table(flags, runs) << "\n  " << flags.out
-              << "/report.json    the numbers\n  " << flags.out
-              << "/timeline.html  the schedules; open it in a browser\n  " << flags.out
+    std::cout << report_table(flags, runs) << "\n";
+  outputs.write(report_path, report);
+  outputs.write(timeline_path, timeline_html(timeline_of(flags, runs)));
+  if (!options.json && outputs.good())
+    std::cout << "  " << report_path << "    the numbers\n  " << timeline_path
+              << "  the schedules; open it in a browser\n  " << flags.out
               << "/*.pftrace      what ran, all of it; open one at ui.perfetto.dev\n";
-  return good ? kDone : kAnswerIsNo;
+  return outputs.status(good ? kDone : kAnswerIsNo);
 }
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include <iostream>
 #include <memory>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 #include "model/json.h"
@@ -126,6 +127,7 @@ Result<int> explain_trace(const Flags& flags, const Options& options) {
       for (const Account& account : accounts) j["chains"].push_back(to_json(account));
     }
     j["events_lost"] = trace.lost;
+    j["events_dropped_before"] = trace.overwritten;
     std::cout << j.dump(2) << "\n";
     return kDone;
   }
@@ -133,6 +135,10 @@ Result<int> explain_trace(const Flags& flags, const Options& options) {
   if (trace.lost > 0)
     std::cout << "INCOMPLETE: the trace lost " << trace.lost
               << " events; what follows is of what is there\n";
+  if (trace.overwritten > 0)
+    std::cout << fmt::format("the trace holds {:.1f} s: {} older events were dropped\n",
+                             static_cast<double>(trace.end_ns - trace.begin_ns) * 1e-9,
+                             trace.overwritten);
   for (const Account& account : accounts)
     std::cout << (&account == &accounts.front() ? "" : "\n") << account_text(account);
   return kDone;

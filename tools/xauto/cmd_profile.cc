@@ -12,6 +12,7 @@
 
 #include "xauto/command.h"
 #include "xauto/emulation.h"
+#include "xauto/outputs.h"
 #include "xauto/priorities.h"
 #include "xauto/run_app.h"
 
@@ -124,7 +125,7 @@ Result<Profile> measure(const Flags& flags, const Platform& platform) {
   const StopOnSignal stop;
   request.stop = stop.flag();
   Progress progress("profile", 0);
-  request.on_tick = [&](double elapsed_s) {
+  request.on_tick = [&](double elapsed_s, const runtime::Board*) {
     progress.update(elapsed_s, fmt::format("{:.0f} s", elapsed_s));
   };
   XAUTO_ASSIGN(const runtime::Outcome outcome, runtime::supervise(std::move(request)));
@@ -148,31 +149,34 @@ Result<int> profile(const Flags& given, const Options& options) {
           "--repetitions", "leave --repetitions out, or use --from wcet");
   }
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", flags.out));
+  XAUTO_TRY(outputs.expect("--app-out", flags.app_out));
   auto result = flags.read.empty() ? measure(flags, platform) : load_profile(flags.read);
   if (!result) return tl::unexpected<Error>(std::move(result).error());
   const std::string text = to_json(*result);
-  if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, text));
-  if (!flags.app_out.empty()) {
-    const WcetFrom from = flags.from == "p50"   ? WcetFrom::kP50
-                          : flags.from == "p99" ? WcetFrom::kP99
-                                                : WcetFrom::kMaxPlusMargin;
-    const auto app = to_app(*result, platform, from);
-    if (app)
-      XAUTO_TRY(write_file(flags.app_out, to_json(*app)));
-    else if (result->incomplete.empty())
-      return tl::unexpected<Error>(app.error());
-    else
-      log::error("{} is not written: {}", flags.app_out, app.error().to_string());
-  }
   if (options.json) {
     std::cout << text;
     for (const std::string& line : remarks(*result, platform)) log::warn("{}", line);
   } else {
     std::cout << table(*result, platform);
   }
-  if (result->incomplete.empty()) return kDone;
+  outputs.write(flags.out, text);
+  if (!flags.app_out.empty()) {
+    const WcetFrom from = flags.from == "p50"   ? WcetFrom::kP50
+                          : flags.from == "p99" ? WcetFrom::kP99
+                                                : WcetFrom::kMaxPlusMargin;
+    const auto app = to_app(*result, platform, from);
+    if (app)
+      outputs.write(flags.app_out, to_json(*app));
+    else if (result->incomplete.empty())
+      return tl::unexpected<Error>(app.error());
+    else
+      log::error("{} is not written: {}", flags.app_out, app.error().to_string());
+  }
+  if (result->incomplete.empty()) return outputs.status(kDone);
   log::error("the profile is incomplete: {}", result->incomplete);
-  return kAnswerIsNo;
+  return outputs.status(kAnswerIsNo);
 }
 
 }  // namespace

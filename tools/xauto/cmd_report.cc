@@ -11,6 +11,7 @@
 
 #include "xauto/command.h"
 #include "xauto/html_report.h"
+#include "xauto/outputs.h"
 
 namespace xauto::cli {
 namespace {
@@ -45,6 +46,8 @@ std::string fact_of(const nlohmann::json& report, const std::string& id) {
 }
 
 Result<int> make(const Flags& flags, const Options& options) {
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", flags.out));
   nlohmann::json report;
   if (!flags.report.empty()) {
     XAUTO_ASSIGN(const std::string text, read_file(flags.report));
@@ -61,6 +64,7 @@ Result<int> make(const Flags& flags, const Options& options) {
     std::string fact = report.is_object() ? fact_of(report, id) : std::string();
     traces.push_back({id, std::move(fact), std::move(trace)});
   }
+  // The page is the result; stdout only says where it is.
   XAUTO_TRY(write_file(flags.out, html_report(traces)));
   if (options.json) {
     auto list = nlohmann::ordered_json::array();

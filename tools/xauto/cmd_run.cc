@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto run: an app under one policy, with its coordinators.
+#include <array>
 #include <filesystem>
 #include <iostream>
 
@@ -10,6 +11,8 @@
 #include "model/json.h"
 
 #include "xauto/command.h"
+#include "xauto/gate.h"
+#include "xauto/outputs.h"
 #include "xauto/report.h"
 #include "xauto/run_app.h"
 
@@ -19,6 +22,15 @@ namespace {
 struct Flags : RunFlags {
   std::string policy_path, scheduling = "xauto", name, out, timeline, trace_out, record;
 };
+
+/// "run.pftrace" -> "run.miss-1.pftrace"
+std::string dump_path(const std::string& trace_out, bool hang, int number) {
+  const std::string suffix = ".pftrace";
+  const std::string stem = trace_out.ends_with(suffix)
+                               ? trace_out.substr(0, trace_out.size() - suffix.size())
+                               : trace_out;
+  return fmt::format("{}.{}-{}{}", stem, hang ? "hang" : "miss", number, suffix);
+}
 
 Result<int> run(const Flags& given, const Options& options) {
   Flags flags = given;
@@ -39,25 +51,54 @@ Result<int> run(const Flags& given, const Options& options) {
     run.id = run.name = std::filesystem::path(flags.policy_path).stem().string();
   }
   if (!flags.name.empty()) run.id = run.name = flags.name;
+  XAUTO_TRY(check_gate(flags));
   flags.record_path = flags.record;
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", flags.out));
+  XAUTO_TRY(outputs.expect("--timeline", flags.timeline));
+  XAUTO_TRY(outputs.expect("--trace-out", flags.trace_out));
+  // One that exists is refused by the app's recorder, which also makes folders ("drive/").
+  if (!std::filesystem::exists(flags.record))
+    XAUTO_TRY(
+        outputs.expect("--record", flags.record.substr(0, flags.record.find_last_not_of('/') + 1)));
   XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
   const StopOnSignal stop;
-  XAUTO_TRY(execute(flags, run, stop.flag()));
+  Dump dump;
+  if (!flags.trace_out.empty())
+    dump = [&, count = std::array<int, 2>{}](const runtime::Incident& incident) mutable {
+      const int number = ++count[incident.hang ? 1 : 0];
+      const std::string path = dump_path(flags.trace_out, incident.hang, number);
+      const Result<std::string> trace = perfetto_of(flags, run, incident);
+      if (!trace) return outputs.failed(trace.error());
+      outputs.write(path, *trace);
+      log::warn("{}; what went on around it is in {}", words_of(flags, incident), path);
+    };
+  XAUTO_TRY(execute(flags, run, stop.flag(), std::move(dump)));
 
   const std::vector<PolicyRun> runs = {run};
   const std::string report = report_json(flags, runs);
-  if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, report));
-  if (!flags.timeline.empty())
-    XAUTO_TRY(write_file(flags.timeline, timeline_html(timeline_of(flags, runs))));
-  if (!flags.trace_out.empty()) {
-    XAUTO_ASSIGN(const std::string trace, perfetto_of(flags, run));
-    XAUTO_TRY(write_file(flags.trace_out, trace));
-  }
   if (options.json)
     std::cout << report;
   else
     std::cout << report_table(flags, runs);
-  return healthy(run) ? kDone : kAnswerIsNo;
+  outputs.write(flags.out, report);
+  if (!flags.timeline.empty())
+    outputs.write(flags.timeline, timeline_html(timeline_of(flags, runs)));
+  if (!flags.trace_out.empty()) {
+    if (const Result<std::string> trace = perfetto_of(flags, run))
+      outputs.write(flags.trace_out, *trace);
+    else
+      outputs.failed(trace.error());
+  }
+  if (!run.report.recording_error.empty())
+    outputs.failed({ErrorCode::kIo, run.report.recording_error, "--record " + flags.record, {}});
+  bool passed = healthy(run);
+  for (const GateCount& gate : gate_of(flags, run)) {
+    if (gate.count == 0) continue;
+    log::error("--fail-on {}: {}", gate.word, gate.what);
+    passed = false;
+  }
+  return outputs.status(passed ? kDone : kAnswerIsNo);
 }
 
 }  // namespace
@@ -81,7 +122,14 @@ void add_run(Commands& commands) {
   verb->add_option("--out", flags->out, "write report.json here");
   verb->add_option("--timeline", flags->timeline, "write the schedule as an HTML page here");
   verb->add_option("--trace-out", flags->trace_out,
-                   "write what ran here, for Perfetto's viewers (FILE.pftrace)");
+                   "write what ran here, for Perfetto's viewers (FILE.pftrace); what surrounds the "
+                   "first three deadline misses and hangs goes to FILE.miss-1.pftrace, "
+                   "FILE.hang-1.pftrace, ... at once");
+  verb->add_option("--fail-on", flags->fail_on,
+                   "exit status 1 if the run had any of these: miss (deadlines), lost "
+                   "(activations), hang, restart (processes that died)")
+      ->delimiter(',')
+      ->check(CLI::IsMember(kGateWords));
   verb->add_option("--record", flags->record, "record the sources' messages here (rosbag2 layout)");
 }
 

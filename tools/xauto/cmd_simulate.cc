@@ -11,6 +11,7 @@
 #include "solver/simulate.h"
 
 #include "xauto/command.h"
+#include "xauto/outputs.h"
 #include "xauto/run_app.h"
 
 namespace xauto::cli {
@@ -32,6 +33,8 @@ Result<int> simulate(const Flags& flags, const Options& options) {
       return fail(ErrorCode::kInvalid, "is needed unless --model ros2", "--policy");
     XAUTO_ASSIGN(policy, load_policy(flags.policy, app, platform));
   }
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", flags.out));
   XAUTO_ASSIGN(const solver::Simulation s, predict(app, platform, scheduling, policy));
 
   std::vector<std::size_t> order(app.xnodes.size());
@@ -62,7 +65,6 @@ Result<int> simulate(const Flags& flags, const Options& options) {
   const std::string note = rates_note(app);
   if (!note.empty()) document["note"] = note;
   const std::string result = document.dump(2) + "\n";
-  if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, result));
   if (options.json)
     std::cout << result;
   else
@@ -71,7 +73,8 @@ Result<int> simulate(const Flags& flags, const Options& options) {
                              platform.name, flags.model, static_cast<double>(s.makespan) / 1000,
                              s.preemptions)
               << (note.empty() ? "" : "\n  " + note + "\n");
-  return kDone;
+  outputs.write(flags.out, result);
+  return outputs.status(kDone);
 }
 
 }  // namespace

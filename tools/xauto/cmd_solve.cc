@@ -20,6 +20,7 @@
 
 #include "xauto/command.h"
 #include "xauto/objectives_file.h"
+#include "xauto/outputs.h"
 
 namespace xauto::cli {
 namespace {
@@ -210,6 +211,8 @@ Result<int> solve(Flags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   XAUTO_TRY(read_objectives(flags));
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", flags.out));
   solver::SolveReport report;
   flags.options.report = &report;
   Line line;
@@ -223,16 +226,19 @@ Result<int> solve(Flags& flags, const Options& options) {
   line.end();
   if (!solved) return tl::unexpected<Error>(solved.error());
   const Policy& policy = *solved;
-  if (!flags.out.empty()) XAUTO_TRY(write_file(flags.out, to_json(policy, app, platform)));
   XAUTO_ASSIGN(const auto answers, ask_what_if(flags, app, platform, policy));
   if (options.json) {
     print_json(app, platform, policy, report, answers, reading_ms);
   } else {
     print_table(app, platform, policy);
     print_more(app, policy, report, answers);
-    if (!flags.out.empty()) std::printf("\n  written to %s\n", flags.out.c_str());
   }
-  return report.feasibility == solver::Feasibility::kImpossible ? kAnswerIsNo : kDone;
+  std::fflush(stdout);
+  if (!flags.out.empty()) outputs.write(flags.out, to_json(policy, app, platform));
+  if (!options.json && !flags.out.empty() && outputs.good())
+    std::printf("\n  written to %s\n", flags.out.c_str());
+  return outputs.status(report.feasibility == solver::Feasibility::kImpossible ? kAnswerIsNo
+                                                                               : kDone);
 }
 
 }  // namespace

@@ -5,44 +5,26 @@
 #include <filesystem>
 #include <fstream>
 #include <iostream>
-#include <map>
 #include <set>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
-#include <poll.h>
 #include <pwd.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "base/log.h"
 #include "base/socket.h"
-#include "coord/protocol.h"
 #include "runtime/supervisor.h"
 
 #include "xauto/command.h"
+#include "xauto/live.h"
 
 namespace xauto::cli {
 namespace {
 
 using nlohmann::json;
-constexpr int kAnswerTimeoutMs = 1000;
-constexpr const char* kCoordinator = "xauto-coordinat";  // as /proc/PID/comm cuts it
 
-Result<json> ask(const std::string& address) {
-  XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
-  const auto kind = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
-  XAUTO_TRY(send_packet(socket.get(), &kind, sizeof kind));
-  pollfd ready{socket.get(), POLLIN, 0};
-  if (poll(&ready, 1, kAnswerTimeoutMs) != 1)
-    return fail(ErrorCode::kTimeout, "did not answer within 1 s", address);
-  std::string text(coord::kMaxStatusBytes, '\0');
-  XAUTO_ASSIGN(const std::size_t size, receive_packet(socket.get(), text.data(), text.size()));
-  json parsed = json::parse(text.substr(0, size), nullptr, false);
-  if (parsed.is_discarded() || !parsed.is_object())
-    return fail(ErrorCode::kInvalid, "answered with something else than a status", address);
-  return parsed;
-}
+constexpr const char* kCoordinator = "xauto-coordinat";  // as /proc/PID/comm cuts it
 
 std::string words(const json& worker) {
   const std::string state = worker.value("state", "?");
@@ -103,18 +85,16 @@ std::string words(const Unseen& one) {
 int status(const Options& options) {
   json sessions = json::object();
   std::set<int> answered;
-  for (const std::string& address : abstract_sockets(runtime::kSocketPrefix)) {
-    const std::size_t slash = address.rfind('/');
-    const std::string name = address.substr(slash + 1);
-    if (name == runtime::kEmudName || name == runtime::kHubName) continue;
-    auto answer = ask(address);
-    if (!answer) {  // it ended between the look at the table and the question
-      log::debug("{}", answer.error().to_string());
-      continue;
+  std::set<std::string> runs;
+  const std::string prefix = runtime::kSocketPrefix;
+  for (const std::string& address : abstract_sockets(prefix))
+    if (const std::size_t slash = address.rfind('/'); slash > prefix.size())
+      runs.insert(address.substr(prefix.size(), slash - prefix.size()));
+  for (const std::string& run : runs)
+    if (std::vector<json> answers = ask_coordinators(run); !answers.empty()) {
+      for (const json& answer : answers) answered.insert(answer.value("pid", 0));
+      sessions[prefix + run] = std::move(answers);
     }
-    answered.insert(answer->value("pid", 0));
-    sessions[address.substr(0, slash)].push_back(std::move(*answer));
-  }
   const std::vector<Unseen> unseen = coordinators_but(answered);
   if (options.json) {
     json list = json::array();

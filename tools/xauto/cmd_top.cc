@@ -1,9 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto top: live numbers per XNode and per XPU of a run, in the terminal.
+// xauto top: a run that goes on, in the terminal: what comes out per chain, what modules do, who
+// runs and who waits per XPU. All from counts that the run keeps anyway. With root and BPF also
+// what the kernel knows: load, and XNodes one by one.
+#include <algorithm>
 #include <chrono>
 #include <ctime>
 #include <iostream>
 #include <map>
+#include <optional>
 #include <thread>
 
 #include <fmt/format.h>
@@ -13,6 +17,7 @@
 #include "base/clock.h"
 
 #include "xauto/command.h"
+#include "xauto/counts.h"
 #include "xauto/live.h"
 #include "xauto/run_app.h"
 
@@ -23,20 +28,20 @@ using nlohmann::ordered_json;
 
 struct Flags {
   std::string run;
-  int interval_ms = 1000, count = 0, wait_s = 10;
-  bool list = false;
+  int interval_ms = 1000, count = -1, wait_s = 10;
+  bool list = false, once = false;
 };
 
-/// All that is looked at, at one moment.
-struct Look {
+/// What BPF saw until one moment.
+struct KernelLook {
   std::int64_t at_ns = 0;
   std::vector<xauto_bpf_hist> hist;
   std::vector<xauto_bpf_cpu> cpus;
   std::map<std::uint32_t, std::uint64_t> busy_ns;  ///< XPU -> time that jobs held it
 };
 
-Look look_at(const Live& live) {
-  Look look{now_ns(), live.tracer.histograms(), live.tracer.cpus(), {}};
+KernelLook look_at(const Live& live) {
+  KernelLook look{now_ns(), live.tracer.histograms(), live.tracer.cpus(), {}};
   for (std::uint32_t i = 0; i < live.maps.head().slots; ++i) {
     const volatile xauto_bpf_slot& slot = live.maps.slots()[i];
     if (slot.tid == 0) continue;
@@ -53,7 +58,7 @@ struct XpuLoad {
   double percent = 0;
 };
 
-std::vector<XpuLoad> loads_of(const Live& live, const Look& now, const Look& before) {
+std::vector<XpuLoad> loads_of(const Live& live, const KernelLook& now, const KernelLook& before) {
   const auto wall = static_cast<double>(now.at_ns - before.at_ns);
   std::map<std::uint32_t, XpuLoad> loads;
   const xauto_bpf_head& head = live.maps.head();
@@ -72,7 +77,7 @@ std::vector<XpuLoad> loads_of(const Live& live, const Look& now, const Look& bef
                                 share(now.cpus[cpu].other_ns, before.cpus[cpu].other_ns));
       continue;
     }
-    const auto busy = [&](const Look& look) {
+    const auto busy = [&](const KernelLook& look) {
       const auto at = look.busy_ns.find(live.names[i].at);
       return at == look.busy_ns.end() ? 0.0 : static_cast<double>(at->second);
     };
@@ -84,14 +89,109 @@ std::vector<XpuLoad> loads_of(const Live& live, const Look& now, const Look& bef
   return list;
 }
 
-ordered_json as_json(const Live& live, const Look& now, const Look& before) {
-  ordered_json j = {{"run", live.maps.run()},
-                    {"interval_ms", (now.at_ns - before.at_ns) / 1'000'000},
-                    {"lost_jobs", live.tracer.losses().jobs}};
-  for (const XpuLoad& load : loads_of(live, now, before))
-    j["xpus"].push_back({{"xpu", load.name}, {"load_pct", load.percent}});
-  for (std::size_t i = 0; i < now.hist.size(); ++i) {
-    const XNodeNumbers n = numbers_of(now.hist[i], before.hist[i]);
+/// Who is on an XPU, and who would like to be.
+struct XpuState {
+  std::string xpu;
+  std::vector<std::string> running, waiting;  ///< waiting: or suspended
+};
+
+std::vector<XpuState> states_of(const std::string& run) {
+  std::vector<XpuState> states;
+  for (const nlohmann::json& answer : ask_coordinators(run)) {
+    XpuState state{answer.value("xpu", "?"), {}, {}};
+    for (const nlohmann::json& worker : answer.value("workers", nlohmann::json::array())) {
+      const std::string what = worker.value("state", "?");
+      if (what == "idle" || what == "starting") continue;
+      (what == "running" ? state.running : state.waiting).push_back(worker.value("xnode", "?"));
+    }
+    states.push_back(std::move(state));
+  }
+  return states;
+}
+
+/// All that is looked at, at one moment.
+struct Look {
+  Counts counts;
+  std::vector<XpuState> xpus;
+  std::optional<KernelLook> kernel;  ///< none: `why_not` of the run's observer
+};
+
+struct Observed {
+  Watched run;
+  std::optional<Live> live;
+  std::string why_not;  ///< there is no `live`
+
+  [[nodiscard]] bool goes_on() const {
+    const std::vector<std::string> runs = running();
+    return std::find(runs.begin(), runs.end(), run.run) != runs.end();
+  }
+  [[nodiscard]] Look look() const {
+    Look look{counts_of(*run.board), states_of(run.run), {}};
+    if (live) look.kernel = look_at(*live);
+    return look;
+  }
+};
+
+/// A flow of counts that has one: -1 is no measurement.
+ordered_json measured(std::int64_t us) {
+  return us < 0 ? ordered_json() : ordered_json(us);
+}
+
+ordered_json as_json(const Observed& observed, const Look& now, const Look& before) {
+  const Counts &c = now.counts, &b = before.counts;
+  const double s = static_cast<double>(c.at_ns - b.at_ns) * 1e-9;
+  ordered_json j = {{"run", observed.run.run},
+                    {"app", observed.run.app},
+                    {"platform", observed.run.platform},
+                    {"scheduling", observed.run.scheduling},
+                    {"interval_ms", (c.at_ns - b.at_ns) / 1'000'000},
+                    {"releases", c.released}};
+  j["chains"] = ordered_json::array();
+  for (std::size_t i = 0; i < c.chains.size(); ++i) {
+    const FlowCounts& chain = c.chains[i];
+    const FlowNumbers n = numbers_of(chain, b.chains[i], c.at_ns, b.at_ns);
+    j["chains"].push_back({{"name", chain.name},
+                           {"rate_hz", n.rate_hz},
+                           {"p50_us", measured(n.p50_us)},
+                           {"p99_us", measured(n.p99_us)},
+                           {"max_us", measured(n.max_us)},
+                           {"age_us", measured(n.age_us)},
+                           {"results", chain.results},
+                           {"lost", chain.lost},
+                           {"deadline_misses", chain.late},
+                           {"age_misses", chain.old}});
+  }
+  j["modules"] = ordered_json::array();
+  for (std::size_t m = 0; m < c.modules.size(); ++m) {
+    const ModuleCounts& module = c.modules[m];
+    j["modules"].push_back(
+        {{"name", module.name},
+         {"rate_hz", static_cast<double>(module.activations - b.modules[m].activations) / s},
+         {"activations", module.activations},
+         {"dropped", module.dropped},
+         {"failed", module.failed}});
+  }
+  j["xpus"] = ordered_json::array();
+  for (const XpuState& state : now.xpus)
+    j["xpus"].push_back(
+        {{"xpu", state.xpu}, {"running", state.running}, {"waiting", state.waiting}});
+  if (!now.kernel || !before.kernel) {
+    j["kernel"] = observed.why_not;
+    return j;
+  }
+  const Live& live = *observed.live;
+  j["kernel"] = "ok";
+  j["lost_jobs"] = live.tracer.losses().jobs;
+  for (const XpuLoad& load : loads_of(live, *now.kernel, *before.kernel)) {
+    const auto at = std::find_if(j["xpus"].begin(), j["xpus"].end(),
+                                 [&](const ordered_json& x) { return x["xpu"] == load.name; });
+    if (at != j["xpus"].end())
+      (*at)["load_pct"] = load.percent;
+    else
+      j["xpus"].push_back({{"xpu", load.name}, {"load_pct", load.percent}});
+  }
+  for (std::size_t i = 0; i < now.kernel->hist.size(); ++i) {
+    const XNodeNumbers n = numbers_of(now.kernel->hist[i], before.kernel->hist[i]);
     j["xnodes"].push_back({{"xnode", live.names[i].xnode},
                            {"xpu", live.names[i].xpu},
                            {"jobs", n.jobs},
@@ -104,13 +204,19 @@ ordered_json as_json(const Live& live, const Look& now, const Look& before) {
   return j;
 }
 
-void draw(const Live& live, const Look& now, const Look& before, bool terminal) {
-  std::string out = terminal ? "\x1b[H\x1b[2J" : "";
+std::string list_of(const std::vector<std::string>& names) {
+  std::string text;
+  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
+  return text.empty() ? "-" : text;
+}
+
+/// Loads and XNodes, as BPF saw them.
+std::string kernel_part(const Live& live, const KernelLook& now, const KernelLook& before) {
+  std::string out;
   const xauto_bpf_losses losses = live.tracer.losses();
   if (losses.jobs > 0)
-    out += fmt::format("INCOMPLETE: {} short jobs are in no histogram\n", losses.jobs);
-  out += fmt::format("run {}, {}\n\n", live.maps.run(),
-                     live.maps.sched().running != 0 ? "sched_ext" : "no sched_ext");
+    out += fmt::format("\nINCOMPLETE: {} short jobs are in no histogram\n", losses.jobs);
+  out += fmt::format("\n  {}\n", live.maps.sched().running != 0 ? "sched_ext" : "no sched_ext");
   for (const XpuLoad& load : loads_of(live, now, before)) {
     const auto full = static_cast<std::size_t>(std::min(load.percent, 100.0) / 5 + 0.5);
     out += fmt::format("  {:<8}{:>6.1f} %  {:<20}  {}\n", load.name, load.percent,
@@ -126,33 +232,83 @@ void draw(const Live& live, const Look& now, const Look& before, bool terminal) 
                     live.names[i].xnode, live.names[i].xpu, static_cast<double>(n.jobs) / s,
                     n.latency_p50_us, n.latency_p99_us, n.run_ms / s, n.wait_ms / s, n.preemptions);
   }
+  return out;
+}
+
+void draw(const Observed& observed, const Look& now, const Look& before, bool terminal) {
+  const Counts &c = now.counts, &b = before.counts;
+  const double s = static_cast<double>(c.at_ns - b.at_ns) * 1e-9;
+  const auto ms = [](std::int64_t us) {
+    return us < 0 ? std::string("-") : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
+  };
+  std::string out = terminal ? "\x1b[H\x1b[2J" : "";
+  out += fmt::format("run {}: {} on {}, {}; {} releases, numbers of the last {:.1f} s\n\n",
+                     observed.run.run, observed.run.app, observed.run.platform,
+                     observed.run.scheduling, c.released, s);
+  out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>6}\n", "chain, ms", "per s",
+                     "p50", "p99", "max", "age", "lost", "missed", "old");
+  for (std::size_t i = 0; i < c.chains.size(); ++i) {
+    const FlowCounts& chain = c.chains[i];
+    const FlowNumbers n = numbers_of(chain, b.chains[i], c.at_ns, b.at_ns);
+    out += fmt::format("  {:<28}{:>9.1f}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>6}\n", chain.name,
+                       n.rate_hz, ms(n.p50_us), ms(n.p99_us), ms(n.max_us), ms(n.age_us),
+                       chain.lost, chain.late, chain.old);
+  }
+  out += fmt::format("\n  {:<28}{:>9}{:>13}{:>9}{:>9}\n", "module", "per s", "activations",
+                     "dropped", "failed");
+  for (std::size_t m = 0; m < c.modules.size(); ++m) {
+    const ModuleCounts& module = c.modules[m];
+    out += fmt::format("  {:<28}{:>9.1f}{:>13}{:>9}{:>9}\n", module.name,
+                       static_cast<double>(module.activations - b.modules[m].activations) / s,
+                       module.activations, module.dropped, module.failed);
+  }
+  out += fmt::format("\n  {:<8}{:<28}{}\n", "XPU", "runs now", "waits or is suspended");
+  for (const XpuState& state : now.xpus)
+    out +=
+        fmt::format("  {:<8}{:<28}{}\n", state.xpu, list_of(state.running), list_of(state.waiting));
+  if (now.xpus.empty()) out += "  nobody schedules this run: XPUs are not watched\n";
+  if (now.kernel && before.kernel)
+    out += kernel_part(*observed.live, *now.kernel, *before.kernel);
+  else
+    out += fmt::format("\n  load and XNodes one by one need BPF: {}\n", observed.why_not);
   std::cout << out << std::flush;
 }
 
 Result<int> top(const Flags& flags, const Options& options) {
   if (flags.list) {
-    for (const std::string& run : kernel::RunMaps::runs()) std::cout << run << "\n";
+    for (const std::string& run : running()) std::cout << run << "\n";
     return kDone;
   }
   const StopOnSignal stop;
+  const bool terminal = isatty(STDOUT_FILENO) != 0;
+  // A script gets one look, and does not wait for the run's end.
+  const int count = flags.once ? 1 : flags.count >= 0 ? flags.count : terminal ? 0 : 1;
+  Observed observed;
+  XAUTO_ASSIGN(observed.run, watch(flags.run, flags.wait_s, *stop.flag()));
   kernel::TracerOptions tracer_options;
   tracer_options.events = false;
   tracer_options.pin = false;
   tracer_options.ring_bytes = 4096;
-  XAUTO_ASSIGN(Live live, observe(flags.run, flags.wait_s, tracer_options, *stop.flag()));
-  const bool terminal = isatty(STDOUT_FILENO) != 0;
-  Look before = look_at(live);
-  for (int shown = 0; flags.count == 0 || shown < flags.count; ++shown) {
+  if (auto live = observe(observed.run.run, 0, tracer_options, *stop.flag()))
+    observed.live.emplace(std::move(*live));
+  else
+    observed.why_not = live.error().what;
+  Look before = observed.look();
+  for (int shown = 0; count == 0 || shown < count; ++shown) {
     const auto until =
         std::chrono::steady_clock::now() + std::chrono::milliseconds(flags.interval_ms);
-    while (std::chrono::steady_clock::now() < until && !stop.flag()->load() && live.goes_on())
+    while (std::chrono::steady_clock::now() < until && !stop.flag()->load() && observed.goes_on())
       std::this_thread::sleep_for(std::chrono::milliseconds(20));
-    if (stop.flag()->load() || !live.goes_on()) break;
-    Look now = look_at(live);
+    const bool over = stop.flag()->load() || !observed.goes_on();
+    if (over && shown > 0) break;  // the first is shown in any case: its counts are there
+    Look now = observed.look();
     if (options.json)
-      std::cout << as_json(live, now, before).dump() << std::endl;
+      std::cout << as_json(observed, now, before)
+                       .dump(-1, ' ', false, ordered_json::error_handler_t::replace)
+                << std::endl;
     else
-      draw(live, now, before, terminal);
+      draw(observed, now, before, terminal && count != 1);
+    if (over || !std::cout) break;
     before = std::move(now);
   }
   return kDone;
@@ -163,15 +319,20 @@ Result<int> top(const Flags& flags, const Options& options) {
 void add_top(Commands& commands) {
   auto flags = std::make_shared<Flags>();
   CLI::App* verb =
-      commands.add("top", "Show a run live: latency, run and waiting time per XNode, load per XPU.",
+      commands.add("top",
+                   "Show a run live: rate, latency, age and losses per chain and module, who runs "
+                   "and who waits per XPU.",
                    "xauto top", [flags](const Options& options) { return top(*flags, options); });
   verb->add_option("--run", flags->run, "which run, if there are several");
   verb->add_option("--interval-ms", flags->interval_ms, "between two looks")
       ->check(CLI::Range(50, 60'000))
       ->capture_default_str();
-  verb->add_option("--count", flags->count, "how many times; 0: until the run ends, or Ctrl-C")
-      ->check(CLI::Range(0, 1'000'000))
-      ->capture_default_str();
+  auto* count =
+      verb->add_option("--count", flags->count,
+                       "how many times; 0: until the run ends, or Ctrl-C; default: 0 on a "
+                       "terminal, else 1");
+  count->check(CLI::Range(0, 1'000'000));
+  verb->add_flag("--once", flags->once, "one look, without clearing the terminal")->excludes(count);
   verb->add_option("--wait-s", flags->wait_s, "how long to wait for a run to begin")
       ->check(CLI::Range(0, 86'400))
       ->capture_default_str();

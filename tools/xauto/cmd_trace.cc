@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cstring>
-#include <fstream>
 #include <iostream>
 
 #include <fmt/format.h>
@@ -14,6 +13,7 @@
 #include "xauto/command.h"
 #include "xauto/cpu_trace.h"
 #include "xauto/live.h"
+#include "xauto/outputs.h"
 #include "xauto/perfetto.h"
 #include "xauto/run_app.h"
 
@@ -94,8 +94,21 @@ std::string perfetto_of(const Live& live, const std::vector<xauto_bpf_event>& ev
   return cpu_trace("kernel, run " + live.maps.run(), steps, lost, boottime_offset_ns());
 }
 
+/// What --out gets: a Perfetto trace, or a JSON object per line.
+std::string file_of(const Flags& flags, const Live& live,
+                    const std::vector<xauto_bpf_event>& events, std::uint64_t not_kept) {
+  const xauto_bpf_losses losses = live.tracer.losses();
+  const std::uint64_t lost = losses.events + not_kept;
+  if (flags.out.ends_with(".pftrace")) return perfetto_of(live, events, lost);
+  std::string text = ordered_json{{"lost_events", lost}, {"lost_jobs", losses.jobs}}.dump() + "\n";
+  for (const xauto_bpf_event& e : events) text += event_json(live, e).dump() + "\n";
+  return text;
+}
+
 Result<int> trace(const Flags& flags, const Options& options) {
   const StopOnSignal stop;
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", flags.out));
   kernel::TracerOptions tracer_options;
   tracer_options.ring_bytes = flags.ring_kb * 1024;
   tracer_options.print = flags.printk;
@@ -122,18 +135,6 @@ Result<int> trace(const Flags& flags, const Options& options) {
   }
   const std::string first = losses_line(live.tracer.losses(), not_kept);
 
-  if (!flags.out.empty()) {
-    std::ofstream file(flags.out, std::ios::binary);
-    const xauto_bpf_losses losses = live.tracer.losses();
-    if (flags.out.ends_with(".pftrace")) {
-      file << perfetto_of(live, events, losses.events + not_kept);
-    } else {
-      file << ordered_json{{"lost_events", losses.events + not_kept}, {"lost_jobs", losses.jobs}}
-           << "\n";
-      for (const xauto_bpf_event& e : events) file << event_json(live, e) << "\n";
-    }
-    if (!file) return fail(ErrorCode::kIo, "cannot be written", flags.out);
-  }
   const std::vector<xauto_bpf_hist> hist = live.tracer.histograms();
   const xauto_bpf_hist zero{};
   if (options.json) {
@@ -159,7 +160,8 @@ Result<int> trace(const Flags& flags, const Options& options) {
            {"migrations", n.migrations}});
     }
     std::cout << j.dump(2) << "\n";
-    return kDone;
+    if (!flags.out.empty()) outputs.write(flags.out, file_of(flags, live, events, not_kept));
+    return outputs.status(kDone);
   }
   std::cout << first << "\n";
   if (flags.events) {
@@ -182,7 +184,8 @@ Result<int> trace(const Flags& flags, const Options& options) {
   }
   std::cout
       << "\n  us; p50 and p99 are upper edges of powers of two; run and wait per job on a CPU\n";
-  return kDone;
+  if (!flags.out.empty()) outputs.write(flags.out, file_of(flags, live, events, not_kept));
+  return outputs.status(kDone);
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 #include "xauto/command.h"
 
 #include <algorithm>
+#include <cstdio>
 #include <iostream>
 
 #include "base/log.h"
@@ -66,7 +67,11 @@ int Commands::run(int argc, char** argv) {
   if (options_.strict) set_unknown_keys(UnknownKeys::kRefuse);
   try {
     const Result<int> status = chosen_(options_);
-    return status ? *status : report(status.error());
+    if (!status) return report(status.error());
+    std::cout.flush();
+    if (std::fflush(stdout) == 0 && std::cout && std::ferror(stdout) == 0) return *status;
+    log::error("the result could not be written to stdout");
+    return *status == kDone ? kAnswerIsNo : *status;
   } catch (const std::exception& e) {
     // Our own code does not throw; this is memory exhaustion or a bug, and it gets a name either
     // way.

@@ -71,11 +71,13 @@ void add_top(Commands&);
 void add_trace(Commands&);
 
 /// A progress bar on stderr: drawn only on a terminal or, off a terminal, as a line every few
-/// seconds. Appears after two seconds of work. Threads: one caller.
+/// seconds. Appears after two seconds of work. Logs take its place, it is redrawn below (base/log).
+/// Threads: one caller.
 class Progress {
  public:
   Progress(std::string label, double total);
   ~Progress();
+  /// `done` of `total`; below 0: nobody knows, there is no bar.
   void update(double done, const std::string& note = {});
   void finish();
 

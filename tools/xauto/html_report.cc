@@ -280,6 +280,10 @@ std::string html_report(const std::vector<ReportedTrace>& traces) {
       page.sections += fmt::format(
           "<p><b>Incomplete: the trace lost {} events.</b> Numbers below are of what is there.</p>",
           trace.lost);
+    if (trace.overwritten > 0)
+      page.sections +=
+          fmt::format("<p>The trace holds {:.1f} s: {} older events were dropped.</p>",
+                      static_cast<double>(trace.end_ns - trace.begin_ns) * 1e-9, trace.overwritten);
     page.sections += chains_section(trace) + worst_section(trace, worst, nullptr);
     for (const TraceChain& chain : trace.chains)
       page.sections += worst_section(trace, worst_of(chain.results), &chain);

@@ -6,8 +6,99 @@
 #include <thread>
 
 #include <fmt/format.h>
+#include <poll.h>
+
+#include "base/log.h"
+#include "base/socket.h"
+#include "coord/protocol.h"
+#include "runtime/supervisor.h"
 
 namespace xauto::cli {
+namespace {
+
+using nlohmann::json;
+constexpr int kAnswerTimeoutMs = 1000;
+
+/// Sends one word and gets one packet of JSON, with what comes along.
+Result<json> ask(const std::string& address, std::vector<UniqueFd>* fds = nullptr) {
+  XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
+  const auto kind = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
+  XAUTO_TRY(send_packet(socket.get(), &kind, sizeof kind));
+  pollfd ready{socket.get(), POLLIN, 0};
+  if (poll(&ready, 1, kAnswerTimeoutMs) != 1)
+    return fail(ErrorCode::kTimeout, "did not answer within 1 s", address);
+  std::string text(coord::kMaxStatusBytes, '\0');
+  XAUTO_ASSIGN(const std::size_t size, receive_packet(socket.get(), text.data(), text.size(), fds));
+  json parsed = json::parse(text.substr(0, size), nullptr, false);
+  if (parsed.is_discarded() || !parsed.is_object())
+    return fail(ErrorCode::kInvalid, "answered with something else than a status", address);
+  return parsed;
+}
+
+std::string address_of(const std::string& run, const std::string& name) {
+  return runtime::kSocketPrefix + run + "/" + name;
+}
+
+Result<Watched> introduced(const std::string& run) {
+  std::vector<UniqueFd> fds;
+  XAUTO_ASSIGN(const json hello, ask(address_of(run, runtime::kLiveName), &fds));
+  if (fds.size() != 1) return fail(ErrorCode::kInvalid, "did not pass its counts", run);
+  const auto text = [&](const char* key) {
+    const auto at = hello.find(key);
+    return at != hello.end() && at->is_string() ? at->get<std::string>() : std::string("?");
+  };
+  Watched watched{run, text("app"), text("platform"), text("scheduling"), nullptr};
+  XAUTO_ASSIGN(watched.board, runtime::Board::observe(fds[0].get()));
+  return watched;
+}
+
+}  // namespace
+
+std::vector<std::string> running() {
+  std::vector<std::string> runs;
+  const std::string prefix = runtime::kSocketPrefix;
+  const std::string suffix = std::string("/") + runtime::kLiveName;
+  for (const std::string& address : abstract_sockets(prefix))
+    if (address.ends_with(suffix) && address.size() > prefix.size() + suffix.size())
+      runs.push_back(address.substr(prefix.size(), address.size() - prefix.size() - suffix.size()));
+  return runs;
+}
+
+Result<Watched> watch(const std::string& run, int wait_s, const std::atomic<bool>& stop) {
+  const auto limit = std::chrono::steady_clock::now() + std::chrono::seconds(wait_s);
+  for (;;) {
+    const std::vector<std::string> runs = running();
+    if (run.empty() && runs.size() > 1) {
+      std::string list;
+      for (const std::string& one : runs) list += " " + one;
+      return fail(ErrorCode::kInvalid, "several runs are going on:" + list, "--run", "name one");
+    }
+    const bool there =
+        run.empty() ? runs.size() == 1 : std::find(runs.begin(), runs.end(), run) != runs.end();
+    Result<Watched> watched = fail(
+        ErrorCode::kNotFound,
+        run.empty() ? "no run is going on" : "no run '" + run + "' is going on", "--run",
+        "start `xauto run ...`, then this, or see --wait-s; runs of other users, containers and "
+        "network namespaces are not seen");
+    if (there) watched = introduced(run.empty() ? runs.front() : run);
+    if (watched || stop.load() || std::chrono::steady_clock::now() >= limit) return watched;
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  }
+}
+
+std::vector<json> ask_coordinators(const std::string& run) {
+  std::vector<json> answers;
+  for (const std::string& address : abstract_sockets(address_of(run, ""))) {
+    const std::string name = address.substr(address.rfind('/') + 1);
+    if (name == runtime::kEmudName || name == runtime::kHubName || name == runtime::kLiveName)
+      continue;
+    if (auto answer = ask(address))
+      answers.push_back(std::move(*answer));
+    else  // it ended between the look at the table and the question
+      log::debug("{}", answer.error().to_string());
+  }
+  return answers;
+}
 
 bool Live::goes_on() const {
   const std::vector<std::string> runs = kernel::RunMaps::runs();

@@ -1,17 +1,35 @@
 // SPDX-License-Identifier: Apache-2.0
-// What `xauto trace` and `xauto top` share: finding the run, attaching the tracer, naming things.
+// What `xauto status`, `xauto top` and `xauto trace` share: finding the run, asking those who know,
+// attaching the tracer, naming things.
 #pragma once
 
 #include <atomic>
+#include <memory>
 #include <string>
 #include <vector>
+
+#include <nlohmann/json.hpp>
 
 #include <xauto/result.h>
 
 #include "kernel/run_maps.h"
 #include "kernel/tracer.h"
+#include "runtime/board.h"
 
 namespace xauto::cli {
+
+/// A run as its tool introduces it, whoever looks: no root, no BPF.
+struct Watched {
+  std::string run, app, platform, scheduling;
+  std::shared_ptr<const runtime::Board> board;
+};
+/// Of this network namespace.
+[[nodiscard]] std::vector<std::string> running();
+/// The run named `run`, or with an empty name the only one, waited for at most `wait_s`.
+[[nodiscard]] Result<Watched> watch(const std::string& run, int wait_s,
+                                    const std::atomic<bool>& stop);
+/// What its coordinators say of their workers, as JSON each; one that is just ending is left out.
+[[nodiscard]] std::vector<nlohmann::json> ask_coordinators(const std::string& run);
 
 struct Live {
   kernel::RunMaps maps;

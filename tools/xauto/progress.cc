@@ -3,6 +3,7 @@
 #include <cstdio>
 
 #include <fmt/format.h>
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include "base/clock.h"
@@ -48,15 +49,19 @@ void Progress::finish() {
 
 void Progress::draw(bool last) {
   std::string line = label_;
-  if (total_ > 0) {
+  if (total_ > 0 && done_ >= 0) {
     const double part = std::clamp(done_ / total_, 0.0, 1.0);
     const int filled = static_cast<int>(part * kBarWidth);
     line +=
         fmt::format(" [{:#<{}}{:.<{}}] {:3.0f} %", "", filled, "", kBarWidth - filled, 100 * part);
   }
   if (!note_.empty()) line += "  " + note_;
+  // One line, so that one "erase" is enough for it; the cursor at its begin, so that what others
+  // print begins there.
+  if (winsize size{}; terminal_ && ioctl(2, TIOCGWINSZ, &size) == 0 && size.ws_col > 0)
+    line = line.substr(0, size.ws_col - 1u);
   if (terminal_)
-    std::fprintf(stderr, "\r\033[K%s%s", line.c_str(), last ? "\n" : "");
+    std::fprintf(stderr, "\r\033[K%s%s", line.c_str(), last ? "\n" : "\r");
   else if (!last)
     std::fprintf(stderr, "%s\n", line.c_str());
   std::fflush(stderr);

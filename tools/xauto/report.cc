@@ -9,6 +9,7 @@
 
 #include "model/claims.h"
 
+#include "xauto/gate.h"
 #include "xauto/html_report.h"
 #include "xauto/perfetto.h"
 #include "xauto/run_trace.h"
@@ -144,6 +145,12 @@ double coordinators_cpu_pct(const PolicyRun& run) {
              : static_cast<double>(run.outcome.coordinators_cpu_us) / (run.outcome.wall_s * 1e4);
 }
 
+/// From the first event that is there to the last.
+double traced_s(const trace::Recording& trace) {
+  if (trace.events.empty()) return 0;
+  return static_cast<double>(trace.events.back().ts_ns - trace.events.front().ts_ns) * 1e-9;
+}
+
 }  // namespace
 
 bool healthy(const PolicyRun& run) {
@@ -172,7 +179,14 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                       {"deadline_misses", misses ? ordered_json(*misses) : ordered_json()},
                       {"scheduling", runtime::to_string(run.scheduling)},
                       {"trace_events_lost", run.outcome.trace.lost},
+                      {"trace_events_overwritten", run.outcome.trace.overwritten},
+                      {"trace_s", traced_s(run.outcome.trace)},
                       {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
+    if (!flags.fail_on.empty()) {
+      ordered_json gate = ordered_json::object();
+      for (const GateCount& g : gate_of(flags, run)) gate[g.word] = g.count;
+      j["fail_on"] = std::move(gate);
+    }
     if (base != nullptr) {
       const auto times = ratio(base->latency, &Latency::p99_us, run.latency);
       j["p99_speedup_over_ros2"] = times ? ordered_json(*times) : ordered_json();
@@ -300,6 +314,11 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
       out += fmt::format("  {}: {} deadline misses\n", run.name, *misses);
     if (run.outcome.trace.lost > 0)
       out += fmt::format("  {}: the trace lost {} events\n", run.name, run.outcome.trace.lost);
+    if (run.outcome.trace.overwritten > 0)
+      out += fmt::format(
+          "  {}: the trace holds the last {:.1f} s of {:.1f} s; {} older events were dropped "
+          "(--trace-keep)\n",
+          run.name, traced_s(run.outcome.trace), run.outcome.wall_s, run.outcome.trace.overwritten);
     if (!run.report.note.empty()) out += fmt::format("  {}: {}\n", run.name, run.report.note);
     for (const std::string& note : run.outcome.notes)
       out += fmt::format("  {}: {}\n", run.name, note);
@@ -307,7 +326,10 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
   return out;
 }
 
-Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
+namespace {
+
+Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run,
+                             const trace::Recording& trace, std::vector<ModuleInfo> modules) {
   Scene scene;
   scene.title = flags.app.name + " on " + flags.spec.name + ": " + run.name;
   scene.note = fmt::format("{}, {}", xpus_text(flags), runtime::to_string(run.scheduling));
@@ -324,14 +346,53 @@ Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
         std::find(lost.begin(), lost.end(), xpu.id) != lost.end())
       scene.rows[static_cast<std::size_t>(scene.row_of[x])].exclusive = false;
   }
-  for (const runtime::ModuleReport& module : run.report.modules)
-    scene.modules.push_back({module.name, module.sink});
+  scene.modules = std::move(modules);
   if (run.policy)
     for (const Placement& p : run.policy->placements) scene.priorities.push_back(p.priority);
   scene.plan = run.predicted.slices;
-  XAUTO_ASSIGN(const Story story,
-               story_of(flags.app, flags.spec, scene.modules, run.outcome.trace));
+  XAUTO_ASSIGN(const Story story, story_of(flags.app, flags.spec, scene.modules, trace));
   return perfetto_trace(flags.app, scene, story, boottime_offset_ns());
+}
+
+/// Who the modules of a trace are, from its own jobs: index and XNode come together in them.
+std::vector<ModuleInfo> modules_in(const AppSpec& app, const trace::Recording& trace) {
+  std::vector<ModuleInfo> modules;
+  for (const trace::Event& e : trace.events) {
+    if (e.module == XAUTO_EV_NONE) continue;
+    if (e.module >= modules.size()) modules.resize(std::size_t{e.module} + 1);
+    if (e.xnode < app.xnodes.size()) modules[e.module].name = app.xnodes[e.xnode].module;
+  }
+  for (ModuleInfo& module : modules)
+    module.sink = std::none_of(app.edges.begin(), app.edges.end(), [&](const auto& edge) {
+      const std::string& from = app.xnodes[static_cast<std::size_t>(edge.first)].module;
+      return from == module.name &&
+             app.xnodes[static_cast<std::size_t>(edge.second)].module != from;
+    });
+  return modules;
+}
+
+}  // namespace
+
+Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
+  std::vector<ModuleInfo> modules;
+  for (const runtime::ModuleReport& module : run.report.modules)
+    modules.push_back({module.name, module.sink});
+  return perfetto(flags, run, run.outcome.trace, std::move(modules));
+}
+
+Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
+                                const runtime::Incident& incident) {
+  return perfetto(flags, run, incident.trace, modules_in(flags.app, incident.trace));
+}
+
+std::string words_of(const RunFlags& flags, const runtime::Incident& incident) {
+  const trace::Event& e = incident.event;
+  if (incident.hang)
+    return fmt::format("{} ran past its hang limit of {} ms in activation {}",
+                       e.xnode < flags.app.xnodes.size() ? flags.app.xnodes[e.xnode].name : "a job",
+                       e.arg, e.seq);
+  return fmt::format("release {} missed its deadline: {:.2f} ms", e.seq,
+                     static_cast<double>(e.arg) / 1000);
 }
 
 Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {

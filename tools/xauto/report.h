@@ -19,6 +19,11 @@ namespace xauto::cli {
 [[nodiscard]] std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& runs);
 /// The run as a file for Perfetto's viewers. Errors: it left no trace.
 [[nodiscard]] Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run);
+/// The same of what surrounds an incident, while the run goes on: no report yet.
+[[nodiscard]] Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
+                                              const runtime::Incident& incident);
+/// "release 12 missed its deadline: 17.31 ms"
+[[nodiscard]] std::string words_of(const RunFlags& flags, const runtime::Incident& incident);
 [[nodiscard]] Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs);
 
 }  // namespace xauto::cli

@@ -8,6 +8,7 @@
 #include <numeric>
 #include <set>
 
+#include <fmt/format.h>
 #include <signal.h>
 
 #include "base/log.h"
@@ -16,6 +17,7 @@
 #include "solver/problem.h"
 
 #include "xauto/command.h"
+#include "xauto/counts.h"
 #include "xauto/priorities.h"
 
 namespace xauto::cli {
@@ -27,10 +29,6 @@ void on_signal(int number) {
   g_stop.store(true);
   signal(number, SIG_DFL);
 }
-
-/// Events of one job: about 8, more when it is preempted.
-constexpr std::uint64_t kEventsPerJob = 24;
-constexpr std::uint64_t kMinTraceEvents = 1u << 16, kMaxTraceEvents = 1u << 22;
 
 }  // namespace
 
@@ -86,6 +84,12 @@ void RunFlags::declare(CLI::App& verb) {
   verb.add_option("--restarts", restarts, "how often a module's process that died is started again")
       ->check(CLI::Range(0, 1'000'000))
       ->capture_default_str();
+  verb.add_option("--trace-keep", trace_keep_s,
+                  "the trace keeps the newest events of so long, 30s or 2min, as far as 128 MiB go")
+      ->transform(CLI::AsNumberWithUnit(
+          std::map<std::string, double>{{"ms", 0.001}, {"s", 1}, {"min", 60}, {"h", 3600}}))
+      ->check(CLI::Range(0.001, 1e6))
+      ->default_str("30s");
   verb.add_option("command", command, "the app's program and its arguments, after --")->required();
 }
 
@@ -168,7 +172,7 @@ Result<solver::Simulation> predict(const AppSpec& app, const Platform& platform,
   return fail(ErrorCode::kInternal, "unknown scheduling");
 }
 
-Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop) {
+Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop, Dump dump) {
   runtime::Supervision request;
   runtime::Session& session = request.session;
   session.mode = runtime::Mode::kRun;
@@ -194,13 +198,24 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.processes = flags.deployment.processes(flags.app);
   request.command = flags.command;
   request.stop = stop;
-  request.trace_capacity = std::clamp(flags.activations * flags.app.xnodes.size() * kEventsPerJob,
-                                      kMinTraceEvents, kMaxTraceEvents);
+  request.trace_keep_s = flags.trace_keep_s;
+  request.on_incident = std::move(dump);
 
-  // How far the app is, we know only by the clock: releases come at a fixed period.
-  Progress progress("run " + run.id, 0);
-  request.on_tick = [&](double elapsed_s) {
-    progress.update(elapsed_s, fmt::format("{:.0f} s", elapsed_s));
+  Progress progress("run " + run.id, 1);
+  Counts before;  // at least a second ago, so that the rate is one
+  std::string words;
+  request.on_tick = [&](double elapsed_s, const runtime::Board* board) {
+    double done = -1;
+    if (board != nullptr) {
+      Counts now = counts_of(*board);
+      done = progress_of(now, flags.activations);
+      if (before.at_ns == 0) before = now;
+      if (now.at_ns - before.at_ns >= 1'000'000'000) {
+        words = ", " + progress_words(now, before);
+        before = std::move(now);
+      }
+    }
+    progress.update(done, fmt::format("{:.0f} s{}", elapsed_s, words));
   };
   XAUTO_ASSIGN(run.outcome, runtime::supervise(std::move(request)));
   progress.finish();
@@ -304,9 +319,15 @@ Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
   }
   panel.predicted_us = run.predicted.makespan;
   const runtime::Release* shown = nullptr;
+  const trace::Recording& trace = run.outcome.trace;
+  // What the trace no longer holds cannot be shown.
+  const std::int64_t traced_from = trace.overwritten == 0 || trace.events.empty()
+                                       ? 0
+                                       : static_cast<std::int64_t>(trace.events.front().ts_ns);
   for (const runtime::Release& release : run.report.releases) {
     if (release.latency_us < 0) continue;
     panel.latencies_us.push_back(release.latency_us);
+    if (release.origin_ns < traced_from) continue;
     const auto distance = [&](const runtime::Release& r) {
       return std::abs(r.latency_us - run.latency.p50_us);
     };

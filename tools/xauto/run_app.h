@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -43,6 +44,8 @@ struct RunFlags {
   int restarts = 0;
   std::string deployment_path;
   std::vector<std::string> overload;
+  std::vector<std::string> fail_on;  ///< of `run`: see gate.h
+  double trace_keep_s = 30;
   std::vector<std::string> command;
 
   void declare(CLI::App& verb);
@@ -83,8 +86,10 @@ struct PolicyRun {
                                                  runtime::Scheduling scheduling,
                                                  const std::optional<Policy>& policy);
 
-/// Runs it. `label` heads the progress bar.
-[[nodiscard]] Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop);
+/// Runs it. `dump` gets what surrounds a deadline miss or a hang, while the run goes on.
+using Dump = std::function<void(const runtime::Incident&)>;
+[[nodiscard]] Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop,
+                             Dump dump = {});
 
 /// The rows of a picture. Under the ROS 2 model the CPUs are one pool: one row, named so, in the
 /// place of its first core.

@@ -113,6 +113,14 @@ class Painter {
                    fmt::format("INCOMPLETE: {} events were lost", story_.lost),
                    {"loss", {}, {}, {}});
     }
+    if (story_.overwritten > 0) {
+      out_.mark_lossy();
+      out_.instant(root_, story_.begin_ns,
+                   fmt::format("the trace holds from here on: {} older events were dropped",
+                               story_.overwritten),
+                   {"loss", {}, {}, {}});
+    }
+    for (const Incident& incident : story_.incidents) paint_incident(incident);
     collect_run();
     connect();
     paint_releases();
@@ -125,6 +133,15 @@ class Painter {
   }
 
  private:
+  void paint_incident(const Incident& incident) {
+    const double ms = static_cast<double>(incident.took_us) / 1000;
+    const std::string text =
+        incident.xnode >= 0
+            ? fmt::format("{} ran past its hang limit of {:.0f} ms", name(incident.xnode), ms)
+            : fmt::format("release {} missed its deadline: {:.2f} ms", incident.sequence, ms);
+    out_.instant(root_, incident.at_ns, text, {"incident", {}, {}, {}});
+  }
+
   const std::string& name(int xnode) const {
     return app_.xnodes[static_cast<std::size_t>(xnode)].name;
   }
@@ -499,6 +516,9 @@ class Painter {
     const Track lost = out_.add_counter(group, "trace events lost");
     out_.count(lost, story_.begin_ns, static_cast<std::int64_t>(story_.lost));
     out_.count(lost, story_.end_ns, static_cast<std::int64_t>(story_.lost));
+    if (story_.overwritten == 0) return;
+    const Track before = out_.add_counter(group, "older trace events dropped");
+    out_.count(before, story_.begin_ns, static_cast<std::int64_t>(story_.overwritten));
   }
 
   const AppSpec& app_;

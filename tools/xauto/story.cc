@@ -41,6 +41,12 @@ class Reader {
       case XAUTO_EV_TAKE:
         take_input(event);
         break;
+      case XAUTO_EV_MISS:
+      case XAUTO_EV_HANG:
+        story_.incidents.push_back(
+            {ts, std::int64_t{event.arg} * (event.kind == XAUTO_EV_HANG ? 1000 : 1), event.module,
+             event.kind == XAUTO_EV_HANG ? event.xnode : -1, event.seq});
+        break;
       case XAUTO_EV_DONE:
       case XAUTO_EV_DROP:
         end_of_activation(event, ts);
@@ -69,10 +75,11 @@ class Reader {
     if (e.ts_ns == 0 || e.ts_ns > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2)
       return false;
     if (e.kind == XAUTO_EV_PUBLISH) return true;
-    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_TAKE || e.module >= modules_.size())
+    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_HANG || e.module >= modules_.size())
       return false;
     if (e.kind == XAUTO_EV_TAKE) return (e.arg & XAUTO_TAKE_SOURCE) != 0 || e.arg < modules_.size();
-    if (e.kind == XAUTO_EV_ACTIVATE || e.kind == XAUTO_EV_DONE || e.kind == XAUTO_EV_DROP)
+    if (e.kind == XAUTO_EV_ACTIVATE || e.kind == XAUTO_EV_DONE || e.kind == XAUTO_EV_DROP ||
+        e.kind == XAUTO_EV_MISS)
       return true;
     return e.xnode < app_.xnodes.size() && e.xpu < platform_.xpus.size() &&
            app_.xnodes[e.xnode].module == modules_[e.module].name;
@@ -332,6 +339,7 @@ Result<Story> story_of(const AppSpec& app, const Platform& platform,
                                            " events fits the app and the platform",
                 "trace", "was the app linked against another version of XAuto?");
   story.lost += trace.lost;
+  story.overwritten = trace.overwritten;
   return story;
 }
 

@@ -75,13 +75,22 @@ struct ModuleInfo {
   bool sink = false;
 };
 
+/// What went wrong: a deadline miss, or a job past its hang limit.
+struct Incident {
+  std::int64_t at_ns = 0, took_us = 0;
+  int module = -1, xnode = -1;  ///< xnode: of a hang
+  std::uint64_t sequence = 0;
+};
+
 struct Story {
   std::vector<Job> jobs;                ///< by begin
   std::vector<Activation> activations;  ///< by begin; a dropped one that never began has no length
   std::vector<ReleaseSpan> releases;    ///< by begin
   bool several_rates = false;  ///< sources count their own releases: equal numbers mean nothing
   std::int64_t begin_ns = 0, end_ns = 0;
-  std::uint64_t lost = 0;  ///< events that did not fit, or that make no sense
+  std::uint64_t lost = 0;         ///< events that are not there, or that make no sense
+  std::uint64_t overwritten = 0;  ///< events from before `begin_ns`, where the trace begins to hold
+  std::vector<Incident> incidents;
 };
 
 /// The trace may have been cut short anywhere, its writer killed at any point: what does not fit

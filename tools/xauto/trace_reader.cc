@@ -13,7 +13,16 @@ namespace {
 
 namespace proto = ::xauto::perfetto;
 
-enum class Place : std::uint8_t { kOther, kReleases, kRun, kPlan, kDone, kLost, kDropped };
+enum class Place : std::uint8_t {
+  kOther,
+  kReleases,
+  kRun,
+  kPlan,
+  kDone,
+  kLost,
+  kOverwritten,
+  kDropped
+};
 
 class TraceFile {
  public:
@@ -63,6 +72,8 @@ class TraceFile {
       track.place = Place::kDone;
     } else if (track.name == "trace events lost") {
       track.place = Place::kLost;
+    } else if (track.name == "older trace events dropped") {
+      track.place = Place::kOverwritten;
     } else if (track.name == "activations dropped") {
       track.place = Place::kDropped;
     } else if (above == "run") {
@@ -104,6 +115,7 @@ class TraceFile {
     switch (event.type()) {
       case proto::TrackEvent::TYPE_COUNTER:
         if (track.place == Place::kLost) out_.lost = event.counter_value();
+        if (track.place == Place::kOverwritten) out_.overwritten = event.counter_value();
         if (track.place == Place::kDropped) out_.dropped = event.counter_value();
         return {};
       case proto::TrackEvent::TYPE_SLICE_END:

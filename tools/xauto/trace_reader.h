@@ -43,6 +43,7 @@ struct ReadTrace {
   std::vector<TraceSlice> plan;    ///< by begin
   std::int64_t deadline_us = -1;   ///< -1: none
   std::int64_t lost = 0, dropped = 0;
+  std::int64_t overwritten = 0;  ///< events from before `begin_ns`
   std::int64_t begin_ns = 0, end_ns = 0;
 };
 

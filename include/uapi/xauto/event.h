@@ -1,16 +1,16 @@
 /* SPDX-License-Identifier: GPL-2.0-only WITH Linux-syscall-note */
 /*
  * The trace vocabulary: one fixed record for every layer (runtime, coordinator, kernel, BPF), so
- * that all of them tell one story. Rules: append kinds, never renumber; padding is zero.
+ * that all of them tell one story. Rules: append kinds, never renumber.
  *
- * History: 1 - first version.
+ * History: 1 - first version. 2 - TAKE, MISS and HANG; what was padding is the stamp of the ring's slot.
  */
 #ifndef _UAPI_XAUTO_EVENT_H
 #define _UAPI_XAUTO_EVENT_H
 
 #include <linux/types.h>
 
-#define XAUTO_EVENT_VERSION 1
+#define XAUTO_EVENT_VERSION 2
 
 /* What happened. In the order in which one job meets them. */
 #define XAUTO_EV_PUBLISH 1   /* a source released a message; seq = its number */
@@ -31,6 +31,9 @@
       * released what was taken (its origin, ts_ns); arg = the module that        \
       * published it, or XAUTO_TAKE_SOURCE | the source's index */
 
+#define XAUTO_EV_MISS 14 /* a result was later than its deadline, or lost; arg = latency, us */
+#define XAUTO_EV_HANG 15 /* a job ran past its hang limit; arg = the limit, ms */
+
 #define XAUTO_TAKE_SOURCE 0x80000000u
 
 #define XAUTO_DROP_FAILED 1   /* exec threw or returned an error */
@@ -50,7 +53,7 @@
  * @xpu:    index into the platform's XPUs
  * @kind:   XAUTO_EV_*
  * @arg:    depends on @kind
- * @pad:    zero
+ * @stamp:  of the slot in the ring (lib/trace/trace.h), zero elsewhere
  */
 struct xauto_event {
   __u64 ts_ns;
@@ -60,7 +63,7 @@ struct xauto_event {
   __u16 xpu;
   __u16 kind;
   __u32 arg;
-  __u32 pad;
+  __u32 stamp;
 };
 
 #endif /* _UAPI_XAUTO_EVENT_H */

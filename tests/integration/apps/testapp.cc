@@ -7,8 +7,9 @@
 //        └─► D (d1 cpu) ─► aside: not affected by what happens to the others
 //
 //   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US] [tally] [times] [second US]
-//           [emulated US]
+//           [emulated US] [filelimit BYTES]
 //
+// With `filelimit` no file of it grows beyond that once messages come: a disk that gets full.
 // With `emulated` every XNode has a context of the emulator's and first takes so long on it.
 // With `second` there is another source of that period, and D reads both.
 // With `tally` FILE gets one line per topic instead of one per message, so that a soak's own memory
@@ -18,6 +19,7 @@
 #include <algorithm>
 #include <array>
 #include <chrono>
+#include <csignal>
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
@@ -30,6 +32,8 @@
 #include <string>
 #include <thread>
 #include <vector>
+
+#include <sys/resource.h>
 
 #include <xauto/emu.h>
 #include <xauto/xauto.h>
@@ -135,11 +139,14 @@ int main(int argc, char** argv) {
   const std::string file = argc > 1 ? argv[1] : "/dev/null";
   std::chrono::microseconds period{2000};
   std::chrono::microseconds second{0};
+  rlim_t file_limit = RLIM_INFINITY;
   bool tallied = false, timed = false;
   for (int i = 2; i < argc; ++i) {
     const std::string word = argv[i];
     if (word == "second" && i + 1 < argc) {
       second = std::chrono::microseconds(std::atoll(argv[++i]));
+    } else if (word == "filelimit" && i + 1 < argc) {
+      file_limit = std::strtoull(argv[++i], nullptr, 10);
     } else if (word == "emulated" && i + 1 < argc) {
       g_emulated = std::chrono::microseconds(std::atoll(argv[++i]));
     } else if (word == "period" && i + 1 < argc) {
@@ -159,7 +166,14 @@ int main(int argc, char** argv) {
   const xauto::Topic<std::string> b("b");
   const xauto::Topic<std::uint64_t> c("c"), d("d");
   xauto::App app("testapp");
-  app.add_source(source, period, [](std::uint64_t k) { return make_block(k); });
+  app.add_source(source, period, [file_limit](std::uint64_t k) {
+    if (k == 1 && file_limit != RLIM_INFINITY) {
+      std::signal(SIGXFSZ, SIG_IGN);
+      const rlimit limit{file_limit, RLIM_INFINITY};
+      setrlimit(RLIMIT_FSIZE, &limit);
+    }
+    return make_block(k);
+  });
 
   xauto::XModule<State> A("A"), B("B"), C("C"), D("D");
   A.add_node(node("a1", "cpu", "A",

@@ -352,7 +352,7 @@ TEST(Engine, TraceTellsEveryStepOfEveryJobInOrder) {
   const auto memory = make_memory_file("trace");
   ASSERT_TRUE(memory);
   app.session.trace_fd = memory->get();
-  app.session.trace_capacity = 10'000;
+  app.session.trace_keep_s = 10;
   ASSERT_TRUE(app.run());
   const auto trace = trace::read(memory->get());
   ASSERT_TRUE(trace);

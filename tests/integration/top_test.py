@@ -1,0 +1,162 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""`xauto top` without BPF, and the progress line of a run."""
+import json
+import os
+import pathlib
+import pty
+import re
+import signal
+import subprocess
+import tempfile
+import time
+import unittest
+
+from common import TESTAPP, XAUTO, children_of, testapp_files, xauto
+
+
+def screen(data):
+    """The lines that a terminal shows after this output."""
+    lines, column = [[]], 0
+    for token in re.findall(r"\x1b\[[0-9;]*[A-Za-z]|[^\x1b]", data):
+        if token == "\r":
+            column = 0
+        elif token == "\n":
+            lines.append([])
+        elif token == "\x1b[K":
+            del lines[-1][column:]
+        elif not token.startswith("\x1b"):
+            lines[-1] += " " * (column - len(lines[-1]))
+            lines[-1][column:column + 1] = token
+            column += 1
+    return ["".join(line) for line in lines]
+
+
+class Top(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = folder.name
+
+    def start(self, *app, files=None, **keywords):
+        tool = subprocess.Popen([XAUTO, "run", *(files or testapp_files(self.folder)), "--activations", "0", "--out",
+                                 os.path.join(self.folder, "r.json"), "--", TESTAPP, os.path.join(self.folder, "result"),
+                                 *map(str, app)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **keywords)
+        self.addCleanup(self.end, tool)
+        return tool
+
+    @staticmethod
+    def end(tool):
+        if tool.poll() is None:
+            tool.terminate()
+        _, err = tool.communicate(timeout=60)
+        return err
+
+    def look(self, tool, *options):
+        done = xauto("top", "--run", f"{tool.pid}-0", "--wait-s", 30, "--json", *options)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        return [json.loads(line) for line in done.stdout.splitlines()]
+
+    def test_counts_are_those_of_the_report(self):
+        tool = self.start("period", 20000, "throw", "A", 5, files=testapp_files(self.folder, deadline_us=1))
+        time.sleep(1.5)
+        first, second = self.look(tool, "--count", 2, "--interval-ms", 1000)
+        self.assertEqual(first["app"], "testapp")
+        err = self.end(tool)
+        with open(os.path.join(self.folder, "r.json")) as file:
+            report = json.load(file)["runs"][0]
+        chains = {c["name"]: c for c in report["chains"]}
+        self.assertEqual({c["name"] for c in second["chains"]}, set(chains), err)
+        for chain in second["chains"]:
+            of_run = chains[chain["name"]]
+            before = next(c for c in first["chains"] if c["name"] == chain["name"])
+            self.assertGreater(chain["results"], before["results"])
+            self.assertLessEqual(chain["results"], of_run["results"])
+            # The interval was a second or more, and the period is 20 ms.
+            self.assertAlmostEqual(chain["rate_hz"], (chain["results"] - before["results"]) * 1000 / second["interval_ms"],
+                                   delta=1)
+            self.assertLessEqual(chain["rate_hz"], 60)
+            # All results are later than 1 us, so as many missed as there are (read one after the other).
+            self.assertLessEqual(abs(chain["deadline_misses"] - chain["results"]), 1)
+            self.assertLessEqual(chain["p50_us"], of_run["latency_us"]["max"] * 65 / 64 + 1)
+            self.assertLessEqual(chain["p50_us"], chain["p99_us"])
+            self.assertGreater(chain["age_us"], 0)
+        failed = {m["name"]: m["failed"] for m in second["modules"]}
+        self.assertEqual(failed, {"A": 1, "B": 0, "C": 0, "D": 0})
+        self.assertEqual({m["name"]: m["failed"] for m in report["modules"]}, failed)
+
+    def test_who_runs_and_who_waits(self):
+        # b1 sleeps on the npu, and a2 of that release or the next waits for it, or is below it.
+        tool = self.start("period", 50000, "hang", "B", 5, 20000)
+        deadline, seen = time.monotonic() + 30, None
+        while time.monotonic() < deadline and tool.poll() is None:
+            seen = {x["xpu"]: x for x in self.look(tool, "--once", "--interval-ms", 300)[0]["xpus"]}
+            if seen.get("npu0", {}).get("running") == ["b1"]:
+                break
+        self.assertEqual(seen["npu0"]["running"], ["b1"])
+        self.assertEqual(set(seen), {"cpu0", "npu0"})
+        tool.kill()
+
+    def test_a_pipe_gets_one_look_in_words(self):
+        tool = self.start("period", 20000)
+        done = xauto("top", "--run", f"{tool.pid}-0", "--wait-s", 30, "--interval-ms", 500)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertEqual(done.stdout.count("testapp on test"), 1)
+        self.assertIn("src -> C", done.stdout)
+        self.assertNotIn("\x1b", done.stdout)
+        self.assertIn(f"{tool.pid}-0\n", xauto("top", "--list").stdout)
+
+    def test_isolated_modules_are_counted_too(self):
+        tool = self.start("period", 20000, files=[*testapp_files(self.folder), "--isolate"])
+        time.sleep(1.5)
+        seen = self.look(tool, "--once")[0]
+        self.assertTrue(all(m["activations"] > 0 for m in seen["modules"]), seen)
+        self.assertTrue(all(c["results"] > 0 for c in seen["chains"]), seen)
+
+    def test_without_a_run_it_says_so(self):
+        done = xauto("top", "--run", "1-99", "--wait-s", 0)
+        self.assertEqual(done.returncode, 2)
+        self.assertIn("no run '1-99' is going on", done.stderr)
+
+    @staticmethod
+    def is_member(pid):
+        return b"XAUTO_PROCESS=" in pathlib.Path(f"/proc/{pid}/environ").read_bytes()
+
+    def test_progress_and_logs_do_not_run_into_each_other(self):
+        files = testapp_files(self.folder)
+        outer, inner = pty.openpty()
+        tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "300", "--isolate", "--restarts", "5", "--", TESTAPP,
+                                 os.path.join(self.folder, "result"), "period", "20000"], stdout=subprocess.DEVNULL, stderr=inner)
+        os.close(inner)
+        data, begun, killed = b"", time.monotonic(), 0
+        while True:
+            try:
+                got = os.read(outer, 4096)
+            except OSError:
+                break
+            if not got:
+                break
+            data += got
+            # After the line has appeared: logs of the tool, and of the app's hub.
+            if killed < 2 and b" % " in data and time.monotonic() - begun > 3 + killed:
+                # A coordinator; then of the app a member, not the hub.
+                os.kill(next(pid for pid, name in children_of(tool.pid).items()
+                             if (name == "xauto-coordinat" if killed == 0 else self.is_member(pid))), signal.SIGKILL)
+                killed += 1
+        tool.wait(timeout=60)
+        os.close(outer)
+        text = data.decode()
+        self.assertEqual(killed, 2, text)
+        self.assertRegex(text, r"run heft \[#+\.*\] +\d+ %  \d+ s, \d+\.\d/s, p50 \d+\.\d\d ms")
+        shown = screen(text)
+        for what in ("xauto-coordinator of", "the process of"):
+            line = next((l for l in shown if what in l), None)
+            self.assertIsNotNone(line, shown)
+            self.assertRegex(line, r"^xauto: warning: ")
+        for line in shown:
+            self.assertFalse("xauto: " in line and "run heft" in line, line)
+            self.assertLessEqual(line.count("run heft"), 1, line)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/counts.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "base/clock.h"
+#include "runtime/distribution.h"
+
+namespace xauto::cli {
+namespace {
+
+FlowCounts flow_of(const runtime::FlowLine& line) {
+  FlowCounts flow;
+  flow.name = runtime::line_name(line.name);
+  flow.results = line.results.load();
+  flow.lost = line.lost.load();
+  flow.late = line.late.load();
+  flow.old = line.old.load();
+  flow.last_origin_ns = line.last_origin_ns.load();
+  flow.max_age_us = line.max_age_us.load();
+  for (std::uint32_t b = 0; b < runtime::FlowLine::kBuckets; ++b)
+    if (const std::uint32_t count = line.latency_us[b].load(std::memory_order_relaxed); count > 0) {
+      flow.latency_us.resize(b + 1);
+      flow.latency_us[b] = count;
+    }
+  return flow;
+}
+
+/// All chains as one.
+FlowCounts together(const std::vector<FlowCounts>& chains) {
+  FlowCounts sum;
+  for (const FlowCounts& chain : chains) {
+    sum.results += chain.results;
+    if (chain.latency_us.size() > sum.latency_us.size())
+      sum.latency_us.resize(chain.latency_us.size());
+    for (std::size_t b = 0; b < chain.latency_us.size(); ++b)
+      sum.latency_us[b] += chain.latency_us[b];
+  }
+  return sum;
+}
+
+bool several_rates(const Counts& counts) {
+  return counts.whole.results + counts.whole.lost == 0;
+}
+
+}  // namespace
+
+Counts counts_of(const runtime::Board& board) {
+  Counts counts;
+  counts.at_ns = now_ns();
+  counts.released = board.released();
+  const runtime::BoardShape& shape = board.shape();
+  for (std::uint32_t m = 0; m < shape.modules; ++m) {
+    const runtime::ModuleLine& line = board.module(static_cast<int>(m));
+    counts.modules.push_back({runtime::line_name(line.name), line.activations.load(),
+                              line.failed.load(), line.dropped.load()});
+  }
+  counts.whole = flow_of(board.flow(0));
+  for (std::uint32_t f = 1; f < shape.flows; ++f) {
+    counts.chains.push_back(flow_of(board.flow(f)));
+    if (const std::uint32_t module = board.flow(f).module; module < shape.modules)
+      counts.chains.back().lost = counts.modules[module].failed + counts.modules[module].dropped;
+  }
+  return counts;
+}
+
+std::int64_t quantile_us(const std::vector<std::uint64_t>& buckets, double q) {
+  std::uint64_t count = 0;
+  for (const std::uint64_t b : buckets) count += b;
+  if (count == 0) return -1;
+  const auto rank = std::max<std::uint64_t>(
+      1, static_cast<std::uint64_t>(std::ceil(q * static_cast<double>(count))));
+  std::uint64_t seen = 0;
+  for (std::size_t b = 0; b < buckets.size(); ++b)
+    if ((seen += buckets[b]) >= rank)
+      return runtime::Distribution::end_of(static_cast<std::uint32_t>(b));
+  return -1;
+}
+
+FlowNumbers numbers_of(const FlowCounts& now, const FlowCounts& before, std::int64_t now_ns,
+                       std::int64_t before_ns) {
+  FlowNumbers n;
+  n.results = now.results - std::min(now.results, before.results);
+  if (now_ns > before_ns)
+    n.rate_hz = static_cast<double>(n.results) * 1e9 / static_cast<double>(now_ns - before_ns);
+  std::vector<std::uint64_t> buckets = now.latency_us;
+  for (std::size_t b = 0; b < std::min(buckets.size(), before.latency_us.size()); ++b)
+    buckets[b] -= std::min(buckets[b], before.latency_us[b]);
+  n.p50_us = quantile_us(buckets, 0.5);
+  n.p99_us = quantile_us(buckets, 0.99);
+  n.max_us = quantile_us(buckets, 1);
+  if (now.last_origin_ns > 0) n.age_us = (now_ns - now.last_origin_ns) / 1000;
+  return n;
+}
+
+std::string progress_words(const Counts& now, const Counts& before) {
+  const bool several = several_rates(now);
+  const FlowNumbers n =
+      several ? numbers_of(together(now.chains), together(before.chains), now.at_ns, before.at_ns)
+              : numbers_of(now.whole, before.whole, now.at_ns, before.at_ns);
+  const std::int64_t p50 =
+      quantile_us(several ? together(now.chains).latency_us : now.whole.latency_us, 0.5);
+  if (p50 < 0) return "no result yet";
+  return fmt::format("{:.1f}/s, p50 {:.2f} ms", n.rate_hz, static_cast<double>(p50) / 1000);
+}
+
+double progress_of(const Counts& now, std::uint64_t activations) {
+  if (activations == 0 || several_rates(now)) return -1;
+  return static_cast<double>(now.whole.results + now.whole.lost) / static_cast<double>(activations);
+}
+
+}  // namespace xauto::cli

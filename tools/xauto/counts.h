@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+// The counts of a run that goes on, from its board (runtime/board.h): what `xauto top` and the
+// progress line of `xauto run` show. Pure apart from the look itself.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "runtime/board.h"
+
+namespace xauto::cli {
+
+struct ModuleCounts {
+  std::string name;
+  std::uint64_t activations = 0, failed = 0, dropped = 0;
+};
+
+/// A chain, or the app as a whole.
+struct FlowCounts {
+  std::string name;
+  std::uint64_t results = 0, lost = 0, late = 0, old = 0;
+  std::int64_t last_origin_ns = 0, max_age_us = 0;
+  std::vector<std::uint64_t> latency_us;  ///< by Distribution's buckets
+};
+
+struct Counts {
+  std::int64_t at_ns = 0;
+  std::uint64_t released = 0;
+  std::vector<ModuleCounts> modules;
+  FlowCounts whole;  ///< empty with several rates
+  std::vector<FlowCounts> chains;
+};
+
+/// All counts of one moment, or nearly: each is right by itself.
+[[nodiscard]] Counts counts_of(const runtime::Board& board);
+
+/// One flow over the time between two looks.
+struct FlowNumbers {
+  std::uint64_t results = 0;
+  double rate_hz = 0;
+  std::int64_t p50_us = -1, p99_us = -1, max_us = -1;  ///< at most 1/64 too large; -1: no result
+  std::int64_t age_us = -1;  ///< of what the last result says, at the second look; -1: none yet
+};
+/// `before` as of another run's beginning: default constructed counts.
+[[nodiscard]] FlowNumbers numbers_of(const FlowCounts& now, const FlowCounts& before,
+                                     std::int64_t now_ns, std::int64_t before_ns);
+/// Smallest latency that a share `q` of the results does not exceed; -1 without results.
+[[nodiscard]] std::int64_t quantile_us(const std::vector<std::uint64_t>& buckets, double q);
+
+/// What the progress line says: "32.8/s, p50 12.41 ms"; several rates: of all chains together.
+[[nodiscard]] std::string progress_words(const Counts& now, const Counts& before);
+/// Releases that are over, of `activations`; below 0: cannot be told.
+[[nodiscard]] double progress_of(const Counts& now, std::uint64_t activations);
+
+}  // namespace xauto::cli

@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/gate.h"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+namespace xauto::cli {
+namespace {
+
+bool asks(const RunFlags& flags, const std::string& word) {
+  return std::find(flags.fail_on.begin(), flags.fail_on.end(), word) != flags.fail_on.end();
+}
+
+/// Releases that missed the app's deadline; of chains what missed another one, or became too old.
+std::uint64_t misses(const RunFlags& flags, const runtime::RunReport& report) {
+  std::uint64_t count = report.deadline_misses;
+  for (const runtime::RouteReport& route : report.routes) {
+    // Without chains of its own an app of one rate has every release's deadline counted above.
+    const bool counted = flags.deployment.chains.empty() && report.num_releases > 0;
+    count += (counted ? 0 : route.deadline_misses) + route.age_misses;
+  }
+  return count;
+}
+
+std::uint64_t lost(const runtime::RunReport& report) {
+  if (report.num_releases > 0) return report.lost_releases;
+  std::uint64_t count = 0;  // several rates: of each module whose results the app is there for
+  for (const runtime::ModuleReport& module : report.modules)
+    if (module.sink) count += module.failed + module.dropped;
+  return count;
+}
+
+}  // namespace
+
+Status check_gate(const RunFlags& flags) {
+  const Deployment& deployment = flags.deployment;
+  const bool deadline =
+      flags.app.deadline_us.has_value() ||
+      std::any_of(deployment.chains.begin(), deployment.chains.end(), [](const ChainDeployment& c) {
+        return c.deadline_us.has_value() || c.max_age_us.has_value();
+      });
+  if (asks(flags, "miss") && !deadline)
+    return fail(ErrorCode::kInvalid, "nothing has a deadline that could be missed",
+                "--fail-on miss",
+                "give the app `deadline_us`, or a chain of the deployment `deadline_us` or "
+                "`max_age_us`");
+  const auto limited = [](const ModuleDeployment& m) {
+    return m.hang_us.has_value() || m.hang_pct.has_value();
+  };
+  if (asks(flags, "hang") && !limited(deployment.defaults) &&
+      std::none_of(deployment.modules.begin(), deployment.modules.end(),
+                   [&](const auto& m) { return limited(m.second); }))
+    return fail(ErrorCode::kInvalid, "no XNode has a limit past which it hangs", "--fail-on hang",
+                "give `hang_us` or `hang_pct` in the deployment");
+  return {};
+}
+
+std::vector<GateCount> gate_of(const RunFlags& flags, const PolicyRun& run) {
+  std::vector<GateCount> counts;
+  for (const std::string& word : kGateWords) {
+    if (!asks(flags, word)) continue;
+    GateCount gate{word, 0, {}};
+    if (word == "miss") {
+      gate.count = misses(flags, run.report);
+      gate.what = fmt::format("{} results missed their deadline, or became too old", gate.count);
+    } else if (word == "lost") {
+      gate.count = lost(run.report);
+      gate.what = fmt::format("{} activations were lost", gate.count);
+    } else if (word == "hang") {
+      for (const runtime::XNodeReport& x : run.report.xnodes) gate.count += x.hangs;
+      gate.what = fmt::format("{} jobs ran past their hang limit", gate.count);
+    } else {
+      gate.count = run.outcome.deaths;
+      gate.what = fmt::format("{} processes died, or were started again", gate.count);
+    }
+    counts.push_back(std::move(gate));
+  }
+  return counts;
+}
+
+}  // namespace xauto::cli
