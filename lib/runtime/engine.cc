@@ -210,11 +210,9 @@ void Engine::compare_with_certificate() {
   const bool kept = session_.cpu_sched == CpuSched::kExt ||
                     (session_.cpu_sched == CpuSched::kFifo && !fifo_.none());
   const std::vector<int> cpus = session_.platform.instances_of("cpu");
-  const bool real_cpus = std::any_of(cpus.begin(), cpus.end(), [&](int x) {
-    return session_.presence_of(x) == Presence::kReal;
-  });
-  if (real_cpus && !kept)
-    unkept_.emplace_back("nobody keeps the priorities on CPUs (SCHED_OTHER)");
+  const bool real_cpus = std::any_of(
+      cpus.begin(), cpus.end(), [&](int x) { return session_.presence_of(x) == Presence::kReal; });
+  if (real_cpus && !kept) unkept_.emplace_back("nobody keeps the priorities on CPUs (SCHED_OTHER)");
   for (const std::string& why : unkept_)
     log::warn("the policy's worst case of {} does not hold in this run: {}", ms(worst_us), why);
 }

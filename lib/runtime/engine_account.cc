@@ -186,6 +186,7 @@ RunReport Engine::report() {
   }
   result.deadline_misses = deadline_misses_.load();
   result.unkept = unkept_;
+  result.several_rates = !graph_.single_rate;
   result.recording_error = recording_error_;
   return result;
 }

@@ -238,6 +238,7 @@ std::string to_json(const RunReport& r) {
               {"deadline_misses", r.deadline_misses},
               {"overlapping_releases", r.overlapping_releases},
               {"unkept", r.unkept},
+              {"several_rates", r.several_rates},
               {"recording_error", r.recording_error}}
       .dump();
 }
@@ -292,6 +293,7 @@ Result<RunReport> parse_run_report(const std::string& text) {
     r.deadline_misses = j.at("deadline_misses").get<std::uint64_t>();
     r.overlapping_releases = j.at("overlapping_releases").get<std::uint64_t>();
     r.unkept = j.at("unkept").get<std::vector<std::string>>();
+    r.several_rates = j.at("several_rates").get<bool>();
     r.recording_error = j.at("recording_error").get<std::string>();
     return r;
   });

@@ -141,6 +141,7 @@ struct RunReport {
   /// What the policy's worst case takes for granted (kWorstCaseScope) and this run does not keep by
   /// the way it was set up; a line each, for people.
   std::vector<std::string> unkept;
+  bool several_rates = false;   ///< there are no releases to count, but each sensor's
   std::string recording_error;  ///< why the recording is not whole; empty: it is, or there is none
 };
 

@@ -494,7 +494,7 @@ class Supervisor {
   Child app_;
   xpu::CpuRun cpus_;
   bool stopped_ = false;  ///< by the user
-  Dumps dumps_[2];  ///< misses, hangs
+  Dumps dumps_[2];        ///< misses, hangs
   Outcome outcome_;
 };
 

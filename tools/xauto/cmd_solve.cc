@@ -202,8 +202,9 @@ void print_table(const AppSpec& app, const Platform& platform, const Policy& pol
     std::printf("\n  %s\n", note.c_str());
   else if (policy.worst_case_us && !app.sources.empty() &&
            app.sources.front().period_us < *policy.worst_case_us)
-    std::printf("\n  releases come every %s: those that overlap may take longer than the worst case\n",
-                ms(app.sources.front().period_us).c_str());
+    std::printf(
+        "\n  releases come every %s: those that overlap may take longer than the worst case\n",
+        ms(app.sources.front().period_us).c_str());
 }
 
 Result<int> solve(Flags& flags, const Options& options) {

@@ -42,13 +42,9 @@ std::string in_ms(std::int64_t us, std::size_t count) {
   return count == 0 ? "-" : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
 }
 
-bool has_several_rates(const PolicyRun& run) {
-  return run.report.num_releases == 0;
-}
-
 /// Late results: of releases, with several rates of chains. Missing: nothing has a deadline.
 std::optional<std::uint64_t> deadline_misses(const RunFlags& flags, const PolicyRun& run) {
-  if (!has_several_rates(run))
+  if (!run.report.several_rates)
     return flags.app.deadline_us ? std::optional(run.report.deadline_misses) : std::nullopt;
   std::optional<std::uint64_t> misses;
   for (const runtime::RouteReport& r : run.report.routes)
@@ -282,7 +278,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
   for (const PolicyRun& run : runs) {
     const Latency& l = run.latency;
     // With several rates a result is not of the one release that was simulated.
-    const bool same = l.count > 0 && !has_several_rates(run) && run.predicted.makespan > 0;
+    const bool same = l.count > 0 && !run.report.several_rates && run.predicted.makespan > 0;
     const auto times = base == nullptr ? std::nullopt : ratio(base->latency, &Latency::p99_us, l);
     out += fmt::format(
         "  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", run.name, in_ms(l.p50_us, l.count),
@@ -308,7 +304,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
     if (const std::uint64_t lost = lost_releases(run))
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
     out += losses_of(run);
-    if (!flags.deployment_path.empty() || has_several_rates(run))
+    if (!flags.deployment_path.empty() || run.report.several_rates)
       out += limits_table(run, runs.size() > 1 ? run.name + ": " : "");
     if (const auto misses = deadline_misses(flags, run); misses.value_or(0) > 0)
       out += fmt::format("  {}: {} deadline misses\n", run.name, *misses);
@@ -398,7 +394,7 @@ std::string words_of(const RunFlags& flags, const runtime::Incident& incident) {
 Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
   Timeline timeline;
   timeline.title = flags.app.name + " on " + flags.spec.name;
-  const bool several = !runs.empty() && has_several_rates(runs.front());
+  const bool several = !runs.empty() && runs.front().report.several_rates;
   timeline.note = fmt::format("{}, {} {} per policy; each chart shows {}", xpus_text(flags),
                               runs.empty() ? 0 : runs.front().latency.count,
                               several ? "results" : "activations",
@@ -406,7 +402,7 @@ Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) 
                                       : "the activation of median latency");
   for (const PolicyRun& run : runs) {
     std::vector<Panel> panels;
-    if (has_several_rates(run))
+    if (run.report.several_rates)
       if (const auto bytes = perfetto_of(flags, run))
         if (const auto trace = read_trace(*bytes, run.name))
           panels = chain_panels(page_id(run.id), run.name, *trace);

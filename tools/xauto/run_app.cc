@@ -201,6 +201,12 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   request.trace_keep_s = flags.trace_keep_s;
   request.on_incident = std::move(dump);
 
+  // With several rates there are no releases to count by, but the time is known.
+  double length_s = flags.seconds;
+  if (length_s <= 0 && flags.app.rates() > 1 && flags.period_us == 0)
+    for (const SourceSpec& source : flags.app.sources)
+      length_s = std::max(length_s, 1e-6 * static_cast<double>(flags.activations) *
+                                        static_cast<double>(source.period_us));
   Progress progress("run " + run.id, 1);
   Counts before;  // at least a second ago, so that the rate is one
   std::string words;
@@ -208,7 +214,8 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
     double done = -1;
     if (board != nullptr) {
       Counts now = counts_of(*board);
-      done = progress_of(now, flags.activations);
+      done =
+          length_s > 0 ? std::min(1.0, elapsed_s / length_s) : progress_of(now, flags.activations);
       if (before.at_ns == 0) before = now;
       if (now.at_ns - before.at_ns >= 1'000'000'000) {
         words = ", " + progress_words(now, before);
@@ -221,7 +228,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   progress.finish();
   XAUTO_ASSIGN(run.report, runtime::parse_run_report(run.outcome.answer));
   runtime::Distribution latencies = run.report.latencies_us;
-  if (run.report.num_releases == 0)  // several rates: every sink's own latencies
+  if (run.report.several_rates)  // every sink's own latencies
     for (const runtime::ModuleReport& module : run.report.modules)
       latencies.merge(module.latencies_us);
   run.latency = summarise(latencies);
