@@ -206,7 +206,7 @@ class Check {
     if (claimed > v_.best_found_us) return;
     v_.bound_proven = claimed <= v_.own_bound_us || prove(claimed);
     if (v_.bound_proven)
-      shown("lower_bound_us = " + us(claimed) + ": no schedule of any kind is shorter");
+      shown("lower_bound_us = " + us(claimed) + ": no schedule of one release is shorter");
     else if (v_.lies.empty())
       taken("lower_bound_us = " + us(claimed) + ": proven here only up to " + us(v_.own_bound_us) +
             "; none of " + std::to_string(schedules_) + " schedules tried is shorter");

@@ -204,8 +204,8 @@ void Engine::compare_with_certificate() {
         session_.period_us > 0 ? session_.period_us : app_.sources.front().period.count();
     if (period_us < worst_us)
       log::warn(
-          "releases come every {}, the worst case of {} is {}: those that overlap may be later",
-          ms(period_us), kWorstCaseScope, ms(worst_us));
+          "releases come every {}, the worst case is {} of {}: those that overlap may take longer",
+          ms(period_us), ms(worst_us), kWorstCaseScope);
   }
   const bool kept = session_.cpu_sched == CpuSched::kExt ||
                     (session_.cpu_sched == CpuSched::kFifo && !fifo_.none());

@@ -123,9 +123,11 @@ def test_golden_files_and_examples_are_valid():
 
 # What only a program can see: what holds between values, or bytes that a parser of JSON does not show.
 BEYOND = {
-    "app": {"cycle", "duplicate-key", "edge-self", "edge-twice", "edge-unknown-xnode", "xnode-name-twice"},
+    "app": {"cycle", "duplicate-key", "edge-self", "edge-twice", "edge-unknown-xnode", "source-behind-an-edge",
+            "source-heard-twice", "source-name-twice", "source-unknown", "xnode-name-twice"},
     "platform": {"duplicate-key", "id-twice"},
-    "profile": {"edge-unknown-xnode", "statistics-do-not-ascend", "xnode-twice"},
+    "profile": {"edge-unknown-xnode", "source-behind-an-edge", "source-name-twice", "statistics-do-not-ascend",
+                "xnode-twice"},
     "policy": {"app-of-another-name", "finish-before-start", "order-across-xpus", "order-against-the-edges",
                "order-self", "order-twice", "order-unknown-xnode", "priority-twice", "stale-hash", "xnode-not-placed",
                "xnode-twice", "xnode-unknown", "xpu-unknown", "xpu-without-implementation",

@@ -164,7 +164,8 @@ TEST(Profile, IncompleteOnesAreReadAsWritten) {
   profile.app = "a";
   profile.conditions.emulated = true;
   profile.incomplete = "stopped by the user";
-  profile.xnodes = {{"x", "M", {{"cpu0", {9, 1, 2, 3, 4}}, {"cpu1", {9, 1, 2, 3, 40}}}, {"gpu0"}}};
+  profile.xnodes = {
+      {"x", "M", {{"cpu0", {9, 1, 2, 3, 4}}, {"cpu1", {9, 1, 2, 3, 40}}}, {}, {"gpu0"}}};
   profile.xnodes[0].on["cpu0"].emulated = true;
   profile.xnodes[0].on["cpu1"].max_at = 3;
   profile.xnodes[0].on["cpu1"].outlier = Outlier{1, 4, 6};

@@ -13,7 +13,7 @@ constexpr Machine kOrin{.cores = 4, .gpu = true, .dla = true};
 AppSpec app(std::set<std::string, std::less<>> real_on) {
   AppSpec spec;
   spec.name = "a";
-  spec.xnodes = {{"x", "M", {{"cpu", 1}, {"gpu", 1}}, std::move(real_on)},
+  spec.xnodes = {{"x", "M", {{"cpu", 1}, {"gpu", 1}}, {}, std::move(real_on)},
                  {"stand-in", "M", {{"cpu", 1}, {"gpu", 1}, {"dla", 1}}}};
   return spec;
 }
