@@ -122,7 +122,8 @@ class Dds(Runs):
         self.peer("feed", "rt/src", self.path("feed"), 10_000)
         run = self.run_dds("--deployment", self.deployment(src="cyclonedds:feed"), period=10_000, activations=40, more=("second", 15_000))
         modules = {m["name"]: m for m in run["modules"]}
-        self.assertTrue(0 < modules["A"]["activations"] <= 40, run)
+        # 40 releases of the slower sensor are 60 of src, which is fed that often at most.
+        self.assertTrue(0 < modules["A"]["activations"] <= 60, run)
         self.assertEqual(modules["A"]["failed"], 0)
 
     def test_listener_that_is_stopped_or_dead_holds_nobody_up(self):

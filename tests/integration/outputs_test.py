@@ -78,7 +78,7 @@ class Outputs(unittest.TestCase):
         page = self.path("page.html")
         done = self.call("run", "--out", self.full("full.json"), "--trace-out", self.full("full.pftrace"), "--timeline", page)
         self.assertEqual(done.returncode, 1, done.stderr)
-        self.assertRegex(done.stdout, r"heft +\d+\.\d\d")
+        self.assertRegex(done.stdout, r"policy +\d+\.\d\d")
         for name in ("full.json", "full.pftrace"):
             self.assertRegex(done.stderr, rf"error: .*{name}: cannot be written: No space left on device")
         self.assertIn("a1", pathlib.Path(page).read_text())
@@ -108,7 +108,7 @@ class Outputs(unittest.TestCase):
         done = xauto("run", *self.verbs("x")["run"][0][:-1], 40, "--record", self.path("limited.db3"), "--",
                      *self.app("x", "filelimit", "65536"))
         self.assertEqual(done.returncode, 1, done.stderr)
-        self.assertRegex(done.stdout, r"heft +\d+\.\d\d.* 40\n")
+        self.assertRegex(done.stdout, r"policy +\d+\.\d\d.* 40\n")
         self.assertRegex(done.stderr, r"error: --record .*limited.db3: ")
 
     def test_a_full_stdout_is_told_and_the_files_are_there(self):

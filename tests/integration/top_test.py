@@ -147,15 +147,15 @@ class Top(unittest.TestCase):
         os.close(outer)
         text = data.decode()
         self.assertEqual(killed, 2, text)
-        self.assertRegex(text, r"run heft \[#+\.*\] +\d+ %  \d+ s, \d+\.\d/s, p50 \d+\.\d\d ms")
+        self.assertRegex(text, r"run policy \[#+\.*\] +\d+ %  \d+ s, \d+\.\d/s, p50 \d+\.\d\d ms")
         shown = screen(text)
         for what in ("xauto-coordinator of", "the process of"):
             line = next((l for l in shown if what in l), None)
             self.assertIsNotNone(line, shown)
             self.assertRegex(line, r"^xauto: warning: ")
         for line in shown:
-            self.assertFalse("xauto: " in line and "run heft" in line, line)
-            self.assertLessEqual(line.count("run heft"), 1, line)
+            self.assertFalse("xauto: " in line and "run policy" in line, line)
+            self.assertLessEqual(line.count("run policy"), 1, line)
 
 
 if __name__ == "__main__":
