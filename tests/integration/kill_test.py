@@ -183,7 +183,7 @@ class Kill(unittest.TestCase):
     def test_emulator_at_random_moments(self):
         for seed in range(ROUNDS):
             with self.subTest(seed=seed):
-                tool, family, before = self.start(activations=20)
+                tool, family, before = self.start(activations=60)
                 self.wait_until_it_runs()
                 rng = random.Random(seed)
                 for _ in range(5):
@@ -199,7 +199,7 @@ class Kill(unittest.TestCase):
         """Both at once: neither is rebuilt from the other."""
         for seed in range(ROUNDS):
             with self.subTest(seed=seed):
-                tool, family, before = self.start(activations=15)
+                tool, family, before = self.start(activations=60)
                 self.wait_until_it_runs()
                 rng = random.Random(seed)
                 time.sleep(rng.uniform(0, 0.4))
