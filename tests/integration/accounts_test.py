@@ -84,6 +84,10 @@ class OneRate(unittest.TestCase):
             self.assertEqual([s.args.get("result") for s in slices].count("dropped"), run["lost_activations"])
             late = sum(us > self.DEADLINE_US for us in took)
             self.assertEqual(run["deadline_misses"], late + run["lost_activations"])
+            # A worst case says of what, and what of that this run did not keep: cam takes 8 ms, so releases overlap.
+            self.assertIn("a release that meets no other", run["worst_case_of"])
+            overlaps = any("while an earlier one was in flight" in why for why in run["worst_case_broken"])
+            self.assertTrue(overlaps if period < 8_000 else run["worst_case_broken"] or not run["worst_case_exceeded"])
             if not took:
                 return
             self.assertEqual(run["max_us"], max(took))
@@ -124,6 +128,7 @@ class SeveralRates(unittest.TestCase):
         pathlib.Path(self.case.path("policy.json")).write_text(json.dumps(policy))
         run, seen, done = self.case.run("--activations", 10)
         self.assertIn("order constraints are not enforced", done.stderr + " ".join(run["notes"]))
+        self.assertTrue(any("several periods" in why for why in run["worst_case_broken"]), run)
         for name, (messages, longest) in seen.items():
             self.assertGreater(messages, 0, name)
             self.assertLess(longest, 500_000, name)  # it was seconds
