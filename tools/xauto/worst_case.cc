@@ -75,7 +75,7 @@ std::string to_string(const WorstCase& worst) {
   if (worst.broken.empty())
     return text + (worst.exceeded ? "exceeded, though nothing that is watched was broken; please "
                                     "report this run"
-                                  : "kept");
+                                  : "kept, as far as it is watched");
   text += worst.exceeded ? "exceeded, and not claimed here: " : "not claimed here: ";
   for (std::size_t i = 0; i < worst.broken.size(); ++i)
     text += (i == 0 ? "" : "; ") + worst.broken[i];
