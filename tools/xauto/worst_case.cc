@@ -60,6 +60,7 @@ std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& r
   worst.us = *run.policy->worst_case_us;
   worst.exceeded = run.latency.max_us > worst.us;
   worst.broken = run.report.unkept;
+  if (run.latency.count == 0) worst.broken.emplace_back("no release was measured");
   if (run.report.overlapping_releases > 0)
     worst.broken.push_back(fmt::format("{} of {} releases came while an earlier one was in flight",
                                        run.report.overlapping_releases, run.report.num_releases));
