@@ -173,8 +173,9 @@ bool has_keys(const Place& place) {
 
 void list_known(const Place& place, const std::string& path, std::vector<std::string>& known) {
   for (const auto& [key, below] : place.keys) {
-    known.push_back(path + "/" + key);
-    list_known(*below, known.back(), known);
+    const std::string here = path + "/" + key;
+    known.push_back(here);
+    list_known(*below, here, known);
   }
   if (place.each) list_known(*place.each, path + "/*", known);
 }
