@@ -159,9 +159,9 @@ class Trace(unittest.TestCase):
         """low.0 is suspended while it is busy without the GPU, and is through before it is resumed: what is resumed then
         is its queue, not low.1, which waits for the GPU all the time."""
         with tempfile.TemporaryDirectory() as folder:
-            case = Case(folder, {"low": (100_000, [{"gpu": 100}, {"gpu": 100}]),
-                                 "high": (100_000, [{"cpu": 3000}, {"gpu": 15_000}])})
-            case.host = {"low.0": "+9000"}
+            case = Case(folder, {"low": (300_000, [{"gpu": 100}, {"gpu": 100}]),
+                                 "high": (300_000, [{"cpu": 3000}, {"gpu": 90_000}])})
+            case.host = {"low.0": "+60000"}
             policy = case.solve()
             rank = {"high.1": 9, "high.0": 4, "low.0": 3, "low.1": 2}
             for xnode in policy["xnodes"]:
