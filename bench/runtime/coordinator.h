@@ -53,9 +53,8 @@ inline std::string next_address() {
   return "xauto-bench/" + std::to_string(getpid()) + "-d" + std::to_string(count++) + "/x";
 }
 
-inline std::unique_ptr<Process> start_coordinator(const std::string& address,
-                                                  coord::Discipline discipline, int core, bool fifo,
-                                                  std::size_t xnodes = 64) {
+inline std::unique_ptr<Process> start_coordinator(const std::string& address, Discipline discipline,
+                                                  int core, bool fifo, std::size_t xnodes = 64) {
   auto process = std::make_unique<Process>([&] {
     (void)rt::pin_to_core(core);
     rt::set_timer_slack_1ns();

@@ -65,8 +65,7 @@ Samples futex_round_trip(const Options& options, int here, int there) {
 
 Samples uncontended(const Options& options, int core) {
   const std::string address = next_address();
-  const auto coordinator =
-      start_coordinator(address, coord::Discipline::kPreemptive, core, options.fifo);
+  const auto coordinator = start_coordinator(address, Discipline::kPreemptive, core, options.fifo);
   const auto port = *coord::Port::connect(address, "w", {0}, {});
   Samples samples;
   for (std::uint64_t k = 0; k < options.rounds; ++k) {
@@ -81,8 +80,7 @@ Samples uncontended(const Options& options, int core) {
 /// A parked START: from the owner's FINISH until the parked one runs; no coordinator in it.
 Samples hand_over(const Options& options, int here, int there) {
   const std::string address = next_address();
-  const auto coordinator =
-      start_coordinator(address, coord::Discipline::kGate, there, options.fifo);
+  const auto coordinator = start_coordinator(address, Discipline::kGate, there, options.fifo);
   const auto owner = *coord::Port::connect(address, "a", {0}, {});
   const auto waiter = *coord::Port::connect(address, "b", {1}, {});
   std::atomic<std::uint32_t> asked{0}, ran{0};
@@ -128,8 +126,7 @@ Samples hand_over(const Options& options, int here, int there) {
 /// thread has been told to suspend.
 void preempting(const Options& options, int here, int there, Samples& granted, Samples& told) {
   const std::string address = next_address();
-  const auto coordinator =
-      start_coordinator(address, coord::Discipline::kPreemptive, there, options.fifo);
+  const auto coordinator = start_coordinator(address, Discipline::kPreemptive, there, options.fifo);
   const auto low = *coord::Port::connect(address, "low", {0}, {});
   const auto high = *coord::Port::connect(address, "high", {1}, {});
   Obedient low_manager(*low, there, options.fifo), high_manager(*high, there, options.fifo);
@@ -223,7 +220,7 @@ void coordinators(const Options& options, Table& table) {
     for (int x = 0; x < kXpus; ++x) {
       const std::string address = next_address();
       processes.push_back(
-          start_coordinator(address, coord::Discipline::kPreemptive, c.second, options.fifo));
+          start_coordinator(address, Discipline::kPreemptive, c.second, options.fifo));
       for (const char* name : {"one", "two"}) {
         ports.push_back(*coord::Port::connect(address, name, {0, 1}, {}));
         managers.push_back(std::make_unique<Obedient>(*ports.back(), c.first, options.fifo));

@@ -18,9 +18,9 @@
 #include "base/socket.h"
 #include "coord/server.h"
 #include "runtime/engine.h"
-#include "runtime/supervisor.h"
 
 #include "bench.h"
+#include "launch/supervisor.h"
 #include "peers.h"
 
 #ifdef XAUTO_BENCH_TBB
@@ -203,7 +203,7 @@ Samples run_xauto(const Dag& dag, bool as_chain, int xpus, std::uint64_t rounds)
     coord::ServerOptions options;
     options.address = address;
     options.xpu = xpu.id;
-    options.discipline = runtime::discipline_of(xpu, false);
+    options.discipline = xpu::discipline_of(xpu, false);
     options.xnodes.assign(session.app.xnodes.size(), "n");
     servers.push_back(std::move(*coord::Server::create(std::move(options))));
     threads.emplace_back([server = servers.back().get(), &stop] {

@@ -47,8 +47,7 @@ void emulated(const Options& options, const Cores& c, Table& table) {
     }
   });
   const std::string xpu = next_address();
-  const auto coordinator =
-      start_coordinator(xpu, coord::Discipline::kPreemptive, c.second, options.fifo);
+  const auto coordinator = start_coordinator(xpu, Discipline::kPreemptive, c.second, options.fifo);
   const auto low = *coord::Port::connect(xpu, "low", {0}, {});
   const auto high = *coord::Port::connect(xpu, "high", {1}, {});
   Samples suspended, resumed;

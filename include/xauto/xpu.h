@@ -3,9 +3,13 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <utility>
+
+#include <xauto/result.h>
 
 namespace xauto {
 
@@ -50,6 +54,13 @@ class SchedHandle {
     kCudaContext,  ///< a CUcontext; its TSG is found and suspended
     kCudlaDevice,  ///< a cudlaDevHandle; its queue is found and suspended
     kEmulated,     ///< a context of xauto-emud, see emu.h
+    kCustom,       ///< two functions of the app's
+  };
+
+  /// What suspends and resumes the work behind a custom() handle.
+  struct Callbacks {
+    std::function<Status()> suspend;  ///< see custom()
+    std::function<Status()> resume;   ///< see custom()
   };
 
   /// gate()
@@ -71,10 +82,45 @@ class SchedHandle {
     return {Kind::kEmulated, context};
   }
 
+  /// For an XPU type of the app's own that can be preempted. `suspend`: when it returns, none of
+  /// the XNode's work runs on the XPU; an error leaves it running, and the coordinator then lets it
+  /// finish. `resume`: lets it go on where it was. Each may be called when it has nothing to do,
+  /// then it succeeds. Threads: both from the worker's management thread, one at a time, while
+  /// `exec` is on another; so both must be safe beside `exec`. They are copied, and live until the
+  /// run has ended. What they throw counts as an error. The XPU must be `"preemptive": true` in
+  /// platform.json; otherwise it is gated and neither is called.
+  [[nodiscard]] static SchedHandle custom(std::function<Status()> suspend,
+                                          std::function<Status()> resume) {
+    SchedHandle handle{Kind::kCustom, 0};
+    handle.callbacks_ =
+        std::make_shared<const Callbacks>(Callbacks{std::move(suspend), std::move(resume)});
+    return handle;
+  }
+
   /// The kind.
   [[nodiscard]] Kind kind() const { return kind_; }
-  /// The pointer or number given; 0 for gate() and thread().
+  /// The name of the function above that made it.
+  [[nodiscard]] const char* kind_name() const {
+    switch (kind_) {
+      case Kind::kGate:
+        return "gate";
+      case Kind::kThread:
+        return "thread";
+      case Kind::kCudaContext:
+        return "cuda_context";
+      case Kind::kCudlaDevice:
+        return "cudla_device";
+      case Kind::kEmulated:
+        return "emulated";
+      case Kind::kCustom:
+        return "custom";
+    }
+    return "?";
+  }
+  /// The pointer or number given; 0 for gate(), thread() and custom().
   [[nodiscard]] std::uintptr_t value() const { return value_; }
+  /// Of custom(); else null.
+  [[nodiscard]] const Callbacks* callbacks() const { return callbacks_.get(); }
   /// Of the same thing.
   bool operator==(const SchedHandle&) const = default;
 
@@ -82,6 +128,7 @@ class SchedHandle {
   SchedHandle(Kind kind, std::uintptr_t value) : kind_(kind), value_(value) {}
   Kind kind_ = Kind::kGate;
   std::uintptr_t value_ = 0;
+  std::shared_ptr<const Callbacks> callbacks_;
 };
 
 }  // namespace xauto

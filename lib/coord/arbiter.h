@@ -29,11 +29,12 @@
 #include <utility>
 #include <vector>
 
+#include "model/platform.h"
+
 namespace xauto::coord {
 
 inline constexpr int kMaxSlots = 64;
 
-enum class Discipline : std::uint8_t { kPreemptive, kGate, kKernel };
 enum class Phase : std::uint8_t { kNone, kWaiting, kAdmitted };
 enum class Queue : std::uint8_t { kEnabled, kSuspending, kSuspended, kResuming };
 

@@ -20,7 +20,8 @@ namespace fs = std::filesystem;
 
 class Probe {
  public:
-  Probe(std::string root, const Limits& limits) : root_(std::move(root)), limits_(limits) {}
+  Probe(std::string root, const Limits& limits, const std::vector<Device>& devices)
+      : root_(std::move(root)), limits_(limits), devices_(devices) {}
 
   std::vector<Finding> run() {
     kernel();
@@ -32,8 +33,7 @@ class Probe {
     btf();
     bpf();
     module();
-    gpu();
-    dla();
+    for (const Device& each : devices_) device(each);
     governor();
     opencl();
     return std::move(findings_);
@@ -161,22 +161,13 @@ class Probe {
           "a GPU or DLA of this machine is gated: one job at a time, not preempted");
   }
 
-  void gpu() {
-    for (const char* node : {"/dev/nvgpu/igpu0/tsg", "/dev/nvhost-tsg-gpu"})
-      if (there(node)) return add("gpu", Verdict::kOk, node, "a Jetson's GPU");
-    add("gpu", Verdict::kMissing, "no nvgpu device node",
-        "a platform's GPU is emulated on this machine", "needs a Jetson with NVIDIA's kernel");
-  }
-
-  void dla() {
+  void device(const Device& device) {
     std::string nodes;
-    for (const char* node :
-         {"/dev/nvhost-ctrl-nvdla0", "/dev/nvhost-ctrl-nvdla1", "/dev/nvdla0", "/dev/nvdla1"})
-      if (there(node)) nodes += (nodes.empty() ? "" : " ") + std::string(node);
-    if (!nodes.empty()) return add("dla", Verdict::kOk, nodes, "a Jetson's DLA");
-    add("dla", Verdict::kMissing, "no nvdla device node",
-        "a platform's DLAs are emulated on this machine",
-        "needs a Jetson Xavier or Orin with NVIDIA's kernel");
+    for (const std::string& node : device.nodes)
+      if (there(node)) nodes += (nodes.empty() ? "" : " ") + node;
+    if (!nodes.empty()) return add(device.type, Verdict::kOk, nodes, device.what);
+    add(device.type, Verdict::kMissing, "no " + device.driver + " device node",
+        "a platform's " + device.type + " is emulated on this machine", device.advice);
   }
 
   void governor() {
@@ -208,6 +199,7 @@ class Probe {
 
   const std::string root_;
   const Limits& limits_;
+  const std::vector<Device>& devices_;
   std::vector<Finding> findings_;
 };
 
@@ -236,8 +228,9 @@ bool module_is_loaded(const std::string& root) {
   return false;
 }
 
-std::vector<Finding> probe(const std::string& root, const Limits& limits) {
-  return Probe(root, limits).run();
+std::vector<Finding> probe(const std::string& root, const Limits& limits,
+                           const std::vector<Device>& devices) {
+  return Probe(root, limits, devices).run();
 }
 
 }  // namespace xauto::kernel

@@ -36,8 +36,16 @@ struct Limits {
 /// Is xauto.ko loaded?
 [[nodiscard]] bool module_is_loaded(const std::string& root = {});
 
+/// A kind of XPU that needs a driver; the table is xpu/kind.h's.
+struct Device {
+  std::string type;                ///< "gpu"
+  std::vector<std::string> nodes;  ///< any of them will do
+  std::string what, driver, advice;
+};
+
 /// `root`: "" for this machine, or a folder that stands for / in tests. Changes nothing, needs no
 /// privilege.
-[[nodiscard]] std::vector<Finding> probe(const std::string& root, const Limits& limits);
+[[nodiscard]] std::vector<Finding> probe(const std::string& root, const Limits& limits,
+                                         const std::vector<Device>& devices);
 
 }  // namespace xauto::kernel

@@ -85,4 +85,16 @@ Status validate(const Platform& platform) {
   return {};
 }
 
+const char* to_string(Discipline discipline) {
+  switch (discipline) {
+    case Discipline::kPreemptive:
+      return "preemptive";
+    case Discipline::kGate:
+      return "gate";
+    case Discipline::kKernel:
+      return "kernel";
+  }
+  return "?";
+}
+
 }  // namespace xauto

@@ -26,7 +26,7 @@ struct Xpu {
   /// Cost of one hardware context switch between time slices; -1 (the default): as preempt_us.
   std::int64_t switch_us = -1;
   /// Emulated or real, whatever this machine has; unset: emulated where this machine lacks it, see
-  /// runtime/presence.h.
+  /// xpu/presence.h.
   std::optional<bool> emulated = {};
 
   [[nodiscard]] std::int64_t effective_switch_us() const {
@@ -59,5 +59,21 @@ inline constexpr std::int64_t kMaxTimeUs =
 
 /// ids unique and non-empty, types non-empty, times in [0, kMaxTimeUs], 1..kMaxXpus instances.
 [[nodiscard]] Status validate(const Platform& platform);
+
+/// Whether an XPU of the platform is there in a run.
+enum class Presence : std::uint8_t {
+  kReal,
+  kEmulated,
+  kEither,  ///< only while profiling: both are there, the handle that `init` returns decides
+  kAbsent,  ///< neither here nor to be emulated: no XNode can run there
+};
+
+/// Who keeps the priorities of an XPU's jobs.
+enum class Discipline : std::uint8_t {
+  kPreemptive,  ///< the coordinator: the most urgent job runs, the others are suspended
+  kGate,        ///< the coordinator: one job at a time, to its end
+  kKernel,      ///< Linux: every job runs, its thread has the job's priority
+};
+[[nodiscard]] const char* to_string(Discipline discipline);
 
 }  // namespace xauto

@@ -16,9 +16,10 @@
 #include "base/rt.h"
 #include "model/json.h"
 #include "runtime/engine.h"
-#include "runtime/graph.h"
 #include "runtime/profiler.h"
-#include "runtime/session.h"
+
+#include "graph/graph.h"
+#include "session/session.h"
 
 namespace xauto {
 

@@ -24,6 +24,8 @@
 #include "model/json.h"
 #include "record/recording.h"
 #include "runtime/input_access.h"
+#include "xpu/backend.h"
+#include "xpu/presence.h"
 
 namespace xauto::runtime {
 namespace {
@@ -212,7 +214,7 @@ class Run {
   /// Cores that this machine lacks are emulated, for stand-ins. An XNode that computes itself was
   /// not measured on the others to be measured on what is not there.
   Status leave_out_missing_cores() {
-    const Machine machine = Machine::here();
+    const xpu::Machine machine = xpu::Machine::here();
     for (std::size_t n = 0; n < alternatives_.size(); ++n) {
       std::vector<int>& xpus = alternatives_[n];
       const auto either = std::find_if(xpus.begin(), xpus.end(), [&](int x) {
@@ -346,7 +348,11 @@ class Run {
       } catch (...) {
         return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
       }
-      if (presence == Presence::kEmulated) XAUTO_TRY(check_emulated(handle, x.id, where));
+      if (presence == Presence::kEmulated)
+        if (Status emulated = xpu::check_emulated(handle); !emulated) {
+          emulated.error().where = where;
+          return tl::unexpected<Error>(emulated.error());
+        }
       active_[n] = {at, handle.kind() == SchedHandle::Kind::kEmulated};
     }
     return impl;

@@ -9,9 +9,10 @@
 #include <xauto/result.h>
 
 #include "model/platform.h"
-#include "runtime/app_spec.h"
-#include "runtime/graph.h"
-#include "runtime/session.h"
+
+#include "graph/app_spec.h"
+#include "graph/graph.h"
+#include "session/session.h"
 
 namespace xauto::runtime {
 

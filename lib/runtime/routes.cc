@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <mutex>
 
-#include "runtime/board.h"
+#include "processes/board.h"
 
 namespace xauto::runtime {
 namespace {

@@ -20,23 +20,14 @@
 
 #include "base/pi_mutex.h"
 #include "model/deployment.h"
-#include "runtime/distribution.h"
-#include "runtime/graph.h"
+
+#include "graph/graph.h"
+#include "session/run_report.h"
 
 namespace xauto::runtime {
 
 class Board;
 struct FlowLine;
-
-struct RouteReport {
-  std::string name, from, to;
-  std::optional<std::int64_t> deadline_us, max_age_us;
-  /// Results later than the deadline, and in an app of one rate releases without one.
-  std::uint64_t deadline_misses = 0;
-  std::uint64_t lost = 0;        ///< activations of `to` that failed or were dropped
-  std::uint64_t age_misses = 0;  ///< results that became older than max_age_us
-  Distribution latency_us, age_us;
-};
 
 /// Threads: any.
 class Routes {

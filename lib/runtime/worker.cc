@@ -11,7 +11,6 @@
 #include "base/futex.h"
 #include "base/log.h"
 #include "base/rt.h"
-#include "runtime/presence.h"
 
 namespace xauto::runtime {
 namespace {
@@ -34,19 +33,14 @@ Worker::~Worker() {
 }
 
 Status Worker::start() {
+  XAUTO_ASSIGN(backend_, xpu::make_backend(options_.backend));
+  own_thread_ = backend_->on_thread();
   if (!options_.coordinator.empty()) {
     std::vector<std::uint32_t> xnodes;
     for (const Placed& placed : chain_.nodes)
       if (placed.worker == this) xnodes.push_back(placed.xnode);
     XAUTO_ASSIGN(port_, coord::Port::connect(options_.coordinator, options_.name, xnodes,
                                              options_.order, options_.mgmt_fifo));
-    if (options_.driver) {
-      XAUTO_ASSIGN(backend_, xpu::make_kernel_queue(options_.xpu_id));
-    } else if (options_.emulated) {
-      XAUTO_ASSIGN(backend_, xpu::make_emulated());
-    } else {
-      backend_ = xpu::make_gate();
-    }
     mgmt_ = std::thread([this] { manage(); });
   }
   std::promise<Status> ready;
@@ -68,29 +62,25 @@ Status Worker::init_nodes() {
   rt::set_thread_name(options_.name);
   rt::set_timer_slack_1ns();
   if (options_.core) XAUTO_TRY(rt::pin_to_core(*options_.core));
-  XAUTO_TRY(thread_->enter(options_.real_cpu, options_.exec_fifo));
+  XAUTO_TRY(thread_->enter(own_thread_, options_.exec_fifo));
   for (Placed& placed : chain_.nodes) {
     if (placed.worker != this) continue;
-    const std::string where = "init of XNode '" + placed.name + "' on " + options_.xpu_id.name;
-    if (backend_) XAUTO_TRY(backend_->before_init());
+    const std::string where = "init of XNode '" + placed.name + "' on " + xpu_name();
+    XAUTO_TRY(backend_->before_init());
     try {
-      placed.handle = placed.impl->init(options_.xpu_id);
+      placed.handle = placed.impl->init(options_.backend.id);
     } catch (const std::exception& e) {
       return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
     } catch (...) {
       return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
     }
-    if (backend_) {
-      if (Status attached = backend_->attach(placed.handle); !attached) {
-        attached.error().where = where;
-        return attached;
-      }
+    if (Status attached = backend_->attach(placed.handle); !attached) {
+      attached.error().where = where;
+      return attached;
     }
-    if (options_.emulated && !options_.driver)
-      XAUTO_TRY(check_emulated(placed.handle, options_.xpu_id.name, where));
   }
   // With order constraints a thread could wait for a job that is behind it in its own lane.
-  shares_ = port_ && port_->discipline() == coord::Discipline::kGate && options_.order.empty();
+  shares_ = port_ && port_->discipline() == Discipline::kGate && options_.order.empty();
   for (const Placed& placed : chain_.nodes)
     if (placed.worker == this && placed.handle.kind() != SchedHandle::Kind::kGate) shares_ = false;
   lane_.reserve(64);
@@ -250,7 +240,7 @@ void Worker::record(std::uint16_t kind, const Placed& placed, std::uint64_t sequ
 void Worker::note_failure(const Placed& placed, const std::string& what) {
   const std::lock_guard lock(failure_mutex_);
   if (!failure_.empty()) return;  // counted by the engine; one is enough to read
-  failure_ = "exec of XNode '" + placed.name + "' on " + options_.xpu_id.name + ": " + what;
+  failure_ = "exec of XNode '" + placed.name + "' on " + xpu_name() + ": " + what;
   log::warn("{} (activation {} dropped; further failures here are only counted)", failure_,
             chain_.runtime->input().sequence());
 }

@@ -19,13 +19,14 @@
 #include <xauto/result.h>
 
 #include "coord/port.h"
-#include "runtime/board.h"
-#include "runtime/graph.h"
 #include "runtime/watch.h"
 #include "runtime/xmodule.h"
 #include "trace/trace.h"
-#include "xpu/backend.h"
 #include "xpu/cpu_threads.h"
+#include "xpu/kind.h"
+
+#include "graph/graph.h"
+#include "processes/board.h"
 
 namespace xauto::runtime {
 
@@ -52,17 +53,14 @@ struct Chain {
 };
 
 struct WorkerOptions {
-  std::string name;  ///< "fcd@gpu0"
-  int xpu = -1;      ///< index into Platform::xpus
-  XpuId xpu_id;
-  std::optional<int> core;  ///< pin the execution thread here
-  bool real_cpu = false;    ///< its jobs are scheduled on a CPU by their priority
-  int exec_fifo = 0;        ///< SCHED_FIFO priority of the execution thread; 0: SCHED_OTHER
+  std::string name;             ///< "fcd@gpu0"
+  int xpu = -1;                 ///< index into Platform::xpus
+  xpu::BackendRequest backend;  ///< how its work is suspended
+  std::optional<int> core;      ///< pin the execution thread here
+  int exec_fifo = 0;            ///< SCHED_FIFO priority of the execution thread; 0: SCHED_OTHER
   int mgmt_fifo = 0;
   std::string coordinator;  ///< abstract socket; empty: nobody schedules
   std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
-  bool emulated = false;
-  bool driver = false;  ///< a GPU or DLA that xauto.ko suspends
 };
 
 class Worker {
@@ -98,6 +96,8 @@ class Worker {
 
   [[nodiscard]] bool lost_coordinator() const { return lost_.load(std::memory_order_relaxed); }
   [[nodiscard]] const WorkerOptions& options() const { return options_; }
+  /// "gpu0"
+  [[nodiscard]] const std::string& xpu_name() const { return options_.backend.id.name; }
   /// The first failure of an exec here, for the report; empty if none.
   [[nodiscard]] std::string first_failure() const;
 
@@ -132,6 +132,7 @@ class Worker {
   std::unique_ptr<coord::Port> port_;
   std::unique_ptr<xpu::Backend> backend_;
   std::thread exec_, mgmt_;
+  bool own_thread_ = false;                ///< a job is its thread's work, and Linux schedules it
   bool shares_ = false;                    ///< its jobs may run on another worker's thread
   std::vector<Ready> lane_;                ///< of its execution thread
   std::atomic<std::uint32_t> mailbox_{0};  ///< 0: empty; kQuit; else chain position + 1

@@ -26,8 +26,9 @@
 #include "base/pi_mutex.h"
 #include "base/ring.h"
 #include "model/deployment.h"
-#include "runtime/graph.h"
 #include "transport/topic.h"
+
+#include "graph/graph.h"
 
 namespace xauto::runtime {
 

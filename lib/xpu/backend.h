@@ -25,18 +25,30 @@ class Backend {
   [[nodiscard]] virtual Status preempt(const SchedHandle& handle) = 0;
   /// Lets it run again. Resuming what runs is no error.
   [[nodiscard]] virtual Status restore(const SchedHandle& handle) = 0;
+  /// The execution thread does the work itself, and Linux preempts it unseen.
+  [[nodiscard]] virtual bool on_thread() const { return false; }
   /// What is suspended shall stay so: called at least every kStillWantedMs while something is. A
   /// backend whose device has a watchdog feeds it. kTimeout: it was too late, everything runs
   /// again.
   [[nodiscard]] virtual Status still_wanted() { return {}; }
 };
 
-/// Contexts of xauto-emud, over a connection of its own (emulated.cc).
-[[nodiscard]] Result<std::unique_ptr<Backend>> make_emulated();
+// kind.h says which of these an XPU of a run has.
+
+/// Contexts of xauto-emud, over a connection of its own (emulated.cc). `scheduled` false: it only
+/// checks the handles.
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_emulated(bool scheduled = true);
+/// What `init` returned for an emulated XPU: a context of the emulator's, or an error that says how
+/// the XPU becomes real.
+[[nodiscard]] Status check_emulated(const SchedHandle& handle);
+/// A core of this machine (cpu_thread.cc).
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_cpu_thread(const XpuId& xpu);
+/// What the app suspends itself, by SchedHandle::custom (custom.cc).
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_custom(const XpuId& xpu);
 /// A GPU or DLA of NVIDIA's drivers, or of the emulator modules, through xauto.ko
 /// (kernel_queue.cc). kUnavailable when the module is not loaded.
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_kernel_queue(const XpuId& xpu);
 /// XPUs that cannot be preempted: both calls are refused (gate.cc).
-[[nodiscard]] std::unique_ptr<Backend> make_gate();
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_gate();
 
 }  // namespace xauto::xpu

@@ -16,8 +16,8 @@ class Gate final : public Backend {
 
 }  // namespace
 
-std::unique_ptr<Backend> make_gate() {
-  return std::make_unique<Gate>();
+Result<std::unique_ptr<Backend>> make_gate() {
+  return std::unique_ptr<Backend>(std::make_unique<Gate>());
 }
 
 }  // namespace xauto::xpu

@@ -8,8 +8,9 @@
 #include "base/log.h"
 #include "base/memory_file.h"
 #include "coord/server.h"
-#include "runtime/session.h"
-#include "runtime/supervisor.h"
+#include "xpu/kind.h"
+
+#include "session/session.h"
 
 namespace {
 
@@ -28,7 +29,7 @@ xauto::Result<xauto::coord::ServerOptions> options_for(const std::string& xpu, i
     return xauto::fail(xauto::ErrorCode::kInvalid, "is not an XPU of the platform", xpu);
   xauto::coord::ServerOptions options;
   options.xpu = xpu;
-  options.discipline = xauto::runtime::discipline_of(
+  options.discipline = xauto::xpu::discipline_of(
       session.platform.xpus[static_cast<std::size_t>(index)], session.emulated(index));
   for (const auto& xnode : session.app.xnodes) options.xnodes.push_back(xnode.name);
   for (const auto& [u, v] : session.policy.order)

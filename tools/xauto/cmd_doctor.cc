@@ -8,7 +8,7 @@
 
 #include "kernel/probe.h"
 #include "model/json.h"
-#include "runtime/presence.h"
+#include "xpu/presence.h"
 
 #include "xauto/command.h"
 #include "xauto/priorities.h"
@@ -18,7 +18,7 @@ namespace {
 
 /// A platform file of this machine, for the XNodes that compute themselves.
 Status write_platform(const std::string& path) {
-  const runtime::Machine machine = runtime::Machine::here();
+  const xpu::Machine machine = xpu::Machine::here();
   return write_file(path, to_json(platform_of(machine, "here")));
 }
 
@@ -27,7 +27,7 @@ Result<int> doctor(const std::string& platform_out, const Options& options) {
   using kernel::Verdict;
   kernel::Limits limits = kernel::Limits::of_this_process();
   limits.grant_refused = granted().why;
-  const auto findings = kernel::probe("", limits);
+  const auto findings = kernel::probe("", limits, xpu::devices());
   const auto word = [](Verdict v) {
     return v == Verdict::kOk ? "ok" : v == Verdict::kDegraded ? "degraded" : "missing";
   };

@@ -108,7 +108,7 @@ std::string table(const Profile& profile, const Platform& platform) {
 
 /// Runs the app and times it.
 Result<Profile> measure(const Flags& flags, const Platform& platform) {
-  runtime::Supervision request;
+  launch::Supervision request;
   runtime::Session& session = request.session;
   session.mode = runtime::Mode::kProfile;
   session.platform = platform;
@@ -128,7 +128,7 @@ Result<Profile> measure(const Flags& flags, const Platform& platform) {
   request.on_tick = [&](double elapsed_s, const runtime::Board*) {
     progress.update(elapsed_s, fmt::format("{:.0f} s", elapsed_s));
   };
-  XAUTO_ASSIGN(const runtime::Outcome outcome, runtime::supervise(std::move(request)));
+  XAUTO_ASSIGN(const launch::Outcome outcome, launch::supervise(std::move(request)));
   progress.finish();
   auto result = parse_profile(outcome.answer, "answer of the app");
   // What is no profile may be an error of the app's: that is the one to tell.

@@ -65,7 +65,7 @@ Result<int> run(const Flags& given, const Options& options) {
   const StopOnSignal stop;
   Dump dump;
   if (!flags.trace_out.empty())
-    dump = [&, count = std::array<int, 2>{}](const runtime::Incident& incident) mutable {
+    dump = [&, count = std::array<int, 2>{}](const launch::Incident& incident) mutable {
       const int number = ++count[incident.hang ? 1 : 0];
       const std::string path = dump_path(flags.trace_out, incident.hang, number);
       const Result<std::string> trace = perfetto_of(flags, run, incident);

@@ -14,8 +14,8 @@
 #include <unistd.h>
 
 #include "base/socket.h"
-#include "runtime/supervisor.h"
 
+#include "launch/supervisor.h"
 #include "xauto/command.h"
 #include "xauto/live.h"
 
@@ -86,7 +86,7 @@ int status(const Options& options) {
   json sessions = json::object();
   std::set<int> answered;
   std::set<std::string> runs;
-  const std::string prefix = runtime::kSocketPrefix;
+  const std::string prefix = launch::kSocketPrefix;
   for (const std::string& address : abstract_sockets(prefix))
     if (const std::size_t slash = address.rfind('/'); slash > prefix.size())
       runs.insert(address.substr(prefix.size(), slash - prefix.size()));
@@ -112,7 +112,7 @@ int status(const Options& options) {
                       : "no app that can be asked from here is running under XAuto\n");
   for (const Unseen& one : unseen) std::cout << "  not seen: " << words(one) << "\n";
   for (const auto& [session, xpus] : sessions.items()) {
-    std::cout << "run " << session.substr(std::string(runtime::kSocketPrefix).size()) << "\n";
+    std::cout << "run " << session.substr(std::string(launch::kSocketPrefix).size()) << "\n";
     for (const json& xpu : xpus) {
       std::cout << fmt::format("  {:<8}{}, {}; coordinator pid {}, {} decisions\n",
                                xpu.value("xpu", "?"), xpu.value("discipline", "?"),

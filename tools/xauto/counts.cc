@@ -7,7 +7,8 @@
 #include <fmt/format.h>
 
 #include "base/clock.h"
-#include "runtime/distribution.h"
+
+#include "session/distribution.h"
 
 namespace xauto::cli {
 namespace {

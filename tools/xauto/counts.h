@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "runtime/board.h"
+#include "processes/board.h"
 
 namespace xauto::cli {
 

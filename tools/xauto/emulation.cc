@@ -8,8 +8,8 @@
 
 namespace xauto::cli {
 
-using runtime::Machine;
-using runtime::Presence;
+using Presence;
+using xpu::Machine;
 
 void EmulationOptions::declare(CLI::App& verb) {
   emulate_ = verb.add_option("--emulate", names_,
@@ -23,7 +23,7 @@ void EmulationOptions::declare(CLI::App& verb) {
 
 Result<std::vector<Presence>> EmulationOptions::decide(const Platform& platform,
                                                        const AppSpec* app) const {
-  runtime::EmulationFlags flags;
+  xpu::EmulationFlags flags;
   flags.none = real_;
   std::istringstream names(names_);
   for (std::string name; std::getline(names, name, ',');)

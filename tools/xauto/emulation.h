@@ -12,7 +12,7 @@
 #include "model/app.h"
 #include "model/platform.h"
 #include "model/policy.h"
-#include "runtime/presence.h"
+#include "xpu/presence.h"
 
 namespace xauto::cli {
 
@@ -20,8 +20,8 @@ class EmulationOptions {
  public:
   void declare(CLI::App& verb);
   /// Decides, and says on stderr what is emulated and why. `app` null: it is about to be profiled.
-  [[nodiscard]] Result<std::vector<runtime::Presence>> decide(const Platform& platform,
-                                                              const AppSpec* app) const;
+  [[nodiscard]] Result<std::vector<Presence>> decide(const Platform& platform,
+                                                     const AppSpec* app) const;
   bool all_asked = false;  ///< as a bare --emulate would
 
  private:
@@ -32,11 +32,11 @@ class EmulationOptions {
 
 /// Refuses a policy that places an XNode where this machine has nothing for it, naming `path`.
 [[nodiscard]] Status check_placements(const AppSpec& app, const Platform& platform,
-                                      const std::vector<runtime::Presence>& presence,
-                                      const Policy& policy, const std::string& path);
+                                      const std::vector<Presence>& presence, const Policy& policy,
+                                      const std::string& path);
 
 /// " (emulated)", " (real: cpu0; emulated: gpu0)" or nothing.
 [[nodiscard]] std::string in_parentheses(const Platform& platform,
-                                         const std::vector<runtime::Presence>& presence);
+                                         const std::vector<Presence>& presence);
 
 }  // namespace xauto::cli

@@ -11,7 +11,8 @@
 #include "base/log.h"
 #include "base/socket.h"
 #include "coord/protocol.h"
-#include "runtime/supervisor.h"
+
+#include "launch/supervisor.h"
 
 namespace xauto::cli {
 namespace {
@@ -36,12 +37,12 @@ Result<json> ask(const std::string& address, std::vector<UniqueFd>* fds = nullpt
 }
 
 std::string address_of(const std::string& run, const std::string& name) {
-  return runtime::kSocketPrefix + run + "/" + name;
+  return launch::kSocketPrefix + run + "/" + name;
 }
 
 Result<Watched> introduced(const std::string& run) {
   std::vector<UniqueFd> fds;
-  XAUTO_ASSIGN(const json hello, ask(address_of(run, runtime::kLiveName), &fds));
+  XAUTO_ASSIGN(const json hello, ask(address_of(run, launch::kLiveName), &fds));
   if (fds.size() != 1) return fail(ErrorCode::kInvalid, "did not pass its counts", run);
   const auto text = [&](const char* key) {
     const auto at = hello.find(key);
@@ -56,8 +57,8 @@ Result<Watched> introduced(const std::string& run) {
 
 std::vector<std::string> running() {
   std::vector<std::string> runs;
-  const std::string prefix = runtime::kSocketPrefix;
-  const std::string suffix = std::string("/") + runtime::kLiveName;
+  const std::string prefix = launch::kSocketPrefix;
+  const std::string suffix = std::string("/") + launch::kLiveName;
   for (const std::string& address : abstract_sockets(prefix))
     if (address.ends_with(suffix) && address.size() > prefix.size() + suffix.size())
       runs.push_back(address.substr(prefix.size(), address.size() - prefix.size() - suffix.size()));
@@ -90,7 +91,7 @@ std::vector<json> ask_coordinators(const std::string& run) {
   std::vector<json> answers;
   for (const std::string& address : abstract_sockets(address_of(run, ""))) {
     const std::string name = address.substr(address.rfind('/') + 1);
-    if (name == runtime::kEmudName || name == runtime::kHubName || name == runtime::kLiveName)
+    if (name == launch::kEmudName || name == launch::kHubName || name == launch::kLiveName)
       continue;
     if (auto answer = ask(address))
       answers.push_back(std::move(*answer));

@@ -14,7 +14,8 @@
 
 #include "kernel/run_maps.h"
 #include "kernel/tracer.h"
-#include "runtime/board.h"
+
+#include "processes/board.h"
 
 namespace xauto::cli {
 

@@ -130,7 +130,7 @@ std::string page_id(const std::string& name) {
 
 /// "emulated XPUs", "real XPUs", or which is which.
 std::string xpus_text(const RunFlags& flags) {
-  const std::string said = runtime::describe(flags.spec, flags.presence);
+  const std::string said = xpu::describe(flags.spec, flags.presence);
   if (said.empty()) return "real XPUs";
   return said == "emulated" ? "emulated XPUs" : "XPUs " + said;
 }
@@ -260,7 +260,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
   }
   ordered_json real = ordered_json::array();
   for (std::size_t x = 0; x < flags.presence.size(); ++x)
-    if (flags.presence[x] == runtime::Presence::kReal) real.push_back(flags.spec.xpus[x].id);
+    if (flags.presence[x] == Presence::kReal) real.push_back(flags.spec.xpus[x].id);
   return ordered_json{{"schema", "xauto.report"},     {"version", 1},
                       {"app", flags.app.name},        {"platform", flags.spec.name},
                       {"emulated", flags.emulates()}, {"real_xpus", std::move(real)},
@@ -337,8 +337,7 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run,
     const Xpu& xpu = flags.spec.xpus[x];
     const auto& lost = run.report.lost_coordinators;
     if (run.scheduling != runtime::Scheduling::kXAuto ||
-        runtime::discipline_of(xpu, flags.presence[x] == runtime::Presence::kEmulated) ==
-            coord::Discipline::kKernel ||
+        xpu::discipline_of(xpu, flags.presence[x] == Presence::kEmulated) == Discipline::kKernel ||
         std::find(lost.begin(), lost.end(), xpu.id) != lost.end())
       scene.rows[static_cast<std::size_t>(scene.row_of[x])].exclusive = false;
   }
@@ -377,11 +376,11 @@ Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
 }
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
-                                const runtime::Incident& incident) {
+                                const launch::Incident& incident) {
   return perfetto(flags, run, incident.trace, modules_in(flags.app, incident.trace));
 }
 
-std::string words_of(const RunFlags& flags, const runtime::Incident& incident) {
+std::string words_of(const RunFlags& flags, const launch::Incident& incident) {
   const trace::Event& e = incident.event;
   if (incident.hang)
     return fmt::format("{} ran past its hang limit of {} ms in activation {}",

@@ -21,9 +21,9 @@ namespace xauto::cli {
 [[nodiscard]] Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run);
 /// The same of what surrounds an incident, while the run goes on: no report yet.
 [[nodiscard]] Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
-                                              const runtime::Incident& incident);
+                                              const launch::Incident& incident);
 /// "release 12 missed its deadline: 17.31 ms"
-[[nodiscard]] std::string words_of(const RunFlags& flags, const runtime::Incident& incident);
+[[nodiscard]] std::string words_of(const RunFlags& flags, const launch::Incident& incident);
 [[nodiscard]] Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs);
 
 }  // namespace xauto::cli

@@ -109,8 +109,7 @@ Status RunFlags::prepare() {
 }
 
 bool RunFlags::emulates() const {
-  return std::find(presence.begin(), presence.end(), runtime::Presence::kEmulated) !=
-         presence.end();
+  return std::find(presence.begin(), presence.end(), Presence::kEmulated) != presence.end();
 }
 
 Status RunFlags::prepare_deployment() {
@@ -173,7 +172,7 @@ Result<solver::Simulation> predict(const AppSpec& app, const Platform& platform,
 }
 
 Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop, Dump dump) {
-  runtime::Supervision request;
+  launch::Supervision request;
   runtime::Session& session = request.session;
   session.mode = runtime::Mode::kRun;
   session.app = flags.app;
@@ -224,7 +223,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
     }
     progress.update(done, fmt::format("{:.0f} s{}", elapsed_s, words));
   };
-  XAUTO_ASSIGN(run.outcome, runtime::supervise(std::move(request)));
+  XAUTO_ASSIGN(run.outcome, launch::supervise(std::move(request)));
   progress.finish();
   XAUTO_ASSIGN(run.report, runtime::parse_run_report(run.outcome.answer));
   runtime::Distribution latencies = run.report.latencies_us;

@@ -15,10 +15,10 @@
 #include <xauto/result.h>
 
 #include "model/deployment.h"
-#include "runtime/session.h"
-#include "runtime/supervisor.h"
 #include "solver/simulate.h"
 
+#include "launch/supervisor.h"
+#include "session/session.h"
 #include "xauto/emulation.h"
 #include "xauto/timeline.h"
 
@@ -55,9 +55,9 @@ struct RunFlags {
 
   AppSpec app;
   Platform spec;
-  Deployment deployment;                    ///< the file's, with what other flags say
-  std::vector<runtime::Presence> presence;  ///< [XPU]
-  [[nodiscard]] bool emulates() const;      ///< some of them
+  Deployment deployment;                ///< the file's, with what other flags say
+  std::vector<Presence> presence;       ///< [XPU]
+  [[nodiscard]] bool emulates() const;  ///< some of them
 };
 
 /// Nearest-rank quantiles of the releases that were completed (see runtime/distribution.h).
@@ -77,7 +77,7 @@ struct PolicyRun {
   solver::Simulation predicted;
   // Filled in by `execute`.
   runtime::RunReport report;
-  runtime::Outcome outcome;
+  launch::Outcome outcome;
   Latency latency;
 };
 
@@ -87,7 +87,7 @@ struct PolicyRun {
                                                  const std::optional<Policy>& policy);
 
 /// Runs it. `dump` gets what surrounds a deadline miss or a hang, while the run goes on.
-using Dump = std::function<void(const runtime::Incident&)>;
+using Dump = std::function<void(const launch::Incident&)>;
 [[nodiscard]] Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* stop,
                              Dump dump = {});
 

@@ -32,8 +32,8 @@ std::string overruns(const RunFlags& flags, const PolicyRun& run) {
     const XNodeSpec& xnode = flags.app.xnodes[static_cast<std::size_t>(job.xnode)];
     const auto wcet_us = xnode.wcet_on(xpu.type);
     if (!job.complete || !wcet_us ||
-        runtime::discipline_of(xpu, flags.presence[static_cast<std::size_t>(job.xpu)] ==
-                                        runtime::Presence::kEmulated) == coord::Discipline::kKernel)
+        xpu::discipline_of(xpu, flags.presence[static_cast<std::size_t>(job.xpu)] ==
+                                    Presence::kEmulated) == Discipline::kKernel)
       continue;
     std::int64_t ran_ns = 0;
     for (const Phase& phase : job.phases)

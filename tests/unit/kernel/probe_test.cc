@@ -8,6 +8,8 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include "kernel/device_nodes.h"
+
 namespace xauto::kernel {
 namespace {
 
@@ -26,10 +28,13 @@ class Machine : public ::testing::Test {
     std::ofstream(root_ / path) << text;
   }
   Finding find(const std::string& id) {
-    for (const Finding& f : probe(root_.string(), limits_))
+    for (const Finding& f : probe(root_.string(), limits_, devices_))
       if (f.id == id) return f;
     return {"absent", Verdict::kOk, "", "", ""};
   }
+  const std::vector<Device> devices_ = {
+      {"gpu", {kGpuNodes, kGpuNodes + 2}, "a Jetson's GPU", "nvgpu", "needs a Jetson"},
+      {"dla", {kDlaNodes, kDlaNodes + 4}, "a Jetson's DLA", "nvdla", "needs a Jetson"}};
   fs::path root_;
   Limits limits_{"6.1.0", 4, 99, 99, ~0ull, false, {}};
 };

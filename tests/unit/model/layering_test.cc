@@ -28,8 +28,15 @@ const std::map<std::string, Names>& allowed() {
       {"lib/transport", {"model"}},
       {"lib/kernel", {"uapi"}},
       {"lib/xpu", {"model", "emu", "kernel"}},
+      {"lib/session", {"model"}},
+      {"lib/graph", {"model"}},
+      {"lib/processes", {"model", "session", "graph", "transport"}},
       {"lib/runtime",
-       {"model", "trace", "record", "emu", "coord", "transport", "kernel", "xpu", "uapi"}},
+       {"model", "trace", "record", "coord", "transport", "xpu", "session", "graph", "processes",
+        "uapi"}},
+      {"lib/launch",
+       {"model", "trace", "emu", "coord", "kernel", "xpu", "session", "processes", "transport",
+        "uapi"}},
       {"solver", {"model"}},
       {"include/xauto", {}},
       {"include/uapi", {}},
@@ -38,9 +45,10 @@ const std::map<std::string, Names>& allowed() {
   return table;
 }
 
-const Names kParts = {"base",  "model",     "trace",  "record", "emu",   "coord", "runtime",
-                      "xpu",   "transport", "kernel", "solver", "xauto", "uapi",  "tools",
-                      "bench", "examples",  "tests",  "lib",    "kmod",  "bpf",   "include"};
+const Names kParts = {"base",  "model",     "trace",  "record",  "emu",   "coord",     "runtime",
+                      "xpu",   "transport", "kernel", "solver",  "xauto", "uapi",      "tools",
+                      "bench", "examples",  "tests",  "session", "graph", "processes", "launch",
+                      "lib",   "kmod",      "bpf",    "include"};
 
 /// First folders of what a text includes, of those that are ours.
 std::vector<std::string> included_parts(std::istream& text) {
@@ -115,6 +123,9 @@ TEST(Layering, ArrowTurnedRoundIsSeen) {
   EXPECT_FALSE(may_include("lib/model", "trace"));
   EXPECT_FALSE(may_include("examples", "model"));
   EXPECT_FALSE(may_include("include/xauto", "base"));
+  EXPECT_FALSE(may_include("lib/runtime", "launch"));
+  EXPECT_FALSE(may_include("lib/coord", "launch"));
+  EXPECT_FALSE(may_include("lib/processes", "runtime"));
   EXPECT_TRUE(may_include("lib/runtime", "coord"));
 }
 

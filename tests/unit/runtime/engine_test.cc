@@ -17,7 +17,8 @@
 #include "base/memory_file.h"
 #include "base/socket.h"
 #include "coord/server.h"
-#include "runtime/supervisor.h"
+
+#include "xpu/kind.h"
 
 namespace xauto::runtime {
 namespace {
@@ -78,7 +79,7 @@ class TestApp {
         const std::string address = "xauto-test/engine-" + std::to_string(getpid()) + "-" +
                                     std::to_string(runs.fetch_add(1)) + "/" + xpu.id;
         coord::ServerOptions options{
-            address, xpu.id, discipline_of(xpu, false), {"a1", "a2", "b1", "c1"}, {}};
+            address, xpu.id, xpu::discipline_of(xpu, false), {"a1", "a2", "b1", "c1"}, {}};
         for (const auto& [u, v] : session.policy.order)
           if (session.policy.placements[static_cast<std::size_t>(u)].xpu ==
               session.platform.find(xpu.id))

@@ -1,0 +1,264 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "graph/graph.h"
+
+#include <algorithm>
+#include <map>
+#include <set>
+
+namespace xauto::runtime {
+namespace {
+
+class Builder {
+ public:
+  explicit Builder(const detail::AppSpecErased& app) : app_(app) { graph_.name = app.name; }
+
+  Result<Graph> build() {
+    add_sources();
+    for (const auto& module : app_.modules) add_module(*module);
+    connect();
+    check_observers();
+    order_modules();
+    if (!problems_.empty()) {
+      std::string text = problems_.front();
+      for (std::size_t i = 1; i < problems_.size(); ++i) text += "\n  " + problems_[i];
+      return fail(ErrorCode::kInvalid, text, "app '" + app_.name + "'");
+    }
+    return std::move(graph_);
+  }
+
+ private:
+  void problem(std::string text) { problems_.push_back(std::move(text)); }
+
+  /// The topic's index; reports a second type for one name.
+  int topic(const detail::TopicSpec& spec, const std::string& who) {
+    const auto [at, added] =
+        topic_by_name_.try_emplace(spec.name, static_cast<int>(graph_.topics.size()));
+    if (added) {
+      graph_.topics.push_back({spec, -1, -1, {}});
+      first_user_.push_back(who);
+      return at->second;
+    }
+    const Graph::Topic& known = graph_.topics[static_cast<std::size_t>(at->second)];
+    if (known.spec.type != spec.type)
+      problem("topic '" + spec.name + "' has two types: " + known.spec.type_name + " (" +
+              first_user_[static_cast<std::size_t>(at->second)] + ") and " + spec.type_name + " (" +
+              who + ")");
+    return at->second;
+  }
+
+  void add_sources() {
+    for (std::size_t i = 0; i < app_.sources.size(); ++i) {
+      const detail::SourceSpec& source = app_.sources[i];
+      const int t = topic(source.topic, "a source");
+      Graph::Topic& info = graph_.topics[static_cast<std::size_t>(t)];
+      if (info.source >= 0) problem("topic '" + info.spec.name + "' has two sources");
+      info.source = static_cast<int>(i);
+      const std::int64_t period_us = source.period.count();
+      if (period_us < 1 || period_us > kMaxPeriodUs)
+        problem("the source of topic '" + info.spec.name + "' has a period of " +
+                std::to_string(period_us) + " us; possible are 1 to " +
+                std::to_string(kMaxPeriodUs) + " us");
+      graph_.sources.push_back({info.spec.name, period_us});
+      if (source.period != app_.sources.front().period) graph_.single_rate = false;
+    }
+    if (app_.sources.empty()) problem("no source: nothing would ever fire");
+  }
+
+  void add_module(const detail::XModuleSpec& spec) {
+    const int index = static_cast<int>(graph_.modules.size());
+    for (const std::string& text : spec.misuse) problem(text);
+    if (spec.name.empty()) problem("an XModule has no name");
+    if (!module_names_.insert(spec.name).second)
+      problem("two XModules are called '" + spec.name + "'");
+    if (spec.nodes.empty()) problem("XModule '" + spec.name + "' has no XNode");
+    if (spec.inputs.empty())
+      problem("XModule '" + spec.name + "' has no input topic: it would never fire");
+
+    Graph::Module module;
+    module.name = spec.name;
+    module.spec = &spec;
+    for (const auto& node : spec.nodes) {
+      for (const std::string& text : node->misuse) problem(text);
+      if (node->name.empty()) problem("an XNode of XModule '" + spec.name + "' has no name");
+      const auto [at, added] = node_module_.try_emplace(node->name, spec.name);
+      if (!added && at->second != spec.name)
+        problem("XNode '" + node->name + "' is in two XModules, '" + at->second + "' and '" +
+                spec.name + "'");
+      if (node->impls.empty()) problem("XNode '" + node->name + "' has no implementation");
+      for (const detail::ImplSpec& impl : node->impls)
+        if (impl.xpu.type().empty())
+          problem("XNode '" + node->name + "' has an implementation for an XPU type without name");
+      module.nodes.push_back(static_cast<int>(graph_.nodes.size()));
+      graph_.nodes.push_back({node->name, index, node.get()});
+    }
+    for (const detail::TopicSpec& input : spec.inputs) {
+      const int t = topic(input, "XModule '" + spec.name + "' reads it");
+      if (std::find(module.inputs.begin(), module.inputs.end(), t) != module.inputs.end())
+        problem("XModule '" + spec.name + "' reads topic '" + input.name + "' twice");
+      graph_.topics[static_cast<std::size_t>(t)].subscribers.push_back(
+          {index, static_cast<int>(module.inputs.size())});
+      module.inputs.push_back(t);
+    }
+    for (const detail::OutputSpec& output : spec.outputs) {
+      const int t = topic(output.topic, "XModule '" + spec.name + "' publishes it");
+      Graph::Topic& info = graph_.topics[static_cast<std::size_t>(t)];
+      if (info.source >= 0)
+        problem("topic '" + info.spec.name + "' has two publishers: a source and XModule '" +
+                spec.name + "'");
+      else if (info.module >= 0)
+        problem("topic '" + info.spec.name + "' has two publishers: XModule '" +
+                graph_.modules[static_cast<std::size_t>(info.module)].name + "' and XModule '" +
+                spec.name + "'");
+      info.module = index;
+      module.outputs.push_back(t);
+    }
+    graph_.modules.push_back(std::move(module));
+  }
+
+  void connect() {
+    for (const Graph::Module& module : graph_.modules)
+      for (std::size_t i = 1; i < module.nodes.size(); ++i)
+        graph_.edges.emplace_back(module.nodes[i - 1], module.nodes[i]);
+    for (const Graph::Topic& topic : graph_.topics) {
+      if (topic.source < 0 && topic.module < 0 && !topic.subscribers.empty())
+        for (const Graph::Subscriber& subscriber : topic.subscribers)
+          problem("topic '" + topic.spec.name + "' has no publisher, but XModule '" +
+                  graph_.modules[static_cast<std::size_t>(subscriber.module)].name + "' reads it");
+      if (topic.module < 0) continue;
+      const Graph::Module& from = graph_.modules[static_cast<std::size_t>(topic.module)];
+      for (const Graph::Subscriber& subscriber : topic.subscribers) {
+        const Graph::Module& to = graph_.modules[static_cast<std::size_t>(subscriber.module)];
+        if (from.nodes.empty() || to.nodes.empty()) continue;
+        const std::pair<int, int> edge(from.nodes.back(), to.nodes.front());
+        if (std::find(graph_.edges.begin(), graph_.edges.end(), edge) == graph_.edges.end())
+          graph_.edges.push_back(edge);
+      }
+    }
+    std::vector<char> has_predecessor(graph_.nodes.size(), 0);
+    for (const auto& [u, v] : graph_.edges) has_predecessor[static_cast<std::size_t>(v)] = 1;
+    for (const Graph::Module& module : graph_.modules) {
+      if (module.nodes.empty()) continue;
+      const auto first = static_cast<std::size_t>(module.nodes.front());
+      if (has_predecessor[first]) continue;
+      for (const int t : module.inputs)
+        if (const int s = graph_.topics[static_cast<std::size_t>(t)].source; s >= 0)
+          graph_.nodes[first].sources.push_back(s);
+    }
+    for (Graph::Module& module : graph_.modules)
+      module.sink = std::all_of(module.outputs.begin(), module.outputs.end(), [&](int t) {
+        return graph_.topics[static_cast<std::size_t>(t)].subscribers.empty();
+      });
+  }
+
+  void check_observers() {
+    for (const detail::ObserverSpec& observer : app_.observers) {
+      const auto known = topic_by_name_.find(observer.topic.name);
+      if (known == topic_by_name_.end())
+        problem("on_message watches topic '" + observer.topic.name + "', which nobody publishes");
+      else
+        topic(observer.topic, "on_message");
+    }
+  }
+
+  /// Depth-first; a module met again while it is still open closes a cycle.
+  void order_modules() {
+    enum class Mark { kNew, kOpen, kDone };
+    std::vector<Mark> marks(graph_.modules.size(), Mark::kNew);
+    std::vector<int> path;
+    const auto visit = [&](auto&& self, int m) -> bool {
+      Mark& mark = marks[static_cast<std::size_t>(m)];
+      if (mark == Mark::kDone) return true;
+      path.push_back(m);
+      if (mark == Mark::kOpen) {
+        std::string text = "cycle of XModules: ";
+        for (auto at = std::find(path.begin(), path.end(), m); at != path.end(); ++at)
+          text += (at == std::find(path.begin(), path.end(), m) ? "" : " -> ") +
+                  graph_.modules[static_cast<std::size_t>(*at)].name;
+        problem(text);
+        return false;
+      }
+      mark = Mark::kOpen;
+      for (const int t : graph_.modules[static_cast<std::size_t>(m)].inputs) {
+        const int from = graph_.topics[static_cast<std::size_t>(t)].module;
+        if (from >= 0 && !self(self, from)) return false;
+      }
+      mark = Mark::kDone;
+      path.pop_back();
+      graph_.module_order.push_back(m);
+      return true;
+    };
+    for (std::size_t m = 0; m < graph_.modules.size(); ++m)
+      if (!visit(visit, static_cast<int>(m))) return;
+  }
+
+  const detail::AppSpecErased& app_;
+  Graph graph_;
+  std::vector<std::string> problems_;
+  std::map<std::string, int> topic_by_name_;
+  std::vector<std::string> first_user_;  ///< [topic]
+  std::set<std::string> module_names_;
+  std::map<std::string, std::string> node_module_;
+};
+
+}  // namespace
+
+Result<Graph> Graph::build(const detail::AppSpecErased& app) {
+  return Builder(app).build();
+}
+
+Status Graph::matches(const AppSpec& app) const {
+  const std::string hint =
+      "app.json describes another version of this program: profile it again with `xauto profile`";
+  for (const Node& node : nodes) {
+    const int i = app.find(node.name);
+    if (i < 0)
+      return fail(ErrorCode::kInvalid, "XNode '" + node.name + "' is not in app.json", name, hint);
+    const std::string& module = app.xnodes[static_cast<std::size_t>(i)].module;
+    if (module != modules[static_cast<std::size_t>(node.module)].name)
+      return fail(ErrorCode::kInvalid,
+                  "XNode '" + node.name + "' is in XModule '" +
+                      modules[static_cast<std::size_t>(node.module)].name + "', app.json says '" +
+                      module + "'",
+                  name, hint);
+  }
+  if (app.xnodes.size() != nodes.size()) {
+    for (const XNodeSpec& x : app.xnodes)
+      if (std::none_of(nodes.begin(), nodes.end(), [&](const Node& n) { return n.name == x.name; }))
+        return fail(ErrorCode::kInvalid,
+                    "app.json has an XNode '" + x.name + "' that the program lacks", name, hint);
+  }
+  std::set<std::pair<std::string, std::string>> ours, theirs;
+  for (const auto& [u, v] : edges)
+    ours.emplace(nodes[static_cast<std::size_t>(u)].name, nodes[static_cast<std::size_t>(v)].name);
+  for (const auto& [u, v] : app.edges)
+    theirs.emplace(app.xnodes[static_cast<std::size_t>(u)].name,
+                   app.xnodes[static_cast<std::size_t>(v)].name);
+  for (const auto& edge : ours)
+    if (!theirs.contains(edge))
+      return fail(ErrorCode::kInvalid,
+                  "edge '" + edge.first + "' -> '" + edge.second + "' is not in app.json", name,
+                  hint);
+  for (const auto& edge : theirs)
+    if (!ours.contains(edge))
+      return fail(ErrorCode::kInvalid,
+                  "app.json has an edge '" + edge.first + "' -> '" + edge.second +
+                      "' that the program lacks",
+                  name, hint);
+  return {};
+}
+
+const detail::ImplSpec* find_impl(const detail::XNodeSpecErased& node, const std::string& type) {
+  for (const detail::ImplSpec& impl : node.impls)
+    if (impl.xpu.type() == type) return &impl;
+  return nullptr;
+}
+
+XpuId xpu_id(const Platform& platform, int xpu) {
+  const Xpu& x = platform.xpus[static_cast<std::size_t>(xpu)];
+  XpuId id{x.id, XPU(x.type), 0};
+  for (int i = 0; i < xpu; ++i)
+    if (platform.xpus[static_cast<std::size_t>(i)].type == x.type) ++id.index;
+  return id;
+}
+
+}  // namespace xauto::runtime

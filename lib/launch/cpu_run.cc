@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "launch/cpu_run.h"
+
+#include <algorithm>
+#include <map>
+#include <set>
+
+#include "base/log.h"
+#include "base/rt.h"
+
+namespace xauto::launch {
+
+std::vector<kernel::TableRow> table_rows(const CpuRunRequest& request,
+                                         const std::vector<int>& cores) {
+  std::vector<kernel::TableRow> rows(request.app.xnodes.size());
+  if (request.policy == nullptr) return rows;
+  const std::vector<int> cpus = request.platform.instances_of("cpu");
+  std::map<int, std::set<std::int64_t>> priorities;
+  for (const Placement& placement : request.policy->placements)
+    priorities[placement.xpu].insert(placement.priority);
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const Placement& placement = request.policy->placements[i];
+    const auto cpu = std::find(cpus.begin(), cpus.end(), placement.xpu);
+    if (cpu == cpus.end() || !request.real[static_cast<std::size_t>(*cpu)]) continue;
+    const auto instance = static_cast<std::size_t>(cpu - cpus.begin());
+    if (instance >= cores.size()) continue;
+    const std::set<std::int64_t>& all = priorities[placement.xpu];
+    rows[i].cpu = static_cast<std::uint32_t>(cores[instance]);
+    rows[i].priority =
+        static_cast<std::uint32_t>(std::distance(all.begin(), all.find(placement.priority))) + 1;
+    if (const auto wcet = request.app.xnodes[i].wcet_on("cpu"))
+      rows[i].budget_us = *wcet * request.budget_pct / 100;
+  }
+  return rows;
+}
+
+CpuRun prepare_cpus(const CpuRunRequest& request) {
+  CpuRun run;
+  const std::vector<int> all = request.platform.instances_of("cpu");
+  const bool real_cpus = std::any_of(
+      all.begin(), all.end(), [&](int x) { return request.real[static_cast<std::size_t>(x)]; });
+  const bool want_ext = request.want_ext && request.policy != nullptr && real_cpus;
+  if (request.want_ext && !real_cpus)
+    run.note = "the CPUs are emulated: --cpu-sched ext has no effect";
+  const auto instead = [&](const Error& error) {
+    run.note = "no sched_ext: " + error.what + "; SCHED_FIFO instead";
+    run.scheduler.reset();
+  };
+  const auto slots = static_cast<std::uint32_t>(
+      std::min<std::size_t>(request.app.xnodes.size(), XAUTO_BPF_MAX_SLOTS));
+  auto maps = kernel::RunMaps::create(request.run,
+                                      static_cast<std::uint32_t>(request.app.xnodes.size()), slots);
+  if (!maps) {
+    if (want_ext) instead(maps.error());
+    log::debug("this run cannot be observed: {}", maps.error().to_string());
+    return run;
+  }
+  run.maps.emplace(std::move(*maps));
+  const std::vector<kernel::TableRow> rows = table_rows(request, rt::allowed_cores());
+  if (const Status put = run.maps->replace_table(rows); !put) {
+    if (want_ext) instead(put.error());
+    return run;
+  }
+  std::vector<kernel::XNodeName> names;
+  for (std::size_t i = 0; i < request.app.xnodes.size(); ++i) {
+    const int xpu = request.policy != nullptr ? request.policy->placements[i].xpu : -1;
+    const auto at = static_cast<std::size_t>(std::max(xpu, 0));
+    names.push_back({request.app.xnodes[i].name,
+                     xpu < 0 ? std::string() : request.platform.xpus[at].id,
+                     static_cast<std::uint32_t>(at)});
+  }
+  (void)run.maps->set_names(names);
+  if (!want_ext) return run;
+  std::set<int> cpus;
+  for (const kernel::TableRow& row : rows)
+    if (row.cpu != XAUTO_BPF_NO_CPU) cpus.insert(static_cast<int>(row.cpu));
+  auto scheduler =
+      kernel::start_scx(request.bin, request.run, std::vector<int>(cpus.begin(), cpus.end()));
+  if (!scheduler) {
+    instead(scheduler.error());
+    return run;
+  }
+  run.info = "sched_ext, " + scheduler->why;
+  run.partial = scheduler->why.rfind("partial", 0) == 0;
+  run.scheduler.emplace(std::move(*scheduler));
+  return run;
+}
+
+}  // namespace xauto::launch

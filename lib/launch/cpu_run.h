@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+// The xauto tool's side of CPU scheduling: makes the run's BPF maps, fills the table from the
+// policy, starts xauto-cpusched, and says what it settled for and why: sched_ext, else SCHED_FIFO.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "kernel/run_maps.h"
+#include "kernel/scx_process.h"
+#include "model/app.h"
+#include "model/platform.h"
+#include "model/policy.h"
+
+namespace xauto::launch {
+
+struct CpuRunRequest {
+  std::string run;  ///< name for the maps
+  std::string bin;  ///< folder of xauto-cpusched
+  const AppSpec& app;
+  const Platform& platform;
+  const Policy* policy = nullptr;  ///< null: nobody schedules
+  std::vector<bool> real;          ///< [XPU]; of the CPUs, those that the kernel schedules
+  bool want_ext = false;
+  /// A job's budget is its WCET times this; 0: no budgets. Only sched_ext enforces it.
+  std::int64_t budget_pct = 0;
+};
+
+/// Goes with the run: unpins the maps, ends the scheduler.
+struct CpuRun {
+  std::optional<kernel::RunMaps> maps;  ///< none: nobody can observe this run
+  std::optional<kernel::ScxProcess> scheduler;
+  bool partial = false;
+  std::string note;  ///< one line for people, if something was done differently than asked
+  std::string info;  ///< one line: how it is scheduled
+};
+
+/// Never fails: what is missing is left out, and said if it was asked for.
+[[nodiscard]] CpuRun prepare_cpus(const CpuRunRequest& request);
+
+/// Rows for the table: per real CPU the policy's priorities as ranks from 1 on, larger is more
+/// urgent. `cores`: the kernel's numbers of the platform's CPUs, in order.
+[[nodiscard]] std::vector<kernel::TableRow> table_rows(const CpuRunRequest& request,
+                                                       const std::vector<int>& cores);
+
+}  // namespace xauto::launch

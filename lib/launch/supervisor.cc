@@ -1,0 +1,509 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "launch/supervisor.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+
+#include <fcntl.h>
+#include <nlohmann/json.hpp>
+#include <poll.h>
+#include <signal.h>
+#include <sys/eventfd.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "base/clock.h"
+#include "base/log.h"
+#include "base/memory_file.h"
+#include "base/rt.h"
+#include "base/socket.h"
+#include "emu/protocol.h"
+#include "emu/state_memory.h"
+#include "model/json.h"
+
+#include "launch/cpu_run.h"
+#include "launch/pulse.h"
+#include "processes/packet.h"
+
+namespace xauto::launch {
+namespace {
+
+using namespace runtime;  // session, board: what the app is asked, and what it shows
+
+constexpr int kReadyTimeoutMs = 10'000;
+constexpr int kDrainMs = 15'000;  ///< more than the app's own patience with a stalled activation
+constexpr int kProfileDrainMs = 3'000;  ///< an app that profiles answers with what it has
+constexpr int kGraceMs = 2'000;
+constexpr int kMaxRestarts = 100;  ///< of one daemon; then it stays dead, see supervisor.h
+constexpr int kStartAttempts = 5;  ///< in a row
+
+constexpr std::uint64_t kMaxDumps = 3;  ///< of misses, and of hangs
+constexpr std::int64_t kAftermathNs = 300'000'000, kBeforeNs = 1'000'000'000;  ///< what they show
+
+/// What was told of misses, or of hangs.
+struct Dumps {
+  std::uint64_t seen = 0, written = 0;
+  std::int64_t due_ns = 0;     ///< when the next one is made; 0: nothing new
+  std::uint64_t shown_ns = 0;  ///< what happened until then is in one
+};
+
+struct Daemon {
+  std::string name;
+  Child child;
+  bool coordinator = false;
+  bool noticed = false;
+  SpawnOptions options;  ///< to start it again
+  UniqueFd kept[3];      ///< what outlives it: see coord::ServerOptions, emu::ServerOptions
+  int starts = 1;
+  int deaths = 0;            ///< after which it was started again
+  std::size_t note = 0;      ///< where the outcome says so
+  Pulse pulse;               ///< a coordinator's
+  std::optional<Ping> ping;  ///< the emulator's
+
+  /// What outlives it goes to it as arguments.
+  void hand_over(std::initializer_list<const char*> flags) {
+    std::size_t i = 0;
+    for (const char* flag : flags) {
+      options.argv.emplace_back(flag);
+      options.argv.push_back(std::to_string(kept[i].get()));
+      options.inherit.push_back(kept[i++].get());
+    }
+  }
+};
+
+/// A process of the app that hosts modules.
+struct ModuleProcess {
+  int index = 0;
+  std::string name;
+  SpawnOptions options;
+  Child child;
+  std::int64_t restarts = 0;  ///< left
+  bool noticed = false;
+};
+
+/// Starts a daemon and waits until it says that its socket is there.
+Result<Child> start_daemon(const std::string& name, SpawnOptions options) {
+  int ends[2];
+  if (pipe2(ends, O_CLOEXEC) != 0)
+    return fail(ErrorCode::kIo, std::string("pipe: ") + strerror(errno));
+  const UniqueFd read_end(ends[0]);
+  UniqueFd write_end(ends[1]);
+  options.argv.push_back("--ready-fd");
+  options.argv.push_back(std::to_string(write_end.get()));
+  options.inherit.push_back(write_end.get());
+  XAUTO_ASSIGN(Child child, Child::spawn(options));
+  write_end.reset();
+  const std::int64_t limit = now_ns() + std::int64_t{kReadyTimeoutMs} * 1'000'000;
+  for (;;) {
+    pollfd ready{read_end.get(), POLLIN, 0};
+    const auto left = static_cast<int>(std::max<std::int64_t>(0, (limit - now_ns()) / 1'000'000));
+    const int count = poll(&ready, 1, left);
+    if (count < 0 && errno == EINTR) continue;
+    if (count == 0) return fail(ErrorCode::kTimeout, "was not ready within 10 s", name);
+    char byte;
+    if (read(read_end.get(), &byte, 1) == 1) return child;
+    const auto exit = child.wait(kGraceMs);
+    return fail(ErrorCode::kUnavailable,
+                "ended before it was ready" + (exit ? " (" + exit->to_string() + ")" : ""), name);
+  }
+}
+
+std::vector<bool> real_xpus(const Session& session) {
+  std::vector<bool> real;
+  for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
+    real.push_back(session.presence_of(static_cast<int>(x)) == Presence::kReal);
+  return real;
+}
+
+class Supervisor {
+ public:
+  explicit Supervisor(Supervision request) : request_(std::move(request)) {
+    static std::atomic<int> runs{0};
+    base_ =
+        kSocketPrefix + std::to_string(getpid()) + "-" + std::to_string(runs.fetch_add(1)) + "/";
+    bin_ = request_.bin.empty() ? program_directory() : request_.bin;
+  }
+
+  Result<Outcome> run() {
+    XAUTO_TRY(start());
+    const std::int64_t started = now_ns();
+    watch();
+    outcome_.wall_s = static_cast<double>(now_ns() - started) * 1e-9;
+    outcome_.app = *app_.wait(0);
+    for (ModuleProcess& process : processes_) process.child.stop(kGraceMs);
+    for (Daemon& daemon : daemons_) {
+      const Exit exit = daemon.child.stop(kGraceMs);
+      if (daemon.coordinator) outcome_.coordinators_cpu_us += exit.cpu_us;
+    }
+    return collect();
+  }
+
+ private:
+  Status start() {
+    Session& session = request_.session;
+    XAUTO_ASSIGN(answer_, make_memory_file("xauto-answer"));
+    session.answer_fd = answer_.get();
+    if (request_.trace_keep_s > 0) {
+      XAUTO_ASSIGN(trace_, make_memory_file("xauto-trace"));
+      session.trace_fd = trace_.get();
+      session.trace_keep_s = request_.trace_keep_s;
+    }
+    if (session.emulates()) {
+      Platform emulated{session.platform.name, {}};
+      for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
+        if (session.presence[x] == Presence::kEmulated || session.presence[x] == Presence::kEither)
+          emulated.xpus.push_back(session.platform.xpus[x]);
+      XAUTO_ASSIGN(platform_, make_memory_file("xauto-platform"));
+      XAUTO_TRY(write_memory_file(platform_.get(), to_json(emulated)));
+      Daemon daemon;
+      daemon.name = "xauto-emud";
+      XAUTO_ASSIGN(daemon.kept[0], listen_abstract(base_ + kEmudName));
+      XAUTO_ASSIGN(daemon.kept[1], emu::StateMemory::make());
+      daemon.options.argv = {bin_ + "/xauto-emud", "--socket", base_ + kEmudName, "--platform",
+                             "/proc/self/fd/" + std::to_string(platform_.get())};
+      daemon.options.inherit = {platform_.get()};
+      daemon.hand_over({"--listen-fd", "--memory-fd"});
+      XAUTO_ASSIGN(daemon.child, start_daemon(daemon.name, daemon.options));
+      daemon.ping.emplace(base_ + kEmudName);
+      daemons_.push_back(std::move(daemon));
+    }
+    const bool scheduled = session.mode == Mode::kRun && session.scheduling == Scheduling::kXAuto;
+    if (session.mode == Mode::kRun) {
+      board_fd_ = private_memfd("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING);
+      if (!board_fd_)
+        return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
+      session.board_fd = board_fd_.get();
+      XAUTO_ASSIGN(live_, listen_abstract(base_ + kLiveName));
+      prepare_cpus(scheduled);
+    }
+    if (scheduled)
+      for (const Xpu& xpu : session.platform.xpus) session.coordinators[xpu.id] = base_ + xpu.id;
+    UniqueFd hub;  // closed here once the app has it: its end must show
+    if (session.mode == Mode::kRun && !session.processes.empty()) {
+      session.hub = base_ + kHubName;
+      XAUTO_ASSIGN(hub, listen_abstract(session.hub));
+      session.hub_fd = hub.get();
+    }
+    XAUTO_ASSIGN(session_, make_memory_file("xauto-session"));
+    XAUTO_TRY(write_memory_file(session_.get(), to_json(session)));
+    if (scheduled) {
+      for (const auto& [xpu, address] : session.coordinators) {
+        const std::string name = "xauto-coordinator of " + xpu;
+        Daemon daemon;
+        daemon.name = name;
+        daemon.coordinator = true;
+        XAUTO_ASSIGN(daemon.kept[0], listen_abstract(address));
+        daemon.kept[1] = private_memfd("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING);
+        daemon.kept[2] = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+        if (!daemon.kept[1] || !daemon.kept[2])
+          return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
+        SpawnOptions& options = daemon.options;
+        options.argv = {
+            bin_ + "/xauto-coordinator",   "--xpu", xpu, "--socket", address, "--session-fd",
+            std::to_string(session_.get())};
+        options.inherit = {session_.get()};
+        daemon.hand_over({"--listen-fd", "--memory-fd", "--doorbell-fd"});
+        XAUTO_ASSIGN(daemon.child, start_daemon(name, options));
+        XAUTO_ASSIGN(daemon.pulse, Pulse::of(daemon.kept[1].get(), daemon.kept[0].get()));
+        daemons_.push_back(std::move(daemon));
+      }
+    }
+    SpawnOptions options;
+    options.argv = request_.command;
+    options.inherit = {session_.get(), answer_.get()};
+    if (trace_) options.inherit.push_back(trace_.get());
+    if (board_fd_) options.inherit.push_back(board_fd_.get());
+    options.environment = {{kSessionVariable, std::to_string(session_.get())}};
+    if (session.emulates()) options.environment.emplace_back(emu::kEmudVariable, base_ + kEmudName);
+    const std::vector<bool> is_real = real_xpus(session);
+    std::string real;
+    for (std::size_t x = 0; x < is_real.size(); ++x)
+      if (is_real[x]) real += session.platform.xpus[x].id + "\n";
+    options.environment.emplace_back(emu::kRealVariable, real);
+    if (session.emulator_modules) options.environment.emplace_back(emu::kDriversVariable, "1");
+    if (session.scheduling == Scheduling::kRos2 && session.mode == Mode::kRun)
+      options.environment.emplace_back("XAUTO_EMU_CPU_POOL", "1");
+    if (hub) options.inherit.push_back(hub.get());
+    XAUTO_ASSIGN(app_, Child::spawn(options));
+    if (!hub) return {};
+    std::erase(options.inherit, hub.get());
+    std::erase(options.inherit, answer_.get());
+    std::erase(options.inherit, board_fd_.get());  // they get it from the hub
+    for (std::size_t p = 0; p < session.processes.size(); ++p) {
+      ModuleProcess process;
+      process.index = static_cast<int>(p) + 1;
+      for (const std::string& module : session.processes[p]) {
+        process.name += (process.name.empty() ? "" : "+") + module;
+        process.restarts =
+            std::max(process.restarts, session.deployment.of(module).restarts.value_or(0));
+      }
+      process.options = options;
+      process.options.environment.emplace_back(kProcessVariable, std::to_string(process.index));
+      XAUTO_ASSIGN(process.child, Child::spawn(process.options));
+      processes_.push_back(std::move(process));
+    }
+    return {};
+  }
+
+  /// The run's BPF maps and, if asked for, the sched_ext scheduler; what cannot be had is noted.
+  void prepare_cpus(bool scheduled) {
+    Session& session = request_.session;
+    std::string name = base_.substr(std::string(kSocketPrefix).size());
+    name.pop_back();
+    cpus_ = launch::prepare_cpus({.run = name,
+                                  .bin = bin_,
+                                  .app = session.app,
+                                  .platform = session.platform,
+                                  .policy = scheduled ? &session.policy : nullptr,
+                                  .real = real_xpus(session),
+                                  .want_ext = session.cpu_sched == CpuSched::kExt,
+                                  .budget_pct = request_.cpu_budget_pct});
+    if (!cpus_.note.empty()) {
+      log::warn("{}", cpus_.note);
+      outcome_.notes.push_back(cpus_.note);
+    }
+    if (!cpus_.info.empty()) log::info("{}", cpus_.info);
+    if (cpus_.maps) session.cpu_run = name;
+    if (cpus_.scheduler) {
+      session.cpu_scheduler_pid = cpus_.scheduler->child.pid();
+      session.cpu_partial = cpus_.partial;
+    } else if (session.cpu_sched == CpuSched::kExt) {
+      session.cpu_sched = CpuSched::kFifo;
+    }
+  }
+
+  /// A daemon has died: the next one goes on with what it left, and no job notices.
+  bool restart(Daemon& daemon, const Exit& exit) {
+    if (daemon.coordinator) outcome_.coordinators_cpu_us += exit.cpu_us;
+    ++outcome_.deaths;
+    Result<Child> child = fail(ErrorCode::kUnavailable, "died too often");
+    // One that dies while it starts is followed, too, but not for ever.
+    for (int attempt = 0; attempt < kStartAttempts && daemon.starts <= kMaxRestarts; ++attempt) {
+      ++daemon.starts;
+      child = start_daemon(daemon.name, daemon.options);
+      if (child || child.error().code != ErrorCode::kUnavailable) break;
+    }
+    if (!child) {
+      log::warn("{}: not started again: {}", daemon.name, child.error().what);
+      daemon.kept[0].reset();  // nobody listens any more: who waits for it need not
+      return false;
+    }
+    daemon.child = std::move(*child);
+    const std::string what = daemon.name + " died (" + exit.to_string() + ")";
+    log::warn("{} and was started again", what);
+    if (++daemon.deaths == 1) {
+      daemon.note = outcome_.notes.size();
+      outcome_.notes.push_back(what + " and was started again");
+    } else {
+      outcome_.notes[daemon.note] =
+          what + " and was started again, " + std::to_string(daemon.deaths) + " times";
+    }
+    return true;
+  }
+
+  /// A module process has ended: start it again, or tell the hub that it will not come back.
+  void attend(ModuleProcess& process, const Exit& exit) {
+    if (!exit.signalled && exit.value == 0) {  // the hub has told it to stop
+      process.noticed = true;
+      return;
+    }
+    ++outcome_.deaths;
+    std::string note = "the process of " + process.name + " died (" + exit.to_string() + ")";
+    if (process.restarts > 0) {
+      --process.restarts;
+      if (auto child = Child::spawn(process.options)) {
+        process.child = std::move(*child);
+        outcome_.notes.push_back(note + " and was started again");
+        return;
+      }
+    }
+    process.noticed = true;
+    outcome_.notes.push_back(note);
+    // Not connected yet: nobody else would tell the hub.
+    if (const auto socket = connect_abstract(request_.session.hub)) {
+      const Packet gone{.word = static_cast<std::uint32_t>(Word::kGone),
+                        .index = static_cast<std::uint32_t>(process.index)};
+      (void)send_packet(socket->get(), &gone, sizeof gone);
+    }
+  }
+
+  /// Sleeps until a child ends, at most 200 ms.
+  void wait_for_children() {
+    std::vector<pollfd> fds = {{app_.pidfd(), POLLIN, 0}};
+    for (const Daemon& daemon : daemons_)
+      if (!daemon.noticed) fds.push_back({daemon.child.pidfd(), POLLIN, 0});
+    for (const ModuleProcess& process : processes_)
+      if (!process.noticed) fds.push_back({process.child.pidfd(), POLLIN, 0});
+    if (live_) fds.push_back({live_.get(), POLLIN, 0});
+    if (poll(fds.data(), fds.size(), 200) > 0 && live_ && fds.back().revents != 0) introduce();
+  }
+
+  /// To somebody who wants to look at the run. He reads the board himself, and cannot write it.
+  void introduce() {
+    const auto peer = accept_own(live_.get());
+    if (!peer) return;
+    const UniqueFd board(
+        open(("/proc/self/fd/" + std::to_string(board_fd_.get())).c_str(), O_RDONLY | O_CLOEXEC));
+    const Session& session = request_.session;
+    const std::string text = nlohmann::json{
+        {"app", session.app.name},
+        {"platform", session.platform.name},
+        {"scheduling", to_string(session.scheduling)},
+        {"activations", session.activations},
+        {"pid", getpid()}}.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
+    if (board) (void)send_packet(peer->get(), text.data(), text.size(), {board.get()});
+  }
+
+  /// The trace says by two counters that there is something new; what it was is among its events.
+  /// `now` is INT64_MAX when the app has ended: no aftermath will come.
+  void look_for_incidents(std::int64_t now) {
+    if (!trace_ || !request_.on_incident) return;
+    const trace::Alarms alarms = trace::alarms(trace_.get());
+    const std::uint64_t seen[] = {alarms.misses, alarms.hangs};
+    for (const bool hang : {false, true}) {
+      Dumps& dumps = dumps_[hang ? 1 : 0];
+      const std::uint64_t count = seen[hang ? 1 : 0];
+      if (count == dumps.seen || dumps.written == kMaxDumps) continue;
+      if (dumps.due_ns == 0) dumps.due_ns = now == INT64_MAX ? now : now + kAftermathNs;
+      if (now < dumps.due_ns) continue;
+      dumps.due_ns = 0;
+      dumps.seen = count;
+      if (auto trace = trace::read(trace_.get())) dump(hang, dumps, std::move(*trace));
+    }
+  }
+
+  void dump(bool hang, Dumps& dumps, trace::Recording trace) {
+    const std::uint16_t kind = hang ? XAUTO_EV_HANG : XAUTO_EV_MISS;
+    auto& events = trace.events;
+    // What an earlier dump shows needs none of its own.
+    const auto first = std::find_if(events.begin(), events.end(), [&](const trace::Event& e) {
+      return e.kind == kind && e.ts_ns > dumps.shown_ns;
+    });
+    if (first == events.end()) return;
+    Incident incident{hang, *first, {}};
+    // From before the release that it is about: a miss tells its latency, a hang its limit.
+    const std::uint64_t took = std::uint64_t{first->arg} * (hang ? 1'000'000 : 1'000);
+    const std::uint64_t before = took + kBeforeNs;
+    const std::uint64_t begin = first->ts_ns > before ? first->ts_ns - before : 0;
+    const std::uint64_t end = first->ts_ns + std::uint64_t{2 * kAftermathNs};
+    dumps.shown_ns = std::min<std::uint64_t>(end, events.back().ts_ns);
+    ++dumps.written;
+    for (const trace::Event& e : events)
+      if (e.ts_ns >= begin && e.ts_ns <= end) incident.trace.events.push_back(e);
+    incident.trace.lost = trace.lost;
+    // Only what this window lacks is missing in it.
+    if (events.front().ts_ns > begin) incident.trace.overwritten = trace.overwritten;
+    request_.on_incident(incident);
+  }
+
+  /// Until the app has ended.
+  void watch() {
+    const std::int64_t started = now_ns();
+    std::int64_t told_to_stop = 0, next_look = 0;
+    const auto tell = [&](const char* why) {
+      if (told_to_stop != 0) return;
+      if (why != nullptr) outcome_.notes.emplace_back(why);
+      app_.signal(SIGTERM);
+      told_to_stop = now_ns();
+    };
+    for (;;) {
+      wait_for_children();
+      if (app_.poll()) return;
+      const std::int64_t now = now_ns();
+      if (!board_ && board_fd_)
+        if (auto board = Board::observe(board_fd_.get())) board_ = std::move(*board);
+      if (request_.on_tick)
+        request_.on_tick(static_cast<double>(now - started) * 1e-9, board_.get());
+      look_for_incidents(now);
+      const bool look = now >= next_look;
+      if (look) next_look = now + kLookEveryNs;
+      for (Daemon& daemon : daemons_) {
+        if (daemon.noticed) continue;
+        if (look && (daemon.pulse.hangs(daemon.child.pid(), now) ||
+                     (daemon.ping && daemon.ping->hangs(now)))) {
+          log::warn("{} has hung for {} s and is killed", daemon.name, kHungNs / 1'000'000'000);
+          daemon.child.signal(SIGKILL);
+        }
+        const auto exit = daemon.child.poll();
+        if (!exit) continue;
+        if (restart(daemon, *exit)) continue;
+        daemon.noticed = true;
+        outcome_.notes.push_back(daemon.name + " died (" + exit->to_string() + ")" +
+                                 (daemon.coordinator ? ": its XPU's jobs went on unscheduled"
+                                                     : ": the emulated XPUs are gone"));
+        log::warn("{}", outcome_.notes.back());
+        if (!daemon.coordinator) {
+          outcome_.emulator_died = true;
+          tell(nullptr);
+        }
+      }
+      if (cpus_.scheduler)
+        if (const auto exit = cpus_.scheduler->child.poll()) {
+          outcome_.notes.push_back("xauto-cpusched ended (" + exit->to_string() + ")");
+          cpus_.scheduler.reset();
+        }
+      for (ModuleProcess& process : processes_)
+        if (!process.noticed)
+          if (const auto exit = process.child.poll()) {
+            // Its hub's end shows in both at once; then it is no death of its own.
+            if (app_.wait(told_to_stop != 0 ? kGraceMs : 20)) return;
+            attend(process, *exit);
+          }
+      if (request_.stop != nullptr && request_.stop->load()) {
+        tell("stopped by the user");
+        stopped_ = true;
+      }
+      if (request_.time_limit_s > 0 && now - started > request_.time_limit_s * 1'000'000'000)
+        tell("stopped at its time limit");
+      const std::int64_t drain_ms =
+          request_.session.mode == Mode::kProfile ? kProfileDrainMs : kDrainMs;
+      if (told_to_stop != 0 && now - told_to_stop > drain_ms * 1'000'000) {
+        outcome_.notes.emplace_back("the app did not end when asked and was killed");
+        app_.stop(0);
+      }
+    }
+  }
+
+  Result<Outcome> collect() {
+    XAUTO_ASSIGN(outcome_.answer, read_memory_file(answer_.get()));
+    look_for_incidents(INT64_MAX);
+    if (trace_) {
+      auto trace = trace::read(trace_.get());
+      if (trace)
+        outcome_.trace = std::move(*trace);
+      else
+        outcome_.notes.push_back("no trace: " + trace.error().what);
+    }
+    if (outcome_.answer.empty()) {
+      std::string why;
+      for (const std::string& note : outcome_.notes) why += "; " + note;
+      return fail(ErrorCode::kUnavailable,
+                  "ended without an answer (" + outcome_.app.to_string() + ")" + why,
+                  request_.command.front(),
+                  stopped_ ? "" : "it must call xauto::App::main; a crash of it shows as a signal");
+    }
+    return std::move(outcome_);
+  }
+
+  Supervision request_;
+  std::string base_, bin_;
+  UniqueFd answer_, trace_, platform_, session_, board_fd_, live_;
+  std::shared_ptr<const Board> board_;
+  std::vector<Daemon> daemons_;
+  std::vector<ModuleProcess> processes_;
+  Child app_;
+  CpuRun cpus_;
+  bool stopped_ = false;  ///< by the user
+  Dumps dumps_[2];        ///< misses, hangs
+  Outcome outcome_;
+};
+
+}  // namespace
+
+Result<Outcome> supervise(Supervision request) {
+  return Supervisor(std::move(request)).run();
+}
+
+}  // namespace xauto::launch

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+// The parent of a run: starts the emulator, the coordinators and the app, watches over them, and
+// leaves nothing behind. Whatever dies, the rest is ended or goes on as docs/runtime.md says:
+//   coordinator  started again; the next one goes on where it was (its memory outlives it). If
+//                that fails its XPU's jobs go on unscheduled, and the result says so. One that
+//                hangs is killed first (pulse.h)
+//   emulator     likewise; if that fails its XPUs are gone and the app is stopped
+//   app          everything is stopped; a module process of it: its modules' activations are
+//                dropped, the rest runs, and it is started again if the deployment says so
+//   this process everything is killed by the kernel (PR_SET_PDEATHSIG)
+// Shared memory, sessions and answers are memfds, sockets are abstract: the file system is not
+// used.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "base/process.h"
+#include "trace/trace.h"
+
+#include "processes/board.h"
+#include "session/session.h"
+
+namespace xauto::launch {
+
+/// Sockets of one run are called PREFIX<pid>-<n>/<xpu>; `xauto status` finds them by this prefix.
+inline constexpr const char* kSocketPrefix = "xauto/";
+
+/// Last parts of socket names that are no coordinator's.
+inline constexpr const char* kHubName = "hub";
+inline constexpr const char* kEmudName = "emud";
+/// Of the tool: answers any packet with one line of JSON about the run and the board's memfd, to be
+/// read (`Board::observe`).
+inline constexpr const char* kLiveName = "live";
+
+/// A deadline miss or a hang, and what was traced around it.
+struct Incident {
+  bool hang = false;
+  trace::Event event{};  ///< XAUTO_EV_MISS or XAUTO_EV_HANG
+  trace::Recording trace;
+};
+
+struct Supervision {
+  runtime::Session session;          ///< addresses and descriptors are filled in
+  std::vector<std::string> command;  ///< the app and its arguments
+  std::string bin;  ///< where xauto-coordinator and xauto-emud are; empty: beside us
+  const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: drain; see stop_count for more
+  /// About five times a second. `board` is null until the app has made it.
+  std::function<void(double elapsed_s, const runtime::Board* board)> on_tick;
+  double trace_keep_s = 0;  ///< the trace keeps the newest events of so long; 0: no trace
+  /// Of the first few of each kind, shortly after it happened. Called on the caller's thread.
+  std::function<void(const Incident&)> on_incident;
+  std::int64_t time_limit_s = 0;    ///< 0: none; then the app is stopped
+  std::int64_t cpu_budget_pct = 0;  ///< sched_ext: of a job's WCET; 0: no budgets
+};
+
+struct Outcome {
+  std::string answer;  ///< of the app; empty if it died first
+  Exit app;
+  trace::Recording trace;
+  std::vector<std::string> notes;  ///< what died or was done differently, for people
+  bool emulator_died = false;
+  std::uint64_t deaths = 0;              ///< of daemons and modules' processes, before their time
+  std::int64_t coordinators_cpu_us = 0;  ///< CPU time of all coordinators together
+  double wall_s = 0;                     ///< of the app
+};
+
+/// Errors: something could not be started, or the app answered with an error (that very error).
+[[nodiscard]] Result<Outcome> supervise(Supervision request);
+
+}  // namespace xauto::launch

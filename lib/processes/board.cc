@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "processes/board.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <new>
+
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "base/memory_file.h"
+#include "model/app.h"
+#include "model/deployment.h"
+
+#include "session/distribution.h"
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::uint32_t kMaxFlows = kMaxChains + 1;
+constexpr std::uint32_t kBoardMagic = 0x58424f41;  // "XBOA"
+
+std::size_t bytes_of(const BoardShape& shape) {
+  return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
+         shape.modules * sizeof(ModuleLine) + shape.nodes * sizeof(XNodeLine) +
+         shape.flows * sizeof(FlowLine);
+}
+
+void fill(void* memory, const BoardShape& s) {
+  auto* header =
+      new (memory) BoardHeader{kBoardMagic, s.processes, s.modules, s.nodes, s.flows, {}};
+  auto* lines = reinterpret_cast<ProcessLine*>(header + 1);
+  for (std::uint32_t p = 0; p < s.processes; ++p) (new (lines + p) ProcessLine)->stand_in.store(p);
+  auto* counts = reinterpret_cast<ModuleLine*>(lines + s.processes);
+  for (std::uint32_t m = 0; m < s.modules; ++m) new (counts + m) ModuleLine;
+  auto* xnodes = reinterpret_cast<XNodeLine*>(counts + s.modules);
+  for (std::uint32_t n = 0; n < s.nodes; ++n) new (xnodes + n) XNodeLine;
+  auto* flows = reinterpret_cast<FlowLine*>(xnodes + s.nodes);
+  for (std::uint32_t f = 0; f < s.flows; ++f) new (flows + f) FlowLine;
+}
+
+}  // namespace
+
+Board::Board(void* memory, std::size_t bytes, bool mapped, const BoardShape& shape)
+    : memory_(memory),
+      bytes_(bytes),
+      mapped_(mapped),
+      shape_(shape),
+      header_(static_cast<BoardHeader*>(memory)),
+      processes_(reinterpret_cast<ProcessLine*>(header_ + 1)),
+      modules_(reinterpret_cast<ModuleLine*>(processes_ + shape.processes)),
+      xnodes_(reinterpret_cast<XNodeLine*>(modules_ + shape.modules)),
+      flows_(reinterpret_cast<FlowLine*>(xnodes_ + shape.nodes)) {}
+
+Board::~Board() {
+  if (mapped_)
+    munmap(memory_, bytes_);
+  else
+    ::operator delete (memory_, std::align_val_t{64});
+}
+
+std::shared_ptr<Board> Board::local(const BoardShape& shape) {
+  const std::size_t bytes = bytes_of(shape);
+  void* memory = ::operator new (bytes, std::align_val_t{64});
+  fill(memory, shape);
+  return std::shared_ptr<Board>(new Board(memory, bytes, false, shape));
+}
+
+Result<std::shared_ptr<Board>> Board::create(const BoardShape& shape, UniqueFd& fd) {
+  if (shape.processes == 0 || shape.processes > kMaxProcesses || shape.modules > kMaxXNodes ||
+      shape.nodes > kMaxXNodes || shape.flows > kMaxFlows)
+    return fail(ErrorCode::kInvalid, std::to_string(shape.processes) + " processes and " +
+                                         std::to_string(shape.modules) + " modules are too many");
+  const std::size_t bytes = bytes_of(shape);
+  if (!fd) fd = private_memfd("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING);
+  if (!fd || ftruncate(fd.get(), static_cast<off_t>(bytes)) != 0 ||
+      fcntl(fd.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
+    return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
+  void* memory =
+      mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd.get(), 0);
+  if (memory == MAP_FAILED)
+    return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
+  fill(memory, shape);
+  return std::shared_ptr<Board>(new Board(memory, bytes, true, shape));
+}
+
+Result<std::shared_ptr<Board>> Board::map(int fd, const BoardShape& shape) {
+  const std::size_t bytes = bytes_of(shape);
+  struct stat status {};
+  if (fstat(fd, &status) != 0 || static_cast<std::size_t>(status.st_size) < bytes)
+    return fail(ErrorCode::kInvalid, "the app's shared memory is cut short");
+  void* memory = mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0);
+  if (memory == MAP_FAILED)
+    return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
+  auto board = std::shared_ptr<Board>(new Board(memory, bytes, true, shape));
+  const BoardHeader& h = *board->header_;
+  if (h.magic != kBoardMagic || h.processes != shape.processes || h.modules != shape.modules ||
+      h.nodes != shape.nodes || h.flows != shape.flows)
+    return fail(ErrorCode::kInvalid, "the app's shared memory is another app's", {},
+                "all processes of an app must be of one build");
+  return board;
+}
+
+bool Board::busy() const {
+  return std::any_of(modules_, modules_ + header_->modules,
+                     [](const ModuleLine& line) { return line.in_flight.load() != 0; });
+}
+
+Result<std::shared_ptr<const Board>> Board::observe(int fd) {
+  struct stat status {};
+  // Its size cannot change once it is sealed, and what is sealed is filled in or about to be.
+  const int seals = fcntl(fd, F_GET_SEALS);
+  if (seals < 0 || (seals & F_SEAL_SHRINK) == 0 || fstat(fd, &status) != 0 ||
+      static_cast<std::size_t>(status.st_size) < sizeof(BoardHeader))
+    return fail(ErrorCode::kUnavailable, "the app has not started yet");
+  const auto bytes = static_cast<std::size_t>(status.st_size);
+  void* memory = mmap(nullptr, bytes, PROT_READ, MAP_SHARED, fd, 0);
+  if (memory == MAP_FAILED)
+    return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
+  const auto* header = static_cast<const BoardHeader*>(memory);
+  const BoardShape shape{header->processes, header->modules, header->nodes, header->flows};
+  const bool whole = header->magic == kBoardMagic && shape.processes >= 1 &&
+                     shape.processes <= kMaxProcesses && shape.modules <= kMaxXNodes &&
+                     shape.nodes <= kMaxXNodes && shape.flows >= 1 && shape.flows <= kMaxFlows &&
+                     bytes_of(shape) == bytes;
+  if (!whole) {
+    munmap(memory, bytes);
+    return fail(ErrorCode::kUnavailable, "the app has not started yet");
+  }
+  return std::shared_ptr<const Board>(new Board(memory, bytes, true, shape));
+}
+
+void FlowLine::add(std::int64_t us) {
+  results.fetch_add(1, std::memory_order_relaxed);
+  latency_us[std::min(Distribution::bucket_of(us), kBuckets - 1)].fetch_add(
+      1, std::memory_order_relaxed);
+}
+
+void name_line(char (&field)[kBoardNameBytes], const std::string& name) {
+  std::memcpy(field, name.data(), std::min(name.size(), kBoardNameBytes - 1));
+}
+
+std::string line_name(const char (&field)[kBoardNameBytes]) {
+  return {field, strnlen(field, kBoardNameBytes)};
+}
+
+std::uint64_t Board::settled() const {
+  std::uint64_t sum = 0;
+  for (std::uint32_t m = 0; m < shape_.modules; ++m) sum += modules_[m].settled();
+  return sum;
+}
+
+}  // namespace xauto::runtime

@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the processes of one app share besides topics: a doorbell each, and the counts of every
+// module, XNode and chain, which so survive the process that wrote them. The memory is the
+// supervisor's, if there is one: `xauto top` and the progress line read it while the run goes on.
+//
+// [M] written by the process that hosts the module (or by the hub in its place once it is dead),
+// [H] by the hub.
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include <xauto/result.h>
+
+#include "base/unique_fd.h"
+#include "transport/doorbell.h"
+#include "transport/shm_topic.h"
+
+namespace xauto::runtime {
+
+inline constexpr std::uint32_t kMaxProcesses = 256;
+
+struct alignas(64) BoardHeader {
+  std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0, flows = 0;
+  std::atomic<std::uint64_t> released{};  ///< [H] releases of the sensors
+};
+
+/// What is counted, and checked when memory of another process is mapped.
+struct BoardShape {
+  std::uint32_t processes = 1, modules = 0, nodes = 0, flows = 1;
+};
+
+inline constexpr std::size_t kBoardNameBytes = 104;  ///< with the 0 at its end; longer ones are cut
+
+/// A release is settled once: done, failed or dropped. In an app of one rate they are settled in
+/// order, so the sum of the three is the number of the next one.
+struct alignas(64) ModuleLine {
+  std::atomic<std::uint64_t> activations{}, failed{}, dropped{};  ///< [M]
+  std::atomic<std::uint32_t> in_flight{};                         ///< [M] 1: an activation is
+  char name[kBoardNameBytes] = {};                                ///< [H] before the run
+  [[nodiscard]] std::uint64_t settled() const {
+    return activations.load() + failed.load() + dropped.load();
+  }
+};
+
+/// What comes out: flow 0 is the whole app of one rate, release by release; the others are the
+/// chains (routes.h).
+struct alignas(64) FlowLine {
+  static constexpr std::uint32_t kBuckets = 2048;  ///< Distribution's: up to days
+  char name[kBoardNameBytes] = {};                 ///< [H] before the run
+  std::uint32_t module = 0;                        ///< [H] where a chain ends
+  // All [H].
+  std::atomic<std::uint64_t> results{}, late{}, old{};
+  std::atomic<std::uint64_t> lost{};  ///< of flow 0; a chain loses what its module loses
+  std::atomic<std::int64_t> last_origin_ns{}, max_age_us{};
+  std::atomic<std::uint32_t> latency_us[kBuckets] = {};
+  void add(std::int64_t us);
+};
+
+/// Jobs of one XNode that has limits (watch.h).
+struct alignas(64) XNodeLine {
+  std::atomic<std::uint64_t> jobs{}, overruns{}, hangs{};  ///< [M]
+  std::atomic<std::int64_t> longest_ns{};                  ///< [M]
+};
+
+struct alignas(64) ProcessLine {
+  transport::Doorbell doorbell;
+  std::atomic<std::uint32_t> stand_in{};  ///< [H] whose doorbell is rung instead: its own index, or
+                                          ///< 0 while it is dead
+  std::atomic<std::int64_t> watched_ns{};  ///< [M] when its watchdog last looked; 0: not yet
+};
+
+/// Into a line's name.
+void name_line(char (&field)[kBoardNameBytes], const std::string& name);
+/// Out of it, whatever its writer left there.
+[[nodiscard]] std::string line_name(const char (&field)[kBoardNameBytes]);
+
+class Board {
+ public:
+  /// In this process only.
+  [[nodiscard]] static std::shared_ptr<Board> local(const BoardShape& shape);
+  /// In the empty memfd `fd`; in a new one that is left there if there is none.
+  [[nodiscard]] static Result<std::shared_ptr<Board>> create(const BoardShape& shape, UniqueFd& fd);
+  [[nodiscard]] static Result<std::shared_ptr<Board>> map(int fd, const BoardShape& shape);
+  /// To look at only, of an app that may do with its memory what it likes. kUnavailable: the app
+  /// has not got so far yet.
+  [[nodiscard]] static Result<std::shared_ptr<const Board>> observe(int fd);
+  ~Board();
+  Board(const Board&) = delete;
+  Board& operator=(const Board&) = delete;
+
+  ModuleLine& module(int index) { return modules_[index]; }
+  [[nodiscard]] const ModuleLine& module(int index) const { return modules_[index]; }
+  FlowLine& flow(std::size_t index) { return flows_[index]; }
+  [[nodiscard]] const FlowLine& flow(std::size_t index) const { return flows_[index]; }
+  [[nodiscard]] const BoardShape& shape() const { return shape_; }
+  [[nodiscard]] std::uint64_t released() const { return header_->released.load(); }
+  void count_release() { header_->released.fetch_add(1, std::memory_order_relaxed); }
+  XNodeLine& xnode(std::size_t node) { return xnodes_[node]; }
+  ProcessLine& process(int index) { return processes_[index]; }
+  [[nodiscard]] int processes() const { return static_cast<int>(shape_.processes); }
+  [[nodiscard]] std::uint64_t settled() const;
+  /// Some module has an activation in flight.
+  [[nodiscard]] bool busy() const;
+  /// Rings whoever reads the queues of `process` now.
+  void ring(int process) {
+    const std::uint32_t at = processes_[process].stand_in.load(std::memory_order_acquire);
+    processes_[at < shape_.processes ? at : 0].doorbell.ring();
+  }
+
+ private:
+  Board(void* memory, std::size_t bytes, bool mapped, const BoardShape& shape);
+  void* memory_;
+  std::size_t bytes_;
+  bool mapped_;
+  BoardShape shape_;  ///< as checked: the header may change under us
+  BoardHeader* header_;
+  ProcessLine* processes_;
+  ModuleLine* modules_;
+  XNodeLine* xnodes_;
+  FlowLine* flows_;
+};
+
+/// Rings the readers of one topic.
+class BoardRinger final : public transport::Ringer {
+ public:
+  BoardRinger(std::shared_ptr<Board> board, std::vector<int> readers)
+      : board_(std::move(board)), readers_(std::move(readers)) {}
+  void ring(std::uint32_t subscriber) override { board_->ring(readers_[subscriber]); }
+
+ private:
+  std::shared_ptr<Board> board_;
+  std::vector<int> readers_;
+};
+
+}  // namespace xauto::runtime

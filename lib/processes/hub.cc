@@ -1,0 +1,286 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "processes/hub.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <climits>
+#include <cstring>
+
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+
+#include "base/clock.h"
+#include "base/futex.h"
+#include "base/log.h"
+#include "base/rt.h"
+#include "base/socket.h"
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::int64_t kReadyNs = 60'000'000'000;  ///< init may load weights
+constexpr std::int64_t kReportNs = 2'000'000'000;
+
+transport::TopicShape shape_of(const Graph::Topic& topic, std::size_t readers,
+                               const Session& session) {
+  const detail::TopicSpec& spec = topic.spec;
+  return {spec.plain_bytes > 0 ? spec.plain_bytes : spec.max_bytes,
+          static_cast<std::uint32_t>(readers),
+          static_cast<std::uint32_t>(session.deployment.queue_depth.value_or(kQueueDepth)),
+          static_cast<std::uint32_t>(session.deployment.keep.value_or(kKeep))};
+}
+
+}  // namespace
+
+Result<std::unique_ptr<Hub>> Hub::create(const Plan& plan, const Graph& graph,
+                                         const Session& session, std::size_t flows, HubHost& host) {
+  auto hub = std::unique_ptr<Hub>(new Hub(plan, graph, host));
+  if (session.board_fd >= 0) hub->board_fd_ = UniqueFd(fcntl(session.board_fd, F_DUPFD_CLOEXEC, 3));
+  XAUTO_ASSIGN(hub->board_, Board::create(shape_of(plan, graph, flows), hub->board_fd_));
+  hub->topics_.resize(graph.topics.size());
+  for (std::size_t t = 0; t < graph.topics.size(); ++t)
+    if (const std::size_t readers = plan.topics[t].readers.size(); readers > 0) {
+      XAUTO_ASSIGN(hub->topics_[t],
+                   transport::make_link(shape_of(graph.topics[t], readers, session)));
+    }
+  hub->members_.resize(static_cast<std::size_t>(plan.processes));
+  hub->listener_ = UniqueFd(session.hub_fd);
+  if (!hub->listener_) {
+    XAUTO_ASSIGN(hub->listener_, listen_abstract(session.hub));
+  }
+  hub->wake_ = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  if (!hub->wake_) return fail(ErrorCode::kIo, std::string("eventfd: ") + strerror(errno));
+  hub->thread_ = std::thread([h = hub.get()] { h->serve(); });
+  return hub;
+}
+
+Hub::~Hub() {
+  quit_.store(true);
+  if (wake_) signal_eventfd(wake_.get());
+  if (thread_.joinable()) thread_.join();
+}
+
+void Hub::serve() {
+  rt::set_thread_name("xauto/hub");
+  while (!quit_.load()) {
+    std::vector<pollfd> fds = {{wake_.get(), POLLIN, 0}, {listener_.get(), POLLIN, 0}};
+    {
+      const std::lock_guard lock(mutex_);
+      for (const Member& member : members_)
+        if (member.socket) fds.push_back({member.socket.get(), POLLIN, 0});
+    }
+    for (const UniqueFd& stranger : strangers_) fds.push_back({stranger.get(), POLLIN, 0});
+    if (poll(fds.data(), fds.size(), -1) < 0) continue;
+    if (fds[0].revents != 0) drain_eventfd(wake_.get());
+    if (fds[1].revents != 0) accept();
+    for (std::size_t i = 2; i < fds.size(); ++i) {
+      if (fds[i].revents == 0) continue;
+      const int fd = fds[i].fd;
+      if (hear(fd)) continue;
+      int process = 0;
+      {
+        const std::lock_guard lock(mutex_);
+        for (std::size_t p = 1; p < members_.size(); ++p)
+          if (members_[p].socket.get() == fd) process = static_cast<int>(p);
+      }
+      if (process != 0) lose(process);
+      std::erase_if(strangers_, [&](const UniqueFd& s) { return s.get() == fd; });
+    }
+  }
+}
+
+void Hub::accept() {
+  auto peer = accept_own(listener_.get());
+  if (!peer) {
+    log::warn("hub: {}", peer.error().what);
+    return;
+  }
+  if (strangers_.size() < 2 * members_.size() + 8) strangers_.push_back(std::move(*peer));
+}
+
+/// One packet. False: this connection is over.
+bool Hub::hear(int fd) {
+  alignas(Packet) std::byte room[kMaxReportBytes];
+  const auto size = receive_packet(fd, room, sizeof room);
+  if (!size || *size < sizeof(Packet)) return false;
+  Packet packet;
+  std::memcpy(&packet, room, sizeof packet);
+  int process = 0;
+  {
+    const std::lock_guard lock(mutex_);
+    for (std::size_t p = 1; p < members_.size(); ++p)
+      if (members_[p].socket.get() == fd) process = static_cast<int>(p);
+  }
+  const Word word = static_cast<Word>(packet.word);
+  if (process == 0) {
+    const auto stranger = std::find_if(strangers_.begin(), strangers_.end(),
+                                       [&](const UniqueFd& s) { return s.get() == fd; });
+    if (packet.index == 0 || packet.index >= members_.size() || stranger == strangers_.end())
+      return false;
+    const int who = static_cast<int>(packet.index);
+    if (word == Word::kGone) {
+      const std::lock_guard lock(mutex_);
+      Member& member = members_[packet.index];
+      if (!member.socket) member.state = State::kGone;
+      futex_advance(changes_, INT_MAX);
+      return false;
+    }
+    if (word != Word::kHello) return false;
+    {
+      const std::lock_guard lock(mutex_);
+      Member& member = members_[packet.index];
+      if (member.socket || stopping_) return false;
+      member.socket = std::move(*stranger);
+      member.state = State::kStarting;
+      strangers_.erase(stranger);
+    }
+    const Status status = introduce(who);
+    if (!status) log::warn("hub: process {}: {}", who, status.error().to_string());
+    return status.has_value();
+  }
+  switch (word) {
+    case Word::kReady: {
+      bool again;
+      {
+        const std::lock_guard lock(mutex_);
+        Member& member = members_[static_cast<std::size_t>(process)];
+        if (member.state != State::kStarting) return false;
+        member.state = State::kReady;
+        again = begun_;
+      }
+      if (again) {  // the others run already
+        host_.joins(process);
+        const std::lock_guard lock(mutex_);
+        Member& member = members_[static_cast<std::size_t>(process)];
+        member.state = State::kRunning;
+        if (!say(member.socket.get(), Word::kGo)) return false;
+      }
+      futex_advance(changes_, INT_MAX);
+      return true;
+    }
+    case Word::kEvent:
+      if (packet.index >= graph_.modules.size() || plan_.process_of[packet.index] != process)
+        return false;  // a broken client hurts only its own modules
+      host_.event(packet);
+      return true;
+    case Word::kReport: {
+      const std::lock_guard lock(mutex_);
+      reports_.emplace_back(reinterpret_cast<const char*>(room + sizeof packet),
+                            *size - sizeof packet);
+      return true;
+    }
+    default:
+      return false;
+  }
+}
+
+/// Gives a new member what it reads and publishes.
+Status Hub::introduce(int process) {
+  const int socket = members_[static_cast<std::size_t>(process)].socket.get();
+  for (std::size_t t = 0; t < topics_.size(); ++t) {
+    const Plan::Remote& remote = plan_.topics[t];
+    if (remote.readers.empty()) continue;
+    const bool publishes = remote.publisher == process;
+    if (!publishes && remote.reader(process) < 0) continue;
+    XAUTO_ASSIGN(const std::vector<UniqueFd> fds, topics_[t]->invite(publishes));
+    std::vector<int> numbers;
+    for (const UniqueFd& fd : fds) numbers.push_back(fd.get());
+    XAUTO_TRY(say(socket, Word::kTopic, static_cast<int>(t), numbers));
+  }
+  XAUTO_TRY(say(socket, Word::kBoard, 0, {board_fd_.get()}));
+  return say(socket, Word::kBegin);
+}
+
+/// The member's process has ended, or talks nonsense: then it is cut off, which ends it.
+void Hub::lose(int process) {
+  bool running, stopping;
+  {
+    const std::lock_guard lock(mutex_);
+    Member& member = members_[static_cast<std::size_t>(process)];
+    running = member.state == State::kRunning;
+    member.socket.reset();
+    member.state = State::kAbsent;
+    stopping = stopping_;
+    if (!stopping) deaths_.push_back(process);
+  }
+  board_->process(process).watched_ns.store(0);  // the next one may need long to start
+  for (std::size_t t = 0; t < topics_.size(); ++t) {
+    const int reader = plan_.topics[t].reader(process);
+    if (reader >= 0) topics_[t]->release_all(static_cast<std::uint32_t>(reader));
+  }
+  if (running && !stopping) host_.left(process);
+  futex_advance(changes_, INT_MAX);
+}
+
+Result<bool> Hub::wait_ready(const std::atomic<bool>& stop) {
+  const std::int64_t limit = now_ns() + kReadyNs;
+  for (;;) {
+    const std::uint32_t seen = changes_.load();
+    {
+      const std::lock_guard lock(mutex_);
+      bool all = true;
+      for (std::size_t p = 1; p < members_.size(); ++p) {
+        if (members_[p].state == State::kGone)
+          return fail(ErrorCode::kUnavailable, "ended before it was ready",
+                      "process " + std::to_string(p) + " of app '" + graph_.name + "'",
+                      "its own messages above tell why");
+        all = all && members_[p].state == State::kReady;
+      }
+      if (all) {
+        begun_ = true;
+        for (std::size_t p = 1; p < members_.size(); ++p) {
+          members_[p].state = State::kRunning;
+          (void)say(members_[p].socket.get(), Word::kGo);  // its death is noticed by serve()
+        }
+        return true;
+      }
+    }
+    if (stop.load()) return false;
+    if (now_ns() > limit)
+      return fail(ErrorCode::kTimeout, "a module process was not ready within 60 s",
+                  "app '" + graph_.name + "'");
+    futex_wait(changes_, seen);
+  }
+}
+
+void Hub::kill(int process) {
+  const std::lock_guard lock(mutex_);
+  const Member& member = members_[static_cast<std::size_t>(process)];
+  ucred peer{};
+  socklen_t size = sizeof peer;
+  // The kernel's word, not the member's; the pid is its own as long as the socket is connected.
+  if (stopping_ || !member.socket ||
+      getsockopt(member.socket.get(), SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0 || peer.pid <= 0)
+    return;
+  (void)::kill(peer.pid, SIGKILL);
+}
+
+std::vector<std::string> Hub::stop() {
+  {
+    const std::lock_guard lock(mutex_);
+    stopping_ = true;
+    for (const Member& member : members_)
+      if (member.socket) (void)say(member.socket.get(), Word::kStop);
+  }
+  const std::int64_t limit = now_ns() + kReportNs;
+  for (;;) {
+    const std::uint32_t seen = changes_.load();
+    {
+      const std::lock_guard lock(mutex_);
+      const bool left = std::none_of(members_.begin(), members_.end(),
+                                     [](const Member& m) { return static_cast<bool>(m.socket); });
+      if (left || now_ns() > limit) return reports_;
+    }
+    futex_wait(changes_, seen);
+  }
+}
+
+std::vector<int> Hub::deaths() const {
+  const std::lock_guard lock(mutex_);
+  return deaths_;
+}
+
+}  // namespace xauto::runtime

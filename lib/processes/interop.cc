@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "processes/interop.h"
+
+#include <algorithm>
+#include <charconv>
+#include <cstdlib>
+#include <cstring>
+
+#include "base/clock.h"
+
+namespace xauto::runtime {
+namespace {
+
+/// ROS 2's variable for it.
+Result<int> domain() {
+  const char* text = std::getenv("ROS_DOMAIN_ID");
+  if (text == nullptr || *text == '\0') return 0;
+  int value = -1;
+  const auto [end, error] = std::from_chars(text, text + std::strlen(text), value);
+  if (error != std::errc() || *end != '\0' || value < 0)
+    return fail(ErrorCode::kInvalid, "ROS_DOMAIN_ID is '" + std::string(text) + "'", {},
+                "a number from 0 to 232");
+  return value;
+}
+
+std::size_t largest(const detail::TopicSpec& spec) {
+  return spec.plain_bytes > 0 ? spec.plain_bytes : spec.max_bytes;
+}
+
+}  // namespace
+
+Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& plan,
+                                               const Session& session) {
+  std::vector<std::size_t> out, in;
+  transport::BridgeOptions options;
+  for (const auto& [name, where] : session.deployment.transport) {
+    const std::string place = "transport of topic '" + name + "'";
+    const auto topic = std::find_if(graph.topics.begin(), graph.topics.end(),
+                                    [&](const auto& t) { return t.spec.name == name; });
+    if (topic == graph.topics.end())
+      return fail(ErrorCode::kInvalid, "the app has no such topic", place);
+    const auto t = static_cast<std::size_t>(topic - graph.topics.begin());
+    const bool feed = where == TopicTransport::kCycloneDdsFeed;
+    if (feed && topic->source < 0)
+      return fail(ErrorCode::kInvalid, "is published by a module, so it cannot be fed", place,
+                  "\"cyclonedds\" lets others hear it; only topics of sources can be fed");
+    if (feed && session.lockstep)
+      return fail(ErrorCode::kInvalid, "what comes from outside comes when it comes", place,
+                  "run without --lockstep");
+    if (feed && !session.input.empty()) continue;  // the recording is the input
+    if (plan.topics[t].publisher != session.process) continue;
+    (feed ? in : out).push_back(t);
+    options.largest_bytes = std::max(options.largest_bytes, largest(topic->spec));
+  }
+  if (out.empty() && in.empty()) return nullptr;
+  XAUTO_ASSIGN(options.domain, domain());
+  auto interop = std::unique_ptr<Interop>(new Interop);
+  XAUTO_ASSIGN(interop->bridge_, transport::open_bridge("cyclonedds", options));
+  interop->publishers_.resize(graph.topics.size());
+  interop->feeds_.resize(graph.topics.size());
+  for (const std::size_t t : out) {
+    XAUTO_ASSIGN(interop->publishers_[t], interop->bridge_->publish(graph.topics[t].spec));
+  }
+  for (const std::size_t t : in) {
+    XAUTO_ASSIGN(interop->feeds_[t],
+                 interop->bridge_->subscribe(graph.topics[t].spec, interop->arrived_));
+  }
+  return interop;
+}
+
+Interop::~Interop() {
+  stop();
+}
+
+std::vector<std::shared_ptr<const void>> Interop::take(const std::vector<int>& topics,
+                                                       std::int64_t until_ns,
+                                                       const std::atomic<bool>& stop) {
+  constexpr std::int64_t kLookNs = 50'000'000;  // at `stop`, which nobody rings for
+  std::vector<std::shared_ptr<const void>> messages(topics.size());
+  for (;;) {
+    bool all = true;
+    for (std::size_t i = 0; i < topics.size(); ++i) {
+      while (auto envelope = feeds_[static_cast<std::size_t>(topics[i])]->take())
+        messages[i] = std::move(envelope->message);
+      all = all && messages[i] != nullptr;
+    }
+    const std::int64_t left = until_ns - now_ns();
+    if (all || left <= 0 || stop.load()) return messages;
+    // Rung also for what was taken already, or is refused: then there is another round.
+    arrived_.wait(
+        [&] {
+          return !stop.load() && std::all_of(topics.begin(), topics.end(), [&](int t) {
+            return feeds_[static_cast<std::size_t>(t)]->empty();
+          });
+        },
+        std::min(left, kLookNs));
+  }
+}
+
+void Interop::stop() {
+  if (bridge_) bridge_->stop();  // none: it could not be opened
+}
+
+std::vector<std::string> Interop::notes() const {
+  return bridge_->notes();
+}
+
+}  // namespace xauto::runtime

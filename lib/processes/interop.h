@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+// Topics that programs outside of the app hear or feed, as the deployment's `transport` says: what
+// one process of the app has to do with them. docs/interop.md tells the rules.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "transport/bridge.h"
+
+#include "graph/graph.h"
+#include "processes/plan.h"
+#include "session/session.h"
+
+namespace xauto::runtime {
+
+/// Threads: one at a time, apart from what publishers are for.
+class Interop {
+ public:
+  /// Null where this process has nothing to do with it. Errors: a topic that is not there or cannot
+  /// be used so, no plug-in, no DDS.
+  [[nodiscard]] static Result<std::unique_ptr<Interop>> open(const Graph& graph, const Plan& plan,
+                                                             const Session& session);
+  ~Interop();
+
+  /// Where messages of `topic` go, too; null: nowhere.
+  [[nodiscard]] transport::Publisher* publisher(std::size_t topic) const {
+    return publishers_[topic].get();
+  }
+  /// Messages of this source's topic come from outside.
+  [[nodiscard]] bool feeds(std::size_t topic) const { return feeds_[topic] != nullptr; }
+  /// The newest message of each of `topics` that was not taken yet. Waits until all have one, not
+  /// beyond `until_ns` or a stop; null: none came.
+  [[nodiscard]] std::vector<std::shared_ptr<const void>> take(const std::vector<int>& topics,
+                                                              std::int64_t until_ns,
+                                                              const std::atomic<bool>& stop);
+  /// Ends it, after what waits has been sent.
+  void stop();
+  /// What went wrong; a line each.
+  [[nodiscard]] std::vector<std::string> notes() const;
+
+ private:
+  Interop() = default;
+  // First, so that it goes last.
+  transport::Doorbell arrived_;
+  std::unique_ptr<transport::Bridge> bridge_;
+  std::vector<std::shared_ptr<transport::Publisher>> publishers_;  ///< [topic]
+  std::vector<std::shared_ptr<transport::Subscriber>> feeds_;      ///< [topic]
+};
+
+}  // namespace xauto::runtime

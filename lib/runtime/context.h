@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// What every part of a run in one process knows, and none of them changes.
+#pragma once
+
+#include <memory>
+
+#include "graph/app_spec.h"
+#include "graph/graph.h"
+#include "processes/board.h"
+#include "processes/plan.h"
+#include "session/session.h"
+#include "trace/trace.h"
+
+namespace xauto::runtime {
+
+struct Context {
+  const detail::AppSpecErased& app;
+  const Session& session;
+  const Graph& graph;
+  const Plan& plan;
+  Board& board;
+  trace::Writer* trace = nullptr;  ///< null: nobody asked
+
+  /// This process has the module.
+  [[nodiscard]] bool hosts(std::size_t module) const {
+    return plan.process_of[module] == session.process;
+  }
+  [[nodiscard]] bool scheduled() const { return session.scheduling == Scheduling::kXAuto; }
+};
+
+}  // namespace xauto::runtime

@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/hang_watch.h"
+
+#include <algorithm>
+
+#include <signal.h>
+#include <uapi/xauto/event.h>
+#include <unistd.h>
+
+#include "base/log.h"
+#include "session/notes.h"
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::int64_t kSilenceNs = 3'000'000'000;  ///< of a watchdog, beyond the hang limit
+
+}  // namespace
+
+/// Looks often enough to notice a hang within a quarter of the shortest limit.
+HangWatch::HangWatch(const Context& context, const Wiring& wiring, Role& role,
+                     const std::vector<Limits>& limits)
+    : context_(context), wiring_(wiring), role_(role) {
+  std::int64_t shortest = 0;
+  bool others = false;
+  for (std::size_t n = 0; n < limits.size(); ++n) {
+    const std::int64_t ns = limits[n].hang_ns;
+    const auto module = static_cast<std::size_t>(context_.graph.nodes[n].module);
+    if (ns <= 0) continue;
+    if (context_.hosts(module)) {
+      shortest = shortest == 0 ? ns : std::min(shortest, ns);
+    } else if (limits[n].on_hang == OnHang::kRestart) {
+      others = role_.look_after(context_.plan.process_of[module],
+                                std::min(ns, INT64_MAX - kSilenceNs) + kSilenceNs) ||
+               others;
+    }
+  }
+  if (shortest == 0 && !others) return;
+  const std::int64_t period =
+      shortest == 0 ? 50'000'000 : std::clamp<std::int64_t>(shortest / 4, 1'000'000, 50'000'000);
+  watchdog_ = std::make_unique<Watchdog>(period, [this](std::int64_t now) {
+    for (const auto& worker : wiring_.workers())
+      if (const auto job = worker->find_hung(now)) hung(*worker, *job);
+    role_.looked(now);
+  });
+}
+
+void HangWatch::hung(const Worker& worker, const Worker::Hung& job) {
+  const std::string text = "XNode '" + job.placed->name + "' on " + worker.xpu_name() +
+                           " ran past its hang limit of " +
+                           std::to_string(job.placed->limits.hang_ns / 1'000'000) +
+                           " ms in activation " + std::to_string(job.sequence);
+  const bool first = job.placed->line->hangs.load(std::memory_order_relaxed) == 1;
+  if (first) add_note(note_, text);
+  if (context_.trace != nullptr)
+    context_.trace->write(XAUTO_EV_HANG, job.sequence, static_cast<std::uint16_t>(job.placed->xnode),
+                  static_cast<std::uint16_t>(job.module),
+                  static_cast<std::uint16_t>(worker.options().xpu),
+                  static_cast<std::uint32_t>(
+                      std::min<std::int64_t>(UINT32_MAX, job.placed->limits.hang_ns / 1'000'000)));
+  switch (job.placed->limits.on_hang) {
+    case OnHang::kLog:
+      if (first) log::warn("{} (further ones are only counted)", text);
+      break;
+    case OnHang::kDrop:
+      if (wiring_.module(static_cast<std::size_t>(job.module))->abandon(job.sequence) && first)
+        log::warn("{}: given up (further ones are only counted)", text);
+      break;
+    case OnHang::kRestart:
+      log::error("{}: its process is killed", text);
+      (void)kill(getpid(), SIGKILL);
+      break;
+  }
+}
+
+}  // namespace xauto::runtime

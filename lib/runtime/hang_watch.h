@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// Jobs past their hang limits, and processes that do not look after themselves. See watch.h.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "base/pi_mutex.h"
+#include "runtime/context.h"
+#include "runtime/role.h"
+#include "runtime/watch.h"
+#include "runtime/wiring.h"
+
+namespace xauto::runtime {
+
+/// Threads: one, apart from its own.
+class HangWatch {
+ public:
+  /// `limits`: [graph node]. Starts a thread if anything has a hang limit.
+  HangWatch(const Context& context, const Wiring& wiring, Role& role,
+            const std::vector<Limits>& limits);
+  void stop() { watchdog_.reset(); }
+  /// What hung, for people. After `stop`.
+  [[nodiscard]] const std::string& note() const { return note_; }
+
+ private:
+  void hung(const Worker& worker, const Worker::Hung& job);
+
+  const Context& context_;
+  const Wiring& wiring_;
+  Role& role_;
+  std::string note_;  ///< of the watchdog's thread
+  std::unique_ptr<Watchdog> watchdog_;
+};
+
+}  // namespace xauto::runtime

@@ -1,0 +1,229 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/ledger.h"
+
+#include <algorithm>
+#include <string>
+
+#include <uapi/xauto/event.h>
+
+#include "base/clock.h"
+#include "base/futex.h"
+
+namespace xauto::runtime {
+namespace {
+
+/// No progress for so long: give up, say what hangs.
+constexpr std::int64_t kStallNs = 10'000'000'000;
+constexpr std::int64_t kQuietNs = 100'000'000;
+
+}  // namespace
+
+Ledger::Ledger(const Context& context, Routes routes, Role& role)
+    : context_(context), routes_(std::move(routes)), role_(role) {
+  for (const Graph::Module& module : context.graph.modules) {
+    latencies_.push_back(std::make_unique<Latencies>());
+    if (module.sink) ++num_sinks_;
+  }
+  sink_next_.assign(context.graph.modules.size(), 0);
+  if (role.leads()) routes_.show_on(context.board);
+}
+
+void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
+  context_.board.count_release();
+  if (!context_.graph.single_rate || num_sinks_ == 0) return;
+  const std::lock_guard lock(mutex_);
+  num_released_ = sequence + 1;
+  while (open_base_ + open_.size() <= sequence) open_.push_back({});
+  if (sequence >= open_base_)
+    open_[sequence - open_base_] = {origin_ns, origin_ns, num_sinks_, false};
+  if (in_flight_.fetch_add(1) > 0) ++overlapping_releases_;
+}
+
+void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
+                  const detail::Origins* origins) {
+  ModuleLine& counts = context_.board.module(module);
+  counts.activations.fetch_add(1, std::memory_order_relaxed);
+  counts.in_flight.store(0, std::memory_order_relaxed);
+  const std::int64_t now = now_ns();  // one instant for all accounts: the trace and the table agree
+  if (context_.trace != nullptr)
+    context_.trace->write_at(now, XAUTO_EV_DONE, sequence, XAUTO_EV_NONE,
+                             static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
+  if (context_.graph.modules[static_cast<std::size_t>(module)].sink || routes_.end_at(module))
+    through(module, sequence, origin_ns, origins, now, false);
+}
+
+void Ledger::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
+  ModuleLine& counts = context_.board.module(module);
+  (reason == XAUTO_DROP_FAILED ? counts.failed : counts.dropped)
+      .fetch_add(1, std::memory_order_relaxed);
+  if (reason == XAUTO_DROP_FAILED || reason == XAUTO_DROP_HUNG || reason == XAUTO_DROP_DIED)
+    counts.in_flight.store(0, std::memory_order_relaxed);
+  if (context_.trace != nullptr)
+    context_.trace->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
+                  XAUTO_EV_NONE, reason);
+  if (context_.graph.modules[static_cast<std::size_t>(module)].sink)
+    through(module, sequence, 0, nullptr, now_ns(), true);
+}
+
+void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
+                     const detail::Origins* origins, std::int64_t now, bool lost) {
+  if (role_.tell(module, sequence, origin_ns, now, lost, origins)) return;
+  if (!lost)
+    if (const auto late_us = routes_.published(module, origin_ns, origins, now);
+        late_us && (!context_.graph.single_rate || !context_.session.deployment.chains.empty()))
+      missed(module, sequence, *late_us);
+  if (!context_.graph.modules[static_cast<std::size_t>(module)].sink) return;
+  if (!lost) {
+    Latencies& latencies = *latencies_[static_cast<std::size_t>(module)];
+    const std::lock_guard lock(latencies.mutex);
+    latencies.us.add((now - origin_ns) / 1000);
+  }
+  account(module, sequence, now, lost);
+}
+
+/// Into the trace, which so tells the tool.
+void Ledger::missed(int module, std::uint64_t sequence, std::int64_t latency_us) {
+  if (context_.trace == nullptr) return;
+  context_.trace->write(XAUTO_EV_MISS, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
+                XAUTO_EV_NONE,
+                static_cast<std::uint32_t>(std::clamp<std::int64_t>(latency_us, 0, UINT32_MAX)));
+}
+
+/// A sink module settles its releases in order and each once; what it left out was lost with its
+/// process, what comes twice was told by a process that died meanwhile.
+void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool lost) {
+  if (!context_.graph.single_rate) return;
+  std::uint32_t complete = 0;
+  {
+    const std::lock_guard lock(mutex_);
+    std::uint64_t& next = sink_next_[static_cast<std::size_t>(module)];
+    for (; next <= sequence && next < open_base_ + open_.size(); ++next) {
+      Open& open = open_[next - open_base_];
+      open.last_ns = std::max(open.last_ns, now);
+      open.lost |= lost || next < sequence;
+      if (--open.sinks_left > 0) continue;
+      const std::int64_t latency_us = (open.last_ns - open.origin_ns) / 1000;
+      releases_.push_back({next, open.origin_ns, open.lost ? -1 : latency_us});
+      if (releases_.size() > kKeptReleases) releases_.pop_front();
+      ++num_releases_;
+      FlowLine& whole = context_.board.flow(0);
+      if (open.lost) {
+        ++lost_releases_;
+        whole.lost.fetch_add(1, std::memory_order_relaxed);
+      } else {
+        latencies_us_.add(latency_us);
+        whole.add(latency_us);
+      }
+      if (context_.session.app.deadline_us && (open.lost || latency_us > *context_.session.app.deadline_us)) {
+        deadline_misses_.fetch_add(1, std::memory_order_relaxed);
+        whole.late.fetch_add(1, std::memory_order_relaxed);
+        missed(module, next, latency_us);
+      }
+      ++complete;
+    }
+    for (; !open_.empty() && open_.front().sinks_left == 0; ++open_base_) open_.pop_front();
+  }
+  if (complete == 0) return;
+  in_flight_.fetch_sub(complete);
+  futex_wake_local(in_flight_, 1);
+}
+
+
+void Ledger::forget(int module) {
+  const auto m = static_cast<std::size_t>(module);
+  context_.board.module(module).in_flight.store(0);
+  // It may have died between counting a release and telling.
+  const std::uint64_t settled = context_.board.module(module).settled();
+  if (context_.graph.modules[m].sink && context_.graph.single_rate && settled > 0)
+    account(module, settled - 1, now_ns(), true);
+}
+
+/// Every module is through with every release. Those whose result nobody waits for, since another
+/// input of the same release was lost, are so later than the sinks.
+bool Ledger::settled() const {
+  for (std::size_t m = 0; m < context_.graph.modules.size(); ++m)
+    if (context_.board.module(static_cast<int>(m)).settled() < num_released_) return false;
+  return true;
+}
+
+/// Several rates.
+bool Ledger::wait_quiet() {
+  std::int64_t since = now_ns();
+  for (std::uint64_t before = context_.board.settled();;) {
+    sleep_until_ns(now_ns() + kQuietNs);
+    const std::uint64_t settled = context_.board.settled();
+    if (settled == before && !context_.board.busy()) return true;
+    if (settled != before) since = now_ns();
+    if (now_ns() - since > kStallNs) return false;
+    before = settled;
+  }
+}
+
+bool Ledger::wait_drained(const std::function<bool()>& idle) {
+  if (!context_.graph.single_rate) return wait_quiet();
+  std::int64_t since = now_ns();
+  std::uint64_t settled_before = 0;
+  for (std::uint32_t last = in_flight_.load();;) {
+    const std::uint32_t left = in_flight_.load();
+    if (left == 0 && !settled()) {
+      if (const std::uint64_t sum = context_.board.settled(); sum != settled_before) {
+        settled_before = sum;
+        since = now_ns();
+      }
+      if (now_ns() - since > kStallNs) return false;
+      sleep_until_ns(now_ns() + 20'000);
+      continue;
+    }
+    if (left == 0) {
+      // A sink's process says that it is through beside its messages, which observers here get.
+      while (!idle()) sleep_until_ns(now_ns() + 20'000);
+      return true;
+    }
+    if (left != last) since = now_ns();
+    last = left;
+    if (now_ns() - since > kStallNs) return false;
+    futex_wait_local(in_flight_, left, 50'000'000);
+  }
+}
+
+std::string Ledger::what_did_not_end() const {
+  const std::uint32_t left = in_flight_.load();
+  return left > 0                      ? std::to_string(left) + " activations did not end"
+         : context_.graph.single_rate ? "a module whose result was not needed did not end"
+                                       : "a module's last activation did not end";
+}
+
+void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
+  {
+    const std::lock_guard lock(mutex_);
+    into.releases.assign(releases_.begin(), releases_.end());
+    into.num_releases = num_releases_;
+    into.lost_releases = lost_releases_;
+    into.overlapping_releases = overlapping_releases_;
+    into.latencies_us = latencies_us_;
+  }
+  std::sort(into.releases.begin(), into.releases.end(),
+            [](const Release& a, const Release& b) { return a.sequence < b.sequence; });
+  std::vector<std::uint64_t> lost;  // [module]
+  for (std::size_t m = 0; m < context_.graph.modules.size(); ++m) {
+    const ModuleLine& counts = context_.board.module(static_cast<int>(m));
+    ModuleReport module{context_.graph.modules[m].name, context_.graph.modules[m].sink, counts.activations,
+                        counts.failed,          counts.dropped,         {}};
+    const std::lock_guard lock(latencies_[m]->mutex);
+    module.latencies_us = latencies_[m]->us;
+    into.modules.push_back(std::move(module));
+    lost.push_back(counts.failed + counts.dropped);
+  }
+  into.routes = routes_.report(lost);
+  for (std::size_t n = 0; n < context_.graph.nodes.size(); ++n) {
+    if (!limits[n].any()) continue;
+    const XNodeLine& line = context_.board.xnode(n);
+    into.xnodes.push_back({context_.graph.nodes[n].name, limits[n].budget_ns / 1000,
+                             limits[n].hang_ns / 1000, line.jobs, line.overruns, line.hangs,
+                             line.longest_ns / 1000});
+  }
+  into.deadline_misses = deadline_misses_.load();
+  into.several_rates = !context_.graph.single_rate;
+}
+
+}  // namespace xauto::runtime

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+// Life of a job, step 11: each release is accounted for once, as a latency or as lost; and what a
+// run has to tell of it.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "base/pi_mutex.h"
+#include "runtime/context.h"
+#include "runtime/role.h"
+#include "runtime/routes.h"
+#include "runtime/watch.h"
+#include "session/run_report.h"
+
+namespace xauto::runtime {
+
+/// Threads: any, apart from what says otherwise.
+class Ledger {
+ public:
+  Ledger(const Context& context, Routes routes, Role& role);
+
+  /// A release of the sensors is about to be published. The releasing thread.
+  void open(std::uint64_t sequence, std::int64_t origin_ns);
+  /// Activation `sequence` of `module`, hosted here, has ended. `origins`: see Envelope.
+  void done(int module, std::int64_t origin_ns, std::uint64_t sequence,
+            const detail::Origins* origins);
+  /// ... or was lost for `reason` (XAUTO_DROP_*).
+  void dropped(int module, std::uint64_t sequence, std::uint32_t reason);
+  /// A sink module, or one where a chain ends, is through with release `sequence`; known here, or
+  /// told by its process.
+  void through(int module, std::uint64_t sequence, std::int64_t origin_ns,
+               const detail::Origins* origins, std::int64_t now_ns, bool lost);
+  /// The process of `module` died; what it counted and did not tell is lost.
+  void forget(int module);
+
+  /// One rate: until every release is accounted for, and `idle` says that no message is on its way.
+  /// Several: there is nothing to count by, so until no module has an activation in flight or has
+  /// ended one for 100 ms. False: nothing has moved for 10 s. The releasing thread, or `run`'s.
+  [[nodiscard]] bool wait_drained(const std::function<bool()>& idle);
+  /// What `wait_drained` waited for in vain, for people.
+  [[nodiscard]] std::string what_did_not_end() const;
+
+  /// Adds counts, latencies and chains.
+  void report(const std::vector<Limits>& limits, RunReport& into);
+
+ private:
+  /// A release that some sinks are not yet through with.
+  struct Open {
+    std::int64_t origin_ns = 0, last_ns = 0;
+    int sinks_left = 0;
+    bool lost = false;
+  };
+  /// Latencies of a sink; the counts are on the board.
+  struct Latencies {
+    PiMutex mutex;
+    Distribution us;  ///< guarded by mutex
+  };
+
+  void account(int module, std::uint64_t sequence, std::int64_t now_ns, bool lost);
+  void missed(int module, std::uint64_t sequence, std::int64_t latency_us);
+  [[nodiscard]] bool settled() const;
+  [[nodiscard]] bool wait_quiet();
+
+  const Context& context_;
+  Routes routes_;
+  Role& role_;
+  std::vector<std::unique_ptr<Latencies>> latencies_;  ///< [module]
+  int num_sinks_ = 0;
+  std::uint64_t num_released_ = 0;  ///< one rate; of the releasing thread, then of `run`'s
+  std::atomic<std::uint32_t> in_flight_{0};  ///< one rate: releases not accounted for; a futex
+  std::atomic<std::uint64_t> deadline_misses_{0};
+
+  /// Written once per release and sink, not per job.
+  mutable PiMutex mutex_;        ///< guards what follows
+  std::deque<Release> releases_;  ///< the last kKeptReleases
+  std::uint64_t num_releases_ = 0, lost_releases_ = 0, overlapping_releases_ = 0;
+  Distribution latencies_us_;
+  std::deque<Open> open_;                 ///< from open_base_ on; those before are accounted for
+  std::uint64_t open_base_ = 0;           ///< a sequence
+  std::vector<std::uint64_t> sink_next_;  ///< [module] one rate: the next release to account for
+};
+
+}  // namespace xauto::runtime

@@ -1,0 +1,167 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/placing.h"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include "base/log.h"
+#include "base/rt.h"
+#include "model/claims.h"
+#include "session/notes.h"
+#include "xpu/presence.h"
+
+namespace xauto::runtime {
+namespace {
+
+/// The XPU instance of `node`: the policy's, or with ROS 2 scheduling the first of its fastest
+/// type.
+int xpu_of(const Session& session, const Graph::Node& node, std::uint32_t xnode) {
+  if (session.scheduling != Scheduling::kRos2) return session.policy.placements[xnode].xpu;
+  const XNodeSpec& spec = session.app.xnodes[xnode];
+  int best = -1;
+  std::int64_t best_us = 0;
+  for (std::size_t i = 0; i < session.platform.xpus.size(); ++i) {
+    const std::string& type = session.platform.xpus[i].type;
+    const auto wcet = spec.wcet_on(type);
+    if (wcet && find_impl(*node.spec, type) != nullptr && (best < 0 || *wcet < best_us)) {
+      best = static_cast<int>(i);
+      best_us = *wcet;
+    }
+  }
+  return best;
+}
+
+/// Of the workers; what falls short of what a run would like is noted.
+FifoPlan choose_priorities(const Session& session, FifoPlan& fifo, std::string& note) {
+  const int highest = rt::highest_fifo();
+  fifo = FifoPlan::within(session.fifo_lowest, highest);
+  // With sched_ext too: what is no XNode runs above it, and it may go at any time.
+  const bool real_cpus_wanted = session.cpu_sched != CpuSched::kOther;
+  if (!session.emulates() && !real_cpus_wanted) return FifoPlan::within(0, 0);
+  if (fifo.none()) {
+    note = "no permission for SCHED_FIFO: threads run as SCHED_OTHER; " +
+            (session.fifo_why.empty() ? "" : session.fifo_why + "; ") + rt::fifo_hint();
+    log::warn("{}", note);
+    return fifo;
+  }
+  std::vector<int> cpus;  // real ones
+  for (const int x : session.platform.instances_of("cpu"))
+    if (session.presence_of(x) == Presence::kReal) cpus.push_back(x);
+  if (session.scheduling == Scheduling::kXAuto && real_cpus_wanted && !cpus.empty()) {
+    if (const std::string pressed = fifo.note(highest, session.policy, cpus); !pressed.empty()) {
+      add_note(note, pressed);
+      if (session.process == 0) log::warn("{}", pressed);
+    }
+  }
+  FifoPlan plan = fifo;
+  if (!real_cpus_wanted) plan.cpu_lowest = plan.cpu_highest = 0;
+  return plan;
+}
+
+/// The policy's pairs of XNodes, on all XPUs.
+std::vector<std::pair<std::uint32_t, std::uint32_t>> order_in_force(
+    const Session& session, const Graph& graph, Placing& placing) {
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
+  if (session.policy.order.empty()) return order;
+  if (!graph.single_rate) {
+    // A pair would have to say which release of u comes before which of v.
+    const std::string unordered =
+        "the sources have several periods: the policy's order constraints are not enforced";
+    add_note(placing.note, unordered);
+    placing.unkept.push_back("its order constraints are not enforced");
+    return order;
+  }
+  for (const auto& [u, v] : session.policy.order)
+    order.emplace_back(static_cast<std::uint32_t>(u), static_cast<std::uint32_t>(v));
+  return order;
+}
+
+}  // namespace
+
+Placing Placing::of(const Session& session, const Graph& graph) {
+  Placing placing;
+  placing.workers = choose_priorities(session, placing.fifo, placing.note);
+  if (session.scheduling == Scheduling::kXAuto) {
+    placing.fifo_by_xnode = placing.workers.by_rank(session.policy);
+    placing.order = order_in_force(session, graph, placing);
+  }
+  placing.cores = rt::allowed_cores();
+  for (const Graph::Node& node : graph.nodes) {
+    const auto xnode = static_cast<std::uint32_t>(session.app.find(node.name));
+    const int at = xpu_of(session, node, xnode);
+    placing.xnode.push_back(xnode);
+    placing.xpu.push_back(at);
+    Limits limits;
+    if (at >= 0) {
+      const std::string& type = session.platform.xpus[static_cast<std::size_t>(at)].type;
+      limits = Limits::of(session.deployment,
+                          graph.modules[static_cast<std::size_t>(node.module)].name, node.name,
+                          session.app.xnodes[xnode].wcet_on(type).value_or(0));
+    }
+    placing.limits.push_back(limits);
+  }
+  return placing;
+}
+
+void Placing::compare_with_certificate(const detail::AppSpecErased& app, const Session& session,
+                                       const Graph& graph) {
+  if (session.scheduling != Scheduling::kXAuto || !session.policy.worst_case_us) return;
+  const std::int64_t worst_us = *session.policy.worst_case_us;
+  const auto ms = [](std::int64_t us) {
+    return fmt::format("{:.2f} ms", static_cast<double>(us) / 1000);
+  };
+  if (!graph.single_rate) {
+    unkept.emplace_back("the sources have several periods, so releases overlap in any phase");
+  } else if (session.input.empty() && !session.lockstep && !app.sources.empty()) {
+    const std::int64_t period_us =
+        session.period_us > 0 ? session.period_us : app.sources.front().period.count();
+    if (period_us < worst_us)
+      log::warn(
+          "releases come every {}, the worst case is {} of {}: those that overlap may take longer",
+          ms(period_us), ms(worst_us), kWorstCaseScope);
+  }
+  const bool kept = session.cpu_sched == CpuSched::kExt ||
+                    (session.cpu_sched == CpuSched::kFifo && !fifo.none());
+  const std::vector<int> cpus = session.platform.instances_of("cpu");
+  const bool real_cpus = std::any_of(
+      cpus.begin(), cpus.end(), [&](int x) { return session.presence_of(x) == Presence::kReal; });
+  if (real_cpus && !kept) unkept.emplace_back("nobody keeps the priorities on CPUs (SCHED_OTHER)");
+  for (const std::string& why : unkept)
+    log::warn("the policy's worst case of {} does not hold in this run: {}", ms(worst_us), why);
+}
+
+Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module,
+                                      int at) const {
+  const Session& session = context.session;
+  const Platform& platform = session.platform;
+  const Xpu& x = platform.xpus[static_cast<std::size_t>(at)];
+  const bool scheduled = context.scheduled();
+  const bool emulated = session.emulated(at);
+  const bool real_cpu = !emulated && x.type == "cpu";
+  WorkerOptions options{
+      .backend = {x, xpu_id(platform, at), emulated, session.emulator_modules, scheduled}};
+  options.xpu = at;
+  options.name = context.graph.modules[module].name + "@" + x.id;
+  options.mgmt_fifo = workers.management;
+  options.exec_fifo = !real_cpu ? workers.execution : scheduled ? workers.cpu_lowest : 0;
+  const xpu::Machine machine = xpu::Machine::here();
+  if (session.presence_of(at) == Presence::kAbsent ||
+      (!emulated && !machine.has(platform, static_cast<std::size_t>(at)) && x.type == "cpu"))
+    return fail(ErrorCode::kInvalid, "has XNodes in this run, and is not here: " + machine.lacks(x),
+                x.id, "use a platform file of this machine: xauto doctor --platform-out here.json");
+  if (real_cpu && (scheduled || session.scheduling == Scheduling::kTimeshare)) {
+    options.core = cores[static_cast<std::size_t>(options.backend.id.index)];
+  }
+  if (scheduled) {
+    const auto coordinator = session.coordinators.find(x.id);
+    if (coordinator == session.coordinators.end())
+      return fail(ErrorCode::kInternal, "session names no coordinator", x.id);
+    options.coordinator = coordinator->second;
+    for (const auto& pair : order)
+      if (session.policy.placements[pair.first].xpu == at) options.order.push_back(pair);
+  }
+  return options;
+}
+
+}  // namespace xauto::runtime

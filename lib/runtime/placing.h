@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+// Where each XNode runs and by what: the policy's XPU instance, its order constraints as far as
+// they can be kept, and the SCHED_FIFO priorities that this process may use. Computed once, before
+// anything is built.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "runtime/context.h"
+#include "runtime/priorities.h"
+#include "runtime/watch.h"
+#include "runtime/worker.h"
+
+namespace xauto::runtime {
+
+struct Placing {
+  /// What this process may; with `workers` less what is no business of theirs.
+  FifoPlan fifo, workers;
+  std::vector<int> fifo_by_xnode;  ///< of XNodes on real CPUs; empty: nobody schedules
+  std::vector<int> cores;          ///< the kernel's numbers of the platform's CPUs, in order
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
+  std::vector<std::uint32_t> xnode;  ///< [graph node] -> index in app.json
+  std::vector<int> xpu;              ///< [graph node]; -1: none has an implementation
+  std::vector<Limits> limits;        ///< [graph node]
+  std::string note;                  ///< what falls short of what a run would like, for people
+  /// What the policy's worst case takes for granted and this run does not keep; see RunReport.
+  std::vector<std::string> unkept;
+
+  [[nodiscard]] static Placing of(const Session& session, const Graph& graph);
+  /// Tells the user before the first release, not after an hour, under which of its assumptions the
+  /// policy's worst case does not hold in this run.
+  void compare_with_certificate(const detail::AppSpecErased& app, const Session& session,
+                                const Graph& graph);
+  /// The worker of one module on one XPU. Errors: the XPU is not here.
+  [[nodiscard]] Result<WorkerOptions> worker(const Context& context, std::size_t module,
+                                             int at) const;
+};
+
+}  // namespace xauto::runtime

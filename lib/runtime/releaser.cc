@@ -1,0 +1,305 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/releaser.h"
+
+#include <algorithm>
+#include <set>
+#include <thread>
+
+#include <uapi/xauto/event.h>
+
+#include "base/clock.h"
+#include "base/log.h"
+#include "base/rt.h"
+
+namespace xauto::runtime {
+namespace {
+
+/// Longer than any run, and a sum of two of them is no overflow.
+constexpr std::int64_t kForeverNs = INT64_MAX / 4;
+
+}  // namespace
+
+Result<std::unique_ptr<Releaser>> Releaser::make(const Context& context, Wiring& wiring,
+                                                 Ledger& ledger, const std::atomic<bool>& stop) {
+  auto releaser = std::unique_ptr<Releaser>(new Releaser(context, wiring, ledger, stop));
+  XAUTO_TRY(releaser->open_recorder());
+  return releaser;
+}
+
+Status Releaser::run(int fifo) {
+  Status status;
+  std::thread thread([&] {
+    rt::set_thread_name("xauto/sources");
+    rt::set_timer_slack_1ns();
+    if (fifo > 0) (void)rt::set_fifo(fifo);
+    status = context_.session.input.empty() ? release_periodic() : release_recorded();
+  });
+  thread.join();
+  return status;
+}
+
+bool Releaser::wait_drained() {
+  return ledger_.wait_drained(
+      [this] { return wiring_.receiver() == nullptr || wiring_.receiver()->idle(); });
+}
+
+std::string Releaser::close() {
+  if (recorder_)
+    if (const Status closed = recorder_->close(); !closed) recording_error_ = closed.error().what;
+  return recording_error_;
+}
+
+/// How long to release, from the first release on. A count is of the slowest source's releases, so
+/// that no source falls silent before the others.
+std::int64_t Releaser::run_length_ns(std::int64_t slowest_period_ns) const {
+  if (context_.session.duration_us > 0) return context_.session.duration_us * 1000;
+  const std::uint64_t count = context_.session.activations;
+  if (count == 0 || count > static_cast<std::uint64_t>(kForeverNs / slowest_period_ns))
+    return kForeverNs;
+  return static_cast<std::int64_t>(count) * slowest_period_ns;
+}
+
+/// Every source at its period, on one absolute time grid, so that sources of equal period release
+/// at the same instants and nothing drifts.
+Status Releaser::release_periodic() {
+  struct Source {
+    int topic;
+    std::int64_t period_ns;
+    std::uint64_t sequence = 0;
+    /// Of its next release, from the first one of all on.
+    [[nodiscard]] std::int64_t due_ns() const {
+      return static_cast<std::int64_t>(sequence) * period_ns;
+    }
+  };
+  std::vector<Source> sources;
+  std::int64_t slowest_ns = 1;
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
+    if (context_.graph.topics[t].source < 0) continue;
+    const auto& spec = context_.app.sources[static_cast<std::size_t>(context_.graph.topics[t].source)];
+    const std::int64_t period_us =
+        context_.session.period_us > 0 ? context_.session.period_us : spec.period.count();
+    sources.push_back({static_cast<int>(t), period_us * 1000});
+    slowest_ns = std::max(slowest_ns, period_us * 1000);
+  }
+  std::int64_t start = now_ns() + 20'000'000;
+  const std::int64_t length_ns = run_length_ns(slowest_ns);
+  while (!stop_.load()) {
+    std::int64_t next_ns = length_ns;
+    for (const Source& s : sources) next_ns = std::min(next_ns, s.due_ns());
+    if (next_ns >= length_ns) break;
+    std::int64_t due = start + next_ns;
+    if (context_.session.lockstep) {
+      if (!wait_drained())
+        return fail(ErrorCode::kTimeout, "no progress for 10 s in lockstep",
+                    "app '" + context_.app.name + "'");
+      // Now, whatever the period: the time grid moves along.
+      const std::int64_t now = now_ns();
+      start += now - due;
+      due = now;
+    }
+    // Messages are made before their release, so that making them does not count as latency.
+    std::vector<Sample> samples, fed;
+    std::int64_t fed_period_ns = 0;
+    for (Source& s : sources) {
+      if (s.due_ns() > next_ns) continue;
+      if (wiring_.interop() != nullptr && wiring_.interop()->feeds(static_cast<std::size_t>(s.topic))) {
+        fed_period_ns =
+            s.sequence == 0 ? INT64_MAX : s.period_ns;  // nothing to do before the first
+        fed.push_back({s.topic, s.sequence++, nullptr});
+        continue;
+      }
+      const auto& spec = context_.app.sources[static_cast<std::size_t>(
+          context_.graph.topics[static_cast<std::size_t>(s.topic)].source)];
+      try {
+        MessageMemory* memory = wiring_.publisher(static_cast<std::size_t>(s.topic));
+        samples.push_back({s.topic, s.sequence,
+                           memory != nullptr && spec.make_in ? spec.make_in(s.sequence, memory)
+                                                             : spec.make(s.sequence)});
+      } catch (const std::exception& e) {
+        return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
+                    "the source of topic '" + spec.topic.name + "'");
+      }
+      ++s.sequence;
+    }
+    sleep_until_ns(due);
+    if (!fed.empty()) {
+      take_fed(std::move(fed), fed_period_ns, samples);
+      if (stop_.load()) break;
+      // The next release is a period after this one: the time grid follows whoever feeds us.
+      if (context_.graph.single_rate) start += now_ns() - due;
+      if (samples.empty()) continue;
+    }
+    release(now_ns(), samples);
+  }
+  return {};
+}
+
+/// Messages that programs outside feed us. In an app of one rate a release waits for its message,
+/// for up to a period; without one it is lost, and told so downstream. Otherwise there is one or
+/// there is none.
+void Releaser::take_fed(std::vector<Sample> fed, std::int64_t period_ns,
+                      std::vector<Sample>& samples) {
+  const std::int64_t now = now_ns();
+  std::int64_t until = now;
+  if (context_.graph.single_rate) until = period_ns > INT64_MAX - now ? INT64_MAX : now + period_ns;
+  std::vector<int> topics;
+  for (const Sample& sample : fed) topics.push_back(sample.topic);
+  auto taken = wiring_.interop()->take(topics, until, stop_);
+  for (std::size_t i = 0; i < fed.size(); ++i) {
+    if (taken[i] == nullptr && !context_.graph.single_rate) continue;
+    fed[i].message = std::move(taken[i]);
+    samples.push_back(std::move(fed[i]));
+  }
+}
+
+void Releaser::release(std::int64_t origin_ns, const std::vector<Sample>& samples) {
+  const std::uint64_t sequence = samples.front().sequence;
+  ledger_.open(sequence, origin_ns);
+  if (context_.trace != nullptr) {
+    // One release in an app of one rate, several otherwise.
+    const std::size_t count = context_.graph.single_rate ? 1 : samples.size();
+    for (std::size_t i = 0; i < count; ++i)
+      context_.trace->write_at(origin_ns, XAUTO_EV_PUBLISH, samples[i].sequence, XAUTO_EV_NONE,
+                       XAUTO_EV_NONE, XAUTO_EV_NONE);
+  }
+  if (recorder_) record(origin_ns, samples);
+  for (const auto& [topic, number, message] : samples) {
+    detail::Envelope envelope{message, origin_ns, number};
+    if (!context_.graph.single_rate) {
+      auto origins = std::make_shared<detail::Origins>();
+      origins->fill(0);
+      const auto source =
+          static_cast<std::size_t>(context_.graph.topics[static_cast<std::size_t>(topic)].source);
+      if (source < origins->size()) (*origins)[source] = origin_ns;
+      envelope.origins = std::move(origins);
+    }
+    wiring_.channel(static_cast<std::size_t>(topic)).publish(envelope);
+  }
+}
+
+Status Releaser::open_recorder() {
+  if (context_.session.record.empty()) return {};
+  XAUTO_ASSIGN(auto recorder, record::Recorder::create(context_.session.record));
+  recorder_.emplace(std::move(recorder));
+  recorded_topic_.assign(context_.graph.topics.size(), 0);
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
+    const Graph::Topic& topic = context_.graph.topics[t];
+    if (topic.source < 0) continue;
+    if (topic.spec.encode == nullptr)
+      return fail(ErrorCode::kInvalid,
+                  "messages of type " + topic.spec.type_name + " cannot be recorded",
+                  "topic '" + topic.spec.name + "'", "specialise xauto::Codec for it");
+    XAUTO_ASSIGN(recorded_topic_[t],
+                 recorder_->add_topic({topic.spec.name, topic.spec.type_name, "xauto"}));
+  }
+  return {};
+}
+
+/// The first failure ends the recording, not the run; the report tells.
+void Releaser::record(std::int64_t origin_ns, const std::vector<Sample>& samples) {
+  for (const auto& [topic, sequence, message] : samples) {
+    if (message == nullptr) continue;
+    const auto t = static_cast<std::size_t>(topic);
+    Status done;
+    try {
+      const std::vector<std::byte> bytes = context_.graph.topics[t].spec.encode(message.get());
+      done = recorder_->write(recorded_topic_[t], origin_ns, bytes);
+    } catch (const std::exception& e) {
+      done = fail(ErrorCode::kIo, e.what(), context_.session.record);
+    }
+    if (done) continue;
+    recording_error_ = "recording ended early: " + done.error().what;
+    log::warn("{}", recording_error_);
+    recorder_.reset();
+    return;
+  }
+}
+
+/// The topic of the source with the longest period.
+int Releaser::slowest_source() const {
+  int slowest = -1;
+  std::chrono::microseconds longest{0};
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
+    if (context_.graph.topics[t].source < 0) continue;
+    const auto period = context_.app.sources[static_cast<std::size_t>(context_.graph.topics[t].source)].period;
+    if (period > longest) {
+      longest = period;
+      slowest = static_cast<int>(t);
+    }
+  }
+  return slowest;
+}
+
+/// Releases a recording's messages: message k of each recorded source topic is release k. In
+/// lockstep, or at the recorded distances in time (or `period_us`).
+Status Releaser::release_recorded() {
+  XAUTO_ASSIGN(auto recording, record::Recording::open(context_.session.input));
+  std::vector<int> topic_of(recording.topics().size(), -1);
+  std::set<int> missing;
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t)
+    if (context_.graph.topics[t].source >= 0) missing.insert(static_cast<int>(t));
+  for (std::size_t r = 0; r < recording.topics().size(); ++r)
+    for (const int t : std::set<int>(missing))
+      if (context_.graph.topics[static_cast<std::size_t>(t)].spec.name == recording.topics()[r].name) {
+        topic_of[r] = t;
+        missing.erase(t);
+      }
+  const auto topic_name = [&](int t) {
+    return context_.graph.topics[static_cast<std::size_t>(t)].spec.name;
+  };
+  if (!missing.empty())
+    return fail(ErrorCode::kInvalid,
+                "has no messages for topic '" + topic_name(*missing.begin()) + "'", context_.session.input,
+                "record the app's own sources with `xauto run --record`");
+
+  std::vector<std::uint64_t> sequence(context_.graph.topics.size(), 0);
+  // Messages of one instant are one release; so are the k-th messages of all topics in a
+  // single-rate app.
+  std::vector<Sample> batch;
+  std::size_t num_topics = 0;
+  for (const int t : topic_of) num_topics += t >= 0 ? 1 : 0;
+  std::int64_t first_stamp = -1, start = 0;
+  std::uint64_t releases = 0, counted = 0;  // of all sources; of the slowest
+  const int slowest = slowest_source();
+  while (!stop_.load() && (context_.session.activations == 0 || counted < context_.session.activations)) {
+    XAUTO_ASSIGN(auto message, recording.next());
+    if (!message) break;
+    const int t = topic_of[message->topic];
+    if (t < 0) continue;
+    const detail::TopicSpec& spec = context_.graph.topics[static_cast<std::size_t>(t)].spec;
+    if (spec.decode == nullptr)
+      return fail(ErrorCode::kInvalid, "messages of type " + spec.type_name + " cannot be decoded",
+                  "topic '" + spec.name + "'", "specialise xauto::Codec for it");
+    std::uint64_t& number = sequence[static_cast<std::size_t>(t)];
+    try {
+      batch.push_back({t, number, spec.decode(message->data)});
+    } catch (const std::exception& e) {
+      return fail(ErrorCode::kInvalid, "message " + std::to_string(number) + ": " + e.what(),
+                  context_.session.input + ": topic '" + spec.name + "'");
+    }
+    ++number;
+    if (context_.graph.single_rate && batch.size() < num_topics) continue;
+    if (first_stamp < 0) {
+      first_stamp = message->timestamp_ns;
+      start = now_ns() + 20'000'000;
+    }
+    const std::int64_t at_ns = context_.session.period_us > 0
+                                   ? static_cast<std::int64_t>(releases) * context_.session.period_us * 1000
+                                   : message->timestamp_ns - first_stamp;
+    if (context_.session.duration_us > 0 && at_ns >= context_.session.duration_us * 1000) break;
+    if (context_.session.lockstep) {
+      if (!wait_drained())
+        return fail(ErrorCode::kTimeout, "no progress for 10 s in lockstep",
+                    "app '" + context_.app.name + "'");
+    } else {
+      sleep_until_ns(start + at_ns);
+    }
+    release(now_ns(), batch);
+    batch.clear();
+    ++releases;
+    if (context_.graph.single_rate || t == slowest) ++counted;
+  }
+  return {};
+}
+
+}  // namespace xauto::runtime

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+// Before a job's first step: the sensors' releases, by their periods, from a recording, or as
+// programs outside feed them; and their recording.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "record/recording.h"
+#include "runtime/context.h"
+#include "runtime/ledger.h"
+#include "runtime/wiring.h"
+
+namespace xauto::runtime {
+
+/// Threads: one at a time.
+class Releaser {
+ public:
+  /// Opens the recorder, if a recording was asked for. `stop` ends the releases early.
+  [[nodiscard]] static Result<std::unique_ptr<Releaser>> make(const Context& context,
+                                                              Wiring& wiring, Ledger& ledger,
+                                                              const std::atomic<bool>& stop);
+  /// Releases until the session's end. On a thread of its own: the sources' callbacks are a user's,
+  /// and its priority is `fifo` (0: an ordinary thread).
+  [[nodiscard]] Status run(int fifo);
+  /// Until everything that was released is through; see Ledger::wait_drained.
+  [[nodiscard]] bool wait_drained();
+  /// Closes the recording. Returns why it is not whole; empty: it is, or there is none.
+  [[nodiscard]] std::string close();
+
+ private:
+  /// What a source releases: its own number, which in an app of one rate is everybody's.
+  struct Sample {
+    int topic = -1;
+    std::uint64_t sequence = 0;
+    std::shared_ptr<const void> message;  ///< null: lost
+  };
+  Releaser(const Context& context, Wiring& wiring, Ledger& ledger, const std::atomic<bool>& stop)
+      : context_(context), wiring_(wiring), ledger_(ledger), stop_(stop) {}
+  [[nodiscard]] Status open_recorder();
+  [[nodiscard]] std::int64_t run_length_ns(std::int64_t slowest_period_ns) const;
+  [[nodiscard]] int slowest_source() const;
+  [[nodiscard]] Status release_periodic();
+  [[nodiscard]] Status release_recorded();
+  void take_fed(std::vector<Sample> fed, std::int64_t period_ns, std::vector<Sample>& samples);
+  void release(std::int64_t origin_ns, const std::vector<Sample>& samples);
+  void record(std::int64_t origin_ns, const std::vector<Sample>& samples);
+
+  const Context& context_;
+  Wiring& wiring_;
+  Ledger& ledger_;
+  const std::atomic<bool>& stop_;
+  std::optional<record::Recorder> recorder_;
+  std::vector<std::size_t> recorded_topic_;  ///< [topic] -> the recorder's index
+  std::string recording_error_;
+};
+
+}  // namespace xauto::runtime

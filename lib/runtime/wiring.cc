@@ -1,0 +1,224 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/wiring.h"
+
+#include <algorithm>
+#include <set>
+#include <utility>
+
+#include "base/clock.h"
+#include "base/log.h"
+#include "base/rt.h"
+#include "session/notes.h"
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::int64_t kPatienceNs = 1'000'000'000;  ///< with an exec, once the run is over
+
+/// What an observer throws is the user's fault, and no reason to end the publisher.
+void show(const detail::ObserverSpec& observer, const detail::Envelope& envelope) {
+  if (envelope.message == nullptr) return;
+  try {
+    observer.callback(envelope.message.get(), envelope.sequence);
+  } catch (const std::exception& e) {
+    log::warn("on_message of topic '{}' threw: {}", observer.topic.name, e.what());
+  } catch (...) {
+    log::warn("on_message of topic '{}' threw", observer.topic.name);
+  }
+}
+
+}  // namespace
+
+Result<std::unique_ptr<Wiring>> Wiring::build(const Context& context, const Placing& placing,
+                                              Role& role, ModuleHost& host) {
+  auto wiring = std::unique_ptr<Wiring>(new Wiring(context, placing, role));
+  Wiring& w = *wiring;
+  const Session& session = context.session;
+  XAUTO_ASSIGN(w.threads_, xpu::CpuThreads::create({.run = session.cpu_run,
+                                                    .scheduler_pid = session.cpu_scheduler_pid,
+                                                    .partial = session.cpu_partial}));
+  const std::size_t modules = context.graph.modules.size(), topics = context.graph.topics.size();
+  for (std::size_t m = 0; m < modules; ++m) {
+    w.chains_.push_back(std::make_unique<Chain>());
+    w.chains_.back()->module = static_cast<int>(m);
+    if (context.hosts(m)) XAUTO_TRY(w.place_module(m));
+  }
+  w.channels_.resize(topics);
+  XAUTO_TRY(w.open_topics());
+  XAUTO_ASSIGN(w.interop_, Interop::open(context.graph, context.plan, session));
+  w.modules_.resize(modules);
+  for (std::size_t m = 0; m < modules; ++m)
+    if (context.hosts(m)) XAUTO_TRY(w.make_module(m, host));
+  for (std::size_t t = 0; t < topics; ++t) w.connect(t);
+  return wiring;
+}
+
+Wiring::~Wiring() {
+  join();
+}
+
+void Wiring::join() {
+  close_inputs();
+  for (const auto& worker : workers_) worker->stop();
+}
+
+/// The module's chain, and a worker per XPU that it uses.
+Status Wiring::place_module(std::size_t module) {
+  const Platform& platform = context_.session.platform;
+  Chain& chain = *chains_[module];
+  std::vector<std::pair<int, Worker*>> here;  // by XPU
+  for (const int n : context_.graph.modules[module].nodes) {
+    const auto index = static_cast<std::size_t>(n);
+    const Graph::Node& node = context_.graph.nodes[index];
+    const int xpu = placing_.xpu[index];
+    const std::string where = "XNode '" + node.name + "'";
+    if (xpu < 0)
+      return fail(ErrorCode::kInvalid,
+                  "has no implementation for any XPU of platform '" + platform.name + "'", where);
+    const Xpu& x = platform.xpus[static_cast<std::size_t>(xpu)];
+    Placed placed;
+    placed.name = node.name;
+    placed.xnode = placing_.xnode[index];
+    placed.impl = find_impl(*node.spec, x.type);
+    if (placed.impl == nullptr)
+      return fail(ErrorCode::kInvalid,
+                  "is assigned to " + x.id + " but has no implementation for '" + x.type + "'",
+                  where, "add one with add_impl, or solve again with the app.json of this program");
+    placed.limits = placing_.limits[index];
+    placed.line = &context_.board.xnode(index);
+    if (context_.scheduled()) {
+      placed.priority = context_.session.policy.placements[placed.xnode].priority;
+      if (!context_.session.emulated(xpu) && x.type == "cpu")
+        placed.fifo_priority = placing_.fifo_by_xnode[placed.xnode];
+    }
+    auto at = std::find_if(here.begin(), here.end(), [&](const auto& h) { return h.first == xpu; });
+    if (at == here.end()) {
+      XAUTO_ASSIGN(WorkerOptions options, placing_.worker(context_, module, xpu));
+      workers_.push_back(
+          std::make_unique<Worker>(std::move(options), chain, context_.trace, *threads_));
+      at = here.insert(here.end(), {xpu, workers_.back().get()});
+    }
+    placed.worker = at->second;
+    chain.nodes.push_back(std::move(placed));
+  }
+  return {};
+}
+
+/// What this process publishes to others.
+Status Wiring::open_topics() {
+  publishers_.resize(context_.graph.topics.size());
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
+    const Plan::Remote& remote = context_.plan.topics[t];
+    if (remote.readers.empty() || remote.publisher != context_.session.process) continue;
+    ringers_.push_back(std::make_unique<BoardRinger>(role_.board(), remote.readers));
+    XAUTO_ASSIGN(publishers_[t], role_.link(t).publisher(context_.graph.topics[t].spec,
+                                                         ringers_.back().get()));
+  }
+  return {};
+}
+
+Status Wiring::make_module(std::size_t index, ModuleHost& host) {
+  const Graph::Module& module = context_.graph.modules[index];
+  std::vector<const transport::Channel*> outputs;
+  std::vector<MessageMemory*> memories;
+  for (const int t : module.outputs) {
+    outputs.push_back(&channels_[static_cast<std::size_t>(t)]);
+    memories.push_back(publisher(static_cast<std::size_t>(t)));
+  }
+  try {
+    modules_[index] = std::make_unique<ModuleRuntime>(context_.graph, static_cast<int>(index), host,
+                                                      std::move(outputs), std::move(memories));
+  } catch (const std::exception& e) {
+    return fail(ErrorCode::kUnavailable, std::string("the state's constructor threw: ") + e.what(),
+                "XModule '" + module.name + "'");
+  }
+  ModuleRuntime& made = *modules_[index];
+  chains_[index]->runtime = &made;
+  const ModuleDeployment said = context_.session.deployment.of(module.name);
+  if (said.overload) made.set_overload(*said.overload);
+  if (said.match_us) made.match_within(*said.match_us * 1000);
+  if (said.on_hang == OnHang::kDrop) made.watch();
+  return {};
+}
+
+/// Who hears a message of this topic, in this order.
+void Wiring::connect(std::size_t topic) {
+  const Graph::Topic& spec = context_.graph.topics[topic];
+  transport::Channel& channel = channels_[topic];
+  // Other processes first: they have a longer way.
+  if (publisher(topic) != nullptr) channel.subscribe(publisher(topic)->sender());
+  if (role_.leads())
+    for (const detail::ObserverSpec& observer : context_.app.observers)
+      if (observer.topic.name == spec.spec.name)
+        channel.subscribe(
+            [&observer](const detail::Envelope& envelope) { show(observer, envelope); });
+  for (const Graph::Subscriber& subscriber : spec.subscribers)
+    if (const auto m = static_cast<std::size_t>(subscriber.module); context_.hosts(m))
+      channel.subscribe([module = module(m), input = subscriber.input](
+                            const detail::Envelope& envelope) { module->receive(input, envelope); });
+  if (interop_ && interop_->publisher(topic) != nullptr)
+    channel.subscribe(interop_->publisher(topic)->sender());
+}
+
+Status Wiring::start() {
+  for (const auto& worker : workers_) XAUTO_TRY(worker->start());
+  return {};
+}
+
+Status Wiring::open_inputs() {
+  const int process = context_.session.process;
+  if (context_.plan.processes == 1) return {};
+  receiver_ =
+      std::make_unique<transport::Receiver>(context_.board.process(process).doorbell);
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
+    const int reader = context_.plan.topics[t].reader(process);
+    if (reader < 0) continue;
+    XAUTO_ASSIGN(auto subscriber, role_.link(t).subscriber(context_.graph.topics[t].spec,
+                                                           static_cast<std::uint32_t>(reader)));
+    receiver_->add(-1, std::move(subscriber), false,
+                   [channel = &channels_[t]](const detail::Envelope& envelope) {
+                     channel->publish(envelope);
+                   });
+  }
+  receiver_->start([priority = placing_.fifo.sources] {
+    rt::set_thread_name("xauto/topics");
+    rt::set_timer_slack_1ns();
+    if (priority > 0) (void)rt::set_fifo(priority);
+  });
+  return {};
+}
+
+void Wiring::close_inputs() {
+  if (receiver_) receiver_->stop();
+}
+
+std::vector<std::string> Wiring::stop() {
+  std::vector<std::string> stuck;
+  const std::int64_t limit = now_ns() + kPatienceNs;
+  for (const auto& worker : workers_)
+    if (!worker->stop(std::max<std::int64_t>(kPatienceNs / 5, limit - now_ns())))
+      stuck.push_back("an exec of " + worker->options().name +
+                      " never returned; its thread was left behind");
+  return stuck;
+}
+
+void Wiring::skip(int module, std::uint64_t sequence) {
+  const Chain& chain = *chains_[static_cast<std::size_t>(module)];
+  for (std::size_t i = 0; i < chain.nodes.size(); ++i) chain.nodes[i].worker->skip(i, sequence);
+}
+
+void Wiring::report(RunReport& into) {
+  if (interop_) {
+    interop_->stop();
+    for (const std::string& note : interop_->notes()) add_note(into.note, note);
+  }
+  add_note(into.note, threads_->note());
+  std::set<std::string> lost;
+  for (const auto& worker : workers_) {
+    add_note(into.note, worker->first_failure());
+    if (worker->lost_coordinator()) lost.insert(worker->xpu_name());
+  }
+  into.lost_coordinators.assign(lost.begin(), lost.end());
+}
+
+}  // namespace xauto::runtime

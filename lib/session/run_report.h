@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the app tells of a run when it is over, and its way to the tool as JSON.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "session/distribution.h"
+
+namespace xauto::runtime {
+
+/// What became of one release of the sensors.
+struct Release {
+  std::uint64_t sequence = 0;
+  std::int64_t origin_ns = 0;
+  std::int64_t latency_us = -1;  ///< until the last sink module was done; -1: dropped somewhere
+};
+
+struct ModuleReport {
+  std::string name;
+  bool sink = false;
+  std::uint64_t activations = 0, failed = 0, dropped = 0;
+  Distribution latencies_us;  ///< sinks: origin to done, per activation
+};
+
+/// An XNode with a budget or a hang limit; see watch.h for what is timed.
+struct XNodeReport {
+  std::string name;
+  std::int64_t budget_us = 0, hang_us = 0;  ///< 0: none
+  std::uint64_t jobs = 0, overruns = 0, hangs = 0;
+  std::int64_t longest_us = 0;
+};
+inline constexpr std::size_t kKeptReleases = 65'536;
+
+/// A chain from a sensor to a result (runtime/routes.h).
+struct RouteReport {
+  std::string name, from, to;
+  std::optional<std::int64_t> deadline_us, max_age_us;
+  /// Results later than the deadline, and in an app of one rate releases without one.
+  std::uint64_t deadline_misses = 0;
+  std::uint64_t lost = 0;        ///< activations of `to` that failed or were dropped
+  std::uint64_t age_misses = 0;  ///< results that became older than max_age_us
+  Distribution latency_us, age_us;
+};
+
+struct RunReport {
+  bool complete = false;          ///< every release was accounted for before the end
+  std::string note;               ///< why not, or what was done differently; for people
+  std::vector<Release> releases;  ///< of an app of one rate: the last kKeptReleases
+  std::uint64_t num_releases = 0, lost_releases = 0;  ///< of all
+  Distribution latencies_us;                          ///< of all that were not lost
+  std::vector<ModuleReport> modules;
+  std::vector<XNodeReport> xnodes;  ///< those with limits
+  std::vector<RouteReport> routes;
+  std::vector<std::string> lost_coordinators;
+  std::vector<std::string> died;  ///< modules whose process ended before its time, each time
+  std::uint64_t deadline_misses = 0;
+  /// Of an app of one rate: releases that came while an earlier one was still in flight.
+  std::uint64_t overlapping_releases = 0;
+  /// What the policy's worst case takes for granted (kWorstCaseScope) and this run does not keep by
+  /// the way it was set up; a line each, for people.
+  std::vector<std::string> unkept;
+  bool several_rates = false;   ///< there are no releases to count, but each sensor's
+  std::string recording_error;  ///< why the recording is not whole; empty: it is, or there is none
+};
+
+/// The answer in Mode::kRun; kDescribe answers an AppSpec without WCETs, kProfile a profile.json.
+/// Errors of any mode: {"error": {...}}.
+[[nodiscard]] std::string to_json(const RunReport& report);
+[[nodiscard]] Result<RunReport> parse_run_report(const std::string& text);
+[[nodiscard]] std::string error_to_json(const Error& error);
+
+}  // namespace xauto::runtime

@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the `xauto` tool asks of an app that it starts, (run_report.h: what it
+// answers). The request travels as JSON in an inherited memfd (environment XAUTO_SESSION = its
+// number), the answer in another one, so nothing is left behind however either of them ends.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "model/app.h"
+#include "model/deployment.h"
+#include "model/platform.h"
+#include "model/policy.h"
+
+namespace xauto::runtime {
+
+enum class Mode : std::uint8_t {
+  kDescribe,  ///< print the graph
+  kProfile,   ///< time each XNode alone
+  kRun,
+};
+
+enum class Scheduling : std::uint8_t {
+  kXAuto,      ///< the policy's assignment and priorities, coordinators decide
+  kTimeshare,  ///< the policy's assignment, nobody schedules
+  kRos2,       ///< everybody on his fastest XPU type, nobody schedules
+};
+[[nodiscard]] const char* to_string(Scheduling scheduling);
+[[nodiscard]] std::optional<Scheduling> scheduling_from(const std::string& name);
+
+/// How threads of CPU XNodes are scheduled when the CPUs are real.
+enum class CpuSched : std::uint8_t { kFifo, kOther, kExt };
+
+struct Session {
+  Mode mode = Mode::kRun;
+  AppSpec app;  ///< kRun
+  Platform platform;
+  Policy policy;  ///< kRun with kXAuto, kTimeshare
+  Scheduling scheduling = Scheduling::kXAuto;
+  CpuSched cpu_sched = CpuSched::kFifo;
+  std::string cpu_run;        ///< the run's BPF maps (kernel/run_maps.h); empty: none
+  int cpu_scheduler_pid = 0;  ///< xauto-cpusched holds the sched_ext scheduler; 0: there is none
+  bool cpu_partial = false;   ///< ... which schedules only threads that ask for SCHED_EXT
+  int fifo_lowest = 0;        ///< SCHED_FIFO: granted from here on, see priorities.h; 0: from 1
+  std::string fifo_why;       ///< nothing was granted though it was asked for, for people
+  std::vector<Presence> presence;  ///< [XPU]; empty: all are real
+  bool emulator_modules = false;   ///< emulated GPUs and DLAs are those of kmod/emu/
+  std::map<std::string, std::string> coordinators;  ///< XPU id -> abstract socket; empty: none
+  /// Releases of the slowest source, of the others as many as fit into that time; 0: until told to
+  /// stop, or the input's end.
+  std::uint64_t activations = 0;
+  std::int64_t duration_us = 0;  ///< release for so long instead; 0: count
+  bool lockstep = false;         ///< the next release comes when the last one has drained
+  std::int64_t period_us = 0;    ///< instead of the sources' own; 0: theirs
+  std::string input;             ///< recorded input; empty: the sources' own messages
+  std::string record;            ///< record the sources' messages into this file; empty: don't
+  std::uint64_t warmup = 3, repetitions = 30;  ///< kProfile
+  std::int64_t margin_pct = 20;                ///< kProfile
+  std::int64_t exec_limit_s = 30;              ///< kProfile: one that takes longer ends it
+  std::uint64_t stable_rounds = 0;  ///< kProfile: further rounds of repetitions for wide spreads
+  int answer_fd = -1;               ///< memfd for the Answer
+  int trace_fd = -1;                ///< memfd for the trace; -1: none
+  int board_fd = -1;                ///< memfd for the board (board.h); -1: nobody looks
+  double trace_keep_s = 0;          ///< for so long the trace holds what happens (if memory allows)
+
+  Deployment deployment;  ///< kRun
+
+  /// Modules by process, beside the hub; empty: all in one. See isolation.h.
+  std::vector<std::vector<std::string>> processes;
+  std::string hub;  ///< abstract socket
+  int hub_fd = -1;  ///< the same, listening, inherited by the hub; -1: it makes it
+  int process = 0;  ///< which of them this is (environment XAUTO_PROCESS); 0: the hub
+
+  [[nodiscard]] Presence presence_of(int xpu) const {
+    return presence.empty() ? Presence::kReal : presence[static_cast<std::size_t>(xpu)];
+  }
+  [[nodiscard]] bool emulated(int xpu) const { return presence_of(xpu) == Presence::kEmulated; }
+  [[nodiscard]] bool emulates() const {  ///< there is an emulator
+    return std::any_of(presence.begin(), presence.end(), [](Presence p) {
+      return p == Presence::kEmulated || p == Presence::kEither;
+    });
+  }
+};
+inline constexpr std::uint32_t kQueueDepth = 8, kKeep = 8;  ///< unless the deployment says more
+
+inline constexpr const char* kSessionVariable = "XAUTO_SESSION";
+inline constexpr const char* kProcessVariable = "XAUTO_PROCESS";
+inline constexpr std::uint64_t kMaxActivations = 100'000'000;
+
+[[nodiscard]] std::string to_json(const Session& session);
+[[nodiscard]] Result<Session> parse_session(const std::string& text);
+/// Reads the memfd named by XAUTO_SESSION; nullopt if the variable is not set.
+[[nodiscard]] Result<std::optional<Session>> inherited_session();
+
+}  // namespace xauto::runtime

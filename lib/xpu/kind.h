@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+// What an XPU is, in one table: a row per kind, a file per backend. Nothing else in the tree asks
+// for a type by name in order to decide how an XPU is found, who keeps its priorities, or how its
+// work is suspended. A new kind is one row in kind.cc and one backend file.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "kernel/probe.h"
+#include "model/platform.h"
+#include "xpu/backend.h"
+
+namespace xauto::xpu {
+
+struct Kind {
+  std::string type;  ///< "gpu"; empty: every type without a row of its own
+  /// Device nodes, by instance; a machine with any of them has such an XPU. None: it needs no
+  /// driver, so it is always there (CPUs are counted).
+  std::vector<std::string> nodes = {};
+  /// Who keeps the priorities on a real, preemptive instance on this machine.
+  Discipline (*discipline)() = nullptr;
+  /// What suspends its work where the discipline is kPreemptive, or lets Linux do it (kKernel).
+  Result<std::unique_ptr<Backend>> (*backend)(const XpuId&) = nullptr;
+  /// Of an instance as `xauto doctor --platform-out` writes it: costs of a preemption.
+  std::int64_t preempt_us = 0, timeslice_us = 0;
+  std::string what = {};    ///< for people, if it is there: "a Jetson's GPU"
+  std::string driver = {};  ///< ... if it is not: whose node is missing: "nvgpu"
+  std::string advice = {};  ///< ... and where it would be
+};
+
+/// The table: cpu, gpu, dla, and what an app brings itself.
+[[nodiscard]] const std::vector<Kind>& kinds();
+
+/// Those that need a driver, for `xauto doctor`.
+[[nodiscard]] std::vector<kernel::Device> devices(const std::vector<Kind>& table = kinds());
+
+/// The row of `type`.
+[[nodiscard]] const Kind& kind_of(const std::string& type,
+                                  const std::vector<Kind>& table = kinds());
+
+/// Of an XPU of a run: what is not preemptive is gated, what is emulated is preempted by the
+/// emulator, else the row decides.
+[[nodiscard]] Discipline discipline_of(const Xpu& xpu, bool emulated,
+                                       const std::vector<Kind>& table = kinds());
+
+/// How one worker's work on an XPU is suspended in a run.
+struct BackendRequest {
+  const Xpu& xpu;
+  XpuId id;
+  bool emulated = false;
+  bool emulator_modules = false;  ///< what has device nodes is emulated by kmod/emu/
+  bool scheduled = true;          ///< false: nobody will ever suspend anything
+};
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_backend(
+    const BackendRequest& request, const std::vector<Kind>& table = kinds());
+
+}  // namespace xauto::xpu

@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xpu/presence.h"
+
+#include <algorithm>
+
+#include <sys/stat.h>
+
+#include "base/rt.h"
+
+namespace xauto::xpu {
+
+Machine Machine::here(const std::vector<Kind>& table) {
+  Machine machine{rt::allowed_cores().size(), {}};
+  for (const Kind& kind : table)
+    for (const std::string& node : kind.nodes) {
+      struct stat status {};
+      if (stat(node.c_str(), &status) == 0) machine.devices.insert(kind.type);
+    }
+  return machine;
+}
+
+bool Machine::has(const Platform& platform, std::size_t xpu, const std::vector<Kind>& table) const {
+  const Xpu& x = platform.xpus[xpu];
+  if (!kind_of(x.type, table).nodes.empty()) return devices.contains(x.type);
+  if (x.type != "cpu") return true;
+  const std::vector<int> cpus = platform.instances_of("cpu");
+  const auto at = std::find(cpus.begin(), cpus.end(), static_cast<int>(xpu));
+  return static_cast<std::size_t>(at - cpus.begin()) < cores;
+}
+
+std::string Machine::lacks(const Xpu& xpu) const {
+  if (xpu.type == "cpu")
+    return "this process may use " + std::to_string(cores) + (cores == 1 ? " CPU" : " CPUs");
+  return "this machine has no " + xpu.type + " (no device node)";
+}
+
+Result<std::vector<Presence>> presence_of(const Platform& platform, const EmulationFlags& flags,
+                                          const AppSpec* app, const Machine& machine) {
+  const std::vector<Xpu>& xpus = platform.xpus;
+  const auto named = [&](const Xpu& xpu, const std::string& name) {
+    return xpu.id == name || xpu.type == name;
+  };
+  for (const std::string& name : flags.names)
+    if (std::none_of(xpus.begin(), xpus.end(), [&](const Xpu& x) { return named(x, name); }))
+      return fail(ErrorCode::kInvalid,
+                  "'" + name + "' is no XPU of platform '" + platform.name + "', nor a type",
+                  "--emulate");
+  std::vector<Presence> presence(xpus.size(), Presence::kEither);
+  bool emulates = false;
+  for (std::size_t i = 0; i < xpus.size(); ++i) {
+    const bool here = machine.has(platform, i);
+    const Presence real = here ? Presence::kReal : Presence::kAbsent;
+    if (flags.all) {
+      presence[i] = Presence::kEmulated;
+    } else if (std::any_of(flags.names.begin(), flags.names.end(),
+                           [&](const std::string& name) { return named(xpus[i], name); })) {
+      presence[i] = Presence::kEmulated;
+    } else if (flags.none) {
+      if (!here)
+        return fail(ErrorCode::kUnavailable, xpus[i].id + " is not here: " + machine.lacks(xpus[i]),
+                    "--real", "drop --real to emulate what is missing");
+      presence[i] = Presence::kReal;
+    } else if (xpus[i].emulated) {
+      presence[i] = *xpus[i].emulated ? Presence::kEmulated : real;
+    } else if (!flags.names.empty()) {
+      presence[i] = real;
+    } else if (!here) {
+      presence[i] = Presence::kEmulated;
+    }
+    emulates = emulates || presence[i] == Presence::kEmulated;
+  }
+  for (std::size_t i = 0; i < xpus.size(); ++i) {
+    if (presence[i] != Presence::kEither) continue;
+    if (!emulates)
+      presence[i] = Presence::kReal;
+    else if (app != nullptr)
+      presence[i] =
+          std::any_of(app->xnodes.begin(), app->xnodes.end(),
+                      [&](const XNodeSpec& x) { return x.real_on.contains(xpus[i].type); })
+              ? Presence::kReal
+              : Presence::kEmulated;
+  }
+  return presence;
+}
+
+std::string ids_of(const Platform& platform, const std::vector<Presence>& presence,
+                   Presence which) {
+  std::string ids;
+  for (std::size_t i = 0; i < presence.size(); ++i)
+    if (presence[i] == which) ids += (ids.empty() ? "" : ", ") + platform.xpus[i].id;
+  return ids;
+}
+
+std::string describe(const Platform& platform, const std::vector<Presence>& presence) {
+  const std::string emulated = ids_of(platform, presence, Presence::kEmulated);
+  if (emulated.empty()) return {};
+  if (std::all_of(presence.begin(), presence.end(),
+                  [](Presence p) { return p == Presence::kEmulated; }))
+    return "emulated";
+  std::string text;
+  for (const auto& [which, word] : {std::pair{Presence::kReal, "real: "},
+                                    {Presence::kEither, "real or emulated: "},
+                                    {Presence::kEmulated, "emulated: "},
+                                    {Presence::kAbsent, "not here: "}})
+    if (const std::string ids = ids_of(platform, presence, which); !ids.empty())
+      text += (text.empty() ? "" : "; ") + std::string(word) + ids;
+  return text;
+}
+
+Platform platform_of(const Machine& machine, const std::string& name,
+                     const std::vector<Kind>& table) {
+  Platform platform;
+  platform.name = name;
+  for (const Kind& kind : table) {
+    if (kind.type == "cpu")
+      for (std::size_t i = 0; i < std::min(machine.cores, kMaxXpus - table.size()); ++i)
+        platform.xpus.push_back({"cpu" + std::to_string(i), "cpu"});
+    if (kind.nodes.empty()) continue;
+    platform.xpus.push_back({kind.type + "0", kind.type, true, kind.preempt_us, kind.timeslice_us});
+    if (!machine.devices.contains(kind.type)) platform.xpus.back().emulated = true;
+  }
+  return platform;
+}
+
+}  // namespace xauto::xpu
