@@ -11,14 +11,13 @@ namespace xauto::cli {
 using runtime::Machine;
 using runtime::Presence;
 
-void EmulationOptions::declare(CLI::App& verb) {
-  emulate_ = verb.add_option("--emulate", names_,
-                             "emulate these types or XPUs (gpu,dla), and have the others real; "
-                             "without names all. Default: what this machine lacks, and what the "
-                             "app only has stand-ins for")
-                 ->expected(0, 1)
-                 ->type_name("XPU,...");
-  verb.add_flag("--real", real_, "refuse to emulate")->excludes(emulate_);
+void EmulationOptions::declare(Verb verb) {
+  emulate_ = verb.option("--emulate", names_,
+                         "emulate these types or XPUs (gpu,dla), and have the others real; "
+                         "without names all. Default: what this machine lacks, and what the "
+                         "app only has stand-ins for")
+                 .value_may_miss("XPU,...");
+  verb.flag("--real", real_, "refuse to emulate").excludes("--emulate");
 }
 
 Result<std::vector<Presence>> EmulationOptions::decide(const Platform& platform,
@@ -28,7 +27,7 @@ Result<std::vector<Presence>> EmulationOptions::decide(const Platform& platform,
   std::istringstream names(names_);
   for (std::string name; std::getline(names, name, ',');)
     if (!name.empty()) flags.names.push_back(name);
-  flags.all = all_asked || (emulate_->count() > 0 && flags.names.empty());
+  flags.all = all_asked || (emulate_->given() && flags.names.empty());
   const Machine machine = Machine::here();
   XAUTO_ASSIGN(std::vector<Presence> presence, presence_of(platform, flags, app, machine));
   std::string why;

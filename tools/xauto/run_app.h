@@ -10,8 +10,6 @@
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
-
 #include <xauto/result.h>
 
 #include "model/deployment.h"
@@ -19,6 +17,7 @@
 #include "runtime/supervisor.h"
 #include "solver/simulate.h"
 
+#include "cli/cli.h"
 #include "xauto/emulation.h"
 #include "xauto/timeline.h"
 
@@ -48,7 +47,7 @@ struct RunFlags {
   double trace_keep_s = 30;
   std::vector<std::string> command;
 
-  void declare(CLI::App& verb);
+  void declare(Verb verb);
   /// Loads what the flags name; decides between emulated and real XPUs, and says so on stderr.
   [[nodiscard]] Status prepare();
   [[nodiscard]] Status prepare_deployment();
