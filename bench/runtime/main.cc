@@ -4,10 +4,10 @@
 // anchors. Repeat it, and compare rows of one run only: the machine's other users are in all.
 #include <fstream>
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
 #include "bench.h"
+#include "cli/cli.h"
 
 namespace xauto::bench {
 namespace {
@@ -57,15 +57,15 @@ int judge(const Table& table) {
 
 int main(int argc, char** argv) {
   using namespace xauto::bench;
-  CLI::App cli("Measures the runtime beside its floors and peers.", "bench_runtime");
+  xauto::cli::Program cli("Measures the runtime beside its floors and peers.", "bench_runtime");
   Options options;
   std::string json = "runtime.json";
-  cli.add_option("--rounds", options.rounds, "samples per row")->capture_default_str();
-  cli.add_option("--seconds", options.seconds, "of the coordinators' load")->capture_default_str();
-  cli.add_option("--json", json, "write the rows here")->capture_default_str();
-  cli.add_option("--only", options.only, "dispatch, decision, suspend, transfer, or coordinator");
-  cli.add_flag("--fifo", options.fifo, "SCHED_FIFO, as a run with the permission for it");
-  CLI11_PARSE(cli, argc, argv);
+  cli.option("--rounds", options.rounds, "samples per row").shown();
+  cli.option("--seconds", options.seconds, "of the coordinators' load").shown();
+  cli.option("--json", json, "write the rows here").shown();
+  cli.option("--only", options.only, "dispatch, decision, suspend, transfer, or coordinator");
+  cli.flag("--fifo", options.fifo, "SCHED_FIFO, as a run with the permission for it");
+  if (const auto status = cli.parse(argc, argv)) return *status;
 
   (void)cores();
   Table table;

@@ -6,7 +6,6 @@
 #include <filesystem>
 #include <fstream>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include "model/json.h"
@@ -15,6 +14,7 @@
 #include "bench/synthetic/measure.h"
 #include "bench/synthetic/report.h"
 #include "bench/synthetic/yardsticks.h"
+#include "cli/cli.h"
 
 namespace xauto::bench {
 namespace {
@@ -174,30 +174,27 @@ Status bench(const Flags& flags) {
 
 int main(int argc, char** argv) {
   xauto::bench::Flags flags;
-  CLI::App app("The paper's synthetic workload: speed-ups, ablations, gaps, solving time.");
-  app.add_option("--dags", flags.dags, "DAGs a group; 0: none")->capture_default_str();
-  app.add_option("--groups", flags.groups, "XNodes per group")
-      ->delimiter(',')
-      ->capture_default_str();
-  app.add_option("--platforms", flags.platforms)->delimiter(',')->capture_default_str();
-  app.add_option("--time-limit-s", flags.settings.time_limit_s, "per DAG and platform")
-      ->capture_default_str();
-  app.add_option("--threads", flags.settings.threads)->capture_default_str();
-  app.add_option("--max-depth", flags.settings.max_depth, "of the workload's DAGs")
-      ->capture_default_str();
-  app.add_option("--scaling", flags.scaling, "sizes, e.g. 100,300,1000")->delimiter(',');
-  app.add_option("--scaling-limit-s", flags.scaling_limit_s)->capture_default_str();
-  app.add_option("--scaling-apps", flags.scaling_apps, "apps a size")->capture_default_str();
-  app.add_flag("!--no-fork-join", flags.settings.fork_join,
-               "the workload's forks and joins are no XNodes");
-  app.add_flag("--summarise", flags.summarise, "tables and plots of what --out has; solve nothing");
-  app.add_option("--yardsticks", flags.yardsticks, "sizes for other solvers, e.g. 8,10,12")
-      ->delimiter(',');
-  app.add_option("--yardstick-limit-s", flags.yardstick_limit_s)->capture_default_str();
-  app.add_option("--out", flags.out,
-                 "folder for table.txt, *.jsonl, *.svg; goes on from its workload.jsonl")
-      ->capture_default_str();
-  CLI11_PARSE(app, argc, argv);
+  xauto::cli::Program app(
+      "The paper's synthetic workload: speed-ups, ablations, gaps, solving time.");
+  app.option("--dags", flags.dags, "DAGs a group; 0: none").shown();
+  app.option("--groups", flags.groups, "XNodes per group").separated_by(',').shown();
+  app.option("--platforms", flags.platforms).separated_by(',').shown();
+  app.option("--time-limit-s", flags.settings.time_limit_s, "per DAG and platform").shown();
+  app.option("--threads", flags.settings.threads).shown();
+  app.option("--max-depth", flags.settings.max_depth, "of the workload's DAGs").shown();
+  app.option("--scaling", flags.scaling, "sizes, e.g. 100,300,1000").separated_by(',');
+  app.option("--scaling-limit-s", flags.scaling_limit_s).shown();
+  app.option("--scaling-apps", flags.scaling_apps, "apps a size").shown();
+  app.flag("!--no-fork-join", flags.settings.fork_join,
+           "the workload's forks and joins are no XNodes");
+  app.flag("--summarise", flags.summarise, "tables and plots of what --out has; solve nothing");
+  app.option("--yardsticks", flags.yardsticks, "sizes for other solvers, e.g. 8,10,12")
+      .separated_by(',');
+  app.option("--yardstick-limit-s", flags.yardstick_limit_s).shown();
+  app.option("--out", flags.out,
+             "folder for table.txt, *.jsonl, *.svg; goes on from its workload.jsonl")
+      .shown();
+  if (const auto exit = app.parse(argc, argv)) return *exit;
   const auto status = xauto::bench::bench(flags);
   if (!status) std::fprintf(stderr, "bench_synthetic: %s\n", status.error().to_string().c_str());
   return status ? 0 : 1;

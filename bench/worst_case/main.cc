@@ -7,7 +7,6 @@
 #include <chrono>
 #include <cstdio>
 
-#include <CLI/CLI.hpp>
 #include <fmt/format.h>
 
 #include "model/json.h"
@@ -16,6 +15,7 @@
 #include "solver/solve.h"
 
 #include "bench/synthetic/measure.h"
+#include "cli/cli.h"
 
 namespace xauto::bench {
 namespace {
@@ -122,13 +122,12 @@ Status attack(const Flags& flags, int number, Totals& totals) {
 
 int main(int argc, char** argv) {
   xauto::bench::Flags flags;
-  CLI::App app("Tries to break worst_case_us with random executions.");
-  app.add_option("--policies", flags.policies)->capture_default_str();
-  app.add_option("--executions", flags.executions, "per policy")->capture_default_str();
-  app.add_option("--time-limit-s", flags.time_limit_s, "of the solver, per policy")
-      ->capture_default_str();
-  app.add_option("--seed", flags.seed)->capture_default_str();
-  CLI11_PARSE(app, argc, argv);
+  xauto::cli::Program app("Tries to break worst_case_us with random executions.");
+  app.option("--policies", flags.policies).shown();
+  app.option("--executions", flags.executions, "per policy").shown();
+  app.option("--time-limit-s", flags.time_limit_s, "of the solver, per policy").shown();
+  app.option("--seed", flags.seed).shown();
+  if (const auto exit = app.parse(argc, argv)) return *exit;
   xauto::bench::Totals t[2];  // certified methods, plain ones
   const auto began = std::chrono::steady_clock::now();
   for (int k = 0; k < flags.policies; ++k) {

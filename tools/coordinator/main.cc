@@ -2,8 +2,6 @@
 // xauto-coordinator: decides who may use one XPU instance. Started by the xauto tool, one per XPU.
 #include <string>
 
-#include <CLI/CLI.hpp>
-
 #include "base/daemon.h"
 #include "base/log.h"
 #include "base/memory_file.h"
@@ -11,6 +9,8 @@
 #include "xpu/kind.h"
 
 #include "session/session.h"
+
+#include "cli/cli.h"
 
 namespace {
 
@@ -41,22 +41,18 @@ xauto::Result<xauto::coord::ServerOptions> options_for(const std::string& xpu, i
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App cli("Decides who may use one XPU instance; started by the xauto tool.",
-               "xauto-coordinator");
+  xauto::cli::Program cli("Decides who may use one XPU instance; started by the xauto tool.",
+                          "xauto-coordinator");
   std::string xpu, address;
   int session_fd = -1, ready_fd = -1, listen_fd = -1, memory_fd = -1, doorbell_fd = -1;
-  cli.add_option("--xpu", xpu, "XPU instance, e.g. gpu0")->required();
-  cli.add_option("--socket", address, "abstract socket to listen on")->required();
-  cli.add_option("--session-fd", session_fd, "descriptor of the session's text")->required();
-  cli.add_option("--ready-fd", ready_fd, "descriptor that is told when the socket is there");
-  cli.add_option("--listen-fd", listen_fd, "the socket, listening: it outlives a coordinator");
-  cli.add_option("--memory-fd", memory_fd, "the shared memory, which outlives it, too");
-  cli.add_option("--doorbell-fd", doorbell_fd, "and the doorbell");
-  try {
-    cli.parse(argc, argv);
-  } catch (const CLI::ParseError& e) {
-    return cli.exit(e) == 0 ? 0 : 2;
-  }
+  cli.option("--xpu", xpu, "XPU instance, e.g. gpu0").required();
+  cli.option("--socket", address, "abstract socket to listen on").required();
+  cli.option("--session-fd", session_fd, "descriptor of the session's text").required();
+  cli.option("--ready-fd", ready_fd, "descriptor that is told when the socket is there");
+  cli.option("--listen-fd", listen_fd, "the socket, listening: it outlives a coordinator");
+  cli.option("--memory-fd", memory_fd, "the shared memory, which outlives it, too");
+  cli.option("--doorbell-fd", doorbell_fd, "and the doorbell");
+  if (const auto status = cli.parse(argc, argv)) return *status;
 
   const xauto::UniqueFd stop = xauto::daemon::stop_signals();
 

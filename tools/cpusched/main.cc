@@ -8,7 +8,6 @@
 // stderr).
 #include <string>
 
-#include <CLI/CLI.hpp>
 #include <poll.h>
 #include <sys/prctl.h>
 #include <unistd.h>
@@ -17,6 +16,8 @@
 #include "base/log.h"
 #include "kernel/run_maps.h"
 #include "kernel/scx_scheduler.h"
+
+#include "cli/cli.h"
 
 namespace {
 
@@ -55,34 +56,34 @@ int serve(const std::string& run, const xauto::kernel::ScxOptions& options, int 
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App root("Holds XAuto's sched_ext scheduler for one run. Started by `xauto run`.",
-                "xauto-cpusched");
+  xauto::cli::Program root("Holds XAuto's sched_ext scheduler for one run. Started by `xauto run`.",
+                           "xauto-cpusched");
   std::string run, mode = "auto", cpus;
   int ready_fd = -1;
   xauto::kernel::ScxOptions options;
-  root.set_version_flag("--version", XAUTO_VERSION);
-  root.add_option("--run", run, "name of the run below /sys/fs/bpf/xauto")->required();
-  root.add_option("--cpus", cpus, "CPUs of the policy: \"2-3\"; partial mode if all are isolated");
-  root.add_option("--mode", mode, "auto, full: all threads are ours; partial: SCHED_EXT ones only")
-      ->check(CLI::IsMember({"auto", "full", "partial"}))
-      ->capture_default_str();
-  root.add_option("--timeout-ms", options.timeout_ms, "the kernel's watchdog")
-      ->check(CLI::Range(100u, 30'000u))
-      ->capture_default_str();
-  root.add_option("--floor-permille", options.floor_permille, "CPU share kept for everybody else")
-      ->check(CLI::Range(0u, 500u))
-      ->capture_default_str();
-  root.add_option("--floor-burst-us", options.floor_burst_us, "how much of it may be saved up")
-      ->check(CLI::Range(1000u, 1'000'000u))
-      ->capture_default_str();
-  root.add_option("--slice-us", options.xnode_slice_us, "how often floor and budgets are looked at")
-      ->check(CLI::Range(500u, 100'000u))
-      ->capture_default_str();
-  root.add_option("--age-ms", options.age_ms, "after which an XNode that waits gets a turn")
-      ->check(CLI::Range(10u, 20'000u))
-      ->capture_default_str();
-  root.add_option("--ready-fd", ready_fd, "tell here when the scheduler is enabled, or why not");
-  CLI11_PARSE(root, argc, argv);
+  root.version(XAUTO_VERSION);
+  root.option("--run", run, "name of the run below /sys/fs/bpf/xauto").required();
+  root.option("--cpus", cpus, "CPUs of the policy: \"2-3\"; partial mode if all are isolated");
+  root.option("--mode", mode, "auto, full: all threads are ours; partial: SCHED_EXT ones only")
+      .one_of({"auto", "full", "partial"})
+      .shown();
+  root.option("--timeout-ms", options.timeout_ms, "the kernel's watchdog")
+      .range(100u, 30'000u)
+      .shown();
+  root.option("--floor-permille", options.floor_permille, "CPU share kept for everybody else")
+      .range(0u, 500u)
+      .shown();
+  root.option("--floor-burst-us", options.floor_burst_us, "how much of it may be saved up")
+      .range(1000u, 1'000'000u)
+      .shown();
+  root.option("--slice-us", options.xnode_slice_us, "how often floor and budgets are looked at")
+      .range(500u, 100'000u)
+      .shown();
+  root.option("--age-ms", options.age_ms, "after which an XNode that waits gets a turn")
+      .range(10u, 20'000u)
+      .shown();
+  root.option("--ready-fd", ready_fd, "tell here when the scheduler is enabled, or why not");
+  if (const auto status = root.parse(argc, argv)) return *status;
   options.mode = mode == "full"      ? xauto::kernel::ScxMode::kFull
                  : mode == "partial" ? xauto::kernel::ScxMode::kPartial
                                      : xauto::kernel::ScxMode::kAuto;

@@ -2,12 +2,12 @@
 // xauto-emud: emulates the XPUs of a platform for one session. Started by the xauto tool.
 #include <string>
 
-#include <CLI/CLI.hpp>
-
 #include "base/daemon.h"
 #include "base/log.h"
 #include "emu/server.h"
 #include "model/json.h"
+
+#include "cli/cli.h"
 
 namespace {
 
@@ -22,21 +22,18 @@ int complain(const xauto::Error& error) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  CLI::App cli("Emulates the XPUs of a platform; started by the xauto tool.", "xauto-emud");
+  xauto::cli::Program cli("Emulates the XPUs of a platform; started by the xauto tool.",
+                          "xauto-emud");
   std::string platform_path;
   xauto::emu::ServerOptions options;
   int ready_fd = -1;
-  cli.add_option("--platform", platform_path, "small, large, or a platform.json")->required();
-  cli.add_option("--socket", options.address, "abstract socket to listen on")->required();
-  cli.add_option("--listen-fd", options.listener_fd,
-                 "the listening socket, kept by who starts us again");
-  cli.add_option("--memory-fd", options.memory_fd, "memory of the state, likewise");
-  cli.add_option("--ready-fd", ready_fd, "descriptor that is told when the socket is there");
-  try {
-    cli.parse(argc, argv);
-  } catch (const CLI::ParseError& e) {
-    return cli.exit(e) == 0 ? 0 : 2;
-  }
+  cli.option("--platform", platform_path, "small, large, or a platform.json").required();
+  cli.option("--socket", options.address, "abstract socket to listen on").required();
+  cli.option("--listen-fd", options.listener_fd,
+             "the listening socket, kept by who starts us again");
+  cli.option("--memory-fd", options.memory_fd, "memory of the state, likewise");
+  cli.option("--ready-fd", ready_fd, "descriptor that is told when the socket is there");
+  if (const auto status = cli.parse(argc, argv)) return *status;
 
   const xauto::UniqueFd stop = xauto::daemon::stop_signals();
 

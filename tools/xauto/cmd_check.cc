@@ -74,27 +74,23 @@ Result<int> check(const Flags& flags, const Options& options) {
 
 void add_check(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb = commands.add(
+  Verb verb = commands.add(
       "check", "Re-derive every number of a policy; exit status 1 if one of them is false.",
       "xauto check --app app.json --platform small --policy policy.json",
       [flags](const Options& options) { return check(*flags, options); });
-  verb->add_option("--app", flags->app, "app.json")->required();
-  verb->add_option("--platform", flags->platform, "small, large, or a platform.json")
-      ->capture_default_str();
-  verb->add_option("--policy", flags->policy, "policy.json")->required();
-  verb->add_option("--executions", flags->options.executions,
-                   "random executions against worst_case_us")
-      ->check(CLI::NonNegativeNumber)
-      ->capture_default_str();
-  verb->add_option("--proof-nodes", flags->options.proof_nodes,
-                   "budget of the proof of lower_bound_us")
-      ->check(CLI::NonNegativeNumber)
-      ->capture_default_str();
-  add_wishes(*verb, flags->wishes);
-  verb->add_option(
-      "--against", flags->against,
-      "another policy.json of this app: is this one shorter than what it calls a bound?");
-  verb->add_option("--seed", flags->options.seed, "of the attacks")->capture_default_str();
+  verb.option("--app", flags->app, "app.json").required();
+  verb.option("--platform", flags->platform, "small, large, or a platform.json").shown();
+  verb.option("--policy", flags->policy, "policy.json").required();
+  verb.option("--executions", flags->options.executions, "random executions against worst_case_us")
+      .not_negative()
+      .shown();
+  verb.option("--proof-nodes", flags->options.proof_nodes, "budget of the proof of lower_bound_us")
+      .not_negative()
+      .shown();
+  add_wishes(verb, flags->wishes);
+  verb.option("--against", flags->against,
+              "another policy.json of this app: is this one shorter than what it calls a bound?");
+  verb.option("--seed", flags->options.seed, "of the attacks").shown();
 }
 
 }  // namespace xauto::cli

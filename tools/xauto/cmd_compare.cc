@@ -114,23 +114,23 @@ Result<int> compare(const Flags& given, const Options& options) {
 
 void add_compare(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb = commands.add(
+  Verb verb = commands.add(
       "compare", "Run an app under several policies and compare their end-to-end latency.",
       "xauto compare --app app.json --platform small --out build/demo -- build/bin/driving",
       [flags](const Options& options) { return compare(*flags, options); });
-  flags->declare(*verb);
+  flags->declare(verb);
   std::vector<std::string> known;
   for (const auto& [id, name] : kNames) known.push_back(id);
-  verb->add_option("--policies", flags->policies, "which, in this order")
-      ->delimiter(',')
-      ->check(CLI::IsMember(known))
-      ->capture_default_str();
-  verb->add_option("--out", flags->out,
-                   "folder for report.json, timeline.html, the traces and the policies")
-      ->capture_default_str();
-  verb->add_option("--time-limit-s", flags->time_limit_s, "for the solver, per policy")
-      ->check(CLI::PositiveNumber)
-      ->capture_default_str();
+  verb.option("--policies", flags->policies, "which, in this order")
+      .separated_by(',')
+      .one_of(known)
+      .shown();
+  verb.option("--out", flags->out,
+              "folder for report.json, timeline.html, the traces and the policies")
+      .shown();
+  verb.option("--time-limit-s", flags->time_limit_s, "for the solver, per policy")
+      .positive()
+      .shown();
 }
 
 }  // namespace xauto::cli

@@ -22,22 +22,22 @@ const std::map<std::string, std::vector<std::string>> kMoreValues = {
     {"--overload", {"newest", "skip", "queue:"}},
     {"--activation", {"worst", "median"}}};
 
-std::string bash(const std::vector<Commands::Verb>& verbs) {
+std::string bash(const std::vector<Verb>& verbs) {
   std::vector<std::string> names;
   std::string words, values;
   for (const auto& verb : verbs) {
-    names.push_back(verb.name);
+    names.push_back(verb.name());
     std::vector<std::string> options;
-    for (const auto& option : verb.options) {
+    for (const auto& option : verb.options()) {
       if (!option.name.empty()) options.push_back(option.name);
       std::vector<std::string> takes = option.values;
       if (const auto more = kMoreValues.find(option.name); more != kMoreValues.end())
         takes.insert(takes.end(), more->second.begin(), more->second.end());
       if (!takes.empty())
         values +=
-            "    '" + verb.name + " " + option.name + "') values=\"" + joined(takes) + "\" ;;\n";
+            "    '" + verb.name() + " " + option.name + "') values=\"" + joined(takes) + "\" ;;\n";
     }
-    words += "    " + verb.name + ") words=\"" + joined(options) + "\" ;;\n";
+    words += "    " + verb.name() + ") words=\"" + joined(options) + "\" ;;\n";
   }
   return "# bash completion for xauto: source <(xauto completion bash)\n"
          "_xauto() {\n"
@@ -72,7 +72,7 @@ std::string bash(const std::vector<Commands::Verb>& verbs) {
          "complete -o filenames -F _xauto xauto\n";
 }
 
-std::string zsh(const std::vector<Commands::Verb>& verbs) {
+std::string zsh(const std::vector<Verb>& verbs) {
   // zsh runs bash completions; one source of truth is worth more than prettier descriptions.
   return "# zsh completion for xauto: source <(xauto completion zsh)\n"
          "autoload -U +X bashcompinit && bashcompinit\n" +
@@ -83,15 +83,13 @@ std::string zsh(const std::vector<Commands::Verb>& verbs) {
 
 void add_completion(Commands& commands) {
   auto shell = std::make_shared<std::string>("bash");
-  CLI::App* verb = commands.add(
+  Verb verb = commands.add(
       "completion", "Print shell completion for bash or zsh.", "source <(xauto completion bash)",
       [&commands, shell](const Options&) {
         std::cout << (*shell == "zsh" ? zsh(commands.verbs()) : bash(commands.verbs()));
         return kDone;
       });
-  verb->add_option("shell", *shell, "bash or zsh")
-      ->check(CLI::IsMember({"bash", "zsh"}))
-      ->capture_default_str();
+  verb.option("shell", *shell, "bash or zsh").one_of({"bash", "zsh"}).shown();
 }
 
 }  // namespace xauto::cli

@@ -54,13 +54,13 @@ Result<int> doctor(const std::string& platform_out, const Options& options) {
 
 void add_doctor(Commands& commands) {
   auto platform_out = std::make_shared<std::string>();
-  CLI::App* verb = commands.add(
+  Verb verb = commands.add(
       "doctor", "Tell what this machine offers, and what to do about what is missing.",
       "xauto doctor",
       [platform_out](const Options& options) { return doctor(*platform_out, options); });
-  verb->add_option("--platform-out", *platform_out,
-                   "write a platform.json with this machine's CPUs here; a GPU or DLA that it "
-                   "lacks is in it as an emulated one");
+  verb.option("--platform-out", *platform_out,
+              "write a platform.json with this machine's CPUs here; a GPU or DLA that it "
+              "lacks is in it as an emulated one");
 }
 
 }  // namespace xauto::cli

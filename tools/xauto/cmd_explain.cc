@@ -209,26 +209,25 @@ Result<int> explain(const Flags& flags, const Options& options) {
 
 void add_explain(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb = commands.add(
+  Verb verb = commands.add(
       "explain", "Name the chain that sets the latency: of a policy, or of one release of a run.",
       "xauto explain --trace drive.pftrace --activation worst",
       [flags](const Options& options) { return explain(*flags, options); });
-  verb->add_option("--app", flags->app, "app.json");
-  verb->add_option("--platform", flags->platform, "small, large, or a platform.json");
-  verb->add_option("--policy", flags->policy, "policy.json");
-  verb->add_option(
-          "--trace", flags->trace,
-          "instead of the three above: a file of `xauto run --trace-out` or `xauto compare`")
-      ->excludes("--app")
-      ->excludes("--platform")
-      ->excludes("--policy");
-  verb->add_option("--activation", flags->activation,
-                   "of the trace: the release's number, worst or median")
-      ->capture_default_str();
-  verb->add_option("--chain", flags->chain,
-                   "of a trace with several rates: the module whose results; default: each that "
-                   "nobody reads")
-      ->needs("--trace");
+  verb.option("--app", flags->app, "app.json");
+  verb.option("--platform", flags->platform, "small, large, or a platform.json");
+  verb.option("--policy", flags->policy, "policy.json");
+  verb.option("--trace", flags->trace,
+              "instead of the three above: a file of `xauto run --trace-out` or `xauto compare`")
+      .excludes("--app")
+      .excludes("--platform")
+      .excludes("--policy");
+  verb.option("--activation", flags->activation,
+              "of the trace: the release's number, worst or median")
+      .shown();
+  verb.option("--chain", flags->chain,
+              "of a trace with several rates: the module whose results; default: each that "
+              "nobody reads")
+      .needs("--trace");
 }
 
 }  // namespace xauto::cli

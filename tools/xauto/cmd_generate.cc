@@ -70,50 +70,33 @@ Result<int> generate(const Flags& flags, const Options& options) {
 
 void add_generate(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb =
-      commands.add("generate", "Make an app of the paper's synthetic workload.",
-                   "xauto generate --nodes 40 --seed 7 --out app.json",
-                   [flags](const Options& options) { return generate(*flags, options); });
+  Verb verb = commands.add("generate", "Make an app of the paper's synthetic workload.",
+                           "xauto generate --nodes 40 --seed 7 --out app.json",
+                           [flags](const Options& options) { return generate(*flags, options); });
   solver::GenerateOptions& o = flags->options;
-  verb->add_option("--nodes", o.nodes, "XNodes, exactly")->capture_default_str();
-  verb->add_option("--seed", o.seed, "same seed, same app")->capture_default_str();
-  verb->add_option("--out", flags->out, "where app.json goes; stdout if not given");
-  verb->add_option("--terminal", o.terminal, "probability that a node is not expanded")
-      ->capture_default_str();
-  verb->add_option("--max-depth", o.max_depth,
-                   "nesting of parallel sub-graphs; 0: 4, more where needed")
-      ->capture_default_str();
-  verb->add_option("--branches", flags->branches, "least and most branches of a sub-graph")
-      ->expected(2)
-      ->capture_default_str();
-  verb->add_flag("!--no-fork-join", o.fork_join,
-                 "branches without an XNode at their fork and join");
-  verb->add_option("--sibling-edge", o.sibling_edge, "probability of an edge between two branches")
-      ->capture_default_str();
-  verb->add_option("--sibling-direction", o.sibling_direction, "forward, shuffled or node")
-      ->capture_default_str();
-  verb->add_option("--cpu-us", flags->cpu_us, "least and most CPU time")
-      ->expected(2)
-      ->capture_default_str();
-  verb->add_option("--heavy-share", o.heavy_share, "XNodes that count as heavy")
-      ->capture_default_str();
-  verb->add_option("--heavy-gpu", o.heavy_gpu, "probability of a GPU implementation, heavy")
-      ->capture_default_str();
-  verb->add_option("--heavy-dla", o.heavy_dla, "of a DLA implementation, heavy")
-      ->capture_default_str();
-  verb->add_option("--light-gpu", o.light_gpu, "of a GPU implementation, light")
-      ->capture_default_str();
-  verb->add_option("--light-dla", o.light_dla, "of a DLA implementation, light")
-      ->capture_default_str();
-  verb->add_option("--gpu-speedup", flags->gpu_speedup, "over the CPU")
-      ->expected(2)
-      ->capture_default_str();
-  verb->add_option("--dla-speedup", flags->dla_speedup, "over the CPU")
-      ->expected(2)
-      ->capture_default_str();
-  verb->add_option("--cpu-share", o.cpu_share,
-                   "XNodes that keep a CPU implementation beside another")
-      ->capture_default_str();
+  verb.option("--nodes", o.nodes, "XNodes, exactly").shown();
+  verb.option("--seed", o.seed, "same seed, same app").shown();
+  verb.option("--out", flags->out, "where app.json goes; stdout if not given");
+  verb.option("--terminal", o.terminal, "probability that a node is not expanded").shown();
+  verb.option("--max-depth", o.max_depth, "nesting of parallel sub-graphs; 0: 4, more where needed")
+      .shown();
+  verb.option("--branches", flags->branches, "least and most branches of a sub-graph")
+      .values(2)
+      .shown();
+  verb.flag("!--no-fork-join", o.fork_join, "branches without an XNode at their fork and join");
+  verb.option("--sibling-edge", o.sibling_edge, "probability of an edge between two branches")
+      .shown();
+  verb.option("--sibling-direction", o.sibling_direction, "forward, shuffled or node").shown();
+  verb.option("--cpu-us", flags->cpu_us, "least and most CPU time").values(2).shown();
+  verb.option("--heavy-share", o.heavy_share, "XNodes that count as heavy").shown();
+  verb.option("--heavy-gpu", o.heavy_gpu, "probability of a GPU implementation, heavy").shown();
+  verb.option("--heavy-dla", o.heavy_dla, "of a DLA implementation, heavy").shown();
+  verb.option("--light-gpu", o.light_gpu, "of a GPU implementation, light").shown();
+  verb.option("--light-dla", o.light_dla, "of a DLA implementation, light").shown();
+  verb.option("--gpu-speedup", flags->gpu_speedup, "over the CPU").values(2).shown();
+  verb.option("--dla-speedup", flags->dla_speedup, "over the CPU").values(2).shown();
+  verb.option("--cpu-share", o.cpu_share, "XNodes that keep a CPU implementation beside another")
+      .shown();
 }
 
 }  // namespace xauto::cli

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <iostream>
 #include <memory>
+#include <optional>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -24,7 +25,7 @@ struct Flags {
   std::uint64_t warmup = 3, repetitions = 30;
   std::int64_t margin_pct = 20, exec_limit_s = 30;
   bool stable = false;
-  CLI::Option* repetitions_given = nullptr;
+  std::optional<Argument> repetitions_given;
   EmulationOptions emulation;
   std::vector<std::string> command;
 };
@@ -141,7 +142,7 @@ Result<int> profile(const Flags& given, const Options& options) {
   if (flags.read.empty() == flags.command.empty())
     return fail(ErrorCode::kInvalid, "give either an app to run, after --, or --read profile.json");
   if (flags.from == "p99" && flags.read.empty()) {
-    if (flags.repetitions_given->count() == 0) flags.repetitions = kP99Samples;
+    if (!flags.repetitions_given->given()) flags.repetitions = kP99Samples;
     if (flags.repetitions < static_cast<std::uint64_t>(kP99Samples))
       return fail(
           ErrorCode::kInvalid,
@@ -183,44 +184,38 @@ Result<int> profile(const Flags& given, const Options& options) {
 
 void add_profile(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb = commands.add(
+  Verb verb = commands.add(
       "profile", "Time each XNode of an app alone on each XPU that it can run on.",
       "xauto profile --platform small --input drive.db3 --out profile.json --app-out app.json -- "
       "build/bin/driving",
       [flags](const Options& options) { return profile(*flags, options); });
-  verb->add_option("--platform", flags->platform, "small, large, or a platform.json")
-      ->capture_default_str();
-  verb->add_option("--input", flags->input,
-                   "recorded input (rosbag2 SQLite); default: the app's own messages");
-  verb->add_option("--warmup", flags->warmup, "releases that are not counted")
-      ->check(CLI::Range(0, 100000))
-      ->capture_default_str();
+  verb.option("--platform", flags->platform, "small, large, or a platform.json").shown();
+  verb.option("--input", flags->input,
+              "recorded input (rosbag2 SQLite); default: the app's own messages");
+  verb.option("--warmup", flags->warmup, "releases that are not counted").range(0, 100000).shown();
   flags->repetitions_given =
-      verb->add_option("--repetitions", flags->repetitions,
-                       "releases that are counted; with --from p99 100 unless it says more")
-          ->check(CLI::Range(1, 1000000))
-          ->capture_default_str();
-  verb->add_flag(
-      "--stable", flags->stable,
-      "where the maximum is above twice the median, repeat until it is seen whether such "
-      "times come back; one that does not is reported, and does not make the WCET");
-  verb->add_option("--exec-limit-s", flags->exec_limit_s,
-                   "an exec that takes longer ends the profile; what was measured is written")
-      ->check(CLI::Range(std::int64_t{1}, std::int64_t{1'000'000}))
-      ->capture_default_str();
-  verb->add_option("--margin-pct", flags->margin_pct, "WCET = max + this much")
-      ->check(CLI::Range(0, 1000))
-      ->capture_default_str();
-  verb->add_option("--from", flags->from,
-                   "what becomes the WCET in app.json: wcet (max + margin), p99, p50")
-      ->check(CLI::IsMember({"wcet", "p99", "p50"}))
-      ->capture_default_str();
-  verb->add_option("--out", flags->out, "write profile.json here");
-  verb->add_option("--app-out", flags->app_out, "write the app.json that follows here");
-  flags->emulation.declare(*verb);
-  verb->add_option("--read", flags->read,
-                   "an existing profile.json instead of measuring, e.g. for --app-out");
-  verb->add_option("command", flags->command, "the app's program and its arguments, after --");
+      verb.option("--repetitions", flags->repetitions,
+                  "releases that are counted; with --from p99 100 unless it says more")
+          .range(1, 1000000)
+          .shown();
+  verb.flag("--stable", flags->stable,
+            "where the maximum is above twice the median, repeat until it is seen whether such "
+            "times come back; one that does not is reported, and does not make the WCET");
+  verb.option("--exec-limit-s", flags->exec_limit_s,
+              "an exec that takes longer ends the profile; what was measured is written")
+      .range(std::int64_t{1}, std::int64_t{1'000'000})
+      .shown();
+  verb.option("--margin-pct", flags->margin_pct, "WCET = max + this much").range(0, 1000).shown();
+  verb.option("--from", flags->from,
+              "what becomes the WCET in app.json: wcet (max + margin), p99, p50")
+      .one_of({"wcet", "p99", "p50"})
+      .shown();
+  verb.option("--out", flags->out, "write profile.json here");
+  verb.option("--app-out", flags->app_out, "write the app.json that follows here");
+  flags->emulation.declare(verb);
+  verb.option("--read", flags->read,
+              "an existing profile.json instead of measuring, e.g. for --app-out");
+  verb.option("command", flags->command, "the app's program and its arguments, after --");
 }
 
 }  // namespace xauto::cli

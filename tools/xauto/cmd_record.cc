@@ -84,18 +84,18 @@ void add_record(Commands& commands) {
     std::string action, path;
   };
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb = commands.add(
+  Verb verb = commands.add(
       "record", "Tell what is in a recorded input; to make one: xauto run --record FILE.",
       "xauto record info drive.db3", [flags](const Options& options) -> Result<int> {
         XAUTO_ASSIGN(const auto contents, read(flags->path));
         return flags->action == "check" ? print_check(flags->path, contents, options)
                                         : print_info(flags->path, contents, options);
       });
-  verb->add_option("action", flags->action,
-                   "info: topics, counts, duration; check: only whether all can be read")
-      ->required()
-      ->check(CLI::IsMember({"info", "check"}));
-  verb->add_option("file", flags->path, "a .db3 file or a rosbag2 folder")->required();
+  verb.option("action", flags->action,
+              "info: topics, counts, duration; check: only whether all can be read")
+      .required()
+      .one_of({"info", "check"});
+  verb.option("file", flags->path, "a .db3 file or a rosbag2 folder").required();
 }
 
 }  // namespace xauto::cli

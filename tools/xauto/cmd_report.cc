@@ -83,15 +83,14 @@ Result<int> make(const Flags& flags, const Options& options) {
 
 void add_report(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb = commands.add(
+  Verb verb = commands.add(
       "report", "Make a page of traces: latencies, the worst release and why, XPU load.",
       "xauto report build/demo/heft.pftrace build/demo/xauto.pftrace --out report.html",
       [flags](const Options& options) { return make(*flags, options); });
-  verb->add_option("traces", flags->traces, "files of `xauto run --trace-out` or `xauto compare`")
-      ->required();
-  verb->add_option("--report", flags->report,
-                   "report.json of the same runs, for what was predicted");
-  verb->add_option("--out", flags->out, "the page")->capture_default_str();
+  verb.option("traces", flags->traces, "files of `xauto run --trace-out` or `xauto compare`")
+      .required();
+  verb.option("--report", flags->report, "report.json of the same runs, for what was predicted");
+  verb.option("--out", flags->out, "the page").shown();
 }
 
 }  // namespace xauto::cli

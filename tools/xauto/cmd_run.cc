@@ -105,32 +105,32 @@ Result<int> run(const Flags& given, const Options& options) {
 
 void add_run(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb = commands.add(
+  Verb verb = commands.add(
       "run", "Run an app under a policy and measure its end-to-end latency.",
       "xauto run --app app.json --policy policy.json --platform small -- build/bin/driving",
       [flags](const Options& options) { return run(*flags, options); });
-  flags->declare(*verb);
-  verb->add_option("--policy", flags->policy_path, "policy.json from `xauto solve`");
-  verb->add_option("--name", flags->name,
-                   "what the run is called in tables, pages and report.json; default: the policy's "
-                   "file without folder and suffix");
-  verb->add_option("--scheduling", flags->scheduling,
-                   "xauto: as the policy says; timeshare: its assignment, nobody schedules; ros2: "
-                   "everybody on his fastest XPU, nobody schedules")
-      ->check(CLI::IsMember({"xauto", "timeshare", "ros2"}))
-      ->capture_default_str();
-  verb->add_option("--out", flags->out, "write report.json here");
-  verb->add_option("--timeline", flags->timeline, "write the schedule as an HTML page here");
-  verb->add_option("--trace-out", flags->trace_out,
-                   "write what ran here, for Perfetto's viewers (FILE.pftrace); what surrounds the "
-                   "first three deadline misses and hangs goes to FILE.miss-1.pftrace, "
-                   "FILE.hang-1.pftrace, ... at once");
-  verb->add_option("--fail-on", flags->fail_on,
-                   "exit status 1 if the run had any of these: miss (deadlines), lost "
-                   "(activations), hang, restart (processes that died)")
-      ->delimiter(',')
-      ->check(CLI::IsMember(kGateWords));
-  verb->add_option("--record", flags->record, "record the sources' messages here (rosbag2 layout)");
+  flags->declare(verb);
+  verb.option("--policy", flags->policy_path, "policy.json from `xauto solve`");
+  verb.option("--name", flags->name,
+              "what the run is called in tables, pages and report.json; default: the policy's "
+              "file without folder and suffix");
+  verb.option("--scheduling", flags->scheduling,
+              "xauto: as the policy says; timeshare: its assignment, nobody schedules; ros2: "
+              "everybody on his fastest XPU, nobody schedules")
+      .one_of({"xauto", "timeshare", "ros2"})
+      .shown();
+  verb.option("--out", flags->out, "write report.json here");
+  verb.option("--timeline", flags->timeline, "write the schedule as an HTML page here");
+  verb.option("--trace-out", flags->trace_out,
+              "write what ran here, for Perfetto's viewers (FILE.pftrace); what surrounds the "
+              "first three deadline misses and hangs goes to FILE.miss-1.pftrace, "
+              "FILE.hang-1.pftrace, ... at once");
+  verb.option("--fail-on", flags->fail_on,
+              "exit status 1 if the run had any of these: miss (deadlines), lost "
+              "(activations), hang, restart (processes that died)")
+      .separated_by(',')
+      .one_of(kGateWords);
+  verb.option("--record", flags->record, "record the sources' messages here (rosbag2 layout)");
 }
 
 }  // namespace xauto::cli

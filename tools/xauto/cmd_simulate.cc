@@ -81,21 +81,19 @@ Result<int> simulate(const Flags& flags, const Options& options) {
 
 void add_simulate(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb =
-      commands.add("simulate", "Simulate a policy, or the ROS 2 model, to the microsecond.",
-                   "xauto simulate --app app.json --platform small --policy policy.json",
-                   [flags](const Options& options) { return simulate(*flags, options); });
-  verb->add_option("--app", flags->app, "app.json")->required();
-  verb->add_option("--platform", flags->platform, "small, large, or a platform.json")
-      ->capture_default_str();
-  verb->add_option("--policy", flags->policy, "policy.json");
-  verb->add_option(
+  Verb verb = commands.add("simulate", "Simulate a policy, or the ROS 2 model, to the microsecond.",
+                           "xauto simulate --app app.json --platform small --policy policy.json",
+                           [flags](const Options& options) { return simulate(*flags, options); });
+  verb.option("--app", flags->app, "app.json").required();
+  verb.option("--platform", flags->platform, "small, large, or a platform.json").shown();
+  verb.option("--policy", flags->policy, "policy.json");
+  verb.option(
           "--model", flags->model,
           "xauto: the policy; timeshare: its assignment, nobody schedules; ros2: everybody on his "
           "fastest XPU, nobody schedules")
-      ->check(CLI::IsMember({"xauto", "timeshare", "ros2"}))
-      ->capture_default_str();
-  verb->add_option("--out", flags->out, "write the result here");
+      .one_of({"xauto", "timeshare", "ros2"})
+      .shown();
+  verb.option("--out", flags->out, "write the result here");
 }
 
 }  // namespace xauto::cli

@@ -246,36 +246,32 @@ Result<int> solve(Flags& flags, const Options& options) {
 
 void add_solve(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb = commands.add(
+  Verb verb = commands.add(
       "solve", "Choose an XPU and a priority for every XNode so that the app ends soonest.",
       "xauto solve --app app.json --platform small --time-limit-s 10 --out policy.json",
       [flags](const Options& options) { return solve(*flags, options); });
-  verb->add_option("--app", flags->app, "app.json")->required();
-  verb->add_option("--platform", flags->platform, "small, large, or a platform.json")->required();
-  verb->add_option("--out", flags->out, "where policy.json goes");
-  verb->add_option("--method", flags->options.method, "how")
-      ->check(CLI::IsMember({"auto", "search", "ilp", "heft", "local"}))
-      ->capture_default_str();
-  verb->add_option("--time-limit-s", flags->options.time_limit_s, "end after this long")
-      ->check(CLI::NonNegativeNumber)
-      ->capture_default_str();
+  verb.option("--app", flags->app, "app.json").required();
+  verb.option("--platform", flags->platform, "small, large, or a platform.json").required();
+  verb.option("--out", flags->out, "where policy.json goes");
+  verb.option("--method", flags->options.method, "how")
+      .one_of({"auto", "search", "ilp", "heft", "local"})
+      .shown();
+  verb.option("--time-limit-s", flags->options.time_limit_s, "end after this long")
+      .not_negative()
+      .shown();
   flags->options.threads = 2;
-  verb->add_option("--threads", flags->options.threads, "solving threads")
-      ->check(CLI::Range(1, 64))
-      ->capture_default_str();
-  verb->add_option("--seed", flags->options.seed, "of the search")->capture_default_str();
-  verb->add_option(
-          "--max-evaluations", flags->options.max_evaluations,
-          "end after this many schedules; the answer then depends on seed and threads only")
-      ->check(CLI::NonNegativeNumber);
-  verb->add_flag("--certify", flags->options.certify,
-                 "minimise the certified worst case: run-time order in every case");
-  add_wishes(*verb, flags->wishes);
-  verb->add_flag(
-      "--what-if", flags->what_if,
-      "what one more XPU, or another implementation on the chain that limits, would gain");
-  verb->add_option("--implement", flags->implement,
-                   "XNODE=TYPE:WCET_US: what this implementation would gain");
+  verb.option("--threads", flags->options.threads, "solving threads").range(1, 64).shown();
+  verb.option("--seed", flags->options.seed, "of the search").shown();
+  verb.option("--max-evaluations", flags->options.max_evaluations,
+              "end after this many schedules; the answer then depends on seed and threads only")
+      .not_negative();
+  verb.flag("--certify", flags->options.certify,
+            "minimise the certified worst case: run-time order in every case");
+  add_wishes(verb, flags->wishes);
+  verb.flag("--what-if", flags->what_if,
+            "what one more XPU, or another implementation on the chain that limits, would gain");
+  verb.option("--implement", flags->implement,
+              "XNODE=TYPE:WCET_US: what this implementation would gain");
 }
 
 }  // namespace xauto::cli

@@ -318,25 +318,22 @@ Result<int> top(const Flags& flags, const Options& options) {
 
 void add_top(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb =
+  Verb verb =
       commands.add("top",
                    "Show a run live: rate, latency, age and losses per chain and module, who runs "
                    "and who waits per XPU.",
                    "xauto top", [flags](const Options& options) { return top(*flags, options); });
-  verb->add_option("--run", flags->run, "which run, if there are several");
-  verb->add_option("--interval-ms", flags->interval_ms, "between two looks")
-      ->check(CLI::Range(50, 60'000))
-      ->capture_default_str();
-  auto* count =
-      verb->add_option("--count", flags->count,
-                       "how many times; 0: until the run ends, or Ctrl-C; default: 0 on a "
-                       "terminal, else 1");
-  count->check(CLI::Range(0, 1'000'000));
-  verb->add_flag("--once", flags->once, "one look, without clearing the terminal")->excludes(count);
-  verb->add_option("--wait-s", flags->wait_s, "how long to wait for a run to begin")
-      ->check(CLI::Range(0, 86'400))
-      ->capture_default_str();
-  verb->add_flag("--list", flags->list, "only list the runs that can be observed");
+  verb.option("--run", flags->run, "which run, if there are several");
+  verb.option("--interval-ms", flags->interval_ms, "between two looks").range(50, 60'000).shown();
+  verb.option("--count", flags->count,
+              "how many times; 0: until the run ends, or Ctrl-C; default: 0 on a "
+              "terminal, else 1")
+      .range(0, 1'000'000);
+  verb.flag("--once", flags->once, "one look, without clearing the terminal").excludes("--count");
+  verb.option("--wait-s", flags->wait_s, "how long to wait for a run to begin")
+      .range(0, 86'400)
+      .shown();
+  verb.flag("--list", flags->list, "only list the runs that can be observed");
 }
 
 }  // namespace xauto::cli

@@ -192,26 +192,24 @@ Result<int> trace(const Flags& flags, const Options& options) {
 
 void add_trace(Commands& commands) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* verb =
-      commands.add("trace", "Record what the kernel does with the XNode threads of a run.",
-                   "xauto trace --duration-s 5 --events",
-                   [flags](const Options& options) { return trace(*flags, options); });
-  verb->add_option("--run", flags->run, "which run, if there are several");
-  verb->add_option("--duration-s", flags->duration_s, "0: until the run ends, or Ctrl-C")
-      ->check(CLI::Range(0, 86'400))
-      ->capture_default_str();
-  verb->add_option("--wait-s", flags->wait_s, "how long to wait for a run to begin")
-      ->check(CLI::Range(0, 86'400))
-      ->capture_default_str();
-  verb->add_option("--ring-kb", flags->ring_kb, "buffer between kernel and us")
-      ->check(CLI::Range(4u, 262'144u))
-      ->capture_default_str();
-  verb->add_option(
+  Verb verb = commands.add("trace", "Record what the kernel does with the XNode threads of a run.",
+                           "xauto trace --duration-s 5 --events",
+                           [flags](const Options& options) { return trace(*flags, options); });
+  verb.option("--run", flags->run, "which run, if there are several");
+  verb.option("--duration-s", flags->duration_s, "0: until the run ends, or Ctrl-C")
+      .range(0, 86'400)
+      .shown();
+  verb.option("--wait-s", flags->wait_s, "how long to wait for a run to begin")
+      .range(0, 86'400)
+      .shown();
+  verb.option("--ring-kb", flags->ring_kb, "buffer between kernel and us")
+      .range(4u, 262'144u)
+      .shown();
+  verb.option(
       "--out", flags->out,
       "write the events here: FILE.pftrace for Perfetto's viewers, else a JSON object per line");
-  verb->add_flag("--events", flags->events, "print each event");
-  verb->add_flag("--printk", flags->printk,
-                 "also into the kernel's trace pipe (bpftool prog tracelog)");
+  verb.flag("--events", flags->events, "print each event");
+  verb.flag("--printk", flags->printk, "also into the kernel's trace pipe (bpftool prog tracelog)");
 }
 
 }  // namespace xauto::cli

@@ -5,12 +5,13 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
-
 #include <xauto/result.h>
+
+#include "cli/cli.h"
 
 namespace xauto::cli {
 
@@ -30,27 +31,18 @@ using Body = std::function<Result<int>(const Options&)>;
 
 class Commands {
  public:
-  explicit Commands(CLI::App& root) : root_(root) {}
+  explicit Commands(Program& program) : program_(program) {}
   /// Declares a verb with its one-line description and the example shown under --help.
-  CLI::App* add(const std::string& verb, const std::string& description, const std::string& example,
-                Body body);
+  Verb add(const std::string& verb, const std::string& description, const std::string& example,
+           Body body);
   int run(int argc, char** argv);
-
-  struct CommandOption {
-    std::string name;                 ///< "--json"; empty: what stands without an option's name
-    std::vector<std::string> values;  ///< all that it takes, where they are a few words
-  };
-  struct Verb {
-    std::string name, description;
-    std::vector<CommandOption> options;
-  };
   /// What was declared, for shell completion.
-  [[nodiscard]] std::vector<Verb> verbs() const;
+  [[nodiscard]] std::vector<Verb> verbs() const { return program_.verbs(); }
 
  private:
-  CLI::App& root_;
+  Program& program_;
   Options options_;
-  Body chosen_;
+  std::map<std::string, Body> bodies_;  ///< [verb]
 };
 
 // One per cmd_*.cc.

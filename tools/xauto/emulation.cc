@@ -8,17 +8,13 @@
 
 namespace xauto::cli {
 
-using Presence;
-using xpu::Machine;
-
-void EmulationOptions::declare(CLI::App& verb) {
-  emulate_ = verb.add_option("--emulate", names_,
-                             "emulate these types or XPUs (gpu,dla), and have the others real; "
-                             "without names all. Default: what this machine lacks, and what the "
-                             "app only has stand-ins for")
-                 ->expected(0, 1)
-                 ->type_name("XPU,...");
-  verb.add_flag("--real", real_, "refuse to emulate")->excludes(emulate_);
+void EmulationOptions::declare(Verb verb) {
+  emulate_ = verb.option("--emulate", names_,
+                         "emulate these types or XPUs (gpu,dla), and have the others real; "
+                         "without names all. Default: what this machine lacks, and what the "
+                         "app only has stand-ins for")
+                 .value_may_miss("XPU,...");
+  verb.flag("--real", real_, "refuse to emulate").excludes("--emulate");
 }
 
 Result<std::vector<Presence>> EmulationOptions::decide(const Platform& platform,
@@ -28,14 +24,14 @@ Result<std::vector<Presence>> EmulationOptions::decide(const Platform& platform,
   std::istringstream names(names_);
   for (std::string name; std::getline(names, name, ',');)
     if (!name.empty()) flags.names.push_back(name);
-  flags.all = all_asked || (emulate_->count() > 0 && flags.names.empty());
-  const Machine machine = Machine::here();
-  XAUTO_ASSIGN(std::vector<Presence> presence, presence_of(platform, flags, app, machine));
+  flags.all = all_asked || (emulate_->given() && flags.names.empty());
+  const xpu::Machine machine = xpu::Machine::here();
+  XAUTO_ASSIGN(std::vector<Presence> presence, xpu::presence_of(platform, flags, app, machine));
   std::string why;
   for (std::size_t i = 0; i < presence.size() && why.empty(); ++i)
     if (!machine.has(platform, i) && presence[i] != Presence::kReal)
       why = ": " + machine.lacks(platform.xpus[i]);
-  if (const std::string said = describe(platform, presence); said == "emulated")
+  if (const std::string said = xpu::describe(platform, presence); said == "emulated")
     log::info("emulating platform '{}'{}", platform.name, why);
   else if (!said.empty())
     log::info("platform '{}': {}{}", platform.name, said, why);
@@ -45,7 +41,7 @@ Result<std::vector<Presence>> EmulationOptions::decide(const Platform& platform,
 Status check_placements(const AppSpec& app, const Platform& platform,
                         const std::vector<Presence>& presence, const Policy& policy,
                         const std::string& path) {
-  const Machine machine = Machine::here();
+  const xpu::Machine machine = xpu::Machine::here();
   const char* hint =
       "xauto doctor --platform-out here.json writes a platform file of this machine: profile and "
       "solve with that";
@@ -70,7 +66,7 @@ Status check_placements(const AppSpec& app, const Platform& platform,
 }
 
 std::string in_parentheses(const Platform& platform, const std::vector<Presence>& presence) {
-  const std::string said = describe(platform, presence);
+  const std::string said = xpu::describe(platform, presence);
   return said.empty() ? "" : " (" + said + ")";
 }
 

@@ -2,10 +2,9 @@
 // --emulate and --real, of every verb that starts an app.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
-
-#include <CLI/CLI.hpp>
 
 #include <xauto/result.h>
 
@@ -14,11 +13,13 @@
 #include "model/policy.h"
 #include "xpu/presence.h"
 
+#include "cli/cli.h"
+
 namespace xauto::cli {
 
 class EmulationOptions {
  public:
-  void declare(CLI::App& verb);
+  void declare(Verb verb);
   /// Decides, and says on stderr what is emulated and why. `app` null: it is about to be profiled.
   [[nodiscard]] Result<std::vector<Presence>> decide(const Platform& platform,
                                                      const AppSpec* app) const;
@@ -27,7 +28,7 @@ class EmulationOptions {
  private:
   std::string names_;  ///< with commas between
   bool real_ = false;
-  CLI::Option* emulate_ = nullptr;
+  std::optional<Argument> emulate_;
 };
 
 /// Refuses a policy that places an XNode where this machine has nothing for it, naming `path`.

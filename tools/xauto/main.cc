@@ -3,9 +3,9 @@
 #include "xauto/command.h"
 
 int main(int argc, char** argv) {
-  CLI::App root("XAuto: schedule the stages of a perception stack over CPUs, GPUs and DLAs.",
-                "xauto");
-  xauto::cli::Commands commands(root);
+  xauto::cli::Program program(
+      "XAuto: schedule the stages of a perception stack over CPUs, GPUs and DLAs.", "xauto");
+  xauto::cli::Commands commands(program);
   xauto::cli::add_doctor(commands);
   xauto::cli::add_generate(commands);
   xauto::cli::add_profile(commands);

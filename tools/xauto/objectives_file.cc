@@ -43,12 +43,11 @@ Result<solver::Objectives> load_objectives(const std::string& app_path) {
   return parse_objectives(file, app_path);
 }
 
-void add_wishes(CLI::App& verb, Wishes& wishes) {
-  verb.add_option("--deadline-us", wishes.deadline_us, "of the whole app")
-      ->check(CLI::NonNegativeNumber);
-  verb.add_option("--pin", wishes.pins, "XNODE=XPU or XNODE=TYPE: only there");
-  verb.add_option("--forbid", wishes.forbids, "XNODE=XPU or XNODE=TYPE: anywhere but there");
-  verb.add_option("--group", wishes.groups, "XNODE,XNODE,...: on one instance");
+void add_wishes(Verb verb, Wishes& wishes) {
+  verb.option("--deadline-us", wishes.deadline_us, "of the whole app").not_negative();
+  verb.option("--pin", wishes.pins, "XNODE=XPU or XNODE=TYPE: only there");
+  verb.option("--forbid", wishes.forbids, "XNODE=XPU or XNODE=TYPE: anywhere but there");
+  verb.option("--group", wishes.groups, "XNODE,XNODE,...: on one instance");
 }
 
 Status add_to_objectives(const Wishes& wishes, solver::Objectives& objectives) {

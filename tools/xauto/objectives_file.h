@@ -8,11 +8,11 @@
 #include <utility>
 #include <vector>
 
-#include <CLI/CLI.hpp>
-
 #include <xauto/result.h>
 
 #include "solver/objectives.h"
+
+#include "cli/cli.h"
 
 namespace xauto::cli {
 
@@ -26,7 +26,7 @@ struct Wishes {
   std::vector<std::string> pins, forbids, groups;
   std::int64_t deadline_us = 0;
 };
-void add_wishes(CLI::App& verb, Wishes& wishes);
+void add_wishes(Verb verb, Wishes& wishes);
 [[nodiscard]] Status add_to_objectives(const Wishes& wishes, solver::Objectives& objectives);
 /// "xnode=target" of a command line option.
 [[nodiscard]] Result<std::pair<std::string, std::string>> parse_assignment(

@@ -45,52 +45,49 @@ const std::atomic<bool>* StopOnSignal::flag() const {
   return &g_stop;
 }
 
-void RunFlags::declare(CLI::App& verb) {
-  verb.add_option("--app", app_path, "app.json: the XNodes and their WCETs")->required();
-  verb.add_option("--platform", platform, "small, large, or a platform.json")
-      ->capture_default_str();
-  auto* count = verb.add_option("--activations", activations,
-                                "releases of the slowest sensor, the others as many as fit into "
-                                "that time; 0: until Ctrl-C or the input's end")
-                    ->check(CLI::Range(std::uint64_t{0}, runtime::kMaxActivations))
-                    ->capture_default_str();
-  verb.add_option("--seconds", seconds, "release for so long instead")
-      ->check(CLI::Range(0.001, 31'536'000.0))
-      ->excludes(count);
-  verb.add_option("--period-us", period_us, "release period instead of the app's own")
-      ->check(CLI::Range(std::int64_t{1}, std::int64_t{3'600'000'000}));
-  verb.add_option("--input", input, "recorded input to replay instead of the app's own messages");
-  verb.add_flag("--lockstep", lockstep, "release the next message when the last one has drained");
-  verb.add_option("--cpu-sched", cpu_sched,
-                  "threads of CPU XNodes on real cores: ext (sched_ext, else fifo), fifo or other")
-      ->check(CLI::IsMember({"ext", "fifo", "other"}))
-      ->capture_default_str();
-  verb.add_option("--cpu-budget-pct", cpu_budget_pct,
-                  "with ext: a job that runs longer than this much of its WCET becomes an ordinary "
-                  "thread; 0: never")
-      ->check(CLI::Range(std::int64_t{0}, std::int64_t{100'000}))
-      ->capture_default_str();
+void RunFlags::declare(Verb verb) {
+  verb.option("--app", app_path, "app.json: the XNodes and their WCETs").required();
+  verb.option("--platform", platform, "small, large, or a platform.json").shown();
+  verb.option("--activations", activations,
+              "releases of the slowest sensor, the others as many as fit into "
+              "that time; 0: until Ctrl-C or the input's end")
+      .range(std::uint64_t{0}, runtime::kMaxActivations)
+      .shown();
+  verb.option("--seconds", seconds, "release for so long instead")
+      .range(0.001, 31'536'000.0)
+      .excludes("--activations");
+  verb.option("--period-us", period_us, "release period instead of the app's own")
+      .range(std::int64_t{1}, std::int64_t{3'600'000'000});
+  verb.option("--input", input, "recorded input to replay instead of the app's own messages");
+  verb.flag("--lockstep", lockstep, "release the next message when the last one has drained");
+  verb.option("--cpu-sched", cpu_sched,
+              "threads of CPU XNodes on real cores: ext (sched_ext, else fifo), fifo or other")
+      .one_of({"ext", "fifo", "other"})
+      .shown();
+  verb.option("--cpu-budget-pct", cpu_budget_pct,
+              "with ext: a job that runs longer than this much of its WCET becomes an ordinary "
+              "thread; 0: never")
+      .range(std::int64_t{0}, std::int64_t{100'000})
+      .shown();
   emulation.declare(verb);
-  verb.add_flag(
-      "--emulator-modules", emulator_modules,
-      "emulate GPUs and DLAs by the kernel modules of kmod/emu, suspended through xauto.ko");
-  verb.add_option("--deployment", deployment_path,
-                  "deployment.json: processes, restarts, overload, budgets, chains (the flags "
-                  "--isolate, --restarts and --overload go before it)");
-  verb.add_option("--overload", overload,
-                  "what a module that is not free does with further messages: newest, queue:N or "
-                  "skip, for all or as MODULE=POLICY");
-  verb.add_flag("--isolate", isolate, "each XModule in a process of its own");
-  verb.add_option("--restarts", restarts, "how often a module's process that died is started again")
-      ->check(CLI::Range(0, 1'000'000))
-      ->capture_default_str();
-  verb.add_option("--trace-keep", trace_keep_s,
-                  "the trace keeps the newest events of so long, 30s or 2min, as far as 128 MiB go")
-      ->transform(CLI::AsNumberWithUnit(
-          std::map<std::string, double>{{"ms", 0.001}, {"s", 1}, {"min", 60}, {"h", 3600}}))
-      ->check(CLI::Range(0.001, 1e6))
-      ->default_str("30s");
-  verb.add_option("command", command, "the app's program and its arguments, after --")->required();
+  verb.flag("--emulator-modules", emulator_modules,
+            "emulate GPUs and DLAs by the kernel modules of kmod/emu, suspended through xauto.ko");
+  verb.option("--deployment", deployment_path,
+              "deployment.json: processes, restarts, overload, budgets, chains (the flags "
+              "--isolate, --restarts and --overload go before it)");
+  verb.option("--overload", overload,
+              "what a module that is not free does with further messages: newest, queue:N or "
+              "skip, for all or as MODULE=POLICY");
+  verb.flag("--isolate", isolate, "each XModule in a process of its own");
+  verb.option("--restarts", restarts, "how often a module's process that died is started again")
+      .range(0, 1'000'000)
+      .shown();
+  verb.option("--trace-keep", trace_keep_s,
+              "the trace keeps the newest events of so long, 30s or 2min, as far as 128 MiB go")
+      .with_time_unit()
+      .range(0.001, 1e6)
+      .shown_as("30s");
+  verb.option("command", command, "the app's program and its arguments, after --").required();
 }
 
 Status RunFlags::prepare() {

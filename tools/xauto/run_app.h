@@ -10,14 +10,14 @@
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
-
 #include <xauto/result.h>
 
 #include "model/deployment.h"
 #include "solver/simulate.h"
 
+#include "cli/cli.h"
 #include "launch/supervisor.h"
+#include "session/run_report.h"
 #include "session/session.h"
 #include "xauto/emulation.h"
 #include "xauto/timeline.h"
@@ -48,7 +48,7 @@ struct RunFlags {
   double trace_keep_s = 30;
   std::vector<std::string> command;
 
-  void declare(CLI::App& verb);
+  void declare(Verb verb);
   /// Loads what the flags name; decides between emulated and real XPUs, and says so on stderr.
   [[nodiscard]] Status prepare();
   [[nodiscard]] Status prepare_deployment();

@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: Apache-2.0
+// The command line's facade: what is written where, what is refused with which words and status,
+// what shell completion gets to know.
+#include "cli/cli.h"
+
+#include <gtest/gtest.h>
+
+namespace xauto::cli {
+namespace {
+
+struct Given {
+  std::string app, method = "auto", names;
+  std::vector<std::string> policies;
+  std::vector<double> pair;
+  double keep_s = 0;
+  int threads = 2;
+  bool fork_join = true;
+};
+
+struct Outcome {
+  std::optional<int> status;
+  std::string chosen, out, err;
+  bool names_given = false;
+  Given given;
+  std::vector<DeclaredOption> options;
+};
+
+Outcome parse(std::vector<std::string> words) {
+  Outcome outcome;
+  Given& g = outcome.given;
+  Program program("Tests the facade.", "tool");
+  program.version("1.2");
+  Verb solve = program.verb("solve", "Solve it.");
+  (void)program.verb("check", "Check it.");
+  solve.footer("Example: tool solve");
+  solve.option("--app", g.app, "app.json").required();
+  solve.option("--method", g.method, "how").one_of({"auto", "heft"}).shown();
+  const Argument names = solve.option("--names", g.names, "which").value_may_miss("XPU,...");
+  solve.option("--policies", g.policies, "which").separated_by(',').excludes("--method");
+  solve.option("--pair", g.pair, "least and most").values(2);
+  solve.option("--keep", g.keep_s, "so long").with_time_unit().range(0.5, 1e3).shown_as("30s");
+  solve.option("--threads", g.threads, "threads").range(1, 64).needs("--app");
+  solve.flag("!--no-fork-join", g.fork_join, "without");
+  std::vector<char*> argv{words[0].data()};
+  for (std::size_t i = 1; i < words.size(); ++i) argv.push_back(words[i].data());
+  testing::internal::CaptureStdout();
+  testing::internal::CaptureStderr();
+  outcome.status = program.parse(static_cast<int>(argv.size()), argv.data());
+  outcome.out = testing::internal::GetCapturedStdout();
+  outcome.err = testing::internal::GetCapturedStderr();
+  outcome.chosen = program.chosen();
+  outcome.names_given = names.given();
+  outcome.options = program.verbs().front().options();
+  EXPECT_EQ(program.verbs().back().name(), "check");
+  EXPECT_TRUE(solve.has("--app"));
+  EXPECT_FALSE(solve.has("--platform"));
+  return outcome;
+}
+
+TEST(CommandLine, WritesWhatIsGivenIntoTheVariables) {
+  const Outcome o = parse({"tool", "solve", "--app", "a.json", "--names", "--policies", "x,y",
+                           "--pair", "1", "2.5", "--keep", "2min", "--no-fork-join"});
+  ASSERT_EQ(o.status, std::nullopt) << o.err;
+  EXPECT_EQ(o.chosen, "solve");
+  EXPECT_EQ(o.given.app, "a.json");
+  EXPECT_TRUE(o.names_given);
+  EXPECT_EQ(o.given.names, "");
+  EXPECT_EQ(o.given.policies, (std::vector<std::string>{"x", "y"}));
+  EXPECT_EQ(o.given.pair, (std::vector<double>{1, 2.5}));
+  EXPECT_EQ(o.given.keep_s, 120);
+  EXPECT_FALSE(o.given.fork_join);
+}
+
+TEST(CommandLine, LeavesDefaultsAlone) {
+  const Outcome o = parse({"tool", "solve", "--app", "a.json"});
+  ASSERT_EQ(o.status, std::nullopt) << o.err;
+  EXPECT_FALSE(o.names_given);
+  EXPECT_EQ(o.given.method, "auto");
+  EXPECT_TRUE(o.given.fork_join);
+}
+
+TEST(CommandLine, RefusesWithStatus2AndSaysWhat) {
+  const std::vector<std::pair<std::vector<std::string>, std::string>> cases = {
+      {{"solve"}, "--app is required"},
+      {{"solve", "--app", "a", "--method", "x"}, "x not in {auto,heft}"},
+      {{"solve", "--app", "a", "--method", "heft", "--policies", "x"}, "excludes --policies"},
+      {{"solve", "--app", "a", "--threads", "65"}, "Value 65 not in range 1 to 64"},
+      {{"solve", "--app", "a", "--keep", "1ms"}, "not in range"},
+      {{"solve", "--app", "a", "--pair", "1"}, "--pair"},
+      {{}, "subcommand is required"}};
+  for (const auto& [words, said] : cases) {
+    std::vector<std::string> all{"tool"};
+    all.insert(all.end(), words.begin(), words.end());
+    const Outcome o = parse(all);
+    EXPECT_EQ(o.status, 2) << said;
+    EXPECT_NE(o.err.find(said), std::string::npos) << o.err;
+    EXPECT_EQ(o.out, "");
+  }
+}
+
+TEST(CommandLine, HelpAndVersionAreAskedForAndStatus0) {
+  const Outcome help = parse({"tool", "solve", "--help"});
+  EXPECT_EQ(help.status, 0);
+  for (const char* said : {"Solve it.", "REQUIRED", "{auto,heft}=auto", "=30s", "Example: tool"})
+    EXPECT_NE(help.out.find(said), std::string::npos) << help.out;
+  const Outcome version = parse({"tool", "--version"});
+  EXPECT_EQ(version.status, 0);
+  EXPECT_EQ(version.out, "1.2\n");
+}
+
+TEST(CommandLine, TellsWhatAnOptionTakes) {
+  const Outcome o = parse({"tool", "solve", "--app", "a"});
+  std::size_t with_words = 0;
+  for (const DeclaredOption& option : o.options)
+    if (!option.values.empty()) {
+      ++with_words;
+      EXPECT_EQ(option.name, "--method");
+      EXPECT_EQ(option.values, (std::vector<std::string>{"auto", "heft"}));
+    }
+  EXPECT_EQ(with_words, 1U);
+}
+
+}  // namespace
+}  // namespace xauto::cli

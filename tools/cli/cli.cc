@@ -1,0 +1,187 @@
+// SPDX-License-Identifier: Apache-2.0
+// The only file that includes CLI11; tests/unit/model/layering_test.cc sees to that.
+#include "cli/cli.h"
+
+#include <map>
+
+#include <CLI/CLI.hpp>
+
+namespace xauto::cli {
+namespace {
+
+constexpr int kBadUsage = 2;
+
+/// CLI11 keeps the words of IsMember in the option's type only: "TEXT:{auto,heft}".
+std::vector<std::string> values_of(const CLI::Option& option) {
+  const std::string type = option.get_type_name();
+  const std::size_t open = type.find('{'), close = type.rfind('}');
+  std::vector<std::string> values;
+  if (open == std::string::npos || close == std::string::npos || close < open) return values;
+  std::string word;
+  for (std::size_t i = open + 1; i <= close; ++i) {
+    if (type[i] != ',' && i < close) {
+      word += type[i];
+      continue;
+    }
+    values.push_back(std::move(word));
+    word.clear();
+  }
+  return values;
+}
+
+}  // namespace
+
+Argument& Argument::required() {
+  option_->required();
+  return *this;
+}
+
+Argument& Argument::shown() {
+  option_->capture_default_str();
+  return *this;
+}
+
+Argument& Argument::shown_as(const std::string& text) {
+  option_->default_str(text);
+  return *this;
+}
+
+Argument& Argument::excludes(const std::string& other) {
+  option_->excludes(other);
+  return *this;
+}
+
+Argument& Argument::needs(const std::string& other) {
+  option_->needs(other);
+  return *this;
+}
+
+template <class T>
+Argument& Argument::range(T least, T most) {
+  option_->check(CLI::Range(least, most));
+  return *this;
+}
+template Argument& Argument::range(int, int);
+template Argument& Argument::range(unsigned, unsigned);
+template Argument& Argument::range(std::int64_t, std::int64_t);
+template Argument& Argument::range(std::uint64_t, std::uint64_t);
+template Argument& Argument::range(double, double);
+
+Argument& Argument::not_negative() {
+  option_->check(CLI::NonNegativeNumber);
+  return *this;
+}
+
+Argument& Argument::positive() {
+  option_->check(CLI::PositiveNumber);
+  return *this;
+}
+
+Argument& Argument::one_of(const std::vector<std::string>& words) {
+  option_->check(CLI::IsMember(words));
+  return *this;
+}
+
+Argument& Argument::separated_by(char sign) {
+  option_->delimiter(sign);
+  return *this;
+}
+
+Argument& Argument::values(int count) {
+  option_->expected(count);
+  return *this;
+}
+
+Argument& Argument::value_may_miss(const std::string& kind) {
+  option_->expected(0, 1)->type_name(kind);
+  return *this;
+}
+
+Argument& Argument::with_time_unit() {
+  option_->transform(CLI::AsNumberWithUnit(
+      std::map<std::string, double>{{"ms", 0.001}, {"s", 1}, {"min", 60}, {"h", 3600}}));
+  return *this;
+}
+
+bool Argument::given() const {
+  return option_->count() > 0;
+}
+
+template <class T>
+Argument Verb::option(const std::string& name, T& target, const std::string& help) {
+  return Argument(app_->add_option(name, target, help));
+}
+template Argument Verb::option(const std::string&, std::string&, const std::string&);
+template Argument Verb::option(const std::string&, int&, const std::string&);
+template Argument Verb::option(const std::string&, unsigned&, const std::string&);
+template Argument Verb::option(const std::string&, std::int64_t&, const std::string&);
+template Argument Verb::option(const std::string&, std::uint64_t&, const std::string&);
+template Argument Verb::option(const std::string&, double&, const std::string&);
+template Argument Verb::option(const std::string&, std::vector<std::string>&, const std::string&);
+template Argument Verb::option(const std::string&, std::vector<int>&, const std::string&);
+template Argument Verb::option(const std::string&, std::vector<std::int64_t>&, const std::string&);
+template Argument Verb::option(const std::string&, std::vector<double>&, const std::string&);
+
+Argument Verb::flag(const std::string& name, bool& target, const std::string& help) {
+  return Argument(app_->add_flag(name, target, help));
+}
+
+void Verb::footer(const std::string& text) {
+  app_->footer(text);
+}
+
+bool Verb::has(const std::string& option) const {
+  return app_->get_option_no_throw(option) != nullptr;
+}
+
+std::string Verb::name() const {
+  return app_->get_name();
+}
+
+std::vector<DeclaredOption> Verb::options() const {
+  std::vector<DeclaredOption> declared;
+  for (const CLI::Option* option : app_->get_options()) {
+    if (option->get_lnames().empty()) declared.push_back({"", values_of(*option)});
+    for (const std::string& name : option->get_lnames())
+      declared.push_back({"--" + name, values_of(*option)});
+  }
+  return declared;
+}
+
+Program::Program(const std::string& description, const std::string& name)
+    : Verb(nullptr), owned_(std::make_unique<CLI::App>(description, name)) {
+  app_ = owned_.get();
+}
+
+Program::~Program() = default;
+
+void Program::version(const std::string& text) {
+  app_->set_version_flag("--version", text);
+}
+
+Verb Program::verb(const std::string& name, const std::string& description) {
+  app_->require_subcommand(1);
+  return Verb(app_->add_subcommand(name, description));
+}
+
+std::vector<Verb> Program::verbs() const {
+  std::vector<Verb> verbs;
+  for (CLI::App* sub : app_->get_subcommands({})) verbs.emplace_back(sub);
+  return verbs;
+}
+
+std::string Program::chosen() const {
+  const std::vector<CLI::App*> verbs = app_->get_subcommands();
+  return verbs.empty() ? std::string() : verbs.front()->get_name();
+}
+
+std::optional<int> Program::parse(int argc, char** argv) {
+  try {
+    app_->parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return app_->exit(e) == 0 ? 0 : kBadUsage;
+  }
+  return std::nullopt;
+}
+
+}  // namespace xauto::cli
