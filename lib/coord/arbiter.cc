@@ -7,33 +7,25 @@
 
 namespace xauto::coord {
 
-Arbiter::Arbiter(Discipline discipline, std::vector<std::pair<std::uint32_t, std::uint32_t>> order)
-    : discipline_(discipline) {
-  for (const auto& [u, v] : order) {
-    const std::size_t size = std::max({before_.size(), std::size_t{u} + 1, std::size_t{v} + 1});
-    before_.resize(size);
-    finished_.resize(size);
-    before_[v].push_back(u);
-  }
+Arbiter::Arbiter(Discipline discipline, const OrderPairs& order)
+    : discipline_(discipline), order_(order) {
+  for (const std::uint32_t u : order_.predecessors())
+    if (finished_.size() <= u) finished_.resize(std::size_t{u} + 1);
 }
 
 bool Arbiter::eligible(const Job& job) const {
-  if (job.xnode >= before_.size()) return true;
-  return std::all_of(before_[job.xnode].begin(), before_[job.xnode].end(),
-                     [&](std::uint32_t u) { return finished_[u] > job.sequence; });
+  return order_.eligible(job.xnode, job.sequence, [&](std::uint32_t u) { return finished_[u]; });
 }
 
 int Arbiter::most_urgent() const {
-  int best = -1;
+  Next next;
   for (int i = 0; i < high(); ++i) {
     const Slot& s = slot(i);
     if (s.phase == Phase::kNone) continue;
     if (s.phase == Phase::kWaiting && !eligible(s.job)) continue;
-    if (best < 0 || s.job.priority > slot(best).job.priority ||
-        (s.job.priority == slot(best).job.priority && s.arrival < slot(best).arrival))
-      best = i;
+    next.consider({s.job.priority, s.job.since_ns, i});
   }
-  return best;
+  return next.slot();
 }
 
 bool Arbiter::idle() const {
@@ -78,7 +70,6 @@ void Arbiter::release(std::vector<Action>& out) {
 
 void Arbiter::restore(int slot, const Slot& state) {
   at(slot) = state;
-  at(slot).arrival = state.phase == Phase::kNone ? 0 : ++arrivals_;
 }
 
 void Arbiter::start(int slot, const Job& job, std::vector<Action>& out) {
@@ -86,14 +77,12 @@ void Arbiter::start(int slot, const Job& job, std::vector<Action>& out) {
   XAUTO_CHECK(s.phase == Phase::kNone);
   s.phase = Phase::kWaiting;
   s.job = job;
-  s.arrival = ++arrivals_;
   decide(out);
 }
 
 void Arbiter::adopt(int slot, const Job& job, std::vector<Action>& out) {
   Slot& s = at(slot);
   XAUTO_CHECK(s.phase != Phase::kAdmitted);
-  if (s.phase == Phase::kNone) s.arrival = ++arrivals_;
   s.phase = Phase::kAdmitted;
   s.job = job;
   decide(out);

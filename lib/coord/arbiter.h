@@ -9,7 +9,7 @@
 //   queue:  enabled ──SUSPEND──► suspending ──ack──► suspended ──RESUME──► resuming ──ack──►
 //   enabled
 //
-// Rules (larger priority = more urgent; ties: who came first):
+// Rules (rule.h says who is more urgent, and who is eligible):
 //   preemptive  the most urgent eligible job is granted at once; every other admitted job's queue
 //   is
 //               suspended; the most urgent admitted job's queue is resumed.
@@ -26,9 +26,9 @@
 #pragma once
 
 #include <cstdint>
-#include <utility>
 #include <vector>
 
+#include "coord/rule.h"
 #include "model/platform.h"
 
 namespace xauto::coord {
@@ -42,6 +42,7 @@ struct Job {
   std::uint32_t xnode = 0;     ///< index into the app's xnodes
   std::uint64_t sequence = 0;  ///< activation it belongs to
   std::int64_t priority = 0;
+  std::uint64_t since_ns = 0;  ///< CLOCK_MONOTONIC of its START
 };
 
 struct Action {
@@ -56,13 +57,11 @@ class Arbiter {
     Phase phase = Phase::kNone;
     Queue queue = Queue::kEnabled;
     bool refuses = false;  ///< its queue could not be suspended; left alone until it finishes
-    std::uint64_t arrival = 0;
     Job job;
   };
 
   /// `order`: pairs (u, v) of xnodes on this XPU: v#k is not started before u#k has finished.
-  explicit Arbiter(Discipline discipline,
-                   std::vector<std::pair<std::uint32_t, std::uint32_t>> order = {});
+  explicit Arbiter(Discipline discipline, const OrderPairs& order = {});
 
   // Events. Each may make decisions: the actions to carry out, in this order, are appended to
   // `out`. Precondition violations are our own bugs and end the process (what it suspended is
@@ -87,7 +86,7 @@ class Arbiter {
   void hold() { held_ = true; }
   void release(std::vector<Action>& out);
   /// Every job is eligible from now on. Before the first event.
-  void forget_order() { before_.clear(); }
+  void forget_order() { order_ = Order(); }
   /// As it was found in shared memory by a new coordinator. Decides nothing.
   void restore(int slot, const Slot& state);
 
@@ -123,9 +122,8 @@ class Arbiter {
   Discipline discipline_;
   bool held_ = false;
   std::vector<Slot> slots_;  ///< as many as were ever used
-  std::uint64_t arrivals_ = 0;
-  std::vector<std::vector<std::uint32_t>> before_;  ///< [xnode] -> its order predecessors
-  std::vector<std::uint64_t> finished_;             ///< [xnode] -> activations finished
+  Order order_;
+  std::vector<std::uint64_t> finished_;  ///< [xnode] -> activations finished; of those tracked
 };
 
 }  // namespace xauto::coord

@@ -22,9 +22,9 @@ constexpr int kRejoinMs = 3'000;
 
 }  // namespace
 
-Result<std::unique_ptr<Port>> Port::connect(
-    const std::string& address, const std::string& worker, const std::vector<std::uint32_t>& xnodes,
-    const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order, int fifo) {
+Result<std::unique_ptr<Port>> Port::connect(const std::string& address, const std::string& worker,
+                                            const std::vector<std::uint32_t>& xnodes,
+                                            const OrderPairs& order, int fifo) {
   const std::string where = "coordinator '" + address + "'";
   if (xnodes.size() > kMaxWorkerXNodes)
     return fail(ErrorCode::kInvalid,
@@ -59,7 +59,7 @@ Result<std::unique_ptr<Port>> Port::connect(
   for (const auto& [u, v] : order)
     if (u >= header.num_xnodes || v >= header.num_xnodes)
       return fail(ErrorCode::kInvalid, "order names an XNode beyond the app's", where);
-  port->rules_ = Rules(static_cast<Discipline>(header.discipline), header.num_xnodes, order);
+  port->rules_ = {static_cast<Discipline>(header.discipline), Order(order)};
   port->words_ = Words<RealAtomics>(port->shm_, &port->rules_);
   port->generation_ = request_generation(port->shm_.slots[port->slot_].worker.request.load());
   port->pending_command_ = port->shm_.slots[port->slot_].coordinator.command.load();
@@ -139,8 +139,8 @@ void Port::begin(const Job& job) {
   generation_ = (generation_ + 1) & kGenerationMask;
   // Who came first matters only among those that meet; who meets nobody need not know so exactly.
   const bool alone = (shm_.header->owner.load(std::memory_order_relaxed) & ~kParkings) == 0;
-  const std::int64_t since_ns = alone ? coarse_now_ns() : now_ns();
-  const Start start = words_.start(slot_, generation_, job, static_cast<std::uint64_t>(since_ns));
+  job_.since_ns = static_cast<std::uint64_t>(alone ? coarse_now_ns() : now_ns());
+  const Start start = words_.start(slot_, generation_, job_);
   switch (start.started) {
     case Started::kRuns:
       return;

@@ -20,7 +20,7 @@
 #include "coord/protocol.h"
 #include "coord/shm_layout.h"
 #include "coord/socket_watch.h"
-#include "coord/words.h"
+#include "coord/worker_side.h"
 
 namespace xauto::coord {
 
@@ -40,8 +40,7 @@ class Port {
   /// management threads, also of the one that hears of the coordinator's death; 0: none.
   [[nodiscard]] static Result<std::unique_ptr<Port>> connect(
       const std::string& address, const std::string& worker,
-      const std::vector<std::uint32_t>& xnodes,
-      const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order, int fifo = 0);
+      const std::vector<std::uint32_t>& xnodes, const OrderPairs& order, int fifo = 0);
   ~Port();
   Port(const Port&) = delete;
   Port& operator=(const Port&) = delete;

@@ -16,7 +16,7 @@
 
 #include "base/unique_fd.h"
 #include "coord/arbiter.h"
-#include "coord/referee.h"
+#include "coord/coordinator_side.h"
 #include "coord/shm_layout.h"
 
 namespace xauto::coord {
@@ -26,8 +26,8 @@ struct ServerOptions {
   std::string xpu;      ///< "gpu0", for people
   Discipline discipline = Discipline::kPreemptive;
   std::vector<std::string>
-      xnodes;  ///< names by index, for people; its size bounds what workers may name
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;  ///< pairs of XNodes on this XPU
+      xnodes;        ///< names by index, for people; its size bounds what workers may name
+  OrderPairs order;  ///< pairs of XNodes on this XPU
   /// What outlives a coordinator, made by whoever starts it again when it dies: the listening
   /// socket, the shared memory (empty: the first one fills it), the doorbell. -1: made here.
   int listener_fd = -1, memory_fd = -1, doorbell_fd = -1;

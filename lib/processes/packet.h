@@ -13,8 +13,8 @@
 //           ◄── Stop,  Report ──►                 the end: what it has to tell
 //
 // While a member is dead the hub stands in for its modules: every release that comes to them is
-// lost, and told so downstream (StandIn). A member that is started again takes over at Go, where the
-// hub left off; its modules begin with a new state.
+// lost, and told so downstream (StandIn). A member that is started again takes over at Go, where
+// the hub left off; its modules begin with a new state.
 #pragma once
 
 #include <cstddef>

@@ -4,12 +4,13 @@
 
 #include <memory>
 
+#include "trace/trace.h"
+
 #include "graph/app_spec.h"
 #include "graph/graph.h"
 #include "processes/board.h"
 #include "processes/plan.h"
 #include "session/session.h"
-#include "trace/trace.h"
 
 namespace xauto::runtime {
 

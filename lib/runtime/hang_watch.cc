@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "base/log.h"
+
 #include "session/notes.h"
 
 namespace xauto::runtime {
@@ -53,11 +54,11 @@ void HangWatch::hung(const Worker& worker, const Worker::Hung& job) {
   const bool first = job.placed->line->hangs.load(std::memory_order_relaxed) == 1;
   if (first) add_note(note_, text);
   if (context_.trace != nullptr)
-    context_.trace->write(XAUTO_EV_HANG, job.sequence, static_cast<std::uint16_t>(job.placed->xnode),
-                  static_cast<std::uint16_t>(job.module),
-                  static_cast<std::uint16_t>(worker.options().xpu),
-                  static_cast<std::uint32_t>(
-                      std::min<std::int64_t>(UINT32_MAX, job.placed->limits.hang_ns / 1'000'000)));
+    context_.trace->write(
+        XAUTO_EV_HANG, job.sequence, static_cast<std::uint16_t>(job.placed->xnode),
+        static_cast<std::uint16_t>(job.module), static_cast<std::uint16_t>(worker.options().xpu),
+        static_cast<std::uint32_t>(
+            std::min<std::int64_t>(UINT32_MAX, job.placed->limits.hang_ns / 1'000'000)));
   switch (job.placed->limits.on_hang) {
     case OnHang::kLog:
       if (first) log::warn("{} (further ones are only counted)", text);

@@ -59,8 +59,8 @@ void Ledger::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
   if (reason == XAUTO_DROP_FAILED || reason == XAUTO_DROP_HUNG || reason == XAUTO_DROP_DIED)
     counts.in_flight.store(0, std::memory_order_relaxed);
   if (context_.trace != nullptr)
-    context_.trace->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
-                  XAUTO_EV_NONE, reason);
+    context_.trace->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE,
+                          static_cast<std::uint16_t>(module), XAUTO_EV_NONE, reason);
   if (context_.graph.modules[static_cast<std::size_t>(module)].sink)
     through(module, sequence, 0, nullptr, now_ns(), true);
 }
@@ -84,9 +84,9 @@ void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
 /// Into the trace, which so tells the tool.
 void Ledger::missed(int module, std::uint64_t sequence, std::int64_t latency_us) {
   if (context_.trace == nullptr) return;
-  context_.trace->write(XAUTO_EV_MISS, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module),
-                XAUTO_EV_NONE,
-                static_cast<std::uint32_t>(std::clamp<std::int64_t>(latency_us, 0, UINT32_MAX)));
+  context_.trace->write(
+      XAUTO_EV_MISS, sequence, XAUTO_EV_NONE, static_cast<std::uint16_t>(module), XAUTO_EV_NONE,
+      static_cast<std::uint32_t>(std::clamp<std::int64_t>(latency_us, 0, UINT32_MAX)));
 }
 
 /// A sink module settles its releases in order and each once; what it left out was lost with its
@@ -114,7 +114,8 @@ void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool 
         latencies_us_.add(latency_us);
         whole.add(latency_us);
       }
-      if (context_.session.app.deadline_us && (open.lost || latency_us > *context_.session.app.deadline_us)) {
+      if (context_.session.app.deadline_us &&
+          (open.lost || latency_us > *context_.session.app.deadline_us)) {
         deadline_misses_.fetch_add(1, std::memory_order_relaxed);
         whole.late.fetch_add(1, std::memory_order_relaxed);
         missed(module, next, latency_us);
@@ -127,7 +128,6 @@ void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool 
   in_flight_.fetch_sub(complete);
   futex_wake_local(in_flight_, 1);
 }
-
 
 void Ledger::forget(int module) {
   const auto m = static_cast<std::size_t>(module);
@@ -188,9 +188,9 @@ bool Ledger::wait_drained(const std::function<bool()>& idle) {
 
 std::string Ledger::what_did_not_end() const {
   const std::uint32_t left = in_flight_.load();
-  return left > 0                      ? std::to_string(left) + " activations did not end"
+  return left > 0                     ? std::to_string(left) + " activations did not end"
          : context_.graph.single_rate ? "a module whose result was not needed did not end"
-                                       : "a module's last activation did not end";
+                                      : "a module's last activation did not end";
 }
 
 void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
@@ -207,8 +207,12 @@ void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
   std::vector<std::uint64_t> lost;  // [module]
   for (std::size_t m = 0; m < context_.graph.modules.size(); ++m) {
     const ModuleLine& counts = context_.board.module(static_cast<int>(m));
-    ModuleReport module{context_.graph.modules[m].name, context_.graph.modules[m].sink, counts.activations,
-                        counts.failed,          counts.dropped,         {}};
+    ModuleReport module{context_.graph.modules[m].name,
+                        context_.graph.modules[m].sink,
+                        counts.activations,
+                        counts.failed,
+                        counts.dropped,
+                        {}};
     const std::lock_guard lock(latencies_[m]->mutex);
     module.latencies_us = latencies_[m]->us;
     into.modules.push_back(std::move(module));
@@ -219,8 +223,8 @@ void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
     if (!limits[n].any()) continue;
     const XNodeLine& line = context_.board.xnode(n);
     into.xnodes.push_back({context_.graph.nodes[n].name, limits[n].budget_ns / 1000,
-                             limits[n].hang_ns / 1000, line.jobs, line.overruns, line.hangs,
-                             line.longest_ns / 1000});
+                           limits[n].hang_ns / 1000, line.jobs, line.overruns, line.hangs,
+                           line.longest_ns / 1000});
   }
   into.deadline_misses = deadline_misses_.load();
   into.several_rates = !context_.graph.single_rate;

@@ -16,6 +16,7 @@
 #include "runtime/role.h"
 #include "runtime/routes.h"
 #include "runtime/watch.h"
+
 #include "session/run_report.h"
 
 namespace xauto::runtime {
@@ -72,12 +73,12 @@ class Ledger {
   Role& role_;
   std::vector<std::unique_ptr<Latencies>> latencies_;  ///< [module]
   int num_sinks_ = 0;
-  std::uint64_t num_released_ = 0;  ///< one rate; of the releasing thread, then of `run`'s
+  std::uint64_t num_released_ = 0;           ///< one rate; of the releasing thread, then of `run`'s
   std::atomic<std::uint32_t> in_flight_{0};  ///< one rate: releases not accounted for; a futex
   std::atomic<std::uint64_t> deadline_misses_{0};
 
   /// Written once per release and sink, not per job.
-  mutable PiMutex mutex_;        ///< guards what follows
+  mutable PiMutex mutex_;         ///< guards what follows
   std::deque<Release> releases_;  ///< the last kKeptReleases
   std::uint64_t num_releases_ = 0, lost_releases_ = 0, overlapping_releases_ = 0;
   Distribution latencies_us_;

@@ -8,8 +8,9 @@
 #include "base/log.h"
 #include "base/rt.h"
 #include "model/claims.h"
-#include "session/notes.h"
 #include "xpu/presence.h"
+
+#include "session/notes.h"
 
 namespace xauto::runtime {
 namespace {
@@ -41,7 +42,7 @@ FifoPlan choose_priorities(const Session& session, FifoPlan& fifo, std::string& 
   if (!session.emulates() && !real_cpus_wanted) return FifoPlan::within(0, 0);
   if (fifo.none()) {
     note = "no permission for SCHED_FIFO: threads run as SCHED_OTHER; " +
-            (session.fifo_why.empty() ? "" : session.fifo_why + "; ") + rt::fifo_hint();
+           (session.fifo_why.empty() ? "" : session.fifo_why + "; ") + rt::fifo_hint();
     log::warn("{}", note);
     return fifo;
   }
@@ -60,8 +61,9 @@ FifoPlan choose_priorities(const Session& session, FifoPlan& fifo, std::string& 
 }
 
 /// The policy's pairs of XNodes, on all XPUs.
-std::vector<std::pair<std::uint32_t, std::uint32_t>> order_in_force(
-    const Session& session, const Graph& graph, Placing& placing) {
+std::vector<std::pair<std::uint32_t, std::uint32_t>> order_in_force(const Session& session,
+                                                                    const Graph& graph,
+                                                                    Placing& placing) {
   std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
   if (session.policy.order.empty()) return order;
   if (!graph.single_rate) {
@@ -95,9 +97,9 @@ Placing Placing::of(const Session& session, const Graph& graph) {
     Limits limits;
     if (at >= 0) {
       const std::string& type = session.platform.xpus[static_cast<std::size_t>(at)].type;
-      limits = Limits::of(session.deployment,
-                          graph.modules[static_cast<std::size_t>(node.module)].name, node.name,
-                          session.app.xnodes[xnode].wcet_on(type).value_or(0));
+      limits =
+          Limits::of(session.deployment, graph.modules[static_cast<std::size_t>(node.module)].name,
+                     node.name, session.app.xnodes[xnode].wcet_on(type).value_or(0));
     }
     placing.limits.push_back(limits);
   }
@@ -121,8 +123,8 @@ void Placing::compare_with_certificate(const detail::AppSpecErased& app, const S
           "releases come every {}, the worst case is {} of {}: those that overlap may take longer",
           ms(period_us), ms(worst_us), kWorstCaseScope);
   }
-  const bool kept = session.cpu_sched == CpuSched::kExt ||
-                    (session.cpu_sched == CpuSched::kFifo && !fifo.none());
+  const bool kept =
+      session.cpu_sched == CpuSched::kExt || (session.cpu_sched == CpuSched::kFifo && !fifo.none());
   const std::vector<int> cpus = session.platform.instances_of("cpu");
   const bool real_cpus = std::any_of(
       cpus.begin(), cpus.end(), [&](int x) { return session.presence_of(x) == Presence::kReal; });
@@ -131,8 +133,7 @@ void Placing::compare_with_certificate(const detail::AppSpecErased& app, const S
     log::warn("the policy's worst case of {} does not hold in this run: {}", ms(worst_us), why);
 }
 
-Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module,
-                                      int at) const {
+Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module, int at) const {
   const Session& session = context.session;
   const Platform& platform = session.platform;
   const Xpu& x = platform.xpus[static_cast<std::size_t>(at)];

@@ -75,7 +75,8 @@ Status Releaser::release_periodic() {
   std::int64_t slowest_ns = 1;
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
     if (context_.graph.topics[t].source < 0) continue;
-    const auto& spec = context_.app.sources[static_cast<std::size_t>(context_.graph.topics[t].source)];
+    const auto& spec =
+        context_.app.sources[static_cast<std::size_t>(context_.graph.topics[t].source)];
     const std::int64_t period_us =
         context_.session.period_us > 0 ? context_.session.period_us : spec.period.count();
     sources.push_back({static_cast<int>(t), period_us * 1000});
@@ -102,7 +103,8 @@ Status Releaser::release_periodic() {
     std::int64_t fed_period_ns = 0;
     for (Source& s : sources) {
       if (s.due_ns() > next_ns) continue;
-      if (wiring_.interop() != nullptr && wiring_.interop()->feeds(static_cast<std::size_t>(s.topic))) {
+      if (wiring_.interop() != nullptr &&
+          wiring_.interop()->feeds(static_cast<std::size_t>(s.topic))) {
         fed_period_ns =
             s.sequence == 0 ? INT64_MAX : s.period_ns;  // nothing to do before the first
         fed.push_back({s.topic, s.sequence++, nullptr});
@@ -138,7 +140,7 @@ Status Releaser::release_periodic() {
 /// for up to a period; without one it is lost, and told so downstream. Otherwise there is one or
 /// there is none.
 void Releaser::take_fed(std::vector<Sample> fed, std::int64_t period_ns,
-                      std::vector<Sample>& samples) {
+                        std::vector<Sample>& samples) {
   const std::int64_t now = now_ns();
   std::int64_t until = now;
   if (context_.graph.single_rate) until = period_ns > INT64_MAX - now ? INT64_MAX : now + period_ns;
@@ -160,7 +162,7 @@ void Releaser::release(std::int64_t origin_ns, const std::vector<Sample>& sample
     const std::size_t count = context_.graph.single_rate ? 1 : samples.size();
     for (std::size_t i = 0; i < count; ++i)
       context_.trace->write_at(origin_ns, XAUTO_EV_PUBLISH, samples[i].sequence, XAUTO_EV_NONE,
-                       XAUTO_EV_NONE, XAUTO_EV_NONE);
+                               XAUTO_EV_NONE, XAUTO_EV_NONE);
   }
   if (recorder_) record(origin_ns, samples);
   for (const auto& [topic, number, message] : samples) {
@@ -221,7 +223,8 @@ int Releaser::slowest_source() const {
   std::chrono::microseconds longest{0};
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
     if (context_.graph.topics[t].source < 0) continue;
-    const auto period = context_.app.sources[static_cast<std::size_t>(context_.graph.topics[t].source)].period;
+    const auto period =
+        context_.app.sources[static_cast<std::size_t>(context_.graph.topics[t].source)].period;
     if (period > longest) {
       longest = period;
       slowest = static_cast<int>(t);
@@ -240,7 +243,8 @@ Status Releaser::release_recorded() {
     if (context_.graph.topics[t].source >= 0) missing.insert(static_cast<int>(t));
   for (std::size_t r = 0; r < recording.topics().size(); ++r)
     for (const int t : std::set<int>(missing))
-      if (context_.graph.topics[static_cast<std::size_t>(t)].spec.name == recording.topics()[r].name) {
+      if (context_.graph.topics[static_cast<std::size_t>(t)].spec.name ==
+          recording.topics()[r].name) {
         topic_of[r] = t;
         missing.erase(t);
       }
@@ -249,8 +253,8 @@ Status Releaser::release_recorded() {
   };
   if (!missing.empty())
     return fail(ErrorCode::kInvalid,
-                "has no messages for topic '" + topic_name(*missing.begin()) + "'", context_.session.input,
-                "record the app's own sources with `xauto run --record`");
+                "has no messages for topic '" + topic_name(*missing.begin()) + "'",
+                context_.session.input, "record the app's own sources with `xauto run --record`");
 
   std::vector<std::uint64_t> sequence(context_.graph.topics.size(), 0);
   // Messages of one instant are one release; so are the k-th messages of all topics in a
@@ -261,7 +265,8 @@ Status Releaser::release_recorded() {
   std::int64_t first_stamp = -1, start = 0;
   std::uint64_t releases = 0, counted = 0;  // of all sources; of the slowest
   const int slowest = slowest_source();
-  while (!stop_.load() && (context_.session.activations == 0 || counted < context_.session.activations)) {
+  while (!stop_.load() &&
+         (context_.session.activations == 0 || counted < context_.session.activations)) {
     XAUTO_ASSIGN(auto message, recording.next());
     if (!message) break;
     const int t = topic_of[message->topic];
@@ -283,9 +288,10 @@ Status Releaser::release_recorded() {
       first_stamp = message->timestamp_ns;
       start = now_ns() + 20'000'000;
     }
-    const std::int64_t at_ns = context_.session.period_us > 0
-                                   ? static_cast<std::int64_t>(releases) * context_.session.period_us * 1000
-                                   : message->timestamp_ns - first_stamp;
+    const std::int64_t at_ns =
+        context_.session.period_us > 0
+            ? static_cast<std::int64_t>(releases) * context_.session.period_us * 1000
+            : message->timestamp_ns - first_stamp;
     if (context_.session.duration_us > 0 && at_ns >= context_.session.duration_us * 1000) break;
     if (context_.session.lockstep) {
       if (!wait_drained())

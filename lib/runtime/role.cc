@@ -13,12 +13,13 @@
 
 #include "base/check.h"
 #include "base/log.h"
-#include "processes/hub.h"
-#include "processes/member.h"
-#include "processes/stand_in.h"
 #include "runtime/context.h"
 #include "runtime/ledger.h"
 #include "runtime/wiring.h"
+
+#include "processes/hub.h"
+#include "processes/member.h"
+#include "processes/stand_in.h"
 #include "session/notes.h"
 
 namespace xauto::runtime {
@@ -155,7 +156,7 @@ class Leader final : public Role, private HubHost {
   Wiring* wiring_ = nullptr;
   Ledger* ledger_ = nullptr;
   std::vector<std::string> reports_;                   ///< of members, after `end`
-  std::map<int, std::int64_t> silence_ns_;              ///< by process, after which it is killed
+  std::map<int, std::int64_t> silence_ns_;             ///< by process, after which it is killed
   std::map<int, std::unique_ptr<StandIn>> stand_ins_;  ///< by process; of the hub's thread
   std::unique_ptr<Hub> hub_;  ///< last: its thread ends before what it uses
 };
@@ -219,9 +220,8 @@ class Follower final : public Role {
 
 }  // namespace
 
-Result<std::unique_ptr<Role>> Role::of(const Graph& graph, const Plan& plan,
-                                       const Session& session, std::size_t flows,
-                                       std::atomic<bool>& stop) {
+Result<std::unique_ptr<Role>> Role::of(const Graph& graph, const Plan& plan, const Session& session,
+                                       std::size_t flows, std::atomic<bool>& stop) {
   if (plan.processes == 1) {
     const BoardShape shape = shape_of(plan, graph, flows);
     if (session.board_fd < 0)

@@ -3,9 +3,10 @@
 // member. Nothing else in lib/runtime asks which it is.
 //
 //            board      topics to others   sources, observers, accounts   begins when     ends when
-//   alone    its own    none               here                           at once         it has drained
-//   hub      shared     shared memory      here                           all are ready   likewise
-//   member   shared     shared memory      in the hub                     the hub says    the hub says
+//   alone    its own    none               here                           at once         it has
+//   drained hub      shared     shared memory      here                           all are ready
+//   likewise member   shared     shared memory      in the hub                     the hub says the
+//   hub says
 #pragma once
 
 #include <atomic>
@@ -14,12 +15,13 @@
 
 #include <xauto/result.h>
 
+#include "transport/shm_topic.h"
+
 #include "graph/graph.h"
 #include "processes/board.h"
 #include "processes/plan.h"
 #include "session/run_report.h"
 #include "session/session.h"
-#include "transport/shm_topic.h"
 
 namespace xauto::runtime {
 

@@ -8,6 +8,7 @@
 #include "base/clock.h"
 #include "base/log.h"
 #include "base/rt.h"
+
 #include "session/notes.h"
 
 namespace xauto::runtime {
@@ -111,8 +112,8 @@ Status Wiring::open_topics() {
     const Plan::Remote& remote = context_.plan.topics[t];
     if (remote.readers.empty() || remote.publisher != context_.session.process) continue;
     ringers_.push_back(std::make_unique<BoardRinger>(role_.board(), remote.readers));
-    XAUTO_ASSIGN(publishers_[t], role_.link(t).publisher(context_.graph.topics[t].spec,
-                                                         ringers_.back().get()));
+    XAUTO_ASSIGN(publishers_[t],
+                 role_.link(t).publisher(context_.graph.topics[t].spec, ringers_.back().get()));
   }
   return {};
 }
@@ -154,8 +155,10 @@ void Wiring::connect(std::size_t topic) {
             [&observer](const detail::Envelope& envelope) { show(observer, envelope); });
   for (const Graph::Subscriber& subscriber : spec.subscribers)
     if (const auto m = static_cast<std::size_t>(subscriber.module); context_.hosts(m))
-      channel.subscribe([module = module(m), input = subscriber.input](
-                            const detail::Envelope& envelope) { module->receive(input, envelope); });
+      channel.subscribe(
+          [module = module(m), input = subscriber.input](const detail::Envelope& envelope) {
+            module->receive(input, envelope);
+          });
   if (interop_ && interop_->publisher(topic) != nullptr)
     channel.subscribe(interop_->publisher(topic)->sender());
 }
@@ -168,8 +171,7 @@ Status Wiring::start() {
 Status Wiring::open_inputs() {
   const int process = context_.session.process;
   if (context_.plan.processes == 1) return {};
-  receiver_ =
-      std::make_unique<transport::Receiver>(context_.board.process(process).doorbell);
+  receiver_ = std::make_unique<transport::Receiver>(context_.board.process(process).doorbell);
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
     const int reader = context_.plan.topics[t].reader(process);
     if (reader < 0) continue;

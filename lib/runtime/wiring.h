@@ -2,8 +2,10 @@
 // What a run in one process is made of, and how it hangs together: topics, modules, their chains of
 // XNodes, and the workers that run them. Built once; then only started and stopped.
 //
-//   source ─► Channel ─► ModuleRuntime ─► Chain ─► Worker, Worker ... ─► ModuleRuntime ─► Channel ─►
-//                 └─► Publisher (another process, a program outside)        a Receiver brings theirs
+//   source ─► Channel ─► ModuleRuntime ─► Chain ─► Worker, Worker ... ─► ModuleRuntime ─► Channel
+//   ─►
+//                 └─► Publisher (another process, a program outside)        a Receiver brings
+//                 theirs
 #pragma once
 
 #include <cstdint>
@@ -13,8 +15,6 @@
 
 #include <xauto/result.h>
 
-#include "processes/board.h"
-#include "processes/interop.h"
 #include "runtime/context.h"
 #include "runtime/placing.h"
 #include "runtime/role.h"
@@ -22,6 +22,9 @@
 #include "runtime/xmodule.h"
 #include "transport/receiver.h"
 #include "xpu/cpu_threads.h"
+
+#include "processes/board.h"
+#include "processes/interop.h"
 
 namespace xauto::runtime {
 

@@ -147,12 +147,14 @@ void Worker::execute() {
 /// The most urgent job of this thread first, as the XPU itself would be given.
 void Worker::run_lane() {
   while (!lane_.empty()) {
-    const auto next =
-        std::max_element(lane_.begin(), lane_.end(), [](const Ready& a, const Ready& b) {
-          return a.worker->chain_.nodes[a.node].priority < b.worker->chain_.nodes[b.node].priority;
-        });
-    const Ready job = *next;
-    lane_.erase(next);
+    coord::Next next;
+    for (std::size_t i = 0; i < lane_.size(); ++i) {
+      const Ready& ready = lane_[i];  // who was ready first is before it
+      next.consider({ready.worker->chain_.nodes[ready.node].priority, 0, static_cast<int>(i)});
+    }
+    const auto at = lane_.begin() + next.slot();
+    const Ready job = *at;
+    lane_.erase(at);
     job.worker->run_chain(job.node, job.begun);
   }
 }

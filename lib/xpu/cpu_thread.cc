@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A real CPU core: the work of an XNode is its thread, and Linux suspends a thread by running a more
-// urgent one (cpu_threads.h gives it the job's priority). So the coordinator admits every job at
-// once, and nobody has a reason to call preempt.
+// A real CPU core: the work of an XNode is its thread, and Linux suspends a thread by running a
+// more urgent one (cpu_threads.h gives it the job's priority). So the coordinator admits every job
+// at once, and nobody has a reason to call preempt.
 #include "xpu/backend.h"
 
 namespace xauto::xpu {

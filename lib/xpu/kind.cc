@@ -80,8 +80,7 @@ Result<std::unique_ptr<Backend>> make_backend(const BackendRequest& request,
   const bool driver = !kind.nodes.empty() && request.xpu.preemptive;
   if (request.emulated && !(request.emulator_modules && driver))
     return make_emulated(request.scheduled);
-  const bool gated =
-      discipline_of(request.xpu, request.emulated, table) == Discipline::kGate;
+  const bool gated = discipline_of(request.xpu, request.emulated, table) == Discipline::kGate;
   if (!request.scheduled || gated) return make_gate();
   return kind.backend(request.id);
 }

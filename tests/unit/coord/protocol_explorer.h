@@ -5,7 +5,7 @@
 // An operation is replayed: what it has read so far is recorded, so running it again from its start
 // with the recorded values brings it back to where it was, and one access further on the memory as
 // it is now. A state is the memory, the private state of everybody, and the records. States that
-// were met before are not entered again; sequential consistency is assumed, as in words.h.
+// were met before are not entered again; sequential consistency is assumed, as in worker_side.h.
 //
 // What sleeps here really sleeps: a worker that waits for its grant looks again only after a
 // futex_wake of its slot, a management thread after a signal, the coordinator after its doorbell
@@ -20,8 +20,8 @@
 #include <utility>
 #include <vector>
 
-#include "coord/referee.h"
-#include "coord/words.h"
+#include "coord/coordinator_side.h"
+#include "coord/worker_side.h"
 
 namespace xauto::coord::testing {
 
@@ -101,7 +101,7 @@ struct ProtocolWorld {
     Job job;
   };
   std::vector<Discipline> xpus;
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;  ///< on XPU 0
+  OrderPairs order;                        ///< on XPU 0
   std::vector<std::vector<Task>> modules;  ///< each: its jobs, one after the other
   int deaths = 0;                          ///< workers (modules) that may die
   int coordinator_deaths = 0;
@@ -124,7 +124,7 @@ class ProtocolExplorer {
 
  public:
   explicit ProtocolExplorer(ProtocolWorld world) : world_(std::move(world)) {
-    for (const Discipline d : world_.xpus) rules_.emplace_back(d, kXNodes, world_.order);
+    for (const Discipline d : world_.xpus) rules_.push_back({d, Order(world_.order)});
   }
 
   ProtocolResult run() {
@@ -266,9 +266,11 @@ class ProtocolExplorer {
     const std::uint32_t generation = module.generation[static_cast<std::size_t>(t.xpu)] + 1;
     const Words<A> words(xpu.shm(), &rules_[static_cast<std::size_t>(t.xpu)]);
     Start start;
+    Job job = t.job;
+    job.since_ns = m;
     bool signal = false;
     if (!advance(&module.record, [&] {
-          start = words.start(static_cast<int>(m), generation, t.job, m);
+          start = words.start(static_cast<int>(m), generation, job);
           if (start.started == Started::kDecided) signal = words.ring();
         }))
       return;
@@ -532,17 +534,8 @@ class ProtocolExplorer {
       const Arbiter& arbiter = xpu.referee->arbiter();
       for (std::size_t i = 0; i < s.modules.size(); ++i) {
         const Arbiter::Slot& slot = arbiter.slot(static_cast<int>(i));
-        int rank = 0;
-        for (std::size_t j = 0; j < s.modules.size(); ++j) {
-          const Arbiter::Slot& other = arbiter.slot(static_cast<int>(j));
-          rank += slot.phase != Phase::kNone && other.phase != Phase::kNone &&
-                          other.arrival < slot.arrival
-                      ? 1
-                      : 0;
-        }
         h.add(static_cast<std::uint64_t>(slot.phase) << 8 |
               static_cast<std::uint64_t>(slot.queue) << 4 | (slot.refuses ? 1u : 0u) |
-              static_cast<std::uint64_t>(rank) << 12 |
               static_cast<std::uint64_t>(slot.job.priority) << 16);
       }
       h.add(static_cast<std::uint64_t>(xpu.doing * 4 + (xpu.doorbell ? 1 : 0)) * 64 +

@@ -31,8 +31,7 @@ std::string unique_address() {
 /// A coordinator in a thread.
 class Running {
  public:
-  explicit Running(Discipline discipline,
-                   std::vector<std::pair<std::uint32_t, std::uint32_t>> order = {})
+  explicit Running(Discipline discipline, OrderPairs order = {})
       : address_(unique_address()), order_(std::move(order)), stop_(eventfd(0, EFD_CLOEXEC)) {
     auto server = Server::create(
         {address_, "gpu0", discipline, std::vector<std::string>(16, "node"), order_});
@@ -56,7 +55,7 @@ class Running {
 
  private:
   std::string address_;
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> order_;
+  OrderPairs order_;
   UniqueFd stop_;
   std::unique_ptr<Server> server_;
   std::thread thread_;

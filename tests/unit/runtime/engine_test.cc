@@ -17,7 +17,6 @@
 #include "base/memory_file.h"
 #include "base/socket.h"
 #include "coord/server.h"
-
 #include "xpu/kind.h"
 
 namespace xauto::runtime {

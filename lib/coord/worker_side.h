@@ -9,10 +9,9 @@
 
 #include <atomic>
 #include <cstdint>
-#include <utility>
-#include <vector>
 
 #include "coord/arbiter.h"
+#include "coord/rule.h"
 #include "coord/shm_layout.h"
 
 namespace xauto::coord {
@@ -75,18 +74,7 @@ std::uint32_t command(std::atomic<std::uint32_t>& word, std::uint32_t last, bool
 /// What is the same for all workers of an XPU.
 struct Rules {
   Discipline discipline = Discipline::kPreemptive;
-  std::vector<std::vector<std::uint32_t>> before;  ///< [xnode] -> order predecessors on this XPU
-  std::vector<char> tracked;                       ///< [xnode] -> somebody's order predecessor
-
-  Rules() = default;
-  Rules(Discipline d, std::uint32_t num_xnodes,
-        const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order)
-      : discipline(d), before(num_xnodes), tracked(num_xnodes) {
-    for (const auto& [u, v] : order) {
-      before[v].push_back(u);
-      tracked[u] = 1;
-    }
-  }
+  Order order;
 };
 
 /// What the caller has to do after START.
@@ -116,18 +104,16 @@ class Words {
   Words(Shm shm, const Rules* rules) : shm_(shm), rules_(rules) {}
 
   [[nodiscard]] bool eligible(const Job& job) const {
-    if (job.xnode >= rules_->before.size()) return true;
-    for (const std::uint32_t u : rules_->before[job.xnode])
-      if (A::load(shm_.finished[u]) <= job.sequence) return false;
-    return true;
+    return rules_->order.eligible(job.xnode, job.sequence,
+                                  [&](std::uint32_t u) { return A::load(shm_.finished[u]); });
   }
 
-  Start start(int slot, std::uint32_t generation, const Job& job, std::uint64_t since_ns) const {
+  Start start(int slot, std::uint32_t generation, const Job& job) const {
     WorkerLine& line = shm_.slots[slot].worker;
     A::store_relaxed(line.xnode, job.xnode);
     A::store_relaxed(line.priority, job.priority);
     A::store_relaxed(line.sequence, job.sequence);
-    A::store_relaxed(line.since_ns, since_ns);
+    A::store_relaxed(line.since_ns, job.since_ns);
     const bool may = eligible(job);
     const bool kernel = rules_->discipline == Discipline::kKernel;
     if (may && kernel) {
@@ -147,7 +133,8 @@ class Words {
       } else if (other == slot && owner_generation(seen) == generation) {
         return {};  // handed over to us before we could park
       } else if (rules_->discipline == Discipline::kPreemptive &&
-                 job.priority > A::load(shm_.slots[other].worker.priority)) {
+                 takes({job.priority, job.since_ns, slot},
+                       {A::load(shm_.slots[other].worker.priority), 0, other})) {
         const std::uint32_t last = A::load(shm_.slots[other].coordinator.command);
         if ((seen & kTaken) != 0 || (last & 1u) != 0 ||
             A::load(shm_.slots[other].worker.ack) != last) {
@@ -167,8 +154,7 @@ class Words {
   }
 
   Finished finish(int slot, std::uint32_t generation, const Job& job) const {
-    if (job.xnode < rules_->tracked.size() && rules_->tracked[job.xnode] != 0)
-      mark_finished(job.xnode, job.sequence + 1);
+    if (rules_->order.tracks(job.xnode)) mark_finished(job.xnode, job.sequence + 1);
     A::store(shm_.slots[slot].worker.request, request_word(Want::kIdle, generation));
     std::atomic<std::uint64_t>& owner = shm_.header->owner;
     std::uint64_t seen = A::load(owner);
@@ -211,7 +197,7 @@ class Words {
 
   /// Returns whether to ring.
   bool skip(std::uint32_t xnode, std::uint64_t sequence) const {
-    if (xnode >= rules_->tracked.size() || rules_->tracked[xnode] == 0) return false;
+    if (!rules_->order.tracks(xnode)) return false;
     mark_finished(xnode, sequence + 1);
     return (A::load(shm_.header->owner) & kFat) != 0;
   }
@@ -241,26 +227,19 @@ class Words {
 
   /// The most urgent job that is parked (or is about to park: then it finds itself the owner).
   Pick pick(int self) const {
-    Pick best;
-    std::int64_t priority = 0;
-    std::uint64_t since = 0;
+    std::uint32_t generations[kMaxSlots];
+    Next next;
     const int high = static_cast<int>(A::peek(shm_.header->high));
     for (int i = 0; i < high && i < kMaxSlots; ++i) {
       if (i == self) continue;
       const WorkerLine& line = shm_.slots[i].worker;
       const std::uint32_t request = A::load(line.request);
       if (request_want(request) != Want::kRun) continue;
-      const std::int64_t its = A::peek(line.priority);
-      const std::uint64_t came = A::peek(line.since_ns);
-      const bool better = best.slot < 0 || its > priority || (its == priority && came < since);
-      best.more = best.slot >= 0;
-      if (!better) continue;
-      best.slot = i;
-      best.generation = request_generation(request);
-      priority = its;
-      since = came;
+      generations[i] = request_generation(request);
+      next.consider({A::peek(line.priority), A::peek(line.since_ns), i});
     }
-    return best;
+    if (next.slot() < 0) return {};
+    return {next.slot(), generations[next.slot()], next.more()};
   }
 
   void mark_finished(std::uint32_t xnode, std::uint64_t count) const {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Life of a job, step 5: the coordinator's side of the protocol in shm_layout.h, between the shared
 // words and the arbiter. No system call, no clock: whom to wake is left in `Wakes`. `A` does the
-// atomic accesses, see words.h; the tests copy a Referee to try every interleaving.
+// atomic accesses, see worker_side.h; the tests copy a Referee to try every interleaving.
 //
 // Threads: one.
 #pragma once
@@ -15,7 +15,7 @@
 
 #include "coord/arbiter.h"
 #include "coord/shm_layout.h"
-#include "coord/words.h"
+#include "coord/worker_side.h"
 
 namespace xauto::coord {
 
@@ -29,17 +29,12 @@ struct Wakes {
 template <class A>
 class Referee {
  public:
-  Referee(Shm shm, Discipline discipline,
-          const std::vector<std::pair<std::uint32_t, std::uint32_t>>& order)
-      : shm_(shm), arbiter_(discipline, order) {
-    for (const auto& [u, v] : order) tracked_.push_back(u);
-    std::sort(tracked_.begin(), tracked_.end());
-    tracked_.erase(std::unique(tracked_.begin(), tracked_.end()), tracked_.end());
-  }
+  Referee(Shm shm, Discipline discipline, const OrderPairs& order)
+      : shm_(shm), arbiter_(discipline, order), order_(order) {}
 
   /// Order constraints are not kept. Before the first job.
   void forget_order() {
-    tracked_.clear();
+    order_ = Order();
     arbiter_.forget_order();
   }
 
@@ -74,8 +69,7 @@ class Referee {
     info.used = false;
     A::store_relaxed(shm_.slots[slot].coordinator.used, 0u);
     for (const std::uint32_t xnode : xnodes)
-      if (std::binary_search(tracked_.begin(), tracked_.end(), xnode))
-        A::store(shm_.finished[xnode], UINT64_MAX);
+      if (order_.tracks(xnode)) A::store(shm_.finished[xnode], UINT64_MAX);
     arbiter_.gone(slot, held_actions());
     look_fat(wakes);
   }
@@ -139,7 +133,8 @@ class Referee {
   [[nodiscard]] std::uint64_t decisions() const { return decisions_; }
   [[nodiscard]] Job job_of(int slot) const {
     const WorkerLine& line = shm_.slots[slot].worker;
-    return {A::peek(line.xnode), A::peek(line.sequence), A::peek(line.priority)};
+    return {A::peek(line.xnode), A::peek(line.sequence), A::peek(line.priority),
+            A::peek(line.since_ns)};
   }
   /// The same, looking at a copy of the memory; for the tests.
   void move_to(Shm shm) { shm_ = shm; }
@@ -231,7 +226,7 @@ class Referee {
       arbiter_.hold();
       for (int i = 0; i < high(); ++i)
         if (slots_[static_cast<std::size_t>(i)].used) scan_slot(i, wakes);
-      for (const std::uint32_t xnode : tracked_)
+      for (const std::uint32_t xnode : order_.predecessors())
         arbiter_.finished(xnode, A::load(shm_.finished[xnode]), held_actions());
       arbiter_.release(actions);
       carry_out(actions, wakes);
@@ -376,7 +371,7 @@ class Referee {
   Arbiter arbiter_;
   bool fat_ = false;  ///< the owner word is ours
   std::array<SlotInfo, kMaxSlots> slots_;
-  std::vector<std::uint32_t> tracked_;  ///< XNodes that are somebody's order predecessor
+  Order order_;
   std::vector<Action> nothing_;
   std::uint64_t decisions_ = 0;
 };
