@@ -2,7 +2,7 @@
 # Everything that we link, each once. Why each is here: docs/dependencies.md. Installed by
 # scripts/setup.sh. Foreign headers are SYSTEM so that our warning level stops at our own code.
 find_package(Threads REQUIRED)
-find_package(nlohmann_json 3.11 REQUIRED)  # JSON: only lib/model/json*.cc and the tools include it
+find_package(nlohmann_json 3.11 REQUIRED)  # JSON: lib/model, see json_value.h there
 find_package(CLI11 2.1 REQUIRED)           # command lines: tools/cli only
 find_package(fmt 9 REQUIRED)               # text formatting
 find_package(spdlog 1.10 REQUIRED)         # logs for people: lib/base/log.cc only

@@ -7,9 +7,9 @@
 #include <memory>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "model/json.h"
+#include "model/json_value.h"
 #include "solver/explain.h"
 
 #include "xauto/account.h"
@@ -22,34 +22,34 @@ struct Flags {
   std::string app, platform, policy, trace, chain, activation = "worst";
 };
 
-nlohmann::ordered_json to_json(const std::vector<Blocker>& list) {
-  auto out = nlohmann::ordered_json::array();
+Json to_json(const std::vector<Blocker>& list) {
+  auto out = Json::array();
   for (const Blocker& b : list) out.push_back({{"who", b.who}, {"us", b.us}});
   return out;
 }
 
-nlohmann::ordered_json to_json(const Account& account) {
-  auto steps = nlohmann::ordered_json::array();
+Json to_json(const Account& account) {
+  auto steps = Json::array();
   for (const ChainStep& step : account.steps) {
-    nlohmann::ordered_json j = {{"xnode", step.xnode},
-                                {"xpu", step.xpu},
-                                {"begin_us", step.begin_us},
-                                {"end_us", step.end_us},
-                                {"handover_us", step.handover_us},
-                                {"sensor_us", step.sensor_us},
-                                {"waited_us", step.waited_us},
-                                {"ran_us", step.ran_us},
-                                {"switched_us", step.switched_us},
-                                {"suspended_us", step.suspended_us},
-                                {"busy_with", to_json(step.busy_with)},
-                                {"waited_for", to_json(step.waited_for)},
-                                {"preempted_by", to_json(step.preempted_by)},
-                                {"beside", to_json(step.beside)}};
+    Json j = {{"xnode", step.xnode},
+              {"xpu", step.xpu},
+              {"begin_us", step.begin_us},
+              {"end_us", step.end_us},
+              {"handover_us", step.handover_us},
+              {"sensor_us", step.sensor_us},
+              {"waited_us", step.waited_us},
+              {"ran_us", step.ran_us},
+              {"switched_us", step.switched_us},
+              {"suspended_us", step.suspended_us},
+              {"busy_with", to_json(step.busy_with)},
+              {"waited_for", to_json(step.waited_for)},
+              {"preempted_by", to_json(step.preempted_by)},
+              {"beside", to_json(step.beside)}};
     if (step.planned_us >= 0) j["planned_us"] = step.planned_us;
     if (step.planned_end_us >= 0) j["planned_end_us"] = step.planned_end_us;
     steps.push_back(std::move(j));
   }
-  nlohmann::ordered_json j;
+  Json j;
   if (!account.chain.empty()) j["chain"] = account.chain;
   j["release"] = account.release;
   j["latency_us"] = account.latency_us;
@@ -119,11 +119,11 @@ Result<int> explain_trace(const Flags& flags, const Options& options) {
   XAUTO_ASSIGN(const ReadTrace trace, read_trace(bytes, flags.trace));
   XAUTO_ASSIGN(const std::vector<Account> accounts, accounts_of(flags, trace));
   if (options.json) {
-    nlohmann::ordered_json j;
+    Json j;
     if (trace.chains.empty()) {
       j = to_json(accounts.front());
     } else {
-      j["chains"] = nlohmann::ordered_json::array();
+      j["chains"] = Json::array();
       for (const Account& account : accounts) j["chains"].push_back(to_json(account));
     }
     j["events_lost"] = trace.lost;
@@ -167,9 +167,9 @@ Result<int> explain(const Flags& flags, const Options& options) {
         .id;
   };
   if (options.json) {
-    nlohmann::json chain = nlohmann::json::array();
+    Json chain = Json::array();
     for (const solver::Link& link : why.chain) {
-      nlohmann::json behind = nlohmann::json::array();
+      Json behind = Json::array();
       for (int j : link.behind) behind.push_back(name(j));
       chain.push_back({{"xnode", name(link.xnode)},
                        {"xpu", xpu(link.xnode)},
@@ -179,13 +179,12 @@ Result<int> explain(const Flags& flags, const Options& options) {
                        {"wcet_us", link.wcet_us},
                        {"behind", behind}});
     }
-    nlohmann::json answer = {
-        {"sentence", why.sentence},
-        {"limiting_xpu", platform.xpus[static_cast<std::size_t>(why.limiting_xpu)].id},
-        {"limiting_us", why.limiting_us},
-        {"running_us", why.running_us},
-        {"critical_path_us", why.critical_path_us},
-        {"chain", chain}};
+    Json answer = {{"sentence", why.sentence},
+                   {"limiting_xpu", platform.xpus[static_cast<std::size_t>(why.limiting_xpu)].id},
+                   {"limiting_us", why.limiting_us},
+                   {"running_us", why.running_us},
+                   {"critical_path_us", why.critical_path_us},
+                   {"chain", chain}};
     if (app.rates() > 1) answer["note"] = rates_note(app);
     std::cout << answer.dump(2) << "\n";
     return kDone;

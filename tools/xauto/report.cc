@@ -5,9 +5,9 @@
 #include <optional>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "model/claims.h"
+#include "model/json_value.h"
 
 #include "xauto/gate.h"
 #include "xauto/html_report.h"
@@ -19,18 +19,16 @@
 namespace xauto::cli {
 namespace {
 
-using nlohmann::ordered_json;
-
 std::uint64_t lost_releases(const PolicyRun& run) {
   return run.report.lost_releases;
 }
 
 /// null where nothing was measured.
-ordered_json or_null(std::int64_t us, std::size_t count) {
-  return count == 0 ? ordered_json() : ordered_json(us);
+Json or_null(std::int64_t us, std::size_t count) {
+  return count == 0 ? Json() : us;
 }
 
-ordered_json quantiles_json(const runtime::Distribution& us) {
+Json quantiles_json(const runtime::Distribution& us) {
   const Latency l = summarise(us);
   return {{"p50", or_null(l.p50_us, l.count)},
           {"p99", or_null(l.p99_us, l.count)},
@@ -155,37 +153,37 @@ bool healthy(const PolicyRun& run) {
 }
 
 std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
-  ordered_json list = ordered_json::array();
+  Json list = Json::array();
   const PolicyRun* base = ros2_of(runs);
   for (const PolicyRun& run : runs) {
     const std::size_t n = run.latency.count;
     const auto misses = deadline_misses(flags, run);
-    ordered_json j = {{"policy", run.id},
-                      {"name", run.name},
-                      {"p50_us", or_null(run.latency.p50_us, n)},
-                      {"p99_us", or_null(run.latency.p99_us, n)},
-                      {"max_us", or_null(run.latency.max_us, n)},
-                      {"predicted_us", run.predicted.makespan},
-                      {"mean_us", or_null(run.latency.mean_us, n)},
-                      {"p10_us", or_null(run.latency.p10_us, n)},
-                      {"p90_us", or_null(run.latency.p90_us, n)},
-                      {"activations", n},
-                      {"lost_activations", lost_releases(run)},
-                      {"complete", run.report.complete},
-                      {"deadline_misses", misses ? ordered_json(*misses) : ordered_json()},
-                      {"scheduling", runtime::to_string(run.scheduling)},
-                      {"trace_events_lost", run.outcome.trace.lost},
-                      {"trace_events_overwritten", run.outcome.trace.overwritten},
-                      {"trace_s", traced_s(run.outcome.trace)},
-                      {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
+    Json j = {{"policy", run.id},
+              {"name", run.name},
+              {"p50_us", or_null(run.latency.p50_us, n)},
+              {"p99_us", or_null(run.latency.p99_us, n)},
+              {"max_us", or_null(run.latency.max_us, n)},
+              {"predicted_us", run.predicted.makespan},
+              {"mean_us", or_null(run.latency.mean_us, n)},
+              {"p10_us", or_null(run.latency.p10_us, n)},
+              {"p90_us", or_null(run.latency.p90_us, n)},
+              {"activations", n},
+              {"lost_activations", lost_releases(run)},
+              {"complete", run.report.complete},
+              {"deadline_misses", misses},
+              {"scheduling", runtime::to_string(run.scheduling)},
+              {"trace_events_lost", run.outcome.trace.lost},
+              {"trace_events_overwritten", run.outcome.trace.overwritten},
+              {"trace_s", traced_s(run.outcome.trace)},
+              {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
     if (!flags.fail_on.empty()) {
-      ordered_json gate = ordered_json::object();
+      Json gate = Json::object();
       for (const GateCount& g : gate_of(flags, run)) gate[g.word] = g.count;
       j["fail_on"] = std::move(gate);
     }
     if (base != nullptr) {
       const auto times = ratio(base->latency, &Latency::p99_us, run.latency);
-      j["p99_speedup_over_ros2"] = times ? ordered_json(*times) : ordered_json();
+      j["p99_speedup_over_ros2"] = times;
     }
     if (run.policy) {
       j["optimal"] = run.policy->optimal;
@@ -196,18 +194,18 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
         j["worst_case_exceeded"] = worst->exceeded;
         j["worst_case_broken"] = worst->broken;
       }
-      ordered_json placement = ordered_json::object();
+      Json placement = Json::object();
       for (std::size_t i = 0; i < flags.app.xnodes.size(); ++i)
         placement[flags.app.xnodes[i].name] =
             flags.spec.xpus[static_cast<std::size_t>(run.policy->placements[i].xpu)].id;
       j["placement"] = std::move(placement);
     }
-    ordered_json modules = ordered_json::array();
+    Json modules = Json::array();
     for (const runtime::ModuleReport& m : run.report.modules) {
-      ordered_json entry = {{"name", m.name},
-                            {"activations", m.activations},
-                            {"failed", m.failed},
-                            {"dropped", m.dropped}};
+      Json entry = {{"name", m.name},
+                    {"activations", m.activations},
+                    {"failed", m.failed},
+                    {"dropped", m.dropped}};
       if (m.sink) {
         const Latency latency = summarise(m.latencies_us);
         entry["p50_us"] = or_null(latency.p50_us, latency.count);
@@ -217,15 +215,15 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       modules.push_back(std::move(entry));
     }
     j["modules"] = std::move(modules);
-    ordered_json chains = ordered_json::array();
+    Json chains = Json::array();
     for (const runtime::RouteReport& r : run.report.routes) {
-      ordered_json chain = {{"name", r.name},
-                            {"from", r.from},
-                            {"to", r.to},
-                            {"results", r.latency_us.count()},
-                            {"lost", r.lost},
-                            {"latency_us", quantiles_json(r.latency_us)},
-                            {"age_us", quantiles_json(r.age_us)}};
+      Json chain = {{"name", r.name},
+                    {"from", r.from},
+                    {"to", r.to},
+                    {"results", r.latency_us.count()},
+                    {"lost", r.lost},
+                    {"latency_us", quantiles_json(r.latency_us)},
+                    {"age_us", quantiles_json(r.age_us)}};
       if (r.deadline_us) {
         chain["deadline_us"] = *r.deadline_us;
         chain["deadline_misses"] = r.deadline_misses;
@@ -237,9 +235,9 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       chains.push_back(std::move(chain));
     }
     j["chains"] = std::move(chains);
-    ordered_json xnodes = ordered_json::array();
+    Json xnodes = Json::array();
     for (const runtime::XNodeReport& x : run.report.xnodes) {
-      ordered_json entry = {
+      Json entry = {
           {"name", x.name}, {"jobs", x.jobs}, {"longest_us", or_null(x.longest_us, x.jobs)}};
       if (x.budget_us > 0) {
         entry["budget_us"] = x.budget_us;
@@ -252,19 +250,19 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       xnodes.push_back(std::move(entry));
     }
     j["limited_xnodes"] = std::move(xnodes);
-    ordered_json notes = ordered_json::array();
+    Json notes = Json::array();
     if (!run.report.note.empty()) notes.push_back(run.report.note);
     for (const std::string& note : run.outcome.notes) notes.push_back(note);
     j["notes"] = std::move(notes);
     list.push_back(std::move(j));
   }
-  ordered_json real = ordered_json::array();
+  Json real = Json::array();
   for (std::size_t x = 0; x < flags.presence.size(); ++x)
     if (flags.presence[x] == runtime::Presence::kReal) real.push_back(flags.spec.xpus[x].id);
-  return ordered_json{{"schema", "xauto.report"},     {"version", 1},
-                      {"app", flags.app.name},        {"platform", flags.spec.name},
-                      {"emulated", flags.emulates()}, {"real_xpus", std::move(real)},
-                      {"runs", std::move(list)}}
+  return Json{{"schema", "xauto.report"},     {"version", 1},
+              {"app", flags.app.name},        {"platform", flags.spec.name},
+              {"emulated", flags.emulates()}, {"real_xpus", std::move(real)},
+              {"runs", std::move(list)}}
              .dump(2) +
          "\n";
 }

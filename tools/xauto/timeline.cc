@@ -3,30 +3,24 @@
 // the script only ever sets them as text. The script and style are in timeline_page.h.
 #include "xauto/timeline.h"
 
-#include <nlohmann/json.hpp>
+#include "model/json_value.h"
 
 #include "xauto/timeline_page.h"
 
 namespace xauto::cli {
 namespace {
 
-using nlohmann::ordered_json;
-
-ordered_json bars_to_json(const std::vector<Bar>& bars) {
-  ordered_json out = ordered_json::array();
+Json bars_to_json(const std::vector<Bar>& bars) {
+  Json out = Json::array();
   for (const Bar& bar : bars)
-    out.push_back(
-        {bar.row, bar.xnode, bar.module, bar.begin_us, bar.end_us, static_cast<int>(bar.kind)});
+    out.push_back(Json::array(
+        {bar.row, bar.xnode, bar.module, bar.begin_us, bar.end_us, static_cast<int>(bar.kind)}));
   return out;
 }
 
-ordered_json or_null(const std::optional<std::int64_t>& us) {
-  return us ? ordered_json(*us) : ordered_json();
-}
-
 /// JSON that may stand inside <script>: no "</script>", no "<!--".
-std::string script_safe(const ordered_json& value) {
-  const std::string text = value.dump(-1, ' ', true, ordered_json::error_handler_t::replace);
+std::string script_safe(const Json& value) {
+  const std::string text = value.dump_ascii();
   std::string out;
   out.reserve(text.size());
   for (const char c : text) {
@@ -64,22 +58,22 @@ std::string html_safe(const std::string& text) {
 }
 
 std::string timeline_html(const Timeline& timeline) {
-  ordered_json panels = ordered_json::array();
+  Json panels = Json::array();
   for (const Panel& p : timeline.panels)
     panels.push_back({{"id", p.id},
                       {"name", p.name},
                       {"rows", p.rows},
-                      {"p50", or_null(p.p50_us)},
-                      {"p99", or_null(p.p99_us)},
-                      {"max", or_null(p.max_us)},
-                      {"predicted", or_null(p.predicted_us)},
+                      {"p50", p.p50_us},
+                      {"p99", p.p99_us},
+                      {"max", p.max_us},
+                      {"predicted", p.predicted_us},
                       {"shown", p.shown_sequence},
                       {"shownLatency", p.shown_latency_us},
                       {"shownIs", p.shown},
                       {"latencies", p.latencies_us},
                       {"measured", bars_to_json(p.measured)},
                       {"plan", bars_to_json(p.predicted)}});
-  const ordered_json data = {
+  const Json data = {
       {"title", timeline.title}, {"note", timeline.note}, {"panels", std::move(panels)}};
   return std::string(kPageHead) + "<title>" + html_safe(timeline.title) + "</title>" + kPageStyle +
          kPageBody + timeline.sections + kPagePanels + "<script>const DATA = " + script_safe(data) +
