@@ -19,7 +19,7 @@ target_link_libraries(lpsolve INTERFACE ${LPSOLVE_LIBRARY} colamd m dl)
 find_package(PkgConfig REQUIRED)
 pkg_check_modules(LIBNL REQUIRED IMPORTED_TARGET libnl-genl-3.0)
 
-# Timelines in Perfetto's format: tools/ only.
+# Timelines in Perfetto's format: lib/story only.
 find_package(Protobuf 3.21 REQUIRED)
 
 # Topics to and from DDS: lib/transport/cyclonedds only, a plug-in.

@@ -9,8 +9,8 @@
 #include "model/json.h"
 #include "model/json_value.h"
 
+#include "story/html_report.h"
 #include "xauto/command.h"
-#include "xauto/html_report.h"
 #include "xauto/outputs.h"
 
 namespace xauto::cli {
@@ -52,10 +52,10 @@ Result<int> make(const Flags& flags, const Options& options) {
       return fail(ErrorCode::kInvalid, "is no report.json", flags.report,
                   "`xauto run --out` and `xauto compare` write it");
   }
-  std::vector<ReportedTrace> traces;
+  std::vector<story::ReportedTrace> traces;
   for (const std::string& path : flags.traces) {
     XAUTO_ASSIGN(const std::string bytes, read_file(path));
-    XAUTO_ASSIGN(ReadTrace trace, read_trace(bytes, path));
+    XAUTO_ASSIGN(story::ReadTrace trace, story::read_trace(bytes, path));
     const std::string id = std::filesystem::path(path).stem().string();
     std::string fact = report.is_object() ? fact_of(report, id) : std::string();
     traces.push_back({id, std::move(fact), std::move(trace)});
@@ -64,7 +64,7 @@ Result<int> make(const Flags& flags, const Options& options) {
   XAUTO_TRY(write_file(flags.out, html_report(traces)));
   if (options.json) {
     auto list = Json::array();
-    for (const ReportedTrace& t : traces)
+    for (const story::ReportedTrace& t : traces)
       list.push_back(
           {{"trace", t.id}, {"releases", t.trace.releases.size()}, {"lost", t.trace.lost}});
     std::cout << Json{{"out", flags.out}, {"traces", std::move(list)}}.dump(2) << "\n";

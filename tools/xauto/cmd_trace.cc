@@ -10,11 +10,11 @@
 #include "base/log.h"
 #include "model/json_value.h"
 
+#include "story/cpu_trace.h"
+#include "story/perfetto.h"
 #include "xauto/command.h"
-#include "xauto/cpu_trace.h"
 #include "xauto/live.h"
 #include "xauto/outputs.h"
-#include "xauto/perfetto.h"
 #include "xauto/run_app.h"
 
 namespace xauto::cli {
@@ -78,7 +78,7 @@ Json event_json(const Live& live, const xauto_bpf_event& e) {
 
 std::string perfetto_of(const Live& live, const std::vector<xauto_bpf_event>& events,
                         std::uint64_t lost) {
-  std::vector<CpuStep> steps;
+  std::vector<story::CpuStep> steps;
   steps.reserve(events.size());
   for (const xauto_bpf_event& e : events) {
     const std::uint64_t number = e.job & XAUTO_BPF_JOB_SEQ;
@@ -87,9 +87,10 @@ std::string perfetto_of(const Live& live, const std::vector<xauto_bpf_event>& ev
                      none ? -1 : static_cast<std::int64_t>(number),
                      static_cast<std::int64_t>(e.delta_ns), text_of(e.other)});
   }
-  std::stable_sort(steps.begin(), steps.end(),
-                   [](const CpuStep& a, const CpuStep& b) { return a.ts_ns < b.ts_ns; });
-  return cpu_trace("kernel, run " + live.maps.run(), steps, lost, boottime_offset_ns());
+  std::stable_sort(
+      steps.begin(), steps.end(),
+      [](const story::CpuStep& a, const story::CpuStep& b) { return a.ts_ns < b.ts_ns; });
+  return cpu_trace("kernel, run " + live.maps.run(), steps, lost, story::boottime_offset_ns());
 }
 
 /// What --out gets: a Perfetto trace, or a JSON object per line.

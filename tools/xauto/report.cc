@@ -9,11 +9,11 @@
 #include "model/claims.h"
 #include "model/json_value.h"
 
+#include "story/html_report.h"
+#include "story/perfetto.h"
+#include "story/run_trace.h"
+#include "story/trace_reader.h"
 #include "xauto/gate.h"
-#include "xauto/html_report.h"
-#include "xauto/perfetto.h"
-#include "xauto/run_trace.h"
-#include "xauto/trace_reader.h"
 #include "xauto/worst_case.h"
 
 namespace xauto::cli {
@@ -322,61 +322,39 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
 
 namespace {
 
-Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run,
-                             const trace::Recording& trace, std::vector<ModuleInfo> modules) {
-  Scene scene;
+Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const story::Story& told,
+                             std::vector<story::ModuleInfo> modules) {
+  story::Scene scene;
   scene.title = flags.app.name + " on " + flags.spec.name + ": " + run.name;
   scene.note = fmt::format("{}, {}", xpus_text(flags), runtime::to_string(run.scheduling));
   Rows rows = rows_of(flags.spec, run.scheduling);
   for (std::string& name : rows.names) scene.rows.push_back({std::move(name), true});
   scene.row_of = std::move(rows.of);
   // Without our coordinators jobs share an XPU, and on real CPUs the kernel preempts unseen.
-  for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x) {
-    const Xpu& xpu = flags.spec.xpus[x];
-    const auto& lost = run.report.lost_coordinators;
-    if (run.scheduling != runtime::Scheduling::kXAuto ||
-        runtime::discipline_of(xpu, flags.presence[x] == runtime::Presence::kEmulated) ==
-            coord::Discipline::kKernel ||
-        std::find(lost.begin(), lost.end(), xpu.id) != lost.end())
+  const auto& lost = run.report.lost_coordinators;
+  for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x)
+    if (run.scheduling != runtime::Scheduling::kXAuto || flags.kernel_schedules(x) ||
+        std::find(lost.begin(), lost.end(), flags.spec.xpus[x].id) != lost.end())
       scene.rows[static_cast<std::size_t>(scene.row_of[x])].exclusive = false;
-  }
   scene.modules = std::move(modules);
   if (run.policy)
     for (const Placement& p : run.policy->placements) scene.priorities.push_back(p.priority);
   scene.plan = run.predicted.slices;
-  XAUTO_ASSIGN(const Story story, story_of(flags.app, flags.spec, scene.modules, trace));
-  return perfetto_trace(flags.app, scene, story, boottime_offset_ns());
-}
-
-/// Who the modules of a trace are, from its own jobs: index and XNode come together in them.
-std::vector<ModuleInfo> modules_in(const AppSpec& app, const trace::Recording& trace) {
-  std::vector<ModuleInfo> modules;
-  for (const trace::Event& e : trace.events) {
-    if (e.module == XAUTO_EV_NONE) continue;
-    if (e.module >= modules.size()) modules.resize(std::size_t{e.module} + 1);
-    if (e.xnode < app.xnodes.size()) modules[e.module].name = app.xnodes[e.xnode].module;
-  }
-  for (ModuleInfo& module : modules)
-    module.sink = std::none_of(app.edges.begin(), app.edges.end(), [&](const auto& edge) {
-      const std::string& from = app.xnodes[static_cast<std::size_t>(edge.first)].module;
-      return from == module.name &&
-             app.xnodes[static_cast<std::size_t>(edge.second)].module != from;
-    });
-  return modules;
+  return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());
 }
 
 }  // namespace
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
-  std::vector<ModuleInfo> modules;
-  for (const runtime::ModuleReport& module : run.report.modules)
-    modules.push_back({module.name, module.sink});
-  return perfetto(flags, run, run.outcome.trace, std::move(modules));
+  if (!run.story) return tl::unexpected<Error>(run.story.error());
+  return perfetto(flags, run, *run.story, modules_of(run.report));
 }
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
                                 const runtime::Incident& incident) {
-  return perfetto(flags, run, incident.trace, modules_in(flags.app, incident.trace));
+  std::vector<story::ModuleInfo> modules = story::modules_of(flags.app, incident.trace);
+  XAUTO_ASSIGN(const story::Story told, story_of(flags.app, flags.spec, modules, incident.trace));
+  return perfetto(flags, run, told, std::move(modules));
 }
 
 std::string words_of(const RunFlags& flags, const runtime::Incident& incident) {
@@ -389,8 +367,8 @@ std::string words_of(const RunFlags& flags, const runtime::Incident& incident) {
                      static_cast<double>(e.arg) / 1000);
 }
 
-Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
-  Timeline timeline;
+story::Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
+  story::Timeline timeline;
   timeline.title = flags.app.name + " on " + flags.spec.name;
   const bool several = !runs.empty() && runs.front().report.several_rates;
   timeline.note = fmt::format("{}, {} {} per policy; each chart shows {}", xpus_text(flags),
@@ -399,16 +377,16 @@ Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) 
                               several ? "what ran from the slowest release of a chain to its result"
                                       : "the activation of median latency");
   for (const PolicyRun& run : runs) {
-    std::vector<Panel> panels;
+    std::vector<story::Panel> panels;
     if (run.report.several_rates)
       if (const auto bytes = perfetto_of(flags, run))
-        if (const auto trace = read_trace(*bytes, run.name))
-          panels = chain_panels(page_id(run.id), run.name, *trace);
+        if (const auto trace = story::read_trace(*bytes, run.name))
+          panels = story::chain_panels(page_id(run.id), run.name, *trace);
     if (panels.empty()) {
       panels.push_back(panel_of(flags, run));
       panels.back().id = page_id(run.id);
     }
-    for (Panel& panel : panels) timeline.panels.push_back(std::move(panel));
+    for (story::Panel& panel : panels) timeline.panels.push_back(std::move(panel));
   }
   return timeline;
 }

@@ -1,14 +1,30 @@
 // SPDX-License-Identifier: Apache-2.0
 // The page is data plus a fixed script: names from outside reach it only as JSON string values, and
-// the script only ever sets them as text. The script and style are in timeline_page.h.
-#include "xauto/timeline.h"
+// the script only ever sets them as text. Plain SVG and DOM, no network, light and dark. Colours:
+// Okabe and Ito's palette for colour-blind readers, by module. cmake/embed.cmake makes
+// timeline_files.h of timeline.css and timeline.js.
+#include "story/timeline.h"
 
 #include "model/json_value.h"
 
-#include "xauto/timeline_page.h"
+#include "story/timeline_files.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
+
+constexpr const char* kHead =
+    R"(<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">)";
+
+constexpr const char* kBody = R"html(</head><body>
+<div class="tools"><span title="in the schedules below: Ctrl and the wheel; keys + - 0 and the arrows">zoom</span> <button id="in" title="key +">+</button> <button id="out" title="key -">&minus;</button> <button id="all" title="key 0">all</button></div>
+<h1 id="title"></h1><div id="note" class="dim"></div>
+<div class="card"><table id="table"></table></div>
+)html";
+
+/// After the sections, if there are any.
+constexpr const char* kPanels = R"html(<div class="legend" id="legend"></div>
+<div id="panels"></div><div id="tip" role="tooltip"></div>
+)html";
 
 Json bars_to_json(const std::vector<Bar>& bars) {
   Json out = Json::array();
@@ -75,9 +91,10 @@ std::string timeline_html(const Timeline& timeline) {
                       {"plan", bars_to_json(p.predicted)}});
   const Json data = {
       {"title", timeline.title}, {"note", timeline.note}, {"panels", std::move(panels)}};
-  return std::string(kPageHead) + "<title>" + html_safe(timeline.title) + "</title>" + kPageStyle +
-         kPageBody + timeline.sections + kPagePanels + "<script>const DATA = " + script_safe(data) +
-         ";</script>" + kPageScript;
+  return std::string(kHead) + "<title>" + html_safe(timeline.title) + "</title><style>\n" +
+         kTimelineCss + "</style>" + kBody + timeline.sections + kPanels +
+         "<script>const DATA = " + script_safe(data) + ";</script><script>\n" + kTimelineJs +
+         "</script></body></html>\n";
 }
 
-}  // namespace xauto::cli
+}  // namespace xauto::story
