@@ -2,7 +2,7 @@
 # Everything that we link, each once. Why each is here: docs/dependencies.md. Installed by
 # scripts/setup.sh. Foreign headers are SYSTEM so that our warning level stops at our own code.
 find_package(Threads REQUIRED)
-find_package(nlohmann_json 3.11 REQUIRED)  # JSON: only lib/model/json*.cc and the tools include it
+find_package(nlohmann_json 3.11 REQUIRED)  # JSON: lib/model, see json_value.h there
 find_package(CLI11 2.1 REQUIRED)           # command lines: tools/cli only
 find_package(fmt 9 REQUIRED)               # text formatting
 find_package(spdlog 1.10 REQUIRED)         # logs for people: lib/base/log.cc only
@@ -19,7 +19,7 @@ target_link_libraries(lpsolve INTERFACE ${LPSOLVE_LIBRARY} colamd m dl)
 find_package(PkgConfig REQUIRED)
 pkg_check_modules(LIBNL REQUIRED IMPORTED_TARGET libnl-genl-3.0)
 
-# Timelines in Perfetto's format: tools/ only.
+# Timelines in Perfetto's format: lib/story only.
 find_package(Protobuf 3.21 REQUIRED)
 
 # Topics to and from DDS: lib/transport/cyclonedds only, a plug-in.

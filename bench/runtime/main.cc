@@ -4,7 +4,7 @@
 // anchors. Repeat it, and compare rows of one run only: the machine's other users are in all.
 #include <fstream>
 
-#include <nlohmann/json.hpp>
+#include "model/json_value.h"
 
 #include "bench.h"
 #include "cli/cli.h"
@@ -80,7 +80,7 @@ int main(int argc, char** argv) {
   if (wanted("coordinator")) coordinators(options, table);
   if (wanted("dispatch")) dispatch(options, table);
 
-  nlohmann::ordered_json rows = nlohmann::ordered_json::array();
+  xauto::Json rows = xauto::Json::array();
   for (const Row& row : table.rows()) {
     rows.push_back({{"section", row.section},
                     {"case", row.name},
@@ -92,9 +92,9 @@ int main(int argc, char** argv) {
          {std::pair<const char*, double>{"p50", row.p50}, {"p99", row.p99}, {"p99.9", row.p999}})
       fmt::print("R\t{}\t{}\t{}\t{}\t{:.3f}\n", row.section, row.name, row.program, metric, v);
   }
-  std::ofstream(json) << nlohmann::ordered_json{{"schema", "xauto.bench.runtime"},
-                                                {"version", 1},
-                                                {"rows", std::move(rows)}}
+  std::ofstream(json) << xauto::Json{{"schema", "xauto.bench.runtime"},
+                                     {"version", 1},
+                                     {"rows", std::move(rows)}}
                              .dump(1)
                       << "\n";
   judge(table);

@@ -8,7 +8,8 @@
 #include <set>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
+
+#include "model/json_value.h"
 
 namespace xauto::bench {
 namespace {
@@ -260,16 +261,22 @@ std::string speed(const std::vector<Measured>& all) {
 }
 
 std::optional<Measured> read_line(const std::string& line) {
-  const nlohmann::json j = nlohmann::json::parse(line, nullptr, false);
-  if (!j.is_object()) return std::nullopt;
+  const Json j = Json::parse(line).value_or(Json());
   Measured m;
   const auto take = [&](const char* key, auto& into) {
-    const auto found = j.find(key);
-    if (found == j.end() || found->is_string() != std::is_same_v<decltype(into), std::string&> ||
-        found->is_structured())
-      return false;
-    found->get_to(into);
-    return true;
+    using T = std::remove_reference_t<decltype(into)>;
+    const auto found = [&] {
+      if constexpr (std::is_same_v<T, std::string>)
+        return j.at(key).text();
+      else if constexpr (std::is_same_v<T, bool>)
+        return j.at(key).boolean();
+      else if constexpr (std::is_same_v<T, double>)
+        return j.at(key).number();
+      else
+        return j.at(key).integer();
+    }();
+    if (found) into = static_cast<T>(*found);
+    return found.has_value();
   };
   const bool whole =
       take("platform", m.platform) && take("nodes", m.nodes) && take("seed", m.seed) &&

@@ -6,7 +6,6 @@
 #include <cstring>
 
 #include <fcntl.h>
-#include <nlohmann/json.hpp>
 #include <poll.h>
 #include <signal.h>
 #include <sys/eventfd.h>
@@ -22,6 +21,7 @@
 #include "emu/protocol.h"
 #include "emu/state_memory.h"
 #include "model/json.h"
+#include "model/json_value.h"
 
 #include "launch/cpu_run.h"
 #include "launch/pulse.h"
@@ -347,12 +347,12 @@ class Supervisor {
     const UniqueFd board(
         open(("/proc/self/fd/" + std::to_string(board_fd_.get())).c_str(), O_RDONLY | O_CLOEXEC));
     const Session& session = request_.session;
-    const std::string text = nlohmann::json{
+    const std::string text = Json{
         {"app", session.app.name},
         {"platform", session.platform.name},
         {"scheduling", to_string(session.scheduling)},
         {"activations", session.activations},
-        {"pid", getpid()}}.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
+        {"pid", getpid()}}.dump();
     if (board) (void)send_packet(peer->get(), text.data(), text.size(), {board.get()});
   }
 

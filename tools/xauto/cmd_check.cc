@@ -5,9 +5,9 @@
 #include <memory>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "model/json.h"
+#include "model/json_value.h"
 #include "solver/verify.h"
 
 #include "xauto/command.h"
@@ -37,20 +37,20 @@ Result<int> check(const Flags& flags, const Options& options) {
   const int status =
       v.truthful() && v.missed.empty() && v.counterexample.empty() ? kDone : kAnswerIsNo;
   if (options.json) {
-    std::cout << nlohmann::ordered_json{{"schema", "xauto.check"},
-                                        {"version", 1},
-                                        {"truthful", v.truthful()},
-                                        {"lies", v.lies},
-                                        {"shown", v.shown},
-                                        {"taken", v.taken},
-                                        {"missed", v.missed},
-                                        {"counterexample", v.counterexample},
-                                        {"latency_us", v.latency_us},
-                                        {"own_bound_us", v.own_bound_us},
-                                        {"best_found_us", v.best_found_us},
-                                        {"bound_proven", v.bound_proven},
-                                        {"worst_found_us", v.worst_found_us},
-                                        {"executions", v.executions}}
+    std::cout << Json{{"schema", "xauto.check"},
+                      {"version", 1},
+                      {"truthful", v.truthful()},
+                      {"lies", v.lies},
+                      {"shown", v.shown},
+                      {"taken", v.taken},
+                      {"missed", v.missed},
+                      {"counterexample", v.counterexample},
+                      {"latency_us", v.latency_us},
+                      {"own_bound_us", v.own_bound_us},
+                      {"best_found_us", v.best_found_us},
+                      {"bound_proven", v.bound_proven},
+                      {"worst_found_us", v.worst_found_us},
+                      {"executions", v.executions}}
                      .dump(2)
               << "\n";
     return status;

@@ -4,10 +4,10 @@
 #include <memory>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "kernel/probe.h"
 #include "model/json.h"
+#include "model/json_value.h"
 #include "xpu/presence.h"
 
 #include "xauto/command.h"
@@ -32,14 +32,14 @@ Result<int> doctor(const std::string& platform_out, const Options& options) {
     return v == Verdict::kOk ? "ok" : v == Verdict::kDegraded ? "degraded" : "missing";
   };
   if (options.json) {
-    nlohmann::ordered_json list = nlohmann::ordered_json::array();
+    Json list = Json::array();
     for (const kernel::Finding& f : findings)
       list.push_back({{"id", f.id},
                       {"state", word(f.verdict)},
                       {"found", f.found},
                       {"meaning", f.meaning},
                       {"advice", f.advice}});
-    std::cout << nlohmann::ordered_json{{"findings", std::move(list)}}.dump(2) << "\n";
+    std::cout << Json{{"findings", std::move(list)}}.dump(2) << "\n";
     return kDone;
   }
   for (const kernel::Finding& f : findings) {

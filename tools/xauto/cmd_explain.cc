@@ -7,12 +7,12 @@
 #include <memory>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "model/json.h"
+#include "model/json_value.h"
 #include "solver/explain.h"
 
-#include "xauto/account.h"
+#include "story/account.h"
 #include "xauto/command.h"
 
 namespace xauto::cli {
@@ -22,34 +22,34 @@ struct Flags {
   std::string app, platform, policy, trace, chain, activation = "worst";
 };
 
-nlohmann::ordered_json to_json(const std::vector<Blocker>& list) {
-  auto out = nlohmann::ordered_json::array();
-  for (const Blocker& b : list) out.push_back({{"who", b.who}, {"us", b.us}});
+Json to_json(const std::vector<story::Blocker>& list) {
+  auto out = Json::array();
+  for (const story::Blocker& b : list) out.push_back({{"who", b.who}, {"us", b.us}});
   return out;
 }
 
-nlohmann::ordered_json to_json(const Account& account) {
-  auto steps = nlohmann::ordered_json::array();
-  for (const ChainStep& step : account.steps) {
-    nlohmann::ordered_json j = {{"xnode", step.xnode},
-                                {"xpu", step.xpu},
-                                {"begin_us", step.begin_us},
-                                {"end_us", step.end_us},
-                                {"handover_us", step.handover_us},
-                                {"sensor_us", step.sensor_us},
-                                {"waited_us", step.waited_us},
-                                {"ran_us", step.ran_us},
-                                {"switched_us", step.switched_us},
-                                {"suspended_us", step.suspended_us},
-                                {"busy_with", to_json(step.busy_with)},
-                                {"waited_for", to_json(step.waited_for)},
-                                {"preempted_by", to_json(step.preempted_by)},
-                                {"beside", to_json(step.beside)}};
+Json to_json(const story::Account& account) {
+  auto steps = Json::array();
+  for (const story::ChainStep& step : account.steps) {
+    Json j = {{"xnode", step.xnode},
+              {"xpu", step.xpu},
+              {"begin_us", step.begin_us},
+              {"end_us", step.end_us},
+              {"handover_us", step.handover_us},
+              {"sensor_us", step.sensor_us},
+              {"waited_us", step.waited_us},
+              {"ran_us", step.ran_us},
+              {"switched_us", step.switched_us},
+              {"suspended_us", step.suspended_us},
+              {"busy_with", to_json(step.busy_with)},
+              {"waited_for", to_json(step.waited_for)},
+              {"preempted_by", to_json(step.preempted_by)},
+              {"beside", to_json(step.beside)}};
     if (step.planned_us >= 0) j["planned_us"] = step.planned_us;
     if (step.planned_end_us >= 0) j["planned_end_us"] = step.planned_end_us;
     steps.push_back(std::move(j));
   }
-  nlohmann::ordered_json j;
+  Json j;
   if (!account.chain.empty()) j["chain"] = account.chain;
   j["release"] = account.release;
   j["latency_us"] = account.latency_us;
@@ -63,10 +63,10 @@ nlohmann::ordered_json to_json(const Account& account) {
 }
 
 /// One of `releases`; `where` is for messages.
-Result<const TraceRelease*> wanted(const std::vector<TraceRelease>& releases,
-                                   const std::string& text, const std::string& where) {
+Result<const story::TraceRelease*> wanted(const std::vector<story::TraceRelease>& releases,
+                                          const std::string& text, const std::string& where) {
   if (text == "worst" || text == "median") {
-    const TraceRelease* found = text == "worst" ? worst_of(releases) : median_of(releases);
+    const story::TraceRelease* found = text == "worst" ? worst_of(releases) : median_of(releases);
     if (found == nullptr)
       return fail(ErrorCode::kInfeasible, "no release in it has a latency", where,
                   "was everything dropped? `xauto report` shows the load");
@@ -77,7 +77,7 @@ Result<const TraceRelease*> wanted(const std::vector<TraceRelease>& releases,
   if (error != std::errc() || end != text.data() + text.size() || number < 0)
     return fail(ErrorCode::kInvalid, "'" + text + "' is no activation", "--activation",
                 "worst, median, or a number from 0 on");
-  for (const TraceRelease& release : releases)
+  for (const story::TraceRelease& release : releases)
     if (release.number == number) return &release;
   return fail(ErrorCode::kNotFound, "is not in the trace", "release " + std::to_string(number),
               releases.empty() ? "there is no release in it"
@@ -87,25 +87,25 @@ Result<const TraceRelease*> wanted(const std::vector<TraceRelease>& releases,
 
 /// With one rate the app's release; with several the release of each chain, or of the one asked
 /// for.
-Result<std::vector<Account>> accounts_of(const Flags& flags, const ReadTrace& trace) {
-  std::vector<Account> accounts;
+Result<std::vector<story::Account>> accounts_of(const Flags& flags, const story::ReadTrace& trace) {
+  std::vector<story::Account> accounts;
   if (trace.chains.empty()) {
     if (!flags.chain.empty())
       return fail(ErrorCode::kInvalid, "is for apps of several rates", "--chain",
                   "this one has one: a release is over when all its outputs are there");
-    XAUTO_ASSIGN(const TraceRelease* release,
+    XAUTO_ASSIGN(const story::TraceRelease* release,
                  wanted(trace.releases, flags.activation, flags.trace));
-    XAUTO_ASSIGN(Account account, account_of(trace, release->number));
+    XAUTO_ASSIGN(story::Account account, account_of(trace, release->number));
     accounts.push_back(std::move(account));
     return accounts;
   }
   std::string known;
-  for (const TraceChain& chain : trace.chains) {
+  for (const story::TraceChain& chain : trace.chains) {
     known += (known.empty() ? "" : ", ") + chain.name;
     if (!flags.chain.empty() && chain.name != flags.chain) continue;
-    XAUTO_ASSIGN(const TraceRelease* release,
+    XAUTO_ASSIGN(const story::TraceRelease* release,
                  wanted(chain.results, flags.activation, flags.trace + ", " + chain.name));
-    XAUTO_ASSIGN(Account account, account_of(trace, chain, *release));
+    XAUTO_ASSIGN(story::Account account, account_of(trace, chain, *release));
     accounts.push_back(std::move(account));
   }
   if (accounts.empty())
@@ -116,15 +116,15 @@ Result<std::vector<Account>> accounts_of(const Flags& flags, const ReadTrace& tr
 
 Result<int> explain_trace(const Flags& flags, const Options& options) {
   XAUTO_ASSIGN(const std::string bytes, read_file(flags.trace));
-  XAUTO_ASSIGN(const ReadTrace trace, read_trace(bytes, flags.trace));
-  XAUTO_ASSIGN(const std::vector<Account> accounts, accounts_of(flags, trace));
+  XAUTO_ASSIGN(const story::ReadTrace trace, story::read_trace(bytes, flags.trace));
+  XAUTO_ASSIGN(const std::vector<story::Account> accounts, accounts_of(flags, trace));
   if (options.json) {
-    nlohmann::ordered_json j;
+    Json j;
     if (trace.chains.empty()) {
       j = to_json(accounts.front());
     } else {
-      j["chains"] = nlohmann::ordered_json::array();
-      for (const Account& account : accounts) j["chains"].push_back(to_json(account));
+      j["chains"] = Json::array();
+      for (const story::Account& account : accounts) j["chains"].push_back(to_json(account));
     }
     j["events_lost"] = trace.lost;
     j["events_dropped_before"] = trace.overwritten;
@@ -139,7 +139,7 @@ Result<int> explain_trace(const Flags& flags, const Options& options) {
     std::cout << fmt::format("the trace holds {:.1f} s: {} older events were dropped\n",
                              static_cast<double>(trace.end_ns - trace.begin_ns) * 1e-9,
                              trace.overwritten);
-  for (const Account& account : accounts)
+  for (const story::Account& account : accounts)
     std::cout << (&account == &accounts.front() ? "" : "\n") << account_text(account);
   return kDone;
 }
@@ -167,9 +167,9 @@ Result<int> explain(const Flags& flags, const Options& options) {
         .id;
   };
   if (options.json) {
-    nlohmann::json chain = nlohmann::json::array();
+    Json chain = Json::array();
     for (const solver::Link& link : why.chain) {
-      nlohmann::json behind = nlohmann::json::array();
+      Json behind = Json::array();
       for (int j : link.behind) behind.push_back(name(j));
       chain.push_back({{"xnode", name(link.xnode)},
                        {"xpu", xpu(link.xnode)},
@@ -179,13 +179,12 @@ Result<int> explain(const Flags& flags, const Options& options) {
                        {"wcet_us", link.wcet_us},
                        {"behind", behind}});
     }
-    nlohmann::json answer = {
-        {"sentence", why.sentence},
-        {"limiting_xpu", platform.xpus[static_cast<std::size_t>(why.limiting_xpu)].id},
-        {"limiting_us", why.limiting_us},
-        {"running_us", why.running_us},
-        {"critical_path_us", why.critical_path_us},
-        {"chain", chain}};
+    Json answer = {{"sentence", why.sentence},
+                   {"limiting_xpu", platform.xpus[static_cast<std::size_t>(why.limiting_xpu)].id},
+                   {"limiting_us", why.limiting_us},
+                   {"running_us", why.running_us},
+                   {"critical_path_us", why.critical_path_us},
+                   {"chain", chain}};
     if (app.rates() > 1) answer["note"] = rates_note(app);
     std::cout << answer.dump(2) << "\n";
     return kDone;

@@ -6,9 +6,9 @@
 #include <memory>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "model/json.h"
+#include "model/json_value.h"
 #include "solver/generate.h"
 
 #include "xauto/command.h"
@@ -44,13 +44,13 @@ Result<int> generate(const Flags& flags, const Options& options) {
     work += least;
   }
   if (options.json) {
-    nlohmann::ordered_json described;
+    Json described;
     for (const auto& [name, value] : o.describe()) described[name] = value;
-    nlohmann::ordered_json result = {
+    Json result = {
         {"app", app.name},           {"hash", app.hash()},    {"xnodes", app.xnodes.size()},
         {"edges", app.edges.size()}, {"least_work_us", work}, {"options", std::move(described)}};
     if (!flags.out.empty()) result["out"] = flags.out;
-    if (flags.out.empty()) result["file"] = nlohmann::ordered_json::parse(to_json(app));
+    if (flags.out.empty()) result["file"] = Json::parse(to_json(app)).value_or(Json());
     std::cout << result.dump(2) << "\n";
     return kDone;
   }

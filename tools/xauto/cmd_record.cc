@@ -5,8 +5,8 @@
 #include <memory>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
+#include "model/json_value.h"
 #include "record/recording.h"
 
 #include "xauto/command.h"
@@ -47,7 +47,7 @@ Result<Contents> read(const std::string& path) {
 }
 
 int print_info(const std::string& path, const Contents& c, const Options& options) {
-  nlohmann::ordered_json topics = nlohmann::ordered_json::array();
+  Json topics = Json::array();
   std::string table = fmt::format("{}: {} messages, {:.3f} s\n", path, c.num_messages, c.seconds);
   for (std::size_t i = 0; i < c.topics.size(); ++i) {
     const record::Topic& topic = c.topics[i];
@@ -59,10 +59,9 @@ int print_info(const std::string& path, const Contents& c, const Options& option
                       {"messages", c.messages[i]},
                       {"bytes", c.bytes[i]}});
   }
-  const nlohmann::ordered_json all = {
-      {"messages", c.num_messages}, {"duration_s", c.seconds}, {"topics", topics}};
+  const Json all = {{"messages", c.num_messages}, {"duration_s", c.seconds}, {"topics", topics}};
   if (options.json)
-    std::cout << all.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << "\n";
+    std::cout << all.dump(2) << "\n";
   else
     std::cout << table;
   return kDone;
@@ -70,8 +69,7 @@ int print_info(const std::string& path, const Contents& c, const Options& option
 
 int print_check(const std::string& path, const Contents& c, const Options& options) {
   if (options.json)
-    std::cout << nlohmann::ordered_json{{"readable", true}, {"messages", c.num_messages}}.dump(2)
-              << "\n";
+    std::cout << Json{{"readable", true}, {"messages", c.num_messages}}.dump(2) << "\n";
   else
     std::cout << fmt::format("{}: all {} messages can be read\n", path, c.num_messages);
   return kDone;

@@ -4,13 +4,13 @@
 #include <iostream>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "model/claims.h"
 #include "model/json.h"
+#include "model/json_value.h"
 
+#include "story/html_report.h"
 #include "xauto/command.h"
-#include "xauto/html_report.h"
 #include "xauto/outputs.h"
 
 namespace xauto::cli {
@@ -22,24 +22,20 @@ struct Flags {
 };
 
 /// What report.json says of the run that the trace is of: the one of its name, or the only one.
-std::string fact_of(const nlohmann::json& report, const std::string& id) {
-  const auto runs = report.find("runs");
-  if (runs == report.end() || !runs->is_array()) return {};
-  for (const auto& run : *runs) {
-    if (!run.is_object() || (runs->size() > 1 && run.value("policy", "") != id)) continue;
+std::string fact_of(const Json& report, const std::string& id) {
+  const std::vector<Json>& runs = report.at("runs").elements();
+  for (const Json& run : runs) {
+    if (!run.is_object() || (runs.size() > 1 && run.at("policy").text() != id)) continue;
     std::string out;
     const auto add = [&](const char* key, const char* what) {
-      if (const auto at = run.find(key); at != run.end() && at->is_number())
-        out +=
-            fmt::format("{}{} {:.2f} ms", out.empty() ? "" : ", ", what, at->get<double>() / 1000);
+      if (const auto us = run.at(key).number())
+        out += fmt::format("{}{} {:.2f} ms", out.empty() ? "" : ", ", what, *us / 1000);
     };
     add("predicted_us", "simulated");
     add("lower_bound_us", "lower bound");
     add("worst_case_us", "worst case");
-    if (run.contains("worst_case_us")) out += std::string(" of ") + kWorstCaseScope;
-    if (const auto broken = run.find("worst_case_broken");
-        broken != run.end() && broken->is_array() && !broken->empty())
-      out += ", which this run is not";
+    if (run.has("worst_case_us")) out += std::string(" of ") + kWorstCaseScope;
+    if (!run.at("worst_case_broken").elements().empty()) out += ", which this run is not";
     return out;
   }
   return {};
@@ -48,18 +44,18 @@ std::string fact_of(const nlohmann::json& report, const std::string& id) {
 Result<int> make(const Flags& flags, const Options& options) {
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", flags.out));
-  nlohmann::json report;
+  Json report;
   if (!flags.report.empty()) {
     XAUTO_ASSIGN(const std::string text, read_file(flags.report));
-    report = nlohmann::json::parse(text, nullptr, false);
-    if (!report.is_object() || !report.contains("schema") || report["schema"] != "xauto.report")
+    report = Json::parse(text).value_or(Json());
+    if (report.at("schema").text() != "xauto.report")
       return fail(ErrorCode::kInvalid, "is no report.json", flags.report,
                   "`xauto run --out` and `xauto compare` write it");
   }
-  std::vector<ReportedTrace> traces;
+  std::vector<story::ReportedTrace> traces;
   for (const std::string& path : flags.traces) {
     XAUTO_ASSIGN(const std::string bytes, read_file(path));
-    XAUTO_ASSIGN(ReadTrace trace, read_trace(bytes, path));
+    XAUTO_ASSIGN(story::ReadTrace trace, story::read_trace(bytes, path));
     const std::string id = std::filesystem::path(path).stem().string();
     std::string fact = report.is_object() ? fact_of(report, id) : std::string();
     traces.push_back({id, std::move(fact), std::move(trace)});
@@ -67,12 +63,11 @@ Result<int> make(const Flags& flags, const Options& options) {
   // The page is the result; stdout only says where it is.
   XAUTO_TRY(write_file(flags.out, html_report(traces)));
   if (options.json) {
-    auto list = nlohmann::ordered_json::array();
-    for (const ReportedTrace& t : traces)
+    auto list = Json::array();
+    for (const story::ReportedTrace& t : traces)
       list.push_back(
           {{"trace", t.id}, {"releases", t.trace.releases.size()}, {"lost", t.trace.lost}});
-    std::cout << nlohmann::ordered_json{{"out", flags.out}, {"traces", std::move(list)}}.dump(2)
-              << "\n";
+    std::cout << Json{{"out", flags.out}, {"traces", std::move(list)}}.dump(2) << "\n";
   } else {
     std::cout << flags.out << "    open it in a browser\n";
   }

@@ -5,7 +5,6 @@
 #include <iostream>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "base/log.h"
 #include "model/json.h"
@@ -35,7 +34,8 @@ std::string dump_path(const std::string& trace_out, bool hang, int number) {
 Result<int> run(const Flags& given, const Options& options) {
   Flags flags = given;
   XAUTO_TRY(flags.prepare());
-  PolicyRun run;
+  std::vector<PolicyRun> runs(1);
+  PolicyRun& run = runs.front();
   run.scheduling = *runtime::scheduling_from(flags.scheduling);
   if (run.scheduling == runtime::Scheduling::kRos2) {
     run.id = "ros2";
@@ -75,7 +75,6 @@ Result<int> run(const Flags& given, const Options& options) {
     };
   XAUTO_TRY(execute(flags, run, stop.flag(), std::move(dump)));
 
-  const std::vector<PolicyRun> runs = {run};
   const std::string report = report_json(flags, runs);
   if (options.json)
     std::cout << report;

@@ -5,9 +5,9 @@
 #include <memory>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "model/json.h"
+#include "model/json_value.h"
 #include "solver/simulate.h"
 
 #include "xauto/command.h"
@@ -16,8 +16,6 @@
 
 namespace xauto::cli {
 namespace {
-
-using nlohmann::ordered_json;
 
 struct Flags {
   std::string app, platform = "small", policy, model = "xauto", out;
@@ -42,7 +40,7 @@ Result<int> simulate(const Flags& flags, const Options& options) {
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
     return std::pair(s.start[a], a) < std::pair(s.start[b], b);
   });
-  ordered_json xnodes = ordered_json::array();
+  Json xnodes = Json::array();
   std::string table =
       fmt::format("  {:<24}{:<8}{:>12}{:>12}\n", "XNode", "XPU", "start us", "finish us");
   for (const std::size_t i : order) {
@@ -54,14 +52,14 @@ Result<int> simulate(const Flags& flags, const Options& options) {
     table += fmt::format("  {:<24}{:<8}{:>12}{:>12}\n", app.xnodes[i].name, xpu, s.start[i],
                          s.finish[i]);
   }
-  ordered_json document = {{"schema", "xauto.simulation"},
-                           {"version", 1},
-                           {"app", app.name},
-                           {"platform", platform.name},
-                           {"model", flags.model},
-                           {"latency_us", s.makespan},
-                           {"preemptions", s.preemptions},
-                           {"xnodes", std::move(xnodes)}};
+  Json document = {{"schema", "xauto.simulation"},
+                   {"version", 1},
+                   {"app", app.name},
+                   {"platform", platform.name},
+                   {"model", flags.model},
+                   {"latency_us", s.makespan},
+                   {"preemptions", s.preemptions},
+                   {"xnodes", std::move(xnodes)}};
   const std::string note = rates_note(app);
   if (!note.empty()) document["note"] = note;
   const std::string result = document.dump(2) + "\n";

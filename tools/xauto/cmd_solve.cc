@@ -10,11 +10,11 @@
 #include <iostream>
 #include <memory>
 
-#include <nlohmann/json.hpp>
 #include <unistd.h>
 
 #include "model/claims.h"
 #include "model/json.h"
+#include "model/json_value.h"
 #include "solver/explain.h"
 #include "solver/solve.h"
 
@@ -145,7 +145,7 @@ void print_more(const AppSpec& app, const Policy& policy, const solver::SolveRep
 void print_json(const AppSpec& app, const Platform& platform, const Policy& policy,
                 const solver::SolveReport& report, const std::vector<solver::WhatIf>& answers,
                 double reading_ms) {
-  nlohmann::json root = nlohmann::json::parse(to_json(policy, app, platform));
+  Json root = Json::parse(to_json(policy, app, platform)).value_or(Json());
   root["evaluations"] = report.evaluations;
   if (app.rates() > 1) {
     root["rates"] = app.rates();

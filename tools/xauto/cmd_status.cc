@@ -8,32 +8,30 @@
 #include <set>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 #include <pwd.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include "base/socket.h"
+#include "model/json_value.h"
 
 #include "launch/supervisor.h"
-#include "xauto/command.h"
 #include "xauto/live.h"
 
 namespace xauto::cli {
 namespace {
 
-using nlohmann::json;
-
 constexpr const char* kCoordinator = "xauto-coordinat";  // as /proc/PID/comm cuts it
 
-std::string words(const json& worker) {
-  const std::string state = worker.value("state", "?");
+std::string words(const Json& worker) {
+  const std::string state = worker.at("state").text().value_or("?");
   if (state == "idle") return "idle";
-  std::string text = fmt::format("{}: {} (job {}, priority {}, since {:.2f} ms)", state,
-                                 worker.value("xnode", "?"), worker.value("job", 0ull),
-                                 worker.value("priority", 0ll),
-                                 static_cast<double>(worker.value("since_us", 0ll)) / 1000);
-  if (worker.contains("by")) text += " by " + worker["by"].get<std::string>();
+  std::string text =
+      fmt::format("{}: {} (job {}, priority {}, since {:.2f} ms)", state,
+                  worker.at("xnode").text().value_or("?"), worker.at("job").integer().value_or(0),
+                  worker.at("priority").integer().value_or(0),
+                  worker.at("since_us").number().value_or(0) / 1000);
+  if (const auto by = worker.at("by").text()) text += " by " + *by;
   return text;
 }
 
@@ -83,7 +81,7 @@ std::string words(const Unseen& one) {
 }
 
 int status(const Options& options) {
-  json sessions = json::object();
+  Json sessions = Json::object();
   std::set<int> answered;
   std::set<std::string> runs;
   const std::string prefix = launch::kSocketPrefix;
@@ -91,35 +89,37 @@ int status(const Options& options) {
     if (const std::size_t slash = address.rfind('/'); slash > prefix.size())
       runs.insert(address.substr(prefix.size(), slash - prefix.size()));
   for (const std::string& run : runs)
-    if (std::vector<json> answers = ask_coordinators(run); !answers.empty()) {
-      for (const json& answer : answers) answered.insert(answer.value("pid", 0));
-      sessions[prefix + run] = std::move(answers);
+    if (std::vector<Json> answers = ask_coordinators(run); !answers.empty()) {
+      for (const Json& answer : answers)
+        answered.insert(static_cast<int>(answer.at("pid").integer().value_or(0)));
+      sessions[prefix + run] = answers;
     }
   const std::vector<Unseen> unseen = coordinators_but(answered);
   if (options.json) {
-    json list = json::array();
+    Json list = Json::array();
     for (const Unseen& one : unseen)
       list.push_back({{"pid", one.pid}, {"user", user_name(one.uid)}, {"why", words(one)}});
-    json all = {{"sessions", sessions}};
-    if (!list.empty()) all["unseen"] = list;
+    Json all = {{"sessions", sessions}};
+    if (!unseen.empty()) all["unseen"] = list;
     std::cout << all.dump(2) << "\n";
     return kDone;
   }
-  if (sessions.empty())
+  if (sessions.elements().empty())
     std::cout << (unseen.empty()
                       ? "no app is running under XAuto, as far as can be seen from here: in this "
                         "network namespace and its processes\n"
                       : "no app that can be asked from here is running under XAuto\n");
   for (const Unseen& one : unseen) std::cout << "  not seen: " << words(one) << "\n";
-  for (const auto& [session, xpus] : sessions.items()) {
-    std::cout << "run " << session.substr(std::string(launch::kSocketPrefix).size()) << "\n";
-    for (const json& xpu : xpus) {
-      std::cout << fmt::format("  {:<8}{}, {}; coordinator pid {}, {} decisions\n",
-                               xpu.value("xpu", "?"), xpu.value("discipline", "?"),
-                               xpu.value("mode", "?"), xpu.value("pid", 0),
-                               xpu.value("decisions", 0ull));
-      for (const json& worker : xpu.value("workers", json::array()))
-        std::cout << fmt::format("    {:<20}{}\n", worker.value("worker", "?"), words(worker));
+  for (std::size_t i = 0; i < sessions.keys().size(); ++i) {
+    std::cout << "run " << sessions.keys()[i].substr(prefix.size()) << "\n";
+    for (const Json& xpu : sessions.elements()[i].elements()) {
+      std::cout << fmt::format(
+          "  {:<8}{}, {}; coordinator pid {}, {} decisions\n", xpu.at("xpu").text().value_or("?"),
+          xpu.at("discipline").text().value_or("?"), xpu.at("mode").text().value_or("?"),
+          xpu.at("pid").integer().value_or(0), xpu.at("decisions").integer().value_or(0));
+      for (const Json& worker : xpu.at("workers").elements())
+        std::cout << fmt::format("    {:<20}{}\n", worker.at("worker").text().value_or("?"),
+                                 words(worker));
     }
   }
   return kDone;

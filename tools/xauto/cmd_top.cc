@@ -11,10 +11,10 @@
 #include <thread>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "model/json_value.h"
 
 #include "xauto/command.h"
 #include "xauto/counts.h"
@@ -23,8 +23,6 @@
 
 namespace xauto::cli {
 namespace {
-
-using nlohmann::ordered_json;
 
 struct Flags {
   std::string run;
@@ -97,12 +95,13 @@ struct XpuState {
 
 std::vector<XpuState> states_of(const std::string& run) {
   std::vector<XpuState> states;
-  for (const nlohmann::json& answer : ask_coordinators(run)) {
-    XpuState state{answer.value("xpu", "?"), {}, {}};
-    for (const nlohmann::json& worker : answer.value("workers", nlohmann::json::array())) {
-      const std::string what = worker.value("state", "?");
+  for (const Json& answer : ask_coordinators(run)) {
+    XpuState state{answer.at("xpu").text().value_or("?"), {}, {}};
+    for (const Json& worker : answer.at("workers").elements()) {
+      const std::string what = worker.at("state").text().value_or("?");
       if (what == "idle" || what == "starting") continue;
-      (what == "running" ? state.running : state.waiting).push_back(worker.value("xnode", "?"));
+      (what == "running" ? state.running : state.waiting)
+          .push_back(worker.at("xnode").text().value_or("?"));
     }
     states.push_back(std::move(state));
   }
@@ -133,20 +132,20 @@ struct Observed {
 };
 
 /// A flow of counts that has one: -1 is no measurement.
-ordered_json measured(std::int64_t us) {
-  return us < 0 ? ordered_json() : ordered_json(us);
+Json measured(std::int64_t us) {
+  return us < 0 ? Json() : us;
 }
 
-ordered_json as_json(const Observed& observed, const Look& now, const Look& before) {
+Json as_json(const Observed& observed, const Look& now, const Look& before) {
   const Counts &c = now.counts, &b = before.counts;
   const double s = static_cast<double>(c.at_ns - b.at_ns) * 1e-9;
-  ordered_json j = {{"run", observed.run.run},
-                    {"app", observed.run.app},
-                    {"platform", observed.run.platform},
-                    {"scheduling", observed.run.scheduling},
-                    {"interval_ms", (c.at_ns - b.at_ns) / 1'000'000},
-                    {"releases", c.released}};
-  j["chains"] = ordered_json::array();
+  Json j = {{"run", observed.run.run},
+            {"app", observed.run.app},
+            {"platform", observed.run.platform},
+            {"scheduling", observed.run.scheduling},
+            {"interval_ms", (c.at_ns - b.at_ns) / 1'000'000},
+            {"releases", c.released}};
+  j["chains"] = Json::array();
   for (std::size_t i = 0; i < c.chains.size(); ++i) {
     const FlowCounts& chain = c.chains[i];
     const FlowNumbers n = numbers_of(chain, b.chains[i], c.at_ns, b.at_ns);
@@ -161,7 +160,7 @@ ordered_json as_json(const Observed& observed, const Look& now, const Look& befo
                            {"deadline_misses", chain.late},
                            {"age_misses", chain.old}});
   }
-  j["modules"] = ordered_json::array();
+  j["modules"] = Json::array();
   for (std::size_t m = 0; m < c.modules.size(); ++m) {
     const ModuleCounts& module = c.modules[m];
     j["modules"].push_back(
@@ -171,7 +170,7 @@ ordered_json as_json(const Observed& observed, const Look& now, const Look& befo
          {"dropped", module.dropped},
          {"failed", module.failed}});
   }
-  j["xpus"] = ordered_json::array();
+  j["xpus"] = Json::array();
   for (const XpuState& state : now.xpus)
     j["xpus"].push_back(
         {{"xpu", state.xpu}, {"running", state.running}, {"waiting", state.waiting}});
@@ -183,12 +182,13 @@ ordered_json as_json(const Observed& observed, const Look& now, const Look& befo
   j["kernel"] = "ok";
   j["lost_jobs"] = live.tracer.losses().jobs;
   for (const XpuLoad& load : loads_of(live, *now.kernel, *before.kernel)) {
-    const auto at = std::find_if(j["xpus"].begin(), j["xpus"].end(),
-                                 [&](const ordered_json& x) { return x["xpu"] == load.name; });
-    if (at != j["xpus"].end())
+    std::vector<Json>& xpus = j["xpus"].elements();
+    const auto at = std::find_if(xpus.begin(), xpus.end(),
+                                 [&](const Json& x) { return x.at("xpu").text() == load.name; });
+    if (at != xpus.end())
       (*at)["load_pct"] = load.percent;
     else
-      j["xpus"].push_back({{"xpu", load.name}, {"load_pct", load.percent}});
+      xpus.push_back({{"xpu", load.name}, {"load_pct", load.percent}});
   }
   for (std::size_t i = 0; i < now.kernel->hist.size(); ++i) {
     const XNodeNumbers n = numbers_of(now.kernel->hist[i], before.kernel->hist[i]);
@@ -303,9 +303,7 @@ Result<int> top(const Flags& flags, const Options& options) {
     if (over && shown > 0) break;  // the first is shown in any case: its counts are there
     Look now = observed.look();
     if (options.json)
-      std::cout << as_json(observed, now, before)
-                       .dump(-1, ' ', false, ordered_json::error_handler_t::replace)
-                << std::endl;
+      std::cout << as_json(observed, now, before).dump() << std::endl;
     else
       draw(observed, now, before, terminal && count != 1);
     if (over || !std::cout) break;

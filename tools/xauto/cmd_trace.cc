@@ -6,21 +6,19 @@
 #include <iostream>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "base/log.h"
+#include "model/json_value.h"
 
+#include "story/cpu_trace.h"
+#include "story/perfetto.h"
 #include "xauto/command.h"
-#include "xauto/cpu_trace.h"
 #include "xauto/live.h"
 #include "xauto/outputs.h"
-#include "xauto/perfetto.h"
 #include "xauto/run_app.h"
 
 namespace xauto::cli {
 namespace {
-
-using nlohmann::ordered_json;
 
 constexpr std::size_t kMostEvents = 4'000'000;  ///< kept in memory, 56 bytes each
 constexpr int kPollMs = 100;
@@ -66,8 +64,8 @@ std::string number_of(std::uint64_t job) {
   return job == 0 || number == XAUTO_BPF_JOB_EXPECTED ? "-" : std::to_string(number);
 }
 
-ordered_json event_json(const Live& live, const xauto_bpf_event& e) {
-  ordered_json j = {
+Json event_json(const Live& live, const xauto_bpf_event& e) {
+  Json j = {
       {"ts_ns", e.ts_ns},      {"kind", kind_of(e.kind)},       {"cpu", e.cpu},
       {"tid", e.tid},          {"xnode", live.xnode_of(e.job)}, {"job", e.job & XAUTO_BPF_JOB_SEQ},
       {"delta_ns", e.delta_ns}};
@@ -80,7 +78,7 @@ ordered_json event_json(const Live& live, const xauto_bpf_event& e) {
 
 std::string perfetto_of(const Live& live, const std::vector<xauto_bpf_event>& events,
                         std::uint64_t lost) {
-  std::vector<CpuStep> steps;
+  std::vector<story::CpuStep> steps;
   steps.reserve(events.size());
   for (const xauto_bpf_event& e : events) {
     const std::uint64_t number = e.job & XAUTO_BPF_JOB_SEQ;
@@ -89,9 +87,10 @@ std::string perfetto_of(const Live& live, const std::vector<xauto_bpf_event>& ev
                      none ? -1 : static_cast<std::int64_t>(number),
                      static_cast<std::int64_t>(e.delta_ns), text_of(e.other)});
   }
-  std::stable_sort(steps.begin(), steps.end(),
-                   [](const CpuStep& a, const CpuStep& b) { return a.ts_ns < b.ts_ns; });
-  return cpu_trace("kernel, run " + live.maps.run(), steps, lost, boottime_offset_ns());
+  std::stable_sort(
+      steps.begin(), steps.end(),
+      [](const story::CpuStep& a, const story::CpuStep& b) { return a.ts_ns < b.ts_ns; });
+  return cpu_trace("kernel, run " + live.maps.run(), steps, lost, story::boottime_offset_ns());
 }
 
 /// What --out gets: a Perfetto trace, or a JSON object per line.
@@ -100,7 +99,7 @@ std::string file_of(const Flags& flags, const Live& live,
   const xauto_bpf_losses losses = live.tracer.losses();
   const std::uint64_t lost = losses.events + not_kept;
   if (flags.out.ends_with(".pftrace")) return perfetto_of(live, events, lost);
-  std::string text = ordered_json{{"lost_events", lost}, {"lost_jobs", losses.jobs}}.dump() + "\n";
+  std::string text = Json{{"lost_events", lost}, {"lost_jobs", losses.jobs}}.dump() + "\n";
   for (const xauto_bpf_event& e : events) text += event_json(live, e).dump() + "\n";
   return text;
 }
@@ -138,13 +137,13 @@ Result<int> trace(const Flags& flags, const Options& options) {
   const std::vector<xauto_bpf_hist> hist = live.tracer.histograms();
   const xauto_bpf_hist zero{};
   if (options.json) {
-    ordered_json j;
+    Json j;
     const xauto_bpf_losses losses = live.tracer.losses();
     j["complete"] = first.rfind("complete", 0) == 0;
     j["lost"] = {
         {"events", losses.events + not_kept}, {"jobs", losses.jobs}, {"pipe", losses.pipe}};
     j["events"] = losses.written;
-    j["xnodes"] = ordered_json::array();
+    j["xnodes"] = Json::array();
     for (std::size_t i = 0; i < hist.size(); ++i) {
       const XNodeNumbers n = numbers_of(hist[i], zero);
       if (n.jobs + n.wakeups == 0) continue;

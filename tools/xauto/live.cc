@@ -17,11 +17,10 @@
 namespace xauto::cli {
 namespace {
 
-using nlohmann::json;
 constexpr int kAnswerTimeoutMs = 1000;
 
 /// Sends one word and gets one packet of JSON, with what comes along.
-Result<json> ask(const std::string& address, std::vector<UniqueFd>* fds = nullptr) {
+Result<Json> ask(const std::string& address, std::vector<UniqueFd>* fds = nullptr) {
   XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
   const auto kind = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
   XAUTO_TRY(send_packet(socket.get(), &kind, sizeof kind));
@@ -30,10 +29,10 @@ Result<json> ask(const std::string& address, std::vector<UniqueFd>* fds = nullpt
     return fail(ErrorCode::kTimeout, "did not answer within 1 s", address);
   std::string text(coord::kMaxStatusBytes, '\0');
   XAUTO_ASSIGN(const std::size_t size, receive_packet(socket.get(), text.data(), text.size(), fds));
-  json parsed = json::parse(text.substr(0, size), nullptr, false);
-  if (parsed.is_discarded() || !parsed.is_object())
+  std::optional<Json> parsed = Json::parse(std::string_view(text).substr(0, size));
+  if (!parsed || !parsed->is_object())
     return fail(ErrorCode::kInvalid, "answered with something else than a status", address);
-  return parsed;
+  return *std::move(parsed);
 }
 
 std::string address_of(const std::string& run, const std::string& name) {
@@ -42,12 +41,9 @@ std::string address_of(const std::string& run, const std::string& name) {
 
 Result<Watched> introduced(const std::string& run) {
   std::vector<UniqueFd> fds;
-  XAUTO_ASSIGN(const json hello, ask(address_of(run, launch::kLiveName), &fds));
+  XAUTO_ASSIGN(const Json hello, ask(address_of(run, launch::kLiveName), &fds));
   if (fds.size() != 1) return fail(ErrorCode::kInvalid, "did not pass its counts", run);
-  const auto text = [&](const char* key) {
-    const auto at = hello.find(key);
-    return at != hello.end() && at->is_string() ? at->get<std::string>() : std::string("?");
-  };
+  const auto text = [&](const char* key) { return hello.at(key).text().value_or("?"); };
   Watched watched{run, text("app"), text("platform"), text("scheduling"), nullptr};
   XAUTO_ASSIGN(watched.board, runtime::Board::observe(fds[0].get()));
   return watched;
@@ -87,8 +83,8 @@ Result<Watched> watch(const std::string& run, int wait_s, const std::atomic<bool
   }
 }
 
-std::vector<json> ask_coordinators(const std::string& run) {
-  std::vector<json> answers;
+std::vector<Json> ask_coordinators(const std::string& run) {
+  std::vector<Json> answers;
   for (const std::string& address : abstract_sockets(address_of(run, ""))) {
     const std::string name = address.substr(address.rfind('/') + 1);
     if (name == launch::kEmudName || name == launch::kHubName || name == launch::kLiveName)

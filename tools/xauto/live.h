@@ -8,12 +8,11 @@
 #include <string>
 #include <vector>
 
-#include <nlohmann/json.hpp>
-
 #include <xauto/result.h>
 
 #include "kernel/run_maps.h"
 #include "kernel/tracer.h"
+#include "model/json_value.h"
 
 #include "processes/board.h"
 
@@ -30,7 +29,7 @@ struct Watched {
 [[nodiscard]] Result<Watched> watch(const std::string& run, int wait_s,
                                     const std::atomic<bool>& stop);
 /// What its coordinators say of their workers, as JSON each; one that is just ending is left out.
-[[nodiscard]] std::vector<nlohmann::json> ask_coordinators(const std::string& run);
+[[nodiscard]] std::vector<Json> ask_coordinators(const std::string& run);
 
 struct Live {
   kernel::RunMaps maps;

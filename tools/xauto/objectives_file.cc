@@ -2,38 +2,31 @@
 // See objectives_file.h.
 #include "xauto/objectives_file.h"
 
-#include <nlohmann/json.hpp>
-
 #include "model/json.h"
+#include "model/json_value.h"
 #include "model/platform.h"
 
 namespace xauto::cli {
 namespace {
-
-using nlohmann::json;
 
 tl::unexpected<Error> bad(const std::string& path, const std::string& pointer,
                           const std::string& what) {
   return fail(ErrorCode::kInvalid, what, path + ": " + pointer);
 }
 
-Result<std::string> text(const json& object, const char* key, const std::string& path,
+Result<std::string> text(const Json& object, const char* key, const std::string& path,
                          const std::string& pointer) {
-  const auto found = object.is_object() ? object.find(key) : object.end();
-  if (!object.is_object() || found == object.end() || !found->is_string())
-    return bad(path, pointer + "/" + key, "a string is expected here");
-  return found->get<std::string>();
+  const auto found = object.at(key).text();
+  if (!found) return bad(path, pointer + "/" + key, "a string is expected here");
+  return *found;
 }
 
-Result<std::int64_t> number(const json& object, const char* key, const std::string& path,
+Result<std::int64_t> number(const Json& object, const char* key, const std::string& path,
                             const std::string& pointer) {
-  const json& value = object.at(key);
-  if (!value.is_number_integer() ||
-      (value.is_number_unsigned() &&
-       value.get<std::uint64_t>() > static_cast<std::uint64_t>(kMaxTimeUs)) ||
-      value.get<std::int64_t>() < 0 || value.get<std::int64_t>() > kMaxTimeUs)
+  const auto found = object.at(key).integer();
+  if (!found || *found < 0 || *found > kMaxTimeUs)
     return bad(path, pointer + "/" + key, "an integer from 0 to 10^12 is expected here");
-  return value.get<std::int64_t>();
+  return *found;
 }
 
 }  // namespace
@@ -76,26 +69,23 @@ Status add_to_objectives(const Wishes& wishes, solver::Objectives& objectives) {
 Result<solver::Objectives> parse_objectives(const std::string& file, const std::string& app_path) {
   solver::Objectives objectives;
   // load_app has parsed the same text before, so it is JSON and an object.
-  const json root = json::parse(file, nullptr, false);
-  if (!root.is_object()) return objectives;
-  const auto list = [&](const char* key) -> Result<json> {
-    const auto found = root.find(key);
-    if (found == root.end()) return json::array();
-    if (!found->is_array())
+  const Json root = Json::parse(file).value_or(Json());
+  const auto list = [&](const char* key) -> Result<std::vector<Json>> {
+    if (root.has(key) && !root.at(key).is_array())
       return bad(app_path, std::string("/") + key, "an array is expected here");
-    return *found;
+    return root.at(key).elements();
   };
-  XAUTO_ASSIGN(const json chains, list("chains"));
+  XAUTO_ASSIGN(const std::vector<Json> chains, list("chains"));
   for (std::size_t k = 0; k < chains.size(); ++k) {
     const std::string pointer = "/chains/" + std::to_string(k);
     solver::Chain chain;
     XAUTO_ASSIGN(chain.name, text(chains[k], "name", app_path, pointer));
     XAUTO_ASSIGN(chain.from, text(chains[k], "from", app_path, pointer));
     XAUTO_ASSIGN(chain.to, text(chains[k], "to", app_path, pointer));
-    if (chains[k].contains("deadline_us")) {
+    if (chains[k].has("deadline_us")) {
       XAUTO_ASSIGN(chain.deadline_us, number(chains[k], "deadline_us", app_path, pointer));
     }
-    if (chains[k].contains("weight")) {
+    if (chains[k].has("weight")) {
       XAUTO_ASSIGN(chain.weight, number(chains[k], "weight", app_path, pointer));
       if (chain.weight > 1000)
         return bad(app_path, pointer + "/weight", "a weight from 0 to 1000 is expected here");
@@ -103,7 +93,7 @@ Result<solver::Objectives> parse_objectives(const std::string& file, const std::
     objectives.chains.push_back(std::move(chain));
   }
   for (const char* key : {"pins", "forbids"}) {
-    XAUTO_ASSIGN(const json entries, list(key));
+    XAUTO_ASSIGN(const std::vector<Json> entries, list(key));
     for (std::size_t k = 0; k < entries.size(); ++k) {
       const std::string pointer = std::string("/") + key + "/" + std::to_string(k);
       XAUTO_ASSIGN(std::string xnode, text(entries[k], "xnode", app_path, pointer));
@@ -112,14 +102,15 @@ Result<solver::Objectives> parse_objectives(const std::string& file, const std::
       target.emplace_back(std::move(xnode), std::move(xpu));
     }
   }
-  XAUTO_ASSIGN(const json groups, list("groups"));
+  XAUTO_ASSIGN(const std::vector<Json> groups, list("groups"));
   for (std::size_t k = 0; k < groups.size(); ++k) {
     const std::string pointer = "/groups/" + std::to_string(k);
     if (!groups[k].is_array()) return bad(app_path, pointer, "an array of names is expected here");
     std::vector<std::string> names;
-    for (const json& name : groups[k]) {
-      if (!name.is_string()) return bad(app_path, pointer, "an array of names is expected here");
-      names.push_back(name.get<std::string>());
+    for (const Json& name : groups[k].elements()) {
+      const auto found = name.text();
+      if (!found) return bad(app_path, pointer, "an array of names is expected here");
+      names.push_back(*found);
     }
     objectives.groups.push_back(std::move(names));
   }

@@ -5,32 +5,30 @@
 #include <optional>
 
 #include <fmt/format.h>
-#include <nlohmann/json.hpp>
 
 #include "model/claims.h"
+#include "model/json_value.h"
 
+#include "story/html_report.h"
+#include "story/perfetto.h"
+#include "story/run_trace.h"
+#include "story/trace_reader.h"
 #include "xauto/gate.h"
-#include "xauto/html_report.h"
-#include "xauto/perfetto.h"
-#include "xauto/run_trace.h"
-#include "xauto/trace_reader.h"
 #include "xauto/worst_case.h"
 
 namespace xauto::cli {
 namespace {
-
-using nlohmann::ordered_json;
 
 std::uint64_t lost_releases(const PolicyRun& run) {
   return run.report.lost_releases;
 }
 
 /// null where nothing was measured.
-ordered_json or_null(std::int64_t us, std::size_t count) {
-  return count == 0 ? ordered_json() : ordered_json(us);
+Json or_null(std::int64_t us, std::size_t count) {
+  return count == 0 ? Json() : us;
 }
 
-ordered_json quantiles_json(const runtime::Distribution& us) {
+Json quantiles_json(const runtime::Distribution& us) {
   const Latency l = summarise(us);
   return {{"p50", or_null(l.p50_us, l.count)},
           {"p99", or_null(l.p99_us, l.count)},
@@ -155,37 +153,37 @@ bool healthy(const PolicyRun& run) {
 }
 
 std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
-  ordered_json list = ordered_json::array();
+  Json list = Json::array();
   const PolicyRun* base = ros2_of(runs);
   for (const PolicyRun& run : runs) {
     const std::size_t n = run.latency.count;
     const auto misses = deadline_misses(flags, run);
-    ordered_json j = {{"policy", run.id},
-                      {"name", run.name},
-                      {"p50_us", or_null(run.latency.p50_us, n)},
-                      {"p99_us", or_null(run.latency.p99_us, n)},
-                      {"max_us", or_null(run.latency.max_us, n)},
-                      {"predicted_us", run.predicted.makespan},
-                      {"mean_us", or_null(run.latency.mean_us, n)},
-                      {"p10_us", or_null(run.latency.p10_us, n)},
-                      {"p90_us", or_null(run.latency.p90_us, n)},
-                      {"activations", n},
-                      {"lost_activations", lost_releases(run)},
-                      {"complete", run.report.complete},
-                      {"deadline_misses", misses ? ordered_json(*misses) : ordered_json()},
-                      {"scheduling", runtime::to_string(run.scheduling)},
-                      {"trace_events_lost", run.outcome.trace.lost},
-                      {"trace_events_overwritten", run.outcome.trace.overwritten},
-                      {"trace_s", traced_s(run.outcome.trace)},
-                      {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
+    Json j = {{"policy", run.id},
+              {"name", run.name},
+              {"p50_us", or_null(run.latency.p50_us, n)},
+              {"p99_us", or_null(run.latency.p99_us, n)},
+              {"max_us", or_null(run.latency.max_us, n)},
+              {"predicted_us", run.predicted.makespan},
+              {"mean_us", or_null(run.latency.mean_us, n)},
+              {"p10_us", or_null(run.latency.p10_us, n)},
+              {"p90_us", or_null(run.latency.p90_us, n)},
+              {"activations", n},
+              {"lost_activations", lost_releases(run)},
+              {"complete", run.report.complete},
+              {"deadline_misses", misses},
+              {"scheduling", runtime::to_string(run.scheduling)},
+              {"trace_events_lost", run.outcome.trace.lost},
+              {"trace_events_overwritten", run.outcome.trace.overwritten},
+              {"trace_s", traced_s(run.outcome.trace)},
+              {"coordinators_cpu_pct", coordinators_cpu_pct(run)}};
     if (!flags.fail_on.empty()) {
-      ordered_json gate = ordered_json::object();
+      Json gate = Json::object();
       for (const GateCount& g : gate_of(flags, run)) gate[g.word] = g.count;
       j["fail_on"] = std::move(gate);
     }
     if (base != nullptr) {
       const auto times = ratio(base->latency, &Latency::p99_us, run.latency);
-      j["p99_speedup_over_ros2"] = times ? ordered_json(*times) : ordered_json();
+      j["p99_speedup_over_ros2"] = times;
     }
     if (run.policy) {
       j["optimal"] = run.policy->optimal;
@@ -196,18 +194,18 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
         j["worst_case_exceeded"] = worst->exceeded;
         j["worst_case_broken"] = worst->broken;
       }
-      ordered_json placement = ordered_json::object();
+      Json placement = Json::object();
       for (std::size_t i = 0; i < flags.app.xnodes.size(); ++i)
         placement[flags.app.xnodes[i].name] =
             flags.spec.xpus[static_cast<std::size_t>(run.policy->placements[i].xpu)].id;
       j["placement"] = std::move(placement);
     }
-    ordered_json modules = ordered_json::array();
+    Json modules = Json::array();
     for (const runtime::ModuleReport& m : run.report.modules) {
-      ordered_json entry = {{"name", m.name},
-                            {"activations", m.activations},
-                            {"failed", m.failed},
-                            {"dropped", m.dropped}};
+      Json entry = {{"name", m.name},
+                    {"activations", m.activations},
+                    {"failed", m.failed},
+                    {"dropped", m.dropped}};
       if (m.sink) {
         const Latency latency = summarise(m.latencies_us);
         entry["p50_us"] = or_null(latency.p50_us, latency.count);
@@ -217,15 +215,15 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       modules.push_back(std::move(entry));
     }
     j["modules"] = std::move(modules);
-    ordered_json chains = ordered_json::array();
+    Json chains = Json::array();
     for (const runtime::RouteReport& r : run.report.routes) {
-      ordered_json chain = {{"name", r.name},
-                            {"from", r.from},
-                            {"to", r.to},
-                            {"results", r.latency_us.count()},
-                            {"lost", r.lost},
-                            {"latency_us", quantiles_json(r.latency_us)},
-                            {"age_us", quantiles_json(r.age_us)}};
+      Json chain = {{"name", r.name},
+                    {"from", r.from},
+                    {"to", r.to},
+                    {"results", r.latency_us.count()},
+                    {"lost", r.lost},
+                    {"latency_us", quantiles_json(r.latency_us)},
+                    {"age_us", quantiles_json(r.age_us)}};
       if (r.deadline_us) {
         chain["deadline_us"] = *r.deadline_us;
         chain["deadline_misses"] = r.deadline_misses;
@@ -237,9 +235,9 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       chains.push_back(std::move(chain));
     }
     j["chains"] = std::move(chains);
-    ordered_json xnodes = ordered_json::array();
+    Json xnodes = Json::array();
     for (const runtime::XNodeReport& x : run.report.xnodes) {
-      ordered_json entry = {
+      Json entry = {
           {"name", x.name}, {"jobs", x.jobs}, {"longest_us", or_null(x.longest_us, x.jobs)}};
       if (x.budget_us > 0) {
         entry["budget_us"] = x.budget_us;
@@ -252,19 +250,19 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       xnodes.push_back(std::move(entry));
     }
     j["limited_xnodes"] = std::move(xnodes);
-    ordered_json notes = ordered_json::array();
+    Json notes = Json::array();
     if (!run.report.note.empty()) notes.push_back(run.report.note);
     for (const std::string& note : run.outcome.notes) notes.push_back(note);
     j["notes"] = std::move(notes);
     list.push_back(std::move(j));
   }
-  ordered_json real = ordered_json::array();
+  Json real = Json::array();
   for (std::size_t x = 0; x < flags.presence.size(); ++x)
     if (flags.presence[x] == Presence::kReal) real.push_back(flags.spec.xpus[x].id);
-  return ordered_json{{"schema", "xauto.report"},     {"version", 1},
-                      {"app", flags.app.name},        {"platform", flags.spec.name},
-                      {"emulated", flags.emulates()}, {"real_xpus", std::move(real)},
-                      {"runs", std::move(list)}}
+  return Json{{"schema", "xauto.report"},     {"version", 1},
+              {"app", flags.app.name},        {"platform", flags.spec.name},
+              {"emulated", flags.emulates()}, {"real_xpus", std::move(real)},
+              {"runs", std::move(list)}}
              .dump(2) +
          "\n";
 }
@@ -324,60 +322,39 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
 
 namespace {
 
-Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run,
-                             const trace::Recording& trace, std::vector<ModuleInfo> modules) {
-  Scene scene;
+Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const story::Story& told,
+                             std::vector<story::ModuleInfo> modules) {
+  story::Scene scene;
   scene.title = flags.app.name + " on " + flags.spec.name + ": " + run.name;
   scene.note = fmt::format("{}, {}", xpus_text(flags), runtime::to_string(run.scheduling));
   Rows rows = rows_of(flags.spec, run.scheduling);
   for (std::string& name : rows.names) scene.rows.push_back({std::move(name), true});
   scene.row_of = std::move(rows.of);
   // Without our coordinators jobs share an XPU, and on real CPUs the kernel preempts unseen.
-  for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x) {
-    const Xpu& xpu = flags.spec.xpus[x];
-    const auto& lost = run.report.lost_coordinators;
-    if (run.scheduling != runtime::Scheduling::kXAuto ||
-        xpu::discipline_of(xpu, flags.presence[x] == Presence::kEmulated) == Discipline::kKernel ||
-        std::find(lost.begin(), lost.end(), xpu.id) != lost.end())
+  const auto& lost = run.report.lost_coordinators;
+  for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x)
+    if (run.scheduling != runtime::Scheduling::kXAuto || flags.kernel_schedules(x) ||
+        std::find(lost.begin(), lost.end(), flags.spec.xpus[x].id) != lost.end())
       scene.rows[static_cast<std::size_t>(scene.row_of[x])].exclusive = false;
-  }
   scene.modules = std::move(modules);
   if (run.policy)
     for (const Placement& p : run.policy->placements) scene.priorities.push_back(p.priority);
   scene.plan = run.predicted.slices;
-  XAUTO_ASSIGN(const Story story, story_of(flags.app, flags.spec, scene.modules, trace));
-  return perfetto_trace(flags.app, scene, story, boottime_offset_ns());
-}
-
-/// Who the modules of a trace are, from its own jobs: index and XNode come together in them.
-std::vector<ModuleInfo> modules_in(const AppSpec& app, const trace::Recording& trace) {
-  std::vector<ModuleInfo> modules;
-  for (const trace::Event& e : trace.events) {
-    if (e.module == XAUTO_EV_NONE) continue;
-    if (e.module >= modules.size()) modules.resize(std::size_t{e.module} + 1);
-    if (e.xnode < app.xnodes.size()) modules[e.module].name = app.xnodes[e.xnode].module;
-  }
-  for (ModuleInfo& module : modules)
-    module.sink = std::none_of(app.edges.begin(), app.edges.end(), [&](const auto& edge) {
-      const std::string& from = app.xnodes[static_cast<std::size_t>(edge.first)].module;
-      return from == module.name &&
-             app.xnodes[static_cast<std::size_t>(edge.second)].module != from;
-    });
-  return modules;
+  return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());
 }
 
 }  // namespace
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
-  std::vector<ModuleInfo> modules;
-  for (const runtime::ModuleReport& module : run.report.modules)
-    modules.push_back({module.name, module.sink});
-  return perfetto(flags, run, run.outcome.trace, std::move(modules));
+  if (!run.story) return tl::unexpected<Error>(run.story.error());
+  return perfetto(flags, run, *run.story, modules_of(run.report));
 }
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
                                 const launch::Incident& incident) {
-  return perfetto(flags, run, incident.trace, modules_in(flags.app, incident.trace));
+  std::vector<story::ModuleInfo> modules = story::modules_of(flags.app, incident.trace);
+  XAUTO_ASSIGN(const story::Story told, story_of(flags.app, flags.spec, modules, incident.trace));
+  return perfetto(flags, run, told, std::move(modules));
 }
 
 std::string words_of(const RunFlags& flags, const launch::Incident& incident) {
@@ -390,8 +367,8 @@ std::string words_of(const RunFlags& flags, const launch::Incident& incident) {
                      static_cast<double>(e.arg) / 1000);
 }
 
-Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
-  Timeline timeline;
+story::Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
+  story::Timeline timeline;
   timeline.title = flags.app.name + " on " + flags.spec.name;
   const bool several = !runs.empty() && runs.front().report.several_rates;
   timeline.note = fmt::format("{}, {} {} per policy; each chart shows {}", xpus_text(flags),
@@ -400,16 +377,16 @@ Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs) 
                               several ? "what ran from the slowest release of a chain to its result"
                                       : "the activation of median latency");
   for (const PolicyRun& run : runs) {
-    std::vector<Panel> panels;
+    std::vector<story::Panel> panels;
     if (run.report.several_rates)
       if (const auto bytes = perfetto_of(flags, run))
-        if (const auto trace = read_trace(*bytes, run.name))
-          panels = chain_panels(page_id(run.id), run.name, *trace);
+        if (const auto trace = story::read_trace(*bytes, run.name))
+          panels = story::chain_panels(page_id(run.id), run.name, *trace);
     if (panels.empty()) {
       panels.push_back(panel_of(flags, run));
       panels.back().id = page_id(run.id);
     }
-    for (Panel& panel : panels) timeline.panels.push_back(std::move(panel));
+    for (story::Panel& panel : panels) timeline.panels.push_back(std::move(panel));
   }
   return timeline;
 }

@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "story/timeline.h"
 #include "xauto/run_app.h"
-#include "xauto/timeline.h"
 
 namespace xauto::cli {
 
@@ -24,6 +24,7 @@ namespace xauto::cli {
                                               const launch::Incident& incident);
 /// "release 12 missed its deadline: 17.31 ms"
 [[nodiscard]] std::string words_of(const RunFlags& flags, const launch::Incident& incident);
-[[nodiscard]] Timeline timeline_of(const RunFlags& flags, const std::vector<PolicyRun>& runs);
+[[nodiscard]] story::Timeline timeline_of(const RunFlags& flags,
+                                          const std::vector<PolicyRun>& runs);
 
 }  // namespace xauto::cli

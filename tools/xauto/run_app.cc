@@ -109,6 +109,11 @@ bool RunFlags::emulates() const {
   return std::find(presence.begin(), presence.end(), Presence::kEmulated) != presence.end();
 }
 
+bool RunFlags::kernel_schedules(std::size_t xpu) const {
+  return xpu::discipline_of(spec.xpus[xpu], presence[xpu] == Presence::kEmulated) ==
+         Discipline::kKernel;
+}
+
 Status RunFlags::prepare_deployment() {
   deployment.app = app.name;
   if (!deployment_path.empty()) {
@@ -228,10 +233,22 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
     for (const runtime::ModuleReport& module : run.report.modules)
       latencies.merge(module.latencies_us);
   run.latency = summarise(latencies);
+  run.story = story_of(flags.app, flags.spec, modules_of(run.report), run.outcome.trace);
   return {};
 }
 
+std::vector<story::ModuleInfo> modules_of(const runtime::RunReport& report) {
+  std::vector<story::ModuleInfo> modules;
+  for (const runtime::ModuleReport& module : report.modules)
+    modules.push_back({module.name, module.sink});
+  return modules;
+}
+
 namespace {
+
+using story::Bar;
+using story::BarKind;
+using story::Panel;
 
 /// Bars of one activation from its trace events.
 std::vector<Bar> bars_of(const RunFlags& flags, const trace::Recording& trace,
@@ -308,7 +325,7 @@ Rows rows_of(const Platform& platform, runtime::Scheduling scheduling) {
   return rows;
 }
 
-Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
+story::Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
   Panel panel;
   panel.id = run.id;
   panel.name = run.name;

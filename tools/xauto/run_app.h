@@ -19,8 +19,9 @@
 #include "launch/supervisor.h"
 #include "session/run_report.h"
 #include "session/session.h"
+#include "story/story.h"
+#include "story/timeline.h"
 #include "xauto/emulation.h"
-#include "xauto/timeline.h"
 
 namespace xauto::cli {
 
@@ -58,6 +59,8 @@ struct RunFlags {
   Deployment deployment;                ///< the file's, with what other flags say
   std::vector<Presence> presence;       ///< [XPU]
   [[nodiscard]] bool emulates() const;  ///< some of them
+  /// Nobody of ours does, and nobody sees who preempts whom there: real CPUs.
+  [[nodiscard]] bool kernel_schedules(std::size_t xpu) const;
 };
 
 /// Nearest-rank quantiles of the releases that were completed (see runtime/distribution.h).
@@ -79,7 +82,11 @@ struct PolicyRun {
   runtime::RunReport report;
   launch::Outcome outcome;
   Latency latency;
+  Result<xauto::story::Story> story;  ///< error: the run left no trace
 };
+
+/// The modules of the run, as events name them.
+[[nodiscard]] std::vector<story::ModuleInfo> modules_of(const runtime::RunReport& report);
 
 /// What the simulator says of this policy and scheduling.
 [[nodiscard]] Result<solver::Simulation> predict(const AppSpec& app, const Platform& platform,
@@ -101,6 +108,6 @@ struct Rows {
 
 /// The measured bars of the activation whose latency is the median, and the predicted ones beside
 /// them.
-[[nodiscard]] Panel panel_of(const RunFlags& flags, const PolicyRun& run);
+[[nodiscard]] story::Panel panel_of(const RunFlags& flags, const PolicyRun& run);
 
 }  // namespace xauto::cli

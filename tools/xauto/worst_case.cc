@@ -7,8 +7,6 @@
 
 #include "model/claims.h"
 
-#include "xauto/story.h"
-
 namespace xauto::cli {
 namespace {
 
@@ -19,36 +17,15 @@ std::string ms(std::int64_t us) {
 /// Jobs in the trace that ran for longer than their WCET, in words; empty: none. On real CPUs the
 /// kernel preempts unseen, so nothing is said of them.
 std::string overruns(const RunFlags& flags, const PolicyRun& run) {
-  std::vector<ModuleInfo> modules;
-  for (const runtime::ModuleReport& module : run.report.modules)
-    modules.push_back({module.name, module.sink});
-  const auto story = story_of(flags.app, flags.spec, modules, run.outcome.trace);
-  if (!story) return {};
-  std::uint64_t count = 0;
-  std::int64_t worst_us = 0;
-  int worst = -1;
-  for (const Job& job : story->jobs) {
-    const Xpu& xpu = flags.spec.xpus[static_cast<std::size_t>(job.xpu)];
-    const XNodeSpec& xnode = flags.app.xnodes[static_cast<std::size_t>(job.xnode)];
-    const auto wcet_us = xnode.wcet_on(xpu.type);
-    if (!job.complete || !wcet_us ||
-        xpu::discipline_of(xpu, flags.presence[static_cast<std::size_t>(job.xpu)] ==
-                                    Presence::kEmulated) == Discipline::kKernel)
-      continue;
-    std::int64_t ran_ns = 0;
-    for (const Phase& phase : job.phases)
-      if (phase.kind == PhaseKind::kRunning) ran_ns += phase.end_ns - phase.begin_ns;
-    const std::int64_t over_us = ran_ns / 1000 - *wcet_us;
-    if (over_us <= 0) continue;
-    ++count;
-    if (over_us > worst_us) {
-      worst_us = over_us;
-      worst = job.xnode;
-    }
-  }
-  if (count == 0) return {};
-  return fmt::format("{} of {} jobs outran their WCET, {} by {}", count, story->jobs.size(),
-                     flags.app.xnodes[static_cast<std::size_t>(worst)].name, ms(worst_us));
+  if (!run.story) return {};
+  std::vector<bool> seen;
+  for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x)
+    seen.push_back(!flags.kernel_schedules(x));
+  const story::Overruns over = overruns_of(flags.app, flags.spec, *run.story, seen);
+  if (over.count == 0) return {};
+  return fmt::format(
+      "{} of {} jobs outran their WCET, {} by {}", over.count, run.story->jobs.size(),
+      flags.app.xnodes[static_cast<std::size_t>(over.worst)].name, ms(over.worst_us));
 }
 
 }  // namespace

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-namespace xauto::cli {
+namespace xauto::story {
 
 /// One event of the kernel's tracer, with its names found.
 struct CpuStep {
@@ -26,4 +26,4 @@ struct CpuStep {
 [[nodiscard]] std::string cpu_trace(const std::string& title, const std::vector<CpuStep>& steps,
                                     std::uint64_t lost, std::int64_t clock_offset_ns);
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

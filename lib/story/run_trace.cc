@@ -3,7 +3,7 @@
 // over to the first of the one that takes, so that a viewer follows what really waited for what.
 // With several rates numbers of releases mean nothing across modules: an activation's arrows come
 // from what it took. A trace that does not tell what it took has arrows inside modules only.
-#include "xauto/run_trace.h"
+#include "story/run_trace.h"
 
 #include <algorithm>
 #include <map>
@@ -12,9 +12,9 @@
 
 #include <fmt/format.h>
 
-#include "xauto/perfetto.h"
+#include "story/perfetto.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
 
 using Track = PerfettoWriter::Track;
@@ -547,4 +547,4 @@ Result<std::string> perfetto_trace(const AppSpec& app, const Scene& scene, const
   return Painter(app, scene, story).paint(clock_offset_ns);
 }
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

@@ -9,7 +9,7 @@
 
 #include <xauto/result.h>
 
-namespace xauto::cli {
+namespace xauto::story {
 
 /// A slice on an XPU; or, as the end of a chain, an output being published.
 struct TraceSlice {
@@ -53,4 +53,4 @@ inline constexpr std::size_t kMaxTraceBytes = std::size_t{1} << 30;
 /// that do not nest, times or arrows that go backwards.
 [[nodiscard]] Result<ReadTrace> read_trace(const std::string& bytes, const std::string& where);
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

@@ -8,9 +8,9 @@
 #include <string>
 #include <vector>
 
-#include "xauto/trace_reader.h"
+#include "story/trace_reader.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 
 /// Who had the XPU (or the module) meanwhile, and for how much of the time.
 struct Blocker {
@@ -73,4 +73,4 @@ struct Account {
 /// "26.104"
 [[nodiscard]] std::string in_ms(std::int64_t us);
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "xauto/account.h"
+#include "story/account.h"
 
 #include <algorithm>
 #include <numeric>
@@ -7,10 +7,10 @@
 
 #include <gtest/gtest.h>
 
+#include "story/perfetto.h"
 #include "tiny_run.h"
-#include "xauto/perfetto.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
 
 using test::Tiny;
@@ -282,4 +282,4 @@ TEST(Account, ItAddsUpWhateverIsMissing) {
 }
 
 }  // namespace
-}  // namespace xauto::cli
+}  // namespace xauto::story

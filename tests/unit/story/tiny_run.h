@@ -6,11 +6,11 @@
 
 #include <gtest/gtest.h>
 
-#include "xauto/run_trace.h"
+#include "story/run_trace.h"
 
 namespace xauto::test {
 
-using namespace xauto::cli;
+using namespace xauto::story;
 
 inline constexpr std::uint16_t kNone = XAUTO_EV_NONE;
 

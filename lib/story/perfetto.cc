@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "xauto/perfetto.h"
+#include "story/perfetto.h"
 
 #include <algorithm>
 
 #include "base/clock.h"
 
-#include "xauto/perfetto.pb.h"
+#include "story/perfetto.pb.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
 
 namespace proto = ::xauto::perfetto;
@@ -177,4 +177,4 @@ std::int64_t boottime_offset_ns() {
   return clock_ns(CLOCK_BOOTTIME) - now_ns();
 }
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

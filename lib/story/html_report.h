@@ -6,10 +6,10 @@
 #include <string>
 #include <vector>
 
-#include "xauto/timeline.h"
-#include "xauto/trace_reader.h"
+#include "story/timeline.h"
+#include "story/trace_reader.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 
 struct ReportedTrace {
   std::string id;    ///< the file's name without folder and suffix
@@ -24,4 +24,4 @@ struct ReportedTrace {
 
 [[nodiscard]] std::string html_report(const std::vector<ReportedTrace>& traces);
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-namespace xauto::cli {
+namespace xauto::story {
 
 enum class BarKind : std::uint8_t {
   kRun,        ///< on the XPU
@@ -49,4 +49,4 @@ struct Timeline {
 /// The whole page. Names are escaped; needs no network.
 [[nodiscard]] std::string timeline_html(const Timeline& timeline);
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

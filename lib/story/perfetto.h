@@ -10,7 +10,7 @@
 #include <variant>
 #include <vector>
 
-namespace xauto::cli {
+namespace xauto::story {
 
 /// Collects in any order, writes in the order of time. Slices of one track must come in the order
 /// in which they begin and end: properly nested, a child inside its parent.
@@ -80,4 +80,4 @@ class PerfettoWriter {
 /// CLOCK_BOOTTIME - CLOCK_MONOTONIC, now.
 [[nodiscard]] std::int64_t boottime_offset_ns();
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

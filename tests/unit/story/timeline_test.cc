@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "xauto/timeline.h"
+#include "story/timeline.h"
 
 #include <gtest/gtest.h>
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
 
 TEST(Timeline, HoldsEveryBarAndNeedsNoNetwork) {
@@ -68,4 +68,4 @@ TEST(Timeline, BrokenUtf8DoesNotBreakThePage) {
 }
 
 }  // namespace
-}  // namespace xauto::cli
+}  // namespace xauto::story

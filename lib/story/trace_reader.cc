@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "xauto/trace_reader.h"
+#include "story/trace_reader.h"
 
 #include <algorithm>
 #include <limits>
 #include <map>
 #include <unordered_map>
 
-#include "xauto/perfetto.pb.h"
+#include "story/perfetto.pb.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
 
 namespace proto = ::xauto::perfetto;
@@ -235,4 +235,4 @@ Result<ReadTrace> read_trace(const std::string& bytes, const std::string& where)
   return file.finish();
 }
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Trace files read back: by the generated classes, by protoc with the schema (the golden) and by
 // protoc without it. Perfetto's own trace_processor is no Debian package.
-#include "xauto/perfetto.h"
+#include "story/perfetto.h"
 
 #include <cstdlib>
 #include <fstream>
@@ -12,12 +12,12 @@
 #include <gtest/gtest.h>
 
 #include "../golden_cases.h"
+#include "story/html_report.h"
+#include "story/perfetto.pb.h"
+#include "story/trace_reader.h"
 #include "tiny_run.h"
-#include "xauto/html_report.h"
-#include "xauto/perfetto.pb.h"
-#include "xauto/trace_reader.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
 
 namespace proto = ::xauto::perfetto;
@@ -421,7 +421,7 @@ TEST(Perfetto, ATinyRunIsWrittenAsItAlwaysWas) {
   Tiny tiny;
   tiny.release(0, 0);
   const std::string text = protoc("--decode=xauto.perfetto.Trace -I " XAUTO_SOURCE_DIR
-                                  "/tools " XAUTO_SOURCE_DIR "/tools/xauto/perfetto.proto",
+                                  "/lib " XAUTO_SOURCE_DIR "/lib/story/perfetto.proto",
                                   tiny.file());
   const auto expected = golden() / "tiny.pftrace.txt";
   if (std::getenv("XAUTO_UPDATE_GOLDEN") != nullptr)
@@ -450,4 +450,4 @@ TEST(Perfetto, AReaderWithoutOurSchemaSeesTheFormatsFieldNumbers) {
 }
 
 }  // namespace
-}  // namespace xauto::cli
+}  // namespace xauto::story

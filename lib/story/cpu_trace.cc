@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "xauto/cpu_trace.h"
+#include "story/cpu_trace.h"
 
 #include <algorithm>
 #include <map>
@@ -8,9 +8,9 @@
 #include <fmt/format.h>
 #include <uapi/xauto/bpf.h>
 
-#include "xauto/perfetto.h"
+#include "story/perfetto.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
 
 constexpr std::uint32_t kSequence = 2;  ///< a run's own file is 1
@@ -94,4 +94,4 @@ std::string cpu_trace(const std::string& title, const std::vector<CpuStep>& step
   return out.write(clock_offset_ns);
 }
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

@@ -12,9 +12,9 @@
 
 #include "solver/simulate.h"
 
-#include "xauto/story.h"
+#include "story/story.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 
 /// A row of the picture: an XPU, or several that are one pool.
 struct Row {
@@ -35,4 +35,4 @@ struct Scene {
 [[nodiscard]] Result<std::string> perfetto_trace(const AppSpec& app, const Scene& scene,
                                                  const Story& story, std::int64_t clock_offset_ns);
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

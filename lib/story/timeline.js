@@ -1,61 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Style and script of the timeline page; timeline.cc puts the data between them. Plain SVG and DOM,
-// no network, light and dark. Colours: Okabe and Ito's palette for colour-blind readers, by module.
-#pragma once
-
-namespace xauto::cli {
-
-inline constexpr const char* kPageHead =
-    R"(<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">)";
-
-inline constexpr const char* kPageStyle = R"css(<style>
-:root { --bg:#fbfbfc; --card:#fff; --fg:#1c1f24; --dim:#646b76; --line:#e3e6ea; --lane:#f4f5f7; --accent:#0b62c4; --ink:#111; }
-@media (prefers-color-scheme: dark) {
-  :root { --bg:#14161a; --card:#1c1f25; --fg:#e7e9ed; --dim:#9aa2ae; --line:#30353d; --lane:#22262d; --accent:#6cb2ff; --ink:#0b0c0e; }
-}
-* { box-sizing:border-box }
-body { margin:0; padding:24px 28px 48px; background:var(--bg); color:var(--fg); font:14px/1.45 system-ui,-apple-system,"Segoe UI",sans-serif }
-h1 { font-size:22px; margin:0 0 2px } h2 { font-size:15px; margin:0; font-weight:650 } table + h2 { margin-top:22px }
-.dim { color:var(--dim) }
-.card { background:var(--card); border:1px solid var(--line); border-radius:10px; padding:14px 16px; margin-top:16px; overflow-x:auto }
-table { border-collapse:collapse; width:100% } th { text-align:right; color:var(--dim); font-weight:500; padding:3px 10px }
-td { text-align:right; padding:4px 10px; font-variant-numeric:tabular-nums; border-top:1px solid var(--line) }
-th:first-child,td:first-child { text-align:left } td.bar { width:34%; text-align:left }
-td.bar div { height:12px; border-radius:3px; background:var(--accent); opacity:.85 }
-.head { display:flex; align-items:baseline; gap:14px; flex-wrap:wrap; margin-bottom:6px }
-.head .big { font-size:18px; font-weight:650; font-variant-numeric:tabular-nums }
-.legend { display:flex; flex-wrap:wrap; gap:6px 8px; margin-top:10px }
-.legend button { display:flex; align-items:center; gap:6px; border:1px solid var(--line); background:none; color:var(--fg); border-radius:14px; padding:2px 10px 2px 8px; font:inherit; cursor:pointer }
-.legend button[aria-pressed=true] { border-color:var(--accent); box-shadow:0 0 0 1px var(--accent) }
-.legend i { width:12px; height:12px; border-radius:3px; display:inline-block }
-.legend span.key { display:flex; align-items:center; gap:6px; color:var(--dim); padding:2px 6px }
-svg { display:block; width:100%; height:auto; overflow:visible }
-svg text { fill:var(--fg); font-size:11px } svg text.dim { fill:var(--dim) } svg .grid { stroke:var(--line) }
-svg .lane { fill:var(--lane) } svg text.latency { paint-order:stroke; stroke:var(--card); stroke-width:5px; stroke-linejoin:round; font-weight:650 }
-svg .end { stroke:var(--fg); stroke-width:1.5; stroke-dasharray:4 3 }
-svg .label { fill:var(--ink); font-size:10px; pointer-events:none } svg .faded { opacity:.15 }
-svg .plan { fill:none; stroke-width:1.2; opacity:.8 } svg .bar:hover { stroke:var(--fg); stroke-width:1.5 }
-#tip { position:fixed; pointer-events:none; background:var(--fg); color:var(--bg); border-radius:6px; padding:6px 9px; font-size:12px; display:none; z-index:9; max-width:340px; white-space:pre-line }
-.tools { float:right; color:var(--dim); font-size:12px } .tools button { font:inherit; border:1px solid var(--line); background:none; color:var(--fg); border-radius:6px; cursor:pointer; padding:1px 8px }
-@media (max-width: 700px) {
-  body { padding:14px 12px 32px } .card { padding:12px } h1 { font-size:19px; overflow-wrap:anywhere } #note, p, .head span { overflow-wrap:anywhere }
-  .tools { float:none; margin-bottom:8px } th, td { padding-left:6px; padding-right:6px } td.bar { min-width:60px }
-  .card > svg { min-width:1000px } /* the card scrolls, not the page: smaller text could not be read */
-}
-</style>)css";
-
-inline constexpr const char* kPageBody = R"html(</head><body>
-<div class="tools"><span title="in the schedules below: Ctrl and the wheel; keys + - 0 and the arrows">zoom</span> <button id="in" title="key +">+</button> <button id="out" title="key -">&minus;</button> <button id="all" title="key 0">all</button></div>
-<h1 id="title"></h1><div id="note" class="dim"></div>
-<div class="card"><table id="table"></table></div>
-)html";
-
-/// After the sections, if there are any.
-inline constexpr const char* kPagePanels = R"html(<div class="legend" id="legend"></div>
-<div id="panels"></div><div id="tip" role="tooltip"></div>
-)html";
-
-inline constexpr const char* kPageScript = R"js(<script>
 "use strict";
 const RUN = 0, WAIT = 1, SUSPENDED = 2, SWITCH = 3;
 const PALETTE = ["#E69F00","#56B4E9","#009E73","#F0E442","#5B8FF9","#D55E00","#CC79A7","#B8B8B8","#8FD175","#C9A0FF","#FFB3A7","#7FD6D0"];
@@ -271,7 +214,3 @@ addEventListener("keydown", e => {
   }
 });
 draw();
-</script></body></html>
-)js";
-
-}  // namespace xauto::cli

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "xauto/story.h"
+#include "story/story.h"
 
 #include <algorithm>
 #include <limits>
 #include <map>
 #include <optional>
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
 
 class Reader {
@@ -343,4 +343,42 @@ Result<Story> story_of(const AppSpec& app, const Platform& platform,
   return story;
 }
 
-}  // namespace xauto::cli
+std::vector<ModuleInfo> modules_of(const AppSpec& app, const trace::Recording& trace) {
+  std::vector<ModuleInfo> modules;
+  for (const trace::Event& e : trace.events) {
+    if (e.module == XAUTO_EV_NONE) continue;
+    if (e.module >= modules.size()) modules.resize(std::size_t{e.module} + 1);
+    if (e.xnode < app.xnodes.size()) modules[e.module].name = app.xnodes[e.xnode].module;
+  }
+  for (ModuleInfo& module : modules)
+    module.sink = std::none_of(app.edges.begin(), app.edges.end(), [&](const auto& edge) {
+      const std::string& from = app.xnodes[static_cast<std::size_t>(edge.first)].module;
+      return from == module.name &&
+             app.xnodes[static_cast<std::size_t>(edge.second)].module != from;
+    });
+  return modules;
+}
+
+Overruns overruns_of(const AppSpec& app, const Platform& platform, const Story& story,
+                     const std::vector<bool>& seen) {
+  Overruns over;
+  for (const Job& job : story.jobs) {
+    const auto xpu = static_cast<std::size_t>(job.xpu);
+    const auto wcet_us =
+        app.xnodes[static_cast<std::size_t>(job.xnode)].wcet_on(platform.xpus[xpu].type);
+    if (!job.complete || !wcet_us || !seen[xpu]) continue;
+    std::int64_t ran_ns = 0;
+    for (const Phase& phase : job.phases)
+      if (phase.kind == PhaseKind::kRunning) ran_ns += phase.end_ns - phase.begin_ns;
+    const std::int64_t over_us = ran_ns / 1000 - *wcet_us;
+    if (over_us <= 0) continue;
+    ++over.count;
+    if (over_us > over.worst_us) {
+      over.worst_us = over_us;
+      over.worst = job.xnode;
+    }
+  }
+  return over;
+}
+
+}  // namespace xauto::story

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "xauto/cpu_trace.h"
+#include "story/cpu_trace.h"
 
 #include <map>
 #include <string>
@@ -7,11 +7,11 @@
 #include <gtest/gtest.h>
 #include <uapi/xauto/bpf.h>
 
+#include "story/perfetto.pb.h"
+#include "story/trace_reader.h"
 #include "tiny_run.h"
-#include "xauto/perfetto.pb.h"
-#include "xauto/trace_reader.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
 
 CpuStep step(std::int64_t us, std::uint16_t kind, std::uint16_t cpu, std::uint32_t tid,
@@ -96,4 +96,4 @@ TEST(CpuTrace, BehindARunsFileItIsOneTraceThatTheReportStillReads) {
 }
 
 }  // namespace
-}  // namespace xauto::cli
+}  // namespace xauto::story

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sections are written here as plain HTML, every text from outside through html_safe(); the
-// schedule below them is the timeline page's (timeline_page.h), showing the slowest release instead
+// schedule below them is the timeline page's (timeline.h), showing the slowest release instead
 // of the median one.
-#include "xauto/html_report.h"
+#include "story/html_report.h"
 
 #include <algorithm>
 #include <map>
@@ -12,10 +12,10 @@
 
 #include "base/quantile.h"
 
-#include "xauto/account.h"
-#include "xauto/timeline.h"
+#include "story/account.h"
+#include "story/timeline.h"
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
 
 using Latencies = std::vector<std::int64_t>;
@@ -295,4 +295,4 @@ std::string html_report(const std::vector<ReportedTrace>& traces) {
   return timeline_html(page);
 }
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

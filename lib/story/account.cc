@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Every boundary is rounded to a microsecond once, and the parts are differences of boundaries: so
 // they add up to the latency whatever a damaged trace says.
-#include "xauto/account.h"
+#include "story/account.h"
 
 #include <algorithm>
 #include <map>
@@ -9,7 +9,7 @@
 
 #include <fmt/format.h>
 
-namespace xauto::cli {
+namespace xauto::story {
 namespace {
 
 constexpr std::int64_t kWorthSayingUs = 50;
@@ -356,4 +356,4 @@ std::string account_text(const Account& account) {
   return out;
 }
 
-}  // namespace xauto::cli
+}  // namespace xauto::story

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+# xauto_embed(TARGET HEADER FILE...): the text of each FILE as a constant in HEADER, which TARGET includes by that name: of
+# "story/timeline.css" it is kTimelineCss. The first line, the licence, stays out. As a script (cmake -P) it writes the header.
+if(CMAKE_SCRIPT_MODE_FILE)
+  set(text "// Made by cmake/embed.cmake.\n#pragma once\n\n")
+  foreach(file ${FILES})
+    get_filename_component(name ${file} NAME)
+    string(REGEX REPLACE "[^a-zA-Z0-9]" ";" words ${name})
+    set(constant k)
+    foreach(word ${words})
+      string(SUBSTRING ${word} 0 1 first)
+      string(SUBSTRING ${word} 1 -1 rest)
+      string(TOUPPER ${first} first)
+      string(APPEND constant ${first}${rest})
+    endforeach()
+    file(READ ${file} content)
+    string(FIND "${content}" "\n" end)
+    math(EXPR end "${end} + 1")
+    string(SUBSTRING "${content}" ${end} -1 content)
+    string(APPEND text "inline constexpr const char* ${constant} = R\"embedded(${content})embedded\";\n")
+  endforeach()
+  file(WRITE ${OUT} "${text}")
+  return()
+endif()
+
+set(XAUTO_EMBED ${CMAKE_CURRENT_LIST_FILE})
+function(xauto_embed target header)
+  set(folder ${CMAKE_CURRENT_BINARY_DIR}/embedded)
+  list(TRANSFORM ARGN PREPEND ${CMAKE_CURRENT_SOURCE_DIR}/)
+  add_custom_command(OUTPUT ${folder}/${header}
+                     COMMAND ${CMAKE_COMMAND} -DOUT=${folder}/${header} "-DFILES=${ARGN}" -P ${XAUTO_EMBED}
+                     DEPENDS ${ARGN} ${XAUTO_EMBED} VERBATIM)
+  target_sources(${target} PRIVATE ${folder}/${header})
+  target_include_directories(${target} PRIVATE ${folder})
+endfunction()
