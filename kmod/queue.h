@@ -8,12 +8,13 @@
  * no set of running or suspended queues that could be written over another.
  *
  *	             first vote: driver suspends
- *	  RUNNING ---------------------------------> SUSPENDED   (votes > 0)
- *	    ^  ^ <---- the driver refused: undone ----  |
- *	    |  '----- last vote gone: driver resumes ---'
- *	    |                       | the driver refused
- *	    '--- sweeper resumes --- ORPHAN          (suspended, votes == 0, kept alive until it
- *	    runs)
+ *	  RUNNING ----------------------------------> SUSPENDED   (votes > 0)
+ *	   ^  ^  <----- the driver refused: undone -----  |  |
+ *	   |  '------- last vote gone: driver resumes ----'  | last vote gone:
+ *	   |                                                 | the driver refused
+ *	   |                                                 v
+ *	   '-------- sweeper: the driver resumes --------- ORPHAN (votes == 0, suspended, and kept
+ *	                                                           alive until it runs)
  *
  *	  any state -- nobody but us holds the file --> GONE      (resumed first, file given back)
  *
