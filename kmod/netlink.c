@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
- * The door: policies, parsing, permission, replies, events. Touches no hardware. The ABI and its
- * rules are in include/uapi/xauto/netlink.h.
+ * The door: policies, parsing, permission, replies. Touches no hardware. The ABI and its rules are
+ * in include/uapi/xauto/netlink.h.
  */
 #include <linux/cred.h>
 #include <linux/file.h>
@@ -17,8 +17,6 @@
 #include "netlink.h"
 #include "owner.h"
 #include "queue.h"
-#define CREATE_TRACE_POINTS
-#include "trace.h"
 
 static struct genl_family xauto_family;
 
@@ -539,76 +537,17 @@ static struct genl_family xauto_family __ro_after_init = {
 	XAUTO_GENL_RESV_START_OP(XAUTO_CMD_GET + 1)
 };
 
-static void multicast(u32 kind, struct xauto_queue *queue, struct pid *pid, u32 portid, u64 cost_ns,
-		      int err)
-{
-	struct sk_buff *msg;
-	void *header;
-
-	if (!genl_has_listeners(&xauto_family, &init_net, 0))
-		return;
-	msg = genlmsg_new(NLMSG_DEFAULT_SIZE, GFP_KERNEL);
-	if (!msg)
-		return; /* a listener that must miss nothing reads the trace events */
-	header = genlmsg_put(msg, 0, 0, &xauto_family, 0, XAUTO_CMD_EVENT);
-	if (!header || nla_put_u32(msg, XAUTO_A_EVENT, kind) ||
-	    (queue && (nla_put_u32(msg, XAUTO_A_QUEUE, queue->id) ||
-		       nla_put_u32(msg, XAUTO_A_TYPE, queue->type))) ||
-	    nla_put_u32(msg, XAUTO_A_PID, pid_nr(pid)) ||
-	    nla_put_u32(msg, XAUTO_A_PORTID, portid) ||
-	    nla_put_u64_64bit(msg, XAUTO_A_TIME_NS, ktime_get_ns(), XAUTO_A_PAD) ||
-	    nla_put_u64_64bit(msg, XAUTO_A_COST_NS, cost_ns, XAUTO_A_PAD) ||
-	    nla_put_u32(msg, XAUTO_A_ERRNO, -err)) {
-		nlmsg_free(msg);
-		return;
-	}
-	genlmsg_end(msg, header);
-	genlmsg_multicast(&xauto_family, msg, 0, 0, GFP_KERNEL);
-}
-
-void xauto_event(u32 kind, struct xauto_queue *queue, u32 portid, u64 cost_ns, int err)
-{
-	switch (kind) {
-	case XAUTO_KEV_REGISTER:
-		trace_register_queue(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_UNREGISTER:
-		trace_unregister_queue(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_SUSPEND:
-		trace_suspend(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_RESUME:
-		trace_resume(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_SET_TIMESLICE:
-		trace_set_timeslice(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_SET_INTERLEAVE:
-		trace_set_interleave(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_TARGET_GONE:
-		trace_target_gone(queue, portid, cost_ns, err);
-		break;
-	}
-	multicast(kind, queue, queue->pid, portid, cost_ns, err);
-}
-
-void xauto_owner_event(u32 kind, u32 portid, struct pid *pid)
-{
-	if (kind == XAUTO_KEV_WATCHDOG)
-		trace_watchdog(portid, pid_nr(pid));
-	else
-		trace_owner_gone(portid, pid_nr(pid));
-	multicast(kind, NULL, pid, portid, 0, 0);
-}
-
 int xauto_netlink_init(void)
 {
-	return genl_register_family(&xauto_family);
+	int err = genl_register_family(&xauto_family);
+
+	if (!err)
+		xauto_event_publish_to(&xauto_family);
+	return err;
 }
 
 void xauto_netlink_exit(void)
 {
+	xauto_event_publish_to(NULL);
 	genl_unregister_family(&xauto_family);
 }

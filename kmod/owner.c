@@ -126,7 +126,7 @@ static void xauto_owner_reap(struct work_struct *work)
 	cancel_delayed_work_sync(&owner->watchdog);
 
 	mutex_lock(&owner->lock);
-	xauto_owner_event(XAUTO_KEV_OWNER_GONE, owner->portid, owner->pid);
+	xauto_event_of_owner(XAUTO_KEV_OWNER_GONE, owner->portid, owner->pid);
 	/* All votes before any claim: what is suspended comes first. */
 	xauto_owner_end_votes(owner);
 	xa_for_each(&owner->claims, handle, claim) {
@@ -152,7 +152,7 @@ static void xauto_owner_watchdog(struct work_struct *work)
 		goto out;
 	}
 	owner->expired = true;
-	xauto_owner_event(XAUTO_KEV_WATCHDOG, owner->portid, owner->pid);
+	xauto_event_of_owner(XAUTO_KEV_WATCHDOG, owner->portid, owner->pid);
 	xauto_owner_end_votes(owner);
 out:
 	mutex_unlock(&owner->lock);
@@ -270,7 +270,7 @@ int xauto_owner_claim(struct xauto_owner *owner, struct xauto_queue *queue, u32 
 		goto put;
 	}
 	owner->n_claims++;
-	xauto_event(XAUTO_KEV_REGISTER, queue, owner->portid, 0, 0);
+	xauto_event_of_queue(XAUTO_KEV_REGISTER, queue, owner->portid, 0, 0);
 	mutex_unlock(&owner->lock);
 	return 0;
 put:
@@ -292,7 +292,7 @@ int xauto_owner_unclaim(struct xauto_owner *owner, u32 handle)
 	}
 	err = xauto_owner_end_vote(owner, claim, NULL);
 	owner->n_claims--;
-	xauto_event(XAUTO_KEV_UNREGISTER, claim->queue, owner->portid, 0, 0);
+	xauto_event_of_queue(XAUTO_KEV_UNREGISTER, claim->queue, owner->portid, 0, 0);
 	mutex_unlock(&owner->lock);
 	xauto_queue_put(claim->queue);
 	kmem_cache_free(xauto_claim_cache, claim);

@@ -129,7 +129,7 @@ static int xauto_queue_resume(struct xauto_queue *queue, u32 portid, u64 *cost)
 		queue->suspended = false;
 		xauto_power_put(queue->power);
 	}
-	xauto_event(XAUTO_KEV_RESUME, queue, portid, *cost, err);
+	xauto_event_of_queue(XAUTO_KEV_RESUME, queue, portid, *cost, err);
 	if (err && !queue->orphan) {
 		queue->orphan = true;
 		kref_get(&queue->ref);
@@ -156,7 +156,7 @@ static int xauto_queue_suspend(struct xauto_queue *queue, u32 portid, u64 *cost)
 		queue->stats.suspends++;
 out:
 	*cost = xauto_queue_account(queue, begin, err);
-	xauto_event(XAUTO_KEV_SUSPEND, queue, portid, *cost, err);
+	xauto_event_of_queue(XAUTO_KEV_SUSPEND, queue, portid, *cost, err);
 	/* Half a suspension is none, unless another owner wants it suspended. */
 	if (err && queue->suspended && !queue->votes)
 		xauto_queue_resume(queue, portid, &undo);
@@ -211,8 +211,8 @@ int xauto_queue_set(struct xauto_queue *queue, u32 action, u32 value, u32 portid
 		begin = ktime_get_ns();
 		err = set(queue->file, value);
 		*cost_ns = xauto_queue_account(queue, begin, err);
-		xauto_event(slice ? XAUTO_KEV_SET_TIMESLICE : XAUTO_KEV_SET_INTERLEAVE, queue,
-			    portid, *cost_ns, err);
+		xauto_event_of_queue(slice ? XAUTO_KEV_SET_TIMESLICE : XAUTO_KEV_SET_INTERLEAVE,
+				     queue, portid, *cost_ns, err);
 	}
 	mutex_unlock(&queue->lock);
 	return err;
@@ -272,7 +272,7 @@ static struct file *xauto_queue_take_gone(struct xauto_queue *queue)
 		xauto_power_put(queue->power);
 	}
 	WRITE_ONCE(queue->file, NULL);
-	xauto_event(XAUTO_KEV_TARGET_GONE, queue, 0, 0, 0);
+	xauto_event_of_queue(XAUTO_KEV_TARGET_GONE, queue, 0, 0, 0);
 	return file;
 }
 
