@@ -459,6 +459,7 @@ static int xauto_dump_queue(struct sk_buff *msg, struct netlink_callback *cb,
 			     NLM_F_MULTI, XAUTO_CMD_GET);
 	if (!header)
 		return -EMSGSIZE;
+	genl_dump_check_consistent(cb, header);
 	owner = xauto_owner_find(cb->skb);
 	err = xauto_fill_queue(msg, queue, owner, false);
 	if (owner)
@@ -470,12 +471,15 @@ static int xauto_dump_queue(struct sk_buff *msg, struct netlink_callback *cb,
 	return err;
 }
 
+/* One part of the dump, from the queue where the last one ended; empty at the end. */
 static int xauto_cmd_dump(struct sk_buff *msg, struct netlink_callback *cb)
 {
 	unsigned long id = cb->args[0];
 	struct xauto_queue *queue;
 	int err = 0;
 
+	/* Read before the queues are: what changes while they are read shows in the next part. */
+	cb->seq = xauto_queue_generation();
 	while (!err && (queue = xauto_queue_next(&id))) {
 		err = xauto_dump_queue(msg, cb, queue);
 		xauto_queue_put(queue);

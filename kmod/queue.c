@@ -19,11 +19,30 @@
 static DEFINE_XARRAY_ALLOC1(xauto_queues);
 static DEFINE_MUTEX(xauto_queues_lock); /* finding or adding by file, and removing */
 static u32 xauto_next_queue_id;
+static u32 xauto_queues_generation = 1; /* of the list, under its lock; never 0, see netlink.c */
 static struct kmem_cache *xauto_queue_cache; /* of its own: a leak shows at unload */
 
 static const struct xauto_queue_ops *xauto_queue_ops_of(u32 type)
 {
 	return type == XAUTO_QUEUE_GPU_TSG ? &xauto_tsg_ops : &xauto_dla_ops;
+}
+
+/* The list that a dump shows has changed. */
+static void xauto_queues_changed(void)
+{
+	lockdep_assert_held(&xauto_queues_lock);
+	if (!++xauto_queues_generation)
+		xauto_queues_generation = 1;
+}
+
+u32 xauto_queue_generation(void)
+{
+	u32 generation;
+
+	mutex_lock(&xauto_queues_lock);
+	generation = xauto_queues_generation;
+	mutex_unlock(&xauto_queues_lock);
+	return generation;
 }
 
 static struct xauto_queue *xauto_queue_find(struct file *file)
@@ -59,6 +78,7 @@ static struct xauto_queue *xauto_queue_add(u32 type, struct file *file, struct p
 	queue->pid = get_pid(pid);
 	xauto_power_find(file->f_op->owner, queue->power);
 	WRITE_ONCE(queue->file, get_file(file)); /* from here on the sweeper sees it */
+	xauto_queues_changed();
 	return queue;
 }
 
@@ -93,6 +113,7 @@ static void xauto_queue_release(struct kref *ref)
 
 	WARN_ON(queue->suspended || queue->votes);
 	xa_erase(&xauto_queues, queue->id);
+	xauto_queues_changed();
 	mutex_unlock(&xauto_queues_lock);
 	if (queue->file)
 		fput(queue->file);
@@ -292,8 +313,12 @@ static void xauto_queue_sweep_one(struct xauto_queue *queue)
 		adopted = true;
 	}
 	mutex_unlock(&queue->lock);
-	if (gone)
+	if (gone) {
+		mutex_lock(&xauto_queues_lock);
+		xauto_queues_changed();
+		mutex_unlock(&xauto_queues_lock);
 		fput(gone);
+	}
 	if (adopted)
 		xauto_queue_put(queue);
 }

@@ -140,6 +140,8 @@ void xauto_queue_describe(struct xauto_queue *queue, bool ask_driver,
 /* Who opened the file: its credentials, with a reference, or NULL once it is gone. */
 const struct cred *xauto_queue_cred(struct xauto_queue *queue);
 
+/* Another one, never 0, once a queue has come or gone: then a list read in parts is none. */
+u32 xauto_queue_generation(void);
 /* The next queue with an id of at least *@id, with a reference; NULL at the end. */
 struct xauto_queue *xauto_queue_next(unsigned long *id);
 

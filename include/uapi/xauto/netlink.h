@@ -41,6 +41,8 @@
  *                       ->  every queue that the caller may see
  *     A queue: QUEUE, TYPE, PID, SUSPENDED, VOTES, SUSPENDS, RESUMES, ERRORS, SUSPENDED_NS,
  *     COST_NS (of all driver calls), COST_MAX_NS, and HANDLE where it is registered on this socket.
+ *     A long dump comes in parts. If a queue came or went between them, what follows carries
+ *     NLM_F_DUMP_INTR, the end at the latest: ask again.
  *
  * XAUTO_CMD_EVENT       multicast to the group %XAUTO_MCGRP_EVENTS
  *     EVENT, QUEUE, TYPE, PID, PORTID, TIME_NS, COST_NS, ERRNO; no QUEUE and no TYPE where the
