@@ -65,7 +65,8 @@ Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& o
   if (scheduler.choice_.partial) ops->flags |= kSwitchPartial;
   for (bpf_map* map :
        {loaded.object->maps.head, loaded.object->maps.table, loaded.object->maps.slots,
-        loaded.object->maps.jobs, loaded.object->maps.sched, loaded.object->maps.threads})
+        loaded.object->maps.jobs, loaded.object->maps.sched, loaded.object->maps.counts,
+        loaded.object->maps.threads})
     XAUTO_TRY(reuse(map, maps));
   const VerifierLog verifier(loaded.object->obj);
   const int load_error = xauto_scx__load(loaded.object);
