@@ -27,8 +27,8 @@ struct MapShape {
 
 [[nodiscard]] Status set_element(int map_fd, const void* key, const void* value);
 [[nodiscard]] Status get_element(int map_fd, const void* key, void* value);
-/// How many values an element of a per-CPU map has at most. `root`: "" for this machine, or a folder
-/// that stands for / in tests.
+/// The greatest number that a CPU can have here, plus one: an element of a per-CPU map has no more
+/// values. `root`: "" for this machine, or a folder that stands for / in tests.
 [[nodiscard]] Result<std::size_t> possible_cpus(const std::string& root = "");
 /// Nothing to do if it is not there.
 void remove_element(int map_fd, const void* key);

@@ -2,8 +2,6 @@
 #include <fstream>
 #include <thread>
 
-#include <unistd.h>
-
 #include "kernel/libbpf/session.h"
 #include "kernel/scx_scheduler.h"
 
@@ -42,7 +40,8 @@ ScxScheduler::~ScxScheduler() = default;
 Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& options) {
   if (std::string refusal = scx_refusal(""); !refusal.empty())
     return fail(ErrorCode::kUnavailable, std::move(refusal));
-  const long cpus = sysconf(_SC_NPROCESSORS_CONF);
+  // Up to the greatest number, since there may be gaps: each CPU has a state and a queue.
+  XAUTO_ASSIGN(const std::size_t cpus, possible_cpus());
   if (cpus > XAUTO_BPF_MAX_CPUS)
     return fail(ErrorCode::kUnavailable, std::to_string(cpus) + " CPUs; the scheduler knows " +
                                              std::to_string(XAUTO_BPF_MAX_CPUS));
