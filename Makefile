@@ -23,6 +23,7 @@ pedestrians:
 check:
 	@scripts/setup.sh build check transport pedestrians kernel package
 	@scripts/fetch-video.sh
+	@scripts/vm/fetch-checkpatch.sh >/dev/null
 	@JOBS=$(JOBS) scripts/check.sh all
 
 # Parts of check, each by itself.

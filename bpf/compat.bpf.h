@@ -24,6 +24,17 @@ int bpf_iter_scx_dsq_new(struct bpf_iter_scx_dsq *it, u64 dsq_id, u64 flags) __k
 struct task_struct *bpf_iter_scx_dsq_next(struct bpf_iter_scx_dsq *it) __ksym;
 void bpf_iter_scx_dsq_destroy(struct bpf_iter_scx_dsq *it) __ksym;
 
+/*
+ * Ends the scheduler with a reason: for what cannot be. The text must lie in writable memory, and there is
+ * always a parameter, since the kernel wants their array not to be empty.
+ */
+#define scx_bpf_error(text, param)                                                       \
+	({                                                                               \
+		static char text_[] = text;                                              \
+		unsigned long long param_[] = { (unsigned long long)(param) };           \
+		scx_bpf_error_bstr(text_, param_, sizeof(param_));                       \
+	})
+
 /* 6.13 renamed dispatch* and consume. The 6.12 names can go when no supported kernel is 6.12. */
 void scx_bpf_dsq_insert___k613(struct task_struct *p, u64 dsq_id, u64 slice, u64 enq_flags) __ksym __weak;
 void scx_bpf_dispatch___k612(struct task_struct *p, u64 dsq_id, u64 slice, u64 enq_flags) __ksym __weak;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
  * No program, only maps: what exists for every run where BPF is permitted, before anybody decides about
- * a scheduler or a tracer. lib/kernel/bpf_maps.cc sizes and pins them.
+ * a scheduler or a tracer. lib/kernel/libbpf/maps.cc sizes and pins them.
  */
 #include "kernel.bpf.h"
 #include <bpf/bpf_helpers.h>
@@ -15,5 +15,6 @@ XAUTO_MAP_TABLE;
 XAUTO_MAP_SLOTS;
 XAUTO_MAP_JOBS;
 XAUTO_MAP_SCHED;
+XAUTO_MAP_COUNTS;
 XAUTO_MAP_NAMES;
 XAUTO_MAP_THREADS;

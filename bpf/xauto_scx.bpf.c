@@ -25,6 +25,10 @@
  * How a thread says what it runs: one store into slots[].job (include/uapi/xauto/bpf.h). The entry is
  * copied ("latched") once per job, so that replacing the table never changes a job half way.
  *
+ * What cannot be ends the scheduler with a reason (scx_bpf_error), and the kernel goes back to its own.
+ * What user space may get wrong (a job word, a slot number, a table) never does: that thread is an
+ * ordinary one then, and a count tells.
+ *
  * Locks: all callbacks of a thread run under its run queue's lock, which therefore protects jobs[].
  * cpu_state[] is written by its own CPU and read by others without a lock, as said at each place.
  */
@@ -96,22 +100,60 @@ XAUTO_MAP_TABLE;
 XAUTO_MAP_SLOTS;
 XAUTO_MAP_JOBS;
 XAUTO_MAP_SCHED;
+XAUTO_MAP_COUNTS;
 XAUTO_MAP_THREADS;
 
 static unsigned long long vtime_now; /* of the fair queue: the largest that has begun to run */
 static unsigned long long arrivals;
 
+/* Callbacks run with interrupts off, so nobody else adds to this CPU's counts meanwhile. */
 static __always_inline void count(u32 what)
 {
-	struct xauto_bpf_sched *s = bpf_map_lookup_elem(&sched, &(u32){ 0 });
+	struct xauto_bpf_counts *c = bpf_map_lookup_elem(&counts, &(u32){ 0 });
 
-	if (s && what < XAUTO_BPF_STATS)
-		__sync_fetch_and_add(&s->stats[what], 1);
+	if (c && what < XAUTO_BPF_STATS)
+		c->stats[what]++;
 }
 
 static __always_inline struct cpu_state *state_of(s32 cpu)
 {
-	return bpf_map_lookup_elem(&cpu_states, &cpu);
+	struct cpu_state *c = bpf_map_lookup_elem(&cpu_states, &cpu);
+
+	if (!c) /* the loader refuses a machine with more CPUs */
+		scx_bpf_error("CPU %d has no state", cpu);
+	return c;
+}
+
+/* An XNode thread: where it is told what it runs, and what we go by. */
+struct xnode_thread {
+	struct xauto_bpf_slot *slot;
+	struct xauto_bpf_job *job;
+	u32 at;
+};
+
+/* False: there is no such slot. */
+static __always_inline bool thread_at(u32 at, struct xnode_thread *t)
+{
+	t->at = at;
+	t->slot = bpf_map_lookup_elem(&slots, &at);
+	t->job = bpf_map_lookup_elem(&jobs, &at);
+	if (t->slot && !t->job) /* the loader makes both maps of one size */
+		scx_bpf_error("slot %u has no job", at);
+	return t->slot && t->job;
+}
+
+/* False: an ordinary thread. Threads enter themselves, so the slot's number may be nonsense. */
+static __always_inline bool thread_of(struct task_struct *p, struct xnode_thread *t)
+{
+	u32 tid = p->pid;
+	u32 *at = bpf_map_lookup_elem(&threads, &tid);
+
+	if (!at)
+		return false;
+	if (thread_at(*at, t))
+		return true;
+	count(XAUTO_BPF_STAT_NO_SLOT);
+	return false;
 }
 
 /* ---- jobs ---------------------------------------------------------------------------------- */
@@ -131,6 +173,8 @@ __noinline int copy_entry(u64 word, struct xauto_bpf_entry *out)
 	u32 xnode = (u32)(word >> XAUTO_BPF_JOB_SHIFT) - 1;
 	int i;
 
+	if (!h)
+		scx_bpf_error("the map 'head' has no element %d", 0);
 	if (!h || !out || !word || xnode >= h->xnodes)
 		return -1;
 	for (i = 0; i < COPY_ATTEMPTS; i++) {
@@ -193,24 +237,18 @@ static __always_inline u32 rank(const struct xauto_bpf_job *job)
 /* The rank of a thread that runs elsewhere, by its present word: it may not be latched yet. */
 __noinline u32 rank_of_running(u32 at)
 {
-	struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, &at);
-	struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, &at);
 	struct xauto_bpf_entry entry = {};
+	struct xnode_thread t;
 	u64 word;
 
-	if (!job || !slot)
+	if (!thread_at(at, &t)) {
+		scx_bpf_error("a thread runs in slot %u, which there is not", at);
 		return 0;
-	word = job_word(slot);
-	if (word == job->job)
-		return rank(job);
+	}
+	word = job_word(t.slot);
+	if (word == t.job->job)
+		return rank(t.job);
 	return copy_entry(word, &entry) >= 0 && entry.cpu < nr_cpus ? entry.priority : 0;
-}
-
-static __always_inline u32 *slot_of(struct task_struct *p)
-{
-	u32 tid = p->pid;
-
-	return bpf_map_lookup_elem(&threads, &tid);
 }
 
 /* Charges the running thread for its time since began_ns, and demotes its job when over budget. */
@@ -244,6 +282,15 @@ static __always_inline u64 slice_of(const struct xauto_bpf_job *job)
 
 /* ---- queues -------------------------------------------------------------------------------- */
 
+/* To be destroyed also when it fails. */
+static __always_inline bool iterate(struct bpf_iter_scx_dsq *it, s32 cpu)
+{
+	if (!bpf_iter_scx_dsq_new(it, XNODE_DSQ(cpu), 0))
+		return true;
+	scx_bpf_error("CPU %d has no queue", cpu); /* xauto_init() made one for each */
+	return false;
+}
+
 /*
  * The most urgent thread of the CPU's queue: its priority, 0 if there is none, and who it is. That is the
  * head, unless a thread further back was told another job while it waited: it was queued by the priority of
@@ -258,20 +305,15 @@ __noinline u32 most_urgent(s32 cpu, s32 *who)
 	if (!who)
 		return 0;
 	*who = 0;
-	if (bpf_iter_scx_dsq_new(&it, XNODE_DSQ(cpu), 0))
+	if (!iterate(&it, cpu))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
-		u32 priority, *at;
+		struct xnode_thread t;
+		u32 priority;
 
 		priority = XAUTO_BPF_MAX_PRIORITY - (u32)(p->scx.dsq_vtime >> 48);
-		at = slot_of(p);
-		if (at) {
-			struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
-			struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
-
-			if (job && slot && job_word(slot) != job->job)
-				priority = rank_of_running(*at) ?: 1;
-		}
+		if (thread_of(p, &t) && job_word(t.slot) != t.job->job)
+			priority = rank_of_running(t.at) ?: 1;
 		if (priority > best) {
 			best = priority;
 			*who = p->pid;
@@ -319,15 +361,14 @@ static __always_inline void enqueue_xnode(struct task_struct *p, struct xauto_bp
 	if (current == CURRENT_KERNEL)
 		return; /* it is short, and dispatch() follows it */
 	if (current >= 0) {
-		u32 at = (u32)current;
-		struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, &at);
+		struct xnode_thread running;
 
 		/* Its worker looks at `waiting` after storing a new job, we at the job after storing
 		 * `waiting`: one of the two sees the other. The exchange is the barrier between.
 		 */
-		if (slot)
-			__sync_lock_test_and_set(&slot->waiting, 1);
-		if (rank_of_running(at) >= priority)
+		if (thread_at((u32)current, &running))
+			__sync_lock_test_and_set(&running.slot->waiting, 1);
+		if (rank_of_running((u32)current) >= priority)
 			return;
 	}
 	count(XAUTO_BPF_STAT_KICKED);
@@ -368,22 +409,17 @@ static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flag
 SEC("struct_ops/xauto_select_cpu")
 s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_flags)
 {
-	u32 *at = slot_of(p);
+	struct xnode_thread t;
 	bool idle = false;
 	s32 cpu;
 
-	if (at) {
-		struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
-		struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
-
-		if (job && slot) {
-			latch(job, slot);
-			/* Not straight to the local queue even if idle: XNode threads get there only by
-			 * dispatch(), so that their order is the queue's.
-			 */
-			if (rank(job) && bpf_cpumask_test_cpu(job->cpu, p->cpus_ptr))
-				return (s32)job->cpu;
-		}
+	if (thread_of(p, &t)) {
+		latch(t.job, t.slot);
+		/* Not straight to the local queue even if idle: XNode threads get there only by
+		 * dispatch(), so that their order is the queue's.
+		 */
+		if (rank(t.job) && bpf_cpumask_test_cpu(t.job->cpu, p->cpus_ptr))
+			return (s32)t.job->cpu;
 	}
 	cpu = scx_bpf_select_cpu_dfl(p, prev_cpu, wake_flags, &idle);
 	if (idle)
@@ -394,18 +430,13 @@ s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_fla
 SEC("struct_ops/xauto_enqueue")
 void BPF_PROG(xauto_enqueue, struct task_struct *p, u64 enq_flags)
 {
-	u32 *at = slot_of(p);
+	struct xnode_thread t;
 
-	if (at) {
-		struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
-		struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
-
-		if (job && slot) {
-			latch(job, slot);
-			if (rank(job)) {
-				enqueue_xnode(p, job, enq_flags);
-				return;
-			}
+	if (thread_of(p, &t)) {
+		latch(t.job, t.slot);
+		if (rank(t.job)) {
+			enqueue_xnode(p, t.job, enq_flags);
+			return;
 		}
 	}
 	if (p->flags & PF_KTHREAD)
@@ -422,15 +453,13 @@ __noinline int dispatch_aged(s32 cpu)
 	struct task_struct *p;
 	bool moved = false;
 
-	if (bpf_iter_scx_dsq_new(&it, XNODE_DSQ(cpu), 0))
+	if (!iterate(&it, cpu))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
-		struct xauto_bpf_job *job;
-		u32 *at;
+		struct xnode_thread t;
 
-		at = slot_of(p);
-		job = at ? bpf_map_lookup_elem(&jobs, at) : NULL;
-		if (!job || !job->queued_ns || job->queued_ns > oldest)
+		/* It may have left its slot since it was queued. */
+		if (!thread_of(p, &t) || !t.job->queued_ns || t.job->queued_ns > oldest)
 			continue;
 		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
 		if (moved)
@@ -447,7 +476,7 @@ __noinline int dispatch_thread(s32 cpu, s32 who)
 	struct task_struct *p;
 	bool moved = false;
 
-	if (bpf_iter_scx_dsq_new(&it, XNODE_DSQ(cpu), 0))
+	if (!iterate(&it, cpu))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
 		if (p->pid != who)
@@ -479,27 +508,20 @@ SEC("struct_ops/xauto_dispatch")
 void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 {
 	struct cpu_state *c = state_of(cpu);
-	struct xauto_bpf_job *job = NULL;
+	struct xnode_thread t;
 	u32 waiting, mine = 0;
-	u64 now = bpf_ktime_get_ns();
+	u64 now = bpf_ktime_get_ns(), slice = 0;
 	s32 who = 0;
 
 	if (!c)
 		return;
 	c->rekicked = 0;
-	if (prev && (prev->scx.flags & SCX_VALUE(scx_ent_flags, SCX_TASK_QUEUED))) {
-		u32 *at = slot_of(prev);
-
-		if (at) {
-			struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
-
-			job = bpf_map_lookup_elem(&jobs, at);
-			if (job && slot) {
-				latch(job, slot);
-				charge(c, job, slot, now);
-				mine = rank(job);
-			}
-		}
+	if (prev && (prev->scx.flags & SCX_VALUE(scx_ent_flags, SCX_TASK_QUEUED)) &&
+	    thread_of(prev, &t)) {
+		latch(t.job, t.slot);
+		charge(c, t.job, t.slot, now);
+		mine = rank(t.job);
+		slice = slice_of(t.job);
 	}
 	waiting = most_urgent(cpu, &who);
 	refill(c, now);
@@ -521,8 +543,8 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 		}
 	}
 	c->woken = 0;
-	if (mine >= waiting && prev && job) {
-		set_slice(prev, slice_of(job));
+	if (mine >= waiting && prev) {
+		set_slice(prev, slice);
 		count(XAUTO_BPF_STAT_KEPT);
 		return;
 	}
@@ -536,26 +558,22 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 {
 	s32 cpu = scx_bpf_task_cpu(p);
 	struct cpu_state *c = state_of(cpu);
-	u32 *at = slot_of(p);
 	bool kernel = p->flags & PF_KTHREAD;
 	struct xauto_bpf_slot *slot = NULL;
+	struct xnode_thread t;
 	s64 current = kernel ? CURRENT_KERNEL : CURRENT_ORDINARY;
 	u32 mine = 0, waiting;
 
 	if (!c)
 		return;
 	c->began_ns = bpf_ktime_get_ns();
-	if (at) {
-		struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
-
-		slot = bpf_map_lookup_elem(&slots, at);
-		if (job && slot) {
-			latch(job, slot);
-			job->queued_ns = 0;
-			mine = rank(job);
-			if (mine)
-				current = *at;
-		}
+	if (thread_of(p, &t)) {
+		slot = t.slot;
+		latch(t.job, slot);
+		t.job->queued_ns = 0;
+		mine = rank(t.job);
+		if (mine)
+			current = t.at;
 	}
 	if (!mine && (s64)(p->scx.dsq_vtime - vtime_now) > 0)
 		vtime_now = p->scx.dsq_vtime; /* races only make it a little smaller */
@@ -590,27 +608,22 @@ void BPF_PROG(xauto_tick, struct task_struct *p)
 {
 	s32 cpu = scx_bpf_task_cpu(p);
 	struct cpu_state *c = state_of(cpu);
-	u32 *at = slot_of(p);
+	struct xnode_thread t;
 	u32 mine = 0;
 
 	if (!c || c->granted || p->flags & PF_KTHREAD)
 		return;
-	if (at) {
-		struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
-		struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
+	if (thread_of(p, &t)) {
+		u32 before = rank(t.job);
 
-		if (job && slot) {
-			u32 before = rank(job);
-
-			latch(job, slot);
-			charge(c, job, slot, bpf_ktime_get_ns());
-			mine = rank(job);
-			/* Demoted just now: it must go through a queue to become ordinary. */
-			if (before && !mine) {
-				set_slice(p, 0);
-				scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
-				return;
-			}
+		latch(t.job, t.slot);
+		charge(c, t.job, t.slot, bpf_ktime_get_ns());
+		mine = rank(t.job);
+		/* Demoted just now: it must go through a queue to become ordinary. */
+		if (before && !mine) {
+			set_slice(p, 0);
+			scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
+			return;
 		}
 	}
 	if (head_priority(cpu) > mine) {
@@ -626,22 +639,17 @@ void BPF_PROG(xauto_stopping, struct task_struct *p, bool runnable)
 	s32 cpu = scx_bpf_task_cpu(p);
 	struct cpu_state *c = state_of(cpu);
 	u64 now = bpf_ktime_get_ns();
-	u32 *at = slot_of(p);
+	struct xnode_thread t;
 	u64 ran;
 	u32 mine = 0;
 
 	if (!c)
 		return;
 	ran = now - c->began_ns;
-	if (at) {
-		struct xauto_bpf_job *job = bpf_map_lookup_elem(&jobs, at);
-		struct xauto_bpf_slot *slot = bpf_map_lookup_elem(&slots, at);
-
-		if (job && slot) {
-			latch(job, slot);
-			charge(c, job, slot, now);
-			mine = rank(job);
-		}
+	if (thread_of(p, &t)) {
+		latch(t.job, t.slot);
+		charge(c, t.job, t.slot, now);
+		mine = rank(t.job);
 	}
 	if (!mine)
 		set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
@@ -684,15 +692,16 @@ s32 BPF_PROG(xauto_init)
 	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
 	while ((i = bpf_iter_num_next(&it))) {
 		u32 cpu = *i;
-		struct cpu_state *c = bpf_map_lookup_elem(&cpu_states, &cpu);
+		struct cpu_state *c;
 
 		if (cpu >= nr_cpus)
 			break;
-		if (c) {
-			c->current = CURRENT_SWITCHING;
-			c->credit_at = bpf_ktime_get_ns();
-			c->credit_ns = (s64)(floor_burst_us * NS_PER_US);
-		}
+		c = state_of((s32)cpu);
+		if (!c)
+			break;
+		c->current = CURRENT_SWITCHING;
+		c->credit_at = bpf_ktime_get_ns();
+		c->credit_ns = (s64)(floor_burst_us * NS_PER_US);
 		error = scx_bpf_create_dsq(XNODE_DSQ(cpu), -1);
 		if (error)
 			break;

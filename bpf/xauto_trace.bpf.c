@@ -12,10 +12,10 @@
  * State of a thread, st->ready_ns and st->began_ns:
  *
  *                  wakeup                  switch in
- *     asleep  ──────────────►  ready  ──────────────►  running
- *       ▲                        ▲  switch out, still ready │
- *       │                        └──────────────────────────┤
- *       └───────────────────────────────────────────────────┘ switch out, sleeps
+ *     asleep  -------------->  ready  -------------->  running
+ *       ^                        ^  switch out, still ready |
+ *       |                        '--------------------------+
+ *       '---------------------------------------------------' switch out, sleeps
  */
 #include "kernel.bpf.h"
 #include <bpf/bpf_helpers.h>

@@ -12,13 +12,13 @@
 #include "queue.h"
 #include "uarg.h"
 
-static char *dla_drivers = "nvhost_nvdla,nvdla,xauto_nvdla_emu";
-module_param(dla_drivers, charp, 0444);
+static char *xauto_dla_drivers = "nvhost_nvdla,nvdla,xauto_nvdla_emu";
+module_param_named(dla_drivers, xauto_dla_drivers, charp, 0444);
 MODULE_PARM_DESC(
 	dla_drivers,
 	"modules whose files may be DLA queues (default: nvhost_nvdla,nvdla,xauto_nvdla_emu)");
 
-static int dla_set_status(struct file *file, u64 status)
+static int xauto_dla_set_status(struct file *file, u64 status)
 {
 	struct nvdla_set_queue_status_args args = { .status = status };
 
@@ -29,11 +29,11 @@ static int dla_set_status(struct file *file, u64 status)
  * Only the ctrl node has a firmware version. It has none before the DLA is powered, which
  * suspending needs as well.
  */
-static int dla_verify(struct file *file, struct netlink_ext_ack *extack)
+static int xauto_dla_verify(struct file *file, struct netlink_ext_ack *extack)
 {
 	struct nvdla_get_fw_ver_args args = {};
 
-	if (!xauto_file_is_of(file, dla_drivers)) {
+	if (!xauto_file_is_of(file, xauto_dla_drivers)) {
 		NL_SET_ERR_MSG(extack,
 			       "the file is not of a DLA driver (module parameter dla_drivers)");
 		return -EINVAL;
@@ -47,18 +47,18 @@ static int dla_verify(struct file *file, struct netlink_ext_ack *extack)
 	return 0;
 }
 
-static int dla_suspend(struct file *file)
+static int xauto_dla_suspend(struct file *file)
 {
-	return dla_set_status(file, NVDLA_SET_QUEUE_SUSPEND);
+	return xauto_dla_set_status(file, NVDLA_SET_QUEUE_SUSPEND);
 }
 
-static int dla_resume(struct file *file)
+static int xauto_dla_resume(struct file *file)
 {
-	return dla_set_status(file, NVDLA_SET_QUEUE_RESUME);
+	return xauto_dla_set_status(file, NVDLA_SET_QUEUE_RESUME);
 }
 
 const struct xauto_queue_ops xauto_dla_ops = {
-	.verify = dla_verify,
-	.suspend = dla_suspend,
-	.resume = dla_resume,
+	.verify = xauto_dla_verify,
+	.suspend = xauto_dla_suspend,
+	.resume = xauto_dla_resume,
 };

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
  * xauto.ko: GPU TSGs and DLA queues of user processes, suspended and resumed by their schedulers.
- * Reading order: this ladder, netlink.c (the door), owner.h and owner.c (who), queue.h and queue.c
- * (what), tsg.c and dla.c (how), uarg.c and power.c.
+ * Reading order, in which each calls only those after it: this ladder, netlink.c (the door),
+ * owner.h and owner.c (who), queue.h and queue.c (what), event.c (what is told of it), tsg.c and
+ * dla.c (how), uarg.c and power.c.
  */
 #include <linux/module.h>
 #include <net/genetlink.h>

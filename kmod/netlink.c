@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
- * The door: policies, parsing, permission, replies, events. Touches no hardware. The ABI and its
- * rules are in include/uapi/xauto/netlink.h.
+ * The door: policies, parsing, permission, replies. Touches no hardware. The ABI and its rules are
+ * in include/uapi/xauto/netlink.h.
  */
 #include <linux/cred.h>
 #include <linux/file.h>
@@ -17,60 +17,58 @@
 #include "netlink.h"
 #include "owner.h"
 #include "queue.h"
-#define CREATE_TRACE_POINTS
-#include "trace.h"
 
-static struct genl_family family;
+static struct genl_family xauto_family;
 
-static const struct nla_policy op_policy[XAUTO_OP_MAX + 1] = {
+static const struct nla_policy xauto_op_policy[XAUTO_OP_MAX + 1] = {
 	[XAUTO_OP_ACTION] =
 		NLA_POLICY_RANGE(NLA_U32, XAUTO_ACTION_SUSPEND, XAUTO_ACTION_SET_INTERLEAVE),
 	[XAUTO_OP_HANDLE] = NLA_POLICY_MIN(NLA_U32, 1),
 	[XAUTO_OP_VALUE] = { .type = NLA_U32 },
 };
 
-static const struct nla_policy register_policy[XAUTO_A_MAX + 1] = {
+static const struct nla_policy xauto_register_policy[XAUTO_A_MAX + 1] = {
 	[XAUTO_A_TYPE] = NLA_POLICY_RANGE(NLA_U32, XAUTO_QUEUE_GPU_TSG, XAUTO_QUEUE_DLA),
 	[XAUTO_A_FD] = NLA_POLICY_MIN(NLA_S32, 0),
 	[XAUTO_A_PID] = NLA_POLICY_MIN(NLA_U32, 1),
 };
 
-static const struct nla_policy handle_policy[XAUTO_A_MAX + 1] = {
+static const struct nla_policy xauto_handle_policy[XAUTO_A_MAX + 1] = {
 	[XAUTO_A_HANDLE] = NLA_POLICY_MIN(NLA_U32, 1),
 };
 
-static const struct nla_policy control_policy[XAUTO_A_MAX + 1] = {
-	[XAUTO_A_OPS] = NLA_POLICY_NESTED_ARRAY(op_policy),
+static const struct nla_policy xauto_control_policy[XAUTO_A_MAX + 1] = {
+	[XAUTO_A_OPS] = NLA_POLICY_NESTED_ARRAY(xauto_op_policy),
 };
 
-static XAUTO_RANGE_CONST struct netlink_range_validation watchdog_range = {
+static XAUTO_RANGE_CONST struct netlink_range_validation xauto_watchdog_range = {
 	.max = XAUTO_WATCHDOG_MAX_MS, /* the short form ends at 32767 */
 };
 
-static const struct nla_policy watchdog_policy[XAUTO_A_MAX + 1] = {
-	[XAUTO_A_TIMEOUT_MS] = NLA_POLICY_FULL_RANGE(NLA_U32, &watchdog_range),
+static const struct nla_policy xauto_watchdog_policy[XAUTO_A_MAX + 1] = {
+	[XAUTO_A_TIMEOUT_MS] = NLA_POLICY_FULL_RANGE(NLA_U32, &xauto_watchdog_range),
 };
 
 /* @skb: the caller's message: both who sent it and who opened the socket need the capability. */
-static bool may_touch(struct sk_buff *skb, const struct cred *opener)
+static bool xauto_may_touch(struct sk_buff *skb, const struct cred *opener)
 {
 	return uid_eq(current_euid(), opener->euid) ||
 	       netlink_ns_capable(skb, opener->user_ns, CAP_SYS_NICE);
 }
 
 /* Is this attribute there? If not, says so; the text must be constant, hence no function. */
-#define has_attr(info, attr)                                                                       \
-	((info)->attrs[attr] ? true : ({                                                           \
-		GENL_SET_ERR_MSG(info, #attr " is missing");                                       \
-		false;                                                                             \
+#define xauto_has_attr(info, attr)                           \
+	((info)->attrs[attr] ? true : ({                     \
+		GENL_SET_ERR_MSG(info, #attr " is missing"); \
+		false;                                       \
 	}))
 
 /*
  * Whose queue it is: the caller's, or that of the process named, if it is the opener's or the
  * caller may touch it anyway.
  */
-static struct pid *target_pid(struct sk_buff *skb, struct genl_info *info,
-			      const struct cred *opener)
+static struct pid *xauto_target_pid(struct sk_buff *skb, struct genl_info *info,
+				    const struct cred *opener)
 {
 	struct nlattr *attr = info->attrs[XAUTO_A_PID];
 	struct task_struct *task;
@@ -99,14 +97,14 @@ static struct pid *target_pid(struct sk_buff *skb, struct genl_info *info,
 	return pid;
 }
 
-static int reply_registered(struct genl_info *info, u32 handle, u32 id)
+static int xauto_reply_registered(struct genl_info *info, u32 handle, u32 id)
 {
 	struct sk_buff *msg = genlmsg_new(NLMSG_DEFAULT_SIZE, GFP_KERNEL);
 	void *header;
 
 	if (!msg)
 		return -ENOMEM;
-	header = genlmsg_put_reply(msg, info, &family, 0, XAUTO_CMD_REGISTER);
+	header = genlmsg_put_reply(msg, info, &xauto_family, 0, XAUTO_CMD_REGISTER);
 	if (!header || nla_put_u32(msg, XAUTO_A_HANDLE, handle) ||
 	    nla_put_u32(msg, XAUTO_A_QUEUE, id)) {
 		nlmsg_free(msg);
@@ -116,7 +114,7 @@ static int reply_registered(struct genl_info *info, u32 handle, u32 id)
 	return genlmsg_reply(msg, info);
 }
 
-static int claim_file(struct sk_buff *skb, struct genl_info *info, struct file *file)
+static int xauto_claim_file(struct sk_buff *skb, struct genl_info *info, struct file *file)
 {
 	struct xauto_owner *owner;
 	struct xauto_queue *queue;
@@ -124,13 +122,13 @@ static int claim_file(struct sk_buff *skb, struct genl_info *info, struct file *
 	struct pid *pid;
 	int err;
 
-	if (!may_touch(skb, file->f_cred)) {
+	if (!xauto_may_touch(skb, file->f_cred)) {
 		NL_SET_ERR_MSG_ATTR(
 			info->extack, info->attrs[XAUTO_A_FD],
 			"another user opened it: CAP_SYS_NICE in that user's namespace is needed");
 		return -EPERM;
 	}
-	pid = target_pid(skb, info, file->f_cred);
+	pid = xauto_target_pid(skb, info, file->f_cred);
 	if (IS_ERR(pid))
 		return PTR_ERR(pid);
 	queue = xauto_queue_get(nla_get_u32(info->attrs[XAUTO_A_TYPE]), file, pid, info->extack);
@@ -147,7 +145,7 @@ static int claim_file(struct sk_buff *skb, struct genl_info *info, struct file *
 	}
 	err = xauto_owner_claim(owner, queue, &handle, info->extack);
 	if (!err) {
-		err = reply_registered(info, handle, id);
+		err = xauto_reply_registered(info, handle, id);
 		if (err)
 			xauto_owner_unclaim(owner, handle);
 	}
@@ -155,14 +153,14 @@ static int claim_file(struct sk_buff *skb, struct genl_info *info, struct file *
 	return err;
 }
 
-static int cmd_register(struct sk_buff *skb, struct genl_info *info)
+static int xauto_cmd_register(struct sk_buff *skb, struct genl_info *info)
 {
 	struct file *file;
 	int err;
 
-	if (!has_attr(info, XAUTO_A_TYPE))
+	if (!xauto_has_attr(info, XAUTO_A_TYPE))
 		return -EINVAL;
-	if (!has_attr(info, XAUTO_A_FD))
+	if (!xauto_has_attr(info, XAUTO_A_FD))
 		return -EINVAL;
 	file = fget(nla_get_s32(info->attrs[XAUTO_A_FD]));
 	if (!file) {
@@ -170,12 +168,12 @@ static int cmd_register(struct sk_buff *skb, struct genl_info *info)
 				    "no such file descriptor in the calling process");
 		return -EBADF;
 	}
-	err = claim_file(skb, info, file);
+	err = xauto_claim_file(skb, info, file);
 	fput(file);
 	return err;
 }
 
-static struct xauto_owner *caller(struct sk_buff *skb, struct genl_info *info)
+static struct xauto_owner *xauto_caller(struct sk_buff *skb, struct genl_info *info)
 {
 	struct xauto_owner *owner = xauto_owner_find(skb);
 
@@ -184,14 +182,14 @@ static struct xauto_owner *caller(struct sk_buff *skb, struct genl_info *info)
 	return owner;
 }
 
-static int cmd_unregister(struct sk_buff *skb, struct genl_info *info)
+static int xauto_cmd_unregister(struct sk_buff *skb, struct genl_info *info)
 {
 	struct xauto_owner *owner;
 	int err;
 
-	if (!has_attr(info, XAUTO_A_HANDLE))
+	if (!xauto_has_attr(info, XAUTO_A_HANDLE))
 		return -EINVAL;
-	owner = caller(skb, info);
+	owner = xauto_caller(skb, info);
 	if (!owner)
 		return -ENOENT;
 	err = xauto_owner_unclaim(owner, nla_get_u32(info->attrs[XAUTO_A_HANDLE]));
@@ -207,7 +205,7 @@ static int cmd_unregister(struct sk_buff *skb, struct genl_info *info)
 }
 
 /* The acknowledgment's text must be constant, so it is a ladder and no table. */
-static void explain(struct netlink_ext_ack *extack, struct nlattr *at, u32 action, int err)
+static void xauto_explain(struct netlink_ext_ack *extack, struct nlattr *at, u32 action, int err)
 {
 	if (err == -ENOENT)
 		NL_SET_ERR_MSG(extack, "no such handle on this socket");
@@ -232,15 +230,15 @@ static void explain(struct netlink_ext_ack *extack, struct nlattr *at, u32 actio
 	NL_SET_BAD_ATTR(extack, at);
 }
 
-static int do_op(struct genl_info *info, struct xauto_owner *owner, struct nlattr *nest,
-		 struct sk_buff *reply)
+static int xauto_do_op(struct genl_info *info, struct xauto_owner *owner, struct nlattr *nest,
+		       struct sk_buff *reply)
 {
 	struct nlattr *tb[XAUTO_OP_MAX + 1], *result;
 	u32 action, handle, value = 0;
 	u64 cost;
 	int err;
 
-	err = nla_parse_nested(tb, XAUTO_OP_MAX, nest, op_policy, info->extack);
+	err = nla_parse_nested(tb, XAUTO_OP_MAX, nest, xauto_op_policy, info->extack);
 	if (err)
 		return err;
 	if (!tb[XAUTO_OP_ACTION] || !tb[XAUTO_OP_HANDLE]) {
@@ -260,7 +258,7 @@ static int do_op(struct genl_info *info, struct xauto_owner *owner, struct nlatt
 	}
 	err = xauto_owner_act(owner, action, handle, value, &cost);
 	if (err) {
-		explain(info->extack, nest, action, err);
+		xauto_explain(info->extack, nest, action, err);
 		return err;
 	}
 	if (!reply)
@@ -273,7 +271,7 @@ static int do_op(struct genl_info *info, struct xauto_owner *owner, struct nlatt
 	return 0;
 }
 
-static int count_ops(struct nlattr *ops)
+static int xauto_count_ops(struct nlattr *ops)
 {
 	struct nlattr *nest;
 	int rest, count = 0;
@@ -283,7 +281,7 @@ static int count_ops(struct nlattr *ops)
 	return count;
 }
 
-static int do_ops(struct genl_info *info, struct xauto_owner *owner, struct sk_buff *reply)
+static int xauto_do_ops(struct genl_info *info, struct xauto_owner *owner, struct sk_buff *reply)
 {
 	struct nlattr *nest, *results = NULL;
 	int rest, err;
@@ -294,7 +292,7 @@ static int do_ops(struct genl_info *info, struct xauto_owner *owner, struct sk_b
 			return -EMSGSIZE;
 	}
 	nla_for_each_nested(nest, info->attrs[XAUTO_A_OPS], rest) {
-		err = do_op(info, owner, nest, reply);
+		err = xauto_do_op(info, owner, nest, reply);
 		if (err)
 			return err;
 	}
@@ -303,22 +301,22 @@ static int do_ops(struct genl_info *info, struct xauto_owner *owner, struct sk_b
 	return 0;
 }
 
-static int cmd_control(struct sk_buff *skb, struct genl_info *info)
+static int xauto_cmd_control(struct sk_buff *skb, struct genl_info *info)
 {
 	struct xauto_owner *owner;
 	struct sk_buff *reply = NULL;
 	void *header = NULL;
 	int count, err;
 
-	if (!has_attr(info, XAUTO_A_OPS))
+	if (!xauto_has_attr(info, XAUTO_A_OPS))
 		return -EINVAL;
-	count = count_ops(info->attrs[XAUTO_A_OPS]);
+	count = xauto_count_ops(info->attrs[XAUTO_A_OPS]);
 	if (!count || count > XAUTO_MAX_OPS) {
 		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_OPS],
 				    "a message holds 1 to 64 operations");
 		return -EINVAL;
 	}
-	owner = caller(skb, info);
+	owner = xauto_caller(skb, info);
 	if (!owner)
 		return -ENOENT;
 	/*
@@ -330,11 +328,11 @@ static int cmd_control(struct sk_buff *skb, struct genl_info *info)
 		reply = genlmsg_new(nla_total_size(count * 40), GFP_KERNEL);
 		if (!reply)
 			goto out;
-		header = genlmsg_put_reply(reply, info, &family, 0, XAUTO_CMD_CONTROL);
+		header = genlmsg_put_reply(reply, info, &xauto_family, 0, XAUTO_CMD_CONTROL);
 		if (!header)
 			goto out;
 	}
-	err = do_ops(info, owner, reply);
+	err = xauto_do_ops(info, owner, reply);
 	if (!err && reply) {
 		genlmsg_end(reply, header);
 		err = genlmsg_reply(reply, info);
@@ -346,14 +344,14 @@ out:
 	return err;
 }
 
-static int cmd_watchdog(struct sk_buff *skb, struct genl_info *info)
+static int xauto_cmd_watchdog(struct sk_buff *skb, struct genl_info *info)
 {
 	struct nlattr *attr = info->attrs[XAUTO_A_TIMEOUT_MS];
 	struct xauto_owner *owner;
 	int err = 0;
 	u32 ms;
 
-	owner = caller(skb, info); /* which feeds it */
+	owner = xauto_caller(skb, info); /* which feeds it */
 	if (!owner)
 		return -ENOENT;
 	if (attr) {
@@ -380,8 +378,8 @@ static int cmd_watchdog(struct sk_buff *skb, struct genl_info *info)
 	return err;
 }
 
-static int put_queue(struct sk_buff *msg, struct xauto_queue *queue, struct xauto_owner *owner,
-		     bool ask_driver)
+static int xauto_fill_queue(struct sk_buff *msg, struct xauto_queue *queue,
+			    struct xauto_owner *owner, bool ask_driver)
 {
 	struct xauto_queue_info q;
 	u32 handle = owner ? xauto_owner_handle(owner, queue) : 0;
@@ -403,7 +401,7 @@ static int put_queue(struct sk_buff *msg, struct xauto_queue *queue, struct xaut
 	return 0;
 }
 
-static int cmd_get(struct sk_buff *skb, struct genl_info *info)
+static int xauto_cmd_get(struct sk_buff *skb, struct genl_info *info)
 {
 	struct xauto_queue *queue = NULL;
 	struct xauto_owner *owner;
@@ -411,9 +409,9 @@ static int cmd_get(struct sk_buff *skb, struct genl_info *info)
 	void *header;
 	int err;
 
-	if (!has_attr(info, XAUTO_A_HANDLE))
+	if (!xauto_has_attr(info, XAUTO_A_HANDLE))
 		return -EINVAL;
-	owner = caller(skb, info);
+	owner = xauto_caller(skb, info);
 	if (owner)
 		queue = xauto_owner_queue(owner, nla_get_u32(info->attrs[XAUTO_A_HANDLE]));
 	if (!queue) {
@@ -429,8 +427,8 @@ static int cmd_get(struct sk_buff *skb, struct genl_info *info)
 	if (!msg)
 		goto out;
 	err = -EMSGSIZE;
-	header = genlmsg_put_reply(msg, info, &family, 0, XAUTO_CMD_GET);
-	if (!header || put_queue(msg, queue, owner, true)) {
+	header = genlmsg_put_reply(msg, info, &xauto_family, 0, XAUTO_CMD_GET);
+	if (!header || xauto_fill_queue(msg, queue, owner, true)) {
 		nlmsg_free(msg);
 		goto out;
 	}
@@ -442,7 +440,8 @@ out:
 	return err;
 }
 
-static int dump_queue(struct sk_buff *msg, struct netlink_callback *cb, struct xauto_queue *queue)
+static int xauto_dump_queue(struct sk_buff *msg, struct netlink_callback *cb,
+			    struct xauto_queue *queue)
 {
 	const struct cred *opener = xauto_queue_cred(queue);
 	struct xauto_owner *owner;
@@ -451,17 +450,18 @@ static int dump_queue(struct sk_buff *msg, struct netlink_callback *cb, struct x
 
 	if (!opener)
 		return 0;
-	if (!may_touch(cb->skb, opener)) {
+	if (!xauto_may_touch(cb->skb, opener)) {
 		put_cred(opener);
 		return 0;
 	}
 	put_cred(opener);
-	header = genlmsg_put(msg, NETLINK_CB(cb->skb).portid, cb->nlh->nlmsg_seq, &family,
+	header = genlmsg_put(msg, NETLINK_CB(cb->skb).portid, cb->nlh->nlmsg_seq, &xauto_family,
 			     NLM_F_MULTI, XAUTO_CMD_GET);
 	if (!header)
 		return -EMSGSIZE;
+	genl_dump_check_consistent(cb, header);
 	owner = xauto_owner_find(cb->skb);
-	err = put_queue(msg, queue, owner, false);
+	err = xauto_fill_queue(msg, queue, owner, false);
 	if (owner)
 		xauto_owner_put(owner);
 	if (err)
@@ -471,14 +471,17 @@ static int dump_queue(struct sk_buff *msg, struct netlink_callback *cb, struct x
 	return err;
 }
 
-static int cmd_dump(struct sk_buff *msg, struct netlink_callback *cb)
+/* One part of the dump, from the queue where the last one ended; empty at the end. */
+static int xauto_cmd_dump(struct sk_buff *msg, struct netlink_callback *cb)
 {
 	unsigned long id = cb->args[0];
 	struct xauto_queue *queue;
 	int err = 0;
 
+	/* Read before the queues are: what changes while they are read shows in the next part. */
+	cb->seq = xauto_queue_generation();
 	while (!err && (queue = xauto_queue_next(&id))) {
-		err = dump_queue(msg, cb, queue);
+		err = xauto_dump_queue(msg, cb, queue);
 		xauto_queue_put(queue);
 		if (!err)
 			id++;
@@ -487,126 +490,68 @@ static int cmd_dump(struct sk_buff *msg, struct netlink_callback *cb)
 	return msg->len;
 }
 
-static const struct genl_ops ops[] = {
+static const struct genl_ops xauto_genl_ops[] = {
 	{
 		.cmd = XAUTO_CMD_REGISTER,
-		.doit = cmd_register,
-		.policy = register_policy,
+		.doit = xauto_cmd_register,
+		.policy = xauto_register_policy,
 		.maxattr = XAUTO_A_MAX,
 	},
 	{
 		.cmd = XAUTO_CMD_UNREGISTER,
-		.doit = cmd_unregister,
-		.policy = handle_policy,
+		.doit = xauto_cmd_unregister,
+		.policy = xauto_handle_policy,
 		.maxattr = XAUTO_A_MAX,
 	},
 	{
 		.cmd = XAUTO_CMD_CONTROL,
-		.doit = cmd_control,
-		.policy = control_policy,
+		.doit = xauto_cmd_control,
+		.policy = xauto_control_policy,
 		.maxattr = XAUTO_A_MAX,
 	},
 	{
 		.cmd = XAUTO_CMD_WATCHDOG,
-		.doit = cmd_watchdog,
-		.policy = watchdog_policy,
+		.doit = xauto_cmd_watchdog,
+		.policy = xauto_watchdog_policy,
 		.maxattr = XAUTO_A_MAX,
 	},
 	{
 		.cmd = XAUTO_CMD_GET,
-		.doit = cmd_get,
-		.dumpit = cmd_dump,
-		.policy = handle_policy,
+		.doit = xauto_cmd_get,
+		.dumpit = xauto_cmd_dump,
+		.policy = xauto_handle_policy,
 		.maxattr = XAUTO_A_MAX,
 	},
 };
 
-static const struct genl_multicast_group groups[] = {
+static const struct genl_multicast_group xauto_genl_groups[] = {
 	{ .name = XAUTO_MCGRP_EVENTS, XAUTO_MCGRP_NEEDS_NET_ADMIN },
 };
 
-static struct genl_family family __ro_after_init = {
+static struct genl_family xauto_family __ro_after_init = {
 	.name = XAUTO_FAMILY_NAME,
 	.version = XAUTO_FAMILY_VERSION,
 	.maxattr = XAUTO_A_MAX,
 	.module = THIS_MODULE,
-	.ops = ops,
-	.n_ops = ARRAY_SIZE(ops),
-	.mcgrps = groups,
-	.n_mcgrps = ARRAY_SIZE(groups),
+	.ops = xauto_genl_ops,
+	.n_ops = ARRAY_SIZE(xauto_genl_ops),
+	.mcgrps = xauto_genl_groups,
+	.n_mcgrps = ARRAY_SIZE(xauto_genl_groups),
 	.parallel_ops = true, /* one coordinator does not wait for another's driver call */
-	XAUTO_GENL_RESV_START_OP(XAUTO_CMD_GET + 1)};
-
-static void multicast(u32 kind, struct xauto_queue *queue, struct pid *pid, u32 portid, u64 cost_ns,
-		      int err)
-{
-	struct sk_buff *msg;
-	void *header;
-
-	if (!genl_has_listeners(&family, &init_net, 0))
-		return;
-	msg = genlmsg_new(NLMSG_DEFAULT_SIZE, GFP_KERNEL);
-	if (!msg)
-		return; /* a listener that must miss nothing reads the trace events */
-	header = genlmsg_put(msg, 0, 0, &family, 0, XAUTO_CMD_EVENT);
-	if (!header || nla_put_u32(msg, XAUTO_A_EVENT, kind) ||
-	    (queue && (nla_put_u32(msg, XAUTO_A_QUEUE, queue->id) ||
-		       nla_put_u32(msg, XAUTO_A_TYPE, queue->type))) ||
-	    nla_put_u32(msg, XAUTO_A_PID, pid_nr(pid)) ||
-	    nla_put_u32(msg, XAUTO_A_PORTID, portid) ||
-	    nla_put_u64_64bit(msg, XAUTO_A_TIME_NS, ktime_get_ns(), XAUTO_A_PAD) ||
-	    nla_put_u64_64bit(msg, XAUTO_A_COST_NS, cost_ns, XAUTO_A_PAD) ||
-	    nla_put_u32(msg, XAUTO_A_ERRNO, -err)) {
-		nlmsg_free(msg);
-		return;
-	}
-	genlmsg_end(msg, header);
-	genlmsg_multicast(&family, msg, 0, 0, GFP_KERNEL);
-}
-
-void xauto_event(u32 kind, struct xauto_queue *queue, u32 portid, u64 cost_ns, int err)
-{
-	switch (kind) {
-	case XAUTO_KEV_REGISTER:
-		trace_register_queue(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_UNREGISTER:
-		trace_unregister_queue(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_SUSPEND:
-		trace_suspend(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_RESUME:
-		trace_resume(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_SET_TIMESLICE:
-		trace_set_timeslice(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_SET_INTERLEAVE:
-		trace_set_interleave(queue, portid, cost_ns, err);
-		break;
-	case XAUTO_KEV_TARGET_GONE:
-		trace_target_gone(queue, portid, cost_ns, err);
-		break;
-	}
-	multicast(kind, queue, queue->pid, portid, cost_ns, err);
-}
-
-void xauto_owner_event(u32 kind, u32 portid, struct pid *pid)
-{
-	if (kind == XAUTO_KEV_WATCHDOG)
-		trace_watchdog(portid, pid_nr(pid));
-	else
-		trace_owner_gone(portid, pid_nr(pid));
-	multicast(kind, NULL, pid, portid, 0, 0);
-}
+	XAUTO_GENL_RESV_START_OP(XAUTO_CMD_GET + 1)
+};
 
 int xauto_netlink_init(void)
 {
-	return genl_register_family(&family);
+	int err = genl_register_family(&xauto_family);
+
+	if (!err)
+		xauto_event_publish_to(&xauto_family);
+	return err;
 }
 
 void xauto_netlink_exit(void)
 {
-	genl_unregister_family(&family);
+	xauto_event_publish_to(NULL);
+	genl_unregister_family(&xauto_family);
 }

@@ -16,8 +16,8 @@
 #include "owner.h"
 #include "queue.h"
 
-static unsigned int sweep_ms = 50;
-module_param(sweep_ms, uint, 0444);
+static unsigned int xauto_sweep_ms = 50;
+module_param_named(sweep_ms, xauto_sweep_ms, uint, 0444);
 MODULE_PARM_DESC(sweep_ms,
 		 "how often dead processes and orphaned queues are looked for (default: 50 ms)");
 
@@ -27,43 +27,44 @@ struct xauto_claim {
 	bool vote;
 };
 
-static DEFINE_XARRAY(owners); /* by port id; the array's own lock orders additions and removals */
-static atomic_t n_owners = ATOMIC_INIT(0);
-static struct workqueue_struct *reaper;
-static struct kmem_cache *owner_cache; /* caches of their own: a leak shows at unload */
-static struct kmem_cache *claim_cache;
+/* By port id; the array's own lock orders additions and removals. */
+static DEFINE_XARRAY(xauto_owners);
+static atomic_t xauto_n_owners = ATOMIC_INIT(0);
+static struct workqueue_struct *xauto_reaper;
+static struct kmem_cache *xauto_owner_cache; /* caches of their own: a leak shows at unload */
+static struct kmem_cache *xauto_claim_cache;
 
-static void sweep(struct work_struct *work);
-static DECLARE_DELAYED_WORK(sweeper, sweep);
+static void xauto_sweep(struct work_struct *work);
+static DECLARE_DELAYED_WORK(xauto_sweeper, xauto_sweep);
 
-static void free_owner(struct rcu_head *rcu)
+static void xauto_owner_free(struct rcu_head *rcu)
 {
-	kmem_cache_free(owner_cache, container_of(rcu, struct xauto_owner, rcu));
+	kmem_cache_free(xauto_owner_cache, container_of(rcu, struct xauto_owner, rcu));
 }
 
-static void release(struct kref *ref)
+static void xauto_owner_release(struct kref *ref)
 {
 	struct xauto_owner *owner = container_of(ref, struct xauto_owner, ref);
 
 	xa_destroy(&owner->claims);
 	put_pid(owner->pid);
 	sock_put(owner->sk);
-	call_rcu(&owner->rcu, free_owner);
-	atomic_dec(&n_owners);
+	call_rcu(&owner->rcu, xauto_owner_free);
+	atomic_dec(&xauto_n_owners);
 }
 
 void xauto_owner_put(struct xauto_owner *owner)
 {
-	kref_put(&owner->ref, release);
+	kref_put(&owner->ref, xauto_owner_release);
 }
 
 /* The table's, whoever's socket it is. */
-static struct xauto_owner *look_up(unsigned long portid)
+static struct xauto_owner *xauto_owner_look_up(unsigned long portid)
 {
 	struct xauto_owner *owner;
 
 	rcu_read_lock();
-	owner = xa_load(&owners, portid);
+	owner = xa_load(&xauto_owners, portid);
 	if (owner && !kref_get_unless_zero(&owner->ref))
 		owner = NULL;
 	rcu_read_unlock();
@@ -71,19 +72,19 @@ static struct xauto_owner *look_up(unsigned long portid)
 }
 
 /* The table's reference becomes the work's. Any context that may take the array's lock. */
-static void bury(struct xauto_owner *owner)
+static void xauto_owner_bury(struct xauto_owner *owner)
 {
-	if (xa_cmpxchg(&owners, owner->portid, owner, NULL, 0) == owner)
-		queue_work(reaper, &owner->reap);
+	if (xa_cmpxchg(&xauto_owners, owner->portid, owner, NULL, 0) == owner)
+		queue_work(xauto_reaper, &owner->reap);
 }
 
 struct xauto_owner *xauto_owner_find(struct sk_buff *skb)
 {
-	struct xauto_owner *owner = look_up(NETLINK_CB(skb).portid);
+	struct xauto_owner *owner = xauto_owner_look_up(NETLINK_CB(skb).portid);
 
 	if (owner && owner->sk != NETLINK_CB(skb).sk) {
 		/* Its socket has closed, else this one could not have its port. */
-		bury(owner);
+		xauto_owner_bury(owner);
 		xauto_owner_put(owner);
 		owner = NULL;
 	}
@@ -93,7 +94,7 @@ struct xauto_owner *xauto_owner_find(struct sk_buff *skb)
 }
 
 /* Ends the claim's vote; the owner's lock is held. */
-static int end_vote(struct xauto_owner *owner, struct xauto_claim *claim, u64 *cost_ns)
+static int xauto_owner_end_vote(struct xauto_owner *owner, struct xauto_claim *claim, u64 *cost_ns)
 {
 	bool voted = claim->vote;
 	int err = xauto_queue_vote(claim->queue, &claim->vote, false, owner->portid, cost_ns);
@@ -102,18 +103,18 @@ static int end_vote(struct xauto_owner *owner, struct xauto_claim *claim, u64 *c
 	return err;
 }
 
-static void end_votes(struct xauto_owner *owner)
+static void xauto_owner_end_votes(struct xauto_owner *owner)
 {
 	struct xauto_claim *claim;
 	unsigned long handle;
 
 	lockdep_assert_held(&owner->lock);
 	xa_for_each(&owner->claims, handle, claim)
-		end_vote(owner, claim, NULL);
+		xauto_owner_end_vote(owner, claim, NULL);
 }
 
 /* Work: the owner is out of the table, nobody finds it any more. */
-static void reap(struct work_struct *work)
+static void xauto_owner_reap(struct work_struct *work)
 {
 	struct xauto_owner *owner = container_of(work, struct xauto_owner, reap);
 	struct xauto_claim *claim;
@@ -125,19 +126,19 @@ static void reap(struct work_struct *work)
 	cancel_delayed_work_sync(&owner->watchdog);
 
 	mutex_lock(&owner->lock);
-	xauto_owner_event(XAUTO_KEV_OWNER_GONE, owner->portid, owner->pid);
+	xauto_event_of_owner(XAUTO_KEV_OWNER_GONE, owner->portid, owner->pid);
 	/* All votes before any claim: what is suspended comes first. */
-	end_votes(owner);
+	xauto_owner_end_votes(owner);
 	xa_for_each(&owner->claims, handle, claim) {
 		xa_erase(&owner->claims, handle);
 		xauto_queue_put(claim->queue);
-		kmem_cache_free(claim_cache, claim);
+		kmem_cache_free(xauto_claim_cache, claim);
 	}
 	mutex_unlock(&owner->lock);
 	xauto_owner_put(owner);
 }
 
-static void watchdog(struct work_struct *work)
+static void xauto_owner_watchdog(struct work_struct *work)
 {
 	struct xauto_owner *owner = container_of(work, struct xauto_owner, watchdog.work);
 	unsigned long due;
@@ -147,34 +148,35 @@ static void watchdog(struct work_struct *work)
 	if (!owner->n_votes || !owner->watchdog_ms)
 		goto out;
 	if (time_before(jiffies, due)) {
-		queue_delayed_work(reaper, &owner->watchdog, due - jiffies);
+		queue_delayed_work(xauto_reaper, &owner->watchdog, due - jiffies);
 		goto out;
 	}
 	owner->expired = true;
-	xauto_owner_event(XAUTO_KEV_WATCHDOG, owner->portid, owner->pid);
-	end_votes(owner);
+	xauto_event_of_owner(XAUTO_KEV_WATCHDOG, owner->portid, owner->pid);
+	xauto_owner_end_votes(owner);
 out:
 	mutex_unlock(&owner->lock);
 }
 
-static void start_watchdog(struct xauto_owner *owner)
+static void xauto_owner_start_watchdog(struct xauto_owner *owner)
 {
 	lockdep_assert_held(&owner->lock);
 	if (owner->watchdog_ms && owner->n_votes && !owner->dead)
-		mod_delayed_work(reaper, &owner->watchdog, msecs_to_jiffies(owner->watchdog_ms));
+		mod_delayed_work(xauto_reaper, &owner->watchdog,
+				 msecs_to_jiffies(owner->watchdog_ms));
 }
 
-static struct xauto_owner *new_owner(struct sk_buff *skb)
+static struct xauto_owner *xauto_owner_new(struct sk_buff *skb)
 {
-	struct xauto_owner *owner = kmem_cache_zalloc(owner_cache, GFP_KERNEL);
+	struct xauto_owner *owner = kmem_cache_zalloc(xauto_owner_cache, GFP_KERNEL);
 
 	if (!owner)
 		return NULL;
 	kref_init(&owner->ref);
 	mutex_init(&owner->lock);
 	xa_init_flags(&owner->claims, XA_FLAGS_ALLOC1);
-	INIT_DELAYED_WORK(&owner->watchdog, watchdog);
-	INIT_WORK(&owner->reap, reap);
+	INIT_DELAYED_WORK(&owner->watchdog, xauto_owner_watchdog);
+	INIT_WORK(&owner->reap, xauto_owner_reap);
 	owner->sk = NETLINK_CB(skb).sk;
 	sock_hold(owner->sk);
 	owner->portid = NETLINK_CB(skb).portid;
@@ -191,20 +193,20 @@ struct xauto_owner *xauto_owner_get(struct sk_buff *skb, struct netlink_ext_ack 
 
 	if (owner)
 		return owner;
-	if (atomic_inc_return(&n_owners) > XAUTO_MAX_OWNERS) {
-		atomic_dec(&n_owners);
+	if (atomic_inc_return(&xauto_n_owners) > XAUTO_MAX_OWNERS) {
+		atomic_dec(&xauto_n_owners);
 		NL_SET_ERR_MSG(extack, "too many owners on this machine");
 		return ERR_PTR(-ENOSPC);
 	}
-	owner = new_owner(skb);
+	owner = xauto_owner_new(skb);
 	if (!owner) {
-		atomic_dec(&n_owners);
+		atomic_dec(&xauto_n_owners);
 		return ERR_PTR(-ENOMEM);
 	}
 	kref_get(&owner->ref); /* the caller's, beside the table's */
 	/* Before others see the owner: what they do with it is swept even if we get no CPU. */
-	queue_delayed_work(reaper, &sweeper, msecs_to_jiffies(sweep_ms));
-	err = xa_insert(&owners, owner->portid, owner, GFP_KERNEL);
+	queue_delayed_work(xauto_reaper, &xauto_sweeper, msecs_to_jiffies(xauto_sweep_ms));
+	err = xa_insert(&xauto_owners, owner->portid, owner, GFP_KERNEL);
 	if (err) {
 		/* Two threads sent on one socket; the other was first. */
 		xauto_owner_put(owner);
@@ -218,7 +220,7 @@ struct xauto_owner *xauto_owner_get(struct sk_buff *skb, struct netlink_ext_ack 
 }
 
 /* 0: none. */
-static u32 find_handle(struct xauto_owner *owner, struct xauto_queue *queue)
+static u32 xauto_owner_find_handle(struct xauto_owner *owner, struct xauto_queue *queue)
 {
 	struct xauto_claim *claim;
 	unsigned long handle;
@@ -235,7 +237,7 @@ u32 xauto_owner_handle(struct xauto_owner *owner, struct xauto_queue *queue)
 	u32 handle;
 
 	mutex_lock(&owner->lock);
-	handle = find_handle(owner, queue);
+	handle = xauto_owner_find_handle(owner, queue);
 	mutex_unlock(&owner->lock);
 	return handle;
 }
@@ -247,7 +249,7 @@ int xauto_owner_claim(struct xauto_owner *owner, struct xauto_queue *queue, u32 
 	int err = 0;
 
 	mutex_lock(&owner->lock);
-	*handle = find_handle(owner, queue);
+	*handle = xauto_owner_find_handle(owner, queue);
 	if (*handle)
 		goto put;
 	if (owner->dead || owner->n_claims >= XAUTO_MAX_CLAIMS) {
@@ -255,7 +257,7 @@ int xauto_owner_claim(struct xauto_owner *owner, struct xauto_queue *queue, u32 
 		err = -ENOSPC;
 		goto put;
 	}
-	claim = kmem_cache_zalloc(claim_cache, GFP_KERNEL);
+	claim = kmem_cache_zalloc(xauto_claim_cache, GFP_KERNEL);
 	if (!claim) {
 		err = -ENOMEM;
 		goto put;
@@ -264,11 +266,11 @@ int xauto_owner_claim(struct xauto_owner *owner, struct xauto_queue *queue, u32 
 	err = xa_alloc_cyclic(&owner->claims, handle, claim, XA_LIMIT(1, INT_MAX),
 			      &owner->next_handle, GFP_KERNEL);
 	if (err < 0) {
-		kmem_cache_free(claim_cache, claim);
+		kmem_cache_free(xauto_claim_cache, claim);
 		goto put;
 	}
 	owner->n_claims++;
-	xauto_event(XAUTO_KEV_REGISTER, queue, owner->portid, 0, 0);
+	xauto_event_of_queue(XAUTO_KEV_REGISTER, queue, owner->portid, 0, 0);
 	mutex_unlock(&owner->lock);
 	return 0;
 put:
@@ -288,12 +290,12 @@ int xauto_owner_unclaim(struct xauto_owner *owner, u32 handle)
 		mutex_unlock(&owner->lock);
 		return -ENOENT;
 	}
-	err = end_vote(owner, claim, NULL);
+	err = xauto_owner_end_vote(owner, claim, NULL);
 	owner->n_claims--;
-	xauto_event(XAUTO_KEV_UNREGISTER, claim->queue, owner->portid, 0, 0);
+	xauto_event_of_queue(XAUTO_KEV_UNREGISTER, claim->queue, owner->portid, 0, 0);
 	mutex_unlock(&owner->lock);
 	xauto_queue_put(claim->queue);
-	kmem_cache_free(claim_cache, claim);
+	kmem_cache_free(xauto_claim_cache, claim);
 	return err == -ENODEV ? 0 : err;
 }
 
@@ -312,9 +314,9 @@ int xauto_owner_act(struct xauto_owner *owner, u32 action, u32 handle, u32 value
 
 		err = xauto_queue_vote(claim->queue, &claim->vote, true, owner->portid, cost_ns);
 		if (claim->vote && !voted && !owner->n_votes++)
-			start_watchdog(owner);
+			xauto_owner_start_watchdog(owner);
 	} else if (action == XAUTO_ACTION_RESUME) {
-		err = end_vote(owner, claim, cost_ns);
+		err = xauto_owner_end_vote(owner, claim, cost_ns);
 	} else {
 		err = xauto_queue_set(claim->queue, action, value, owner->portid, cost_ns);
 	}
@@ -341,7 +343,7 @@ void xauto_owner_set_watchdog(struct xauto_owner *owner, u32 timeout_ms)
 {
 	mutex_lock(&owner->lock);
 	owner->watchdog_ms = timeout_ms;
-	start_watchdog(owner);
+	xauto_owner_start_watchdog(owner);
 	mutex_unlock(&owner->lock);
 }
 
@@ -360,7 +362,7 @@ bool xauto_owner_expired(struct xauto_owner *owner)
  * Every thread has begun to exit. Its descriptors close then, but the socket may live on in a
  * child.
  */
-static bool process_is_dead(struct pid *pid)
+static bool xauto_process_is_dead(struct pid *pid)
 {
 	struct task_struct *task;
 	bool dead;
@@ -372,24 +374,24 @@ static bool process_is_dead(struct pid *pid)
 	return dead;
 }
 
-static void sweep(struct work_struct *work)
+static void xauto_sweep(struct work_struct *work)
 {
 	struct xauto_owner *owner;
 	unsigned long portid;
 
-	xa_for_each(&owners, portid, owner) {
-		owner = look_up(portid);
+	xa_for_each(&xauto_owners, portid, owner) {
+		owner = xauto_owner_look_up(portid);
 		if (!owner)
 			continue;
-		if (process_is_dead(owner->pid))
-			bury(owner);
+		if (xauto_process_is_dead(owner->pid))
+			xauto_owner_bury(owner);
 		xauto_owner_put(owner);
 	}
-	if (xauto_queue_sweep() || atomic_read(&n_owners))
-		queue_delayed_work(reaper, &sweeper, msecs_to_jiffies(sweep_ms));
+	if (xauto_queue_sweep() || atomic_read(&xauto_n_owners))
+		queue_delayed_work(xauto_reaper, &xauto_sweeper, msecs_to_jiffies(xauto_sweep_ms));
 }
 
-static int on_netlink(struct notifier_block *block, unsigned long state, void *data)
+static int xauto_on_netlink(struct notifier_block *block, unsigned long state, void *data)
 {
 	struct netlink_notify *notify = data;
 	struct xauto_owner *owner;
@@ -397,47 +399,47 @@ static int on_netlink(struct notifier_block *block, unsigned long state, void *d
 	if (state != NETLINK_URELEASE || notify->protocol != NETLINK_GENERIC ||
 	    !net_eq(notify->net, &init_net) || !notify->portid)
 		return NOTIFY_DONE;
-	owner = look_up(notify->portid);
+	owner = xauto_owner_look_up(notify->portid);
 	if (owner) {
 		/* Not one of a socket that was quick to take the port. */
 		if (sock_flag(owner->sk, SOCK_DEAD))
-			bury(owner);
+			xauto_owner_bury(owner);
 		xauto_owner_put(owner);
 	}
 	return NOTIFY_DONE;
 }
 
-static struct notifier_block netlink_block = { .notifier_call = on_netlink };
+static struct notifier_block xauto_netlink_block = { .notifier_call = xauto_on_netlink };
 
-static void free_caches(void)
+static void xauto_owner_free_caches(void)
 {
 	/* NULL is none. */
-	kmem_cache_destroy(owner_cache);
-	kmem_cache_destroy(claim_cache);
+	kmem_cache_destroy(xauto_owner_cache);
+	kmem_cache_destroy(xauto_claim_cache);
 }
 
 int xauto_owner_init(void)
 {
 	int err = -ENOMEM;
 
-	owner_cache = KMEM_CACHE(xauto_owner, SLAB_ACCOUNT);
-	claim_cache = KMEM_CACHE(xauto_claim, SLAB_ACCOUNT);
-	if (!owner_cache || !claim_cache)
+	xauto_owner_cache = KMEM_CACHE(xauto_owner, SLAB_ACCOUNT);
+	xauto_claim_cache = KMEM_CACHE(xauto_claim, SLAB_ACCOUNT);
+	if (!xauto_owner_cache || !xauto_claim_cache)
 		goto err_caches;
 	/* Of its own, and urgent: what is suspended waits for it. */
-	reaper = alloc_workqueue("xauto", WQ_UNBOUND | WQ_HIGHPRI | WQ_MEM_RECLAIM, 0);
-	if (!reaper)
+	xauto_reaper = alloc_workqueue("xauto", WQ_UNBOUND | WQ_HIGHPRI | WQ_MEM_RECLAIM, 0);
+	if (!xauto_reaper)
 		goto err_caches;
-	err = netlink_register_notifier(&netlink_block);
+	err = netlink_register_notifier(&xauto_netlink_block);
 	if (err)
 		goto err_reaper;
-	sweep_ms = clamp(sweep_ms, 1u, 1000u);
+	xauto_sweep_ms = clamp(xauto_sweep_ms, 1u, 1000u);
 	return 0;
 
 err_reaper:
-	destroy_workqueue(reaper);
+	destroy_workqueue(xauto_reaper);
 err_caches:
-	free_caches();
+	xauto_owner_free_caches();
 	return err;
 }
 
@@ -446,12 +448,12 @@ void xauto_owner_exit(void)
 	struct xauto_owner *owner;
 	unsigned long portid;
 
-	netlink_unregister_notifier(&netlink_block);
-	cancel_delayed_work_sync(&sweeper);
-	xa_for_each(&owners, portid, owner)
-		bury(owner);
-	destroy_workqueue(reaper); /* waits for them */
-	xa_destroy(&owners);
-	rcu_barrier(); /* the last owners are on their way to free_owner() */
-	free_caches();
+	netlink_unregister_notifier(&xauto_netlink_block);
+	cancel_delayed_work_sync(&xauto_sweeper);
+	xa_for_each(&xauto_owners, portid, owner)
+		xauto_owner_bury(owner);
+	destroy_workqueue(xauto_reaper); /* waits for them */
+	xa_destroy(&xauto_owners);
+	rcu_barrier(); /* the last owners are on their way to xauto_owner_free() */
+	xauto_owner_free_caches();
 }

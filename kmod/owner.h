@@ -5,8 +5,8 @@
  * An owner is a netlink socket on which something was registered. Its claims, one per queue, carry
  * its votes. All votes of an owner end together when
  *   - its socket closes (netlink's release notifier),
- *   - the process that first registered on it dies while another holds the socket (seen by the
- *   sweeper),
+ *   - the process that first registered on it dies while another holds the socket (the sweeper
+ *     sees it),
  *   - its watchdog was not fed (it stays, without votes),
  *   - the module unloads.
  * A port id does not name a socket for ever: it is free before the notifier is called, so that

@@ -14,15 +14,15 @@
 #include "power.h"
 #include "queue.h"
 
-struct search {
+struct xauto_power_search {
 	struct module *driver;
 	struct device **devices;
 	int found;
 };
 
-static int look_at(struct device *dev, void *data)
+static int xauto_power_look_at(struct device *dev, void *data)
 {
-	struct search *search = data;
+	struct xauto_power_search *search = data;
 	struct device_driver *driver = READ_ONCE(dev->driver);
 
 	if (driver && driver->owner == search->driver && search->found < XAUTO_MAX_POWER)
@@ -32,10 +32,10 @@ static int look_at(struct device *dev, void *data)
 
 void xauto_power_find(struct module *driver, struct device **devices)
 {
-	struct search search = { .driver = driver, .devices = devices };
+	struct xauto_power_search search = { .driver = driver, .devices = devices };
 
 	if (driver) /* a built-in driver cannot be told from the others */
-		bus_for_each_dev(&platform_bus_type, NULL, &search, look_at);
+		bus_for_each_dev(&platform_bus_type, NULL, &search, xauto_power_look_at);
 }
 
 void xauto_power_forget(struct device **devices)

@@ -8,12 +8,13 @@
  * no set of running or suspended queues that could be written over another.
  *
  *	             first vote: driver suspends
- *	  RUNNING ---------------------------------> SUSPENDED   (votes > 0)
- *	    ^  ^ <---- the driver refused: undone ----  |
- *	    |  '----- last vote gone: driver resumes ---'
- *	    |                       | the driver refused
- *	    '--- sweeper resumes --- ORPHAN          (suspended, votes == 0, kept alive until it
- *	    runs)
+ *	  RUNNING ----------------------------------> SUSPENDED   (votes > 0)
+ *	   ^  ^  <----- the driver refused: undone -----  |  |
+ *	   |  '------- last vote gone: driver resumes ----'  | last vote gone:
+ *	   |                                                 | the driver refused
+ *	   |                                                 v
+ *	   '-------- sweeper: the driver resumes --------- ORPHAN (votes == 0, suspended, and kept
+ *	                                                           alive until it runs)
  *
  *	  any state -- nobody but us holds the file --> GONE      (resumed first, file given back)
  *
@@ -139,6 +140,8 @@ void xauto_queue_describe(struct xauto_queue *queue, bool ask_driver,
 /* Who opened the file: its credentials, with a reference, or NULL once it is gone. */
 const struct cred *xauto_queue_cred(struct xauto_queue *queue);
 
+/* Another one, never 0, once a queue has come or gone: then a list read in parts is none. */
+u32 xauto_queue_generation(void);
 /* The next queue with an id of at least *@id, with a reference; NULL at the end. */
 struct xauto_queue *xauto_queue_next(unsigned long *id);
 

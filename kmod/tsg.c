@@ -12,11 +12,11 @@
 #include "queue.h"
 #include "uarg.h"
 
-static char *gpu_drivers = "nvgpu,xauto_nvgpu_emu";
-module_param(gpu_drivers, charp, 0444);
+static char *xauto_gpu_drivers = "nvgpu,xauto_nvgpu_emu";
+module_param_named(gpu_drivers, xauto_gpu_drivers, charp, 0444);
 MODULE_PARM_DESC(gpu_drivers, "modules whose files may be TSGs (default: nvgpu,xauto_nvgpu_emu)");
 
-static int tsg_get_timeslice(struct file *file, u32 *us)
+static int xauto_tsg_get_timeslice(struct file *file, u32 *us)
 {
 	struct nvgpu_timeslice_args args = {};
 	long err = xauto_ioctl_arg(file, NVGPU_IOCTL_TSG_GET_TIMESLICE, &args);
@@ -30,16 +30,16 @@ static int tsg_get_timeslice(struct file *file, u32 *us)
  * module. Their ioctls have other numbers, so a question that only a TSG answers tells them apart,
  * whatever the file is called.
  */
-static int tsg_verify(struct file *file, struct netlink_ext_ack *extack)
+static int xauto_tsg_verify(struct file *file, struct netlink_ext_ack *extack)
 {
 	u32 us = 0;
 
-	if (!xauto_file_is_of(file, gpu_drivers)) {
+	if (!xauto_file_is_of(file, xauto_gpu_drivers)) {
 		NL_SET_ERR_MSG(extack,
 			       "the file is not of a GPU driver (module parameter gpu_drivers)");
 		return -EINVAL;
 	}
-	if (tsg_get_timeslice(file, &us) || !us) {
+	if (xauto_tsg_get_timeslice(file, &us) || !us) {
 		NL_SET_ERR_MSG(extack, "the GPU driver's file is not a TSG");
 		return -EINVAL;
 	}
@@ -47,26 +47,26 @@ static int tsg_verify(struct file *file, struct netlink_ext_ack *extack)
 }
 
 /* Disabled, it is not scheduled again; preempted, it has left the engine. */
-static int tsg_suspend(struct file *file)
+static int xauto_tsg_suspend(struct file *file)
 {
 	long err = xauto_ioctl(file, NVGPU_IOCTL_TSG_DISABLE);
 
 	return err ? err : xauto_ioctl(file, NVGPU_IOCTL_TSG_PREEMPT);
 }
 
-static int tsg_resume(struct file *file)
+static int xauto_tsg_resume(struct file *file)
 {
 	return xauto_ioctl(file, NVGPU_IOCTL_TSG_ENABLE);
 }
 
-static int tsg_set_timeslice(struct file *file, u32 us)
+static int xauto_tsg_set_timeslice(struct file *file, u32 us)
 {
 	struct nvgpu_timeslice_args args = { .timeslice_us = us };
 
 	return xauto_ioctl_arg(file, NVGPU_IOCTL_TSG_SET_TIMESLICE, &args);
 }
 
-static int tsg_set_interleave(struct file *file, u32 level)
+static int xauto_tsg_set_interleave(struct file *file, u32 level)
 {
 	struct nvgpu_runlist_interleave_args args = { .level = level };
 
@@ -74,10 +74,10 @@ static int tsg_set_interleave(struct file *file, u32 level)
 }
 
 const struct xauto_queue_ops xauto_tsg_ops = {
-	.verify = tsg_verify,
-	.suspend = tsg_suspend,
-	.resume = tsg_resume,
-	.set_timeslice = tsg_set_timeslice,
-	.get_timeslice = tsg_get_timeslice,
-	.set_interleave = tsg_set_interleave,
+	.verify = xauto_tsg_verify,
+	.suspend = xauto_tsg_suspend,
+	.resume = xauto_tsg_resume,
+	.set_timeslice = xauto_tsg_set_timeslice,
+	.get_timeslice = xauto_tsg_get_timeslice,
+	.set_interleave = xauto_tsg_set_interleave,
 };

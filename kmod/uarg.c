@@ -36,7 +36,7 @@
 #define UARG_LANES 4
 
 /**
- * struct uarg_lane - a thread and its part of the page
+ * struct xauto_uarg_lane - a thread and its part of the page
  * @busy: held by the one whose call it is
  * @worker: the thread
  * @work: the call
@@ -47,7 +47,7 @@
  * @arg: kernel memory, in and out
  * @result: the driver's answer
  */
-struct uarg_lane {
+struct xauto_uarg_lane {
 	struct mutex busy; /* one call at a time */
 	struct kthread_worker *worker;
 	struct kthread_work work;
@@ -58,30 +58,31 @@ struct uarg_lane {
 	long result;
 };
 
-static struct uarg_lane lanes[UARG_LANES];
-static struct mm_struct *uarg_mm;
-static unsigned long uarg_page;
-static bool uarg_alone; /* the loader's own mappings are gone; lane 0's thread only */
+static struct xauto_uarg_lane xauto_uarg_lanes[UARG_LANES];
+static struct mm_struct *xauto_uarg_mm;
+static unsigned long xauto_uarg_page;
+static bool xauto_uarg_alone; /* the loader's own mappings are gone; lane 0's thread only */
 
-/* On lane 0's thread, inside uarg_mm. Its last other user gone: drop everything but our page. */
-static void uarg_trim(void)
+/* On lane 0's thread, inside the mm. Its last other user gone: drop everything but our page. */
+static void xauto_uarg_trim(void)
 {
-	if (uarg_alone || atomic_read(&uarg_mm->mm_users) != 1)
+	if (xauto_uarg_alone || atomic_read(&xauto_uarg_mm->mm_users) != 1)
 		return;
-	uarg_alone = true;
-	vm_munmap(0, uarg_page);
-	vm_munmap(uarg_page + PAGE_SIZE, uarg_mm->task_size - uarg_page - PAGE_SIZE);
+	xauto_uarg_alone = true;
+	vm_munmap(0, xauto_uarg_page);
+	vm_munmap(xauto_uarg_page + PAGE_SIZE,
+		  xauto_uarg_mm->task_size - xauto_uarg_page - PAGE_SIZE);
 }
 
-static void uarg_call(struct kthread_work *work)
+static void xauto_uarg_call(struct kthread_work *work)
 {
-	struct uarg_lane *lane = container_of(work, struct uarg_lane, work);
+	struct xauto_uarg_lane *lane = container_of(work, struct xauto_uarg_lane, work);
 	void __user *user = (void __user *)lane->address;
 	size_t size = _IOC_SIZE(lane->cmd);
 
-	kthread_use_mm(uarg_mm);
-	if (lane == &lanes[0])
-		uarg_trim();
+	kthread_use_mm(xauto_uarg_mm);
+	if (lane == &xauto_uarg_lanes[0])
+		xauto_uarg_trim();
 	if (copy_to_user(user, lane->arg, size)) {
 		lane->result = -EFAULT;
 	} else {
@@ -90,30 +91,30 @@ static void uarg_call(struct kthread_work *work)
 		if ((_IOC_DIR(lane->cmd) & _IOC_READ) && copy_from_user(lane->arg, user, size))
 			lane->result = -EFAULT;
 	}
-	kthread_unuse_mm(uarg_mm);
+	kthread_unuse_mm(xauto_uarg_mm);
 }
 
-static struct uarg_lane *uarg_take_lane(void)
+static struct xauto_uarg_lane *xauto_uarg_take_lane(void)
 {
-	struct uarg_lane *lane;
+	struct xauto_uarg_lane *lane;
 	int i;
 
 	for (i = 0; i < UARG_LANES; i++)
-		if (mutex_trylock(&lanes[i].busy))
-			return &lanes[i];
-	lane = &lanes[raw_smp_processor_id() % UARG_LANES];
+		if (mutex_trylock(&xauto_uarg_lanes[i].busy))
+			return &xauto_uarg_lanes[i];
+	lane = &xauto_uarg_lanes[raw_smp_processor_id() % UARG_LANES];
 	mutex_lock(&lane->busy);
 	return lane;
 }
 
 long xauto_ioctl_arg(struct file *file, unsigned int cmd, void *arg)
 {
-	struct uarg_lane *lane;
+	struct xauto_uarg_lane *lane;
 	long result;
 
 	if (WARN_ON_ONCE(_IOC_SIZE(cmd) > UARG_MAX) || !file->f_op->unlocked_ioctl)
 		return -ENOTTY;
-	lane = uarg_take_lane();
+	lane = xauto_uarg_take_lane();
 	lane->file = file;
 	lane->cmd = cmd;
 	lane->arg = arg;
@@ -136,9 +137,9 @@ void xauto_uarg_exit(void)
 	int i;
 
 	for (i = 0; i < UARG_LANES; i++)
-		if (lanes[i].worker)
-			kthread_destroy_worker(lanes[i].worker);
-	mmput(uarg_mm);
+		if (xauto_uarg_lanes[i].worker)
+			kthread_destroy_worker(xauto_uarg_lanes[i].worker);
+	mmput(xauto_uarg_mm);
 }
 
 int xauto_uarg_init(void)
@@ -147,19 +148,19 @@ int xauto_uarg_init(void)
 
 	if (!current->mm)
 		return -ENODEV; /* built into the kernel: there is no loader */
-	uarg_page =
+	xauto_uarg_page =
 		vm_mmap(NULL, 0, PAGE_SIZE, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, 0);
-	if (IS_ERR_VALUE(uarg_page))
-		return (int)uarg_page;
-	uarg_mm = current->mm;
-	mmget(uarg_mm);
+	if (IS_ERR_VALUE(xauto_uarg_page))
+		return (int)xauto_uarg_page;
+	xauto_uarg_mm = current->mm;
+	mmget(xauto_uarg_mm);
 
 	for (i = 0; i < UARG_LANES; i++) {
-		struct uarg_lane *lane = &lanes[i];
+		struct xauto_uarg_lane *lane = &xauto_uarg_lanes[i];
 
 		mutex_init(&lane->busy);
-		lane->address = uarg_page + i * UARG_MAX;
-		kthread_init_work(&lane->work, uarg_call);
+		lane->address = xauto_uarg_page + i * UARG_MAX;
+		kthread_init_work(&lane->work, xauto_uarg_call);
 		lane->worker = kthread_create_worker(0, "xauto/ioctl%d", i);
 		if (IS_ERR(lane->worker)) {
 			int err = PTR_ERR(lane->worker);

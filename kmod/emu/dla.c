@@ -32,21 +32,21 @@
 #define MAX_TASKS	 256 /* waiting in one queue */
 #define FIRMWARE_VERSION 0x010802
 
-static unsigned int command_us = 50;
-module_param(command_us, uint, 0644);
+static unsigned int dla_command_us = 50;
+module_param_named(command_us, dla_command_us, uint, 0644);
 MODULE_PARM_DESC(command_us, "the firmware's time for suspend or resume (default: 50)");
 
 /* Faults, in debugfs: how many of the next calls fail. */
-static u32 fail_suspend;
-static u32 fail_resume;
+static u32 dla_fail_suspend;
+static u32 dla_fail_resume;
 
-struct task {
+struct dla_task {
 	struct list_head node;
 	u64 duration_ns;
 };
 
 /**
- * struct queue - what ALLOC_QUEUE gave to a file
+ * struct dla_queue - what ALLOC_QUEUE gave to a file
  * @dla: it belongs to
  * @node: in the DLA's list, moved to its end when its turn is over
  * @tasks: waiting, in order
@@ -56,7 +56,7 @@ struct task {
  * @finished: how many are done
  * @done: the file's, woken when one is
  */
-struct queue {
+struct dla_queue {
 	struct dla *dla;
 	struct list_head node;
 	struct list_head tasks;
@@ -82,7 +82,7 @@ struct dla {
 	struct platform_device *pdev;
 	struct list_head queues;
 	u32 n_queues;
-	struct queue *running;
+	struct dla_queue *running;
 	bool busy;
 	struct hrtimer end;
 };
@@ -97,27 +97,27 @@ struct dla {
 struct dla_file {
 	struct dla *dla;
 	struct mutex lock; /* @queue */
-	struct queue *queue;
+	struct dla_queue *queue;
 	wait_queue_head_t done;
 };
 
-static struct dla dlas[N_DLAS];
-static struct class *node_class;
-static struct cdev node_cdev;
-static dev_t node_base;
-static struct dentry *debug_dir;
+static struct dla dla_engines[N_DLAS];
+static struct class *dla_node_class;
+static struct cdev dla_node_cdev;
+static dev_t dla_node_base;
+static struct dentry *dla_debug_dir;
 
 /* The DLA is idle: whose turn is it? */
-static void start_next(struct dla *dla)
+static void dla_start_next(struct dla *dla)
 {
-	struct queue *queue;
-	struct task *task;
+	struct dla_queue *queue;
+	struct dla_task *task;
 
 	lockdep_assert_held(&dla->lock);
 	list_for_each_entry(queue, &dla->queues, node) {
 		if (queue->suspended || list_empty(&queue->tasks))
 			continue;
-		task = list_first_entry(&queue->tasks, struct task, node);
+		task = list_first_entry(&queue->tasks, struct dla_task, node);
 		list_del(&task->node);
 		queue->waiting--;
 		list_move_tail(&queue->node, &dla->queues);
@@ -130,7 +130,7 @@ static void start_next(struct dla *dla)
 	}
 }
 
-static enum hrtimer_restart task_ends(struct hrtimer *timer)
+static enum hrtimer_restart dla_task_ends(struct hrtimer *timer)
 {
 	struct dla *dla = container_of(timer, struct dla, end);
 
@@ -143,15 +143,15 @@ static enum hrtimer_restart task_ends(struct hrtimer *timer)
 	dla->busy = false;
 	pm_runtime_mark_last_busy(&dla->pdev->dev);
 	pm_runtime_put_autosuspend(&dla->pdev->dev);
-	start_next(dla);
+	dla_start_next(dla);
 	spin_unlock_bh(&dla->lock);
 	return HRTIMER_NORESTART;
 }
 
-static long alloc_queue(struct dla_file *file)
+static long dla_alloc_queue(struct dla_file *file)
 {
 	struct dla *dla = file->dla;
-	struct queue *queue;
+	struct dla_queue *queue;
 
 	if (file->queue)
 		return -EINVAL;
@@ -174,10 +174,10 @@ static long alloc_queue(struct dla_file *file)
 	return 0;
 }
 
-static long release_queue(struct dla_file *file)
+static long dla_release_queue(struct dla_file *file)
 {
-	struct queue *queue = file->queue;
-	struct task *task, *next;
+	struct dla_queue *queue = file->queue;
+	struct dla_task *task, *next;
 
 	if (!queue)
 		return -EINVAL;
@@ -194,10 +194,10 @@ static long release_queue(struct dla_file *file)
 	return 0;
 }
 
-static int submit_one(struct queue *queue, struct xauto_emu_work *work)
+static int dla_submit_one(struct dla_queue *queue, struct xauto_emu_work *work)
 {
 	struct dla *dla = queue->dla;
-	struct task *task;
+	struct dla_task *task;
 	int err = 0;
 
 	if (!work->duration_ns || work->duration_ns > XAUTO_EMU_MAX_DURATION_NS)
@@ -215,13 +215,13 @@ static int submit_one(struct queue *queue, struct xauto_emu_work *work)
 		queue->waiting++;
 		work->sequence = ++queue->submitted;
 		if (!dla->busy)
-			start_next(dla);
+			dla_start_next(dla);
 	}
 	spin_unlock_bh(&dla->lock);
 	return err;
 }
 
-static long submit(struct queue *queue, void __user *arg)
+static long dla_submit(struct dla_queue *queue, void __user *arg)
 {
 	struct device *dev = &queue->dla->pdev->dev;
 	struct xauto_emu_work __user *tasks;
@@ -240,7 +240,7 @@ static long submit(struct queue *queue, void __user *arg)
 		if (copy_from_user(&work, &tasks[i], sizeof(work))) {
 			err = -EFAULT;
 		} else {
-			err = submit_one(queue, &work);
+			err = dla_submit_one(queue, &work);
 			if (!err && copy_to_user(&tasks[i], &work, sizeof(work)))
 				err = -EFAULT;
 		}
@@ -250,7 +250,7 @@ static long submit(struct queue *queue, void __user *arg)
 	return err;
 }
 
-static long set_status(struct queue *queue, void __user *arg)
+static long dla_set_status(struct dla_queue *queue, void __user *arg)
 {
 	struct device *dev = &queue->dla->pdev->dev;
 	struct nvdla_set_queue_status_args args;
@@ -261,22 +261,22 @@ static long set_status(struct queue *queue, void __user *arg)
 	suspend = args.status & NVDLA_SET_QUEUE_SUSPEND;
 	if (suspend == !!(args.status & NVDLA_SET_QUEUE_RESUME))
 		return -EINVAL;
-	if (take_fault(suspend ? &fail_suspend : &fail_resume))
+	if (xauto_emu_take_fault(suspend ? &dla_fail_suspend : &dla_fail_resume))
 		return -ETIMEDOUT;
 	pm_runtime_get_sync(dev);
-	if (command_us)
-		usleep_range(command_us, command_us + command_us / 8 + 1);
+	if (dla_command_us)
+		usleep_range(dla_command_us, dla_command_us + dla_command_us / 8 + 1);
 	spin_lock_bh(&queue->dla->lock);
 	queue->suspended = suspend;
 	if (!suspend && !queue->dla->busy)
-		start_next(queue->dla);
+		dla_start_next(queue->dla);
 	spin_unlock_bh(&queue->dla->lock);
 	pm_runtime_mark_last_busy(dev);
 	pm_runtime_put_autosuspend(dev);
 	return 0;
 }
 
-static long ping(void __user *arg)
+static long dla_ping(void __user *arg)
 {
 	struct nvdla_ping_args args;
 
@@ -286,50 +286,50 @@ static long ping(void __user *arg)
 	return copy_to_user(arg, &args, sizeof(args)) ? -EFAULT : 0;
 }
 
-static long firmware_version(void __user *arg)
+static long dla_firmware_version(void __user *arg)
 {
 	struct nvdla_get_fw_ver_args args = { .version = FIRMWARE_VERSION };
 
 	return copy_to_user(arg, &args, sizeof(args)) ? -EFAULT : 0;
 }
 
-static long locked_ioctl(struct dla_file *file, unsigned int cmd, void __user *arg)
+static long dla_locked_ioctl(struct dla_file *file, unsigned int cmd, void __user *arg)
 {
 	switch (cmd) {
 	case NVDLA_IOCTL_PING:
-		return ping(arg);
+		return dla_ping(arg);
 	case NVDLA_IOCTL_GET_FIRMWARE_VERSION:
-		return firmware_version(arg);
+		return dla_firmware_version(arg);
 	case NVDLA_IOCTL_ALLOC_QUEUE:
-		return alloc_queue(file);
+		return dla_alloc_queue(file);
 	case NVDLA_IOCTL_RELEASE_QUEUE:
-		return release_queue(file);
+		return dla_release_queue(file);
 	}
 	if (!file->queue)
 		return -EINVAL;
 	switch (cmd) {
 	case NVDLA_IOCTL_EMU_TASK_SUBMIT:
-		return submit(file->queue, arg);
+		return dla_submit(file->queue, arg);
 	case NVDLA_IOCTL_SET_QUEUE_STATUS:
-		return set_status(file->queue, arg);
+		return dla_set_status(file->queue, arg);
 	}
 	return -ENOTTY;
 }
 
-static long ctrl_ioctl(struct file *file, unsigned int cmd, unsigned long value)
+static long dla_ctrl_ioctl(struct file *file, unsigned int cmd, unsigned long value)
 {
 	struct dla_file *dla_file = file->private_data;
 	long err;
 
 	mutex_lock(&dla_file->lock);
-	err = locked_ioctl(dla_file, cmd, (void __user *)value);
+	err = dla_locked_ioctl(dla_file, cmd, (void __user *)value);
 	mutex_unlock(&dla_file->lock);
 	return err;
 }
 
-static bool idle(struct dla_file *file, u64 *finished)
+static bool dla_file_idle(struct dla_file *file, u64 *finished)
 {
-	struct queue *queue = file->queue;
+	struct dla_queue *queue = file->queue;
 	bool idle = true;
 
 	*finished = 0;
@@ -342,7 +342,7 @@ static bool idle(struct dla_file *file, u64 *finished)
 	return idle;
 }
 
-static __poll_t ctrl_poll(struct file *file, struct poll_table_struct *table)
+static __poll_t dla_ctrl_poll(struct file *file, struct poll_table_struct *table)
 {
 	struct dla_file *dla_file = file->private_data;
 	bool ready;
@@ -350,12 +350,12 @@ static __poll_t ctrl_poll(struct file *file, struct poll_table_struct *table)
 
 	mutex_lock(&dla_file->lock);
 	poll_wait(file, &dla_file->done, table);
-	ready = idle(dla_file, &finished);
+	ready = dla_file_idle(dla_file, &finished);
 	mutex_unlock(&dla_file->lock);
 	return ready ? EPOLLIN | EPOLLRDNORM : 0;
 }
 
-static ssize_t ctrl_read(struct file *file, char __user *to, size_t size, loff_t *at)
+static ssize_t dla_ctrl_read(struct file *file, char __user *to, size_t size, loff_t *at)
 {
 	struct dla_file *dla_file = file->private_data;
 	u64 finished;
@@ -363,12 +363,12 @@ static ssize_t ctrl_read(struct file *file, char __user *to, size_t size, loff_t
 	if (size < sizeof(finished))
 		return -EINVAL;
 	mutex_lock(&dla_file->lock);
-	idle(dla_file, &finished);
+	dla_file_idle(dla_file, &finished);
 	mutex_unlock(&dla_file->lock);
 	return copy_to_user(to, &finished, sizeof(finished)) ? -EFAULT : sizeof(finished);
 }
 
-static int ctrl_open(struct inode *inode, struct file *file)
+static int dla_ctrl_open(struct inode *inode, struct file *file)
 {
 	struct dla_file *dla_file;
 
@@ -377,47 +377,45 @@ static int ctrl_open(struct inode *inode, struct file *file)
 	dla_file = kzalloc(sizeof(*dla_file), GFP_KERNEL);
 	if (!dla_file)
 		return -ENOMEM;
-	dla_file->dla = &dlas[iminor(inode)];
+	dla_file->dla = &dla_engines[iminor(inode)];
 	mutex_init(&dla_file->lock);
 	init_waitqueue_head(&dla_file->done);
 	file->private_data = dla_file;
 	return 0;
 }
 
-static int ctrl_release(struct inode *inode, struct file *file)
+static int dla_ctrl_release(struct inode *inode, struct file *file)
 {
 	struct dla_file *dla_file = file->private_data;
 
-	release_queue(dla_file);
+	dla_release_queue(dla_file);
 	kfree(dla_file);
 	return 0;
 }
 
-static const struct file_operations ctrl_fops = {
-	.owner = THIS_MODULE,
-	.open = ctrl_open,
-	.release = ctrl_release,
-	.unlocked_ioctl = ctrl_ioctl,
-	.compat_ioctl = ctrl_ioctl,
-	.poll = ctrl_poll,
-	.read = ctrl_read,
-	XAUTO_NO_LLSEEK
-};
+static const struct file_operations dla_ctrl_fops = { .owner = THIS_MODULE,
+						      .open = dla_ctrl_open,
+						      .release = dla_ctrl_release,
+						      .unlocked_ioctl = dla_ctrl_ioctl,
+						      .compat_ioctl = dla_ctrl_ioctl,
+						      .poll = dla_ctrl_poll,
+						      .read = dla_ctrl_read,
+						      XAUTO_NO_LLSEEK };
 
-static char *devnode(XAUTO_DEVNODE_CONST struct device *dev, umode_t *mode)
+static char *dla_devnode(XAUTO_DEVNODE_CONST struct device *dev, umode_t *mode)
 {
 	if (mode)
 		*mode = 0666;
 	return kasprintf(GFP_KERNEL, "nvhost-ctrl-nvdla%u", MINOR(dev->devt));
 }
 
-static int state_show(struct seq_file *out, void *data)
+static int dla_state_show(struct seq_file *out, void *data)
 {
-	struct queue *queue;
+	struct dla_queue *queue;
 	int i;
 
 	for (i = 0; i < N_DLAS; i++) {
-		struct dla *dla = &dlas[i];
+		struct dla *dla = &dla_engines[i];
 
 		spin_lock_bh(&dla->lock);
 		seq_printf(out, "dla=%d busy=%d powered=%d\n", i, dla->busy,
@@ -430,7 +428,7 @@ static int state_show(struct seq_file *out, void *data)
 	}
 	return 0;
 }
-DEFINE_SHOW_ATTRIBUTE(state);
+DEFINE_SHOW_ATTRIBUTE(dla_state);
 
 static int dla_runtime_pm(struct device *dev)
 {
@@ -441,7 +439,7 @@ static const struct dev_pm_ops dla_pm_ops = {
 	SET_RUNTIME_PM_OPS(dla_runtime_pm, dla_runtime_pm, NULL)
 };
 
-static struct platform_driver driver = {
+static struct platform_driver dla_driver = {
 	.driver = {
 		.name = "xauto-nvdla",
 		.owner = THIS_MODULE,
@@ -449,7 +447,7 @@ static struct platform_driver driver = {
 	},
 };
 
-static void remove_dla(struct dla *dla)
+static void dla_remove(struct dla *dla)
 {
 	hrtimer_cancel(&dla->end);
 	pm_runtime_disable(&dla->pdev->dev);
@@ -457,11 +455,11 @@ static void remove_dla(struct dla *dla)
 	platform_device_unregister(dla->pdev);
 }
 
-static int add_dla(struct dla *dla, int id)
+static int dla_add(struct dla *dla, int id)
 {
 	spin_lock_init(&dla->lock);
 	INIT_LIST_HEAD(&dla->queues);
-	xauto_hrtimer_setup(&dla->end, task_ends, HRTIMER_MODE_REL_SOFT);
+	xauto_hrtimer_setup(&dla->end, dla_task_ends, HRTIMER_MODE_REL_SOFT);
 	dla->pdev = platform_device_register_simple("xauto-nvdla", id, NULL, 0);
 	if (IS_ERR(dla->pdev))
 		return PTR_ERR(dla->pdev);
@@ -471,75 +469,75 @@ static int add_dla(struct dla *dla, int id)
 	return 0;
 }
 
-static void remove_nodes(int count)
+static void dla_remove_nodes(int count)
 {
 	while (count-- > 0)
-		device_destroy(node_class, node_base + count);
-	class_destroy(node_class);
-	cdev_del(&node_cdev);
-	unregister_chrdev_region(node_base, N_DLAS);
+		device_destroy(dla_node_class, dla_node_base + count);
+	class_destroy(dla_node_class);
+	cdev_del(&dla_node_cdev);
+	unregister_chrdev_region(dla_node_base, N_DLAS);
 }
 
-static int create_nodes(void)
+static int dla_create_nodes(void)
 {
 	int i, err;
 
-	err = alloc_chrdev_region(&node_base, 0, N_DLAS, "nvhost-nvdla");
+	err = alloc_chrdev_region(&dla_node_base, 0, N_DLAS, "nvhost-nvdla");
 	if (err)
 		return err;
-	cdev_init(&node_cdev, &ctrl_fops);
-	node_cdev.owner = THIS_MODULE;
-	err = cdev_add(&node_cdev, node_base, N_DLAS);
+	cdev_init(&dla_node_cdev, &dla_ctrl_fops);
+	dla_node_cdev.owner = THIS_MODULE;
+	err = cdev_add(&dla_node_cdev, dla_node_base, N_DLAS);
 	if (err)
 		goto err_region;
-	node_class = xauto_class_create("nvdla-emu");
-	if (IS_ERR(node_class)) {
-		err = PTR_ERR(node_class);
+	dla_node_class = xauto_class_create("nvdla-emu");
+	if (IS_ERR(dla_node_class)) {
+		err = PTR_ERR(dla_node_class);
 		goto err_cdev;
 	}
-	node_class->devnode = devnode;
+	dla_node_class->devnode = dla_devnode;
 	for (i = 0; i < N_DLAS; i++) {
-		struct device *dev = device_create(node_class, &dlas[i].pdev->dev, node_base + i,
-						   NULL, "ctrl-nvdla%d", i);
+		struct device *dev = device_create(dla_node_class, &dla_engines[i].pdev->dev,
+						   dla_node_base + i, NULL, "ctrl-nvdla%d", i);
 
 		if (IS_ERR(dev)) {
-			remove_nodes(i);
+			dla_remove_nodes(i);
 			return PTR_ERR(dev);
 		}
 	}
 	return 0;
 
 err_cdev:
-	cdev_del(&node_cdev);
+	cdev_del(&dla_node_cdev);
 err_region:
-	unregister_chrdev_region(node_base, N_DLAS);
+	unregister_chrdev_region(dla_node_base, N_DLAS);
 	return err;
 }
 
 static int __init dla_emu_init(void)
 {
-	int i, err = platform_driver_register(&driver);
+	int i, err = platform_driver_register(&dla_driver);
 
 	if (err)
 		return err;
 	for (i = 0; i < N_DLAS; i++) {
-		err = add_dla(&dlas[i], i);
+		err = dla_add(&dla_engines[i], i);
 		if (err)
 			goto err_dlas;
 	}
-	err = create_nodes();
+	err = dla_create_nodes();
 	if (err)
 		goto err_dlas;
-	debug_dir = debugfs_create_dir("xauto_nvdla_emu", NULL);
-	debugfs_create_file("state", 0444, debug_dir, NULL, &state_fops);
-	debugfs_create_u32("fail_suspend", 0644, debug_dir, &fail_suspend);
-	debugfs_create_u32("fail_resume", 0644, debug_dir, &fail_resume);
+	dla_debug_dir = debugfs_create_dir("xauto_nvdla_emu", NULL);
+	debugfs_create_file("state", 0444, dla_debug_dir, NULL, &dla_state_fops);
+	debugfs_create_u32("fail_suspend", 0644, dla_debug_dir, &dla_fail_suspend);
+	debugfs_create_u32("fail_resume", 0644, dla_debug_dir, &dla_fail_resume);
 	return 0;
 
 err_dlas:
 	while (i-- > 0)
-		remove_dla(&dlas[i]);
-	platform_driver_unregister(&driver);
+		dla_remove(&dla_engines[i]);
+	platform_driver_unregister(&dla_driver);
 	return err;
 }
 
@@ -547,11 +545,11 @@ static void __exit dla_emu_exit(void)
 {
 	int i;
 
-	debugfs_remove_recursive(debug_dir);
-	remove_nodes(N_DLAS);
+	debugfs_remove_recursive(dla_debug_dir);
+	dla_remove_nodes(N_DLAS);
 	for (i = 0; i < N_DLAS; i++)
-		remove_dla(&dlas[i]);
-	platform_driver_unregister(&driver);
+		dla_remove(&dla_engines[i]);
+	platform_driver_unregister(&dla_driver);
 }
 
 module_init(dla_emu_init);

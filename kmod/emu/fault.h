@@ -8,7 +8,7 @@
 #include <linux/types.h>
 
 /* Shall this call fail? Counts it. */
-static inline bool take_fault(u32 *count)
+static inline bool xauto_emu_take_fault(u32 *count)
 {
 	u32 left = READ_ONCE(*count);
 

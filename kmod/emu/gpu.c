@@ -25,29 +25,29 @@
 #include "gpu_engine.h"
 
 /* Faults, in debugfs: how many of the next calls fail. */
-static u32 fail_preempt;
-static u32 fail_enable;
+static u32 gpu_fail_preempt;
+static u32 gpu_fail_enable;
 
 enum { NODE_CTRL, NODE_TSG, NODE_CHANNEL, N_NODES };
 
-static const char * const node_names[N_NODES] = { "ctrl", "tsg", "channel" };
+static const char *const gpu_node_names[N_NODES] = { "ctrl", "tsg", "channel" };
 
-static struct gpu gpu;
-static struct platform_device *pdev;
-static struct class *node_class;
-static struct cdev node_cdev;
-static dev_t node_base;
-static struct dentry *debug_dir;
+static struct gpu gpu_emu;
+static struct platform_device *gpu_pdev;
+static struct class *gpu_node_class;
+static struct cdev gpu_node_cdev;
+static dev_t gpu_node_base;
+static struct dentry *gpu_debug_dir;
 
-static int tsg_release(struct inode *inode, struct file *file)
+static int gpu_tsg_file_release(struct inode *inode, struct file *file)
 {
 	gpu_tsg_free(file->private_data);
 	return 0;
 }
 
-static const struct file_operations channel_fops;
+static const struct file_operations gpu_channel_fops;
 
-static long bind_channel(struct gpu_tsg *tsg, void __user *arg)
+static long gpu_tsg_bind_channel(struct gpu_tsg *tsg, void __user *arg)
 {
 	struct file *file;
 	long err = -EINVAL;
@@ -61,13 +61,13 @@ static long bind_channel(struct gpu_tsg *tsg, void __user *arg)
 	/*
 	 * A channel is another file of ours; the "channel" node has them as well as OPEN_CHANNEL.
 	 */
-	if (file->f_op == &channel_fops)
+	if (file->f_op == &gpu_channel_fops)
 		err = gpu_channel_bind(tsg, file->private_data);
 	fput(file);
 	return err;
 }
 
-static long tsg_ioctl(struct file *file, unsigned int cmd, unsigned long value)
+static long gpu_tsg_ioctl(struct file *file, unsigned int cmd, unsigned long value)
 {
 	void __user *arg = (void __user *)value;
 	struct nvgpu_runlist_interleave_args interleave;
@@ -76,14 +76,14 @@ static long tsg_ioctl(struct file *file, unsigned int cmd, unsigned long value)
 
 	switch (cmd) {
 	case NVGPU_TSG_IOCTL_BIND_CHANNEL:
-		return bind_channel(tsg, arg);
+		return gpu_tsg_bind_channel(tsg, arg);
 	case NVGPU_IOCTL_TSG_ENABLE:
-		return take_fault(&fail_enable) ? -EIO : gpu_tsg_enable(tsg);
+		return xauto_emu_take_fault(&gpu_fail_enable) ? -EIO : gpu_tsg_enable(tsg);
 	case NVGPU_IOCTL_TSG_DISABLE:
 		gpu_tsg_disable(tsg);
 		return 0;
 	case NVGPU_IOCTL_TSG_PREEMPT:
-		return take_fault(&fail_preempt) ? -ETIMEDOUT : gpu_tsg_preempt(tsg);
+		return xauto_emu_take_fault(&gpu_fail_preempt) ? -ETIMEDOUT : gpu_tsg_preempt(tsg);
 	case NVGPU_IOCTL_TSG_SET_RUNLIST_INTERLEAVE:
 		if (copy_from_user(&interleave, arg, sizeof(interleave)))
 			return -EFAULT;
@@ -99,21 +99,19 @@ static long tsg_ioctl(struct file *file, unsigned int cmd, unsigned long value)
 	return -ENOTTY;
 }
 
-static const struct file_operations tsg_fops = {
-	.owner = THIS_MODULE,
-	.release = tsg_release,
-	.unlocked_ioctl = tsg_ioctl,
-	.compat_ioctl = tsg_ioctl,
-	XAUTO_NO_LLSEEK
-};
+static const struct file_operations gpu_tsg_fops = { .owner = THIS_MODULE,
+						     .release = gpu_tsg_file_release,
+						     .unlocked_ioctl = gpu_tsg_ioctl,
+						     .compat_ioctl = gpu_tsg_ioctl,
+						     XAUTO_NO_LLSEEK };
 
-static int channel_release(struct inode *inode, struct file *file)
+static int gpu_channel_file_release(struct inode *inode, struct file *file)
 {
 	gpu_channel_close(file->private_data);
 	return 0;
 }
 
-static long channel_ioctl(struct file *file, unsigned int cmd, unsigned long value)
+static long gpu_channel_ioctl(struct file *file, unsigned int cmd, unsigned long value)
 {
 	void __user *arg = (void __user *)value;
 	struct xauto_emu_work work;
@@ -131,7 +129,7 @@ static long channel_ioctl(struct file *file, unsigned int cmd, unsigned long val
 	return copy_to_user(arg, &work, sizeof(work)) ? -EFAULT : 0;
 }
 
-static __poll_t channel_poll(struct file *file, struct poll_table_struct *table)
+static __poll_t gpu_channel_poll(struct file *file, struct poll_table_struct *table)
 {
 	struct gpu_channel *channel = file->private_data;
 	u64 finished;
@@ -140,7 +138,7 @@ static __poll_t channel_poll(struct file *file, struct poll_table_struct *table)
 	return gpu_channel_idle(channel, &finished) ? EPOLLIN | EPOLLRDNORM : 0;
 }
 
-static ssize_t channel_read(struct file *file, char __user *to, size_t size, loff_t *at)
+static ssize_t gpu_channel_read(struct file *file, char __user *to, size_t size, loff_t *at)
 {
 	struct gpu_channel *channel = file->private_data;
 	u64 finished;
@@ -151,17 +149,15 @@ static ssize_t channel_read(struct file *file, char __user *to, size_t size, lof
 	return copy_to_user(to, &finished, sizeof(finished)) ? -EFAULT : sizeof(finished);
 }
 
-static const struct file_operations channel_fops = {
-	.owner = THIS_MODULE,
-	.release = channel_release,
-	.unlocked_ioctl = channel_ioctl,
-	.compat_ioctl = channel_ioctl,
-	.poll = channel_poll,
-	.read = channel_read,
-	XAUTO_NO_LLSEEK
-};
+static const struct file_operations gpu_channel_fops = { .owner = THIS_MODULE,
+							 .release = gpu_channel_file_release,
+							 .unlocked_ioctl = gpu_channel_ioctl,
+							 .compat_ioctl = gpu_channel_ioctl,
+							 .poll = gpu_channel_poll,
+							 .read = gpu_channel_read,
+							 XAUTO_NO_LLSEEK };
 
-static long open_tsg(void __user *arg)
+static long gpu_ctrl_open_tsg(void __user *arg)
 {
 	struct nvgpu_gpu_open_tsg_args args;
 	struct gpu_tsg *tsg;
@@ -173,7 +169,7 @@ static long open_tsg(void __user *arg)
 		return -EFAULT;
 	if (args.flags)
 		return -EOPNOTSUPP; /* sharing between processes is not emulated */
-	tsg = gpu_tsg_new(&gpu);
+	tsg = gpu_tsg_new(&gpu_emu);
 	if (IS_ERR(tsg))
 		return PTR_ERR(tsg);
 	fd = get_unused_fd_flags(O_CLOEXEC);
@@ -182,7 +178,7 @@ static long open_tsg(void __user *arg)
 		return fd;
 	}
 	snprintf(name, sizeof(name), "nvgpu-ga10b-tsg%d", fd);
-	file = anon_inode_getfile(name, &tsg_fops, tsg, O_RDWR | O_CLOEXEC);
+	file = anon_inode_getfile(name, &gpu_tsg_fops, tsg, O_RDWR | O_CLOEXEC);
 	if (IS_ERR(file)) {
 		put_unused_fd(fd);
 		gpu_tsg_free(tsg);
@@ -198,7 +194,7 @@ static long open_tsg(void __user *arg)
 	return 0;
 }
 
-static long open_channel(void __user *arg)
+static long gpu_ctrl_open_channel(void __user *arg)
 {
 	struct nvgpu_gpu_open_channel_args args;
 	struct gpu_channel *channel;
@@ -210,7 +206,7 @@ static long open_channel(void __user *arg)
 		return -EFAULT;
 	if (args.in.runlist_id != -1 && args.in.runlist_id != 0)
 		return -EINVAL; /* there is one engine */
-	channel = gpu_channel_new(&gpu);
+	channel = gpu_channel_new(&gpu_emu);
 	if (!channel)
 		return -ENOMEM;
 	fd = get_unused_fd_flags(O_CLOEXEC);
@@ -219,7 +215,7 @@ static long open_channel(void __user *arg)
 		return fd;
 	}
 	snprintf(name, sizeof(name), "nvhost-ga10b-fd%d", fd);
-	file = anon_inode_getfile(name, &channel_fops, channel, O_RDWR | O_CLOEXEC);
+	file = anon_inode_getfile(name, &gpu_channel_fops, channel, O_RDWR | O_CLOEXEC);
 	if (IS_ERR(file)) {
 		put_unused_fd(fd);
 		gpu_channel_put(channel);
@@ -235,84 +231,83 @@ static long open_channel(void __user *arg)
 	return 0;
 }
 
-static long ctrl_ioctl(struct file *file, unsigned int cmd, unsigned long value)
+static long gpu_ctrl_ioctl(struct file *file, unsigned int cmd, unsigned long value)
 {
 	switch (cmd) {
 	case NVGPU_GPU_IOCTL_OPEN_TSG:
-		return open_tsg((void __user *)value);
+		return gpu_ctrl_open_tsg((void __user *)value);
 	case NVGPU_GPU_IOCTL_OPEN_CHANNEL:
-		return open_channel((void __user *)value);
+		return gpu_ctrl_open_channel((void __user *)value);
 	}
 	return -ENOTTY;
 }
 
-static const struct file_operations ctrl_fops = {
-	.owner = THIS_MODULE,
-	.unlocked_ioctl = ctrl_ioctl,
-	.compat_ioctl = ctrl_ioctl,
-	XAUTO_NO_LLSEEK
-};
+static const struct file_operations gpu_ctrl_fops = { .owner = THIS_MODULE,
+						      .unlocked_ioctl = gpu_ctrl_ioctl,
+						      .compat_ioctl = gpu_ctrl_ioctl,
+						      XAUTO_NO_LLSEEK };
 
 /* The node decides what the file is. */
-static int node_open(struct inode *inode, struct file *file)
+static int gpu_node_open(struct inode *inode, struct file *file)
 {
 	void *made;
 
 	switch (iminor(inode)) {
 	case NODE_CTRL:
-		replace_fops(file, fops_get(&ctrl_fops));
+		replace_fops(file, fops_get(&gpu_ctrl_fops));
 		return 0;
 	case NODE_TSG:
-		made = gpu_tsg_new(&gpu);
+		made = gpu_tsg_new(&gpu_emu);
 		if (IS_ERR(made))
 			return PTR_ERR(made);
 		file->private_data = made;
-		replace_fops(file, fops_get(&tsg_fops));
+		replace_fops(file, fops_get(&gpu_tsg_fops));
 		return 0;
 	case NODE_CHANNEL:
-		made = gpu_channel_new(&gpu);
+		made = gpu_channel_new(&gpu_emu);
 		if (!made)
 			return -ENOMEM;
 		file->private_data = made;
-		replace_fops(file, fops_get(&channel_fops));
+		replace_fops(file, fops_get(&gpu_channel_fops));
 		return 0;
 	}
 	return -ENXIO;
 }
 
-static const struct file_operations node_fops = {
+static const struct file_operations gpu_node_fops = {
 	.owner = THIS_MODULE,
-	.open = node_open,
+	.open = gpu_node_open,
 };
 
-static char *devnode(XAUTO_DEVNODE_CONST struct device *dev, umode_t *mode)
+static char *gpu_devnode(XAUTO_DEVNODE_CONST struct device *dev, umode_t *mode)
 {
 	if (mode)
 		*mode = 0666;
-	return kasprintf(GFP_KERNEL, "nvgpu/igpu0/%s", node_names[MINOR(dev->devt)]);
+	return kasprintf(GFP_KERNEL, "nvgpu/igpu0/%s", gpu_node_names[MINOR(dev->devt)]);
 }
 
-static int create_nodes(void)
+static int gpu_create_nodes(void)
 {
 	int i, err;
 
-	err = alloc_chrdev_region(&node_base, 0, N_NODES, "nvgpu");
+	err = alloc_chrdev_region(&gpu_node_base, 0, N_NODES, "nvgpu");
 	if (err)
 		return err;
-	cdev_init(&node_cdev, &node_fops);
-	node_cdev.owner = THIS_MODULE;
-	err = cdev_add(&node_cdev, node_base, N_NODES);
+	cdev_init(&gpu_node_cdev, &gpu_node_fops);
+	gpu_node_cdev.owner = THIS_MODULE;
+	err = cdev_add(&gpu_node_cdev, gpu_node_base, N_NODES);
 	if (err)
 		goto err_region;
-	node_class = xauto_class_create("nvgpu-emu");
-	if (IS_ERR(node_class)) {
-		err = PTR_ERR(node_class);
+	gpu_node_class = xauto_class_create("nvgpu-emu");
+	if (IS_ERR(gpu_node_class)) {
+		err = PTR_ERR(gpu_node_class);
 		goto err_cdev;
 	}
-	node_class->devnode = devnode;
+	gpu_node_class->devnode = gpu_devnode;
 	for (i = 0; i < N_NODES; i++) {
-		struct device *dev = device_create(node_class, &pdev->dev, node_base + i, NULL,
-						   "igpu0-%s", node_names[i]);
+		struct device *dev = device_create(gpu_node_class, &gpu_pdev->dev,
+						   gpu_node_base + i, NULL, "igpu0-%s",
+						   gpu_node_names[i]);
 
 		if (IS_ERR(dev)) {
 			err = PTR_ERR(dev);
@@ -323,37 +318,37 @@ static int create_nodes(void)
 
 err_nodes:
 	while (i-- > 0)
-		device_destroy(node_class, node_base + i);
-	class_destroy(node_class);
+		device_destroy(gpu_node_class, gpu_node_base + i);
+	class_destroy(gpu_node_class);
 err_cdev:
-	cdev_del(&node_cdev);
+	cdev_del(&gpu_node_cdev);
 err_region:
-	unregister_chrdev_region(node_base, N_NODES);
+	unregister_chrdev_region(gpu_node_base, N_NODES);
 	return err;
 }
 
-static void remove_nodes(void)
+static void gpu_remove_nodes(void)
 {
 	int i;
 
 	for (i = 0; i < N_NODES; i++)
-		device_destroy(node_class, node_base + i);
-	class_destroy(node_class);
-	cdev_del(&node_cdev);
-	unregister_chrdev_region(node_base, N_NODES);
+		device_destroy(gpu_node_class, gpu_node_base + i);
+	class_destroy(gpu_node_class);
+	cdev_del(&gpu_node_cdev);
+	unregister_chrdev_region(gpu_node_base, N_NODES);
 }
 
-static int state_show(struct seq_file *out, void *data)
+static int gpu_state_show(struct seq_file *out, void *data)
 {
-	gpu_show(&gpu, out);
-	seq_printf(out, "powered=%d\n", pm_runtime_active(&pdev->dev));
+	gpu_show(&gpu_emu, out);
+	seq_printf(out, "powered=%d\n", pm_runtime_active(&gpu_pdev->dev));
 	return 0;
 }
-DEFINE_SHOW_ATTRIBUTE(state);
+DEFINE_SHOW_ATTRIBUTE(gpu_state);
 
 static int gpu_runtime_suspend(struct device *dev)
 {
-	gpu_power_off(&gpu);
+	gpu_power_off(&gpu_emu);
 	return 0;
 }
 
@@ -366,7 +361,7 @@ static const struct dev_pm_ops gpu_pm_ops = {
 	SET_RUNTIME_PM_OPS(gpu_runtime_suspend, gpu_runtime_resume, NULL)
 };
 
-static struct platform_driver driver = {
+static struct platform_driver gpu_driver = {
 	.driver = {
 		.name = "xauto-gk20a",
 		.owner = THIS_MODULE,
@@ -376,47 +371,47 @@ static struct platform_driver driver = {
 
 static int __init gpu_emu_init(void)
 {
-	int err = platform_driver_register(&driver);
+	int err = platform_driver_register(&gpu_driver);
 
 	if (err)
 		return err;
-	pdev = platform_device_register_simple("xauto-gk20a", PLATFORM_DEVID_NONE, NULL, 0);
-	if (IS_ERR(pdev)) {
-		err = PTR_ERR(pdev);
+	gpu_pdev = platform_device_register_simple("xauto-gk20a", PLATFORM_DEVID_NONE, NULL, 0);
+	if (IS_ERR(gpu_pdev)) {
+		err = PTR_ERR(gpu_pdev);
 		goto err_driver;
 	}
-	gpu_init(&gpu, &pdev->dev);
+	gpu_init(&gpu_emu, &gpu_pdev->dev);
 	/* Rail gating, quicker than on the board so that tests meet it. */
-	pm_runtime_set_autosuspend_delay(&pdev->dev, 50);
-	pm_runtime_use_autosuspend(&pdev->dev);
-	pm_runtime_enable(&pdev->dev);
-	err = create_nodes();
+	pm_runtime_set_autosuspend_delay(&gpu_pdev->dev, 50);
+	pm_runtime_use_autosuspend(&gpu_pdev->dev);
+	pm_runtime_enable(&gpu_pdev->dev);
+	err = gpu_create_nodes();
 	if (err)
 		goto err_device;
-	debug_dir = debugfs_create_dir("xauto_nvgpu_emu", NULL);
-	debugfs_create_file("state", 0444, debug_dir, NULL, &state_fops);
-	debugfs_create_u32("fail_preempt", 0644, debug_dir, &fail_preempt);
-	debugfs_create_u32("fail_enable", 0644, debug_dir, &fail_enable);
+	gpu_debug_dir = debugfs_create_dir("xauto_nvgpu_emu", NULL);
+	debugfs_create_file("state", 0444, gpu_debug_dir, NULL, &gpu_state_fops);
+	debugfs_create_u32("fail_preempt", 0644, gpu_debug_dir, &gpu_fail_preempt);
+	debugfs_create_u32("fail_enable", 0644, gpu_debug_dir, &gpu_fail_enable);
 	return 0;
 
 err_device:
-	pm_runtime_disable(&pdev->dev);
-	pm_runtime_dont_use_autosuspend(&pdev->dev);
-	platform_device_unregister(pdev);
+	pm_runtime_disable(&gpu_pdev->dev);
+	pm_runtime_dont_use_autosuspend(&gpu_pdev->dev);
+	platform_device_unregister(gpu_pdev);
 err_driver:
-	platform_driver_unregister(&driver);
+	platform_driver_unregister(&gpu_driver);
 	return err;
 }
 
 static void __exit gpu_emu_exit(void)
 {
-	debugfs_remove_recursive(debug_dir);
-	remove_nodes();
-	gpu_stop(&gpu);
-	pm_runtime_disable(&pdev->dev);
-	pm_runtime_dont_use_autosuspend(&pdev->dev);
-	platform_device_unregister(pdev);
-	platform_driver_unregister(&driver);
+	debugfs_remove_recursive(gpu_debug_dir);
+	gpu_remove_nodes();
+	gpu_stop(&gpu_emu);
+	pm_runtime_disable(&gpu_pdev->dev);
+	pm_runtime_dont_use_autosuspend(&gpu_pdev->dev);
+	platform_device_unregister(gpu_pdev);
+	platform_driver_unregister(&gpu_driver);
 }
 
 module_init(gpu_emu_init);

@@ -13,11 +13,11 @@
 #include "compat.h"
 #include "gpu_engine.h"
 
-static unsigned int save_us = 100;
-module_param(save_us, uint, 0644);
+static unsigned int gpu_save_us = 100;
+module_param_named(save_us, gpu_save_us, uint, 0644);
 MODULE_PARM_DESC(save_us, "taking a context off the engine (default: 100)");
-static unsigned int restore_us = 175;
-module_param(restore_us, uint, 0644);
+static unsigned int gpu_restore_us = 175;
+module_param_named(restore_us, gpu_restore_us, uint, 0644);
 MODULE_PARM_DESC(restore_us, "putting a context on the engine (default: 175)");
 
 struct gpu_work {
@@ -25,7 +25,7 @@ struct gpu_work {
 	u64 left_ns;
 };
 
-static u64 us_to_ns(u32 us)
+static u64 gpu_us_to_ns(u32 us)
 {
 	return (u64)us * NSEC_PER_USEC;
 }
@@ -34,7 +34,7 @@ static u64 us_to_ns(u32 us)
  * The channel whose work is next; round robin is left out, channels of a TSG run one after the
  * other.
  */
-static struct gpu_channel *busy_channel(struct gpu_tsg *tsg)
+static struct gpu_channel *gpu_tsg_busy_channel(struct gpu_tsg *tsg)
 {
 	struct gpu_channel *channel;
 
@@ -44,12 +44,12 @@ static struct gpu_channel *busy_channel(struct gpu_tsg *tsg)
 	return NULL;
 }
 
-static bool runnable(struct gpu_tsg *tsg)
+static bool gpu_tsg_runnable(struct gpu_tsg *tsg)
 {
-	return tsg->enabled && !tsg->lost && busy_channel(tsg);
+	return tsg->enabled && !tsg->lost && gpu_tsg_busy_channel(tsg);
 }
 
-static bool level_is_used(struct gpu *gpu, u32 level)
+static bool gpu_level_is_used(struct gpu *gpu, u32 level)
 {
 	struct gpu_tsg *tsg;
 
@@ -60,38 +60,38 @@ static bool level_is_used(struct gpu *gpu, u32 level)
 }
 
 /* All of this level, each after a round of the level above. */
-static void append_level(struct gpu *gpu, u32 level)
+static void gpu_append_level(struct gpu *gpu, u32 level)
 {
 	struct gpu_tsg *tsg;
 
 	if (level >= NVGPU_RUNLIST_INTERLEAVE_NUM_LEVELS)
 		return;
-	if (!level_is_used(gpu, level))
-		return append_level(gpu, level + 1);
+	if (!gpu_level_is_used(gpu, level))
+		return gpu_append_level(gpu, level + 1);
 	list_for_each_entry(tsg, &gpu->tsgs, node) {
 		if (tsg->level != level)
 			continue;
-		append_level(gpu, level + 1);
+		gpu_append_level(gpu, level + 1);
 		if (gpu->runlist_length < ARRAY_SIZE(gpu->runlist))
 			gpu->runlist[gpu->runlist_length++] = tsg;
 	}
 }
 
-static void build_runlist(struct gpu *gpu)
+static void gpu_build_runlist(struct gpu *gpu)
 {
 	gpu->runlist_length = 0;
-	append_level(gpu, 0);
+	gpu_append_level(gpu, 0);
 	if (gpu->at >= gpu->runlist_length)
 		gpu->at = 0;
 }
 
-static struct gpu_tsg *pick(struct gpu *gpu)
+static struct gpu_tsg *gpu_pick(struct gpu *gpu)
 {
 	u32 i, at;
 
 	for (i = 1; i <= gpu->runlist_length; i++) {
 		at = (gpu->at + i) % gpu->runlist_length;
-		if (runnable(gpu->runlist[at])) {
+		if (gpu_tsg_runnable(gpu->runlist[at])) {
 			gpu->at = at;
 			return gpu->runlist[at];
 		}
@@ -99,21 +99,20 @@ static struct gpu_tsg *pick(struct gpu *gpu)
 	return NULL;
 }
 
-static bool others_wait(struct gpu *gpu)
+static bool gpu_others_wait(struct gpu *gpu)
 {
 	struct gpu_tsg *tsg;
 
 	list_for_each_entry(tsg, &gpu->tsgs, node)
-		if (tsg != gpu->current_tsg && runnable(tsg))
+		if (tsg != gpu->current_tsg && gpu_tsg_runnable(tsg))
 			return true;
 	return false;
 }
 
 /*
- * The engine has power while it is not idle. The one who ends the idleness holds a reference of his
- * own.
+ * The engine has power while it is not idle. Whoever ends the idleness holds a reference as well.
  */
-static void set_phase(struct gpu *gpu, enum gpu_phase phase)
+static void gpu_set_phase(struct gpu *gpu, enum gpu_phase phase)
 {
 	if (gpu->phase == GPU_IDLE && phase != GPU_IDLE)
 		pm_runtime_get_noresume(gpu->dev);
@@ -124,7 +123,7 @@ static void set_phase(struct gpu *gpu, enum gpu_phase phase)
 	gpu->phase = phase;
 }
 
-static void left_engine(struct gpu *gpu)
+static void gpu_left_engine(struct gpu *gpu)
 {
 	if (gpu->current_tsg)
 		gpu->current_tsg->preempt = false;
@@ -132,42 +131,42 @@ static void left_engine(struct gpu *gpu)
 	wake_up_all(&gpu->off);
 }
 
-static void run(struct gpu *gpu, u64 now)
+static void gpu_run(struct gpu *gpu, u64 now)
 {
-	set_phase(gpu, GPU_RUN);
+	gpu_set_phase(gpu, GPU_RUN);
 	gpu->since = now;
-	gpu->slice_end = now + us_to_ns(gpu->current_tsg->timeslice_us);
+	gpu->slice_end = now + gpu_us_to_ns(gpu->current_tsg->timeslice_us);
 }
 
 /* The engine is free for anybody. */
-static void choose(struct gpu *gpu, u64 now)
+static void gpu_choose(struct gpu *gpu, u64 now)
 {
 	struct gpu_tsg *next;
 
 	if (gpu->current_tsg && gpu->current_tsg->preempt) {
-		set_phase(gpu, GPU_SAVE);
-		gpu->phase_end = now + us_to_ns(save_us);
+		gpu_set_phase(gpu, GPU_SAVE);
+		gpu->phase_end = now + gpu_us_to_ns(gpu_save_us);
 		return;
 	}
-	next = pick(gpu);
+	next = gpu_pick(gpu);
 	if (!next) {
-		set_phase(gpu, GPU_IDLE);
+		gpu_set_phase(gpu, GPU_IDLE);
 	} else if (next == gpu->current_tsg) {
-		run(gpu, now);
+		gpu_run(gpu, now);
 	} else if (gpu->current_tsg) {
-		set_phase(gpu, GPU_SAVE);
-		gpu->phase_end = now + us_to_ns(save_us);
+		gpu_set_phase(gpu, GPU_SAVE);
+		gpu->phase_end = now + gpu_us_to_ns(gpu_save_us);
 	} else {
 		gpu->current_tsg = next;
 		gpu->switches++;
-		set_phase(gpu, GPU_RESTORE);
-		gpu->phase_end = now + us_to_ns(restore_us);
+		gpu_set_phase(gpu, GPU_RESTORE);
+		gpu->phase_end = now + gpu_us_to_ns(gpu_restore_us);
 	}
 }
 
-static void account(struct gpu *gpu, u64 now)
+static void gpu_account(struct gpu *gpu, u64 now)
 {
-	struct gpu_channel *channel = busy_channel(gpu->current_tsg);
+	struct gpu_channel *channel = gpu_tsg_busy_channel(gpu->current_tsg);
 	struct gpu_work *work;
 	u64 ran = now - gpu->since;
 
@@ -186,7 +185,7 @@ static void account(struct gpu *gpu, u64 now)
 	wake_up_all(&channel->done);
 }
 
-static u64 next_change(struct gpu *gpu, u64 now)
+static u64 gpu_next_change(struct gpu *gpu, u64 now)
 {
 	struct gpu_channel *channel;
 	u64 end;
@@ -200,16 +199,16 @@ static u64 next_change(struct gpu *gpu, u64 now)
 	case GPU_RUN:
 		break;
 	}
-	channel = busy_channel(gpu->current_tsg);
+	channel = gpu_tsg_busy_channel(gpu->current_tsg);
 	if (!channel || gpu->current_tsg->preempt)
 		return now;
 	end = gpu->since + list_first_entry(&channel->work, struct gpu_work, node)->left_ns;
-	if (!gpu->current_tsg->enabled || others_wait(gpu))
+	if (!gpu->current_tsg->enabled || gpu_others_wait(gpu))
 		end = min(end, max(gpu->slice_end, gpu->since));
 	return end;
 }
 
-static void change(struct gpu *gpu, u64 now)
+static void gpu_change(struct gpu *gpu, u64 now)
 {
 	struct gpu_tsg *tsg = gpu->current_tsg;
 
@@ -217,17 +216,17 @@ static void change(struct gpu *gpu, u64 now)
 	case GPU_IDLE:
 		break;
 	case GPU_SAVE:
-		left_engine(gpu);
-		choose(gpu, now);
+		gpu_left_engine(gpu);
+		gpu_choose(gpu, now);
 		break;
 	case GPU_RESTORE:
-		run(gpu, now);
+		gpu_run(gpu, now);
 		break;
 	case GPU_RUN:
-		account(gpu, now);
-		if (tsg->preempt || !busy_channel(tsg) ||
-		    (now >= gpu->slice_end && (!tsg->enabled || others_wait(gpu))))
-			choose(gpu, now);
+		gpu_account(gpu, now);
+		if (tsg->preempt || !gpu_tsg_busy_channel(tsg) ||
+		    (now >= gpu->slice_end && (!tsg->enabled || gpu_others_wait(gpu))))
+			gpu_choose(gpu, now);
 		break;
 	}
 }
@@ -236,54 +235,54 @@ static void change(struct gpu *gpu, u64 now)
  * Everything that has happened up to now; with the lock held before whatever is changed, and again
  * after.
  */
-static void catch_up(struct gpu *gpu)
+static void gpu_catch_up(struct gpu *gpu)
 {
 	u64 now = ktime_get_ns(), at;
 
 	lockdep_assert_held(&gpu->lock);
-	while ((at = next_change(gpu, now)) <= now)
-		change(gpu, at);
+	while ((at = gpu_next_change(gpu, now)) <= now)
+		gpu_change(gpu, at);
 	if (gpu->phase == GPU_RUN)
-		account(gpu, now);
+		gpu_account(gpu, now);
 }
 
-static void settle(struct gpu *gpu)
+static void gpu_settle(struct gpu *gpu)
 {
 	u64 now = ktime_get_ns(), at;
 
 	if (gpu->phase == GPU_IDLE) {
 		if (gpu->current_tsg && gpu->current_tsg->preempt)
-			left_engine(gpu); /* nothing of it was running */
-		choose(gpu, now);
+			gpu_left_engine(gpu); /* nothing of it was running */
+		gpu_choose(gpu, now);
 	}
-	catch_up(gpu);
-	at = next_change(gpu, now);
+	gpu_catch_up(gpu);
+	at = gpu_next_change(gpu, now);
 	if (at == U64_MAX)
 		hrtimer_try_to_cancel(&gpu->timer);
 	else
 		hrtimer_start(&gpu->timer, ns_to_ktime(at), HRTIMER_MODE_ABS_SOFT);
 }
 
-static enum hrtimer_restart on_timer(struct hrtimer *timer)
+static enum hrtimer_restart gpu_on_timer(struct hrtimer *timer)
 {
 	struct gpu *gpu = container_of(timer, struct gpu, timer);
 
 	spin_lock_bh(&gpu->lock);
-	catch_up(gpu);
-	settle(gpu);
+	gpu_catch_up(gpu);
+	gpu_settle(gpu);
 	spin_unlock_bh(&gpu->lock);
-	return HRTIMER_NORESTART; /* settle() has set the next */
+	return HRTIMER_NORESTART; /* gpu_settle() has set the next */
 }
 
-static void enter(struct gpu *gpu) __acquires(&gpu->lock)
+static void gpu_enter(struct gpu *gpu) __acquires(&gpu->lock)
 {
 	spin_lock_bh(&gpu->lock);
-	catch_up(gpu);
+	gpu_catch_up(gpu);
 }
 
-static void leave(struct gpu *gpu) __releases(&gpu->lock)
+static void gpu_leave(struct gpu *gpu) __releases(&gpu->lock)
 {
-	settle(gpu);
+	gpu_settle(gpu);
 	spin_unlock_bh(&gpu->lock);
 }
 
@@ -293,7 +292,7 @@ void gpu_init(struct gpu *gpu, struct device *dev)
 	INIT_LIST_HEAD(&gpu->tsgs);
 	init_waitqueue_head(&gpu->off);
 	gpu->dev = dev;
-	xauto_hrtimer_setup(&gpu->timer, on_timer, HRTIMER_MODE_ABS_SOFT);
+	xauto_hrtimer_setup(&gpu->timer, gpu_on_timer, HRTIMER_MODE_ABS_SOFT);
 }
 
 void gpu_stop(struct gpu *gpu)
@@ -311,20 +310,20 @@ struct gpu_tsg *gpu_tsg_new(struct gpu *gpu)
 	INIT_LIST_HEAD(&tsg->channels);
 	tsg->enabled = true;
 	tsg->timeslice_us = NVGPU_TSG_TIMESLICE_DEFAULT_US;
-	enter(gpu);
+	gpu_enter(gpu);
 	if (gpu->n_tsgs >= GPU_MAX_TSGS) {
-		leave(gpu);
+		gpu_leave(gpu);
 		kfree(tsg);
 		return ERR_PTR(-ENOSPC);
 	}
 	gpu->n_tsgs++;
 	list_add_tail(&tsg->node, &gpu->tsgs);
-	build_runlist(gpu);
-	leave(gpu);
+	gpu_build_runlist(gpu);
+	gpu_leave(gpu);
 	return tsg;
 }
 
-static void drop_work(struct gpu_channel *channel)
+static void gpu_channel_drop_work(struct gpu_channel *channel)
 {
 	struct gpu_work *work, *next;
 
@@ -337,7 +336,7 @@ static void drop_work(struct gpu_channel *channel)
 	wake_up_all(&channel->done);
 }
 
-static void unbind(struct gpu_channel *channel)
+static void gpu_channel_unbind(struct gpu_channel *channel)
 {
 	list_del(&channel->node);
 	channel->tsg = NULL;
@@ -349,20 +348,20 @@ void gpu_tsg_free(struct gpu_tsg *tsg)
 	struct gpu_channel *channel, *next;
 	LIST_HEAD(unbound);
 
-	enter(gpu);
+	gpu_enter(gpu);
 	list_for_each_entry_safe(channel, next, &tsg->channels, node) {
-		drop_work(channel);
-		unbind(channel);
+		gpu_channel_drop_work(channel);
+		gpu_channel_unbind(channel);
 		list_add(&channel->node, &unbound);
 	}
 	list_del(&tsg->node);
 	gpu->n_tsgs--;
-	build_runlist(gpu);
+	gpu_build_runlist(gpu);
 	if (gpu->current_tsg == tsg) {
-		left_engine(gpu);
-		choose(gpu, ktime_get_ns());
+		gpu_left_engine(gpu);
+		gpu_choose(gpu, ktime_get_ns());
 	}
-	leave(gpu);
+	gpu_leave(gpu);
 	list_for_each_entry_safe(channel, next, &unbound, node)
 		gpu_channel_put(channel);
 	kfree(tsg);
@@ -373,12 +372,12 @@ int gpu_tsg_enable(struct gpu_tsg *tsg)
 	int err = 0;
 
 	pm_runtime_get_sync(tsg->gpu->dev);
-	enter(tsg->gpu);
+	gpu_enter(tsg->gpu);
 	if (tsg->lost)
 		err = -EIO;
 	else
 		tsg->enabled = true;
-	leave(tsg->gpu);
+	gpu_leave(tsg->gpu);
 	pm_runtime_mark_last_busy(tsg->gpu->dev);
 	pm_runtime_put_autosuspend(tsg->gpu->dev);
 	return err;
@@ -386,12 +385,12 @@ int gpu_tsg_enable(struct gpu_tsg *tsg)
 
 void gpu_tsg_disable(struct gpu_tsg *tsg)
 {
-	enter(tsg->gpu);
+	gpu_enter(tsg->gpu);
 	tsg->enabled = false;
-	leave(tsg->gpu);
+	gpu_leave(tsg->gpu);
 }
 
-static bool off_engine(struct gpu_tsg *tsg)
+static bool gpu_tsg_off_engine(struct gpu_tsg *tsg)
 {
 	bool off;
 
@@ -403,21 +402,21 @@ static bool off_engine(struct gpu_tsg *tsg)
 
 int gpu_tsg_preempt(struct gpu_tsg *tsg)
 {
-	enter(tsg->gpu);
+	gpu_enter(tsg->gpu);
 	if (tsg->gpu->current_tsg == tsg)
 		tsg->preempt = true;
-	leave(tsg->gpu);
-	return wait_event_timeout(tsg->gpu->off, off_engine(tsg), 3 * HZ) ? 0 : -ETIMEDOUT;
+	gpu_leave(tsg->gpu);
+	return wait_event_timeout(tsg->gpu->off, gpu_tsg_off_engine(tsg), 3 * HZ) ? 0 : -ETIMEDOUT;
 }
 
 int gpu_tsg_set_level(struct gpu_tsg *tsg, u32 level)
 {
 	if (level >= NVGPU_RUNLIST_INTERLEAVE_NUM_LEVELS)
 		return -EINVAL;
-	enter(tsg->gpu);
+	gpu_enter(tsg->gpu);
 	tsg->level = level;
-	build_runlist(tsg->gpu);
-	leave(tsg->gpu);
+	gpu_build_runlist(tsg->gpu);
+	gpu_leave(tsg->gpu);
 	return 0;
 }
 
@@ -425,9 +424,9 @@ int gpu_tsg_set_timeslice(struct gpu_tsg *tsg, u32 us)
 {
 	if (us < NVGPU_TSG_TIMESLICE_MIN_US || us > NVGPU_TSG_TIMESLICE_MAX_US)
 		return -EINVAL;
-	enter(tsg->gpu);
+	gpu_enter(tsg->gpu);
 	tsg->timeslice_us = us;
-	leave(tsg->gpu);
+	gpu_leave(tsg->gpu);
 	return 0;
 }
 
@@ -445,26 +444,26 @@ struct gpu_channel *gpu_channel_new(struct gpu *gpu)
 	return channel;
 }
 
-static void channel_release(struct kref *ref)
+static void gpu_channel_free(struct kref *ref)
 {
 	kfree(container_of(ref, struct gpu_channel, ref));
 }
 
 void gpu_channel_put(struct gpu_channel *channel)
 {
-	kref_put(&channel->ref, channel_release);
+	kref_put(&channel->ref, gpu_channel_free);
 }
 
 void gpu_channel_close(struct gpu_channel *channel)
 {
 	bool bound;
 
-	enter(channel->gpu);
-	drop_work(channel);
+	gpu_enter(channel->gpu);
+	gpu_channel_drop_work(channel);
 	bound = channel->tsg;
 	if (bound)
-		unbind(channel);
-	leave(channel->gpu);
+		gpu_channel_unbind(channel);
+	gpu_leave(channel->gpu);
 	if (bound)
 		gpu_channel_put(channel);
 	gpu_channel_put(channel);
@@ -476,7 +475,7 @@ int gpu_channel_bind(struct gpu_tsg *tsg, struct gpu_channel *channel)
 
 	if (channel->gpu != tsg->gpu)
 		return -EINVAL;
-	enter(tsg->gpu);
+	gpu_enter(tsg->gpu);
 	if (channel->tsg) {
 		err = -EINVAL;
 	} else {
@@ -484,7 +483,7 @@ int gpu_channel_bind(struct gpu_tsg *tsg, struct gpu_channel *channel)
 		channel->tsg = tsg;
 		list_add_tail(&channel->node, &tsg->channels);
 	}
-	leave(tsg->gpu);
+	gpu_leave(tsg->gpu);
 	return err;
 }
 
@@ -498,7 +497,7 @@ int gpu_channel_submit(struct gpu_channel *channel, u64 duration_ns, u64 *sequen
 		return -ENOMEM;
 	work->left_ns = duration_ns;
 	pm_runtime_get_sync(gpu->dev);
-	enter(gpu);
+	gpu_enter(gpu);
 	if (!channel->tsg) {
 		err = -EINVAL;
 	} else if (channel->tsg->lost) {
@@ -510,7 +509,7 @@ int gpu_channel_submit(struct gpu_channel *channel, u64 duration_ns, u64 *sequen
 		channel->waiting++;
 		*sequence = ++channel->submitted;
 	}
-	leave(gpu);
+	gpu_leave(gpu);
 	pm_runtime_mark_last_busy(gpu->dev);
 	pm_runtime_put_autosuspend(gpu->dev);
 	if (err)
@@ -535,7 +534,7 @@ void gpu_power_off(struct gpu *gpu)
 
 	spin_lock_bh(&gpu->lock);
 	list_for_each_entry(tsg, &gpu->tsgs, node) {
-		if (!tsg->enabled && busy_channel(tsg)) {
+		if (!tsg->enabled && gpu_tsg_busy_channel(tsg)) {
 			tsg->lost = true;
 			dev_err(gpu->dev,
 				"power went while a disabled TSG had work: its context is lost\n");
@@ -550,7 +549,7 @@ void gpu_show(struct gpu *gpu, struct seq_file *out)
 	struct gpu_tsg *tsg;
 	u32 i = 0;
 
-	enter(gpu);
+	gpu_enter(gpu);
 	seq_printf(out, "phase=%s switches=%llu runlist=%u\n", phases[gpu->phase], gpu->switches,
 		   gpu->runlist_length);
 	list_for_each_entry(tsg, &gpu->tsgs, node)
@@ -558,7 +557,7 @@ void gpu_show(struct gpu *gpu, struct seq_file *out)
 			out,
 			"tsg=%u enabled=%d current=%d lost=%d level=%u timeslice_us=%u busy=%d ran_us=%llu\n",
 			i++, tsg->enabled, tsg == gpu->current_tsg, tsg->lost, tsg->level,
-			tsg->timeslice_us, !!busy_channel(tsg),
+			tsg->timeslice_us, !!gpu_tsg_busy_channel(tsg),
 			div_u64(tsg->ran_ns, NSEC_PER_USEC));
-	leave(gpu);
+	gpu_leave(gpu);
 }

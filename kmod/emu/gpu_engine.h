@@ -7,8 +7,8 @@
  * higher interleave level stands before every one of a lower level. Changing the TSG costs saving
  * the old context and restoring the new one.
  *
- *	IDLE --work--> RESTORE --> RUN --slice over, preempted, no work left--> SAVE --> (the next
- *	one's RESTORE, or IDLE)
+ *	IDLE --work--> RESTORE --> RUN --slice over, preempted, no work left--> SAVE
+ *	SAVE --another has work--> RESTORE of that one; --nobody has--> IDLE
  *
  * A disabled TSG is not picked again; the one that is on the engine stays until its slice ends or
  * it is preempted. A TSG without work stays loaded while nobody else has any.

@@ -3,6 +3,7 @@
 
 #include <cerrno>
 #include <cstring>
+#include <fstream>
 #include <utility>
 
 #include <linux/bpf.h>
@@ -101,6 +102,19 @@ Status get_element(int map_fd, const void* key, void* value) {
   attributes.value = word(value);
   if (bpf(BPF_MAP_LOOKUP_ELEM, attributes) != 0) return refused("reading from a BPF map");
   return {};
+}
+
+Result<std::size_t> possible_cpus(const std::string& root) {
+  const std::string path = root + "/sys/devices/system/cpu/possible";
+  std::ifstream file(path);
+  std::string list;
+  std::getline(file, list);
+  // "0-3" or "0,2-5": the last number is the greatest.
+  const std::size_t last = list.find_last_not_of("0123456789");
+  const std::string number = last == std::string::npos ? list : list.substr(last + 1);
+  if (number.empty() || number.size() > 5)
+    return fail(ErrorCode::kIo, "'" + list + "' is no list of CPUs", path);
+  return std::stoul(number) + 1;
 }
 
 void remove_element(int map_fd, const void* key) {

@@ -27,6 +27,9 @@ struct MapShape {
 
 [[nodiscard]] Status set_element(int map_fd, const void* key, const void* value);
 [[nodiscard]] Status get_element(int map_fd, const void* key, void* value);
+/// The greatest number that a CPU can have here, plus one: an element of a per-CPU map has no more
+/// values. `root`: "" for this machine, or a folder that stands for / in tests.
+[[nodiscard]] Result<std::size_t> possible_cpus(const std::string& root = "");
 /// Nothing to do if it is not there.
 void remove_element(int map_fd, const void* key);
 

@@ -92,6 +92,7 @@ struct QueueControl::Socket {
   std::vector<QueueInfo> infos;
   std::vector<std::uint64_t> costs;
   RegisteredQueue registered;
+  bool interrupted = false;  // the list changed while it was dumped
   int error = 0;
   std::string error_text;
   std::uint32_t error_offset = 0;
@@ -162,6 +163,7 @@ Status QueueControl::Socket::exchange(nl_msg* message, const std::string& where)
   error = 0;
   error_text.clear();
   error_offset = 0;
+  interrupted = false;
   bool done = false;
   struct Context {
     Socket* self;
@@ -171,6 +173,14 @@ Status QueueControl::Socket::exchange(nl_msg* message, const std::string& where)
       socket.get(), NL_CB_VALID, NL_CB_CUSTOM,
       [](nl_msg* reply, void* argument) -> int {
         static_cast<Context*>(argument)->self->take_reply(nlmsg_hdr(reply));
+        return NL_OK;
+      },
+      &context);
+  // Read on to the end, so that nothing of this dump is left for the next one.
+  nl_socket_modify_cb(
+      socket.get(), NL_CB_DUMP_INTR, NL_CB_CUSTOM,
+      [](nl_msg*, void* argument) -> int {
+        static_cast<Context*>(argument)->self->interrupted = true;
         return NL_OK;
       },
       &context);
@@ -335,12 +345,17 @@ Result<QueueInfo> QueueControl::query(std::uint32_t handle) {
   return socket_->infos.front();
 }
 
-Result<std::vector<QueueInfo>> QueueControl::list() {
-  const NlMessage message = socket_->message(XAUTO_CMD_GET, NLM_F_DUMP);
-  if (!message) return fail(ErrorCode::kIo, "out of memory");
-  socket_->infos.clear();
-  XAUTO_TRY(socket_->exchange(message.get(), "list"));
-  return socket_->infos;
+Result<std::vector<QueueInfo>> QueueControl::list(int tries) {
+  for (int i = 0; i < tries; ++i) {
+    const NlMessage message = socket_->message(XAUTO_CMD_GET, NLM_F_DUMP);
+    if (!message) return fail(ErrorCode::kIo, "out of memory");
+    socket_->infos.clear();
+    XAUTO_TRY(socket_->exchange(message.get(), "list"));
+    if (!socket_->interrupted) return socket_->infos;
+  }
+  return fail(ErrorCode::kUnavailable,
+              "queues came or went each time that it was read, " + std::to_string(tries) + " times",
+              "list");
 }
 
 struct QueueEvents::Socket {

@@ -77,8 +77,9 @@ class QueueControl {
   [[nodiscard]] Status feed_watchdog();
 
   [[nodiscard]] Result<QueueInfo> query(std::uint32_t handle);
-  /// Every queue that this user may see.
-  [[nodiscard]] Result<std::vector<QueueInfo>> list();
+  /// Every queue that this user may see, as of one moment: when queues come or go while the list
+  /// is read, it is read again, `tries` times in all. kUnavailable when none of them was quiet.
+  [[nodiscard]] Result<std::vector<QueueInfo>> list(int tries = 8);
 
   /// For a test that sends what this class would not: the descriptor and the family's number.
   [[nodiscard]] int descriptor() const;

@@ -23,11 +23,12 @@ struct Known {
   const char* name;
   std::size_t value_size;
 };
-constexpr std::array<Known, 7> kKnown = {{{"head", sizeof(xauto_bpf_head)},
+constexpr std::array<Known, 8> kKnown = {{{"head", sizeof(xauto_bpf_head)},
                                           {"table", sizeof(xauto_bpf_entry)},
                                           {"slots", sizeof(xauto_bpf_slot)},
                                           {"jobs", sizeof(xauto_bpf_job)},
                                           {"sched", sizeof(xauto_bpf_sched)},
+                                          {"counts", sizeof(xauto_bpf_counts)},
                                           {"names", sizeof(xauto_bpf_name)},
                                           {"threads", sizeof(std::uint32_t)}}};
 
@@ -212,6 +213,17 @@ std::vector<XNodeName> RunMaps::names() const {
     names[i] = {std::string(from[i].xnode, strnlen(from[i].xnode, sizeof from[i].xnode)),
                 std::string(from[i].xpu, strnlen(from[i].xpu, sizeof from[i].xpu)), from[i].at};
   return names;
+}
+
+Result<xauto_bpf_counts> RunMaps::counts() const {
+  XAUTO_ASSIGN(const std::size_t cpus, possible_cpus());
+  std::vector<xauto_bpf_counts> each(cpus);
+  const std::uint32_t only = 0;
+  XAUTO_TRY(get_element(fd("counts"), &only, each.data()));
+  xauto_bpf_counts sum{};
+  for (const xauto_bpf_counts& cpu : each)
+    for (std::size_t i = 0; i < XAUTO_BPF_STATS; ++i) sum.stats[i] += cpu.stats[i];
+  return sum;
 }
 
 std::uint64_t RunMaps::version() const {

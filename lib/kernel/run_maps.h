@@ -70,10 +70,12 @@ class RunMaps {
   [[nodiscard]] const xauto_bpf_slot* slots() const { return slots_.as<xauto_bpf_slot>(); }
   [[nodiscard]] const xauto_bpf_job* jobs() const { return jobs_.as<xauto_bpf_job>(); }
   [[nodiscard]] const xauto_bpf_sched& sched() const { return *sched_.as<xauto_bpf_sched>(); }
+  /// What the scheduler has counted, over all CPUs.
+  [[nodiscard]] Result<xauto_bpf_counts> counts() const;
   [[nodiscard]] const xauto_bpf_entry* table() const { return table_.as<xauto_bpf_entry>(); }
 
-  /// Descriptors of the maps by name: "head", "table", "slots", "jobs", "sched", "names",
-  /// "threads".
+  /// Descriptors of the maps by name: "head", "table", "slots", "jobs", "sched", "counts",
+  /// "names", "threads".
   [[nodiscard]] int fd(const std::string& name) const;
   /// Pins one more map of this run; `remove` takes it away.
   [[nodiscard]] Status pin(int map_fd, const std::string& name) const;

@@ -147,7 +147,7 @@ inline unlock_q(i)
 	}
 }
 
-/* find_by_file() or add(), under registry_lock, which is a leaf: one step. */
+/* xauto_queue_find() or xauto_queue_add(), under xauto_queues_lock, which is a leaf: one step. */
 inline queue_get(i)
 {
 	atomic {
@@ -179,7 +179,7 @@ inline queue_get(i)
 }
 bool used_q[QUEUES];
 
-/* kref_put_mutex(): release() takes it out of the registry under its lock */
+/* kref_put_mutex(): xauto_queue_release() takes it out of the registry under its lock */
 inline queue_put(i)
 {
 	atomic {
@@ -196,7 +196,7 @@ inline queue_put(i)
 	}
 }
 
-/* resume(): the driver's call and what follows it */
+/* xauto_queue_resume(): the driver's call and what follows it */
 inline resume_q(i)
 {
 	if
@@ -215,7 +215,7 @@ inline resume_q(i)
 	fi
 }
 
-/* suspend(); @ok: did it? */
+/* xauto_queue_suspend(); @ok: did it? */
 inline suspend_q(i, ok)
 {
 	q[i].suspended = true;
@@ -270,7 +270,7 @@ inline set_vote(o, i, want)
 	}
 }
 
-/* sweep() of one queue, with a reference */
+/* xauto_queue_sweep_one(), with a reference */
 inline sweep_queue(i)
 {
 	SECTION {
@@ -278,7 +278,7 @@ inline sweep_queue(i)
 		gone = false;
 		adopted = false;
 		if
-		:: q[i].file && !app && fgets == 0 -> /* file_count() == 1: take_gone() */
+		:: q[i].file && !app && fgets == 0 -> /* file_count() == 1: xauto_queue_take_gone() */
 			gone = true;
 			if
 			:: q[i].suspended -> resume_q(i); q[i].suspended = false
@@ -370,7 +370,7 @@ inline look_up(port, o)
 	}
 }
 
-/* bury(): the table's reference becomes the work's */
+/* xauto_owner_bury(): the table's reference becomes the work's */
 inline bury(o)
 {
 	atomic {
@@ -482,7 +482,7 @@ inline act_suspend(o)
 				if
 				:: own[o].vote && !voted ->
 					own[o].n_votes++;
-					if /* start_watchdog() */
+					if /* xauto_owner_start_watchdog() */
 					:: !own[o].cancelled && HAS_WATCHDOG(o) -> own[o].due = true
 					:: else
 					fi
@@ -523,7 +523,7 @@ inline unclaim(o)
 	fi
 }
 
-/* reap(), on the work queue */
+/* xauto_owner_reap(), on the work queue */
 proctype Reap(byte o)
 {
 	byte i = NONE;
@@ -549,7 +549,7 @@ end:	do
 	od
 }
 
-/* watchdog(): fires whenever it is due; that the owner was fed in time is a choice */
+/* xauto_owner_watchdog(): fires whenever it is due; that the owner was fed in time is a choice */
 proctype Watchdog(byte o)
 {
 	byte i = NONE;
@@ -570,7 +570,7 @@ end:	do
 	od
 }
 
-/* sweep(); its look at the owners matters only where one may die */
+/* xauto_sweep(); its look at the owners matters only where one may die */
 proctype Sweeper()
 {
 	byte o = NONE, i, port;
@@ -687,7 +687,7 @@ proctype Handler(byte s)
 		}
 		if
 		:: ok ->
-			/* on_netlink(): only an owner whose socket is dead */
+			/* xauto_on_netlink(): only an owner whose socket is dead */
 			look_up(PORT(s), o);
 			if
 #ifdef BROKEN_PORT_IS_OWNER

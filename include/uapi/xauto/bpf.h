@@ -19,6 +19,7 @@
  * A priority is larger where it is more urgent; 0 is below every XNode.
  *
  * History: 1 - first version.
+ *          2 - the counts are per CPU, in a map of their own; XAUTO_BPF_STAT_NO_SLOT.
  */
 #ifndef _UAPI_XAUTO_BPF_H
 #define _UAPI_XAUTO_BPF_H
@@ -27,7 +28,7 @@
 #include <linux/types.h>
 #endif
 
-#define XAUTO_BPF_ABI 1
+#define XAUTO_BPF_ABI 2
 #define XAUTO_BPF_ROOT "/sys/fs/bpf/xauto"
 
 #define XAUTO_BPF_BANKS 4
@@ -134,7 +135,7 @@ struct xauto_bpf_job {
 };
 #define XAUTO_BPF_JOB_DEMOTED 1U
 
-/* struct xauto_bpf_sched.stats[] */
+/* struct xauto_bpf_counts.stats[] */
 #define XAUTO_BPF_STAT_QUEUED 0	      /* XNode threads put into a CPU's queue */
 #define XAUTO_BPF_STAT_KICKED 1	      /* ... for which the running thread was preempted */
 #define XAUTO_BPF_STAT_RECHECKED 2    /* a lost preemption, found again when a thread began to run */
@@ -146,7 +147,17 @@ struct xauto_bpf_job {
 #define XAUTO_BPF_STAT_TORN 8	      /* table entries copied again because the table was being replaced */
 #define XAUTO_BPF_STAT_LATCHED 9      /* jobs that got their entry */
 #define XAUTO_BPF_STAT_UNKNOWN 10     /* job words that name no XNode of the table */
+#define XAUTO_BPF_STAT_NO_SLOT 11     /* looks at a thread that entered itself with a slot that there is not */
 #define XAUTO_BPF_STATS 16
+
+/**
+ * struct xauto_bpf_counts - what has happened. Map "counts", one element, per CPU: the sum over all CPUs is
+ * the count. Written by the scheduler only, by each CPU for itself; a reader may miss the last few.
+ * @stats: XAUTO_BPF_STAT_*
+ */
+struct xauto_bpf_counts {
+	__u64 stats[XAUTO_BPF_STATS];
+};
 
 /**
  * struct xauto_bpf_sched - the scheduler's state and its post-mortem. Map "sched", one element.
@@ -155,7 +166,6 @@ struct xauto_bpf_job {
  * @mode:        XAUTO_BPF_MODE_*
  * @exit_kind:   enum scx_exit_kind of the kernel; 0: it has not ended
  * @exit_code:   as given by the kernel
- * @stats:       XAUTO_BPF_STAT_*
  * @exit_reason: text of the kernel, ended by 0
  * @exit_msg:    likewise
  */
@@ -164,7 +174,6 @@ struct xauto_bpf_sched {
 	__u32 mode;
 	__u64 exit_kind;
 	__u64 exit_code;
-	__u64 stats[XAUTO_BPF_STATS];
 	char exit_reason[64];
 	char exit_msg[192];
 };
@@ -282,7 +291,7 @@ XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_head) == 32);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_entry) == 24);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_slot) == 128);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_job) == 64);
-XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_sched) == 408);
+XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_sched) == 280);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_name) == 80);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_event) == 56);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_hist) == 632);

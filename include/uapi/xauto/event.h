@@ -3,7 +3,8 @@
  * The trace vocabulary: one fixed record for every layer (runtime, coordinator, kernel, BPF), so
  * that all of them tell one story. Rules: append kinds, never renumber.
  *
- * History: 1 - first version. 2 - TAKE, MISS and HANG; what was padding is the stamp of the ring's slot.
+ * History: 1 - first version.
+ *          2 - TAKE, MISS and HANG; what was padding is the stamp of the ring's slot.
  */
 #ifndef _UAPI_XAUTO_EVENT_H
 #define _UAPI_XAUTO_EVENT_H
@@ -26,10 +27,12 @@
 #define XAUTO_EV_DONE 11     /* the module's chain ended and its outputs are published */
 #define XAUTO_EV_DROP 12     /* an activation was dropped; arg = XAUTO_DROP_* */
 
-#define XAUTO_EV_TAKE                                                             \
-  13 /* with several rates, after ACTIVATE, once per input: seq = when the sensor \
-      * released what was taken (its origin, ts_ns); arg = the module that        \
-      * published it, or XAUTO_TAKE_SOURCE | the source's index */
+/*
+ * With several rates, after ACTIVATE, once per input: seq = when the sensor released what was taken
+ * (its origin, ts_ns); arg = the module that published it, or XAUTO_TAKE_SOURCE | the source's
+ * index.
+ */
+#define XAUTO_EV_TAKE 13
 
 #define XAUTO_EV_MISS 14 /* a result was later than its deadline, or lost; arg = latency, us */
 #define XAUTO_EV_HANG 15 /* a job ran past its hang limit; arg = the limit, ms */
@@ -56,14 +59,14 @@
  * @stamp:  of the slot in the ring (lib/trace/trace.h), zero elsewhere
  */
 struct xauto_event {
-  __u64 ts_ns;
-  __u64 seq;
-  __u16 xnode;
-  __u16 module;
-  __u16 xpu;
-  __u16 kind;
-  __u32 arg;
-  __u32 stamp;
+	__u64 ts_ns;
+	__u64 seq;
+	__u16 xnode;
+	__u16 module;
+	__u16 xpu;
+	__u16 kind;
+	__u32 arg;
+	__u32 stamp;
 };
 
 #endif /* _UAPI_XAUTO_EVENT_H */

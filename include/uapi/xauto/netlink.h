@@ -10,32 +10,43 @@
  * that several owners suspended runs again when the last of them resumed it: suspension is a union
  * of votes, never one owner's word over another's.
  *
- * Commands, each with its tree of attributes (? = optional), the reply after the arrow
+ * Commands, each with its attributes (? = optional), the reply after the arrow
  * --------
- * XAUTO_CMD_REGISTER    TYPE, FD, PID?  ->  HANDLE, QUEUE
+ * XAUTO_CMD_REGISTER    TYPE, FD, PID?
+ *                       ->  HANDLE, QUEUE
  *     FD is a descriptor of the caller's. The module takes its own reference, so the caller may
  *     close it. To register another process's queue, take its descriptor with pidfd_getfd(2),
  *     whose ptrace rules then apply, and say in PID whose it is. Registering a queue again on the
  *     same socket gives the handle it has.
+ *
  * XAUTO_CMD_UNREGISTER  HANDLE
  *     Resumes it first.
- * XAUTO_CMD_CONTROL     OPS { OP { OP_ACTION, OP_HANDLE, OP_VALUE? } ... }  ->  with NLM_F_ECHO:
- * RESULTS { HANDLE, COST_NS ... }
+ *
+ * XAUTO_CMD_CONTROL     OPS { OP { OP_ACTION, OP_HANDLE, OP_VALUE? } ... }
+ *                       ->  with NLM_F_ECHO: RESULTS { { HANDLE, COST_NS } ... }
  *     Done in the order given, at most %XAUTO_MAX_OPS. The first that fails ends the message;
  *     those before it stay done; the extended acknowledgment points at it. Suspending what this
  *     owner has suspended, and resuming what it has not, is no error. When a suspend returns, none
  *     of the queue's work runs (GPU) or none is started (DLA: the running task completes).
+ *
  * XAUTO_CMD_WATCHDOG    TIMEOUT_MS?
- *     Sets the owner's watchdog, 10..60000 ms; without TIMEOUT_MS it only feeds it. Every command
- *     feeds it too. It bites only while this owner has something suspended. An owner starts with
- *     %XAUTO_WATCHDOG_DEFAULT_MS. 0, no watchdog, needs CAP_SYS_NICE.
- * XAUTO_CMD_GET         HANDLE           ->  one queue, with TIMESLICE_US as the driver says it
- * now (GPU) XAUTO_CMD_GET         (dump)           ->  every queue that the caller may see
+ *     Sets the owner's watchdog, %XAUTO_WATCHDOG_MIN_MS..%XAUTO_WATCHDOG_MAX_MS; without
+ *     TIMEOUT_MS it only feeds it. Every command feeds it too. It bites only while this owner has
+ *     something suspended. An owner starts with %XAUTO_WATCHDOG_DEFAULT_MS. 0, no watchdog, needs
+ *     CAP_SYS_NICE. Once it has bitten, the next such command answers ETIMEDOUT.
+ *
+ * XAUTO_CMD_GET         HANDLE
+ *                       ->  one queue, with TIMESLICE_US as the driver says it now (GPU)
+ * XAUTO_CMD_GET         (dump)
+ *                       ->  every queue that the caller may see
  *     A queue: QUEUE, TYPE, PID, SUSPENDED, VOTES, SUSPENDS, RESUMES, ERRORS, SUSPENDED_NS,
  *     COST_NS (of all driver calls), COST_MAX_NS, and HANDLE where it is registered on this socket.
- * XAUTO_CMD_EVENT       multicast to the group %XAUTO_MCGRP_EVENTS:
- *     EVENT, QUEUE, TYPE, PID, PORTID, TIME_NS, COST_NS, ERRNO. Needs CAP_NET_ADMIN to join where
- *     the kernel can ask for it.
+ *     A long dump comes in parts. If a queue came or went between them, what follows carries
+ *     NLM_F_DUMP_INTR, the end at the latest: ask again.
+ *
+ * XAUTO_CMD_EVENT       multicast to the group %XAUTO_MCGRP_EVENTS
+ *     EVENT, QUEUE, TYPE, PID, PORTID, TIME_NS, COST_NS, ERRNO; no QUEUE and no TYPE where the
+ *     event is an owner's. Needs CAP_NET_ADMIN to join where the kernel can ask for it.
  *
  * Permission
  * ----------
@@ -43,12 +54,19 @@
  * in the user namespace of the one who opened it. The family lives in the initial network
  * namespace.
  *
- * Errors, each with a text in the extended acknowledgment
+ * Errors, with a text in the extended acknowledgment
  * ------
- * EBADF no such descriptor · EINVAL the file is not what TYPE says, or a value is out of range ·
- * EPERM · ENOENT no such handle ESRCH no such process · ENOSPC too many queues or owners ·
- * ETIMEDOUT the GPU did not leave the queue in time (it runs again) ENODEV the queue's process is
- * gone · others: what the driver answered
+ * EINVAL      an attribute is missing or out of range, or the file is not what TYPE says
+ * EBADF       no such descriptor in the calling process
+ * ESRCH       no such process
+ * EPERM       another user's queue, or see XAUTO_CMD_WATCHDOG
+ * ENOENT      no such handle on this socket, or nothing is registered on it
+ * ENODEV      the queue's process is gone
+ * ENOSPC      too many queues or owners
+ * EAGAIN      the socket's owner ended just now: register again
+ * EOPNOTSUPP  a DLA queue has neither time slice nor interleave level
+ * ETIMEDOUT   the GPU did not leave the queue in time (it runs again), or the watchdog had expired
+ * others      what the driver answered
  *
  * Rules: append attributes and commands, never renumber; unknown attributes are refused.
  * History: 1 - first version.

@@ -2,8 +2,6 @@
 #include <fstream>
 #include <thread>
 
-#include <unistd.h>
-
 #include "kernel/libbpf/session.h"
 #include "kernel/scx_scheduler.h"
 
@@ -42,7 +40,8 @@ ScxScheduler::~ScxScheduler() = default;
 Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& options) {
   if (std::string refusal = scx_refusal(""); !refusal.empty())
     return fail(ErrorCode::kUnavailable, std::move(refusal));
-  const long cpus = sysconf(_SC_NPROCESSORS_CONF);
+  // Up to the greatest number, since there may be gaps: each CPU has a state and a queue.
+  XAUTO_ASSIGN(const std::size_t cpus, possible_cpus());
   if (cpus > XAUTO_BPF_MAX_CPUS)
     return fail(ErrorCode::kUnavailable, std::to_string(cpus) + " CPUs; the scheduler knows " +
                                              std::to_string(XAUTO_BPF_MAX_CPUS));
@@ -65,7 +64,8 @@ Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& o
   if (scheduler.choice_.partial) ops->flags |= kSwitchPartial;
   for (bpf_map* map :
        {loaded.object->maps.head, loaded.object->maps.table, loaded.object->maps.slots,
-        loaded.object->maps.jobs, loaded.object->maps.sched, loaded.object->maps.threads})
+        loaded.object->maps.jobs, loaded.object->maps.sched, loaded.object->maps.counts,
+        loaded.object->maps.threads})
     XAUTO_TRY(reuse(map, maps));
   const VerifierLog verifier(loaded.object->obj);
   const int load_error = xauto_scx__load(loaded.object);

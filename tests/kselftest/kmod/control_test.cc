@@ -1,10 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto.ko over the emulators: what each command does, and what each refusal says.
+#include <array>
+#include <atomic>
 #include <csignal>
 #include <vector>
 
 #include <fcntl.h>
+#include <linux/genetlink.h>
+#include <linux/netlink.h>
 #include <sys/ioctl.h>
+#include <sys/socket.h>
 #include <sys/wait.h>
 #include <uapi/xauto/nvgpu.h>
 #include <unistd.h>
@@ -348,6 +353,116 @@ void other_process() {
   close(ready[1]);
 }
 
+/// A dump read by hand, a part at a time; what the class reads is bigger and faster.
+class Dump {
+ public:
+  explicit Dump(int family) : fd_(socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_GENERIC)) {
+    struct {
+      nlmsghdr header;
+      genlmsghdr generic;
+    } request{};
+    request.header.nlmsg_len = sizeof request;
+    request.header.nlmsg_type = static_cast<std::uint16_t>(family);
+    request.header.nlmsg_flags = NLM_F_REQUEST | NLM_F_DUMP;
+    request.generic.cmd = XAUTO_CMD_GET;
+    request.generic.version = XAUTO_FAMILY_VERSION;
+    if (send(fd_.get(), &request, sizeof request, 0) < 0) ktap_bail("no dump");
+  }
+  /// The next part; false at the end.
+  bool part() {
+    alignas(nlmsghdr) std::array<char, 4096> buffer;
+    const ssize_t got = recv(fd_.get(), buffer.data(), buffer.size(), 0);
+    if (got <= 0) ktap_bail("the dump has no end");
+    ++parts;
+    auto left = static_cast<unsigned>(got);
+    for (auto* m = reinterpret_cast<nlmsghdr*>(buffer.data()); NLMSG_OK(m, left);
+         m = NLMSG_NEXT(m, left)) {
+      interrupted = interrupted || (m->nlmsg_flags & NLM_F_DUMP_INTR) != 0;
+      if (m->nlmsg_type == NLMSG_DONE) return false;
+      ++queues;
+    }
+    return true;
+  }
+  int parts = 0, queues = 0;
+  bool interrupted = false;
+
+ private:
+  xauto::UniqueFd fd_;
+};
+
+void dumps() {
+  constexpr std::size_t kQueues = 120;  // many times what fits into one part
+  QueueControl c = control(), other = control();
+  std::vector<xauto::UniqueFd> files;
+  std::vector<std::uint32_t> handles;
+  while (files.size() < kQueues) {  // a ctrl node is registered whether it has a queue or not
+    files.emplace_back(open("/dev/nvhost-ctrl-nvdla0", O_RDWR | O_CLOEXEC));
+    const auto handle = c.register_queue(QueueType::kDla, files.back().get());
+    if (!handle) ktap_bail("not registered: %s", handle.error().to_string().c_str());
+    handles.push_back(handle->handle);
+  }
+  Dump quiet(c.family());
+  while (quiet.part()) {
+  }
+  ktap_test(quiet.parts > 3 && quiet.queues == kQueues && !quiet.interrupted,
+            "a long dump comes in parts, and is whole while nothing changes");
+
+  Dump shrunk(c.family());
+  (void)shrunk.part();
+  (void)c.unregister(handles.back());
+  while (shrunk.part()) {
+  }
+  ktap_test(shrunk.interrupted, "a dump during which a queue goes is told as interrupted");
+
+  Dump grown(c.family());
+  (void)grown.part();
+  (void)c.register_queue(QueueType::kDla, files.back().get());
+  while (grown.part()) {
+  }
+  ktap_test(grown.interrupted, "and one during which a queue comes");
+
+  Dump closed(c.family());
+  (void)closed.part();
+  files.back().reset();  // nobody but the module holds it: the sweeper gives it back
+  const auto listed = [&] {
+    const auto list = c.list();
+    return list ? list->size() : 0;
+  };
+  ktap_test(guest::eventually([&] { return listed() == kQueues - 1; }),
+            "a queue whose process closed it leaves the list");
+  while (closed.part()) {
+  }
+  ktap_test(closed.interrupted, "which interrupts a dump as well");
+
+  // Another owner's queue comes and goes: a list that is read once meets that sooner or later,
+  // one that is read again becomes whole. However slow the machine is, most readings are quiet.
+  const auto begin = std::chrono::steady_clock::now();
+  for (int i = 0; i < 10; ++i) (void)listed();
+  const auto ten_lists = std::chrono::steady_clock::now() - begin;
+  std::atomic<bool> stop{false};
+  std::thread churn([&] {
+    const DriverQueue queue = dla(1);
+    while (!stop) {
+      const auto handle = other.register_queue(QueueType::kDla, queue.descriptor());
+      if (handle) (void)other.unregister(handle->handle);
+      std::this_thread::sleep_for(ten_lists);
+    }
+  });
+  const bool told = guest::eventually(
+      [&] { return has(text_of(c.list(1)), "came or went each time that it was read, 1 times"); },
+      20000);
+  ktap_test(told, "a list read once says when it changed meanwhile");
+  int whole = 0;
+  for (int i = 0; i < 50; ++i) {
+    const auto list = c.list();
+    if (!list) ktap_note("%s", list.error().what.c_str());
+    whole += list && list->size() >= kQueues - 1;
+  }
+  ktap_test(whole == 50, "read again it is whole, each of 50 times (%d)", whole);
+  stop = true;
+  churn.join();
+}
+
 void unload() {
   DriverQueue tsg = gpu(), queue = dla();
   QueueControl c = control();
@@ -362,7 +477,7 @@ void unload() {
 }  // namespace
 
 int main() {
-  ktap_plan(67);
+  ktap_plan(74);
   refusals();
   ktap_test(guest::eventually([] { return guest::suspended() == 0; }),
             "nothing is left suspended by the refusals");
@@ -373,6 +488,7 @@ int main() {
   power();
   permissions();
   other_process();
+  dumps();
   unload();
   return ktap_exit();
 }

@@ -155,6 +155,57 @@ void killed_loader() {
   ktap_test(scx_state() == "enabled", "... and it loads again");
 }
 
+// ---- what is wrong: with what user space wrote we live, with what cannot be we end
+// ------------------------------------------------------------------------------------
+
+void wrong_slot() {
+  World world(1, kCpu);
+  world.load();
+  std::atomic<bool> stop{false};
+  std::atomic<std::uint64_t> rounds{0};
+  std::thread stray([&] {
+    const auto tid = static_cast<std::uint32_t>(gettid());
+    const std::uint32_t nowhere = 4711;
+    if (!kernel::set_element(world.maps.fd("threads"), &tid, &nowhere)) ktap_bail("entering");
+    while (!stop) {
+      usleep(1000);
+      ++rounds;
+    }
+    kernel::remove_element(world.maps.fd("threads"), &tid);
+  });
+  const bool ran = wait_for([&] { return rounds > 100; });
+  const std::uint64_t looks = world.stat(XAUTO_BPF_STAT_NO_SLOT);
+  const std::string state = scx_state();
+  stop = true;
+  stray.join();
+  ktap_test(ran && state == "enabled" && looks > 100,
+            "a thread with a slot that there is not is an ordinary one, and counted: %llu looks",
+            static_cast<unsigned long long>(looks));
+}
+
+void impossible_maps() {
+  World world(1, kCpu, 16), smaller(1, kCpu, 1);
+  // Slots 1 to 15 have no job: the loader never makes such maps.
+  unlink((kernel::RunMaps::folder(world.maps.run()) + "/jobs").c_str());
+  if (!world.maps.pin(smaller.maps.fd("jobs"), "jobs")) ktap_bail("pinning");
+  const_cast<xauto_bpf_head&>(world.maps.head()).slots = 1;
+  world.load();
+  {
+    const auto sleeps = [](const kernel::Slot&) { usleep(10'000); };
+    XNodeThread good(world, 0, sleeps);
+    ktap_test(scx_state() == "enabled" && good.index() == 0,
+              "a thread whose slot has a job is fine");
+    XNodeThread bad(world, 0, sleeps);
+  }
+  const bool ended = wait_for([&] { return kernel::scx_exit_of(world.maps.sched()).has_value(); });
+  const std::string why = kernel::scx_exit_of(world.maps.sched()).value_or("nothing");
+  ktap_note("%s", why.c_str());
+  ktap_test(ended && why.find("slot 1 has no job") != std::string::npos,
+            "one whose slot has none cannot be: the scheduler ends and says why");
+  ktap_test(wait_for([] { return scx_state() == "disabled"; }),
+            "... and the kernel is back at its own");
+}
+
 // ---- refusals: one clear line each, and nothing left behind
 // --------------------------------------
 
@@ -262,6 +313,8 @@ struct Test {
 const Test kTests[] = {
     {"tables", 1, tables},
     {"killed_loader", 2, killed_loader},
+    {"wrong_slot", 1, wrong_slot},
+    {"impossible_maps", 3, impossible_maps},
     {"another_scheduler", 2, another_scheduler},
     {"wrong_layout", 2, wrong_layout},
     {"without_btf", 1, without_btf},

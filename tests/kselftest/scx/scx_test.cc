@@ -531,6 +531,38 @@ void kernel_threads() {
             took[10] * 1e3);
 }
 
+void counts() {
+  constexpr std::uint64_t kJobs = 200;
+  World world(2, kCpu);
+  world.rows[1].cpu = 0;  // one XNode on each CPU, so that each CPU counts
+  world.put_rows();
+  world.load();
+  const std::uint64_t before = world.stat(XAUTO_BPF_STAT_LATCHED);
+  {
+    const auto jobs_of = [](std::uint32_t xnode) {
+      return [xnode](const kernel::Slot& slot) {
+        for (std::uint64_t i = 1; i <= kJobs; ++i) {
+          (void)slot.tell(xnode, i);
+          usleep(500);  // taken up here at the latest, on its own CPU
+        }
+      };
+    };
+    XNodeThread here(world, 0, jobs_of(0)), there(world, 1, jobs_of(1));
+  }
+  const std::uint64_t latched = world.stat(XAUTO_BPF_STAT_LATCHED) - before;
+  std::vector<xauto_bpf_counts> each(kernel::possible_cpus().value());
+  const std::uint32_t only = 0;
+  if (!kernel::get_element(world.maps.fd("counts"), &only, each.data())) ktap_bail("no counts");
+  const auto counting = std::count_if(each.begin(), each.end(), [](const xauto_bpf_counts& cpu) {
+    return cpu.stats[XAUTO_BPF_STAT_LATCHED] > 0;
+  });
+  // Beside the jobs, each thread takes up one when it enters.
+  ktap_test(latched >= 2 * kJobs && latched <= 2 * kJobs + 2 && counting == 2,
+            "the counts of all CPUs make one: %llu jobs taken up of %llu, on %d CPUs",
+            static_cast<unsigned long long>(latched), static_cast<unsigned long long>(2 * kJobs),
+            static_cast<int>(counting));
+}
+
 // ---- coming and going
 // ----------------------------------------------------------------------------
 
@@ -570,6 +602,7 @@ const Test kTests[] = {
     {"responsive_shell", 1, responsive_shell},
     {"budget", 2, budget},
     {"kernel_threads", 1, kernel_threads},
+    {"counts", 1, counts},
     {"leaves_nothing", 3, leaves_nothing},
 };
 
