@@ -16,6 +16,7 @@
 #include "model/json_value.h"
 
 #include "launch/supervisor.h"
+#include "xauto/command.h"
 #include "xauto/live.h"
 
 namespace xauto::cli {
