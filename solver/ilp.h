@@ -2,9 +2,9 @@
 // Mixed-integer models on lp_solve; written out row by row in docs/ilp.md.
 //
 //   solve_ilp          the paper's model, equations 1-6: complete, and good for tiny cases only
-//   solve_ilp_compact  assignment only, with rows for what must fit between a head and a tail: no
-//   order
-//                      of XNodes in it, hence a lower bound and a good assignment, not a schedule
+//   solve_ilp_compact  assignment only, with rows for what must fit between a head and a tail.
+//                      No order of XNodes is in it: it gives a lower bound and a good
+//                      assignment, and no schedule
 //   lp_bound           the LP relaxation of the compact model: a bound in milliseconds
 //
 // Threads: each call owns its model; lp_solve is not shared between calls.

@@ -5,8 +5,7 @@
 // simulator in the tests all implement this text, each on its own):
 //
 //  * Time is integer microseconds. Every XNode without predecessors is released at 0; any other one
-//  is
-//    ready when its last predecessor has finished. XNode i on XPU m takes wcet(i, type(m)).
+//    is ready when its last predecessor has finished. XNode i on XPU m takes wcet(i, type(m)).
 //  * Each XPU runs at most one XNode at a time: the ready one of highest priority (larger = more
 //    urgent) among those on it that are eligible, i.e. whose run-time order predecessors
 //    (Policy::order) have finished. It never idles while an eligible one is ready.

@@ -2,8 +2,7 @@
 // What it costs a worker to say that its next job has another priority: the store into the mapped
 // BPF map that the sched_ext scheduler reads, against sched_setattr(2), which SCHED_FIFO needs.
 // Both in turn, in one run; medians over batches, so that a preempted batch does not count.
-//   cpu_priority [--json]      as root; without BPF the store goes to ordinary memory, and it says
-//   so
+//   cpu_priority [--json]      as root; without BPF the store goes to ordinary memory, as it says
 #include <algorithm>
 #include <chrono>
 #include <cstdio>

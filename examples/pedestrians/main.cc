@@ -3,9 +3,8 @@
 // fusion, tracking, prediction, on this machine's cores and an OpenCL device.
 //
 //                          ┌─► HOG   hog.detect ───────────────┐
-//   video ─► IN in.decode ─┤                                   ├─► FUSE fuse ─► TRACK track ─►
-//   PREDICT predict
-//            in.grey (*)   └─► MOTION bg.subtract, bg.clean (*)┘
+//   video ─► IN in.decode ─┤                                   ├─► FUSE ─► TRACK ─► PREDICT
+//            in.grey (*)   └─► MOTION bg.subtract, bg.clean (*)┘   fuse     track     predict
 //
 //   (*) has a second implementation for XPU "opencl", which is gated: one job at a time.
 //

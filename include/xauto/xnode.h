@@ -48,13 +48,11 @@ class XNode {
   /// Adds the implementation for one type of XPU.
   ///
   /// init: `SchedHandle(const XpuId&)`. Called once per XPU instance on which this XNode is to run,
-  /// on
-  ///   the worker's execution thread, before the first exec: load the weights, create the
+  ///   on the worker's execution thread, before the first exec: load the weights, create the
   ///   CUcontext, return the handle.
   /// exec: `void(State&, const Input&)` or `Status(State&, const Input&)`. Runs the stage to its
-  /// end:
-  ///   when it returns, the XPU has finished. An exception or an error drops the activation, is
-  ///   counted and reported; the App goes on.
+  ///   end: when it returns, the XPU has finished. An exception or an error drops the activation,
+  ///   is counted and reported; the App goes on.
   template <class Init, class Exec>
   XNode& add_impl(XPU xpu, Init init, Exec exec) {
     static_assert(std::is_invocable_r_v<SchedHandle, Init, const XpuId&>,

@@ -13,8 +13,9 @@
 
 namespace xauto {
 
-/// A type of processor. The three of a Jetson have names; any other word names any other XPU, which
-/// is then gated (one job at a time, not preempted).
+/// A type of processor. The three of a Jetson have names; any other word names an XPU of the app's
+/// own. That one is gated (one job at a time, not preempted), unless platform.json says that it is
+/// preemptive; then its handles must be SchedHandle::custom().
 class XPU {
  public:
   /// `type` as platform.json and app.json spell it: a word in lower case.

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Logs for people, on stderr (spdlog). The job path never logs; it writes trace events.
-//   error: not done as asked · warn: done differently · info: a change a user cares about · debug:
-//   ours
+//   error  not done as asked
+//   warn   done differently
+//   info   a change that a user cares about
+//   debug  ours
 // XAUTO_LOG=debug|info|warn|error|off sets the level (default: info).
 #pragma once
 

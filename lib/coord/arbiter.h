@@ -2,17 +2,14 @@
 // Life of a job, steps 5 and 10: who may use this XPU? A pure function of (state, event) ->
 // actions: no clock, thread or system call, so that tests enumerate every interleaving.
 //
-// One slot per worker; a worker has at most one job at a time. A slot is a job (or none) and a
-// queue:
+// One slot per worker; a worker has one job at a time, or none. A slot is that job and a queue:
 //
 //   job:    none ──start──► waiting ──GRANT──► admitted ──finish──► none
-//   queue:  enabled ──SUSPEND──► suspending ──ack──► suspended ──RESUME──► resuming ──ack──►
-//   enabled
+//   queue:  enabled ──SUSPEND──► suspending ──ack──► suspended ──RESUME──► resuming ─ack─► enabled
 //
 // Rules (rule.h says who is more urgent, and who is eligible):
-//   preemptive  the most urgent eligible job is granted at once; every other admitted job's queue
-//   is
-//               suspended; the most urgent admitted job's queue is resumed.
+//   preemptive  the most urgent eligible job is granted at once; the queue of every other admitted
+//               job is suspended; the queue of the most urgent admitted job is resumed.
 //   gate        a job is granted when nobody is admitted; it runs to its end.
 //   kernel      every eligible job is granted; the kernel's own scheduler keeps the priorities.
 // A job is eligible when its order predecessors (Policy::order) of the same activation have

@@ -167,8 +167,7 @@ Status Server::run(int stop_fd) {
   }
 }
 
-// ---- joining and leaving
-// -------------------------------------------------------------------------
+// ---- joining and leaving ------------------------------------------------------------------------
 
 void Server::accept_connection() {
   auto peer = accept_own(listener_.get());
@@ -278,8 +277,7 @@ void Server::leave(int slot) {
   wake(wakes);
 }
 
-// ---- deciding
-// --------------------------------------------------------------------------------------
+// ---- deciding -----------------------------------------------------------------------------------
 
 void Server::look() {
   ++looks_;
@@ -294,8 +292,7 @@ void Server::wake(const Wakes& wakes) {
   for (const int slot : wakes.commanded) futex_advance(shm_.slots[slot].coordinator.bell, 1);
 }
 
-// ---- telling
-// ---------------------------------------------------------------------------------------
+// ---- telling ------------------------------------------------------------------------------------
 
 std::string Server::xnode_name(std::uint32_t xnode) const {
   return xnode < options_.xnodes.size() ? options_.xnodes[xnode] : "?";

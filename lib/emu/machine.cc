@@ -24,8 +24,7 @@ std::uint64_t hash_of(const std::string& text) {
 
 }  // namespace
 
-// ---- what both kinds of device share
-// ---------------------------------------------------------------
+// ---- what both kinds of device share ------------------------------------------------------------
 
 Status Device::submit(ContextId id, std::uint64_t tag, Nanos work_ns) {
   Context& context = contexts_[id];
@@ -70,8 +69,7 @@ Status Device::resume(ContextId id, std::uint64_t tag, Nanos now, std::vector<Ev
   return {};
 }
 
-// ---- time-sliced: one context at a time
-// ------------------------------------------------------------
+// ---- time-sliced: one context at a time ---------------------------------------------------------
 
 void TimeSliced::leave(ContextId id) {
   if (!queue_.empty() && queue_.front() == id) on_device_ = false;
@@ -141,8 +139,7 @@ void TimeSliced::advance(Nanos limit, std::vector<Event>& events) {
   }
 }
 
-// ---- shared: everybody at once
-// ---------------------------------------------------------------------
+// ---- shared: everybody at once ------------------------------------------------------------------
 
 Nanos Shared::next_event() const {
   if (!acks_.empty()) return blocked_until_;
@@ -188,8 +185,7 @@ void Shared::advance(Nanos limit, std::vector<Event>& events) {
   }
 }
 
-// ---- what outlives the process
-// --------------------------------------------------------------------------------
+// ---- what outlives the process ------------------------------------------------------------------
 
 void Device::save(Snapshot& snapshot) const {
   DeviceRecord device{.name = hash_of(stats_.name),
@@ -268,8 +264,7 @@ Status TimeSliced::restore_more(const DeviceRecord& record) {
   return {};
 }
 
-// ---- the machine
-// -----------------------------------------------------------------------------------
+// ---- the machine --------------------------------------------------------------------------------
 
 Machine::Machine() = default;
 Machine::Machine(Machine&&) noexcept = default;

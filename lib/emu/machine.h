@@ -1,22 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 // The emulated XPUs as a pure state machine: no clock, no I/O. Time is a parameter, in nanoseconds.
 //
-// The rules are the simulator's (solver/simulate.h), so that what is predicted and what is emulated
-// agree:
+// The rules are the simulator's (solver/simulate.h): what is predicted and what is emulated agree.
 //
 //  * Time-sliced device (timeslice_us > 0: a GPU, a DLA). One context at a time. Enabled contexts
-//  with
-//    work take turns in order of arrival, a time slice each. A context that is switched out with
-//    work left costs switch_us before the next one runs; after the end of a job the next starts
-//    free.
+//    with work take turns in order of arrival, a time slice each. A context that is switched out
+//    with work left costs switch_us before the next one runs. After the end of a job the next one
+//    starts free.
 //  * Shared device (timeslice_us = 0: a CPU core, or the pool of all of them). All enabled contexts
-//  with
-//    work progress at once, each at rate min(1, cores / contexts).
+//    with work progress at once, each at rate min(1, cores / contexts).
 //  * Suspending a context that is on the device blocks the device for preempt_us, then the next one
 //    starts free; the acknowledgement comes when that time is over. Suspending any other context is
 //    acknowledged at once, and so is resuming, which is free.
-//  * A device that is not preemptive refuses suspension and runs each job to its end, in arrival
-//  order.
+//  * A device that is not preemptive refuses suspension and runs each job to its end, in order of
+//    arrival.
 #pragma once
 
 #include <cstdint>

@@ -123,8 +123,7 @@ std::string dump(const ordered_json& document) {
 
 }  // namespace
 
-// ---- readers
-// ---------------------------------------------------------------------------------------
+// ---- readers ------------------------------------------------------------------------------------
 
 Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
@@ -291,8 +290,7 @@ Result<Policy> parse_policy(std::string_view text, std::string_view origin, cons
   return policy;
 }
 
-// ---- writers
-// ---------------------------------------------------------------------------------------
+// ---- writers ------------------------------------------------------------------------------------
 
 std::string to_json(const AppSpec& app) {
   ordered_json xnodes = ordered_json::array();
@@ -395,8 +393,7 @@ std::string to_json(const Policy& policy, const AppSpec& app, const Platform& pl
   return dump(document);
 }
 
-// ---- files
-// ---------------------------------------------------------------------------------------
+// ---- files --------------------------------------------------------------------------------------
 
 Result<AppSpec> load_app(const std::string& path) {
   XAUTO_ASSIGN(const std::string text, read_file(path));

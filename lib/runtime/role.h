@@ -2,11 +2,10 @@
 // What differs between the processes of an app: one that is alone, the hub of several, and a
 // member. Nothing else in lib/runtime asks which it is.
 //
-//            board      topics to others   sources, observers, accounts   begins when     ends when
-//   alone    its own    none               here                           at once         it has
-//   drained hub      shared     shared memory      here                           all are ready
-//   likewise member   shared     shared memory      in the hub                     the hub says the
-//   hub says
+//            board     topics to others  sources, observers, accounts  begins         ends
+//   alone    its own   none              here                          at once        when drained
+//   hub      shared    shared memory     here                          all are ready  when drained
+//   member   shared    shared memory     in the hub                    the hub says   the hub says
 #pragma once
 
 #include <atomic>

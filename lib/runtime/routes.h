@@ -3,8 +3,9 @@
 //
 // clang-format off
 //   origin k ──────────► publish k                       latency of k, counted against deadline_us
-//   origin k ──────────────────────────► publish k+1     age of k when it is replaced: the oldest that the
-//                                                        chain's result ever gets; counted against max_age_us
+//   origin k ──────────────────────────► publish k+1     age of k when it is replaced, the oldest
+//                                                        that the chain's result ever gets;
+//                                                        counted against max_age_us
 // clang-format on
 //
 // "Publish" is the end of the module's chain of XNodes. With sensors of several periods a result

@@ -2,10 +2,11 @@
 // What a run in one process is made of, and how it hangs together: topics, modules, their chains of
 // XNodes, and the workers that run them. Built once; then only started and stopped.
 //
-//   source ─► Channel ─► ModuleRuntime ─► Chain ─► Worker, Worker ... ─► ModuleRuntime ─► Channel
-//   ─►
-//                 └─► Publisher (another process, a program outside)        a Receiver brings
-//                 theirs
+//   source ─────┐
+//   Receiver ───┴─► Channel ─► ModuleRuntime ─► Chain ─► Worker ... ─► ModuleRuntime ─► Channel
+//                      └─► Publisher ─► another process, or a program outside
+//
+// A Receiver brings what other processes and programs outside have published.
 #pragma once
 
 #include <cstdint>

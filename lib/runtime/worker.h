@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Life of a job, steps 3, 4, 6, 9: the worker of one (XModule, XPU instance). Its execution thread
 // runs the jobs of that module's XNodes on that XPU; its management thread suspends and resumes
-// what the execution thread has queued, when the coordinator says so.
+// what the execution thread has queued, when a more urgent job or the coordinator says so.
 //
 // Consecutive XNodes on one XPU run in the same execution thread without a hand-over. Since a
 // module has one activation in flight, a worker has at most one job waiting: the mailbox is one

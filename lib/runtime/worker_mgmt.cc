@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Life of a job, step 6: the management thread. It sleeps until the coordinator has a command for
-// this worker, carries it out through the XPU's backend, and acknowledges. Also what there is to
-// do for jobs with limits, see watch.h.
+// Life of a job, step 6: the management thread. It sleeps until there is a command for this worker,
+// from a more urgent job or from the coordinator. It carries it out through the XPU's backend, and
+// acknowledges. Also what there is to do for jobs with limits, see watch.h.
 #include "base/clock.h"
 #include "base/log.h"
 #include "base/rt.h"

@@ -3,8 +3,7 @@
 // runs, its outputs are published.
 //
 //            all inputs fresh                 last XNode finished
-//   idle ────────────────────────► busy ──────────────────────────► idle (or busy again: inputs
-//   waited)
+//   idle ────────────────────────► busy ──────────────────────────► idle, or busy if inputs waited
 //
 // One activation is in flight at a time, since the XNodes share the module's state. Each input
 // keeps its newest message: one that is replaced before it was used is an overrun, counted.

@@ -2,9 +2,11 @@
 // Life of a job, step 1, between processes: one topic in shared memory. Messages lie in chunks of
 // fixed size and are read where they were written; what travels is the number of a chunk.
 //
-//   control memfd (all map it read-write)            data memfd (the publisher maps it read-write,
-//   ┌ Header ┬ queue of subscriber 0 ┬ ... ┬ held ┐   subscribers read-only) ┌ chunk 0 ┬ chunk 1 ┬
-//   ...
+//   control memfd (all map it read-write)
+//   ┌ Header ┬ queue of subscriber 0 ┬ queue of subscriber 1 ┬ ... ┬ held ┐
+//
+//   data memfd (the publisher maps it read-write, subscribers read-only)
+//   ┌ chunk 0 ┬ chunk 1 ┬ ... ┐
 //
 // A queue is a ring of slots with one writer and one reader. The publisher never waits: it
 // overwrites the oldest slot of a queue that is full (its message is lost for that subscriber only,

@@ -40,8 +40,7 @@ std::string scx_state() {
 
 }  // namespace
 
-// ---- one thread
-// ----------------------------------------------------------------------------------
+// ---- one thread ---------------------------------------------------------------------------------
 
 CpuThread::~CpuThread() {
   const std::lock_guard lock(all_.mutex_);
@@ -107,8 +106,7 @@ void CpuThread::fall_back() {
   }
 }
 
-// ---- all of them
-// ---------------------------------------------------------------------------------
+// ---- all of them --------------------------------------------------------------------------------
 
 Result<std::unique_ptr<CpuThreads>> CpuThreads::create(const CpuThreadsOptions& options) {
   auto threads = std::unique_ptr<CpuThreads>(new CpuThreads());

@@ -4,8 +4,8 @@
 //
 //   dds_peer hear TOPIC FILE SECONDS     each message's number, age in us, size and bytes in hex;
 //                                        ends a second after the last one
-//   dds_peer feed TOPIC FILE PERIOD_US   the messages of such a file, in order, once a reader is
-//   there
+//   dds_peer feed TOPIC FILE PERIOD_US   the messages of such a file, in order, once there is a
+//                                        reader
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>

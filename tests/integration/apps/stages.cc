@@ -2,8 +2,10 @@
 // An app as one is while it is being written: of three stages one is done, and computes on a CPU,
 // the others are stand-ins still.
 //
-//   image ─► M (m.prep: a stand-in on a CPU, m.work: computes, m.infer: a stand-in on the GPU) ─►
-//   out
+//   image ─► M ─► out
+//            m.prep   a stand-in on a CPU
+//            m.work   computes
+//            m.infer  a stand-in on the GPU
 //
 //   stages FILE [hang N XPU | once N MS | each K MS]
 //

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The Driving Case on real CPUs: the graph and the times of examples/driving, each stage burning
-// CPU time. For comparing schedulers: --order FILE receives the order in which stages were
-// completed.
+// CPU time. For comparing schedulers: --order FILE receives the order in which stages ended.
 //   driving_cpu --app-json > app.json
 //   xauto run ... -- driving_cpu --order FILE
 // The tests' CMake builds it; it is no example, since an XNode should do something useful.

@@ -155,8 +155,7 @@ void killed_loader() {
   ktap_test(scx_state() == "enabled", "... and it loads again");
 }
 
-// ---- what is wrong: with what user space wrote we live, with what cannot be we end
-// ------------------------------------------------------------------------------------
+// ---- what is wrong: with what user space wrote we live, with what cannot be we end --------------
 
 void wrong_slot() {
   World world(1, kCpu);
@@ -206,8 +205,7 @@ void impossible_maps() {
             "... and the kernel is back at its own");
 }
 
-// ---- refusals: one clear line each, and nothing left behind
-// --------------------------------------
+// ---- refusals: one clear line each, and nothing left behind -------------------------------------
 
 bool refused(const Result<kernel::ScxProcess>& result, const char* expected) {
   if (result) {

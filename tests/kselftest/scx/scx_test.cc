@@ -86,8 +86,7 @@ bool queued(const World& world, std::uint32_t slot) {
   return *const_cast<volatile const __u64*>(&world.maps.jobs()[slot].queued_ns) != 0;
 }
 
-// ---- order and preemption
-// ------------------------------------------------------------------------
+// ---- order and preemption -----------------------------------------------------------------------
 
 void two_spinners() {
   World world(2, kCpu);
@@ -325,8 +324,7 @@ void told_while_queued() {
             "a thread told a more urgent job while it waits is served by that one");
 }
 
-// ---- the traps
-// -----------------------------------------------------------------------------------
+// ---- the traps ----------------------------------------------------------------------------------
 
 // A real-time thread interrupts an XNode thread that has slice left: it comes back without
 // dispatch(), and whoever more urgent was queued meanwhile used to wait for seconds.
@@ -563,8 +561,7 @@ void counts() {
             static_cast<int>(counting));
 }
 
-// ---- coming and going
-// ----------------------------------------------------------------------------
+// ---- coming and going ---------------------------------------------------------------------------
 
 void leaves_nothing() {
   std::string folder;
