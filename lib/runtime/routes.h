@@ -1,12 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Chains, end to end: from a sensor's topic to a module that reads it directly or through others.
 //
-// clang-format off
 //   origin k ──────────► publish k                       latency of k, counted against deadline_us
 //   origin k ──────────────────────────► publish k+1     age of k when it is replaced, the oldest
 //                                                        that the chain's result ever gets;
 //                                                        counted against max_age_us
-// clang-format on
 //
 // "Publish" is the end of the module's chain of XNodes. With sensors of several periods a result
 // has one origin per sensor (Envelope::origins), so every chain has latencies of its own.

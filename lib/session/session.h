@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the `xauto` tool asks of an app that it starts, (run_report.h: what it
-// answers). The request travels as JSON in an inherited memfd (environment XAUTO_SESSION = its
-// number), the answer in another one, so nothing is left behind however either of them ends.
+// What the `xauto` tool asks of an app that it starts (run_report.h: what the app answers). The
+// request travels as JSON in an inherited memfd (environment XAUTO_SESSION = its number), the answer
+// in another one, so nothing is left behind however either of them ends.
 #pragma once
 
 #include <algorithm>
