@@ -87,6 +87,7 @@ style() {
   one "SPDX lines" scripts/check-spdx.sh
   one "the kernel side's style" scripts/check-kernel-style.sh
   one "paths named in the docs exist" scripts/check-doc-paths.sh
+  one "Markdown lines of at most 120 columns" scripts/check-doc-lines.py
   one "the API is documented (doxygen)" scripts/check-api-docs.sh
 }
 unit() { build ci build && { note "tests, release"; tests build; }; }

@@ -11,7 +11,7 @@ namespace xauto::solver {
 
 enum class Model {
   kXAuto,      ///< fixed priorities, preemption with cost: the rule in problem.h
-  kRos2,       ///< everybody picks his fastest XPU type; CPUs shared fairly, others round-robin
+  kRos2,       ///< each stage on its fastest XPU type; CPUs shared fairly, others round-robin
   kTimeshare,  ///< the policy's assignment without scheduling: every instance time-shares
 };
 

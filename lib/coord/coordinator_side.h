@@ -23,7 +23,7 @@ namespace xauto::coord {
 struct Wakes {
   std::vector<int> granted;    ///< futex of these slots' grant words
   std::vector<int> commanded;  ///< management threads of these slots
-  bool again = false;          ///< look again soon: somebody changes his words all the time
+  bool again = false;          ///< look again soon: a worker changes its words all the time
 };
 
 template <class A>

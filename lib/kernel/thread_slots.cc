@@ -8,7 +8,7 @@
 namespace xauto::kernel {
 namespace {
 
-/// In a slot's tid: somebody has it, his thread has not entered yet.
+/// In a slot's tid: it is taken, and its thread has not entered yet.
 constexpr std::uint32_t kTaken = 0xffffffffu;
 
 }  // namespace

@@ -340,7 +340,7 @@ class Supervisor {
     if (poll(fds.data(), fds.size(), 200) > 0 && live_ && fds.back().revents != 0) introduce();
   }
 
-  /// To somebody who wants to look at the run. He reads the board himself, and cannot write it.
+  /// To whoever wants to look at the run: the board, to be read and not to be written.
   void introduce() {
     const auto peer = accept_own(live_.get());
     if (!peer) return;

@@ -29,7 +29,7 @@ enum class Mode : std::uint8_t {
 enum class Scheduling : std::uint8_t {
   kXAuto,      ///< the policy's assignment and priorities, coordinators decide
   kTimeshare,  ///< the policy's assignment, nobody schedules
-  kRos2,       ///< everybody on his fastest XPU type, nobody schedules
+  kRos2,       ///< each stage on its fastest XPU type, nobody schedules
 };
 [[nodiscard]] const char* to_string(Scheduling scheduling);
 [[nodiscard]] std::optional<Scheduling> scheduling_from(const std::string& name);

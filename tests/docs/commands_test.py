@@ -90,7 +90,7 @@ def uncovered(text):
 
 
 class Checkout:
-    """What a reader has in front of him, and the shell that he types into."""
+    """What a reader has at hand, and the shell to type into."""
 
     def __init__(self, folder):
         self.root = pathlib.Path(folder) / "xauto"

@@ -65,7 +65,7 @@ class Flow(unittest.TestCase):
                 self.assertGreaterEqual(samples["min_us"], declared[xnode["name"]][xpu[:3]])
 
         app = self.path("app.json")
-        # With which periods the app was built, and who hears of which source, as far as nobody comes before him.
+        # With which periods the app was built, and who hears of which source, as far as nobody comes before.
         spec = load(app)
         sensors = {t: 60000 for t in ("camera/front", "camera/rear", "lidar/top")}
         self.assertEqual({s["name"]: s["period_us"] for s in spec["sources"]}, sensors)

@@ -115,7 +115,7 @@ void add_run(Commands& commands) {
               "file without folder and suffix");
   verb.option("--scheduling", flags->scheduling,
               "xauto: as the policy says; timeshare: its assignment, nobody schedules; ros2: "
-              "everybody on his fastest XPU, nobody schedules")
+              "each stage on its fastest XPU, nobody schedules")
       .one_of({"xauto", "timeshare", "ros2"})
       .shown();
   verb.option("--out", flags->out, "write report.json here");

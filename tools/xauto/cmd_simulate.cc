@@ -87,7 +87,7 @@ void add_simulate(Commands& commands) {
   verb.option("--policy", flags->policy, "policy.json");
   verb.option(
           "--model", flags->model,
-          "xauto: the policy; timeshare: its assignment, nobody schedules; ros2: everybody on his "
+          "xauto: the policy; timeshare: its assignment, nobody schedules; ros2: each stage on its "
           "fastest XPU, nobody schedules")
       .one_of({"xauto", "timeshare", "ros2"})
       .shown();

@@ -269,7 +269,7 @@ void permissions() {
                       return handle && c->suspend(handle->handle) && c->resume(handle->handle) ? 0
                                                                                                : 1;
                     }) == 0,
-            "a user suspends what he opened himself");
+            "a user suspends what the same user opened");
   ktap_test(
       as_user(1000,
               [&] {
