@@ -29,8 +29,8 @@ TEST(XpuStatus, WhoeverAnswersIsNotTrusted) {
         R"({"xpu":"g","discipline":"gate","workers":[{"worker":"w"}]})",
         R"({"xpu":"g","discipline":"gate","workers":["w"]})"})
     EXPECT_FALSE(parse_xpu_status(*Json::parse(text))) << text;
-  const auto least = parse_xpu_status(
-      *Json::parse(R"({"xpu":"g","discipline":"gate","looks":-3,"workers":{}})"));
+  const auto least =
+      parse_xpu_status(*Json::parse(R"({"xpu":"g","discipline":"gate","looks":-3,"workers":{}})"));
   ASSERT_TRUE(least);
   EXPECT_EQ(least->looks, 0u);
 }

@@ -52,8 +52,8 @@ TEST(Kind, ANewOneIsARowAndABackend) {
 
   // Found by its node, in what doctor probes and in the machine's platform.
   const auto probed = [&] {
-    for (const kernel::Finding& f : kernel::probe("", kernel::Limits::of_this_process(),
-                                                  devices(table)))
+    for (const kernel::Finding& f :
+         kernel::probe("", kernel::Limits::of_this_process(), devices(table)))
       if (f.id == "fpga") return f;
     return kernel::Finding{};
   };
@@ -88,9 +88,8 @@ TEST(Kind, TheDisciplineIsThePlatformsThenTheEmulatorsThenTheRows) {
   EXPECT_EQ(discipline_of({"cpu0", "cpu", false}, true), Discipline::kGate);
   EXPECT_EQ(discipline_of({"cpu0", "cpu", false}, false), Discipline::kGate);
   EXPECT_EQ(discipline_of({"npu0", "npu"}, false), Discipline::kPreemptive);
-  EXPECT_EQ(discipline_of({"gpu0", "gpu"}, false), kernel::module_is_loaded()
-                                                       ? Discipline::kPreemptive
-                                                       : Discipline::kGate);
+  EXPECT_EQ(discipline_of({"gpu0", "gpu"}, false),
+            kernel::module_is_loaded() ? Discipline::kPreemptive : Discipline::kGate);
 }
 
 TEST(Kind, AnXpuOfTheAppsOwnSaysHowItIsSuspended) {
