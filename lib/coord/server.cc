@@ -26,15 +26,6 @@ namespace {
 constexpr std::size_t kMaxConnections = 2 * kMaxSlots;
 constexpr int kRejoinMs = 2'000;  ///< a worker sees at once that its coordinator is gone
 
-std::string quoted(const std::string& text) {
-  std::string out = "\"";
-  for (const char c : text) {
-    if (c == '"' || c == '\\') out += '\\';
-    out += static_cast<unsigned char>(c) < 0x20 ? '?' : c;
-  }
-  return out + "\"";
-}
-
 }  // namespace
 
 Server::Server(ServerOptions options) : options_(std::move(options)) {}
@@ -195,7 +186,7 @@ bool Server::handle_packet(int fd, const void* data, std::size_t bytes) {
   std::memcpy(&kind, data, sizeof kind);
   if (kind == static_cast<std::uint32_t>(MessageKind::kStatus)) {
     look();  // whoever took the XPU has not told us
-    const std::string text = status();
+    const std::string text = to_json(status()).dump();
     return send_packet(fd, text.data(), std::min(text.size(), kMaxStatusBytes)).has_value();
   }
   if (kind == static_cast<std::uint32_t>(MessageKind::kHello))
@@ -298,65 +289,69 @@ std::string Server::xnode_name(std::uint32_t xnode) const {
   return xnode < options_.xnodes.size() ? options_.xnodes[xnode] : "?";
 }
 
-std::string Server::status() const {
-  static constexpr const char* kDisciplines[] = {"preemptive", "gate", "kernel"};
+/// What the worker of this slot is doing, in words; `fat`: the coordinator decides.
+std::string Server::state_of(int index, bool fat) const {
+  const SlotMemory& memory = shm_.slots[index];
   const std::uint64_t owner = shm_.header->owner.load(std::memory_order_seq_cst);
-  const auto now = static_cast<std::uint64_t>(now_ns());
-  const Arbiter& arbiter = referee_->arbiter();
-  const bool fat = referee_->fat();
-  const int top = fat ? arbiter.most_urgent() : -1;
-  std::string out =
-      "{\"xpu\":" + quoted(options_.xpu) + ",\"pid\":" + std::to_string(getpid()) +
-      ",\"discipline\":" + quoted(kDisciplines[static_cast<int>(options_.discipline)]) +
-      ",\"mode\":" + quoted(fat ? "arbitrated" : "uncontended") +
-      ",\"looks\":" + std::to_string(looks_) +
-      ",\"decisions\":" + std::to_string(referee_->decisions()) + ",\"workers\":[";
-  bool first = true;
-  for (int i = 0; i < kMaxSlots; ++i) {
-    const SlotInfo& info = slots_[static_cast<std::size_t>(i)];
-    if (!referee_->used(i)) continue;
-    const std::uint32_t request = shm_.slots[i].worker.request.load(std::memory_order_seq_cst);
-    const Arbiter::Slot& slot = arbiter.slot(i);
-    std::string state = "idle", by;
-    // A fat word still names who had the XPU last; whether that job runs is the arbiter's to say.
-    const bool thin =
-        !fat && owner_slot(owner) == i && owner_generation(owner) == request_generation(request);
-    if (request_want(request) == Want::kRuns || (request_want(request) == Want::kRun && thin)) {
-      state = "running";
-    } else if (!fat && request_want(request) == Want::kRun) {
-      const bool taken = (shm_.slots[i].coordinator.command.load() & 1u) != 0;
-      state = taken ? "suspended" : "waiting";
-      const int at = owner_slot(owner);  // as a worker may have written it
-      if (at >= 0 && at < kMaxSlots) by = xnode_name(referee_->job_of(at).xnode);
-    } else if (!fat) {
-      state = "idle";
-    } else if (slot.phase == Phase::kWaiting) {
-      state = arbiter.eligible(slot.job) ? "waiting" : "waiting for its order predecessors";
-    } else if (slot.phase == Phase::kAdmitted) {
-      static constexpr const char* kQueues[] = {"running", "being suspended", "suspended",
-                                                "being resumed"};
-      state = kQueues[static_cast<int>(slot.queue)];
-    } else if (request_want(request) == Want::kRun || request_want(request) == Want::kHold) {
-      state = "starting";
-    }
-    if (top >= 0 && top != i &&
-        (state == "waiting" || state == "suspended" || state == "being suspended"))
-      by = xnode_name(arbiter.slot(top).job.xnode);
-    out += first ? "{" : ",{";
-    first = false;
-    out += "\"worker\":" + quoted(info.worker) + ",\"state\":" + quoted(state);
-    if (state != "idle") {
-      const Job job = referee_->job_of(i);
-      const std::uint64_t since = shm_.slots[i].worker.since_ns.load(std::memory_order_relaxed);
-      out += ",\"xnode\":" + quoted(xnode_name(job.xnode)) +
-             ",\"job\":" + std::to_string(job.sequence) +
-             ",\"priority\":" + std::to_string(job.priority) +
-             ",\"since_us\":" + std::to_string(now > since ? (now - since) / 1000 : 0);
-      if (!by.empty()) out += ",\"by\":" + quoted(by);
-    }
-    out += "}";
+  const std::uint32_t request = memory.worker.request.load(std::memory_order_seq_cst);
+  const Want want = request_want(request);
+  // A fat word still names who had the XPU last; whether that job runs is the arbiter's to say.
+  const bool owns =
+      !fat && owner_slot(owner) == index && owner_generation(owner) == request_generation(request);
+  if (want == Want::kRuns || (want == Want::kRun && owns)) return "running";
+  if (!fat) {
+    if (want != Want::kRun) return "idle";
+    return (memory.coordinator.command.load() & 1u) != 0 ? "suspended" : "waiting";
   }
-  return out + "]}";
+  const Arbiter::Slot& slot = referee_->arbiter().slot(index);
+  if (slot.phase == Phase::kWaiting)
+    return referee_->arbiter().eligible(slot.job) ? "waiting"
+                                                  : "waiting for its order predecessors";
+  if (slot.phase == Phase::kAdmitted) {
+    static constexpr const char* kQueues[] = {"running", "being suspended", "suspended",
+                                              "being resumed"};
+    return kQueues[static_cast<int>(slot.queue)];
+  }
+  return want == Want::kRun || want == Want::kHold ? "starting" : "idle";
+}
+
+/// The slot for whose job others wait; -1: nobody's.
+int Server::waited_for(bool fat) const {
+  if (fat) return referee_->arbiter().most_urgent();
+  const int owner = owner_slot(shm_.header->owner.load(std::memory_order_seq_cst));
+  return owner < kMaxSlots ? owner : -1;  // as a worker may have written it
+}
+
+XpuStatus Server::status() const {
+  const auto now = static_cast<std::uint64_t>(now_ns());
+  const bool fat = referee_->fat();
+  const int first = waited_for(fat);
+  XpuStatus status{.xpu = options_.xpu,
+                   .pid = getpid(),
+                   .discipline = options_.discipline,
+                   .arbitrated = fat,
+                   .looks = looks_,
+                   .decisions = referee_->decisions(),
+                   .workers = {}};
+  for (int i = 0; i < kMaxSlots; ++i) {
+    if (!referee_->used(i)) continue;
+    WorkerStatus worker;
+    worker.worker = slots_[static_cast<std::size_t>(i)].worker;
+    worker.state = state_of(i, fat);
+    if (!worker.idle()) {
+      const Job job = referee_->job_of(i);
+      worker.xnode = xnode_name(job.xnode);
+      worker.job = job.sequence;
+      worker.priority = job.priority;
+      worker.since_us = now > job.since_ns ? (now - job.since_ns) / 1000 : 0;
+      if (first >= 0 && first != i &&
+          (worker.state == "waiting" || worker.state == "suspended" ||
+           worker.state == "being suspended"))
+        worker.by = xnode_name(referee_->job_of(first).xnode);
+    }
+    status.workers.push_back(std::move(worker));
+  }
+  return status;
 }
 
 }  // namespace xauto::coord

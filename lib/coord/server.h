@@ -18,6 +18,7 @@
 #include "coord/arbiter.h"
 #include "coord/coordinator_side.h"
 #include "coord/shm_layout.h"
+#include "model/xpu_status.h"
 
 namespace xauto::coord {
 
@@ -50,7 +51,7 @@ class Server {
   void look();
 
   /// All state machines in words, as one JSON object.
-  [[nodiscard]] std::string status() const;
+  [[nodiscard]] XpuStatus status() const;
 
   /// Bytes from a connection, as run() would receive them; for the fuzzer. Returns whether the
   /// connection stays open.
@@ -78,6 +79,8 @@ class Server {
   void take_over_from_predecessor();
   void give_up_absent();
   void wake(const Wakes& wakes);
+  [[nodiscard]] std::string state_of(int index, bool fat) const;
+  [[nodiscard]] int waited_for(bool fat) const;
   [[nodiscard]] std::string xnode_name(std::uint32_t xnode) const;
 
   ServerOptions options_;

@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iostream>
+#include <map>
 #include <set>
 
 #include <fmt/format.h>
@@ -14,6 +15,7 @@
 
 #include "base/socket.h"
 #include "model/json_value.h"
+#include "model/xpu_status.h"
 
 #include "launch/supervisor.h"
 #include "xauto/command.h"
@@ -24,16 +26,11 @@ namespace {
 
 constexpr const char* kCoordinator = "xauto-coordinat";  // as /proc/PID/comm cuts it
 
-std::string words(const Json& worker) {
-  const std::string state = worker.at("state").text().value_or("?");
-  if (state == "idle") return "idle";
-  std::string text =
-      fmt::format("{}: {} (job {}, priority {}, since {:.2f} ms)", state,
-                  worker.at("xnode").text().value_or("?"), worker.at("job").integer().value_or(0),
-                  worker.at("priority").integer().value_or(0),
-                  worker.at("since_us").number().value_or(0) / 1000);
-  if (const auto by = worker.at("by").text()) text += " by " + *by;
-  return text;
+std::string words(const WorkerStatus& worker) {
+  if (worker.idle()) return worker.state;
+  return fmt::format("{}: {} (job {}, priority {}, since {:.2f} ms){}", worker.state, worker.xnode,
+                     worker.job, worker.priority, static_cast<double>(worker.since_us) / 1000,
+                     worker.by.empty() ? "" : " by " + worker.by);
 }
 
 /// A coordinator that did not answer us, by what /proc tells everybody.
@@ -82,7 +79,7 @@ std::string words(const Unseen& one) {
 }
 
 int status(const Options& options) {
-  Json sessions = Json::object();
+  std::map<std::string, std::vector<XpuStatus>> sessions;
   std::set<int> answered;
   std::set<std::string> runs;
   const std::string prefix = launch::kSocketPrefix;
@@ -90,37 +87,40 @@ int status(const Options& options) {
     if (const std::size_t slash = address.rfind('/'); slash > prefix.size())
       runs.insert(address.substr(prefix.size(), slash - prefix.size()));
   for (const std::string& run : runs)
-    if (std::vector<Json> answers = ask_coordinators(run); !answers.empty()) {
-      for (const Json& answer : answers)
-        answered.insert(static_cast<int>(answer.at("pid").integer().value_or(0)));
-      sessions[prefix + run] = answers;
+    if (std::vector<XpuStatus> answers = ask_coordinators(run); !answers.empty()) {
+      for (const XpuStatus& answer : answers) answered.insert(static_cast<int>(answer.pid));
+      sessions[run] = std::move(answers);
     }
   const std::vector<Unseen> unseen = coordinators_but(answered);
   if (options.json) {
     Json list = Json::array();
     for (const Unseen& one : unseen)
       list.push_back({{"pid", one.pid}, {"user", user_name(one.uid)}, {"why", words(one)}});
-    Json all = {{"sessions", sessions}};
+    Json runs_of = Json::object();
+    for (const auto& [run, xpus] : sessions) {
+      Json answers = Json::array();
+      for (const XpuStatus& xpu : xpus) answers.push_back(to_json(xpu));
+      runs_of[prefix + run] = std::move(answers);
+    }
+    Json all = {{"sessions", std::move(runs_of)}};
     if (!unseen.empty()) all["unseen"] = list;
     std::cout << all.dump(2) << "\n";
     return kDone;
   }
-  if (sessions.elements().empty())
+  if (sessions.empty())
     std::cout << (unseen.empty()
                       ? "no app is running under XAuto, as far as can be seen from here: in this "
                         "network namespace and its processes\n"
                       : "no app that can be asked from here is running under XAuto\n");
   for (const Unseen& one : unseen) std::cout << "  not seen: " << words(one) << "\n";
-  for (std::size_t i = 0; i < sessions.keys().size(); ++i) {
-    std::cout << "run " << sessions.keys()[i].substr(prefix.size()) << "\n";
-    for (const Json& xpu : sessions.elements()[i].elements()) {
+  for (const auto& [run, xpus] : sessions) {
+    std::cout << "run " << run << "\n";
+    for (const XpuStatus& xpu : xpus) {
       std::cout << fmt::format(
-          "  {:<8}{}, {}; coordinator pid {}, {} decisions\n", xpu.at("xpu").text().value_or("?"),
-          xpu.at("discipline").text().value_or("?"), xpu.at("mode").text().value_or("?"),
-          xpu.at("pid").integer().value_or(0), xpu.at("decisions").integer().value_or(0));
-      for (const Json& worker : xpu.at("workers").elements())
-        std::cout << fmt::format("    {:<20}{}\n", worker.at("worker").text().value_or("?"),
-                                 words(worker));
+          "  {:<8}{}, {}; coordinator pid {}, {} decisions\n", xpu.xpu, to_string(xpu.discipline),
+          xpu.arbitrated ? "arbitrated" : "uncontended", xpu.pid, xpu.decisions);
+      for (const WorkerStatus& worker : xpu.workers)
+        std::cout << fmt::format("    {:<20}{}\n", worker.worker, words(worker));
     }
   }
   return kDone;

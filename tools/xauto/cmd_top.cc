@@ -95,13 +95,11 @@ struct XpuState {
 
 std::vector<XpuState> states_of(const std::string& run) {
   std::vector<XpuState> states;
-  for (const Json& answer : ask_coordinators(run)) {
-    XpuState state{answer.at("xpu").text().value_or("?"), {}, {}};
-    for (const Json& worker : answer.at("workers").elements()) {
-      const std::string what = worker.at("state").text().value_or("?");
-      if (what == "idle" || what == "starting") continue;
-      (what == "running" ? state.running : state.waiting)
-          .push_back(worker.at("xnode").text().value_or("?"));
+  for (const XpuStatus& answer : ask_coordinators(run)) {
+    XpuState state{answer.xpu, {}, {}};
+    for (const WorkerStatus& worker : answer.workers) {
+      if (worker.idle() || worker.state == "starting") continue;
+      (worker.state == "running" ? state.running : state.waiting).push_back(worker.xnode);
     }
     states.push_back(std::move(state));
   }

@@ -83,13 +83,14 @@ Result<Watched> watch(const std::string& run, int wait_s, const std::atomic<bool
   }
 }
 
-std::vector<Json> ask_coordinators(const std::string& run) {
-  std::vector<Json> answers;
+std::vector<XpuStatus> ask_coordinators(const std::string& run) {
+  std::vector<XpuStatus> answers;
   for (const std::string& address : abstract_sockets(address_of(run, ""))) {
     const std::string name = address.substr(address.rfind('/') + 1);
     if (name == launch::kEmudName || name == launch::kHubName || name == launch::kLiveName)
       continue;
-    if (auto answer = ask(address))
+    auto answer = ask(address).and_then(parse_xpu_status);
+    if (answer)
       answers.push_back(std::move(*answer));
     else  // it ended between the look at the table and the question
       log::debug("{}", answer.error().to_string());

@@ -12,7 +12,7 @@
 
 #include "kernel/run_maps.h"
 #include "kernel/tracer.h"
-#include "model/json_value.h"
+#include "model/xpu_status.h"
 
 #include "processes/board.h"
 
@@ -28,8 +28,8 @@ struct Watched {
 /// The run named `run`, or with an empty name the only one, waited for at most `wait_s`.
 [[nodiscard]] Result<Watched> watch(const std::string& run, int wait_s,
                                     const std::atomic<bool>& stop);
-/// What its coordinators say of their workers, as JSON each; one that is just ending is left out.
-[[nodiscard]] std::vector<Json> ask_coordinators(const std::string& run);
+/// What its coordinators say of their workers; one that is just ending is left out.
+[[nodiscard]] std::vector<XpuStatus> ask_coordinators(const std::string& run);
 
 struct Live {
   kernel::RunMaps maps;

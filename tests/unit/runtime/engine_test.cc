@@ -63,6 +63,9 @@ class TestApp {
     return Status();
   };
 
+  /// What init returns on the NPU.
+  std::function<SchedHandle()> handle = [] { return SchedHandle::gate(); };
+
   std::vector<std::string> log() {
     const std::lock_guard lock(mutex_);
     return log_;
@@ -114,7 +117,10 @@ class TestApp {
       auto made = std::make_shared<detail::XNodeSpecErased>();
       made->name = node;
       for (const char* type : {"cpu", "npu"})
-        made->impls.push_back({XPU(type), [](const XpuId&) { return SchedHandle::gate(); },
+        made->impls.push_back({XPU(type),
+                               [this](const XpuId& xpu) {
+                                 return xpu.type == XPU("npu") ? handle() : SchedHandle::gate();
+                               },
                                [this, node](void*, const Input& input) -> Status {
                                  {
                                    const std::lock_guard lock(mutex_);
@@ -362,6 +368,61 @@ TEST(Engine, TraceTellsEveryStepOfEveryJobInOrder) {
     if (event.xnode == 0 && event.seq == 7) kinds.push_back(event.kind);
   EXPECT_EQ(kinds, (std::vector<std::uint16_t>{XAUTO_EV_READY, XAUTO_EV_START, XAUTO_EV_RUN,
                                                XAUTO_EV_FINISH}));
+}
+
+/// b1 is on the NPU when a2, which is more urgent, comes: the app's own functions take b1 off, and
+/// put it back when a2 is through.
+TEST(Engine, AnXpuOfTheAppsOwnIsSuspendedByItsCallbacks) {
+  TestApp app;
+  app.session.platform.xpus[1].preemptive = true;
+  app.session.activations = 20;
+  std::atomic<int> running{0}, suspends{0}, resumes{0}, out_of_place{0};
+  std::atomic<bool> away{false};
+  app.handle = [&] {
+    return SchedHandle::custom(
+        [&]() -> Status {
+          away.store(true);
+          ++suspends;
+          return {};
+        },
+        [&]() -> Status {
+          if (away.exchange(false)) ++resumes;
+          return {};
+        });
+  };
+  const auto wait_for = [](auto&& condition) {
+    const auto limit = std::chrono::steady_clock::now() + 10s;
+    while (!condition() && std::chrono::steady_clock::now() < limit)
+      std::this_thread::sleep_for(100us);
+    return condition();
+  };
+  app.exec = [&](const std::string& node, std::uint64_t k) -> Status {
+    const int round = static_cast<int>(k) + 1;
+    if (node == "a1" && !wait_for([&] { return running.load() >= round; }))
+      return fail(ErrorCode::kTimeout, "b1 never ran");
+    if (node == "a2" && !wait_for([&] { return away.load(); })) ++out_of_place;
+    if (node == "b1") {
+      ++running;
+      if (!wait_for([&] { return resumes.load() >= round; }))
+        return fail(ErrorCode::kTimeout, "never resumed");
+    }
+    return {};
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->complete) << report->note;
+  EXPECT_EQ(report->lost_releases, 0u) << report->note;
+  EXPECT_EQ(suspends.load(), 20);
+  EXPECT_EQ(resumes.load(), 20);
+  EXPECT_EQ(out_of_place.load(), 0) << "a2 ran beside b1";
+}
+
+TEST(Engine, APreemptiveXpuOfTheAppsOwnMustSayHow) {
+  TestApp app;
+  app.session.platform.xpus[1].preemptive = true;
+  const auto report = app.run();
+  ASSERT_FALSE(report);
+  EXPECT_NE(report.error().hint.find("SchedHandle::custom"), std::string::npos);
 }
 
 }  // namespace
