@@ -67,10 +67,11 @@ format:
 	@scripts/setup.sh check
 	@scripts/sources.sh | xargs clang-format -i
 
+# clang-tidy, by .clang-tidy: half an hour. After a build, since some headers are generated.
 tidy:
-	@scripts/setup.sh build tidy
-	@cmake --preset release >/dev/null
-	@scripts/sources.sh | grep '\.cc$$' | xargs clang-tidy -p build
+	@scripts/setup.sh build check tidy
+	@cmake --preset ci >/dev/null && ninja -C build -j$(JOBS)
+	@scripts/sources.sh | grep '\.cc$$' | xargs -n 1 -P $(JOBS) clang-tidy --quiet -p build
 
 setup:
 	@scripts/setup.sh build

@@ -14,5 +14,6 @@ while read -r file; do
     echo "$file: no 'SPDX-License-Identifier: $licence' in its first three lines"
     status=1
   fi
-done < <(git ls-files '*.c' '*.cc' '*.h' '*.sh' '*.py' '*.cl' '*.js' '*.css' '*.cmake' '*CMakeLists.txt' Makefile Kbuild '.ci/*')
+done < <(git ls-files '*.c' '*.cc' '*.h' '*.sh' '*.py' '*.cl' '*.js' '*.css' '*.cmake' '*CMakeLists.txt' Makefile Kbuild '.ci/*' \
+  'scripts/hooks/*' .clang-tidy .editorconfig)
 exit $status
