@@ -189,7 +189,7 @@ const Json* Json::find(std::string_view key) const {
 }
 
 const Json& Json::at(std::string_view key) const {
-  static const Json kNothing;
+  static const Json kNothing{};
   const Json* found = find(key);
   return found != nullptr ? *found : kNothing;
 }
