@@ -55,8 +55,8 @@ class Gate(unittest.TestCase):
     def test_a_coordinator_that_was_started_again(self):
         files = testapp_files(self.folder)
         for words, status in ([], 0), (["--fail-on", "restart,lost"], 1):  # what queues meanwhile is not lost
-            tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "150", "--overload", "queue:16", "--json", *words, "--", TESTAPP,
-                                     os.path.join(self.folder, "result"), "period", "20000"],
+            tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "150", "--overload", "queue:16", "--json",
+                                     *words, "--", TESTAPP, os.path.join(self.folder, "result"), "period", "20000"],
                                     stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
             coordinators, deadline = [], time.monotonic() + 30
             while len(coordinators) < 2 and time.monotonic() < deadline:
