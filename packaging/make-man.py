@@ -21,8 +21,8 @@ What the unit
 .B xauto@NAME.service
 runs; an example is in /usr/share/doc/xauto-tools/examples.
 .TP
-.I /etc/xauto/grants.json
-Which users, groups and cgroups may use which real-time priorities without root. An example is in /usr/share/doc/xauto-tools/examples.
+.I /etc/security/limits.d/xauto.conf
+Who may use which real-time priorities without root, see limits.conf(5); an example is in /usr/share/doc/xauto-tools/examples.
 .TP
 .I /sys/fs/bpf/xauto/RUN
 BPF maps of a run, gone when it ends.

@@ -100,16 +100,6 @@ driving() {
   grep -A 8 '^# driving on' "$out/driving.log"
 }
 
-# Priorities for users without root, by grants.json: in the guest root has every capability, and there are users.
-grants() {
-  local kernel items=() program
-  note "grants of real-time priorities"
-  kernel=$(scripts/vm/fetch-kernel.sh 7.x) || { failed=$((failed + 1)); return; }
-  for program in driving_cpu xauto xauto-coordinator xauto-emud xauto-grant; do items+=("$build/bin/$program"); done
-  for program in setcap chrt; do items+=("$(PATH=$PATH:/usr/sbin command -v "$program" || echo "/usr/sbin/$program")"); done
-  VM_LIMIT_S=${VM_LIMIT_S:-600} in_vm grants "$kernel" run-grants "${items[@]}"
-}
-
 # trace-cmd, perf, bpftrace and bpftool on xauto.ko's events; their packages are the group `trace`. No part of make check.
 consumers() {
   local kernel items program tool
@@ -131,10 +121,10 @@ consumers() {
 }
 
 { # read whole before it runs: the file may be edited meanwhile
-[ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 driving scx-7.x grants)
+[ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 driving scx-7.x)
 for lane in "${lanes[@]}"; do
   case $lane in
-    driving | consumers | grants) "$lane" ;;
+    driving | consumers) "$lane" ;;
     scx-*) scx "${lane#scx-}" ;;
     kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;
     kmod-*) kmod "${lane#kmod-}" ;;

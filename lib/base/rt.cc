@@ -64,8 +64,8 @@ std::string fifo_hint() {
   rlimit limit{};
   getrlimit(RLIMIT_RTPRIO, &limit);
   return "the real-time limit is " + std::to_string(limit.rlim_cur) +
-         ": an administrator can raise it in /etc/xauto/grants.json (docs/runtime.md, "
-         "\"Privilege\") or in /etc/security/limits.conf ('@GROUP - rtprio 60'); or run as root";
+         ": put '@GROUP - rtprio 60' into /etc/security/limits.d/xauto.conf and log in again (in a "
+         "systemd unit: LimitRTPRIO=60), or run as root";
 }
 
 Status pin_to_core(int core) {

@@ -82,12 +82,10 @@ class Probe {
           "SCHED_FIFO permitted up to " + std::to_string(limits_.highest_fifo),
           "CPU XNodes run by priority; those beyond what the range has room for share one");
     else
-      add("realtime", Verdict::kDegraded,
-          "SCHED_FIFO refused, " + limit +
-              (limits_.grant_refused.empty() ? "" : "; " + limits_.grant_refused),
+      add("realtime", Verdict::kDegraded, "SCHED_FIFO refused, " + limit,
           "CPU XNodes run as ordinary threads: priorities are not enforced on real CPUs",
-          "have them granted in /etc/xauto/grants.json (docs/runtime.md, \"Privilege\"), or add "
-          "'@GROUP - rtprio 60' to /etc/security/limits.conf and log in again, or run as root");
+          "put '@GROUP - rtprio 60' into /etc/security/limits.d/xauto.conf and log in again (in a "
+          "systemd unit: LimitRTPRIO=60), or run as root");
   }
 
   void throttling() {
@@ -113,7 +111,7 @@ class Probe {
     else
       add("memlock", Verdict::kDegraded, std::to_string(limits_.memlock_bytes >> 20) + " MiB",
           "coordinators may be paged out: rare long decisions",
-          "add '@GROUP - memlock unlimited' to /etc/security/limits.conf");
+          "put '@GROUP - memlock unlimited' into /etc/security/limits.d/xauto.conf");
   }
 
   void sched_ext() {

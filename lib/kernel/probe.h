@@ -29,7 +29,6 @@ struct Limits {
   unsigned long rtprio_limit = 0;
   unsigned long long memlock_bytes = 0;  ///< ~0: unlimited
   bool may_use_bpf = false;
-  std::string grant_refused;  ///< by xauto-grant: why
   [[nodiscard]] static Limits of_this_process();
 };
 

@@ -339,15 +339,6 @@ void Reader::knows(std::initializer_list<std::string_view> paths) const {
   }
 }
 
-void Reader::allow_only(std::initializer_list<const char*> keys, const char* why) const {
-  for (const char* key : keys) place_->at(key);
-  if (value_ == nullptr || !value_->is_object()) return;
-  for (auto member = value_->begin(); member != value_->end(); ++member)
-    if (place_->find(member.key()) == nullptr && !member.key().starts_with(kOthersKeys))
-      below(member.key(), nullptr, nullptr)
-          .refuse(said_of({{}, nearest(*place_, member.key())}), why);
-}
-
 bool Reader::has(const char* key) const {
   place_->at(key);
   if (value_ == nullptr || !value_->is_object()) return false;

@@ -68,9 +68,6 @@ class Reader {
   void knows(std::initializer_list<std::string_view> paths) const;
   [[nodiscard]] Reader operator[](const char* key) const;
 
-  /// Refuses every other key, at once.
-  void allow_only(std::initializer_list<const char*> keys, const char* why) const;
-
   /// each(index, Reader), of an array of at most `limit` elements.
   template <class Each>
   void each_element(std::size_t limit, Each each) const {

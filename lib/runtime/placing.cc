@@ -36,13 +36,12 @@ int xpu_of(const Session& session, const Graph::Node& node, std::uint32_t xnode)
 /// Of the workers; what falls short of what a run would like is noted.
 FifoPlan choose_priorities(const Session& session, FifoPlan& fifo, std::string& note) {
   const int highest = rt::highest_fifo();
-  fifo = FifoPlan::within(session.fifo_lowest, highest);
+  fifo = FifoPlan::within(highest);
   // With sched_ext too: what is no XNode runs above it, and it may go at any time.
   const bool real_cpus_wanted = session.cpu_sched != CpuSched::kOther;
-  if (!session.emulates() && !real_cpus_wanted) return FifoPlan::within(0, 0);
+  if (!session.emulates() && !real_cpus_wanted) return FifoPlan::within(0);
   if (fifo.none()) {
-    note = "no permission for SCHED_FIFO: threads run as SCHED_OTHER; " +
-           (session.fifo_why.empty() ? "" : session.fifo_why + "; ") + rt::fifo_hint();
+    note = "no permission for SCHED_FIFO: threads run as SCHED_OTHER; " + rt::fifo_hint();
     log::warn("{}", note);
     return fifo;
   }

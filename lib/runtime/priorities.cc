@@ -6,10 +6,9 @@
 
 namespace xauto::runtime {
 
-FifoPlan FifoPlan::within(int lowest, int highest) {
+FifoPlan FifoPlan::within(int highest) {
   if (highest <= 0) return {0, 0, 0, 0, 0};
   highest = std::min(highest, kFifoHighest);
-  lowest = std::clamp(lowest, 1, highest);
   // Levels above those of the CPUs' XNodes, as many as there are; with fewer than four, neighbours
   // share one: first sources with management, then that with the coordinators, then execution with
   // the XNodes on CPUs.
@@ -20,19 +19,18 @@ FifoPlan FifoPlan::within(int lowest, int highest) {
       {2, 2, 1},
       {2, 2, 1},
       {3, 2, 1}};
-  const int above = std::min(4, highest - lowest);
+  const int above = std::min(4, highest - 1);
   const int* level = kLevel[above];
   const FifoPlan wanted;
-  const int up = std::max(0, lowest - wanted.cpu_lowest);
   const auto at = [&](int index, int preferred) {
-    return std::min(highest - (above - index), preferred + up);
+    return std::min(highest - (above - index), preferred);
   };
   FifoPlan plan;
   plan.management = at(level[0], wanted.management);
   plan.sources = at(level[1], wanted.sources);
   plan.execution = at(level[2], wanted.execution);
   plan.cpu_highest = at(0, wanted.cpu_highest);
-  plan.cpu_lowest = std::min(wanted.cpu_lowest + up, plan.cpu_highest);
+  plan.cpu_lowest = std::min(wanted.cpu_lowest, plan.cpu_highest);
   return plan;
 }
 

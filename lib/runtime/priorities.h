@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // The SCHED_FIFO priorities of one run, all below the kernel's own watchdogs and migration threads
-// (99), and how they are pressed into a smaller range that an administrator has granted. What keeps
-// its order: coordinators over management, so that a decision is not delayed by those who wait for
-// it; management over execution, so that a suspension is never delayed by what it suspends; XNodes
-// on real CPUs by the rank of their priority, the most urgent ones last to share.
+// (99), and how they are pressed into a smaller range, where the process's limit is lower. What
+// keeps its order: coordinators over management, so that a decision is not delayed by those who
+// wait for it; management over execution, so that a suspension is never delayed by what it
+// suspends; XNodes on real CPUs by the rank of their priority, the most urgent ones last to share.
 #pragma once
 
 #include <string>
@@ -21,8 +21,8 @@ struct FifoPlan {
   int execution = 40;  ///< of XPUs other than real CPUs: such a thread mostly waits
   int cpu_lowest = 2, cpu_highest = 39;  ///< XNodes on real CPUs, by policy priority
 
-  /// `highest` 0: no priorities at all, all members 0.
-  [[nodiscard]] static FifoPlan within(int lowest, int highest);
+  /// From 1 to `highest`, which is rt::highest_fifo(); 0: no priorities at all, all members 0.
+  [[nodiscard]] static FifoPlan within(int highest);
   [[nodiscard]] bool none() const { return cpu_highest == 0; }
   bool operator==(const FifoPlan&) const = default;
 

@@ -142,8 +142,8 @@ class Run {
     cores_ = rt::allowed_cores();
     rt::set_timer_slack_1ns();
     if (!rt::set_fifo_up_to(kFifoProfile))
-      log::warn("no permission for SCHED_FIFO: neighbours' work shows in the times; {}{}",
-                session_.fifo_why.empty() ? "" : session_.fifo_why + "; ", rt::fifo_hint());
+      log::warn("no permission for SCHED_FIFO: neighbours' work shows in the times; {}",
+                rt::fifo_hint());
     XAUTO_TRY(leave_out_missing_cores());
     std::vector<std::vector<int>> everywhere = alternatives_;
     XAUTO_TRY(run_passes(everywhere));

@@ -74,8 +74,6 @@ std::string to_json(const Session& s) {
             {"cpu_run", s.cpu_run},
             {"cpu_scheduler_pid", s.cpu_scheduler_pid},
             {"cpu_partial", s.cpu_partial},
-            {"fifo_lowest", s.fifo_lowest},
-            {"fifo_why", s.fifo_why},
             {"presence", presence},
             {"emulator_modules", s.emulator_modules},
             {"coordinators", s.coordinators},
@@ -129,8 +127,6 @@ Result<Session> parse_session(const std::string& text) {
     s.cpu_run = j.at("cpu_run").get<std::string>();
     s.cpu_scheduler_pid = j.at("cpu_scheduler_pid").get<int>();
     s.cpu_partial = j.at("cpu_partial").get<bool>();
-    s.fifo_lowest = j.at("fifo_lowest").get<int>();
-    s.fifo_why = j.at("fifo_why").get<std::string>();
     for (const int p : j.at("presence").get<std::vector<int>>()) {
       if (p < 0 || p > static_cast<int>(Presence::kAbsent))
         return fail(ErrorCode::kInvalid, "unknown presence");

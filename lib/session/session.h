@@ -47,8 +47,6 @@ struct Session {
   std::string cpu_run;        ///< the run's BPF maps (kernel/run_maps.h); empty: none
   int cpu_scheduler_pid = 0;  ///< xauto-cpusched holds the sched_ext scheduler; 0: there is none
   bool cpu_partial = false;   ///< ... which schedules only threads that ask for SCHED_EXT
-  int fifo_lowest = 0;        ///< SCHED_FIFO: granted from here on, see priorities.h; 0: from 1
-  std::string fifo_why;       ///< nothing was granted though it was asked for, for people
   std::vector<Presence> presence;  ///< [XPU]; empty: all are real
   bool emulator_modules = false;   ///< emulated GPUs and DLAs are those of kmod/emu/
   std::map<std::string, std::string> coordinators;  ///< XPU id -> abstract socket; empty: none

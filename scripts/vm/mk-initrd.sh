@@ -19,8 +19,8 @@ busybox=$sysroot/bin/busybox
 install -m755 "$busybox" "$dir/bin/busybox"
 ln -s busybox "$dir/bin/sh"
 install -m755 "$here/../../tests/vm/init" "$dir/init"
-printf 'root:x:0:0::/root:/bin/sh\nuser:x:1000:1000::/tmp:/bin/sh\nother:x:1001:1001::/tmp:/bin/sh\n' >"$dir/etc/passwd"
-printf 'root:x:0:\nuser:x:1000:\nother:x:1001:\n' >"$dir/etc/group"
+printf 'root:x:0:0::/root:/bin/sh\nuser:x:1000:1000::/tmp:/bin/sh\n' >"$dir/etc/passwd"
+printf 'root:x:0:\nuser:x:1000:\n' >"$dir/etc/group"
 
 libraries() { # the libraries an ELF needs, as paths
   ldd "$1" 2>/dev/null | grep -oE '/[^ ]+\.so[^ ]*' | sort -u || true

@@ -118,7 +118,7 @@ def test_golden_files_and_examples_are_valid():
         format_ = document["schema"].split(".")[1]
         seen.add(format_)
         check(format_, document, path)
-    assert seen >= {"app", "platform", "policy", "profile", "deployment", "grants"}, seen
+    assert seen >= {"app", "platform", "policy", "profile", "deployment"}, seen
 
 
 # What only a program can see: what holds between values, or bytes that a parser of JSON does not show.

@@ -121,7 +121,7 @@ class RealAndEmulated(Case):
                 x["emulated"] = True
         (self.folder / "half.json").write_text(json.dumps(here))
         refused = self.good("profile", "--platform", "half.json", "--", STAGES, status=2)
-        self.assertIn("cpu0 is emulated in this run", refused.stderr)
+        self.assertIn("cpu0: returned SchedHandle::thread(), it computes itself, and its XPU is emulated", refused.stderr)
 
     def test_an_app_of_stand_ins_is_emulated_as_ever(self):
         done = self.good("profile", "--platform", "small", "--repetitions", 3, "--out", "profile.json", "--app-out",

@@ -13,7 +13,6 @@
 #include "xauto/command.h"
 #include "xauto/emulation.h"
 #include "xauto/outputs.h"
-#include "xauto/priorities.h"
 #include "xauto/run_app.h"
 
 namespace xauto::cli {
@@ -113,8 +112,6 @@ Result<Profile> measure(const Flags& flags, const Platform& platform) {
   session.mode = runtime::Mode::kProfile;
   session.platform = platform;
   XAUTO_ASSIGN(session.presence, flags.emulation.decide(platform, nullptr));
-  session.fifo_lowest = granted().lowest;
-  session.fifo_why = granted().why;
   session.input = flags.input;
   session.warmup = flags.warmup;
   session.repetitions = flags.repetitions;

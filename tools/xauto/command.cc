@@ -7,8 +7,6 @@
 #include "base/log.h"
 #include "model/keys.h"
 
-#include "xauto/priorities.h"
-
 namespace xauto::cli {
 
 int exit_status(const Error& error) {
@@ -53,9 +51,6 @@ int Commands::run(int argc, char** argv) {
   }
   if (const auto status = program_.parse(argc, argv)) return *status;
   const std::string chosen = program_.chosen();
-  // Verbs that start an app, and the one that says how an app would run.
-  for (const char* verb : {"run", "compare", "profile", "doctor"})
-    if (chosen == verb) obtain_priorities(argv);
   if (options_.strict) set_unknown_keys(UnknownKeys::kRefuse);
   try {
     const Result<int> status = bodies_.at(chosen)(options_);

@@ -18,7 +18,6 @@
 
 #include "xauto/command.h"
 #include "xauto/counts.h"
-#include "xauto/priorities.h"
 
 namespace xauto::cli {
 namespace {
@@ -184,8 +183,6 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.cpu_sched = flags.cpu_sched == "ext"    ? runtime::CpuSched::kExt
                       : flags.cpu_sched == "fifo" ? runtime::CpuSched::kFifo
                                                   : runtime::CpuSched::kOther;
-  session.fifo_lowest = granted().lowest;
-  session.fifo_why = granted().why;
   request.cpu_budget_pct = flags.cpu_budget_pct;
   session.presence = flags.presence;
   session.emulator_modules = flags.emulator_modules;

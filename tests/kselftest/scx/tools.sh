@@ -97,6 +97,34 @@ ok "... as ordinary threads, and says why" sh -c 'grep -q "no sched_ext" plain.j
 ok "... and how to get more" has "CAP_SYS_NICE\|root" plain.err
 ok "... with all activations" [ "$(wc -l <plain.order)" -eq 4 ]
 
+# The same user with a real-time limit that is just enough for the 19 stages, below the four levels of XAuto's own.
+limited() { # COMMAND
+  (ulimit -r 24 && exec su user -s /bin/sh -c "cd $dir && $1")
+}
+priorities() { # PROGRAM: of its SCHED_FIFO threads, from stat, fields 40 and 41
+  for pid in $(pidof "$1"); do cat /proc/"$pid"/task/*/stat 2>/dev/null; done | sed 's/.*) //' | awk '$39 == 1 { print $38 }' | sort -n
+}
+limited "xauto doctor" >doctor.out 2>&1
+ok "what a limit leaves, xauto doctor says" has "SCHED_FIFO permitted up to 24" doctor.out
+limited "taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations 7 --period-us 500000 --out limited.json \
+  -- driving_cpu --order $dir/limited.order" >limited.out 2>limited.err &
+run=$!
+for _ in $(seq 300); do
+  [ "$(priorities driving_cpu | wc -l)" -gt 12 ] && break
+  sleep 0.1
+done
+priorities driving_cpu >limited.app
+priorities xauto-coordinator >limited.coordinator
+wait $run
+status=$?
+ok "under a limit the app runs to its end" [ $status -eq 0 ]
+ok "... and says so" has "SCHED_FIFO is permitted up to 24, not 60: XNodes on CPUs use 2 to 20" limited.json
+ok "... with the coordinator at the top" [ "$(cat limited.coordinator)" = 24 ]
+ok "... the management threads below" [ "$(tail -n 1 limited.app)" = 23 ]
+tail -n +2 limited.order >limited.warm
+ok "... in the same order as without one" sh -c '[ "$(wc -l <limited.warm)" -eq 6 ] && head -n 6 fifo.warm | cmp -s - limited.warm'
+head -n 6 fifo.warm | diff - limited.warm | head -n 6 | sed 's/^/# /'
+
 . "$(dirname "$0")/trace.sh"
 
 # What the verifier said of everything that was loaded above: counts, and nothing else.

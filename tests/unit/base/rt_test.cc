@@ -53,8 +53,8 @@ TEST(Rt, WithoutRootTheLimitDecides) {
 }
 
 TEST(Rt, HintSaysWhereTheLimitComesFrom) {
-  EXPECT_NE(fifo_hint().find("/etc/xauto/grants.json"), std::string::npos);
-  EXPECT_NE(fifo_hint().find("limits.conf"), std::string::npos);
+  EXPECT_NE(fifo_hint().find("/etc/security/limits.d/xauto.conf"), std::string::npos);
+  EXPECT_NE(fifo_hint().find("LimitRTPRIO=60"), std::string::npos);
 }
 
 }  // namespace

@@ -36,7 +36,7 @@ class Machine : public ::testing::Test {
       {"gpu", {kGpuNodes, kGpuNodes + 2}, "a Jetson's GPU", "nvgpu", "needs a Jetson"},
       {"dla", {kDlaNodes, kDlaNodes + 4}, "a Jetson's DLA", "nvdla", "needs a Jetson"}};
   fs::path root_;
-  Limits limits_{"6.1.0", 4, 99, 99, ~0ull, false, {}};
+  Limits limits_{"6.1.0", 4, 99, 99, ~0ull, false};
 };
 
 TEST_F(Machine, LaptopLacksWhatAJetsonHas) {
@@ -78,17 +78,16 @@ TEST_F(Machine, SchedExtThatIsTakenSaysByWhom) {
 
 TEST_F(Machine, UnprivilegedUserIsToldHowToGetMore) {
   limits_.highest_fifo = 0;
-  limits_.grant_refused = "grants.json grants nothing";
   limits_.rtprio_limit = 0;
   limits_.memlock_bytes = 8u << 20;
   EXPECT_EQ(find("realtime").verdict, Verdict::kDegraded);
   EXPECT_NE(find("realtime").advice.find("rtprio 60"), std::string::npos);
-  EXPECT_NE(find("realtime").advice.find("grants.json"), std::string::npos);
-  EXPECT_NE(find("realtime").found.find("grants nothing"), std::string::npos);
+  EXPECT_NE(find("realtime").advice.find("/etc/security/limits.d/xauto.conf"), std::string::npos);
+  EXPECT_NE(find("realtime").advice.find("LimitRTPRIO=60"), std::string::npos);
   EXPECT_EQ(find("memlock").verdict, Verdict::kDegraded);
 }
 
-TEST_F(Machine, RangeOfPrioritiesThatIsGrantedIsTold) {
+TEST_F(Machine, RangeOfPrioritiesThatIsPermittedIsTold) {
   limits_.highest_fifo = 20;
   EXPECT_EQ(find("realtime").verdict, Verdict::kOk);
   EXPECT_EQ(find("realtime").found, "SCHED_FIFO permitted up to 20");

@@ -14,7 +14,6 @@
 #include <unistd.h>
 
 #include "model/deployment.h"
-#include "model/grants.h"
 #include "model/json.h"
 
 namespace xauto {
@@ -63,7 +62,6 @@ Keys keys_of(const std::string& format, const std::string& text) {
   if (format == "profile") expect(parse_profile(text, format, &keys));
   if (format == "policy") expect(parse_policy(text, format, app, platform, &keys));
   if (format == "deployment") expect(parse_deployment(text, format, app, &keys));
-  if (format == "grants") expect(parse_grants(text, format, &keys));
   return keys;
 }
 
@@ -77,7 +75,7 @@ std::string golden(const std::string& format) {
   return slurp(kSource + "/tests/golden/" + format + ".json");
 }
 
-const char* const kFormats[] = {"app", "platform", "profile", "policy", "deployment", "grants"};
+const char* const kFormats[] = {"app", "platform", "profile", "policy", "deployment"};
 
 TEST(Keys, SchemasHaveTheKeysThatTheReadersAskFor) {
   for (const std::string format : kFormats) {
@@ -134,7 +132,6 @@ TEST(Keys, NoMisspeltKeyPassesInSilence) {
                 accepted = parse_policy(text, format, app, platform, &keys).has_value();
               if (format == "deployment")
                 accepted = parse_deployment(text, format, app, &keys).has_value();
-              if (format == "grants") accepted = parse_grants(text, format, &keys).has_value();
               if (!accepted) {
                 ++refused;
               } else {
@@ -194,8 +191,6 @@ TEST(Keys, KeysOfOthersAndWhatIsInThemAreNeverTold) {
   ASSERT_EQ(keys.unknown.size(), 1u);
   EXPECT_EQ(keys.unknown[0].where, "/colour");
   EXPECT_EQ(keys.unknown[0].nearest, "");
-  EXPECT_TRUE(
-      parse_grants(R"({"schema":"xauto.grants","version":1,"x-by":"me","grants":[]})", "g"));
 }
 
 TEST(Keys, NamesThatTheFileChoosesAreNoKeys) {

@@ -9,50 +9,46 @@ namespace xauto::runtime {
 namespace {
 
 TEST(FifoPlan, WithAllRightsIsTheDefault) {
-  EXPECT_EQ(FifoPlan::within(0, 99), FifoPlan{});
-  EXPECT_EQ(FifoPlan::within(1, 60), FifoPlan{});
+  EXPECT_EQ(FifoPlan::within(99), FifoPlan{});
+  EXPECT_EQ(FifoPlan::within(60), FifoPlan{});
 }
 
 TEST(FifoPlan, WithoutAnyIsNothing) {
-  EXPECT_TRUE(FifoPlan::within(0, 0).none());
-  EXPECT_TRUE(FifoPlan::within(5, 0).none());
-  EXPECT_FALSE(FifoPlan::within(0, 1).none());
+  EXPECT_TRUE(FifoPlan::within(0).none());
+  EXPECT_FALSE(FifoPlan::within(1).none());
 }
 
-// Every range that can be granted: nothing is outside, and the order is kept.
-TEST(FifoPlan, InAnyRangeStaysInsideAndKeepsTheOrder) {
-  for (int highest = 1; highest <= kFifoHighest; ++highest)
-    for (int lowest = 1; lowest <= highest; ++lowest) {
-      const FifoPlan p = FifoPlan::within(lowest, highest);
-      const std::string range = std::to_string(lowest) + " to " + std::to_string(highest);
-      for (const int level : {p.management, p.sources, p.execution, p.cpu_lowest, p.cpu_highest}) {
-        EXPECT_GE(level, lowest) << range;
-        EXPECT_LE(level, highest) << range;
-      }
-      EXPECT_GE(p.management, p.sources) << range;
-      EXPECT_GE(p.sources, p.execution) << range;
-      EXPECT_GE(p.execution, p.cpu_highest) << range;
-      EXPECT_GE(p.cpu_highest, p.cpu_lowest) << range;
-      if (highest - lowest >= 1) {
-        EXPECT_GT(p.management, p.cpu_highest) << range;
-      }
-      if (highest - lowest >= 2) {
-        EXPECT_GT(p.sources, p.execution) << range;
-      }
-      if (highest - lowest >= 2) {
-        EXPECT_GT(p.execution, p.cpu_highest) << range;
-      }
-      if (highest - lowest >= 3) {
-        EXPECT_GT(highest, p.management) << range;
-      }  // coordinators
-      if (highest - lowest >= 4) {
-        EXPECT_GT(p.management, p.sources) << range;
-      }
-      // What is left is the XNodes'.
-      if (highest - lowest >= 6 && highest < 40) {
-        EXPECT_GE(p.cpu_highest - p.cpu_lowest, 1) << range;
-      }
+// Every limit: nothing is outside, and the order is kept.
+TEST(FifoPlan, UnderAnyLimitStaysInsideAndKeepsTheOrder) {
+  for (int highest = 1; highest <= kFifoHighest; ++highest) {
+    const FifoPlan p = FifoPlan::within(highest);
+    for (const int level : {p.management, p.sources, p.execution, p.cpu_lowest, p.cpu_highest}) {
+      EXPECT_GE(level, 1) << highest;
+      EXPECT_LE(level, highest) << highest;
     }
+    EXPECT_GE(p.management, p.sources) << highest;
+    EXPECT_GE(p.sources, p.execution) << highest;
+    EXPECT_GE(p.execution, p.cpu_highest) << highest;
+    EXPECT_GE(p.cpu_highest, p.cpu_lowest) << highest;
+    if (highest >= 2) {
+      EXPECT_GT(p.management, p.cpu_highest) << highest;
+    }
+    if (highest >= 3) {
+      EXPECT_GT(p.sources, p.execution) << highest;
+      EXPECT_GT(p.execution, p.cpu_highest) << highest;
+    }
+    if (highest >= 4) {
+      EXPECT_GT(highest, p.management) << highest;  // coordinators
+    }
+    if (highest >= 5) {
+      EXPECT_GT(p.management, p.sources) << highest;
+    }
+    // What is left is the XNodes'.
+    if (highest >= 7) {
+      EXPECT_EQ(p.cpu_highest, std::min(39, highest - 4));
+      EXPECT_EQ(p.cpu_lowest, 2);
+    }
+  }
 }
 
 Policy policy_of(std::vector<std::int64_t> priorities) {
@@ -68,7 +64,7 @@ Policy policy_of(std::vector<std::int64_t> priorities) {
 
 TEST(FifoPlan, RanksGoDownFromTheHighestAndShareTheLowest) {
   const Policy policy = policy_of({-5, 1000, 7, 900, 8});
-  const auto ranks = [&](int highest) { return FifoPlan::within(1, highest).by_rank(policy); };
+  const auto ranks = [&](int highest) { return FifoPlan::within(highest).by_rank(policy); };
   EXPECT_EQ(ranks(60), (std::vector<int>{35, 39, 36, 38, 37}));
   EXPECT_EQ(ranks(8), (std::vector<int>{2, 4, 2, 3, 2}));  // 4 levels above: 8, 7, 6, 5
   EXPECT_EQ(ranks(1), (std::vector<int>{1, 1, 1, 1, 1}));
@@ -83,13 +79,13 @@ TEST(FifoPlan, RanksAreThoseOfTheirOwnXpu) {
 TEST(FifoPlan, SmallerRangeIsSaid) {
   const Policy policy = policy_of({1, 2, 3, 4, 5});
   EXPECT_EQ(FifoPlan{}.note(60, policy, {0}), "");
-  EXPECT_EQ(FifoPlan::within(0, 0).note(0, policy, {0}), "") << "that is said elsewhere";
-  EXPECT_EQ(FifoPlan::within(1, 20).note(20, policy, {0}),
+  EXPECT_EQ(FifoPlan::within(0).note(0, policy, {0}), "") << "that is said elsewhere";
+  EXPECT_EQ(FifoPlan::within(20).note(20, policy, {0}),
             "SCHED_FIFO is permitted up to 20, not 60: XNodes on CPUs use 2 to 16");
-  EXPECT_EQ(FifoPlan::within(1, 8).note(8, policy, {0}),
+  EXPECT_EQ(FifoPlan::within(8).note(8, policy, {0}),
             "SCHED_FIFO is permitted up to 8, not 60: XNodes on CPUs use 2 to 4; the 3 least "
             "urgent of them share the lowest");
-  EXPECT_EQ(FifoPlan::within(1, 8).note(8, policy, {1}),
+  EXPECT_EQ(FifoPlan::within(8).note(8, policy, {1}),
             "SCHED_FIFO is permitted up to 8, not 60: XNodes on CPUs use 2 to 4");
 }
 
