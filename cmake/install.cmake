@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# What `cmake --install` puts where, by component: runtime (libxauto.so.0), development (headers, CMake package, pkg-config), tools.
+# What `cmake --install` puts where, by component: runtime (libxauto.so.1), development (headers, CMake package, pkg-config), tools.
 # debian/ makes packages of the same; docs/packages.md says what is in which.
 if(XAUTO_SANITIZE)
   return() # not for users
@@ -8,7 +8,7 @@ include(CMakePackageConfigHelpers)
 
 # The shared library: the files that implement include/xauto/, and of the archives only what these need. The tools use more of
 # the archives than the API offers, so they stay linked statically. The tools make the run's BPF maps, apps open them: no libbpf here.
-set(XAUTO_SOVERSION 0)
+set(XAUTO_SOVERSION 1)
 set(map ${PROJECT_SOURCE_DIR}/packaging/libxauto.map)
 set(no_libbpf lib/kernel/without_libbpf/none.cc)
 add_library(xauto_shared SHARED lib/runtime/app.cc lib/transport/topic.cc lib/emu/client.cc ${no_libbpf})

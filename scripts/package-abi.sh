@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # Compares libxauto's ABI (its symbols, and the layout of the types in include/xauto/ that they use) with the committed reference,
-# packaging/abi/libxauto.so.0.ARCH.abi. Red on a change that breaks programs already built; docs/packages.md says what to do then.
+# packaging/abi/libxauto.so.1.ARCH.abi. Red on a change that breaks programs already built; docs/packages.md says what to do then.
 # usage: package-abi.sh OUT [SOURCE_TREE]      compares; OUT gets what was compared
 #        package-abi.sh --update               writes the reference anew
 set -euo pipefail
@@ -12,7 +12,7 @@ if [ "${1:-}" = --update ]; then
   set -- "$(mktemp -d)"
 fi
 out=$(realpath -m "$1") source=$(realpath "${2:-$root}")
-reference=$root/packaging/abi/libxauto.so.0.$(dpkg --print-architecture).abi
+reference=$root/packaging/abi/libxauto.so.1.$(dpkg --print-architecture).abi
 for tool in abidw abidiff; do
   command -v $tool >/dev/null || { echo "package-abi: $tool is missing; run scripts/setup.sh package" >&2; exit 1; }
 done
@@ -28,9 +28,9 @@ for file in lib/runtime/app.cc lib/transport/topic.cc lib/emu/client.cc; do
   objects+=("$object")
 done
 for _ in "${objects[@]}"; do wait -n; done
-g++ -shared -Wl,-soname,libxauto.so.0 -Wl,--version-script="$source/packaging/libxauto.map" "${objects[@]}" -o "$out/libxauto.so.0"
+g++ -shared -Wl,-soname,libxauto.so.1 -Wl,--version-script="$source/packaging/libxauto.map" "${objects[@]}" -o "$out/libxauto.so.1"
 abidw --headers-dir "$source/include/xauto" --drop-private-types --exported-interfaces-only --no-comp-dir-path --no-corpus-path \
-  --no-show-locs --type-id-style hash --out-file "$out/libxauto.abi" "$out/libxauto.so.0"
+  --no-show-locs --type-id-style hash --out-file "$out/libxauto.abi" "$out/libxauto.so.1"
 if [ -n "$update" ]; then
   install -D -m 644 "$out/libxauto.abi" "$reference"
   rm -r "$out"

@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # Makes the Debian packages from a finished build tree; compiles nothing twice. What `make packages` does; docs/packages.md.
-# usage: package-build.sh BUILD_DIR OUT        OUT gets libxauto0, libxauto-dev, xauto-tools, xauto-dkms (*.deb)
+# usage: package-build.sh BUILD_DIR OUT        OUT gets libxauto1, libxauto-dev, xauto-tools, xauto-dkms (*.deb)
 set -euo pipefail
 build=$(realpath "$1") out=$(realpath -m "$2")
 root=$(realpath "$(dirname "$0")/..")
 for tool in dh dh_dkms dpkg-buildpackage; do
   command -v $tool >/dev/null || { echo "package-build: $tool is missing; run scripts/setup.sh package" >&2; exit 1; }
 done
-[ -e "$build/lib/libxauto.so.0" ] || { echo "package-build: $build holds no finished build" >&2; exit 1; }
+[ -e "$build/lib/libxauto.so.1" ] || { echo "package-build: $build holds no finished build" >&2; exit 1; }
 version=$(sed -n 's/^project(xauto VERSION \([0-9.]*\).*/\1/p' "$root/CMakeLists.txt")
 packaged=$(dpkg-parsechangelog -l "$root/debian/changelog" -S Version)
 [ "$version" = "$packaged" ] ||

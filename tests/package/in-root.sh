@@ -5,7 +5,7 @@
 set -uo pipefail
 . /tmp/tap.sh
 cd /tmp || exit 2
-packages="libxauto0 libxauto-dev xauto-tools xauto-dkms"
+packages="libxauto1 libxauto-dev xauto-tools xauto-dkms"
 triplet=$(dpkg-architecture -qDEB_HOST_MULTIARCH 2>/dev/null || gcc -dumpmachine)
 
 # Everything that is there: names, kinds, modes, owners, contents of /etc. Left out: what dpkg, apt, ldconfig, depmod and man-db keep about
@@ -68,7 +68,7 @@ with_cmake() {
 with_pkgconfig() {
   # shellcheck disable=SC2046
   g++ $(pkg-config --cflags xauto) /tmp/template/main.cc $(pkg-config --libs xauto) -o /tmp/by-pkgconfig
-  ldd /tmp/by-pkgconfig | grep 'libxauto.so.0 =>'
+  ldd /tmp/by-pkgconfig | grep 'libxauto.so.1 =>'
   [ "$(pkg-config --modversion xauto)" = "$(xauto --version | grep -oE '[0-9.]+$')" ]
 }
 newer_wanted() {
@@ -103,7 +103,7 @@ without_root() {
 }
 dependencies_there() {
   local program
-  for program in /usr/libexec/xauto/* "/usr/lib/$triplet/libxauto.so.0"; do
+  for program in /usr/libexec/xauto/* "/usr/lib/$triplet/libxauto.so.1"; do
     ldd "$program" >needs
     absent grep 'not found' needs
   done
