@@ -63,7 +63,7 @@ with_cmake() {
   cp -r /usr/share/doc/libxauto-dev/examples/template /tmp/template
   cmake -S /tmp/template -B /tmp/template/build -DCMAKE_BUILD_TYPE=Release
   cmake --build /tmp/template/build
-  ldd /tmp/template/build/template | grep -E 'libxauto\.so\.0 => .*/libxauto\.so\.0 '
+  ldd /tmp/template/build/template | grep -E 'libxauto\.so\.1 => .*/libxauto\.so\.1 '
 }
 with_pkgconfig() {
   # shellcheck disable=SC2046
@@ -97,7 +97,7 @@ use() {
 without_root() {
   cd /tmp/template
   timeout --preserve-status -s TERM 3 setpriv --reuid 65534 --regid 65534 --clear-groups xauto run --app app.json --platform small --emulate \
-    --policy policy.json --activations 0 -- build/template 2>&1 | tee said
+    --policy policy.json --overload queue:64 --activations 0 -- build/template 2>&1 | tee said
   grep -E 'template: [1-9][0-9]* frames tracked' said
   grep -F 'stopped by the user' said
 }
