@@ -58,8 +58,9 @@ class Case(unittest.TestCase):
         return topics
 
     def assert_unaffected(self, results, releases):
-        """Not in lockstep, so a busy machine may cost it an overrun of its own."""
-        self.assertGreaterEqual(len(results), releases * 9 // 10)
+        """Not in lockstep, so a machine that stalls costs it overruns of its own. A module whose process died at a
+        quarter of the run has at most that quarter."""
+        self.assertGreaterEqual(len(results), releases * 6 // 10)
 
     def assert_counts_add_up(self, run, releases):
         for module in run["modules"]:
