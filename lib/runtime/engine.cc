@@ -96,6 +96,7 @@ Result<RunReport> Engine::run_all() {
   XAUTO_ASSIGN(const bool begun, role_->begin());
   if (!begun) {
     role_->end();
+    stop_workers();
     return report();
   }
   XAUTO_TRY(releaser_->run(placing_.fifo.sources));
