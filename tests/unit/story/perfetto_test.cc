@@ -10,11 +10,13 @@
 #include <set>
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
-#include "../golden_cases.h"
 #include "story/html_report.h"
 #include "story/perfetto.pb.h"
 #include "story/trace_reader.h"
+
+#include "../golden_cases.h"
 #include "tiny_run.h"
 
 namespace xauto::story {
@@ -409,8 +411,9 @@ TEST(Report, ADamagedTraceIsReadOrRefused) {
 // ---- other readers
 
 std::string protoc(const std::string& arguments, const std::string& bytes) {
-  const std::string in = ::testing::TempDir() + "xauto_perfetto.pftrace";
-  const std::string out = ::testing::TempDir() + "xauto_perfetto.txt";
+  // ctest runs each test in a process of its own, two at a time.
+  const std::string base = ::testing::TempDir() + "xauto_perfetto." + std::to_string(getpid());
+  const std::string in = base + ".pftrace", out = base + ".txt";
   std::ofstream(in, std::ios::binary) << bytes;
   const std::string command = std::string(XAUTO_PROTOC) + " " + arguments + " <" + in + " >" + out;
   EXPECT_EQ(std::system(command.c_str()), 0) << command;
