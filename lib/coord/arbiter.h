@@ -101,6 +101,7 @@ class Arbiter {
     return i < slots_.size() ? slots_[i] : kUnused;
   }
   [[nodiscard]] Discipline discipline() const { return discipline_; }
+  [[nodiscard]] const Order& order() const { return order_; }
   /// No job and no queue in any other state than enabled: the fast path may have the XPU back.
   [[nodiscard]] bool idle() const;
   /// The slot whose job is the most urgent eligible one; -1 if there is none.

@@ -30,13 +30,10 @@ template <class A>
 class Referee {
  public:
   Referee(Shm shm, Discipline discipline, const OrderPairs& order)
-      : shm_(shm), arbiter_(discipline, order), order_(order) {}
+      : shm_(shm), arbiter_(discipline, order) {}
 
   /// Order constraints are not kept. Before the first job.
-  void forget_order() {
-    order_ = Order();
-    arbiter_.forget_order();
-  }
+  void forget_order() { arbiter_.forget_order(); }
 
   /// A worker has this slot from now on. The generation goes on where the slot's last user left it,
   /// so that an old owner word never matches.
@@ -69,7 +66,7 @@ class Referee {
     info.used = false;
     A::store_relaxed(shm_.slots[slot].coordinator.used, 0u);
     for (const std::uint32_t xnode : xnodes)
-      if (order_.tracks(xnode)) A::store(shm_.finished[xnode], UINT64_MAX);
+      if (arbiter_.order().tracks(xnode)) A::store(shm_.finished[xnode], UINT64_MAX);
     arbiter_.gone(slot, held_actions());
     look_fat(wakes);
   }
@@ -226,7 +223,7 @@ class Referee {
       arbiter_.hold();
       for (int i = 0; i < high(); ++i)
         if (slots_[static_cast<std::size_t>(i)].used) scan_slot(i, wakes);
-      for (const std::uint32_t xnode : order_.predecessors())
+      for (const std::uint32_t xnode : arbiter_.order().predecessors())
         arbiter_.finished(xnode, A::load(shm_.finished[xnode]), held_actions());
       arbiter_.release(actions);
       carry_out(actions, wakes);
@@ -371,7 +368,6 @@ class Referee {
   Arbiter arbiter_;
   bool fat_ = false;  ///< the owner word is ours
   std::array<SlotInfo, kMaxSlots> slots_;
-  Order order_;
   std::vector<Action> nothing_;
   std::uint64_t decisions_ = 0;
 };

@@ -50,7 +50,7 @@ class Server {
   /// decides. Public for the tests, which call it between the steps of real ports.
   void look();
 
-  /// All state machines in words, as one JSON object.
+  /// All state machines in words.
   [[nodiscard]] XpuStatus status() const;
 
   /// Bytes from a connection, as run() would receive them; for the fuzzer. Returns whether the
