@@ -85,7 +85,9 @@ class SchedHandle {
 
   /// For an XPU type of the app's own that can be preempted. `suspend`: when it returns, none of
   /// the XNode's work runs on the XPU; an error leaves it running, and the coordinator then lets it
-  /// finish. `resume`: lets it go on where it was. Each may be called when it has nothing to do,
+  /// finish. The more urgent job is not held up until then: its `exec` may begin before `suspend` has
+  /// returned, so the XPU must bear the work of two jobs for that long, as a GPU's queues do.
+  /// `resume`: lets it go on where it was. Each may be called when it has nothing to do,
   /// then it succeeds. Threads: both from the worker's management thread, one at a time, while
   /// `exec` is on another; so both must be safe beside `exec`. They are copied, and live until the
   /// run has ended. What they throw counts as an error. The XPU must be `"preemptive": true` in

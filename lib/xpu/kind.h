@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// What an XPU is, in one table: a row per kind, a file per backend. Nothing else in the tree asks
-// for a type by name in order to decide how an XPU is found, who keeps its priorities, or how its
-// work is suspended. A new kind is one row in kind.cc and one backend file.
+// What an XPU is, in one table: a row per kind, a file per backend. It alone says by which nodes an
+// XPU is found, who keeps its priorities, and how its work is suspended. A new kind is one row in
+// kind.cc and one backend file. Only cores are asked for by name elsewhere: they are counted, and
+// threads are pinned to them.
 #pragma once
 
 #include <cstdint>
