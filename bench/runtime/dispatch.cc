@@ -17,10 +17,10 @@
 #include "base/futex.h"
 #include "base/socket.h"
 #include "coord/server.h"
+#include "launch/supervisor.h"
 #include "runtime/engine.h"
 
 #include "bench.h"
-#include "launch/supervisor.h"
 #include "peers.h"
 
 #ifdef XAUTO_BENCH_TBB

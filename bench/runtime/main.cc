@@ -4,10 +4,10 @@
 // anchors. Repeat it, and compare rows of one run only: the machine's other users are in all.
 #include <fstream>
 
+#include "cli/cli.h"
 #include "model/json_value.h"
 
 #include "bench.h"
-#include "cli/cli.h"
 
 namespace xauto::bench {
 namespace {

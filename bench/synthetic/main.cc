@@ -8,13 +8,13 @@
 
 #include <fmt/format.h>
 
+#include "cli/cli.h"
 #include "model/json.h"
 #include "solver/generate.h"
 
 #include "bench/synthetic/measure.h"
 #include "bench/synthetic/report.h"
 #include "bench/synthetic/yardsticks.h"
-#include "cli/cli.h"
 
 namespace xauto::bench {
 namespace {

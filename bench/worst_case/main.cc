@@ -9,13 +9,13 @@
 
 #include <fmt/format.h>
 
+#include "cli/cli.h"
 #include "model/json.h"
 #include "solver/random.h"
 #include "solver/simulate.h"
 #include "solver/solve.h"
 
 #include "bench/synthetic/measure.h"
-#include "cli/cli.h"
 
 namespace xauto::bench {
 namespace {

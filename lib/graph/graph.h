@@ -9,10 +9,9 @@
 
 #include <xauto/result.h>
 
+#include "graph/app_spec.h"
 #include "model/app.h"
 #include "model/platform.h"
-
-#include "graph/app_spec.h"
 
 namespace xauto::runtime {
 

@@ -20,11 +20,10 @@
 #include "base/socket.h"
 #include "emu/protocol.h"
 #include "emu/state_memory.h"
-#include "model/json.h"
-#include "model/json_value.h"
-
 #include "launch/cpu_run.h"
 #include "launch/pulse.h"
+#include "model/json.h"
+#include "model/json_value.h"
 #include "processes/packet.h"
 
 namespace xauto::launch {

@@ -22,10 +22,9 @@
 #include <xauto/result.h>
 
 #include "base/process.h"
-#include "trace/trace.h"
-
 #include "processes/board.h"
 #include "session/session.h"
+#include "trace/trace.h"
 
 namespace xauto::launch {
 

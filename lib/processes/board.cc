@@ -14,7 +14,6 @@
 #include "base/memory_file.h"
 #include "model/app.h"
 #include "model/deployment.h"
-
 #include "session/distribution.h"
 
 namespace xauto::runtime {

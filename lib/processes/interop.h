@@ -11,11 +11,10 @@
 
 #include <xauto/result.h>
 
-#include "transport/bridge.h"
-
 #include "graph/graph.h"
 #include "processes/plan.h"
 #include "session/session.h"
+#include "transport/bridge.h"
 
 namespace xauto::runtime {
 

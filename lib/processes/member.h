@@ -12,13 +12,12 @@
 #include <xauto/result.h>
 
 #include "base/unique_fd.h"
-#include "transport/shm_topic.h"
-
 #include "graph/graph.h"
 #include "processes/board.h"
 #include "processes/packet.h"
 #include "processes/plan.h"
 #include "session/session.h"
+#include "transport/shm_topic.h"
 
 namespace xauto::runtime {
 

@@ -8,9 +8,8 @@
 #include <memory>
 #include <vector>
 
-#include "transport/receiver.h"
-
 #include "processes/hub.h"
+#include "transport/receiver.h"
 
 namespace xauto::runtime {
 

@@ -14,11 +14,10 @@
 #include "base/log.h"
 #include "base/memory_file.h"
 #include "base/rt.h"
+#include "graph/graph.h"
 #include "model/json.h"
 #include "runtime/engine.h"
 #include "runtime/profiler.h"
-
-#include "graph/graph.h"
 #include "session/session.h"
 
 namespace xauto {

@@ -2,15 +2,12 @@
 // What every part of a run in one process knows, and none of them changes.
 #pragma once
 
-#include <memory>
-
-#include "trace/trace.h"
-
 #include "graph/app_spec.h"
 #include "graph/graph.h"
 #include "processes/board.h"
 #include "processes/plan.h"
 #include "session/session.h"
+#include "trace/trace.h"
 
 namespace xauto::runtime {
 

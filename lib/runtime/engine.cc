@@ -7,7 +7,6 @@
 
 #include "base/log.h"
 #include "runtime/routes.h"
-
 #include "session/notes.h"
 
 namespace xauto::runtime {

@@ -9,6 +9,9 @@
 
 #include <xauto/result.h>
 
+#include "graph/app_spec.h"
+#include "graph/graph.h"
+#include "processes/plan.h"
 #include "runtime/context.h"
 #include "runtime/hang_watch.h"
 #include "runtime/ledger.h"
@@ -16,13 +19,9 @@
 #include "runtime/releaser.h"
 #include "runtime/role.h"
 #include "runtime/wiring.h"
-#include "trace/trace.h"
-
-#include "graph/app_spec.h"
-#include "graph/graph.h"
-#include "processes/plan.h"
 #include "session/run_report.h"
 #include "session/session.h"
+#include "trace/trace.h"
 
 namespace xauto::runtime {
 

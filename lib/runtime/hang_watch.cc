@@ -8,7 +8,6 @@
 #include <unistd.h>
 
 #include "base/log.h"
-
 #include "session/notes.h"
 
 namespace xauto::runtime {

@@ -16,7 +16,6 @@
 #include "runtime/role.h"
 #include "runtime/routes.h"
 #include "runtime/watch.h"
-
 #include "session/run_report.h"
 
 namespace xauto::runtime {

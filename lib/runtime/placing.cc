@@ -8,9 +8,8 @@
 #include "base/log.h"
 #include "base/rt.h"
 #include "model/claims.h"
-#include "xpu/presence.h"
-
 #include "session/notes.h"
+#include "xpu/presence.h"
 
 namespace xauto::runtime {
 namespace {
@@ -60,10 +59,8 @@ FifoPlan choose_priorities(const Session& session, FifoPlan& fifo, std::string& 
 }
 
 /// The policy's pairs of XNodes, on all XPUs.
-std::vector<std::pair<std::uint32_t, std::uint32_t>> order_in_force(const Session& session,
-                                                                    const Graph& graph,
-                                                                    Placing& placing) {
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
+coord::OrderPairs order_in_force(const Session& session, const Graph& graph, Placing& placing) {
+  coord::OrderPairs order;
   if (session.policy.order.empty()) return order;
   if (!graph.single_rate) {
     // A pair would have to say which release of u comes before which of v.

@@ -23,7 +23,7 @@ struct Placing {
   FifoPlan fifo, workers;
   std::vector<int> fifo_by_xnode;  ///< of XNodes on real CPUs; empty: nobody schedules
   std::vector<int> cores;          ///< the kernel's numbers of the platform's CPUs, in order
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
+  coord::OrderPairs order;
   std::vector<std::uint32_t> xnode;  ///< [graph node] -> index in app.json
   std::vector<int> xpu;              ///< [graph node]; -1: none has an implementation
   std::vector<Limits> limits;        ///< [graph node]

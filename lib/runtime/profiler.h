@@ -8,10 +8,9 @@
 
 #include <xauto/result.h>
 
-#include "model/platform.h"
-
 #include "graph/app_spec.h"
 #include "graph/graph.h"
+#include "model/platform.h"
 #include "session/session.h"
 
 namespace xauto::runtime {

@@ -13,13 +13,12 @@
 
 #include "base/check.h"
 #include "base/log.h"
-#include "runtime/context.h"
-#include "runtime/ledger.h"
-#include "runtime/wiring.h"
-
 #include "processes/hub.h"
 #include "processes/member.h"
 #include "processes/stand_in.h"
+#include "runtime/context.h"
+#include "runtime/ledger.h"
+#include "runtime/wiring.h"
 #include "session/notes.h"
 
 namespace xauto::runtime {

@@ -14,13 +14,12 @@
 
 #include <xauto/result.h>
 
-#include "transport/shm_topic.h"
-
 #include "graph/graph.h"
 #include "processes/board.h"
 #include "processes/plan.h"
 #include "session/run_report.h"
 #include "session/session.h"
+#include "transport/shm_topic.h"
 
 namespace xauto::runtime {
 

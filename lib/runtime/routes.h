@@ -18,9 +18,8 @@
 #include <xauto/result.h>
 
 #include "base/pi_mutex.h"
-#include "model/deployment.h"
-
 #include "graph/graph.h"
+#include "model/deployment.h"
 #include "session/run_report.h"
 
 namespace xauto::runtime {

@@ -8,7 +8,6 @@
 #include "base/clock.h"
 #include "base/log.h"
 #include "base/rt.h"
-
 #include "session/notes.h"
 
 namespace xauto::runtime {

@@ -16,6 +16,8 @@
 
 #include <xauto/result.h>
 
+#include "processes/board.h"
+#include "processes/interop.h"
 #include "runtime/context.h"
 #include "runtime/placing.h"
 #include "runtime/role.h"
@@ -23,9 +25,6 @@
 #include "runtime/xmodule.h"
 #include "transport/receiver.h"
 #include "xpu/cpu_threads.h"
-
-#include "processes/board.h"
-#include "processes/interop.h"
 
 namespace xauto::runtime {
 

@@ -34,7 +34,6 @@ Worker::~Worker() {
 
 Status Worker::start() {
   XAUTO_ASSIGN(backend_, xpu::make_backend(options_.backend));
-  own_thread_ = backend_->on_thread();
   if (!options_.coordinator.empty()) {
     std::vector<std::uint32_t> xnodes;
     for (const Placed& placed : chain_.nodes)
@@ -62,7 +61,7 @@ Status Worker::init_nodes() {
   rt::set_thread_name(options_.name);
   rt::set_timer_slack_1ns();
   if (options_.core) XAUTO_TRY(rt::pin_to_core(*options_.core));
-  XAUTO_TRY(thread_->enter(own_thread_, options_.exec_fifo));
+  XAUTO_TRY(thread_->enter(backend_->on_thread(), options_.exec_fifo));
   for (Placed& placed : chain_.nodes) {
     if (placed.worker != this) continue;
     const std::string where = "init of XNode '" + placed.name + "' on " + xpu_name();

@@ -19,14 +19,14 @@
 #include <xauto/result.h>
 
 #include "coord/port.h"
+#include "coord/rule.h"
+#include "graph/graph.h"
+#include "processes/board.h"
 #include "runtime/watch.h"
 #include "runtime/xmodule.h"
 #include "trace/trace.h"
 #include "xpu/cpu_threads.h"
 #include "xpu/kind.h"
-
-#include "graph/graph.h"
-#include "processes/board.h"
 
 namespace xauto::runtime {
 
@@ -60,7 +60,7 @@ struct WorkerOptions {
   int exec_fifo = 0;            ///< SCHED_FIFO priority of the execution thread; 0: SCHED_OTHER
   int mgmt_fifo = 0;
   std::string coordinator;  ///< abstract socket; empty: nobody schedules
-  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
+  coord::OrderPairs order;
 };
 
 class Worker {
@@ -132,7 +132,6 @@ class Worker {
   std::unique_ptr<coord::Port> port_;
   std::unique_ptr<xpu::Backend> backend_;
   std::thread exec_, mgmt_;
-  bool own_thread_ = false;                ///< a job is its thread's work, and Linux schedules it
   bool shares_ = false;                    ///< its jobs may run on another worker's thread
   std::vector<Ready> lane_;                ///< of its execution thread
   std::atomic<std::uint32_t> mailbox_{0};  ///< 0: empty; kQuit; else chain position + 1

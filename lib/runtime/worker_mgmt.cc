@@ -83,7 +83,7 @@ void Worker::manage() {
 
 void Worker::begin_limited(const Placed& placed, std::uint64_t sequence) {
   limited_.store(&placed, std::memory_order_release);
-  if (own_thread_) cpu_since_ns_ = clock_ns(CLOCK_THREAD_CPUTIME_ID);
+  if (backend_->on_thread()) cpu_since_ns_ = clock_ns(CLOCK_THREAD_CPUTIME_ID);
   watch_.begin(now_ns(), sequence);
 }
 
@@ -91,7 +91,7 @@ void Worker::begin_limited(const Placed& placed, std::uint64_t sequence) {
 bool Worker::end_limited(const Placed& placed) {
   const std::int64_t wall_ns = watch_.end(now_ns());
   const std::int64_t took_ns =
-      own_thread_ ? clock_ns(CLOCK_THREAD_CPUTIME_ID) - cpu_since_ns_ : wall_ns;
+      backend_->on_thread() ? clock_ns(CLOCK_THREAD_CPUTIME_ID) - cpu_since_ns_ : wall_ns;
   XNodeLine& line = *placed.line;  // of this worker alone
   line.jobs.fetch_add(1, std::memory_order_relaxed);
   if (placed.limits.budget_ns > 0 && took_ns > placed.limits.budget_ns)

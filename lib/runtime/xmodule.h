@@ -24,10 +24,9 @@
 
 #include "base/pi_mutex.h"
 #include "base/ring.h"
+#include "graph/graph.h"
 #include "model/deployment.h"
 #include "transport/topic.h"
-
-#include "graph/graph.h"
 
 namespace xauto::runtime {
 

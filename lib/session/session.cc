@@ -12,7 +12,6 @@
 
 #include "base/memory_file.h"
 #include "model/json.h"
-
 #include "session/run_report.h"
 
 namespace xauto::runtime {

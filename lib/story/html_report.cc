@@ -11,7 +11,6 @@
 #include <fmt/format.h>
 
 #include "base/quantile.h"
-
 #include "story/account.h"
 #include "story/timeline.h"
 

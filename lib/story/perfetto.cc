@@ -4,7 +4,6 @@
 #include <algorithm>
 
 #include "base/clock.h"
-
 #include "story/perfetto.pb.h"
 
 namespace xauto::story {

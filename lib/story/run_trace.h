@@ -11,7 +11,6 @@
 #include <xauto/result.h>
 
 #include "solver/simulate.h"
-
 #include "story/story.h"
 
 namespace xauto::story {

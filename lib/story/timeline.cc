@@ -6,7 +6,6 @@
 #include "story/timeline.h"
 
 #include "model/json_value.h"
-
 #include "story/timeline_files.h"
 
 namespace xauto::story {

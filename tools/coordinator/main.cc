@@ -5,11 +5,10 @@
 #include "base/daemon.h"
 #include "base/log.h"
 #include "base/memory_file.h"
-#include "coord/server.h"
-#include "xpu/kind.h"
-
 #include "cli/cli.h"
+#include "coord/server.h"
 #include "session/session.h"
+#include "xpu/kind.h"
 
 namespace {
 

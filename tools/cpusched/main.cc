@@ -14,10 +14,9 @@
 
 #include "base/daemon.h"
 #include "base/log.h"
+#include "cli/cli.h"
 #include "kernel/run_maps.h"
 #include "kernel/scx_scheduler.h"
-
-#include "cli/cli.h"
 
 namespace {
 

@@ -4,10 +4,9 @@
 
 #include "base/daemon.h"
 #include "base/log.h"
+#include "cli/cli.h"
 #include "emu/server.h"
 #include "model/json.h"
-
-#include "cli/cli.h"
 
 namespace {
 

@@ -11,8 +11,8 @@
 #include "model/json.h"
 #include "model/json_value.h"
 #include "solver/explain.h"
-
 #include "story/account.h"
+
 #include "xauto/command.h"
 
 namespace xauto::cli {

@@ -8,8 +8,8 @@
 #include "model/claims.h"
 #include "model/json.h"
 #include "model/json_value.h"
-
 #include "story/html_report.h"
+
 #include "xauto/command.h"
 #include "xauto/outputs.h"
 

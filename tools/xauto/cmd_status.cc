@@ -14,10 +14,10 @@
 #include <unistd.h>
 
 #include "base/socket.h"
+#include "launch/supervisor.h"
 #include "model/json_value.h"
 #include "model/xpu_status.h"
 
-#include "launch/supervisor.h"
 #include "xauto/command.h"
 #include "xauto/live.h"
 

@@ -9,9 +9,9 @@
 
 #include "base/log.h"
 #include "model/json_value.h"
-
 #include "story/cpu_trace.h"
 #include "story/perfetto.h"
+
 #include "xauto/command.h"
 #include "xauto/live.h"
 #include "xauto/outputs.h"

@@ -7,7 +7,6 @@
 #include <fmt/format.h>
 
 #include "base/clock.h"
-
 #include "session/distribution.h"
 
 namespace xauto::cli {

@@ -8,12 +8,11 @@
 
 #include <xauto/result.h>
 
+#include "cli/cli.h"
 #include "model/app.h"
 #include "model/platform.h"
 #include "model/policy.h"
 #include "xpu/presence.h"
-
-#include "cli/cli.h"
 
 namespace xauto::cli {
 

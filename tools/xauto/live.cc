@@ -11,7 +11,6 @@
 #include "base/log.h"
 #include "base/socket.h"
 #include "coord/protocol.h"
-
 #include "launch/supervisor.h"
 
 namespace xauto::cli {

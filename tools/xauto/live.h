@@ -13,7 +13,6 @@
 #include "kernel/run_maps.h"
 #include "kernel/tracer.h"
 #include "model/xpu_status.h"
-
 #include "processes/board.h"
 
 namespace xauto::cli {

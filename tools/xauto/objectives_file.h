@@ -10,9 +10,8 @@
 
 #include <xauto/result.h>
 
-#include "solver/objectives.h"
-
 #include "cli/cli.h"
+#include "solver/objectives.h"
 
 namespace xauto::cli {
 

@@ -8,11 +8,11 @@
 
 #include "model/claims.h"
 #include "model/json_value.h"
-
 #include "story/html_report.h"
 #include "story/perfetto.h"
 #include "story/run_trace.h"
 #include "story/trace_reader.h"
+
 #include "xauto/gate.h"
 #include "xauto/worst_case.h"
 

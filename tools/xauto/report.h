@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "story/timeline.h"
+
 #include "xauto/run_app.h"
 
 namespace xauto::cli {

@@ -12,15 +12,15 @@
 
 #include <xauto/result.h>
 
-#include "model/deployment.h"
-#include "solver/simulate.h"
-
 #include "cli/cli.h"
 #include "launch/supervisor.h"
+#include "model/deployment.h"
 #include "session/run_report.h"
 #include "session/session.h"
+#include "solver/simulate.h"
 #include "story/story.h"
 #include "story/timeline.h"
+
 #include "xauto/emulation.h"
 
 namespace xauto::cli {

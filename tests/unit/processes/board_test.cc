@@ -6,7 +6,6 @@
 #include <sys/mman.h>
 
 #include "base/memory_file.h"
-
 #include "session/distribution.h"
 
 namespace xauto::runtime {

@@ -370,8 +370,8 @@ TEST(Engine, TraceTellsEveryStepOfEveryJobInOrder) {
                                                XAUTO_EV_FINISH}));
 }
 
-/// b1 is on the NPU when a2, which is more urgent, comes: the app's own functions take b1 off, and
-/// put it back when a2 is through.
+/// b1 is on the NPU when a2, which is more urgent, comes: the app's own functions take b1 off (a2 may
+/// begin before that is done, and waits for it here), and put it back when a2 is through.
 TEST(Engine, AnXpuOfTheAppsOwnIsSuspendedByItsCallbacks) {
   TestApp app;
   app.session.platform.xpus[1].preemptive = true;
@@ -414,7 +414,7 @@ TEST(Engine, AnXpuOfTheAppsOwnIsSuspendedByItsCallbacks) {
   EXPECT_EQ(report->lost_releases, 0u) << report->note;
   EXPECT_EQ(suspends.load(), 20);
   EXPECT_EQ(resumes.load(), 20);
-  EXPECT_EQ(out_of_place.load(), 0) << "a2 ran beside b1";
+  EXPECT_EQ(out_of_place.load(), 0) << "b1 was not taken off for a2";
 }
 
 TEST(Engine, APreemptiveXpuOfTheAppsOwnMustSayHow) {

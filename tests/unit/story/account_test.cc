@@ -8,6 +8,7 @@
 #include <gtest/gtest.h>
 
 #include "story/perfetto.h"
+
 #include "tiny_run.h"
 
 namespace xauto::story {

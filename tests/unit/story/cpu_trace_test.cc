@@ -9,6 +9,7 @@
 
 #include "story/perfetto.pb.h"
 #include "story/trace_reader.h"
+
 #include "tiny_run.h"
 
 namespace xauto::story {
