@@ -5,16 +5,11 @@
 #include <algorithm>
 #include <set>
 
+#include "base/index.h"
 #include "solver/evaluate.h"
 
 namespace xauto::solver {
-namespace {
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
-
-}  // namespace
+namespace {}  // namespace
 
 std::vector<Time> least_wcet(const Problem& problem) {
   std::vector<Time> least(at(problem.num_xnodes), kNever);

@@ -6,14 +6,11 @@
 #include <cstdint>
 #include <numeric>
 
+#include "base/index.h"
 #include "solver/simulate.h"
 
 namespace xauto::solver {
 namespace {
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
 
 /// Which XNodes come before which, edges and order pairs together; one bit row per XNode. Ended by
 /// `until`, it knows less: whoever asks takes two XNodes for open of which nobody says otherwise.

@@ -8,6 +8,7 @@
 #include <numeric>
 #include <queue>
 
+#include "base/index.h"
 #include "solver/bounds.h"
 #include "solver/random.h"
 
@@ -15,10 +16,6 @@ namespace xauto::solver {
 namespace {
 
 using Prices = std::vector<std::int64_t>;
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
 
 class Composite {
  public:

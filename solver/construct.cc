@@ -6,14 +6,11 @@
 #include <functional>
 #include <numeric>
 
+#include "base/index.h"
 #include "solver/bounds.h"
 
 namespace xauto::solver {
 namespace {
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
 
 /// What a schedule of `list` is built by: urgency per XNode, charge per (XNode, XPU).
 struct Rule {

@@ -6,6 +6,7 @@
 #include <bit>
 #include <cmath>
 
+#include "base/index.h"
 #include "solver/evaluate.h"
 
 namespace xauto::solver {
@@ -15,10 +16,6 @@ constexpr double kEpsilon = 1e-9;
 constexpr int kMaxPivots = 600;        // plus four per column
 constexpr std::size_t kMaxEdges = 48;  // window ends tried per type; beyond, an even sample of them
 constexpr std::size_t kMaxRows = 160;
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
 
 void sort_and_thin(std::vector<Time>& times) {
   std::sort(times.begin(), times.end());

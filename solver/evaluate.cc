@@ -5,14 +5,10 @@
 #include <algorithm>
 #include <bit>
 
+#include "base/index.h"
+
 namespace xauto::solver {
-namespace {
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
-
-}  // namespace
+namespace {}  // namespace
 
 Evaluator::Evaluator(const Problem& problem)
     : problem_(problem), n_(at(problem.num_xnodes)), m_(at(problem.num_xpus)) {

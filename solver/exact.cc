@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <bit>
 
+#include "base/index.h"
 #include "solver/bounds.h"
 #include "solver/composite.h"
 #include "solver/energy_lp.h"
@@ -12,10 +13,6 @@
 
 namespace xauto::solver {
 namespace {
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
 
 /// One attempt: is a makespan of at most T impossible?
 class Refuter : private Rules {

@@ -6,15 +6,12 @@
 #include <cstdio>
 #include <map>
 
+#include "base/index.h"
 #include "solver/bounds.h"
 #include "solver/simulate.h"
 
 namespace xauto::solver {
 namespace {
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
 
 std::string ms(Time us) {
   char text[32];

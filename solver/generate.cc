@@ -5,16 +5,13 @@
 #include <cmath>
 #include <numeric>
 
+#include "base/index.h"
 #include "solver/random.h"
 
 namespace xauto::solver {
 namespace {
 
 constexpr int kAttempts = 200'000;
-
-std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
-}
 
 std::string numbered(const char* prefix, int i, int digits) {
   std::string number = std::to_string(i);

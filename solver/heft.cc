@@ -4,12 +4,10 @@
 #include <algorithm>
 #include <numeric>
 
+#include "base/index.h"
+
 namespace xauto::solver {
 namespace {
-
-std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
-}
 
 /// Mean WCET over the instances it can run on, in units of 1/num_xpus us: integers keep ties exact.
 std::vector<Time> upward_ranks(const Problem& p) {
@@ -37,9 +35,9 @@ std::vector<int> by_rank(const Problem& p) {
   return order;
 }
 
-class Plan {
+class Insertion {
  public:
-  Plan(const Problem& p, const Until& until)
+  Insertion(const Problem& p, const Until& until)
       : p_(p), until_(until), busy_(at(p.num_xpus)), finish_(at(p.num_xnodes), 0) {
     decision_.xpu.assign(at(p.num_xnodes), -1);
     start_.assign(at(p.num_xnodes), 0);
@@ -103,22 +101,22 @@ class Plan {
 Decision heft(const Problem& problem, const Until& until) {
   std::vector<int> all(at(problem.num_xpus));
   std::iota(all.begin(), all.end(), 0);
-  Plan plan(problem, until);
-  for (const int i : by_rank(problem)) plan.place(i, all);
-  return plan.decision();
+  Insertion insertion(problem, until);
+  for (const int i : by_rank(problem)) insertion.place(i, all);
+  return insertion.decision();
 }
 
 Decision local(const Problem& problem, const Until& until) {
-  Plan plan(problem, until);
+  Insertion insertion(problem, until);
   for (const int i : by_rank(problem)) {
     int fastest = -1;
     for (int t = 0; t < problem.num_types; ++t)
       if (problem.wcet(i, t) != kCannotRun &&
           (fastest < 0 || problem.wcet(i, t) < problem.wcet(i, fastest)))
         fastest = t;
-    plan.place(i, problem.type_xpus[at(fastest)]);
+    insertion.place(i, problem.type_xpus[at(fastest)]);
   }
-  return plan.decision();
+  return insertion.decision();
 }
 
 }  // namespace xauto::solver

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <set>
 
+#include "base/index.h"
 #include "solver/bounds.h"
 #include "solver/heft.h"
 #include "solver/ilp_model.h"
@@ -19,11 +20,6 @@ namespace {
 using Term = IlpModel::Term;
 
 constexpr int kMaxXNodes = 60;  ///< n^3 m rows: 1.3 million at 60 on `small`
-constexpr double kHorizon = 1000;
-
-std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
-}
 
 std::string tag(const char* what, std::initializer_list<int> indices) {
   std::string name = what;

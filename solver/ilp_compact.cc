@@ -8,6 +8,7 @@
 #include <set>
 #include <tuple>
 
+#include "base/index.h"
 #include "solver/bounds.h"
 #include "solver/heft.h"
 #include "solver/ilp.h"
@@ -20,13 +21,8 @@ namespace {
 using Term = IlpModel::Term;
 using Clock = std::chrono::steady_clock;
 
-constexpr double kHorizon = 1000;
 constexpr int kRounds = 40;          ///< of adding rows
 constexpr double kViolation = 1e-4;  ///< of the horizon
-
-std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
-}
 
 std::string tag(const char* what, int i, int j) {
   return std::string(what) + "_" + std::to_string(i) + "_" + std::to_string(j);

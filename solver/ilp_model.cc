@@ -6,14 +6,10 @@
 
 #include <lpsolve/lp_lib.h>
 
+#include "base/index.h"
+
 namespace xauto::solver {
-namespace {
-
-std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
-}
-
-}  // namespace
+namespace {}  // namespace
 
 IlpModel::IlpModel() : lp_(make_lp(0, 0)) {
   set_verbose(lp_, NEUTRAL);

@@ -14,6 +14,10 @@ struct _lprec;
 
 namespace xauto::solver {
 
+/// The unit of time in a model: a thousandth of the horizon, so that the big-M rows stay far from
+/// lp_solve's tolerances whatever the app's times are.
+inline constexpr double kHorizon = 1000;
+
 class IlpModel {
  public:
   enum class Outcome { kOptimal, kFeasible, kInfeasible, kTimeLimit, kStopped, kFailed };

@@ -4,14 +4,11 @@
 
 #include <algorithm>
 
+#include "base/index.h"
 #include "solver/bounds.h"
 
 namespace xauto::solver {
 namespace {
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
 
 Result<int> xnode_named(const AppSpec& app, const std::string& name, const std::string& where) {
   const int i = app.find(name);

@@ -6,17 +6,12 @@
 #include <functional>
 #include <queue>
 
+#include "base/index.h"
 #include "solver/bounds.h"
 #include "solver/evaluate.h"
 
 namespace xauto::solver {
-namespace {
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
-
-}  // namespace
+namespace {}  // namespace
 
 OrderedEvaluator::OrderedEvaluator(const Problem& problem)
     : problem_(problem), n_(at(problem.num_xnodes)), m_(at(problem.num_xpus)) {

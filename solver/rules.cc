@@ -5,14 +5,11 @@
 #include <algorithm>
 #include <bit>
 
+#include "base/index.h"
 #include "solver/evaluate.h"
 
 namespace xauto::solver {
 namespace {
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
 
 bool raise(Time& value, Time to) {
   if (to <= value) return false;

@@ -8,6 +8,7 @@
 #include <queue>
 #include <tuple>
 
+#include "base/index.h"
 #include "solver/bounds.h"
 #include "solver/ordered.h"
 #include "solver/random.h"
@@ -15,13 +16,45 @@
 namespace xauto::solver {
 namespace {
 
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
+// ---- constants of the search --------------------------------------------------------------------
+// Unless it says more, a value was set with the first search, on apps of up to 60 XNodes, and
+// stayed: no measurement of its neighbours is kept, so there is room to tune. `make bench` shows
+// what a change does.
+
+// Temperatures, as shares of the best makespan. How they fall with the app's size was tuned on the
+// synthetic app of 1000 XNodes: its gap went from 5.1 % after 60 s to 4.3 % after 25 s; up to
+// kLarge XNodes nothing changes.
+constexpr double kHot = 0.012;     ///< a round begins here
+constexpr double kHottest = 0.03;  ///< ... or here, every kHottestEvery-th time, to leave a basin
+constexpr int kHottestEvery = 3;
+constexpr double kCold = 0.0002;  ///< and ends here
+
+// Steps of a round, half as many again every other round.
+constexpr std::int64_t kStepsPerXNode = 200, kStepsAtLeast = 2000;
+constexpr int kStepsPerTemperature = 64;  ///< the temperature falls every so many steps
+constexpr int kStepsPerChain = 8;         ///< accepted moves make the critical chain stale
+constexpr std::uint64_t kRoundsPerStay =
+    4;  ///< one in so many goes on where it is, not at the best
+
+// Moves, in percent: to another XPU, exchange of places with an XNode elsewhere; the rest are
+// shifts in the sequence.
+constexpr std::uint64_t kMovePercent = 40, kExchangePercent = 15;
+constexpr std::uint64_t kMostHops = 3;  ///< of a shift: past so many neighbours on its XPU
+
+// Between two looks at the clock: as many XNodes and edges as take some ten milliseconds at most,
+// on the machines that this was written on.
+constexpr std::int64_t kVisitsPerLook = 400'000, kMostStepsPerLook = 1024;
+constexpr int kPollsPerReport = 16;
+
+/// A priced list: an XNode may go to types that cost at most this much more than its cheapest.
+constexpr double kPriceSlack = 1.1;
+/// Weights of the use of an XPU in the constructive lists; negative: by prices.
+constexpr double kSpreads[] = {0.0, 0.5, 1.0, -1.0};
 
 /// Non-preemptive insertion-free list scheduling: by descending rank, each XNode goes where it ends
 /// first.
-/// `prices`, if not empty: an XNode may go only where price * wcet is within a tenth of its least.
+/// `prices`, if not empty: an XNode may go only where price * wcet is within kPriceSlack of its
+/// least.
 Solution list_schedule(const Problem& problem, const std::vector<double>& rank, double spread,
                        const std::vector<std::int64_t>& prices = {}) {
   const std::size_t n = at(problem.num_xnodes);
@@ -55,7 +88,7 @@ Solution list_schedule(const Problem& problem, const std::vector<double>& rank, 
       if (problem.wcet_on(i, x) != kCannotRun) cheapest = std::min(cheapest, charge(x));
     for (int x = 0; x < problem.num_xpus; ++x) {
       const Time wcet = problem.wcet_on(i, x);
-      if (wcet == kCannotRun || charge(x) > 1.1 * cheapest) continue;
+      if (wcet == kCannotRun || charge(x) > kPriceSlack * cheapest) continue;
       const Time begin = std::max(released, free_at[at(x)]);
       // `spread` charges the use of the XPU itself, so that scarce fast XPUs go to those who gain
       // most.
@@ -98,7 +131,7 @@ class Annealer {
     }
     std::int64_t size = problem.num_xnodes;
     for (const auto& list : problem.succ) size += static_cast<std::int64_t>(list.size());
-    look_ = std::clamp<std::int64_t>(400'000 / size, 1, 1024);
+    look_ = std::clamp<std::int64_t>(kVisitsPerLook / size, 1, kMostStepsPerLook);
     group_of_.assign(n, nullptr);
     for (const auto& group : problem.groups)
       for (int i : group) group_of_[at(i)] = &group;
@@ -109,7 +142,8 @@ class Annealer {
     best_.makespan = kNever;
     note_if_better();
     // Rounds of growing length; each cools down from a temperature that suits the current solution.
-    std::int64_t length = 200 * static_cast<std::int64_t>(problem_.num_xnodes) + 2000;
+    std::int64_t length =
+        kStepsPerXNode * static_cast<std::int64_t>(problem_.num_xnodes) + kStepsAtLeast;
     for (int k = 0; k < limits_.effort; ++k) length += length / 2;
     for (int round = 0; !done_; ++round) {
       // Temperatures follow the size of one XNode's effect, which falls as the app grows; and a
@@ -117,11 +151,11 @@ class Annealer {
       const double share =
           std::min(1.0, static_cast<double>(kLarge) / static_cast<double>(problem_.num_xnodes));
       const double scale = share * share;
-      const double hot = (round % 3 == 2 ? 0.03 : 0.012) * scale;
+      const double hot = (round % kHottestEvery == 2 ? kHottest : kHot) * scale;
       cool(length, hot * static_cast<double>(best_.makespan),
-           0.0002 * scale * static_cast<double>(best_.makespan));
+           kCold * scale * static_cast<double>(best_.makespan));
       if (round % 2 == 1) length += length / 2;
-      if (random_.below(4) != 0) reset(best_);
+      if (random_.below(kRoundsPerStay) != 0) reset(best_);
     }
     if (callbacks_.on_evaluations) callbacks_.on_evaluations(evaluator_.evaluations() - reported_);
     return best_;
@@ -136,11 +170,12 @@ class Annealer {
   }
 
   void cool(std::int64_t length, double hot, double cold) {
-    const double factor = std::pow(cold / hot, 1.0 / static_cast<double>(length / 64 + 1));
+    const double factor =
+        std::pow(cold / hot, 1.0 / static_cast<double>(length / kStepsPerTemperature + 1));
     double temperature = hot;
     evaluator_.critical_chain(chain_);
     for (std::int64_t step = 0; step < length; ++step) {
-      if (step % 64 == 0) {
+      if (step % kStepsPerTemperature == 0) {
         temperature *= factor;
         if (check_limits()) return;
       }
@@ -157,7 +192,7 @@ class Annealer {
       }
       evaluator_.commit();
       note_if_better();
-      if (step % 8 == 0 || chain_.empty()) evaluator_.critical_chain(chain_);
+      if (step % kStepsPerChain == 0 || chain_.empty()) evaluator_.critical_chain(chain_);
     }
   }
 
@@ -174,9 +209,9 @@ class Annealer {
         return;
       }
     }
-    if (kind < 40 && options_[at(i)].size() > 1) {
+    if (kind < kMovePercent && options_[at(i)].size() > 1) {
       move_to(i, other_xpu(i));
-    } else if (kind < 55) {
+    } else if (kind < kMovePercent + kExchangePercent) {
       // Exchange of places with an XNode on another XPU.
       const int j = static_cast<int>(random_.below(static_cast<std::uint64_t>(n)));
       const int xi = evaluator_.xpu()[at(i)], xj = evaluator_.xpu()[at(j)];
@@ -255,7 +290,7 @@ class Annealer {
     const int from = evaluator_.position(i);
     // Up to a few neighbours away, in either direction.
     const bool earlier = random_.below(2) == 0;
-    auto hops = static_cast<int>(1 + random_.below(3));
+    auto hops = static_cast<int>(1 + random_.below(kMostHops));
     int target = from;
     for (int p = from + (earlier ? -1 : 1); p >= 0 && p < n; p += earlier ? -1 : 1) {
       if (evaluator_.xpu()[at(evaluator_.sequence()[at(p)])] != x) continue;
@@ -291,7 +326,7 @@ class Annealer {
     if (limits_.target != nullptr &&
         best_.makespan <= limits_.target->load(std::memory_order_relaxed))
       done_ = true;
-    if (++polls_ % 16 == 0) {
+    if (++polls_ % kPollsPerReport == 0) {
       if (callbacks_.on_evaluations) callbacks_.on_evaluations(evaluations - reported_);
       reported_ = evaluations;
     }
@@ -308,7 +343,7 @@ class Annealer {
   std::vector<int> chain_, mates_;
   Solution best_;
   bool done_ = false;
-  std::int64_t look_ = 1;  // steps between two looks at the clock: some ten milliseconds at most
+  std::int64_t look_ = 1;  ///< steps between two looks at the clock
   std::int64_t polls_ = 0, reported_ = 0;
 };
 
@@ -372,7 +407,7 @@ std::vector<Solution> constructive_solutions(const Problem& problem, const Until
       for (int s : problem.succ[at(i)]) tail = std::max(tail, rank[at(s)]);
       rank[at(i)] = tail + (rule == 0 ? least : rule == 1 ? sum / count : greatest);
     }
-    for (double spread : {0.0, 0.5, 1.0, -1.0}) {
+    for (const double spread : kSpreads) {
       if (!solutions.empty() && until.over()) break;
       Solution solution = spread < 0 ? list_schedule(problem, rank, 0, prices)
                                      : list_schedule(problem, rank, spread);

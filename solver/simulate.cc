@@ -7,14 +7,12 @@
 #include <queue>
 #include <utility>
 
+#include "base/index.h"
+
 namespace xauto::solver {
 namespace {
 
-constexpr Time kNever = std::numeric_limits<Time>::max();
-
-std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
-}
+constexpr Time kNoEvent = std::numeric_limits<Time>::max();
 
 class Run {
  public:
@@ -54,10 +52,10 @@ class Run {
       do {
         for (int m = 0; m < p_.num_xpus; ++m) decide(m, now);
       } while (complete(now));
-      Time next = kNever;
+      Time next = kNoEvent;
       for (int m = 0; m < p_.num_xpus; ++m)
         if (running_[at(m)] >= 0) next = std::min(next, since_[at(m)] + left_[at(running_[at(m)])]);
-      if (next == kNever) break;
+      if (next == kNoEvent) break;
       now = next;
       complete(now);
     }

@@ -6,16 +6,13 @@
 #include <limits>
 #include <numeric>
 
+#include "base/index.h"
 #include "solver/simulate.h"
 
 namespace xauto::solver {
 namespace {
 
 constexpr Time kIdle = std::numeric_limits<Time>::max();
-
-std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
-}
 
 }  // namespace
 

@@ -11,18 +11,16 @@
 #include <limits>
 #include <memory>
 
+#include "base/index.h"
 #include "solver/simulate.h"
 
 namespace xauto::solver {
 namespace {
 
 using Nanos = std::int64_t;
-constexpr Nanos kNever = std::numeric_limits<Nanos>::max();
+constexpr Nanos kNoEventNs = std::numeric_limits<Nanos>::max();
 constexpr Nanos kMicro = 1000;
 
-std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
-}
 Time micros_up(Nanos ns) {
   return (ns + kMicro - 1) / kMicro;
 }
@@ -45,9 +43,9 @@ class Resource {
   void add(int xnode, Nanos work) { queue_.push_back({xnode, work}); }
 
   [[nodiscard]] Nanos next_event() const {
-    if (queue_.empty()) return kNever;
+    if (queue_.empty()) return kNoEventNs;
     if (slice_ == 0) {
-      Nanos least = kNever;
+      Nanos least = kNoEventNs;
       for (const Item& item : queue_) least = std::min(least, item.left);
       const auto sharers = static_cast<std::int64_t>(queue_.size());
       return now_ + (sharers <= cores_ ? least : (least * sharers + cores_ - 1) / cores_);
@@ -194,9 +192,9 @@ Simulation simulate_shared(const Problem& p, const Platform& platform, Model mod
   for (int i = 0; i < p.num_xnodes; ++i)
     if (waits_for[at(i)] == 0) begin(i, 0);
   for (;;) {
-    Nanos next = kNever;
+    Nanos next = kNoEventNs;
     for (const Resource& resource : resources) next = std::min(next, resource.next_event());
-    if (next == kNever) break;
+    if (next == kNoEventNs) break;
     std::vector<int> ended;
     for (Resource& resource : resources) resource.advance(next, ended);
     std::sort(ended.begin(), ended.end());

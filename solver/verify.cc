@@ -6,14 +6,15 @@
 #include <numeric>
 #include <random>
 
+#include "base/index.h"
 #include "model/claims.h"
 #include "solver/verify_world.h"
 
 namespace xauto::solver {
 namespace {
 
+using verification::Candidate;
 using verification::Execution;
-using verification::Plan;
 using verification::Proof;
 using verification::Us;
 using verification::World;
@@ -23,9 +24,6 @@ constexpr std::int64_t kTypeProofNodes = 200'000;
 constexpr std::int64_t kWork = 40'000'000;  ///< XNode visits that a kind of attack may cost
 constexpr int kMostByTypes = 2000;          ///< XNodes; a node of that proof is quadratic in them
 
-std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
-}
 std::string us(Us value) {
   return std::to_string(value) + " us";
 }
@@ -42,12 +40,13 @@ class Check {
         kinds_(world_),
         engine_(options.seed) {
     for (const Placement& p : policy.placements) {
-      plan_.xpu.push_back(p.xpu);
-      plan_.priority.push_back(p.priority);
+      candidate_.xpu.push_back(p.xpu);
+      candidate_.priority.push_back(p.priority);
     }
-    plan_.order_before.resize(at(world_.n));
-    for (const auto& [u, v] : policy.order) plan_.order_before[at(v)].push_back(u);
-    for (int i = 0; i < world_.n; ++i) wcet_.push_back(*world_.wcet[at(i)][at(plan_.xpu[at(i)])]);
+    candidate_.order_before.resize(at(world_.n));
+    for (const auto& [u, v] : policy.order) candidate_.order_before[at(v)].push_back(u);
+    for (int i = 0; i < world_.n; ++i)
+      wcet_.push_back(*world_.wcet[at(i)][at(candidate_.xpu[at(i)])]);
     wishes(platform);
   }
 
@@ -96,9 +95,9 @@ class Check {
         if (i < 0) continue;
         for (int x = 0; x < world_.m; ++x)
           if (means(x, target) != keep) allowed[at(i)][at(x)] = 0;
-        if (allowed[at(i)][at(plan_.xpu[at(i)])] == 0)
+        if (allowed[at(i)][at(candidate_.xpu[at(i)])] == 0)
           lie("XNode '" + called + (keep ? "' must run on " : "' must not run on ") + target +
-              ", it runs on " + platform.xpus[at(plan_.xpu[at(i)])].id);
+              ", it runs on " + platform.xpus[at(candidate_.xpu[at(i)])].id);
         else
           shown("'" + called + (keep ? "' runs on " : "' does not run on ") + target);
       }
@@ -111,7 +110,7 @@ class Check {
       for (const std::string& called : names)
         if (const int i = asked_xnode(called); i >= 0) members.push_back(i);
       const bool together = std::all_of(members.begin(), members.end(), [&](int i) {
-        return plan_.xpu[at(i)] == plan_.xpu[at(members.front())];
+        return candidate_.xpu[at(i)] == candidate_.xpu[at(members.front())];
       });
       if (!members.empty() && together)
         shown("the group of '" + names.front() + "' runs on one XPU");
@@ -168,7 +167,7 @@ class Check {
   }
 
   void schedule() {
-    const Execution e = verification::execute(world_, plan_, wcet_);
+    const Execution e = verification::execute(world_, candidate_, wcet_);
     v_.latency_us = e.latency;
     finish_ = e.finish;
     int wrong = 0;
@@ -254,9 +253,9 @@ class Check {
   /// sequences, and one of these on some XPUs with the other on the rest.
   Us shortest_tried() {
     const std::size_t n = at(world_.n);
-    std::vector<int> xpu = plan_.xpu, sequence(n);
+    std::vector<int> xpu = candidate_.xpu, sequence(n);
     std::iota(sequence.begin(), sequence.end(), 0);
-    const Execution planned = verification::execute(world_, plan_, wcet_);
+    const Execution planned = verification::execute(world_, candidate_, wcet_);
     std::vector<std::size_t> depth(n);
     for (std::size_t k = 0; k < n; ++k) depth[at(world_.first_to_last[k])] = k;
     std::sort(sequence.begin(), sequence.end(), [&](int a, int b) {
@@ -265,22 +264,23 @@ class Check {
     });
     std::vector<char> in_order(at(world_.m), 0);  // [xpu], of the third kind
     const auto length = [&] {
-      Plan plan{xpu, std::vector<std::int64_t>(n), std::vector<std::vector<int>>(n)};
+      Candidate candidate{xpu, std::vector<std::int64_t>(n), std::vector<std::vector<int>>(n)};
       std::vector<Us> takes(n);
       for (std::size_t k = 0; k < n; ++k)
-        plan.priority[at(sequence[k])] = static_cast<std::int64_t>(n - k);
+        candidate.priority[at(sequence[k])] = static_cast<std::int64_t>(n - k);
       for (std::size_t i = 0; i < n; ++i) takes[i] = *world_.wcet[i][at(xpu[i])];
       ++schedules_;
-      const Us least = std::min(verification::execute(world_, plan, takes).latency,
+      const Us least = std::min(verification::execute(world_, candidate, takes).latency,
                                 verification::in_sequence(world_, xpu, sequence));
       for (char& ordered : in_order) ordered = below(2) == 0;
       std::vector<int> last(at(world_.m), -1);
       for (const int i : sequence) {
         int& before = last[at(xpu[at(i)])];
-        if (before >= 0 && in_order[at(xpu[at(i)])]) plan.order_before[at(i)].push_back(before);
+        if (before >= 0 && in_order[at(xpu[at(i)])])
+          candidate.order_before[at(i)].push_back(before);
         before = i;
       }
-      return std::min(least, verification::execute(world_, plan, takes).latency);
+      return std::min(least, verification::execute(world_, candidate, takes).latency);
     };
     Us best = length(), current = best;
     const auto rounds = std::min(options_.schedules, kWork / 10 / size());
@@ -392,7 +392,7 @@ class Check {
         }
       }
       ++v_.executions;
-      const Us latency = verification::execute(world_, plan_, takes).latency;
+      const Us latency = verification::execute(world_, candidate_, takes).latency;
       if (latency >= v_.worst_found_us) {
         v_.worst_found_us = latency;
         worst = takes;
@@ -418,18 +418,19 @@ class Check {
     std::vector<char> sequential(at(world_.m), 1);
     for (std::size_t i = 0; i < n; ++i)
       for (std::size_t j = 0; j < n; ++j) {
-        if (i == j || plan_.xpu[i] != plan_.xpu[j] || reaches[i][j] || reaches[j][i]) continue;
-        sequential[at(plan_.xpu[i])] = 0;
-        if (plan_.priority[i] > plan_.priority[j])
-          inflated[i] = wcet_[i] + world_.preempt_us[at(plan_.xpu[i])];
+        if (i == j || candidate_.xpu[i] != candidate_.xpu[j] || reaches[i][j] || reaches[j][i])
+          continue;
+        sequential[at(candidate_.xpu[i])] = 0;
+        if (candidate_.priority[i] > candidate_.priority[j])
+          inflated[i] = wcet_[i] + world_.preempt_us[at(candidate_.xpu[i])];
       }
     for (std::size_t x = 0; x < sequential.size(); ++x)
       if (!sequential[x] && !world_.preemptive[x]) return std::nullopt;
-    const Execution e = verification::execute(world_.relaxed(), plan_, inflated);
+    const Execution e = verification::execute(world_.relaxed(), candidate_, inflated);
     for (std::size_t i = 0; i < n; ++i)
       for (std::size_t j = 0; j < n; ++j)
-        if (i != j && plan_.xpu[i] == plan_.xpu[j] && !reaches[i][j] && !reaches[j][i] &&
-            plan_.priority[i] > plan_.priority[j] && e.finish[i] > e.finish[j])
+        if (i != j && candidate_.xpu[i] == candidate_.xpu[j] && !reaches[i][j] && !reaches[j][i] &&
+            candidate_.priority[i] > candidate_.priority[j] && e.finish[i] > e.finish[j])
           return std::nullopt;
     return e.latency;
   }
@@ -468,7 +469,7 @@ class Check {
   std::vector<std::vector<int>> groups_;
   std::vector<int> group_of_;
   std::mt19937_64 engine_;
-  Plan plan_;
+  Candidate candidate_;
   std::vector<Us> wcet_, finish_;
   std::int64_t schedules_ = 0;
   Verification v_;

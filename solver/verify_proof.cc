@@ -6,14 +6,11 @@
 #include <cstdint>
 #include <limits>
 
+#include "base/index.h"
 #include "solver/verify_world.h"
 
 namespace xauto::solver::verification {
 namespace {
-
-std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
-}
 
 class ByTypes {
  public:

@@ -7,15 +7,9 @@
 #include <set>
 #include <tuple>
 
+#include "base/index.h"
+
 namespace xauto::solver::verification {
-namespace {
-
-std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
-}
-
-}  // namespace
-
 World::World(const AppSpec& app, const Platform& platform)
     : n(static_cast<int>(app.xnodes.size())), m(static_cast<int>(platform.xpus.size())) {
   before.resize(at(n));
@@ -65,7 +59,7 @@ World World::relaxed() const {
   return free;
 }
 
-Execution execute(const World& world, const Plan& plan, const std::vector<Us>& takes) {
+Execution execute(const World& world, const Candidate& candidate, const std::vector<Us>& takes) {
   struct Processor {
     std::priority_queue<std::pair<std::int64_t, int>> waiting;  // (priority, xnode)
     int job = -1;
@@ -79,14 +73,14 @@ Execution execute(const World& world, const Plan& plan, const std::vector<Us>& t
   std::vector<std::size_t> missing(at(world.n));
   std::vector<std::vector<int>> unlocks(at(world.n));
   for (int i = 0; i < world.n; ++i) {
-    missing[at(i)] = world.before[at(i)].size() + plan.order_before[at(i)].size();
-    for (const int u : plan.order_before[at(i)]) unlocks[at(u)].push_back(i);
+    missing[at(i)] = world.before[at(i)].size() + candidate.order_before[at(i)].size();
+    for (const int u : candidate.order_before[at(i)]) unlocks[at(u)].push_back(i);
     if (missing[at(i)] == 0)
-      processors[at(plan.xpu[at(i)])].waiting.emplace(plan.priority[at(i)], i);
+      processors[at(candidate.xpu[at(i)])].waiting.emplace(candidate.priority[at(i)], i);
   }
   const auto unlock = [&](int i) {
     if (--missing[at(i)] == 0)
-      processors[at(plan.xpu[at(i)])].waiting.emplace(plan.priority[at(i)], i);
+      processors[at(candidate.xpu[at(i)])].waiting.emplace(candidate.priority[at(i)], i);
   };
   for (Us now = 0;;) {
     for (std::size_t x = 0; x < processors.size(); ++x) {
@@ -94,10 +88,11 @@ Execution execute(const World& world, const Plan& plan, const std::vector<Us>& t
       if (p.waiting.empty()) continue;
       const int next = p.waiting.top().second;
       if (p.job >= 0) {
-        if (!world.preemptive[x] || plan.priority[at(next)] < plan.priority[at(p.job)]) continue;
+        if (!world.preemptive[x] || candidate.priority[at(next)] < candidate.priority[at(p.job)])
+          continue;
         rest[at(p.job)] = p.until - now;
         p.waiting.pop();
-        p.waiting.emplace(plan.priority[at(p.job)], p.job);
+        p.waiting.emplace(candidate.priority[at(p.job)], p.job);
         rest[at(next)] += world.preempt_us[x];
       } else {
         p.waiting.pop();

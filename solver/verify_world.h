@@ -32,7 +32,7 @@ struct World {
   [[nodiscard]] World relaxed() const;
 };
 
-struct Plan {
+struct Candidate {
   std::vector<int> xpu;
   std::vector<std::int64_t> priority;
   std::vector<std::vector<int>> order_before;  ///< [xnode] run-time order predecessors
@@ -43,8 +43,9 @@ struct Execution {
   Us latency = 0;
 };
 
-/// Fixed-priority execution of `plan`, each XNode taking `takes[xnode]`.
-[[nodiscard]] Execution execute(const World& world, const Plan& plan, const std::vector<Us>& takes);
+/// Fixed-priority execution of `candidate`, each XNode taking `takes[xnode]`.
+[[nodiscard]] Execution execute(const World& world, const Candidate& candidate,
+                                const std::vector<Us>& takes);
 
 /// The schedule that starts the XNodes of each XPU one by one in `sequence`, each as soon as it
 /// can, never preempting: possible on every XPU, if need be by leaving it idle.

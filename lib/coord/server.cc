@@ -24,7 +24,7 @@ namespace xauto::coord {
 namespace {
 
 constexpr std::size_t kMaxConnections = 2 * kMaxSlots;
-constexpr int kRejoinMs = 2'000;  ///< a worker sees at once that its coordinator is gone
+constexpr int kWorkersReturnMs = 2'000;  ///< a worker sees at once that its coordinator is gone
 
 }  // namespace
 
@@ -111,7 +111,7 @@ void Server::take_over_from_predecessor() {
       slots_[static_cast<std::size_t>(i)].absent = true;
       ++absent;
     }
-  if (absent > 0) absent_until_ns_ = now_ns() + std::int64_t{kRejoinMs} * 1'000'000;
+  if (absent > 0) absent_until_ns_ = now_ns() + std::int64_t{kWorkersReturnMs} * 1'000'000;
   log::info("{}: took over from a coordinator that died: {} workers", options_.xpu, absent);
 }
 
@@ -135,7 +135,7 @@ Status Server::run(int stop_fd) {
     int timeout_ms = -1;
     if (absent_until_ns_ != 0) {
       if (now_ns() >= absent_until_ns_) give_up_absent();
-      timeout_ms = kRejoinMs / 10;
+      timeout_ms = kWorkersReturnMs / 10;
     }
     const int count =
         epoll_wait(epoll_.get(), events.data(), static_cast<int>(events.size()), timeout_ms);

@@ -3,7 +3,6 @@
 
 #include <cerrno>
 #include <cstring>
-#include <fstream>
 #include <utility>
 
 #include <linux/bpf.h>
@@ -13,6 +12,8 @@
 #include <sys/syscall.h>
 #include <sys/vfs.h>
 #include <unistd.h>
+
+#include "base/first_line.h"
 
 namespace xauto::kernel {
 namespace {
@@ -106,9 +107,7 @@ Status get_element(int map_fd, const void* key, void* value) {
 
 Result<std::size_t> possible_cpus(const std::string& root) {
   const std::string path = root + "/sys/devices/system/cpu/possible";
-  std::ifstream file(path);
-  std::string list;
-  std::getline(file, list);
+  const std::string list = first_line(path);
   // "0-3" or "0,2-5": the last number is the greatest.
   const std::size_t last = list.find_last_not_of("0123456789");
   const std::string number = last == std::string::npos ? list : list.substr(last + 1);

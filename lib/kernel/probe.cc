@@ -8,6 +8,7 @@
 #include <sys/resource.h>
 #include <sys/utsname.h>
 
+#include "base/first_line.h"
 #include "base/rt.h"
 #include "kernel/bpf_sys.h"
 #include "kernel/run_maps.h"
@@ -45,10 +46,7 @@ class Probe {
     return fs::exists(root_ + path, error);
   }
   [[nodiscard]] std::string first_line(const std::string& path) const {
-    std::ifstream file(root_ + path);
-    std::string line;
-    std::getline(file, line);
-    return line;
+    return xauto::first_line(root_ + path);
   }
   void add(std::string id, Verdict verdict, std::string found, std::string meaning,
            std::string advice = {}) {

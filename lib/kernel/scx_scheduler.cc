@@ -7,20 +7,10 @@
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
-#include <fstream>
+
+#include "base/first_line.h"
 
 namespace xauto::kernel {
-namespace {
-
-std::string first_line(const std::string& path) {
-  std::ifstream file(path);
-  std::string line;
-  std::getline(file, line);
-  return line;
-}
-
-}  // namespace
-
 std::string scx_refusal(const std::string& root) {
   std::error_code error;
   const std::string scx = root + "/sys/kernel/sched_ext";

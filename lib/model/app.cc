@@ -8,12 +8,10 @@
 #include <set>
 #include <unordered_map>
 
+#include "base/index.h"
+
 namespace xauto {
 namespace {
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
 
 std::string quoted(const std::string& name) {
   return "'" + name + "'";

@@ -4,12 +4,10 @@
 #include <map>
 #include <set>
 
+#include "base/index.h"
+
 namespace xauto {
 namespace {
-
-std::size_t at(int index) {
-  return static_cast<std::size_t>(index);
-}
 
 Status check_placements(const Policy& policy, const AppSpec& app, const Platform& platform) {
   if (policy.placements.size() != app.xnodes.size())

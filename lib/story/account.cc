@@ -12,7 +12,6 @@
 namespace xauto::story {
 namespace {
 
-constexpr std::int64_t kWorthSayingUs = 50;
 constexpr std::size_t kMostNames = 3;
 
 class Accountant {

@@ -64,6 +64,9 @@ struct Account {
 [[nodiscard]] Result<Account> account_of(const ReadTrace& trace, const TraceChain& chain,
                                          const TraceRelease& result);
 
+/// Waits and overheads below this are not told.
+inline constexpr std::int64_t kWorthSayingUs = 50;
+
 /// What a step waited for, in words; parts below `least_us` are left out. Empty: nothing to say.
 [[nodiscard]] std::string reasons_of(const ChainStep& step, std::int64_t least_us);
 

@@ -19,8 +19,6 @@ namespace {
 
 using Latencies = std::vector<std::int64_t>;
 
-constexpr std::int64_t kWorthSayingUs = 50;
-
 std::string ms(std::int64_t us) {
   return fmt::format("{:.2f}", static_cast<double>(us) / 1000);
 }

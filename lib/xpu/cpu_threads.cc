@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
-#include <fstream>
 
 #include <poll.h>
 #include <sched.h>
@@ -12,6 +11,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "base/first_line.h"
 #include "base/log.h"
 #include "base/rt.h"
 #include "kernel/bpf_sys.h"
@@ -32,10 +32,7 @@ bool set_fifo_of(int tid, int priority) {
 }
 
 std::string scx_state() {
-  std::ifstream file("/sys/kernel/sched_ext/state");
-  std::string line;
-  std::getline(file, line);
-  return line;
+  return first_line("/sys/kernel/sched_ext/state");
 }
 
 }  // namespace

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <fstream>
 #include <thread>
 
+#include "base/first_line.h"
 #include "kernel/libbpf/session.h"
 #include "kernel/scx_scheduler.h"
 
@@ -14,13 +14,6 @@ namespace {
 constexpr std::uint64_t kSwitchPartial = 1u << 3;
 constexpr const char* kScx = "/sys/kernel/sched_ext";
 constexpr auto kEnableLimit = std::chrono::seconds(5);
-
-std::string first_line(const std::string& path) {
-  std::ifstream file(path);
-  std::string line;
-  std::getline(file, line);
-  return line;
-}
 
 }  // namespace
 

@@ -9,11 +9,10 @@
 
 #include <gtest/gtest.h>
 
+#include "times.h"
+
 namespace xauto::emu {
 namespace {
-
-constexpr Nanos kMs = 1'000'000, kUs = 1000;
-constexpr Nanos kNever = std::numeric_limits<Nanos>::max();
 
 Machine small() {
   return std::move(*Machine::create(*Platform::builtin("small")));

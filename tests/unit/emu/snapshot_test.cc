@@ -15,11 +15,10 @@
 
 #include "emu/state_memory.h"
 
+#include "times.h"
+
 namespace xauto::emu {
 namespace {
-
-constexpr Nanos kMs = 1'000'000;
-constexpr Nanos kNever = std::numeric_limits<Nanos>::max();
 
 Platform platform() {
   return *Platform::builtin("small");

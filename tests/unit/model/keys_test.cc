@@ -157,12 +157,6 @@ TEST(Keys, NoMisspeltKeyPassesInSilence) {
   EXPECT_GE(refused, 80);
 }
 
-std::string app_text(const std::string& rest) {
-  return R"({"schema":"xauto.app","version":1,"name":"a",)"
-         R"("xnodes":[{"name":"x","module":"M","wcet_us":{"cpu":1}}],"edges":[])" +
-         rest + "}";
-}
-
 TEST(Keys, TyposOfTheIssueAreNamedWithWhatWasMeant) {
   Keys keys;
   ASSERT_TRUE(

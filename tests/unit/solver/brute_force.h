@@ -21,6 +21,7 @@
 #include <numeric>
 #include <vector>
 
+#include "base/index.h"
 #include "solver/problem.h"
 
 #include "naive_simulator.h"
@@ -72,7 +73,6 @@ class BruteForce {
     std::vector<char> used;
   };
 
-  static std::size_t at(int i) { return static_cast<std::size_t>(i); }
   static std::uint32_t bit(int i) { return 1U << i; }
 
   [[nodiscard]] Time least(int i) const {
@@ -219,7 +219,6 @@ class PolicyBruteForce {
   }
 
  private:
-  static std::size_t at(int i) { return static_cast<std::size_t>(i); }
   static std::uint32_t bit(int i) { return 1U << i; }
 
   void assign(std::size_t i) {

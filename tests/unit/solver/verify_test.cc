@@ -381,13 +381,15 @@ TEST(Verify, OwnExecutionAgreesWithTheSimulator) {
     const Problem p = *Problem::create(app, platform);
     Decision d = random_decision(dice, p);
     if (round % 2 == 0) add_random_order(dice, p, d, 30);
-    verification::Plan plan{d.xpu, d.priority, std::vector<std::vector<int>>(app.xnodes.size())};
-    for (const auto& [u, v] : d.order) plan.order_before[static_cast<std::size_t>(v)].push_back(u);
+    verification::Candidate candidate{d.xpu, d.priority,
+                                      std::vector<std::vector<int>>(app.xnodes.size())};
+    for (const auto& [u, v] : d.order)
+      candidate.order_before[static_cast<std::size_t>(v)].push_back(u);
     std::vector<Time> actual;
     for (int i = 0; i < p.num_xnodes; ++i)
       actual.push_back(
           dice.roll(0, static_cast<int>(p.wcet_on(i, d.xpu[static_cast<std::size_t>(i)]))));
-    const auto own = verification::execute(verification::World(app, platform), plan, actual);
+    const auto own = verification::execute(verification::World(app, platform), candidate, actual);
     const Simulation theirs = simulate(p, d, {.actual = actual});
     ASSERT_EQ(own.finish, theirs.finish);
     ASSERT_EQ(own.start, theirs.start);
