@@ -16,13 +16,13 @@
 namespace xauto::cli {
 namespace {
 
-struct Flags {
+struct CheckFlags {
   std::string app, platform = "small", policy, against;
   solver::VerifyOptions options;
   Wishes wishes;
 };
 
-Result<int> check(const Flags& flags, const Options& options) {
+Result<int> check(const CheckFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
@@ -73,7 +73,7 @@ Result<int> check(const Flags& flags, const Options& options) {
 }  // namespace
 
 void add_check(Commands& commands) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<CheckFlags>();
   Verb verb = commands.add(
       "check", "Re-derive every number of a policy; exit status 1 if one of them is false.",
       "xauto check --app app.json --platform small --policy policy.json",

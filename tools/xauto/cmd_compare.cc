@@ -20,7 +20,7 @@
 namespace xauto::cli {
 namespace {
 
-struct Flags : RunFlags {
+struct CompareFlags : RunFlags {
   std::vector<std::string> policies = {"ros2", "heft", "xauto", "xauto-unscheduled"};
   std::string out = "compare";
   double time_limit_s = 10;
@@ -40,8 +40,8 @@ std::string name_of(const std::string& id) {
 }
 
 /// `solved`: XAuto's policy, solved once for the runs with and without scheduling.
-Result<PolicyRun> prepare(const Flags& flags, const std::string& id, std::optional<Policy>& solved,
-                          Outputs& outputs) {
+Result<PolicyRun> prepare(const CompareFlags& flags, const std::string& id,
+                          std::optional<Policy>& solved, Outputs& outputs) {
   PolicyRun run;
   run.id = id;
   run.name = name_of(id);
@@ -67,8 +67,8 @@ Result<PolicyRun> prepare(const Flags& flags, const std::string& id, std::option
   return run;
 }
 
-Result<int> compare(const Flags& given, const Options& options) {
-  Flags flags = given;
+Result<int> compare(const CompareFlags& given, const Options& options) {
+  CompareFlags flags = given;
   XAUTO_TRY(flags.prepare());
   std::error_code error;
   std::filesystem::create_directories(flags.out, error);
@@ -113,7 +113,7 @@ Result<int> compare(const Flags& given, const Options& options) {
 }  // namespace
 
 void add_compare(Commands& commands) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<CompareFlags>();
   Verb verb = commands.add(
       "compare", "Run an app under several policies and compare their end-to-end latency.",
       "xauto compare --app app.json --platform small --out build/demo -- build/bin/driving",

@@ -18,7 +18,7 @@
 namespace xauto::cli {
 namespace {
 
-struct Flags {
+struct ExplainFlags {
   std::string app, platform, policy, trace, chain, activation = "worst";
 };
 
@@ -87,7 +87,8 @@ Result<const story::TraceRelease*> wanted(const std::vector<story::TraceRelease>
 
 /// With one rate the app's release; with several the release of each chain, or of the one asked
 /// for.
-Result<std::vector<story::Account>> accounts_of(const Flags& flags, const story::ReadTrace& trace) {
+Result<std::vector<story::Account>> accounts_of(const ExplainFlags& flags,
+                                                const story::ReadTrace& trace) {
   std::vector<story::Account> accounts;
   if (trace.chains.empty()) {
     if (!flags.chain.empty())
@@ -114,7 +115,7 @@ Result<std::vector<story::Account>> accounts_of(const Flags& flags, const story:
   return accounts;
 }
 
-Result<int> explain_trace(const Flags& flags, const Options& options) {
+Result<int> explain_trace(const ExplainFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const std::string bytes, read_file(flags.trace));
   XAUTO_ASSIGN(const story::ReadTrace trace, story::read_trace(bytes, flags.trace));
   XAUTO_ASSIGN(const std::vector<story::Account> accounts, accounts_of(flags, trace));
@@ -144,11 +145,11 @@ Result<int> explain_trace(const Flags& flags, const Options& options) {
   return kDone;
 }
 
-double ms(std::int64_t us) {
+double in_ms(std::int64_t us) {
   return static_cast<double>(us) / 1000;
 }
 
-Result<int> explain(const Flags& flags, const Options& options) {
+Result<int> explain(const ExplainFlags& flags, const Options& options) {
   if (!flags.trace.empty()) return explain_trace(flags, options);
   for (const auto& [path, option] :
        {std::pair{&flags.app, "--app"}, std::pair{&flags.platform, "--platform"},
@@ -195,19 +196,19 @@ Result<int> explain(const Flags& flags, const Options& options) {
     std::string behind;
     for (int j : link.behind) behind += (behind.empty() ? "" : ", ") + name(j);
     std::printf("  %-24s %-8s %10.2f %10.2f %10.2f   %s\n", name(link.xnode).c_str(),
-                xpu(link.xnode).c_str(), ms(link.ready_us), ms(link.wcet_us), ms(link.finish_us),
-                behind.c_str());
+                xpu(link.xnode).c_str(), in_ms(link.ready_us), in_ms(link.wcet_us),
+                in_ms(link.finish_us), behind.c_str());
   }
   if (app.rates() > 1) std::printf("\n  %s\n", rates_note(app).c_str());
   std::printf("\n  On any number of XPUs the app would still take %.2f ms (its critical path).\n",
-              ms(why.critical_path_us));
+              in_ms(why.critical_path_us));
   return kDone;
 }
 
 }  // namespace
 
 void add_explain(Commands& commands) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<ExplainFlags>();
   Verb verb = commands.add(
       "explain", "Name the chain that sets the latency: of a policy, or of one release of a run.",
       "xauto explain --trace drive.pftrace --activation worst",

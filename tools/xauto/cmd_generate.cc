@@ -16,7 +16,7 @@
 namespace xauto::cli {
 namespace {
 
-struct Flags {
+struct GenerateFlags {
   solver::GenerateOptions options;
   std::vector<int> branches = {2, 6};
   std::vector<std::int64_t> cpu_us = {5'000, 95'000};
@@ -24,7 +24,7 @@ struct Flags {
   std::string out;
 };
 
-Result<int> generate(const Flags& flags, const Options& options) {
+Result<int> generate(const GenerateFlags& flags, const Options& options) {
   solver::GenerateOptions o = flags.options;
   o.branch_min = flags.branches[0];
   o.branch_max = flags.branches[1];
@@ -69,7 +69,7 @@ Result<int> generate(const Flags& flags, const Options& options) {
 }  // namespace
 
 void add_generate(Commands& commands) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<GenerateFlags>();
   Verb verb = commands.add("generate", "Make an app of the paper's synthetic workload.",
                            "xauto generate --nodes 40 --seed 7 --out app.json",
                            [flags](const Options& options) { return generate(*flags, options); });

@@ -18,7 +18,7 @@
 namespace xauto::cli {
 namespace {
 
-struct Flags {
+struct ProfileFlags {
   std::string platform = "small", input, out, app_out, from = "wcet", read;
   std::uint64_t warmup = 3, repetitions = 30;
   std::int64_t margin_pct = 20, exec_limit_s = 30;
@@ -106,7 +106,7 @@ std::string table(const Profile& profile, const Platform& platform) {
 }
 
 /// Runs the app and times it.
-Result<Profile> measure(const Flags& flags, const Platform& platform) {
+Result<Profile> measure(const ProfileFlags& flags, const Platform& platform) {
   launch::Supervision request;
   runtime::Session& session = request.session;
   session.mode = runtime::Mode::kProfile;
@@ -133,8 +133,8 @@ Result<Profile> measure(const Flags& flags, const Platform& platform) {
   return result;
 }
 
-Result<int> profile(const Flags& given, const Options& options) {
-  Flags flags = given;
+Result<int> profile(const ProfileFlags& given, const Options& options) {
+  ProfileFlags flags = given;
   if (flags.read.empty() == flags.command.empty())
     return fail(ErrorCode::kInvalid, "give either an app to run, after --, or --read profile.json");
   if (flags.from == "p99" && flags.read.empty()) {
@@ -179,7 +179,7 @@ Result<int> profile(const Flags& given, const Options& options) {
 }  // namespace
 
 void add_profile(Commands& commands) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<ProfileFlags>();
   Verb verb = commands.add(
       "profile", "Time each XNode of an app alone on each XPU that it can run on.",
       "xauto profile --platform small --input drive.db3 --out profile.json --app-out app.json -- "

@@ -16,7 +16,7 @@
 namespace xauto::cli {
 namespace {
 
-struct Flags {
+struct ReportFlags {
   std::vector<std::string> traces;
   std::string report, out = "report.html";
 };
@@ -41,7 +41,7 @@ std::string fact_of(const Json& report, const std::string& id) {
   return {};
 }
 
-Result<int> make(const Flags& flags, const Options& options) {
+Result<int> make(const ReportFlags& flags, const Options& options) {
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", flags.out));
   Json report;
@@ -77,7 +77,7 @@ Result<int> make(const Flags& flags, const Options& options) {
 }  // namespace
 
 void add_report(Commands& commands) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<ReportFlags>();
   Verb verb = commands.add(
       "report", "Make a page of traces: latencies, the worst release and why, XPU load.",
       "xauto report build/demo/heft.pftrace build/demo/xauto.pftrace --out report.html",

@@ -18,7 +18,7 @@
 namespace xauto::cli {
 namespace {
 
-struct Flags : RunFlags {
+struct OneRunFlags : RunFlags {
   std::string policy_path, scheduling = "xauto", name, out, timeline, trace_out, record;
 };
 
@@ -31,8 +31,8 @@ std::string dump_path(const std::string& trace_out, bool hang, int number) {
   return fmt::format("{}.{}-{}{}", stem, hang ? "hang" : "miss", number, suffix);
 }
 
-Result<int> run(const Flags& given, const Options& options) {
-  Flags flags = given;
+Result<int> run(const OneRunFlags& given, const Options& options) {
+  OneRunFlags flags = given;
   XAUTO_TRY(flags.prepare());
   std::vector<PolicyRun> runs(1);
   PolicyRun& run = runs.front();
@@ -103,7 +103,7 @@ Result<int> run(const Flags& given, const Options& options) {
 }  // namespace
 
 void add_run(Commands& commands) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<OneRunFlags>();
   Verb verb = commands.add(
       "run", "Run an app under a policy and measure its end-to-end latency.",
       "xauto run --app app.json --policy policy.json --platform small -- build/bin/driving",

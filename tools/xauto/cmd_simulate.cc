@@ -17,11 +17,11 @@
 namespace xauto::cli {
 namespace {
 
-struct Flags {
+struct SimulateFlags {
   std::string app, platform = "small", policy, model = "xauto", out;
 };
 
-Result<int> simulate(const Flags& flags, const Options& options) {
+Result<int> simulate(const SimulateFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   const auto scheduling = *runtime::scheduling_from(flags.model);
@@ -78,7 +78,7 @@ Result<int> simulate(const Flags& flags, const Options& options) {
 }  // namespace
 
 void add_simulate(Commands& commands) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<SimulateFlags>();
   Verb verb = commands.add("simulate", "Simulate a policy, or the ROS 2 model, to the microsecond.",
                            "xauto simulate --app app.json --platform small --policy policy.json",
                            [flags](const Options& options) { return simulate(*flags, options); });

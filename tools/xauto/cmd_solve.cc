@@ -32,19 +32,13 @@ extern "C" void on_interrupt(int) {
   std::signal(SIGINT, SIG_DFL);  // a second Ctrl-C ends the program at once
 }
 
-struct Flags {
+struct SolveFlags {
   std::string app, platform, out;
   Wishes wishes;
   bool what_if = false;
   std::vector<std::string> implement;
   solver::SolveOptions options;
 };
-
-std::string ms(std::int64_t us) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.2f ms", static_cast<double>(us) / 1000);
-  return text;
-}
 
 /// One line of progress; on a terminal it overwrites itself.
 class Line {
@@ -69,7 +63,7 @@ class Line {
 };
 
 /// The problem as it was asked: keys of app.json, then the command line on top.
-Status read_objectives(Flags& flags) {
+Status read_objectives(SolveFlags& flags) {
   XAUTO_ASSIGN(solver::Objectives objectives, load_objectives(flags.app));
   XAUTO_TRY(add_to_objectives(flags.wishes, objectives));
   const bool shaped = !objectives.chains.empty() || !objectives.pins.empty() ||
@@ -96,7 +90,7 @@ const char* words(solver::Feasibility feasibility, bool one_rate) {
 }
 
 /// The cases of --what-if and --implement, best first.
-Result<std::vector<solver::WhatIf>> ask_what_if(const Flags& flags, const AppSpec& app,
+Result<std::vector<solver::WhatIf>> ask_what_if(const SolveFlags& flags, const AppSpec& app,
                                                 const Platform& platform, const Policy& policy) {
   std::vector<solver::WhatIf> answers;
   solver::SolveOptions options = flags.options;
@@ -207,7 +201,7 @@ void print_table(const AppSpec& app, const Platform& platform, const Policy& pol
         ms(app.sources.front().period_us).c_str());
 }
 
-Result<int> solve(Flags& flags, const Options& options) {
+Result<int> solve(SolveFlags& flags, const Options& options) {
   const auto began = std::chrono::steady_clock::now();
   XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
@@ -245,7 +239,7 @@ Result<int> solve(Flags& flags, const Options& options) {
 }  // namespace
 
 void add_solve(Commands& commands) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<SolveFlags>();
   Verb verb = commands.add(
       "solve", "Choose an XPU and a priority for every XNode so that the app ends soonest.",
       "xauto solve --app app.json --platform small --time-limit-s 10 --out policy.json",

@@ -24,7 +24,7 @@
 namespace xauto::cli {
 namespace {
 
-struct Flags {
+struct TopFlags {
   std::string run;
   int interval_ms = 1000, count = -1, wait_s = 10;
   bool list = false, once = false;
@@ -272,7 +272,7 @@ void draw(const Observed& observed, const Look& now, const Look& before, bool te
   std::cout << out << std::flush;
 }
 
-Result<int> top(const Flags& flags, const Options& options) {
+Result<int> top(const TopFlags& flags, const Options& options) {
   if (flags.list) {
     for (const std::string& run : running()) std::cout << run << "\n";
     return kDone;
@@ -313,7 +313,7 @@ Result<int> top(const Flags& flags, const Options& options) {
 }  // namespace
 
 void add_top(Commands& commands) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<TopFlags>();
   Verb verb =
       commands.add("top",
                    "Show a run live: rate, latency, age and losses per chain and module, who runs "

@@ -23,7 +23,7 @@ namespace {
 constexpr std::size_t kMostEvents = 4'000'000;  ///< kept in memory, 56 bytes each
 constexpr int kPollMs = 100;
 
-struct Flags {
+struct TraceFlags {
   std::string run, out;
   int duration_s = 0, wait_s = 10;
   std::uint32_t ring_kb = 1024;
@@ -94,7 +94,7 @@ std::string perfetto_of(const Live& live, const std::vector<xauto_bpf_event>& ev
 }
 
 /// What --out gets: a Perfetto trace, or a JSON object per line.
-std::string file_of(const Flags& flags, const Live& live,
+std::string file_of(const TraceFlags& flags, const Live& live,
                     const std::vector<xauto_bpf_event>& events, std::uint64_t not_kept) {
   const xauto_bpf_losses losses = live.tracer.losses();
   const std::uint64_t lost = losses.events + not_kept;
@@ -104,7 +104,7 @@ std::string file_of(const Flags& flags, const Live& live,
   return text;
 }
 
-Result<int> trace(const Flags& flags, const Options& options) {
+Result<int> trace(const TraceFlags& flags, const Options& options) {
   const StopOnSignal stop;
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", flags.out));
@@ -190,7 +190,7 @@ Result<int> trace(const Flags& flags, const Options& options) {
 }  // namespace
 
 void add_trace(Commands& commands) {
-  auto flags = std::make_shared<Flags>();
+  auto flags = std::make_shared<TraceFlags>();
   Verb verb = commands.add("trace", "Record what the kernel does with the XNode threads of a run.",
                            "xauto trace --duration-s 5 --events",
                            [flags](const Options& options) { return trace(*flags, options); });

@@ -4,10 +4,16 @@
 #include <cstdio>
 #include <iostream>
 
+#include <fmt/format.h>
+
 #include "base/log.h"
 #include "model/keys.h"
 
 namespace xauto::cli {
+
+std::string ms(std::int64_t us) {
+  return fmt::format("{:.2f} ms", static_cast<double>(us) / 1000);
+}
 
 int exit_status(const Error& error) {
   switch (error.code) {

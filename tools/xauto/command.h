@@ -4,6 +4,7 @@
 // stderr.
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <map>
 #include <string>
@@ -20,6 +21,9 @@ enum Exit : int { kDone = 0, kAnswerIsNo = 1, kBadInput = 2 };
 
 /// kInfeasible -> 1; bad input, missing files -> 2; everything else (I/O, peers) -> 1.
 [[nodiscard]] int exit_status(const Error& error);
+
+/// "12.34 ms"
+[[nodiscard]] std::string ms(std::int64_t us);
 
 struct Options {
   bool json = false;    ///< --json, accepted by every verb

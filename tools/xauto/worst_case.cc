@@ -7,12 +7,10 @@
 
 #include "model/claims.h"
 
+#include "xauto/command.h"
+
 namespace xauto::cli {
 namespace {
-
-std::string ms(std::int64_t us) {
-  return fmt::format("{:.2f} ms", static_cast<double>(us) / 1000);
-}
 
 /// Jobs in the trace that ran for longer than their WCET, in words; empty: none. On real CPUs the
 /// kernel preempts unseen, so nothing is said of them.
