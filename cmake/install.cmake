@@ -6,12 +6,15 @@ if(XAUTO_SANITIZE)
 endif()
 include(CMakePackageConfigHelpers)
 
-# The shared library: the files that implement include/xauto/, and of the archives only what these need. The tools use more of
+# The shared library: what implements include/xauto/, and of the rest only what this needs (--gc-sections). The tools use more of
 # the archives than the API offers, so they stay linked statically. The tools make the run's BPF maps, apps open them: no libbpf here.
 set(XAUTO_SOVERSION 1)
 set(map ${PROJECT_SOURCE_DIR}/packaging/libxauto.map)
 set(no_libbpf lib/kernel/without_libbpf/none.cc)
-add_library(xauto_shared SHARED lib/runtime/app.cc lib/transport/topic.cc lib/emu/client.cc ${no_libbpf})
+add_library(xauto_shared SHARED ${no_libbpf})
+foreach(api xauto_runtime xauto_transport xauto_emu) # what the headers declare; the rest comes as they need it
+  target_sources(xauto_shared PRIVATE $<TARGET_OBJECTS:${api}>)
+endforeach()
 set_source_files_properties(${no_libbpf} PROPERTIES COMPILE_DEFINITIONS XAUTO_NO_BPF_REASON="the xauto tool loads them")
 target_link_libraries(xauto_shared PRIVATE xauto_runtime)
 target_link_options(xauto_shared PRIVATE -Wl,--version-script=${map} -Wl,--no-undefined -Wl,--as-needed -Wl,--gc-sections

@@ -12,3 +12,7 @@ if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
   # ... and -Wrestrict through std::string concatenation (GCC bug 105651).
   add_compile_options(-Wno-maybe-uninitialized -Wno-restrict)
 endif()
+# A class of one .cc file with a member from that file's anonymous namespace: right, but GCC sees no longer that it is one file's.
+if(CMAKE_UNITY_BUILD)
+  add_compile_options(-Wno-subobject-linkage)
+endif()
