@@ -21,15 +21,24 @@ pedestrians:
 	@JOBS=$(JOBS) scripts/pedestrians.sh
 
 check:
+	@scripts/setup.sh build check transport kernel package
+	@scripts/vm/fetch-checkpatch.sh >/dev/null
+	@JOBS=$(JOBS) scripts/check.sh check
+
+# Less, for the inner loop, and more: every test in every build, every kernel, the largest worlds (hours).
+check-fast:
+	@scripts/setup.sh build check transport
+	@JOBS=$(JOBS) scripts/check.sh fast
+
+check-full:
 	@scripts/setup.sh build check transport pedestrians kernel package
 	@scripts/fetch-video.sh
 	@scripts/vm/fetch-checkpatch.sh >/dev/null
-	@JOBS=$(JOBS) scripts/check.sh all
+	@JOBS=$(JOBS) scripts/check.sh full
 
 # Parts of check, each by itself.
 style unit asan tsan fuzz:
-	@scripts/setup.sh build check transport pedestrians
-	@scripts/fetch-video.sh
+	@scripts/setup.sh build check transport
 	@JOBS=$(JOBS) scripts/check.sh $@
 
 # The kernel side alone: xauto.ko and the emulator modules on several Debian kernels, in QEMU.
@@ -45,7 +54,7 @@ packages:
 
 # ... and whether they install, work and go away again in a clean Debian root.
 package-check:
-	@scripts/setup.sh build check pedestrians kernel package
+	@scripts/setup.sh build check kernel package
 	@JOBS=$(JOBS) scripts/check.sh package
 
 # The modules for the running kernel, or for KERNEL=/path/to/its/build/tree.
@@ -79,4 +88,4 @@ setup:
 clean:
 	@rm -rf build build-asan build-tsan build-fuzz
 
-.PHONY: all build demo pedestrians check kernel-check packages package-check modules style unit asan tsan fuzz bench docs format tidy setup clean
+.PHONY: all build demo pedestrians check check-fast check-full kernel-check packages package-check modules style unit asan tsan fuzz bench docs format tidy setup clean

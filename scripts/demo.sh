@@ -5,7 +5,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 echo "demo: building"
 cmake --preset release >/dev/null
-ninja -C build -j"${JOBS:-2}" xauto xauto-coordinator xauto-emud driving | tail -n 1
+ninja -C build -j"${JOBS:-2}" xauto xauto-coordinator xauto-emud driving
 echo "demo: running the Driving Case under four policies, about a minute"
 build/bin/xauto compare --app examples/driving/app.json --platform small \
   --activations "${ACTIVATIONS:-220}" --out build/demo -- build/bin/driving

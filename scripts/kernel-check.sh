@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # The kernel side's tests, each in a freshly booted VM: what `make kernel-check` does and `make check` includes.
-# usage: kernel-check.sh [BUILD_DIR] [LANE ...]        lanes: see below; default: those of `make check`
+# usage: kernel-check.sh [BUILD_DIR] [LANE ...]        lanes: see below; default: those of `make check`, or of `make check-full`
+#   with XAUTO_FULL=1. Several lanes run two at a time.
 # Prints failures and a last line "N passed, M failed, K skipped"; the whole logs are in BUILD_DIR/vm/.
 set -uo pipefail
 cd "$(dirname "$0")/.."
@@ -75,7 +76,7 @@ kmod() {
 
 # scx NAME: the sched_ext scheduler and the tracer, on fetch-kernel.sh's 7.x or on the self-built 6.12.
 scx() {
-  local kernel items=() program
+  local kernel items=() program append=""
   note "sched_ext and tracing on Linux $1"
   case $1 in
     6.12) kernel=$(scripts/vm/build-kernel.sh) || { failed=$((failed + 1)); return; } ;;
@@ -86,7 +87,8 @@ scx() {
   done
   items+=("$(command -v bpftool || echo /usr/sbin/bpftool)")
   for program in run tools trace; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
-  VM_THREADS=single VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
+  [ -z "${XAUTO_FULL:-}" ] || append="xauto.kills=200 xauto.tables=10000"
+  VM_APPEND=$append VM_THREADS=single VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
 }
 
 # The Driving Case over the emulator modules, in the guest's own virtual time.
@@ -121,8 +123,23 @@ consumers() {
 }
 
 { # read whole before it runs: the file may be edited meanwhile
-[ ${#lanes[@]} -gt 0 ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 driving scx-7.x)
-for lane in "${lanes[@]}"; do
+if [ ${#lanes[@]} -eq 0 ]; then
+  # The longest first.
+  lanes=(scx-7.x kmod-7.x kmod-5.10)
+  [ -z "${XAUTO_FULL:-}" ] || lanes=(scx-7.x scx-6.12 kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 driving)
+fi
+if [ ${#lanes[@]} -gt 1 ]; then
+  printf '%s\n' "${lanes[@]}" | xargs -P 2 -I LANE sh -c '"$0" "$1" LANE >"$2/LANE.out" 2>&1' "$0" "$build" "$out"
+  for lane in "${lanes[@]}"; do
+    head -n -1 "$out/$lane.out"
+    if [[ $(tail -n 1 "$out/$lane.out") =~ ^([0-9]+)\ passed,\ ([0-9]+)\ failed,\ ([0-9]+)\ skipped ]]; then
+      passed=$((passed + BASH_REMATCH[1])) failed=$((failed + BASH_REMATCH[2])) skipped=$((skipped + BASH_REMATCH[3]))
+    else
+      echo "kernel-check: $lane gave no count" && failed=$((failed + 1))
+    fi
+  done
+else
+  lane=${lanes[0]}
   case $lane in
     driving | consumers) "$lane" ;;
     scx-*) scx "${lane#scx-}" ;;
@@ -133,7 +150,7 @@ for lane in "${lanes[@]}"; do
       exit 2
       ;;
   esac
-done
+fi
 echo "$passed passed, $failed failed, $skipped skipped"
 [ "$failed" -eq 0 ] && [ "$passed" -gt 0 ]
   exit

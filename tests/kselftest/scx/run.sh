@@ -1,11 +1,11 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
 # All tests of sched_ext and tracing, in the VM. KTAP of the programs first, then of the tools end to end.
-# usage: run.sh [KILLS]
+# usage: run.sh KILLS TABLES
 bad=0
 chmod 755 /
 scx_test || bad=1
-scx_life_test "" "${1:-40}" || bad=1
+scx_life_test "" "$1" "$2" || bad=1
 sh "$(dirname "$0")/tools.sh" || bad=1
 dmesg | grep -E "BUG|WARNING|stall|lockup|Call Trace" | grep -v "runnable task stall" | sed 's/^/# dmesg: /'
 exit $bad

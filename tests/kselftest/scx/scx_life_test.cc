@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The scheduler's coming and going: tables replaced under load, the loader killed at any moment,
 // and everything that makes the kernel refuse it. KTAP; run as root.
-//   scx_life_test [NAME [KILLS]]
+//   scx_life_test [NAME [KILLS [TABLES]]]
 #include <cstdlib>
 #include <cstring>
 #include <random>
@@ -23,7 +23,7 @@ namespace xauto::test {
 namespace {
 
 constexpr int kCpu = 1;
-int g_kills = 200;
+int g_kills = 200, g_tables = 10'000;
 
 void spin(const std::atomic<bool>& stop) {
   while (!stop.load(std::memory_order_relaxed)) asm volatile("");
@@ -33,7 +33,6 @@ void spin(const std::atomic<bool>& stop) {
 // that an entry put together from two tables shows. What the scheduler goes by is in jobs[],
 // written once per job before it runs.
 void tables() {
-  constexpr int kReplacements = 10'000;
   constexpr std::uint32_t kXNodes = 8;
   World world(kXNodes, kCpu);
   const auto priority_of = [](std::uint64_t version, std::uint32_t xnode) {
@@ -72,7 +71,7 @@ void tables() {
         }
       }));
     std::mt19937 random(3);
-    for (int i = 0; i < kReplacements; ++i) {
+    for (int i = 0; i < g_tables; ++i) {
       put();
       if (random() % 8 == 0) usleep(100);
       // In the emulator, threads make slow progress: give each 100th table some time.
@@ -82,7 +81,7 @@ void tables() {
   }
   ktap_test(mixed == 0 && jobs > 500 && seen > 100,
             "%d tables under load: of %llu jobs, which went by %llu tables, %llu mixed two",
-            kReplacements, static_cast<unsigned long long>(jobs.load()),
+            g_tables, static_cast<unsigned long long>(jobs.load()),
             static_cast<unsigned long long>(seen.load()),
             static_cast<unsigned long long>(mixed.load()));
   ktap_note("entries copied again because a replacement came between: %llu",
@@ -328,6 +327,7 @@ int main(int argc, char** argv) {
   using namespace xauto::test;
   const char* wanted = argc > 1 ? argv[1] : "";
   if (argc > 2) g_kills = std::max(1, atoi(argv[2]));
+  if (argc > 3) g_tables = std::max(1, atoi(argv[3]));
   int count = 0;
   for (const Test& test : kTests) count += strstr(test.name, wanted) != nullptr ? test.count : 0;
   ktap_plan(count);
