@@ -14,5 +14,5 @@ if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
 endif()
 # A class of one .cc file with a member from that file's anonymous namespace: right, but GCC sees no longer that it is one file's.
 if(CMAKE_UNITY_BUILD)
-  add_compile_options(-Wno-subobject-linkage)
+  add_compile_options($<$<COMPILE_LANGUAGE:CXX>:-Wno-subobject-linkage>)
 endif()
