@@ -123,14 +123,17 @@ Child::~Child() {
 }
 
 void Child::signal(int number) const {
+  thread_.check();
   if (running()) kill(pid_, number);
 }
 
 std::optional<Exit> Child::poll() {
+  thread_.check();
   return wait(0);
 }
 
 std::optional<Exit> Child::wait(int timeout_ms) {
+  thread_.check();
   if (exit_ || pid_ <= 0) return exit_;
   pollfd ended{pidfd_.get(), POLLIN, 0};
   if (pidfd_ && ::poll(&ended, 1, timeout_ms) == 0) return std::nullopt;

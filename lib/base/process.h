@@ -13,6 +13,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 
 namespace xauto {
@@ -59,6 +60,7 @@ class Child {
   pid_t pid_ = -1;
   UniqueFd pidfd_;
   std::optional<Exit> exit_;
+  OneThread thread_;
 };
 
 /// The directory of the running program, for finding the programs that are installed beside it.

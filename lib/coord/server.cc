@@ -123,6 +123,7 @@ void Server::give_up_absent() {
 }
 
 Status Server::run(int stop_fd) {
+  thread_.check();
   epoll_event stop{.events = EPOLLIN, .data = {.fd = stop_fd}};
   if (epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, stop_fd, &stop) != 0)
     return fail(ErrorCode::kIo, std::string("epoll_ctl: ") + strerror(errno));
@@ -181,6 +182,7 @@ bool Server::adopt_connection(UniqueFd socket) {
 }
 
 bool Server::handle_packet(int fd, const void* data, std::size_t bytes) {
+  thread_.check();
   std::uint32_t kind = 0;
   if (bytes < sizeof kind) return false;
   std::memcpy(&kind, data, sizeof kind);
@@ -271,6 +273,7 @@ void Server::leave(int slot) {
 // ---- deciding -----------------------------------------------------------------------------------
 
 void Server::look() {
+  thread_.check();
   ++looks_;
   Wakes wakes;
   referee_->look(wakes);

@@ -14,6 +14,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "coord/arbiter.h"
 #include "coord/coordinator_side.h"
@@ -84,6 +85,7 @@ class Server {
   [[nodiscard]] std::string xnode_name(std::uint32_t xnode) const;
 
   ServerOptions options_;
+  OneThread thread_;
   UniqueFd epoll_, listener_, memory_fd_, doorbell_;
   Shm shm_;
   std::size_t bytes_ = 0;

@@ -4,7 +4,6 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
-#include <mutex>
 
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
@@ -17,7 +16,7 @@ namespace xauto::coord {
 Result<std::shared_ptr<SocketWatch>> SocketWatch::of_process(int fifo) {
   static PiMutex mutex;
   static std::weak_ptr<SocketWatch> current;
-  const std::lock_guard lock(mutex);
+  const Guard lock(mutex);
   if (auto watch = current.lock()) return watch;
   std::shared_ptr<SocketWatch> watch(new SocketWatch);
   watch->epoll_ = UniqueFd(epoll_create1(EPOLL_CLOEXEC));
@@ -38,7 +37,7 @@ SocketWatch::~SocketWatch() {
 }
 
 Status SocketWatch::add(int socket, std::function<void()> ended) {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   epoll_event event{.events = EPOLLIN | EPOLLONESHOT, .data = {.fd = socket}};
   if (epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, socket, &event) != 0)
     return fail(ErrorCode::kIo, std::string("epoll_ctl: ") + strerror(errno));
@@ -47,7 +46,7 @@ Status SocketWatch::add(int socket, std::function<void()> ended) {
 }
 
 void SocketWatch::remove(int socket) {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   if (watched_.erase(socket) != 0) epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, socket, nullptr);
 }
 
@@ -60,7 +59,7 @@ void SocketWatch::run(int fifo) {
     for (int i = 0; i < count; ++i) {
       const int fd = events[static_cast<std::size_t>(i)].data.fd;
       if (fd == stop_.get()) return;
-      const std::lock_guard lock(mutex_);
+      const Guard lock(mutex_);
       if (const auto found = watched_.find(fd); found != watched_.end()) found->second();
     }
   }

@@ -38,7 +38,7 @@ class SocketWatch {
 
   UniqueFd epoll_, stop_;
   PiMutex mutex_;  ///< held during `ended`
-  std::map<int, std::function<void()>> watched_;
+  std::map<int, std::function<void()>> watched_ XAUTO_GUARDED_BY(mutex_);
   std::thread thread_;
 };
 

@@ -299,6 +299,7 @@ Result<Device*> Machine::device_of(ContextId context) {
 }
 
 Result<ContextId> Machine::open(const std::string& name, Nanos now) {
+  thread_.check();
   if (device_of_.size() >= kMaxContexts)
     return fail(ErrorCode::kUnavailable,
                 std::to_string(kMaxContexts) + " contexts are open already");
@@ -314,6 +315,7 @@ Result<ContextId> Machine::open(const std::string& name, Nanos now) {
 }
 
 void Machine::close(ContextId context, Nanos now) {
+  thread_.check();
   advance(now, pending_);
   const auto found = device_of_.find(context);
   if (found == device_of_.end()) return;
@@ -322,6 +324,7 @@ void Machine::close(ContextId context, Nanos now) {
 }
 
 Status Machine::submit(ContextId context, std::uint64_t tag, Nanos work_ns, Nanos now) {
+  thread_.check();
   XAUTO_ASSIGN(Device * device, device_of(context));
   if (work_ns <= 0 || work_ns > kMaxWorkNs)
     return fail(ErrorCode::kInvalid, std::to_string(work_ns) + " ns is no amount of work");
@@ -330,12 +333,14 @@ Status Machine::submit(ContextId context, std::uint64_t tag, Nanos work_ns, Nano
 }
 
 Status Machine::suspend(ContextId context, std::uint64_t tag, Nanos now) {
+  thread_.check();
   XAUTO_ASSIGN(Device * device, device_of(context));
   advance(now, pending_);
   return device->suspend(context, tag, now, pending_);
 }
 
 Status Machine::resume(ContextId context, std::uint64_t tag, Nanos now) {
+  thread_.check();
   XAUTO_ASSIGN(Device * device, device_of(context));
   advance(now, pending_);
   return device->resume(context, tag, now, pending_);
@@ -384,6 +389,7 @@ Nanos Machine::next_event() const {
 }
 
 void Machine::advance(Nanos now, std::vector<Event>& events) {
+  thread_.check();
   // `events` may be pending_ itself: calls collect there what happened on the way.
   std::vector<Event> happened;
   if (&events != &pending_) happened.swap(pending_);

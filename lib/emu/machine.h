@@ -25,6 +25,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "model/platform.h"
 
 namespace xauto::emu {
@@ -99,6 +100,7 @@ class Machine {
   [[nodiscard]] Result<Device*> device_of(ContextId context);
 
   std::vector<std::unique_ptr<Device>> devices_;
+  OneThread thread_;
   std::map<ContextId, Device*> device_of_;
   std::vector<Event> pending_;  ///< happened in a call, not yet reported
   ContextId next_id_ = 1;

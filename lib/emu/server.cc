@@ -98,6 +98,7 @@ void Server::give_up(pid_t process) {
 }
 
 Status Server::run(int stop_fd) {
+  thread_.check();
   XAUTO_TRY(watch(epoll_.get(), stop_fd));
   std::array<epoll_event, 64> ready;
   settle(now_ns());  // what came of taking over
@@ -129,6 +130,7 @@ Status Server::run(int stop_fd) {
 }
 
 void Server::settle(Nanos now) {
+  thread_.check();
   deliver(now);
   if (dirty_) save();
   for (const Answer& answer : outbox_)
@@ -197,6 +199,7 @@ void Server::drop(int fd) {
 }
 
 bool Server::handle_packet(int connection, const void* data, std::size_t bytes, Nanos now) {
+  thread_.check();
   Packet packet;
   if (bytes != sizeof packet) return false;
   std::memcpy(&packet, data, sizeof packet);

@@ -18,6 +18,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "emu/machine.h"
 #include "emu/protocol.h"
@@ -62,6 +63,8 @@ class Server {
     pid_t pid = 0;  ///< 0: not known
   };
   static constexpr int kAbsent = -1;  ///< a context of the emulator before us, not back yet
+
+  OneThread thread_;
 
   explicit Server(Machine machine) : machine_(std::move(machine)) {}
   Status take_over(const Snapshot& snapshot);

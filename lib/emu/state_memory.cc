@@ -99,6 +99,7 @@ Result<std::optional<Snapshot>> StateMemory::load() const {
 }
 
 void StateMemory::save(const Snapshot& snapshot) {
+  thread_.check();
   Layout::Copy* copies = layout_->copies;
   const std::uint64_t a = copies[0].sequence.load(std::memory_order_relaxed),
                       b = copies[1].sequence.load(std::memory_order_relaxed);

@@ -10,6 +10,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "emu/snapshot.h"
 
@@ -35,6 +36,7 @@ class StateMemory {
  private:
   StateMemory(UniqueFd fd, Layout* layout) : fd_(std::move(fd)), layout_(layout) {}
   UniqueFd fd_;
+  OneThread thread_;
   Layout* layout_;
 };
 

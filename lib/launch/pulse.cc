@@ -69,6 +69,7 @@ Pulse::~Pulse() {
 }
 
 bool Pulse::hangs(pid_t coordinator, std::int64_t now_ns) {
+  thread_.check();
   if (header_ == nullptr) return false;
   bool busy = header_->waiting.load(std::memory_order_relaxed) == 0;
   if (!busy) {
@@ -82,6 +83,7 @@ bool Pulse::hangs(pid_t coordinator, std::int64_t now_ns) {
 }
 
 bool Ping::hangs(std::int64_t now_ns) {
+  thread_.check();
   if (socket_) hear();
   if (!asked_ && now_ns >= next_ns_) {
     next_ns_ = now_ns + kPingEveryNs;

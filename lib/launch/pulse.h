@@ -13,6 +13,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "base/unique_fd.h"
 #include "coord/shm_layout.h"
 
@@ -50,6 +51,7 @@ class Pulse {
 
  private:
   const coord::Header* header_ = nullptr;
+  OneThread thread_;
   int listener_fd_ = -1;
   Stall stall_;
 };
@@ -64,6 +66,7 @@ class Ping {
  private:
   void hear();
 
+  OneThread thread_;
   std::string address_;
   UniqueFd socket_;
   bool asked_ = false;

@@ -46,7 +46,6 @@ Result<std::unique_ptr<Hub>> Hub::create(const Plan& plan, const Graph& graph,
       XAUTO_ASSIGN(hub->topics_[t],
                    transport::make_link(shape_of(graph.topics[t], readers, session)));
     }
-  hub->members_.resize(static_cast<std::size_t>(plan.processes));
   hub->listener_ = UniqueFd(session.hub_fd);
   if (!hub->listener_) {
     XAUTO_ASSIGN(hub->listener_, listen_abstract(session.hub));
@@ -68,7 +67,7 @@ void Hub::serve() {
   while (!quit_.load()) {
     std::vector<pollfd> fds = {{wake_.get(), POLLIN, 0}, {listener_.get(), POLLIN, 0}};
     {
-      const std::lock_guard lock(mutex_);
+      const Guard lock(mutex_);
       for (const Member& member : members_)
         if (member.socket) fds.push_back({member.socket.get(), POLLIN, 0});
     }
@@ -82,7 +81,7 @@ void Hub::serve() {
       if (hear(fd)) continue;
       int process = 0;
       {
-        const std::lock_guard lock(mutex_);
+        const Guard lock(mutex_);
         for (std::size_t p = 1; p < members_.size(); ++p)
           if (members_[p].socket.get() == fd) process = static_cast<int>(p);
       }
@@ -98,7 +97,7 @@ void Hub::accept() {
     log::warn("hub: {}", peer.error().what);
     return;
   }
-  if (strangers_.size() < 2 * members_.size() + 8) strangers_.push_back(std::move(*peer));
+  if (strangers_.size() < 2 * num_members() + 8) strangers_.push_back(std::move(*peer));
 }
 
 /// One packet. False: this connection is over.
@@ -110,7 +109,7 @@ bool Hub::hear(int fd) {
   std::memcpy(&packet, room, sizeof packet);
   int process = 0;
   {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     for (std::size_t p = 1; p < members_.size(); ++p)
       if (members_[p].socket.get() == fd) process = static_cast<int>(p);
   }
@@ -118,11 +117,11 @@ bool Hub::hear(int fd) {
   if (process == 0) {
     const auto stranger = std::find_if(strangers_.begin(), strangers_.end(),
                                        [&](const UniqueFd& s) { return s.get() == fd; });
-    if (packet.index == 0 || packet.index >= members_.size() || stranger == strangers_.end())
+    if (packet.index == 0 || packet.index >= num_members() || stranger == strangers_.end())
       return false;
     const int who = static_cast<int>(packet.index);
     if (word == Word::kGone) {
-      const std::lock_guard lock(mutex_);
+      const Guard lock(mutex_);
       Member& member = members_[packet.index];
       if (!member.socket) member.state = State::kGone;
       futex_advance(changes_, INT_MAX);
@@ -130,7 +129,7 @@ bool Hub::hear(int fd) {
     }
     if (word != Word::kHello) return false;
     {
-      const std::lock_guard lock(mutex_);
+      const Guard lock(mutex_);
       Member& member = members_[packet.index];
       if (member.socket || stopping_) return false;
       member.socket = std::move(*stranger);
@@ -145,7 +144,7 @@ bool Hub::hear(int fd) {
     case Word::kReady: {
       bool again;
       {
-        const std::lock_guard lock(mutex_);
+        const Guard lock(mutex_);
         Member& member = members_[static_cast<std::size_t>(process)];
         if (member.state != State::kStarting) return false;
         member.state = State::kReady;
@@ -153,7 +152,7 @@ bool Hub::hear(int fd) {
       }
       if (again) {  // the others run already
         host_.joins(process);
-        const std::lock_guard lock(mutex_);
+        const Guard lock(mutex_);
         Member& member = members_[static_cast<std::size_t>(process)];
         member.state = State::kRunning;
         if (!say(member.socket.get(), Word::kGo)) return false;
@@ -167,7 +166,7 @@ bool Hub::hear(int fd) {
       host_.event(packet);
       return true;
     case Word::kReport: {
-      const std::lock_guard lock(mutex_);
+      const Guard lock(mutex_);
       reports_.emplace_back(reinterpret_cast<const char*>(room + sizeof packet),
                             *size - sizeof packet);
       return true;
@@ -177,9 +176,14 @@ bool Hub::hear(int fd) {
   }
 }
 
+int Hub::socket_of(int process) const {
+  const Guard lock(mutex_);
+  return members_[static_cast<std::size_t>(process)].socket.get();
+}
+
 /// Gives a new member what it reads and publishes.
 Status Hub::introduce(int process) {
-  const int socket = members_[static_cast<std::size_t>(process)].socket.get();
+  const int socket = socket_of(process);
   for (std::size_t t = 0; t < topics_.size(); ++t) {
     const Plan::Remote& remote = plan_.topics[t];
     if (remote.readers.empty()) continue;
@@ -198,7 +202,7 @@ Status Hub::introduce(int process) {
 void Hub::lose(int process) {
   bool running, stopping;
   {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     Member& member = members_[static_cast<std::size_t>(process)];
     running = member.state == State::kRunning;
     member.socket.reset();
@@ -220,7 +224,7 @@ Result<bool> Hub::wait_ready(const std::atomic<bool>& stop) {
   for (;;) {
     const std::uint32_t seen = changes_.load();
     {
-      const std::lock_guard lock(mutex_);
+      const Guard lock(mutex_);
       bool all = true;
       for (std::size_t p = 1; p < members_.size(); ++p) {
         if (members_[p].state == State::kGone)
@@ -247,7 +251,7 @@ Result<bool> Hub::wait_ready(const std::atomic<bool>& stop) {
 }
 
 void Hub::kill(int process) {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   const Member& member = members_[static_cast<std::size_t>(process)];
   ucred peer{};
   socklen_t size = sizeof peer;
@@ -260,7 +264,7 @@ void Hub::kill(int process) {
 
 std::vector<std::string> Hub::stop() {
   {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     stopping_ = true;
     for (const Member& member : members_)
       if (member.socket) (void)say(member.socket.get(), Word::kStop);
@@ -269,7 +273,7 @@ std::vector<std::string> Hub::stop() {
   for (;;) {
     const std::uint32_t seen = changes_.load();
     {
-      const std::lock_guard lock(mutex_);
+      const Guard lock(mutex_);
       const bool left = std::none_of(members_.begin(), members_.end(),
                                      [](const Member& m) { return static_cast<bool>(m.socket); });
       if (left || now_ns() > limit) return reports_;
@@ -279,7 +283,7 @@ std::vector<std::string> Hub::stop() {
 }
 
 std::vector<int> Hub::deaths() const {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   return deaths_;
 }
 

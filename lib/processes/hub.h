@@ -6,7 +6,6 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <thread>
 #include <vector>
@@ -65,12 +64,16 @@ class Hub {
     UniqueFd socket;
   };
   Hub(const Plan& plan, const Graph& graph, HubHost& host)
-      : plan_(plan), graph_(graph), host_(host) {}
+      : plan_(plan), graph_(graph), host_(host), members_(num_members()) {}
   void serve();
   void accept();
   bool hear(int fd);
   [[nodiscard]] Status introduce(int process);
   void lose(int process);
+  [[nodiscard]] std::size_t num_members() const {
+    return static_cast<std::size_t>(plan_.processes);
+  }
+  [[nodiscard]] int socket_of(int process) const;
 
   const Plan& plan_;
   const Graph& graph_;
@@ -82,10 +85,10 @@ class Hub {
   std::thread thread_;
 
   mutable PiMutex mutex_;
-  std::vector<Member> members_;  ///< [process], 0 unused
-  bool begun_ = false, stopping_ = false;
-  std::vector<int> deaths_;
-  std::vector<std::string> reports_;
+  std::vector<Member> members_ XAUTO_GUARDED_BY(mutex_);  ///< [process], 0 unused
+  bool begun_ XAUTO_GUARDED_BY(mutex_) = false, stopping_ XAUTO_GUARDED_BY(mutex_) = false;
+  std::vector<int> deaths_ XAUTO_GUARDED_BY(mutex_);
+  std::vector<std::string> reports_ XAUTO_GUARDED_BY(mutex_);
   std::atomic<std::uint32_t> changes_{0};  ///< a futex, for those who wait for a member's state
   std::atomic<bool> quit_{false};
 };

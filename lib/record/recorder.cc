@@ -135,6 +135,7 @@ Result<std::size_t> Recorder::add_topic(const Topic& topic) {
 
 Status Recorder::write(std::size_t topic, std::int64_t timestamp_ns,
                        std::span<const std::byte> data) {
+  thread_.check();
   if (!database_) return fail(ErrorCode::kInvalid, "is closed", path_);
   if (topic >= topics_.size())
     return fail(ErrorCode::kInvalid, "topic " + std::to_string(topic) + " was not added", path_);
@@ -217,6 +218,7 @@ Status Recorder::insert_metadata(const std::string& yaml) const {
 }
 
 Status Recorder::close() {
+  thread_.check();
   if (!database_) return {};
   insert_.reset();
   Status done = insert_metadata(metadata(""));

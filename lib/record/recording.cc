@@ -229,6 +229,7 @@ Status Recording::count_messages(std::uint64_t file_bytes) {
 }
 
 Result<std::optional<Message>> Recording::next() {
+  thread_.check();
   if (finished_) return std::optional<Message>();
   sqlite3_stmt* row = order_.get();
   const int step = sqlite3_step(row);

@@ -14,6 +14,8 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
+
 struct sqlite3;
 struct sqlite3_stmt;
 
@@ -65,6 +67,7 @@ class Recording {
   [[nodiscard]] Status count_messages(std::uint64_t file_bytes);
 
   std::string path_;
+  OneThread thread_;
   /// Steps of SQLite's machine left: pages that refer to each other in circles must not hang us.
   std::unique_ptr<std::int64_t> budget_;
   Database database_;
@@ -105,6 +108,7 @@ class Recorder {
   /// rosbag2's metadata (version 5), each line after `indent`.
   [[nodiscard]] std::string metadata(const std::string& indent) const;
 
+  OneThread thread_;
   std::string path_;    ///< of the .db3
   std::string folder_;  ///< empty for a file alone
   Database database_;

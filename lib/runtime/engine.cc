@@ -86,6 +86,7 @@ Status Engine::open_trace(bool leads) {
 // ---- running -----------------------------------------------------------------------------------
 
 Result<RunReport> Engine::run() {
+  thread_.check();
   auto result = role_->leads() ? run_all() : run_part();
   stop_workers();  // if there was an error
   return result;

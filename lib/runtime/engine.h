@@ -9,6 +9,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "graph/app_spec.h"
 #include "graph/graph.h"
 #include "processes/plan.h"
@@ -59,6 +60,7 @@ class Engine final : private ModuleHost {
   void tell_notes(RunReport& into);
   [[nodiscard]] RunReport report();
 
+  OneThread thread_;
   const detail::AppSpecErased& app_;
   const Session& session_;
   const Graph graph_;

@@ -31,7 +31,7 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
 void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
   context_.board.count_release();
   if (!context_.graph.single_rate || num_sinks_ == 0) return;
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   num_released_ = sequence + 1;
   while (open_base_ + open_.size() <= sequence) open_.push_back({});
   if (sequence >= open_base_)
@@ -75,7 +75,7 @@ void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
   if (!context_.graph.modules[static_cast<std::size_t>(module)].sink) return;
   if (!lost) {
     Latencies& latencies = *latencies_[static_cast<std::size_t>(module)];
-    const std::lock_guard lock(latencies.mutex);
+    const Guard lock(latencies.mutex);
     latencies.us.add((now - origin_ns) / 1000);
   }
   account(module, sequence, now, lost);
@@ -95,7 +95,7 @@ void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool 
   if (!context_.graph.single_rate) return;
   std::uint32_t complete = 0;
   {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     std::uint64_t& next = sink_next_[static_cast<std::size_t>(module)];
     for (; next <= sequence && next < open_base_ + open_.size(); ++next) {
       Open& open = open_[next - open_base_];
@@ -195,7 +195,7 @@ std::string Ledger::what_did_not_end() const {
 
 void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
   {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     into.releases.assign(releases_.begin(), releases_.end());
     into.num_releases = num_releases_;
     into.lost_releases = lost_releases_;
@@ -213,7 +213,7 @@ void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
                         counts.failed,
                         counts.dropped,
                         {}};
-    const std::lock_guard lock(latencies_[m]->mutex);
+    const Guard lock(latencies_[m]->mutex);
     module.latencies_us = latencies_[m]->us;
     into.modules.push_back(std::move(module));
     lost.push_back(counts.failed + counts.dropped);

@@ -59,7 +59,7 @@ class Ledger {
   /// Latencies of a sink; the counts are on the board.
   struct Latencies {
     PiMutex mutex;
-    Distribution us;  ///< guarded by mutex
+    Distribution us XAUTO_GUARDED_BY(mutex);
   };
 
   void account(int module, std::uint64_t sequence, std::int64_t now_ns, bool lost);
@@ -77,13 +77,17 @@ class Ledger {
   std::atomic<std::uint64_t> deadline_misses_{0};
 
   /// Written once per release and sink, not per job.
-  mutable PiMutex mutex_;         ///< guards what follows
-  std::deque<Release> releases_;  ///< the last kKeptReleases
-  std::uint64_t num_releases_ = 0, lost_releases_ = 0, overlapping_releases_ = 0;
-  Distribution latencies_us_;
-  std::deque<Open> open_;                 ///< from open_base_ on; those before are accounted for
-  std::uint64_t open_base_ = 0;           ///< a sequence
-  std::vector<std::uint64_t> sink_next_;  ///< [module] one rate: the next release to account for
+  mutable PiMutex mutex_;
+  std::deque<Release> releases_ XAUTO_GUARDED_BY(mutex_);  ///< the last kKeptReleases
+  std::uint64_t num_releases_ XAUTO_GUARDED_BY(mutex_) = 0,
+                              lost_releases_ XAUTO_GUARDED_BY(mutex_) = 0,
+                              overlapping_releases_ XAUTO_GUARDED_BY(mutex_) = 0;
+  Distribution latencies_us_ XAUTO_GUARDED_BY(mutex_);
+  std::deque<Open> open_
+      XAUTO_GUARDED_BY(mutex_);  ///< from open_base_ on; those before are accounted for
+  std::uint64_t open_base_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< a sequence
+  std::vector<std::uint64_t> sink_next_
+      XAUTO_GUARDED_BY(mutex_);  ///< [module] one rate: the next release to account for
 };
 
 }  // namespace xauto::runtime

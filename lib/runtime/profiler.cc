@@ -13,13 +13,13 @@
 #include <future>
 #include <map>
 #include <memory>
-#include <mutex>
 #include <thread>
 
 #include <sys/utsname.h>
 
 #include "base/clock.h"
 #include "base/log.h"
+#include "base/pi_mutex.h"
 #include "base/rt.h"
 #include "model/json.h"
 #include "record/recording.h"
@@ -149,23 +149,29 @@ class Run {
     XAUTO_TRY(run_passes(everywhere));
     for (std::uint64_t round = 0; round < session_.stable_rounds; ++round) {
       std::vector<std::vector<int>> again(alternatives_.size());
-      bool any = false;
-      for (std::size_t n = 0; n < again.size(); ++n)
-        for (const auto& [x, taken] : samples_[n]) {
-          const Samples s = summarise(taken.us, settled_after());
-          if (!s.spread() || s.outlier) continue;
-          again[n].push_back(x);
-          any = true;
-        }
-      if (!any) break;
+      if (!not_yet_stable(again)) break;
       XAUTO_TRY(run_passes(again));
     }
     return {};
   }
 
+  /// Which alternatives have times that are not stable yet, into `again`. False: none.
+  bool not_yet_stable(std::vector<std::vector<int>>& again) {
+    bool any = false;
+    const Guard lock(mutex_);
+    for (std::size_t n = 0; n < again.size(); ++n)
+      for (const auto& [x, taken] : samples_[n]) {
+        const Samples s = summarise(taken.us, settled_after());
+        if (!s.spread() || s.outlier) continue;
+        again[n].push_back(x);
+        any = true;
+      }
+    return any;
+  }
+
   /// `incomplete`: why it ended early. Any thread.
   Profile result(const std::string& incomplete) {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     closed_ = true;
     Profile p;
     p.app = graph_.name;
@@ -192,7 +198,7 @@ class Run {
 
   /// "exec of XNode 'x' on gpu0", if that has taken longer than `limit_ns`. Any thread.
   [[nodiscard]] std::string takes_too_long(std::int64_t limit_ns) {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     return exec_since_ns_ != 0 && now_ns() - exec_since_ns_ > limit_ns ? exec_of_ : "";
   }
 
@@ -223,7 +229,7 @@ class Run {
       if (either == xpus.end()) continue;
       XAUTO_TRY(prepare(static_cast<int>(n), *either));
       if (active_[static_cast<int>(n)].emulated) continue;
-      const std::lock_guard lock(mutex_);
+      const Guard lock(mutex_);
       std::erase_if(xpus, [&](int x) {
         return xpu(x).type == "cpu" && !machine.has(session_.platform, static_cast<std::size_t>(x));
       });
@@ -291,7 +297,7 @@ class Run {
       const std::string where =
           "exec of XNode '" + graph_.nodes[index].name + "' on " + xpu(on[index]).id;
       {
-        const std::lock_guard lock(mutex_);
+        const Guard lock(mutex_);
         exec_of_ = where;
         exec_since_ns_ = now_ns();
       }
@@ -308,7 +314,7 @@ class Run {
         return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
       }
       const std::int64_t us = (now_ns() - before + 999) / 1000;
-      const std::lock_guard lock(mutex_);
+      const Guard lock(mutex_);
       exec_since_ns_ = 0;
       if (closed_) return fail(ErrorCode::kUnavailable, "stopped");
       if (k < session_.warmup || !counts[index]) continue;
@@ -370,11 +376,12 @@ class Run {
   std::vector<int> cores_;
   int core_now_ = -1;
 
-  std::mutex mutex_;                           ///< guards what follows, and writing alternatives_
-  std::vector<std::map<int, Taken>> samples_;  ///< [node] XPU -> in the order of the repetitions
-  std::string exec_of_;
-  std::int64_t exec_since_ns_ = 0;  ///< 0: none runs
-  bool closed_ = false;             ///< the result was taken
+  PiMutex mutex_;  ///< and of writing alternatives_
+  std::vector<std::map<int, Taken>> samples_
+      XAUTO_GUARDED_BY(mutex_);  ///< [node] XPU -> in the order of the repetitions
+  std::string exec_of_ XAUTO_GUARDED_BY(mutex_);
+  std::int64_t exec_since_ns_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< 0: none runs
+  bool closed_ XAUTO_GUARDED_BY(mutex_) = false;             ///< the result was taken
 };
 
 }  // namespace

@@ -2,7 +2,6 @@
 #include "runtime/routes.h"
 
 #include <algorithm>
-#include <mutex>
 
 #include "processes/board.h"
 
@@ -87,7 +86,7 @@ std::optional<std::int64_t> Routes::published(int module, std::int64_t origin_ns
                                               const detail::Origins* origins, std::int64_t now_ns) {
   std::optional<std::int64_t> missed_us;
   if (!end_at(module)) return missed_us;
-  const std::lock_guard lock(*mutex_);
+  const Guard lock(*mutex_);
   for (const std::size_t index : ends_[static_cast<std::size_t>(module)]) {
     Route& route = routes_[index];
     std::int64_t origin = origin_ns;
@@ -121,7 +120,7 @@ std::optional<std::int64_t> Routes::published(int module, std::int64_t origin_ns
 
 std::vector<RouteReport> Routes::report(const std::vector<std::uint64_t>& lost) const {
   std::vector<RouteReport> result;
-  const std::lock_guard lock(*mutex_);
+  const Guard lock(*mutex_);
   for (const Route& route : routes_) {
     RouteReport counts = route.counts;
     counts.lost = lost[static_cast<std::size_t>(route.module)];

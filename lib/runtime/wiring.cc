@@ -163,11 +163,13 @@ void Wiring::connect(std::size_t topic) {
 }
 
 Status Wiring::start() {
+  thread_.check();
   for (const auto& worker : workers_) XAUTO_TRY(worker->start());
   return {};
 }
 
 Status Wiring::open_inputs() {
+  thread_.check();
   const int process = context_.session.process;
   if (context_.plan.processes == 1) return {};
   receiver_ = std::make_unique<transport::Receiver>(context_.board.process(process).doorbell);
@@ -190,10 +192,12 @@ Status Wiring::open_inputs() {
 }
 
 void Wiring::close_inputs() {
+  thread_.check();
   if (receiver_) receiver_->stop();
 }
 
 std::vector<std::string> Wiring::stop() {
+  thread_.check();
   std::vector<std::string> stuck;
   const std::int64_t limit = now_ns() + kPatienceNs;
   for (const auto& worker : workers_)

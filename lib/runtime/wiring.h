@@ -16,6 +16,7 @@
 
 #include <xauto/result.h>
 
+#include "base/thread_safety.h"
 #include "processes/board.h"
 #include "processes/interop.h"
 #include "runtime/context.h"
@@ -77,6 +78,7 @@ class Wiring {
   [[nodiscard]] Status make_module(std::size_t module, ModuleHost& host);
   void connect(std::size_t topic);
 
+  OneThread thread_;
   const Context& context_;
   const Placing& placing_;
   Role& role_;

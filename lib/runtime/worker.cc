@@ -239,7 +239,7 @@ void Worker::record(std::uint16_t kind, const Placed& placed, std::uint64_t sequ
 }
 
 void Worker::note_failure(const Placed& placed, const std::string& what) {
-  const std::lock_guard lock(failure_mutex_);
+  const Guard lock(failure_mutex_);
   if (!failure_.empty()) return;  // counted by the engine; one is enough to read
   failure_ = "exec of XNode '" + placed.name + "' on " + xpu_name() + ": " + what;
   log::warn("{} (activation {} dropped; further failures here are only counted)", failure_,
@@ -247,7 +247,7 @@ void Worker::note_failure(const Placed& placed, const std::string& what) {
 }
 
 std::string Worker::first_failure() const {
-  const std::lock_guard lock(failure_mutex_);
+  const Guard lock(failure_mutex_);
   return failure_;
 }
 

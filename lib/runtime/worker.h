@@ -146,7 +146,7 @@ class Worker {
   std::uint64_t hung_job_ = 0;                   ///< of find_hung
   std::int64_t cpu_since_ns_ = 0;                ///< of the execution thread
   mutable PiMutex failure_mutex_;
-  std::string failure_;
+  std::string failure_ XAUTO_GUARDED_BY(failure_mutex_);
 };
 
 }  // namespace xauto::runtime

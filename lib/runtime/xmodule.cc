@@ -31,7 +31,7 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
   std::uint64_t skip_below = 0;
   bool start = false;
   {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     Slot& slot = slots_[static_cast<std::size_t>(input)];
     if (single_rate_ && envelope.sequence < next_) return;  // of a release that is already lost
     arrive(slot, envelope, lost);
@@ -245,7 +245,7 @@ void ModuleRuntime::finish(bool succeeded) {
   std::vector<Lost> lost;
   if (!succeeded) lost.push_back({sequence, sequence, XAUTO_DROP_FAILED});
   {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     for (detail::Envelope& message : InputAccess::messages(input_)) message = {};
     busy_ = false;
     if (watched_) fate_.store(Fate::kOpen);
@@ -263,7 +263,7 @@ bool ModuleRuntime::abandon(std::uint64_t sequence) {
   std::vector<Lost> lost;
   std::uint64_t skip_below = 0;
   {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     Fate open = Fate::kOpen;
     if (!busy_ || input_.sequence() != sequence ||
         !fate_.compare_exchange_strong(open, Fate::kAbandoned))
@@ -284,7 +284,7 @@ bool ModuleRuntime::abandon(std::uint64_t sequence) {
 
 /// It returned after all; what it did is lost, and known to be.
 void ModuleRuntime::finish_abandoned() {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   for (detail::Envelope& message : InputAccess::messages(input_)) message = {};
   busy_ = false;
   hung_ = false;

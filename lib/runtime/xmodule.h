@@ -19,7 +19,6 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
-#include <mutex>
 #include <vector>
 
 #include "base/pi_mutex.h"
@@ -52,7 +51,10 @@ class ModuleRuntime {
                 std::vector<const transport::Channel*> outputs,
                 std::vector<MessageMemory*> memories = {});
   // Before the first message.
-  void set_overload(Overload overload) { overload_ = overload; }
+  void set_overload(Overload overload) {
+    const Guard lock(mutex_);
+    overload_ = overload;
+  }
   /// Several rates: fires with messages whose origins are at most `tolerance_ns` apart, the oldest
   /// such ones first; a message that can have no partner any more is lost.
   void match_within(std::int64_t tolerance_ns) { match_ns_ = tolerance_ns; }
@@ -60,6 +62,7 @@ class ModuleRuntime {
   void watch() { watched_ = true; }
   /// Single rate: releases below `next` are settled already.
   void begin_at(std::uint64_t next) {
+    const Guard lock(mutex_);
     next_ = next;
     for (Slot& slot : slots_) slot.expected = next;
   }
@@ -96,15 +99,18 @@ class ModuleRuntime {
     std::uint32_t reason;
   };
 
-  void settle(std::uint64_t below, std::uint32_t reason, std::vector<Lost>& lost);
-  void arrive(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost);
-  void lose_while_hung(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost);
-  void resolve(std::vector<Lost>& lost);
-  [[nodiscard]] bool matched(std::vector<Lost>& lost);
-  void gather_origins();
+  void settle(std::uint64_t below, std::uint32_t reason, std::vector<Lost>& lost)
+      XAUTO_REQUIRES(mutex_);
+  void arrive(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost)
+      XAUTO_REQUIRES(mutex_);
+  void lose_while_hung(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost)
+      XAUTO_REQUIRES(mutex_);
+  void resolve(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] bool matched(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
+  void gather_origins() XAUTO_REQUIRES(mutex_);
   void finish_abandoned();
-  bool take_if_fresh(std::vector<Lost>& lost);
-  void put_off(std::vector<Lost>& lost);
+  bool take_if_fresh(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
+  void put_off(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   void tell(const std::vector<Lost>& lost, std::uint64_t skip_below);
 
   const Graph::Module& module_;
@@ -118,21 +124,23 @@ class ModuleRuntime {
   std::vector<detail::TopicSpec> topics_;
   std::shared_ptr<void> state_;
 
-  PiMutex mutex_;  ///< protects what follows; nothing is called while it is held
-  std::vector<Slot> slots_;
-  std::size_t empty_ = 0;  ///< a slot that was empty when last looked at: the first to look at
-  bool busy_ = false;
-  Overload overload_;
-  std::uint64_t next_ = 0;  ///< single rate: releases below this number are settled, taken or lost
+  PiMutex mutex_;  ///< nothing is called while it is held
+  std::vector<Slot> slots_ XAUTO_GUARDED_BY(mutex_);
+  std::size_t empty_ XAUTO_GUARDED_BY(mutex_) =
+      0;  ///< a slot that was empty when last looked at: the first to look at
+  bool busy_ XAUTO_GUARDED_BY(mutex_) = false;
+  Overload overload_ XAUTO_GUARDED_BY(mutex_);
+  std::uint64_t next_ XAUTO_GUARDED_BY(mutex_) =
+      0;  ///< single rate: releases below this number are settled, taken or lost
   /// Single rate: skip up to here (exclusive), and send the tombstone, once the activation in
   /// flight has ended: it is older than what was lost and must not be taken for finished, nor
   /// overtaken downstream.
-  std::uint64_t skip_below_ = 0;
+  std::uint64_t skip_below_ XAUTO_GUARDED_BY(mutex_) = 0;
   /// Single rate: losses newer than the activation in flight, told after its end: releases are
   /// settled in order, and whoever hears of k+1 takes an untold k for lost.
-  std::vector<Lost> later_;
+  std::vector<Lost> later_ XAUTO_GUARDED_BY(mutex_);
 
-  bool hung_ = false;  ///< the activation in flight was given up
+  bool hung_ XAUTO_GUARDED_BY(mutex_) = false;  ///< the activation in flight was given up
 
   /// Of the activation in flight: `finish` and `abandon` race for it.
   enum class Fate : std::uint8_t { kOpen, kEnding, kAbandoned };

@@ -6,14 +6,14 @@
 namespace xauto::transport {
 
 void Receiver::add(int tag, std::shared_ptr<Subscriber> subscriber, bool blank, Deliver deliver) {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   auto* const shared_memory = dynamic_cast<ShmSubscriber*>(subscriber.get());
   inputs_.push_back({tag, std::move(subscriber), shared_memory, blank, std::move(deliver)});
   doorbell_.ring();
 }
 
 void Receiver::remove(int tag) {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   for (const Input& input : inputs_)
     if (input.tag == tag) lost_before_ += input.subscriber->lost();
   std::erase_if(inputs_, [&](const Input& input) { return input.tag == tag; });
@@ -33,14 +33,14 @@ void Receiver::stop() {
 }
 
 std::uint64_t Receiver::lost() const {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   std::uint64_t sum = lost_before_;
   for (const Input& input : inputs_) sum += input.subscriber->lost();
   return sum;
 }
 
 bool Receiver::idle() const {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   return std::all_of(inputs_.begin(), inputs_.end(),
                      [](const Input& input) { return input.subscriber->empty(); });
 }
@@ -53,7 +53,7 @@ std::optional<detail::Envelope> Receiver::take(const Input& input) {
 
 /// One message of each input in turn, so that a fast topic does not hold up the others.
 bool Receiver::pass() {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   bool any = false;
   for (const Input& input : inputs_) {
     const auto envelope = take(input);

@@ -5,7 +5,6 @@
 
 #include <functional>
 #include <memory>
-#include <mutex>
 #include <thread>
 #include <vector>
 
@@ -50,9 +49,9 @@ class Receiver {
 
   Doorbell& doorbell_;
   mutable PiMutex mutex_;  ///< held during a pass
-  std::vector<Input> inputs_;
+  std::vector<Input> inputs_ XAUTO_GUARDED_BY(mutex_);
   std::atomic<bool> stop_{false};
-  std::uint64_t lost_before_ = 0;  ///< of inputs that were removed
+  std::uint64_t lost_before_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< of inputs that were removed
   std::thread thread_;
 };
 

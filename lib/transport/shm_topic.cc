@@ -6,7 +6,6 @@
 #include <bit>
 #include <cerrno>
 #include <cstring>
-#include <mutex>
 #include <string>
 
 #include <fcntl.h>
@@ -152,6 +151,7 @@ Result<std::shared_ptr<ShmPublisher>> ShmPublisher::open(const detail::TopicSpec
   XAUTO_ASSIGN(publisher->control_, TopicControl::map(control_fd));
   TopicControl& control = *publisher->control_;
   XAUTO_ASSIGN(publisher->data_, map_data(control, data_fd, PROT_READ | PROT_WRITE));
+  const Guard lock(publisher->mutex_);
   publisher->queued_.resize(control.chunks());
   publisher->loaned_ = std::make_unique<std::atomic<std::uint32_t>[]>(control.chunks());
   for (std::uint32_t s = 0; s < control.shape().subscribers; ++s) {
@@ -167,7 +167,7 @@ ShmPublisher::~ShmPublisher() {
   if (data_ != nullptr) munmap(data_, control_->chunks() * control_->stride());
 }
 
-/// Called with the mutex held. Queues before `held`: see the top of shm_topic.h.
+/// Queues before `held`: see the top of shm_topic.h.
 std::uint32_t ShmPublisher::find_free() {
   TopicControl& c = *control_;
   std::fill(queued_.begin(), queued_.end(), std::uint8_t{0});
@@ -190,7 +190,7 @@ std::shared_ptr<void> ShmPublisher::loan(std::size_t bytes) {
   if (bytes > control_->shape().chunk_bytes) return nullptr;
   std::uint32_t chunk;
   {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     // Our own process keeps too many: the others must not starve for it.
     std::uint32_t kept = 0;
     for (std::uint32_t i = 0; i < control_->chunks(); ++i)
@@ -212,7 +212,6 @@ std::uint32_t ShmPublisher::chunk_of(const void* message) const {
   return static_cast<std::uint32_t>((at - start) / control_->stride());
 }
 
-/// Called with the mutex held.
 std::uint32_t ShmPublisher::store(const void* message, std::uint64_t& bytes) {
   const std::uint32_t chunk = find_free();
   if (chunk == kNoChunk) return kNoChunk;
@@ -238,7 +237,7 @@ std::uint32_t ShmPublisher::store(const void* message, std::uint64_t& bytes) {
 void ShmPublisher::publish(const detail::Envelope& envelope) {
   TopicControl& c = *control_;
   {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     std::uint32_t chunk = kNoChunk;
     std::uint64_t bytes = 0;
     if (envelope.message != nullptr) {

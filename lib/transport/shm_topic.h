@@ -161,9 +161,9 @@ class ShmPublisher final : public Publisher, public std::enable_shared_from_this
 
  private:
   ShmPublisher() = default;
-  [[nodiscard]] std::uint32_t find_free();
+  [[nodiscard]] std::uint32_t find_free() XAUTO_REQUIRES(mutex_);
   [[nodiscard]] std::uint32_t chunk_of(const void* message) const;
-  std::uint32_t store(const void* message, std::uint64_t& bytes);
+  std::uint32_t store(const void* message, std::uint64_t& bytes) XAUTO_REQUIRES(mutex_);
   void push(std::uint32_t subscriber, const detail::Envelope& envelope, std::uint32_t chunk,
             std::uint64_t bytes);
 
@@ -172,9 +172,9 @@ class ShmPublisher final : public Publisher, public std::enable_shared_from_this
   Ringer* ringer_ = nullptr;
   std::byte* data_ = nullptr;
   PiMutex mutex_;  ///< of this process only: publishing order, and the choice of a chunk
-  std::vector<std::uint8_t> queued_;                      ///< scratch of find_free
-  std::unique_ptr<std::atomic<std::uint32_t>[]> loaned_;  ///< [chunk] this process uses it
-  std::uint32_t hint_ = 0;
+  std::vector<std::uint8_t> queued_ XAUTO_GUARDED_BY(mutex_);  ///< scratch of find_free
+  std::unique_ptr<std::atomic<std::uint32_t>[]> loaned_;       ///< [chunk] this process uses it
+  std::uint32_t hint_ XAUTO_GUARDED_BY(mutex_) = 0;
   std::atomic<std::uint64_t> unsent_{0};
 };
 

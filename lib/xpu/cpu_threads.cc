@@ -40,7 +40,7 @@ std::string scx_state() {
 // ---- one thread ---------------------------------------------------------------------------------
 
 CpuThread::~CpuThread() {
-  const std::lock_guard lock(all_.mutex_);
+  const Guard lock(all_.mutex_);
   std::erase(all_.threads_, this);
 }
 
@@ -129,6 +129,7 @@ Result<std::unique_ptr<CpuThreads>> CpuThreads::create(const CpuThreadsOptions& 
   threads->quit_.reset(eventfd(0, EFD_CLOEXEC));
   threads->ext_.store(static_cast<bool>(threads->scheduler_));
   if (!threads->ext()) {
+    const Guard lock(threads->mutex_);
     threads->note_ = "the sched_ext scheduler had ended before the app began: SCHED_FIFO instead";
     return threads;
   }
@@ -145,14 +146,14 @@ CpuThreads::~CpuThreads() {
 }
 
 std::unique_ptr<CpuThread> CpuThreads::add(std::uint32_t xpu) {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   auto thread = std::unique_ptr<CpuThread>(new CpuThread(*this, slots_.take(xpu)));
   threads_.push_back(thread.get());
   return thread;
 }
 
 std::string CpuThreads::note() const {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   return note_;
 }
 
@@ -166,7 +167,7 @@ void CpuThreads::watch() {
   }
   if ((fds[1].revents & POLLIN) != 0) return;
   ext_.store(false, std::memory_order_seq_cst);
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   for (CpuThread* thread : threads_) thread->fall_back();
   note_ = "the sched_ext scheduler ended: CPU XNodes went on under SCHED_FIFO";
   log::warn("{}", note_);

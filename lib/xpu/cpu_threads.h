@@ -8,13 +8,13 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <thread>
 #include <vector>
 
 #include <xauto/result.h>
 
+#include "base/pi_mutex.h"
 #include "base/unique_fd.h"
 #include "kernel/thread_slots.h"
 
@@ -89,9 +89,9 @@ class CpuThreads {
   bool partial_ = false;
   UniqueFd scheduler_, quit_;  ///< pidfd; eventfd
   std::thread watcher_;
-  mutable std::mutex mutex_;
-  std::vector<CpuThread*> threads_;  ///< guarded by mutex_
-  std::string note_;                 ///< guarded by mutex_
+  mutable PiMutex mutex_;
+  std::vector<CpuThread*> threads_ XAUTO_GUARDED_BY(mutex_);
+  std::string note_ XAUTO_GUARDED_BY(mutex_);
   kernel::ThreadSlots slots_;
 };
 

@@ -4,10 +4,10 @@
 // what xauto.ko suspends. So the TSGs and queues that appear while `init` runs are the handle's.
 #include <algorithm>
 #include <map>
-#include <mutex>
 
 #include <unistd.h>
 
+#include "base/pi_mutex.h"
 #include "kernel/queue_control.h"
 #include "kernel/queue_files.h"
 #include "xpu/backend.h"
@@ -23,18 +23,18 @@ using kernel::QueueType;
 class KnownContexts {
  public:
   void add(const SchedHandle& handle, const std::vector<int>& fds) {
-    const std::scoped_lock lock(mutex_);
+    const Guard lock(mutex_);
     fds_[handle.value()] = fds;
   }
   std::vector<int> find(const SchedHandle& handle) const {
-    const std::scoped_lock lock(mutex_);
+    const Guard lock(mutex_);
     const auto it = fds_.find(handle.value());
     return it == fds_.end() ? std::vector<int>() : it->second;
   }
 
  private:
-  mutable std::mutex mutex_;
-  std::map<std::uintptr_t, std::vector<int>> fds_;
+  mutable PiMutex mutex_;
+  std::map<std::uintptr_t, std::vector<int>> fds_ XAUTO_GUARDED_BY(mutex_);
 };
 
 KnownContexts& known_contexts() {

@@ -8,20 +8,20 @@
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
-#include <mutex>
 #include <string_view>
 
 #include <sys/utsname.h>
 
 #include "base/log.h"
+#include "base/pi_mutex.h"
 
 namespace xauto::kernel {
 namespace {
 
 constexpr std::size_t kLongest = 1u << 17;
 constexpr unsigned kVerifierCounts = 4;  ///< the kernel's BPF_LOG_STATS
-std::mutex g_mutex;
-std::string g_said;  // guarded by g_mutex
+PiMutex g_mutex;
+std::string g_said XAUTO_GUARDED_BY(g_mutex);
 
 int keep(libbpf_print_level level, const char* format, va_list arguments) {
   std::string line(kLongest, '\0');  // a verifier's log is one message
@@ -32,7 +32,7 @@ int keep(libbpf_print_level level, const char* format, va_list arguments) {
   if (level == LIBBPF_WARN) {
     // The first line that is neither the verifier's log nor "failed to load" says what was wrong.
     constexpr std::string_view kPrefix = "libbpf: ";
-    const std::lock_guard lock(g_mutex);
+    const Guard lock(g_mutex);
     if (g_said.empty() && line.find('\n') == std::string::npos &&
         line.find("failed to load") == std::string::npos && line.size() < 200)
       g_said = line.rfind(kPrefix, 0) == 0 ? line.substr(kPrefix.size()) : line;
@@ -44,7 +44,7 @@ int keep(libbpf_print_level level, const char* format, va_list arguments) {
 }  // namespace
 
 LibbpfMessages::LibbpfMessages() {
-  const std::lock_guard lock(g_mutex);
+  const Guard lock(g_mutex);
   g_said.clear();
   libbpf_set_print(keep);
 }
@@ -54,7 +54,7 @@ LibbpfMessages::~LibbpfMessages() {
 }
 
 std::string LibbpfMessages::said() {
-  const std::lock_guard lock(g_mutex);
+  const Guard lock(g_mutex);
   return g_said;
 }
 

@@ -15,7 +15,6 @@
 #include <cstdlib>
 #include <cstring>
 #include <limits>
-#include <mutex>
 #include <thread>
 
 #include <dds/dds.h>
@@ -119,7 +118,7 @@ class DdsPublisher final : public Publisher {
     next_sequence_.store(envelope.sequence + 1, std::memory_order_relaxed);
     if (envelope.message == nullptr) return;  // of the app's own accounts
     {
-      const std::lock_guard lock(mutex_);
+      const Guard lock(mutex_);
       if (count_ == kBridgeQueue) {
         ring_[first_] = {};
         first_ = (first_ + 1) % kBridgeQueue;
@@ -138,14 +137,14 @@ class DdsPublisher final : public Publisher {
 
   // Of the bridge's thread.
   [[nodiscard]] bool empty() const {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     return count_ == 0;
   }
   /// Writes one message; false: none waits.
   bool write_one() {
     detail::Envelope envelope;
     {
-      const std::lock_guard lock(mutex_);
+      const Guard lock(mutex_);
       if (count_ == 0) return false;
       envelope = std::exchange(ring_[first_], {});
       first_ = (first_ + 1) % kBridgeQueue;
@@ -196,8 +195,8 @@ class DdsPublisher final : public Publisher {
   const dds_entity_t writer_;
   const std::shared_ptr<Work> work_;
   mutable PiMutex mutex_;
-  std::array<detail::Envelope, kBridgeQueue> ring_;  ///< guarded by mutex_, as the next two
-  std::size_t first_ = 0, count_ = 0;
+  std::array<detail::Envelope, kBridgeQueue> ring_ XAUTO_GUARDED_BY(mutex_);
+  std::size_t first_ XAUTO_GUARDED_BY(mutex_) = 0, count_ XAUTO_GUARDED_BY(mutex_) = 0;
   std::atomic<std::uint64_t> next_sequence_{0}, dropped_{0}, refused_{0};
 };
 
@@ -309,7 +308,7 @@ class DdsBridge final : public Bridge {
     const dds_entity_t writer = dds_create_writer(participant_, topic, qos.qos, nullptr);
     if (writer < 0) return failed("writer", spec, writer);
     auto publisher = std::make_shared<DdsPublisher>(spec, writer, work_);
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     publishers_.push_back(publisher);
     return publisher;
   }
@@ -325,6 +324,7 @@ class DdsBridge final : public Bridge {
     dds_delete_listener(listener);
     if (reader < 0) return failed("reader", spec, reader);
     subscriber->read_from(reader);
+    const Guard lock(mutex_);
     subscribers_.push_back(subscriber);
     readers_.push_back(reader);
     return subscriber;
@@ -335,12 +335,13 @@ class DdsBridge final : public Bridge {
     work_->quit.store(true);
     work_->doorbell.ring();
     thread_.join();
+    const Guard lock(mutex_);
     for (const dds_entity_t reader : readers_) (void)dds_set_listener(reader, nullptr);
   }
 
   [[nodiscard]] std::vector<std::string> notes() const override {
     std::vector<std::string> notes;
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     for (const auto& publisher : publishers_) publisher->note(notes);
     for (const auto& subscriber : subscribers_) subscriber->note(notes);
     return notes;
@@ -369,7 +370,7 @@ class DdsBridge final : public Bridge {
   }
 
   std::vector<std::shared_ptr<DdsPublisher>> publishers() const {
-    const std::lock_guard lock(mutex_);
+    const Guard lock(mutex_);
     return publishers_;
   }
   void run() {
@@ -395,9 +396,9 @@ class DdsBridge final : public Bridge {
   std::shared_ptr<Work> work_;
   std::thread thread_;
   mutable PiMutex mutex_;
-  std::vector<std::shared_ptr<DdsPublisher>> publishers_;  ///< guarded by mutex_
-  std::vector<std::shared_ptr<DdsSubscriber>> subscribers_;
-  std::vector<dds_entity_t> readers_;
+  std::vector<std::shared_ptr<DdsPublisher>> publishers_ XAUTO_GUARDED_BY(mutex_);
+  std::vector<std::shared_ptr<DdsSubscriber>> subscribers_ XAUTO_GUARDED_BY(mutex_);
+  std::vector<dds_entity_t> readers_ XAUTO_GUARDED_BY(mutex_);
 };
 
 }  // namespace
