@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <utility>
 
 #include <fcntl.h>
 #include <poll.h>
@@ -32,7 +33,7 @@ namespace {
 using namespace runtime;  // session, board: what the app is asked, and what it shows
 
 constexpr int kReadyTimeoutMs = 10'000;
-constexpr int kDrainMs = 15'000;  ///< more than the app's own patience with a stalled activation
+constexpr int kDrainMs = 15'000;        ///< without progress: more than the app's own patience
 constexpr int kProfileDrainMs = 3'000;  ///< an app that profiles answers with what it has
 constexpr int kGraceMs = 2'000;
 constexpr int kMaxRestarts = 100;  ///< of one daemon; then it stays dead, see supervisor.h
@@ -401,6 +402,7 @@ class Supervisor {
   void watch() {
     const std::int64_t started = now_ns();
     std::int64_t told_to_stop = 0, next_look = 0;
+    std::uint64_t settled = 0;
     const auto tell = [&](const char* why) {
       if (told_to_stop != 0) return;
       if (why != nullptr) outcome_.notes.emplace_back(why);
@@ -456,6 +458,10 @@ class Supervisor {
       }
       if (request_.time_limit_s > 0 && now - started > request_.time_limit_s * 1'000'000'000)
         tell("stopped at its time limit");
+      // Its queues may hold more than it can do in that time: as long as it gets on it may.
+      if (told_to_stop != 0 && board_)
+        if (const std::uint64_t done = board_->settled(); std::exchange(settled, done) != done)
+          told_to_stop = now;
       const std::int64_t drain_ms =
           request_.session.mode == Mode::kProfile ? kProfileDrainMs : kDrainMs;
       if (told_to_stop != 0 && now - told_to_stop > drain_ms * 1'000'000) {

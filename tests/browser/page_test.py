@@ -2,6 +2,7 @@
 """The report and the timeline page in a real browser: they load without a word of complaint and without the network,
 zoom, tell on hover, single out a module, and are legible in light and dark.
 XAUTO_SCREENSHOTS=FOLDER leaves pictures there. Exit status 77: there is no browser."""
+import json
 import os
 import pathlib
 import sys
@@ -38,9 +39,17 @@ class Pages(unittest.TestCase):
         cls.folder = tempfile.TemporaryDirectory()
         cls.addClassCleanup(cls.folder.cleanup)
         out = os.path.join(cls.folder.name, "out")
-        answer = xauto("compare", "--app", APP, "--platform", "small", "--emulate", "--activations",
-                       220 if SHOTS else 8, "--time-limit-s", 1, "--out", out, "--", DRIVING)
-        assert answer.returncode == 0, answer.stderr
+        # The tests click on bars as wide as the plan has them. In a release that the machine has stopped for a while some
+        # are too narrow, so the pages are made of a comparison that it has not stopped.
+        for _ in range(60):
+            answer = xauto("compare", "--app", APP, "--platform", "small", "--emulate", "--lockstep",
+                           "--activations", 220 if SHOTS else 3, "--time-limit-s", 1, "--out", out, "--", DRIVING)
+            assert answer.returncode == 0, answer.stderr
+            runs = {run["policy"]: run for run in json.loads(pathlib.Path(out, "report.json").read_text())["runs"]}
+            if SHOTS or all(runs[p]["max_us"] < 1.5 * runs[p]["predicted_us"] for p in ("heft", "xauto")):
+                break
+        else:
+            raise AssertionError("60 comparisons, and each was stopped by the machine")
         answer = xauto("report", out + "/heft.pftrace", out + "/xauto.pftrace", "--report", out + "/report.json",
                        "--out", out + "/report.html")
         assert answer.returncode == 0, answer.stderr

@@ -167,7 +167,7 @@ def test_what_the_tools_write_is_valid():
         written("simulation", "simulate", "--app", APP, "--platform", "small", "--policy", "p.json", "--out", "s.json",
                 out="s.json")
         written("report", "run", "--app", APP, "--platform", "small", "--policy", "p.json", "--emulate",
-                "--activations", 3, "--out", "r.json", "--", DRIVING, out="r.json")
+                "--lockstep", "--activations", 3, "--out", "r.json", "--", DRIVING, out="r.json")
         written("profile", "profile", "--platform", "small", "--emulate", "--warmup", 0, "--repetitions", 2, "--out",
                 "f.json", "--", DRIVING, out="f.json")
 

@@ -61,7 +61,7 @@ class Case:
 
 class OneRate(unittest.TestCase):
     SENSORS = {"cam": [{"cpu": 2000}, {"gpu": 5000}, {"cpu": 1000}], "lid": [{"gpu": 2000, "cpu": 4000}]}
-    RELEASES, DEADLINE_US = 60, 12_000
+    RELEASES, DEADLINE_US = 40, 12_000
 
     def check(self, period, overload, isolate):
         with tempfile.TemporaryDirectory() as folder:
@@ -119,19 +119,19 @@ class SeveralRates(unittest.TestCase):
     def test_order_does_not_stall_another_sensors_releases(self):
         policy = self.case.solve()
         # Release k of the camera shall come after release k of the lidar, which is ten times rarer: kept by number, the
-        # camera would fall behind by 90 ms in each period of the lidar.
+        # camera would fall behind by 90 ms in each period of the lidar: by 1.8 s in all.
         rank = {"camera.0": 3, "radar.0": 2, "lidar.0": 1}
         for xnode in policy["xnodes"]:
             if xnode["name"] in rank:
                 xnode["priority"] = rank[xnode["name"]]
         policy["order"] = [["lidar.0", "camera.0"], ["radar.0", "camera.0"], ["lidar.0", "radar.0"]]
         pathlib.Path(self.case.path("policy.json")).write_text(json.dumps(policy))
-        run, seen, done = self.case.run("--activations", 10)
+        run, seen, done = self.case.run("--activations", 20)
         self.assertIn("order constraints are not enforced", done.stderr + " ".join(run["notes"]))
         self.assertTrue(any("several periods" in why for why in run["worst_case_broken"]), run)
         for name, (messages, longest) in seen.items():
             self.assertGreater(messages, 0, name)
-            self.assertLess(longest, 500_000, name)  # it was seconds
+            self.assertLess(longest, 1_200_000, name)
 
     def test_no_source_falls_silent_before_the_slowest(self):
         self.case.solve()
@@ -159,9 +159,10 @@ class Trace(unittest.TestCase):
         """low.0 is suspended while it is busy without the GPU, and is through before it is resumed: what is resumed then
         is its queue, not low.1, which waits for the GPU all the time."""
         with tempfile.TemporaryDirectory() as folder:
-            case = Case(folder, {"low": (300_000, [{"gpu": 100}, {"gpu": 100}]),
-                                 "high": (300_000, [{"cpu": 3000}, {"gpu": 90_000}])})
-            case.host = {"low.0": "+60000"}
+            # low.0 is busy for 0.4 s after its GPU work; within that time high.1 comes, however the machine stalls.
+            case = Case(folder, {"low": (1_200_000, [{"gpu": 100}, {"gpu": 100}]),
+                                 "high": (1_200_000, [{"cpu": 3000}, {"gpu": 700_000}])})
+            case.host = {"low.0": "+400000"}
             policy = case.solve()
             rank = {"high.1": 9, "high.0": 4, "low.0": 3, "low.1": 2}
             for xnode in policy["xnodes"]:
@@ -170,11 +171,11 @@ class Trace(unittest.TestCase):
             policy.pop("order", None)
             pathlib.Path(case.path("policy.json")).write_text(json.dumps(policy))
             trace = case.path("t.pftrace")
-            run, _, _ = case.run("--activations", 5, "--trace-out", trace)
-            self.assertEqual(run["activations"], 5)
+            run, _, _ = case.run("--activations", 3, "--trace-out", trace)
+            self.assertEqual(run["activations"], 3)
             pieces = pftrace.Trace(pathlib.Path(trace).read_bytes()).on("run/gpu0")
             switches = {s.args["release"]: s for s in pieces if s.category == "switch" and "low.0" in s.name}
-            self.assertEqual(len(switches), 5, "low.0 is suspended in each release")
+            self.assertEqual(len(switches), 3, "low.0 is suspended in each release")
             for s in pieces:
                 if s.name == "low.1" and s.category == "run":
                     high = next(h for h in pieces if h.name == "high.1" and h.category == "run" and

@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where things are, and how to call them. Environment: XAUTO_BIN (set by ctest), else build/bin."""
+"""Where things are, how to call them, and how to wait. Environment: XAUTO_BIN (set by ctest), else build/bin;
+XAUTO_FULL=1: the long forms of the tests that have one (make check-full).
+
+No test depends on time: this machine may stall for a second at any moment (tests/stall.sh makes it). So what is said of
+a run holds whatever was lost in it, or nothing can be lost: the run is in lockstep, or its queues hold all of it."""
+import ctypes
 import json
 import os
 import pathlib
 import subprocess
+import time
 
 SOURCE = pathlib.Path(__file__).resolve().parents[2]
 BIN = pathlib.Path(os.environ.get("XAUTO_BIN", SOURCE / "build/bin"))
@@ -18,7 +24,35 @@ def xauto(*arguments, cwd=None, timeout=120, stdin=None):
                           text=True, input=stdin, errors="replace")
 
 
+FULL = bool(os.environ.get("XAUTO_FULL"))
+
+
+def wait_for(what, probe, tool=None, seconds=60):
+    """The first true answer of `probe`. Fails after a minute, or when `tool`, a process, has ended."""
+    until = time.monotonic() + seconds
+    while not (answer := probe()):
+        assert time.monotonic() < until, f"{what}: not within {seconds} s"
+        if tool is not None and tool.poll() is not None:
+            raise AssertionError(f"{what}: the run ended before, status {tool.returncode}: {tool.communicate()}")
+        time.sleep(0.02)
+    return answer
+
+
+def without_bpf():
+    """In a child: with BPF `xauto top` says more, and takes up to 10 s where a machine stalls."""
+    for capability in (21, 38, 39):  # CAP_SYS_ADMIN, CAP_PERFMON, CAP_BPF, out of the bounding set
+        ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)
+
+
+def activations(tool):
+    """How many activations each module of this run has done by now, {module: number}; {} before it has begun."""
+    done = subprocess.run([XAUTO, "top", "--run", f"{tool.pid}-0", "--wait-s", "5", "--interval-ms", "50", "--once", "--json"],
+                          timeout=120, capture_output=True, text=True, preexec_fn=without_bpf)
+    return {m["name"]: m["activations"] for m in json.loads(done.stdout)["modules"]} if done.stdout else {}
+
+
 TESTAPP = str(BIN / "testapp")
+QUEUES = {"queue_depth": 256, "keep": 256, "defaults": {"overload": "queue:256"}}  # of a deployment: nothing is lost
 
 
 def testapp_files(folder, deployment=None, **of_app):

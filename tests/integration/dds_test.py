@@ -3,14 +3,14 @@
 the app computes with, and it can neither stop nor slow the app. dds_peer is that program; it knows the DDS type only."""
 import json
 import os
+import pathlib
 import shutil
 import signal
 import subprocess
 import sys
-import time
 import unittest
 
-from common import BIN
+from common import BIN, QUEUES, activations, wait_for
 from isolate_test import Case as Runs  # the test app and how it is run
 
 PEER = BIN / "dds_peer"
@@ -37,46 +37,54 @@ class Dds(Runs):
         return process
 
     def run_dds(self, *flags, **keywords):
-        """The run's report. Releases may be lost, since the machine has other things to do: status 1."""
+        """The run's report. Status 1: a release was lost."""
         done = subprocess.run(self.command(*flags, **keywords), capture_output=True, text=True, timeout=100)
-        self.assertIn(done.returncode, (0, 1), done.stderr)
         self.assertTrue(done.stdout, done.stderr)
         run = json.loads(done.stdout)["runs"][0]
         self.assertTrue(run["complete"], done.stdout)
+        self.assertEqual(done.returncode, 1 if run["lost_activations"] else 0, done.stderr)
         return run
 
     def deployment(self, **transport):
-        path = self.path("deployment.json")
-        with open(path, "w") as file:
-            json.dump({"schema": "xauto.deployment", "version": 1, "app": "testapp", "transport": transport}, file)
-        return path
+        """Queues hold all that comes while the machine stands still."""
+        return self.deploy(**QUEUES, transport=transport)
 
     def read(self, name):
         """{number: (age in us, bytes)} of what the peer heard."""
         with open(self.path(name)) as file:
-            rows = [line.rstrip("\n").split(" ") for line in file]
+            rows = [line.rstrip("\n").split(" ") for line in file if line.endswith("\n")]
         return {int(number): (int(age), bytes.fromhex(data)) for number, age, size, data in rows}
 
+    def heard(self, name):
+        """How many messages by now."""
+        try:
+            with open(self.path(name)) as file:
+                return sum(line.endswith("\n") for line in file)
+        except FileNotFoundError:
+            return 0
+
     def hear(self, *flags):
-        """The app's own source and two results, heard by the peers."""
-        peers = {topic: self.peer("hear", "rt/" + topic, self.path(topic), 20) for topic in ("src", "b", "c")}
-        run = self.run_dds("--deployment", self.deployment(src="cyclonedds", b="cyclonedds", c="cyclonedds"), *flags,
-                                    period=10000, activations=400)
-        results = self.results()
+        """The app's own source and two results, heard by the peers until each has 100 messages."""
+        topics = ("src", "b", "c")
+        for topic in topics:
+            pathlib.Path(self.path(topic)).unlink(missing_ok=True)
+        peers = {topic: self.peer("hear", "rt/" + topic, self.path(topic), 60) for topic in topics}
+        run, results = self.run_until(lambda tool: min(self.heard(topic) for topic in topics) >= 100,
+                                      *self.deployment(**{topic: "cyclonedds" for topic in topics}), *flags, period=10_000)
         for process in peers.values():
-            process.communicate(timeout=30)
+            process.communicate(timeout=60)
             self.assertEqual(process.returncode, 0)
-        return run, results, {topic: self.read(topic) for topic in peers}
+        return run, results, {topic: self.read(topic) for topic in topics}
 
     def check_heard(self, run, results, heard):
-        self.assertGreater(run["activations"], 300, run)
+        self.assertEqual(run["lost_activations"], 0)
         for topic, messages in heard.items():
-            # Those before the two have found each other are missing, and what a busy machine loses.
-            self.assertGreater(len(messages), 100, topic)
-            self.assertGreater(max(messages), 390, topic)
+            # Those before the two have found each other are missing, and what a busy machine loses; never the last.
+            self.assertGreaterEqual(len(messages), 100, topic)
+            self.assertEqual(max(messages), run["activations"] - 1, topic)
         for number, (age, data) in heard["c"].items():
             self.assertEqual(int.from_bytes(data, "little"), int(results["c"][str(number)]), number)
-            self.assertTrue(0 <= age < 5_000_000, age)
+            self.assertTrue(0 <= age < 60_000_000, age)
         for number, (_, data) in heard["src"].items():
             self.assertEqual(len(data), 4096)
         self.assertEqual(len({data for _, data in heard["src"].values()}), len(heard["src"]))
@@ -92,17 +100,20 @@ class Dds(Runs):
         with open(self.path("feed"), "w") as file:
             file.writelines(f"{number} 0 {len(data)} {data.hex()}\n" for number, data in messages)
         self.peer("feed", "rt/src", self.path("feed"), period_us)
-        run = self.run_dds("--deployment", self.deployment(src="cyclonedds:feed"), *flags, period=app_period, activations=activations)
+        run = self.run_dds(*self.deployment(src="cyclonedds:feed"), *flags, period=app_period, activations=activations)
         self.assertEqual(run["activations"] + run["lost_activations"], activations, run)
-        return run, self.results()
+        results = self.results()
+        self.assertEqual((len(results["c"]), len(results["d"])), (run["activations"],) * 2)
+        return run, results
 
     def test_what_is_fed_is_what_it_computes_with(self):
-        _, own, heard = self.hear()
+        _, _, heard = self.hear()
         blocks = [(number, data) for number, (_, data) in sorted(heard["src"].items())]
+        known = {self.expected()["d"][str(number)] for number, _ in blocks if number < 1000}
         for flags in ((), ("--isolate",)):
-            run, fed = self.feed(blocks, 20_000, *flags, activations=80, app_period=15_000)
-            self.assertGreater(len(fed["c"]), 70, run)  # at most a few came too close to each other
-            self.assertLessEqual(set(fed["d"].values()), set(own["d"].values()))
+            _, fed = self.feed(blocks, 20_000, *flags, activations=20, app_period=100_000)
+            self.assertGreater(len(fed["d"]), 5)
+            self.assertLessEqual(set(fed["d"].values()), known)
 
     def test_message_of_another_type_is_refused_and_told(self):
         good = bytes(range(256)) * 16
@@ -114,13 +125,13 @@ class Dds(Runs):
         run, results = self.feed([(k, bytes([k]) * 4096) for k in range(20)], 10_000, activations=40)
         self.assertGreater(run["lost_activations"], 0)
         self.assertLessEqual(len(set(results["d"].values())), 20)
-        self.assertGreater(len(results["d"]), 5)
+        self.assertGreater(len(results["d"]), 0)
 
     def test_with_a_second_sensor_there_is_a_message_or_there_is_none(self):
         with open(self.path("feed"), "w") as file:
             file.writelines(f"{k} 0 4096 {bytes([k] * 4096).hex()}\n" for k in range(60))
         self.peer("feed", "rt/src", self.path("feed"), 10_000)
-        run = self.run_dds("--deployment", self.deployment(src="cyclonedds:feed"), period=10_000, activations=40, more=("second", 15_000))
+        run = self.run_dds(*self.deployment(src="cyclonedds:feed"), period=10_000, activations=40, more=("second", 15_000))
         modules = {m["name"]: m for m in run["modules"]}
         # 40 releases of the slower sensor are 60 of src, which is fed that often at most.
         self.assertTrue(0 < modules["A"]["activations"] <= 60, run)
@@ -129,57 +140,55 @@ class Dds(Runs):
     def test_listener_that_is_stopped_or_dead_holds_nobody_up(self):
         listener = self.peer("hear", "rt/src", self.path("stopped"), 60)
         other = self.peer("hear", "rt/src", self.path("dead"), 60)
-        app = subprocess.Popen(self.command("--deployment", self.deployment(src="cyclonedds", a="cyclonedds"), period=5000, activations=600),
+        app = subprocess.Popen(self.command(*self.deployment(src="cyclonedds", a="cyclonedds"), period=5000, activations=250),
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.assertEqual(listener.stdout.readline(), "ready\n")
         self.assertEqual(other.stdout.readline(), "ready\n")
         listener.send_signal(signal.SIGSTOP)
         other.kill()
-        began = time.monotonic()
         out, err = app.communicate(timeout=60)
-        self.assertIn(app.returncode, (0, 1), err)
-        self.assertLess(time.monotonic() - began, 20)  # 3 s of releases
         run = json.loads(out)["runs"][0]
-        self.assertTrue(run["complete"], out)
-        self.assertGreater(run["activations"], 500, out)  # a busy machine may cost it some
+        # The queues hold all of them, so nothing is lost unless somebody waits for the listeners for ever.
+        self.assertEqual((app.returncode, run["complete"], run["activations"]), (0, True, 250), out + err)
 
     def test_app_that_nobody_feeds_waits_until_it_is_told_to_stop(self):
         for flags in ((), ("--isolate",)):
-            app = subprocess.Popen(self.command("--deployment", self.deployment(src="cyclonedds:feed"), *flags, activations=10),
+            app = subprocess.Popen(self.command(*self.deployment(src="cyclonedds:feed"), *flags, activations=10),
                                    stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-            time.sleep(1)
+            wait_for("the app", lambda: activations(app), app)
             self.assertIsNone(app.poll())
             app.terminate()
-            out, err = app.communicate(timeout=20)
+            out, err = app.communicate(timeout=60)
             run = json.loads(out)["runs"][0]
             self.assertEqual((run["activations"], run["lost_activations"]), (0, 0), out + err)
 
     def test_module_that_dies_is_heard_again_when_it_is_back(self):
-        listener = self.peer("hear", "rt/c", self.path("c"), 20)
-        run = self.run_dds("--deployment", self.deployment(c="cyclonedds"), "--isolate", "--restarts", 1, fault=("crash", "C", 150), period=10_000,
-                           activations=400)
-        listener.communicate(timeout=40)
+        pathlib.Path(self.path("c")).unlink(missing_ok=True)
+        listener = self.peer("hear", "rt/c", self.path("c"), 60)
+        run, _ = self.run_until(lambda tool: self.heard("c") and max(self.read("c")) > 60, *self.deployment(c="cyclonedds"),
+                                "--isolate", "--restarts", 1, fault=("crash", "C", 20), period=10_000, status=1)
+        listener.communicate(timeout=60)
         self.assertRegex(" ".join(run["notes"]), "the process of C died .* and was started again")
-        self.assertGreater(max(self.read("c")), 390)
+        self.assertGreater(max(self.read("c")), 60)
 
     def test_what_cannot_be_is_said_before_the_run(self):
         for transport, text in (({"zz": "cyclonedds"}, "transport of topic 'zz': the app has no such topic"),
                                 ({"c": "cyclonedds:feed"}, "is published by a module, so it cannot be fed"),
                                 ({"c": "pigeon"}, 'must be "cyclonedds" or "cyclonedds:feed"')):
-            done = subprocess.run(self.command("--deployment", self.deployment(**transport)), capture_output=True, text=True, timeout=60)
+            done = subprocess.run(self.command(*self.deployment(**transport)), capture_output=True, text=True, timeout=60)
             self.assertNotEqual(done.returncode, 0)
             self.assertIn(text, done.stderr)
         alone = shutil.copy(BIN / "testapp", self.path("alone"))  # where no plug-in is
-        command = self.command("--deployment", self.deployment(c="cyclonedds"))
+        command = self.command(*self.deployment(c="cyclonedds"))
         command[command.index("--") + 1] = alone
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
         self.assertEqual(done.returncode, 1, done.stderr)
         self.assertIn("transport 'cyclonedds' is not there", done.stderr)
         self.assertIn("scripts/setup.sh transport", done.stderr)
-        done = subprocess.run(self.command("--deployment", self.deployment(src="cyclonedds:feed"), "--lockstep"), capture_output=True, text=True,
+        done = subprocess.run(self.command(*self.deployment(src="cyclonedds:feed"), "--lockstep"), capture_output=True, text=True,
                               timeout=60)
         self.assertIn("run without --lockstep", done.stderr)
-        done = subprocess.run(self.command("--deployment", self.deployment(c="cyclonedds")), capture_output=True, text=True, timeout=60,
+        done = subprocess.run(self.command(*self.deployment(c="cyclonedds")), capture_output=True, text=True, timeout=60,
                               env={**os.environ, "ROS_DOMAIN_ID": "x"})
         self.assertIn("ROS_DOMAIN_ID is 'x'", done.stderr)
 

@@ -9,18 +9,13 @@ import subprocess
 import time
 import unittest
 
-from common import alive, children_of
+from common import QUEUES, activations, alive, children_of
 from isolate_test import Case
 
 FOR_EVER_MS = 100_000_000
 
 
 class Deployment(Case):
-    def deploy(self, **content):
-        pathlib.Path(self.path("deployment.json")).write_text(json.dumps(
-            {"schema": "xauto.deployment", "version": 1, "app": "testapp", **content}))
-        return ["--deployment", self.path("deployment.json")]
-
     def limited(self, run, name):
         return {x["name"]: x for x in run["limited_xnodes"]}[name]
 
@@ -43,58 +38,66 @@ class Deployment(Case):
         self.assertEqual(len(got["c"]), 40)
 
     def test_a_hang_that_is_only_logged_loses_nothing(self):
-        flags = self.deploy(modules={"B": {"hang_us": 400_000}})
-        run, got = self.run_app("--lockstep", *flags, fault=("hang", "B", 5, 1000), activations=20)
+        flags = self.deploy(modules={"B": {"hang_us": 1_000_000}})
+        run, got = self.run_app("--lockstep", *flags, fault=("hang", "B", 5, 2000), activations=20)
         self.assertEqual(run["lost_activations"], 0)
         self.assertGreaterEqual(self.limited(run, "b1")["hangs"], 1)
-        self.assertIn("XNode 'b1' on npu0 ran past its hang limit of 400 ms in activation 5", " ".join(run["notes"]))
+        self.assertIn("XNode 'b1' on npu0 ran past its hang limit of 1000 ms in activation 5", " ".join(run["notes"]))
         self.assertEqual(len(got["c"]), 20)
 
     def test_in_one_process_a_hung_module_is_given_up_and_the_run_ends_with_its_report(self):
-        flags = self.deploy(modules={"C": {"hang_us": 500_000, "on_hang": "drop"}})
+        flags = self.deploy(modules={"C": {"hang_us": 1_000_000, "on_hang": "drop"}})
         run, got = self.run_app("--lockstep", *flags, fault=("hang", "C", 50, FOR_EVER_MS), status=1)
         self.assert_counts_add_up(run, 200)
         self.assertTrue(run["complete"])
         self.assertEqual(len(got["d"]), 200)  # the others never noticed
         self.assertEqual(max(map(int, got["c"])), 49)
         notes = " ".join(run["notes"])
-        self.assertIn("XNode 'c1' on cpu0 ran past its hang limit of 500 ms in activation 50", notes)
+        self.assertIn("XNode 'c1' on cpu0 ran past its hang limit of 1000 ms in activation 50", notes)
         self.assertIn("an exec of C@cpu0 never returned; its thread was left behind", notes)
 
     def test_a_run_ends_even_if_nobody_said_what_to_do_about_hangs(self):
-        run, got = self.run_app(fault=("hang", "D", 50, FOR_EVER_MS), status=1)
+        run, got = self.run_app("--overload", "queue:256", fault=("hang", "D", 50, FOR_EVER_MS), status=1)
         self.assertFalse(run["complete"])
         self.assertEqual(max(map(int, got["d"])), 49)
         self.assertIn("never returned", " ".join(run["notes"]))
 
-    def test_a_hung_process_is_killed_and_started_again(self):
-        flags = self.deploy(modules={"B": {"isolate": True, "restarts": 1, "hang_us": 500_000,
-                                           "on_hang": "restart"}})
-        run, got = self.run_app(*flags, fault=("hang", "B", 50, FOR_EVER_MS), status=1, activations=1500)
-        self.assert_counts_add_up(run, 1500)
-        self.assert_unaffected(got["d"], 1500)
-        self.assertGreater(max(map(int, got["c"])), 50)
-        self.assertGreaterEqual(self.limited(run, "b1")["hangs"], 1)
+    RESTART = {**QUEUES, "modules": {"B": {"isolate": True, "restarts": 1, "hang_us": 1_000_000, "on_hang": "restart"}}}
+
+    def assert_b_came_back(self, run, got):
+        self.assert_counts_add_up(run, run["activations"] + run["lost_activations"])
+        self.assert_true_results(got)
+        lost = {m["name"]: m["failed"] + m["dropped"] for m in run["modules"]}
+        self.assertEqual((lost["A"], lost["D"], lost["B"]), (0, 0, run["lost_activations"]), "nobody else lost anything")
         self.assertIn("the process of B died (signal SIGKILL) and was started again", " ".join(run["notes"]))
 
+    def test_a_hung_process_is_killed_and_started_again(self):
+        run, got = self.run_until(lambda tool: activations(tool).get("C", 0) > 60, *self.deploy(**self.RESTART),
+                                  fault=("hang", "B", 50, FOR_EVER_MS), status=1, period=5_000)
+        self.assert_b_came_back(run, got)
+        numbers = sorted(map(int, got["c"]))
+        self.assertEqual(numbers[:50], list(range(50)))
+        self.assertNotIn(50, numbers)
+        self.assertGreaterEqual(self.limited(run, "b1")["hangs"], 1)
+
     def test_a_stopped_process_is_killed_and_started_again(self):
-        flags = self.deploy(modules={"B": {"isolate": True, "restarts": 1, "hang_us": 500_000,
-                                           "on_hang": "restart"}})
-        tool = subprocess.Popen(self.command(*flags, activations=4000), stdout=subprocess.PIPE,
-                                stderr=subprocess.PIPE, text=True)
-        deadline = time.monotonic() + 60
-        victim = None
-        while victim is None and time.monotonic() < deadline:
-            victim = next((pid for pid, name in children_of(tool.pid).items() if name == "m:B"), None)
-            time.sleep(0.01)
-        time.sleep(1)
-        os.kill(victim, signal.SIGSTOP)
-        out, err = tool.communicate(timeout=100)
-        run = json.loads(out)["runs"][0]
-        self.assert_counts_add_up(run, 4000)
-        self.assertIn("the process of B died (signal SIGKILL) and was started again", " ".join(run["notes"]))
-        self.assertIn("has not looked after itself", err)
-        self.assertGreater(max(map(int, self.results()["c"])), 1000)  # stopped at 500 or before
+        stopped_at = []
+
+        def stop_and_wait(tool):
+            done = activations(tool).get("C", 0)
+            if not stopped_at:
+                victim = [pid for pid, name in children_of(tool.pid).items() if name == "m:B"]
+                if done > 10 and victim:
+                    os.kill(victim[0], signal.SIGSTOP)
+                    stopped_at.append(victim[0])
+                return False
+            # A few were under way when it was stopped; more than the queues hold are of the next process.
+            stopped_at.append(done)
+            return not alive(stopped_at[0]) and done > stopped_at[1] + 300
+
+        run, got = self.run_until(stop_and_wait, *self.deploy(**self.RESTART), status=1, period=5_000)
+        self.assert_b_came_back(run, got)
+        self.assertIn("has not looked after itself", self.err)
 
     def test_chains_have_latencies_ages_and_deadlines(self):
         flags = self.deploy(chains=[
@@ -117,7 +120,7 @@ class Deployment(Case):
 
     def run_two_periods(self, *flags):
         """The report alone: numbers of two sensors do not compare, so results are not told apart by them."""
-        command = self.command(*flags, period=10_000, activations=60, more=("second", 33_000))
+        command = self.command(*flags, period=10_000, activations=30, more=("second", 33_000))
         done = subprocess.run(command, capture_output=True, text=True, timeout=100)
         self.assertEqual(done.returncode, 0, done.stderr)
         return json.loads(done.stdout)["runs"][0]
@@ -129,7 +132,7 @@ class Deployment(Case):
             self.assertEqual(set(chains), {"src -> C", "src -> D", "src2 -> D"})
             done = {m["name"]: m["activations"] for m in run["modules"]}["D"]
             first, second = chains["src -> D"], chains["src2 -> D"]
-            self.assertTrue(0 < first["results"] == second["results"] == done <= 60, (first, second, done))
+            self.assertTrue(0 < first["results"] == second["results"] == done <= 30, (first, second, done))
             self.assertNotEqual(first["latency_us"], second["latency_us"])
             self.assertLess(second["latency_us"]["p50"], 3_000_000)  # an instant of this run
 
@@ -159,7 +162,7 @@ class Deployment(Case):
 
     def test_the_death_of_the_hub_ends_all(self):
         for moment in (0, 0.1, 0.4):
-            before = set(os.listdir("/dev/shm"))
+            before = {name for name in os.listdir("/dev/shm") if "xauto" in name}
             tool = subprocess.Popen(self.command("--isolate", "--restarts", 3, activations=100_000),
                                     stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
             deadline = time.monotonic() + 60
@@ -178,7 +181,7 @@ class Deployment(Case):
                 time.sleep(0.01)
             self.assertEqual([pid for pid in family if alive(pid)], [])
             self.assertNotIn(f"@xauto/{tool.pid}-", pathlib.Path("/proc/net/unix").read_text())
-            self.assertEqual(set(os.listdir("/dev/shm")) - before, set())
+            self.assertEqual({name for name in os.listdir("/dev/shm") if "xauto" in name} - before, set())
 
 
 del Case  # its tests are not ours

@@ -7,10 +7,9 @@ import pathlib
 import signal
 import subprocess
 import tempfile
-import time
 import unittest
 
-from common import TESTAPP, XAUTO, testapp_files, xauto
+from common import TESTAPP, XAUTO, testapp_files, wait_for, xauto
 
 
 class Outputs(unittest.TestCase):
@@ -36,9 +35,9 @@ class Outputs(unittest.TestCase):
         """Verb -> the arguments that it needs, and what comes behind."""
         files = ["--app", self.path("app.json"), "--platform", self.path("platform.json")]
         app = ["--", *self.app(marker)]
-        return {"run": ([*files, "--policy", self.path("policy.json"), "--activations", 3], app),
+        return {"run": ([*files, "--policy", self.path("policy.json"), "--lockstep", "--activations", 3], app),
                 "profile": (["--platform", self.path("platform.json"), "--repetitions", 2], app),
-                "compare": ([*files, "--policies", "heft", "--activations", 3], app),
+                "compare": ([*files, "--policies", "heft", "--lockstep", "--activations", 3], app),
                 "solve": ([*files, "--method", "heft"], []),
                 "simulate": ([*files, "--policy", self.path("policy.json")], []),
                 "report": ([self.path("run.pftrace")], [])}
@@ -127,9 +126,7 @@ class Outputs(unittest.TestCase):
         words, app = self.verbs("killed")["run"]
         tool = subprocess.Popen([XAUTO, "run", *map(str, words[:-1]), "0", "--out", str(out), *app],
                                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        deadline = time.monotonic() + 30
-        while not os.path.exists(self.path("killed")) and time.monotonic() < deadline:
-            time.sleep(0.05)
+        wait_for("the app's start", lambda: os.path.exists(self.path("killed")), tool)
         tool.send_signal(signal.SIGKILL)
         tool.wait()
         self.assertEqual(out.read_text(), "what was there")

@@ -53,7 +53,7 @@ class Privilege(unittest.TestCase):
         return out, err
 
     def run_app(self, *options, **more):
-        return self.start("xauto", "run", *self.arguments, "--period-us", "20000", *options, "--",
+        return self.start("xauto", "run", *self.arguments, "--period-us", "20000", "--overload", "queue:256", *options, "--",
                           str(self.folder / "testapp"), str(self.folder / "results"), **more)
 
     def realtime(self, **more):

@@ -7,11 +7,10 @@ import os
 import pathlib
 import subprocess
 import tempfile
-import time
 import unittest
 
 import pftrace
-from common import TESTAPP, XAUTO, testapp_files, xauto
+from common import TESTAPP, XAUTO, testapp_files, wait_for, xauto
 
 
 def releases(trace):
@@ -56,11 +55,7 @@ class Recorder(unittest.TestCase):
         self.assertEqual(releases(pftrace.Trace(pathlib.Path(self.path("t.pftrace")).read_bytes())), list(range(800)))
 
     def until_there(self, tool, name):
-        deadline = time.monotonic() + 60
-        while not os.path.exists(self.path(name)) and tool.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.05)
-        self.assertTrue(os.path.exists(self.path(name)), name)
-        self.assertIsNone(tool.poll(), "the run was over before it was written")
+        wait_for(name, lambda: os.path.exists(self.path(name)), tool)
         return pftrace.Trace(pathlib.Path(self.path(name)).read_bytes())
 
     def test_a_miss_is_written_while_the_run_goes_on(self):
@@ -85,7 +80,8 @@ class Recorder(unittest.TestCase):
 
     def test_a_hang_is_written_while_it_hangs(self):
         files = testapp_files(self.folder, {"modules": {"D": {"hang_us": 100_000, "on_hang": "log"}}})
-        tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "0", "--trace-out", self.path("t"), "--",
+        tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "0", "--overload", "queue:64", "--trace-out",
+                                 self.path("t"), "--",
                                  TESTAPP, self.path("result"), "period", "50000", "hang", "D", "10", "4000"],
                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:

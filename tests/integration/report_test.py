@@ -82,7 +82,7 @@ class Report(unittest.TestCase):
         answer = xauto("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", cls.at("heft.json"))
         assert answer.returncode == 0, answer.stderr
         answer = xauto("run", "--app", APP, "--platform", "small", "--policy", cls.at("heft.json"), "--emulate",
-                       "--activations", ACTIVATIONS, "--trace-out", cls.at("heft.pftrace"), "--out", cls.report,
+                       "--lockstep", "--activations", ACTIVATIONS, "--trace-out", cls.at("heft.pftrace"), "--out", cls.report,
                        "--", DRIVING)
         assert answer.returncode == 0, answer.stderr
         cls.bytes = pathlib.Path(cls.at("heft.pftrace")).read_bytes()
@@ -113,8 +113,7 @@ class Report(unittest.TestCase):
         latencies = [s.args["latency_us"] for s in releases.values()]
         for s in releases.values():
             self.assertEqual(s.args["latency_us"], (s.end - s.begin) // 1000)
-        # Stamped one after the other at the end of the chain: a busy machine may delay one of them, not half.
-        self.assertLess(abs(quantile(latencies, 0.5) - self.run_json["p50_us"]), 5000)
+        self.assertEqual((quantile(latencies, 0.5), max(latencies)), (self.run_json["p50_us"], self.run_json["max_us"]))
 
     def test_every_job_is_on_its_xpu_and_its_module(self):
         placed = {x["name"]: x["xpu"] for x in json.loads(pathlib.Path(self.at("heft.json")).read_text())["xnodes"]}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many releases, isolated: none is lost, the counts add up, and nothing grows. XAUTO_SOAK_RELEASES for more."""
+"""Many releases, isolated: none is lost, the counts add up, and nothing grows. XAUTO_SOAK_RELEASES says how many."""
 import json
 import os
 import pathlib
@@ -7,10 +7,10 @@ import subprocess
 import time
 import unittest
 
-from common import BIN, children_of
+from common import BIN, FULL, children_of
 from isolate_test import Case
 
-RELEASES = int(os.environ.get("XAUTO_SOAK_RELEASES", "20000"))
+RELEASES = int(os.environ.get("XAUTO_SOAK_RELEASES", "20000" if FULL else "4000"))
 SANITIZED = any(name in (BIN / "testapp").read_bytes() for name in (b"__asan_init", b"__tsan_init"))
 PROCESSES = 7  # 2 coordinators, the hub, 4 modules
 GROWTH_KB = 4 * 1024  # accounts of the last 65536 releases, and what malloc keeps

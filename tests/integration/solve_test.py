@@ -11,7 +11,7 @@ import tempfile
 import time
 import unittest
 
-from common import XAUTO, xauto
+from common import XAUTO, wait_for, xauto
 
 MOST_KIB = 500 * 1024
 # AddressSanitizer keeps freed memory in a quarantine, and every stack that ever allocated: its memory, not the solver's.
@@ -34,15 +34,16 @@ class Solve(unittest.TestCase):
         self.assertEqual(made.returncode, 0, made.stderr)
         return path
 
-    def solve(self, app, *arguments, interrupt_after_s=None):
-        """Exit status, both texts, the policy, and the peak of resident memory in KiB."""
+    def solve(self, app, *arguments, interrupt_when=None):
+        """Interrupted as soon as interrupt_when(stderr) holds. Exit status, both texts, the policy, and the peak of resident memory in KiB."""
         policy = self.at / "policy.json"
         policy.unlink(missing_ok=True)
         with open(self.at / "out", "w+") as out, open(self.at / "err", "w+") as err:
             process = subprocess.Popen([XAUTO, "solve", "--app", app, "--platform", "small", "--out", policy,
                                         *map(str, arguments)], stdout=out, stderr=err, env=LITTLE_OF_ASAN)
-            if interrupt_after_s is not None:
-                time.sleep(interrupt_after_s)
+            if interrupt_when is not None:
+                wait_for("its handler", lambda: catches_sigint(process.pid) or ended(process.pid))
+                wait_for("what is interrupted", lambda: interrupt_when((self.at / "err").read_text()) or ended(process.pid))
                 os.kill(process.pid, signal.SIGINT)  # a zombie takes it too
             _, status, usage = os.wait4(process.pid, 0)
             process.returncode = os.waitstatus_to_exitcode(status)
@@ -56,7 +57,8 @@ class Solve(unittest.TestCase):
 
     def test_ctrl_c_on_40_xnodes_writes_the_best_so_far(self):
         app = self.app(40)
-        code, out, err, policy, memory = self.solve(app, "--time-limit-s", 600, interrupt_after_s=5)
+        code, out, err, policy, memory = self.solve(app, "--time-limit-s", 600,
+                                                    interrupt_when=lambda err: err.count("best ") >= 2)
         self.assertEqual(code, 0, err)
         self.assertIn("interrupted: best so far", out)
         lines = re.findall(r"best ([\d.]+) ms +bound ([\d.]+) ms +gap ([\d.]+) %.*evaluations/s", err)
@@ -71,7 +73,7 @@ class Solve(unittest.TestCase):
 
     def test_40_xnodes_to_the_time_limit_stay_small(self):
         app = self.app(40)
-        code, _, err, _, memory = self.solve(app, "--time-limit-s", 3, "--threads", 4)
+        code, _, err, _, memory = self.solve(app, "--time-limit-s", 2, "--threads", 4)
         self.assertEqual(code, 0, err)
         self.assertLess(memory, MOST_KIB)
         self.check(app)
@@ -79,9 +81,12 @@ class Solve(unittest.TestCase):
     def test_ilp_takes_a_time_limit_and_ctrl_c(self):
         heft = json.loads(xauto("solve", "--app", self.app(14, 20), "--platform", "small", "--method", "heft",
                                 "--json").stdout)
-        for arguments, interrupt in ((("--time-limit-s", 2), None), (("--time-limit-s", 600), 2)):
+        def within(_):  # its search, which says nothing of itself
+            time.sleep(1)
+            return True
+        for arguments, interrupt in ((("--time-limit-s", 1), None), (("--time-limit-s", 600), within)):
             app = self.app(14, 20)
-            code, _, err, policy, memory = self.solve(app, "--method", "ilp", *arguments, interrupt_after_s=interrupt)
+            code, _, err, policy, memory = self.solve(app, "--method", "ilp", *arguments, interrupt_when=interrupt)
             self.assertEqual(code, 0, err)
             self.assertEqual(policy["method"], "ilp")
             self.assertLessEqual(policy["latency_us"], heft["latency_us"])
@@ -93,7 +98,7 @@ class Solve(unittest.TestCase):
         spec = json.loads(app.read_text())
         first, second = spec["xnodes"][0]["name"], spec["xnodes"][1]["name"]
         asked = ["--pin", f"{first}=cpu3", "--group", f"{first},{second}"]
-        code, out, err, policy, _ = self.solve(app, "--json", *asked)
+        code, out, err, policy, _ = self.solve(app, "--json", "--time-limit-s", 2, *asked)
         self.assertEqual(code, 0, err)
         answer = json.loads(out)["first_answer"]
         self.assertGreaterEqual(answer["latency_us"], policy["latency_us"])
@@ -209,6 +214,15 @@ class Solve(unittest.TestCase):
         self.assertEqual(itself.returncode, 1)
         self.assertIn("COUNTEREXAMPLE  this policy takes", itself.stdout)
         self.assertIn("this policy takes", json.loads(checked(latency + 1, *mine, "--json").stdout)["counterexample"])
+
+
+def catches_sigint(pid):
+    caught = re.search(r"SigCgt:\t(\w+)", pathlib.Path(f"/proc/{pid}/status").read_text())
+    return caught and int(caught.group(1), 16) >> (signal.SIGINT - 1) & 1
+
+
+def ended(pid):
+    return pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
 
 
 def cpu_seconds(pid):

@@ -9,10 +9,9 @@ import re
 import signal
 import subprocess
 import tempfile
-import time
 import unittest
 
-from common import TESTAPP, XAUTO, children_of, testapp_files, xauto
+from common import TESTAPP, XAUTO, activations, children_of, testapp_files, wait_for, xauto
 
 
 def screen(data):
@@ -39,8 +38,8 @@ class Top(unittest.TestCase):
         self.folder = folder.name
 
     def start(self, *app, files=None, **keywords):
-        tool = subprocess.Popen([XAUTO, "run", *(files or testapp_files(self.folder)), "--activations", "0", "--out",
-                                 os.path.join(self.folder, "r.json"), "--", TESTAPP, os.path.join(self.folder, "result"),
+        tool = subprocess.Popen([XAUTO, "run", *(files or testapp_files(self.folder)), "--activations", "0",
+                                 "--overload", "queue:256", "--out", os.path.join(self.folder, "r.json"), "--", TESTAPP, os.path.join(self.folder, "result"),
                                  *map(str, app)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **keywords)
         self.addCleanup(self.end, tool)
         return tool
@@ -59,7 +58,7 @@ class Top(unittest.TestCase):
 
     def test_counts_are_those_of_the_report(self):
         tool = self.start("period", 20000, "throw", "A", 5, files=testapp_files(self.folder, deadline_us=1))
-        time.sleep(1.5)
+        wait_for("the activation that fails", lambda: activations(tool).get("C", 0) > 8, tool)
         first, second = self.look(tool, "--count", 2, "--interval-ms", 1000)
         self.assertEqual(first["app"], "testapp")
         err = self.end(tool)
@@ -72,12 +71,11 @@ class Top(unittest.TestCase):
             before = next(c for c in first["chains"] if c["name"] == chain["name"])
             self.assertGreater(chain["results"], before["results"])
             self.assertLessEqual(chain["results"], of_run["results"])
-            # The interval was a second or more, and the period is 20 ms.
             self.assertAlmostEqual(chain["rate_hz"], (chain["results"] - before["results"]) * 1000 / second["interval_ms"],
                                    delta=1)
-            self.assertLessEqual(chain["rate_hz"], 60)
-            # All results are later than 1 us, so as many missed as there are (read one after the other).
-            self.assertLessEqual(abs(chain["deadline_misses"] - chain["results"]), 1)
+            # All results are later than 1 us, and so is what was lost. (They are read while they grow.)
+            self.assertLessEqual(before["results"], chain["deadline_misses"])
+            self.assertLessEqual(chain["deadline_misses"], report["activations"] + report["lost_activations"])
             self.assertLessEqual(chain["p50_us"], of_run["latency_us"]["max"] * 65 / 64 + 1)
             self.assertLessEqual(chain["p50_us"], chain["p99_us"])
             self.assertGreater(chain["age_us"], 0)
@@ -88,12 +86,12 @@ class Top(unittest.TestCase):
     def test_who_runs_and_who_waits(self):
         # b1 sleeps on the npu, and a2 of that release or the next waits for it, or is below it.
         tool = self.start("period", 50000, "hang", "B", 5, 20000)
-        deadline, seen = time.monotonic() + 30, None
-        while time.monotonic() < deadline and tool.poll() is None:
-            seen = {x["xpu"]: x for x in self.look(tool, "--once", "--interval-ms", 300)[0]["xpus"]}
-            if seen.get("npu0", {}).get("running") == ["b1"]:
-                break
-        self.assertEqual(seen["npu0"]["running"], ["b1"])
+        seen = {}
+
+        def runs():
+            seen.update({x["xpu"]: x for x in self.look(tool, "--once", "--interval-ms", 50)[0]["xpus"]})
+            return seen["npu0"]["running"] == ["b1"]
+        wait_for("b1 on the npu", runs, tool)
         self.assertEqual(set(seen), {"cpu0", "npu0"})
         tool.kill()
 
@@ -108,10 +106,13 @@ class Top(unittest.TestCase):
 
     def test_isolated_modules_are_counted_too(self):
         tool = self.start("period", 20000, files=[*testapp_files(self.folder), "--isolate"])
-        time.sleep(1.5)
-        seen = self.look(tool, "--once")[0]
-        self.assertTrue(all(m["activations"] > 0 for m in seen["modules"]), seen)
-        self.assertTrue(all(c["results"] > 0 for c in seen["chains"]), seen)
+        seen = {}
+
+        def counts():
+            seen.update(self.look(tool, "--once", "--interval-ms", 50)[0])
+            return all(m["activations"] > 0 for m in seen["modules"]) and all(c["results"] > 0 for c in seen["chains"])
+        wait_for("counts of every module and chain", counts, tool)
+        self.assertEqual([m["name"] for m in seen["modules"]], ["A", "B", "C", "D"])
 
     def test_without_a_run_it_says_so(self):
         done = xauto("top", "--run", "1-99", "--wait-s", 0)
@@ -125,10 +126,11 @@ class Top(unittest.TestCase):
     def test_progress_and_logs_do_not_run_into_each_other(self):
         files = testapp_files(self.folder)
         outer, inner = pty.openpty()
-        tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "300", "--isolate", "--restarts", "5", "--", TESTAPP,
+        tool = subprocess.Popen([XAUTO, "run", *files, "--activations", "6000", "--isolate", "--restarts", "5", "--", TESTAPP,
                                  os.path.join(self.folder, "result"), "period", "20000"], stdout=subprocess.DEVNULL, stderr=inner)
         os.close(inner)
-        data, begun, killed = b"", time.monotonic(), 0
+        line = r"run policy \[#*\.*\] +\d+ %  \d+ s, \d+\.\d/s, p50 \d+\.\d\d ms"
+        data, killed = b"", 0
         while True:
             try:
                 got = os.read(outer, 4096)
@@ -138,24 +140,26 @@ class Top(unittest.TestCase):
                 break
             data += got
             # After the line has appeared: logs of the tool, and of the app's hub.
-            if killed < 2 and b" % " in data and time.monotonic() - begun > 3 + killed:
+            if killed < 2 and (b"% " if killed == 0 else b"was started again") in data:
                 # A coordinator; then of the app a member, not the hub.
                 os.kill(next(pid for pid, name in children_of(tool.pid).items()
                              if (name == "xauto-coordinat" if killed == 0 else self.is_member(pid))), signal.SIGKILL)
                 killed += 1
+            elif killed == 2 and b"the process of" in data and re.search(line.encode(), data.split(b"the process of")[-1]):
+                tool.terminate()
+                killed = 3
         tool.wait(timeout=60)
         os.close(outer)
         text = data.decode()
-        self.assertEqual(killed, 2, text)
-        self.assertRegex(text, r"run policy \[#+\.*\] +\d+ %  \d+ s, \d+\.\d/s, p50 \d+\.\d\d ms")
+        self.assertEqual(killed, 3, text)
         shown = screen(text)
         for what in ("xauto-coordinator of", "the process of"):
             line = next((l for l in shown if what in l), None)
             self.assertIsNotNone(line, shown)
             self.assertRegex(line, r"^xauto: warning: ")
         for line in shown:
-            self.assertFalse("xauto: " in line and "run policy" in line, line)
-            self.assertLessEqual(line.count("run policy"), 1, line)
+            self.assertFalse("xauto: " in line and "run policy [" in line, line)
+            self.assertLessEqual(line.count("run policy ["), 1, line)
 
 
 if __name__ == "__main__":

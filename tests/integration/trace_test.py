@@ -4,13 +4,13 @@
 import json
 import os
 import pathlib
+import signal
 import subprocess
 import tempfile
-import time
 import unittest
 
 import pftrace
-from common import APP, DRIVING, XAUTO, xauto
+from common import APP, DRIVING, XAUTO, activations, wait_for, xauto
 
 ROOT = pathlib.Path("/sys/fs/bpf/xauto")
 KINDS = {"wakeup", "run", "preempt", "sleep", "migrate"}
@@ -42,10 +42,24 @@ class Trace(unittest.TestCase):
     def tearDownClass(cls):
         cls.dir.cleanup()
 
-    def drive(self, *options, activations=60):
-        return subprocess.Popen([XAUTO, "run", "--app", APP, "--platform", "small", "--policy", self.policy, "--activations",
-                                 str(activations), *options, "--json", "--", DRIVING],
-                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    def drive(self, *options, releases=0):
+        """A run; without a number of releases it goes on until it is told to stop. In lockstep, so none is lost."""
+        run = subprocess.Popen([XAUTO, "run", "--app", APP, "--platform", "small", "--policy", self.policy, "--activations",
+                                str(releases), "--lockstep", *options, "--json", "--", DRIVING],
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+        def end():
+            run.kill()
+            run.communicate()
+        self.addCleanup(end)
+        return run
+
+    def stop(self, run):
+        """Its report."""
+        run.terminate()
+        out, err = run.communicate(timeout=60)
+        self.assertEqual(run.returncode, 0, out + err)
+        return json.loads(out)["runs"][0]
 
     def own(self, run):
         """Folders of this run's maps."""
@@ -54,9 +68,8 @@ class Trace(unittest.TestCase):
     def test_every_xnode_of_a_run_is_seen_and_losses_are_told_first(self):
         run = self.drive()
         events = os.path.join(self.dir.name, "events.jsonl")
-        trace = xauto("trace", "--run", f"{run.pid}-0", "--json", "--out", events)
-        answer, _ = run.communicate(timeout=60)
-        self.assertEqual(run.returncode, 0, answer)
+        trace = xauto("trace", "--run", f"{run.pid}-0", "--wait-s", 60, "--duration-s", 2, "--json", "--out", events)
+        report = self.stop(run)
         self.assertEqual(trace.returncode, 0, trace.stderr)
         seen = json.loads(trace.stdout)
         names = {x["name"] for x in json.loads(pathlib.Path(APP).read_text())["xnodes"]}
@@ -64,8 +77,8 @@ class Trace(unittest.TestCase):
         self.assertEqual(seen["complete"], seen["lost"]["events"] + seen["lost"]["jobs"] + seen["lost"]["pipe"] == 0)
         for xnode in seen["xnodes"]:
             # What was released before the tracer was attached is missing; one job may be seen at each end.
-            self.assertLessEqual(xnode["jobs"], 61, xnode)
-            self.assertGreater(xnode["jobs"], 20, xnode)
+            self.assertLessEqual(xnode["jobs"], report["activations"] + 1, xnode)
+            self.assertGreater(xnode["jobs"], 0, xnode)
             self.assertGreater(xnode["run_us"]["p50"], 0, xnode)
         lines = [json.loads(line) for line in pathlib.Path(events).read_text().splitlines()]
         self.assertEqual(lines[0], {"lost_events": seen["lost"]["events"], "lost_jobs": seen["lost"]["jobs"]})
@@ -74,7 +87,7 @@ class Trace(unittest.TestCase):
         self.assertTrue(all("by" in e for e in lines[1:] if e["kind"] in ("wakeup", "preempt")))
         # A thread that gets a CPU was ready before, and runs until it is switched out: so its events alternate.
         running = set()
-        for event in lines[1:]:
+        for event in lines[1:] if seen["complete"] else []:
             if event["kind"] == "run":
                 self.assertNotIn(event["tid"], running)
                 running.add(event["tid"])
@@ -86,23 +99,22 @@ class Trace(unittest.TestCase):
         trace = subprocess.Popen([XAUTO, "trace", "--run", f"{run.pid}-0", "--ring-kb", "4"], stdout=subprocess.PIPE,
                                  stderr=subprocess.PIPE, text=True)
         # Stopped for a while, it cannot empty 4 kB, 56 bytes each.
-        deadline = time.monotonic() + 20
-        while not list(ROOT.glob(f"{run.pid}-*/events")) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        trace.send_signal(19)
-        time.sleep(1)
-        trace.send_signal(18)
-        run.communicate(timeout=60)
-        text, errors = trace.communicate(timeout=30)
+        wait_for("the tracer", lambda: list(ROOT.glob(f"{run.pid}-*/events")), trace)
+        trace.send_signal(signal.SIGSTOP)
+        count = lambda: min(activations(run).values(), default=0)
+        before = count()
+        wait_for("ten releases, of 15 jobs each", lambda: count() > before + 10, run)
+        trace.send_signal(signal.SIGCONT)
+        self.stop(run)
+        text, errors = trace.communicate(timeout=60)
         self.assertEqual(trace.returncode, 0, errors)
         self.assertRegex(text.splitlines()[0], r"^INCOMPLETE: of \d+ events [1-9]\d* were lost")
 
     def test_the_kernels_cpus_and_the_run_are_one_picture(self):
         run_file, cpus = (pathlib.Path(self.dir.name, name) for name in ("run.pftrace", "cpus.pftrace"))
-        run = self.drive("--trace-out", str(run_file), activations=30)
-        trace = xauto("trace", "--run", f"{run.pid}-0", "--json", "--out", cpus)
-        answer, _ = run.communicate(timeout=60)
-        self.assertEqual(run.returncode, 0, answer)
+        run = self.drive("--trace-out", str(run_file))
+        trace = xauto("trace", "--run", f"{run.pid}-0", "--wait-s", 60, "--duration-s", 1, "--json", "--out", cpus)
+        self.stop(run)
         self.assertEqual(trace.returncode, 0, trace.stderr)
         both = pftrace.Trace(run_file.read_bytes() + cpus.read_bytes())
         tracks = {s.track for s in both.slices if s.category == "cpu"}
@@ -123,27 +135,30 @@ class Trace(unittest.TestCase):
 
     def test_top_shows_load_and_xnodes(self):
         run = self.drive()
-        top = xauto("top", "--run", f"{run.pid}-0", "--count", "2", "--interval-ms", "700", "--json")
-        run.communicate(timeout=60)
-        self.assertEqual(top.returncode, 0, top.stderr)
-        last = json.loads(top.stdout.splitlines()[-1])
-        load = {x["xpu"]: x["load_pct"] for x in last["xpus"]}
+        def look():
+            """Of the second look: what has begun and ended since the first. None if the GPU did nothing meanwhile."""
+            top = xauto("top", "--run", f"{run.pid}-0", "--wait-s", 60, "--count", "2", "--interval-ms", "700", "--json")
+            self.assertEqual(top.returncode, 0, top.stderr)
+            last = json.loads(top.stdout.splitlines()[-1])
+            load = {x["xpu"]: x["load_pct"] for x in last["xpus"]}
+            return (load, last["xnodes"]) if load["gpu0"] > 0 else None
+        load, xnodes = wait_for("load on the GPU", look, run)
+        self.stop(run)
         self.assertEqual(set(load), {"cpu0", "cpu1", "cpu2", "cpu3", "gpu0", "dla0"} & set(load))
-        self.assertGreater(load["gpu0"], 5)
-        self.assertLess(load["gpu0"], 100)
-        self.assertTrue(any(x["jobs"] > 0 for x in last["xnodes"]))
+        self.assertTrue(all(0 <= pct <= 100 for pct in load.values()), load)
+        self.assertTrue(any(x["jobs"] > 0 for x in xnodes))
 
     def test_nothing_stays_behind(self):
-        run = self.drive(activations=10)
+        run = self.drive(releases=2)
         run.communicate(timeout=60)
         self.assertEqual(self.own(run), [])
         # Killed, it cannot tidy up; the next run does.
-        run = self.drive(activations=1000)
-        xauto("trace", "--run", f"{run.pid}-0", "--duration-s", "1")
+        run = self.drive()
+        xauto("trace", "--run", f"{run.pid}-0", "--wait-s", 60, "--duration-s", "1")
         self.assertEqual(len(self.own(run)), 1)
         run.kill()
         run.communicate()
-        after = self.drive(activations=2)
+        after = self.drive(releases=2)
         after.communicate(timeout=60)
         self.assertEqual(self.own(run), [])
 
@@ -155,7 +170,7 @@ class Trace(unittest.TestCase):
         self.assertEqual(trace.returncode, 2)
 
     def test_emulated_cpus_are_not_scheduled_by_sched_ext(self):
-        run = self.drive("--cpu-sched", "ext", activations=2)
+        run = self.drive("--cpu-sched", "ext", releases=2)
         answer, _ = run.communicate(timeout=60)
         self.assertIn("the CPUs are emulated: --cpu-sched ext has no effect", answer)
 

@@ -88,7 +88,7 @@ Result<int> compare(const CompareFlags& given, const Options& options) {
     log::info("{}: {:.2f} ms simulated, running {} activations", run.name,
               static_cast<double>(run.predicted.makespan) / 1000, flags.activations);
     XAUTO_TRY(execute(flags, run, stop.flag()));
-    good = good && healthy(run);
+    good = is_healthy(run) && good;
     if (const Result<std::string> trace = perfetto_of(flags, run))
       outputs.write(flags.out + "/" + id + ".pftrace", *trace);
     else

@@ -91,7 +91,7 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
   }
   if (!run.report.recording_error.empty())
     outputs.failed({ErrorCode::kIo, run.report.recording_error, "--record " + flags.record, {}});
-  bool passed = healthy(run);
+  bool passed = is_healthy(run);
   for (const GateCount& gate : gate_of(flags, run)) {
     if (gate.count == 0) continue;
     log::error("--fail-on {}: {}", gate.word, gate.what);

@@ -6,6 +6,7 @@
 
 #include <fmt/format.h>
 
+#include "base/log.h"
 #include "model/claims.h"
 #include "model/json_value.h"
 #include "story/html_report.h"
@@ -145,11 +146,45 @@ double traced_s(const trace::Recording& trace) {
   return static_cast<double>(trace.events.back().ts_ns - trace.events.front().ts_ns) * 1e-9;
 }
 
+/// Why the run's exit status is 1.
+std::vector<Error> complaints(const PolicyRun& run) {
+  std::vector<Error> found;
+  const auto add = [&](std::string what, std::string hint = {}) {
+    found.push_back({ErrorCode::kUnavailable, std::move(what), "run " + run.name, std::move(hint)});
+  };
+  if (!run.report.complete) {
+    std::string why = run.report.note;
+    for (const std::string& note : run.outcome.notes) why += (why.empty() ? "" : "; ") + note;
+    add("is not complete" + (why.empty() ? "" : ": " + why));
+  }
+  if (const std::uint64_t lost = lost_releases(run); lost > 0) {
+    std::string modules;
+    std::uint64_t failed = 0;
+    for (const runtime::ModuleReport& m : run.report.modules) {
+      if (m.failed + m.dropped == 0) continue;
+      modules += fmt::format("{}{}: {} failed, {} dropped", modules.empty() ? "" : "; ", m.name,
+                             m.failed, m.dropped);
+      failed += m.failed;
+    }
+    add(fmt::format("{} of {} activations were lost (of XModule {})", lost, run.report.num_releases,
+                    modules),
+        failed > 0 || !run.report.died.empty()
+            ? ""
+            : "a message that comes while its XModule is not free is dropped; --overload queue:8 "
+              "keeps it, --lockstep lets it come later");
+  }
+  for (const std::string& xpu : run.report.lost_coordinators)
+    add("the jobs of " + xpu + " went on unscheduled, as its coordinator was gone");
+  if (run.outcome.emulator_died) add("the emulated XPUs are gone");
+  return found;
+}
+
 }  // namespace
 
-bool healthy(const PolicyRun& run) {
-  return run.report.complete && lost_releases(run) == 0 && run.report.lost_coordinators.empty() &&
-         !run.outcome.emulator_died;
+bool is_healthy(const PolicyRun& run) {
+  const std::vector<Error> found = complaints(run);
+  for (const Error& error : found) log::error("{}", error.to_string());
+  return found.empty();
 }
 
 std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& runs) {

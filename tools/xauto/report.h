@@ -11,8 +11,9 @@
 
 namespace xauto::cli {
 
-/// Every release accounted for, none dropped, no coordinator or emulator lost.
-[[nodiscard]] bool healthy(const PolicyRun& run);
+/// Every release accounted for, none dropped, no coordinator or emulator lost. If not, it logs why:
+/// the exit status will be 1.
+[[nodiscard]] bool is_healthy(const PolicyRun& run);
 
 /// {"runs":[{"policy":"ros2","p50_us":…,"p99_us":…,"max_us":…,"predicted_us":…,…},…],…},
 /// docs/formats.md.

@@ -3,7 +3,7 @@
 // tests/integration/dds_test.py. Prints "ready" when it has found its counterpart.
 //
 //   dds_peer hear TOPIC FILE SECONDS     each message's number, age in us, size and bytes in hex;
-//                                        ends a second after the last one
+//                                        ends two seconds after the last one
 //   dds_peer feed TOPIC FILE PERIOD_US   the messages of such a file, in order, once there is a
 //                                        reader
 #include <chrono>
@@ -60,8 +60,8 @@ int hear(dds_entity_t reader, const std::string& path, double seconds) {
       const char* digits = "0123456789abcdef";
       for (std::uint32_t i = 0; i < m.data_._length; ++i)
         file << digits[m.data_._buffer[i] >> 4] << digits[m.data_._buffer[i] & 15];
-      file << '\n';
-      last = Clock::now() + std::chrono::seconds(1);
+      file << std::endl;  // somebody waits for it
+      last = Clock::now() + std::chrono::seconds(2);
     }
     dds_return_loan(reader, samples, 1);
   }

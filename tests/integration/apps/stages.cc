@@ -12,10 +12,11 @@
 // FILE gets, at the end, a line per message of out: its number and what m.work made of it; then
 // "cores" and the cores that m.work's thread was bound to, if it was bound to one.
 // hang: m.work's Nth exec on an XPU of that name never returns; once: its Nth takes so much longer;
-// each: every one for release K does.
+// each: every one for release K does. A line on stderr tells of m.work's 20th exec.
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <cstdio>
 #include <cstdlib>
 #include <fstream>
 #include <optional>
@@ -98,7 +99,7 @@ int main(int argc, char** argv) {
       [&](State& state, const xauto::Input& input) {
         cores.insert(bound_to());
         state.value = compute(input.get(image));
-        ++execs;
+        if (++execs == 20) std::fputs("stages: m.work has run 20 times\n", stderr);
         if (fault == "hang" && execs >= at && here == what)
           for (;;) std::this_thread::sleep_for(1h);
         if ((fault == "once" && execs == at) || (fault == "each" && input.sequence() == at))
