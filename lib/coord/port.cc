@@ -18,7 +18,10 @@
 namespace xauto::coord {
 namespace {
 
-constexpr int kRejoinMs = 3'000;
+/// How long to knock at a successor's door. While the parent of the run lives, it either starts one,
+/// again if that hangs (launch/pulse.h), or closes the door, which ends this at once: so the limit is
+/// for a parent that hangs, and generous to a machine that stalls.
+constexpr int kRejoinMs = 30'000;
 
 }  // namespace
 

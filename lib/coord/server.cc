@@ -24,7 +24,8 @@ namespace xauto::coord {
 namespace {
 
 constexpr std::size_t kMaxConnections = 2 * kMaxSlots;
-constexpr int kWorkersReturnMs = 2'000;  ///< a worker sees at once that its coordinator is gone
+/// How long workers of a predecessor may take to come back: they see at once that it is gone.
+constexpr int kWorkersReturnMs = 2'000, kWorkersReturnRounds = 10;
 
 }  // namespace
 
@@ -111,7 +112,10 @@ void Server::take_over_from_predecessor() {
       slots_[static_cast<std::size_t>(i)].absent = true;
       ++absent;
     }
-  if (absent > 0) absent_until_ns_ = now_ns() + std::int64_t{kWorkersReturnMs} * 1'000'000;
+  if (absent > 0) {
+    absent_until_ns_ = now_ns() + std::int64_t{kWorkersReturnMs} * 1'000'000;
+    absent_rounds_ = kWorkersReturnRounds;
+  }
   log::info("{}: took over from a coordinator that died: {} workers", options_.xpu, absent);
 }
 
@@ -135,8 +139,10 @@ Status Server::run(int stop_fd) {
     look();
     int timeout_ms = -1;
     if (absent_until_ns_ != 0) {
-      if (now_ns() >= absent_until_ns_) give_up_absent();
-      timeout_ms = kWorkersReturnMs / 10;
+      // Rounds as well as time: on a machine that stood still, whoever is back is heard first.
+      if (absent_rounds_ > 0) --absent_rounds_;
+      if (absent_rounds_ == 0 && now_ns() >= absent_until_ns_) give_up_absent();
+      timeout_ms = kWorkersReturnMs / kWorkersReturnRounds;
     }
     const int count =
         epoll_wait(epoll_.get(), events.data(), static_cast<int>(events.size()), timeout_ms);

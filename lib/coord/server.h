@@ -93,6 +93,7 @@ class Server {
   std::array<SlotInfo, kMaxSlots> slots_;
   std::map<int, Connection> connections_;  ///< by descriptor
   std::int64_t absent_until_ns_ = 0;       ///< 0: everybody of our predecessor's is back
+  int absent_rounds_ = 0;                  ///< of the event loop that are left to come back in
   std::uint64_t looks_ = 0;
 };
 

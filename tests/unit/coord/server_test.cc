@@ -11,8 +11,10 @@
 
 #include <gtest/gtest.h>
 #include <sys/eventfd.h>
+#include <sys/mman.h>
 #include <unistd.h>
 
+#include "base/memory_file.h"
 #include "base/socket.h"
 #include "coord/port.h"
 #include "coord/protocol.h"
@@ -231,6 +233,51 @@ TEST(Server, CoordinatorThatDiesFreesWaitersAndSuspendedJobs) {
   low->finish();
   lowest->finish();
   EXPECT_TRUE(low->lost());
+}
+
+/// What outlives a coordinator, as the parent of a run keeps it.
+TEST(Server, WorkersThatCameBackWhileItsSuccessorStoodStillAreHeardBeforeTheyAreGivenUp) {
+  const std::string address = unique_address();
+  auto listener = listen_abstract(address);
+  ASSERT_TRUE(listener) << listener.error().to_string();
+  const UniqueFd memory = private_memfd("test", MFD_ALLOW_SEALING);
+  const UniqueFd doorbell(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+  const auto coordinator = [&] {
+    return *Server::create({address,
+                            "gpu0",
+                            Discipline::kPreemptive,
+                            std::vector<std::string>(16, "node"),
+                            {},
+                            dup(listener->get()),
+                            dup(memory.get()),
+                            dup(doorbell.get())});
+  };
+  const UniqueFd stop(eventfd(0, EFD_CLOEXEC));
+  auto first = coordinator();
+  std::thread thread([&] { EXPECT_TRUE(first->run(stop.get())); });
+  const auto connect = [&](std::uint32_t xnode) {
+    return *Port::connect(address, "worker" + std::to_string(xnode), {xnode}, {});
+  };
+  const auto low = connect(0), high = connect(1);
+  Obedient low_mgmt(*low), high_mgmt(*high);
+  signal_eventfd(stop.get());
+  thread.join();
+  first.reset();
+  drain_eventfd(stop.get());
+
+  auto second = coordinator();
+  std::this_thread::sleep_for(2500ms);  // longer than it waits for those that do not come
+  thread = std::thread([&] { EXPECT_TRUE(second->run(stop.get())); });
+  low->start({0, 0, 1});
+  high->start({1, 0, 2});
+  wait_for([&] { return low_mgmt.suspended.load(); });
+  high->finish();
+  wait_for([&] { return !low_mgmt.suspended.load(); });
+  low->finish();
+  EXPECT_FALSE(low->lost());
+  EXPECT_FALSE(high->lost());
+  signal_eventfd(stop.get());
+  thread.join();
 }
 
 /// An app of several rates keeps no order, whatever the policy says: what the coordinator alone
