@@ -93,6 +93,8 @@ class Machine {
   void advance(Nanos now, std::vector<Event>& events);
 
   [[nodiscard]] std::vector<DeviceStats> stats() const;
+  /// The next call may come from another thread, the one of all calls from then on.
+  void give_away() { thread_.give_away(); }
   [[nodiscard]] std::size_t num_contexts() const { return device_of_.size(); }
 
  private:

@@ -61,6 +61,7 @@ Result<std::unique_ptr<Server>> Server::create(const Platform& platform,
   for (const int fd : {server->timer_.get(), server->listener_.get()})
     XAUTO_TRY(watch(server->epoll_.get(), fd));
   if (before) XAUTO_TRY(server->take_over(*before));
+  server->machine_.give_away();  // to the thread of run()
   return server;
 }
 

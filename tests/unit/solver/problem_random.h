@@ -151,4 +151,12 @@ inline void add_random_order(Dice& dice, const Problem& problem, Decision& decis
     }
 }
 
+inline Problem random_problem(Dice& dice, int max_nodes) {
+  Shape shape;
+  shape.max_nodes = max_nodes;
+  shape.edge_percent = 15;
+  const Platform platform = random_platform(dice, shape);
+  return Problem::create(random_app(dice, shape, platform), platform).value();
+}
+
 }  // namespace xauto::solver::test
