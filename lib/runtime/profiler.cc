@@ -163,6 +163,9 @@ class Run {
     return {};
   }
 
+  /// Destroys what the inits have made; on the thread of `run`.
+  void release() { active_.clear(); }
+
   /// `incomplete`: why it ended early. Any thread.
   Profile result(const std::string& incomplete) {
     const std::lock_guard lock(mutex_);
@@ -297,7 +300,7 @@ class Run {
       }
       const std::int64_t before = now_ns();
       try {
-        if (Status status = impl->exec(state, input); !status) {
+        if (Status status = impl->exec(active_[n].made.object.get(), state, input); !status) {
           Error error = std::move(status).error();
           error.where = error.where.empty() ? where : where + ": " + error.where;
           return tl::unexpected<Error>(std::move(error));
@@ -340,20 +343,22 @@ class Run {
     const auto active = active_.find(n);
     if (active == active_.end() || active->second.xpu != at) {
       const std::string where = "init of XNode '" + node.name + "' on " + x.id;
-      SchedHandle handle;
+      active_.erase(n);  // its object goes before the next one comes
+      detail::Made made;
       try {
-        handle = impl->init(id);
+        made = impl->init(id);
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
       } catch (...) {
         return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
       }
       if (presence == Presence::kEmulated)
-        if (Status emulated = xpu::check_emulated(handle); !emulated) {
+        if (Status emulated = xpu::check_emulated(made.handle); !emulated) {
           emulated.error().where = where;
           return tl::unexpected<Error>(emulated.error());
         }
-      active_[n] = {at, handle.kind() == SchedHandle::Kind::kEmulated};
+      const bool emulated = made.handle.kind() == SchedHandle::Kind::kEmulated;
+      active_[n] = {at, emulated, std::move(made)};
     }
     return impl;
   }
@@ -365,6 +370,7 @@ class Run {
   struct Active {
     int xpu = -1;
     bool emulated = false;
+    detail::Made made = {};
   };
   std::map<int, Active> active_;  ///< node -> XPU it was last initialised for
   std::vector<int> cores_;
@@ -393,7 +399,11 @@ Result<Profiled> profile(const detail::AppSpecErased& app, const Session& sessio
   auto shared = std::make_shared<Shared>(app, session, std::move(graph));
   std::future<Status> ended = shared->ended.get_future();
   // A thread of its own, so that the caller's priority and affinity stay as they are.
-  std::thread thread([shared] { shared->ended.set_value(shared->run.run()); });
+  std::thread thread([shared] {
+    Status status = shared->run.run();
+    shared->run.release();
+    shared->ended.set_value(std::move(status));
+  });
   std::string incomplete;
   int looks_left = kLooksAfterStop;
   while (incomplete.empty() && ended.wait_for(kLookEvery) != std::future_status::ready) {

@@ -17,6 +17,7 @@
 #include "base/memory_file.h"
 #include "base/socket.h"
 #include "coord/server.h"
+#include "runtime/profiler.h"
 #include "xpu/kind.h"
 
 namespace xauto::runtime {
@@ -65,6 +66,12 @@ class TestApp {
 
   /// What init returns on the NPU.
   std::function<SchedHandle()> handle = [] { return SchedHandle::gate(); };
+  /// ... and what it owns, anywhere.
+  std::function<std::shared_ptr<void>(const std::string& node)> object = [](auto&&) {
+    return nullptr;
+  };
+  const std::atomic<bool>* stop_when = nullptr;  ///< then the run is told to stop
+  std::atomic<int> foreign_objects{0};  ///< execs that were given another object than their own
 
   std::vector<std::string> log() {
     const std::lock_guard lock(mutex_);
@@ -94,9 +101,16 @@ class TestApp {
     }
     Result<RunReport> report = fail(ErrorCode::kInternal, "not run");
     auto engine = Engine::create(spec, session);
-    if (engine)
+    if (engine) {
+      std::thread stopper;
+      if (stop_when != nullptr)
+        stopper = std::thread([&] {
+          while (!stop_when->load()) std::this_thread::sleep_for(1ms);
+          (*engine)->request_stop();
+        });
       report = (*engine)->run();
-    else
+      if (stopper.joinable()) stopper.join();
+    } else
       report = tl::unexpected<Error>(engine.error());
     if (engine) engine->reset();
     signal_eventfd(stop.get());
@@ -117,17 +131,22 @@ class TestApp {
       auto made = std::make_shared<detail::XNodeSpecErased>();
       made->name = node;
       for (const char* type : {"cpu", "npu"})
-        made->impls.push_back({XPU(type),
-                               [this](const XpuId& xpu) {
-                                 return xpu.type == XPU("npu") ? handle() : SchedHandle::gate();
-                               },
-                               [this, node](void*, const Input& input) -> Status {
-                                 {
-                                   const std::lock_guard lock(mutex_);
-                                   log_.push_back(node + "#" + std::to_string(input.sequence()));
-                                 }
-                                 return exec(node, input.sequence());
-                               }});
+        made->impls.push_back(
+            {XPU(type),
+             [this, node](const XpuId& xpu) -> detail::Made {
+               auto owned = object(node);
+               const std::lock_guard lock(mutex_);
+               objects_[node] = owned.get();
+               return {xpu.type == XPU("npu") ? handle() : SchedHandle::gate(), std::move(owned)};
+             },
+             [this, node](void* own, void*, const Input& input) -> Status {
+               {
+                 const std::lock_guard lock(mutex_);
+                 log_.push_back(node + "#" + std::to_string(input.sequence()));
+                 if (objects_[node] != own) ++foreign_objects;
+               }
+               return exec(node, input.sequence());
+             }});
       module->nodes.push_back(made);
     }
     module->inputs = std::move(inputs);
@@ -138,6 +157,7 @@ class TestApp {
 
   std::mutex mutex_;
   std::vector<std::string> log_;
+  std::map<std::string, void*> objects_;  ///< [XNode]
 };
 
 std::uint64_t count(const std::vector<std::string>& log, const std::string& node) {
@@ -201,7 +221,7 @@ TEST(Engine, ExceptionDropsTheActivationAndTheRestGoesOn) {
 TEST(Engine, FailingInitNamesTheXNode) {
   TestApp app;
   for (auto& impl : app.spec.modules[0]->nodes[1]->impls)
-    impl.init = [](const XpuId&) -> SchedHandle { throw std::runtime_error("no weights"); };
+    impl.init = [](const XpuId&) -> detail::Made { throw std::runtime_error("no weights"); };
   const auto report = app.run();
   ASSERT_FALSE(report);
   EXPECT_EQ(report.error().where, "init of XNode 'a2' on npu0");
@@ -423,6 +443,152 @@ TEST(Engine, APreemptiveXpuOfTheAppsOwnMustSayHow) {
   const auto report = app.run();
   ASSERT_FALSE(report);
   EXPECT_NE(report.error().hint.find("SchedHandle::custom"), std::string::npos);
+}
+
+/// What became of objects of a test's, in this order: made and gone, with the thread's name if it
+/// is not the same one.
+struct Fates {
+  std::mutex mutex;
+  std::vector<std::string> gone;
+  std::atomic<int> alive{0};
+
+  std::vector<std::string> sorted() {
+    std::vector<std::string> names = gone;
+    std::sort(names.begin(), names.end());
+    return names;
+  }
+};
+
+struct Object {
+  Object(std::string n, Fates& f)
+      : node(std::move(n)), fates(f), thread(std::this_thread::get_id()) {
+    ++fates.alive;
+  }
+  ~Object() {
+    --fates.alive;
+    const std::lock_guard lock(fates.mutex);
+    fates.gone.push_back(node + (thread == std::this_thread::get_id() ? "" : " elsewhere"));
+  }
+  std::string node;
+  Fates& fates;
+  std::thread::id thread;
+};
+
+std::function<std::shared_ptr<void>(const std::string&)> objects_with(Fates& fates) {
+  return [&](const std::string& node) { return std::make_shared<Object>(node, fates); };
+}
+
+const std::vector<std::string> kAllGone = {"a1", "a2", "b1", "c1"};
+
+TEST(Engine, WhatAnInitOwnsIsItsExecsAndGoesOnItsThreadBeforeTheRunReturns) {
+  Fates fates;
+  TestApp app;
+  app.object = objects_with(fates);
+  int left_at_end = -1;
+  app.spec.on_end.emplace_back([&] { left_at_end = fates.alive; });
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(app.foreign_objects.load(), 0);
+  EXPECT_EQ(count(app.log(), "c1"), 50u);
+  EXPECT_EQ(left_at_end, 0);  // "on the worker's thread" implies that run() has waited for it
+  EXPECT_EQ(fates.sorted(), kAllGone);
+}
+
+TEST(Engine, ObjectsOfOneWorkerGoInTheReverseOrderOfTheirInits) {
+  Fates fates;
+  TestApp app;
+  app.object = objects_with(fates);
+  for (auto& placement : app.session.policy.placements) placement.xpu = 1;  // a1 and a2: one worker
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(app.foreign_objects.load(), 0);
+  const auto at = [&](const char* node) {
+    return std::find(fates.gone.begin(), fates.gone.end(), node) - fates.gone.begin();
+  };
+  EXPECT_LT(at("a2"), at("a1"));
+  EXPECT_EQ(fates.sorted(), kAllGone);
+}
+
+TEST(Engine, WhatWasMadeGoesWhenALaterInitThrows) {
+  Fates fates;
+  TestApp app;
+  app.object = [&](const std::string& node) -> std::shared_ptr<void> {
+    if (node == "c1") throw std::runtime_error("no weights");
+    return std::make_shared<Object>(node, fates);
+  };
+  const auto report = app.run();
+  ASSERT_FALSE(report);
+  EXPECT_EQ(report.error().what, "threw: no weights");
+  EXPECT_EQ(fates.sorted(), (std::vector<std::string>{"a1", "a2", "b1"}));
+}
+
+TEST(Engine, ObjectsGoWhenARunIsStoppedEarly) {
+  Fates fates;
+  TestApp app;
+  app.object = objects_with(fates);
+  app.session.activations = 0;  // for ever
+  std::atomic<bool> reached{false};
+  app.exec = [&](const std::string& node, std::uint64_t k) -> Status {
+    if (node == "c1" && k == 7) reached = true;
+    return {};
+  };
+  app.stop_when = &reached;
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_GE(count(app.log(), "c1"), 8u);
+  EXPECT_EQ(fates.sorted(), kAllGone);
+}
+
+/// Commands of the management thread may still name what the object is behind: none comes once it
+/// is gone.
+TEST(Engine, NoSuspensionMeetsAnObjectThatIsGone) {
+  Fates fates;
+  std::atomic<int> calls_after{0}, calls{0};
+  TestApp app;
+  app.session.platform.xpus[1].preemptive = true;
+  app.object = objects_with(fates);
+  app.handle = [&] {
+    const auto look = [&]() -> Status {
+      ++calls;
+      if (fates.alive.load() == 0) ++calls_after;
+      return {};
+    };
+    return SchedHandle::custom(look, look);
+  };
+  app.session.lockstep = false;
+  app.exec = [](const std::string& node, std::uint64_t) -> Status {
+    if (node == "b1") std::this_thread::sleep_for(2ms);
+    return {};
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(calls_after.load(), 0);
+  EXPECT_GT(calls.load(), 0);
+  EXPECT_EQ(fates.sorted(), kAllGone);
+}
+
+TEST(Profile, AnObjectPerXpuInstanceIsMadeAndGoesOnTheThreadThatMeasures) {
+  Fates fates;
+  TestApp app;
+  std::atomic<int> most{0}, made{0};
+  app.object = [&](const std::string& node) {
+    auto object = std::make_shared<Object>(node, fates);
+    ++made;
+    most = std::max(most.load(), fates.alive.load());
+    return object;
+  };
+  app.session.mode = Mode::kProfile;
+  app.session.warmup = 1;
+  app.session.repetitions = 2;
+  const std::atomic<bool> stop{false};
+  const auto profiled = profile(app.spec, app.session, stop);
+  ASSERT_TRUE(profiled) << profiled.error().to_string();
+  EXPECT_EQ(app.foreign_objects.load(), 0);
+  EXPECT_EQ(made.load(), 8);  // four XNodes, each on two XPUs
+  EXPECT_EQ(most.load(), 4);  // the old one goes first: two might not fit into the memory
+  EXPECT_EQ(fates.alive.load(), 0);
+  EXPECT_EQ(fates.sorted(),
+            (std::vector<std::string>{"a1", "a1", "a2", "a2", "b1", "b1", "c1", "c1"}));
 }
 
 }  // namespace
