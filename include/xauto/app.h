@@ -3,6 +3,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
@@ -15,14 +16,10 @@
 namespace xauto {
 
 namespace detail {
-struct AppSpecErased;
-struct SourceSpec {
-  TopicSpec topic;
-  std::chrono::microseconds period{};
-  std::function<std::shared_ptr<const void>(std::uint64_t sequence)> make;
-  /// The same, in the memory of a topic that leaves the process; may be empty.
-  std::function<std::shared_ptr<const void>(std::uint64_t sequence, MessageMemory*)> make_in;
-};
+/// Makes message number `sequence`, in `memory` if it is not null.
+using Make =
+    std::function<std::shared_ptr<const void>(std::uint64_t sequence, MessageMemory* memory)>;
+using Observe = std::function<void(const void* message, std::uint64_t sequence)>;
 }  // namespace detail
 
 /// An application. Threads: build and run it from one thread.
@@ -54,15 +51,11 @@ class App {
   /// the same instants. With a recorded input, the recording's messages of this topic come instead.
   template <class T, class Make>
   App& add_source(const Topic<T>& topic, std::chrono::microseconds period, Make make) {
-    auto shared = std::make_shared<Make>(std::move(make));
-    add_source_spec({detail::topic_spec(topic), period,
-                     [shared](std::uint64_t sequence) -> std::shared_ptr<const void> {
-                       return std::make_shared<const T>((*shared)(sequence));
-                     },
-                     [shared](std::uint64_t sequence, MessageMemory* memory) {
-                       return detail::make_message<T>(memory,
-                                                      [&]() -> T { return (*shared)(sequence); });
-                     }});
+    add_source_spec(
+        detail::topic_spec(topic), period,
+        [make = std::move(make)](std::uint64_t sequence, detail::MessageMemory* memory) mutable {
+          return detail::make_message<T>(memory, [&]() -> T { return make(sequence); });
+        });
     return *this;
   }
 
@@ -71,10 +64,11 @@ class App {
   /// is logged.
   template <class T, class Callback>
   App& on_message(const Topic<T>& topic, Callback callback) {
-    add_observer_spec(detail::topic_spec(topic), [callback = std::move(callback)](
-                                                     const void* message, std::uint64_t sequence) {
-      callback(*static_cast<const T*>(message), sequence);
-    });
+    add_observer_spec(
+        detail::topic_spec(topic),
+        [callback = std::move(callback)](const void* message, std::uint64_t sequence) mutable {
+          callback(*static_cast<const T*>(message), sequence);
+        });
     return *this;
   }
 
@@ -91,10 +85,11 @@ class App {
 
  private:
   void add_module_spec(std::shared_ptr<detail::XModuleSpec> spec);
-  void add_source_spec(detail::SourceSpec spec);
-  void add_observer_spec(detail::TopicSpec topic,
-                         std::function<void(const void*, std::uint64_t)> callback);
-  std::unique_ptr<detail::AppSpecErased> spec_;
+  void add_source_spec(detail::TopicHandle topic, std::chrono::microseconds period,
+                       detail::Make make);
+  void add_observer_spec(detail::TopicHandle topic, detail::Observe observe);
+  struct Data;
+  std::unique_ptr<Data> data_;
 };
 
 }  // namespace xauto

@@ -8,7 +8,6 @@
 #include <string>
 #include <type_traits>
 #include <utility>
-#include <vector>
 
 #include <xauto/result.h>
 #include <xauto/topic.h>
@@ -18,24 +17,15 @@ namespace xauto {
 
 namespace detail {
 
-/// What one init has made; the object is destroyed on the worker's thread when the run ends.
-struct Made {
-  SchedHandle handle;
-  std::shared_ptr<void> object = nullptr;  ///< null: the implementation owns nothing
-};
+struct XNodeSpecErased;
+/// `object`: set to what the implementation owns of one XPU instance; destroyed on the worker's
+/// thread when the run ends.
+using Init = std::function<SchedHandle(const XpuId&, std::shared_ptr<void>& object)>;
+using Exec = std::function<Status(void* object, void* state, const Input&)>;
 
-struct ImplSpec {
-  XPU xpu{"cpu"};
-  std::function<Made(const XpuId&)> init;
-  std::function<Status(void* object, void* state, const Input&)> exec;
-};
-
-struct XNodeSpecErased {
-  std::string name;
-  std::type_index state = typeid(void);
-  std::vector<ImplSpec> impls;
-  std::vector<std::string> misuse;  ///< collected, reported by App when it is built
-};
+std::shared_ptr<XNodeSpecErased> make_xnode(std::string name);
+const std::string& name_of(const XNodeSpecErased& xnode);
+void add_impl(XNodeSpecErased& xnode, const XPU& xpu, Init init, Exec exec);
 
 }  // namespace detail
 
@@ -71,10 +61,7 @@ template <class State>
 class XNode {
  public:
   /// `name` must be unique in the app; by convention "module.stage".
-  explicit XNode(std::string name) : spec_(std::make_shared<detail::XNodeSpecErased>()) {
-    spec_->name = std::move(name);
-    spec_->state = typeid(State);
-  }
+  explicit XNode(std::string name) : spec_(detail::make_xnode(std::move(name))) {}
 
   /// Adds the implementation for one type of XPU.
   ///
@@ -87,47 +74,45 @@ class XNode {
   ///   init returns an Owned<T>. Runs the stage to its end: when it returns, the XPU has finished.
   ///   An exception or an error drops the activation, is counted and reported; the App goes on.
   template <class Init, class Exec>
-  XNode& add_impl(XPU xpu, Init init, Exec exec) {
+  XNode& add_impl(const XPU& xpu, Init init, Exec exec) {
     static_assert(std::is_invocable_v<Init, const XpuId&>, "init takes a const XpuId&");
     using Made = std::invoke_result_t<Init, const XpuId&>;
     using Object = typename detail::OwnedBy<Made>::Object;
-    for (const auto& impl : spec_->impls)
-      if (impl.xpu == xpu)
-        spec_->misuse.push_back("XNode '" + spec_->name + "' has two implementations for '" +
-                                xpu.type() + "'");
     if constexpr (std::is_void_v<Object>) {
       static_assert(std::is_convertible_v<Made, SchedHandle>,
                     "init returns a SchedHandle, or what own() makes");
       static_assert(std::is_invocable_v<Exec, State&, const Input&>,
                     "exec is void(State&, const Input&) or Status(State&, const Input&)");
-      spec_->impls.push_back(
-          {std::move(xpu),
-           [init = std::move(init)](const XpuId& id) mutable -> detail::Made {
-             return {init(id), nullptr};
-           },
-           [exec = std::move(exec)](void*, void* state, const Input& input) mutable -> Status {
-             return call(exec, *static_cast<State*>(state), input);
-           }});
+      detail::add_impl(
+          *spec_, xpu,
+          [init = std::move(init)](const XpuId& id, std::shared_ptr<void>&) mutable -> SchedHandle {
+            return init(id);
+          },
+          [exec = std::move(exec)](void*, void* state, const Input& input) mutable -> Status {
+            return call(exec, *static_cast<State*>(state), input);
+          });
     } else {
       static_assert(std::is_invocable_v<Exec, Object&, State&, const Input&>,
                     "exec is void or Status of (T&, State&, const Input&), T being what init owns");
-      spec_->impls.push_back(
-          {std::move(xpu),
-           [init = std::move(init)](const XpuId& id) mutable -> detail::Made {
-             Owned<Object> made = init(id);
-             if (made.object == nullptr) throw std::logic_error("init owns a null object");
-             return {std::move(made.handle), std::shared_ptr<Object>(std::move(made.object))};
-           },
-           [exec = std::move(exec)](void* object, void* state,
-                                    const Input& input) mutable -> Status {
-             return call(exec, *static_cast<Object*>(object), *static_cast<State*>(state), input);
-           }});
+      detail::add_impl(
+          *spec_, xpu,
+          [init = std::move(init)](const XpuId& id,
+                                   std::shared_ptr<void>& object) mutable -> SchedHandle {
+            Owned<Object> made = init(id);
+            if (made.object == nullptr) throw std::logic_error("init owns a null object");
+            object = std::move(made.object);
+            return std::move(made.handle);
+          },
+          [exec = std::move(exec)](void* object, void* state,
+                                   const Input& input) mutable -> Status {
+            return call(exec, *static_cast<Object*>(object), *static_cast<State*>(state), input);
+          });
     }
     return *this;
   }
 
   /// As given.
-  [[nodiscard]] const std::string& name() const { return spec_->name; }
+  [[nodiscard]] const std::string& name() const { return detail::name_of(*spec_); }
 
  private:
   template <class>

@@ -22,16 +22,6 @@
 
 namespace xauto {
 
-const detail::Envelope& Input::find(const std::string& topic, std::type_index type) const {
-  for (std::size_t i = 0; topics_ != nullptr && i < topics_->size(); ++i) {
-    if ((*topics_)[i].name != topic) continue;
-    if ((*topics_)[i].type != type)
-      throw std::logic_error("topic '" + topic + "' carries " + (*topics_)[i].type_name);
-    return messages_[i];
-  }
-  throw std::logic_error("topic '" + topic + "' is not an input of this XModule");
-}
-
 namespace {
 
 std::atomic<runtime::Engine*> g_engine{nullptr};
@@ -122,28 +112,32 @@ bool asks_for_help(char** argv) {
 
 }  // namespace
 
-App::App(std::string name) : spec_(std::make_unique<detail::AppSpecErased>()) {
-  spec_->name = std::move(name);
+struct App::Data {
+  detail::AppSpecErased spec;
+};
+
+App::App(std::string name) : data_(std::make_unique<Data>()) {
+  data_->spec.name = std::move(name);
 }
 App::~App() = default;
 
 void App::add_module_spec(std::shared_ptr<detail::XModuleSpec> spec) {
-  spec_->modules.push_back(std::move(spec));
+  data_->spec.modules.push_back(std::move(spec));
 }
-void App::add_source_spec(detail::SourceSpec spec) {
-  spec_->sources.push_back(std::move(spec));
+void App::add_source_spec(detail::TopicHandle topic, std::chrono::microseconds period,
+                          detail::Make make) {
+  data_->spec.sources.push_back({*topic, period, std::move(make)});
 }
-void App::add_observer_spec(detail::TopicSpec topic,
-                            std::function<void(const void*, std::uint64_t)> callback) {
-  spec_->observers.push_back({std::move(topic), std::move(callback)});
+void App::add_observer_spec(detail::TopicHandle topic, detail::Observe observe) {
+  data_->spec.observers.push_back({*topic, std::move(observe)});
 }
 App& App::on_end(std::function<void()> callback) {
-  spec_->on_end.push_back(std::move(callback));
+  data_->spec.on_end.push_back(std::move(callback));
   return *this;
 }
 
 Status App::check() const {
-  XAUTO_TRY(runtime::Graph::build(*spec_));
+  XAUTO_TRY(runtime::Graph::build(data_->spec));
   return {};
 }
 
@@ -164,7 +158,7 @@ int App::main(int, char** argv) {
       return 2;
     }
     if (asks_for_help(argv)) {
-      print_help(*spec_, argv[0]);
+      print_help(data_->spec, argv[0]);
       return 0;
     }
     return hand_over(argv);
@@ -172,7 +166,7 @@ int App::main(int, char** argv) {
   if (const int process = (*session)->process; process != 0)
     rt::set_thread_name("m:" +
                         (*session)->processes[static_cast<std::size_t>(process - 1)].front());
-  const auto text = answer(*spec_, **session);
+  const auto text = answer(data_->spec, **session);
   int status = text ? 0 : 1;
   if ((*session)->process != 0) {
     if (!text) log::error("{}", text.error().to_string());

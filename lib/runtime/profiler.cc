@@ -69,8 +69,8 @@ class Feed {
     if (!recording_) {
       for (std::size_t t = 0; t < graph_->topics.size(); ++t)
         if (graph_->topics[t].source >= 0)
-          messages[t] =
-              app_->sources[static_cast<std::size_t>(graph_->topics[t].source)].make(sequence);
+          messages[t] = app_->sources[static_cast<std::size_t>(graph_->topics[t].source)].make(
+              sequence, nullptr);
       return true;
     }
     std::size_t left = 0;
@@ -281,7 +281,7 @@ class Run {
   Status run_module(int m, const std::vector<int>& on, const std::vector<bool>& counts,
                     std::uint64_t k, void* state, Messages& messages) {
     const Graph::Module& module = graph_.modules[static_cast<std::size_t>(m)];
-    Input input;
+    Input input = InputAccess::make();
     InputAccess::bind(input, &module.spec->inputs);
     InputAccess::stamp(input, now_ns(), k);
     for (std::size_t i = 0; i < module.inputs.size(); ++i) {
@@ -320,7 +320,8 @@ class Run {
       taken.emulated = active_[n].emulated;
     }
     for (std::size_t i = 0; i < module.outputs.size(); ++i)
-      messages[static_cast<std::size_t>(module.outputs[i])] = module.spec->outputs[i].take(state);
+      messages[static_cast<std::size_t>(module.outputs[i])] =
+          module.spec->outputs[i].take(state, nullptr);
     return {};
   }
 
@@ -346,7 +347,7 @@ class Run {
       active_.erase(n);  // its object goes before the next one comes
       detail::Made made;
       try {
-        made = impl->init(id);
+        made.handle = impl->init(id, made.object);
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
       } catch (...) {

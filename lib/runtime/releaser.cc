@@ -113,10 +113,9 @@ Status Releaser::release_periodic() {
       const auto& spec = context_.app.sources[static_cast<std::size_t>(
           context_.graph.topics[static_cast<std::size_t>(s.topic)].source)];
       try {
-        MessageMemory* memory = wiring_.publisher(static_cast<std::size_t>(s.topic));
-        samples.push_back({s.topic, s.sequence,
-                           memory != nullptr && spec.make_in ? spec.make_in(s.sequence, memory)
-                                                             : spec.make(s.sequence)});
+        samples.push_back(
+            {s.topic, s.sequence,
+             spec.make(s.sequence, wiring_.publisher(static_cast<std::size_t>(s.topic)))});
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
                     "the source of topic '" + spec.topic.name + "'");

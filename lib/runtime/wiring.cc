@@ -120,7 +120,7 @@ Status Wiring::open_topics() {
 Status Wiring::make_module(std::size_t index, ModuleHost& host) {
   const Graph::Module& module = context_.graph.modules[index];
   std::vector<const transport::Channel*> outputs;
-  std::vector<MessageMemory*> memories;
+  std::vector<detail::MessageMemory*> memories;
   for (const int t : module.outputs) {
     outputs.push_back(&channels_[static_cast<std::size_t>(t)]);
     memories.push_back(publisher(static_cast<std::size_t>(t)));

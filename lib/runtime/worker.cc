@@ -75,7 +75,7 @@ Status Worker::init_nodes() {
     const std::string where = "init of XNode '" + placed.name + "' on " + xpu_name();
     XAUTO_TRY(backend_->before_init());
     try {
-      placed.made = placed.impl->init(options_.backend.id);
+      placed.made.handle = placed.impl->init(options_.backend.id, placed.made.object);
     } catch (const std::exception& e) {
       return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
     } catch (...) {

@@ -6,6 +6,7 @@
 
 #include <xauto/xauto.h>
 
+#include "graph/app_spec.h"
 #include "runtime/input_access.h"
 
 namespace xauto {
@@ -34,9 +35,9 @@ class XModule<Peek> {
 namespace {
 
 Status run(detail::ImplSpec& impl, State& state) {
-  const detail::Made made = impl.init({"gpu0", XPU::GPU, 0});
-  const Input input;
-  return impl.exec(made.object.get(), &state, input);
+  std::shared_ptr<void> object;
+  (void)impl.init({"gpu0", XPU::GPU, 0}, object);
+  return impl.exec(object.get(), &state, InputAccess::make());
 }
 
 TEST(XNode, ThePapersFormIsAsItWas) {
@@ -54,8 +55,9 @@ TEST(XNode, ThePapersFormIsAsItWas) {
   auto& impls = XModule<Peek>::impls(node);
   ASSERT_EQ(impls.size(), 2u);
   EXPECT_TRUE(run(impls[0], state));
-  EXPECT_EQ(impls[0].init({}).handle, SchedHandle::thread());
-  EXPECT_EQ(impls[0].init({}).object, nullptr);
+  std::shared_ptr<void> object;
+  EXPECT_EQ(impls[0].init({}, object), SchedHandle::thread());
+  EXPECT_EQ(object, nullptr);
   EXPECT_FALSE(run(impls[1], state));
   EXPECT_EQ(state.sum, 11);
 }
@@ -69,14 +71,15 @@ TEST(XNode, WhatInitOwnsIsGivenToExec) {
       [](Engine& engine, State& s, const Input&) { s.sum += engine.step++; });
   auto& impl = XModule<Peek>::impls(node).front();
   // An object per instance: what one exec does to its own, the other's does not see.
-  const detail::Made first = impl.init({"gpu0", XPU::GPU, 0}),
-                     second = impl.init({"gpu1", XPU::GPU, 1});
+  std::shared_ptr<void> first, second;
+  EXPECT_EQ(impl.init({"gpu0", XPU::GPU, 0}, first), SchedHandle::gate());
+  EXPECT_EQ(impl.init({"gpu1", XPU::GPU, 1}, second), SchedHandle::gate());
   State state;
-  const Input input;
-  EXPECT_TRUE(impl.exec(first.object.get(), &state, input));
-  EXPECT_TRUE(impl.exec(first.object.get(), &state, input));
+  const Input input = InputAccess::make();
+  EXPECT_TRUE(impl.exec(first.get(), &state, input));
+  EXPECT_TRUE(impl.exec(first.get(), &state, input));
   EXPECT_EQ(state.sum, 1 + 2);
-  EXPECT_TRUE(impl.exec(second.object.get(), &state, input));
+  EXPECT_TRUE(impl.exec(second.get(), &state, input));
   EXPECT_EQ(state.sum, 1 + 2 + 2);
 }
 
@@ -85,7 +88,8 @@ TEST(XNode, ANullObjectIsRefused) {
   node.add_impl(
       XPU::GPU, [](const XpuId&) { return own(std::unique_ptr<Engine>(), SchedHandle::gate()); },
       [](Engine&, State&, const Input&) {});
-  EXPECT_THROW(XModule<Peek>::impls(node).front().init({}), std::logic_error);
+  std::shared_ptr<void> object;
+  EXPECT_THROW((void)XModule<Peek>::impls(node).front().init({}, object), std::logic_error);
 }
 
 }  // namespace

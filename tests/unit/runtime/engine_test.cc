@@ -36,14 +36,15 @@ class TestApp {
   TestApp() {
     spec.name = "test";
     const Topic<int> camera("camera"), a("a"), b("b"), c("c");
-    detail::SourceSpec source{detail::topic_spec(camera), 1ms,
-                              [](std::uint64_t k) -> std::shared_ptr<const void> {
-                                return std::make_shared<const int>(static_cast<int>(k));
-                              }};
+    detail::SourceSpec source{
+        *detail::topic_spec(camera), 1ms,
+        [](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
+          return std::make_shared<const int>(static_cast<int>(k));
+        }};
     spec.sources.push_back(source);
-    add("A", {"a1", "a2"}, {detail::topic_spec(camera)}, a);
-    add("B", {"b1"}, {detail::topic_spec(camera)}, b);
-    add("C", {"c1"}, {detail::topic_spec(a), detail::topic_spec(b)}, c);
+    add("A", {"a1", "a2"}, {*detail::topic_spec(camera)}, a);
+    add("B", {"b1"}, {*detail::topic_spec(camera)}, b);
+    add("C", {"c1"}, {*detail::topic_spec(a), *detail::topic_spec(b)}, c);
 
     session.platform.name = "test";
     session.platform.xpus = {{"cpu0", "cpu"}, {"npu0", "npu", false}};
@@ -131,27 +132,27 @@ class TestApp {
       auto made = std::make_shared<detail::XNodeSpecErased>();
       made->name = node;
       for (const char* type : {"cpu", "npu"})
-        made->impls.push_back(
-            {XPU(type),
-             [this, node](const XpuId& xpu) -> detail::Made {
-               auto owned = object(node);
-               const std::lock_guard lock(mutex_);
-               objects_[node] = owned.get();
-               return {xpu.type == XPU("npu") ? handle() : SchedHandle::gate(), std::move(owned)};
-             },
-             [this, node](void* own, void*, const Input& input) -> Status {
-               {
-                 const std::lock_guard lock(mutex_);
-                 log_.push_back(node + "#" + std::to_string(input.sequence()));
-                 if (objects_[node] != own) ++foreign_objects;
-               }
-               return exec(node, input.sequence());
-             }});
+        made->impls.push_back({XPU(type),
+                               [this, node](const XpuId& xpu, std::shared_ptr<void>& owned) {
+                                 owned = object(node);
+                                 const std::lock_guard lock(mutex_);
+                                 objects_[node] = owned.get();
+                                 return xpu.type == XPU("npu") ? handle() : SchedHandle::gate();
+                               },
+                               [this, node](void* own, void*, const Input& input) -> Status {
+                                 {
+                                   const std::lock_guard lock(mutex_);
+                                   log_.push_back(node + "#" + std::to_string(input.sequence()));
+                                   if (objects_[node] != own) ++foreign_objects;
+                                 }
+                                 return exec(node, input.sequence());
+                               }});
       module->nodes.push_back(made);
     }
     module->inputs = std::move(inputs);
-    module->outputs = {
-        {detail::topic_spec(output), [](void*) { return std::make_shared<const int>(1); }}};
+    module->outputs = {{*detail::topic_spec(output), [](void*, detail::MessageMemory*) {
+                          return std::make_shared<const int>(1);
+                        }}};
     spec.modules.push_back(module);
   }
 
@@ -221,7 +222,9 @@ TEST(Engine, ExceptionDropsTheActivationAndTheRestGoesOn) {
 TEST(Engine, FailingInitNamesTheXNode) {
   TestApp app;
   for (auto& impl : app.spec.modules[0]->nodes[1]->impls)
-    impl.init = [](const XpuId&) -> detail::Made { throw std::runtime_error("no weights"); };
+    impl.init = [](const XpuId&, std::shared_ptr<void>&) -> SchedHandle {
+      throw std::runtime_error("no weights");
+    };
   const auto report = app.run();
   ASSERT_FALSE(report);
   EXPECT_EQ(report.error().where, "init of XNode 'a2' on npu0");
@@ -351,13 +354,12 @@ TEST(Engine, JobsOverTheirBudgetAreCounted) {
 TEST(Engine, SourcesOfTwoPeriodsGiveEveryChainItsOwnLatency) {
   TestApp app;
   const Topic<int> slow("slow");
-  app.spec.sources.push_back({detail::topic_spec(slow),
-                              3ms,
-                              [](std::uint64_t k) -> std::shared_ptr<const void> {
-                                return std::make_shared<const int>(static_cast<int>(k));
-                              },
-                              {}});
-  app.spec.modules[1]->inputs = {detail::topic_spec(slow)};  // B
+  app.spec.sources.push_back(
+      {*detail::topic_spec(slow), 3ms,
+       [](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
+         return std::make_shared<const int>(static_cast<int>(k));
+       }});
+  app.spec.modules[1]->inputs = {*detail::topic_spec(slow)};  // B
   app.session.lockstep = false;
   app.session.activations = 20;
   const auto report = app.run();
