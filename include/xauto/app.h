@@ -10,17 +10,11 @@
 #include <utility>
 
 #include <xauto/result.h>
+#include <xauto/source.h>
 #include <xauto/topic.h>
 #include <xauto/xmodule.h>
 
 namespace xauto {
-
-namespace detail {
-/// Makes message number `sequence`, in `memory` if it is not null.
-using Make =
-    std::function<std::shared_ptr<const void>(std::uint64_t sequence, MessageMemory* memory)>;
-using Observe = std::function<void(const void* message, std::uint64_t sequence)>;
-}  // namespace detail
 
 /// An application. Threads: build and run it from one thread.
 ///
@@ -59,6 +53,13 @@ class App {
     return *this;
   }
 
+  /// A sensor that is pushed into, e.g. from a driver's callback: what Source::publish is given is
+  /// released at once, in the process that has the app's other sources (docs/api.md has the rules).
+  template <class T>
+  [[nodiscard]] Source<T> add_source(const Topic<T>& topic, Pushed how) {
+    return Source<T>(add_inlet(detail::topic_spec(topic), how.distance));
+  }
+
   /// Calls `callback(const T&, sequence)` for each message on `topic`, on the publishing thread: be
   /// short. Several observers of one topic are called in the order of registration. What it throws
   /// is logged.
@@ -72,7 +73,11 @@ class App {
     return *this;
   }
 
-  /// Called once after the last activation, before main() returns: the place to write results.
+  /// Called once per run when messages may be published, after every `init`: the place to start a
+  /// driver. On the sources' thread, in the process that has the sources, also by `xauto profile`.
+  App& on_start(std::function<void()> callback);
+  /// Called once after the last activation, when no message is taken any more and what every `init`
+  /// made is destroyed, before main() returns: the place to write results.
   App& on_end(std::function<void()> callback);
 
   /// Everything that is wrong with the graph as declared: names each module, XNode and topic
@@ -87,6 +92,8 @@ class App {
   void add_module_spec(std::shared_ptr<detail::XModuleSpec> spec);
   void add_source_spec(detail::TopicHandle topic, std::chrono::microseconds period,
                        detail::Make make);
+  [[nodiscard]] std::shared_ptr<detail::Inlet> add_inlet(detail::TopicHandle topic,
+                                                         std::chrono::microseconds distance);
   void add_observer_spec(detail::TopicHandle topic, detail::Observe observe);
   struct Data;
   std::unique_ptr<Data> data_;

@@ -49,4 +49,20 @@ void add_output(XModuleSpec& module, TopicHandle topic, Take take) {
   module.outputs.push_back({*topic, std::move(take)});
 }
 
+Status call(const std::vector<std::function<void()>>& callbacks, const char* which,
+            const std::string& app) {
+  const std::string where = "app '" + app + "'";
+  for (const auto& callback : callbacks) {
+    try {
+      callback();
+    } catch (const std::exception& e) {
+      return fail(ErrorCode::kIo, std::string(which) + " threw: " + e.what(), where);
+    } catch (...) {
+      return fail(ErrorCode::kIo, std::string(which) + " threw something that is no std::exception",
+                  where);
+    }
+  }
+  return {};
+}
+
 }  // namespace xauto::detail

@@ -10,8 +10,10 @@
 #include <string>
 #include <vector>
 
-#include <xauto/app.h>
+#include <xauto/source.h>
+#include <xauto/xmodule.h>
 
+#include "graph/inlet.h"
 #include "model/message.h"
 
 namespace xauto::detail {
@@ -51,7 +53,8 @@ struct XModuleSpec {
 struct SourceSpec {
   TopicSpec topic;
   std::chrono::microseconds period{};
-  Make make;
+  Make make;                               ///< empty: it is pushed
+  std::shared_ptr<Inlet> inlet = nullptr;  ///< null: it is polled
 };
 
 struct ObserverSpec {
@@ -64,7 +67,11 @@ struct AppSpecErased {
   std::vector<std::shared_ptr<XModuleSpec>> modules;
   std::vector<SourceSpec> sources;
   std::vector<ObserverSpec> observers;
-  std::vector<std::function<void()>> on_end;
+  std::vector<std::function<void()>> on_start, on_end;
 };
+
+/// Calls the app's own `callbacks` one after the other. Error: one threw.
+[[nodiscard]] Status call(const std::vector<std::function<void()>>& callbacks, const char* which,
+                          const std::string& app);
 
 }  // namespace xauto::detail

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The public App, and the program around it: what a process does that an `xauto` tool has started.
+#include <algorithm>
 #include <atomic>
 #include <cerrno>
 #include <cstdio>
@@ -90,7 +91,8 @@ void print_help(const detail::AppSpecErased& app, const char* program) {
   };
   for (const auto& module : app.modules) add(modules, module->name);
   for (const detail::SourceSpec& source : app.sources)
-    add(sources, source.topic.name + " (every " + std::to_string(source.period.count()) + " us)");
+    add(sources, source.topic.name + (source.inlet ? " (pushed, at most every " : " (every ") +
+                     std::to_string(source.period.count()) + " us)");
   std::printf(
       "%s: an app for XAuto, which schedules its stages over CPUs, GPUs and DLAs.\n\n"
       "  XModules  %s\n  sources   %s\n\n"
@@ -128,8 +130,19 @@ void App::add_source_spec(detail::TopicHandle topic, std::chrono::microseconds p
                           detail::Make make) {
   data_->spec.sources.push_back({*topic, period, std::move(make)});
 }
+std::shared_ptr<detail::Inlet> App::add_inlet(detail::TopicHandle topic,
+                                              std::chrono::microseconds distance) {
+  auto inlet = std::make_shared<detail::Inlet>(
+      topic->name, std::min<std::int64_t>(distance.count(), kMaxPeriodUs) * 1000);
+  data_->spec.sources.push_back({*topic, distance, nullptr, inlet});
+  return inlet;
+}
 void App::add_observer_spec(detail::TopicHandle topic, detail::Observe observe) {
   data_->spec.observers.push_back({*topic, std::move(observe)});
+}
+App& App::on_start(std::function<void()> callback) {
+  data_->spec.on_start.push_back(std::move(callback));
+  return *this;
 }
 App& App::on_end(std::function<void()> callback) {
   data_->spec.on_end.push_back(std::move(callback));

@@ -21,6 +21,7 @@
 #include "base/clock.h"
 #include "base/log.h"
 #include "base/rt.h"
+#include "graph/inlet.h"
 #include "model/json.h"
 #include "record/recording.h"
 #include "runtime/input_access.h"
@@ -31,6 +32,7 @@ namespace xauto::runtime {
 namespace {
 
 constexpr int kFifoProfile = 40;
+constexpr std::int64_t kPushNs = 10'000'000'000;  ///< patience with a driver
 constexpr auto kLookEvery = std::chrono::milliseconds(20);
 constexpr int kLooksAfterStop = 10;  ///< for an exec that is about to return
 /// With --stable: a time above twice the median that has not come back in so many rounds of
@@ -43,8 +45,8 @@ using Messages = std::vector<std::shared_ptr<const void>>;  ///< [topic]
 class Feed {
  public:
   static Result<Feed> open(const detail::AppSpecErased& app, const Graph& graph,
-                           const Session& session) {
-    Feed feed(app, graph);
+                           const Session& session, detail::Inlets& inlets) {
+    Feed feed(app, graph, inlets);
     if (!session.input.empty()) {
       XAUTO_ASSIGN(auto recording, record::Recording::open(session.input));
       feed.recording_.emplace(std::move(recording));
@@ -67,10 +69,11 @@ class Feed {
   Result<bool> next(Messages& messages) {
     const std::uint64_t sequence = sequence_++;
     if (!recording_) {
-      for (std::size_t t = 0; t < graph_->topics.size(); ++t)
-        if (graph_->topics[t].source >= 0)
-          messages[t] = app_->sources[static_cast<std::size_t>(graph_->topics[t].source)].make(
-              sequence, nullptr);
+      for (std::size_t s = 0; s < app_->sources.size(); ++s) {
+        auto& message = messages[static_cast<std::size_t>(graph_->topic_of_source[s])];
+        message = app_->sources[s].inlet ? nullptr : app_->sources[s].make(sequence, nullptr);
+      }
+      XAUTO_TRY(wait_for_pushed(messages));
       return true;
     }
     std::size_t left = 0;
@@ -98,9 +101,36 @@ class Feed {
   }
 
  private:
-  Feed(const detail::AppSpecErased& app, const Graph& graph) : app_(&app), graph_(&graph) {}
+  Feed(const detail::AppSpecErased& app, const Graph& graph, detail::Inlets& inlets)
+      : app_(&app), graph_(&graph), inlets_(&inlets) {}
+
+  Status wait_for_pushed(Messages& messages) {
+    const std::int64_t limit = now_ns() + kPushNs;
+    for (;;) {
+      const std::uint32_t seen = inlets_->pushes();
+      while (auto pushed = inlets_->take())
+        messages[static_cast<std::size_t>(graph_->topic_of_source[pushed->source])] =
+            std::move(pushed->waiting.message);
+      const auto missing =
+          std::find_if(graph_->topics.begin(), graph_->topics.end(), [&](const auto& topic) {
+            const auto t = static_cast<std::size_t>(&topic - graph_->topics.data());
+            return topic.source >= 0 && messages[t] == nullptr;
+          });
+      if (missing == graph_->topics.end()) return {};
+      if (now_ns() >= limit)
+        return fail(
+            ErrorCode::kTimeout,
+            "nothing was published within " + std::to_string(kPushNs / 1'000'000'000) + " s",
+            "the source of topic '" + missing->spec.name + "'",
+            "it is pushed: have its driver run, from App::on_start on, or profile with "
+            "--input");
+      inlets_->wait(seen, limit);
+    }
+  }
+
   const detail::AppSpecErased* app_;
   const Graph* graph_;
+  detail::Inlets* inlets_;
   std::optional<record::Recording> recording_;
   std::uint64_t sequence_ = 0;
 };
@@ -139,6 +169,9 @@ class Run {
                     "has no implementation for any XPU of platform '" + session_.platform.name +
                         "' that is here or emulated",
                     "XNode '" + graph_.nodes[n].name + "'");
+    using Keep = detail::Inlet::Keep;
+    inlets_.emplace(app_, session_.input.empty() ? Keep::kNewest : Keep::kNone);
+    XAUTO_TRY(detail::call(app_.on_start, "on_start", app_.name));
     cores_ = rt::allowed_cores();
     rt::set_timer_slack_1ns();
     if (!rt::set_fifo_up_to(kFifoProfile))
@@ -163,8 +196,11 @@ class Run {
     return {};
   }
 
-  /// Destroys what the inits have made; on the thread of `run`.
-  void release() { active_.clear(); }
+  /// Destroys what the inits have made, takes no message any more; on the thread of `run`.
+  void release() {
+    inlets_.reset();
+    active_.clear();
+  }
 
   /// `incomplete`: why it ended early. Any thread.
   Profile result(const std::string& incomplete) {
@@ -243,7 +279,7 @@ class Run {
     std::uint64_t done = 0;
     std::int64_t told = now_ns();
     for (std::size_t pass = 0; pass < passes; ++pass) {
-      XAUTO_ASSIGN(Feed feed, Feed::open(app_, graph_, session_));
+      XAUTO_ASSIGN(Feed feed, Feed::open(app_, graph_, session_, *inlets_));
       std::vector<std::shared_ptr<void>> states;
       for (const Graph::Module& module : graph_.modules)
         states.push_back(module.spec->make_state());
@@ -374,6 +410,7 @@ class Run {
     detail::Made made = {};
   };
   std::map<int, Active> active_;  ///< node -> XPU it was last initialised for
+  std::optional<detail::Inlets> inlets_;
   std::vector<int> cores_;
   int core_now_ = -1;
 

@@ -34,7 +34,7 @@ rm -rf "$out"
 mkdir -p "$out"
 cp -r --parents include lib packaging/libxauto.map "$out"
 hidden=(message.h:TopicSpec message.h:Envelope message.h:InputData message.h:MessageMemory app_spec.h:ImplSpec app_spec.h:XNodeSpecErased
-  app_spec.h:OutputSpec app_spec.h:XModuleSpec app_spec.h:SourceSpec app_spec.h:ObserverSpec app_spec.h:AppSpecErased
+  inlet.h:Inlet app_spec.h:OutputSpec app_spec.h:XModuleSpec app_spec.h:SourceSpec app_spec.h:ObserverSpec app_spec.h:AppSpecErased
   callbacks.h:SchedHandle::Callbacks)
 for type in "${hidden[@]}"; do
   file=$(find "$out/lib" -name "${type%%:*}")
