@@ -409,9 +409,15 @@ TEST(Engine, NoSuspensionMeetsAnObjectThatIsGone) {
     };
     return SchedHandle::custom(look, look);
   };
-  app.session.lockstep = false;
-  app.exec = [](const std::string& node, std::uint64_t) -> Status {
-    if (node == "b1") std::this_thread::sleep_for(2ms);
+  std::atomic<bool> b1_runs{false};  // at the first release, when a2 comes, which is more urgent
+  app.exec = [&](const std::string& node, std::uint64_t) -> Status {
+    const auto until = [](const auto& holds) {
+      for (int i = 0; i < 5000 && !holds(); ++i) std::this_thread::sleep_for(1ms);
+    };
+    if (node == "a1") until([&] { return b1_runs.load(); });
+    if (node == "b1") b1_runs = true;
+    // An a2 that is over at once is resumed from before anybody has suspended b1.
+    if (node == "a2" || node == "b1") until([&] { return calls.load() > 0; });
     return {};
   };
   const auto report = app.run();
