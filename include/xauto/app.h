@@ -10,6 +10,7 @@
 #include <utility>
 
 #include <xauto/result.h>
+#include <xauto/run.h>
 #include <xauto/source.h>
 #include <xauto/topic.h>
 #include <xauto/xmodule.h>
@@ -84,6 +85,20 @@ class App {
   /// involved. Error: kInvalid.
   [[nodiscard]] Status check() const;
 
+  /// Runs the app in this process and returns when the run is over; docs/api.md says what a process
+  /// of its own gives and this does not. The daemons are child processes; signal handlers, stdin
+  /// and stdout are left alone. May be called again after it has returned; two Apps may run at the
+  /// same time. Threads: any; must not be called from an `init`, an `exec` or a callback.
+  ///
+  /// Errors: kInvalid where options, files or the graph contradict each other, kNotFound of a file
+  /// or of the daemons' programs, kUnavailable if it runs already, if an `init` or a callback threw,
+  /// or if an `exec` of an earlier run never returned. What is lost in a run is no error, but in
+  /// the report.
+  [[nodiscard]] Result<RunReport> run(const RunOptions& options);
+  /// Ends the run that is under way: no further releases, what is in flight is finished, then run()
+  /// returns. Without a run nothing happens. Threads: any.
+  void stop();
+
   /// The whole program: does what the `xauto` tool that started this process asks (run, profile,
   /// describe); started by hand it hands itself to `xauto run`. Returns the exit status.
   int main(int argc, char** argv);
@@ -96,7 +111,7 @@ class App {
                                                          std::chrono::microseconds distance);
   void add_observer_spec(detail::TopicHandle topic, detail::Observe observe);
   struct Data;
-  std::unique_ptr<Data> data_;
+  std::shared_ptr<Data> data_;  ///< shared with threads that a run had to leave behind
 };
 
 }  // namespace xauto

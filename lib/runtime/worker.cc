@@ -50,7 +50,8 @@ Status Worker::start() {
   }
   std::promise<Status> ready;
   std::future<Status> started = ready.get_future();
-  exec_ = std::thread([this, &ready] {
+  exec_ = std::thread([this, &ready, around = xpu::Surroundings::of_this_thread()] {
+    around.enter();
     Status status = init_nodes();
     const bool good = status.has_value();
     ready.set_value(std::move(status));

@@ -6,6 +6,8 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <mutex>
+#include <thread>
 
 #include <signal.h>
 #include <unistd.h>
@@ -15,11 +17,16 @@
 #include "base/log.h"
 #include "base/memory_file.h"
 #include "base/rt.h"
+#include "emu/client.h"
 #include "graph/graph.h"
+#include "launch/keeper.h"
 #include "model/json.h"
 #include "runtime/engine.h"
 #include "runtime/profiler.h"
+#include "session/notes.h"
 #include "session/session.h"
+
+#include "app/run_options.h"
 
 namespace xauto {
 
@@ -116,9 +123,24 @@ bool asks_for_help(char** argv) {
 
 struct App::Data {
   detail::AppSpecErased spec;
+
+  std::mutex mutex;  ///< guards what follows
+  enum class Run : std::uint8_t { kNone, kGoesOn, kStuck } state = Run::kNone;
+  bool stopped = false;               ///< the run that goes on
+  runtime::Engine* engine = nullptr;  ///< of that run, once there is one
+
+  void stop() {
+    const std::lock_guard lock(mutex);
+    if (state != Run::kGoesOn) return;
+    stopped = true;
+    if (engine != nullptr) engine->request_stop();
+  }
+  Result<RunReport> run(const RunOptions& options, const std::shared_ptr<Data>& self);
+  [[nodiscard]] Result<runtime::RunReport> run_engine(const runtime::Session& session,
+                                                      const std::shared_ptr<Data>& self);
 };
 
-App::App(std::string name) : data_(std::make_unique<Data>()) {
+App::App(std::string name) : data_(std::make_shared<Data>()) {
   data_->spec.name = std::move(name);
 }
 App::~App() = default;
@@ -152,6 +174,91 @@ App& App::on_end(std::function<void()> callback) {
 Status App::check() const {
   XAUTO_TRY(runtime::Graph::build(data_->spec));
   return {};
+}
+
+Result<RunReport> App::run(const RunOptions& options) {
+  {
+    const std::lock_guard lock(data_->mutex);
+    const std::string where = "app '" + data_->spec.name + "'";
+    if (data_->state == Data::Run::kGoesOn)
+      return fail(ErrorCode::kUnavailable, "it runs already", where, "two runs need two Apps");
+    if (data_->state == Data::Run::kStuck)
+      return fail(ErrorCode::kUnavailable, "an exec of its last run never returned", where,
+                  "only the end of this process ends its thread");
+    data_->state = Data::Run::kGoesOn;
+    data_->stopped = false;
+  }
+  Result<RunReport> report = data_->run(options, data_);
+  const std::lock_guard lock(data_->mutex);
+  if (data_->state == Data::Run::kGoesOn) data_->state = Data::Run::kNone;
+  return report;
+}
+
+void App::stop() {
+  data_->stop();
+}
+
+Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_ptr<Data>& self) {
+  XAUTO_TRY(runtime::Graph::build(spec));
+  XAUTO_ASSIGN(runtime::Session session, options.data_->session());
+  XAUTO_ASSIGN(const std::string programs, launch::find_programs(options.data_->programs));
+  bool emulator_died = false;
+  XAUTO_ASSIGN(const auto keeper, launch::Keeper::start(session, programs, [&] {
+                 emulator_died = true;
+                 stop();
+               }));
+  // What contexts find, of this run's threads: other runs of this process have other emulators.
+  auto site = std::make_shared<emu::Site>();
+  site->address = keeper->emulator();
+  for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
+    if (session.presence_of(static_cast<int>(x)) == Presence::kReal)
+      site->real.insert(session.platform.xpus[x].id);
+  site->cpu_pool = session.scheduling == runtime::Scheduling::kRos2;
+
+  // On a thread of its own, whose name, emulator and priority are nobody else's.
+  Result<runtime::RunReport> ran = fail(ErrorCode::kInternal, "not run");
+  std::thread([&] {
+    emu::set_this_threads_site(site);
+    ran = run_engine(session, self);
+  }).join();
+  std::string died;
+  for (const std::string& note : keeper->stop()) runtime::add_note(died, note);
+  if (!ran) {
+    Error error = std::move(ran).error();
+    if (!died.empty()) error.what += "; " + died;
+    return tl::unexpected<Error>(std::move(error));
+  }
+  auto data = std::make_shared<RunReport::Data>();
+  data->report = std::move(*ran);
+  data->app = spec.name;
+  data->emulator_died = emulator_died;
+  if (!died.empty()) runtime::add_note(data->report.note, died);
+  return RunReport(std::move(data));
+}
+
+Result<runtime::RunReport> App::Data::run_engine(const runtime::Session& asked,
+                                                 const std::shared_ptr<Data>& self) {
+  // Kept for ever if a thread is left behind, which uses it.
+  struct Kept {
+    std::shared_ptr<Data> app;
+    runtime::Session session;
+    std::unique_ptr<runtime::Engine> engine;
+  };
+  auto kept = std::make_unique<Kept>(Kept{self, asked, nullptr});
+  XAUTO_ASSIGN(kept->engine, runtime::Engine::create(spec, kept->session));
+  {
+    const std::lock_guard lock(mutex);
+    engine = kept->engine.get();
+    if (stopped) engine->request_stop();
+  }
+  auto report = kept->engine->run();
+  const std::lock_guard lock(mutex);
+  engine = nullptr;
+  if (kept->engine->stuck()) {
+    state = Run::kStuck;
+    (void)kept.release();
+  }
+  return report;
 }
 
 int App::main(int, char** argv) {
