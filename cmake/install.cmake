@@ -11,7 +11,7 @@ include(CMakePackageConfigHelpers)
 set(XAUTO_SOVERSION 1)
 set(map ${PROJECT_SOURCE_DIR}/packaging/libxauto.map)
 set(no_libbpf lib/kernel/without_libbpf/none.cc)
-add_library(xauto_shared SHARED lib/app/app.cc lib/app/run_options.cc lib/graph/app_spec.cc lib/graph/inlet.cc lib/model/message.cc lib/xpu/sched_handle.cc
+add_library(xauto_shared SHARED lib/app/app.cc lib/app/run_options.cc lib/app/testing.cc lib/graph/app_spec.cc lib/graph/inlet.cc lib/model/message.cc lib/xpu/sched_handle.cc
                                 lib/emu/client.cc ${no_libbpf})
 set_source_files_properties(${no_libbpf} PROPERTIES COMPILE_DEFINITIONS XAUTO_NO_BPF_REASON="the xauto tool loads them")
 target_link_libraries(xauto_shared PRIVATE xauto_app)

@@ -13,6 +13,10 @@
 
 namespace xauto {
 
+namespace testing {
+class Fire;
+}
+
 namespace detail {
 
 struct XModuleSpec;
@@ -90,6 +94,7 @@ class XModule {
 
  private:
   friend class App;
+  friend class testing::Fire;
   std::shared_ptr<detail::XModuleSpec> spec_;
 };
 

@@ -115,9 +115,10 @@ void set_this_threads_site(std::shared_ptr<const Site> site) {
   t_site = std::move(site);
 }
 
-/// Work goes to xauto-emud, or, where the run is with the emulator modules, to a driver's node; on
+/// Work goes to a clock, or to xauto-emud, or, where the run is with the emulator modules, to a driver's node; on
 /// a CPU that is real it keeps that CPU busy.
 struct Context::Connection {
+  std::shared_ptr<const Site> virtual_site;  ///< with a clock; else null
   bool real_cpu = false;
   std::optional<DriverQueue> driver;
   bool gpu = false;
@@ -139,6 +140,11 @@ Context::~Context() = default;
 
 Result<Context> Context::open(const XpuId& xpu) {
   const std::shared_ptr<const Site> site = this_threads_site();
+  if (site->virtual_ns != nullptr) {
+    auto connection = std::make_unique<Connection>();
+    connection->virtual_site = site;
+    return Context(std::move(connection));
+  }
   if (site->drivers && xpu.type != XPU::CPU) {
     auto connection = std::make_unique<Connection>();
     connection->gpu = xpu.type == XPU::GPU;
@@ -175,6 +181,10 @@ Result<Context> Context::open(const XpuId& xpu) {
 
 Status Context::run(std::chrono::microseconds duration) {
   Connection& c = *connection_;
+  if (c.virtual_site) {
+    *c.virtual_site->virtual_ns += duration.count() * 1000;
+    return {};
+  }
   if (c.real_cpu) {
     burn(duration.count() * 1000);
     return {};

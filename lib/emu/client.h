@@ -21,6 +21,8 @@ struct Site {
   std::set<std::string> real;  ///< XPUs that are not emulated
   bool drivers = false;        ///< GPUs and DLAs are those of kmod/emu/
   bool cpu_pool = false;       ///< the CPUs are one device
+  /// Not null: there is no emulator, work on a context just adds its duration here.
+  std::shared_ptr<std::int64_t> virtual_ns = nullptr;
 };
 /// The calling thread's; of a thread that was given none: what the tool that started this process
 /// has put into the environment.
