@@ -77,6 +77,9 @@ class App {
   /// Called once per run when messages may be published, after every `init`: the place to start a
   /// driver. On the sources' thread, in the process that has the sources, also by `xauto profile`.
   App& on_start(std::function<void()> callback);
+  /// Called once after each on_start, also when that threw or the run failed: no message is taken
+  /// any more. The place to end a driver. On the same thread.
+  App& on_stop(std::function<void()> callback);
   /// Called once after the last activation, when no message is taken any more and what every `init`
   /// made is destroyed, before main() returns: the place to write results.
   App& on_end(std::function<void()> callback);

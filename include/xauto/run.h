@@ -17,7 +17,9 @@ class RunOptions {
  public:
   RunOptions();
   ~RunOptions();
+  /// A copy of its own.
   RunOptions(const RunOptions& other);
+  /// As the constructor.
   RunOptions& operator=(const RunOptions& other);
 
   /// app.json: a path, or the JSON text itself (it begins with "{"). Needed.
@@ -66,7 +68,9 @@ class RunOptions {
 /// of the last module that it reaches; 0 where there is no result. Threads: any.
 class RunReport {
  public:
+  /// Shares what it reports, which nobody changes.
   RunReport(const RunReport&);
+  /// As the constructor.
   RunReport& operator=(const RunReport&);
   ~RunReport();
 

@@ -42,6 +42,7 @@ struct Pushed {
 template <class T>
 class Source {
  public:
+  /// For App::add_source.
   explicit Source(std::shared_ptr<detail::Inlet> inlet) : inlet_(std::move(inlet)) {}
 
   /// Publishes `message`: a release of the sensor, numbered from 0 on in each run, with the time of

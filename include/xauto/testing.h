@@ -21,7 +21,9 @@ namespace xauto::testing {
 /// What one firing did. A value; cheap to copy, and outlives its Fire.
 class Outcome {
  public:
+  /// Shares what it holds, which nobody changes.
   Outcome(const Outcome&);
+  /// As the constructor.
   Outcome& operator=(const Outcome&);
   ~Outcome();
 

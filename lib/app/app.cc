@@ -166,6 +166,10 @@ App& App::on_start(std::function<void()> callback) {
   data_->spec.on_start.push_back(std::move(callback));
   return *this;
 }
+App& App::on_stop(std::function<void()> callback) {
+  data_->spec.on_stop.push_back(std::move(callback));
+  return *this;
+}
 App& App::on_end(std::function<void()> callback) {
   data_->spec.on_end.push_back(std::move(callback));
   return *this;

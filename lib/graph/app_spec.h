@@ -67,7 +67,7 @@ struct AppSpecErased {
   std::vector<std::shared_ptr<XModuleSpec>> modules;
   std::vector<SourceSpec> sources;
   std::vector<ObserverSpec> observers;
-  std::vector<std::function<void()>> on_start, on_end;
+  std::vector<std::function<void()>> on_start, on_stop, on_end;
 };
 
 /// Calls the app's own `callbacks` one after the other. Error: one threw.

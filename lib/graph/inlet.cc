@@ -31,7 +31,7 @@ Status Inlet::push(std::shared_ptr<const void> message) {
     return fail(ErrorCode::kUnavailable,
                 "a message was published while the app takes none: it does not run yet or any "
                 "more, or its sources are in another process",
-                where, "publish between the calls of App::on_start and App::on_end");
+                where, "publish between the calls of App::on_start and App::on_stop");
   if (keep_ == Keep::kNone) return {};
   if (keep_ == Keep::kNewest) waiting_.clear();
   if (waiting_.size() >= kMaxWaiting)

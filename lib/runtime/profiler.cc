@@ -197,9 +197,11 @@ class Run {
   }
 
   /// Destroys what the inits have made, takes no message any more; on the thread of `run`.
-  void release() {
+  [[nodiscard]] Status release() {
+    const bool started = inlets_.has_value();
     inlets_.reset();
     active_.clear();
+    return started ? detail::call(app_.on_stop, "on_stop", app_.name) : Status();
   }
 
   /// `incomplete`: why it ended early. Any thread.
@@ -439,7 +441,8 @@ Result<Profiled> profile(const detail::AppSpecErased& app, const Session& sessio
   // A thread of its own, so that the caller's priority and affinity stay as they are.
   std::thread thread([shared] {
     Status status = shared->run.run();
-    shared->run.release();
+    Status released = shared->run.release();
+    if (status) status = std::move(released);
     shared->ended.set_value(std::move(status));
   });
   std::string incomplete;

@@ -38,6 +38,8 @@ Status Releaser::run(int fifo) {
     if (status) status = context_.session.input.empty() ? release_periodic() : release_recorded();
     notes_ = inlets_->close();
     inlets_.reset();
+    const Status stopped = detail::call(context_.app.on_stop, "on_stop", context_.app.name);
+    if (status) status = stopped;
   });
   thread.join();
   return status;

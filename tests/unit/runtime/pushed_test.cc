@@ -23,7 +23,7 @@ class PushedApp : public TestApp {
     inlet = source.inlet = std::make_shared<detail::Inlet>("camera", distance.count() * 1000);
     camera.emplace(inlet);
     spec.on_start.emplace_back([this] { driver_ = std::thread([this] { driver(); }); });
-    spec.on_end.emplace_back([this] { join(); });
+    spec.on_stop.emplace_back([this] { join(); });
   }
   ~PushedApp() { join(); }
   void join() {
@@ -166,9 +166,12 @@ TEST(Pushed, AStopEndsARunThatNobodyPublishesInto) {
 TEST(Pushed, OnStartThatThrowsEndsTheRun) {
   PushedApp app;
   app.spec.on_start.emplace_back([] { throw std::runtime_error("no camera"); });
+  int stops = 0;
+  app.spec.on_stop.emplace_back([&] { ++stops; });
   const auto report = app.run();
   ASSERT_FALSE(report);
   EXPECT_EQ(report.error().what, "on_start threw: no camera");
+  EXPECT_EQ(stops, 1);  // what had been started is stopped
 }
 
 TEST(Pushed, TheProfilerTakesWhatTheDriverPublishes) {
@@ -183,7 +186,6 @@ TEST(Pushed, TheProfilerTakesWhatTheDriverPublishes) {
   const auto profiled = profile(app.spec, app.session, stop);
   ASSERT_TRUE(profiled) << profiled.error().to_string();
   EXPECT_EQ(count(app.log(), "c1"), 2u * 4u);
-  app.join();  // the driver was told: publish failed
 }
 
 }  // namespace
