@@ -12,11 +12,11 @@ set(XAUTO_SOVERSION 1)
 set(map ${PROJECT_SOURCE_DIR}/packaging/libxauto.map)
 set(no_libbpf lib/kernel/without_libbpf/none.cc)
 add_library(xauto_shared SHARED ${no_libbpf})
-foreach(api xauto_runtime xauto_transport xauto_emu) # what the headers declare; the rest comes as they need it
+foreach(api xauto_app xauto_graph xauto_model xauto_xpu xauto_emu) # what the headers declare; the rest comes as they need it
   target_sources(xauto_shared PRIVATE $<TARGET_OBJECTS:${api}>)
 endforeach()
 set_source_files_properties(${no_libbpf} PROPERTIES COMPILE_DEFINITIONS XAUTO_NO_BPF_REASON="the xauto tool loads them")
-target_link_libraries(xauto_shared PRIVATE xauto_runtime)
+target_link_libraries(xauto_shared PRIVATE xauto_app)
 target_link_options(xauto_shared PRIVATE -Wl,--version-script=${map} -Wl,--no-undefined -Wl,--as-needed -Wl,--gc-sections
                                          -Wl,-z,relro -Wl,-z,now)
 target_include_directories(xauto_shared INTERFACE $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)

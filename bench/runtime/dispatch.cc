@@ -131,23 +131,23 @@ Samples run_xauto(const Dag& dag, bool as_chain, int xpus, std::uint64_t rounds)
   std::int64_t last = 0;
   const Topic<int> source("source");
   app.name = session.app.name = "bench";
-  app.sources.push_back({detail::topic_spec(source),
-                         std::chrono::microseconds(1000),
-                         [&](std::uint64_t k) -> std::shared_ptr<const void> {
-                           const std::int64_t now = now_ns();
-                           if (k > rounds / 10) samples.add(now - last);  // warm by then
-                           last = now;
-                           return std::make_shared<const int>(0);
-                         },
-                         {}});
+  app.sources.push_back(
+      {*detail::topic_spec(source), std::chrono::microseconds(1000),
+       [&](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
+         const std::int64_t now = now_ns();
+         if (k > rounds / 10) samples.add(now - last);  // warm by then
+         last = now;
+         return std::make_shared<const int>(0);
+       }});
   session.platform.name = "bench";
   for (int x = 0; x < xpus; ++x)
     session.platform.xpus.push_back({"npu" + std::to_string(x), "npu", false});
   const auto node = [&](int i, const std::string& module) {
     auto made = std::make_shared<detail::XNodeSpecErased>();
     made->name = "n" + std::to_string(i);
-    made->impls.push_back({XPU("npu"), [](const XpuId&) { return SchedHandle::gate(); },
-                           [](void*, const Input&) -> Status {
+    made->impls.push_back({XPU("npu"),
+                           [](const XpuId&, std::shared_ptr<void>&) { return SchedHandle::gate(); },
+                           [](void*, void*, const Input&) -> Status {
                              node_body();
                              return {};
                            }});
@@ -164,7 +164,7 @@ Samples run_xauto(const Dag& dag, bool as_chain, int xpus, std::uint64_t rounds)
   };
   if (as_chain) {
     auto made = module("chain");
-    made->inputs = {detail::topic_spec(source)};
+    made->inputs = {*detail::topic_spec(source)};
     for (int i = 0; i < dag.nodes; ++i) {
       made->nodes.push_back(node(i, "chain"));
       if (i > 0) session.app.edges.emplace_back(i - 1, i);
@@ -177,16 +177,16 @@ Samples run_xauto(const Dag& dag, bool as_chain, int xpus, std::uint64_t rounds)
       made->nodes.push_back(node(i, made->name));
       static const auto value = std::make_shared<const int>(1);
       if (!dag.after[static_cast<std::size_t>(i)].empty())
-        made->outputs.push_back({detail::topic_spec(topics[static_cast<std::size_t>(i)]),
-                                 [](void*) -> std::shared_ptr<const void> { return value; },
-                                 {}});
+        made->outputs.push_back(
+            {*detail::topic_spec(topics[static_cast<std::size_t>(i)]),
+             [](void*, detail::MessageMemory*) -> std::shared_ptr<const void> { return value; }});
       if (dag.before[static_cast<std::size_t>(i)] == 0)
-        made->inputs.push_back(detail::topic_spec(source));
+        made->inputs.push_back(*detail::topic_spec(source));
     }
     for (int u = 0; u < dag.nodes; ++u)
       for (const int v : dag.after[static_cast<std::size_t>(u)]) {
         app.modules[static_cast<std::size_t>(v)]->inputs.push_back(
-            detail::topic_spec(topics[static_cast<std::size_t>(u)]));
+            *detail::topic_spec(topics[static_cast<std::size_t>(u)]));
         session.app.edges.emplace_back(u, v);
       }
   }

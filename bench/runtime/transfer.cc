@@ -72,7 +72,7 @@ void size(const Options& options, Table& table, const std::string& name) {
   }
   {
     reset();
-    const detail::TopicSpec spec = detail::topic_spec(Topic<Message>("t"));
+    const detail::TopicSpec spec = *detail::topic_spec(Topic<Message>("t"));
     const auto fds = transport::make_topic({Bytes, 1, 8, 8});
     OneDoorbell ringer(shared->doorbell);
     const auto publisher =

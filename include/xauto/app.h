@@ -3,27 +3,19 @@
 #pragma once
 
 #include <chrono>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
 #include <utility>
 
 #include <xauto/result.h>
+#include <xauto/run.h>
+#include <xauto/source.h>
 #include <xauto/topic.h>
 #include <xauto/xmodule.h>
 
 namespace xauto {
-
-namespace detail {
-struct AppSpecErased;
-struct SourceSpec {
-  TopicSpec topic;
-  std::chrono::microseconds period{};
-  std::function<std::shared_ptr<const void>(std::uint64_t sequence)> make;
-  /// The same, in the memory of a topic that leaves the process; may be empty.
-  std::function<std::shared_ptr<const void>(std::uint64_t sequence, MessageMemory*)> make_in;
-};
-}  // namespace detail
 
 /// An application. Threads: build and run it from one thread.
 ///
@@ -54,16 +46,19 @@ class App {
   /// the same instants. With a recorded input, the recording's messages of this topic come instead.
   template <class T, class Make>
   App& add_source(const Topic<T>& topic, std::chrono::microseconds period, Make make) {
-    auto shared = std::make_shared<Make>(std::move(make));
-    add_source_spec({detail::topic_spec(topic), period,
-                     [shared](std::uint64_t sequence) -> std::shared_ptr<const void> {
-                       return std::make_shared<const T>((*shared)(sequence));
-                     },
-                     [shared](std::uint64_t sequence, MessageMemory* memory) {
-                       return detail::make_message<T>(memory,
-                                                      [&]() -> T { return (*shared)(sequence); });
-                     }});
+    add_source_spec(
+        detail::topic_spec(topic), period,
+        [make = std::move(make)](std::uint64_t sequence, detail::MessageMemory* memory) mutable {
+          return detail::make_message<T>(memory, [&]() -> T { return make(sequence); });
+        });
     return *this;
+  }
+
+  /// A sensor that is pushed into, e.g. from a driver's callback: what Source::publish is given is
+  /// released at once, in the process that has the app's other sources (docs/api.md has the rules).
+  template <class T>
+  [[nodiscard]] Source<T> add_source(const Topic<T>& topic, Pushed how) {
+    return Source<T>(add_inlet(detail::topic_spec(topic), how.distance));
   }
 
   /// Calls `callback(const T&, sequence)` for each message on `topic`, on the publishing thread: be
@@ -71,19 +66,41 @@ class App {
   /// is logged.
   template <class T, class Callback>
   App& on_message(const Topic<T>& topic, Callback callback) {
-    add_observer_spec(detail::topic_spec(topic), [callback = std::move(callback)](
-                                                     const void* message, std::uint64_t sequence) {
-      callback(*static_cast<const T*>(message), sequence);
-    });
+    add_observer_spec(
+        detail::topic_spec(topic),
+        [callback = std::move(callback)](const void* message, std::uint64_t sequence) mutable {
+          callback(*static_cast<const T*>(message), sequence);
+        });
     return *this;
   }
 
-  /// Called once after the last activation, before main() returns: the place to write results.
+  /// Called once per run when messages may be published, after every `init`: the place to start a
+  /// driver. On the sources' thread, in the process that has the sources, also by `xauto profile`.
+  App& on_start(std::function<void()> callback);
+  /// Called once after each on_start, also when that threw or the run failed: no message is taken
+  /// any more. The place to end a driver. On the same thread.
+  App& on_stop(std::function<void()> callback);
+  /// Called once after the last activation, when no message is taken any more and what every `init`
+  /// made is destroyed, before main() returns: the place to write results.
   App& on_end(std::function<void()> callback);
 
   /// Everything that is wrong with the graph as declared: names each module, XNode and topic
   /// involved. Error: kInvalid.
   [[nodiscard]] Status check() const;
+
+  /// Runs the app in this process and returns when the run is over; docs/api.md says what a process
+  /// of its own gives and this does not. The daemons are child processes; signal handlers, stdin
+  /// and stdout are left alone. May be called again after it has returned; two Apps may run at the
+  /// same time. Threads: any; must not be called from an `init`, an `exec` or a callback.
+  ///
+  /// Errors: kInvalid where options, files or the graph contradict each other, kNotFound of a file
+  /// or of the daemons' programs, kUnavailable if it runs already, if an `init` or a callback threw,
+  /// or if an `exec` of an earlier run never returned. What is lost in a run is no error, but in
+  /// the report.
+  [[nodiscard]] Result<RunReport> run(const RunOptions& options);
+  /// Ends the run that is under way: no further releases, what is in flight is finished, then run()
+  /// returns. Without a run nothing happens. Threads: any.
+  void stop();
 
   /// The whole program: does what the `xauto` tool that started this process asks (run, profile,
   /// describe); started by hand it hands itself to `xauto run`. Returns the exit status.
@@ -91,10 +108,13 @@ class App {
 
  private:
   void add_module_spec(std::shared_ptr<detail::XModuleSpec> spec);
-  void add_source_spec(detail::SourceSpec spec);
-  void add_observer_spec(detail::TopicSpec topic,
-                         std::function<void(const void*, std::uint64_t)> callback);
-  std::unique_ptr<detail::AppSpecErased> spec_;
+  void add_source_spec(detail::TopicHandle topic, std::chrono::microseconds period,
+                       detail::Make make);
+  [[nodiscard]] std::shared_ptr<detail::Inlet> add_inlet(detail::TopicHandle topic,
+                                                         std::chrono::microseconds distance);
+  void add_observer_spec(detail::TopicHandle topic, detail::Observe observe);
+  struct Data;
+  std::shared_ptr<Data> data_;  ///< shared with threads that a run had to leave behind
 };
 
 }  // namespace xauto

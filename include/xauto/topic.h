@@ -2,7 +2,6 @@
 // Typed topics and what travels on them.
 #pragma once
 
-#include <array>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
@@ -13,7 +12,8 @@
 #include <stdexcept>
 #include <string>
 #include <type_traits>
-#include <typeindex>
+#include <typeinfo>
+#include <utility>
 #include <vector>
 
 namespace xauto {
@@ -87,41 +87,24 @@ struct Codec<std::string> {
   }
 };
 
-/// Where a message is made so that other processes can read it without a copy. Implemented by the
-/// transport; apps meet it only through Topic.
-class MessageMemory {
- public:
-  virtual ~MessageMemory() = default;
-  /// Room for `bytes`, given back when nobody holds it any more; null: make it on the heap.
-  virtual std::shared_ptr<void> loan(std::size_t bytes) = 0;
-};
-
+// What follows is how the templates here talk to the library: functions that it exports, and types
+// whose layout it alone knows. So it can learn more without programs being built again.
 namespace detail {
 
-/// Release times by source, of an app whose sources have several periods; 0: not involved.
-inline constexpr std::size_t kMaxOrigins = 8;  ///< further sources are known by the oldest only
-using Origins = std::array<std::int64_t, kMaxOrigins>;
+struct TopicSpec;
+struct InputData;
+class MessageMemory;
+using TopicHandle = std::shared_ptr<const TopicSpec>;
+using Encode = std::vector<std::byte> (*)(const void*);
+using Decode = std::shared_ptr<const void> (*)(std::span<const std::byte>);
 
-/// A message on its way: shared, never written again once published.
-struct Envelope {
-  std::shared_ptr<const void> message;  ///< null: dropped upstream, see `Input` and docs/runtime.md
-  std::int64_t origin_ns = 0;           ///< CLOCK_MONOTONIC time at which the sensor released it
-  std::uint64_t sequence = 0;           ///< number of that release
-  std::shared_ptr<const Origins> origins = {};  ///< null in an app of one rate
-};
-
-struct TopicSpec {
-  std::string name;
-  std::type_index type = typeid(void);
-  std::string type_name;
-  /// Null where the type has no Codec.
-  std::vector<std::byte> (*encode)(const void*) = nullptr;
-  std::shared_ptr<const void> (*decode)(std::span<const std::byte>) = nullptr;
-  /// sizeof(T) of plain data, which other processes read where it lies; 0: it is encoded.
-  std::size_t plain_bytes = 0;
-  /// Largest encoded message between processes: Codec<T>::kMaxBytes, if it says so.
-  std::size_t max_bytes = std::size_t{8} << 20;
-};
+std::shared_ptr<TopicSpec> make_topic(const std::string& name, const std::type_info& type);
+void set_codec(TopicSpec& topic, Encode encode, Decode decode);
+/// Of an encoded message; 8 MiB unless said.
+void set_max_bytes(TopicSpec& topic, std::size_t bytes);
+void set_plain_bytes(TopicSpec& topic, std::size_t bytes);
+/// Room for a message where other processes can read it; null: there is none, use the heap.
+std::shared_ptr<void> loan(MessageMemory* memory, std::size_t bytes);
 
 /// A message of type T from `make`, a callable that returns a T, without a copy: in `memory` if T
 /// is plain data and there is room, else on the heap.
@@ -129,30 +112,26 @@ template <class T, class Make>
 std::shared_ptr<const void> make_message(MessageMemory* memory, Make&& make) {
   if constexpr (std::is_trivially_copyable_v<T> && !std::is_pointer_v<T> && alignof(T) <= 64)
     if (memory != nullptr)
-      if (std::shared_ptr<void> room = memory->loan(sizeof(T))) {
+      if (std::shared_ptr<void> room = loan(memory, sizeof(T))) {
         ::new (room.get()) T(make());
         return room;
       }
   return std::make_shared<const T>(make());
 }
 
-std::string demangle(const char* name);
-
 template <class T>
-TopicSpec topic_spec(const Topic<T>& topic) {
-  TopicSpec spec;
-  spec.name = topic.name();
-  spec.type = typeid(T);
-  spec.type_name = demangle(typeid(T).name());
+TopicHandle topic_spec(const Topic<T>& topic) {
+  std::shared_ptr<TopicSpec> spec = make_topic(topic.name(), typeid(T));
   if constexpr (Codec<T>::kAvailable) {
-    spec.encode = [](const void* m) { return Codec<T>::encode(*static_cast<const T*>(m)); };
-    spec.decode = [](std::span<const std::byte> b) -> std::shared_ptr<const void> {
-      return std::make_shared<const T>(Codec<T>::decode(b));
-    };
-    if constexpr (requires { Codec<T>::kMaxBytes; }) spec.max_bytes = Codec<T>::kMaxBytes;
+    set_codec(
+        *spec, [](const void* m) { return Codec<T>::encode(*static_cast<const T*>(m)); },
+        [](std::span<const std::byte> b) -> std::shared_ptr<const void> {
+          return std::make_shared<const T>(Codec<T>::decode(b));
+        });
+    if constexpr (requires { Codec<T>::kMaxBytes; }) set_max_bytes(*spec, Codec<T>::kMaxBytes);
   }
   if constexpr (std::is_trivially_copyable_v<T> && !std::is_pointer_v<T>)
-    spec.plain_bytes = sizeof(T);
+    set_plain_bytes(*spec, sizeof(T));
   return spec;
 }
 
@@ -162,31 +141,31 @@ TopicSpec topic_spec(const Topic<T>& topic) {
 /// following XNodes of the same activation; a message lives as long as somebody holds it.
 class Input {
  public:
+  ~Input();
+  Input(const Input&) = delete;
+  Input& operator=(const Input&) = delete;
+
   /// The message of an input topic of this module. Throws std::logic_error if it is not one.
   template <class T>
   [[nodiscard]] const T& get(const Topic<T>& topic) const {
-    return *static_cast<const T*>(find(topic.name(), typeid(T)).message.get());
+    return *static_cast<const T*>(find(topic.name(), typeid(T)).get());
   }
   /// The same, shared: to keep a message in the state without copying it.
   template <class T>
   [[nodiscard]] std::shared_ptr<const T> share(const Topic<T>& topic) const {
-    return std::static_pointer_cast<const T>(find(topic.name(), typeid(T)).message);
+    return std::static_pointer_cast<const T>(find(topic.name(), typeid(T)));
   }
   /// Release time of the oldest message of this activation at its sensor, CLOCK_MONOTONIC.
-  [[nodiscard]] std::chrono::nanoseconds origin() const {
-    return std::chrono::nanoseconds(origin_ns_);
-  }
+  [[nodiscard]] std::chrono::nanoseconds origin() const;
   /// Number of that release, from 0 on.
-  [[nodiscard]] std::uint64_t sequence() const { return sequence_; }
+  [[nodiscard]] std::uint64_t sequence() const;
 
  private:
   friend class InputAccess;  // lib/runtime fills it
-  [[nodiscard]] const detail::Envelope& find(const std::string& topic, std::type_index type) const;
-
-  const std::vector<detail::TopicSpec>* topics_ = nullptr;
-  std::vector<detail::Envelope> messages_;
-  std::int64_t origin_ns_ = 0;
-  std::uint64_t sequence_ = 0;
+  Input();
+  [[nodiscard]] const std::shared_ptr<const void>& find(const std::string& topic,
+                                                        const std::type_info& type) const;
+  std::unique_ptr<detail::InputData> data_;
 };
 
 }  // namespace xauto

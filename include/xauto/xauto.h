@@ -4,6 +4,8 @@
 
 #include <xauto/app.h>
 #include <xauto/result.h>
+#include <xauto/run.h>
+#include <xauto/source.h>
 #include <xauto/topic.h>
 #include <xauto/xmodule.h>
 #include <xauto/xnode.h>

@@ -7,32 +7,28 @@
 #include <string>
 #include <type_traits>
 #include <utility>
-#include <vector>
 
 #include <xauto/topic.h>
 #include <xauto/xnode.h>
 
 namespace xauto {
 
+namespace testing {
+class Fire;
+}
+
 namespace detail {
 
-struct OutputSpec {
-  TopicSpec topic;
-  std::function<std::shared_ptr<const void>(void* state)>
-      take;  ///< copies the message out of the state
-  /// The same, in the memory of a topic that leaves the process; may be empty.
-  std::function<std::shared_ptr<const void>(void* state, MessageMemory*)> take_in;
-};
+struct XModuleSpec;
+/// Takes the message out of the state; made in `memory` if it is not null.
+using Take = std::function<std::shared_ptr<const void>(void* state, MessageMemory* memory)>;
 
-struct XModuleSpec {
-  std::string name;
-  std::type_index state = typeid(void);
-  std::function<std::shared_ptr<void>()> make_state;
-  std::vector<std::shared_ptr<XNodeSpecErased>> nodes;
-  std::vector<TopicSpec> inputs;
-  std::vector<OutputSpec> outputs;
-  std::vector<std::string> misuse;
-};
+std::shared_ptr<XModuleSpec> make_xmodule(std::string name,
+                                          std::function<std::shared_ptr<void>()> make_state);
+const std::string& name_of(const XModuleSpec& module);
+void add_node(XModuleSpec& module, std::shared_ptr<XNodeSpecErased> node);
+void add_input(XModuleSpec& module, TopicHandle topic);
+void add_output(XModuleSpec& module, TopicHandle topic, Take take);
 
 }  // namespace detail
 
@@ -52,28 +48,20 @@ class XModule {
   /// The same with a factory, for a State that is not default-constructible. It must not return
   /// null; what it throws ends the run.
   XModule(std::string name, std::function<std::shared_ptr<State>()> make_state)
-      : spec_(std::make_shared<detail::XModuleSpec>()) {
-    spec_->name = std::move(name);
-    spec_->state = typeid(State);
-    spec_->make_state = [make = std::move(make_state)]() -> std::shared_ptr<void> {
-      return make();
-    };
-  }
+      : spec_(detail::make_xmodule(
+            std::move(name),
+            [make = std::move(make_state)]() -> std::shared_ptr<void> { return make(); })) {}
 
   /// Appends `node` to the chain. One that is in it already is reported by App::check().
   XModule& add_node(const XNode<State>& node) {
-    for (const auto& other : spec_->nodes)
-      if (other == node.spec_ || other->name == node.spec_->name)
-        spec_->misuse.push_back("XNode '" + node.name() + "' is added twice to XModule '" +
-                                spec_->name + "'");
-    spec_->nodes.push_back(node.spec_);
+    detail::add_node(*spec_, node.spec_);
     return *this;
   }
 
   /// The module fires when each of its input topics has a new message. At least one is needed.
   template <class T>
   XModule& add_input_topic(const Topic<T>& topic) {
-    spec_->inputs.push_back(detail::topic_spec(topic));
+    detail::add_input(*spec_, detail::topic_spec(topic));
     return *this;
   }
 
@@ -87,25 +75,26 @@ class XModule {
   template <class T, class Make>
   requires std::is_invocable_v<Make, State&> XModule& add_output_topic(const Topic<T>& topic,
                                                                        Make make) {
-    auto take = [make = std::move(make)](void* state,
-                                         MessageMemory* memory) -> std::shared_ptr<const void> {
-      State& from = *static_cast<State*>(state);
-      if constexpr (std::is_convertible_v<std::invoke_result_t<Make, State&>,
-                                          std::shared_ptr<const T>>)
-        return std::shared_ptr<const T>(make(from));
-      else
-        return detail::make_message<T>(memory, [&]() -> T { return make(from); });
-    };
-    spec_->outputs.push_back(
-        {detail::topic_spec(topic), [take](void* state) { return take(state, nullptr); }, take});
+    detail::add_output(
+        *spec_, detail::topic_spec(topic),
+        [make = std::move(make)](
+            void* state, detail::MessageMemory* memory) mutable -> std::shared_ptr<const void> {
+          State& from = *static_cast<State*>(state);
+          if constexpr (std::is_convertible_v<std::invoke_result_t<Make, State&>,
+                                              std::shared_ptr<const T>>)
+            return std::shared_ptr<const T>(make(from));
+          else
+            return detail::make_message<T>(memory, [&]() -> T { return make(from); });
+        });
     return *this;
   }
 
   /// As given.
-  [[nodiscard]] const std::string& name() const { return spec_->name; }
+  [[nodiscard]] const std::string& name() const { return detail::name_of(*spec_); }
 
  private:
   friend class App;
+  friend class testing::Fire;
   std::shared_ptr<detail::XModuleSpec> spec_;
 };
 

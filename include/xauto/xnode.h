@@ -4,10 +4,10 @@
 
 #include <functional>
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <type_traits>
 #include <utility>
-#include <vector>
 
 #include <xauto/result.h>
 #include <xauto/topic.h>
@@ -17,19 +17,40 @@ namespace xauto {
 
 namespace detail {
 
-struct ImplSpec {
-  XPU xpu{"cpu"};
-  std::function<SchedHandle(const XpuId&)> init;
-  std::function<Status(void* state, const Input&)> exec;
-};
+struct XNodeSpecErased;
+/// `object`: set to what the implementation owns of one XPU instance; destroyed on the worker's
+/// thread when the run ends.
+using Init = std::function<SchedHandle(const XpuId&, std::shared_ptr<void>& object)>;
+using Exec = std::function<Status(void* object, void* state, const Input&)>;
 
-struct XNodeSpecErased {
-  std::string name;
-  std::type_index state = typeid(void);
-  std::vector<ImplSpec> impls;
-  std::vector<std::string> misuse;  ///< collected, reported by App when it is built
-};
+std::shared_ptr<XNodeSpecErased> make_xnode(std::string name);
+const std::string& name_of(const XNodeSpecErased& xnode);
+void add_impl(XNodeSpecErased& xnode, const XPU& xpu, Init init, Exec exec);
 
+}  // namespace detail
+
+/// What an `init` returns whose implementation owns something (an engine, a context, weights): the
+/// object and the handle of one XPU instance.
+template <class T>
+struct Owned {
+  std::unique_ptr<T> object;  ///< not null
+  SchedHandle handle;         ///< behind which the object's work is queued
+};
+/// `return own(std::make_unique<Engine>(xpu), SchedHandle::cuda_context(context));`
+template <class T>
+[[nodiscard]] Owned<T> own(std::unique_ptr<T> object, SchedHandle handle) {
+  return {std::move(object), std::move(handle)};
+}
+
+namespace detail {
+template <class T>
+struct OwnedBy {
+  using Object = void;
+};
+template <class T>
+struct OwnedBy<Owned<T>> {
+  using Object = T;
+};
 }  // namespace detail
 
 /// One stage that works on `State`, the state its module shares between its XNodes.
@@ -40,48 +61,71 @@ template <class State>
 class XNode {
  public:
   /// `name` must be unique in the app; by convention "module.stage".
-  explicit XNode(std::string name) : spec_(std::make_shared<detail::XNodeSpecErased>()) {
-    spec_->name = std::move(name);
-    spec_->state = typeid(State);
-  }
+  explicit XNode(std::string name) : spec_(detail::make_xnode(std::move(name))) {}
 
   /// Adds the implementation for one type of XPU.
   ///
-  /// init: `SchedHandle(const XpuId&)`. Called once per XPU instance on which this XNode is to run,
-  ///   on the worker's execution thread, before the first exec: load the weights, create the
-  ///   CUcontext, return the handle.
-  /// exec: `void(State&, const Input&)` or `Status(State&, const Input&)`. Runs the stage to its
-  ///   end: when it returns, the XPU has finished. An exception or an error drops the activation,
-  ///   is counted and reported; the App goes on.
+  /// init: called once per XPU instance on which this XNode is to run, on the worker's execution
+  ///   thread, before the first exec: load the weights, create the context. It returns
+  ///   - `SchedHandle`, if the implementation owns nothing, or
+  ///   - `Owned<T>` (see own()): the T is this instance's, is given to each exec there, and is
+  ///     destroyed on the same thread when the run ends, in the reverse order of the inits.
+  /// exec: `void` or `Status`, of `(State&, const Input&)`, or of `(T&, State&, const Input&)` if
+  ///   init returns an Owned<T>. Runs the stage to its end: when it returns, the XPU has finished.
+  ///   An exception or an error drops the activation, is counted and reported; the App goes on.
   template <class Init, class Exec>
-  XNode& add_impl(XPU xpu, Init init, Exec exec) {
-    static_assert(std::is_invocable_r_v<SchedHandle, Init, const XpuId&>,
-                  "init is SchedHandle(const XpuId&)");
-    static_assert(std::is_invocable_v<Exec, State&, const Input&>,
-                  "exec is void(State&, const Input&) or Status(State&, const Input&)");
-    for (const auto& impl : spec_->impls)
-      if (impl.xpu == xpu)
-        spec_->misuse.push_back("XNode '" + spec_->name + "' has two implementations for '" +
-                                xpu.type() + "'");
-    spec_->impls.push_back(
-        {std::move(xpu), std::move(init),
-         [exec = std::move(exec)](void* state, const Input& input) mutable -> Status {
-           if constexpr (std::is_same_v<std::invoke_result_t<Exec, State&, const Input&>, Status>) {
-             return exec(*static_cast<State*>(state), input);
-           } else {
-             exec(*static_cast<State*>(state), input);
-             return {};
-           }
-         }});
+  XNode& add_impl(const XPU& xpu, Init init, Exec exec) {
+    static_assert(std::is_invocable_v<Init, const XpuId&>, "init takes a const XpuId&");
+    using Made = std::invoke_result_t<Init, const XpuId&>;
+    using Object = typename detail::OwnedBy<Made>::Object;
+    if constexpr (std::is_void_v<Object>) {
+      static_assert(std::is_convertible_v<Made, SchedHandle>,
+                    "init returns a SchedHandle, or what own() makes");
+      static_assert(std::is_invocable_v<Exec, State&, const Input&>,
+                    "exec is void(State&, const Input&) or Status(State&, const Input&)");
+      detail::add_impl(
+          *spec_, xpu,
+          [init = std::move(init)](const XpuId& id, std::shared_ptr<void>&) mutable -> SchedHandle {
+            return init(id);
+          },
+          [exec = std::move(exec)](void*, void* state, const Input& input) mutable -> Status {
+            return call(exec, *static_cast<State*>(state), input);
+          });
+    } else {
+      static_assert(std::is_invocable_v<Exec, Object&, State&, const Input&>,
+                    "exec is void or Status of (T&, State&, const Input&), T being what init owns");
+      detail::add_impl(
+          *spec_, xpu,
+          [init = std::move(init)](const XpuId& id,
+                                   std::shared_ptr<void>& object) mutable -> SchedHandle {
+            Owned<Object> made = init(id);
+            if (made.object == nullptr) throw std::logic_error("init owns a null object");
+            object = std::move(made.object);
+            return std::move(made.handle);
+          },
+          [exec = std::move(exec)](void* object, void* state,
+                                   const Input& input) mutable -> Status {
+            return call(exec, *static_cast<Object*>(object), *static_cast<State*>(state), input);
+          });
+    }
     return *this;
   }
 
   /// As given.
-  [[nodiscard]] const std::string& name() const { return spec_->name; }
+  [[nodiscard]] const std::string& name() const { return detail::name_of(*spec_); }
 
  private:
   template <class>
   friend class XModule;
+  template <class Exec, class... Arguments>
+  static Status call(Exec& exec, Arguments&... arguments) {
+    if constexpr (std::is_same_v<std::invoke_result_t<Exec&, Arguments&...>, Status>) {
+      return exec(arguments...);
+    } else {
+      exec(arguments...);
+      return {};
+    }
+  }
   std::shared_ptr<detail::XNodeSpecErased> spec_;
 };
 

@@ -36,7 +36,8 @@ inline const XPU XPU::CPU{"cpu"};
 inline const XPU XPU::GPU{"gpu"};
 inline const XPU XPU::DLA{"dla"};
 
-/// One XPU instance, e.g. {"gpu0", XPU::GPU, 0}; what `init` receives.
+/// One XPU instance, e.g. {"gpu0", XPU::GPU, 0}; what `init` receives. It names the instance and
+/// nothing else: whatever there is to know of one is asked by a function that takes an XpuId.
 struct XpuId {
   std::string name;  ///< as in platform.json
   XPU type{"cpu"};   ///< its type, by which the implementation was chosen
@@ -45,7 +46,8 @@ struct XpuId {
 
 /// What `init` returns: the thing behind which all work of this XNode on this XPU instance is
 /// queued, so that suspending it suspends the XNode. A value; it does not own what it names: a
-/// CUcontext, a cudlaDevHandle or an emulated context must outlive the App's run.
+/// CUcontext, a cudlaDevHandle or an emulated context must outlive the App's run (own() sees to
+/// that). Its layout stays as it is: what a further kind needs goes behind the pointer.
 class SchedHandle {
  public:
   /// Which kind of thing it names, and so which backend suspends it.
@@ -58,11 +60,7 @@ class SchedHandle {
     kCustom,       ///< two functions of the app's
   };
 
-  /// What suspends and resumes the work behind a custom() handle.
-  struct Callbacks {
-    std::function<Status()> suspend;  ///< see custom()
-    std::function<Status()> resume;   ///< see custom()
-  };
+  struct Callbacks;  ///< of custom(); the library's
 
   /// gate()
   SchedHandle() = default;
@@ -93,33 +91,12 @@ class SchedHandle {
   /// run has ended. What they throw counts as an error. The XPU must be `"preemptive": true` in
   /// platform.json; otherwise it is gated and neither is called.
   [[nodiscard]] static SchedHandle custom(std::function<Status()> suspend,
-                                          std::function<Status()> resume) {
-    SchedHandle handle{Kind::kCustom, 0};
-    handle.callbacks_ =
-        std::make_shared<const Callbacks>(Callbacks{std::move(suspend), std::move(resume)});
-    return handle;
-  }
+                                          std::function<Status()> resume);
 
   /// The kind.
   [[nodiscard]] Kind kind() const { return kind_; }
   /// The name of the function above that made it.
-  [[nodiscard]] const char* kind_name() const {
-    switch (kind_) {
-      case Kind::kGate:
-        return "gate";
-      case Kind::kThread:
-        return "thread";
-      case Kind::kCudaContext:
-        return "cuda_context";
-      case Kind::kCudlaDevice:
-        return "cudla_device";
-      case Kind::kEmulated:
-        return "emulated";
-      case Kind::kCustom:
-        return "custom";
-    }
-    return "?";
-  }
+  [[nodiscard]] const char* kind_name() const;
   /// The pointer or number given; 0 for gate(), thread() and custom().
   [[nodiscard]] std::uintptr_t value() const { return value_; }
   /// Of custom(); else null.

@@ -51,6 +51,7 @@ namespace {
 }  // namespace
 
 std::string Exit::to_string() const {
+  if (unknown) return "an exit status that this program's own waitpid took";
   if (!signalled) return "exit status " + std::to_string(value);
   const char* name = sigabbrev_np(value);
   return std::string("signal ") +
@@ -124,7 +125,8 @@ Child::~Child() {
 
 void Child::signal(int number) const {
   thread_.check();
-  if (running()) kill(pid_, number);
+  // By descriptor: whoever reaps our children for us frees their ids.
+  if (running() && pidfd_) syscall(SYS_pidfd_send_signal, pidfd_.get(), number, nullptr, 0);
 }
 
 std::optional<Exit> Child::poll() {
@@ -140,6 +142,10 @@ std::optional<Exit> Child::wait(int timeout_ms) {
   int status = 0;
   rusage usage{};
   const pid_t reaped = wait4(pid_, &status, WNOHANG, &usage);
+  if (reaped < 0 && errno == ECHILD) {
+    exit_ = Exit{.unknown = true};
+    return exit_;
+  }
   if (reaped != pid_) return std::nullopt;
   const auto us = [](const timeval& t) { return t.tv_sec * 1'000'000 + t.tv_usec; };
   exit_ = WIFSIGNALED(status) ? Exit{true, WTERMSIG(status)} : Exit{false, WEXITSTATUS(status)};

@@ -32,6 +32,8 @@ struct Exit {
   bool signalled = false;
   int value = 0;            ///< exit status, or the signal's number
   std::int64_t cpu_us = 0;  ///< user and system time that it used
+  /// Nothing is known: the program that we are part of ignores SIGCHLD, or reaps every child.
+  bool unknown = false;
   [[nodiscard]] std::string to_string() const;
 };
 

@@ -23,12 +23,29 @@ tl::unexpected<Error> gone() {
   return fail(ErrorCode::kUnavailable, "the emulator (xauto-emud) is gone");
 }
 
-Result<std::string> emud_address() {
-  const char* address = std::getenv(kEmudVariable);
-  if (address == nullptr)
-    return fail(ErrorCode::kUnavailable, "there is no emulator in this session", {},
-                "run the app with `xauto run --emulate`, or on a platform that this machine lacks");
-  return std::string(address);
+bool is_set(const char* variable) {
+  const char* value = std::getenv(variable);
+  return value != nullptr && std::strcmp(value, "1") == 0;
+}
+
+Site site_of_environment() {
+  const auto text = [](const char* variable) {
+    const char* value = std::getenv(variable);
+    return std::string(value == nullptr ? "" : value);
+  };
+  Site site{text(kEmudVariable), {}, is_set(kDriversVariable), is_set(kCpuPoolVariable)};
+  std::istringstream ids(text(kRealVariable));
+  for (std::string id; std::getline(ids, id);) site.real.insert(id);
+  return site;
+}
+
+thread_local std::shared_ptr<const Site> t_site;
+
+Result<std::string> emud_address(const Site& site) {
+  if (!site.address.empty()) return site.address;
+  return fail(ErrorCode::kUnavailable, "there is no emulator in this session", {},
+              "run the app with `xauto run --emulate`, or on a platform that this machine lacks; "
+              "with App::run open contexts in init or exec");
 }
 
 /// kUnavailable: the connection is at its end; kTimeout: nothing came before `limit_ns`.
@@ -47,14 +64,6 @@ Result<Packet> receive(int socket, std::int64_t limit_ns) {
     packet.name[kMaxDeviceName - 1] = '\0';
     return packet;
   }
-}
-
-bool is_real(const std::string& xpu) {
-  const char* list = std::getenv(kRealVariable);
-  std::istringstream ids(list == nullptr ? "" : list);
-  for (std::string id; std::getline(ids, id);)
-    if (id == xpu) return true;
-  return false;
 }
 
 /// Keeps the calling thread's CPU busy until the thread has had it for so long.
@@ -98,9 +107,18 @@ Status error_of(const Packet& packet) {
 
 }  // namespace
 
-/// Work goes to xauto-emud, or, where the run is with the emulator modules, to a driver's node; on
+std::shared_ptr<const Site> this_threads_site() {
+  return t_site ? t_site : std::make_shared<const Site>(site_of_environment());
+}
+
+void set_this_threads_site(std::shared_ptr<const Site> site) {
+  t_site = std::move(site);
+}
+
+/// Work goes to a clock, or to xauto-emud, or, where the run is with the emulator modules, to a driver's node; on
 /// a CPU that is real it keeps that CPU busy.
 struct Context::Connection {
+  std::shared_ptr<const Site> virtual_site;  ///< with a clock; else null
   bool real_cpu = false;
   std::optional<DriverQueue> driver;
   bool gpu = false;
@@ -121,15 +139,20 @@ Context& Context::operator=(Context&&) noexcept = default;
 Context::~Context() = default;
 
 Result<Context> Context::open(const XpuId& xpu) {
-  const char* drivers = std::getenv(kDriversVariable);
-  if (drivers != nullptr && std::strcmp(drivers, "1") == 0 && xpu.type != XPU::CPU) {
+  const std::shared_ptr<const Site> site = this_threads_site();
+  if (site->virtual_ns != nullptr) {
+    auto connection = std::make_unique<Connection>();
+    connection->virtual_site = site;
+    return Context(std::move(connection));
+  }
+  if (site->drivers && xpu.type != XPU::CPU) {
     auto connection = std::make_unique<Connection>();
     connection->gpu = xpu.type == XPU::GPU;
     XAUTO_ASSIGN(connection->driver,
                  connection->gpu ? DriverQueue::open_gpu() : DriverQueue::open_dla(xpu.index));
     return Context(std::move(connection));
   }
-  if (is_real(xpu.name)) {
+  if (site->real.contains(xpu.name)) {
     if (xpu.type != XPU::CPU)
       return fail(ErrorCode::kUnavailable, "is real in this run, the emulator does not have it",
                   xpu.name, "have it emulated with --emulate " + xpu.type.type());
@@ -137,13 +160,12 @@ Result<Context> Context::open(const XpuId& xpu) {
     connection->real_cpu = true;
     return Context(std::move(connection));
   }
-  const char* pool = std::getenv(kCpuPoolVariable);
-  const bool pooled = pool != nullptr && std::strcmp(pool, "1") == 0 && xpu.type == XPU::CPU;
+  const bool pooled = site->cpu_pool && xpu.type == XPU::CPU;
   const std::string device = pooled ? xpu.type.type() : xpu.name;
   if (device.size() >= kMaxDeviceName)
     return fail(ErrorCode::kInvalid, "XPU name is too long to be emulated", device);
   auto connection = std::make_unique<Connection>();
-  XAUTO_ASSIGN(connection->address, emud_address());
+  XAUTO_ASSIGN(connection->address, emud_address(*site));
   XAUTO_ASSIGN(connection->socket, connect_abstract(connection->address));
   Packet packet{.op = static_cast<std::uint32_t>(Op::kOpen), .value = kEmuVersion};
   std::memcpy(packet.name, device.data(), device.size());
@@ -159,6 +181,10 @@ Result<Context> Context::open(const XpuId& xpu) {
 
 Status Context::run(std::chrono::microseconds duration) {
   Connection& c = *connection_;
+  if (c.virtual_site) {
+    *c.virtual_site->virtual_ns += duration.count() * 1000;
+    return {};
+  }
   if (c.real_cpu) {
     burn(duration.count() * 1000);
     return {};
@@ -218,7 +244,7 @@ SchedHandle Context::handle() const {
 }
 
 Result<Control> Control::connect() {
-  XAUTO_ASSIGN(std::string address, emud_address());
+  XAUTO_ASSIGN(std::string address, emud_address(*this_threads_site()));
   XAUTO_ASSIGN(UniqueFd socket, connect_abstract(address));
   return Control(std::move(address), std::move(socket));
 }

@@ -4,6 +4,8 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
+#include <set>
 #include <string>
 
 #include <xauto/emu.h>
@@ -13,6 +15,21 @@
 
 namespace xauto::emu {
 
+/// Where the contexts that a thread opens find their emulator.
+struct Site {
+  std::string address;         ///< abstract socket; empty: there is no emulator
+  std::set<std::string> real;  ///< XPUs that are not emulated
+  bool drivers = false;        ///< GPUs and DLAs are those of kmod/emu/
+  bool cpu_pool = false;       ///< the CPUs are one device
+  /// Not null: there is no emulator, work on a context just adds its duration here.
+  std::shared_ptr<std::int64_t> virtual_ns = nullptr;
+};
+/// The calling thread's; of a thread that was given none: what the tool that started this process
+/// has put into the environment.
+[[nodiscard]] std::shared_ptr<const Site> this_threads_site();
+/// For all that this thread opens from now on; null: as the environment says.
+void set_this_threads_site(std::shared_ptr<const Site> site);
+
 /// How long a call waits for another emulator in the place of one that died, and a request for an
 /// answer of one that hangs: the tool kills it after a few seconds (runtime/pulse.h). It keeps the
 /// socket meanwhile; once it gives up, every call ends at once.
@@ -21,7 +38,7 @@ inline constexpr std::int64_t kComeBackNs = 15'000'000'000;
 /// Threads: one at a time.
 class Control {
  public:
-  /// The emulator of this session (XAUTO_EMUD).
+  /// The calling thread's emulator.
   [[nodiscard]] static Result<Control> connect();
 
   /// Return once the emulator has done it: after suspend, the context makes no progress. An

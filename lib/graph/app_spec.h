@@ -1,20 +1,65 @@
 // SPDX-License-Identifier: Apache-2.0
-// What an App has been told, before it is checked.
+// What an App has been told, before it is checked. The headers of include/xauto/ fill it in by the
+// functions that they declare in detail:: and that app_spec.cc has; they do not know these types.
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
 #include <vector>
 
-#include <xauto/app.h>
+#include <xauto/source.h>
+#include <xauto/xmodule.h>
+
+#include "graph/inlet.h"
+#include "model/message.h"
 
 namespace xauto::detail {
 
+struct ImplSpec {
+  XPU xpu{"cpu"};
+  Init init;
+  Exec exec;
+};
+
+struct XNodeSpecErased {
+  std::string name;
+  std::vector<ImplSpec> impls;
+  std::vector<std::string> misuse;  ///< collected, reported when the App is checked
+};
+
+/// What one init has made.
+struct Made {
+  SchedHandle handle;
+  std::shared_ptr<void> object = nullptr;  ///< null: the implementation owns nothing
+};
+
+struct OutputSpec {
+  TopicSpec topic;
+  Take take;
+};
+
+struct XModuleSpec {
+  std::string name;
+  std::function<std::shared_ptr<void>()> make_state;
+  std::vector<std::shared_ptr<XNodeSpecErased>> nodes;
+  std::vector<TopicSpec> inputs;
+  std::vector<OutputSpec> outputs;
+  std::vector<std::string> misuse;
+};
+
+struct SourceSpec {
+  TopicSpec topic;
+  std::chrono::microseconds period{};
+  Make make;                               ///< empty: it is pushed
+  std::shared_ptr<Inlet> inlet = nullptr;  ///< null: it is polled
+};
+
 struct ObserverSpec {
   TopicSpec topic;
-  std::function<void(const void*, std::uint64_t)> callback;
+  Observe callback;
 };
 
 struct AppSpecErased {
@@ -22,7 +67,11 @@ struct AppSpecErased {
   std::vector<std::shared_ptr<XModuleSpec>> modules;
   std::vector<SourceSpec> sources;
   std::vector<ObserverSpec> observers;
-  std::vector<std::function<void()>> on_end;
+  std::vector<std::function<void()>> on_start, on_stop, on_end;
 };
+
+/// Calls the app's own `callbacks` one after the other. Error: one threw.
+[[nodiscard]] Status call(const std::vector<std::function<void()>>& callbacks, const char* which,
+                          const std::string& app);
 
 }  // namespace xauto::detail

@@ -42,14 +42,16 @@ struct Graph {
   };
 
   std::string name;
-  std::vector<SourceSpec> sources;  ///< as the App's
+  std::vector<SourceSpec> sources;   ///< as the App's
+  std::vector<char> sources_pushed;  ///< [source] 1: by Source::publish
+  std::vector<int> topic_of_source;  ///< [source]
   std::vector<Node> nodes;
   std::vector<Module> modules;
   std::vector<Topic> topics;
   std::vector<int> module_order;           ///< topological
   std::vector<std::pair<int, int>> edges;  ///< between nodes: chains, then topics
-  /// All sources have one period: activation k of every module stems from release k of every
-  /// sensor.
+  /// All sources have one period, and none of several is pushed: activation k of every module stems
+  /// from release k of every sensor.
   bool single_rate = true;
 
   /// Errors: everything that is wrong at once, a line each, with the names involved (kInvalid).

@@ -22,7 +22,7 @@
 #include "emu/protocol.h"
 #include "emu/state_memory.h"
 #include "launch/cpu_run.h"
-#include "launch/pulse.h"
+#include "launch/daemons.h"
 #include "model/json.h"
 #include "model/json_value.h"
 #include "processes/packet.h"
@@ -32,12 +32,9 @@ namespace {
 
 using namespace runtime;  // session, board: what the app is asked, and what it shows
 
-constexpr int kReadyTimeoutMs = 10'000;
 constexpr int kDrainMs = 15'000;        ///< without progress: more than the app's own patience
 constexpr int kProfileDrainMs = 3'000;  ///< an app that profiles answers with what it has
 constexpr int kGraceMs = 2'000;
-constexpr int kMaxRestarts = 100;  ///< of one daemon; then it stays dead, see supervisor.h
-constexpr int kStartAttempts = 5;  ///< in a row
 
 constexpr std::uint64_t kMaxDumps = 3;  ///< of misses, and of hangs
 constexpr std::int64_t kAftermathNs = 300'000'000, kBeforeNs = 1'000'000'000;  ///< what they show
@@ -47,30 +44,6 @@ struct Dumps {
   std::uint64_t seen = 0, written = 0;
   std::int64_t due_ns = 0;     ///< when the next one is made; 0: nothing new
   std::uint64_t shown_ns = 0;  ///< what happened until then is in one
-};
-
-struct Daemon {
-  std::string name;
-  Child child;
-  bool coordinator = false;
-  bool noticed = false;
-  SpawnOptions options;  ///< to start it again
-  UniqueFd kept[3];      ///< what outlives it: see coord::ServerOptions, emu::ServerOptions
-  int starts = 1;
-  int deaths = 0;            ///< after which it was started again
-  std::size_t note = 0;      ///< where the outcome says so
-  Pulse pulse;               ///< a coordinator's
-  std::optional<Ping> ping;  ///< the emulator's
-
-  /// What outlives it goes to it as arguments.
-  void hand_over(std::initializer_list<const char*> flags) {
-    std::size_t i = 0;
-    for (const char* flag : flags) {
-      options.argv.emplace_back(flag);
-      options.argv.push_back(std::to_string(kept[i].get()));
-      options.inherit.push_back(kept[i++].get());
-    }
-  }
 };
 
 /// A process of the app that hosts modules.
@@ -83,33 +56,6 @@ struct ModuleProcess {
   bool noticed = false;
 };
 
-/// Starts a daemon and waits until it says that its socket is there.
-Result<Child> start_daemon(const std::string& name, SpawnOptions options) {
-  int ends[2];
-  if (pipe2(ends, O_CLOEXEC) != 0)
-    return fail(ErrorCode::kIo, std::string("pipe: ") + strerror(errno));
-  const UniqueFd read_end(ends[0]);
-  UniqueFd write_end(ends[1]);
-  options.argv.push_back("--ready-fd");
-  options.argv.push_back(std::to_string(write_end.get()));
-  options.inherit.push_back(write_end.get());
-  XAUTO_ASSIGN(Child child, Child::spawn(options));
-  write_end.reset();
-  const std::int64_t limit = now_ns() + std::int64_t{kReadyTimeoutMs} * 1'000'000;
-  for (;;) {
-    pollfd ready{read_end.get(), POLLIN, 0};
-    const auto left = static_cast<int>(std::max<std::int64_t>(0, (limit - now_ns()) / 1'000'000));
-    const int count = poll(&ready, 1, left);
-    if (count < 0 && errno == EINTR) continue;
-    if (count == 0) return fail(ErrorCode::kTimeout, "was not ready within 10 s", name);
-    char byte;
-    if (read(read_end.get(), &byte, 1) == 1) return child;
-    const auto exit = child.wait(kGraceMs);
-    return fail(ErrorCode::kUnavailable,
-                "ended before it was ready" + (exit ? " (" + exit->to_string() + ")" : ""), name);
-  }
-}
-
 std::vector<bool> real_xpus(const Session& session) {
   std::vector<bool> real;
   for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
@@ -120,10 +66,9 @@ std::vector<bool> real_xpus(const Session& session) {
 class Supervisor {
  public:
   explicit Supervisor(Supervision request) : request_(std::move(request)) {
-    static std::atomic<int> runs{0};
-    base_ =
-        kSocketPrefix + std::to_string(getpid()) + "-" + std::to_string(runs.fetch_add(1)) + "/";
+    base_ = next_base();
     bin_ = request_.bin.empty() ? program_directory() : request_.bin;
+    daemons_.emplace(base_, bin_, outcome_.notes);
   }
 
   Result<Outcome> run() {
@@ -133,10 +78,10 @@ class Supervisor {
     outcome_.wall_s = static_cast<double>(now_ns() - started) * 1e-9;
     outcome_.app = *app_.wait(0);
     for (ModuleProcess& process : processes_) process.child.stop(kGraceMs);
-    for (Daemon& daemon : daemons_) {
-      const Exit exit = daemon.child.stop(kGraceMs);
-      if (daemon.coordinator) outcome_.coordinators_cpu_us += exit.cpu_us;
-    }
+    daemons_->stop(kGraceMs);
+    outcome_.coordinators_cpu_us = daemons_->coordinators_cpu_us();
+    outcome_.deaths += daemons_->deaths();
+    outcome_.emulator_died = daemons_->emulator_died();
     return collect();
   }
 
@@ -150,25 +95,7 @@ class Supervisor {
       session.trace_fd = trace_.get();
       session.trace_keep_s = request_.trace_keep_s;
     }
-    if (session.emulates()) {
-      Platform emulated{session.platform.name, {}};
-      for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
-        if (session.presence[x] == Presence::kEmulated || session.presence[x] == Presence::kEither)
-          emulated.xpus.push_back(session.platform.xpus[x]);
-      XAUTO_ASSIGN(platform_, make_memory_file("xauto-platform"));
-      XAUTO_TRY(write_memory_file(platform_.get(), to_json(emulated)));
-      Daemon daemon;
-      daemon.name = "xauto-emud";
-      XAUTO_ASSIGN(daemon.kept[0], listen_abstract(base_ + kEmudName));
-      XAUTO_ASSIGN(daemon.kept[1], emu::StateMemory::make());
-      daemon.options.argv = {bin_ + "/xauto-emud", "--socket", base_ + kEmudName, "--platform",
-                             "/proc/self/fd/" + std::to_string(platform_.get())};
-      daemon.options.inherit = {platform_.get()};
-      daemon.hand_over({"--listen-fd", "--memory-fd"});
-      XAUTO_ASSIGN(daemon.child, start_daemon(daemon.name, daemon.options));
-      daemon.ping.emplace(base_ + kEmudName);
-      daemons_.push_back(std::move(daemon));
-    }
+    XAUTO_TRY(daemons_->start_emulator(session));
     const bool scheduled = session.mode == Mode::kRun && session.scheduling == Scheduling::kXAuto;
     if (session.mode == Mode::kRun) {
       board_fd_ = private_memfd("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING);
@@ -188,35 +115,15 @@ class Supervisor {
     }
     XAUTO_ASSIGN(session_, make_memory_file("xauto-session"));
     XAUTO_TRY(write_memory_file(session_.get(), to_json(session)));
-    if (scheduled) {
-      for (const auto& [xpu, address] : session.coordinators) {
-        const std::string name = "xauto-coordinator of " + xpu;
-        Daemon daemon;
-        daemon.name = name;
-        daemon.coordinator = true;
-        XAUTO_ASSIGN(daemon.kept[0], listen_abstract(address));
-        daemon.kept[1] = private_memfd("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING);
-        daemon.kept[2] = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-        if (!daemon.kept[1] || !daemon.kept[2])
-          return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
-        SpawnOptions& options = daemon.options;
-        options.argv = {
-            bin_ + "/xauto-coordinator",   "--xpu", xpu, "--socket", address, "--session-fd",
-            std::to_string(session_.get())};
-        options.inherit = {session_.get()};
-        daemon.hand_over({"--listen-fd", "--memory-fd", "--doorbell-fd"});
-        XAUTO_ASSIGN(daemon.child, start_daemon(name, options));
-        XAUTO_ASSIGN(daemon.pulse, Pulse::of(daemon.kept[1].get(), daemon.kept[0].get()));
-        daemons_.push_back(std::move(daemon));
-      }
-    }
+    if (scheduled) XAUTO_TRY(daemons_->start_coordinators(session, session_.get()));
     SpawnOptions options;
     options.argv = request_.command;
     options.inherit = {session_.get(), answer_.get()};
     if (trace_) options.inherit.push_back(trace_.get());
     if (board_fd_) options.inherit.push_back(board_fd_.get());
     options.environment = {{kSessionVariable, std::to_string(session_.get())}};
-    if (session.emulates()) options.environment.emplace_back(emu::kEmudVariable, base_ + kEmudName);
+    if (!daemons_->emulator().empty())
+      options.environment.emplace_back(emu::kEmudVariable, daemons_->emulator());
     const std::vector<bool> is_real = real_xpus(session);
     std::string real;
     for (std::size_t x = 0; x < is_real.size(); ++x)
@@ -274,35 +181,6 @@ class Supervisor {
     }
   }
 
-  /// A daemon has died: the next one goes on with what it left, and no job notices.
-  bool restart(Daemon& daemon, const Exit& exit) {
-    if (daemon.coordinator) outcome_.coordinators_cpu_us += exit.cpu_us;
-    ++outcome_.deaths;
-    Result<Child> child = fail(ErrorCode::kUnavailable, "died too often");
-    // One that dies while it starts is followed, too, but not for ever.
-    for (int attempt = 0; attempt < kStartAttempts && daemon.starts <= kMaxRestarts; ++attempt) {
-      ++daemon.starts;
-      child = start_daemon(daemon.name, daemon.options);
-      if (child || child.error().code != ErrorCode::kUnavailable) break;
-    }
-    if (!child) {
-      log::warn("{}: not started again: {}", daemon.name, child.error().what);
-      daemon.kept[0].reset();  // nobody listens any more: who waits for it need not
-      return false;
-    }
-    daemon.child = std::move(*child);
-    const std::string what = daemon.name + " died (" + exit.to_string() + ")";
-    log::warn("{} and was started again", what);
-    if (++daemon.deaths == 1) {
-      daemon.note = outcome_.notes.size();
-      outcome_.notes.push_back(what + " and was started again");
-    } else {
-      outcome_.notes[daemon.note] =
-          what + " and was started again, " + std::to_string(daemon.deaths) + " times";
-    }
-    return true;
-  }
-
   /// A module process has ended: start it again, or tell the hub that it will not come back.
   void attend(ModuleProcess& process, const Exit& exit) {
     if (!exit.signalled && exit.value == 0) {  // the hub has told it to stop
@@ -332,8 +210,7 @@ class Supervisor {
   /// Sleeps until a child ends, at most 200 ms.
   void wait_for_children() {
     std::vector<pollfd> fds = {{app_.pidfd(), POLLIN, 0}};
-    for (const Daemon& daemon : daemons_)
-      if (!daemon.noticed) fds.push_back({daemon.child.pidfd(), POLLIN, 0});
+    daemons_->add_to(fds);
     for (const ModuleProcess& process : processes_)
       if (!process.noticed) fds.push_back({process.child.pidfd(), POLLIN, 0});
     if (live_) fds.push_back({live_.get(), POLLIN, 0});
@@ -401,7 +278,7 @@ class Supervisor {
   /// Until the app has ended.
   void watch() {
     const std::int64_t started = now_ns();
-    std::int64_t told_to_stop = 0, next_look = 0;
+    std::int64_t told_to_stop = 0;
     std::uint64_t settled = 0;
     const auto tell = [&](const char* why) {
       if (told_to_stop != 0) return;
@@ -418,28 +295,7 @@ class Supervisor {
       if (request_.on_tick)
         request_.on_tick(static_cast<double>(now - started) * 1e-9, board_.get());
       look_for_incidents(now);
-      const bool look = now >= next_look;
-      if (look) next_look = now + kLookEveryNs;
-      for (Daemon& daemon : daemons_) {
-        if (daemon.noticed) continue;
-        if (look && (daemon.pulse.hangs(daemon.child.pid(), now) ||
-                     (daemon.ping && daemon.ping->hangs(now)))) {
-          log::warn("{} has hung for {} s and is killed", daemon.name, kHungNs / 1'000'000'000);
-          daemon.child.signal(SIGKILL);
-        }
-        const auto exit = daemon.child.poll();
-        if (!exit) continue;
-        if (restart(daemon, *exit)) continue;
-        daemon.noticed = true;
-        outcome_.notes.push_back(daemon.name + " died (" + exit->to_string() + ")" +
-                                 (daemon.coordinator ? ": its XPU's jobs went on unscheduled"
-                                                     : ": the emulated XPUs are gone"));
-        log::warn("{}", outcome_.notes.back());
-        if (!daemon.coordinator) {
-          outcome_.emulator_died = true;
-          tell(nullptr);
-        }
-      }
+      if (!daemons_->look_after(now)) tell(nullptr);
       if (cpus_.scheduler)
         if (const auto exit = cpus_.scheduler->child.poll()) {
           outcome_.notes.push_back("xauto-cpusched ended (" + exit->to_string() + ")");
@@ -494,9 +350,9 @@ class Supervisor {
 
   Supervision request_;
   std::string base_, bin_;
-  UniqueFd answer_, trace_, platform_, session_, board_fd_, live_;
+  UniqueFd answer_, trace_, session_, board_fd_, live_;
   std::shared_ptr<const Board> board_;
-  std::vector<Daemon> daemons_;
+  std::optional<Daemons> daemons_;
   std::vector<ModuleProcess> processes_;
   Child app_;
   CpuRun cpus_;

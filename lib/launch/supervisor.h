@@ -22,18 +22,13 @@
 #include <xauto/result.h>
 
 #include "base/process.h"
+#include "launch/daemons.h"
 #include "processes/board.h"
 #include "session/session.h"
 #include "trace/trace.h"
 
 namespace xauto::launch {
 
-/// Sockets of one run are called PREFIX<pid>-<n>/<xpu>; `xauto status` finds them by this prefix.
-inline constexpr const char* kSocketPrefix = "xauto/";
-
-/// Last parts of socket names that are no coordinator's.
-inline constexpr const char* kHubName = "hub";
-inline constexpr const char* kEmudName = "emud";
 /// Of the tool: answers any packet with one line of JSON about the run and the board's memfd, to be
 /// read (`Board::observe`).
 inline constexpr const char* kLiveName = "live";

@@ -44,6 +44,9 @@ Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& p
     if (feed && topic->source < 0)
       return fail(ErrorCode::kInvalid, "is published by a module, so it cannot be fed", place,
                   "\"cyclonedds\" lets others hear it; only topics of sources can be fed");
+    if (feed && graph.sources_pushed[static_cast<std::size_t>(topic->source)])
+      return fail(ErrorCode::kInvalid, "is pushed by the program, so it cannot be fed, too", place,
+                  "add the source with a period and a function, or drop it here");
     if (feed && session.lockstep)
       return fail(ErrorCode::kInvalid, "what comes from outside comes when it comes", place,
                   "run without --lockstep");

@@ -22,7 +22,8 @@
 #include <vector>
 
 #include <xauto/result.h>
-#include <xauto/topic.h>
+
+#include "model/message.h"
 
 namespace xauto::runtime {
 

@@ -111,14 +111,8 @@ Result<RunReport> Engine::run_all() {
   const bool endless = session_.activations == 0 && session_.duration_us == 0;
   result.complete = drained && (!stop_.load() || endless);
   if (!drained) add_note(result.note, ledger_->what_did_not_end());
-  for (const auto& callback : app_.on_end) {
-    try {
-      callback();
-    } catch (const std::exception& e) {
-      return fail(ErrorCode::kIo, std::string("on_end threw: ") + e.what(),
-                  "app '" + app_.name + "'");
-    }
-  }
+  for (const std::string& note : releaser_->notes()) add_note(result.note, note);
+  XAUTO_TRY(detail::call(app_.on_end, "on_end", app_.name));
   return result;
 }
 

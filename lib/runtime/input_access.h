@@ -4,20 +4,21 @@
 
 #include <vector>
 
-#include <xauto/topic.h>
+#include "model/message.h"
 
 namespace xauto {
 
 class InputAccess {
  public:
+  [[nodiscard]] static Input make() { return {}; }
   static void bind(Input& input, const std::vector<detail::TopicSpec>* topics) {
-    input.topics_ = topics;
-    input.messages_.resize(topics->size());
+    input.data_->topics = topics;
+    input.data_->messages.resize(topics->size());
   }
-  static std::vector<detail::Envelope>& messages(Input& input) { return input.messages_; }
+  static std::vector<detail::Envelope>& messages(Input& input) { return input.data_->messages; }
   static void stamp(Input& input, std::int64_t origin_ns, std::uint64_t sequence) {
-    input.origin_ns_ = origin_ns;
-    input.sequence_ = sequence;
+    input.data_->origin_ns = origin_ns;
+    input.data_->sequence = sequence;
   }
 };
 

@@ -21,6 +21,7 @@
 #include "base/log.h"
 #include "base/pi_mutex.h"
 #include "base/rt.h"
+#include "graph/inlet.h"
 #include "model/json.h"
 #include "record/recording.h"
 #include "runtime/input_access.h"
@@ -31,6 +32,7 @@ namespace xauto::runtime {
 namespace {
 
 constexpr int kFifoProfile = 40;
+constexpr std::int64_t kPushNs = 10'000'000'000;  ///< patience with a driver
 constexpr auto kLookEvery = std::chrono::milliseconds(20);
 constexpr int kLooksAfterStop = 10;  ///< for an exec that is about to return
 /// With --stable: a time above twice the median that has not come back in so many rounds of
@@ -43,8 +45,8 @@ using Messages = std::vector<std::shared_ptr<const void>>;  ///< [topic]
 class Feed {
  public:
   static Result<Feed> open(const detail::AppSpecErased& app, const Graph& graph,
-                           const Session& session) {
-    Feed feed(app, graph);
+                           const Session& session, detail::Inlets& inlets) {
+    Feed feed(app, graph, inlets);
     if (!session.input.empty()) {
       XAUTO_ASSIGN(auto recording, record::Recording::open(session.input));
       feed.recording_.emplace(std::move(recording));
@@ -67,10 +69,11 @@ class Feed {
   Result<bool> next(Messages& messages) {
     const std::uint64_t sequence = sequence_++;
     if (!recording_) {
-      for (std::size_t t = 0; t < graph_->topics.size(); ++t)
-        if (graph_->topics[t].source >= 0)
-          messages[t] =
-              app_->sources[static_cast<std::size_t>(graph_->topics[t].source)].make(sequence);
+      for (std::size_t s = 0; s < app_->sources.size(); ++s) {
+        auto& message = messages[static_cast<std::size_t>(graph_->topic_of_source[s])];
+        message = app_->sources[s].inlet ? nullptr : app_->sources[s].make(sequence, nullptr);
+      }
+      XAUTO_TRY(wait_for_pushed(messages));
       return true;
     }
     std::size_t left = 0;
@@ -98,9 +101,36 @@ class Feed {
   }
 
  private:
-  Feed(const detail::AppSpecErased& app, const Graph& graph) : app_(&app), graph_(&graph) {}
+  Feed(const detail::AppSpecErased& app, const Graph& graph, detail::Inlets& inlets)
+      : app_(&app), graph_(&graph), inlets_(&inlets) {}
+
+  Status wait_for_pushed(Messages& messages) {
+    const std::int64_t limit = now_ns() + kPushNs;
+    for (;;) {
+      const std::uint32_t seen = inlets_->pushes();
+      while (auto pushed = inlets_->take())
+        messages[static_cast<std::size_t>(graph_->topic_of_source[pushed->source])] =
+            std::move(pushed->waiting.message);
+      const auto missing =
+          std::find_if(graph_->topics.begin(), graph_->topics.end(), [&](const auto& topic) {
+            const auto t = static_cast<std::size_t>(&topic - graph_->topics.data());
+            return topic.source >= 0 && messages[t] == nullptr;
+          });
+      if (missing == graph_->topics.end()) return {};
+      if (now_ns() >= limit)
+        return fail(
+            ErrorCode::kTimeout,
+            "nothing was published within " + std::to_string(kPushNs / 1'000'000'000) + " s",
+            "the source of topic '" + missing->spec.name + "'",
+            "it is pushed: have its driver run, from App::on_start on, or profile with "
+            "--input");
+      inlets_->wait(seen, limit);
+    }
+  }
+
   const detail::AppSpecErased* app_;
   const Graph* graph_;
+  detail::Inlets* inlets_;
   std::optional<record::Recording> recording_;
   std::uint64_t sequence_ = 0;
 };
@@ -139,6 +169,9 @@ class Run {
                     "has no implementation for any XPU of platform '" + session_.platform.name +
                         "' that is here or emulated",
                     "XNode '" + graph_.nodes[n].name + "'");
+    using Keep = detail::Inlet::Keep;
+    inlets_.emplace(app_, session_.input.empty() ? Keep::kNewest : Keep::kNone);
+    XAUTO_TRY(detail::call(app_.on_start, "on_start", app_.name));
     cores_ = rt::allowed_cores();
     rt::set_timer_slack_1ns();
     if (!rt::set_fifo_up_to(kFifoProfile))
@@ -167,6 +200,14 @@ class Run {
         any = true;
       }
     return any;
+  }
+
+  /// Destroys what the inits have made, takes no message any more; on the thread of `run`.
+  [[nodiscard]] Status release() {
+    const bool started = inlets_.has_value();
+    inlets_.reset();
+    active_.clear();
+    return started ? detail::call(app_.on_stop, "on_stop", app_.name) : Status();
   }
 
   /// `incomplete`: why it ended early. Any thread.
@@ -246,7 +287,7 @@ class Run {
     std::uint64_t done = 0;
     std::int64_t told = now_ns();
     for (std::size_t pass = 0; pass < passes; ++pass) {
-      XAUTO_ASSIGN(Feed feed, Feed::open(app_, graph_, session_));
+      XAUTO_ASSIGN(Feed feed, Feed::open(app_, graph_, session_, *inlets_));
       std::vector<std::shared_ptr<void>> states;
       for (const Graph::Module& module : graph_.modules)
         states.push_back(module.spec->make_state());
@@ -284,7 +325,7 @@ class Run {
   Status run_module(int m, const std::vector<int>& on, const std::vector<bool>& counts,
                     std::uint64_t k, void* state, Messages& messages) {
     const Graph::Module& module = graph_.modules[static_cast<std::size_t>(m)];
-    Input input;
+    Input input = InputAccess::make();
     InputAccess::bind(input, &module.spec->inputs);
     InputAccess::stamp(input, now_ns(), k);
     for (std::size_t i = 0; i < module.inputs.size(); ++i) {
@@ -303,7 +344,7 @@ class Run {
       }
       const std::int64_t before = now_ns();
       try {
-        if (Status status = impl->exec(state, input); !status) {
+        if (Status status = impl->exec(active_[n].made.object.get(), state, input); !status) {
           Error error = std::move(status).error();
           error.where = error.where.empty() ? where : where + ": " + error.where;
           return tl::unexpected<Error>(std::move(error));
@@ -323,7 +364,8 @@ class Run {
       taken.emulated = active_[n].emulated;
     }
     for (std::size_t i = 0; i < module.outputs.size(); ++i)
-      messages[static_cast<std::size_t>(module.outputs[i])] = module.spec->outputs[i].take(state);
+      messages[static_cast<std::size_t>(module.outputs[i])] =
+          module.spec->outputs[i].take(state, nullptr);
     return {};
   }
 
@@ -346,20 +388,22 @@ class Run {
     const auto active = active_.find(n);
     if (active == active_.end() || active->second.xpu != at) {
       const std::string where = "init of XNode '" + node.name + "' on " + x.id;
-      SchedHandle handle;
+      active_.erase(n);  // its object goes before the next one comes
+      detail::Made made;
       try {
-        handle = impl->init(id);
+        made.handle = impl->init(id, made.object);
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
       } catch (...) {
         return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
       }
       if (presence == Presence::kEmulated)
-        if (Status emulated = xpu::check_emulated(handle); !emulated) {
+        if (Status emulated = xpu::check_emulated(made.handle); !emulated) {
           emulated.error().where = where;
           return tl::unexpected<Error>(emulated.error());
         }
-      active_[n] = {at, handle.kind() == SchedHandle::Kind::kEmulated};
+      const bool emulated = made.handle.kind() == SchedHandle::Kind::kEmulated;
+      active_[n] = {at, emulated, std::move(made)};
     }
     return impl;
   }
@@ -371,8 +415,10 @@ class Run {
   struct Active {
     int xpu = -1;
     bool emulated = false;
+    detail::Made made = {};
   };
   std::map<int, Active> active_;  ///< node -> XPU it was last initialised for
+  std::optional<detail::Inlets> inlets_;
   std::vector<int> cores_;
   int core_now_ = -1;
 
@@ -400,7 +446,12 @@ Result<Profiled> profile(const detail::AppSpecErased& app, const Session& sessio
   auto shared = std::make_shared<Shared>(app, session, std::move(graph));
   std::future<Status> ended = shared->ended.get_future();
   // A thread of its own, so that the caller's priority and affinity stay as they are.
-  std::thread thread([shared] { shared->ended.set_value(shared->run.run()); });
+  std::thread thread([shared] {
+    Status status = shared->run.run();
+    Status released = shared->run.release();
+    if (status) status = std::move(released);
+    shared->ended.set_value(std::move(status));
+  });
   std::string incomplete;
   int looks_left = kLooksAfterStop;
   while (incomplete.empty() && ended.wait_for(kLookEvery) != std::future_status::ready) {

@@ -32,10 +32,53 @@ Status Releaser::run(int fifo) {
     rt::set_thread_name("xauto/sources");
     rt::set_timer_slack_1ns();
     if (fifo > 0) (void)rt::set_fifo(fifo);
-    status = context_.session.input.empty() ? release_periodic() : release_recorded();
+    using Keep = detail::Inlet::Keep;
+    inlets_.emplace(context_.app, context_.session.input.empty() ? Keep::kAll : Keep::kNone);
+    status = detail::call(context_.app.on_start, "on_start", context_.app.name);
+    if (status) status = context_.session.input.empty() ? release_periodic() : release_recorded();
+    notes_ = inlets_->close();
+    inlets_.reset();
+    const Status stopped = detail::call(context_.app.on_stop, "on_stop", context_.app.name);
+    if (status) status = stopped;
   });
   thread.join();
   return status;
+}
+
+/// An hour may lie between two releases: looks at `stop_` meanwhile.
+void Releaser::sleep(std::int64_t until_ns) const {
+  constexpr std::int64_t kLookNs = 50'000'000;
+  for (std::int64_t now = now_ns(); until_ns - now > kLookNs && !stop_.load(); now = now_ns())
+    sleep_until_ns(now + kLookNs);
+  if (!stop_.load()) sleep_until_ns(until_ns);
+}
+
+Status Releaser::drain_for_lockstep() {
+  if (!context_.session.lockstep || wait_drained()) return {};
+  return fail(ErrorCode::kTimeout, "no progress for 10 s in lockstep",
+              "app '" + context_.app.name + "'");
+}
+
+/// Releases what is pushed until then. False: the run is over.
+Result<bool> Releaser::release_pushed(std::int64_t until_ns) {
+  while (!stop_.load()) {
+    const std::uint32_t seen = inlets_->pushes();
+    auto pushed = inlets_->take();
+    if (!pushed) {
+      if (now_ns() >= until_ns) return true;
+      inlets_->wait(seen, until_ns);
+      continue;
+    }
+    XAUTO_TRY(drain_for_lockstep());
+    const int t = context_.graph.topic_of_source[pushed->source];
+    std::uint64_t& number = pushed_[static_cast<std::size_t>(t)];
+    // In lockstep waiting for its turn is no latency.
+    release(context_.session.lockstep ? now_ns() : pushed->waiting.at_ns,
+            {{t, number++, std::move(pushed->waiting.message)}});
+    if (pushes_left_ > 0 && t == slowest_source() && --pushes_left_ == 0) return false;
+    if (now_ns() >= until_ns) return true;  // whoever pushes without a pause must not hold it up
+  }
+  return false;
 }
 
 bool Releaser::wait_drained() {
@@ -77,22 +120,28 @@ Status Releaser::release_periodic() {
     if (context_.graph.topics[t].source < 0) continue;
     const auto& spec =
         context_.app.sources[static_cast<std::size_t>(context_.graph.topics[t].source)];
+    if (spec.inlet != nullptr) continue;
     const std::int64_t period_us =
         context_.session.period_us > 0 ? context_.session.period_us : spec.period.count();
     sources.push_back({static_cast<int>(t), period_us * 1000});
     slowest_ns = std::max(slowest_ns, period_us * 1000);
   }
+  pushed_.assign(context_.graph.topics.size(), 0);
+  // Without a polled source there is no time grid: pushes are counted.
+  const bool counts_pushes = sources.empty() && context_.session.duration_us == 0;
+  pushes_left_ = counts_pushes ? context_.session.activations : 0;
   std::int64_t start = now_ns() + 20'000'000;
-  const std::int64_t length_ns = run_length_ns(slowest_ns);
+  const std::int64_t length_ns = counts_pushes ? kForeverNs : run_length_ns(slowest_ns);
   while (!stop_.load()) {
     std::int64_t next_ns = length_ns;
     for (const Source& s : sources) next_ns = std::min(next_ns, s.due_ns());
-    if (next_ns >= length_ns) break;
     std::int64_t due = start + next_ns;
+    if (next_ns >= length_ns) {
+      if (inlets_->any()) XAUTO_TRY(release_pushed(due));
+      break;
+    }
     if (context_.session.lockstep) {
-      if (!wait_drained())
-        return fail(ErrorCode::kTimeout, "no progress for 10 s in lockstep",
-                    "app '" + context_.app.name + "'");
+      XAUTO_TRY(drain_for_lockstep());
       // Now, whatever the period: the time grid moves along.
       const std::int64_t now = now_ns();
       start += now - due;
@@ -113,17 +162,22 @@ Status Releaser::release_periodic() {
       const auto& spec = context_.app.sources[static_cast<std::size_t>(
           context_.graph.topics[static_cast<std::size_t>(s.topic)].source)];
       try {
-        MessageMemory* memory = wiring_.publisher(static_cast<std::size_t>(s.topic));
-        samples.push_back({s.topic, s.sequence,
-                           memory != nullptr && spec.make_in ? spec.make_in(s.sequence, memory)
-                                                             : spec.make(s.sequence)});
+        samples.push_back(
+            {s.topic, s.sequence,
+             spec.make(s.sequence, wiring_.publisher(static_cast<std::size_t>(s.topic)))});
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
                     "the source of topic '" + spec.topic.name + "'");
       }
       ++s.sequence;
     }
-    sleep_until_ns(due);
+    if (inlets_->any()) {
+      XAUTO_ASSIGN(const bool goes_on, release_pushed(due));
+      if (!goes_on) break;
+    } else {
+      sleep(due);
+      if (stop_.load()) break;
+    }
     if (!fed.empty()) {
       take_fed(std::move(fed), fed_period_ns, samples);
       if (stop_.load()) break;
@@ -293,13 +347,11 @@ Status Releaser::release_recorded() {
             ? static_cast<std::int64_t>(releases) * context_.session.period_us * 1000
             : message->timestamp_ns - first_stamp;
     if (context_.session.duration_us > 0 && at_ns >= context_.session.duration_us * 1000) break;
-    if (context_.session.lockstep) {
-      if (!wait_drained())
-        return fail(ErrorCode::kTimeout, "no progress for 10 s in lockstep",
-                    "app '" + context_.app.name + "'");
-    } else {
-      sleep_until_ns(start + at_ns);
-    }
+    if (context_.session.lockstep)
+      XAUTO_TRY(drain_for_lockstep());
+    else
+      sleep(start + at_ns);
+    if (stop_.load()) break;
     release(now_ns(), batch);
     batch.clear();
     ++releases;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Before a job's first step: the sensors' releases, by their periods, from a recording, or as
-// programs outside feed them; and their recording.
+// Before a job's first step: the sensors' releases, by their periods, as a driver pushes them, from a
+// recording, or as programs outside feed them; and their recording.
 #pragma once
 
 #include <atomic>
@@ -12,6 +12,7 @@
 
 #include <xauto/result.h>
 
+#include "graph/inlet.h"
 #include "record/recording.h"
 #include "runtime/context.h"
 #include "runtime/ledger.h"
@@ -26,13 +27,15 @@ class Releaser {
   [[nodiscard]] static Result<std::unique_ptr<Releaser>> make(const Context& context,
                                                               Wiring& wiring, Ledger& ledger,
                                                               const std::atomic<bool>& stop);
-  /// Releases until the session's end. On a thread of its own: the sources' callbacks are a user's,
-  /// and its priority is `fifo` (0: an ordinary thread).
+  /// Calls the app's on_start, and releases until the session's end. On a thread of its own: the
+  /// callbacks are a user's, and its priority is `fifo` (0: an ordinary thread).
   [[nodiscard]] Status run(int fifo);
   /// Until everything that was released is through; see Ledger::wait_drained.
   [[nodiscard]] bool wait_drained();
   /// Closes the recording. Returns why it is not whole; empty: it is, or there is none.
   [[nodiscard]] std::string close();
+  /// What the sources did that was not as declared; for people, after `run`.
+  [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
 
  private:
   /// What a source releases: its own number, which in an app of one rate is everybody's.
@@ -47,6 +50,9 @@ class Releaser {
   [[nodiscard]] std::int64_t run_length_ns(std::int64_t slowest_period_ns) const;
   [[nodiscard]] int slowest_source() const;
   [[nodiscard]] Status release_periodic();
+  [[nodiscard]] Result<bool> release_pushed(std::int64_t until_ns);
+  void sleep(std::int64_t until_ns) const;
+  [[nodiscard]] Status drain_for_lockstep();
   [[nodiscard]] Status release_recorded();
   void take_fed(std::vector<Sample> fed, std::int64_t period_ns, std::vector<Sample>& samples);
   void release(std::int64_t origin_ns, const std::vector<Sample>& samples);
@@ -59,6 +65,10 @@ class Releaser {
   std::optional<record::Recorder> recorder_;
   std::vector<std::size_t> recorded_topic_;  ///< [topic] -> the recorder's index
   std::string recording_error_;
+  std::optional<detail::Inlets> inlets_;  ///< while it releases
+  std::vector<std::uint64_t> pushed_;     ///< [topic] releases of pushed sources
+  std::uint64_t pushes_left_ = 0;         ///< of the slowest source; 0: no end
+  std::vector<std::string> notes_;
 };
 
 }  // namespace xauto::runtime

@@ -120,7 +120,7 @@ Status Wiring::open_topics() {
 Status Wiring::make_module(std::size_t index, ModuleHost& host) {
   const Graph::Module& module = context_.graph.modules[index];
   std::vector<const transport::Channel*> outputs;
-  std::vector<MessageMemory*> memories;
+  std::vector<detail::MessageMemory*> memories;
   for (const int t : module.outputs) {
     outputs.push_back(&channels_[static_cast<std::size_t>(t)]);
     memories.push_back(publisher(static_cast<std::size_t>(t)));
@@ -202,7 +202,9 @@ std::vector<std::string> Wiring::stop() {
   const std::int64_t limit = now_ns() + kPatienceNs;
   for (const auto& worker : workers_)
     if (!worker->stop(std::max<std::int64_t>(kPatienceNs / 5, limit - now_ns())))
-      stuck.push_back("an exec of " + worker->options().name +
+      stuck.push_back((worker->in_exec() ? "an exec of " + worker->options().name
+                                         : "a destructor of what an init of " +
+                                               worker->options().name + " made") +
                       " never returned; its thread was left behind");
   return stuck;
 }

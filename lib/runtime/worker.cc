@@ -17,6 +17,8 @@ namespace {
 
 constexpr std::uint32_t kQuit = UINT32_MAX;
 constexpr std::int64_t kLookNs = 50'000'000;  ///< how often a stopping thread looks at the time
+constexpr std::int64_t kDestroyNs = 10'000'000'000;  ///< patience with what `init` has made
+constexpr std::uint32_t kIdle = 1, kThrough = 2;     ///< Worker::ended_
 
 }  // namespace
 
@@ -40,17 +42,24 @@ Status Worker::start() {
       if (placed.worker == this) xnodes.push_back(placed.xnode);
     XAUTO_ASSIGN(port_, coord::Port::connect(options_.coordinator, options_.name, xnodes,
                                              options_.order, options_.mgmt_fifo));
-    mgmt_ = std::thread([this] { manage(); });
+    mgmt_ = std::thread([this] {
+      manage();
+      managed_.store(1);
+      futex_wake_local(managed_, INT_MAX);
+    });
   }
   std::promise<Status> ready;
   std::future<Status> started = ready.get_future();
-  exec_ = std::thread([this, &ready] {
+  exec_ = std::thread([this, &ready, around = xpu::Surroundings::of_this_thread()] {
+    around.enter();
     Status status = init_nodes();
     const bool good = status.has_value();
     ready.set_value(std::move(status));
     if (good) execute();
+    ended_.store(kIdle);
+    destroy_objects(good);
     thread_->leave();
-    ended_.store(1);
+    ended_.store(kThrough);
     futex_wake_local(ended_, INT_MAX);
   });
   return started.get();
@@ -67,13 +76,13 @@ Status Worker::init_nodes() {
     const std::string where = "init of XNode '" + placed.name + "' on " + xpu_name();
     XAUTO_TRY(backend_->before_init());
     try {
-      placed.handle = placed.impl->init(options_.backend.id);
+      placed.made.handle = placed.impl->init(options_.backend.id, placed.made.object);
     } catch (const std::exception& e) {
       return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
     } catch (...) {
       return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
     }
-    if (Status attached = backend_->attach(placed.handle); !attached) {
+    if (Status attached = backend_->attach(placed.made.handle); !attached) {
       attached.error().where = where;
       return attached;
     }
@@ -81,11 +90,25 @@ Status Worker::init_nodes() {
   // With order constraints a thread could wait for a job that is behind it in its own lane.
   shares_ = port_ && port_->discipline() == Discipline::kGate && options_.order.empty();
   for (const Placed& placed : chain_.nodes)
-    if (placed.worker == this && placed.handle.kind() != SchedHandle::Kind::kGate) shares_ = false;
+    if (placed.worker == this &&
+        (placed.made.handle.kind() != SchedHandle::Kind::kGate || placed.made.object != nullptr))
+      shares_ = false;
   lane_.reserve(64);
   for (auto node = chain_.nodes.rbegin(); node != chain_.nodes.rend(); ++node)
     if (node->worker == this) thread_->expect(node->xnode);
   return {};
+}
+
+/// Where they were made, the last one first; not before the management thread has made its last
+/// call on their handles. It has made none if there was no job.
+void Worker::destroy_objects(bool ran) {
+  const auto owns = [this](const Placed& placed) {
+    return placed.worker == this && placed.made.object != nullptr;
+  };
+  if (std::none_of(chain_.nodes.begin(), chain_.nodes.end(), owns)) return;
+  while (ran && port_ && managed_.load() == 0) futex_wait_local(managed_, 0, kLookNs);
+  for (auto node = chain_.nodes.rbegin(); node != chain_.nodes.rend(); ++node)
+    if (node->worker == this) node->made.object.reset();
 }
 
 bool Worker::stop(std::int64_t patience_ns) {
@@ -101,7 +124,12 @@ bool Worker::stop(std::int64_t patience_ns) {
   futex_wake_local(mailbox_, INT_MAX);
   if (port_) port_->interrupt();
   while (exec_.joinable() && ended_.load() == 0 && patient()) futex_wait_local(ended_, 0, kLookNs);
-  const bool returned = !exec_.joinable() || ended_.load() != 0;
+  // Weights take longer to unload than an exec may take to return.
+  const std::int64_t idle_since = now_ns();
+  while (exec_.joinable() && ended_.load() == kIdle &&
+         (patient() || now_ns() - idle_since < kDestroyNs))
+    futex_wait_local(ended_, kIdle, kLookNs);
+  const bool returned = !exec_.joinable() || ended_.load() == kThrough;
   if (exec_.joinable()) {
     if (returned)
       exec_.join();
@@ -210,7 +238,8 @@ bool Worker::run_job(Placed& placed, bool begun) {
   if (limited) begin_limited(placed, input.sequence());
   bool succeeded = false;
   try {
-    if (Status status = placed.impl->exec(chain_.runtime->state(), input); status)
+    if (Status status = placed.impl->exec(placed.made.object.get(), chain_.runtime->state(), input);
+        status)
       succeeded = true;
     else
       note_failure(placed, status.error().to_string());

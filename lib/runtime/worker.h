@@ -40,7 +40,7 @@ struct Placed {
   int fifo_priority = 0;  ///< SCHED_FIFO priority on a real CPU; 0: leave as it is
   const detail::ImplSpec* impl = nullptr;
   Worker* worker = nullptr;
-  SchedHandle handle;
+  detail::Made made;  ///< by init; on the worker's execution thread
   Limits limits;
   XNodeLine* line = nullptr;  ///< set if there are limits
 };
@@ -75,9 +75,12 @@ class Worker {
   /// here, on the execution thread. Errors name the XNode.
   [[nodiscard]] Status start();
   /// Waits for the running job, ends both threads. Idempotent. False: its exec has not returned
-  /// within `patience_ns`. Nothing can end it but the end of the process, so its thread is left
+  /// within `patience_ns`, or what an `init` has made is not destroyed 10 s later. Nothing can end it but the end of the process, so its thread is left
   /// behind; this object must then outlive the process.
   bool stop(std::int64_t patience_ns = INT64_MAX);
+
+  /// It still takes jobs, or is at one.
+  [[nodiscard]] bool in_exec() const { return ended_.load() == 0; }
 
   /// A job that has run past its hang limit, each once. One thread.
   struct Hung {
@@ -105,6 +108,7 @@ class Worker {
   void execute();
   void manage();
   [[nodiscard]] Status init_nodes();
+  void destroy_objects(bool ran);
   void run_chain(std::size_t node, bool begun);
   bool run_job(Placed& placed, bool begun);
   void begin(Placed& placed);
@@ -140,7 +144,10 @@ class Worker {
   std::atomic<std::uint64_t> current_{0};
   static constexpr int kSequenceBits = 48;
   std::atomic<bool> lost_{false};
-  std::atomic<std::uint32_t> ended_{0};          ///< 1: the execution thread is through; a futex
+  std::atomic<std::uint32_t> managed_{0};  ///< 1: the management thread is through; a futex
+  /// 1: the execution thread takes no job any more; 2: it is through, too, with what its inits have
+  /// made; a futex.
+  std::atomic<std::uint32_t> ended_{0};
   Stopwatch watch_;                              ///< of jobs with limits
   std::atomic<const Placed*> limited_{nullptr};  ///< whose job that is
   std::uint64_t hung_job_ = 0;                   ///< of find_hung

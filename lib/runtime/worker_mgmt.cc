@@ -35,9 +35,9 @@ void Worker::manage() {
         const Placed* job = &chain_.nodes[current >> kSequenceBits];
         const std::uint64_t sequence = current & ((std::uint64_t{1} << kSequenceBits) - 1);
         record(XAUTO_EV_SUSPEND, *job, sequence);
-        const Status done = backend_->preempt(job->handle);
+        const Status done = backend_->preempt(job->made.handle);
         if (done) {
-          suspended = {job->handle, job, sequence};
+          suspended = {job->made.handle, job, sequence};
           const std::int64_t now = now_ns();
           watch_.away(now);
           thread_->release(now);

@@ -6,13 +6,11 @@
 
 #include <uapi/xauto/event.h>
 
-#include "runtime/input_access.h"
-
 namespace xauto::runtime {
 
 ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
                              std::vector<const transport::Channel*> outputs,
-                             std::vector<MessageMemory*> memories)
+                             std::vector<detail::MessageMemory*> memories)
     : module_(graph.modules[static_cast<std::size_t>(index)]),
       single_rate_(graph.single_rate),
       index_(index),
@@ -226,9 +224,7 @@ void ModuleRuntime::finish(bool succeeded) {
     try {
       for (std::size_t i = 0; i < module_.spec->outputs.size(); ++i) {
         const detail::OutputSpec& output = module_.spec->outputs[i];
-        taken_.push_back(memories_[i] != nullptr && output.take_in
-                             ? output.take_in(state_.get(), memories_[i])
-                             : output.take(state_.get()));
+        taken_.push_back(output.take(state_.get(), memories_[i]));
       }
     } catch (...) {  // a user's copy constructor: as if the last exec had failed
       succeeded = false;

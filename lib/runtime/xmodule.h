@@ -25,6 +25,7 @@
 #include "base/ring.h"
 #include "graph/graph.h"
 #include "model/deployment.h"
+#include "runtime/input_access.h"
 #include "transport/topic.h"
 
 namespace xauto::runtime {
@@ -49,7 +50,7 @@ class ModuleRuntime {
   /// messages are made.
   ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
                 std::vector<const transport::Channel*> outputs,
-                std::vector<MessageMemory*> memories = {});
+                std::vector<detail::MessageMemory*> memories = {});
   // Before the first message.
   void set_overload(Overload overload) {
     const Guard lock(mutex_);
@@ -118,7 +119,7 @@ class ModuleRuntime {
   const int index_;
   ModuleHost& host_;
   std::vector<const transport::Channel*> outputs_;
-  std::vector<MessageMemory*> memories_;  ///< of the outputs; null: the heap
+  std::vector<detail::MessageMemory*> memories_;  ///< of the outputs; null: the heap
   std::vector<std::shared_ptr<const void>>
       taken_;  ///< of finish; a member, so that it keeps its memory
   std::vector<detail::TopicSpec> topics_;
@@ -149,7 +150,7 @@ class ModuleRuntime {
   std::int64_t match_ns_ = -1;
 
   // Of the current activation; written under the mutex before it starts.
-  Input input_;
+  Input input_ = InputAccess::make();
   std::shared_ptr<const detail::Origins> origins_;
 };
 

@@ -11,8 +11,8 @@
 #include <vector>
 
 #include <xauto/result.h>
-#include <xauto/topic.h>
 
+#include "model/message.h"
 #include "transport/doorbell.h"
 #include "transport/transport.h"
 

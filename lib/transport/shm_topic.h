@@ -34,10 +34,10 @@
 #include <vector>
 
 #include <xauto/result.h>
-#include <xauto/topic.h>
 
 #include "base/pi_mutex.h"
 #include "base/unique_fd.h"
+#include "model/message.h"
 #include "transport/transport.h"
 
 namespace xauto::transport {

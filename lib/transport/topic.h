@@ -6,7 +6,7 @@
 #include <functional>
 #include <vector>
 
-#include <xauto/topic.h>
+#include "model/message.h"
 
 namespace xauto::transport {
 

@@ -14,14 +14,14 @@
 #include <vector>
 
 #include <xauto/result.h>
-#include <xauto/topic.h>
 
 #include "base/unique_fd.h"
+#include "model/message.h"
 
 namespace xauto::transport {
 
 /// The writing end. Threads: any of one process.
-class Publisher : public MessageMemory {
+class Publisher : public detail::MessageMemory {
  public:
   using Sender = std::function<void(const detail::Envelope&)>;
 

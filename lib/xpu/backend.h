@@ -33,6 +33,17 @@ class Backend {
   [[nodiscard]] virtual Status still_wanted() { return {}; }
 };
 
+/// What emu::Context::open finds on a thread of a run: taken where the run is set up, and entered by
+/// each thread that calls the user's code.
+class Surroundings {
+ public:
+  [[nodiscard]] static Surroundings of_this_thread();
+  void enter() const;
+
+ private:
+  std::shared_ptr<const void> site_;
+};
+
 // kind.h says which of these an XPU of a run has.
 
 /// Contexts of xauto-emud, over a connection of its own (emulated.cc). `scheduled` false: it only

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "xpu/backend.h"
+#include "xpu/callbacks.h"
 
 namespace xauto::xpu {
 namespace {

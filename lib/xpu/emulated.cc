@@ -43,6 +43,16 @@ Status check_emulated(const SchedHandle& handle) {
                   : "on an emulated XPU `init` returns emu::Context::handle()");
 }
 
+Surroundings Surroundings::of_this_thread() {
+  Surroundings surroundings;
+  surroundings.site_ = emu::this_threads_site();
+  return surroundings;
+}
+
+void Surroundings::enter() const {
+  emu::set_this_threads_site(std::static_pointer_cast<const emu::Site>(site_));
+}
+
 Result<std::unique_ptr<Backend>> make_emulated(bool scheduled) {
   std::optional<emu::Control> control;
   if (scheduled) {

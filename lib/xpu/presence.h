@@ -13,6 +13,7 @@
 
 #include "model/app.h"
 #include "model/platform.h"
+#include "model/policy.h"
 #include "xpu/kind.h"
 
 namespace xauto::xpu {
@@ -42,6 +43,11 @@ struct EmulationFlags {
 [[nodiscard]] Result<std::vector<Presence>> presence_of(const Platform& platform,
                                                         const EmulationFlags& flags,
                                                         const AppSpec* app, const Machine& machine);
+
+/// Refuses a policy that places an XNode where this machine has nothing for it, naming `path`.
+[[nodiscard]] Status check_placements(const AppSpec& app, const Platform& platform,
+                                      const std::vector<Presence>& presence, const Policy& policy,
+                                      const std::string& path);
 
 /// For people: "" if nothing is emulated, "emulated" if everything is, else which are real:
 /// "real: cpu0, cpu1; emulated: gpu0, dla0".

@@ -61,7 +61,7 @@ Result<PolicyRun> prepare(const CompareFlags& flags, const std::string& id,
     }
     const std::string path = flags.out + "/" + id + ".policy.json";
     outputs.write(path, to_json(*run.policy, flags.app, flags.spec));
-    XAUTO_TRY(check_placements(flags.app, flags.spec, flags.presence, *run.policy, path));
+    XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy, path));
   }
   XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
   return run;

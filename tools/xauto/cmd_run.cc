@@ -46,8 +46,8 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
                   "make one with `xauto solve --app " + flags.app_path + " --platform " +
                       flags.platform + " --out policy.json`");
     XAUTO_ASSIGN(run.policy, load_policy(flags.policy_path, flags.app, flags.spec));
-    XAUTO_TRY(
-        check_placements(flags.app, flags.spec, flags.presence, *run.policy, flags.policy_path));
+    XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy,
+                                    flags.policy_path));
     run.id = run.name = std::filesystem::path(flags.policy_path).stem().string();
   }
   if (!flags.name.empty()) run.id = run.name = flags.name;

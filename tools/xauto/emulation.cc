@@ -38,33 +38,6 @@ Result<std::vector<Presence>> EmulationOptions::decide(const Platform& platform,
   return presence;
 }
 
-Status check_placements(const AppSpec& app, const Platform& platform,
-                        const std::vector<Presence>& presence, const Policy& policy,
-                        const std::string& path) {
-  const xpu::Machine machine = xpu::Machine::here();
-  const char* hint =
-      "xauto doctor --platform-out here.json writes a platform file of this machine: profile and "
-      "solve with that";
-  for (std::size_t i = 0; i < policy.placements.size(); ++i) {
-    const XNodeSpec& xnode = app.xnodes[i];
-    const auto at = static_cast<std::size_t>(policy.placements[i].xpu);
-    const Xpu& xpu = platform.xpus[at];
-    const std::string where = path + ": XNode '" + xnode.name + "'";
-    if (presence[at] == Presence::kAbsent)
-      return fail(ErrorCode::kInvalid,
-                  "is placed on " + xpu.id + ", which is not here: " + machine.lacks(xpu), where,
-                  hint);
-    // An emulated core that this machine has was asked for: what `init` returns there is seen soon.
-    if (presence[at] == Presence::kEmulated && xpu.type == "cpu" && xnode.real_on.contains("cpu") &&
-        !machine.has(platform, at))
-      return fail(ErrorCode::kInvalid,
-                  "computes itself (real_on in app.json) and is placed on " + xpu.id +
-                      ", which this machine lacks: " + machine.lacks(xpu),
-                  where, hint);
-  }
-  return {};
-}
-
 std::string in_parentheses(const Platform& platform, const std::vector<Presence>& presence) {
   const std::string said = xpu::describe(platform, presence);
   return said.empty() ? "" : " (" + said + ")";

@@ -30,11 +30,6 @@ class EmulationOptions {
   std::optional<Argument> emulate_;
 };
 
-/// Refuses a policy that places an XNode where this machine has nothing for it, naming `path`.
-[[nodiscard]] Status check_placements(const AppSpec& app, const Platform& platform,
-                                      const std::vector<Presence>& presence, const Policy& policy,
-                                      const std::string& path);
-
 /// " (emulated)", " (real: cpu0; emulated: gpu0)" or nothing.
 [[nodiscard]] std::string in_parentheses(const Platform& platform,
                                          const std::vector<Presence>& presence);

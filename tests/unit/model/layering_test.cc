@@ -37,6 +37,7 @@ const std::map<std::string, Names>& allowed() {
       {"lib/launch",
        {"model", "trace", "emu", "coord", "kernel", "xpu", "session", "processes", "transport",
         "uapi"}},
+      {"lib/app", {"model", "emu", "xpu", "session", "graph", "runtime", "launch"}},
       {"lib/story", {"model", "trace", "solver", "uapi"}},
       {"solver", {"model"}},
       {"include/xauto", {}},
@@ -46,10 +47,10 @@ const std::map<std::string, Names>& allowed() {
   return table;
 }
 
-const Names kParts = {"base",   "model",     "trace",   "record", "emu",    "coord",     "session",
-                      "graph",  "processes", "runtime", "launch", "xpu",    "transport", "kernel",
-                      "solver", "story",     "xauto",   "uapi",   "tools",  "bench",     "examples",
-                      "tests",  "lib",       "kmod",    "bpf",    "include"};
+const Names kParts = {"base",     "model",     "trace",   "record", "emu",  "coord",     "session",
+                      "graph",    "processes", "runtime", "launch", "xpu",  "transport", "kernel",
+                      "app",      "solver",    "story",   "xauto",  "uapi", "tools",     "bench",
+                      "examples", "tests",     "lib",     "kmod",   "bpf",  "include"};
 
 /// Foreign headers that take seconds to compile -> files that may include them.
 const std::map<std::string, Names>& expensive() {

@@ -9,141 +9,14 @@
 #include <thread>
 
 #include <gtest/gtest.h>
-#include <sys/eventfd.h>
-#include <unistd.h>
-
-#include <xauto/xauto.h>
 
 #include "base/memory_file.h"
-#include "base/socket.h"
-#include "coord/server.h"
-#include "xpu/kind.h"
+#include "runtime/profiler.h"
+
+#include "test_app.h"
 
 namespace xauto::runtime {
 namespace {
-
-using namespace std::chrono_literals;
-
-struct State {
-  int sum = 0;
-};
-
-/// camera -> A (a1 on cpu, a2 on npu) ┬-> C (c1 on npu, reads both)
-///         -> B (b1 on npu)           ┘
-class TestApp {
- public:
-  TestApp() {
-    spec.name = "test";
-    const Topic<int> camera("camera"), a("a"), b("b"), c("c");
-    detail::SourceSpec source{detail::topic_spec(camera), 1ms,
-                              [](std::uint64_t k) -> std::shared_ptr<const void> {
-                                return std::make_shared<const int>(static_cast<int>(k));
-                              }};
-    spec.sources.push_back(source);
-    add("A", {"a1", "a2"}, {detail::topic_spec(camera)}, a);
-    add("B", {"b1"}, {detail::topic_spec(camera)}, b);
-    add("C", {"c1"}, {detail::topic_spec(a), detail::topic_spec(b)}, c);
-
-    session.platform.name = "test";
-    session.platform.xpus = {{"cpu0", "cpu"}, {"npu0", "npu", false}};
-    session.app.name = "test";
-    for (const char* name : {"a1", "a2", "b1", "c1"})
-      session.app.xnodes.push_back({name,
-                                    std::string(1, static_cast<char>(std::toupper(name[0]))),
-                                    {{name == std::string("a1") ? "cpu" : "npu", 10}}});
-    session.app.edges = {{0, 1}, {1, 3}, {2, 3}};
-    session.policy.placements = {{0, 4}, {1, 3}, {1, 2}, {1, 1}};
-    session.cpu_sched = CpuSched::kOther;
-    session.activations = 50;
-    session.lockstep = true;
-  }
-
-  /// Called in every exec, with the XNode's name and the activation's number.
-  std::function<Status(const std::string&, std::uint64_t)> exec = [](auto&&...) {
-    return Status();
-  };
-
-  /// What init returns on the NPU.
-  std::function<SchedHandle()> handle = [] { return SchedHandle::gate(); };
-
-  std::vector<std::string> log() {
-    const std::lock_guard lock(mutex_);
-    return log_;
-  }
-
-  Result<RunReport> run() {
-    std::vector<std::unique_ptr<coord::Server>> servers;
-    std::vector<std::thread> threads;
-    const UniqueFd stop(eventfd(0, EFD_CLOEXEC));
-    static std::atomic<int> runs{0};
-    if (session.scheduling == Scheduling::kXAuto) {
-      for (const Xpu& xpu : session.platform.xpus) {
-        const std::string address = "xauto-test/engine-" + std::to_string(getpid()) + "-" +
-                                    std::to_string(runs.fetch_add(1)) + "/" + xpu.id;
-        coord::ServerOptions options{
-            address, xpu.id, xpu::discipline_of(xpu, false), {"a1", "a2", "b1", "c1"}, {}};
-        for (const auto& [u, v] : session.policy.order)
-          if (session.policy.placements[static_cast<std::size_t>(u)].xpu ==
-              session.platform.find(xpu.id))
-            options.order.emplace_back(u, v);
-        servers.push_back(std::move(*coord::Server::create(std::move(options))));
-        threads.emplace_back(
-            [server = servers.back().get(), &stop] { (void)server->run(stop.get()); });
-        session.coordinators[xpu.id] = address;
-      }
-    }
-    Result<RunReport> report = fail(ErrorCode::kInternal, "not run");
-    auto engine = Engine::create(spec, session);
-    if (engine)
-      report = (*engine)->run();
-    else
-      report = tl::unexpected<Error>(engine.error());
-    if (engine) engine->reset();
-    signal_eventfd(stop.get());
-    for (std::thread& thread : threads) thread.join();
-    return report;
-  }
-
-  detail::AppSpecErased spec;
-  Session session;
-
- private:
-  void add(const std::string& name, const std::vector<std::string>& nodes,
-           std::vector<detail::TopicSpec> inputs, const Topic<int>& output) {
-    auto module = std::make_shared<detail::XModuleSpec>();
-    module->name = name;
-    module->make_state = []() -> std::shared_ptr<void> { return std::make_shared<State>(); };
-    for (const std::string& node : nodes) {
-      auto made = std::make_shared<detail::XNodeSpecErased>();
-      made->name = node;
-      for (const char* type : {"cpu", "npu"})
-        made->impls.push_back({XPU(type),
-                               [this](const XpuId& xpu) {
-                                 return xpu.type == XPU("npu") ? handle() : SchedHandle::gate();
-                               },
-                               [this, node](void*, const Input& input) -> Status {
-                                 {
-                                   const std::lock_guard lock(mutex_);
-                                   log_.push_back(node + "#" + std::to_string(input.sequence()));
-                                 }
-                                 return exec(node, input.sequence());
-                               }});
-      module->nodes.push_back(made);
-    }
-    module->inputs = std::move(inputs);
-    module->outputs = {
-        {detail::topic_spec(output), [](void*) { return std::make_shared<const int>(1); }}};
-    spec.modules.push_back(module);
-  }
-
-  std::mutex mutex_;
-  std::vector<std::string> log_;
-};
-
-std::uint64_t count(const std::vector<std::string>& log, const std::string& node) {
-  return static_cast<std::uint64_t>(std::count_if(
-      log.begin(), log.end(), [&](const std::string& l) { return l.rfind(node + "#", 0) == 0; }));
-}
 
 TEST(Engine, RunsEveryXNodeOfEveryRelease) {
   for (const Scheduling scheduling :
@@ -201,7 +74,9 @@ TEST(Engine, ExceptionDropsTheActivationAndTheRestGoesOn) {
 TEST(Engine, FailingInitNamesTheXNode) {
   TestApp app;
   for (auto& impl : app.spec.modules[0]->nodes[1]->impls)
-    impl.init = [](const XpuId&) -> SchedHandle { throw std::runtime_error("no weights"); };
+    impl.init = [](const XpuId&, std::shared_ptr<void>&) -> SchedHandle {
+      throw std::runtime_error("no weights");
+    };
   const auto report = app.run();
   ASSERT_FALSE(report);
   EXPECT_EQ(report.error().where, "init of XNode 'a2' on npu0");
@@ -331,13 +206,12 @@ TEST(Engine, JobsOverTheirBudgetAreCounted) {
 TEST(Engine, SourcesOfTwoPeriodsGiveEveryChainItsOwnLatency) {
   TestApp app;
   const Topic<int> slow("slow");
-  app.spec.sources.push_back({detail::topic_spec(slow),
-                              3ms,
-                              [](std::uint64_t k) -> std::shared_ptr<const void> {
-                                return std::make_shared<const int>(static_cast<int>(k));
-                              },
-                              {}});
-  app.spec.modules[1]->inputs = {detail::topic_spec(slow)};  // B
+  app.spec.sources.push_back(
+      {*detail::topic_spec(slow), 3ms,
+       [](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
+         return std::make_shared<const int>(static_cast<int>(k));
+       }});
+  app.spec.modules[1]->inputs = {*detail::topic_spec(slow)};  // B
   app.session.lockstep = false;
   app.session.activations = 20;
   const auto report = app.run();
@@ -423,6 +297,158 @@ TEST(Engine, APreemptiveXpuOfTheAppsOwnMustSayHow) {
   const auto report = app.run();
   ASSERT_FALSE(report);
   EXPECT_NE(report.error().hint.find("SchedHandle::custom"), std::string::npos);
+}
+
+/// What became of objects of a test's, in this order: made and gone, with the thread's name if it
+/// is not the same one.
+struct Fates {
+  std::mutex mutex;
+  std::vector<std::string> gone;
+  std::atomic<int> alive{0};
+
+  std::vector<std::string> sorted() {
+    std::vector<std::string> names = gone;
+    std::sort(names.begin(), names.end());
+    return names;
+  }
+};
+
+struct Object {
+  Object(std::string n, Fates& f)
+      : node(std::move(n)), fates(f), thread(std::this_thread::get_id()) {
+    ++fates.alive;
+  }
+  ~Object() {
+    --fates.alive;
+    const std::lock_guard lock(fates.mutex);
+    fates.gone.push_back(node + (thread == std::this_thread::get_id() ? "" : " elsewhere"));
+  }
+  std::string node;
+  Fates& fates;
+  std::thread::id thread;
+};
+
+std::function<std::shared_ptr<void>(const std::string&)> objects_with(Fates& fates) {
+  return [&](const std::string& node) { return std::make_shared<Object>(node, fates); };
+}
+
+const std::vector<std::string> kAllGone = {"a1", "a2", "b1", "c1"};
+
+TEST(Engine, WhatAnInitOwnsIsItsExecsAndGoesOnItsThreadBeforeTheRunReturns) {
+  Fates fates;
+  TestApp app;
+  app.object = objects_with(fates);
+  int left_at_end = -1;
+  app.spec.on_end.emplace_back([&] { left_at_end = fates.alive; });
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(app.foreign_objects.load(), 0);
+  EXPECT_EQ(count(app.log(), "c1"), 50u);
+  EXPECT_EQ(left_at_end, 0);  // "on the worker's thread" implies that run() has waited for it
+  EXPECT_EQ(fates.sorted(), kAllGone);
+}
+
+TEST(Engine, ObjectsOfOneWorkerGoInTheReverseOrderOfTheirInits) {
+  Fates fates;
+  TestApp app;
+  app.object = objects_with(fates);
+  for (auto& placement : app.session.policy.placements) placement.xpu = 1;  // a1 and a2: one worker
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(app.foreign_objects.load(), 0);
+  const auto at = [&](const char* node) {
+    return std::find(fates.gone.begin(), fates.gone.end(), node) - fates.gone.begin();
+  };
+  EXPECT_LT(at("a2"), at("a1"));
+  EXPECT_EQ(fates.sorted(), kAllGone);
+}
+
+TEST(Engine, WhatWasMadeGoesWhenALaterInitThrows) {
+  Fates fates;
+  TestApp app;
+  app.object = [&](const std::string& node) -> std::shared_ptr<void> {
+    if (node == "c1") throw std::runtime_error("no weights");
+    return std::make_shared<Object>(node, fates);
+  };
+  const auto report = app.run();
+  ASSERT_FALSE(report);
+  EXPECT_EQ(report.error().what, "threw: no weights");
+  EXPECT_EQ(fates.sorted(), (std::vector<std::string>{"a1", "a2", "b1"}));
+}
+
+TEST(Engine, ObjectsGoWhenARunIsStoppedEarly) {
+  Fates fates;
+  TestApp app;
+  app.object = objects_with(fates);
+  app.session.activations = 0;  // for ever
+  std::atomic<bool> reached{false};
+  app.exec = [&](const std::string& node, std::uint64_t k) -> Status {
+    if (node == "c1" && k == 7) reached = true;
+    return {};
+  };
+  app.stop_when = &reached;
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_GE(count(app.log(), "c1"), 8u);
+  EXPECT_EQ(fates.sorted(), kAllGone);
+}
+
+/// Commands of the management thread may still name what the object is behind: none comes once it
+/// is gone.
+TEST(Engine, NoSuspensionMeetsAnObjectThatIsGone) {
+  Fates fates;
+  std::atomic<int> calls_after{0}, calls{0};
+  TestApp app;
+  app.session.platform.xpus[1].preemptive = true;
+  app.object = objects_with(fates);
+  app.handle = [&] {
+    const auto look = [&]() -> Status {
+      ++calls;
+      if (fates.alive.load() == 0) ++calls_after;
+      return {};
+    };
+    return SchedHandle::custom(look, look);
+  };
+  std::atomic<bool> b1_runs{false};  // at the first release, when a2 comes, which is more urgent
+  app.exec = [&](const std::string& node, std::uint64_t) -> Status {
+    const auto until = [](const auto& holds) {
+      for (int i = 0; i < 5000 && !holds(); ++i) std::this_thread::sleep_for(1ms);
+    };
+    if (node == "a1") until([&] { return b1_runs.load(); });
+    if (node == "b1") b1_runs = true;
+    // An a2 that is over at once is resumed from before anybody has suspended b1.
+    if (node == "a2" || node == "b1") until([&] { return calls.load() > 0; });
+    return {};
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(calls_after.load(), 0);
+  EXPECT_GT(calls.load(), 0);
+  EXPECT_EQ(fates.sorted(), kAllGone);
+}
+
+TEST(Profile, AnObjectPerXpuInstanceIsMadeAndGoesOnTheThreadThatMeasures) {
+  Fates fates;
+  TestApp app;
+  std::atomic<int> most{0}, made{0};
+  app.object = [&](const std::string& node) {
+    auto object = std::make_shared<Object>(node, fates);
+    ++made;
+    most = std::max(most.load(), fates.alive.load());
+    return object;
+  };
+  app.session.mode = Mode::kProfile;
+  app.session.warmup = 1;
+  app.session.repetitions = 2;
+  const std::atomic<bool> stop{false};
+  const auto profiled = profile(app.spec, app.session, stop);
+  ASSERT_TRUE(profiled) << profiled.error().to_string();
+  EXPECT_EQ(app.foreign_objects.load(), 0);
+  EXPECT_EQ(made.load(), 8);  // four XNodes, each on two XPUs
+  EXPECT_EQ(most.load(), 4);  // the old one goes first: two might not fit into the memory
+  EXPECT_EQ(fates.alive.load(), 0);
+  EXPECT_EQ(fates.sorted(),
+            (std::vector<std::string>{"a1", "a1", "a2", "a2", "b1", "b1", "c1", "c1"}));
 }
 
 }  // namespace

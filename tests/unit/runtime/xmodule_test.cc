@@ -27,9 +27,10 @@ class Fixture : public ::testing::Test, public ModuleHost {
     spec_ = {};
     spec_.name = "M";
     spec_.make_state = []() -> std::shared_ptr<void> { return std::make_shared<Value>(); };
-    spec_.inputs = {detail::topic_spec(Topic<int>("a")), detail::topic_spec(Topic<int>("b"))};
-    spec_.outputs = {{detail::topic_spec(Topic<int>("c")),
-                      [](void*) { return std::make_shared<const int>(1); }}};
+    spec_.inputs = {*detail::topic_spec(Topic<int>("a")), *detail::topic_spec(Topic<int>("b"))};
+    spec_.outputs = {{*detail::topic_spec(Topic<int>("c")), [](void*, detail::MessageMemory*) {
+                        return std::make_shared<const int>(1);
+                      }}};
     graph_ = {};
     graph_.modules.push_back({"M", &spec_, {}, {}, {}, true});
     graph_.single_rate = single_rate;

@@ -67,7 +67,7 @@ class Dds : public ::testing::Test {
 };
 
 TEST_F(Dds, MessageComesOutAsItWentIn) {
-  const auto spec = detail::topic_spec(Topic<std::string>("text"));
+  const auto spec = *detail::topic_spec(Topic<std::string>("text"));
   const auto publisher = *here_->publish(spec);
   const auto subscriber = *there_->subscribe(spec, doorbell_);
   EXPECT_EQ(publisher->loan(8), nullptr);
@@ -77,8 +77,8 @@ TEST_F(Dds, MessageComesOutAsItWentIn) {
 }
 
 TEST_F(Dds, MessageOfAnotherSizeIsRefusedAndCounted) {
-  const auto publisher = *here_->publish(detail::topic_spec(Topic<std::string>("point")));
-  const auto subscriber = *there_->subscribe(detail::topic_spec(Topic<Point>("point")), doorbell_);
+  const auto publisher = *here_->publish(*detail::topic_spec(Topic<std::string>("point")));
+  const auto subscriber = *there_->subscribe(*detail::topic_spec(Topic<Point>("point")), doorbell_);
   for (int i = 0; i < 2000 && subscriber->lost() == 0; ++i) {
     publisher->publish({std::make_shared<const std::string>("no point"), now_ns(), 0});
     EXPECT_FALSE(subscriber->take());
@@ -95,7 +95,7 @@ TEST_F(Dds, MessageOfAnotherSizeIsRefusedAndCounted) {
 }
 
 TEST_F(Dds, TombstonesAreOfTheAppAlone) {
-  const auto spec = detail::topic_spec(Topic<std::string>("quiet"));
+  const auto spec = *detail::topic_spec(Topic<std::string>("quiet"));
   const auto publisher = *here_->publish(spec);
   const auto subscriber = *there_->subscribe(spec, doorbell_);
   ASSERT_NE(until_heard(*publisher, *subscriber, std::string("x")), nullptr);
@@ -106,7 +106,7 @@ TEST_F(Dds, TombstonesAreOfTheAppAlone) {
 }
 
 TEST_F(Dds, PublisherNeverWaitsAndTheOldestIsLost) {
-  const auto spec = detail::topic_spec(Topic<std::string>("flood"));
+  const auto spec = *detail::topic_spec(Topic<std::string>("flood"));
   const auto publisher = *here_->publish(spec);
   here_->stop();  // as if DDS took nothing any more
   for (std::uint64_t k = 0; k < 100; ++k)
@@ -117,11 +117,11 @@ TEST_F(Dds, PublisherNeverWaitsAndTheOldestIsLost) {
 
 TEST_F(Dds, NameThatRos2ForbidsIsRefused) {
   for (const char* name : {"", "a b", "1st", "a//b", "a/", "\xc3\xa4"}) {
-    const auto refused = here_->publish(detail::topic_spec(Topic<std::string>(name)));
+    const auto refused = here_->publish(*detail::topic_spec(Topic<std::string>(name)));
     ASSERT_FALSE(refused) << name;
     EXPECT_EQ(refused.error().what, "is no name that ROS 2 allows");
   }
-  EXPECT_TRUE(here_->publish(detail::topic_spec(Topic<std::string>("front/camera_1"))));
+  EXPECT_TRUE(here_->publish(*detail::topic_spec(Topic<std::string>("front/camera_1"))));
 }
 
 TEST_F(Dds, DomainOutOfRangeIsRefused) {

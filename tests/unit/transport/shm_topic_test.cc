@@ -58,7 +58,7 @@ struct World {
   }
 
   TopicShape shape;
-  detail::TopicSpec spec = detail::topic_spec(Topic<Frame>("frames"));
+  detail::TopicSpec spec = *detail::topic_spec(Topic<Frame>("frames"));
   TopicFds fds;
   std::shared_ptr<ShmPublisher> publisher;
   std::vector<std::shared_ptr<ShmSubscriber>> readers;
@@ -184,7 +184,7 @@ TEST(ShmTopic, SuccessorOfADeadPublisherGoesOn) {
 }
 
 TEST(ShmTopic, EncodedMessagesAndOversizeOnes) {
-  detail::TopicSpec spec = detail::topic_spec(Topic<std::string>("text"));
+  detail::TopicSpec spec = *detail::topic_spec(Topic<std::string>("text"));
   auto fds = make_topic({16, 1, 4, 2});
   ASSERT_TRUE(fds);
   auto publisher = *ShmPublisher::open(spec, fds->control.get(), fds->data.get(), nullptr);
@@ -276,7 +276,7 @@ TEST(ShmTopic, UnderLoadEveryMessageIsReadWholeInOrderOrCountedAsLost) {
 }
 
 TEST(ShmTopic, LinkIsJoinedWithWhatItInvitesWith) {
-  const auto spec = detail::topic_spec(Topic<Frame>("t"));
+  const auto spec = *detail::topic_spec(Topic<Frame>("t"));
   auto here = *make_link({sizeof(Frame), 1, 4, 3});
   auto there = *join_link(*here->invite(false));
   const auto publisher = *here->publisher(spec, nullptr);

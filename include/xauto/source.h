@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sources that are pushed into: a driver's callback publishes, and that is a release.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <utility>
+
+#include <xauto/result.h>
+#include <xauto/topic.h>
+
+namespace xauto {
+
+namespace detail {
+
+class Inlet;
+/// Makes message number `sequence`, in `memory` if it is not null.
+using Make =
+    std::function<std::shared_ptr<const void>(std::uint64_t sequence, MessageMemory* memory)>;
+using Observe = std::function<void(const void* message, std::uint64_t sequence)>;
+
+Status push(Inlet& inlet, std::shared_ptr<const void> message);
+
+}  // namespace detail
+
+/// What pushed() returns, for App::add_source.
+struct Pushed {
+  std::chrono::microseconds distance;  ///< see pushed()
+};
+
+/// A source whose messages come when they come, `distance` (1 us to 1 h) apart or more. The solver
+/// plans for `distance` as the period: declare the shortest one, jitter included. A message that
+/// comes earlier is released all the same; the report counts them.
+[[nodiscard]] inline Pushed pushed(std::chrono::microseconds distance) {
+  return {distance};
+}
+
+/// The end of a pushed source at which messages go in; from App::add_source. A handle: copies are
+/// the same source. It may outlive the App. Threads: any.
+template <class T>
+class Source {
+ public:
+  /// For App::add_source.
+  explicit Source(std::shared_ptr<detail::Inlet> inlet) : inlet_(std::move(inlet)) {}
+
+  /// Publishes `message`: a release of the sensor, numbered from 0 on in each run, with the time of
+  /// this call. Never waits for the app. With a recorded input it is discarded, and succeeds.
+  ///
+  /// Errors, all kUnavailable: the app does not take messages (before App::on_start calls, after
+  /// the run's end, in a process of the app that has not its sources); too many wait, since the app
+  /// runs in lockstep and this is faster. Nothing is kept for later.
+  [[nodiscard]] Status publish(T message) const {
+    return publish(std::make_shared<const T>(std::move(message)));
+  }
+  /// The same without a copy. kInvalid when it is null.
+  [[nodiscard]] Status publish(std::shared_ptr<const T> message) const {
+    return detail::push(*inlet_, std::move(message));
+  }
+
+ private:
+  std::shared_ptr<detail::Inlet> inlet_;
+};
+
+}  // namespace xauto

@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "graph/app_spec.h"
+
+namespace xauto::detail {
+
+std::shared_ptr<XNodeSpecErased> make_xnode(std::string name) {
+  auto xnode = std::make_shared<XNodeSpecErased>();
+  xnode->name = std::move(name);
+  return xnode;
+}
+
+const std::string& name_of(const XNodeSpecErased& xnode) {
+  return xnode.name;
+}
+
+void add_impl(XNodeSpecErased& xnode, const XPU& xpu, Init init, Exec exec) {
+  for (const ImplSpec& impl : xnode.impls)
+    if (impl.xpu == xpu)
+      xnode.misuse.push_back("XNode '" + xnode.name + "' has two implementations for '" +
+                             xpu.type() + "'");
+  xnode.impls.push_back({xpu, std::move(init), std::move(exec)});
+}
+
+std::shared_ptr<XModuleSpec> make_xmodule(std::string name,
+                                          std::function<std::shared_ptr<void>()> make_state) {
+  auto module = std::make_shared<XModuleSpec>();
+  module->name = std::move(name);
+  module->make_state = std::move(make_state);
+  return module;
+}
+
+const std::string& name_of(const XModuleSpec& module) {
+  return module.name;
+}
+
+void add_node(XModuleSpec& module, std::shared_ptr<XNodeSpecErased> node) {
+  for (const auto& other : module.nodes)
+    if (other == node || other->name == node->name)
+      module.misuse.push_back("XNode '" + node->name + "' is added twice to XModule '" +
+                              module.name + "'");
+  module.nodes.push_back(std::move(node));
+}
+
+void add_input(XModuleSpec& module, TopicHandle topic) {
+  module.inputs.push_back(*topic);
+}
+
+void add_output(XModuleSpec& module, TopicHandle topic, Take take) {
+  module.outputs.push_back({*topic, std::move(take)});
+}
+
+Status call(const std::vector<std::function<void()>>& callbacks, const char* which,
+            const std::string& app) {
+  const std::string where = "app '" + app + "'";
+  for (const auto& callback : callbacks) {
+    try {
+      callback();
+    } catch (const std::exception& e) {
+      return fail(ErrorCode::kIo, std::string(which) + " threw: " + e.what(), where);
+    } catch (...) {
+      return fail(ErrorCode::kIo, std::string(which) + " threw something that is no std::exception",
+                  where);
+    }
+  }
+  return {};
+}
+
+}  // namespace xauto::detail

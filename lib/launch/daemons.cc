@@ -1,0 +1,189 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "launch/daemons.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <cstring>
+
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/eventfd.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include "base/clock.h"
+#include "base/log.h"
+#include "base/memory_file.h"
+#include "base/socket.h"
+#include "emu/state_memory.h"
+#include "model/json.h"
+
+namespace xauto::launch {
+namespace {
+
+constexpr int kReadyTimeoutMs = 10'000;
+constexpr int kEarlyGraceMs = 2'000;
+constexpr int kMaxRestarts = 100;  ///< of one daemon; then it stays dead, see supervisor.h
+constexpr int kStartAttempts = 5;  ///< in a row
+
+/// Starts a daemon and waits until it says that its socket is there.
+Result<Child> start_daemon(const std::string& name, SpawnOptions options) {
+  int ends[2];
+  if (pipe2(ends, O_CLOEXEC) != 0)
+    return fail(ErrorCode::kIo, std::string("pipe: ") + strerror(errno));
+  const UniqueFd read_end(ends[0]);
+  UniqueFd write_end(ends[1]);
+  options.argv.push_back("--ready-fd");
+  options.argv.push_back(std::to_string(write_end.get()));
+  options.inherit.push_back(write_end.get());
+  XAUTO_ASSIGN(Child child, Child::spawn(options));
+  write_end.reset();
+  const std::int64_t limit = now_ns() + std::int64_t{kReadyTimeoutMs} * 1'000'000;
+  for (;;) {
+    pollfd ready{read_end.get(), POLLIN, 0};
+    const auto left = static_cast<int>(std::max<std::int64_t>(0, (limit - now_ns()) / 1'000'000));
+    const int count = poll(&ready, 1, left);
+    if (count < 0 && errno == EINTR) continue;
+    if (count == 0) return fail(ErrorCode::kTimeout, "was not ready within 10 s", name);
+    char byte;
+    if (read(read_end.get(), &byte, 1) == 1) return child;
+    const auto exit = child.wait(kEarlyGraceMs);
+    return fail(ErrorCode::kUnavailable,
+                "ended before it was ready" + (exit ? " (" + exit->to_string() + ")" : ""), name);
+  }
+}
+
+}  // namespace
+
+std::string next_base() {
+  static std::atomic<int> runs{0};
+  return kSocketPrefix + std::to_string(getpid()) + "-" + std::to_string(runs.fetch_add(1)) + "/";
+}
+
+/// What outlives it goes to it as arguments.
+void Daemons::Daemon::hand_over(std::initializer_list<const char*> flags) {
+  std::size_t i = 0;
+  for (const char* flag : flags) {
+    options.argv.emplace_back(flag);
+    options.argv.push_back(std::to_string(kept[i].get()));
+    options.inherit.push_back(kept[i++].get());
+  }
+}
+
+Status Daemons::start_emulator(const runtime::Session& session) {
+  if (!session.emulates()) return {};
+  Platform emulated{session.platform.name, {}};
+  for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
+    if (session.presence[x] == xauto::Presence::kEmulated ||
+        session.presence[x] == xauto::Presence::kEither)
+      emulated.xpus.push_back(session.platform.xpus[x]);
+  XAUTO_ASSIGN(platform_, make_memory_file("xauto-platform"));
+  XAUTO_TRY(write_memory_file(platform_.get(), to_json(emulated)));
+  emulator_ = base_ + kEmudName;
+  Daemon daemon;
+  daemon.name = "xauto-emud";
+  XAUTO_ASSIGN(daemon.kept[0], listen_abstract(emulator_));
+  XAUTO_ASSIGN(daemon.kept[1], emu::StateMemory::make());
+  daemon.options.argv = {bin_ + "/xauto-emud", "--socket", emulator_, "--platform",
+                         "/proc/self/fd/" + std::to_string(platform_.get())};
+  daemon.options.inherit = {platform_.get()};
+  daemon.hand_over({"--listen-fd", "--memory-fd"});
+  XAUTO_ASSIGN(daemon.child, start_daemon(daemon.name, daemon.options));
+  daemon.ping.emplace(emulator_);
+  daemons_.push_back(std::move(daemon));
+  return {};
+}
+
+Status Daemons::start_coordinators(const runtime::Session& session, int session_fd) {
+  for (const auto& [xpu, address] : session.coordinators) {
+    const std::string name = "xauto-coordinator of " + xpu;
+    Daemon daemon;
+    daemon.name = name;
+    daemon.coordinator = true;
+    XAUTO_ASSIGN(daemon.kept[0], listen_abstract(address));
+    daemon.kept[1] = private_memfd("xauto-coordinator", MFD_CLOEXEC | MFD_ALLOW_SEALING);
+    daemon.kept[2] = UniqueFd(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+    if (!daemon.kept[1] || !daemon.kept[2])
+      return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
+    SpawnOptions& options = daemon.options;
+    options.argv = {bin_ + "/xauto-coordinator", "--xpu", xpu, "--socket", address, "--session-fd",
+                    std::to_string(session_fd)};
+    options.inherit = {session_fd};
+    daemon.hand_over({"--listen-fd", "--memory-fd", "--doorbell-fd"});
+    XAUTO_ASSIGN(daemon.child, start_daemon(name, options));
+    XAUTO_ASSIGN(daemon.pulse, Pulse::of(daemon.kept[1].get(), daemon.kept[0].get()));
+    daemons_.push_back(std::move(daemon));
+  }
+  return {};
+}
+
+/// A daemon has died: the next one goes on with what it left, and no job notices.
+bool Daemons::restart(Daemon& daemon, const Exit& exit) {
+  if (daemon.coordinator) coordinators_cpu_us_ += exit.cpu_us;
+  ++deaths_;
+  Result<Child> child = fail(ErrorCode::kUnavailable, "died too often");
+  // One that dies while it starts is followed, too, but not for ever.
+  for (int attempt = 0; attempt < kStartAttempts && daemon.starts <= kMaxRestarts; ++attempt) {
+    ++daemon.starts;
+    child = start_daemon(daemon.name, daemon.options);
+    if (child || child.error().code != ErrorCode::kUnavailable) break;
+  }
+  if (!child) {
+    log::warn("{}: not started again: {}", daemon.name, child.error().what);
+    daemon.kept[0].reset();  // nobody listens any more: who waits for it need not
+    return false;
+  }
+  daemon.child = std::move(*child);
+  const std::string what = daemon.name + " died (" + exit.to_string() + ")";
+  log::warn("{} and was started again", what);
+  if (++daemon.deaths == 1) {
+    daemon.note = notes_.size();
+    notes_.push_back(what + " and was started again");
+  } else {
+    notes_[daemon.note] =
+        what + " and was started again, " + std::to_string(daemon.deaths) + " times";
+  }
+  return true;
+}
+
+void Daemons::add_to(std::vector<pollfd>& fds) const {
+  for (const Daemon& daemon : daemons_)
+    if (!daemon.noticed) fds.push_back({daemon.child.pidfd(), POLLIN, 0});
+}
+
+bool Daemons::look_after(std::int64_t now) {
+  bool emulator_goes_on = true;
+  const bool look = now >= next_look_ns_;
+  if (look) next_look_ns_ = now + kLookEveryNs;
+  for (Daemon& daemon : daemons_) {
+    if (daemon.noticed) continue;
+    if (look &&
+        (daemon.pulse.hangs(daemon.child.pid(), now) || (daemon.ping && daemon.ping->hangs(now)))) {
+      log::warn("{} has hung for {} s and is killed", daemon.name, kHungNs / 1'000'000'000);
+      daemon.child.signal(SIGKILL);
+    }
+    const auto exit = daemon.child.poll();
+    if (!exit) continue;
+    if (restart(daemon, *exit)) continue;
+    daemon.noticed = true;
+    notes_.push_back(daemon.name + " died (" + exit->to_string() + ")" +
+                     (daemon.coordinator ? ": its XPU's jobs went on unscheduled"
+                                         : ": the emulated XPUs are gone"));
+    log::warn("{}", notes_.back());
+    if (!daemon.coordinator) {
+      emulator_died_ = true;
+      emulator_goes_on = false;
+    }
+  }
+  return emulator_goes_on;
+}
+
+void Daemons::stop(int grace_ms) {
+  for (Daemon& daemon : daemons_) {
+    const Exit exit = daemon.child.stop(grace_ms);
+    if (daemon.coordinator) coordinators_cpu_us_ += exit.cpu_us;
+  }
+}
+
+}  // namespace xauto::launch

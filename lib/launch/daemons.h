@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: Apache-2.0
+// The daemons of one run: the emulator and a coordinator per XPU, as child processes. Whoever runs
+// an app, in a process of its own (supervisor.h) or in this one (keeper.h), starts them, looks after
+// them several times a second, and stops them. supervisor.h says what becomes of one that dies.
+#pragma once
+
+#include <cstdint>
+#include <initializer_list>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <poll.h>
+
+#include <xauto/result.h>
+
+#include "base/process.h"
+#include "launch/pulse.h"
+#include "session/session.h"
+
+namespace xauto::launch {
+
+/// Sockets of one run are called PREFIX<pid>-<n>/<xpu>; `xauto status` finds them by this prefix.
+inline constexpr const char* kSocketPrefix = "xauto/";
+/// Last parts of socket names that are no coordinator's.
+inline constexpr const char* kHubName = "hub";
+inline constexpr const char* kEmudName = "emud";
+
+/// PREFIX<pid>-<n>/ of a run of this process that has not been.
+[[nodiscard]] std::string next_base();
+
+/// Threads: one, which must live as long as the daemons: its end kills them.
+class Daemons {
+ public:
+  /// `bin`: the folder with xauto-coordinator and xauto-emud. `notes`: told there what died; for
+  /// people.
+  Daemons(std::string base, std::string bin, std::vector<std::string>& notes)
+      : base_(std::move(base)), bin_(std::move(bin)), notes_(notes) {}
+
+  /// If the session emulates something.
+  [[nodiscard]] Status start_emulator(const runtime::Session& session);
+  /// Empty: there is none.
+  [[nodiscard]] const std::string& emulator() const { return emulator_; }
+  /// One for each of the session's coordinators. `session_fd`: the session, to be read by them.
+  [[nodiscard]] Status start_coordinators(const runtime::Session& session, int session_fd);
+
+  /// Their ends show here.
+  void add_to(std::vector<pollfd>& fds) const;
+  /// Starts again what has died, kills what hangs. False: the emulator is gone for good, once.
+  [[nodiscard]] bool look_after(std::int64_t now_ns);
+  void stop(int grace_ms);
+
+  [[nodiscard]] bool emulator_died() const { return emulator_died_; }
+  [[nodiscard]] std::uint64_t deaths() const { return deaths_; }
+  /// CPU time of all coordinators together.
+  [[nodiscard]] std::int64_t coordinators_cpu_us() const { return coordinators_cpu_us_; }
+
+ private:
+  struct Daemon {
+    std::string name;
+    Child child;
+    bool coordinator = false;
+    bool noticed = false;
+    SpawnOptions options;  ///< to start it again
+    UniqueFd kept[3];      ///< what outlives it: see coord::ServerOptions, emu::ServerOptions
+    int starts = 1;
+    int deaths = 0;            ///< after which it was started again
+    std::size_t note = 0;      ///< where the notes say so
+    Pulse pulse;               ///< a coordinator's
+    std::optional<Ping> ping;  ///< the emulator's
+
+    void hand_over(std::initializer_list<const char*> flags);
+  };
+  [[nodiscard]] bool restart(Daemon& daemon, const Exit& exit);
+
+  const std::string base_, bin_;
+  std::vector<std::string>& notes_;
+  UniqueFd platform_;
+  std::string emulator_;
+  std::vector<Daemon> daemons_;
+  std::int64_t next_look_ns_ = 0;
+  bool emulator_died_ = false;
+  std::uint64_t deaths_ = 0;
+  std::int64_t coordinators_cpu_us_ = 0;
+};
+
+}  // namespace xauto::launch

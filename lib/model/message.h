@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// What include/xauto/topic.h hides: a topic as the library knows it, a message on its way, and what
+// an exec is given. An app never sees their layout, so a new field here is no new soname.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <typeindex>
+#include <vector>
+
+#include <xauto/topic.h>
+
+namespace xauto::detail {
+
+/// Where a message is made so that other processes can read it without a copy. Implemented by the
+/// transport.
+class MessageMemory {
+ public:
+  virtual ~MessageMemory() = default;
+  /// Room for `bytes`, given back when nobody holds it any more; null: make it on the heap.
+  virtual std::shared_ptr<void> loan(std::size_t bytes) = 0;
+};
+
+/// Release times by source, of an app whose sources have several periods; 0: not involved.
+inline constexpr std::size_t kMaxOrigins = 8;  ///< further sources are known by the oldest only
+using Origins = std::array<std::int64_t, kMaxOrigins>;
+
+/// A message on its way: shared, never written again once published.
+struct Envelope {
+  std::shared_ptr<const void> message;  ///< null: dropped upstream, see `Input` and docs/runtime.md
+  std::int64_t origin_ns = 0;           ///< CLOCK_MONOTONIC time at which the sensor released it
+  std::uint64_t sequence = 0;           ///< number of that release
+  std::shared_ptr<const Origins> origins = {};  ///< null in an app of one rate
+};
+
+struct TopicSpec {
+  std::string name;
+  std::type_index type = typeid(void);
+  std::string type_name;
+  /// Null where the type has no Codec.
+  Encode encode = nullptr;
+  Decode decode = nullptr;
+  /// sizeof(T) of plain data, which other processes read where it lies; 0: it is encoded.
+  std::size_t plain_bytes = 0;
+  /// Largest encoded message between processes: Codec<T>::kMaxBytes, if it says so.
+  std::size_t max_bytes = std::size_t{8} << 20;
+};
+
+struct InputData {
+  const std::vector<TopicSpec>* topics = nullptr;
+  std::vector<Envelope> messages;  ///< by topic
+  std::int64_t origin_ns = 0;
+  std::uint64_t sequence = 0;
+};
+
+}  // namespace xauto::detail

@@ -1,0 +1,253 @@
+// SPDX-License-Identifier: Apache-2.0
+// App::run in a process of somebody else's, this test: real daemons, emulated XPUs, twice in one
+// process, two side by side, told to stop. No time is measured.
+#include <atomic>
+#include <chrono>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/wait.h>
+
+#include <xauto/emu.h>
+#include <xauto/xauto.h>
+
+#include "model/json.h"
+
+namespace xauto {
+namespace {
+
+using namespace std::chrono_literals;
+
+struct State {
+  int value = 0;
+};
+
+/// What an init owns: a context of this run's emulator.
+struct Engine {
+  explicit Engine(emu::Context c) : context(std::move(c)) {}
+  emu::Context context;
+};
+
+/// camera (pushed or polled) -> M (m1 on gpu0, emulated; m2 on cpu0, emulated)
+class Fixture {
+ public:
+  explicit Fixture(const std::string& name, bool push = false) : app(name) {
+    const auto init = [this](const XpuId& xpu) {
+      auto context = emu::Context::open(xpu);
+      if (!context) throw std::runtime_error(context.error().to_string());
+      const SchedHandle handle = context->handle();
+      ++alive;
+      auto engine = std::unique_ptr<Engine>(new Engine(std::move(*context)));
+      return own(std::move(engine), handle);
+    };
+    const auto exec = [this](Engine& engine, State& state, const Input& input) -> Status {
+      state.value = input.get(camera);
+      return engine.context.run(100us);
+    };
+    XNode<State> m1("m1"), m2("m2");
+    m1.add_impl(XPU::GPU, init, exec);
+    m2.add_impl(XPU::CPU, init, exec);
+    XModule<State> module("M");
+    module.add_node(m1).add_node(m2).add_input_topic(camera).add_output_topic(result,
+                                                                              &State::value);
+    app.add_module(module);
+    if (push)
+      source = std::make_unique<Source<int>>(app.add_source(camera, pushed(1ms)));
+    else
+      app.add_source(camera, 1ms, [](std::uint64_t k) { return static_cast<int>(k); });
+    app.on_message(result, [this](const int& value, std::uint64_t) {
+      sum += value;
+      ++results;
+    });
+  }
+
+  [[nodiscard]] RunOptions options() const {
+    AppSpec spec;
+    spec.name = "fixture";
+    spec.xnodes = {{"m1", "M", {{"gpu", 100}}}, {"m2", "M", {{"cpu", 100}}}};
+    spec.xnodes[0].sources = {0};
+    spec.edges = {{0, 1}};
+    spec.sources = {{"camera", 1000}};
+    Platform platform;
+    platform.name = "tiny";
+    platform.xpus = {{"cpu0", "cpu"}, {"gpu0", "gpu", true, 50, 1000}};
+    Policy policy;
+    policy.app = spec.name;
+    policy.app_hash = spec.hash();
+    policy.method = "heft";
+    policy.platform = platform.name;
+    policy.placements = {{1, 2}, {0, 1}};
+    return RunOptions()
+        .app(to_json(spec))
+        .platform(to_json(platform))
+        .policy(to_json(policy, spec, platform))
+        .emulate()
+        .activations(20)
+        .lockstep();
+  }
+
+  const Topic<int> camera{"camera"}, result{"result"};
+  App app;
+  std::unique_ptr<Source<int>> source;
+  std::atomic<int> alive{0}, results{0}, sum{0};
+};
+
+TEST(Run, TwiceInOneProcess) {
+  Fixture f("a");
+  for (int run = 1; run <= 2; ++run) {
+    const auto report = f.app.run(f.options());
+    ASSERT_TRUE(report) << report.error().to_string();
+    EXPECT_TRUE(report->good()) << report->json();
+    EXPECT_EQ(report->releases(), 20u);
+    EXPECT_EQ(report->lost(), 0u);
+    EXPECT_EQ(report->modules(), std::vector<std::string>{"M"});
+    EXPECT_EQ(report->results("M"), 20u);
+    EXPECT_EQ(report->lost("M"), 0u);
+    EXPECT_EQ(report->results("no such module"), 0u);
+    EXPECT_GT(report->p50().count(), 0);
+    EXPECT_GE(report->max(), report->p99());
+    EXPECT_NE(report->json().find("\"releases\":20"), std::string::npos) << report->json();
+    EXPECT_EQ(f.results.load(), 20 * run);
+    EXPECT_EQ(f.sum.load(), 190 * run);
+    EXPECT_EQ(f.alive.load(), 2 * run);
+  }
+}
+
+TEST(Run, TwoAppsSideBySideHaveTheirOwnDaemons) {
+  Fixture a("a"), b("b");
+  Result<RunReport> of_a = fail(ErrorCode::kInternal, "not run"), of_b = of_a;
+  std::thread one([&] { of_a = a.app.run(a.options()); });
+  std::thread other([&] { of_b = b.app.run(b.options().activations(30)); });
+  one.join();
+  other.join();
+  ASSERT_TRUE(of_a) << of_a.error().to_string();
+  ASSERT_TRUE(of_b) << of_b.error().to_string();
+  EXPECT_TRUE(of_a->good()) << of_a->json();
+  EXPECT_TRUE(of_b->good()) << of_b->json();
+  EXPECT_EQ(a.results.load(), 20);
+  EXPECT_EQ(b.results.load(), 30);
+}
+
+TEST(Run, StopFromAnotherThreadDrains) {
+  Fixture f("a", true);
+  std::thread driver;
+  f.app.on_start([&] {
+    driver = std::thread([&] {
+      int k = 0;
+      while (f.source->publish(k++)) {
+        if (k == 40) f.app.stop();
+        std::this_thread::sleep_for(1ms);
+      }
+    });
+  });
+  const auto report = f.app.run(f.options().activations(0));
+  driver.join();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->complete()) << report->json();
+  EXPECT_EQ(report->releases(), static_cast<std::uint64_t>(f.results.load()));
+  EXPECT_GT(f.results.load(), 0);
+  EXPECT_FALSE(f.source->publish(1));
+  f.app.stop();  // nothing runs: nothing happens
+}
+
+TEST(Run, WhatIsWrongIsToldAndTheNextRunWorks) {
+  Fixture f("a");
+  const auto error = [&](const RunOptions& options) {
+    const auto report = f.app.run(options);
+    EXPECT_FALSE(report);
+    return report ? std::string() : report.error().to_string();
+  };
+  EXPECT_NE(error(RunOptions()).find("RunOptions::app: is needed"), std::string::npos);
+  EXPECT_NE(error(f.options().policy("")).find("RunOptions::policy: is needed"), std::string::npos);
+  EXPECT_NE(error(f.options().policy("{}")).find("RunOptions::policy"), std::string::npos);
+  EXPECT_NE(error(f.options().scheduling("best")).find("'best'"), std::string::npos);
+  EXPECT_NE(error(f.options().overload("queue:0")).find("RunOptions::overload"), std::string::npos);
+  EXPECT_NE(error(f.options().cpu_sched("ext")).find("xauto run"), std::string::npos);
+  EXPECT_NE(error(f.options().real()).find("contradicts"), std::string::npos);
+  EXPECT_NE(error(f.options().programs("/nowhere")).find("xauto-coordinator"), std::string::npos);
+  EXPECT_NE(error(f.options().deployment(
+                      R"({"schema":"xauto.deployment","version":1,"app":"fixture",
+                          "defaults":{"isolate":true}})"))
+                .find("processes of their own"),
+            std::string::npos);
+  EXPECT_TRUE(f.app.run(f.options()));
+}
+
+TEST(Run, OneAppDoesNotRunTwiceAtOnce) {
+  Fixture f("a", true);
+  Result<RunReport> second = fail(ErrorCode::kInternal, "not run");
+  f.app.on_start([&] {
+    std::thread([&] { second = f.app.run(f.options()); }).join();
+    f.app.stop();
+  });
+  ASSERT_TRUE(f.app.run(f.options().activations(0)));
+  ASSERT_FALSE(second);
+  EXPECT_EQ(second.error().what, "it runs already");
+}
+
+/// A host that reaps every child, or wants to hear of none, takes our daemons' exit statuses away.
+TEST(Run, AHostThatReapsChildrenItselfDoesNotDisturb) {
+  struct sigaction ignore {
+  }, before{};
+  ignore.sa_handler = SIG_IGN;
+  sigaction(SIGCHLD, &ignore, &before);
+  std::atomic<bool> done{false};
+  std::thread reaper([&] {
+    while (!done) {
+      (void)waitpid(-1, nullptr, WNOHANG);
+      std::this_thread::sleep_for(1ms);
+    }
+  });
+  Fixture f("a");
+  const auto report = f.app.run(f.options());
+  done = true;
+  reaper.join();
+  sigaction(SIGCHLD, &before, nullptr);
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->good()) << report->json();
+}
+
+TEST(Run, SignalHandlersOfTheHostAreLeftAlone) {
+  Fixture f("a");
+  struct sigaction mine {
+  }, after{};
+  mine.sa_handler = [](int) {};
+  struct sigaction before {};
+  sigaction(SIGTERM, &mine, &before);
+  ASSERT_TRUE(f.app.run(f.options()));
+  sigaction(SIGTERM, nullptr, &after);
+  EXPECT_EQ(after.sa_handler, mine.sa_handler);
+  sigaction(SIGTERM, &before, nullptr);
+}
+
+TEST(Run, ContextsOutsideOfInitAndExecHaveNoEmulator) {
+  const auto context = emu::Context::open({"gpu0", XPU::GPU, 0});
+  ASSERT_FALSE(context);
+  EXPECT_EQ(context.error().code, ErrorCode::kUnavailable);
+}
+
+TEST(Run, AFailingInitIsTheRunsError) {
+  App app("x");
+  const Topic<int> camera("camera");
+  XNode<State> m1("m1"), m2("m2");
+  m1.add_impl(
+      XPU::GPU, [](const XpuId&) -> SchedHandle { throw std::runtime_error("no weights"); },
+      [](State&, const Input&) {});
+  m2.add_impl(
+      XPU::CPU, [](const XpuId&) { return SchedHandle::thread(); }, [](State&, const Input&) {});
+  XModule<State> module("M");
+  module.add_node(m1).add_node(m2).add_input_topic(camera);
+  app.add_module(module).add_source(camera, 1ms, [](std::uint64_t) { return 0; });
+  const Fixture f("a");
+  const auto report = app.run(f.options());
+  ASSERT_FALSE(report);
+  EXPECT_EQ(report.error().where, "init of XNode 'm1' on gpu0");
+  EXPECT_EQ(report.error().what, "threw: no weights");
+}
+
+}  // namespace
+}  // namespace xauto

@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: Apache-2.0
+// xauto/testing.h, as a test of an app would use it.
+#include <chrono>
+#include <memory>
+#include <string>
+
+#include <gtest/gtest.h>
+
+#include <xauto/emu.h>
+#include <xauto/testing.h>
+#include <xauto/xauto.h>
+
+namespace xauto {
+namespace {
+
+using namespace std::chrono_literals;
+
+struct State {
+  int sum = 0;
+  std::string text;
+};
+
+struct Engine {
+  Engine(emu::Context c, int& n) : context(std::move(c)), alive(n) { ++alive; }
+  ~Engine() { --alive; }
+  emu::Context context;
+  int& alive;
+};
+
+/// number, word -> detect (gpu 8 ms, cpu 20 ms; owns its context) -> write (cpu, computes) -> line
+class Fixture : public ::testing::Test {
+ protected:
+  Fixture() {
+    const auto emulated = [this](const XPU& xpu, std::chrono::microseconds work) {
+      detect.add_impl(
+          xpu,
+          [this](const XpuId& id) {
+            auto context = emu::Context::open(id);
+            if (!context) throw std::runtime_error(context.error().to_string());
+            const SchedHandle handle = context->handle();
+            opened = id.name;
+            return own(std::make_unique<Engine>(std::move(*context), alive), handle);
+          },
+          [this, work](Engine& engine, State& state, const Input& input) -> Status {
+            state.sum += input.get(number);
+            return engine.context.run(work);
+          });
+    };
+    emulated(XPU::GPU, 8ms);
+    emulated(XPU::CPU, 20ms);
+    write.add_impl(
+        XPU::CPU, [](const XpuId&) { return SchedHandle::thread(); },
+        [this](State& state, const Input& input) -> Status {
+          if (input.get(word).empty()) return fail(ErrorCode::kInvalid, "no word");
+          if (input.get(word) == "boom") throw std::runtime_error("boom");
+          state.text =
+              input.get(word) + std::to_string(state.sum) + "#" + std::to_string(input.sequence());
+          return {};
+        });
+    module.add_node(detect).add_node(write).add_input_topic(number).add_input_topic(word);
+    module.add_output_topic(line, &State::text);
+  }
+
+  const Topic<int> number{"number"};
+  const Topic<std::string> word{"word"}, line{"line"};
+  XNode<State> detect{"detect"}, write{"write"};
+  XModule<State> module{"M"};
+  int alive = 0;
+  std::string opened;
+};
+
+TEST_F(Fixture, FiresOnMessagesMadeByHandInVirtualTime) {
+  const auto before = std::chrono::steady_clock::now();
+  {
+    testing::Fire fire(module);
+    const auto first = fire.put(number, 3).put(word, std::string("a")).run();
+    ASSERT_TRUE(first) << first.error().to_string();
+    EXPECT_EQ(first->get(line), "a3#0");
+    EXPECT_EQ(first->xnodes(), (std::vector<std::string>{"detect", "write"}));
+    EXPECT_EQ(first->start("detect"), 0ms);
+    EXPECT_EQ(first->end("detect"), 8ms);
+    EXPECT_EQ(first->start("write"), 8ms);
+    EXPECT_EQ(first->end("write"), 8ms);
+    // The state and what init made go on; "word" is still there.
+    const auto second = fire.put(number, 4).run();
+    ASSERT_TRUE(second);
+    EXPECT_EQ(second->get(line), "a7#1");
+    EXPECT_EQ(second->end("detect"), 16ms);
+    EXPECT_EQ(first->get(line), "a3#0");
+    EXPECT_EQ(opened, "gpu0");
+    EXPECT_EQ(alive, 1);
+  }
+  EXPECT_EQ(alive, 0);
+  // An hour of virtual time would not sleep either.
+  EXPECT_LT(std::chrono::steady_clock::now() - before, 30s);
+}
+
+TEST_F(Fixture, TheXpuIsTheTestsChoice) {
+  testing::Fire fire(module);
+  const auto outcome = fire.on("detect", XPU::CPU).put(number, 1).put(word, std::string("a")).run();
+  ASSERT_TRUE(outcome) << outcome.error().to_string();
+  EXPECT_EQ(opened, "cpu0");
+  EXPECT_EQ(outcome->end("detect"), 20ms);
+}
+
+TEST_F(Fixture, ErrorsOfExecNameTheXNodeAndTheNextFiringWorks) {
+  testing::Fire fire(module);
+  const auto returned = fire.put(number, 1).put(word, std::string()).run();
+  ASSERT_FALSE(returned);
+  EXPECT_EQ(returned.error().to_string(), "exec of XNode 'write' on cpu0: no word");
+  const auto threw = fire.put(word, std::string("boom")).run();
+  ASSERT_FALSE(threw);
+  EXPECT_EQ(threw.error().to_string(), "exec of XNode 'write' on cpu0: threw: boom");
+  const auto good = fire.put(word, std::string("a")).run();
+  ASSERT_TRUE(good);
+  EXPECT_EQ(good->get(line), "a3#2");
+}
+
+TEST_F(Fixture, MistakesOfTheTestAreToldTogether) {
+  testing::Fire fire(module);
+  const auto outcome = fire.on("detect", XPU::DLA)
+                           .on("detekt", XPU::GPU)
+                           .put(Topic<int>("word"), 1)
+                           .put(Topic<int>("other"), 1)
+                           .run();
+  ASSERT_FALSE(outcome);
+  EXPECT_EQ(outcome.error().code, ErrorCode::kInvalid);
+  for (const char* told :
+       {"no implementation for 'dla'", "no XNode 'detekt'", "topic 'word' carries",
+        "topic 'other' is not an input", "topic 'number' has no message"})
+    EXPECT_NE(outcome.error().what.find(told), std::string::npos) << outcome.error().what;
+}
+
+TEST_F(Fixture, AnInitThatThrowsIsToldAndWhatIsNoOutputThrows) {
+  XNode<State> broken("broken");
+  broken.add_impl(
+      XPU::GPU, [](const XpuId&) -> SchedHandle { throw std::runtime_error("no weights"); },
+      [](State&, const Input&) {});
+  XModule<State> lonely("lonely");
+  lonely.add_node(broken).add_input_topic(number);
+  const auto failed = testing::Fire(lonely).put(number, 1).run();
+  ASSERT_FALSE(failed);
+  EXPECT_EQ(failed.error().to_string(), "init of XNode 'broken' on gpu0: threw: no weights");
+  testing::Fire fire(module);
+  const auto outcome = fire.put(number, 1).put(word, std::string("a")).run();
+  ASSERT_TRUE(outcome);
+  EXPECT_THROW((void)outcome->get(number), std::logic_error);
+  EXPECT_THROW((void)outcome->get(Topic<int>("line")), std::logic_error);
+}
+
+}  // namespace
+}  // namespace xauto

@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+// XNode::add_impl: every form of init and exec, as the runtime calls them.
+#include <memory>
+
+#include <gtest/gtest.h>
+
+#include <xauto/xauto.h>
+
+#include "graph/app_spec.h"
+#include "runtime/input_access.h"
+
+namespace xauto {
+namespace {
+
+struct State {
+  int sum = 0;
+};
+struct Engine {
+  explicit Engine(int s) : step(s) {}
+  int step;
+};
+struct Peek {};
+
+}  // namespace
+
+/// XModule is a friend of XNode, this one of the test's, too.
+template <>
+class XModule<Peek> {
+ public:
+  static std::vector<detail::ImplSpec>& impls(const XNode<State>& node) {
+    return node.spec_->impls;
+  }
+};
+
+namespace {
+
+Status run(detail::ImplSpec& impl, State& state) {
+  std::shared_ptr<void> object;
+  (void)impl.init({"gpu0", XPU::GPU, 0}, object);
+  return impl.exec(object.get(), &state, InputAccess::make());
+}
+
+TEST(XNode, ThePapersFormIsAsItWas) {
+  XNode<State> node("x");
+  node.add_impl(
+      XPU::CPU, [](const XpuId&) { return SchedHandle::thread(); },
+      [](State& s, const Input&) { s.sum += 1; });
+  node.add_impl(
+      XPU::GPU, [](const XpuId&) { return SchedHandle::gate(); },
+      [](State& s, const Input&) -> Status {
+        s.sum += 10;
+        return fail(ErrorCode::kIo, "no");
+      });
+  State state;
+  auto& impls = XModule<Peek>::impls(node);
+  ASSERT_EQ(impls.size(), 2u);
+  EXPECT_TRUE(run(impls[0], state));
+  std::shared_ptr<void> object;
+  EXPECT_EQ(impls[0].init({}, object), SchedHandle::thread());
+  EXPECT_EQ(object, nullptr);
+  EXPECT_FALSE(run(impls[1], state));
+  EXPECT_EQ(state.sum, 11);
+}
+
+TEST(XNode, WhatInitOwnsIsGivenToExec) {
+  XNode<State> node("x");
+  int number = 0;
+  node.add_impl(
+      XPU::GPU,
+      [&](const XpuId&) { return own(std::make_unique<Engine>(++number), SchedHandle::gate()); },
+      [](Engine& engine, State& s, const Input&) { s.sum += engine.step++; });
+  auto& impl = XModule<Peek>::impls(node).front();
+  // An object per instance: what one exec does to its own, the other's does not see.
+  std::shared_ptr<void> first, second;
+  EXPECT_EQ(impl.init({"gpu0", XPU::GPU, 0}, first), SchedHandle::gate());
+  EXPECT_EQ(impl.init({"gpu1", XPU::GPU, 1}, second), SchedHandle::gate());
+  State state;
+  const Input input = InputAccess::make();
+  EXPECT_TRUE(impl.exec(first.get(), &state, input));
+  EXPECT_TRUE(impl.exec(first.get(), &state, input));
+  EXPECT_EQ(state.sum, 1 + 2);
+  EXPECT_TRUE(impl.exec(second.get(), &state, input));
+  EXPECT_EQ(state.sum, 1 + 2 + 2);
+}
+
+TEST(XNode, ANullObjectIsRefused) {
+  XNode<State> node("x");
+  node.add_impl(
+      XPU::GPU, [](const XpuId&) { return own(std::unique_ptr<Engine>(), SchedHandle::gate()); },
+      [](Engine&, State&, const Input&) {});
+  std::shared_ptr<void> object;
+  EXPECT_THROW((void)XModule<Peek>::impls(node).front().init({}, object), std::logic_error);
+}
+
+}  // namespace
+}  // namespace xauto

@@ -1,0 +1,192 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sources that are pushed into: every publish is a release, and nothing is kept for another run.
+#include <chrono>
+#include <optional>
+
+#include <gtest/gtest.h>
+
+#include "base/clock.h"
+#include "runtime/profiler.h"
+
+#include "test_app.h"
+
+namespace xauto::runtime {
+namespace {
+
+/// TestApp with a pushed camera, and a driver that publishes from on_start on.
+class PushedApp : public TestApp {
+ public:
+  explicit PushedApp(std::chrono::microseconds distance = 1us) {
+    detail::SourceSpec& source = spec.sources.front();
+    source.period = distance;
+    source.make = nullptr;
+    inlet = source.inlet = std::make_shared<detail::Inlet>("camera", distance.count() * 1000);
+    camera.emplace(inlet);
+    spec.on_start.emplace_back([this] { driver_ = std::thread([this] { driver(); }); });
+    spec.on_stop.emplace_back([this] { join(); });
+  }
+  ~PushedApp() { join(); }
+  void join() {
+    if (driver_.joinable()) driver_.join();
+  }
+
+  std::shared_ptr<detail::Inlet> inlet;
+  std::optional<Source<int>> camera;
+  std::function<void()> driver = [] {};
+
+ private:
+  std::thread driver_;
+};
+
+TEST(Pushed, EveryPublishIsAReleaseWithItsNumberAndTheTimeOfTheCall) {
+  PushedApp app;
+  app.session.lockstep = false;
+  app.session.activations = 5;
+  app.session.deployment.defaults.overload = Overload{Overload::Kind::kQueue, 64};
+  std::vector<std::int64_t> before, after;
+  app.driver = [&] {
+    for (int k = 0; k < 5; ++k) {
+      before.push_back(now_ns());
+      EXPECT_TRUE(app.camera->publish(k));
+      after.push_back(now_ns());
+      std::this_thread::sleep_for(2ms);
+    }
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->complete) << report->note;
+  EXPECT_EQ(report->note, "");
+  ASSERT_EQ(report->releases.size(), 5u);
+  for (std::size_t k = 0; k < 5; ++k) {
+    EXPECT_EQ(report->releases[k].sequence, k);
+    EXPECT_GE(report->releases[k].latency_us, 0);
+    EXPECT_GE(report->releases[k].origin_ns, before[k]);
+    EXPECT_LE(report->releases[k].origin_ns, after[k]);
+  }
+  EXPECT_EQ(count(app.log(), "c1"), 5u);
+}
+
+TEST(Pushed, InLockstepMessagesWaitTheirTurnAndNothingIsLost) {
+  PushedApp app;
+  app.session.activations = 100;
+  app.driver = [&] {
+    for (int k = 0; k < 100; ++k) EXPECT_TRUE(app.camera->publish(k));
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->complete) << report->note;
+  EXPECT_EQ(report->num_releases, 100u);
+  EXPECT_EQ(report->lost_releases, 0u);
+}
+
+TEST(Pushed, WhatComesTooEarlyIsReleasedAndCounted) {
+  PushedApp app(1h);
+  app.session.activations = 4;
+  app.driver = [&] {
+    for (int k = 0; k < 4; ++k) EXPECT_TRUE(app.camera->publish(k));
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(report->num_releases, 4u);
+  EXPECT_NE(report->note.find("source 'camera': 3 of 4 messages came less than the declared "
+                              "3600000000 us after the one before"),
+            std::string::npos)
+      << report->note;
+}
+
+TEST(Pushed, OutsideOfARunAMessageIsAnErrorAndIsNotKept) {
+  PushedApp app;
+  const Status before = app.camera->publish(1);
+  ASSERT_FALSE(before);
+  EXPECT_EQ(before.error().code, ErrorCode::kUnavailable);
+  EXPECT_EQ(before.error().where, "topic 'camera'");
+  app.session.activations = 2;
+  app.driver = [&] {
+    for (int k = 0; k < 2; ++k) EXPECT_TRUE(app.camera->publish(k));
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(report->num_releases, 2u);
+  EXPECT_FALSE(app.camera->publish(3));
+  EXPECT_EQ(app.camera->publish(std::shared_ptr<const int>()).error().code, ErrorCode::kInvalid);
+}
+
+TEST(Pushed, TooManyThatWaitAreRefused) {
+  std::atomic<std::uint32_t> bell{0};
+  detail::Inlet inlet("camera", 1);
+  inlet.open(bell, detail::Inlet::Keep::kAll);
+  const Source<int> camera(std::shared_ptr<detail::Inlet>(std::shared_ptr<void>(), &inlet));
+  for (std::size_t k = 0; k < detail::Inlet::kMaxWaiting; ++k) EXPECT_TRUE(camera.publish(0));
+  const Status refused = camera.publish(0);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, ErrorCode::kUnavailable);
+  EXPECT_EQ(inlet.close(), detail::Inlet::kMaxWaiting);
+}
+
+TEST(Pushed, BesideAPolledSourceBothReleaseOnTheirOwn) {
+  PushedApp app;
+  const Topic<int> slow("slow");
+  app.spec.sources.push_back(
+      {*detail::topic_spec(slow), 20ms,
+       [](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
+         return std::make_shared<const int>(static_cast<int>(k));
+       }});
+  app.spec.modules[1]->inputs = {*detail::topic_spec(slow)};  // B
+  app.session.lockstep = false;
+  app.session.activations = 5;  // of the polled one
+  app.session.deployment.defaults.overload = Overload{Overload::Kind::kQueue, 64};
+  int published = 0;
+  app.driver = [&] {
+    while (app.camera->publish(published)) {
+      ++published;
+      std::this_thread::sleep_for(3ms);
+    }
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->complete) << report->note;
+  EXPECT_TRUE(report->several_rates);
+  EXPECT_EQ(report->modules[1].activations, 5u);
+  EXPECT_EQ(report->modules[0].activations + report->modules[0].dropped,
+            static_cast<std::uint64_t>(published));
+  EXPECT_GT(published, 5);
+}
+
+TEST(Pushed, AStopEndsARunThatNobodyPublishesInto) {
+  PushedApp app;
+  app.session.activations = 0;
+  std::atomic<bool> begun{false};
+  app.spec.on_start.emplace_back([&] { begun = true; });
+  app.stop_when = &begun;
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(report->num_releases, 0u);
+}
+
+TEST(Pushed, OnStartThatThrowsEndsTheRun) {
+  PushedApp app;
+  app.spec.on_start.emplace_back([] { throw std::runtime_error("no camera"); });
+  int stops = 0;
+  app.spec.on_stop.emplace_back([&] { ++stops; });
+  const auto report = app.run();
+  ASSERT_FALSE(report);
+  EXPECT_EQ(report.error().what, "on_start threw: no camera");
+  EXPECT_EQ(stops, 1);  // what had been started is stopped
+}
+
+TEST(Pushed, TheProfilerTakesWhatTheDriverPublishes) {
+  PushedApp app;
+  app.driver = [&] {
+    while (app.camera->publish(7)) std::this_thread::sleep_for(100us);
+  };
+  app.session.mode = Mode::kProfile;
+  app.session.warmup = 1;
+  app.session.repetitions = 3;
+  const std::atomic<bool> stop{false};
+  const auto profiled = profile(app.spec, app.session, stop);
+  ASSERT_TRUE(profiled) << profiled.error().to_string();
+  EXPECT_EQ(count(app.log(), "c1"), 2u * 4u);
+}
+
+}  // namespace
+}  // namespace xauto::runtime
