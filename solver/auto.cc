@@ -92,15 +92,15 @@ class Team {
   /// With an evaluation budget, a worker must not depend on how fast the others are.
   [[nodiscard]] bool counted() const { return options_.max_evaluations > 0; }
 
-  Limits limits(const Clock::duration slice, std::int64_t budget, int effort) const {
-    Limits limits;
-    limits.deadline = counted() ? deadline_ : std::min(deadline_, Clock::now() + slice);
-    limits.max_evaluations = budget;
-    limits.stop = options_.stop;
-    limits.stop_too = counted() ? nullptr : &done_;
-    limits.target = counted() || problem_.goal.weighted ? nullptr : &bound_;
-    limits.effort = effort;
-    return limits;
+  StopWhen stop_when(const Clock::duration slice, std::int64_t budget, int effort) const {
+    StopWhen when;
+    when.deadline = counted() ? deadline_ : std::min(deadline_, Clock::now() + slice);
+    when.max_evaluations = budget;
+    when.stop = options_.stop;
+    when.stop_too = counted() ? nullptr : &done_;
+    when.target = counted() || problem_.goal.weighted ? nullptr : &bound_;
+    when.effort = effort;
+    return when;
   }
 
   [[nodiscard]] bool over() const {
@@ -167,8 +167,8 @@ class Team {
     for (int round = 0; runners.size() > 1 && !over(); ++round) {
       const double each = options_.time_limit_s / 9 / static_cast<double>(runners.size());
       for (std::size_t k = 0; k < runners.size() && !over(); ++k) {
-        const Limits mine =
-            limits(seconds(each), level / static_cast<std::int64_t>(runners.size()) + 1, 0);
+        const StopWhen mine =
+            stop_when(seconds(each), level / static_cast<std::int64_t>(runners.size()) + 1, 0);
         runners[k] = anneal(problem_, runners[k],
                             options_.seed * 1000003 + static_cast<std::uint64_t>(t) * 7919 + 500 +
                                 static_cast<std::uint64_t>(round) * 31 + k,
@@ -216,8 +216,8 @@ class Team {
       callbacks.on_better = [&](const Solution& solution) {
         note(t, solution, space == Space::kOrdered);
       };
-      const Limits mine =
-          limits(slice, counted() ? std::min(budget, share) : 0, turn / round_length());
+      const StopWhen mine =
+          stop_when(slice, counted() ? std::min(budget, share) : 0, turn / round_length());
       const std::uint64_t seed = options_.seed * 1000003 + static_cast<std::uint64_t>(t) * 7919 +
                                  static_cast<std::uint64_t>(turn);
       switch (space) {

@@ -101,7 +101,7 @@ Status resolve(const Objectives& objectives, const AppSpec& app, const Platform&
       return fail(ErrorCode::kInfeasible,
                   "XNode '" + app.xnodes[at(i)].name + "' has no XPU left to run on", "pins");
   }
-  for (const Chain& chain : objectives.chains) {
+  for (const ChainWish& chain : objectives.chains) {
     XAUTO_ASSIGN(const int from, xnode_named(app, chain.from, "chains"));
     XAUTO_ASSIGN(const int to, xnode_named(app, chain.to, "chains"));
     if (!reaches(problem, from, to))
@@ -126,7 +126,7 @@ std::vector<ChainOutcome> chain_outcomes(const Objectives& objectives, const App
                                          const Problem& problem, const Policy& policy) {
   const std::vector<Time> heads = static_heads(problem), least = least_wcet(problem);
   std::vector<ChainOutcome> outcomes;
-  for (const Chain& chain : objectives.chains) {
+  for (const ChainWish& chain : objectives.chains) {
     const std::size_t to = at(app.find(chain.to));
     outcomes.push_back(
         {chain.name, policy.placements[to].finish_us, heads[to] + least[to], chain.deadline_us});

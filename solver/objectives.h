@@ -16,14 +16,14 @@ namespace xauto::solver {
 
 /// From a sensor's XNode to an output's. All sources are released at 0, so its latency is the
 /// finish of `to`.
-struct Chain {
+struct ChainWish {
   std::string name, from, to;
   std::optional<Time> deadline_us;
   std::int64_t weight = 0;  ///< of its latency in the sum that is minimised, if any chain has one
 };
 
 struct Objectives {
-  std::vector<Chain> chains;
+  std::vector<ChainWish> chains;
   std::vector<std::pair<std::string, std::string>> pins;     ///< XNode -> XPU id or type
   std::vector<std::pair<std::string, std::string>> forbids;  ///< XNode -> XPU id or type
   std::vector<std::vector<std::string>> groups;              ///< XNodes on one instance

@@ -116,10 +116,10 @@ Solution list_schedule(const Problem& problem, const std::vector<double>& rank, 
 template <class Eval, bool kMixed = false>
 class Annealer {
  public:
-  Annealer(const Problem& problem, std::uint64_t seed, const Limits& limits,
+  Annealer(const Problem& problem, std::uint64_t seed, const StopWhen& stop_when,
            const SearchCallbacks& callbacks)
       : problem_(problem),
-        limits_(limits),
+        stop_when_(stop_when),
         callbacks_(callbacks),
         evaluator_(problem),
         random_(seed) {
@@ -144,7 +144,7 @@ class Annealer {
     // Rounds of growing length; each cools down from a temperature that suits the current solution.
     std::int64_t length =
         kStepsPerXNode * static_cast<std::int64_t>(problem_.num_xnodes) + kStepsAtLeast;
-    for (int k = 0; k < limits_.effort; ++k) length += length / 2;
+    for (int k = 0; k < stop_when_.effort; ++k) length += length / 2;
     for (int round = 0; !done_; ++round) {
       // Temperatures follow the size of one XNode's effect, which falls as the app grows; and a
       // large app has no time to cool down from anything that is far from its start.
@@ -179,7 +179,7 @@ class Annealer {
         temperature *= factor;
         if (check_limits()) return;
       }
-      if (step % look_ == 0 && limits_.stopped()) {
+      if (step % look_ == 0 && stop_when_.stopped()) {
         done_ = true;
         return;
       }
@@ -322,9 +322,9 @@ class Annealer {
 
   bool check_limits() {
     const std::int64_t evaluations = evaluator_.evaluations();
-    if (limits_.max_evaluations > 0 && evaluations >= limits_.max_evaluations) done_ = true;
-    if (limits_.target != nullptr &&
-        best_.makespan <= limits_.target->load(std::memory_order_relaxed))
+    if (stop_when_.max_evaluations > 0 && evaluations >= stop_when_.max_evaluations) done_ = true;
+    if (stop_when_.target != nullptr &&
+        best_.makespan <= stop_when_.target->load(std::memory_order_relaxed))
       done_ = true;
     if (++polls_ % kPollsPerReport == 0) {
       if (callbacks_.on_evaluations) callbacks_.on_evaluations(evaluations - reported_);
@@ -334,7 +334,7 @@ class Annealer {
   }
 
   const Problem& problem_;
-  const Limits& limits_;
+  const StopWhen& stop_when_;
   const SearchCallbacks& callbacks_;
   Eval evaluator_;
   Random random_;
@@ -423,20 +423,20 @@ std::vector<Solution> constructive_solutions(const Problem& problem, const Until
 }
 
 Solution anneal(const Problem& problem, const Solution& start, std::uint64_t seed,
-                const Limits& limits, const SearchCallbacks& callbacks) {
-  return Annealer<Evaluator>(problem, seed, limits, callbacks).run(start);
+                const StopWhen& stop_when, const SearchCallbacks& callbacks) {
+  return Annealer<Evaluator>(problem, seed, stop_when, callbacks).run(start);
 }
 
 Solution anneal_ordered(const Problem& problem, const Solution& start, std::uint64_t seed,
-                        const Limits& limits, const SearchCallbacks& callbacks) {
-  Solution answer = Annealer<OrderedEvaluator>(problem, seed, limits, callbacks).run(start);
+                        const StopWhen& stop_when, const SearchCallbacks& callbacks) {
+  Solution answer = Annealer<OrderedEvaluator>(problem, seed, stop_when, callbacks).run(start);
   answer.ordered = true;
   return answer;
 }
 
 Solution anneal_mixed(const Problem& problem, const Solution& start, std::uint64_t seed,
-                      const Limits& limits, const SearchCallbacks& callbacks) {
-  return Annealer<Evaluator, true>(problem, seed, limits, callbacks).run(start);
+                      const StopWhen& stop_when, const SearchCallbacks& callbacks) {
+  return Annealer<Evaluator, true>(problem, seed, stop_when, callbacks).run(start);
 }
 
 Solution as_waiting(const Solution& ordered) {

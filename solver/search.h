@@ -16,7 +16,7 @@
 namespace xauto::solver {
 
 /// When to end. `target`: an answer this good cannot be beaten (a lower bound, may rise meanwhile).
-struct Limits {
+struct StopWhen {
   SteadyTime deadline = SteadyTime::max();
   std::int64_t max_evaluations = 0;  ///< 0: no limit
   const std::atomic<bool>* stop = nullptr;
@@ -63,14 +63,14 @@ struct SearchCallbacks {
 
 /// Anneals from `start` until the limits; returns the best seen, `start` included.
 [[nodiscard]] Solution anneal(const Problem& problem, const Solution& start, std::uint64_t seed,
-                              const Limits& limits, const SearchCallbacks& callbacks = {});
+                              const StopWhen& stop_when, const SearchCallbacks& callbacks = {});
 /// The same over ordered schedules (ordered.h); `start` may be any solution.
 [[nodiscard]] Solution anneal_ordered(const Problem& problem, const Solution& start,
-                                      std::uint64_t seed, const Limits& limits,
+                                      std::uint64_t seed, const StopWhen& stop_when,
                                       const SearchCallbacks& callbacks = {});
 /// The same over all policies: priorities, and each XNode may wait for another one of its XPU.
 [[nodiscard]] Solution anneal_mixed(const Problem& problem, const Solution& start,
-                                    std::uint64_t seed, const Limits& limits,
+                                    std::uint64_t seed, const StopWhen& stop_when,
                                     const SearchCallbacks& callbacks = {});
 /// An ordered solution as one in which each XNode waits for the one before it on its XPU.
 [[nodiscard]] Solution as_waiting(const Solution& ordered);

@@ -148,7 +148,7 @@ class Check {
     const std::optional<Us> whole =
         options_.asked.deadline_us ? options_.asked.deadline_us : app_.deadline_us;
     if (whole) tell("the deadline", v_.latency_us, whole);
-    for (const Chain& chain : options_.asked.chains) {
+    for (const ChainWish& chain : options_.asked.chains) {
       const int to = asked_xnode(chain.to);
       if (asked_xnode(chain.from) < 0 || to < 0) continue;
       tell("chain '" + chain.name + "'", finish_[at(to)], chain.deadline_us);

@@ -61,7 +61,7 @@ int main(int argc, char** argv) {
   } else {
     std::fprintf(stderr, "cpu_priority: %s\n", maps.error().to_string().c_str());
   }
-  const xauto::kernel::Slot slot = slots.take(0);
+  const xauto::kernel::ThreadSlot slot = slots.take(0);
   if (auto entered = slots.enter(slot); !entered) {
     std::fprintf(stderr, "cpu_priority: %s\n", entered.error().to_string().c_str());
     return 1;

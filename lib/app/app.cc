@@ -6,7 +6,6 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <mutex>
 #include <thread>
 
 #include <signal.h>
@@ -16,6 +15,7 @@
 
 #include "base/log.h"
 #include "base/memory_file.h"
+#include "base/pi_mutex.h"
 #include "base/rt.h"
 #include "emu/client.h"
 #include "graph/graph.h"
@@ -124,13 +124,17 @@ bool asks_for_help(char** argv) {
 struct App::Data {
   detail::AppSpecErased spec;
 
-  std::mutex mutex;  ///< guards what follows
-  enum class Run : std::uint8_t { kNone, kGoesOn, kStuck } state = Run::kNone;
-  bool stopped = false;               ///< the run that goes on
-  runtime::Engine* engine = nullptr;  ///< of that run, once there is one
+  PiMutex mutex;
+  enum class Run : std::uint8_t {
+    kNone,
+    kGoesOn,
+    kStuck
+  } state XAUTO_GUARDED_BY(mutex) = Run::kNone;
+  bool stopped XAUTO_GUARDED_BY(mutex) = false;               ///< the run that goes on
+  runtime::Engine* engine XAUTO_GUARDED_BY(mutex) = nullptr;  ///< of that run, once there is one
 
   void stop() {
-    const std::lock_guard lock(mutex);
+    const Guard lock(mutex);
     if (state != Run::kGoesOn) return;
     stopped = true;
     if (engine != nullptr) engine->request_stop();
@@ -182,7 +186,7 @@ Status App::check() const {
 
 Result<RunReport> App::run(const RunOptions& options) {
   {
-    const std::lock_guard lock(data_->mutex);
+    const Guard lock(data_->mutex);
     const std::string where = "app '" + data_->spec.name + "'";
     if (data_->state == Data::Run::kGoesOn)
       return fail(ErrorCode::kUnavailable, "it runs already", where, "two runs need two Apps");
@@ -193,7 +197,7 @@ Result<RunReport> App::run(const RunOptions& options) {
     data_->stopped = false;
   }
   Result<RunReport> report = data_->run(options, data_);
-  const std::lock_guard lock(data_->mutex);
+  const Guard lock(data_->mutex);
   if (data_->state == Data::Run::kGoesOn) data_->state = Data::Run::kNone;
   return report;
 }
@@ -251,12 +255,12 @@ Result<runtime::RunReport> App::Data::run_engine(const runtime::Session& asked,
   auto kept = std::make_unique<Kept>(Kept{self, asked, nullptr});
   XAUTO_ASSIGN(kept->engine, runtime::Engine::create(spec, kept->session));
   {
-    const std::lock_guard lock(mutex);
+    const Guard lock(mutex);
     engine = kept->engine.get();
     if (stopped) engine->request_stop();
   }
   auto report = kept->engine->run();
-  const std::lock_guard lock(mutex);
+  const Guard lock(mutex);
   engine = nullptr;
   if (kept->engine->stuck()) {
     state = Run::kStuck;

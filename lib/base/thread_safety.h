@@ -40,7 +40,9 @@ class OneThread {
     XAUTO_CHECK(owner_ == std::this_thread::get_id());
   }
   /// The next thread that calls becomes the owner; the caller orders the two.
-  void give_away() { owner_ = {}; }
+  void give_away() {
+    owner_ = {};
+  }
 
  private:
   mutable std::thread::id owner_;

@@ -63,8 +63,8 @@ bool Arbiter::needs_acks() const {
   return false;
 }
 
-void Arbiter::release(std::vector<Action>& out) {
-  held_ = false;
+void Arbiter::end_batch(std::vector<Action>& out) {
+  in_batch_ = false;
   decide(out);
 }
 
@@ -125,7 +125,7 @@ void Arbiter::finished(std::uint32_t xnode, std::uint64_t count, std::vector<Act
 }
 
 void Arbiter::decide(std::vector<Action>& out) {
-  if (held_) return;
+  if (in_batch_) return;
   const auto grant = [&](int slot) {
     at(slot).phase = Phase::kAdmitted;
     out.push_back({Action::Kind::kGrant, slot});

@@ -80,8 +80,8 @@ class Arbiter {
   void finished(std::uint32_t xnode, std::uint64_t count, std::vector<Action>& out);
 
   /// Several events at once: between `hold` and `release` they are only noted.
-  void hold() { held_ = true; }
-  void release(std::vector<Action>& out);
+  void begin_batch() { in_batch_ = true; }
+  void end_batch(std::vector<Action>& out);
   /// Every job is eligible from now on. Before the first event.
   void forget_order() { order_ = Order(); }
   /// As it was found in shared memory by a new coordinator. Decides nothing.
@@ -118,7 +118,7 @@ class Arbiter {
   [[nodiscard]] int high() const { return static_cast<int>(slots_.size()); }
 
   Discipline discipline_;
-  bool held_ = false;
+  bool in_batch_ = false;
   std::vector<Slot> slots_;  ///< as many as were ever used
   Order order_;
   std::vector<std::uint64_t> finished_;  ///< [xnode] -> activations finished; of those tracked

@@ -85,7 +85,7 @@ class Referee {
   void rebuild(Wakes& wakes) {
     const std::uint64_t owner = A::fetch_or(shm_.header->owner, kFat);
     fat_ = true;
-    arbiter_.hold();
+    arbiter_.begin_batch();
     const Taking taking = complete_taking(owner);
     for (int i = 0; i < high(); ++i) {
       SlotInfo& info = slots_[static_cast<std::size_t>(i)];
@@ -101,7 +101,7 @@ class Referee {
       slot.job = read_job(i, info.request);
       const Want want = request_want(info.request);
       const std::uint32_t generation = request_generation(info.request);
-      if (want == Want::kRun || want == Want::kHold) {
+      if (want == Want::kRun || want == Want::kNotEligible) {
         const bool owns = owner_slot(owner) == i && owner_generation(owner) == generation;
         const bool owned = taking.victim == i && taking.generation == generation;
         const bool granted = A::load(memory.coordinator.grant) == generation;
@@ -197,7 +197,7 @@ class Referee {
   /// From here on nobody else writes the owner word. Its owner, and from whom that took the XPU,
   /// are adopted before anybody else is heard: those jobs run.
   void take_over(Wakes& wakes) {
-    arbiter_.hold();
+    arbiter_.begin_batch();
     if (fat_) return;
     const std::uint64_t word = A::fetch_or(shm_.header->owner, kFat);
     fat_ = true;
@@ -220,12 +220,12 @@ class Referee {
         wakes.again = true;
         return;
       }
-      arbiter_.hold();
+      arbiter_.begin_batch();
       for (int i = 0; i < high(); ++i)
         if (slots_[static_cast<std::size_t>(i)].used) scan_slot(i, wakes);
       for (const std::uint32_t xnode : arbiter_.order().predecessors())
         arbiter_.finished(xnode, A::load(shm_.finished[xnode]), held_actions());
-      arbiter_.release(actions);
+      arbiter_.end_batch(actions);
       carry_out(actions, wakes);
       actions.clear();
       const std::uint32_t need = arbiter_.needs_acks() ? 1 : 0;
@@ -328,7 +328,7 @@ class Referee {
     const std::uint32_t generation = request_generation(request);
     switch (request_want(request)) {
       case Want::kRun:
-      case Want::kHold:
+      case Want::kNotEligible:
         if (owns == generation) {
           if (arbiter_.slot(slot).phase != Phase::kAdmitted)
             arbiter_.adopt(slot, job, held_actions());

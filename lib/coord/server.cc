@@ -321,7 +321,7 @@ std::string Server::state_of(int index, bool fat) const {
                                               "being resumed"};
     return kQueues[static_cast<int>(slot.queue)];
   }
-  return want == Want::kRun || want == Want::kHold ? "starting" : "idle";
+  return want == Want::kRun || want == Want::kNotEligible ? "starting" : "idle";
 }
 
 /// The slot for whose job others wait; -1: nobody's.

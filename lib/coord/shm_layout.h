@@ -80,10 +80,10 @@ constexpr std::uint64_t one_more_parked(std::uint64_t word) {
 
 /// Request word: bits 0..1 what the worker's job is doing, bits 2..31 its generation.
 enum class Want : std::uint32_t {
-  kIdle = 0,  ///< no job
-  kRun = 1,   ///< has a job: running if it is the owner or was granted, parked otherwise
-  kRuns = 2,  ///< kernel-scheduled XPU: runs without asking
-  kHold = 3,  ///< has a job that was not eligible: the coordinator says when
+  kIdle = 0,         ///< no job
+  kRun = 1,          ///< has a job: running if it is the owner or was granted, parked otherwise
+  kRuns = 2,         ///< kernel-scheduled XPU: runs without asking
+  kNotEligible = 3,  ///< has a job that was not eligible: the coordinator says when
 };
 inline constexpr std::uint32_t kGenerationMask = (1u << 30) - 1;
 constexpr std::uint32_t request_word(Want want, std::uint32_t generation) {

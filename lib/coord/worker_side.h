@@ -120,7 +120,7 @@ class Words {
       A::store(line.request, request_word(Want::kRuns, generation));
       return {};
     }
-    A::store(line.request, request_word(may ? Want::kRun : Want::kHold, generation));
+    A::store(line.request, request_word(may ? Want::kRun : Want::kNotEligible, generation));
     std::atomic<std::uint64_t>& owner = shm_.header->owner;
     std::uint64_t seen = A::load(owner);
     for (;;) {

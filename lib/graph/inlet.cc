@@ -26,7 +26,7 @@ Status push(Inlet& inlet, std::shared_ptr<const void> message) {
 Status Inlet::push(std::shared_ptr<const void> message) {
   const std::string where = "topic '" + topic_ + "'";
   if (message == nullptr) return fail(ErrorCode::kInvalid, "a null message was published", where);
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   if (bell_ == nullptr)
     return fail(ErrorCode::kUnavailable,
                 "a message was published while the app takes none: it does not run yet or any "
@@ -52,7 +52,7 @@ Status Inlet::push(std::shared_ptr<const void> message) {
 }
 
 void Inlet::open(std::atomic<std::uint32_t>& bell, Keep keep) {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   bell_ = &bell;
   keep_ = keep;
   last_ns_ = 0;
@@ -60,7 +60,7 @@ void Inlet::open(std::atomic<std::uint32_t>& bell, Keep keep) {
 }
 
 std::size_t Inlet::close() {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   bell_ = nullptr;
   const std::size_t left = waiting_.size();
   waiting_.clear();
@@ -68,7 +68,7 @@ std::size_t Inlet::close() {
 }
 
 std::optional<Inlet::Waiting> Inlet::take() {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   if (waiting_.empty()) return std::nullopt;
   Waiting first = std::move(waiting_.front());
   waiting_.pop_front();
@@ -76,12 +76,12 @@ std::optional<Inlet::Waiting> Inlet::take() {
 }
 
 std::int64_t Inlet::oldest_ns() const {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   return waiting_.empty() ? INT64_MAX : waiting_.front().at_ns;
 }
 
 Inlet::Early Inlet::early() const {
-  const std::lock_guard lock(mutex_);
+  const Guard lock(mutex_);
   return early_;
 }
 

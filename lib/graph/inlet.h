@@ -55,12 +55,12 @@ class Inlet {
  private:
   const std::string topic_;
   const std::int64_t distance_ns_;
-  mutable PiMutex mutex_;                       ///< guards what follows
-  std::atomic<std::uint32_t>* bell_ = nullptr;  ///< null: closed
-  Keep keep_ = Keep::kAll;
-  std::deque<Waiting> waiting_;
-  std::int64_t last_ns_ = 0;  ///< of the last push of this run; 0: none
-  Early early_;
+  mutable PiMutex mutex_;
+  std::atomic<std::uint32_t>* bell_ XAUTO_GUARDED_BY(mutex_) = nullptr;  ///< null: closed
+  Keep keep_ XAUTO_GUARDED_BY(mutex_) = Keep::kAll;
+  std::deque<Waiting> waiting_ XAUTO_GUARDED_BY(mutex_);
+  std::int64_t last_ns_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< of the last push of this run; 0: none
+  Early early_ XAUTO_GUARDED_BY(mutex_);
 };
 
 /// All inlets of an app, open as long as this lives. Threads: one.

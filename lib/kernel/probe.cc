@@ -21,7 +21,7 @@ namespace fs = std::filesystem;
 
 class Probe {
  public:
-  Probe(std::string root, const Limits& limits, const std::vector<Device>& devices)
+  Probe(std::string root, const Permitted& limits, const std::vector<Device>& devices)
       : root_(std::move(root)), limits_(limits), devices_(devices) {}
 
   std::vector<Finding> run() {
@@ -194,15 +194,15 @@ class Probe {
   }
 
   const std::string root_;
-  const Limits& limits_;
+  const Permitted& limits_;
   const std::vector<Device>& devices_;
   std::vector<Finding> findings_;
 };
 
 }  // namespace
 
-Limits Limits::of_this_process() {
-  Limits limits;
+Permitted Permitted::of_this_process() {
+  Permitted limits;
   utsname name{};
   uname(&name);
   limits.kernel_release = name.release;
@@ -224,7 +224,7 @@ bool module_is_loaded(const std::string& root) {
   return false;
 }
 
-std::vector<Finding> probe(const std::string& root, const Limits& limits,
+std::vector<Finding> probe(const std::string& root, const Permitted& limits,
                            const std::vector<Device>& devices) {
   return Probe(root, limits, devices).run();
 }

@@ -22,14 +22,14 @@ struct Finding {
 };
 
 /// What the probes ask the running kernel rather than a file; a test gives its own.
-struct Limits {
+struct Permitted {
   std::string kernel_release;
   int cores = 0;         ///< that this process may use
   int highest_fifo = 0;  ///< SCHED_FIFO priority that this process may use; 0: none
   unsigned long rtprio_limit = 0;
   unsigned long long memlock_bytes = 0;  ///< ~0: unlimited
   bool may_use_bpf = false;
-  [[nodiscard]] static Limits of_this_process();
+  [[nodiscard]] static Permitted of_this_process();
 };
 
 /// Is xauto.ko loaded?
@@ -44,7 +44,7 @@ struct Device {
 
 /// `root`: "" for this machine, or a folder that stands for / in tests. Changes nothing, needs no
 /// privilege.
-[[nodiscard]] std::vector<Finding> probe(const std::string& root, const Limits& limits,
+[[nodiscard]] std::vector<Finding> probe(const std::string& root, const Permitted& limits,
                                          const std::vector<Device>& devices);
 
 }  // namespace xauto::kernel

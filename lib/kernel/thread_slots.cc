@@ -26,8 +26,8 @@ ThreadSlots ThreadSlots::unobserved() {
   return {};
 }
 
-Slot ThreadSlots::take(std::uint32_t xpu) {
-  Slot slot;
+ThreadSlot ThreadSlots::take(std::uint32_t xpu) {
+  ThreadSlot slot;
   for (std::uint32_t i = 0; i < map_.size() && slot.slot_ == nullptr; ++i) {
     xauto_bpf_slot* candidate = map_.as<xauto_bpf_slot>() + i;
     std::uint32_t nobody = 0;  // several processes take from one map
@@ -43,13 +43,13 @@ Slot ThreadSlots::take(std::uint32_t xpu) {
   return slot;
 }
 
-int ThreadSlots::index(const Slot& slot) const {
+int ThreadSlots::index(const ThreadSlot& slot) const {
   const auto* first = map_.as<xauto_bpf_slot>();
   const bool inside = map_ && slot.slot_ >= first && slot.slot_ < first + map_.size();
   return inside ? static_cast<int>(slot.slot_ - first) : -1;
 }
 
-Status ThreadSlots::enter(const Slot& slot) const {
+Status ThreadSlots::enter(const ThreadSlot& slot) const {
   const auto tid = static_cast<std::uint32_t>(gettid());
   std::atomic_ref(slot.slot_->tid).store(tid, std::memory_order_release);
   const int at = index(slot);
@@ -62,7 +62,7 @@ Status ThreadSlots::enter(const Slot& slot) const {
   return {};
 }
 
-void ThreadSlots::leave(const Slot& slot) const {
+void ThreadSlots::leave(const ThreadSlot& slot) const {
   const std::uint32_t tid = slot.tid();
   if (tid != 0 && tid != kTaken && index(slot) >= 0) remove_element(threads_.get(), &tid);
   std::atomic_ref(slot.slot_->tid).store(0, std::memory_order_release);

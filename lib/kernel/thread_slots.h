@@ -18,10 +18,10 @@
 namespace xauto::kernel {
 
 /// One execution thread's slot. Who may call what is said at each; all are wait-free.
-class Slot {
+class ThreadSlot {
  public:
-  Slot() = default;
-  explicit Slot(xauto_bpf_slot* slot) : slot_(slot) {}
+  ThreadSlot() = default;
+  explicit ThreadSlot(xauto_bpf_slot* slot) : slot_(slot) {}
 
   /// The job that the thread runs next. By the thread itself between two jobs, or by whoever wakes
   /// it for its next one, before the wake-up. True: somebody waits for this CPU who may be more
@@ -42,10 +42,10 @@ class Slot {
     std::atomic_ref(slot_->job).fetch_or(XAUTO_BPF_JOB_ENDED, std::memory_order_release);
   }
   /// The job has the XPU, or no longer has it: by the execution or the management thread.
-  void hold(std::int64_t now_ns) const {
+  void has_xpu(std::int64_t now_ns) const {
     std::atomic_ref(slot_->held_ns).store(static_cast<__u64>(now_ns), std::memory_order_relaxed);
   }
-  void release(std::int64_t now_ns) const {
+  void gave_xpu(std::int64_t now_ns) const {
     const __u64 since = std::atomic_ref(slot_->held_ns).exchange(0, std::memory_order_relaxed);
     if (since != 0 && static_cast<__u64>(now_ns) > since)
       std::atomic_ref(slot_->busy_ns)
@@ -75,14 +75,14 @@ class ThreadSlots {
 
   /// One that nobody has, of any process of the run; when there are no more, one that nobody looks
   /// at.
-  [[nodiscard]] Slot take(std::uint32_t xpu);
+  [[nodiscard]] ThreadSlot take(std::uint32_t xpu);
   /// The calling thread is the one of `slot` from now on: scheduler and tracer know it.
-  [[nodiscard]] Status enter(const Slot& slot) const;
+  [[nodiscard]] Status enter(const ThreadSlot& slot) const;
   /// ... and no longer, before it ends. The slot may then be taken again.
-  void leave(const Slot& slot) const;
+  void leave(const ThreadSlot& slot) const;
   [[nodiscard]] bool observed() const { return static_cast<bool>(map_); }
   /// Number of the slot in the map; -1: it is not there.
-  [[nodiscard]] int index(const Slot& slot) const;
+  [[nodiscard]] int index(const ThreadSlot& slot) const;
 
  private:
   MappedMap map_;

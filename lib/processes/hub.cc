@@ -68,7 +68,7 @@ void Hub::serve() {
     std::vector<pollfd> fds = {{wake_.get(), POLLIN, 0}, {listener_.get(), POLLIN, 0}};
     {
       const Guard lock(mutex_);
-      for (const Member& member : members_)
+      for (const MemberState& member : members_)
         if (member.socket) fds.push_back({member.socket.get(), POLLIN, 0});
     }
     for (const UniqueFd& stranger : strangers_) fds.push_back({stranger.get(), POLLIN, 0});
@@ -122,7 +122,7 @@ bool Hub::hear(int fd) {
     const int who = static_cast<int>(packet.index);
     if (word == Word::kGone) {
       const Guard lock(mutex_);
-      Member& member = members_[packet.index];
+      MemberState& member = members_[packet.index];
       if (!member.socket) member.state = State::kGone;
       futex_advance(changes_, INT_MAX);
       return false;
@@ -130,7 +130,7 @@ bool Hub::hear(int fd) {
     if (word != Word::kHello) return false;
     {
       const Guard lock(mutex_);
-      Member& member = members_[packet.index];
+      MemberState& member = members_[packet.index];
       if (member.socket || stopping_) return false;
       member.socket = std::move(*stranger);
       member.state = State::kStarting;
@@ -145,7 +145,7 @@ bool Hub::hear(int fd) {
       bool again;
       {
         const Guard lock(mutex_);
-        Member& member = members_[static_cast<std::size_t>(process)];
+        MemberState& member = members_[static_cast<std::size_t>(process)];
         if (member.state != State::kStarting) return false;
         member.state = State::kReady;
         again = begun_;
@@ -153,7 +153,7 @@ bool Hub::hear(int fd) {
       if (again) {  // the others run already
         host_.joins(process);
         const Guard lock(mutex_);
-        Member& member = members_[static_cast<std::size_t>(process)];
+        MemberState& member = members_[static_cast<std::size_t>(process)];
         member.state = State::kRunning;
         if (!say(member.socket.get(), Word::kGo)) return false;
       }
@@ -203,7 +203,7 @@ void Hub::lose(int process) {
   bool running, stopping;
   {
     const Guard lock(mutex_);
-    Member& member = members_[static_cast<std::size_t>(process)];
+    MemberState& member = members_[static_cast<std::size_t>(process)];
     running = member.state == State::kRunning;
     member.socket.reset();
     member.state = State::kAbsent;
@@ -252,7 +252,7 @@ Result<bool> Hub::wait_ready(const std::atomic<bool>& stop) {
 
 void Hub::kill(int process) {
   const Guard lock(mutex_);
-  const Member& member = members_[static_cast<std::size_t>(process)];
+  const MemberState& member = members_[static_cast<std::size_t>(process)];
   ucred peer{};
   socklen_t size = sizeof peer;
   // The kernel's word, not the member's; the pid is its own as long as the socket is connected.
@@ -266,7 +266,7 @@ std::vector<std::string> Hub::stop() {
   {
     const Guard lock(mutex_);
     stopping_ = true;
-    for (const Member& member : members_)
+    for (const MemberState& member : members_)
       if (member.socket) (void)say(member.socket.get(), Word::kStop);
   }
   const std::int64_t limit = now_ns() + kReportNs;
@@ -274,8 +274,9 @@ std::vector<std::string> Hub::stop() {
     const std::uint32_t seen = changes_.load();
     {
       const Guard lock(mutex_);
-      const bool left = std::none_of(members_.begin(), members_.end(),
-                                     [](const Member& m) { return static_cast<bool>(m.socket); });
+      const bool left = std::none_of(members_.begin(), members_.end(), [](const MemberState& m) {
+        return static_cast<bool>(m.socket);
+      });
       if (left || now_ns() > limit) return reports_;
     }
     futex_wait(changes_, seen);

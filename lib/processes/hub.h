@@ -59,7 +59,7 @@ class Hub {
 
  private:
   enum class State : std::uint8_t { kAbsent, kStarting, kReady, kRunning, kGone };
-  struct Member {
+  struct MemberState {
     State state = State::kAbsent;
     UniqueFd socket;
   };
@@ -85,7 +85,7 @@ class Hub {
   std::thread thread_;
 
   mutable PiMutex mutex_;
-  std::vector<Member> members_ XAUTO_GUARDED_BY(mutex_);  ///< [process], 0 unused
+  std::vector<MemberState> members_ XAUTO_GUARDED_BY(mutex_);  ///< [process], 0 unused
   bool begun_ XAUTO_GUARDED_BY(mutex_) = false, stopping_ XAUTO_GUARDED_BY(mutex_) = false;
   std::vector<int> deaths_ XAUTO_GUARDED_BY(mutex_);
   std::vector<std::string> reports_ XAUTO_GUARDED_BY(mutex_);

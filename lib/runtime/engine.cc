@@ -156,7 +156,7 @@ RunReport Engine::report() {
 // ---- what the modules tell ---------------------------------------------------------------------
 
 void Engine::activate(int module) {
-  const Chain& chain = wiring_->chain(static_cast<std::size_t>(module));
+  const NodeRow& chain = wiring_->chain(static_cast<std::size_t>(module));
   context_->board.module(module).in_flight.store(1);
   if (trace_) {
     trace_->write(XAUTO_EV_ACTIVATE, chain.runtime->input().sequence(), XAUTO_EV_NONE,

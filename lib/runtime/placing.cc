@@ -33,12 +33,12 @@ int xpu_of(const Session& session, const Graph::Node& node, std::uint32_t xnode)
 }
 
 /// Of the workers; what falls short of what a run would like is noted.
-FifoPlan choose_priorities(const Session& session, FifoPlan& fifo, std::string& note) {
+FifoRange choose_priorities(const Session& session, FifoRange& fifo, std::string& note) {
   const int highest = rt::highest_fifo();
-  fifo = FifoPlan::within(highest);
+  fifo = FifoRange::within(highest);
   // With sched_ext too: what is no XNode runs above it, and it may go at any time.
   const bool real_cpus_wanted = session.cpu_sched != CpuSched::kOther;
-  if (!session.emulates() && !real_cpus_wanted) return FifoPlan::within(0);
+  if (!session.emulates() && !real_cpus_wanted) return FifoRange::within(0);
   if (fifo.none()) {
     note = "no permission for SCHED_FIFO: threads run as SCHED_OTHER; " + rt::fifo_hint();
     log::warn("{}", note);
@@ -53,7 +53,7 @@ FifoPlan choose_priorities(const Session& session, FifoPlan& fifo, std::string& 
       if (session.process == 0) log::warn("{}", pressed);
     }
   }
-  FifoPlan plan = fifo;
+  FifoRange plan = fifo;
   if (!real_cpus_wanted) plan.cpu_lowest = plan.cpu_highest = 0;
   return plan;
 }

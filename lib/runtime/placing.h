@@ -20,7 +20,7 @@ namespace xauto::runtime {
 
 struct Placing {
   /// What this process may; with `workers` less what is no business of theirs.
-  FifoPlan fifo, workers;
+  FifoRange fifo, workers;
   std::vector<int> fifo_by_xnode;  ///< of XNodes on real CPUs; empty: nobody schedules
   std::vector<int> cores;          ///< the kernel's numbers of the platform's CPUs, in order
   coord::OrderPairs order;

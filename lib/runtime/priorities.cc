@@ -6,7 +6,7 @@
 
 namespace xauto::runtime {
 
-FifoPlan FifoPlan::within(int highest) {
+FifoRange FifoRange::within(int highest) {
   if (highest <= 0) return {0, 0, 0, 0, 0};
   highest = std::min(highest, kFifoHighest);
   // Levels above those of the CPUs' XNodes, as many as there are; with fewer than four, neighbours
@@ -21,11 +21,11 @@ FifoPlan FifoPlan::within(int highest) {
       {3, 2, 1}};
   const int above = std::min(4, highest - 1);
   const int* level = kLevel[above];
-  const FifoPlan wanted;
+  const FifoRange wanted;
   const auto at = [&](int index, int preferred) {
     return std::min(highest - (above - index), preferred);
   };
-  FifoPlan plan;
+  FifoRange plan;
   plan.management = at(level[0], wanted.management);
   plan.sources = at(level[1], wanted.sources);
   plan.execution = at(level[2], wanted.execution);
@@ -34,7 +34,7 @@ FifoPlan FifoPlan::within(int highest) {
   return plan;
 }
 
-std::vector<int> FifoPlan::by_rank(const Policy& policy) const {
+std::vector<int> FifoRange::by_rank(const Policy& policy) const {
   std::vector<int> fifo(policy.placements.size(), 0);
   for (std::size_t i = 0; i < fifo.size(); ++i) {
     std::set<std::int64_t> above;
@@ -46,8 +46,8 @@ std::vector<int> FifoPlan::by_rank(const Policy& policy) const {
   return fifo;
 }
 
-std::string FifoPlan::note(int highest, const Policy& policy, const std::vector<int>& cpus) const {
-  if (none() || *this == FifoPlan{}) return {};
+std::string FifoRange::note(int highest, const Policy& policy, const std::vector<int>& cpus) const {
+  if (none() || *this == FifoRange{}) return {};
   const auto levels = static_cast<std::size_t>(cpu_highest - cpu_lowest + 1);
   std::size_t sharing = 0;
   for (const int cpu : cpus) {

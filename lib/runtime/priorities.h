@@ -15,16 +15,16 @@ namespace xauto::runtime {
 
 inline constexpr int kFifoHighest = 60;  ///< of coordinators; only the emulator would like more
 
-struct FifoPlan {
+struct FifoRange {
   int management = 50;
   int sources = 45;
   int execution = 40;  ///< of XPUs other than real CPUs: such a thread mostly waits
   int cpu_lowest = 2, cpu_highest = 39;  ///< XNodes on real CPUs, by policy priority
 
   /// From 1 to `highest`, which is rt::highest_fifo(); 0: no priorities at all, all members 0.
-  [[nodiscard]] static FifoPlan within(int highest);
+  [[nodiscard]] static FifoRange within(int highest);
   [[nodiscard]] bool none() const { return cpu_highest == 0; }
-  bool operator==(const FifoPlan&) const = default;
+  bool operator==(const FifoRange&) const = default;
 
   /// Of each XNode on a real CPU: the rank of its policy priority on its XPU, so that any number of
   /// policy priorities fits; the most urgent always gets the highest.

@@ -39,7 +39,7 @@ Result<std::unique_ptr<Wiring>> Wiring::build(const Context& context, const Plac
                                                     .partial = session.cpu_partial}));
   const std::size_t modules = context.graph.modules.size(), topics = context.graph.topics.size();
   for (std::size_t m = 0; m < modules; ++m) {
-    w.chains_.push_back(std::make_unique<Chain>());
+    w.chains_.push_back(std::make_unique<NodeRow>());
     w.chains_.back()->module = static_cast<int>(m);
     if (context.hosts(m)) XAUTO_TRY(w.place_module(m));
   }
@@ -65,7 +65,7 @@ void Wiring::join() {
 /// The module's chain, and a worker per XPU that it uses.
 Status Wiring::place_module(std::size_t module) {
   const Platform& platform = context_.session.platform;
-  Chain& chain = *chains_[module];
+  NodeRow& chain = *chains_[module];
   std::vector<std::pair<int, Worker*>> here;  // by XPU
   for (const int n : context_.graph.modules[module].nodes) {
     const auto index = static_cast<std::size_t>(n);
@@ -210,7 +210,7 @@ std::vector<std::string> Wiring::stop() {
 }
 
 void Wiring::skip(int module, std::uint64_t sequence) {
-  const Chain& chain = *chains_[static_cast<std::size_t>(module)];
+  const NodeRow& chain = *chains_[static_cast<std::size_t>(module)];
   for (std::size_t i = 0; i < chain.nodes.size(); ++i) chain.nodes[i].worker->skip(i, sequence);
 }
 

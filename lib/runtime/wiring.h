@@ -63,7 +63,7 @@ class Wiring {
   [[nodiscard]] transport::Receiver* receiver() const { return receiver_.get(); }
   /// Null: another process has it.
   [[nodiscard]] ModuleRuntime* module(std::size_t index) const { return modules_[index].get(); }
-  [[nodiscard]] const Chain& chain(std::size_t module) const { return *chains_[module]; }
+  [[nodiscard]] const NodeRow& chain(std::size_t module) const { return *chains_[module]; }
   [[nodiscard]] const std::vector<std::unique_ptr<Worker>>& workers() const { return workers_; }
   /// No XNode of `module` starts a job of an activation up to `sequence` any more.
   void skip(int module, std::uint64_t sequence);
@@ -88,7 +88,7 @@ class Wiring {
   std::unique_ptr<Interop> interop_;
   std::unique_ptr<transport::Receiver> receiver_;
   std::vector<std::unique_ptr<ModuleRuntime>> modules_;  ///< [module]
-  std::vector<std::unique_ptr<Chain>> chains_;           ///< [module]
+  std::vector<std::unique_ptr<NodeRow>> chains_;         ///< [module]
   std::unique_ptr<xpu::CpuThreads> threads_;             ///< outlives the workers
   std::vector<std::unique_ptr<Worker>> workers_;
 };

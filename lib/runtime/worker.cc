@@ -22,7 +22,8 @@ constexpr std::uint32_t kIdle = 1, kThrough = 2;     ///< Worker::ended_
 
 }  // namespace
 
-Worker::Worker(WorkerOptions options, Chain& chain, trace::Writer* trace, xpu::CpuThreads& threads)
+Worker::Worker(WorkerOptions options, NodeRow& chain, trace::Writer* trace,
+               xpu::CpuThreads& threads)
     : options_(std::move(options)),
       chain_(chain),
       trace_(trace),
@@ -231,7 +232,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
   if (thread_->observed()) {
     const std::int64_t since = now_ns();
     thread_->begin(since);
-    thread_->hold(since);
+    thread_->has_xpu(since);
   }
   record(XAUTO_EV_RUN, placed, input.sequence());
   const bool limited = placed.limits.any();
@@ -254,7 +255,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
     port_->finish();
   }
   thread_->end();
-  if (thread_->observed()) thread_->release(now_ns());
+  if (thread_->observed()) thread_->gave_xpu(now_ns());
   record(XAUTO_EV_FINISH, placed, input.sequence(), succeeded ? 0 : 1);
   return succeeded;
 }

@@ -46,7 +46,7 @@ struct Placed {
 };
 
 /// The chain of one module, shared by its workers.
-struct Chain {
+struct NodeRow {
   int module = -1;
   ModuleRuntime* runtime = nullptr;
   std::vector<Placed> nodes;
@@ -66,7 +66,7 @@ struct WorkerOptions {
 class Worker {
  public:
   /// `trace` may be null. The chain and `threads` must outlive the worker.
-  Worker(WorkerOptions options, Chain& chain, trace::Writer* trace, xpu::CpuThreads& threads);
+  Worker(WorkerOptions options, NodeRow& chain, trace::Writer* trace, xpu::CpuThreads& threads);
   ~Worker();
   Worker(const Worker&) = delete;
   Worker& operator=(const Worker&) = delete;
@@ -130,7 +130,7 @@ class Worker {
   static thread_local Worker* t_home;  ///< whose execution thread this is
 
   WorkerOptions options_;
-  Chain& chain_;
+  NodeRow& chain_;
   trace::Writer* trace_;
   std::unique_ptr<xpu::CpuThread> thread_;  ///< how the execution thread gets its CPU
   std::unique_ptr<coord::Port> port_;

@@ -40,7 +40,7 @@ void Worker::manage() {
           suspended = {job->made.handle, job, sequence};
           const std::int64_t now = now_ns();
           watch_.away(now);
-          thread_->release(now);
+          thread_->gave_xpu(now);
           record(XAUTO_EV_SUSPENDED, *job, sequence);
         } else {
           log::debug("{}: not suspended: {}", options_.name, done.error().to_string());
@@ -54,7 +54,7 @@ void Worker::manage() {
           if (const Status done = backend_->restore(suspended->handle); !done)
             log::warn("{}: not resumed: {}", options_.name, done.error().to_string());
           watch_.back(now_ns());
-          thread_->hold(now_ns());
+          thread_->has_xpu(now_ns());
           record(XAUTO_EV_RESUMED, *suspended->job, suspended->sequence);
           suspended.reset();
         }

@@ -19,7 +19,7 @@ ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
       memories_(std::move(memories)),
       topics_(module_.spec->inputs),
       state_(module_.spec->make_state()),
-      slots_(topics_.size()) {
+      queues_(topics_.size()) {
   InputAccess::bind(input_, &topics_);
   memories_.resize(module_.spec->outputs.size());
 }
@@ -30,9 +30,9 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
   bool start = false;
   {
     const Guard lock(mutex_);
-    Slot& slot = slots_[static_cast<std::size_t>(input)];
+    InputQueue& queue = queues_[static_cast<std::size_t>(input)];
     if (single_rate_ && envelope.sequence < next_) return;  // of a release that is already lost
-    arrive(slot, envelope, lost);
+    arrive(queue, envelope, lost);
     put_off(lost);
     start = !busy_ && take_if_fresh(lost);
     if (!busy_ || hung_) skip_below = std::exchange(skip_below_, 0);
@@ -42,35 +42,36 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
 }
 
 /// Called with the mutex held.
-void ModuleRuntime::arrive(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost) {
-  if (hung_) return lose_while_hung(slot, envelope, lost);
+void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
+                           std::vector<Lost>& lost) {
+  if (hung_) return lose_while_hung(queue, envelope, lost);
   // Messages come in order: what lies between was lost on the way (a full queue between processes).
   // What was settled meanwhile is not missing.
   const std::uint64_t expected =
-      std::max(std::exchange(slot.expected, envelope.sequence + 1), single_rate_ ? next_ : 0);
+      std::max(std::exchange(queue.expected, envelope.sequence + 1), single_rate_ ? next_ : 0);
   const bool gap = envelope.sequence > expected && envelope.message != nullptr;
   if (match_ns_ >= 0 && !single_rate_) {
     constexpr std::size_t kDepth = 16;  // unless it says queue:N
     const std::size_t depth = overload_.kind == Overload::Kind::kQueue ? overload_.depth : kDepth;
-    if (envelope.message != nullptr) slot.waiting.push_back(envelope);
-    while (slot.waiting.size() > depth) {
-      const std::uint64_t oldest = slot.waiting.front().sequence;
+    if (envelope.message != nullptr) queue.waiting.push_back(envelope);
+    while (queue.waiting.size() > depth) {
+      const std::uint64_t oldest = queue.waiting.front().sequence;
       lost.push_back({oldest, oldest, XAUTO_DROP_OVERRUN});
-      slot.waiting.pop_front();
+      queue.waiting.pop_front();
     }
     return;
   }
   if (overload_.kind == Overload::Kind::kQueue) {
     // Losses wait in the queue, too: what came before them is not lost.
-    if (single_rate_ && gap) slot.waiting.push_back({nullptr, 0, envelope.sequence - 1});
-    if (single_rate_ || envelope.message != nullptr) slot.waiting.push_back(envelope);
-    while (slot.waiting.size() > overload_.depth) {
-      const std::uint64_t oldest = slot.waiting.front().sequence;
+    if (single_rate_ && gap) queue.waiting.push_back({nullptr, 0, envelope.sequence - 1});
+    if (single_rate_ || envelope.message != nullptr) queue.waiting.push_back(envelope);
+    while (queue.waiting.size() > overload_.depth) {
+      const std::uint64_t oldest = queue.waiting.front().sequence;
       if (single_rate_) {
         settle(oldest + 1, XAUTO_DROP_OVERRUN, lost);
       } else {
         lost.push_back({oldest, oldest, XAUTO_DROP_OVERRUN});
-        slot.waiting.pop_front();
+        queue.waiting.pop_front();
       }
     }
     return;
@@ -82,23 +83,23 @@ void ModuleRuntime::arrive(Slot& slot, const detail::Envelope& envelope, std::ve
       settle(envelope.sequence + 1, XAUTO_DROP_UPSTREAM, lost);
     else if (skip)
       settle(envelope.sequence + 1, XAUTO_DROP_OVERRUN, lost);
-    else if (!slot.waiting.empty())
-      settle(slot.waiting.front().sequence + 1, XAUTO_DROP_OVERRUN, lost);
+    else if (!queue.waiting.empty())
+      settle(queue.waiting.front().sequence + 1, XAUTO_DROP_OVERRUN, lost);
   } else if (skip) {
     lost.push_back({envelope.sequence, envelope.sequence, XAUTO_DROP_OVERRUN});
-  } else if (!slot.waiting.empty()) {
-    const std::uint64_t old = slot.waiting.front().sequence;
+  } else if (!queue.waiting.empty()) {
+    const std::uint64_t old = queue.waiting.front().sequence;
     lost.push_back({old, old, XAUTO_DROP_OVERRUN});
   }
   if (envelope.message == nullptr || skip) return;
-  slot.waiting.clear();
-  slot.waiting.push_back(envelope);
+  queue.waiting.clear();
+  queue.waiting.push_back(envelope);
 }
 
 /// What comes while exec does not return. Called with the mutex held.
-void ModuleRuntime::lose_while_hung(Slot& slot, const detail::Envelope& envelope,
+void ModuleRuntime::lose_while_hung(InputQueue& queue, const detail::Envelope& envelope,
                                     std::vector<Lost>& lost) {
-  slot.expected = std::max(slot.expected, envelope.sequence + 1);
+  queue.expected = std::max(queue.expected, envelope.sequence + 1);
   if (single_rate_)
     settle(envelope.sequence + 1, XAUTO_DROP_HUNG, lost);
   else if (envelope.message != nullptr)
@@ -109,9 +110,9 @@ void ModuleRuntime::lose_while_hung(Slot& slot, const detail::Envelope& envelope
 void ModuleRuntime::resolve(std::vector<Lost>& lost) {
   for (bool again = single_rate_; again;) {
     again = false;
-    for (const Slot& slot : slots_)
-      if (!slot.waiting.empty() && slot.waiting.front().message == nullptr) {
-        settle(slot.waiting.front().sequence + 1, XAUTO_DROP_UPSTREAM, lost);
+    for (const InputQueue& queue : queues_)
+      if (!queue.waiting.empty() && queue.waiting.front().message == nullptr) {
+        settle(queue.waiting.front().sequence + 1, XAUTO_DROP_UPSTREAM, lost);
         again = true;
       }
   }
@@ -123,20 +124,21 @@ void ModuleRuntime::settle(std::uint64_t below, std::uint32_t reason, std::vecto
   lost.push_back({next_, below - 1, reason});
   next_ = below;
   skip_below_ = below;
-  for (Slot& slot : slots_)
-    while (!slot.waiting.empty() && slot.waiting.front().sequence < next_) slot.waiting.pop_front();
+  for (InputQueue& queue : queues_)
+    while (!queue.waiting.empty() && queue.waiting.front().sequence < next_)
+      queue.waiting.pop_front();
 }
 
 /// Whether the oldest messages belong together; those that can have no partner are lost: every
 /// queue is in the order of its origins, so what is older than all that another queue can still
 /// bring, less the tolerance, waits in vain. Called with the mutex held.
 bool ModuleRuntime::matched(std::vector<Lost>& lost) {
-  const auto by_origin = [](const Slot& a, const Slot& b) {
+  const auto by_origin = [](const InputQueue& a, const InputQueue& b) {
     return a.waiting.front().origin_ns < b.waiting.front().origin_ns;
   };
-  while (
-      std::none_of(slots_.begin(), slots_.end(), [](const Slot& s) { return s.waiting.empty(); })) {
-    const auto [oldest, newest] = std::minmax_element(slots_.begin(), slots_.end(), by_origin);
+  while (std::none_of(queues_.begin(), queues_.end(),
+                      [](const InputQueue& s) { return s.waiting.empty(); })) {
+    const auto [oldest, newest] = std::minmax_element(queues_.begin(), queues_.end(), by_origin);
     if (newest->waiting.front().origin_ns - oldest->waiting.front().origin_ns <= match_ns_)
       return true;
     const std::uint64_t sequence = oldest->waiting.front().sequence;
@@ -150,8 +152,8 @@ bool ModuleRuntime::matched(std::vector<Lost>& lost) {
 void ModuleRuntime::gather_origins() {
   auto origins = std::make_shared<detail::Origins>();
   origins->fill(0);
-  for (const Slot& slot : slots_)
-    if (const auto& of = slot.waiting.front().origins)
+  for (const InputQueue& queue : queues_)
+    if (const auto& of = queue.waiting.front().origins)
       for (std::size_t i = 0; i < origins->size(); ++i)
         if ((*of)[i] != 0 && ((*origins)[i] == 0 || (*of)[i] < (*origins)[i]))
           (*origins)[i] = (*of)[i];
@@ -161,22 +163,22 @@ void ModuleRuntime::gather_origins() {
 /// Moves the fresh messages into the activation's input. Called with the mutex held.
 bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
   if (overload_.kind == Overload::Kind::kQueue) resolve(lost);  // only there do losses wait
-  if (slots_[empty_].waiting.empty()) return false;
+  if (queues_[empty_].waiting.empty()) return false;
   if (match_ns_ >= 0 && !single_rate_ && !matched(lost)) return false;
-  for (empty_ = 0; empty_ < slots_.size() && !slots_[empty_].waiting.empty();) ++empty_;
-  if (empty_ < slots_.size()) return false;
+  for (empty_ = 0; empty_ < queues_.size() && !queues_[empty_].waiting.empty();) ++empty_;
+  if (empty_ < queues_.size()) return false;
   empty_ = 0;
   if (!single_rate_) gather_origins();
-  const auto oldest =
-      std::min_element(slots_.begin(), slots_.end(), [](const Slot& a, const Slot& b) {
+  const auto oldest = std::min_element(
+      queues_.begin(), queues_.end(), [](const InputQueue& a, const InputQueue& b) {
         return a.waiting.front().origin_ns < b.waiting.front().origin_ns;
       });
   const std::uint64_t sequence = oldest->waiting.front().sequence;
   InputAccess::stamp(input_, oldest->waiting.front().origin_ns, sequence);
   std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
-  for (std::size_t i = 0; i < slots_.size(); ++i) {
-    messages[i] = std::move(slots_[i].waiting.front());
-    slots_[i].waiting.pop_front();
+  for (std::size_t i = 0; i < queues_.size(); ++i) {
+    messages[i] = std::move(queues_[i].waiting.front());
+    queues_[i].waiting.pop_front();
   }
   if (single_rate_) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
@@ -269,9 +271,9 @@ bool ModuleRuntime::abandon(std::uint64_t sequence) {
     if (single_rate_) skip_below_ = std::max(skip_below_, sequence + 1);
     lost.insert(lost.end(), later_.begin(), later_.end());
     later_.clear();
-    for (Slot& slot : slots_)
-      for (auto waiting = std::exchange(slot.waiting, {}); !waiting.empty(); waiting.pop_front())
-        lose_while_hung(slot, waiting.front(), lost);
+    for (InputQueue& queue : queues_)
+      for (auto waiting = std::exchange(queue.waiting, {}); !waiting.empty(); waiting.pop_front())
+        lose_while_hung(queue, waiting.front(), lost);
     skip_below = std::exchange(skip_below_, 0);
   }
   tell(lost, skip_below);

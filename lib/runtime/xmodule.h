@@ -65,7 +65,7 @@ class ModuleRuntime {
   void begin_at(std::uint64_t next) {
     const Guard lock(mutex_);
     next_ = next;
-    for (Slot& slot : slots_) slot.expected = next;
+    for (InputQueue& queue : queues_) queue.expected = next;
   }
 
   /// A message (or tombstone) for input number `input`.
@@ -90,7 +90,7 @@ class ModuleRuntime {
   [[nodiscard]] const std::shared_ptr<const detail::Origins>& origins() const { return origins_; }
 
  private:
-  struct Slot {
+  struct InputQueue {
     Ring<detail::Envelope> waiting;  ///< in order; at most one unless queued
     std::uint64_t expected = 0;      ///< single rate: number of the next message
   };
@@ -102,9 +102,9 @@ class ModuleRuntime {
 
   void settle(std::uint64_t below, std::uint32_t reason, std::vector<Lost>& lost)
       XAUTO_REQUIRES(mutex_);
-  void arrive(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost)
+  void arrive(InputQueue& queue, const detail::Envelope& envelope, std::vector<Lost>& lost)
       XAUTO_REQUIRES(mutex_);
-  void lose_while_hung(Slot& slot, const detail::Envelope& envelope, std::vector<Lost>& lost)
+  void lose_while_hung(InputQueue& queue, const detail::Envelope& envelope, std::vector<Lost>& lost)
       XAUTO_REQUIRES(mutex_);
   void resolve(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] bool matched(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
@@ -126,9 +126,9 @@ class ModuleRuntime {
   std::shared_ptr<void> state_;
 
   PiMutex mutex_;  ///< nothing is called while it is held
-  std::vector<Slot> slots_ XAUTO_GUARDED_BY(mutex_);
+  std::vector<InputQueue> queues_ XAUTO_GUARDED_BY(mutex_);
   std::size_t empty_ XAUTO_GUARDED_BY(mutex_) =
-      0;  ///< a slot that was empty when last looked at: the first to look at
+      0;  ///< a queue that was empty when last looked at: the first to look at
   bool busy_ XAUTO_GUARDED_BY(mutex_) = false;
   Overload overload_ XAUTO_GUARDED_BY(mutex_);
   std::uint64_t next_ XAUTO_GUARDED_BY(mutex_) =

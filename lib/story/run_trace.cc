@@ -157,7 +157,7 @@ class Painter {
     first_.assign(story_.jobs.size(), -1);
     last_ = first_;
     for (std::size_t j = 0; j < story_.jobs.size(); ++j) {
-      const Job& job = story_.jobs[j];
+      const JobStory& job = story_.jobs[j];
       std::int64_t waited_ns = 0;
       int part = 0;
       std::string waited_for;
@@ -215,7 +215,7 @@ class Painter {
   std::int64_t begin_of(int piece) const { return run_[static_cast<std::size_t>(piece)].begin; }
 
   /// Which jobs belong together: of one release, or with several rates of one activation.
-  [[nodiscard]] std::int64_t key_of(const Job& job) const {
+  [[nodiscard]] std::int64_t key_of(const JobStory& job) const {
     return story_.several_rates && job.activation >= 0 ? job.activation
                                                        : static_cast<std::int64_t>(job.sequence);
   }
@@ -249,7 +249,7 @@ class Painter {
                                           app_.xnodes[static_cast<std::size_t>(v)].module;
     };
     for (std::size_t j = 0; j < story_.jobs.size(); ++j) {
-      const Job& job = story_.jobs[j];
+      const JobStory& job = story_.jobs[j];
       Details* first = first_piece(j);
       if (first == nullptr) continue;
       bool from_somewhere = false;
@@ -417,7 +417,7 @@ class Painter {
                        activation.sequence, activation.fate == Fate::kDropped ? " dropped" : ""),
            std::move(details)});
     }
-    for (const Job& job : story_.jobs) {
+    for (const JobStory& job : story_.jobs) {
       auto& list = entries[static_cast<std::size_t>(job.module)];
       Details details{
           "job", {{"xpu", scene_.rows[static_cast<std::size_t>(row_of(job.xpu))].name}}, {}, {}};
@@ -484,7 +484,7 @@ class Painter {
   void paint_counters() {
     const Track group = out_.add_track(root_, "counters");
     std::vector<Steps> waiting(scene_.rows.size()), suspended(scene_.rows.size());
-    for (const Job& job : story_.jobs)
+    for (const JobStory& job : story_.jobs)
       for (const Phase& phase : job.phases) {
         const auto row = static_cast<std::size_t>(row_of(job.xpu));
         Steps* steps = phase.kind == PhaseKind::kWaiting     ? &waiting[row]

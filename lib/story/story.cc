@@ -59,8 +59,9 @@ class Reader {
   Story finish() {
     for (auto& job : open_jobs_) close(job, story_.end_ns);
     for (auto& activation : open_activations_) leave(activation, story_.end_ns, Fate::kUnknown, 0);
-    std::stable_sort(story_.jobs.begin(), story_.jobs.end(),
-                     [](const Job& a, const Job& b) { return a.begin_ns() < b.begin_ns(); });
+    std::stable_sort(
+        story_.jobs.begin(), story_.jobs.end(),
+        [](const JobStory& a, const JobStory& b) { return a.begin_ns() < b.begin_ns(); });
     sort_activations();
     if (story_.several_rates)
       find_inputs();
@@ -122,7 +123,7 @@ class Reader {
     }
   }
 
-  static void enter(Job& job, PhaseKind kind, std::int64_t ts) {
+  static void enter(JobStory& job, PhaseKind kind, std::int64_t ts) {
     if (!job.phases.empty()) {
       if (job.phases.back().kind == kind) return;
       job.phases.back().end_ns = ts;
@@ -173,7 +174,7 @@ class Reader {
       sorted.push_back(std::move(story_.activations[i]));
     }
     story_.activations = std::move(sorted);
-    for (Job& job : story_.jobs)
+    for (JobStory& job : story_.jobs)
       if (job.activation >= 0) job.activation = index_of[static_cast<std::size_t>(job.activation)];
   }
 
@@ -249,7 +250,7 @@ class Reader {
       int xnode;
     };
     std::vector<std::vector<Run>> runs(platform_.xpus.size());
-    for (const Job& job : story_.jobs)
+    for (const JobStory& job : story_.jobs)
       for (const Phase& phase : job.phases)
         if (phase.kind == PhaseKind::kRunning)
           runs[static_cast<std::size_t>(job.xpu)].push_back(
@@ -260,7 +261,7 @@ class Reader {
       std::int64_t latest = 0;
       for (Run& run : list) run.latest_end = latest = std::max(latest, run.end);
     }
-    for (Job& job : story_.jobs) {
+    for (JobStory& job : story_.jobs) {
       const auto& list = runs[static_cast<std::size_t>(job.xpu)];
       for (Phase& phase : job.phases) {
         if (phase.kind != PhaseKind::kWaiting && phase.kind != PhaseKind::kSuspended) continue;
@@ -362,7 +363,7 @@ std::vector<ModuleInfo> modules_of(const AppSpec& app, const trace::Recording& t
 Overruns overruns_of(const AppSpec& app, const Platform& platform, const Story& story,
                      const std::vector<bool>& seen) {
   Overruns over;
-  for (const Job& job : story.jobs) {
+  for (const JobStory& job : story.jobs) {
     const auto xpu = static_cast<std::size_t>(job.xpu);
     const auto wcet_us =
         app.xnodes[static_cast<std::size_t>(job.xnode)].wcet_on(platform.xpus[xpu].type);

@@ -30,7 +30,7 @@ struct Phase {
 };
 
 /// One XNode's work for one activation.
-struct Job {
+struct JobStory {
   int xnode = -1, module = -1, xpu = -1;
   std::uint64_t sequence = 0;
   std::vector<Phase> phases;  ///< one after the other, at least one
@@ -83,7 +83,7 @@ struct Incident {
 };
 
 struct Story {
-  std::vector<Job> jobs;                ///< by begin
+  std::vector<JobStory> jobs;           ///< by begin
   std::vector<Activation> activations;  ///< by begin; a dropped one that never began has no length
   std::vector<ReleaseSpan> releases;    ///< by begin
   bool several_rates = false;  ///< sources count their own releases: equal numbers mean nothing

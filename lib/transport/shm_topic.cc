@@ -35,7 +35,7 @@ std::uint64_t stride_of(const TopicShape& s) {
 }
 
 std::size_t control_bytes(const TopicShape& s) {
-  return sizeof(TopicHeader) + s.subscribers * (sizeof(TopicQueue) + s.depth * sizeof(TopicSlot)) +
+  return sizeof(TopicHeader) + s.subscribers * (sizeof(TopicQueue) + s.depth * sizeof(QueuePlace)) +
          chunks_of(s) * sizeof(std::uint64_t);
 }
 
@@ -124,8 +124,8 @@ Result<std::shared_ptr<TopicControl>> TopicControl::map(int fd) {
   for (std::uint32_t s = 0; s < c.shape_.subscribers; ++s) {
     c.queues_.push_back(reinterpret_cast<TopicQueue*>(at));
     at += sizeof(TopicQueue);
-    c.slots_.push_back(reinterpret_cast<TopicSlot*>(at));
-    at += c.shape_.depth * sizeof(TopicSlot);
+    c.slots_.push_back(reinterpret_cast<QueuePlace*>(at));
+    at += c.shape_.depth * sizeof(QueuePlace);
   }
   c.held_ = reinterpret_cast<std::atomic<std::uint64_t>*>(at);
   return control;
@@ -173,7 +173,7 @@ std::uint32_t ShmPublisher::find_free() {
   std::fill(queued_.begin(), queued_.end(), std::uint8_t{0});
   for (std::uint32_t s = 0; s < c.shape().subscribers; ++s)
     for (std::uint32_t i = 0; i < c.shape().depth; ++i) {
-      TopicSlot& slot = c.slot(s, i);
+      QueuePlace& slot = c.slot(s, i);
       if (slot.word.load(std::memory_order_seq_cst) == 0) continue;
       const std::uint32_t chunk = slot.chunk.load(std::memory_order_relaxed);
       if (chunk < c.chunks()) queued_[chunk] = 1;
@@ -267,7 +267,7 @@ void ShmPublisher::push(std::uint32_t s, const detail::Envelope& envelope, std::
                         std::uint64_t bytes) {
   TopicQueue& queue = control_->queue(s);
   const std::uint64_t tail = queue.tail.load(std::memory_order_relaxed);
-  TopicSlot& slot = control_->slot(s, tail);
+  QueuePlace& slot = control_->slot(s, tail);
   // The oldest message, if nobody has taken it: lost for this subscriber.
   if (slot.word.exchange(0, std::memory_order_seq_cst) != 0)
     queue.dropped.fetch_add(1, std::memory_order_relaxed);
@@ -310,7 +310,7 @@ bool ShmSubscriber::empty() const {
   return control_->queue(index_).tail.load(std::memory_order_seq_cst) <= head_;
 }
 
-void ShmSubscriber::release(std::uint32_t chunk) {
+void ShmSubscriber::free_chunk(std::uint32_t chunk) {
   control_->held(chunk).fetch_and(~bit_, std::memory_order_seq_cst);
 }
 
@@ -318,7 +318,7 @@ std::optional<ShmSubscriber::Taken> ShmSubscriber::next() {
   TopicQueue& queue = control_->queue(index_);
   const std::uint64_t depth = control_->shape().depth;
   for (;;) {
-    TopicSlot& slot = control_->slot(index_, head_);
+    QueuePlace& slot = control_->slot(index_, head_);
     std::uint64_t word = slot.word.load(std::memory_order_seq_cst);
     if (word != head_ + 1) {
       const std::uint64_t tail = queue.tail.load(std::memory_order_seq_cst);
@@ -346,7 +346,7 @@ std::optional<ShmSubscriber::Taken> ShmSubscriber::next() {
     const bool message = taken.chunk < control_->chunks();
     if (message) control_->held(taken.chunk).fetch_or(bit_, std::memory_order_seq_cst);
     if (!slot.word.compare_exchange_strong(word, 0, std::memory_order_seq_cst)) {
-      if (message) release(taken.chunk);
+      if (message) free_chunk(taken.chunk);
       continue;
     }
     queue.head.store(++head_, std::memory_order_relaxed);
@@ -357,7 +357,7 @@ std::optional<ShmSubscriber::Taken> ShmSubscriber::next() {
 std::optional<detail::Envelope> ShmSubscriber::take_blank() {
   const auto taken = next();
   if (!taken) return std::nullopt;
-  if (taken->chunk < control_->chunks()) release(taken->chunk);
+  if (taken->chunk < control_->chunks()) free_chunk(taken->chunk);
   return detail::Envelope{nullptr, taken->origin_ns, taken->sequence, taken->origins};
 }
 
@@ -369,9 +369,10 @@ std::optional<detail::Envelope> ShmSubscriber::take() {
   const std::byte* at = data_ + taken->chunk * control_->stride();
   const bool fits = taken->bytes <= control_->shape().chunk_bytes;
   if (spec_.plain_bytes > 0 && fits && taken->bytes == spec_.plain_bytes) {
-    envelope.message = {
-        static_cast<const void*>(at),
-        [self = shared_from_this(), chunk = taken->chunk](const void*) { self->release(chunk); }};
+    envelope.message = {static_cast<const void*>(at),
+                        [self = shared_from_this(), chunk = taken->chunk](const void*) {
+                          self->free_chunk(chunk);
+                        }};
     return envelope;
   }
   if (spec_.plain_bytes == 0 && fits && spec_.decode != nullptr) {
@@ -380,7 +381,7 @@ std::optional<detail::Envelope> ShmSubscriber::take() {
     } catch (...) {  // as if it had been lost on the way
     }
   }
-  release(taken->chunk);
+  free_chunk(taken->chunk);
   return envelope;
 }
 

@@ -55,7 +55,7 @@ struct TopicShape {
   std::uint32_t keep = 8;         ///< messages that each of them (and the publisher) may keep
 };
 
-struct TopicSlot {
+struct QueuePlace {
   std::atomic<std::uint64_t> word{};  ///< [*] position + 1, or 0: empty
   std::atomic<std::uint64_t> sequence{};
   std::atomic<std::int64_t> origin_ns{};
@@ -65,7 +65,7 @@ struct TopicSlot {
   std::uint32_t pad[6] = {};
   std::atomic<std::int64_t> origins[detail::kMaxOrigins] = {};
 };
-static_assert(sizeof(TopicSlot) == 128);
+static_assert(sizeof(QueuePlace) == 128);
 
 struct alignas(64) TopicQueue {
   std::atomic<std::uint64_t> tail{};              ///< [P] positions written
@@ -106,7 +106,7 @@ class TopicControl {
   [[nodiscard]] std::uint64_t stride() const { return stride_; }
   TopicHeader& header() { return *header_; }
   TopicQueue& queue(std::uint32_t subscriber) { return *queues_[subscriber]; }
-  TopicSlot& slot(std::uint32_t subscriber, std::uint64_t position) {
+  QueuePlace& slot(std::uint32_t subscriber, std::uint64_t position) {
     return slots_[subscriber][position % shape_.depth];
   }
   std::atomic<std::uint64_t>& held(std::uint32_t chunk) { return held_[chunk]; }
@@ -131,7 +131,7 @@ class TopicControl {
   std::uint64_t stride_ = 0;
   TopicHeader* header_ = nullptr;
   std::vector<TopicQueue*> queues_;
-  std::vector<TopicSlot*> slots_;
+  std::vector<QueuePlace*> slots_;
   std::atomic<std::uint64_t>* held_ = nullptr;
 };
 
@@ -203,7 +203,7 @@ class ShmSubscriber final : public Subscriber, public std::enable_shared_from_th
     std::shared_ptr<const detail::Origins> origins;
   };
   std::optional<Taken> next();
-  void release(std::uint32_t chunk);
+  void free_chunk(std::uint32_t chunk);
 
   detail::TopicSpec spec_;
   std::shared_ptr<TopicControl> control_;

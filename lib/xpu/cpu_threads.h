@@ -50,16 +50,16 @@ class CpuThread {
   [[nodiscard]] bool observed() const;
   void begin(std::int64_t now_ns) const { slot_.begin(now_ns); }
   void end() const { slot_.end(); }
-  void hold(std::int64_t now_ns) const { slot_.hold(now_ns); }
-  void release(std::int64_t now_ns) const { slot_.release(now_ns); }
+  void has_xpu(std::int64_t now_ns) const { slot_.has_xpu(now_ns); }
+  void gave_xpu(std::int64_t now_ns) const { slot_.gave_xpu(now_ns); }
 
  private:
   friend class CpuThreads;
-  CpuThread(CpuThreads& all, kernel::Slot slot) : all_(all), slot_(slot) {}
+  CpuThread(CpuThreads& all, kernel::ThreadSlot slot) : all_(all), slot_(slot) {}
   void fall_back();  // by the watching thread
 
   CpuThreads& all_;
-  kernel::Slot slot_;
+  kernel::ThreadSlot slot_;
   std::atomic<int> tid_{0};
   std::atomic<int> fifo_wanted_{0};  ///< of the present job
   int fifo_now_ = 0;                 ///< the thread's own view

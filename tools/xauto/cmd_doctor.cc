@@ -24,7 +24,7 @@ Status write_platform(const std::string& path) {
 Result<int> doctor(const std::string& platform_out, const Options& options) {
   if (!platform_out.empty()) XAUTO_TRY(write_platform(platform_out));
   using kernel::Verdict;
-  const auto findings = kernel::probe("", kernel::Limits::of_this_process(), xpu::devices());
+  const auto findings = kernel::probe("", kernel::Permitted::of_this_process(), xpu::devices());
   const auto word = [](Verdict v) {
     return v == Verdict::kOk ? "ok" : v == Verdict::kDegraded ? "degraded" : "missing";
   };

@@ -78,7 +78,7 @@ Result<solver::Objectives> parse_objectives(const std::string& file, const std::
   XAUTO_ASSIGN(const std::vector<Json> chains, list("chains"));
   for (std::size_t k = 0; k < chains.size(); ++k) {
     const std::string pointer = "/chains/" + std::to_string(k);
-    solver::Chain chain;
+    solver::ChainWish chain;
     XAUTO_ASSIGN(chain.name, text(chains[k], "name", app_path, pointer));
     XAUTO_ASSIGN(chain.from, text(chains[k], "from", app_path, pointer));
     XAUTO_ASSIGN(chain.to, text(chains[k], "to", app_path, pointer));

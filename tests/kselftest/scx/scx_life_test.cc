@@ -52,24 +52,26 @@ void tables() {
   {
     std::vector<std::unique_ptr<XNodeThread>> threads;
     for (std::uint32_t t = 0; t < 4; ++t)
-      threads.push_back(std::make_unique<XNodeThread>(world, t, [&, t](const kernel::Slot& slot) {
-        const auto at = static_cast<std::size_t>(world.slots.index(slot));
-        const volatile xauto_bpf_job& job = world.maps.jobs()[at];
-        std::uint64_t last = 0;
-        for (std::uint64_t n = 1; !stop; ++n) {
-          const std::uint32_t xnode = (t + static_cast<std::uint32_t>(n)) % kXNodes;
-          if (slot.tell(xnode, n)) sched_yield();
-          usleep(200);  // woken: the scheduler has the job now
-          if (job.job != XAUTO_BPF_JOB(xnode, n)) continue;
-          const std::uint64_t version = job.version;
-          const bool whole = job.priority == priority_of(version, xnode) &&
-                             job.cpu == version % 2 && job.budget_ns == version * 1'000'000'000ull;
-          mixed += whole ? 0 : 1;
-          seen += version != last ? 1 : 0;
-          last = version;
-          ++jobs;
-        }
-      }));
+      threads.push_back(
+          std::make_unique<XNodeThread>(world, t, [&, t](const kernel::ThreadSlot& slot) {
+            const auto at = static_cast<std::size_t>(world.slots.index(slot));
+            const volatile xauto_bpf_job& job = world.maps.jobs()[at];
+            std::uint64_t last = 0;
+            for (std::uint64_t n = 1; !stop; ++n) {
+              const std::uint32_t xnode = (t + static_cast<std::uint32_t>(n)) % kXNodes;
+              if (slot.tell(xnode, n)) sched_yield();
+              usleep(200);  // woken: the scheduler has the job now
+              if (job.job != XAUTO_BPF_JOB(xnode, n)) continue;
+              const std::uint64_t version = job.version;
+              const bool whole = job.priority == priority_of(version, xnode) &&
+                                 job.cpu == version % 2 &&
+                                 job.budget_ns == version * 1'000'000'000ull;
+              mixed += whole ? 0 : 1;
+              seen += version != last ? 1 : 0;
+              last = version;
+              ++jobs;
+            }
+          }));
     std::mt19937 random(3);
     for (int i = 0; i < g_tables; ++i) {
       put();
@@ -102,14 +104,15 @@ void killed_loader() {
   {
     std::vector<std::unique_ptr<XNodeThread>> threads;
     for (std::uint32_t t = 0; t < 4; ++t)
-      threads.push_back(std::make_unique<XNodeThread>(world, t, [&, t](const kernel::Slot& slot) {
-        for (std::uint64_t n = 0; !stop; ++n) {
-          if (slot.tell(t, n)) sched_yield();
-          burn_us(100);
-          ++progress[t];
-          usleep(2000 * (t + 1));
-        }
-      }));
+      threads.push_back(
+          std::make_unique<XNodeThread>(world, t, [&, t](const kernel::ThreadSlot& slot) {
+            for (std::uint64_t n = 0; !stop; ++n) {
+              if (slot.tell(t, n)) sched_yield();
+              burn_us(100);
+              ++progress[t];
+              usleep(2000 * (t + 1));
+            }
+          }));
     for (int i = 0; i < g_kills; ++i) {
       const pid_t child = fork();
       if (child == 0) {
@@ -189,7 +192,7 @@ void impossible_maps() {
   const_cast<xauto_bpf_head&>(world.maps.head()).slots = 1;
   world.load();
   {
-    const auto sleeps = [](const kernel::Slot&) { usleep(10'000); };
+    const auto sleeps = [](const kernel::ThreadSlot&) { usleep(10'000); };
     XNodeThread good(world, 0, sleeps);
     ktap_test(scx_state() == "enabled" && good.index() == 0,
               "a thread whose slot has a job is fine");
@@ -286,7 +289,7 @@ void isolated_mode() {
   World world(2, kCpu);
   world.load({"--mode", "partial"});
   std::atomic<bool> stop{false};
-  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
   {
     XNodeThread low(world, 0, body, true), high(world, 1, body, true);
     usleep(1'000'000);

@@ -36,8 +36,8 @@ void sleep_ms(int ms) {
 /// An XNode thread that waits for work, as a worker of the runtime does.
 class Waiter {
  public:
-  Waiter(World& world, std::uint32_t xnode, std::function<void(const kernel::Slot&)> job)
-      : thread_(world, xnode, [this, job = std::move(job)](const kernel::Slot& slot) {
+  Waiter(World& world, std::uint32_t xnode, std::function<void(const kernel::ThreadSlot&)> job)
+      : thread_(world, xnode, [this, job = std::move(job)](const kernel::ThreadSlot& slot) {
           slot_ = slot;
           for (;;) {
             const std::uint32_t mail = mail_.load();
@@ -78,7 +78,7 @@ class Waiter {
     return stat.find(") S ") != std::string::npos;
   }
   std::atomic<std::uint32_t> mail_{0}, done_{0};
-  kernel::Slot slot_;
+  kernel::ThreadSlot slot_;
   XNodeThread thread_;
 };
 
@@ -93,7 +93,7 @@ void two_spinners() {
   world.load();
   for (const bool high_first : {false, true}) {
     std::atomic<bool> stop{false};
-    const auto body = [&](const kernel::Slot&) { spin(stop); };
+    const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
     XNodeThread first(world, high_first ? 1 : 0, body), second(world, high_first ? 0 : 1, body);
     XNodeThread& high = high_first ? first : second;
     XNodeThread& low = high_first ? second : first;
@@ -117,8 +117,8 @@ void order_of_eight() {
   for (int i = 0; i < kThreads; ++i)
     waiters.push_back(
         std::make_unique<Waiter>(world, static_cast<std::uint32_t>(i),
-                                 [&order, i](const kernel::Slot&) { order.push_back(i); }));
-  Waiter gate(world, kThreads, [&](const kernel::Slot&) {
+                                 [&order, i](const kernel::ThreadSlot&) { order.push_back(i); }));
+  Waiter gate(world, kThreads, [&](const kernel::ThreadSlot&) {
     holding = true;
     spin(open);
   });
@@ -164,11 +164,11 @@ void equal_priorities() {
   std::vector<std::unique_ptr<Waiter>> waiters;
   for (int i = 0; i < kThreads; ++i)
     waiters.push_back(std::make_unique<Waiter>(
-        world, static_cast<std::uint32_t>(i), [&order, i](const kernel::Slot&) {
+        world, static_cast<std::uint32_t>(i), [&order, i](const kernel::ThreadSlot&) {
           burn_us(15'000);  // several slices: nobody equal may come between
           order.push_back(i);
         }));
-  Waiter gate(world, kThreads, [&](const kernel::Slot&) {
+  Waiter gate(world, kThreads, [&](const kernel::ThreadSlot&) {
     holding = true;
     spin(open);
   });
@@ -203,11 +203,11 @@ void preemption() {
         .count();
   };
   {
-    XNodeThread low(world, 0, [&](const kernel::Slot& slot) {
+    XNodeThread low(world, 0, [&](const kernel::ThreadSlot& slot) {
       low_tid = slot.tid();
       spin(stop);
     });
-    Waiter high(world, 1, [&](const kernel::Slot& slot) {
+    Waiter high(world, 1, [&](const kernel::ThreadSlot& slot) {
       high_tid = slot.tid();
       latencies.push_back(static_cast<double>(now_us() - woken.load()));
     });
@@ -243,7 +243,7 @@ void placement() {
   int wrong = 0, jobs = 0;
   std::uint32_t wanted = 0;
   {
-    Waiter waiter(world, 0, [&](const kernel::Slot&) {
+    Waiter waiter(world, 0, [&](const kernel::ThreadSlot&) {
       wrong += sched_getcpu() != static_cast<int>(wanted) ? 1 : 0;
     });
     waiter.wake();
@@ -265,13 +265,13 @@ void lowered_by_store() {
   std::vector<int> order;
   {
     std::atomic<bool> go{false};
-    XNodeThread changing(world, 2, [&](const kernel::Slot& slot) {
+    XNodeThread changing(world, 2, [&](const kernel::ThreadSlot& slot) {
       spin(go);
       order.push_back(0);
       if (slot.tell(0, 1)) sched_yield();  // from 30 to 10, while 20 waits
       order.push_back(2);
     });
-    Waiter waiting(world, 1, [&](const kernel::Slot&) { order.push_back(1); });
+    Waiter waiting(world, 1, [&](const kernel::ThreadSlot&) { order.push_back(1); });
     waiting.wake();
     wait_for([&] { return queued(world, waiting.index()); });
     go = true;
@@ -284,12 +284,12 @@ void lowered_by_store() {
   world.unload();
   again.load();
   std::atomic<bool> go{false}, stop{false};
-  XNodeThread silent(again, 2, [&](const kernel::Slot& slot) {
+  XNodeThread silent(again, 2, [&](const kernel::ThreadSlot& slot) {
     spin(go);
     (void)slot.tell(0, 1);  // and does not yield
     spin(stop);
   });
-  Waiter waiting(again, 1, [](const kernel::Slot&) {});
+  Waiter waiting(again, 1, [](const kernel::ThreadSlot&) {});
   waiting.wake();
   wait_for([&] { return queued(again, waiting.index()); });
   go = true;
@@ -305,9 +305,9 @@ void told_while_queued() {
   std::vector<int> order;
   std::atomic<bool> open{false}, holding{false};
   {
-    Waiter first(world, 0, [&](const kernel::Slot&) { order.push_back(0); });
-    Waiter second(world, 1, [&](const kernel::Slot&) { order.push_back(1); });
-    Waiter gate(world, 3, [&](const kernel::Slot&) {
+    Waiter first(world, 0, [&](const kernel::ThreadSlot&) { order.push_back(0); });
+    Waiter second(world, 1, [&](const kernel::ThreadSlot&) { order.push_back(1); });
+    Waiter gate(world, 3, [&](const kernel::ThreadSlot&) {
       holding = true;
       spin(open);
     });
@@ -335,9 +335,9 @@ void lost_preemption() {
   int late = 0;
   double worst = 0;
   {
-    XNodeThread low(world, 0, [&](const kernel::Slot&) { spin(stop); });
+    XNodeThread low(world, 0, [&](const kernel::ThreadSlot&) { spin(stop); });
     Clock::time_point ran;
-    Waiter high(world, 1, [&](const kernel::Slot&) { ran = Clock::now(); });
+    Waiter high(world, 1, [&](const kernel::ThreadSlot&) { ran = Clock::now(); });
     for (std::uint32_t i = 0; i < 30; ++i) {
       std::atomic<bool> interrupting{false}, leave{false};
       Clock::time_point left;
@@ -372,10 +372,11 @@ void kick_storm() {
   std::atomic<bool> stop{false};
   std::atomic<std::uint64_t> rounds{0};
   {
-    XNodeThread low(world, 0, [&](const kernel::Slot&) { spin(stop); });
+    XNodeThread low(world, 0, [&](const kernel::ThreadSlot&) { spin(stop); });
     std::vector<std::unique_ptr<Waiter>> waiters;
     for (std::uint32_t i = 1; i < 9; ++i)
-      waiters.push_back(std::make_unique<Waiter>(world, i, [&](const kernel::Slot&) { ++rounds; }));
+      waiters.push_back(
+          std::make_unique<Waiter>(world, i, [&](const kernel::ThreadSlot&) { ++rounds; }));
     const auto end = Clock::now() + std::chrono::seconds(3);
     while (Clock::now() < end)
       for (auto& waiter : waiters) waiter->wake();
@@ -394,7 +395,7 @@ void finite_slice() {
   World world(2, kCpu);
   world.load({"--slice-us", "1000", "--floor-permille", "0", "--age-ms", "20000"});
   std::atomic<bool> stop{false};
-  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
   XNodeThread low(world, 0, body), high(world, 1, body);
   sleep_ms(200);  // what the floor's first credit bought is over
   const std::uint64_t kept = world.stat(XAUTO_BPF_STAT_KEPT);
@@ -427,7 +428,7 @@ void watchdog() {
     ordinary = cpu_seconds() - begin;
   });
   wait_for([&] { return started.load(); });
-  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
   XNodeThread low(world, 0, body), high(world, 1, body);
   const auto begin = Clock::now();
   sleep_ms(8000);
@@ -453,7 +454,7 @@ void responsive_shell() {
   world.load();
   std::atomic<bool> stop{false};
   // Both CPUs have a runaway, so that the shell has nowhere to go.
-  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
   const auto commands = [] {
     std::vector<double> took;
     for (int i = 0; i < 11; ++i) {
@@ -489,7 +490,7 @@ void budget() {
   world.put_rows();
   world.load();
   std::atomic<bool> stop{false};
-  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
   XNodeThread low(world, 0, body), runaway(world, 1, body);
   const volatile __u32& flags = world.maps.jobs()[runaway.index()].flags;
   const bool demoted = wait_for([&] { return (flags & XAUTO_BPF_JOB_DEMOTED) != 0; }, 3);
@@ -510,7 +511,7 @@ void kernel_threads() {
   world.put_rows();
   world.load();
   std::atomic<bool> stop{false};
-  const auto body = [&](const kernel::Slot&) { spin(stop); };
+  const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
   XNodeThread first(world, 0, body), second(world, 1, body);
   // An expedited RCU grace period and a flush of all per-CPU work need kernel threads on each CPU.
   std::vector<double> took;
@@ -538,7 +539,7 @@ void counts() {
   const std::uint64_t before = world.stat(XAUTO_BPF_STAT_LATCHED);
   {
     const auto jobs_of = [](std::uint32_t xnode) {
-      return [xnode](const kernel::Slot& slot) {
+      return [xnode](const kernel::ThreadSlot& slot) {
         for (std::uint64_t i = 1; i <= kJobs; ++i) {
           (void)slot.tell(xnode, i);
           usleep(500);  // taken up here at the latest, on its own CPU

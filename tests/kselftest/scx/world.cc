@@ -98,8 +98,8 @@ std::uint64_t World::stat(int which) const {
 }
 
 XNodeThread::XNodeThread(World& world, std::uint32_t xnode,
-                         std::function<void(const kernel::Slot&)> body, bool ext) {
-  const kernel::Slot slot = world.slots.take(0);
+                         std::function<void(const kernel::ThreadSlot&)> body, bool ext) {
+  const kernel::ThreadSlot slot = world.slots.take(0);
   index_ = static_cast<std::uint32_t>(world.slots.index(slot));
   std::atomic<bool> entered{false};
   thread_ = std::thread([&world, &entered, slot, xnode, ext, body = std::move(body), this] {

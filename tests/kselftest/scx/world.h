@@ -62,8 +62,8 @@ class World {
 /// A thread of one slot, told to run XNode `xnode`. `body` gets the slot.
 class XNodeThread {
  public:
-  XNodeThread(World& world, std::uint32_t xnode, std::function<void(const kernel::Slot&)> body,
-              bool ext = false);
+  XNodeThread(World& world, std::uint32_t xnode,
+              std::function<void(const kernel::ThreadSlot&)> body, bool ext = false);
   ~XNodeThread() { join(); }
   void join();
   [[nodiscard]] double cpu() const { return cpu_s_; }  ///< after join

@@ -36,7 +36,7 @@ class Machine : public ::testing::Test {
       {"gpu", {kGpuNodes, kGpuNodes + 2}, "a Jetson's GPU", "nvgpu", "needs a Jetson"},
       {"dla", {kDlaNodes, kDlaNodes + 4}, "a Jetson's DLA", "nvdla", "needs a Jetson"}};
   fs::path root_;
-  Limits limits_{"6.1.0", 4, 99, 99, ~0ull, false};
+  Permitted limits_{"6.1.0", 4, 99, 99, ~0ull, false};
 };
 
 TEST_F(Machine, LaptopLacksWhatAJetsonHas) {

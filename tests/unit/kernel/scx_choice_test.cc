@@ -105,9 +105,9 @@ TEST(Quantile, IsTheUpperEdgeOfItsBucket) {
   EXPECT_EQ(quantile_us(buckets, 1000), 2048u);
 }
 
-TEST(Slot, TellsAJobInOneWordAndKeepsThePriorityAfterItsEnd) {
+TEST(ThreadSlot, TellsAJobInOneWordAndKeepsThePriorityAfterItsEnd) {
   xauto_bpf_slot memory{};
-  const Slot slot(&memory);
+  const ThreadSlot slot(&memory);
   EXPECT_EQ(slot.xnode(), -1);
   EXPECT_FALSE(slot.tell(7, 42));
   EXPECT_EQ(memory.job, XAUTO_BPF_JOB(7, 42));
@@ -122,14 +122,14 @@ TEST(Slot, TellsAJobInOneWordAndKeepsThePriorityAfterItsEnd) {
   EXPECT_EQ(memory.job & XAUTO_BPF_JOB_ENDED, 0u);
 }
 
-TEST(Slot, CountsTheTimeThatJobsHoldTheXpuWithoutSuspensions) {
+TEST(ThreadSlot, CountsTheTimeThatJobsHoldTheXpuWithoutSuspensions) {
   xauto_bpf_slot memory{};
-  const Slot slot(&memory);
-  slot.hold(100);
-  slot.release(150);
-  slot.release(170);  // FINISH after SUSPENDED
-  slot.hold(200);
-  slot.release(230);
+  const ThreadSlot slot(&memory);
+  slot.has_xpu(100);
+  slot.gave_xpu(150);
+  slot.gave_xpu(170);  // FINISH after SUSPENDED
+  slot.has_xpu(200);
+  slot.gave_xpu(230);
   EXPECT_EQ(memory.busy_ns, 80u);
   slot.begin(300);
   EXPECT_EQ(memory.since_ns, 300u);
@@ -138,7 +138,7 @@ TEST(Slot, CountsTheTimeThatJobsHoldTheXpuWithoutSuspensions) {
 
 TEST(ThreadSlots, WithoutBpfGiveMemoryThatNobodyLooksAt) {
   ThreadSlots slots = ThreadSlots::unobserved();
-  const Slot first = slots.take(3), second = slots.take(4);
+  const ThreadSlot first = slots.take(3), second = slots.take(4);
   EXPECT_FALSE(slots.observed());
   EXPECT_EQ(slots.index(first), -1);
   EXPECT_FALSE(first.tell(1, 1));

@@ -8,20 +8,20 @@
 namespace xauto::runtime {
 namespace {
 
-TEST(FifoPlan, WithAllRightsIsTheDefault) {
-  EXPECT_EQ(FifoPlan::within(99), FifoPlan{});
-  EXPECT_EQ(FifoPlan::within(60), FifoPlan{});
+TEST(FifoRange, WithAllRightsIsTheDefault) {
+  EXPECT_EQ(FifoRange::within(99), FifoRange{});
+  EXPECT_EQ(FifoRange::within(60), FifoRange{});
 }
 
-TEST(FifoPlan, WithoutAnyIsNothing) {
-  EXPECT_TRUE(FifoPlan::within(0).none());
-  EXPECT_FALSE(FifoPlan::within(1).none());
+TEST(FifoRange, WithoutAnyIsNothing) {
+  EXPECT_TRUE(FifoRange::within(0).none());
+  EXPECT_FALSE(FifoRange::within(1).none());
 }
 
 // Every limit: nothing is outside, and the order is kept.
-TEST(FifoPlan, UnderAnyLimitStaysInsideAndKeepsTheOrder) {
+TEST(FifoRange, UnderAnyLimitStaysInsideAndKeepsTheOrder) {
   for (int highest = 1; highest <= kFifoHighest; ++highest) {
-    const FifoPlan p = FifoPlan::within(highest);
+    const FifoRange p = FifoRange::within(highest);
     for (const int level : {p.management, p.sources, p.execution, p.cpu_lowest, p.cpu_highest}) {
       EXPECT_GE(level, 1) << highest;
       EXPECT_LE(level, highest) << highest;
@@ -62,30 +62,30 @@ Policy policy_of(std::vector<std::int64_t> priorities) {
   return policy;
 }
 
-TEST(FifoPlan, RanksGoDownFromTheHighestAndShareTheLowest) {
+TEST(FifoRange, RanksGoDownFromTheHighestAndShareTheLowest) {
   const Policy policy = policy_of({-5, 1000, 7, 900, 8});
-  const auto ranks = [&](int highest) { return FifoPlan::within(highest).by_rank(policy); };
+  const auto ranks = [&](int highest) { return FifoRange::within(highest).by_rank(policy); };
   EXPECT_EQ(ranks(60), (std::vector<int>{35, 39, 36, 38, 37}));
   EXPECT_EQ(ranks(8), (std::vector<int>{2, 4, 2, 3, 2}));  // 4 levels above: 8, 7, 6, 5
   EXPECT_EQ(ranks(1), (std::vector<int>{1, 1, 1, 1, 1}));
 }
 
-TEST(FifoPlan, RanksAreThoseOfTheirOwnXpu) {
+TEST(FifoRange, RanksAreThoseOfTheirOwnXpu) {
   Policy policy = policy_of({1, 2, 3});
   policy.placements[2].xpu = 1;
-  EXPECT_EQ(FifoPlan{}.by_rank(policy), (std::vector<int>{38, 39, 39}));
+  EXPECT_EQ(FifoRange{}.by_rank(policy), (std::vector<int>{38, 39, 39}));
 }
 
-TEST(FifoPlan, SmallerRangeIsSaid) {
+TEST(FifoRange, SmallerRangeIsSaid) {
   const Policy policy = policy_of({1, 2, 3, 4, 5});
-  EXPECT_EQ(FifoPlan{}.note(60, policy, {0}), "");
-  EXPECT_EQ(FifoPlan::within(0).note(0, policy, {0}), "") << "that is said elsewhere";
-  EXPECT_EQ(FifoPlan::within(20).note(20, policy, {0}),
+  EXPECT_EQ(FifoRange{}.note(60, policy, {0}), "");
+  EXPECT_EQ(FifoRange::within(0).note(0, policy, {0}), "") << "that is said elsewhere";
+  EXPECT_EQ(FifoRange::within(20).note(20, policy, {0}),
             "SCHED_FIFO is permitted up to 20, not 60: XNodes on CPUs use 2 to 16");
-  EXPECT_EQ(FifoPlan::within(8).note(8, policy, {0}),
+  EXPECT_EQ(FifoRange::within(8).note(8, policy, {0}),
             "SCHED_FIFO is permitted up to 8, not 60: XNodes on CPUs use 2 to 4; the 3 least "
             "urgent of them share the lowest");
-  EXPECT_EQ(FifoPlan::within(8).note(8, policy, {1}),
+  EXPECT_EQ(FifoRange::within(8).note(8, policy, {1}),
             "SCHED_FIFO is permitted up to 8, not 60: XNodes on CPUs use 2 to 4");
 }
 

@@ -30,7 +30,7 @@ TEST(Story, JobsThatOutranTheirWcetAreCounted) {
   const auto told = story_of(tiny.app, tiny.platform, tiny.scene.modules, tiny.trace);
   ASSERT_TRUE(told.has_value()) << told.error().to_string();
   std::vector<std::int64_t> longest(tiny.app.xnodes.size(), 0);
-  for (const Job& job : told->jobs) {
+  for (const JobStory& job : told->jobs) {
     std::int64_t ran_ns = 0;
     for (const Phase& phase : job.phases)
       if (phase.kind == PhaseKind::kRunning) ran_ns += phase.end_ns - phase.begin_ns;

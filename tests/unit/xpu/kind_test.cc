@@ -53,7 +53,7 @@ TEST(Kind, ANewOneIsARowAndABackend) {
   // Found by its node, in what doctor probes and in the machine's platform.
   const auto probed = [&] {
     for (const kernel::Finding& f :
-         kernel::probe("", kernel::Limits::of_this_process(), devices(table)))
+         kernel::probe("", kernel::Permitted::of_this_process(), devices(table)))
       if (f.id == "fpga") return f;
     return kernel::Finding{};
   };
