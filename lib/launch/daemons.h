@@ -20,6 +20,9 @@
 
 namespace xauto::launch {
 
+/// Between SIGTERM and SIGKILL.
+inline constexpr int kGraceMs = 2'000;
+
 /// Sockets of one run are called PREFIX<pid>-<n>/<xpu>; `xauto status` finds them by this prefix.
 inline constexpr const char* kSocketPrefix = "xauto/";
 /// Last parts of socket names that are no coordinator's.

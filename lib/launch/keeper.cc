@@ -20,7 +20,6 @@
 namespace xauto::launch {
 namespace {
 
-constexpr int kGraceMs = 2'000;
 constexpr int kLookMs = 200;
 
 /// The folder of the program or library that this code is in.

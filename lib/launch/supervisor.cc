@@ -34,7 +34,6 @@ using namespace runtime;  // session, board: what the app is asked, and what it 
 
 constexpr int kDrainMs = 15'000;        ///< without progress: more than the app's own patience
 constexpr int kProfileDrainMs = 3'000;  ///< an app that profiles answers with what it has
-constexpr int kGraceMs = 2'000;
 
 constexpr std::uint64_t kMaxDumps = 3;  ///< of misses, and of hangs
 constexpr std::int64_t kAftermathNs = 300'000'000, kBeforeNs = 1'000'000'000;  ///< what they show

@@ -87,12 +87,12 @@ class Reader {
   }
 
   void job_step(const trace::Event& e, std::int64_t ts) {
-    std::optional<Job>& open = open_jobs_[e.xnode];
+    std::optional<JobStory>& open = open_jobs_[e.xnode];
     const bool opens =
         e.kind == XAUTO_EV_READY || e.kind == XAUTO_EV_START || e.kind == XAUTO_EV_RUN;
     if (open && open->sequence != e.seq && opens) close(open, ts);
     if (!open && opens) {
-      open = Job{e.xnode, e.module, e.xpu, e.seq, {}, false, false};
+      open = JobStory{e.xnode, e.module, e.xpu, e.seq, {}, false, false};
       if (const auto& activation = open_activations_[e.module];
           activation && activation->sequence == e.seq)
         open->activation = open_ids_[e.module];
@@ -132,7 +132,7 @@ class Reader {
     job.phases.push_back({kind, ts, ts, {}});
   }
 
-  void close(std::optional<Job>& job, std::int64_t ts) {
+  void close(std::optional<JobStory>& job, std::int64_t ts) {
     if (!job) return;
     job->phases.back().end_ns = ts;
     story_.jobs.push_back(std::move(*job));
@@ -279,7 +279,7 @@ class Reader {
   const AppSpec& app_;
   const Platform& platform_;
   const std::vector<ModuleInfo>& modules_;
-  std::vector<std::optional<Job>> open_jobs_;
+  std::vector<std::optional<JobStory>> open_jobs_;
   std::vector<std::optional<Activation>> open_activations_;
   std::vector<int> open_ids_;  ///< of open_activations_, in the order of their begins
   std::vector<int> ids_;       ///< of Story::activations; -1: it never began

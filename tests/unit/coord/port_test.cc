@@ -15,13 +15,10 @@
 #include "base/socket.h"
 #include "coord/server.h"
 
+#include "address.h"
+
 namespace xauto::coord {
 namespace {
-
-std::string unique_address() {
-  static std::atomic<int> count{0};
-  return "xauto-test/port/" + std::to_string(getpid()) + "-" + std::to_string(count.fetch_add(1));
-}
 
 /// Answers the one who comes with `bytes`, whatever it says.
 class Impostor {

@@ -19,16 +19,12 @@
 #include "coord/port.h"
 #include "coord/protocol.h"
 
+#include "address.h"
+
 namespace xauto::coord {
 namespace {
 
 using namespace std::chrono_literals;
-
-std::string unique_address() {
-  static std::atomic<int> count{0};
-  return "xauto-test/" + std::to_string(getpid()) + "-" + std::to_string(count.fetch_add(1)) +
-         "/gpu0";
-}
 
 /// A coordinator in a thread.
 class Running {
