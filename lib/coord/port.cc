@@ -22,6 +22,7 @@ namespace {
 /// again if that hangs (launch/pulse.h), or closes the door, which ends this at once: so the limit is
 /// for a parent that hangs, and generous to a machine that stalls.
 constexpr int kRejoinMs = 30'000;
+constexpr int kLookMs = 50;  ///< for whether the run ends meanwhile
 
 }  // namespace
 
@@ -77,8 +78,8 @@ Status Port::introduce(const Hello& hello, int timeout_ms) {
   XAUTO_ASSIGN(UniqueFd socket, connect_abstract(address_));
   XAUTO_TRY(send_packet(socket.get(), &hello, sizeof hello));
   pollfd answered{socket.get(), POLLIN, 0};
-  if (timeout_ms >= 0 && poll(&answered, 1, timeout_ms) <= 0)
-    return fail(ErrorCode::kTimeout, "did not answer", where);
+  for (int left = timeout_ms; timeout_ms >= 0 && poll(&answered, 1, kLookMs) <= 0; left -= kLookMs)
+    if (left <= 0 || interrupted_.load()) return fail(ErrorCode::kTimeout, "did not answer", where);
   std::vector<UniqueFd> fds;
   Refused answer;  // the largest of the possible answers
   XAUTO_ASSIGN(const std::size_t size, receive_packet(socket.get(), &answer, sizeof answer, &fds));

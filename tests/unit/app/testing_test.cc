@@ -15,22 +15,22 @@ namespace {
 
 using namespace std::chrono_literals;
 
-struct State {
+struct Seen {
   int sum = 0;
   std::string text;
 };
 
-struct Engine {
-  Engine(emu::Context c, int& n) : context(std::move(c)), alive(n) { ++alive; }
-  ~Engine() { --alive; }
+struct Model {
+  Model(emu::Context c, int& n) : context(std::move(c)), alive(n) { ++alive; }
+  ~Model() { --alive; }
   emu::Context context;
   int& alive;
 };
 
 /// number, word -> detect (gpu 8 ms, cpu 20 ms; owns its context) -> write (cpu, computes) -> line
-class Fixture : public ::testing::Test {
+class TestingTest : public ::testing::Test {
  protected:
-  Fixture() {
+  TestingTest() {
     const auto emulated = [this](const XPU& xpu, std::chrono::microseconds work) {
       detect.add_impl(
           xpu,
@@ -39,9 +39,9 @@ class Fixture : public ::testing::Test {
             if (!context) throw std::runtime_error(context.error().to_string());
             const SchedHandle handle = context->handle();
             opened = id.name;
-            return own(std::make_unique<Engine>(std::move(*context), alive), handle);
+            return own(std::make_unique<Model>(std::move(*context), alive), handle);
           },
-          [this, work](Engine& engine, State& state, const Input& input) -> Status {
+          [this, work](Model& engine, Seen& state, const Input& input) -> Status {
             state.sum += input.get(number);
             return engine.context.run(work);
           });
@@ -50,7 +50,7 @@ class Fixture : public ::testing::Test {
     emulated(XPU::CPU, 20ms);
     write.add_impl(
         XPU::CPU, [](const XpuId&) { return SchedHandle::thread(); },
-        [this](State& state, const Input& input) -> Status {
+        [this](Seen& state, const Input& input) -> Status {
           if (input.get(word).empty()) return fail(ErrorCode::kInvalid, "no word");
           if (input.get(word) == "boom") throw std::runtime_error("boom");
           state.text =
@@ -58,18 +58,18 @@ class Fixture : public ::testing::Test {
           return {};
         });
     module.add_node(detect).add_node(write).add_input_topic(number).add_input_topic(word);
-    module.add_output_topic(line, &State::text);
+    module.add_output_topic(line, &Seen::text);
   }
 
   const Topic<int> number{"number"};
   const Topic<std::string> word{"word"}, line{"line"};
-  XNode<State> detect{"detect"}, write{"write"};
-  XModule<State> module{"M"};
+  XNode<Seen> detect{"detect"}, write{"write"};
+  XModule<Seen> module{"M"};
   int alive = 0;
   std::string opened;
 };
 
-TEST_F(Fixture, FiresOnMessagesMadeByHandInVirtualTime) {
+TEST_F(TestingTest, FiresOnMessagesMadeByHandInVirtualTime) {
   const auto before = std::chrono::steady_clock::now();
   {
     testing::Fire fire(module);
@@ -95,7 +95,7 @@ TEST_F(Fixture, FiresOnMessagesMadeByHandInVirtualTime) {
   EXPECT_LT(std::chrono::steady_clock::now() - before, 30s);
 }
 
-TEST_F(Fixture, TheXpuIsTheTestsChoice) {
+TEST_F(TestingTest, TheXpuIsTheTestsChoice) {
   testing::Fire fire(module);
   const auto outcome = fire.on("detect", XPU::CPU).put(number, 1).put(word, std::string("a")).run();
   ASSERT_TRUE(outcome) << outcome.error().to_string();
@@ -103,7 +103,7 @@ TEST_F(Fixture, TheXpuIsTheTestsChoice) {
   EXPECT_EQ(outcome->end("detect"), 20ms);
 }
 
-TEST_F(Fixture, ErrorsOfExecNameTheXNodeAndTheNextFiringWorks) {
+TEST_F(TestingTest, ErrorsOfExecNameTheXNodeAndTheNextFiringWorks) {
   testing::Fire fire(module);
   const auto returned = fire.put(number, 1).put(word, std::string()).run();
   ASSERT_FALSE(returned);
@@ -116,7 +116,7 @@ TEST_F(Fixture, ErrorsOfExecNameTheXNodeAndTheNextFiringWorks) {
   EXPECT_EQ(good->get(line), "a3#2");
 }
 
-TEST_F(Fixture, MistakesOfTheTestAreToldTogether) {
+TEST_F(TestingTest, MistakesOfTheTestAreToldTogether) {
   testing::Fire fire(module);
   const auto outcome = fire.on("detect", XPU::DLA)
                            .on("detekt", XPU::GPU)
@@ -131,12 +131,12 @@ TEST_F(Fixture, MistakesOfTheTestAreToldTogether) {
     EXPECT_NE(outcome.error().what.find(told), std::string::npos) << outcome.error().what;
 }
 
-TEST_F(Fixture, AnInitThatThrowsIsToldAndWhatIsNoOutputThrows) {
-  XNode<State> broken("broken");
+TEST_F(TestingTest, AnInitThatThrowsIsToldAndWhatIsNoOutputThrows) {
+  XNode<Seen> broken("broken");
   broken.add_impl(
       XPU::GPU, [](const XpuId&) -> SchedHandle { throw std::runtime_error("no weights"); },
-      [](State&, const Input&) {});
-  XModule<State> lonely("lonely");
+      [](Seen&, const Input&) {});
+  XModule<Seen> lonely("lonely");
   lonely.add_node(broken).add_input_topic(number);
   const auto failed = testing::Fire(lonely).put(number, 1).run();
   ASSERT_FALSE(failed);

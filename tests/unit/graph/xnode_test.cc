@@ -12,7 +12,7 @@
 namespace xauto {
 namespace {
 
-struct State {
+struct Sums {
   int sum = 0;
 };
 struct Engine {
@@ -27,31 +27,29 @@ struct Peek {};
 template <>
 class XModule<Peek> {
  public:
-  static std::vector<detail::ImplSpec>& impls(const XNode<State>& node) {
-    return node.spec_->impls;
-  }
+  static std::vector<detail::ImplSpec>& impls(const XNode<Sums>& node) { return node.spec_->impls; }
 };
 
 namespace {
 
-Status run(detail::ImplSpec& impl, State& state) {
+Status run(detail::ImplSpec& impl, Sums& state) {
   std::shared_ptr<void> object;
   (void)impl.init({"gpu0", XPU::GPU, 0}, object);
   return impl.exec(object.get(), &state, InputAccess::make());
 }
 
 TEST(XNode, ThePapersFormIsAsItWas) {
-  XNode<State> node("x");
+  XNode<Sums> node("x");
   node.add_impl(
       XPU::CPU, [](const XpuId&) { return SchedHandle::thread(); },
-      [](State& s, const Input&) { s.sum += 1; });
+      [](Sums& s, const Input&) { s.sum += 1; });
   node.add_impl(
       XPU::GPU, [](const XpuId&) { return SchedHandle::gate(); },
-      [](State& s, const Input&) -> Status {
+      [](Sums& s, const Input&) -> Status {
         s.sum += 10;
         return fail(ErrorCode::kIo, "no");
       });
-  State state;
+  Sums state;
   auto& impls = XModule<Peek>::impls(node);
   ASSERT_EQ(impls.size(), 2u);
   EXPECT_TRUE(run(impls[0], state));
@@ -63,18 +61,18 @@ TEST(XNode, ThePapersFormIsAsItWas) {
 }
 
 TEST(XNode, WhatInitOwnsIsGivenToExec) {
-  XNode<State> node("x");
+  XNode<Sums> node("x");
   int number = 0;
   node.add_impl(
       XPU::GPU,
       [&](const XpuId&) { return own(std::make_unique<Engine>(++number), SchedHandle::gate()); },
-      [](Engine& engine, State& s, const Input&) { s.sum += engine.step++; });
+      [](Engine& engine, Sums& s, const Input&) { s.sum += engine.step++; });
   auto& impl = XModule<Peek>::impls(node).front();
   // An object per instance: what one exec does to its own, the other's does not see.
   std::shared_ptr<void> first, second;
   EXPECT_EQ(impl.init({"gpu0", XPU::GPU, 0}, first), SchedHandle::gate());
   EXPECT_EQ(impl.init({"gpu1", XPU::GPU, 1}, second), SchedHandle::gate());
-  State state;
+  Sums state;
   const Input input = InputAccess::make();
   EXPECT_TRUE(impl.exec(first.get(), &state, input));
   EXPECT_TRUE(impl.exec(first.get(), &state, input));
@@ -84,10 +82,10 @@ TEST(XNode, WhatInitOwnsIsGivenToExec) {
 }
 
 TEST(XNode, ANullObjectIsRefused) {
-  XNode<State> node("x");
+  XNode<Sums> node("x");
   node.add_impl(
       XPU::GPU, [](const XpuId&) { return own(std::unique_ptr<Engine>(), SchedHandle::gate()); },
-      [](Engine&, State&, const Input&) {});
+      [](Engine&, Sums&, const Input&) {});
   std::shared_ptr<void> object;
   EXPECT_THROW((void)XModule<Peek>::impls(node).front().init({}, object), std::logic_error);
 }

@@ -16,9 +16,9 @@ TEST(XpuStatus, ComesBackAsItWent) {
       9,
       {{"a@gpu0", "idle", "", 0, 0, 0, ""},
        {"b@gpu0", "suspended", "b.infer\n", UINT32_MAX, INT64_MIN, 5, "c.infer"}}};
-  const auto json = Json::parse(to_json(status).dump());
-  ASSERT_TRUE(json);
-  const auto back = parse_xpu_status(*json);
+  const auto parsed = Json::parse(to_json(status).dump());
+  ASSERT_TRUE(parsed);
+  const auto back = parse_xpu_status(*parsed);
   ASSERT_TRUE(back) << back.error().to_string();
   EXPECT_EQ(*back, status);
 }
