@@ -94,7 +94,11 @@ Status Port::introduce(const Hello& hello, int timeout_ms) {
   std::memcpy(&welcome, static_cast<const void*>(&answer), sizeof welcome);
   if (welcome.slot >= static_cast<std::uint32_t>(kMaxSlots))
     return fail(ErrorCode::kUnavailable, "answered with an unknown slot", where);
-  slot_ = static_cast<int>(welcome.slot);
+  // The execution thread uses the slot meanwhile, so one that comes back only looks at it.
+  if (hello.rejoin == 0)
+    slot_ = static_cast<int>(welcome.slot);
+  else if (welcome.slot != static_cast<std::uint32_t>(slot_))
+    return fail(ErrorCode::kUnavailable, "gave the worker another slot than its own", where);
   socket_ = std::move(socket);
   if (!memory_) {  // a coordinator that took over has the same memory and doorbell
     memory_ = std::move(fds[0]);

@@ -83,7 +83,7 @@ use() {
   timeout 60 xauto solve --app app.json --platform small --out policy.json
   timeout 60 xauto check --app app.json --platform small --policy policy.json
   grep -A 2 '"name": *"detect.infer"' policy.json | grep gpu0 # 4 ms there, 12 ms on a CPU
-  timeout 60 xauto run --app app.json --platform small --emulate --policy policy.json --activations 40 --trace-out run.pftrace \
+  timeout 60 xauto run --app app.json --platform small --emulate --policy policy.json --activations 40 --lockstep --trace-out run.pftrace \
     --out report.json -- build/template 2>&1 | tee said
   grep -F 'template: 40 frames tracked' said
   timeout 60 xauto report run.pftrace --out report.html

@@ -9,6 +9,7 @@
 #include <thread>
 
 #include <gtest/gtest.h>
+#include <poll.h>
 #include <sys/eventfd.h>
 #include <unistd.h>
 
@@ -25,7 +26,10 @@ class Impostor {
  public:
   explicit Impostor(std::vector<char> bytes)
       : listener_(*listen_abstract(address)), thread_([this, bytes = std::move(bytes)] {
+          pollfd comes{listener_.get(), POLLIN, 0};
+          EXPECT_EQ(poll(&comes, 1, -1), 1);  // the listener does not block
           auto peer = accept_own(listener_.get());
+          ASSERT_TRUE(peer);
           Hello hello;
           (void)receive_packet(peer->get(), &hello, sizeof hello);
           if (!bytes.empty()) (void)send_packet(peer->get(), bytes.data(), bytes.size());

@@ -147,8 +147,10 @@ TEST(Pushed, BesideAPolledSourceBothReleaseOnTheirOwn) {
   EXPECT_TRUE(report->complete) << report->note;
   EXPECT_TRUE(report->several_rates);
   EXPECT_EQ(report->modules[1].activations, 5u);
-  EXPECT_EQ(report->modules[0].activations + report->modules[0].dropped,
-            static_cast<std::uint64_t>(published));
+  // One that was published while the run ended may have been too late to be released.
+  const std::uint64_t released = report->modules[0].activations + report->modules[0].dropped;
+  EXPECT_LE(released, static_cast<std::uint64_t>(published));
+  EXPECT_GE(released + 1, static_cast<std::uint64_t>(published));
   EXPECT_GT(published, 5);
 }
 
