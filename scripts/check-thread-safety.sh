@@ -5,7 +5,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 build=${1:-build}
-clang=$(command -v clang++-19 || command -v clang++) || { echo "check-thread-safety: clang is missing; run scripts/setup.sh kernel" >&2; exit 1; }
+clang=$(command -v clang++-19 || command -v clang++) || { echo "check-thread-safety: clang is missing; run scripts/setup.sh check" >&2; exit 1; }
 # Files that lock, and those whose headers declare what is locked.
 git grep -l 'Guard lock(' -- 'lib/*.cc' |
   xargs -P "${JOBS:-2}" -n 1 "$clang" -std=c++20 -fsyntax-only -Wthread-safety -Werror=thread-safety \

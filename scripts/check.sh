@@ -147,7 +147,7 @@ kernel() {
 }
 # The Debian packages, made of the release build and tried in a clean root; scripts/package-check.sh counts.
 package() {
-  build ci build xauto_shared xauto xauto-coordinator xauto-emud xauto-cpusched || return
+  build ci build "${release[@]}" || return
   note "packages, in a clean Debian root"
   counted "the packages" scripts/package-check.sh build
 }
