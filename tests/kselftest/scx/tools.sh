@@ -25,12 +25,12 @@ driving_cpu --app-json >app.json
 # One CPU, the second: there the order of completion follows from the priorities alone.
 echo '{"schema":"xauto.platform","version":1,"name":"one","xpus":[{"id":"cpu0","type":"cpu","preemptive":true,"preempt_us":0}]}' >one.json
 xauto solve --app app.json --platform one.json --method heft --out policy.json >solve.log 2>&1 || cat solve.log
-# The period leaves time between two activations. In lockstep the next one is released while a worker still tidies up at the priority of its
+# The period leaves time between two activations; one that comes early on a machine that stalls waits, and is not lost. In lockstep the next one is released while a worker still tidies up at the priority of its
 # last job, and then its first job of the next activation comes late.
 drive() { # NAME CPU_SCHED ACTIVATIONS [OPTIONS]: the app's order in NAME.order, the report in NAME.json
   name=$1 sched=$2 activations=$3
   shift 3
-  taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations "$activations" --period-us 500000 \
+  taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations "$activations" --period-us 1000000 --overload queue:16 \
     --cpu-sched "$sched" --out "$name.json" "$@" -- driving_cpu --order "$dir/$name.order" >"$name.out" 2>"$name.err"
 }
 
