@@ -25,7 +25,8 @@ driving_cpu --app-json >app.json
 # One CPU, the second: there the order of completion follows from the priorities alone.
 echo '{"schema":"xauto.platform","version":1,"name":"one","xpus":[{"id":"cpu0","type":"cpu","preemptive":true,"preempt_us":0}]}' >one.json
 xauto solve --app app.json --platform one.json --method heft --out policy.json >solve.log 2>&1 || cat solve.log
-# The period leaves time between two activations; one that comes early on a machine that stalls waits, and is not lost. In lockstep the next one is released while a worker still tidies up at the priority of its
+# The period leaves time between two activations; one that comes early on a machine that stalls waits, and is not lost.
+# In lockstep the next one is released while a worker still tidies up at the priority of its
 # last job, and then its first job of the next activation comes late.
 drive() { # NAME CPU_SCHED ACTIVATIONS [OPTIONS]: the app's order in NAME.order, the report in NAME.json
   name=$1 sched=$2 activations=$3
@@ -89,7 +90,7 @@ ok "... with all activations" [ "$(wc -l <nobtf.order)" -eq 4 ]
 # No privilege: somebody else than root.
 chmod 1777 $dir
 su user -s /bin/sh -c "cd $dir && taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations 4 \
-  --period-us 500000 --cpu-sched ext --out plain.json -- driving_cpu --order $dir/plain.order" >plain.out 2>plain.err
+  --period-us 1000000 --overload queue:16 --cpu-sched ext --out plain.json -- driving_cpu --order $dir/plain.order" >plain.out 2>plain.err
 status=$?
 grep -h "no sched_ext\|SCHED_FIFO" plain.err | sed 's/^/# /'
 ok "without privilege the app runs to its end" [ $status -eq 0 ]
@@ -106,7 +107,7 @@ priorities() { # PROGRAM: of its SCHED_FIFO threads, from stat, fields 40 and 41
 }
 limited "xauto doctor" >doctor.out 2>&1
 ok "what a limit leaves, xauto doctor says" has "SCHED_FIFO permitted up to 24" doctor.out
-limited "taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations 7 --period-us 500000 --out limited.json \
+limited "taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations 7 --period-us 1000000 --overload queue:16 --out limited.json \
   -- driving_cpu --order $dir/limited.order" >limited.out 2>limited.err &
 run=$!
 for _ in $(seq 300); do
