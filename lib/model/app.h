@@ -13,9 +13,18 @@
 
 #include <xauto/result.h>
 
+#include "model/period.h"
 #include "model/platform.h"
 
 namespace xauto {
+
+/// Another implementation of an XNode: less work for a result of less quality.
+struct VariantSpec {
+  std::string name;
+  std::int64_t quality_pct = 100;  ///< of the XNode's own, 1..100
+  std::map<std::string, std::int64_t, std::less<>> wcet_us;
+  bool operator==(const VariantSpec&) const = default;
+};
 
 struct XNodeSpec {
   std::string name;    ///< unique in the app, "fcd.infer"
@@ -27,26 +36,74 @@ struct XNodeSpec {
   /// XPU types, of those in wcet_us, on which it computes itself: what it was measured on was no
   /// emulated stand-in. Where it runs there, the XPU has to be real.
   std::set<std::string, std::less<>> real_on = {};
+  std::vector<VariantSpec> variants = {};  ///< beside wcet_us; a set of tables may choose them
 
   [[nodiscard]] std::optional<std::int64_t> wcet_on(std::string_view type) const;
   bool operator==(const XNodeSpec&) const = default;
 };
 
-/// A sensor as it was when the app was profiled. A policy is not made for the periods yet: they say
-/// what a policy of one release leaves open.
+/// Sources of one clock keep their phases. Sources of different clocks have no phase, and drift.
+struct ClockSpec {
+  std::string name;       ///< "main"
+  std::int64_t ppm = 0;   ///< how much faster or slower it may be than nominal
+  bool operator==(const ClockSpec&) const = default;
+};
+
+/// A sensor. Its k-th release is in [offset + k period, offset + k period + jitter].
 struct SourceSpec {
   std::string name;  ///< its topic
-  std::int64_t period_us = 0;
+  Period period;
+  std::int64_t offset_us = 0;
+  std::int64_t jitter_us = 0;
+  int clock = 0;  ///< index into AppSpec::clocks
   bool operator==(const SourceSpec&) const = default;
 };
 
+/// What is said of an XModule beyond the XNodes that name it.
+struct ModuleSpec {
+  std::string name;
+  /// Activations that may be inside at once: activation n enters when n - max_in_flight has left.
+  std::int64_t max_in_flight = 1;
+  bool optional = false;  ///< may be off in a degraded mode
+  bool operator==(const ModuleSpec&) const = default;
+};
+
+/// End to end, from a source to an XNode. The worst of all paths, through edges and samples.
+struct ChainSpec {
+  std::string name;
+  int from = -1;  ///< index into AppSpec::sources
+  int to = -1;    ///< index into AppSpec::xnodes
+  std::optional<std::int64_t> deadline_us = {};
+  std::int64_t weight = 1;
+  bool operator==(const ChainSpec&) const = default;
+};
+
+/// What a message along an edge costs between two types of XPU, beyond the WCETs. A time that
+/// passes; it occupies no XPU.
+struct TransferSpec {
+  int edge = -1;  ///< index into AppSpec::edges
+  std::string from_type, to_type;
+  std::int64_t transfer_us = 0;
+  bool operator==(const TransferSpec&) const = default;
+};
+
 struct AppSpec {
+  /// 1: one release of all sources, planned alone. 2: sources that release on and on.
+  int version = 1;
   std::string name;
   std::vector<XNodeSpec> xnodes;
   /// Indices into `xnodes`: first must finish before second starts. The whole precedence relation.
   std::vector<std::pair<int, int>> edges;
   std::optional<std::int64_t> deadline_us;
-  std::vector<SourceSpec> sources = {};  ///< empty: not known
+  std::vector<SourceSpec> sources = {};  ///< version 1: may be empty: not known
+
+  // Version 2 alone.
+  std::vector<ClockSpec> clocks = {{"main", 0}};  ///< the first is always "main"
+  std::vector<ModuleSpec> modules = {};           ///< every module that an XNode names, once
+  /// (u, v): v reads the newest finished result of u when it starts, and waits for nobody.
+  std::vector<std::pair<int, int>> samples = {};
+  std::vector<ChainSpec> chains = {};  ///< the readers fill it in where the file has none
+  std::vector<TransferSpec> transfers = {};
 
   [[nodiscard]] int find(std::string_view xnode) const;  ///< index or -1
   [[nodiscard]] std::size_t rates() const;               ///< different periods of its sources
@@ -70,7 +127,6 @@ inline constexpr std::size_t kMaxXNodes = 20'000;
 inline constexpr std::size_t kMaxEdges = 2'000'000;
 inline constexpr std::size_t kMaxNameBytes = 256;
 inline constexpr std::size_t kMaxSources = 4096;
-inline constexpr std::int64_t kMaxPeriodUs = 3'600'000'000;  ///< an hour
 
 /// Names unique and not empty, periods in [1, kMaxPeriodUs].
 [[nodiscard]] Status validate(const std::vector<SourceSpec>& sources);

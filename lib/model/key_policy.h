@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// KeyPolicy: the solver's answer for an app that runs on and on. File: policy.json, version 2.
+//
+// A job's key is an absolute instant: the nominal release of its component's activation plus
+// `key_us`. On an XPU the smaller key is the more urgent. Whoever keeps to that ends each job by its
+// key (docs/steady-state.md).
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "model/app.h"
+#include "model/platform.h"
+
+namespace xauto {
+
+/// Where one XNode runs, and by when. Entry j of each array belongs to the activations n of its
+/// component with n mod size() = j. Microseconds after that activation's nominal release.
+struct KeyPlacement {
+  int xpu = -1;                            ///< index into Platform::xpus
+  std::vector<std::int64_t> key_us;        ///< at least one; the job is done by then
+  std::vector<std::int64_t> hold_us = {};  ///< it does not start before; empty: it is not held
+  /// Predicted, every job at its WCET; as many as keys, or empty: not known (several clocks).
+  std::vector<std::int64_t> start_us = {}, finish_us = {};
+  bool operator==(const KeyPlacement&) const = default;
+};
+
+struct ChainClaim {
+  std::string name;  ///< of AppSpec::chains, same order
+  /// Bounds the reduced reaction time: from the nominal release of the source's message to the end
+  /// of the first job of the chain's last XNode that knows it or a newer one.
+  std::int64_t worst_case_us = 0;
+  std::int64_t lower_bound_us = 0;  ///< proven: no KeyPolicy has a shorter worst case
+  bool optimal = false;             ///< both are equal
+  bool operator==(const ChainClaim&) const = default;
+};
+
+struct KeyPolicy {
+  std::string app;       ///< AppSpec::name
+  std::string app_hash;  ///< AppSpec::hash()
+  std::string platform;  ///< Platform::name, for people
+  std::string method;
+  std::vector<KeyPlacement> placements;  ///< one per AppSpec::xnodes entry, same order
+  std::vector<ChainClaim> chains;        ///< one per chain of the app (all_chains), same order
+  std::int64_t solve_ms = 0;
+  bool operator==(const KeyPolicy&) const = default;
+};
+
+/// What can be said without a schedule: the policy is for this app (name and hash), every XNode is
+/// on an XPU of a type that it has an implementation for, the sizes of the arrays divide ... and
+/// keys are above 0, above those of the predecessors (of the same activation) and
+/// above hold + WCET, and key + nominal release does not fall from one activation to the next.
+[[nodiscard]] Status validate(const KeyPolicy& policy, const AppSpec& app,
+                              const Platform& platform);
+
+}  // namespace xauto
