@@ -58,7 +58,7 @@ class Builder {
         problem("the source of topic '" + info.spec.name + "' has a period of " +
                 std::to_string(period_us) + " us; possible are 1 to " +
                 std::to_string(kMaxPeriodUs) + " us");
-      graph_.sources.push_back({info.spec.name, period_us});
+      graph_.sources.push_back({info.spec.name, {period_us}});
       graph_.topic_of_source.push_back(t);
       graph_.sources_pushed.push_back(source.inlet != nullptr ? 1 : 0);
       if (source.period != app_.sources.front().period) graph_.single_rate = false;

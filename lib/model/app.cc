@@ -90,8 +90,8 @@ int AppSpec::find(std::string_view xnode) const {
 }
 
 std::size_t AppSpec::rates() const {
-  std::set<std::int64_t> periods;
-  for (const SourceSpec& source : sources) periods.insert(source.period_us);
+  std::set<Period> periods;
+  for (const SourceSpec& source : sources) periods.insert(source.period);
   return periods.size();
 }
 
@@ -102,7 +102,7 @@ std::vector<std::int64_t> AppSpec::periods() const {
   for (const int i : topological_order()) {
     std::int64_t& own = period[at(i)];
     if (pred[at(i)].empty() && xnodes[at(i)].sources.empty()) own = kUnknown;
-    for (const int s : xnodes[at(i)].sources) own = std::max(own, sources[at(s)].period_us);
+    for (const int s : xnodes[at(i)].sources) own = std::max(own, sources[at(s)].period.floor_us());
     for (const int p : pred[at(i)])
       own = own == kUnknown || period[at(p)] == kUnknown ? kUnknown : std::max(own, period[at(p)]);
   }
@@ -181,9 +181,9 @@ Status validate(const std::vector<SourceSpec>& sources) {
     if (!names.insert(source.name).second)
       return fail(ErrorCode::kInvalid, "two sources are called " + quoted(source.name),
                   where + "/name");
-    if (source.period_us < 1 || source.period_us > kMaxPeriodUs)
+    if (!source.period.valid())
       return fail(ErrorCode::kInvalid,
-                  "source " + quoted(source.name) + ": " + std::to_string(source.period_us) +
+                  "source " + quoted(source.name) + ": " + source.period.text() +
                       " is not a period from 1 to " + std::to_string(kMaxPeriodUs) + " us",
                   where + "/period_us");
   }

@@ -44,8 +44,8 @@ struct XNodeSpec {
 
 /// Sources of one clock keep their phases. Sources of different clocks have no phase, and drift.
 struct ClockSpec {
-  std::string name;       ///< "main"
-  std::int64_t ppm = 0;   ///< how much faster or slower it may be than nominal
+  std::string name;      ///< "main"
+  std::int64_t ppm = 0;  ///< how much faster or slower it may be than nominal
   bool operator==(const ClockSpec&) const = default;
 };
 

@@ -71,7 +71,7 @@ std::vector<SourceSpec> read_sources(const Reader& root) {
   std::vector<SourceSpec> sources;
   if (root.has("sources"))
     root["sources"].each_element(kMaxSources, [&](std::size_t, const Reader& source) {
-      sources.push_back({source["name"].text(), source["period_us"].integer(1, kMaxPeriodUs)});
+      sources.push_back({source["name"].text(), {source["period_us"].integer(1, kMaxPeriodUs)}});
     });
   return sources;
 }
@@ -106,7 +106,7 @@ void write_heard(const std::vector<int>& heard, const std::vector<SourceSpec>& s
 ordered_json sources_to_json(const std::vector<SourceSpec>& sources) {
   ordered_json out = ordered_json::array();
   for (const SourceSpec& source : sources)
-    out.push_back({{"name", source.name}, {"period_us", source.period_us}});
+    out.push_back({{"name", source.name}, {"period_us", source.period.num}});
   return out;
 }
 

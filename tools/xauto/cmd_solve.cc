@@ -195,10 +195,10 @@ void print_table(const AppSpec& app, const Platform& platform, const Policy& pol
   if (const std::string note = rates_note(app); !note.empty())
     std::printf("\n  %s\n", note.c_str());
   else if (policy.worst_case_us && !app.sources.empty() &&
-           app.sources.front().period_us < *policy.worst_case_us)
+           app.sources.front().period.floor_us() < *policy.worst_case_us)
     std::printf(
         "\n  releases come every %s: those that overlap may take longer than the worst case\n",
-        ms(app.sources.front().period_us).c_str());
+        ms(app.sources.front().period.floor_us()).c_str());
 }
 
 Result<int> solve(SolveFlags& flags, const Options& options) {

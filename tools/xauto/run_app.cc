@@ -204,7 +204,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   if (length_s <= 0 && flags.app.rates() > 1 && flags.period_us == 0)
     for (const SourceSpec& source : flags.app.sources)
       length_s = std::max(length_s, 1e-6 * static_cast<double>(flags.activations) *
-                                        static_cast<double>(source.period_us));
+                                        static_cast<double>(source.period.floor_us()));
   Progress progress("run " + run.id, 1);
   Counts before;  // at least a second ago, so that the rate is one
   std::string words;

@@ -71,7 +71,7 @@ class Fixture {
     spec.xnodes = {{"m1", "M", {{"gpu", 100}}}, {"m2", "M", {{"cpu", 100}}}};
     spec.xnodes[0].sources = {0};
     spec.edges = {{0, 1}};
-    spec.sources = {{"camera", 1000}};
+    spec.sources = {{"camera", {1000}}};
     Platform platform;
     platform.name = "tiny";
     platform.xpus = {{"cpu0", "cpu"}, {"gpu0", "gpu", true, 50, 1000}};

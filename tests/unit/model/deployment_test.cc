@@ -8,7 +8,8 @@ namespace xauto {
 namespace {
 
 AppSpec make_app() {
-  return {"drive",
+  return {1,
+          "drive",
           {{"a1", "A", {{"cpu", 10}}},
            {"a2", "A", {{"gpu", 10}}},
            {"b1", "B", {{"cpu", 10}}},

@@ -36,7 +36,7 @@ TEST(Golden, SourcesAreWrittenAsTheyWereReadAndDoNotChangeTheHash) {
   const std::string text = slurp(golden() / "app-sources.json");
   const auto app = parse_app(text, "app-sources.json");
   ASSERT_TRUE(app) << app.error().to_string();
-  EXPECT_EQ(app->sources, (std::vector<SourceSpec>{{"camera", 33333}, {"lidar/größe", 100000}}));
+  EXPECT_EQ(app->sources, (std::vector<SourceSpec>{{"camera", {33333}}, {"lidar/größe", {100000}}}));
   EXPECT_EQ(app->rates(), 2u);
   EXPECT_EQ(app->xnodes[3].sources, (std::vector<int>{0, 1}));
   // A join waits for its slowest input.

@@ -165,7 +165,7 @@ TEST(Solve, TheFirstProgressIsAnAnswerNoWorseThanHeft) {
 AppSpec two_rates() {
   AppSpec app;
   app.name = "rates";
-  app.sources = {{"camera", 33'333}, {"lidar", 100'000}};
+  app.sources = {{"camera", {33'333}}, {"lidar", {100'000}}};
   app.xnodes = {{"lidar.pre", "L", {{"gpu", 30'000}}, {1}},
                 {"lidar.post", "L", {{"cpu", 40'000}}},
                 {"camera.infer", "C", {{"gpu", 8000}}, {0}},
@@ -177,7 +177,7 @@ AppSpec two_rates() {
 TEST(Solve, WithSeveralRatesNothingIsOrderedOrOptimalAndTheFrequentComeFirst) {
   const Platform platform = *Platform::builtin("small");
   AppSpec app = two_rates(), one_rate = app;
-  one_rate.sources[1].period_us = one_rate.sources[0].period_us;
+  one_rate.sources[1].period = one_rate.sources[0].period;
   SolveOptions options;
   options.max_evaluations = 4000;
   options.time_limit_s = 1e9;

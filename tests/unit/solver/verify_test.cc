@@ -57,7 +57,7 @@ bool tells_lie(const Case& c, const std::string& about);
 
 TEST(Verify, AnOrderOrAnOptimumAcrossRatesIsALie) {
   Case c = truthful(20, 1);
-  c.app.sources = {{"camera", 33'333}, {"lidar", 100'000}};
+  c.app.sources = {{"camera", {33'333}}, {"lidar", {100'000}}};
   EXPECT_FALSE(tells_lie(c, "rates"));
   c.policy.optimal = true;
   EXPECT_TRUE(tells_lie(c, "the sources have 2 rates"));
