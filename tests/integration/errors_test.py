@@ -11,6 +11,7 @@ from common import SOURCE, xauto
 GOLDEN = SOURCE / "tests/golden"
 COMMANDS = {
     "app": lambda f: ["simulate", "--model", "ros2", "--app", f],
+    "app-2": lambda f: ["simulate", "--model", "ros2", "--app", f],
     "platform": lambda f: ["simulate", "--model", "ros2", "--app", GOLDEN / "app.json", "--platform", f],
     "policy": lambda f: ["check", "--app", GOLDEN / "app.json", "--platform", GOLDEN / "platform.json",
                          "--policy", f],
@@ -45,6 +46,9 @@ class Errors(unittest.TestCase):
 
     def test_app(self):
         self.refuse("app")
+
+    def test_app_of_version_2(self):
+        self.refuse("app-2")
 
     def test_platform(self):
         self.refuse("platform")
