@@ -76,7 +76,8 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Charges&
         work = (work * kWhole + share - 1) / share;
       }
       rule_.work[at(i)] = work;
-      rule_.delay[at(i)] = in_fast_time(charges.blocked_by[at(i)], ppm) + pad_[at(m)];
+      rule_.delay[at(i)] = in_fast_time(charges.blocked_by[at(i)], ppm) + pad_[at(m)] +
+                            (shared_[at(m)] != 0 ? decision.delay[at(i)] : 0);
     }
     for (std::size_t d = 0; d < p_.domains.size(); ++d)
       if (!exhibitors_[d].run(static_cast<int>(d), rule_, out.schedule, until)) {
@@ -115,11 +116,20 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Charges&
       }
     }
     if (grew) continue;
-    int failing = 0;
-    for (int m = 0; m < p_.num_xpus; ++m)
-      if (shared_[at(m)] != 0 && !shared_fits(p_, m, decision.xpu, out.w, out.needed)) ++failing;
-    if (failing > 0) {
-      out.cost = kInvalidCost * (1 + failing / 1024.0);
+    // How much is missing leads the annealer to where nothing is.
+    double missing = 0;
+    for (int m = 0; m < p_.num_xpus; ++m) {
+      if (shared_[at(m)] == 0) continue;
+      Tightest t;
+      if (shared_fits(p_, m, decision.xpu, out.w, out.needed, &t)) continue;
+      missing += 0.01;
+      if (t.demand > t.length)
+        missing += static_cast<double>(t.demand - t.length) / static_cast<double>(t.demand);
+      else
+        missing += 1;
+    }
+    if (missing > 0) {
+      out.cost = kInvalidCost * (1 + missing / (p_.num_xpus + 1));
       return false;
     }
     return true;

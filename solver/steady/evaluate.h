@@ -23,6 +23,7 @@ struct Decision {
   /// [xpu * domains + domain] 1..kWhole: on a shared XPU the domain is simulated that much slower.
   /// They need not add up to kWhole: the demand bound decides.
   std::vector<int> share;
+  std::vector<Tick> delay;  ///< [xnode] on a shared XPU its key is that much later; 0: none
 };
 inline constexpr int kWhole = 64;
 

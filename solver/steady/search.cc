@@ -61,6 +61,7 @@ bool Search::over() const {
 Decision Search::from_hint(const KeyPolicy& hint) const {
   Decision d;
   d.hold.assign(at(p_.num_xnodes), 0);
+  d.delay.assign(at(p_.num_xnodes), 0);
   d.share.assign(at(p_.num_xpus) * p_.domains.size(), kWhole);
   for (const KeyPlacement& placed : hint.placements) {
     d.xpu.push_back(placed.xpu);
@@ -119,6 +120,7 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
   Decision d;
   d.xpu.assign(at(p_.num_xnodes), -1);
   d.hold.assign(at(p_.num_xnodes), 0);
+  d.delay.assign(at(p_.num_xnodes), 0);
   d.share.assign(at(p_.num_xpus) * p_.domains.size(), kWhole);
   std::vector<Tick> least(at(p_.num_xnodes), kNoTick);
   for (int i = 0; i < p_.num_xnodes; ++i)
@@ -211,9 +213,7 @@ void Search::take(Candidate& candidate, const std::function<void(const Candidate
   Windows w;
   w.d = candidate.figures.w.d;
   w.hold = candidate.figures.w.hold;
-  std::string why;
-  if (!certify(p_, candidate.decision.xpu, w, &why)) {
-    fprintf(stderr, "REFUSED %s\n", why.c_str());
+  if (!certify(p_, candidate.decision.xpu, w)) {
     candidate.figures.valid = false;
     candidate.figures.cost = kInvalidCost;
     return;
@@ -303,8 +303,21 @@ bool Search::mutate(const Candidate& from, Decision& next) {
     hold = hold / p_.scale * p_.scale;
     return hold != before;
   }
-  if (what < 0.60 && p_.domains.size() > 1) {
+  if (what < 0.70 && p_.domains.size() > 1) {
     const int m = next.xpu[at(i)];
+    if (what >= 0.60) {
+      // Later by what another one of its XPU takes, or by less.
+      Tick& delay = next.delay[at(i)];
+      const Tick before = delay;
+      const int j = static_cast<int>(random_.below(at(p_.num_xnodes)));
+      const double how = random_.unit();
+      if (how < 0.4 && next.xpu[at(j)] == m)
+        delay += p_.wcet(j, m);
+      else
+        delay = how < 0.7 ? static_cast<Tick>(static_cast<double>(delay) * random_.unit()) : 0;
+      delay = std::min(delay, kMostTicks) / p_.scale * p_.scale;
+      return delay != before;
+    }
     int& share = next.share[at(m) * p_.domains.size() + at(p_.domain_of(i))];
     const int before = share;
     share = std::clamp(
