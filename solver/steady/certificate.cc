@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/steady/certificate.h"
+
+#include <algorithm>
+#include <functional>
+
+namespace xauto::solver::steady {
+namespace {
+
+bool refuse(std::string* why, std::string what) {
+  if (why != nullptr) *why = std::move(what);
+  return false;
+}
+
+/// One XPU of one domain: earliest deadline first over its pattern, from an idle XPU until what is
+/// left at the end of a hyperperiod repeats. Jobs of the first activations that the real start
+/// lacks only make it harder.
+class Alone {
+ public:
+  Alone(const Problem& p, int domain) : p_(p), hyper_(p.domains[at(domain)].hyper) {}
+
+  void add(Tick arrival, Tick due, Tick work, Tick slack, int xnode) {
+    const Tick turn = arrival / hyper_ * hyper_;
+    jobs_.push_back({arrival - turn, due - turn, work, slack, xnode});
+  }
+
+  [[nodiscard]] bool fits(std::string* why) {
+    std::sort(jobs_.begin(), jobs_.end(),
+              [](const Job& a, const Job& b) { return a.arrival < b.arrival; });
+    __int128 work = 0;
+    for (const Job& j : jobs_) work += j.work;
+    if (work > hyper_) return refuse(why, "its work is more than the hyperperiod");
+    std::vector<Left> left, before;
+    Tick now = 0;
+    // Work that is left over is the same after two hyperperiods if deadlines are met, but for what
+    // windows longer than one carry over.
+    for (int round = 0; round < kMostRounds; ++round) {
+      const Tick start = round * hyper_;
+      for (std::size_t k = 0; k <= jobs_.size(); ++k) {
+        const Tick until = k < jobs_.size() ? start + jobs_[k].arrival : start + hyper_;
+        if (!serve(left, now, until, why)) return false;
+        if (k < jobs_.size()) {
+          left.push_back({start + jobs_[k].due, jobs_[k].work, jobs_[k].slack, jobs_[k].xnode});
+          std::push_heap(left.begin(), left.end(), std::greater<>());
+        }
+      }
+      std::vector<Left> state = left;
+      for (Left& l : state) l.due -= start + hyper_;
+      std::sort(state.begin(), state.end(), std::greater<>());
+      if (round > 0 && state == before) return true;
+      before = std::move(state);
+    }
+    return refuse(why, "its work piles up");
+  }
+
+ private:
+  static constexpr int kMostRounds = 64;
+  struct Job {
+    Tick arrival, due, work, slack;
+    int xnode;
+  };
+  struct Left {
+    Tick due, work, slack;
+    int xnode;
+    auto operator<=>(const Left&) const = default;
+  };
+
+  bool serve(std::vector<Left>& left, Tick& now, Tick until, std::string* why) const {
+    while (now < until && !left.empty()) {
+      Left& job = left.front();
+      const Tick slice = std::min(job.work, until - now);
+      now += slice;
+      job.work -= slice;
+      if (now + job.work + job.slack > job.due)
+        return refuse(why, "XNode '" + p_.xnode_name[at(job.xnode)] + "' ends after its key");
+      if (job.work > 0) break;
+      std::pop_heap(left.begin(), left.end(), std::greater<>());
+      left.pop_back();
+    }
+    now = until;
+    return true;
+  }
+
+  const Problem& p_;
+  Tick hyper_;
+  std::vector<Job> jobs_;
+};
+
+bool sane(const Problem& p, const std::vector<int>& xpu, const Windows& w, std::string* why) {
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    const auto refuse_it = [&](const std::string& what) {
+      return refuse(why, "XNode '" + p.xnode_name[at(i)] + "' " + what);
+    };
+    const auto& may = p.may_run[at(i)];
+    if (std::find(may.begin(), may.end(), xpu[at(i)]) == may.end())
+      return refuse_it("may not run where it is");
+    const Tick period = p.period_of(i), work = p.wcet(i, xpu[at(i)]);
+    for (int n = 0; n < p.jobs[at(i)]; ++n) {
+      const std::size_t s = at(p.slot[at(i)] + n);
+      const std::size_t next = at(p.slot[at(i)] + (n + 1) % p.jobs[at(i)]);
+      if (w.d[s] < 0 || w.d[s] > kMostTicks * 64 || w.hold[s] < 0)
+        return refuse_it("has a key or a hold out of range");
+      if (w.a[s] + work > w.d[s]) return refuse_it("has a window shorter than its WCET");
+      if (w.d[next] + period < w.d[s]) return refuse_it("has keys that fall");
+    }
+  }
+  return true;
+}
+
+}  // namespace
+
+std::vector<char> shared_xpus(const Problem& p, const std::vector<int>& xpu) {
+  std::vector<int> domain(at(p.num_xpus), -1);
+  std::vector<char> shared(at(p.num_xpus), 0);
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    int& d = domain[at(xpu[at(i)])];
+    if (d >= 0 && d != p.domain_of(i)) shared[at(xpu[at(i)])] = 1;
+    d = p.domain_of(i);
+  }
+  return shared;
+}
+
+Tick drift_pad(Tick deepest, std::int64_t ppm) {
+  if (ppm == 0) return 0;
+  return in_fast_time(in_slow_time(2 * deepest, ppm) - 2 * deepest + 1, ppm);
+}
+
+Tick charged(const Problem& p, const std::vector<int>& xpu, const Charges& charges, int i) {
+  const int m = xpu[at(i)];
+  return p.wcet(i, m) + (charges.preempts[at(i)] != 0 ? p.preempt[at(m)] : 0);
+}
+
+bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Windows& w,
+                 const Charges& charges, Tightest* tightest) {
+  std::vector<Pattern> patterns(p.domains.size());
+  std::vector<Blocking> blocking;
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (xpu[at(i)] != m) continue;
+    const Component& c = p.components[at(p.component_of[at(i)])];
+    Pattern& g = patterns[at(c.domain)];
+    g.period = p.domains[at(c.domain)].hyper;
+    g.ppm = p.domains[at(c.domain)].ppm;
+    const Tick work = charged(p, xpu, charges, i);
+    Tick deepest = 0;
+    for (int n = 0; n < c.jobs; ++n) {
+      const std::size_t s = at(p.slot[at(i)] + n);
+      deepest = std::max(deepest, w.d[s]);
+      g.jobs.push_back(
+          {(c.phase % g.period + n * c.period + w.a[s]) % g.period, w.d[s] - w.a[s], work});
+    }
+    g.deepest = std::max(g.deepest, deepest);
+    if (p.preemptive[at(m)] == 0) blocking.push_back({deepest, work});
+  }
+  std::erase_if(patterns, [](const Pattern& g) { return g.jobs.empty(); });
+  return demand_fits(patterns, blocking, tightest);
+}
+
+bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::string* why) {
+  w.a.resize(at(p.num_slots));
+  for (std::size_t d = 0; d < p.domains.size(); ++d)
+    derive_ready(p, static_cast<int>(d), xpu, w);
+  if (!sane(p, xpu, w, why)) return false;
+  Charges charges{std::vector<char>(at(p.num_xnodes), 0), std::vector<Tick>(at(p.num_xnodes), 0)};
+  charge(p, xpu, w, -1, charges);
+  const std::vector<char> shared = shared_xpus(p, xpu);
+  for (int m = 0; m < p.num_xpus; ++m) {
+    const std::string name = "XPU '" + p.xpu_name[at(m)] + "': ";
+    if (shared[at(m)] != 0) {
+      if (!shared_fits(p, m, xpu, w, charges))
+        return refuse(why, name + "the demand is above what it can serve");
+      continue;
+    }
+    int domain = -1;
+    Tick deepest = 0;
+    for (int i = 0; i < p.num_xnodes; ++i) {
+      if (xpu[at(i)] != m) continue;
+      domain = p.domain_of(i);
+      for (int n = 0; n < p.jobs[at(i)]; ++n)
+        deepest = std::max(deepest, w.d[at(p.slot[at(i)] + n)]);
+    }
+    if (domain < 0) continue;
+    const std::int64_t ppm = p.domains[at(domain)].ppm;
+    const Tick pad = drift_pad(deepest, ppm);
+    Alone alone(p, domain);
+    for (int i = 0; i < p.num_xnodes; ++i) {
+      if (xpu[at(i)] != m) continue;
+      const Component& c = p.components[at(p.component_of[at(i)])];
+      const Tick work = in_fast_time(charged(p, xpu, charges, i), ppm);
+      const Tick slack = in_fast_time(charges.blocked_by[at(i)], ppm) + pad;
+      for (int n = 0; n < c.jobs; ++n) {
+        const std::size_t s = at(p.slot[at(i)] + n);
+        const Tick release = c.phase % p.domains[at(domain)].hyper + n * c.period;
+        alone.add(release + w.a[s], release + w.d[s], work, slack, i);
+      }
+    }
+    std::string cause;
+    if (!alone.fits(&cause)) return refuse(why, name + cause);
+  }
+  return true;
+}
+
+}  // namespace xauto::solver::steady

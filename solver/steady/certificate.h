@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+// Certificate: that every XPU, taken alone, executes its jobs in their windows. With
+// docs/steady-state.md's theorem every job then ends by its key. Nothing of the search is believed:
+// windows and charges are derived from keys and holds.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "solver/steady/demand.h"
+#include "solver/steady/problem.h"
+#include "solver/steady/windows.h"
+
+namespace xauto::solver::steady {
+
+/// XPUs that serve more than one domain, given who is where: these need the demand bound.
+[[nodiscard]] std::vector<char> shared_xpus(const Problem& problem, const std::vector<int>& xpu);
+
+/// How much earlier than its d a job has to be done in nominal time on an XPU of one domain whose
+/// clock may drift, with windows not deeper than `deepest`. The clock moves two releases that are
+/// |Delta| apart by ppm * |Delta| against a and d, which are real times, and |Delta| is at most the
+/// length of the interval + deepest: work / (1 - ppm) pays for the first, this for the second.
+[[nodiscard]] Tick drift_pad(Tick deepest, std::int64_t ppm);
+
+/// WCET with its charge.
+[[nodiscard]] Tick charged(const Problem& problem, const std::vector<int>& xpu,
+                           const Charges& charges, int xnode);
+
+/// One XPU by the demand bound, whatever domains it serves. `w` and `charges` are derived.
+[[nodiscard]] bool shared_fits(const Problem& problem, int xpu, const std::vector<int>& xpus,
+                               const Windows& w, const Charges& charges,
+                               Tightest* tightest = nullptr);
+
+/// d and hold of `w` are given (by slot), the rest is derived. False, with `why` (may be null): an
+/// XPU and what is wrong.
+[[nodiscard]] bool certify(const Problem& problem, const std::vector<int>& xpu, Windows& w,
+                           std::string* why = nullptr);
+
+}  // namespace xauto::solver::steady

@@ -1,0 +1,191 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/steady/chains.h"
+
+#include <algorithm>
+#include <map>
+#include <numeric>
+
+#include "solver/bounds.h"
+
+namespace xauto::solver::steady {
+namespace {
+
+/// Figures of an XNode by any activation.
+struct View {
+  const Problem& p;
+  const std::vector<Tick>& values;
+  [[nodiscard]] Tick operator()(int xnode, std::int64_t activation) const {
+    const std::int64_t jobs = p.jobs[at(xnode)];
+    const std::int64_t n = (activation % jobs + jobs) % jobs;
+    return values[static_cast<std::size_t>(p.slot[at(xnode)] + n)];
+  }
+};
+
+/// A real length that is not shorter than `length` of a clock, which may be below 0.
+Tick longest(Tick length, std::int64_t ppm) {
+  return length > 0 ? in_slow_time(length, ppm) : length + in_slow_time(-length, ppm) + length;
+}
+
+/// The first activation n of `v` with release + hold certainly at or after release(k of cu) + after.
+std::int64_t first_reader(const Problem& p, const Component& cu, std::int64_t k, Tick after, int v,
+                          const View& hold) {
+  const Component& cv = p.components[at(p.component_of[at(v)])];
+  const std::int64_t ppm = p.domains[at(cv.domain)].ppm;
+  const Tick from = cu.phase + k * cu.period;
+  const auto late_enough = [&](std::int64_t n) {
+    const Tick apart = cv.phase + n * cv.period - from;
+    // A fast clock makes a distance shorter, a slow one makes one into the past longer.
+    const Tick drift = ppm == 0 ? 0 : in_slow_time(apart < 0 ? -apart : apart, ppm) -
+                                          (apart < 0 ? -apart : apart) + 1;
+    return apart - drift + hold(v, n) >= after;
+  };
+  // Holds do not fall by more than a period from one activation to the next, as starts do not; but
+  // no use is made of it: from the earliest that could do upwards.
+  Tick most_hold = 0;
+  for (int n = 0; n < cv.jobs; ++n) most_hold = std::max(most_hold, hold(v, n));
+  std::int64_t n = floor_div(from + after - most_hold - cv.phase, cv.period);
+  while (!late_enough(n)) ++n;
+  return n;
+}
+
+/// Worst time from the nominal release k of the component of `v` to the end of the way, of which
+/// `samples[next..]` is left. `u`: the XNode by which the component is left, or the last.
+struct Way {
+  const Problem& p;
+  const Chain& chain;
+  const std::vector<int>& samples;
+  View d, hold;
+
+  [[nodiscard]] int leaves_by(std::size_t next) const {
+    return next < samples.size() ? p.samples[at(samples[next])].first : chain.to;
+  }
+
+  /// From activation k on, after the last change of domain, `since` nominal ticks after the
+  /// beginning of this domain's part.
+  [[nodiscard]] Tick from(std::size_t next, std::int64_t k, Tick since) const {
+    for (;;) {
+      const int u = leaves_by(next);
+      const Component& cu = p.components[at(p.component_of[at(u)])];
+      const std::int64_t ppm = p.domains[at(cu.domain)].ppm;
+      if (next == samples.size()) return longest(since, ppm) + d(u, k);
+      const int v = p.samples[at(samples[next])].second;
+      const Component& cv = p.components[at(p.component_of[at(v)])];
+      if (cv.domain != cu.domain) return longest(since, ppm) + d(u, k) + across(next, v);
+      const std::int64_t n = first_reader(p, cu, k, d(u, k), v, hold);
+      since += cv.phase + n * cv.period - cu.phase - k * cu.period;
+      k = n;
+      ++next;
+    }
+  }
+
+  /// From a result of another domain, just missed by activation n - 1 of v.
+  [[nodiscard]] Tick across(std::size_t next, int v) const {
+    const Component& cv = p.components[at(p.component_of[at(v)])];
+    const Tick apart = in_slow_time(cv.period, p.domains[at(cv.domain)].ppm);
+    Tick worst = 0;
+    for (int n = 0; n < cv.jobs; ++n)
+      worst = std::max(worst, apart - hold(v, n - 1) + from(next + 1, n, 0));
+    return worst;
+  }
+};
+
+/// Least WCETs along edges from `from` to `to`, both included; kNoTick: no way.
+Tick least_way(const Problem& p, const std::vector<Tick>& least, int from, int to) {
+  if (from == to) return least[at(from)];
+  if (!p.before(from, to)) return kNoTick;
+  std::vector<Tick> until(at(p.num_xnodes), kNoTick);
+  until[at(from)] = least[at(from)];
+  for (const int i : p.components[at(p.component_of[at(to)])].xnodes)
+    for (const Link& link : p.pred[at(i)])
+      if (until[at(link.xnode)] != kNoTick)
+        until[at(i)] = std::max(until[at(i)], until[at(link.xnode)] + least[at(i)]);
+  return until[at(to)];
+}
+
+}  // namespace
+
+Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w) {
+  const Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}};
+  const Component& c = p.components[at(p.component_of[at(way.leaves_by(0))])];
+  Tick worst = 0;
+  for (int k = 0; k < c.jobs; ++k)
+    worst = std::max(worst, way.from(0, k, c.phase - chain.offset));
+  return worst;
+}
+
+Tick worst_case(const Problem& p, const Chain& chain, const Windows& w) {
+  Tick worst = 0;
+  for (const Path& path : chain.paths) worst = std::max(worst, worst_case(p, chain, path, w));
+  return worst;
+}
+
+std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platform& platform,
+                               const Objectives& wishes, const Until& until) {
+  std::vector<Tick> least(at(p.num_xnodes), 0);
+  for (int i = 0; i < p.num_xnodes; ++i)
+    for (const int m : p.may_run[at(i)])
+      if (least[at(i)] == 0 || p.wcet(i, m) < least[at(i)]) least[at(i)] = p.wcet(i, m);
+  // Longest ways from the roots' latest arrivals.
+  std::vector<Tick> ends(at(p.num_xnodes), 0);
+  for (const Component& c : p.components)
+    for (const int i : c.xnodes) {
+      Tick ready = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
+      for (const Link& link : p.pred[at(i)]) ready = std::max(ready, ends[at(link.xnode)]);
+      ends[at(i)] = ready + least[at(i)];
+    }
+  // Version 1's bound on the ancestors, from the nominal release on.
+  std::map<int, Tick> single;
+  const auto bound_of = [&](int to) {
+    const auto [it, fresh] = single.emplace(to, ends[at(to)]);
+    if (!fresh || until.over()) return it->second;
+    AppSpec part;
+    part.name = app.name;
+    std::vector<int> number(at(p.num_xnodes), -1);
+    Objectives placing;
+    Tick earliest = kMostTicks;
+    for (const int i : p.components[at(p.component_of[at(to)])].xnodes) {
+      if (i != to && !p.before(i, to)) continue;
+      number[at(i)] = static_cast<int>(part.xnodes.size());
+      XNodeSpec x = app.xnodes[at(i)];
+      x.sources.clear();
+      part.xnodes.push_back(std::move(x));
+      if (p.root[at(i)] != 0) earliest = std::min(earliest, p.root_ready[at(i)]);
+    }
+    for (const auto& [u, v] : app.edges)
+      if (number[at(u)] >= 0 && number[at(v)] >= 0)
+        part.edges.emplace_back(number[at(u)], number[at(v)]);
+    const auto known = [&](const std::string& name) { return part.find(name) >= 0; };
+    for (const auto& pin : wishes.pins)
+      if (known(pin.first)) placing.pins.push_back(pin);
+    for (const auto& f : wishes.forbids)
+      if (known(f.first)) placing.forbids.push_back(f);
+    Result<solver::Problem> base = solver::Problem::create(part, platform);
+    if (!base || !resolve(placing, part, platform, *base)) return it->second;
+    it->second = std::max(it->second, earliest + quick_bound(*base, until) * p.scale);
+    return it->second;
+  };
+  std::vector<Tick> bounds;
+  for (const Chain& chain : p.chains) {
+    Tick bound = 0;
+    for (const Path& path : chain.paths) {
+      const auto leaves_by = [&](std::size_t next) {
+        return next < path.samples.size() ? p.samples[at(path.samples[next])].first : chain.to;
+      };
+      const int first = leaves_by(0);
+      const Component& c = p.components[at(p.component_of[at(first)])];
+      Tick this_way = bound_of(first) - (chain.offset - c.phase);
+      Tick slowest = c.period;
+      for (std::size_t s = 0; s < path.samples.size(); ++s) {
+        const int v = p.samples[at(path.samples[s])].second;
+        this_way += std::max(Tick{0}, least_way(p, least, v, leaves_by(s + 1)));
+        slowest = std::max(slowest, p.period_of(v));
+      }
+      this_way += ((slowest + c.period - 1) / c.period - 1) * c.period;
+      bound = std::max(bound, this_way);
+    }
+    bounds.push_back(bound);
+  }
+  return bounds;
+}
+
+}  // namespace xauto::solver::steady

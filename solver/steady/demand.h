@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+// Demand bound: whether one XPU can serve jobs of several domains, whatever the phases.
+//
+//   dbf_g(t) = max over the jobs s of domain g on the XPU of the work of its jobs whose windows lie
+//              in [a_s, a_s + t], its own pattern over the hyperperiod
+//   sum over g of dbf_g(t) + max {C_j : d_j > t} (not preemptive) <= t   at every step t
+//
+// up to the first t by which everything that arrives in [0, t) has been served: a longer interval
+// that fails has a shorter one at its end that fails too. Processor demand: Baruah, Rosier, Howell
+// 1990; the patterns make it exact for windows, since phases are free.
+#pragma once
+
+#include <vector>
+
+#include "solver/steady/problem.h"
+
+namespace xauto::solver::steady {
+
+struct WindowedJob {
+  Tick arrival = 0;  ///< in [0, period of the pattern)
+  Tick length = 0;   ///< d - a
+  Tick work = 0;     ///< WCET with charges
+};
+
+/// What one domain does on the XPU, again and again.
+struct Pattern {
+  Tick period = 0;
+  std::int64_t ppm = 0;
+  Tick deepest = 0;  ///< largest d; a clock that drifts shifts releases against a and d by so much
+  std::vector<WindowedJob> jobs;
+};
+
+struct Blocking {
+  Tick until = 0;  ///< d_j: it blocks intervals shorter than this
+  Tick work = 0;
+};
+
+/// The interval in which least is left.
+struct Tightest {
+  Tick length = 0, demand = 0;
+};
+
+/// False also where it takes too many steps to know.
+[[nodiscard]] bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& blocking,
+                               Tightest* tightest = nullptr);
+
+}  // namespace xauto::solver::steady

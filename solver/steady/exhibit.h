@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+// Exhibit: the schedule that keys give to one domain, simulated until a hyperperiod repeats the one
+// before. Its finishes are keys (docs/steady-state.md, theorem); certificate.h proves them again.
+//
+// The rule: an XPU runs the ready job of the smallest key, preemptively, also where it is not
+// preemptive: there every job is told to be done `delay` later, which pays for the blocking. Every
+// XNode takes its `work`, WCET with charges. Roots are ready at their latest arrival. A job is seen
+// to be done at a whole microsecond after its nominal release, since keys are whole.
+#pragma once
+
+#include <vector>
+
+#include "solver/steady/problem.h"
+#include "solver/until.h"
+
+namespace xauto::solver::steady {
+
+/// What a schedule follows; all arrays are of the whole problem.
+struct Rule {
+  std::vector<int> xpu;      ///< [xnode]
+  std::vector<Tick> work;    ///< [xnode] on its XPU, at least 1
+  std::vector<Tick> delay;   ///< [xnode] from its end on its XPU until it is called done
+  std::vector<Tick> hold;    ///< [xnode] earliest start after the nominal release; 0: none
+  std::vector<Tick> key;     ///< [xnode] after the nominal release; or by slot
+  bool key_by_slot = false;
+};
+
+/// By slot, after the nominal release. Only the slots of the domain are written.
+struct Schedule {
+  std::vector<Tick> start, finish;  ///< finish: with delay, rounded up to a microsecond
+};
+
+/// Simulates again and again without allocating.
+class Exhibitor {
+ public:
+  explicit Exhibitor(const Problem& problem) : p_(problem) {}
+
+  /// False: it did not repeat within the limits, or `until` was over. `schedule` is large enough.
+  [[nodiscard]] bool run(int domain, const Rule& rule, Schedule& schedule,
+                         const Until& until = {});
+
+ private:
+  struct Event {
+    Tick time;
+      /// 4 job: one thing less to wait for; 4 job + 1: it is done; 4 job + 2: its timer.
+    std::int64_t code;
+    bool operator>(const Event& o) const {
+      return time != o.time ? time > o.time : code > o.code;
+    }
+  };
+  struct Ready {
+    Tick key;
+    std::int64_t job;
+    bool operator>(const Ready& o) const { return key != o.key ? key > o.key : job > o.job; }
+  };
+  struct Xpu {
+    std::vector<Ready> ready;  ///< a heap, smallest key on top
+    Ready running = {0, -1};
+    Tick end = 0;  ///< of the running job, undisturbed
+  };
+
+  void prepare(int domain, const Rule& rule);
+  bool release(const Rule& rule, int xnode);
+  void one_less(const Rule& rule, std::int64_t job, Tick now);
+  void done(const Rule& rule, std::int64_t job, Tick now);
+  void dispatch(int xpu, Tick now);
+  [[nodiscard]] bool repeats(std::int64_t round);
+  void push(Tick time, std::int64_t code);
+  [[nodiscard]] Tick nominal(std::int64_t job) const;
+
+  const Problem& p_;
+  int domain_ = -1;
+  Tick hyper_ = 0;
+  int base_ = 0;            ///< first slot of the domain: its slots are contiguous
+  std::int64_t jobs_ = 0;   ///< per hyperperiod; job = round * jobs_ + slot - base_
+  std::int64_t rounds_ = 0, equal_ = 0;
+  std::vector<Tick> phase_;              ///< [slot - base] nominal release within a hyperperiod
+  std::vector<Event> events_;            ///< a heap, earliest on top
+  std::vector<std::int64_t> next_;       ///< [xnode] the next activation that its timer releases
+  std::vector<std::int16_t> waits_;      ///< [job] things that it waits for
+  std::vector<Tick> left_, start_, finish_;  ///< [job]
+  std::vector<std::int64_t> in_module_;  ///< [module offset + activation] XNodes not yet done
+  std::vector<std::int64_t> module_base_;
+  std::vector<std::int64_t> done_;  ///< [round]
+  std::vector<Xpu> xpus_;
+  std::vector<int> used_, dirty_;
+};
+
+}  // namespace xauto::solver::steady

@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: Apache-2.0
+// Problem: an app of version 2 on a platform, as dense arrays. Everything in solver/steady reads it.
+// Words and theory: docs/steady-state.md.
+//
+// Time is in ticks: a tick is 1 / `scale` us, so that every period is whole. Keys and holds are
+// whole microseconds all the same, since files say them so.
+//
+// A job is (XNode i, activation n). The figures of an XNode repeat after `jobs[i]` activations, and
+// are kept at slot[i] + n mod jobs[i], relative to the nominal release of the activation.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "model/app.h"
+#include "model/platform.h"
+#include "solver/objectives.h"
+
+namespace xauto::solver::steady {
+
+using Tick = std::int64_t;
+inline constexpr Tick kNoTick = -1;
+/// No single time of an app is longer, so that sums along 2^13 XNodes fit 64 bits.
+inline constexpr Tick kMostTicks = Tick{1} << 47;
+/// Above this many jobs a hyperperiod, the components of a clock are planned as if their clocks
+/// were different: safe, and weaker.
+inline constexpr std::int64_t kMostJobs = 100'000;
+/// Ways from a source to an XNode through samples, all chains together.
+inline constexpr std::size_t kMostPaths = 4096;
+
+inline constexpr std::int64_t kMillion = 1'000'000;
+
+[[nodiscard]] constexpr Tick floor_div(Tick a, Tick b) {
+  return a >= 0 ? a / b : -((-a + b - 1) / b);
+}
+[[nodiscard]] constexpr std::size_t at(int i) { return static_cast<std::size_t>(i); }
+
+/// XNodes joined by edges; it fires once per period.
+struct Component {
+  int domain = -1;
+  Tick period = 0;
+  Tick phase = 0;           ///< nominal release n is at phase + n * period
+  int jobs = 1;             ///< hyperperiod / period
+  std::vector<int> xnodes;  ///< in topological order
+};
+
+/// Components that keep their phases to each other.
+struct Domain {
+  int clock = 0;
+  Tick hyper = 0;
+  std::int64_t ppm = 0;
+  std::int64_t jobs = 0;  ///< all XNodes together, per hyperperiod
+  std::vector<int> components;
+  std::vector<int> xnodes;
+};
+
+struct Module {
+  int component = -1;
+  std::int64_t in_flight = 1;
+  std::vector<int> xnodes, entries;
+};
+
+/// An edge, from the other end's view.
+struct Link {
+  int xnode = -1;
+  int transfer = -1;  ///< index into Problem::transfers, -1: none
+};
+
+/// One way of a chain: along edges, and through samples in this order.
+struct Path {
+  std::vector<int> samples;
+  bool operator==(const Path&) const = default;
+};
+
+struct Chain {
+  std::string name;
+  int source = -1, to = -1;
+  Tick deadline = kNoTick;
+  std::int64_t weight = 1;
+  std::vector<Path> paths;
+  Tick offset = 0;  ///< of the source
+};
+
+struct Problem {
+  int num_xnodes = 0, num_xpus = 0, num_types = 0;
+  Tick scale = 1;  ///< ticks per microsecond
+  std::vector<std::string> xnode_name, xpu_name, type_name, clock_name;
+  std::vector<int> xpu_type;                ///< [xpu]
+  std::vector<std::vector<int>> type_xpus;  ///< [type]
+  std::vector<char> preemptive;             ///< [xpu]
+  std::vector<Tick> preempt;                ///< [xpu] cost of starting by preempting
+  std::vector<Tick> wcet_flat;              ///< [xnode * num_xpus + xpu], kNoTick: not there
+  std::vector<std::vector<int>> may_run;    ///< [xnode] XPUs, ascending
+  std::vector<std::vector<int>> groups;     ///< XNodes that share one XPU
+  std::vector<int> group_of;                ///< [xnode], -1: none
+
+  std::vector<Component> components;
+  std::vector<Domain> domains;
+  std::vector<Module> modules;
+  std::vector<int> component_of, module_of;    ///< [xnode]; module_of -1: no limit applies
+  std::vector<std::vector<Link>> pred, succ;   ///< [xnode] edges
+  std::vector<char> entry, root;               ///< [xnode]
+  std::vector<Tick> root_ready;                ///< [root] largest of J + offset - phase
+  std::vector<std::vector<Tick>> transfers;    ///< [from type * num_types + to type]
+  std::vector<std::pair<int, int>> samples;    ///< (u, v)
+  std::vector<char> reads;                     ///< [xnode] the second of some sample
+  std::vector<Chain> chains;
+  std::vector<std::vector<std::uint64_t>> reach;  ///< [xnode] bitset: XNodes behind it by edges
+
+  std::vector<int> slot;        ///< [xnode] the first of its jobs
+  std::vector<int> jobs;        ///< [xnode] how many
+  std::vector<int> slot_xnode;  ///< [slot]
+  int num_slots = 0;
+
+  [[nodiscard]] Tick wcet(int xnode, int xpu) const {
+    return wcet_flat[at(xnode) * at(num_xpus) + at(xpu)];
+  }
+  [[nodiscard]] int domain_of(int xnode) const {
+    return components[at(component_of[at(xnode)])].domain;
+  }
+  [[nodiscard]] Tick period_of(int xnode) const {
+    return components[at(component_of[at(xnode)])].period;
+  }
+  [[nodiscard]] bool before(int a, int b) const {  ///< b needs a, by edges
+    return ((reach[at(a)][at(b / 64)] >> (b % 64)) & 1U) != 0;
+  }
+  /// What the message of `link` costs from `from_xpu` to `to_xpu`.
+  [[nodiscard]] Tick transfer(const Link& link, int from_xpu, int to_xpu) const {
+    if (link.transfer < 0) return 0;
+    return transfers[at(link.transfer)][at(xpu_type[at(from_xpu)]) * at(num_types) +
+                                        at(xpu_type[at(to_xpu)])];
+  }
+  [[nodiscard]] Tick up_to_us(Tick t) const {  ///< t >= 0: the next whole microsecond
+    return scale == 1 ? t : (t + scale - 1) / scale * scale;
+  }
+
+  /// kInvalid: what `validate` refuses, what is no version 2, times too long for 64 bits, too many
+  /// ways for a chain; kInfeasible: pins and forbids leave nothing for an XNode.
+  [[nodiscard]] static Result<Problem> create(const AppSpec& app, const Platform& platform,
+                                              const Objectives& wishes = {});
+};
+
+/// ceil(t * 10^6 / (10^6 - ppm)) for t >= 0: how much of a clock's time `t` may take where the
+/// clock is fast. t < 2^60.
+[[nodiscard]] Tick in_fast_time(Tick t, std::int64_t ppm);
+/// ceil(t * (10^6 + ppm) / 10^6) for t >= 0: how long `t` of a clock may last where it is slow.
+[[nodiscard]] Tick in_slow_time(Tick t, std::int64_t ppm);
+
+}  // namespace xauto::solver::steady

@@ -1,0 +1,406 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/steady/search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "solver/steady/sustain.h"
+
+namespace xauto::solver::steady {
+namespace {
+
+/// Longest ways of least WCETs behind each XNode, itself excluded.
+std::vector<Tick> tails(const Problem& p, const std::vector<Tick>& work) {
+  std::vector<Tick> tail(at(p.num_xnodes), 0);
+  for (const Component& c : p.components)
+    for (auto i = c.xnodes.rbegin(); i != c.xnodes.rend(); ++i)
+      for (const Link& s : p.succ[at(*i)])
+        tail[at(*i)] = std::max(tail[at(*i)], tail[at(s.xnode)] + work[at(s.xnode)]);
+  return tail;
+}
+
+std::vector<Tick> heads(const Problem& p, const std::vector<Tick>& work) {
+  std::vector<Tick> head(at(p.num_xnodes), 0);
+  for (const Component& c : p.components)
+    for (const int i : c.xnodes) {
+      if (p.root[at(i)] != 0) head[at(i)] = p.root_ready[at(i)];
+      for (const Link& l : p.pred[at(i)])
+        head[at(i)] = std::max(head[at(i)], head[at(l.xnode)] + work[at(l.xnode)]);
+    }
+  return head;
+}
+
+}  // namespace
+
+Search::Search(const Problem& problem, const std::vector<Tick>& reference, std::uint64_t seed)
+    : p_(problem), evaluator_(problem, reference), random_(seed) {
+  for (const Chain& chain : p_.chains) {
+    std::vector<char> in(at(p_.num_xnodes), 0);
+    const auto add = [&](int to) {
+      for (const int i : p_.components[at(p_.component_of[at(to)])].xnodes)
+        if (i == to || p_.before(i, to)) in[at(i)] = 1;
+    };
+    for (const Path& path : chain.paths) {
+      for (const int s : path.samples) add(p_.samples[at(s)].first);
+      add(chain.to);
+    }
+    chain_xnodes_.emplace_back();
+    for (int i = 0; i < p_.num_xnodes; ++i)
+      if (in[at(i)] != 0) chain_xnodes_.back().push_back(i);
+  }
+  for (int i = 0; i < p_.num_xnodes; ++i)
+    if (p_.reads[at(i)] != 0) readers_.push_back(i);
+}
+
+bool Search::over() const {
+  return limits_.until.over() || (limits_.max_evaluations > 0 &&
+                                  evaluator_.evaluations() >= limits_.max_evaluations);
+}
+
+Decision Search::from_hint(const KeyPolicy& hint) const {
+  Decision d;
+  d.hold.assign(at(p_.num_xnodes), 0);
+  d.delay.assign(at(p_.num_xnodes), 0);
+  d.share.assign(at(p_.num_xpus) * p_.domains.size(), kWhole);
+  for (const KeyPlacement& placed : hint.placements) {
+    d.xpu.push_back(placed.xpu);
+    std::int64_t key = 0;
+    for (const std::int64_t k : placed.key_us) key = std::max(key, k);
+    d.key.push_back(std::min(key, kMostTicks / p_.scale) * p_.scale);
+  }
+  return d;
+}
+
+void Search::put(Decision& d, int xnode, int xpu) const {
+  const int group = p_.group_of[at(xnode)];
+  if (group < 0) {
+    d.xpu[at(xnode)] = xpu;
+    return;
+  }
+  for (const int i : p_.groups[at(group)]) {
+    const auto& may = p_.may_run[at(i)];
+    if (!std::binary_search(may.begin(), may.end(), xpu)) return;
+  }
+  for (const int i : p_.groups[at(group)]) d.xpu[at(i)] = xpu;
+}
+
+/// Anneals the largest load alone, which takes no simulation: until no XPU is overloaded.
+void Search::balance(std::vector<int>& xpu, int steps) {
+  Decision d;
+  d.xpu = xpu;
+  std::vector<double> load(at(p_.num_xpus), 0);
+  const auto rate = [&](int i, int m) {
+    return static_cast<double>(p_.wcet(i, m) + (p_.preemptive[at(m)] != 0 ? p_.preempt[at(m)] : 0)) /
+           static_cast<double>(p_.period_of(i));
+  };
+  for (int i = 0; i < p_.num_xnodes; ++i) load[at(xpu[at(i)])] += rate(i, xpu[at(i)]);
+  const auto excess = [&](double l) { return l > 0.98 ? 40 * (l - 0.98) + l * l : l * l; };
+  for (int s = 0; s < steps; ++s) {
+    const int i = static_cast<int>(random_.below(at(p_.num_xnodes)));
+    const auto& may = p_.may_run[at(i)];
+    if (p_.group_of[at(i)] >= 0 || may.size() < 2) continue;
+    const int from = xpu[at(i)], to = may[random_.below(may.size())];
+    if (to == from) continue;
+    const double before = excess(load[at(from)]) + excess(load[at(to)]);
+    const double after =
+        excess(load[at(from)] - rate(i, from)) + excess(load[at(to)] + rate(i, to));
+    const double heat = 0.05 * (1.0 - static_cast<double>(s) / steps) + 1e-6;
+    if (after <= before || random_.unit() < std::exp((before - after) / heat)) {
+      load[at(from)] -= rate(i, from);
+      load[at(to)] += rate(i, to);
+      xpu[at(i)] = to;
+    }
+  }
+}
+
+/// Each XNode where it adds least: price of the type, load of the XPU so far, WCET against its
+/// best. Keys: the latest finishing that keeps a deadline of `rule` periods.
+Decision Search::constructed(const std::vector<std::int64_t>& weights, double greed, int rule) {
+  Decision d;
+  d.xpu.assign(at(p_.num_xnodes), -1);
+  d.hold.assign(at(p_.num_xnodes), 0);
+  d.delay.assign(at(p_.num_xnodes), 0);
+  d.share.assign(at(p_.num_xpus) * p_.domains.size(), kWhole);
+  std::vector<Tick> least(at(p_.num_xnodes), kNoTick);
+  for (int i = 0; i < p_.num_xnodes; ++i)
+    for (const int m : p_.may_run[at(i)])
+      if (least[at(i)] == kNoTick || p_.wcet(i, m) < least[at(i)]) least[at(i)] = p_.wcet(i, m);
+  std::vector<int> order(at(p_.num_xnodes));
+  std::iota(order.begin(), order.end(), 0);
+  const auto weight_of = [&](int i) {
+    return static_cast<double>(least[at(i)]) / static_cast<double>(p_.period_of(i));
+  };
+  std::stable_sort(order.begin(), order.end(),
+                   [&](int a, int b) { return weight_of(a) > weight_of(b); });
+  std::vector<double> load(at(p_.num_xpus), 0);
+  std::vector<int> first_domain(at(p_.num_xpus), -1);
+  for (const int i : order) {
+    if (d.xpu[at(i)] >= 0) continue;  // its group has been placed
+    double best = 0;
+    int where = -1;
+    const int group = p_.group_of[at(i)];
+    for (const int m : p_.may_run[at(i)]) {
+      if (group >= 0 && std::any_of(p_.groups[at(group)].begin(), p_.groups[at(group)].end(),
+                                    [&](int j) { return p_.wcet(j, m) == kNoTick; }))
+        continue;
+      const double price =
+          static_cast<double>(weights[at(p_.xpu_type[at(m)])] + kWeights / 64) / kWeights;
+      const double rate = static_cast<double>(p_.wcet(i, m)) / static_cast<double>(p_.period_of(i));
+      const double after = load[at(m)] + rate;
+      double cost = rate * price + greed * static_cast<double>(p_.wcet(i, m)) /
+                                       static_cast<double>(least[at(i)]) * weight_of(i) +
+                    0.3 * rate * after + (after > 0.95 ? 10 * (after - 0.95) : 0);
+      // A domain beside another has to wait for all phases.
+      if (first_domain[at(m)] >= 0 && first_domain[at(m)] != p_.domain_of(i)) cost += rate;
+      if (where < 0 || cost < best) {
+        best = cost;
+        where = m;
+      }
+    }
+    if (where < 0) where = p_.may_run[at(i)].front();
+    d.xpu[at(i)] = where;
+    if (group >= 0)
+      for (const int j : p_.groups[at(group)]) d.xpu[at(j)] = where;
+    load[at(where)] += static_cast<double>(p_.wcet(i, where)) / static_cast<double>(p_.period_of(i));
+    if (first_domain[at(where)] < 0) first_domain[at(where)] = p_.domain_of(i);
+  }
+  if (std::any_of(load.begin(), load.end(), [](double l) { return l > 0.97; }))
+    balance(d.xpu, 200 * p_.num_xnodes);
+  std::vector<Tick> work(at(p_.num_xnodes));
+  for (int i = 0; i < p_.num_xnodes; ++i)
+    work[at(i)] = std::max(Tick{1}, p_.wcet(i, d.xpu[at(i)]));
+  const std::vector<Tick> head = heads(p_, work), tail = tails(p_, work);
+  d.key.resize(at(p_.num_xnodes));
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    Tick span = 0;
+    for (const int j : p_.components[at(p_.component_of[at(i)])].xnodes)
+      span = std::max(span, head[at(j)] + work[at(j)] + tail[at(j)]);
+    const Tick due = rule == 0 ? std::max(p_.period_of(i), span) : span;
+    d.key[at(i)] = rule == 2 ? p_.period_of(i) + head[at(i)] / 64 : due - tail[at(i)];
+  }
+  // What each domain may need of a shared XPU.
+  const std::vector<char> shared = shared_xpus(p_, d.xpu);
+  for (int m = 0; m < p_.num_xpus; ++m) {
+    if (shared[at(m)] == 0) continue;
+    std::vector<double> part(p_.domains.size(), 0);
+    double all = 0;
+    for (int i = 0; i < p_.num_xnodes; ++i)
+      if (d.xpu[at(i)] == m) {
+        const double rate =
+            static_cast<double>(p_.wcet(i, m)) / static_cast<double>(p_.period_of(i));
+        part[at(p_.domain_of(i))] += rate;
+        all += rate;
+      }
+    for (std::size_t g = 0; g < part.size(); ++g)
+      d.share[at(m) * part.size() + g] =
+          std::clamp(static_cast<int>(part[g] / std::max(all, 1e-9) * kWhole * 0.95), 1, kWhole);
+  }
+  return d;
+}
+
+void Search::take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better) {
+  if (!candidate.figures.valid || !candidate.figures.better_than(best_.figures)) {
+    if (!best_.figures.valid && !candidate.figures.valid &&
+        candidate.figures.cost < best_.figures.cost)
+      best_ = candidate;
+    return;
+  }
+  for (int k = 0; k < 3 && evaluator_.settle(candidate.decision, candidate.figures, limits_.until);
+       ++k) {
+  }
+  // The simulation is believed by nobody.
+  Windows w;
+  w.d = candidate.figures.w.d;
+  w.hold = candidate.figures.w.hold;
+  if (!certify(p_, candidate.decision.xpu, w)) {
+    candidate.figures.valid = false;
+    candidate.figures.cost = kInvalidCost;
+    return;
+  }
+  best_ = candidate;
+  on_better(best_);
+}
+
+void Search::construct(const std::function<void(const Candidate&)>& on_better) {
+  const std::vector<std::int64_t> weights = balancing_weights(p_);
+  std::vector<std::int64_t> flat(weights.size(), kWeights / static_cast<std::int64_t>(weights.size()));
+  best_.figures = {};
+  best_.figures.cost = 1e18;
+  for (const double greed : {0.3, 1.0, 0.1, 3.0})
+    for (const int rule : {0, 1, 2})
+      for (const auto* prices : {&std::as_const(weights), &std::as_const(flat)}) {
+        if (over() && best_.figures.cost < 1e18) return;
+        Candidate c;
+        c.decision = constructed(*prices, greed, rule);
+        evaluator_.evaluate(c.decision, {}, c.figures, limits_.until);
+        take(c, on_better);
+      }
+}
+
+void Search::set_critical(const Candidate& of) {
+  critical_.clear();
+  if (!of.figures.valid || p_.chains.empty()) return;
+  std::size_t worst = 0;
+  double most = -1;
+  for (std::size_t c = 0; c < p_.chains.size(); ++c) {
+    const double figure =
+        p_.chains[c].deadline != kNoTick
+            ? static_cast<double>(of.figures.chain[c]) /
+                  static_cast<double>(std::max(p_.chains[c].deadline, Tick{1}))
+            : 0;
+    if (figure > most) {
+      most = figure;
+      worst = c;
+    }
+  }
+  if (most <= 0) worst = random_.below(p_.chains.size());
+  critical_ = chain_xnodes_[worst];
+}
+
+int Search::pick(const Candidate&) {
+  if (!critical_.empty() && random_.unit() < 0.6)
+    return critical_[random_.below(critical_.size())];
+  return static_cast<int>(random_.below(at(p_.num_xnodes)));
+}
+
+bool Search::mutate(const Candidate& from, Decision& next) {
+  const double what = random_.unit();
+  const int i = pick(from);
+  const auto& may = p_.may_run[at(i)];
+  if (what < 0.30 && !keep_xpu_) {
+    if (may.size() < 2) return false;
+    const int m = may[random_.below(may.size())];
+    if (m == next.xpu[at(i)]) return false;
+    put(next, i, m);
+    return next.xpu[at(i)] == m;
+  }
+  if (what < 0.42 && !keep_xpu_) {
+    const int j = static_cast<int>(random_.below(at(p_.num_xnodes)));
+    const int mi = next.xpu[at(i)], mj = next.xpu[at(j)];
+    if (mi == mj) return false;
+    const auto& other = p_.may_run[at(j)];
+    if (!std::binary_search(may.begin(), may.end(), mj) ||
+        !std::binary_search(other.begin(), other.end(), mi) || p_.group_of[at(i)] >= 0 ||
+        p_.group_of[at(j)] >= 0)
+      return false;
+    std::swap(next.xpu[at(i)], next.xpu[at(j)]);
+    return true;
+  }
+  if (what < 0.50 && !readers_.empty()) {
+    // Later, so as to read something newer: or no longer.
+    const int v = readers_[random_.below(readers_.size())];
+    Tick& hold = next.hold[at(v)];
+    if (hold > 0 && random_.unit() < 0.5) {
+      hold = 0;
+      return true;
+    }
+    const Tick before = hold;
+    if (!from.figures.valid) return false;
+    const Tick start = from.figures.schedule.start[at(p_.slot[at(v)])];
+    hold = start + static_cast<Tick>(random_.unit() * random_.unit() *
+                                     static_cast<double>(p_.period_of(v)));
+    hold = hold / p_.scale * p_.scale;
+    return hold != before;
+  }
+  if (what < 0.70 && p_.domains.size() > 1) {
+    const int m = next.xpu[at(i)];
+    if (what >= 0.60) {
+      // Later by what another one of its XPU takes, or by less.
+      Tick& delay = next.delay[at(i)];
+      const Tick before = delay;
+      const int j = static_cast<int>(random_.below(at(p_.num_xnodes)));
+      const double how = random_.unit();
+      if (how < 0.4 && next.xpu[at(j)] == m)
+        delay += p_.wcet(j, m);
+      else
+        delay = how < 0.7 ? static_cast<Tick>(static_cast<double>(delay) * random_.unit()) : 0;
+      delay = std::min(delay, kMostTicks) / p_.scale * p_.scale;
+      return delay != before;
+    }
+    int& share = next.share[at(m) * p_.domains.size() + at(p_.domain_of(i))];
+    const int before = share;
+    share = std::clamp(
+        static_cast<int>(std::lround(share * std::exp((random_.unit() - 0.5) * 0.8))) +
+            (random_.unit() < 0.5 ? -1 : 1),
+        1, kWhole);
+    return share != before;
+  }
+  Tick& key = next.key[at(i)];
+  const Tick before = key;
+  const double how = random_.unit();
+  if (how < 0.6) {
+    // Just before or behind another one of its XPU.
+    int j = -1;
+    for (int tries = 0; tries < 12 && j < 0; ++tries) {
+      const int other = static_cast<int>(random_.below(at(p_.num_xnodes)));
+      if (other != i && next.xpu[at(other)] == next.xpu[at(i)]) j = other;
+    }
+    if (j < 0) return false;
+    key = next.key[at(j)] + (random_.unit() < 0.6 ? -1 : 1);
+  } else if (how < 0.9) {
+    key = static_cast<Tick>(static_cast<double>(key) * std::exp((random_.unit() - 0.5) * 1.2));
+  } else {
+    // All of its component, against the others.
+    const double factor = std::exp((random_.unit() - 0.5) * 0.8);
+    for (const int j : p_.components[at(p_.component_of[at(i)])].xnodes)
+      next.key[at(j)] = std::clamp<Tick>(
+          static_cast<Tick>(static_cast<double>(next.key[at(j)]) * factor), 1, kMostTicks);
+    return true;
+  }
+  key = std::clamp<Tick>(key, 1, kMostTicks);
+  return key != before;
+}
+
+void Search::anneal(std::int64_t steps, double hot,
+                    const std::function<void(const Candidate&)>& on_better) {
+  Candidate current = best_, next;
+  set_critical(current);
+  for (std::int64_t s = 0; s < steps && !over(); ++s) {
+    const double heat =
+        hot * std::pow(0.01, static_cast<double>(s) / static_cast<double>(steps));
+    next.decision = current.decision;
+    bool changed = false;
+    const int moves = random_.unit() < 0.75 ? 1 : 2;
+    for (int m = 0; m < moves; ++m) changed = mutate(current, next.decision) || changed;
+    if (!changed) continue;
+    evaluator_.evaluate(next.decision, current.figures.valid ? current.figures.needed : Charges{},
+                        next.figures, limits_.until);
+    const double scale = current.figures.valid ? current.figures.cost : 0.05 * kInvalidCost;
+    const double allowed = current.figures.cost - heat * scale * std::log(random_.unit());
+    if (next.figures.cost > allowed) continue;
+    if (next.figures.valid && next.figures.better_than(best_.figures)) {
+      take(next, on_better);
+      if (!next.figures.valid) continue;
+    } else if (!best_.figures.valid) {
+      take(next, on_better);
+    }
+    std::swap(current, next);
+    if ((s & 15) == 0) set_critical(current);
+  }
+}
+
+void Search::run(const SearchLimits& limits, const Decision* start, bool keep_xpu,
+                 const std::function<void(const Candidate&)>& on_better) {
+  limits_ = limits;
+  keep_xpu_ = keep_xpu;
+  best_.figures = {};
+  best_.figures.cost = 1e18;
+  if (start != nullptr) {
+    Candidate c;
+    c.decision = *start;
+    evaluator_.evaluate(c.decision, {}, c.figures, limits_.until);
+    take(c, on_better);
+    if (!c.figures.valid && best_.figures.cost >= 1e18) best_ = c;
+  }
+  if (!keep_xpu_) construct(on_better);
+  std::int64_t steps = 1500;
+  double hot = 0.05;
+  while (!over()) {
+    anneal(steps, hot, on_better);
+    steps += steps / 2;
+    hot = hot < 0.01 ? 0.04 : hot * 0.7;
+  }
+}
+
+}  // namespace xauto::solver::steady

@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: Apache-2.0
+// Search: assignment, keys, holds and shares of shared XPUs, by annealing from constructed starts.
+// Deterministic for a seed where `max_evaluations` ends it.
+#pragma once
+
+#include <functional>
+#include <vector>
+
+#include "model/key_policy.h"
+#include "solver/random.h"
+#include "solver/steady/evaluate.h"
+#include "solver/steady/problem.h"
+#include "solver/until.h"
+
+namespace xauto::solver::steady {
+
+struct Candidate {
+  Decision decision;
+  Figures figures;
+};
+
+struct SearchLimits {
+  Until until;
+  std::int64_t max_evaluations = 0;  ///< 0: no limit
+};
+
+class Search {
+ public:
+  /// `keep_xpu`: nobody moves. `on_better`: each certified improvement.
+  Search(const Problem& problem, const std::vector<Tick>& reference, std::uint64_t seed);
+
+  /// A decision from a policy's placements: its keys in ticks.
+  [[nodiscard]] Decision from_hint(const KeyPolicy& hint) const;
+  /// Constructs, then anneals from the best until the limits. `start` may be null.
+  void run(const SearchLimits& limits, const Decision* start, bool keep_xpu,
+           const std::function<void(const Candidate&)>& on_better);
+  [[nodiscard]] std::int64_t evaluations() const { return evaluator_.evaluations(); }
+
+ private:
+  [[nodiscard]] bool over() const;
+  void construct(const std::function<void(const Candidate&)>& on_better);
+  [[nodiscard]] Decision constructed(const std::vector<std::int64_t>& weights, double greed,
+                                     int rule);
+  void balance(std::vector<int>& xpu, int steps);
+  void anneal(std::int64_t steps, double hot, const std::function<void(const Candidate&)>& on_better);
+  void take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
+  [[nodiscard]] bool mutate(const Candidate& from, Decision& next);
+  void put(Decision& d, int xnode, int xpu) const;
+  [[nodiscard]] int pick(const Candidate& from);
+  void set_critical(const Candidate& of);
+
+  const Problem& p_;
+  Evaluator evaluator_;
+  Random random_;
+  SearchLimits limits_;
+  bool keep_xpu_ = false;
+  Candidate best_;
+  std::vector<int> critical_;                   ///< XNodes of the chain that sets the cost
+  std::vector<std::vector<int>> chain_xnodes_;  ///< [chain]
+  std::vector<int> readers_;
+};
+
+}  // namespace xauto::solver::steady

@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/steady/solve.h"
+
+#include <algorithm>
+#include <mutex>
+#include <thread>
+
+#include "solver/steady/chains.h"
+#include "solver/steady/search.h"
+
+namespace xauto::solver::steady {
+namespace {
+
+bool all_equal(const std::vector<std::int64_t>& values) {
+  return std::adjacent_find(values.begin(), values.end(), std::not_equal_to<>()) == values.end();
+}
+
+/// Rounded up: what is claimed may be larger, never smaller.
+std::int64_t us_above(const Problem& p, Tick t) { return t <= 0 ? 0 : p.up_to_us(t) / p.scale; }
+
+KeyPlacement placement(const Problem& p, const Candidate& c, int i) {
+  KeyPlacement placed;
+  placed.xpu = c.decision.xpu[at(i)];
+  // Predicted times are those of one schedule; domains that share XPUs have none in common.
+  const bool predicted = p.domains.size() == 1;
+  bool held = false;
+  for (int n = 0; n < p.jobs[at(i)]; ++n) {
+    const std::size_t s = at(p.slot[at(i)] + n);
+    placed.key_us.push_back(c.figures.w.d[s] / p.scale);
+    placed.hold_us.push_back(c.figures.w.hold[s] / p.scale);
+    held = held || placed.hold_us.back() > 0;
+    if (!predicted) continue;
+    placed.start_us.push_back(c.figures.schedule.start[s] / p.scale);
+    placed.finish_us.push_back(c.figures.schedule.finish[s] / p.scale);
+  }
+  if (!held) placed.hold_us.clear();
+  if (all_equal(placed.key_us) && all_equal(placed.hold_us) && all_equal(placed.start_us) &&
+      all_equal(placed.finish_us))
+    for (auto* values : {&placed.key_us, &placed.hold_us, &placed.start_us, &placed.finish_us})
+      if (!values->empty()) values->resize(1);
+  return placed;
+}
+
+KeyPolicy policy_of(const AppSpec& app, const Platform& platform, const Problem& p,
+                    const Candidate& c, const std::vector<std::int64_t>& bounds) {
+  KeyPolicy policy;
+  policy.app = app.name;
+  policy.app_hash = app.hash();
+  policy.platform = platform.name;
+  policy.method = "auto";
+  for (int i = 0; i < p.num_xnodes; ++i) policy.placements.push_back(placement(p, c, i));
+  for (std::size_t k = 0; k < p.chains.size(); ++k) {
+    const std::int64_t worst = us_above(p, c.figures.chain[k]);
+    policy.chains.push_back({p.chains[k].name, worst, bounds[k], worst == bounds[k]});
+  }
+  return policy;
+}
+
+Status check_hint(const KeyPolicy& hint, const AppSpec& app, const Problem& p) {
+  if (hint.placements.size() != app.xnodes.size())
+    return fail(ErrorCode::kInvalid, "it places another number of XNodes", "hint",
+                "take a policy for this app");
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    const int m = hint.placements[at(i)].xpu;
+    const auto& may = p.may_run[at(i)];
+    if (!std::binary_search(may.begin(), may.end(), m))
+      return fail(ErrorCode::kInvalid,
+                  "XNode '" + p.xnode_name[at(i)] + "' cannot run where it is", "hint");
+    if (hint.placements[at(i)].key_us.empty())
+      return fail(ErrorCode::kInvalid, "XNode '" + p.xnode_name[at(i)] + "' has no key", "hint");
+  }
+  for (const auto& group : p.groups)
+    for (const int i : group)
+      if (hint.placements[at(i)].xpu != hint.placements[at(group.front())].xpu)
+        return fail(ErrorCode::kInvalid,
+                    "XNode '" + p.xnode_name[at(i)] + "' is not with its group", "hint");
+  return {};
+}
+
+/// The best of all threads.
+struct Shared {
+  std::mutex mutex;
+  Candidate best;
+  bool any = false;
+  double first_ms = 0;
+};
+
+}  // namespace
+
+Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options& options) {
+  const SteadyTime began = std::chrono::steady_clock::now();
+  const auto elapsed = [&] {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
+  };
+  XAUTO_ASSIGN(const Problem p, Problem::create(app, platform, options.wishes));
+  if (options.hint != nullptr) XAUTO_TRY(check_hint(*options.hint, app, p));
+  Answer answer;
+  if (std::optional<Overload> proof = prove_overload(p)) {
+    answer.outcome = Outcome::kUnsustainable;
+    answer.overload = std::move(*proof);
+    return answer;
+  }
+  const double limit = std::clamp(options.time_limit_s, 0.0, 1e6);
+  const Until until{began + std::chrono::duration_cast<SteadyTime::duration>(
+                                std::chrono::duration<double>(limit)),
+                    options.stop};
+  Until for_bounds = until;
+  for_bounds.deadline =
+      std::min(until.deadline, began + std::chrono::duration_cast<SteadyTime::duration>(
+                                           std::chrono::duration<double>(limit * 0.1)));
+  const std::vector<Tick> reference = lower_bounds(p, app, platform, options.wishes, for_bounds);
+  for (const Tick t : reference) answer.lower_bound_us.push_back(us_above(p, t));
+
+  const int threads = std::clamp(options.threads, 1, 64);
+  Shared shared;
+  std::vector<std::int64_t> evaluations(at(threads), 0);
+  const auto work = [&](int index) {
+    Search search(p, reference, options.seed * 1000003 + static_cast<std::uint64_t>(index));
+    SearchLimits limits{until, 0};
+    if (options.max_evaluations > 0)
+      limits.max_evaluations = std::max<std::int64_t>(1, options.max_evaluations / threads);
+    Decision hint;
+    if (options.hint != nullptr) hint = search.from_hint(*options.hint);
+    search.run(limits, options.hint != nullptr ? &hint : nullptr,
+               options.keep && options.hint != nullptr, [&](const Candidate& c) {
+                 const std::lock_guard<std::mutex> lock(shared.mutex);
+                 // Of equal answers the one of the lowest thread would need a wait; sums differ.
+                 if (shared.any && !c.figures.better_than(shared.best.figures)) return;
+                 if (!shared.any) shared.first_ms = elapsed() * 1e3;
+                 shared.any = true;
+                 shared.best = c;
+                 if (options.on_progress)
+                   options.on_progress({elapsed(), c.figures.late,
+                                        c.figures.sum / static_cast<double>(p.scale),
+                                        search.evaluations()});
+               });
+    evaluations[at(index)] = search.evaluations();
+  };
+  std::vector<std::thread> pool;
+  for (int t = 1; t < threads; ++t) pool.emplace_back(work, t);
+  work(0);
+  for (std::thread& t : pool) t.join();
+  for (const std::int64_t e : evaluations) answer.evaluations += e;
+  if (!shared.any) return answer;
+  answer.outcome = Outcome::kPolicy;
+  answer.policy = policy_of(app, platform, p, shared.best, answer.lower_bound_us);
+  answer.policy.solve_ms = static_cast<std::int64_t>(elapsed() * 1e3);
+  answer.first_answer_ms = shared.first_ms;
+  return answer;
+}
+
+}  // namespace xauto::solver::steady

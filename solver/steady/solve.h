@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: Apache-2.0
+// The entry for apps of version 2: AppSpec + Platform -> KeyPolicy with a certificate, a proof that
+// there is none, or "unknown".
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "model/key_policy.h"
+#include "solver/objectives.h"
+#include "solver/steady/sustain.h"
+
+namespace xauto::solver::steady {
+
+struct Progress {
+  double elapsed_s = 0;
+  double late = 0;    ///< largest worst case / deadline; 0: no chain has a deadline
+  double sum_us = 0;  ///< weighted sum of the worst cases
+  std::int64_t evaluations = 0;
+};
+
+struct Options {
+  double time_limit_s = 10;
+  int threads = 1;
+  std::uint64_t seed = 1;
+  /// 0: no limit. With one, each thread's share of it ends it, and the answer does not depend on
+  /// speed as long as the time limit does not end it first.
+  std::int64_t max_evaluations = 0;
+  const std::atomic<bool>* stop = nullptr;
+  std::function<void(const Progress&)> on_progress;  ///< each improvement, from any thread, one at a time
+  Objectives wishes;                                 ///< pins, forbids and groups
+  const KeyPolicy* hint = nullptr;  ///< where to begin; not certified before it is proven again
+  bool keep = false;                ///< with a hint: what runs where stays
+};
+
+enum class Outcome {
+  kPolicy,
+  kUnsustainable,  ///< proven: no policy keeps up
+  kUnknown,        ///< neither a policy nor a proof within the limits
+};
+
+struct Answer {
+  Outcome outcome = Outcome::kUnknown;
+  KeyPolicy policy;   ///< kPolicy
+  Overload overload;  ///< kUnsustainable
+  /// [chain] where no policy was found, too.
+  std::vector<std::int64_t> lower_bound_us;
+  double first_answer_ms = 0;
+  std::int64_t evaluations = 0;
+};
+
+/// kInvalid, kInfeasible: Problem::create; a hint for another app.
+[[nodiscard]] Result<Answer> solve(const AppSpec& app, const Platform& platform,
+                                   const Options& options);
+
+}  // namespace xauto::solver::steady

@@ -1,0 +1,216 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/steady/sustain.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace xauto::solver::steady {
+namespace {
+
+/// [xnode * types + type] work there; kNoTick: it cannot be there.
+std::vector<Tick> work_by_type(const Problem& p) {
+  std::vector<Tick> work(at(p.num_xnodes) * at(p.num_types), kNoTick);
+  for (int i = 0; i < p.num_xnodes; ++i)
+    for (int m = 0; m < p.num_xpus; ++m) {
+      Tick& w = work[at(i) * at(p.num_types) + at(p.xpu_type[at(m)])];
+      if (p.wcet(i, m) != kNoTick) w = p.wcet(i, m);
+    }
+  return work;
+}
+
+/// Of instances of a type that the user leaves to somebody at all, so that pins to one of several
+/// are not lost: kept simple, all instances count.
+std::vector<std::int64_t> instances(const Problem& p) {
+  std::vector<std::int64_t> count;
+  for (const auto& xpus : p.type_xpus) count.push_back(static_cast<std::int64_t>(xpus.size()));
+  return count;
+}
+
+double load_of(const Problem& p, const std::vector<double>& rate, const std::vector<double>& w,
+               std::vector<double>* slope) {
+  const std::size_t types = w.size();
+  double load = 0;
+  if (slope != nullptr) slope->assign(types, 0);
+  for (std::size_t i = 0; i < at(p.num_xnodes); ++i) {
+    std::size_t best = types;
+    double least = 0;
+    for (std::size_t t = 0; t < types; ++t) {
+      const double r = rate[i * types + t];
+      if (r >= 0 && (best == types || w[t] * r < least)) {
+        best = t;
+        least = w[t] * r;
+      }
+    }
+    if (best == types) continue;
+    load += least;
+    if (slope != nullptr) (*slope)[best] += rate[i * types + best];
+  }
+  return load;
+}
+
+std::string name_of(const Problem& p, const std::vector<std::int64_t>& weights) {
+  std::string names;
+  for (std::size_t t = 0; t < weights.size(); ++t)
+    if (weights[t] * 50 > kWeights) names += (names.empty() ? "" : " and ") + p.type_name[t];
+  return names;
+}
+
+/// Longest way of least WCETs from `from` to an XNode of `module`.
+Tick span(const Problem& p, const std::vector<Tick>& least, const Module& module, int from) {
+  std::vector<Tick> until(at(p.num_xnodes), kNoTick);
+  until[at(from)] = least[at(from)];
+  Tick longest = least[at(from)];
+  for (const int i : p.components[at(module.component)].xnodes) {
+    for (const Link& link : p.pred[at(i)])
+      if (until[at(link.xnode)] != kNoTick)
+        until[at(i)] = std::max(until[at(i)], until[at(link.xnode)] + least[at(i)]);
+  }
+  for (const int i : module.xnodes) longest = std::max(longest, until[at(i)]);
+  return longest;
+}
+
+std::string us(const Problem& p, Tick t) { return std::to_string(t / p.scale) + " us"; }
+
+}  // namespace
+
+std::int64_t load_ppm(const Problem& p, const std::vector<std::int64_t>& weights) {
+  const std::vector<Tick> work = work_by_type(p);
+  const std::vector<std::int64_t> count = instances(p);
+  __int128 total = 0;
+  std::int64_t sum = 0;
+  for (const std::int64_t w : weights) sum += w;
+  if (sum <= 0) return 0;
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    __int128 least = -1;
+    for (std::size_t t = 0; t < weights.size(); ++t) {
+      const Tick c = work[at(i) * at(p.num_types) + t];
+      if (c == kNoTick) continue;
+      // Rounded down twice: never more than it is. 2^47 * 2^16 * 10^6 * 2^20 fit 128 bits.
+      const __int128 share = static_cast<__int128>(c) * weights[t] * kMillion * (1 << 20) /
+                             (static_cast<__int128>(p.period_of(i)) * count[t]);
+      if (least < 0 || share < least) least = share;
+    }
+    if (least > 0) total += least;
+  }
+  const __int128 load = total / sum / (1 << 20);
+  return static_cast<std::int64_t>(std::min<__int128>(load, kMillion * 1'000'000'000));
+}
+
+std::vector<std::int64_t> balancing_weights(const Problem& p) {
+  const std::size_t types = at(p.num_types);
+  const std::vector<Tick> work = work_by_type(p);
+  const std::vector<std::int64_t> count = instances(p);
+  std::vector<double> rate(work.size(), -1);
+  for (std::size_t k = 0; k < work.size(); ++k)
+    if (work[k] != kNoTick)
+      rate[k] = static_cast<double>(work[k]) /
+                static_cast<double>(p.period_of(static_cast<int>(k / types))) /
+                static_cast<double>(count[k % types]);
+  // Multiplicative ascent: a type that is loaded more than the others gets dearer.
+  std::vector<double> w(types, 1.0 / static_cast<double>(types)), best = w, slope, mean(types, 0);
+  double best_load = load_of(p, rate, w, nullptr);
+  const auto consider = [&](const std::vector<double>& candidate) {
+    const double load = load_of(p, rate, candidate, nullptr);
+    if (load > best_load) {
+      best_load = load;
+      best = candidate;
+    }
+  };
+  for (std::size_t t = 0; t < types; ++t) {
+    std::vector<double> one(types, 0);
+    one[t] = 1;
+    consider(one);
+  }
+  const int rounds = p.num_xnodes > 2000 ? 60 : 200;
+  for (int r = 0; r < rounds; ++r) {
+    static_cast<void>(load_of(p, rate, w, &slope));
+    double largest = 1e-9, sum = 0;
+    for (const double s : slope) largest = std::max(largest, s);
+    const double step = 1.0 / std::sqrt(1.0 + r);
+    for (std::size_t t = 0; t < types; ++t) sum += w[t] *= std::exp(step * slope[t] / largest);
+    for (double& x : w) x /= sum;
+    consider(w);
+    for (std::size_t t = 0; t < types; ++t) mean[t] += w[t] / rounds;
+  }
+  consider(mean);
+  // Exchange between two types, finer and finer: exact for two, near enough for more.
+  for (double step = 0.1; step > 1e-5; step *= 0.6)
+    for (std::size_t a = 0; a < types; ++a)
+      for (std::size_t b = 0; b < types; ++b) {
+        if (a == b || types > 8) continue;
+        std::vector<double> next = best;
+        const double moved = std::min(step, next[a]);
+        next[a] -= moved;
+        next[b] += moved;
+        consider(next);
+      }
+  std::vector<std::int64_t> weights;
+  for (const double x : best) weights.push_back(std::llround(x * kWeights));
+  return weights;
+}
+
+std::optional<Overload> prove_overload(const Problem& p) {
+  std::vector<Tick> least(at(p.num_xnodes), kNoTick);
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    for (int m = 0; m < p.num_xpus; ++m)
+      if (p.wcet(i, m) != kNoTick && (least[at(i)] == kNoTick || p.wcet(i, m) < least[at(i)]))
+        least[at(i)] = p.wcet(i, m);
+    if (!p.may_run[at(i)].empty()) continue;
+    Overload proof;
+    proof.text = "XNode '" + p.xnode_name[at(i)] + "' takes at least " + us(p, least[at(i)]) +
+                 " every " + us(p, p.period_of(i));
+    proof.causes = {{i, 1000}};
+    return proof;
+  }
+  for (const Module& module : p.modules) {
+    const Tick period = p.components[at(module.component)].period;
+    if (module.in_flight > kMostTicks / period) continue;
+    for (const int e : module.entries) {
+      const Tick takes = span(p, least, module, e);
+      if (takes <= module.in_flight * period) continue;
+      Overload proof;
+      proof.text = "an activation is in the module of XNode '" + p.xnode_name[at(e)] +
+                   "' for at least " + us(p, takes) + ", " + std::to_string(module.in_flight) +
+                   " in flight allow " + us(p, module.in_flight * period);
+      for (const int i : module.xnodes) proof.causes.emplace_back(i, 0);
+      return proof;
+    }
+  }
+  const std::vector<std::int64_t> weights = balancing_weights(p);
+  const std::int64_t load = load_ppm(p, weights);
+  if (load <= kMillion) return std::nullopt;
+  Overload proof;
+  proof.weights = weights;
+  proof.load_pct = load / (kMillion / 100);
+  // Rounded down, as "at least" says.
+  std::string figure = std::to_string(proof.load_pct);
+  if (proof.load_pct < 110) {
+    const std::string rest = std::to_string(load / 100 % 100);
+    figure += "." + std::string(2 - rest.size(), '0') + rest;
+  }
+  proof.text = name_of(p, weights) + " at least " + figure + " %";
+  // Who weighs how much in it.
+  const std::vector<Tick> work = work_by_type(p);
+  const std::vector<std::int64_t> count = instances(p);
+  std::int64_t sum = 0;
+  for (const std::int64_t w : weights) sum += w;
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    double cheapest = -1;
+    for (std::size_t t = 0; t < weights.size(); ++t) {
+      const Tick c = work[at(i) * at(p.num_types) + t];
+      if (c == kNoTick) continue;
+      const double share = static_cast<double>(c) * static_cast<double>(weights[t]) /
+                           (static_cast<double>(p.period_of(i)) * static_cast<double>(count[t]) *
+                            static_cast<double>(sum));
+      if (cheapest < 0 || share < cheapest) cheapest = share;
+    }
+    proof.causes.emplace_back(i, std::llround(cheapest * 1000));
+  }
+  std::sort(proof.causes.begin(), proof.causes.end(),
+            [](const auto& a, const auto& b) { return a.second > b.second; });
+  std::erase_if(proof.causes, [](const auto& cause) { return cause.second <= 0; });
+  if (proof.causes.size() > 8) proof.causes.resize(8);
+  return proof;
+}
+
+}  // namespace xauto::solver::steady

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sustain: proofs that no policy keeps up, over all assignments, before anything is searched.
+//
+// Load. For all weights w >= 0 of XPU types, not all 0, and work C over period T:
+//   lambda = sum over i of min over t of  w_t C_it / (T_i |t|)   /   sum over t of w_t
+// No assignment loads all types by less than lambda: multiply each type's load by its weight, and
+// give each XNode its cheapest type. lambda > 1 therefore proves that some XPU gets more work than
+// time. It is the dual of the LP that spreads XNodes fractionally; the weights are the certificate,
+// one line, checked in integers. lambda <= 1 proves nothing.
+//
+// Span. An entry of a module with N in flight starts N activations later no earlier than its
+// activation has left; the longest way of least WCETs from it to an XNode of the module is then at
+// most N T. And one XNode takes its activations one by one: least WCET <= T.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "solver/steady/problem.h"
+
+namespace xauto::solver::steady {
+
+struct Overload {
+  std::string text;  ///< "gpu at least 112 %"
+  std::int64_t load_pct = 0;          ///< rounded down; 0: not by load
+  std::vector<std::int64_t> weights;  ///< [type]; empty: not by load
+  std::vector<std::pair<int, std::int64_t>> causes;  ///< XNode, its share in tenths of a percent
+};
+
+/// The proof, if one of these is one. Pins and forbids count.
+[[nodiscard]] std::optional<Overload> prove_overload(const Problem& problem);
+/// The best weights found, sum kWeights: prices of the types, for constructing.
+[[nodiscard]] std::vector<std::int64_t> balancing_weights(const Problem& problem);
+inline constexpr std::int64_t kWeights = 1 << 16;
+
+/// floor(lambda * 10^6) of these weights, in integers; at most 10^15.
+[[nodiscard]] std::int64_t load_ppm(const Problem& problem, const std::vector<std::int64_t>& weights);
+
+}  // namespace xauto::solver::steady
