@@ -213,4 +213,44 @@ inline std::optional<Case> valid(std::uint64_t seed, const Wanted& wanted) {
   return {};
 }
 
+/// Keys as small, and modules with as few activations in flight, as the check lets them be, one
+/// after the other; `arrays`: with a key of its own for each activation of a hyperperiod.
+inline void tighten(Case& c, std::uint64_t seed, bool arrays) {
+  Random random(seed);
+  const auto accepted = [&](Case& next) {
+    next.policy.app_hash = next.app.hash();
+    for (ChainClaim& claim : next.policy.chains) claim = {claim.name, 900'000'000'000, 0, false};
+    return check(next.app, next.platform, next.policy).has_value();
+  };
+  const auto improve = [&](std::int64_t& value, std::int64_t least) {
+    for (std::int64_t step = value - least; step > 0;) {
+      const std::int64_t before = value;
+      value -= step;
+      if (value >= least && accepted(c)) continue;
+      value = before;
+      step /= 2;
+    }
+  };
+  if (arrays)
+    for (std::size_t i = 0; i < c.app.xnodes.size(); ++i) {
+      KeyPlacement& p = c.policy.placements[i];
+      for (const std::size_t size : {6u, 4u, 3u, 2u}) {
+        const KeyPlacement before = p;
+        p.key_us.assign(size, p.key_us[0]);
+        if (!p.hold_us.empty()) p.hold_us.assign(size, p.hold_us[0]);
+        if (accepted(c)) break;
+        p = before;
+      }
+    }
+  for (int round = 0; round < 2; ++round) {
+    if (round == 1)
+      for (ModuleSpec& m : c.app.modules) improve(m.max_in_flight, 1);
+    for (std::size_t i = 0; i < c.app.xnodes.size(); ++i)
+      for (std::int64_t& key : c.policy.placements[i].key_us)
+        if (arrays || random.below(4) > 0) improve(key, 1);
+  }
+  accepted(c);
+  claim_what_follows(c);
+}
+
 }  // namespace xauto::solver::steady::test
