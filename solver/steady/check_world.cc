@@ -375,13 +375,20 @@ std::vector<std::int64_t> World::lags(int xnode) const {
   return best;
 }
 
-Result<World> derive(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+Result<World> structure(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+  XAUTO_TRY(validate(app));
+  XAUTO_TRY(validate(platform));
   XAUTO_TRY(world::check_indices(app, platform, policy));
   World w{app, platform, policy};
   XAUTO_TRY(world::set_scale(w));
   XAUTO_TRY(world::set_graph(w));
   XAUTO_TRY(world::set_components(w));
   XAUTO_TRY(world::set_classes(w));
+  return w;
+}
+
+Result<World> derive(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+  XAUTO_ASSIGN(World w, structure(app, platform, policy));
   XAUTO_TRY(world::set_windows(w));
   return w;
 }

@@ -88,6 +88,9 @@ inline constexpr std::int64_t kNever = std::int64_t{1} << 60;
 /// Least common multiple; 0 where it exceeds kMaxTicks.
 [[nodiscard]] Ticks lcm(Ticks a, Ticks b);
 
+/// All but the windows, which only a policy has that holds.
+[[nodiscard]] Result<World> structure(const AppSpec& app, const Platform& platform,
+                                      const KeyPolicy& policy);
 [[nodiscard]] Result<World> derive(const AppSpec& app, const Platform& platform,
                                    const KeyPolicy& policy);
 

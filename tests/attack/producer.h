@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Random apps of version 2, and policies of keys for them. Not good ones: any assignment, and keys
-// that are wide enough, for the tests of check and play to have something that holds.
+// Random apps of version 2, and policies of keys for them: any assignment, and keys that the check
+// lets be no smaller. Not good ones, but there is no room in them for a fault of the check.
 #pragma once
 
 #include <algorithm>
@@ -16,7 +16,11 @@
 #include "solver/random.h"
 #include "solver/steady/check.h"
 
-namespace xauto::solver::steady::test {
+namespace xauto::attack {
+
+using solver::Random;
+using solver::steady::check;
+using solver::steady::CheckReport;
 
 struct Case {
   AppSpec app;
@@ -253,4 +257,4 @@ inline void tighten(Case& c, std::uint64_t seed, bool arrays) {
   claim_what_follows(c);
 }
 
-}  // namespace xauto::solver::steady::test
+}  // namespace xauto::attack
