@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/steady/check.h"
+
+#include <fmt/format.h>
+
+#include "solver/steady/check_chains.h"
+#include "solver/steady/check_load.h"
+#include "solver/steady/check_world.h"
+
+namespace xauto::solver::steady {
+namespace checking {
+
+Status compare(const ChainClaim& claim, ChainProof& proof) {
+  const std::string where = "chain '" + proof.name + "'";
+  const auto lies = [&](std::string what) {
+    return fail(ErrorCode::kInfeasible, std::move(what), where, "solve again");
+  };
+  proof.claimed_us = claim.worst_case_us;
+  proof.claimed_bound_us = claim.lower_bound_us;
+  if (proof.derived_us > claim.worst_case_us)
+    return lies(fmt::format("worst_case_us is {}, what follows is {}, along {}",
+                            claim.worst_case_us, proof.derived_us, fmt::join(proof.path, " > ")));
+  if (claim.lower_bound_us > proof.derived_us)
+    return lies(fmt::format("lower_bound_us is {}, but this policy is never longer than {}",
+                            claim.lower_bound_us, proof.derived_us));
+  if (claim.optimal && claim.lower_bound_us != claim.worst_case_us)
+    return lies(fmt::format("optimal, with a lower bound of {} and a worst case of {}",
+                            claim.lower_bound_us, claim.worst_case_us));
+  return {};
+}
+
+}  // namespace checking
+
+Result<CheckReport> check(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+  XAUTO_ASSIGN(const checking::World w, checking::derive(app, platform, policy));
+  if (policy.chains.size() != app.chains.size())
+    return fail(ErrorCode::kInvalid,
+                fmt::format("{} chains, the app has {}", policy.chains.size(), app.chains.size()),
+                "policy");
+  CheckReport report;
+  for (std::size_t m = 0; m < platform.xpus.size(); ++m) {
+    XAUTO_ASSIGN(XpuProof proof, checking::prove_load(w, static_cast<int>(m)));
+    report.xpus.push_back(std::move(proof));
+  }
+  for (std::size_t k = 0; k < app.chains.size(); ++k) {
+    if (policy.chains[k].name != app.chains[k].name)
+      return fail(
+          ErrorCode::kInvalid,
+          fmt::format("chain {} is '{}', not '{}'", k, policy.chains[k].name, app.chains[k].name),
+          "policy");
+    XAUTO_ASSIGN(ChainProof proof, checking::derive_chain(w, k));
+    proof.name = app.chains[k].name;
+    proof.deadline_us = app.chains[k].deadline_us;
+    XAUTO_TRY(checking::compare(policy.chains[k], proof));
+    report.chains.push_back(std::move(proof));
+  }
+  return report;
+}
+
+}  // namespace xauto::solver::steady

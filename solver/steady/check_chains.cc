@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: Apache-2.0
+// A path visits components. In each, one activation is the first that surely knows the release:
+//
+//   late[n]  the most real time from the nominal release of the source's message to the nominal
+//            release of that activation, where it is one of class n
+//
+// From u of activation n to v, which samples it, on one clock: u ends by its key. v reads when it
+// starts, which is not before its release + e. So the first activation m of v with
+// (release m) + e_m >= (release n) + d_u knows it. On another clock, or where the phases repeat too
+// late: v started last before u's end, by less than e_m-1 after its release; the next release comes
+// a period later. Keys do not fall, so whoever knows it earlier ends earlier.
+#include "solver/steady/check_chains.h"
+
+#include <algorithm>
+#include <numeric>
+#include <set>
+
+#include <fmt/format.h>
+
+namespace xauto::solver::steady::checking {
+namespace chains {
+
+constexpr std::size_t kMaxClasses = 1'000'000;
+constexpr std::int64_t kMaxWork = 200'000'000;
+constexpr Ticks kUnreached = -4 * kMaxTicks;
+
+using Late = std::vector<Ticks>;
+
+class Walk {
+ public:
+  Walk(const World& w, const ChainSpec& chain) : w_(w), chain_(chain) {
+    for (const auto& sample : w.app.samples) samples_.insert(sample);
+    reads_.resize(w.app.xnodes.size());
+    for (const auto& [u, v] : samples_) reads_[at(u)].push_back(v);
+    visited_.assign(w.components.size(), 0);
+    shortest_.resize(w.wcet.size());
+    for (std::size_t i = 0; i < shortest_.size(); ++i) {
+      Ticks least_us = kMaxTimeUs;
+      for (const auto& [type, wcet] : w.app.xnodes[i].wcet_us)
+        if (std::ranges::any_of(w.platform.xpus, [&](const Xpu& x) { return x.type == type; }))
+          least_us = std::min(least_us, wcet);
+      shortest_[i] = least_us * w.scale;
+    }
+  }
+
+  Result<ChainProof> derive() {
+    const SourceSpec& source = w_.app.sources[at(chain_.from)];
+    for (std::size_t c = 0; c < w_.components.size(); ++c) {
+      const Component& home = w_.components[c];
+      std::vector<int> enters;
+      for (const int x : home.xnodes)
+        if (w_.before[at(x)].empty() &&
+            std::ranges::count(w_.app.xnodes[at(x)].sources, chain_.from) > 0)
+          enters.push_back(x);
+      if (enters.empty()) continue;
+      const Ticks offset = source.offset_us * w_.scale;
+      // Everything that an XNode waits for is on its shortest path, other sources included.
+      std::vector<Ticks> ends(w_.wcet.size(), kUnreached);
+      for (const int x : w_.order) {
+        if (w_.component_of[at(x)] != static_cast<int>(c)) continue;
+        Ticks ready = 0;
+        for (const int s : w_.app.xnodes[at(x)].sources)
+          ready =
+              std::max(ready, (w_.app.sources[at(s)].offset_us + w_.app.sources[at(s)].jitter_us) *
+                                  w_.scale);
+        for (const auto& [u, transfer] : w_.before[at(x)]) ready = std::max(ready, ends[at(u)]);
+        ends[at(x)] = ready + shortest_[at(x)];
+      }
+      for (Ticks& end : ends) end -= offset;
+      path_ = {source.name};
+      XAUTO_TRY(visit(
+          static_cast<int>(c), enters,
+          Late(static_cast<std::size_t>(home.classes), -least(offset - home.phi, home.ppm)), ends));
+    }
+    if (proof_.path.empty())
+      return fail(ErrorCode::kInvalid,
+                  fmt::format("nothing leads from source '{}' to XNode '{}'", source.name,
+                              w_.name(chain_.to)),
+                  "chain '" + chain_.name + "'");
+    proof_.derived_us = w_.us_up(worst_);
+    proof_.own_bound_us = w_.us_up(std::max<Ticks>(bound_, 0));
+    return proof_;
+  }
+
+ private:
+  /// `ends`: [xnode of this component] no policy ends it earlier, in the worst execution.
+  Status visit(int c, const std::vector<int>& enters, const Late& late,
+               const std::vector<Ticks>& ends) {
+    visited_[at(c)] = 1;
+    std::vector<char> reached(w_.wcet.size(), 0);
+    for (const int x : enters) reached[at(x)] = 1;
+    path_.push_back(w_.name(enters.front()));
+    for (const int x : w_.order) {
+      if (!reached[at(x)]) continue;
+      for (const int v : w_.after[at(x)]) reached[at(v)] = 1;
+      if (x == chain_.to) arrive(late, ends[at(x)]);
+      for (const int v : reads_[at(x)])
+        if (!visited_[at(w_.component_of[at(v)])]) {
+          path_.push_back(w_.name(x));
+          XAUTO_TRY(sample(x, v, late, ends[at(x)]));
+          path_.pop_back();
+        }
+    }
+    path_.pop_back();
+    visited_[at(c)] = 0;
+    return {};
+  }
+
+  void arrive(const Late& late, Ticks bound) {
+    bound_ = std::max(bound_, bound);
+    for (std::size_t n = 0; n < late.size(); ++n) {
+      if (late[n] <= kUnreached) continue;
+      const Ticks end = late[n] + w_.window(chain_.to, static_cast<std::int64_t>(n)).d;
+      if (!proof_.path.empty() && end <= worst_) continue;
+      worst_ = end;
+      proof_.path = path_;
+      proof_.path.push_back(w_.name(chain_.to));
+    }
+  }
+
+  Status sample(int u, int v, const Late& late, Ticks bound) {
+    const Component &from = w_.home(u), &to = w_.home(v);
+    Late next;
+    if (from.clock != to.clock || !follow(u, v, late, next)) any_phase(u, v, late, next);
+    work_ += static_cast<std::int64_t>(late.size() + next.size() + w_.wcet.size());
+    if (work_ > kMaxWork)
+      return fail(ErrorCode::kInvalid, "it has too many paths to follow all of them",
+                  "chain '" + chain_.name + "'", "take out samples that it does not need");
+    std::vector<Ticks> ends(w_.wcet.size(), kUnreached);
+    ends[at(v)] = bound + shortest_[at(v)];
+    for (const int x : w_.order)
+      for (const auto& [p, transfer] : w_.before[at(x)])
+        if (ends[at(p)] > kUnreached && x != v)
+          ends[at(x)] = std::max(ends[at(x)], ends[at(p)] + shortest_[at(x)]);
+    return visit(w_.component_of[at(v)], {v}, next, ends);
+  }
+
+  /// Phases are known. False: they repeat too late.
+  bool follow(int u, int v, const Late& late, Late& next) {
+    const Component &from = w_.home(u), &to = w_.home(v);
+    const Ticks pattern = lcm(static_cast<Ticks>(late.size()) * from.period, to.pattern());
+    if (pattern == 0 || pattern / from.period > static_cast<Ticks>(kMaxClasses) ||
+        pattern / to.period > static_cast<Ticks>(kMaxClasses))
+      return false;
+    const Ticks classes = pattern / to.period;
+    next.assign(static_cast<std::size_t>(classes), kUnreached);
+    const Ticks latest = std::ranges::max(w_.windows[at(v)], {}, &Window::e).e;
+    work_ += pattern / from.period;
+    for (std::int64_t n = 0; n < pattern / from.period; ++n) {
+      const Ticks so_far = late[static_cast<std::size_t>(n) % late.size()];
+      if (so_far <= kUnreached) continue;
+      const Ticks release = from.phi + n * from.period;
+      const Ticks end = w_.window(u, n).d;
+      // The first that knows it with the least drift, up to the one that does with the most.
+      const auto gap = [&](std::int64_t k) { return to.phi + k * to.period - release; };
+      const Ticks reach = floor_div(static_cast<__int128>(end - latest) * kMillion,
+                                    kMillion + (end > latest ? to.ppm : -to.ppm));
+      std::int64_t m = floor_div(static_cast<__int128>(release) + reach - to.phi, to.period) - 1;
+      while (most(gap(m), to.ppm) + w_.window(v, m).e < end) ++m;
+      for (;; ++m) {
+        if (++work_ > kMaxWork) return true;  // sample() says so
+        Ticks wait = most(gap(m), to.ppm);
+        if (to.ppm > 0)
+          wait = std::min(wait, end - w_.window(v, m - 1).e + most(to.period, to.ppm));
+        const std::int64_t k = m % classes;
+        Ticks& best = next[static_cast<std::size_t>(k < 0 ? k + classes : k)];
+        best = std::max(best, so_far + wait);
+        if (least(gap(m), to.ppm) + w_.window(v, m).e >= end) break;
+      }
+    }
+    return true;
+  }
+
+  void any_phase(int u, int v, const Late& late, Late& next) const {
+    Ticks end = kUnreached;
+    for (std::size_t n = 0; n < late.size(); ++n)
+      if (late[n] > kUnreached)
+        end = std::max(end, late[n] + w_.window(u, static_cast<std::int64_t>(n)).d);
+    const Component& to = w_.home(v);
+    for (std::int64_t m = 0; m < to.classes; ++m)
+      next.push_back(end - w_.window(v, m - 1).e + most(to.period, to.ppm));
+  }
+
+  const World& w_;
+  const ChainSpec& chain_;
+  std::set<std::pair<int, int>> samples_;
+  std::vector<std::vector<int>> reads_;
+  std::vector<char> visited_;
+  std::vector<Ticks> shortest_;  ///< [xnode] least WCET
+  std::vector<std::string> path_;
+  ChainProof proof_;
+  Ticks worst_ = kUnreached, bound_ = 0;
+  std::int64_t work_ = 0;
+};
+
+}  // namespace chains
+
+Result<ChainProof> derive_chain(const World& w, std::size_t index) {
+  return chains::Walk(w, w.app.chains[index]).derive();
+}
+
+}  // namespace xauto::solver::steady::checking

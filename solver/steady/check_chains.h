@@ -1,0 +1,15 @@
+// SPDX-License-Identifier: Apache-2.0
+// Worst cases of chains, from the windows. Used by check.cc.
+#pragma once
+
+#include <xauto/result.h>
+
+#include "solver/steady/check.h"
+#include "solver/steady/check_world.h"
+
+namespace xauto::solver::steady::checking {
+
+/// What follows for chain `index`; an error where nothing leads from its source to its XNode.
+[[nodiscard]] Result<ChainProof> derive_chain(const World& w, std::size_t index);
+
+}  // namespace xauto::solver::steady::checking

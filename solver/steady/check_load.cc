@@ -1,0 +1,630 @@
+// SPDX-License-Identifier: Apache-2.0
+// The jobs of one XPU fall into groups. Releases of one group keep their phases: all components of
+// one clock, or, where those repeat too late to be enumerated, one component. Between groups any
+// phase may occur.
+//
+//   one group, preemptive   earliest deadline first is simulated until a pattern repeats the one
+//                           before: it meets all keys if any schedule does (Dertouzos 1974)
+//   otherwise               demand bound: what has its window in an interval of length t, at worst,
+//                           and the longest job that may be running when it begins and has a later
+//                           key (XPUs that do not preempt), is at most t
+//
+// Drift. A window is [R(r) + a, R(r) + d], R the real time of a point of the clock's grid, whose
+// slope is in [1 - ppm, 1 + ppm]. A schedule on the grid in which a job gets C / (1 - ppm) within
+// [r + a / (1 - ppm), r + d / (1 + ppm)] is, seen through any R, one in real time.
+#include "solver/steady/check_load.h"
+
+#include <algorithm>
+#include <map>
+#include <numeric>
+#include <optional>
+#include <queue>
+
+#include <fmt/format.h>
+
+namespace xauto::solver::steady::checking {
+namespace load {
+
+constexpr std::int64_t kMaxJobs = 400'000;      ///< of one group
+constexpr std::int64_t kMaxSteps = 60'000'000;  ///< of all demand curves of one XPU
+constexpr std::int64_t kMaxPlayed = 20'000'000;
+
+/// One job of the pattern of a group.
+struct Item {
+  int xnode = -1;
+  std::int64_t activation = 0;
+  Ticks release = 0;  ///< on the grid of the clock
+  Window window;
+  Ticks work = 0;  ///< WCET and, where it may preempt, the cost of that
+};
+
+struct Group {
+  std::vector<int> xnodes;
+  Ticks period = 0;  ///< of the pattern
+  std::int64_t ppm = 0;
+  int clock = -1;
+  std::vector<Item> items;
+  Ticks longest = 0;  ///< from the earliest start of a job to its key
+};
+
+/// What is in an interval: at its end `demand`, between the begins of two windows and two keys.
+struct Step {
+  Ticks length = 0, demand = 0;
+  const Item* last = nullptr;  ///< whose key is its end
+};
+
+class Load {
+ public:
+  Load(const World& w, int m) : w_(w), xpu_(w.platform.xpus[at(m)]), m_(m) {}
+
+  Result<XpuProof> prove() {
+    proof_.xpu = xpu_.id;
+    make_groups();
+    if (groups_.empty()) {
+      proof_.kind = "no job";
+      return proof_;
+    }
+    if (xpu_.preemptive && xpu_.preempt_us > 0) charge();
+    Ticks longest = 0;
+    for (const Group& g : groups_) {
+      __int128 sum = 0;
+      for (const Item& i : g.items) sum += i.work;
+      proof_.load += static_cast<double>(sum) / (static_cast<double>(g.period) * slowdown(g));
+      proof_.jobs += static_cast<std::int64_t>(g.items.size());
+      longest = std::max(longest, g.period);
+      if (sum > least(g.period, g.ppm)) return overload();
+    }
+    proof_.repeats_us = w_.us(longest);
+    if (proof_.load > 1.000001) return overload();
+    if (groups_.size() == 1 && xpu_.preemptive) {
+      proof_.kind = "schedule";
+      if (const Status shown = exhibit(groups_[0]); !shown) {
+        if (groups_[0].ppm == 0) return tl::unexpected<Error>(shown.error());
+        // With drift the demand bound loses less: windows need not shrink.
+        proof_.kind = "demand bound";
+        XAUTO_TRY(bound_demand());
+      }
+    } else {
+      proof_.kind = xpu_.preemptive ? "demand bound" : "demand bound and blocking";
+      XAUTO_TRY(bound_demand());
+    }
+    return proof_;
+  }
+
+ private:
+  static double slowdown(const Group& g) {
+    return 1 - static_cast<double>(g.ppm) / static_cast<double>(kMillion);
+  }
+  [[nodiscard]] std::string where() const { return "XPU " + xpu_.id; }
+  [[nodiscard]] std::string where(const Item& i) const {
+    return fmt::format("XPU {}, XNode '{}', activation {}", xpu_.id, w_.name(i.xnode),
+                       i.activation);
+  }
+  [[nodiscard]] tl::unexpected<Error> overload() const {
+    return fail(
+        ErrorCode::kInfeasible,
+        fmt::format("its jobs load it by {:.4f} %, preemptions included", 100 * proof_.load),
+        where(), "move XNodes to another XPU");
+  }
+
+  // ------------------------------------------------------------------------------------ groups
+
+  void make_groups() {
+    std::map<int, std::vector<int>> by_clock, by_component;
+    for (std::size_t i = 0; i < w_.wcet.size(); ++i)
+      if (w_.policy.placements[i].xpu == m_)
+        by_clock[w_.home(static_cast<int>(i)).clock].push_back(static_cast<int>(i));
+    for (const auto& [clock, xnodes] : by_clock) {
+      if (add_group(xnodes)) continue;
+      by_component.clear();
+      for (const int i : xnodes) by_component[w_.component_of[at(i)]].push_back(i);
+      // A component has at most as many windows as World allows.
+      for (const auto& [component, own] : by_component) add_group(own);
+    }
+  }
+
+  bool add_group(const std::vector<int>& xnodes) {
+    Group g;
+    g.xnodes = xnodes;
+    g.ppm = w_.home(xnodes[0]).ppm;
+    g.clock = w_.home(xnodes[0]).clock;
+    g.period = 1;
+    bool alone = true;
+    for (const int i : xnodes) {
+      alone = alone && w_.component_of[at(i)] == w_.component_of[at(xnodes[0])];
+      if (g.period > 0) g.period = lcm(g.period, w_.home(i).pattern());
+    }
+    if (alone) g.period = w_.home(xnodes[0]).pattern();
+    if (g.period == 0) return false;
+    std::int64_t jobs = 0;
+    for (const int i : xnodes) {
+      jobs += g.period / w_.home(i).period;
+      if (jobs > kMaxJobs && !alone) return false;
+    }
+    for (const int i : xnodes) {
+      const Component& c = w_.home(i);
+      for (std::int64_t n = 0; n < g.period / c.period; ++n)
+        g.items.push_back({i, n, c.phi + n * c.period, w_.window(i, n), w_.wcet[at(i)]});
+      for (const Window& window : w_.windows[at(i)])
+        g.longest = std::max(g.longest, window.d - window.e);
+    }
+    groups_.push_back(std::move(g));
+    return true;
+  }
+
+  // ----------------------------------------------------------------------------------- charges
+
+  /// Of XNode j, the last activations that may have started before real time `a` after `release`.
+  [[nodiscard]] std::int64_t last_started(int j, Ticks release, Ticks a) const {
+    const Component& c = w_.home(j);
+    Ticks e = kMaxTicks;
+    for (const Window& window : w_.windows[at(j)]) e = std::min(e, window.e);
+    const Ticks y = a - e;
+    const Ticks reach = y > 0 ? ceil_div(static_cast<__int128>(y) * kMillion, kMillion - c.ppm) : 0;
+    return floor_div(static_cast<__int128>(reach) + release - c.phi, c.period);
+  }
+
+  /// A job preempts when it becomes ready, at most once, and pays. So it pays if a job of a later
+  /// key on this XPU may have started before it is ready.
+  void charge() {
+    for (Group& g : groups_) {
+      std::map<int, std::vector<std::int64_t>> lags;
+      for (Item& i : g.items)
+        if (std::ranges::any_of(g.xnodes, [&](int j) { return may_preempt(i, j, lags); }) ||
+            std::ranges::any_of(groups_, [&](const Group& other) {
+              return &other != &g && may_preempt(i, g, other);
+            })) {
+          i.work += xpu_.preempt_us * w_.scale;
+          ++proof_.charged;
+        }
+    }
+  }
+
+  /// Phases are known.
+  bool may_preempt(const Item& i, int j, std::map<int, std::vector<std::int64_t>>& lags) const {
+    const Component& c = w_.home(j);
+    for (std::int64_t n = last_started(j, i.release, i.window.a);; --n) {
+      const Window& other = w_.window(j, n);
+      const Ticks delta = c.phi + n * c.period - i.release;
+      if (most(delta, c.ppm) + other.d <= i.window.d) return false;  // so are all earlier keys
+      if (least(delta, c.ppm) + other.e >= i.window.a) continue;
+      if (w_.component_of[at(j)] == w_.component_of[at(i.xnode)]) {
+        const auto [known, added] = lags.try_emplace(i.xnode);
+        if (added) known->second = w_.lags(i.xnode);
+        const std::int64_t first = i.activation + known->second[at(j)];  // waits for i
+        if (n >= first) {
+          n = first;
+          continue;
+        }
+      }
+      return true;
+    }
+  }
+
+  /// Any phase may occur, or, of one clock without drift, any that the periods' divisor allows.
+  [[nodiscard]] bool may_preempt(const Item& i, const Group& own, const Group& other) const {
+    const auto pairs =
+        static_cast<__int128>(own.items.size()) * static_cast<std::int64_t>(other.items.size());
+    if (own.clock != other.clock || own.ppm > 0 || pairs > kMaxSteps)
+      return other.longest > i.window.d - i.window.a;  // half a tick may lie between
+    const Ticks divisor = std::gcd(own.period, other.period);
+    return std::ranges::any_of(other.items, [&](const Item& j) {
+      const Ticks low = i.window.d - j.window.d, high = i.window.a - j.window.e;
+      const Ticks phase = j.release - i.release;
+      const Ticks next = phase + (floor_div(low - phase, divisor) + 1) * divisor;
+      return next < high;
+    });
+  }
+
+  // ---------------------------------------------------------------------------------- schedule
+
+  struct Pending {
+    Ticks key = 0;
+    std::size_t item = 0;
+    Ticks left = 0;
+    bool operator>(const Pending& o) const { return key != o.key ? key > o.key : item > o.item; }
+    bool operator==(const Pending&) const = default;
+  };
+  struct Slot {
+    Ticks ready = 0, key = 0, work = 0;
+    const Item* item = nullptr;
+  };
+
+  /// The pattern on the grid, each window begun in [0, period).
+  [[nodiscard]] std::vector<Slot> slots(const Group& g) const {
+    std::vector<Slot> all;
+    all.reserve(g.items.size());
+    for (const Item& i : g.items) {
+      Slot s{i.release + ceil_div(static_cast<__int128>(i.window.a) * kMillion, kMillion - g.ppm),
+             i.release + floor_div(static_cast<__int128>(i.window.d) * kMillion, kMillion + g.ppm),
+             ceil_div(static_cast<__int128>(i.work) * kMillion, kMillion - g.ppm), &i};
+      const Ticks shift = floor_div(s.ready, g.period) * g.period;
+      s.ready -= shift;
+      s.key -= shift;
+      all.push_back(s);
+    }
+    std::ranges::sort(all, {}, &Slot::ready);
+    return all;
+  }
+
+  Status exhibit(const Group& g) {
+    const std::vector<Slot> all = slots(g);
+    std::priority_queue<Pending, std::vector<Pending>, std::greater<>> queue;
+    Ticks now = 0, worst = kMaxTicks;
+    std::size_t tight = 0;
+    const auto run_until = [&](Ticks end) -> bool {
+      while (!queue.empty() && now < end) {
+        Pending p = queue.top();
+        const Ticks ran = std::min(p.left, end - now);
+        now += ran;
+        p.left -= ran;
+        queue.pop();
+        if (p.left > 0) {
+          queue.push(p);
+          continue;
+        }
+        if (p.key - now < worst) {
+          worst = p.key - now;
+          tight = p.item;
+        }
+        if (now > p.key) return false;
+      }
+      now = std::max(now, end);
+      return true;
+    };
+    std::vector<Pending> before;
+    for (std::int64_t played = 0;;) {
+      for (std::size_t k = 0; k < all.size(); ++k) {
+        const bool met = run_until(all[k].ready);
+        if (!met) return misses(all, tight, g);
+        queue.push({all[k].key, k, all[k].work});
+      }
+      if (!run_until(g.period)) return misses(all, tight, g);
+      std::vector<Pending> state;
+      for (auto copy = queue; !copy.empty(); copy.pop()) {
+        state.push_back(copy.top());
+        state.back().key -= g.period;
+      }
+      now = 0;
+      queue = {};
+      for (const Pending& p : state) queue.push(p);
+      // With less work than time, the backlog settles: in the next round it is no longer.
+      if (state == before) break;
+      before = std::move(state);
+      played += static_cast<std::int64_t>(all.size());
+      if (played > kMaxPlayed)
+        return fail(ErrorCode::kInfeasible, "no schedule that repeats was found", where(),
+                    "its load is too close to 100 %");
+    }
+    return tightest(all, tight, g, worst);
+  }
+
+  /// The interval that ends with the key of `tight` and has the least slack.
+  [[nodiscard]] Step interval(const std::vector<Slot>& all, std::size_t tight,
+                              const Group& g) const {
+    const Ticks end = all[tight].key;
+    Ticks demand = 0, longest = 0;
+    for (const Slot& s : all) longest = std::max(longest, s.key - s.ready);
+    Step best{kMaxTicks, 0, all[tight].item};
+    const Ticks first = floor_div(end, g.period) * g.period;
+    // Further back each pattern adds as much length, and no more work, than the one after it.
+    for (Ticks base = first; base > first - longest - 2 * g.period; base -= g.period)
+      for (std::size_t k = all.size(); k-- > 0;) {
+        const Ticks ready = all[k].ready + base;
+        if (all[k].key + base <= end) {
+          demand += all[k].work;
+          if (end - ready - demand < best.length - best.demand)
+            best = {end - ready, demand, all[tight].item};
+        }
+      }
+    return best;
+  }
+
+  Status misses(const std::vector<Slot>& all, std::size_t tight, const Group& g) const {
+    const Step s = interval(all, tight, g);
+    const Item& i = *s.last;
+    return fail(
+        ErrorCode::kInfeasible,
+        fmt::format("{} us of work, charged preemptions included, have their windows in the {} us "
+                    "before its key, {} us after its release",
+                    w_.us(s.demand), w_.us(s.length), w_.us(i.window.d)),
+        where(i), "give it, or what runs beside it, a later key");
+  }
+
+  Status tightest(const std::vector<Slot>& all, std::size_t tight, const Group& g, Ticks slack) {
+    const Step s = interval(all, tight, g);
+    // The schedule and the demand are counted in two ways.
+    if (s.length - s.demand != slack)
+      return fail(ErrorCode::kInternal,
+                  fmt::format("the schedule leaves {} us, the demand {} us", w_.us(slack),
+                              w_.us(s.length - s.demand)),
+                  where(*s.last), "this is a bug of the check; please report it");
+    note(s, 0);
+    return {};
+  }
+
+  void note(const Step& s, Ticks blocked) {
+    proof_.xnode = w_.name(s.last->xnode);
+    proof_.activation = s.last->activation;
+    proof_.length_us = w_.us(s.length);
+    proof_.demand_us = w_.us(s.demand + blocked);
+    proof_.slack_us = w_.us(s.length - s.demand - blocked);
+  }
+
+  // ------------------------------------------------------------------------------ demand bound
+
+  struct Blocker {
+    Ticks until = 0;  ///< of demand in intervals shorter than this
+    Ticks work = 0;
+    int xnode = -1;
+  };
+
+  /// Longest interval that jobs, and one that blocks, can keep busy; nothing if there is no end.
+  [[nodiscard]] std::optional<Ticks> busy(Ticks blocked) const {
+    struct Stream {
+      Ticks period, spread, work;
+    };
+    std::vector<Stream> all;
+    __int128 length = blocked;
+    for (const Group& g : groups_) {
+      std::map<int, Stream> of;
+      for (const Item& i : g.items) {
+        Stream& load = of.try_emplace(i.xnode, Stream{least(w_.home(i.xnode).period, g.ppm), 0, 0})
+                           .first->second;
+        load.work = std::max(load.work, i.work);
+      }
+      for (auto& [i, load] : of) {
+        const auto [low, high] = std::ranges::minmax(w_.windows[at(i)], {}, &Window::a);
+        load.spread = high.a - low.a;
+        length += load.work;
+        all.push_back(load);
+      }
+    }
+    for (std::int64_t steps = 0; steps < kMaxPlayed;
+         steps += static_cast<std::int64_t>(all.size())) {
+      __int128 next = blocked;
+      for (const Stream& load : all)
+        next += (length + load.spread + load.period - 1) / load.period * load.work;
+      if (next <= length) return static_cast<Ticks>(length);
+      length = next;
+      if (length > kMaxTicks) break;
+    }
+    return {};
+  }
+
+  /// A window's begin on the grid, in [0, period).
+  struct Begin {
+    Ticks at = 0;
+    Ticks shift = 0;  ///< what was taken from the item's release
+    const Item* item = nullptr;
+  };
+  static std::vector<Begin> begins(const Group& g) {
+    std::vector<Begin> all;
+    for (const Item& i : g.items) {
+      const Ticks begin = i.release + i.window.a;
+      const Ticks shift = floor_div(begin, g.period) * g.period;
+      all.push_back({begin - shift, shift, &i});
+    }
+    std::ranges::sort(all, {}, &Begin::at);
+    return all;
+  }
+
+  /// Drift moves the begins of windows, one against another, by less than that.
+  static Ticks drift(const Group& g, Ticks end) {
+    return g.ppm == 0 ? 0 : 4 * (most(g.longest + end, g.ppm) - g.longest - end) + 2;
+  }
+
+  /// Keys of the windows of `g` that begin when that of `all[from]` begins, or later; up to `end`.
+  void demand_from(const Group& g, const std::vector<Begin>& all, std::size_t from, Ticks end,
+                   std::vector<Step>& steps) const {
+    steps.clear();
+    const Begin& start = all[from];
+    const Ticks release = start.item->release - start.shift;
+    const Ticks margin = drift(g, end);
+    const auto visit = [&](const Begin& b, Ticks base) {
+      const Ticks shift = b.item->release - b.shift + base - release;
+      const Ticks gap = b.item->window.a - start.item->window.a;
+      if (most(shift, g.ppm) + gap < 0) return;
+      const Ticks key =
+          std::max<Ticks>(0, least(shift, g.ppm) + gap) + b.item->window.d - b.item->window.a;
+      if (key <= end) steps.push_back({key, b.item->work, b.item});
+    };
+    Ticks base = 0;
+    for (std::size_t k = from;;) {
+      if (all[k].at + base - start.at > end + margin) break;
+      visit(all[k], base);
+      if (++k == all.size()) {
+        k = 0;
+        base += g.period;
+      }
+    }
+    base = 0;
+    for (std::size_t k = from;;) {
+      if (k == 0) {
+        k = all.size();
+        base -= g.period;
+      }
+      --k;
+      if (start.at - (all[k].at + base) > margin) break;
+      visit(all[k], base);
+    }
+    std::ranges::sort(steps, {}, &Step::length);
+    Ticks sum = 0;
+    for (Step& s : steps) s.demand = sum += s.demand;
+  }
+
+  /// At each length the larger of both curves; only steps that rise.
+  static std::vector<Step> larger(const std::vector<Step>& a, const std::vector<Step>& b) {
+    std::vector<Step> out;
+    std::size_t i = 0, j = 0;
+    Ticks top = 0;
+    while (i < a.size() || j < b.size()) {
+      const bool first = j == b.size() || (i < a.size() && a[i].length <= b[j].length);
+      const Step& s = first ? a[i++] : b[j++];
+      if (s.demand <= top) continue;
+      top = s.demand;
+      if (!out.empty() && out.back().length == s.length)
+        out.back() = s;
+      else
+        out.push_back(s);
+    }
+    return out;
+  }
+
+  [[nodiscard]] std::string blocked_by(const Blocker* b) const {
+    return b == nullptr ? ""
+                        : fmt::format(", and {} us of '{}', which may run when they begin,",
+                                      w_.us(b->work), w_.name(b->xnode));
+  }
+
+  /// Demand and blocking against length, at each step of one curve.
+  Status compare(const std::vector<Step>& curve, const std::vector<Blocker>& blockers) {
+    // Blockers by `until`, falling; of those the longest work so far.
+    std::size_t next = blockers.size();
+    for (const Step& s : curve) {
+      while (next > 0 && blockers[next - 1].until <= s.length) --next;
+      const Blocker* b = next > 0 ? &blockers[next - 1] : nullptr;
+      const Ticks blocked = b == nullptr ? 0 : b->work;
+      const Ticks slack = s.length - s.demand - blocked;
+      if (slack < 0)
+        return fail(
+            ErrorCode::kInfeasible,
+            fmt::format("{} us of work{} may have their windows in the {} us before its key",
+                        w_.us(s.demand), blocked_by(b), w_.us(s.length)),
+            where(*s.last), "give it, or what runs beside it, a later key");
+      if (slack < slack_) {
+        slack_ = slack;
+        note(s, blocked);
+      }
+    }
+    return {};
+  }
+
+  /// Sorted by `until`, falling; work rises along the way, so that [k] is the longest of [0..k].
+  static std::vector<Blocker> staircase(std::vector<Blocker> all) {
+    std::ranges::sort(all, [](const Blocker& a, const Blocker& b) { return a.until > b.until; });
+    for (std::size_t k = 1; k < all.size(); ++k)
+      if (all[k].work < all[k - 1].work) {
+        all[k].work = all[k - 1].work;
+        all[k].xnode = all[k - 1].xnode;
+      }
+    return all;
+  }
+
+  Status bound_demand() {
+    std::vector<Blocker> blockers;
+    Ticks longest = 0;
+    if (!xpu_.preemptive)
+      for (const Group& g : groups_)
+        for (const int j : g.xnodes) {
+          Blocker b{0, w_.wcet[at(j)], j};
+          for (const Window& window : w_.windows[at(j)])
+            b.until = std::max(b.until, window.d - window.e);
+          longest = std::max(longest, b.work);
+          blockers.push_back(b);
+        }
+    const std::optional<Ticks> end = busy(longest);
+    if (!end) return no_end();
+    if (groups_.size() == 1) return bound_alone(groups_[0], *end);
+
+    std::vector<std::vector<Step>> curves;
+    for (const Group& g : groups_) {
+      std::vector<Step> curve, steps;
+      XAUTO_TRY(affordable(g, *end));
+      const std::vector<Begin> all = begins(g);
+      for (std::size_t from = 0; from < all.size(); ++from) {
+        demand_from(g, all, from, *end, steps);
+        curve = larger(curve, steps);
+      }
+      curves.push_back(std::move(curve));
+    }
+    return compare(sum(curves), staircase(std::move(blockers)));
+  }
+
+  [[nodiscard]] tl::unexpected<Error> no_end() const {
+    return fail(
+        ErrorCode::kInfeasible,
+        fmt::format("at a load of {:.4f} % no end of its busy time was found", 100 * proof_.load),
+        where(), "move XNodes to another XPU");
+  }
+
+  Status affordable(const Group& g, Ticks end) {
+    const auto items = static_cast<__int128>(g.items.size());
+    steps_ += items * (items * (end + 2 * drift(g, end)) / g.period + 1);
+    if (steps_ > kMaxSteps)
+      return fail(ErrorCode::kInfeasible,
+                  fmt::format("its demand has more than {} steps; there is no proof", kMaxSteps),
+                  where(), "use fewer keys per XNode, or leave it to XNodes of one clock");
+    return {};
+  }
+
+  static std::vector<Step> sum(const std::vector<std::vector<Step>>& curves) {
+    std::vector<Step> out;
+    std::vector<std::size_t> next(curves.size(), 0);
+    Ticks total = 0;
+    while (true) {
+      const Step* first = nullptr;
+      std::size_t of = 0;
+      for (std::size_t c = 0; c < curves.size(); ++c)
+        if (next[c] < curves[c].size() &&
+            (first == nullptr || curves[c][next[c]].length < first->length)) {
+          first = &curves[c][next[c]];
+          of = c;
+        }
+      if (first == nullptr) return out;
+      total += first->demand - (next[of] > 0 ? curves[of][next[of] - 1].demand : 0);
+      ++next[of];
+      if (!out.empty() && out.back().length == first->length) out.pop_back();
+      out.push_back({first->length, total, first->last});
+    }
+  }
+
+  /// One group: phases decide who may block, too.
+  Status bound_alone(const Group& g, Ticks end) {
+    XAUTO_TRY(affordable(g, end));
+    std::vector<Step> steps;
+    const std::vector<Begin> all = begins(g);
+    for (std::size_t from = 0; from < all.size(); ++from) {
+      const Item& start = *all[from].item;
+      std::vector<Blocker> blockers;
+      if (!xpu_.preemptive)
+        for (const int j : g.xnodes) {
+          const Component& c = w_.home(j);
+          for (std::int64_t n = last_started(j, start.release, start.window.a);; --n) {
+            const Window& other = w_.window(j, n);
+            const Ticks delta = c.phi + n * c.period - start.release;
+            const Ticks until = most(delta, c.ppm) + other.d - start.window.a;
+            if (until <= 0) break;
+            if (least(delta, c.ppm) + other.e >= start.window.a) continue;
+            blockers.push_back({until, w_.wcet[at(j)], j});
+            break;
+          }
+        }
+      demand_from(g, all, from, end, steps);
+      std::vector<Step> curve;
+      for (const Step& s : steps)
+        if (!curve.empty() && curve.back().length == s.length)
+          curve.back() = s;
+        else
+          curve.push_back(s);
+      XAUTO_TRY(compare(curve, staircase(std::move(blockers))));
+    }
+    return {};
+  }
+
+  const World& w_;
+  const Xpu& xpu_;
+  int m_;
+  std::vector<Group> groups_;
+  XpuProof proof_;
+  Ticks slack_ = kMaxTicks;
+  __int128 steps_ = 0;
+};
+
+}  // namespace load
+
+Result<XpuProof> prove_load(const World& w, int m) {
+  return load::Load(w, m).prove();
+}
+
+}  // namespace xauto::solver::steady::checking

@@ -1,0 +1,411 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/steady/play.h"
+
+#include <algorithm>
+#include <deque>
+#include <queue>
+
+#include <fmt/format.h>
+
+#include "solver/random.h"
+#include "solver/steady/check_world.h"
+
+namespace xauto::solver::steady {
+namespace playing {
+
+using checking::Component;
+using checking::kMillion;
+using checking::World;
+// 1/(scale * 10^6) us, so that a drift of whole ppm is exact.
+using Atoms = std::int64_t;
+
+constexpr std::size_t kMaxPaths = 10'000;
+constexpr std::int64_t kMaxUnfinished = 1'000'000;
+
+/// Real time of a clock's grid. Its rate changes every second, at random.
+class Clock {
+ public:
+  Clock(Atoms phase, std::int64_t ppm, std::int64_t scale, std::uint64_t seed)
+      : ppm_(ppm), second_(kMillion * scale), random_(seed), begins_{phase} {}
+
+  Atoms real(std::int64_t grid) {
+    const auto s = static_cast<std::size_t>(grid / second_);
+    while (rates_.size() <= s) {
+      const std::int64_t spread = 2 * ppm_ + 1;
+      rates_.push_back(
+          kMillion - ppm_ +
+          static_cast<std::int64_t>(random_.below(static_cast<std::uint64_t>(spread))));
+      begins_.push_back(begins_.back() + second_ * rates_.back());
+    }
+    return begins_[s] + grid % second_ * rates_[s];
+  }
+
+ private:
+  std::int64_t ppm_, second_;
+  Random random_;
+  std::vector<Atoms> begins_;  ///< of each second
+  std::vector<std::int64_t> rates_;
+};
+
+/// One way from a chain's source to its XNode.
+struct Path {
+  std::size_t chain = 0;
+  std::vector<std::pair<int, int>> samples;
+  /// [sample] what the reader of activation first + k knows: an activation of the first component.
+  struct Known {
+    std::deque<std::int64_t> activations;
+    std::int64_t first = 0;
+  };
+  std::vector<Known> known;
+  std::int64_t last = -1;  ///< newest release that has come through
+};
+
+class Play {
+ public:
+  Play(const World& w, const PlayOptions& options)
+      : w_(w), options_(options), random_(options.seed) {
+    const std::size_t n = w.wcet.size();
+    Ticks longest = 1;
+    for (const Component& c : w.components) longest = std::max(longest, c.period);
+    for (std::size_t c = 0; c < w.app.clocks.size(); ++c) {
+      const double phase = options.phases && c > 0 ? random_.unit() : 0;
+      clocks_.emplace_back(static_cast<Atoms>(phase * static_cast<double>(longest)) * kMillion,
+                           options.phases ? w.app.clocks[c].ppm : 0, w.scale, random_.next());
+    }
+    jobs_.resize(n);
+    done_.assign(n, 0);
+    left_.resize(w.module_xnodes.size(), 0);
+    devices_.resize(w.platform.xpus.size());
+    report_.xnodes.resize(n);
+    for (PlayedXNode& x : report_.xnodes) x.closest_us = -1e300;
+    starts_of_.resize(n);
+    ends_of_.resize(n);
+  }
+
+  Status find_paths() {
+    for (std::size_t k = 0; k < w_.app.chains.size(); ++k) {
+      const ChainSpec& chain = w_.app.chains[k];
+      report_.chains.push_back({chain.name, 0, 0, w_.policy.chains[k].worst_case_us});
+      for (std::size_t c = 0; c < w_.components.size(); ++c) {
+        std::vector<int> enters;
+        for (const int x : w_.components[c].xnodes)
+          if (std::ranges::count(w_.app.xnodes[at(x)].sources, chain.from) > 0) enters.push_back(x);
+        std::vector<char> visited(w_.components.size(), 0);
+        Path path;
+        path.chain = k;
+        if (!enters.empty()) XAUTO_TRY(extend(static_cast<int>(c), enters, visited, path));
+      }
+    }
+    for (std::size_t p = 0; p < paths_.size(); ++p) {
+      Path& path = paths_[p];
+      path.known.resize(path.samples.size());
+      for (std::size_t h = 0; h < path.samples.size(); ++h)
+        starts_of_[at(path.samples[h].second)].emplace_back(p, h);
+      ends_of_[at(w_.app.chains[path.chain].to)].push_back(p);
+    }
+    return {};
+  }
+
+  PlayReport go() {
+    const Atoms end = options_.seconds * kMillion * kMillion * w_.scale;
+    for (std::size_t c = 0; c < w_.components.size(); ++c) release(static_cast<int>(c), 0);
+    while (!events_.empty() && events_.top().when <= end && !report_.backlog) {
+      now_ = events_.top().when;
+      while (!events_.empty() && events_.top().when == now_) {
+        const Event e = events_.top();
+        events_.pop();
+        if (e.kind == Kind::kEnds)
+          ends(e);
+        else if (e.kind == Kind::kArrives)
+          arrives(e.index, e.activation);
+        else
+          begin(e.index, e.activation);
+      }
+      for (std::size_t m = 0; m < devices_.size(); ++m)
+        if (devices_[m].look) decide(m);
+    }
+    for (Device& d : devices_) {
+      if (d.busy) d.used += std::max<Atoms>(0, std::min(end, now_) - d.since);
+      report_.busy.push_back(now_ > 0 ? static_cast<double>(d.used) / static_cast<double>(now_)
+                                      : 0);
+    }
+    report_.unfinished = unfinished_;
+    return std::move(report_);
+  }
+
+ private:
+  using Ticks = checking::Ticks;
+  enum class Kind : std::uint8_t { kEnds, kReleases, kArrives };
+  struct Event {
+    Atoms when;
+    Kind kind;
+    int index;  ///< XNode, or component
+    std::int64_t activation;
+    std::uint32_t stamp;
+    bool operator>(const Event& o) const { return when != o.when ? when > o.when : kind > o.kind; }
+  };
+  struct Job {
+    Atoms key = 0, left = 0;
+    int waits = 0;
+    bool queued = false, started = false;
+  };
+  struct Ready {
+    Atoms key = 0;
+    int xnode = -1;
+    std::int64_t activation = 0;
+    bool operator>(const Ready& o) const {
+      return key != o.key       ? key > o.key
+             : xnode != o.xnode ? xnode > o.xnode
+                                : activation > o.activation;
+    }
+  };
+  struct Device {
+    std::priority_queue<Ready, std::vector<Ready>, std::greater<>> ready;
+    Ready running;
+    bool busy = false, look = false;
+    Atoms since = 0, used = 0;
+    std::uint32_t stamp = 0;
+  };
+
+  Status extend(int c, const std::vector<int>& enters, std::vector<char>& visited, Path& path) {
+    visited[at(c)] = 1;
+    std::vector<char> reached(w_.wcet.size(), 0);
+    for (const int x : enters) reached[at(x)] = 1;
+    for (const int x : w_.order)
+      if (reached[at(x)])
+        for (const int v : w_.after[at(x)]) reached[at(v)] = 1;
+    if (reached[at(w_.app.chains[path.chain].to)]) paths_.push_back(path);
+    if (paths_.size() > kMaxPaths)
+      return fail(ErrorCode::kInvalid, fmt::format("more than {} paths", kMaxPaths),
+                  "chain '" + w_.app.chains[path.chain].name + "'",
+                  "take out samples that it does not need");
+    for (const auto& sample : w_.app.samples) {
+      const int next = w_.component_of[at(sample.second)];
+      if (!reached[at(sample.first)] || visited[at(next)]) continue;
+      path.samples.push_back(sample);
+      XAUTO_TRY(extend(next, {sample.second}, visited, path));
+      path.samples.pop_back();
+    }
+    visited[at(c)] = 0;
+    return {};
+  }
+
+  [[nodiscard]] Atoms atoms(std::int64_t us) const { return us * w_.scale * kMillion; }
+  [[nodiscard]] double us(Atoms a) const { return w_.us(a) / static_cast<double>(kMillion); }
+
+  /// `most`, or less where times are random.
+  Atoms some(Atoms most, bool random) {
+    if (!random || most <= 1) return most;
+    return std::max<Atoms>(1, static_cast<Atoms>(static_cast<double>(most) * random_.unit()));
+  }
+
+  void release(int component, std::int64_t n) {
+    const Component& c = w_.components[at(component)];
+    events_.push(
+        {clocks_[at(c.clock)].real(c.phi + n * c.period), Kind::kReleases, component, n, 0});
+  }
+
+  /// The nominal release of activation n: its jobs wait for messages, holds and each other.
+  void begin(int component, std::int64_t n) {
+    const Component& c = w_.components[at(component)];
+    for (const int i : c.xnodes) {
+      const KeyPlacement& p = w_.policy.placements[at(i)];
+      const std::size_t j = static_cast<std::size_t>(n) % p.key_us.size();
+      Job job;
+      job.key = now_ + atoms(p.key_us[j]);
+      job.left = some(w_.wcet[at(i)] * kMillion, options_.random_times);
+      // One more, so that nothing is ready before all of it is said.
+      job.waits = 1 + static_cast<int>(w_.before[at(i)].size());
+      for (const int s : w_.app.xnodes[at(i)].sources) {
+        const SourceSpec& source = w_.app.sources[at(s)];
+        const Atoms jitter =
+            options_.jitter && source.jitter_us > 0 ? some(atoms(source.jitter_us), true) : 0;
+        ++job.waits;
+        events_.push(
+            {clocks_[at(c.clock)].real(source.offset_us * w_.scale + n * c.period) + jitter,
+             Kind::kArrives, i, n, 0});
+      }
+      if (!p.hold_us.empty()) {
+        ++job.waits;
+        events_.push({now_ + atoms(p.hold_us[j]), Kind::kArrives, i, n, 0});
+      }
+      jobs_[at(i)].push_back(job);
+      events_.push({now_, Kind::kArrives, i, n, 0});
+    }
+    unfinished_ += static_cast<std::int64_t>(c.xnodes.size());
+    report_.backlog = unfinished_ > kMaxUnfinished;
+    release(component, n + 1);
+  }
+
+  Job& job(int xnode, std::int64_t n) {
+    return jobs_[at(xnode)][static_cast<std::size_t>(n - done_[at(xnode)])];
+  }
+
+  void arrives(int xnode, std::int64_t n) {
+    --job(xnode, n).waits;
+    look_at(xnode, n);
+  }
+
+  /// Queues activation n of the XNode if nothing is in its way any more.
+  void look_at(int xnode, std::int64_t n) {
+    if (done_[at(xnode)] != n || jobs_[at(xnode)].empty()) return;
+    Job& j = job(xnode, n);
+    const int m = w_.module_of[at(xnode)];
+    if (j.waits > 0 || j.queued || (w_.entry[at(xnode)] && left_[at(m)] + w_.in_flight[at(m)] <= n))
+      return;
+    j.queued = true;
+    Device& d = devices_[at(w_.policy.placements[at(xnode)].xpu)];
+    d.ready.push({j.key, xnode, n});
+    d.look = true;
+  }
+
+  void ends(const Event& e) {
+    Device& d = devices_[at(w_.policy.placements[at(e.index)].xpu)];
+    if (!d.busy || d.stamp != e.stamp) return;
+    d.busy = false;
+    d.look = true;
+    d.used += now_ - d.since;
+    const Job j = job(e.index, e.activation);
+    count(e, j);
+    jobs_[at(e.index)].pop_front();
+    ++done_[at(e.index)];
+    --unfinished_;
+    for (const int v : w_.after[at(e.index)])
+      for (const auto& [u, transfer] : w_.before[at(v)])
+        if (u == e.index)
+          events_.push({now_ + transfer * kMillion, Kind::kArrives, v, e.activation, 0});
+    look_at(e.index, e.activation + 1);
+    const int m = w_.module_of[at(e.index)];
+    std::int64_t left = done_[at(e.index)];
+    for (const int x : w_.module_xnodes[at(m)]) left = std::min(left, done_[at(x)]);
+    if (left == left_[at(m)]) return;
+    left_[at(m)] = left;
+    for (const int x : w_.module_xnodes[at(m)])
+      if (w_.entry[at(x)]) look_at(x, done_[at(x)]);
+  }
+
+  void count(const Event& e, const Job& j) {
+    PlayedXNode& x = report_.xnodes[at(e.index)];
+    ++x.jobs;
+    ++report_.jobs;
+    x.closest_us = std::max(x.closest_us, us(now_ - j.key));
+    if (now_ > j.key) {
+      ++x.late;
+      ++report_.late;
+      if (report_.first_late.empty())
+        report_.first_late =
+            fmt::format("XNode '{}', activation {}, ends {:.3f} us after its key, at {:.3f} us",
+                        w_.name(e.index), e.activation, us(now_ - j.key), us(now_));
+    }
+    for (const std::size_t p : ends_of_[at(e.index)]) {
+      Path& path = paths_[p];
+      std::int64_t knows = e.activation;
+      if (!path.known.empty()) knows = known(path.known.back(), e.activation);
+      if (knows < 0) continue;
+      // The oldest of those that come through now has waited longest.
+      if (path.last >= 0 && knows > path.last) {
+        const SourceSpec& source = w_.app.sources[at(w_.app.chains[path.chain].from)];
+        const Ticks period = source.period.num * (w_.scale / source.period.den);
+        PlayedChain& chain = report_.chains[path.chain];
+        chain.releases += knows - path.last;
+        chain.longest_us = std::max(
+            chain.longest_us, us(now_ - clocks_[at(source.clock)].real(source.offset_us * w_.scale +
+                                                                       (path.last + 1) * period)));
+      }
+      path.last = std::max(path.last, knows);
+    }
+  }
+
+  /// What `activation` of a reader knows; what is older is forgotten. -1: nothing.
+  static std::int64_t known(Path::Known& all, std::int64_t activation) {
+    while (all.first < activation) {
+      all.activations.pop_front();
+      ++all.first;
+    }
+    return all.activations.front();
+  }
+
+  /// The reader reads: the newest result that is there, along each path.
+  void read(int xnode) {
+    for (const auto& [p, h] : starts_of_[at(xnode)]) {
+      Path& path = paths_[p];
+      const std::int64_t newest = done_[at(path.samples[h].first)] - 1;
+      std::int64_t knows = newest;
+      if (h > 0 && newest >= 0) knows = known(path.known[h - 1], newest);
+      path.known[h].activations.push_back(knows);
+    }
+  }
+
+  void decide(std::size_t m) {
+    Device& d = devices_[m];
+    d.look = false;
+    if (d.ready.empty()) return;
+    const Ready next = d.ready.top();
+    Job& j = job(next.xnode, next.activation);
+    if (d.busy) {
+      if (!w_.platform.xpus[m].preemptive || next.key >= d.running.key) return;
+      job(d.running.xnode, d.running.activation).left -= now_ - d.since;
+      d.used += now_ - d.since;
+      ++report_.suspended;
+      ++report_.xnodes[at(d.running.xnode)].suspended;
+      d.ready.pop();
+      d.ready.push(d.running);
+      if (!j.started) j.left += atoms(w_.platform.xpus[m].preempt_us);
+    } else {
+      d.ready.pop();
+    }
+    if (!j.started) read(next.xnode);
+    j.started = true;
+    d.busy = true;
+    d.running = next;
+    d.since = now_;
+    events_.push({now_ + j.left, Kind::kEnds, next.xnode, next.activation, ++d.stamp});
+  }
+
+  const World& w_;
+  const PlayOptions& options_;
+  Random random_;
+  std::vector<Clock> clocks_;
+  std::vector<Path> paths_;
+  std::vector<std::vector<std::pair<std::size_t, std::size_t>>>
+      starts_of_;                                  ///< [reader] path, sample
+  std::vector<std::vector<std::size_t>> ends_of_;  ///< [XNode] paths
+  std::vector<std::deque<Job>> jobs_;              ///< [xnode] released, not ended, in order
+  std::vector<std::int64_t> done_;                 ///< [xnode] activations that have ended
+  std::vector<std::int64_t> left_;                 ///< [module] activations that have left
+  std::vector<Device> devices_;
+  std::priority_queue<Event, std::vector<Event>, std::greater<>> events_;
+  Atoms now_ = 0;
+  std::int64_t unfinished_ = 0;
+  PlayReport report_;
+};
+
+}  // namespace playing
+
+Result<PlayReport> play(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+                        const PlayOptions& options) {
+  XAUTO_ASSIGN(const checking::World w, checking::structure(app, platform, policy));
+  if (policy.chains.size() != app.chains.size())
+    return fail(ErrorCode::kInvalid,
+                fmt::format("{} chains, the app has {}", policy.chains.size(), app.chains.size()),
+                "policy");
+  // What has its end after `seconds` is released before; a clock may be slow.
+  std::int64_t longest = options.seconds * checking::kMillion;
+  for (const SourceSpec& s : app.sources) longest = std::max({longest, s.offset_us, s.jitter_us});
+  for (const Xpu& x : platform.xpus) longest = std::max(longest, x.preempt_us);
+  for (const TransferSpec& t : app.transfers) longest = std::max(longest, t.transfer_us);
+  for (const checking::Ticks t : w.wcet) longest = std::max(longest, w.us_up(t));
+  for (const KeyPlacement& p : policy.placements)
+    for (const auto* times : {&p.key_us, &p.hold_us})
+      for (const std::int64_t t : *times) longest = std::max(longest, t);
+  if (options.seconds < 1 || longest > (std::int64_t{1} << 59) / checking::kMillion / w.scale)
+    return fail(ErrorCode::kInvalid, fmt::format("{} s cannot be played", options.seconds),
+                "seconds",
+                fmt::format("1 to {}", (std::int64_t{1} << 59) / checking::kMillion /
+                                           checking::kMillion / w.scale));
+  playing::Play play(w, options);
+  XAUTO_TRY(play.find_paths());
+  return play.go();
+}
+
+}  // namespace xauto::solver::steady

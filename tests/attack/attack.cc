@@ -1,0 +1,575 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "attack/attack.h"
+
+#include <algorithm>
+#include <numeric>
+#include <queue>
+#include <set>
+#include <vector>
+
+namespace xauto::attack {
+namespace {
+
+// 1/(scale * 10^6) us: a drift of whole ppm is exact.
+using Atoms = std::int64_t;
+constexpr std::int64_t kMillion = 1'000'000;
+
+std::size_t at(std::int64_t i) {
+  return static_cast<std::size_t>(i);
+}
+
+class Dice {
+ public:
+  explicit Dice(std::uint64_t seed) : s_(seed * 0x9e3779b97f4a7c15u + 0x1234567) {}
+  std::int64_t upto(std::int64_t n) {  // 0..n
+    s_ ^= s_ << 13;
+    s_ ^= s_ >> 7;
+    s_ ^= s_ << 17;
+    return static_cast<std::int64_t>((s_ >> 11) % static_cast<std::uint64_t>(n + 1));
+  }
+  bool coin() { return upto(1) == 1; }
+
+ private:
+  std::uint64_t s_;
+};
+
+/// All that chance, or an adversary, decides. Parts of 255.
+struct Fate {
+  std::vector<std::vector<std::uint8_t>> run;     ///< [xnode][activation] of the WCET
+  std::vector<std::vector<std::uint8_t>> jitter;  ///< [source][release] of the jitter
+  std::vector<Atoms> phase;                       ///< [clock]
+  std::vector<std::int64_t> drift, later_drift;   ///< [clock] ppm, before and after `turn`
+  std::vector<std::int64_t> turn;                 ///< [clock] 1/scale us
+  bool ties_up = false;
+};
+
+struct Hop {
+  int from, to;
+};
+struct Path {
+  int chain, component;
+  std::vector<Hop> hops;
+};
+
+class World {
+ public:
+  World(const AppSpec& app, const Platform& platform, const KeyPolicy& policy)
+      : app_(app), platform_(platform), policy_(policy) {
+    for (const SourceSpec& s : app.sources) scale_ = std::lcm(scale_, s.period.den);
+    const std::size_t n = app.xnodes.size();
+    group_.resize(n);
+    std::iota(group_.begin(), group_.end(), 0);
+    for (bool more = true; more;) {
+      more = false;
+      const auto join = [&](std::size_t u, std::size_t v) {
+        const int low = std::min(group_[u], group_[v]);
+        more = more || group_[u] != low || group_[v] != low;
+        group_[u] = group_[v] = low;
+      };
+      for (const auto& [u, v] : app.edges) join(at(u), at(v));
+      for (std::size_t u = 0; u < n; ++u)
+        for (std::size_t v = u + 1; v < n; ++v)
+          if (app.xnodes[u].module == app.xnodes[v].module) join(u, v);
+    }
+    base_.assign(n, INT64_MAX);
+    period_.assign(n, 0);
+    clock_.assign(n, 0);
+    for (std::size_t i = 0; i < n; ++i)
+      for (const int s : app.xnodes[i].sources) {
+        const SourceSpec& source = app.sources[at(s)];
+        const std::size_t g = at(group_[i]);
+        base_[g] = std::min(base_[g], source.offset_us * scale_);
+        period_[g] = source.period.num * (scale_ / source.period.den);
+        clock_[g] = source.clock;
+      }
+    edges_in_.resize(n);
+    edges_out_.resize(n);
+    inner_.assign(n, 0);
+    for (std::size_t e = 0; e < app.edges.size(); ++e) {
+      const auto& [u, v] = app.edges[e];
+      Atoms transfer = 0;
+      for (const TransferSpec& t : app.transfers)
+        if (at(t.edge) == e && t.from_type == type(u) && t.to_type == type(v))
+          transfer = std::max(transfer, atoms(t.transfer_us));
+      edges_out_[at(u)].push_back({v, transfer});
+      ++edges_in_[at(v)];
+      if (app.xnodes[at(u)].module == app.xnodes[at(v)].module) inner_[at(v)] = 1;
+    }
+    for (std::size_t i = 0; i < n; ++i) {
+      std::vector<int> mates;
+      for (std::size_t k = 0; k < n; ++k)
+        if (app.xnodes[k].module == app.xnodes[i].module) mates.push_back(static_cast<int>(k));
+      mates_.push_back(mates);
+      std::int64_t states = 1;
+      for (const ModuleSpec& m : app.modules)
+        if (m.name == app.xnodes[i].module) states = m.max_in_flight;
+      states_.push_back(states);
+      const KeyPlacement& p = policy.placements[i];
+      wcet_.push_back(atoms(app.xnodes[i].wcet_us.find(platform.xpus[at(p.xpu)].type)->second));
+    }
+    for (std::size_t c = 0; c < app.chains.size(); ++c)
+      for (std::size_t g = 0; g < n; ++g)
+        if (period_[g] > 0 && group_[g] == static_cast<int>(g)) {
+          std::vector<char> reach(n, 0);
+          bool any = false;
+          for (std::size_t i = 0; i < n; ++i)
+            if (group_[i] == static_cast<int>(g) &&
+                std::ranges::count(app.xnodes[i].sources, app.chains[c].from) > 0)
+              reach[i] = 1, any = true;
+          std::set<int> seen = {static_cast<int>(g)};
+          std::vector<Hop> hops;
+          if (any) find_paths(static_cast<int>(c), static_cast<int>(g), reach, seen, hops);
+        }
+  }
+
+  [[nodiscard]] Atoms atoms(std::int64_t us) const { return us * scale_ * kMillion; }
+  [[nodiscard]] double us(Atoms a) const {
+    return static_cast<double>(a) / static_cast<double>(scale_) / 1e6;
+  }
+  [[nodiscard]] const std::string& type(int i) const {
+    return platform_.xpus[at(policy_.placements[at(i)].xpu)].type;
+  }
+  [[nodiscard]] std::int64_t period(std::size_t i) const { return period_[at(group_[i])]; }
+  [[nodiscard]] int clock(std::size_t i) const { return clock_[at(group_[i])]; }
+  [[nodiscard]] Atoms real(int clock, std::int64_t grid, const Fate& f) const {
+    const std::size_t c = at(clock);
+    if (grid <= f.turn[c]) return f.phase[c] + grid * (kMillion + f.drift[c]);
+    return f.phase[c] + f.turn[c] * (kMillion + f.drift[c]) +
+           (grid - f.turn[c]) * (kMillion + f.later_drift[c]);
+  }
+  [[nodiscard]] Atoms nominal(std::size_t i, std::int64_t n, const Fate& f) const {
+    return real(clock(i), base_[at(group_[i])] + n * period(i), f);
+  }
+
+  void find_paths(int chain, int component, std::vector<char> reach, std::set<int> seen,
+                  std::vector<Hop>& hops) {
+    if (paths_.size() > 200) return;
+    for (bool more = true; more;) {
+      more = false;
+      for (const auto& [u, v] : app_.edges)
+        if (reach[at(u)] && !reach[at(v)]) reach[at(v)] = 1, more = true;
+    }
+    if (reach[at(app_.chains[at(chain)].to)]) paths_.push_back({chain, component, hops});
+    for (const auto& [u, v] : app_.samples) {
+      if (!reach[at(u)] || seen.contains(group_[at(v)])) continue;
+      std::vector<char> next(reach.size(), 0);
+      next[at(v)] = 1;
+      std::set<int> more = seen;
+      more.insert(group_[at(v)]);
+      hops.push_back({u, v});
+      find_paths(chain, component, next, more, hops);
+      hops.pop_back();
+    }
+  }
+
+  const AppSpec& app_;
+  const Platform& platform_;
+  const KeyPolicy& policy_;
+  std::int64_t scale_ = 1;
+  std::vector<int> group_;                   ///< [xnode] least XNode of its component
+  std::vector<std::int64_t> base_, period_;  ///< [that] 1/scale us
+  std::vector<int> clock_;
+  std::vector<int> edges_in_;
+  std::vector<std::vector<std::pair<int, Atoms>>> edges_out_;
+  std::vector<char> inner_;  ///< has a predecessor in its module
+  std::vector<std::vector<int>> mates_;
+  std::vector<std::int64_t> states_;
+  std::vector<Atoms> wcet_;
+  std::vector<Path> paths_;
+};
+
+struct Outcome {
+  Atoms late = INT64_MIN;  ///< end - key of the latest job
+  int xnode = -1;
+  std::int64_t activation = -1;
+  std::vector<Atoms> late_of;  ///< [xnode]
+  std::vector<std::int64_t> late_at;
+  std::vector<Atoms> over;       ///< [chain] latency - claim
+  std::vector<Atoms> over_when;  ///< [chain] when it ended
+};
+
+class Run {
+ public:
+  Run(const World& w, const Fate& f) : w_(w), f_(f) {}
+
+  Outcome go() {
+    const std::size_t n = w_.wcet_.size();
+    jobs_.resize(n);
+    gone_.resize(n);
+    for (std::size_t i = 0; i < n; ++i) {
+      const auto count = static_cast<std::int64_t>(f_.run[i].size());
+      jobs_[i].resize(at(count));
+      gone_[i].assign(at(count), static_cast<int>(w_.mates_[i].size()));
+      const KeyPlacement& p = w_.policy_.placements[i];
+      for (std::int64_t k = 0; k < count; ++k) {
+        Job& job = jobs_[i][at(k)];
+        const Atoms release = w_.nominal(i, k, f_);
+        const std::size_t j = at(k) % p.key_us.size();
+        job.key = release + w_.atoms(p.key_us[j]);
+        job.left = std::max<Atoms>(1, w_.wcet_[i] / 255 * f_.run[i][at(k)] +
+                                          (f_.run[i][at(k)] == 255 ? w_.wcet_[i] % 255 : 0));
+        job.waits = w_.edges_in_[i] + static_cast<int>(w_.app_.xnodes[i].sources.size()) +
+                    (k > 0 ? 1 : 0) + (!w_.inner_[i] && k >= w_.states_[i] ? 1 : 0) +
+                    (p.hold_us.empty() ? 0 : 1);
+        if (!p.hold_us.empty()) push(release + w_.atoms(p.hold_us[j]), kArrives, i, k);
+        for (const int s : w_.app_.xnodes[i].sources) {
+          const SourceSpec& source = w_.app_.sources[at(s)];
+          const auto& jitter = f_.jitter[at(s)];
+          push(w_.real(source.clock, source.offset_us * w_.scale_ + k * w_.period(i), f_) +
+                   w_.atoms(source.jitter_us) / 255 * jitter[at(k) % jitter.size()],
+               kArrives, i, k);
+        }
+      }
+    }
+    xpus_.resize(w_.platform_.xpus.size());
+    while (!events_.empty()) {
+      now_ = events_.top().when;
+      while (!events_.empty() && events_.top().when == now_) {
+        const Event e = events_.top();
+        events_.pop();
+        if (e.kind == kEnds)
+          ends(e);
+        else
+          arrives(e.xnode, e.activation);
+      }
+      for (std::size_t m = 0; m < xpus_.size(); ++m)
+        if (xpus_[m].look) decide(m);
+    }
+    return judge();
+  }
+
+ private:
+  enum Kind : std::uint8_t { kEnds, kArrives };
+  struct Event {
+    Atoms when;
+    Kind kind;
+    std::uint32_t stamp;
+    int xnode;
+    std::int64_t activation;
+    bool operator>(const Event& o) const { return when != o.when ? when > o.when : kind > o.kind; }
+  };
+  struct Job {
+    Atoms key = 0, left = 0, start = -1, end = -1;
+    int waits = 0;
+  };
+  struct Ready {
+    Atoms key;
+    int tie, xnode;
+    std::int64_t activation;
+    bool operator>(const Ready& o) const {
+      return key != o.key ? key > o.key : tie != o.tie ? tie > o.tie : activation > o.activation;
+    }
+  };
+  struct Device {
+    std::priority_queue<Ready, std::vector<Ready>, std::greater<>> ready;
+    bool busy = false, look = false;
+    Ready running{};
+    Atoms since = 0;
+    std::uint32_t stamp = 0;
+  };
+
+  void push(Atoms when, Kind kind, std::size_t i, std::int64_t k, std::uint32_t stamp = 0) {
+    events_.push({when, kind, stamp, static_cast<int>(i), k});
+  }
+
+  void arrives(int i, std::int64_t k) {
+    if (--jobs_[at(i)][at(k)].waits > 0) return;
+    Device& device = xpus_[at(w_.policy_.placements[at(i)].xpu)];
+    device.ready.push({jobs_[at(i)][at(k)].key, f_.ties_up ? i : -i, i, k});
+    device.look = true;
+  }
+
+  void ends(const Event& e) {
+    Device& device = xpus_[at(w_.policy_.placements[at(e.xnode)].xpu)];
+    if (!device.busy || device.stamp != e.stamp) return;
+    device.busy = false;
+    device.look = true;
+    jobs_[at(e.xnode)][at(e.activation)].end = now_;
+    for (const auto& [v, transfer] : w_.edges_out_[at(e.xnode)])
+      if (transfer == 0)
+        arrives(v, e.activation);
+      else
+        push(now_ + transfer, kArrives, at(v), e.activation);
+    if (at(e.activation) + 1 < jobs_[at(e.xnode)].size()) arrives(e.xnode, e.activation + 1);
+    // Per module: counted with the first of its XNodes.
+    const auto& mates = w_.mates_[at(e.xnode)];
+    if (--gone_[at(mates[0])][at(e.activation)] > 0) return;
+    const std::int64_t next = e.activation + w_.states_[at(e.xnode)];
+    for (const int x : mates)
+      if (!w_.inner_[at(x)] && at(next) < jobs_[at(x)].size()) arrives(x, next);
+  }
+
+  void decide(std::size_t m) {
+    Device& device = xpus_[m];
+    device.look = false;
+    if (device.ready.empty()) return;
+    const Ready next = device.ready.top();
+    Job& job = jobs_[at(next.xnode)][at(next.activation)];
+    if (device.busy) {
+      if (!w_.platform_.xpus[m].preemptive || next.key >= device.running.key) return;
+      Job& victim = jobs_[at(device.running.xnode)][at(device.running.activation)];
+      victim.left -= now_ - device.since;
+      device.ready.pop();
+      device.ready.push(device.running);
+      if (job.start < 0) job.left += w_.atoms(w_.platform_.xpus[m].preempt_us);
+    } else {
+      device.ready.pop();
+    }
+    if (job.start < 0) job.start = now_;
+    device.busy = true;
+    device.running = next;
+    device.since = now_;
+    push(now_ + job.left, kEnds, at(next.xnode), next.activation, ++device.stamp);
+  }
+
+  Outcome judge() {
+    Outcome o;
+    o.late_of.assign(jobs_.size(), INT64_MIN);
+    o.late_at.assign(jobs_.size(), 0);
+    for (std::size_t i = 0; i < jobs_.size(); ++i)
+      for (std::size_t k = 0; k < jobs_[i].size(); ++k) {
+        const Job& job = jobs_[i][k];
+        if (job.end < 0) continue;
+        if (job.end - job.key > o.late_of[i]) {
+          o.late_of[i] = job.end - job.key;
+          o.late_at[i] = static_cast<std::int64_t>(k);
+        }
+        if (job.end - job.key > o.late) {
+          o.late = job.end - job.key;
+          o.xnode = static_cast<int>(i);
+          o.activation = static_cast<std::int64_t>(k);
+        }
+      }
+    o.over.assign(w_.app_.chains.size(), INT64_MIN);
+    o.over_when.assign(w_.app_.chains.size(), 0);
+    for (const Path& path : w_.paths_) follow(path, o);
+    return o;
+  }
+
+  void follow(const Path& path, Outcome& o) const {
+    const ChainSpec& chain = w_.app_.chains[at(path.chain)];
+    const SourceSpec& source = w_.app_.sources[at(chain.from)];
+    const std::int64_t period = source.period.num * (w_.scale_ / source.period.den);
+    const std::size_t count = jobs_[at(path.hops.empty() ? chain.to : path.hops[0].from)].size();
+    std::vector<std::size_t> from(path.hops.size(), 0);
+    for (std::size_t k = 0; k < count; ++k) {
+      std::size_t n = k;
+      bool known = true;
+      for (std::size_t h = 0; h < path.hops.size() && known; ++h) {
+        const auto& writer = jobs_[at(path.hops[h].from)];
+        const auto& reader = jobs_[at(path.hops[h].to)];
+        known = n < writer.size() && writer[n].end >= 0;
+        std::size_t& m = from[h];
+        while (known && m < reader.size() &&
+               (reader[m].start < 0 || reader[m].start < writer[n].end))
+          ++m;
+        known = known && m < reader.size() && m > 0;  // it has started before
+        n = m;
+      }
+      const auto& last = jobs_[at(chain.to)];
+      if (!known || n >= last.size() || last[n].end < 0) continue;
+      const Atoms release = w_.real(
+          source.clock, source.offset_us * w_.scale_ + static_cast<std::int64_t>(k) * period, f_);
+      const Atoms over =
+          last[n].end - release - w_.atoms(w_.policy_.chains[at(path.chain)].worst_case_us);
+      if (over > o.over[at(path.chain)]) {
+        o.over[at(path.chain)] = over;
+        o.over_when[at(path.chain)] = last[n].end;
+      }
+    }
+  }
+
+  const World& w_;
+  const Fate& f_;
+  Atoms now_ = 0;
+  std::vector<std::vector<Job>> jobs_;
+  std::vector<std::vector<int>> gone_;  ///< [first XNode of a module][activation] still to end
+  std::vector<Device> xpus_;
+  std::priority_queue<Event, std::vector<Event>, std::greater<>> events_;
+};
+
+class Climb {
+ public:
+  Climb(const World& w, const Options& options) : w_(w), options_(options), dice_(options.seed) {}
+
+  Found go() {
+    // Long enough for every pattern of windows, every chain, and a few periods of each component.
+    std::int64_t span = 0, jobs = 0;
+    for (std::size_t i = 0; i < w_.wcet_.size(); ++i) {
+      const KeyPlacement& p = w_.policy_.placements[i];
+      span = std::max(span, w_.period(i) * (static_cast<std::int64_t>(p.key_us.size()) + 4));
+      span = std::max(span, 3 * std::ranges::max(p.key_us) * w_.scale_);
+    }
+    for (const ChainClaim& c : w_.policy_.chains)
+      if (c.worst_case_us < 100'000'000) span = std::max(span, 2 * c.worst_case_us * w_.scale_);
+    for (std::size_t i = 0; i < w_.wcet_.size(); ++i) jobs += span / w_.period(i) + 2;
+    if (jobs > 30'000)
+      span = static_cast<std::int64_t>(static_cast<double>(span) * 30'000.0 /
+                                       static_cast<double>(jobs));
+    span_ = span;
+    while (found_.jobs < options_.jobs && !found_.broken()) climb();
+    return found_;
+  }
+
+ private:
+  Fate fresh() {
+    Fate f;
+    const std::int64_t mood = dice_.upto(3);
+    for (std::size_t i = 0; i < w_.wcet_.size(); ++i) {
+      f.run.emplace_back(at(span_ / w_.period(i) + 2), std::uint8_t{255});
+      if (mood == 1)
+        for (auto& r : f.run.back()) r = dice_.coin() ? 255 : 0;
+      if (mood == 2 && dice_.upto(3) == 0)
+        for (auto& r : f.run.back()) r = 0;
+    }
+    for (const SourceSpec& s : w_.app_.sources) {
+      const std::int64_t period = s.period.num * (w_.scale_ / s.period.den);
+      f.jitter.emplace_back(at(span_ / period + 2),
+                            static_cast<std::uint8_t>(dice_.coin() ? 255 : 0));
+      if (dice_.coin())
+        for (auto& j : f.jitter.back()) j = dice_.coin() ? 255 : 0;
+    }
+    for (const ClockSpec& c : w_.app_.clocks) {
+      f.phase.push_back(0);
+      f.drift.push_back(-c.ppm + 2 * dice_.upto(1) * c.ppm);
+      f.later_drift.push_back(dice_.coin() ? f.drift.back() : -f.drift.back());
+      f.turn.push_back(dice_.upto(span_));
+    }
+    for (std::size_t c = 1; c < f.phase.size(); ++c) shift(f, c);
+    return f;
+  }
+
+  void shift(Fate& f, std::size_t clock) {
+    std::int64_t longest = 1;
+    for (std::size_t i = 0; i < w_.wcet_.size(); ++i)
+      if (w_.clock(i) == static_cast<int>(clock)) longest = std::max(longest, w_.period(i));
+    switch (dice_.upto(3)) {
+      case 0:
+        f.phase[clock] = dice_.upto(longest * 2) * kMillion;
+        break;
+      case 1:
+        f.phase[clock] += dice_.upto(2000) - 1000;
+        break;
+      case 2:
+        f.phase[clock] += (dice_.upto(200) - 100) * kMillion * w_.scale_;
+        break;
+      default: {
+        // Two releases, or a key and a release, at one instant.
+        const auto i = at(dice_.upto(static_cast<std::int64_t>(w_.wcet_.size()) - 1));
+        const KeyPlacement& p = w_.policy_.placements[i];
+        f.phase[clock] = w_.nominal(i, dice_.upto(3), f) +
+                         (dice_.coin() ? 0 : w_.atoms(p.key_us[0]) - w_.wcet_[i]);
+        f.phase[clock] -= dice_.upto(4) * longest * kMillion;
+      }
+    }
+    while (f.phase[clock] < 0) f.phase[clock] += longest * kMillion;
+  }
+
+  /// A few changes, most of them near what is worst so far.
+  void mutate(Fate& f, std::int64_t near) {
+    for (std::int64_t changes = 1 + dice_.upto(3); changes > 0; --changes) {
+      const std::int64_t what = dice_.upto(9);
+      if (what < 6) {
+        const auto i = at(dice_.upto(static_cast<std::int64_t>(w_.wcet_.size()) - 1));
+        auto& run = f.run[i];
+        const auto value = static_cast<std::uint8_t>(dice_.upto(3) == 0 ? dice_.upto(255)
+                                                     : dice_.coin()     ? 255
+                                                                        : 0);
+        change(run, near / kMillion / w_.period(i), value);
+      } else if (what < 8) {
+        const auto s = at(dice_.upto(static_cast<std::int64_t>(f.jitter.size()) - 1));
+        const SourceSpec& source = w_.app_.sources[s];
+        change(f.jitter[s], near / kMillion / (source.period.num * (w_.scale_ / source.period.den)),
+               static_cast<std::uint8_t>(dice_.upto(2) == 0 ? dice_.upto(255)
+                                         : dice_.coin()     ? 255
+                                                            : 0));
+      } else if (what == 8) {
+        const auto c = at(dice_.upto(static_cast<std::int64_t>(f.phase.size()) - 1));
+        if (c > 0) shift(f, c);
+        const std::int64_t ppm = w_.app_.clocks[c].ppm;
+        if (dice_.coin()) f.drift[c] = -ppm + dice_.upto(2) * ppm;
+        if (dice_.coin()) f.later_drift[c] = -ppm + dice_.upto(2) * ppm;
+        if (dice_.coin()) f.turn[c] = dice_.upto(span_);
+      } else {
+        f.ties_up = !f.ties_up;
+      }
+    }
+  }
+
+  void change(std::vector<std::uint8_t>& all, std::int64_t near, std::uint8_t value) {
+    const auto size = static_cast<std::int64_t>(all.size());
+    std::int64_t first = dice_.upto(3) == 0 ? dice_.upto(size - 1) : near - 4 + dice_.upto(6);
+    std::int64_t count = dice_.upto(2) == 0 ? size : 1 + dice_.upto(2);
+    if (dice_.upto(5) == 0) first = 0;
+    for (; count > 0; --count, ++first)
+      if (first >= 0 && first < size) all[at(first)] = value;
+  }
+
+  void climb() {
+    const auto xnodes = static_cast<std::int64_t>(w_.wcet_.size());
+    const auto chains = static_cast<std::int64_t>(w_.app_.chains.size());
+    // What it climbs for: one XNode's lateness, any, or one chain.
+    const std::int64_t goal = dice_.upto(xnodes + chains);
+    const auto judge = [&](const Outcome& o) {
+      if (goal < xnodes) return o.late_of[at(goal)];
+      if (goal == xnodes) return o.late;
+      return o.over[at(goal - xnodes - 1)];
+    };
+    const auto near = [&](const Outcome& o) {
+      if (goal <= xnodes) {
+        const std::size_t i = at(goal == xnodes ? o.xnode : static_cast<int>(goal));
+        return o.late_at[i] * w_.period(i) * kMillion;
+      }
+      return o.over_when[at(goal - xnodes - 1)];
+    };
+    Fate best = fresh();
+    Outcome top = play(best);
+    std::int64_t stuck = 0;
+    while (stuck < 150 && found_.jobs < options_.jobs && !found_.broken()) {
+      Fate next = best;
+      mutate(next, std::clamp<Atoms>(near(top), 0, span_ * kMillion));
+      Outcome o = play(next);
+      stuck = judge(o) > judge(top) ? 0 : stuck + 1;
+      if (judge(o) < judge(top)) continue;
+      best = std::move(next);
+      top = std::move(o);
+    }
+  }
+
+  Outcome play(const Fate& f) {
+    Outcome o = Run(w_, f).go();
+    for (const auto& run : f.run) found_.jobs += static_cast<std::int64_t>(run.size());
+    ++found_.executions;
+    found_.closest_us = std::max(found_.closest_us, w_.us(o.late));
+    if (o.late > 0)
+      found_.late = "XNode '" + w_.app_.xnodes[at(o.xnode)].name + "', activation " +
+                    std::to_string(o.activation) + ", ends " + std::to_string(w_.us(o.late)) +
+                    " us after its key";
+    for (std::size_t c = 0; c < o.over.size(); ++c) {
+      if (o.over[c] == INT64_MIN) continue;
+      const auto claim = static_cast<double>(w_.policy_.chains[c].worst_case_us);
+      found_.fullest = std::max(found_.fullest, 1 + w_.us(o.over[c]) / claim);
+      if (o.over[c] > 0)
+        found_.chain = "chain '" + w_.app_.chains[c].name + "' takes " +
+                       std::to_string(w_.us(o.over[c])) + " us more than " +
+                       std::to_string(w_.policy_.chains[c].worst_case_us);
+    }
+    return o;
+  }
+
+  const World& w_;
+  const Options& options_;
+  Dice dice_;
+  Found found_;
+  std::int64_t span_ = 0;
+};
+
+}  // namespace
+
+Found attack(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+             const Options& options) {
+  const World w(app, platform, policy);
+  return Climb(w, options).go();
+}
+
+}  // namespace xauto::attack

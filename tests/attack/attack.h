@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// Attacks a policy of keys: looks for an execution in which a job ends after its key, or a chain
+// takes longer than its claim. Simulates the rule of docs/steady-state.md with code of its own, and
+// climbs: execution times up to the WCETs, jitter, phases between clocks and their drift.
+//
+// What it finds is a counterexample. That it finds nothing proves nothing.
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "model/app.h"
+#include "model/key_policy.h"
+#include "model/platform.h"
+
+namespace xauto::attack {
+
+struct Options {
+  std::int64_t jobs = 200'000;  ///< to simulate, all executions together
+  std::uint64_t seed = 1;
+};
+
+struct Found {
+  std::int64_t jobs = 0;
+  std::int64_t executions = 0;
+  std::string late;           ///< a job past its key, in words; empty: none
+  std::string chain;          ///< a chain above its claim; empty: none
+  double closest_us = -1e18;  ///< end - key of the latest job of all
+  double fullest = 0;         ///< largest part of a chain's claim that was seen
+  [[nodiscard]] bool broken() const { return !late.empty() || !chain.empty(); }
+};
+
+/// The app is one that the readers accept; ends early once something is broken.
+[[nodiscard]] Found attack(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+                           const Options& options);
+
+}  // namespace xauto::attack

@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+// attack_steady: random apps with policies of keys that the check just accepts, each attacked; the
+// same policies played. Exit status 1 if one is broken.
+#include <algorithm>
+#include <cstdio>
+
+#include <fmt/format.h>
+
+#include "cli/cli.h"
+#include "solver/steady/play.h"
+
+#include "attack/attack.h"
+#include "attack/producer.h"
+
+namespace xauto::attack {
+namespace {
+
+struct Flags {
+  int policies = 40;
+  std::int64_t jobs = 200'000;
+  std::uint64_t seed = 1;
+};
+
+struct Kind {
+  const char* name;
+  Wanted wanted;
+};
+
+const Kind kKinds[] = {
+    {"one clock", {.load = 0.6}},
+    {"one clock, loaded, preemption 8", {.load = 0.9, .preempt_us = 8}},
+    {"one clock, jitter, preemption 5", {.load = 0.6, .preempt_us = 5, .jitter_us = 40}},
+    {"one clock, drift, jitter", {.ppm = 1000, .load = 0.6, .jitter_us = 30}},
+    {"one clock, holds, much jitter",
+     {.load = 0.8, .preempt_us = 20, .jitter_us = 200, .holds = true}},
+    {"thirds of microseconds", {.load = 0.6, .preempt_us = 5, .thirds = true}},
+    {"no preemption", {.load = 0.6, .preemptive = false}},
+    {"no preemption, loaded", {.components = 2, .load = 0.8, .preemptive = false}},
+    {"two clocks", {.clocks = 2, .load = 0.6}},
+    {"two clocks, 100 ppm", {.clocks = 2, .ppm = 100, .load = 0.6}},
+    {"two clocks, holds", {.clocks = 2, .load = 0.6, .preempt_us = 3, .holds = true}},
+    {"two clocks, preemption 10", {.clocks = 2, .components = 2, .load = 0.85, .preempt_us = 10}},
+    {"two clocks, no preemption, 1000 ppm",
+     {.clocks = 2, .ppm = 1000, .load = 0.6, .preemptive = false}},
+    {"three clocks, 10000 ppm",
+     {.clocks = 3, .ppm = 10'000, .components = 5, .load = 0.8, .preempt_us = 4, .jitter_us = 100}},
+};
+
+Result<int> run(const Flags& flags) {
+  std::int64_t jobs = 0, policies = 0, broken = 0;
+  for (const Kind& kind : kKinds) {
+    std::int64_t made = 0, at_key = 0, met = 0, own = 0;
+    double fullest = 0;
+    for (int k = 0; k < flags.policies; ++k) {
+      const std::uint64_t seed = flags.seed + static_cast<std::uint64_t>(k);
+      std::optional<Case> c = valid(seed, kind.wanted);
+      if (!c) continue;
+      tighten(*c, seed, seed % 2 == 1);
+      const Found found = attack(c->app, c->platform, c->policy, {flags.jobs, seed});
+      ++made;
+      own += found.jobs;
+      at_key += found.closest_us > -0.001 ? 1 : 0;
+      met += found.fullest > 0.999 ? 1 : 0;
+      fullest += found.fullest;
+      const auto played =
+          solver::steady::play(c->app, c->platform, c->policy, {1, true, true, true, seed});
+      if (!played) return tl::unexpected<Error>(played.error());
+      own += played->jobs;
+      bool bad = found.broken() || played->late > 0;
+      for (const auto& chain : played->chains)
+        bad = bad || chain.longest_us > static_cast<double>(chain.claimed_us);
+      if (bad) {
+        ++broken;
+        fmt::print("BROKEN: {}, seed {}: {} {} {}\n", kind.name, seed, found.late, found.chain,
+                   played->first_late);
+      }
+    }
+    fmt::print(
+        "{:<38} {:>4} policies {:>11} jobs; a job ends at its key in {:>3}, a chain takes its "
+        "worst case "
+        "in {:>3}; fullest {:.3f} of it on average\n",
+        kind.name, made, own, at_key, met,
+        fullest / static_cast<double>(std::max<std::int64_t>(made, 1)));
+    jobs += own;
+    policies += made;
+  }
+  fmt::print("\n{} jobs, {} policies, {} broken\n", jobs, policies, broken);
+  return broken > 0 ? 1 : 0;
+}
+
+}  // namespace
+}  // namespace xauto::attack
+
+int main(int argc, char** argv) {
+  xauto::attack::Flags flags;
+  xauto::cli::Program program("Tries to break policies of keys that the check just accepts.");
+  program.option("--policies", flags.policies, "of each kind").shown();
+  program.option("--jobs", flags.jobs, "to simulate per policy").shown();
+  program.option("--seed", flags.seed, "of the first policy").shown();
+  if (const auto exit = program.parse(argc, argv)) return *exit;
+  const auto status = xauto::attack::run(flags);
+  if (status) return *status;
+  std::fprintf(stderr, "attack_steady: %s\n", status.error().to_string().c_str());
+  return 2;
+}
