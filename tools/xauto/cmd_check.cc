@@ -12,6 +12,7 @@
 
 #include "xauto/command.h"
 #include "xauto/objectives_file.h"
+#include "xauto/periodic.h"
 
 namespace xauto::cli {
 namespace {
@@ -23,8 +24,9 @@ struct CheckFlags {
 };
 
 Result<int> check(const CheckFlags& flags, const Options& options) {
-  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
+  XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  if (app.version == 2) return check_periodic(app, platform, flags.policy, options);
   XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
   solver::VerifyOptions asked = flags.options;
   XAUTO_ASSIGN(asked.asked, load_objectives(flags.app));

@@ -12,6 +12,7 @@
 
 #include "xauto/command.h"
 #include "xauto/outputs.h"
+#include "xauto/periodic.h"
 #include "xauto/run_app.h"
 
 namespace xauto::cli {
@@ -19,11 +20,18 @@ namespace {
 
 struct SimulateFlags {
   std::string app, platform = "small", policy, model = "xauto", out;
+  solver::steady::PlayOptions play;
 };
 
 Result<int> simulate(const SimulateFlags& flags, const Options& options) {
-  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
+  XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  if (app.version == 2) {
+    if (flags.model != "xauto" || flags.policy.empty())
+      return fail(ErrorCode::kInvalid, "an app of version 2 is simulated with a policy of keys",
+                  "--policy");
+    return simulate_periodic(app, platform, flags.policy, flags.play, flags.out, options);
+  }
   const auto scheduling = *runtime::scheduling_from(flags.model);
   std::optional<Policy> policy;
   if (scheduling != runtime::Scheduling::kRos2) {
@@ -92,6 +100,14 @@ void add_simulate(Commands& commands) {
       .one_of({"xauto", "timeshare", "ros2"})
       .shown();
   verb.option("--out", flags->out, "write the result here");
+  verb.option("--seconds", flags->play.seconds, "version 2: how long").range(1, 86400).shown();
+  verb.flag("--random-times", flags->play.random_times,
+            "version 2: execution times up to the WCET");
+  verb.flag("--jitter", flags->play.jitter,
+            "version 2: each source as late as it may be, at random");
+  verb.flag("--phases", flags->play.phases,
+            "version 2: between clocks, and their drift, at random");
+  verb.option("--seed", flags->play.seed, "version 2: of all that is random").shown();
 }
 
 }  // namespace xauto::cli

@@ -21,6 +21,7 @@
 #include "xauto/command.h"
 #include "xauto/objectives_file.h"
 #include "xauto/outputs.h"
+#include "xauto/periodic.h"
 
 namespace xauto::cli {
 namespace {
@@ -37,6 +38,8 @@ struct SolveFlags {
   Wishes wishes;
   bool what_if = false;
   std::vector<std::string> implement;
+  std::string hint;
+  bool keep = false;
   solver::SolveOptions options;
 };
 
@@ -201,10 +204,44 @@ void print_table(const AppSpec& app, const Platform& platform, const Policy& pol
         ms(app.sources.front().period.floor_us()).c_str());
 }
 
+/// Of version 2.
+Result<int> solve_on_and_on(SolveFlags& flags, const AppSpec& app, const Options& options) {
+  XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  if (flags.options.method != "auto")
+    return fail(ErrorCode::kInvalid, "has one method, auto", "an app of version 2",
+                "leave --method out");
+  if (flags.wishes.deadline_us > 0)
+    return fail(ErrorCode::kInvalid, "is of one release", "--deadline-us",
+                "give the chains of app.json deadlines");
+  if (flags.what_if || !flags.implement.empty())
+    return fail(ErrorCode::kInvalid, "not yet for an app of version 2", "--what-if, --implement");
+  solver::steady::Options asked;
+  XAUTO_ASSIGN(asked.wishes, load_objectives(flags.app));
+  asked.wishes.chains.clear();  // the app's own
+  XAUTO_TRY(add_to_objectives(flags.wishes, asked.wishes));
+  asked.time_limit_s = flags.options.time_limit_s;
+  asked.threads = flags.options.threads;
+  asked.seed = flags.options.seed;
+  asked.max_evaluations = flags.options.max_evaluations;
+  KeyPolicy hint;
+  if (!flags.hint.empty()) {
+    XAUTO_ASSIGN(hint, load_key_policy(flags.hint, app, platform));
+    asked.hint = &hint;
+  }
+  asked.keep = flags.keep;
+  asked.stop = &interrupted;
+  std::signal(SIGINT, on_interrupt);
+  std::signal(SIGTERM, on_interrupt);
+  return solve_periodic(app, platform, asked, flags.out, options);
+}
+
 Result<int> solve(SolveFlags& flags, const Options& options) {
   const auto began = std::chrono::steady_clock::now();
-  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
+  XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
+  if (app.version == 2) return solve_on_and_on(flags, app, options);
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  if (!flags.hint.empty() || flags.keep)
+    return fail(ErrorCode::kInvalid, "are for an app of version 2", "--hint, --keep");
   XAUTO_TRY(read_objectives(flags));
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", flags.out));
@@ -264,6 +301,8 @@ void add_solve(Commands& commands) {
   add_wishes(verb, flags->wishes);
   verb.flag("--what-if", flags->what_if,
             "what one more XPU, or another implementation on the chain that limits, would gain");
+  verb.option("--hint", flags->hint, "version 2: a policy.json of this app to begin with");
+  verb.flag("--keep", flags->keep, "version 2: with --hint, what runs where stays");
   verb.option("--implement", flags->implement,
               "XNODE=TYPE:WCET_US: what this implementation would gain");
 }

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An app of version 2 from file to policy: solve, check and simulate agree, and each says no where the answer is no."""
+import json
+import pathlib
+import tempfile
+import unittest
+
+from common import SOURCE, xauto
+
+APP = SOURCE / "tests/golden/app-2.json"
+PLATFORM = {"schema": "xauto.platform", "version": 1, "name": "bench", "xpus": [
+    {"id": "cpu0", "type": "cpu"}, {"id": "cpu1", "type": "cpu"},
+    {"id": "gpu0", "type": "gpu", "preempt_us": 100},
+    {"id": "dla0", "type": "dla", "preemptive": False}]}
+
+
+class Periodic(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = pathlib.Path(folder.name)
+        self.app = json.loads(APP.read_text())
+        self.platform = self.write("platform.json", PLATFORM)
+
+    def write(self, name, value):
+        (self.folder / name).write_text(json.dumps(value))
+        return name
+
+    def run_tool(self, *arguments, status=0):
+        result = xauto(*arguments, "--platform", self.platform, cwd=self.folder)
+        self.assertEqual(result.returncode, status, result.stdout + result.stderr)
+        return result
+
+    def solve(self, *more, status=0):
+        self.write("app.json", self.app)
+        return self.run_tool("solve", "--app", "app.json", "--max-evaluations", 2000, "--threads", 1, "--time-limit-s", 60,
+                             "--out", "policy.json", *more, status=status)
+
+    def policy(self):
+        return json.loads((self.folder / "policy.json").read_text())
+
+    def check(self, status=0):
+        return json.loads(self.run_tool("check", "--app", "app.json", "--policy", "policy.json", "--json", status=status).stdout)
+
+    def test_solve_check_and_simulate_agree(self):
+        answer = json.loads(self.solve("--json").stdout)
+        claims = {chain["name"]: chain for chain in answer["chains"]}
+        self.assertEqual(set(claims), {chain["name"] for chain in self.app["chains"]})
+        self.assertEqual(self.policy()["chains"], answer["chains"])
+        checked = self.check()
+        self.assertTrue(checked["truthful"])
+        for chain in checked["chains"]:
+            claim = claims[chain["name"]]
+            self.assertLessEqual(chain["worst_case_us"], claim["worst_case_us"])
+            self.assertLessEqual(claim["lower_bound_us"], chain["worst_case_us"])
+        self.assertEqual([proof["xpu"] for proof in checked["proofs"]], ["cpu0", "cpu1", "gpu0", "dla0"])
+        for seed in (1, 2, 3):
+            played = json.loads(self.run_tool("simulate", "--app", "app.json", "--policy", "policy.json", "--seconds", 20,
+                                              "--random-times", "--jitter", "--phases", "--seed", seed, "--json").stdout)
+            self.assertGreater(played["jobs"], 1000)
+            self.assertEqual(played["late"], 0)
+            for chain in played["chains"]:
+                self.assertGreater(chain["releases"], 0)
+                self.assertLessEqual(chain["longest_us"], claims[chain["name"]]["worst_case_us"])
+
+    def test_the_answer_depends_on_the_seed_alone(self):
+        self.solve("--seed", 5)
+        first = self.policy()
+        self.solve("--seed", 5)
+        second = self.policy()
+        first.pop("solve_ms"), second.pop("solve_ms")
+        self.assertEqual(first, second)
+
+    def test_the_tables_name_chains_and_xpus(self):
+        table = self.solve().stdout
+        for word in ("brake", "cpu0", "gpu0", "worst case", "deadline", "lower bound", "written to policy.json"):
+            self.assertIn(word, table)
+        checked = self.run_tool("check", "--app", "app.json", "--policy", "policy.json").stdout
+        self.assertIn("policy.json tells the truth", checked)
+        played = self.run_tool("simulate", "--app", "app.json", "--policy", "policy.json").stdout
+        self.assertIn("0 late", played)
+
+    def test_a_claim_that_does_not_follow_is_a_lie(self):
+        self.solve()
+        policy = self.policy()
+        policy["chains"][0]["worst_case_us"] -= 1000
+        policy["chains"][0]["lower_bound_us"] = 0
+        policy["chains"][0]["optimal"] = False
+        self.write("policy.json", policy)
+        checked = self.check(status=1)
+        self.assertFalse(checked["truthful"])
+        self.assertIn(policy["chains"][0]["name"], checked["lies"][0])
+
+    def test_more_work_than_time_is_proven(self):
+        for xnode in self.app["xnodes"]:
+            if xnode["name"] == "mpc":
+                xnode["wcet_us"] = {"cpu": 45000}
+        result = self.solve("--json", status=1)
+        told = json.loads(result.stdout)
+        self.assertEqual(told["schema"], "xauto.unsustainable")
+        self.assertIn("mpc", result.stdout)
+        self.assertFalse((self.folder / "policy.json").exists())
+        self.assertIn("no policy keeps up", self.solve(status=1).stdout)
+
+    def test_a_deadline_below_the_bound_is_proven_impossible(self):
+        self.app["chains"][0]["deadline_us"] = 1000
+        told = json.loads(self.solve("--json", status=1).stdout)
+        self.assertEqual(told["deadlines"], "proven impossible")
+
+    def test_pins_are_kept_and_a_hint_is_a_beginning(self):
+        self.solve("--pin", "mpc=cpu1")
+        placed = {x["name"]: x["xpu"] for x in self.policy()["xnodes"]}
+        self.assertEqual(placed["mpc"], "cpu1")
+        self.write("hint.json", self.policy())
+        self.solve("--hint", "hint.json", "--keep")
+        self.assertEqual({x["name"]: x["xpu"] for x in self.policy()["xnodes"]}, placed)
+
+    def test_what_is_not_for_this_version_is_refused(self):
+        self.solve()
+        for arguments in (["solve", "--app", "app.json", "--method", "ilp"], ["solve", "--app", "app.json", "--deadline-us", 5],
+                          ["simulate", "--app", "app.json", "--model", "ros2"],
+                          ["explain", "--app", "app.json", "--policy", "policy.json"],
+                          ["run", "--app", "app.json", "--policy", "policy.json", "--", "true"]):
+            with self.subTest(arguments=arguments):
+                self.assertIn("version", self.run_tool(*arguments, status=2).stderr)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,341 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/periodic.h"
+
+#include <algorithm>
+#include <cstdio>
+#include <iostream>
+#include <mutex>
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include "model/claims.h"
+#include "model/components.h"
+#include "model/json.h"
+#include "model/json_value.h"
+#include "solver/steady/check.h"
+
+#include "xauto/outputs.h"
+
+namespace xauto::cli {
+namespace {
+
+namespace steady = solver::steady;
+
+std::string ms_of(double us) {
+  return fmt::format("{:.3f} ms", us / 1000);
+}
+
+/// "22 XNodes, 3 sources, 2 clocks, repeats every 100.000 ms"
+std::string shape(const AppSpec& app) {
+  std::string text = fmt::format("{} XNodes, {} sources", app.xnodes.size(), app.sources.size());
+  const auto parts = find_components(app);
+  if (!parts) return text;
+  text += fmt::format(", {} {}", parts->domains.size(),
+                      parts->domains.size() == 1 ? "clock" : "clocks");
+  if (parts->domains.size() == 1 && parts->domains[0].hyperperiod_ticks)
+    text += ", repeats every " + ms_of(static_cast<double>(*parts->domains[0].hyperperiod_ticks) /
+                                       static_cast<double>(parts->ticks_per_us));
+  return text;
+}
+
+std::string proof_table(const KeyPolicy& policy, const steady::CheckReport& report) {
+  std::string out = fmt::format("  {:<10}{:>7}{:>9}   {}\n", "XPU", "XNodes", "load",
+                                "why every job ends by its key");
+  for (std::size_t x = 0; x < report.xpus.size(); ++x) {
+    const steady::XpuProof& proof = report.xpus[x];
+    const auto count =
+        std::count_if(policy.placements.begin(), policy.placements.end(),
+                      [&](const KeyPlacement& p) { return p.xpu == static_cast<int>(x); });
+    out += fmt::format("  {:<10}{:>7}{:>7.1f} %   ", proof.xpu, count, 100 * proof.load);
+    if (count == 0) {
+      out += "it has none\n";
+      continue;
+    }
+    out += fmt::format("{} of {} jobs in {}", proof.kind, proof.jobs, ms_of(proof.repeats_us));
+    if (!proof.xnode.empty())
+      out += fmt::format("; tightest {} {}: {} free of {}", proof.xnode, proof.activation,
+                         ms_of(proof.slack_us), ms_of(proof.length_us));
+    out += "\n";
+  }
+  return out;
+}
+
+std::string chain_table(const AppSpec& app, const KeyPolicy& policy) {
+  std::string out = fmt::format("  {:<24}{:>14}{:>14}{:>14}{:>9}\n", "chain", "worst case",
+                                "deadline", "lower bound", "gap");
+  for (std::size_t c = 0; c < policy.chains.size(); ++c) {
+    const ChainClaim& claim = policy.chains[c];
+    const auto& deadline = app.chains[c].deadline_us;
+    const double gap = static_cast<double>(claim.worst_case_us - claim.lower_bound_us) /
+                       static_cast<double>(std::max<std::int64_t>(1, claim.worst_case_us));
+    out += fmt::format("  {:<24}{:>14}{:>14}{:>14}{:>7.1f} %{}{}\n", claim.name,
+                       ms(claim.worst_case_us), deadline ? ms(*deadline) : "-",
+                       ms(claim.lower_bound_us), 100 * gap, claim.optimal ? "  optimal" : "",
+                       deadline && claim.worst_case_us > *deadline ? "  MISSED" : "");
+  }
+  return out;
+}
+
+bool misses(const AppSpec& app, const KeyPolicy& policy) {
+  for (std::size_t c = 0; c < policy.chains.size(); ++c)
+    if (app.chains[c].deadline_us && policy.chains[c].worst_case_us > *app.chains[c].deadline_us)
+      return true;
+  return false;
+}
+
+/// Some chain's bound alone is above its deadline.
+bool impossible(const AppSpec& app, const std::vector<std::int64_t>& bounds) {
+  for (std::size_t c = 0; c < bounds.size() && c < app.chains.size(); ++c)
+    if (app.chains[c].deadline_us && bounds[c] > *app.chains[c].deadline_us) return true;
+  return false;
+}
+
+Json proofs(const steady::CheckReport& report) {
+  Json list = Json::array();
+  for (const steady::XpuProof& proof : report.xpus) {
+    Json j = {
+        {"xpu", proof.xpu}, {"proof", proof.kind}, {"load", proof.load}, {"jobs", proof.jobs}};
+    if (!proof.xnode.empty())
+      j["tightest"] = {{"xnode", proof.xnode},
+                       {"activation", proof.activation},
+                       {"length_us", proof.length_us},
+                       {"demand_us", proof.demand_us},
+                       {"slack_us", proof.slack_us}};
+    list.push_back(std::move(j));
+  }
+  return list;
+}
+
+int tell_unsustainable(const AppSpec& app, const Platform& platform, const steady::Answer& answer,
+                       const Options& options) {
+  const steady::Overload& proof = answer.overload;
+  Json causes = Json::array();
+  std::string list;
+  for (const auto& [xnode, share] : proof.causes) {
+    const std::string& name = app.xnodes[static_cast<std::size_t>(xnode)].name;
+    causes.push_back({{"xnode", name}, {"share_pct", static_cast<double>(share) / 10}});
+    list += fmt::format("  {:<24}{:>7.1f} %\n", name, static_cast<double>(share) / 10);
+  }
+  Json weights = Json::object();
+  std::string prices;
+  const std::vector<std::string> types = platform.types();
+  for (std::size_t t = 0; t < proof.weights.size() && t < types.size(); ++t) {
+    weights[types[t].c_str()] = proof.weights[t];
+    prices += fmt::format("{}{} {}", prices.empty() ? "" : ", ", types[t], proof.weights[t]);
+  }
+  if (options.json) {
+    std::cout << Json{{"schema", "xauto.unsustainable"},
+                      {"version", 1},
+                      {"app", app.name},
+                      {"platform", platform.name},
+                      {"proof", proof.text},
+                      {"load_pct", proof.load_pct},
+                      {"weights", std::move(weights)},
+                      {"causes", std::move(causes)}}
+                     .dump(2)
+              << "\n";
+    return kAnswerIsNo;
+  }
+  std::cout << fmt::format("{} on {}: no policy keeps up: {}\n\n", app.name, platform.name,
+                           proof.text);
+  if (!list.empty()) std::cout << "  most of it is\n" << list;
+  if (!prices.empty())
+    std::cout << "\n  proof: these weights of the XPU types (" << prices
+              << "), each XNode on its cheapest type\n";
+  return kAnswerIsNo;
+}
+
+/// Progress of a search that has no single number.
+class Line {
+ public:
+  void show(const steady::Progress& progress) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!terminal_ && progress.elapsed_s < next_s_) return;
+    if (terminal_ && progress.elapsed_s < 0.3) return;
+    next_s_ = progress.elapsed_s + 2;
+    std::fprintf(stderr, "%s%6.1f s   %s sum of worst cases %s%s", terminal_ ? "\r\033[K" : "",
+                 progress.elapsed_s,
+                 progress.late > 0
+                     ? fmt::format("worst {:.0f} % of its deadline,", 100 * progress.late).c_str()
+                     : "",
+                 ms_of(progress.sum_us).c_str(), terminal_ ? "" : "\n");
+    drawn_ = terminal_;
+  }
+  void end() {
+    if (drawn_) std::fputs("\r\033[K", stderr);
+  }
+
+ private:
+  std::mutex mutex_;
+  bool terminal_ = isatty(STDERR_FILENO) != 0, drawn_ = false;
+  double next_s_ = 2;
+};
+
+}  // namespace
+
+Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
+                           const steady::Options& asked, const std::string& out,
+                           const Options& options) {
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", out));
+  Line line;
+  steady::Options solving = asked;
+  solving.on_progress = [&](const steady::Progress& progress) { line.show(progress); };
+  auto solved = steady::solve(app, platform, solving);
+  line.end();
+  if (!solved) return tl::unexpected<Error>(std::move(solved).error());
+  const steady::Answer& answer = *solved;
+  if (answer.outcome == steady::Outcome::kUnsustainable)
+    return tell_unsustainable(app, platform, answer, options);
+  if (answer.outcome == steady::Outcome::kUnknown)
+    return fail(ErrorCode::kUnavailable,
+                "unknown: neither a policy that keeps up nor a proof that there is none",
+                app.name + " on " + platform.name,
+                "give it more time (--time-limit-s), longer periods, or another XPU");
+  // Nothing is said that code of its own does not derive again.
+  const auto checked = steady::check(app, platform, answer.policy);
+  if (!checked)
+    return fail(ErrorCode::kInternal,
+                "the solver's answer does not pass the check: " + checked.error().to_string(),
+                app.name + " on " + platform.name, "report it with app and platform");
+  const bool late = misses(app, answer.policy);
+  const bool never = impossible(app, answer.lower_bound_us);
+  if (options.json) {
+    Json root = Json::parse(to_json(answer.policy, app, platform)).value_or(Json());
+    root["evaluations"] = answer.evaluations;
+    root["first_answer_ms"] = answer.first_answer_ms;
+    root["proofs"] = proofs(*checked);
+    root["deadlines"] = never  ? "proven impossible"
+                        : late ? "missed; not proven impossible"
+                               : "met";
+    std::cout << root.dump(2) << "\n";
+  } else {
+    std::cout << fmt::format("{} on {}: {}, {:.2f} s\n\n", app.name, platform.name, shape(app),
+                             static_cast<double>(answer.policy.solve_ms) / 1000)
+              << proof_table(answer.policy, *checked) << "\n"
+              << chain_table(app, answer.policy)
+              << fmt::format(
+                     "\n  worst case: {}.\n  The check of this policy has derived all of it again. "
+                     "Lower bound: no policy of keys has a shorter worst case.\n",
+                     kKeyScope);
+    if (late)
+      std::cout << (never ? "\n  A deadline is missed, and no policy meets it: proven.\n"
+                          : "\n  A deadline is missed. That no policy meets it is not proven.\n");
+  }
+  std::cout.flush();
+  if (!out.empty()) outputs.write(out, to_json(answer.policy, app, platform));
+  if (!options.json && !out.empty() && outputs.good())
+    std::cout << fmt::format("\n  written to {}\n", out);
+  return outputs.status(never ? kAnswerIsNo : kDone);
+}
+
+Result<int> check_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
+                           const Options& options) {
+  XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
+  const auto report = steady::check(app, platform, policy);
+  if (!report && report.error().code != ErrorCode::kInfeasible)
+    return tl::unexpected<Error>(report.error());
+  Json root = {{"schema", "xauto.check"}, {"version", 2}, {"truthful", report.has_value()}};
+  if (!report) {
+    if (options.json) {
+      root["lies"] = Json::array();
+      root["lies"].push_back(report.error().to_string());
+      std::cout << root.dump(2) << "\n";
+    } else {
+      std::cout << "  LIE    " << report.error().to_string() << "\n\n" << path << " lies.\n";
+    }
+    return kAnswerIsNo;
+  }
+  const bool late = std::any_of(report->chains.begin(), report->chains.end(),
+                                [](const steady::ChainProof& c) { return c.late(); });
+  if (options.json) {
+    root["lies"] = Json::array();
+    root["proofs"] = proofs(*report);
+    for (const steady::ChainProof& chain : report->chains) {
+      Json j = {{"name", chain.name},
+                {"worst_case_us", chain.derived_us},
+                {"claimed_us", chain.claimed_us},
+                {"own_bound_us", chain.own_bound_us},
+                {"claimed_bound_us", chain.claimed_bound_us},
+                {"late", chain.late()},
+                {"path", chain.path}};
+      root["chains"].push_back(std::move(j));
+    }
+    std::cout << root.dump(2) << "\n";
+    return late ? kAnswerIsNo : kDone;
+  }
+  std::cout << proof_table(policy, *report);
+  std::cout << fmt::format("\n  {:<24}{:>14}{:>14}   {}\n", "chain", "derived", "claimed",
+                           "the worst path");
+  for (const steady::ChainProof& chain : report->chains) {
+    std::string way;
+    for (const std::string& step : chain.path) way += (way.empty() ? "" : " > ") + step;
+    std::cout << fmt::format("  {:<24}{:>14}{:>14}   {}{}\n", chain.name, ms(chain.derived_us),
+                             ms(chain.claimed_us), way, chain.late() ? "   MISSED" : "");
+  }
+  std::cout << fmt::format("\n{} tells the truth: {}.\n", path, kKeyScope);
+  return late ? kAnswerIsNo : kDone;
+}
+
+Result<int> simulate_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
+                              const steady::PlayOptions& asked, const std::string& out,
+                              const Options& options) {
+  XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", out));
+  XAUTO_ASSIGN(const steady::PlayReport played, steady::play(app, platform, policy, asked));
+  Json xnodes = Json::array(), chains = Json::array();
+  std::string table = fmt::format("  {:<24}{:<8}{:>9}{:>8}{:>11}{:>18}\n", "XNode", "XPU", "jobs",
+                                  "late", "suspended", "nearest its key");
+  for (std::size_t i = 0; i < played.xnodes.size(); ++i) {
+    const steady::PlayedXNode& node = played.xnodes[i];
+    const std::string& xpu = platform.xpus[static_cast<std::size_t>(policy.placements[i].xpu)].id;
+    xnodes.push_back({{"name", app.xnodes[i].name},
+                      {"xpu", xpu},
+                      {"jobs", node.jobs},
+                      {"late", node.late},
+                      {"suspended", node.suspended},
+                      {"closest_us", node.closest_us}});
+    table +=
+        fmt::format("  {:<24}{:<8}{:>9}{:>8}{:>11}{:>18}\n", app.xnodes[i].name, xpu, node.jobs,
+                    node.late, node.suspended, node.jobs > 0 ? ms_of(node.closest_us) : "-");
+  }
+  table += fmt::format("\n  {:<24}{:>14}{:>14}{:>10}\n", "chain", "longest seen", "worst case",
+                       "releases");
+  bool exceeded = false;
+  for (const steady::PlayedChain& chain : played.chains) {
+    exceeded = exceeded || chain.longest_us > static_cast<double>(chain.claimed_us);
+    chains.push_back({{"name", chain.name},
+                      {"longest_us", chain.longest_us},
+                      {"worst_case_us", chain.claimed_us},
+                      {"releases", chain.releases}});
+    table += fmt::format("  {:<24}{:>14}{:>14}{:>10}\n", chain.name,
+                         chain.releases > 0 ? ms_of(chain.longest_us) : "-", ms(chain.claimed_us),
+                         chain.releases);
+  }
+  table +=
+      fmt::format("\n  {} on {}: {} jobs in {} s, {} late, {} times one was suspended\n", app.name,
+                  platform.name, played.jobs, asked.seconds, played.late, played.suspended);
+  if (!played.first_late.empty()) table += "  " + played.first_late + "\n";
+  if (played.backlog) table += "  the backlog grew: this policy does not keep up\n";
+  const std::string result = Json{{"schema", "xauto.simulation"},
+                                  {"version", 2},
+                                  {"app", app.name},
+                                  {"platform", platform.name},
+                                  {"seconds", asked.seconds},
+                                  {"seed", asked.seed},
+                                  {"jobs", played.jobs},
+                                  {"late", played.late},
+                                  {"suspended", played.suspended},
+                                  {"backlog", played.backlog},
+                                  {"xnodes", std::move(xnodes)},
+                                  {"chains", std::move(chains)}}
+                                 .dump(2) +
+                             "\n";
+  std::cout << (options.json ? result : table);
+  outputs.write(out, result);
+  return outputs.status(exceeded || played.late > 0 || played.backlog ? kAnswerIsNo : kDone);
+}
+
+}  // namespace xauto::cli

@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: Apache-2.0
+// What solve, check and simulate do with an app of version 2: sources that release on and on.
+#pragma once
+
+#include <atomic>
+#include <string>
+
+#include "solver/steady/play.h"
+#include "solver/steady/solve.h"
+
+#include "xauto/command.h"
+
+namespace xauto::cli {
+
+/// `asked.wishes` are filled in; the policy goes to `out`, if there is one. Status 1: none keeps up.
+[[nodiscard]] Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
+                                         const solver::steady::Options& asked,
+                                         const std::string& out, const Options& options);
+[[nodiscard]] Result<int> check_periodic(const AppSpec& app, const Platform& platform,
+                                         const std::string& policy, const Options& options);
+[[nodiscard]] Result<int> simulate_periodic(const AppSpec& app, const Platform& platform,
+                                            const std::string& policy,
+                                            const solver::steady::PlayOptions& asked,
+                                            const std::string& out, const Options& options);
+
+}  // namespace xauto::cli
