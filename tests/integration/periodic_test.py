@@ -115,11 +115,29 @@ class Periodic(unittest.TestCase):
         self.solve("--hint", "hint.json", "--keep")
         self.assertEqual({x["name"]: x["xpu"] for x in self.policy()["xnodes"]}, placed)
 
+    def test_what_would_be_if(self):
+        told = self.solve("--assume", "tick=100", "--assume", "gpu=50%", "--assume", "+dla", "--assume", "tick=5000", "--json").stdout
+        cases = json.loads(told)["what_if"]
+        self.assertEqual([case["change"] for case in cases],
+                         ["tick at 100 Hz", "gpu at 50 % of its WCETs", "one more dla", "tick at 5000 Hz"])
+        self.assertEqual([case["outcome"] for case in cases], ["policy", "policy", "policy", "unsustainable"])
+        self.assertIn("mpc", cases[3]["proof"] + told)
+        table = self.solve("--assume", "tick=100").stdout
+        self.assertIn("tick at 100 Hz", table)
+        for wrong in ("tick", "nobody=30", "gpu=0%", "+npu", "tick=50"):
+            self.assertIn("--assume", self.solve("--assume", wrong, status=2).stderr)
+
+    def test_explain_names_windows_paths_and_moves(self):
+        self.solve()
+        told = json.loads(self.run_tool("explain", "--app", "app.json", "--policy", "policy.json", "--json").stdout)
+        self.assertEqual({chain["name"] for chain in told["chains"]}, {chain["name"] for chain in self.app["chains"]})
+        self.assertTrue(any(move["change"].startswith("mpc on cpu") for move in told["moves"]), told["moves"])
+        self.assertIn("The worst off is brake", self.run_tool("explain", "--app", "app.json", "--policy", "policy.json").stdout)
+
     def test_what_is_not_for_this_version_is_refused(self):
         self.solve()
         for arguments in (["solve", "--app", "app.json", "--method", "ilp"], ["solve", "--app", "app.json", "--deadline-us", 5],
                           ["simulate", "--app", "app.json", "--model", "ros2"],
-                          ["explain", "--app", "app.json", "--policy", "policy.json"],
                           ["run", "--app", "app.json", "--policy", "policy.json", "--", "true"]):
             with self.subTest(arguments=arguments):
                 self.assertIn("version", self.run_tool(*arguments, status=2).stderr)

@@ -14,6 +14,7 @@
 #include "story/account.h"
 
 #include "xauto/command.h"
+#include "xauto/periodic.h"
 
 namespace xauto::cli {
 namespace {
@@ -157,8 +158,9 @@ Result<int> explain(const ExplainFlags& flags, const Options& options) {
     if (path->empty())
       return fail(ErrorCode::kInvalid, "is needed", option,
                   "or give the trace of a run: xauto explain --trace FILE.pftrace");
-  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
+  XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  if (app.version == 2) return explain_periodic(app, platform, flags.policy, options);
   XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
   XAUTO_ASSIGN(const solver::Explanation why, solver::explain(app, platform, policy));
   const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };

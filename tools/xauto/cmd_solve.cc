@@ -39,6 +39,7 @@ struct SolveFlags {
   bool what_if = false;
   std::vector<std::string> implement;
   std::string hint;
+  std::vector<std::string> assume;
   bool keep = false;
   solver::SolveOptions options;
 };
@@ -211,10 +212,11 @@ Result<int> solve_on_and_on(SolveFlags& flags, const AppSpec& app, const Options
     return fail(ErrorCode::kInvalid, "has one method, auto", "an app of version 2",
                 "leave --method out");
   if (flags.wishes.deadline_us > 0)
-    return fail(ErrorCode::kInvalid, "is of one release", "--deadline-us",
+    return fail(ErrorCode::kInvalid, "is for an app of version 1, one release", "--deadline-us",
                 "give the chains of app.json deadlines");
   if (flags.what_if || !flags.implement.empty())
-    return fail(ErrorCode::kInvalid, "not yet for an app of version 2", "--what-if, --implement");
+    return fail(ErrorCode::kInvalid, "are for an app of version 1", "--what-if, --implement",
+                "ask with --assume");
   solver::steady::Options asked;
   XAUTO_ASSIGN(asked.wishes, load_objectives(flags.app));
   asked.wishes.chains.clear();  // the app's own
@@ -232,7 +234,7 @@ Result<int> solve_on_and_on(SolveFlags& flags, const AppSpec& app, const Options
   asked.stop = &interrupted;
   std::signal(SIGINT, on_interrupt);
   std::signal(SIGTERM, on_interrupt);
-  return solve_periodic(app, platform, asked, flags.out, options);
+  return solve_periodic(app, platform, asked, flags.assume, flags.out, options);
 }
 
 Result<int> solve(SolveFlags& flags, const Options& options) {
@@ -240,8 +242,8 @@ Result<int> solve(SolveFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
   if (app.version == 2) return solve_on_and_on(flags, app, options);
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
-  if (!flags.hint.empty() || flags.keep)
-    return fail(ErrorCode::kInvalid, "are for an app of version 2", "--hint, --keep");
+  if (!flags.hint.empty() || flags.keep || !flags.assume.empty())
+    return fail(ErrorCode::kInvalid, "are for an app of version 2", "--hint, --keep, --assume");
   XAUTO_TRY(read_objectives(flags));
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", flags.out));
@@ -302,6 +304,9 @@ void add_solve(Commands& commands) {
   verb.flag("--what-if", flags->what_if,
             "what one more XPU, or another implementation on the chain that limits, would gain");
   verb.option("--hint", flags->hint, "version 2: a policy.json of this app to begin with");
+  verb.option(
+      "--assume", flags->assume,
+      "version 2: what would be if SOURCE=HZ, TYPE=PERCENT% of its WCETs, or +TYPE one more");
   verb.flag("--keep", flags->keep, "version 2: with --hint, what runs where stays");
   verb.option("--implement", flags->implement,
               "XNODE=TYPE:WCET_US: what this implementation would gain");

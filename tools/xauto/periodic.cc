@@ -14,6 +14,7 @@
 #include "model/json.h"
 #include "model/json_value.h"
 #include "solver/steady/check.h"
+#include "solver/steady/what_if.h"
 
 #include "xauto/outputs.h"
 
@@ -107,6 +108,56 @@ Json proofs(const steady::CheckReport& report) {
   return list;
 }
 
+const char* words(steady::Outcome outcome) {
+  switch (outcome) {
+    case steady::Outcome::kPolicy:
+      return "policy";
+    case steady::Outcome::kUnsustainable:
+      return "unsustainable";
+    case steady::Outcome::kUnknown:
+      break;
+  }
+  return "unknown";
+}
+
+Json cases_of(const AppSpec& app, const std::vector<steady::WhatIf>& ifs) {
+  Json list = Json::array();
+  for (const steady::WhatIf& what : ifs) {
+    Json j = {{"change", what.change}, {"outcome", words(what.outcome)}};
+    if (!what.overload.empty()) j["proof"] = what.overload;
+    for (std::size_t c = 0; c < what.worst_case_us.size(); ++c)
+      j["chains"].push_back(
+          {{"name", app.chains[c].name}, {"worst_case_us", what.worst_case_us[c]}});
+    list.push_back(std::move(j));
+  }
+  return list;
+}
+
+/// A line per case: the chain that changes most for the worse, and the one that gains most.
+std::string what_if_table(const AppSpec& app, const KeyPolicy& policy,
+                          const std::vector<steady::WhatIf>& ifs) {
+  std::string out;
+  if (!ifs.empty()) out += "\n  What if ...\n";
+  for (const steady::WhatIf& what : ifs) {
+    out += fmt::format("  {:<34}", what.change);
+    if (what.outcome != steady::Outcome::kPolicy) {
+      out += what.outcome == steady::Outcome::kUnsustainable
+                 ? "no policy keeps up: " + what.overload + "\n"
+                 : "unknown: no policy found in this time\n";
+      continue;
+    }
+    std::string changes;
+    for (std::size_t c = 0; c < what.worst_case_us.size(); ++c) {
+      const std::int64_t more = what.worst_case_us[c] - policy.chains[c].worst_case_us;
+      if (more != 0)
+        changes += fmt::format("{}{} {:+.3f} ms", changes.empty() ? "" : ", ", app.chains[c].name,
+                               static_cast<double>(more) / 1000);
+    }
+    out += (changes.empty() ? "no chain changes" : changes) + "\n";
+  }
+  return out;
+}
+
 int tell_unsustainable(const AppSpec& app, const Platform& platform, const steady::Answer& answer,
                        const Options& options) {
   const steady::Overload& proof = answer.overload;
@@ -175,8 +226,8 @@ class Line {
 }  // namespace
 
 Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
-                           const steady::Options& asked, const std::string& out,
-                           const Options& options) {
+                           const steady::Options& asked, const std::vector<std::string>& assume,
+                           const std::string& out, const Options& options) {
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", out));
   Line line;
@@ -199,6 +250,17 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
     return fail(ErrorCode::kInternal,
                 "the solver's answer does not pass the check: " + checked.error().to_string(),
                 app.name + " on " + platform.name, "report it with app and platform");
+  std::vector<steady::WhatIf> ifs;
+  for (const std::string& text : assume) {
+    steady::Options small = asked;
+    small.time_limit_s = std::min(2.0, asked.time_limit_s);
+    auto what = steady::assume(app, platform, answer.policy, text, small);
+    if (!what) {
+      what.error().where = "--assume " + what.error().where;
+      return tl::unexpected<Error>(std::move(what).error());
+    }
+    ifs.push_back(std::move(*what));
+  }
   const bool late = misses(app, answer.policy);
   const bool never = impossible(app, answer.lower_bound_us);
   if (options.json) {
@@ -206,6 +268,7 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
     root["evaluations"] = answer.evaluations;
     root["first_answer_ms"] = answer.first_answer_ms;
     root["proofs"] = proofs(*checked);
+    if (!ifs.empty()) root["what_if"] = cases_of(app, ifs);
     root["deadlines"] = never  ? "proven impossible"
                         : late ? "missed; not proven impossible"
                                : "met";
@@ -219,6 +282,7 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                      "\n  worst case: {}.\n  The check of this policy has derived all of it again. "
                      "Lower bound: no policy of keys has a shorter worst case.\n",
                      kKeyScope);
+    std::cout << what_if_table(app, answer.policy, ifs);
     if (late)
       std::cout << (never ? "\n  A deadline is missed, and no policy meets it: proven.\n"
                           : "\n  A deadline is missed. That no policy meets it is not proven.\n");
@@ -228,6 +292,52 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
   if (!options.json && !out.empty() && outputs.good())
     std::cout << fmt::format("\n  written to {}\n", out);
   return outputs.status(never ? kAnswerIsNo : kDone);
+}
+
+Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
+                             const Options& options) {
+  XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
+  XAUTO_ASSIGN(const steady::CheckReport report, steady::check(app, platform, policy));
+  // The chain that is worst off: in parts of its deadline, or else the longest.
+  std::size_t worst = 0;
+  double most = -1;
+  for (std::size_t c = 0; c < report.chains.size(); ++c) {
+    const steady::ChainProof& chain = report.chains[c];
+    const double part = static_cast<double>(chain.derived_us) /
+                        (chain.deadline_us ? static_cast<double>(*chain.deadline_us) : 1e15);
+    if (part > most) worst = c;
+    most = std::max(most, part);
+  }
+  std::vector<int> on_path;
+  if (!report.chains.empty())
+    for (const std::string& step : report.chains[worst].path)
+      if (const int i = app.find(step);
+          i >= 0 && std::find(on_path.begin(), on_path.end(), i) == on_path.end())
+        on_path.push_back(i);
+  steady::Options small;
+  small.time_limit_s = 0.5;
+  XAUTO_ASSIGN(const auto moved, steady::moves(app, platform, policy, on_path, small));
+  if (options.json) {
+    Json root = {{"schema", "xauto.explanation"}, {"version", 2}, {"proofs", proofs(report)}};
+    for (const steady::ChainProof& chain : report.chains)
+      root["chains"].push_back(
+          {{"name", chain.name}, {"worst_case_us", chain.derived_us}, {"path", chain.path}});
+    root["moves"] = cases_of(app, moved);
+    std::cout << root.dump(2) << "\n";
+    return kDone;
+  }
+  std::cout << proof_table(policy, report) << "\n";
+  for (const steady::ChainProof& chain : report.chains) {
+    std::string way;
+    for (const std::string& step : chain.path) way += (way.empty() ? "" : " > ") + step;
+    std::cout << fmt::format("  {}: {}, along {}\n", chain.name, ms(chain.derived_us), way);
+  }
+  if (!report.chains.empty())
+    std::cout << fmt::format(
+                     "\n  The worst off is {}. Its XNodes elsewhere, all others where they are:",
+                     report.chains[worst].name)
+              << what_if_table(app, policy, moved);
+  return kDone;
 }
 
 Result<int> check_periodic(const AppSpec& app, const Platform& platform, const std::string& path,

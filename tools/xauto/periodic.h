@@ -2,8 +2,8 @@
 // What solve, check and simulate do with an app of version 2: sources that release on and on.
 #pragma once
 
-#include <atomic>
 #include <string>
+#include <vector>
 
 #include "solver/steady/play.h"
 #include "solver/steady/solve.h"
@@ -13,9 +13,14 @@
 namespace xauto::cli {
 
 /// `asked.wishes` are filled in; the policy goes to `out`, if there is one. Status 1: none keeps up.
+/// `assume`: changes whose effect is told (solver/steady/what_if.h).
 [[nodiscard]] Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                                          const solver::steady::Options& asked,
+                                         const std::vector<std::string>& assume,
                                          const std::string& out, const Options& options);
+/// The tightest windows, the worst path of each chain, and what moving its XNodes would bring.
+[[nodiscard]] Result<int> explain_periodic(const AppSpec& app, const Platform& platform,
+                                           const std::string& policy, const Options& options);
 [[nodiscard]] Result<int> check_periodic(const AppSpec& app, const Platform& platform,
                                          const std::string& policy, const Options& options);
 [[nodiscard]] Result<int> simulate_periodic(const AppSpec& app, const Platform& platform,

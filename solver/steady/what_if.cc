@@ -1,0 +1,120 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/steady/what_if.h"
+
+#include <algorithm>
+#include <charconv>
+#include <set>
+
+#include "model/components.h"
+
+namespace xauto::solver::steady {
+namespace {
+
+constexpr std::int64_t kMostPercent = 10'000;
+
+Result<WhatIf> ask(const AppSpec& app, const Platform& platform, const KeyPolicy& begin,
+                   std::string change, Options options) {
+  options.hint = &begin;
+  options.on_progress = nullptr;
+  auto solved = solve(app, platform, options);
+  if (!solved && !options.keep) {  // where it was is no place any more
+    options.hint = nullptr;
+    solved = solve(app, platform, options);
+  }
+  if (!solved) return tl::unexpected<Error>(std::move(solved).error());
+  Answer& answer = *solved;
+  WhatIf what{std::move(change), answer.outcome, std::move(answer.overload.text), {}};
+  for (const ChainClaim& claim : answer.policy.chains)
+    what.worst_case_us.push_back(claim.worst_case_us);
+  return what;
+}
+
+/// All WCETs on a type, rounded up.
+void scale(AppSpec& app, const std::string& type, std::int64_t percent) {
+  for (XNodeSpec& xnode : app.xnodes)
+    if (const auto wcet = xnode.wcet_us.find(type); wcet != xnode.wcet_us.end())
+      wcet->second = std::max<std::int64_t>(1, (wcet->second * percent + 99) / 100);
+}
+
+}  // namespace
+
+Result<WhatIf> assume(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+                      const std::string& text, const Options& options) {
+  const auto refuse = [&](const char* what) {
+    return fail(ErrorCode::kInvalid, what, "'" + text + "'", "SOURCE=HZ, TYPE=PERCENT% or +TYPE");
+  };
+  if (text.starts_with('+')) {
+    const std::string type = text.substr(1);
+    const std::vector<int> there = platform.instances_of(type);
+    if (there.empty()) return refuse("the platform has no XPU of this type");
+    Platform larger = platform;
+    Xpu more = platform.xpus[static_cast<std::size_t>(there.front())];
+    for (std::size_t n = there.size(); larger.find(more.id) >= 0; ++n)
+      more.id = type + std::to_string(n);
+    larger.xpus.push_back(more);
+    return ask(app, larger, policy, "one more " + type, options);
+  }
+  const std::size_t equals = text.rfind('=');
+  if (equals == std::string::npos || equals == 0) return refuse("is no change that is known");
+  const std::string name = text.substr(0, equals);
+  std::string value = text.substr(equals + 1);
+  AppSpec changed = app;
+  if (value.ends_with('%')) {
+    value.pop_back();
+    std::int64_t percent = 0;
+    const auto [end, error] = std::from_chars(value.data(), value.data() + value.size(), percent);
+    if (error != std::errc() || end != value.data() + value.size() || percent < 1 ||
+        percent > kMostPercent)
+      return refuse("is no percentage from 1 to 10000");
+    if (platform.instances_of(name).empty()) return refuse("the platform has no XPU of this type");
+    scale(changed, name, percent);
+    return ask(changed, platform, policy, name + " at " + value + " % of its WCETs", options);
+  }
+  const auto source = std::ranges::find(changed.sources, name, &SourceSpec::name);
+  if (source == changed.sources.end()) return refuse("the app has no source of this name");
+  const auto period = Period::of_rate(value);
+  if (!period) return tl::unexpected<Error>(period.error());
+  // Its component has one period: all of its sources change.
+  const Period before = source->period;
+  XAUTO_ASSIGN(const Components parts, find_components(app));
+  const int s = static_cast<int>(source - changed.sources.begin());
+  for (const xauto::Component& c : parts.components)
+    if (std::ranges::count(c.sources, s) > 0)
+      for (const int other : c.sources)
+        changed.sources[static_cast<std::size_t>(other)].period = *period;
+  source->period = *period;
+  if (before == *period) return refuse("it has this rate");
+  if (source->offset_us * period->den >= period->num)
+    return refuse("the source's offset is not below that period");
+  XAUTO_TRY(validate(changed));
+  return ask(changed, platform, policy, name + " at " + value + " Hz", options);
+}
+
+Result<std::vector<WhatIf>> moves(const AppSpec& app, const Platform& platform,
+                                  const KeyPolicy& policy, const std::vector<int>& xnodes,
+                                  const Options& options) {
+  std::vector<WhatIf> answers;
+  std::vector<int> served(platform.xpus.size(), 0);
+  for (const KeyPlacement& p : policy.placements) ++served[static_cast<std::size_t>(p.xpu)];
+  Options keep = options;
+  keep.keep = true;
+  for (const int i : xnodes) {
+    const XNodeSpec& xnode = app.xnodes[static_cast<std::size_t>(i)];
+    const int now = policy.placements[static_cast<std::size_t>(i)].xpu;
+    std::set<std::string> idle;  // types
+    for (int x = 0; x < static_cast<int>(platform.xpus.size()); ++x) {
+      const Xpu& xpu = platform.xpus[static_cast<std::size_t>(x)];
+      if (x == now || !xnode.wcet_on(xpu.type)) continue;
+      if (served[static_cast<std::size_t>(x)] == 0 && !idle.insert(xpu.type).second) continue;
+      KeyPolicy moved = policy;
+      moved.placements[static_cast<std::size_t>(i)].xpu = x;
+      auto answer = ask(app, platform, moved, xnode.name + " on " + xpu.id, keep);
+      if (!answer) continue;  // pinned, forbidden, or not with its group
+      answers.push_back(std::move(*answer));
+      if (options.stop != nullptr && options.stop->load()) return answers;
+    }
+  }
+  return answers;
+}
+
+}  // namespace xauto::solver::steady
