@@ -96,6 +96,7 @@ style() {
   one "paths named in the docs exist" scripts/check-doc-paths.sh
   one "Markdown lines of at most 120 columns" scripts/check-doc-lines.py
   one "the API is documented (doxygen)" scripts/check-api-docs.sh
+  one "clang-tidy, of what changed" scripts/check-tidy.sh
   one "what a lock guards is touched with the lock held" scripts/check-thread-safety.sh
 }
 # What runs where, each test once if it can: unit tests under ASan+UBSan, those that need speed (label `heavy`: the explorer of the
