@@ -78,14 +78,14 @@ format:
 
 # clang-tidy, by .clang-tidy: half an hour. After a build, since some headers are generated.
 tidy:
-	@scripts/setup.sh build check tidy
-	@cmake --preset ci >/dev/null && ninja -C build -j$(JOBS)
-	@scripts/sources.sh | grep '\.cc$$' | xargs -n 1 -P $(JOBS) clang-tidy --quiet -p build
+	@scripts/setup.sh build check
+	@cmake --preset debug >/dev/null && ninja -C build-debug -j$(JOBS)
+	@JOBS=$(JOBS) scripts/check-tidy.sh --all
 
 setup:
 	@scripts/setup.sh build
 
 clean:
-	@rm -rf build build-asan build-tsan build-fuzz
+	@rm -rf build build-debug build-asan build-tsan build-fuzz
 
 .PHONY: all build demo pedestrians check check-fast check-full kernel-check packages package-check modules style unit asan tsan fuzz bench docs format tidy setup clean

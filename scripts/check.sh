@@ -96,11 +96,12 @@ style() {
   one "paths named in the docs exist" scripts/check-doc-paths.sh
   one "Markdown lines of at most 120 columns" scripts/check-doc-lines.py
   one "the API is documented (doxygen)" scripts/check-api-docs.sh
+  one "clang-tidy, of what changed" scripts/check-tidy.sh
   one "what a lock guards is touched with the lock held" scripts/check-thread-safety.sh
 }
 # What runs where, each test once if it can: unit tests under ASan+UBSan, those that need speed (label `heavy`: the explorer of the
 # protocol, the solver's) in the release build, with the integration scripts; those with threads under TSan as well.
-release=(xauto xauto-coordinator xauto-emud xauto-cpusched driving camera integration_programs xauto_shared test_coord test_model test_solver)
+release=(xauto xauto-coordinator xauto-emud xauto-cpusched driving camera integration_programs xauto_shared test_coord test_solver)
 threaded='base|trace|coord|emu|transport|processes|runtime|launch'
 unit() { build ci build "${release[@]}" && { note "tests, release"; tests build -L heavy; integration build -LE long; }; }
 integration() { local dir=$1; shift; tests "$dir" -L integration "$@"; }

@@ -52,8 +52,9 @@ class Shape {
     Part whole;
     Part fork, join;
     if (o_.fork_join) fork = single();
-    const int branches = o_.branch_min + static_cast<int>(random_.below(static_cast<std::uint64_t>(
-                                             o_.branch_max - o_.branch_min + 1)));
+    const auto choices =
+        static_cast<std::uint64_t>(o_.branch_max) - static_cast<std::uint64_t>(o_.branch_min) + 1;
+    const int branches = o_.branch_min + static_cast<int>(random_.below(choices));
     std::vector<Part> parts;
     for (int b = 0; b < branches; ++b) parts.push_back(expand(depth + 1));
     if (o_.fork_join) join = single();

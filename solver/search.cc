@@ -170,8 +170,8 @@ class Annealer {
   }
 
   void cool(std::int64_t length, double hot, double cold) {
-    const double factor =
-        std::pow(cold / hot, 1.0 / static_cast<double>(length / kStepsPerTemperature + 1));
+    const std::int64_t temperatures = length / kStepsPerTemperature + 1;
+    const double factor = std::pow(cold / hot, 1.0 / static_cast<double>(temperatures));
     double temperature = hot;
     evaluator_.critical_chain(chain_);
     for (std::int64_t step = 0; step < length; ++step) {

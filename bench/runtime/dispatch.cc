@@ -213,7 +213,8 @@ Samples run_xauto(const Dag& dag, bool as_chain, int xpus, std::uint64_t rounds)
     session.coordinators[xpu.id] = address;
   }
   {
-    auto engine = runtime::Engine::create(app, session);
+    std::atomic<bool> never{false};
+    auto engine = runtime::Engine::create(app, session, never);
     if (!engine) {
       fmt::print(stderr, "xauto: {}\n", engine.error().to_string());
     } else {

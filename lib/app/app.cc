@@ -1,125 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
-// The public App, and the program around it: what a process does that an `xauto` tool has started.
+// The public App.
 #include <algorithm>
 #include <atomic>
-#include <cerrno>
-#include <cstdio>
-#include <cstdlib>
-#include <cstring>
 #include <thread>
-
-#include <signal.h>
-#include <unistd.h>
 
 #include <xauto/app.h>
 
-#include "base/log.h"
-#include "base/memory_file.h"
 #include "base/pi_mutex.h"
-#include "base/rt.h"
 #include "emu/client.h"
 #include "graph/graph.h"
 #include "launch/keeper.h"
-#include "model/json.h"
-#include "runtime/engine.h"
-#include "runtime/profiler.h"
 #include "session/notes.h"
 #include "session/session.h"
 
+#include "app/engine_run.h"
+#include "app/program.h"
 #include "app/run_options.h"
 
 namespace xauto {
-
-namespace {
-
-std::atomic<runtime::Engine*> g_engine{nullptr};
-bool g_stuck = false;             // a thread is in an exec for ever: end without its consent
-std::atomic<bool> g_stop{false};  // a signal may come before there is an engine to tell
-
-// The first SIGTERM or SIGINT drains; a second one finds the default action restored and stops.
-void on_signal(int number) {
-  g_stop.store(true);
-  if (runtime::Engine* engine = g_engine.load()) engine->request_stop();
-  signal(number, SIG_DFL);
-}
-
-Result<std::string> answer(const detail::AppSpecErased& app, const runtime::Session& session) {
-  switch (session.mode) {
-    case runtime::Mode::kDescribe: {
-      XAUTO_ASSIGN(const runtime::Graph graph, runtime::Graph::build(app));
-      return runtime::describe(graph, session.platform);
-    }
-    case runtime::Mode::kProfile: {
-      XAUTO_ASSIGN(runtime::Profiled profiled, runtime::profile(app, session, g_stop));
-      g_stuck = profiled.left_behind;
-      return std::move(profiled.text);
-    }
-    case runtime::Mode::kRun: {
-      XAUTO_ASSIGN(auto engine, runtime::Engine::create(app, session));
-      g_engine.store(engine.get());
-      if (g_stop.load()) engine->request_stop();
-      auto report = engine->run();
-      g_engine.store(nullptr);
-      const bool member = engine->member();
-      if (engine->stuck()) {
-        g_stuck = true;
-        (void)engine.release();
-      }
-      if (!report) return tl::unexpected<Error>(std::move(report).error());
-      if (member) return std::string();  // told to the hub
-      return runtime::to_json(*report);
-    }
-  }
-  return fail(ErrorCode::kInternal, "unknown session mode");
-}
-
-/// Started by hand: let the tool do what only a parent can, with the same arguments.
-int hand_over(char** argv) {
-  std::vector<std::string> words = {"xauto", "run", "--", "/proc/self/exe"};
-  char path[4096];
-  if (const ssize_t length = readlink("/proc/self/exe", path, sizeof path); length > 0)
-    words.back() = std::string(path, static_cast<std::size_t>(length));
-  for (char** word = argv + 1; *word != nullptr; ++word) words.emplace_back(*word);
-  std::vector<char*> arguments;
-  for (std::string& word : words) arguments.push_back(word.data());
-  arguments.push_back(nullptr);
-  execvp("xauto", arguments.data());
-  log::error("cannot start the xauto tool: {}", strerror(errno));
-  log::hint("start this program with `xauto run --app app.json --policy policy.json -- {}`",
-            argv[0]);
-  return 2;
-}
-
-/// Of a program that was started by hand: what it is, and who runs it.
-void print_help(const detail::AppSpecErased& app, const char* program) {
-  std::string modules, sources;
-  const auto add = [](std::string& list, const std::string& name) {
-    list += (list.empty() ? "" : ", ") + name;
-  };
-  for (const auto& module : app.modules) add(modules, module->name);
-  for (const detail::SourceSpec& source : app.sources)
-    add(sources, source.topic.name + (source.inlet ? " (pushed, at most every " : " (every ") +
-                     std::to_string(source.period.count()) + " us)");
-  std::printf(
-      "%s: an app for XAuto, which schedules its stages over CPUs, GPUs and DLAs.\n\n"
-      "  XModules  %s\n  sources   %s\n\n"
-      "The xauto tool starts it:\n"
-      "  xauto profile --platform small --app-out app.json -- %s\n"
-      "  xauto solve --app app.json --platform small --out policy.json\n"
-      "  xauto run --app app.json --platform small --policy policy.json -- %s\n\n"
-      "What stands behind the program's name there is handed to it. `xauto run --help` has the "
-      "flags.\n",
-      app.name.c_str(), modules.empty() ? "none" : modules.c_str(),
-      sources.empty() ? "none" : sources.c_str(), program, program);
-}
-
-bool asks_for_help(char** argv) {
-  for (char** word = argv; *word != nullptr; ++word)
-    if (std::strcmp(*word, "--help") == 0 || std::strcmp(*word, "-h") == 0) return true;
-  return false;
-}
-
-}  // namespace
 
 struct App::Data {
   detail::AppSpecErased spec;
@@ -130,18 +28,9 @@ struct App::Data {
     kGoesOn,
     kStuck
   } state XAUTO_GUARDED_BY(mutex) = Run::kNone;
-  bool stopped XAUTO_GUARDED_BY(mutex) = false;               ///< the run that goes on
-  runtime::Engine* engine XAUTO_GUARDED_BY(mutex) = nullptr;  ///< of that run, once there is one
+  std::atomic<bool> stop{false};  ///< the run that goes on
 
-  void stop() {
-    const Guard lock(mutex);
-    if (state != Run::kGoesOn) return;
-    stopped = true;
-    if (engine != nullptr) engine->request_stop();
-  }
   Result<RunReport> run(const RunOptions& options, const std::shared_ptr<Data>& self);
-  [[nodiscard]] Result<runtime::RunReport> run_engine(const runtime::Session& session,
-                                                      const std::shared_ptr<Data>& self);
 };
 
 App::App(std::string name) : data_(std::make_shared<Data>()) {
@@ -194,7 +83,7 @@ Result<RunReport> App::run(const RunOptions& options) {
       return fail(ErrorCode::kUnavailable, "an exec of its last run never returned", where,
                   "only the end of this process ends its thread");
     data_->state = Data::Run::kGoesOn;
-    data_->stopped = false;
+    data_->stop = false;
   }
   Result<RunReport> report = data_->run(options, data_);
   const Guard lock(data_->mutex);
@@ -203,7 +92,11 @@ Result<RunReport> App::run(const RunOptions& options) {
 }
 
 void App::stop() {
-  data_->stop();
+  data_->stop = true;  // a run that begins later begins with false
+}
+
+int App::main(int, char** argv) {
+  return app::program(data_->spec, argv);
 }
 
 Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_ptr<Data>& self) {
@@ -213,7 +106,7 @@ Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_pt
   bool emulator_died = false;
   XAUTO_ASSIGN(const auto keeper, launch::Keeper::start(session, programs, [&] {
                  emulator_died = true;
-                 stop();
+                 stop = true;
                }));
   // What contexts find, of this run's threads: other runs of this process have other emulators.
   auto site = std::make_shared<emu::Site>();
@@ -223,90 +116,34 @@ Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_pt
       site->real.insert(session.platform.xpus[x].id);
   site->cpu_pool = session.scheduling == runtime::Scheduling::kRos2;
 
+  struct Held {
+    std::shared_ptr<Data> app;
+    runtime::Session session;
+  };
+  const auto held = std::make_shared<Held>(Held{self, std::move(session)});
   // On a thread of its own, whose name, emulator and priority are nobody else's.
-  Result<runtime::RunReport> ran = fail(ErrorCode::kInternal, "not run");
+  app::Ran ran;
   std::thread([&] {
     emu::set_this_threads_site(site);
-    ran = run_engine(session, self);
+    ran = app::run_engine(spec, held->session, stop, held);
   }).join();
+  if (ran.stuck) {
+    const Guard lock(mutex);
+    state = Run::kStuck;
+  }
   std::string died;
   for (const std::string& note : keeper->stop()) runtime::add_note(died, note);
-  if (!ran) {
-    Error error = std::move(ran).error();
+  if (!ran.report) {
+    Error error = std::move(ran.report).error();
     if (!died.empty()) error.what += "; " + died;
     return tl::unexpected<Error>(std::move(error));
   }
   auto data = std::make_shared<RunReport::Data>();
-  data->report = std::move(*ran);
+  data->report = *std::move(ran.report);
   data->app = spec.name;
   data->emulator_died = emulator_died;
   if (!died.empty()) runtime::add_note(data->report.note, died);
   return RunReport(std::move(data));
-}
-
-Result<runtime::RunReport> App::Data::run_engine(const runtime::Session& asked,
-                                                 const std::shared_ptr<Data>& self) {
-  // Kept for ever if a thread is left behind, which uses it.
-  struct Kept {
-    std::shared_ptr<Data> app;
-    runtime::Session session;
-    std::unique_ptr<runtime::Engine> engine;
-  };
-  auto kept = std::make_unique<Kept>(Kept{self, asked, nullptr});
-  XAUTO_ASSIGN(kept->engine, runtime::Engine::create(spec, kept->session));
-  {
-    const Guard lock(mutex);
-    engine = kept->engine.get();
-    if (stopped) engine->request_stop();
-  }
-  auto report = kept->engine->run();
-  const Guard lock(mutex);
-  engine = nullptr;
-  if (kept->engine->stuck()) {
-    state = Run::kStuck;
-    (void)kept.release();
-  }
-  return report;
-}
-
-int App::main(int, char** argv) {
-  struct sigaction action {};
-  action.sa_handler = on_signal;
-  sigaction(SIGTERM, &action, nullptr);
-  sigaction(SIGINT, &action, nullptr);
-
-  const auto session = runtime::inherited_session();
-  if (!session) {
-    log::error("{}", session.error().to_string());
-    return 2;
-  }
-  if (!session->has_value()) {
-    if (const Status good = check(); !good) {
-      log::error("{}", good.error().to_string());
-      return 2;
-    }
-    if (asks_for_help(argv)) {
-      print_help(data_->spec, argv[0]);
-      return 0;
-    }
-    return hand_over(argv);
-  }
-  if (const int process = (*session)->process; process != 0)
-    rt::set_thread_name("m:" +
-                        (*session)->processes[static_cast<std::size_t>(process - 1)].front());
-  const auto text = answer(data_->spec, **session);
-  int status = text ? 0 : 1;
-  if ((*session)->process != 0) {
-    if (!text) log::error("{}", text.error().to_string());
-  } else {
-    const std::string written = text ? *text : runtime::error_to_json(text.error());
-    if (const Status done = write_memory_file((*session)->answer_fd, written); !done) {
-      log::error("{}", done.error().to_string());
-      status = 1;
-    }
-  }
-  if (g_stuck) _exit(status);
-  return status;
 }
 
 }  // namespace xauto

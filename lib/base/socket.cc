@@ -9,9 +9,12 @@
 #include <fstream>
 #include <sstream>
 
+#include <poll.h>
 #include <sys/socket.h>
 #include <sys/un.h>
 #include <unistd.h>
+
+#include "base/clock.h"
 
 namespace xauto {
 namespace {
@@ -93,6 +96,16 @@ Status send_packet(int socket, const void* data, std::size_t bytes, const std::v
   } while (sent < 0 && errno == EINTR);
   if (sent < 0) return fail(ErrorCode::kUnavailable, errno_text("cannot send"));
   return {};
+}
+
+bool wait_readable(int fd, int timeout_ms) {
+  const std::int64_t until = now_ns() + std::int64_t{timeout_ms} * 1'000'000;
+  for (int left = timeout_ms;;) {
+    pollfd ready{fd, POLLIN, 0};
+    const int count = poll(&ready, 1, left);
+    if (count >= 0 || errno != EINTR) return count > 0;
+    left = static_cast<int>(std::max<std::int64_t>(0, (until - now_ns()) / 1'000'000));
+  }
 }
 
 Result<std::size_t> receive_packet(int socket, void* data, std::size_t bytes,

@@ -29,6 +29,9 @@ namespace xauto {
 [[nodiscard]] Result<std::size_t> receive_packet(int socket, void* data, std::size_t bytes,
                                                  std::vector<UniqueFd>* fds = nullptr);
 inline constexpr std::size_t kMaxPassedFds = 8;
+/// Whether there is something to read, or the other end is gone, within `timeout_ms`. A signal does
+/// not shorten the wait.
+[[nodiscard]] bool wait_readable(int fd, int timeout_ms);
 
 void signal_eventfd(int fd);
 void drain_eventfd(int fd);

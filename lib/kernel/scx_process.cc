@@ -5,10 +5,10 @@
 #include <cstring>
 
 #include <fcntl.h>
-#include <poll.h>
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/socket.h"
 
 namespace xauto::kernel {
 namespace {
@@ -21,12 +21,9 @@ Result<std::string> read_answer(int fd) {
   std::string text;
   const std::int64_t limit = now_ns() + std::int64_t{kReadyLimitMs} * 1'000'000;
   for (;;) {
-    pollfd ready{fd, POLLIN, 0};
     const auto left = static_cast<int>((limit - now_ns()) / 1'000'000);
-    if (left <= 0) return fail(ErrorCode::kTimeout, "did not answer within 15 s");
-    const int count = poll(&ready, 1, left);
-    if (count < 0 && errno == EINTR) continue;
-    if (count <= 0) continue;
+    if (left <= 0 || !wait_readable(fd, left))
+      return fail(ErrorCode::kTimeout, "did not answer within 15 s");
     char buffer[512];
     const ssize_t size = read(fd, buffer, sizeof buffer);
     if (size < 0 && errno == EINTR) continue;

@@ -37,10 +37,10 @@ std::uint64_t trace_capacity(const detail::AppSpecErased& app, const Session& se
 // ---- building ----------------------------------------------------------------------------------
 
 Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
-                                               const Session& session) {
+                                               const Session& session, std::atomic<bool>& stop) {
   XAUTO_ASSIGN(Graph graph, Graph::build(app));
   XAUTO_TRY(graph.matches(session.app));
-  auto engine = std::unique_ptr<Engine>(new Engine(app, session, std::move(graph)));
+  auto engine = std::unique_ptr<Engine>(new Engine(app, session, std::move(graph), stop));
   Engine& e = *engine;
   XAUTO_ASSIGN(e.plan_, Plan::make(e.graph_, app, session));
   XAUTO_ASSIGN(Routes routes, Routes::make(e.graph_, session.deployment, session.app.deadline_us));

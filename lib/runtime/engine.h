@@ -26,11 +26,14 @@
 
 namespace xauto::runtime {
 
-/// Threads: one, apart from `request_stop`, which is async-signal-safe.
+/// Threads: one.
 class Engine final : private ModuleHost {
  public:
+  /// All three outlive it. `stop`: no further releases; what is in flight is finished. Anybody sets
+  /// it, a signal handler, too; so does the engine where it cannot go on.
   [[nodiscard]] static Result<std::unique_ptr<Engine>> create(const detail::AppSpecErased& app,
-                                                              const Session& session);
+                                                              const Session& session,
+                                                              std::atomic<bool>& stop);
   ~Engine() override;
 
   /// Releases until the session's end, waits for what is in flight, stops the workers. In a member
@@ -38,14 +41,13 @@ class Engine final : private ModuleHost {
   [[nodiscard]] Result<RunReport> run();
   [[nodiscard]] bool member() const { return !role_->leads(); }
   /// After `run`: an exec has not returned and never may. Its thread uses this engine, so it must
-  /// not be destroyed: end the process without it.
+  /// not be destroyed.
   [[nodiscard]] bool stuck() const { return stuck_; }
-  /// No further releases; what is in flight is finished.
-  void request_stop() { stop_.store(true); }
 
  private:
-  Engine(const detail::AppSpecErased& app, const Session& session, Graph graph)
-      : app_(app), session_(session), graph_(std::move(graph)) {}
+  Engine(const detail::AppSpecErased& app, const Session& session, Graph graph,
+         std::atomic<bool>& stop)
+      : app_(app), session_(session), graph_(std::move(graph)), stop_(stop) {}
   // ModuleHost, called by the modules on the workers' threads.
   void activate(int module) override;
   void done(int module, std::int64_t origin_ns, std::uint64_t sequence) override;
@@ -65,7 +67,7 @@ class Engine final : private ModuleHost {
   const Session& session_;
   const Graph graph_;
   Plan plan_;
-  std::atomic<bool> stop_{false};
+  std::atomic<bool>& stop_;
   bool stuck_ = false;
   std::string left_behind_;  ///< for people
   std::unique_ptr<trace::Writer> trace_;

@@ -87,7 +87,7 @@ std::int64_t Distribution::quantile(double q) const {
 }
 
 bool Distribution::restore(std::vector<std::int64_t> exact,
-                           std::map<std::uint32_t, std::uint64_t> buckets, std::int64_t sum,
+                           const std::map<std::uint32_t, std::uint64_t>& buckets, std::int64_t sum,
                            std::int64_t max, Distribution& into) {
   if (exact.size() > kMaxExact || (!exact.empty() && !buckets.empty())) return false;
   for (const auto& [bucket, times] : buckets)

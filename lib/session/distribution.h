@@ -30,7 +30,7 @@ class Distribution {
   [[nodiscard]] std::int64_t sum() const { return sum_; }
   /// False: these numbers cannot come from a Distribution.
   [[nodiscard]] static bool restore(std::vector<std::int64_t> exact,
-                                    std::map<std::uint32_t, std::uint64_t> buckets,
+                                    const std::map<std::uint32_t, std::uint64_t>& buckets,
                                     std::int64_t sum, std::int64_t max, Distribution& into);
 
   /// Smallest values of their own bucket up to 64, then 64 buckets for each power of two.

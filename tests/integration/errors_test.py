@@ -68,6 +68,14 @@ class Errors(unittest.TestCase):
             with self.subTest(arguments=arguments):
                 self.assertEqual(xauto(*arguments).returncode, 2)
 
+    def test_too_many_values_are_refused_before_they_fill_the_memory(self):
+        with tempfile.TemporaryDirectory() as folder:
+            given = pathlib.Path(folder) / "a.json"
+            given.write_text('{"schema":"xauto.app","version":1,"junk":[0' + ",0" * 8_000_000 + "]}")
+            result = xauto("simulate", "--model", "ros2", "--app", "a.json", cwd=folder)
+            self.assertEqual(result.returncode, 2)
+            self.assertIn("a.json: has more than 8000000 values", result.stderr)
+
     def test_missing_files(self):
         result = xauto("simulate", "--model", "ros2", "--app", "/nowhere/app.json")
         self.assertEqual(result.returncode, 2)

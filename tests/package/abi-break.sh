@@ -8,31 +8,35 @@ root=$(realpath "$(dirname "$0")/../..")
 out=$(realpath -m "$1")/broken
 . "$root/tests/package/tap.sh"
 
-# broken NAME FILE SED PATTERN: one change to one file of a fresh copy.
-broken() {
-  local name=$1 file=$2 change=$3 pattern=$4
+copy() {
   rm -rf "$out"
   mkdir -p "$out"
   cp -r --parents include lib packaging/libxauto.map "$out"
-  sed -i -E "$change" "$out/$file"
-  if cmp -s "$file" "$out/$file"; then
-    echo "$name: the change does not apply any more: $file"
+}
+# change FILE SED: one change to one file of the copy.
+change() {
+  sed -i -E "$2" "$out/$1"
+  if cmp -s "$1" "$out/$1"; then
+    echo "the change does not apply any more: $1: $2"
     return 1
   fi
-  refused 'programs built before break' "$root/scripts/package-abi.sh" "$out/abi" "$out"
-  grep -qE "$pattern" "$out/abi/diff.txt" || { echo "$name: red, but without naming $pattern"; return 1; }
-  echo "red: $name"
 }
 cd "$root"
-broken "a member is added to a value type" include/xauto/xpu.h 's/^  std::uintptr_t value_ = 0;/& int priority_ = 0;/' SchedHandle
-broken "a function asks for more" lib/graph/app_spec.cc \
-  's/^void add_input\(XModuleSpec& module, TopicHandle topic\)/void add_input(XModuleSpec\& module, TopicHandle topic, int)/' add_input
-broken "a function is no longer exported" packaging/libxauto.map '/App::on_end/d' App::on_end
+
+# A member is added to a value type; a function asks for more; another one is no longer exported.
+copy
+change include/xauto/xpu.h 's/^  std::uintptr_t value_ = 0;/& int priority_ = 0;/'
+change lib/graph/app_spec.cc \
+  's/^void add_input\(XModuleSpec& module, TopicHandle topic\)/void add_input(XModuleSpec\& module, TopicHandle topic, int)/'
+change packaging/libxauto.map '/App::on_end/d'
+refused 'programs built before break' "$root/scripts/package-abi.sh" "$out/abi" "$out"
+for named in SchedHandle add_input App::on_end; do
+  grep -q "$named" "$out/abi/diff.txt" || { echo "red, but without naming $named"; exit 1; }
+done
+echo "red: three ways to break programs built before"
 
 # One more field in every type that only the library knows: programs built before must not notice.
-rm -rf "$out"
-mkdir -p "$out"
-cp -r --parents include lib packaging/libxauto.map "$out"
+copy
 hidden=(message.h:TopicSpec message.h:Envelope message.h:InputData message.h:MessageMemory app_spec.h:ImplSpec app_spec.h:XNodeSpecErased
   inlet.h:Inlet app_spec.h:OutputSpec app_spec.h:XModuleSpec app_spec.h:SourceSpec app_spec.h:ObserverSpec app_spec.h:AppSpecErased
   callbacks.h:SchedHandle::Callbacks)

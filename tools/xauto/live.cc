@@ -6,7 +6,6 @@
 #include <thread>
 
 #include <fmt/format.h>
-#include <poll.h>
 
 #include "base/log.h"
 #include "base/socket.h"
@@ -23,8 +22,7 @@ Result<Json> ask(const std::string& address, std::vector<UniqueFd>* fds = nullpt
   XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
   const auto kind = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
   XAUTO_TRY(send_packet(socket.get(), &kind, sizeof kind));
-  pollfd ready{socket.get(), POLLIN, 0};
-  if (poll(&ready, 1, kAnswerTimeoutMs) != 1)
+  if (!wait_readable(socket.get(), kAnswerTimeoutMs))
     return fail(ErrorCode::kTimeout, "did not answer within 1 s", address);
   std::string text(coord::kMaxStatusBytes, '\0');
   XAUTO_ASSIGN(const std::size_t size, receive_packet(socket.get(), text.data(), text.size(), fds));

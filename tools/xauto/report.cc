@@ -179,6 +179,12 @@ std::vector<Error> complaints(const PolicyRun& run) {
   return found;
 }
 
+/// How far a time is from the simulated one; nobody reads thousands of percent.
+std::string beside(std::int64_t us, std::int64_t simulated_us) {
+  const double times = static_cast<double>(us) / static_cast<double>(simulated_us);
+  return times < 10 ? fmt::format("{:+.1f} %", 100 * (times - 1)) : fmt::format("{:.0f} x", times);
+}
+
 }  // namespace
 
 bool is_healthy(const PolicyRun& run) {
@@ -313,17 +319,14 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
     // With several rates a result is not of the one release that was simulated.
     const bool same = l.count > 0 && !run.report.several_rates && run.predicted.makespan > 0;
     const auto times = base == nullptr ? std::nullopt : ratio(base->latency, &Latency::p99_us, l);
-    out += fmt::format(
-        "  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", run.name, in_ms(l.p50_us, l.count),
-        in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count), in_ms(run.predicted.makespan, 1),
-        same ? fmt::format("{:+.1f} %", 100 * (static_cast<double>(l.p50_us) /
-                                                   static_cast<double>(run.predicted.makespan) -
-                                               1))
-             : "-",
-        base == nullptr ? ""
-        : times         ? fmt::format("{:.2f}", *times)
-                        : "-",
-        l.count);
+    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", run.name,
+                       in_ms(l.p50_us, l.count), in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count),
+                       in_ms(run.predicted.makespan, 1),
+                       same ? beside(l.p50_us, run.predicted.makespan) : "-",
+                       base == nullptr ? ""
+                       : times         ? fmt::format("{:.2f}", *times)
+                                       : "-",
+                       l.count);
   }
   if (base != nullptr)
     out += "\n  p99 x: how many times lower the p99 is than under the ROS 2 model.\n";

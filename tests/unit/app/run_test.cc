@@ -3,6 +3,8 @@
 // process, two side by side, told to stop. No time is measured.
 #include <atomic>
 #include <chrono>
+#include <filesystem>
+#include <fstream>
 #include <memory>
 #include <string>
 #include <thread>
@@ -46,6 +48,7 @@ class Fixture {
     };
     const auto exec = [this](Engine& engine, State& state, const Input& input) -> Status {
       state.value = input.get(camera);
+      while (state.value == block_at) std::this_thread::sleep_for(1h);
       return engine.context.run(100us);
     };
     XNode<State> m1("m1"), m2("m2");
@@ -94,6 +97,7 @@ class Fixture {
   App app;
   std::unique_ptr<Source<int>> source;
   std::atomic<int> alive{0}, results{0}, sum{0};
+  std::atomic<int> block_at{-1};  ///< the message whose exec never returns
 };
 
 TEST(Run, TwiceInOneProcess) {
@@ -209,6 +213,76 @@ TEST(Run, AHostThatReapsChildrenItselfDoesNotDisturb) {
   sigaction(SIGCHLD, &before, nullptr);
   ASSERT_TRUE(report) << report.error().to_string();
   EXPECT_TRUE(report->good()) << report->json();
+}
+
+/// Our children that run `program`; a daemon is a child of the thread that started it.
+std::vector<pid_t> children(const std::string& program) {
+  std::vector<pid_t> found;
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::ifstream list(task.path() / "children");
+    for (pid_t pid = 0; list >> pid;) {
+      std::string path;
+      std::getline(std::ifstream("/proc/" + std::to_string(pid) + "/cmdline"), path, '\0');
+      if (path.ends_with("/" + program)) found.push_back(pid);
+    }
+  }
+  return found;
+}
+
+TEST(Run, DaemonsThatDieAreStartedAgain) {
+  Fixture f("a", true);
+  std::thread driver;
+  f.app.on_start([&] {
+    driver = std::thread([&] {
+      const std::vector<pid_t> coordinators = children("xauto-coordinator");
+      const std::vector<pid_t> emulators = children("xauto-emud");
+      EXPECT_EQ(coordinators.size(), 2u);
+      EXPECT_EQ(emulators.size(), 1u);
+      for (int k = 0; f.source->publish(k); ++k) {
+        const int results = f.results;
+        if (k == 5)
+          for (const pid_t pid : coordinators) kill(pid, SIGKILL);
+        if (k == 10)
+          for (const pid_t pid : emulators) kill(pid, SIGKILL);
+        if (k == 20) f.app.stop();
+        for (int ms = 0; ms < 10'000 && f.results == results && k < 20; ++ms)
+          std::this_thread::sleep_for(1ms);
+      }
+    });
+  });
+  const auto report = f.app.run(f.options().activations(0));
+  driver.join();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->complete()) << report->json();
+  EXPECT_EQ(report->lost(), 0u) << report->json();
+  EXPECT_GE(f.results.load(), 20);
+  for (const char* who : {"xauto-coordinator of gpu0", "xauto-coordinator of cpu0", "xauto-emud"})
+    EXPECT_NE(report->note().find(who), std::string::npos) << report->note();
+  EXPECT_TRUE(children("xauto-coordinator").empty());
+  EXPECT_TRUE(children("xauto-emud").empty());
+}
+
+TEST(Run, AnExecThatNeverReturnsEndsTheRunAndStaysBehind) {
+  auto* f = new Fixture("a", true);  // its thread goes on using it
+  static std::atomic<Fixture*> left_behind;
+  left_behind = f;
+  f->block_at = 2;
+  f->app.on_start([&] {
+    for (int k = 0; k < 3; ++k) EXPECT_TRUE(f->source->publish(k));
+  });
+  const auto report = f->app.run(f->options().activations(3));
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_FALSE(report->complete());
+  EXPECT_EQ(f->results.load(), 2);
+  EXPECT_NE(report->note().find("M@gpu0"), std::string::npos) << report->note();
+  const auto next = f->app.run(f->options());
+  ASSERT_FALSE(next);
+  EXPECT_EQ(next.error().what, "an exec of its last run never returned");
+  // Another app of this process is not concerned.
+  Fixture other("b");
+  const auto of_other = other.app.run(other.options());
+  ASSERT_TRUE(of_other) << of_other.error().to_string();
+  EXPECT_TRUE(of_other->good()) << of_other->json();
 }
 
 TEST(Run, SignalHandlersOfTheHostAreLeftAlone) {

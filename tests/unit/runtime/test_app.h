@@ -73,8 +73,8 @@ class TestApp {
   std::function<std::shared_ptr<void>(const std::string& node)> object = [](auto&&) {
     return nullptr;
   };
-  const std::atomic<bool>* stop_when = nullptr;  ///< then the run is told to stop
-  std::atomic<int> foreign_objects{0};  ///< execs that were given another object than their own
+  std::atomic<bool>* stop_when = nullptr;  ///< then the run is told to stop
+  std::atomic<int> foreign_objects{0};     ///< execs that were given another object than their own
 
   std::vector<std::string> log() {
     const std::lock_guard lock(mutex_);
@@ -103,17 +103,11 @@ class TestApp {
       }
     }
     Result<RunReport> report = fail(ErrorCode::kInternal, "not run");
-    auto engine = Engine::create(spec, session);
-    if (engine) {
-      std::thread stopper;
-      if (stop_when != nullptr)
-        stopper = std::thread([&] {
-          while (!stop_when->load()) std::this_thread::sleep_for(1ms);
-          (*engine)->request_stop();
-        });
+    std::atomic<bool> never{false};
+    auto engine = Engine::create(spec, session, stop_when != nullptr ? *stop_when : never);
+    if (engine)
       report = (*engine)->run();
-      if (stopper.joinable()) stopper.join();
-    } else
+    else
       report = tl::unexpected<Error>(engine.error());
     if (engine) engine->reset();
     signal_eventfd(stop.get());

@@ -1,0 +1,210 @@
+// SPDX-License-Identifier: Apache-2.0
+// One worker, or two that hand a chain over, where nobody schedules: threads, errors, what inits
+// have made, an exec that does not return.
+#include "runtime/worker.h"
+
+#include <chrono>
+#include <future>
+#include <stdexcept>
+
+#include <gtest/gtest.h>
+
+#include "base/clock.h"
+
+namespace xauto::runtime {
+namespace {
+
+using namespace std::chrono_literals;
+
+/// A module of two XNodes "a" and "b", on the workers that a test says.
+class WorkerTest : public ::testing::Test, public ModuleHost {
+ protected:
+  WorkerTest() {
+    spec_.name = "M";
+    spec_.make_state = []() -> std::shared_ptr<void> { return std::make_shared<int>(); };
+    spec_.inputs = {*detail::topic_spec(Topic<int>("in"))};
+    graph_.modules.push_back({"M", &spec_, {}, {}, {}, true});
+    graph_.single_rate = true;
+    module_ =
+        std::make_unique<ModuleRuntime>(graph_, 0, *this, std::vector<const transport::Channel*>{});
+    row_.module = 0;
+    row_.runtime = module_.get();
+    for (const char* name : {"a", "b"}) {
+      auto impl = std::make_unique<detail::ImplSpec>();
+      impl->init = [](const XpuId&, std::shared_ptr<void>&) { return SchedHandle::gate(); };
+      impl->exec = [this, name = std::string(name)](void*, void*, const Input& input) {
+        say(name + std::to_string(input.sequence()));
+        return Status();
+      };
+      Placed placed;
+      placed.name = name;
+      placed.xnode = static_cast<std::uint32_t>(row_.nodes.size());
+      placed.impl = impl.get();
+      impls_.push_back(std::move(impl));
+      row_.nodes.push_back(std::move(placed));
+    }
+    threads_ = std::move(*xpu::CpuThreads::create({}));
+  }
+
+  /// Both XNodes on it.
+  Worker& only() {
+    Worker& worker = add("M@npu0");
+    for (Placed& placed : row_.nodes) placed.worker = &worker;
+    return worker;
+  }
+  Worker& add(const std::string& name) {
+    WorkerOptions options{name, 0, {npu_, {"npu0", XPU("npu"), 0}}, {}, 0, 0, {}, {}};
+    options.backend.scheduled = false;
+    workers_.push_back(std::make_unique<Worker>(options, row_, nullptr, *threads_));
+    return *workers_.back();
+  }
+  /// An activation, and its end.
+  bool run(std::uint64_t sequence) {
+    over_ = std::promise<bool>();
+    auto over = over_.get_future();
+    module_->receive(0, {std::make_shared<const int>(0), 1, sequence});
+    return over.wait_for(30s) == std::future_status::ready && over.get();
+  }
+  void say(const std::string& what) {
+    const Guard lock(mutex_);
+    said_ += (said_.empty() ? "" : " ") + what;
+  }
+  std::string said() {
+    const Guard lock(mutex_);
+    return said_;
+  }
+
+  void activate(int) override { row_.nodes.front().worker->submit(0); }
+  void done(int, std::int64_t, std::uint64_t) override { over_.set_value(true); }
+  void dropped(int, std::uint64_t, std::uint32_t) override { over_.set_value(false); }
+  void skip(int, std::uint64_t) override {}
+
+  const Xpu npu_{"npu0", "npu", false};
+  detail::XModuleSpec spec_;
+  Graph graph_;
+  std::unique_ptr<ModuleRuntime> module_;
+  std::vector<std::unique_ptr<detail::ImplSpec>> impls_;
+  NodeRow row_;
+  std::unique_ptr<xpu::CpuThreads> threads_;
+  std::promise<bool> over_;
+  std::vector<std::unique_ptr<Worker>> workers_;
+
+ private:
+  PiMutex mutex_;
+  std::string said_ XAUTO_GUARDED_BY(mutex_);
+};
+
+TEST_F(WorkerTest, RunsTheChainInOrderOnOneThreadOfItsOwn) {
+  std::vector<std::thread::id> ids;  // execution thread; read after its end
+  for (auto& impl : impls_)
+    impl->exec = [&, exec = impl->exec](void* object, void* state, const Input& input) {
+      ids.push_back(std::this_thread::get_id());
+      return exec(object, state, input);
+    };
+  Worker& worker = only();
+  ASSERT_TRUE(worker.start());
+  EXPECT_TRUE(run(0));
+  EXPECT_TRUE(run(1));
+  EXPECT_TRUE(worker.stop());
+  EXPECT_EQ(said(), "a0 b0 a1 b1");
+  ASSERT_EQ(ids.size(), 4u);
+  for (const std::thread::id id : ids) {
+    EXPECT_EQ(id, ids.front());
+    EXPECT_NE(id, std::this_thread::get_id());
+  }
+}
+
+TEST_F(WorkerTest, HandsTheChainOverToTheNextWorker) {
+  Worker& first = add("M@npu0");
+  Worker& second = add("M@npu1");
+  row_.nodes[0].worker = &first;
+  row_.nodes[1].worker = &second;
+  ASSERT_TRUE(first.start());
+  ASSERT_TRUE(second.start());
+  for (std::uint64_t k = 0; k < 3; ++k) EXPECT_TRUE(run(k));
+  EXPECT_EQ(said(), "a0 b0 a1 b1 a2 b2");
+  // Either may be gone first.
+  EXPECT_TRUE(second.stop());
+  EXPECT_TRUE(first.stop());
+}
+
+TEST_F(WorkerTest, AnInitThatThrowsIsNamedAndNothingRuns) {
+  impls_[1]->init = [](const XpuId&, std::shared_ptr<void>&) -> SchedHandle {
+    throw std::runtime_error("no engine");
+  };
+  Worker& worker = only();
+  const Status started = worker.start();
+  ASSERT_FALSE(started);
+  EXPECT_EQ(started.error().what, "threw: no engine");
+  EXPECT_EQ(started.error().where, "init of XNode 'b' on npu0");
+  EXPECT_TRUE(worker.stop());
+  EXPECT_EQ(said(), "");
+}
+
+TEST_F(WorkerTest, AnExecThatFailsEndsItsActivationOnly) {
+  impls_[0]->exec = [](void*, void*, const Input& input) -> Status {
+    if (input.sequence() == 0) return fail(ErrorCode::kUnavailable, "no image");
+    if (input.sequence() == 1) throw 7;
+    return {};
+  };
+  Worker& worker = only();
+  ASSERT_TRUE(worker.start());
+  EXPECT_EQ(worker.first_failure(), "");
+  EXPECT_FALSE(run(0));
+  EXPECT_FALSE(run(1));
+  EXPECT_TRUE(run(2));
+  EXPECT_TRUE(worker.stop());
+  EXPECT_EQ(said(), "b2");
+  EXPECT_NE(worker.first_failure().find("exec of XNode 'a' on npu0"), std::string::npos);
+  EXPECT_NE(worker.first_failure().find("no image"), std::string::npos) << worker.first_failure();
+}
+
+TEST_F(WorkerTest, WhatInitsHaveMadeGoesOnTheirThreadTheLastOneFirst) {
+  std::vector<std::thread::id> ids;
+  for (std::size_t n = 0; n < 2; ++n)
+    impls_[n]->init = [&, n](const XpuId& id, std::shared_ptr<void>& object) {
+      ids.push_back(std::this_thread::get_id());
+      object = std::shared_ptr<void>(new int(0), [&, n](int* made) {
+        ids.push_back(std::this_thread::get_id());
+        say("end" + std::to_string(n));
+        delete made;
+      });
+      say("init" + std::to_string(n) + "@" + id.name);
+      return SchedHandle::gate();
+    };
+  Worker& worker = only();
+  ASSERT_TRUE(worker.start());
+  EXPECT_TRUE(run(0));
+  EXPECT_TRUE(worker.stop());
+  EXPECT_EQ(said(), "init0@npu0 init1@npu0 a0 b0 end1 end0");
+  for (const std::thread::id id : ids) EXPECT_EQ(id, ids.front());
+}
+
+TEST_F(WorkerTest, AnExecThatDoesNotReturnIsFoundOnce) {
+  std::promise<void> inside, leave;
+  impls_[0]->exec = [&](void*, void*, const Input&) -> Status {
+    inside.set_value();
+    leave.get_future().wait();
+    return {};
+  };
+  XNodeLine line;
+  row_.nodes[0].line = &line;
+  row_.nodes[0].limits.hang_ns = 1'000'000;
+  Worker& worker = only();
+  ASSERT_TRUE(worker.start());
+  std::thread driver([&] { EXPECT_TRUE(run(0)); });
+  inside.get_future().wait();
+  const auto hung = worker.find_hung(now_ns() + 5'000'000);
+  ASSERT_TRUE(hung);
+  EXPECT_EQ(hung->placed->name, "a");
+  EXPECT_EQ(hung->sequence, 0u);
+  EXPECT_FALSE(worker.find_hung(now_ns() + 6'000'000)) << "once is enough";
+  EXPECT_TRUE(worker.in_exec());
+  leave.set_value();
+  driver.join();
+  EXPECT_TRUE(worker.stop());
+  EXPECT_FALSE(worker.in_exec());
+}
+
+}  // namespace
+}  // namespace xauto::runtime
