@@ -228,6 +228,23 @@ TEST(Periodic, Version1HasNothingOfVersion2) {
   EXPECT_TRUE(refused([](AppSpec& a) { a.version = 3; }));
 }
 
+TEST(Periodic, AppOfVersion1BecomesOneOfVersion2WhereItsPeriodsAllow) {
+  AppSpec app = parse_app(test::slurp(test::golden() / "app-sources.json"), "a").value();
+  const auto refused = as_version_2(app);
+  ASSERT_FALSE(refused) << "an XNode hears of 33333 us and of 100000 us";
+  EXPECT_EQ(refused.error().where, "/xnodes/3/source");
+  app.xnodes[3].sources = {1};
+  const auto periodic = as_version_2(app);
+  ASSERT_TRUE(periodic) << periodic.error().to_string();
+  EXPECT_EQ(periodic->version, 2);
+  EXPECT_EQ(periodic->modules.size(), 2u);
+  ASSERT_EQ(periodic->chains.size(), 2u);
+  EXPECT_EQ(periodic->chains[0].deadline_us, app.deadline_us);
+  EXPECT_EQ(parse_app(to_json(*periodic), "a").value(), *periodic);
+  app.xnodes[3].sources.clear();
+  EXPECT_FALSE(as_version_2(app)) << "nothing releases it";
+}
+
 // Nobody who plans one release takes it for one.
 TEST(Periodic, LoadAppTakesVersion1Alone) {
   const std::string path = (test::golden() / "app-2.json").string();

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+// Apps of version 2 to measure by: perception stacks drawn at random. The same kind and seed give
+// the same app on every machine, since nothing is computed in floating point.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "model/app.h"
+#include "model/platform.h"
+
+namespace xauto::bench {
+
+/// What is hard about a case.
+enum class Kind : std::uint8_t {
+  kRates,       ///< one clock, rates from 10 to 100 Hz that come round after at most a second
+  kPipelined,   ///< one rate, faster than a release takes: several activations in flight
+  kClocks,      ///< two or three clocks that drift
+  kLong,        ///< periods whose hyperperiod has more than 100 000 jobs, or does not fit
+  kAutomotive,  ///< many short XNodes on CPUs, from 1 ms to 1 s: thousands of jobs
+  kMixed,       ///< rates, clocks, jitter, flights and feedback at once
+  kOverload,    ///< more load than all XPUs together take: no policy keeps up
+};
+[[nodiscard]] const char* to_string(Kind kind);
+
+struct SteadyCase {
+  std::string name;  ///< "clocks-3"
+  Kind kind = Kind::kRates;
+  std::uint64_t seed = 0;
+  /// Load of the platform in percent, if every XNode could be split among its types at best:
+  /// load_ppm() / 10 000 of what was aimed at.
+  int load_pct = 0;
+  AppSpec app;
+  Platform platform;
+};
+
+/// `load_pct` is what WCETs are scaled to. Valid by construction; checked again by validate().
+[[nodiscard]] SteadyCase make_case(Kind kind, std::uint64_t seed, int load_pct);
+
+/// 52 cases: loads of 40 to 90 %, and four of overload.
+[[nodiscard]] std::vector<SteadyCase> standard_set();
+
+/// The largest of sum_i min_t w_t C_it / (T_i |t|) over weights w of the types that sum to 1, on a
+/// grid of 1/64, in millionths. It is a bound: above 1 000 000 no policy keeps up. At most three
+/// types.
+[[nodiscard]] std::int64_t load_ppm(const AppSpec& app, const Platform& platform);
+
+}  // namespace xauto::bench

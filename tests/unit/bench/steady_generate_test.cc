@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <set>
+
+#include <gtest/gtest.h>
+
+#include "model/components.h"
+#include "model/json.h"
+
+#include "bench/steady/generate.h"
+
+namespace xauto::bench {
+namespace {
+
+TEST(SteadyGenerate, StandardSetIsOfAllKindsAndReadsBack) {
+  const std::vector<SteadyCase> set = standard_set();
+  EXPECT_GE(set.size(), 40u);
+  std::set<std::string> names, hashes;
+  std::set<Kind> kinds;
+  for (const SteadyCase& made : set) {
+    SCOPED_TRACE(made.name);
+    EXPECT_TRUE(names.insert(made.name).second);
+    EXPECT_TRUE(hashes.insert(made.app.hash()).second);
+    kinds.insert(made.kind);
+    EXPECT_TRUE(validate_on(made.app, made.platform));
+    const auto again = parse_app(to_json(made.app), made.name);
+    ASSERT_TRUE(again) << again.error().to_string();
+    EXPECT_EQ(*again, made.app);
+    EXPECT_GE(made.app.xnodes.size(), 10u);
+    EXPECT_LE(made.app.xnodes.size(), 60u);
+  }
+  EXPECT_EQ(kinds.size(), 7u);
+}
+
+TEST(SteadyGenerate, KindsAreWhatTheySay) {
+  bool feedback = false, jitter = false, transfer = false, gated = false;
+  for (const SteadyCase& made : standard_set()) {
+    SCOPED_TRACE(made.name);
+    const Components found = find_components(made.app).value();
+    const std::int64_t load = load_ppm(made.app, made.platform) / 10'000;
+    if (made.kind == Kind::kOverload) {
+      EXPECT_GT(load, 100);
+      continue;
+    }
+    EXPECT_LE(load, 90);
+    if (made.kind == Kind::kClocks) {
+      EXPECT_GE(found.domains.size(), 2u);
+    }
+    if (made.kind == Kind::kPipelined) {
+      EXPECT_EQ(found.domains.size(), 1u);
+    }
+    if (made.kind == Kind::kAutomotive) {
+      EXPECT_GT(found.domains[0].jobs, 2000);
+      EXPECT_LE(found.domains[0].jobs, 20'000);
+    }
+    for (const auto& [u, v] : made.app.samples) {
+      EXPECT_NE(found.of[static_cast<std::size_t>(u)], found.of[static_cast<std::size_t>(v)]);
+      feedback |= u > v;
+    }
+    for (const SourceSpec& source : made.app.sources) jitter |= source.jitter_us > 0;
+    transfer |= !made.app.transfers.empty();
+    for (const Xpu& xpu : made.platform.xpus) gated |= !xpu.preemptive;
+  }
+  EXPECT_TRUE(feedback && jitter && transfer && gated);
+}
+
+TEST(SteadyGenerate, SameSeedIsTheSameApp) {
+  EXPECT_EQ(make_case(Kind::kMixed, 7, 60).app, make_case(Kind::kMixed, 7, 60).app);
+  EXPECT_NE(make_case(Kind::kMixed, 7, 60).app.hash(), make_case(Kind::kMixed, 8, 60).app.hash());
+  // Results are compared between versions: the set may not change by accident.
+  EXPECT_EQ(make_case(Kind::kMixed, 7, 60).app.hash(), "048287c48e2b9be7");
+}
+
+TEST(SteadyGenerate, LoadIsTheDualsOptimum) {
+  AppSpec app;
+  app.version = 2;
+  app.name = "a";
+  app.sources = {{"s", {1000}}};
+  app.xnodes = {{"x", "x", {{"cpu", 1000}}, {0}}, {"y", "y", {{"cpu", 1000}, {"gpu", 1000}}, {0}}};
+  Platform platform{"p", {{"c0", "cpu"}, {"g0", "gpu"}}};
+  // y goes to the GPU: both are full.
+  EXPECT_EQ(load_ppm(app, platform), 1'000'000);
+  app.xnodes[1].wcet_us = {{"cpu", 1000}};
+  EXPECT_EQ(load_ppm(app, platform), 2'000'000);
+  platform.xpus.push_back({"c1", "cpu"});
+  EXPECT_EQ(load_ppm(app, platform), 1'000'000);
+}
+
+}  // namespace
+}  // namespace xauto::bench
