@@ -6,7 +6,7 @@
 namespace xauto::solver::steady {
 namespace {
 
-constexpr std::size_t kMostSteps = 3'000'000;
+constexpr std::size_t kMostSteps = 200'000;
 
 /// A function of the length of an interval: `value` from `length` on.
 struct Step {
