@@ -45,6 +45,7 @@ Result<runtime::Session> RunOptions::Data::session() const {
   if (app.empty())
     return tl::unexpected<Error>(at("app", "is needed: app.json of `xauto profile`"));
   XAUTO_ASSIGN(session.app, is_text(app) ? parse_app(app, "RunOptions::app") : load_app(app));
+  XAUTO_TRY(require_version_1(session.app, "RunOptions::app"));
   XAUTO_ASSIGN(session.platform, is_text(platform)
                                      ? parse_platform(platform, "RunOptions::platform")
                                      : load_platform(platform));

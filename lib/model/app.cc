@@ -6,16 +6,15 @@
 #include <functional>
 #include <queue>
 #include <set>
+#include <tuple>
 #include <unordered_map>
 
 #include "base/index.h"
+#include "model/periodic.h"
+#include "model/refusal.h"
 
 namespace xauto {
 namespace {
-
-std::string quoted(const std::string& name) {
-  return "'" + name + "'";
-}
 
 /// XNodes of one cycle among those that a topological order leaves out, in order, first repeated at
 /// the end.
@@ -74,6 +73,99 @@ class Fnv {
   void step(unsigned char byte) { hash_ = (hash_ ^ byte) * 0x100000001b3u; }
   std::uint64_t hash_ = 0xcbf29ce484222325u;
 };
+
+/// What version 2 adds. Each list with its size, so that an entry of one is never read as one of
+/// the next.
+void add_periodic(Fnv& fnv, const AppSpec& app) {
+  const auto size = [&](std::size_t count) { fnv.add(static_cast<std::int64_t>(count)); };
+  size(app.sources.size());
+  for (const SourceSpec& source : app.sources) {
+    fnv.add(source.name);
+    for (const std::int64_t value :
+         {source.period.num, source.period.den, source.offset_us, source.jitter_us})
+      fnv.add(value);
+    fnv.add(app.clocks[at(source.clock)].name);
+    fnv.add(app.clocks[at(source.clock)].ppm);
+  }
+  // By name: the order of the modules in the file means nothing.
+  std::vector<const ModuleSpec*> modules;
+  for (const ModuleSpec& module : app.modules) modules.push_back(&module);
+  std::sort(modules.begin(), modules.end(),
+            [](const ModuleSpec* a, const ModuleSpec* b) { return a->name < b->name; });
+  size(modules.size());
+  for (const ModuleSpec* module : modules) {
+    fnv.add(module->name);
+    fnv.add(module->max_in_flight);
+    fnv.add(module->optional ? 1 : 0);
+  }
+  for (const XNodeSpec& x : app.xnodes) {
+    std::vector<int> heard = x.sources;
+    std::sort(heard.begin(), heard.end());
+    size(heard.size());
+    for (const int source : heard) fnv.add(source);
+    size(x.variants.size());
+    for (const VariantSpec& variant : x.variants) {
+      fnv.add(variant.name);
+      fnv.add(variant.quality_pct);
+      size(variant.wcet_us.size());
+      for (const auto& [type, us] : variant.wcet_us) {
+        fnv.add(type);
+        fnv.add(us);
+      }
+    }
+  }
+  std::vector<std::pair<int, int>> samples = app.samples;
+  std::sort(samples.begin(), samples.end());
+  size(samples.size());
+  for (const auto& [u, v] : samples) {
+    fnv.add(u);
+    fnv.add(v);
+  }
+  size(app.chains.size());
+  for (const ChainSpec& chain : app.chains) {
+    fnv.add(chain.name);
+    for (const std::int64_t value : {std::int64_t{chain.from}, std::int64_t{chain.to},
+                                     chain.deadline_us.value_or(0), chain.weight})
+      fnv.add(value);
+  }
+  std::map<std::tuple<int, int, std::string_view, std::string_view>, std::int64_t> transfers;
+  for (const TransferSpec& t : app.transfers) {
+    const auto [u, v] = app.edges[at(t.edge)];
+    if (t.transfer_us > 0) transfers[{u, v, t.from_type, t.to_type}] = t.transfer_us;
+  }
+  size(transfers.size());
+  for (const auto& [key, us] : transfers) {
+    fnv.add(std::get<0>(key));
+    fnv.add(std::get<1>(key));
+    fnv.add(std::get<2>(key));
+    fnv.add(std::get<3>(key));
+    fnv.add(us);
+  }
+}
+
+/// Version 1 has no place for what only version 2 says: its writer would drop it.
+Status nothing_periodic(const AppSpec& app) {
+  const auto refuse = [](const std::string& what, const std::string& where) {
+    return fail(ErrorCode::kInvalid, what + ": only version 2 of app.json has that", where);
+  };
+  for (std::size_t i = 0; i < app.sources.size(); ++i) {
+    const SourceSpec& source = app.sources[i];
+    if (source.period.den != 1 || source.offset_us != 0 || source.jitter_us != 0 ||
+        source.clock != 0)
+      return refuse("source " + quoted(source.name) + " has more than a period of whole us",
+                    "/sources/" + std::to_string(i));
+  }
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+    if (!app.xnodes[i].variants.empty())
+      return refuse("XNode " + quoted(app.xnodes[i].name) + " has variants",
+                    "/xnodes/" + std::to_string(i) + "/variants");
+  if (app.clocks != AppSpec().clocks) return refuse("clocks", "/clocks");
+  if (!app.modules.empty()) return refuse("modules", "/modules");
+  if (!app.samples.empty()) return refuse("samples", "/samples");
+  if (!app.chains.empty()) return refuse("chains of the app", "/chains");
+  if (!app.transfers.empty()) return refuse("times of transfers", "/edges");
+  return {};
+}
 
 }  // namespace
 
@@ -141,6 +233,7 @@ std::vector<int> AppSpec::topological_order() const {
 
 std::string AppSpec::hash() const {
   Fnv fnv;
+  if (version > 1) fnv.add("xauto.app 2");
   fnv.add(name);
   fnv.add(static_cast<std::int64_t>(xnodes.size()));
   for (const XNodeSpec& x : xnodes) {
@@ -159,6 +252,7 @@ std::string AppSpec::hash() const {
     fnv.add(v);
   }
   fnv.add(deadline_us.value_or(0));
+  if (version > 1) add_periodic(fnv, *this);
   return fnv.hex();
 }
 
@@ -204,18 +298,12 @@ Status validate_heard(const std::vector<int>& heard, std::size_t sources, bool h
   return {};
 }
 
-Status validate(const AppSpec& app) {
-  XAUTO_TRY(validate(app.sources));
+Status validate_xnodes(const AppSpec& app) {
   if (app.xnodes.empty() || app.xnodes.size() > kMaxXNodes)
     return fail(ErrorCode::kInvalid,
                 std::to_string(app.xnodes.size()) + " XNodes; 1 to " + std::to_string(kMaxXNodes) +
                     " are possible",
                 "/xnodes");
-  if (app.edges.size() > kMaxEdges)
-    return fail(ErrorCode::kInvalid,
-                std::to_string(app.edges.size()) + " edges; at most " + std::to_string(kMaxEdges) +
-                    " are possible",
-                "/edges");
   std::unordered_map<std::string_view, std::size_t> names;
   for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
     const XNodeSpec& x = app.xnodes[i];
@@ -241,6 +329,20 @@ Status validate(const AppSpec& app) {
                     where + "/wcet_us/" + type);
     }
   }
+  return {};
+}
+
+Status validate(const AppSpec& app) {
+  if (app.version != 1 && app.version != 2)
+    return fail(ErrorCode::kInvalid, std::to_string(app.version) + " is no version of an app",
+                "/version");
+  XAUTO_TRY(validate(app.sources));
+  XAUTO_TRY(validate_xnodes(app));
+  if (app.edges.size() > kMaxEdges)
+    return fail(ErrorCode::kInvalid,
+                std::to_string(app.edges.size()) + " edges; at most " + std::to_string(kMaxEdges) +
+                    " are possible",
+                "/edges");
   if (app.deadline_us && (*app.deadline_us < 1 || *app.deadline_us > kMaxTimeUs))
     return fail(ErrorCode::kInvalid,
                 std::to_string(*app.deadline_us) + " is not a deadline from 1 to " +
@@ -267,7 +369,7 @@ Status validate(const AppSpec& app) {
   const std::vector<int> order = app.topological_order();
   if (order.size() != app.xnodes.size())
     return fail(ErrorCode::kInvalid, "cycle of XNodes: " + cycle_text(app, order), "/edges");
-  return {};
+  return app.version == 1 ? nothing_periodic(app) : validate_periodic(app);
 }
 
 std::string rates_note(const AppSpec& app) {
@@ -301,10 +403,15 @@ Status validate_on(const AppSpec& app, const Platform& platform) {
     for (const std::string& type : types) longest = std::max(longest, x.wcet_on(type).value_or(0));
     total += longest + switch_us;  // at most 2 * 10^12 each, 20 000 of them
   }
+  // What delays a release without occupying an XPU: at most 10^12 each, 2 000 000 of them.
+  for (const TransferSpec& transfer : app.transfers) total += transfer.transfer_us;
+  for (const SourceSpec& source : app.sources) total += source.offset_us + source.jitter_us;
   if (total > kMaxTimeUs)
     return fail(ErrorCode::kInvalid,
-                "the WCETs, with a preemption each, sum to " + std::to_string(total) +
-                    " us; policy.json holds times up to " + std::to_string(kMaxTimeUs) + " us",
+                std::string("the WCETs, with a preemption each, ") +
+                    (app.version > 1 ? "transfers, offsets and jitter " : "") + "sum to " +
+                    std::to_string(total) + " us; policy.json holds times up to " +
+                    std::to_string(kMaxTimeUs) + " us",
                 "/xnodes", "is the unit a microsecond?");
   return {};
 }

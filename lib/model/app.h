@@ -118,8 +118,9 @@ struct AppSpec {
   bool operator==(const AppSpec&) const = default;
 
   /// 64-bit FNV-1a over the canonical text of names, modules, WCETs, edges and deadline, as 16 hex
-  /// digits. A policy carries it, so that a stale policy is refused rather than run. Sources do not
-  /// enter it: what a policy orders does not depend on them.
+  /// digits. A policy carries it, so that a stale policy is refused rather than run. Version 1:
+  /// sources do not enter it, since what a policy orders does not depend on them. Version 2: all
+  /// does that a certificate or a chain's claim depends on.
   [[nodiscard]] std::string hash() const;
 };
 
@@ -127,14 +128,25 @@ inline constexpr std::size_t kMaxXNodes = 20'000;
 inline constexpr std::size_t kMaxEdges = 2'000'000;
 inline constexpr std::size_t kMaxNameBytes = 256;
 inline constexpr std::size_t kMaxSources = 4096;
+inline constexpr std::size_t kMaxAppChains = 20'000;
+inline constexpr std::size_t kMaxSamples = 200'000;
+inline constexpr std::size_t kMaxTransfers = 2'000'000;
+inline constexpr std::size_t kMaxVariants = 64;  ///< of one XNode
+inline constexpr std::int64_t kMaxWeight = 1000;
+inline constexpr std::int64_t kMaxInFlight = 1000;
+inline constexpr std::int64_t kMaxPpm = 100'000;  ///< a tenth: periods stay above 0
+inline constexpr std::int64_t kDefaultPpm = 100;  ///< of every clock but "main"
+inline constexpr const char* kMainClock = "main";
 
 /// Names unique and not empty, periods in [1, kMaxPeriodUs].
 [[nodiscard]] Status validate(const std::vector<SourceSpec>& sources);
 /// What an XNode hears of: sources of the app, each once, and none behind a predecessor.
 [[nodiscard]] Status validate_heard(const std::vector<int>& heard, std::size_t sources,
                                     bool has_predecessor, const std::string& where);
-/// Names unique and non-empty, an implementation for every XNode, WCETs in [1, kMaxTimeUs], edges
-/// in range, no self edge, no duplicate edge, no cycle (the message names the XNodes of one cycle).
+/// Names unique and non-empty, an implementation for every XNode, WCETs in [1, kMaxTimeUs].
+[[nodiscard]] Status validate_xnodes(const AppSpec& app);
+/// Sources and XNodes as above, edges in range, no self edge, no duplicate edge, no cycle (the
+/// message names the XNodes of one cycle). Version 2: and what model/periodic.h says.
 [[nodiscard]] Status validate(const AppSpec& app);
 /// What a policy leaves open where the sources have several rates, in one line; otherwise empty.
 [[nodiscard]] std::string rates_note(const AppSpec& app);

@@ -11,6 +11,7 @@
 #include <xauto/result.h>
 
 #include "model/app.h"
+#include "model/key_policy.h"
 #include "model/keys.h"
 #include "model/platform.h"
 #include "model/policy.h"
@@ -22,6 +23,7 @@ inline constexpr std::size_t kMaxFileBytes = 256u << 20;
 inline constexpr int kMaxJsonDepth = 64;
 
 // `origin` names the text in error messages, usually the file's path.
+/// Either version: AppSpec::version.
 [[nodiscard]] Result<AppSpec> parse_app(std::string_view text, std::string_view origin,
                                         Keys* keys = nullptr);
 [[nodiscard]] Result<Platform> parse_platform(std::string_view text, std::string_view origin,
@@ -29,23 +31,35 @@ inline constexpr int kMaxJsonDepth = 64;
 [[nodiscard]] Result<Profile> parse_profile(std::string_view text, std::string_view origin,
                                             Keys* keys = nullptr);
 /// XNode and XPU names are resolved against `app` and `platform`; `validate(policy, ...)` has
-/// passed.
+/// passed. Of an app of version 1; the next is of one of version 2. The file has its app's version.
 [[nodiscard]] Result<Policy> parse_policy(std::string_view text, std::string_view origin,
                                           const AppSpec& app, const Platform& platform,
                                           Keys* keys = nullptr);
+[[nodiscard]] Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origin,
+                                                 const AppSpec& app, const Platform& platform,
+                                                 Keys* keys = nullptr);
 
 [[nodiscard]] std::string to_json(const AppSpec& app);
 [[nodiscard]] std::string to_json(const Platform& platform);
 [[nodiscard]] std::string to_json(const Profile& profile);
 [[nodiscard]] std::string to_json(const Policy& policy, const AppSpec& app,
                                   const Platform& platform);
+[[nodiscard]] std::string to_json(const KeyPolicy& policy, const AppSpec& app,
+                                  const Platform& platform);
 
+/// For those that would take an app of version 2 for one release.
+[[nodiscard]] Status require_version_1(const AppSpec& app, const std::string& origin);
+/// Version 1 alone.
 [[nodiscard]] Result<AppSpec> load_app(const std::string& path);
+/// Either version.
+[[nodiscard]] Result<AppSpec> load_any_app(const std::string& path);
 /// `name_or_path`: a built-in name ("small", "large") or a platform.json.
 [[nodiscard]] Result<Platform> load_platform(const std::string& name_or_path);
 [[nodiscard]] Result<Profile> load_profile(const std::string& path);
 [[nodiscard]] Result<Policy> load_policy(const std::string& path, const AppSpec& app,
                                          const Platform& platform);
+[[nodiscard]] Result<KeyPolicy> load_key_policy(const std::string& path, const AppSpec& app,
+                                                const Platform& platform);
 
 /// Regular file, at most kMaxFileBytes.
 [[nodiscard]] Result<std::string> read_file(const std::string& path);

@@ -2,6 +2,7 @@
 #include "model/json_document.h"
 
 #include <algorithm>
+#include <charconv>
 #include <set>
 #include <vector>
 
@@ -168,7 +169,8 @@ std::string place(const std::string& origin, const std::string& path) {
 
 /// Whether there is an object with keys of ours at the place or below.
 bool has_keys(const Place& place) {
-  return !place.keys.empty() || (place.each && has_keys(*place.each));
+  return !place.keys.empty() || (place.element && has_keys(*place.element)) ||
+         (place.member && has_keys(*place.member));
 }
 
 void list_known(const Place& place, const std::string& path, std::vector<std::string>& known) {
@@ -177,7 +179,8 @@ void list_known(const Place& place, const std::string& path, std::vector<std::st
     known.push_back(here);
     list_known(*below, here, known);
   }
-  if (place.each) list_known(*place.each, path + "/*", known);
+  for (const Place* any : {place.element.get(), place.member.get()})
+    if (any != nullptr) list_known(*any, path + "/*", known);
 }
 
 /// Edit distance in which two neighbours exchanged count once (optimal string alignment).
@@ -214,13 +217,13 @@ std::string nearest(const Place& place, const std::string& given) {
 void list_unknown(const json& value, const Place& place, const std::string& path,
                   std::vector<Keys::Unknown>& unknown) {
   if (!has_keys(place)) return;
-  if (value.is_array() && place.each)
+  if (value.is_array() && place.element)
     for (std::size_t i = 0; i < value.size(); ++i)
-      list_unknown(value[i], *place.each, path + "/" + std::to_string(i), unknown);
+      list_unknown(value[i], *place.element, path + "/" + std::to_string(i), unknown);
   if (!value.is_object()) return;
   for (auto member = value.begin(); member != value.end(); ++member) {
     const std::string& key = member.key();
-    if (const Place* below = place.each ? place.each.get() : place.find(key))
+    if (const Place* below = place.member ? place.member.get() : place.find(key))
       list_unknown(*member, *below, path + step(key), unknown);
     else if (!key.starts_with(kOthersKeys))
       unknown.push_back({path + step(key), nearest(place, key)});
@@ -315,9 +318,14 @@ Place* Place::at(std::string_view key) {
   return keys.emplace_back(key, std::make_unique<Place>()).second.get();
 }
 
-Place* Place::any() {
-  if (!each) each = std::make_unique<Place>();
-  return each.get();
+Place* Place::any_element() {
+  if (!element) element = std::make_unique<Place>();
+  return element.get();
+}
+
+Place* Place::any_member() {
+  if (!member) member = std::make_unique<Place>();
+  return member.get();
 }
 
 Keys Reader::Context::keys(const json& document) const {
@@ -333,7 +341,7 @@ void Reader::knows(std::initializer_list<std::string_view> paths) const {
     for (std::size_t end = 0; end != std::string_view::npos; path.remove_prefix(end + 1)) {
       end = path.find('/');
       const std::string_view key = path.substr(0, end);
-      place = key == "*" ? place->any() : place->at(key);
+      place = key == "*" ? place->any_element() : place->at(key);
       if (end == std::string_view::npos) break;
     }
   }
@@ -358,7 +366,8 @@ Reader Reader::operator[](const char* key) const {
       found = &*member;
   }
   // Where the file names its members itself, one of them is as good as any other.
-  return below(key, failed() ? nullptr : found, place_->each ? place_->any() : place_->at(key));
+  return below(key, failed() ? nullptr : found,
+               place_->member ? place_->any_member() : place_->at(key));
 }
 
 Reader Reader::below(const std::string& key, const json* value, Place* place) const {
@@ -431,16 +440,38 @@ std::int64_t Reader::time() const {
   return integer(0, kMaxTimeUs);
 }
 
-void Reader::expect(const char* schema) const {
+std::string Reader::decimal() const {
+  if (value_ == nullptr) return {};
+  if (value_->is_string()) return text();
+  char digits[64];
+  std::to_chars_result end{digits, std::errc::invalid_argument};
+  if (value_->is_number_unsigned())
+    end = std::to_chars(digits, digits + sizeof digits, value_->get<std::uint64_t>());
+  else if (value_->is_number_integer())
+    end = std::to_chars(digits, digits + sizeof digits, value_->get<std::int64_t>());
+  else if (value_->is_number_float())
+    end = std::to_chars(digits, digits + sizeof digits, value_->get<double>(),
+                        std::chars_format::fixed);
+  if (end.ec == std::errc()) return {digits, end.ptr};
+  refuse("must be a number of less than 64 digits, is " + shown(*value_));
+  return {};
+}
+
+std::int64_t Reader::expect(const char* schema, std::int64_t newest) const {
   const Reader given = (*this)["schema"];
   const std::string name = given.text();
   if (!failed() && name != schema)
     given.refuse("is " + shown(name) + ", expected \"" + schema + "\"", "is this the right file?");
   const Reader version = (*this)["version"];
   const std::int64_t number = version.integer(0, INT32_MAX);
-  if (!failed() && number != 1)
-    version.refuse("is " + std::to_string(number) + ", this program reads version 1",
+  if (!failed() && (number < 1 || number > newest)) {
+    std::string readable = newest == 1 ? "version 1" : "versions 1";
+    for (std::int64_t v = 2; v <= newest; ++v)
+      readable += (v == newest ? " and " : ", ") + std::to_string(v);
+    version.refuse("is " + std::to_string(number) + ", this program reads " + readable,
                    "update xauto, or write the file again with this version");
+  }
+  return number;
 }
 
 }  // namespace xauto::json_document

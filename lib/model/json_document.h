@@ -34,13 +34,16 @@ inline constexpr std::size_t kMaxValues = 8'000'000;
 /// order is the document's.
 [[nodiscard]] std::string to_text(const nlohmann::ordered_json& document);
 
-/// One place of a format, all elements of an array being one: the keys that were asked for there.
+/// One place of a format, all elements of an array being one: the keys that were asked for there. A
+/// format may allow several kinds of value at one place.
 struct Place {
   std::vector<std::pair<std::string, std::unique_ptr<Place>>> keys;
-  std::unique_ptr<Place> each;  ///< elements of an array, or members that the file names itself
+  std::unique_ptr<Place> element;  ///< of an array
+  std::unique_ptr<Place> member;   ///< of an object whose keys the file chooses itself
   [[nodiscard]] Place* find(std::string_view key) const;  ///< null: nobody asked for it
   Place* at(std::string_view key);                        ///< asks for it
-  Place* any();
+  Place* any_element();
+  Place* any_member();
 };
 
 /// Cursor into a document. The first error sticks; reads after it give neutral values, so that the
@@ -73,7 +76,8 @@ class Reader {
   void each_element(std::size_t limit, Each each) const {
     if (!is_array(limit)) return;
     for (std::size_t i = 0; i < value_->size() && !failed(); ++i)
-      each(i, Reader(context_, &(*value_)[i], path_ + "/" + std::to_string(i), place_->any()));
+      each(i,
+           Reader(context_, &(*value_)[i], path_ + "/" + std::to_string(i), place_->any_element()));
   }
   /// each(key, Reader), of an object of at most `limit` members, in the order of the keys' bytes.
   template <class Each>
@@ -81,17 +85,21 @@ class Reader {
     if (!is_object(limit)) return;
     for (auto member = value_->begin(); member != value_->end() && !failed(); ++member)
       if (is_name(member.key()))
-        each(member.key(), below(member.key(), &member.value(), place_->any()));
+        each(member.key(), below(member.key(), &member.value(), place_->any_member()));
   }
   [[nodiscard]] bool is_text() const { return value_ != nullptr && value_->is_string(); }
+  [[nodiscard]] bool is_object() const { return value_ != nullptr && value_->is_object(); }
   /// A name: valid UTF-8 (checked by the parser), at most kMaxNameBytes, no control characters.
   [[nodiscard]] std::string text() const;
   [[nodiscard]] bool boolean() const;
   [[nodiscard]] std::int64_t integer(std::int64_t low, std::int64_t high) const;
   [[nodiscard]] std::int64_t time() const;  ///< integer from 0 to kMaxTimeUs
 
-  /// "schema" and "version" 1: the file says what it is.
-  void expect(const char* schema) const;
+  /// A number as the shortest decimal that means it, or a text as it is. Empty: refused.
+  [[nodiscard]] std::string decimal() const;
+
+  /// "schema" and "version": the file says what it is. Returns the version, 1 to `newest`.
+  std::int64_t expect(const char* schema, std::int64_t newest = 1) const;
 
  private:
   [[nodiscard]] bool is_array(std::size_t limit) const;

@@ -45,15 +45,16 @@ struct KeyPolicy {
   std::string platform;  ///< Platform::name, for people
   std::string method;
   std::vector<KeyPlacement> placements;  ///< one per AppSpec::xnodes entry, same order
-  std::vector<ChainClaim> chains;        ///< one per chain of the app (all_chains), same order
+  std::vector<ChainClaim> chains;        ///< one per AppSpec::chains entry, same order
   std::int64_t solve_ms = 0;
   bool operator==(const KeyPolicy&) const = default;
 };
 
-/// What can be said without a schedule: the policy is for this app (name and hash), every XNode is
-/// on an XPU of a type that it has an implementation for, the sizes of the arrays divide ... and
-/// keys are above 0, above those of the predecessors (of the same activation) and
-/// above hold + WCET, and key + nominal release does not fall from one activation to the next.
+/// What can be said without a schedule. The policy is for this app (name and hash); every XNode is
+/// on an XPU of a type that it has an implementation for. Its arrays have one size, which divides
+/// its activations per hyperperiod. Each job fits between being ready (hold; a root: offset and
+/// jitter; otherwise: its predecessors' keys and the transfers) and its key. Key plus nominal
+/// release does not fall from one activation to the next. Every chain of the app has a claim.
 [[nodiscard]] Status validate(const KeyPolicy& policy, const AppSpec& app,
                               const Platform& platform);
 

@@ -15,7 +15,8 @@ xauto::Platform make_platform() {
 }
 
 xauto::AppSpec make_app() {
-  return {"driving",
+  return {1,
+          "driving",
           {{"fcd.pre", "FCD", {{"cpu", 3000}, {"gpu", 900}}},
            {"fcd.infer", "FCD", {{"dla", 11000}, {"gpu", 7000}}},
            {"fcd.post", "FCD", {{"cpu", 1500}}},

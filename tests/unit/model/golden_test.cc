@@ -36,7 +36,8 @@ TEST(Golden, SourcesAreWrittenAsTheyWereReadAndDoNotChangeTheHash) {
   const std::string text = slurp(golden() / "app-sources.json");
   const auto app = parse_app(text, "app-sources.json");
   ASSERT_TRUE(app) << app.error().to_string();
-  EXPECT_EQ(app->sources, (std::vector<SourceSpec>{{"camera", {33333}}, {"lidar/größe", {100000}}}));
+  EXPECT_EQ(app->sources,
+            (std::vector<SourceSpec>{{"camera", {33333}}, {"lidar/größe", {100000}}}));
   EXPECT_EQ(app->rates(), 2u);
   EXPECT_EQ(app->xnodes[3].sources, (std::vector<int>{0, 1}));
   // A join waits for its slowest input.
@@ -49,6 +50,39 @@ TEST(Golden, SourcesAreWrittenAsTheyWereReadAndDoNotChangeTheHash) {
   ASSERT_TRUE(profile) << profile.error().to_string();
   EXPECT_EQ(profile->sources, app->sources);
   EXPECT_EQ(to_json(*profile), measured);
+}
+
+AppSpec golden_app_2() {
+  return parse_app(slurp(golden() / "app-2.json"), "app-2.json").value();
+}
+
+TEST(Golden, AppOfVersion2IsWrittenAsItWasRead) {
+  const std::string text = slurp(golden() / "app-2.json");
+  const auto app = parse_app(text, "app-2.json");
+  ASSERT_TRUE(app) << app.error().to_string();
+  EXPECT_EQ(app->version, 2);
+  EXPECT_EQ(app->clocks, (std::vector<ClockSpec>{{"main", 5}, {"lidar", 100}}));
+  EXPECT_EQ(app->sources[0], (SourceSpec{"camera", {100000, 3}, 0, 500, 0}));
+  EXPECT_EQ(app->sources[2].period, (Period{100100, 3}));
+  EXPECT_EQ(app->modules[1], (ModuleSpec{"LA", 1, true}));
+  EXPECT_EQ(app->xnodes[1].variants[0].quality_pct, 80);
+  EXPECT_EQ(app->transfers[2], (TransferSpec{0, "gpu", "gpu", 40}));
+  EXPECT_EQ(app->samples[2], std::pair(2, 0));
+  EXPECT_EQ(app->chains[0], (ChainSpec{"brake", 0, 4, 80000, 1}));
+  EXPECT_EQ(to_json(*app), text);
+}
+
+TEST(Golden, PolicyOfVersion2IsWrittenAsItWasRead) {
+  const std::string text = slurp(golden() / "policy-2.json");
+  const AppSpec app = golden_app_2();
+  const Platform platform = golden_platform();
+  const auto policy = parse_key_policy(text, "policy-2.json", app, platform);
+  ASSERT_TRUE(policy) << policy.error().to_string();
+  EXPECT_EQ(policy->placements[0].hold_us, std::vector<std::int64_t>{1500});
+  EXPECT_EQ(policy->placements[4].key_us.size(), 5u);
+  EXPECT_TRUE(policy->placements[1].start_us.empty());
+  EXPECT_EQ(policy->chains[1], (ChainClaim{"steer", 25500, 25500, true}));
+  EXPECT_EQ(to_json(*policy, app, platform), text);
 }
 
 TEST(Golden, PlatformIsWrittenAsItWasRead) {
@@ -83,6 +117,7 @@ TEST(Golden, ProfileIsWrittenAsItWasRead) {
 // The hash goes into files that outlive a release: it may not change by accident.
 TEST(Golden, HashOfTheGoldenAppIsWhatItWas) {
   EXPECT_EQ(golden_app().hash(), "d80a96965b585030");
+  EXPECT_EQ(golden_app_2().hash(), "67b8654d8e0c0ed3");
 }
 
 template <class Parse>
@@ -121,6 +156,20 @@ TEST(Golden, EveryMalformedPolicyIsRefusedWithItsMessage) {
   const Platform platform = golden_platform();
   every_case("policy", 20, [&](const std::string& text, const std::string& name) {
     return parse_policy(text, name, app, platform);
+  });
+}
+
+TEST(Golden, EveryMalformedAppOfVersion2IsRefusedWithItsMessage) {
+  every_case("app-2", 60, [](const std::string& text, const std::string& name) {
+    return parse_app(text, name);
+  });
+}
+
+TEST(Golden, EveryMalformedPolicyOfVersion2IsRefusedWithItsMessage) {
+  const AppSpec app = golden_app_2();
+  const Platform platform = golden_platform();
+  every_case("policy-2", 35, [&](const std::string& text, const std::string& name) {
+    return parse_key_policy(text, name, app, platform);
   });
 }
 

@@ -1,0 +1,291 @@
+// SPDX-License-Identifier: Apache-2.0
+// app.json, versions 1 and 2.
+#include <unordered_set>
+
+#include "model/components.h"
+#include "model/json.h"
+#include "model/json_parts.h"
+#include "model/periodic.h"
+
+namespace xauto {
+
+using namespace json_parts;
+
+namespace {
+
+std::map<std::string, std::int64_t, std::less<>> read_wcets(const Reader& reader) {
+  std::map<std::string, std::int64_t, std::less<>> wcets;
+  reader.each_member(kMaxXpus, [&](const std::string& type, const Reader& us) {
+    wcets[type] = us.integer(1, kMaxTimeUs);
+  });
+  return wcets;
+}
+
+void read_xnodes(const Reader& root, const NameIndex& sources, AppSpec& app) {
+  root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
+    XNodeSpec spec{x["name"].text(), x["module"].text(), {}};
+    spec.wcet_us = read_wcets(x["wcet_us"]);
+    spec.sources = read_heard(x, sources);
+    if (x.has("real_on"))
+      x["real_on"].each_element(kMaxXpus, [&](std::size_t, const Reader& type) {
+        const std::string name = type.text();
+        if (!type.failed() && !spec.wcet_us.contains(name))
+          return type.refuse("'" + name + "' is no key of wcet_us");
+        spec.real_on.insert(name);
+      });
+    if (app.version > 1 && x.has("variants"))
+      x["variants"].each_element(kMaxVariants, [&](std::size_t, const Reader& v) {
+        VariantSpec variant{v["name"].text()};
+        if (v.has("quality_pct")) variant.quality_pct = v["quality_pct"].integer(1, 100);
+        variant.wcet_us = read_wcets(v["wcet_us"]);
+        spec.variants.push_back(std::move(variant));
+      });
+    app.xnodes.push_back(std::move(spec));
+  });
+}
+
+// ---- version 2 ----------------------------------------------------------------------------------
+
+Period read_period(const Reader& source) {
+  const bool period = source.has("period_us"), rate = source.has("rate_hz");
+  if (period == rate) {
+    source.refuse(period ? "has both \"period_us\" and \"rate_hz\""
+                         : "has neither \"period_us\" nor \"rate_hz\"");
+    return {};
+  }
+  if (period) return {source["period_us"].integer(1, kMaxPeriodUs)};
+  const Reader hz = source["rate_hz"];
+  const std::string text = hz.decimal();
+  if (hz.failed()) return {};
+  const auto read = Period::of_rate(text);
+  if (read) return *read;
+  hz.refuse(read.error().what, read.error().hint);
+  return {};
+}
+
+/// Clocks are those of "clocks" and those that sources name; "main" is the first. What is listed
+/// twice is refused here: validate() counts them as the app does.
+void read_clocks_and_sources(const Reader& root, AppSpec& app) {
+  NameIndex index;
+  if (root.has("clocks"))
+    root["clocks"].each_element(kMaxSources, [&](std::size_t, const Reader& clock) {
+      ClockSpec spec{clock["name"].text()};
+      const bool main = spec.name == kMainClock;
+      spec.ppm = main ? 0 : kDefaultPpm;
+      if (clock.has("ppm")) spec.ppm = clock["ppm"].integer(0, kMaxPpm);
+      if (clock.failed()) return;
+      if (spec.name.empty()) return clock["name"].refuse("a clock needs a name");
+      if (!index.try_emplace(spec.name, main ? 0 : static_cast<int>(app.clocks.size())).second)
+        return clock["name"].refuse("two clocks are called '" + spec.name + "'");
+      if (main)
+        app.clocks.front() = std::move(spec);
+      else
+        app.clocks.push_back(std::move(spec));
+    });
+  index.try_emplace(kMainClock, 0);
+  root["sources"].each_element(kMaxSources, [&](std::size_t, const Reader& s) {
+    SourceSpec source{s["name"].text(), read_period(s)};
+    if (s.has("offset_us")) source.offset_us = s["offset_us"].time();
+    if (s.has("jitter_us")) source.jitter_us = s["jitter_us"].integer(0, kMaxPeriodUs);
+    if (s.has("clock")) {
+      const std::string name = s["clock"].text();
+      if (s.failed()) return;
+      if (name.empty()) return s["clock"].refuse("a clock needs a name");
+      const auto [clock, added] = index.try_emplace(name, static_cast<int>(app.clocks.size()));
+      if (added) app.clocks.push_back({name, kDefaultPpm});
+      source.clock = clock->second;
+    }
+    app.sources.push_back(std::move(source));
+  });
+}
+
+/// Behind the XNodes, since modules are put into their order, and validate() then counts anew.
+void read_modules(const Reader& root, AppSpec& app) {
+  std::unordered_set<std::string_view> named, listed;
+  for (const XNodeSpec& x : app.xnodes) named.insert(x.module);
+  if (root.has("modules"))
+    root["modules"].each_element(kMaxXNodes, [&](std::size_t, const Reader& m) {
+      ModuleSpec module{m["name"].text()};
+      if (m.has("max_in_flight"))
+        module.max_in_flight = m["max_in_flight"].integer(1, kMaxInFlight);
+      if (m.has("optional")) module.optional = m["optional"].boolean();
+      if (m.failed()) return;
+      const auto found = named.find(module.name);
+      if (found == named.end())
+        return m["name"].refuse("no XNode is in module '" + module.name + "'");
+      if (!listed.insert(*found).second)
+        return m["name"].refuse("two modules are called '" + module.name + "'");
+      app.modules.push_back(std::move(module));
+    });
+  complete_modules(app);
+}
+
+/// ["u", "v"], or {"from": "u", "to": "v", "transfer_us": {"gpu": {"dla": 300}}}.
+void read_edges(const Reader& root, const NameIndex& xnodes, AppSpec& app) {
+  root["edges"].each_element(kMaxEdges, [&](std::size_t e, const Reader& edge) {
+    if (!edge.is_object()) return app.edges.push_back(read_pair(edge, xnodes));
+    app.edges.emplace_back(read_name(edge["from"], xnodes, "XNode", "the app"),
+                           read_name(edge["to"], xnodes, "XNode", "the app"));
+    if (edge.has("transfer_us"))
+      edge["transfer_us"].each_member(kMaxXpus, [&](const std::string& from, const Reader& row) {
+        row.each_member(kMaxXpus, [&](const std::string& to, const Reader& us) {
+          app.transfers.push_back({static_cast<int>(e), from, to, us.time()});
+        });
+      });
+  });
+}
+
+void read_chains(const Reader& root, const NameIndex& sources, const NameIndex& xnodes,
+                 AppSpec& app) {
+  if (root.has("chains"))
+    root["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
+      ChainSpec chain{c["name"].text()};
+      chain.from = read_name(c["from"], sources, "source", "\"sources\"");
+      chain.to = read_name(c["to"], xnodes, "XNode", "the app");
+      if (c.has("deadline_us")) chain.deadline_us = c["deadline_us"].integer(1, kMaxTimeUs);
+      if (c.has("weight")) chain.weight = c["weight"].integer(0, kMaxWeight);
+      app.chains.push_back(std::move(chain));
+    });
+}
+
+// ---- writing ------------------------------------------------------------------------------------
+
+ordered_json clocks_to_json(const AppSpec& app) {
+  ordered_json out = ordered_json::array();
+  for (const ClockSpec& clock : app.clocks)
+    if (clock != ClockSpec{kMainClock, 0})
+      out.push_back({{"name", clock.name}, {"ppm", clock.ppm}});
+  return out;
+}
+
+ordered_json periodic_sources_to_json(const AppSpec& app) {
+  ordered_json out = ordered_json::array();
+  for (const SourceSpec& s : app.sources) {
+    ordered_json source = {{"name", s.name}};
+    if (s.period.den == 1) {
+      source["period_us"] = s.period.num;
+    } else {
+      const std::string rate = s.period.rate();
+      if (rate.find('/') == std::string::npos)
+        source["rate_hz"] = std::stoll(rate);
+      else
+        source["rate_hz"] = rate;
+    }
+    if (s.offset_us != 0) source["offset_us"] = s.offset_us;
+    if (s.jitter_us != 0) source["jitter_us"] = s.jitter_us;
+    if (s.clock != 0) source["clock"] = app.clocks[static_cast<std::size_t>(s.clock)].name;
+    out.push_back(std::move(source));
+  }
+  return out;
+}
+
+ordered_json edges_to_json(const AppSpec& app) {
+  const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
+  std::vector<ordered_json> transfer(app.edges.size());
+  for (const TransferSpec& t : app.transfers)
+    transfer[static_cast<std::size_t>(t.edge)][t.from_type][t.to_type] = t.transfer_us;
+  ordered_json out = ordered_json::array();
+  for (std::size_t e = 0; e < app.edges.size(); ++e) {
+    const auto [u, v] = app.edges[e];
+    if (transfer[e].is_null())
+      out.push_back({name(u), name(v)});
+    else
+      out.push_back({{"from", name(u)}, {"to", name(v)}, {"transfer_us", std::move(transfer[e])}});
+  }
+  return out;
+}
+
+ordered_json xnodes_to_json(const AppSpec& app) {
+  ordered_json xnodes = ordered_json::array();
+  for (const XNodeSpec& x : app.xnodes) {
+    ordered_json xnode = {{"name", x.name}, {"module", x.module}};
+    write_heard(x.sources, app.sources, xnode);
+    xnode["wcet_us"] = ordered_json(x.wcet_us);
+    if (!x.real_on.empty()) xnode["real_on"] = x.real_on;
+    for (const VariantSpec& v : x.variants)
+      xnode["variants"].push_back(
+          {{"name", v.name}, {"quality_pct", v.quality_pct}, {"wcet_us", ordered_json(v.wcet_us)}});
+    xnodes.push_back(std::move(xnode));
+  }
+  return xnodes;
+}
+
+/// Behind what both versions have: the sources before the XNodes, these lists behind the edges.
+void write_periodic(const AppSpec& app, ordered_json& document) {
+  const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
+  if (!app.samples.empty()) document["samples"] = pairs_to_json(app.samples, name);
+  for (const ChainSpec& c : app.chains) {
+    ordered_json chain = {{"name", c.name},
+                          {"from", app.sources[static_cast<std::size_t>(c.from)].name},
+                          {"to", name(c.to)}};
+    if (c.deadline_us) chain["deadline_us"] = *c.deadline_us;
+    if (c.weight != 1) chain["weight"] = c.weight;
+    document["chains"].push_back(std::move(chain));
+  }
+}
+
+}  // namespace
+
+Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* keys) {
+  XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
+  Reader::Context context{std::string(origin), {}};
+  const Reader root(context, &document, "");
+  AppSpec app;
+  app.version = static_cast<int>(root.expect("xauto.app", 2));
+  const bool periodic = app.version > 1;
+  // What is asked of the solver; tools/xauto/objectives_file.h reads it.
+  root.knows({"pins/*/xnode", "pins/*/xpu", "forbids/*/xnode", "forbids/*/xpu", "groups"});
+  if (!periodic)
+    root.knows({"chains/*/name", "chains/*/from", "chains/*/to", "chains/*/deadline_us",
+                "chains/*/weight"});
+  app.name = root["name"].text();
+  if (periodic) {
+    read_clocks_and_sources(root, app);
+  } else {
+    app.sources = read_sources(root);
+  }
+  const NameIndex sources = index_by_name(app.sources);
+  read_xnodes(root, sources, app);
+  if (periodic) read_modules(root, app);
+  XAUTO_TRY(context.status());
+  // Before any of them is looked up by name.
+  XAUTO_TRY(in_file(validate(app.sources), origin));
+  XAUTO_TRY(in_file(validate_xnodes(app), origin));
+  const NameIndex xnodes = index_by_name(app.xnodes);
+  if (root.has("deadline_us")) app.deadline_us = root["deadline_us"].integer(1, kMaxTimeUs);
+  if (periodic) {
+    read_edges(root, xnodes, app);
+    if (root.has("samples")) app.samples = read_pairs(root["samples"], xnodes, kMaxSamples);
+    read_chains(root, sources, xnodes, app);
+    XAUTO_TRY(context.status());
+    complete_chains(app);
+  } else {
+    app.edges = read_pairs(root["edges"], xnodes);
+  }
+  XAUTO_TRY(context.status());
+  XAUTO_TRY(in_file(validate(app), origin));
+  if (keys != nullptr) *keys = context.keys(document);
+  return app;
+}
+
+std::string to_json(const AppSpec& app) {
+  ordered_json document = {{"schema", "xauto.app"}, {"version", app.version}, {"name", app.name}};
+  const bool periodic = app.version > 1;
+  if (periodic) {
+    if (ordered_json clocks = clocks_to_json(app); !clocks.empty())
+      document["clocks"] = std::move(clocks);
+    document["sources"] = periodic_sources_to_json(app);
+    for (const ModuleSpec& m : app.modules)
+      document["modules"].push_back(
+          {{"name", m.name}, {"max_in_flight", m.max_in_flight}, {"optional", m.optional}});
+  } else if (!app.sources.empty()) {
+    document["sources"] = sources_to_json(app.sources);
+  }
+  document["xnodes"] = xnodes_to_json(app);
+  document["edges"] = edges_to_json(app);
+  if (app.deadline_us) document["deadline_us"] = *app.deadline_us;
+  if (periodic) write_periodic(app, document);
+  return json_document::to_text(document);
+}
+
+}  // namespace xauto

@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "model/json_parts.h"
+
+#include <algorithm>
+
+namespace xauto::json_parts {
+
+Status in_file(Status status, std::string_view origin) {
+  if (status) return status;
+  Error error = std::move(status).error();
+  error.where =
+      error.where.empty() ? std::string(origin) : std::string(origin) + ": " + error.where;
+  return tl::unexpected<Error>(std::move(error));
+}
+
+Status in_file_order(Error error, const std::vector<std::size_t>& line_of) {
+  constexpr std::string_view kPlace = "/xnodes/";
+  if (error.where.starts_with(kPlace)) {
+    const std::size_t end = std::min(error.where.find('/', kPlace.size()), error.where.size());
+    const std::size_t index = std::stoul(error.where.substr(kPlace.size(), end - kPlace.size()));
+    error.where = std::string(kPlace) + std::to_string(line_of.at(index)) + error.where.substr(end);
+  }
+  return tl::unexpected<Error>(std::move(error));
+}
+
+int read_name(const Reader& name, const NameIndex& index, const char* what, const char* list) {
+  const std::string text = name.text();
+  if (name.failed()) return -1;
+  const auto found = index.find(text);
+  if (found != index.end()) return found->second;
+  name.refuse(std::string(what) + " '" + text + "' is not in " + list);
+  return -1;
+}
+
+std::pair<int, int> read_pair(const Reader& pair, const NameIndex& index) {
+  int ends[2] = {-1, -1};
+  std::size_t count = 0;
+  pair.each_element(2, [&](std::size_t i, const Reader& end) {
+    ends[i] = read_name(end, index, "XNode", "the app");
+    ++count;
+  });
+  if (!pair.failed() && count != 2) pair.refuse("must name two XNodes");
+  return {ends[0], ends[1]};
+}
+
+std::vector<std::pair<int, int>> read_pairs(const Reader& reader, const NameIndex& index,
+                                            std::size_t limit) {
+  std::vector<std::pair<int, int>> pairs;
+  reader.each_element(
+      limit, [&](std::size_t, const Reader& pair) { pairs.push_back(read_pair(pair, index)); });
+  return pairs;
+}
+
+std::vector<SourceSpec> read_sources(const Reader& root) {
+  std::vector<SourceSpec> sources;
+  if (root.has("sources"))
+    root["sources"].each_element(kMaxSources, [&](std::size_t, const Reader& source) {
+      sources.push_back({source["name"].text(), {source["period_us"].integer(1, kMaxPeriodUs)}});
+    });
+  return sources;
+}
+
+std::vector<int> read_heard(const Reader& xnode, const NameIndex& sources) {
+  std::vector<int> heard;
+  if (!xnode.has("source")) return heard;
+  const auto read = [&](const Reader& one) {
+    heard.push_back(read_name(one, sources, "source", "\"sources\""));
+  };
+  const Reader source = xnode["source"];
+  if (source.is_text())
+    read(source);
+  else
+    source.each_element(kMaxSources, [&](std::size_t, const Reader& one) { read(one); });
+  return heard;
+}
+
+void write_heard(const std::vector<int>& heard, const std::vector<SourceSpec>& sources,
+                 ordered_json& xnode) {
+  ordered_json names = ordered_json::array();
+  for (const int s : heard) names.push_back(sources[static_cast<std::size_t>(s)].name);
+  if (heard.size() == 1) xnode["source"] = names.front();
+  if (heard.size() > 1) xnode["source"] = std::move(names);
+}
+
+ordered_json sources_to_json(const std::vector<SourceSpec>& sources) {
+  ordered_json out = ordered_json::array();
+  for (const SourceSpec& source : sources)
+    out.push_back({{"name", source.name}, {"period_us", source.period.num}});
+  return out;
+}
+
+}  // namespace xauto::json_parts

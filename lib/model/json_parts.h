@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+// Private to lib/model: what several formats have in common.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "model/app.h"
+#include "model/json_document.h"
+
+namespace xauto::json_parts {
+
+using json_document::Reader;
+using nlohmann::ordered_json;
+
+/// Puts the file's name before the place that a validator names.
+[[nodiscard]] Status in_file(Status status, std::string_view origin);
+/// A validator counts XNodes as the app does; the file may list them in another order.
+[[nodiscard]] Status in_file_order(Error error, const std::vector<std::size_t>& line_of);
+
+using NameIndex = std::unordered_map<std::string, int>;
+template <class Named>
+NameIndex index_by_name(const std::vector<Named>& list) {
+  NameIndex index;
+  for (std::size_t i = 0; i < list.size(); ++i)
+    index.try_emplace(list[i].name, static_cast<int>(i));
+  return index;
+}
+
+/// The index of a name, "XNode" or whatever `what` it is; -1: refused.
+[[nodiscard]] int read_name(const Reader& name, const NameIndex& index, const char* what,
+                            const char* list);
+/// ["u", "v"] by XNode name.
+[[nodiscard]] std::pair<int, int> read_pair(const Reader& pair, const NameIndex& index);
+/// [["u", "v"], ...]
+[[nodiscard]] std::vector<std::pair<int, int>> read_pairs(const Reader& reader,
+                                                          const NameIndex& index,
+                                                          std::size_t limit = kMaxEdges);
+
+/// "sources" of version 1, where there are any.
+[[nodiscard]] std::vector<SourceSpec> read_sources(const Reader& root);
+/// "source" of an XNode: a name, or an array of names.
+[[nodiscard]] std::vector<int> read_heard(const Reader& xnode, const NameIndex& sources);
+
+void write_heard(const std::vector<int>& heard, const std::vector<SourceSpec>& sources,
+                 ordered_json& xnode);
+[[nodiscard]] ordered_json sources_to_json(const std::vector<SourceSpec>& sources);
+
+template <class Names>
+ordered_json pairs_to_json(const std::vector<std::pair<int, int>>& pairs, const Names& name) {
+  ordered_json out = ordered_json::array();
+  for (const auto& [u, v] : pairs) out.push_back({name(u), name(v)});
+  return out;
+}
+
+}  // namespace xauto::json_parts

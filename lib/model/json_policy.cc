@@ -1,0 +1,209 @@
+// SPDX-License-Identifier: Apache-2.0
+// policy.json: version 1 is of an app of version 1, version 2 of one of version 2.
+#include <cstdint>
+
+#include "model/claims.h"
+#include "model/json.h"
+#include "model/json_parts.h"
+
+namespace xauto {
+
+using namespace json_parts;
+
+namespace {
+
+/// Activations of one XNode that a policy tells apart; that a file's size bounds all of them
+/// together is json_document's part.
+constexpr std::size_t kMaxKeys = 1'000'000;
+
+/// The file has the version that the caller reads, which is that of its app.
+void expect_version(const Reader& root, std::int64_t version, const AppSpec& app) {
+  const std::int64_t given = root.expect("xauto.policy", 2);
+  if (!root.failed() && (given != version || app.version != version))
+    root["version"].refuse("is " + std::to_string(given) + ", app '" + app.name +
+                               "' is of version " + std::to_string(app.version),
+                           "a policy has the version of its app: solve again");
+}
+
+int read_xpu(const Reader& x, const Platform& platform) {
+  const std::string id = x["xpu"].text();
+  const int xpu = platform.find(id);
+  if (!x.failed() && xpu < 0)
+    x["xpu"].refuse("XPU '" + id + "' is not in platform '" + platform.name + "'");
+  return xpu;
+}
+
+/// each(XNode of the app, its line). Returns which line of the file that was.
+template <class Each>
+std::vector<std::size_t> read_placements(const Reader& root, const AppSpec& app,
+                                         const NameIndex& index, Each each) {
+  constexpr std::size_t kNowhere = SIZE_MAX;
+  std::vector<std::size_t> line_of(app.xnodes.size(), kNowhere);
+  root["xnodes"].each_element(kMaxXNodes, [&](std::size_t line, const Reader& x) {
+    const int found = read_name(x["name"], index, "XNode", "the app");
+    if (x.failed()) return;
+    const auto i = static_cast<std::size_t>(found);
+    if (line_of[i] != kNowhere)
+      return x["name"].refuse("XNode '" + app.xnodes[i].name + "' is placed twice");
+    line_of[i] = line;
+    each(i, x);
+  });
+  if (root.failed()) return line_of;
+  for (std::size_t i = 0; i < line_of.size(); ++i)
+    if (line_of[i] == kNowhere) {
+      root["xnodes"].refuse("XNode '" + app.xnodes[i].name + "' is not placed");
+      break;
+    }
+  return line_of;
+}
+
+std::vector<std::int64_t> read_times(const Reader& x, const char* key, bool required) {
+  std::vector<std::int64_t> times;
+  if (required || x.has(key))
+    x[key].each_element(kMaxKeys,
+                        [&](std::size_t, const Reader& us) { times.push_back(us.time()); });
+  return times;
+}
+
+/// Each chain of the app, once.
+void read_claims(const Reader& root, const AppSpec& app, KeyPolicy& policy) {
+  const NameIndex index = index_by_name(app.chains);
+  std::vector<char> there(app.chains.size(), 0);
+  policy.chains.resize(app.chains.size());
+  root["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
+    const int found = read_name(c["name"], index, "chain", "the app");
+    if (c.failed()) return;
+    const auto i = static_cast<std::size_t>(found);
+    if (there[i]) return c["name"].refuse("chain '" + app.chains[i].name + "' is there twice");
+    there[i] = 1;
+    policy.chains[i] = {app.chains[i].name, c["worst_case_us"].time(), c["lower_bound_us"].time(),
+                        c["optimal"].boolean()};
+  });
+  if (root.failed()) return;
+  for (std::size_t i = 0; i < there.size(); ++i)
+    if (!there[i]) return root["chains"].refuse("chain '" + app.chains[i].name + "' is missing");
+}
+
+}  // namespace
+
+Result<Policy> parse_policy(std::string_view text, std::string_view origin, const AppSpec& app,
+                            const Platform& platform, Keys* keys) {
+  XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
+  Reader::Context context{std::string(origin), {}};
+  const Reader root(context, &document, "");
+  expect_version(root, 1, app);
+  Policy policy;
+  policy.app = root["app"].text();
+  policy.app_hash = root["app_hash"].text();
+  if (root.has("platform")) policy.platform = root["platform"].text();
+  policy.method = root["method"].text();
+  const NameIndex index = index_by_name(app.xnodes);
+  policy.placements.resize(app.xnodes.size());
+  const std::vector<std::size_t> line_of =
+      read_placements(root, app, index, [&](std::size_t i, const Reader& x) {
+        Placement& p = policy.placements[i];
+        p.xpu = read_xpu(x, platform);
+        p.priority = x["priority"].integer(-kMaxTimeUs, kMaxTimeUs);
+        p.start_us = x["start_us"].time();
+        p.finish_us = x["finish_us"].time();
+      });
+  if (root.has("order")) policy.order = read_pairs(root["order"], index);
+  policy.latency_us = root["latency_us"].time();
+  policy.lower_bound_us = root["lower_bound_us"].time();
+  policy.optimal = root["optimal"].boolean();
+  if (root.has("worst_case_us")) policy.worst_case_us = root["worst_case_us"].time();
+  if (root.has("worst_case_of")) (void)root["worst_case_of"].text();  // for people
+  if (root.has("solve_ms")) policy.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
+  XAUTO_TRY(context.status());
+  Status valid = validate(policy, app, platform);
+  if (!valid) valid = in_file_order(std::move(valid).error(), line_of);
+  XAUTO_TRY(in_file(std::move(valid), origin));
+  if (keys != nullptr) *keys = context.keys(document);
+  return policy;
+}
+
+Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origin,
+                                   const AppSpec& app, const Platform& platform, Keys* keys) {
+  XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
+  Reader::Context context{std::string(origin), {}};
+  const Reader root(context, &document, "");
+  expect_version(root, 2, app);
+  KeyPolicy policy;
+  policy.app = root["app"].text();
+  policy.app_hash = root["app_hash"].text();
+  if (root.has("platform")) policy.platform = root["platform"].text();
+  policy.method = root["method"].text();
+  policy.placements.resize(app.xnodes.size());
+  const std::vector<std::size_t> line_of =
+      read_placements(root, app, index_by_name(app.xnodes), [&](std::size_t i, const Reader& x) {
+        KeyPlacement& p = policy.placements[i];
+        p.xpu = read_xpu(x, platform);
+        p.key_us = read_times(x, "key_us", true);
+        p.hold_us = read_times(x, "hold_us", false);
+        p.start_us = read_times(x, "start_us", false);
+        p.finish_us = read_times(x, "finish_us", false);
+      });
+  read_claims(root, app, policy);
+  if (root.has("solve_ms")) policy.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
+  XAUTO_TRY(context.status());
+  Status valid = validate(policy, app, platform);
+  if (!valid) valid = in_file_order(std::move(valid).error(), line_of);
+  XAUTO_TRY(in_file(std::move(valid), origin));
+  if (keys != nullptr) *keys = context.keys(document);
+  return policy;
+}
+
+std::string to_json(const Policy& policy, const AppSpec& app, const Platform& platform) {
+  const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
+  ordered_json xnodes = ordered_json::array();
+  for (std::size_t i = 0; i < policy.placements.size(); ++i) {
+    const Placement& p = policy.placements[i];
+    xnodes.push_back({{"name", app.xnodes[i].name},
+                      {"xpu", platform.xpus[static_cast<std::size_t>(p.xpu)].id},
+                      {"priority", p.priority},
+                      {"start_us", p.start_us},
+                      {"finish_us", p.finish_us}});
+  }
+  ordered_json document = {{"schema", "xauto.policy"},    {"version", 1},
+                           {"app", policy.app},           {"app_hash", policy.app_hash},
+                           {"platform", policy.platform}, {"method", policy.method}};
+  document["xnodes"] = std::move(xnodes);
+  if (!policy.order.empty()) document["order"] = pairs_to_json(policy.order, name);
+  document["latency_us"] = policy.latency_us;
+  document["lower_bound_us"] = policy.lower_bound_us;
+  document["optimal"] = policy.optimal;
+  if (policy.worst_case_us) {
+    document["worst_case_us"] = *policy.worst_case_us;
+    document["worst_case_of"] = kWorstCaseScope;
+  }
+  document["solve_ms"] = policy.solve_ms;
+  return json_document::to_text(document);
+}
+
+std::string to_json(const KeyPolicy& policy, const AppSpec& app, const Platform& platform) {
+  ordered_json xnodes = ordered_json::array();
+  for (std::size_t i = 0; i < policy.placements.size(); ++i) {
+    const KeyPlacement& p = policy.placements[i];
+    ordered_json xnode = {{"name", app.xnodes[i].name},
+                          {"xpu", platform.xpus[static_cast<std::size_t>(p.xpu)].id},
+                          {"key_us", p.key_us}};
+    if (!p.hold_us.empty()) xnode["hold_us"] = p.hold_us;
+    if (!p.start_us.empty()) xnode["start_us"] = p.start_us;
+    if (!p.finish_us.empty()) xnode["finish_us"] = p.finish_us;
+    xnodes.push_back(std::move(xnode));
+  }
+  ordered_json document = {{"schema", "xauto.policy"},    {"version", 2},
+                           {"app", policy.app},           {"app_hash", policy.app_hash},
+                           {"platform", policy.platform}, {"method", policy.method}};
+  document["xnodes"] = std::move(xnodes);
+  document["chains"] = ordered_json::array();
+  for (const ChainClaim& c : policy.chains)
+    document["chains"].push_back({{"name", c.name},
+                                  {"worst_case_us", c.worst_case_us},
+                                  {"lower_bound_us", c.lower_bound_us},
+                                  {"optimal", c.optimal}});
+  document["solve_ms"] = policy.solve_ms;
+  return json_document::to_text(document);
+}
+
+}  // namespace xauto

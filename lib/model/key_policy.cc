@@ -1,0 +1,214 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "model/key_policy.h"
+
+#include <algorithm>
+#include <numeric>
+
+#include "base/index.h"
+#include "model/components.h"
+#include "model/refusal.h"
+
+namespace xauto {
+namespace {
+
+const char* const kHint =
+    "solve again: `xauto solve --app app.json --platform ... --out policy.json`";
+
+class Validation {
+ public:
+  Validation(const KeyPolicy& policy, const AppSpec& app, const Platform& platform,
+             const Components& components)
+      : policy_(policy), app_(app), platform_(platform), components_(components) {}
+
+  [[nodiscard]] Status placements() const {
+    for (std::size_t i = 0; i < policy_.placements.size(); ++i) {
+      XAUTO_TRY(on_an_xpu(i));
+      XAUTO_TRY(arrays(i));
+      for (std::size_t j = 0; j < policy_.placements[i].key_us.size(); ++j) XAUTO_TRY(job(i, j));
+      XAUTO_TRY(keys_do_not_fall(i));
+    }
+    return {};
+  }
+
+  /// A successor becomes ready by its predecessor's key plus the transfer, and then has to run.
+  [[nodiscard]] Status edges() const {
+    std::vector<std::int64_t> transfer(app_.edges.size(), 0);
+    for (const TransferSpec& t : app_.transfers) {
+      const auto [u, v] = app_.edges[at(t.edge)];
+      if (t.from_type == type(u) && t.to_type == type(v)) transfer[at(t.edge)] = t.transfer_us;
+    }
+    for (std::size_t e = 0; e < app_.edges.size(); ++e) {
+      const auto [u, v] = app_.edges[e];
+      const auto &before = policy_.placements[at(u)].key_us,
+                 &after = policy_.placements[at(v)].key_us;
+      // Entries i of u and j of v are of one activation, now and then, iff they are congruent
+      // modulo what the sizes have in common.
+      const std::size_t common = std::gcd(before.size(), after.size());
+      std::vector<std::int64_t> latest(common, 0);
+      for (std::size_t i = 0; i < before.size(); ++i)
+        latest[i % common] = std::max(latest[i % common], before[i]);
+      for (std::size_t j = 0; j < after.size(); ++j) {
+        const std::int64_t least = latest[j % common] + transfer[e] + wcet(at(v));
+        if (after[j] < least)
+          return invalid(who(at(v)) + "has key " + std::to_string(after[j]) + " us; after '" +
+                             app_.xnodes[at(u)].name + "' (key " +
+                             std::to_string(latest[j % common]) + " us) it ends at " +
+                             std::to_string(least) + " us or later",
+                         place(at(v), "key_us", j));
+      }
+    }
+    return {};
+  }
+
+  [[nodiscard]] Status chains() const {
+    if (policy_.chains.size() != app_.chains.size())
+      return invalid("has " + std::to_string(policy_.chains.size()) + " chains, the app has " +
+                         std::to_string(app_.chains.size()),
+                     "/chains");
+    const auto is_time = [](std::int64_t us) { return us >= 0 && us <= kMaxTimeUs; };
+    for (std::size_t k = 0; k < policy_.chains.size(); ++k) {
+      const ChainClaim& claim = policy_.chains[k];
+      if (claim.name != app_.chains[k].name)
+        return invalid("is '" + claim.name + "', the app's is '" + app_.chains[k].name + "'",
+                       "/chains/" + std::to_string(k) + "/name");
+      if (!is_time(claim.worst_case_us) || !is_time(claim.lower_bound_us))
+        return invalid("chain '" + claim.name + "' has a time out of range", "/chains");
+    }
+    return {};
+  }
+
+ private:
+  [[nodiscard]] std::string who(std::size_t i) const {
+    return "XNode '" + app_.xnodes[i].name + "' ";
+  }
+  [[nodiscard]] static std::string place(std::size_t i, const char* key) {
+    return "/xnodes/" + std::to_string(i) + "/" + key;
+  }
+  [[nodiscard]] static std::string place(std::size_t i, const char* key, std::size_t j) {
+    return place(i, key) + "/" + std::to_string(j);
+  }
+  [[nodiscard]] const std::string& type(int i) const {
+    return platform_.xpus[at(policy_.placements[at(i)].xpu)].type;
+  }
+  [[nodiscard]] std::int64_t wcet(std::size_t i) const {
+    return app_.xnodes[i].wcet_on(type(static_cast<int>(i))).value_or(0);
+  }
+
+  [[nodiscard]] Status on_an_xpu(std::size_t i) const {
+    const KeyPlacement& p = policy_.placements[i];
+    if (p.xpu < 0 || at(p.xpu) >= platform_.xpus.size())
+      return invalid(who(i) + "is on no XPU of platform '" + platform_.name + "'", place(i, "xpu"));
+    const Xpu& xpu = platform_.xpus[at(p.xpu)];
+    if (!app_.xnodes[i].wcet_on(xpu.type))
+      return invalid(
+          who(i) + "is on " + xpu.id + " but has no implementation for '" + xpu.type + "'",
+          place(i, "xpu"));
+    return {};
+  }
+
+  [[nodiscard]] Status arrays(std::size_t i) const {
+    const KeyPlacement& p = policy_.placements[i];
+    if (p.key_us.empty()) return invalid(who(i) + "has no key", place(i, "key_us"));
+    const Component& component = components_.components[at(components_.of[i])];
+    const auto size = static_cast<std::int64_t>(p.key_us.size());
+    if (size > 1 && (component.activations == 0 || component.activations % size != 0))
+      return invalid(
+          who(i) + "has " + std::to_string(size) + " keys; " +
+              (component.activations == 0
+                   ? "its clock's hyperperiod is beyond 64 bits, so one is possible"
+                   : "possible is what divides its " + std::to_string(component.activations) +
+                         " activations per hyperperiod"),
+          place(i, "key_us"));
+    const auto fits = [&](const std::vector<std::int64_t>& times) {
+      return times.empty() || times.size() == p.key_us.size();
+    };
+    for (const auto& [key, times] :
+         {std::pair("hold_us", &p.hold_us), {"start_us", &p.start_us}, {"finish_us", &p.finish_us}})
+      if (!fits(*times))
+        return invalid(who(i) + "has " + std::to_string(times->size()) + " times here and " +
+                           std::to_string(size) + " keys",
+                       place(i, key));
+    if (p.start_us.size() != p.finish_us.size())
+      return invalid(who(i) + "has start_us and finish_us, or neither", place(i, "start_us"));
+    return {};
+  }
+
+  /// Entry j by itself: it is released, held, and run for its WCET before its key.
+  [[nodiscard]] Status job(std::size_t i, std::size_t j) const {
+    const KeyPlacement& p = policy_.placements[i];
+    const std::int64_t key = p.key_us[j], hold = p.hold_us.empty() ? 0 : p.hold_us[j];
+    if (key < 1 || key > kMaxTimeUs)
+      return invalid(who(i) + "has key " + std::to_string(key) + ", which is no time from 1 to " +
+                         std::to_string(kMaxTimeUs) + " us",
+                     place(i, "key_us", j));
+    if (hold < 0 || hold > kMaxTimeUs)
+      return invalid(who(i) + "is held for " + std::to_string(hold) + ", which is no time",
+                     place(i, "hold_us", j));
+    const Component& component = components_.components[at(components_.of[i])];
+    std::int64_t ready = hold;
+    for (const int s : app_.xnodes[i].sources) {
+      const SourceSpec& source = app_.sources[at(s)];
+      ready = std::max(ready, source.offset_us - component.offset_us + source.jitter_us);
+    }
+    if (key < ready + wcet(i))
+      return invalid(who(i) + "has key " + std::to_string(key) + " us, is ready by " +
+                         std::to_string(ready) + " us and takes " + std::to_string(wcet(i)) + " us",
+                     place(i, "key_us", j));
+    if (p.start_us.empty()) return {};
+    const std::int64_t start = p.start_us[j], finish = p.finish_us[j];
+    if (start < hold || finish < start || finish > key)
+      return invalid(who(i) + "has start " + std::to_string(start) + " us and finish " +
+                         std::to_string(finish) + " us, which are not between hold and key",
+                     place(i, "finish_us", j));
+    return {};
+  }
+
+  /// nT + d of activation n, from one to the next: then activations end in order.
+  [[nodiscard]] Status keys_do_not_fall(std::size_t i) const {
+    const std::vector<std::int64_t>& key = policy_.placements[i].key_us;
+    const Period period = components_.components[at(components_.of[i])].period;
+    for (std::size_t j = 0; j < key.size(); ++j) {
+      const std::size_t next = (j + 1) % key.size();
+      if (static_cast<__int128>(key[next] - key[j]) * period.den + period.num >= 0) continue;
+      return invalid(who(i) + "has key " + std::to_string(key[next]) + " us a period (" +
+                         period.text() + ") after key " + std::to_string(key[j]) +
+                         " us: activations would end out of order",
+                     place(i, "key_us", next));
+    }
+    return {};
+  }
+
+  const KeyPolicy& policy_;
+  const AppSpec& app_;
+  const Platform& platform_;
+  const Components& components_;
+};
+
+}  // namespace
+
+Status validate(const KeyPolicy& policy, const AppSpec& app, const Platform& platform) {
+  if (app.version != 2)
+    return invalid("is for an app of version 2, '" + app.name + "' is of version " +
+                       std::to_string(app.version),
+                   "/version", kHint);
+  if (policy.app != app.name)
+    return invalid("is for app '" + policy.app + "', this is '" + app.name + "'", "/app", kHint);
+  if (policy.app_hash != app.hash())
+    return invalid("is '" + policy.app_hash + "', the app's is '" + app.hash() +
+                       "': the policy was made for another version of the app",
+                   "/app_hash", kHint);
+  if (policy.placements.size() != app.xnodes.size())
+    return invalid("places " + std::to_string(policy.placements.size()) + " XNodes, the app has " +
+                       std::to_string(app.xnodes.size()),
+                   "/xnodes");
+  XAUTO_ASSIGN(const Components components, find_components(app));
+  const Validation validation(policy, app, platform, components);
+  XAUTO_TRY(validation.placements());
+  XAUTO_TRY(validation.edges());
+  XAUTO_TRY(validation.chains());
+  if (policy.solve_ms < 0)
+    return invalid(std::to_string(policy.solve_ms) + " is no time", "/solve_ms");
+  return {};
+}
+
+}  // namespace xauto

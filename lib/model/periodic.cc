@@ -1,0 +1,409 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "model/periodic.h"
+
+#include <algorithm>
+#include <map>
+#include <set>
+#include <tuple>
+#include <unordered_map>
+#include <unordered_set>
+
+#include "base/index.h"
+#include "model/components.h"
+#include "model/refusal.h"
+
+namespace xauto {
+namespace {
+
+std::string nth(const char* list, std::size_t i) {
+  return "/" + std::string(list) + "/" + std::to_string(i);
+}
+
+/// Names of a list are there, short and different.
+template <class Named>
+Status validate_names(const std::vector<Named>& list, const char* key, const char* what) {
+  std::unordered_set<std::string_view> names;
+  for (std::size_t i = 0; i < list.size(); ++i) {
+    const std::string& name = list[i].name;
+    const std::string where = nth(key, i) + "/name";
+    if (name.empty()) return invalid(std::string("a ") + what + " needs a name", where);
+    if (name.size() > kMaxNameBytes)
+      return invalid("a name is longer than " + std::to_string(kMaxNameBytes) + " bytes", where);
+    if (!names.insert(name).second)
+      return invalid(std::string("two ") + what + "s are called " + quoted(name), where);
+  }
+  return {};
+}
+
+Status in_range(std::int64_t value, std::int64_t low, std::int64_t high, const char* what,
+                const std::string& where) {
+  if (value >= low && value <= high) return {};
+  return invalid(std::to_string(value) + " is not " + what + " from " + std::to_string(low) +
+                     " to " + std::to_string(high),
+                 where);
+}
+
+// ---- who hears of what --------------------------------------------------------------------------
+
+/// Ways from a source to an XNode: along edges, and along samples from one component to another, no
+/// component twice.
+class Ways {
+ public:
+  Ways(const AppSpec& app, const Components& components)
+      : app_(app), components_(components), succ_(app.successors()), read_by_(app.xnodes.size()) {
+    for (const auto& [u, v] : app.samples)
+      if (components.of[at(u)] != components.of[at(v)]) read_by_[at(u)].push_back(v);
+    roots_.resize(app.sources.size());
+    for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+      for (const int s : app.xnodes[i].sources) roots_[at(s)].push_back(static_cast<int>(i));
+    acyclic_ = components_are_acyclic();
+  }
+
+  [[nodiscard]] bool exists(int source, int to) {
+    if (source != source_) {
+      source_ = source;
+      heard_.assign(app_.xnodes.size(), 0);
+      walk(roots_[at(source)], heard_);
+    }
+    if (!heard_[at(to)]) return false;
+    return acyclic_ || exists_without_return(source, to);
+  }
+
+ private:
+  /// Marks what can be reached by edges and samples.
+  void walk(std::vector<int> open, std::vector<char>& seen) const {
+    for (const int x : open) seen[at(x)] = 1;
+    const auto reach = [&](int x) {
+      if (!seen[at(x)]) open.push_back(x);
+      seen[at(x)] = 1;
+    };
+    while (!open.empty()) {
+      const int x = open.back();
+      open.pop_back();
+      for (const int s : succ_[at(x)]) reach(s);
+      for (const int s : read_by_[at(x)]) reach(s);
+    }
+  }
+
+  /// Whether samples lead from no component back to itself.
+  [[nodiscard]] bool components_are_acyclic() const {
+    AppSpec graph;  // one XNode per component
+    graph.xnodes.resize(components_.components.size());
+    for (std::size_t u = 0; u < read_by_.size(); ++u)
+      for (const int v : read_by_[u])
+        graph.edges.emplace_back(components_.of[u], components_.of[at(v)]);
+    return graph.topological_order().size() == graph.xnodes.size();
+  }
+
+  /// Component by component, each step to all that it reaches in the next. How many orders of
+  /// components there are knows no bound, so the search has one; what it does not find is refused.
+  [[nodiscard]] bool exists_without_return(int source, int to) {
+    std::map<int, std::vector<int>> entries;
+    for (const int x : roots_[at(source)]) entries[components_.of[at(x)]].push_back(x);
+    std::vector<char> visited(components_.components.size(), 0);
+    std::int64_t budget = 100'000;
+    for (const auto& [c, open] : entries)
+      if (search(c, open, to, visited, budget, 0)) return true;
+    return false;
+  }
+
+  bool search(int c, std::vector<int> open, int to, std::vector<char>& visited,
+              std::int64_t& budget, int depth) {
+    constexpr int kMostSteps = 1000;
+    std::set<int> seen(open.begin(), open.end());
+    std::map<int, std::vector<int>> next;
+    while (!open.empty()) {
+      const int x = open.back();
+      open.pop_back();
+      if (x == to) return true;
+      if (--budget < 0 || --total_budget_ < 0) return false;
+      for (const int s : succ_[at(x)])
+        if (seen.insert(s).second) open.push_back(s);
+      for (const int s : read_by_[at(x)])
+        if (!visited[at(components_.of[at(s)])]) next[components_.of[at(s)]].push_back(s);
+    }
+    if (depth >= kMostSteps) return false;
+    visited[at(c)] = 1;
+    bool found = false;
+    for (auto it = next.begin(); it != next.end() && !found && budget > 0; ++it)
+      found = it->first != c && search(it->first, it->second, to, visited, budget, depth + 1);
+    visited[at(c)] = 0;
+    return found;
+  }
+
+  const AppSpec& app_;
+  const Components& components_;
+  std::vector<std::vector<int>> succ_, read_by_, roots_;
+  bool acyclic_ = false;
+  int source_ = -1;
+  std::vector<char> heard_;  ///< of source_, by whatever way
+  std::int64_t total_budget_ = 20'000'000;
+};
+
+// ---- parts of validate_periodic -----------------------------------------------------------------
+
+Status validate_clocks(const AppSpec& app) {
+  if (app.clocks.empty() || app.clocks.front().name != kMainClock)
+    return invalid("the first clock is not 'main'", "/clocks");
+  XAUTO_TRY(validate_names(app.clocks, "clocks", "clock"));
+  for (std::size_t i = 0; i < app.clocks.size(); ++i)
+    XAUTO_TRY(
+        in_range(app.clocks[i].ppm, 0, kMaxPpm, "a tolerance in ppm", nth("clocks", i) + "/ppm"));
+  for (std::size_t i = 0; i < app.sources.size(); ++i) {
+    const SourceSpec& source = app.sources[i];
+    if (source.clock < 0 || at(source.clock) >= app.clocks.size())
+      return invalid("names an unknown clock", nth("sources", i) + "/clock");
+    if (source.offset_us < 0 ||
+        static_cast<__int128>(source.offset_us) * source.period.den >= source.period.num)
+      return invalid("source " + quoted(source.name) + ": " + std::to_string(source.offset_us) +
+                         " is not an offset from 0 to below its period (" + source.period.text() +
+                         ")",
+                     nth("sources", i) + "/offset_us");
+    XAUTO_TRY(in_range(source.jitter_us, 0, kMaxPeriodUs, "a jitter in us",
+                       nth("sources", i) + "/jitter_us"));
+  }
+  return {};
+}
+
+Status validate_modules(const AppSpec& app) {
+  XAUTO_TRY(validate_names(app.modules, "modules", "module"));
+  std::unordered_set<std::string_view> named, listed;
+  for (const ModuleSpec& module : app.modules) listed.insert(module.name);
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    const XNodeSpec& x = app.xnodes[i];
+    if (x.module.empty())
+      return invalid("XNode " + quoted(x.name) + " needs a module", nth("xnodes", i) + "/module");
+    if (!listed.contains(x.module))
+      return invalid("module " + quoted(x.module) + " is not in \"modules\"",
+                     nth("xnodes", i) + "/module");
+    named.insert(x.module);
+  }
+  for (std::size_t m = 0; m < app.modules.size(); ++m) {
+    if (!named.contains(app.modules[m].name))
+      return invalid("no XNode is in module " + quoted(app.modules[m].name),
+                     nth("modules", m) + "/name");
+    XAUTO_TRY(in_range(app.modules[m].max_in_flight, 1, kMaxInFlight, "a number of activations",
+                       nth("modules", m) + "/max_in_flight"));
+  }
+  return {};
+}
+
+Status validate_variants(const AppSpec& app) {
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    const std::vector<VariantSpec>& variants = app.xnodes[i].variants;
+    const std::string list = nth("xnodes", i) + "/variants";
+    if (variants.size() > kMaxVariants)
+      return invalid(std::to_string(variants.size()) + " variants; at most " +
+                         std::to_string(kMaxVariants) + " are possible",
+                     list);
+    XAUTO_TRY(validate_names(variants, (list.substr(1)).c_str(), "variant"));
+    for (std::size_t k = 0; k < variants.size(); ++k) {
+      const std::string where = list + "/" + std::to_string(k);
+      XAUTO_TRY(in_range(variants[k].quality_pct, 1, 100, "a quality in percent",
+                         where + "/quality_pct"));
+      if (variants[k].wcet_us.empty())
+        return invalid("variant " + quoted(variants[k].name) + " has no implementation",
+                       where + "/wcet_us", "give a WCET for at least one XPU type");
+      for (const auto& [type, us] : variants[k].wcet_us) {
+        if (type.empty()) return invalid("an XPU type without name", where + "/wcet_us");
+        XAUTO_TRY(in_range(us, 1, kMaxTimeUs, "a WCET in us", where + "/wcet_us/" + type));
+      }
+    }
+  }
+  return {};
+}
+
+Status validate_transfers(const AppSpec& app) {
+  if (app.transfers.size() > kMaxTransfers)
+    return invalid("more than " + std::to_string(kMaxTransfers) + " times of transfers", "/edges");
+  std::set<std::tuple<int, std::string_view, std::string_view>> seen;
+  for (const TransferSpec& t : app.transfers) {
+    if (t.edge < 0 || at(t.edge) >= app.edges.size())
+      return invalid("a transfer along an unknown edge", "/edges");
+    const std::string where = nth("edges", at(t.edge)) + "/transfer_us/" + t.from_type;
+    const XNodeSpec &from = app.xnodes[at(app.edges[at(t.edge)].first)],
+                    &to = app.xnodes[at(app.edges[at(t.edge)].second)];
+    if (!from.wcet_on(t.from_type))
+      return invalid(
+          "XNode " + quoted(from.name) + " has no implementation for " + quoted(t.from_type),
+          where);
+    if (!to.wcet_on(t.to_type))
+      return invalid("XNode " + quoted(to.name) + " has no implementation for " + quoted(t.to_type),
+                     where + "/" + t.to_type);
+    XAUTO_TRY(in_range(t.transfer_us, 0, kMaxTimeUs, "a time in us", where + "/" + t.to_type));
+    if (!seen.insert({t.edge, t.from_type, t.to_type}).second)
+      return invalid("a transfer is there twice", where + "/" + t.to_type);
+  }
+  return {};
+}
+
+/// Inside a component a sample may only lead back: v precedes u, and reads what an earlier
+/// activation of u has left. That is no path of a chain (the component would be there twice), so no
+/// figure depends on it. Any other would carry data past the chains' worst cases: v may read u of
+/// this activation or of the one before, and edges say which.
+Status validate_inner_samples(const AppSpec& app, const Components& components) {
+  std::vector<std::size_t> inner;
+  for (std::size_t k = 0; k < app.samples.size(); ++k)
+    if (components.of[at(app.samples[k].first)] == components.of[at(app.samples[k].second)])
+      inner.push_back(k);
+  std::sort(inner.begin(), inner.end(), [&](std::size_t a, std::size_t b) {
+    return app.samples[a].second < app.samples[b].second;
+  });
+  if (inner.empty()) return {};
+  const std::vector<int> order = app.topological_order();
+  const auto succ = app.successors();
+  for (std::size_t begin = 0; begin < inner.size();) {
+    // What up to 64 of the readers precede, in one go: a bit each.
+    std::unordered_map<int, int> bit;
+    std::size_t end = begin;
+    for (; end < inner.size(); ++end) {
+      const int reader = app.samples[inner[end]].second;
+      if (!bit.contains(reader) && bit.size() == 64) break;
+      bit.try_emplace(reader, static_cast<int>(bit.size()));
+    }
+    std::vector<std::uint64_t> behind(app.xnodes.size(), 0);
+    for (const auto& [reader, b] : bit) behind[at(reader)] |= std::uint64_t{1} << b;
+    for (const int x : order)
+      for (const int s : succ[at(x)]) behind[at(s)] |= behind[at(x)];
+    for (; begin < end; ++begin) {
+      const auto [u, v] = app.samples[inner[begin]];
+      if ((behind[at(u)] >> bit[v] & 1) == 0)
+        return invalid("XNodes " + quoted(app.xnodes[at(u)].name) + " and " +
+                           quoted(app.xnodes[at(v)].name) +
+                           " are in one component, which fires as one",
+                       nth("samples", inner[begin]),
+                       "make it an edge; inside a component a sample only leads back, to an XNode "
+                       "that precedes");
+    }
+  }
+  return {};
+}
+
+Status validate_samples(const AppSpec& app, const Components& components) {
+  std::set<std::pair<int, int>> seen;
+  for (std::size_t k = 0; k < app.samples.size(); ++k) {
+    const auto [u, v] = app.samples[k];
+    if (!seen.insert({u, v}).second)
+      return invalid("sample " + quoted(app.xnodes[at(u)].name) + " -> " +
+                         quoted(app.xnodes[at(v)].name) + " is there twice",
+                     nth("samples", k));
+  }
+  return validate_inner_samples(app, components);
+}
+
+Status validate_chains(const AppSpec& app, const Components& components) {
+  if (app.chains.size() > kMaxAppChains)
+    return invalid("more than " + std::to_string(kMaxAppChains) + " chains", "/chains",
+                   "without \"chains\", every source to every last XNode is one: state those that "
+                   "matter");
+  if (app.chains.empty()) return invalid("no chain", "/chains");
+  XAUTO_TRY(validate_names(app.chains, "chains", "chain"));
+  // By source, so that each is followed once.
+  std::vector<std::size_t> order(app.chains.size());
+  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+  for (const std::size_t i : order) {
+    const ChainSpec& chain = app.chains[i];
+    const std::string where = nth("chains", i);
+    if (chain.from < 0 || at(chain.from) >= app.sources.size())
+      return invalid("names an unknown source", where + "/from");
+    if (chain.to < 0 || at(chain.to) >= app.xnodes.size())
+      return invalid("names an unknown XNode", where + "/to");
+    if (chain.deadline_us)
+      XAUTO_TRY(
+          in_range(*chain.deadline_us, 1, kMaxTimeUs, "a deadline in us", where + "/deadline_us"));
+    XAUTO_TRY(in_range(chain.weight, 0, kMaxWeight, "a weight", where + "/weight"));
+  }
+  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    return app.chains[a].from < app.chains[b].from;
+  });
+  Ways ways(app, components);
+  for (const std::size_t i : order)
+    if (const ChainSpec& chain = app.chains[i]; !ways.exists(chain.from, chain.to))
+      return invalid("XNode " + quoted(app.xnodes[at(chain.to)].name) +
+                         " does not hear of source " + quoted(app.sources[at(chain.from)].name),
+                     nth("chains", i),
+                     "edges, and samples between components, must lead there without entering a "
+                     "component twice");
+  return {};
+}
+
+}  // namespace
+
+std::vector<ChainSpec> default_chains(const AppSpec& app) {
+  const auto components = find_components(app);
+  if (!components) return {};  // validate() says why
+  std::vector<char> last(app.xnodes.size(), 1);
+  for (const auto& [u, v] : app.edges) last[at(u)] = 0;
+  Ways ways(app, *components);
+  std::vector<ChainSpec> chains;
+  std::set<std::string> names;
+  for (std::size_t s = 0; s < app.sources.size(); ++s)
+    for (std::size_t i = 0; i < app.xnodes.size() && chains.size() <= kMaxAppChains; ++i) {
+      if (!last[i] || !ways.exists(static_cast<int>(s), static_cast<int>(i))) continue;
+      std::string name = app.sources[s].name + " -> " + app.xnodes[i].name;
+      if (name.size() > kMaxNameBytes || names.contains(name))
+        name = "chain " + std::to_string(chains.size());
+      names.insert(name);
+      chains.push_back({std::move(name), static_cast<int>(s), static_cast<int>(i)});
+    }
+  return chains;
+}
+
+void complete_modules(AppSpec& app) {
+  std::unordered_map<std::string_view, ModuleSpec> given;
+  for (const ModuleSpec& module : app.modules) given.try_emplace(module.name, module);
+  std::vector<ModuleSpec> modules;
+  std::unordered_set<std::string_view> seen;
+  for (const XNodeSpec& x : app.xnodes) {
+    if (!seen.insert(x.module).second) continue;
+    const auto found = given.find(x.module);
+    modules.push_back(found == given.end() ? ModuleSpec{x.module} : found->second);
+  }
+  // Those that nobody names stay, behind the others, for validate() to refuse.
+  for (const ModuleSpec& module : app.modules)
+    if (!seen.contains(module.name)) modules.push_back(module);
+  app.modules = std::move(modules);
+}
+
+void complete_chains(AppSpec& app) {
+  if (app.chains.empty()) app.chains = default_chains(app);
+}
+
+Result<AppSpec> as_version_2(AppSpec app) {
+  app.version = 2;
+  complete_modules(app);
+  complete_chains(app);
+  for (ChainSpec& chain : app.chains) chain.deadline_us = app.deadline_us;
+  app.deadline_us.reset();
+  XAUTO_TRY(validate(app));
+  return app;
+}
+
+Status validate_periodic(const AppSpec& app) {
+  if (app.deadline_us)
+    return invalid("version 2 has no deadline of the whole", "/deadline_us",
+                   "give the chains deadlines");
+  XAUTO_TRY(validate_clocks(app));
+  const auto pred = app.predecessors();
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+    if (pred[i].empty() && app.xnodes[i].sources.empty())
+      return invalid("XNode " + quoted(app.xnodes[i].name) +
+                         " has neither a predecessor nor a source: nothing releases it",
+                     nth("xnodes", i), "name its \"source\"; a sample releases nobody");
+  XAUTO_TRY(validate_modules(app));
+  XAUTO_TRY(validate_variants(app));
+  XAUTO_TRY(validate_transfers(app));
+  if (app.samples.size() > kMaxSamples)
+    return invalid(std::to_string(app.samples.size()) + " samples; at most " +
+                       std::to_string(kMaxSamples) + " are possible",
+                   "/samples");
+  for (std::size_t k = 0; k < app.samples.size(); ++k)
+    for (const int end : {app.samples[k].first, app.samples[k].second})
+      if (end < 0 || at(end) >= app.xnodes.size())
+        return invalid("names an unknown XNode", nth("samples", k));
+  XAUTO_ASSIGN(const Components components, find_components(app));
+  XAUTO_TRY(validate_samples(app, components));
+  return validate_chains(app, components);
+}
+
+}  // namespace xauto
