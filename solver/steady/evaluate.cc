@@ -165,15 +165,15 @@ void Evaluator::evaluate(const Decision& decision, const Charges& charges, Figur
   if (out.valid) set_costs(out);
 }
 
-bool Evaluator::settle(const Decision& decision, Figures& out, const Until& until) {
+bool Evaluator::settle(const Decision& decision, Figures& out, bool worse_too,
+                       const Until& until) {
   ++evaluations_;
   Figures next;
   used_ = out.needed;
-  Decision held = decision;
-  next.valid = simulate(held, &out, used_, next, until);
+  next.valid = simulate(decision, &out, used_, next, until);
   if (!next.valid) return false;
   set_costs(next);
-  if (!next.better_than(out)) return false;
+  if (!worse_too && !next.better_than(out)) return false;
   out = std::move(next);
   return true;
 }

@@ -52,8 +52,11 @@ class Evaluator {
   void evaluate(const Decision& decision, const Charges& charges, Figures& out,
                 const Until& until = {});
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
-  /// The keys of `out` as the rule's: the same windows or earlier ones. True if it got better.
-  bool settle(const Decision& decision, Figures& out, const Until& until = {});
+  /// Simulates again with the keys of `out`: where all XPUs are preemptive, the same windows or
+  /// earlier ones. Elsewhere the delays for blocking may change the order of keys; where this ends
+  /// with the order it began with, the certificate holds. True if `out` changed, to something
+  /// better unless `worse_too`.
+  bool settle(const Decision& decision, Figures& out, bool worse_too, const Until& until = {});
 
  private:
   bool simulate(const Decision& decision, const Figures* keys, Charges& charges, Figures& out,

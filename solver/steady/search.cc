@@ -34,7 +34,7 @@ std::vector<Tick> heads(const Problem& p, const std::vector<Tick>& work) {
 }  // namespace
 
 Search::Search(const Problem& problem, const std::vector<Tick>& reference, std::uint64_t seed)
-    : p_(problem), evaluator_(problem, reference), random_(seed) {
+    : p_(problem), reference_(reference), evaluator_(problem, reference), random_(seed) {
   for (const Chain& chain : p_.chains) {
     std::vector<char> in(at(p_.num_xnodes), 0);
     const auto add = [&](int to) {
@@ -54,7 +54,7 @@ Search::Search(const Problem& problem, const std::vector<Tick>& reference, std::
 }
 
 bool Search::over() const {
-  return limits_.until.over() || (limits_.max_evaluations > 0 &&
+  return proven_ || limits_.until.over() || (limits_.max_evaluations > 0 &&
                                   evaluator_.evaluations() >= limits_.max_evaluations);
 }
 
@@ -199,27 +199,33 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
   return d;
 }
 
+/// Keeps it if it is the best so far, and, if it is valid, certified: the simulation is believed by
+/// nobody. Makes it invalid otherwise.
 void Search::take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better) {
-  if (!candidate.figures.valid || !candidate.figures.better_than(best_.figures)) {
-    if (!best_.figures.valid && !candidate.figures.valid &&
-        candidate.figures.cost < best_.figures.cost)
-      best_ = candidate;
-    return;
-  }
-  for (int k = 0; k < 3 && evaluator_.settle(candidate.decision, candidate.figures, limits_.until);
-       ++k) {
-  }
-  // The simulation is believed by nobody.
-  Windows w;
-  w.d = candidate.figures.w.d;
-  w.hold = candidate.figures.w.hold;
-  if (!certify(p_, candidate.decision.xpu, w)) {
+  if (candidate.figures.valid && candidate.figures.better_than(best_.figures)) {
+    for (int k = 0; k < 3; ++k)
+      if (!evaluator_.settle(candidate.decision, candidate.figures, false, limits_.until)) break;
+    for (int k = 0; k < 6; ++k) {
+      Windows w;
+      w.d = candidate.figures.w.d;
+      w.hold = candidate.figures.w.hold;
+      if (certify(p_, candidate.decision.xpu, w)) {
+        if (!candidate.figures.better_than(best_.figures)) return;
+        best_ = candidate;
+        on_better(best_);
+        proven_ = true;
+        for (std::size_t c = 0; c < p_.chains.size(); ++c)
+          proven_ = proven_ && best_.figures.chain[c] <= p_.up_to_us(reference_[c]);
+        return;
+      }
+      if (!evaluator_.settle(candidate.decision, candidate.figures, true, limits_.until)) break;
+    }
     candidate.figures.valid = false;
     candidate.figures.cost = kInvalidCost;
-    return;
   }
-  best_ = candidate;
-  on_better(best_);
+  if (!best_.figures.valid && !candidate.figures.valid &&
+      candidate.figures.cost < best_.figures.cost)
+    best_ = candidate;
 }
 
 void Search::construct(const std::function<void(const Candidate&)>& on_better) {
@@ -391,13 +397,14 @@ void Search::run(const SearchLimits& limits, const Decision* start, bool keep_xp
     c.decision = *start;
     evaluator_.evaluate(c.decision, {}, c.figures, limits_.until);
     take(c, on_better);
-    if (!c.figures.valid && best_.figures.cost >= 1e18) best_ = c;
   }
   if (!keep_xpu_) construct(on_better);
   std::int64_t steps = 1500;
   double hot = 0.05;
   while (!over()) {
+    const std::int64_t before = evaluator_.evaluations();
     anneal(steps, hot, on_better);
+    if (evaluator_.evaluations() == before) return;  // nothing can be changed
     steps += steps / 2;
     hot = hot < 0.01 ? 0.04 : hot * 0.7;
   }

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <string>
+#include <utility>
 
 #include "model/app.h"
 #include "model/platform.h"
@@ -45,7 +46,7 @@ inline AppSpec random_steady_app(test::Dice& dice, const SteadyShape& shape) {
     // Periods with short hyperperiods.
     source.period = {grain * dice.roll(1, 3), 1};
     if (shape.fractions && dice.chance(50)) source.period = {source.period.num * 3 + 1, 3};
-    if (shape.offsets) source.offset_us = dice.roll(0, 5);
+    if (shape.offsets) source.offset_us = dice.roll(0, std::min(3, grain - 1));
     if (shape.jitter) source.jitter_us = dice.chance(40) ? dice.roll(0, 4) : 0;
     source.clock = dice.roll(0, shape.clocks - 1);
     if (shape.fractions && c > 0) source.period = app.sources[0].period;
@@ -86,9 +87,12 @@ inline AppSpec random_steady_app(test::Dice& dice, const SteadyShape& shape) {
   }
   for (int c = 0; c < components; ++c)
     app.chains.push_back({test::numbered("own", c), c, last(c)});
-  if (shape.transfers && !app.edges.empty() && dice.chance(40)) {
-    app.transfers.push_back({0, "cpu", "gpu", dice.roll(1, 3)});
-    app.transfers.push_back({0, "gpu", "cpu", dice.roll(1, 3)});
+  if (shape.transfers && !app.edges.empty() && dice.chance(60)) {
+    const auto [u, v] = app.edges.front();
+    const auto& from = app.xnodes[static_cast<std::size_t>(u)].wcet_us;
+    const auto& to = app.xnodes[static_cast<std::size_t>(v)].wcet_us;
+    for (const auto& [a, b] : {std::pair{"cpu", "gpu"}, std::pair{"gpu", "cpu"}})
+      if (from.contains(a) && to.contains(b)) app.transfers.push_back({0, a, b, dice.roll(1, 3)});
   }
   return app;
 }
