@@ -35,20 +35,6 @@ std::vector<Tick> heads(const Problem& p, const std::vector<Tick>& work) {
 
 Search::Search(const Problem& problem, const std::vector<Tick>& reference, std::uint64_t seed)
     : p_(problem), reference_(reference), evaluator_(problem, reference), random_(seed) {
-  for (const Chain& chain : p_.chains) {
-    std::vector<char> in(at(p_.num_xnodes), 0);
-    const auto add = [&](int to) {
-      for (const int i : p_.components[at(p_.component_of[at(to)])].xnodes)
-        if (i == to || p_.before(i, to)) in[at(i)] = 1;
-    };
-    for (const Path& path : chain.paths) {
-      for (const int s : path.samples) add(p_.samples[at(s)].first);
-      add(chain.to);
-    }
-    chain_xnodes_.emplace_back();
-    for (int i = 0; i < p_.num_xnodes; ++i)
-      if (in[at(i)] != 0) chain_xnodes_.back().push_back(i);
-  }
   for (int i = 0; i < p_.num_xnodes; ++i)
     if (p_.reads[at(i)] != 0) readers_.push_back(i);
 }
@@ -239,7 +225,7 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
         if (over() && best_.figures.cost < 1e18) return;
         Candidate c;
         c.decision = constructed(*prices, greed, rule);
-        evaluator_.evaluate(c.decision, {}, c.figures, limits_.until);
+        evaluator_.evaluate(c.decision, {}, kInvalidCost, c.figures, limits_.until);
         take(c, on_better);
       }
 }
@@ -261,7 +247,7 @@ void Search::set_critical(const Candidate& of) {
     }
   }
   if (most <= 0) worst = random_.below(p_.chains.size());
-  critical_ = chain_xnodes_[worst];
+  critical_ = evaluator_.chain_xnodes()[worst];
 }
 
 int Search::pick(const Candidate&) {
@@ -370,10 +356,11 @@ void Search::anneal(std::int64_t steps, double hot,
     const int moves = random_.unit() < 0.75 ? 1 : 2;
     for (int m = 0; m < moves; ++m) changed = mutate(current, next.decision) || changed;
     if (!changed) continue;
-    evaluator_.evaluate(next.decision, current.figures.valid ? current.figures.needed : Charges{},
-                        next.figures, limits_.until);
+    // Drawn before, so that most candidates need not be simulated to the end.
     const double scale = current.figures.valid ? current.figures.cost : 0.05 * kInvalidCost;
     const double allowed = current.figures.cost - heat * scale * std::log(random_.unit());
+    evaluator_.evaluate(next.decision, current.figures.valid ? current.figures.needed : Charges{},
+                        allowed, next.figures, limits_.until);
     if (next.figures.cost > allowed) continue;
     if (next.figures.valid && next.figures.better_than(best_.figures)) {
       take(next, on_better);
@@ -395,7 +382,7 @@ void Search::run(const SearchLimits& limits, const Decision* start, bool keep_xp
   if (start != nullptr) {
     Candidate c;
     c.decision = *start;
-    evaluator_.evaluate(c.decision, {}, c.figures, limits_.until);
+    evaluator_.evaluate(c.decision, {}, kInvalidCost, c.figures, limits_.until);
     take(c, on_better);
   }
   if (!keep_xpu_) construct(on_better);

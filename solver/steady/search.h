@@ -58,7 +58,6 @@ class Search {
   bool proven_ = false;  ///< every chain is at its bound
   Candidate best_;
   std::vector<int> critical_;                   ///< XNodes of the chain that sets the cost
-  std::vector<std::vector<int>> chain_xnodes_;  ///< [chain]
   std::vector<int> readers_;
 };
 
