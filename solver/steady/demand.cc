@@ -6,7 +6,7 @@
 namespace xauto::solver::steady {
 namespace {
 
-constexpr std::size_t kMostSteps = 3'000'000;
+constexpr std::size_t kMostSteps = 200'000;
 
 /// A function of the length of an interval: `value` from `length` on.
 struct Step {
@@ -144,7 +144,7 @@ bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& bl
   }
   std::size_t budget = kMostSteps;
   std::vector<Curves> all(patterns.size());
-  for (Tick horizon = 2 * (work + blocked); horizon < kMostTicks * 1024; horizon *= 4) {
+  for (Tick horizon = 2 * (longest + blocked); horizon < kMostTicks * 1024; horizon *= 2) {
     for (std::size_t g = 0; g < patterns.size(); ++g)
       if (!curves(patterns[g], horizon, budget, all[g])) return false;
     // Beyond the horizon of the least of them a real length is not known: leave a margin.

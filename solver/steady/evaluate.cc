@@ -29,6 +29,19 @@ Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
         static_cast<double>(p_.chains[c].weight) * static_cast<double>(reference_[c]);
   }
   reference_sum_ = std::max(reference_sum_, 1.0);
+  for (const Chain& chain : p_.chains) {
+    std::vector<char> in(at(p_.num_xnodes), 0);
+    const auto add = [&](int to) {
+      for (const int i : p_.components[at(p_.component_of[at(to)])].xnodes)
+        if (i == to || p_.before(i, to)) in[at(i)] = 1;
+    };
+    for (const Path& path : chain.paths)
+      for (const int s : path.samples) add(p_.samples[at(s)].first);
+    add(chain.to);
+    chain_xnodes_.emplace_back();
+    for (int i = 0; i < p_.num_xnodes; ++i)
+      if (in[at(i)] != 0) chain_xnodes_.back().push_back(i);
+  }
   rule_.work.resize(at(p_.num_xnodes));
   rule_.delay.resize(at(p_.num_xnodes));
   now_.preempts.resize(at(p_.num_xnodes));
@@ -152,9 +165,37 @@ void Evaluator::set_costs(Figures& out) const {
   out.cost = deadlines_ ? out.late + 0.02 * out.sum / reference_sum_ : out.sum / reference_sum_;
 }
 
-void Evaluator::evaluate(const Decision& decision, const Charges& charges, Figures& out,
-                         const Until& until) {
+/// A chain takes at least as long as the jobs of its ways, from their release. By how much a
+/// release may be before the chain's beginning is bounded by a period and the offsets; what is cut
+/// off wrongly is an answer less, no wrong one.
+void Evaluator::set_limits(double most) {
+  if (most >= kInvalidCost) {
+    rule_.limit.clear();
+    return;
+  }
+  rule_.limit.assign(at(p_.num_xnodes), kMostTicks * 64);
+  for (std::size_t c = 0; c < p_.chains.size(); ++c) {
+    const Chain& chain = p_.chains[c];
+    const auto own = static_cast<double>(chain.weight) * static_cast<double>(reference_[c]);
+    double longest = 0;
+    if (chain.deadline != kNoTick)
+      longest = most * static_cast<double>(chain.deadline);
+    else if (!deadlines_ && chain.weight > 0)
+      longest = (most * reference_sum_ - (reference_sum_ - own)) / static_cast<double>(chain.weight);
+    else
+      continue;
+    if (longest >= static_cast<double>(kMostTicks)) continue;
+    for (const int i : chain_xnodes_[c]) {
+      Tick& limit = rule_.limit[at(i)];
+      limit = std::min(limit, static_cast<Tick>(longest) + chain.offset + p_.period_of(i));
+    }
+  }
+}
+
+void Evaluator::evaluate(const Decision& decision, const Charges& charges, double most,
+                         Figures& out, const Until& until) {
   ++evaluations_;
+  set_limits(most);
   if (charges.preempts.empty()) {
     used_.preempts.assign(at(p_.num_xnodes), 0);
     used_.blocked_by.assign(at(p_.num_xnodes), 0);
@@ -165,15 +206,16 @@ void Evaluator::evaluate(const Decision& decision, const Charges& charges, Figur
   if (out.valid) set_costs(out);
 }
 
-bool Evaluator::settle(const Decision& decision, Figures& out, const Until& until) {
+bool Evaluator::settle(const Decision& decision, Figures& out, bool worse_too,
+                       const Until& until) {
   ++evaluations_;
+  rule_.limit.clear();
   Figures next;
   used_ = out.needed;
-  Decision held = decision;
-  next.valid = simulate(held, &out, used_, next, until);
+  next.valid = simulate(decision, &out, used_, next, until);
   if (!next.valid) return false;
   set_costs(next);
-  if (!next.better_than(out)) return false;
+  if (!worse_too && !next.better_than(out)) return false;
   out = std::move(next);
   return true;
 }

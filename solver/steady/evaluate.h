@@ -48,17 +48,24 @@ class Evaluator {
   /// `reference`: [chain] what the sum is measured in (lower bounds).
   Evaluator(const Problem& problem, const std::vector<Tick>& reference);
 
-  /// `charges`: a guess, by which it begins; empty: none.
-  void evaluate(const Decision& decision, const Charges& charges, Figures& out,
+  /// `charges`: a guess, by which it begins; empty: none. `most`: what costs more may come back
+  /// invalid, sooner.
+  void evaluate(const Decision& decision, const Charges& charges, double most, Figures& out,
                 const Until& until = {});
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
-  /// The keys of `out` as the rule's: the same windows or earlier ones. True if it got better.
-  bool settle(const Decision& decision, Figures& out, const Until& until = {});
+  /// [chain] XNodes that its end waits for, on any of its ways.
+  [[nodiscard]] const std::vector<std::vector<int>>& chain_xnodes() const { return chain_xnodes_; }
+  /// Simulates again with the keys of `out`: where all XPUs are preemptive, the same windows or
+  /// earlier ones. Elsewhere the delays for blocking may change the order of keys; where this ends
+  /// with the order it began with, the certificate holds. True if `out` changed, to something
+  /// better unless `worse_too`.
+  bool settle(const Decision& decision, Figures& out, bool worse_too, const Until& until = {});
 
  private:
   bool simulate(const Decision& decision, const Figures* keys, Charges& charges, Figures& out,
                 const Until& until);
   void set_costs(Figures& out) const;
+  void set_limits(double most);
   [[nodiscard]] double overload(const Decision& decision) const;
 
   const Problem& p_;
@@ -67,6 +74,7 @@ class Evaluator {
   bool deadlines_ = false;
   std::vector<Exhibitor> exhibitors_;  ///< one per domain
   Rule rule_;
+  std::vector<std::vector<int>> chain_xnodes_;  ///< [chain] those that its end waits for
   Charges used_, now_;
   std::vector<Tick> pad_;  ///< [xpu]
   std::vector<char> shared_;

@@ -47,6 +47,7 @@ void Exhibitor::prepare(int domain, const Rule& rule) {
     start_.resize(left_.size());
     finish_.resize(left_.size());
     waits_.resize(left_.size());
+    first_waits_.resize(ix(jobs_));
     next_.resize(at(p_.num_xnodes));
     xpus_.resize(at(p_.num_xpus));
     module_base_.assign(p_.modules.size(), -1);
@@ -68,30 +69,42 @@ void Exhibitor::prepare(int domain, const Rule& rule) {
     x.running.job = -1;
     x.end = kNever;
   }
-  for (std::size_t m = 0; m < p_.modules.size(); ++m)
-    if (module_base_[m] >= 0)
-      std::fill_n(in_module_.begin() + module_base_[m],
-                  p_.components[at(p_.modules[m].component)].jobs * rounds_,
-                  static_cast<std::int64_t>(p_.modules[m].xnodes.size()));
+  prepared_ = 0;
+  useless_ = false;
   for (const int i : d.xnodes) {
     const bool timer = p_.root[at(i)] != 0 || rule.hold[at(i)] > 0;
     const auto waits = static_cast<std::int16_t>(
         std::min<std::size_t>(p_.pred[at(i)].size() + (timer ? 1 : 0), 32000));
-    const std::int64_t per_round = p_.jobs[at(i)];
-    const std::int64_t in_flight =
-        p_.entry[at(i)] != 0 ? p_.modules[at(p_.module_of[at(i)])].in_flight : kMostTicks;
-    for (std::int64_t round = 0; round < rounds_; ++round)
-      for (std::int64_t n = 0; n < per_round; ++n) {
-        const std::size_t job = ix(round * jobs_ + p_.slot[at(i)] - base_ + n);
-        waits_[job] =
-            static_cast<std::int16_t>(waits + (round * per_round + n >= in_flight ? 1 : 0));
-        left_[job] = rule.work[at(i)];
-        start_[job] = -1;
-      }
-    next_[at(i)] = 0;
-    if (timer) static_cast<void>(release(rule, i));
+    std::fill_n(first_waits_.begin() + p_.slot[at(i)] - base_, p_.jobs[at(i)], waits);
+    next_[at(i)] = timer ? 0 : -1;
     const int m = rule.xpu[at(i)];
     if (std::find(used_.begin(), used_.end(), m) == used_.end()) used_.push_back(m);
+  }
+  for (const int i : d.xnodes)
+    if (next_[at(i)] == 0) static_cast<void>(release(rule, i));
+}
+
+/// Rounds are made ready as they are reached: most runs end after three.
+void Exhibitor::prepare_rounds(const Rule& rule, std::int64_t up_to) {
+  const Domain& d = p_.domains[at(domain_)];
+  for (; prepared_ <= up_to; ++prepared_) {
+    std::copy(first_waits_.begin(), first_waits_.end(), waits_.begin() + prepared_ * jobs_);
+    std::fill_n(start_.begin() + prepared_ * jobs_, jobs_, Tick{-1});
+    for (const int i : d.xnodes) {
+      const std::int64_t per_round = p_.jobs[at(i)];
+      const std::int64_t first = prepared_ * jobs_ + p_.slot[at(i)] - base_;
+      std::fill_n(left_.begin() + first, per_round, rule.work[at(i)]);
+      if (p_.entry[at(i)] == 0) continue;
+      const std::int64_t in_flight = p_.modules[at(p_.module_of[at(i)])].in_flight;
+      for (std::int64_t n = 0; n < per_round; ++n)
+        if (prepared_ * per_round + n >= in_flight) ++waits_[ix(first + n)];
+    }
+    for (std::size_t m = 0; m < p_.modules.size(); ++m) {
+      if (module_base_[m] < 0) continue;
+      const std::int64_t per_round = p_.components[at(p_.modules[m].component)].jobs;
+      std::fill_n(in_module_.begin() + module_base_[m] + prepared_ * per_round, per_round,
+                  static_cast<std::int64_t>(p_.modules[m].xnodes.size()));
+    }
   }
 }
 
@@ -100,6 +113,7 @@ bool Exhibitor::release(const Rule& rule, int xnode) {
   const std::int64_t per_round = p_.jobs[at(xnode)];
   const std::int64_t n = next_[at(xnode)]++;
   if (n >= per_round * rounds_) return false;
+  if (n / per_round >= prepared_) prepare_rounds(rule, n / per_round);
   const std::int64_t job =
       n / per_round * jobs_ + p_.slot[at(xnode)] - base_ + n % per_round;
   const Tick ready =
@@ -125,6 +139,7 @@ void Exhibitor::done(const Rule& rule, std::int64_t job, Tick now) {
   const std::int64_t round = job / jobs_, in_round = job - round * jobs_;
   const int i = p_.slot_xnode[ix(in_round + base_)];
   finish_[ix(job)] = now;
+  if (!rule.limit.empty() && now - nominal(job) > rule.limit[at(i)]) useless_ = true;
   ++done_[ix(round)];
   const std::int64_t per_round = p_.jobs[at(i)];
   const std::int64_t n = in_round + base_ - p_.slot[at(i)];
@@ -143,6 +158,7 @@ void Exhibitor::done(const Rule& rule, std::int64_t job, Tick now) {
   if (--in_module_[ix(module_base_[at(module)] + activation)] > 0) return;
   const std::int64_t admitted = activation + std::min(mod.in_flight, kMostTicks);
   if (admitted >= per_round * rounds_) return;
+  if (admitted / per_round >= prepared_) prepare_rounds(rule, admitted / per_round);
   for (const int e : mod.entries)
     one_less(rule, admitted / per_round * jobs_ + p_.slot[at(e)] - base_ + admitted % per_round,
              now);
@@ -193,7 +209,7 @@ bool Exhibitor::run(int domain, const Rule& rule, Schedule& schedule, const Unti
     Tick now = events_.empty() ? kNever : events_.front().time;
     for (const int m : used_) now = std::min(now, xpus_[at(m)].end);
     if (now == kNever) return false;
-    if ((++steps & 0x3fff) == 0 && until.over()) return false;
+    if (useless_ || ((++steps & 0x3fff) == 0 && until.over())) return false;
     dirty_.clear();
     for (const int m : used_) {
       Xpu& x = xpus_[at(m)];

@@ -23,6 +23,8 @@ struct Rule {
   std::vector<Tick> hold;    ///< [xnode] earliest start after the nominal release; 0: none
   std::vector<Tick> key;     ///< [xnode] after the nominal release; or by slot
   bool key_by_slot = false;
+  /// [xnode] an end later than this is of no use: it ends the simulation. Empty: none.
+  std::vector<Tick> limit;
 };
 
 /// By slot, after the nominal release. Only the slots of the domain are written.
@@ -60,6 +62,7 @@ class Exhibitor {
   };
 
   void prepare(int domain, const Rule& rule);
+  void prepare_rounds(const Rule& rule, std::int64_t up_to);
   bool release(const Rule& rule, int xnode);
   void one_less(const Rule& rule, std::int64_t job, Tick now);
   void done(const Rule& rule, std::int64_t job, Tick now);
@@ -73,11 +76,12 @@ class Exhibitor {
   Tick hyper_ = 0;
   int base_ = 0;            ///< first slot of the domain: its slots are contiguous
   std::int64_t jobs_ = 0;   ///< per hyperperiod; job = round * jobs_ + slot - base_
-  std::int64_t rounds_ = 0, equal_ = 0;
+  std::int64_t rounds_ = 0, prepared_ = 0, equal_ = 0;
+  bool useless_ = false;
   std::vector<Tick> phase_;              ///< [slot - base] nominal release within a hyperperiod
   std::vector<Event> events_;            ///< a heap, earliest on top
   std::vector<std::int64_t> next_;       ///< [xnode] the next activation that its timer releases
-  std::vector<std::int16_t> waits_;      ///< [job] things that it waits for
+  std::vector<std::int16_t> waits_, first_waits_;  ///< [job] things that it waits for
   std::vector<Tick> left_, start_, finish_;  ///< [job]
   std::vector<std::int64_t> in_module_;  ///< [module offset + activation] XNodes not yet done
   std::vector<std::int64_t> module_base_;

@@ -34,27 +34,13 @@ std::vector<Tick> heads(const Problem& p, const std::vector<Tick>& work) {
 }  // namespace
 
 Search::Search(const Problem& problem, const std::vector<Tick>& reference, std::uint64_t seed)
-    : p_(problem), evaluator_(problem, reference), random_(seed) {
-  for (const Chain& chain : p_.chains) {
-    std::vector<char> in(at(p_.num_xnodes), 0);
-    const auto add = [&](int to) {
-      for (const int i : p_.components[at(p_.component_of[at(to)])].xnodes)
-        if (i == to || p_.before(i, to)) in[at(i)] = 1;
-    };
-    for (const Path& path : chain.paths) {
-      for (const int s : path.samples) add(p_.samples[at(s)].first);
-      add(chain.to);
-    }
-    chain_xnodes_.emplace_back();
-    for (int i = 0; i < p_.num_xnodes; ++i)
-      if (in[at(i)] != 0) chain_xnodes_.back().push_back(i);
-  }
+    : p_(problem), reference_(reference), evaluator_(problem, reference), random_(seed) {
   for (int i = 0; i < p_.num_xnodes; ++i)
     if (p_.reads[at(i)] != 0) readers_.push_back(i);
 }
 
 bool Search::over() const {
-  return limits_.until.over() || (limits_.max_evaluations > 0 &&
+  return proven_ || limits_.until.over() || (limits_.max_evaluations > 0 &&
                                   evaluator_.evaluations() >= limits_.max_evaluations);
 }
 
@@ -199,27 +185,33 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
   return d;
 }
 
+/// Keeps it if it is the best so far, and, if it is valid, certified: the simulation is believed by
+/// nobody. Makes it invalid otherwise.
 void Search::take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better) {
-  if (!candidate.figures.valid || !candidate.figures.better_than(best_.figures)) {
-    if (!best_.figures.valid && !candidate.figures.valid &&
-        candidate.figures.cost < best_.figures.cost)
-      best_ = candidate;
-    return;
-  }
-  for (int k = 0; k < 3 && evaluator_.settle(candidate.decision, candidate.figures, limits_.until);
-       ++k) {
-  }
-  // The simulation is believed by nobody.
-  Windows w;
-  w.d = candidate.figures.w.d;
-  w.hold = candidate.figures.w.hold;
-  if (!certify(p_, candidate.decision.xpu, w)) {
+  if (candidate.figures.valid && candidate.figures.better_than(best_.figures)) {
+    for (int k = 0; k < 3; ++k)
+      if (!evaluator_.settle(candidate.decision, candidate.figures, false, limits_.until)) break;
+    for (int k = 0; k < 6; ++k) {
+      Windows w;
+      w.d = candidate.figures.w.d;
+      w.hold = candidate.figures.w.hold;
+      if (certify(p_, candidate.decision.xpu, w)) {
+        if (!candidate.figures.better_than(best_.figures)) return;
+        best_ = candidate;
+        on_better(best_);
+        proven_ = true;
+        for (std::size_t c = 0; c < p_.chains.size(); ++c)
+          proven_ = proven_ && best_.figures.chain[c] <= p_.up_to_us(reference_[c]);
+        return;
+      }
+      if (!evaluator_.settle(candidate.decision, candidate.figures, true, limits_.until)) break;
+    }
     candidate.figures.valid = false;
     candidate.figures.cost = kInvalidCost;
-    return;
   }
-  best_ = candidate;
-  on_better(best_);
+  if (!best_.figures.valid && !candidate.figures.valid &&
+      candidate.figures.cost < best_.figures.cost)
+    best_ = candidate;
 }
 
 void Search::construct(const std::function<void(const Candidate&)>& on_better) {
@@ -233,7 +225,7 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
         if (over() && best_.figures.cost < 1e18) return;
         Candidate c;
         c.decision = constructed(*prices, greed, rule);
-        evaluator_.evaluate(c.decision, {}, c.figures, limits_.until);
+        evaluator_.evaluate(c.decision, {}, kInvalidCost, c.figures, limits_.until);
         take(c, on_better);
       }
 }
@@ -255,7 +247,7 @@ void Search::set_critical(const Candidate& of) {
     }
   }
   if (most <= 0) worst = random_.below(p_.chains.size());
-  critical_ = chain_xnodes_[worst];
+  critical_ = evaluator_.chain_xnodes()[worst];
 }
 
 int Search::pick(const Candidate&) {
@@ -364,10 +356,11 @@ void Search::anneal(std::int64_t steps, double hot,
     const int moves = random_.unit() < 0.75 ? 1 : 2;
     for (int m = 0; m < moves; ++m) changed = mutate(current, next.decision) || changed;
     if (!changed) continue;
-    evaluator_.evaluate(next.decision, current.figures.valid ? current.figures.needed : Charges{},
-                        next.figures, limits_.until);
+    // Drawn before, so that most candidates need not be simulated to the end.
     const double scale = current.figures.valid ? current.figures.cost : 0.05 * kInvalidCost;
     const double allowed = current.figures.cost - heat * scale * std::log(random_.unit());
+    evaluator_.evaluate(next.decision, current.figures.valid ? current.figures.needed : Charges{},
+                        allowed, next.figures, limits_.until);
     if (next.figures.cost > allowed) continue;
     if (next.figures.valid && next.figures.better_than(best_.figures)) {
       take(next, on_better);
@@ -389,15 +382,16 @@ void Search::run(const SearchLimits& limits, const Decision* start, bool keep_xp
   if (start != nullptr) {
     Candidate c;
     c.decision = *start;
-    evaluator_.evaluate(c.decision, {}, c.figures, limits_.until);
+    evaluator_.evaluate(c.decision, {}, kInvalidCost, c.figures, limits_.until);
     take(c, on_better);
-    if (!c.figures.valid && best_.figures.cost >= 1e18) best_ = c;
   }
   if (!keep_xpu_) construct(on_better);
   std::int64_t steps = 1500;
   double hot = 0.05;
   while (!over()) {
+    const std::int64_t before = evaluator_.evaluations();
     anneal(steps, hot, on_better);
+    if (evaluator_.evaluations() == before) return;  // nothing can be changed
     steps += steps / 2;
     hot = hot < 0.01 ? 0.04 : hot * 0.7;
   }

@@ -50,13 +50,14 @@ class Search {
   void set_critical(const Candidate& of);
 
   const Problem& p_;
+  std::vector<Tick> reference_;
   Evaluator evaluator_;
   Random random_;
   SearchLimits limits_;
   bool keep_xpu_ = false;
+  bool proven_ = false;  ///< every chain is at its bound
   Candidate best_;
   std::vector<int> critical_;                   ///< XNodes of the chain that sets the cost
-  std::vector<std::vector<int>> chain_xnodes_;  ///< [chain]
   std::vector<int> readers_;
 };
 
