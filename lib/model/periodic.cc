@@ -369,6 +369,16 @@ void complete_chains(AppSpec& app) {
   if (app.chains.empty()) app.chains = default_chains(app);
 }
 
+Result<AppSpec> as_version_2(AppSpec app) {
+  app.version = 2;
+  complete_modules(app);
+  complete_chains(app);
+  for (ChainSpec& chain : app.chains) chain.deadline_us = app.deadline_us;
+  app.deadline_us.reset();
+  XAUTO_TRY(validate(app));
+  return app;
+}
+
 Status validate_periodic(const AppSpec& app) {
   if (app.deadline_us)
     return invalid("version 2 has no deadline of the whole", "/deadline_us",

@@ -19,6 +19,10 @@ namespace xauto {
 void complete_modules(AppSpec& app);
 void complete_chains(AppSpec& app);
 
+/// An app of version 1 as one of version 2, if it can be: its sources are known, and what edges join
+/// has one period. Its deadline becomes that of the chains.
+[[nodiscard]] Result<AppSpec> as_version_2(AppSpec app);
+
 /// Of an app whose sources, XNodes and edges are valid:
 ///   sources   offset in [0, period), jitter from 0 to an hour; clocks with names, ppm in range
 ///   XNodes    without predecessors hear of a source; components as find_components() says

@@ -86,6 +86,11 @@ def errors(value, schema, root, where=""):
 SCHEMAS = {p.name.split(".")[0]: json.loads(p.read_text()) for p in (SOURCE / "docs/schema").glob("*.schema.json")}
 
 
+def format_name(name, version):
+    """What the schema's file begins with, and the golden files: app, app-2."""
+    return name if version == 1 else f"{name}-{version}"
+
+
 def check(format_, document, what):
     found = errors(document, SCHEMAS[format_], SCHEMAS[format_])
     assert not found, f"{what}: {found[:3]}"
@@ -101,11 +106,14 @@ def test_the_validator_sees_what_it_should():
 
 
 def test_every_format_has_a_schema():
-    table = re.findall(r"`xauto\.(\w+)` 1", (SOURCE / "docs/formats.md").read_text())
-    assert set(table) == set(SCHEMAS), (sorted(set(table)), sorted(SCHEMAS))
+    table = re.findall(r"`xauto\.(\w+)` (\d)(?: and (\d))?", (SOURCE / "docs/formats.md").read_text())
+    named = {format_name(name, int(v)) for name, *versions in table for v in versions if v}
+    assert named == set(SCHEMAS), (sorted(named), sorted(SCHEMAS))
     for name, schema in SCHEMAS.items():
         assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema", name
-        assert schema["properties"]["schema"] == {"const": f"xauto.{name}"}, name
+        kind, _, version = name.partition("-")
+        assert schema["properties"]["schema"] == {"const": f"xauto.{kind}"}, name
+        assert schema["properties"]["version"] == {"const": int(version or 1)}, name
 
 
 def test_golden_files_and_examples_are_valid():
@@ -115,10 +123,10 @@ def test_golden_files_and_examples_are_valid():
         document = json.loads(path.read_text())
         if "schema" not in document:
             continue
-        format_ = document["schema"].split(".")[1]
+        format_ = format_name(document["schema"].split(".")[1], document["version"])
         seen.add(format_)
         check(format_, document, path)
-    assert seen >= {"app", "platform", "policy", "profile", "deployment"}, seen
+    assert seen >= {"app", "platform", "policy", "profile", "deployment", "app-2", "policy-2"}, seen
 
 
 # What only a program can see: what holds between values, or bytes that a parser of JSON does not show.
@@ -132,6 +140,24 @@ BEYOND = {
                "order-self", "order-twice", "order-unknown-xnode", "priority-twice", "stale-hash", "xnode-not-placed",
                "xnode-twice", "xnode-unknown", "xpu-unknown", "xpu-without-implementation",
                "xpu-without-implementation-other-order"},
+    "app-2": {"chain-from-an-xnode", "chain-name-twice", "chain-that-does-not-connect",
+              "chain-that-returns-to-a-component", "chain-to-unknown-xnode", "clock-listed-twice",
+              "clock-main-listed-twice", "cycle", "edge-to-unknown-xnode", "edge-twice-once-with-a-transfer",
+              "join-of-two-clocks", "join-of-two-periods", "module-in-two-components", "module-listed-twice",
+              "module-without-xnodes", "offset-of-a-fraction-of-a-period", "offset-of-a-period",
+              "rate-below-one-an-hour", "rate-divided-by-zero", "rate-too-long", "rate-without-a-tick", "rate-zero",
+              "rates-without-a-common-tick", "root-of-two-clocks", "root-of-two-periods",
+              "sample-forward-inside-a-component", "sample-twice", "sample-unknown-xnode", "source-behind-an-edge",
+              "source-unknown", "source-with-two-periods", "transfer-from-a-type-without-implementation",
+              "transfer-to-a-type-without-implementation", "variant-name-twice", "xnode-without-source"},
+    "policy-2": {"app-of-another-name", "chain-missing", "chain-twice", "chain-unknown", "finish-after-key",
+                 "finish-before-start", "hold-of-another-size", "key-before-hold-and-work",
+                 "key-before-offset-and-work", "key-before-predecessor-and-work",
+                 "key-before-predecessor-other-order", "key-before-predecessor-transfer-and-work",
+                 "key-before-the-work", "key-falls-around-the-end", "key-falls", "key-zero",
+                 "keys-more-than-activations", "keys-that-do-not-divide", "stale-hash", "start-before-hold",
+                 "start-without-finish", "xnode-not-placed", "xnode-twice", "xnode-unknown", "xpu-unknown",
+                 "xpu-without-implementation"},
 }
 
 

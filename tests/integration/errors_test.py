@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every malformed file of tests/golden/errors makes the tool exit with 2 and say what its .expected says."""
+import json
 import pathlib
 import shutil
 import sqlite3
@@ -11,6 +12,7 @@ from common import SOURCE, xauto
 GOLDEN = SOURCE / "tests/golden"
 COMMANDS = {
     "app": lambda f: ["simulate", "--model", "ros2", "--app", f],
+    "app-2": lambda f: ["simulate", "--model", "ros2", "--app", f],
     "platform": lambda f: ["simulate", "--model", "ros2", "--app", GOLDEN / "app.json", "--platform", f],
     "policy": lambda f: ["check", "--app", GOLDEN / "app.json", "--platform", GOLDEN / "platform.json",
                          "--policy", f],
@@ -46,6 +48,9 @@ class Errors(unittest.TestCase):
     def test_app(self):
         self.refuse("app")
 
+    def test_app_of_version_2(self):
+        self.refuse("app-2")
+
     def test_platform(self):
         self.refuse("platform")
 
@@ -57,6 +62,38 @@ class Errors(unittest.TestCase):
 
     def test_recording(self):
         self.refuse("recording")
+
+    def test_verbs_that_plan_one_release_refuse_version_2(self):
+        app, platform = GOLDEN / "app-2.json", GOLDEN / "platform.json"
+        for verb in (["solve"], ["simulate", "--model", "ros2"], ["explain", "--policy", GOLDEN / "policy-2.json"],
+                     ["check", "--policy", GOLDEN / "policy-2.json"],
+                     ["run", "--policy", GOLDEN / "policy-2.json", "--emulate", "--", "true"]):
+            with self.subTest(verb=verb[0]):
+                result = xauto(verb[0], "--app", app, "--platform", platform, *verb[1:])
+                self.assertEqual(result.returncode, 2, result.stderr)
+                self.assertIn(f"{app}: /version: is 2: an app whose sources release on and on", result.stderr)
+                self.assertEqual(result.stdout, "")
+
+    def test_profile_writes_version_2_where_it_can(self):
+        profile = json.loads((GOLDEN / "profile-sources.json").read_text())
+        with tempfile.TemporaryDirectory() as folder:
+            folder = pathlib.Path(folder)
+
+            def written(*arguments):
+                (folder / "profile.json").write_text(json.dumps(profile))
+                done = xauto("profile", "--read", "profile.json", "--platform", GOLDEN / "platform.json", "--app-out",
+                             "app.json", *arguments, cwd=folder)
+                self.assertEqual(done.returncode, 0, done.stderr)
+                return json.loads((folder / "app.json").read_text()), done.stderr
+
+            self.assertEqual(written()[0]["version"], 1)
+            app, said = written("--app-version", 2)
+            self.assertEqual((app["version"], said), (2, ""))
+            self.assertEqual(app["chains"], [{"name": "camera -> fcd.infer", "from": "camera", "to": "fcd.infer"}])
+            profile["xnodes"][0]["source"] = ["camera", "lidar/größe"]
+            app, said = written("--app-version", 2)
+            self.assertEqual(app["version"], 1)
+            self.assertIn("app.json is of version 1: /xnodes/0/source: XNode 'fcd.pre' joins sources", said)
 
     def test_usage(self):
         for arguments in ([], ["nonsense"], ["solve"], ["simulate", "--app"], ["run", "--app", "x"],

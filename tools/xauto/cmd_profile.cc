@@ -9,6 +9,7 @@
 
 #include "base/log.h"
 #include "model/json.h"
+#include "model/periodic.h"
 
 #include "xauto/command.h"
 #include "xauto/emulation.h"
@@ -22,6 +23,7 @@ struct ProfileFlags {
   std::string platform = "small", input, out, app_out, from = "wcet", read;
   std::uint64_t warmup = 3, repetitions = 30;
   std::int64_t margin_pct = 20, exec_limit_s = 30;
+  int app_version = 1;
   bool stable = false;
   std::optional<Argument> repetitions_given;
   EmulationOptions emulation;
@@ -163,7 +165,13 @@ Result<int> profile(const ProfileFlags& given, const Options& options) {
     const WcetFrom from = flags.from == "p50"   ? WcetFrom::kP50
                           : flags.from == "p99" ? WcetFrom::kP99
                                                 : WcetFrom::kMaxPlusMargin;
-    const auto app = to_app(*result, platform, from);
+    auto app = to_app(*result, platform, from);
+    if (app && flags.app_version == 2) {
+      if (auto periodic = as_version_2(*app))
+        app = std::move(periodic);
+      else
+        log::warn("{} is of version 1: {}", flags.app_out, periodic.error().to_string());
+    }
     if (app)
       outputs.write(flags.app_out, to_json(*app));
     else if (result->incomplete.empty())
@@ -208,6 +216,11 @@ void add_profile(Commands& commands) {
       .shown();
   verb.option("--out", flags->out, "write profile.json here");
   verb.option("--app-out", flags->app_out, "write the app.json that follows here");
+  verb.option("--app-version", flags->app_version,
+              "of that app.json: 1, one release, which solve and run take; 2, releases on and on, "
+              "where each part that edges join has one period")
+      .range(1, 2)
+      .shown();
   flags->emulation.declare(verb);
   verb.option("--read", flags->read,
               "an existing profile.json instead of measuring, e.g. for --app-out");

@@ -75,7 +75,10 @@ Result<solver::Objectives> parse_objectives(const std::string& file, const std::
       return bad(app_path, std::string("/") + key, "an array is expected here");
     return root.at(key).elements();
   };
-  XAUTO_ASSIGN(const std::vector<Json> chains, list("chains"));
+  // In version 2 chains are the app's own, from a source: AppSpec::chains.
+  const bool periodic = root.at("version").integer().value_or(1) > 1;
+  XAUTO_ASSIGN(const std::vector<Json> chains,
+               periodic ? Result<std::vector<Json>>() : list("chains"));
   for (std::size_t k = 0; k < chains.size(); ++k) {
     const std::string pointer = "/chains/" + std::to_string(k);
     solver::ChainWish chain;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The optional keys of app.json that only the solver reads: "chains", "pins", "forbids", "groups"
 // (docs/formats.md). They change what is asked for, not what the app is, so they are not in its
-// hash.
+// hash. "chains" of version 2 are part of the app, and not read here.
 #pragma once
 
 #include <string>

@@ -48,20 +48,27 @@ void describe(const json& root, const json& schema, const std::string& path,
       describe(root, schema[each], path + "/*", keys);
 }
 
-/// The golden file of a format, read; "" is the schema's name in docs/schema/.
+/// Reads a text of a format: the name of its schema in docs/schema/.
+Status read(const std::string& format, const std::string& text, Keys* keys) {
+  const auto golden = [](const char* name) { return slurp(kSource + "/tests/golden/" + name); };
+  static const AppSpec app = parse_app(golden("app.json"), "app.json").value(),
+                       app_2 = parse_app(golden("app-2.json"), "app-2.json").value();
+  static const Platform platform = parse_platform(golden("platform.json"), "platform.json").value();
+  const auto status = [](auto result) {
+    return result ? Status() : Status(tl::unexpected<Error>(std::move(result).error()));
+  };
+  if (format == "app" || format == "app-2") return status(parse_app(text, format, keys));
+  if (format == "platform") return status(parse_platform(text, format, keys));
+  if (format == "profile") return status(parse_profile(text, format, keys));
+  if (format == "policy") return status(parse_policy(text, format, app, platform, keys));
+  if (format == "policy-2") return status(parse_key_policy(text, format, app_2, platform, keys));
+  return status(parse_deployment(text, format, app, keys));
+}
+
 Keys keys_of(const std::string& format, const std::string& text) {
   Keys keys;
-  const AppSpec app = parse_app(slurp(kSource + "/tests/golden/app.json"), "app.json").value();
-  const Platform platform =
-      parse_platform(slurp(kSource + "/tests/golden/platform.json"), "platform.json").value();
-  const auto expect = [&](const auto& result) {
-    EXPECT_TRUE(result) << format << ": " << result.error().to_string();
-  };
-  if (format == "app") expect(parse_app(text, format, &keys));
-  if (format == "platform") expect(parse_platform(text, format, &keys));
-  if (format == "profile") expect(parse_profile(text, format, &keys));
-  if (format == "policy") expect(parse_policy(text, format, app, platform, &keys));
-  if (format == "deployment") expect(parse_deployment(text, format, app, &keys));
+  const Status status = read(format, text, &keys);
+  EXPECT_TRUE(status) << format << ": " << status.error().to_string();
   return keys;
 }
 
@@ -75,7 +82,9 @@ std::string golden(const std::string& format) {
   return slurp(kSource + "/tests/golden/" + format + ".json");
 }
 
-const char* const kFormats[] = {"app", "platform", "profile", "policy", "deployment"};
+/// -2: version 2 of it.
+const char* const kFormats[] = {"app",        "platform", "profile", "policy",
+                                "deployment", "app-2",    "policy-2"};
 
 TEST(Keys, SchemasHaveTheKeysThatTheReadersAskFor) {
   for (const std::string format : kFormats) {
@@ -122,16 +131,7 @@ TEST(Keys, NoMisspeltKeyPassesInSilence) {
               at.erase(name);
               Keys keys;
               const std::string text = whole.dump();
-              const AppSpec app = parse_app(golden("app"), "app").value();
-              const Platform platform = parse_platform(golden("platform"), "platform").value();
-              bool accepted = false;
-              if (format == "app") accepted = parse_app(text, format, &keys).has_value();
-              if (format == "platform") accepted = parse_platform(text, format, &keys).has_value();
-              if (format == "profile") accepted = parse_profile(text, format, &keys).has_value();
-              if (format == "policy")
-                accepted = parse_policy(text, format, app, platform, &keys).has_value();
-              if (format == "deployment")
-                accepted = parse_deployment(text, format, app, &keys).has_value();
+              const bool accepted = read(format, text, &keys).has_value();
               if (!accepted) {
                 ++refused;
               } else {

@@ -39,6 +39,15 @@ TEST(ObjectivesFile, NothingAskedIsNothing) {
   EXPECT_TRUE(read->empty());
 }
 
+TEST(ObjectivesFile, ChainsOfVersion2AreTheAppsOwn) {
+  const auto read = parse_objectives(R"({"version": 2, "chains": [{"name": "brake", "from": "cam",
+    "to": "x"}], "pins": [{"xnode": "x", "xpu": "cpu"}]})",
+                                     "app.json");
+  ASSERT_TRUE(read) << read.error().to_string();
+  EXPECT_TRUE(read->chains.empty());
+  EXPECT_EQ(read->pins.size(), 1u);
+}
+
 TEST(ObjectivesFile, RefusesWhatIsMalformedAndSaysWhere) {
   const std::pair<const char*, const char*> cases[] = {
       {R"({"chains": {}})", "/chains"},
