@@ -24,7 +24,20 @@ constexpr std::size_t kMaxClasses = 1'000'000;
 constexpr std::int64_t kMaxWork = 200'000'000;
 constexpr Ticks kUnreached = -4 * kMaxTicks;
 
-using Late = std::vector<Ticks>;
+/// At most `real`, and `grid` on the clock's grid: what drifts together is added before it drifts.
+struct Mark {
+  Ticks real = kUnreached;
+  Ticks grid = 0;
+};
+using Late = std::vector<Mark>;
+
+/// The later of both, or what is later than each.
+Mark later(const Mark& a, const Mark& b, std::int64_t ppm) {
+  if (a.real <= kUnreached) return b;
+  if (b.real <= kUnreached) return a;
+  if (a.real == b.real) return {a.real, std::max(a.grid, b.grid)};
+  return {std::max(a.real + most(a.grid, ppm), b.real + most(b.grid, ppm)), 0};
+}
 
 class Walk {
  public:
@@ -68,9 +81,9 @@ class Walk {
       }
       for (Ticks& end : ends) end -= offset;
       path_ = {source.name};
-      XAUTO_TRY(visit(
-          static_cast<int>(c), enters,
-          Late(static_cast<std::size_t>(home.classes), -least(offset - home.phi, home.ppm)), ends));
+      XAUTO_TRY(visit(static_cast<int>(c), enters,
+                      Late(static_cast<std::size_t>(home.classes), Mark{0, home.phi - offset}),
+                      ends));
     }
     if (proof_.path.empty())
       return fail(ErrorCode::kInvalid,
@@ -93,7 +106,7 @@ class Walk {
     for (const int x : w_.order) {
       if (!reached[at(x)]) continue;
       for (const int v : w_.after[at(x)]) reached[at(v)] = 1;
-      if (x == chain_.to) arrive(late, ends[at(x)]);
+      if (x == chain_.to) arrive(c, late, ends[at(x)]);
       for (const int v : reads_[at(x)])
         if (!visited_[at(w_.component_of[at(v)])]) {
           path_.push_back(w_.name(x));
@@ -106,11 +119,17 @@ class Walk {
     return {};
   }
 
-  void arrive(const Late& late, Ticks bound) {
+  /// To the nominal release of what is marked, in a component of that drift.
+  [[nodiscard]] static Ticks value(const Mark& mark, const Component& c) {
+    return mark.real + most(mark.grid, c.ppm);
+  }
+
+  void arrive(int c, const Late& late, Ticks bound) {
     bound_ = std::max(bound_, bound);
     for (std::size_t n = 0; n < late.size(); ++n) {
-      if (late[n] <= kUnreached) continue;
-      const Ticks end = late[n] + w_.window(chain_.to, static_cast<std::int64_t>(n)).d;
+      if (late[n].real <= kUnreached) continue;
+      const Ticks end = value(late[n], w_.components[at(c)]) +
+                        w_.window(chain_.to, static_cast<std::int64_t>(n)).d;
       if (!proof_.path.empty() && end <= worst_) continue;
       worst_ = end;
       proof_.path = path_;
@@ -143,12 +162,12 @@ class Walk {
         pattern / to.period > static_cast<Ticks>(kMaxClasses))
       return false;
     const Ticks classes = pattern / to.period;
-    next.assign(static_cast<std::size_t>(classes), kUnreached);
+    next.assign(static_cast<std::size_t>(classes), Mark{});
     const Ticks latest = std::ranges::max(w_.windows[at(v)], {}, &Window::e).e;
     work_ += pattern / from.period;
     for (std::int64_t n = 0; n < pattern / from.period; ++n) {
-      const Ticks so_far = late[static_cast<std::size_t>(n) % late.size()];
-      if (so_far <= kUnreached) continue;
+      const Mark& so_far = late[static_cast<std::size_t>(n) % late.size()];
+      if (so_far.real <= kUnreached) continue;
       const Ticks release = from.phi + n * from.period;
       const Ticks end = w_.window(u, n).d;
       // The first that knows it with the least drift, up to the one that does with the most.
@@ -159,12 +178,13 @@ class Walk {
       while (most(gap(m), to.ppm) + w_.window(v, m).e < end) ++m;
       for (;; ++m) {
         if (++work_ > kMaxWork) return true;  // sample() says so
-        Ticks wait = most(gap(m), to.ppm);
-        if (to.ppm > 0)
-          wait = std::min(wait, end - w_.window(v, m - 1).e + most(to.period, to.ppm));
+        Mark mark{so_far.real, so_far.grid + gap(m)};
+        const Ticks latest_release =
+            value(so_far, from) + end - w_.window(v, m - 1).e + most(to.period, to.ppm);
+        if (latest_release < value(mark, to)) mark = {latest_release, 0};
         const std::int64_t k = m % classes;
-        Ticks& best = next[static_cast<std::size_t>(k < 0 ? k + classes : k)];
-        best = std::max(best, so_far + wait);
+        Mark& best = next[static_cast<std::size_t>(k < 0 ? k + classes : k)];
+        best = later(best, mark, to.ppm);
         if (least(gap(m), to.ppm) + w_.window(v, m).e >= end) break;
       }
     }
@@ -174,11 +194,12 @@ class Walk {
   void any_phase(int u, int v, const Late& late, Late& next) const {
     Ticks end = kUnreached;
     for (std::size_t n = 0; n < late.size(); ++n)
-      if (late[n] > kUnreached)
-        end = std::max(end, late[n] + w_.window(u, static_cast<std::int64_t>(n)).d);
+      if (late[n].real > kUnreached)
+        end = std::max(end,
+                       value(late[n], w_.home(u)) + w_.window(u, static_cast<std::int64_t>(n)).d);
     const Component& to = w_.home(v);
     for (std::int64_t m = 0; m < to.classes; ++m)
-      next.push_back(end - w_.window(v, m - 1).e + most(to.period, to.ppm));
+      next.push_back({end - w_.window(v, m - 1).e + most(to.period, to.ppm), 0});
   }
 
   const World& w_;

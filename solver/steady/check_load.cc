@@ -51,6 +51,7 @@ struct Group {
 struct Step {
   Ticks length = 0, demand = 0;
   const Item* last = nullptr;  ///< whose key is its end
+  Ticks shift = 0;             ///< of the release of `last`, against that of the first
 };
 
 class Load {
@@ -427,7 +428,7 @@ class Load {
       if (most(shift, g.ppm) + gap < 0) return;
       const Ticks key =
           std::max<Ticks>(0, least(shift, g.ppm) + gap) + b.item->window.d - b.item->window.a;
-      if (key <= end) steps.push_back({key, b.item->work, b.item});
+      if (key <= end) steps.push_back({key, b.item->work, b.item, shift});
     };
     Ticks base = 0;
     for (std::size_t k = from;;) {
@@ -512,20 +513,12 @@ class Load {
   }
 
   Status bound_demand() {
-    std::vector<Blocker> blockers;
     Ticks longest = 0;
     if (!xpu_.preemptive)
       for (const Group& g : groups_)
-        for (const int j : g.xnodes) {
-          Blocker b{0, w_.wcet[at(j)], j};
-          for (const Window& window : w_.windows[at(j)])
-            b.until = std::max(b.until, window.d - window.e);
-          longest = std::max(longest, b.work);
-          blockers.push_back(b);
-        }
+        for (const int j : g.xnodes) longest = std::max(longest, w_.wcet[at(j)]);
     const std::optional<Ticks> end = busy(longest);
     if (!end) return no_end();
-    if (groups_.size() == 1) return bound_alone(groups_[0], *end);
 
     std::vector<std::vector<Step>> curves;
     for (const Group& g : groups_) {
@@ -538,7 +531,69 @@ class Load {
       }
       curves.push_back(std::move(curve));
     }
-    return compare(sum(curves), staircase(std::move(blockers)));
+    XAUTO_TRY(compare(sum(curves), {}));
+    if (xpu_.preemptive) return {};
+    // Where all may block whatever is in the interval, and it is enough, phases need no look.
+    std::vector<Blocker> blockers;
+    for (const Group& g : groups_)
+      for (const int j : g.xnodes) blockers.push_back({g.longest, w_.wcet[at(j)], j});
+    const XpuProof unblocked = proof_;
+    const Ticks slack = slack_;
+    if (compare(sum(curves), staircase(std::move(blockers)))) return {};
+    proof_ = unblocked;
+    slack_ = slack;
+    for (std::size_t k = 0; k < groups_.size(); ++k)
+      for (const int j : groups_[k].xnodes) {
+        XAUTO_TRY(affordable(groups_[k], *end));
+        std::vector<std::vector<Step>> blocked = curves;
+        Blocker blocker{0, w_.wcet[at(j)], j};
+        for (const Window& window : w_.windows[at(j)])
+          blocker.until = std::max(blocker.until, window.d - window.e);
+        blocked[k] = demand_behind(groups_[k], j, *end);
+        XAUTO_TRY(compare(sum(blocked), {blocker}));
+      }
+    return {};
+  }
+
+  /// Demand of a group while a job of its XNode j blocks: that started before, and has a later key.
+  /// What it has waited for had ended when it started, and is not in the interval.
+  [[nodiscard]] std::vector<Step> demand_behind(const Group& g, int j, Ticks end) const {
+    const Component& c = w_.home(j);
+    std::map<int, std::vector<std::int64_t>> lags;
+    for (const int i : g.xnodes)
+      if (w_.component_of[at(i)] == w_.component_of[at(j)]) lags[i] = w_.lags(i);
+    const auto waits = [&](Ticks delta, int i) {
+      return w_.component_of[at(i)] == w_.component_of[at(j)] &&
+             floor_div(delta, c.period) >= lags.at(i)[at(j)];
+    };
+    std::vector<Step> curve, steps, own;
+    const std::vector<Begin> all = begins(g);
+    for (std::size_t from = 0; from < all.size(); ++from) {
+      const Item& start = *all[from].item;
+      const Ticks release = start.release;
+      bool known = false;
+      for (std::int64_t n = last_started(j, release, start.window.a);; --n) {
+        const Window& other = w_.window(j, n);
+        const Ticks delta = c.phi + n * c.period - release;
+        const Ticks until = most(delta, c.ppm) + other.d - start.window.a;
+        if (until <= 0) break;
+        if (least(delta, c.ppm) + other.e >= start.window.a || waits(delta, start.xnode)) continue;
+        if (!known) demand_from(g, all, from, end, steps);
+        known = true;
+        own.clear();
+        Ticks sum = 0, before = 0;
+        for (const Step& s : steps) {
+          const Ticks work = s.demand - before;
+          before = s.demand;
+          if (s.length >= until) break;
+          if (waits(delta - s.shift, s.last->xnode)) continue;
+          sum += work;
+          own.push_back({s.length, sum, s.last, s.shift});
+        }
+        curve = larger(curve, own);
+      }
+    }
+    return curve;
   }
 
   [[nodiscard]] tl::unexpected<Error> no_end() const {
@@ -577,39 +632,6 @@ class Load {
       if (!out.empty() && out.back().length == first->length) out.pop_back();
       out.push_back({first->length, total, first->last});
     }
-  }
-
-  /// One group: phases decide who may block, too.
-  Status bound_alone(const Group& g, Ticks end) {
-    XAUTO_TRY(affordable(g, end));
-    std::vector<Step> steps;
-    const std::vector<Begin> all = begins(g);
-    for (std::size_t from = 0; from < all.size(); ++from) {
-      const Item& start = *all[from].item;
-      std::vector<Blocker> blockers;
-      if (!xpu_.preemptive)
-        for (const int j : g.xnodes) {
-          const Component& c = w_.home(j);
-          for (std::int64_t n = last_started(j, start.release, start.window.a);; --n) {
-            const Window& other = w_.window(j, n);
-            const Ticks delta = c.phi + n * c.period - start.release;
-            const Ticks until = most(delta, c.ppm) + other.d - start.window.a;
-            if (until <= 0) break;
-            if (least(delta, c.ppm) + other.e >= start.window.a) continue;
-            blockers.push_back({until, w_.wcet[at(j)], j});
-            break;
-          }
-        }
-      demand_from(g, all, from, end, steps);
-      std::vector<Step> curve;
-      for (const Step& s : steps)
-        if (!curve.empty() && curve.back().length == s.length)
-          curve.back() = s;
-        else
-          curve.push_back(s);
-      XAUTO_TRY(compare(curve, staircase(std::move(blockers))));
-    }
-    return {};
   }
 
   const World& w_;

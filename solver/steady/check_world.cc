@@ -124,8 +124,9 @@ Status check_indices(const AppSpec& app, const Platform& platform, const KeyPoli
   return {};
 }
 
-/// scale, so that all periods are whole and no time exceeds kMaxTicks.
-Status set_scale(World& w) {
+/// scale, so that all periods are whole and no time exceeds kMaxTicks. `fine`: drift, too, is
+/// whole, where that fits.
+Status set_scale(World& w, bool fine) {
   Ticks longest = kMillion;
   for (const SourceSpec& s : w.app.sources) {
     w.scale = lcm(w.scale, s.period.den);
@@ -146,6 +147,17 @@ Status set_scale(World& w) {
   if (longest > kMaxTicks / w.scale)
     return invalid(fmt::format("{} us in steps of 1/{} us do not fit", longest, w.scale), "times",
                    "state periods as ratios of smaller numbers");
+  if (fine && std::ranges::any_of(w.app.clocks, [](const ClockSpec& c) { return c.ppm > 0; })) {
+    Ticks all = longest * w.scale;
+    std::vector<Ticks> hyper(w.app.clocks.size(), 1);
+    for (const SourceSpec& s : w.app.sources)
+      if (Ticks& h = hyper[at(s.clock)]; h > 0) h = lcm(h, s.period.num * (w.scale / s.period.den));
+    for (const Ticks h : hyper) all = std::max(all, h);
+    for (int thousand = 0; thousand < 2 && all <= kMaxTicks / 1000; ++thousand) {
+      all *= 1000;
+      w.scale *= 1000;
+    }
+  }
   for (Ticks& c : w.wcet) c *= w.scale;
   return {};
 }
@@ -375,12 +387,13 @@ std::vector<std::int64_t> World::lags(int xnode) const {
   return best;
 }
 
-Result<World> structure(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
+Result<World> structure(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+                        bool fine) {
   XAUTO_TRY(validate(app));
   XAUTO_TRY(validate(platform));
   XAUTO_TRY(world::check_indices(app, platform, policy));
   World w{app, platform, policy};
-  XAUTO_TRY(world::set_scale(w));
+  XAUTO_TRY(world::set_scale(w, fine));
   XAUTO_TRY(world::set_graph(w));
   XAUTO_TRY(world::set_components(w));
   XAUTO_TRY(world::set_classes(w));
@@ -388,7 +401,7 @@ Result<World> structure(const AppSpec& app, const Platform& platform, const KeyP
 }
 
 Result<World> derive(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
-  XAUTO_ASSIGN(World w, structure(app, platform, policy));
+  XAUTO_ASSIGN(World w, structure(app, platform, policy, true));
   XAUTO_TRY(world::set_windows(w));
   return w;
 }

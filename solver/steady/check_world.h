@@ -88,9 +88,10 @@ inline constexpr std::int64_t kNever = std::int64_t{1} << 60;
 /// Least common multiple; 0 where it exceeds kMaxTicks.
 [[nodiscard]] Ticks lcm(Ticks a, Ticks b);
 
-/// All but the windows, which only a policy has that holds.
+/// All but the windows, which only a policy has that holds. `fine`: in ticks in which drift, too, is
+/// exact, where they fit.
 [[nodiscard]] Result<World> structure(const AppSpec& app, const Platform& platform,
-                                      const KeyPolicy& policy);
+                                      const KeyPolicy& policy, bool fine);
 [[nodiscard]] Result<World> derive(const AppSpec& app, const Platform& platform,
                                    const KeyPolicy& policy);
 

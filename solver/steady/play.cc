@@ -384,7 +384,7 @@ class Play {
 
 Result<PlayReport> play(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
                         const PlayOptions& options) {
-  XAUTO_ASSIGN(const checking::World w, checking::structure(app, platform, policy));
+  XAUTO_ASSIGN(const checking::World w, checking::structure(app, platform, policy, false));
   if (policy.chains.size() != app.chains.size())
     return fail(ErrorCode::kInvalid,
                 fmt::format("{} chains, the app has {}", policy.chains.size(), app.chains.size()),
