@@ -405,7 +405,10 @@ Status validate_on(const AppSpec& app, const Platform& platform) {
   }
   // What delays a release without occupying an XPU: at most 10^12 each, 2 000 000 of them.
   for (const TransferSpec& transfer : app.transfers) total += transfer.transfer_us;
-  for (const SourceSpec& source : app.sources) total += source.offset_us + source.jitter_us;
+  std::int64_t latest = 0;
+  for (const SourceSpec& source : app.sources)
+    latest = std::max(latest, source.offset_us + source.jitter_us);
+  total += latest;
   if (total > kMaxTimeUs)
     return fail(ErrorCode::kInvalid,
                 std::string("the WCETs, with a preemption each, ") +

@@ -64,13 +64,14 @@ Result<Period> Period::of_rate(std::string_view hz) {
   if (!above || !below || above->digits == 0 || below->digits == 0)
     return fail(ErrorCode::kInvalid, given + " is no rate above 0 of at most 15 digits", {},
                 "as in 30, 29.97 or \"30000/1001\"");
-  // Up to 15 digits each, and 10^6: below 2^127.
+  // Up to 15 digits each, and 10^6: below 2^127. Times an hour it would not be.
   Wide num = static_cast<Wide>(below->digits) * above->scale * kUsPerSecond;
   Wide den = static_cast<Wide>(above->digits) * below->scale;
   const Wide common = gcd(num, den);
   num /= common;
   den /= common;
-  if (num < den || num > den * kMaxPeriodUs)
+  if (num < den || num / kMaxPeriodUs > den ||
+      (num / kMaxPeriodUs == den && num % kMaxPeriodUs > 0))
     return fail(ErrorCode::kInvalid, given + " Hz has no period from 1 us to an hour");
   if (den > kMaxPeriodDen)
     return fail(ErrorCode::kInvalid,

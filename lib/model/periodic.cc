@@ -2,6 +2,7 @@
 #include "model/periodic.h"
 
 #include <algorithm>
+#include <deque>
 #include <map>
 #include <set>
 #include <tuple>
@@ -56,43 +57,44 @@ class Ways {
     roots_.resize(app.sources.size());
     for (std::size_t i = 0; i < app.xnodes.size(); ++i)
       for (const int s : app.xnodes[i].sources) roots_[at(s)].push_back(static_cast<int>(i));
-    acyclic_ = components_are_acyclic();
   }
 
   [[nodiscard]] bool exists(int source, int to) {
-    if (source != source_) {
-      source_ = source;
-      heard_.assign(app_.xnodes.size(), 0);
-      walk(roots_[at(source)], heard_);
-    }
-    if (!heard_[at(to)]) return false;
-    return acyclic_ || exists_without_return(source, to);
+    if (source != source_) follow(source);
+    if (before_[at(to)] == kUnheard) return false;
+    return !returns(to) || exists_without_return(source, to);
   }
 
  private:
-  /// Marks what can be reached by edges and samples.
-  void walk(std::vector<int> open, std::vector<char>& seen) const {
-    for (const int x : open) seen[at(x)] = 1;
-    const auto reach = [&](int x) {
-      if (!seen[at(x)]) open.push_back(x);
-      seen[at(x)] = 1;
-    };
+  static constexpr int kUnheard = -2, kRoot = -1;
+
+  /// The ways with the fewest samples, to whatever hears of the source: before_[x] is the XNode
+  /// before x. Edges are free, so what they reach comes first.
+  void follow(int source) {
+    source_ = source;
+    before_.assign(app_.xnodes.size(), kUnheard);
+    std::deque<std::pair<int, int>> open;  // XNode, the one before it
+    for (const int x : roots_[at(source)]) open.emplace_back(x, kRoot);
     while (!open.empty()) {
-      const int x = open.back();
-      open.pop_back();
-      for (const int s : succ_[at(x)]) reach(s);
-      for (const int s : read_by_[at(x)]) reach(s);
+      const auto [x, before] = open.front();
+      open.pop_front();
+      if (before_[at(x)] != kUnheard) continue;
+      before_[at(x)] = before;
+      for (const int s : succ_[at(x)])
+        if (before_[at(s)] == kUnheard) open.emplace_front(s, x);
+      for (const int s : read_by_[at(x)])
+        if (before_[at(s)] == kUnheard) open.emplace_back(s, x);
     }
   }
 
-  /// Whether samples lead from no component back to itself.
-  [[nodiscard]] bool components_are_acyclic() const {
-    AppSpec graph;  // one XNode per component
-    graph.xnodes.resize(components_.components.size());
-    for (std::size_t u = 0; u < read_by_.size(); ++u)
-      for (const int v : read_by_[u])
-        graph.edges.emplace_back(components_.of[u], components_.of[at(v)]);
-    return graph.topological_order().size() == graph.xnodes.size();
+  /// Whether that way enters a component twice. Then there may be another that does not.
+  [[nodiscard]] bool returns(int to) const {
+    std::set<int> entered = {components_.of[at(to)]};
+    for (int x = to; before_[at(x)] >= 0; x = before_[at(x)]) {
+      const int here = components_.of[at(x)], there = components_.of[at(before_[at(x)])];
+      if (here != there && !entered.insert(there).second) return true;
+    }
+    return false;
   }
 
   /// Component by component, each step to all that it reaches in the next. How many orders of
@@ -134,9 +136,8 @@ class Ways {
   const AppSpec& app_;
   const Components& components_;
   std::vector<std::vector<int>> succ_, read_by_, roots_;
-  bool acyclic_ = false;
   int source_ = -1;
-  std::vector<char> heard_;  ///< of source_, by whatever way
+  std::vector<int> before_;  ///< of source_: see follow()
   std::int64_t total_budget_ = 20'000'000;
 };
 

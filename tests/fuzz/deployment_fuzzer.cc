@@ -8,7 +8,8 @@
 namespace {
 
 xauto::AppSpec make_app() {
-  return {"driving",
+  return {1,
+          "driving",
           {{"fcd.pre", "FCD", {{"cpu", 3000}}},
            {"fcd.infer", "FCD", {{"gpu", 7000}}},
            {"spur/größe", "LA~/", {{"cpu", 2500}}}},

@@ -18,11 +18,33 @@ TEST(Period, OfARateIsExact) {
 }
 
 TEST(Period, WhatIsNoRateIsRefused) {
-  for (const char* text :
-       {"",          ".",        "-1",     "+1", "1e3", "0",  "0.0",  "1/0", "1/",
-        "/1",        "1/2/3",    "1 ",     " 1", ".5",  "5.", "1..2", "nan", "1234567890123456",
-        "1000000.1", "1/3600.1", "0.00027"})
+  for (const char* text : {"",
+                           ".",
+                           "-1",
+                           "+1",
+                           "1e3",
+                           "0",
+                           "0.0",
+                           "1/0",
+                           "1/",
+                           "/1",
+                           "1/2/3",
+                           "1 ",
+                           " 1",
+                           ".5",
+                           "5.",
+                           "1..2",
+                           "nan",
+                           "1234567890123456",
+                           "1000000.1",
+                           "1/3600.1",
+                           "0.00027",
+                           "999999999999999/0.99999999999999",
+                           "0.00000000000001/999999999999999",
+                           "999999999999999/0.00000000000001"})
     EXPECT_FALSE(Period::of_rate(text)) << text;
+  // Numerator and denominator of 30 digits.
+  EXPECT_FALSE(Period::of_rate("1.99999999999999/1.00000000000003"));
   EXPECT_NE(Period::of_rate("29.9999991").error().what.find("denominator"), std::string::npos);
 }
 
