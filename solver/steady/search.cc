@@ -386,14 +386,14 @@ void Search::run(const SearchLimits& limits, const Decision* start, bool keep_xp
     take(c, on_better);
   }
   if (!keep_xpu_) construct(on_better);
+  // No one temperature is best for all apps.
   std::int64_t steps = 1500;
-  double hot = 0.05;
-  while (!over()) {
+  for (std::size_t cycle = 0; !over(); ++cycle) {
+    constexpr double kHot[] = {0.05, 0.15, 0.03};
     const std::int64_t before = evaluator_.evaluations();
-    anneal(steps, hot, on_better);
+    anneal(steps, kHot[cycle % 3], on_better);
     if (evaluator_.evaluations() == before) return;  // nothing can be changed
-    steps += steps / 2;
-    hot = hot < 0.01 ? 0.04 : hot * 0.7;
+    if (cycle % 3 == 2) steps *= 2;
   }
 }
 

@@ -42,6 +42,8 @@ std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t 
     if (answer->outcome == Outcome::kUnknown) ++played.unknown;
     if (answer->outcome != Outcome::kPolicy) continue;
     ++played.policies;
+    const Status sound = validate(answer->policy, told, on);
+    EXPECT_TRUE(sound) << (sound ? "" : sound.error().to_string());
     for (int k = 0; k < plays; ++k) {
       Disturbance how;
       how.seed = static_cast<std::uint64_t>(k + 1);
