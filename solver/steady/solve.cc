@@ -16,7 +16,9 @@ bool all_equal(const std::vector<std::int64_t>& values) {
 }
 
 /// Rounded up: what is claimed may be larger, never smaller.
-std::int64_t us_above(const Problem& p, Tick t) { return t <= 0 ? 0 : p.up_to_us(t) / p.scale; }
+std::int64_t us_above(const Problem& p, Tick t) {
+  return t <= 0 ? 0 : p.up_to_us(t) / p.scale;
+}
 
 KeyPlacement placement(const Problem& p, const Candidate& c, int i) {
   KeyPlacement placed;
@@ -64,8 +66,8 @@ Status check_hint(const KeyPolicy& hint, const AppSpec& app, const Problem& p) {
     const int m = hint.placements[at(i)].xpu;
     const auto& may = p.may_run[at(i)];
     if (!std::binary_search(may.begin(), may.end(), m))
-      return fail(ErrorCode::kInvalid,
-                  "XNode '" + p.xnode_name[at(i)] + "' cannot run where it is", "hint");
+      return fail(ErrorCode::kInvalid, "XNode '" + p.xnode_name[at(i)] + "' cannot run where it is",
+                  "hint");
     if (hint.placements[at(i)].key_us.empty())
       return fail(ErrorCode::kInvalid, "XNode '" + p.xnode_name[at(i)] + "' has no key", "hint");
   }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // What solve() claims of apps of version 2, against a naive simulator (steady_naive.h).
-#include "solver/steady/solve.h"
-
 #include <gtest/gtest.h>
+
+#include "solver/steady/solve.h"
 
 #include "steady_naive.h"
 #include "steady_random.h"
@@ -24,8 +24,8 @@ struct Played {
 
 /// Solves random apps and plays each policy many times; `blind` is what the solver is told instead
 /// of the truth. Returns what broke first.
-std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t seed, Played& played,
-                   const std::function<void(AppSpec&, Platform&)>& blind = {}) {
+std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t seed,
+                   Played& played, const std::function<void(AppSpec&, Platform&)>& blind = {}) {
   for (int a = 0; a < apps; ++a) {
     test::Dice dice(seed * 100'003 + static_cast<std::uint64_t>(a));
     const AppSpec app = random_steady_app(dice, shape);
@@ -59,7 +59,9 @@ std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t 
   return {};
 }
 
-SteadyShape one_clock() { return {}; }
+SteadyShape one_clock() {
+  return {};
+}
 
 SteadyShape two_clocks(int ppm) {
   SteadyShape shape;
