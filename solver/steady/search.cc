@@ -103,7 +103,8 @@ void Search::balance(std::vector<int>& xpu, int steps) {
 
 /// Each XNode where it adds least: price of the type, load of the XPU so far, WCET against its
 /// best. Keys: the latest finishing that keeps a deadline of `rule` periods.
-Decision Search::constructed(const std::vector<std::int64_t>& weights, double greed, int rule) {
+Decision Search::constructed(const std::vector<std::int64_t>& weights, double greed, int rule,
+                             bool charge) {
   Decision d;
   d.xpu.assign(at(p_.num_xnodes), -1);
   d.hold.assign(at(p_.num_xnodes), 0);
@@ -120,6 +121,12 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
   };
   std::stable_sort(order.begin(), order.end(),
                    [&](int a, int b) { return weight_of(a) > weight_of(b); });
+  // With `charge` as if each paid for a preemption, as most do in the end on a busy XPU.
+  const auto rate_on = [&](int i, int m) {
+    return static_cast<double>(p_.wcet(i, m) +
+                               (charge && p_.preemptive[at(m)] != 0 ? p_.preempt[at(m)] : 0)) /
+           static_cast<double>(p_.period_of(i));
+  };
   std::vector<double> load(at(p_.num_xpus), 0);
   std::vector<int> first_domain(at(p_.num_xpus), -1);
   for (const int i : order) {
@@ -133,7 +140,7 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
         continue;
       const double price =
           static_cast<double>(weights[at(p_.xpu_type[at(m)])] + kWeights / 64) / kWeights;
-      const double rate = static_cast<double>(p_.wcet(i, m)) / static_cast<double>(p_.period_of(i));
+      const double rate = rate_on(i, m);
       const double after = load[at(m)] + rate;
       double cost = rate * price +
                     greed * static_cast<double>(p_.wcet(i, m)) / static_cast<double>(least[at(i)]) *
@@ -150,8 +157,7 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
     d.xpu[at(i)] = where;
     if (group >= 0)
       for (const int j : p_.groups[at(group)]) d.xpu[at(j)] = where;
-    load[at(where)] +=
-        static_cast<double>(p_.wcet(i, where)) / static_cast<double>(p_.period_of(i));
+    load[at(where)] += rate_on(i, where);
     if (first_domain[at(where)] < 0) first_domain[at(where)] = p_.domain_of(i);
   }
   if (std::any_of(load.begin(), load.end(), [](double l) { return l > 0.97; }))
@@ -224,13 +230,14 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
   best_.figures.cost = 1e18;
   for (const double greed : {0.3, 1.0, 0.1, 3.0})
     for (const int rule : {0, 1, 2})
-      for (const auto* prices : {&std::as_const(weights), &std::as_const(flat)}) {
-        if (over() && best_.figures.cost < 1e18) return;
-        Candidate c;
-        c.decision = constructed(*prices, greed, rule);
-        evaluator_.evaluate(c.decision, {}, kInvalidCost, c.figures, limits_.until);
-        take(c, on_better);
-      }
+      for (const auto* prices : {&std::as_const(weights), &std::as_const(flat)})
+        for (const bool charge : {true, false}) {
+          if (over() && best_.figures.cost < 1e18) return;
+          Candidate c;
+          c.decision = constructed(*prices, greed, rule, charge);
+          evaluator_.evaluate(c.decision, {}, kInvalidCost, c.figures, limits_.until);
+          take(c, on_better);
+        }
 }
 
 void Search::set_critical(const Candidate& of) {

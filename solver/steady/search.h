@@ -40,7 +40,7 @@ class Search {
   [[nodiscard]] bool over() const;
   void construct(const std::function<void(const Candidate&)>& on_better);
   [[nodiscard]] Decision constructed(const std::vector<std::int64_t>& weights, double greed,
-                                     int rule);
+                                     int rule, bool charge);
   void balance(std::vector<int>& xpu, int steps);
   void anneal(std::int64_t steps, double hot,
               const std::function<void(const Candidate&)>& on_better);
