@@ -84,6 +84,7 @@ struct Shared {
   std::mutex mutex;
   Candidate best;
   bool any = false;
+  int thread = 0;  ///< whose it is
   double first_ms = 0;
 };
 
@@ -126,8 +127,11 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     search.run(limits, options.hint != nullptr ? &hint : nullptr,
                options.keep && options.hint != nullptr, [&](const Candidate& c) {
                  const std::lock_guard<std::mutex> lock(shared.mutex);
-                 // Of equal answers the one of the lowest thread would need a wait; sums differ.
-                 if (shared.any && !c.figures.better_than(shared.best.figures)) return;
+                 // Of equal answers that of the lowest thread, whoever came first.
+                 if (shared.any && !c.figures.better_than(shared.best.figures) &&
+                     (shared.best.figures.better_than(c.figures) || index >= shared.thread))
+                   return;
+                 shared.thread = index;
                  if (!shared.any) shared.first_ms = elapsed() * 1e3;
                  shared.any = true;
                  shared.best = c;
