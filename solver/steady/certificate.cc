@@ -157,8 +157,7 @@ bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Win
 
 bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::string* why) {
   w.a.resize(at(p.num_slots));
-  for (std::size_t d = 0; d < p.domains.size(); ++d)
-    derive_ready(p, static_cast<int>(d), xpu, w);
+  for (std::size_t d = 0; d < p.domains.size(); ++d) derive_ready(p, static_cast<int>(d), xpu, w);
   if (!sane(p, xpu, w, why)) return false;
   Charges charges{std::vector<char>(at(p.num_xnodes), 0), std::vector<Tick>(at(p.num_xnodes), 0)};
   charge(p, xpu, w, -1, charges);

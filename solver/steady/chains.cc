@@ -35,8 +35,9 @@ std::int64_t first_reader(const Problem& p, const Component& cu, std::int64_t k,
   const auto late_enough = [&](std::int64_t n) {
     const Tick apart = cv.phase + n * cv.period - from;
     // A fast clock makes a distance shorter, a slow one makes one into the past longer.
-    const Tick drift = ppm == 0 ? 0 : in_slow_time(apart < 0 ? -apart : apart, ppm) -
-                                          (apart < 0 ? -apart : apart) + 1;
+    const Tick drift =
+        ppm == 0 ? 0
+                 : in_slow_time(apart < 0 ? -apart : apart, ppm) - (apart < 0 ? -apart : apart) + 1;
     return apart - drift + hold(v, n) >= after;
   };
   // Holds do not fall by more than a period from one activation to the next, as starts do not; but
@@ -108,8 +109,7 @@ Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Wi
   const Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}};
   const Component& c = p.components[at(p.component_of[at(way.leaves_by(0))])];
   Tick worst = 0;
-  for (int k = 0; k < c.jobs; ++k)
-    worst = std::max(worst, way.from(0, k, c.phase - chain.offset));
+  for (int k = 0; k < c.jobs; ++k) worst = std::max(worst, way.from(0, k, c.phase - chain.offset));
   return worst;
 }
 

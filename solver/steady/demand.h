@@ -41,7 +41,7 @@ struct Tightest {
 };
 
 /// False also where it takes too many steps to know.
-[[nodiscard]] bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& blocking,
-                               Tightest* tightest = nullptr);
+[[nodiscard]] bool demand_fits(std::vector<Pattern>& patterns,
+                               const std::vector<Blocking>& blocking, Tightest* tightest = nullptr);
 
 }  // namespace xauto::solver::steady

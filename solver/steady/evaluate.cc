@@ -25,8 +25,7 @@ Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
   for (std::size_t d = 0; d < p_.domains.size(); ++d) exhibitors_.emplace_back(p_);
   for (std::size_t c = 0; c < p_.chains.size(); ++c) {
     deadlines_ = deadlines_ || p_.chains[c].deadline != kNoTick;
-    reference_sum_ +=
-        static_cast<double>(p_.chains[c].weight) * static_cast<double>(reference_[c]);
+    reference_sum_ += static_cast<double>(p_.chains[c].weight) * static_cast<double>(reference_[c]);
   }
   reference_sum_ = std::max(reference_sum_, 1.0);
   for (const Chain& chain : p_.chains) {
@@ -53,8 +52,8 @@ double Evaluator::overload(const Decision& decision) const {
   std::vector<double> load(at(p_.num_xpus), 0);
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const int m = decision.xpu[at(i)];
-    load[at(m)] +=
-        static_cast<double>(charged(p_, decision.xpu, used_, i)) / static_cast<double>(p_.period_of(i));
+    load[at(m)] += static_cast<double>(charged(p_, decision.xpu, used_, i)) /
+                   static_cast<double>(p_.period_of(i));
   }
   double over = 0;
   for (const double l : load) over += std::max(0.0, l - 1.0);
@@ -90,7 +89,7 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Charges&
       }
       rule_.work[at(i)] = work;
       rule_.delay[at(i)] = in_fast_time(charges.blocked_by[at(i)], ppm) + pad_[at(m)] +
-                            (shared_[at(m)] != 0 ? decision.delay[at(i)] : 0);
+                           (shared_[at(m)] != 0 ? decision.delay[at(i)] : 0);
     }
     for (std::size_t d = 0; d < p_.domains.size(); ++d)
       if (!exhibitors_[d].run(static_cast<int>(d), rule_, out.schedule, until)) {
@@ -181,7 +180,8 @@ void Evaluator::set_limits(double most) {
     if (chain.deadline != kNoTick)
       longest = most * static_cast<double>(chain.deadline);
     else if (!deadlines_ && chain.weight > 0)
-      longest = (most * reference_sum_ - (reference_sum_ - own)) / static_cast<double>(chain.weight);
+      longest =
+          (most * reference_sum_ - (reference_sum_ - own)) / static_cast<double>(chain.weight);
     else
       continue;
     if (longest >= static_cast<double>(kMostTicks)) continue;
@@ -206,8 +206,7 @@ void Evaluator::evaluate(const Decision& decision, const Charges& charges, doubl
   if (out.valid) set_costs(out);
 }
 
-bool Evaluator::settle(const Decision& decision, Figures& out, bool worse_too,
-                       const Until& until) {
+bool Evaluator::settle(const Decision& decision, Figures& out, bool worse_too, const Until& until) {
   ++evaluations_;
   rule_.limit.clear();
   Figures next;

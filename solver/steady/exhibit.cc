@@ -13,7 +13,9 @@ constexpr Tick kNever = std::numeric_limits<Tick>::max();
 /// of several periods need as many to fill the pipeline.
 constexpr std::int64_t kLeastRounds = 8, kMostRounds = 48;
 
-std::size_t ix(std::int64_t i) { return static_cast<std::size_t>(i); }
+std::size_t ix(std::int64_t i) {
+  return static_cast<std::size_t>(i);
+}
 
 }  // namespace
 
@@ -114,8 +116,7 @@ bool Exhibitor::release(const Rule& rule, int xnode) {
   const std::int64_t n = next_[at(xnode)]++;
   if (n >= per_round * rounds_) return false;
   if (n / per_round >= prepared_) prepare_rounds(rule, n / per_round);
-  const std::int64_t job =
-      n / per_round * jobs_ + p_.slot[at(xnode)] - base_ + n % per_round;
+  const std::int64_t job = n / per_round * jobs_ + p_.slot[at(xnode)] - base_ + n % per_round;
   const Tick ready =
       std::max(p_.root[at(xnode)] != 0 ? p_.root_ready[at(xnode)] : 0, rule.hold[at(xnode)]);
   push(nominal(job) + ready, 4 * job + 2);
@@ -238,8 +239,7 @@ bool Exhibitor::run(int domain, const Rule& rule, Schedule& schedule, const Unti
         done(rule, job, now);
       } else {
         one_less(rule, job, now);
-        if (code % 4 == 2)
-          static_cast<void>(release(rule, p_.slot_xnode[ix(job % jobs_ + base_)]));
+        if (code % 4 == 2) static_cast<void>(release(rule, p_.slot_xnode[ix(job % jobs_ + base_)]));
       }
     }
     for (const int m : dirty_) dispatch(m, now);

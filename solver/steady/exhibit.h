@@ -17,11 +17,11 @@ namespace xauto::solver::steady {
 
 /// What a schedule follows; all arrays are of the whole problem.
 struct Rule {
-  std::vector<int> xpu;      ///< [xnode]
-  std::vector<Tick> work;    ///< [xnode] on its XPU, at least 1
-  std::vector<Tick> delay;   ///< [xnode] from its end on its XPU until it is called done
-  std::vector<Tick> hold;    ///< [xnode] earliest start after the nominal release; 0: none
-  std::vector<Tick> key;     ///< [xnode] after the nominal release; or by slot
+  std::vector<int> xpu;     ///< [xnode]
+  std::vector<Tick> work;   ///< [xnode] on its XPU, at least 1
+  std::vector<Tick> delay;  ///< [xnode] from its end on its XPU until it is called done
+  std::vector<Tick> hold;   ///< [xnode] earliest start after the nominal release; 0: none
+  std::vector<Tick> key;    ///< [xnode] after the nominal release; or by slot
   bool key_by_slot = false;
   /// [xnode] an end later than this is of no use: it ends the simulation. Empty: none.
   std::vector<Tick> limit;
@@ -38,17 +38,14 @@ class Exhibitor {
   explicit Exhibitor(const Problem& problem) : p_(problem) {}
 
   /// False: it did not repeat within the limits, or `until` was over. `schedule` is large enough.
-  [[nodiscard]] bool run(int domain, const Rule& rule, Schedule& schedule,
-                         const Until& until = {});
+  [[nodiscard]] bool run(int domain, const Rule& rule, Schedule& schedule, const Until& until = {});
 
  private:
   struct Event {
     Tick time;
-      /// 4 job: one thing less to wait for; 4 job + 1: it is done; 4 job + 2: its timer.
+    /// 4 job: one thing less to wait for; 4 job + 1: it is done; 4 job + 2: its timer.
     std::int64_t code;
-    bool operator>(const Event& o) const {
-      return time != o.time ? time > o.time : code > o.code;
-    }
+    bool operator>(const Event& o) const { return time != o.time ? time > o.time : code > o.code; }
   };
   struct Ready {
     Tick key;
@@ -74,15 +71,15 @@ class Exhibitor {
   const Problem& p_;
   int domain_ = -1;
   Tick hyper_ = 0;
-  int base_ = 0;            ///< first slot of the domain: its slots are contiguous
-  std::int64_t jobs_ = 0;   ///< per hyperperiod; job = round * jobs_ + slot - base_
+  int base_ = 0;           ///< first slot of the domain: its slots are contiguous
+  std::int64_t jobs_ = 0;  ///< per hyperperiod; job = round * jobs_ + slot - base_
   std::int64_t rounds_ = 0, prepared_ = 0, equal_ = 0;
   bool useless_ = false;
-  std::vector<Tick> phase_;              ///< [slot - base] nominal release within a hyperperiod
-  std::vector<Event> events_;            ///< a heap, earliest on top
-  std::vector<std::int64_t> next_;       ///< [xnode] the next activation that its timer releases
+  std::vector<Tick> phase_;         ///< [slot - base] nominal release within a hyperperiod
+  std::vector<Event> events_;       ///< a heap, earliest on top
+  std::vector<std::int64_t> next_;  ///< [xnode] the next activation that its timer releases
   std::vector<std::int16_t> waits_, first_waits_;  ///< [job] things that it waits for
-  std::vector<Tick> left_, start_, finish_;  ///< [job]
+  std::vector<Tick> left_, start_, finish_;        ///< [job]
   std::vector<std::int64_t> in_module_;  ///< [module offset + activation] XNodes not yet done
   std::vector<std::int64_t> module_base_;
   std::vector<std::int64_t> done_;  ///< [round]

@@ -14,8 +14,9 @@ bool times(Tick a, Tick b, Tick most, Tick& product) {
 }
 
 Status too_long(const std::string& what) {
-  return fail(ErrorCode::kInvalid, what + " does not fit: all periods together need too fine a tick",
-              "sources", "state rates with smaller denominators");
+  return fail(ErrorCode::kInvalid,
+              what + " does not fit: all periods together need too fine a tick", "sources",
+              "state rates with smaller denominators");
 }
 
 struct Builder {
@@ -214,8 +215,9 @@ struct Builder {
       for (int m = 0; m < p.num_xpus; ++m) {
         const Time us = base.wcet_on(i, m);
         // A longer one than any tick is far above every period.
-        const Tick work = us == kCannotRun ? kNoTick
-                          : us > kMostTicks / p.scale ? kMostTicks : us * p.scale;
+        const Tick work = us == kCannotRun            ? kNoTick
+                          : us > kMostTicks / p.scale ? kMostTicks
+                                                      : us * p.scale;
         p.wcet_flat.push_back(work);
         if (work != kNoTick && work <= p.period_of(i)) p.may_run[at(i)].push_back(m);
       }
@@ -400,7 +402,8 @@ Result<Problem> Problem::create(const AppSpec& app, const Platform& platform,
 
 Tick in_fast_time(Tick t, std::int64_t ppm) {
   if (ppm == 0) return t;
-  return static_cast<Tick>((static_cast<__int128>(t) * kMillion + (kMillion - ppm) - 1) / (kMillion - ppm));
+  return static_cast<Tick>((static_cast<__int128>(t) * kMillion + (kMillion - ppm) - 1) /
+                           (kMillion - ppm));
 }
 
 Tick in_slow_time(Tick t, std::int64_t ppm) {

@@ -36,7 +36,9 @@ inline constexpr std::int64_t kMillion = 1'000'000;
 [[nodiscard]] constexpr Tick floor_div(Tick a, Tick b) {
   return a >= 0 ? a / b : -((-a + b - 1) / b);
 }
-[[nodiscard]] constexpr std::size_t at(int i) { return static_cast<std::size_t>(i); }
+[[nodiscard]] constexpr std::size_t at(int i) {
+  return static_cast<std::size_t>(i);
+}
 
 /// XNodes joined by edges; it fires once per period.
 struct Component {
@@ -100,13 +102,13 @@ struct Problem {
   std::vector<Component> components;
   std::vector<Domain> domains;
   std::vector<Module> modules;
-  std::vector<int> component_of, module_of;    ///< [xnode]; module_of -1: no limit applies
-  std::vector<std::vector<Link>> pred, succ;   ///< [xnode] edges
-  std::vector<char> entry, root;               ///< [xnode]
-  std::vector<Tick> root_ready;                ///< [root] largest of J + offset - phase
-  std::vector<std::vector<Tick>> transfers;    ///< [from type * num_types + to type]
-  std::vector<std::pair<int, int>> samples;    ///< (u, v)
-  std::vector<char> reads;                     ///< [xnode] the second of some sample
+  std::vector<int> component_of, module_of;   ///< [xnode]; module_of -1: no limit applies
+  std::vector<std::vector<Link>> pred, succ;  ///< [xnode] edges
+  std::vector<char> entry, root;              ///< [xnode]
+  std::vector<Tick> root_ready;               ///< [root] largest of J + offset - phase
+  std::vector<std::vector<Tick>> transfers;   ///< [from type * num_types + to type]
+  std::vector<std::pair<int, int>> samples;   ///< (u, v)
+  std::vector<char> reads;                    ///< [xnode] the second of some sample
   std::vector<Chain> chains;
   std::vector<std::vector<std::uint64_t>> reach;  ///< [xnode] bitset: XNodes behind it by edges
 
@@ -130,8 +132,8 @@ struct Problem {
   /// What the message of `link` costs from `from_xpu` to `to_xpu`.
   [[nodiscard]] Tick transfer(const Link& link, int from_xpu, int to_xpu) const {
     if (link.transfer < 0) return 0;
-    return transfers[at(link.transfer)][at(xpu_type[at(from_xpu)]) * at(num_types) +
-                                        at(xpu_type[at(to_xpu)])];
+    return transfers[at(link.transfer)]
+                    [at(xpu_type[at(from_xpu)]) * at(num_types) + at(xpu_type[at(to_xpu)])];
   }
   [[nodiscard]] Tick up_to_us(Tick t) const {  ///< t >= 0: the next whole microsecond
     return scale == 1 ? t : (t + scale - 1) / scale * scale;

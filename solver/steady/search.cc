@@ -40,8 +40,8 @@ Search::Search(const Problem& problem, const std::vector<Tick>& reference, std::
 }
 
 bool Search::over() const {
-  return proven_ || limits_.until.over() || (limits_.max_evaluations > 0 &&
-                                  evaluator_.evaluations() >= limits_.max_evaluations);
+  return proven_ || limits_.until.over() ||
+         (limits_.max_evaluations > 0 && evaluator_.evaluations() >= limits_.max_evaluations);
 }
 
 Decision Search::from_hint(const KeyPolicy& hint) const {
@@ -77,7 +77,8 @@ void Search::balance(std::vector<int>& xpu, int steps) {
   d.xpu = xpu;
   std::vector<double> load(at(p_.num_xpus), 0);
   const auto rate = [&](int i, int m) {
-    return static_cast<double>(p_.wcet(i, m) + (p_.preemptive[at(m)] != 0 ? p_.preempt[at(m)] : 0)) /
+    return static_cast<double>(p_.wcet(i, m) +
+                               (p_.preemptive[at(m)] != 0 ? p_.preempt[at(m)] : 0)) /
            static_cast<double>(p_.period_of(i));
   };
   for (int i = 0; i < p_.num_xnodes; ++i) load[at(xpu[at(i)])] += rate(i, xpu[at(i)]);
@@ -102,7 +103,8 @@ void Search::balance(std::vector<int>& xpu, int steps) {
 
 /// Each XNode where it adds least: price of the type, load of the XPU so far, WCET against its
 /// best. Keys: the latest finishing that keeps a deadline of `rule` periods.
-Decision Search::constructed(const std::vector<std::int64_t>& weights, double greed, int rule) {
+Decision Search::constructed(const std::vector<std::int64_t>& weights, double greed, int rule,
+                             bool charge) {
   Decision d;
   d.xpu.assign(at(p_.num_xnodes), -1);
   d.hold.assign(at(p_.num_xnodes), 0);
@@ -119,6 +121,12 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
   };
   std::stable_sort(order.begin(), order.end(),
                    [&](int a, int b) { return weight_of(a) > weight_of(b); });
+  // With `charge` as if each paid for a preemption, as most do in the end on a busy XPU.
+  const auto rate_on = [&](int i, int m) {
+    return static_cast<double>(p_.wcet(i, m) +
+                               (charge && p_.preemptive[at(m)] != 0 ? p_.preempt[at(m)] : 0)) /
+           static_cast<double>(p_.period_of(i));
+  };
   std::vector<double> load(at(p_.num_xpus), 0);
   std::vector<int> first_domain(at(p_.num_xpus), -1);
   for (const int i : order) {
@@ -132,10 +140,11 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
         continue;
       const double price =
           static_cast<double>(weights[at(p_.xpu_type[at(m)])] + kWeights / 64) / kWeights;
-      const double rate = static_cast<double>(p_.wcet(i, m)) / static_cast<double>(p_.period_of(i));
+      const double rate = rate_on(i, m);
       const double after = load[at(m)] + rate;
-      double cost = rate * price + greed * static_cast<double>(p_.wcet(i, m)) /
-                                       static_cast<double>(least[at(i)]) * weight_of(i) +
+      double cost = rate * price +
+                    greed * static_cast<double>(p_.wcet(i, m)) / static_cast<double>(least[at(i)]) *
+                        weight_of(i) +
                     0.3 * rate * after + (after > 0.95 ? 10 * (after - 0.95) : 0);
       // A domain beside another has to wait for all phases.
       if (first_domain[at(m)] >= 0 && first_domain[at(m)] != p_.domain_of(i)) cost += rate;
@@ -148,14 +157,13 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
     d.xpu[at(i)] = where;
     if (group >= 0)
       for (const int j : p_.groups[at(group)]) d.xpu[at(j)] = where;
-    load[at(where)] += static_cast<double>(p_.wcet(i, where)) / static_cast<double>(p_.period_of(i));
+    load[at(where)] += rate_on(i, where);
     if (first_domain[at(where)] < 0) first_domain[at(where)] = p_.domain_of(i);
   }
   if (std::any_of(load.begin(), load.end(), [](double l) { return l > 0.97; }))
     balance(d.xpu, 200 * p_.num_xnodes);
   std::vector<Tick> work(at(p_.num_xnodes));
-  for (int i = 0; i < p_.num_xnodes; ++i)
-    work[at(i)] = std::max(Tick{1}, p_.wcet(i, d.xpu[at(i)]));
+  for (int i = 0; i < p_.num_xnodes; ++i) work[at(i)] = std::max(Tick{1}, p_.wcet(i, d.xpu[at(i)]));
   const std::vector<Tick> head = heads(p_, work), tail = tails(p_, work);
   d.key.resize(at(p_.num_xnodes));
   for (int i = 0; i < p_.num_xnodes; ++i) {
@@ -216,18 +224,20 @@ void Search::take(Candidate& candidate, const std::function<void(const Candidate
 
 void Search::construct(const std::function<void(const Candidate&)>& on_better) {
   const std::vector<std::int64_t> weights = balancing_weights(p_);
-  std::vector<std::int64_t> flat(weights.size(), kWeights / static_cast<std::int64_t>(weights.size()));
+  std::vector<std::int64_t> flat(weights.size(),
+                                 kWeights / static_cast<std::int64_t>(weights.size()));
   best_.figures = {};
   best_.figures.cost = 1e18;
   for (const double greed : {0.3, 1.0, 0.1, 3.0})
     for (const int rule : {0, 1, 2})
-      for (const auto* prices : {&std::as_const(weights), &std::as_const(flat)}) {
-        if (over() && best_.figures.cost < 1e18) return;
-        Candidate c;
-        c.decision = constructed(*prices, greed, rule);
-        evaluator_.evaluate(c.decision, {}, kInvalidCost, c.figures, limits_.until);
-        take(c, on_better);
-      }
+      for (const auto* prices : {&std::as_const(weights), &std::as_const(flat)})
+        for (const bool charge : {true, false}) {
+          if (over() && best_.figures.cost < 1e18) return;
+          Candidate c;
+          c.decision = constructed(*prices, greed, rule, charge);
+          evaluator_.evaluate(c.decision, {}, kInvalidCost, c.figures, limits_.until);
+          take(c, on_better);
+        }
 }
 
 void Search::set_critical(const Candidate& of) {
@@ -236,11 +246,10 @@ void Search::set_critical(const Candidate& of) {
   std::size_t worst = 0;
   double most = -1;
   for (std::size_t c = 0; c < p_.chains.size(); ++c) {
-    const double figure =
-        p_.chains[c].deadline != kNoTick
-            ? static_cast<double>(of.figures.chain[c]) /
-                  static_cast<double>(std::max(p_.chains[c].deadline, Tick{1}))
-            : 0;
+    const double figure = p_.chains[c].deadline != kNoTick
+                              ? static_cast<double>(of.figures.chain[c]) /
+                                    static_cast<double>(std::max(p_.chains[c].deadline, Tick{1}))
+                              : 0;
     if (figure > most) {
       most = figure;
       worst = c;
@@ -251,8 +260,7 @@ void Search::set_critical(const Candidate& of) {
 }
 
 int Search::pick(const Candidate&) {
-  if (!critical_.empty() && random_.unit() < 0.6)
-    return critical_[random_.below(critical_.size())];
+  if (!critical_.empty() && random_.unit() < 0.6) return critical_[random_.below(critical_.size())];
   return static_cast<int>(random_.below(at(p_.num_xnodes)));
 }
 
@@ -312,10 +320,10 @@ bool Search::mutate(const Candidate& from, Decision& next) {
     }
     int& share = next.share[at(m) * p_.domains.size() + at(p_.domain_of(i))];
     const int before = share;
-    share = std::clamp(
-        static_cast<int>(std::lround(share * std::exp((random_.unit() - 0.5) * 0.8))) +
-            (random_.unit() < 0.5 ? -1 : 1),
-        1, kWhole);
+    share =
+        std::clamp(static_cast<int>(std::lround(share * std::exp((random_.unit() - 0.5) * 0.8))) +
+                       (random_.unit() < 0.5 ? -1 : 1),
+                   1, kWhole);
     return share != before;
   }
   Tick& key = next.key[at(i)];
@@ -349,8 +357,7 @@ void Search::anneal(std::int64_t steps, double hot,
   Candidate current = best_, next;
   set_critical(current);
   for (std::int64_t s = 0; s < steps && !over(); ++s) {
-    const double heat =
-        hot * std::pow(0.01, static_cast<double>(s) / static_cast<double>(steps));
+    const double heat = hot * std::pow(0.01, static_cast<double>(s) / static_cast<double>(steps));
     next.decision = current.decision;
     bool changed = false;
     const int moves = random_.unit() < 0.75 ? 1 : 2;
@@ -386,14 +393,14 @@ void Search::run(const SearchLimits& limits, const Decision* start, bool keep_xp
     take(c, on_better);
   }
   if (!keep_xpu_) construct(on_better);
+  // No one temperature is best for all apps.
   std::int64_t steps = 1500;
-  double hot = 0.05;
-  while (!over()) {
+  for (std::size_t cycle = 0; !over(); ++cycle) {
+    constexpr double kHot[] = {0.05, 0.15, 0.03};
     const std::int64_t before = evaluator_.evaluations();
-    anneal(steps, hot, on_better);
+    anneal(steps, kHot[cycle % 3], on_better);
     if (evaluator_.evaluations() == before) return;  // nothing can be changed
-    steps += steps / 2;
-    hot = hot < 0.01 ? 0.04 : hot * 0.7;
+    if (cycle % 3 == 2) steps *= 2;
   }
 }
 

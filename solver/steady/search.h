@@ -40,9 +40,10 @@ class Search {
   [[nodiscard]] bool over() const;
   void construct(const std::function<void(const Candidate&)>& on_better);
   [[nodiscard]] Decision constructed(const std::vector<std::int64_t>& weights, double greed,
-                                     int rule);
+                                     int rule, bool charge);
   void balance(std::vector<int>& xpu, int steps);
-  void anneal(std::int64_t steps, double hot, const std::function<void(const Candidate&)>& on_better);
+  void anneal(std::int64_t steps, double hot,
+              const std::function<void(const Candidate&)>& on_better);
   void take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better);
   [[nodiscard]] bool mutate(const Candidate& from, Decision& next);
   void put(Decision& d, int xnode, int xpu) const;
@@ -57,7 +58,7 @@ class Search {
   bool keep_xpu_ = false;
   bool proven_ = false;  ///< every chain is at its bound
   Candidate best_;
-  std::vector<int> critical_;                   ///< XNodes of the chain that sets the cost
+  std::vector<int> critical_;  ///< XNodes of the chain that sets the cost
   std::vector<int> readers_;
 };
 

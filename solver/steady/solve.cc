@@ -16,7 +16,9 @@ bool all_equal(const std::vector<std::int64_t>& values) {
 }
 
 /// Rounded up: what is claimed may be larger, never smaller.
-std::int64_t us_above(const Problem& p, Tick t) { return t <= 0 ? 0 : p.up_to_us(t) / p.scale; }
+std::int64_t us_above(const Problem& p, Tick t) {
+  return t <= 0 ? 0 : p.up_to_us(t) / p.scale;
+}
 
 KeyPlacement placement(const Problem& p, const Candidate& c, int i) {
   KeyPlacement placed;
@@ -64,8 +66,8 @@ Status check_hint(const KeyPolicy& hint, const AppSpec& app, const Problem& p) {
     const int m = hint.placements[at(i)].xpu;
     const auto& may = p.may_run[at(i)];
     if (!std::binary_search(may.begin(), may.end(), m))
-      return fail(ErrorCode::kInvalid,
-                  "XNode '" + p.xnode_name[at(i)] + "' cannot run where it is", "hint");
+      return fail(ErrorCode::kInvalid, "XNode '" + p.xnode_name[at(i)] + "' cannot run where it is",
+                  "hint");
     if (hint.placements[at(i)].key_us.empty())
       return fail(ErrorCode::kInvalid, "XNode '" + p.xnode_name[at(i)] + "' has no key", "hint");
   }
@@ -82,6 +84,7 @@ struct Shared {
   std::mutex mutex;
   Candidate best;
   bool any = false;
+  int thread = 0;  ///< whose it is
   double first_ms = 0;
 };
 
@@ -124,8 +127,11 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     search.run(limits, options.hint != nullptr ? &hint : nullptr,
                options.keep && options.hint != nullptr, [&](const Candidate& c) {
                  const std::lock_guard<std::mutex> lock(shared.mutex);
-                 // Of equal answers the one of the lowest thread would need a wait; sums differ.
-                 if (shared.any && !c.figures.better_than(shared.best.figures)) return;
+                 // Of equal answers that of the lowest thread, whoever came first.
+                 if (shared.any && !c.figures.better_than(shared.best.figures) &&
+                     (shared.best.figures.better_than(c.figures) || index >= shared.thread))
+                   return;
+                 shared.thread = index;
                  if (!shared.any) shared.first_ms = elapsed() * 1e3;
                  shared.any = true;
                  shared.best = c;

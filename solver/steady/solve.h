@@ -30,8 +30,9 @@ struct Options {
   /// speed as long as the time limit does not end it first.
   std::int64_t max_evaluations = 0;
   const std::atomic<bool>* stop = nullptr;
-  std::function<void(const Progress&)> on_progress;  ///< each improvement, from any thread, one at a time
-  Objectives wishes;                                 ///< pins, forbids and groups
+  std::function<void(const Progress&)>
+      on_progress;                  ///< each improvement, from any thread, one at a time
+  Objectives wishes;                ///< pins, forbids and groups
   const KeyPolicy* hint = nullptr;  ///< where to begin; not certified before it is proven again
   bool keep = false;                ///< with a hint: what runs where stays
 };

@@ -69,7 +69,9 @@ Tick span(const Problem& p, const std::vector<Tick>& least, const Module& module
   return longest;
 }
 
-std::string us(const Problem& p, Tick t) { return std::to_string(t / p.scale) + " us"; }
+std::string us(const Problem& p, Tick t) {
+  return std::to_string(t / p.scale) + " us";
+}
 
 }  // namespace
 

@@ -22,9 +22,9 @@
 namespace xauto::solver::steady {
 
 struct Overload {
-  std::string text;  ///< "gpu at least 112 %"
-  std::int64_t load_pct = 0;          ///< rounded down; 0: not by load
-  std::vector<std::int64_t> weights;  ///< [type]; empty: not by load
+  std::string text;                                  ///< "gpu at least 112 %"
+  std::int64_t load_pct = 0;                         ///< rounded down; 0: not by load
+  std::vector<std::int64_t> weights;                 ///< [type]; empty: not by load
   std::vector<std::pair<int, std::int64_t>> causes;  ///< XNode, its share in tenths of a percent
 };
 
@@ -35,6 +35,7 @@ struct Overload {
 inline constexpr std::int64_t kWeights = 1 << 16;
 
 /// floor(lambda * 10^6) of these weights, in integers; at most 10^15.
-[[nodiscard]] std::int64_t load_ppm(const Problem& problem, const std::vector<std::int64_t>& weights);
+[[nodiscard]] std::int64_t load_ppm(const Problem& problem,
+                                    const std::vector<std::int64_t>& weights);
 
 }  // namespace xauto::solver::steady

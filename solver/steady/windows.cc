@@ -20,16 +20,15 @@ struct Pair {
     for (int n = 0; n < ci.jobs; ++n) {
       const Tick a = w.a[at(p.slot[at(i)] + n)], d = w.d[at(p.slot[at(i)] + n)];
       // A clock that drifts moves releases against each other by up to this within the windows.
-      const Tick blur =
-          ppm == 0 ? 0 : in_fast_time(a + d + w.d[at(p.slot[at(j)])], ppm) -
-                             (a + d + w.d[at(p.slot[at(j)])]) + 1;
+      const Tick blur = ppm == 0 ? 0
+                                 : in_fast_time(a + d + w.d[at(p.slot[at(j)])], ppm) -
+                                       (a + d + w.d[at(p.slot[at(j)])]) + 1;
       const Tick release = ci.phase + n * ci.period;
       // The last activation of j released before i is ready: d + release does not fall with n, so
       // that if this one's key is not larger, no earlier one's is.
       std::int64_t m = floor_div(release + a - 1 + blur - cj.phase, cj.period);
       if (ordered && m == n) --m;
-      const Tick key_j =
-          cj.phase + m * cj.period + w.d[at(p.slot[at(j)]) + wrapped(m, cj.jobs)];
+      const Tick key_j = cj.phase + m * cj.period + w.d[at(p.slot[at(j)]) + wrapped(m, cj.jobs)];
       if (key_j + blur > release + d) return true;
     }
     return false;

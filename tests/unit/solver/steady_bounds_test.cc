@@ -10,6 +10,7 @@
 #include "solver/steady/chains.h"
 #include "solver/steady/solve.h"
 #include "solver/steady/sustain.h"
+
 #include "steady_naive.h"
 #include "steady_random.h"
 
@@ -64,7 +65,8 @@ Best exhaust(const Problem& p, Tick most) {
   Best best;
   best.chain.assign(p.chains.size(), std::numeric_limits<Tick>::max());
   std::vector<int> order, xpu(at(p.num_xnodes), 0);
-  for (const Component& c : p.components) order.insert(order.end(), c.xnodes.begin(), c.xnodes.end());
+  for (const Component& c : p.components)
+    order.insert(order.end(), c.xnodes.begin(), c.xnodes.end());
   Windows w;
   w.d.assign(at(p.num_slots), 0);
   w.hold.assign(at(p.num_slots), 0);

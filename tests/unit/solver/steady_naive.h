@@ -55,15 +55,16 @@ class NaiveRun {
       const Time worst = chain(app_.chains[c]);
       if (worst > policy_.chains[c].worst_case_us * scale_)
         return "chain " + app_.chains[c].name + " takes " +
-               std::to_string(static_cast<double>(worst) / static_cast<double>(scale_)) + " us, claimed " +
-               std::to_string(policy_.chains[c].worst_case_us);
+               std::to_string(static_cast<double>(worst) / static_cast<double>(scale_)) +
+               " us, claimed " + std::to_string(policy_.chains[c].worst_case_us);
     }
     return {};
   }
   /// Longest seen, of the last run, in us rounded down.
   Time seen(std::size_t c) const { return chain(app_.chains[c]) / scale_; }
   int completed() const {
-    return static_cast<int>(std::count_if(jobs_.begin(), jobs_.end(), [](const Job& j) { return j.end >= 0; }));
+    return static_cast<int>(
+        std::count_if(jobs_.begin(), jobs_.end(), [](const Job& j) { return j.end >= 0; }));
   }
 
  private:
@@ -85,13 +86,13 @@ class NaiveRun {
 
   Time nominal(int source, std::int64_t k) const {
     const SourceSpec& s = app_.sources[at(source)];
-    const double t = (static_cast<double>(s.offset_us) +
-                      static_cast<double>(k) * static_cast<double>(s.period.num) /
-                          static_cast<double>(s.period.den)) *
+    const double t = (static_cast<double>(s.offset_us) + static_cast<double>(k) *
+                                                             static_cast<double>(s.period.num) /
+                                                             static_cast<double>(s.period.den)) *
                      static_cast<double>(scale_);
     const auto exact = s.offset_us * scale_ + k * s.period.num * (scale_ / s.period.den);
-    return begin_[at(s.clock)] +
-           (slow_[at(s.clock)] == 1.0 ? exact
+    return begin_[at(s.clock)] + (slow_[at(s.clock)] == 1.0
+                                      ? exact
                                       : static_cast<Time>(std::llround(t * slow_[at(s.clock)])));
   }
 
@@ -105,7 +106,8 @@ class NaiveRun {
     for (std::size_t i = 0; i < component_.size(); ++i)
       for (const int s : app_.xnodes[i].sources) {
         int& first = first_source_[at(component_[i])];
-        if (first < 0 || app_.sources[at(s)].offset_us < app_.sources[at(first)].offset_us) first = s;
+        if (first < 0 || app_.sources[at(s)].offset_us < app_.sources[at(first)].offset_us)
+          first = s;
       }
   }
 
@@ -135,17 +137,19 @@ class NaiveRun {
           while (static_cast<int>(times.size()) <= n) {
             const Time most = app_.sources[at(s)].jitter_us * scale_;
             const std::uint64_t which = random_.below(3);
-            times.push_back(which == 0 ? 0 : which == 1 ? most : static_cast<Time>(random_.below(
-                                                                     static_cast<std::uint64_t>(most + 1))));
+            times.push_back(which == 0   ? 0
+                            : which == 1 ? most
+                                         : static_cast<Time>(random_.below(
+                                               static_cast<std::uint64_t>(most + 1))));
           }
           j.arrival = std::max(j.arrival, nominal(s, n) + times[at(n)]);
         }
-        const Time work =
-            *app_.xnodes[i].wcet_on(platform_.xpus[at(placed.xpu)].type) * scale_;
+        const Time work = *app_.xnodes[i].wcet_on(platform_.xpus[at(placed.xpu)].type) * scale_;
         const std::uint64_t which = how.worst_times ? 0 : random_.below(how.shortest_times ? 2 : 4);
-        j.left = which == 0   ? work
-                 : which == 1 ? 1
-                              : 1 + static_cast<Time>(random_.below(static_cast<std::uint64_t>(work)));
+        j.left = which == 0 ? work
+                 : which == 1
+                     ? 1
+                     : 1 + static_cast<Time>(random_.below(static_cast<std::uint64_t>(work)));
         jobs_of_[i].push_back(static_cast<int>(jobs_.size()));
         jobs_.push_back(j);
       }
@@ -216,7 +220,8 @@ class NaiveRun {
         if (best < 0 || r == best) continue;
         if (r >= 0) {
           const Job& has = jobs_[at(r)];
-          if (!xpu.preemptive || has.release + has.key <= jobs_[at(best)].release + jobs_[at(best)].key)
+          if (!xpu.preemptive ||
+              has.release + has.key <= jobs_[at(best)].release + jobs_[at(best)].key)
             continue;
           if (!jobs_[at(best)].paid && jobs_[at(best)].start < 0)
             jobs_[at(best)].left += xpu.preempt_us * scale_;

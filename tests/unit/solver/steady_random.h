@@ -8,6 +8,7 @@
 
 #include "model/app.h"
 #include "model/platform.h"
+
 #include "problem_random.h"
 
 namespace xauto::solver::steady {
@@ -80,13 +81,11 @@ inline AppSpec random_steady_app(test::Dice& dice, const SteadyShape& shape) {
   };
   for (int c = 1; c < components; ++c) {
     const int from = dice.roll(0, c - 1);
-    app.samples.emplace_back(last(from),
-                             first[static_cast<std::size_t>(c)] +
-                                 dice.roll(0, count[static_cast<std::size_t>(c)] - 1));
+    app.samples.emplace_back(last(from), first[static_cast<std::size_t>(c)] +
+                                             dice.roll(0, count[static_cast<std::size_t>(c)] - 1));
     app.chains.push_back({test::numbered("across", c), from, last(c)});
   }
-  for (int c = 0; c < components; ++c)
-    app.chains.push_back({test::numbered("own", c), c, last(c)});
+  for (int c = 0; c < components; ++c) app.chains.push_back({test::numbered("own", c), c, last(c)});
   if (shape.transfers && !app.edges.empty() && dice.chance(60)) {
     const auto [u, v] = app.edges.front();
     const auto& from = app.xnodes[static_cast<std::size_t>(u)].wcet_us;

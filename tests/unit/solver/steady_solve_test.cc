@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // What solve() claims of apps of version 2, against a naive simulator (steady_naive.h).
-#include "solver/steady/solve.h"
-
 #include <gtest/gtest.h>
+
+#include "solver/steady/solve.h"
 
 #include "steady_naive.h"
 #include "steady_random.h"
@@ -24,8 +24,8 @@ struct Played {
 
 /// Solves random apps and plays each policy many times; `blind` is what the solver is told instead
 /// of the truth. Returns what broke first.
-std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t seed, Played& played,
-                   const std::function<void(AppSpec&, Platform&)>& blind = {}) {
+std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t seed,
+                   Played& played, const std::function<void(AppSpec&, Platform&)>& blind = {}) {
   for (int a = 0; a < apps; ++a) {
     test::Dice dice(seed * 100'003 + static_cast<std::uint64_t>(a));
     const AppSpec app = random_steady_app(dice, shape);
@@ -42,6 +42,8 @@ std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t 
     if (answer->outcome == Outcome::kUnknown) ++played.unknown;
     if (answer->outcome != Outcome::kPolicy) continue;
     ++played.policies;
+    const Status sound = validate(answer->policy, told, on);
+    EXPECT_TRUE(sound) << (sound ? "" : sound.error().to_string());
     for (int k = 0; k < plays; ++k) {
       Disturbance how;
       how.seed = static_cast<std::uint64_t>(k + 1);
@@ -57,7 +59,9 @@ std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t 
   return {};
 }
 
-SteadyShape one_clock() { return {}; }
+SteadyShape one_clock() {
+  return {};
+}
 
 SteadyShape two_clocks(int ppm) {
   SteadyShape shape;
@@ -172,7 +176,9 @@ TEST(SteadySolve, TheAnswerDependsOnSeedThreadsAndBudgetOnly) {
   test::Dice dice(99);
   const AppSpec app = random_steady_app(dice, {});
   const Platform platform = random_steady_platform(dice);
-  const Result<Answer> a = solve(app, platform, brief(300)), b = solve(app, platform, brief(300));
+  Options two = brief(300);
+  two.threads = 2;
+  const Result<Answer> a = solve(app, platform, two), b = solve(app, platform, two);
   ASSERT_TRUE(a && b);
   ASSERT_EQ(a->outcome, Outcome::kPolicy);
   EXPECT_EQ(a->policy.placements, b->policy.placements);
