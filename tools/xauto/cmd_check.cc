@@ -12,6 +12,7 @@
 
 #include "xauto/command.h"
 #include "xauto/objectives_file.h"
+#include "xauto/periodic.h"
 
 namespace xauto::cli {
 namespace {
@@ -23,8 +24,17 @@ struct CheckFlags {
 };
 
 Result<int> check(const CheckFlags& flags, const Options& options) {
-  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
+  XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  if (app.version == 2) {
+    if (!flags.against.empty() || flags.wishes.deadline_us > 0)
+      return fail(ErrorCode::kInvalid, "is not for an app of version 2",
+                  flags.against.empty() ? "--deadline-us" : "--against",
+                  "state deadlines in its chains");
+    XAUTO_ASSIGN(solver::Objectives asked, load_objectives(flags.app));
+    XAUTO_TRY(add_to_objectives(flags.wishes, asked));
+    return check_periodic(app, platform, flags.policy, asked, options);
+  }
   XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
   solver::VerifyOptions asked = flags.options;
   XAUTO_ASSIGN(asked.asked, load_objectives(flags.app));

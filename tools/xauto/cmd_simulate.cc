@@ -12,6 +12,7 @@
 
 #include "xauto/command.h"
 #include "xauto/outputs.h"
+#include "xauto/periodic.h"
 #include "xauto/run_app.h"
 
 namespace xauto::cli {
@@ -19,11 +20,18 @@ namespace {
 
 struct SimulateFlags {
   std::string app, platform = "small", policy, model = "xauto", out;
+  solver::steady::PlayOptions play;
 };
 
 Result<int> simulate(const SimulateFlags& flags, const Options& options) {
-  XAUTO_ASSIGN(const AppSpec app, load_app(flags.app));
+  XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  if (app.version == 2) {
+    if (flags.policy.empty() || flags.model != "xauto")
+      return fail(ErrorCode::kInvalid, "an app of version 2 is played by its policy alone",
+                  flags.policy.empty() ? "--policy" : "--model");
+    return play_periodic(app, platform, flags.policy, flags.play, flags.out, options);
+  }
   const auto scheduling = *runtime::scheduling_from(flags.model);
   std::optional<Policy> policy;
   if (scheduling != runtime::Scheduling::kRos2) {
@@ -91,6 +99,13 @@ void add_simulate(Commands& commands) {
           "fastest XPU, nobody schedules")
       .one_of({"xauto", "timeshare", "ros2"})
       .shown();
+  verb.option("--seconds", flags->play.seconds, "to play; this and the next: app.json of version 2")
+      .positive()
+      .shown();
+  verb.flag("--random-times", flags->play.random_times, "each job takes anything up to its WCET");
+  verb.flag("--jitter", flags->play.jitter, "messages come anywhere within their jitter");
+  verb.flag("--phases", flags->play.phases, "clocks begin anywhere, and drift");
+  verb.option("--seed", flags->play.seed, "of what is random").shown();
   verb.option("--out", flags->out, "write the result here");
 }
 
