@@ -169,8 +169,11 @@ class Load {
   /// key on this XPU may have started before it is ready.
   void charge() {
     for (Group& g : groups_) {
-      std::map<int, std::vector<std::int64_t>> lags;
-      for (Item& i : g.items)
+      std::vector<std::int64_t> lags;
+      int lags_of = -1;
+      for (Item& i : g.items) {
+        if (lags_of != i.xnode) lags.clear();  // items are by XNode; most need none
+        lags_of = i.xnode;
         if (std::ranges::any_of(g.xnodes, [&](int j) { return may_preempt(i, j, lags); }) ||
             std::ranges::any_of(groups_, [&](const Group& other) {
               return &other != &g && may_preempt(i, g, other);
@@ -178,11 +181,12 @@ class Load {
           i.work += xpu_.preempt_us * w_.scale;
           ++proof_.charged;
         }
+      }
     }
   }
 
   /// Phases are known.
-  bool may_preempt(const Item& i, int j, std::map<int, std::vector<std::int64_t>>& lags) const {
+  bool may_preempt(const Item& i, int j, std::vector<std::int64_t>& lags) const {
     const Component& c = w_.home(j);
     for (std::int64_t n = last_started(j, i.release, i.window.a);; --n) {
       const Window& other = w_.window(j, n);
@@ -190,9 +194,8 @@ class Load {
       if (most(delta, c.ppm) + other.d <= i.window.d) return false;  // so are all earlier keys
       if (least(delta, c.ppm) + other.e >= i.window.a) continue;
       if (w_.component_of[at(j)] == w_.component_of[at(i.xnode)]) {
-        const auto [known, added] = lags.try_emplace(i.xnode);
-        if (added) known->second = w_.lags(i.xnode);
-        const std::int64_t first = i.activation + known->second[at(j)];  // waits for i
+        if (lags.empty()) lags = w_.lags_after(i.xnode);
+        const std::int64_t first = i.activation + lags[at(j)];  // waits for i
         if (n >= first) {
           n = first;
           continue;
@@ -355,7 +358,7 @@ class Load {
   // ------------------------------------------------------------------------------ demand bound
 
   struct Blocker {
-    Ticks until = 0;  ///< of demand in intervals shorter than this
+    Ticks until = 0;  ///< what it blocks are intervals shorter than this
     Ticks work = 0;
     int xnode = -1;
   };
@@ -478,20 +481,17 @@ class Load {
                                       w_.us(b->work), w_.name(b->xnode));
   }
 
-  /// Demand and blocking against length, at each step of one curve.
-  Status compare(const std::vector<Step>& curve, const std::vector<Blocker>& blockers) {
-    // Blockers by `until`, falling; of those the longest work so far.
-    std::size_t next = blockers.size();
+  /// Demand and blocking against length, at each step of the curve.
+  Status compare(const std::vector<Step>& curve, const Blocker* blocker) {
     for (const Step& s : curve) {
-      while (next > 0 && blockers[next - 1].until <= s.length) --next;
-      const Blocker* b = next > 0 ? &blockers[next - 1] : nullptr;
-      const Ticks blocked = b == nullptr ? 0 : b->work;
+      if (blocker != nullptr && blocker->until <= s.length) break;  // there is as without it
+      const Ticks blocked = blocker == nullptr ? 0 : blocker->work;
       const Ticks slack = s.length - s.demand - blocked;
       if (slack < 0)
         return fail(
             ErrorCode::kInfeasible,
             fmt::format("{} us of work{} may have their windows in the {} us before its key",
-                        w_.us(s.demand), blocked_by(b), w_.us(s.length)),
+                        w_.us(s.demand), blocked_by(blocker), w_.us(s.length)),
             where(*s.last), "give it, or what runs beside it, a later key");
       if (slack < slack_) {
         slack_ = slack;
@@ -499,17 +499,6 @@ class Load {
       }
     }
     return {};
-  }
-
-  /// Sorted by `until`, falling; work rises along the way, so that [k] is the longest of [0..k].
-  static std::vector<Blocker> staircase(std::vector<Blocker> all) {
-    std::ranges::sort(all, [](const Blocker& a, const Blocker& b) { return a.until > b.until; });
-    for (std::size_t k = 1; k < all.size(); ++k)
-      if (all[k].work < all[k - 1].work) {
-        all[k].work = all[k - 1].work;
-        all[k].xnode = all[k - 1].xnode;
-      }
-    return all;
   }
 
   Status bound_demand() {
@@ -531,26 +520,24 @@ class Load {
       }
       curves.push_back(std::move(curve));
     }
-    XAUTO_TRY(compare(sum(curves), {}));
+    const std::vector<Step> total = sum(curves);
+    XAUTO_TRY(compare(total, nullptr));
     if (xpu_.preemptive) return {};
-    // Where all may block whatever is in the interval, and it is enough, phases need no look.
-    std::vector<Blocker> blockers;
-    for (const Group& g : groups_)
-      for (const int j : g.xnodes) blockers.push_back({g.longest, w_.wcet[at(j)], j});
-    const XpuProof unblocked = proof_;
-    const Ticks slack = slack_;
-    if (compare(sum(curves), staircase(std::move(blockers)))) return {};
-    proof_ = unblocked;
-    slack_ = slack;
     for (std::size_t k = 0; k < groups_.size(); ++k)
       for (const int j : groups_[k].xnodes) {
-        XAUTO_TRY(affordable(groups_[k], *end));
-        std::vector<std::vector<Step>> blocked = curves;
         Blocker blocker{0, w_.wcet[at(j)], j};
         for (const Window& window : w_.windows[at(j)])
           blocker.until = std::max(blocker.until, window.d - window.e);
+        // Most hold whatever is in the interval. Else phases, and who waits for whom, decide.
+        const XpuProof proof = proof_;
+        const Ticks slack = slack_;
+        if (compare(total, &blocker)) continue;
+        proof_ = proof;
+        slack_ = slack;
+        XAUTO_TRY(affordable(groups_[k], *end));
+        std::vector<std::vector<Step>> blocked = curves;
         blocked[k] = demand_behind(groups_[k], j, *end);
-        XAUTO_TRY(compare(sum(blocked), {blocker}));
+        XAUTO_TRY(compare(sum(blocked), &blocker));
       }
     return {};
   }
@@ -559,12 +546,9 @@ class Load {
   /// What it has waited for had ended when it started, and is not in the interval.
   [[nodiscard]] std::vector<Step> demand_behind(const Group& g, int j, Ticks end) const {
     const Component& c = w_.home(j);
-    std::map<int, std::vector<std::int64_t>> lags;
-    for (const int i : g.xnodes)
-      if (w_.component_of[at(i)] == w_.component_of[at(j)]) lags[i] = w_.lags(i);
+    const std::vector<std::int64_t> lags = w_.lags_before(j);
     const auto waits = [&](Ticks delta, int i) {
-      return w_.component_of[at(i)] == w_.component_of[at(j)] &&
-             floor_div(delta, c.period) >= lags.at(i)[at(j)];
+      return lags[at(i)] < kNever && floor_div(delta, c.period) >= lags[at(i)];
     };
     std::vector<Step> curve, steps, own;
     const std::vector<Begin> all = begins(g);

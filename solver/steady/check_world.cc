@@ -364,7 +364,7 @@ Status set_windows(World& w) {
 
 }  // namespace world
 
-std::vector<std::int64_t> World::lags(int xnode) const {
+std::vector<std::int64_t> World::lags(int xnode, bool forward) const {
   std::vector<std::int64_t> best(app.xnodes.size(), kNever);
   using Entry = std::pair<std::int64_t, int>;
   std::priority_queue<Entry, std::vector<Entry>, std::greater<>> queue;
@@ -374,14 +374,21 @@ std::vector<std::int64_t> World::lags(int xnode) const {
     best[at(x)] = lag;
     queue.emplace(lag, x);
   };
+  std::vector<char> full(module_xnodes.size(), 0);  // its first reach was the least
   while (!queue.empty()) {
     const auto [lag, x] = queue.top();
     queue.pop();
     if (lag > best[at(x)]) continue;
-    for (const int v : after[at(x)]) reach(v, lag);
+    if (forward)
+      for (const int v : after[at(x)]) reach(v, lag);
+    else
+      for (const auto& [u, transfer] : before[at(x)]) reach(u, lag);
+    // What enters a module waits for all of the activation that has to leave before.
     const int m = module_of[at(x)];
+    if ((!forward && !entry[at(x)]) || full[at(m)]) continue;
+    full[at(m)] = 1;
     for (const int v : module_xnodes[at(m)])
-      if (entry[at(v)]) reach(v, lag + in_flight[at(m)]);
+      if (!forward || entry[at(v)]) reach(v, lag + in_flight[at(m)]);
   }
   best[at(xnode)] = std::min<std::int64_t>(best[at(xnode)], 1);
   return best;

@@ -74,9 +74,17 @@ struct World {
     return static_cast<double>(t) / static_cast<double>(scale);
   }
   [[nodiscard]] std::int64_t us_up(Ticks t) const;
-  /// [xnode of the component] the least lag such that `xnode` of activation n has ended before that
-  /// XNode of activation n + lag starts; kNever: no such lag.
-  [[nodiscard]] std::vector<std::int64_t> lags(int xnode) const;
+  /// [other] the least lag such that `xnode` of activation n has ended before that other XNode of
+  /// activation n + lag starts; kNever: no such lag.
+  [[nodiscard]] std::vector<std::int64_t> lags_after(int xnode) const { return lags(xnode, true); }
+  /// [other] the least lag such that that other XNode of activation n has ended before `xnode` of
+  /// activation n + lag starts.
+  [[nodiscard]] std::vector<std::int64_t> lags_before(int xnode) const {
+    return lags(xnode, false);
+  }
+
+ private:
+  [[nodiscard]] std::vector<std::int64_t> lags(int xnode, bool forward) const;
 };
 inline constexpr std::int64_t kNever = std::int64_t{1} << 60;
 

@@ -21,13 +21,13 @@ std::size_t at(std::int64_t i) {
 class Dice {
  public:
   explicit Dice(std::uint64_t seed) : s_(seed * 0x9e3779b97f4a7c15u + 0x1234567) {}
-  std::int64_t upto(std::int64_t n) {  // 0..n
+  std::int64_t roll(std::int64_t n) {  // 0..n
     s_ ^= s_ << 13;
     s_ ^= s_ >> 7;
     s_ ^= s_ << 17;
     return static_cast<std::int64_t>((s_ >> 11) % static_cast<std::uint64_t>(n + 1));
   }
-  bool coin() { return upto(1) == 1; }
+  bool coin() { return roll(1) == 1; }
 
  private:
   std::uint64_t s_;
@@ -414,12 +414,12 @@ class Climb {
  private:
   Fate fresh() {
     Fate f;
-    const std::int64_t mood = dice_.upto(3);
+    const std::int64_t mood = dice_.roll(3);
     for (std::size_t i = 0; i < w_.wcet_.size(); ++i) {
       f.run.emplace_back(at(span_ / w_.period(i) + 2), std::uint8_t{255});
       if (mood == 1)
         for (auto& r : f.run.back()) r = dice_.coin() ? 255 : 0;
-      if (mood == 2 && dice_.upto(3) == 0)
+      if (mood == 2 && dice_.roll(3) == 0)
         for (auto& r : f.run.back()) r = 0;
     }
     for (const SourceSpec& s : w_.app_.sources) {
@@ -431,9 +431,9 @@ class Climb {
     }
     for (const ClockSpec& c : w_.app_.clocks) {
       f.phase.push_back(0);
-      f.drift.push_back(-c.ppm + 2 * dice_.upto(1) * c.ppm);
+      f.drift.push_back(-c.ppm + 2 * dice_.roll(1) * c.ppm);
       f.later_drift.push_back(dice_.coin() ? f.drift.back() : -f.drift.back());
-      f.turn.push_back(dice_.upto(span_));
+      f.turn.push_back(dice_.roll(span_));
     }
     for (std::size_t c = 1; c < f.phase.size(); ++c) shift(f, c);
     return f;
@@ -443,23 +443,23 @@ class Climb {
     std::int64_t longest = 1;
     for (std::size_t i = 0; i < w_.wcet_.size(); ++i)
       if (w_.clock(i) == static_cast<int>(clock)) longest = std::max(longest, w_.period(i));
-    switch (dice_.upto(3)) {
+    switch (dice_.roll(3)) {
       case 0:
-        f.phase[clock] = dice_.upto(longest * 2) * kMillion;
+        f.phase[clock] = dice_.roll(longest * 2) * kMillion;
         break;
       case 1:
-        f.phase[clock] += dice_.upto(2000) - 1000;
+        f.phase[clock] += dice_.roll(2000) - 1000;
         break;
       case 2:
-        f.phase[clock] += (dice_.upto(200) - 100) * kMillion * w_.scale_;
+        f.phase[clock] += (dice_.roll(200) - 100) * kMillion * w_.scale_;
         break;
       default: {
         // Two releases, or a key and a release, at one instant.
-        const auto i = at(dice_.upto(static_cast<std::int64_t>(w_.wcet_.size()) - 1));
+        const auto i = at(dice_.roll(static_cast<std::int64_t>(w_.wcet_.size()) - 1));
         const KeyPlacement& p = w_.policy_.placements[i];
-        f.phase[clock] = w_.nominal(i, dice_.upto(3), f) +
+        f.phase[clock] = w_.nominal(i, dice_.roll(3), f) +
                          (dice_.coin() ? 0 : w_.atoms(p.key_us[0]) - w_.wcet_[i]);
-        f.phase[clock] -= dice_.upto(4) * longest * kMillion;
+        f.phase[clock] -= dice_.roll(4) * longest * kMillion;
       }
     }
     while (f.phase[clock] < 0) f.phase[clock] += longest * kMillion;
@@ -467,29 +467,29 @@ class Climb {
 
   /// A few changes, most of them near what is worst so far.
   void mutate(Fate& f, std::int64_t near) {
-    for (std::int64_t changes = 1 + dice_.upto(3); changes > 0; --changes) {
-      const std::int64_t what = dice_.upto(9);
+    for (std::int64_t changes = 1 + dice_.roll(3); changes > 0; --changes) {
+      const std::int64_t what = dice_.roll(9);
       if (what < 6) {
-        const auto i = at(dice_.upto(static_cast<std::int64_t>(w_.wcet_.size()) - 1));
+        const auto i = at(dice_.roll(static_cast<std::int64_t>(w_.wcet_.size()) - 1));
         auto& run = f.run[i];
-        const auto value = static_cast<std::uint8_t>(dice_.upto(3) == 0 ? dice_.upto(255)
+        const auto value = static_cast<std::uint8_t>(dice_.roll(3) == 0 ? dice_.roll(255)
                                                      : dice_.coin()     ? 255
                                                                         : 0);
         change(run, near / kMillion / w_.period(i), value);
       } else if (what < 8) {
-        const auto s = at(dice_.upto(static_cast<std::int64_t>(f.jitter.size()) - 1));
+        const auto s = at(dice_.roll(static_cast<std::int64_t>(f.jitter.size()) - 1));
         const SourceSpec& source = w_.app_.sources[s];
         change(f.jitter[s], near / kMillion / (source.period.num * (w_.scale_ / source.period.den)),
-               static_cast<std::uint8_t>(dice_.upto(2) == 0 ? dice_.upto(255)
+               static_cast<std::uint8_t>(dice_.roll(2) == 0 ? dice_.roll(255)
                                          : dice_.coin()     ? 255
                                                             : 0));
       } else if (what == 8) {
-        const auto c = at(dice_.upto(static_cast<std::int64_t>(f.phase.size()) - 1));
+        const auto c = at(dice_.roll(static_cast<std::int64_t>(f.phase.size()) - 1));
         if (c > 0) shift(f, c);
         const std::int64_t ppm = w_.app_.clocks[c].ppm;
-        if (dice_.coin()) f.drift[c] = -ppm + dice_.upto(2) * ppm;
-        if (dice_.coin()) f.later_drift[c] = -ppm + dice_.upto(2) * ppm;
-        if (dice_.coin()) f.turn[c] = dice_.upto(span_);
+        if (dice_.coin()) f.drift[c] = -ppm + dice_.roll(2) * ppm;
+        if (dice_.coin()) f.later_drift[c] = -ppm + dice_.roll(2) * ppm;
+        if (dice_.coin()) f.turn[c] = dice_.roll(span_);
       } else {
         f.ties_up = !f.ties_up;
       }
@@ -498,9 +498,9 @@ class Climb {
 
   void change(std::vector<std::uint8_t>& all, std::int64_t near, std::uint8_t value) {
     const auto size = static_cast<std::int64_t>(all.size());
-    std::int64_t first = dice_.upto(3) == 0 ? dice_.upto(size - 1) : near - 4 + dice_.upto(6);
-    std::int64_t count = dice_.upto(2) == 0 ? size : 1 + dice_.upto(2);
-    if (dice_.upto(5) == 0) first = 0;
+    std::int64_t first = dice_.roll(3) == 0 ? dice_.roll(size - 1) : near - 4 + dice_.roll(6);
+    std::int64_t count = dice_.roll(2) == 0 ? size : 1 + dice_.roll(2);
+    if (dice_.roll(5) == 0) first = 0;
     for (; count > 0; --count, ++first)
       if (first >= 0 && first < size) all[at(first)] = value;
   }
@@ -509,7 +509,7 @@ class Climb {
     const auto xnodes = static_cast<std::int64_t>(w_.wcet_.size());
     const auto chains = static_cast<std::int64_t>(w_.app_.chains.size());
     // What it climbs for: one XNode's lateness, any, or one chain.
-    const std::int64_t goal = dice_.upto(xnodes + chains);
+    const std::int64_t goal = dice_.roll(xnodes + chains);
     const auto judge = [&](const Outcome& o) {
       if (goal < xnodes) return o.late_of[at(goal)];
       if (goal == xnodes) return o.late;

@@ -115,6 +115,11 @@ class Periodic(unittest.TestCase):
         self.solve("--hint", "hint.json", "--keep")
         self.assertEqual({x["name"]: x["xpu"] for x in self.policy()["xnodes"]}, placed)
 
+    def test_check_holds_pins_against_a_policy(self):
+        self.solve("--pin", "mpc=cpu1")
+        checked = self.run_tool("check", "--app", "app.json", "--policy", "policy.json", "--pin", "mpc=cpu0", status=1)
+        self.assertIn("XNode 'mpc' runs on cpu1, pinned to cpu0", checked.stdout)
+
     def test_what_would_be_if(self):
         told = self.solve("--assume", "tick=100", "--assume", "gpu=50%", "--assume", "+dla", "--assume", "tick=5000", "--json").stdout
         cases = json.loads(told)["what_if"]

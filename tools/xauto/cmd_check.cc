@@ -26,7 +26,13 @@ struct CheckFlags {
 Result<int> check(const CheckFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
-  if (app.version == 2) return check_periodic(app, platform, flags.policy, options);
+  if (app.version == 2) {
+    if (!flags.against.empty() || flags.wishes.deadline_us > 0)
+      return fail(ErrorCode::kInvalid, "are for an app of version 1", "--against, --deadline-us");
+    XAUTO_ASSIGN(solver::Objectives asked, load_objectives(flags.app));
+    XAUTO_TRY(add_to_objectives(flags.wishes, asked));
+    return check_periodic(app, platform, flags.policy, asked, options);
+  }
   XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
   solver::VerifyOptions asked = flags.options;
   XAUTO_ASSIGN(asked.asked, load_objectives(flags.app));

@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include "base/index.h"
 #include "model/claims.h"
 #include "model/components.h"
 #include "model/json.h"
@@ -106,6 +107,40 @@ Json proofs(const steady::CheckReport& report) {
     list.push_back(std::move(j));
   }
   return list;
+}
+
+Result<int> find_xnode(const AppSpec& app, const std::string& name, const char* option) {
+  const int i = app.find(name);
+  if (i < 0) return fail(ErrorCode::kInvalid, "no XNode '" + name + "'", option);
+  return i;
+}
+
+/// What of the pins, forbids and groups the policy does not keep.
+Result<std::vector<std::string>> broken_wishes(const AppSpec& app, const Platform& platform,
+                                               const KeyPolicy& policy,
+                                               const solver::Objectives& asked) {
+  std::vector<std::string> broken;
+  const auto runs_on = [&](int i, const std::string& target) {
+    const Xpu& xpu = platform.xpus[at(policy.placements[at(i)].xpu)];
+    return xpu.id == target || xpu.type == target;
+  };
+  for (const bool pin : {true, false})
+    for (const auto& [name, target] : pin ? asked.pins : asked.forbids) {
+      XAUTO_ASSIGN(const int i, find_xnode(app, name, pin ? "pins" : "forbids"));
+      if (runs_on(i, target) != pin)
+        broken.push_back(fmt::format("XNode '{}' runs on {}, {} to {}", name,
+                                     platform.xpus[at(policy.placements[at(i)].xpu)].id,
+                                     pin ? "pinned" : "forbidden", target));
+    }
+  for (const auto& group : asked.groups)
+    for (const std::string& name : group) {
+      XAUTO_ASSIGN(const int first, find_xnode(app, group.front(), "groups"));
+      XAUTO_ASSIGN(const int i, find_xnode(app, name, "groups"));
+      if (policy.placements[at(i)].xpu != policy.placements[at(first)].xpu)
+        broken.push_back(fmt::format("XNodes '{}' and '{}' are on two XPUs, asked for one",
+                                     group.front(), name));
+    }
+  return broken;
 }
 
 const char* words(steady::Outcome outcome) {
@@ -341,8 +376,9 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
 }
 
 Result<int> check_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
-                           const Options& options) {
+                           const solver::Objectives& asked, const Options& options) {
   XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
+  XAUTO_ASSIGN(const std::vector<std::string> broken, broken_wishes(app, platform, policy, asked));
   const auto report = steady::check(app, platform, policy);
   if (!report && report.error().code != ErrorCode::kInfeasible)
     return tl::unexpected<Error>(report.error());
@@ -357,9 +393,11 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
     }
     return kAnswerIsNo;
   }
-  const bool late = std::any_of(report->chains.begin(), report->chains.end(),
+  const bool late = !broken.empty() ||
+                    std::any_of(report->chains.begin(), report->chains.end(),
                                 [](const steady::ChainProof& c) { return c.late(); });
   if (options.json) {
+    root["missed"] = broken;
     root["lies"] = Json::array();
     root["proofs"] = proofs(*report);
     for (const steady::ChainProof& chain : report->chains) {
@@ -384,6 +422,7 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
     std::cout << fmt::format("  {:<24}{:>14}{:>14}   {}{}\n", chain.name, ms(chain.derived_us),
                              ms(chain.claimed_us), way, chain.late() ? "   MISSED" : "");
   }
+  for (const std::string& missed : broken) std::cout << "  MISSED " << missed << "\n";
   std::cout << fmt::format("\n{} tells the truth: {}.\n", path, kKeyScope);
   return late ? kAnswerIsNo : kDone;
 }
