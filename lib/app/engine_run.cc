@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "app/engine_run.h"
 
+#include <vector>
+
+#include "base/pi_mutex.h"
 #include "runtime/engine.h"
 
 namespace xauto::app {
@@ -15,7 +18,10 @@ Ran run_engine(const detail::AppSpecErased& app, const runtime::Session& session
       std::unique_ptr<runtime::Engine> engine;
       std::shared_ptr<const void> held;
     };
-    (void)new Kept{*std::move(engine), std::move(held)};
+    static PiMutex mutex;
+    static auto* for_ever = new std::vector<Kept>;  // reachable, so that it is no leak
+    const Guard lock(mutex);
+    for_ever->push_back({*std::move(engine), std::move(held)});
   }
   return ran;
 }

@@ -174,7 +174,6 @@ class ShmPublisher final : public Publisher, public std::enable_shared_from_this
   PiMutex mutex_;  ///< of this process only: publishing order, and the choice of a chunk
   std::vector<std::uint8_t> queued_ XAUTO_GUARDED_BY(mutex_);  ///< scratch of find_free
   std::unique_ptr<std::atomic<std::uint32_t>[]> loaned_;       ///< [chunk] this process uses it
-  std::uint32_t hint_ XAUTO_GUARDED_BY(mutex_) = 0;
   std::atomic<std::uint64_t> unsent_{0};
 };
 

@@ -141,7 +141,7 @@ class World {
     return real(clock(i), base_[at(group_[i])] + n * period(i), f);
   }
 
-  void find_paths(int chain, int component, std::vector<char> reach, std::set<int> seen,
+  void find_paths(int chain, int component, std::vector<char> reach, const std::set<int>& seen,
                   std::vector<Hop>& hops) {
     if (paths_.size() > 200) return;
     for (bool more = true; more;) {

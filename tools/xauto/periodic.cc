@@ -393,9 +393,9 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
     }
     return kAnswerIsNo;
   }
-  const bool late = !broken.empty() ||
-                    std::any_of(report->chains.begin(), report->chains.end(),
-                                [](const steady::ChainProof& c) { return c.late(); });
+  const bool late =
+      !broken.empty() || std::any_of(report->chains.begin(), report->chains.end(),
+                                     [](const steady::ChainProof& c) { return c.late(); });
   if (options.json) {
     root["missed"] = broken;
     root["lies"] = Json::array();

@@ -23,8 +23,8 @@ namespace xauto::cli {
                                            const std::string& policy, const Options& options);
 /// Status 1: the policy claims what does not follow, misses a deadline, or breaks what is `asked`.
 [[nodiscard]] Result<int> check_periodic(const AppSpec& app, const Platform& platform,
-                                         const std::string& policy,
-                                         const solver::Objectives& asked, const Options& options);
+                                         const std::string& policy, const solver::Objectives& asked,
+                                         const Options& options);
 [[nodiscard]] Result<int> simulate_periodic(const AppSpec& app, const Platform& platform,
                                             const std::string& policy,
                                             const solver::steady::PlayOptions& asked,

@@ -81,7 +81,7 @@ TEST(Golden, PolicyOfVersion2IsWrittenAsItWasRead) {
   EXPECT_EQ(policy->placements[0].hold_us, std::vector<std::int64_t>{1500});
   EXPECT_EQ(policy->placements[4].key_us.size(), 5u);
   EXPECT_TRUE(policy->placements[1].start_us.empty());
-  EXPECT_EQ(policy->chains[1], (ChainClaim{"steer", 25500, 25500, true}));
+  EXPECT_EQ(policy->chains[1], (ChainClaim{"steer", 25501, 25501, true}));
   EXPECT_EQ(to_json(*policy, app, platform), text);
 }
 

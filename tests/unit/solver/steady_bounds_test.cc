@@ -88,7 +88,7 @@ Best exhaust(const Problem& p, Tick most) {
 TEST(SteadyBounds, NoneIsAboveWhatExhaustionFinds) {
   int with_policy = 0, refused = 0, tight = 0, sums = 0, sums_reached = 0;
   for (std::uint64_t seed = 1; seed <= 150; ++seed) {
-    test::Dice dice(seed);
+    solver::test::Dice dice(seed);
     SteadyShape shape;
     shape.max_nodes = 2;
     shape.max_wcet = 3;
@@ -136,7 +136,7 @@ TEST(SteadyBounds, NoneIsAboveWhatExhaustionFinds) {
 TEST(SteadyBounds, NoExecutionBreaksTheBestOfExhaustion) {
   int played = 0;
   for (std::uint64_t seed = 1; seed <= 80; ++seed) {
-    test::Dice dice(seed + 5000);
+    solver::test::Dice dice(seed + 5000);
     SteadyShape shape;
     shape.max_nodes = 2;
     shape.max_wcet = 3;
@@ -163,7 +163,7 @@ TEST(SteadyBounds, NoExecutionBreaksTheBestOfExhaustion) {
       policy.chains.push_back({chain.name, worst_case(*p, chain, best.w), 0, false});
     for (int k = 0; k < 40; ++k) {
       Disturbance how;
-      how.seed = static_cast<std::uint64_t>(k + 1);
+      how.seed = static_cast<std::uint64_t>(k) + 1;
       how.worst_times = k % 3 == 0;
       how.shortest_times = k % 3 == 1;
       ASSERT_EQ(NaiveRun(app, platform, policy, 12, how).run(), "") << "seed " << seed;

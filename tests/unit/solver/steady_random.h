@@ -22,7 +22,7 @@ struct SteadyShape {
   bool fractions = false, transfers = true, jitter = true, offsets = true;
 };
 
-inline Platform random_steady_platform(test::Dice& dice) {
+inline Platform random_steady_platform(solver::test::Dice& dice) {
   Platform platform;
   platform.name = "tiny";
   platform.xpus.push_back({"cpu0", "cpu", true, 0});
@@ -32,7 +32,7 @@ inline Platform random_steady_platform(test::Dice& dice) {
   return platform;
 }
 
-inline AppSpec random_steady_app(test::Dice& dice, const SteadyShape& shape) {
+inline AppSpec random_steady_app(solver::test::Dice& dice, const SteadyShape& shape) {
   AppSpec app;
   app.version = 2;
   app.name = "tiny";

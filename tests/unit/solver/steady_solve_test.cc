@@ -27,7 +27,7 @@ struct Played {
 std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t seed,
                    Played& played, const std::function<void(AppSpec&, Platform&)>& blind = {}) {
   for (int a = 0; a < apps; ++a) {
-    test::Dice dice(seed * 100'003 + static_cast<std::uint64_t>(a));
+    solver::test::Dice dice(seed * 100'003 + static_cast<std::uint64_t>(a));
     const AppSpec app = random_steady_app(dice, shape);
     const Platform platform = random_steady_platform(dice);
     AppSpec told = app;
@@ -46,7 +46,7 @@ std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t 
     EXPECT_TRUE(sound) << (sound ? "" : sound.error().to_string());
     for (int k = 0; k < plays; ++k) {
       Disturbance how;
-      how.seed = static_cast<std::uint64_t>(k + 1);
+      how.seed = static_cast<std::uint64_t>(k) + 1;
       how.worst_times = k % 3 == 0;
       how.shortest_times = k % 3 == 1;
       NaiveRun run(app, platform, answer->policy, 14, how);
@@ -173,7 +173,7 @@ TEST(SteadySolve, TheAttackFindsClocksThatAreTakenForOne) {
 }
 
 TEST(SteadySolve, TheAnswerDependsOnSeedThreadsAndBudgetOnly) {
-  test::Dice dice(99);
+  solver::test::Dice dice(99);
   const AppSpec app = random_steady_app(dice, {});
   const Platform platform = random_steady_platform(dice);
   Options two = brief(300);
@@ -186,7 +186,7 @@ TEST(SteadySolve, TheAnswerDependsOnSeedThreadsAndBudgetOnly) {
 }
 
 TEST(SteadySolve, AHintIsKeptAndProvenAgain) {
-  test::Dice dice(99);
+  solver::test::Dice dice(99);
   const AppSpec app = random_steady_app(dice, {});
   const Platform platform = random_steady_platform(dice);
   const Result<Answer> a = solve(app, platform, brief(300));
