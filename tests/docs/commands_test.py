@@ -125,7 +125,7 @@ class Checkout:
         script = f""". {shlex.quote(str(self.state))}
 {command}
 status=$?
-{{ export -p; printf 'cd %q\\n' "$PWD"; }} >{shlex.quote(str(self.state))}
+{{ export -p | grep -v 'PWD='; printf 'cd %q\\n' "${{OLDPWD:-$PWD}}" "$PWD"; }} >{shlex.quote(str(self.state))}
 exit $status
 """
         return subprocess.run(["bash", "-c", script], cwd=self.root, env=environment, capture_output=True, text=True,

@@ -63,17 +63,6 @@ class Errors(unittest.TestCase):
     def test_recording(self):
         self.refuse("recording")
 
-    def test_verbs_that_plan_one_release_refuse_version_2(self):
-        app, platform = GOLDEN / "app-2.json", GOLDEN / "platform.json"
-        for verb in (["solve"], ["simulate", "--model", "ros2"], ["explain", "--policy", GOLDEN / "policy-2.json"],
-                     ["check", "--policy", GOLDEN / "policy-2.json"],
-                     ["run", "--policy", GOLDEN / "policy-2.json", "--emulate", "--", "true"]):
-            with self.subTest(verb=verb[0]):
-                result = xauto(verb[0], "--app", app, "--platform", platform, *verb[1:])
-                self.assertEqual(result.returncode, 2, result.stderr)
-                self.assertIn(f"{app}: /version: is 2: an app whose sources release on and on", result.stderr)
-                self.assertEqual(result.stdout, "")
-
     def test_profile_writes_version_2_where_it_can(self):
         profile = json.loads((GOLDEN / "profile-sources.json").read_text())
         with tempfile.TemporaryDirectory() as folder:
