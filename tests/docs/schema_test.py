@@ -192,6 +192,21 @@ def test_what_the_tools_write_is_valid():
                 out="p.json")
         written("simulation", "simulate", "--app", APP, "--platform", "small", "--policy", "p.json", "--out", "s.json",
                 out="s.json")
+        steady = SOURCE / "examples/driving/steady.json"
+        written("policy-2", "solve", "--app", steady, "--platform", "small", "--max-evaluations", 200, "--out", "p2.json",
+                out="p2.json")
+        written("simulation-2", "simulate", "--app", steady, "--platform", "small", "--policy", "p2.json", "--seconds", 2,
+                "--out", "s2.json", out="s2.json")
+        for format_, verb in (("check-2", "check"), ("explanation-2", "explain")):
+            printed = xauto(verb, "--app", steady, "--platform", "small", "--policy", "p2.json", "--json", cwd=folder).stdout
+            check(format_, json.loads(printed), verb)
+        crowded = json.loads(steady.read_text())
+        for source in crowded["sources"]:
+            source.pop("period_us", None)
+            source["rate_hz"] = 200
+        (folder / "crowded.json").write_text(json.dumps(crowded))
+        printed = xauto("solve", "--app", "crowded.json", "--platform", "small", "--json", cwd=folder).stdout
+        check("unsustainable", json.loads(printed), "solve")
         written("report", "run", "--app", APP, "--platform", "small", "--policy", "p.json", "--emulate",
                 "--lockstep", "--activations", 3, "--out", "r.json", "--", DRIVING, out="r.json")
         written("profile", "profile", "--platform", "small", "--emulate", "--warmup", 0, "--repetitions", 2, "--out",
