@@ -6,7 +6,6 @@
 #include <climits>
 #include <cstring>
 
-#include <poll.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 
@@ -77,8 +76,8 @@ Status Port::introduce(const Hello& hello, int timeout_ms) {
   const std::string where = "coordinator '" + address_ + "'";
   XAUTO_ASSIGN(UniqueFd socket, connect_abstract(address_));
   XAUTO_TRY(send_packet(socket.get(), &hello, sizeof hello));
-  pollfd answered{socket.get(), POLLIN, 0};
-  for (int left = timeout_ms; timeout_ms >= 0 && poll(&answered, 1, kLookMs) <= 0; left -= kLookMs)
+  for (int left = timeout_ms; timeout_ms >= 0 && !wait_readable(socket.get(), kLookMs);
+       left -= kLookMs)
     if (left <= 0 || interrupted_.load()) return fail(ErrorCode::kTimeout, "did not answer", where);
   std::vector<UniqueFd> fds;
   Refused answer;  // the largest of the possible answers

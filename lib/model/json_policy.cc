@@ -25,6 +25,35 @@ void expect_version(const Reader& root, std::int64_t version, const AppSpec& app
                            "a policy has the version of its app: solve again");
 }
 
+template <class AnyPolicy>
+void read_head(const Reader& root, AnyPolicy& policy) {
+  policy.app = root["app"].text();
+  policy.app_hash = root["app_hash"].text();
+  if (root.has("platform")) policy.platform = root["platform"].text();
+  policy.method = root["method"].text();
+}
+
+/// What is left once all has been read; `keys` as in parse_policy.
+template <class AnyPolicy>
+Result<AnyPolicy> accept(AnyPolicy policy, const Reader& root, const Reader::Context& context,
+                         const nlohmann::json& document, const AppSpec& app,
+                         const Platform& platform, const std::vector<std::size_t>& line_of,
+                         Keys* keys) {
+  if (root.has("solve_ms")) policy.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
+  XAUTO_TRY(context.status());
+  Status valid = validate(policy, app, platform);
+  if (!valid) valid = in_file_order(std::move(valid).error(), line_of);
+  XAUTO_TRY(in_file(std::move(valid), context.origin));
+  if (keys != nullptr) *keys = context.keys(document);
+  return policy;
+}
+
+template <class AnyPolicy>
+ordered_json head_to_json(const AnyPolicy& policy, int version) {
+  return {{"schema", "xauto.policy"},    {"version", version},          {"app", policy.app},
+          {"app_hash", policy.app_hash}, {"platform", policy.platform}, {"method", policy.method}};
+}
+
 int read_xpu(const Reader& x, const Platform& platform) {
   const std::string id = x["xpu"].text();
   const int xpu = platform.find(id);
@@ -93,10 +122,7 @@ Result<Policy> parse_policy(std::string_view text, std::string_view origin, cons
   const Reader root(context, &document, "");
   expect_version(root, 1, app);
   Policy policy;
-  policy.app = root["app"].text();
-  policy.app_hash = root["app_hash"].text();
-  if (root.has("platform")) policy.platform = root["platform"].text();
-  policy.method = root["method"].text();
+  read_head(root, policy);
   const NameIndex index = index_by_name(app.xnodes);
   policy.placements.resize(app.xnodes.size());
   const std::vector<std::size_t> line_of =
@@ -113,13 +139,7 @@ Result<Policy> parse_policy(std::string_view text, std::string_view origin, cons
   policy.optimal = root["optimal"].boolean();
   if (root.has("worst_case_us")) policy.worst_case_us = root["worst_case_us"].time();
   if (root.has("worst_case_of")) (void)root["worst_case_of"].text();  // for people
-  if (root.has("solve_ms")) policy.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
-  XAUTO_TRY(context.status());
-  Status valid = validate(policy, app, platform);
-  if (!valid) valid = in_file_order(std::move(valid).error(), line_of);
-  XAUTO_TRY(in_file(std::move(valid), origin));
-  if (keys != nullptr) *keys = context.keys(document);
-  return policy;
+  return accept(std::move(policy), root, context, document, app, platform, line_of, keys);
 }
 
 Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origin,
@@ -129,10 +149,7 @@ Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origi
   const Reader root(context, &document, "");
   expect_version(root, 2, app);
   KeyPolicy policy;
-  policy.app = root["app"].text();
-  policy.app_hash = root["app_hash"].text();
-  if (root.has("platform")) policy.platform = root["platform"].text();
-  policy.method = root["method"].text();
+  read_head(root, policy);
   policy.placements.resize(app.xnodes.size());
   const std::vector<std::size_t> line_of =
       read_placements(root, app, index_by_name(app.xnodes), [&](std::size_t i, const Reader& x) {
@@ -144,13 +161,7 @@ Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origi
         p.finish_us = read_times(x, "finish_us", false);
       });
   read_claims(root, app, policy);
-  if (root.has("solve_ms")) policy.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
-  XAUTO_TRY(context.status());
-  Status valid = validate(policy, app, platform);
-  if (!valid) valid = in_file_order(std::move(valid).error(), line_of);
-  XAUTO_TRY(in_file(std::move(valid), origin));
-  if (keys != nullptr) *keys = context.keys(document);
-  return policy;
+  return accept(std::move(policy), root, context, document, app, platform, line_of, keys);
 }
 
 std::string to_json(const Policy& policy, const AppSpec& app, const Platform& platform) {
@@ -164,9 +175,7 @@ std::string to_json(const Policy& policy, const AppSpec& app, const Platform& pl
                       {"start_us", p.start_us},
                       {"finish_us", p.finish_us}});
   }
-  ordered_json document = {{"schema", "xauto.policy"},    {"version", 1},
-                           {"app", policy.app},           {"app_hash", policy.app_hash},
-                           {"platform", policy.platform}, {"method", policy.method}};
+  ordered_json document = head_to_json(policy, 1);
   document["xnodes"] = std::move(xnodes);
   if (!policy.order.empty()) document["order"] = pairs_to_json(policy.order, name);
   document["latency_us"] = policy.latency_us;
@@ -192,9 +201,7 @@ std::string to_json(const KeyPolicy& policy, const AppSpec& app, const Platform&
     if (!p.finish_us.empty()) xnode["finish_us"] = p.finish_us;
     xnodes.push_back(std::move(xnode));
   }
-  ordered_json document = {{"schema", "xauto.policy"},    {"version", 2},
-                           {"app", policy.app},           {"app_hash", policy.app_hash},
-                           {"platform", policy.platform}, {"method", policy.method}};
+  ordered_json document = head_to_json(policy, 2);
   document["xnodes"] = std::move(xnodes);
   document["chains"] = ordered_json::array();
   for (const ChainClaim& c : policy.chains)

@@ -15,9 +15,7 @@ struct View {
   const Problem& p;
   const std::vector<Tick>& values;
   [[nodiscard]] Tick operator()(int xnode, std::int64_t activation) const {
-    const std::int64_t jobs = p.jobs[at(xnode)];
-    const std::int64_t n = (activation % jobs + jobs) % jobs;
-    return values[static_cast<std::size_t>(p.slot[at(xnode)] + n)];
+    return values[p.slot_of(xnode, activation)];
   }
 };
 
@@ -49,6 +47,12 @@ std::int64_t first_reader(const Problem& p, const Component& cu, std::int64_t k,
   return n;
 }
 
+/// The XNode by which a way leaves the component before its sample `next`, or the chain's last.
+int leaves_by(const Problem& p, const Chain& chain, const std::vector<int>& samples,
+              std::size_t next) {
+  return next < samples.size() ? p.samples[at(samples[next])].first : chain.to;
+}
+
 /// Worst time from the nominal release k of the component of `v` to the end of the way, of which
 /// `samples[next..]` is left. `u`: the XNode by which the component is left, or the last.
 struct Way {
@@ -57,15 +61,11 @@ struct Way {
   const std::vector<int>& samples;
   View d, hold;
 
-  [[nodiscard]] int leaves_by(std::size_t next) const {
-    return next < samples.size() ? p.samples[at(samples[next])].first : chain.to;
-  }
-
   /// From activation k on, after the last change of domain, `since` nominal ticks after the
   /// beginning of this domain's part.
   [[nodiscard]] Tick from(std::size_t next, std::int64_t k, Tick since) const {
     for (;;) {
-      const int u = leaves_by(next);
+      const int u = leaves_by(p, chain, samples, next);
       const Component& cu = p.components[at(p.component_of[at(u)])];
       const std::int64_t ppm = p.domains[at(cu.domain)].ppm;
       if (next == samples.size()) return longest(since, ppm) + d(u, k);
@@ -107,7 +107,7 @@ Tick least_way(const Problem& p, const std::vector<Tick>& least, int from, int t
 
 Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w) {
   const Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}};
-  const Component& c = p.components[at(p.component_of[at(way.leaves_by(0))])];
+  const Component& c = p.components[at(p.component_of[at(leaves_by(p, chain, path.samples, 0))])];
   Tick worst = 0;
   for (int k = 0; k < c.jobs; ++k) worst = std::max(worst, way.from(0, k, c.phase - chain.offset));
   return worst;
@@ -168,16 +168,14 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
   for (const Chain& chain : p.chains) {
     Tick bound = 0;
     for (const Path& path : chain.paths) {
-      const auto leaves_by = [&](std::size_t next) {
-        return next < path.samples.size() ? p.samples[at(path.samples[next])].first : chain.to;
-      };
-      const int first = leaves_by(0);
+      const int first = leaves_by(p, chain, path.samples, 0);
       const Component& c = p.components[at(p.component_of[at(first)])];
       Tick this_way = bound_of(first) - (chain.offset - c.phase);
       Tick slowest = c.period;
       for (std::size_t s = 0; s < path.samples.size(); ++s) {
         const int v = p.samples[at(path.samples[s])].second;
-        this_way += std::max(Tick{0}, least_way(p, least, v, leaves_by(s + 1)));
+        this_way +=
+            std::max(Tick{0}, least_way(p, least, v, leaves_by(p, chain, path.samples, s + 1)));
         slowest = std::max(slowest, p.period_of(v));
       }
       this_way += ((slowest + c.period - 1) / c.period - 1) * c.period;

@@ -15,6 +15,7 @@
 
 #include <xauto/result.h>
 
+#include "base/index.h"
 #include "model/app.h"
 #include "model/platform.h"
 #include "solver/objectives.h"
@@ -35,9 +36,6 @@ inline constexpr std::int64_t kMillion = 1'000'000;
 
 [[nodiscard]] constexpr Tick floor_div(Tick a, Tick b) {
   return a >= 0 ? a / b : -((-a + b - 1) / b);
-}
-[[nodiscard]] constexpr std::size_t at(int i) {
-  return static_cast<std::size_t>(i);
 }
 
 /// XNodes joined by edges; it fires once per period.
@@ -125,6 +123,11 @@ struct Problem {
   }
   [[nodiscard]] Tick period_of(int xnode) const {
     return components[at(component_of[at(xnode)])].period;
+  }
+  /// Of any activation, one before the first too.
+  [[nodiscard]] std::size_t slot_of(int xnode, std::int64_t activation) const {
+    const std::int64_t n = activation % jobs[at(xnode)];
+    return static_cast<std::size_t>(slot[at(xnode)] + (n < 0 ? n + jobs[at(xnode)] : n));
   }
   [[nodiscard]] bool before(int a, int b) const {  ///< b needs a, by edges
     return ((reach[at(a)][at(b / 64)] >> (b % 64)) & 1U) != 0;

@@ -28,18 +28,13 @@ struct Pair {
       // that if this one's key is not larger, no earlier one's is.
       std::int64_t m = floor_div(release + a - 1 + blur - cj.phase, cj.period);
       if (ordered && m == n) --m;
-      const Tick key_j = cj.phase + m * cj.period + w.d[at(p.slot[at(j)]) + wrapped(m, cj.jobs)];
+      const Tick key_j = cj.phase + m * cj.period + w.d[p.slot_of(j, m)];
       if (key_j + blur > release + d) return true;
     }
     return false;
   }
 
  private:
-  static std::size_t wrapped(std::int64_t m, int jobs) {
-    const std::int64_t r = m % jobs;
-    return static_cast<std::size_t>(r < 0 ? r + jobs : r);
-  }
-
   [[nodiscard]] bool across(int i, int j) const {
     Tick longest = 0;
     for (int m = 0; m < p.jobs[at(j)]; ++m) longest = std::max(longest, w.d[at(p.slot[at(j)] + m)]);

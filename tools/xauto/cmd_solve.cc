@@ -10,7 +10,7 @@
 #include <iostream>
 #include <memory>
 
-#include <unistd.h>
+#include <fmt/format.h>
 
 #include "model/claims.h"
 #include "model/json.h"
@@ -44,27 +44,13 @@ struct SolveFlags {
   solver::SolveOptions options;
 };
 
-/// One line of progress; on a terminal it overwrites itself.
-class Line {
- public:
-  void show(const solver::Progress& progress) {
-    const bool due = terminal_ || progress.elapsed_s >= next_s_;
-    if (!due || (terminal_ && progress.elapsed_s < 0.3)) return;
-    next_s_ = progress.elapsed_s + 2;
-    std::fprintf(stderr, "%s%6.1f s   best %s   bound %s   gap %.2f %%   %.0f k evaluations/s%s",
-                 terminal_ ? "\r\033[K" : "", progress.elapsed_s, ms(progress.incumbent).c_str(),
-                 ms(progress.bound).c_str(), progress.gap * 100, progress.evaluations_per_s / 1000,
-                 terminal_ ? "" : "\n");
-    drawn_ = terminal_;
-  }
-  void end() {
-    if (drawn_) std::fputs("\r\033[K", stderr);
-  }
-
- private:
-  bool terminal_ = isatty(STDERR_FILENO) != 0, drawn_ = false;
-  double next_s_ = 2;
-};
+void show(SearchLine& line, const solver::Progress& progress) {
+  if (!line.due(progress.elapsed_s)) return;
+  line.show(progress.elapsed_s,
+            fmt::format("best {}   bound {}   gap {:.2f} %   {:.0f} k evaluations/s",
+                        ms(progress.incumbent), ms(progress.bound), progress.gap * 100,
+                        progress.evaluations_per_s / 1000));
+}
 
 /// The problem as it was asked: keys of app.json, then the command line on top.
 Status read_objectives(SolveFlags& flags) {
@@ -249,9 +235,9 @@ Result<int> solve(SolveFlags& flags, const Options& options) {
   XAUTO_TRY(outputs.expect("--out", flags.out));
   solver::SolveReport report;
   flags.options.report = &report;
-  Line line;
+  SearchLine line;
   flags.options.stop = &interrupted;
-  flags.options.on_progress = [&](const solver::Progress& progress) { line.show(progress); };
+  flags.options.on_progress = [&](const solver::Progress& progress) { show(line, progress); };
   std::signal(SIGINT, on_interrupt);
   std::signal(SIGTERM, on_interrupt);
   const double reading_ms =

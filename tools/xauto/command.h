@@ -10,6 +10,8 @@
 #include <string>
 #include <vector>
 
+#include <unistd.h>
+
 #include <xauto/result.h>
 
 #include "cli/cli.h"
@@ -65,6 +67,19 @@ void add_solve(Commands&);
 void add_status(Commands&);
 void add_top(Commands&);
 void add_trace(Commands&);
+
+/// What a search tells on stderr: one line that overwrites itself on a terminal, from 0.3 s on;
+/// elsewhere a line every two seconds. Threads: one caller at a time.
+class SearchLine {
+ public:
+  [[nodiscard]] bool due(double elapsed_s) const;
+  void show(double elapsed_s, const std::string& text);
+  void end();
+
+ private:
+  bool terminal_ = isatty(STDERR_FILENO) != 0, drawn_ = false;
+  double next_s_ = 2;
+};
 
 /// A progress bar on stderr: drawn only on a terminal or, off a terminal, as a line every few
 /// seconds. Appears after two seconds of work. Logs take its place, it is redrawn below (base/log).

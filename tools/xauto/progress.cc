@@ -23,6 +23,21 @@ std::int64_t now_ms() {
 
 }  // namespace
 
+bool SearchLine::due(double elapsed_s) const {
+  return terminal_ ? elapsed_s >= 0.3 : elapsed_s >= next_s_;
+}
+
+void SearchLine::show(double elapsed_s, const std::string& text) {
+  next_s_ = elapsed_s + 2;
+  std::fprintf(stderr, "%s%6.1f s   %s%s", terminal_ ? "\r\033[K" : "", elapsed_s, text.c_str(),
+               terminal_ ? "" : "\n");
+  drawn_ = terminal_;
+}
+
+void SearchLine::end() {
+  if (drawn_) std::fputs("\r\033[K", stderr);
+}
+
 Progress::Progress(std::string label, double total)
     : label_(std::move(label)), total_(total), started_ms_(now_ms()), terminal_(isatty(2) == 1) {}
 

@@ -85,18 +85,24 @@ Best exhaust(const Problem& p, Tick most) {
   }
 }
 
+/// At most three XNodes, so that all keys can be tried.
+AppSpec tiny_app(solver::test::Dice& dice) {
+  SteadyShape shape;
+  shape.max_nodes = 2;
+  shape.max_wcet = 3;
+  shape.least_period = 3;
+  shape.most_period = 5;
+  shape.clocks = dice.roll(1, 2);
+  AppSpec app = random_steady_app(dice, shape);
+  while (app.xnodes.size() > 3) app = random_steady_app(dice, shape);
+  return app;
+}
+
 TEST(SteadyBounds, NoneIsAboveWhatExhaustionFinds) {
   int with_policy = 0, refused = 0, tight = 0, sums = 0, sums_reached = 0;
   for (std::uint64_t seed = 1; seed <= 150; ++seed) {
     solver::test::Dice dice(seed);
-    SteadyShape shape;
-    shape.max_nodes = 2;
-    shape.max_wcet = 3;
-    shape.least_period = 3;
-    shape.most_period = 5;
-    shape.clocks = dice.roll(1, 2);
-    AppSpec app = random_steady_app(dice, shape);
-    while (app.xnodes.size() > 3) app = random_steady_app(dice, shape);
+    const AppSpec app = tiny_app(dice);
     Platform platform = random_steady_platform(dice);
     const Result<Problem> p = Problem::create(app, platform);
     ASSERT_TRUE(p) << p.error().to_string();
@@ -137,14 +143,7 @@ TEST(SteadyBounds, NoExecutionBreaksTheBestOfExhaustion) {
   int played = 0;
   for (std::uint64_t seed = 1; seed <= 80; ++seed) {
     solver::test::Dice dice(seed + 5000);
-    SteadyShape shape;
-    shape.max_nodes = 2;
-    shape.max_wcet = 3;
-    shape.least_period = 3;
-    shape.most_period = 5;
-    shape.clocks = dice.roll(1, 2);
-    AppSpec app = random_steady_app(dice, shape);
-    while (app.xnodes.size() > 3) app = random_steady_app(dice, shape);
+    const AppSpec app = tiny_app(dice);
     const Platform platform = random_steady_platform(dice);
     const Result<Problem> p = Problem::create(app, platform);
     ASSERT_TRUE(p);
