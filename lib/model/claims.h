@@ -8,10 +8,11 @@ namespace xauto {
 inline constexpr const char* kWorstCaseScope =
     "a release that meets no other, its sources in phase, every job within its WCET";
 
-/// ChainClaim::worst_case_us bounds the reduced reaction time of ...
+/// ChainClaim::worst_case_us bounds the reduced reaction time of ... Where `max_in_flight`, holds or
+/// the order of one XNode's activations are not kept, or somebody else uses an XPU, it says nothing.
 inline constexpr const char* kKeyScope =
-    "every release, for as long as the app runs, within its WCETs, jitters and clock tolerances, "
-    "where "
-    "each XPU runs the ready job with the smallest key";
+    "every release, once each XNode that samples has started, within the app's WCETs, transfers, "
+    "jitters and clock tolerances, where each XPU serves this app alone, by the policy's keys and "
+    "holds";
 
 }  // namespace xauto

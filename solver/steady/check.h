@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Does a policy of keys hold for ever? Derives all of it again from app, platform and policy alone:
+// Does a policy of keys hold for ever? Derives it again from app, platform and policy alone:
 // every window, on every XPU a schedule or a demand curve, and each chain's worst case. Shares no
 // code with the search. The theory and its proofs: docs/steady-state-check.md.
 //

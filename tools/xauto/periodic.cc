@@ -2,12 +2,9 @@
 #include "xauto/periodic.h"
 
 #include <algorithm>
-#include <cstdio>
 #include <iostream>
-#include <mutex>
 
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include "base/index.h"
 #include "model/claims.h"
@@ -168,11 +165,11 @@ Json cases_of(const AppSpec& app, const std::vector<steady::WhatIf>& ifs) {
   return list;
 }
 
-/// A line per case: the chain that changes most for the worse, and the one that gains most.
+/// A line per case: the chains that change, and by how much.
 std::string what_if_table(const AppSpec& app, const KeyPolicy& policy,
                           const std::vector<steady::WhatIf>& ifs) {
   std::string out;
-  if (!ifs.empty()) out += "\n  What if ...\n";
+  if (!ifs.empty()) out += "\n  What if ... (by the solver alone)\n";
   for (const steady::WhatIf& what : ifs) {
     out += fmt::format("  {:<34}", what.change);
     if (what.outcome != steady::Outcome::kPolicy) {
@@ -232,31 +229,12 @@ int tell_unsustainable(const AppSpec& app, const Platform& platform, const stead
   return kAnswerIsNo;
 }
 
-/// Progress of a search that has no single number.
-class Line {
- public:
-  void show(const steady::Progress& progress) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    if (!terminal_ && progress.elapsed_s < next_s_) return;
-    if (terminal_ && progress.elapsed_s < 0.3) return;
-    next_s_ = progress.elapsed_s + 2;
-    std::fprintf(stderr, "%s%6.1f s   %s sum of worst cases %s%s", terminal_ ? "\r\033[K" : "",
-                 progress.elapsed_s,
-                 progress.late > 0
-                     ? fmt::format("worst {:.0f} % of its deadline,", 100 * progress.late).c_str()
-                     : "",
-                 ms_of(progress.sum_us).c_str(), terminal_ ? "" : "\n");
-    drawn_ = terminal_;
-  }
-  void end() {
-    if (drawn_) std::fputs("\r\033[K", stderr);
-  }
-
- private:
-  std::mutex mutex_;
-  bool terminal_ = isatty(STDERR_FILENO) != 0, drawn_ = false;
-  double next_s_ = 2;
-};
+void show(SearchLine& line, const steady::Progress& progress) {
+  if (!line.due(progress.elapsed_s)) return;
+  const std::string late =
+      progress.late > 0 ? fmt::format("worst {:.0f} % of its deadline, ", 100 * progress.late) : "";
+  line.show(progress.elapsed_s, late + "sum of worst cases " + ms_of(progress.sum_us));
+}
 
 }  // namespace
 
@@ -265,9 +243,9 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                            const std::string& out, const Options& options) {
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", out));
-  Line line;
+  SearchLine line;
   steady::Options solving = asked;
-  solving.on_progress = [&](const steady::Progress& progress) { line.show(progress); };
+  solving.on_progress = [&](const steady::Progress& progress) { show(line, progress); };
   auto solved = steady::solve(app, platform, solving);
   line.end();
   if (!solved) return tl::unexpected<Error>(std::move(solved).error());
@@ -279,7 +257,7 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                 "unknown: neither a policy that keeps up nor a proof that there is none",
                 app.name + " on " + platform.name,
                 "give it more time (--time-limit-s), longer periods, or another XPU");
-  // Nothing is said that code of its own does not derive again.
+  // No worst case is told that code of its own does not derive again.
   const auto checked = steady::check(app, platform, answer.policy);
   if (!checked)
     return fail(ErrorCode::kInternal,
@@ -314,12 +292,14 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
               << proof_table(answer.policy, *checked) << "\n"
               << chain_table(app, answer.policy)
               << fmt::format(
-                     "\n  worst case: {}.\n  The check of this policy has derived all of it again. "
-                     "Lower bound: no policy of keys has a shorter worst case.\n",
+                     "\n  worst case: {}.\n  The check has derived these worst cases again. Lower "
+                     "bounds are the solver's alone: no policy of keys that\n  keeps to the "
+                     "pins, forbids and groups has a shorter worst case.\n",
                      kKeyScope);
     std::cout << what_if_table(app, answer.policy, ifs);
     if (late)
-      std::cout << (never ? "\n  A deadline is missed, and no policy meets it: proven.\n"
+      std::cout << (never ? "\n  A deadline is missed, and no policy of keys meets it: proven, by "
+                            "its lower bound.\n"
                           : "\n  A deadline is missed. That no policy meets it is not proven.\n");
   }
   std::cout.flush();
