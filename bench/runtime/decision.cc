@@ -70,7 +70,7 @@ Samples uncontended(const Options& options, int core) {
   Samples samples;
   for (std::uint64_t k = 0; k < options.rounds; ++k) {
     const std::int64_t start = now_ns();
-    port->start({0, k, 1});
+    port->start({0, k, coord::key_of_priority(1)});
     samples.add(now_ns() - start);
     port->finish();
   }
@@ -94,7 +94,7 @@ Samples hand_over(const Options& options, int here, int there) {
       while (asked.load() == seen) futex_wait(asked, seen);
       seen = asked.load();
       if (quit.load()) return;
-      waiter->start({1, seen, 1});
+      waiter->start({1, seen, coord::key_of_priority(1)});
       when.store(now_ns());
       waiter->finish();
       ran.store(seen);
@@ -105,7 +105,7 @@ Samples hand_over(const Options& options, int here, int there) {
   if (options.fifo) (void)rt::set_fifo(39);
   Samples samples;
   for (std::uint32_t k = 1; k <= options.rounds; ++k) {
-    owner->start({0, k, 1});
+    owner->start({0, k, coord::key_of_priority(1)});
     asked.store(k);
     futex_wake(asked, 1);
     sleep_until_ns(now_ns() + 100'000);  // it is parked and asleep
@@ -133,10 +133,10 @@ void preempting(const Options& options, int here, int there, Samples& granted, S
   (void)rt::pin_to_core(here);
   if (options.fifo) (void)rt::set_fifo(40);
   for (std::uint64_t k = 1; k <= options.rounds; ++k) {
-    low->start({0, k, 1});
+    low->start({0, k, coord::key_of_priority(1)});
     low_manager.suspended.store(0);
     const std::int64_t start = now_ns();
-    high->start({1, k, 2});
+    high->start({1, k, coord::key_of_priority(2)});
     granted.add(now_ns() - start);
     while (low_manager.suspended.load() == 0) sleep_until_ns(now_ns() + 5'000);
     told.add(low_manager.suspended.load() - start);
@@ -240,7 +240,7 @@ void coordinators(const Options& options, Table& table) {
           while (asked[x].load() == seen) futex_wait(asked[x], seen);
           seen = asked[x].load();
           if (quit.load()) return;
-          ports[2 * x + 1]->start({1, seen, urgency[x].load()});
+          ports[2 * x + 1]->start({1, seen, coord::key_of_priority(urgency[x].load())});
           ports[2 * x + 1]->finish();
           ran[x].store(seen);
           futex_wake(ran[x], 1);
@@ -256,7 +256,7 @@ void coordinators(const Options& options, Table& table) {
       const std::size_t x = jobs % kXpus;
       coord::Port& port = *ports[2 * x];
       const bool meets = ++turn[x] % 2 == 0;  // two jobs in this turn, the second one contended
-      port.start({0, jobs, 10});
+      port.start({0, jobs, coord::key_of_priority(10)});
       if (meets) {
         urgency[x].store(turn[x] % 4 == 0 ? 20 : 5);
         ran[x].store(0);

@@ -62,10 +62,10 @@ void emulated(const Options& options, const Cores& c, Table& table) {
     (void)rt::pin_to_core(c.first);
     if (options.fifo) (void)rt::set_fifo(40);
     for (std::uint64_t k = 1; k <= options.rounds; ++k) {
-      low->start({0, k, 1});
+      low->start({0, k, coord::key_of_priority(1)});
       suspended_at.store(0);
       std::int64_t start = now_ns();
-      high->start({1, k, 2});
+      high->start({1, k, coord::key_of_priority(2)});
       while (suspended_at.load() == 0) sleep_until_ns(now_ns() + 5'000);
       suspended.add(suspended_at.load() - start);
       resumed_at.store(0);

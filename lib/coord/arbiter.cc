@@ -23,7 +23,7 @@ int Arbiter::most_urgent() const {
     const Slot& s = slot(i);
     if (s.phase == Phase::kNone) continue;
     if (s.phase == Phase::kWaiting && !eligible(s.job)) continue;
-    next.consider({s.job.priority, s.job.since_ns, i});
+    next.consider({s.job.key, s.job.since_ns, i});
   }
   return next.slot();
 }

@@ -38,7 +38,7 @@ enum class Queue : std::uint8_t { kEnabled, kSuspending, kSuspended, kResuming }
 struct Job {
   std::uint32_t xnode = 0;     ///< index into the app's xnodes
   std::uint64_t sequence = 0;  ///< activation it belongs to
-  std::int64_t priority = 0;
+  Key key = 0;
   std::uint64_t since_ns = 0;  ///< CLOCK_MONOTONIC of its START
 };
 

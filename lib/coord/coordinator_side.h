@@ -130,7 +130,7 @@ class Referee {
   [[nodiscard]] std::uint64_t decisions() const { return decisions_; }
   [[nodiscard]] Job job_of(int slot) const {
     const WorkerLine& line = shm_.slots[slot].worker;
-    return {A::peek(line.xnode), A::peek(line.sequence), A::peek(line.priority),
+    return {A::peek(line.xnode), A::peek(line.sequence), A::peek(line.key),
             A::peek(line.since_ns)};
   }
   /// The same, looking at a copy of the memory; for the tests.
@@ -282,7 +282,7 @@ class Referee {
     const WorkerLine& line = shm_.slots[slot].worker;
     Job job = job_of(slot);
     // The worker may have gone on to its next job while we read; what counts is a consistent pair.
-    // A broken client that changes it all the time gets the priority of one of them.
+    // A broken client that changes it all the time gets the key of one of them.
     int tries = 0;
     for (std::uint32_t again; (again = A::load(line.request)) != request && tries < kMaxRounds;
          request = again, ++tries)

@@ -15,25 +15,36 @@ namespace xauto::coord {
 /// Pairs (u, v) of a policy's order constraints, indices into the app's xnodes.
 using OrderPairs = std::vector<std::pair<std::uint32_t, std::uint32_t>>;
 
+/// A job's urgency; the smaller is the more urgent. Of a policy of keys: an instant of
+/// CLOCK_MONOTONIC in ns, by which the job is done. A priority is a key that does not depend on the
+/// release.
+using Key = std::int64_t;
+constexpr Key key_of_priority(std::int64_t priority) {
+  return -priority;  // policies bound it, so that this is no overflow
+}
+constexpr std::int64_t priority_of_key(Key key) {
+  return -key;
+}
+
 /// What a job is judged by.
 struct Claim {
-  std::int64_t priority = 0;   ///< larger is more urgent
+  Key key = 0;
   std::uint64_t since_ns = 0;  ///< when it asked for the XPU
   int slot = 0;                ///< makes the order total; nobody's choice
 
   bool operator==(const Claim&) const = default;
 };
 
-/// A total order: larger priority, then who asked first.
+/// A total order: smaller key, then who asked first.
 constexpr bool more_urgent(const Claim& a, const Claim& b) {
-  if (a.priority != b.priority) return a.priority > b.priority;
+  if (a.key != b.key) return a.key < b.key;
   if (a.since_ns != b.since_ns) return a.since_ns < b.since_ns;
   return a.slot < b.slot;
 }
 
 /// Whether a job that comes takes the XPU from the one that has it: being as urgent is no reason.
 constexpr bool takes(const Claim& comes, const Claim& has) {
-  return comes.priority > has.priority;
+  return comes.key < has.key;
 }
 
 /// The most urgent of the claims shown to it.

@@ -55,7 +55,7 @@
 namespace xauto::coord {
 
 inline constexpr std::uint32_t kShmMagic = 0x58434f52;  // "XCOR"
-inline constexpr std::uint32_t kShmVersion = 4;
+inline constexpr std::uint32_t kShmVersion = 5;
 
 /// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bit 61 the owner took the
 /// XPU from its `victim`, bits 48..60 count of parkings, bits 40..47 slot + 1
@@ -117,7 +117,7 @@ struct alignas(64) WorkerLine {
   std::atomic<std::uint32_t> ack{};             ///< [W] management thread: last command carried out
   std::atomic<std::uint32_t> xnode{};           ///< [W] the job, written before `request`
   std::atomic<std::uint32_t> victim_command{};  ///< [W] the victim's command before it was taken
-  std::atomic<std::int64_t> priority{};         ///< [W]
+  std::atomic<Key> key{};                       ///< [W] what it is judged by, see rule.h
   std::atomic<std::uint64_t> sequence{};        ///< [W]
   std::atomic<std::uint64_t> since_ns{};  ///< [W] CLOCK_MONOTONIC of the request; ties, and status
   std::atomic<std::uint64_t> victim{};    ///< [W] owner_word from which it takes, or wanted to

@@ -111,7 +111,7 @@ class Words {
   Start start(int slot, std::uint32_t generation, const Job& job) const {
     WorkerLine& line = shm_.slots[slot].worker;
     A::store_relaxed(line.xnode, job.xnode);
-    A::store_relaxed(line.priority, job.priority);
+    A::store_relaxed(line.key, job.key);
     A::store_relaxed(line.sequence, job.sequence);
     A::store_relaxed(line.since_ns, job.since_ns);
     const bool may = eligible(job);
@@ -133,8 +133,8 @@ class Words {
       } else if (other == slot && owner_generation(seen) == generation) {
         return {};  // handed over to us before we could park
       } else if (rules_->discipline == Discipline::kPreemptive &&
-                 takes({job.priority, job.since_ns, slot},
-                       {A::load(shm_.slots[other].worker.priority), 0, other})) {
+                 takes({job.key, job.since_ns, slot},
+                       {A::load(shm_.slots[other].worker.key), 0, other})) {
         const std::uint32_t last = A::load(shm_.slots[other].coordinator.command);
         if ((seen & kTaken) != 0 || (last & 1u) != 0 ||
             A::load(shm_.slots[other].worker.ack) != last) {
@@ -236,7 +236,7 @@ class Words {
       const std::uint32_t request = A::load(line.request);
       if (request_want(request) != Want::kRun) continue;
       generations[i] = request_generation(request);
-      next.consider({A::peek(line.priority), A::peek(line.since_ns), i});
+      next.consider({A::peek(line.key), A::peek(line.since_ns), i});
     }
     if (next.slot() < 0) return {};
     return {next.slot(), generations[next.slot()], next.more()};

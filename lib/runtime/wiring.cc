@@ -87,7 +87,8 @@ Status Wiring::place_module(std::size_t module) {
     placed.limits = placing_.limits[index];
     placed.line = &context_.board.xnode(index);
     if (context_.scheduled()) {
-      placed.priority = context_.session.policy.placements[placed.xnode].priority;
+      placed.key =
+          coord::key_of_priority(context_.session.policy.placements[placed.xnode].priority);
       if (!context_.session.emulated(xpu) && x.type == "cpu")
         placed.fifo_priority = placing_.fifo_by_xnode[placed.xnode];
     }

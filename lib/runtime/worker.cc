@@ -178,7 +178,7 @@ void Worker::run_lane() {
     coord::Next next;
     for (std::size_t i = 0; i < lane_.size(); ++i) {
       const Ready& ready = lane_[i];  // who was ready first is before it
-      next.consider({ready.worker->chain_.nodes[ready.node].priority, 0, static_cast<int>(i)});
+      next.consider({ready.worker->chain_.nodes[ready.node].key, 0, static_cast<int>(i)});
     }
     const auto at = lane_.begin() + next.slot();
     const Ready job = *at;
@@ -219,7 +219,7 @@ void Worker::begin(Placed& placed) {
   const auto position = static_cast<std::uint64_t>(&placed - chain_.nodes.data());
   current_.store(position << kSequenceBits | sequence, std::memory_order_release);
   record(XAUTO_EV_START, placed, sequence);
-  port_->begin({placed.xnode, sequence, placed.priority});
+  port_->begin({placed.xnode, sequence, placed.key});
 }
 
 bool Worker::run_job(Placed& placed, bool begun) {

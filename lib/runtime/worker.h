@@ -36,7 +36,7 @@ class Worker;
 struct Placed {
   std::string name;
   std::uint32_t xnode = 0;  ///< index into app.json's xnodes
-  std::int64_t priority = 0;
+  coord::Key key = 0;
   int fifo_priority = 0;  ///< SCHED_FIFO priority on a real CPU; 0: leave as it is
   const detail::ImplSpec* impl = nullptr;
   Worker* worker = nullptr;

@@ -15,7 +15,7 @@ using Kind = Action::Kind;
 
 Job job(std::uint32_t xnode, std::int64_t priority, std::uint64_t sequence = 0) {
   static std::uint64_t asked = 0;
-  return {xnode, sequence, priority, ++asked};
+  return {xnode, sequence, key_of_priority(priority), ++asked};
 }
 
 struct Bench {

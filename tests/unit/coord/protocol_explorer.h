@@ -443,7 +443,7 @@ class ProtocolExplorer {
           continue;
         }
         if (top < 0 ||
-            t.job.priority > task(s.modules[static_cast<std::size_t>(top)], top).job.priority)
+            t.job.key < task(s.modules[static_cast<std::size_t>(top)], top).job.key)
           top = static_cast<int>(m);
       }
       if (top < 0) continue;
@@ -525,7 +525,7 @@ class ProtocolExplorer {
         const SlotMemory& slot = memory.slots[i];
         h.add(std::uint64_t{slot.worker.request.load()} << 32 | slot.worker.ack.load());
         h.add(std::uint64_t{slot.coordinator.grant.load()} << 32 | slot.coordinator.command.load());
-        h.add(static_cast<std::uint64_t>(slot.worker.priority.load()) * 2 +
+        h.add(static_cast<std::uint64_t>(slot.worker.key.load()) * 2 +
               slot.coordinator.used.load());
         h.add(slot.worker.victim.load() ^ slot.worker.victim_command.load());
       }
@@ -536,7 +536,7 @@ class ProtocolExplorer {
         const Arbiter::Slot& slot = arbiter.slot(static_cast<int>(i));
         h.add(static_cast<std::uint64_t>(slot.phase) << 8 |
               static_cast<std::uint64_t>(slot.queue) << 4 | (slot.refuses ? 1u : 0u) |
-              static_cast<std::uint64_t>(slot.job.priority) << 16);
+              static_cast<std::uint64_t>(slot.job.key) << 16);
       }
       h.add(static_cast<std::uint64_t>(xpu.doing * 4 + (xpu.doorbell ? 1 : 0)) * 64 +
             static_cast<std::uint64_t>(xpu.leaving + 1));

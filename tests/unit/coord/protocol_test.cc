@@ -15,7 +15,7 @@ using testing::ProtocolResult;
 using testing::ProtocolWorld;
 
 ProtocolWorld::Task task(std::uint32_t xnode, std::int64_t priority, int xpu = 0) {
-  return {xpu, {xnode, 0, priority}};
+  return {xpu, {xnode, 0, key_of_priority(priority)}};
 }
 
 ProtocolResult expect_clean(const ProtocolWorld& world, std::uint64_t at_least_states) {

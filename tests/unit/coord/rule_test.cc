@@ -13,9 +13,9 @@ namespace {
 
 std::vector<Claim> all_claims() {
   std::vector<Claim> claims;
-  for (const std::int64_t priority : {INT64_MIN, std::int64_t{-1}, std::int64_t{0}, INT64_MAX})
+  for (const Key key : {INT64_MIN, std::int64_t{-1}, std::int64_t{0}, INT64_MAX})
     for (const std::uint64_t since : {std::uint64_t{0}, std::uint64_t{7}, UINT64_MAX})
-      for (const int slot : {0, 1, 63}) claims.push_back({priority, since, slot});
+      for (const int slot : {0, 1, 63}) claims.push_back({key, since, slot});
   return claims;
 }
 
@@ -32,15 +32,15 @@ TEST(Rule, IsAStrictTotalOrder) {
   }
 }
 
-TEST(Rule, PriorityThenWhoAskedFirst) {
-  EXPECT_TRUE(more_urgent({2, 9, 9}, {1, 0, 0}));
+TEST(Rule, KeyThenWhoAskedFirst) {
+  EXPECT_TRUE(more_urgent({1, 9, 9}, {2, 0, 0}));
   EXPECT_TRUE(more_urgent({1, 3, 9}, {1, 4, 0}));
   EXPECT_TRUE(more_urgent({1, 3, 0}, {1, 3, 1}));
   EXPECT_FALSE(takes({1, 3, 0}, {1, 4, 1})) << "being as urgent is no reason to suspend anybody";
 }
 
 TEST(Rule, NextIsTheSameWhateverTheOrderOfAsking) {
-  std::vector<Claim> claims = {{1, 5, 0}, {3, 5, 1}, {3, 4, 2}, {2, 1, 3}};
+  std::vector<Claim> claims = {{3, 5, 0}, {1, 5, 1}, {1, 4, 2}, {2, 1, 3}};
   std::sort(claims.begin(), claims.end(), [](auto& a, auto& b) { return a.slot < b.slot; });
   do {
     Next next;

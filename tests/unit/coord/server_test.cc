@@ -26,6 +26,10 @@ namespace {
 
 using namespace std::chrono_literals;
 
+Job numbered(std::uint32_t xnode, std::uint64_t sequence, std::int64_t priority) {
+  return {xnode, sequence, key_of_priority(priority)};
+}
+
 /// A coordinator in a thread.
 class Running {
  public:
@@ -115,8 +119,8 @@ TEST(Server, MoreUrgentJobSuspendsTheRunningOneUntilItEnds) {
   Running running(Discipline::kPreemptive);
   const auto low = running.port(0), high = running.port(1);
   Obedient low_mgmt(*low), high_mgmt(*high);
-  low->start({0, 0, 1});
-  high->start({1, 0, 2});
+  low->start(numbered(0, 0, 1));
+  high->start(numbered(1, 0, 2));
   wait_for([&] { return low_mgmt.suspended.load(); });
   high->finish();
   wait_for([&] { return !low_mgmt.suspended.load(); });
@@ -205,9 +209,9 @@ TEST(Server, WorkerThatDiesWhileRunningLetsTheOthersRun) {
   Running running(Discipline::kGate);
   auto dying = running.port(0);
   const auto waiting = running.port(1);
-  dying->start({0, 0, 1});
+  dying->start(numbered(0, 0, 1));
   std::thread thread([&] {
-    waiting->start({1, 0, 1});
+    waiting->start(numbered(1, 0, 1));
     waiting->finish();
   });
   dying.reset();  // its socket closes, as when its process is killed
@@ -218,10 +222,10 @@ TEST(Server, CoordinatorThatDiesFreesWaitersAndSuspendedJobs) {
   Running running(Discipline::kPreemptive);
   const auto low = running.port(0), high = running.port(1), lowest = running.port(2);
   Obedient low_mgmt(*low), high_mgmt(*high), lowest_mgmt(*lowest);
-  low->start({0, 0, 1});
-  high->start({1, 0, 2});
+  low->start(numbered(0, 0, 1));
+  high->start(numbered(1, 0, 2));
   wait_for([&] { return low_mgmt.suspended.load(); });
-  std::thread thread([&] { lowest->start({2, 0, 0}); });
+  std::thread thread([&] { lowest->start(numbered(2, 0, 0)); });
   running.end();
   thread.join();
   wait_for([&] { return !low_mgmt.suspended.load(); });
@@ -264,8 +268,8 @@ TEST(Server, WorkersThatCameBackWhileItsSuccessorStoodStillAreHeardBeforeTheyAre
   auto second = coordinator();
   std::this_thread::sleep_for(2500ms);  // longer than it waits for those that do not come
   thread = std::thread([&] { EXPECT_TRUE(second->run(stop.get())); });
-  low->start({0, 0, 1});
-  high->start({1, 0, 2});
+  low->start(numbered(0, 0, 1));
+  high->start(numbered(1, 0, 2));
   wait_for([&] { return low_mgmt.suspended.load(); });
   high->finish();
   wait_for([&] { return !low_mgmt.suspended.load(); });
@@ -287,8 +291,8 @@ TEST(Server, OrderThatTheWorkersDoNotKeepIsNotKept) {
     std::promise<void> through;
     std::thread other([&] {
       // Contended, so that the coordinator decides; 1 never finishes release 7.
-      (*first)->begin({1, 0, 9});
-      (*second)->begin({2, 7, 5});
+      (*first)->begin(numbered(1, 0, 9));
+      (*second)->begin(numbered(2, 7, 5));
       (*first)->wait();
       (*first)->finish();
       (*second)->wait();
@@ -308,8 +312,8 @@ TEST(Server, OrderThatTheWorkersKeepIsKept) {
   Running running(Discipline::kGate, {{1, 2}});
   const auto first = running.port(1);
   const auto second = running.port(2);
-  second->begin({2, 0, 9});
-  first->begin({1, 0, 5});
+  second->begin(numbered(2, 0, 9));
+  first->begin(numbered(1, 0, 5));
   first->wait();  // the less urgent one, since the other is not eligible
   first->finish();
   second->wait();
@@ -320,7 +324,7 @@ TEST(Server, OrderThatTheWorkersKeepIsKept) {
 TEST(Server, TellsItsStateInWords) {
   Running running(Discipline::kPreemptive);
   const auto port = running.port(3);
-  port->start({3, 7, 5});
+  port->start(numbered(3, 7, 5));
   auto socket = connect_abstract(running.address());
   ASSERT_TRUE(socket);
   const auto kind = static_cast<std::uint32_t>(MessageKind::kStatus);
