@@ -155,6 +155,24 @@ class Input {
   [[nodiscard]] std::shared_ptr<const T> share(const Topic<T>& topic) const {
     return std::static_pointer_cast<const T>(find(topic.name(), typeid(T)));
   }
+  /// The newest message of a sampled topic when the activation began to run; null: none had come
+  /// yet, or it was too old. Throws std::logic_error if it is no sampled topic of this module.
+  template <class T>
+  [[nodiscard]] const T* sampled(const Topic<T>& topic) const {
+    return static_cast<const T*>(sample(topic.name(), typeid(T)).get());
+  }
+  /// The same, shared: to keep it in the state without copying it.
+  template <class T>
+  [[nodiscard]] std::shared_ptr<const T> share_sampled(const Topic<T>& topic) const {
+    return std::static_pointer_cast<const T>(sample(topic.name(), typeid(T)));
+  }
+  /// How old the message of an input or sampled topic was when the activation began to run: since
+  /// the release at its sensor, the oldest of those that it was made from. Negative: there is none.
+  /// Throws std::logic_error if it is neither an input nor a sampled topic of this module.
+  template <class T>
+  [[nodiscard]] std::chrono::nanoseconds age(const Topic<T>& topic) const {
+    return age_of(topic.name());
+  }
   /// Release time of the oldest message of this activation at its sensor, CLOCK_MONOTONIC.
   [[nodiscard]] std::chrono::nanoseconds origin() const;
   /// Number of that release, from 0 on.
@@ -165,6 +183,9 @@ class Input {
   Input();
   [[nodiscard]] const std::shared_ptr<const void>& find(const std::string& topic,
                                                         const std::type_info& type) const;
+  [[nodiscard]] const std::shared_ptr<const void>& sample(const std::string& topic,
+                                                          const std::type_info& type) const;
+  [[nodiscard]] std::chrono::nanoseconds age_of(const std::string& topic) const;
   std::unique_ptr<detail::InputData> data_;
 };
 

@@ -2,6 +2,7 @@
 // XModule: an ordered chain of XNodes with shared state, fired by its input topics.
 #pragma once
 
+#include <chrono>
 #include <functional>
 #include <memory>
 #include <string>
@@ -28,13 +29,14 @@ std::shared_ptr<XModuleSpec> make_xmodule(std::string name,
 const std::string& name_of(const XModuleSpec& module);
 void add_node(XModuleSpec& module, std::shared_ptr<XNodeSpecErased> node);
 void add_input(XModuleSpec& module, TopicHandle topic);
+void add_sample(XModuleSpec& module, TopicHandle topic, std::chrono::nanoseconds max_age);
 void add_output(XModuleSpec& module, TopicHandle topic, Take take);
 
 }  // namespace detail
 
 /// A module of an application: its XNodes run one after the other on the module's `State`, each on
 /// the XPU instance that the policy gives it. It fires when every input topic has a message newer
-/// than the last one it used. One activation is in flight at a time; a message that arrives
+/// than the last one it used; sampled topics have no say in it. One activation is in flight at a time; a message that arrives
 /// meanwhile waits, and a newer one replaces it (counted as dropped).
 ///
 /// A handle: copies name the same module. `State` must be default-constructible, or a factory is
@@ -62,6 +64,16 @@ class XModule {
   template <class T>
   XModule& add_input_topic(const Topic<T>& topic) {
     detail::add_input(*spec_, detail::topic_spec(topic));
+    return *this;
+  }
+
+  /// The module's XNodes may look at the newest message of this topic (Input::sampled). It fires
+  /// nobody, and nobody waits for it: so modules of different rates meet, and cycles are possible.
+  /// It is read when the first XNode of an activation starts. One that is older than `max_age`
+  /// then, counted from its sensor's release, is not shown; 0: whatever its age.
+  template <class T>
+  XModule& add_sampled_topic(const Topic<T>& topic, std::chrono::nanoseconds max_age = {}) {
+    detail::add_sample(*spec_, detail::topic_spec(topic), max_age);
     return *this;
   }
 

@@ -44,8 +44,7 @@ Result<runtime::Session> RunOptions::Data::session() const {
   runtime::Session session;
   if (app.empty())
     return tl::unexpected<Error>(at("app", "is needed: app.json of `xauto profile`"));
-  XAUTO_ASSIGN(session.app, is_text(app) ? parse_app(app, "RunOptions::app") : load_app(app));
-  XAUTO_TRY(require_version_1(session.app, "RunOptions::app"));
+  XAUTO_ASSIGN(session.app, is_text(app) ? parse_app(app, "RunOptions::app") : load_any_app(app));
   XAUTO_ASSIGN(session.platform, is_text(platform)
                                      ? parse_platform(platform, "RunOptions::platform")
                                      : load_platform(platform));
@@ -66,10 +65,17 @@ Result<runtime::Session> RunOptions::Data::session() const {
     if (policy.empty())
       return tl::unexpected<Error>(
           at("policy", "is needed unless the scheduling is ros2", "make one with `xauto solve`"));
-    XAUTO_ASSIGN(session.policy,
-                 is_text(policy)
-                     ? parse_policy(policy, "RunOptions::policy", session.app, session.platform)
-                     : load_policy(policy, session.app, session.platform));
+    const char* const who = "RunOptions::policy";
+    if (session.app.version == 2) {
+      XAUTO_ASSIGN(session.keys,
+                   is_text(policy) ? parse_key_policy(policy, who, session.app, session.platform)
+                                   : load_key_policy(policy, session.app, session.platform));
+      session.policy = assignment_of(*session.keys);
+    } else {
+      XAUTO_ASSIGN(session.policy,
+                   is_text(policy) ? parse_policy(policy, who, session.app, session.platform)
+                                   : load_policy(policy, session.app, session.platform));
+    }
     XAUTO_TRY(xpu::check_placements(session.app, session.platform, session.presence, session.policy,
                                     is_text(policy) ? "RunOptions::policy" : policy));
   }

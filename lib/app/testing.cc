@@ -102,11 +102,19 @@ struct Fire::Data {
   std::vector<Node> nodes;
   std::vector<std::string> misuse;
   std::shared_ptr<void> state;
-  std::vector<std::shared_ptr<const void>> messages;  ///< by input
+  std::vector<detail::TopicSpec> topics;              ///< inputs, then what is sampled
+  std::vector<std::shared_ptr<const void>> messages;  ///< by topic
+  std::vector<std::int64_t> put_ns;                   ///< by topic: when that was put
   std::shared_ptr<std::int64_t> clock_ns = std::make_shared<std::int64_t>(0);
   std::uint64_t sequence = 0;
   std::shared_ptr<emu::Site> site = std::make_shared<emu::Site>();
 
+  /// As in a run, where only what is sampled can be.
+  [[nodiscard]] bool too_old(std::size_t topic) const {
+    if (topic < module.inputs.size()) return false;
+    const std::int64_t limit_ns = module.samples[topic - module.inputs.size()].max_age_ns;
+    return limit_ns > 0 && *clock_ns - put_ns[topic] > limit_ns;
+  }
   [[nodiscard]] Status check();
   [[nodiscard]] Status prepare();
   [[nodiscard]] Status exec(const Input& input, Outcome::Data& outcome);
@@ -115,7 +123,10 @@ struct Fire::Data {
 Fire::Fire(std::shared_ptr<detail::XModuleSpec> module) : data_(std::make_unique<Data>()) {
   data_->module = *module;
   for (const auto& node : data_->module.nodes) data_->nodes.push_back({node.get(), nullptr, {}});
-  data_->messages.resize(data_->module.inputs.size());
+  data_->topics = data_->module.inputs;
+  for (const auto& sample : data_->module.samples) data_->topics.push_back(sample.topic);
+  data_->messages.resize(data_->topics.size());
+  data_->put_ns.resize(data_->topics.size());
   data_->site->virtual_ns = data_->clock_ns;
 }
 
@@ -139,16 +150,17 @@ Fire& Fire::on(const std::string& xnode, const XPU& type) {
 }
 
 void Fire::put(detail::TopicHandle topic, std::shared_ptr<const void> message) {
-  for (std::size_t i = 0; i < data_->module.inputs.size(); ++i)
-    if (const detail::TopicSpec& input = data_->module.inputs[i]; input.name == topic->name) {
-      if (input.type == topic->type)
+  for (std::size_t i = 0; i < data_->topics.size(); ++i)
+    if (const detail::TopicSpec& input = data_->topics[i]; input.name == topic->name) {
+      if (input.type == topic->type) {
         data_->messages[i] = std::move(message);
-      else
+        data_->put_ns[i] = *data_->clock_ns;
+      } else
         data_->misuse.push_back("topic '" + input.name + "' carries " + input.type_name + ", not " +
                                 topic->type_name);
       return;
     }
-  data_->misuse.push_back("topic '" + topic->name + "' is not an input of it");
+  data_->misuse.push_back("topic '" + topic->name + "' is neither an input of it nor sampled by it");
 }
 
 /// What the test did wrong, and the App would refuse.
@@ -161,7 +173,7 @@ Status Fire::Data::check() {
   }
   problems.insert(problems.end(), misuse.begin(), misuse.end());
   if (nodes.empty()) problems.emplace_back("it has no XNode");
-  for (std::size_t i = 0; i < messages.size(); ++i)
+  for (std::size_t i = 0; i < module.inputs.size(); ++i)
     if (messages[i] == nullptr)
       problems.push_back("topic '" + module.inputs[i].name + "' has no message: put() one");
   misuse.clear();
@@ -215,11 +227,12 @@ Result<Outcome> Fire::run() {
   const SiteScope scope(d.site);
   XAUTO_TRY(d.prepare());
   Input input = InputAccess::make();
-  InputAccess::bind(input, &d.module.inputs);
+  InputAccess::bind(input, &d.topics, d.module.inputs.size());
+  InputAccess::begin(input, *d.clock_ns);
   const std::uint64_t sequence = d.sequence++;
   InputAccess::stamp(input, *d.clock_ns, sequence);
   for (std::size_t i = 0; i < d.messages.size(); ++i)
-    InputAccess::messages(input)[i] = {d.messages[i], *d.clock_ns, sequence};
+    if (!d.too_old(i)) InputAccess::messages(input)[i] = {d.messages[i], d.put_ns[i], sequence};
   auto outcome = std::make_shared<Outcome::Data>();
   XAUTO_TRY(d.exec(input, *outcome));
   return Outcome(std::move(outcome));

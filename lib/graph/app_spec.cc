@@ -45,6 +45,13 @@ void add_input(XModuleSpec& module, TopicHandle topic) {
   module.inputs.push_back(*topic);
 }
 
+void add_sample(XModuleSpec& module, TopicHandle topic, std::chrono::nanoseconds max_age) {
+  if (max_age.count() < 0)
+    module.misuse.push_back("XModule '" + module.name + "' samples topic '" + topic->name +
+                            "' with a negative age");
+  module.samples.push_back({*topic, max_age.count()});
+}
+
 void add_output(XModuleSpec& module, TopicHandle topic, Take take) {
   module.outputs.push_back({*topic, std::move(take)});
 }

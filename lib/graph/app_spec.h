@@ -41,11 +41,17 @@ struct OutputSpec {
   Take take;
 };
 
+struct SampleSpec {
+  TopicSpec topic;
+  std::int64_t max_age_ns = 0;  ///< 0: any age
+};
+
 struct XModuleSpec {
   std::string name;
   std::function<std::shared_ptr<void>()> make_state;
   std::vector<std::shared_ptr<XNodeSpecErased>> nodes;
   std::vector<TopicSpec> inputs;
+  std::vector<SampleSpec> samples;
   std::vector<OutputSpec> outputs;
   std::vector<std::string> misuse;
 };

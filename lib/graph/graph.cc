@@ -2,11 +2,15 @@
 #include "graph/graph.h"
 
 #include <algorithm>
+#include <climits>
 #include <map>
 #include <set>
 
 namespace xauto::runtime {
 namespace {
+
+constexpr const char* kStale =
+    "app.json describes another version of this program: profile it again with `xauto profile`";
 
 class Builder {
  public:
@@ -16,6 +20,7 @@ class Builder {
     add_sources();
     for (const auto& module : app_.modules) add_module(*module);
     connect();
+    find_components();
     check_observers();
     order_modules();
     if (!problems_.empty()) {
@@ -102,6 +107,15 @@ class Builder {
           {index, static_cast<int>(module.inputs.size())});
       module.inputs.push_back(t);
     }
+    for (const detail::SampleSpec& sample : spec.samples) {
+      const int t = topic(sample.topic, "XModule '" + spec.name + "' samples it");
+      for (const std::vector<int>* read : {&module.inputs, &module.samples})
+        if (std::find(read->begin(), read->end(), t) != read->end())
+          problem("XModule '" + spec.name + "' reads topic '" + sample.topic.name + "' twice");
+      graph_.topics[static_cast<std::size_t>(t)].subscribers.push_back(
+          {index, static_cast<int>(module.inputs.size() + module.samples.size()), true});
+      module.samples.push_back(t);
+    }
     for (const detail::OutputSpec& output : spec.outputs) {
       const int t = topic(output.topic, "XModule '" + spec.name + "' publishes it");
       Graph::Topic& info = graph_.topics[static_cast<std::size_t>(t)];
@@ -133,8 +147,8 @@ class Builder {
         const Graph::Module& to = graph_.modules[static_cast<std::size_t>(subscriber.module)];
         if (from.nodes.empty() || to.nodes.empty()) continue;
         const std::pair<int, int> edge(from.nodes.back(), to.nodes.front());
-        if (std::find(graph_.edges.begin(), graph_.edges.end(), edge) == graph_.edges.end())
-          graph_.edges.push_back(edge);
+        auto& into = subscriber.sampled ? graph_.samples : graph_.edges;
+        if (std::find(into.begin(), into.end(), edge) == into.end()) into.push_back(edge);
       }
     }
     std::vector<char> has_predecessor(graph_.nodes.size(), 0);
@@ -149,8 +163,94 @@ class Builder {
     }
     for (Graph::Module& module : graph_.modules)
       module.sink = std::all_of(module.outputs.begin(), module.outputs.end(), [&](int t) {
-        return graph_.topics[static_cast<std::size_t>(t)].subscribers.empty();
+        const auto& readers = graph_.topics[static_cast<std::size_t>(t)].subscribers;
+        return std::all_of(readers.begin(), readers.end(),
+                           [](const Graph::Subscriber& s) { return s.sampled; });
       });
+  }
+
+  /// Modules that fire each other have numbers in common, where their sources do.
+  void find_components() {
+    for (std::size_t first = 0; first < graph_.modules.size(); ++first) {
+      if (graph_.modules[first].component >= 0) continue;
+      std::vector<std::size_t> members, open = {first};
+      const auto enter = [&](int module) {
+        int& component = graph_.modules[static_cast<std::size_t>(module)].component;
+        if (component >= 0) return;
+        component = graph_.components;
+        open.push_back(static_cast<std::size_t>(module));
+      };
+      graph_.modules[first].component = graph_.components;
+      while (!open.empty()) {
+        const std::size_t m = open.back();
+        open.pop_back();
+        members.push_back(m);
+        for (const int t : graph_.modules[m].inputs)
+          if (const int from = graph_.topics[static_cast<std::size_t>(t)].module; from >= 0)
+            enter(from);
+        for (const int t : graph_.modules[m].outputs)
+          for (const Graph::Subscriber& s : graph_.topics[static_cast<std::size_t>(t)].subscribers)
+            if (!s.sampled) enter(s.module);
+      }
+      ++graph_.components;
+      std::set<int> sources;
+      for (const std::size_t m : members)
+        for (const int t : graph_.modules[m].inputs)
+          if (const int s = graph_.topics[static_cast<std::size_t>(t)].source; s >= 0)
+            sources.insert(s);
+      bool numbered = true;
+      for (const int s : sources) {
+        const auto at = static_cast<std::size_t>(s);
+        if (graph_.sources[at].period != graph_.sources[static_cast<std::size_t>(*sources.begin())].period)
+          numbered = false;
+        if (graph_.sources_pushed[at] != 0 && sources.size() > 1) numbered = false;
+      }
+      for (const std::size_t m : members) graph_.modules[m].numbered = numbered;
+    }
+    find_sample_origins();
+    graph_.tells_origins = !graph_.single_rate || !graph_.samples.empty();
+  }
+
+  /// A sample carries the origin of a source onward where it leads away from that source: to a
+  /// component that is more samples away from it than the one it comes from. So what comes back to
+  /// where it was is not taken for something old.
+  void find_sample_origins() {
+    constexpr int kFar = INT_MAX;
+    for (Graph::Module& module : graph_.modules)
+      module.sample_origins.assign(module.samples.size(), 0);
+    for (std::size_t s = 0; s < graph_.sources.size() && s < detail::kMaxOrigins; ++s) {
+      std::vector<int> away(static_cast<std::size_t>(graph_.components), kFar);
+      const auto component = [&](const Graph::Module& m) -> int& {
+        return away[static_cast<std::size_t>(m.component)];
+      };
+      const int topic = graph_.topic_of_source[s];
+      for (const Graph::Module& module : graph_.modules)
+        for (const int t : module.inputs)
+          if (t == topic) component(module) = 0;
+      for (bool again = true; again;) {
+        again = false;
+        for (const Graph::Module& module : graph_.modules)
+          for (const int t : module.samples) {
+            const Graph::Topic& read = graph_.topics[static_cast<std::size_t>(t)];
+            const int from =
+                t == topic       ? -1
+                : read.module < 0 ? kFar
+                                  : component(graph_.modules[static_cast<std::size_t>(read.module)]);
+            if (from == kFar || component(module) <= from + 1) continue;
+            component(module) = from + 1;
+            again = true;
+          }
+      }
+      for (Graph::Module& module : graph_.modules)
+        for (std::size_t i = 0; i < module.samples.size(); ++i) {
+          const Graph::Topic& read = graph_.topics[static_cast<std::size_t>(module.samples[i])];
+          const bool own = module.samples[i] == topic;
+          const bool onward =
+              read.module >= 0 &&
+              component(graph_.modules[static_cast<std::size_t>(read.module)]) < component(module);
+          if (own || onward) module.sample_origins[i] |= 1u << s;
+        }
+    }
   }
 
   void check_observers() {
@@ -209,45 +309,56 @@ Result<Graph> Graph::build(const detail::AppSpecErased& app) {
   return Builder(app).build();
 }
 
+Status Graph::same_pairs(const std::vector<std::pair<int, int>>& ours,
+                         const std::vector<std::pair<int, int>>& theirs, const std::string& what,
+                         const AppSpec& app) const {
+  using Names = std::set<std::pair<std::string, std::string>>;
+  Names here, there;
+  for (const auto& [u, v] : ours)
+    here.emplace(nodes[static_cast<std::size_t>(u)].name, nodes[static_cast<std::size_t>(v)].name);
+  for (const auto& [u, v] : theirs)
+    there.emplace(app.xnodes[static_cast<std::size_t>(u)].name,
+                  app.xnodes[static_cast<std::size_t>(v)].name);
+  for (const auto& [u, v] : here)
+    if (!there.contains({u, v}))
+      return fail(ErrorCode::kInvalid,
+                  "the " + what + " '" + u + "' -> '" + v + "' is not in app.json", name, kStale);
+  for (const auto& [u, v] : there)
+    if (!here.contains({u, v}))
+      return fail(
+          ErrorCode::kInvalid,
+          "app.json has the " + what + " '" + u + "' -> '" + v + "' that the program lacks", name,
+          kStale);
+  return {};
+}
+
+void Graph::match_by_origin(int module) {
+  const int component = modules[static_cast<std::size_t>(module)].component;
+  for (Module& other : modules)
+    if (other.component == component) other.numbered = false;
+}
+
 Status Graph::matches(const AppSpec& app) const {
-  const std::string hint =
-      "app.json describes another version of this program: profile it again with `xauto profile`";
   for (const Node& node : nodes) {
     const int i = app.find(node.name);
     if (i < 0)
-      return fail(ErrorCode::kInvalid, "XNode '" + node.name + "' is not in app.json", name, hint);
+      return fail(ErrorCode::kInvalid, "XNode '" + node.name + "' is not in app.json", name, kStale);
     const std::string& module = app.xnodes[static_cast<std::size_t>(i)].module;
     if (module != modules[static_cast<std::size_t>(node.module)].name)
       return fail(ErrorCode::kInvalid,
                   "XNode '" + node.name + "' is in XModule '" +
                       modules[static_cast<std::size_t>(node.module)].name + "', app.json says '" +
                       module + "'",
-                  name, hint);
+                  name, kStale);
   }
   if (app.xnodes.size() != nodes.size()) {
     for (const XNodeSpec& x : app.xnodes)
       if (std::none_of(nodes.begin(), nodes.end(), [&](const Node& n) { return n.name == x.name; }))
         return fail(ErrorCode::kInvalid,
-                    "app.json has an XNode '" + x.name + "' that the program lacks", name, hint);
+                    "app.json has an XNode '" + x.name + "' that the program lacks", name, kStale);
   }
-  std::set<std::pair<std::string, std::string>> ours, theirs;
-  for (const auto& [u, v] : edges)
-    ours.emplace(nodes[static_cast<std::size_t>(u)].name, nodes[static_cast<std::size_t>(v)].name);
-  for (const auto& [u, v] : app.edges)
-    theirs.emplace(app.xnodes[static_cast<std::size_t>(u)].name,
-                   app.xnodes[static_cast<std::size_t>(v)].name);
-  for (const auto& edge : ours)
-    if (!theirs.contains(edge))
-      return fail(ErrorCode::kInvalid,
-                  "edge '" + edge.first + "' -> '" + edge.second + "' is not in app.json", name,
-                  hint);
-  for (const auto& edge : theirs)
-    if (!ours.contains(edge))
-      return fail(ErrorCode::kInvalid,
-                  "app.json has an edge '" + edge.first + "' -> '" + edge.second +
-                      "' that the program lacks",
-                  name, hint);
-  return {};
+  XAUTO_TRY(same_pairs(edges, app.edges, "edge", app));
+  return same_pairs(samples, app.samples, "sample", app);
 }
 
 const detail::ImplSpec* find_impl(const detail::XNodeSpecErased& node, const std::string& type) {

@@ -24,7 +24,8 @@ struct Graph {
   };
   struct Subscriber {
     int module = -1;
-    int input = -1;  ///< index into that module's inputs
+    int input = -1;  ///< index into that module's inputs, then samples
+    bool sampled = false;  ///< reads the newest when it begins; not fired by it
   };
   struct Topic {
     detail::TopicSpec spec;
@@ -38,7 +39,14 @@ struct Graph {
     std::vector<int> nodes;    ///< in chain order
     std::vector<int> inputs;   ///< topics
     std::vector<int> outputs;  ///< topics, as spec->outputs
-    bool sink = false;         ///< no other module reads its outputs
+    bool sink = false;         ///< its outputs fire no other module
+    std::vector<int> samples;  ///< topics, as spec->samples
+    /// [sample] sources whose origins come through it, a bit each: where samples go in a circle, a
+    /// way that has come round is no chain (docs/runtime.md).
+    std::vector<std::uint32_t> sample_origins;
+    int component = -1;        ///< modules that fire each other, directly or through others
+    /// Activation k stems from release k of each source of the component.
+    bool numbered = true;
   };
 
   std::string name;
@@ -50,15 +58,27 @@ struct Graph {
   std::vector<Topic> topics;
   std::vector<int> module_order;           ///< topological
   std::vector<std::pair<int, int>> edges;  ///< between nodes: chains, then topics
+  std::vector<std::pair<int, int>> samples;  ///< nodes (u, v): v's module samples what u's publishes
+  int components = 0;
   /// All sources have one period, and none of several is pushed: activation k of every module stems
   /// from release k of every sensor.
   bool single_rate = true;
+  /// A result may stem from different releases of its sources: messages carry an origin per source.
+  bool tells_origins = false;
 
   /// Errors: everything that is wrong at once, a line each, with the names involved (kInvalid).
   [[nodiscard]] static Result<Graph> build(const detail::AppSpecErased& app);
 
-  /// The same XNodes, modules and edges as `app` says, or what differs.
+  /// The modules of this one's component put their inputs together by age, not by number.
+  void match_by_origin(int module);
+
+  /// The same XNodes, modules, edges and samples as `app` says, or what differs.
   [[nodiscard]] Status matches(const AppSpec& app) const;
+
+ private:
+  [[nodiscard]] Status same_pairs(const std::vector<std::pair<int, int>>& ours,
+                                  const std::vector<std::pair<int, int>>& theirs,
+                                  const std::string& what, const AppSpec& app) const;
 };
 
 /// The implementation of `node` for XPUs of `type`, or null.

@@ -80,6 +80,8 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
   XAUTO_TRY(context.status());
   XAUTO_TRY(in_file(validate(profile), origin));
   profile.edges = read_pairs(root["edges"], index_by_name(profile.xnodes));
+  if (root.has("samples"))
+    profile.sampled = read_pairs(root["samples"], index_by_name(profile.xnodes));
   XAUTO_TRY(context.status());
   XAUTO_TRY(in_file(validate(profile), origin));
   if (keys != nullptr) *keys = context.keys(document);
@@ -139,8 +141,9 @@ std::string to_json(const Profile& profile) {
   if (!profile.sources.empty()) document["sources"] = sources_to_json(profile.sources);
   if (!profile.incomplete.empty()) document["incomplete"] = profile.incomplete;
   document["xnodes"] = std::move(xnodes);
-  document["edges"] = pairs_to_json(
-      profile.edges, [&](int i) { return profile.xnodes[static_cast<std::size_t>(i)].name; });
+  const auto name = [&](int i) { return profile.xnodes[static_cast<std::size_t>(i)].name; };
+  document["edges"] = pairs_to_json(profile.edges, name);
+  if (!profile.sampled.empty()) document["samples"] = pairs_to_json(profile.sampled, name);
   return json_document::to_text(document);
 }
 

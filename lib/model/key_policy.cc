@@ -211,4 +211,25 @@ Status validate(const KeyPolicy& policy, const AppSpec& app, const Platform& pla
   return {};
 }
 
+Policy assignment_of(const KeyPolicy& keys) {
+  Policy policy;
+  policy.app = keys.app;
+  policy.app_hash = keys.app_hash;
+  policy.platform = keys.platform;
+  policy.method = keys.method;
+  policy.solve_ms = keys.solve_ms;
+  std::vector<std::size_t> by_key(keys.placements.size());
+  std::iota(by_key.begin(), by_key.end(), std::size_t{0});
+  std::stable_sort(by_key.begin(), by_key.end(), [&](std::size_t a, std::size_t b) {
+    return keys.placements[a].key_us.front() > keys.placements[b].key_us.front();
+  });
+  policy.placements.resize(keys.placements.size());
+  for (std::size_t rank = 0; rank < by_key.size(); ++rank) {
+    Placement& placement = policy.placements[by_key[rank]];
+    placement.xpu = keys.placements[by_key[rank]].xpu;
+    placement.priority = static_cast<std::int64_t>(rank) + 1;
+  }
+  return policy;
+}
+
 }  // namespace xauto

@@ -15,6 +15,7 @@
 
 #include "model/app.h"
 #include "model/platform.h"
+#include "model/policy.h"
 
 namespace xauto {
 
@@ -57,5 +58,9 @@ struct KeyPolicy {
 /// release does not fall from one activation to the next. Every chain of the app has a claim.
 [[nodiscard]] Status validate(const KeyPolicy& policy, const AppSpec& app,
                               const Platform& platform);
+
+/// Its assignment, for whoever asks only that; with the priorities that come nearest to its keys:
+/// on each XPU the smaller first key is the larger priority. Nothing is claimed of them.
+[[nodiscard]] Policy assignment_of(const KeyPolicy& keys);
 
 }  // namespace xauto

@@ -58,9 +58,33 @@ const std::shared_ptr<const void>& Input::find(const std::string& topic,
     if (known.name != topic) continue;
     if (known.type != type)
       throw std::logic_error("topic '" + topic + "' carries " + known.type_name);
+    if (i >= data_->inputs)
+      throw std::logic_error("topic '" + topic + "' is sampled: Input::sampled reads it");
     return data_->messages[i].message;
   }
   throw std::logic_error("topic '" + topic + "' is not an input of this XModule");
+}
+
+const std::shared_ptr<const void>& Input::sample(const std::string& topic,
+                                                 const std::type_info& type) const {
+  for (std::size_t i = data_->inputs; data_->topics != nullptr && i < data_->topics->size(); ++i) {
+    const detail::TopicSpec& known = (*data_->topics)[i];
+    if (known.name != topic) continue;
+    if (known.type != type)
+      throw std::logic_error("topic '" + topic + "' carries " + known.type_name);
+    return data_->messages[i].message;
+  }
+  throw std::logic_error("topic '" + topic + "' is not sampled by this XModule");
+}
+
+std::chrono::nanoseconds Input::age_of(const std::string& topic) const {
+  for (std::size_t i = 0; data_->topics != nullptr && i < data_->topics->size(); ++i) {
+    if ((*data_->topics)[i].name != topic) continue;
+    const detail::Envelope& read = data_->messages[i];
+    return std::chrono::nanoseconds(read.message == nullptr ? -1
+                                                            : data_->began_ns - read.origin_ns);
+  }
+  throw std::logic_error("topic '" + topic + "' is neither an input nor sampled by this XModule");
 }
 
 std::chrono::nanoseconds Input::origin() const {

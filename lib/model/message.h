@@ -26,7 +26,7 @@ class MessageMemory {
 };
 
 /// Release times by source, of an app whose sources have several periods; 0: not involved.
-inline constexpr std::size_t kMaxOrigins = 8;  ///< further sources are known by the oldest only
+inline constexpr std::size_t kMaxOrigins = 24;  ///< further sources are known by the oldest only
 using Origins = std::array<std::int64_t, kMaxOrigins>;
 
 /// A message on its way: shared, never written again once published.
@@ -34,7 +34,7 @@ struct Envelope {
   std::shared_ptr<const void> message;  ///< null: dropped upstream, see `Input` and docs/runtime.md
   std::int64_t origin_ns = 0;           ///< CLOCK_MONOTONIC time at which the sensor released it
   std::uint64_t sequence = 0;           ///< number of that release
-  std::shared_ptr<const Origins> origins = {};  ///< null in an app of one rate
+  std::shared_ptr<const Origins> origins = {};  ///< null where all origins are the same, see Graph
 };
 
 struct TopicSpec {
@@ -51,8 +51,10 @@ struct TopicSpec {
 };
 
 struct InputData {
-  const std::vector<TopicSpec>* topics = nullptr;
-  std::vector<Envelope> messages;  ///< by topic
+  const std::vector<TopicSpec>* topics = nullptr;  ///< inputs, then what is sampled
+  std::size_t inputs = 0;                          ///< how many of them are inputs
+  std::vector<Envelope> messages;                  ///< by topic
+  std::int64_t began_ns = 0;                       ///< when the activation began to run
   std::int64_t origin_ns = 0;
   std::uint64_t sequence = 0;
 };

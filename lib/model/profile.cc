@@ -5,6 +5,7 @@
 #include <set>
 
 #include "base/quantile.h"
+#include "model/periodic.h"
 
 namespace xauto {
 
@@ -82,10 +83,11 @@ Status validate(const Profile& profile) {
         return fail(ErrorCode::kInvalid, "is not of these samples", place + "/outlier");
     }
   }
-  for (std::size_t i = 0; i < profile.edges.size(); ++i)
-    for (const int end : {profile.edges[i].first, profile.edges[i].second})
-      if (end < 0 || static_cast<std::size_t>(end) >= profile.xnodes.size())
-        return fail(ErrorCode::kInvalid, "names an unknown XNode", "/edges/" + std::to_string(i));
+  for (const auto& [name, pairs] : {std::pair("/edges/", &profile.edges), {"/samples/", &profile.sampled}})
+    for (std::size_t i = 0; i < pairs->size(); ++i)
+      for (const int end : {(*pairs)[i].first, (*pairs)[i].second})
+        if (end < 0 || static_cast<std::size_t>(end) >= profile.xnodes.size())
+          return fail(ErrorCode::kInvalid, "names an unknown XNode", name + std::to_string(i));
   std::vector<char> has_predecessor(profile.xnodes.size(), 0);
   for (const auto& [u, v] : profile.edges) has_predecessor[static_cast<std::size_t>(v)] = 1;
   for (std::size_t i = 0; i < profile.xnodes.size(); ++i)
@@ -125,7 +127,9 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
     app.xnodes.push_back(std::move(spec));
   }
   XAUTO_TRY(validate(app));
-  return app;
+  if (profile.sampled.empty()) return app;
+  app.samples = profile.sampled;
+  return as_version_2(std::move(app));
 }
 
 }  // namespace xauto

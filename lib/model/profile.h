@@ -73,7 +73,8 @@ struct Profile {
   std::int64_t margin_pct = 20;  ///< WCET = max * (1 + margin)
   std::vector<XNodeProfile> xnodes;
   std::vector<std::pair<int, int>> edges;  ///< as AppSpec::edges
-  std::vector<SourceSpec> sources = {};    ///< as AppSpec::sources
+  std::vector<std::pair<int, int>> sampled = {};  ///< as AppSpec::samples
+  std::vector<SourceSpec> sources = {};           ///< as AppSpec::sources
   std::string incomplete = {};             ///< why it ended early; empty: it did not
   bool operator==(const Profile&) const = default;
 };
@@ -85,7 +86,8 @@ enum class WcetFrom { kMaxPlusMargin, kP99, kP50 };
 /// What is the WCET of these samples: see WcetFrom. The maximum is that without outliers.
 [[nodiscard]] std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct);
 /// The app.json that follows: per XPU type the worst instance's statistic. `platform` gives each
-/// instance its type. A p99 needs kP99Samples.
+/// instance its type. A p99 needs kP99Samples. Of version 1, which cannot say what is sampled; where
+/// something is, of version 2.
 [[nodiscard]] Result<AppSpec> to_app(const Profile& profile, const Platform& platform,
                                      WcetFrom from);
 

@@ -49,7 +49,7 @@ struct Packet {
   std::uint32_t rates = 0;    ///< 1: `origins` is filled in
   detail::Origins origins{};  ///< by source, see Envelope
 };
-static_assert(sizeof(Packet) == 104);
+static_assert(sizeof(Packet) == 40 + sizeof(detail::Origins));
 inline constexpr std::size_t kMaxReportBytes = 32 * 1024;
 
 /// Sends a word without more; errors are the socket's.

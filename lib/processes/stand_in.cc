@@ -17,13 +17,13 @@ Result<std::unique_ptr<StandIn>> StandIn::take_over(int process, const Plan& pla
     XAUTO_ASSIGN(g.publishers_[t],
                  hub.topic(t).publisher(graph.topics[t].spec, g.ringers_.back().get()));
   }
-  if (graph.single_rate)
-    for (const int m : graph.module_order) {
-      if (plan.process_of[static_cast<std::size_t>(m)] != process) continue;
-      // It may have died between settling a release and publishing it.
-      const std::uint64_t settled = hub.board()->module(m).settled();
-      if (settled > 0) g.tombstone(m, settled - 1);
-    }
+  for (const int m : graph.module_order) {
+    if (plan.process_of[static_cast<std::size_t>(m)] != process) continue;
+    if (!graph.modules[static_cast<std::size_t>(m)].numbered) continue;
+    // It may have died between settling a release and publishing it.
+    const std::uint64_t settled = hub.board()->module(m).settled();
+    if (settled > 0) g.tombstone(m, settled - 1);
+  }
   for (std::size_t t = 0; t < graph.topics.size(); ++t) {
     const int reader = plan.topics[t].reader(process);
     if (reader < 0) continue;
@@ -31,7 +31,7 @@ Result<std::unique_ptr<StandIn>> StandIn::take_over(int process, const Plan& pla
                  hub.topic(t).subscriber(graph.topics[t].spec, static_cast<std::uint32_t>(reader)));
     receiver.add(process, std::move(subscriber), true, [&g, t](const detail::Envelope& envelope) {
       for (const Graph::Subscriber& s : g.graph_.topics[t].subscribers)
-        if (g.plan_.process_of[static_cast<std::size_t>(s.module)] == g.process_)
+        if (!s.sampled && g.plan_.process_of[static_cast<std::size_t>(s.module)] == g.process_)
           g.arrive(s.module, envelope.sequence);
     });
   }
@@ -39,7 +39,8 @@ Result<std::unique_ptr<StandIn>> StandIn::take_over(int process, const Plan& pla
 }
 
 void StandIn::arrive(int module, std::uint64_t sequence) {
-  if (!graph_.single_rate) {  // numbers of several sensors don't compare: counted, not passed on
+  // Numbers of several sensors don't compare: counted, not passed on.
+  if (!graph_.modules[static_cast<std::size_t>(module)].numbered) {
     lose_(module, sequence);
     return;
   }
@@ -56,7 +57,7 @@ void StandIn::tombstone(int module, std::uint64_t sequence) {
     if (publisher != nullptr && publisher->next_sequence() <= sequence)
       publisher->publish({nullptr, 0, sequence});
     for (const Graph::Subscriber& s : graph_.topics[static_cast<std::size_t>(t)].subscribers)
-      if (plan_.process_of[static_cast<std::size_t>(s.module)] == process_)
+      if (!s.sampled && plan_.process_of[static_cast<std::size_t>(s.module)] == process_)
         arrive(s.module, sequence);
   }
 }

@@ -6,6 +6,7 @@
 #include "graph/graph.h"
 #include "processes/board.h"
 #include "processes/plan.h"
+#include "runtime/grid.h"
 #include "session/session.h"
 #include "trace/trace.h"
 
@@ -16,6 +17,7 @@ struct Context {
   const Session& session;
   const Graph& graph;
   const Plan& plan;
+  const Grid& grid;
   Board& board;
   trace::Writer* trace = nullptr;  ///< null: nobody asked
 

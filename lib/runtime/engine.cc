@@ -40,10 +40,17 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
                                                const Session& session, std::atomic<bool>& stop) {
   XAUTO_ASSIGN(Graph graph, Graph::build(app));
   XAUTO_TRY(graph.matches(session.app));
+  for (std::size_t m = 0; m < graph.modules.size(); ++m)
+    if (!graph.single_rate && session.deployment.of(graph.modules[m].name).match_us)
+      graph.match_by_origin(static_cast<int>(m));
+  // With offsets a chain's release is not its component's.
+  if (session.app.version == 2) graph.tells_origins = true;
   auto engine = std::unique_ptr<Engine>(new Engine(app, session, std::move(graph), stop));
   Engine& e = *engine;
   XAUTO_ASSIGN(e.plan_, Plan::make(e.graph_, app, session));
-  XAUTO_ASSIGN(Routes routes, Routes::make(e.graph_, session.deployment, session.app.deadline_us));
+  XAUTO_ASSIGN(e.grid_, Grid::make(e.graph_, session));
+  XAUTO_ASSIGN(Routes routes,
+               Routes::make(e.graph_, e.grid_, session.deployment, session.app));
   if (session.process == 0) XAUTO_TRY(e.open_trace(true));  // before any member may attach to it
   XAUTO_ASSIGN(e.role_, Role::of(e.graph_, e.plan_, session, 1 + routes.size(), e.stop_));
   if (session.process != 0) XAUTO_TRY(e.open_trace(false));
@@ -52,9 +59,10 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
     for (std::size_t m = 0; m < e.graph_.modules.size(); ++m)
       name_line(board.module(static_cast<int>(m)).name, e.graph_.modules[m].name);
   e.context_ =
-      std::make_unique<Context>(Context{app, session, e.graph_, e.plan_, board, e.trace_.get()});
+      std::make_unique<Context>(Context{app, session, e.graph_, e.plan_, e.grid_, board, e.trace_.get()});
   e.ledger_ = std::make_unique<Ledger>(*e.context_, std::move(routes), *e.role_);
   e.placing_ = Placing::of(session, e.graph_);
+  e.note_chain_ends();
   XAUTO_ASSIGN(e.wiring_, Wiring::build(*e.context_, e.placing_, *e.role_, e));
   e.role_->attach(*e.context_, *e.wiring_, *e.ledger_);
   if (e.role_->leads()) {
@@ -64,6 +72,19 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   XAUTO_TRY(e.wiring_->start());
   e.hangs_ = std::make_unique<HangWatch>(*e.context_, *e.wiring_, *e.role_, e.placing_.limits);
   return engine;
+}
+
+/// Where chains end inside modules: their jobs tell.
+void Engine::note_chain_ends() {
+  placing_.ends_chain.assign(graph_.nodes.size(), 0);
+  for (const Graph::Module& module : graph_.modules)
+    for (const int n : module.nodes) {
+      if (n == module.nodes.back() || !ledger_->ends_chain(n)) continue;
+      placing_.ends_chain[static_cast<std::size_t>(n)] = 1;
+      if (plan_.processes > 1)
+        add_note(placing_.note, "chains that end at XNode '" + graph_.nodes[static_cast<std::size_t>(n)].name +
+                                    "', inside its XModule, are measured in the hub alone");
+    }
 }
 
 Engine::~Engine() {
@@ -150,6 +171,7 @@ RunReport Engine::report() {
   tell_notes(result);
   ledger_->report(placing_.limits, result);
   result.unkept = placing_.unkept;
+  if (releaser_) result.broken = releaser_->broken();
   return result;
 }
 
@@ -186,6 +208,12 @@ void Engine::done(int module, std::int64_t origin_ns, std::uint64_t sequence) {
 
 void Engine::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
   ledger_->dropped(module, sequence, reason);
+}
+
+void Engine::passed(int module, int node) {
+  const ModuleRuntime& runtime = *wiring_->module(static_cast<std::size_t>(module));
+  ledger_->passed(node, runtime.input().origin().count(), runtime.input().sequence(),
+                  runtime.origins().get());
 }
 
 void Engine::skip(int module, std::uint64_t sequence) {

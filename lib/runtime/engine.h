@@ -52,12 +52,14 @@ class Engine final : private ModuleHost {
   void activate(int module) override;
   void done(int module, std::int64_t origin_ns, std::uint64_t sequence) override;
   void dropped(int module, std::uint64_t sequence, std::uint32_t reason) override;
+  void passed(int module, int node) override;
   void skip(int module, std::uint64_t sequence) override;
 
   [[nodiscard]] Status open_trace(bool leads);
   void trace_inputs(int module, ModuleRuntime& runtime);
   [[nodiscard]] Result<RunReport> run_all();
   [[nodiscard]] Result<RunReport> run_part();
+  void note_chain_ends();
   void stop_workers();
   void tell_notes(RunReport& into);
   [[nodiscard]] RunReport report();
@@ -66,6 +68,7 @@ class Engine final : private ModuleHost {
   const detail::AppSpecErased& app_;
   const Session& session_;
   const Graph graph_;
+  Grid grid_;
   Plan plan_;
   std::atomic<bool>& stop_;
   bool stuck_ = false;

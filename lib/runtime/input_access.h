@@ -11,8 +11,11 @@ namespace xauto {
 class InputAccess {
  public:
   [[nodiscard]] static Input make() { return {}; }
-  static void bind(Input& input, const std::vector<detail::TopicSpec>* topics) {
+  /// `topics`: the inputs, so many, then what is sampled.
+  static void bind(Input& input, const std::vector<detail::TopicSpec>* topics,
+                   std::size_t inputs) {
     input.data_->topics = topics;
+    input.data_->inputs = inputs;
     input.data_->messages.resize(topics->size());
   }
   static std::vector<detail::Envelope>& messages(Input& input) { return input.data_->messages; }
@@ -20,6 +23,7 @@ class InputAccess {
     input.data_->origin_ns = origin_ns;
     input.data_->sequence = sequence;
   }
+  static void begin(Input& input, std::int64_t now_ns) { input.data_->began_ns = now_ns; }
 };
 
 }  // namespace xauto

@@ -48,8 +48,16 @@ void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
   if (context_.trace != nullptr)
     context_.trace->write_at(now, XAUTO_EV_DONE, sequence, XAUTO_EV_NONE,
                              static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
-  if (context_.graph.modules[static_cast<std::size_t>(module)].sink || routes_.end_at(module))
+  const Graph::Module& ended = context_.graph.modules[static_cast<std::size_t>(module)];
+  if (ended.sink || routes_.end_at(ended.nodes.back()))
     through(module, sequence, origin_ns, origins, now, false);
+}
+
+void Ledger::passed(int node, std::int64_t origin_ns, std::uint64_t sequence,
+                    const detail::Origins* origins) {
+  if (!role_.leads()) return;  // its chains are counted where the accounts are: not yet
+  if (const auto late_us = routes_.published(node, origin_ns, origins, now_ns()))
+    missed(context_.graph.nodes[static_cast<std::size_t>(node)].module, sequence, *late_us);
 }
 
 void Ledger::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
@@ -69,7 +77,9 @@ void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
                      const detail::Origins* origins, std::int64_t now, bool lost) {
   if (role_.tell(module, sequence, origin_ns, now, lost, origins)) return;
   if (!lost)
-    if (const auto late_us = routes_.published(module, origin_ns, origins, now);
+    if (const auto late_us =
+            routes_.published(context_.graph.modules[static_cast<std::size_t>(module)].nodes.back(),
+                              origin_ns, origins, now);
         late_us && (!context_.graph.single_rate || !context_.session.deployment.chains.empty()))
       missed(module, sequence, *late_us);
   if (!context_.graph.modules[static_cast<std::size_t>(module)].sink) return;

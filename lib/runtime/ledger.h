@@ -30,12 +30,17 @@ class Ledger {
   /// Activation `sequence` of `module`, hosted here, has ended. `origins`: see Envelope.
   void done(int module, std::int64_t origin_ns, std::uint64_t sequence,
             const detail::Origins* origins);
+  /// `node` of the graph has ended its job, and a chain with it.
+  void passed(int node, std::int64_t origin_ns, std::uint64_t sequence,
+              const detail::Origins* origins);
   /// ... or was lost for `reason` (XAUTO_DROP_*).
   void dropped(int module, std::uint64_t sequence, std::uint32_t reason);
   /// A sink module, or one where a chain ends, is through with release `sequence`; known here, or
   /// told by its process.
   void through(int module, std::uint64_t sequence, std::int64_t origin_ns,
                const detail::Origins* origins, std::int64_t now_ns, bool lost);
+  /// Whether a chain ends at `node` of the graph.
+  [[nodiscard]] bool ends_chain(int node) const { return routes_.end_at(node); }
   /// The process of `module` died; what it counted and did not tell is lost.
   void forget(int module);
 

@@ -9,6 +9,7 @@
 #include "base/rt.h"
 #include "model/claims.h"
 #include "session/notes.h"
+#include "xpu/kind.h"
 #include "xpu/presence.h"
 
 namespace xauto::runtime {
@@ -75,6 +76,52 @@ coord::OrderPairs order_in_force(const Session& session, const Graph& graph, Pla
   return order;
 }
 
+/// Beyond it a job broke the claims of a policy of keys. What is emulated takes the emulator's own
+/// time beside: messages to it, and the sleep that it measures by.
+std::int64_t watched_ns(std::int64_t wcet_us, bool emulated) {
+  constexpr std::int64_t kPct = 2, kEachUs = 100;
+  return emulated ? wcet_us * (100 + kPct) * 10 + kEachUs * 1000 : wcet_us * 1000;
+}
+
+/// What a policy of keys takes for granted and this run does not keep by the way it was set up.
+std::vector<std::string> unkept_of_keys(const detail::AppSpecErased& app, const Session& session) {
+  std::vector<std::string> lines;
+  if (session.lockstep)
+    lines.emplace_back("each release waits for the one before (--lockstep)");
+  if (!session.input.empty())
+    lines.emplace_back("a recording is released as it was recorded, not as app.json says");
+  for (const detail::SourceSpec& source : app.sources)
+    if (source.inlet != nullptr)
+      lines.push_back("source '" + source.topic.name +
+                      "' is pushed: its releases are taken as they come");
+  for (const XNodeSpec& xnode : session.app.xnodes)
+    if (const auto said = session.deployment.of(xnode.module).overload;
+        said && said->kind != Overload::Kind::kQueue)
+      lines.push_back("XModule '" + xnode.module + "' drops what it has no time for (" +
+                      said->to_string() + ")");
+  std::sort(lines.begin(), lines.end());
+  lines.erase(std::unique(lines.begin(), lines.end()), lines.end());
+  return lines;
+}
+
+/// What both kinds of policies plan with, and the machine does not do.
+std::vector<std::string> unkept_by_xpus(const Session& session) {
+  std::vector<std::string> lines;
+  for (std::size_t x = 0; x < session.platform.xpus.size(); ++x) {
+    const Xpu& xpu = session.platform.xpus[x];
+    const bool used = std::any_of(
+        session.policy.placements.begin(), session.policy.placements.end(),
+        [&](const Placement& p) { return p.xpu == static_cast<int>(x); });
+    if (!used || session.emulated(static_cast<int>(x))) continue;
+    const Discipline discipline = xpu::discipline_of(xpu, false);
+    if (xpu.preemptive && discipline == Discipline::kGate)
+      lines.push_back("nobody can suspend work on " + xpu.id + ": its jobs run to their end");
+    if (session.keys && discipline == Discipline::kKernel)
+      lines.push_back(xpu.id + " is a real CPU: the kernel has fixed priorities, not keys");
+  }
+  return lines;
+}
+
 }  // namespace
 
 Placing Placing::of(const Session& session, const Graph& graph) {
@@ -96,6 +143,9 @@ Placing Placing::of(const Session& session, const Graph& graph) {
       limits =
           Limits::of(session.deployment, graph.modules[static_cast<std::size_t>(node.module)].name,
                      node.name, session.app.xnodes[xnode].wcet_on(type).value_or(0));
+      if (session.keys && limits.budget_ns == 0)
+        limits.budget_ns = watched_ns(*session.app.xnodes[xnode].wcet_on(type),
+                                      session.emulated(at));
     }
     placing.limits.push_back(limits);
   }
@@ -104,7 +154,15 @@ Placing Placing::of(const Session& session, const Graph& graph) {
 
 void Placing::compare_with_certificate(const detail::AppSpecErased& app, const Session& session,
                                        const Graph& graph) {
-  if (session.scheduling != Scheduling::kXAuto || !session.policy.worst_case_us) return;
+  if (session.scheduling != Scheduling::kXAuto) return;
+  if (session.keys) {
+    unkept = unkept_of_keys(app, session);
+    for (std::string& line : unkept_by_xpus(session)) unkept.push_back(std::move(line));
+    for (const std::string& why : unkept)
+      log::warn("the policy's worst cases do not hold in this run: {}", why);
+    return;
+  }
+  if (!session.policy.worst_case_us) return;
   const std::int64_t worst_us = *session.policy.worst_case_us;
   const auto ms = [](std::int64_t us) {
     return fmt::format("{:.2f} ms", static_cast<double>(us) / 1000);
@@ -125,6 +183,7 @@ void Placing::compare_with_certificate(const detail::AppSpecErased& app, const S
   const bool real_cpus = std::any_of(
       cpus.begin(), cpus.end(), [&](int x) { return session.presence_of(x) == Presence::kReal; });
   if (real_cpus && !kept) unkept.emplace_back("nobody keeps the priorities on CPUs (SCHED_OTHER)");
+  for (std::string& line : unkept_by_xpus(session)) unkept.push_back(std::move(line));
   for (const std::string& why : unkept)
     log::warn("the policy's worst case of {} does not hold in this run: {}", ms(worst_us), why);
 }

@@ -27,6 +27,7 @@ struct Placing {
   std::vector<std::uint32_t> xnode;  ///< [graph node] -> index in app.json
   std::vector<int> xpu;              ///< [graph node]; -1: none has an implementation
   std::vector<Limits> limits;        ///< [graph node]
+  std::vector<char> ends_chain;      ///< [graph node] 1: one does, and its module goes on
   std::string note;                  ///< what falls short of what a run would like, for people
   /// What the policy's worst case takes for granted and this run does not keep; see RunReport.
   std::vector<std::string> unkept;

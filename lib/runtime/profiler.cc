@@ -220,6 +220,7 @@ class Run {
     p.margin_pct = session_.margin_pct;
     p.sources = graph_.sources;
     p.edges = graph_.edges;
+    p.sampled = graph_.samples;
     p.incomplete = incomplete;
     for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
       const Graph::Node& node = graph_.nodes[n];
@@ -288,6 +289,7 @@ class Run {
     std::int64_t told = now_ns();
     for (std::size_t pass = 0; pass < passes; ++pass) {
       XAUTO_ASSIGN(Feed feed, Feed::open(app_, graph_, session_, *inlets_));
+      newest_.assign(graph_.topics.size(), nullptr);
       std::vector<std::shared_ptr<void>> states;
       for (const Graph::Module& module : graph_.modules)
         states.push_back(module.spec->make_state());
@@ -313,6 +315,7 @@ class Run {
         for (const int m : graph_.module_order)
           XAUTO_TRY(
               run_module(m, on, counts, k, states[static_cast<std::size_t>(m)].get(), messages));
+        newest_ = std::move(messages);
         if (now_ns() - told > 1'000'000'000) {
           log::info("profile: {} of {} releases", done, total);
           told = now_ns();
@@ -326,11 +329,19 @@ class Run {
                     std::uint64_t k, void* state, Messages& messages) {
     const Graph::Module& module = graph_.modules[static_cast<std::size_t>(m)];
     Input input = InputAccess::make();
-    InputAccess::bind(input, &module.spec->inputs);
+    std::vector<detail::TopicSpec> topics = module.spec->inputs;
+    for (const detail::SampleSpec& sample : module.spec->samples) topics.push_back(sample.topic);
+    InputAccess::bind(input, &topics, module.inputs.size());
     InputAccess::stamp(input, now_ns(), k);
+    InputAccess::begin(input, now_ns());
     for (std::size_t i = 0; i < module.inputs.size(); ++i) {
       const auto& message = messages[static_cast<std::size_t>(module.inputs[i])];
       InputAccess::messages(input)[i] = {message, now_ns(), k};
+    }
+    for (std::size_t i = 0; i < module.samples.size(); ++i) {
+      const auto t = static_cast<std::size_t>(module.samples[i]);
+      InputAccess::messages(input)[module.inputs.size() + i] = {
+          messages[t] != nullptr ? messages[t] : newest_[t], now_ns(), k};
     }
     for (const int n : module.nodes) {
       const auto index = static_cast<std::size_t>(n);
@@ -408,6 +419,7 @@ class Run {
     return impl;
   }
 
+  Messages newest_;  ///< [topic] of the release before, for what is sampled
   const detail::AppSpecErased& app_;
   const Session& session_;
   const Graph& graph_;
@@ -475,6 +487,7 @@ Result<std::string> describe(const Graph& graph, const Platform& platform) {
   p.conditions.platform = platform.name;
   p.sources = graph.sources;
   p.edges = graph.edges;
+  p.sampled = graph.samples;
   for (const Graph::Node& node : graph.nodes)
     p.xnodes.push_back(
         {node.name, graph.modules[static_cast<std::size_t>(node.module)].name, {}, node.sources});

@@ -5,6 +5,7 @@
 #include <set>
 #include <thread>
 
+#include <fmt/format.h>
 #include <uapi/xauto/event.h>
 
 #include "base/clock.h"
@@ -74,7 +75,7 @@ Result<bool> Releaser::release_pushed(std::int64_t until_ns) {
     std::uint64_t& number = pushed_[static_cast<std::size_t>(t)];
     // In lockstep waiting for its turn is no latency.
     release(context_.session.lockstep ? now_ns() : pushed->waiting.at_ns,
-            {{t, number++, std::move(pushed->waiting.message)}});
+            {{t, number++, std::move(pushed->waiting.message), 0}});
     if (pushes_left_ > 0 && t == slowest_source() && --pushes_left_ == 0) return false;
     if (now_ns() >= until_ns) return true;  // whoever pushes without a pause must not hold it up
   }
@@ -107,12 +108,11 @@ std::int64_t Releaser::run_length_ns(std::int64_t slowest_period_ns) const {
 Status Releaser::release_periodic() {
   struct Source {
     int topic;
+    const Grid::Source* grid;
     std::int64_t period_ns;
     std::uint64_t sequence = 0;
     /// Of its next release, from the first one of all on.
-    [[nodiscard]] std::int64_t due_ns() const {
-      return static_cast<std::int64_t>(sequence) * period_ns;
-    }
+    [[nodiscard]] std::int64_t due_ns() const { return grid->due_ns(sequence); }
   };
   std::vector<Source> sources;
   std::int64_t slowest_ns = 1;
@@ -121,10 +121,11 @@ Status Releaser::release_periodic() {
     const auto& spec =
         context_.app.sources[static_cast<std::size_t>(context_.graph.topics[t].source)];
     if (spec.inlet != nullptr) continue;
-    const std::int64_t period_us =
-        context_.session.period_us > 0 ? context_.session.period_us : spec.period.count();
-    sources.push_back({static_cast<int>(t), period_us * 1000});
-    slowest_ns = std::max(slowest_ns, period_us * 1000);
+    const Grid::Source& grid =
+        context_.grid.sources[static_cast<std::size_t>(context_.graph.topics[t].source)];
+    const std::int64_t period_ns = grid.due_ns(1) - grid.due_ns(0);
+    sources.push_back({static_cast<int>(t), &grid, period_ns});
+    slowest_ns = std::max(slowest_ns, period_ns);
   }
   pushed_.assign(context_.graph.topics.size(), 0);
   // Without a polled source there is no time grid: pushes are counted.
@@ -156,7 +157,7 @@ Status Releaser::release_periodic() {
           wiring_.interop()->feeds(static_cast<std::size_t>(s.topic))) {
         fed_period_ns =
             s.sequence == 0 ? INT64_MAX : s.period_ns;  // nothing to do before the first
-        fed.push_back({s.topic, s.sequence++, nullptr});
+        fed.push_back({s.topic, s.sequence++, nullptr, 0});
         continue;
       }
       const auto& spec = context_.app.sources[static_cast<std::size_t>(
@@ -164,7 +165,8 @@ Status Releaser::release_periodic() {
       try {
         samples.push_back(
             {s.topic, s.sequence,
-             spec.make(s.sequence, wiring_.publisher(static_cast<std::size_t>(s.topic)))});
+             spec.make(s.sequence, wiring_.publisher(static_cast<std::size_t>(s.topic))),
+             context_.grid.periodic ? due : 0});
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
                     "the source of topic '" + spec.topic.name + "'");
@@ -202,26 +204,56 @@ void Releaser::take_fed(std::vector<Sample> fed, std::int64_t period_ns,
   for (const Sample& sample : fed) topics.push_back(sample.topic);
   auto taken = wiring_.interop()->take(topics, until, stop_);
   for (std::size_t i = 0; i < fed.size(); ++i) {
-    if (taken[i] == nullptr && !context_.graph.single_rate) continue;
-    fed[i].message = std::move(taken[i]);
+    fed[i].message = std::move(taken[i]);  // null: a tombstone, for whoever counts
     samples.push_back(std::move(fed[i]));
   }
 }
 
-void Releaser::release(std::int64_t origin_ns, const std::vector<Sample>& samples) {
+/// An app of version 2 states how late a release may be.
+void Releaser::watch_jitter(std::int64_t now_ns, const Sample& sample) {
+  const auto source = static_cast<std::size_t>(
+      context_.graph.topics[static_cast<std::size_t>(sample.topic)].source);
+  late_.resize(context_.graph.sources.size());
+  Late& late = late_[source];
+  ++late.of;
+  const std::int64_t after_ns = now_ns - sample.nominal_ns;
+  if (after_ns <= context_.grid.sources[source].jitter_ns) return;
+  ++late.count;
+  late.worst_ns = std::max(late.worst_ns, after_ns);
+}
+
+std::vector<std::string> Releaser::broken() const {
+  std::vector<std::string> lines;
+  for (std::size_t s = 0; s < late_.size(); ++s)
+    if (const Late& late = late_[s]; late.count > 0)
+      lines.push_back(fmt::format("source '{}' was released up to {} us late in {} of {} releases; "
+                                  "app.json states a jitter of {} us",
+                                  context_.graph.sources[s].name, (late.worst_ns + 999) / 1000,
+                                  late.count, late.of, context_.grid.sources[s].jitter_ns / 1000));
+  return lines;
+}
+
+void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) {
   const std::uint64_t sequence = samples.front().sequence;
-  ledger_.open(sequence, origin_ns);
+  const auto origin_of = [&](const Sample& sample) {
+    return sample.nominal_ns > 0 ? sample.nominal_ns : now_ns;
+  };
+  for (const Sample& sample : samples)
+    if (sample.nominal_ns > 0) watch_jitter(now_ns, sample);
+  ledger_.open(sequence, origin_of(samples.front()));
   if (context_.trace != nullptr) {
     // One release in an app of one rate, several otherwise.
     const std::size_t count = context_.graph.single_rate ? 1 : samples.size();
     for (std::size_t i = 0; i < count; ++i)
-      context_.trace->write_at(origin_ns, XAUTO_EV_PUBLISH, samples[i].sequence, XAUTO_EV_NONE,
-                               XAUTO_EV_NONE, XAUTO_EV_NONE);
+      context_.trace->write_at(origin_of(samples[i]), XAUTO_EV_PUBLISH, samples[i].sequence,
+                               XAUTO_EV_NONE, XAUTO_EV_NONE, XAUTO_EV_NONE);
   }
-  if (recorder_) record(origin_ns, samples);
-  for (const auto& [topic, number, message] : samples) {
-    detail::Envelope envelope{message, origin_ns, number};
-    if (!context_.graph.single_rate) {
+  if (recorder_) record(now_ns, samples);
+  for (const Sample& sample : samples) {
+    const int topic = sample.topic;
+    const std::int64_t origin_ns = origin_of(sample);
+    detail::Envelope envelope{sample.message, origin_ns, sample.sequence};
+    if (context_.graph.tells_origins) {
       auto origins = std::make_shared<detail::Origins>();
       origins->fill(0);
       const auto source =
@@ -253,7 +285,7 @@ Status Releaser::open_recorder() {
 
 /// The first failure ends the recording, not the run; the report tells.
 void Releaser::record(std::int64_t origin_ns, const std::vector<Sample>& samples) {
-  for (const auto& [topic, sequence, message] : samples) {
+  for (const auto& [topic, sequence, message, nominal_ns] : samples) {
     if (message == nullptr) continue;
     const auto t = static_cast<std::size_t>(topic);
     Status done;
@@ -331,7 +363,7 @@ Status Releaser::release_recorded() {
                   "topic '" + spec.name + "'", "specialise xauto::Codec for it");
     std::uint64_t& number = sequence[static_cast<std::size_t>(t)];
     try {
-      batch.push_back({t, number, spec.decode(message->data)});
+      batch.push_back({t, number, spec.decode(message->data), 0});
     } catch (const std::exception& e) {
       return fail(ErrorCode::kInvalid, "message " + std::to_string(number) + ": " + e.what(),
                   context_.session.input + ": topic '" + spec.name + "'");

@@ -36,13 +36,16 @@ class Releaser {
   [[nodiscard]] std::string close();
   /// What the sources did that was not as declared; for people, after `run`.
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
+  /// Of app.json's sources, what did not come as it states; a line each, after `run`.
+  [[nodiscard]] std::vector<std::string> broken() const;
 
  private:
-  /// What a source releases: its own number, which in an app of one rate is everybody's.
+  /// What a source releases: its own number, which is everybody's in its component.
   struct Sample {
     int topic = -1;
     std::uint64_t sequence = 0;
     std::shared_ptr<const void> message;  ///< null: lost
+    std::int64_t nominal_ns = 0;          ///< when it should be released; 0: when it is
   };
   Releaser(const Context& context, Wiring& wiring, Ledger& ledger, const std::atomic<bool>& stop)
       : context_(context), wiring_(wiring), ledger_(ledger), stop_(stop) {}
@@ -55,7 +58,8 @@ class Releaser {
   [[nodiscard]] Status drain_for_lockstep();
   [[nodiscard]] Status release_recorded();
   void take_fed(std::vector<Sample> fed, std::int64_t period_ns, std::vector<Sample>& samples);
-  void release(std::int64_t origin_ns, const std::vector<Sample>& samples);
+  void release(std::int64_t now_ns, const std::vector<Sample>& samples);
+  void watch_jitter(std::int64_t now_ns, const Sample& sample);
   void record(std::int64_t origin_ns, const std::vector<Sample>& samples);
 
   const Context& context_;
@@ -69,6 +73,12 @@ class Releaser {
   std::vector<std::uint64_t> pushed_;     ///< [topic] releases of pushed sources
   std::uint64_t pushes_left_ = 0;         ///< of the slowest source; 0: no end
   std::vector<std::string> notes_;
+  /// Releases later than the stated jitter.
+  struct Late {
+    std::uint64_t count = 0, of = 0;
+    std::int64_t worst_ns = 0;  ///< after the nominal instant
+  };
+  std::vector<Late> late_;  ///< [source]
 };
 
 }  // namespace xauto::runtime

@@ -182,13 +182,13 @@ class Follower final : public Role {
   Result<bool> begin() override {
     XAUTO_ASSIGN(const bool go, member_->ready(stop_));
     if (!go) return false;
-    if (context_->graph.single_rate)
-      for (std::size_t m = 0; m < context_->graph.modules.size(); ++m)
-        if (ModuleRuntime* module = wiring_->module(m); module != nullptr) {
-          const std::uint64_t next = board()->module(static_cast<int>(m)).settled();
-          module->begin_at(next);
-          if (next > 0) wiring_->skip(static_cast<int>(m), next - 1);
-        }
+    for (std::size_t m = 0; m < context_->graph.modules.size(); ++m) {
+      ModuleRuntime* module = wiring_->module(m);
+      if (module == nullptr || !context_->graph.modules[m].numbered) continue;
+      const std::uint64_t next = board()->module(static_cast<int>(m)).settled();
+      module->begin_at(next);
+      if (next > 0) wiring_->skip(static_cast<int>(m), next - 1);
+    }
     XAUTO_TRY(wiring_->open_inputs());
     return true;
   }

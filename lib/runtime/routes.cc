@@ -8,6 +8,9 @@
 namespace xauto::runtime {
 namespace {
 
+/// A result that makes up for more releases than that counts for so many of them, the newest.
+constexpr int kMostSkipped = 1000;
+
 /// [module] whether messages of `topic` reach it, directly or through others.
 std::vector<char> reached(const Graph& graph, int topic) {
   std::vector<char> seen(graph.modules.size(), 0);
@@ -28,18 +31,40 @@ std::vector<char> reached(const Graph& graph, int topic) {
 
 }  // namespace
 
-Result<Routes> Routes::make(const Graph& graph, const Deployment& deployment,
-                            std::optional<std::int64_t> deadline_us) {
+Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployment& deployment,
+                            const AppSpec& app) {
   Routes routes;
   routes.single_rate_ = graph.single_rate;
-  routes.ends_.resize(graph.modules.size());
-  const auto add = [&](RouteReport counts, std::size_t topic, std::size_t module) {
+  routes.ends_.resize(graph.nodes.size());
+  const auto end = [&](RouteReport counts, std::size_t source, int node) {
     Route route;
     route.counts = std::move(counts);
-    route.module = static_cast<int>(module);
-    route.source = static_cast<std::size_t>(graph.topics[topic].source);
+    route.module = graph.nodes[static_cast<std::size_t>(node)].module;
+    route.source = source;
+    if (grid.periodic) route.period_ns = grid.sources[source].due_ns(1) - grid.sources[source].due_ns(0);
     routes.routes_.push_back(std::move(route));
-    routes.ends_[module].push_back(routes.routes_.size() - 1);
+    routes.ends_[static_cast<std::size_t>(node)].push_back(routes.routes_.size() - 1);
+  };
+  if (grid.periodic) {
+    for (const ChainSpec& chain : app.chains) {
+      if (routes.routes_.size() == kMaxChains) break;
+      const std::string& from = app.sources[static_cast<std::size_t>(chain.from)].name;
+      const std::string& to = app.xnodes[static_cast<std::size_t>(chain.to)].name;
+      const auto node = std::find_if(graph.nodes.begin(), graph.nodes.end(),
+                                     [&](const Graph::Node& n) { return n.name == to; });
+      const auto source =
+          std::find_if(graph.sources.begin(), graph.sources.end(),
+                       [&](const SourceSpec& s) { return s.name == from; });
+      end({chain.name, from, to, chain.deadline_us, {}, 0, 0, 0, {}, {}},
+          static_cast<std::size_t>(source - graph.sources.begin()),
+          static_cast<int>(node - graph.nodes.begin()));
+    }
+    return routes;
+  }
+  const std::optional<std::int64_t> deadline_us = app.deadline_us;
+  const auto add = [&](RouteReport counts, std::size_t topic, std::size_t module) {
+    end(std::move(counts), static_cast<std::size_t>(graph.topics[topic].source),
+        graph.modules[module].nodes.back());
   };
   for (const ChainDeployment& chain : deployment.chains) {
     const std::string where = "chain '" + chain.name + "'";
@@ -82,24 +107,40 @@ void Routes::show_on(Board& board) {
   }
 }
 
-std::optional<std::int64_t> Routes::published(int module, std::int64_t origin_ns,
+void Routes::count(Route& route, std::int64_t latency_us, std::optional<std::int64_t>& missed_us) {
+  RouteReport& counts = route.counts;
+  counts.latency_us.add(latency_us);
+  if (route.line != nullptr) route.line->add(latency_us);
+  if (!counts.deadline_us || latency_us <= *counts.deadline_us) return;
+  ++counts.deadline_misses;
+  if (route.line != nullptr) route.line->late.fetch_add(1, std::memory_order_relaxed);
+  missed_us = std::max(missed_us.value_or(0), latency_us);
+}
+
+std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
                                               const detail::Origins* origins, std::int64_t now_ns) {
   std::optional<std::int64_t> missed_us;
-  if (!end_at(module)) return missed_us;
+  if (!end_at(node)) return missed_us;
   const Guard lock(*mutex_);
-  for (const std::size_t index : ends_[static_cast<std::size_t>(module)]) {
+  for (const std::size_t index : ends_[static_cast<std::size_t>(node)]) {
     Route& route = routes_[index];
     std::int64_t origin = origin_ns;
     if (origins != nullptr && route.source < origins->size()) origin = (*origins)[route.source];
     if (origin == 0) continue;  // nothing of this sensor is in it
     RouteReport& counts = route.counts;
-    const std::int64_t latency_us = (now_ns - origin) / 1000;
-    counts.latency_us.add(latency_us);
-    if (route.line != nullptr) route.line->add(latency_us);
-    if (counts.deadline_us && latency_us > *counts.deadline_us) {
-      ++counts.deadline_misses;
-      if (route.line != nullptr) route.line->late.fetch_add(1, std::memory_order_relaxed);
-      missed_us = std::max(missed_us.value_or(0), latency_us);
+    if (route.period_ns > 0) {
+      // Newly known are the release of `origin` and those since the last one that was known; half a
+      // period tells them apart, since nominal instants are exact to the nanosecond.
+      if (route.last_origin_ns != 0 && origin <= route.last_origin_ns) continue;
+      std::int64_t newly = origin;
+      for (int n = 0; n < kMostSkipped; ++n, newly -= route.period_ns) {
+        if (route.last_origin_ns == 0 ? newly != origin
+                                      : newly - route.last_origin_ns < route.period_ns / 2)
+          break;
+        count(route, (now_ns - newly) / 1000, missed_us);
+      }
+    } else {
+      count(route, (now_ns - origin) / 1000, missed_us);
     }
     if (route.last_origin_ns != 0) {
       const std::int64_t age_us = (now_ns - route.last_origin_ns) / 1000;

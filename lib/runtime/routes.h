@@ -20,6 +20,7 @@
 #include "base/pi_mutex.h"
 #include "graph/graph.h"
 #include "model/deployment.h"
+#include "runtime/grid.h"
 #include "session/run_report.h"
 
 namespace xauto::runtime {
@@ -27,24 +28,29 @@ namespace xauto::runtime {
 class Board;
 struct FlowLine;
 
+// In an app of version 2 a chain is app.json's, and its latency is the reduced reaction time that
+// its worst case is about: from the nominal release k to the end of the first job that knows k or a
+// newer one. Each release counts, also those that a result has skipped.
+
 /// Threads: any.
 class Routes {
  public:
-  /// The deployment's chains; without any, every sensor to every sink, with the app's deadline.
-  /// Errors: a chain from a topic that is no sensor's, or to a module that cannot hear of it.
-  [[nodiscard]] static Result<Routes> make(const Graph& graph, const Deployment& deployment,
-                                           std::optional<std::int64_t> deadline_us);
+  /// Of an app of version 2: app.json's chains, at most kMaxChains of them. Otherwise the
+  /// deployment's; without any, every sensor to every sink, with the app's deadline. Errors: a chain
+  /// from a topic that is no sensor's, or to a module that cannot hear of it.
+  [[nodiscard]] static Result<Routes> make(const Graph& graph, const Grid& grid,
+                                           const Deployment& deployment, const AppSpec& app);
 
   [[nodiscard]] std::size_t size() const { return routes_.size(); }
   /// Counts on the board from here on, too: chain i is flow i + 1.
   void show_on(Board& board);
-  /// Whether a chain ends at `module`.
-  [[nodiscard]] bool end_at(int module) const {
-    return !ends_[static_cast<std::size_t>(module)].empty();
+  /// Whether a chain ends at `node` of the graph.
+  [[nodiscard]] bool end_at(int node) const {
+    return !ends_[static_cast<std::size_t>(node)].empty();
   }
-  /// `module` has published what stems from `origin_ns`, or by source from `origins`. Returns the
+  /// `node` has ended a job of what stems from `origin_ns`, or by source from `origins`. Returns the
   /// latency of a chain that so missed its deadline, or the age of a result that became too old.
-  std::optional<std::int64_t> published(int module, std::int64_t origin_ns,
+  std::optional<std::int64_t> published(int node, std::int64_t origin_ns,
                                         const detail::Origins* origins, std::int64_t now_ns);
   /// `lost`: [module] activations that failed or were dropped.
   [[nodiscard]] std::vector<RouteReport> report(const std::vector<std::uint64_t>& lost) const;
@@ -52,12 +58,14 @@ class Routes {
  private:
   struct Route {
     RouteReport counts;
-    int module = -1;
+    int module = -1;  ///< of the node where it ends
     std::size_t source = 0;  ///< index into Origins; beyond it: the oldest origin
     std::int64_t last_origin_ns = 0;
+    std::int64_t period_ns = 0;  ///< of the source, where each of its releases counts; 0: results
     FlowLine* line = nullptr;  ///< null: nobody looks
   };
-  std::vector<std::vector<std::size_t>> ends_;  ///< [module] -> routes
+  void count(Route& route, std::int64_t latency_us, std::optional<std::int64_t>& missed_us);
+  std::vector<std::vector<std::size_t>> ends_;  ///< [node of the graph] -> routes
   bool single_rate_ = true;
   mutable std::unique_ptr<PiMutex> mutex_ = std::make_unique<PiMutex>();
   std::vector<Route> routes_;  ///< counts guarded by mutex_

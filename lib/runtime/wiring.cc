@@ -85,10 +85,17 @@ Status Wiring::place_module(std::size_t module) {
                   "is assigned to " + x.id + " but has no implementation for '" + x.type + "'",
                   where, "add one with add_impl, or solve again with the app.json of this program");
     placed.limits = placing_.limits[index];
+    placed.node = n;
     placed.line = &context_.board.xnode(index);
+    placed.ends_chain = placing_.ends_chain[index] != 0;
     if (context_.scheduled()) {
-      placed.key =
-          coord::key_of_priority(context_.session.policy.placements[placed.xnode].priority);
+      if (context_.session.keys) {
+        const KeyPlacement& key = context_.session.keys->placements[placed.xnode];
+        placed.urgency = Urgency::of_keys(key.key_us, key.hold_us);
+      } else {
+        placed.urgency =
+            Urgency::of_priority(context_.session.policy.placements[placed.xnode].priority);
+      }
       if (!context_.session.emulated(xpu) && x.type == "cpu")
         placed.fifo_priority = placing_.fifo_by_xnode[placed.xnode];
     }
@@ -136,7 +143,11 @@ Status Wiring::make_module(std::size_t index, ModuleHost& host) {
   ModuleRuntime& made = *modules_[index];
   chains_[index]->runtime = &made;
   const ModuleDeployment said = context_.session.deployment.of(module.name);
-  if (said.overload) made.set_overload(*said.overload);
+  made.shift_origins(context_.grid.shift_ns[index]);
+  if (said.overload)
+    made.set_overload(*said.overload);
+  else if (context_.grid.periodic)  // within its keys nothing is lost at a module's door
+    made.set_overload({Overload::Kind::kQueue, context_.grid.depth[index]});
   if (said.match_us) made.match_within(*said.match_us * 1000);
   if (said.on_hang == OnHang::kDrop) made.watch();
   return {};

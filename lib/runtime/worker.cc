@@ -92,7 +92,8 @@ Status Worker::init_nodes() {
   shares_ = port_ && port_->discipline() == Discipline::kGate && options_.order.empty();
   for (const Placed& placed : chain_.nodes)
     if (placed.worker == this &&
-        (placed.made.handle.kind() != SchedHandle::Kind::kGate || placed.made.object != nullptr))
+        (placed.made.handle.kind() != SchedHandle::Kind::kGate || placed.made.object != nullptr ||
+         placed.urgency.holds()))
       shares_ = false;
   lane_.reserve(64);
   for (auto node = chain_.nodes.rbegin(); node != chain_.nodes.rend(); ++node)
@@ -178,7 +179,8 @@ void Worker::run_lane() {
     coord::Next next;
     for (std::size_t i = 0; i < lane_.size(); ++i) {
       const Ready& ready = lane_[i];  // who was ready first is before it
-      next.consider({ready.worker->chain_.nodes[ready.node].key, 0, static_cast<int>(i)});
+      next.consider({ready.worker->key_of(ready.worker->chain_.nodes[ready.node]), 0,
+                     static_cast<int>(i)});
     }
     const auto at = lane_.begin() + next.slot();
     const Ready job = *at;
@@ -219,11 +221,18 @@ void Worker::begin(Placed& placed) {
   const auto position = static_cast<std::uint64_t>(&placed - chain_.nodes.data());
   current_.store(position << kSequenceBits | sequence, std::memory_order_release);
   record(XAUTO_EV_START, placed, sequence);
-  port_->begin({placed.xnode, sequence, placed.key});
+  port_->begin({placed.xnode, sequence, key_of(placed)});
+}
+
+coord::Key Worker::key_of(const Placed& placed) const {
+  const Input& input = chain_.runtime->input();
+  return placed.urgency.key(input.origin().count(), input.sequence());
 }
 
 bool Worker::run_job(Placed& placed, bool begun) {
   const Input& input = chain_.runtime->input();
+  if (placed.urgency.holds())
+    sleep_until_ns(placed.urgency.hold(input.origin().count(), input.sequence()));
   thread_->next(placed.xnode, input.sequence(), placed.fifo_priority);
   if (port_) {
     if (!begun) begin(placed);
@@ -234,6 +243,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
     thread_->begin(since);
     thread_->has_xpu(since);
   }
+  if (&placed == &chain_.nodes.front()) chain_.runtime->begin(now_ns());
   record(XAUTO_EV_RUN, placed, input.sequence());
   const bool limited = placed.limits.any();
   if (limited) begin_limited(placed, input.sequence());
@@ -257,6 +267,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
   thread_->end();
   if (thread_->observed()) thread_->gave_xpu(now_ns());
   record(XAUTO_EV_FINISH, placed, input.sequence(), succeeded ? 0 : 1);
+  if (succeeded && placed.ends_chain) chain_.runtime->passed(placed.node);
   return succeeded;
 }
 

@@ -22,6 +22,7 @@
 #include "coord/rule.h"
 #include "graph/graph.h"
 #include "processes/board.h"
+#include "runtime/urgency.h"
 #include "runtime/watch.h"
 #include "runtime/xmodule.h"
 #include "trace/trace.h"
@@ -36,13 +37,16 @@ class Worker;
 struct Placed {
   std::string name;
   std::uint32_t xnode = 0;  ///< index into app.json's xnodes
-  coord::Key key = 0;
+  int node = -1;            ///< index into the graph's nodes
+  Urgency urgency;
   int fifo_priority = 0;  ///< SCHED_FIFO priority on a real CPU; 0: leave as it is
   const detail::ImplSpec* impl = nullptr;
   Worker* worker = nullptr;
   detail::Made made;  ///< by init; on the worker's execution thread
   Limits limits;
   XNodeLine* line = nullptr;  ///< set if there are limits
+  /// A chain ends here, and not at the module's end.
+  bool ends_chain = false;
 };
 
 /// The chain of one module, shared by its workers.
@@ -112,6 +116,7 @@ class Worker {
   void run_chain(std::size_t node, bool begun);
   bool run_job(Placed& placed, bool begun);
   void begin(Placed& placed);
+  [[nodiscard]] coord::Key key_of(const Placed& placed) const;
   void run_lane();
   void show_lane();
   void record(std::uint16_t kind, const Placed& placed, std::uint64_t sequence,

@@ -12,26 +12,36 @@ ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
                              std::vector<const transport::Channel*> outputs,
                              std::vector<detail::MessageMemory*> memories)
     : module_(graph.modules[static_cast<std::size_t>(index)]),
-      single_rate_(graph.single_rate),
+      numbered_(module_.numbered),
+      tells_origins_(graph.tells_origins),
       index_(index),
       host_(host),
       outputs_(std::move(outputs)),
       memories_(std::move(memories)),
       topics_(module_.spec->inputs),
       state_(module_.spec->make_state()),
-      queues_(topics_.size()) {
-  InputAccess::bind(input_, &topics_);
+      queues_(topics_.size()),
+      newest_(module_.spec->samples.size()),
+      shift_ns_(topics_.size(), 0) {
+  for (const detail::SampleSpec& sample : module_.spec->samples) topics_.push_back(sample.topic);
+  InputAccess::bind(input_, &topics_, queues_.size());
   memories_.resize(module_.spec->outputs.size());
 }
 
 void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
+  if (static_cast<std::size_t>(input) >= newest_from_) {
+    if (envelope.message == nullptr) return;  // what was lost replaces nothing
+    const Guard lock(mutex_);
+    newest_[static_cast<std::size_t>(input) - newest_from_] = envelope;
+    return;
+  }
   std::vector<Lost> lost;
   std::uint64_t skip_below = 0;
   bool start = false;
   {
     const Guard lock(mutex_);
     InputQueue& queue = queues_[static_cast<std::size_t>(input)];
-    if (single_rate_ && envelope.sequence < next_) return;  // of a release that is already lost
+    if (numbered_ && envelope.sequence < next_) return;  // of a release that is already lost
     arrive(queue, envelope, lost);
     put_off(lost);
     start = !busy_ && take_if_fresh(lost);
@@ -48,9 +58,9 @@ void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
   // Messages come in order: what lies between was lost on the way (a full queue between processes).
   // What was settled meanwhile is not missing.
   const std::uint64_t expected =
-      std::max(std::exchange(queue.expected, envelope.sequence + 1), single_rate_ ? next_ : 0);
+      std::max(std::exchange(queue.expected, envelope.sequence + 1), numbered_ ? next_ : 0);
   const bool gap = envelope.sequence > expected && envelope.message != nullptr;
-  if (match_ns_ >= 0 && !single_rate_) {
+  if (match_ns_ >= 0 && !numbered_) {
     constexpr std::size_t kDepth = 16;  // unless it says queue:N
     const std::size_t depth = overload_.kind == Overload::Kind::kQueue ? overload_.depth : kDepth;
     if (envelope.message != nullptr) queue.waiting.push_back(envelope);
@@ -63,11 +73,11 @@ void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
   }
   if (overload_.kind == Overload::Kind::kQueue) {
     // Losses wait in the queue, too: what came before them is not lost.
-    if (single_rate_ && gap) queue.waiting.push_back({nullptr, 0, envelope.sequence - 1});
-    if (single_rate_ || envelope.message != nullptr) queue.waiting.push_back(envelope);
+    if (numbered_ && gap) queue.waiting.push_back({nullptr, 0, envelope.sequence - 1});
+    if (numbered_ || envelope.message != nullptr) queue.waiting.push_back(envelope);
     while (queue.waiting.size() > overload_.depth) {
       const std::uint64_t oldest = queue.waiting.front().sequence;
-      if (single_rate_) {
+      if (numbered_) {
         settle(oldest + 1, XAUTO_DROP_OVERRUN, lost);
       } else {
         lost.push_back({oldest, oldest, XAUTO_DROP_OVERRUN});
@@ -77,7 +87,7 @@ void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
     return;
   }
   const bool skip = overload_.kind == Overload::Kind::kSkip && busy_ && envelope.message != nullptr;
-  if (single_rate_) {
+  if (numbered_) {
     if (gap) settle(envelope.sequence, XAUTO_DROP_OVERRUN, lost);
     if (envelope.message == nullptr)
       settle(envelope.sequence + 1, XAUTO_DROP_UPSTREAM, lost);
@@ -100,7 +110,7 @@ void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
 void ModuleRuntime::lose_while_hung(InputQueue& queue, const detail::Envelope& envelope,
                                     std::vector<Lost>& lost) {
   queue.expected = std::max(queue.expected, envelope.sequence + 1);
-  if (single_rate_)
+  if (numbered_)
     settle(envelope.sequence + 1, XAUTO_DROP_HUNG, lost);
   else if (envelope.message != nullptr)
     lost.push_back({envelope.sequence, envelope.sequence, XAUTO_DROP_HUNG});
@@ -108,7 +118,7 @@ void ModuleRuntime::lose_while_hung(InputQueue& queue, const detail::Envelope& e
 
 /// Losses whose turn it is. Called with the mutex held.
 void ModuleRuntime::resolve(std::vector<Lost>& lost) {
-  for (bool again = single_rate_; again;) {
+  for (bool again = numbered_; again;) {
     again = false;
     for (const InputQueue& queue : queues_)
       if (!queue.waiting.empty() && queue.waiting.front().message == nullptr) {
@@ -152,11 +162,16 @@ bool ModuleRuntime::matched(std::vector<Lost>& lost) {
 void ModuleRuntime::gather_origins() {
   auto origins = std::make_shared<detail::Origins>();
   origins->fill(0);
-  for (const InputQueue& queue : queues_)
-    if (const auto& of = queue.waiting.front().origins)
-      for (std::size_t i = 0; i < origins->size(); ++i)
-        if ((*of)[i] != 0 && ((*origins)[i] == 0 || (*of)[i] < (*origins)[i]))
-          (*origins)[i] = (*of)[i];
+  const std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
+  for (std::size_t m = 0; m < messages.size(); ++m) {
+    if (messages[m].origins == nullptr) continue;
+    const detail::Origins& of = *messages[m].origins;
+    const std::uint32_t onward =
+        m < newest_from_ ? ~0u : module_.sample_origins[m - newest_from_];
+    for (std::size_t i = 0; i < origins->size(); ++i)
+      if (of[i] != 0 && (onward >> i & 1u) != 0 && ((*origins)[i] == 0 || of[i] < (*origins)[i]))
+        (*origins)[i] = of[i];
+  }
   origins_ = std::move(origins);
 }
 
@@ -164,23 +179,24 @@ void ModuleRuntime::gather_origins() {
 bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
   if (overload_.kind == Overload::Kind::kQueue) resolve(lost);  // only there do losses wait
   if (queues_[empty_].waiting.empty()) return false;
-  if (match_ns_ >= 0 && !single_rate_ && !matched(lost)) return false;
+  if (match_ns_ >= 0 && !numbered_ && !matched(lost)) return false;
   for (empty_ = 0; empty_ < queues_.size() && !queues_[empty_].waiting.empty();) ++empty_;
   if (empty_ < queues_.size()) return false;
   empty_ = 0;
-  if (!single_rate_) gather_origins();
-  const auto oldest = std::min_element(
-      queues_.begin(), queues_.end(), [](const InputQueue& a, const InputQueue& b) {
-        return a.waiting.front().origin_ns < b.waiting.front().origin_ns;
-      });
-  const std::uint64_t sequence = oldest->waiting.front().sequence;
-  InputAccess::stamp(input_, oldest->waiting.front().origin_ns, sequence);
+  std::size_t oldest = 0;
+  const auto released_ns = [&](std::size_t i) {
+    return queues_[i].waiting.front().origin_ns - shift_ns_[i];
+  };
+  for (std::size_t i = 1; i < queues_.size(); ++i)
+    if (released_ns(i) < released_ns(oldest)) oldest = i;
+  const std::uint64_t sequence = queues_[oldest].waiting.front().sequence;
+  InputAccess::stamp(input_, released_ns(oldest), sequence);
   std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
   for (std::size_t i = 0; i < queues_.size(); ++i) {
     messages[i] = std::move(queues_[i].waiting.front());
     queues_[i].waiting.pop_front();
   }
-  if (single_rate_) {
+  if (numbered_) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
     next_ = std::max(next_, sequence + 1);
   }
@@ -188,9 +204,23 @@ bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
   return true;
 }
 
+void ModuleRuntime::begin(std::int64_t now_ns) {
+  InputAccess::begin(input_, now_ns);
+  if (tells_origins_ && module_.samples.empty()) gather_origins();
+  if (module_.samples.empty()) return;
+  const Guard lock(mutex_);
+  std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
+  for (std::size_t i = 0; i < newest_.size(); ++i) {
+    const std::int64_t limit_ns = module_.spec->samples[i].max_age_ns;
+    const bool fresh = limit_ns == 0 || now_ns - newest_[i].origin_ns <= limit_ns;
+    messages[newest_from_ + i] = fresh ? newest_[i] : detail::Envelope{};
+  }
+  if (tells_origins_) gather_origins();
+}
+
 /// Called with the mutex held.
 void ModuleRuntime::put_off(std::vector<Lost>& lost) {
-  if (!single_rate_ || !busy_ || hung_) return;
+  if (!numbered_ || !busy_ || hung_) return;
   for (const Lost& range : lost) {
     if (!later_.empty() && later_.back().reason == range.reason &&
         later_.back().last + 1 == range.first)
@@ -247,7 +277,7 @@ void ModuleRuntime::finish(bool succeeded) {
     for (detail::Envelope& message : InputAccess::messages(input_)) message = {};
     busy_ = false;
     if (watched_) fate_.store(Fate::kOpen);
-    if (!succeeded && single_rate_) skip_below_ = std::max(skip_below_, sequence + 1);
+    if (!succeeded && numbered_) skip_below_ = std::max(skip_below_, sequence + 1);
     lost.insert(lost.end(), later_.begin(), later_.end());
     later_.clear();
     again = take_if_fresh(lost);
@@ -268,7 +298,7 @@ bool ModuleRuntime::abandon(std::uint64_t sequence) {
       return false;
     hung_ = true;
     lost.push_back({sequence, sequence, XAUTO_DROP_HUNG});
-    if (single_rate_) skip_below_ = std::max(skip_below_, sequence + 1);
+    if (numbered_) skip_below_ = std::max(skip_below_, sequence + 1);
     lost.insert(lost.end(), later_.begin(), later_.end());
     later_.clear();
     for (InputQueue& queue : queues_)

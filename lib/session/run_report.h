@@ -64,6 +64,8 @@ struct RunReport {
   /// What the policy's worst case takes for granted (kWorstCaseScope) and this run does not keep by
   /// the way it was set up; a line each, for people.
   std::vector<std::string> unkept;
+  /// What app.json states and this run saw otherwise: then its claims do not hold; a line each.
+  std::vector<std::string> broken;
   bool several_rates = false;   ///< there are no releases to count, but each sensor's
   std::string recording_error;  ///< why the recording is not whole; empty: it is, or there is none
 };

@@ -101,7 +101,8 @@ std::string to_json(const Session& s) {
     deployment.app = s.app.name;
     j["deployment"] = xauto::to_json(deployment);
     if (s.scheduling != Scheduling::kRos2)
-      j["policy"] = xauto::to_json(s.policy, s.app, s.platform);
+      j["policy"] = s.keys ? xauto::to_json(*s.keys, s.app, s.platform)
+                           : xauto::to_json(s.policy, s.app, s.platform);
   }
   return j.dump();
 }
@@ -158,8 +159,13 @@ Result<Session> parse_session(const std::string& text) {
       XAUTO_ASSIGN(s.deployment,
                    parse_deployment(j.at("deployment").get<std::string>(), "session", s.app));
       if (s.scheduling != Scheduling::kRos2) {
-        XAUTO_ASSIGN(s.policy,
-                     parse_policy(j.at("policy").get<std::string>(), "session", s.app, s.platform));
+        const auto said = j.at("policy").get<std::string>();
+        if (s.app.version == 2) {
+          XAUTO_ASSIGN(s.keys, parse_key_policy(said, "session", s.app, s.platform));
+          s.policy = assignment_of(*s.keys);
+        } else {
+          XAUTO_ASSIGN(s.policy, parse_policy(said, "session", s.app, s.platform));
+        }
       }
     }
     return s;
@@ -235,6 +241,7 @@ std::string to_json(const RunReport& r) {
               {"deadline_misses", r.deadline_misses},
               {"overlapping_releases", r.overlapping_releases},
               {"unkept", r.unkept},
+              {"broken", r.broken},
               {"several_rates", r.several_rates},
               {"recording_error", r.recording_error}}
       .dump();
@@ -290,6 +297,7 @@ Result<RunReport> parse_run_report(const std::string& text) {
     r.deadline_misses = j.at("deadline_misses").get<std::uint64_t>();
     r.overlapping_releases = j.at("overlapping_releases").get<std::uint64_t>();
     r.unkept = j.at("unkept").get<std::vector<std::string>>();
+    r.broken = j.at("broken").get<std::vector<std::string>>();
     r.several_rates = j.at("several_rates").get<bool>();
     r.recording_error = j.at("recording_error").get<std::string>();
     return r;

@@ -15,6 +15,7 @@
 
 #include "model/app.h"
 #include "model/deployment.h"
+#include "model/key_policy.h"
 #include "model/platform.h"
 #include "model/policy.h"
 
@@ -41,7 +42,8 @@ struct Session {
   Mode mode = Mode::kRun;
   AppSpec app;  ///< kRun
   Platform platform;
-  Policy policy;  ///< kRun with kXAuto, kTimeshare
+  Policy policy;  ///< kRun with kXAuto, kTimeshare; of version 2: assignment_of(keys)
+  std::optional<KeyPolicy> keys;  ///< the same of an app of version 2
   Scheduling scheduling = Scheduling::kXAuto;
   CpuSched cpu_sched = CpuSched::kFifo;
   std::string cpu_run;        ///< the run's BPF maps (kernel/run_maps.h); empty: none

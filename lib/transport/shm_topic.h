@@ -65,7 +65,7 @@ struct QueuePlace {
   std::uint32_t pad[6] = {};
   std::atomic<std::int64_t> origins[detail::kMaxOrigins] = {};
 };
-static_assert(sizeof(QueuePlace) == 128);
+static_assert(sizeof(QueuePlace) == 256);
 
 struct alignas(64) TopicQueue {
   std::atomic<std::uint64_t> tail{};              ///< [P] positions written

@@ -70,6 +70,7 @@ Result<PolicyRun> prepare(const CompareFlags& flags, const std::string& id,
 Result<int> compare(const CompareFlags& given, const Options& options) {
   CompareFlags flags = given;
   XAUTO_TRY(flags.prepare());
+  XAUTO_TRY(require_version_1(flags.app, flags.app_path));
   std::error_code error;
   std::filesystem::create_directories(flags.out, error);
   if (error) return fail(ErrorCode::kIo, "cannot make the folder: " + error.message(), flags.out);

@@ -45,7 +45,12 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
       return fail(ErrorCode::kInvalid, "is needed unless --scheduling ros2", "--policy",
                   "make one with `xauto solve --app " + flags.app_path + " --platform " +
                       flags.platform + " --out policy.json`");
-    XAUTO_ASSIGN(run.policy, load_policy(flags.policy_path, flags.app, flags.spec));
+    if (flags.app.version == 2) {
+      XAUTO_ASSIGN(run.keys, load_key_policy(flags.policy_path, flags.app, flags.spec));
+      run.policy = assignment_of(*run.keys);
+    } else {
+      XAUTO_ASSIGN(run.policy, load_policy(flags.policy_path, flags.app, flags.spec));
+    }
     XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy,
                                     flags.policy_path));
     run.id = run.name = std::filesystem::path(flags.policy_path).stem().string();
@@ -61,7 +66,9 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
   if (!std::filesystem::exists(flags.record))
     XAUTO_TRY(
         outputs.expect("--record", flags.record.substr(0, flags.record.find_last_not_of('/') + 1)));
-  XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
+  if (flags.app.version == 1) {
+    XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
+  }
   const StopOnSignal stop;
   Dump dump;
   if (!flags.trace_out.empty())

@@ -51,10 +51,34 @@ std::optional<std::uint64_t> deadline_misses(const RunFlags& flags, const Policy
   return misses;
 }
 
+/// Chains of an app of version 2, each beside what is claimed of it.
+std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
+  const auto claims = key_claims_of(flags, run);
+  std::string out = fmt::format("\n  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", run.name,
+                                "p50", "p99", "max", "worst case", "bound", "deadline", "missed",
+                                "n");
+  for (std::size_t i = 0; i < run.report.routes.size(); ++i) {
+    const runtime::RouteReport& r = run.report.routes[i];
+    const Latency l = summarise(r.latency_us);
+    const ChainClaim* claim =
+        claims && i < claims->chains.size() ? &claims->chains[i].claim : nullptr;
+    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}{}\n", r.name,
+                       in_ms(l.p50_us, l.count), in_ms(l.p99_us, l.count),
+                       in_ms(l.max_us, l.count),
+                       claim != nullptr ? in_ms(claim->worst_case_us, 1) : "-",
+                       claim != nullptr ? in_ms(claim->lower_bound_us, 1) : "-",
+                       r.deadline_us ? in_ms(*r.deadline_us, 1) : "",
+                       r.deadline_us ? std::to_string(r.deadline_misses) : "", l.count,
+                       claims && claims->chains[i].exceeded ? "  exceeded" : "");
+  }
+  if (claims) out += fmt::format("\n  {}: {}\n", run.name, to_string(*claims));
+  return out;
+}
+
 /// Chains and XNodes with limits. `who` begins each line: the policy, where there are several.
 std::string limits_table(const PolicyRun& run, const std::string& who) {
   std::string out;
-  if (!run.report.routes.empty()) {
+  if (!run.report.routes.empty() && !run.keys) {
     out += fmt::format("\n  {}{:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n",
                        std::string(who.size(), ' '), "chain", "p50", "p99", "max", "deadline",
                        "age max", "missed", "old", "n");
@@ -69,7 +93,7 @@ std::string limits_table(const PolicyRun& run, const std::string& who) {
     }
   }
   for (const runtime::XNodeReport& x : run.report.xnodes)
-    if (x.overruns > 0 || x.hangs > 0)
+    if ((x.overruns > 0 && !run.keys) || x.hangs > 0)
       out += fmt::format(
           "  {}XNode {}: of {} jobs {} exceeded {} ms, {} hung; the longest took {} ms\n", who,
           x.name, x.jobs, x.overruns, in_ms(x.budget_us, 1), x.hangs, in_ms(x.longest_us, x.jobs));
@@ -204,7 +228,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
               {"p50_us", or_null(run.latency.p50_us, n)},
               {"p99_us", or_null(run.latency.p99_us, n)},
               {"max_us", or_null(run.latency.max_us, n)},
-              {"predicted_us", run.predicted.makespan},
+              {"predicted_us", or_null(run.predicted.makespan, flags.app.version == 1 ? 1 : 0)},
               {"mean_us", or_null(run.latency.mean_us, n)},
               {"p10_us", or_null(run.latency.p10_us, n)},
               {"p90_us", or_null(run.latency.p90_us, n)},
@@ -227,8 +251,15 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       j["p99_speedup_over_ros2"] = times;
     }
     if (run.policy) {
-      j["optimal"] = run.policy->optimal;
-      j["lower_bound_us"] = run.policy->lower_bound_us;
+      if (!run.keys) {
+        j["optimal"] = run.policy->optimal;
+        j["lower_bound_us"] = run.policy->lower_bound_us;
+      }
+      if (const auto claims = key_claims_of(flags, run)) {
+        j["worst_case_of"] = kKeyScope;
+        j["worst_case_exceeded"] = claims->exceeded;
+        j["worst_case_broken"] = claims->broken;
+      }
       if (const auto worst = worst_case_of(flags, run)) {
         j["worst_case_us"] = worst->us;
         j["worst_case_of"] = kWorstCaseScope;
@@ -257,6 +288,8 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
     }
     j["modules"] = std::move(modules);
     Json chains = Json::array();
+    const auto claims = key_claims_of(flags, run);
+    std::size_t index = 0;
     for (const runtime::RouteReport& r : run.report.routes) {
       Json chain = {{"name", r.name},
                     {"from", r.from},
@@ -273,6 +306,13 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
         chain["max_age_us"] = *r.max_age_us;
         chain["age_misses"] = r.age_misses;
       }
+      if (claims && index < claims->chains.size()) {
+        const ChainClaimed& claimed = claims->chains[index];
+        chain["worst_case_us"] = claimed.claim.worst_case_us;
+        chain["lower_bound_us"] = claimed.claim.lower_bound_us;
+        chain["exceeded"] = claimed.exceeded;
+      }
+      ++index;
       chains.push_back(std::move(chain));
     }
     j["chains"] = std::move(chains);
@@ -321,7 +361,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
     const auto times = base == nullptr ? std::nullopt : ratio(base->latency, &Latency::p99_us, l);
     out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", run.name,
                        in_ms(l.p50_us, l.count), in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count),
-                       in_ms(run.predicted.makespan, 1),
+                       in_ms(run.predicted.makespan, flags.app.version == 1 ? 1 : 0),
                        same ? beside(l.p50_us, run.predicted.makespan) : "-",
                        base == nullptr ? ""
                        : times         ? fmt::format("{:.2f}", *times)
@@ -340,6 +380,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
     if (const std::uint64_t lost = lost_releases(run))
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
     out += losses_of(run);
+    if (flags.app.version == 2) out += chains_table(flags, run);
     if (!flags.deployment_path.empty() || run.report.several_rates)
       out += limits_table(run, runs.size() > 1 ? run.name + ": " : "");
     if (const auto misses = deadline_misses(flags, run); misses.value_or(0) > 0)

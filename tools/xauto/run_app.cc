@@ -90,7 +90,7 @@ void RunFlags::declare(Verb verb) {
 }
 
 Status RunFlags::prepare() {
-  XAUTO_ASSIGN(app, load_app(app_path));
+  XAUTO_ASSIGN(app, load_any_app(app_path));
   XAUTO_ASSIGN(spec, load_platform(platform));
   XAUTO_TRY(validate_on(app, spec));
   if (emulator_modules) {
@@ -180,6 +180,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.platform = flags.spec;
   session.scheduling = run.scheduling;
   if (run.policy) session.policy = *run.policy;
+  session.keys = run.keys;
   session.cpu_sched = flags.cpu_sched == "ext"    ? runtime::CpuSched::kExt
                       : flags.cpu_sched == "fifo" ? runtime::CpuSched::kFifo
                                                   : runtime::CpuSched::kOther;

@@ -76,8 +76,9 @@ struct PolicyRun {
   std::string id;    ///< "ros2", "heft", "xauto"; of a policy file its name
   std::string name;  ///< for people
   runtime::Scheduling scheduling = runtime::Scheduling::kXAuto;
-  std::optional<Policy> policy;  ///< none for ros2
-  solver::Simulation predicted;
+  std::optional<Policy> policy;   ///< none for ros2; of version 2: assignment_of(keys)
+  std::optional<KeyPolicy> keys;  ///< of an app of version 2
+  solver::Simulation predicted;  ///< of version 1: of one release; of version 2 empty
   // Filled in by `execute`.
   runtime::RunReport report;
   launch::Outcome outcome;
@@ -88,7 +89,7 @@ struct PolicyRun {
 /// The modules of the run, as events name them.
 [[nodiscard]] std::vector<story::ModuleInfo> modules_of(const runtime::RunReport& report);
 
-/// What the simulator says of this policy and scheduling.
+/// What the simulator says of this policy and scheduling, of one release. Of an app of version 1.
 [[nodiscard]] Result<solver::Simulation> predict(const AppSpec& app, const Platform& platform,
                                                  runtime::Scheduling scheduling,
                                                  const std::optional<Policy>& policy);

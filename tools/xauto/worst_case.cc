@@ -46,16 +46,72 @@ std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& r
   return worst;
 }
 
-std::string to_string(const WorstCase& worst) {
-  std::string text = fmt::format("worst case {}, of {}: ", ms(worst.us), kWorstCaseScope);
-  if (worst.broken.empty())
-    return text + (worst.exceeded ? "exceeded, though nothing that is watched was broken; please "
-                                    "report this run"
-                                  : "kept, as far as it is watched");
-  text += worst.exceeded ? "exceeded, and not claimed here: " : "not claimed here: ";
-  for (std::size_t i = 0; i < worst.broken.size(); ++i)
-    text += (i == 0 ? "" : "; ") + worst.broken[i];
+namespace {
+
+std::string verdict(bool exceeded, const std::vector<std::string>& broken) {
+  if (broken.empty())
+    return exceeded ? "exceeded, though nothing that is watched was broken; please report this run"
+                    : "kept, as far as it is watched";
+  std::string text = exceeded ? "exceeded, and not claimed here: " : "not claimed here: ";
+  for (std::size_t i = 0; i < broken.size(); ++i) text += (i == 0 ? "" : "; ") + broken[i];
   return text;
+}
+
+/// Counted by the workers, each job; see Placing for what an emulated one may take beside its WCET.
+std::string counted_overruns(const PolicyRun& run) {
+  std::uint64_t count = 0, jobs = 0;
+  const runtime::XNodeReport* worst = nullptr;
+  for (const runtime::XNodeReport& x : run.report.xnodes) {
+    jobs += x.jobs;
+    count += x.overruns;
+    if (x.overruns > 0 && (worst == nullptr || x.longest_us - x.budget_us >
+                                                   worst->longest_us - worst->budget_us))
+      worst = &x;
+  }
+  if (worst == nullptr) return {};
+  return fmt::format("{} of {} jobs outran their WCET, {} by {}", count, jobs, worst->name,
+                     ms(worst->longest_us - worst->budget_us));
+}
+
+}  // namespace
+
+std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& run) {
+  if (run.scheduling != runtime::Scheduling::kXAuto || !run.keys) return std::nullopt;
+  KeyClaims claims;
+  claims.broken = run.report.unkept;
+  claims.broken.insert(claims.broken.end(), run.report.broken.begin(), run.report.broken.end());
+  std::uint64_t lost = 0;
+  for (const runtime::ModuleReport& m : run.report.modules) lost += m.failed + m.dropped;
+  if (lost > 0) claims.broken.push_back(fmt::format("{} activations were lost", lost));
+  if (std::string over = counted_overruns(run); !over.empty())
+    claims.broken.push_back(std::move(over));
+  if (!run.report.lost_coordinators.empty() || !run.report.died.empty())
+    claims.broken.emplace_back("processes of the run died");
+  std::size_t unmeasured = 0;
+  const std::size_t count = std::min(run.keys->chains.size(), run.report.routes.size());
+  for (std::size_t i = 0; i < count; ++i) {
+    const runtime::Distribution& us = run.report.routes[i].latency_us;
+    ChainClaimed chain{run.keys->chains[i], us.max(), us.count(), false};
+    const std::int64_t worst_us = chain.claim.worst_case_us;
+    const std::int64_t allowed_us =
+        flags.emulates() ? worst_us + worst_us * kEmulatorPct / 100 : worst_us;
+    chain.exceeded = chain.count > 0 && chain.max_us > allowed_us;
+    claims.exceeded = claims.exceeded || chain.exceeded;
+    unmeasured += chain.count == 0 ? 1 : 0;
+    claims.chains.push_back(std::move(chain));
+  }
+  if (unmeasured > 0)
+    claims.broken.push_back(fmt::format("{} of {} chains had no result", unmeasured, count));
+  return claims;
+}
+
+std::string to_string(const KeyClaims& claims) {
+  return fmt::format("worst cases of {}: {}", kKeyScope, verdict(claims.exceeded, claims.broken));
+}
+
+std::string to_string(const WorstCase& worst) {
+  return fmt::format("worst case {}, of {}: {}", ms(worst.us), kWorstCaseScope,
+                     verdict(worst.exceeded, worst.broken));
 }
 
 }  // namespace xauto::cli

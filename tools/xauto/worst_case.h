@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The policy's certified worst case beside what was measured: does this run keep what the
 // certificate takes for granted (kWorstCaseScope)? A longer release never stands beside an
-// unqualified claim.
+// unqualified claim. Of an app of version 2 the same for each of its chains (kKeyScope).
 #pragma once
 
 #include <cstdint>
@@ -20,6 +20,24 @@ struct WorstCase {
 
 /// Nullopt where nothing was claimed: no certificate, or nobody scheduled by the policy.
 [[nodiscard]] std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& run);
+
+/// What the policy claims of a chain, and what its releases took.
+struct ChainClaimed {
+  ChainClaim claim;
+  std::int64_t max_us = 0;
+  std::size_t count = 0;  ///< releases; 0: none was measured
+  bool exceeded = false;  ///< by more than the emulator's own part
+};
+struct KeyClaims {
+  std::vector<ChainClaimed> chains;  ///< in the order of RunReport::routes
+  std::vector<std::string> broken;   ///< as WorstCase
+  bool exceeded = false;             ///< one of them is
+};
+/// On emulated XPUs a job takes what it was told and the emulator's own time, which grows with it.
+inline constexpr std::int64_t kEmulatorPct = 2;
+/// Nullopt where nothing was claimed.
+[[nodiscard]] std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& run);
+[[nodiscard]] std::string to_string(const KeyClaims& claims);
 
 /// One line, without its end.
 [[nodiscard]] std::string to_string(const WorstCase& worst);

@@ -15,7 +15,7 @@ using namespace std::chrono_literals;
 struct State {
   int value = 0;
 };
-const Topic<int> kIn("in"), kMid("mid"), kOut("out");
+const Topic<int> kIn("in"), kMid("mid"), kOut("out"), kOther("other");
 
 SchedHandle no_handle(const XpuId&) {
   return SchedHandle::thread();
@@ -148,6 +148,40 @@ TEST(Graph, RefusesAnObserverOfNothing) {
   b.app.add_module(XModule<State>("A").add_node(node("a1")).add_input_topic(kIn));
   b.app.on_message(Topic<int>("nowhere"), [](int, std::uint64_t) {});
   EXPECT_REFUSAL(b, "on_message watches topic 'nowhere', which nobody publishes");
+}
+
+TEST(Graph, ASampledTopicFiresNobodyAndMayGoInACircle) {
+  Builder b;
+  b.app.add_source(kOther, 25ms, [](std::uint64_t) { return 0; });
+  b.app.add_module(XModule<State>("A")
+                       .add_node(node("a1"))
+                       .add_input_topic(kIn)
+                       .add_sampled_topic(kOut)
+                       .add_output_topic(kMid, &State::value));
+  b.app.add_module(XModule<State>("B")
+                       .add_node(node("b1"))
+                       .add_input_topic(kOther)
+                       .add_sampled_topic(kMid, 5ms)
+                       .add_output_topic(kOut, &State::value));
+  EXPECT_EQ(b.refusal(), "") << "a circle through inputs would be one";
+}
+
+TEST(Graph, RefusesATopicThatIsSampledAndAnInput) {
+  Builder b;
+  b.app.add_module(XModule<State>("A")
+                       .add_node(node("a1"))
+                       .add_input_topic(kIn)
+                       .add_sampled_topic(kIn)
+                       .add_output_topic(kMid, &State::value));
+  EXPECT_REFUSAL(b, "XModule 'A' reads topic 'in' twice");
+}
+
+TEST(Graph, RefusesAModuleThatOnlySamplesAndASampleThatNobodyPublishes) {
+  Builder b;
+  b.app.add_module(XModule<State>("A").add_node(node("a1")).add_sampled_topic(kMid, -1ns));
+  EXPECT_REFUSAL(b, "XModule 'A' has no input topic: it would never fire");
+  EXPECT_REFUSAL(b, "topic 'mid' has no publisher, but XModule 'A' reads it");
+  EXPECT_REFUSAL(b, "samples topic 'mid' with a negative age");
 }
 
 }  // namespace

@@ -18,20 +18,38 @@ Graph make_graph(bool single_rate) {
     t.module = module;
     graph.topics.push_back(t);
   };
+  const auto module = [&](const char* name, std::vector<int> inputs, std::vector<int> outputs,
+                          bool sink) {
+    const int index = static_cast<int>(graph.modules.size());
+    graph.nodes.push_back({name, index});
+    Graph::Module m;
+    m.name = name;
+    m.nodes = {index};
+    m.inputs = std::move(inputs);
+    m.outputs = std::move(outputs);
+    m.sink = sink;
+    graph.modules.push_back(std::move(m));
+  };
   topic("lidar", 0, -1);
   topic("camera", 1, -1);
   topic("fused", -1, 0);
   graph.topics[0].subscribers = {{0, 0}};
   graph.topics[1].subscribers = {{0, 1}, {2, 0}};
   graph.topics[2].subscribers = {{1, 0}};
-  graph.modules.push_back({"Fuse", nullptr, {}, {0, 1}, {2}, false});
-  graph.modules.push_back({"Plan", nullptr, {}, {2}, {}, true});
-  graph.modules.push_back({"Log", nullptr, {}, {1}, {}, true});
+  module("Fuse", {0, 1}, {2}, false);
+  module("Plan", {2}, {}, true);
+  module("Log", {1}, {}, true);
   return graph;
 }
 
+AppSpec with_deadline(std::int64_t us) {
+  AppSpec app;
+  app.deadline_us = us;
+  return app;
+}
+
 TEST(Routes, WithoutADeploymentEverySensorToEverySinkThatHearsOfIt) {
-  const auto routes = Routes::make(make_graph(true), {}, 50);
+  const auto routes = Routes::make(make_graph(true), {}, {}, with_deadline(50));
   ASSERT_TRUE(routes);
   std::vector<std::string> names;
   for (const RouteReport& r : routes->report({0, 0, 0})) {
@@ -46,7 +64,7 @@ TEST(Routes, WithoutADeploymentEverySensorToEverySinkThatHearsOfIt) {
 TEST(Routes, CountsLatenciesAgesAndLostReleasesAgainstTheirLimits) {
   Deployment d;
   d.chains = {{"x", "lidar", "Fuse", 30, 120}};
-  auto routes = Routes::make(make_graph(true), d, {});
+  auto routes = Routes::make(make_graph(true), {}, d, {});
   ASSERT_TRUE(routes);
   routes->published(0, 1'000'000, nullptr, 1'020'000);  // 20 us
   routes->published(0, 1'100'000, nullptr, 1'131'000);  // 31: late; the first became 131 old
@@ -61,7 +79,7 @@ TEST(Routes, CountsLatenciesAgesAndLostReleasesAgainstTheirLimits) {
 }
 
 TEST(Routes, SeveralRatesHaveALatencyPerSensor) {
-  auto routes = Routes::make(make_graph(false), {}, {});
+  auto routes = Routes::make(make_graph(false), {}, {}, {});
   ASSERT_TRUE(routes);
   const detail::Origins both = {1'000'000, 1'050'000}, camera = {0, 1'100'000};
   routes->published(1, 1'000'000, &both, 1'060'000);
@@ -75,11 +93,39 @@ TEST(Routes, SeveralRatesHaveALatencyPerSensor) {
 TEST(Routes, RefusesAChainThatLeadsNowhere) {
   Deployment d;
   d.chains = {{"x", "fused", "Plan", {}, {}}};
-  EXPECT_EQ(Routes::make(make_graph(true), d, {}).error().what,
+  EXPECT_EQ(Routes::make(make_graph(true), {}, d, {}).error().what,
             "'fused' is not the topic of a source");
   d.chains = {{"x", "lidar", "Log", {}, {}}};
-  EXPECT_EQ(Routes::make(make_graph(true), d, {}).error().to_string(),
+  EXPECT_EQ(Routes::make(make_graph(true), {}, d, {}).error().to_string(),
             "chain 'x': nothing of topic 'lidar' reaches XModule 'Log'");
+}
+
+/// Period 100 ns of lidar; the chain ends at Fuse. Each release counts until the first result that
+/// knows it or a newer one.
+TEST(Routes, OfVersion2EachReleaseHasAReaction) {
+  Graph graph = make_graph(false);
+  graph.sources = {{"lidar", {100}}, {"camera", {100}}};
+  Grid grid;
+  grid.periodic = true;
+  grid.sources = {{{100}, 0, 0}, {{100}, 0, 0}};
+  AppSpec app;
+  app.version = 2;
+  app.sources = graph.sources;
+  app.xnodes = {{"Fuse", "Fuse", {}}};
+  app.chains = {{"c", 0, 0, 250}};
+  auto routes = Routes::make(graph, grid, {}, app);
+  ASSERT_TRUE(routes);
+  const auto result = [&](std::int64_t origin_us, std::int64_t now_us) {
+    detail::Origins origins{};
+    origins[0] = origin_us * 1000;
+    routes->published(0, 1, &origins, now_us * 1000);
+  };
+  result(1000, 1120);  // the first that is known: 120
+  result(1000, 1150);  // knows nothing new
+  result(1300, 1390);  // 1100, 1200 and 1300, which waited 290, 190 and 90
+  const RouteReport r = routes->report({0, 0, 0}).at(0);
+  EXPECT_EQ(r.latency_us.exact(), (std::vector<std::int64_t>{120, 90, 190, 290}));
+  EXPECT_EQ(r.deadline_misses, 1u) << "of those, one was later than 250";
 }
 
 }  // namespace

@@ -14,6 +14,8 @@
 namespace xauto::runtime {
 namespace {
 
+using namespace std::chrono_literals;
+
 struct Value {
   int out = 0;
 };
@@ -23,7 +25,8 @@ class Fixture : public ::testing::Test, public ModuleHost {
   void SetUp() override { build(true); }
 
   /// A module with inputs "a" and "b" and one output.
-  void build(bool single_rate) {
+  /// ... and topics "s", "s1", ... sampled with these limits of age.
+  void build(bool single_rate, const std::vector<std::chrono::nanoseconds>& samples = {}) {
     spec_ = {};
     spec_.name = "M";
     spec_.make_state = []() -> std::shared_ptr<void> { return std::make_shared<Value>(); };
@@ -31,9 +34,15 @@ class Fixture : public ::testing::Test, public ModuleHost {
     spec_.outputs = {{*detail::topic_spec(Topic<int>("c")), [](void*, detail::MessageMemory*) {
                         return std::make_shared<const int>(1);
                       }}};
+    for (const auto limit : samples)
+      spec_.samples.push_back(
+          {*detail::topic_spec(Topic<int>(spec_.samples.empty() ? "s" : "s1")), limit.count()});
     graph_ = {};
     graph_.modules.push_back({"M", &spec_, {}, {}, {}, true});
-    graph_.single_rate = single_rate;
+    graph_.single_rate = graph_.modules.back().numbered = single_rate;
+    graph_.tells_origins = !single_rate;
+    graph_.modules.back().samples.assign(samples.size(), 0);
+    graph_.modules.back().sample_origins.assign(samples.size(), ~0u);
     channel_ = {};
     channel_.subscribe([this](const detail::Envelope& e) {
       log_ += (e.message ? " out" : " tomb") + std::to_string(e.sequence);
@@ -43,7 +52,7 @@ class Fixture : public ::testing::Test, public ModuleHost {
     log_.clear();
   }
   void message(int input, std::uint64_t sequence) {
-    module_->receive(input, {std::make_shared<const int>(0),
+    module_->receive(input, {std::make_shared<const int>(static_cast<int>(sequence)),
                              static_cast<std::int64_t>(1000 + sequence), sequence});
   }
   void tombstone(int input, std::uint64_t sequence) {
@@ -68,6 +77,42 @@ class Fixture : public ::testing::Test, public ModuleHost {
   std::unique_ptr<ModuleRuntime> module_;
   std::string log_;
 };
+
+TEST_F(Fixture, WhatIsSampledFiresNobodyAndIsReadWhenTheActivationBegins) {
+  const Topic<int> a("a"), s("s");
+  build(true, {1us, 0us});
+  message(2, 0);
+  EXPECT_EQ(log(), "") << "a sample fires nobody";
+  message(0, 0);
+  message(1, 0);
+  EXPECT_EQ(log(), " run0");
+  message(2, 7);  // came after the activation was fired, before it began
+  module_->begin(2007);
+  EXPECT_EQ(*module_->input().sampled(s), 7);
+  EXPECT_EQ(module_->input().age(s), 1000ns);
+  EXPECT_EQ(module_->input().age(a), 1007ns);
+  EXPECT_THROW((void)module_->input().get(s), std::logic_error) << "it may not be there";
+  EXPECT_THROW((void)module_->input().sampled(a), std::logic_error);
+  message(2, 8);
+  EXPECT_EQ(*module_->input().sampled(s), 7) << "an activation has seen one thing";
+  module_->finish(true);
+  EXPECT_EQ(log(), " done0 out0");
+  message(0, 1);
+  message(1, 1);
+  module_->begin(2009);  // 8 is 1001 ns old: beyond its microsecond
+  EXPECT_EQ(module_->input().sampled(s), nullptr);
+  EXPECT_LT(module_->input().age(s).count(), 0);
+  tombstone(2, 9);
+  EXPECT_EQ(log(), " run1") << "what was lost replaces nothing, and nobody waits for it";
+}
+
+TEST_F(Fixture, AnActivationCountsAsReleasedWithTheFirstOfItsComponentsSources) {
+  module_->shift_origins({0, 500});  // source "b" has an offset of 500 ns
+  module_->receive(0, {std::make_shared<const int>(0), 10'000, 0});
+  module_->receive(1, {std::make_shared<const int>(0), 10'500, 0});
+  EXPECT_EQ(module_->input().origin().count(), 10'000);
+  EXPECT_EQ(module_->origin_of(1), 10'500) << "the message is as old as it is";
+}
 
 TEST_F(Fixture, FiresWhenAllInputsAreFresh) {
   message(0, 0);
@@ -315,6 +360,7 @@ TEST_F(Fixture, OriginsOfAllSensorsTravelOn) {
   };
   send(0, 4, {400, 0, 390});
   send(1, 5, {395, 500, 0});
+  module_->begin(600);
   ASSERT_TRUE(module_->origins());
   EXPECT_EQ(*module_->origins(), (detail::Origins{395, 500, 390}));
 }

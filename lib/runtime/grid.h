@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+// The time line of the releases: when each source releases nominally, and when each module's
+// activation counts as released.
+//
+//   source s, release k:        start + offset_s + k * period_s
+//   component, activation k:    start + phi + k * period, phi the least offset of its sources
+//
+// `start` is the run's. An app of version 1 has no offsets. docs/steady-state.md has the words.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "graph/graph.h"
+#include "model/period.h"
+#include "session/session.h"
+
+namespace xauto::runtime {
+
+struct Grid {
+  struct Source {
+    Period period;
+    std::int64_t offset_ns = 0;
+    std::int64_t jitter_ns = 0;  ///< what app.json states; of version 1 it says nothing
+    /// Of release `k`, after the start. In whole nanoseconds, rounded down; no drift adds up.
+    [[nodiscard]] std::int64_t due_ns(std::uint64_t k) const;
+  };
+  /// The app is of version 2: its sources, chains and offsets are app.json's.
+  bool periodic = false;
+  std::vector<Source> sources;  ///< [source of the graph]
+  /// [module][input] of a source's topic: how much later than its component's activation that
+  /// source releases; 0 of other topics.
+  std::vector<std::vector<std::int64_t>> shift_ns;
+  /// [module] activations that may wait at its door when the policy's keys are kept.
+  std::vector<std::uint32_t> depth;
+
+  /// Errors: an app.json of version 2 that this program or this run cannot follow.
+  [[nodiscard]] static Result<Grid> make(const Graph& graph, const Session& session);
+};
+
+}  // namespace xauto::runtime

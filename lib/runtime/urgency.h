@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+// Life of a job, step 4: what an XNode's job is judged by, and before which instant it does not
+// start. Out of the policy, looked up once.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "coord/rule.h"
+
+namespace xauto::runtime {
+
+class Urgency {
+ public:
+  /// The same for each job.
+  [[nodiscard]] static Urgency of_priority(std::int64_t priority) {
+    Urgency urgency;
+    urgency.key_ns_ = {coord::key_of_priority(priority)};
+    return urgency;
+  }
+  /// By the release: entry n mod size of each array belongs to activation n, and counts from its
+  /// nominal release. `hold_us` may be empty: nobody is held.
+  [[nodiscard]] static Urgency of_keys(const std::vector<std::int64_t>& key_us,
+                                       const std::vector<std::int64_t>& hold_us) {
+    Urgency urgency;
+    urgency.by_release_ = true;
+    urgency.key_ns_.clear();
+    for (const std::int64_t us : key_us) urgency.key_ns_.push_back(us * 1000);
+    for (const std::int64_t us : hold_us) urgency.hold_ns_.push_back(us * 1000);
+    return urgency;
+  }
+
+  /// Of activation `n`, whose nominal release is at `nominal_ns` of CLOCK_MONOTONIC.
+  [[nodiscard]] coord::Key key(std::int64_t nominal_ns, std::uint64_t n) const {
+    if (!by_release_) return key_ns_.front();
+    return nominal_ns + key_ns_[static_cast<std::size_t>(n % key_ns_.size())];
+  }
+  [[nodiscard]] bool by_release() const { return by_release_; }
+  /// Some of its jobs are not to start as soon as they could.
+  [[nodiscard]] bool holds() const { return !hold_ns_.empty(); }
+  /// Where `holds()`: the instant before which activation `n` does not start.
+  [[nodiscard]] std::int64_t hold(std::int64_t nominal_ns, std::uint64_t n) const {
+    return nominal_ns + hold_ns_[static_cast<std::size_t>(n % hold_ns_.size())];
+  }
+
+ private:
+  bool by_release_ = false;
+  std::vector<std::int64_t> key_ns_ = {0}, hold_ns_;
+};
+
+}  // namespace xauto::runtime

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run by keys: what ran, in its trace, is compared with policy.json. The keys are computed here, out of the files; the
+trace is read by pftrace.py. Neither shares code with the tools."""
+import collections
+import json
+import math
+import pathlib
+import tempfile
+import unittest
+from fractions import Fraction
+
+import pftrace
+from common import BIN, SOURCE, xauto
+
+APP = SOURCE / "examples/driving/steady.json"
+PROGRAM = str(BIN / "driving-steady")
+PATIENCE_NS = 5_000_000  # a machine may stand still between a decision and what follows it
+
+
+class Keys(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        folder = tempfile.TemporaryDirectory()
+        cls.addClassCleanup(folder.cleanup)
+        cls.folder = pathlib.Path(folder.name)
+        cls.app = json.loads(APP.read_text())
+        done = xauto("solve", "--app", APP, "--platform", "small", "--max-evaluations", 3000, "--threads", 1,
+                     "--time-limit-s", 60, "--out", cls.folder / "policy.json")
+        assert done.returncode == 0, done.stdout + done.stderr
+        cls.policy = json.loads((cls.folder / "policy.json").read_text())
+
+    def run_app(self, *flags, app=APP, status=0, program=PROGRAM):
+        named = () if "--policy" in flags else ("--policy", self.folder / "policy.json")
+        done = xauto("run", "--app", app, "--platform", "small", "--emulate", "--json", *named, *flags, "--", program)
+        self.assertEqual(done.returncode, status, done.stderr)
+        return done
+
+    def components(self):
+        """XNode -> (period in us, offset in us) of its component."""
+        near = collections.defaultdict(set)
+        for u, v in self.app["edges"]:
+            near[u].add(v)
+            near[v].add(u)
+        sources = {s["name"]: s for s in self.app["sources"]}
+        of = {}
+        for first in (x["name"] for x in self.app["xnodes"]):
+            if first in of:
+                continue
+            members, front = {first}, [first]
+            while front:
+                for other in near[front.pop()] - members:
+                    members.add(other)
+                    front.append(other)
+            heard = [sources[x["source"]] for x in self.app["xnodes"] if x["name"] in members and "source" in x]
+            period = Fraction(1_000_000) / Fraction(heard[0]["rate_hz"])
+            offset = min(s.get("offset_us", 0) for s in heard)
+            of.update({x: (period, offset) for x in members})
+        return of
+
+    def mixed_policy(self):
+        """Three XNodes that are always released together, on one core; on every third activation two of them change places.
+        No order of priorities does that. Nothing is proven of it."""
+        policy = json.loads(json.dumps(self.policy))
+        for row in policy["xnodes"]:
+            for unused in ("hold_us", "start_us", "finish_us"):
+                row.pop(unused, None)
+            row["key_us"] = [4 * max(row["key_us"])]
+            if row["name"] in self.MIXED:
+                row["xpu"], row["key_us"] = "cpu0", self.MIXED[row["name"]]
+        (self.folder / "mixed.json").write_text(json.dumps(policy))
+        return policy
+
+    MIXED = {"la.pre": [6000] * 3, "td.pre": [10000, 10000, 20000], "fcd.pre": [15000] * 3}
+
+    def began(self, policy, *flags):
+        """XPU -> (began, ready, key, XNode, activation) of each job, out of a run's trace; and the report."""
+        done = self.run_app("--trace-out", self.folder / "t.pftrace", *flags)
+        report = json.loads(done.stdout)["runs"][0]
+        self.assertEqual([m["dropped"] + m["failed"] for m in report["modules"]], [0] * 9)
+        trace = pftrace.Trace((self.folder / "t.pftrace").read_bytes())
+        start = min(s.begin for s in trace.slices if s.category == "release")
+        placed = {x["name"]: x for x in policy["xnodes"]}
+        of = self.components()
+        jobs = collections.defaultdict(list)
+        for s in trace.slices:
+            if s.category != "run" or s.args.get("part") != 1:
+                continue
+            name, n = s.name.split(" ")[0], s.args["release"]
+            period, offset = of[name]
+            nominal = start + math.floor((offset + n * period) * 1000)
+            row = placed[name]
+            self.assertEqual(s.track, "run/" + row["xpu"])
+            key = nominal + row["key_us"][n % len(row["key_us"])] * 1000
+            hold = row.get("hold_us", [0])
+            held = nominal + hold[n % len(hold)] * 1000
+            self.assertGreaterEqual(s.begin + 2000, held, f"{name} {n} began before its hold was over")
+            jobs[s.track].append((s.begin, max(s.begin - s.args["waited_us"] * 1000, held), key, name, n))
+        self.assertEqual(sum(map(len, jobs.values())), sum(m["activations"] * self.stages(m["name"]) for m in report["modules"]))
+        return jobs
+
+    def inversions(self, jobs, key_of=lambda job: job[2]):
+        """Pairs of jobs of which the second waited when the first began, and how many of them are the wrong way round."""
+        pairs = wrong = 0
+        for on in jobs.values():
+            on.sort()
+            for i, job in enumerate(on):
+                for later in on[i + 1:i + 30]:
+                    if later[1] < job[0] - PATIENCE_NS:
+                        pairs += 1
+                        wrong += key_of(later) < key_of(job)
+        return pairs, wrong
+
+    def test_no_job_goes_before_one_of_a_smaller_key_that_waits(self):
+        for policy, flags in ((self.policy, ()), (self.mixed_policy(), ("--policy", self.folder / "mixed.json"))):
+            pairs, wrong = self.inversions(self.began(policy, "--seconds", 4, *flags))
+            # Where the machine stood still between a decision and what follows it, the trace has them the other way round.
+            self.assertLess(wrong, max(2, pairs / 50), f"{wrong} of {pairs}")
+
+    def test_what_goes_first_changes_with_the_activation(self):
+        jobs = self.began(self.mixed_policy(), "--seconds", 4, "--policy", self.folder / "mixed.json")
+        order = collections.defaultdict(list)
+        for job in sorted(jobs["run/cpu0"]):
+            if job[3] in self.MIXED:
+                order[job[4]].append(job[3])
+        of_third = [names for n, names in order.items() if n % 3 == 2]
+        of_others = [names for n, names in order.items() if n % 3 != 2]
+        self.assertGreater(len(of_third), 30)
+        # All three are released at one instant; the last two wait while the first one runs.
+        self.assertGreater(sum(n.index("fcd.pre") < n.index("td.pre") for n in of_third), 0.8 * len(of_third))
+        self.assertLess(sum(n.index("fcd.pre") < n.index("td.pre") for n in of_others), 0.2 * len(of_others))
+
+    def stages(self, module):
+        return sum(x["module"] == module for x in self.app["xnodes"])
+
+    def test_each_chain_stands_beside_its_claim(self):
+        """Reactions are at least what the chain's own jobs take, and a longer one is never beside an unqualified claim."""
+        report = json.loads(self.run_app("--seconds", 3).stdout)["runs"][0]
+        self.assertIsNone(report["predicted_us"])
+        claims = {c["name"]: c for c in self.policy["chains"]}
+        self.assertEqual([c["name"] for c in report["chains"]], list(claims))
+        for chain in report["chains"]:
+            claim = claims[chain["name"]]
+            self.assertEqual(chain["worst_case_us"], claim["worst_case_us"])
+            self.assertEqual(chain["lower_bound_us"], claim["lower_bound_us"])
+            self.assertGreater(chain["results"], 20)
+            self.assertEqual(chain["exceeded"], chain["latency_us"]["max"] > chain["worst_case_us"] * 1.02)
+        self.assertEqual(report["worst_case_exceeded"], any(c["exceeded"] for c in report["chains"]))
+        if report["worst_case_exceeded"]:
+            self.assertTrue(report["worst_case_broken"], "exceeded, and nothing was seen to be broken")
+
+    def test_a_run_that_is_set_up_otherwise_claims_nothing(self):
+        done = self.run_app("--lockstep", "--activations", 5)
+        report = json.loads(done.stdout)["runs"][0]
+        self.assertIn("each release waits for the one before (--lockstep)", report["worst_case_broken"])
+        self.assertIn("do not hold in this run", done.stderr)
+
+    def test_isolated_modules_follow_the_same_keys(self):
+        report = json.loads(self.run_app("--seconds", 2, "--isolate").stdout)["runs"][0]
+        self.assertEqual([m["dropped"] + m["failed"] for m in report["modules"]], [0] * 9)
+        for chain in report["chains"]:
+            self.assertGreater(chain["results"], 10, chain)
+
+    def test_refuses_what_would_not_be_the_plan(self):
+        done = self.run_app("--period-us", 50_000, status=2)
+        self.assertIn("would change what the policy was made for", done.stderr)
+        app = json.loads(json.dumps(self.app))
+        for module in app["modules"]:
+            module["max_in_flight"] = 2
+        (self.folder / "wide.json").write_text(json.dumps(app))
+        done = xauto("solve", "--app", self.folder / "wide.json", "--platform", "small", "--max-evaluations", 500, "--threads", 1,
+                     "--time-limit-s", 60, "--out", self.folder / "wide.policy.json")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        done = self.run_app("--policy", self.folder / "wide.policy.json", app=self.folder / "wide.json", status=2)
+        self.assertIn("has max_in_flight 2", done.stderr)
+        done = self.run_app(program=str(BIN / "driving"), status=2)
+        self.assertIn("app.json", done.stderr)
+
+    def test_profile_writes_the_samples(self):
+        done = xauto("profile", "--platform", "small", "--emulate", "--repetitions", 1, "--warmup", 0, "--app-out",
+                     self.folder / "profiled.json", "--", PROGRAM)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        profiled = json.loads((self.folder / "profiled.json").read_text())
+        self.assertEqual(profiled["version"], 2, "version 1 cannot say what is sampled")
+        self.assertEqual(sorted(profiled["samples"]), sorted(self.app["samples"]))
+        self.assertEqual(sorted(profiled["edges"]), sorted(self.app["edges"]))
+
+
+if __name__ == "__main__":
+    unittest.main()
