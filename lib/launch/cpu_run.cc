@@ -86,4 +86,20 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
   return run;
 }
 
+std::string decide_cpu_by_keys(runtime::Session& session) {
+  constexpr int kLevels = 6;  // lowered, admitted, and those above: see runtime/priorities.h
+  using runtime::CpuSched;
+  session.cpu_by_keys = false;
+  if (!session.keys || session.scheduling != runtime::Scheduling::kXAuto) return {};
+  std::string note;
+  if (session.cpu_sched == CpuSched::kExt) {
+    session.cpu_sched = CpuSched::kFifo;
+    note = "--cpu-sched ext: the sched_ext scheduler knows no keys; coordinators and SCHED_FIFO "
+           "keep them";
+  }
+  session.cpu_by_keys =
+      session.cpu_sched == CpuSched::kFifo && rt::highest_fifo() >= kLevels;
+  return note;
+}
+
 }  // namespace xauto::launch

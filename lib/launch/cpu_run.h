@@ -15,6 +15,7 @@
 #include "model/app.h"
 #include "model/platform.h"
 #include "model/policy.h"
+#include "session/session.h"
 
 namespace xauto::launch {
 
@@ -41,6 +42,11 @@ struct CpuRun {
 
 /// Never fails: what is missing is left out, and said if it was asked for.
 [[nodiscard]] CpuRun prepare_cpus(const CpuRunRequest& request);
+
+/// Sets Session::cpu_by_keys. A policy of keys is kept on real CPUs by the coordinators, with
+/// SCHED_FIFO; sched_ext knows no keys, so it is not asked. Returns what is done differently than
+/// asked, for people.
+[[nodiscard]] std::string decide_cpu_by_keys(runtime::Session& session);
 
 /// Rows for the table: per real CPU the policy's priorities as ranks from 1 on, larger is more
 /// urgent. `cores`: the kernel's numbers of the platform's CPUs, in order.

@@ -158,6 +158,10 @@ class Supervisor {
     Session& session = request_.session;
     std::string name = base_.substr(std::string(kSocketPrefix).size());
     name.pop_back();
+    if (std::string note = decide_cpu_by_keys(session); !note.empty()) {
+      log::info("{}", note);
+      outcome_.notes.push_back(std::move(note));
+    }
     cpus_ = launch::prepare_cpus({.run = name,
                                   .bin = bin_,
                                   .app = session.app,

@@ -113,11 +113,12 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
         session.policy.placements.begin(), session.policy.placements.end(),
         [&](const Placement& p) { return p.xpu == static_cast<int>(x); });
     if (!used || session.emulated(static_cast<int>(x))) continue;
-    const Discipline discipline = xpu::discipline_of(xpu, false);
+    const Discipline discipline = xpu::discipline_of(xpu, false, session.cpu_by_keys);
     if (xpu.preemptive && discipline == Discipline::kGate)
       lines.push_back("nobody can suspend work on " + xpu.id + ": its jobs run to their end");
     if (session.keys && discipline == Discipline::kKernel)
-      lines.push_back(xpu.id + " is a real CPU: the kernel has fixed priorities, not keys");
+      lines.push_back("nobody keeps keys on " + xpu.id +
+                      ": without SCHED_FIFO Linux orders its threads as it likes");
   }
   return lines;
 }
@@ -196,7 +197,8 @@ Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module
   const bool emulated = session.emulated(at);
   const bool real_cpu = !emulated && x.type == "cpu";
   WorkerOptions options{
-      .backend = {x, xpu_id(platform, at), emulated, session.emulator_modules, scheduled}};
+      .backend = {x, xpu_id(platform, at), emulated, session.emulator_modules, scheduled,
+                  session.cpu_by_keys}};
   options.xpu = at;
   options.name = context.graph.modules[module].name + "@" + x.id;
   options.mgmt_fifo = workers.management;

@@ -73,6 +73,7 @@ std::string to_json(const Session& s) {
             {"cpu_run", s.cpu_run},
             {"cpu_scheduler_pid", s.cpu_scheduler_pid},
             {"cpu_partial", s.cpu_partial},
+            {"cpu_by_keys", s.cpu_by_keys},
             {"presence", presence},
             {"emulator_modules", s.emulator_modules},
             {"coordinators", s.coordinators},
@@ -127,6 +128,7 @@ Result<Session> parse_session(const std::string& text) {
     s.cpu_run = j.at("cpu_run").get<std::string>();
     s.cpu_scheduler_pid = j.at("cpu_scheduler_pid").get<int>();
     s.cpu_partial = j.at("cpu_partial").get<bool>();
+    s.cpu_by_keys = j.at("cpu_by_keys").get<bool>();
     for (const int p : j.at("presence").get<std::vector<int>>()) {
       if (p < 0 || p > static_cast<int>(Presence::kAbsent))
         return fail(ErrorCode::kInvalid, "unknown presence");

@@ -54,6 +54,8 @@ class Surroundings {
 [[nodiscard]] Status check_emulated(const SchedHandle& handle);
 /// A core of this machine (cpu_thread.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_cpu_thread(const XpuId& xpu);
+/// The same where the coordinator follows keys, which Linux does not know (cpu_by_keys.cc).
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_cpu_by_keys(const XpuId& xpu);
 /// What the app suspends itself, by SchedHandle::custom (custom.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_custom(const XpuId& xpu);
 /// A GPU or DLA of NVIDIA's drivers, or of the emulator modules, through xauto.ko

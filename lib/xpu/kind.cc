@@ -27,7 +27,10 @@ std::vector<std::string> nodes(const char* const (&list)[N]) {
 const std::vector<Kind>& kinds() {
   // Preemption costs and time slices are those of the paper's measurements on a Jetson Orin.
   static const std::vector<Kind> table = {
-      {.type = "cpu", .discipline = by_kernel, .backend = make_cpu_thread},
+      {.type = "cpu",
+       .discipline = by_kernel,
+       .backend = make_cpu_thread,
+       .backend_by_keys = make_cpu_by_keys},
       {.type = "gpu",
        .nodes = nodes(kernel::kGpuNodes),
        .discipline = by_module,
@@ -68,10 +71,13 @@ const Kind& kind_of(const std::string& type, const std::vector<Kind>& table) {
   return *own;
 }
 
-Discipline discipline_of(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
+Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys,
+                         const std::vector<Kind>& table) {
   if (!xpu.preemptive) return Discipline::kGate;
   if (emulated) return Discipline::kPreemptive;
-  return kind_of(xpu.type, table).discipline();
+  const Kind& kind = kind_of(xpu.type, table);
+  if (by_keys && kind.backend_by_keys != nullptr) return Discipline::kPreemptive;
+  return kind.discipline();
 }
 
 Result<std::unique_ptr<Backend>> make_backend(const BackendRequest& request,
@@ -80,9 +86,11 @@ Result<std::unique_ptr<Backend>> make_backend(const BackendRequest& request,
   const bool driver = !kind.nodes.empty() && request.xpu.preemptive;
   if (request.emulated && !(request.emulator_modules && driver))
     return make_emulated(request.scheduled);
-  const bool gated = discipline_of(request.xpu, request.emulated, table) == Discipline::kGate;
+  const bool gated =
+      discipline_of(request.xpu, request.emulated, false, table) == Discipline::kGate;
   if (!request.scheduled || gated) return make_gate();
-  return kind.backend(request.id);
+  return request.by_keys && kind.backend_by_keys != nullptr ? kind.backend_by_keys(request.id)
+                                                            : kind.backend(request.id);
 }
 
 }  // namespace xauto::xpu

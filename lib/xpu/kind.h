@@ -27,6 +27,8 @@ struct Kind {
   Discipline (*discipline)() = nullptr;
   /// What suspends its work where the discipline is kPreemptive, or lets Linux do it (kKernel).
   Result<std::unique_ptr<Backend>> (*backend)(const XpuId&) = nullptr;
+  /// What suspends its work in a run by keys where Linux keeps the priorities: it knows no keys.
+  Result<std::unique_ptr<Backend>> (*backend_by_keys)(const XpuId&) = nullptr;
   /// Of an instance as `xauto doctor --platform-out` writes it: costs of a preemption.
   std::int64_t preempt_us = 0, timeslice_us = 0;
   std::string what = {};    ///< for people, if it is there: "a Jetson's GPU"
@@ -46,7 +48,8 @@ struct Kind {
 
 /// Of an XPU of a run: what is not preemptive is gated, what is emulated is preempted by the
 /// emulator, else the row decides.
-[[nodiscard]] Discipline discipline_of(const Xpu& xpu, bool emulated,
+/// `by_keys`: Session::cpu_by_keys.
+[[nodiscard]] Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys = false,
                                        const std::vector<Kind>& table = kinds());
 
 /// How one worker's work on an XPU is suspended in a run.
@@ -56,6 +59,7 @@ struct BackendRequest {
   bool emulated = false;
   bool emulator_modules = false;  ///< what has device nodes is emulated by kmod/emu/
   bool scheduled = true;          ///< false: nobody will ever suspend anything
+  bool by_keys = false;           ///< Session::cpu_by_keys
 };
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_backend(
     const BackendRequest& request, const std::vector<Kind>& table = kinds());

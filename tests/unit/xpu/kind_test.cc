@@ -73,7 +73,7 @@ TEST(Kind, ANewOneIsARowAndABackend) {
   fs::remove(node);
 
   // Scheduled by its discipline, suspended by its backend.
-  EXPECT_EQ(discipline_of(fpga, false, table), Discipline::kPreemptive);
+  EXPECT_EQ(discipline_of(fpga, false, false, table), Discipline::kPreemptive);
   auto backend = make_backend({fpga, {"fpga0", XPU("fpga"), 0}}, table);
   ASSERT_TRUE(backend);
   ASSERT_TRUE((*backend)->preempt(SchedHandle::gate()));
@@ -84,6 +84,9 @@ TEST(Kind, ANewOneIsARowAndABackend) {
 
 TEST(Kind, TheDisciplineIsThePlatformsThenTheEmulatorsThenTheRows) {
   EXPECT_EQ(discipline_of({"cpu0", "cpu"}, false), Discipline::kKernel);
+  EXPECT_EQ(discipline_of({"cpu0", "cpu"}, false, true), Discipline::kPreemptive)
+      << "by keys: Linux has none";
+  EXPECT_EQ(discipline_of({"gpu0", "gpu"}, false, true), discipline_of({"gpu0", "gpu"}, false));
   EXPECT_EQ(discipline_of({"cpu0", "cpu"}, true), Discipline::kPreemptive);
   EXPECT_EQ(discipline_of({"cpu0", "cpu", false}, true), Discipline::kGate);
   EXPECT_EQ(discipline_of({"cpu0", "cpu", false}, false), Discipline::kGate);
