@@ -143,6 +143,9 @@ class Periodic(unittest.TestCase):
         self.solve()
         for arguments in (["solve", "--app", "app.json", "--method", "ilp"], ["solve", "--app", "app.json", "--deadline-us", 5],
                           ["simulate", "--app", "app.json", "--model", "ros2"],
+                          ["check", "--app", "app.json", "--policy", "policy.json", "--seed", 2],
+                          ["check", "--app", "app.json", "--policy", "policy.json", "--executions", 5],
+                          ["check", "--app", "app.json", "--policy", "policy.json", "--proof-nodes", 5],
                           ["run", "--app", "app.json", "--policy", "policy.json", "--", "true"]):
             with self.subTest(arguments=arguments):
                 self.assertIn("version", self.run_tool(*arguments, status=2).stderr)
