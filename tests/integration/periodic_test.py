@@ -137,6 +137,17 @@ class Periodic(unittest.TestCase):
         told = json.loads(self.run_tool("explain", "--app", "app.json", "--policy", "policy.json", "--json").stdout)
         self.assertEqual({chain["name"] for chain in told["chains"]}, {chain["name"] for chain in self.app["chains"]})
         self.assertTrue(any(move["change"].startswith("mpc on cpu") for move in told["moves"]), told["moves"])
+        # The whole way: each XNode on it follows the one before by an edge or a sample, and may move.
+        steps = {tuple(edge) if isinstance(edge, list) else (edge["from"], edge["to"])
+                 for edge in self.app["edges"] + self.app["samples"]}
+        for chain in told["chains"]:
+            for step in zip(chain["path"][1:], chain["path"][2:]):
+                self.assertIn(step, steps)
+        moved = {move["change"].split(" on ")[0] for move in told["moves"]}
+        brake = next(chain for chain in told["chains"] if chain["name"] == "brake")
+        self.assertIn("fcd.infer", brake["path"])
+        self.assertLessEqual({x["name"] for x in self.app["xnodes"] if x["name"] in brake["path"] and
+                              "cpu" in x["wcet_us"]}, moved)
         self.assertIn("The worst off is brake", self.run_tool("explain", "--app", "app.json", "--policy", "policy.json").stdout)
 
     def test_what_is_not_for_this_version_is_refused(self):
