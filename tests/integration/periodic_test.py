@@ -4,6 +4,7 @@ import json
 import pathlib
 import tempfile
 import unittest
+from xml.etree import ElementTree
 
 from common import SOURCE, xauto
 
@@ -149,6 +150,17 @@ class Periodic(unittest.TestCase):
         self.assertLessEqual({x["name"] for x in self.app["xnodes"] if x["name"] in brake["path"] and
                               "cpu" in x["wcet_us"]}, moved)
         self.assertIn("The worst off is brake", self.run_tool("explain", "--app", "app.json", "--policy", "policy.json").stdout)
+
+    def test_explain_draws_the_windows(self):
+        self.solve()
+        self.run_tool("explain", "--app", "app.json", "--policy", "policy.json", "--windows", "windows.svg")
+        svg = ElementTree.parse(self.folder / "windows.svg").getroot()
+        self.assertEqual(svg.tag, "{http://www.w3.org/2000/svg}svg")
+        titles = [title.text for title in svg.iter("{http://www.w3.org/2000/svg}title")]
+        for xnode in self.policy()["xnodes"]:
+            self.assertTrue(any(title.startswith(f"{xnode['name']} 0 on {xnode['xpu']}: ready by") for title in titles), xnode)
+        refused = self.run_tool("explain", "--app", "app.json", "--policy", "policy.json", "--windows", "nowhere/w.svg", status=2)
+        self.assertIn("--windows", refused.stderr)
 
     def test_what_is_not_for_this_version_is_refused(self):
         self.solve()

@@ -13,6 +13,7 @@
 #include "model/json_value.h"
 #include "solver/steady/check.h"
 #include "solver/steady/what_if.h"
+#include "story/windows.h"
 
 #include "xauto/outputs.h"
 
@@ -358,7 +359,9 @@ std::vector<int> whole_path(const AppSpec& app, const Platform& platform, const 
 }
 
 Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
-                             const Options& options) {
+                             const std::string& picture, const Options& options) {
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--windows", picture));
   XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
   XAUTO_ASSIGN(const steady::CheckReport report, steady::check(app, platform, policy));
   // The chain that is worst off: in parts of its deadline, or else the longest.
@@ -394,18 +397,20 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
                                 {"path", names(c)}});
     root["moves"] = cases_of(app, moved);
     std::cout << root.dump(2) << "\n";
-    return kDone;
+  } else {
+    std::cout << proof_table(policy, report) << "\n";
+    for (std::size_t c = 0; c < report.chains.size(); ++c)
+      std::cout << fmt::format("  {}: {}, along {}\n", report.chains[c].name,
+                               ms(report.chains[c].derived_us), fmt::join(names(c), " > "));
+    if (!report.chains.empty())
+      std::cout << fmt::format(
+                       "\n  The worst off is {}. Its XNodes elsewhere, all others where they are:",
+                       report.chains[worst].name)
+                << what_if_table(app, policy, moved);
   }
-  std::cout << proof_table(policy, report) << "\n";
-  for (std::size_t c = 0; c < report.chains.size(); ++c)
-    std::cout << fmt::format("  {}: {}, along {}\n", report.chains[c].name,
-                             ms(report.chains[c].derived_us), fmt::join(names(c), " > "));
-  if (!report.chains.empty())
-    std::cout << fmt::format(
-                     "\n  The worst off is {}. Its XNodes elsewhere, all others where they are:",
-                     report.chains[worst].name)
-              << what_if_table(app, policy, moved);
-  return kDone;
+  std::cout.flush();
+  if (!picture.empty()) outputs.write(picture, story::windows_svg(app, platform, policy, report));
+  return outputs.status(kDone);
 }
 
 Result<int> check_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
