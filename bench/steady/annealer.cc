@@ -15,16 +15,19 @@
 namespace xauto::bench {
 namespace {
 
-/// Hyperperiods that are simulated; the last two have to be alike.
-constexpr std::int64_t kRounds = 4;
+/// Hyperperiods that are simulated, and jobs if these are more. Two at two thirds of them have to be
+/// alike: by then the beginning is forgotten, and the end, after which nothing comes, is far.
+constexpr std::int64_t kRounds = 6, kJobs = 2'000;
 /// A domain with more jobs in them is taken apart: each component by itself, once per period.
 constexpr std::int64_t kMostSimulated = 200'000;
 /// What makes an answer invalid costs more than any that holds.
 constexpr double kInvalid = 1e18;
+/// Of what does not repeat, by how much: so that less is better even while much is accepted.
+constexpr double kSteep = 1000;
 /// Of who preempts; then everybody pays.
 constexpr int kGuesses = 4;
 /// How much longer jobs may be taken for on an XPU that several clocks use.
-constexpr double kStretches[] = {1, 1.15, 1.3, 1.5, 1.75, 2, 2.5, 3, 4, 6};
+constexpr double kStretches[] = {1, 1.15, 1.3, 1.5, 1.75, 2, 2.5, 3, 4, 6, 9, 14, 20};
 
 struct State {
   std::vector<int> xpu;              ///< [xnode]
@@ -35,7 +38,8 @@ struct State {
 /// Components that are simulated together.
 struct Part {
   std::vector<int> components;
-  std::int64_t hyper = 0;  ///< ticks
+  std::int64_t hyper = 0;   ///< ticks
+  std::int64_t rounds = 0;  ///< hyperperiods to simulate
 };
 
 class Annealer {
@@ -125,14 +129,19 @@ class Annealer {
     return list;
   }
 
+  static std::int64_t rounds(std::int64_t jobs) { return std::max(kRounds, kJobs / jobs); }
+
   void split() {
     for (const Domain& domain : found_.domains) {
       if (domain.hyperperiod_ticks && domain.jobs > 0 && domain.jobs * kRounds <= kMostSimulated) {
-        parts_.push_back({domain.components, *domain.hyperperiod_ticks});
+        parts_.push_back({domain.components, *domain.hyperperiod_ticks, rounds(domain.jobs)});
         continue;
       }
       for (const int c : domain.components)
-        parts_.push_back({{c}, found_.components[at(c)].period_ticks});
+        parts_.push_back(
+            {{c},
+             found_.components[at(c)].period_ticks,
+             rounds(static_cast<std::int64_t>(found_.components[at(c)].xnodes.size()))});
     }
   }
 
@@ -143,13 +152,19 @@ class Annealer {
     s.order.assign(app_.xnodes.size(), 0);
     s.stretch.assign(platform_.xpus.size(), 0);
     std::vector<double> load(platform_.xpus.size(), 0);
+    std::vector<int> clock_of(platform_.xpus.size(), -1);
     for (const int i : app_.topological_order()) {
       double least = 1e300;
       for (const int x : may_run(i)) {
-        const double would = load[at(x)] + static_cast<double>(wcet(i, x)) / period_us(i);
+        // Better alone than beside another clock.
+        const int clock = clock_of[at(x)];
+        const double would = load[at(x)] + static_cast<double>(wcet(i, x)) / period_us(i) +
+                             (clock >= 0 && clock != home(i).clock ? 0.5 : 0);
         if (would < least) least = would, s.xpu[at(i)] = x;
       }
-      load[at(s.xpu[at(i)])] = least;
+      const int x = s.xpu[at(i)];
+      clock_of[at(x)] = home(i).clock;
+      load[at(x)] += static_cast<double>(wcet(i, x)) / period_us(i);
       double ready = 0;
       for (const int e : pred_[at(i)])
         ready = std::max(ready, s.order[at(app_.edges[at(e)].first)]);
@@ -180,18 +195,25 @@ class Annealer {
     }
   }
 
+  /// Where the windows of several clocks do not fit beside each other, wider ones may.
+  double evaluate(State& s) {
+    evaluate_once(s);
+    for (int more = 0; more < 20 && tight_ >= 0 && parts_.size() > 1; ++more) {
+      std::size_t& stretch = s.stretch[at(tight_)];
+      if (stretch + 1 == std::size(kStretches)) break;
+      ++stretch;
+      evaluate_once(s);
+    }
+    return last_cost_;
+  }
+
   /// Leaves the policy in policy_, and its cost in last_cost_.
-  double evaluate(const State& s) {
+  double evaluate_once(const State& s) {
     policy_ = KeyPolicy{app_.name, app_hash_, platform_.name, "annealer", {}, {}, 0};
     for (const ChainSpec& chain : app_.chains)
       policy_.chains.push_back({chain.name, kMaxTimeUs, 0, false});
-    // Where it does not hold, less load on the fullest XPU is better.
-    std::vector<double> load(platform_.xpus.size(), 0);
-    for (std::size_t i = 0; i < s.xpu.size(); ++i) {
-      const int n = static_cast<int>(i);
-      load[at(s.xpu[i])] += static_cast<double>(wcet(n, s.xpu[i])) / period_us(n);
-    }
-    last_cost_ = kInvalid * (1 + *std::max_element(load.begin(), load.end()));
+    last_cost_ = kInvalid;
+    tight_ = -1;
     // Who may preempt pays. That is known from the keys, so it is guessed, and guessed again.
     charged_.assign(s.xpu.size(), 0);
     for (int round = 0;; ++round) {
@@ -199,12 +221,19 @@ class Annealer {
       policy_.placements.clear();
       for (const int xpu : s.xpu) policy_.placements.push_back({xpu, {}});
       ready_by_.assign(s.xpu.size(), 0);
-      for (const Part& part : parts_)
-        if (!simulate(part, s)) return last_cost_;
+      growth_ = 0;
+      for (const Part& part : parts_) simulate(part, s);
+      if (growth_ > 0) return last_cost_ = kInvalid * (2 + kSteep * growth_);
       if (round == kGuesses || !charge(s)) break;
     }
     const auto report = solver::steady::check(app_, platform_, policy_);
-    if (!report) return last_cost_;
+    if (!report) {
+      const std::string said = report.error().to_string();
+      for (std::size_t x = 0; x < platform_.xpus.size(); ++x)
+        if (said.find("XPU " + platform_.xpus[x].id + ",") != std::string::npos)
+          tight_ = static_cast<int>(x);
+      return last_cost_;
+    }
     for (std::size_t c = 0; c < report->chains.size(); ++c)
       policy_.chains[c].worst_case_us = report->chains[c].derived_us;
     return last_cost_ = objective_of(app_, policy_);
@@ -255,23 +284,26 @@ class Annealer {
     bool operator>(const Event& o) const { return when != o.when ? when > o.when : kind > o.kind; }
   };
 
-  /// The ends of one clock's jobs, all as long as they may be, as keys. False: no two hyperperiods
-  /// were alike.
-  bool simulate(const Part& part, const State& s) {
+  /// The ends of one clock's jobs, all as long as they may be, as keys. Where they are later from one
+  /// hyperperiod to the next, that in periods goes into growth_.
+  void simulate(const Part& part, const State& s) {
     std::vector<int> first(app_.xnodes.size(), -1);
     std::vector<std::int64_t> count(app_.xnodes.size(), 0);
     std::vector<Job> jobs;
     std::priority_queue<Event, std::vector<Event>, std::greater<>> events;
     const Ticks us = found_.ticks_per_us;
-    std::vector<std::int64_t> longest(platform_.xpus.size(), 0);
+    // Where nobody is suspended: the longest of the others may be in the way.
+    std::vector<std::int64_t> longest(s.xpu.size(), 0);
     for (std::size_t i = 0; i < s.xpu.size(); ++i)
-      longest[at(s.xpu[i])] = std::max(longest[at(s.xpu[i])], wcet(static_cast<int>(i), s.xpu[i]));
+      for (std::size_t j = 0; j < s.xpu.size(); ++j)
+        if (i != j && s.xpu[i] == s.xpu[j] && !platform_.xpus[at(s.xpu[i])].preemptive)
+          longest[i] = std::max(longest[i], wcet(static_cast<int>(j), s.xpu[j]));
     for (const int c : part.components)
       for (const int i : found_.components[at(c)].xnodes) {
         const Component& home_of = found_.components[at(c)];
         const Xpu& xpu = platform_.xpus[at(s.xpu[at(i)])];
         first[at(i)] = static_cast<int>(jobs.size());
-        count[at(i)] = kRounds * (part.hyper / home_of.period_ticks);
+        count[at(i)] = part.rounds * (part.hyper / home_of.period_ticks);
         const double work = static_cast<double>(wcet(i, s.xpu[at(i)]) +
                                                 (charged_[at(i)] != 0 ? xpu.preempt_us : 0)) *
                             kStretches[s.stretch[at(s.xpu[at(i)])]];
@@ -279,7 +311,7 @@ class Annealer {
           Job job{i, n, 0, static_cast<Ticks>(std::ceil(work)) * us, 0, 0};
           job.release = home_of.offset_ticks + n * home_of.period_ticks;
           job.key = job.release + static_cast<Ticks>(s.order[at(i)]) * us;
-          job.waits = 1 + static_cast<int>(pred_[at(i)].size()) + (n > 0 ? 1 : 0);
+          job.waits = 1 + static_cast<int>(pred_[at(i)].size());
           if (entry_[at(i)] && n >= in_flight_[at(i)])
             job.waits += static_cast<int>(mates_[at(i)].size());
           Ticks arrives = job.release;
@@ -322,12 +354,11 @@ class Annealer {
           // an XPU that does not preempt may have begun the longest of the others.
           const std::int64_t ppm = app_.clocks[at(home(job.xnode).clock)].ppm;
           std::int64_t after = (now - job.release + us - 1) / us;
-          if (!platform_.xpus[x].preemptive) after += longest[x];
+          after += longest[at(job.xnode)];
           if (ppm > 0) after += 1 + 4 * after * ppm / kMillion;
           events.push({job.release + after * us, e.job, 1, 0});
         } else {
           done[at(e.job)] = now;
-          if (job.n + 1 < count[at(job.xnode)]) less(e.job + 1);
           for (const int edge : succ_[at(job.xnode)]) {
             const int v = app_.edges[at(edge)].second;
             const Ticks later = now + transfer(edge, s) * us;
@@ -354,17 +385,19 @@ class Annealer {
     }
     for (const int c : part.components)
       for (const int i : found_.components[at(c)].xnodes) {
-        const std::int64_t q = count[at(i)] / kRounds;
+        const std::int64_t q = count[at(i)] / part.rounds;
         std::vector<std::int64_t>& keys = policy_.placements[at(i)].key_us;
         for (std::int64_t n = 0; n < q; ++n) {
-          const std::size_t last = at(first[at(i)]) + static_cast<std::size_t>(n + 3 * q),
+          const std::size_t last = at(first[at(i)]) +
+                                   static_cast<std::size_t>(n + part.rounds * 2 / 3 * q),
                             before = last - static_cast<std::size_t>(q);
-          if (done[last] < 0 || done[before] < 0) return false;
-          if (done[last] - jobs[last].release != done[before] - jobs[before].release) return false;
+          const Ticks later =
+              (done[last] - jobs[last].release) - (done[before] - jobs[before].release);
+          growth_ += static_cast<double>(std::abs(later)) /
+                     static_cast<double>(found_.components[at(c)].period_ticks);
           keys.push_back((done[last] - jobs[last].release) / us);
         }
       }
-    return true;
   }
 
   [[nodiscard]] std::int64_t transfer(int edge, const State& s) const {
@@ -392,6 +425,8 @@ class Annealer {
   std::vector<Ticks> ready_by_;  ///< [xnode] at the latest, after the release
   KeyPolicy policy_;
   double last_cost_ = kInvalid;
+  int tight_ = -1;     ///< XPU that the check refused; -1: none
+  double growth_ = 0;  ///< of the last schedule: 0: it repeats
 };
 
 }  // namespace

@@ -81,7 +81,7 @@ std::string in_table(const Row& row) {
   const Measured& m = row.measured;
   std::string line =
       fmt::format("{:<14}{:>7}{:>8}{:>7.1f}  {:<9}{:>9.0f}{:>7.0f}", row.made->name,
-                  row.made->app.xnodes.size(), m.jobs,
+                  row.made->app.xnodes.size(), m.jobs > 0 ? std::to_string(m.jobs) : "no H",
                   static_cast<double>(load_ppm(row.made->app, row.made->platform)) / 1e4, m.outcome,
                   m.first_ms, m.memory_mib);
   if (m.outcome == "policy") {

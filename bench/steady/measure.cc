@@ -5,6 +5,7 @@
 #include <cerrno>
 #include <cstring>
 
+#include <malloc.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -23,6 +24,9 @@ namespace xauto::bench {
 namespace {
 
 namespace steady = solver::steady;
+
+/// More jobs a hyperperiod are "no H" to all who plan.
+constexpr std::int64_t kMostToTell = 1'000'000;
 
 /// What the solver's process says at its end.
 std::string solve_in_words(const SteadyCase& made, const Asked& asked) {
@@ -64,6 +68,7 @@ Result<Child> solve_apart(const SteadyCase& made, const Asked& asked) {
   const auto broken = [](const char* what) {
     return fail(ErrorCode::kUnavailable, std::strerror(errno), what);
   };
+  malloc_trim(0);  // what we had counts as the child's
   int pipe_ends[2];
   if (pipe(pipe_ends) != 0) return broken("pipe");
   const pid_t pid = fork();
@@ -142,7 +147,10 @@ Result<Measured> measure(const SteadyCase& made, const Asked& asked) {
   m.evaluations = said.at("evaluations").integer().value_or(0);
   m.cpu_s = child.cpu_s;
   m.memory_mib = child.memory_mib;
-  for (const Domain& domain : find_components(app).value().domains) m.jobs += domain.jobs;
+  const Components found = find_components(app).value();
+  if (std::all_of(found.domains.begin(), found.domains.end(),
+                  [](const Domain& d) { return d.jobs > 0 && d.jobs < kMostToTell; }))
+    for (const Domain& domain : found.domains) m.jobs += domain.jobs;
   const double annealer_s = asked.annealer_s < 0 ? asked.time_limit_s : asked.annealer_s;
   if (annealer_s > 0 && m.outcome != "overload") {
     const Annealed other = anneal(app, made.platform, annealer_s, asked.seed);

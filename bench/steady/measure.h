@@ -38,7 +38,9 @@ struct Measured {
   double first_ms = 0;  ///< until the first policy; of an overload the whole
   double solve_s = 0, cpu_s = 0;
   double memory_mib = 0;  ///< most that the solver's process had
-  std::int64_t evaluations = 0, jobs = 0;
+  std::int64_t evaluations = 0;
+  std::int64_t jobs =
+      0;  ///< per hyperperiod, all clocks together; 0: it does not fit, or never ends
   double objective = 0;  ///< what is minimised, see annealer.h
   double bound = 0;      ///< the same of the lower bounds
   bool misses = false;   ///< some deadline, in the worst case
