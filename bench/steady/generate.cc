@@ -78,6 +78,32 @@ class Generator {
     return std::move(made_);
   }
 
+  SteadyCase make(const std::string& name, const std::vector<Share>& shares) {
+    made_.name = made_.app.name = name;
+    made_.app.version = 2;
+    made_.platform = Platform::builtin("large").value();
+    std::vector<int> firsts;  // of each component
+    int part = 0;
+    for (const Share& share : shares)
+      for (int left = share.xnodes; left > 0; ++part) {
+        const int size = std::min(left, static_cast<int>(between(10, 25)));
+        left -= size;
+        firsts.push_back(static_cast<int>(app().xnodes.size()));
+        rates_ = {{share.period, 1}};
+        add_component(part, size);
+      }
+    complete_modules(app());
+    // Pairs far apart in the list have different rates.
+    for (std::size_t k = 0; k < firsts.size() / 2; ++k)
+      app().samples.emplace_back(firsts[k + firsts.size() / 2] - 1, firsts[k]);
+    scale();
+    choose_flights();
+    choose_chains();
+    const Status valid = validate(app());
+    XAUTO_CHECK(valid.has_value());
+    return std::move(made_);
+  }
+
  private:
   AppSpec& app() { return made_.app; }
   [[nodiscard]] std::int64_t between(std::int64_t low, std::int64_t high) {
@@ -131,7 +157,8 @@ class Generator {
       while ((at -= rates_[pick].weight) > 0) ++pick;
       const Period period = rates_[pick].period;
       if (kind_ == Kind::kAutomotive && pick == 0) continue;  // one component of 1 ms is enough
-      if (!app().sources.empty() && app().sources.back().period == period) continue;
+      if (rates_.size() > 1 && !app().sources.empty() && app().sources.back().period == period)
+        continue;
       return period;
     }
   }
@@ -320,8 +347,8 @@ class Generator {
 }  // namespace
 
 const char* to_string(Kind kind) {
-  static constexpr std::array<const char*, 7> kNames = {
-      "rates", "pipelined", "clocks", "long", "automotive", "mixed", "overload"};
+  static constexpr std::array<const char*, 9> kNames = {
+      "rates", "pipelined", "clocks", "long", "automotive", "mixed", "overload", "public", "scale"};
   return kNames[static_cast<std::size_t>(kind)];
 }
 
@@ -342,7 +369,27 @@ std::vector<SteadyCase> standard_set() {
   add(Kind::kAutomotive, 4, 40, 10);
   add(Kind::kMixed, 8, 40, 10);
   add(Kind::kOverload, 4, 105, 15);
+  set.push_back(engine_case(1, 50));
+  set.push_back(engine_case(2, 75));
+  set.push_back(waters_2019());
   return set;
+}
+
+SteadyCase scale_case(const std::string& name, const std::vector<Share>& shares, int load_pct) {
+  Generator generator(Kind::kScale, 1, load_pct);
+  return generator.make(name, shares);
+}
+
+std::vector<SteadyCase> scale_set() {
+  const std::vector<Share> many = {
+      {{1'000'000}, 74}, {{40'000}, 296}, {{25'000}, 250}, {{20'000}, 200}, {{8'000}, 180}};
+  return {
+      scale_case("n300",
+                 {{hz("10"), 60}, {hz("20"), 60}, {hz("30"), 60}, {hz("50"), 60}, {hz("100"), 60}},
+                 60),
+      scale_case("n1000", many, 60),
+      scale_case("n1000-over", many, 120),
+  };
 }
 
 std::int64_t load_ppm(const AppSpec& app, const Platform& platform) {

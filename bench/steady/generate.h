@@ -21,6 +21,8 @@ enum class Kind : std::uint8_t {
   kAutomotive,  ///< many short XNodes on CPUs, from 1 ms to 1 s: thousands of jobs
   kMixed,       ///< rates, clocks, jitter, flights and feedback at once
   kOverload,    ///< more load than all XPUs together take: no policy keeps up
+  kPublic,      ///< models that others have published (public_models.cc)
+  kScale,       ///< hundreds of XNodes
 };
 [[nodiscard]] const char* to_string(Kind kind);
 
@@ -38,8 +40,23 @@ struct SteadyCase {
 /// `load_pct` is what WCETs are scaled to. Valid by construction; checked again by validate().
 [[nodiscard]] SteadyCase make_case(Kind kind, std::uint64_t seed, int load_pct);
 
-/// 52 cases: loads of 40 to 90 %, and four of overload.
+/// The engine control of WATERS 2015: 85 XNodes, more than 8 000 jobs a second.
+[[nodiscard]] SteadyCase engine_case(std::uint64_t seed, int load_pct);
+/// The autonomous driving of the WATERS Challenge 2019: 18 XNodes, 8 349 jobs in 13.2 s.
+[[nodiscard]] SteadyCase waters_2019();
+/// So many XNodes of each period, in components of at most 25, and a sample from each component to
+/// the next of two.
+struct Share {
+  Period period;
+  int xnodes = 0;
+};
+[[nodiscard]] SteadyCase scale_case(const std::string& name, const std::vector<Share>& shares,
+                                    int load_pct);
+
+/// 55 cases: loads of 40 to 90 %, four of overload, and three that others have published.
 [[nodiscard]] std::vector<SteadyCase> standard_set();
+/// 300 XNodes of five rates; 1 000 XNodes with 50 000 jobs a hyperperiod, and as an overload.
+[[nodiscard]] std::vector<SteadyCase> scale_set();
 
 /// The largest of sum_i min_t w_t C_it / (T_i |t|) over weights w of the types that sum to 1, on a
 /// grid of 1/64, in millionths. It is a bound: above 1 000 000 no policy keeps up. At most three

@@ -64,8 +64,8 @@ class Builder {
                 std::to_string(period_us) + " us; possible are 1 to " +
                 std::to_string(kMaxPeriodUs) + " us");
       graph_.sources.push_back({info.spec.name, {period_us}});
+      graph_.sources.back().pushed = source.inlet != nullptr;
       graph_.topic_of_source.push_back(t);
-      graph_.sources_pushed.push_back(source.inlet != nullptr ? 1 : 0);
       if (source.period != app_.sources.front().period) graph_.single_rate = false;
       if (source.inlet != nullptr && app_.sources.size() > 1) graph_.single_rate = false;
     }

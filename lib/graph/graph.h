@@ -51,7 +51,6 @@ struct Graph {
 
   std::string name;
   std::vector<SourceSpec> sources;   ///< as the App's
-  std::vector<char> sources_pushed;  ///< [source] 1: by Source::publish
   std::vector<int> topic_of_source;  ///< [source]
   std::vector<Node> nodes;
   std::vector<Module> modules;

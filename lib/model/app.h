@@ -56,6 +56,9 @@ struct SourceSpec {
   std::int64_t offset_us = 0;
   std::int64_t jitter_us = 0;
   int clock = 0;  ///< index into AppSpec::clocks
+  /// In a profile alone: the program publishes. `period` is then the least distance that it states;
+  /// no grid is known.
+  bool pushed = false;
   bool operator==(const SourceSpec&) const = default;
 };
 

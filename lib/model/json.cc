@@ -54,7 +54,7 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
   c.repetitions = conditions["repetitions"].integer(0, kMaxTimeUs);
   c.governor = conditions["governor"].text();
   profile.margin_pct = root["margin_pct"].integer(0, 1000);
-  profile.sources = read_sources(root);
+  profile.sources = read_sources(root, true);
   const NameIndex source_index = index_by_name(profile.sources);
   if (root.has("incomplete")) profile.incomplete = root["incomplete"].text();
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {

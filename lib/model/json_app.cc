@@ -65,7 +65,8 @@ Period read_period(const Reader& source) {
 
 /// Clocks are those of "clocks" and those that sources name; "main" is the first. What is listed
 /// twice is refused here: validate() counts them as the app does.
-void read_clocks_and_sources(const Reader& root, AppSpec& app) {
+void read_clocks_and_sources(const Reader& root, AppSpec& app,
+                             std::vector<Keys::Undeclared>& undeclared) {
   NameIndex index;
   if (root.has("clocks"))
     root["clocks"].each_element(kMaxSources, [&](std::size_t, const Reader& clock) {
@@ -83,7 +84,10 @@ void read_clocks_and_sources(const Reader& root, AppSpec& app) {
         app.clocks.push_back(std::move(spec));
     });
   index.try_emplace(kMainClock, 0);
-  root["sources"].each_element(kMaxSources, [&](std::size_t, const Reader& s) {
+  std::string declared;
+  for (const ClockSpec& clock : app.clocks)
+    if (declared.size() < kMaxNameBytes) declared += (declared.empty() ? "" : ", ") + clock.name;
+  root["sources"].each_element(kMaxSources, [&](std::size_t i, const Reader& s) {
     SourceSpec source{s["name"].text(), read_period(s)};
     if (s.has("offset_us")) source.offset_us = s["offset_us"].time();
     if (s.has("jitter_us")) source.jitter_us = s["jitter_us"].integer(0, kMaxPeriodUs);
@@ -92,7 +96,13 @@ void read_clocks_and_sources(const Reader& root, AppSpec& app) {
       if (s.failed()) return;
       if (name.empty()) return s["clock"].refuse("a clock needs a name");
       const auto [clock, added] = index.try_emplace(name, static_cast<int>(app.clocks.size()));
-      if (added) app.clocks.push_back({name, kDefaultPpm});
+      if (added) {
+        app.clocks.push_back({name, kDefaultPpm});
+        undeclared.push_back({"/sources/" + std::to_string(i) + "/clock",
+                              "clock '" + name + "' is not in \"clocks\" (known: " + declared +
+                                  "): taken as a clock of its own, off by at most " +
+                                  std::to_string(kDefaultPpm) + " ppm"});
+      }
       source.clock = clock->second;
     }
     app.sources.push_back(std::move(source));
@@ -239,8 +249,9 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
     root.knows({"chains/*/name", "chains/*/from", "chains/*/to", "chains/*/deadline_us",
                 "chains/*/weight"});
   app.name = root["name"].text();
+  std::vector<Keys::Undeclared> undeclared;
   if (periodic) {
-    read_clocks_and_sources(root, app);
+    read_clocks_and_sources(root, app, undeclared);
   } else {
     app.sources = read_sources(root);
   }
@@ -264,7 +275,10 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
   }
   XAUTO_TRY(context.status());
   XAUTO_TRY(in_file(validate(app), origin));
-  if (keys != nullptr) *keys = context.keys(document);
+  if (keys != nullptr) {
+    *keys = context.keys(document);
+    keys->undeclared = std::move(undeclared);
+  }
   return app;
 }
 

@@ -51,11 +51,12 @@ std::vector<std::pair<int, int>> read_pairs(const Reader& reader, const NameInde
   return pairs;
 }
 
-std::vector<SourceSpec> read_sources(const Reader& root) {
+std::vector<SourceSpec> read_sources(const Reader& root, bool profile) {
   std::vector<SourceSpec> sources;
   if (root.has("sources"))
     root["sources"].each_element(kMaxSources, [&](std::size_t, const Reader& source) {
       sources.push_back({source["name"].text(), {source["period_us"].integer(1, kMaxPeriodUs)}});
+      if (profile && source.has("pushed")) sources.back().pushed = source["pushed"].boolean();
     });
   return sources;
 }
@@ -84,8 +85,10 @@ void write_heard(const std::vector<int>& heard, const std::vector<SourceSpec>& s
 
 ordered_json sources_to_json(const std::vector<SourceSpec>& sources) {
   ordered_json out = ordered_json::array();
-  for (const SourceSpec& source : sources)
+  for (const SourceSpec& source : sources) {
     out.push_back({{"name", source.name}, {"period_us", source.period.num}});
+    if (source.pushed) out.back()["pushed"] = true;
+  }
   return out;
 }
 

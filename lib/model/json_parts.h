@@ -42,8 +42,8 @@ NameIndex index_by_name(const std::vector<Named>& list) {
                                                           const NameIndex& index,
                                                           std::size_t limit = kMaxEdges);
 
-/// "sources" of version 1, where there are any.
-[[nodiscard]] std::vector<SourceSpec> read_sources(const Reader& root);
+/// "sources" of version 1, where there are any; `profile`: also whether they are pushed.
+[[nodiscard]] std::vector<SourceSpec> read_sources(const Reader& root, bool profile = false);
 /// "source" of an XNode: a name, or an array of names.
 [[nodiscard]] std::vector<int> read_heard(const Reader& xnode, const NameIndex& sources);
 

@@ -24,8 +24,15 @@ void set_unknown_keys(UnknownKeys what) {
 }
 
 Status judge(const Keys& keys, const std::string& path) {
+  const bool refuses = what_to_do == UnknownKeys::kRefuse;
+  if (refuses && !keys.undeclared.empty())
+    return fail(ErrorCode::kInvalid, keys.undeclared.front().said,
+                path + ": " + keys.undeclared.front().where,
+                "list it there; without --strict it is taken as it is");
+  for (std::size_t i = 0; i < keys.undeclared.size() && i < kMostTold; ++i)
+    log::warn("{}: {}: {}", path, keys.undeclared[i].where, keys.undeclared[i].said);
   if (keys.unknown.empty()) return {};
-  if (what_to_do == UnknownKeys::kRefuse)
+  if (refuses)
     return fail(ErrorCode::kInvalid, said_of(keys.unknown.front()),
                 path + ": " + keys.unknown.front().where,
                 "without --strict it is ignored; keys of other tools begin with \"" +

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The keys of a file against those of its format: a misspelt optional key is told, not passed over.
+// So is a name that is nowhere declared.
 #pragma once
 
 #include <string>
@@ -22,6 +23,12 @@ struct Keys {
   /// the file does not have is not among them.
   std::vector<std::string> known;
   std::vector<Unknown> unknown;  ///< in the order of the file's keys
+  /// Clocks that sources name and "clocks" does not: where, and what became of it. A misspelt name
+  /// would otherwise be a clock of its own, in silence.
+  struct Undeclared {
+    std::string where, said;
+  };
+  std::vector<Undeclared> undeclared;
 };
 
 /// "is no key of this format; did you mean ...?"
@@ -31,7 +38,7 @@ struct Keys {
 enum class UnknownKeys { kWarn, kRefuse };
 void set_unknown_keys(UnknownKeys what);
 
-/// Warns of each unknown key, or refuses the file; `path` names it.
+/// Warns of each unknown key and undeclared name, or refuses the file; `path` names it.
 [[nodiscard]] Status judge(const Keys& keys, const std::string& path);
 
 }  // namespace xauto

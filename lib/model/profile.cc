@@ -101,6 +101,7 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
   AppSpec app;
   app.name = profile.app;
   app.sources = profile.sources;
+  for (SourceSpec& source : app.sources) source.pushed = false;
   app.edges = profile.edges;
   for (const XNodeProfile& x : profile.xnodes) {
     if (x.on.empty())

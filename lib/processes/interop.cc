@@ -44,7 +44,7 @@ Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& p
     if (feed && topic->source < 0)
       return fail(ErrorCode::kInvalid, "is published by a module, so it cannot be fed", place,
                   "\"cyclonedds\" lets others hear it; only topics of sources can be fed");
-    if (feed && graph.sources_pushed[static_cast<std::size_t>(topic->source)])
+    if (feed && graph.sources[static_cast<std::size_t>(topic->source)].pushed)
       return fail(ErrorCode::kInvalid, "is pushed by the program, so it cannot be fed, too", place,
                   "add the source with a period and a function, or drop it here");
     if (feed && session.lockstep)

@@ -38,6 +38,10 @@ Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Ke
                 fmt::format("{} chains, the app has {}", policy.chains.size(), app.chains.size()),
                 "policy");
   CheckReport report;
+  for (const auto& windows : w.windows) {
+    std::vector<JobWindow>& list = report.windows.emplace_back();
+    for (const checking::Window& window : windows) list.push_back({w.us(window.a), w.us(window.d)});
+  }
   for (std::size_t m = 0; m < platform.xpus.size(); ++m) {
     XAUTO_ASSIGN(XpuProof proof, checking::prove_load(w, static_cast<int>(m)));
     report.xpus.push_back(std::move(proof));

@@ -47,8 +47,15 @@ struct ChainProof {
   [[nodiscard]] bool late() const { return deadline_us && derived_us > *deadline_us; }
 };
 
+/// After the nominal release of the job's component.
+struct JobWindow {
+  double ready_us = 0;  ///< by then, if all others keep their keys
+  double key_us = 0;
+};
+
 struct CheckReport {
   std::vector<XpuProof> xpus;
+  std::vector<std::vector<JobWindow>> windows;  ///< [xnode][activation mod size]
   std::vector<ChainProof> chains;
 };
 

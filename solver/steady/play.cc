@@ -150,11 +150,13 @@ class Play {
     bool queued = false, started = false;
   };
   struct Ready {
-    Atoms key = 0;
+    Atoms key = 0;  ///< or rank
     int xnode = -1;
     std::int64_t activation = 0;
+    Atoms since = 0;  ///< with ranks: when it became ready
     bool operator>(const Ready& o) const {
       return key != o.key       ? key > o.key
+             : since != o.since ? since > o.since
              : xnode != o.xnode ? xnode > o.xnode
                                 : activation > o.activation;
     }
@@ -255,7 +257,10 @@ class Play {
       return;
     j.queued = true;
     Device& d = devices_[at(w_.policy.placements[at(xnode)].xpu)];
-    d.ready.push({j.key, xnode, n});
+    if (options_.rank.empty())
+      d.ready.push({j.key, xnode, n, 0});
+    else
+      d.ready.push({options_.rank[at(xnode)], xnode, n, now_});
     d.look = true;
   }
 
@@ -389,6 +394,9 @@ Result<PlayReport> play(const AppSpec& app, const Platform& platform, const KeyP
     return fail(ErrorCode::kInvalid,
                 fmt::format("{} chains, the app has {}", policy.chains.size(), app.chains.size()),
                 "policy");
+  if (!options.rank.empty() && options.rank.size() != app.xnodes.size())
+    return fail(ErrorCode::kInvalid, fmt::format("{} ranks", options.rank.size()), "rank",
+                fmt::format("one for each of {} XNodes", app.xnodes.size()));
   // What has its end after `seconds` is released before; a clock may be slow.
   std::int64_t longest = options.seconds * checking::kMillion;
   for (const SourceSpec& s : app.sources) longest = std::max({longest, s.offset_us, s.jitter_us});

@@ -27,6 +27,9 @@ struct PlayOptions {
   bool jitter = false;        ///< random, up to each source's; otherwise none
   bool phases = false;        ///< between clocks, and their drift, random; otherwise none
   std::uint64_t seed = 1;
+  /// [xnode] Whoever has less goes first, whatever the keys say; of equal ones whoever was ready
+  /// first. To play other rules beside keys. Empty: keys.
+  std::vector<std::int64_t> rank = {};
 };
 
 struct PlayedXNode {

@@ -77,7 +77,12 @@ class Errors(unittest.TestCase):
 
             self.assertEqual(written()[0]["version"], 1)
             app, said = written("--app-version", 2)
-            self.assertEqual((app["version"], said), (2, ""))
+            self.assertEqual(app["version"], 2)
+            self.assertNotIn("camera", said)
+            self.assertIn("source 'lidar/größe' is pushed, and its grid was not measured: period_us 100000 is the least", said)
+            self.assertNotIn("pushed", json.dumps(app))
+            del profile["sources"][1]["pushed"]
+            self.assertEqual(written("--app-version", 2), (app, ""))
             self.assertEqual(app["chains"], [{"name": "camera -> fcd.infer", "from": "camera", "to": "fcd.infer"}])
             profile["xnodes"][0]["source"] = ["camera", "lidar/größe"]
             app, said = written("--app-version", 2)

@@ -4,6 +4,7 @@ import json
 import pathlib
 import tempfile
 import unittest
+from xml.etree import ElementTree
 
 from common import SOURCE, xauto
 
@@ -137,12 +138,37 @@ class Periodic(unittest.TestCase):
         told = json.loads(self.run_tool("explain", "--app", "app.json", "--policy", "policy.json", "--json").stdout)
         self.assertEqual({chain["name"] for chain in told["chains"]}, {chain["name"] for chain in self.app["chains"]})
         self.assertTrue(any(move["change"].startswith("mpc on cpu") for move in told["moves"]), told["moves"])
+        # The whole way: each XNode on it follows the one before by an edge or a sample, and may move.
+        steps = {tuple(edge) if isinstance(edge, list) else (edge["from"], edge["to"])
+                 for edge in self.app["edges"] + self.app["samples"]}
+        for chain in told["chains"]:
+            for step in zip(chain["path"][1:], chain["path"][2:]):
+                self.assertIn(step, steps)
+        moved = {move["change"].split(" on ")[0] for move in told["moves"]}
+        brake = next(chain for chain in told["chains"] if chain["name"] == "brake")
+        self.assertIn("fcd.infer", brake["path"])
+        self.assertLessEqual({x["name"] for x in self.app["xnodes"] if x["name"] in brake["path"] and
+                              "cpu" in x["wcet_us"]}, moved)
         self.assertIn("The worst off is brake", self.run_tool("explain", "--app", "app.json", "--policy", "policy.json").stdout)
+
+    def test_explain_draws_the_windows(self):
+        self.solve()
+        self.run_tool("explain", "--app", "app.json", "--policy", "policy.json", "--windows", "windows.svg")
+        svg = ElementTree.parse(self.folder / "windows.svg").getroot()
+        self.assertEqual(svg.tag, "{http://www.w3.org/2000/svg}svg")
+        titles = [title.text for title in svg.iter("{http://www.w3.org/2000/svg}title")]
+        for xnode in self.policy()["xnodes"]:
+            self.assertTrue(any(title.startswith(f"{xnode['name']} 0 on {xnode['xpu']}: ready by") for title in titles), xnode)
+        refused = self.run_tool("explain", "--app", "app.json", "--policy", "policy.json", "--windows", "nowhere/w.svg", status=2)
+        self.assertIn("--windows", refused.stderr)
 
     def test_what_is_not_for_this_version_is_refused(self):
         self.solve()
         for arguments in (["solve", "--app", "app.json", "--method", "ilp"], ["solve", "--app", "app.json", "--deadline-us", 5],
                           ["simulate", "--app", "app.json", "--model", "ros2"],
+                          ["check", "--app", "app.json", "--policy", "policy.json", "--seed", 2],
+                          ["check", "--app", "app.json", "--policy", "policy.json", "--executions", 5],
+                          ["check", "--app", "app.json", "--policy", "policy.json", "--proof-nodes", 5],
                           ["run", "--app", "app.json", "--policy", "policy.json", "--", "true"]):
             with self.subTest(arguments=arguments):
                 self.assertIn("version", self.run_tool(*arguments, status=2).stderr)

@@ -3,6 +3,8 @@
 // groups, deadlines)? Exit status 1 and each lie or miss by name if not.
 #include <iostream>
 #include <memory>
+#include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 
@@ -21,6 +23,8 @@ struct CheckFlags {
   std::string app, platform = "small", policy, against;
   solver::VerifyOptions options;
   Wishes wishes;
+  /// What only the attacks on version 1 take: option, argument.
+  std::vector<std::pair<const char*, Argument>> of_attacks;
 };
 
 Result<int> check(const CheckFlags& flags, const Options& options) {
@@ -29,6 +33,11 @@ Result<int> check(const CheckFlags& flags, const Options& options) {
   if (app.version == 2) {
     if (!flags.against.empty() || flags.wishes.deadline_us > 0)
       return fail(ErrorCode::kInvalid, "are for an app of version 1", "--against, --deadline-us");
+    for (const auto& [option, argument] : flags.of_attacks)
+      if (argument.given())
+        return fail(ErrorCode::kInvalid, "is for an app of version 1", option,
+                    "leave it out: the check of version 2 derives everything, and plays nothing; "
+                    "`xauto simulate` does");
     XAUTO_ASSIGN(solver::Objectives asked, load_objectives(flags.app));
     XAUTO_TRY(add_to_objectives(flags.wishes, asked));
     return check_periodic(app, platform, flags.policy, asked, options);
@@ -89,16 +98,19 @@ void add_check(Commands& commands) {
   verb.option("--app", flags->app, "app.json").required();
   verb.option("--platform", flags->platform, "small, large, or a platform.json").shown();
   verb.option("--policy", flags->policy, "policy.json").required();
-  verb.option("--executions", flags->options.executions, "random executions against worst_case_us")
-      .not_negative()
-      .shown();
-  verb.option("--proof-nodes", flags->options.proof_nodes, "budget of the proof of lower_bound_us")
-      .not_negative()
-      .shown();
+  const auto of_attack = [&](const char* option, auto& value, const std::string& help) {
+    const Argument argument = verb.option(option, value, help + "; of version 1").shown();
+    flags->of_attacks.emplace_back(option, argument);
+    return argument;
+  };
+  of_attack("--executions", flags->options.executions, "random executions against worst_case_us")
+      .not_negative();
+  of_attack("--proof-nodes", flags->options.proof_nodes, "budget of the proof of lower_bound_us")
+      .not_negative();
   add_wishes(verb, flags->wishes);
   verb.option("--against", flags->against,
               "another policy.json of this app: is this one shorter than what it calls a bound?");
-  verb.option("--seed", flags->options.seed, "of the attacks").shown();
+  of_attack("--seed", flags->options.seed, "of the attacks");
 }
 
 }  // namespace xauto::cli

@@ -20,7 +20,7 @@ namespace xauto::cli {
 namespace {
 
 struct ExplainFlags {
-  std::string app, platform, policy, trace, chain, activation = "worst";
+  std::string app, platform, policy, windows, trace, chain, activation = "worst";
 };
 
 Json to_json(const std::vector<story::Blocker>& list) {
@@ -160,7 +160,11 @@ Result<int> explain(const ExplainFlags& flags, const Options& options) {
                   "or give the trace of a run: xauto explain --trace FILE.pftrace");
   XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
-  if (app.version == 2) return explain_periodic(app, platform, flags.policy, options);
+  if (app.version == 2)
+    return explain_periodic(app, platform, flags.policy, flags.windows, options);
+  if (!flags.windows.empty())
+    return fail(ErrorCode::kInvalid, "is for an app of version 2", "--windows",
+                "a policy of version 1 has no windows; `xauto simulate` shows its schedule");
   XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
   XAUTO_ASSIGN(const solver::Explanation why, solver::explain(app, platform, policy));
   const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
@@ -218,11 +222,14 @@ void add_explain(Commands& commands) {
   verb.option("--app", flags->app, "app.json");
   verb.option("--platform", flags->platform, "small, large, or a platform.json");
   verb.option("--policy", flags->policy, "policy.json");
+  verb.option("--windows", flags->windows,
+              "of an app of version 2: write a picture of every job's window here, an SVG");
   verb.option("--trace", flags->trace,
               "instead of the three above: a file of `xauto run --trace-out` or `xauto compare`")
       .excludes("--app")
       .excludes("--platform")
-      .excludes("--policy");
+      .excludes("--policy")
+      .excludes("--windows");
   verb.option("--activation", flags->activation,
               "of the trace: the release's number, worst or median")
       .shown();

@@ -167,9 +167,17 @@ Result<int> profile(const ProfileFlags& given, const Options& options) {
                                                 : WcetFrom::kMaxPlusMargin;
     auto app = to_app(*result, platform, from);
     if (app && flags.app_version == 2) {
-      if (auto periodic = as_version_2(*app))
+      if (auto periodic = as_version_2(*app)) {
         app = std::move(periodic);
-      else
+        for (const SourceSpec& source : result->sources)
+          if (source.pushed)
+            log::warn(
+                "{}: source '{}' is pushed, and its grid was not measured: period_us {} is the "
+                "least distance that the app states, offset_us and jitter_us are taken as 0; a "
+                "worst case holds only if release k comes at offset + k period, at most jitter "
+                "later: write there what the driver does",
+                flags.app_out, source.name, source.period.num);
+      } else
         log::warn("{} is of version 1: {}", flags.app_out, periodic.error().to_string());
     }
     if (app)

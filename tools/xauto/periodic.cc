@@ -13,6 +13,7 @@
 #include "model/json_value.h"
 #include "solver/steady/check.h"
 #include "solver/steady/what_if.h"
+#include "story/windows.h"
 
 #include "xauto/outputs.h"
 
@@ -20,6 +21,9 @@ namespace xauto::cli {
 namespace {
 
 namespace steady = solver::steady;
+
+/// What `explain` gives to all its moves together, unless there are very many.
+constexpr double kMovesS = 10;
 
 std::string ms_of(double us) {
   return fmt::format("{:.3f} ms", us / 1000);
@@ -309,8 +313,55 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
   return outputs.status(never ? kAnswerIsNo : kDone);
 }
 
+/// The whole way of a chain's worst path. The check names where it enters and leaves each
+/// component; inside one it is whichever predecessor has its key last, since that is what the next
+/// waits for.
+std::vector<int> whole_path(const AppSpec& app, const Platform& platform, const KeyPolicy& policy,
+                            const ChainSpec& chain, const std::vector<std::string>& path) {
+  const auto succ = app.successors();
+  const std::vector<int> order = app.topological_order();
+  const auto type = [&](int i) { return platform.xpus[at(policy.placements[at(i)].xpu)].type; };
+  const auto ready = [&](int e, int v) {  // after its predecessor along edge e
+    const int u = app.edges[at(e)].first;
+    const auto& keys = policy.placements[at(u)].key_us;
+    std::int64_t us = *std::max_element(keys.begin(), keys.end());
+    for (const TransferSpec& t : app.transfers)
+      if (t.edge == e && t.from_type == type(u) && t.to_type == type(v)) us += t.transfer_us;
+    return us;
+  };
+  std::vector<int> whole;
+  for (std::size_t k = 1; k + 1 < path.size(); k += 2) {
+    std::vector<char> reached(app.xnodes.size(), 0);
+    for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+      if (k > 1 ? app.xnodes[i].name == path[k]
+                : std::count(app.xnodes[i].sources.begin(), app.xnodes[i].sources.end(),
+                             chain.from) > 0)
+        reached[i] = 1;
+    for (const int x : order)
+      if (reached[at(x)])
+        for (const int v : succ[at(x)]) reached[at(v)] = 1;
+    std::vector<int> back;
+    for (int at_x = app.find(path[k + 1]); at_x >= 0;) {
+      back.push_back(at_x);
+      int next = -1;
+      std::int64_t last = -1;
+      for (std::size_t e = 0; e < app.edges.size(); ++e) {
+        const auto [u, v] = app.edges[e];
+        if (v != at_x || !reached[at(u)]) continue;
+        const std::int64_t us = ready(static_cast<int>(e), v);
+        if (us > last) last = us, next = u;
+      }
+      at_x = next;
+    }
+    whole.insert(whole.end(), back.rbegin(), back.rend());
+  }
+  return whole;
+}
+
 Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
-                             const Options& options) {
+                             const std::string& picture, const Options& options) {
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--windows", picture));
   XAUTO_ASSIGN(const KeyPolicy policy, load_key_policy(path, app, platform));
   XAUTO_ASSIGN(const steady::CheckReport report, steady::check(app, platform, policy));
   // The chain that is worst off: in parts of its deadline, or else the longest.
@@ -323,36 +374,43 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
     if (part > most) worst = c;
     most = std::max(most, part);
   }
-  std::vector<int> on_path;
-  if (!report.chains.empty())
-    for (const std::string& step : report.chains[worst].path)
-      if (const int i = app.find(step);
-          i >= 0 && std::find(on_path.begin(), on_path.end(), i) == on_path.end())
-        on_path.push_back(i);
+  std::vector<std::vector<int>> ways;  // [chain]
+  for (std::size_t c = 0; c < report.chains.size(); ++c)
+    ways.push_back(whole_path(app, platform, policy, app.chains[c], report.chains[c].path));
+  const std::vector<int> on_path = ways.empty() ? std::vector<int>() : ways[worst];
+  // Each move is a search: all together end within a few seconds.
   steady::Options small;
-  small.time_limit_s = 0.5;
+  small.time_limit_s = std::clamp(kMovesS / static_cast<double>(std::max<std::size_t>(
+                                                1, on_path.size() * (platform.xpus.size() - 1))),
+                                  0.05, 0.5);
   XAUTO_ASSIGN(const auto moved, steady::moves(app, platform, policy, on_path, small));
+  const auto names = [&](std::size_t c) {
+    std::vector<std::string> list = {app.sources[at(app.chains[c].from)].name};
+    for (const int i : ways[c]) list.push_back(app.xnodes[at(i)].name);
+    return list;
+  };
   if (options.json) {
     Json root = {{"schema", "xauto.explanation"}, {"version", 2}, {"proofs", proofs(report)}};
-    for (const steady::ChainProof& chain : report.chains)
-      root["chains"].push_back(
-          {{"name", chain.name}, {"worst_case_us", chain.derived_us}, {"path", chain.path}});
+    for (std::size_t c = 0; c < report.chains.size(); ++c)
+      root["chains"].push_back({{"name", report.chains[c].name},
+                                {"worst_case_us", report.chains[c].derived_us},
+                                {"path", names(c)}});
     root["moves"] = cases_of(app, moved);
     std::cout << root.dump(2) << "\n";
-    return kDone;
+  } else {
+    std::cout << proof_table(policy, report) << "\n";
+    for (std::size_t c = 0; c < report.chains.size(); ++c)
+      std::cout << fmt::format("  {}: {}, along {}\n", report.chains[c].name,
+                               ms(report.chains[c].derived_us), fmt::join(names(c), " > "));
+    if (!report.chains.empty())
+      std::cout << fmt::format(
+                       "\n  The worst off is {}. Its XNodes elsewhere, all others where they are:",
+                       report.chains[worst].name)
+                << what_if_table(app, policy, moved);
   }
-  std::cout << proof_table(policy, report) << "\n";
-  for (const steady::ChainProof& chain : report.chains) {
-    std::string way;
-    for (const std::string& step : chain.path) way += (way.empty() ? "" : " > ") + step;
-    std::cout << fmt::format("  {}: {}, along {}\n", chain.name, ms(chain.derived_us), way);
-  }
-  if (!report.chains.empty())
-    std::cout << fmt::format(
-                     "\n  The worst off is {}. Its XNodes elsewhere, all others where they are:",
-                     report.chains[worst].name)
-              << what_if_table(app, policy, moved);
-  return kDone;
+  std::cout.flush();
+  if (!picture.empty()) outputs.write(picture, story::windows_svg(app, platform, policy, report));
+  return outputs.status(kDone);
 }
 
 Result<int> check_periodic(const AppSpec& app, const Platform& platform, const std::string& path,

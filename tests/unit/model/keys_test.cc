@@ -199,6 +199,34 @@ TEST(Keys, NamesThatTheFileChoosesAreNoKeys) {
   EXPECT_TRUE(keys.unknown.empty()) << keys.unknown.front().where;
 }
 
+TEST(Keys, AClockThatIsNowhereDeclaredIsTold) {
+  const std::string text = golden("app-2");
+  Keys keys = keys_of("app-2", text);
+  EXPECT_TRUE(keys.undeclared.empty()) << keys.undeclared.front().where;
+  json document = json::parse(text);
+  std::size_t with_clock = 0;
+  for (json& source : document["sources"]) {
+    if (!source.contains("clock") || source["clock"] == "main") {
+      ++with_clock;
+      continue;
+    }
+    source["clock"] = "lidra";
+    break;
+  }
+  keys = keys_of("app-2", document.dump());
+  ASSERT_EQ(keys.undeclared.size(), 1u);
+  EXPECT_EQ(keys.undeclared[0].where, "/sources/" + std::to_string(with_clock) + "/clock");
+  EXPECT_NE(keys.undeclared[0].said.find("clock 'lidra' is not in \"clocks\" (known: main, lidar"),
+            std::string::npos)
+      << keys.undeclared[0].said;
+  EXPECT_TRUE(judge(keys, "a.json"));
+  set_unknown_keys(UnknownKeys::kRefuse);
+  const Status refused = judge(keys, "a.json");
+  set_unknown_keys(UnknownKeys::kWarn);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().where, "a.json: " + keys.undeclared[0].where);
+}
+
 TEST(Keys, StrictRefusesTheFileAndOtherwiseItIsRead) {
   const auto path = (std::filesystem::temp_directory_path() /
                      ("xauto_keys_test." + std::to_string(getpid()) + ".json"))

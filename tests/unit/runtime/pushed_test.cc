@@ -202,6 +202,8 @@ TEST(Pushed, TheProfilerTakesWhatTheDriverPublishes) {
   const auto profiled = profile(app.spec, app.session, stop);
   ASSERT_TRUE(profiled) << profiled.error().to_string();
   EXPECT_EQ(count(app.log(), "c1"), 2u * 4u);
+  // It is no grid that was measured.
+  EXPECT_NE(profiled->text.find("\"pushed\": true"), std::string::npos) << profiled->text;
 }
 
 }  // namespace

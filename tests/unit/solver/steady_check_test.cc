@@ -466,6 +466,31 @@ TEST(SteadyPlay, TellsWhatHappens) {
             "XNode 'b', activation 0, ends 1.000 us after its key, at 450.000 us");
 }
 
+TEST(SteadyPlay, RanksGoBeforeKeys) {
+  Case c = empty(true, 50);
+  xnode(c, source(c, 1000), 0, 400, {900});
+  xnode(c, source(c, 1000, 300), 0, 100, {149});
+  c.app.samples = {{0, 1}};
+  chain(c, 0, 1, 1450);
+  c.policy.app_hash = c.app.hash();
+  const auto longest = [&](std::vector<std::int64_t> rank, std::int64_t suspended) {
+    PlayOptions options;
+    options.rank = std::move(rank);
+    const auto played = play(c.app, c.platform, c.policy, options);
+    EXPECT_TRUE(played);
+    EXPECT_EQ(played->suspended, suspended);
+    return played->chains[0].longest_us;
+  };
+  EXPECT_EQ(longest({}, 10'000), 1450);
+  EXPECT_EQ(longest({1, 0}, 10'000), 1450);
+  // a ends at 400 and b reads it; of equal ranks a was ready first.
+  EXPECT_EQ(longest({0, 1}, 0), 500);
+  EXPECT_EQ(longest({0, 0}, 0), 500);
+  PlayOptions options;
+  options.rank = {1};
+  EXPECT_FALSE(play(c.app, c.platform, c.policy, options));
+}
+
 TEST(SteadyPlay, WhatCannotKeepUpPilesUp) {
   Case c = empty();
   const int s = source(c, 10);
