@@ -351,7 +351,10 @@ XpuStatus Server::status() const {
       const Job job = referee_->job_of(i);
       worker.xnode = xnode_name(job.xnode);
       worker.job = job.sequence;
-      worker.priority = priority_of_key(job.key);
+      if (options_.by_keys)
+        worker.due_us = (job.key - static_cast<std::int64_t>(now)) / 1000;
+      else
+        worker.priority = priority_of_key(job.key);
       worker.since_us = now > job.since_ns ? (now - job.since_ns) / 1000 : 0;
       if (first >= 0 && first != i &&
           (worker.state == "waiting" || worker.state == "suspended" ||

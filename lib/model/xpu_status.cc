@@ -26,7 +26,10 @@ Json to_json(const XpuStatus& status) {
     if (!w.idle()) {
       worker["xnode"] = w.xnode;
       worker["job"] = w.job;
-      worker["priority"] = w.priority;
+      if (w.due_us)
+        worker["due_us"] = *w.due_us;
+      else
+        worker["priority"] = w.priority;
       worker["since_us"] = w.since_us;
       if (!w.by.empty()) worker["by"] = w.by;
     }
@@ -62,7 +65,8 @@ Result<XpuStatus> parse_xpu_status(const Json& json) {
     if (!worker || !state) return bad("a worker's name and state");
     status.workers.push_back({*worker, *state, w.at("xnode").text().value_or(""),
                               count(w.at("job")), w.at("priority").integer().value_or(0),
-                              count(w.at("since_us")), w.at("by").text().value_or("")});
+                              count(w.at("since_us")), w.at("by").text().value_or(""),
+                              w.at("due_us").integer()});
   }
   return status;
 }

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,8 @@ struct WorkerStatus {
   std::int64_t priority = 0;
   std::uint64_t since_us = 0;  ///< START was so long ago
   std::string by;              ///< the XNode for which it waits; empty: for none
+  /// Of a policy of keys, instead of a priority: its key is so far ahead; below 0: it is past.
+  std::optional<std::int64_t> due_us = {};
 
   [[nodiscard]] bool idle() const { return state == "idle"; }
   bool operator==(const WorkerStatus&) const = default;

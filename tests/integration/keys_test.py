@@ -4,6 +4,7 @@ trace is read by pftrace.py. Neither shares code with the tools."""
 import collections
 import json
 import math
+import os
 import pathlib
 import tempfile
 import unittest
@@ -174,6 +175,44 @@ class Keys(unittest.TestCase):
         self.assertIn("has max_in_flight 2", done.stderr)
         done = self.run_app(program=str(BIN / "driving"), status=2)
         self.assertIn("app.json", done.stderr)
+
+    @unittest.skipUnless(os.geteuid() == 0, "SCHED_FIFO needs a right")
+    def test_a_real_core_follows_keys_that_no_priority_could(self):
+        """`short` is released while `long` runs. Its key is before that of `long` in every other activation: then it takes
+        the core; in the others it waits, although it is the same XNode."""
+        source = {"jitter_us": 5000}
+        app = {"schema": "xauto.app", "version": 2, "name": "keysapp", "sources": [
+            {"name": "long", "period_us": 50000, **source}, {"name": "short", "period_us": 50000, "offset_us": 5000, **source},
+            {"name": "slow", "period_us": 100000, **source}],
+            "xnodes": [{"name": f"{n}.run", "module": f"{n}M", "source": n, "wcet_us": {"cpu": us}}
+                       for n, us in (("long", 21000), ("short", 2100), ("slow", 1100))], "edges": []}
+        platform = {"schema": "xauto.platform", "version": 1, "name": "core", "xpus": [{"id": "cpu0", "type": "cpu"}]}
+        paths = {n: self.folder / f"core-{n}.json" for n in ("app", "platform", "policy")}
+        paths["app"].write_text(json.dumps(app))
+        paths["platform"].write_text(json.dumps(platform))
+        done = xauto("solve", "--app", paths["app"], "--platform", paths["platform"], "--max-evaluations", 200, "--threads", 1,
+                     "--time-limit-s", 60, "--out", paths["policy"])
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        policy = json.loads(paths["policy"].read_text())
+        keys = {"long.run": [40000, 40000], "short.run": [10000, 48000], "slow.run": [90000]}
+        for row in policy["xnodes"]:
+            for unused in ("hold_us", "start_us", "finish_us"):
+                row.pop(unused, None)
+            row["key_us"] = keys[row["name"]]
+        paths["policy"].write_text(json.dumps(policy))
+        done = xauto("run", "--app", paths["app"], "--platform", paths["platform"], "--policy", paths["policy"], "--real",
+                     "--seconds", 4, "--json", "--trace-out", self.folder / "core.pftrace", "--", BIN / "keysapp")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        trace = pftrace.Trace((self.folder / "core.pftrace").read_bytes())
+        ends = collections.defaultdict(dict)
+        for s in trace.slices:
+            if s.category == "job":
+                name = s.name.split(" ")[0]
+                ends[name][len(ends[name])] = s.end
+        self.assertGreater(len(ends["long.run"]), 60)
+        took = [ends["short.run"][n] < ends["long.run"][n] for n in range(60)]
+        self.assertGreater(sum(took[0::2]), 27, took)
+        self.assertLess(sum(took[1::2]), 3, took)
 
     def test_profile_writes_the_samples(self):
         done = xauto("profile", "--platform", "small", "--emulate", "--repetitions", 1, "--warmup", 0, "--app-out",

@@ -29,6 +29,7 @@ xauto::Result<xauto::coord::ServerOptions> options_for(const std::string& xpu, i
   options.xpu = xpu;
   options.discipline = xauto::xpu::discipline_of(
       session.platform.xpus[static_cast<std::size_t>(index)], session.emulated(index), session.cpu_by_keys);
+  options.by_keys = session.keys.has_value();
   for (const auto& xnode : session.app.xnodes) options.xnodes.push_back(xnode.name);
   for (const auto& [u, v] : session.policy.order)
     if (session.policy.placements[static_cast<std::size_t>(v)].xpu == index)

@@ -28,8 +28,11 @@ constexpr const char* kCoordinator = "xauto-coordinat";  // as /proc/PID/comm cu
 
 std::string words(const WorkerStatus& worker) {
   if (worker.idle()) return worker.state;
-  return fmt::format("{}: {} (job {}, priority {}, since {:.2f} ms){}", worker.state, worker.xnode,
-                     worker.job, worker.priority, static_cast<double>(worker.since_us) / 1000,
+  const auto ms = [](std::int64_t us) { return static_cast<double>(us) / 1000; };
+  const std::string urgency = worker.due_us ? fmt::format("due in {:.2f} ms", ms(*worker.due_us))
+                                            : fmt::format("priority {}", worker.priority);
+  return fmt::format("{}: {} (job {}, {}, since {:.2f} ms){}", worker.state, worker.xnode,
+                     worker.job, urgency, ms(static_cast<std::int64_t>(worker.since_us)),
                      worker.by.empty() ? "" : " by " + worker.by);
 }
 
