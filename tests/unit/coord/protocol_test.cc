@@ -97,6 +97,13 @@ TEST(Protocol, ThreeJobsEveryAccessPreemptive) {
 
 // Every access of the workers is a step, each look of the coordinator is one.
 
+/// Three: one that parks while the XPU is taken must be heard of after it is given back.
+TEST(Protocol, ThreeJobsOnAPreemptiveXpu) {
+  ProtocolWorld w = world({Discipline::kPreemptive}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
+  w.coarse = true;
+  expect_clean(w, 10'000);
+}
+
 TEST(Protocol, ThreeJobsOnOneXpuWithADeath) {
   for (const Discipline d : kBoth) {
     if (d == Discipline::kPreemptive && (kSmallOnly || !long_ones())) continue;
