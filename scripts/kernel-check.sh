@@ -59,7 +59,7 @@ modules_of() { # KERNEL_FOLDER OUT: builds, prints the items for the guest
 
 # kmod NAME [ARCH]: xauto.ko and the emulators, on one of fetch-kernel.sh's kernels.
 kmod() {
-  local kernel items program programs
+  local kernel items program programs append=""
   note "xauto.ko on Linux $1 ${2:-amd64}"
   kernel=$(scripts/vm/fetch-kernel.sh "$@") || { failed=$((failed + 1)); return; }
   mapfile -t items < <(modules_of "$kernel" "$out/kmod-$1-${2:-amd64}")
@@ -71,7 +71,9 @@ kmod() {
     items=("ROOT=$programs" "${items[@]}")
   fi
   for program in "$programs"/kmod_*_test; do items+=("$program:/tests/$(basename "$program")"); done
-  in_vm "kmod-$1-${2:-amd64}" "$kernel" run-kmod "${items[@]}"
+  # What the kernel does not know on its command line, init gets as its environment.
+  [ -z "${XAUTO_FULL:-}" ] || append="XAUTO_FUZZ=20000 XAUTO_UNLOADS=20"
+  VM_APPEND=$append in_vm "kmod-$1-${2:-amd64}" "$kernel" run-kmod "${items[@]}"
 }
 
 # scx NAME: the sched_ext scheduler and the tracer, on fetch-kernel.sh's 7.x or on the self-built 6.12.

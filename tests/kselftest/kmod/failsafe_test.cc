@@ -152,12 +152,13 @@ void app_dies(int times) {
 int main() {
   const char* scale = getenv("XAUTO_KILLS");
   const int kills = scale != nullptr ? atoi(scale) : 200;
+  const char* unloads = getenv("XAUTO_UNLOADS");
   ktap_plan(6);
   many("coordinator killed", Manner::kKill, kills);
   many("socket closed by exit", Manner::kClose, 30);
   many("watchdog starved", Manner::kStarve, 10);
   many("owner dead, socket inherited", Manner::kOwnerDies, 5);
   app_dies(30);
-  unloading(20);
+  unloading(unloads != nullptr ? atoi(unloads) : 6);
   return ktap_exit();
 }

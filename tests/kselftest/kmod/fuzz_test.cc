@@ -317,7 +317,7 @@ int main() {
   const char* seed = getenv("XAUTO_SEED");
   const char* scale = getenv("XAUTO_FUZZ");
   const unsigned long start = seed != nullptr ? strtoul(seed, nullptr, 0) : 1;
-  const int count = scale != nullptr ? atoi(scale) : 20000;
+  const int count = scale != nullptr ? atoi(scale) : 8000;
   random_source.seed(start);
   ktap_plan(4);
   ktap_note("seed %lu, %d netlink messages and as many ioctls (XAUTO_SEED, XAUTO_FUZZ)", start,

@@ -431,7 +431,7 @@ void watchdog() {
   const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
   XNodeThread low(world, 0, body), high(world, 1, body);
   const auto begin = Clock::now();
-  sleep_ms(8000);
+  sleep_ms(5000);
   const std::string state = scx_state();
   stop = true;
   low.join();
@@ -439,7 +439,7 @@ void watchdog() {
   other.join();
   const double wall = seconds(Clock::now() - begin);
   ktap_test(state == "enabled",
-            "a runaway does not get us thrown out by the watchdog: 8 s, limit 2 s");
+            "a runaway does not get us thrown out by the watchdog: 5 s, limit 2 s");
   ktap_test(low.cpu() > 0.005, "a starved XNode thread gets turns: %.3f s of %.1f", low.cpu(),
             wall);
   ktap_test(ordinary > 0.01 * wall && ordinary < 0.2 * wall && high.cpu() > 0.75 * wall,

@@ -13,7 +13,7 @@ bpftool prog tracelog >tracelog.txt 2>&1 &
 log=$!
 bpftool prog list >prog_list.txt
 bpftool struct_ops list >struct_ops.txt
-for map in head table slots jobs sched names threads hist cpus losses cpu_states; do
+for map in table jobs hist; do # those that are looked at below
   bpftool map dump pinned "$maps/$map" >"dump_$map.txt" 2>&1 || echo "# no dump of $map"
 done
 xauto top --count 2 --interval-ms 800 >top.txt 2>top.err

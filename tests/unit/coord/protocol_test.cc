@@ -97,6 +97,17 @@ TEST(Protocol, ThreeJobsEveryAccessPreemptive) {
 
 // Every access of the workers is a step, each look of the coordinator is one.
 
+/// One that parks while the XPU is taken is heard of after it is given back. The whole world has a
+/// million states, a protocol that forgets it breaks in the first 12,000.
+TEST(Protocol, WhoParksWhileAnXpuIsTakenIsNotForgotten) {
+  ProtocolWorld w = world({Discipline::kPreemptive}, {{task(0, 3)}, {task(1, 2)}, {task(2, 1)}});
+  w.coarse = true;
+  w.limit = kSmallOnly ? 20'000 : 100'000;
+  const ProtocolResult result = ProtocolExplorer(w).run();
+  EXPECT_EQ(result.violation, "");
+  EXPECT_GE(result.states, w.limit);
+}
+
 TEST(Protocol, ThreeJobsOnOneXpuWithADeath) {
   for (const Discipline d : kBoth) {
     if (d == Discipline::kPreemptive && (kSmallOnly || !long_ones())) continue;

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+# What compiling costs. A third of it was reading the same headers of the standard library for each file.
+#   xauto_headers(TARGET)   they are compiled once for all such targets (precompiled; the preset `debug` does without)
+#   xauto_cold(TARGET)      ... and Release has -O1: for what runs once, or waits for a person, a file, another process
+set(XAUTO_HEADERS ${CMAKE_CURRENT_LIST_DIR}/headers.h)
+set(XAUTO_COLD $<$<CONFIG:Release>:-O1>)
+if(NOT EXISTS ${PROJECT_BINARY_DIR}/headers.cc)
+  file(WRITE ${PROJECT_BINARY_DIR}/headers.cc "") # CMake wants a file
+endif()
+# GCC takes a precompiled header with the options only that it was made with: so there is one for each level.
+foreach(level hot cold)
+  add_library(xauto_headers_${level} OBJECT EXCLUDE_FROM_ALL ${PROJECT_BINARY_DIR}/headers.cc)
+  target_link_libraries(xauto_headers_${level} PRIVATE fmt::fmt)
+  target_precompile_headers(xauto_headers_${level} PRIVATE ${XAUTO_HEADERS})
+endforeach()
+target_compile_options(xauto_headers_cold PRIVATE ${XAUTO_COLD})
+
+function(xauto_headers target)
+  cmake_parse_arguments(ARG "" "LEVEL" "" ${ARGN})
+  if(NOT ARG_LEVEL)
+    set(ARG_LEVEL hot)
+  endif()
+  target_link_libraries(${target} PRIVATE fmt::fmt) # the headers were compiled with its definitions
+  target_precompile_headers(${target} REUSE_FROM xauto_headers_${ARG_LEVEL})
+  get_target_property(type ${target} TYPE)
+  if(type STREQUAL "EXECUTABLE")
+    target_compile_options(${target} PRIVATE -fPIC) # as the headers were; CMake's -fPIE would be another option
+  endif()
+endfunction()
+function(xauto_cold target)
+  target_compile_options(${target} PRIVATE ${XAUTO_COLD})
+  if(CMAKE_BUILD_TYPE STREQUAL "Release")
+    xauto_headers(${target} LEVEL cold)
+  else()
+    xauto_headers(${target})
+  endif()
+endfunction()
