@@ -203,7 +203,7 @@ class Builder {
         const auto at = static_cast<std::size_t>(s);
         if (graph_.sources[at].period != graph_.sources[static_cast<std::size_t>(*sources.begin())].period)
           numbered = false;
-        if (graph_.sources_pushed[at] != 0 && sources.size() > 1) numbered = false;
+        if (graph_.sources[at].pushed && sources.size() > 1) numbered = false;
       }
       for (const std::size_t m : members) graph_.modules[m].numbered = numbered;
     }
