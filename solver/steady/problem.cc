@@ -119,6 +119,8 @@ struct Builder {
         if (s < 0 || at(s) >= app.sources.size())
           return fail(ErrorCode::kInvalid, "a source that is not there", "XNode '" + x.name + "'");
         const SourceSpec& source = app.sources[at(s)];
+        if (source.clock < 0 || at(source.clock) >= app.clocks.size())
+          return fail(ErrorCode::kInvalid, "a source names a clock that is not there", "sources");
         Tick offset = 0, period_ticks = 0;
         XAUTO_TRY(ticks(source.offset_us, "offset_us of source '" + source.name + "'", offset));
         XAUTO_TRY(period(source, period_ticks));
@@ -139,9 +141,12 @@ struct Builder {
         const SourceSpec& source = app.sources[at(s)];
         Tick jitter = 0;
         XAUTO_TRY(ticks(source.jitter_us, "jitter_us of source '" + source.name + "'", jitter));
+        // Of a clock that may be slow the offset lasts longer.
+        const Tick offset =
+            source.offset_us * p.scale - p.components[at(p.component_of[at(i)])].phase;
         p.root_ready[at(i)] =
-            std::max(p.root_ready[at(i)], jitter + source.offset_us * p.scale -
-                                              p.components[at(p.component_of[at(i)])].phase);
+            std::max(p.root_ready[at(i)],
+                     jitter + in_slow_time(offset, app.clocks[at(source.clock)].ppm));
       }
     return {};
   }
@@ -187,9 +192,6 @@ struct Builder {
         p.domains.push_back(std::move(alone));
       }
     }
-    for (const int clock : clock_of)
-      if (clock < 0 || at(clock) >= app.clocks.size())
-        return fail(ErrorCode::kInvalid, "a source names a clock that is not there", "sources");
     p.slot.assign(at(p.num_xnodes), 0);
     p.jobs.assign(at(p.num_xnodes), 1);
     for (std::size_t d = 0; d < p.domains.size(); ++d)
