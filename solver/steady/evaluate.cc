@@ -45,7 +45,6 @@ Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
   rule_.delay.resize(at(p_.num_xnodes));
   rule_.cost.resize(at(p_.num_xpus));
   rule_.window.resize(at(p_.num_xnodes));
-  pad_.resize(at(p_.num_xpus));
 }
 
 double Evaluator::overload(const Decision& decision) const {
@@ -60,7 +59,7 @@ double Evaluator::overload(const Decision& decision) const {
 }
 
 /// What a drifting clock takes of each XPU that one domain has. True if it is more than before.
-bool Evaluator::deepen_pads(const Decision& decision, const Figures& out) {
+bool Evaluator::deepen_pads(const Decision& decision, Figures& out) {
   if (std::all_of(p_.domains.begin(), p_.domains.end(), [](const Domain& d) { return d.ppm == 0; }))
     return false;
   std::vector<Tick> deepest(at(p_.num_xpus), 0);
@@ -73,37 +72,123 @@ bool Evaluator::deepen_pads(const Decision& decision, const Figures& out) {
   }
   bool grew = false;
   for (std::size_t m = 0; m < deepest.size(); ++m) {
-    if (drift_pad(deepest[m], ppm[m]) <= pad_[m]) continue;
+    if (drift_pad(deepest[m], ppm[m]) <= out.pad[m]) continue;
     // What it adds makes windows deeper: a little more at once.
-    pad_[m] = drift_pad(deepest[m] + deepest[m] / 8, ppm[m]);
+    out.pad[m] = drift_pad(deepest[m] + deepest[m] / 8, ppm[m]);
     grew = grew || shared_[m] == 0;
   }
   return grew;
+}
+
+/// Whether a shared XPU serves the same windows as in the base.
+bool Evaluator::as_before(const Decision& decision, int m, const Figures& out) const {
+  if (base_ == nullptr || was_shared_[at(m)] == 0 || base_figures_->missing.empty()) return false;
+  const Windows &now = out.w, &before = base_figures_->w;
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    if ((decision.xpu[at(i)] == m) != (base_->xpu[at(i)] == m)) return false;
+    if (decision.xpu[at(i)] != m || changed_[at(p_.domain_of(i))] == 0) continue;
+    const auto first = p_.slot[at(i)], last = first + p_.jobs[at(i)];
+    for (auto s = at(first); s < at(last); ++s)
+      if (now.a[s] != before.a[s] || now.d[s] != before.d[s] || now.e[s] != before.e[s])
+        return false;
+  }
+  return true;
 }
 
 /// The shared XPUs, by the demand bound.
 bool Evaluator::serves(const Decision& decision, Figures& out) {
   // How much is missing leads the annealer to where nothing is.
   double missing = 0;
-  out.tight.assign(at(p_.num_xpus), kNoTick);
+  out.missing.assign(at(p_.num_xpus), 0);
   for (int m = 0; m < p_.num_xpus; ++m) {
     if (shared_[at(m)] == 0) continue;
-    charge(p_, decision.xpu, out.w, m, charges_);
-    Tightest t;
-    if (shared_fits(p_, m, decision.xpu, out.w, charges_, &t)) continue;
-    missing += 0.01;
-    out.tight[at(m)] = t.length;
-    if (t.demand > t.length)
-      missing += static_cast<double>(t.demand - t.length) / static_cast<double>(t.demand);
-    else
-      missing += 1;
+    double& here = out.missing[at(m)];
+    if (as_before(decision, m, out)) {
+      here = base_figures_->missing[at(m)];
+    } else {
+      charge(p_, decision.xpu, out.w, m, charges_);
+      Tightest t;
+      if (!shared_fits(p_, m, decision.xpu, out.w, charges_, &t))
+        here = 0.01 + (t.demand > t.length ? static_cast<double>(t.demand - t.length) /
+                                                 static_cast<double>(t.demand)
+                                           : 1);
+    }
+    missing += here;
+    // A valid state is left for a valid one.
+    if (missing > 0 && most_ < kInvalidCost) break;
   }
   if (missing > 0) out.cost = kInvalidCost * (1 + missing / (p_.num_xpus + 1));
   return missing == 0;
 }
 
+/// Which domains have to be simulated.
+void Evaluator::find_changes(const Decision& decision, const Figures& out) {
+  changed_.assign(p_.domains.size(), 1);
+  if (base_ == nullptr || base_figures_->w.d.empty() || !base_figures_->simulated) return;
+  was_shared_ = shared_xpus(p_, base_->xpu);
+  std::fill(changed_.begin(), changed_.end(), 0);
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    const std::size_t x = at(i), m = at(decision.xpu[x]);
+    if (decision.xpu[x] != base_->xpu[x] || decision.hold[x] != base_->hold[x] ||
+        shared_[m] != was_shared_[m] ||
+        (shared_[m] != 0 ? decision.window[x] != base_->window[x]
+                         : decision.key[x] != base_->key[x] ||
+                               decision.polite[x] != base_->polite[x] ||
+                               out.pad[m] != base_figures_->pad[m]))
+      changed_[at(p_.domain_of(i))] = 1;
+  }
+}
+
+/// The schedules, and the windows that follow.
+bool Evaluator::plan(const Decision& decision, Figures& out, const Until& until) {
+  for (int attempt = 0; attempt < kMostTries; ++attempt) {
+    for (int i = 0; i < p_.num_xnodes; ++i) {
+      const std::size_t m = at(decision.xpu[at(i)]);
+      rule_.delay[at(i)] = shared_[m] != 0 ? 0 : out.pad[m];
+    }
+    if (attempt == 0)
+      find_changes(decision, out);
+    else
+      changed_.assign(p_.domains.size(), 1);
+    for (std::size_t d = 0; d < p_.domains.size(); ++d) {
+      if (changed_[d] == 0) {
+        for (const int i : p_.domains[d].xnodes) {
+          const auto first = p_.slot[at(i)], last = first + p_.jobs[at(i)];
+          const auto& from = base_figures_->schedule;
+          std::copy(from.start.begin() + first, from.start.begin() + last,
+                    out.schedule.start.begin() + first);
+          std::copy(from.finish.begin() + first, from.finish.begin() + last,
+                    out.schedule.finish.begin() + first);
+        }
+      } else if (!exhibitors_[d].run(static_cast<int>(d), rule_, out.schedule, until)) {
+        const double growth = exhibitors_[d].growth();
+        out.cost = 2 * kInvalidCost * (1 + growth / (growth + p_.num_slots) / 4);
+        return false;
+      }
+    }
+    std::copy(out.schedule.finish.begin(), out.schedule.finish.end(), out.w.d.begin());
+    if (deepen_pads(decision, out)) continue;
+    for (int i = 0; i < p_.num_xnodes; ++i) {
+      const std::size_t m = at(decision.xpu[at(i)]);
+      const bool holds = p_.reads[at(i)] != 0 || decision.hold[at(i)] > 0 ||
+                         p_.preemptive[m] == 0 || p_.preempt[m] > 0;
+      for (int n = 0; n < p_.jobs[at(i)]; ++n) {
+        const std::size_t s = at(p_.slot[at(i)] + n);
+        out.w.hold[s] = holds ? out.schedule.start[s] / p_.scale * p_.scale : 0;
+      }
+    }
+    for (std::size_t d = 0; d < p_.domains.size(); ++d)
+      derive_ready(p_, static_cast<int>(d), decision.xpu, out.w);
+    out.simulated = true;
+    return true;
+  }
+  out.cost = 2 * kInvalidCost;
+  return false;
+}
+
 bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures& out,
                          const Until& until) {
+  out.simulated = false;
   out.w.a.resize(at(p_.num_slots));
   out.w.d.resize(at(p_.num_slots));
   out.w.hold.resize(at(p_.num_slots));
@@ -115,7 +200,10 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures&
     return false;
   }
   shared_ = shared_xpus(p_, decision.xpu);
-  std::fill(pad_.begin(), pad_.end(), 0);
+  if (base_figures_ != nullptr && base_figures_->simulated)
+    out.pad = base_figures_->pad;
+  else
+    out.pad.assign(at(p_.num_xpus), 0);
   rule_.xpu = decision.xpu;
   rule_.hold = decision.hold;
   rule_.polite = decision.polite;
@@ -132,34 +220,11 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures&
       rule_.window[at(i)] = std::max(decision.window[at(i)], p_.wcet(i, m));
     }
   }
-  for (int attempt = 0; attempt < kMostTries; ++attempt) {
-    for (int i = 0; i < p_.num_xnodes; ++i) {
-      const std::size_t m = at(decision.xpu[at(i)]);
-      rule_.delay[at(i)] = shared_[m] != 0 ? 0 : pad_[m];
-    }
-    for (std::size_t d = 0; d < p_.domains.size(); ++d)
-      if (!exhibitors_[d].run(static_cast<int>(d), rule_, out.schedule, until)) {
-        const double growth = exhibitors_[d].growth();
-        out.cost = 2 * kInvalidCost * (1 + growth / (growth + p_.num_slots) / 4);
-        return false;
-      }
-    std::copy(out.schedule.finish.begin(), out.schedule.finish.end(), out.w.d.begin());
-    if (deepen_pads(decision, out)) continue;
-    for (int i = 0; i < p_.num_xnodes; ++i) {
-      const std::size_t m = at(decision.xpu[at(i)]);
-      const bool holds = p_.reads[at(i)] != 0 || decision.hold[at(i)] > 0 ||
-                         p_.preemptive[m] == 0 || p_.preempt[m] > 0;
-      for (int n = 0; n < p_.jobs[at(i)]; ++n) {
-        const std::size_t s = at(p_.slot[at(i)] + n);
-        out.w.hold[s] = holds ? out.schedule.start[s] / p_.scale * p_.scale : 0;
-      }
-    }
-    for (std::size_t d = 0; d < p_.domains.size(); ++d)
-      derive_ready(p_, static_cast<int>(d), decision.xpu, out.w);
-    return serves(decision, out);
-  }
-  out.cost = 2 * kInvalidCost;
-  return false;
+  if (!plan(decision, out, until)) return false;
+  set_costs(out);
+  // What is refused anyway need not be served.
+  if (out.cost > most_) return false;
+  return serves(decision, out);
 }
 
 void Evaluator::set_costs(Figures& out) const {
@@ -204,21 +269,25 @@ void Evaluator::set_limits(double most) {
   }
 }
 
-void Evaluator::evaluate(const Decision& decision, double most, Figures& out, const Until& until) {
+void Evaluator::evaluate(const Decision& decision, double most, Figures& out, const Until& until,
+                         const Decision* base, const Figures* base_figures) {
   ++evaluations_;
   set_limits(most);
+  most_ = most;
+  base_ = base;
+  base_figures_ = base_figures;
   out.valid = simulate(decision, nullptr, out, until);
-  if (out.valid) set_costs(out);
 }
 
 bool Evaluator::settle(const Decision& decision, Figures& out, const Until& until) {
   ++evaluations_;
   rule_.limit.clear();
+  most_ = kInvalidCost;
+  base_ = nullptr;
+  base_figures_ = nullptr;
   Figures next;
   next.valid = simulate(decision, &out, next, until);
-  if (!next.valid) return false;
-  set_costs(next);
-  if (!next.better_than(out)) return false;
+  if (!next.valid || !next.better_than(out)) return false;
   out = std::move(next);
   return true;
 }

@@ -27,10 +27,11 @@ struct Decision {
 
 struct Figures {
   bool valid = false;
+  bool simulated = false;  ///< schedule and windows are those of the decision
   Windows w;
   Schedule schedule;
-  /// [xpu] shared: length of the interval that is short of time; kNoTick: none is.
-  std::vector<Tick> tight;
+  std::vector<Tick> pad;        ///< [xpu] what drift takes of it
+  std::vector<double> missing;  ///< [xpu] shared: how much time it is short of; 0: it serves all
   std::vector<Tick> chain;  ///< [chain] worst case
   double late = 0;          ///< largest worst case / deadline, 0 without deadlines
   double sum = 0;           ///< weighted sum of the worst cases
@@ -47,8 +48,10 @@ class Evaluator {
   /// `reference`: [chain] what the sum is measured in (lower bounds).
   Evaluator(const Problem& problem, const std::vector<Tick>& reference);
 
-  /// `most`: what costs more may come back invalid, sooner.
-  void evaluate(const Decision& decision, double most, Figures& out, const Until& until = {});
+  /// `most`: what costs more may come back invalid, sooner. `base` (may be null): a decision and its
+  /// figures, of which is kept what does not change.
+  void evaluate(const Decision& decision, double most, Figures& out, const Until& until = {},
+                const Decision* base = nullptr, const Figures* base_figures = nullptr);
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
   /// [chain] XNodes that its end waits for, on any of its ways.
   [[nodiscard]] const std::vector<std::vector<int>>& chain_xnodes() const { return chain_xnodes_; }
@@ -57,8 +60,11 @@ class Evaluator {
 
  private:
   bool simulate(const Decision& decision, const Figures* keys, Figures& out, const Until& until);
+  bool plan(const Decision& decision, Figures& out, const Until& until);
+  void find_changes(const Decision& decision, const Figures& out);
   bool serves(const Decision& decision, Figures& out);
-  bool deepen_pads(const Decision& decision, const Figures& out);
+  [[nodiscard]] bool as_before(const Decision& decision, int xpu, const Figures& out) const;
+  bool deepen_pads(const Decision& decision, Figures& out);
   void set_costs(Figures& out) const;
   void set_limits(double most);
   [[nodiscard]] double overload(const Decision& decision) const;
@@ -71,8 +77,11 @@ class Evaluator {
   Rule rule_;
   std::vector<std::vector<int>> chain_xnodes_;  ///< [chain] those that its end waits for
   Charges charges_;
-  std::vector<Tick> pad_;  ///< [xpu]
-  std::vector<char> shared_;
+  std::vector<char> shared_, was_shared_;  ///< [xpu]
+  std::vector<char> changed_;              ///< [domain] its schedule is not that of the base
+  const Decision* base_ = nullptr;
+  const Figures* base_figures_ = nullptr;
+  double most_ = 0;
   std::int64_t evaluations_ = 0;
 };
 

@@ -394,7 +394,8 @@ void Search::anneal(std::int64_t steps, double hot,
     // Drawn before, so that most candidates need not be simulated to the end.
     const double scale = current.figures.valid ? current.figures.cost : 0.05 * kInvalidCost;
     const double allowed = current.figures.cost - heat * scale * std::log(random_.unit());
-    evaluator_.evaluate(next.decision, allowed, next.figures, limits_.until);
+    evaluator_.evaluate(next.decision, allowed, next.figures, limits_.until, &current.decision,
+                        &current.figures);
     if (next.figures.cost > allowed) continue;
     if (next.figures.valid && next.figures.better_than(best_.figures)) {
       take(next, on_better);
