@@ -131,12 +131,14 @@ Tick drift_pad(Tick deepest, std::int64_t ppm) {
 
 bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Windows& w,
                  const Charges& charges, Tightest* tightest) {
-  std::vector<Pattern> patterns(p.domains.size());
+  // One per domain; of a clock that has been split one per component.
+  std::vector<Pattern> patterns(p.domains.size() + p.components.size());
   std::vector<Blocking> blocking;
   for (int i = 0; i < p.num_xnodes; ++i) {
     if (xpu[at(i)] != m) continue;
     const Component& c = p.components[at(p.component_of[at(i)])];
-    Pattern& g = patterns[at(c.domain)];
+    const bool part = p.domains[at(c.domain)].part;
+    Pattern& g = patterns[part ? p.domains.size() + at(p.component_of[at(i)]) : at(c.domain)];
     g.period = p.domains[at(c.domain)].hyper;
     g.ppm = p.domains[at(c.domain)].ppm;
     Tick longest = 0;

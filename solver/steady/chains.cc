@@ -53,25 +53,55 @@ int leaves_by(const Problem& p, const Chain& chain, const std::vector<int>& samp
   return next < samples.size() ? p.samples[at(samples[next])].first : chain.to;
 }
 
-/// Worst time from the nominal release k of the component of `v` to the end of the way, of which
-/// `samples[next..]` is left. `u`: the XNode by which the component is left, or the last.
+/// Releases of a way, on one clock, that are followed one by one: `check` follows as many.
+constexpr Tick kMostFollowed = 500'000;
+
+/// Worst time of a way, from the release of its source on.
 struct Way {
   const Problem& p;
   const Chain& chain;
   const std::vector<int>& samples;
   View d, hold;
 
-  /// From activation k on, after the last change of domain, `since` nominal ticks after the
-  /// beginning of this domain's part.
-  [[nodiscard]] Tick from(std::size_t next, std::int64_t k, Tick since) const {
+  /// Whether the releases from the first component on the clock of `v` to that of `v`, which
+  /// samples[next] enters, come round soon enough.
+  [[nodiscard]] bool followed(std::size_t next, int v) const {
+    const auto clock_of = [&](int i) { return p.domains[at(p.domain_of(i))].clock; };
+    Tick hyper = p.period_of(v), least = hyper;
+    for (std::size_t s = next + 1; s-- > 0;) {
+      const int u = p.samples[at(samples[s])].first;
+      if (clock_of(u) != clock_of(v)) break;
+      least = std::min(least, p.period_of(u));
+      const Tick period = p.period_of(u), by = period / std::gcd(hyper, period);
+      if (by > kMostTicks / hyper) return false;
+      hyper *= by;
+      if (hyper / least > kMostFollowed) return false;
+    }
+    return true;
+  }
+
+  /// A release that the way began a domain's part with. What comes later on the same clock keeps its
+  /// phase to it.
+  struct Origin {
+    const Component* component;
+    std::int64_t k;
+    Tick after;  ///< real time from the way's beginning
+  };
+
+  /// `samples[next..]` is left, from the release k of the component of `v` on. That was at most
+  /// `before` after the way's beginning; `since` nominal ticks after the beginning of this domain's
+  /// part.
+  [[nodiscard]] Tick from(std::size_t next, std::int64_t k, Tick since, Tick before,
+                          std::vector<Origin>& origins) const {
     for (;;) {
       const int u = leaves_by(p, chain, samples, next);
       const Component& cu = p.components[at(p.component_of[at(u)])];
       const std::int64_t ppm = p.domains[at(cu.domain)].ppm;
-      if (next == samples.size()) return longest(since, ppm) + d(u, k);
+      const Tick ends = before + longest(since, ppm) + d(u, k);
+      if (next == samples.size()) return ends;
       const int v = p.samples[at(samples[next])].second;
       const Component& cv = p.components[at(p.component_of[at(v)])];
-      if (cv.domain != cu.domain) return longest(since, ppm) + d(u, k) + across(next, v);
+      if (cv.domain != cu.domain) return across(next, v, ends, origins);
       const std::int64_t n = first_reader(p, cu, k, d(u, k), v, hold);
       since += cv.phase + n * cv.period - cu.phase - k * cu.period;
       k = n;
@@ -79,13 +109,36 @@ struct Way {
     }
   }
 
-  /// From a result of another domain, just missed by activation n - 1 of v.
-  [[nodiscard]] Tick across(std::size_t next, int v) const {
+  /// A result of another domain, `ends` after the way's beginning, just missed by activation n - 1
+  /// of v.
+  [[nodiscard]] Tick across(std::size_t next, int v, Tick ends,
+                            std::vector<Origin>& origins) const {
     const Component& cv = p.components[at(p.component_of[at(v)])];
-    const Tick apart = in_slow_time(cv.period, p.domains[at(cv.domain)].ppm);
+    const std::int64_t ppm = p.domains[at(cv.domain)].ppm;
+    const Tick apart = in_slow_time(cv.period, ppm);
+    const std::size_t known = origins.size();
     Tick worst = 0;
-    for (int n = 0; n < cv.jobs; ++n)
-      worst = std::max(worst, apart - hold(v, n - 1) + from(next + 1, n, 0));
+    for (int n = 0; n < cv.jobs; ++n) {
+      const Tick read = ends + apart - hold(v, n - 1);
+      origins.push_back({&cv, n, read});
+      worst = std::max(worst, from(next + 1, n, 0, read, origins));
+      origins.resize(known);
+    }
+    // Back in a domain whose phase is known, on the same clock all the way: not later than by its
+    // first activation that starts when the result is certainly there.
+    for (std::size_t o = known; o-- > 0;) {
+      const Origin& origin = origins[o];
+      if (p.domains[at(origin.component->domain)].clock != p.domains[at(cv.domain)].clock) break;
+      if (origin.component->domain != cv.domain || !followed(next, v)) continue;
+      const std::int64_t n =
+          first_reader(p, *origin.component, origin.k, ends - origin.after, v, hold);
+      const Tick since = cv.phase + n * cv.period - origin.component->phase -
+                         origin.k * origin.component->period;
+      const Tick after = origin.after;
+      worst = std::min(worst, from(next + 1, n, since, after, origins));
+      origins.resize(known);
+      break;
+    }
     return worst;
   }
 };
@@ -109,7 +162,12 @@ Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Wi
   const Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}};
   const Component& c = p.components[at(p.component_of[at(leaves_by(p, chain, path.samples, 0))])];
   Tick worst = 0;
-  for (int k = 0; k < c.jobs; ++k) worst = std::max(worst, way.from(0, k, c.phase - chain.offset));
+  std::vector<Way::Origin> origins;
+  for (int k = 0; k < c.jobs; ++k) {
+    const Tick before = longest(c.phase - chain.offset, p.domains[at(c.domain)].ppm);
+    origins.assign(1, {&c, k, before});
+    worst = std::max(worst, way.from(0, k, 0, before, origins));
+  }
   return worst;
 }
 

@@ -14,8 +14,15 @@ struct Pair {
   Tick longest = 0;  ///< largest d - e of j
   Tick deepest = 0;  ///< largest d of j
 
-  Pair(const Problem& problem, const Windows& windows, int xnode, int other)
-      : p(problem), w(windows), i(xnode), j(other) {
+  bool apart;        ///< their phase is not known
+
+  Pair(const Problem& problem, const Windows& windows, int xnode, int other, bool shared)
+      : p(problem),
+        w(windows),
+        i(xnode),
+        j(other),
+        apart(shared && p.component_of[at(i)] != p.component_of[at(j)] &&
+              p.domains[at(p.domain_of(i))].part) {
     least_e = w.e[at(p.slot[at(j)])];
     for (int m = 0; m < p.jobs[at(j)]; ++m) {
       const std::size_t s = at(p.slot[at(j)] + m);
@@ -30,7 +37,7 @@ struct Pair {
     const Component& ci = p.components[at(p.component_of[at(i)])];
     const Component& cj = p.components[at(p.component_of[at(j)])];
     const Tick a = w.a[at(p.slot[at(i)] + n)], d = w.d[at(p.slot[at(i)] + n)];
-    if (ci.domain != cj.domain) return longest > d - a;
+    if (ci.domain != cj.domain || apart) return longest > d - a;
     // A clock that drifts moves releases against each other by up to this within the windows.
     const Tick blur = lost_in(a + d + deepest, p.domains[at(ci.domain)].ppm);
     const Tick release = ci.phase + n * ci.period, ready = release + a + blur;
@@ -105,10 +112,13 @@ void charge(const Problem& p, const std::vector<int>& xpu, const Windows& w, int
     if (only_xpu >= 0 && m != only_xpu) continue;
     const bool preemptive = p.preemptive[at(m)] != 0;
     if (preemptive && p.preempt[at(m)] == 0) continue;
+    const bool shared = std::any_of(here[at(m)].begin(), here[at(m)].end(), [&](int i) {
+      return p.domain_of(i) != p.domain_of(here[at(m)].front());
+    });
     for (const int i : here[at(m)])
       for (const int j : here[at(m)]) {
         if (i == j) continue;
-        const Pair pair(p, w, i, j);
+        const Pair pair(p, w, i, j, shared);
         for (int n = 0; n < p.jobs[at(i)]; ++n) {
           const std::size_t s = at(p.slot[at(i)] + n);
           if (preemptive) {
