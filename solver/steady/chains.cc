@@ -2,10 +2,7 @@
 #include "solver/steady/chains.h"
 
 #include <algorithm>
-#include <map>
 #include <numeric>
-
-#include "solver/bounds.h"
 
 namespace xauto::solver::steady {
 namespace {
@@ -143,19 +140,6 @@ struct Way {
   }
 };
 
-/// Least WCETs along edges from `from` to `to`, both included; kNoTick: no way.
-Tick least_way(const Problem& p, const std::vector<Tick>& least, int from, int to) {
-  if (from == to) return least[at(from)];
-  if (!p.before(from, to)) return kNoTick;
-  std::vector<Tick> until(at(p.num_xnodes), kNoTick);
-  until[at(from)] = least[at(from)];
-  for (const int i : p.components[at(p.component_of[at(to)])].xnodes)
-    for (const Link& link : p.pred[at(i)])
-      if (until[at(link.xnode)] != kNoTick)
-        until[at(i)] = std::max(until[at(i)], until[at(link.xnode)] + least[at(i)]);
-  return until[at(to)];
-}
-
 }  // namespace
 
 Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w) {
@@ -175,73 +159,6 @@ Tick worst_case(const Problem& p, const Chain& chain, const Windows& w) {
   Tick worst = 0;
   for (const Path& path : chain.paths) worst = std::max(worst, worst_case(p, chain, path, w));
   return worst;
-}
-
-std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platform& platform,
-                               const Objectives& wishes, const Until& until) {
-  std::vector<Tick> least(at(p.num_xnodes), 0);
-  for (int i = 0; i < p.num_xnodes; ++i)
-    for (const int m : p.may_run[at(i)])
-      if (least[at(i)] == 0 || p.wcet(i, m) < least[at(i)]) least[at(i)] = p.wcet(i, m);
-  // Longest ways from the roots' latest arrivals.
-  std::vector<Tick> ends(at(p.num_xnodes), 0);
-  for (const Component& c : p.components)
-    for (const int i : c.xnodes) {
-      Tick ready = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
-      for (const Link& link : p.pred[at(i)]) ready = std::max(ready, ends[at(link.xnode)]);
-      ends[at(i)] = ready + least[at(i)];
-    }
-  // Version 1's bound on the ancestors, from the nominal release on.
-  std::map<int, Tick> single;
-  const auto bound_of = [&](int to) {
-    const auto [it, fresh] = single.emplace(to, ends[at(to)]);
-    if (!fresh || until.over()) return it->second;
-    AppSpec part;
-    part.name = app.name;
-    std::vector<int> number(at(p.num_xnodes), -1);
-    Objectives placing;
-    Tick earliest = kMostTicks;
-    for (const int i : p.components[at(p.component_of[at(to)])].xnodes) {
-      if (i != to && !p.before(i, to)) continue;
-      number[at(i)] = static_cast<int>(part.xnodes.size());
-      XNodeSpec x = app.xnodes[at(i)];
-      x.sources.clear();
-      part.xnodes.push_back(std::move(x));
-      if (p.root[at(i)] != 0) earliest = std::min(earliest, p.root_ready[at(i)]);
-    }
-    for (const auto& [u, v] : app.edges)
-      if (number[at(u)] >= 0 && number[at(v)] >= 0)
-        part.edges.emplace_back(number[at(u)], number[at(v)]);
-    const auto known = [&](const std::string& name) { return part.find(name) >= 0; };
-    for (const auto& pin : wishes.pins)
-      if (known(pin.first)) placing.pins.push_back(pin);
-    for (const auto& f : wishes.forbids)
-      if (known(f.first)) placing.forbids.push_back(f);
-    Result<solver::Problem> base = solver::Problem::create(part, platform);
-    if (!base || !resolve(placing, part, platform, *base)) return it->second;
-    it->second = std::max(it->second, earliest + quick_bound(*base, until) * p.scale);
-    return it->second;
-  };
-  std::vector<Tick> bounds;
-  for (const Chain& chain : p.chains) {
-    Tick bound = 0;
-    for (const Path& path : chain.paths) {
-      const int first = leaves_by(p, chain, path.samples, 0);
-      const Component& c = p.components[at(p.component_of[at(first)])];
-      Tick this_way = bound_of(first) - (chain.offset - c.phase);
-      Tick slowest = c.period;
-      for (std::size_t s = 0; s < path.samples.size(); ++s) {
-        const int v = p.samples[at(path.samples[s])].second;
-        this_way +=
-            std::max(Tick{0}, least_way(p, least, v, leaves_by(p, chain, path.samples, s + 1)));
-        slowest = std::max(slowest, p.period_of(v));
-      }
-      this_way += ((slowest + c.period - 1) / c.period - 1) * c.period;
-      bound = std::max(bound, this_way);
-    }
-    bounds.push_back(bound);
-  }
-  return bounds;
 }
 
 }  // namespace xauto::solver::steady

@@ -8,6 +8,7 @@
 
 #include "solver/steady/certificate.h"
 #include "solver/steady/chains.h"
+#include "solver/steady/lower_bounds.h"
 #include "solver/steady/solve.h"
 #include "solver/steady/sustain.h"
 
@@ -112,7 +113,7 @@ TEST(SteadyBounds, NoneIsAboveWhatExhaustionFinds) {
     ASSERT_FALSE(best.any && proven) << "seed " << seed << " can be sustained";
     if (!best.any) continue;
     ++with_policy;
-    const std::vector<Tick> bounds = lower_bounds(*p, app, platform, {});
+    const std::vector<Tick> bounds = lower_bounds(*p, app, platform, {}, 20);
     for (std::size_t c = 0; c < bounds.size(); ++c) {
       ASSERT_LE(bounds[c], best.chain[c]) << "seed " << seed << " chain " << app.chains[c].name;
       tight += bounds[c] == best.chain[c] ? 1 : 0;
