@@ -427,6 +427,7 @@ void Search::run(const SearchLimits& limits, const Decision* start, bool keep_xp
   for (std::size_t cycle = 0; !over(); ++cycle) {
     constexpr double kHot[] = {0.05, 0.15, 0.03};
     const std::int64_t before = evaluator_.evaluations();
+    if (limits_.exchange && cycle % 3 == 2) limits_.exchange(best_);
     anneal(steps, kHot[cycle % 3], on_better);
     if (evaluator_.evaluations() == before) return;  // nothing can be changed
     if (cycle % 3 == 2) steps *= 2;

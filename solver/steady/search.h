@@ -22,6 +22,8 @@ struct Candidate {
 struct SearchLimits {
   Until until;
   std::int64_t max_evaluations = 0;  ///< 0: no limit
+  /// Another thread's answer in place of one that is worse; may be empty.
+  std::function<void(Candidate&)> exchange;
 };
 
 class Search {

@@ -130,9 +130,14 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   std::vector<std::int64_t> evaluations(at(threads), 0);
   const auto work = [&](int index) {
     Search search(p, reference, options.seed * 1000003 + static_cast<std::uint64_t>(index));
-    SearchLimits limits{for_search, 0};
+    SearchLimits limits{for_search, 0, {}};
     if (options.max_evaluations > 0)
       limits.max_evaluations = std::max<std::int64_t>(1, options.max_evaluations / threads);
+    else if (threads > 1)  // what depends on who is faster is for those who set no budget
+      limits.exchange = [&](Candidate& best) {
+        const std::lock_guard<std::mutex> lock(shared.mutex);
+        if (shared.any && shared.best.figures.better_than(best.figures)) best = shared.best;
+      };
     Decision hint;
     if (options.hint != nullptr) hint = search.from_hint(*options.hint);
     search.run(limits, options.hint != nullptr ? &hint : nullptr,
