@@ -22,8 +22,9 @@ Tick longest(Tick length, std::int64_t ppm) {
 }
 
 /// The first activation n of `v` with release + hold certainly at or after release(k of cu) + after.
+/// `most_hold`: the largest of v.
 std::int64_t first_reader(const Problem& p, const Component& cu, std::int64_t k, Tick after, int v,
-                          const View& hold) {
+                          const View& hold, Tick most_hold) {
   const Component& cv = p.components[at(p.component_of[at(v)])];
   const std::int64_t ppm = p.domains[at(cv.domain)].ppm;
   const Tick from = cu.phase + k * cu.period;
@@ -35,10 +36,7 @@ std::int64_t first_reader(const Problem& p, const Component& cu, std::int64_t k,
                  : in_slow_time(apart < 0 ? -apart : apart, ppm) - (apart < 0 ? -apart : apart) + 1;
     return apart - drift + hold(v, n) >= after;
   };
-  // Holds do not fall by more than a period from one activation to the next, as starts do not; but
-  // no use is made of it: from the earliest that could do upwards.
-  Tick most_hold = 0;
-  for (int n = 0; n < cv.jobs; ++n) most_hold = std::max(most_hold, hold(v, n));
+  // From the earliest that could do upwards.
   std::int64_t n = floor_div(from + after - most_hold - cv.phase, cv.period);
   while (!late_enough(n)) ++n;
   return n;
@@ -59,6 +57,7 @@ struct Way {
   const Chain& chain;
   const std::vector<int>& samples;
   View d, hold;
+  std::vector<Tick> most_hold;  ///< [sample of the way] of its reader
 
   /// Whether the releases from the first component on the clock of `v` to that of `v`, which
   /// samples[next] enters, come round soon enough.
@@ -99,7 +98,7 @@ struct Way {
       const int v = p.samples[at(samples[next])].second;
       const Component& cv = p.components[at(p.component_of[at(v)])];
       if (cv.domain != cu.domain) return across(next, v, ends, origins);
-      const std::int64_t n = first_reader(p, cu, k, d(u, k), v, hold);
+      const std::int64_t n = first_reader(p, cu, k, d(u, k), v, hold, most_hold[next]);
       since += cv.phase + n * cv.period - cu.phase - k * cu.period;
       k = n;
       ++next;
@@ -128,7 +127,8 @@ struct Way {
       if (p.domains[at(origin.component->domain)].clock != p.domains[at(cv.domain)].clock) break;
       if (origin.component->domain != cv.domain || !followed(next, v)) continue;
       const std::int64_t n =
-          first_reader(p, *origin.component, origin.k, ends - origin.after, v, hold);
+          first_reader(p, *origin.component, origin.k, ends - origin.after, v, hold,
+                       most_hold[next]);
       const Tick since = cv.phase + n * cv.period - origin.component->phase -
                          origin.k * origin.component->period;
       const Tick after = origin.after;
@@ -143,7 +143,12 @@ struct Way {
 }  // namespace
 
 Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w) {
-  const Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}};
+  Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}, {}};
+  for (const int s : path.samples) {
+    const int v = p.samples[at(s)].second;
+    const auto first = w.hold.begin() + p.slot[at(v)];
+    way.most_hold.push_back(*std::max_element(first, first + p.jobs[at(v)]));
+  }
   const Component& c = p.components[at(p.component_of[at(leaves_by(p, chain, path.samples, 0))])];
   Tick worst = 0;
   std::vector<Way::Origin> origins;
