@@ -126,11 +126,10 @@ struct Way {
       const Origin& origin = origins[o];
       if (p.domains[at(origin.component->domain)].clock != p.domains[at(cv.domain)].clock) break;
       if (origin.component->domain != cv.domain || !followed(next, v)) continue;
-      const std::int64_t n =
-          first_reader(p, *origin.component, origin.k, ends - origin.after, v, hold,
-                       most_hold[next]);
-      const Tick since = cv.phase + n * cv.period - origin.component->phase -
-                         origin.k * origin.component->period;
+      const std::int64_t n = first_reader(p, *origin.component, origin.k, ends - origin.after, v,
+                                          hold, most_hold[next]);
+      const Tick since =
+          cv.phase + n * cv.period - origin.component->phase - origin.k * origin.component->period;
       const Tick after = origin.after;
       worst = std::min(worst, from(next + 1, n, since, after, origins));
       origins.resize(known);

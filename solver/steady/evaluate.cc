@@ -131,10 +131,10 @@ void Evaluator::find_changes(const Decision& decision, const Figures& out) {
     const std::size_t x = at(i), m = at(decision.xpu[x]);
     if (decision.xpu[x] != base_->xpu[x] || decision.hold[x] != base_->hold[x] ||
         shared_[m] != was_shared_[m] ||
-        (shared_[m] != 0 ? decision.window[x] != base_->window[x]
-                         : decision.key[x] != base_->key[x] ||
-                               decision.polite[x] != base_->polite[x] ||
-                               out.pad[m] != base_figures_->pad[m]))
+        (shared_[m] != 0
+             ? decision.window[x] != base_->window[x]
+             : decision.key[x] != base_->key[x] || decision.polite[x] != base_->polite[x] ||
+                   out.pad[m] != base_figures_->pad[m]))
       changed_[at(p_.domain_of(i))] = 1;
   }
 }

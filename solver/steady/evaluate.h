@@ -32,9 +32,9 @@ struct Figures {
   Schedule schedule;
   std::vector<Tick> pad;        ///< [xpu] what drift takes of it
   std::vector<double> missing;  ///< [xpu] shared: how much time it is short of; 0: it serves all
-  std::vector<Tick> chain;  ///< [chain] worst case
-  double late = 0;          ///< largest worst case / deadline, 0 without deadlines
-  double sum = 0;           ///< weighted sum of the worst cases
+  std::vector<Tick> chain;      ///< [chain] worst case
+  double late = 0;              ///< largest worst case / deadline, 0 without deadlines
+  double sum = 0;               ///< weighted sum of the worst cases
   /// For the annealer: both as one number, about 1 for a good answer; above kInvalidCost what makes
   /// it invalid.
   double cost = 0;

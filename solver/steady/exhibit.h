@@ -19,14 +19,14 @@ namespace xauto::solver::steady {
 
 /// What a schedule follows; all arrays are of the whole problem.
 struct Rule {
-  std::vector<int> xpu;     ///< [xnode]
-  std::vector<Tick> work;   ///< [xnode] on its XPU, at least 1
+  std::vector<int> xpu;      ///< [xnode]
+  std::vector<Tick> work;    ///< [xnode] on its XPU, at least 1
   std::vector<Tick> window;  ///< [xnode] on a shared XPU; kNoTick: simulated
   std::vector<Tick> delay;   ///< [xnode] from its end on its XPU until it is called done
   std::vector<Tick> cost;    ///< [xpu] of a start while another one is interrupted
   std::vector<char> polite;  ///< [xnode] it interrupts nobody
-  std::vector<Tick> hold;   ///< [xnode] earliest start after the nominal release; 0: none
-  std::vector<Tick> key;    ///< [xnode] after the nominal release; or by slot
+  std::vector<Tick> hold;    ///< [xnode] earliest start after the nominal release; 0: none
+  std::vector<Tick> key;     ///< [xnode] after the nominal release; or by slot
   bool key_by_slot = false;
   /// [xnode] an end later than this is of no use: it ends the simulation. Empty: none.
   std::vector<Tick> limit;

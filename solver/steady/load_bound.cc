@@ -121,8 +121,7 @@ class Bounder {
         }
       }
       if (least < 0) continue;
-      load[at(type_[i])] +=
-          static_cast<double>(work_[i * types_ + at(type_[i])]) / period;
+      load[at(type_[i])] += static_cast<double>(work_[i * types_ + at(type_[i])]) / period;
     }
   }
 
@@ -155,8 +154,8 @@ class Bounder {
       double least = -1;
       for (std::size_t t = 0; t < types_; ++t) {
         if (((c.left[i] >> t) & 1U) == 0) continue;
-        const double cost = (visits[i] / ways + y[t] / period) *
-                            static_cast<double>(work_[i * types_ + t]);
+        const double cost =
+            (visits[i] / ways + y[t] / period) * static_cast<double>(work_[i * types_ + t]);
         if (least < 0 || cost < least) least = cost;
       }
       sum += std::max(0.0, least);

@@ -85,8 +85,7 @@ Tick waits(const Problem& p, const Path& path, int first) {
 }  // namespace
 
 std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platform& platform,
-                               const Objectives& wishes, int most_cases,
-                               const Until& until) {
+                               const Objectives& wishes, int most_cases, const Until& until) {
   std::vector<Tick> least(at(p.num_xnodes), 0);
   for (int i = 0; i < p.num_xnodes; ++i)
     for (const int m : p.may_run[at(i)])
@@ -153,8 +152,7 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
         work += std::max(Tick{0}, least_way(p, least, v, leaves_by(s + 1)));
         pieces.push_back({{v}, leaves_by(s + 1)});
       }
-      if (!until.over())
-        work = std::max(work, earliest + load_bound(p, pieces, most_cases, until));
+      if (!until.over()) work = std::max(work, earliest + load_bound(p, pieces, most_cases, until));
       bound = std::max(bound, work - (chain.offset - c.phase) + waits(p, path, first));
     }
     bounds.push_back(bound);

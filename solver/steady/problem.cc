@@ -144,9 +144,8 @@ struct Builder {
         // Of a clock that may be slow the offset lasts longer.
         const Tick offset =
             source.offset_us * p.scale - p.components[at(p.component_of[at(i)])].phase;
-        p.root_ready[at(i)] =
-            std::max(p.root_ready[at(i)],
-                     jitter + in_slow_time(offset, app.clocks[at(source.clock)].ppm));
+        p.root_ready[at(i)] = std::max(
+            p.root_ready[at(i)], jitter + in_slow_time(offset, app.clocks[at(source.clock)].ppm));
       }
     return {};
   }

@@ -59,8 +59,8 @@ Decision Search::from_hint(const KeyPolicy& hint) const {
   for (int i = 0; i < p_.num_xnodes; ++i) {
     Tick ready = p_.root[at(i)] != 0 ? p_.root_ready[at(i)] : 0;
     for (const Link& link : p_.pred[at(i)])
-      ready = std::max(ready, d.key[at(link.xnode)] +
-                                  p_.transfer(link, d.xpu[at(link.xnode)], d.xpu[at(i)]));
+      ready = std::max(
+          ready, d.key[at(link.xnode)] + p_.transfer(link, d.xpu[at(link.xnode)], d.xpu[at(i)]));
     d.window[at(i)] = std::max(p_.wcet(i, d.xpu[at(i)]), d.key[at(i)] - ready);
   }
   return d;
@@ -202,8 +202,9 @@ void Search::spread_windows(Decision& d, double part) const {
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const int module = p_.module_of[at(i)];
     const auto flights =
-        module < 0 ? 1.0 : static_cast<double>(std::min(p_.modules[at(module)].in_flight,
-                                                        std::int64_t{64}));
+        module < 0
+            ? 1.0
+            : static_cast<double>(std::min(p_.modules[at(module)].in_flight, std::int64_t{64}));
     const double all = flights * static_cast<double>(p_.period_of(i)) * part;
     const auto way = static_cast<double>(head[at(i)] + weight[at(i)] + tail[at(i)]);
     const auto window = static_cast<Tick>(all * static_cast<double>(weight[at(i)]) / way);

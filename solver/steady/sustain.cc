@@ -104,7 +104,8 @@ class Crowd {
       double largest = 1e-9, sum = 0;
       for (const double x : slope) largest = std::max(largest, std::abs(x - value));
       const double step = 1.0 / std::sqrt(1.0 + round);
-      for (std::size_t k = 0; k < n; ++k) sum += w[k] *= std::exp(step * (slope[k] - value) / largest);
+      for (std::size_t k = 0; k < n; ++k)
+        sum += w[k] *= std::exp(step * (slope[k] - value) / largest);
       for (double& x : w) x /= sum;
     }
     std::vector<std::int64_t> whole;
@@ -123,8 +124,8 @@ class Crowd {
       for (std::size_t t = 0; t < types_; ++t) {
         const __int128 c = work_[at(i) * types_ + t];
         if (c == kNoTick) continue;
-        __int128 share = c * w[t] * kMillion * (1 << 16) /
-                         (static_cast<__int128>(p_.period_of(i)) * count_[t]);
+        __int128 share =
+            c * w[t] * kMillion * (1 << 16) / (static_cast<__int128>(p_.period_of(i)) * count_[t]);
         if (way_[at(i)] >= 0)
           share += c * w[types_ + at(way_[at(i)])] * kMillion * (1 << 16) / room_[at(way_[at(i)])];
         if (least < 0 || share < least) least = share;

@@ -14,7 +14,7 @@ struct Pair {
   Tick longest = 0;  ///< largest d - e of j
   Tick deepest = 0;  ///< largest d of j
 
-  bool apart;        ///< their phase is not known
+  bool apart;  ///< their phase is not known
 
   Pair(const Problem& problem, const Windows& windows, int xnode, int other, bool shared)
       : p(problem),

@@ -94,7 +94,8 @@ Best exhaust(const AppSpec& app, const Platform& platform, const Problem& p, Tic
   all.policy.app_hash = app.hash();
   all.policy.platform = platform.name;
   all.policy.placements.resize(at(p.num_xnodes));
-  for (const Chain& chain : p.chains) all.policy.chains.push_back({chain.name, 1'000'000, 0, false});
+  for (const Chain& chain : p.chains)
+    all.policy.chains.push_back({chain.name, 1'000'000, 0, false});
   std::vector<std::size_t> choice(at(p.num_xnodes), 0);
   for (;;) {
     bool possible = true;
