@@ -95,13 +95,17 @@ bool sane(const Problem& p, const std::vector<int>& xpu, const Windows& w, std::
     if (std::find(may.begin(), may.end(), xpu[at(i)]) == may.end())
       return refuse_it("may not run where it is");
     const Tick period = p.period_of(i), work = p.wcet(i, xpu[at(i)]);
+    const std::int64_t ppm = p.domains[at(p.domain_of(i))].ppm;
     for (int n = 0; n < p.jobs[at(i)]; ++n) {
       const std::size_t s = at(p.slot[at(i)] + n);
       const std::size_t next = at(p.slot[at(i)] + (n + 1) % p.jobs[at(i)]);
       if (w.d[s] < 0 || w.d[s] > kMostTicks * 64 || w.hold[s] < 0)
         return refuse_it("has a key or a hold out of range");
       if (w.a[s] + work > w.d[s]) return refuse_it("has a window shorter than its WCET");
-      if (w.d[next] + period < w.d[s]) return refuse_it("has keys that fall");
+      if (w.d[next] + period - lost_in(period, ppm) < w.d[s])
+        return refuse_it("has keys that fall");
+      if (w.hold[next] + period - lost_in(period, ppm) < w.hold[s])
+        return refuse_it("has holds that fall");
     }
   }
   return true;
@@ -125,31 +129,28 @@ Tick drift_pad(Tick deepest, std::int64_t ppm) {
   return in_fast_time(in_slow_time(2 * deepest, ppm) - 2 * deepest + 1, ppm);
 }
 
-Tick charged(const Problem& p, const std::vector<int>& xpu, const Charges& charges, int i) {
-  const int m = xpu[at(i)];
-  return p.wcet(i, m) + (charges.preempts[at(i)] != 0 ? p.preempt[at(m)] : 0);
-}
-
 bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Windows& w,
                  const Charges& charges, Tightest* tightest) {
-  std::vector<Pattern> patterns(p.domains.size());
+  // One per domain; of a clock that has been split one per component.
+  std::vector<Pattern> patterns(p.domains.size() + p.components.size());
   std::vector<Blocking> blocking;
   for (int i = 0; i < p.num_xnodes; ++i) {
     if (xpu[at(i)] != m) continue;
     const Component& c = p.components[at(p.component_of[at(i)])];
-    Pattern& g = patterns[at(c.domain)];
+    const bool part = p.domains[at(c.domain)].part;
+    Pattern& g = patterns[part ? p.domains.size() + at(p.component_of[at(i)]) : at(c.domain)];
     g.period = p.domains[at(c.domain)].hyper;
     g.ppm = p.domains[at(c.domain)].ppm;
-    const Tick work = charged(p, xpu, charges, i);
-    Tick deepest = 0;
+    Tick longest = 0;
     for (int n = 0; n < c.jobs; ++n) {
       const std::size_t s = at(p.slot[at(i)] + n);
-      deepest = std::max(deepest, w.d[s]);
+      const Tick work = p.wcet(i, m) + (charges.preempts[s] != 0 ? p.preempt[at(m)] : 0);
+      g.deepest = std::max(g.deepest, w.d[s]);
+      longest = std::max(longest, w.d[s] - w.e[s]);
       g.jobs.push_back(
           {(c.phase % g.period + n * c.period + w.a[s]) % g.period, w.d[s] - w.a[s], work});
     }
-    g.deepest = std::max(g.deepest, deepest);
-    if (p.preemptive[at(m)] == 0) blocking.push_back({deepest, work});
+    if (p.preemptive[at(m)] == 0) blocking.push_back({longest, p.wcet(i, m)});
   }
   std::erase_if(patterns, [](const Pattern& g) { return g.jobs.empty(); });
   return demand_fits(patterns, blocking, tightest);
@@ -159,7 +160,7 @@ bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::str
   w.a.resize(at(p.num_slots));
   for (std::size_t d = 0; d < p.domains.size(); ++d) derive_ready(p, static_cast<int>(d), xpu, w);
   if (!sane(p, xpu, w, why)) return false;
-  Charges charges{std::vector<char>(at(p.num_xnodes), 0), std::vector<Tick>(at(p.num_xnodes), 0)};
+  Charges charges;
   charge(p, xpu, w, -1, charges);
   const std::vector<char> shared = shared_xpus(p, xpu);
   for (int m = 0; m < p.num_xpus; ++m) {
@@ -184,10 +185,11 @@ bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::str
     for (int i = 0; i < p.num_xnodes; ++i) {
       if (xpu[at(i)] != m) continue;
       const Component& c = p.components[at(p.component_of[at(i)])];
-      const Tick work = in_fast_time(charged(p, xpu, charges, i), ppm);
-      const Tick slack = in_fast_time(charges.blocked_by[at(i)], ppm) + pad;
       for (int n = 0; n < c.jobs; ++n) {
         const std::size_t s = at(p.slot[at(i)] + n);
+        const Tick cost = charges.preempts[s] != 0 ? p.preempt[at(m)] : 0;
+        const Tick work = in_fast_time(p.wcet(i, m) + cost, ppm);
+        const Tick slack = in_fast_time(charges.blocked_by[s], ppm) + pad;
         const Tick release = c.phase % p.domains[at(domain)].hyper + n * c.period;
         alone.add(release + w.a[s], release + w.d[s], work, slack, i);
       }

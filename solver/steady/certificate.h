@@ -22,10 +22,6 @@ namespace xauto::solver::steady {
 /// length of the interval + deepest: work / (1 - ppm) pays for the first, this for the second.
 [[nodiscard]] Tick drift_pad(Tick deepest, std::int64_t ppm);
 
-/// WCET with its charge.
-[[nodiscard]] Tick charged(const Problem& problem, const std::vector<int>& xpu,
-                           const Charges& charges, int xnode);
-
 /// One XPU by the demand bound, whatever domains it serves. `w` and `charges` are derived.
 [[nodiscard]] bool shared_fits(const Problem& problem, int xpu, const std::vector<int>& xpus,
                                const Windows& w, const Charges& charges,

@@ -2,10 +2,7 @@
 #include "solver/steady/chains.h"
 
 #include <algorithm>
-#include <map>
 #include <numeric>
-
-#include "solver/bounds.h"
 
 namespace xauto::solver::steady {
 namespace {
@@ -25,8 +22,9 @@ Tick longest(Tick length, std::int64_t ppm) {
 }
 
 /// The first activation n of `v` with release + hold certainly at or after release(k of cu) + after.
+/// `most_hold`: the largest of v.
 std::int64_t first_reader(const Problem& p, const Component& cu, std::int64_t k, Tick after, int v,
-                          const View& hold) {
+                          const View& hold, Tick most_hold) {
   const Component& cv = p.components[at(p.component_of[at(v)])];
   const std::int64_t ppm = p.domains[at(cv.domain)].ppm;
   const Tick from = cu.phase + k * cu.period;
@@ -38,10 +36,7 @@ std::int64_t first_reader(const Problem& p, const Component& cu, std::int64_t k,
                  : in_slow_time(apart < 0 ? -apart : apart, ppm) - (apart < 0 ? -apart : apart) + 1;
     return apart - drift + hold(v, n) >= after;
   };
-  // Holds do not fall by more than a period from one activation to the next, as starts do not; but
-  // no use is made of it: from the earliest that could do upwards.
-  Tick most_hold = 0;
-  for (int n = 0; n < cv.jobs; ++n) most_hold = std::max(most_hold, hold(v, n));
+  // From the earliest that could do upwards.
   std::int64_t n = floor_div(from + after - most_hold - cv.phase, cv.period);
   while (!late_enough(n)) ++n;
   return n;
@@ -53,63 +48,114 @@ int leaves_by(const Problem& p, const Chain& chain, const std::vector<int>& samp
   return next < samples.size() ? p.samples[at(samples[next])].first : chain.to;
 }
 
-/// Worst time from the nominal release k of the component of `v` to the end of the way, of which
-/// `samples[next..]` is left. `u`: the XNode by which the component is left, or the last.
+/// Releases of a way, on one clock, that are followed one by one: `check` follows as many.
+constexpr Tick kMostFollowed = 500'000;
+
+/// Worst time of a way, from the release of its source on.
 struct Way {
   const Problem& p;
   const Chain& chain;
   const std::vector<int>& samples;
   View d, hold;
+  std::vector<Tick> most_hold;  ///< [sample of the way] of its reader
 
-  /// From activation k on, after the last change of domain, `since` nominal ticks after the
-  /// beginning of this domain's part.
-  [[nodiscard]] Tick from(std::size_t next, std::int64_t k, Tick since) const {
+  /// Whether the releases from the first component on the clock of `v` to that of `v`, which
+  /// samples[next] enters, come round soon enough.
+  [[nodiscard]] bool followed(std::size_t next, int v) const {
+    const auto clock_of = [&](int i) { return p.domains[at(p.domain_of(i))].clock; };
+    Tick hyper = p.period_of(v), least = hyper;
+    for (std::size_t s = next + 1; s-- > 0;) {
+      const int u = p.samples[at(samples[s])].first;
+      if (clock_of(u) != clock_of(v)) break;
+      least = std::min(least, p.period_of(u));
+      const Tick period = p.period_of(u), by = period / std::gcd(hyper, period);
+      if (by > kMostTicks / hyper) return false;
+      hyper *= by;
+      if (hyper / least > kMostFollowed) return false;
+    }
+    return true;
+  }
+
+  /// A release that the way began a domain's part with. What comes later on the same clock keeps its
+  /// phase to it.
+  struct Origin {
+    const Component* component;
+    std::int64_t k;
+    Tick after;  ///< real time from the way's beginning
+  };
+
+  /// `samples[next..]` is left, from the release k of the component of `v` on. That was at most
+  /// `before` after the way's beginning; `since` nominal ticks after the beginning of this domain's
+  /// part.
+  [[nodiscard]] Tick from(std::size_t next, std::int64_t k, Tick since, Tick before,
+                          std::vector<Origin>& origins) const {
     for (;;) {
       const int u = leaves_by(p, chain, samples, next);
       const Component& cu = p.components[at(p.component_of[at(u)])];
       const std::int64_t ppm = p.domains[at(cu.domain)].ppm;
-      if (next == samples.size()) return longest(since, ppm) + d(u, k);
+      const Tick ends = before + longest(since, ppm) + d(u, k);
+      if (next == samples.size()) return ends;
       const int v = p.samples[at(samples[next])].second;
       const Component& cv = p.components[at(p.component_of[at(v)])];
-      if (cv.domain != cu.domain) return longest(since, ppm) + d(u, k) + across(next, v);
-      const std::int64_t n = first_reader(p, cu, k, d(u, k), v, hold);
+      if (cv.domain != cu.domain) return across(next, v, ends, origins);
+      const std::int64_t n = first_reader(p, cu, k, d(u, k), v, hold, most_hold[next]);
       since += cv.phase + n * cv.period - cu.phase - k * cu.period;
       k = n;
       ++next;
     }
   }
 
-  /// From a result of another domain, just missed by activation n - 1 of v.
-  [[nodiscard]] Tick across(std::size_t next, int v) const {
+  /// A result of another domain, `ends` after the way's beginning, just missed by activation n - 1
+  /// of v.
+  [[nodiscard]] Tick across(std::size_t next, int v, Tick ends,
+                            std::vector<Origin>& origins) const {
     const Component& cv = p.components[at(p.component_of[at(v)])];
-    const Tick apart = in_slow_time(cv.period, p.domains[at(cv.domain)].ppm);
+    const std::int64_t ppm = p.domains[at(cv.domain)].ppm;
+    const Tick apart = in_slow_time(cv.period, ppm);
+    const std::size_t known = origins.size();
     Tick worst = 0;
-    for (int n = 0; n < cv.jobs; ++n)
-      worst = std::max(worst, apart - hold(v, n - 1) + from(next + 1, n, 0));
+    for (int n = 0; n < cv.jobs; ++n) {
+      const Tick read = ends + apart - hold(v, n - 1);
+      origins.push_back({&cv, n, read});
+      worst = std::max(worst, from(next + 1, n, 0, read, origins));
+      origins.resize(known);
+    }
+    // Back in a domain whose phase is known, on the same clock all the way: not later than by its
+    // first activation that starts when the result is certainly there.
+    for (std::size_t o = known; o-- > 0;) {
+      const Origin& origin = origins[o];
+      if (p.domains[at(origin.component->domain)].clock != p.domains[at(cv.domain)].clock) break;
+      if (origin.component->domain != cv.domain || !followed(next, v)) continue;
+      const std::int64_t n = first_reader(p, *origin.component, origin.k, ends - origin.after, v,
+                                          hold, most_hold[next]);
+      const Tick since =
+          cv.phase + n * cv.period - origin.component->phase - origin.k * origin.component->period;
+      const Tick after = origin.after;
+      worst = std::min(worst, from(next + 1, n, since, after, origins));
+      origins.resize(known);
+      break;
+    }
     return worst;
   }
 };
 
-/// Least WCETs along edges from `from` to `to`, both included; kNoTick: no way.
-Tick least_way(const Problem& p, const std::vector<Tick>& least, int from, int to) {
-  if (from == to) return least[at(from)];
-  if (!p.before(from, to)) return kNoTick;
-  std::vector<Tick> until(at(p.num_xnodes), kNoTick);
-  until[at(from)] = least[at(from)];
-  for (const int i : p.components[at(p.component_of[at(to)])].xnodes)
-    for (const Link& link : p.pred[at(i)])
-      if (until[at(link.xnode)] != kNoTick)
-        until[at(i)] = std::max(until[at(i)], until[at(link.xnode)] + least[at(i)]);
-  return until[at(to)];
-}
-
 }  // namespace
 
 Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w) {
-  const Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}};
+  Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}, {}};
+  for (const int s : path.samples) {
+    const int v = p.samples[at(s)].second;
+    const auto first = w.hold.begin() + p.slot[at(v)];
+    way.most_hold.push_back(*std::max_element(first, first + p.jobs[at(v)]));
+  }
   const Component& c = p.components[at(p.component_of[at(leaves_by(p, chain, path.samples, 0))])];
   Tick worst = 0;
-  for (int k = 0; k < c.jobs; ++k) worst = std::max(worst, way.from(0, k, c.phase - chain.offset));
+  std::vector<Way::Origin> origins;
+  for (int k = 0; k < c.jobs; ++k) {
+    const Tick before = longest(c.phase - chain.offset, p.domains[at(c.domain)].ppm);
+    origins.assign(1, {&c, k, before});
+    worst = std::max(worst, way.from(0, k, 0, before, origins));
+  }
   return worst;
 }
 
@@ -117,73 +163,6 @@ Tick worst_case(const Problem& p, const Chain& chain, const Windows& w) {
   Tick worst = 0;
   for (const Path& path : chain.paths) worst = std::max(worst, worst_case(p, chain, path, w));
   return worst;
-}
-
-std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platform& platform,
-                               const Objectives& wishes, const Until& until) {
-  std::vector<Tick> least(at(p.num_xnodes), 0);
-  for (int i = 0; i < p.num_xnodes; ++i)
-    for (const int m : p.may_run[at(i)])
-      if (least[at(i)] == 0 || p.wcet(i, m) < least[at(i)]) least[at(i)] = p.wcet(i, m);
-  // Longest ways from the roots' latest arrivals.
-  std::vector<Tick> ends(at(p.num_xnodes), 0);
-  for (const Component& c : p.components)
-    for (const int i : c.xnodes) {
-      Tick ready = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
-      for (const Link& link : p.pred[at(i)]) ready = std::max(ready, ends[at(link.xnode)]);
-      ends[at(i)] = ready + least[at(i)];
-    }
-  // Version 1's bound on the ancestors, from the nominal release on.
-  std::map<int, Tick> single;
-  const auto bound_of = [&](int to) {
-    const auto [it, fresh] = single.emplace(to, ends[at(to)]);
-    if (!fresh || until.over()) return it->second;
-    AppSpec part;
-    part.name = app.name;
-    std::vector<int> number(at(p.num_xnodes), -1);
-    Objectives placing;
-    Tick earliest = kMostTicks;
-    for (const int i : p.components[at(p.component_of[at(to)])].xnodes) {
-      if (i != to && !p.before(i, to)) continue;
-      number[at(i)] = static_cast<int>(part.xnodes.size());
-      XNodeSpec x = app.xnodes[at(i)];
-      x.sources.clear();
-      part.xnodes.push_back(std::move(x));
-      if (p.root[at(i)] != 0) earliest = std::min(earliest, p.root_ready[at(i)]);
-    }
-    for (const auto& [u, v] : app.edges)
-      if (number[at(u)] >= 0 && number[at(v)] >= 0)
-        part.edges.emplace_back(number[at(u)], number[at(v)]);
-    const auto known = [&](const std::string& name) { return part.find(name) >= 0; };
-    for (const auto& pin : wishes.pins)
-      if (known(pin.first)) placing.pins.push_back(pin);
-    for (const auto& f : wishes.forbids)
-      if (known(f.first)) placing.forbids.push_back(f);
-    Result<solver::Problem> base = solver::Problem::create(part, platform);
-    if (!base || !resolve(placing, part, platform, *base)) return it->second;
-    it->second = std::max(it->second, earliest + quick_bound(*base, until) * p.scale);
-    return it->second;
-  };
-  std::vector<Tick> bounds;
-  for (const Chain& chain : p.chains) {
-    Tick bound = 0;
-    for (const Path& path : chain.paths) {
-      const int first = leaves_by(p, chain, path.samples, 0);
-      const Component& c = p.components[at(p.component_of[at(first)])];
-      Tick this_way = bound_of(first) - (chain.offset - c.phase);
-      Tick slowest = c.period;
-      for (std::size_t s = 0; s < path.samples.size(); ++s) {
-        const int v = p.samples[at(path.samples[s])].second;
-        this_way +=
-            std::max(Tick{0}, least_way(p, least, v, leaves_by(p, chain, path.samples, s + 1)));
-        slowest = std::max(slowest, p.period_of(v));
-      }
-      this_way += ((slowest + c.period - 1) / c.period - 1) * c.period;
-      bound = std::max(bound, this_way);
-    }
-    bounds.push_back(bound);
-  }
-  return bounds;
 }
 
 }  // namespace xauto::solver::steady

@@ -129,22 +129,35 @@ Tick busy_end(const std::vector<Curves>& all, Tick blocked, Tick horizon) {
 
 bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& blocking,
                  Tightest* tightest) {
-  Tick work = 0, longest = 0, blocked = 0;
+  Tick work = 0, horizon = 0, blocked = 0;
   for (const Blocking& b : blocking) blocked = std::max(blocked, b.work);
   for (Pattern& g : patterns) {
+    Tick most = 0;
     std::sort(g.jobs.begin(), g.jobs.end(), [](const WindowedJob& a, const WindowedJob& b) {
       return a.arrival != b.arrival ? a.arrival < b.arrival : a.length < b.length;
     });
     for (const WindowedJob& job : g.jobs) {
       if (job.length < job.work) return false;
       work += job.work;
-      longest = std::max(longest, job.length);
+      most = std::max(most, job.work);
       if (work > kMostTicks * 1024) return false;
     }
+    horizon += 2 * most;
+  }
+  // More work than time fails in some interval, which may be long: no need to find it.
+  double load = 0;
+  for (const Pattern& g : patterns) {
+    double part = 0;
+    for (const WindowedJob& job : g.jobs) part += static_cast<double>(job.work);
+    load += part / static_cast<double>(g.period);
+  }
+  if (load > 1 + 1e-9) {
+    if (tightest != nullptr) *tightest = {kMillion, static_cast<Tick>(load * kMillion) + 1};
+    return false;
   }
   std::size_t budget = kMostSteps;
   std::vector<Curves> all(patterns.size());
-  for (Tick horizon = 2 * (longest + blocked); horizon < kMostTicks * 1024; horizon *= 2) {
+  for (horizon += 2 * blocked; horizon < kMostTicks * 1024; horizon *= 2) {
     for (std::size_t g = 0; g < patterns.size(); ++g)
       if (!curves(patterns[g], horizon, budget, all[g])) return false;
     // Beyond the horizon of the least of them a real length is not known: leave a margin.

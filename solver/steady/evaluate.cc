@@ -8,7 +8,7 @@
 namespace xauto::solver::steady {
 namespace {
 
-/// Charges change windows, and windows charges; both only grow, and seldom more than twice.
+/// What drift takes makes windows deeper, and deeper windows lose more: seldom more than twice.
 constexpr int kMostTries = 12;
 
 }  // namespace
@@ -43,62 +43,135 @@ Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
   }
   rule_.work.resize(at(p_.num_xnodes));
   rule_.delay.resize(at(p_.num_xnodes));
-  now_.preempts.resize(at(p_.num_xnodes));
-  now_.blocked_by.resize(at(p_.num_xnodes));
-  pad_.resize(at(p_.num_xpus));
+  rule_.cost.resize(at(p_.num_xpus));
+  rule_.window.resize(at(p_.num_xnodes));
 }
 
 double Evaluator::overload(const Decision& decision) const {
   std::vector<double> load(at(p_.num_xpus), 0);
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const int m = decision.xpu[at(i)];
-    load[at(m)] += static_cast<double>(charged(p_, decision.xpu, used_, i)) /
-                   static_cast<double>(p_.period_of(i));
+    load[at(m)] += static_cast<double>(p_.wcet(i, m)) / static_cast<double>(p_.period_of(i));
   }
   double over = 0;
   for (const double l : load) over += std::max(0.0, l - 1.0);
   return over;
 }
 
-bool Evaluator::simulate(const Decision& decision, const Figures* keys, Charges& charges,
-                         Figures& out, const Until& until) {
-  out.w.a.resize(at(p_.num_slots));
-  out.w.d.resize(at(p_.num_slots));
-  out.w.hold.resize(at(p_.num_slots));
-  out.schedule.start.resize(at(p_.num_slots));
-  out.schedule.finish.resize(at(p_.num_slots));
-  shared_ = shared_xpus(p_, decision.xpu);
-  std::fill(pad_.begin(), pad_.end(), 0);
-  rule_.xpu = decision.xpu;
-  rule_.hold = decision.hold;
-  rule_.key_by_slot = keys != nullptr;
-  rule_.key = keys != nullptr ? keys->w.d : decision.key;
+/// What a drifting clock takes of each XPU that one domain has. True if it is more than before.
+bool Evaluator::deepen_pads(const Decision& decision, Figures& out) {
+  if (std::all_of(p_.domains.begin(), p_.domains.end(), [](const Domain& d) { return d.ppm == 0; }))
+    return false;
+  std::vector<Tick> deepest(at(p_.num_xpus), 0);
+  std::vector<std::int64_t> ppm(at(p_.num_xpus), 0);
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    const std::size_t m = at(decision.xpu[at(i)]);
+    ppm[m] = std::max(ppm[m], p_.domains[at(p_.domain_of(i))].ppm);
+    for (int n = 0; n < p_.jobs[at(i)]; ++n)
+      deepest[m] = std::max(deepest[m], out.w.d[at(p_.slot[at(i)] + n)]);
+  }
+  bool grew = false;
+  for (std::size_t m = 0; m < deepest.size(); ++m) {
+    if (drift_pad(deepest[m], ppm[m]) <= out.pad[m]) continue;
+    // What it adds makes windows deeper: a little more at once.
+    out.pad[m] = drift_pad(deepest[m] + deepest[m] / 8, ppm[m]);
+    grew = grew || shared_[m] == 0;
+  }
+  return grew;
+}
+
+/// Whether a shared XPU serves the same windows as in the base.
+bool Evaluator::as_before(const Decision& decision, int m, const Figures& out) const {
+  if (base_ == nullptr || was_shared_[at(m)] == 0 || base_figures_->missing.empty()) return false;
+  const Windows &now = out.w, &before = base_figures_->w;
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    if ((decision.xpu[at(i)] == m) != (base_->xpu[at(i)] == m)) return false;
+    if (decision.xpu[at(i)] != m || changed_[at(p_.domain_of(i))] == 0) continue;
+    const auto first = p_.slot[at(i)], last = first + p_.jobs[at(i)];
+    for (auto s = at(first); s < at(last); ++s)
+      if (now.a[s] != before.a[s] || now.d[s] != before.d[s] || now.e[s] != before.e[s])
+        return false;
+  }
+  return true;
+}
+
+/// The shared XPUs, by the demand bound.
+bool Evaluator::serves(const Decision& decision, Figures& out) {
+  // How much is missing leads the annealer to where nothing is.
+  double missing = 0;
+  out.missing.assign(at(p_.num_xpus), 0);
+  for (int m = 0; m < p_.num_xpus; ++m) {
+    if (shared_[at(m)] == 0) continue;
+    double& here = out.missing[at(m)];
+    if (as_before(decision, m, out)) {
+      here = base_figures_->missing[at(m)];
+    } else {
+      charge(p_, decision.xpu, out.w, m, charges_);
+      Tightest t;
+      if (!shared_fits(p_, m, decision.xpu, out.w, charges_, &t))
+        here = 0.01 + (t.demand > t.length ? static_cast<double>(t.demand - t.length) /
+                                                 static_cast<double>(t.demand)
+                                           : 1);
+    }
+    missing += here;
+    // A valid state is left for a valid one.
+    if (missing > 0 && most_ < kInvalidCost) break;
+  }
+  if (missing > 0) out.cost = kInvalidCost * (1 + missing / (p_.num_xpus + 1));
+  return missing == 0;
+}
+
+/// Which domains have to be simulated.
+void Evaluator::find_changes(const Decision& decision, const Figures& out) {
+  changed_.assign(p_.domains.size(), 1);
+  if (base_ == nullptr || base_figures_->w.d.empty() || !base_figures_->simulated) return;
+  was_shared_ = shared_xpus(p_, base_->xpu);
+  std::fill(changed_.begin(), changed_.end(), 0);
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    const std::size_t x = at(i), m = at(decision.xpu[x]);
+    if (decision.xpu[x] != base_->xpu[x] || decision.hold[x] != base_->hold[x] ||
+        shared_[m] != was_shared_[m] ||
+        (shared_[m] != 0
+             ? decision.window[x] != base_->window[x]
+             : decision.key[x] != base_->key[x] || decision.polite[x] != base_->polite[x] ||
+                   out.pad[m] != base_figures_->pad[m]))
+      changed_[at(p_.domain_of(i))] = 1;
+  }
+}
+
+/// The schedules, and the windows that follow.
+bool Evaluator::plan(const Decision& decision, Figures& out, const Until& until) {
   for (int attempt = 0; attempt < kMostTries; ++attempt) {
-    const double over = overload(decision);
-    if (over > 1e-9) {
-      out.cost = kInvalidCost * (3 + over);
-      return false;
-    }
     for (int i = 0; i < p_.num_xnodes; ++i) {
-      const int m = decision.xpu[at(i)], d = p_.domain_of(i);
-      const std::int64_t ppm = p_.domains[at(d)].ppm;
-      Tick work = in_fast_time(charged(p_, decision.xpu, charges, i), ppm);
-      if (shared_[at(m)] != 0) {
-        const int share = decision.share[at(m) * p_.domains.size() + at(d)];
-        work = (work * kWhole + share - 1) / share;
-      }
-      rule_.work[at(i)] = work;
-      rule_.delay[at(i)] = in_fast_time(charges.blocked_by[at(i)], ppm) + pad_[at(m)] +
-                           (shared_[at(m)] != 0 ? decision.delay[at(i)] : 0);
+      const std::size_t m = at(decision.xpu[at(i)]);
+      rule_.delay[at(i)] = shared_[m] != 0 ? 0 : out.pad[m];
     }
-    for (std::size_t d = 0; d < p_.domains.size(); ++d)
-      if (!exhibitors_[d].run(static_cast<int>(d), rule_, out.schedule, until)) {
-        out.cost = 2 * kInvalidCost;
+    if (attempt == 0)
+      find_changes(decision, out);
+    else
+      changed_.assign(p_.domains.size(), 1);
+    for (std::size_t d = 0; d < p_.domains.size(); ++d) {
+      if (changed_[d] == 0) {
+        for (const int i : p_.domains[d].xnodes) {
+          const auto first = p_.slot[at(i)], last = first + p_.jobs[at(i)];
+          const auto& from = base_figures_->schedule;
+          std::copy(from.start.begin() + first, from.start.begin() + last,
+                    out.schedule.start.begin() + first);
+          std::copy(from.finish.begin() + first, from.finish.begin() + last,
+                    out.schedule.finish.begin() + first);
+        }
+      } else if (!exhibitors_[d].run(static_cast<int>(d), rule_, out.schedule, until)) {
+        const double growth = exhibitors_[d].growth();
+        out.cost = 2 * kInvalidCost * (1 + growth / (growth + p_.num_slots) / 4);
         return false;
       }
+    }
     std::copy(out.schedule.finish.begin(), out.schedule.finish.end(), out.w.d.begin());
+    if (deepen_pads(decision, out)) continue;
     for (int i = 0; i < p_.num_xnodes; ++i) {
-      const bool holds = p_.reads[at(i)] != 0 || decision.hold[at(i)] > 0;
+      const std::size_t m = at(decision.xpu[at(i)]);
+      const bool holds = p_.reads[at(i)] != 0 || decision.hold[at(i)] > 0 ||
+                         p_.preemptive[m] == 0 || p_.preempt[m] > 0;
       for (int n = 0; n < p_.jobs[at(i)]; ++n) {
         const std::size_t s = at(p_.slot[at(i)] + n);
         out.w.hold[s] = holds ? out.schedule.start[s] / p_.scale * p_.scale : 0;
@@ -106,48 +179,52 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Charges&
     }
     for (std::size_t d = 0; d < p_.domains.size(); ++d)
       derive_ready(p_, static_cast<int>(d), decision.xpu, out.w);
-    charge(p_, decision.xpu, out.w, -1, now_);
-    out.needed = now_;
-    bool grew = charges.include(now_);
-    for (int m = 0; m < p_.num_xpus; ++m) {
-      std::int64_t ppm = 0;
-      Tick deepest = 0;
-      for (const Domain& d : p_.domains) ppm = std::max(ppm, d.ppm);
-      if (ppm == 0) continue;
-      ppm = 0;
-      for (int i = 0; i < p_.num_xnodes; ++i)
-        if (decision.xpu[at(i)] == m) {
-          ppm = std::max(ppm, p_.domains[at(p_.domain_of(i))].ppm);
-          for (int n = 0; n < p_.jobs[at(i)]; ++n)
-            deepest = std::max(deepest, out.w.d[at(p_.slot[at(i)] + n)]);
-        }
-      // What it adds makes windows deeper: a little more at once.
-      if (drift_pad(deepest, ppm) > pad_[at(m)]) {
-        pad_[at(m)] = drift_pad(deepest + deepest / 8, ppm);
-        grew = true;
-      }
-    }
-    if (grew) continue;
-    // How much is missing leads the annealer to where nothing is.
-    double missing = 0;
-    for (int m = 0; m < p_.num_xpus; ++m) {
-      if (shared_[at(m)] == 0) continue;
-      Tightest t;
-      if (shared_fits(p_, m, decision.xpu, out.w, out.needed, &t)) continue;
-      missing += 0.01;
-      if (t.demand > t.length)
-        missing += static_cast<double>(t.demand - t.length) / static_cast<double>(t.demand);
-      else
-        missing += 1;
-    }
-    if (missing > 0) {
-      out.cost = kInvalidCost * (1 + missing / (p_.num_xpus + 1));
-      return false;
-    }
+    out.simulated = true;
     return true;
   }
   out.cost = 2 * kInvalidCost;
   return false;
+}
+
+bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures& out,
+                         const Until& until) {
+  out.simulated = false;
+  out.w.a.resize(at(p_.num_slots));
+  out.w.d.resize(at(p_.num_slots));
+  out.w.hold.resize(at(p_.num_slots));
+  out.schedule.start.resize(at(p_.num_slots));
+  out.schedule.finish.resize(at(p_.num_slots));
+  const double over = overload(decision);
+  if (over > 1e-9) {
+    out.cost = kInvalidCost * (3 + over);
+    return false;
+  }
+  shared_ = shared_xpus(p_, decision.xpu);
+  if (base_figures_ != nullptr && base_figures_->simulated)
+    out.pad = base_figures_->pad;
+  else
+    out.pad.assign(at(p_.num_xpus), 0);
+  rule_.xpu = decision.xpu;
+  rule_.hold = decision.hold;
+  rule_.polite = decision.polite;
+  rule_.key_by_slot = keys != nullptr;
+  rule_.key = keys != nullptr ? keys->w.d : decision.key;
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    const int m = decision.xpu[at(i)];
+    const std::int64_t ppm = p_.domains[at(p_.domain_of(i))].ppm;
+    rule_.work[at(i)] = in_fast_time(p_.wcet(i, m), ppm);
+    if (shared_[at(m)] == 0) {
+      rule_.cost[at(m)] = in_fast_time(p_.preempt[at(m)], ppm);
+      rule_.window[at(i)] = kNoTick;
+    } else {
+      rule_.window[at(i)] = std::max(decision.window[at(i)], p_.wcet(i, m));
+    }
+  }
+  if (!plan(decision, out, until)) return false;
+  set_costs(out);
+  // What is refused anyway need not be served.
+  if (out.cost > most_) return false;
+  return serves(decision, out);
 }
 
 void Evaluator::set_costs(Figures& out) const {
@@ -192,29 +269,25 @@ void Evaluator::set_limits(double most) {
   }
 }
 
-void Evaluator::evaluate(const Decision& decision, const Charges& charges, double most,
-                         Figures& out, const Until& until) {
+void Evaluator::evaluate(const Decision& decision, double most, Figures& out, const Until& until,
+                         const Decision* base, const Figures* base_figures) {
   ++evaluations_;
   set_limits(most);
-  if (charges.preempts.empty()) {
-    used_.preempts.assign(at(p_.num_xnodes), 0);
-    used_.blocked_by.assign(at(p_.num_xnodes), 0);
-  } else {
-    used_ = charges;
-  }
-  out.valid = simulate(decision, nullptr, used_, out, until);
-  if (out.valid) set_costs(out);
+  most_ = most;
+  base_ = base;
+  base_figures_ = base_figures;
+  out.valid = simulate(decision, nullptr, out, until);
 }
 
-bool Evaluator::settle(const Decision& decision, Figures& out, bool worse_too, const Until& until) {
+bool Evaluator::settle(const Decision& decision, Figures& out, const Until& until) {
   ++evaluations_;
   rule_.limit.clear();
+  most_ = kInvalidCost;
+  base_ = nullptr;
+  base_figures_ = nullptr;
   Figures next;
-  used_ = out.needed;
-  next.valid = simulate(decision, &out, used_, next, until);
-  if (!next.valid) return false;
-  set_costs(next);
-  if (!worse_too && !next.better_than(out)) return false;
+  next.valid = simulate(decision, &out, next, until);
+  if (!next.valid || !next.better_than(out)) return false;
   out = std::move(next);
   return true;
 }

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Evaluate: one candidate of the search, from decision to worst cases.
 //
-// A decision says who is where, a key per XNode that orders the simulated rule, and what each
-// domain gets of an XPU that several share. What comes of it are windows: the finishes of the
-// simulated schedule, each domain by itself. An XPU of one domain needs no more proof (exhibit.h);
-// a shared one is put to the demand bound.
+// A decision says who is where, a key per XNode that orders the simulated rule, and how long the
+// windows are on an XPU that several domains share. What comes of it are windows: the finishes of
+// the simulated schedule, each domain by itself. An XPU of one domain needs no more proof
+// (exhibit.h); a shared one is put to the demand bound. Where a preemption costs something, or is
+// not possible, jobs are held until their planned start: then only those pay that the plan charges.
 #pragma once
 
 #include <vector>
@@ -17,24 +18,23 @@
 namespace xauto::solver::steady {
 
 struct Decision {
-  std::vector<int> xpu;    ///< [xnode]
-  std::vector<Tick> key;   ///< [xnode] after the nominal release: who goes first
-  std::vector<Tick> hold;  ///< [xnode] whole microseconds; 0: none
-  /// [xpu * domains + domain] 1..kWhole: on a shared XPU the domain is simulated that much slower.
-  /// They need not add up to kWhole: the demand bound decides.
-  std::vector<int> share;
-  std::vector<Tick> delay;  ///< [xnode] on a shared XPU its key is that much later; 0: none
+  std::vector<int> xpu;      ///< [xnode]
+  std::vector<Tick> key;     ///< [xnode] after the nominal release: who goes first
+  std::vector<Tick> hold;    ///< [xnode] whole microseconds; 0: none
+  std::vector<Tick> window;  ///< [xnode] on a shared XPU: d - a, whole microseconds
+  std::vector<char> polite;  ///< [xnode] in the plan it interrupts nobody
 };
-inline constexpr int kWhole = 64;
 
 struct Figures {
   bool valid = false;
+  bool simulated = false;  ///< schedule and windows are those of the decision
   Windows w;
   Schedule schedule;
-  Charges needed;           ///< what the windows ask for, at most what was simulated with
-  std::vector<Tick> chain;  ///< [chain] worst case
-  double late = 0;          ///< largest worst case / deadline, 0 without deadlines
-  double sum = 0;           ///< weighted sum of the worst cases
+  std::vector<Tick> pad;        ///< [xpu] what drift takes of it
+  std::vector<double> missing;  ///< [xpu] shared: how much time it is short of; 0: it serves all
+  std::vector<Tick> chain;      ///< [chain] worst case
+  double late = 0;              ///< largest worst case / deadline, 0 without deadlines
+  double sum = 0;               ///< weighted sum of the worst cases
   /// For the annealer: both as one number, about 1 for a good answer; above kInvalidCost what makes
   /// it invalid.
   double cost = 0;
@@ -48,22 +48,23 @@ class Evaluator {
   /// `reference`: [chain] what the sum is measured in (lower bounds).
   Evaluator(const Problem& problem, const std::vector<Tick>& reference);
 
-  /// `charges`: a guess, by which it begins; empty: none. `most`: what costs more may come back
-  /// invalid, sooner.
-  void evaluate(const Decision& decision, const Charges& charges, double most, Figures& out,
-                const Until& until = {});
+  /// `most`: what costs more may come back invalid, sooner. `base` (may be null): a decision and its
+  /// figures, of which is kept what does not change.
+  void evaluate(const Decision& decision, double most, Figures& out, const Until& until = {},
+                const Decision* base = nullptr, const Figures* base_figures = nullptr);
   [[nodiscard]] std::int64_t evaluations() const { return evaluations_; }
   /// [chain] XNodes that its end waits for, on any of its ways.
   [[nodiscard]] const std::vector<std::vector<int>>& chain_xnodes() const { return chain_xnodes_; }
-  /// Simulates again with the keys of `out`: where all XPUs are preemptive, the same windows or
-  /// earlier ones. Elsewhere the delays for blocking may change the order of keys; where this ends
-  /// with the order it began with, the certificate holds. True if `out` changed, to something
-  /// better unless `worse_too`.
-  bool settle(const Decision& decision, Figures& out, bool worse_too, const Until& until = {});
+  /// Simulates again with the keys of `out`. True if that was better, and `out` changed.
+  bool settle(const Decision& decision, Figures& out, const Until& until = {});
 
  private:
-  bool simulate(const Decision& decision, const Figures* keys, Charges& charges, Figures& out,
-                const Until& until);
+  bool simulate(const Decision& decision, const Figures* keys, Figures& out, const Until& until);
+  bool plan(const Decision& decision, Figures& out, const Until& until);
+  void find_changes(const Decision& decision, const Figures& out);
+  bool serves(const Decision& decision, Figures& out);
+  [[nodiscard]] bool as_before(const Decision& decision, int xpu, const Figures& out) const;
+  bool deepen_pads(const Decision& decision, Figures& out);
   void set_costs(Figures& out) const;
   void set_limits(double most);
   [[nodiscard]] double overload(const Decision& decision) const;
@@ -75,9 +76,12 @@ class Evaluator {
   std::vector<Exhibitor> exhibitors_;  ///< one per domain
   Rule rule_;
   std::vector<std::vector<int>> chain_xnodes_;  ///< [chain] those that its end waits for
-  Charges used_, now_;
-  std::vector<Tick> pad_;  ///< [xpu]
-  std::vector<char> shared_;
+  Charges charges_;
+  std::vector<char> shared_, was_shared_;  ///< [xpu]
+  std::vector<char> changed_;              ///< [domain] its schedule is not that of the base
+  const Decision* base_ = nullptr;
+  const Figures* base_figures_ = nullptr;
+  double most_ = 0;
   std::int64_t evaluations_ = 0;
 };
 

@@ -5,6 +5,8 @@
 #include <functional>
 #include <limits>
 
+#include "solver/steady/windows.h"
+
 namespace xauto::solver::steady {
 namespace {
 
@@ -12,6 +14,8 @@ constexpr Tick kNever = std::numeric_limits<Tick>::max();
 /// Hyperperiods until it has to repeat: this many, and more where they are short, since latencies
 /// of several periods need as many to fill the pipeline.
 constexpr std::int64_t kLeastRounds = 8, kMostRounds = 48;
+/// Jobs that are simulated at most, but for the least rounds.
+constexpr std::int64_t kMostSimulated = 1'000'000;
 
 std::size_t ix(std::int64_t i) {
   return static_cast<std::size_t>(i);
@@ -39,6 +43,7 @@ void Exhibitor::prepare(int domain, const Rule& rule) {
     Tick slowest = 0;
     for (const int c : d.components) slowest = std::max(slowest, p_.components[at(c)].period);
     rounds_ = std::min(kLeastRounds - 2 + 40 * slowest / hyper_, kMostRounds);
+    rounds_ = std::min(rounds_, std::max(kLeastRounds, kMostSimulated / jobs_));
     phase_.resize(ix(jobs_));
     for (const int i : d.xnodes) {
       const Component& c = p_.components[at(p_.component_of[at(i)])];
@@ -70,7 +75,10 @@ void Exhibitor::prepare(int domain, const Rule& rule) {
     x.ready.clear();
     x.running.job = -1;
     x.end = kNever;
+    x.interrupted = 0;
   }
+  growth_ = 0;
+  grew_ = 0;
   prepared_ = 0;
   useless_ = false;
   for (const int i : d.xnodes) {
@@ -127,12 +135,16 @@ void Exhibitor::one_less(const Rule& rule, std::int64_t job, Tick now) {
   if (--waits_[ix(job)] > 0) return;
   const std::int64_t slot = job % jobs_ + base_;
   const int i = p_.slot_xnode[ix(slot)];
+  if (rule.window[at(i)] != kNoTick) {
+    start_[ix(job)] = now;
+    push(seen(job, now + rule.window[at(i)]), 4 * job + 1);
+    return;
+  }
   const int m = rule.xpu[at(i)];
   Xpu& x = xpus_[at(m)];
   const Tick key = nominal(job) + (rule.key_by_slot ? rule.key[ix(slot)] : rule.key[at(i)]);
   x.ready.push_back({key, job});
   std::push_heap(x.ready.begin(), x.ready.end(), std::greater<>());
-  static_cast<void>(now);
   dirty_.push_back(m);
 }
 
@@ -160,17 +172,31 @@ void Exhibitor::done(const Rule& rule, std::int64_t job, Tick now) {
   const std::int64_t admitted = activation + std::min(mod.in_flight, kMostTicks);
   if (admitted >= per_round * rounds_) return;
   if (admitted / per_round >= prepared_) prepare_rounds(rule, admitted / per_round);
-  for (const int e : mod.entries)
-    one_less(rule, admitted / per_round * jobs_ + p_.slot[at(e)] - base_ + admitted % per_round,
-             now);
+  const Tick lost = lost_in(mod.in_flight * p_.period_of(i), p_.domains[at(domain_)].ppm);
+  for (const int e : mod.entries) {
+    const std::int64_t next =
+        admitted / per_round * jobs_ + p_.slot[at(e)] - base_ + admitted % per_round;
+    if (lost == 0)
+      one_less(rule, next, now);
+    else
+      push(now + lost, 4 * next);
+  }
 }
 
-void Exhibitor::dispatch(int xpu, Tick now) {
+Tick Exhibitor::seen(std::int64_t job, Tick end) const {
+  if (p_.scale == 1) return end;
+  const Tick release = nominal(job);
+  return release + p_.up_to_us(end - release);
+}
+
+void Exhibitor::dispatch(const Rule& rule, int xpu, Tick now) {
   Xpu& x = xpus_[at(xpu)];
   if (x.ready.empty()) return;
   if (x.running.job >= 0) {
-    if (!(x.running > x.ready.front())) return;
+    if (!(x.running > x.ready.front()) || p_.preemptive[at(xpu)] == 0) return;
+    if (rule.polite[at(p_.slot_xnode[ix(x.ready.front().job % jobs_ + base_)])] != 0) return;
     left_[ix(x.running.job)] = x.end - now;
+    ++x.interrupted;
     const Ready before = x.running;
     std::pop_heap(x.ready.begin(), x.ready.end(), std::greater<>());
     x.running = x.ready.back();
@@ -182,7 +208,13 @@ void Exhibitor::dispatch(int xpu, Tick now) {
     x.ready.pop_back();
   }
   Tick& start = start_[ix(x.running.job)];
-  if (start < 0) start = now;
+  if (start >= 0) {
+    --x.interrupted;
+  } else {
+    start = now;
+    // Who is interrupted has the larger key: it may be running when this one starts.
+    if (x.interrupted > 0) left_[ix(x.running.job)] += rule.cost[at(xpu)];
+  }
   x.end = now + left_[ix(x.running.job)];
 }
 
@@ -203,6 +235,19 @@ bool Exhibitor::repeats(std::int64_t round) {
   return ++equal_ * hyper_ >= longest;
 }
 
+/// Later and later from round to round, and no less so: it will not repeat.
+bool Exhibitor::piles_up(std::int64_t round) {
+  if (round + 1 < kLeastRounds) return false;
+  const std::size_t here = ix(round * jobs_), there = ix((round - 1) * jobs_);
+  const double before = growth_;
+  growth_ = 0;
+  for (std::size_t k = 0; k < ix(jobs_); ++k)
+    growth_ += static_cast<double>(finish_[here + k] - finish_[there + k] - hyper_) /
+               static_cast<double>(hyper_);
+  grew_ = growth_ > 0 && growth_ >= before ? grew_ + 1 : 0;
+  return grew_ > 4;
+}
+
 bool Exhibitor::run(int domain, const Rule& rule, Schedule& schedule, const Until& until) {
   prepare(domain, rule);
   std::int64_t steps = 0, round = 0;
@@ -220,15 +265,11 @@ bool Exhibitor::run(int domain, const Rule& rule, Schedule& schedule, const Unti
       x.end = kNever;
       dirty_.push_back(m);
       const int i = p_.slot_xnode[ix(job % jobs_ + base_)];
-      Tick seen = now + rule.delay[at(i)];
-      if (p_.scale != 1) {
-        const Tick release = nominal(job);
-        seen = release + p_.up_to_us(seen - release);
-      }
-      if (seen == now)
+      const Tick told = seen(job, now + rule.delay[at(i)]);
+      if (told == now)
         done(rule, job, now);
       else
-        push(seen, 4 * job + 1);
+        push(told, 4 * job + 1);
     }
     while (!events_.empty() && events_.front().time == now) {
       std::pop_heap(events_.begin(), events_.end(), std::greater<>());
@@ -242,10 +283,10 @@ bool Exhibitor::run(int domain, const Rule& rule, Schedule& schedule, const Unti
         if (code % 4 == 2) static_cast<void>(release(rule, p_.slot_xnode[ix(job % jobs_ + base_)]));
       }
     }
-    for (const int m : dirty_) dispatch(m, now);
+    for (const int m : dirty_) dispatch(rule, m, now);
     while (round < rounds_ && done_[ix(round)] == jobs_) {
       if (!repeats(round)) {
-        ++round;
+        if (piles_up(round++)) return false;
         continue;
       }
       for (std::int64_t k = 0; k < jobs_; ++k) {

@@ -2,10 +2,12 @@
 // Exhibit: the schedule that keys give to one domain, simulated until a hyperperiod repeats the one
 // before. Its finishes are keys (docs/steady-state.md, theorem); certificate.h proves them again.
 //
-// The rule: an XPU runs the ready job of the smallest key, preemptively, also where it is not
-// preemptive: there every job is told to be done `delay` later, which pays for the blocking. Every
-// XNode takes its `work`, WCET with charges. Roots are ready at their latest arrival. A job is seen
-// to be done at a whole microsecond after its nominal release, since keys are whole.
+// The rule: an XPU runs the ready job of the smallest key. Where it is preemptive, a job that is not
+// `polite` interrupts one of a larger key, and a job that starts while another one is interrupted
+// takes `cost` more. Every XNode takes its `work`; roots are ready at their latest arrival. A job is
+// seen to be done at a whole microsecond after its nominal release, since keys are whole.
+// On an XPU that several domains share, a job takes its `window`, whoever else is there: the demand
+// bound decides whether the XPU can serve all of them.
 #pragma once
 
 #include <vector>
@@ -17,11 +19,14 @@ namespace xauto::solver::steady {
 
 /// What a schedule follows; all arrays are of the whole problem.
 struct Rule {
-  std::vector<int> xpu;     ///< [xnode]
-  std::vector<Tick> work;   ///< [xnode] on its XPU, at least 1
-  std::vector<Tick> delay;  ///< [xnode] from its end on its XPU until it is called done
-  std::vector<Tick> hold;   ///< [xnode] earliest start after the nominal release; 0: none
-  std::vector<Tick> key;    ///< [xnode] after the nominal release; or by slot
+  std::vector<int> xpu;      ///< [xnode]
+  std::vector<Tick> work;    ///< [xnode] on its XPU, at least 1
+  std::vector<Tick> window;  ///< [xnode] on a shared XPU; kNoTick: simulated
+  std::vector<Tick> delay;   ///< [xnode] from its end on its XPU until it is called done
+  std::vector<Tick> cost;    ///< [xpu] of a start while another one is interrupted
+  std::vector<char> polite;  ///< [xnode] it interrupts nobody
+  std::vector<Tick> hold;    ///< [xnode] earliest start after the nominal release; 0: none
+  std::vector<Tick> key;     ///< [xnode] after the nominal release; or by slot
   bool key_by_slot = false;
   /// [xnode] an end later than this is of no use: it ends the simulation. Empty: none.
   std::vector<Tick> limit;
@@ -39,6 +44,9 @@ class Exhibitor {
 
   /// False: it did not repeat within the limits, or `until` was over. `schedule` is large enough.
   [[nodiscard]] bool run(int domain, const Rule& rule, Schedule& schedule, const Until& until = {});
+  /// After a run that failed: by how many hyperperiods the last of them ended later than the one
+  /// before, all XNodes together; 0 where it has not come so far.
+  [[nodiscard]] double growth() const { return growth_ > 0 ? growth_ : 0; }
 
  private:
   struct Event {
@@ -55,16 +63,19 @@ class Exhibitor {
   struct Xpu {
     std::vector<Ready> ready;  ///< a heap, smallest key on top
     Ready running = {0, -1};
-    Tick end = 0;  ///< of the running job, undisturbed
+    Tick end = 0;         ///< of the running job, undisturbed
+    int interrupted = 0;  ///< started, and among the ready
   };
 
   void prepare(int domain, const Rule& rule);
   void prepare_rounds(const Rule& rule, std::int64_t up_to);
   bool release(const Rule& rule, int xnode);
   void one_less(const Rule& rule, std::int64_t job, Tick now);
+  [[nodiscard]] Tick seen(std::int64_t job, Tick end) const;
   void done(const Rule& rule, std::int64_t job, Tick now);
-  void dispatch(int xpu, Tick now);
+  void dispatch(const Rule& rule, int xpu, Tick now);
   [[nodiscard]] bool repeats(std::int64_t round);
+  [[nodiscard]] bool piles_up(std::int64_t round);
   void push(Tick time, std::int64_t code);
   [[nodiscard]] Tick nominal(std::int64_t job) const;
 
@@ -85,6 +96,8 @@ class Exhibitor {
   std::vector<std::int64_t> done_;  ///< [round]
   std::vector<Xpu> xpus_;
   std::vector<int> used_, dirty_;
+  double growth_ = 0;
+  int grew_ = 0;  ///< rounds in a row
 };
 
 }  // namespace xauto::solver::steady

@@ -119,6 +119,8 @@ struct Builder {
         if (s < 0 || at(s) >= app.sources.size())
           return fail(ErrorCode::kInvalid, "a source that is not there", "XNode '" + x.name + "'");
         const SourceSpec& source = app.sources[at(s)];
+        if (source.clock < 0 || at(source.clock) >= app.clocks.size())
+          return fail(ErrorCode::kInvalid, "a source names a clock that is not there", "sources");
         Tick offset = 0, period_ticks = 0;
         XAUTO_TRY(ticks(source.offset_us, "offset_us of source '" + source.name + "'", offset));
         XAUTO_TRY(period(source, period_ticks));
@@ -139,14 +141,49 @@ struct Builder {
         const SourceSpec& source = app.sources[at(s)];
         Tick jitter = 0;
         XAUTO_TRY(ticks(source.jitter_us, "jitter_us of source '" + source.name + "'", jitter));
-        p.root_ready[at(i)] =
-            std::max(p.root_ready[at(i)], jitter + source.offset_us * p.scale -
-                                              p.components[at(p.component_of[at(i)])].phase);
+        // Of a clock that may be slow the offset lasts longer.
+        const Tick offset =
+            source.offset_us * p.scale - p.components[at(p.component_of[at(i)])].phase;
+        p.root_ready[at(i)] = std::max(
+            p.root_ready[at(i)], jitter + in_slow_time(offset, app.clocks[at(source.clock)].ppm));
       }
     return {};
   }
 
-  /// One domain per clock; where that has too many jobs, one per component.
+  /// Components whose releases come round soon, those of one period above all, stay together.
+  void split(const Domain& whole) const {
+    const std::size_t first = p.domains.size();
+    for (const int c : whole.components) {
+      const Tick period = p.components[at(c)].period;
+      const auto size = static_cast<std::int64_t>(p.components[at(c)].xnodes.size());
+      bool placed = false;
+      for (std::size_t d = first; d < p.domains.size() && !placed; ++d) {
+        Domain& group = p.domains[d];
+        Tick hyper = 0;
+        if (!times(group.hyper / std::gcd(group.hyper, period), period, Tick{1} << 54, hyper))
+          continue;
+        const Tick longer = hyper / group.hyper, often = hyper / period;
+        if (longer > kMostJobsOfGroup || often > kMostJobsOfGroup ||
+            group.jobs * longer + size * often > kMostJobsOfGroup)
+          continue;
+        group.jobs = group.jobs * longer + size * often;
+        group.hyper = hyper;
+        group.components.push_back(c);
+        placed = true;
+      }
+      if (placed) continue;
+      Domain alone;
+      alone.clock = whole.clock;
+      alone.ppm = whole.ppm;
+      alone.hyper = period;
+      alone.jobs = size;
+      alone.components = {c};
+      alone.part = true;
+      p.domains.push_back(std::move(alone));
+    }
+  }
+
+  /// One domain per clock; where that has too many jobs, several.
   Status set_domains(const std::vector<int>& clock_of) const {
     for (std::size_t k = 0; k < app.clocks.size(); ++k) {
       p.clock_name.push_back(app.clocks[k].name);
@@ -177,19 +214,8 @@ struct Builder {
         p.domains.push_back(std::move(whole));
         continue;
       }
-      for (const int c : whole.components) {
-        Domain alone;
-        alone.clock = whole.clock;
-        alone.ppm = whole.ppm;
-        alone.hyper = p.components[at(c)].period;
-        alone.jobs = static_cast<std::int64_t>(p.components[at(c)].xnodes.size());
-        alone.components = {c};
-        p.domains.push_back(std::move(alone));
-      }
+      split(whole);
     }
-    for (const int clock : clock_of)
-      if (clock < 0 || at(clock) >= app.clocks.size())
-        return fail(ErrorCode::kInvalid, "a source names a clock that is not there", "sources");
     p.slot.assign(at(p.num_xnodes), 0);
     p.jobs.assign(at(p.num_xnodes), 1);
     for (std::size_t d = 0; d < p.domains.size(); ++d)

@@ -26,9 +26,10 @@ using Tick = std::int64_t;
 inline constexpr Tick kNoTick = -1;
 /// No single time of an app is longer, so that sums along 2^13 XNodes fit 64 bits.
 inline constexpr Tick kMostTicks = Tick{1} << 47;
-/// Above this many jobs a hyperperiod, the components of a clock are planned as if their clocks
-/// were different: safe, and weaker.
+/// Above this many jobs a hyperperiod, the components of a clock are planned in groups, as if the
+/// groups' clocks were different: safe, and weaker.
 inline constexpr std::int64_t kMostJobs = 100'000;
+inline constexpr std::int64_t kMostJobsOfGroup = 2'000;
 /// Ways from a source to an XNode through samples, all chains together.
 inline constexpr std::size_t kMostPaths = 4096;
 
@@ -53,6 +54,7 @@ struct Domain {
   Tick hyper = 0;
   std::int64_t ppm = 0;
   std::int64_t jobs = 0;  ///< all XNodes together, per hyperperiod
+  bool part = false;      ///< of a clock: `check` knows no phases where it shares an XPU
   std::vector<int> components;
   std::vector<int> xnodes;
 };

@@ -47,13 +47,21 @@ bool Search::over() const {
 Decision Search::from_hint(const KeyPolicy& hint) const {
   Decision d;
   d.hold.assign(at(p_.num_xnodes), 0);
-  d.delay.assign(at(p_.num_xnodes), 0);
-  d.share.assign(at(p_.num_xpus) * p_.domains.size(), kWhole);
+  d.polite.assign(at(p_.num_xnodes), 0);
   for (const KeyPlacement& placed : hint.placements) {
     d.xpu.push_back(placed.xpu);
     std::int64_t key = 0;
     for (const std::int64_t k : placed.key_us) key = std::max(key, k);
     d.key.push_back(std::min(key, kMostTicks / p_.scale) * p_.scale);
+  }
+  // d - a of its keys, which `a` follows from but for `in flight`.
+  d.window.assign(at(p_.num_xnodes), 0);
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    Tick ready = p_.root[at(i)] != 0 ? p_.root_ready[at(i)] : 0;
+    for (const Link& link : p_.pred[at(i)])
+      ready = std::max(
+          ready, d.key[at(link.xnode)] + p_.transfer(link, d.xpu[at(link.xnode)], d.xpu[at(i)]));
+    d.window[at(i)] = std::max(p_.wcet(i, d.xpu[at(i)]), d.key[at(i)] - ready);
   }
   return d;
 }
@@ -108,8 +116,7 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
   Decision d;
   d.xpu.assign(at(p_.num_xnodes), -1);
   d.hold.assign(at(p_.num_xnodes), 0);
-  d.delay.assign(at(p_.num_xnodes), 0);
-  d.share.assign(at(p_.num_xpus) * p_.domains.size(), kWhole);
+  d.polite.assign(at(p_.num_xnodes), charge ? 0 : 1);
   std::vector<Tick> least(at(p_.num_xnodes), kNoTick);
   for (int i = 0; i < p_.num_xnodes; ++i)
     for (const int m : p_.may_run[at(i)])
@@ -173,24 +180,36 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
     const Tick due = rule == 0 ? std::max(p_.period_of(i), span) : span;
     d.key[at(i)] = rule == 2 ? p_.period_of(i) + head[at(i)] / 64 : due - tail[at(i)];
   }
-  // What each domain may need of a shared XPU.
-  const std::vector<char> shared = shared_xpus(p_, d.xpu);
-  for (int m = 0; m < p_.num_xpus; ++m) {
-    if (shared[at(m)] == 0) continue;
-    std::vector<double> part(p_.domains.size(), 0);
-    double all = 0;
-    for (int i = 0; i < p_.num_xnodes; ++i)
-      if (d.xpu[at(i)] == m) {
-        const double rate =
-            static_cast<double>(p_.wcet(i, m)) / static_cast<double>(p_.period_of(i));
-        part[at(p_.domain_of(i))] += rate;
-        all += rate;
-      }
-    for (std::size_t g = 0; g < part.size(); ++g)
-      d.share[at(m) * part.size() + g] =
-          std::clamp(static_cast<int>(part[g] / std::max(all, 1e-9) * kWhole * 0.95), 1, kWhole);
-  }
   return d;
+}
+
+void Search::spread_windows(Decision& d, double part) const {
+  d.window.assign(at(p_.num_xnodes), 0);
+  std::vector<Tick> weight(at(p_.num_xnodes)), head(at(p_.num_xnodes)), tail(at(p_.num_xnodes));
+  for (int i = 0; i < p_.num_xnodes; ++i)
+    weight[at(i)] = p_.wcet(i, d.xpu[at(i)]) + p_.preempt[at(d.xpu[at(i)])];
+  const auto inside = [&](int a, int b) { return p_.module_of[at(a)] == p_.module_of[at(b)]; };
+  for (const Component& c : p_.components) {
+    for (const int i : c.xnodes)
+      for (const Link& l : p_.pred[at(i)])
+        if (inside(i, l.xnode))
+          head[at(i)] = std::max(head[at(i)], head[at(l.xnode)] + weight[at(l.xnode)]);
+    for (auto i = c.xnodes.rbegin(); i != c.xnodes.rend(); ++i)
+      for (const Link& l : p_.succ[at(*i)])
+        if (inside(*i, l.xnode))
+          tail[at(*i)] = std::max(tail[at(*i)], tail[at(l.xnode)] + weight[at(l.xnode)]);
+  }
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    const int module = p_.module_of[at(i)];
+    const auto flights =
+        module < 0
+            ? 1.0
+            : static_cast<double>(std::min(p_.modules[at(module)].in_flight, std::int64_t{64}));
+    const double all = flights * static_cast<double>(p_.period_of(i)) * part;
+    const auto way = static_cast<double>(head[at(i)] + weight[at(i)] + tail[at(i)]);
+    const auto window = static_cast<Tick>(all * static_cast<double>(weight[at(i)]) / way);
+    d.window[at(i)] = std::max(p_.up_to_us(p_.wcet(i, d.xpu[at(i)])), window / p_.scale * p_.scale);
+  }
 }
 
 /// Keeps it if it is the best so far, and, if it is valid, certified: the simulation is believed by
@@ -198,21 +217,14 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
 void Search::take(Candidate& candidate, const std::function<void(const Candidate&)>& on_better) {
   if (candidate.figures.valid && candidate.figures.better_than(best_.figures)) {
     for (int k = 0; k < 3; ++k)
-      if (!evaluator_.settle(candidate.decision, candidate.figures, false, limits_.until)) break;
-    for (int k = 0; k < 6; ++k) {
-      Windows w;
-      w.d = candidate.figures.w.d;
-      w.hold = candidate.figures.w.hold;
-      if (certify(p_, candidate.decision.xpu, w)) {
-        if (!candidate.figures.better_than(best_.figures)) return;
-        best_ = candidate;
-        on_better(best_);
-        proven_ = true;
-        for (std::size_t c = 0; c < p_.chains.size(); ++c)
-          proven_ = proven_ && best_.figures.chain[c] <= p_.up_to_us(reference_[c]);
-        return;
-      }
-      if (!evaluator_.settle(candidate.decision, candidate.figures, true, limits_.until)) break;
+      if (!evaluator_.settle(candidate.decision, candidate.figures, limits_.until)) break;
+    if (certify(p_, candidate.decision.xpu, candidate.figures.w)) {
+      best_ = candidate;
+      on_better(best_);
+      proven_ = true;
+      for (std::size_t c = 0; c < p_.chains.size(); ++c)
+        proven_ = proven_ && best_.figures.chain[c] <= p_.up_to_us(reference_[c]);
+      return;
     }
     candidate.figures.valid = false;
     candidate.figures.cost = kInvalidCost;
@@ -228,6 +240,8 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
                                  kWeights / static_cast<std::int64_t>(weights.size()));
   best_.figures = {};
   best_.figures.cost = 1e18;
+  const std::vector<double> parts =
+      p_.domains.size() > 1 ? std::vector<double>{0.95, 0.5, 0.25} : std::vector<double>{1};
   for (const double greed : {0.3, 1.0, 0.1, 3.0})
     for (const int rule : {0, 1, 2})
       for (const auto* prices : {&std::as_const(weights), &std::as_const(flat)})
@@ -235,8 +249,11 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
           if (over() && best_.figures.cost < 1e18) return;
           Candidate c;
           c.decision = constructed(*prices, greed, rule, charge);
-          evaluator_.evaluate(c.decision, {}, kInvalidCost, c.figures, limits_.until);
-          take(c, on_better);
+          for (const double part : parts) {
+            spread_windows(c.decision, part);
+            evaluator_.evaluate(c.decision, kInvalidCost, c.figures, limits_.until);
+            take(c, on_better);
+          }
         }
 }
 
@@ -262,6 +279,33 @@ void Search::set_critical(const Candidate& of) {
 int Search::pick(const Candidate&) {
   if (!critical_.empty() && random_.unit() < 0.6) return critical_[random_.below(critical_.size())];
   return static_cast<int>(random_.below(at(p_.num_xnodes)));
+}
+
+bool Search::change_window(const Candidate& from, Decision& next, int i) {
+  const int m = next.xpu[at(i)];
+  Tick& window = next.window[at(i)];
+  const Tick before = window, least = p_.up_to_us(p_.wcet(i, m));
+  const double how = random_.unit();
+  const auto scaled = [&](Tick w, double by) {
+    const double ticks = std::min(static_cast<double>(w) * by, static_cast<double>(kMostTicks));
+    return std::max(p_.up_to_us(p_.wcet(i, m)), static_cast<Tick>(ticks) / p_.scale * p_.scale);
+  };
+  if (how < 0.25) {
+    // As long as that of another one of its XPU: neither can interrupt the other.
+    const int j = static_cast<int>(random_.below(at(p_.num_xnodes)));
+    if (j == i || next.xpu[at(j)] != m) return false;
+    window = std::max(least, next.window[at(j)]);
+  } else if (how < 0.5 && from.figures.valid) {
+    window = least + scaled(window - least, random_.unit());
+  } else if (how < 0.85) {
+    window = scaled(window, std::exp((random_.unit() - 0.5) * (how < 0.7 ? 0.3 : 1.5)));
+  } else {
+    const double by = std::exp((random_.unit() - 0.5) * 0.8);
+    for (const int j : p_.components[at(p_.component_of[at(i)])].xnodes)
+      next.window[at(j)] = scaled(next.window[at(j)], by);
+    return true;
+  }
+  return window != before;
 }
 
 bool Search::mutate(const Candidate& from, Decision& next) {
@@ -303,29 +347,13 @@ bool Search::mutate(const Candidate& from, Decision& next) {
     hold = hold / p_.scale * p_.scale;
     return hold != before;
   }
-  if (what < 0.70 && p_.domains.size() > 1) {
+  if (what < 0.56) {
     const int m = next.xpu[at(i)];
-    if (what >= 0.60) {
-      // Later by what another one of its XPU takes, or by less.
-      Tick& delay = next.delay[at(i)];
-      const Tick before = delay;
-      const int j = static_cast<int>(random_.below(at(p_.num_xnodes)));
-      const double how = random_.unit();
-      if (how < 0.4 && next.xpu[at(j)] == m)
-        delay += p_.wcet(j, m);
-      else
-        delay = how < 0.7 ? static_cast<Tick>(static_cast<double>(delay) * random_.unit()) : 0;
-      delay = std::min(delay, kMostTicks) / p_.scale * p_.scale;
-      return delay != before;
-    }
-    int& share = next.share[at(m) * p_.domains.size() + at(p_.domain_of(i))];
-    const int before = share;
-    share =
-        std::clamp(static_cast<int>(std::lround(share * std::exp((random_.unit() - 0.5) * 0.8))) +
-                       (random_.unit() < 0.5 ? -1 : 1),
-                   1, kWhole);
-    return share != before;
+    if (p_.preemptive[at(m)] == 0 || p_.preempt[at(m)] == 0) return false;
+    next.polite[at(i)] = next.polite[at(i)] == 0 ? 1 : 0;
+    return true;
   }
+  if (shared_[at(next.xpu[at(i)])] != 0) return change_window(from, next, i);
   Tick& key = next.key[at(i)];
   const Tick before = key;
   const double how = random_.unit();
@@ -356,6 +384,7 @@ void Search::anneal(std::int64_t steps, double hot,
                     const std::function<void(const Candidate&)>& on_better) {
   Candidate current = best_, next;
   set_critical(current);
+  shared_ = shared_xpus(p_, current.decision.xpu);
   for (std::int64_t s = 0; s < steps && !over(); ++s) {
     const double heat = hot * std::pow(0.01, static_cast<double>(s) / static_cast<double>(steps));
     next.decision = current.decision;
@@ -366,8 +395,8 @@ void Search::anneal(std::int64_t steps, double hot,
     // Drawn before, so that most candidates need not be simulated to the end.
     const double scale = current.figures.valid ? current.figures.cost : 0.05 * kInvalidCost;
     const double allowed = current.figures.cost - heat * scale * std::log(random_.unit());
-    evaluator_.evaluate(next.decision, current.figures.valid ? current.figures.needed : Charges{},
-                        allowed, next.figures, limits_.until);
+    evaluator_.evaluate(next.decision, allowed, next.figures, limits_.until, &current.decision,
+                        &current.figures);
     if (next.figures.cost > allowed) continue;
     if (next.figures.valid && next.figures.better_than(best_.figures)) {
       take(next, on_better);
@@ -376,6 +405,7 @@ void Search::anneal(std::int64_t steps, double hot,
       take(next, on_better);
     }
     std::swap(current, next);
+    shared_ = shared_xpus(p_, current.decision.xpu);
     if ((s & 15) == 0) set_critical(current);
   }
 }
@@ -389,7 +419,7 @@ void Search::run(const SearchLimits& limits, const Decision* start, bool keep_xp
   if (start != nullptr) {
     Candidate c;
     c.decision = *start;
-    evaluator_.evaluate(c.decision, {}, kInvalidCost, c.figures, limits_.until);
+    evaluator_.evaluate(c.decision, kInvalidCost, c.figures, limits_.until);
     take(c, on_better);
   }
   if (!keep_xpu_) construct(on_better);
@@ -398,6 +428,7 @@ void Search::run(const SearchLimits& limits, const Decision* start, bool keep_xp
   for (std::size_t cycle = 0; !over(); ++cycle) {
     constexpr double kHot[] = {0.05, 0.15, 0.03};
     const std::int64_t before = evaluator_.evaluations();
+    if (limits_.exchange && cycle % 3 == 2) limits_.exchange(best_);
     anneal(steps, kHot[cycle % 3], on_better);
     if (evaluator_.evaluations() == before) return;  // nothing can be changed
     if (cycle % 3 == 2) steps *= 2;

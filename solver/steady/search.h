@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Search: assignment, keys, holds and shares of shared XPUs, by annealing from constructed starts.
+// Search: assignment, keys, holds and windows on shared XPUs, by annealing from constructed starts.
 // Deterministic for a seed where `max_evaluations` ends it.
 #pragma once
 
@@ -22,6 +22,8 @@ struct Candidate {
 struct SearchLimits {
   Until until;
   std::int64_t max_evaluations = 0;  ///< 0: no limit
+  /// Another thread's answer in place of one that is worse; may be empty.
+  std::function<void(Candidate&)> exchange;
 };
 
 class Search {
@@ -41,6 +43,9 @@ class Search {
   void construct(const std::function<void(const Candidate&)>& on_better);
   [[nodiscard]] Decision constructed(const std::vector<std::int64_t>& weights, double greed,
                                      int rule, bool charge);
+  /// Windows on shared XPUs: of each module's longest way `part` of what it has.
+  void spread_windows(Decision& d, double part) const;
+  [[nodiscard]] bool change_window(const Candidate& from, Decision& next, int xnode);
   void balance(std::vector<int>& xpu, int steps);
   void anneal(std::int64_t steps, double hot,
               const std::function<void(const Candidate&)>& on_better);
@@ -60,6 +65,7 @@ class Search {
   Candidate best_;
   std::vector<int> critical_;  ///< XNodes of the chain that sets the cost
   std::vector<int> readers_;
+  std::vector<char> shared_;  ///< [xpu] of the annealer's state
 };
 
 }  // namespace xauto::solver::steady

@@ -5,7 +5,7 @@
 #include <mutex>
 #include <thread>
 
-#include "solver/steady/chains.h"
+#include "solver/steady/lower_bounds.h"
 #include "solver/steady/search.h"
 
 namespace xauto::solver::steady {
@@ -14,6 +14,9 @@ namespace {
 bool all_equal(const std::vector<std::int64_t>& values) {
   return std::adjacent_find(values.begin(), values.end(), std::not_equal_to<>()) == values.end();
 }
+
+/// Times that an XNode is fixed, at most, for each way's bound at the end.
+constexpr int kMostCases = 60;
 
 /// Rounded up: what is claimed may be larger, never smaller.
 std::int64_t us_above(const Problem& p, Tick t) {
@@ -111,17 +114,30 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   for_bounds.deadline =
       std::min(until.deadline, began + std::chrono::duration_cast<SteadyTime::duration>(
                                            std::chrono::duration<double>(limit * 0.1)));
-  const std::vector<Tick> reference = lower_bounds(p, app, platform, options.wishes, for_bounds);
+  const std::vector<Tick> reference = lower_bounds(p, app, platform, options.wishes, 0, for_bounds);
   for (const Tick t : reference) answer.lower_bound_us.push_back(us_above(p, t));
+
+  // The last of the time is for finer bounds.
+  Until for_search = until, for_finer = until;
+  if (limit < 1e6)
+    for_search.deadline =
+        std::max(for_bounds.deadline,
+                 began + std::chrono::duration_cast<SteadyTime::duration>(
+                             std::chrono::duration<double>(limit - std::min(0.08 * limit, 1.0))));
 
   const int threads = std::clamp(options.threads, 1, 64);
   Shared shared;
   std::vector<std::int64_t> evaluations(at(threads), 0);
   const auto work = [&](int index) {
     Search search(p, reference, options.seed * 1000003 + static_cast<std::uint64_t>(index));
-    SearchLimits limits{until, 0};
+    SearchLimits limits{for_search, 0, {}};
     if (options.max_evaluations > 0)
       limits.max_evaluations = std::max<std::int64_t>(1, options.max_evaluations / threads);
+    else if (threads > 1)  // what depends on who is faster is for those who set no budget
+      limits.exchange = [&](Candidate& best) {
+        const std::lock_guard<std::mutex> lock(shared.mutex);
+        if (shared.any && shared.best.figures.better_than(best.figures)) best = shared.best;
+      };
     Decision hint;
     if (options.hint != nullptr) hint = search.from_hint(*options.hint);
     search.run(limits, options.hint != nullptr ? &hint : nullptr,
@@ -147,6 +163,11 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   work(0);
   for (std::thread& t : pool) t.join();
   for (const std::int64_t e : evaluations) answer.evaluations += e;
+  // What is left of the time makes the bounds better.
+  const std::vector<Tick> finer =
+      lower_bounds(p, app, platform, options.wishes, kMostCases, for_finer);
+  for (std::size_t c = 0; c < finer.size(); ++c)
+    answer.lower_bound_us[c] = std::max(answer.lower_bound_us[c], us_above(p, finer[c]));
   if (!shared.any) return answer;
   answer.outcome = Outcome::kPolicy;
   answer.policy = policy_of(app, platform, p, shared.best, answer.lower_bound_us);

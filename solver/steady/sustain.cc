@@ -69,6 +69,134 @@ Tick span(const Problem& p, const std::vector<Tick>& least, const Module& module
   return longest;
 }
 
+/// Load, and spans of modules, together: whoever is slow where the load is low may be too long for
+/// his module.
+class Crowd {
+ public:
+  explicit Crowd(const Problem& p) : p_(p), types_(at(p.num_types)), count_(instances(p)) {
+    work_.assign(at(p.num_xnodes) * types_, kNoTick);
+    std::vector<Tick> least(at(p.num_xnodes), 0);
+    for (int i = 0; i < p.num_xnodes; ++i)
+      for (const int m : p.may_run[at(i)]) {
+        work_[at(i) * types_ + at(p.xpu_type[at(m)])] = p.wcet(i, m);
+        least[at(i)] = least[at(i)] == 0 ? p.wcet(i, m) : std::min(least[at(i)], p.wcet(i, m));
+      }
+    way_.assign(at(p.num_xnodes), -1);
+    for (const Module& module : p.modules) {
+      const Tick period = p.components[at(module.component)].period;
+      if (module.in_flight > kMostTicks / period) continue;
+      for (const int i : longest_way(module, least)) way_[at(i)] = static_cast<int>(room_.size());
+      room_.push_back(module.in_flight * period);
+    }
+  }
+
+  /// Prices of types, then of modules, sum kWeights: the best that were found.
+  [[nodiscard]] std::vector<std::int64_t> prices() const {
+    const std::size_t n = types_ + room_.size();
+    std::vector<double> w(n, 1.0 / static_cast<double>(n)), best = w, slope(n);
+    double best_value = -1;
+    for (int round = 0; round < 600; ++round) {
+      const double value = ascent(w, slope);
+      if (value > best_value) {
+        best_value = value;
+        best = w;
+      }
+      double largest = 1e-9, sum = 0;
+      for (const double x : slope) largest = std::max(largest, std::abs(x - value));
+      const double step = 1.0 / std::sqrt(1.0 + round);
+      for (std::size_t k = 0; k < n; ++k)
+        sum += w[k] *= std::exp(step * (slope[k] - value) / largest);
+      for (double& x : w) x /= sum;
+    }
+    std::vector<std::int64_t> whole;
+    for (const double x : best) whole.push_back(std::llround(x * kWeights * 16));
+    return whole;
+  }
+
+  /// floor(value * 10^6) in integers; above 10^6 no assignment serves all.
+  [[nodiscard]] std::int64_t ppm(const std::vector<std::int64_t>& w) const {
+    __int128 total = 0;
+    std::int64_t sum = 0;
+    for (const std::int64_t x : w) sum += x;
+    if (sum <= 0) return 0;
+    for (int i = 0; i < p_.num_xnodes; ++i) {
+      __int128 least = -1;
+      for (std::size_t t = 0; t < types_; ++t) {
+        const __int128 c = work_[at(i) * types_ + t];
+        if (c == kNoTick) continue;
+        __int128 share =
+            c * w[t] * kMillion * (1 << 16) / (static_cast<__int128>(p_.period_of(i)) * count_[t]);
+        if (way_[at(i)] >= 0)
+          share += c * w[types_ + at(way_[at(i)])] * kMillion * (1 << 16) / room_[at(way_[at(i)])];
+        if (least < 0 || share < least) least = share;
+      }
+      if (least > 0) total += least;
+    }
+    return static_cast<std::int64_t>(
+        std::min<__int128>(total / sum / (1 << 16), kMillion * 1'000'000));
+  }
+
+ private:
+  /// From an entry to an XNode of the module, of the most least WCETs.
+  [[nodiscard]] std::vector<int> longest_way(const Module& module,
+                                             const std::vector<Tick>& least) const {
+    std::vector<Tick> until(at(p_.num_xnodes), kNoTick);
+    std::vector<int> by(at(p_.num_xnodes), -1), inside;
+    for (const int i : p_.components[at(module.component)].xnodes)
+      if (std::find(module.xnodes.begin(), module.xnodes.end(), i) != module.xnodes.end())
+        inside.push_back(i);
+    int last = -1;
+    for (const int i : inside) {
+      until[at(i)] = least[at(i)];
+      for (const Link& link : p_.pred[at(i)])
+        if (until[at(link.xnode)] != kNoTick &&
+            until[at(link.xnode)] + least[at(i)] > until[at(i)]) {
+          until[at(i)] = until[at(link.xnode)] + least[at(i)];
+          by[at(i)] = link.xnode;
+        }
+      if (last < 0 || until[at(i)] > until[at(last)]) last = i;
+    }
+    std::vector<int> way;
+    for (int i = last; i >= 0; i = by[at(i)]) way.push_back(i);
+    return way;
+  }
+
+  double ascent(const std::vector<double>& w, std::vector<double>& slope) const {
+    std::fill(slope.begin(), slope.end(), 0.0);
+    double value = 0;
+    for (int i = 0; i < p_.num_xnodes; ++i) {
+      const int way = way_[at(i)];
+      double least = -1, on_type = 0, on_way = 0;
+      std::size_t best = 0;
+      for (std::size_t t = 0; t < types_; ++t) {
+        if (work_[at(i) * types_ + t] == kNoTick) continue;
+        const auto c = static_cast<double>(work_[at(i) * types_ + t]);
+        const double load =
+            c / static_cast<double>(p_.period_of(i)) / static_cast<double>(count_[t]);
+        const double part = way < 0 ? 0 : c / static_cast<double>(room_[at(way)]);
+        const double cost = w[t] * load + (way < 0 ? 0 : w[types_ + at(way)] * part);
+        if (least >= 0 && cost >= least) continue;
+        least = cost;
+        best = t;
+        on_type = load;
+        on_way = part;
+      }
+      if (least < 0) continue;
+      value += least;
+      slope[best] += on_type;
+      if (way >= 0) slope[types_ + at(way)] += on_way;
+    }
+    return value;
+  }
+
+  const Problem& p_;
+  std::size_t types_;
+  std::vector<std::int64_t> count_;
+  std::vector<Tick> work_;  ///< [xnode * types + type]
+  std::vector<int> way_;    ///< [xnode] whose module's way it is on, -1: none
+  std::vector<Tick> room_;  ///< [way] N T
+};
+
 std::string us(const Problem& p, Tick t) {
   return std::to_string(t / p.scale) + " us";
 }
@@ -151,6 +279,30 @@ std::vector<std::int64_t> balancing_weights(const Problem& p) {
   return weights;
 }
 
+namespace {
+
+std::optional<Overload> prove_crowd(const Problem& p) {
+  const Crowd crowd(p);
+  const std::vector<std::int64_t> prices = crowd.prices();
+  const std::int64_t ppm = crowd.ppm(prices);
+  if (ppm <= kMillion) return std::nullopt;
+  const auto types = static_cast<std::ptrdiff_t>(p.num_types);
+  std::vector<std::int64_t> on_types(prices.begin(), prices.begin() + types);
+  Overload proof;
+  proof.text = name_of(p, on_types) + " and modules that have to end within their activations in " +
+               "flight, together at least " + std::to_string(ppm / (kMillion / 100)) + " %";
+  for (std::size_t m = 0, way = 0; m < p.modules.size(); ++m) {
+    const Module& module = p.modules[m];
+    if (module.in_flight > kMostTicks / p.components[at(module.component)].period) continue;
+    if (prices[at(p.num_types) + way++] * 100 > kWeights * 16)
+      for (const int i : module.xnodes)
+        if (proof.causes.size() < 8) proof.causes.emplace_back(i, 0);
+  }
+  return proof;
+}
+
+}  // namespace
+
 std::optional<Overload> prove_overload(const Problem& p) {
   std::vector<Tick> least(at(p.num_xnodes), kNoTick);
   for (int i = 0; i < p.num_xnodes; ++i) {
@@ -180,7 +332,7 @@ std::optional<Overload> prove_overload(const Problem& p) {
   }
   const std::vector<std::int64_t> weights = balancing_weights(p);
   const std::int64_t load = load_ppm(p, weights);
-  if (load <= kMillion) return std::nullopt;
+  if (load <= kMillion) return prove_crowd(p);
   Overload proof;
   proof.weights = weights;
   proof.load_pct = load / (kMillion / 100);

@@ -11,6 +11,10 @@
 // Span. An entry of a module with N in flight starts N activations later no earlier than its
 // activation has left; the longest way of least WCETs from it to an XNode of the module is then at
 // most N T. And one XNode takes its activations one by one: least WCET <= T.
+//
+// Both: types have prices w, ways through modules prices z >= 0. If
+//   sum over i of min over t of (w_t / (T_i |t|) + z_M / (N_M T_M)) C_it  >  sum of all prices
+// then each assignment breaks a load or a span; z counts for i on the way of its module M.
 #pragma once
 
 #include <optional>

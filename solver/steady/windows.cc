@@ -9,115 +9,125 @@ namespace {
 struct Pair {
   const Problem& p;
   const Windows& w;
+  int i, j;
+  Tick least_e = 0;  ///< of j
+  Tick longest = 0;  ///< largest d - e of j
+  Tick deepest = 0;  ///< largest d of j
 
-  /// Whether j may be running when i becomes ready, with a larger key.
-  [[nodiscard]] bool meets(int i, int j) const {
-    const Component& ci = p.components[at(p.component_of[at(i)])];
-    const Component& cj = p.components[at(p.component_of[at(j)])];
-    if (ci.domain != cj.domain) return across(i, j);
-    const bool ordered = &ci == &cj && (p.before(i, j) || p.before(j, i));
-    const std::int64_t ppm = p.domains[at(ci.domain)].ppm;
-    for (int n = 0; n < ci.jobs; ++n) {
-      const Tick a = w.a[at(p.slot[at(i)] + n)], d = w.d[at(p.slot[at(i)] + n)];
-      // A clock that drifts moves releases against each other by up to this within the windows.
-      const Tick blur = ppm == 0 ? 0
-                                 : in_fast_time(a + d + w.d[at(p.slot[at(j)])], ppm) -
-                                       (a + d + w.d[at(p.slot[at(j)])]) + 1;
-      const Tick release = ci.phase + n * ci.period;
-      // The last activation of j released before i is ready: d + release does not fall with n, so
-      // that if this one's key is not larger, no earlier one's is.
-      std::int64_t m = floor_div(release + a - 1 + blur - cj.phase, cj.period);
-      if (ordered && m == n) --m;
-      const Tick key_j = cj.phase + m * cj.period + w.d[p.slot_of(j, m)];
-      if (key_j + blur > release + d) return true;
+  bool apart;  ///< their phase is not known
+
+  Pair(const Problem& problem, const Windows& windows, int xnode, int other, bool shared)
+      : p(problem),
+        w(windows),
+        i(xnode),
+        j(other),
+        apart(shared && p.component_of[at(i)] != p.component_of[at(j)] &&
+              p.domains[at(p.domain_of(i))].part) {
+    least_e = w.e[at(p.slot[at(j)])];
+    for (int m = 0; m < p.jobs[at(j)]; ++m) {
+      const std::size_t s = at(p.slot[at(j)] + m);
+      least_e = std::min(least_e, w.e[s]);
+      longest = std::max(longest, w.d[s] - w.e[s]);
+      deepest = std::max(deepest, w.d[s]);
     }
-    return false;
   }
 
- private:
-  [[nodiscard]] bool across(int i, int j) const {
-    Tick longest = 0;
-    for (int m = 0; m < p.jobs[at(j)]; ++m) longest = std::max(longest, w.d[at(p.slot[at(j)] + m)]);
-    for (int n = 0; n < p.jobs[at(i)]; ++n) {
-      const std::size_t s = at(p.slot[at(i)] + n);
-      if (longest > w.d[s] - w.a[s]) return true;
+  /// Whether some (j, m) may be running when (i, n) becomes ready, with a larger key.
+  [[nodiscard]] bool meets(int n) const {
+    const Component& ci = p.components[at(p.component_of[at(i)])];
+    const Component& cj = p.components[at(p.component_of[at(j)])];
+    const Tick a = w.a[at(p.slot[at(i)] + n)], d = w.d[at(p.slot[at(i)] + n)];
+    if (ci.domain != cj.domain || apart) return longest > d - a;
+    // A clock that drifts moves releases against each other by up to this within the windows.
+    const Tick blur = lost_in(a + d + deepest, p.domains[at(ci.domain)].ppm);
+    const Tick release = ci.phase + n * ci.period, ready = release + a + blur;
+    // The last activation of j that may have started decides, since d + release does not fall from
+    // one activation to the next.
+    std::int64_t m = floor_div(ready - 1 - cj.phase - least_e, cj.period);
+    if (&ci == &cj) {
+      if (p.before(i, j)) m = std::min<std::int64_t>(m, n - 1);
+      const int module = p.module_of[at(i)];
+      if (module >= 0 && module == p.module_of[at(j)])
+        m = std::min(m, n + std::min(p.modules[at(module)].in_flight, kMillion) - 1);
     }
-    return false;
+    // At the latest one whose activations have all started: e is not below least_e.
+    while (cj.phase + m * cj.period + w.e[p.slot_of(j, m)] >= ready) --m;
+    if (&ci == &cj && m <= n && p.before(j, i)) return false;
+    return cj.phase + m * cj.period + w.d[p.slot_of(j, m)] + blur > release + d;
   }
 };
 
 }  // namespace
 
+Tick lost_in(Tick distance, std::int64_t ppm) {
+  return ppm == 0 ? 0 : in_fast_time(distance, ppm) - distance + 1;
+}
+
 void derive_ready(const Problem& p, int domain, const std::vector<int>& xpu, Windows& w) {
+  w.e.resize(w.a.size());
   for (const int c : p.domains[at(domain)].components) {
     const Component& component = p.components[at(c)];
     for (const int i : component.xnodes) {
       const std::size_t base = at(p.slot[at(i)]);
       const Tick least = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
-      for (std::size_t n = 0; n < at(component.jobs); ++n)
+      for (std::size_t n = 0; n < at(component.jobs); ++n) {
         w.a[base + n] = std::max(least, w.hold[base + n]);
+        w.e[base + n] = w.hold[base + n];
+      }
       for (const Link& link : p.pred[at(i)]) {
         const Tick passes = p.transfer(link, xpu[at(link.xnode)], xpu[at(i)]);
         const std::size_t from = at(p.slot[at(link.xnode)]);
-        for (std::size_t n = 0; n < at(component.jobs); ++n)
+        for (std::size_t n = 0; n < at(component.jobs); ++n) {
           w.a[base + n] = std::max(w.a[base + n], w.d[from + n] + passes);
+          w.e[base + n] = std::max(w.e[base + n], w.e[from + n]);
+        }
       }
     }
   }
+  const std::int64_t ppm = p.domains[at(domain)].ppm;
   for (const Module& module : p.modules) {
     const Component& component = p.components[at(module.component)];
     // So many activations later every job of today is over, in any policy that is looked at.
     if (component.domain != domain || module.in_flight > kMostTicks / component.period) continue;
+    const Tick apart = module.in_flight * component.period;
     for (int n = 0; n < component.jobs; ++n) {
       Tick last = 0;
       for (const int i : module.xnodes) last = std::max(last, w.d[at(p.slot[at(i)] + n)]);
       const auto admitted = static_cast<std::size_t>((n + module.in_flight) % component.jobs);
       for (const int e : module.entries) {
         Tick& a = w.a[at(p.slot[at(e)]) + admitted];
-        a = std::max(a, last - module.in_flight * component.period);
+        a = std::max(a, last - apart + lost_in(apart, ppm));
       }
     }
   }
-}
-
-bool Charges::include(const Charges& other) {
-  bool grew = false;
-  for (std::size_t i = 0; i < preempts.size(); ++i) {
-    if (other.preempts[i] > preempts[i]) {
-      preempts[i] = 1;
-      grew = true;
-    }
-    if (other.blocked_by[i] > blocked_by[i]) {
-      blocked_by[i] = other.blocked_by[i];
-      grew = true;
-    }
-  }
-  return grew;
 }
 
 void charge(const Problem& p, const std::vector<int>& xpu, const Windows& w, int only_xpu,
             Charges& out) {
-  const Pair pair{p, w};
-  std::vector<int> here;
+  out.preempts.assign(at(p.num_slots), 0);
+  out.blocked_by.assign(at(p.num_slots), 0);
+  std::vector<std::vector<int>> here(at(p.num_xpus));
+  for (int i = 0; i < p.num_xnodes; ++i) here[at(xpu[at(i)])].push_back(i);
   for (int m = 0; m < p.num_xpus; ++m) {
     if (only_xpu >= 0 && m != only_xpu) continue;
     const bool preemptive = p.preemptive[at(m)] != 0;
-    here.clear();
-    for (int i = 0; i < p.num_xnodes; ++i)
-      if (xpu[at(i)] == m) here.push_back(i);
-    for (const int i : here) {
-      out.preempts[at(i)] = 0;
-      out.blocked_by[at(i)] = 0;
-      if (preemptive && p.preempt[at(m)] == 0) continue;
-      for (const int j : here) {
+    if (preemptive && p.preempt[at(m)] == 0) continue;
+    const bool shared = std::any_of(here[at(m)].begin(), here[at(m)].end(), [&](int i) {
+      return p.domain_of(i) != p.domain_of(here[at(m)].front());
+    });
+    for (const int i : here[at(m)])
+      for (const int j : here[at(m)]) {
         if (i == j) continue;
-        if (preemptive) {
-          if (out.preempts[at(i)] == 0 && pair.meets(i, j)) out.preempts[at(i)] = 1;
-        } else if (p.wcet(j, m) > out.blocked_by[at(i)] && pair.meets(i, j)) {
-          out.blocked_by[at(i)] = p.wcet(j, m);
+        const Pair pair(p, w, i, j, shared);
+        for (int n = 0; n < p.jobs[at(i)]; ++n) {
+          const std::size_t s = at(p.slot[at(i)] + n);
+          if (preemptive) {
+            if (out.preempts[s] == 0 && pair.meets(n)) out.preempts[s] = 1;
+          } else if (p.wcet(j, m) > out.blocked_by[s] && pair.meets(n)) {
+            out.blocked_by[s] = p.wcet(j, m);
+          }
         }
       }
-    }
   }
 }
 

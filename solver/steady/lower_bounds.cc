@@ -1,0 +1,163 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/steady/lower_bounds.h"
+
+#include <algorithm>
+#include <map>
+#include <numeric>
+
+#include "solver/bounds.h"
+#include "solver/steady/load_bound.h"
+
+namespace xauto::solver::steady {
+namespace {
+
+/// Least WCETs along edges from `from` to `to`, both included; kNoTick: no way.
+Tick least_way(const Problem& p, const std::vector<Tick>& least, int from, int to) {
+  if (from == to) return least[at(from)];
+  if (!p.before(from, to)) return kNoTick;
+  std::vector<Tick> until(at(p.num_xnodes), kNoTick);
+  until[at(from)] = least[at(from)];
+  for (const int i : p.components[at(p.component_of[at(to)])].xnodes)
+    for (const Link& link : p.pred[at(i)])
+      if (until[at(link.xnode)] != kNoTick)
+        until[at(i)] = std::max(until[at(i)], until[at(link.xnode)] + least[at(i)]);
+  return until[at(to)];
+}
+
+/// The waits of a way, of which nobody has less: from the component of `first` on.
+Tick waits(const Problem& p, const Path& path, int first) {
+  const Component& source = p.components[at(p.component_of[at(first)])];
+  const auto rounds = [](Tick slowest, Tick period) {
+    return ((slowest + period - 1) / period - 1) * period;
+  };
+  Tick slowest = source.period;  // of the whole way
+  Tick in_run = source.period;   // since it came into this domain
+  Tick sum = 0;
+  enum class Entered { kSource, kFree, kKnown } entered = Entered::kSource;
+  Tick common = 0;  // what a wait may be less than a whole period
+  int domain = source.domain;
+  std::vector<int> seen = {domain};
+  std::vector<int> clocks = {p.domains[at(domain)].clock};
+  bool one_clock = true;
+  const auto leave = [&] {
+    if (entered == Entered::kSource) sum += rounds(in_run, source.period);
+    if (entered == Entered::kFree) sum += std::max(Tick{0}, in_run - common);
+  };
+  for (const int s : path.samples) {
+    const int v = p.samples[at(s)].second;
+    const Component& c = p.components[at(p.component_of[at(v)])];
+    slowest = std::max(slowest, c.period);
+    if (c.domain == domain) {
+      in_run = std::max(in_run, c.period);
+      continue;
+    }
+    const Domain& d = p.domains[at(c.domain)];
+    const bool new_clock = std::find(clocks.begin(), clocks.end(), d.clock) == clocks.end();
+    leave();
+    // Back where its phase is known: nothing is added until it leaves again.
+    entered = Entered::kKnown;
+    common = 0;
+    in_run = c.period;
+    if (new_clock) {
+      entered = Entered::kFree;
+      in_run = in_slow_time(c.period, d.ppm);
+    } else if (one_clock && d.ppm == 0 &&
+               std::find(seen.begin(), seen.end(), c.domain) == seen.end()) {
+      // All distances but for the part of a period that is common to all of them.
+      Tick before = 1;
+      for (const int g : seen) {
+        const Tick hyper = p.domains[at(g)].hyper, by = hyper / std::gcd(before, hyper);
+        if (by > kMostTicks / before) return rounds(slowest, source.period);
+        before *= by;
+      }
+      entered = Entered::kFree;
+      common = std::gcd(before, d.hyper);
+    }
+    one_clock = one_clock && !new_clock;
+    domain = c.domain;
+    seen.push_back(domain);
+    if (new_clock) clocks.push_back(d.clock);
+  }
+  leave();
+  return std::max(sum, rounds(slowest, source.period));
+}
+
+}  // namespace
+
+std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platform& platform,
+                               const Objectives& wishes, int most_cases, const Until& until) {
+  std::vector<Tick> least(at(p.num_xnodes), 0);
+  for (int i = 0; i < p.num_xnodes; ++i)
+    for (const int m : p.may_run[at(i)])
+      if (least[at(i)] == 0 || p.wcet(i, m) < least[at(i)]) least[at(i)] = p.wcet(i, m);
+  // Longest ways from the roots' latest arrivals.
+  std::vector<Tick> ends(at(p.num_xnodes), 0);
+  for (const Component& c : p.components)
+    for (const int i : c.xnodes) {
+      Tick ready = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
+      for (const Link& link : p.pred[at(i)]) ready = std::max(ready, ends[at(link.xnode)]);
+      ends[at(i)] = ready + least[at(i)];
+    }
+  // Version 1's bound on the ancestors, from the nominal release on.
+  std::map<int, Tick> single;
+  const auto bound_of = [&](int to) {
+    const auto [it, fresh] = single.emplace(to, ends[at(to)]);
+    if (!fresh || until.over()) return it->second;
+    AppSpec part;
+    part.name = app.name;
+    std::vector<int> number(at(p.num_xnodes), -1);
+    Objectives placing;
+    Tick earliest = kMostTicks;
+    for (const int i : p.components[at(p.component_of[at(to)])].xnodes) {
+      if (i != to && !p.before(i, to)) continue;
+      number[at(i)] = static_cast<int>(part.xnodes.size());
+      XNodeSpec x = app.xnodes[at(i)];
+      x.sources.clear();
+      part.xnodes.push_back(std::move(x));
+      if (p.root[at(i)] != 0) earliest = std::min(earliest, p.root_ready[at(i)]);
+    }
+    for (const auto& [u, v] : app.edges)
+      if (number[at(u)] >= 0 && number[at(v)] >= 0)
+        part.edges.emplace_back(number[at(u)], number[at(v)]);
+    const auto known = [&](const std::string& name) { return part.find(name) >= 0; };
+    for (const auto& pin : wishes.pins)
+      if (known(pin.first)) placing.pins.push_back(pin);
+    for (const auto& f : wishes.forbids)
+      if (known(f.first)) placing.forbids.push_back(f);
+    Result<solver::Problem> base = solver::Problem::create(part, platform);
+    if (!base || !resolve(placing, part, platform, *base)) return it->second;
+    it->second = std::max(it->second, earliest + quick_bound(*base, until) * p.scale);
+    return it->second;
+  };
+  std::vector<Tick> bounds;
+  for (const Chain& chain : p.chains) {
+    Tick bound = 0;
+    for (const Path& path : chain.paths) {
+      const auto leaves_by = [&](std::size_t s) {
+        return s < path.samples.size() ? p.samples[at(path.samples[s])].first : chain.to;
+      };
+      const int first = leaves_by(0);
+      const Component& c = p.components[at(p.component_of[at(first)])];
+      std::vector<Piece> pieces(1);
+      pieces[0].to = first;
+      Tick earliest = kMostTicks;
+      for (const int i : c.xnodes)
+        if (p.root[at(i)] != 0 && (i == first || p.before(i, first))) {
+          pieces[0].from.push_back(i);
+          earliest = std::min(earliest, p.root_ready[at(i)]);
+        }
+      Tick work = bound_of(first);
+      for (std::size_t s = 0; s < path.samples.size(); ++s) {
+        const int v = p.samples[at(path.samples[s])].second;
+        work += std::max(Tick{0}, least_way(p, least, v, leaves_by(s + 1)));
+        pieces.push_back({{v}, leaves_by(s + 1)});
+      }
+      if (!until.over()) work = std::max(work, earliest + load_bound(p, pieces, most_cases, until));
+      bound = std::max(bound, work - (chain.offset - c.phase) + waits(p, path, first));
+    }
+    bounds.push_back(bound);
+  }
+  return bounds;
+}
+
+}  // namespace xauto::solver::steady

@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: Apache-2.0
+// Lower bounds: the worst case that no keys and holds have less of, chain by chain.
+//
+// A way's time is its work and its waits.
+//   Work of the first component: version 1's bound of the ancestors of the XNode that is left by;
+//   behind each sample the longest way of least WCETs; or, over the whole way at once, the longest
+//   way of any assignment that no type of XPU is overloaded by (load_bound.h).
+//   Waits: one start of a reader of period T serves, again and again, ceil(T / T_u) releases of a
+//   source of period T_u, of which the oldest waits (ceil(T / T_u) - 1) T_u longer than the newest.
+//   Into a clock that the way has not been on: a whole period of the reader, as every certificate
+//   counts it. docs/steady-state.md has the proofs.
+#pragma once
+
+#include <vector>
+
+#include "solver/steady/problem.h"
+#include "solver/until.h"
+
+namespace xauto::solver::steady {
+
+/// [chain] in ticks. `most_cases`: of load_bound, for each way.
+[[nodiscard]] std::vector<Tick> lower_bounds(const Problem& problem, const AppSpec& app,
+                                             const Platform& platform, const Objectives& wishes,
+                                             int most_cases = 0, const Until& until = {});
+
+}  // namespace xauto::solver::steady
