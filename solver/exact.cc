@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <bit>
+#include <iterator>
+#include <map>
 
 #include "base/index.h"
 #include "solver/bounds.h"
@@ -69,17 +71,42 @@ class Refuter : private Rules {
     nodes_left_ = max_nodes;
     open_leaf_ = false;
     Windows windows = root(makespan);
+    const auto known = known_.lower_bound(makespan);
+    if (known != known_.end()) narrow(windows, known->second.windows);
     if (!tighten(windows) || !lp_.feasible(windows)) return Answer::kRefuted;
-    for (int round = 0; round < shaving_rounds; ++round) {
+    bool settled = known != known_.end() && known->first == makespan && known->second.settled;
+    for (int round = 0; round < shaving_rounds && !settled; ++round) {
       const int answer = shave(windows);
       if (answer < 0) return Answer::kRefuted;
+      settled = answer == 0 && !stopped();
       if (answer == 0) break;
     }
+    if (shaving_rounds > 0) remember(makespan, windows, settled);
     if (max_nodes <= 1) return Answer::kOpen;
     return descend(windows, 0) ? Answer::kRefuted : Answer::kOpen;
   }
 
  private:
+  /// What shaving has left for a makespan; it holds for all shorter ones, too.
+  struct Known {
+    Windows windows;
+    bool settled = false;  ///< another round would leave the same
+  };
+
+  static void narrow(Windows& w, const Windows& by) {
+    for (std::size_t i = 0; i < w.r.size(); ++i) {
+      w.r[i] = std::max(w.r[i], by.r[i]);
+      w.d[i] = std::min(w.d[i], by.d[i]);
+      w.types[i] &= by.types[i];
+    }
+  }
+
+  void remember(Time makespan, const Windows& windows, bool settled) {
+    constexpr std::size_t kMost = 16;
+    known_.insert_or_assign(makespan, Known{windows, settled});
+    if (known_.size() > kMost) known_.erase(std::prev(known_.end()));
+  }
+
   bool dead(Windows& w) { return !tighten(w) || !lp_.feasible(w); }
 
   /// Shaving: assume the extreme part of a window, refute it, cut it off. -1 refuted, 1 changed, 0
@@ -258,6 +285,7 @@ class Refuter : private Rules {
   EnergyLp lp_;
   CompositeBound start_;
   bool with_deadlines_;
+  std::map<Time, Known> known_;  ///< by makespan
   std::int64_t nodes_left_ = 0;
   bool open_leaf_ = false;
 };

@@ -113,7 +113,6 @@ class TabuSearch::Walk {
   }
 
   void consider(const Move& move, bool tabu) {
-    ++evaluations_;
     if (tabu && move.estimate >= local_.makespan) {
       if (random_.below(++tabu_moves_) == 0) any_ = move;
       return;
@@ -153,8 +152,9 @@ class TabuSearch::Walk {
     }
   }
 
-  /// One move. False: there is none, or it went wrong.
+  /// One move, one evaluation: estimates are cheap beside it. False: there is none, or it went wrong.
   bool step() {
+    ++evaluations_;
     find_path();
     chosen_ = any_ = {};
     tabu_moves_ = ties_ = 0;
@@ -205,7 +205,6 @@ class TabuSearch::Walk {
 
   /// Keeps what was found, and begins again between two of the pool.
   void begin_anew() {
-    ++evaluations_;  // an app may have no move at all, and a budget has to end all the same
     const bool known = std::any_of(pool_.begin(), pool_.end(), [&](const Solution& other) {
       return other.makespan == local_.makespan && other.xpu == local_.xpu &&
              other.sequence == local_.sequence;
