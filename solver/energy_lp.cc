@@ -53,7 +53,7 @@ void EnergyLp::start(const Windows& windows) {
   var_type_.clear();
   std::fill(var_of_.begin(), var_of_.end(), -1);
   for (int i = 0; i < n_; ++i) {
-    const std::uint32_t mask = windows.types[at(i)];
+    const TypeSet mask = windows.types[at(i)];
     int base = -1;
     for (int t = 0; t < types_; ++t)
       if ((mask >> t & 1u) != 0 && (base < 0 || problem_.wcet(i, t) < problem_.wcet(i, base)))
@@ -111,7 +111,7 @@ void EnergyLp::add_row(const Windows& windows, const Row& row) {
     };
     if (row.type == kChain) {
       for (const int i : row.chain)
-        for (std::uint32_t types = windows.types[at(i)]; types != 0; types &= types - 1)
+        for (TypeSet types = windows.types[at(i)]; types != 0; types &= types - 1)
           add(at(i), std::countr_zero(types));
     } else {
       for (std::size_t i = 0; i < at(n_); ++i)
@@ -299,7 +299,7 @@ int EnergyLp::separate_chains(const Windows& windows) {
   before_.assign(at(n_), -1);
   for (std::size_t i = 0; i < at(n_); ++i) {
     double span = static_cast<double>(windows.extra[i]);
-    for (std::uint32_t types = windows.types[i]; types != 0; types &= types - 1) {
+    for (TypeSet types = windows.types[i]; types != 0; types &= types - 1) {
       const int t = std::countr_zero(types);
       span += share(static_cast<int>(i), t) *
               static_cast<double>(problem_.wcet(static_cast<int>(i), t));

@@ -25,11 +25,14 @@
 
 namespace xauto::solver {
 
+using TypeSet = std::uint64_t;
+inline constexpr int kMostTypes = 64;  ///< that a proof can tell apart
+
 /// What is left of the problem at a node of the proof.
 struct Windows {
-  std::vector<Time> r, d;            ///< earliest start, latest finish
-  std::vector<std::uint32_t> types;  ///< bit t: type t still possible
-  std::vector<Time> extra;  ///< least time beyond its WCET between an XNode's start and finish
+  std::vector<Time> r, d;      ///< earliest start, latest finish
+  std::vector<TypeSet> types;  ///< bit t: type t still possible
+  std::vector<Time> extra;     ///< least time beyond its WCET between an XNode's start and finish
   std::vector<Time>
       paid;  ///< preemption cost that its XPU is certain to lose between its start and finish
   std::vector<Time> cut;      ///< preemption cost in `extra` because it is suspended at least once

@@ -11,45 +11,11 @@
 #include "solver/simulate.h"
 #include "solver/solve.h"
 
+#include "job_shop.h"
 #include "problem_random.h"
 
 namespace xauto::solver {
 namespace {
-
-/// One instance per type, none preemptive: `jobs` lists (machine, time) one after the other.
-struct JobShop {
-  AppSpec app;
-  Platform platform;
-};
-
-JobShop job_shop(int machines, const std::vector<std::vector<std::pair<int, int>>>& jobs) {
-  JobShop shop;
-  shop.app.name = "job-shop";
-  shop.platform.name = "machines";
-  for (int m = 0; m < machines; ++m)
-    shop.platform.xpus.push_back({test::numbered("m", m), test::numbered("t", m), false});
-  for (std::size_t j = 0; j < jobs.size(); ++j)
-    for (std::size_t k = 0; k < jobs[j].size(); ++k) {
-      const auto [machine, time] = jobs[j][k];
-      const int i = static_cast<int>(shop.app.xnodes.size());
-      shop.app.xnodes.push_back({test::numbered("x", i),
-                                 test::numbered("j", static_cast<int>(j)),
-                                 {{test::numbered("t", machine), time}}});
-      if (k > 0) shop.app.edges.emplace_back(i - 1, i);
-    }
-  return shop;
-}
-
-/// Fisher and Thompson's 6 x 6 ("Industrial Scheduling", Muth and Thompson, 1963; as in the public
-/// JSPLIB, ft06). Optimum 55.
-JobShop ft06() {
-  return job_shop(6, {{{2, 1}, {0, 3}, {1, 6}, {3, 7}, {5, 3}, {4, 6}},
-                      {{1, 8}, {2, 5}, {4, 10}, {5, 10}, {0, 10}, {3, 4}},
-                      {{2, 5}, {3, 4}, {5, 8}, {0, 9}, {1, 1}, {4, 7}},
-                      {{1, 5}, {0, 5}, {2, 5}, {3, 3}, {4, 8}, {5, 9}},
-                      {{2, 9}, {1, 3}, {4, 5}, {5, 4}, {0, 3}, {3, 1}},
-                      {{1, 3}, {3, 3}, {5, 9}, {0, 10}, {4, 4}, {2, 1}}});
-}
 
 TEST(DisjunctiveGraph, HasTheMakespanOfTheOrderedEvaluatorAfterAnyMove) {
   int moved = 0;
@@ -124,7 +90,7 @@ TEST(TabuSearch, SaysWhatItsScheduleTakesAndIsNeverWorseThanItsStart) {
     evaluator.reset(drawn.xpu, sequence_of(drawn.priority));
     const Solution start{evaluator.xpu(), evaluator.sequence(), evaluator.makespan(), true, {}};
     StopWhen when;
-    when.max_evaluations = 3000;
+    when.max_evaluations = 1000;
     TabuSearch search(problem, seed);
     const Solution found = search.run(start, when, {});
     EXPECT_LE(found.makespan, start.makespan);
@@ -136,7 +102,7 @@ TEST(TabuSearch, SaysWhatItsScheduleTakesAndIsNeverWorseThanItsStart) {
 }
 
 TEST(TabuSearch, FindsTheOptimumOfAJobShop) {
-  const JobShop shop = ft06();
+  const test::JobShop shop = test::ft06();
   const Problem problem = Problem::create(shop.app, shop.platform).value();
   StopWhen when;
   when.max_evaluations = 100'000;
