@@ -101,7 +101,10 @@ class Team {
   /// preferred. Without order the worst case of a large app is many times its latency.
   [[nodiscard]] Time worth_of_order() const {
     constexpr Time kShare = 100;
-    return large() && problem_.goal.plain() ? all_.best.makespan / kShare : 0;
+    if (!large() || !problem_.goal.plain()) return 0;
+    // Never longer than the first answer, which has been reported.
+    return std::min(all_.best.makespan / kShare,
+                    std::max<Time>(0, starts_.front().makespan - all_.best.makespan));
   }
 
   StopWhen stop_when(const Clock::duration slice, std::int64_t budget, int effort) const {
