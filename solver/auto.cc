@@ -5,12 +5,14 @@
 #include <algorithm>
 #include <condition_variable>
 #include <mutex>
+#include <optional>
 #include <thread>
 
 #include "solver/bounds.h"
 #include "solver/composite.h"
 #include "solver/exact.h"
 #include "solver/ordered.h"
+#include "solver/tabu.h"
 
 namespace xauto::solver {
 namespace {
@@ -40,6 +42,7 @@ class Team {
       some_pay_ = some_pay_ || !problem.preemptive[x] || problem.preempt[x] > 0;
       undisturbed_.preemptive[x] = 0;
     }
+    rounds_ = rounds();
     OrderedEvaluator evaluator(problem);
     evaluator.reset(starts.front().xpu, starts.front().sequence);
     all_.best = starts.front();
@@ -74,11 +77,13 @@ class Team {
     }
     // With a budget the proof comes last, on a fixed incumbent and with a budget of its own.
     if (counted() && with_proof_ && !met() && problem_.num_xnodes <= kMostToProve) prove();
+    if (large() && !options_.priorities_only && !all_.best.ordered)
+      merge(all_, in_order(all_.best), true);
     AutoResult result;
     result.best = all_.best;
     result.ordered = all_.ordered;
     // A schedule that keeps its order is worth more than one of the same latency that does not.
-    if (all_.ordered.makespan <= all_.best.makespan) result.best = all_.ordered;
+    if (all_.ordered.makespan <= all_.best.makespan + worth_of_order()) result.best = all_.ordered;
     result.bound = std::min(bound_.load(), result.best.makespan);
     result.evaluations = evaluations_.load();
     return result;
@@ -91,6 +96,16 @@ class Team {
 
   /// With an evaluation budget, a worker must not depend on how fast the others are.
   [[nodiscard]] bool counted() const { return options_.max_evaluations > 0; }
+
+  /// By how much a schedule that keeps its order may be longer than one that does not and still be
+  /// preferred. Without order the worst case of a large app is many times its latency.
+  [[nodiscard]] Time worth_of_order() const {
+    constexpr Time kShare = 100;
+    if (!large() || !problem_.goal.plain()) return 0;
+    // Never longer than the first answer, which has been reported.
+    return std::min(all_.best.makespan / kShare,
+                    std::max<Time>(0, starts_.front().makespan - all_.best.makespan));
+  }
 
   StopWhen stop_when(const Clock::duration slice, std::int64_t budget, int effort) const {
     StopWhen when;
@@ -108,29 +123,31 @@ class Team {
            (!counted() && done_.load());
   }
 
-  /// kDispatched: priorities on XPUs that do not preempt, kept as the order that this gives.
-  enum class Space { kPriorities, kOrdered, kDispatched, kMixed };
+  /// kDispatched: priorities on XPUs that do not preempt, kept as the order that this gives. kTabu:
+  /// order on every XPU as kOrdered, searched in another way.
+  enum class Space { kPriorities, kOrdered, kTabu, kDispatched, kMixed };
 
   /// Whose turn it is. Where preemption is free everywhere, priorities alone reach what any policy
   /// reaches; where it is possible nowhere, they are dispatched as they are, and order alone does.
   [[nodiscard]] Space space_of(int turn) const {
-    if (options_.priorities_only) return Space::kPriorities;
-    if (options_.certify) return turn % 2 == 1 ? Space::kOrdered : Space::kPriorities;
-    const bool mixing = some_preempt_ && some_pay_;
-    if (large()) {
-      if (turn % 4 == 3) return Space::kOrdered;
-      return mixing && turn % 8 == 6 ? Space::kMixed : Space::kPriorities;
-    }
-    constexpr Space kRound[] = {Space::kPriorities, Space::kOrdered, Space::kDispatched,
-                                Space::kMixed};
-    return kRound[turn % round_length()];
+    return rounds_[static_cast<std::size_t>(turn) % rounds_.size()];
   }
 
-  [[nodiscard]] int round_length() const {
-    if (options_.priorities_only) return 1;
-    if (large() || options_.certify || !some_preempt_) return 2;
-    return some_pay_ ? 4 : 3;
+  [[nodiscard]] std::vector<Space> rounds() const {
+    using enum Space;
+    const Space order = TabuSearch::serves(problem_) ? kTabu : kOrdered;
+    if (options_.priorities_only) return {kPriorities};
+    if (options_.certify) return {order, kOrdered};
+    const bool mixing = some_preempt_ && some_pay_;
+    if (large()) {
+      const Space last = mixing ? kMixed : kPriorities;
+      return {order, kPriorities, kPriorities, kOrdered, order, kPriorities, last, kOrdered};
+    }
+    if (!some_preempt_) return {order, kPriorities, order, order, kOrdered, order};
+    if (!mixing) return {kPriorities, kOrdered, order, kDispatched};
+    return {kPriorities, kOrdered, order, kDispatched, kMixed};
   }
+  [[nodiscard]] int round_length() const { return static_cast<int>(rounds_.size()); }
 
   /// An order that takes no longer than `solution` does where nothing preempts.
   [[nodiscard]] Solution in_order(const Solution& solution) const {
@@ -188,6 +205,7 @@ class Team {
     Solution own = starts_[k % starts_.size()];
     Solution own_ordered = own, own_mixed = own;
     own_ordered.makespan = own_mixed.makespan = kNever;
+    std::optional<TabuSearch> tabu;
     std::int64_t budget = options_.max_evaluations / threads_ + (counted() ? 1 : 0);
     Clock::duration slice = seconds(std::min(0.05, options_.time_limit_s / 40));
     // All spaces have a turn, however small the budget.
@@ -212,9 +230,8 @@ class Team {
         evaluations_.fetch_add(count, std::memory_order_relaxed);
       };
       const Space space = space_of(turn);
-      if (options_.certify && space != Space::kOrdered && turn > 0) continue;
       callbacks.on_better = [&](const Solution& solution) {
-        note(t, solution, space == Space::kOrdered);
+        note(t, solution, space == Space::kOrdered || space == Space::kTabu);
       };
       const StopWhen mine =
           stop_when(slice, counted() ? std::min(budget, share) : 0, turn / round_length());
@@ -227,6 +244,14 @@ class Team {
         case Space::kOrdered: {
           const Solution& start = own_ordered.makespan <= own.makespan ? own_ordered : own;
           own_ordered = anneal_ordered(problem_, start, seed, mine, callbacks);
+          break;
+        }
+        case Space::kTabu: {
+          if (!tabu) tabu.emplace(problem_, seed);
+          Solution start = own_ordered;
+          if (own.makespan < start.makespan) start = in_order(own);
+          Solution found = tabu->run(start, mine, callbacks);
+          if (found.makespan < own_ordered.makespan) own_ordered = std::move(found);
           break;
         }
         case Space::kDispatched: {
@@ -377,6 +402,7 @@ class Team {
   const std::vector<Solution>& starts_;
   Problem undisturbed_;  // the same, but nothing preempts
   bool some_preempt_ = false, some_pay_ = false;
+  std::vector<Space> rounds_;
   const bool with_proof_;
   const int threads_;
   const SteadyTime began_, deadline_;

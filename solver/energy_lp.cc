@@ -43,12 +43,17 @@ Time EnergyLp::energy(const Windows& windows, std::size_t i, int type, Time a, T
   return std::max<Time>(0, std::min(b - a, inside));
 }
 
+Time EnergyLp::coefficient(const Windows& windows, const Row& row, std::size_t i, int type) const {
+  if (row.type == kChain) return problem_.wcet(static_cast<int>(i), type) + windows.extra[i];
+  return energy(windows, i, type, row.a, row.b);
+}
+
 void EnergyLp::start(const Windows& windows) {
   var_xnode_.clear();
   var_type_.clear();
   std::fill(var_of_.begin(), var_of_.end(), -1);
   for (int i = 0; i < n_; ++i) {
-    const std::uint32_t mask = windows.types[at(i)];
+    const TypeSet mask = windows.types[at(i)];
     int base = -1;
     for (int t = 0; t < types_; ++t)
       if ((mask >> t & 1u) != 0 && (base < 0 || problem_.wcet(i, t) < problem_.wcet(i, base)))
@@ -80,29 +85,37 @@ void EnergyLp::add_row(const Windows& windows, const Row& row) {
   const std::size_t structurals = columns_;  // as many columns as structurals, always
   std::vector<double> coefficient(structurals, 0);
   double rhs = 0;
-  if (row.type < 0) {
+  if (row.type == kShares) {
     rhs = 1;
     for (int t = 0; t < types_; ++t) {
       const int v = var_of_[static_cast<std::size_t>(row.a * types_ + t)];
       if (v >= 0) coefficient[at(v)] = 1;
     }
   } else {
-    const auto length = static_cast<double>(row.b - row.a);
     // Scaled to the window's length, so that tolerances mean the same in every row.
-    rhs = static_cast<double>(problem_.type_xpus[at(row.type)].size());
-    for (std::size_t i = 0; i < at(n_); ++i) {
-      if ((windows.types[i] >> row.type & 1u) == 0) continue;
-      const double e = static_cast<double>(energy(windows, i, row.type, row.a, row.b)) / length;
-      if (e == 0) continue;
-      if (base_[i] == row.type) {
+    const auto length = static_cast<double>(std::max<Time>(1, row.b - row.a));
+    rhs = row.type == kChain ? static_cast<double>(row.b - row.a) / length
+                             : static_cast<double>(problem_.type_xpus[at(row.type)].size());
+    const auto add = [&](std::size_t i, int type) {
+      const double e = static_cast<double>(this->coefficient(windows, row, i, type)) / length;
+      if (e == 0) return;
+      if (base_[i] == type) {
         rhs -= e;
         for (int t = 0; t < types_; ++t) {
           const int v = var_of_[i * at(types_) + at(t)];
           if (v >= 0) coefficient[at(v)] -= e;
         }
       } else {
-        coefficient[at(var_of_[i * at(types_) + at(row.type)])] += e;
+        coefficient[at(var_of_[i * at(types_) + at(type)])] += e;
       }
+    };
+    if (row.type == kChain) {
+      for (const int i : row.chain)
+        for (TypeSet types = windows.types[at(i)]; types != 0; types &= types - 1)
+          add(at(i), std::countr_zero(types));
+    } else {
+      for (std::size_t i = 0; i < at(n_); ++i)
+        if ((windows.types[i] >> row.type & 1u) != 0) add(i, row.type);
     }
   }
   // In terms of the present nonbasic variables.
@@ -195,17 +208,19 @@ int EnergyLp::separate(const Windows& windows) {
   int added = 0;
   for (int i = 0; i < n_; ++i) {
     if (share_[at(i * types_ + base_[at(i)])] < -1e-7) {
-      add_row(windows, {-1, i, 0});
+      add_row(windows, {kShares, i, 0});
       ++added;
     }
   }
   if (added > 0) return added;
+  added = separate_chains(windows);
   struct Item {
     Time r, d, w;
     double x;
   };
   std::vector<Item> items;
   std::vector<Time> begins, ends;
+  std::vector<double> slope, level;  // by end: the energy so far is slope * end + level
   for (int t = 0; t < types_; ++t) {
     items.clear();
     begins.clear();
@@ -224,25 +239,41 @@ int EnergyLp::separate(const Windows& windows) {
     sort_and_thin(ends);
     // The two most violated windows with different beginnings.
     double best[2] = {1e-6, 1e-6};
-    Row found[2] = {{-2, 0, 0}, {-2, 0, 0}};
+    Row found[2] = {{kNone, 0, 0}, {kNone, 0, 0}};
     for (const Time a : begins) {
-      double best_here = 1e-6;
-      Row here{-2, 0, 0};
-      for (const Time b : ends) {
+      // What is left of an XNode at a begins to count once b is within it of the end that it may
+      // have, and then with every microsecond of b, until all of it counts.
+      slope.assign(ends.size() + 1, 0.0);
+      level.assign(ends.size() + 1, 0.0);
+      const auto first_end = [&](Time b) {
+        return static_cast<std::size_t>(std::lower_bound(ends.begin(), ends.end(), b) -
+                                        ends.begin());
+      };
+      for (const Item& item : items) {
+        const Time left = item.w - std::max<Time>(0, a - item.r);
+        if (left <= 0) continue;
+        const Time from = std::max(a, item.d - left);
+        const std::size_t grows = first_end(from), full = first_end(from + left);
+        slope[grows] += item.x;
+        level[grows] -= item.x * static_cast<double>(from - a);
+        slope[full] -= item.x;
+        level[full] += item.x * static_cast<double>(from + left - a);
+      }
+      double best_here = 1e-6, rate = 0, base = 0;
+      Row here{kNone, 0, 0};
+      for (std::size_t k = 0; k < ends.size(); ++k) {
+        rate += slope[k];
+        base += level[k];
+        const Time b = ends[k];
         if (b <= a) continue;
-        double sum = 0;
-        for (const Item& item : items) {
-          const Time inside = std::min(
-              b - a, item.w - std::max<Time>(0, a - item.r) - std::max<Time>(0, item.d - b));
-          if (inside > 0) sum += static_cast<double>(inside) * item.x;
-        }
-        const double violation = sum / static_cast<double>(b - a) - instances;
+        const auto length = static_cast<double>(b - a);
+        const double violation = (rate * length + base) / length - instances;
         if (violation > best_here) {
           best_here = violation;
           here = {t, a, b};
         }
       }
-      if (here.type < 0) continue;
+      if (here.type == kNone) continue;
       if (best_here > best[0]) {
         best[1] = best[0];
         found[1] = found[0];
@@ -254,12 +285,49 @@ int EnergyLp::separate(const Windows& windows) {
       }
     }
     for (const Row& row : found) {
-      if (row.type < 0) continue;
+      if (row.type == kNone) continue;
       add_row(windows, row);
       ++added;
     }
   }
   return added;
+}
+
+int EnergyLp::separate_chains(const Windows& windows) {
+  spans_.assign(at(n_), 0);
+  heads_.assign(at(n_), 0);
+  before_.assign(at(n_), -1);
+  for (std::size_t i = 0; i < at(n_); ++i) {
+    double span = static_cast<double>(windows.extra[i]);
+    for (TypeSet types = windows.types[i]; types != 0; types &= types - 1) {
+      const int t = std::countr_zero(types);
+      span += share(static_cast<int>(i), t) *
+              static_cast<double>(problem_.wcet(static_cast<int>(i), t));
+    }
+    spans_[i] = span;
+  }
+  int latest = -1;
+  double most = 0;
+  for (const int i : problem_.topo) {
+    heads_[at(i)] = static_cast<double>(windows.r[at(i)]);
+    for (const int p : problem_.pred[at(i)]) {
+      const double end = heads_[at(p)] + spans_[at(p)];
+      if (end <= heads_[at(i)]) continue;
+      heads_[at(i)] = end;
+      before_[at(i)] = p;
+    }
+    const double late = heads_[at(i)] + spans_[at(i)] - static_cast<double>(windows.d[at(i)]);
+    if (late <= most) continue;
+    most = late;
+    latest = i;
+  }
+  if (latest < 0) return 0;
+  Row row{kChain, 0, windows.d[at(latest)]};
+  for (int i = latest; i >= 0; i = before_[at(i)]) row.chain.push_back(i);
+  row.a = windows.r[at(row.chain.back())];
+  if (most < 1e-6 * static_cast<double>(std::max<Time>(1, row.b - row.a))) return 0;
+  add_row(windows, row);
+  return 1;
 }
 
 bool EnergyLp::refutation_holds(const Windows& windows) {
@@ -274,32 +342,43 @@ bool EnergyLp::refutation_holds(const Windows& windows) {
   }
   double largest = 0;
   for (std::size_t k = 0; k < rows_.size(); ++k) {
-    if (rows_[k].type < 0) y[k] = 0;  // implied below: each XNode takes its cheapest type
+    const Row& row = rows_[k];
+    if (row.type == kShares) y[k] = 0;  // implied below: each XNode takes its cheapest type
     // Back to unscaled rows.
-    if (rows_[k].type >= 0) y[k] /= static_cast<double>(rows_[k].b - rows_[k].a);
+    y[k] /= static_cast<double>(std::max<Time>(1, row.b - row.a));
     largest = std::max(largest, y[k]);
   }
   if (largest <= 0) return false;
   __int128 least = 0, capacity = 0;
-  std::vector<std::int64_t> multiplier(rows_.size(), 0);
+  std::vector<__int128> sum(at(n_ * types_), 0);
   for (std::size_t k = 0; k < rows_.size(); ++k) {
-    multiplier[k] = std::llround(y[k] / largest * 0x1p30);
-    if (multiplier[k] == 0) continue;
-    capacity += static_cast<__int128>(multiplier[k]) * (rows_[k].b - rows_[k].a) *
-                static_cast<std::int64_t>(problem_.type_xpus[at(rows_[k].type)].size());
-    pool_.push_back(rows_[k]);
+    const std::int64_t multiplier = std::llround(y[k] / largest * 0x1p30);
+    if (multiplier == 0) continue;
+    const Row& row = rows_[k];
+    const std::int64_t instances =
+        row.type == kChain ? 1 : static_cast<std::int64_t>(problem_.type_xpus[at(row.type)].size());
+    capacity += static_cast<__int128>(multiplier) * (row.b - row.a) * instances;
+    const auto add = [&](std::size_t i, int t) {
+      sum[i * at(types_) + at(t)] +=
+          static_cast<__int128>(multiplier) * coefficient(windows, row, i, t);
+    };
+    if (row.type == kChain) {
+      for (const int i : row.chain)
+        for (int t = 0; t < types_; ++t)
+          if ((windows.types[at(i)] >> t & 1u) != 0) add(at(i), t);
+    } else {
+      for (std::size_t i = 0; i < at(n_); ++i)
+        if ((windows.types[i] >> row.type & 1u) != 0) add(i, row.type);
+    }
+    pool_.push_back(row);
   }
-  for (int i = 0; i < n_; ++i) {
+  for (std::size_t i = 0; i < at(n_); ++i) {
     bool first = true;
     __int128 cheapest = 0;
     for (int t = 0; t < types_; ++t) {
-      if ((windows.types[at(i)] >> t & 1u) == 0) continue;
-      __int128 sum = 0;
-      for (std::size_t k = 0; k < rows_.size(); ++k)
-        if (rows_[k].type == t && multiplier[k] != 0)
-          sum += static_cast<__int128>(multiplier[k]) *
-                 energy(windows, at(i), t, rows_[k].a, rows_[k].b);
-      if (first || sum < cheapest) cheapest = sum;
+      if ((windows.types[i] >> t & 1u) == 0) continue;
+      const __int128 here = sum[i * at(types_) + at(t)];
+      if (first || here < cheapest) cheapest = here;
       first = false;
     }
     least += cheapest;
@@ -311,11 +390,12 @@ bool EnergyLp::feasible(const Windows& windows) {
   ++solved_;
   start(windows);
   if (pool_.size() > 40) pool_.erase(pool_.begin(), pool_.end() - 40);
-  for (const Row& row : pool_) {
-    const bool known = std::any_of(rows_.begin(), rows_.end(), [&](const Row& other) {
-      return other.type == row.type && other.a == row.a && other.b == row.b;
-    });
-    if (!known) add_row(windows, row);
+  for (Row& row : pool_) {
+    if (row.type == kChain) {
+      row.a = windows.r[at(row.chain.back())];
+      row.b = windows.d[at(row.chain.front())];
+    }
+    if (std::find(rows_.begin(), rows_.end(), row) == rows_.end()) add_row(windows, row);
   }
   pool_.clear();
   while (true) {
@@ -327,7 +407,7 @@ bool EnergyLp::feasible(const Windows& windows) {
   const std::size_t structurals = columns_;
   for (std::size_t j = 0; j < columns_; ++j) {
     const int v = column_var_[j];
-    if (at(v) >= structurals && rows_[at(v) - structurals].type >= 0)
+    if (at(v) >= structurals && rows_[at(v) - structurals].type != kShares)
       pool_.push_back(rows_[at(v) - structurals]);
   }
   return true;

@@ -6,7 +6,9 @@
 //     e_it(a, b) = max(0, min(b - a, w_it - max(0, a - r_i) - max(0, d_i - b)))
 //   of its work lies in [a, b], preemption allowed: outside it has no more room than a - r_i and
 //   d_i - b. With x_it the fraction of i on t, an assignment that works satisfies for all t, a < b
-//     sum over i of e_it(a, b) x_it  <=  (b - a) * instances(t).
+//     sum over i of e_it(a, b) x_it  <=  (b - a) * instances(t),
+// and for every chain i_1, ..., i_k of XNodes, each of which finishes before the next one starts,
+//     sum over j, t of (w_(i_j) t + extra_(i_j)) x_(i_j) t  <=  d_(i_k) - r_(i_1).
 //
 // Source: energetic reasoning (Erschler, Lopez 1991; Baptiste, Le Pape, Nuijten, "Constraint-based
 // scheduling", 2001, section 3.3.3), here for fractional assignments, as an LP whose rows are
@@ -23,11 +25,14 @@
 
 namespace xauto::solver {
 
+using TypeSet = std::uint64_t;
+inline constexpr int kMostTypes = 64;  ///< that a proof can tell apart
+
 /// What is left of the problem at a node of the proof.
 struct Windows {
-  std::vector<Time> r, d;            ///< earliest start, latest finish
-  std::vector<std::uint32_t> types;  ///< bit t: type t still possible
-  std::vector<Time> extra;  ///< least time beyond its WCET between an XNode's start and finish
+  std::vector<Time> r, d;      ///< earliest start, latest finish
+  std::vector<TypeSet> types;  ///< bit t: type t still possible
+  std::vector<Time> extra;     ///< least time beyond its WCET between an XNode's start and finish
   std::vector<Time>
       paid;  ///< preemption cost that its XPU is certain to lose between its start and finish
   std::vector<Time> cut;      ///< preemption cost in `extra` because it is suspended at least once
@@ -52,9 +57,13 @@ class EnergyLp {
 
  private:
   struct Row {
-    int type;  ///< -1: the fractions of one XNode sum to at most 1 (xnode in `a`)
+    int type;  ///< kShares: the fractions of one XNode sum to at most 1 (xnode in `a`)
     Time a, b;
+    std::vector<int> chain = {};  ///< type kChain: its XNodes; [a, b] is the time that it has
+
+    bool operator==(const Row&) const = default;
   };
+  static constexpr int kShares = -1, kChain = -2, kNone = -3;
 
   [[nodiscard]] Time energy(const Windows& windows, std::size_t i, int type, Time a, Time b) const;
   void start(const Windows& windows);
@@ -63,6 +72,10 @@ class EnergyLp {
   int dual_simplex();
   void read_shares(const Windows& windows);
   int separate(const Windows& windows);
+  int separate_chains(const Windows& windows);
+  /// The row's coefficient of the fraction of `i` on `type`.
+  [[nodiscard]] Time coefficient(const Windows& windows, const Row& row, std::size_t i,
+                                 int type) const;
   [[nodiscard]] bool refutation_holds(const Windows& windows);
   double& cell(std::size_t row, std::size_t col) { return tableau_[row * stride_ + col]; }
 
@@ -81,6 +94,8 @@ class EnergyLp {
   std::vector<int> column_var_,
       row_var_;  ///< < structurals: structural; else slack of rows_[v - structurals]
   std::vector<Row> rows_;
+  std::vector<double> spans_, heads_;  ///< separate_chains(): fractional, by XNode
+  std::vector<int> before_;
   std::size_t bad_row_ = 0;
   std::int64_t solved_ = 0;
 };

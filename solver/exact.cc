@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <bit>
+#include <iterator>
+#include <map>
 
 #include "base/index.h"
 #include "solver/bounds.h"
@@ -48,9 +50,9 @@ class Refuter : private Rules {
     for (int i = 0; i < n_; ++i)
       for (int t = 0; t < problem_.num_types; ++t)
         if (problem_.wcet(i, t) != kCannotRun && !problem_.type_xpus[at(t)].empty())
-          windows.types[at(i)] |= 1u << t;
+          windows.types[at(i)] |= TypeSet{1} << t;
     for (const auto& group : problem_.groups) {
-      std::uint32_t common = ~0u;
+      TypeSet common = ~TypeSet{0};
       for (int i : group) common &= windows.types[at(i)];
       for (int i : group) windows.types[at(i)] = common;
     }
@@ -69,17 +71,42 @@ class Refuter : private Rules {
     nodes_left_ = max_nodes;
     open_leaf_ = false;
     Windows windows = root(makespan);
+    const auto known = known_.lower_bound(makespan);
+    if (known != known_.end()) narrow(windows, known->second.windows);
     if (!tighten(windows) || !lp_.feasible(windows)) return Answer::kRefuted;
-    for (int round = 0; round < shaving_rounds; ++round) {
+    bool settled = known != known_.end() && known->first == makespan && known->second.settled;
+    for (int round = 0; round < shaving_rounds && !settled; ++round) {
       const int answer = shave(windows);
       if (answer < 0) return Answer::kRefuted;
+      settled = answer == 0 && !stopped();
       if (answer == 0) break;
     }
+    if (shaving_rounds > 0) remember(makespan, windows, settled);
     if (max_nodes <= 1) return Answer::kOpen;
     return descend(windows, 0) ? Answer::kRefuted : Answer::kOpen;
   }
 
  private:
+  /// What shaving has left for a makespan; it holds for all shorter ones, too.
+  struct Known {
+    Windows windows;
+    bool settled = false;  ///< another round would leave the same
+  };
+
+  static void narrow(Windows& w, const Windows& by) {
+    for (std::size_t i = 0; i < w.r.size(); ++i) {
+      w.r[i] = std::max(w.r[i], by.r[i]);
+      w.d[i] = std::min(w.d[i], by.d[i]);
+      w.types[i] &= by.types[i];
+    }
+  }
+
+  void remember(Time makespan, const Windows& windows, bool settled) {
+    constexpr std::size_t kMost = 16;
+    known_.insert_or_assign(makespan, Known{windows, settled});
+    if (known_.size() > kMost) known_.erase(std::prev(known_.end()));
+  }
+
   bool dead(Windows& w) { return !tighten(w) || !lp_.feasible(w); }
 
   /// Shaving: assume the extreme part of a window, refute it, cut it off. -1 refuted, 1 changed, 0
@@ -91,9 +118,9 @@ class Refuter : private Rules {
       for (int t = 0; t < problem_.num_types; ++t) {
         if (std::has_single_bit(w.types[at(i)]) || (w.types[at(i)] >> t & 1u) == 0) continue;
         Windows trial = w;
-        trial.types[at(i)] = 1u << t;
+        trial.types[at(i)] = TypeSet{1} << t;
         if (!dead(trial)) continue;
-        w.types[at(i)] &= ~(1u << t);
+        w.types[at(i)] &= ~(TypeSet{1} << t);
         changed = true;
         if (!tighten(w)) return -1;
       }
@@ -177,7 +204,7 @@ class Refuter : private Rules {
       double top = 0;
       int top_type = 0;
       Time low = kNever, high = 0;
-      for (std::uint32_t types = w.types[at(i)]; types != 0; types &= types - 1) {
+      for (TypeSet types = w.types[at(i)]; types != 0; types &= types - 1) {
         const int t = std::countr_zero(types);
         low = std::min(low, problem_.wcet(i, t));
         high = std::max(high, problem_.wcet(i, t));
@@ -195,9 +222,9 @@ class Refuter : private Rules {
     }
     if (branch >= 0) {
       Windows yes = w;
-      yes.types[at(branch)] = 1u << type;
+      yes.types[at(branch)] = TypeSet{1} << type;
       if (!descend(yes, depth + 1)) return false;
-      w.types[at(branch)] &= ~(1u << type);
+      w.types[at(branch)] &= ~(TypeSet{1} << type);
       return descend(w, depth + 1);
     }
     // The LP's answer is whole: decide a type whose alternatives keep a window looser than it may
@@ -205,7 +232,7 @@ class Refuter : private Rules {
     Time looseness = 0;
     for (int i = 0; i < n_; ++i) {
       if (std::has_single_bit(w.types[at(i)])) continue;
-      for (std::uint32_t types = w.types[at(i)]; types != 0; types &= types - 1) {
+      for (TypeSet types = w.types[at(i)]; types != 0; types &= types - 1) {
         const int t = std::countr_zero(types);
         if (lp_.share(i, t) < 0.5) continue;
         const Time gain = 1 + problem_.wcet(i, t) - least(w, i);
@@ -217,9 +244,9 @@ class Refuter : private Rules {
     }
     if (branch >= 0) {
       Windows yes = w;
-      yes.types[at(branch)] = 1u << type;
+      yes.types[at(branch)] = TypeSet{1} << type;
       if (!descend(yes, depth + 1)) return false;
-      w.types[at(branch)] &= ~(1u << type);
+      w.types[at(branch)] &= ~(TypeSet{1} << type);
       return descend(w, depth + 1);
     }
     if (open_i >= 0) {
@@ -258,6 +285,7 @@ class Refuter : private Rules {
   EnergyLp lp_;
   CompositeBound start_;
   bool with_deadlines_;
+  std::map<Time, Known> known_;  ///< by makespan
   std::int64_t nodes_left_ = 0;
   bool open_leaf_ = false;
 };
@@ -294,7 +322,7 @@ constexpr std::int64_t kMostNodes = std::int64_t{1} << 50;
 }  // namespace
 
 bool deadlines_refuted(const Problem& problem, Time makespan_limit, const ProofControl& control) {
-  if (problem.num_types > 16) return false;
+  if (problem.num_types > kMostTypes) return false;
   Refuter refuter(problem, control, true);
   for (std::int64_t nodes = 1; !refuter.stopped(); nodes = std::min(kMostNodes, nodes * 4 + 100)) {
     if (refuter.refute(makespan_limit, nodes, nodes > 1 ? 2 : 0) == Refuter::Answer::kRefuted)
@@ -306,7 +334,7 @@ bool deadlines_refuted(const Problem& problem, Time makespan_limit, const ProofC
 
 Time prove_bound(const Problem& problem, const ProofControl& control) {
   Time bound = std::max(control.known_bound, quick_bound(problem));
-  if (problem.num_types > 16) return bound;
+  if (problem.num_types > kMostTypes) return bound;
   Refuter refuter(problem, control);
   auto raise = [&](Time refuted) {
     if (refuted + 1 <= bound) return;
@@ -335,7 +363,8 @@ Time prove_bound(const Problem& problem, const ProofControl& control) {
   // 2. With branching: ever more nodes, ever closer guesses.
   const Problem split = per_instance(problem);
   Refuter apart(split, control);
-  const bool has_pairs_of_instances = split.num_types > problem.num_types && split.num_types <= 16;
+  const bool has_pairs_of_instances =
+      split.num_types > problem.num_types && split.num_types <= kMostTypes;
   std::int64_t nodes = 200;
   while (!refuter.stopped() && bound < incumbent()) {
     bool any = false, more_nodes_help = false;

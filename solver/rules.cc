@@ -47,12 +47,12 @@ bool Rules::tighten(Windows& w) const {
       again |= lower(w.d[at(j)], w.d[at(i)] - 1);
     }
     for (int i = 0; i < n_; ++i) {
-      std::uint32_t& types = w.types[at(i)];
+      TypeSet& types = w.types[at(i)];
       for (int t = 0; t < problem_.num_types; ++t) {
         if ((types >> t & 1u) == 0 ||
             w.r[at(i)] + problem_.wcet(i, t) + w.extra[at(i)] <= w.d[at(i)])
           continue;
-        types &= ~(1u << t);
+        types &= ~(TypeSet{1} << t);
         again = true;
       }
       if (types == 0) return false;
@@ -63,7 +63,7 @@ bool Rules::tighten(Windows& w) const {
 
 Time Rules::least(const Windows& w, int i) const {
   Time least = kNever;
-  for (std::uint32_t types = w.types[at(i)]; types != 0; types &= types - 1)
+  for (TypeSet types = w.types[at(i)]; types != 0; types &= types - 1)
     least = std::min(least, problem_.wcet(i, std::countr_zero(types)));
   return least + w.extra[at(i)];
 }

@@ -42,7 +42,7 @@ KeyPlacement placement(const Problem& p, const Candidate& c, int i) {
   if (all_equal(placed.key_us) && all_equal(placed.hold_us) && all_equal(placed.start_us) &&
       all_equal(placed.finish_us))
     for (auto* values : {&placed.key_us, &placed.hold_us, &placed.start_us, &placed.finish_us})
-      if (!values->empty()) values->resize(1);
+      if (!values->empty()) values->erase(values->begin() + 1, values->end());
   return placed;
 }
 

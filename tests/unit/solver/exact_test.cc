@@ -11,6 +11,7 @@
 #include "solver/solve.h"
 
 #include "brute_force.h"
+#include "job_shop.h"
 #include "problem_random.h"
 
 namespace xauto::solver {
@@ -304,6 +305,19 @@ TEST(Exact, QuickBoundCountsLoadBetweenTheLeastHeadAndTail) {
   EXPECT_EQ(critical_path_bound(*problem), 22);
   EXPECT_EQ(load_bound(*problem), 42);
   EXPECT_EQ(quick_bound(*problem), 42);
+}
+
+TEST(Exact, ProvesWithMoreTypesThanAnyoneHas) {
+  test::JobShop shop = test::ft06();
+  for (int k = 0; k < 40; ++k)
+    shop.platform.xpus.push_back({test::numbered("y", k), test::numbered("unused", k), false});
+  const Problem problem = Problem::create(shop.app, shop.platform).value();
+  const std::atomic<Time> incumbent{55};
+  ProofControl control;
+  control.incumbent = &incumbent;
+  control.max_lps = 50'000;
+  EXPECT_LT(quick_bound(problem), 55);
+  EXPECT_EQ(prove_bound(problem, control), 55);
 }
 
 }  // namespace
