@@ -67,14 +67,14 @@ Result<runtime::Session> RunOptions::Data::session() const {
           at("policy", "is needed unless the scheduling is ros2", "make one with `xauto solve`"));
     const char* const who = "RunOptions::policy";
     if (session.app.version == 2) {
-      XAUTO_ASSIGN(session.keys,
-                   is_text(policy) ? parse_key_policy(policy, who, session.app, session.platform)
-                                   : load_key_policy(policy, session.app, session.platform));
+      XAUTO_ASSIGN(session.keys, is_text(policy)
+                                     ? parse_key_policy(policy, who, session.app, session.platform)
+                                     : load_key_policy(policy, session.app, session.platform));
       session.policy = assignment_of(*session.keys);
     } else {
-      XAUTO_ASSIGN(session.policy,
-                   is_text(policy) ? parse_policy(policy, who, session.app, session.platform)
-                                   : load_policy(policy, session.app, session.platform));
+      XAUTO_ASSIGN(session.policy, is_text(policy)
+                                       ? parse_policy(policy, who, session.app, session.platform)
+                                       : load_policy(policy, session.app, session.platform));
     }
     XAUTO_TRY(xpu::check_placements(session.app, session.platform, session.presence, session.policy,
                                     is_text(policy) ? "RunOptions::policy" : policy));

@@ -160,7 +160,8 @@ void Fire::put(detail::TopicHandle topic, std::shared_ptr<const void> message) {
                                 topic->type_name);
       return;
     }
-  data_->misuse.push_back("topic '" + topic->name + "' is neither an input of it nor sampled by it");
+  data_->misuse.push_back("topic '" + topic->name +
+                          "' is neither an input of it nor sampled by it");
 }
 
 /// What the test did wrong, and the App would refuse.

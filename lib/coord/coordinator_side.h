@@ -130,8 +130,7 @@ class Referee {
   [[nodiscard]] std::uint64_t decisions() const { return decisions_; }
   [[nodiscard]] Job job_of(int slot) const {
     const WorkerLine& line = shm_.slots[slot].worker;
-    return {A::peek(line.xnode), A::peek(line.sequence), A::peek(line.key),
-            A::peek(line.since_ns)};
+    return {A::peek(line.xnode), A::peek(line.sequence), A::peek(line.key), A::peek(line.since_ns)};
   }
   /// The same, looking at a copy of the memory; for the tests.
   void move_to(Shm shm) { shm_ = shm; }

@@ -30,10 +30,10 @@ struct ServerOptions {
   std::vector<std::string>
       xnodes;        ///< names by index, for people; its size bounds what workers may name
   OrderPairs order;  ///< pairs of XNodes on this XPU
-  bool by_keys = false;  ///< a policy of keys: for people, who are told instants
   /// What outlives a coordinator, made by whoever starts it again when it dies: the listening
   /// socket, the shared memory (empty: the first one fills it), the doorbell. -1: made here.
   int listener_fd = -1, memory_fd = -1, doorbell_fd = -1;
+  bool by_keys = false;  ///< a policy of keys: for people, who are told instants
 };
 
 /// Threads: one.

@@ -201,7 +201,8 @@ class Builder {
       bool numbered = true;
       for (const int s : sources) {
         const auto at = static_cast<std::size_t>(s);
-        if (graph_.sources[at].period != graph_.sources[static_cast<std::size_t>(*sources.begin())].period)
+        if (graph_.sources[at].period !=
+            graph_.sources[static_cast<std::size_t>(*sources.begin())].period)
           numbered = false;
         if (graph_.sources[at].pushed && sources.size() > 1) numbered = false;
       }
@@ -232,10 +233,10 @@ class Builder {
         for (const Graph::Module& module : graph_.modules)
           for (const int t : module.samples) {
             const Graph::Topic& read = graph_.topics[static_cast<std::size_t>(t)];
-            const int from =
-                t == topic       ? -1
-                : read.module < 0 ? kFar
-                                  : component(graph_.modules[static_cast<std::size_t>(read.module)]);
+            const int from = t == topic ? -1
+                             : read.module < 0
+                                 ? kFar
+                                 : component(graph_.modules[static_cast<std::size_t>(read.module)]);
             if (from == kFar || component(module) <= from + 1) continue;
             component(module) = from + 1;
             again = true;
@@ -325,10 +326,9 @@ Status Graph::same_pairs(const std::vector<std::pair<int, int>>& ours,
                   "the " + what + " '" + u + "' -> '" + v + "' is not in app.json", name, kStale);
   for (const auto& [u, v] : there)
     if (!here.contains({u, v}))
-      return fail(
-          ErrorCode::kInvalid,
-          "app.json has the " + what + " '" + u + "' -> '" + v + "' that the program lacks", name,
-          kStale);
+      return fail(ErrorCode::kInvalid,
+                  "app.json has the " + what + " '" + u + "' -> '" + v + "' that the program lacks",
+                  name, kStale);
   return {};
 }
 
@@ -342,7 +342,8 @@ Status Graph::matches(const AppSpec& app) const {
   for (const Node& node : nodes) {
     const int i = app.find(node.name);
     if (i < 0)
-      return fail(ErrorCode::kInvalid, "XNode '" + node.name + "' is not in app.json", name, kStale);
+      return fail(ErrorCode::kInvalid, "XNode '" + node.name + "' is not in app.json", name,
+                  kStale);
     const std::string& module = app.xnodes[static_cast<std::size_t>(i)].module;
     if (module != modules[static_cast<std::size_t>(node.module)].name)
       return fail(ErrorCode::kInvalid,

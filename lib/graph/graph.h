@@ -24,7 +24,7 @@ struct Graph {
   };
   struct Subscriber {
     int module = -1;
-    int input = -1;  ///< index into that module's inputs, then samples
+    int input = -1;        ///< index into that module's inputs, then samples
     bool sampled = false;  ///< reads the newest when it begins; not fired by it
   };
   struct Topic {
@@ -44,7 +44,7 @@ struct Graph {
     /// [sample] sources whose origins come through it, a bit each: where samples go in a circle, a
     /// way that has come round is no chain (docs/runtime.md).
     std::vector<std::uint32_t> sample_origins;
-    int component = -1;        ///< modules that fire each other, directly or through others
+    int component = -1;  ///< modules that fire each other, directly or through others
     /// Activation k stems from release k of each source of the component.
     bool numbered = true;
   };
@@ -57,7 +57,8 @@ struct Graph {
   std::vector<Topic> topics;
   std::vector<int> module_order;           ///< topological
   std::vector<std::pair<int, int>> edges;  ///< between nodes: chains, then topics
-  std::vector<std::pair<int, int>> samples;  ///< nodes (u, v): v's module samples what u's publishes
+  std::vector<std::pair<int, int>>
+      samples;  ///< nodes (u, v): v's module samples what u's publishes
   int components = 0;
   /// All sources have one period, and none of several is pushed: activation k of every module stems
   /// from release k of every sensor.

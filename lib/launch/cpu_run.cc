@@ -87,18 +87,18 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
 }
 
 std::string decide_cpu_by_keys(runtime::Session& session) {
-  constexpr int kLevels = 6;  // lowered, admitted, and those above: see runtime/priorities.h
+  constexpr int kLevels = 6;  // lowered, admitted, asking, and those above: runtime/priorities.h
   using runtime::CpuSched;
   session.cpu_by_keys = false;
   if (!session.keys || session.scheduling != runtime::Scheduling::kXAuto) return {};
   std::string note;
   if (session.cpu_sched == CpuSched::kExt) {
     session.cpu_sched = CpuSched::kFifo;
-    note = "--cpu-sched ext: the sched_ext scheduler knows no keys; coordinators and SCHED_FIFO "
-           "keep them";
+    note =
+        "--cpu-sched ext: the sched_ext scheduler knows no keys; coordinators and SCHED_FIFO "
+        "keep them";
   }
-  session.cpu_by_keys =
-      session.cpu_sched == CpuSched::kFifo && rt::highest_fifo() >= kLevels;
+  session.cpu_by_keys = session.cpu_sched == CpuSched::kFifo && rt::highest_fifo() >= kLevels;
   return note;
 }
 

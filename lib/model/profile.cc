@@ -83,7 +83,8 @@ Status validate(const Profile& profile) {
         return fail(ErrorCode::kInvalid, "is not of these samples", place + "/outlier");
     }
   }
-  for (const auto& [name, pairs] : {std::pair("/edges/", &profile.edges), {"/samples/", &profile.sampled}})
+  for (const auto& [name, pairs] :
+       {std::pair("/edges/", &profile.edges), {"/samples/", &profile.sampled}})
     for (std::size_t i = 0; i < pairs->size(); ++i)
       for (const int end : {(*pairs)[i].first, (*pairs)[i].second})
         if (end < 0 || static_cast<std::size_t>(end) >= profile.xnodes.size())

@@ -72,10 +72,10 @@ struct Profile {
   ProfileConditions conditions;
   std::int64_t margin_pct = 20;  ///< WCET = max * (1 + margin)
   std::vector<XNodeProfile> xnodes;
-  std::vector<std::pair<int, int>> edges;  ///< as AppSpec::edges
+  std::vector<std::pair<int, int>> edges;         ///< as AppSpec::edges
   std::vector<std::pair<int, int>> sampled = {};  ///< as AppSpec::samples
   std::vector<SourceSpec> sources = {};           ///< as AppSpec::sources
-  std::string incomplete = {};             ///< why it ended early; empty: it did not
+  std::string incomplete = {};                    ///< why it ended early; empty: it did not
   bool operator==(const Profile&) const = default;
 };
 

@@ -49,8 +49,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   Engine& e = *engine;
   XAUTO_ASSIGN(e.plan_, Plan::make(e.graph_, app, session));
   XAUTO_ASSIGN(e.grid_, Grid::make(e.graph_, session));
-  XAUTO_ASSIGN(Routes routes,
-               Routes::make(e.graph_, e.grid_, session.deployment, session.app));
+  XAUTO_ASSIGN(Routes routes, Routes::make(e.graph_, e.grid_, session.deployment, session.app));
   if (session.process == 0) XAUTO_TRY(e.open_trace(true));  // before any member may attach to it
   XAUTO_ASSIGN(e.role_, Role::of(e.graph_, e.plan_, session, 1 + routes.size(), e.stop_));
   if (session.process != 0) XAUTO_TRY(e.open_trace(false));
@@ -58,8 +57,8 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   if (e.role_->leads())
     for (std::size_t m = 0; m < e.graph_.modules.size(); ++m)
       name_line(board.module(static_cast<int>(m)).name, e.graph_.modules[m].name);
-  e.context_ =
-      std::make_unique<Context>(Context{app, session, e.graph_, e.plan_, e.grid_, board, e.trace_.get()});
+  e.context_ = std::make_unique<Context>(
+      Context{app, session, e.graph_, e.plan_, e.grid_, board, e.trace_.get()});
   e.ledger_ = std::make_unique<Ledger>(*e.context_, std::move(routes), *e.role_);
   e.placing_ = Placing::of(session, e.graph_);
   e.note_chain_ends();
@@ -82,7 +81,8 @@ void Engine::note_chain_ends() {
       if (n == module.nodes.back() || !ledger_->ends_chain(n)) continue;
       placing_.ends_chain[static_cast<std::size_t>(n)] = 1;
       if (plan_.processes > 1)
-        add_note(placing_.note, "chains that end at XNode '" + graph_.nodes[static_cast<std::size_t>(n)].name +
+        add_note(placing_.note, "chains that end at XNode '" +
+                                    graph_.nodes[static_cast<std::size_t>(n)].name +
                                     "', inside its XModule, are measured in the hub alone");
     }
 }

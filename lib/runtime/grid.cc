@@ -70,18 +70,18 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
                 "change the sources in app.json and solve again; `xauto solve --assume` tries it"));
   for (const ModuleSpec& module : app.modules)
     if (module.max_in_flight > 1)
-      return tl::unexpected<Error>(
-          refused("XModule '" + module.name + "' has max_in_flight " +
-                      std::to_string(module.max_in_flight) + "; the runtime has one state of it",
-                  where, "set max_in_flight to 1 and solve again"));
+      return tl::unexpected<Error>(refused("XModule '" + module.name + "' has max_in_flight " +
+                                               std::to_string(module.max_in_flight) +
+                                               "; the runtime has one state of it",
+                                           where, "set max_in_flight to 1 and solve again"));
   std::vector<int> spec_of(graph.sources.size(), -1);
   for (std::size_t s = 0; s < graph.sources.size(); ++s) {
     for (std::size_t i = 0; i < app.sources.size(); ++i)
       if (app.sources[i].name == graph.sources[s].name) spec_of[s] = static_cast<int>(i);
     if (spec_of[s] < 0)
-      return tl::unexpected<Error>(refused(
-          "app.json has no source '" + graph.sources[s].name + "'", where,
-          "app.json describes another version of this program: profile it again"));
+      return tl::unexpected<Error>(
+          refused("app.json has no source '" + graph.sources[s].name + "'", where,
+                  "app.json describes another version of this program: profile it again"));
     const SourceSpec& spec = app.sources[static_cast<std::size_t>(spec_of[s])];
     grid.sources[s] = {spec.period, spec.offset_us * 1000, spec.jitter_us * 1000};
   }
@@ -92,8 +92,9 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
     const auto index = static_cast<std::size_t>(m);
     const Graph::Module& module = graph.modules[index];
     const int xnode = app.find(graph.nodes[static_cast<std::size_t>(module.nodes.front())].name);
-    const Component& component = components.components[static_cast<std::size_t>(
-        components.of[static_cast<std::size_t>(xnode)])];
+    const Component& component =
+        components
+            .components[static_cast<std::size_t>(components.of[static_cast<std::size_t>(xnode)])];
     for (std::size_t i = 0; i < module.inputs.size(); ++i) {
       const Graph::Topic& topic = graph.topics[static_cast<std::size_t>(module.inputs[i])];
       if (topic.source >= 0) {
@@ -110,13 +111,12 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
     if (session.keys)
       for (const int n : module.nodes) {
         const int x = app.find(graph.nodes[static_cast<std::size_t>(n)].name);
-        for (const std::int64_t key :
-             session.keys->placements[static_cast<std::size_t>(x)].key_us)
+        for (const std::int64_t key : session.keys->placements[static_cast<std::size_t>(x)].key_us)
           last_us = std::max(last_us, key);
       }
     const std::int64_t releases = last_us / std::max<std::int64_t>(1, component.period.floor_us());
-    grid.depth[index] = static_cast<std::uint32_t>(
-        std::clamp<std::int64_t>(releases + 2, kLeastDepth, kMostDepth));
+    grid.depth[index] =
+        static_cast<std::uint32_t>(std::clamp<std::int64_t>(releases + 2, kLeastDepth, kMostDepth));
   }
   XAUTO_TRY(check_joins(graph, session, grid, heard));
   return grid;

@@ -12,8 +12,7 @@ class InputAccess {
  public:
   [[nodiscard]] static Input make() { return {}; }
   /// `topics`: the inputs, so many, then what is sampled.
-  static void bind(Input& input, const std::vector<detail::TopicSpec>* topics,
-                   std::size_t inputs) {
+  static void bind(Input& input, const std::vector<detail::TopicSpec>* topics, std::size_t inputs) {
     input.data_->topics = topics;
     input.data_->inputs = inputs;
     input.data_->messages.resize(topics->size());

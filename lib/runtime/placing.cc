@@ -86,8 +86,7 @@ std::int64_t watched_ns(std::int64_t wcet_us, bool emulated) {
 /// What a policy of keys takes for granted and this run does not keep by the way it was set up.
 std::vector<std::string> unkept_of_keys(const detail::AppSpecErased& app, const Session& session) {
   std::vector<std::string> lines;
-  if (session.lockstep)
-    lines.emplace_back("each release waits for the one before (--lockstep)");
+  if (session.lockstep) lines.emplace_back("each release waits for the one before (--lockstep)");
   if (!session.input.empty())
     lines.emplace_back("a recording is released as it was recorded, not as app.json says");
   for (const detail::SourceSpec& source : app.sources)
@@ -109,9 +108,9 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
   std::vector<std::string> lines;
   for (std::size_t x = 0; x < session.platform.xpus.size(); ++x) {
     const Xpu& xpu = session.platform.xpus[x];
-    const bool used = std::any_of(
-        session.policy.placements.begin(), session.policy.placements.end(),
-        [&](const Placement& p) { return p.xpu == static_cast<int>(x); });
+    const bool used =
+        std::any_of(session.policy.placements.begin(), session.policy.placements.end(),
+                    [&](const Placement& p) { return p.xpu == static_cast<int>(x); });
     if (!used || session.emulated(static_cast<int>(x))) continue;
     const Discipline discipline = xpu::discipline_of(xpu, false, session.cpu_by_keys);
     if (xpu.preemptive && discipline == Discipline::kGate)
@@ -145,8 +144,8 @@ Placing Placing::of(const Session& session, const Graph& graph) {
           Limits::of(session.deployment, graph.modules[static_cast<std::size_t>(node.module)].name,
                      node.name, session.app.xnodes[xnode].wcet_on(type).value_or(0));
       if (session.keys && limits.budget_ns == 0)
-        limits.budget_ns = watched_ns(*session.app.xnodes[xnode].wcet_on(type),
-                                      session.emulated(at));
+        limits.budget_ns =
+            watched_ns(*session.app.xnodes[xnode].wcet_on(type), session.emulated(at));
     }
     placing.limits.push_back(limits);
   }
@@ -196,13 +195,15 @@ Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module
   const bool scheduled = context.scheduled();
   const bool emulated = session.emulated(at);
   const bool real_cpu = !emulated && x.type == "cpu";
-  WorkerOptions options{
-      .backend = {x, xpu_id(platform, at), emulated, session.emulator_modules, scheduled,
-                  session.cpu_by_keys}};
+  WorkerOptions options{.backend = {x, xpu_id(platform, at), emulated, session.emulator_modules,
+                                    scheduled, session.cpu_by_keys}};
   options.xpu = at;
   options.name = context.graph.modules[module].name + "@" + x.id;
   options.mgmt_fifo = workers.management;
-  options.exec_fifo = !real_cpu ? workers.execution : scheduled ? workers.cpu_lowest : 0;
+  options.exec_fifo = !real_cpu             ? workers.execution
+                      : session.cpu_by_keys ? xpu::kCpuAsks
+                      : scheduled           ? workers.cpu_lowest
+                                            : 0;
   const xpu::Machine machine = xpu::Machine::here();
   if (session.presence_of(at) == Presence::kAbsent ||
       (!emulated && !machine.has(platform, static_cast<std::size_t>(at)) && x.type == "cpu"))

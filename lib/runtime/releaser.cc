@@ -226,10 +226,11 @@ std::vector<std::string> Releaser::broken() const {
   std::vector<std::string> lines;
   for (std::size_t s = 0; s < late_.size(); ++s)
     if (const Late& late = late_[s]; late.count > 0)
-      lines.push_back(fmt::format("source '{}' was released up to {} us late in {} of {} releases; "
-                                  "app.json states a jitter of {} us",
-                                  context_.graph.sources[s].name, (late.worst_ns + 999) / 1000,
-                                  late.count, late.of, context_.grid.sources[s].jitter_ns / 1000));
+      lines.push_back(
+          fmt::format("source '{}' was released up to {} us late in {} of {} releases; "
+                      "app.json states a jitter of {} us",
+                      context_.graph.sources[s].name, (late.worst_ns + 999) / 1000, late.count,
+                      late.of, context_.grid.sources[s].jitter_ns / 1000));
   return lines;
 }
 

@@ -41,7 +41,8 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
     route.counts = std::move(counts);
     route.module = graph.nodes[static_cast<std::size_t>(node)].module;
     route.source = source;
-    if (grid.periodic) route.period_ns = grid.sources[source].due_ns(1) - grid.sources[source].due_ns(0);
+    if (grid.periodic)
+      route.period_ns = grid.sources[source].due_ns(1) - grid.sources[source].due_ns(0);
     routes.routes_.push_back(std::move(route));
     routes.ends_[static_cast<std::size_t>(node)].push_back(routes.routes_.size() - 1);
   };
@@ -52,9 +53,8 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
       const std::string& to = app.xnodes[static_cast<std::size_t>(chain.to)].name;
       const auto node = std::find_if(graph.nodes.begin(), graph.nodes.end(),
                                      [&](const Graph::Node& n) { return n.name == to; });
-      const auto source =
-          std::find_if(graph.sources.begin(), graph.sources.end(),
-                       [&](const SourceSpec& s) { return s.name == from; });
+      const auto source = std::find_if(graph.sources.begin(), graph.sources.end(),
+                                       [&](const SourceSpec& s) { return s.name == from; });
       end({chain.name, from, to, chain.deadline_us, {}, 0, 0, 0, {}, {}},
           static_cast<std::size_t>(source - graph.sources.begin()),
           static_cast<int>(node - graph.nodes.begin()));

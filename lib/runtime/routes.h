@@ -58,11 +58,11 @@ class Routes {
  private:
   struct Route {
     RouteReport counts;
-    int module = -1;  ///< of the node where it ends
+    int module = -1;         ///< of the node where it ends
     std::size_t source = 0;  ///< index into Origins; beyond it: the oldest origin
     std::int64_t last_origin_ns = 0;
     std::int64_t period_ns = 0;  ///< of the source, where each of its releases counts; 0: results
-    FlowLine* line = nullptr;  ///< null: nobody looks
+    FlowLine* line = nullptr;    ///< null: nobody looks
   };
   void count(Route& route, std::int64_t latency_us, std::optional<std::int64_t>& missed_us);
   std::vector<std::vector<std::size_t>> ends_;  ///< [node of the graph] -> routes

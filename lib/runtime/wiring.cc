@@ -97,8 +97,8 @@ Status Wiring::place_module(std::size_t module) {
             Urgency::of_priority(context_.session.policy.placements[placed.xnode].priority);
       }
       if (!context_.session.emulated(xpu) && x.type == "cpu")
-        placed.fifo_priority = context_.session.cpu_by_keys ? placing_.workers.cpu_highest
-                                                            : placing_.fifo_by_xnode[placed.xnode];
+        placed.fifo_priority =
+            context_.session.cpu_by_keys ? xpu::kCpuAsks : placing_.fifo_by_xnode[placed.xnode];
     }
     auto at = std::find_if(here.begin(), here.end(), [&](const auto& h) { return h.first == xpu; });
     if (at == here.end()) {

@@ -91,9 +91,8 @@ Status Worker::init_nodes() {
   // With order constraints a thread could wait for a job that is behind it in its own lane.
   shares_ = port_ && port_->discipline() == Discipline::kGate && options_.order.empty();
   for (const Placed& placed : chain_.nodes)
-    if (placed.worker == this &&
-        (placed.made.handle.kind() != SchedHandle::Kind::kGate || placed.made.object != nullptr ||
-         placed.urgency.holds()))
+    if (placed.worker == this && (placed.made.handle.kind() != SchedHandle::Kind::kGate ||
+                                  placed.made.object != nullptr || placed.urgency.holds()))
       shares_ = false;
   lane_.reserve(64);
   for (auto node = chain_.nodes.rbegin(); node != chain_.nodes.rend(); ++node)
@@ -179,8 +178,8 @@ void Worker::run_lane() {
     coord::Next next;
     for (std::size_t i = 0; i < lane_.size(); ++i) {
       const Ready& ready = lane_[i];  // who was ready first is before it
-      next.consider({ready.worker->key_of(ready.worker->chain_.nodes[ready.node]), 0,
-                     static_cast<int>(i)});
+      next.consider(
+          {ready.worker->key_of(ready.worker->chain_.nodes[ready.node]), 0, static_cast<int>(i)});
     }
     const auto at = lane_.begin() + next.slot();
     const Ready job = *at;
@@ -237,6 +236,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
   if (port_) {
     if (!begun) begin(placed);
     port_->wait();
+    backend_->admitted();
   }
   if (thread_->observed()) {
     const std::int64_t since = now_ns();
@@ -261,6 +261,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
   }
   if (limited && !end_limited(placed)) succeeded = false;
   if (port_) {
+    backend_->finishing();
     if (shares_ && !t_home->lane_.empty() && port_->contended()) show_lane();
     port_->finish();
   }

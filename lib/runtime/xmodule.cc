@@ -166,8 +166,7 @@ void ModuleRuntime::gather_origins() {
   for (std::size_t m = 0; m < messages.size(); ++m) {
     if (messages[m].origins == nullptr) continue;
     const detail::Origins& of = *messages[m].origins;
-    const std::uint32_t onward =
-        m < newest_from_ ? ~0u : module_.sample_origins[m - newest_from_];
+    const std::uint32_t onward = m < newest_from_ ? ~0u : module_.sample_origins[m - newest_from_];
     for (std::size_t i = 0; i < origins->size(); ++i)
       if (of[i] != 0 && (onward >> i & 1u) != 0 && ((*origins)[i] == 0 || of[i] < (*origins)[i]))
         (*origins)[i] = of[i];

@@ -51,7 +51,7 @@ struct Session {
   /// Real CPUs follow keys: the coordinator admits one job per core and has the others lowered. Of a
   /// policy of keys, where SCHED_FIFO is permitted. Decided once, by whoever starts the run.
   bool cpu_by_keys = false;
-  bool cpu_partial = false;   ///< ... which schedules only threads that ask for SCHED_EXT
+  bool cpu_partial = false;        ///< ... which schedules only threads that ask for SCHED_EXT
   std::vector<Presence> presence;  ///< [XPU]; empty: all are real
   bool emulator_modules = false;   ///< emulated GPUs and DLAs are those of kmod/emu/
   std::map<std::string, std::string> coordinators;  ///< XPU id -> abstract socket; empty: none

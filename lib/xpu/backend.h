@@ -25,6 +25,9 @@ class Backend {
   [[nodiscard]] virtual Status preempt(const SchedHandle& handle) = 0;
   /// Lets it run again. Resuming what runs is no error.
   [[nodiscard]] virtual Status restore(const SchedHandle& handle) = 0;
+  /// The job may run now; it has run, and will say FINISH. On the execution thread.
+  virtual void admitted() {}
+  virtual void finishing() {}
   /// The execution thread does the work itself, and Linux preempts it unseen.
   [[nodiscard]] virtual bool on_thread() const { return false; }
   /// What is suspended shall stay so: called at least every kStillWantedMs while something is. A
@@ -54,6 +57,8 @@ class Surroundings {
 [[nodiscard]] Status check_emulated(const SchedHandle& handle);
 /// A core of this machine (cpu_thread.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_cpu_thread(const XpuId& xpu);
+/// SCHED_FIFO priorities of the threads on a core that follows keys; who says START has kCpuAsks.
+inline constexpr int kCpuLowered = 1, kCpuAdmitted = 2, kCpuAsks = 3;
 /// The same where the coordinator follows keys, which Linux does not know (cpu_by_keys.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_cpu_by_keys(const XpuId& xpu);
 /// What the app suspends itself, by SchedHandle::custom (custom.cc).

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // A real CPU core in a run by keys. Linux has fixed priorities, and a key is none; so the core is
-// like any other preemptive XPU: one job is admitted, at a high SCHED_FIFO priority, and the thread
-// of the one that it takes the core from is lowered below all that are admitted. It so runs only
-// while nobody else on this core wants to.
+// like any other preemptive XPU: one job is admitted, the others wait or are lowered.
+//
+//   asks      who says START or FINISH, so that a running job cannot keep it from that
+//   admitted  the one that has the core
+//   lowered   who had it; runs only while nobody else on this core wants to
 #include <cerrno>
 #include <cstring>
 #include <string>
@@ -10,6 +12,7 @@
 #include <sched.h>
 #include <unistd.h>
 
+#include "base/pi_mutex.h"
 #include "xpu/backend.h"
 
 namespace xauto::xpu {
@@ -25,32 +28,44 @@ class CpuByKeys final : public Backend {
     tid_ = gettid();
     return {};
   }
-  /// The execution thread's own priority, whatever that is now, is what `restore` gives back.
   Status preempt(const SchedHandle&) override {
-    sched_param now{};
-    if (sched_getparam(tid_, &now) != 0) return failed("sched_getparam");
-    if (now.sched_priority <= kSuspended) return {};  // said twice
-    admitted_ = now.sched_priority;
-    return set(kSuspended);
+    const Guard lock(mutex_);
+    lowered_ = true;
+    return runs_ ? set(kCpuLowered) : Status();
   }
-  Status restore(const SchedHandle&) override { return admitted_ > 0 ? set(admitted_) : Status(); }
+  Status restore(const SchedHandle&) override {
+    const Guard lock(mutex_);
+    lowered_ = false;
+    return runs_ ? set(kCpuAdmitted) : Status();
+  }
+  /// From asking to running, unless somebody has taken the core meanwhile.
+  void admitted() override {
+    const Guard lock(mutex_);
+    runs_ = true;
+    (void)set(lowered_ ? kCpuLowered : kCpuAdmitted);
+  }
+  /// What follows is short, and others wait for it: the result, the next XNode's START.
+  void finishing() override {
+    const Guard lock(mutex_);
+    runs_ = false;
+    (void)set(kCpuAsks);
+  }
   bool on_thread() const override { return true; }
 
  private:
-  static constexpr int kSuspended = 1;
-
   Status set(int priority) const {
     sched_param wanted{};
     wanted.sched_priority = priority;
-    return sched_setscheduler(tid_, SCHED_FIFO, &wanted) == 0 ? Status()
-                                                              : failed("sched_setscheduler");
-  }
-  static Status failed(const char* call) {
-    return fail(ErrorCode::kUnavailable, std::string(call) + ": " + strerror(errno));
+    return sched_setscheduler(tid_, SCHED_FIFO, &wanted) == 0
+               ? Status()
+               : fail(ErrorCode::kUnavailable,
+                      std::string("sched_setscheduler: ") + strerror(errno));
   }
 
-  pid_t tid_ = 0;     ///< by the execution thread, before any command
-  int admitted_ = 0;  ///< of the management thread
+  pid_t tid_ = 0;  ///< by the execution thread, before any command
+  PiMutex mutex_;  ///< a lowered thread must not hold up the management thread
+  bool lowered_ XAUTO_GUARDED_BY(mutex_) = false;
+  bool runs_ XAUTO_GUARDED_BY(mutex_) = false;  ///< a job that was admitted
 };
 
 }  // namespace

@@ -27,8 +27,9 @@ xauto::Result<xauto::coord::ServerOptions> options_for(const std::string& xpu, i
     return xauto::fail(xauto::ErrorCode::kInvalid, "is not an XPU of the platform", xpu);
   xauto::coord::ServerOptions options;
   options.xpu = xpu;
-  options.discipline = xauto::xpu::discipline_of(
-      session.platform.xpus[static_cast<std::size_t>(index)], session.emulated(index), session.cpu_by_keys);
+  options.discipline =
+      xauto::xpu::discipline_of(session.platform.xpus[static_cast<std::size_t>(index)],
+                                session.emulated(index), session.cpu_by_keys);
   options.by_keys = session.keys.has_value();
   for (const auto& xnode : session.app.xnodes) options.xnodes.push_back(xnode.name);
   for (const auto& [u, v] : session.policy.order)

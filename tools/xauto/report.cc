@@ -54,17 +54,16 @@ std::optional<std::uint64_t> deadline_misses(const RunFlags& flags, const Policy
 /// Chains of an app of version 2, each beside what is claimed of it.
 std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
   const auto claims = key_claims_of(flags, run);
-  std::string out = fmt::format("\n  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", run.name,
-                                "p50", "p99", "max", "worst case", "bound", "deadline", "missed",
-                                "n");
+  std::string out =
+      fmt::format("\n  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", run.name, "p50", "p99",
+                  "max", "worst case", "bound", "deadline", "missed", "n");
   for (std::size_t i = 0; i < run.report.routes.size(); ++i) {
     const runtime::RouteReport& r = run.report.routes[i];
     const Latency l = summarise(r.latency_us);
     const ChainClaim* claim =
         claims && i < claims->chains.size() ? &claims->chains[i].claim : nullptr;
     out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}{}\n", r.name,
-                       in_ms(l.p50_us, l.count), in_ms(l.p99_us, l.count),
-                       in_ms(l.max_us, l.count),
+                       in_ms(l.p50_us, l.count), in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count),
                        claim != nullptr ? in_ms(claim->worst_case_us, 1) : "-",
                        claim != nullptr ? in_ms(claim->lower_bound_us, 1) : "-",
                        r.deadline_us ? in_ms(*r.deadline_us, 1) : "",

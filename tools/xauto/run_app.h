@@ -78,7 +78,7 @@ struct PolicyRun {
   runtime::Scheduling scheduling = runtime::Scheduling::kXAuto;
   std::optional<Policy> policy;   ///< none for ros2; of version 2: assignment_of(keys)
   std::optional<KeyPolicy> keys;  ///< of an app of version 2
-  solver::Simulation predicted;  ///< of version 1: of one release; of version 2 empty
+  solver::Simulation predicted;   ///< of version 1: of one release; of version 2 empty
   // Filled in by `execute`.
   runtime::RunReport report;
   launch::Outcome outcome;

@@ -64,8 +64,8 @@ std::string counted_overruns(const PolicyRun& run) {
   for (const runtime::XNodeReport& x : run.report.xnodes) {
     jobs += x.jobs;
     count += x.overruns;
-    if (x.overruns > 0 && (worst == nullptr || x.longest_us - x.budget_us >
-                                                   worst->longest_us - worst->budget_us))
+    if (x.overruns > 0 &&
+        (worst == nullptr || x.longest_us - x.budget_us > worst->longest_us - worst->budget_us))
       worst = &x;
   }
   if (worst == nullptr) return {};

@@ -442,8 +442,7 @@ class ProtocolExplorer {
           if (runs) fail("a job runs before its order predecessors have finished");
           continue;
         }
-        if (top < 0 ||
-            t.job.key < task(s.modules[static_cast<std::size_t>(top)], top).job.key)
+        if (top < 0 || t.job.key < task(s.modules[static_cast<std::size_t>(top)], top).job.key)
           top = static_cast<int>(m);
       }
       if (top < 0) continue;

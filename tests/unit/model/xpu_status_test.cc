@@ -7,16 +7,15 @@ namespace xauto {
 namespace {
 
 TEST(XpuStatus, ComesBackAsItWent) {
-  const XpuStatus status{
-      "gpu\"0",
-      42,
-      Discipline::kKernel,
-      true,
-      7,
-      9,
-      {{"a@gpu0", "idle", "", 0, 0, 0, ""},
-       {"b@gpu0", "suspended", "b.infer\n", UINT32_MAX, INT64_MIN, 5, "c.infer"},
-       {"d@gpu0", "running", "d.infer", 3, 0, 5, "", -7}}};
+  const XpuStatus status{"gpu\"0",
+                         42,
+                         Discipline::kKernel,
+                         true,
+                         7,
+                         9,
+                         {{"a@gpu0", "idle", "", 0, 0, 0, ""},
+                          {"b@gpu0", "suspended", "b.infer\n", UINT32_MAX, INT64_MIN, 5, "c.infer"},
+                          {"d@gpu0", "running", "d.infer", 3, 0, 5, "", -7}}};
   const auto parsed = Json::parse(to_json(status).dump());
   ASSERT_TRUE(parsed);
   const auto back = parse_xpu_status(*parsed);

@@ -36,7 +36,8 @@ class Example {
     app.sources = {{"front", {100'000, 3}, 2000, 0, 0},
                    {"rear", {100'000, 3}, 5000, 0, 0},
                    {"tick", {20'000}, 0, 0, 0}};
-    app.xnodes = {{"A1", "A", {{"cpu", 1000}}, {0, 1}}, {"B1", "B", {{"cpu", 1000}}},
+    app.xnodes = {{"A1", "A", {{"cpu", 1000}}, {0, 1}},
+                  {"B1", "B", {{"cpu", 1000}}},
                   {"C1", "C", {{"cpu", 1000}}, {2}}};
     app.edges = {{0, 1}};
     app.samples = {{1, 2}};
@@ -62,8 +63,9 @@ class Example {
     spec->name = name;
     spec->make_state = [] { return std::make_shared<int>(); };
     auto node = detail::make_xnode(std::string(name) + "1");
-    detail::add_impl(*node, XPU::CPU, [](auto&&...) { return SchedHandle::gate(); },
-                     [](auto&&...) { return Status(); });
+    detail::add_impl(
+        *node, XPU::CPU, [](auto&&...) { return SchedHandle::gate(); },
+        [](auto&&...) { return Status(); });
     spec->nodes.push_back(node);
     for (const std::string& input : inputs)
       spec->inputs.push_back(*detail::topic_spec(Topic<int>(input)));

@@ -20,12 +20,12 @@ int priority_of(int tid) {
 }
 
 TEST(CpuByKeys, LowersTheExecutionThreadBelowAllThatAreAdmittedAndRaisesItAgain) {
-  if (rt::highest_fifo() < 20) GTEST_SKIP() << rt::fifo_hint();
+  if (rt::highest_fifo() < kCpuAsks) GTEST_SKIP() << rt::fifo_hint();
   auto backend = make_cpu_by_keys({"cpu0", XPU::CPU, 0}).value();
   std::promise<int> attached;
   std::promise<void> over;
   std::thread execution([&] {
-    ASSERT_TRUE(rt::set_fifo(17));
+    ASSERT_TRUE(rt::set_fifo(kCpuAsks));
     EXPECT_TRUE(backend->attach(SchedHandle::thread()));
     attached.set_value(gettid());
     over.get_future().wait();
@@ -33,21 +33,29 @@ TEST(CpuByKeys, LowersTheExecutionThreadBelowAllThatAreAdmittedAndRaisesItAgain)
   const int tid = attached.get_future().get();
   const SchedHandle handle = SchedHandle::thread();
   EXPECT_TRUE(backend->restore(handle)) << "what runs may be resumed";
-  EXPECT_EQ(priority_of(tid), 17);
+  EXPECT_EQ(priority_of(tid), kCpuAsks);
   EXPECT_TRUE(backend->preempt(handle));
-  EXPECT_EQ(priority_of(tid), 1);
-  EXPECT_TRUE(backend->preempt(handle)) << "what is suspended may be suspended";
+  EXPECT_EQ(priority_of(tid), kCpuAsks) << "it has no job yet; its START must not wait";
+  backend->admitted();
+  EXPECT_EQ(priority_of(tid), kCpuLowered) << "it was taken before it came to run";
   EXPECT_TRUE(backend->restore(handle));
-  EXPECT_EQ(priority_of(tid), 17);
+  EXPECT_EQ(priority_of(tid), kCpuAdmitted);
+  EXPECT_TRUE(backend->preempt(handle));
+  EXPECT_TRUE(backend->preempt(handle)) << "what is suspended may be suspended";
+  EXPECT_EQ(priority_of(tid), kCpuLowered);
+  backend->finishing();
+  EXPECT_EQ(priority_of(tid), kCpuAsks);
+  EXPECT_TRUE(backend->restore(handle));
+  EXPECT_EQ(priority_of(tid), kCpuAsks) << "late: it is at its next START";
   over.set_value();
   execution.join();
-  EXPECT_FALSE(backend->preempt(handle)) << "the thread is gone";
 }
 
 TEST(CpuByKeys, TakesAHandleOfAThreadAlone) {
   auto backend = make_cpu_by_keys({"cpu0", XPU::CPU, 0}).value();
   EXPECT_TRUE(backend->attach(SchedHandle::gate()));
-  EXPECT_FALSE(backend->attach(SchedHandle::custom([] { return Status(); }, [] { return Status(); })));
+  EXPECT_FALSE(
+      backend->attach(SchedHandle::custom([] { return Status(); }, [] { return Status(); })));
 }
 
 }  // namespace
