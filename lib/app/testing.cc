@@ -120,7 +120,10 @@ struct Fire::Data {
   [[nodiscard]] Status exec(const Input& input, Outcome::Data& outcome);
 };
 
-Fire::Fire(std::shared_ptr<detail::XModuleSpec> module) : data_(std::make_unique<Data>()) {
+// By value: their headers are the ABI.
+Fire::Fire(
+    std::shared_ptr<detail::XModuleSpec> module)  // NOLINT(performance-unnecessary-value-param)
+    : data_(std::make_unique<Data>()) {
   data_->module = *module;
   for (const auto& node : data_->module.nodes) data_->nodes.push_back({node.get(), nullptr, {}});
   data_->topics = data_->module.inputs;
@@ -149,6 +152,7 @@ Fire& Fire::on(const std::string& xnode, const XPU& type) {
   return *this;
 }
 
+// NOLINTNEXTLINE(performance-unnecessary-value-param)
 void Fire::put(detail::TopicHandle topic, std::shared_ptr<const void> message) {
   for (std::size_t i = 0; i < data_->topics.size(); ++i)
     if (const detail::TopicSpec& input = data_->topics[i]; input.name == topic->name) {

@@ -158,7 +158,7 @@ bool ModuleRuntime::matched(std::vector<Lost>& lost) {
   return false;
 }
 
-/// By source, the oldest of what this activation is made from. Called with the mutex held.
+/// By source, the oldest of what this activation is made from.
 void ModuleRuntime::gather_origins() {
   auto origins = std::make_shared<detail::Origins>();
   origins->fill(0);
@@ -182,14 +182,15 @@ bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
   for (empty_ = 0; empty_ < queues_.size() && !queues_[empty_].waiting.empty();) ++empty_;
   if (empty_ < queues_.size()) return false;
   empty_ = 0;
-  std::size_t oldest = 0;
-  const auto released_ns = [&](std::size_t i) {
-    return queues_[i].waiting.front().origin_ns - shift_ns_[i];
-  };
-  for (std::size_t i = 1; i < queues_.size(); ++i)
-    if (released_ns(i) < released_ns(oldest)) oldest = i;
-  const std::uint64_t sequence = queues_[oldest].waiting.front().sequence;
-  InputAccess::stamp(input_, released_ns(oldest), sequence);
+  std::int64_t released_ns = INT64_MAX;
+  std::uint64_t sequence = 0;
+  for (std::size_t i = 0; i < queues_.size(); ++i) {
+    const detail::Envelope& first = queues_[i].waiting.front();
+    if (first.origin_ns - shift_ns_[i] >= released_ns) continue;
+    released_ns = first.origin_ns - shift_ns_[i];
+    sequence = first.sequence;
+  }
+  InputAccess::stamp(input_, released_ns, sequence);
   std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
   for (std::size_t i = 0; i < queues_.size(); ++i) {
     messages[i] = std::move(queues_[i].waiting.front());
@@ -205,14 +206,14 @@ bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
 
 void ModuleRuntime::begin(std::int64_t now_ns) {
   InputAccess::begin(input_, now_ns);
-  if (tells_origins_ && module_.samples.empty()) gather_origins();
-  if (module_.samples.empty()) return;
-  const Guard lock(mutex_);
-  std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
-  for (std::size_t i = 0; i < newest_.size(); ++i) {
-    const std::int64_t limit_ns = module_.spec->samples[i].max_age_ns;
-    const bool fresh = limit_ns == 0 || now_ns - newest_[i].origin_ns <= limit_ns;
-    messages[newest_from_ + i] = fresh ? newest_[i] : detail::Envelope{};
+  if (!module_.samples.empty()) {
+    const Guard lock(mutex_);
+    std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
+    for (std::size_t i = 0; i < newest_.size(); ++i) {
+      const std::int64_t limit_ns = module_.spec->samples[i].max_age_ns;
+      const bool fresh = limit_ns == 0 || now_ns - newest_[i].origin_ns <= limit_ns;
+      messages[newest_from_ + i] = fresh ? newest_[i] : detail::Envelope{};
+    }
   }
   if (tells_origins_) gather_origins();
 }

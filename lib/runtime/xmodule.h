@@ -120,7 +120,7 @@ class ModuleRuntime {
       XAUTO_REQUIRES(mutex_);
   void resolve(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] bool matched(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
-  void gather_origins() XAUTO_REQUIRES(mutex_);
+  void gather_origins();
   void finish_abandoned();
   bool take_if_fresh(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   void put_off(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
