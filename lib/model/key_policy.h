@@ -35,7 +35,9 @@ struct ChainClaim {
   /// Bounds the reduced reaction time: from the nominal release of the source's message to the end
   /// of the first job of the chain's last XNode that knows it or a newer one.
   std::int64_t worst_case_us = 0;
-  std::int64_t lower_bound_us = 0;  ///< proven: no KeyPolicy has a shorter worst case
+  /// Proven: of no KeyPolicy can a shorter worst case be certified by docs/steady-state.md. Where the
+  /// chain enters another clock, executions may stay below it.
+  std::int64_t lower_bound_us = 0;
   bool optimal = false;             ///< both are equal
   bool operator==(const ChainClaim&) const = default;
 };

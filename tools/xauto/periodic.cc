@@ -297,8 +297,8 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
               << chain_table(app, answer.policy)
               << fmt::format(
                      "\n  worst case: {}.\n  The check has derived these worst cases again. Lower "
-                     "bounds are the solver's alone: no policy of keys that\n  keeps to the "
-                     "pins, forbids and groups has a shorter worst case.\n",
+                     "bounds are the solver's alone: of no policy of keys that\n  keeps to the "
+                     "pins, forbids and groups can a shorter worst case be certified this way.\n",
                      kKeyScope);
     std::cout << what_if_table(app, answer.policy, ifs);
     if (late)
