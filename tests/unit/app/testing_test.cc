@@ -2,6 +2,7 @@
 // xauto/testing.h, as a test of an app would use it.
 #include <chrono>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include <gtest/gtest.h>
@@ -116,6 +117,45 @@ TEST_F(TestingTest, ErrorsOfExecNameTheXNodeAndTheNextFiringWorks) {
   EXPECT_EQ(good->get(line), "a3#2");
 }
 
+/// 10 ms of virtual time pass in each firing.
+TEST(Testing, WhatIsSampledMayBeMissingAndGrowsOld) {
+  struct Looked {
+    int speed = -1;
+    std::chrono::nanoseconds age{};
+  };
+  const Topic<int> tick("tick"), speed("speed"), out("out");
+  XNode<Looked> node("look");
+  auto context = std::make_shared<std::optional<emu::Context>>();
+  node.add_impl(
+      XPU::CPU,
+      [context](const XpuId& xpu) {
+        *context = std::move(*emu::Context::open(xpu));
+        return (*context)->handle();
+      },
+      [=](Looked& seen, const Input& input) -> Status {
+        const int* newest = input.sampled(speed);
+        seen = Looked{newest == nullptr ? -1 : *newest, input.age(speed)};
+        return (*context)->run(10ms);
+      });
+  XModule<Looked> module("Look");
+  module.add_node(node)
+      .add_input_topic(tick)
+      .add_sampled_topic(speed, 15ms)
+      .add_output_topic(out, &Looked::speed);
+  testing::Fire fire(module);
+  fire.put(tick, 1);
+  const auto next = [&] {
+    const auto outcome = fire.run();
+    EXPECT_TRUE(outcome) << outcome.error().to_string();
+    return outcome->get(out);
+  };
+  EXPECT_EQ(next(), -1) << "nothing has come, and nobody waits for it";
+  fire.put(speed, 7);
+  EXPECT_EQ(next(), 7);
+  EXPECT_EQ(next(), 7) << "10 ms old";
+  EXPECT_EQ(next(), -1) << "20 ms old: beyond its limit";
+}
+
 TEST_F(TestingTest, MistakesOfTheTestAreToldTogether) {
   testing::Fire fire(module);
   const auto outcome = fire.on("detect", XPU::DLA)
@@ -127,7 +167,7 @@ TEST_F(TestingTest, MistakesOfTheTestAreToldTogether) {
   EXPECT_EQ(outcome.error().code, ErrorCode::kInvalid);
   for (const char* told :
        {"no implementation for 'dla'", "no XNode 'detekt'", "topic 'word' carries",
-        "topic 'other' is not an input", "topic 'number' has no message"})
+        "topic 'other' is neither an input", "topic 'number' has no message"})
     EXPECT_NE(outcome.error().what.find(told), std::string::npos) << outcome.error().what;
 }
 
