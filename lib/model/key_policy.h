@@ -38,7 +38,7 @@ struct ChainClaim {
   /// Proven: of no KeyPolicy can a shorter worst case be certified by docs/steady-state.md. Where the
   /// chain enters another clock, executions may stay below it.
   std::int64_t lower_bound_us = 0;
-  bool optimal = false;             ///< both are equal
+  bool optimal = false;  ///< both are equal
   bool operator==(const ChainClaim&) const = default;
 };
 

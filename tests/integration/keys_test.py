@@ -11,7 +11,7 @@ import unittest
 from fractions import Fraction
 
 import pftrace
-from common import BIN, SOURCE, xauto
+from common import BIN, QUEUES, SOURCE, xauto
 
 APP = SOURCE / "examples/driving/steady.json"
 PROGRAM = str(BIN / "driving-steady")
@@ -29,10 +29,14 @@ class Keys(unittest.TestCase):
                      "--time-limit-s", 60, "--out", cls.folder / "policy.json")
         assert done.returncode == 0, done.stdout + done.stderr
         cls.policy = json.loads((cls.folder / "policy.json").read_text())
+        # A machine that stands still loses nothing.
+        (cls.folder / "queues.json").write_text(json.dumps(
+            {"schema": "xauto.deployment", "version": 1, "app": "driving-steady", **QUEUES}))
 
     def run_app(self, *flags, app=APP, status=0, program=PROGRAM):
         named = () if "--policy" in flags else ("--policy", self.folder / "policy.json")
-        done = xauto("run", "--app", app, "--platform", "small", "--emulate", "--json", *named, *flags, "--", program)
+        done = xauto("run", "--app", app, "--platform", "small", "--emulate", "--json", "--deployment",
+                     self.folder / "queues.json", *named, *flags, "--", program)
         self.assertEqual(done.returncode, status, done.stderr)
         return done
 
