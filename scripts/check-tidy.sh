@@ -22,5 +22,10 @@ else
 fi
 [ ${#files[@]} -gt 0 ] || exit 0
 # Each file's own command line: the other presets compile twelve at a time.
-[ -f build-debug/compile_commands.json ] || cmake --preset debug >/dev/null
+# Configured anew where it does not know a file yet.
+for file in "${files[@]}"; do
+  grep -qsF "/$file" build-debug/compile_commands.json && continue
+  cmake --preset debug >/dev/null
+  break
+done
 printf '%s\n' "${files[@]}" | xargs -P "${JOBS:-2}" -n 1 clang-tidy --quiet -p build-debug 2>/dev/null

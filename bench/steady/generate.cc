@@ -70,12 +70,7 @@ class Generator {
     }
     complete_modules(app());
     add_samples();
-    scale();
-    choose_flights();
-    choose_chains();
-    const Status valid = validate(app());
-    XAUTO_CHECK(valid.has_value());
-    return std::move(made_);
+    return finished();
   }
 
   SteadyCase make(const std::string& name, const std::vector<Share>& shares) {
@@ -96,6 +91,11 @@ class Generator {
     // Pairs far apart in the list have different rates.
     for (std::size_t k = 0; k < firsts.size() / 2; ++k)
       app().samples.emplace_back(firsts[k + firsts.size() / 2] - 1, firsts[k]);
+    return finished();
+  }
+
+ private:
+  SteadyCase finished() {
     scale();
     choose_flights();
     choose_chains();
@@ -103,8 +103,6 @@ class Generator {
     XAUTO_CHECK(valid.has_value());
     return std::move(made_);
   }
-
- private:
   AppSpec& app() { return made_.app; }
   [[nodiscard]] std::int64_t between(std::int64_t low, std::int64_t high) {
     return low +

@@ -167,13 +167,15 @@ class Input {
     return std::static_pointer_cast<const T>(sample(topic.name(), typeid(T)));
   }
   /// How old the message of an input or sampled topic was when the activation began to run: since
-  /// the release at its sensor, the oldest of those that it was made from. Negative: there is none.
+  /// the release at the sensor, the oldest of those that fired the modules which made it. What these
+  /// modules sampled may be older. Negative: there is none.
   /// Throws std::logic_error if it is neither an input nor a sampled topic of this module.
   template <class T>
   [[nodiscard]] std::chrono::nanoseconds age(const Topic<T>& topic) const {
     return age_of(topic.name());
   }
-  /// Release time of the oldest message of this activation at its sensor, CLOCK_MONOTONIC.
+  /// Release time of the oldest message of this activation at its sensor, CLOCK_MONOTONIC. In a run
+  /// by keys the nominal one, of the earliest source of the module's component.
   [[nodiscard]] std::chrono::nanoseconds origin() const;
   /// Number of that release, from 0 on.
   [[nodiscard]] std::uint64_t sequence() const;

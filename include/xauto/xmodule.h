@@ -70,7 +70,7 @@ class XModule {
   /// The module's XNodes may look at the newest message of this topic (Input::sampled). It fires
   /// nobody, and nobody waits for it: so modules of different rates meet, and cycles are possible.
   /// It is read when the first XNode of an activation starts. One that is older than `max_age`
-  /// then, counted from its sensor's release, is not shown; 0: whatever its age.
+  /// then (Input::age) is not shown; 0: whatever its age.
   template <class T>
   XModule& add_sampled_topic(const Topic<T>& topic, std::chrono::nanoseconds max_age = {}) {
     detail::add_sample(*spec_, detail::topic_spec(topic), max_age);

@@ -2,11 +2,17 @@
 // What our numbers are about, in words. Said wherever people see the number, in one way.
 #pragma once
 
+#include <cstdint>
+
 namespace xauto {
 
 /// Policy::worst_case_us bounds the end-to-end latency of ...
 inline constexpr const char* kWorstCaseScope =
     "a release that meets no other, its sources in phase, every job within its WCET";
+
+/// What an emulated job and chain may take beside what was claimed: messages to the emulator, and
+/// the sleep that it measures by. Of a job kEmulatorUs on top.
+inline constexpr std::int64_t kEmulatorPct = 2, kEmulatorUs = 100;
 
 /// ChainClaim::worst_case_us bounds the reduced reaction time of ... Where `max_in_flight`, holds or
 /// the order of one XNode's activations are not kept, or somebody else uses an XPU, it says nothing.

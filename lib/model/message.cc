@@ -17,6 +17,19 @@ std::string demangle(const char* name) {
   return result;
 }
 
+/// Which of the topics it is. Throws where it is none; `type`: what it has to carry, null: whatever.
+std::size_t place_of(const detail::InputData& data, const std::string& topic,
+                     const std::type_info* type, const char* what) {
+  for (std::size_t i = 0; data.topics != nullptr && i < data.topics->size(); ++i) {
+    const detail::TopicSpec& known = (*data.topics)[i];
+    if (known.name != topic) continue;
+    if (type != nullptr && known.type != *type)
+      throw std::logic_error("topic '" + topic + "' carries " + known.type_name);
+    return i;
+  }
+  throw std::logic_error("topic '" + topic + "' is not " + what + " this XModule");
+}
+
 }  // namespace
 
 namespace detail {
@@ -53,38 +66,24 @@ Input::~Input() = default;
 
 const std::shared_ptr<const void>& Input::find(const std::string& topic,
                                                const std::type_info& type) const {
-  for (std::size_t i = 0; data_->topics != nullptr && i < data_->topics->size(); ++i) {
-    const detail::TopicSpec& known = (*data_->topics)[i];
-    if (known.name != topic) continue;
-    if (known.type != type)
-      throw std::logic_error("topic '" + topic + "' carries " + known.type_name);
-    if (i >= data_->inputs)
-      throw std::logic_error("topic '" + topic + "' is sampled: Input::sampled reads it");
-    return data_->messages[i].message;
-  }
-  throw std::logic_error("topic '" + topic + "' is not an input of this XModule");
+  const std::size_t at = place_of(*data_, topic, &type, "an input of");
+  if (at >= data_->inputs)
+    throw std::logic_error("topic '" + topic + "' is sampled: Input::sampled reads it");
+  return data_->messages[at].message;
 }
 
 const std::shared_ptr<const void>& Input::sample(const std::string& topic,
                                                  const std::type_info& type) const {
-  for (std::size_t i = data_->inputs; data_->topics != nullptr && i < data_->topics->size(); ++i) {
-    const detail::TopicSpec& known = (*data_->topics)[i];
-    if (known.name != topic) continue;
-    if (known.type != type)
-      throw std::logic_error("topic '" + topic + "' carries " + known.type_name);
-    return data_->messages[i].message;
-  }
-  throw std::logic_error("topic '" + topic + "' is not sampled by this XModule");
+  const std::size_t at = place_of(*data_, topic, &type, "sampled by");
+  if (at < data_->inputs)
+    throw std::logic_error("topic '" + topic + "' is not sampled by this XModule");
+  return data_->messages[at].message;
 }
 
 std::chrono::nanoseconds Input::age_of(const std::string& topic) const {
-  for (std::size_t i = 0; data_->topics != nullptr && i < data_->topics->size(); ++i) {
-    if ((*data_->topics)[i].name != topic) continue;
-    const detail::Envelope& read = data_->messages[i];
-    return std::chrono::nanoseconds(read.message == nullptr ? -1
-                                                            : data_->began_ns - read.origin_ns);
-  }
-  throw std::logic_error("topic '" + topic + "' is neither an input nor sampled by this XModule");
+  const detail::Envelope& read =
+      data_->messages[place_of(*data_, topic, nullptr, "an input of, nor sampled by,")];
+  return std::chrono::nanoseconds(read.message == nullptr ? -1 : data_->began_ns - read.origin_ns);
 }
 
 std::chrono::nanoseconds Input::origin() const {

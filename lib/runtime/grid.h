@@ -28,6 +28,7 @@ struct Grid {
     std::int64_t jitter_ns = 0;  ///< what app.json states; of version 1 it says nothing
     /// Of release `k`, after the start. In whole nanoseconds, rounded down; no drift adds up.
     [[nodiscard]] std::int64_t due_ns(std::uint64_t k) const;
+    [[nodiscard]] std::int64_t period_ns() const { return due_ns(1) - due_ns(0); }
   };
   /// The app is of version 2: its sources, chains and offsets are app.json's.
   bool periodic = false;

@@ -76,11 +76,9 @@ coord::OrderPairs order_in_force(const Session& session, const Graph& graph, Pla
   return order;
 }
 
-/// Beyond it a job broke the claims of a policy of keys. What is emulated takes the emulator's own
-/// time beside: messages to it, and the sleep that it measures by.
+/// Beyond it a job broke the claims of a policy of keys.
 std::int64_t watched_ns(std::int64_t wcet_us, bool emulated) {
-  constexpr std::int64_t kPct = 2, kEachUs = 100;
-  return emulated ? wcet_us * (100 + kPct) * 10 + kEachUs * 1000 : wcet_us * 1000;
+  return emulated ? wcet_us * (100 + kEmulatorPct) * 10 + kEmulatorUs * 1000 : wcet_us * 1000;
 }
 
 /// What a policy of keys takes for granted and this run does not keep by the way it was set up.
@@ -89,17 +87,19 @@ std::vector<std::string> unkept_of_keys(const detail::AppSpecErased& app, const 
   if (session.lockstep) lines.emplace_back("each release waits for the one before (--lockstep)");
   if (!session.input.empty())
     lines.emplace_back("a recording is released as it was recorded, not as app.json says");
-  for (const detail::SourceSpec& source : app.sources)
-    if (source.inlet != nullptr)
-      lines.push_back("source '" + source.topic.name +
-                      "' is pushed: its releases are taken as they come");
-  for (const XNodeSpec& xnode : session.app.xnodes)
-    if (const auto said = session.deployment.of(xnode.module).overload;
+  for (const detail::SourceSpec& source : app.sources) {
+    const auto to = session.deployment.transport.find(source.topic.name);
+    const bool fed =
+        to != session.deployment.transport.end() && to->second == TopicTransport::kCycloneDdsFeed;
+    if (source.inlet != nullptr || fed)
+      lines.push_back("source '" + source.topic.name + "' is " + (fed ? "fed" : "pushed") +
+                      ": its releases are taken as they come");
+  }
+  for (const ModuleSpec& module : session.app.modules)
+    if (const auto said = session.deployment.of(module.name).overload;
         said && said->kind != Overload::Kind::kQueue)
-      lines.push_back("XModule '" + xnode.module + "' drops what it has no time for (" +
+      lines.push_back("XModule '" + module.name + "' drops what it has no time for (" +
                       said->to_string() + ")");
-  std::sort(lines.begin(), lines.end());
-  lines.erase(std::unique(lines.begin(), lines.end()), lines.end());
   return lines;
 }
 
@@ -143,9 +143,14 @@ Placing Placing::of(const Session& session, const Graph& graph) {
       limits =
           Limits::of(session.deployment, graph.modules[static_cast<std::size_t>(node.module)].name,
                      node.name, session.app.xnodes[xnode].wcet_on(type).value_or(0));
-      if (session.keys && limits.budget_ns == 0)
-        limits.budget_ns =
+      if (session.keys) {
+        const std::int64_t watched =
             watched_ns(*session.app.xnodes[xnode].wcet_on(type), session.emulated(at));
+        if (limits.budget_ns > watched)
+          placing.unkept.push_back("the deployment's budget of XNode '" + node.name +
+                                   "' is longer than its WCET, so not every overrun is seen");
+        if (limits.budget_ns == 0) limits.budget_ns = watched;
+      }
     }
     placing.limits.push_back(limits);
   }
@@ -156,7 +161,7 @@ void Placing::compare_with_certificate(const detail::AppSpecErased& app, const S
                                        const Graph& graph) {
   if (session.scheduling != Scheduling::kXAuto) return;
   if (session.keys) {
-    unkept = unkept_of_keys(app, session);
+    for (std::string& line : unkept_of_keys(app, session)) unkept.push_back(std::move(line));
     for (std::string& line : unkept_by_xpus(session)) unkept.push_back(std::move(line));
     for (const std::string& why : unkept)
       log::warn("the policy's worst cases do not hold in this run: {}", why);

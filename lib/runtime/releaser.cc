@@ -109,7 +109,6 @@ Status Releaser::release_periodic() {
   struct Source {
     int topic;
     const Grid::Source* grid;
-    std::int64_t period_ns;
     std::uint64_t sequence = 0;
     /// Of its next release, from the first one of all on.
     [[nodiscard]] std::int64_t due_ns() const { return grid->due_ns(sequence); }
@@ -123,9 +122,8 @@ Status Releaser::release_periodic() {
     if (spec.inlet != nullptr) continue;
     const Grid::Source& grid =
         context_.grid.sources[static_cast<std::size_t>(context_.graph.topics[t].source)];
-    const std::int64_t period_ns = grid.due_ns(1) - grid.due_ns(0);
-    sources.push_back({static_cast<int>(t), &grid, period_ns});
-    slowest_ns = std::max(slowest_ns, period_ns);
+    sources.push_back({static_cast<int>(t), &grid});
+    slowest_ns = std::max(slowest_ns, grid.period_ns());
   }
   pushed_.assign(context_.graph.topics.size(), 0);
   // Without a polled source there is no time grid: pushes are counted.
@@ -156,7 +154,7 @@ Status Releaser::release_periodic() {
       if (wiring_.interop() != nullptr &&
           wiring_.interop()->feeds(static_cast<std::size_t>(s.topic))) {
         fed_period_ns =
-            s.sequence == 0 ? INT64_MAX : s.period_ns;  // nothing to do before the first
+            s.sequence == 0 ? INT64_MAX : s.grid->period_ns();  // nothing to do before the first
         fed.push_back({s.topic, s.sequence++, nullptr, 0});
         continue;
       }

@@ -41,8 +41,7 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
     route.counts = std::move(counts);
     route.module = graph.nodes[static_cast<std::size_t>(node)].module;
     route.source = source;
-    if (grid.periodic)
-      route.period_ns = grid.sources[source].due_ns(1) - grid.sources[source].due_ns(0);
+    if (grid.periodic) route.period_ns = grid.sources[source].period_ns();
     routes.routes_.push_back(std::move(route));
     routes.ends_[static_cast<std::size_t>(node)].push_back(routes.routes_.size() - 1);
   };
@@ -124,6 +123,8 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
   const Guard lock(*mutex_);
   for (const std::size_t index : ends_[static_cast<std::size_t>(node)]) {
     Route& route = routes_[index];
+    // Of an app of version 2 `origin_ns` is the component's release, which is not this source's.
+    if (route.period_ns > 0 && route.source >= detail::kMaxOrigins) continue;
     std::int64_t origin = origin_ns;
     if (origins != nullptr && route.source < origins->size()) origin = (*origins)[route.source];
     if (origin == 0) continue;  // nothing of this sensor is in it

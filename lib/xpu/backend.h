@@ -55,6 +55,9 @@ class Surroundings {
 /// What `init` returned for an emulated XPU: a context of the emulator's, or an error that says how
 /// the XPU becomes real.
 [[nodiscard]] Status check_emulated(const SchedHandle& handle);
+/// What `init` returned for a core: what computes in `exec`, or an error that says so
+/// (cpu_thread.cc).
+[[nodiscard]] Status check_thread(const SchedHandle& handle);
 /// A core of this machine (cpu_thread.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_cpu_thread(const XpuId& xpu);
 /// SCHED_FIFO priorities of the threads on a core that follows keys; who says START has kCpuAsks.

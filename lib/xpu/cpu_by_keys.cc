@@ -21,10 +21,7 @@ namespace {
 class CpuByKeys final : public Backend {
  public:
   Status attach(const SchedHandle& handle) override {
-    using Kind = SchedHandle::Kind;
-    if (handle.kind() != Kind::kThread && handle.kind() != Kind::kGate)
-      return fail(ErrorCode::kInvalid, "the scheduling handle is no thread's", {},
-                  "a CPU implementation computes in `exec` and returns SchedHandle::thread()");
+    XAUTO_TRY(check_thread(handle));
     tid_ = gettid();
     return {};
   }

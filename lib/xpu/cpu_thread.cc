@@ -9,12 +9,7 @@ namespace {
 
 class CpuThreadBackend final : public Backend {
  public:
-  Status attach(const SchedHandle& handle) override {
-    using Kind = SchedHandle::Kind;
-    if (handle.kind() == Kind::kThread || handle.kind() == Kind::kGate) return {};
-    return fail(ErrorCode::kInvalid, "the scheduling handle is no thread's", {},
-                "a CPU implementation computes in `exec` and returns SchedHandle::thread()");
-  }
+  Status attach(const SchedHandle& handle) override { return check_thread(handle); }
   Status preempt(const SchedHandle&) override {
     return fail(ErrorCode::kUnavailable, "the kernel preempts threads, nobody else");
   }
@@ -23,6 +18,13 @@ class CpuThreadBackend final : public Backend {
 };
 
 }  // namespace
+
+Status check_thread(const SchedHandle& handle) {
+  using Kind = SchedHandle::Kind;
+  if (handle.kind() == Kind::kThread || handle.kind() == Kind::kGate) return {};
+  return fail(ErrorCode::kInvalid, "the scheduling handle is no thread's", {},
+              "a CPU implementation computes in `exec` and returns SchedHandle::thread()");
+}
 
 Result<std::unique_ptr<Backend>> make_cpu_thread(const XpuId&) {
   return std::unique_ptr<Backend>(std::make_unique<CpuThreadBackend>());

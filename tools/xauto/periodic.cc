@@ -302,9 +302,10 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                      kKeyScope);
     std::cout << what_if_table(app, answer.policy, ifs);
     if (late)
-      std::cout << (never ? "\n  A deadline is missed, and no policy of keys meets it: proven, by "
-                            "its lower bound.\n"
-                          : "\n  A deadline is missed. That no policy meets it is not proven.\n");
+      std::cout << (never
+                        ? "\n  A deadline is missed, and of no policy of keys can it be certified: "
+                          "proven, by its lower bound.\n"
+                        : "\n  A deadline is missed. That no policy meets it is not proven.\n");
   }
   std::cout.flush();
   if (!out.empty()) outputs.write(out, to_json(answer.policy, app, platform));

@@ -415,7 +415,7 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
         std::find(lost.begin(), lost.end(), flags.spec.xpus[x].id) != lost.end())
       scene.rows[static_cast<std::size_t>(scene.row_of[x])].exclusive = false;
   scene.modules = std::move(modules);
-  if (run.policy)
+  if (run.policy && !run.keys)  // keys are no priorities
     for (const Placement& p : run.policy->placements) scene.priorities.push_back(p.priority);
   scene.plan = run.predicted.slices;
   return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());

@@ -335,7 +335,7 @@ story::Panel panel_of(const RunFlags& flags, const PolicyRun& run) {
     panel.p99_us = run.latency.p99_us;
     panel.max_us = run.latency.max_us;
   }
-  panel.predicted_us = run.predicted.makespan;
+  if (flags.app.version == 1) panel.predicted_us = run.predicted.makespan;
   const runtime::Release* shown = nullptr;
   const trace::Recording& trace = run.outcome.trace;
   // What the trace no longer holds cannot be shown.

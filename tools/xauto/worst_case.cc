@@ -100,6 +100,9 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
     unmeasured += chain.count == 0 ? 1 : 0;
     claims.chains.push_back(std::move(chain));
   }
+  if (count < run.keys->chains.size())
+    claims.broken.push_back(fmt::format("{} of {} chains are not measured",
+                                        run.keys->chains.size() - count, run.keys->chains.size()));
   if (unmeasured > 0)
     claims.broken.push_back(fmt::format("{} of {} chains had no result", unmeasured, count));
   return claims;

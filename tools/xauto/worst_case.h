@@ -33,8 +33,6 @@ struct KeyClaims {
   std::vector<std::string> broken;   ///< as WorstCase
   bool exceeded = false;             ///< one of them is
 };
-/// On emulated XPUs a job takes what it was told and the emulator's own time, which grows with it.
-inline constexpr std::int64_t kEmulatorPct = 2;
 /// Nullopt where nothing was claimed.
 [[nodiscard]] std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& run);
 [[nodiscard]] std::string to_string(const KeyClaims& claims);
