@@ -4,7 +4,6 @@
 
 #include <cstdint>
 #include <memory>
-#include <optional>
 #include <stdexcept>
 #include <string>
 
@@ -30,18 +29,18 @@ using Module = xauto::XModule<State>;
 
 /// An implementation that keeps `xpu` busy for `us`.
 inline void add_emulated(Node& node, const xauto::XPU& xpu, int us) {
-  auto context = std::make_shared<std::optional<xauto::emu::Context>>();
+  using xauto::emu::Context;
   node.add_impl(
       xpu,
-      [context](const xauto::XpuId& id) {
-        auto opened = xauto::emu::Context::open(id);
+      [](const xauto::XpuId& id) {
+        auto opened = Context::open(id);
         if (!opened) throw std::runtime_error(opened.error().to_string());
-        *context = std::move(*opened);
-        return (*context)->handle();
+        const xauto::SchedHandle handle = opened->handle();
+        return xauto::own(std::make_unique<Context>(std::move(*opened)), handle);
       },
-      [context, us](State& state, const xauto::Input& input) {
+      [us](Context& context, State& state, const xauto::Input& input) {
         state.result.number = input.sequence();
-        return (*context)->run(std::chrono::microseconds(us));
+        return context.run(std::chrono::microseconds(us));
       });
 }
 

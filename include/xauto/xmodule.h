@@ -21,6 +21,7 @@ class Fire;
 namespace detail {
 
 struct XModuleSpec;
+inline constexpr int kMostInFlight = 64;
 /// Takes the message out of the state; made in `memory` if it is not null.
 using Take = std::function<std::shared_ptr<const void>(void* state, MessageMemory* memory)>;
 
@@ -31,20 +32,23 @@ void add_node(XModuleSpec& module, std::shared_ptr<XNodeSpecErased> node);
 void add_input(XModuleSpec& module, TopicHandle topic);
 void add_sample(XModuleSpec& module, TopicHandle topic, std::chrono::nanoseconds max_age);
 void add_output(XModuleSpec& module, TopicHandle topic, Take take);
+void set_in_flight(XModuleSpec& module, int activations);
 
 }  // namespace detail
 
 /// A module of an application: its XNodes run one after the other on the module's `State`, each on
 /// the XPU instance that the policy gives it. It fires when every input topic has a message newer
-/// than the last one it used; sampled topics have no say in it. One activation is in flight at a time; a message that arrives
-/// meanwhile waits, and a newer one replaces it (counted as dropped).
+/// than the last one it used; sampled topics have no say in it. One activation is in flight at a time
+/// unless `in_flight` says otherwise; a message that arrives meanwhile waits, and a newer one
+/// replaces it (counted as dropped).
 ///
 /// A handle: copies name the same module. `State` must be default-constructible, or a factory is
 /// given.
 template <class State>
 class XModule {
  public:
-  /// `name` must be unique in the app. The state is made by `State()`, once per run.
+  /// `name` must be unique in the app. The state is made by `State()`, once per run for each
+  /// activation that may be in flight.
   explicit XModule(std::string name)
       : XModule(std::move(name), [] { return std::make_shared<State>(); }) {}
   /// The same with a factory, for a State that is not default-constructible. It must not return
@@ -98,6 +102,18 @@ class XModule {
           else
             return detail::make_message<T>(memory, [&]() -> T { return make(from); });
         });
+    return *this;
+  }
+
+  /// The most activations that `in_flight` takes.
+  static constexpr int kMostInFlight = detail::kMostInFlight;
+  /// Up to `activations` at once, 1 to kMostInFlight: the next one starts while earlier ones are
+  /// under way. Each has a State of its own, and an `init` of each XNode on the XPU that it runs on;
+  /// so nothing in State may be carried from one activation to the next. Each XNode takes activations
+  /// in order, and results leave in order. A plan of version 2 may allow fewer (app.json's
+  /// `max_in_flight`).
+  XModule& in_flight(int activations) {
+    detail::set_in_flight(*spec_, activations);
     return *this;
   }
 

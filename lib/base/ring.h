@@ -19,6 +19,9 @@ class Ring {
   [[nodiscard]] T& front() { return items_[first_]; }
   [[nodiscard]] const T& front() const { return items_[first_]; }
 
+  /// Item `i` from the front; below `size()`.
+  [[nodiscard]] T& operator[](std::size_t i) { return items_[(first_ + i) & (items_.size() - 1)]; }
+
   void push_back(T item) {
     if (size_ == items_.size()) grow();
     items_[(first_ + size_) & (items_.size() - 1)] = std::move(item);

@@ -41,6 +41,8 @@ void add_node(XModuleSpec& module, std::shared_ptr<XNodeSpecErased> node) {
   module.nodes.push_back(std::move(node));
 }
 
+// By value: programs that were built before call them so.
+// NOLINTBEGIN(performance-unnecessary-value-param)
 void add_input(XModuleSpec& module, TopicHandle topic) {
   module.inputs.push_back(*topic);
 }
@@ -52,9 +54,19 @@ void add_sample(XModuleSpec& module, TopicHandle topic, std::chrono::nanoseconds
   module.samples.push_back({*topic, max_age.count()});
 }
 
+void set_in_flight(XModuleSpec& module, int activations) {
+  if (activations < 1 || activations > kMostInFlight)
+    module.misuse.push_back("XModule '" + module.name + "' allows " + std::to_string(activations) +
+                            " activations in flight; possible are 1 to " +
+                            std::to_string(kMostInFlight));
+  else
+    module.in_flight = activations;
+}
+
 void add_output(XModuleSpec& module, TopicHandle topic, Take take) {
   module.outputs.push_back({*topic, std::move(take)});
 }
+// NOLINTEND(performance-unnecessary-value-param)
 
 Status call(const std::vector<std::function<void()>>& callbacks, const char* which,
             const std::string& app) {

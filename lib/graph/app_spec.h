@@ -53,6 +53,7 @@ struct XModuleSpec {
   std::vector<TopicSpec> inputs;
   std::vector<SampleSpec> samples;
   std::vector<OutputSpec> outputs;
+  int in_flight = 1;  ///< activations that may be at once
   std::vector<std::string> misuse;
 };
 

@@ -82,6 +82,10 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
   profile.edges = read_pairs(root["edges"], index_by_name(profile.xnodes));
   if (root.has("samples"))
     profile.sampled = read_pairs(root["samples"], index_by_name(profile.xnodes));
+  if (root.has("in_flight"))
+    root["in_flight"].each_member(kMaxXNodes, [&](const std::string& module, const Reader& n) {
+      profile.in_flight[module] = n.integer(1, kMaxInFlight);
+    });
   XAUTO_TRY(context.status());
   XAUTO_TRY(in_file(validate(profile), origin));
   if (keys != nullptr) *keys = context.keys(document);
@@ -144,6 +148,7 @@ std::string to_json(const Profile& profile) {
   const auto name = [&](int i) { return profile.xnodes[static_cast<std::size_t>(i)].name; };
   document["edges"] = pairs_to_json(profile.edges, name);
   if (!profile.sampled.empty()) document["samples"] = pairs_to_json(profile.sampled, name);
+  if (!profile.in_flight.empty()) document["in_flight"] = profile.in_flight;
   return json_document::to_text(document);
 }
 

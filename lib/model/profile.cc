@@ -89,6 +89,17 @@ Status validate(const Profile& profile) {
       for (const int end : {(*pairs)[i].first, (*pairs)[i].second})
         if (end < 0 || static_cast<std::size_t>(end) >= profile.xnodes.size())
           return fail(ErrorCode::kInvalid, "names an unknown XNode", name + std::to_string(i));
+  for (const auto& [module, activations] : profile.in_flight) {
+    const std::string where = "/in_flight/" + module;
+    if (activations < 1 || activations > kMaxInFlight)
+      return fail(ErrorCode::kInvalid,
+                  std::to_string(activations) + " is not a number of activations, 1 to " +
+                      std::to_string(kMaxInFlight),
+                  where);
+    if (std::none_of(profile.xnodes.begin(), profile.xnodes.end(),
+                     [&name = module](const XNodeProfile& x) { return x.module == name; }))
+      return fail(ErrorCode::kInvalid, "no XNode is of that module", where);
+  }
   std::vector<char> has_predecessor(profile.xnodes.size(), 0);
   for (const auto& [u, v] : profile.edges) has_predecessor[static_cast<std::size_t>(v)] = 1;
   for (std::size_t i = 0; i < profile.xnodes.size(); ++i)
@@ -129,9 +140,13 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
     app.xnodes.push_back(std::move(spec));
   }
   XAUTO_TRY(validate(app));
-  if (profile.sampled.empty()) return app;
+  if (profile.sampled.empty() && profile.in_flight.empty()) return app;
   app.samples = profile.sampled;
-  return as_version_2(std::move(app));
+  XAUTO_ASSIGN(app, as_version_2(std::move(app)));
+  for (ModuleSpec& module : app.modules)
+    if (const auto at = profile.in_flight.find(module.name); at != profile.in_flight.end())
+      module.max_in_flight = at->second;
+  return app;
 }
 
 }  // namespace xauto

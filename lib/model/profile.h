@@ -72,10 +72,11 @@ struct Profile {
   ProfileConditions conditions;
   std::int64_t margin_pct = 20;  ///< WCET = max * (1 + margin)
   std::vector<XNodeProfile> xnodes;
-  std::vector<std::pair<int, int>> edges;         ///< as AppSpec::edges
-  std::vector<std::pair<int, int>> sampled = {};  ///< as AppSpec::samples
-  std::vector<SourceSpec> sources = {};           ///< as AppSpec::sources
-  std::string incomplete = {};                    ///< why it ended early; empty: it did not
+  std::vector<std::pair<int, int>> edges;              ///< as AppSpec::edges
+  std::vector<std::pair<int, int>> sampled = {};       ///< as AppSpec::samples
+  std::map<std::string, std::int64_t> in_flight = {};  ///< by module; of others it is 1
+  std::vector<SourceSpec> sources = {};                ///< as AppSpec::sources
+  std::string incomplete = {};                         ///< why it ended early; empty: it did not
   bool operator==(const Profile&) const = default;
 };
 
@@ -86,8 +87,8 @@ enum class WcetFrom { kMaxPlusMargin, kP99, kP50 };
 /// What is the WCET of these samples: see WcetFrom. The maximum is that without outliers.
 [[nodiscard]] std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct);
 /// The app.json that follows: per XPU type the worst instance's statistic. `platform` gives each
-/// instance its type. A p99 needs kP99Samples. Of version 1, which cannot say what is sampled; where
-/// something is, of version 2.
+/// instance its type. A p99 needs kP99Samples. Of version 1, which knows neither samples nor several
+/// activations in flight; where there are any, of version 2.
 [[nodiscard]] Result<AppSpec> to_app(const Profile& profile, const Platform& platform,
                                      WcetFrom from);
 

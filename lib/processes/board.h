@@ -39,7 +39,7 @@ inline constexpr std::size_t kBoardNameBytes = 104;  ///< with the 0 at its end;
 /// order, so the sum of the three is the number of the next one.
 struct alignas(64) ModuleLine {
   std::atomic<std::uint64_t> activations{}, failed{}, dropped{};  ///< [M]
-  std::atomic<std::uint32_t> in_flight{};                         ///< [M] 1: an activation is
+  std::atomic<std::uint32_t> in_flight{};                         ///< [M] activations that are
   char name[kBoardNameBytes] = {};                                ///< [H] before the run
   [[nodiscard]] std::uint64_t settled() const {
     return activations.load() + failed.load() + dropped.load();

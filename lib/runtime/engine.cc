@@ -177,43 +177,52 @@ RunReport Engine::report() {
 
 // ---- what the modules tell ---------------------------------------------------------------------
 
-void Engine::activate(int module) {
-  const NodeRow& chain = wiring_->chain(static_cast<std::size_t>(module));
-  context_->board.module(module).in_flight.store(1);
+void Engine::activate(int module, Activation& activation) {
+  const NodeRow& chain = wiring_->chain(static_cast<std::size_t>(module), activation.index());
+  context_->board.module(module).in_flight.fetch_add(1);
   if (trace_) {
-    trace_->write(XAUTO_EV_ACTIVATE, chain.runtime->input().sequence(), XAUTO_EV_NONE,
+    trace_->write(XAUTO_EV_ACTIVATE, activation.input().sequence(), XAUTO_EV_NONE,
                   static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
-    if (!graph_.single_rate) trace_inputs(module, *chain.runtime);
+    if (!graph_.single_rate) trace_inputs(module, activation);
   }
   chain.nodes.front().worker->submit(0);
 }
 
+void Engine::proceed(int module, Activation& activation, std::size_t node) {
+  const NodeRow& chain = wiring_->chain(static_cast<std::size_t>(module), activation.index());
+  chain.nodes[node].worker->submit(node);
+}
+
 /// Numbers of releases mean nothing across sources of several rates: what an activation was made of
 /// is told by origins.
-void Engine::trace_inputs(int module, ModuleRuntime& runtime) {
+void Engine::trace_inputs(int module, Activation& activation) {
   const std::vector<int>& inputs = graph_.modules[static_cast<std::size_t>(module)].inputs;
   for (std::size_t i = 0; i < inputs.size(); ++i) {
     const Graph::Topic& topic = graph_.topics[static_cast<std::size_t>(inputs[i])];
     const auto from = static_cast<std::uint32_t>(std::max(topic.source, topic.module));
-    trace_->write(XAUTO_EV_TAKE, static_cast<std::uint64_t>(runtime.origin_of(i)), XAUTO_EV_NONE,
+    trace_->write(XAUTO_EV_TAKE, static_cast<std::uint64_t>(activation.origin_of(i)), XAUTO_EV_NONE,
                   static_cast<std::uint16_t>(module), XAUTO_EV_NONE,
                   topic.source >= 0 ? XAUTO_TAKE_SOURCE | from : from);
   }
 }
 
-void Engine::done(int module, std::int64_t origin_ns, std::uint64_t sequence) {
-  ledger_->done(module, origin_ns, sequence,
-                wiring_->module(static_cast<std::size_t>(module))->origins().get());
+void Engine::done(int module, const Activation& activation) {
+  const Input& input = activation.input();
+  ledger_->done(module, input.origin().count(), input.sequence(), activation.origins().get());
+}
+
+void Engine::left(int module) {
+  context_->board.module(module).in_flight.fetch_sub(1);
 }
 
 void Engine::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
   ledger_->dropped(module, sequence, reason);
 }
 
-void Engine::passed(int module, int node) {
-  const ModuleRuntime& runtime = *wiring_->module(static_cast<std::size_t>(module));
-  ledger_->passed(node, runtime.input().origin().count(), runtime.input().sequence(),
-                  runtime.origins().get());
+void Engine::passed(int module, const Activation& activation, int node) {
+  static_cast<void>(module);
+  const Input& input = activation.input();
+  ledger_->passed(node, input.origin().count(), input.sequence(), activation.origins().get());
 }
 
 void Engine::skip(int module, std::uint64_t sequence) {

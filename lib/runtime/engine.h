@@ -49,14 +49,16 @@ class Engine final : private ModuleHost {
          std::atomic<bool>& stop)
       : app_(app), session_(session), graph_(std::move(graph)), stop_(stop) {}
   // ModuleHost, called by the modules on the workers' threads.
-  void activate(int module) override;
-  void done(int module, std::int64_t origin_ns, std::uint64_t sequence) override;
+  void activate(int module, Activation& activation) override;
+  void proceed(int module, Activation& activation, std::size_t node) override;
+  void done(int module, const Activation& activation) override;
   void dropped(int module, std::uint64_t sequence, std::uint32_t reason) override;
-  void passed(int module, int node) override;
+  void left(int module) override;
+  void passed(int module, const Activation& activation, int node) override;
   void skip(int module, std::uint64_t sequence) override;
 
   [[nodiscard]] Status open_trace(bool leads);
-  void trace_inputs(int module, ModuleRuntime& runtime);
+  void trace_inputs(int module, Activation& activation);
   [[nodiscard]] Result<RunReport> run_all();
   [[nodiscard]] Result<RunReport> run_part();
   void note_chain_ends();

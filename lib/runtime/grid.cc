@@ -51,11 +51,33 @@ std::int64_t Grid::Source::due_ns(std::uint64_t k) const {
   return offset_ns + static_cast<std::int64_t>(us);
 }
 
+/// The plan may allow fewer activations than the program has states for, not more.
+Status Grid::take_in_flight(const Graph& graph, const AppSpec& app) {
+  for (std::size_t m = 0; m < graph.modules.size(); ++m) {
+    std::int64_t planned = 1;
+    for (const ModuleSpec& module : app.modules)
+      if (module.name == graph.modules[m].name) planned = module.max_in_flight;
+    if (planned > in_flight[m])
+      return tl::unexpected<Error>(refused(
+          "XModule '" + graph.modules[m].name + "' has max_in_flight " + std::to_string(planned) +
+              "; the program allows " + std::to_string(in_flight[m]),
+          "app '" + app.name + "'",
+          "call XModule::in_flight(" + std::to_string(planned) +
+              ") if nothing is carried from one activation to the next, or set "
+              "max_in_flight to " +
+              std::to_string(in_flight[m]) + " and solve again"));
+    in_flight[m] = static_cast<int>(planned);
+  }
+  return {};
+}
+
 Result<Grid> Grid::make(const Graph& graph, const Session& session) {
   Grid grid;
   grid.periodic = session.mode == Mode::kRun && session.app.version == 2;
-  for (const Graph::Module& module : graph.modules)
+  for (const Graph::Module& module : graph.modules) {
     grid.shift_ns.emplace_back(module.inputs.size(), 0);
+    grid.in_flight.push_back(module.spec->in_flight);
+  }
   grid.depth.assign(graph.modules.size(), 1);
   for (const SourceSpec& source : graph.sources)
     grid.sources.push_back(
@@ -68,12 +90,7 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
     return tl::unexpected<Error>(
         refused("would change what the policy was made for", "--period-us",
                 "change the sources in app.json and solve again; `xauto solve --assume` tries it"));
-  for (const ModuleSpec& module : app.modules)
-    if (module.max_in_flight > 1)
-      return tl::unexpected<Error>(refused("XModule '" + module.name + "' has max_in_flight " +
-                                               std::to_string(module.max_in_flight) +
-                                               "; the runtime has one state of it",
-                                           where, "set max_in_flight to 1 and solve again"));
+  XAUTO_TRY(grid.take_in_flight(graph, app));
   std::vector<int> spec_of(graph.sources.size(), -1);
   for (std::size_t s = 0; s < graph.sources.size(); ++s) {
     for (std::size_t i = 0; i < app.sources.size(); ++i)

@@ -36,11 +36,16 @@ struct Grid {
   /// [module][input] of a source's topic: how much later than its component's activation that
   /// source releases; 0 of other topics.
   std::vector<std::vector<std::int64_t>> shift_ns;
+  /// [module] activations that may be at once: the program's word, of version 2 app.json's.
+  std::vector<int> in_flight;
   /// [module] activations that may wait at its door when the policy's keys are kept.
   std::vector<std::uint32_t> depth;
 
   /// Errors: an app.json of version 2 that this program or this run cannot follow.
   [[nodiscard]] static Result<Grid> make(const Graph& graph, const Session& session);
+
+ private:
+  [[nodiscard]] Status take_in_flight(const Graph& graph, const AppSpec& app);
 };
 
 }  // namespace xauto::runtime

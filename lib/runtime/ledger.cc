@@ -43,7 +43,6 @@ void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
                   const detail::Origins* origins) {
   ModuleLine& counts = context_.board.module(module);
   counts.activations.fetch_add(1, std::memory_order_relaxed);
-  counts.in_flight.store(0, std::memory_order_relaxed);
   const std::int64_t now = now_ns();  // one instant for all accounts: the trace and the table agree
   if (context_.trace != nullptr)
     context_.trace->write_at(now, XAUTO_EV_DONE, sequence, XAUTO_EV_NONE,
@@ -64,8 +63,6 @@ void Ledger::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
   ModuleLine& counts = context_.board.module(module);
   (reason == XAUTO_DROP_FAILED ? counts.failed : counts.dropped)
       .fetch_add(1, std::memory_order_relaxed);
-  if (reason == XAUTO_DROP_FAILED || reason == XAUTO_DROP_HUNG || reason == XAUTO_DROP_DIED)
-    counts.in_flight.store(0, std::memory_order_relaxed);
   if (context_.trace != nullptr)
     context_.trace->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE,
                           static_cast<std::uint16_t>(module), XAUTO_EV_NONE, reason);

@@ -193,7 +193,8 @@ void Placing::compare_with_certificate(const detail::AppSpecErased& app, const S
     log::warn("the policy's worst case of {} does not hold in this run: {}", ms(worst_us), why);
 }
 
-Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module, int at) const {
+Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module, int index,
+                                      int at) const {
   const Session& session = context.session;
   const Platform& platform = session.platform;
   const Xpu& x = platform.xpus[static_cast<std::size_t>(at)];
@@ -203,7 +204,8 @@ Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module
   WorkerOptions options{.backend = {x, xpu_id(platform, at), emulated, session.emulator_modules,
                                     scheduled, session.cpu_by_keys}};
   options.xpu = at;
-  options.name = context.graph.modules[module].name + "@" + x.id;
+  options.name = context.graph.modules[module].name +
+                 (index > 0 ? "#" + std::to_string(index + 1) : "") + "@" + x.id;
   options.mgmt_fifo = workers.management;
   options.exec_fifo = !real_cpu             ? workers.execution
                       : session.cpu_by_keys ? xpu::kCpuAsks

@@ -37,8 +37,9 @@ struct Placing {
   /// policy's worst case does not hold in this run.
   void compare_with_certificate(const detail::AppSpecErased& app, const Session& session,
                                 const Graph& graph);
-  /// The worker of one module on one XPU. Errors: the XPU is not here.
-  [[nodiscard]] Result<WorkerOptions> worker(const Context& context, std::size_t module,
+  /// The worker of one module on one XPU, for number `index` of the activations in flight. Errors:
+  /// the XPU is not here.
+  [[nodiscard]] Result<WorkerOptions> worker(const Context& context, std::size_t module, int index,
                                              int at) const;
 };
 

@@ -148,6 +148,13 @@ ProfileConditions conditions(const Session& session) {
   return c;
 }
 
+std::map<std::string, std::int64_t> in_flight_of(const Graph& graph) {
+  std::map<std::string, std::int64_t> several;
+  for (const Graph::Module& module : graph.modules)
+    if (module.spec->in_flight > 1) several[module.name] = module.spec->in_flight;
+  return several;
+}
+
 class Run {
  public:
   Run(const detail::AppSpecErased& app, const Session& session, const Graph& graph)
@@ -221,6 +228,7 @@ class Run {
     p.sources = graph_.sources;
     p.edges = graph_.edges;
     p.sampled = graph_.samples;
+    p.in_flight = in_flight_of(graph_);
     p.incomplete = incomplete;
     for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
       const Graph::Node& node = graph_.nodes[n];
@@ -488,6 +496,7 @@ Result<std::string> describe(const Graph& graph, const Platform& platform) {
   p.sources = graph.sources;
   p.edges = graph.edges;
   p.sampled = graph.samples;
+  p.in_flight = in_flight_of(graph);
   for (const Graph::Node& node : graph.nodes)
     p.xnodes.push_back(
         {node.name, graph.modules[static_cast<std::size_t>(node.module)].name, {}, node.sources});

@@ -39,9 +39,9 @@ Result<std::unique_ptr<Wiring>> Wiring::build(const Context& context, const Plac
                                                     .partial = session.cpu_partial}));
   const std::size_t modules = context.graph.modules.size(), topics = context.graph.topics.size();
   for (std::size_t m = 0; m < modules; ++m) {
-    w.chains_.push_back(std::make_unique<NodeRow>());
-    w.chains_.back()->module = static_cast<int>(m);
-    if (context.hosts(m)) XAUTO_TRY(w.place_module(m));
+    w.chains_.emplace_back();
+    for (int i = 0; context.hosts(m) && i < context.grid.in_flight[m]; ++i)
+      XAUTO_TRY(w.place_module(m, i));
   }
   w.channels_.resize(topics);
   XAUTO_TRY(w.open_topics());
@@ -62,15 +62,17 @@ void Wiring::join() {
   for (const auto& worker : workers_) worker->stop();
 }
 
-/// The module's chain, and a worker per XPU that it uses.
-Status Wiring::place_module(std::size_t module) {
+/// The module's chain, and a worker per XPU that it uses; for one of the activations in flight.
+Status Wiring::place_module(std::size_t module, int index) {
   const Platform& platform = context_.session.platform;
-  NodeRow& chain = *chains_[module];
+  chains_[module].push_back(std::make_unique<NodeRow>());
+  NodeRow& chain = *chains_[module].back();
+  chain.module = static_cast<int>(module);
   std::vector<std::pair<int, Worker*>> here;  // by XPU
   for (const int n : context_.graph.modules[module].nodes) {
-    const auto index = static_cast<std::size_t>(n);
-    const Graph::Node& node = context_.graph.nodes[index];
-    const int xpu = placing_.xpu[index];
+    const auto at_node = static_cast<std::size_t>(n);
+    const Graph::Node& node = context_.graph.nodes[at_node];
+    const int xpu = placing_.xpu[at_node];
     const std::string where = "XNode '" + node.name + "'";
     if (xpu < 0)
       return fail(ErrorCode::kInvalid,
@@ -78,16 +80,16 @@ Status Wiring::place_module(std::size_t module) {
     const Xpu& x = platform.xpus[static_cast<std::size_t>(xpu)];
     Placed placed;
     placed.name = node.name;
-    placed.xnode = placing_.xnode[index];
+    placed.xnode = placing_.xnode[at_node];
     placed.impl = find_impl(*node.spec, x.type);
     if (placed.impl == nullptr)
       return fail(ErrorCode::kInvalid,
                   "is assigned to " + x.id + " but has no implementation for '" + x.type + "'",
                   where, "add one with add_impl, or solve again with the app.json of this program");
-    placed.limits = placing_.limits[index];
+    placed.limits = placing_.limits[at_node];
     placed.node = n;
-    placed.line = &context_.board.xnode(index);
-    placed.ends_chain = placing_.ends_chain[index] != 0;
+    placed.line = &context_.board.xnode(at_node);
+    placed.ends_chain = placing_.ends_chain[at_node] != 0;
     if (context_.scheduled()) {
       if (context_.session.keys) {
         const KeyPlacement& key = context_.session.keys->placements[placed.xnode];
@@ -102,7 +104,7 @@ Status Wiring::place_module(std::size_t module) {
     }
     auto at = std::find_if(here.begin(), here.end(), [&](const auto& h) { return h.first == xpu; });
     if (at == here.end()) {
-      XAUTO_ASSIGN(WorkerOptions options, placing_.worker(context_, module, xpu));
+      XAUTO_ASSIGN(WorkerOptions options, placing_.worker(context_, module, index, xpu));
       workers_.push_back(
           std::make_unique<Worker>(std::move(options), chain, context_.trace, *threads_));
       at = here.insert(here.end(), {xpu, workers_.back().get()});
@@ -136,13 +138,17 @@ Status Wiring::make_module(std::size_t index, ModuleHost& host) {
   }
   try {
     modules_[index] = std::make_unique<ModuleRuntime>(context_.graph, static_cast<int>(index), host,
-                                                      std::move(outputs), std::move(memories));
+                                                      std::move(outputs), std::move(memories),
+                                                      context_.grid.in_flight[index]);
   } catch (const std::exception& e) {
     return fail(ErrorCode::kUnavailable, std::string("the state's constructor threw: ") + e.what(),
                 "XModule '" + module.name + "'");
   }
   ModuleRuntime& made = *modules_[index];
-  chains_[index]->runtime = &made;
+  for (std::size_t i = 0; i < chains_[index].size(); ++i) {
+    chains_[index][i]->runtime = &made;
+    chains_[index][i]->activation = &made.activation(i);
+  }
   const ModuleDeployment said = context_.session.deployment.of(module.name);
   made.shift_origins(context_.grid.shift_ns[index]);
   if (said.overload)
@@ -223,7 +229,8 @@ std::vector<std::string> Wiring::stop() {
 }
 
 void Wiring::skip(int module, std::uint64_t sequence) {
-  const NodeRow& chain = *chains_[static_cast<std::size_t>(module)];
+  // The words are common to all of the module's workers on an XPU.
+  const NodeRow& chain = *chains_[static_cast<std::size_t>(module)].front();
   for (std::size_t i = 0; i < chain.nodes.size(); ++i) chain.nodes[i].worker->skip(i, sequence);
 }
 

@@ -63,7 +63,10 @@ class Wiring {
   [[nodiscard]] transport::Receiver* receiver() const { return receiver_.get(); }
   /// Null: another process has it.
   [[nodiscard]] ModuleRuntime* module(std::size_t index) const { return modules_[index].get(); }
-  [[nodiscard]] const NodeRow& chain(std::size_t module) const { return *chains_[module]; }
+  /// Of activation number `index` of the module.
+  [[nodiscard]] const NodeRow& chain(std::size_t module, int index) const {
+    return *chains_[module][static_cast<std::size_t>(index)];
+  }
   [[nodiscard]] const std::vector<std::unique_ptr<Worker>>& workers() const { return workers_; }
   /// No XNode of `module` starts a job of an activation up to `sequence` any more.
   void skip(int module, std::uint64_t sequence);
@@ -73,7 +76,7 @@ class Wiring {
  private:
   Wiring(const Context& context, const Placing& placing, Role& role)
       : context_(context), placing_(placing), role_(role) {}
-  [[nodiscard]] Status place_module(std::size_t module);
+  [[nodiscard]] Status place_module(std::size_t module, int index);
   [[nodiscard]] Status open_topics();
   [[nodiscard]] Status make_module(std::size_t module, ModuleHost& host);
   void connect(std::size_t topic);
@@ -87,9 +90,9 @@ class Wiring {
   std::vector<transport::Channel> channels_;                       ///< [topic]
   std::unique_ptr<Interop> interop_;
   std::unique_ptr<transport::Receiver> receiver_;
-  std::vector<std::unique_ptr<ModuleRuntime>> modules_;  ///< [module]
-  std::vector<std::unique_ptr<NodeRow>> chains_;         ///< [module]
-  std::unique_ptr<xpu::CpuThreads> threads_;             ///< outlives the workers
+  std::vector<std::unique_ptr<ModuleRuntime>> modules_;        ///< [module]
+  std::vector<std::vector<std::unique_ptr<NodeRow>>> chains_;  ///< [module][in flight]
+  std::unique_ptr<xpu::CpuThreads> threads_;                   ///< outlives the workers
   std::vector<std::unique_ptr<Worker>> workers_;
 };
 

@@ -142,7 +142,8 @@ bool Worker::stop(std::int64_t patience_ns) {
 }
 
 void Worker::submit(std::size_t node) {
-  const std::uint64_t sequence = chain_.runtime->input().sequence();
+  if (!chain_.runtime->enter(*chain_.activation)) return;  // whoever is in the way submits it again
+  const std::uint64_t sequence = chain_.activation->input().sequence();
   record(XAUTO_EV_READY, chain_.nodes[node], sequence);
   if (shares_ && t_home != nullptr && t_home->shares_ && t_home->options_.xpu == options_.xpu) {
     t_home->lane_.push_back({this, node, false});
@@ -197,26 +198,24 @@ void Worker::show_lane() {
   }
 }
 
-/// Runs XNodes from `node` on as long as they are placed here; then hands over, or ends the
-/// activation.
+/// Runs XNodes from `node` on as long as they are placed here and no older activation is in the way;
+/// then hands over, or ends the activation.
 void Worker::run_chain(std::size_t node, bool begun) {
-  for (; node < chain_.nodes.size(); ++node, begun = false) {
-    Placed& placed = chain_.nodes[node];
-    if (placed.worker != this) {
-      placed.worker->submit(node);
-      return;
-    }
-    if (!run_job(placed, begun)) {
-      chain_.runtime->finish(false);
-      return;
-    }
+  ModuleRuntime& module = *chain_.runtime;
+  Activation& activation = *chain_.activation;
+  for (;; begun = false) {
+    if (!run_job(chain_.nodes[node], begun)) return module.finish(activation, false);
+    if (++node == chain_.nodes.size()) return module.finish(activation, true);
+    module.pass(activation);
+    Worker& next = *chain_.nodes[node].worker;
+    if (&next != this) return next.submit(node);
+    if (!module.enter(activation)) return;
   }
-  chain_.runtime->finish(true);
 }
 
 /// START, without waiting for what comes of it.
 void Worker::begin(Placed& placed) {
-  const std::uint64_t sequence = chain_.runtime->input().sequence();
+  const std::uint64_t sequence = chain_.activation->input().sequence();
   const auto position = static_cast<std::uint64_t>(&placed - chain_.nodes.data());
   current_.store(position << kSequenceBits | sequence, std::memory_order_release);
   record(XAUTO_EV_START, placed, sequence);
@@ -224,12 +223,12 @@ void Worker::begin(Placed& placed) {
 }
 
 coord::Key Worker::key_of(const Placed& placed) const {
-  const Input& input = chain_.runtime->input();
+  const Input& input = chain_.activation->input();
   return placed.urgency.key(input.origin().count(), input.sequence());
 }
 
 bool Worker::run_job(Placed& placed, bool begun) {
-  const Input& input = chain_.runtime->input();
+  const Input& input = chain_.activation->input();
   if (placed.urgency.holds())
     sleep_until_ns(placed.urgency.hold(input.origin().count(), input.sequence()));
   thread_->next(placed.xnode, input.sequence(), placed.fifo_priority);
@@ -243,13 +242,14 @@ bool Worker::run_job(Placed& placed, bool begun) {
     thread_->begin(since);
     thread_->has_xpu(since);
   }
-  if (&placed == &chain_.nodes.front()) chain_.runtime->begin(now_ns());
+  if (&placed == &chain_.nodes.front()) chain_.runtime->begin(*chain_.activation, now_ns());
   record(XAUTO_EV_RUN, placed, input.sequence());
   const bool limited = placed.limits.any();
   if (limited) begin_limited(placed, input.sequence());
   bool succeeded = false;
   try {
-    if (Status status = placed.impl->exec(placed.made.object.get(), chain_.runtime->state(), input);
+    if (Status status =
+            placed.impl->exec(placed.made.object.get(), chain_.activation->state(), input);
         status)
       succeeded = true;
     else
@@ -268,7 +268,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
   thread_->end();
   if (thread_->observed()) thread_->gave_xpu(now_ns());
   record(XAUTO_EV_FINISH, placed, input.sequence(), succeeded ? 0 : 1);
-  if (succeeded && placed.ends_chain) chain_.runtime->passed(placed.node);
+  if (succeeded && placed.ends_chain) chain_.runtime->passed(*chain_.activation, placed.node);
   return succeeded;
 }
 
@@ -285,7 +285,7 @@ void Worker::note_failure(const Placed& placed, const std::string& what) {
   if (!failure_.empty()) return;  // counted by the engine; one is enough to read
   failure_ = "exec of XNode '" + placed.name + "' on " + xpu_name() + ": " + what;
   log::warn("{} (activation {} dropped; further failures here are only counted)", failure_,
-            chain_.runtime->input().sequence());
+            chain_.activation->input().sequence());
 }
 
 std::string Worker::first_failure() const {

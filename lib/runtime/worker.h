@@ -3,9 +3,9 @@
 // runs the jobs of that module's XNodes on that XPU; its management thread suspends and resumes
 // what the execution thread has queued, when a more urgent job or the coordinator says so.
 //
-// Consecutive XNodes on one XPU run in the same execution thread without a hand-over. Since a
-// module has one activation in flight, a worker has at most one job waiting: the mailbox is one
-// word.
+// Consecutive XNodes on one XPU run in the same execution thread without a hand-over. A worker serves
+// one activation at a time, so at most one job waits: the mailbox is one word. A module that may have
+// several in flight has so many workers on an XPU, each with what its inits made.
 #pragma once
 
 #include <atomic>
@@ -49,10 +49,11 @@ struct Placed {
   bool ends_chain = false;
 };
 
-/// The chain of one module, shared by its workers.
+/// The chain of one module as one of its activations runs through it, shared by its workers.
 struct NodeRow {
   int module = -1;
   ModuleRuntime* runtime = nullptr;
+  Activation* activation = nullptr;
   std::vector<Placed> nodes;
 };
 
@@ -94,7 +95,7 @@ class Worker {
   };
   [[nodiscard]] std::optional<Hung> find_hung(std::int64_t now_ns);
 
-  /// Hands over the module's activation: run from chain position `node` on. Any thread; must not be
+  /// Hands over the activation: run from chain position `node` on. Any thread; must not be
   /// called again before that job has left this worker.
   void submit(std::size_t node);
 

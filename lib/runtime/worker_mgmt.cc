@@ -92,13 +92,14 @@ bool Worker::end_limited(const Placed& placed) {
   const std::int64_t wall_ns = watch_.end(now_ns());
   const std::int64_t took_ns =
       backend_->on_thread() ? clock_ns(CLOCK_THREAD_CPUTIME_ID) - cpu_since_ns_ : wall_ns;
-  XNodeLine& line = *placed.line;  // of this worker alone
+  XNodeLine& line = *placed.line;  // of the module's workers on this XPU
   line.jobs.fetch_add(1, std::memory_order_relaxed);
   if (placed.limits.budget_ns > 0 && took_ns > placed.limits.budget_ns)
     line.overruns.fetch_add(1, std::memory_order_relaxed);
-  if (took_ns > line.longest_ns.load(std::memory_order_relaxed))
-    line.longest_ns.store(took_ns, std::memory_order_relaxed);
-  return !chain_.runtime->abandoned();
+  std::int64_t longest_ns = line.longest_ns.load(std::memory_order_relaxed);
+  while (took_ns > longest_ns && !line.longest_ns.compare_exchange_weak(longest_ns, took_ns)) {
+  }
+  return !chain_.activation->abandoned();
 }
 
 std::optional<Worker::Hung> Worker::find_hung(std::int64_t now_ns) {

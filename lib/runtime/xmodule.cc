@@ -10,7 +10,7 @@ namespace xauto::runtime {
 
 ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
                              std::vector<const transport::Channel*> outputs,
-                             std::vector<detail::MessageMemory*> memories)
+                             std::vector<detail::MessageMemory*> memories, int in_flight)
     : module_(graph.modules[static_cast<std::size_t>(index)]),
       numbered_(module_.numbered),
       tells_origins_(graph.tells_origins),
@@ -19,12 +19,14 @@ ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
       outputs_(std::move(outputs)),
       memories_(std::move(memories)),
       topics_(module_.spec->inputs),
-      state_(module_.spec->make_state()),
+      newest_from_(topics_.size()),
       queues_(topics_.size()),
       newest_(module_.spec->samples.size()),
       shift_ns_(topics_.size(), 0) {
   for (const detail::SampleSpec& sample : module_.spec->samples) topics_.push_back(sample.topic);
-  InputAccess::bind(input_, &topics_, queues_.size());
+  for (int i = 0; i < in_flight; ++i)
+    activations_.push_back(
+        std::make_unique<Activation>(i, module_.spec->make_state(), &topics_, newest_from_));
   memories_.resize(module_.spec->outputs.size());
 }
 
@@ -36,25 +38,29 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
     return;
   }
   std::vector<Lost> lost;
-  std::uint64_t skip_below = 0;
-  bool start = false;
+  Started started;
+  bool any_over;
   {
     const Guard lock(mutex_);
     InputQueue& queue = queues_[static_cast<std::size_t>(input)];
     if (numbered_ && envelope.sequence < next_) return;  // of a release that is already lost
     arrive(queue, envelope, lost);
-    put_off(lost);
-    start = !busy_ && take_if_fresh(lost);
-    if (!busy_ || hung_) skip_below = std::exchange(skip_below_, 0);
+    fire(lost, started);
+    any_over = over();
   }
-  tell(lost, skip_below);
-  if (start) host_.activate(index_);
+  if (any_over) {
+    const Guard order(order_);
+    collect();
+    tell_settled(lost, started);
+  }
+  tell(lost);
+  activate(started);
 }
 
 /// Called with the mutex held.
 void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
                            std::vector<Lost>& lost) {
-  if (hung_) return lose_while_hung(queue, envelope, lost);
+  if (hung_ == activations_.size()) return lose_while_hung(queue, envelope, lost);
   // Messages come in order: what lies between was lost on the way (a full queue between processes).
   // What was settled meanwhile is not missing.
   const std::uint64_t expected =
@@ -86,7 +92,8 @@ void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
     }
     return;
   }
-  const bool skip = overload_.kind == Overload::Kind::kSkip && busy_ && envelope.message != nullptr;
+  const bool skip =
+      overload_.kind == Overload::Kind::kSkip && room() == nullptr && envelope.message != nullptr;
   if (numbered_) {
     if (gap) settle(envelope.sequence, XAUTO_DROP_OVERRUN, lost);
     if (envelope.message == nullptr)
@@ -133,7 +140,6 @@ void ModuleRuntime::settle(std::uint64_t below, std::uint32_t reason, std::vecto
   if (below <= next_) return;
   lost.push_back({next_, below - 1, reason});
   next_ = below;
-  skip_below_ = below;
   for (InputQueue& queue : queues_)
     while (!queue.waiting.empty() && queue.waiting.front().sequence < next_)
       queue.waiting.pop_front();
@@ -158,30 +164,58 @@ bool ModuleRuntime::matched(std::vector<Lost>& lost) {
   return false;
 }
 
-/// By source, the oldest of what this activation is made from.
-void ModuleRuntime::gather_origins() {
-  auto origins = std::make_shared<detail::Origins>();
-  origins->fill(0);
-  const std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
-  for (std::size_t m = 0; m < messages.size(); ++m) {
-    if (messages[m].origins == nullptr) continue;
-    const detail::Origins& of = *messages[m].origins;
-    const std::uint32_t onward = m < newest_from_ ? ~0u : module_.sample_origins[m - newest_from_];
-    for (std::size_t i = 0; i < origins->size(); ++i)
-      if (of[i] != 0 && (onward >> i & 1u) != 0 && ((*origins)[i] == 0 || of[i] < (*origins)[i]))
-        (*origins)[i] = of[i];
-  }
-  origins_ = std::move(origins);
+/// An activation that may be fired. Called with the mutex held.
+Activation* ModuleRuntime::room() {
+  for (const auto& activation : activations_)
+    if (activation->stage_ == Activation::Stage::kFree) return activation.get();
+  return nullptr;
 }
 
-/// Moves the fresh messages into the activation's input. Called with the mutex held.
-bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
+void ModuleRuntime::Started::add(Activation& activation) {
+  activation.next_ = nullptr;
+  (last == nullptr ? first : last->next_) = &activation;
+  last = &activation;
+}
+
+/// Numbered: what was lost gets its turn. Otherwise it is told at once. Called with the mutex held.
+void ModuleRuntime::line_up(std::vector<Lost>& lost) {
+  if (!numbered_) return;
+  for (const Lost& range : lost) {
+    Turn* newest = turns_.empty() ? nullptr : &turns_[turns_.size() - 1];
+    if (newest != nullptr && newest->activation == nullptr && newest->lost.reason == range.reason &&
+        newest->lost.last + 1 == range.first)
+      newest->lost.last = range.last;
+    else
+      turns_.push_back({nullptr, range});
+  }
+  lost.clear();
+}
+
+/// Fires as often as there are fresh inputs, and room. Called with the mutex held.
+void ModuleRuntime::fire(std::vector<Lost>& lost, Started& started) {
+  line_up(lost);
+  for (Activation* free = room(); free != nullptr && fresh(lost); free = room()) {
+    take(*free, lost);
+    line_up(lost);
+    turns_.push_back({free, {}});
+    started.add(*free);
+  }
+  line_up(lost);
+}
+
+/// Every input has a message, and they belong together. Called with the mutex held.
+bool ModuleRuntime::fresh(std::vector<Lost>& lost) {
   if (overload_.kind == Overload::Kind::kQueue) resolve(lost);  // only there do losses wait
   if (queues_[empty_].waiting.empty()) return false;
   if (match_ns_ >= 0 && !numbered_ && !matched(lost)) return false;
   for (empty_ = 0; empty_ < queues_.size() && !queues_[empty_].waiting.empty();) ++empty_;
   if (empty_ < queues_.size()) return false;
   empty_ = 0;
+  return true;
+}
+
+/// Moves the fresh messages into the activation's input. Called with the mutex held.
+void ModuleRuntime::take(Activation& activation, std::vector<Lost>& lost) {
   std::int64_t released_ns = INT64_MAX;
   std::uint64_t sequence = 0;
   for (std::size_t i = 0; i < queues_.size(); ++i) {
@@ -190,8 +224,8 @@ bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
     released_ns = first.origin_ns - shift_ns_[i];
     sequence = first.sequence;
   }
-  InputAccess::stamp(input_, released_ns, sequence);
-  std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
+  InputAccess::stamp(activation.input_, released_ns, sequence);
+  std::vector<detail::Envelope>& messages = InputAccess::messages(activation.input_);
   for (std::size_t i = 0; i < queues_.size(); ++i) {
     messages[i] = std::move(queues_[i].waiting.front());
     queues_[i].waiting.pop_front();
@@ -200,123 +234,259 @@ bool ModuleRuntime::take_if_fresh(std::vector<Lost>& lost) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
     next_ = std::max(next_, sequence + 1);
   }
-  busy_ = true;
-  return true;
+  activation.stage_ = Activation::Stage::kRuns;
+  activation.number_ = fired_++;
+  activation.position_ = 0;
 }
 
-void ModuleRuntime::begin(std::int64_t now_ns) {
-  InputAccess::begin(input_, now_ns);
+void ModuleRuntime::activate(Started started) {
+  for (Activation* activation = started.first; activation != nullptr;) {
+    Activation* next = activation->next_;  // read first: it may be at its end soon
+    host_.activate(index_, *activation);
+    activation = next;
+  }
+}
+
+void ModuleRuntime::begin(Activation& activation, std::int64_t now_ns) {
+  InputAccess::begin(activation.input_, now_ns);
   if (!module_.samples.empty()) {
     const Guard lock(mutex_);
-    std::vector<detail::Envelope>& messages = InputAccess::messages(input_);
+    std::vector<detail::Envelope>& messages = InputAccess::messages(activation.input_);
     for (std::size_t i = 0; i < newest_.size(); ++i) {
       const std::int64_t limit_ns = module_.spec->samples[i].max_age_ns;
       const bool fresh = limit_ns == 0 || now_ns - newest_[i].origin_ns <= limit_ns;
       messages[newest_from_ + i] = fresh ? newest_[i] : detail::Envelope{};
     }
   }
-  if (tells_origins_) gather_origins();
+  if (tells_origins_) gather_origins(activation);
 }
 
-/// Called with the mutex held.
-void ModuleRuntime::put_off(std::vector<Lost>& lost) {
-  if (!numbered_ || !busy_ || hung_) return;
-  for (const Lost& range : lost) {
-    if (!later_.empty() && later_.back().reason == range.reason &&
-        later_.back().last + 1 == range.first)
-      later_.back().last = range.last;
-    else
-      later_.push_back(range);
+/// By source, the oldest of what this activation is made from.
+void ModuleRuntime::gather_origins(Activation& activation) {
+  auto origins = std::make_shared<detail::Origins>();
+  origins->fill(0);
+  const std::vector<detail::Envelope>& messages = InputAccess::messages(activation.input_);
+  for (std::size_t m = 0; m < messages.size(); ++m) {
+    if (messages[m].origins == nullptr) continue;
+    const detail::Origins& of = *messages[m].origins;
+    const std::uint32_t onward = m < newest_from_ ? ~0u : module_.sample_origins[m - newest_from_];
+    for (std::size_t i = 0; i < origins->size(); ++i)
+      if (of[i] != 0 && (onward >> i & 1u) != 0 && ((*origins)[i] == 0 || of[i] < (*origins)[i]))
+        (*origins)[i] = of[i];
   }
-  lost.clear();
+  activation.origins_ = std::move(origins);
 }
 
-void ModuleRuntime::tell(const std::vector<Lost>& lost, std::uint64_t skip_below) {
-  for (const Lost& range : lost)
-    for (std::uint64_t sequence = range.first; sequence <= range.last; ++sequence)
-      host_.dropped(index_, sequence, range.reason);
-  if (skip_below == 0) return;
-  host_.skip(index_, skip_below - 1);
-  // One tombstone settles everything before it, too.
-  for (const transport::Channel* output : outputs_) output->publish({nullptr, 0, skip_below - 1});
+// ---- several in flight -------------------------------------------------------------------------
+
+/// An older one is not through with the next XNode. Called with the mutex held.
+bool ModuleRuntime::held(const Activation& activation) {
+  return std::any_of(activations_.begin(), activations_.end(), [&](const auto& other) {
+    return other->stage_ == Activation::Stage::kRuns && other->number_ < activation.number_ &&
+           other->position_ <= activation.position_;
+  });
 }
 
-std::int64_t ModuleRuntime::origin_of(std::size_t input) {
-  return InputAccess::messages(input_)[input].origin_ns;
+bool ModuleRuntime::may_enter(Activation& activation) {
+  const Guard lock(mutex_);
+  activation.parked_ = held(activation);
+  return !activation.parked_;
 }
 
-void ModuleRuntime::finish(bool succeeded) {
+/// Those that wait no longer. Called with the mutex held.
+void ModuleRuntime::unpark(Started& free) {
+  for (const auto& activation : activations_) {
+    if (!activation->parked_ || held(*activation)) continue;
+    activation->parked_ = false;
+    free.add(*activation);
+  }
+}
+
+void ModuleRuntime::let_others_in(Activation& activation) {
+  Started free;
+  {
+    const Guard lock(mutex_);
+    ++activation.position_;
+    unpark(free);
+  }
+  proceed(free);
+}
+
+void ModuleRuntime::proceed(Started parked) {
+  for (Activation* activation = parked.first; activation != nullptr;) {
+    Activation* next = activation->next_;
+    host_.proceed(index_, *activation, activation->position_);
+    activation = next;
+  }
+}
+
+// ---- the end -----------------------------------------------------------------------------------
+
+void ModuleRuntime::finish(Activation& activation, bool succeeded) {
   if (watched_) {
+    using Fate = Activation::Fate;
     Fate open = Fate::kOpen;
-    if (!fate_.compare_exchange_strong(open, Fate::kEnding)) return finish_abandoned();
+    if (!activation.fate_.compare_exchange_strong(open, Fate::kEnding))
+      return give_back(activation);
   }
-  const std::int64_t origin_ns = input_.origin().count();
-  const std::uint64_t sequence = input_.sequence();
   if (succeeded) {
     try {
-      for (std::size_t i = 0; i < module_.spec->outputs.size(); ++i) {
-        const detail::OutputSpec& output = module_.spec->outputs[i];
-        taken_.push_back(output.take(state_.get(), memories_[i]));
-      }
+      for (std::size_t i = 0; i < module_.spec->outputs.size(); ++i)
+        activation.taken_.push_back(
+            module_.spec->outputs[i].take(activation.state(), memories_[i]));
     } catch (...) {  // a user's copy constructor: as if the last exec had failed
       succeeded = false;
     }
   }
-  if (succeeded) {
-    host_.done(index_, origin_ns, sequence);
-    for (std::size_t i = 0; i < taken_.size(); ++i)
-      outputs_[i]->publish({std::move(taken_[i]), origin_ns, sequence, origins_});
-  }
-  taken_.clear();
-  bool again;
-  std::uint64_t skip_below = 0;
   std::vector<Lost> lost;
-  if (!succeeded) lost.push_back({sequence, sequence, XAUTO_DROP_FAILED});
+  Started free, started;
   {
-    const Guard lock(mutex_);
-    for (detail::Envelope& message : InputAccess::messages(input_)) message = {};
-    busy_ = false;
-    if (watched_) fate_.store(Fate::kOpen);
-    if (!succeeded && numbered_) skip_below_ = std::max(skip_below_, sequence + 1);
-    lost.insert(lost.end(), later_.begin(), later_.end());
-    later_.clear();
-    again = take_if_fresh(lost);
-    skip_below = std::exchange(skip_below_, 0);
+    const Guard order(order_);
+    {
+      const Guard lock(mutex_);
+      activation.stage_ = succeeded ? Activation::Stage::kSucceeded : Activation::Stage::kFailed;
+      if (activations_.size() > 1) unpark(free);
+      collect_locked();
+    }
+    proceed(free);
+    tell_settled(lost, started);
   }
-  tell(lost, skip_below);
-  if (again) host_.activate(index_);
+  tell(lost);
+  activate(started);
 }
 
 bool ModuleRuntime::abandon(std::uint64_t sequence) {
+  using Fate = Activation::Fate;
+  using Stage = Activation::Stage;
   std::vector<Lost> lost;
-  std::uint64_t skip_below = 0;
+  Started free, started;
   {
-    const Guard lock(mutex_);
-    Fate open = Fate::kOpen;
-    if (!busy_ || input_.sequence() != sequence ||
-        !fate_.compare_exchange_strong(open, Fate::kAbandoned))
-      return false;
-    hung_ = true;
-    lost.push_back({sequence, sequence, XAUTO_DROP_HUNG});
-    if (numbered_) skip_below_ = std::max(skip_below_, sequence + 1);
-    lost.insert(lost.end(), later_.begin(), later_.end());
-    later_.clear();
-    for (InputQueue& queue : queues_)
-      for (auto waiting = std::exchange(queue.waiting, {}); !waiting.empty(); waiting.pop_front())
-        lose_while_hung(queue, waiting.front(), lost);
-    skip_below = std::exchange(skip_below_, 0);
+    const Guard order(order_);
+    {
+      const Guard lock(mutex_);
+      const auto found =
+          std::find_if(activations_.begin(), activations_.end(), [&](const auto& activation) {
+            return activation->stage_ == Stage::kRuns && activation->input().sequence() == sequence;
+          });
+      Fate open = Fate::kOpen;
+      if (found == activations_.end() ||
+          !(*found)->fate_.compare_exchange_strong(open, Fate::kAbandoned))
+        return false;
+      (*found)->stage_ = Stage::kHung;
+      ++hung_;
+      for (std::size_t i = 0; i < turns_.size(); ++i)
+        if (turns_[i].activation == found->get())
+          turns_[i] = {nullptr, {sequence, sequence, XAUTO_DROP_HUNG}};
+      unpark(free);
+      if (hung_ == activations_.size())
+        for (InputQueue& queue : queues_)
+          for (auto waiting = std::exchange(queue.waiting, {}); !waiting.empty();
+               waiting.pop_front())
+            lose_while_hung(queue, waiting.front(), lost);
+      line_up(lost);
+      collect_locked();
+    }
+    proceed(free);
+    tell_settled(lost, started);
   }
-  tell(lost, skip_below);
+  tell(lost);
+  host_.left(index_);
+  activate(started);
   return true;
 }
 
 /// It returned after all; what it did is lost, and known to be.
-void ModuleRuntime::finish_abandoned() {
+void ModuleRuntime::give_back(Activation& activation) {
+  std::vector<Lost> lost;
+  Started started;
+  {
+    const Guard order(order_);
+    {
+      const Guard lock(mutex_);
+      empty(activation);
+      --hung_;
+      fire(lost, started);
+      collect_locked();
+    }
+    tell_settled(lost, started);
+  }
+  tell(lost);
+  activate(started);
+}
+
+/// Room for the next one. Called with the mutex held.
+void ModuleRuntime::empty(Activation& activation) {
+  for (detail::Envelope& message : InputAccess::messages(activation.input_)) message = {};
+  activation.stage_ = Activation::Stage::kFree;
+  if (watched_) activation.fate_.store(Activation::Fate::kOpen);
+}
+
+/// The oldest of all that is not settled has ended. Called with the mutex held.
+bool ModuleRuntime::over() {
+  if (turns_.empty()) return false;
+  const Activation* oldest = turns_.front().activation;
+  return oldest == nullptr || oldest->stage_ == Activation::Stage::kSucceeded ||
+         oldest->stage_ == Activation::Stage::kFailed;
+}
+
+void ModuleRuntime::collect() {
   const Guard lock(mutex_);
-  for (detail::Envelope& message : InputAccess::messages(input_)) message = {};
-  busy_ = false;
-  hung_ = false;
-  fate_.store(Fate::kOpen);
+  collect_locked();
+}
+
+void ModuleRuntime::collect_locked() {
+  for (; over(); turns_.pop_front()) settled_.push_back(turns_.front());
+}
+
+/// Tells what was collected, and what that makes room for.
+void ModuleRuntime::tell_settled(std::vector<Lost>& lost, Started& started) {
+  while (!settled_.empty()) {
+    std::uint64_t skip_below = 0;
+    for (const Turn& turn : settled_) tell(turn, skip_below);
+    tell_skipped(skip_below);
+    const Guard lock(mutex_);
+    for (const Turn& turn : settled_)
+      if (turn.activation != nullptr) empty(*turn.activation);
+    settled_.clear();
+    fire(lost, started);
+    collect_locked();
+  }
+}
+
+void ModuleRuntime::tell(const Turn& turn, std::uint64_t& skip_below) {
+  if (turn.activation == nullptr) {
+    tell({turn.lost});
+    if (numbered_) skip_below = turn.lost.last + 1;
+    return;
+  }
+  Activation& activation = *turn.activation;
+  const std::uint64_t sequence = activation.input().sequence();
+  if (activation.stage_ == Activation::Stage::kSucceeded) {
+    tell_skipped(skip_below);
+    host_.done(index_, activation);
+    for (std::size_t i = 0; i < activation.taken_.size(); ++i)
+      outputs_[i]->publish({std::move(activation.taken_[i]), activation.input().origin().count(),
+                            sequence, activation.origins_});
+  } else {
+    tell({{sequence, sequence, XAUTO_DROP_FAILED}});
+    if (numbered_) skip_below = sequence + 1;
+  }
+  activation.taken_.clear();
+  host_.left(index_);
+}
+
+/// No job of what was lost will start any more. One tombstone settles everything before it, too.
+void ModuleRuntime::tell_skipped(std::uint64_t& skip_below) {
+  if (skip_below == 0) return;
+  const std::uint64_t last = std::exchange(skip_below, 0) - 1;
+  host_.skip(index_, last);
+  for (const transport::Channel* output : outputs_) output->publish({nullptr, 0, last});
+}
+
+void ModuleRuntime::tell(const std::vector<Lost>& lost) {
+  for (const Lost& range : lost)
+    for (std::uint64_t sequence = range.first; sequence <= range.last; ++sequence)
+      host_.dropped(index_, sequence, range.reason);
 }
 
 }  // namespace xauto::runtime

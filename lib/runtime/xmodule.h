@@ -2,22 +2,22 @@
 // Life of a job, steps 2 and 11: a module fires when all its inputs are fresh, its chain of XNodes
 // runs, its outputs are published.
 //
-//            all inputs fresh                 last XNode finished
-//   idle ────────────────────────► busy ──────────────────────────► idle, or busy if inputs waited
+//            all inputs fresh                 last XNode finished, and what is older is settled
+//   free ────────────────────────► in flight ──────────────────────────────────────► free again
 //
-// One activation is in flight at a time, since the XNodes share the module's state. Each input
-// keeps its newest message: one that is replaced before it was used is an overrun, counted.
+// One activation is in flight at a time, since the XNodes share the module's state; or N, with a
+// state each (XModule::in_flight). Then each XNode takes activations in order, and they are settled
+// in order: results leave so, and who fails holds its place. Each input keeps its newest message:
+// one that is replaced before it was used is an overrun, counted.
 //
 // Where the sources of a component have one rate, activation k of each of its modules stems from
-// release k of them (Graph::Module::numbered). A release that is lost somewhere (exec failed, overrun) is then lost for everything downstream: an
-// envelope without a message, a tombstone, travels in its place, so that nobody waits for it:
-// neither a join of several inputs nor a job that is ordered after one of the lost activation
-// (Policy::order).
+// release k of them (Graph::Module::numbered). A release that is lost somewhere (exec failed,
+// overrun) is then lost for everything downstream: an envelope without a message, a tombstone,
+// travels in its place, so that nobody waits for it: neither a join of several inputs nor a job that
+// is ordered after one of the lost activation (Policy::order).
 #pragma once
 
-#include <atomic>
 #include <cstdint>
-#include <functional>
 #include <memory>
 #include <vector>
 
@@ -25,7 +25,7 @@
 #include "base/ring.h"
 #include "graph/graph.h"
 #include "model/deployment.h"
-#include "runtime/input_access.h"
+#include "runtime/activation.h"
 #include "transport/topic.h"
 
 namespace xauto::runtime {
@@ -34,26 +34,29 @@ namespace xauto::runtime {
 class ModuleHost {
  public:
   virtual ~ModuleHost() = default;
-  /// Run the chain of `module` from its first XNode, on its workers.
-  virtual void activate(int module) = 0;
-  /// Activation `sequence` of `module` is over: done, or dropped for `reason` (XAUTO_DROP_*).
-  virtual void done(int module, std::int64_t origin_ns, std::uint64_t sequence) = 0;
+  /// Run the chain of `module` from its first XNode, on the workers of that activation.
+  virtual void activate(int module, Activation& activation) = 0;
+  /// Go on with it at position `node` of the chain: it was parked there.
+  virtual void proceed(int module, Activation& activation, std::size_t node) = 0;
+  /// An activation is settled: done, or dropped for `reason` (XAUTO_DROP_*).
+  virtual void done(int module, const Activation& activation) = 0;
   virtual void dropped(int module, std::uint64_t sequence, std::uint32_t reason) = 0;
-  /// Node `node` of the graph has ended its job of the activation in flight of `module`; asked for
-  /// where a chain ends inside.
-  virtual void passed(int /*module*/, int /*node*/) {}
+  /// One that was activated is no longer in flight; after `done` or `dropped`.
+  virtual void left(int /*module*/) {}
+  /// Node `node` of the graph has ended its job; asked for where a chain ends inside.
+  virtual void passed(int /*module*/, const Activation& /*activation*/, int /*node*/) {}
   /// No XNode of `module` will start a job of an activation up to `sequence` any more.
   virtual void skip(int module, std::uint64_t sequence) = 0;
 };
 
-/// Threads: `receive` from any thread, `finish` from the thread that ran the last XNode.
+/// Threads: `receive` from any thread; what takes an activation, from the thread that runs it.
 class ModuleRuntime {
  public:
   /// `outputs`: the channels of the module's output topics, in their order; `memories`: where their
-  /// messages are made.
+  /// messages are made. `in_flight`: how many activations may be at once, each with a state.
   ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
                 std::vector<const transport::Channel*> outputs,
-                std::vector<detail::MessageMemory*> memories = {});
+                std::vector<detail::MessageMemory*> memories = {}, int in_flight = 1);
   // Before the first message.
   void set_overload(Overload overload) {
     const Guard lock(mutex_);
@@ -72,34 +75,29 @@ class ModuleRuntime {
     next_ = next;
     for (InputQueue& queue : queues_) queue.expected = next;
   }
+  [[nodiscard]] Activation& activation(std::size_t index) { return *activations_[index]; }
 
   /// A message (or tombstone) for input number `input`; beyond the inputs: for a sampled topic.
   void receive(int input, const detail::Envelope& envelope);
-  /// The first XNode of the current activation is about to run: what is sampled is read now. By
-  /// the thread that runs it.
-  void begin(std::int64_t now_ns);
-  /// The chain of the current activation has ended.
-  void finish(bool succeeded);
+  /// Its next XNode may take it. False: an older one is not through with that XNode; somebody will
+  /// `proceed` with it.
+  bool enter(Activation& activation) { return activations_.size() == 1 || may_enter(activation); }
+  /// The first XNode is about to run: what is sampled is read now.
+  void begin(Activation& activation, std::int64_t now_ns);
+  /// It is through with its next XNode, and not at its end.
+  void pass(Activation& activation) {
+    if (activations_.size() > 1) let_others_in(activation);
+  }
+  /// Its chain has ended.
+  void finish(Activation& activation, bool succeeded);
 
   /// See ModuleHost::passed.
-  void passed(int node) { host_.passed(index_, node); }
+  void passed(const Activation& activation, int node) { host_.passed(index_, activation, node); }
 
-  /// Gives up activation `sequence`, whose exec does not return: it is lost, and so is everything
-  /// that comes until `finish` is called for it after all. False: it has ended. Any thread.
+  /// Gives up activation `sequence`, whose exec does not return: it is lost. Its room is taken until
+  /// `finish` is called for it after all; without room for others everything that comes is lost,
+  /// too. False: it has ended. Any thread.
   bool abandon(std::uint64_t sequence);
-  /// The activation in flight was given up.
-  [[nodiscard]] bool abandoned() const {
-    return fate_.load(std::memory_order_acquire) == Fate::kAbandoned;
-  }
-
-  // Of the current activation; stable while it is in flight.
-  [[nodiscard]] void* state() { return state_.get(); }
-  [[nodiscard]] const Input& input() const { return input_; }
-  /// When the sensor released what input number `input` was given.
-  [[nodiscard]] std::int64_t origin_of(std::size_t input);
-  /// By source, the oldest of what the current activation is made from; null: see
-  /// Graph::tells_origins. From `begin` on.
-  [[nodiscard]] const std::shared_ptr<const detail::Origins>& origins() const { return origins_; }
 
  private:
   struct InputQueue {
@@ -108,8 +106,18 @@ class ModuleRuntime {
   };
   /// Releases first..last were lost for `reason`; told to the host without the mutex.
   struct Lost {
-    std::uint64_t first, last;
-    std::uint32_t reason;
+    std::uint64_t first = 0, last = 0;
+    std::uint32_t reason = 0;
+  };
+  /// What is settled in its turn: an activation, or what was lost between two of them.
+  struct Turn {
+    Activation* activation = nullptr;  ///< null: `lost`
+    Lost lost;
+  };
+  /// Activations that the caller has to run, in order.
+  struct Started {
+    Activation *first = nullptr, *last = nullptr;
+    void add(Activation& activation);
   };
 
   void settle(std::uint64_t below, std::uint32_t reason, std::vector<Lost>& lost)
@@ -120,11 +128,28 @@ class ModuleRuntime {
       XAUTO_REQUIRES(mutex_);
   void resolve(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] bool matched(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
-  void gather_origins();
-  void finish_abandoned();
-  bool take_if_fresh(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
-  void put_off(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
-  void tell(const std::vector<Lost>& lost, std::uint64_t skip_below);
+  [[nodiscard]] bool fresh(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
+  void take(Activation& activation, std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
+  void fire(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(mutex_);
+  void line_up(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] Activation* room() XAUTO_REQUIRES(mutex_);
+  void empty(Activation& activation) XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] bool over() XAUTO_REQUIRES(mutex_);
+  void collect() XAUTO_REQUIRES(order_);
+  void collect_locked() XAUTO_REQUIRES(order_, mutex_);
+  [[nodiscard]] bool held(const Activation& activation) XAUTO_REQUIRES(mutex_);
+  void unpark(Started& free) XAUTO_REQUIRES(mutex_);
+
+  void gather_origins(Activation& activation);
+  bool may_enter(Activation& activation);
+  void let_others_in(Activation& activation);
+  void give_back(Activation& activation);
+  void proceed(Started parked);
+  void activate(Started started);
+  void tell_settled(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(order_);
+  void tell(const Turn& turn, std::uint64_t& skip_below) XAUTO_REQUIRES(order_);
+  void tell_skipped(std::uint64_t& skip_below) XAUTO_REQUIRES(order_);
+  void tell(const std::vector<Lost>& lost);
 
   const Graph::Module& module_;
   const bool numbered_, tells_origins_;
@@ -132,41 +157,32 @@ class ModuleRuntime {
   ModuleHost& host_;
   std::vector<const transport::Channel*> outputs_;
   std::vector<detail::MessageMemory*> memories_;  ///< of the outputs; null: the heap
-  std::vector<std::shared_ptr<const void>>
-      taken_;  ///< of finish; a member, so that it keeps its memory
   std::vector<detail::TopicSpec> topics_;
-  std::shared_ptr<void> state_;
+  const std::size_t newest_from_;  ///< numbers of inputs from here on are sampled
+  std::vector<std::unique_ptr<Activation>> activations_;
+
+  /// Held while it is told what was settled, so that it is told in order. Before `mutex_`; before
+  /// those of modules downstream.
+  PiMutex order_;
+  std::vector<Turn> settled_ XAUTO_GUARDED_BY(order_);  ///< a member, so that it keeps its memory
 
   PiMutex mutex_;  ///< nothing is called while it is held
   std::vector<InputQueue> queues_ XAUTO_GUARDED_BY(mutex_);
-  const std::size_t newest_from_ = queues_.size();  ///< numbers of inputs from here on are sampled
   std::vector<detail::Envelope> newest_ XAUTO_GUARDED_BY(mutex_);  ///< by sampled topic
   std::size_t empty_ XAUTO_GUARDED_BY(mutex_) =
       0;  ///< a queue that was empty when last looked at: the first to look at
-  bool busy_ XAUTO_GUARDED_BY(mutex_) = false;
   Overload overload_ XAUTO_GUARDED_BY(mutex_);
   std::uint64_t next_ XAUTO_GUARDED_BY(mutex_) =
       0;  ///< numbered: releases below this number are settled, taken or lost
-  /// Numbered: skip up to here (exclusive), and send the tombstone, once the activation in
-  /// flight has ended: it is older than what was lost and must not be taken for finished, nor
-  /// overtaken downstream.
-  std::uint64_t skip_below_ XAUTO_GUARDED_BY(mutex_) = 0;
-  /// Numbered: losses newer than the activation in flight, told after its end: releases are
-  /// settled in order, and whoever hears of k+1 takes an untold k for lost.
-  std::vector<Lost> later_ XAUTO_GUARDED_BY(mutex_);
+  std::uint64_t fired_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< activations so far
+  std::size_t hung_ XAUTO_GUARDED_BY(mutex_) = 0;     ///< activations that were given up
+  /// What is not settled yet, the oldest first. Numbered: what was lost is told in its turn, since
+  /// whoever hears of k + 1 takes an untold k for lost.
+  Ring<Turn> turns_ XAUTO_GUARDED_BY(mutex_);
 
-  bool hung_ XAUTO_GUARDED_BY(mutex_) = false;  ///< the activation in flight was given up
-
-  /// Of the activation in flight: `finish` and `abandon` race for it.
-  enum class Fate : std::uint8_t { kOpen, kEnding, kAbandoned };
-  std::atomic<Fate> fate_{Fate::kOpen};
   bool watched_ = false;
   std::int64_t match_ns_ = -1;
   std::vector<std::int64_t> shift_ns_;  ///< [input]
-
-  // Of the current activation; written under the mutex before it starts.
-  Input input_ = InputAccess::make();
-  std::shared_ptr<const detail::Origins> origins_;
 };
 
 }  // namespace xauto::runtime

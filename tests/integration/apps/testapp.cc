@@ -7,10 +7,11 @@
 //        └─► D (d1 cpu) ─► aside: not affected by what happens to the others
 //
 //   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US] [tally] [times] [second US]
-//           [emulated US] [filelimit BYTES]
+//           [emulated US] [filelimit BYTES] [inflight N]
 //
 // With `filelimit` no file of it grows beyond that once messages come: a disk that gets full.
 // With `emulated` every XNode has a context of the emulator's and first takes so long on it.
+// With `inflight` each module may have so many activations at once.
 // With `second` there is another source of that period, and D reads both.
 // With `tally` FILE gets one line per topic instead of one per message, so that a soak's own memory
 // does not grow: TOPIC MESSAGES FIRST LAST DISORDER CHECKSUM. With `times` the values of topic d
@@ -112,22 +113,25 @@ struct Tally {
 template <class Exec>
 xauto::XNode<State> node(const std::string& name, const std::string& xpu, const std::string& module,
                          Exec exec) {
+  using Context = std::optional<xauto::emu::Context>;
   xauto::XNode<State> made(name);
-  auto context = std::make_shared<std::optional<xauto::emu::Context>>();
   made.add_impl(
       xauto::XPU(xpu),
-      [module, context](const xauto::XpuId& id) {
+      [module](const xauto::XpuId& id) {
         if (g_fault.kind == "exit" && g_fault.module == module) std::_Exit(3);
-        if (g_emulated.count() == 0) return xauto::SchedHandle::gate();
+        auto context = std::make_unique<Context>();
+        if (g_emulated.count() == 0)
+          return xauto::own(std::move(context), xauto::SchedHandle::gate());
         auto opened = xauto::emu::Context::open(id);
         if (!opened) throw std::runtime_error(opened.error().to_string());
         context->emplace(std::move(*opened));
-        return (*context)->handle();
+        const xauto::SchedHandle handle = (*context)->handle();
+        return xauto::own(std::move(context), handle);
       },
-      [module, exec, context](State& state, const xauto::Input& input) {
+      [module, exec](Context& context, State& state, const xauto::Input& input) {
         misbehave(module, input.sequence());
-        if (*context)
-          if (const xauto::Status done = (*context)->run(g_emulated); !done)
+        if (context)
+          if (const xauto::Status done = context->run(g_emulated); !done)
             throw std::runtime_error(done.error().to_string());
         exec(state, input);
       });
@@ -142,12 +146,15 @@ int main(int argc, char** argv) {
   std::chrono::microseconds second{0};
   rlim_t file_limit = RLIM_INFINITY;
   bool tallied = false, timed = false;
+  int in_flight = 1;
   for (int i = 2; i < argc; ++i) {
     const std::string word = argv[i];
     if (word == "second" && i + 1 < argc) {
       second = std::chrono::microseconds(std::atoll(argv[++i]));
     } else if (word == "filelimit" && i + 1 < argc) {
       file_limit = std::strtoull(argv[++i], nullptr, 10);
+    } else if (word == "inflight" && i + 1 < argc) {
+      in_flight = std::atoi(argv[++i]);
     } else if (word == "emulated" && i + 1 < argc) {
       g_emulated = std::chrono::microseconds(std::atoll(argv[++i]));
     } else if (word == "period" && i + 1 < argc) {
@@ -211,7 +218,8 @@ int main(int argc, char** argv) {
     app.add_source(source2, second, [](std::uint64_t k) { return k; });
     D.add_input_topic(source2);
   }
-  app.add_module(A).add_module(B).add_module(C).add_module(D);
+  for (xauto::XModule<State>* module : {&A, &B, &C, &D})
+    app.add_module(module->in_flight(in_flight));
 
   std::mutex mutex;
   std::vector<std::string> lines;

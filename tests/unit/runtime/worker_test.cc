@@ -29,6 +29,7 @@ class WorkerTest : public ::testing::Test, public ModuleHost {
         std::make_unique<ModuleRuntime>(graph_, 0, *this, std::vector<const transport::Channel*>{});
     row_.module = 0;
     row_.runtime = module_.get();
+    row_.activation = &module_->activation(0);
     for (const char* name : {"a", "b"}) {
       auto impl = std::make_unique<detail::ImplSpec>();
       impl->init = [](const XpuId&, std::shared_ptr<void>&) { return SchedHandle::gate(); };
@@ -74,8 +75,11 @@ class WorkerTest : public ::testing::Test, public ModuleHost {
     return said_;
   }
 
-  void activate(int) override { row_.nodes.front().worker->submit(0); }
-  void done(int, std::int64_t, std::uint64_t) override { over_.set_value(true); }
+  void activate(int, Activation&) override { row_.nodes.front().worker->submit(0); }
+  void proceed(int, Activation&, std::size_t node) override {
+    row_.nodes[node].worker->submit(node);
+  }
+  void done(int, const Activation&) override { over_.set_value(true); }
   void dropped(int, std::uint64_t, std::uint32_t) override { over_.set_value(false); }
   void skip(int, std::uint64_t) override {}
 

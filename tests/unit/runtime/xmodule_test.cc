@@ -58,10 +58,19 @@ class Fixture : public ::testing::Test, public ModuleHost {
   void tombstone(int input, std::uint64_t sequence) {
     module_->receive(input, {nullptr, 0, sequence});
   }
+  /// Where there is one.
+  Activation& only() { return module_->activation(0); }
   std::string log() { return std::exchange(log_, ""); }
 
-  void activate(int) override { log_ += " run" + std::to_string(module_->input().sequence()); }
-  void done(int, std::int64_t, std::uint64_t s) override { log_ += " done" + std::to_string(s); }
+  void activate(int, Activation& activation) override {
+    log_ += " run" + std::to_string(activation.input().sequence());
+  }
+  void proceed(int, Activation& activation, std::size_t node) override {
+    log_ += " go" + std::to_string(activation.input().sequence()) + "." + std::to_string(node);
+  }
+  void done(int, const Activation& activation) override {
+    log_ += " done" + std::to_string(activation.input().sequence());
+  }
   void dropped(int, std::uint64_t s, std::uint32_t reason) override {
     log_ += (reason == XAUTO_DROP_FAILED    ? " failed"
              : reason == XAUTO_DROP_OVERRUN ? " overrun"
@@ -87,21 +96,21 @@ TEST_F(Fixture, WhatIsSampledFiresNobodyAndIsReadWhenTheActivationBegins) {
   message(1, 0);
   EXPECT_EQ(log(), " run0");
   message(2, 7);  // came after the activation was fired, before it began
-  module_->begin(2007);
-  EXPECT_EQ(*module_->input().sampled(s), 7);
-  EXPECT_EQ(module_->input().age(s), 1000ns);
-  EXPECT_EQ(module_->input().age(a), 1007ns);
-  EXPECT_THROW((void)module_->input().get(s), std::logic_error) << "it may not be there";
-  EXPECT_THROW((void)module_->input().sampled(a), std::logic_error);
+  module_->begin(only(), 2007);
+  EXPECT_EQ(*only().input().sampled(s), 7);
+  EXPECT_EQ(only().input().age(s), 1000ns);
+  EXPECT_EQ(only().input().age(a), 1007ns);
+  EXPECT_THROW((void)only().input().get(s), std::logic_error) << "it may not be there";
+  EXPECT_THROW((void)only().input().sampled(a), std::logic_error);
   message(2, 8);
-  EXPECT_EQ(*module_->input().sampled(s), 7) << "an activation has seen one thing";
-  module_->finish(true);
+  EXPECT_EQ(*only().input().sampled(s), 7) << "an activation has seen one thing";
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " done0 out0");
   message(0, 1);
   message(1, 1);
-  module_->begin(2009);  // 8 is 1001 ns old: beyond its microsecond
-  EXPECT_EQ(module_->input().sampled(s), nullptr);
-  EXPECT_LT(module_->input().age(s).count(), 0);
+  module_->begin(only(), 2009);  // 8 is 1001 ns old: beyond its microsecond
+  EXPECT_EQ(only().input().sampled(s), nullptr);
+  EXPECT_LT(only().input().age(s).count(), 0);
   tombstone(2, 9);
   EXPECT_EQ(log(), " run1") << "what was lost replaces nothing, and nobody waits for it";
 }
@@ -110,8 +119,8 @@ TEST_F(Fixture, AnActivationCountsAsReleasedWithTheFirstOfItsComponentsSources) 
   module_->shift_origins({0, 500});  // source "b" has an offset of 500 ns
   module_->receive(0, {std::make_shared<const int>(0), 10'000, 0});
   module_->receive(1, {std::make_shared<const int>(0), 10'500, 0});
-  EXPECT_EQ(module_->input().origin().count(), 10'000);
-  EXPECT_EQ(module_->origin_of(1), 10'500) << "the message is as old as it is";
+  EXPECT_EQ(only().input().origin().count(), 10'000);
+  EXPECT_EQ(only().origin_of(1), 10'500) << "the message is as old as it is";
 }
 
 TEST_F(Fixture, FiresWhenAllInputsAreFresh) {
@@ -119,7 +128,7 @@ TEST_F(Fixture, FiresWhenAllInputsAreFresh) {
   EXPECT_EQ(log(), "");
   message(1, 0);
   EXPECT_EQ(log(), " run0");
-  module_->finish(true);
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " done0 out0");
 }
 
@@ -129,7 +138,7 @@ TEST_F(Fixture, MessagesThatArriveMeanwhileWait) {
   message(0, 1);
   message(1, 1);
   EXPECT_EQ(log(), " run0");
-  module_->finish(true);
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " done0 out0 run1");
 }
 
@@ -142,7 +151,7 @@ TEST_F(Fixture, OverrunLosesTheOlderReleaseAfterTheOneInFlight) {
   message(0, 2);  // release 1 is lost; 0 is still in flight, so nothing may overtake it
   EXPECT_EQ(log(), "");
   message(1, 2);
-  module_->finish(true);
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " done0 out0 overrun1 skip1 tomb1 run2");
 }
 
@@ -150,7 +159,7 @@ TEST_F(Fixture, FailureTravelsOnAsATombstone) {
   message(0, 0);
   message(1, 0);
   log();
-  module_->finish(false);
+  module_->finish(only(), false);
   EXPECT_EQ(log(), " failed0 skip0 tomb0");
 }
 
@@ -186,10 +195,10 @@ TEST_F(Fixture, QueueKeepsReleasesInOrderUntilItIsFull) {
     message(1, k);
   }
   EXPECT_EQ(log(), " run0");  // 0 in flight, 2 and 3 wait
-  module_->finish(true);
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " done0 out0 overrun1 skip1 tomb1 run2");
-  module_->finish(true);
-  module_->finish(true);
+  module_->finish(only(), true);
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " done2 out2 run3 done3 out3");
 }
 
@@ -204,9 +213,9 @@ TEST_F(Fixture, QueueLosesWhatIsLostUpstreamInItsTurn) {
   message(0, 5);  // 3 and 4 were lost on the way
   message(1, 5);
   EXPECT_EQ(log(), " run0");
-  module_->finish(true);
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " done0 out0 run1");
-  module_->finish(true);
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " done1 out1 upstream2 upstream3 upstream4 skip4 tomb4 run5");
 }
 
@@ -217,7 +226,7 @@ TEST_F(Fixture, SkipTakesNothingWhileItIsBusy) {
   message(0, 1);
   message(1, 1);
   EXPECT_EQ(log(), " run0");
-  module_->finish(true);
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " done0 out0 overrun1 skip1 tomb1");
   message(0, 2);
   message(1, 2);
@@ -252,7 +261,7 @@ TEST_F(Fixture, ReleasesEndInOrderUnderEveryOverloadPolicy) {
             message(static_cast<int>(what), k);
         } else if (what >= 2 && busy) {
           busy = false;
-          module_->finish(random() % 8 != 0);
+          module_->finish(only(), random() % 8 != 0);
         }
         heard();
       }
@@ -283,18 +292,18 @@ TEST_F(Fixture, AnAbandonedActivationIsLostAndSoIsWhatComesUntilItReturns) {
   EXPECT_EQ(log(), " run0");
   EXPECT_TRUE(module_->abandon(0));
   EXPECT_EQ(log(), " hung0 hung1 skip1 tomb1");  // at once: nobody waits downstream
-  EXPECT_TRUE(module_->abandoned());
+  EXPECT_TRUE(only().abandoned());
   EXPECT_FALSE(module_->abandon(0));
   message(1, 1);  // of a release that is settled
   message(0, 2);
   EXPECT_EQ(log(), " hung2 skip2 tomb2");
   tombstone(1, 3);
   EXPECT_EQ(log(), " hung3 skip3 tomb3");
-  module_->finish(true);  // it returned after all: too late
+  module_->finish(only(), true);  // it returned after all: too late
   EXPECT_EQ(log(), "");
   message(0, 4);
   message(1, 4);
-  module_->finish(true);
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " run4 done4 out4");
 }
 
@@ -303,7 +312,7 @@ TEST_F(Fixture, WhatHasEndedCannotBeAbandoned) {
   message(0, 0);
   message(1, 0);
   EXPECT_FALSE(module_->abandon(7));
-  module_->finish(true);
+  module_->finish(only(), true);
   EXPECT_FALSE(module_->abandon(0));
   EXPECT_EQ(log(), " run0 done0 out0");
 }
@@ -317,7 +326,7 @@ TEST_F(Fixture, AnAbandonedActivationOfSeveralRates) {
   EXPECT_TRUE(module_->abandon(0));
   message(1, 5);
   EXPECT_EQ(log(), " run0 hung0 hung1 hung5");
-  module_->finish(false);
+  module_->finish(only(), false);
   message(0, 2);
   message(1, 6);
   EXPECT_EQ(log(), " run2");
@@ -331,14 +340,14 @@ TEST_F(Fixture, MatchesMessagesWhoseOriginsAreClose) {
   EXPECT_EQ(log(), " overrun2");
   message(1, 8);
   EXPECT_EQ(log(), " run8");
-  EXPECT_EQ(InputAccess::messages(const_cast<Input&>(module_->input()))[0].sequence, 10u);
+  EXPECT_EQ(InputAccess::messages(const_cast<Input&>(only().input()))[0].sequence, 10u);
   // While it is busy messages wait in order, none replaces another.
   for (const std::uint64_t k : {20u, 30u, 40u}) message(0, k);
   for (const std::uint64_t k : {29u, 41u}) message(1, k);
   EXPECT_EQ(log(), "");
-  module_->finish(true);
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " done8 out8 overrun20 run29");
-  module_->finish(true);
+  module_->finish(only(), true);
   EXPECT_EQ(log(), " done29 out29 run40");
 }
 
@@ -360,9 +369,9 @@ TEST_F(Fixture, OriginsOfAllSensorsTravelOn) {
   };
   send(0, 4, {400, 0, 390});
   send(1, 5, {395, 500, 0});
-  module_->begin(600);
-  ASSERT_TRUE(module_->origins());
-  EXPECT_EQ(*module_->origins(), (detail::Origins{395, 500, 390}));
+  module_->begin(only(), 600);
+  ASSERT_TRUE(only().origins());
+  EXPECT_EQ(*only().origins(), (detail::Origins{395, 500, 390}));
 }
 
 TEST_F(Fixture, SeveralRatesTakeTheNewestOfEach) {
@@ -372,7 +381,7 @@ TEST_F(Fixture, SeveralRatesTakeTheNewestOfEach) {
   EXPECT_EQ(log(), " overrun0");
   message(1, 0);
   EXPECT_EQ(log(), " run0");  // the older release gives the number
-  module_->finish(false);
+  module_->finish(only(), false);
   EXPECT_EQ(log(), " failed0");  // numbers of several sensors don't compare: no tombstone
 }
 

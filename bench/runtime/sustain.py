@@ -1,0 +1,90 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""How short the period of the Driving Case may get, on emulated XPUs.
+
+For each period: app.json of version 2 with `max_in_flight`, a policy of keys by `xauto solve`, and a run of so many
+releases. Told are what was lost, and the longest reaction of each chain beside its worst case. The busiest XPU's load is
+the least that any assignment leaves, so `period / load` of 1 cannot be passed.
+
+    bench/runtime/sustain.py [--bin build/bin] [--releases 1000] [--periods-us 33000,27000,24000,22000] [--json]
+"""
+import argparse
+import json
+import os
+import pathlib
+import subprocess
+import sys
+import tempfile
+
+SOURCE = pathlib.Path(__file__).resolve().parents[2]
+FED = {"la.pre": "camera/front", "td.pre": "camera/front", "fcd.pre": "camera/front", "rcd.pre": "camera/rear",
+       "ld.pre": "lidar/top"}
+
+
+def app_of(period_us, in_flight, jitter_us):
+    app = json.loads((SOURCE / "examples/driving/app.json").read_text())
+    for xnode in app["xnodes"]:
+        xnode.pop("source", None)
+        if xnode["name"] in FED:
+            xnode["source"] = FED[xnode["name"]]
+    app.pop("deadline_us", None)
+    app.update(version=2, name="driving-pipelined",
+               sources=[{"name": n, "period_us": period_us, "jitter_us": jitter_us} for n in sorted(set(FED.values()))],
+               modules=[{"name": m, "max_in_flight": in_flight} for m in sorted({x["module"] for x in app["xnodes"]})])
+    return app
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--bin", default=str(SOURCE / "build/bin"))
+    parser.add_argument("--releases", type=int, default=1000)
+    parser.add_argument("--periods-us", default="33000,27000,24000,22000")
+    parser.add_argument("--in-flight", type=int, default=3)
+    parser.add_argument("--jitter-us", type=int, default=200)
+    parser.add_argument("--seconds", type=float, default=10, help="of solving")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    tool = os.path.join(options.bin, "xauto")
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = lambda name: os.path.join(folder, name)
+        for period_us in map(int, options.periods_us.split(",")):
+            pathlib.Path(path("app.json")).write_text(json.dumps(app_of(period_us, options.in_flight, options.jitter_us)))
+            pathlib.Path(path("d.json")).write_text(json.dumps(
+                {"schema": "xauto.deployment", "version": 1, "app": "driving-pipelined", "queue_depth": 256, "keep": 256,
+                 "defaults": {"overload": "queue:256"}}))
+            solved = subprocess.run([tool, "solve", "--app", path("app.json"), "--platform", "small", "--time-limit-s",
+                                     str(options.seconds), "--threads", "2", "--out", path("policy.json")],
+                                    capture_output=True, text=True)
+            row = {"period_us": period_us, "policy": solved.returncode == 0}
+            rows.append(row)
+            if not row["policy"]:
+                row["why"] = (solved.stdout + solved.stderr).strip().splitlines()[-1:]
+                continue
+            ran = subprocess.run([tool, "run", "--app", path("app.json"), "--platform", "small", "--policy",
+                                  path("policy.json"), "--deployment", path("d.json"), "--emulate", "--json",
+                                  "--activations", str(options.releases), "--", os.path.join(options.bin, "pipelined"),
+                                  str(period_us), str(options.in_flight)], capture_output=True, text=True)
+            if not ran.stdout.startswith("{"):
+                sys.exit(ran.stderr)
+            run = json.loads(ran.stdout)["runs"][0]
+            row.update(releases=run["activations"] + run["lost_activations"], lost=run["lost_activations"],
+                       broken=run["worst_case_broken"],
+                       chains=[{"name": c["name"], "worst_case_us": c["worst_case_us"], **c["latency_us"]} for c in run["chains"]])
+    if options.json:
+        print(json.dumps(rows, indent=1))
+        return
+    print("period ms  releases  lost  longest reaction / worst case: median, p99, maximum over the chains")
+    for row in rows:
+        if not row["policy"]:
+            print(f"{row['period_us'] / 1000:9.2f}  no policy: {' '.join(row['why'])}")
+            continue
+        worst = lambda key: max(c[key] / c["worst_case_us"] for c in row["chains"])
+        print(f"{row['period_us'] / 1000:9.2f}  {row['releases']:8}  {row['lost']:4}  {worst('p50'):.3f}  {worst('p99'):.3f}  "
+              f"{worst('max'):.3f}")
+        for line in row["broken"]:
+            print(f"{'':11}{line}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: Apache-2.0
+// Room for one activation of a module: the state that its XNodes work on, and what it was fired
+// with. A module has as many as it may have activations in flight (XModule::in_flight).
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "model/message.h"
+#include "runtime/input_access.h"
+
+namespace xauto::runtime {
+
+class ModuleRuntime;
+
+/// Threads: what is read here, by whoever runs the activation's XNodes, while it is in flight.
+class Activation {
+ public:
+  Activation(int index, std::shared_ptr<void> state, const std::vector<detail::TopicSpec>* topics,
+             std::size_t inputs)
+      : index_(index), state_(std::move(state)) {
+    InputAccess::bind(input_, topics, inputs);
+  }
+
+  /// Which of the module's it is.
+  [[nodiscard]] int index() const { return index_; }
+  [[nodiscard]] void* state() { return state_.get(); }
+  [[nodiscard]] const Input& input() const { return input_; }
+  /// When the sensor released what input number `input` was given.
+  [[nodiscard]] std::int64_t origin_of(std::size_t input) {
+    return InputAccess::messages(input_)[input].origin_ns;
+  }
+  /// By source, the oldest of what it is made from; null: see Graph::tells_origins. From
+  /// ModuleRuntime::begin on.
+  [[nodiscard]] const std::shared_ptr<const detail::Origins>& origins() const { return origins_; }
+  /// It was given up: what its XNodes still do is lost.
+  [[nodiscard]] bool abandoned() const {
+    return fate_.load(std::memory_order_acquire) == Fate::kAbandoned;
+  }
+
+ private:
+  friend class ModuleRuntime;  // and under its mutex, but for `fate_`, `origins_`, `taken_`
+  enum class Stage : std::uint8_t {
+    kFree,
+    kRuns,
+    kSucceeded,  ///< its chain has ended; what is older has not
+    kFailed,     ///< likewise
+    kHung,       ///< given up; its exec has not returned
+  };
+  /// `finish` and `abandon` race for it.
+  enum class Fate : std::uint8_t { kOpen, kEnding, kAbandoned };
+
+  const int index_;
+  std::shared_ptr<void> state_;
+  Input input_ = InputAccess::make();
+  std::shared_ptr<const detail::Origins> origins_;
+  std::vector<std::shared_ptr<const void>> taken_;  ///< its results, by output
+  std::atomic<Fate> fate_{Fate::kOpen};
+  Stage stage_ = Stage::kFree;
+  std::uint64_t number_ = 0;    ///< how many were fired before it
+  std::size_t position_ = 0;    ///< XNodes of the chain that it is through with
+  bool parked_ = false;         ///< an older one is not yet through with the next XNode
+  Activation* next_ = nullptr;  ///< of those that a caller is to run
+};
+
+}  // namespace xauto::runtime
