@@ -12,7 +12,7 @@ from common import BIN, QUEUES, SOURCE, activations, xauto
 from isolate_test import Case
 
 FOR_EVER_MS = 3_600_000
-THREE = ("inflight", 3)
+THREE = ("room", 3)
 
 
 class SameResults(Case):

@@ -7,11 +7,11 @@
 //        └─► D (d1 cpu) ─► aside: not affected by what happens to the others
 //
 //   testapp FILE [crash|hang|throw|slow|exit MODULE K [MS]] [period US] [tally] [times] [second US]
-//           [emulated US] [filelimit BYTES] [inflight N]
+//           [emulated US] [filelimit BYTES] [room N]
 //
 // With `filelimit` no file of it grows beyond that once messages come: a disk that gets full.
 // With `emulated` every XNode has a context of the emulator's and first takes so long on it.
-// With `inflight` each module may have so many activations at once.
+// With `room` each module may have so many activations at once.
 // With `second` there is another source of that period, and D reads both.
 // With `tally` FILE gets one line per topic instead of one per message, so that a soak's own memory
 // does not grow: TOPIC MESSAGES FIRST LAST DISORDER CHECKSUM. With `times` the values of topic d
@@ -153,7 +153,7 @@ int main(int argc, char** argv) {
       second = std::chrono::microseconds(std::atoll(argv[++i]));
     } else if (word == "filelimit" && i + 1 < argc) {
       file_limit = std::strtoull(argv[++i], nullptr, 10);
-    } else if (word == "inflight" && i + 1 < argc) {
+    } else if (word == "room" && i + 1 < argc) {
       in_flight = std::atoi(argv[++i]);
     } else if (word == "emulated" && i + 1 < argc) {
       g_emulated = std::chrono::microseconds(std::atoll(argv[++i]));

@@ -20,7 +20,7 @@ namespace xauto::runtime {
 namespace {
 
 /// A module of one input, one output and three XNodes.
-class InFlight : public ::testing::Test, public ModuleHost {
+class SeveralAtOnce : public ::testing::Test, public ModuleHost {
  protected:
   static constexpr std::size_t kNodes = 3;
 
@@ -98,7 +98,7 @@ class InFlight : public ::testing::Test, public ModuleHost {
   std::string log_;
 };
 
-TEST_F(InFlight, TheNextOneStartsWhileTheFirstIsUnderWay) {
+TEST_F(SeveralAtOnce, TheNextOneStartsWhileTheFirstIsUnderWay) {
   build(2);
   for (std::uint64_t k = 0; k < 3; ++k) message(k);
   EXPECT_EQ(log(), " run0 run1") << "the third waits for room";
@@ -107,7 +107,7 @@ TEST_F(InFlight, TheNextOneStartsWhileTheFirstIsUnderWay) {
   EXPECT_EQ(log(), " done0 out0 left run2");
 }
 
-TEST_F(InFlight, EachXNodeTakesThemInOrder) {
+TEST_F(SeveralAtOnce, EachXNodeTakesThemInOrder) {
   build(3);
   for (std::uint64_t k = 0; k < 3; ++k) message(k);
   log();
@@ -126,7 +126,7 @@ TEST_F(InFlight, EachXNodeTakesThemInOrder) {
   EXPECT_EQ(log(), " go1.1");
 }
 
-TEST_F(InFlight, ResultsLeaveInOrderAndWhoFailsHoldsItsPlace) {
+TEST_F(SeveralAtOnce, ResultsLeaveInOrderAndWhoFailsHoldsItsPlace) {
   build(3);
   for (std::uint64_t k = 0; k < 4; ++k) message(k);
   log();
@@ -141,7 +141,7 @@ TEST_F(InFlight, ResultsLeaveInOrderAndWhoFailsHoldsItsPlace) {
   EXPECT_EQ(log(), " go2.1 done0 out0 left failed1 left skip1 tomb1 run3");
 }
 
-TEST_F(InFlight, WhatIsLostMeanwhileIsToldInItsTurn) {
+TEST_F(SeveralAtOnce, WhatIsLostMeanwhileIsToldInItsTurn) {
   build(2);
   message(0);
   message(1);
@@ -156,7 +156,7 @@ TEST_F(InFlight, WhatIsLostMeanwhileIsToldInItsTurn) {
   EXPECT_EQ(log(), " done1 out1 left upstream2 skip2 tomb2 done3 out3 left");
 }
 
-TEST_F(InFlight, OneThatDoesNotReturnTakesItsOwnRoomOnly) {
+TEST_F(SeveralAtOnce, OneThatDoesNotReturnTakesItsOwnRoomOnly) {
   build(2);
   message(0);
   message(1);
@@ -179,7 +179,7 @@ TEST_F(InFlight, OneThatDoesNotReturnTakesItsOwnRoomOnly) {
   EXPECT_EQ(log(), " done4 out4 left");
 }
 
-TEST_F(InFlight, WhatIsGivenUpBehindAnOlderOneIsToldAfterIt) {
+TEST_F(SeveralAtOnce, WhatIsGivenUpBehindAnOlderOneIsToldAfterIt) {
   build(3);
   for (std::uint64_t k = 0; k < 3; ++k) message(k);
   log();
@@ -194,7 +194,7 @@ TEST_F(InFlight, WhatIsGivenUpBehindAnOlderOneIsToldAfterIt) {
   EXPECT_EQ(log(), " done0 out0 left hung1 skip1 tomb1 done2 out2 left");
 }
 
-TEST_F(InFlight, OverloadCountsWhenThereIsNoRoom) {
+TEST_F(SeveralAtOnce, OverloadCountsWhenThereIsNoRoom) {
   build(2, {Overload::Kind::kSkip, 1});
   for (std::uint64_t k = 0; k < 3; ++k) message(k);
   EXPECT_EQ(log(), " run0 run1");
@@ -210,7 +210,7 @@ TEST_F(InFlight, OverloadCountsWhenThereIsNoRoom) {
 
 /// Whatever happens: who is settled is settled once and in order, and nobody is let in too early.
 /// What is expected is computed from the events alone.
-class Anything : public InFlight, public ::testing::WithParamInterface<int> {
+class Anything : public SeveralAtOnce, public ::testing::WithParamInterface<int> {
  protected:
   struct Job {
     Activation* activation;
@@ -276,7 +276,7 @@ TEST_P(Anything, IsSettledOnceAndInOrder) {
   for (unsigned seed = 0; seed < 300; ++seed) {
     SCOPED_TRACE(seed);
     std::mt19937 random(seed * 8 + static_cast<unsigned>(GetParam()));
-    const auto upto = [&](std::size_t n) {
+    const auto at_most = [&](std::size_t n) {
       return std::uniform_int_distribution<std::size_t>(0, n)(random);
     };
     const Overload overloads[] = {
@@ -298,14 +298,14 @@ TEST_P(Anything, IsSettledOnceAndInOrder) {
       module_->finish(*job.activation, succeeded);
     };
     const auto step = [&](bool may_fail) {
-      const std::size_t at = upto(jobs_.size() - 1);
+      const std::size_t at = at_most(jobs_.size() - 1);
       Job& job = jobs_[at];
-      if (job.hung) return end(at, upto(1) != 0);
+      if (job.hung) return end(at, at_most(1) != 0);
       if (!job.asked) {
         job.asked = true;
         if (module_->enter(*job.activation)) go_in(job);
       } else if (job.inside) {
-        const std::size_t dice = may_fail ? upto(19) : 19;
+        const std::size_t dice = may_fail ? at_most(19) : 19;
         if (dice == 0) {
           job.hung = any_hung_ = true;  // the module tells others to go on meanwhile
           const std::uint64_t sequence = job.activation->input().sequence();
@@ -324,7 +324,7 @@ TEST_P(Anything, IsSettledOnceAndInOrder) {
       }
     };
     for (int i = 0; i < 300; ++i) {
-      const std::size_t dice = upto(9);
+      const std::size_t dice = at_most(9);
       if (dice == 0) ++next;  // lost on the way
       if (dice < 3)
         message(next++);
