@@ -40,6 +40,9 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
                                                const Session& session, std::atomic<bool>& stop) {
   XAUTO_ASSIGN(Graph graph, Graph::build(app));
   XAUTO_TRY(graph.matches(session.app));
+  // Releases have the numbers of app.json's grid, also those that are pushed.
+  if (session.app.version == 2 && !session.lockstep && session.input.empty())
+    for (Graph::Module& module : graph.modules) module.numbered = true;
   for (std::size_t m = 0; m < graph.modules.size(); ++m)
     if (!graph.single_rate && session.deployment.of(graph.modules[m].name).match_us)
       graph.match_by_origin(static_cast<int>(m));

@@ -91,6 +91,8 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
         refused("would change what the policy was made for", "--period-us",
                 "change the sources in app.json and solve again; `xauto solve --assume` tries it"));
   XAUTO_TRY(grid.take_in_flight(graph, app));
+  grid.clock_ppm.clear();
+  for (const ClockSpec& clock : app.clocks) grid.clock_ppm.push_back(clock.ppm);
   std::vector<int> spec_of(graph.sources.size(), -1);
   for (std::size_t s = 0; s < graph.sources.size(); ++s) {
     for (std::size_t i = 0; i < app.sources.size(); ++i)
@@ -100,7 +102,8 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
           refused("app.json has no source '" + graph.sources[s].name + "'", where,
                   "app.json describes another version of this program: profile it again"));
     const SourceSpec& spec = app.sources[static_cast<std::size_t>(spec_of[s])];
-    grid.sources[s] = {spec.period, spec.offset_us * 1000, spec.jitter_us * 1000};
+    grid.sources[s] = {spec.period, spec.offset_us * 1000, spec.jitter_us * 1000,
+                       static_cast<std::size_t>(spec.clock)};
   }
   XAUTO_ASSIGN(const Components components, find_components(app));
   std::vector<std::vector<char>> heard(graph.modules.size(),

@@ -26,13 +26,15 @@ struct Grid {
     Period period;
     std::int64_t offset_ns = 0;
     std::int64_t jitter_ns = 0;  ///< what app.json states; of version 1 it says nothing
+    std::size_t clock = 0;       ///< of `clock_ppm`
     /// Of release `k`, after the start. In whole nanoseconds, rounded down; no drift adds up.
     [[nodiscard]] std::int64_t due_ns(std::uint64_t k) const;
     [[nodiscard]] std::int64_t period_ns() const { return due_ns(1) - due_ns(0); }
   };
   /// The app is of version 2: its sources, chains and offsets are app.json's.
   bool periodic = false;
-  std::vector<Source> sources;  ///< [source of the graph]
+  std::vector<Source> sources;                ///< [source of the graph]
+  std::vector<std::int64_t> clock_ppm = {0};  ///< [clock of app.json]
   /// [module][input] of a source's topic: how much later than its component's activation that
   /// source releases; 0 of other topics.
   std::vector<std::vector<std::int64_t>> shift_ns;

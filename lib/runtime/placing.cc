@@ -91,9 +91,9 @@ std::vector<std::string> unkept_of_keys(const detail::AppSpecErased& app, const 
     const auto to = session.deployment.transport.find(source.topic.name);
     const bool fed =
         to != session.deployment.transport.end() && to->second == TopicTransport::kCycloneDdsFeed;
-    if (source.inlet != nullptr || fed)
-      lines.push_back("source '" + source.topic.name + "' is " + (fed ? "fed" : "pushed") +
-                      ": its releases are taken as they come");
+    if (fed)
+      lines.push_back("source '" + source.topic.name +
+                      "' is fed: its releases are taken as they come");
   }
   for (const ModuleSpec& module : session.app.modules)
     if (const auto said = session.deployment.of(module.name).overload;

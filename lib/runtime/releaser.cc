@@ -60,8 +60,13 @@ Status Releaser::drain_for_lockstep() {
               "app '" + context_.app.name + "'");
 }
 
-/// Releases what is pushed until then. False: the run is over.
-Result<bool> Releaser::release_pushed(std::int64_t until_ns) {
+/// A run by keys takes what is pushed for releases of a grid.
+bool Releaser::tracks() const {
+  return context_.grid.periodic && !context_.session.lockstep;
+}
+
+/// Releases what is pushed until then; `once`: one message at most. False: the run is over.
+Result<bool> Releaser::release_pushed(std::int64_t until_ns, bool once) {
   while (!stop_.load()) {
     const std::uint32_t seen = inlets_->pushes();
     auto pushed = inlets_->take();
@@ -72,14 +77,37 @@ Result<bool> Releaser::release_pushed(std::int64_t until_ns) {
     }
     XAUTO_TRY(drain_for_lockstep());
     const int t = context_.graph.topic_of_source[pushed->source];
-    std::uint64_t& number = pushed_[static_cast<std::size_t>(t)];
-    // In lockstep waiting for its turn is no latency.
-    release(context_.session.lockstep ? now_ns() : pushed->waiting.at_ns,
-            {{t, number++, std::move(pushed->waiting.message), 0}});
+    if (tracks()) {
+      if (!release_tracked(t, pushed->waiting)) continue;
+    } else {
+      std::uint64_t& number = pushed_[static_cast<std::size_t>(t)];
+      // In lockstep waiting for its turn is no latency.
+      release(context_.session.lockstep ? now_ns() : pushed->waiting.at_ns,
+              {{t, number++, std::move(pushed->waiting.message), 0}});
+    }
     if (pushes_left_ > 0 && t == slowest_source() && --pushes_left_ == 0) return false;
-    if (now_ns() >= until_ns) return true;  // whoever pushes without a pause must not hold it up
+    // Whoever pushes without a pause must not hold it up.
+    if (once || now_ns() >= until_ns) return true;
   }
   return false;
+}
+
+/// As the release of the grid that it is. False: it is none.
+bool Releaser::release_tracked(int topic, const detail::Inlet::Waiting& pushed) {
+  const auto t = static_cast<std::size_t>(topic);
+  const auto source = static_cast<std::size_t>(context_.graph.topics[t].source);
+  const Grid::Source& grid = context_.grid.sources[source];
+  std::uint64_t& next = pushed_[t];
+  const auto found = phases_[grid.clock]->arrived(pushed.at_ns, grid, next);
+  if (!found) return false;
+  Seen& seen = seen_[source];
+  // What did not come is lost, and known to be: nobody waits for it.
+  for (; next < found->number; ++next, ++seen.left_out, ++seen.of)
+    release(pushed.at_ns, {{topic, next, nullptr, 0}});
+  seen.off += found->off_ns > 0 ? 1 : 0;
+  seen.farthest_ns = std::max(seen.farthest_ns, found->off_ns);
+  release(pushed.at_ns, {{topic, next++, pushed.message, found->nominal_ns}});
+  return true;
 }
 
 bool Releaser::wait_drained() {
@@ -104,37 +132,58 @@ std::int64_t Releaser::run_length_ns(std::int64_t slowest_period_ns) const {
 }
 
 /// Every source at its period, on one absolute time grid, so that sources of equal period release
-/// at the same instants and nothing drifts.
+/// at the same instants and nothing drifts. Beside what is pushed on the same clock: on its grid,
+/// which nobody knows before the first message.
 Status Releaser::release_periodic() {
   struct Source {
     int topic;
     const Grid::Source* grid;
     std::uint64_t sequence = 0;
-    /// Of its next release, from the first one of all on.
-    [[nodiscard]] std::int64_t due_ns() const { return grid->due_ns(sequence); }
   };
   std::vector<Source> sources;
   std::int64_t slowest_ns = 1;
+  phases_.resize(context_.grid.clock_ppm.size());
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
     if (context_.graph.topics[t].source < 0) continue;
     const auto& spec =
         context_.app.sources[static_cast<std::size_t>(context_.graph.topics[t].source)];
-    if (spec.inlet != nullptr) continue;
     const Grid::Source& grid =
         context_.grid.sources[static_cast<std::size_t>(context_.graph.topics[t].source)];
+    if (spec.inlet != nullptr) {
+      if (tracks() && phases_[grid.clock] == nullptr)
+        phases_[grid.clock] = std::make_unique<ClockPhase>(context_.grid.clock_ppm[grid.clock]);
+      continue;
+    }
     sources.push_back({static_cast<int>(t), &grid});
     slowest_ns = std::max(slowest_ns, grid.period_ns());
   }
   pushed_.assign(context_.graph.topics.size(), 0);
+  seen_.resize(context_.graph.sources.size());
   // Without a polled source there is no time grid: pushes are counted.
   const bool counts_pushes = sources.empty() && context_.session.duration_us == 0;
   pushes_left_ = counts_pushes ? context_.session.activations : 0;
   std::int64_t start = now_ns() + 20'000'000;
   const std::int64_t length_ns = counts_pushes ? kForeverNs : run_length_ns(slowest_ns);
+  // Of a source's next release, after `start`; kForeverNs: not known yet.
+  const auto due_of = [&](const Source& s) {
+    const auto& phase = phases_[s.grid->clock];
+    if (phase == nullptr) return s.grid->due_ns(s.sequence);
+    return phase->base_ns() ? *phase->base_ns() - start + s.grid->due_ns(s.sequence) : kForeverNs;
+  };
   while (!stop_.load()) {
     std::int64_t next_ns = length_ns;
-    for (const Source& s : sources) next_ns = std::min(next_ns, s.due_ns());
+    bool waits = false;  // for the first message of a clock
+    for (const Source& s : sources) {
+      const std::int64_t due_ns = due_of(s);
+      waits |= due_ns == kForeverNs;
+      next_ns = std::min(next_ns, due_ns);
+    }
     std::int64_t due = start + next_ns;
+    if (waits) {
+      XAUTO_ASSIGN(const bool goes_on, release_pushed(due, true));
+      if (!goes_on || now_ns() >= start + length_ns) break;
+      if (now_ns() < due) continue;
+    }
     if (next_ns >= length_ns) {
       if (inlets_->any()) XAUTO_TRY(release_pushed(due));
       break;
@@ -150,7 +199,7 @@ Status Releaser::release_periodic() {
     std::vector<Sample> samples, fed;
     std::int64_t fed_period_ns = 0;
     for (Source& s : sources) {
-      if (s.due_ns() > next_ns) continue;
+      if (due_of(s) > next_ns) continue;
       if (wiring_.interop() != nullptr &&
           wiring_.interop()->feeds(static_cast<std::size_t>(s.topic))) {
         fed_period_ns =
@@ -211,24 +260,43 @@ void Releaser::take_fed(std::vector<Sample> fed, std::int64_t period_ns,
 void Releaser::watch_jitter(std::int64_t now_ns, const Sample& sample) {
   const auto source = static_cast<std::size_t>(
       context_.graph.topics[static_cast<std::size_t>(sample.topic)].source);
-  late_.resize(context_.graph.sources.size());
-  Late& late = late_[source];
-  ++late.of;
+  seen_.resize(context_.graph.sources.size());
+  Seen& seen = seen_[source];
+  ++seen.of;
   const std::int64_t after_ns = now_ns - sample.nominal_ns;
   if (after_ns <= context_.grid.sources[source].jitter_ns) return;
-  ++late.count;
-  late.worst_ns = std::max(late.worst_ns, after_ns);
+  ++seen.late;
+  seen.latest_ns = std::max(seen.latest_ns, after_ns);
 }
 
 std::vector<std::string> Releaser::broken() const {
   std::vector<std::string> lines;
-  for (std::size_t s = 0; s < late_.size(); ++s)
-    if (const Late& late = late_[s]; late.count > 0)
+  for (std::size_t s = 0; s < seen_.size(); ++s) {
+    const Seen& seen = seen_[s];
+    const Grid::Source& grid = context_.grid.sources[s];
+    const std::string& name = context_.graph.sources[s].name;
+    if (seen.late > 0)
+      lines.push_back(fmt::format(
+          "source '{}' was released up to {} us late in {} of {} releases; "
+          "app.json states a jitter of {} us",
+          name, (seen.latest_ns + 999) / 1000, seen.late, seen.of, grid.jitter_ns / 1000));
+    if (seen.off > 0)
+      lines.push_back(fmt::format(
+          "source '{}' was up to {} us off its grid in {} of {} releases; app.json states a period "
+          "of {:.3f} us, a jitter of {} us and a clock that may be {} ppm off",
+          name, (seen.farthest_ns + 999) / 1000, seen.off, seen.of,
+          static_cast<double>(grid.period.num) / static_cast<double>(grid.period.den),
+          grid.jitter_ns / 1000, context_.grid.clock_ppm[grid.clock]));
+    if (seen.left_out > 0)
       lines.push_back(
-          fmt::format("source '{}' was released up to {} us late in {} of {} releases; "
-                      "app.json states a jitter of {} us",
-                      context_.graph.sources[s].name, (late.worst_ns + 999) / 1000, late.count,
-                      late.of, context_.grid.sources[s].jitter_ns / 1000));
+          fmt::format("source '{}' left out {} of {} releases", name, seen.left_out, seen.of));
+    if (phases_.size() > grid.clock && phases_[grid.clock] != nullptr &&
+        !phases_[grid.clock]->base_ns())
+      lines.push_back(
+          fmt::format("source '{}' was not released: nothing was pushed on its clock, so its phase "
+                      "is not known",
+                      name));
+  }
   return lines;
 }
 

@@ -16,6 +16,7 @@
 #include "record/recording.h"
 #include "runtime/context.h"
 #include "runtime/ledger.h"
+#include "runtime/phase.h"
 #include "runtime/wiring.h"
 
 namespace xauto::runtime {
@@ -53,7 +54,9 @@ class Releaser {
   [[nodiscard]] std::int64_t run_length_ns(std::int64_t slowest_period_ns) const;
   [[nodiscard]] int slowest_source() const;
   [[nodiscard]] Status release_periodic();
-  [[nodiscard]] Result<bool> release_pushed(std::int64_t until_ns);
+  [[nodiscard]] Result<bool> release_pushed(std::int64_t until_ns, bool once = false);
+  [[nodiscard]] bool release_tracked(int topic, const detail::Inlet::Waiting& pushed);
+  [[nodiscard]] bool tracks() const;
   void sleep(std::int64_t until_ns) const;
   [[nodiscard]] Status drain_for_lockstep();
   [[nodiscard]] Status release_recorded();
@@ -73,12 +76,18 @@ class Releaser {
   std::vector<std::uint64_t> pushed_;     ///< [topic] releases of pushed sources
   std::uint64_t pushes_left_ = 0;         ///< of the slowest source; 0: no end
   std::vector<std::string> notes_;
-  /// Releases later than the stated jitter.
-  struct Late {
-    std::uint64_t count = 0, of = 0;
-    std::int64_t worst_ns = 0;  ///< after the nominal instant
+  /// What is not as app.json states.
+  struct Seen {
+    std::uint64_t of = 0;
+    std::uint64_t late = 0;  ///< later than the stated jitter
+    std::int64_t latest_ns = 0;
+    std::uint64_t off = 0;  ///< pushed: for which the grid had to be moved
+    std::int64_t farthest_ns = 0;
+    std::uint64_t left_out = 0;  ///< pushed: there was no message
   };
-  std::vector<Late> late_;  ///< [source]
+  std::vector<Seen> seen_;  ///< [source]
+  /// [clock] of what is pushed in a run by keys; null: everything of it is released by us.
+  std::vector<std::unique_ptr<ClockPhase>> phases_;
 };
 
 }  // namespace xauto::runtime

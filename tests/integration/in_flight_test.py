@@ -121,6 +121,36 @@ class Pipelined(Case):
                 deepest = max(deepest, inside)
             self.assertGreater(deepest, 1, "nothing overlapped")
 
+    def run_pushed(self, *driver):
+        deploy = self.path("pipelined.deployment.json")
+        pathlib.Path(deploy).write_text(json.dumps({"schema": "xauto.deployment", "version": 1, "app": "driving-pipelined", **QUEUES}))
+        done = xauto("run", "--app", self.path("pipelined.json"), "--platform", "small", "--policy",
+                     self.path("pipelined.policy.json"), "--deployment", deploy, "--emulate", "--json", "--seconds", 4, "--",
+                     BIN / "pipelined", self.PERIOD_US, self.ROOM, "pushed", *driver)
+        return json.loads(done.stdout)["runs"][0]
+
+    def test_sensors_that_publish_by_themselves_have_a_grid(self):
+        """The run chooses instants for their releases; then the policy's claims are about them, as about any."""
+        run = self.run_pushed(self.PERIOD_US)
+        self.assertEqual([m["dropped"] + m["failed"] for m in run["modules"]], [0] * 8)
+        self.assertGreater(run["activations"], 120)
+        for chain in run["chains"]:
+            self.assertGreater(chain["results"], 100)
+        said = " ".join(run["worst_case_broken"])
+        self.assertNotIn("left out", said)
+        self.assertNotIn("taken as they come", said)
+
+    def test_a_frame_that_is_left_out_is_lost_and_nothing_else(self):
+        run = self.run_pushed(self.PERIOD_US, 40)
+        self.assertIn("source 'camera/front' left out 1 of", " ".join(run["worst_case_broken"]))
+        lost = {m["name"]: m["dropped"] for m in run["modules"]}
+        self.assertEqual(lost, {"LA": 1, "TD": 1, "TC": 1, "FCD": 1, "TR": 1, "PR": 1, "RCD": 0, "LD": 0},
+                         "those behind the camera; release 40 of the others is theirs")
+
+    def test_another_period_than_stated_is_told(self):
+        run = self.run_pushed(self.PERIOD_US + 1000)
+        self.assertRegex(" ".join(run["worst_case_broken"]), "source 'camera/front' was up to [0-9]+ us off its grid")
+
     def test_a_program_with_less_room_is_refused(self):
         text = self.run_pipelined("--seconds", 1, status=2, room=2)
         self.assertIn("has max_in_flight 3; the program allows 2", text)

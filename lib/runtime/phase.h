@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+// The nominal releases of sensors that release by themselves (Source::publish), out of when their
+// messages came. A certificate speaks of every run in which there are instants n_k with
+//
+//   (1) n_k <= arrival k <= n_k + jitter         (2) |n_(k+1) - n_k - period| <= ppm * period
+//
+// (docs/steady-state.md, "Words"). Nobody has to know the sensor's own: any such instants will do.
+// So they are chosen here as messages come, and where none fit, what app.json states is broken.
+//
+// Sources of one clock keep their phases: they share a grid, base + offset + k * period. The first
+// message is taken to be half its jitter late; from then on the grid follows the messages as fast as
+// the clock's tolerance allows, with the aim of half the jitter.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+
+#include "runtime/grid.h"
+
+namespace xauto::runtime {
+
+/// Threads: one.
+class ClockPhase {
+ public:
+  /// `ppm`: how much faster or slower the clock may be than ours.
+  explicit ClockPhase(std::int64_t ppm) : ppm_(ppm) {}
+
+  struct Seen {
+    std::uint64_t number;     ///< of its source's releases; those since the last one did not come
+    std::int64_t nominal_ns;  ///< not after the arrival
+    /// By how much the grid was moved beyond the tolerance so that this arrival fits; or, where one
+    /// message alone was too late for it, by how much. 0: as stated.
+    std::int64_t off_ns;
+  };
+  /// A message of `source` has come at `at_ns` of CLOCK_MONOTONIC. `next`: the number after its last
+  /// one's. Nullopt: it is older than the clock's first release.
+  [[nodiscard]] std::optional<Seen> arrived(std::int64_t at_ns, const Grid::Source& source,
+                                            std::uint64_t next);
+  /// Of release 0 of a source without offset; nullopt: no message has come yet.
+  [[nodiscard]] std::optional<std::int64_t> base_ns() const { return base_ns_; }
+
+ private:
+  const std::int64_t ppm_;
+  std::optional<std::int64_t> base_ns_;
+  std::int64_t seen_ns_ = 0;  ///< the last arrival
+  int late_ = 0;              ///< arrivals in a row that were too late
+};
+
+}  // namespace xauto::runtime

@@ -1,0 +1,154 @@
+// SPDX-License-Identifier: Apache-2.0
+// Instants chosen for sensors that release by themselves are judged by the two conditions that a
+// certificate asks for, computed here; the sensors are made here, too.
+#include "runtime/phase.h"
+
+#include <cstdlib>
+#include <random>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::int64_t kMs = 1'000'000;
+constexpr std::int64_t kOwnNs = 2000;  ///< what the tracker itself may add to a distance
+
+struct Sensor {
+  Grid::Source source;
+  double speed = 1;           ///< of its clock: below 1 its periods are short
+  std::int64_t start_ns = 0;  ///< its release 0, by our clock
+  std::int64_t most_late_ns = 0;
+  [[nodiscard]] std::int64_t due(std::uint64_t k) const {
+    return start_ns + static_cast<std::int64_t>(static_cast<double>(source.due_ns(k)) * speed);
+  }
+};
+
+Sensor camera(std::int64_t jitter_ns) {
+  Sensor sensor;
+  sensor.source = {{100'000, 3}, 0, jitter_ns, 0};
+  sensor.start_ns = 5'000'000 * kMs;
+  sensor.most_late_ns = jitter_ns;
+  return sensor;
+}
+
+TEST(Phase, WhateverASensorDoesThatIsAsStatedHasAGrid) {
+  std::mt19937_64 random(7);
+  for (int round = 0; round < 200; ++round) {
+    SCOPED_TRACE(round);
+    const std::int64_t ppm = std::uniform_int_distribution<std::int64_t>(0, 200)(random);
+    Sensor sensor = camera(2 * kMs);
+    // Half of what it states: then the first message may have been anywhere in it.
+    sensor.most_late_ns = kMs;
+    sensor.speed = 1 + std::uniform_real_distribution<double>(-0.9, 0.9)(random) * 1e-6 *
+                           static_cast<double>(ppm);
+    ClockPhase phase(ppm);
+    EXPECT_FALSE(phase.base_ns());
+    std::int64_t before = 0;
+    std::uint64_t next = 0, last = 0;
+    for (std::uint64_t k = 0; k < 500; ++k) {
+      if (k > 0 && random() % 50 == 0) continue;  // a frame is left out
+      const std::int64_t at = sensor.due(k) + std::uniform_int_distribution<std::int64_t>(
+                                                  0, sensor.most_late_ns)(random);
+      const auto seen = phase.arrived(at, sensor.source, next);
+      ASSERT_TRUE(seen);
+      ASSERT_EQ(seen->number, k);
+      next = k + 1;
+      EXPECT_EQ(seen->off_ns, 0) << k;
+      EXPECT_LE(seen->nominal_ns, at);
+      EXPECT_LE(at, seen->nominal_ns + sensor.source.jitter_ns);
+      if (k > 0) {
+        const auto apart = static_cast<std::int64_t>(k - last) * sensor.source.period_ns();
+        const std::int64_t allowed = kOwnNs + ppm * (apart + 2 * kMs) / 1'000'000;
+        EXPECT_LE(std::abs(seen->nominal_ns - before - apart), allowed) << k;
+      }
+      before = seen->nominal_ns;
+      last = k;
+    }
+  }
+}
+
+/// Sends `count` messages of the sensor, and returns how many were off.
+template <class Late>
+int off(ClockPhase& phase, const Sensor& sensor, std::uint64_t count, Late late) {
+  int found = 0;
+  for (std::uint64_t k = 0; k < count; ++k) {
+    const auto seen = phase.arrived(sensor.due(k) + late(k), sensor.source, k);
+    EXPECT_TRUE(seen && seen->number == k) << k;
+    found += seen->off_ns > 0 ? 1 : 0;
+  }
+  return found;
+}
+
+TEST(Phase, WhatIsNotAsStatedIsTold) {
+  const auto in_time = [](std::uint64_t) { return 0; };
+  Sensor sensor = camera(kMs);
+  {
+    ClockPhase phase(100);
+    sensor.speed = 1.0002;  // the clock is 200 ppm slow
+    EXPECT_GT(off(phase, sensor, 2000, in_time), 0);
+  }
+  {
+    ClockPhase phase(300);
+    EXPECT_EQ(off(phase, sensor, 2000, in_time), 0);
+  }
+  {
+    ClockPhase phase(100);
+    sensor.speed = 0.99;  // another period: all but the first few are off
+    EXPECT_GT(off(phase, sensor, 100, in_time), 90);
+  }
+  sensor.speed = 1;
+  {
+    ClockPhase phase(100);
+    EXPECT_EQ(off(phase, sensor, 100, [](std::uint64_t k) { return k == 50 ? 3 * kMs : 0; }), 1);
+  }
+  {
+    ClockPhase phase(100);  // it is moved by 5 ms for good: a grid of its own after a few
+    const int found = off(phase, sensor, 100, [](std::uint64_t k) { return k < 50 ? 0 : 5 * kMs; });
+    EXPECT_GT(found, 0);
+    EXPECT_LT(found, 10);
+  }
+  {
+    ClockPhase phase(100);  // earlier for good: the first one tells
+    EXPECT_EQ(off(phase, sensor, 100, [](std::uint64_t k) { return k < 50 ? 0 : -5 * kMs; }), 1);
+  }
+}
+
+TEST(Phase, SourcesOfOneClockShareAGrid) {
+  Sensor front = camera(kMs), rear = camera(kMs);
+  rear.source.offset_ns = 10 * kMs;
+  ClockPhase phase(0);
+  const auto first = phase.arrived(front.due(0), front.source, 0);
+  EXPECT_EQ(first->nominal_ns, front.due(0) - kMs / 2);
+  EXPECT_EQ(*phase.base_ns(), first->nominal_ns);
+  const auto second = phase.arrived(rear.due(0) + kMs / 4, rear.source, 0);
+  EXPECT_EQ(second->number, 0u);
+  EXPECT_EQ(second->off_ns, 0);
+  EXPECT_NEAR(static_cast<double>(second->nominal_ns - first->nominal_ns), 10e6, 1e3);
+  // One of it that came before the clock's first release is none.
+  ClockPhase other(0);
+  ASSERT_TRUE(other.arrived(front.due(1), front.source, 0));
+  EXPECT_FALSE(other.arrived(rear.due(0), rear.source, 0));
+  EXPECT_EQ(other.arrived(rear.due(1), rear.source, 0)->number, 0u);
+}
+
+TEST(Phase, NoArrivalMakesItOverflowOrGoBack) {
+  std::mt19937_64 random(11);
+  Sensor sensor = camera(kMs);
+  ClockPhase phase(1000);
+  std::uint64_t next = 0;
+  std::int64_t at = sensor.due(0);
+  for (int i = 0; i < 20'000; ++i) {
+    at += static_cast<std::int64_t>(random() % (i % 100 == 0 ? 3'600'000'000'000 : 100 * kMs));
+    const auto seen = phase.arrived(at, sensor.source, next);
+    if (!seen) continue;
+    EXPECT_GE(seen->number, next);
+    EXPECT_LE(seen->number, next + 1100) << "who is silent for an hour was started anew";
+    EXPECT_LE(seen->nominal_ns, at);
+    next = seen->number + 1;
+  }
+}
+
+}  // namespace
+}  // namespace xauto::runtime
