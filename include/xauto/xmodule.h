@@ -33,6 +33,7 @@ void add_input(XModuleSpec& module, TopicHandle topic);
 void add_sample(XModuleSpec& module, TopicHandle topic, std::chrono::nanoseconds max_age);
 void add_output(XModuleSpec& module, TopicHandle topic, Take take);
 void set_in_flight(XModuleSpec& module, int activations);
+void set_timer(XModuleSpec& module, std::chrono::microseconds period);
 
 }  // namespace detail
 
@@ -102,6 +103,14 @@ class XModule {
           else
             return detail::make_message<T>(memory, [&]() -> T { return make(from); });
         });
+    return *this;
+  }
+
+  /// The module fires by the clock: once per `period` (1 us to 1 h), from the start of the run on.
+  /// That is a source of the app, "NAME/every"; app.json may give it another period, an offset and a
+  /// clock. Input topics are waited for as well; sample what is not to be waited for.
+  XModule& every(std::chrono::microseconds period) {
+    detail::set_timer(*spec_, period);
     return *this;
   }
 

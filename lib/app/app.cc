@@ -69,6 +69,7 @@ App& App::on_end(std::function<void()> callback) {
 }
 
 Status App::check() const {
+  detail::add_timers(data_->spec);
   XAUTO_TRY(runtime::Graph::build(data_->spec));
   return {};
 }
@@ -96,10 +97,12 @@ void App::stop() {
 }
 
 int App::main(int, char** argv) {
+  detail::add_timers(data_->spec);
   return app::program(data_->spec, argv);
 }
 
 Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_ptr<Data>& self) {
+  detail::add_timers(spec);
   XAUTO_TRY(runtime::Graph::build(spec));
   XAUTO_ASSIGN(runtime::Session session, options.data_->session());
   XAUTO_ASSIGN(const std::string programs, launch::find_programs(options.data_->programs));

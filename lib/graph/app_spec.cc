@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "graph/app_spec.h"
 
+#include <algorithm>
+
 namespace xauto::detail {
 
 std::shared_ptr<XNodeSpecErased> make_xnode(std::string name) {
@@ -39,6 +41,30 @@ void add_node(XModuleSpec& module, std::shared_ptr<XNodeSpecErased> node) {
       module.misuse.push_back("XNode '" + node->name + "' is added twice to XModule '" +
                               module.name + "'");
   module.nodes.push_back(std::move(node));
+}
+
+void set_timer(XModuleSpec& module, std::chrono::microseconds period) {
+  if (module.timer) {
+    module.misuse.push_back("XModule '" + module.name + "' fires by the clock twice");
+    return;
+  }
+  module.timer = *topic_spec(Topic<std::uint64_t>(module.name + "/every"));
+  module.timer_period = period;
+  module.inputs.push_back(*module.timer);
+}
+
+void add_timers(AppSpecErased& app) {
+  for (const auto& module : app.modules) {
+    if (!module->timer) continue;
+    const auto is_it = [&](const SourceSpec& source) {
+      return source.topic.name == module->timer->name;
+    };
+    if (std::any_of(app.sources.begin(), app.sources.end(), is_it)) continue;
+    app.sources.push_back(
+        {*module->timer, module->timer_period, [](std::uint64_t number, MessageMemory* memory) {
+           return make_message<std::uint64_t>(memory, [&] { return number; });
+         }});
+  }
 }
 
 // By value: programs that were built before call them so.

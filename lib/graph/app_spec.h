@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -54,6 +55,9 @@ struct XModuleSpec {
   std::vector<SampleSpec> samples;
   std::vector<OutputSpec> outputs;
   int in_flight = 1;  ///< activations that may be at once
+  /// XModule::every: its topic is the last of the inputs then known; nullopt: not called.
+  std::optional<TopicSpec> timer;
+  std::chrono::microseconds timer_period{};
   std::vector<std::string> misuse;
 };
 
@@ -76,6 +80,9 @@ struct AppSpecErased {
   std::vector<ObserverSpec> observers;
   std::vector<std::function<void()>> on_start, on_stop, on_end;
 };
+
+/// Adds the sources that fire modules by the clock, once. Before the app is looked at.
+void add_timers(AppSpecErased& app);
 
 /// Calls the app's own `callbacks` one after the other. Error: one threw.
 [[nodiscard]] Status call(const std::vector<std::function<void()>>& callbacks, const char* which,

@@ -68,13 +68,18 @@ class Fixture {
     });
   }
 
-  [[nodiscard]] RunOptions options() const {
+  /// `loop`: there is a module of that name, too, which fires by the clock.
+  [[nodiscard]] RunOptions options(bool loop = false) const {
     AppSpec spec;
     spec.name = "fixture";
     spec.xnodes = {{"m1", "M", {{"gpu", 100}}}, {"m2", "M", {{"cpu", 100}}}};
     spec.xnodes[0].sources = {0};
     spec.edges = {{0, 1}};
     spec.sources = {{"camera", {1000}}};
+    if (loop) {
+      spec.xnodes.push_back({"count", "LOOP", {{"cpu", 100}}, {1}});
+      spec.sources.push_back({"LOOP/every", {2000}});
+    }
     Platform platform;
     platform.name = "tiny";
     platform.xpus = {{"cpu0", "cpu"}, {"gpu0", "gpu", true, 50, 1000}};
@@ -84,6 +89,7 @@ class Fixture {
     policy.method = "heft";
     policy.platform = platform.name;
     policy.placements = {{1, 2}, {0, 1}};
+    if (loop) policy.placements.push_back({0, 3});
     return RunOptions()
         .app(to_json(spec))
         .platform(to_json(platform))
@@ -119,6 +125,44 @@ TEST(Run, TwiceInOneProcess) {
     EXPECT_EQ(f.sum.load(), 190 * run);
     EXPECT_EQ(f.alive.load(), 2 * run);
   }
+}
+
+struct Beat {
+  int number = 0;
+};
+
+TEST(Run, AModuleFiresByTheClock) {
+  Fixture f("a");
+  const Topic<int> beats("beats");
+  XModule<Beat> loop("LOOP"), twice("TWICE");
+  XNode<Beat> count("count");
+  std::atomic<int> seen{0};
+  count.add_impl(
+      XPU::CPU,
+      [](const XpuId& id) {
+        auto context = emu::Context::open(id).value();
+        const SchedHandle handle = context.handle();
+        return own(std::make_unique<emu::Context>(std::move(context)), handle);
+      },
+      [&](emu::Context&, Beat&, const Input& input) {
+        EXPECT_LE(seen.load(), static_cast<int>(input.sequence()));
+        ++seen;
+      });
+  f.app.add_module(loop.add_node(count).add_output_topic(beats, &Beat::number));
+  loop.every(2ms);  // a handle: also after it was added
+  ASSERT_TRUE(f.app.check());
+  ASSERT_TRUE(f.app.check()) << "its source is added once";
+  const auto report = f.app.run(f.options(true).activations(4));
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(report->results("LOOP"), 4u) << report->json();  // of the slowest source
+  EXPECT_EQ(seen.load(), 4);
+  EXPECT_GT(report->results("M"), 5u);
+
+  App other("b");
+  other.add_module(twice.add_node(count).every(1ms).every(2ms));
+  const Status wrong = other.check();
+  ASSERT_FALSE(wrong);
+  EXPECT_NE(wrong.error().what.find("fires by the clock twice"), std::string::npos);
 }
 
 TEST(Run, TwoAppsSideBySideHaveTheirOwnDaemons) {
