@@ -8,6 +8,7 @@
 #include <cstring>
 #include <memory>
 #include <new>
+#include <optional>
 #include <span>
 #include <stdexcept>
 #include <string>
@@ -177,6 +178,10 @@ class Input {
   /// Release time of the oldest message of this activation at its sensor, CLOCK_MONOTONIC. In a run
   /// by keys the nominal one, of the earliest source of the module's component.
   [[nodiscard]] std::chrono::nanoseconds origin() const;
+  /// By when the XNode that asks is to end, CLOCK_MONOTONIC: its release and the key that the plan
+  /// gave it. Who ends later may make others late, so an exec may choose the shorter of two ways.
+  /// Nullopt where nothing says: no run by keys, or no XNode that asks.
+  [[nodiscard]] std::optional<std::chrono::nanoseconds> due() const;
   /// Number of that release, from 0 on.
   [[nodiscard]] std::uint64_t sequence() const;
 

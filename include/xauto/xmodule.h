@@ -33,6 +33,9 @@ void add_input(XModuleSpec& module, TopicHandle topic);
 void add_sample(XModuleSpec& module, TopicHandle topic, std::chrono::nanoseconds max_age);
 void add_output(XModuleSpec& module, TopicHandle topic, Take take);
 void set_in_flight(XModuleSpec& module, int activations);
+/// `late`: beyond the key of the module's last XNode.
+using OnMiss = std::function<void(std::uint64_t sequence, std::chrono::nanoseconds late)>;
+void set_on_miss(XModuleSpec& module, OnMiss callback);
 void set_timer(XModuleSpec& module, std::chrono::microseconds period);
 
 }  // namespace detail
@@ -111,6 +114,14 @@ class XModule {
   /// clock. Input topics are waited for as well; sample what is not to be waited for.
   XModule& every(std::chrono::microseconds period) {
     detail::set_timer(*spec_, period);
+    return *this;
+  }
+
+  /// Calls `callback(sequence, late)` when an activation has ended `late` after the key that the plan
+  /// gave the module's last XNode, in a run by keys. On the thread that ran it, after the result was
+  /// published: be short. What it throws is logged.
+  XModule& on_miss(std::function<void(std::uint64_t, std::chrono::nanoseconds)> callback) {
+    detail::set_on_miss(*spec_, std::move(callback));
     return *this;
   }
 

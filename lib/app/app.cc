@@ -38,6 +38,8 @@ App::App(std::string name) : data_(std::make_shared<Data>()) {
 }
 App::~App() = default;
 
+// By value: programs that were built before call them so.
+// NOLINTBEGIN(performance-unnecessary-value-param)
 void App::add_module_spec(std::shared_ptr<detail::XModuleSpec> spec) {
   data_->spec.modules.push_back(std::move(spec));
 }
@@ -55,6 +57,7 @@ std::shared_ptr<detail::Inlet> App::add_inlet(detail::TopicHandle topic,
 void App::add_observer_spec(detail::TopicHandle topic, detail::Observe observe) {
   data_->spec.observers.push_back({*topic, std::move(observe)});
 }
+// NOLINTEND(performance-unnecessary-value-param)
 App& App::on_start(std::function<void()> callback) {
   data_->spec.on_start.push_back(std::move(callback));
   return *this;

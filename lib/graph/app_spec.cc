@@ -43,6 +43,11 @@ void add_node(XModuleSpec& module, std::shared_ptr<XNodeSpecErased> node) {
   module.nodes.push_back(std::move(node));
 }
 
+void set_on_miss(XModuleSpec& module, OnMiss callback) {
+  if (module.on_miss) module.misuse.push_back("XModule '" + module.name + "' has two on_miss");
+  module.on_miss = std::move(callback);
+}
+
 void set_timer(XModuleSpec& module, std::chrono::microseconds period) {
   if (module.timer) {
     module.misuse.push_back("XModule '" + module.name + "' fires by the clock twice");

@@ -55,6 +55,7 @@ struct XModuleSpec {
   std::vector<SampleSpec> samples;
   std::vector<OutputSpec> outputs;
   int in_flight = 1;  ///< activations that may be at once
+  OnMiss on_miss;     ///< may be empty
   /// XModule::every: its topic is the last of the inputs then known; nullopt: not called.
   std::optional<TopicSpec> timer;
   std::chrono::microseconds timer_period{};

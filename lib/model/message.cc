@@ -86,6 +86,11 @@ std::chrono::nanoseconds Input::age_of(const std::string& topic) const {
   return std::chrono::nanoseconds(read.message == nullptr ? -1 : data_->began_ns - read.origin_ns);
 }
 
+std::optional<std::chrono::nanoseconds> Input::due() const {
+  if (data_->due_ns == 0) return std::nullopt;
+  return std::chrono::nanoseconds(data_->due_ns);
+}
+
 std::chrono::nanoseconds Input::origin() const {
   return std::chrono::nanoseconds(data_->origin_ns);
 }

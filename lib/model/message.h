@@ -56,6 +56,7 @@ struct InputData {
   std::vector<Envelope> messages;                  ///< by topic
   std::int64_t began_ns = 0;                       ///< when the activation began to run
   std::int64_t origin_ns = 0;
+  std::int64_t due_ns = 0;  ///< of the XNode that runs; 0: nothing says
   std::uint64_t sequence = 0;
 };
 

@@ -22,6 +22,7 @@ class InputAccess {
     input.data_->origin_ns = origin_ns;
     input.data_->sequence = sequence;
   }
+  static void due(Input& input, std::int64_t ns) { input.data_->due_ns = ns; }
   static void begin(Input& input, std::int64_t now_ns) { input.data_->began_ns = now_ns; }
 };
 

@@ -205,7 +205,14 @@ void Worker::run_chain(std::size_t node, bool begun) {
   Activation& activation = *chain_.activation;
   for (;; begun = false) {
     if (!run_job(chain_.nodes[node], begun)) return module.finish(activation, false);
-    if (++node == chain_.nodes.size()) return module.finish(activation, true);
+    if (++node == chain_.nodes.size()) {
+      const std::int64_t due_ns = due(chain_.nodes.back());
+      const std::uint64_t sequence = activation.input().sequence();
+      module.finish(activation, true);
+      if (const std::int64_t now = due_ns == 0 ? 0 : now_ns(); now > due_ns)
+        module.missed(sequence, now - due_ns);
+      return;
+    }
     module.pass(activation);
     Worker& next = *chain_.nodes[node].worker;
     if (&next != this) return next.submit(node);
@@ -227,8 +234,14 @@ coord::Key Worker::key_of(const Placed& placed) const {
   return placed.urgency.key(input.origin().count(), input.sequence());
 }
 
+/// By when the job is to end; 0: its policy does not say.
+std::int64_t Worker::due(const Placed& placed) const {
+  return placed.urgency.by_release() ? key_of(placed) : 0;
+}
+
 bool Worker::run_job(Placed& placed, bool begun) {
   const Input& input = chain_.activation->input();
+  chain_.activation->set_due(due(placed));
   if (placed.urgency.holds())
     sleep_until_ns(placed.urgency.hold(input.origin().count(), input.sequence()));
   thread_->next(placed.xnode, input.sequence(), placed.fifo_priority);

@@ -6,6 +6,8 @@
 
 #include <uapi/xauto/event.h>
 
+#include "base/log.h"
+
 namespace xauto::runtime {
 
 ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
@@ -353,6 +355,17 @@ void ModuleRuntime::finish(Activation& activation, bool succeeded) {
   }
   tell(lost);
   activate(started);
+}
+
+void ModuleRuntime::missed(std::uint64_t sequence, std::int64_t late_ns) const {
+  if (!module_.spec->on_miss) return;
+  try {
+    module_.spec->on_miss(sequence, std::chrono::nanoseconds(late_ns));
+  } catch (const std::exception& e) {
+    log::warn("on_miss of XModule '{}' threw: {}", module_.name, e.what());
+  } catch (...) {
+    log::warn("on_miss of XModule '{}' threw", module_.name);
+  }
 }
 
 bool ModuleRuntime::abandon(std::uint64_t sequence) {

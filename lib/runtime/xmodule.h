@@ -94,6 +94,9 @@ class ModuleRuntime {
   /// See ModuleHost::passed.
   void passed(const Activation& activation, int node) { host_.passed(index_, activation, node); }
 
+  /// Activation `sequence` has ended `late_ns` after the key of its last XNode.
+  void missed(std::uint64_t sequence, std::int64_t late_ns) const;
+
   /// Gives up activation `sequence`, whose exec does not return: it is lost. Its room is taken until
   /// `finish` is called for it after all; without room for others everything that comes is lost,
   /// too. False: it has ended. Any thread.

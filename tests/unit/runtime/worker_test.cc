@@ -118,6 +118,34 @@ TEST_F(WorkerTest, RunsTheChainInOrderOnOneThreadOfItsOwn) {
   }
 }
 
+TEST_F(WorkerTest, AnXNodeIsToldByWhenItIsToEndAndTheModuleWhenItWasMissed) {
+  std::vector<std::optional<std::chrono::nanoseconds>> due;  // execution thread; read after its end
+  for (auto& impl : impls_)
+    impl->exec = [&](void*, void*, const Input& input) {
+      due.push_back(input.due());
+      return Status();
+    };
+  spec_.on_miss = [this](std::uint64_t sequence, std::chrono::nanoseconds late) {
+    if (late > 1s) say("missed" + std::to_string(sequence));
+    throw std::runtime_error("is logged");
+  };
+  Worker& worker = only();
+  ASSERT_TRUE(worker.start());
+  EXPECT_TRUE(run(0));  // origins are 1 ns: long ago
+  row_.nodes[0].urgency = Urgency::of_keys({5}, {});
+  row_.nodes[1].urgency = Urgency::of_keys({1'000'000'000'000'000, 7}, {});
+  EXPECT_TRUE(run(1));
+  EXPECT_TRUE(run(2));  // the second XNode has ages
+  EXPECT_TRUE(worker.stop());
+  EXPECT_EQ(said(), "missed1");
+  ASSERT_EQ(due.size(), 6u);
+  EXPECT_EQ(due[0], std::nullopt);
+  EXPECT_EQ(due[1], std::nullopt);
+  EXPECT_EQ(due[2], 5001ns);
+  EXPECT_EQ(due[3], 7001ns);
+  EXPECT_EQ(due[5], 1'000'000'000'000'000us + 1ns);
+}
+
 TEST_F(WorkerTest, HandsTheChainOverToTheNextWorker) {
   Worker& first = add("M@npu0");
   Worker& second = add("M@npu1");
