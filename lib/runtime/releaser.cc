@@ -310,10 +310,16 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
   ledger_.open(sequence, origin_of(samples.front()));
   if (context_.trace != nullptr) {
     // One release in an app of one rate, several otherwise.
-    const std::size_t count = context_.graph.single_rate ? 1 : samples.size();
-    for (std::size_t i = 0; i < count; ++i)
-      context_.trace->write_at(origin_of(samples[i]), XAUTO_EV_PUBLISH, samples[i].sequence,
-                               XAUTO_EV_NONE, XAUTO_EV_NONE, XAUTO_EV_NONE);
+    const bool whole = context_.graph.single_rate && !context_.grid.periodic;
+    for (std::size_t i = 0; i < (whole ? 1 : samples.size()); ++i) {
+      const auto& topic = context_.graph.topics[static_cast<std::size_t>(samples[i].topic)];
+      context_.trace->write_at(
+          origin_of(samples[i]), XAUTO_EV_PUBLISH, samples[i].sequence, XAUTO_EV_NONE,
+          XAUTO_EV_NONE, XAUTO_EV_NONE,
+          whole ? 0
+                : XAUTO_TAKE_SOURCE |
+                      context_.grid.sources[static_cast<std::size_t>(topic.source)].number);
+    }
   }
   if (recorder_) record(now_ns, samples);
   for (const Sample& sample : samples) {
