@@ -401,7 +401,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
 namespace {
 
 Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const story::Story& told,
-                             std::vector<story::ModuleInfo> modules) {
+                             std::vector<story::ModuleInfo> modules, std::string verdict) {
   story::Scene scene;
   scene.title = flags.app.name + " on " + flags.spec.name + ": " + run.name;
   scene.note = fmt::format("{}, {}", xpus_text(flags), runtime::to_string(run.scheduling));
@@ -418,6 +418,11 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
   if (run.policy && !run.keys)  // keys are no priorities
     for (const Placement& p : run.policy->placements) scene.priorities.push_back(p.priority);
   scene.plan = run.predicted.slices;
+  if (run.keys && run.scheduling == runtime::Scheduling::kXAuto) {
+    scene.keys = &*run.keys;
+    scene.claims = run.keys->chains;
+  }
+  scene.verdict = std::move(verdict);
   return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());
 }
 
@@ -425,14 +430,17 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
   if (!run.story) return tl::unexpected<Error>(run.story.error());
-  return perfetto(flags, run, *run.story, modules_of(run.report));
+  const auto claims = key_claims_of(flags, run);
+  return perfetto(flags, run, *run.story, modules_of(run.report),
+                  claims ? to_string(*claims) : "nothing is claimed of this run");
 }
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
                                 const launch::Incident& incident) {
   std::vector<story::ModuleInfo> modules = story::modules_of(flags.app, incident.trace);
   XAUTO_ASSIGN(const story::Story told, story_of(flags.app, flags.spec, modules, incident.trace));
-  return perfetto(flags, run, told, std::move(modules));
+  return perfetto(flags, run, told, std::move(modules),
+                  "the run goes on: whether its claims hold is not known yet");
 }
 
 std::string words_of(const RunFlags& flags, const launch::Incident& incident) {
