@@ -70,6 +70,9 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   if (e.role_->leads()) {
     XAUTO_ASSIGN(e.releaser_, Releaser::make(*e.context_, *e.wiring_, *e.ledger_, e.stop_));
     e.placing_.compare_with_certificate(app, session, e.graph_);
+    std::string unkept;
+    for (const std::string& line : e.placing_.unkept) add_note(unkept, line);
+    board.tell_unkept(unkept);
   }
   XAUTO_TRY(e.wiring_->start());
   e.hangs_ = std::make_unique<HangWatch>(*e.context_, *e.wiring_, *e.role_, e.placing_.limits);

@@ -266,6 +266,7 @@ void Releaser::watch_jitter(std::int64_t now_ns, const Sample& sample) {
   const std::int64_t after_ns = now_ns - sample.nominal_ns;
   if (after_ns <= context_.grid.sources[source].jitter_ns) return;
   ++seen.late;
+  context_.board.count_late(after_ns);
   seen.latest_ns = std::max(seen.latest_ns, after_ns);
 }
 

@@ -45,7 +45,7 @@ Distribution distribution_from(const json& j) {
   for (const json& pair : j.at("buckets"))
     buckets[pair.at(0).get<std::uint32_t>()] = pair.at(1).get<std::uint64_t>();
   Distribution d;
-  if (!Distribution::restore(j.at("values").get<std::vector<std::int64_t>>(), std::move(buckets),
+  if (!Distribution::restore(j.at("values").get<std::vector<std::int64_t>>(), buckets,
                              j.at("sum").get<std::int64_t>(), j.at("max").get<std::int64_t>(), d))
     throw std::runtime_error("impossible distribution");
   return d;

@@ -12,7 +12,7 @@
 namespace xauto::story {
 namespace {
 
-constexpr std::int64_t kNothing = -1;            ///< nothing of this source is in it
+constexpr std::int64_t kNothing = -1;         ///< nothing of this source is in it
 constexpr std::int64_t kMostSkipped = 1'000;  ///< as the runtime counts: of one result, the newest
 
 class Follower {

@@ -6,12 +6,13 @@ import collections
 import json
 import math
 import pathlib
+import subprocess
 import tempfile
 import unittest
 from fractions import Fraction
 
 import pftrace
-from common import BIN, QUEUES, SOURCE, xauto
+from common import BIN, QUEUES, SOURCE, XAUTO, activations, wait_for, xauto
 
 APP = SOURCE / "examples/driving/steady.json"
 
@@ -249,6 +250,58 @@ class Story(unittest.TestCase):
             if s.category == "run":
                 self.assertEqual((s.track.split("/")[1], s.args["priority"]), priority[s.name])
         self.assertFalse([s for s in trace.slices if s.category == "window"])
+
+    def looks(self, *flags):
+        """`top` and `status` of a run that goes on, as JSON and as text; then its report."""
+        tool = subprocess.Popen([XAUTO, "run", "--app", str(APP), "--platform", "small", "--emulate", "--policy",
+                                 str(self.folder / "policy.json"), "--deployment", str(self.folder / "queues.json"), "--activations",
+                                 "0", "--out", str(self.folder / "live.json"), *flags, "--", str(BIN / "driving-steady")],
+                                stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        try:
+            wait_for("results", lambda: activations(tool).get("CTL", 0) > 20, tool)
+            run = f"{tool.pid}-0"
+            top = json.loads(xauto("top", "--run", run, "--once", "--json", "--interval-ms", 50).stdout)
+            words = xauto("top", "--run", run, "--once", "--interval-ms", 50).stdout
+            status, said = json.loads(xauto("status", "--json").stdout), xauto("status").stdout
+        finally:
+            tool.terminate()
+            tool.communicate(timeout=60)
+        own = [of for name, of in status["claims"].items() if name.endswith("/" + run)]
+        self.assertEqual(len(own), 1, status["claims"])
+        return top, words, own[0], said, json.loads((self.folder / "live.json").read_text())["runs"][0]
+
+    def test_a_run_that_goes_on_shows_reactions_beside_worst_cases(self):
+        top, words, status, said, report = self.looks()
+        claims = {c["name"]: c for c in self.policy["chains"]}
+        counted = {c["name"]: c for c in report["chains"]}
+        for look in (top["chains"], status["chains"]):
+            self.assertEqual([c["name"] for c in look], list(claims))
+            for chain in look:
+                claim, latency = claims[chain["name"]], counted[chain["name"]]["latency_us"]
+                self.assertEqual((chain["worst_case_us"], chain["lower_bound_us"]),
+                                 (claim["worst_case_us"], claim["lower_bound_us"]))
+                self.assertLessEqual(0, chain["last_us"])
+                self.assertLessEqual(chain["last_us"], chain["longest_us"])
+                self.assertLessEqual(chain["longest_us"], latency["max"])
+        for claimed, text in ((top["claims"], words), (status, said)):
+            longer = [c for c in (top["chains"] if claimed is top["claims"] else status["chains"])
+                      if c["longest_us"] > c["worst_case_us"] * 1.02]
+            self.assertEqual(claimed["exceeded"], bool(longer))
+            self.assertIn("worst cases, so far: ", text)
+        # What was broken by then is still broken in the end.
+        for kind in ("outran their WCET", "activations were lost"):
+            if any(kind in b for b in status["broken"]):
+                self.assertTrue(any(kind in b for b in report["worst_case_broken"]), kind)
+        if any("came later" in b for b in status["broken"]):
+            self.assertTrue(any("states a jitter" in b for b in report["worst_case_broken"]))
+
+    def test_what_the_run_does_not_keep_is_named_while_it_goes_on(self):
+        top, words, status, said, _ = self.looks("--lockstep")
+        for broken, text in ((top["claims"]["broken"], words), (status["broken"], said)):
+            self.assertTrue(any("(--lockstep)" in b for b in broken), broken)
+            self.assertIn("(--lockstep)", text)
+            for chain in self.policy["chains"]:
+                self.assertIn(f"*{chain['worst_case_us'] / 1000:.2f}", text)
 
     def test_a_policy_of_the_other_version_is_refused(self):
         for app, policy in ((APP, "heft"), (SOURCE / "examples/driving/app.json", "keys")):

@@ -117,7 +117,8 @@ TEST_F(Fixture, WhatIsSampledFiresNobodyAndIsReadWhenTheActivationBegins) {
   EXPECT_EQ(only().input().sampled(s), nullptr);
   EXPECT_LT(only().input().age(s).count(), 0);
   tombstone(2, 9);
-  EXPECT_EQ(log(), " run1 nothing nothing") << "what was lost replaces nothing, and nobody waits for it";
+  EXPECT_EQ(log(), " run1 nothing nothing")
+      << "what was lost replaces nothing, and nobody waits for it";
 }
 
 TEST_F(Fixture, AnActivationCountsAsReleasedWithTheFirstOfItsComponentsSources) {

@@ -13,7 +13,7 @@
 namespace xauto::story {
 namespace {
 
-constexpr std::uint16_t kNo = XAUTO_EV_NONE;
+constexpr std::uint16_t kUnset = XAUTO_EV_NONE;
 
 /// CAM (cam.x, camera every 10 ms, released 2 ms after the grid) is sampled by CTL (ctl.x, ctl.y,
 /// tick every 5 ms), and samples what CTL did: a circle.
@@ -50,8 +50,8 @@ struct Loop {
     scene.claims = keys.chains;
     scene.verdict = "worst cases: kept";
   }
-  void at(std::int64_t us, std::uint16_t kind, std::uint64_t seq, std::uint16_t module = kNo,
-          std::uint16_t xnode = kNo, std::uint16_t xpu = kNo, std::uint32_t arg = 0) {
+  void at(std::int64_t us, std::uint16_t kind, std::uint64_t seq, std::uint16_t module = kUnset,
+          std::uint16_t xnode = kUnset, std::uint16_t xpu = kUnset, std::uint32_t arg = 0) {
     trace.events.push_back(
         {static_cast<std::uint64_t>(1'000'000 + us * 1000), seq, xnode, module, xpu, kind, arg, 0});
   }
@@ -61,16 +61,17 @@ struct Loop {
   void release(int source, std::uint64_t k) {
     at(source == 0 ? 2'000 + static_cast<std::int64_t>(k) * 10'000
                    : static_cast<std::int64_t>(k) * 5'000,
-       XAUTO_EV_PUBLISH, k, kNo, kNo, kNo, XAUTO_TAKE_SOURCE | static_cast<std::uint32_t>(source));
+       XAUTO_EV_PUBLISH, k, kUnset, kUnset, kUnset,
+       XAUTO_TAKE_SOURCE | static_cast<std::uint32_t>(source));
   }
   /// Taken at `us`, run from `begin` to `end`; `read`: the number of CTL's that it samples.
   void camera(std::uint64_t k, std::int64_t us, std::int64_t begin, std::int64_t end,
               std::uint64_t read = XAUTO_SAMPLE_NONE) {
     at(us, XAUTO_EV_ACTIVATE, k, 0);
-    at(us, XAUTO_EV_TAKE, ns(2'000 + static_cast<std::int64_t>(k) * 10'000), 0, kNo, kNo,
+    at(us, XAUTO_EV_TAKE, ns(2'000 + static_cast<std::int64_t>(k) * 10'000), 0, kUnset, kUnset,
        XAUTO_TAKE_SOURCE);
     at(us, XAUTO_EV_READY, k, 0, 0, 0);
-    at(begin, XAUTO_EV_SAMPLE, read, 0, kNo, kNo, 1);
+    at(begin, XAUTO_EV_SAMPLE, read, 0, kUnset, kUnset, 1);
     at(begin, XAUTO_EV_RUN, k, 0, 0, 0);
     at(end, XAUTO_EV_FINISH, k, 0, 0, 0);
     at(end + 1, XAUTO_EV_DONE, k, 0);
@@ -78,9 +79,9 @@ struct Loop {
   void control(std::uint64_t k, std::int64_t begin, std::uint64_t read, bool told = true) {
     const std::int64_t us = static_cast<std::int64_t>(k) * 5'000;
     at(us, XAUTO_EV_ACTIVATE, k, 1);
-    at(us, XAUTO_EV_TAKE, ns(us), 1, kNo, kNo, XAUTO_TAKE_SOURCE | 1);
+    at(us, XAUTO_EV_TAKE, ns(us), 1, kUnset, kUnset, XAUTO_TAKE_SOURCE | 1);
     at(us, XAUTO_EV_READY, k, 1, 1, 1);
-    if (told) at(begin, XAUTO_EV_SAMPLE, read, 1, kNo, kNo, 0);
+    if (told) at(begin, XAUTO_EV_SAMPLE, read, 1, kUnset, kUnset, 0);
     at(begin, XAUTO_EV_RUN, k, 1, 1, 1);
     at(begin + 400, XAUTO_EV_FINISH, k, 1, 1, 1);
     at(begin + 400, XAUTO_EV_READY, k, 1, 2, 1);
@@ -183,7 +184,7 @@ TEST(Reactions, SeveralActivationsInFlightAreKeptApart) {
   for (const std::uint64_t k : {0, 1}) {
     const auto us = static_cast<std::int64_t>(k) * 10'000;
     loop.at(2'010 + us, XAUTO_EV_ACTIVATE, k, 0);
-    loop.at(2'010 + us, XAUTO_EV_TAKE, Loop::ns(2'000 + us), 0, kNo, kNo, XAUTO_TAKE_SOURCE);
+    loop.at(2'010 + us, XAUTO_EV_TAKE, Loop::ns(2'000 + us), 0, kUnset, kUnset, XAUTO_TAKE_SOURCE);
     loop.at(2'020 + us, XAUTO_EV_READY, k, 0, 0, 0);
   }
   loop.at(13'000, XAUTO_EV_RUN, 0, 0, 0, 0);
