@@ -28,8 +28,8 @@ inline constexpr std::size_t kBoardTextBytes = 2048;  ///< with the 0 at its end
 struct alignas(64) BoardHeader {
   std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0, flows = 0;
   std::atomic<std::uint64_t> released{};  ///< [H] releases of the sensors
-  std::atomic<std::uint64_t> late{};      ///< [H] ... that broke the jitter that app.json states
-  std::atomic<std::int64_t> latest_ns{};  ///< [H] the most that one of these was late
+  std::atomic<std::uint64_t> late{};      ///< [H] ... that were not where app.json has them
+  std::atomic<std::int64_t> latest_ns{};  ///< [H] the most that one of these was off
   /// [H] before the run: what the policy's claims take for granted and this run does not keep.
   char unkept[kBoardTextBytes] = {};
 };

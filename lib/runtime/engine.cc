@@ -204,9 +204,8 @@ void Engine::proceed(int module, Activation& activation, std::size_t node) {
 void Engine::trace_inputs(int module, Activation& activation) {
   const std::vector<int>& inputs = graph_.modules[static_cast<std::size_t>(module)].inputs;
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    trace_->write(XAUTO_EV_TAKE, static_cast<std::uint64_t>(activation.origin_of(i)),
-                  XAUTO_EV_NONE, static_cast<std::uint16_t>(module), XAUTO_EV_NONE,
-                  publisher_of(inputs[i]));
+    trace_->write(XAUTO_EV_TAKE, static_cast<std::uint64_t>(activation.origin_of(i)), XAUTO_EV_NONE,
+                  static_cast<std::uint16_t>(module), XAUTO_EV_NONE, publisher_of(inputs[i]));
   }
 }
 

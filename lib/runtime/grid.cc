@@ -80,8 +80,8 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
   }
   grid.depth.assign(graph.modules.size(), 1);
   for (const SourceSpec& source : graph.sources)
-    grid.sources.push_back({session.period_us > 0 ? Period{session.period_us} : source.period, 0, 0, 0,
-                            static_cast<std::uint32_t>(grid.sources.size())});
+    grid.sources.push_back({session.period_us > 0 ? Period{session.period_us} : source.period, 0, 0,
+                            0, static_cast<std::uint32_t>(grid.sources.size())});
   if (!grid.periodic) return grid;
 
   const AppSpec& app = session.app;

@@ -102,9 +102,12 @@ bool Releaser::release_tracked(int topic, const detail::Inlet::Waiting& pushed) 
   if (!found) return false;
   Seen& seen = seen_[source];
   // What did not come is lost, and known to be: nobody waits for it.
-  for (; next < found->number; ++next, ++seen.left_out, ++seen.of)
+  for (; next < found->number; ++next, ++seen.left_out, ++seen.of) {
+    context_.board.count_late(0);
     release(pushed.at_ns, {{topic, next, nullptr, 0}});
+  }
   seen.off += found->off_ns > 0 ? 1 : 0;
+  if (found->off_ns > 0) context_.board.count_late(found->off_ns);
   seen.farthest_ns = std::max(seen.farthest_ns, found->off_ns);
   release(pushed.at_ns, {{topic, next++, pushed.message, found->nominal_ns}});
   return true;

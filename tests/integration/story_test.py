@@ -292,7 +292,7 @@ class Story(unittest.TestCase):
         for kind in ("outran their WCET", "activations were lost"):
             if any(kind in b for b in status["broken"]):
                 self.assertTrue(any(kind in b for b in report["worst_case_broken"]), kind)
-        if any("came later" in b for b in status["broken"]):
+        if any("were not where" in b for b in status["broken"]):
             self.assertTrue(any("states a jitter" in b for b in report["worst_case_broken"]))
 
     def test_what_the_run_does_not_keep_is_named_while_it_goes_on(self):

@@ -59,8 +59,9 @@ ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
     claims.broken.push_back(std::move(unkept));
   if (const std::uint64_t late = board.late(); late > 0)
     claims.broken.push_back(
-        fmt::format("{} releases came later than app.json's jitter, {} us after the instant", late,
-                    (board.latest_ns() + 999) / 1000));
+        fmt::format("{} releases were not where app.json's period and jitter have them, by up to "
+                    "{} us",
+                    late, (board.latest_ns() + 999) / 1000));
   std::uint64_t jobs = 0, overruns = 0, lost = 0;
   for (std::uint32_t n = 0; n < board.shape().nodes; ++n) {
     jobs += board.xnode(n).jobs.load();
