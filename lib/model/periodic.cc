@@ -380,6 +380,18 @@ Result<AppSpec> as_version_2(AppSpec app) {
   return app;
 }
 
+AppSpec as_version_1(AppSpec app) {
+  app.version = 1;
+  app.clocks = {{kMainClock, 0}};
+  for (SourceSpec& source : app.sources)  // it counts periods in whole microseconds
+    source = {source.name, {std::max<std::int64_t>(1, source.period.floor_us())}};
+  app.modules.clear();
+  app.samples.clear();
+  app.chains.clear();
+  app.transfers.clear();
+  return app;
+}
+
 Status validate_periodic(const AppSpec& app) {
   if (app.deadline_us)
     return invalid("version 2 has no deadline of the whole", "/deadline_us",

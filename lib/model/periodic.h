@@ -23,6 +23,10 @@ void complete_chains(AppSpec& app);
 /// has one period. Its deadline becomes that of the chains.
 [[nodiscard]] Result<AppSpec> as_version_2(AppSpec app);
 
+/// What version 1 knows of an app: XNodes, edges, how often sources release. Clocks, offsets, samples
+/// and chains are left out. So its solver answers, and its policy is written, for an app of version 2.
+[[nodiscard]] AppSpec as_version_1(AppSpec app);
+
 /// Of an app whose sources, XNodes and edges are valid:
 ///   sources   offset in [0, period), jitter from 0 to an hour; clocks with names, ppm in range
 ///   XNodes    without predecessors hear of a source; components as find_components() says

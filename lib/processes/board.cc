@@ -29,8 +29,8 @@ std::size_t bytes_of(const BoardShape& shape) {
 }
 
 void fill(void* memory, const BoardShape& s) {
-  auto* header =
-      new (memory) BoardHeader{kBoardMagic, s.processes, s.modules, s.nodes, s.flows, {}};
+  auto* header = new (memory)
+      BoardHeader{kBoardMagic, s.processes, s.modules, s.nodes, s.flows, {}, {}, {}, {}};
   auto* lines = reinterpret_cast<ProcessLine*>(header + 1);
   for (std::uint32_t p = 0; p < s.processes; ++p) (new (lines + p) ProcessLine)->stand_in.store(p);
   auto* counts = reinterpret_cast<ModuleLine*>(lines + s.processes);
@@ -136,6 +136,23 @@ void FlowLine::add(std::int64_t us) {
   results.fetch_add(1, std::memory_order_relaxed);
   latency_us[std::min(Distribution::bucket_of(us), kBuckets - 1)].fetch_add(
       1, std::memory_order_relaxed);
+  last_us.store(us, std::memory_order_relaxed);
+  if (us > longest_us.load(std::memory_order_relaxed))  // one at a time adds
+    longest_us.store(us, std::memory_order_relaxed);
+}
+
+void Board::count_late(std::int64_t ns) {
+  header_->late.fetch_add(1, std::memory_order_relaxed);
+  if (ns > header_->latest_ns.load(std::memory_order_relaxed))
+    header_->latest_ns.store(ns, std::memory_order_relaxed);
+}
+
+void Board::tell_unkept(const std::string& text) {
+  std::memcpy(header_->unkept, text.data(), std::min(text.size(), kBoardTextBytes - 1));
+}
+
+std::string Board::unkept() const {
+  return {header_->unkept, strnlen(header_->unkept, kBoardTextBytes)};
 }
 
 void name_line(char (&field)[kBoardNameBytes], const std::string& name) {

@@ -23,9 +23,15 @@ namespace xauto::runtime {
 
 inline constexpr std::uint32_t kMaxProcesses = 256;
 
+inline constexpr std::size_t kBoardTextBytes = 2048;  ///< with the 0 at its end; longer is cut
+
 struct alignas(64) BoardHeader {
   std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0, flows = 0;
   std::atomic<std::uint64_t> released{};  ///< [H] releases of the sensors
+  std::atomic<std::uint64_t> late{};      ///< [H] ... that were not where app.json has them
+  std::atomic<std::int64_t> latest_ns{};  ///< [H] the most that one of these was off
+  /// [H] before the run: what the policy's claims take for granted and this run does not keep.
+  char unkept[kBoardTextBytes] = {};
 };
 
 /// What is counted, and checked when memory of another process is mapped.
@@ -52,10 +58,13 @@ struct alignas(64) FlowLine {
   static constexpr std::uint32_t kBuckets = 2048;  ///< Distribution's: up to days
   char name[kBoardNameBytes] = {};                 ///< [H] before the run
   std::uint32_t module = 0;                        ///< [H] where a chain ends
+  /// [H] before the run, of a policy of keys: what it claims, and what is beyond that; 0: nothing.
+  std::int64_t worst_case_us = 0, lower_bound_us = 0, allowed_us = 0;
   // All [H].
   std::atomic<std::uint64_t> results{}, late{}, old{};
   std::atomic<std::uint64_t> lost{};  ///< of flow 0; a chain loses what its module loses
   std::atomic<std::int64_t> last_origin_ns{}, max_age_us{};
+  std::atomic<std::int64_t> last_us{-1}, longest_us{-1};  ///< -1: there was none
   std::atomic<std::uint32_t> latency_us[kBuckets] = {};
   void add(std::int64_t us);
 };
@@ -99,7 +108,14 @@ class Board {
   [[nodiscard]] const BoardShape& shape() const { return shape_; }
   [[nodiscard]] std::uint64_t released() const { return header_->released.load(); }
   void count_release() { header_->released.fetch_add(1, std::memory_order_relaxed); }
+  /// By one thread, which releases.
+  void count_late(std::int64_t ns);
+  [[nodiscard]] std::uint64_t late() const { return header_->late.load(); }
+  [[nodiscard]] std::int64_t latest_ns() const { return header_->latest_ns.load(); }
+  void tell_unkept(const std::string& text);
+  [[nodiscard]] std::string unkept() const;
   XNodeLine& xnode(std::size_t node) { return xnodes_[node]; }
+  [[nodiscard]] const XNodeLine& xnode(std::size_t node) const { return xnodes_[node]; }
   ProcessLine& process(int index) { return processes_[index]; }
   [[nodiscard]] int processes() const { return static_cast<int>(shape_.processes); }
   [[nodiscard]] std::uint64_t settled() const;

@@ -70,6 +70,9 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   if (e.role_->leads()) {
     XAUTO_ASSIGN(e.releaser_, Releaser::make(*e.context_, *e.wiring_, *e.ledger_, e.stop_));
     e.placing_.compare_with_certificate(app, session, e.graph_);
+    std::string unkept;
+    for (const std::string& line : e.placing_.unkept) add_note(unkept, line);
+    board.tell_unkept(unkept);
   }
   XAUTO_TRY(e.wiring_->start());
   e.hangs_ = std::make_unique<HangWatch>(*e.context_, *e.wiring_, *e.role_, e.placing_.limits);
@@ -186,7 +189,7 @@ void Engine::activate(int module, Activation& activation) {
   if (trace_) {
     trace_->write(XAUTO_EV_ACTIVATE, activation.input().sequence(), XAUTO_EV_NONE,
                   static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
-    if (!graph_.single_rate) trace_inputs(module, activation);
+    if (!graph_.single_rate || grid_.periodic) trace_inputs(module, activation);
   }
   chain.nodes.front().worker->submit(0);
 }
@@ -201,12 +204,25 @@ void Engine::proceed(int module, Activation& activation, std::size_t node) {
 void Engine::trace_inputs(int module, Activation& activation) {
   const std::vector<int>& inputs = graph_.modules[static_cast<std::size_t>(module)].inputs;
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    const Graph::Topic& topic = graph_.topics[static_cast<std::size_t>(inputs[i])];
-    const auto from = static_cast<std::uint32_t>(std::max(topic.source, topic.module));
     trace_->write(XAUTO_EV_TAKE, static_cast<std::uint64_t>(activation.origin_of(i)), XAUTO_EV_NONE,
-                  static_cast<std::uint16_t>(module), XAUTO_EV_NONE,
-                  topic.source >= 0 ? XAUTO_TAKE_SOURCE | from : from);
+                  static_cast<std::uint16_t>(module), XAUTO_EV_NONE, publisher_of(inputs[i]));
   }
+}
+
+/// Who publishes a topic, as events name it.
+std::uint32_t Engine::publisher_of(int topic) const {
+  const Graph::Topic& of = graph_.topics[static_cast<std::size_t>(topic)];
+  if (of.source < 0) return static_cast<std::uint32_t>(of.module);
+  return XAUTO_TAKE_SOURCE | grid_.sources[static_cast<std::size_t>(of.source)].number;
+}
+
+void Engine::sampled(int module, std::span<const detail::Envelope> messages) {
+  if (!trace_) return;
+  const std::vector<int>& samples = graph_.modules[static_cast<std::size_t>(module)].samples;
+  for (std::size_t i = 0; i < messages.size(); ++i)
+    trace_->write(
+        XAUTO_EV_SAMPLE, messages[i].message != nullptr ? messages[i].sequence : XAUTO_SAMPLE_NONE,
+        XAUTO_EV_NONE, static_cast<std::uint16_t>(module), XAUTO_EV_NONE, publisher_of(samples[i]));
 }
 
 void Engine::done(int module, const Activation& activation) {

@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include <xauto/result.h>
@@ -55,10 +56,12 @@ class Engine final : private ModuleHost {
   void dropped(int module, std::uint64_t sequence, std::uint32_t reason) override;
   void left(int module) override;
   void passed(int module, const Activation& activation, int node) override;
+  void sampled(int module, std::span<const detail::Envelope> messages) override;
   void skip(int module, std::uint64_t sequence) override;
 
   [[nodiscard]] Status open_trace(bool leads);
   void trace_inputs(int module, Activation& activation);
+  [[nodiscard]] std::uint32_t publisher_of(int topic) const;
   [[nodiscard]] Result<RunReport> run_all();
   [[nodiscard]] Result<RunReport> run_part();
   void note_chain_ends();

@@ -80,8 +80,8 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
   }
   grid.depth.assign(graph.modules.size(), 1);
   for (const SourceSpec& source : graph.sources)
-    grid.sources.push_back(
-        {session.period_us > 0 ? Period{session.period_us} : source.period, 0, 0});
+    grid.sources.push_back({session.period_us > 0 ? Period{session.period_us} : source.period, 0, 0,
+                            0, static_cast<std::uint32_t>(grid.sources.size())});
   if (!grid.periodic) return grid;
 
   const AppSpec& app = session.app;
@@ -103,7 +103,8 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
                   "app.json describes another version of this program: profile it again"));
     const SourceSpec& spec = app.sources[static_cast<std::size_t>(spec_of[s])];
     grid.sources[s] = {spec.period, spec.offset_us * 1000, spec.jitter_us * 1000,
-                       static_cast<std::size_t>(spec.clock)};
+                       static_cast<std::size_t>(spec.clock),
+                       static_cast<std::uint32_t>(spec_of[s])};
   }
   XAUTO_ASSIGN(const Components components, find_components(app));
   std::vector<std::vector<char>> heard(graph.modules.size(),

@@ -27,6 +27,7 @@ struct Grid {
     std::int64_t offset_ns = 0;
     std::int64_t jitter_ns = 0;  ///< what app.json states; of version 1 it says nothing
     std::size_t clock = 0;       ///< of `clock_ppm`
+    std::uint32_t number = 0;    ///< in the trace: app.json's, of version 1 the program's
     /// Of release `k`, after the start. In whole nanoseconds, rounded down; no drift adds up.
     [[nodiscard]] std::int64_t due_ns(std::uint64_t k) const;
     [[nodiscard]] std::int64_t period_ns() const { return due_ns(1) - due_ns(0); }

@@ -8,6 +8,7 @@
 
 #include "base/clock.h"
 #include "base/futex.h"
+#include "model/claims.h"
 
 namespace xauto::runtime {
 namespace {
@@ -25,7 +26,16 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
     if (module.sink) ++num_sinks_;
   }
   sink_next_.assign(context.graph.modules.size(), 0);
-  if (role.leads()) routes_.show_on(context.board);
+  if (!role.leads()) return;
+  routes_.show_on(context.board);
+  if (!context.session.keys || !context.scheduled()) return;
+  const std::vector<ChainClaim>& claims = context.session.keys->chains;
+  for (std::size_t i = 0; i < std::min(routes_.size(), claims.size()); ++i) {
+    FlowLine& line = context.board.flow(i + 1);
+    line.worst_case_us = line.allowed_us = claims[i].worst_case_us;
+    line.lower_bound_us = claims[i].lower_bound_us;
+    if (context.session.emulates()) line.allowed_us += line.worst_case_us * kEmulatorPct / 100;
+  }
 }
 
 void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {

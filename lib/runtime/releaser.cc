@@ -102,9 +102,12 @@ bool Releaser::release_tracked(int topic, const detail::Inlet::Waiting& pushed) 
   if (!found) return false;
   Seen& seen = seen_[source];
   // What did not come is lost, and known to be: nobody waits for it.
-  for (; next < found->number; ++next, ++seen.left_out, ++seen.of)
+  for (; next < found->number; ++next, ++seen.left_out, ++seen.of) {
+    context_.board.count_late(0);
     release(pushed.at_ns, {{topic, next, nullptr, 0}});
+  }
   seen.off += found->off_ns > 0 ? 1 : 0;
+  if (found->off_ns > 0) context_.board.count_late(found->off_ns);
   seen.farthest_ns = std::max(seen.farthest_ns, found->off_ns);
   release(pushed.at_ns, {{topic, next++, pushed.message, found->nominal_ns}});
   return true;
@@ -266,6 +269,7 @@ void Releaser::watch_jitter(std::int64_t now_ns, const Sample& sample) {
   const std::int64_t after_ns = now_ns - sample.nominal_ns;
   if (after_ns <= context_.grid.sources[source].jitter_ns) return;
   ++seen.late;
+  context_.board.count_late(after_ns);
   seen.latest_ns = std::max(seen.latest_ns, after_ns);
 }
 
@@ -310,10 +314,16 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
   ledger_.open(sequence, origin_of(samples.front()));
   if (context_.trace != nullptr) {
     // One release in an app of one rate, several otherwise.
-    const std::size_t count = context_.graph.single_rate ? 1 : samples.size();
-    for (std::size_t i = 0; i < count; ++i)
-      context_.trace->write_at(origin_of(samples[i]), XAUTO_EV_PUBLISH, samples[i].sequence,
-                               XAUTO_EV_NONE, XAUTO_EV_NONE, XAUTO_EV_NONE);
+    const bool whole = context_.graph.single_rate && !context_.grid.periodic;
+    for (std::size_t i = 0; i < (whole ? 1 : samples.size()); ++i) {
+      const auto& topic = context_.graph.topics[static_cast<std::size_t>(samples[i].topic)];
+      context_.trace->write_at(
+          origin_of(samples[i]), XAUTO_EV_PUBLISH, samples[i].sequence, XAUTO_EV_NONE,
+          XAUTO_EV_NONE, XAUTO_EV_NONE,
+          whole ? 0
+                : XAUTO_TAKE_SOURCE |
+                      context_.grid.sources[static_cast<std::size_t>(topic.source)].number);
+    }
   }
   if (recorder_) record(now_ns, samples);
   for (const Sample& sample : samples) {

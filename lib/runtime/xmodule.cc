@@ -261,6 +261,9 @@ void ModuleRuntime::begin(Activation& activation, std::int64_t now_ns) {
     }
   }
   if (tells_origins_) gather_origins(activation);
+  if (!module_.samples.empty())
+    host_.sampled(index_,
+                  std::span(InputAccess::messages(activation.input_)).subspan(newest_from_));
 }
 
 /// By source, the oldest of what this activation is made from.

@@ -19,6 +19,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "base/pi_mutex.h"
@@ -45,6 +46,8 @@ class ModuleHost {
   virtual void left(int /*module*/) {}
   /// Node `node` of the graph has ended its job; asked for where a chain ends inside.
   virtual void passed(int /*module*/, const Activation& /*activation*/, int /*node*/) {}
+  /// What the activation that begins has read of the topics that `module` samples, in their order.
+  virtual void sampled(int /*module*/, std::span<const detail::Envelope> /*messages*/) {}
   /// No XNode of `module` will start a job of an activation up to `sequence` any more.
   virtual void skip(int module, std::uint64_t sequence) = 0;
 };

@@ -12,6 +12,7 @@
 
 #include "base/memory_file.h"
 #include "model/json.h"
+#include "model/periodic.h"
 #include "session/run_report.h"
 
 namespace xauto::runtime {
@@ -44,7 +45,7 @@ Distribution distribution_from(const json& j) {
   for (const json& pair : j.at("buckets"))
     buckets[pair.at(0).get<std::uint32_t>()] = pair.at(1).get<std::uint64_t>();
   Distribution d;
-  if (!Distribution::restore(j.at("values").get<std::vector<std::int64_t>>(), std::move(buckets),
+  if (!Distribution::restore(j.at("values").get<std::vector<std::int64_t>>(), buckets,
                              j.at("sum").get<std::int64_t>(), j.at("max").get<std::int64_t>(), d))
     throw std::runtime_error("impossible distribution");
   return d;
@@ -101,6 +102,7 @@ std::string to_json(const Session& s) {
     Deployment deployment = s.deployment;
     deployment.app = s.app.name;
     j["deployment"] = xauto::to_json(deployment);
+    j["by_keys"] = s.keys.has_value();
     if (s.scheduling != Scheduling::kRos2)
       j["policy"] = s.keys ? xauto::to_json(*s.keys, s.app, s.platform)
                            : xauto::to_json(s.policy, s.app, s.platform);
@@ -162,11 +164,12 @@ Result<Session> parse_session(const std::string& text) {
                    parse_deployment(j.at("deployment").get<std::string>(), "session", s.app));
       if (s.scheduling != Scheduling::kRos2) {
         const auto said = j.at("policy").get<std::string>();
-        if (s.app.version == 2) {
+        if (j.at("by_keys").get<bool>()) {
           XAUTO_ASSIGN(s.keys, parse_key_policy(said, "session", s.app, s.platform));
           s.policy = assignment_of(*s.keys);
         } else {
-          XAUTO_ASSIGN(s.policy, parse_policy(said, "session", s.app, s.platform));
+          const AppSpec app = s.app.version == 2 ? as_version_1(s.app) : s.app;
+          XAUTO_ASSIGN(s.policy, parse_policy(said, "session", app, s.platform));
         }
       }
     }

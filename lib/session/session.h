@@ -42,7 +42,9 @@ struct Session {
   Mode mode = Mode::kRun;
   AppSpec app;  ///< kRun
   Platform platform;
-  Policy policy;  ///< kRun with kXAuto, kTimeshare; of version 2: assignment_of(keys)
+  /// kRun with kXAuto, kTimeshare; of version 2 assignment_of(keys), or without keys a policy of
+  /// priorities for as_version_1(app).
+  Policy policy;
   std::optional<KeyPolicy> keys;  ///< the same of an app of version 2
   Scheduling scheduling = Scheduling::kXAuto;
   CpuSched cpu_sched = CpuSched::kFifo;

@@ -12,7 +12,9 @@
 
 #include <fmt/format.h>
 
+#include "story/lanes.h"
 #include "story/perfetto.h"
+#include "story/steady_tracks.h"
 
 namespace xauto::story {
 namespace {
@@ -85,21 +87,6 @@ struct Piece {
   int lane = 0;
 };
 
-/// Pieces of a row that overlap go to lanes of their own: one track may only nest.
-int assign_lanes(std::vector<Piece*>& pieces) {
-  std::stable_sort(pieces.begin(), pieces.end(),
-                   [](const Piece* a, const Piece* b) { return a->begin < b->begin; });
-  std::vector<std::int64_t> busy_until;
-  for (Piece* piece : pieces) {
-    auto lane = std::find_if(busy_until.begin(), busy_until.end(),
-                             [&](std::int64_t until) { return until <= piece->begin; });
-    if (lane == busy_until.end()) lane = busy_until.insert(lane, 0);
-    *lane = piece->end;
-    piece->lane = static_cast<int>(lane - busy_until.begin());
-  }
-  return static_cast<int>(busy_until.size());
-}
-
 class Painter {
  public:
   Painter(const AppSpec& app, const Scene& scene, const Story& story)
@@ -124,6 +111,8 @@ class Painter {
     collect_run();
     connect();
     paint_releases();
+    paint_chains(out_, root_, app_, scene_, story_);
+    paint_samples(out_, root_, app_, scene_, story_, std::move(samples_));
     paint_rows("run", "what ran on each XPU; a preempted job is cut", run_, true);
     paint_plan();
     paint_modules();
@@ -195,6 +184,11 @@ class Painter {
         }
         run_.push_back(std::move(piece));
       }
+      if (scene_.keys == nullptr || first_[j] < 0) continue;
+      const auto window = window_of(*scene_.keys, story_, job);
+      if (!window) continue;
+      tell_window(*window, begin_of(first_[j]), *first_piece(j));
+      if (job.complete) tell_lateness(*window, job.end_ns(), *last_piece(j));
     }
   }
 
@@ -228,6 +222,7 @@ class Painter {
     releases_.resize(story_.releases.size());
     activations_.resize(story_.activations.size());
     results_.resize(story_.activations.size());
+    samples_.resize(story_.activations.size());
     std::map<std::pair<int, std::int64_t>, std::size_t> job_of;  // (XNode, key)
     for (std::size_t j = 0; j < story_.jobs.size(); ++j)
       job_of.try_emplace({story_.jobs[j].xnode, key_of(story_.jobs[j])}, j);
@@ -237,10 +232,14 @@ class Painter {
     std::map<std::pair<int, std::uint64_t>, std::size_t> activation_of;
     for (std::size_t a = 0; a < story_.activations.size(); ++a)
       activation_of.try_emplace({story_.activations[a].module, story_.activations[a].sequence}, a);
-    std::vector<int> last_job(story_.activations.size(), -1);
+    std::vector<int> first_job(story_.activations.size(), -1), last_job = first_job;
     for (std::size_t j = 0; j < story_.jobs.size(); ++j)
-      if (const int a = story_.jobs[j].activation; a >= 0 && last_piece(j) != nullptr)
+      if (const int a = story_.jobs[j].activation; a >= 0 && last_piece(j) != nullptr) {
         last_job[static_cast<std::size_t>(a)] = static_cast<int>(j);
+        int& first = first_job[static_cast<std::size_t>(a)];
+        if (first < 0) first = static_cast<int>(j);
+      }
+    connect_samples(first_job, last_job);
 
     const auto predecessors = app_.predecessors();
     const auto successors = app_.successors();
@@ -301,6 +300,24 @@ class Painter {
     }
   }
 
+  /// Through the instant at which it was read, so that a reader of the file can tell it from what
+  /// fires.
+  void connect_samples(const std::vector<int>& first_job, const std::vector<int>& last_job) {
+    for (std::size_t a = 0; a < story_.activations.size(); ++a) {
+      const std::vector<SampleRead>& reads = story_.activations[a].samples;
+      samples_[a].resize(reads.size());
+      for (std::size_t i = 0; i < reads.size(); ++i) {
+        const SampleRead& read = reads[i];
+        if (read.from >= 0)
+          connect_take({read.source, read.module, 0, read.from}, last_job, samples_[a][i],
+                       read.read_ns);
+        if (first_job[a] < 0) continue;
+        const auto j = static_cast<std::size_t>(first_job[a]);
+        arrow(samples_[a][i], *first_piece(j), read.read_ns <= begin_of(first_[j]));
+      }
+    }
+  }
+
   void paint_releases() {
     std::vector<Piece> spans;
     for (std::size_t r = 0; r < story_.releases.size(); ++r) {
@@ -314,6 +331,8 @@ class Painter {
       piece.details.category = "release";
       auto& args = piece.details.args;
       args.emplace_back("release", static_cast<std::int64_t>(release.sequence));
+      if (release.source >= 0 && static_cast<std::size_t>(release.source) < app_.sources.size())
+        args.emplace_back("source", app_.sources[static_cast<std::size_t>(release.source)].name);
       const std::int64_t latency_us = (release.end_ns - release.begin_ns) / 1000;
       if (release.fate == Fate::kDone) {
         args.emplace_back("latency_us", latency_us);
@@ -339,8 +358,9 @@ class Painter {
     paint_lanes(parent, title, description, list, exclusive);
   }
 
-  void paint_lanes(Track parent, const std::string& title, const std::string& description,
-                   std::vector<Piece*>& pieces, bool exclusive) {
+  /// The track; of several lanes the first.
+  Track paint_lanes(Track parent, const std::string& title, const std::string& description,
+                    std::vector<Piece*>& pieces, bool exclusive) {
     int lanes = 1;
     // A job is let on while its predecessor is still being taken off: the switch is drawn inside
     // it.
@@ -353,14 +373,18 @@ class Painter {
       });
     else
       lanes = std::max(1, assign_lanes(pieces));
+    Track top = 0;
     for (int lane = 0; lane < lanes; ++lane) {
-      Nest nest(out_, out_.add_track(parent, title, lane == 0 ? description : ""));
+      const Track track = out_.add_track(parent, title, lane == 0 ? description : "");
+      if (lane == 0) top = track;
+      Nest nest(out_, track);
       for (Piece* piece : pieces) {
         if (!exclusive && piece->lane != lane) continue;
         const int at = exclusive ? depth(piece) : 0;
         nest.add(at, piece->begin, piece->end, piece->name, std::move(piece->details));
       }
     }
+    return top;
   }
 
   void paint_rows(const std::string& title, const std::string& description,
@@ -368,9 +392,11 @@ class Painter {
     const Track group = out_.add_track(root_, title, description);
     std::vector<std::vector<Piece*>> by_row(scene_.rows.size());
     for (Piece& piece : pieces) by_row[static_cast<std::size_t>(piece.row)].push_back(&piece);
-    for (std::size_t r = 0; r < scene_.rows.size(); ++r)
-      paint_lanes(group, scene_.rows[r].name + (measured ? "" : " plan"), "", by_row[r],
-                  measured && scene_.rows[r].exclusive);
+    for (std::size_t r = 0; r < scene_.rows.size(); ++r) {
+      const Track track = paint_lanes(group, scene_.rows[r].name + (measured ? "" : " plan"), "",
+                                      by_row[r], measured && scene_.rows[r].exclusive);
+      if (measured) paint_windows(out_, track, static_cast<int>(r), app_, scene_, story_);
+    }
   }
 
   /// Under every release; with several rates, for which there is no such plan, under the first.
@@ -399,10 +425,12 @@ class Painter {
         out_.add_track(root_, "modules", "activations, their jobs, the jobs' states");
     struct Entry {
       std::int64_t begin, end;
-      int depth;
+      int depth, lane;
       std::string name;
       Details details;
     };
+    std::vector<int> lanes(scene_.modules.size(), 1);
+    const std::vector<int> lane_of = activation_lanes(lanes);
     std::vector<std::vector<Entry>> entries(scene_.modules.size());
     for (std::size_t a = 0; a < story_.activations.size(); ++a) {
       const Activation& activation = story_.activations[a];
@@ -412,7 +440,7 @@ class Painter {
       if (activation.fate == Fate::kDropped)
         details.args.emplace_back("dropped", drop_reason(activation.reason));
       entries[static_cast<std::size_t>(activation.module)].push_back(
-          {activation.begin_ns, activation.end_ns, 0,
+          {activation.begin_ns, activation.end_ns, 0, lane_of[a],
            fmt::format("{} {}{}", scene_.modules[static_cast<std::size_t>(activation.module)].name,
                        activation.sequence, activation.fate == Fate::kDropped ? " dropped" : ""),
            std::move(details)});
@@ -422,22 +450,51 @@ class Painter {
       Details details{
           "job", {{"xpu", scene_.rows[static_cast<std::size_t>(row_of(job.xpu))].name}}, {}, {}};
       if (job.failed) details.args.emplace_back("failed", std::int64_t{1});
-      list.push_back({job.begin_ns(), job.end_ns(), 1, name(job.xnode), std::move(details)});
+      const int lane = job.activation < 0 ? 0 : lane_of[static_cast<std::size_t>(job.activation)];
+      list.push_back({job.begin_ns(), job.end_ns(), 1, lane, name(job.xnode), std::move(details)});
       for (const Phase& phase : job.phases) {
         Details why{"state", {}, {}, {}};
         if (!phase.by.empty())
           why.args.emplace_back(phase.kind == PhaseKind::kSuspended ? "preempted_by" : "waited_for",
                                 names(phase.by));
-        list.push_back({phase.begin_ns, phase.end_ns, 2, to_string(phase.kind), std::move(why)});
+        list.push_back(
+            {phase.begin_ns, phase.end_ns, 2, lane, to_string(phase.kind), std::move(why)});
       }
     }
     for (std::size_t m = 0; m < entries.size(); ++m) {
       std::stable_sort(entries[m].begin(), entries[m].end(), [](const Entry& a, const Entry& b) {
         return a.begin != b.begin ? a.begin < b.begin : a.depth < b.depth;
       });
-      Nest nest(out_, out_.add_track(group, scene_.modules[m].name));
-      for (Entry& e : entries[m]) nest.add(e.depth, e.begin, e.end, e.name, std::move(e.details));
+      for (int lane = 0; lane < lanes[m]; ++lane) {
+        Nest nest(out_, out_.add_track(group, scene_.modules[m].name));
+        for (Entry& e : entries[m])
+          if (e.lane == lane) nest.add(e.depth, e.begin, e.end, e.name, std::move(e.details));
+      }
     }
+  }
+
+  /// [activation] its lane among those of its module that are in flight with it. `lanes`: how many
+  /// each module has.
+  std::vector<int> activation_lanes(std::vector<int>& lanes) const {
+    struct Flight {
+      std::int64_t begin, end;
+      std::size_t activation;
+      int lane = 0;
+    };
+    std::vector<std::vector<Flight>> flights(lanes.size());
+    for (std::size_t a = 0; a < story_.activations.size(); ++a) {
+      const Activation& activation = story_.activations[a];
+      flights[static_cast<std::size_t>(activation.module)].push_back(
+          {activation.begin_ns, activation.end_ns, a});
+    }
+    std::vector<int> lane_of(story_.activations.size(), 0);
+    for (std::size_t m = 0; m < flights.size(); ++m) {
+      std::vector<Flight*> list;
+      for (Flight& flight : flights[m]) list.push_back(&flight);
+      lanes[m] = std::max(1, assign_lanes(list));
+      for (const Flight& flight : flights[m]) lane_of[flight.activation] = flight.lane;
+    }
+    return lane_of;
   }
 
   /// Where the arrows end: outputs published.
@@ -467,6 +524,19 @@ class Painter {
     }
   }
 
+  /// How many activations of a module are in flight.
+  void paint_in_flight(Track group) {
+    if (app_.version != 2) return;
+    std::vector<Steps> steps(scene_.modules.size());
+    for (const Activation& a : story_.activations) {
+      if (a.end_ns == a.begin_ns) continue;  // it never began
+      steps[static_cast<std::size_t>(a.module)].emplace_back(a.begin_ns, 1);
+      steps[static_cast<std::size_t>(a.module)].emplace_back(a.end_ns, -1);
+    }
+    for (std::size_t m = 0; m < steps.size(); ++m)
+      paint_counter(group, scene_.modules[m].name + " in flight", std::move(steps[m]));
+  }
+
   using Steps = std::vector<std::pair<std::int64_t, std::int64_t>>;  ///< time, change
   void paint_counter(Track parent, const std::string& title, Steps steps) {
     const Track track = out_.add_counter(parent, title);
@@ -483,6 +553,7 @@ class Painter {
 
   void paint_counters() {
     const Track group = out_.add_track(root_, "counters");
+    paint_in_flight(group);
     std::vector<Steps> waiting(scene_.rows.size()), suspended(scene_.rows.size());
     for (const JobStory& job : story_.jobs)
       for (const Phase& phase : job.phases) {
@@ -529,6 +600,7 @@ class Painter {
   std::vector<Piece> run_;
   std::vector<int> first_, last_;  ///< by job: index into run_, -1: it never ran
   std::vector<Details> releases_, activations_, results_;  ///< arrows of each
+  std::vector<std::vector<Details>> samples_;              ///< [activation][sample] likewise
   std::uint64_t flows_ = 0;
 };
 

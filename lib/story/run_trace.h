@@ -10,6 +10,7 @@
 
 #include <xauto/result.h>
 
+#include "model/key_policy.h"
 #include "solver/simulate.h"
 #include "story/story.h"
 
@@ -28,6 +29,9 @@ struct Scene {
   std::vector<ModuleInfo> modules;
   std::vector<std::int64_t> priorities;  ///< by XNode; empty: none
   std::vector<solver::Slice> plan;       ///< of one release, from its beginning
+  const KeyPolicy* keys = nullptr;       ///< the run went by; null: by none
+  std::vector<ChainClaim> claims;        ///< [chain]; empty: nothing is claimed
+  std::string verdict;                   ///< ... and what became of it in this run
 };
 
 /// The file. Errors: the plan names what the app or the platform does not have.

@@ -4,7 +4,10 @@
 #include <algorithm>
 #include <limits>
 #include <map>
-#include <optional>
+#include <set>
+#include <utility>
+
+#include "model/components.h"
 
 namespace xauto::story {
 namespace {
@@ -17,7 +20,16 @@ class Reader {
         modules_(modules),
         open_jobs_(app.xnodes.size()),
         open_activations_(modules.size()),
-        open_ids_(modules.size(), -1) {}
+        most_open_(modules.size(), 1),
+        read_(modules.size()),
+        phase_ns_(modules.size(), 0) {
+    for (std::size_t m = 0; m < modules.size(); ++m)
+      for (const ModuleSpec& spec : app.modules)
+        if (spec.name == modules[m].name)
+          most_open_[m] = static_cast<std::size_t>(std::max<std::int64_t>(1, spec.max_in_flight));
+    for (const auto& [u, v] : app.samples) readers_.insert(v);
+    if (app.version == 2) learn_phases();
+  }
 
   void take(const trace::Event& event) {
     if (!makes_sense(event)) {
@@ -29,17 +41,16 @@ class Reader {
     story_.end_ns = ts;
     switch (event.kind) {
       case XAUTO_EV_PUBLISH:
-        story_.several_rates |= !published_.emplace(event.seq, story_.releases.size()).second;
-        story_.releases.push_back({event.seq, ts, ts, Fate::kUnknown});
+        publish(event, ts);
         break;
       case XAUTO_EV_ACTIVATE:
-        leave(open_activations_[event.module], ts, Fate::kUnknown, 0);
-        open_activations_[event.module] =
-            Activation{event.module, event.seq, ts, ts, Fate::kUnknown, 0};
-        open_ids_[event.module] = next_id_++;
+        activate(event, ts);
         break;
       case XAUTO_EV_TAKE:
         take_input(event);
+        break;
+      case XAUTO_EV_SAMPLE:
+        take_sample(event, ts);
         break;
       case XAUTO_EV_MISS:
       case XAUTO_EV_HANG:
@@ -57,28 +68,52 @@ class Reader {
   }
 
   Story finish() {
-    for (auto& job : open_jobs_) close(job, story_.end_ns);
-    for (auto& activation : open_activations_) leave(activation, story_.end_ns, Fate::kUnknown, 0);
+    for (auto& open : open_jobs_)
+      while (!open.empty()) close(open, open.begin(), story_.end_ns);
+    for (auto& open : open_activations_)
+      while (!open.empty()) leave(open, open.begin(), story_.end_ns, Fate::kUnknown, 0);
     std::stable_sort(
         story_.jobs.begin(), story_.jobs.end(),
         [](const JobStory& a, const JobStory& b) { return a.begin_ns() < b.begin_ns(); });
     sort_activations();
-    if (story_.several_rates)
+    story_.num_modules = modules_.size();
+    if (story_.several_rates) {
       find_inputs();
-    else
+      find_samples();
+    } else {
       end_releases();
+    }
     name_blockers();
     return std::move(story_);
   }
 
  private:
+  /// With several activations of one module in flight each is found by its number.
+  struct OpenActivation {
+    Activation activation;
+    int id = 0;  ///< in the order of their begins
+  };
+  using OpenActivations = std::vector<OpenActivation>;
+  using OpenJobs = std::vector<JobStory>;
+
+  /// How much later than its component's activation each source of a module releases.
+  void learn_phases() {
+    const auto parts = find_components(app_);
+    if (!parts) return;
+    for (std::size_t m = 0; m < modules_.size(); ++m)
+      for (std::size_t i = 0; i < app_.xnodes.size(); ++i)
+        if (app_.xnodes[i].module == modules_[m].name)
+          phase_ns_[m] = parts->components[static_cast<std::size_t>(parts->of[i])].offset_us * 1000;
+  }
+
   bool makes_sense(const trace::Event& e) const {
     if (e.ts_ns == 0 || e.ts_ns > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2)
       return false;
     if (e.kind == XAUTO_EV_PUBLISH) return true;
-    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_HANG || e.module >= modules_.size())
+    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_SAMPLE || e.module >= modules_.size())
       return false;
-    if (e.kind == XAUTO_EV_TAKE) return (e.arg & XAUTO_TAKE_SOURCE) != 0 || e.arg < modules_.size();
+    if (e.kind == XAUTO_EV_TAKE || e.kind == XAUTO_EV_SAMPLE)
+      return source_of(e.arg) >= 0 || e.arg < modules_.size();
     if (e.kind == XAUTO_EV_ACTIVATE || e.kind == XAUTO_EV_DONE || e.kind == XAUTO_EV_DROP ||
         e.kind == XAUTO_EV_MISS)
       return true;
@@ -86,37 +121,70 @@ class Reader {
            app_.xnodes[e.xnode].module == modules_[e.module].name;
   }
 
+  /// -1: `arg` names no source. App.json's number in version 2, else the program's.
+  [[nodiscard]] int source_of(std::uint32_t arg) const {
+    const std::uint32_t index = arg & ~XAUTO_TAKE_SOURCE;
+    const std::size_t known = app_.version == 2 ? app_.sources.size() : kMaxSources;
+    return (arg & XAUTO_TAKE_SOURCE) != 0 && index < known ? static_cast<int>(index) : -1;
+  }
+
+  void publish(const trace::Event& e, std::int64_t ts) {
+    const int source = source_of(e.arg);
+    story_.several_rates |=
+        source >= 0 || !published_.emplace(e.seq, story_.releases.size()).second;
+    story_.releases.push_back({e.seq, ts, ts, Fate::kUnknown, source});
+  }
+
+  void activate(const trace::Event& e, std::int64_t ts) {
+    OpenActivations& open = open_activations_[e.module];
+    while (open.size() >= most_open_[e.module]) leave(open, open.begin(), ts, Fate::kUnknown, 0);
+    open.push_back({Activation{e.module, e.seq, ts, ts, Fate::kUnknown, 0}, next_id_++});
+  }
+
+  static OpenActivations::iterator numbered(OpenActivations& open, std::uint64_t sequence) {
+    return std::find_if(open.begin(), open.end(),
+                        [&](const OpenActivation& o) { return o.activation.sequence == sequence; });
+  }
+
   void job_step(const trace::Event& e, std::int64_t ts) {
-    std::optional<JobStory>& open = open_jobs_[e.xnode];
-    const bool opens =
-        e.kind == XAUTO_EV_READY || e.kind == XAUTO_EV_START || e.kind == XAUTO_EV_RUN;
-    if (open && open->sequence != e.seq && opens) close(open, ts);
-    if (!open && opens) {
-      open = JobStory{e.xnode, e.module, e.xpu, e.seq, {}, false, false};
-      if (const auto& activation = open_activations_[e.module];
-          activation && activation->sequence == e.seq)
-        open->activation = open_ids_[e.module];
-      enter(*open, PhaseKind::kWaiting, ts);
+    OpenJobs& open = open_jobs_[e.xnode];
+    const auto find = [&] {
+      return std::find_if(open.begin(), open.end(),
+                          [&](const JobStory& job) { return job.sequence == e.seq; });
+    };
+    auto job = find();
+    if (job == open.end() &&
+        (e.kind == XAUTO_EV_READY || e.kind == XAUTO_EV_START || e.kind == XAUTO_EV_RUN)) {
+      while (open.size() >= most_open_[e.module]) close(open, open.begin(), ts);
+      open.push_back(JobStory{e.xnode, e.module, e.xpu, e.seq, {}, false, false});
+      OpenActivations& activations = open_activations_[e.module];
+      if (const auto activation = numbered(activations, e.seq); activation != activations.end())
+        open.back().activation = activation->id;
+      enter(open.back(), PhaseKind::kWaiting, ts);
+      job = std::prev(open.end());
     }
     // What comes after FINISH, or of another activation, belongs to a job that is over.
-    if (!open || open->sequence != e.seq) return;
-    open->xpu = e.xpu;
+    if (job == open.end()) return;
+    job->xpu = e.xpu;
     switch (e.kind) {
       case XAUTO_EV_RUN:
+        give_samples(e);
+        enter(*job, PhaseKind::kRunning, ts);
+        break;
       case XAUTO_EV_RESUMED:
-        enter(*open, PhaseKind::kRunning, ts);
+        enter(*job, PhaseKind::kRunning, ts);
         break;
       case XAUTO_EV_SUSPEND:
       case XAUTO_EV_RESUME:
-        enter(*open, PhaseKind::kSwitching, ts);
+        enter(*job, PhaseKind::kSwitching, ts);
         break;
       case XAUTO_EV_SUSPENDED:
-        enter(*open, PhaseKind::kSuspended, ts);
+        enter(*job, PhaseKind::kSuspended, ts);
         break;
       case XAUTO_EV_FINISH:
-        open->complete = true;
-        open->failed = e.arg != 0;
-        close(open, ts);
+        job->complete = true;
+        job->failed = e.arg != 0;
+        close(open, job, ts);
         break;
       default:
         break;
@@ -132,31 +200,62 @@ class Reader {
     job.phases.push_back({kind, ts, ts, {}});
   }
 
-  void close(std::optional<JobStory>& job, std::int64_t ts) {
-    if (!job) return;
+  void close(OpenJobs& open, OpenJobs::iterator job, std::int64_t ts) {
     job->phases.back().end_ns = ts;
     story_.jobs.push_back(std::move(*job));
-    job.reset();
+    open.erase(job);
   }
 
-  void leave(std::optional<Activation>& open, std::int64_t ts, Fate fate, std::uint32_t reason) {
-    if (!open) return;
-    open->end_ns = ts;
-    open->fate = fate;
-    open->reason = reason;
-    ids_.push_back(open_ids_[static_cast<std::size_t>(open->module)]);
-    story_.activations.push_back(std::move(*open));
-    open.reset();
+  void leave(OpenActivations& open, OpenActivations::iterator at, std::int64_t ts, Fate fate,
+             std::uint32_t reason) {
+    Activation& activation = at->activation;
+    activation.end_ns = ts;
+    activation.fate = fate;
+    activation.reason = reason;
+    ids_.push_back(at->id);
+    story_.activations.push_back(std::move(activation));
+    open.erase(at);
   }
 
+  /// Told right after ACTIVATE.
   void take_input(const trace::Event& e) {
-    std::optional<Activation>& open = open_activations_[e.module];
-    if (!open || e.seq > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2) return;
+    OpenActivations& open = open_activations_[e.module];
+    if (open.empty() || e.seq > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2) return;
     story_.several_rates = true;
-    const bool source = (e.arg & XAUTO_TAKE_SOURCE) != 0;
-    const auto index = static_cast<int>(e.arg & ~XAUTO_TAKE_SOURCE);
-    open->takes.push_back(
-        {source ? index : -1, source ? -1 : index, static_cast<std::int64_t>(e.seq), -1});
+    const int source = source_of(e.arg);
+    const auto origin_ns = static_cast<std::int64_t>(e.seq);
+    Activation& activation = open.back().activation;
+    activation.takes.push_back({source, source >= 0 ? -1 : static_cast<int>(e.arg), origin_ns, -1});
+    if (app_.version != 2) return;
+    const std::int64_t later_ns =
+        source < 0
+            ? 0
+            : app_.sources[static_cast<std::size_t>(source)].offset_us * 1000 - phase_ns_[e.module];
+    if (activation.released_ns == 0 || origin_ns - later_ns < activation.released_ns)
+      activation.released_ns = origin_ns - later_ns;
+  }
+
+  /// Told right before RUN of the module's first XNode, by the thread that runs it.
+  void take_sample(const trace::Event& e, std::int64_t ts) {
+    const int source = source_of(e.arg);
+    const bool nothing = e.seq > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2;
+    SampleRead read{source, source >= 0 ? -1 : static_cast<int>(e.arg), ts,
+                    nothing ? -1 : static_cast<std::int64_t>(e.seq), -1};
+    std::vector<SampleRead>& reads = read_[e.module];
+    // One of an activation whose RUN was lost is replaced.
+    std::erase_if(reads, [&](const SampleRead& r) {
+      return r.source == read.source && r.module == read.module;
+    });
+    reads.push_back(read);
+  }
+
+  void give_samples(const trace::Event& e) {
+    std::vector<SampleRead>& reads = read_[e.module];
+    if (reads.empty() || (!readers_.empty() && !readers_.contains(e.xnode))) return;
+    OpenActivations& open = open_activations_[e.module];
+    if (const auto at = numbered(open, e.seq); at != open.end())
+      at->activation.samples = std::move(reads);
+    reads.clear();
   }
 
   /// By begin; jobs then know theirs by index.
@@ -178,46 +277,76 @@ class Reader {
       if (job.activation >= 0) job.activation = index_of[static_cast<std::size_t>(job.activation)];
   }
 
-  /// A source's message: the first release from its origin on. A module's: its last output of that
+  /// A source's message: its first release from its origin on. A module's: its last output of that
   /// origin before it was taken.
   void find_inputs() {
+    const auto activation = [&](int i) -> Activation& {
+      return story_.activations[static_cast<std::size_t>(i)];
+    };
     std::vector<std::vector<int>> outputs(modules_.size());
     for (std::size_t a = 0; a < story_.activations.size(); ++a)
       if (story_.activations[a].fate == Fate::kDone)
         outputs[static_cast<std::size_t>(story_.activations[a].module)].push_back(
             static_cast<int>(a));
-    const auto activation = [&](int i) -> Activation& {
-      return story_.activations[static_cast<std::size_t>(i)];
-    };
+    for (std::vector<int>& list : outputs)
+      std::stable_sort(list.begin(), list.end(),
+                       [&](int a, int b) { return activation(a).end_ns < activation(b).end_ns; });
     for (Activation& taker : story_.activations)
       for (Take& take : taker.takes) {
         if (take.source >= 0) {
-          const auto at = std::lower_bound(
+          auto at = std::lower_bound(
               story_.releases.begin(), story_.releases.end(), take.origin_ns,
               [](const ReleaseSpan& r, std::int64_t ns) { return r.begin_ns < ns; });
-          if (at != story_.releases.end() && at->begin_ns <= taker.begin_ns)
+          const auto first = at;
+          while (at != story_.releases.end() && at->begin_ns == first->begin_ns &&
+                 at->source >= 0 && at->source != take.source)
+            ++at;
+          if (at != story_.releases.end() && at->begin_ns <= taker.begin_ns &&
+              (at->source < 0 || at->source == take.source))
             take.from = static_cast<int>(at - story_.releases.begin());
           continue;
         }
-        // A module has one activation at a time: its outputs come in the order of their begins.
         const auto& list = outputs[static_cast<std::size_t>(take.module)];
         auto at =
             std::upper_bound(list.begin(), list.end(), taker.begin_ns,
                              [&](std::int64_t ns, int a) { return ns < activation(a).end_ns; });
         constexpr int kMostWaiting = 1024;  // more than any queue holds
-        for (int tried = 0; at != list.begin() && tried < kMostWaiting; ++tried)
-          if (activation(*--at).origin_ns() == take.origin_ns) {
-            take.from = *at;
-            break;
-          }
+        for (int tried = 0; at != list.begin() && tried < kMostWaiting; ++tried) {
+          const Activation& from = activation(*--at);
+          if ((from.released_ns > 0 ? from.released_ns : from.origin_ns()) != take.origin_ns)
+            continue;
+          take.from = *at;
+          break;
+        }
+      }
+  }
+
+  /// By numbers: each module and each source counts its own.
+  void find_samples() {
+    std::map<std::pair<int, std::uint64_t>, int> outputs, releases;
+    for (std::size_t a = 0; a < story_.activations.size(); ++a)
+      if (const Activation& done = story_.activations[a]; done.fate == Fate::kDone)
+        outputs[{done.module, done.sequence}] = static_cast<int>(a);
+    for (std::size_t r = 0; r < story_.releases.size(); ++r)
+      releases[{story_.releases[r].source, story_.releases[r].sequence}] = static_cast<int>(r);
+    for (Activation& reader : story_.activations)
+      for (SampleRead& read : reader.samples) {
+        const bool source = read.source >= 0;
+        const auto& known = source ? releases : outputs;
+        const auto at = known.find(
+            {source ? read.source : read.module, static_cast<std::uint64_t>(read.number)});
+        if (read.number < 0 || at == known.end()) continue;
+        const auto i = static_cast<std::size_t>(at->second);
+        if ((source ? story_.releases[i].begin_ns : story_.activations[i].end_ns) <= read.read_ns)
+          read.from = at->second;
       }
   }
 
   void end_of_activation(const trace::Event& e, std::int64_t ts) {
     const Fate fate = e.kind == XAUTO_EV_DONE ? Fate::kDone : Fate::kDropped;
-    std::optional<Activation>& open = open_activations_[e.module];
-    if (open && open->sequence == e.seq) {
-      leave(open, ts, fate, e.arg);
+    OpenActivations& open = open_activations_[e.module];
+    if (const auto at = numbered(open, e.seq); at != open.end()) {
+      leave(open, at, ts, fate, e.arg);
     } else {  // it never began, or its beginning was lost
       ids_.push_back(-1);
       story_.activations.push_back({e.module, e.seq, ts, ts, fate, e.arg});
@@ -279,10 +408,13 @@ class Reader {
   const AppSpec& app_;
   const Platform& platform_;
   const std::vector<ModuleInfo>& modules_;
-  std::vector<std::optional<JobStory>> open_jobs_;
-  std::vector<std::optional<Activation>> open_activations_;
-  std::vector<int> open_ids_;  ///< of open_activations_, in the order of their begins
-  std::vector<int> ids_;       ///< of Story::activations; -1: it never began
+  std::vector<OpenJobs> open_jobs_;                ///< [xnode], the oldest first
+  std::vector<OpenActivations> open_activations_;  ///< [module], the oldest first
+  std::vector<std::size_t> most_open_;             ///< [module] activations in flight
+  std::vector<std::vector<SampleRead>> read_;      ///< [module] of the RUN that comes
+  std::set<int> readers_;                          ///< XNodes that begin with a sample
+  std::vector<std::int64_t> phase_ns_;             ///< [module] offset of its component
+  std::vector<int> ids_;                           ///< of Story::activations; -1: it never began
   int next_id_ = 0;
   std::map<std::uint64_t, std::size_t> published_;  ///< sequence -> index into releases
   Story story_;

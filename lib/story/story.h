@@ -50,6 +50,14 @@ struct Take {
   int from = -1;  ///< index into Story::releases (source) or activations (module); -1: unknown
 };
 
+/// What an activation has read of a topic that its module samples.
+struct SampleRead {
+  int source = -1, module = -1;  ///< who published it; one of the two
+  std::int64_t read_ns = 0;
+  std::int64_t number = -1;  ///< of the release or the activation; -1: there was nothing to read
+  int from = -1;             ///< as Take's
+};
+
 /// One pass through a module's chain.
 struct Activation {
   int module = -1;
@@ -58,6 +66,9 @@ struct Activation {
   Fate fate = Fate::kUnknown;  ///< unknown: its end is not in the trace
   std::uint32_t reason = 0;    ///< XAUTO_DROP_*
   std::vector<Take> takes = {};
+  std::vector<SampleRead> samples = {};
+  /// Of an app of version 2: the nominal release that keys and holds count from; 0: unknown.
+  std::int64_t released_ns = 0;
   /// The oldest of what it took, from which its latency counts; 0: unknown, or one rate.
   [[nodiscard]] std::int64_t origin_ns() const;
 };
@@ -67,6 +78,7 @@ struct ReleaseSpan {
   std::uint64_t sequence = 0;
   std::int64_t begin_ns = 0, end_ns = 0;
   Fate fate = Fate::kUnknown;
+  int source = -1;  ///< whose; -1: of all, or not told
 };
 
 /// A module of the run; index = `module` of the events.
@@ -86,6 +98,7 @@ struct Story {
   std::vector<JobStory> jobs;           ///< by begin
   std::vector<Activation> activations;  ///< by begin; a dropped one that never began has no length
   std::vector<ReleaseSpan> releases;    ///< by begin
+  std::size_t num_modules = 0;
   bool several_rates = false;  ///< sources count their own releases: equal numbers mean nothing
   std::int64_t begin_ns = 0, end_ns = 0;
   std::uint64_t lost = 0;         ///< events that are not there, or that make no sense

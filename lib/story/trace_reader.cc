@@ -15,9 +15,16 @@ namespace proto = ::xauto::perfetto;
 
 enum class Place : std::uint8_t {
   kOther,
-  kReleases,
+  kRoot,
+  kRunRows,  // groups ...
+  kPlanRows,
+  kChains,
+  kCounters,
+  kReleases,  // ... and what is drawn
   kRun,
   kPlan,
+  kChain,
+  kSamples,
   kDone,
   kLost,
   kOverwritten,
@@ -42,6 +49,9 @@ class TraceFile {
           "'releases' and 'run'");
     for (const auto& [track, stack] : open_)
       if (!stack.empty()) return bad("ends inside a slice of track '" + tracks_[track].name + "'");
+    for (TraceReactions& chain : out_.reactions)
+      std::stable_sort(chain.releases.begin(), chain.releases.end(),
+                       [](const auto& a, const auto& b) { return a.number < b.number; });
     return std::move(out_);
   }
 
@@ -57,38 +67,64 @@ class TraceFile {
     return fail(ErrorCode::kInvalid, what, where_ + ", packet " + std::to_string(packet_));
   }
 
+  /// Sums of such do not overflow.
+  static bool is_time(std::int64_t us) {
+    constexpr std::int64_t kMostUs = 1'000'000'000'000;
+    return us > -kMostUs && us < kMostUs;
+  }
+
   Status take_track(const proto::TrackDescriptor& d) {
     Track track{d.name(), d.parent_uuid(), Place::kOther, -1};
     const auto parent = tracks_.find(track.parent);
-    const std::string above = parent == tracks_.end() ? "" : parent->second.name;
-    if (parent == tracks_.end()) {
-      if (out_.title.empty()) {
-        out_.title = track.name;
-        out_.note = d.description();
-      }
-    } else if (track.name == "releases") {
-      track.place = Place::kReleases;
-    } else if (track.name == "done") {
-      track.place = Place::kDone;
-    } else if (track.name == "trace events lost") {
-      track.place = Place::kLost;
-    } else if (track.name == "older trace events dropped") {
-      track.place = Place::kOverwritten;
-    } else if (track.name == "activations dropped") {
-      track.place = Place::kDropped;
-    } else if (above == "run") {
+    const Place above = parent == tracks_.end() ? Place::kOther : parent->second.place;
+    if (parent == tracks_.end() && !rooted_) {  // what was put behind has roots of its own
+      rooted_ = true;
+      track.place = Place::kRoot;
+      out_.title = track.name;
+      out_.note = d.description();
+    } else if (above == Place::kRoot) {
+      track.place = place_of(track.name);
+      if (track.place == Place::kChains) out_.verdict = d.description();
+    } else if (above == Place::kCounters) {
+      if (track.name == "trace events lost") track.place = Place::kLost;
+      if (track.name == "older trace events dropped") track.place = Place::kOverwritten;
+      if (track.name == "activations dropped") track.place = Place::kDropped;
+    } else if (above == Place::kRunRows) {
       ours_ = true;
       track.place = Place::kRun;
       track.row = row_of(track.name);
-    } else if (above == "plan") {
+    } else if (above == Place::kPlanRows) {
       track.place = Place::kPlan;
       constexpr std::size_t kSuffix = 5;  // " plan"
       track.row =
           row_of(track.name.substr(0, track.name.size() - std::min(kSuffix, track.name.size())));
+    } else if (above == Place::kChains) {
+      track.place = Place::kChain;
+      track.row = chain_of(track.name);
+      if (!d.description().empty())
+        out_.reactions[static_cast<std::size_t>(track.row)].note = d.description();
     }
     if (d.uuid() == 0 || !tracks_.emplace(d.uuid(), std::move(track)).second)
       return bad("describes track " + std::to_string(d.uuid()) + " twice");
     return {};
+  }
+
+  static Place place_of(const std::string& name) {
+    for (const auto& [known, place] :
+         {std::pair{"releases", Place::kReleases}, std::pair{"done", Place::kDone},
+          std::pair{"samples", Place::kSamples}, std::pair{"run", Place::kRunRows},
+          std::pair{"plan", Place::kPlanRows}, std::pair{"chains", Place::kChains},
+          std::pair{"counters", Place::kCounters}})
+      if (name == known) return place;
+    return Place::kOther;
+  }
+
+  /// Lanes of one chain have one name.
+  int chain_of(const std::string& name) {
+    auto at = std::find_if(out_.reactions.begin(), out_.reactions.end(),
+                           [&](const TraceReactions& c) { return c.name == name; });
+    if (at == out_.reactions.end()) at = out_.reactions.insert(at, {name, {}, {}});
+    return static_cast<int>(at - out_.reactions.begin());
   }
 
   int row_of(const std::string& name) {
@@ -133,24 +169,35 @@ class TraceFile {
     int index = -1;
     if (track.place == Place::kReleases && slice) {
       index = static_cast<int>(out_.releases.size());
-      TraceRelease release{0, ts, ts, -1};
+      TraceRelease release{0, ts, ts, -1, -1, {}};
       for (const auto& arg : event.debug_annotations()) {
         if (arg.name() == "release") release.number = arg.int_value();
         if (arg.name() == "latency_us") release.latency_us = arg.int_value();
         if (arg.name() == "deadline_us") out_.deadline_us = arg.int_value();
+        if (arg.name() == "source") release.source = arg.string_value();
       }
-      out_.releases.push_back(release);
-      for (const std::uint64_t flow : event.flow_ids()) released_[flow] = ts;
+      out_.releases.push_back(std::move(release));
+      for (const std::uint64_t flow : event.flow_ids()) released_[flow] = index;
+    } else if (track.place == Place::kChain) {
+      if (slice) take_reaction(event, track, ts);
+    } else if (track.place == Place::kSamples) {
+      take_sample(event, ts);
     } else if (track.place == Place::kRun || track.place == Place::kPlan ||
                track.place == Place::kDone) {
       auto& list = track.place == Place::kPlan ? out_.plan : out_.run;
       index = static_cast<int>(list.size());
       list.push_back(slice_of(event, track.row, ts));
       for (const std::uint64_t flow : event.terminating_flow_ids())
-        if (const auto source = flows_.find(flow); source != flows_.end())
+        if (const auto source = flows_.find(flow); source != flows_.end()) {
           list.back().from.push_back(source->second);
-        else if (const auto release = released_.find(flow); release != released_.end())
-          list.back().released_ns = std::max(list.back().released_ns, release->second);
+        } else if (const auto release = released_.find(flow); release != released_.end()) {
+          list.back().releases.push_back(release->second);
+          list.back().released_ns =
+              std::max(list.back().released_ns,
+                       out_.releases[static_cast<std::size_t>(release->second)].begin_ns);
+        } else if (const auto sample = sampled_.find(flow); sample != sampled_.end()) {
+          list.back().samples.push_back(sample->second);
+        }
       if (track.place == Place::kDone) take_result(event, index, ts);
       if (track.place != Place::kPlan)
         for (const std::uint64_t flow : event.flow_ids()) flows_[flow] = index;
@@ -159,9 +206,38 @@ class TraceFile {
     return {};
   }
 
+  void take_reaction(const proto::TrackEvent& event, const Track& track, std::int64_t ts) {
+    TraceReactions::One one{0, ts, 0, {}, -1};
+    for (const auto& arg : event.debug_annotations()) {
+      if (arg.name() == "release") one.number = arg.int_value();
+      if (arg.name() == "reaction_us") one.reaction_us = arg.int_value();
+      if (arg.name() == "xnode") one.xnode = arg.string_value();
+      if (arg.name() == "activation") one.activation = arg.int_value();
+    }
+    if (one.reaction_us < 0 || !is_time(one.reaction_us)) return;
+    out_.reactions[static_cast<std::size_t>(track.row)].releases.push_back(std::move(one));
+  }
+
+  /// Arrows lead from what published it to the instant, and from there to who reads.
+  void take_sample(const proto::TrackEvent& event, std::int64_t ts) {
+    TraceSample sample;
+    sample.at_ns = ts;
+    for (const auto& arg : event.debug_annotations()) {
+      if (arg.name() == "read") sample.read = arg.string_value();
+      if (arg.name() == "number") sample.number = arg.int_value();
+      if (arg.name() == "age_us" && is_time(arg.int_value())) sample.age_us = arg.int_value();
+    }
+    for (const std::uint64_t flow : event.terminating_flow_ids())
+      if (const auto slice = flows_.find(flow); slice != flows_.end())
+        sample.slice = slice->second;
+      else if (const auto release = released_.find(flow); release != released_.end())
+        sample.release = release->second;
+    for (const std::uint64_t flow : event.flow_ids()) sampled_[flow] = sample;
+  }
+
   /// Only with several rates an output has a latency of its own.
   void take_result(const proto::TrackEvent& event, int index, std::int64_t ts) {
-    TraceRelease result{0, ts, ts, -1, index};
+    TraceRelease result{0, ts, ts, -1, index, {}};
     for (const auto& arg : event.debug_annotations()) {
       if (arg.name() == "release") result.number = arg.int_value();
       if (arg.name() == "latency_us") result.latency_us = arg.int_value();
@@ -182,7 +258,7 @@ class TraceFile {
     if (stack.empty()) return bad("ends a slice of track '" + track.name + "' that never began");
     const int index = stack.back();
     stack.pop_back();
-    if (index < 0) return {};
+    if (index < 0 || track.place == Place::kChain) return {};
     const auto i = static_cast<std::size_t>(index);
     if (track.place == Place::kReleases)
       out_.releases[i].end_ns = ts;
@@ -205,6 +281,10 @@ class TraceFile {
       if (arg.name() == "module") s.module = arg.string_value();
       if (arg.name() == "waited_for") s.waited_for = arg.string_value();
       if (arg.name() == "preempted_by") s.preempted_by = arg.string_value();
+      if (!is_time(arg.int_value())) continue;
+      if (arg.name() == "since_release_us") s.since_release_us = arg.int_value();
+      if (arg.name() == "key_us") s.key_us = arg.int_value();
+      if (arg.name() == "lateness_us") s.lateness_us = arg.int_value();
     }
     return s;
   }
@@ -213,10 +293,11 @@ class TraceFile {
   ReadTrace out_;
   std::unordered_map<std::uint64_t, Track> tracks_;
   std::unordered_map<std::uint64_t, std::vector<int>> open_;
-  std::unordered_map<std::uint64_t, int> flows_;              ///< arrow -> its source in `run`
-  std::unordered_map<std::uint64_t, std::int64_t> released_;  ///< arrow -> its release's time
+  std::unordered_map<std::uint64_t, int> flows_;            ///< arrow -> its source in `run`
+  std::unordered_map<std::uint64_t, int> released_;         ///< arrow -> its release
+  std::unordered_map<std::uint64_t, TraceSample> sampled_;  ///< arrow -> what it leaves
   std::size_t packet_ = 0;
-  bool ours_ = false;
+  bool ours_ = false, rooted_ = false;
 };
 
 }  // namespace

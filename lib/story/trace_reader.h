@@ -4,12 +4,22 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include <xauto/result.h>
 
 namespace xauto::story {
+
+/// A message that was sampled.
+struct TraceSample {
+  std::string read;                     ///< the module or source that published it
+  std::int64_t number = -1;             ///< -1: there was nothing
+  std::int64_t at_ns = 0, age_us = -1;  ///< -1: unknown
+  int slice = -1;    ///< the last of what published it, index into `run`; -1: none
+  int release = -1;  ///< or the sensor's, index into `releases`
+};
 
 /// A slice on an XPU; or, as the end of a chain, an output being published.
 struct TraceSlice {
@@ -20,12 +30,28 @@ struct TraceSlice {
   std::string waited_for, preempted_by;
   std::vector<int> from;          ///< slices whose arrows end here: indices into the same list
   std::int64_t released_ns = -1;  ///< latest release whose arrow ends here; -1: none
+  std::vector<int> releases;      ///< all of them: indices into `releases`
+  std::vector<TraceSample> samples;
+  // Of a run by keys: in the first slice of a job, and in its last.
+  std::optional<std::int64_t> since_release_us, key_us, lateness_us;
 };
 
 struct TraceRelease {
   std::int64_t number = 0, begin_ns = 0, end_ns = 0;
   std::int64_t latency_us = -1;  ///< -1: dropped, or not over
   int output = -1;               ///< of a chain: its slice in `run`
+  std::string source;            ///< with several rates
+};
+
+/// A chain of an app of version 2, with its reactions.
+struct TraceReactions {
+  std::string name, note;  ///< note: its source, and what is claimed of it
+  struct One {
+    std::int64_t number = 0, released_ns = 0, reaction_us = 0;
+    std::string xnode;             ///< whose job was the first to know it
+    std::int64_t activation = -1;  ///< as TraceSlice's
+  };
+  std::vector<One> releases;  ///< by number
 };
 
 /// With several rates: the results of one sink module, each from the oldest release it is made of.
@@ -38,10 +64,12 @@ struct ReadTrace {
   std::string title, note;
   std::vector<std::string> rows;
   std::vector<TraceRelease> releases;
-  std::vector<TraceChain> chains;  ///< empty: one rate, `releases` are what has a latency
-  std::vector<TraceSlice> run;     ///< by begin; with the outputs (category "done")
-  std::vector<TraceSlice> plan;    ///< by begin
-  std::int64_t deadline_us = -1;   ///< -1: none
+  std::vector<TraceChain> chains;         ///< empty: one rate, `releases` are what has a latency
+  std::vector<TraceReactions> reactions;  ///< of version 2
+  std::string verdict;                    ///< what became of the claims
+  std::vector<TraceSlice> run;            ///< by begin; with the outputs (category "done")
+  std::vector<TraceSlice> plan;           ///< by begin
+  std::int64_t deadline_us = -1;          ///< -1: none
   std::int64_t lost = 0, dropped = 0;
   std::int64_t overwritten = 0;  ///< events from before `begin_ns`
   std::int64_t begin_ns = 0, end_ns = 0;

@@ -10,14 +10,12 @@
 
 #include "base/index.h"
 #include "model/components.h"
-#include "story/timeline.h"
+#include "story/svg.h"
 
 namespace xauto::story {
 namespace {
 
-// Okabe and Ito's palette for colour-blind readers, by module.
-constexpr const char* kColours[] = {"#0072B2", "#E69F00", "#009E73", "#CC79A7",
-                                    "#56B4E9", "#D55E00", "#8A7A00"};
+constexpr std::size_t kMostName = 24;  // bytes of a name
 constexpr int kLeft = 200, kWidth = 1100, kRight = 20, kRow = 18, kTitle = 46, kGap = 34;
 
 constexpr const char* kStyle = R"(<style>
@@ -27,14 +25,6 @@ constexpr const char* kStyle = R"(<style>
   .lane { fill:var(--lane) } .grid { stroke:var(--line) } .window { fill-opacity:.25 } .tight { stroke:#D00000; stroke-width:2 }
 </style>
 )";
-
-std::string clipped(const std::string& name) {
-  constexpr std::size_t kMost = 24;
-  if (name.size() <= kMost) return html_safe(name);
-  std::size_t cut = kMost - 1;
-  while (cut > 0 && (static_cast<unsigned char>(name[cut]) & 0xC0U) == 0x80U) --cut;
-  return html_safe(name.substr(0, cut)) + "…";
-}
 
 /// 1, 2 or 5 times a power of ten microseconds, so that about ten lines are there.
 double step_us(double span_us) {
@@ -61,7 +51,7 @@ class Picture {
   }
 
   std::string draw() {
-    text(8, 22, "b", html_safe(app_.name + " on " + platform_.name));
+    text(8, 22, "b", xml_safe(app_.name + " on " + platform_.name));
     y_ = kTitle;
     for (const Domain& domain : found_.domains) panel(domain);
     rect(8, y_ + 2, 34, 10, "window", "#0072B2");
@@ -75,7 +65,7 @@ class Picture {
                "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {}\" "
                "font-family=\"system-ui, sans-serif\" font-size=\"13\" role=\"img\" "
                "aria-label=\"Windows of {}\">\n",
-               kLeft + kWidth + kRight, height, html_safe(app_.name)) +
+               kLeft + kWidth + kRight, height, xml_safe(app_.name)) +
            kStyle + out_ + "</svg>\n";
   }
 
@@ -89,7 +79,7 @@ class Picture {
         "<rect x=\"{:.1f}\" y=\"{:.1f}\" width=\"{:.1f}\" height=\"{:.1f}\" class=\"{}\"", x, y,
         width, height, style);
     if (!colour.empty()) out_ += fmt::format(" fill=\"{}\"", colour);
-    out_ += title.empty() ? "/>\n" : "><title>" + html_safe(title) + "</title></rect>\n";
+    out_ += title.empty() ? "/>\n" : "><title>" + xml_safe(title) + "</title></rect>\n";
   }
 
   /// What is drawn of a domain: a hyperperiod, or a whole number of the longest periods, or less.
@@ -110,7 +100,7 @@ class Picture {
     const double span = span_us(domain);
     const double hyper = domain.hyperperiod_ticks ? us(*domain.hyperperiod_ticks) : 0;
     text(8, y_ + 12, "b",
-         html_safe("clock " + app_.clocks[at(domain.clock)].name) +
+         xml_safe("clock " + app_.clocks[at(domain.clock)].name) +
              (hyper > 0 && span < hyper
                   ? fmt::format(": {:.3f} of {:.3f} ms", span / 1000, hyper / 1000)
               : hyper > 0 ? fmt::format(": repeats every {:.3f} ms", hyper / 1000)
@@ -145,11 +135,11 @@ class Picture {
     const std::string& name = app_.xnodes[at(i)].name;
     const std::string& xpu = platform_.xpus[at(placed.xpu)].id;
     const std::string& colour = colour_[app_.xnodes[at(i)].module];
-    if (xpu != last_xpu_ || y_ != next_y_) text(8, y_ + 13, "dim", clipped(xpu));
+    if (xpu != last_xpu_ || y_ != next_y_) text(8, y_ + 13, "dim", clipped(xpu, kMostName));
     last_xpu_ = xpu;
     next_y_ = y_ + kRow;
     out_ += fmt::format("<text x=\"{}\" y=\"{}\" class=\"e\" font-size=\"12\">{}</text>\n",
-                        kLeft - 8, y_ + 13, clipped(name));
+                        kLeft - 8, y_ + 13, clipped(name, kMostName));
     rect(kLeft, y_ + 1, kWidth, kRow - 2, "lane", "");
     const double period = us(home.period_ticks), phase = us(home.offset_ticks);
     const auto& windows = report_.windows[at(i)];

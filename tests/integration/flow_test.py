@@ -151,7 +151,7 @@ class Flow(unittest.TestCase):
 
     def test_help_of_every_verb_shows_an_example(self):
         verbs = ["doctor", "generate", "profile", "solve", "simulate", "check", "run", "compare", "status",
-                 "record", "explain", "completion"]
+                 "record", "explain", "completion", "graph"]
         for verb in verbs:
             self.assertIn("Example:\n  ", self.good(verb, "--help"), verb)
 

@@ -169,7 +169,7 @@ class Periodic(unittest.TestCase):
                           ["check", "--app", "app.json", "--policy", "policy.json", "--seed", 2],
                           ["check", "--app", "app.json", "--policy", "policy.json", "--executions", 5],
                           ["check", "--app", "app.json", "--policy", "policy.json", "--proof-nodes", 5],
-                          ["compare", "--app", "app.json", "--out", "compared", "--", "true"]):
+                          ["compare", "--app", "app.json", "--out", "compared", "--policies", "heft", "--", "true"]):
             with self.subTest(arguments=arguments):
                 self.assertIn("version", self.run_tool(*arguments, status=2).stderr)
 

@@ -6,11 +6,15 @@
 #include <filesystem>
 #include <iostream>
 
+#include <fmt/format.h>
 #include <sys/stat.h>
 
 #include "base/log.h"
 #include "model/json.h"
+#include "model/periodic.h"
 #include "solver/solve.h"
+#include "solver/steady/check.h"
+#include "solver/steady/solve.h"
 
 #include "xauto/command.h"
 #include "xauto/outputs.h"
@@ -21,7 +25,7 @@ namespace xauto::cli {
 namespace {
 
 struct CompareFlags : RunFlags {
-  std::vector<std::string> policies = {"ros2", "heft", "xauto", "xauto-unscheduled"};
+  std::vector<std::string> policies;  ///< empty: those of the app's version
   std::string out = "compare";
   double time_limit_s = 10;
 };
@@ -31,12 +35,55 @@ const std::vector<std::pair<std::string, std::string>> kNames = {
     {"heft", "HEFT"},
     {"local", "local optimum, scheduled"},
     {"xauto", "XAuto"},
-    {"xauto-unscheduled", "XAuto without scheduling"}};
+    {"xauto-unscheduled", "XAuto without scheduling"},
+    {"fixed", "fixed priorities"},
+    {"keys", "keys"}};
+
+const std::vector<std::string> kVersion1 = {"ros2", "heft", "xauto", "xauto-unscheduled"};
+const std::vector<std::string> kVersion2 = {"ros2", "fixed", "keys"};
+
+std::string list_of(const std::vector<std::string>& ids) {
+  std::string text;
+  for (const std::string& id : ids) text += (text.empty() ? "" : ",") + id;
+  return text;
+}
 
 std::string name_of(const std::string& id) {
   for (const auto& [known, name] : kNames)
     if (known == id) return name;
   return id;
+}
+
+/// Of an app of version 2: by keys, or by the priorities that version 1's solver finds. Those claim
+/// nothing here.
+Status solve_periodic(const CompareFlags& flags, PolicyRun& run, const std::string& path,
+                      Outputs& outputs) {
+  if (run.id == "fixed") {
+    const AppSpec app = as_version_1(flags.app);
+    solver::SolveOptions options;
+    options.time_limit_s = flags.time_limit_s;
+    options.threads = 2;
+    XAUTO_ASSIGN(run.policy, solver::solve(app, flags.spec, options));
+    outputs.write(path, to_json(*run.policy, app, flags.spec));
+    run.policy->worst_case_us.reset();
+    return {};
+  }
+  solver::steady::Options options;
+  options.time_limit_s = flags.time_limit_s;
+  options.threads = 2;
+  XAUTO_ASSIGN(solver::steady::Answer answer,
+               solver::steady::solve(flags.app, flags.spec, options));
+  if (answer.outcome != solver::steady::Outcome::kPolicy)
+    return fail(ErrorCode::kInfeasible,
+                answer.outcome == solver::steady::Outcome::kUnsustainable
+                    ? "no policy of keys keeps up: " + answer.overload.text
+                    : "no policy of keys was found in this time",
+                flags.app.name + " on " + flags.spec.name, "`xauto solve` says more");
+  XAUTO_TRY(solver::steady::check(flags.app, flags.spec, answer.policy));
+  run.keys = std::move(answer.policy);
+  run.policy = assignment_of(*run.keys);
+  outputs.write(path, to_json(*run.keys, flags.app, flags.spec));
+  return {};
 }
 
 /// `solved`: XAuto's policy, solved once for the runs with and without scheduling.
@@ -45,8 +92,12 @@ Result<PolicyRun> prepare(const CompareFlags& flags, const std::string& id,
   PolicyRun run;
   run.id = id;
   run.name = name_of(id);
+  const std::string path = flags.out + "/" + id + ".policy.json";
   if (id == "ros2") {
     run.scheduling = runtime::Scheduling::kRos2;
+  } else if (flags.app.version == 2) {
+    XAUTO_TRY(solve_periodic(flags, run, path, outputs));
+    XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy, path));
   } else {
     const bool ours = id == "xauto" || id == "xauto-unscheduled";
     if (id == "xauto-unscheduled") run.scheduling = runtime::Scheduling::kTimeshare;
@@ -59,18 +110,25 @@ Result<PolicyRun> prepare(const CompareFlags& flags, const std::string& id,
       XAUTO_ASSIGN(run.policy, solver::solve(flags.app, flags.spec, options));
       if (ours) solved = run.policy;
     }
-    const std::string path = flags.out + "/" + id + ".policy.json";
     outputs.write(path, to_json(*run.policy, flags.app, flags.spec));
     XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence, *run.policy, path));
   }
-  XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
+  if (flags.app.version == 1) {
+    XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
+  }
   return run;
 }
 
 Result<int> compare(const CompareFlags& given, const Options& options) {
   CompareFlags flags = given;
   XAUTO_TRY(flags.prepare());
-  XAUTO_TRY(require_version_1(flags.app, flags.app_path));
+  const std::vector<std::string>& known = flags.app.version == 2 ? kVersion2 : kVersion1;
+  if (flags.policies.empty()) flags.policies = known;
+  for (const std::string& id : flags.policies)
+    if ((id == "fixed" || id == "keys" || id == "ros2" ? flags.app.version == 1 && id != "ros2"
+                                                       : flags.app.version == 2))
+      return fail(ErrorCode::kInvalid, "'" + id + "' is not for an app of this version",
+                  "--policies", "there are " + list_of(known));
   std::error_code error;
   std::filesystem::create_directories(flags.out, error);
   if (error) return fail(ErrorCode::kIo, "cannot make the folder: " + error.message(), flags.out);
@@ -86,8 +144,13 @@ Result<int> compare(const CompareFlags& given, const Options& options) {
   const StopOnSignal stop;
   for (const std::string& id : flags.policies) {
     XAUTO_ASSIGN(PolicyRun run, prepare(flags, id, solved, outputs));
-    log::info("{}: {:.2f} ms simulated, running {} activations", run.name,
-              static_cast<double>(run.predicted.makespan) / 1000, flags.activations);
+    const std::string length = flags.seconds > 0 ? fmt::format("{:g} s", flags.seconds)
+                                                 : fmt::format("{} activations", flags.activations);
+    if (flags.app.version == 1)
+      log::info("{}: {:.2f} ms simulated, running {}", run.name,
+                static_cast<double>(run.predicted.makespan) / 1000, length);
+    else
+      log::info("{}: running {}", run.name, length);
     XAUTO_TRY(execute(flags, run, stop.flag()));
     good = is_healthy(run) && good;
     if (const Result<std::string> trace = perfetto_of(flags, run))
@@ -125,7 +188,7 @@ void add_compare(Commands& commands) {
   verb.option("--policies", flags->policies, "which, in this order")
       .separated_by(',')
       .one_of(known)
-      .shown();
+      .shown_as(list_of(kVersion1) + "; of an app of version 2 " + list_of(kVersion2));
   verb.option("--out", flags->out,
               "folder for report.json, timeline.html, the traces and the policies")
       .shown();

@@ -12,6 +12,7 @@
 #include "model/json_value.h"
 #include "solver/explain.h"
 #include "story/account.h"
+#include "story/chain_story.h"
 
 #include "xauto/command.h"
 #include "xauto/periodic.h"
@@ -63,11 +64,12 @@ Json to_json(const story::Account& account) {
   return j;
 }
 
-/// One of `releases`; `where` is for messages.
-Result<const story::TraceRelease*> wanted(const std::vector<story::TraceRelease>& releases,
-                                          const std::string& text, const std::string& where) {
+/// One of `releases`, in `chain` (as worst_of takes it); `where` is for messages.
+template <class Release, class Chain>
+Result<const Release*> wanted(const Chain& chain, const std::vector<Release>& releases,
+                              const std::string& text, const std::string& where) {
   if (text == "worst" || text == "median") {
-    const story::TraceRelease* found = text == "worst" ? worst_of(releases) : median_of(releases);
+    const Release* found = text == "worst" ? worst_of(chain) : median_of(chain);
     if (found == nullptr)
       return fail(ErrorCode::kInfeasible, "no release in it has a latency", where,
                   "was everything dropped? `xauto report` shows the load");
@@ -78,12 +80,75 @@ Result<const story::TraceRelease*> wanted(const std::vector<story::TraceRelease>
   if (error != std::errc() || end != text.data() + text.size() || number < 0)
     return fail(ErrorCode::kInvalid, "'" + text + "' is no activation", "--activation",
                 "worst, median, or a number from 0 on");
-  for (const story::TraceRelease& release : releases)
+  for (const Release& release : releases)
     if (release.number == number) return &release;
   return fail(ErrorCode::kNotFound, "is not in the trace", "release " + std::to_string(number),
               releases.empty() ? "there is no release in it"
                                : "it has " + std::to_string(releases.front().number) + " to " +
                                      std::to_string(releases.back().number));
+}
+
+/// Of an app of version 2: a release of each chain, or of the one asked for.
+Result<std::vector<story::ChainStory>> stories_of(const ExplainFlags& flags,
+                                                  const story::ReadTrace& trace) {
+  std::vector<story::ChainStory> stories;
+  std::string known;
+  for (const story::TraceReactions& chain : trace.reactions) {
+    known += (known.empty() ? "" : ", ") + chain.name;
+    if (flags.chain.empty() ? chain.releases.empty() : chain.name != flags.chain) continue;
+    XAUTO_ASSIGN(const story::TraceReactions::One* release,
+                 wanted(chain, chain.releases, flags.activation, flags.trace + ", " + chain.name));
+    XAUTO_ASSIGN(story::ChainStory story, story_of(trace, chain, *release));
+    stories.push_back(std::move(story));
+  }
+  if (stories.empty())
+    return fail(ErrorCode::kNotFound,
+                flags.chain.empty() ? "no chain has a result in the trace"
+                                    : "there is no chain '" + flags.chain + "'",
+                flags.chain.empty() ? flags.trace : "--chain", "there are " + known);
+  return stories;
+}
+
+Json or_null(const std::optional<std::int64_t>& us) {
+  return us ? Json(*us) : Json();
+}
+
+Json to_json(const story::ChainStory& story) {
+  auto sensors = Json::array();
+  for (const story::StorySensor& s : story.sensors)
+    sensors.push_back(
+        {{"source", s.source}, {"release", s.number}, {"released_us", s.released_us}});
+  auto jobs = Json::array();
+  for (const story::StoryJob& job : story.jobs) {
+    auto reads = Json::array();
+    for (const story::StoryRead& read : job.reads)
+      reads.push_back({{"read", read.read},
+                       {"number", read.number < 0 ? Json() : Json(read.number)},
+                       {"at_us", read.at_us},
+                       {"age_us", read.age_us < 0 ? Json() : Json(read.age_us)}});
+    jobs.push_back({{"xnode", job.xnode},
+                    {"module", job.module},
+                    {"xpu", job.xpu},
+                    {"release", job.number},
+                    {"released_us", or_null(job.released_us)},
+                    {"ready_us", job.ready_us},
+                    {"began_us", job.began_us},
+                    {"ran_us", job.ran_us},
+                    {"ended_us", job.ended_us},
+                    {"key_us", or_null(job.key_us)},
+                    {"lateness_us", or_null(job.lateness_us)},
+                    {"reads", std::move(reads)}});
+  }
+  return {{"chain", story.chain},
+          {"note", story.note},
+          {"release", story.number},
+          {"reaction_us", story.reaction_us},
+          {"rank", story.rank},
+          {"of", story.of},
+          {"median_us", story.median_us},
+          {"cut", story.cut},
+          {"sensors", std::move(sensors)},
+          {"jobs", std::move(jobs)}};
 }
 
 /// With one rate the app's release; with several the release of each chain, or of the one asked
@@ -96,7 +161,7 @@ Result<std::vector<story::Account>> accounts_of(const ExplainFlags& flags,
       return fail(ErrorCode::kInvalid, "is for apps of several rates", "--chain",
                   "this one has one: a release is over when all its outputs are there");
     XAUTO_ASSIGN(const story::TraceRelease* release,
-                 wanted(trace.releases, flags.activation, flags.trace));
+                 wanted(trace.releases, trace.releases, flags.activation, flags.trace));
     XAUTO_ASSIGN(story::Account account, account_of(trace, release->number));
     accounts.push_back(std::move(account));
     return accounts;
@@ -105,8 +170,9 @@ Result<std::vector<story::Account>> accounts_of(const ExplainFlags& flags,
   for (const story::TraceChain& chain : trace.chains) {
     known += (known.empty() ? "" : ", ") + chain.name;
     if (!flags.chain.empty() && chain.name != flags.chain) continue;
-    XAUTO_ASSIGN(const story::TraceRelease* release,
-                 wanted(chain.results, flags.activation, flags.trace + ", " + chain.name));
+    XAUTO_ASSIGN(
+        const story::TraceRelease* release,
+        wanted(chain.results, chain.results, flags.activation, flags.trace + ", " + chain.name));
     XAUTO_ASSIGN(story::Account account, account_of(trace, chain, *release));
     accounts.push_back(std::move(account));
   }
@@ -119,10 +185,20 @@ Result<std::vector<story::Account>> accounts_of(const ExplainFlags& flags,
 Result<int> explain_trace(const ExplainFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const std::string bytes, read_file(flags.trace));
   XAUTO_ASSIGN(const story::ReadTrace trace, story::read_trace(bytes, flags.trace));
-  XAUTO_ASSIGN(const std::vector<story::Account> accounts, accounts_of(flags, trace));
+  std::vector<story::Account> accounts;
+  std::vector<story::ChainStory> stories;
+  if (trace.reactions.empty()) {
+    XAUTO_ASSIGN(accounts, accounts_of(flags, trace));
+  } else {
+    XAUTO_ASSIGN(stories, stories_of(flags, trace));
+  }
   if (options.json) {
     Json j;
-    if (trace.chains.empty()) {
+    if (!stories.empty()) {
+      j["claims"] = trace.verdict;
+      j["chains"] = Json::array();
+      for (const story::ChainStory& story : stories) j["chains"].push_back(to_json(story));
+    } else if (trace.chains.empty()) {
       j = to_json(accounts.front());
     } else {
       j["chains"] = Json::array();
@@ -141,6 +217,8 @@ Result<int> explain_trace(const ExplainFlags& flags, const Options& options) {
     std::cout << fmt::format("the trace holds {:.1f} s: {} older events were dropped\n",
                              static_cast<double>(trace.end_ns - trace.begin_ns) * 1e-9,
                              trace.overwritten);
+  if (!stories.empty()) std::cout << trace.verdict << "\n";
+  for (const story::ChainStory& story : stories) std::cout << "\n" << story_text(story);
   for (const story::Account& account : accounts)
     std::cout << (&account == &accounts.front() ? "" : "\n") << account_text(account);
   return kDone;
@@ -234,8 +312,8 @@ void add_explain(Commands& commands) {
               "of the trace: the release's number, worst or median")
       .shown();
   verb.option("--chain", flags->chain,
-              "of a trace with several rates: the module whose results; default: each that "
-              "nobody reads")
+              "of a trace with several rates: the module whose results, of an app of version 2 the "
+              "chain; default: each")
       .needs("--trace");
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto status: every state machine of every running app in words. Coordinators are found by the
 // names of their sockets and asked; nothing is written anywhere for this.
+#include <atomic>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -95,6 +96,12 @@ int status(const Options& options) {
       sessions[run] = std::move(answers);
     }
   const std::vector<Unseen> unseen = coordinators_but(answered);
+  std::map<std::string, Counts> looks;  // of runs that claim something
+  const std::atomic<bool> never{false};
+  for (const auto& [run, xpus] : sessions)
+    if (const auto watched = watch(run, 1, never))  // its tool may have hung up too soon
+      if (Counts counts = counts_of(*watched->board); counts.claims.claimed)
+        looks.emplace(run, std::move(counts));
   if (options.json) {
     Json list = Json::array();
     for (const Unseen& one : unseen)
@@ -106,6 +113,18 @@ int status(const Options& options) {
       runs_of[prefix + run] = std::move(answers);
     }
     Json all = {{"sessions", std::move(runs_of)}};
+    for (const auto& [run, counts] : looks) {
+      Json chains = Json::array();
+      for (const FlowCounts& chain : counts.chains)
+        chains.push_back({{"name", chain.name},
+                          {"last_us", chain.last_us < 0 ? Json() : Json(chain.last_us)},
+                          {"longest_us", chain.longest_us < 0 ? Json() : Json(chain.longest_us)},
+                          {"worst_case_us", chain.worst_case_us},
+                          {"lower_bound_us", chain.lower_bound_us}});
+      all["claims"][(prefix + run).c_str()] = {{"exceeded", counts.claims.exceeded},
+                                               {"broken", counts.claims.broken},
+                                               {"chains", std::move(chains)}};
+    }
     if (!unseen.empty()) all["unseen"] = list;
     std::cout << all.dump(2) << "\n";
     return kDone;
@@ -118,6 +137,8 @@ int status(const Options& options) {
   for (const Unseen& one : unseen) std::cout << "  not seen: " << words(one) << "\n";
   for (const auto& [run, xpus] : sessions) {
     std::cout << "run " << run << "\n";
+    if (const auto seen = looks.find(run); seen != looks.end())
+      std::cout << claims_text(seen->second) << "\n";
     for (const XpuStatus& xpu : xpus) {
       std::cout << fmt::format(
           "  {:<8}{}, {}; coordinator pid {}, {} decisions\n", xpu.xpu, to_string(xpu.discipline),

@@ -20,6 +20,7 @@
 #include "xauto/counts.h"
 #include "xauto/live.h"
 #include "xauto/run_app.h"
+#include "xauto/worst_case.h"
 
 namespace xauto::cli {
 namespace {
@@ -156,8 +157,16 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
                            {"results", chain.results},
                            {"lost", chain.lost},
                            {"deadline_misses", chain.late},
-                           {"age_misses", chain.old}});
+                           {"age_misses", chain.old},
+                           {"last_us", measured(chain.last_us)},
+                           {"longest_us", measured(chain.longest_us)}});
+    if (chain.worst_case_us == 0) continue;
+    Json& shown = j["chains"].elements().back();
+    shown["worst_case_us"] = chain.worst_case_us;
+    shown["lower_bound_us"] = chain.lower_bound_us;
   }
+  if (c.claims.claimed)
+    j["claims"] = {{"exceeded", c.claims.exceeded}, {"broken", c.claims.broken}};
   j["modules"] = Json::array();
   for (std::size_t m = 0; m < c.modules.size(); ++m) {
     const ModuleCounts& module = c.modules[m];
@@ -252,6 +261,7 @@ void draw(const Observed& observed, const Look& now, const Look& before, bool te
                        n.rate_hz, ms(n.p50_us), ms(n.p99_us), ms(n.max_us), ms(n.age_us),
                        chain.lost, chain.late, chain.old);
   }
+  out += claims_text(c);
   out += fmt::format("\n  {:<28}{:>9}{:>13}{:>9}{:>9}\n", "module", "per s", "activations",
                      "dropped", "failed");
   for (std::size_t m = 0; m < c.modules.size(); ++m) {

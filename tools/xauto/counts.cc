@@ -21,6 +21,11 @@ FlowCounts flow_of(const runtime::FlowLine& line) {
   flow.old = line.old.load();
   flow.last_origin_ns = line.last_origin_ns.load();
   flow.max_age_us = line.max_age_us.load();
+  flow.last_us = line.last_us.load();
+  flow.longest_us = line.longest_us.load();
+  flow.worst_case_us = line.worst_case_us;
+  flow.lower_bound_us = line.lower_bound_us;
+  flow.allowed_us = line.allowed_us;
   for (std::uint32_t b = 0; b < runtime::FlowLine::kBuckets; ++b)
     if (const std::uint32_t count = line.latency_us[b].load(std::memory_order_relaxed); count > 0) {
       flow.latency_us.resize(b + 1);
@@ -40,6 +45,33 @@ FlowCounts together(const std::vector<FlowCounts>& chains) {
       sum.latency_us[b] += chain.latency_us[b];
   }
   return sum;
+}
+
+ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
+  ClaimCounts claims;
+  for (const FlowCounts& chain : counts.chains) {
+    claims.claimed = claims.claimed || chain.worst_case_us > 0;
+    claims.exceeded =
+        claims.exceeded || (chain.worst_case_us > 0 && chain.longest_us > chain.allowed_us);
+  }
+  if (!claims.claimed) return claims;
+  if (std::string unkept = board.unkept(); !unkept.empty())
+    claims.broken.push_back(std::move(unkept));
+  if (const std::uint64_t late = board.late(); late > 0)
+    claims.broken.push_back(
+        fmt::format("{} releases were not where app.json's period and jitter have them, by up to "
+                    "{} us",
+                    late, (board.latest_ns() + 999) / 1000));
+  std::uint64_t jobs = 0, overruns = 0, lost = 0;
+  for (std::uint32_t n = 0; n < board.shape().nodes; ++n) {
+    jobs += board.xnode(n).jobs.load();
+    overruns += board.xnode(n).overruns.load();
+  }
+  if (overruns > 0)
+    claims.broken.push_back(fmt::format("{} of {} jobs outran their WCET", overruns, jobs));
+  for (const ModuleCounts& module : counts.modules) lost += module.failed + module.dropped;
+  if (lost > 0) claims.broken.push_back(fmt::format("{} activations were lost", lost));
+  return claims;
 }
 
 bool several_rates(const Counts& counts) {
@@ -64,6 +96,7 @@ Counts counts_of(const runtime::Board& board) {
     if (const std::uint32_t module = board.flow(f).module; module < shape.modules)
       counts.chains.back().lost = counts.modules[module].failed + counts.modules[module].dropped;
   }
+  counts.claims = claims_of(board, counts);
   return counts;
 }
 

@@ -21,7 +21,17 @@ struct FlowCounts {
   std::string name;
   std::uint64_t results = 0, lost = 0, late = 0, old = 0;
   std::int64_t last_origin_ns = 0, max_age_us = 0;
-  std::vector<std::uint64_t> latency_us;  ///< by Distribution's buckets
+  std::vector<std::uint64_t> latency_us;       ///< by Distribution's buckets
+  std::int64_t last_us = -1, longest_us = -1;  ///< of the whole run; -1: none
+  /// Of a policy of keys: what it claims, and what is beyond that; 0: nothing.
+  std::int64_t worst_case_us = 0, lower_bound_us = 0, allowed_us = 0;
+};
+
+/// Whether what the policy claims holds so far.
+struct ClaimCounts {
+  bool claimed = false;             ///< it claims something
+  bool exceeded = false;            ///< some chain took longer
+  std::vector<std::string> broken;  ///< a line for each assumption that is broken
 };
 
 struct Counts {
@@ -30,6 +40,7 @@ struct Counts {
   std::vector<ModuleCounts> modules;
   FlowCounts whole;  ///< empty with several rates
   std::vector<FlowCounts> chains;
+  ClaimCounts claims;
 };
 
 /// All counts of one moment, or nearly: each is right by itself.

@@ -12,6 +12,8 @@
 #include "coord/protocol.h"
 #include "launch/supervisor.h"
 
+#include "xauto/worst_case.h"
+
 namespace xauto::cli {
 namespace {
 
@@ -21,7 +23,8 @@ constexpr int kAnswerTimeoutMs = 1000;
 Result<Json> ask(const std::string& address, std::vector<UniqueFd>* fds = nullptr) {
   XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
   const auto kind = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
-  XAUTO_TRY(send_packet(socket.get(), &kind, sizeof kind));
+  // Who introduces a run answers unasked, and may have hung up by now: its answer is there.
+  (void)send_packet(socket.get(), &kind, sizeof kind);
   if (!wait_readable(socket.get(), kAnswerTimeoutMs))
     return fail(ErrorCode::kTimeout, "did not answer within 1 s", address);
   std::string text(coord::kMaxStatusBytes, '\0');
@@ -93,6 +96,24 @@ std::vector<XpuStatus> ask_coordinators(const std::string& run) {
       log::debug("{}", answer.error().to_string());
   }
   return answers;
+}
+
+std::string claims_text(const Counts& counts) {
+  if (!counts.claims.claimed) return {};
+  const bool stands = counts.claims.broken.empty() && !counts.claims.exceeded;
+  const auto in_ms = [](std::int64_t us) {
+    return us < 0 ? std::string("-") : fmt::format("{:.2f}", static_cast<double>(us) / 1000);
+  };
+  std::string out = fmt::format("\n  {:<28}{:>9}{:>9}{:>12}{:>9}\n", "reaction, ms", "last",
+                                "longest", "worst case", "bound");
+  for (const FlowCounts& chain : counts.chains)
+    out += fmt::format(
+        "  {:<28}{:>9}{:>9}{:>12}{:>9}\n", chain.name, in_ms(chain.last_us),
+        in_ms(chain.longest_us),
+        chain.worst_case_us == 0 ? "-" : (stands ? "" : "*") + in_ms(chain.worst_case_us),
+        chain.worst_case_us == 0 ? "-" : in_ms(chain.lower_bound_us));
+  return out + fmt::format("  {}worst cases, so far: {}\n", stands ? "" : "* ",
+                           verdict(counts.claims.exceeded, counts.claims.broken));
 }
 
 bool Live::goes_on() const {

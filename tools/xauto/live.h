@@ -15,6 +15,8 @@
 #include "model/xpu_status.h"
 #include "processes/board.h"
 
+#include "xauto/counts.h"
+
 namespace xauto::cli {
 
 /// A run as its tool introduces it, whoever looks: no root, no BPF.
@@ -29,6 +31,10 @@ struct Watched {
                                     const std::atomic<bool>& stop);
 /// What its coordinators say of their workers; one that is just ending is left out.
 [[nodiscard]] std::vector<XpuStatus> ask_coordinators(const std::string& run);
+
+/// Of a run by keys: each chain's last and longest reaction of the whole run beside what is claimed
+/// of it, and whether that holds so far. Empty of other runs.
+[[nodiscard]] std::string claims_text(const Counts& counts);
 
 struct Live {
   kernel::RunMaps maps;

@@ -9,6 +9,7 @@ int main(int argc, char** argv) {
   xauto::cli::add_doctor(commands);
   xauto::cli::add_generate(commands);
   xauto::cli::add_profile(commands);
+  xauto::cli::add_graph(commands);
   xauto::cli::add_solve(commands);
   xauto::cli::add_explain(commands);
   xauto::cli::add_simulate(commands);

@@ -74,10 +74,47 @@ std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
   return out;
 }
 
-/// Chains and XNodes with limits. `who` begins each line: the policy, where there are several.
-std::string limits_table(const PolicyRun& run, const std::string& who) {
+/// Of several runs of an app of version 2: each chain under each policy.
+std::string compared_chains(const RunFlags& flags, const std::vector<PolicyRun>& runs) {
   std::string out;
-  if (!run.report.routes.empty() && !run.keys) {
+  // A worst case that this run has refuted, or that it does not keep to, is marked.
+  const auto stands = [](const KeyClaims& c) { return c.broken.empty() && !c.exceeded; };
+  const auto row = [](const std::string& who, const Latency& l, const std::string& worst,
+                      const std::string& bound, const runtime::RouteReport& r) {
+    return fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", who,
+                       in_ms(l.p50_us, l.count), in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count),
+                       worst, bound, r.deadline_us ? in_ms(*r.deadline_us, 1) : "",
+                       r.deadline_us ? std::to_string(r.deadline_misses) : "", l.count);
+  };
+  out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", "chain", "p50", "p99",
+                     "max", "worst case", "bound", "deadline", "missed", "n");
+  for (std::size_t c = 0; c < flags.app.chains.size(); ++c) {
+    out += "  " + flags.app.chains[c].name + "\n";
+    for (const PolicyRun& run : runs) {
+      if (c >= run.report.routes.size()) continue;
+      const runtime::RouteReport& r = run.report.routes[c];
+      const auto claims = key_claims_of(flags, run);
+      const bool claimed = claims && c < claims->chains.size();
+      const std::string mark = claimed && !stands(*claims) ? "*" : "";
+      out += row("  " + run.name, summarise(r.latency_us),
+                 claimed ? mark + in_ms(claims->chains[c].claim.worst_case_us, 1) : "-",
+                 claimed ? in_ms(claims->chains[c].claim.lower_bound_us, 1) : "-", r);
+    }
+  }
+  for (const PolicyRun& run : runs)
+    if (const auto claims = key_claims_of(flags, run))
+      out +=
+          fmt::format("\n  {}{}: {}\n", stands(*claims) ? "" : "* ", run.name, to_string(*claims));
+  out +=
+      "\n  A chain's time is from a release to the end of the first job that knows it or a newer "
+      "one.\n  One run each. Where \"-\" stands, nothing is claimed; * is told above.\n";
+  return out;
+}
+
+/// Chains and XNodes with limits. `who` begins each line: the policy, where there are several.
+std::string limits_table(const PolicyRun& run, int version, const std::string& who) {
+  std::string out;
+  if (!run.report.routes.empty() && version == 1) {
     out += fmt::format("\n  {}{:<28}{:>9}{:>9}{:>9}{:>10}{:>10}{:>9}{:>8}{:>7}\n",
                        std::string(who.size(), ' '), "chain", "p50", "p99", "max", "deadline",
                        "age max", "missed", "old", "n");
@@ -250,7 +287,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       j["p99_speedup_over_ros2"] = times;
     }
     if (run.policy) {
-      if (!run.keys) {
+      if (flags.app.version == 1) {
         j["optimal"] = run.policy->optimal;
         j["lower_bound_us"] = run.policy->lower_bound_us;
       }
@@ -351,9 +388,15 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
   const PolicyRun* base = ros2_of(runs);
   std::string out = fmt::format("{} on {}{}, end-to-end latency in ms\n\n", flags.app.name,
                                 flags.spec.name, in_parentheses(flags.spec, flags.presence));
-  out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", "policy", "p50", "p99",
-                     "max", "simulated", "p50/sim", "p99 x", "n");
+  // Of version 2 a chain's time is one thing, and what sinks publish is another.
+  const bool by_chains = flags.app.version == 2 && runs.size() > 1;
+  if (by_chains)
+    out += compared_chains(flags, runs);
+  else
+    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>11}{:>9}{:>7}{:>6}\n", "policy", "p50", "p99",
+                       "max", "simulated", "p50/sim", "p99 x", "n");
   for (const PolicyRun& run : runs) {
+    if (by_chains) break;
     const Latency& l = run.latency;
     // With several rates a result is not of the one release that was simulated.
     const bool same = l.count > 0 && !run.report.several_rates && run.predicted.makespan > 0;
@@ -367,9 +410,9 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
                                        : "-",
                        l.count);
   }
-  if (base != nullptr)
+  if (base != nullptr && !by_chains)
     out += "\n  p99 x: how many times lower the p99 is than under the ROS 2 model.\n";
-  out += spread_of(runs);
+  if (!by_chains) out += spread_of(runs);
   for (const PolicyRun& run : runs) {
     if (run.scheduling == runtime::Scheduling::kXAuto)
       out += fmt::format("  {}: coordinators used {:.2f} % of one CPU\n", run.name,
@@ -379,9 +422,9 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
     if (const std::uint64_t lost = lost_releases(run))
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
     out += losses_of(run);
-    if (flags.app.version == 2) out += chains_table(flags, run);
+    if (flags.app.version == 2 && !by_chains) out += chains_table(flags, run);
     if (!flags.deployment_path.empty() || run.report.several_rates)
-      out += limits_table(run, runs.size() > 1 ? run.name + ": " : "");
+      out += limits_table(run, flags.app.version, runs.size() > 1 ? run.name + ": " : "");
     if (const auto misses = deadline_misses(flags, run); misses.value_or(0) > 0)
       out += fmt::format("  {}: {} deadline misses\n", run.name, *misses);
     if (run.outcome.trace.lost > 0)
@@ -401,7 +444,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
 namespace {
 
 Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const story::Story& told,
-                             std::vector<story::ModuleInfo> modules) {
+                             std::vector<story::ModuleInfo> modules, std::string verdict) {
   story::Scene scene;
   scene.title = flags.app.name + " on " + flags.spec.name + ": " + run.name;
   scene.note = fmt::format("{}, {}", xpus_text(flags), runtime::to_string(run.scheduling));
@@ -418,6 +461,11 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
   if (run.policy && !run.keys)  // keys are no priorities
     for (const Placement& p : run.policy->placements) scene.priorities.push_back(p.priority);
   scene.plan = run.predicted.slices;
+  if (run.keys && run.scheduling == runtime::Scheduling::kXAuto) {
+    scene.keys = &*run.keys;
+    scene.claims = run.keys->chains;
+  }
+  scene.verdict = std::move(verdict);
   return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());
 }
 
@@ -425,14 +473,17 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
   if (!run.story) return tl::unexpected<Error>(run.story.error());
-  return perfetto(flags, run, *run.story, modules_of(run.report));
+  const auto claims = key_claims_of(flags, run);
+  return perfetto(flags, run, *run.story, modules_of(run.report),
+                  claims ? to_string(*claims) : "nothing is claimed of this run");
 }
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,
                                 const launch::Incident& incident) {
   std::vector<story::ModuleInfo> modules = story::modules_of(flags.app, incident.trace);
   XAUTO_ASSIGN(const story::Story told, story_of(flags.app, flags.spec, modules, incident.trace));
-  return perfetto(flags, run, told, std::move(modules));
+  return perfetto(flags, run, told, std::move(modules),
+                  "the run goes on: whether its claims hold is not known yet");
 }
 
 std::string words_of(const RunFlags& flags, const launch::Incident& incident) {

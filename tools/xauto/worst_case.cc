@@ -46,8 +46,6 @@ std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& r
   return worst;
 }
 
-namespace {
-
 std::string verdict(bool exceeded, const std::vector<std::string>& broken) {
   if (broken.empty())
     return exceeded ? "exceeded, though nothing that is watched was broken; please report this run"
@@ -56,6 +54,8 @@ std::string verdict(bool exceeded, const std::vector<std::string>& broken) {
   for (std::size_t i = 0; i < broken.size(); ++i) text += (i == 0 ? "" : "; ") + broken[i];
   return text;
 }
+
+namespace {
 
 /// Counted by the workers, each job; see Placing for what an emulated one may take beside its WCET.
 std::string counted_overruns(const PolicyRun& run) {

@@ -37,6 +37,9 @@ struct KeyClaims {
 [[nodiscard]] std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& run);
 [[nodiscard]] std::string to_string(const KeyClaims& claims);
 
+/// "kept, as far as it is watched", "not claimed here: ...".
+[[nodiscard]] std::string verdict(bool exceeded, const std::vector<std::string>& broken);
+
 /// One line, without its end.
 [[nodiscard]] std::string to_string(const WorstCase& worst);
 

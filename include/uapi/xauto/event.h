@@ -5,16 +5,18 @@
  *
  * History: 1 - first version.
  *          2 - TAKE, MISS and HANG; what was padding is the stamp of the ring's slot.
+ *          3 - SAMPLE; PUBLISH names its source; in an app of version 2 sources have app.json's
+ *              numbers, and TAKE is written for one rate, too.
  */
 #ifndef _UAPI_XAUTO_EVENT_H
 #define _UAPI_XAUTO_EVENT_H
 
 #include <linux/types.h>
 
-#define XAUTO_EVENT_VERSION 2
+#define XAUTO_EVENT_VERSION 3
 
 /* What happened. In the order in which one job meets them. */
-#define XAUTO_EV_PUBLISH 1   /* a source released a message; seq = its number */
+#define XAUTO_EV_PUBLISH 1   /* a source released a message; seq = its number; arg: see TAKE */
 #define XAUTO_EV_ACTIVATE 2  /* all inputs of a module are fresh: its chain starts */
 #define XAUTO_EV_READY 3     /* the job was handed to the worker of its XPU */
 #define XAUTO_EV_START 4     /* the worker asked the coordinator for the XPU */
@@ -30,12 +32,20 @@
 /*
  * With several rates, after ACTIVATE, once per input: seq = when the sensor released what was taken
  * (its origin, ts_ns); arg = the module that published it, or XAUTO_TAKE_SOURCE | the source's
- * index.
+ * index. PUBLISH has such an arg, too; 0 where one event is told for all sources.
  */
 #define XAUTO_EV_TAKE 13
 
 #define XAUTO_EV_MISS 14 /* a result was later than its deadline, or lost; arg = latency, us */
 #define XAUTO_EV_HANG 15 /* a job ran past its hang limit; arg = the limit, ms */
+
+/*
+ * Before RUN of a module's first XNode, once per topic that it samples: seq = the number of the
+ * message that it reads (of the activation that published it, or of the source's release), or
+ * XAUTO_SAMPLE_NONE; arg as TAKE's.
+ */
+#define XAUTO_EV_SAMPLE 16
+#define XAUTO_SAMPLE_NONE 0xffffffffffffffffull
 
 #define XAUTO_TAKE_SOURCE 0x80000000u
 

@@ -41,6 +41,15 @@ TEST(Board, IsReadByOneWhoCannotWriteIt) {
   EXPECT_EQ((*seen)->flow(3).results.load(), 4u);
   EXPECT_EQ((*seen)->flow(3).latency_us[Distribution::bucket_of(1'000'000)].load(), 1u);
   EXPECT_EQ((*seen)->flow(2).results.load(), 0u);
+  EXPECT_EQ((*seen)->flow(3).last_us.load(), -1);
+  EXPECT_EQ((*seen)->flow(3).longest_us.load(), 1'000'000);
+  EXPECT_EQ((*seen)->flow(2).longest_us.load(), -1);
+  for (const std::int64_t ns : {5, 7, 6}) (*board)->count_late(ns);
+  EXPECT_EQ((*seen)->late(), 3u);
+  EXPECT_EQ((*seen)->latest_ns(), 7);
+  EXPECT_EQ((*seen)->unkept(), "");
+  (*board)->tell_unkept(std::string(5'000, 'u'));
+  EXPECT_EQ((*seen)->unkept(), std::string(kBoardTextBytes - 1, 'u'));
 }
 
 TEST(Board, OfAnotherShapeIsRefused) {

@@ -3,6 +3,7 @@
 #include "runtime/xmodule.h"
 
 #include <random>
+#include <span>
 #include <sstream>
 #include <string>
 
@@ -79,6 +80,10 @@ class Fixture : public ::testing::Test, public ModuleHost {
             std::to_string(s);
   }
   void skip(int, std::uint64_t s) override { log_ += " skip" + std::to_string(s); }
+  void sampled(int, std::span<const detail::Envelope> messages) override {
+    for (const detail::Envelope& e : messages)
+      log_ += e.message ? " read" + std::to_string(e.sequence) : " nothing";
+  }
 
   detail::XModuleSpec spec_;
   Graph graph_;
@@ -105,14 +110,15 @@ TEST_F(Fixture, WhatIsSampledFiresNobodyAndIsReadWhenTheActivationBegins) {
   message(2, 8);
   EXPECT_EQ(*only().input().sampled(s), 7) << "an activation has seen one thing";
   module_->finish(only(), true);
-  EXPECT_EQ(log(), " done0 out0");
+  EXPECT_EQ(log(), " read7 nothing done0 out0") << "the host is told what was read";
   message(0, 1);
   message(1, 1);
   module_->begin(only(), 2009);  // 8 is 1001 ns old: beyond its microsecond
   EXPECT_EQ(only().input().sampled(s), nullptr);
   EXPECT_LT(only().input().age(s).count(), 0);
   tombstone(2, 9);
-  EXPECT_EQ(log(), " run1") << "what was lost replaces nothing, and nobody waits for it";
+  EXPECT_EQ(log(), " run1 nothing nothing")
+      << "what was lost replaces nothing, and nobody waits for it";
 }
 
 TEST_F(Fixture, AnActivationCountsAsReleasedWithTheFirstOfItsComponentsSources) {

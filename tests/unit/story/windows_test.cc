@@ -3,15 +3,12 @@
 
 #include <gtest/gtest.h>
 
+#include "count.h"
+
 namespace xauto::story {
 namespace {
 
-std::size_t count(const std::string& text, const std::string& part) {
-  std::size_t found = 0;
-  for (std::size_t at = text.find(part); at != std::string::npos; at = text.find(part, at + 1))
-    ++found;
-  return found;
-}
+using test::count;
 
 struct Drawn {
   AppSpec app;

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+// One release of a chain of version 2, traced back from the job that was the first to know it,
+// through what fires and what is sampled, to the sensors. Between a trace that was read back and
+// `xauto explain --trace`. Pure.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "story/trace_reader.h"
+
+namespace xauto::story {
+
+/// A message that a job's activation has read of a topic that does not fire it.
+struct StoryRead {
+  std::string read;  ///< module or source
+  std::int64_t number = -1, at_us = 0;
+  std::int64_t age_us = -1;  ///< -1: unknown
+};
+
+/// One job on the way. Times since the chain's release; it may be negative, since what is sampled is
+/// older.
+struct StoryJob {
+  std::string xnode, module, xpu;
+  std::int64_t number = 0;
+  std::int64_t ready_us = 0, began_us = 0, ended_us = 0, ran_us = 0;
+  std::optional<std::int64_t> released_us, key_us;  ///< of its activation, by its policy
+  std::optional<std::int64_t> lateness_us;          ///< end less key; negative: early
+  std::vector<StoryRead> reads;
+};
+
+struct StorySensor {
+  std::string source;
+  std::int64_t number = 0, released_us = 0;
+};
+
+struct ChainStory {
+  std::string chain, note;  ///< note: source, and what is claimed
+  std::int64_t number = 0, reaction_us = 0;
+  std::int64_t rank = 1, of = 1, median_us = 0;  ///< rank 1: the longest
+  std::vector<StorySensor> sensors;              ///< by time
+  std::vector<StoryJob> jobs;                    ///< by begin
+  bool cut = false;                              ///< it goes back further than kMostStoryJobs
+};
+
+inline constexpr std::size_t kMostStoryJobs = 500;
+
+/// The release of the longest reaction, the first of several; of the median (of an even number the
+/// lower) one. null: there is none.
+[[nodiscard]] const TraceReactions::One* worst_of(const TraceReactions& chain);
+[[nodiscard]] const TraceReactions::One* median_of(const TraceReactions& chain);
+
+/// Errors (kInfeasible): the job that knew it first is not in the trace.
+[[nodiscard]] Result<ChainStory> story_of(const ReadTrace& trace, const TraceReactions& chain,
+                                          const TraceReactions::One& release);
+
+/// For people, without the verdict on the claims.
+[[nodiscard]] std::string story_text(const ChainStory& story);
+
+}  // namespace xauto::story

@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run by keys tells: its trace is read by pftrace.py, and chains, windows, samples and lateness are computed here, out
+of arrows, slices and the files. Neither shares code with the tools. The report counts by what travels with messages; here
+it is followed who has read what."""
+import collections
+import json
+import math
+import pathlib
+import subprocess
+import tempfile
+import unittest
+from fractions import Fraction
+
+import pftrace
+from common import BIN, QUEUES, SOURCE, XAUTO, activations, wait_for, xauto
+
+APP = SOURCE / "examples/driving/steady.json"
+
+
+class Told:
+    """Who has read what, by the arrows of a trace."""
+
+    def __init__(self, data):
+        self.trace = pftrace.Trace(data)
+        self.jobs = collections.defaultdict(list)  # (XNode, activation) -> slices
+        source_of, self.releases = {}, {}
+        for s in self.trace.slices:
+            if s.category == "release":
+                self.releases[s.args["source"], s.args["release"]] = s.begin
+                source_of.update({flow: ("release", s.args["source"], s.args["release"]) for flow in s.flows_out})
+            elif s.category == "run":
+                job = s.name, s.args["activation"]
+                self.jobs[job].append(s)
+                source_of.update({flow: ("job", *job) for flow in s.flows_out})
+            elif s.category == "sample":
+                assert len(s.flows_in) <= 1 and len(s.flows_out) == 1, s
+                source_of.update({flow: ("sample", s) for flow in s.flows_out})
+        self.inputs, self.reads = collections.defaultdict(list), collections.defaultdict(list)
+        for job, slices in self.jobs.items():
+            for flow in slices[0].flows_in:
+                kind, *of = source_of[flow]
+                if kind == "sample":
+                    self.reads[job].append(of[0])
+                    self.inputs[job] += [source_of[f] for f in of[0].flows_in]
+                else:
+                    self.inputs[job].append((kind, *of))
+        self.known = {}
+
+    def knows(self, job):
+        """source -> the oldest release that `job` is made of."""
+        if job not in self.known:
+            mine = {}
+            for kind, *of in self.inputs[job]:
+                for source, k in ({of[0]: of[1]} if kind == "release" else self.knows(tuple(of))).items():
+                    mine[source] = min(k, mine.get(source, k))
+            self.known[job] = mine
+        return self.known[job]
+
+    def reactions(self, source, module, last):
+        """Release -> nanoseconds until an output of `module` knew it; `last` is its last XNode."""
+        done = {s.name.rsplit(" ", 1)[1]: s.begin for s in self.trace.slices
+                if s.category == "done" and s.name.rsplit(" ", 1)[0] == module}
+        took, newest = {}, None
+        for job, slices in sorted(self.jobs.items(), key=lambda j: j[1][-1].end):
+            if job[0] != last or source not in self.knows(job) or str(slices[0].args["release"]) not in done:
+                continue
+            k = self.knows(job)[source]
+            for n in range(k if newest is None else newest + 1, k + 1):
+                took[n] = done[str(slices[0].args["release"])] - self.releases[source, n]
+            newest = k if newest is None else max(newest, k)
+        return took
+
+
+class Story(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        folder = tempfile.TemporaryDirectory()
+        cls.addClassCleanup(folder.cleanup)
+        cls.folder = pathlib.Path(folder.name)
+        cls.app = json.loads(APP.read_text())
+        done = xauto("solve", "--app", APP, "--platform", "small", "--max-evaluations", 2000, "--threads", 1,
+                     "--time-limit-s", 60, "--out", cls.folder / "policy.json")
+        assert done.returncode == 0, done.stdout + done.stderr
+        cls.policy = json.loads((cls.folder / "policy.json").read_text())
+        (cls.folder / "queues.json").write_text(json.dumps(
+            {"schema": "xauto.deployment", "version": 1, "app": "driving-steady", **QUEUES}))
+        cls.file = cls.folder / "t.pftrace"
+        done = cls.run_app("--trace-out", cls.file)
+        cls.report = json.loads(done.stdout)["runs"][0]
+        cls.told = Told(cls.file.read_bytes())
+
+    @classmethod
+    def run_app(cls, *flags):
+        done = xauto("run", "--app", APP, "--platform", "small", "--emulate", "--json", "--policy", cls.folder / "policy.json",
+                     "--deployment", cls.folder / "queues.json", "--seconds", 3, *flags, "--", BIN / "driving-steady")
+        assert done.returncode == 0, done.stderr
+        return done
+
+    def explain(self, *flags):
+        done = xauto("explain", "--trace", self.file, *flags)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        return done.stdout
+
+    def chains(self):
+        for chain in self.app["chains"]:
+            module = next(x["module"] for x in self.app["xnodes"] if x["name"] == chain["to"])
+            yield chain["name"], self.told.reactions(chain["from"], module, chain["to"])
+
+    def test_reactions_are_what_the_run_has_counted(self):
+        counted = {c["name"]: c for c in self.report["chains"]}
+        for name, took in self.chains():
+            self.assertEqual(len(took), counted[name]["results"], name)
+            self.assertAlmostEqual(max(took.values()) / 1000, counted[name]["latency_us"]["max"], delta=1.01)
+            drawn = {s.args["release"]: s for s in self.told.trace.on("chains/" + name, "chain")}
+            self.assertEqual(set(drawn), set(took), name)
+            for k, s in drawn.items():
+                self.assertEqual((s.end - s.begin, s.args["reaction_us"]), (took[k], took[k] // 1000), (name, k))
+
+    def test_explain_goes_back_to_every_sensor(self):
+        for name, took in self.chains():
+            story, = json.loads(self.explain("--chain", name, "--json"))["chains"]
+            self.assertEqual(story["reaction_us"], max(took.values()) // 1000)
+            self.assertEqual((story["rank"], story["of"]), (1, len(took)))
+            self.assertIn(took[story["release"]], (max(took.values()), *[t for t in took.values() if
+                                                                        t // 1000 == max(took.values()) // 1000]))
+            number = {(j["xnode"], j["release"]) for j in story["jobs"]}
+            # All that the first job to know it is made of, and nothing else.
+            wanted, front = set(), []
+            for job, slices in self.told.jobs.items():
+                if job[0] == "ctl.act" and ("ctl.act", slices[0].args["release"]) in number:
+                    front.append(job)
+            self.assertEqual(len(front), 1)
+            sensors = set()
+            while front:
+                job = front.pop()
+                if job in wanted:
+                    continue
+                wanted.add(job)
+                for kind, *of in self.told.inputs[job]:
+                    front.append(tuple(of)) if kind == "job" else sensors.add(tuple(of))
+            self.assertEqual(number, {(j[0], self.told.jobs[j][0].args["release"]) for j in wanted})
+            self.assertEqual({(s["source"], s["release"]) for s in story["sensors"]}, sensors)
+            source = next(c["from"] for c in self.app["chains"] if c["name"] == name)
+            self.assertIn((source, story["release"]), sensors)
+
+    def nominal(self, xnode, n):
+        """Of activation n of the XNode's component. No source of this app has an offset."""
+        for names, rate in (({"ld.pre", "ld.infer", "ld.post"}, 10), ({"ctl.plan", "ctl.act"}, 50)):
+            if xnode in names:
+                return min(self.told.releases.values()) + math.floor(n * Fraction(10**9, rate))
+        return min(self.told.releases.values()) + math.floor(n * Fraction(10**9, 30))
+
+    def placed(self, xnode, n):
+        row = next(x for x in self.policy["xnodes"] if x["name"] == xnode)
+        return row["xpu"], [row.get(k, [0])[n % len(row.get(k, [0]))] * 1000 for k in ("hold_us", "key_us")]
+
+    def test_windows_and_lateness_are_the_policys(self):
+        windows = {(s.name, s.args["release"]): s for s in self.told.trace.slices if s.category == "window"}
+        self.assertEqual(len(windows), len(self.told.jobs))
+        for (xnode, _), slices in self.told.jobs.items():
+            n = slices[0].args["release"]
+            xpu, (hold, key) = self.placed(xnode, n)
+            nominal, window = self.nominal(xnode, n), windows[xnode, n]
+            self.assertEqual((window.track, window.begin, window.end),
+                             (f"run/{xpu}/windows", nominal + hold, nominal + key), (xnode, n))
+            self.assertEqual(slices[0].args["key_us"], key // 1000)
+            self.assertEqual(slices[0].args["since_release_us"], (slices[0].begin - nominal) // 1000)
+            self.assertEqual(slices[-1].args["lateness_us"], window.args["lateness_us"])
+        # A slice on an XPU ends where the next one begins; what the module's track has is the job's own end.
+        ends = collections.defaultdict(list)
+        for s in self.told.trace.slices:
+            if s.category == "job":
+                ends[s.name].append(s.end)
+        jobs = collections.defaultdict(list)
+        for (xnode, activation), slices in sorted(self.told.jobs.items(), key=lambda j: j[0][1]):
+            jobs[xnode].append(slices)
+        for xnode, of in jobs.items():
+            self.assertEqual(len(of), len(ends[xnode]))
+            for slices, end in zip(of, ends[xnode]):
+                late = end - self.nominal(xnode, slices[0].args["release"]) - self.placed(xnode, slices[0].args["release"])[1][1]
+                self.assertEqual(slices[-1].args["lateness_us"], -(-late // 1000), (xnode, slices[0].args["release"]))
+
+    def test_what_was_read_and_how_old_it_was(self):
+        modules = {x["name"]: x["module"] for x in self.app["xnodes"]}
+        readers = {modules[v]: v for _, v in self.app["samples"]}
+        read, newest = collections.Counter(), {}
+        for job, samples in self.told.reads.items():
+            self.assertEqual(readers[modules[job[0]]], job[0])
+            self.assertEqual({s.args["read"] for s in samples}, {modules[u] for u, v in self.app["samples"] if v == job[0]})
+            for s in samples:
+                read[job[0]] += 1
+                self.assertLessEqual(s.begin, self.told.jobs[job][0].begin)
+                of = [d for d in self.told.jobs.values() if modules[d[0].name] == s.args["read"] and d[-1].end <= s.begin]
+                last = max((d[-1] for d in of), key=lambda d: d.args["release"], default=None)
+                # Between end and publication a thread may stand still: it is the newest, or one before; never one before
+                # what was read last.
+                before = newest.get((job[0], s.args["read"]), (-1, 0))
+                number = s.args.get("number", -1)
+                self.assertLessEqual(number, -1 if last is None else last.args["release"])
+                self.assertTrue(number >= before[0] if s.begin > before[1] else number <= before[0], s)
+                newest[job[0], s.args["read"]] = max(before, (number, s.begin), key=lambda n: n[1])
+                if number < 0:
+                    continue
+                age = (s.begin - self.nominal(next(x for x in modules if modules[x] == s.args["read"]), s.args["number"]))
+                self.assertEqual(s.args["age_us"], age // 1000)
+        ctl = next(m for m in self.report["modules"] if m["name"] == "CTL")
+        self.assertEqual(read["ctl.plan"], 3 * ctl["activations"])
+
+    def test_in_flight_is_counted(self):
+        for module in {x["module"] for x in self.app["xnodes"]}:
+            values = [v for _, v in self.told.trace.counters[f"counters/{module} in flight"]]
+            self.assertEqual((max(values), values[-1]), (1, 0), module)
+
+    def test_no_worst_case_stands_without_what_became_of_it(self):
+        said = json.loads(self.explain("--json"))
+        self.assertIn("worst cases of", said["claims"])
+        for why in self.report["worst_case_broken"]:
+            self.assertIn(why, said["claims"])
+        self.assertIn(said["claims"], self.explain())
+        done = xauto("explain", "--trace", self.file, "--chain", "none")
+        self.assertEqual(done.returncode, 2, done.stderr)
+        self.assertIn("lane, behind, obstacle, control", done.stderr)
+
+    def test_policies_are_compared_chain_by_chain(self):
+        done = xauto("compare", "--app", APP, "--platform", "small", "--emulate", "--deployment", self.folder / "queues.json",
+                     "--seconds", 1.5, "--time-limit-s", 1, "--out", self.folder / "compared", "--", BIN / "driving-steady")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        runs = json.loads((self.folder / "compared/report.json").read_text())["runs"]
+        self.assertEqual([r["policy"] for r in runs], ["ros2", "fixed", "keys"])
+        lines = done.stdout.splitlines()
+        for i, chain in enumerate(self.app["chains"]):
+            at = lines.index("  " + chain["name"])
+            for run, line in zip(runs, lines[at + 1:at + 4]):
+                counted = run["chains"][i]
+                self.assertEqual(counted["name"], chain["name"])
+                self.assertGreater(counted["results"], 5, (run["policy"], chain["name"]))
+                self.assertTrue(line.startswith("    " + run["name"]), line)
+                number = line[len("    " + run["name"]):].split()
+                self.assertEqual(number[:3], [f"{counted['latency_us'][q] / 1000:.2f}" for q in ("p50", "p99", "max")])
+                self.assertEqual("worst_case_us" in counted, run["policy"] == "keys")
+                if run["policy"] == "keys":
+                    mark = "*" if run["worst_case_broken"] or run["worst_case_exceeded"] else ""
+                    self.assertEqual(number[3], f"{mark}{counted['worst_case_us'] / 1000:.2f}")
+                else:
+                    self.assertEqual(number[3:5], ["-", "-"])
+        # Priorities are version 1's: that solver's answer for XNodes and edges alone, and it ran so.
+        fixed = json.loads((self.folder / "compared/fixed.policy.json").read_text())
+        self.assertEqual(fixed["version"], 1)
+        trace = pftrace.Trace((self.folder / "compared/fixed.pftrace").read_bytes())
+        priority = {x["name"]: (x["xpu"], x["priority"]) for x in fixed["xnodes"]}
+        for s in trace.slices:
+            if s.category == "run":
+                self.assertEqual((s.track.split("/")[1], s.args["priority"]), priority[s.name])
+        self.assertFalse([s for s in trace.slices if s.category == "window"])
+
+    def looks(self, *flags):
+        """`top` and `status` of a run that goes on, as JSON and as text; then its report."""
+        tool = subprocess.Popen([XAUTO, "run", "--app", str(APP), "--platform", "small", "--emulate", "--policy",
+                                 str(self.folder / "policy.json"), "--deployment", str(self.folder / "queues.json"), "--activations",
+                                 "0", "--out", str(self.folder / "live.json"), *flags, "--", str(BIN / "driving-steady")],
+                                stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        try:
+            wait_for("results", lambda: activations(tool).get("CTL", 0) > 20, tool)
+            run = f"{tool.pid}-0"
+            top = json.loads(xauto("top", "--run", run, "--once", "--json", "--interval-ms", 50).stdout)
+            words = xauto("top", "--run", run, "--once", "--interval-ms", 50).stdout
+            status, said = json.loads(xauto("status", "--json").stdout), xauto("status").stdout
+        finally:
+            tool.terminate()
+            tool.communicate(timeout=60)
+        own = [of for name, of in status["claims"].items() if name.endswith("/" + run)]
+        self.assertEqual(len(own), 1, status["claims"])
+        return top, words, own[0], said, json.loads((self.folder / "live.json").read_text())["runs"][0]
+
+    def test_a_run_that_goes_on_shows_reactions_beside_worst_cases(self):
+        top, words, status, said, report = self.looks()
+        claims = {c["name"]: c for c in self.policy["chains"]}
+        counted = {c["name"]: c for c in report["chains"]}
+        for look in (top["chains"], status["chains"]):
+            self.assertEqual([c["name"] for c in look], list(claims))
+            for chain in look:
+                claim, latency = claims[chain["name"]], counted[chain["name"]]["latency_us"]
+                self.assertEqual((chain["worst_case_us"], chain["lower_bound_us"]),
+                                 (claim["worst_case_us"], claim["lower_bound_us"]))
+                self.assertLessEqual(0, chain["last_us"])
+                self.assertLessEqual(chain["last_us"], chain["longest_us"])
+                self.assertLessEqual(chain["longest_us"], latency["max"])
+        for claimed, text in ((top["claims"], words), (status, said)):
+            longer = [c for c in (top["chains"] if claimed is top["claims"] else status["chains"])
+                      if c["longest_us"] > c["worst_case_us"] * 1.02]
+            self.assertEqual(claimed["exceeded"], bool(longer))
+            self.assertIn("worst cases, so far: ", text)
+        # What was broken by then is still broken in the end.
+        for kind in ("outran their WCET", "activations were lost"):
+            if any(kind in b for b in status["broken"]):
+                self.assertTrue(any(kind in b for b in report["worst_case_broken"]), kind)
+        if any("were not where" in b for b in status["broken"]):
+            self.assertTrue(any("states a jitter" in b for b in report["worst_case_broken"]))
+
+    def test_what_the_run_does_not_keep_is_named_while_it_goes_on(self):
+        top, words, status, said, _ = self.looks("--lockstep")
+        for broken, text in ((top["claims"]["broken"], words), (status["broken"], said)):
+            self.assertTrue(any("(--lockstep)" in b for b in broken), broken)
+            self.assertIn("(--lockstep)", text)
+            for chain in self.policy["chains"]:
+                self.assertIn(f"*{chain['worst_case_us'] / 1000:.2f}", text)
+
+    def test_a_policy_of_the_other_version_is_refused(self):
+        for app, policy in ((APP, "heft"), (SOURCE / "examples/driving/app.json", "keys")):
+            done = xauto("compare", "--app", app, "--platform", "small", "--policies", policy, "--out", self.folder / "x", "--", "true")
+            self.assertEqual(done.returncode, 2, done.stderr)
+            self.assertIn(f"'{policy}' is not for an app of this version", done.stderr)
+
+
+if __name__ == "__main__":
+    unittest.main()

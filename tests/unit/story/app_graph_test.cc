@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+// Against files that a person has looked at (tests/golden/graph.*). That an XML reader of its own
+// finds each XNode and each arrow: tests/integration/graph_test.py.
+#include "story/app_graph.h"
+
+#include <cstdlib>
+#include <fstream>
+#include <set>
+
+#include <gtest/gtest.h>
+
+#include "model/json.h"
+
+#include "../golden_cases.h"
+#include "count.h"
+
+namespace xauto::story {
+namespace {
+
+using test::count;
+using test::golden;
+using test::slurp;
+
+void expect_golden(const std::string& name, const std::string& text) {
+  if (std::getenv("XAUTO_UPDATE_GOLDEN") != nullptr)
+    std::ofstream(golden() / name, std::ios::binary) << text;
+  EXPECT_EQ(text, slurp(golden() / name)) << name;
+}
+
+TEST(AppGraph, IsAsItWas) {
+  const auto app = parse_app(slurp(golden() / "app-2.json"), "app-2.json");
+  ASSERT_TRUE(app) << app.error().to_string();
+  const auto platform = parse_platform(slurp(golden() / "platform.json"), "platform.json");
+  ASSERT_TRUE(platform) << platform.error().to_string();
+  const GraphPlaces places{&*platform, {2, 2, 0, 1, 0}};
+  expect_golden("graph.dot", graph_dot(*app, places));
+  expect_golden("graph.svg", graph_svg(*app, places));
+}
+
+AppSpec odd() {
+  AppSpec app;
+  app.version = 2;
+  app.name = "a\"b<c>&d\\N\n";
+  app.sources = {{"s&lt;\t", {10'000}}};
+  app.xnodes = {{"x\"]; y [", "m\\", {{"cpu", 1'000}}, {0}},
+                {std::string(200, 'w') + "ß", "n", {{"<gpu>", 2'000}}}};
+  app.edges = {{0, 1}};
+  return app;
+}
+
+TEST(AppGraph, NamesAreText) {
+  const std::string dot = graph_dot(odd(), {});
+  EXPECT_EQ(dot.substr(0, dot.find(" {")), "digraph \"a\\\"b<c>&amp;d\\\\N\xEF\xBF\xBD\"");
+  EXPECT_NE(dot.find("[label=\"x\\\"]; y [\\ncpu 1 ms\"]"), std::string::npos) << dot;
+  EXPECT_NE(dot.find("label=\"m\\\\\";"), std::string::npos) << dot;
+  EXPECT_NE(dot.find("s&amp;lt;\xEF\xBF\xBD"), std::string::npos) << dot;
+  const std::string svg = graph_svg(odd(), {});
+  EXPECT_NE(svg.find("a&quot;b&lt;c&gt;&amp;d\\N\xEF\xBF\xBD"), std::string::npos) << svg;
+  EXPECT_EQ(svg.find('\t'), std::string::npos);
+  EXPECT_NE(svg.find(">" + std::string(21, 'w') + "…<"), std::string::npos) << svg;
+  EXPECT_NE(svg.find("s&amp;lt;"), std::string::npos);
+}
+
+TEST(AppGraph, OneRateWithoutSourcesIsDrawn) {
+  const auto app = parse_app(slurp(golden() / "app.json"), "app.json");
+  ASSERT_TRUE(app) << app.error().to_string();
+  const std::string svg = graph_svg(*app, {});
+  EXPECT_NE(svg.find("how often is not known"), std::string::npos);
+  EXPECT_EQ(count(svg, "class=\"line\""), app->edges.size());
+}
+
+/// Cells of one picture never lie on each other.
+TEST(AppGraph, NothingIsDrawnOverSomethingElse) {
+  AppSpec app;
+  app.name = "wide";
+  app.sources = {{"s", {10'000}}, {"t", {10'000}}};
+  for (int i = 0; i < 60; ++i) {
+    app.xnodes.push_back({"x" + std::to_string(i), "m" + std::to_string(i % 7), {{"cpu", 1'000}}});
+    if (i < 8) app.xnodes.back().sources = {i % 2};
+    for (int u = i % 5; u < i && i >= 8; u += 9) app.edges.emplace_back(u, i);
+  }
+  const std::string svg = graph_svg(app, {});
+  std::set<std::string> places;
+  std::size_t nodes = 0;
+  const std::string rect = "<rect x=\"", node = "class=\"node none\"";
+  for (std::size_t from = svg.find(rect); from != std::string::npos;
+       from = svg.find(rect, from + 1)) {
+    const std::string tag = svg.substr(from, svg.find('>', from) - from);
+    if (tag.find(node) == std::string::npos) continue;
+    ++nodes;
+    places.insert(tag.substr(0, tag.find(" width")));
+  }
+  EXPECT_EQ(nodes, 62u);
+  EXPECT_EQ(places.size(), nodes);
+}
+
+TEST(AppGraph, APictureIsBounded) {
+  AppSpec app;
+  app.name = "large";
+  app.sources = {{"s", {10'000}}};
+  for (int i = 0; i < 2'000; ++i) {
+    app.xnodes.push_back({std::string(250, 'n'), std::string(250, 'm'), {{"cpu", 1'000}}, {}});
+    if (i == 0) app.xnodes.back().sources = {0};
+    for (int u = std::max(0, i - 20); u < i; ++u) app.edges.emplace_back(u, i);
+  }
+  const std::string svg = graph_svg(app, {});
+  EXPECT_EQ(count(svg, "<path d=\"M"), kMostLines + 1);  // and the arrow's own
+  EXPECT_LE(count(svg, "<rect"), 2 * kMostDrawn + 3);
+  EXPECT_NE(svg.find("drawn are 400 of 2000 XNodes, 4000 of 39791 arrows"), std::string::npos);
+  EXPECT_LT(svg.size(), std::size_t{8} << 20);
+}
+
+}  // namespace
+}  // namespace xauto::story

@@ -1,0 +1,281 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reactions and stories of a run that is small enough to know every number of by heart.
+#include "story/reactions.h"
+
+#include <algorithm>
+
+#include <gtest/gtest.h>
+
+#include "story/chain_story.h"
+#include "story/run_trace.h"
+#include "story/trace_reader.h"
+
+namespace xauto::story {
+namespace {
+
+constexpr std::uint16_t kUnset = XAUTO_EV_NONE;
+
+/// CAM (cam.x, camera every 10 ms, released 2 ms after the grid) is sampled by CTL (ctl.x, ctl.y,
+/// tick every 5 ms), and samples what CTL did: a circle.
+struct Loop {
+  AppSpec app;
+  Platform platform{"p", {{"cpu0", "cpu"}, {"cpu1", "cpu"}}};
+  Scene scene;
+  KeyPolicy keys;
+  trace::Recording trace;
+
+  Loop() {
+    app.version = 2;
+    app.name = "loop";
+    app.sources = {{"camera", {10'000}, 2'000}, {"tick", {5'000}}};
+    app.xnodes = {{"cam.x", "CAM", {{"cpu", 1'000}}, {0}},
+                  {"ctl.x", "CTL", {{"cpu", 400}}, {1}},
+                  {"ctl.y", "CTL", {{"cpu", 100}}}};
+    app.edges = {{1, 2}};
+    app.modules = {{"CAM", 2}, {"CTL"}};
+    app.samples = {{0, 1}, {2, 0}};
+    app.chains = {{"see", 0, 2}, {"beat", 1, 2}, {"inside", 1, 1}};
+    keys = {"loop",
+            app.hash(),
+            "p",
+            "test",
+            {{0, {3'000, 4'000}, {500}}, {1, {1'000}}, {1, {1'500}}},
+            {{"see", 9'000, 100}, {"beat", 1'500, 500}, {"inside", 1'000, 400}},
+            0};
+    scene.title = "loop on p";
+    scene.rows = {{"cpu0", true}, {"cpu1", true}};
+    scene.row_of = {0, 1};
+    scene.modules = {{"CAM", false}, {"CTL", true}};
+    scene.keys = &keys;
+    scene.claims = keys.chains;
+    scene.verdict = "worst cases: kept";
+  }
+  void at(std::int64_t us, std::uint16_t kind, std::uint64_t seq, std::uint16_t module = kUnset,
+          std::uint16_t xnode = kUnset, std::uint16_t xpu = kUnset, std::uint32_t arg = 0) {
+    trace.events.push_back(
+        {static_cast<std::uint64_t>(1'000'000 + us * 1000), seq, xnode, module, xpu, kind, arg, 0});
+  }
+  static std::uint64_t ns(std::int64_t us) {
+    return static_cast<std::uint64_t>(1'000'000 + us * 1000);
+  }
+  void release(int source, std::uint64_t k) {
+    at(source == 0 ? 2'000 + static_cast<std::int64_t>(k) * 10'000
+                   : static_cast<std::int64_t>(k) * 5'000,
+       XAUTO_EV_PUBLISH, k, kUnset, kUnset, kUnset,
+       XAUTO_TAKE_SOURCE | static_cast<std::uint32_t>(source));
+  }
+  /// Taken at `us`, run from `begin` to `end`; `read`: the number of CTL's that it samples.
+  void camera(std::uint64_t k, std::int64_t us, std::int64_t begin, std::int64_t end,
+              std::uint64_t read = XAUTO_SAMPLE_NONE) {
+    at(us, XAUTO_EV_ACTIVATE, k, 0);
+    at(us, XAUTO_EV_TAKE, ns(2'000 + static_cast<std::int64_t>(k) * 10'000), 0, kUnset, kUnset,
+       XAUTO_TAKE_SOURCE);
+    at(us, XAUTO_EV_READY, k, 0, 0, 0);
+    at(begin, XAUTO_EV_SAMPLE, read, 0, kUnset, kUnset, 1);
+    at(begin, XAUTO_EV_RUN, k, 0, 0, 0);
+    at(end, XAUTO_EV_FINISH, k, 0, 0, 0);
+    at(end + 1, XAUTO_EV_DONE, k, 0);
+  }
+  void control(std::uint64_t k, std::int64_t begin, std::uint64_t read, bool told = true) {
+    const std::int64_t us = static_cast<std::int64_t>(k) * 5'000;
+    at(us, XAUTO_EV_ACTIVATE, k, 1);
+    at(us, XAUTO_EV_TAKE, ns(us), 1, kUnset, kUnset, XAUTO_TAKE_SOURCE | 1);
+    at(us, XAUTO_EV_READY, k, 1, 1, 1);
+    if (told) at(begin, XAUTO_EV_SAMPLE, read, 1, kUnset, kUnset, 0);
+    at(begin, XAUTO_EV_RUN, k, 1, 1, 1);
+    at(begin + 400, XAUTO_EV_FINISH, k, 1, 1, 1);
+    at(begin + 400, XAUTO_EV_READY, k, 1, 2, 1);
+    at(begin + 410, XAUTO_EV_RUN, k, 1, 2, 1);
+    at(begin + 500, XAUTO_EV_FINISH, k, 1, 2, 1);
+    at(begin + 501, XAUTO_EV_DONE, k, 1);
+  }
+  void run() {
+    for (std::uint64_t k = 0; k < 6; ++k) release(1, k);
+    for (std::uint64_t k = 0; k < 3; ++k) release(0, k);
+    control(0, 10, XAUTO_SAMPLE_NONE);
+    camera(0, 2'010, 2'500, 3'400, 0);
+    control(1, 5'020, 0);
+    control(2, 10'030, 0);
+    camera(1, 12'010, 12'500, 15'900, 2);  // ends after CTL 3 has read
+    control(3, 15'010, 0);
+    control(4, 20'010, 1);
+    std::stable_sort(trace.events.begin(), trace.events.end(),
+                     [](const auto& a, const auto& b) { return a.ts_ns < b.ts_ns; });
+  }
+  [[nodiscard]] Story story() const {
+    const auto story = story_of(app, platform, scene.modules, trace);
+    EXPECT_TRUE(story) << story.error().to_string();
+    return *story;
+  }
+  [[nodiscard]] std::vector<std::string> reactions() const {
+    std::vector<std::string> lines;
+    for (const Reaction& r : reactions_of(app, story()))
+      lines.push_back(app.chains[static_cast<std::size_t>(r.chain)].name + " " +
+                      std::to_string(r.number) + " " + std::to_string(r.us()));
+    return lines;
+  }
+};
+
+using Lines = std::vector<std::string>;
+
+TEST(Reactions, EndWithTheFirstJobThatKnowsTheRelease) {
+  Loop loop;
+  loop.run();
+  // CTL's own message comes back to it through CAM: that is not taken for something old.
+  EXPECT_EQ(loop.reactions(),
+            (Lines{"see 0 3521", "see 1 8511", "beat 0 511", "beat 1 521", "beat 2 531",
+                   "beat 3 511", "beat 4 511", "inside 0 410", "inside 1 420", "inside 2 430",
+                   "inside 3 410", "inside 4 410"}));
+}
+
+TEST(Reactions, AReleaseThatNoResultHadCountsUntilTheNextOne) {
+  Loop loop;
+  for (std::uint64_t k : {0, 1, 2}) loop.release(0, k);
+  for (std::uint64_t k : {0, 6}) loop.release(1, k);
+  loop.camera(0, 2'010, 2'500, 3'400);
+  loop.control(1, 5'020, 0);
+  loop.camera(2, 22'010, 22'500, 23'400);
+  loop.control(6, 30'000, 2);
+  std::stable_sort(loop.trace.events.begin(), loop.trace.events.end(),
+                   [](const auto& a, const auto& b) { return a.ts_ns < b.ts_ns; });
+  const Lines lines = loop.reactions();
+  EXPECT_EQ((Lines{lines.begin(), lines.begin() + 3}),
+            (Lines{"see 0 3521", "see 1 18501", "see 2 8501"}));
+}
+
+TEST(Reactions, WhatTheTraceDoesNotTellIsLeftOut) {
+  Loop loop;
+  loop.run();
+  loop.trace.overwritten = 5;  // what CTL 1 knew may have been known before
+  EXPECT_EQ(loop.reactions().front(), "see 1 8511");
+  // The activation that published what CTL 4 has read is gone: nothing is said of it.
+  std::erase_if(loop.trace.events, [](const auto& e) {
+    return e.module == 0 && e.seq == 1 && e.kind == XAUTO_EV_DONE;
+  });
+  EXPECT_NE(loop.reactions().front().substr(0, 3), "see");
+  loop.app.version = 1;
+  EXPECT_TRUE(reactions_of(loop.app, loop.story()).empty());
+}
+
+TEST(Reactions, AWindowIsFromReleaseAndHoldToTheKey) {
+  Loop loop;
+  loop.run();
+  const Story story = loop.story();
+  std::size_t seen = 0;
+  for (const JobStory& job : story.jobs) {
+    const auto window = window_of(loop.keys, story, job);
+    ASSERT_TRUE(window);
+    const std::int64_t n = static_cast<std::int64_t>(job.sequence);
+    if (job.xnode == 0) {  // its component's only source: the offset is the component's
+      EXPECT_EQ(window->begin_ns, 1'000'000 + (2'000 + n * 10'000 + 500) * 1000);
+      EXPECT_EQ(window->key_ns, 1'000'000 + (2'000 + n * 10'000 + (n == 1 ? 4'000 : 3'000)) * 1000);
+    } else {
+      EXPECT_EQ(window->begin_ns, 1'000'000 + n * 5'000 * 1000);
+    }
+    ++seen;
+  }
+  EXPECT_EQ(seen, 12u);
+}
+
+/// Two activations of CAM are in flight, and end in order.
+TEST(Reactions, SeveralActivationsInFlightAreKeptApart) {
+  Loop loop;
+  loop.release(0, 0), loop.release(0, 1);
+  for (const std::uint64_t k : {0, 1}) {
+    const auto us = static_cast<std::int64_t>(k) * 10'000;
+    loop.at(2'010 + us, XAUTO_EV_ACTIVATE, k, 0);
+    loop.at(2'010 + us, XAUTO_EV_TAKE, Loop::ns(2'000 + us), 0, kUnset, kUnset, XAUTO_TAKE_SOURCE);
+    loop.at(2'020 + us, XAUTO_EV_READY, k, 0, 0, 0);
+  }
+  loop.at(13'000, XAUTO_EV_RUN, 0, 0, 0, 0);
+  loop.at(14'000, XAUTO_EV_FINISH, 0, 0, 0, 0);
+  loop.at(14'001, XAUTO_EV_DONE, 0, 0);
+  loop.at(14'010, XAUTO_EV_RUN, 1, 0, 0, 0);
+  loop.at(15'000, XAUTO_EV_FINISH, 1, 0, 0, 0);
+  loop.at(15'001, XAUTO_EV_DONE, 1, 0);
+  const Story story = loop.story();
+  ASSERT_EQ(story.activations.size(), 2u);
+  ASSERT_EQ(story.jobs.size(), 2u);
+  for (std::size_t k = 0; k < 2; ++k) {
+    EXPECT_EQ(story.activations[k].fate, Fate::kDone);
+    EXPECT_TRUE(story.jobs[k].complete);
+    EXPECT_EQ(story.jobs[k].activation, static_cast<int>(k));
+  }
+  const auto bytes = perfetto_trace(loop.app, loop.scene, story, 0);
+  ASSERT_TRUE(bytes) << bytes.error().to_string();
+  EXPECT_TRUE(read_trace(*bytes, "t"));
+  // With one state two are a damaged trace: the first one's end is unknown.
+  loop.app.modules[0].max_in_flight = 1;
+  EXPECT_EQ(loop.story().activations[0].fate, Fate::kUnknown);
+}
+
+struct Told : Loop {
+  ReadTrace read;
+  Told() {
+    run();
+    const auto bytes = perfetto_trace(app, scene, story(), 0);
+    EXPECT_TRUE(bytes) << bytes.error().to_string();
+    auto back = read_trace(bytes.value_or(std::string()), "t");
+    EXPECT_TRUE(back) << back.error().to_string();
+    read = std::move(*back);
+  }
+};
+
+TEST(ChainStory, GoesBackThroughSamplesToTheSensors) {
+  const Told told;
+  ASSERT_EQ(told.read.reactions.size(), 3u);
+  EXPECT_EQ(told.read.verdict, "worst cases: kept");
+  const TraceReactions& see = told.read.reactions.front();
+  EXPECT_EQ(see.note, "from source camera; worst case 9000 us, bound 100 us");
+  const auto story = story_of(told.read, see, *worst_of(see));
+  ASSERT_TRUE(story) << story.error().to_string();
+  EXPECT_EQ(story->number, 1);
+  EXPECT_EQ(story->reaction_us, 8'511);
+  EXPECT_EQ(story->of, 2);
+  // CTL 4 read CAM 1, which had read CTL 2, which had read CAM 0, which had read CTL 0.
+  Lines jobs;
+  for (const StoryJob& job : story->jobs)
+    jobs.push_back(job.xnode + " " + std::to_string(job.number));
+  EXPECT_EQ(jobs, (Lines{"ctl.x 0", "ctl.y 0", "cam.x 0", "ctl.x 2", "ctl.y 2", "cam.x 1",
+                         "ctl.x 4", "ctl.y 4"}));
+  const StoryJob& ctl = story->jobs[6];
+  EXPECT_EQ(ctl.xpu, "cpu1");
+  EXPECT_EQ(ctl.ready_us, 8'000);
+  EXPECT_EQ(ctl.began_us, 8'010);
+  EXPECT_EQ(ctl.ended_us, 8'410);
+  EXPECT_EQ(ctl.ran_us, 400);
+  EXPECT_EQ(ctl.released_us, 8'000);
+  EXPECT_EQ(ctl.key_us, 9'000);
+  EXPECT_EQ(ctl.lateness_us, -590);
+  ASSERT_EQ(ctl.reads.size(), 1u);
+  EXPECT_EQ(ctl.reads[0].read, "CAM");
+  EXPECT_EQ(ctl.reads[0].number, 1);
+  EXPECT_EQ(ctl.reads[0].age_us, 8'010);
+  const StoryJob& cam = story->jobs[5];
+  EXPECT_EQ(cam.lateness_us, 15'900 - (12'000 + 4'000));
+  EXPECT_EQ(story->jobs[0].reads[0].number, -1);
+  Lines sensors;
+  for (const StorySensor& s : story->sensors)
+    sensors.push_back(s.source + " " + std::to_string(s.number) + " " +
+                      std::to_string(s.released_us));
+  EXPECT_EQ(sensors, (Lines{"tick 0 -12000", "camera 0 -10000", "tick 2 -2000", "camera 1 0",
+                            "tick 4 8000"}));
+  const std::string text = story_text(*story);
+  EXPECT_NE(text.find("see: release 1 took 8.511 ms, the longest of 2"), std::string::npos) << text;
+  EXPECT_NE(text.find("read CAM 1, 8.010 ms after its release"), std::string::npos) << text;
+  EXPECT_NE(text.find("read of CAM: nothing"), std::string::npos) << text;
+}
+
+TEST(ChainStory, WhatIsDamagedIsRefused) {
+  Told told;
+  TraceReactions& see = told.read.reactions.front();
+  see.releases.front().activation = 77;
+  const auto story = story_of(told.read, see, see.releases.front());
+  ASSERT_FALSE(story);
+  EXPECT_NE(story.error().to_string().find("see, release 0"), std::string::npos);
+  see.releases.clear();
+  EXPECT_EQ(worst_of(see), nullptr);
+}
+
+}  // namespace
+}  // namespace xauto::story
