@@ -118,6 +118,7 @@ class Worker {
   bool run_job(Placed& placed, bool begun);
   void begin(Placed& placed);
   [[nodiscard]] coord::Key key_of(const Placed& placed) const;
+  [[nodiscard]] xpu::CpuJob cpu_job(const Placed& placed) const;
   void run_lane();
   void show_lane();
   void record(std::uint16_t kind, const Placed& placed, std::uint64_t sequence,
