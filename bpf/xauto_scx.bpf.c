@@ -1,22 +1,26 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
- * XNode threads by fixed priority, everything else behind them: a sched_ext scheduler.
+ * XNode threads by the keys of their jobs, everything else behind them: a sched_ext scheduler.
  *
- * Each CPU has a queue of the XNode threads that the policy places on it, ordered by priority and,
- * among equals, by arrival of the job. A waking job that is more urgent than what runs preempts it at
- * once; it runs on the CPU of its table entry and nowhere else. Ordinary threads share one fair queue
- * (virtual time, weighted by nice). Who gets CPU c when it has to choose:
+ * A job has a key; the smaller is the more urgent (include/uapi/xauto/rule.h, bpf.h). A priority is a
+ * key that no release moves. Each CPU has a queue of the XNode threads that the policy places on it,
+ * ordered by key; of equal keys the one that asked first is taken. A waking job whose key is smaller
+ * than that of what runs preempts it at once; it runs on the CPU of its table entry and nowhere else.
+ * Ordinary threads share one fair queue (virtual time, weighted by nice). All these queues are the
+ * kernel's ordered kind, which takes no thread that is inserted without a place in the order. Who gets
+ * CPU c when it has to choose:
  *
  *   1. kernel threads that were woken: short, and everything stalls without them;
  *   2. the floor: an ordinary thread, or an XNode thread that has waited for age_ms, as long as the
  *      CPU has credit. Credit grows by floor_permille of time up to floor_burst_us. Without it a
  *      busy XNode would lock its CPU, and the kernel's watchdog would throw us out;
- *   3. the head of c's XNode queue, or the XNode thread that runs if the head is not more urgent;
+ *   3. the first by the rule of c's XNode queue, or the XNode thread that runs if that takes nothing
+ *      from it;
  *   4. the fair queue.
  *
- * Example: priorities 9 and 5 spin on one CPU, a shell wants 2 ms. 9 runs; at the end of its slice
- * there are 5 ms of credit, the shell gets its 2 ms at once; then 9 until it ends, then 5. A second
- * shell that spins gets 5 ms, and from then on 5 % of the CPU.
+ * Example: keys 3 and 7 spin on one CPU, a shell wants 2 ms. 3 runs; at the end of its slice there are
+ * 5 ms of credit, the shell gets its 2 ms at once; then 3 until it ends, then 7. A second shell that
+ * spins gets 5 ms, and from then on 5 % of the CPU.
  *
  * Weak points, known: the tick is the clock of slices, so a grant or a budget may be overrun by one
  * tick; and a wake-up that races with the start of a thread on its CPU is noticed at the next tick
@@ -38,6 +42,7 @@
 #include <bpf/bpf_core_read.h>
 #include "compat.bpf.h"
 #include "uapi/xauto/bpf.h"
+#include "uapi/xauto/rule.h"
 #include "maps.bpf.h"
 
 char _license[] SEC("license") = "GPL";
@@ -54,8 +59,6 @@ const volatile unsigned int age_ms = 1000;
 #define FAIR_DSQ 0x58460000ULL
 #define XNODE_DSQ(cpu) (0x58440000ULL | (u32)(cpu))
 #define NS_PER_US 1000ULL
-#define ARRIVAL_MASK 0x0000ffffffffffffULL
-#define COPY_ATTEMPTS 8
 
 /* cpu_state.current, besides a slot number */
 #define CURRENT_SWITCHING (-1) /* between two threads, or idle: nobody to preempt */
@@ -64,7 +67,7 @@ const volatile unsigned int age_ms = 1000;
 
 /**
  * struct cpu_state - one CPU, written by it alone except @woken
- * @current:   who runs: a slot, or CURRENT_*. Never "nobody, priority -1" between two threads: whoever
+ * @current:   who runs: a slot, or CURRENT_*. Never "nobody, no key" between two threads: whoever
  *             wakes then would kick, and kick again, and the CPU would do nothing else
  * @credit_ns: of the floor; negative after a turn that a late tick made longer
  * @credit_at: when it was last refilled
@@ -103,17 +106,9 @@ XAUTO_MAP_SCHED;
 XAUTO_MAP_COUNTS;
 XAUTO_MAP_THREADS;
 
+#include "jobs.bpf.h"
+
 static unsigned long long vtime_now; /* of the fair queue: the largest that has begun to run */
-static unsigned long long arrivals;
-
-/* Callbacks run with interrupts off, so nobody else adds to this CPU's counts meanwhile. */
-static __always_inline void count(u32 what)
-{
-	struct xauto_bpf_counts *c = bpf_map_lookup_elem(&counts, &(u32){ 0 });
-
-	if (c && what < XAUTO_BPF_STATS)
-		c->stats[what]++;
-}
 
 static __always_inline struct cpu_state *state_of(s32 cpu)
 {
@@ -124,132 +119,7 @@ static __always_inline struct cpu_state *state_of(s32 cpu)
 	return c;
 }
 
-/* An XNode thread: where it is told what it runs, and what we go by. */
-struct xnode_thread {
-	struct xauto_bpf_slot *slot;
-	struct xauto_bpf_job *job;
-	u32 at;
-};
-
-/* False: there is no such slot. */
-static __always_inline bool thread_at(u32 at, struct xnode_thread *t)
-{
-	t->at = at;
-	t->slot = bpf_map_lookup_elem(&slots, &at);
-	t->job = bpf_map_lookup_elem(&jobs, &at);
-	if (t->slot && !t->job) /* the loader makes both maps of one size */
-		scx_bpf_error("slot %u has no job", at);
-	return t->slot && t->job;
-}
-
-/* False: an ordinary thread. Threads enter themselves, so the slot's number may be nonsense. */
-static __always_inline bool thread_of(struct task_struct *p, struct xnode_thread *t)
-{
-	u32 tid = p->pid;
-	u32 *at = bpf_map_lookup_elem(&threads, &tid);
-
-	if (!at)
-		return false;
-	if (thread_at(*at, t))
-		return true;
-	count(XAUTO_BPF_STAT_NO_SLOT);
-	return false;
-}
-
-/* ---- jobs ---------------------------------------------------------------------------------- */
-
-static __always_inline u64 job_word(const struct xauto_bpf_slot *slot)
-{
-	return *(volatile u64 *)&slot->job & ~XAUTO_BPF_JOB_ENDED;
-}
-
-/*
- * Copies the XNode's entry of the table in force. Returns how often it had to begin again, -1: there is
- * none. Global functions are verified once, by themselves, and not again for each path to each call.
- */
-__noinline int copy_entry(u64 word, struct xauto_bpf_entry *out)
-{
-	struct xauto_bpf_head *h = bpf_map_lookup_elem(&head, &(u32){ 0 });
-	u32 xnode = (u32)(word >> XAUTO_BPF_JOB_SHIFT) - 1;
-	int i;
-
-	if (!h)
-		scx_bpf_error("the map 'head' has no element %d", 0);
-	if (!h || !out || !word || xnode >= h->xnodes)
-		return -1;
-	for (i = 0; i < COPY_ATTEMPTS; i++) {
-		/* Atomic additions of nothing: BPF has no other way to order loads. */
-		u64 version = __sync_fetch_and_add(&h->version, 0);
-		u32 at = (u32)(version % XAUTO_BPF_BANKS) * h->xnodes + xnode;
-		struct xauto_bpf_entry *e = bpf_map_lookup_elem(&table, &at);
-
-		if (!version || !e)
-			return -1;
-		out->version = version;
-		out->cpu = *(volatile u32 *)&e->cpu;
-		out->priority = *(volatile u32 *)&e->priority;
-		out->budget_ns = *(volatile u64 *)&e->budget_ns;
-		/* A writer clears the stamp before it touches an entry and sets it afterwards. */
-		if (__sync_fetch_and_add(&e->version, 0) == version)
-			return i;
-	}
-	return -1;
-}
-
-/* Takes up the thread's present job, once per job. */
-static __always_inline void latch(struct xauto_bpf_job *job, struct xauto_bpf_slot *slot)
-{
-	struct xauto_bpf_entry entry = {};
-	u64 word = job_word(slot);
-	int torn;
-
-	if (word == job->job)
-		return;
-	torn = copy_entry(word, &entry);
-	if (torn < 0) {
-		if (word)
-			count(XAUTO_BPF_STAT_UNKNOWN);
-		entry.cpu = XAUTO_BPF_NO_CPU;
-		entry.priority = 0;
-	}
-	if (torn > 0) {
-		job->torn += torn;
-		count(XAUTO_BPF_STAT_TORN);
-	}
-	job->version = entry.version;
-	job->cpu = entry.cpu;
-	job->priority = entry.priority > XAUTO_BPF_MAX_PRIORITY ? XAUTO_BPF_MAX_PRIORITY : entry.priority;
-	job->budget_ns = entry.budget_ns;
-	job->used_ns = 0;
-	job->flags = 0;
-	job->arrival = __sync_fetch_and_add(&arrivals, 1) & ARRIVAL_MASK;
-	/* Last, for readers in user space: the rest is this job's. */
-	__sync_lock_test_and_set(&job->job, word);
-	count(XAUTO_BPF_STAT_LATCHED);
-}
-
-/* 0: as an ordinary thread. */
-static __always_inline u32 rank(const struct xauto_bpf_job *job)
-{
-	return job->flags & XAUTO_BPF_JOB_DEMOTED || job->cpu >= nr_cpus ? 0 : job->priority;
-}
-
-/* The rank of a thread that runs elsewhere, by its present word: it may not be latched yet. */
-__noinline u32 rank_of_running(u32 at)
-{
-	struct xauto_bpf_entry entry = {};
-	struct xnode_thread t;
-	u64 word;
-
-	if (!thread_at(at, &t)) {
-		scx_bpf_error("a thread runs in slot %u, which there is not", at);
-		return 0;
-	}
-	word = job_word(t.slot);
-	if (word == t.job->job)
-		return rank(t.job);
-	return copy_entry(word, &entry) >= 0 && entry.cpu < nr_cpus ? entry.priority : 0;
-}
+/* ---- run time ------------------------------------------------------------------------------ */
 
 /* Charges the running thread for its time since began_ns, and demotes its job when over budget. */
 static __always_inline void charge(struct cpu_state *c, struct xauto_bpf_job *job,
@@ -292,49 +162,59 @@ static __always_inline bool iterate(struct bpf_iter_scx_dsq *it, s32 cpu)
 }
 
 /*
- * The most urgent thread of the CPU's queue: its priority, 0 if there is none, and who it is. That is the
- * head, unless a thread further back was told another job while it waited: it was queued by the priority of
- * the old one, so the present words are what counts. Queues are as long as a CPU has XNode threads.
+ * The first by the rule of the CPU's queue: its key, NO_KEY if the queue is empty. That is the head,
+ * unless equal keys were queued in another order than they asked, or a thread further back was told
+ * another job while it waited: it was queued by the key of the old one, so the present words are what
+ * counts. Queues are as long as a CPU has XNode threads.
  */
-__noinline u32 most_urgent(s32 cpu, s32 *who)
+__noinline s64 first_of(s32 cpu, struct claim *first)
 {
 	struct bpf_iter_scx_dsq it;
 	struct task_struct *p;
-	u32 best = 0;
+	bool any = false;
 
-	if (!who)
-		return 0;
-	*who = 0;
+	if (!first)
+		return NO_KEY;
+	first->key = NO_KEY;
 	if (!iterate(&it, cpu))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
+		struct claim c = { .key = NO_KEY, .slot = -1 };
 		struct xnode_thread t;
-		u32 priority;
 
-		priority = XAUTO_BPF_MAX_PRIORITY - (u32)(p->scx.dsq_vtime >> 48);
-		if (thread_of(p, &t) && job_word(t.slot) != t.job->job)
-			priority = rank_of_running(t.at) ?: 1;
-		if (priority > best) {
-			best = priority;
-			*who = p->pid;
-		}
+		if (!thread_of(p, &t) || claim_of(t.at, &c) == NO_KEY)
+			c.key = LAST_KEY; /* it became ordinary here, and has to leave */
+		if (any && !XAUTO_RULE_BEFORE(c, *first))
+			continue;
+		any = true;
+		c.tid = p->pid;
+		*first = c;
 	}
 out:
 	bpf_iter_scx_dsq_destroy(&it);
-	return best;
+	return first->key;
 }
 
-__noinline u32 head_priority(s32 cpu)
+__noinline s64 key_waiting(s32 cpu)
 {
-	s32 who = 0;
+	struct claim first = {};
 
-	return most_urgent(cpu, &who);
+	return first_of(cpu, &first);
+}
+
+/*
+ * A key's place in the kernel's queue, which compares modulo 2^64: keys are less than 2^62 apart, so their
+ * order is the queue's. All are moved into the past of the fair queue, whose vtime begins at 0: a thread
+ * that is no XNode thread any more comes with its last one, and begins there as one that has slept long.
+ */
+static __always_inline u64 vtime_of_key(s64 key)
+{
+	return (u64)key - 4 * KEY_LIMIT;
 }
 
 static __always_inline void enqueue_xnode(struct task_struct *p, struct xauto_bpf_job *job, u64 enq_flags)
 {
-	u32 priority = rank(job);
-	u64 key = ((u64)(XAUTO_BPF_MAX_PRIORITY - priority) << 48) | job->arrival;
+	struct claim mine = { .key = job->key }, running;
 	s32 cpu = (s32)job->cpu;
 	struct cpu_state *c;
 	s64 current;
@@ -344,7 +224,7 @@ static __always_inline void enqueue_xnode(struct task_struct *p, struct xauto_bp
 		count(XAUTO_BPF_STAT_MISPLACED);
 	}
 	job->queued_ns = bpf_ktime_get_ns();
-	insert_vtime(p, XNODE_DSQ(cpu), slice_of(job), key, enq_flags);
+	insert_vtime(p, XNODE_DSQ(cpu), slice_of(job), vtime_of_key(mine.key), enq_flags);
 	count(XAUTO_BPF_STAT_QUEUED);
 
 	c = state_of(cpu);
@@ -361,14 +241,15 @@ static __always_inline void enqueue_xnode(struct task_struct *p, struct xauto_bp
 	if (current == CURRENT_KERNEL)
 		return; /* it is short, and dispatch() follows it */
 	if (current >= 0) {
-		struct xnode_thread running;
+		struct xnode_thread t;
 
 		/* Its worker looks at `waiting` after storing a new job, we at the job after storing
 		 * `waiting`: one of the two sees the other. The exchange is the barrier between.
 		 */
-		if (thread_at((u32)current, &running))
-			__sync_lock_test_and_set(&running.slot->waiting, 1);
-		if (rank_of_running((u32)current) >= priority)
+		if (thread_at((u32)current, &t))
+			__sync_lock_test_and_set(&t.slot->waiting, 1);
+		claim_of((u32)current, &running);
+		if (!XAUTO_RULE_TAKES(mine, running))
 			return;
 	}
 	count(XAUTO_BPF_STAT_KICKED);
@@ -395,7 +276,7 @@ static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flag
 	u64 vtime = p->scx.dsq_vtime;
 	s32 cpu;
 
-	/* Sleeping earns at most one slice. */
+	/* Sleeping earns at most one slice, and so does having been an XNode thread (vtime_of_key). */
 	if ((s64)(vtime_now - vtime) > (s64)slice)
 		vtime = vtime_now - slice;
 	insert_vtime(p, FAIR_DSQ, slice, vtime, enq_flags);
@@ -418,7 +299,7 @@ s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_fla
 		/* Not straight to the local queue even if idle: XNode threads get there only by
 		 * dispatch(), so that their order is the queue's.
 		 */
-		if (rank(t.job) && bpf_cpumask_test_cpu(t.job->cpu, p->cpus_ptr))
+		if (key_of(t.job) != NO_KEY && bpf_cpumask_test_cpu(t.job->cpu, p->cpus_ptr))
 			return (s32)t.job->cpu;
 	}
 	cpu = scx_bpf_select_cpu_dfl(p, prev_cpu, wake_flags, &idle);
@@ -434,7 +315,7 @@ void BPF_PROG(xauto_enqueue, struct task_struct *p, u64 enq_flags)
 
 	if (thread_of(p, &t)) {
 		latch(t.job, t.slot);
-		if (rank(t.job)) {
+		if (key_of(t.job) != NO_KEY) {
 			enqueue_xnode(p, t.job, enq_flags);
 			return;
 		}
@@ -501,31 +382,34 @@ static __always_inline void refill(struct cpu_state *c, u64 now)
 
 /*
  * The CPU needs a thread. `prev` may be one that is ready but whose slice has ended: it is on no queue
- * yet, so taking the head without comparing would let a less urgent one overtake it. If we move
+ * yet, so taking the first without comparing would let a less urgent one overtake it. If we move
  * nothing, the kernel lets it go on.
  */
 SEC("struct_ops/xauto_dispatch")
 void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 {
 	struct cpu_state *c = state_of(cpu);
+	struct claim first = {}, mine = { .key = NO_KEY };
 	struct xnode_thread t;
-	u32 waiting, mine = 0;
 	u64 now = bpf_ktime_get_ns(), slice = 0;
-	s32 who = 0;
+	bool fresh = false, waits;
 
 	if (!c)
 		return;
 	c->rekicked = 0;
 	if (prev && (prev->scx.flags & SCX_VALUE(scx_ent_flags, SCX_TASK_QUEUED)) &&
 	    thread_of(prev, &t)) {
-		latch(t.job, t.slot);
+		/* A job that it has told just now did not get the CPU yet: it asks, as the others do. */
+		fresh = latch(t.job, t.slot);
 		charge(c, t.job, t.slot, now);
-		mine = rank(t.job);
+		mine.key = key_of(t.job);
+		mine.since_ns = t.job->since_ns;
+		mine.slot = (s32)t.at;
 		slice = slice_of(t.job);
 	}
-	waiting = most_urgent(cpu, &who);
+	waits = first_of(cpu, &first) != NO_KEY;
 	refill(c, now);
-	if (!waiting && !mine) {
+	if (!waits && mine.key == NO_KEY) {
 		c->woken = 0;
 		move_to_local(FAIR_DSQ);
 		return;
@@ -543,13 +427,14 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 		}
 	}
 	c->woken = 0;
-	if (mine >= waiting && prev) {
+	if (prev && mine.key != NO_KEY &&
+	    !(waits && (fresh ? XAUTO_RULE_BEFORE(first, mine) : XAUTO_RULE_TAKES(first, mine)))) {
 		set_slice(prev, slice);
 		count(XAUTO_BPF_STAT_KEPT);
 		return;
 	}
 	/* It may have been taken off the queue meanwhile: then whoever is first. */
-	if (!dispatch_thread(cpu, who))
+	if (!dispatch_thread(cpu, first.tid))
 		move_to_local(XNODE_DSQ(cpu));
 }
 
@@ -562,7 +447,7 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 	struct xauto_bpf_slot *slot = NULL;
 	struct xnode_thread t;
 	s64 current = kernel ? CURRENT_KERNEL : CURRENT_ORDINARY;
-	u32 mine = 0, waiting;
+	s64 mine = NO_KEY, waiting;
 
 	if (!c)
 		return;
@@ -571,11 +456,11 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 		slot = t.slot;
 		latch(t.job, slot);
 		t.job->queued_ns = 0;
-		mine = rank(t.job);
-		if (mine)
+		mine = key_of(t.job);
+		if (mine != NO_KEY)
 			current = t.at;
 	}
-	if (!mine && (s64)(p->scx.dsq_vtime - vtime_now) > 0)
+	if (mine == NO_KEY && (s64)(p->scx.dsq_vtime - vtime_now) > 0)
 		vtime_now = p->scx.dsq_vtime; /* races only make it a little smaller */
 
 	/* Publish first, then look: whoever was queued while nobody could be preempted is seen here.
@@ -583,9 +468,9 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 	 * dispatch(), so this is the only place that sees a more urgent one queued meanwhile.
 	 */
 	__sync_lock_test_and_set(&c->current, current);
-	waiting = head_priority(cpu);
+	waiting = key_waiting(cpu);
 	if (slot)
-		slot->waiting = waiting != 0;
+		slot->waiting = waiting != NO_KEY;
 	if (kernel)
 		return;
 	if (c->grant) {
@@ -594,7 +479,7 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 		set_slice(p, grant_us * NS_PER_US);
 		return;
 	}
-	if (waiting > mine && !c->rekicked) {
+	if (waiting < mine && !c->rekicked) {
 		c->woken = 1;
 		c->rekicked = 1;
 		count(XAUTO_BPF_STAT_RECHECKED);
@@ -609,24 +494,24 @@ void BPF_PROG(xauto_tick, struct task_struct *p)
 	s32 cpu = scx_bpf_task_cpu(p);
 	struct cpu_state *c = state_of(cpu);
 	struct xnode_thread t;
-	u32 mine = 0;
+	s64 mine = NO_KEY;
 
 	if (!c || c->granted || p->flags & PF_KTHREAD)
 		return;
 	if (thread_of(p, &t)) {
-		u32 before = rank(t.job);
+		s64 before = key_of(t.job);
 
 		latch(t.job, t.slot);
 		charge(c, t.job, t.slot, bpf_ktime_get_ns());
-		mine = rank(t.job);
+		mine = key_of(t.job);
 		/* Demoted just now: it must go through a queue to become ordinary. */
-		if (before && !mine) {
+		if (before != NO_KEY && mine == NO_KEY) {
 			set_slice(p, 0);
 			scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
 			return;
 		}
 	}
-	if (head_priority(cpu) > mine) {
+	if (key_waiting(cpu) < mine) {
 		c->woken = 1;
 		count(XAUTO_BPF_STAT_RECHECKED);
 		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
@@ -640,8 +525,8 @@ void BPF_PROG(xauto_stopping, struct task_struct *p, bool runnable)
 	struct cpu_state *c = state_of(cpu);
 	u64 now = bpf_ktime_get_ns();
 	struct xnode_thread t;
+	s64 mine = NO_KEY;
 	u64 ran;
-	u32 mine = 0;
 
 	if (!c)
 		return;
@@ -649,9 +534,9 @@ void BPF_PROG(xauto_stopping, struct task_struct *p, bool runnable)
 	if (thread_of(p, &t)) {
 		latch(t.job, t.slot);
 		charge(c, t.job, t.slot, now);
-		mine = rank(t.job);
+		mine = key_of(t.job);
 	}
-	if (!mine)
+	if (mine == NO_KEY)
 		set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
 	if (c->granted && !(p->flags & PF_KTHREAD)) {
 		c->credit_ns -= (s64)ran;

@@ -63,6 +63,7 @@ function(xauto_bpf_skeleton name)
     COMMAND ${XAUTO_BPFTOOL} gen skeleton ${out}/${name}.bpf.o name ${name} > ${out}/${name}.skel.h
     COMMAND sed -i "/map->link = /d" ${out}/${name}.skel.h
     DEPENDS ${source} ${headers} ${PROJECT_SOURCE_DIR}/include/uapi/xauto/bpf.h
+            ${PROJECT_SOURCE_DIR}/include/uapi/xauto/rule.h
     COMMENT "BPF ${name}"
     VERBATIM)
 endfunction()

@@ -76,21 +76,37 @@ kmod() {
   VM_APPEND=$append in_vm "kmod-$1-${2:-amd64}" "$kernel" run-kmod "${items[@]}"
 }
 
-# scx NAME: the sched_ext scheduler and the tracer, on fetch-kernel.sh's 7.x or on the self-built 6.12.
+scx_kernel() { # NAME: fetch-kernel.sh's 7.x, or the self-built 6.12
+  case $1 in
+    6.12) scripts/vm/build-kernel.sh ;;
+    *) scripts/vm/fetch-kernel.sh "$1" ;;
+  esac
+}
+
+# scx NAME: the sched_ext scheduler and the tracer.
 scx() {
   local kernel items=() program append=""
   note "sched_ext and tracing on Linux $1"
-  case $1 in
-    6.12) kernel=$(scripts/vm/build-kernel.sh) || { failed=$((failed + 1)); return; } ;;
-    *) kernel=$(scripts/vm/fetch-kernel.sh "$1") || { failed=$((failed + 1)); return; } ;;
-  esac
-  for program in scx_test scx_life_test driving_cpu xauto xauto-coordinator xauto-emud xauto-cpusched; do
+  kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
+  for program in scx_test scx_keys_test scx_life_test driving_cpu periodic_cpu xauto xauto-coordinator xauto-emud xauto-cpusched; do
     items+=("$build/bin/$program")
   done
   items+=("$(command -v bpftool || echo /usr/sbin/bpftool)")
   for program in run tools trace; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
   [ -z "${XAUTO_FULL:-}" ] || append="xauto.kills=200 xauto.tables=10000"
   VM_APPEND=$append VM_THREADS=single VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
+}
+
+# keys NAME: a policy of keys under sched_ext, in the guest's own virtual time. On one CPU: emulated ones take turns, milliseconds each.
+keys() {
+  local kernel items=() program
+  note "keys under sched_ext on Linux $1"
+  kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
+  for program in periodic_cpu xauto xauto-coordinator xauto-emud xauto-cpusched; do items+=("$build/bin/$program"); done
+  for program in keys.sh keys.awk; do items+=("tests/kselftest/scx/$program:/tests/scx/$program"); done
+  VM_APPEND=${XAUTO_FULL:+xauto.seconds=190} VM_ICOUNT=1 VM_CPUS=1 VM_LIMIT_S=${VM_LIMIT_S:-${XAUTO_FULL:+5400}} \
+    in_vm "keys-$1" "$kernel" run-keys "${items[@]}"
+  grep '^# jobs' "$out/keys-$1.log"
 }
 
 # The Driving Case over the emulator modules, in the guest's own virtual time.
@@ -126,8 +142,8 @@ consumers() {
 
 { # read whole before it runs: the file may be edited meanwhile
 if [ ${#lanes[@]} -eq 0 ]; then
-  lanes=(kmod-7.x scx-7.x)
-  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 driving scx-7.x scx-6.12)
+  lanes=(kmod-7.x scx-7.x keys-7.x)
+  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 driving scx-7.x scx-6.12 keys-7.x keys-6.12)
 fi
 if [ ${#lanes[@]} -gt 1 ]; then
   # A guest's clocks go on while this machine stalls, so a lane that fails is run once more, and named; a fault fails twice.
@@ -149,6 +165,7 @@ else
   case $lane in
     driving | consumers) "$lane" ;;
     scx-*) scx "${lane#scx-}" ;;
+    keys-*) keys "${lane#keys-}" ;;
     kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;
     kmod-*) kmod "${lane#kmod-}" ;;
     *)

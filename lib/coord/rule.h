@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The rule: which of the jobs that want one XPU goes first, and which may go at all. Pure, and the
-// only place that says so. Those who ask: a worker's START and FINISH (worker_side.h), the
+// only place that says so, with uapi/xauto/rule.h: the comparison itself, which the sched_ext
+// scheduler shares. Those who ask: a worker's START and FINISH (worker_side.h), the
 // coordinator (arbiter.h), the lane of jobs on one execution thread (runtime/worker.cc), and the
 // explorers of the tests, which so try this very code.
 #pragma once
@@ -9,6 +10,8 @@
 #include <cstdint>
 #include <utility>
 #include <vector>
+
+#include <uapi/xauto/rule.h>
 
 namespace xauto::coord {
 
@@ -37,14 +40,12 @@ struct Claim {
 
 /// A total order: smaller key, then who asked first.
 constexpr bool more_urgent(const Claim& a, const Claim& b) {
-  if (a.key != b.key) return a.key < b.key;
-  if (a.since_ns != b.since_ns) return a.since_ns < b.since_ns;
-  return a.slot < b.slot;
+  return XAUTO_RULE_BEFORE(a, b);
 }
 
 /// Whether a job that comes takes the XPU from the one that has it: being as urgent is no reason.
 constexpr bool takes(const Claim& comes, const Claim& has) {
-  return comes.key < has.key;
+  return XAUTO_RULE_TAKES(comes, has);
 }
 
 /// The most urgent of the claims shown to it.

@@ -240,13 +240,13 @@ Status RunMaps::replace_table(const std::vector<TableRow>& rows) {
   for (std::size_t i = 0; i < rows.size(); ++i) {
     const TableRow& row = rows[i];
     const bool on_cpu = row.cpu != XAUTO_BPF_NO_CPU;
-    if (on_cpu && (row.cpu >= XAUTO_BPF_MAX_CPUS || row.priority == 0 ||
-                   row.priority > XAUTO_BPF_MAX_PRIORITY || row.budget_us < 0))
+    if (on_cpu && (row.cpu >= XAUTO_BPF_MAX_CPUS || row.key <= -XAUTO_BPF_KEY_LIMIT ||
+                   row.key >= XAUTO_BPF_KEY_LIMIT || row.budget_us < 0))
       return fail(ErrorCode::kInvalid,
-                  "row " + std::to_string(i) + ": CPU " + std::to_string(row.cpu) + ", priority " +
-                      std::to_string(row.priority) + ", budget " + std::to_string(row.budget_us) +
+                  "row " + std::to_string(i) + ": CPU " + std::to_string(row.cpu) + ", key " +
+                      std::to_string(row.key) + ", budget " + std::to_string(row.budget_us) +
                       " us; CPUs are below " + std::to_string(XAUTO_BPF_MAX_CPUS) +
-                      ", priorities 1 to " + std::to_string(XAUTO_BPF_MAX_PRIORITY));
+                      ", keys within 2^60 of 0");
   }
   const __u64 version = head.version + 1;
   xauto_bpf_entry* bank = table_.as<xauto_bpf_entry>() + (version % XAUTO_BPF_BANKS) * head.xnodes;
@@ -255,7 +255,7 @@ Status RunMaps::replace_table(const std::vector<TableRow>& rows) {
     stamp.store(0, std::memory_order_relaxed);
     std::atomic_thread_fence(std::memory_order_seq_cst);
     std::atomic_ref(bank[i].cpu).store(rows[i].cpu, std::memory_order_relaxed);
-    std::atomic_ref(bank[i].priority).store(rows[i].priority, std::memory_order_relaxed);
+    std::atomic_ref(bank[i].key).store(rows[i].key, std::memory_order_relaxed);
     std::atomic_ref(bank[i].budget_ns)
         .store(static_cast<__u64>(rows[i].budget_us) * 1000, std::memory_order_relaxed);
     stamp.store(version, std::memory_order_release);

@@ -30,8 +30,8 @@ struct NamedMap {
 /// What the policy says of one XNode, for the table.
 struct TableRow {
   std::uint32_t cpu = XAUTO_BPF_NO_CPU;  ///< the kernel's number
-  std::uint32_t priority = 0;            ///< 1..XAUTO_BPF_MAX_PRIORITY, larger is more urgent
-  std::int64_t budget_us = 0;            ///< 0: none
+  std::int64_t key = 0;        ///< of a priority (coord/rule.h); 0: each job tells its own
+  std::int64_t budget_us = 0;  ///< 0: none
 };
 
 struct XNodeName {

@@ -17,6 +17,12 @@
 
 namespace xauto::kernel {
 
+/// Of a job, for the scheduler.
+struct Told {
+  std::int64_t key = 0;        ///< what its release adds to its XNode's in the table
+  std::uint64_t asked_ns = 0;  ///< 0: when the scheduler takes it up
+};
+
 /// One execution thread's slot. Who may call what is said at each; all are wait-free.
 class ThreadSlot {
  public:
@@ -26,9 +32,15 @@ class ThreadSlot {
   /// The job that the thread runs next. By the thread itself between two jobs, or by whoever wakes
   /// it for its next one, before the wake-up. True: somebody waits for this CPU who may be more
   /// urgent than the new job, so the thread itself should yield.
-  bool tell(std::uint32_t xnode, std::uint64_t sequence) const {
-    // The exchange orders the store before the look; the scheduler does it the other way round.
-    std::atomic_ref(slot_->job).store(XAUTO_BPF_JOB(xnode, sequence), std::memory_order_seq_cst);
+  bool tell(std::uint32_t xnode, std::uint64_t sequence, const Told& told = {}) const {
+    const __u64 word = XAUTO_BPF_JOB(xnode, sequence);
+    // Whoever handed the job over has told it: it asked then.
+    if (std::atomic_ref(slot_->job).load(std::memory_order_relaxed) != word) {
+      std::atomic_ref(slot_->key).store(told.key, std::memory_order_relaxed);
+      std::atomic_ref(slot_->asked_ns).store(told.asked_ns, std::memory_order_relaxed);
+      // The exchange orders the store before the look; the scheduler does it the other way round.
+      std::atomic_ref(slot_->job).store(word, std::memory_order_seq_cst);
+    }
     return std::atomic_ref(slot_->waiting).load(std::memory_order_seq_cst) != 0;
   }
   /// For the accounting of trace and top; the thread itself.

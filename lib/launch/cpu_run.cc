@@ -2,11 +2,11 @@
 #include "launch/cpu_run.h"
 
 #include <algorithm>
-#include <map>
 #include <set>
 
 #include "base/log.h"
 #include "base/rt.h"
+#include "coord/rule.h"
 
 namespace xauto::launch {
 
@@ -15,19 +15,14 @@ std::vector<kernel::TableRow> table_rows(const CpuRunRequest& request,
   std::vector<kernel::TableRow> rows(request.app.xnodes.size());
   if (request.policy == nullptr) return rows;
   const std::vector<int> cpus = request.platform.instances_of("cpu");
-  std::map<int, std::set<std::int64_t>> priorities;
-  for (const Placement& placement : request.policy->placements)
-    priorities[placement.xpu].insert(placement.priority);
   for (std::size_t i = 0; i < rows.size(); ++i) {
     const Placement& placement = request.policy->placements[i];
     const auto cpu = std::find(cpus.begin(), cpus.end(), placement.xpu);
     if (cpu == cpus.end() || !request.real[static_cast<std::size_t>(*cpu)]) continue;
     const auto instance = static_cast<std::size_t>(cpu - cpus.begin());
     if (instance >= cores.size()) continue;
-    const std::set<std::int64_t>& all = priorities[placement.xpu];
     rows[i].cpu = static_cast<std::uint32_t>(cores[instance]);
-    rows[i].priority =
-        static_cast<std::uint32_t>(std::distance(all.begin(), all.find(placement.priority))) + 1;
+    rows[i].key = request.keys ? 0 : coord::key_of_priority(placement.priority);
     if (const auto wcet = request.app.xnodes[i].wcet_on("cpu"))
       rows[i].budget_us = *wcet * request.budget_pct / 100;
   }
@@ -46,10 +41,10 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
     run.note = "no sched_ext: " + error.what + "; SCHED_FIFO instead";
     run.scheduler.reset();
   };
-  const auto slots = static_cast<std::uint32_t>(
-      std::min<std::size_t>(request.app.xnodes.size(), XAUTO_BPF_MAX_SLOTS));
-  auto maps = kernel::RunMaps::create(request.run,
-                                      static_cast<std::uint32_t>(request.app.xnodes.size()), slots);
+  // The program alone knows how many threads it has: one for each activation in flight. A slot is
+  // 200 bytes.
+  auto maps = kernel::RunMaps::create(
+      request.run, static_cast<std::uint32_t>(request.app.xnodes.size()), XAUTO_BPF_MAX_SLOTS);
   if (!maps) {
     if (want_ext) instead(maps.error());
     log::debug("this run cannot be observed: {}", maps.error().to_string());
@@ -86,20 +81,22 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
   return run;
 }
 
-std::string decide_cpu_by_keys(runtime::Session& session) {
+void decide_cpu_by_keys(runtime::Session& session) {
   constexpr int kLevels = 6;  // lowered, admitted, asking, and those above: runtime/priorities.h
-  using runtime::CpuSched;
-  session.cpu_by_keys = false;
-  if (!session.keys || session.scheduling != runtime::Scheduling::kXAuto) return {};
-  std::string note;
-  if (session.cpu_sched == CpuSched::kExt) {
-    session.cpu_sched = CpuSched::kFifo;
-    note =
-        "--cpu-sched ext: the sched_ext scheduler knows no keys; coordinators and SCHED_FIFO "
-        "keep them";
-  }
-  session.cpu_by_keys = session.cpu_sched == CpuSched::kFifo && rt::highest_fifo() >= kLevels;
-  return note;
+  session.cpu_by_keys = session.keys && session.scheduling == runtime::Scheduling::kXAuto &&
+                        session.cpu_sched == runtime::CpuSched::kFifo &&
+                        rt::highest_fifo() >= kLevels;
+}
+
+std::string cpu_keeper(const runtime::Session& session) {
+  const std::vector<int> cpus = session.platform.instances_of("cpu");
+  const bool real = std::any_of(cpus.begin(), cpus.end(),
+                                [&](int x) { return session.presence_of(x) == Presence::kReal; });
+  if (!real || session.scheduling != runtime::Scheduling::kXAuto) return {};
+  if (session.cpu_sched == runtime::CpuSched::kExt) return "sched_ext";
+  if (session.cpu_by_keys) return "SCHED_FIFO, told by coordinators";
+  const bool fifo = session.cpu_sched == runtime::CpuSched::kFifo && rt::highest_fifo() > 0;
+  return fifo && !session.keys ? "SCHED_FIFO" : "nobody";
 }
 
 }  // namespace xauto::launch

@@ -25,6 +25,7 @@ struct CpuRunRequest {
   const AppSpec& app;
   const Platform& platform;
   const Policy* policy = nullptr;  ///< null: nobody schedules
+  bool keys = false;               ///< each job tells its own: a policy of version 2
   std::vector<bool> real;          ///< [XPU]; of the CPUs, those that the kernel schedules
   bool want_ext = false;
   /// A job's budget is its WCET times this; 0: no budgets. Only sched_ext enforces it.
@@ -43,13 +44,16 @@ struct CpuRun {
 /// Never fails: what is missing is left out, and said if it was asked for.
 [[nodiscard]] CpuRun prepare_cpus(const CpuRunRequest& request);
 
-/// Sets Session::cpu_by_keys. A policy of keys is kept on real CPUs by the coordinators, with
-/// SCHED_FIFO; sched_ext knows no keys, so it is not asked. Returns what is done differently than
-/// asked, for people.
-[[nodiscard]] std::string decide_cpu_by_keys(runtime::Session& session);
+/// Sets Session::cpu_by_keys: whether coordinators, with SCHED_FIFO, keep a policy of keys on real
+/// CPUs. They need not where sched_ext does, and cannot without the right. After it is known which
+/// it is.
+void decide_cpu_by_keys(runtime::Session& session);
 
-/// Rows for the table: per real CPU the policy's priorities as ranks from 1 on, larger is more
-/// urgent. `cores`: the kernel's numbers of the platform's CPUs, in order.
+/// Who keeps the policy's order on real CPUs, for people; empty if there is none to keep. After
+/// decide_cpu_by_keys.
+[[nodiscard]] std::string cpu_keeper(const runtime::Session& session);
+
+/// Rows for the table. `cores`: the kernel's numbers of the platform's CPUs, in order.
 [[nodiscard]] std::vector<kernel::TableRow> table_rows(const CpuRunRequest& request,
                                                        const std::vector<int>& cores);
 

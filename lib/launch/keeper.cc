@@ -101,7 +101,7 @@ void Keeper::keep(runtime::Session& session, const std::string& bin, std::promis
     XAUTO_TRY(daemons.start_emulator(session));
     emulator_ = daemons.emulator();
     if (session.scheduling != runtime::Scheduling::kXAuto) return {};
-    (void)decide_cpu_by_keys(session);  // App::run has no sched_ext to ask for
+    decide_cpu_by_keys(session);  // App::run has no sched_ext to ask for
     for (const Xpu& xpu : session.platform.xpus) session.coordinators[xpu.id] = base + xpu.id;
     XAUTO_ASSIGN(file, make_memory_file("xauto-session"));
     XAUTO_TRY(write_memory_file(file.get(), to_json(session)));

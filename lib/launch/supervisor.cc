@@ -158,15 +158,12 @@ class Supervisor {
     Session& session = request_.session;
     std::string name = base_.substr(std::string(kSocketPrefix).size());
     name.pop_back();
-    if (std::string note = decide_cpu_by_keys(session); !note.empty()) {
-      log::info("{}", note);
-      outcome_.notes.push_back(std::move(note));
-    }
     cpus_ = launch::prepare_cpus({.run = name,
                                   .bin = bin_,
                                   .app = session.app,
                                   .platform = session.platform,
                                   .policy = scheduled ? &session.policy : nullptr,
+                                  .keys = session.keys.has_value(),
                                   .real = real_xpus(session),
                                   .want_ext = session.cpu_sched == CpuSched::kExt,
                                   .budget_pct = request_.cpu_budget_pct});
@@ -182,6 +179,8 @@ class Supervisor {
     } else if (session.cpu_sched == CpuSched::kExt) {
       session.cpu_sched = CpuSched::kFifo;
     }
+    decide_cpu_by_keys(session);
+    outcome_.real_cpus = cpu_keeper(session);
   }
 
   /// A module process has ended: start it again, or tell the hub that it will not come back.
@@ -302,6 +301,7 @@ class Supervisor {
       if (cpus_.scheduler)
         if (const auto exit = cpus_.scheduler->child.poll()) {
           outcome_.notes.push_back("xauto-cpusched ended (" + exit->to_string() + ")");
+          outcome_.real_cpus += ", until it ended";
           cpus_.scheduler.reset();
         }
       for (ModuleProcess& process : processes_)

@@ -59,6 +59,7 @@ struct Outcome {
   Exit app;
   trace::Recording trace;
   std::vector<std::string> notes;  ///< what died or was done differently, for people
+  std::string real_cpus;           ///< cpu_keeper()
   bool emulator_died = false;
   std::uint64_t deaths = 0;              ///< of daemons and modules' processes, before their time
   std::int64_t coordinators_cpu_us = 0;  ///< CPU time of all coordinators together

@@ -177,6 +177,9 @@ RunReport Engine::report() {
   tell_notes(result);
   ledger_->report(placing_.limits, result);
   result.unkept = placing_.unkept;
+  if (context_->session.keys && wiring_->lost_scheduler())
+    result.unkept.emplace_back(
+        "nobody kept keys on real CPUs after the sched_ext scheduler had ended");
   if (releaser_) result.broken = releaser_->broken();
   return result;
 }

@@ -115,7 +115,7 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
     const Discipline discipline = xpu::discipline_of(xpu, false, session.cpu_by_keys);
     if (xpu.preemptive && discipline == Discipline::kGate)
       lines.push_back("nobody can suspend work on " + xpu.id + ": its jobs run to their end");
-    if (session.keys && discipline == Discipline::kKernel)
+    if (session.keys && discipline == Discipline::kKernel && session.cpu_sched != CpuSched::kExt)
       lines.push_back("nobody keeps keys on " + xpu.id +
                       ": without SCHED_FIFO Linux orders its threads as it likes");
   }

@@ -36,6 +36,10 @@ class Urgency {
     if (!by_release_) return key_ns_.front();
     return nominal_ns + key_ns_[static_cast<std::size_t>(n % key_ns_.size())];
   }
+  /// How much of it comes from the release: the rest is the same for each job.
+  [[nodiscard]] coord::Key of_release(std::int64_t nominal_ns, std::uint64_t n) const {
+    return by_release_ ? key(nominal_ns, n) : 0;
+  }
   [[nodiscard]] bool by_release() const { return by_release_; }
   /// Some of its jobs are not to start as soon as they could.
   [[nodiscard]] bool holds() const { return !hold_ns_.empty(); }

@@ -234,6 +234,10 @@ void Wiring::skip(int module, std::uint64_t sequence) {
   for (std::size_t i = 0; i < chain.nodes.size(); ++i) chain.nodes[i].worker->skip(i, sequence);
 }
 
+bool Wiring::lost_scheduler() const {
+  return context_.session.cpu_scheduler_pid != 0 && !threads_->ext();
+}
+
 void Wiring::report(RunReport& into) {
   if (interop_) {
     interop_->stop();

@@ -71,6 +71,8 @@ class Wiring {
   /// No XNode of `module` starts a job of an activation up to `sequence` any more.
   void skip(int module, std::uint64_t sequence);
   /// What its parts have to tell, apart from counts. Ends the way to programs outside.
+  /// sched_ext ended before the run did.
+  [[nodiscard]] bool lost_scheduler() const;
   void report(RunReport& into);
 
  private:

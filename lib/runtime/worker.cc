@@ -96,7 +96,7 @@ Status Worker::init_nodes() {
       shares_ = false;
   lane_.reserve(64);
   for (auto node = chain_.nodes.rbegin(); node != chain_.nodes.rend(); ++node)
-    if (node->worker == this) thread_->expect(node->xnode);
+    if (node->worker == this) thread_->expect(node->xnode, node->urgency.of_release(now_ns(), 0));
   return {};
 }
 
@@ -149,7 +149,7 @@ void Worker::submit(std::size_t node) {
     t_home->lane_.push_back({this, node, false});
     return;
   }
-  thread_->announce(chain_.nodes[node].xnode, sequence, chain_.nodes[node].fifo_priority);
+  thread_->announce(cpu_job(chain_.nodes[node]));
   mailbox_.store(static_cast<std::uint32_t>(node) + 1, std::memory_order_release);
   futex_wake_local(mailbox_, 1);
 }
@@ -239,12 +239,21 @@ std::int64_t Worker::due(const Placed& placed) const {
   return placed.urgency.by_release() ? key_of(placed) : 0;
 }
 
+xpu::CpuJob Worker::cpu_job(const Placed& placed) const {
+  const Input& input = chain_.activation->input();
+  const std::int64_t nominal = input.origin().count();
+  const std::uint64_t n = input.sequence();
+  return {placed.xnode, n, placed.urgency.of_release(nominal, n),
+          placed.urgency.holds() ? placed.urgency.hold(nominal, n) : 0, placed.fifo_priority};
+}
+
 bool Worker::run_job(Placed& placed, bool begun) {
   const Input& input = chain_.activation->input();
   chain_.activation->set_due(due(placed));
-  if (placed.urgency.holds())
-    sleep_until_ns(placed.urgency.hold(input.origin().count(), input.sequence()));
-  thread_->next(placed.xnode, input.sequence(), placed.fifo_priority);
+  const xpu::CpuJob job = cpu_job(placed);
+  thread_->next(job);
+  // Told before: after the hold it is woken with this job's key.
+  if (placed.urgency.holds()) sleep_until_ns(job.not_before_ns);
   if (port_) {
     if (!begun) begin(placed);
     port_->wait();

@@ -119,6 +119,7 @@ class Worker {
   void begin(Placed& placed);
   [[nodiscard]] coord::Key key_of(const Placed& placed) const;
   [[nodiscard]] std::int64_t due(const Placed& placed) const;
+  [[nodiscard]] xpu::CpuJob cpu_job(const Placed& placed) const;
   void run_lane();
   void show_lane();
   void record(std::uint16_t kind, const Placed& placed, std::uint64_t sequence,

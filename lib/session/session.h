@@ -50,8 +50,9 @@ struct Session {
   CpuSched cpu_sched = CpuSched::kFifo;
   std::string cpu_run;        ///< the run's BPF maps (kernel/run_maps.h); empty: none
   int cpu_scheduler_pid = 0;  ///< xauto-cpusched holds the sched_ext scheduler; 0: there is none
-  /// Real CPUs follow keys: the coordinator admits one job per core and has the others lowered. Of a
-  /// policy of keys, where SCHED_FIFO is permitted. Decided once, by whoever starts the run.
+  /// Real CPUs follow keys by SCHED_FIFO: the coordinator admits one job per core and has the others
+  /// lowered. Of a policy of keys, where that is permitted and sched_ext does not do it. Decided
+  /// once, by whoever starts the run.
   bool cpu_by_keys = false;
   bool cpu_partial = false;        ///< ... which schedules only threads that ask for SCHED_EXT
   std::vector<Presence> presence;  ///< [XPU]; empty: all are real

@@ -11,6 +11,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "base/clock.h"
 #include "base/first_line.h"
 #include "base/log.h"
 #include "base/rt.h"
@@ -69,18 +70,26 @@ void CpuThread::leave() {
   all_.slots_.leave(slot_);
 }
 
-void CpuThread::announce(std::uint32_t xnode, std::uint64_t sequence, int fifo) {
-  if (fifo > 0) fifo_wanted_.store(fifo, std::memory_order_seq_cst);
-  (void)slot_.tell(xnode, sequence);
-  const int tid = tid_.load();
-  if (tid == 0 || fifo <= 0 || (scheduled_ && all_.ext()) || fifo == fifo_now_) return;
-  // The thread is idle, and its wake-up comes after this: fifo_now_ is ours meanwhile.
-  if (set_fifo_of(tid, fifo)) fifo_now_ = fifo;
+/// Only sched_ext looks at more than the job, so the clock is read for nobody else.
+bool CpuThread::tell(const CpuJob& job) const {
+  if (!(scheduled_ && all_.ext())) return slot_.tell(job.xnode, job.sequence);
+  const std::int64_t asked = std::max(now_ns(), job.not_before_ns);
+  return slot_.tell(job.xnode, job.sequence, {job.key, static_cast<std::uint64_t>(asked)});
 }
 
-void CpuThread::next(std::uint32_t xnode, std::uint64_t sequence, int fifo) {
+void CpuThread::announce(const CpuJob& job) {
+  if (job.fifo > 0) fifo_wanted_.store(job.fifo, std::memory_order_seq_cst);
+  (void)tell(job);
+  const int tid = tid_.load();
+  if (tid == 0 || job.fifo <= 0 || (scheduled_ && all_.ext()) || job.fifo == fifo_now_) return;
+  // The thread is idle, and its wake-up comes after this: fifo_now_ is ours meanwhile.
+  if (set_fifo_of(tid, job.fifo)) fifo_now_ = job.fifo;
+}
+
+void CpuThread::next(const CpuJob& job) {
+  const int fifo = job.fifo;
   if (fifo > 0) fifo_wanted_.store(fifo, std::memory_order_seq_cst);
-  const bool waited_for = slot_.tell(xnode, sequence);
+  const bool waited_for = tell(job);
   if (scheduled_ && all_.ext()) {
     // Somebody waits for this CPU who may now be more urgent; the kernel compares.
     if (waited_for) sched_yield();

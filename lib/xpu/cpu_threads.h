@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // How the execution threads of one process get their CPU: as XNode threads of the sched_ext
-// scheduler, by SCHED_FIFO, or as ordinary threads. The worker says which job comes next and does
-// not know which of the three it is. If the scheduler goes, its threads go on under SCHED_FIFO at
+// scheduler, by SCHED_FIFO, or as ordinary threads. The worker says which job comes next, with its
+// key and its priority, and does not know which of the three it is. If the scheduler goes, its threads go on under SCHED_FIFO at
 // once.
 #pragma once
 
@@ -28,6 +28,14 @@ struct CpuThreadsOptions {
 
 class CpuThreads;
 
+struct CpuJob {
+  std::uint32_t xnode = 0;
+  std::uint64_t sequence = 0;
+  std::int64_t key = 0;            ///< for sched_ext: what its release adds (kernel::Told)
+  std::int64_t not_before_ns = 0;  ///< it asks for the CPU no earlier
+  int fifo = 0;                    ///< its SCHED_FIFO priority, used without sched_ext; 0: leave it
+};
+
 /// One execution thread. `announce` by whoever hands it a job while it has none; the others by the
 /// thread itself, `hold` and `release` also by its management thread.
 class CpuThread {
@@ -40,12 +48,14 @@ class CpuThread {
   void leave();
 
   /// The next job, before the thread is woken for it: so that it is woken with that job's priority,
-  /// not with its last one's. `fifo` as for `next`.
-  void announce(std::uint32_t xnode, std::uint64_t sequence, int fifo);
-  /// What it will most likely run first, so that it has a priority before its first job.
-  void expect(std::uint32_t xnode) const { (void)slot_.tell(xnode, XAUTO_BPF_JOB_EXPECTED); }
-  /// The next job, now. `fifo`: its SCHED_FIFO priority, used without sched_ext; 0: leave it.
-  void next(std::uint32_t xnode, std::uint64_t sequence, int fifo);
+  /// not with its last one's.
+  void announce(const CpuJob& job);
+  /// What it will most likely run first, so that it has a key before its first job.
+  void expect(std::uint32_t xnode, std::int64_t key) const {
+    (void)slot_.tell(xnode, XAUTO_BPF_JOB_EXPECTED, {key, 0});
+  }
+  /// The next job, now.
+  void next(const CpuJob& job);
   /// Whether anybody sees the following: without BPF, nobody.
   [[nodiscard]] bool observed() const;
   void begin(std::int64_t now_ns) const { slot_.begin(now_ns); }
@@ -57,6 +67,7 @@ class CpuThread {
   friend class CpuThreads;
   CpuThread(CpuThreads& all, kernel::ThreadSlot slot) : all_(all), slot_(slot) {}
   void fall_back();  // by the watching thread
+  [[nodiscard]] bool tell(const CpuJob& job) const;
 
   CpuThreads& all_;
   kernel::ThreadSlot slot_;

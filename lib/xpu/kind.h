@@ -27,7 +27,7 @@ struct Kind {
   Discipline (*discipline)() = nullptr;
   /// What suspends its work where the discipline is kPreemptive, or lets Linux do it (kKernel).
   Result<std::unique_ptr<Backend>> (*backend)(const XpuId&) = nullptr;
-  /// What suspends its work in a run by keys where Linux keeps the priorities: it knows no keys.
+  /// What suspends its work in a run by keys where SCHED_FIFO keeps the order: it knows no keys.
   Result<std::unique_ptr<Backend>> (*backend_by_keys)(const XpuId&) = nullptr;
   /// Of an instance as `xauto doctor --platform-out` writes it: costs of a preemption.
   std::int64_t preempt_us = 0, timeslice_us = 0;

@@ -220,6 +220,7 @@ class Keys(unittest.TestCase):
         done = xauto("run", "--app", paths["app"], "--platform", paths["platform"], "--policy", paths["policy"], "--real",
                      "--seconds", 4, "--json", "--trace-out", self.folder / "core.pftrace", "--", BIN / "keysapp")
         self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertEqual(json.loads(done.stdout)["runs"][0]["real_cpus"], "SCHED_FIFO, told by coordinators")
         trace = pftrace.Trace((self.folder / "core.pftrace").read_bytes())
         ends = collections.defaultdict(dict)
         for s in trace.slices:

@@ -371,6 +371,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
     if (!run.report.note.empty()) notes.push_back(run.report.note);
     for (const std::string& note : run.outcome.notes) notes.push_back(note);
     j["notes"] = std::move(notes);
+    if (!run.outcome.real_cpus.empty()) j["real_cpus"] = run.outcome.real_cpus;
     list.push_back(std::move(j));
   }
   Json real = Json::array();
@@ -417,6 +418,8 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
     if (run.scheduling == runtime::Scheduling::kXAuto)
       out += fmt::format("  {}: coordinators used {:.2f} % of one CPU\n", run.name,
                          coordinators_cpu_pct(run));
+    if (!run.outcome.real_cpus.empty())
+      out += fmt::format("  {}: real CPUs: {}\n", run.name, run.outcome.real_cpus);
     if (const auto worst = worst_case_of(flags, run))
       out += fmt::format("  {}: {}\n", run.name, to_string(*worst));
     if (const std::uint64_t lost = lost_releases(run))

@@ -5,7 +5,8 @@
  *
  * One job's way through them:
  *
- *   worker            slots[s].job = XAUTO_BPF_JOB(xnode, seq)        one store, no system call
+ *   worker            slots[s].key = what its release adds to the XNode's key
+ *                     slots[s].job = XAUTO_BPF_JOB(xnode, seq)        stores, no system call
  *   scheduler         sees it at the thread's next wake-up, tick or yield:
  *                     jobs[s] = a copy of table[bank][xnode]          "latched": kept until the next job
  *   worker            slots[s].waiting != 0 after the store: somebody waits for this CPU, so yield
@@ -15,11 +16,17 @@
  * reader takes the version, copies the entry, and looks whether the stamp is that version. If not, the
  * table was replaced BANKS times meanwhile, and it copies again.
  *
+ * A job's urgency is its key, the smaller the more urgent: entry.key of its XNode plus slot.key of its
+ * release. A policy of keys has 0 in the table, and the worker tells nominal release + key_us: an instant
+ * of CLOCK_MONOTONIC. A priority is a key that no release moves: it is in the table, and the worker tells
+ * 0. Each of the two is within +-XAUTO_BPF_KEY_LIMIT, 36 years: the kernel's queue compares modulo 2^64,
+ * and two keys must be less than half of that apart.
+ *
  * Rules: append, never renumber; padding is zero. Times are CLOCK_MONOTONIC nanoseconds.
- * A priority is larger where it is more urgent; 0 is below every XNode.
  *
  * History: 1 - first version.
  *          2 - the counts are per CPU, in a map of their own; XAUTO_BPF_STAT_NO_SLOT.
+ *          3 - keys instead of priorities; XAUTO_BPF_STAT_BAD_KEY.
  */
 #ifndef _UAPI_XAUTO_BPF_H
 #define _UAPI_XAUTO_BPF_H
@@ -28,14 +35,14 @@
 #include <linux/types.h>
 #endif
 
-#define XAUTO_BPF_ABI 2
+#define XAUTO_BPF_ABI 3
 #define XAUTO_BPF_ROOT "/sys/fs/bpf/xauto"
 
 #define XAUTO_BPF_BANKS 4
 #define XAUTO_BPF_MAX_XNODES 4096
 #define XAUTO_BPF_MAX_SLOTS 256	   /* execution threads of one run */
 #define XAUTO_BPF_MAX_CPUS 256
-#define XAUTO_BPF_MAX_PRIORITY 0xffff
+#define XAUTO_BPF_KEY_LIMIT 0x1000000000000000LL /* 2^60 */
 
 /* A job in one word, so that it can be told by one store: XNode + 1 (0: none), its activation. */
 #define XAUTO_BPF_JOB_SHIFT 48
@@ -68,21 +75,23 @@ struct xauto_bpf_head {
  * struct xauto_bpf_entry - one XNode of the policy. Map "table", bank * xnodes + xnode.
  * Written by the loader only.
  * @version:   stamp: the table version that this entry belongs to
- * @cpu:       the kernel's number of the CPU; XAUTO_BPF_NO_CPU: not an XNode of a CPU
- * @priority:  1..XAUTO_BPF_MAX_PRIORITY
+ * @key:       of each of its jobs, before what the release adds
  * @budget_ns: run time after which the job is demoted to an ordinary thread; 0: none
+ * @cpu:       the kernel's number of the CPU; XAUTO_BPF_NO_CPU: not an XNode of a CPU
+ * @pad:       zero
  */
 struct xauto_bpf_entry {
 	__u64 version;
-	__u32 cpu;
-	__u32 priority;
+	__s64 key;
 	__u64 budget_ns;
+	__u32 cpu;
+	__u32 pad;
 };
 #define XAUTO_BPF_NO_CPU 0xffffffffU
 
 /**
  * struct xauto_bpf_slot - one execution thread. Map "slots". Two cache lines, by writer.
- * Written by the worker:
+ * Written by the worker; @key and @asked_ns before @job:
  * @job:      XAUTO_BPF_JOB() of the job that it runs, or is handed next
  * @since_ns: when @job was begun, for the accounting of trace and top; 0: not yet
  * @jobs:     how many jobs it has begun
@@ -90,7 +99,8 @@ struct xauto_bpf_entry {
  * @held_ns:  since when the current job holds the XPU; 0: it does not
  * @tid:      the thread
  * @xpu:      index into the platform's XPUs
- * @pad0:     zero
+ * @key:      what the release of @job adds to its XNode's key
+ * @asked_ns: when @job asked for the CPU: equal keys go by that; 0: when the scheduler takes it up
  * Written by the scheduler:
  * @waiting:  not 0: an XNode thread waits for the CPU that this thread has
  * @pad1:     zero
@@ -103,7 +113,8 @@ struct xauto_bpf_slot {
 	__u64 held_ns;
 	__u32 tid;
 	__u32 xpu;
-	__u64 pad0[2];
+	__s64 key;
+	__u64 asked_ns;
 
 	__u32 waiting;
 	__u32 pad1[15];
@@ -114,24 +125,24 @@ struct xauto_bpf_slot {
  * Written by the scheduler only.
  * @job:        the job word that was latched
  * @version:    the table version it was latched from
- * @cpu, @priority, @budget_ns: copied from that one table
+ * @key:        that table's and what the release adds
+ * @budget_ns:  copied from that one table
  * @used_ns:    run time of the job so far
- * @arrival:    rank of its arrival: equal priorities keep this order
+ * @since_ns:   when it asked for the CPU
  * @queued_ns:  since when it waits in the queue; 0: it does not
+ * @cpu:        copied from that one table; XAUTO_BPF_NO_CPU also where the key is out of range
  * @flags:      XAUTO_BPF_JOB_DEMOTED
- * @torn:       copies of a table entry that had to be made again
  */
 struct xauto_bpf_job {
 	__u64 job;
 	__u64 version;
-	__u32 cpu;
-	__u32 priority;
+	__s64 key;
 	__u64 budget_ns;
 	__u64 used_ns;
-	__u64 arrival;
+	__u64 since_ns;
 	__u64 queued_ns;
+	__u32 cpu;
 	__u32 flags;
-	__u32 torn;
 };
 #define XAUTO_BPF_JOB_DEMOTED 1U
 
@@ -148,6 +159,7 @@ struct xauto_bpf_job {
 #define XAUTO_BPF_STAT_LATCHED 9      /* jobs that got their entry */
 #define XAUTO_BPF_STAT_UNKNOWN 10     /* job words that name no XNode of the table */
 #define XAUTO_BPF_STAT_NO_SLOT 11     /* looks at a thread that entered itself with a slot that there is not */
+#define XAUTO_BPF_STAT_BAD_KEY 12     /* jobs whose key is out of range */
 #define XAUTO_BPF_STATS 16
 
 /**
@@ -288,7 +300,7 @@ struct xauto_bpf_losses {
 #define XAUTO_BPF_ASSERT(what) static_assert(what, #what)
 #endif
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_head) == 32);
-XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_entry) == 24);
+XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_entry) == 32);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_slot) == 128);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_job) == 64);
 XAUTO_BPF_ASSERT(sizeof(struct xauto_bpf_sched) == 280);

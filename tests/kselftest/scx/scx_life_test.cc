@@ -3,7 +3,6 @@
 // and everything that makes the kernel refuse it. KTAP; run as root.
 //   scx_life_test [NAME [KILLS [TABLES]]]
 #include <cstdlib>
-#include <cstring>
 #include <random>
 
 #include <fcntl.h>
@@ -14,10 +13,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "kernel/scx_scheduler.h"
-
-#include "../ktap.h"
-#include "world.h"
+#include "tests.h"
 
 namespace xauto::test {
 namespace {
@@ -25,23 +21,19 @@ namespace {
 constexpr int kCpu = 1;
 int g_kills = 200, g_tables = 10'000;
 
-void spin(const std::atomic<bool>& stop) {
-  while (!stop.load(std::memory_order_relaxed)) asm volatile("");
-}
-
-// Table v gives every XNode the priority 1000 + v % 5000 + its number and a budget of v seconds, so
+// Table v gives every XNode the key 1000 + v % 5000 + its number and a budget of v seconds, so
 // that an entry put together from two tables shows. What the scheduler goes by is in jobs[],
 // written once per job before it runs.
 void tables() {
   constexpr std::uint32_t kXNodes = 8;
   World world(kXNodes, kCpu);
-  const auto priority_of = [](std::uint64_t version, std::uint32_t xnode) {
-    return static_cast<std::uint32_t>(1000 + version % 5000 + xnode);
+  const auto key_of = [](std::uint64_t version, std::uint32_t xnode) {
+    return static_cast<std::int64_t>(1000 + version % 5000 + xnode);
   };
   const auto put = [&] {
     const std::uint64_t next = world.maps.version() + 1;
     for (std::uint32_t x = 0; x < kXNodes; ++x)
-      world.rows[x] = {static_cast<std::uint32_t>(next % 2), priority_of(next, x),
+      world.rows[x] = {static_cast<std::uint32_t>(next % 2), key_of(next, x),
                        static_cast<std::int64_t>(next) * 1'000'000};
     world.put_rows();
   };
@@ -63,8 +55,7 @@ void tables() {
               usleep(200);  // woken: the scheduler has the job now
               if (job.job != XAUTO_BPF_JOB(xnode, n)) continue;
               const std::uint64_t version = job.version;
-              const bool whole = job.priority == priority_of(version, xnode) &&
-                                 job.cpu == version % 2 &&
+              const bool whole = job.key == key_of(version, xnode) && job.cpu == version % 2 &&
                                  job.budget_ns == version * 1'000'000'000ull;
               mixed += whole ? 0 : 1;
               seen += version != last ? 1 : 0;
@@ -306,12 +297,6 @@ void isolated_mode() {
             choice.why.c_str());
 }
 
-struct Test {
-  const char* name;
-  int count;
-  void (*run)();
-};
-
 const Test kTests[] = {
     {"tables", 1, tables},
     {"killed_loader", 2, killed_loader},
@@ -333,18 +318,5 @@ int main(int argc, char** argv) {
   const char* wanted = argc > 1 ? argv[1] : "";
   if (argc > 2) g_kills = std::max(1, atoi(argv[2]));
   if (argc > 3) g_tables = std::max(1, atoi(argv[3]));
-  int count = 0;
-  for (const Test& test : kTests) count += strstr(test.name, wanted) != nullptr ? test.count : 0;
-  ktap_plan(count);
-  if (const std::string why = xauto::kernel::scx_refusal(""); !why.empty()) {
-    for (int i = 0; i < count; ++i) ktap_skip("scheduler", why.c_str());
-    return ktap_exit();
-  }
-  become_controller();
-  for (const Test& test : kTests) {
-    if (strstr(test.name, wanted) == nullptr) continue;
-    ktap_note("%s", test.name);
-    test.run();
-  }
-  return ktap_exit();
+  return run_tests(kTests, wanted);
 }

@@ -4,87 +4,19 @@
 // shares, never short times: it runs in an emulator.
 //   scx_test [NAME]      all tests, or those whose name contains NAME
 #include <algorithm>
-#include <cstring>
-#include <mutex>
 #include <random>
 
-#include <linux/futex.h>
 #include <sched.h>
-#include <sys/syscall.h>
 #include <sys/wait.h>
-#include <unistd.h>
 
-#include "kernel/scx_scheduler.h"
 #include "kernel/tracer.h"
 
-#include "../ktap.h"
-#include "world.h"
+#include "tests.h"
 
 namespace xauto::test {
 namespace {
 
 constexpr int kCpu = 1;
-
-void spin(const std::atomic<bool>& stop) {
-  while (!stop.load(std::memory_order_relaxed)) asm volatile("");
-}
-
-void sleep_ms(int ms) {
-  std::this_thread::sleep_for(std::chrono::milliseconds(ms));
-}
-
-/// An XNode thread that waits for work, as a worker of the runtime does.
-class Waiter {
- public:
-  Waiter(World& world, std::uint32_t xnode, std::function<void(const kernel::ThreadSlot&)> job)
-      : thread_(world, xnode, [this, job = std::move(job)](const kernel::ThreadSlot& slot) {
-          slot_ = slot;
-          for (;;) {
-            const std::uint32_t mail = mail_.load();
-            if (mail == 2) return;
-            if (mail == 0) {  // without a limit, unlike futex_wait: a test counts wake-ups
-              syscall(SYS_futex, &mail_, FUTEX_WAIT, 0, nullptr, nullptr, 0);
-              continue;
-            }
-            mail_.store(0);
-            job(slot);
-            done_.fetch_add(1);
-          }
-        }) {}
-  ~Waiter() {
-    mail_.store(2);
-    syscall(SYS_futex, &mail_, FUTEX_WAKE, 1, nullptr, nullptr, 0);
-    thread_.join();
-  }
-  void wake() {
-    mail_.store(1);
-    syscall(SYS_futex, &mail_, FUTEX_WAKE, 1, nullptr, nullptr, 0);
-  }
-  [[nodiscard]] std::uint32_t done() const { return done_.load(); }
-  void tell(std::uint32_t xnode, std::uint64_t sequence) const {
-    (void)slot_.tell(xnode, sequence);
-  }
-  [[nodiscard]] std::uint32_t index() const { return thread_.index(); }
-  /// Tells its next job for it, as the runtime does who hands a job over, and wakes it.
-  void submit(std::uint32_t xnode, std::uint64_t sequence) {
-    wait_for([&] { return asleep(); });
-    (void)slot_.tell(xnode, sequence);
-    wake();
-  }
-
- private:
-  [[nodiscard]] bool asleep() const {
-    const std::string stat = slurp("/proc/self/task/" + std::to_string(slot_.tid()) + "/stat");
-    return stat.find(") S ") != std::string::npos;
-  }
-  std::atomic<std::uint32_t> mail_{0}, done_{0};
-  kernel::ThreadSlot slot_;
-  XNodeThread thread_;
-};
-
-bool queued(const World& world, std::uint32_t slot) {
-  return *const_cast<volatile const __u64*>(&world.maps.jobs()[slot].queued_ns) != 0;
-}
 
 // ---- order and preemption -----------------------------------------------------------------------
 
@@ -156,7 +88,7 @@ void order_of_eight() {
 void equal_priorities() {
   constexpr int kThreads = 6;
   World world(kThreads + 1, kCpu);
-  for (int i = 0; i < kThreads; ++i) world.rows[static_cast<std::size_t>(i)].priority = 30;
+  for (int i = 0; i < kThreads; ++i) world.rows[static_cast<std::size_t>(i)].key = -30;
   world.put_rows();
   world.load({"--slice-us", "1000"});
   std::vector<int> order;
@@ -579,12 +511,6 @@ void leaves_nothing() {
   ktap_test(access(folder.c_str(), F_OK) != 0, "... and so is the folder with the pins");
 }
 
-struct Test {
-  const char* name;
-  int count;
-  void (*run)();
-};
-
 const Test kTests[] = {
     {"two_spinners", 2, two_spinners},
     {"order_of_eight", 1, order_of_eight},
@@ -608,20 +534,5 @@ const Test kTests[] = {
 }  // namespace xauto::test
 
 int main(int argc, char** argv) {
-  using namespace xauto::test;
-  const char* wanted = argc > 1 ? argv[1] : "";
-  int count = 0;
-  for (const Test& test : kTests) count += strstr(test.name, wanted) != nullptr ? test.count : 0;
-  ktap_plan(count);
-  if (!xauto::kernel::scx_refusal("").empty()) {
-    for (int i = 0; i < count; ++i) ktap_skip("scheduler", xauto::kernel::scx_refusal("").c_str());
-    return ktap_exit();
-  }
-  become_controller();
-  for (const Test& test : kTests) {
-    if (strstr(test.name, wanted) == nullptr) continue;
-    ktap_note("%s", test.name);
-    test.run();
-  }
-  return ktap_exit();
+  return xauto::test::run_tests(xauto::test::kTests, argc > 1 ? argv[1] : "");
 }

@@ -32,7 +32,7 @@ ok "bpftool map event_pipe prints events" has "CPU: " pipe.txt
 ok "bpftool prog tracelog prints events" has "xauto kind" tracelog.txt
 ok "bpftool prog list shows the programs" sh -c 'grep -q struct_ops prog_list.txt && grep -q tracing prog_list.txt'
 ok "bpftool struct_ops list shows the scheduler" has "sched_ext_ops" struct_ops.txt
-ok "bpftool map dump shows the table" has '"priority": 19' dump_table.txt
+ok "bpftool map dump shows the table" has '"key": -19' dump_table.txt
 ok "... what each thread goes by" has '"version": 1' dump_jobs.txt
 ok "... and the histograms" has '"latency": ' dump_hist.txt
 ok "nothing stays pinned" [ -z "$(ls /sys/fs/bpf/xauto 2>/dev/null)" ]

@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include "base/process.h"
+#include "coord/rule.h"
 
 #include "../ktap.h"
 
@@ -70,7 +71,7 @@ World::World(std::uint32_t xnodes, int on_cpu, std::uint32_t slot_count)
                  "mapping the slots")),
       cpu(on_cpu) {
   for (std::uint32_t i = 0; i < xnodes; ++i)
-    rows.push_back({static_cast<std::uint32_t>(cpu), 10 * (i + 1), 0});
+    rows.push_back({static_cast<std::uint32_t>(cpu), coord::key_of_priority(10 * (i + 1)), 0});
   put_rows();
 }
 

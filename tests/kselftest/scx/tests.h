@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+// A program of the scheduler's tests: its table of tests, and threads that wait for work.
+#pragma once
+
+#include <cstring>
+
+#include <linux/futex.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include "kernel/scx_scheduler.h"
+
+#include "../ktap.h"
+#include "world.h"
+
+namespace xauto::test {
+
+inline void spin(const std::atomic<bool>& stop) {
+  while (!stop.load(std::memory_order_relaxed)) asm volatile("");
+}
+
+inline void sleep_ms(int ms) {
+  std::this_thread::sleep_for(std::chrono::milliseconds(ms));
+}
+
+/// An XNode thread that waits for work, as a worker of the runtime does.
+class Waiter {
+ public:
+  Waiter(World& world, std::uint32_t xnode, std::function<void(const kernel::ThreadSlot&)> job)
+      : thread_(world, xnode, [this, job = std::move(job)](const kernel::ThreadSlot& slot) {
+          slot_ = slot;
+          for (;;) {
+            const std::uint32_t mail = mail_.load();
+            if (mail == 2) return;
+            if (mail == 0) {  // without a limit, unlike futex_wait: a test counts wake-ups
+              syscall(SYS_futex, &mail_, FUTEX_WAIT, 0, nullptr, nullptr, 0);
+              continue;
+            }
+            mail_.store(0);
+            job(slot);
+            done_.fetch_add(1);
+          }
+        }) {}
+  ~Waiter() {
+    mail_.store(2);
+    syscall(SYS_futex, &mail_, FUTEX_WAKE, 1, nullptr, nullptr, 0);
+    thread_.join();
+  }
+  void wake() {
+    mail_.store(1);
+    syscall(SYS_futex, &mail_, FUTEX_WAKE, 1, nullptr, nullptr, 0);
+  }
+  [[nodiscard]] std::uint32_t done() const { return done_.load(); }
+  void tell(std::uint32_t xnode, std::uint64_t sequence) const {
+    (void)slot_.tell(xnode, sequence);
+  }
+  [[nodiscard]] std::uint32_t index() const { return thread_.index(); }
+  /// Tells its next job for it, as the runtime does who hands a job over, and wakes it.
+  void submit(std::uint32_t xnode, std::uint64_t sequence, const kernel::Told& told = {}) {
+    wait_for([&] { return asleep(); });
+    (void)slot_.tell(xnode, sequence, told);
+    wake();
+  }
+
+ private:
+  [[nodiscard]] bool asleep() const {
+    const std::string stat = slurp("/proc/self/task/" + std::to_string(slot_.tid()) + "/stat");
+    return stat.find(") S ") != std::string::npos;
+  }
+  std::atomic<std::uint32_t> mail_{0}, done_{0};
+  kernel::ThreadSlot slot_;
+  XNodeThread thread_;
+};
+
+inline bool queued(const World& world, std::uint32_t slot) {
+  return *const_cast<volatile const __u64*>(&world.maps.jobs()[slot].queued_ns) != 0;
+}
+
+struct Test {
+  const char* name;
+  int count;  ///< results
+  void (*run)();
+};
+
+/// All of them, or those whose name contains `wanted`. Returns the program's status.
+template <std::size_t N>
+static int run_tests(const Test (&tests)[N], const char* wanted) {
+  int count = 0;
+  for (const Test& test : tests) count += strstr(test.name, wanted) != nullptr ? test.count : 0;
+  ktap_plan(count);
+  if (const std::string why = kernel::scx_refusal(""); !why.empty()) {
+    for (int i = 0; i < count; ++i) ktap_skip("scheduler", why.c_str());
+    return ktap_exit();
+  }
+  become_controller();
+  for (const Test& test : tests) {
+    if (strstr(test.name, wanted) == nullptr) continue;
+    ktap_note("%s", test.name);
+    test.run();
+  }
+  return ktap_exit();
+}
+
+}  // namespace xauto::test
