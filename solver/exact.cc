@@ -28,7 +28,8 @@ class Refuter : private Rules {
         lp_(problem, [&control] { return control.stopped(); }),
         fit_(problem),
         evaluator_(problem),
-        with_deadlines_(with_deadlines && !problem.goal.plain()) {
+        with_deadlines_(with_deadlines && !problem.goal.plain()),
+        weight_(at(problem.num_xnodes), 1.0) {
     // A large app's windows begin with what its load says; shaving finds that in a small one.
     if (n_ > kLarge) start_ = composite_bound(problem, 1, {control.deadline, control.stop});
   }
@@ -76,6 +77,7 @@ class Refuter : private Rules {
     nodes_left_ = max_nodes;
     open_leaf_ = false;
     guess_ = makespan;
+    decided_ = -1;
     Windows windows = root(makespan);
     const auto known = known_.lower_bound(makespan);
     if (known != known_.end()) narrow(windows, known->second.windows);
@@ -193,15 +195,33 @@ class Refuter : private Rules {
     return tighten(w) ? 1 : -1;
   }
 
+  bool dead_end(Windows& w, int& open_i, int& open_j) {
+    if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
+    while (open_i < 0 && charge_starters(w))
+      if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
+    return !lp_.feasible(w) || !fit_.possible(w, kSteps);
+  }
+
+  /// Both halves: `xnode` is of this type; it is not.
+  bool decide(Windows& w, int xnode, int type, int depth) {
+    Windows yes = w;
+    yes.types[at(xnode)] = TypeSet{1} << type;
+    decided_ = xnode;
+    if (!descend(yes, depth + 1)) return false;
+    w.types[at(xnode)] &= ~(TypeSet{1} << type);
+    decided_ = xnode;
+    return descend(w, depth + 1);
+  }
+
   /// True: refuted. False: open, or out of nodes or time; the whole attempt has then failed.
   bool descend(Windows& w, int depth) {
     if (depth > 400) open_leaf_ = true;  // as good as: a larger budget ends here again
     if (--nodes_left_ < 0 || stopped() || depth > 400) return false;
     int open_i = -1, open_j = -1;
-    if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
-    while (open_i < 0 && charge_starters(w))
-      if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
-    if (!lp_.feasible(w) || !fit_.possible(w, kSteps)) return true;
+    if (dead_end(w, open_i, open_j)) {
+      if (decided_ >= 0) weight_[at(decided_)] += 1;
+      return true;
+    }
     // The XNode whose type is least decided, by the work that hangs on it.
     int branch = -1, type = -1;
     double best = 1e-6;
@@ -219,20 +239,14 @@ class Refuter : private Rules {
           top_type = t;
         }
       }
-      const double score = (1 - top) * static_cast<double>(high);
+      const double score = weight_[at(i)] * (1 - top) * static_cast<double>(high);
       if (score > best) {
         best = score;
         branch = i;
         type = top_type;
       }
     }
-    if (branch >= 0) {
-      Windows yes = w;
-      yes.types[at(branch)] = TypeSet{1} << type;
-      if (!descend(yes, depth + 1)) return false;
-      w.types[at(branch)] &= ~(TypeSet{1} << type);
-      return descend(w, depth + 1);
-    }
+    if (branch >= 0) return decide(w, branch, type, depth);
     // The LP's answer is whole: decide a type whose alternatives keep a window looser than it may
     // be.
     Time looseness = 0;
@@ -248,13 +262,8 @@ class Refuter : private Rules {
         type = t;
       }
     }
-    if (branch >= 0) {
-      Windows yes = w;
-      yes.types[at(branch)] = TypeSet{1} << type;
-      if (!descend(yes, depth + 1)) return false;
-      w.types[at(branch)] &= ~(TypeSet{1} << type);
-      return descend(w, depth + 1);
-    }
+    if (branch >= 0) return decide(w, branch, type, depth);
+    decided_ = -1;
     if (try_as_policy(w)) return false;
     if (open_i >= 0) {
       const int shared = std::countr_zero(w.types[at(open_i)]);
@@ -352,6 +361,10 @@ class Refuter : private Rules {
   bool with_deadlines_;
   std::map<Time, Known> known_;  ///< by makespan
   std::int64_t nodes_left_ = 0;
+  /// How often deciding an XNode's type was refuted at once: those are decided first. Kept from one
+  /// attempt to the next.
+  std::vector<double> weight_;
+  int decided_ = -1;  ///< the XNode whose type was decided last; -1: something else was
   Time guess_ = 0;
   bool open_leaf_ = false;
 };

@@ -202,6 +202,13 @@ bool Rules::starts_before(const Windows& w, int k, int i) const {
 }
 
 bool Rules::settle_pairs(Windows& w, int& open_i, int& open_j) const {
+  mark_settled(w, 1);
+  const bool possible = settle_marked(w, open_i, open_j);
+  mark_settled(w, 0);
+  return possible;
+}
+
+bool Rules::settle_marked(Windows& w, int& open_i, int& open_j) const {
   bool again = true;
   while (again) {
     again = false;
@@ -213,11 +220,12 @@ bool Rules::settle_pairs(Windows& w, int& open_i, int& open_j) const {
       for (int j = i + 1; j < n_; ++j) {
         if (!share(w, i, j)) continue;
         if (w.r[at(j)] >= w.d[at(i)] || w.r[at(i)] >= w.d[at(j)]) continue;
-        if (settled(w, i, j)) continue;
+        if (settled_[at(i) * at(n_) + at(j)] != 0) continue;
         const unsigned possible = relations(w, i, j, type);
         if (possible == 0) return false;
         if (std::has_single_bit(possible)) {
           relate(w, i, j, type, static_cast<Relation>(possible));
+          settled_[at(i) * at(n_) + at(j)] = 1;
           if (!tighten(w)) return false;
           again = true;
           continue;
@@ -235,13 +243,10 @@ bool Rules::settle_pairs(Windows& w, int& open_i, int& open_j) const {
   return true;
 }
 
-bool Rules::settled(const Windows& w, int i, int j) {
-  const auto has = [&](const std::vector<std::pair<int, int>>& list) {
-    return std::any_of(list.begin(), list.end(), [&](const std::pair<int, int>& pair) {
-      return (pair.first == i && pair.second == j) || (pair.first == j && pair.second == i);
-    });
-  };
-  return has(w.arcs) || has(w.nested);
+void Rules::mark_settled(const Windows& w, char as) const {
+  for (const auto* list : {&w.arcs, &w.nested})
+    for (const auto& [i, j] : *list)
+      settled_[at(std::min(i, j)) * at(n_) + at(std::max(i, j))] = as;
 }
 
 void Rules::ready_by(Windows& w, int i, Time t) const {

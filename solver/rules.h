@@ -5,6 +5,7 @@
 // Each rule only narrows the windows; the arguments are in docs/solver.md, "Proof".
 #pragma once
 
+#include "base/index.h"
 #include "solver/energy_lp.h"
 #include "solver/problem.h"
 
@@ -12,7 +13,8 @@ namespace xauto::solver {
 
 class Rules {
  public:
-  explicit Rules(const Problem& problem) : problem_(problem), n_(problem.num_xnodes) {}
+  explicit Rules(const Problem& problem)
+      : problem_(problem), n_(problem.num_xnodes), settled_(at(n_) * at(n_), 0) {}
 
   /// How two XNodes of one instance may share it; see docs/solver.md, "pairs".
   enum Relation : unsigned { kFirst = 1, kSecond = 2, kInFirst = 4, kInSecond = 8 };
@@ -42,7 +44,9 @@ class Rules {
   /// Pairs on one instance: decides those with one relation left; false: a pair has none.
   /// `open_*`: the tightest pair that is still open, -1 if all are decided.
   [[nodiscard]] bool settle_pairs(Windows& w, int& open_i, int& open_j) const;
-  [[nodiscard]] static bool settled(const Windows& w, int i, int j);
+  /// Marks pairs whose relation is decided in settled_, or unmarks them.
+  bool settle_marked(Windows& w, int& open_i, int& open_j) const;
+  void mark_settled(const Windows& w, char as) const;
   /// All predecessors of `i` done by `t` / `i` cannot start before `t`: the two halves of a split.
   void ready_by(Windows& w, int i, Time t) const;
   void done_by_others(Windows& w, int i, Time t) const;
@@ -50,6 +54,9 @@ class Rules {
  protected:
   const Problem& problem_;
   const int n_;
+
+ private:
+  mutable std::vector<char> settled_;  ///< settle_pairs(): [lesser * n + greater]; 0 between calls
 };
 
 }  // namespace xauto::solver
