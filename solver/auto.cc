@@ -71,12 +71,12 @@ class Team {
     }
     report_until_done();
     for (std::thread& worker : workers) worker.join();
+    // With a budget the proof comes last, and with a budget of its own.
+    if (counted() && with_proof_ && !met() && problem_.num_xnodes <= kMostToProve) prove();
     for (const Found& found : found_) {
       if (found.ordered.makespan < kNever) merge(all_, found.ordered, true);
       if (found.best.makespan < kNever) merge(all_, found.best, found.best.ordered);
     }
-    // With a budget the proof comes last, on a fixed incumbent and with a budget of its own.
-    if (counted() && with_proof_ && !met() && problem_.num_xnodes <= kMostToProve) prove();
     if (large() && !options_.priorities_only && !all_.best.ordered)
       merge(all_, in_order(all_.best), true);
     AutoResult result;
@@ -145,7 +145,8 @@ class Team {
     }
     if (!some_preempt_) return {order, kPriorities, order, order, kOrdered, order};
     if (!mixing) return {kPriorities, kOrdered, order, kDispatched};
-    return {kPriorities, kOrdered, order, kDispatched, kMixed};
+    // Tabu search finds nothing here that these do not, and each of them has to have its turns.
+    return {kPriorities, kOrdered, kDispatched, kMixed};
   }
   [[nodiscard]] int round_length() const { return static_cast<int>(rounds_.size()); }
 

@@ -32,6 +32,7 @@ inline constexpr int kMostTypes = 64;  ///< that a proof can tell apart
 struct Windows {
   std::vector<Time> r, d;      ///< earliest start, latest finish
   std::vector<TypeSet> types;  ///< bit t: type t still possible
+  std::vector<int> place;      ///< decided: which instance of its type; -1 where it is not
   std::vector<Time> extra;     ///< least time beyond its WCET between an XNode's start and finish
   std::vector<Time>
       paid;  ///< preemption cost that its XPU is certain to lose between its start and finish

@@ -11,6 +11,8 @@
 #include "solver/bounds.h"
 #include "solver/composite.h"
 #include "solver/energy_lp.h"
+#include "solver/evaluate.h"
+#include "solver/instance_fit.h"
 #include "solver/rules.h"
 
 namespace xauto::solver {
@@ -24,7 +26,10 @@ class Refuter : private Rules {
       : Rules(problem),
         control_(control),
         lp_(problem, [&control] { return control.stopped(); }),
-        with_deadlines_(with_deadlines && !problem.goal.plain()) {
+        fit_(problem),
+        evaluator_(problem),
+        with_deadlines_(with_deadlines && !problem.goal.plain()),
+        weight_(at(problem.num_xnodes), 1.0) {
     // A large app's windows begin with what its load says; shaving finds that in a small one.
     if (n_ > kLarge) start_ = composite_bound(problem, 1, {control.deadline, control.stop});
   }
@@ -47,6 +52,7 @@ class Refuter : private Rules {
     windows.paid.assign(at(n_), 0);
     windows.cut.assign(at(n_), 0);
     windows.starter.assign(at(n_), 0);
+    windows.place.assign(at(n_), -1);
     for (int i = 0; i < n_; ++i)
       for (int t = 0; t < problem_.num_types; ++t)
         if (problem_.wcet(i, t) != kCannotRun && !problem_.type_xpus[at(t)].empty())
@@ -70,6 +76,8 @@ class Refuter : private Rules {
   Answer refute(Time makespan, std::int64_t max_nodes, int shaving_rounds) {
     nodes_left_ = max_nodes;
     open_leaf_ = false;
+    guess_ = makespan;
+    decided_ = -1;
     Windows windows = root(makespan);
     const auto known = known_.lower_bound(makespan);
     if (known != known_.end()) narrow(windows, known->second.windows);
@@ -187,15 +195,33 @@ class Refuter : private Rules {
     return tighten(w) ? 1 : -1;
   }
 
+  bool dead_end(Windows& w, int& open_i, int& open_j) {
+    if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
+    while (open_i < 0 && charge_starters(w))
+      if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
+    return !lp_.feasible(w) || !fit_.possible(w, kSteps);
+  }
+
+  /// Both halves: `xnode` is of this type; it is not.
+  bool decide(Windows& w, int xnode, int type, int depth) {
+    Windows yes = w;
+    yes.types[at(xnode)] = TypeSet{1} << type;
+    decided_ = xnode;
+    if (!descend(yes, depth + 1)) return false;
+    w.types[at(xnode)] &= ~(TypeSet{1} << type);
+    decided_ = xnode;
+    return descend(w, depth + 1);
+  }
+
   /// True: refuted. False: open, or out of nodes or time; the whole attempt has then failed.
   bool descend(Windows& w, int depth) {
     if (depth > 400) open_leaf_ = true;  // as good as: a larger budget ends here again
     if (--nodes_left_ < 0 || stopped() || depth > 400) return false;
     int open_i = -1, open_j = -1;
-    if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
-    while (open_i < 0 && charge_starters(w))
-      if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
-    if (!lp_.feasible(w)) return true;
+    if (dead_end(w, open_i, open_j)) {
+      if (decided_ >= 0) weight_[at(decided_)] += 1;
+      return true;
+    }
     // The XNode whose type is least decided, by the work that hangs on it.
     int branch = -1, type = -1;
     double best = 1e-6;
@@ -213,20 +239,14 @@ class Refuter : private Rules {
           top_type = t;
         }
       }
-      const double score = (1 - top) * static_cast<double>(high);
+      const double score = weight_[at(i)] * (1 - top) * static_cast<double>(high);
       if (score > best) {
         best = score;
         branch = i;
         type = top_type;
       }
     }
-    if (branch >= 0) {
-      Windows yes = w;
-      yes.types[at(branch)] = TypeSet{1} << type;
-      if (!descend(yes, depth + 1)) return false;
-      w.types[at(branch)] &= ~(TypeSet{1} << type);
-      return descend(w, depth + 1);
-    }
+    if (branch >= 0) return decide(w, branch, type, depth);
     // The LP's answer is whole: decide a type whose alternatives keep a window looser than it may
     // be.
     Time looseness = 0;
@@ -242,13 +262,9 @@ class Refuter : private Rules {
         type = t;
       }
     }
-    if (branch >= 0) {
-      Windows yes = w;
-      yes.types[at(branch)] = TypeSet{1} << type;
-      if (!descend(yes, depth + 1)) return false;
-      w.types[at(branch)] &= ~(TypeSet{1} << type);
-      return descend(w, depth + 1);
-    }
+    if (branch >= 0) return decide(w, branch, type, depth);
+    decided_ = -1;
+    if (try_as_policy(w)) return false;
     if (open_i >= 0) {
       const int shared = std::countr_zero(w.types[at(open_i)]);
       const unsigned possible = relations(w, open_i, open_j, shared);
@@ -256,6 +272,21 @@ class Refuter : private Rules {
         if ((possible & relation) == 0) continue;
         Windows child = w;
         relate(child, open_i, open_j, shared, relation);
+        if (!descend(child, depth + 1)) return false;
+      }
+      return true;
+    }
+    branch = unplaced(w);
+    if (branch >= 0) {
+      const int shared = std::countr_zero(w.types[at(branch)]);
+      int used = 0;
+      for (int i = 0; i < n_; ++i)
+        if (w.types[at(i)] == w.types[at(branch)]) used = std::max(used, w.place[at(i)] + 1);
+      const auto instances = static_cast<int>(problem_.type_xpus[at(shared)].size());
+      // Instances that have nobody yet are alike: one of them stands for all.
+      for (int k = 0; k <= std::min(used, instances - 1); ++k) {
+        Windows child = w;
+        child.place[at(branch)] = k;
         if (!descend(child, depth + 1)) return false;
       }
       return true;
@@ -270,6 +301,7 @@ class Refuter : private Rules {
       branch = i;
     }
     if (branch < 0) {
+      if (!fit_.possible(w, kMostSteps)) return true;
       open_leaf_ = true;
       return false;
     }
@@ -281,40 +313,61 @@ class Refuter : private Rules {
     return descend(w, depth + 1);
   }
 
+  /// The XNode whose instance is to be decided next: the one with the least room, of those that so
+  /// many others may meet that none of its instances is certain to be free. -1: there is none.
+  [[nodiscard]] int unplaced(const Windows& w) const {
+    int found = -1;
+    Time tightest = kNever;
+    for (int i = 0; i < n_; ++i) {
+      const std::size_t instances = problem_.type_xpus[at(std::countr_zero(w.types[at(i)]))].size();
+      const Time room = w.d[at(i)] - w.r[at(i)] - least(w, i);
+      if (w.place[at(i)] >= 0 || instances == 1 || room >= tightest) continue;
+      std::size_t meets = 0;
+      for (int j = 0; j < n_; ++j)
+        meets += j != i && w.types[at(j)] == w.types[at(i)] && w.r[at(j)] < w.d[at(i)] &&
+                 w.r[at(i)] < w.d[at(j)];
+      if (meets < instances) continue;
+      found = i;
+      tightest = room;
+    }
+    return found;
+  }
+
+  /// All types are decided: earliest deadline first, by the windows, may be a better policy. True:
+  /// it is as short as the guess, which therefore is not refuted.
+  bool try_as_policy(const Windows& w) {
+    if (!control_.on_solution || !problem_.goal.plain() || !problem_.groups.empty()) return false;
+    std::vector<int> xpu = fit_.xpu();
+    for (int i = 0; i < n_; ++i)
+      if (xpu[at(i)] < 0 || problem_.wcet_on(i, xpu[at(i)]) == kCannotRun) return false;
+    std::vector<int> sequence = problem_.topo;
+    std::stable_sort(sequence.begin(), sequence.end(),
+                     [&](int i, int j) { return w.d[at(i)] < w.d[at(j)]; });
+    evaluator_.reset(xpu, sequence);
+    const Solution solution{std::move(xpu), std::move(sequence), evaluator_.makespan(), false, {}};
+    if (solution.makespan >= control_.incumbent->load(std::memory_order_relaxed)) return false;
+    control_.on_solution(solution);
+    return solution.makespan <= guess_;
+  }
+
+  // Distributions over instances that are tried at a node, at the last node of a branch.
+  static constexpr std::int64_t kSteps = 300, kMostSteps = 100'000;
+
   const ProofControl& control_;
   EnergyLp lp_;
+  InstanceFit fit_;
+  Evaluator evaluator_;
   CompositeBound start_;
   bool with_deadlines_;
   std::map<Time, Known> known_;  ///< by makespan
   std::int64_t nodes_left_ = 0;
+  /// How often deciding an XNode's type was refuted at once: those are decided first. Kept from one
+  /// attempt to the next.
+  std::vector<double> weight_;
+  int decided_ = -1;  ///< the XNode whose type was decided last; -1: something else was
+  Time guess_ = 0;
   bool open_leaf_ = false;
 };
-
-/// The same problem with each instance of a two-instance type as a type of its own: branching on
-/// types then decides instances, and pairs are decided on each. WCETs are those of the type.
-Problem per_instance(const Problem& problem) {
-  Problem split = problem;
-  split.num_types = 0;
-  split.type_name.clear();
-  split.type_xpus.clear();
-  std::vector<int> from;
-  for (int t = 0; t < problem.num_types; ++t) {
-    const auto& xpus = problem.type_xpus[at(t)];
-    const bool apart = xpus.size() == 2;
-    for (std::size_t k = 0; k < (apart ? 2 : 1); ++k) {
-      split.type_name.push_back(problem.type_name[at(t)]);
-      split.type_xpus.push_back(apart ? std::vector<int>{xpus[k]} : xpus);
-      for (int x : split.type_xpus.back()) split.xpu_type[at(x)] = split.num_types;
-      ++split.num_types;
-      from.push_back(t);
-    }
-  }
-  split.wcet_flat.assign(at(problem.num_xnodes) * from.size(), kCannotRun);
-  for (int i = 0; i < problem.num_xnodes; ++i)
-    for (std::size_t t = 0; t < from.size(); ++t)
-      split.wcet_flat[at(i) * from.size() + t] = problem.wcet(i, from[t]);
-  return split;
-}
 
 /// A node budget that no clock lets be used up; rounds that end early would otherwise overflow it.
 constexpr std::int64_t kMostNodes = std::int64_t{1} << 50;
@@ -361,30 +414,19 @@ Time prove_bound(const Problem& problem, const ProofControl& control) {
     }
   }
   // 2. With branching: ever more nodes, ever closer guesses.
-  const Problem split = per_instance(problem);
-  Refuter apart(split, control);
-  const bool has_pairs_of_instances =
-      split.num_types > problem.num_types && split.num_types <= kMostTypes;
   std::int64_t nodes = 200;
   while (!refuter.stopped() && bound < incumbent()) {
     bool any = false, more_nodes_help = false;
     for (const double part : {1.0, 0.5, 0.25, 0.1}) {
       if (refuter.stopped() || bound >= incumbent()) break;
-      const Time gap = incumbent() - bound;
+      const Time best = incumbent(), gap = best - bound;
       const Time t =
           bound + std::max<Time>(0, static_cast<Time>(part * static_cast<double>(gap)) - 1);
-      bool refuted = refuter.refute(t, nodes, 2) == Answer::kRefuted;
-      bool ended = refuter.met_open_leaf();
-      if (!refuted && has_pairs_of_instances && !refuter.stopped()) {
-        refuted = apart.refute(t, nodes, 2) == Answer::kRefuted;
-        ended = ended && apart.met_open_leaf();
-      }
-      more_nodes_help = more_nodes_help || !ended;
-      if (refuted) {
-        raise(t);
-        any = true;
-        break;
-      }
+      const bool refuted = refuter.refute(t, nodes, 2) == Answer::kRefuted;
+      more_nodes_help = more_nodes_help || !refuter.met_open_leaf();
+      if (refuted) raise(t);
+      any = refuted || incumbent() < best;
+      if (any) break;
     }
     if (any) continue;
     if (!more_nodes_help) break;

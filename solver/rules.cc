@@ -68,15 +68,28 @@ Time Rules::least(const Windows& w, int i) const {
   return least + w.extra[at(i)];
 }
 
+bool Rules::share(const Windows& w, int i, int j) const {
+  if (!std::has_single_bit(w.types[at(i)]) || w.types[at(i)] != w.types[at(j)]) return false;
+  if (problem_.type_xpus[at(std::countr_zero(w.types[at(i)]))].size() == 1) return true;
+  return w.place[at(i)] >= 0 && w.place[at(i)] == w.place[at(j)];
+}
+
+Time Rules::suspension(int type) const {
+  Time least = -1;
+  for (const int x : problem_.type_xpus[at(type)])
+    if (problem_.preemptive[at(x)] && (least < 0 || problem_.preempt[at(x)] < least))
+      least = problem_.preempt[at(x)];
+  return least;
+}
+
 unsigned Rules::relations(const Windows& w, int i, int j, int type) const {
-  const int x = problem_.type_xpus[at(type)].front();
   const Time wi = problem_.wcet(i, type), wj = problem_.wcet(j, type);
   const Time di = wi + w.extra[at(i)], dj = wj + w.extra[at(j)];
   unsigned possible = 0;
   if (w.r[at(i)] + di + dj <= w.d[at(j)]) possible |= kFirst;
   if (w.r[at(j)] + di + dj <= w.d[at(i)]) possible |= kSecond;
-  if (!problem_.preemptive[at(x)]) return possible;
-  const Time cost = problem_.preempt[at(x)];
+  const Time cost = suspension(type);
+  if (cost < 0) return possible;
   if (may_come_late(w, i, j, type) && w.r[at(i)] + di + wj + cost - w.cut[at(i)] <= w.d[at(i)] &&
       std::max(w.r[at(i)] + 1, w.r[at(j)]) + dj < w.d[at(i)] && w.r[at(i)] + 1 + dj <= w.d[at(j)])
     possible |= kInFirst;
@@ -108,7 +121,7 @@ Time Rules::latest_ready(const Windows& w, int i) const {
 }
 
 void Rules::relate(Windows& w, int i, int j, int type, Relation relation) const {
-  const Time cost = problem_.preempt[at(problem_.type_xpus[at(type)].front())];
+  const Time cost = suspension(type);
   switch (relation) {
     case kFirst:
       w.arcs.emplace_back(i, j);
@@ -138,9 +151,11 @@ bool Rules::charge_starters(Windows& w) const {
   for (int outer = 0; outer < n_; ++outer) {
     if (w.cut[at(outer)] == 0) continue;
     const int type = std::countr_zero(w.types[at(outer)]);
+    const bool several = problem_.type_xpus[at(type)].size() > 1;
     bool open = false;
     for (int i = 0; i < n_ && !open; ++i)
-      open = (w.types[at(i)] >> type & 1u) != 0 && !std::has_single_bit(w.types[at(i)]) &&
+      open = (w.types[at(i)] >> type & 1u) != 0 &&
+             (!std::has_single_bit(w.types[at(i)]) || (several && w.place[at(i)] < 0)) &&
              w.r[at(i)] < w.d[at(outer)] && w.r[at(outer)] < w.d[at(i)];
     if (open) continue;
     const Time cost = w.cut[at(outer)];
@@ -187,6 +202,13 @@ bool Rules::starts_before(const Windows& w, int k, int i) const {
 }
 
 bool Rules::settle_pairs(Windows& w, int& open_i, int& open_j) const {
+  mark_settled(w, 1);
+  const bool possible = settle_marked(w, open_i, open_j);
+  mark_settled(w, 0);
+  return possible;
+}
+
+bool Rules::settle_marked(Windows& w, int& open_i, int& open_j) const {
   bool again = true;
   while (again) {
     again = false;
@@ -195,15 +217,15 @@ bool Rules::settle_pairs(Windows& w, int& open_i, int& open_j) const {
     for (int i = 0; i < n_; ++i) {
       if (!std::has_single_bit(w.types[at(i)])) continue;
       const int type = std::countr_zero(w.types[at(i)]);
-      if (problem_.type_xpus[at(type)].size() != 1) continue;
       for (int j = i + 1; j < n_; ++j) {
-        if (w.types[at(j)] != w.types[at(i)]) continue;
+        if (!share(w, i, j)) continue;
         if (w.r[at(j)] >= w.d[at(i)] || w.r[at(i)] >= w.d[at(j)]) continue;
-        if (settled(w, i, j)) continue;
+        if (settled_[at(i) * at(n_) + at(j)] != 0) continue;
         const unsigned possible = relations(w, i, j, type);
         if (possible == 0) return false;
         if (std::has_single_bit(possible)) {
           relate(w, i, j, type, static_cast<Relation>(possible));
+          settled_[at(i) * at(n_) + at(j)] = 1;
           if (!tighten(w)) return false;
           again = true;
           continue;
@@ -221,13 +243,10 @@ bool Rules::settle_pairs(Windows& w, int& open_i, int& open_j) const {
   return true;
 }
 
-bool Rules::settled(const Windows& w, int i, int j) {
-  const auto has = [&](const std::vector<std::pair<int, int>>& list) {
-    return std::any_of(list.begin(), list.end(), [&](const std::pair<int, int>& pair) {
-      return (pair.first == i && pair.second == j) || (pair.first == j && pair.second == i);
-    });
-  };
-  return has(w.arcs) || has(w.nested);
+void Rules::mark_settled(const Windows& w, char as) const {
+  for (const auto* list : {&w.arcs, &w.nested})
+    for (const auto& [i, j] : *list)
+      settled_[at(std::min(i, j)) * at(n_) + at(std::max(i, j))] = as;
 }
 
 void Rules::ready_by(Windows& w, int i, Time t) const {

@@ -5,6 +5,7 @@
 // Each rule only narrows the windows; the arguments are in docs/solver.md, "Proof".
 #pragma once
 
+#include "base/index.h"
 #include "solver/energy_lp.h"
 #include "solver/problem.h"
 
@@ -12,14 +13,19 @@ namespace xauto::solver {
 
 class Rules {
  public:
-  explicit Rules(const Problem& problem) : problem_(problem), n_(problem.num_xnodes) {}
+  explicit Rules(const Problem& problem)
+      : problem_(problem), n_(problem.num_xnodes), settled_(at(n_) * at(n_), 0) {}
 
-  /// How two XNodes of a type with one instance may share it; see docs/solver.md, "pairs".
+  /// How two XNodes of one instance may share it; see docs/solver.md, "pairs".
   enum Relation : unsigned { kFirst = 1, kSecond = 2, kInFirst = 4, kInSecond = 8 };
 
   /// Windows from the precedence graph, types from the windows; false: empty.
   [[nodiscard]] bool tighten(Windows& w) const;
   [[nodiscard]] Time least(const Windows& w, int i) const;
+  /// Both are on one instance, whichever it is.
+  [[nodiscard]] bool share(const Windows& w, int i, int j) const;
+  /// What a suspension costs at least on an instance of `type`; -1 if none suspends.
+  [[nodiscard]] Time suspension(int type) const;
   [[nodiscard]] unsigned relations(const Windows& w, int i, int j, int type) const;
   /// Can `inner` become eligible after `outer` has started? Otherwise it runs first. Its last
   /// predecessor finishes after that, or it waits, by run-time order, for somebody else nested in
@@ -35,10 +41,12 @@ class Rules {
   /// once no other XNode can join them: all types that could are decided, and all pairs.
   [[nodiscard]] bool charge_starters(Windows& w) const;
   [[nodiscard]] bool starts_before(const Windows& w, int k, int i) const;
-  /// Pairs on one-instance types: decides those with one relation left; false: a pair has none.
+  /// Pairs on one instance: decides those with one relation left; false: a pair has none.
   /// `open_*`: the tightest pair that is still open, -1 if all are decided.
   [[nodiscard]] bool settle_pairs(Windows& w, int& open_i, int& open_j) const;
-  [[nodiscard]] static bool settled(const Windows& w, int i, int j);
+  /// Marks pairs whose relation is decided in settled_, or unmarks them.
+  bool settle_marked(Windows& w, int& open_i, int& open_j) const;
+  void mark_settled(const Windows& w, char as) const;
   /// All predecessors of `i` done by `t` / `i` cannot start before `t`: the two halves of a split.
   void ready_by(Windows& w, int i, Time t) const;
   void done_by_others(Windows& w, int i, Time t) const;
@@ -46,6 +54,9 @@ class Rules {
  protected:
   const Problem& problem_;
   const int n_;
+
+ private:
+  mutable std::vector<char> settled_;  ///< settle_pairs(): [lesser * n + greater]; 0 between calls
 };
 
 }  // namespace xauto::solver

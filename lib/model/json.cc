@@ -215,4 +215,10 @@ Result<KeyPolicy> load_key_policy(const std::string& path, const AppSpec& app,
   return policy;
 }
 
+Result<KeyPolicy> load_key_hint(const std::string& path, const AppSpec& app,
+                                const Platform& platform) {
+  XAUTO_ASSIGN(const std::string text, read_file(path));
+  return parse_key_hint(text, path, app, platform);
+}
+
 }  // namespace xauto

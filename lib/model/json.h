@@ -39,6 +39,10 @@ inline constexpr int kMaxJsonDepth = 64;
                                                  const AppSpec& app, const Platform& platform,
                                                  Keys* keys = nullptr);
 
+/// See load_key_hint.
+[[nodiscard]] Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin,
+                                               const AppSpec& app, const Platform& platform);
+
 [[nodiscard]] std::string to_json(const AppSpec& app);
 [[nodiscard]] std::string to_json(const Platform& platform);
 [[nodiscard]] std::string to_json(const Profile& profile);
@@ -58,6 +62,11 @@ inline constexpr int kMaxJsonDepth = 64;
 [[nodiscard]] Result<Profile> load_profile(const std::string& path);
 [[nodiscard]] Result<Policy> load_policy(const std::string& path, const AppSpec& app,
                                          const Platform& platform);
+/// A policy of an earlier version of the app, or for an earlier platform, to begin with: what can be
+/// said of the XNodes that are still there. One that was not, or was on an XPU that is gone, has
+/// xpu -1 and no keys. No claim is read, nothing else is validated.
+[[nodiscard]] Result<KeyPolicy> load_key_hint(const std::string& path, const AppSpec& app,
+                                              const Platform& platform);
 [[nodiscard]] Result<KeyPolicy> load_key_policy(const std::string& path, const AppSpec& app,
                                                 const Platform& platform);
 

@@ -164,6 +164,37 @@ Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origi
   return accept(std::move(policy), root, context, document, app, platform, line_of, keys);
 }
 
+Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin, const AppSpec& app,
+                                 const Platform& platform) {
+  XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
+  Reader::Context context{std::string(origin), {}};
+  const Reader root(context, &document, "");
+  expect_version(root, 2, app);
+  KeyPolicy policy;
+  read_head(root, policy);
+  if (!root.failed() && policy.app != app.name)
+    root["app"].refuse("is '" + policy.app + "', this is '" + app.name + "'",
+                       "take a policy of this app; it may be of an earlier version of it");
+  const NameIndex index = index_by_name(app.xnodes);
+  policy.placements.resize(app.xnodes.size());
+  std::vector<char> there(app.xnodes.size(), 0);
+  root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
+    const std::string name = x["name"].text(), xpu = x["xpu"].text();
+    KeyPlacement placed{platform.find(xpu), read_times(x, "key_us", true)};
+    placed.hold_us = read_times(x, "hold_us", false);
+    if (x.failed()) return;
+    if (placed.key_us.empty()) return x["key_us"].refuse("XNode '" + name + "' has no key");
+    const auto found = index.find(name);
+    if (found == index.end()) return;  // it is no more
+    const auto i = static_cast<std::size_t>(found->second);
+    if (there[i]) return x["name"].refuse("XNode '" + name + "' is placed twice");
+    there[i] = 1;
+    if (placed.xpu >= 0) policy.placements[i] = std::move(placed);
+  });
+  XAUTO_TRY(context.status());
+  return policy;
+}
+
 std::string to_json(const Policy& policy, const AppSpec& app, const Platform& platform) {
   const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
   ordered_json xnodes = ordered_json::array();

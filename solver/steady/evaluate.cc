@@ -16,6 +16,8 @@ constexpr int kMostTries = 12;
 bool Figures::better_than(const Figures& other) const {
   if (valid != other.valid) return valid;
   if (!valid) return cost < other.cost;
+  if ((late <= 1) != (other.late <= 1)) return late <= 1;
+  if (moved != other.moved) return moved < other.moved;
   if (late != other.late) return late < other.late;
   return sum < other.sum;
 }
@@ -287,6 +289,7 @@ bool Evaluator::settle(const Decision& decision, Figures& out, const Until& unti
   base_figures_ = nullptr;
   Figures next;
   next.valid = simulate(decision, &out, next, until);
+  next.moved = out.moved;
   if (!next.valid || !next.better_than(out)) return false;
   out = std::move(next);
   return true;

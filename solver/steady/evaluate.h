@@ -38,7 +38,9 @@ struct Figures {
   /// For the annealer: both as one number, about 1 for a good answer; above kInvalidCost what makes
   /// it invalid.
   double cost = 0;
+  int moved = 0;  ///< XNodes that are not where a hint has them; 0 where that does not matter
 
+  /// Valid; in time; fewest moved; then the objective.
   [[nodiscard]] bool better_than(const Figures& other) const;
 };
 inline constexpr double kInvalidCost = 1e4;

@@ -10,6 +10,9 @@
 namespace xauto::solver::steady {
 namespace {
 
+/// What the annealer pays for an XNode that is not at home, where a good answer costs about 1.
+constexpr double kToll = 0.1;
+
 /// Longest ways of least WCETs behind each XNode, itself excluded.
 std::vector<Tick> tails(const Problem& p, const std::vector<Tick>& work) {
   std::vector<Tick> tail(at(p.num_xnodes), 0);
@@ -44,16 +47,21 @@ bool Search::over() const {
          (limits_.max_evaluations > 0 && evaluator_.evaluations() >= limits_.max_evaluations);
 }
 
-Decision Search::from_hint(const KeyPolicy& hint) const {
-  Decision d;
-  d.hold.assign(at(p_.num_xnodes), 0);
-  d.polite.assign(at(p_.num_xnodes), 0);
-  for (const KeyPlacement& placed : hint.placements) {
-    d.xpu.push_back(placed.xpu);
-    std::int64_t key = 0;
-    for (const std::int64_t k : placed.key_us) key = std::max(key, k);
-    d.key.push_back(std::min(key, kMostTicks / p_.scale) * p_.scale);
+Decision Search::from_hint(const KeyPolicy& hint) {
+  Decision d = constructed(balancing_weights(p_), 0.3, 0, true);
+  const std::vector<int> built = d.xpu;
+  for (int i = 0; i < p_.num_xnodes; ++i) {
+    const KeyPlacement& placed = hint.placements[at(i)];
+    const auto& may = p_.may_run[at(i)];
+    if (std::binary_search(may.begin(), may.end(), placed.xpu)) d.xpu[at(i)] = placed.xpu;
+    if (placed.key_us.empty()) continue;
+    const std::int64_t key = *std::max_element(placed.key_us.begin(), placed.key_us.end());
+    d.key[at(i)] = std::min(key, kMostTicks / p_.scale) * p_.scale;
   }
+  for (const auto& group : p_.groups)
+    if (std::any_of(group.begin(), group.end(),
+                    [&](int i) { return d.xpu[at(i)] != d.xpu[at(group.front())]; }))
+      for (const int i : group) d.xpu[at(i)] = built[at(i)];
   // d - a of its keys, which `a` follows from but for `in flight`.
   d.window.assign(at(p_.num_xnodes), 0);
   for (int i = 0; i < p_.num_xnodes; ++i) {
@@ -64,6 +72,18 @@ Decision Search::from_hint(const KeyPolicy& hint) const {
     d.window[at(i)] = std::max(p_.wcet(i, d.xpu[at(i)]), d.key[at(i)] - ready);
   }
   return d;
+}
+
+int Search::moved(const Decision& d) const {
+  int count = 0;
+  if (keep_ == Keep::kMost)
+    for (std::size_t i = 0; i < home_.size(); ++i) count += home_[i] >= 0 && d.xpu[i] != home_[i];
+  return count;
+}
+
+void Search::evaluate(Candidate& candidate) {
+  evaluator_.evaluate(candidate.decision, kInvalidCost, candidate.figures, limits_.until);
+  candidate.figures.moved = moved(candidate.decision);
 }
 
 void Search::put(Decision& d, int xnode, int xpu) const {
@@ -251,7 +271,7 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
           c.decision = constructed(*prices, greed, rule, charge);
           for (const double part : parts) {
             spread_windows(c.decision, part);
-            evaluator_.evaluate(c.decision, kInvalidCost, c.figures, limits_.until);
+            evaluate(c);
             take(c, on_better);
           }
         }
@@ -312,15 +332,20 @@ bool Search::mutate(const Candidate& from, Decision& next) {
   const double what = random_.unit();
   const int i = pick(from);
   const auto& may = p_.may_run[at(i)];
-  if (what < 0.30 && !keep_xpu_) {
+  if (what < 0.30 && may_move(i)) {
     if (may.size() < 2) return false;
-    const int m = may[random_.below(may.size())];
+    int m = may[random_.below(may.size())];
+    if (keep_ == Keep::kMost && home_[at(i)] >= 0 && next.xpu[at(i)] != home_[at(i)] &&
+        random_.unit() < 0.5)
+      m = home_[at(i)];
+    if (!std::binary_search(may.begin(), may.end(), m)) return false;
     if (m == next.xpu[at(i)]) return false;
     put(next, i, m);
     return next.xpu[at(i)] == m;
   }
-  if (what < 0.42 && !keep_xpu_) {
+  if (what < 0.42 && may_move(i)) {
     const int j = static_cast<int>(random_.below(at(p_.num_xnodes)));
+    if (!may_move(j)) return false;
     const int mi = next.xpu[at(i)], mj = next.xpu[at(j)];
     if (mi == mj) return false;
     const auto& other = p_.may_run[at(j)];
@@ -394,9 +419,12 @@ void Search::anneal(std::int64_t steps, double hot,
     if (!changed) continue;
     // Drawn before, so that most candidates need not be simulated to the end.
     const double scale = current.figures.valid ? current.figures.cost : 0.05 * kInvalidCost;
-    const double allowed = current.figures.cost - heat * scale * std::log(random_.unit());
+    const int moved_now = moved(next.decision);
+    const double allowed = current.figures.cost - heat * scale * std::log(random_.unit()) +
+                           kToll * (current.figures.moved - moved_now);
     evaluator_.evaluate(next.decision, allowed, next.figures, limits_.until, &current.decision,
                         &current.figures);
+    next.figures.moved = moved_now;
     if (next.figures.cost > allowed) continue;
     if (next.figures.valid && next.figures.better_than(best_.figures)) {
       take(next, on_better);
@@ -410,27 +438,35 @@ void Search::anneal(std::int64_t steps, double hot,
   }
 }
 
-void Search::run(const SearchLimits& limits, const Decision* start, bool keep_xpu,
+void Search::run(const SearchLimits& limits, const KeyPolicy* hint, Keep keep,
                  const std::function<void(const Candidate&)>& on_better) {
   limits_ = limits;
-  keep_xpu_ = keep_xpu;
+  keep_ = hint == nullptr ? Keep::kNothing : keep;
   best_.figures = {};
   best_.figures.cost = 1e18;
-  if (start != nullptr) {
+  home_.clear();
+  if (hint != nullptr) {
+    for (const KeyPlacement& placed : hint->placements) home_.push_back(placed.xpu);
     Candidate c;
-    c.decision = *start;
-    evaluator_.evaluate(c.decision, kInvalidCost, c.figures, limits_.until);
+    c.decision = from_hint(*hint);
+    evaluate(c);
     take(c, on_better);
   }
-  if (!keep_xpu_) construct(on_better);
+  still_ = keep_ == Keep::kMost;
+  if (keep_ == Keep::kNothing) construct(on_better);
   // No one temperature is best for all apps.
   std::int64_t steps = 1500;
   for (std::size_t cycle = 0; !over(); ++cycle) {
     constexpr double kHot[] = {0.05, 0.15, 0.03};
+    // Where nobody has to move, nobody does: only a few turns in vain say otherwise.
+    if (still_ && cycle >= 3 && (!best_.figures.valid || best_.figures.late > 1)) {
+      still_ = false;
+      construct(on_better);
+    }
     const std::int64_t before = evaluator_.evaluations();
     if (limits_.exchange && cycle % 3 == 2) limits_.exchange(best_);
     anneal(steps, kHot[cycle % 3], on_better);
-    if (evaluator_.evaluations() == before) return;  // nothing can be changed
+    if (evaluator_.evaluations() == before && !still_) return;  // nothing can be changed
     if (cycle % 3 == 2) steps *= 2;
   }
 }

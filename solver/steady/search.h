@@ -19,6 +19,13 @@ struct Candidate {
   Figures figures;
 };
 
+/// What of a hint stays.
+enum class Keep {
+  kNothing,    ///< it is where the search begins
+  kMost,       ///< as few XNodes as possible are elsewhere, as long as deadlines are met
+  kPlacement,  ///< every XNode is where it was
+};
+
 struct SearchLimits {
   Until until;
   std::int64_t max_evaluations = 0;  ///< 0: no limit
@@ -28,18 +35,23 @@ struct SearchLimits {
 
 class Search {
  public:
-  /// `keep_xpu`: nobody moves. `on_better`: each certified improvement.
+  /// `on_better` of run(): each certified improvement.
   Search(const Problem& problem, const std::vector<Tick>& reference, std::uint64_t seed);
 
-  /// A decision from a policy's placements: its keys in ticks.
-  [[nodiscard]] Decision from_hint(const KeyPolicy& hint) const;
-  /// Constructs, then anneals from the best until the limits. `start` may be null.
-  void run(const SearchLimits& limits, const Decision* start, bool keep_xpu,
+  /// Constructs, then anneals from the best until the limits. `hint` may be null.
+  void run(const SearchLimits& limits, const KeyPolicy* hint, Keep keep,
            const std::function<void(const Candidate&)>& on_better);
   [[nodiscard]] std::int64_t evaluations() const { return evaluator_.evaluations(); }
 
  private:
+  /// A decision from a policy's placements, its keys in ticks. Whoever has none is constructed.
+  [[nodiscard]] Decision from_hint(const KeyPolicy& hint);
   [[nodiscard]] bool over() const;
+  void evaluate(Candidate& candidate);
+  [[nodiscard]] int moved(const Decision& d) const;
+  [[nodiscard]] bool may_move(int xnode) const {
+    return keep_ == Keep::kNothing || (keep_ == Keep::kMost && (!still_ || home_[at(xnode)] < 0));
+  }
   void construct(const std::function<void(const Candidate&)>& on_better);
   [[nodiscard]] Decision constructed(const std::vector<std::int64_t>& weights, double greed,
                                      int rule, bool charge);
@@ -60,8 +72,10 @@ class Search {
   Evaluator evaluator_;
   Random random_;
   SearchLimits limits_;
-  bool keep_xpu_ = false;
-  bool proven_ = false;  ///< every chain is at its bound
+  Keep keep_ = Keep::kNothing;
+  bool still_ = false;     ///< for now only those without a home move
+  std::vector<int> home_;  ///< [xnode] XPU of the hint that is to be kept, -1: none
+  bool proven_ = false;    ///< every chain is at its bound
   Candidate best_;
   std::vector<int> critical_;  ///< XNodes of the chain that sets the cost
   std::vector<int> readers_;

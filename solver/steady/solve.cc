@@ -61,10 +61,15 @@ KeyPolicy policy_of(const AppSpec& app, const Platform& platform, const Problem&
   return policy;
 }
 
-Status check_hint(const KeyPolicy& hint, const AppSpec& app, const Problem& p) {
+Status check_hint(const KeyPolicy& hint, Keep keep, const AppSpec& app, const Problem& p) {
   if (hint.placements.size() != app.xnodes.size())
     return fail(ErrorCode::kInvalid, "it places another number of XNodes", "hint",
                 "take a policy for this app");
+  if (std::all_of(hint.placements.begin(), hint.placements.end(),
+                  [](const KeyPlacement& placed) { return placed.xpu < 0; }))
+    return fail(ErrorCode::kInvalid, "it places none of the app's XNodes on an XPU that is there",
+                "hint", "take a policy for this app and platform");
+  if (keep != Keep::kPlacement) return {};
   for (int i = 0; i < p.num_xnodes; ++i) {
     const int m = hint.placements[at(i)].xpu;
     const auto& may = p.may_run[at(i)];
@@ -99,7 +104,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
   };
   XAUTO_ASSIGN(const Problem p, Problem::create(app, platform, options.wishes));
-  if (options.hint != nullptr) XAUTO_TRY(check_hint(*options.hint, app, p));
+  if (options.hint != nullptr) XAUTO_TRY(check_hint(*options.hint, options.keep, app, p));
   Answer answer;
   if (std::optional<Overload> proof = prove_overload(p)) {
     answer.outcome = Outcome::kUnsustainable;
@@ -138,24 +143,20 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
         const std::lock_guard<std::mutex> lock(shared.mutex);
         if (shared.any && shared.best.figures.better_than(best.figures)) best = shared.best;
       };
-    Decision hint;
-    if (options.hint != nullptr) hint = search.from_hint(*options.hint);
-    search.run(limits, options.hint != nullptr ? &hint : nullptr,
-               options.keep && options.hint != nullptr, [&](const Candidate& c) {
-                 const std::lock_guard<std::mutex> lock(shared.mutex);
-                 // Of equal answers that of the lowest thread, whoever came first.
-                 if (shared.any && !c.figures.better_than(shared.best.figures) &&
-                     (shared.best.figures.better_than(c.figures) || index >= shared.thread))
-                   return;
-                 shared.thread = index;
-                 if (!shared.any) shared.first_ms = elapsed() * 1e3;
-                 shared.any = true;
-                 shared.best = c;
-                 if (options.on_progress)
-                   options.on_progress({elapsed(), c.figures.late,
-                                        c.figures.sum / static_cast<double>(p.scale),
-                                        search.evaluations()});
-               });
+    search.run(limits, options.hint, options.keep, [&](const Candidate& c) {
+      const std::lock_guard<std::mutex> lock(shared.mutex);
+      // Of equal answers that of the lowest thread, whoever came first.
+      if (shared.any && !c.figures.better_than(shared.best.figures) &&
+          (shared.best.figures.better_than(c.figures) || index >= shared.thread))
+        return;
+      shared.thread = index;
+      if (!shared.any) shared.first_ms = elapsed() * 1e3;
+      shared.any = true;
+      shared.best = c;
+      if (options.on_progress)
+        options.on_progress({elapsed(), c.figures.late,
+                             c.figures.sum / static_cast<double>(p.scale), search.evaluations()});
+    });
     evaluations[at(index)] = search.evaluations();
   };
   std::vector<std::thread> pool;
@@ -173,6 +174,11 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   answer.policy = policy_of(app, platform, p, shared.best, answer.lower_bound_us);
   answer.policy.solve_ms = static_cast<std::int64_t>(elapsed() * 1e3);
   answer.first_answer_ms = shared.first_ms;
+  if (options.hint != nullptr)
+    for (int i = 0; i < p.num_xnodes; ++i) {
+      const int was = options.hint->placements[at(i)].xpu;
+      if (was >= 0 && was != answer.policy.placements[at(i)].xpu) answer.moved.push_back(i);
+    }
   return answer;
 }
 

@@ -11,6 +11,7 @@
 
 #include "model/key_policy.h"
 #include "solver/objectives.h"
+#include "solver/steady/search.h"
 #include "solver/steady/sustain.h"
 
 namespace xauto::solver::steady {
@@ -31,10 +32,12 @@ struct Options {
   std::int64_t max_evaluations = 0;
   const std::atomic<bool>* stop = nullptr;
   std::function<void(const Progress&)>
-      on_progress;                  ///< each improvement, from any thread, one at a time
-  Objectives wishes;                ///< pins, forbids and groups
-  const KeyPolicy* hint = nullptr;  ///< where to begin; not certified before it is proven again
-  bool keep = false;                ///< with a hint: what runs where stays
+      on_progress;    ///< each improvement, from any thread, one at a time
+  Objectives wishes;  ///< pins, forbids and groups
+  /// Where to begin; proven again before it is certified. May be of an earlier version of the app:
+  /// xpu -1 for an XNode that it does not know.
+  const KeyPolicy* hint = nullptr;
+  Keep keep = Keep::kNothing;
 };
 
 enum class Outcome {
@@ -49,6 +52,7 @@ struct Answer {
   Overload overload;  ///< kUnsustainable
   /// [chain] where no policy was found, too.
   std::vector<std::int64_t> lower_bound_us;
+  std::vector<int> moved;  ///< XNodes that are not where the hint has them
   double first_answer_ms = 0;
   std::int64_t evaluations = 0;
 };

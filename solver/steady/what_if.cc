@@ -17,7 +17,7 @@ Result<WhatIf> ask(const AppSpec& app, const Platform& platform, const KeyPolicy
   options.hint = &begin;
   options.on_progress = nullptr;
   auto solved = solve(app, platform, options);
-  if (!solved && !options.keep) {  // where it was is no place any more
+  if (!solved && options.keep != Keep::kPlacement) {  // where it was is no place any more
     options.hint = nullptr;
     solved = solve(app, platform, options);
   }
@@ -97,7 +97,7 @@ Result<std::vector<WhatIf>> moves(const AppSpec& app, const Platform& platform,
   std::vector<int> served(platform.xpus.size(), 0);
   for (const KeyPlacement& p : policy.placements) ++served[static_cast<std::size_t>(p.xpu)];
   Options keep = options;
-  keep.keep = true;
+  keep.keep = Keep::kPlacement;
   for (const int i : xnodes) {
     const XNodeSpec& xnode = app.xnodes[static_cast<std::size_t>(i)];
     const int now = policy.placements[static_cast<std::size_t>(i)].xpu;

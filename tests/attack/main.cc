@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // attack_steady: random apps with policies of keys that the check just accepts, each attacked; the
-// same policies played. Exit status 1 if one is broken.
+// same policies played. Then the solver's own policies; and those of a solver that is not told of
+// the jitter, say. Exit status 1 if a policy is broken, or what was not told is never found.
 #include <algorithm>
 #include <cstdio>
 
@@ -8,6 +9,7 @@
 
 #include "cli/cli.h"
 #include "solver/steady/play.h"
+#include "solver/steady/solve.h"
 
 #include "attack/attack.h"
 #include "attack/producer.h"
@@ -17,6 +19,7 @@ namespace {
 
 struct Flags {
   int policies = 40;
+  int solved = 10;
   std::int64_t jobs = 200'000;
   std::uint64_t seed = 1;
 };
@@ -45,6 +48,69 @@ const Kind kKinds[] = {
     {"three clocks, 10000 ppm",
      {.clocks = 3, .ppm = 10'000, .components = 5, .load = 0.8, .preempt_us = 4, .jitter_us = 100}},
 };
+
+/// What the solver is not told.
+struct Fault {
+  const char* name;
+  void (*hide)(AppSpec&, Platform&);
+};
+
+const Fault kFaults[] = {
+    {"(nothing is left out)", [](AppSpec&, Platform&) {}},
+    {"the jitter",
+     [](AppSpec& app, Platform&) {
+       for (SourceSpec& s : app.sources) s.jitter_us = 0;
+     }},
+    {"what preemption costs",
+     [](AppSpec&, Platform& platform) {
+       for (Xpu& xpu : platform.xpus) xpu.preempt_us = 0;
+     }},
+    {"that an XPU does not preempt",
+     [](AppSpec&, Platform& platform) {
+       for (Xpu& xpu : platform.xpus) xpu.preemptive = true;
+     }},
+    {"how many are in flight",
+     [](AppSpec& app, Platform&) {
+       for (ModuleSpec& m : app.modules) m.max_in_flight = 9;
+     }},
+};
+
+/// Policies of the solver itself, with a budget that makes them the same on every machine.
+Result<bool> run_solved(const Flags& flags) {
+  bool as_it_should = true;
+  for (const Fault& fault : kFaults) {
+    std::int64_t policies = 0, broken = 0, jobs = 0;
+    for (const Kind& kind : kKinds)
+      for (int k = 0; k < flags.solved; ++k) {
+        const std::uint64_t seed = flags.seed + static_cast<std::uint64_t>(k);
+        std::optional<Case> c = valid(seed, kind.wanted);
+        if (!c) continue;
+        tighten(*c, seed, false);  // few activations in flight, so that they matter
+        AppSpec app_told = c->app;
+        Platform platform_told = c->platform;
+        fault.hide(app_told, platform_told);
+        const bool hidden = !(app_told == c->app && platform_told == c->platform);
+        if (&fault != kFaults && !hidden) continue;
+        solver::steady::Options options;
+        options.max_evaluations = 500;
+        options.time_limit_s = 60;
+        options.seed = seed;
+        XAUTO_ASSIGN(const auto answer, solver::steady::solve(app_told, platform_told, options));
+        if (answer.outcome != solver::steady::Outcome::kPolicy) continue;
+        const Found found = attack(c->app, c->platform, answer.policy, {flags.jobs, seed});
+        ++policies;
+        jobs += found.jobs;
+        if (!found.broken()) continue;
+        ++broken;
+        if (&fault == kFaults)
+          fmt::print("BROKEN: {}, seed {}: {} {}\n", kind.name, seed, found.late, found.chain);
+      }
+    fmt::print("the solver is told all but {:<30} {:>4} policies {:>11} jobs, {:>4} broken\n",
+               fault.name, policies, jobs, broken);
+    as_it_should = as_it_should && (&fault == kFaults) == (broken == 0);
+  }
+  return as_it_should;
+}
 
 Result<int> run(const Flags& flags) {
   std::int64_t jobs = 0, policies = 0, broken = 0;
@@ -85,7 +151,9 @@ Result<int> run(const Flags& flags) {
     policies += made;
   }
   fmt::print("\n{} jobs, {} policies, {} broken\n", jobs, policies, broken);
-  return broken > 0 ? 1 : 0;
+  if (flags.solved == 0) return broken > 0 ? 1 : 0;
+  XAUTO_ASSIGN(const bool as_it_should, run_solved(flags));
+  return broken == 0 && as_it_should ? 0 : 1;
 }
 
 }  // namespace
@@ -95,6 +163,7 @@ int main(int argc, char** argv) {
   xauto::attack::Flags flags;
   xauto::cli::Program program("Tries to break policies of keys that the check just accepts.");
   program.option("--policies", flags.policies, "of each kind").shown();
+  program.option("--solved", flags.solved, "of each kind by the solver; 0: none").shown();
   program.option("--jobs", flags.jobs, "to simulate per policy").shown();
   program.option("--seed", flags.seed, "of the first policy").shown();
   if (const auto exit = program.parse(argc, argv)) return *exit;

@@ -116,6 +116,20 @@ class Periodic(unittest.TestCase):
         self.solve("--hint", "hint.json", "--keep")
         self.assertEqual({x["name"]: x["xpu"] for x in self.policy()["xnodes"]}, placed)
 
+    def test_a_small_change_of_the_app_moves_nobody(self):
+        self.solve()
+        placed = {x["name"]: x["xpu"] for x in self.policy()["xnodes"]}
+        self.write("hint.json", self.policy())
+        for us in self.app["xnodes"][0]["wcet_us"]:
+            self.app["xnodes"][0]["wcet_us"][us] += 1
+        told = self.solve("--hint", "hint.json", "--keep").stdout
+        self.assertIn(f"moved: 0 of the {len(placed)} XNodes that the hint places", told)
+        self.assertEqual({x["name"]: x["xpu"] for x in self.policy()["xnodes"]}, placed)
+        self.assertEqual(json.loads(self.solve("--hint", "hint.json", "--keep", "--json").stdout)["moved"], [])
+        told = json.loads(self.solve("--hint", "hint.json", "--keep", "--forbid", "mpc=" + placed["mpc"], "--json").stdout)
+        self.assertIn(("mpc", placed["mpc"]), [(m["xnode"], m["from"]) for m in told["moved"]])
+        self.assertIn("--hint policy.json", self.solve("--keep", status=2).stderr)
+
     def test_check_holds_pins_against_a_policy(self):
         self.solve("--pin", "mpc=cpu1")
         checked = self.run_tool("check", "--app", "app.json", "--policy", "policy.json", "--pin", "mpc=cpu0", status=1)

@@ -213,10 +213,13 @@ Result<int> solve_on_and_on(SolveFlags& flags, const AppSpec& app, const Options
   asked.max_evaluations = flags.options.max_evaluations;
   KeyPolicy hint;
   if (!flags.hint.empty()) {
-    XAUTO_ASSIGN(hint, load_key_policy(flags.hint, app, platform));
+    XAUTO_ASSIGN(hint, load_key_hint(flags.hint, app, platform));
     asked.hint = &hint;
   }
-  asked.keep = flags.keep;
+  if (flags.keep && flags.hint.empty())
+    return fail(ErrorCode::kInvalid, "keeps what a policy says", "--keep",
+                "name the policy: --hint policy.json");
+  if (flags.keep) asked.keep = solver::steady::Keep::kMost;
   asked.stop = &interrupted;
   std::signal(SIGINT, on_interrupt);
   std::signal(SIGTERM, on_interrupt);
@@ -289,11 +292,14 @@ void add_solve(Commands& commands) {
   add_wishes(verb, flags->wishes);
   verb.flag("--what-if", flags->what_if,
             "what one more XPU, or another implementation on the chain that limits, would gain");
-  verb.option("--hint", flags->hint, "version 2: a policy.json of this app to begin with");
+  verb.option(
+      "--hint", flags->hint,
+      "version 2: a policy.json of this app, or of an earlier version of it, to begin with");
   verb.option(
       "--assume", flags->assume,
       "version 2: what would be if SOURCE=HZ, TYPE=PERCENT% of its WCETs, or +TYPE one more");
-  verb.flag("--keep", flags->keep, "version 2: with --hint, what runs where stays");
+  verb.flag("--keep", flags->keep,
+            "version 2: with --hint, as few XNodes as possible move to another XPU");
   verb.option("--implement", flags->implement,
               "XNODE=TYPE:WCET_US: what this implementation would gain");
 }

@@ -233,6 +233,33 @@ int tell_unsustainable(const AppSpec& app, const Platform& platform, const stead
   return kAnswerIsNo;
 }
 
+/// Who is where, beside where a hint has them.
+Json moved(const AppSpec& app, const Platform& platform, const KeyPolicy& hint,
+           const steady::Answer& answer) {
+  Json list = Json::array();
+  for (const int i : answer.moved)
+    list.push_back({{"xnode", app.xnodes[at(i)].name},
+                    {"from", platform.xpus[at(hint.placements[at(i)].xpu)].id},
+                    {"to", platform.xpus[at(answer.policy.placements[at(i)].xpu)].id}});
+  return list;
+}
+
+std::string moved_line(const AppSpec& app, const Platform& platform, const KeyPolicy& hint,
+                       const steady::Answer& answer) {
+  constexpr std::size_t kNamed = 5;
+  const auto known = std::count_if(hint.placements.begin(), hint.placements.end(),
+                                   [](const KeyPlacement& placed) { return placed.xpu >= 0; });
+  std::string out = fmt::format("\n  moved: {} of the {} XNodes that the hint places",
+                                answer.moved.size(), known);
+  for (std::size_t k = 0; k < std::min(kNamed, answer.moved.size()); ++k) {
+    const std::size_t i = at(answer.moved[k]);
+    out += fmt::format("{} {} ({} to {})", k == 0 ? ":" : ",", app.xnodes[i].name,
+                       platform.xpus[at(hint.placements[i].xpu)].id,
+                       platform.xpus[at(answer.policy.placements[i].xpu)].id);
+  }
+  return out + (answer.moved.size() > kNamed ? ", ...\n" : "\n");
+}
+
 void show(SearchLine& line, const steady::Progress& progress) {
   if (!line.due(progress.elapsed_s)) return;
   const std::string late =
@@ -285,6 +312,7 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
     root["evaluations"] = answer.evaluations;
     root["first_answer_ms"] = answer.first_answer_ms;
     root["proofs"] = proofs(*checked);
+    if (asked.hint != nullptr) root["moved"] = moved(app, platform, *asked.hint, answer);
     if (!ifs.empty()) root["what_if"] = cases_of(app, ifs);
     root["deadlines"] = never  ? "proven impossible"
                         : late ? "missed; not proven impossible"
@@ -300,6 +328,7 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                      "bounds are the solver's alone: of no policy of keys that\n  keeps to the "
                      "pins, forbids and groups can a shorter worst case be certified this way.\n",
                      kKeyScope);
+    if (asked.hint != nullptr) std::cout << moved_line(app, platform, *asked.hint, answer);
     std::cout << what_if_table(app, answer.policy, ifs);
     if (late)
       std::cout << (never

@@ -87,6 +87,28 @@ TEST(Golden, PolicyOfVersion2IsWrittenAsItWasRead) {
   EXPECT_EQ(to_json(*policy, app, platform), text);
 }
 
+TEST(Golden, AHintMayBeOfAnotherVersionOfTheApp) {
+  const std::string text = slurp(golden() / "policy-2.json");
+  AppSpec app = golden_app_2();
+  Platform platform = golden_platform();
+  const auto before = parse_key_policy(text, "policy-2.json", app, platform);
+  ASSERT_TRUE(before);
+  const int gone = before->placements[0].xpu;
+  platform.xpus[static_cast<std::size_t>(gone)].id = "other";
+  app.xnodes[1].name = "renamed";
+  const auto hint = parse_key_hint(text, "policy-2.json", app, platform);
+  ASSERT_TRUE(hint) << hint.error().to_string();
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    const bool known = i != 1 && before->placements[i].xpu != gone;
+    EXPECT_EQ(hint->placements[i].xpu, known ? before->placements[i].xpu : -1) << i;
+    EXPECT_EQ(hint->placements[i].key_us.empty(), !known) << i;
+  }
+  EXPECT_FALSE(parse_key_policy(text, "policy-2.json", app, platform));
+  app.name = "another";
+  EXPECT_FALSE(parse_key_hint(text, "policy-2.json", app, platform));
+  EXPECT_FALSE(parse_key_hint("{}", "policy-2.json", app, platform));
+}
+
 TEST(Golden, PlatformIsWrittenAsItWasRead) {
   const std::string text = slurp(golden() / "platform.json");
   const auto platform = parse_platform(text, "platform.json");

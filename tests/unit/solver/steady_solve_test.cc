@@ -2,6 +2,7 @@
 // What solve() claims of apps of version 2, against a naive simulator (steady_naive.h).
 #include <gtest/gtest.h>
 
+#include "solver/steady/check.h"
 #include "solver/steady/solve.h"
 
 #include "steady_naive.h"
@@ -194,7 +195,7 @@ TEST(SteadySolve, AHintIsKeptAndProvenAgain) {
   ASSERT_EQ(a->outcome, Outcome::kPolicy);
   Options options = brief(200);
   options.hint = &a->policy;
-  options.keep = true;
+  options.keep = Keep::kPlacement;
   const Result<Answer> b = solve(app, platform, options);
   ASSERT_TRUE(b);
   ASSERT_EQ(b->outcome, Outcome::kPolicy);
@@ -203,6 +204,90 @@ TEST(SteadySolve, AHintIsKeptAndProvenAgain) {
   KeyPolicy other = a->policy;
   other.placements.pop_back();
   options.hint = &other;
+  EXPECT_FALSE(solve(app, platform, options));
+}
+
+std::vector<int> elsewhere(const KeyPolicy& a, const KeyPolicy& b) {
+  std::vector<int> xnodes;
+  for (std::size_t i = 0; i < a.placements.size(); ++i)
+    if (a.placements[i].xpu >= 0 && a.placements[i].xpu != b.placements[i].xpu)
+      xnodes.push_back(static_cast<int>(i));
+  return xnodes;
+}
+
+TEST(SteadySolve, ASmallChangeOfTheAppMovesFewXNodes) {
+  int asked = 0, kept = 0, free = 0;
+  for (std::uint64_t seed = 1; seed <= 30; ++seed) {
+    solver::test::Dice dice(seed);
+    AppSpec app = random_steady_app(dice, {});
+    const Platform platform = random_steady_platform(dice);
+    const Result<Answer> before = solve(app, platform, brief(300));
+    ASSERT_TRUE(before) << seed;
+    if (before->outcome != Outcome::kPolicy) continue;
+    // One WCET is a little longer; what is on an XPU by the policy still has to fit there.
+    auto& wcets = app.xnodes.front().wcet_us;
+    for (auto& [type, us] : wcets) us += us / 20 + 1;
+    Options options = brief(600);
+    options.hint = &before->policy;
+    const Result<Answer> anywhere = solve(app, platform, options);
+    options.keep = Keep::kMost;
+    const Result<Answer> near = solve(app, platform, options);
+    ASSERT_TRUE(anywhere && near) << seed;
+    if (anywhere->outcome != Outcome::kPolicy || near->outcome != Outcome::kPolicy) continue;
+    EXPECT_EQ(near->moved, elsewhere(before->policy, near->policy)) << seed;
+    EXPECT_TRUE(check(app, platform, near->policy)) << seed;
+    ++asked;
+    kept += near->moved.empty();
+    free += anywhere->moved.empty();
+  }
+  EXPECT_GE(asked, 20);
+  EXPECT_GE(kept, asked - 2);
+  EXPECT_LT(free, kept);
+}
+
+TEST(SteadySolve, WhoHasToMoveMovesAlone) {
+  int asked = 0, alone = 0;
+  for (std::uint64_t seed = 1; seed <= 30; ++seed) {
+    solver::test::Dice dice(seed);
+    const AppSpec app = random_steady_app(dice, {});
+    const Platform platform = random_steady_platform(dice);
+    const Result<Answer> before = solve(app, platform, brief(300));
+    ASSERT_TRUE(before) << seed;
+    if (before->outcome != Outcome::kPolicy) continue;
+    Options options = brief(600);
+    options.hint = &before->policy;
+    options.keep = Keep::kMost;
+    const int was = before->policy.placements.front().xpu;
+    options.wishes.forbids.emplace_back(app.xnodes.front().name, platform.xpus[at(was)].id);
+    const Result<Answer> after = solve(app, platform, options);
+    if (!after || after->outcome != Outcome::kPolicy) continue;  // it can run nowhere else
+    ASSERT_FALSE(after->moved.empty()) << seed;
+    EXPECT_EQ(after->moved.front(), 0) << seed;
+    EXPECT_NE(after->policy.placements.front().xpu, was) << seed;
+    ++asked;
+    alone += after->moved.size() == 1;
+  }
+  EXPECT_GE(asked, 10);
+  EXPECT_GE(alone, asked - 2);
+}
+
+TEST(SteadySolve, AHintNeedNotKnowAllXNodes) {
+  solver::test::Dice dice(99);
+  const AppSpec app = random_steady_app(dice, {});
+  const Platform platform = random_steady_platform(dice);
+  const Result<Answer> a = solve(app, platform, brief(300));
+  ASSERT_TRUE(a);
+  ASSERT_EQ(a->outcome, Outcome::kPolicy);
+  KeyPolicy older = a->policy;
+  older.placements.back() = {};
+  Options options = brief(300);
+  options.hint = &older;
+  options.keep = Keep::kMost;
+  const Result<Answer> b = solve(app, platform, options);
+  ASSERT_TRUE(b);
+  ASSERT_EQ(b->outcome, Outcome::kPolicy);
+  EXPECT_TRUE(b->moved.empty());
+  for (KeyPlacement& placed : older.placements) placed = {};
   EXPECT_FALSE(solve(app, platform, options));
 }
 
