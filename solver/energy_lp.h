@@ -21,6 +21,7 @@
 #include <utility>
 #include <vector>
 
+#include "base/index.h"
 #include "solver/problem.h"
 
 namespace xauto::solver {
@@ -52,7 +53,7 @@ class EnergyLp {
   [[nodiscard]] bool feasible(const Windows& windows);
   /// Fraction of `xnode` on `type` in the last feasible solution.
   [[nodiscard]] double share(int xnode, int type) const {
-    return share_[static_cast<std::size_t>(xnode * types_ + type)];
+    return share_[at(xnode) * at(types_) + at(type)];
   }
   [[nodiscard]] std::int64_t solved() const { return solved_; }
 

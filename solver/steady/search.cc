@@ -165,8 +165,8 @@ Decision Search::constructed(const std::vector<std::int64_t>& weights, double gr
       if (group >= 0 && std::any_of(p_.groups[at(group)].begin(), p_.groups[at(group)].end(),
                                     [&](int j) { return p_.wcet(j, m) == kNoTick; }))
         continue;
-      const double price =
-          static_cast<double>(weights[at(p_.xpu_type[at(m)])] + kWeights / 64) / kWeights;
+      constexpr auto kLeast = kWeights / 64;
+      const double price = static_cast<double>(weights[at(p_.xpu_type[at(m)])] + kLeast) / kWeights;
       const double rate = rate_on(i, m);
       const double after = load[at(m)] + rate;
       double cost = rate * price +
