@@ -80,9 +80,11 @@ class Recording {
   bool finished_ = false;
 };
 
-/// Writes one. Messages are committed in batches and on close. Threads: one.
+/// Writes one. Messages are committed in batches and on close. Threads: one at a time.
 class Recorder {
  public:
+  /// The next thread that calls is another one; the caller orders the two.
+  void give_away() { thread_.give_away(); }
   /// "x.db3": that file alone. Any other path: a rosbag2 folder with x_0.db3 and metadata.yaml.
   /// Refuses to overwrite.
   [[nodiscard]] static Result<Recorder> create(const std::string& path);

@@ -32,10 +32,16 @@ class ClockPhase {
     /// message alone was too late for it, by how much. 0: as stated.
     std::int64_t off_ns;
   };
-  /// A message of `source` has come at `at_ns` of CLOCK_MONOTONIC. `next`: the number after its last
-  /// one's. Nullopt: it is older than the clock's first release.
+  /// What has come of one source.
+  struct Stream {
+    std::uint64_t next = 0;  ///< the number after its last one's
+    std::uint64_t owed =
+        0;  ///< left out, and may come yet: a driver that was held up brings several
+  };
+  /// A message of `source` has come at `at_ns` of CLOCK_MONOTONIC. Nullopt: it is older than the
+  /// clock's first release, or one that was taken to be left out.
   [[nodiscard]] std::optional<Seen> arrived(std::int64_t at_ns, const Grid::Source& source,
-                                            std::uint64_t next);
+                                            Stream& stream);
   /// Of release 0 of a source without offset; nullopt: no message has come yet.
   [[nodiscard]] std::optional<std::int64_t> base_ns() const { return base_ns_; }
 

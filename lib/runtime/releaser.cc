@@ -43,6 +43,7 @@ Status Releaser::run(int fifo) {
     if (status) status = stopped;
   });
   thread.join();
+  if (recorder_) recorder_->give_away();
   return status;
 }
 
@@ -97,8 +98,9 @@ bool Releaser::release_tracked(int topic, const detail::Inlet::Waiting& pushed) 
   const auto t = static_cast<std::size_t>(topic);
   const auto source = static_cast<std::size_t>(context_.graph.topics[t].source);
   const Grid::Source& grid = context_.grid.sources[source];
-  std::uint64_t& next = pushed_[t];
-  const auto found = phases_[grid.clock]->arrived(pushed.at_ns, grid, next);
+  ClockPhase::Stream& stream = streams_[source];
+  std::uint64_t next = stream.next;
+  const auto found = phases_[grid.clock]->arrived(pushed.at_ns, grid, stream);
   if (!found) return false;
   Seen& seen = seen_[source];
   // What did not come is lost, and known to be: nobody waits for it.
@@ -109,7 +111,7 @@ bool Releaser::release_tracked(int topic, const detail::Inlet::Waiting& pushed) 
   seen.off += found->off_ns > 0 ? 1 : 0;
   if (found->off_ns > 0) context_.board.count_late(found->off_ns);
   seen.farthest_ns = std::max(seen.farthest_ns, found->off_ns);
-  release(pushed.at_ns, {{topic, next++, pushed.message, found->nominal_ns}});
+  release(pushed.at_ns, {{topic, found->number, pushed.message, found->nominal_ns}});
   return true;
 }
 
@@ -162,6 +164,7 @@ Status Releaser::release_periodic() {
   }
   pushed_.assign(context_.graph.topics.size(), 0);
   seen_.resize(context_.graph.sources.size());
+  streams_.resize(context_.graph.sources.size());
   // Without a polled source there is no time grid: pushes are counted.
   const bool counts_pushes = sources.empty() && context_.session.duration_us == 0;
   pushes_left_ = counts_pushes ? context_.session.activations : 0;
@@ -357,6 +360,7 @@ Status Releaser::open_recorder() {
     XAUTO_ASSIGN(recorded_topic_[t],
                  recorder_->add_topic({topic.spec.name, topic.spec.type_name, "xauto"}));
   }
+  recorder_->give_away();  // to the thread that releases
   return {};
 }
 

@@ -88,6 +88,7 @@ class Releaser {
   std::vector<Seen> seen_;  ///< [source]
   /// [clock] of what is pushed in a run by keys; null: everything of it is released by us.
   std::vector<std::unique_ptr<ClockPhase>> phases_;
+  std::vector<ClockPhase::Stream> streams_;  ///< [source]
 };
 
 }  // namespace xauto::runtime

@@ -142,7 +142,7 @@ Result<int> trace(const TraceFlags& flags, const Options& options) {
     j["complete"] = first.rfind("complete", 0) == 0;
     j["lost"] = {
         {"events", losses.events + not_kept}, {"jobs", losses.jobs}, {"pipe", losses.pipe}};
-    j["events"] = losses.written;
+    j["events"] = events.size() + not_kept;  // more may have been written since the last look
     j["xnodes"] = Json::array();
     for (std::size_t i = 0; i < hist.size(); ++i) {
       const XNodeNumbers n = numbers_of(hist[i], zero);

@@ -46,15 +46,15 @@ TEST(Phase, WhateverASensorDoesThatIsAsStatedHasAGrid) {
     ClockPhase phase(ppm);
     EXPECT_FALSE(phase.base_ns());
     std::int64_t before = 0;
-    std::uint64_t next = 0, last = 0;
+    ClockPhase::Stream stream;
+    std::uint64_t last = 0;
     for (std::uint64_t k = 0; k < 500; ++k) {
       if (k > 0 && random() % 50 == 0) continue;  // a frame is left out
       const std::int64_t at = sensor.due(k) + std::uniform_int_distribution<std::int64_t>(
                                                   0, sensor.most_late_ns)(random);
-      const auto seen = phase.arrived(at, sensor.source, next);
+      const auto seen = phase.arrived(at, sensor.source, stream);
       ASSERT_TRUE(seen);
       ASSERT_EQ(seen->number, k);
-      next = k + 1;
       EXPECT_EQ(seen->off_ns, 0) << k;
       EXPECT_LE(seen->nominal_ns, at);
       EXPECT_LE(at, seen->nominal_ns + sensor.source.jitter_ns);
@@ -73,8 +73,9 @@ TEST(Phase, WhateverASensorDoesThatIsAsStatedHasAGrid) {
 template <class Late>
 int off(ClockPhase& phase, const Sensor& sensor, std::uint64_t count, Late late) {
   int found = 0;
+  ClockPhase::Stream stream;
   for (std::uint64_t k = 0; k < count; ++k) {
-    const auto seen = phase.arrived(sensor.due(k) + late(k), sensor.source, k);
+    const auto seen = phase.arrived(sensor.due(k) + late(k), sensor.source, stream);
     EXPECT_TRUE(seen && seen->number == k) << k;
     found += seen->off_ns > 0 ? 1 : 0;
   }
@@ -119,34 +120,55 @@ TEST(Phase, SourcesOfOneClockShareAGrid) {
   Sensor front = camera(kMs), rear = camera(kMs);
   rear.source.offset_ns = 10 * kMs;
   ClockPhase phase(0);
-  const auto first = phase.arrived(front.due(0), front.source, 0);
+  ClockPhase::Stream of_front, of_rear;
+  const auto first = phase.arrived(front.due(0), front.source, of_front);
   EXPECT_EQ(first->nominal_ns, front.due(0) - kMs / 2);
   EXPECT_EQ(*phase.base_ns(), first->nominal_ns);
-  const auto second = phase.arrived(rear.due(0) + kMs / 4, rear.source, 0);
+  const auto second = phase.arrived(rear.due(0) + kMs / 4, rear.source, of_rear);
   EXPECT_EQ(second->number, 0u);
   EXPECT_EQ(second->off_ns, 0);
   EXPECT_NEAR(static_cast<double>(second->nominal_ns - first->nominal_ns), 10e6, 1e3);
   // One of it that came before the clock's first release is none.
   ClockPhase other(0);
-  ASSERT_TRUE(other.arrived(front.due(1), front.source, 0));
-  EXPECT_FALSE(other.arrived(rear.due(0), rear.source, 0));
-  EXPECT_EQ(other.arrived(rear.due(1), rear.source, 0)->number, 0u);
+  of_front = of_rear = {};
+  ASSERT_TRUE(other.arrived(front.due(1), front.source, of_front));
+  EXPECT_FALSE(other.arrived(rear.due(0), rear.source, of_rear));
+  EXPECT_EQ(other.arrived(rear.due(1), rear.source, of_rear)->number, 0u);
+}
+
+TEST(Phase, AfterADriverWasHeldUpTheGridIsWhereItWas) {
+  const Sensor sensor = camera(kMs);
+  ClockPhase phase(0);
+  ClockPhase::Stream stream;
+  for (std::uint64_t k = 0; k < 10; ++k)
+    ASSERT_TRUE(phase.arrived(sensor.due(k), sensor.source, stream));
+  // Frames 10 to 13 come together, half a period after the last of them was due.
+  const std::int64_t at = sensor.due(13) + sensor.source.period_ns() / 2;
+  EXPECT_EQ(phase.arrived(at, sensor.source, stream)->number, 13u) << "10 to 12 are given up";
+  for (int late = 0; late < 3; ++late)
+    EXPECT_FALSE(phase.arrived(at + 1000 * late, sensor.source, stream))
+        << "and do not count twice";
+  for (std::uint64_t k = 14; k < 20; ++k) {
+    const auto seen = phase.arrived(sensor.due(k), sensor.source, stream);
+    EXPECT_EQ(seen->number, k);
+    EXPECT_EQ(seen->off_ns, 0);
+  }
 }
 
 TEST(Phase, NoArrivalMakesItOverflowOrGoBack) {
   std::mt19937_64 random(11);
   Sensor sensor = camera(kMs);
   ClockPhase phase(1000);
-  std::uint64_t next = 0;
+  ClockPhase::Stream stream;
   std::int64_t at = sensor.due(0);
   for (int i = 0; i < 20'000; ++i) {
     at += static_cast<std::int64_t>(random() % (i % 100 == 0 ? 3'600'000'000'000 : 100 * kMs));
-    const auto seen = phase.arrived(at, sensor.source, next);
+    const std::uint64_t next = stream.next;
+    const auto seen = phase.arrived(at, sensor.source, stream);
     if (!seen) continue;
     EXPECT_GE(seen->number, next);
     EXPECT_LE(seen->number, next + 1100) << "who is silent for an hour was started anew";
     EXPECT_LE(seen->nominal_ns, at);
-    next = seen->number + 1;
   }
 }
 
