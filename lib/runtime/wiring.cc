@@ -38,6 +38,7 @@ Result<std::unique_ptr<Wiring>> Wiring::build(const Context& context, const Plac
                                                     .scheduler_pid = session.cpu_scheduler_pid,
                                                     .partial = session.cpu_partial}));
   const std::size_t modules = context.graph.modules.size(), topics = context.graph.topics.size();
+  w.crews_ = std::vector<Crew>(session.platform.xpus.size());
   for (std::size_t m = 0; m < modules; ++m) {
     w.chains_.emplace_back();
     for (int i = 0; context.hosts(m) && i < context.grid.in_flight[m]; ++i)
@@ -107,6 +108,7 @@ Status Wiring::place_module(std::size_t module, int index) {
       XAUTO_ASSIGN(WorkerOptions options, placing_.worker(context_, module, index, xpu));
       workers_.push_back(
           std::make_unique<Worker>(std::move(options), chain, context_.trace, *threads_));
+      workers_.back()->share(crews_[static_cast<std::size_t>(xpu)]);
       at = here.insert(here.end(), {xpu, workers_.back().get()});
     }
     placed.worker = at->second;

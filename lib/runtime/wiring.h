@@ -70,9 +70,9 @@ class Wiring {
   [[nodiscard]] const std::vector<std::unique_ptr<Worker>>& workers() const { return workers_; }
   /// No XNode of `module` starts a job of an activation up to `sequence` any more.
   void skip(int module, std::uint64_t sequence);
-  /// What its parts have to tell, apart from counts. Ends the way to programs outside.
   /// sched_ext ended before the run did.
   [[nodiscard]] bool lost_scheduler() const;
+  /// What its parts have to tell, apart from counts. Ends the way to programs outside.
   void report(RunReport& into);
 
  private:
@@ -95,6 +95,7 @@ class Wiring {
   std::vector<std::unique_ptr<ModuleRuntime>> modules_;        ///< [module]
   std::vector<std::vector<std::unique_ptr<NodeRow>>> chains_;  ///< [module][in flight]
   std::unique_ptr<xpu::CpuThreads> threads_;                   ///< outlives the workers
+  std::vector<Crew> crews_;                                    ///< [XPU]; they, too
   std::vector<std::unique_ptr<Worker>> workers_;
 };
 

@@ -88,16 +88,24 @@ Status Worker::init_nodes() {
       return attached;
     }
   }
-  // With order constraints a thread could wait for a job that is behind it in its own lane.
-  shares_ = port_ && port_->discipline() == Discipline::kGate && options_.order.empty();
-  for (const Placed& placed : chain_.nodes)
-    if (placed.worker == this && (placed.made.handle.kind() != SchedHandle::Kind::kGate ||
-                                  placed.made.object != nullptr || placed.urgency.holds()))
-      shares_ = false;
+  if (crew_ != nullptr && may_share())
+    crew_->join(*this);
+  else
+    crew_ = nullptr;
   lane_.reserve(64);
   for (auto node = chain_.nodes.rbegin(); node != chain_.nodes.rend(); ++node)
     if (node->worker == this) thread_->expect(node->xnode, node->urgency.of_release(now_ns(), 0));
   return {};
+}
+
+/// Nothing of its jobs belongs to its thread.
+bool Worker::may_share() const {
+  // With order constraints a thread could wait for a job that is behind it in its own lane.
+  if (!port_ || port_->discipline() != Discipline::kGate || !options_.order.empty()) return false;
+  return std::none_of(chain_.nodes.begin(), chain_.nodes.end(), [this](const Placed& placed) {
+    return placed.worker == this && (placed.made.handle.kind() != SchedHandle::Kind::kGate ||
+                                     placed.made.object != nullptr || placed.urgency.holds());
+  });
 }
 
 /// Where they were made, the last one first; not before the management thread has made its last
@@ -145,13 +153,27 @@ void Worker::submit(std::size_t node) {
   if (!chain_.runtime->enter(*chain_.activation)) return;  // whoever is in the way submits it again
   const std::uint64_t sequence = chain_.activation->input().sequence();
   record(XAUTO_EV_READY, chain_.nodes[node], sequence);
-  if (shares_ && t_home != nullptr && t_home->shares_ && t_home->options_.xpu == options_.xpu) {
-    t_home->lane_.push_back({this, node, false});
+  if (crew_ != nullptr) {
+    const Ready job{this, node, false};
+    if (t_home != nullptr && t_home->crew_ == crew_)
+      t_home->lane_.push_back(job);
+    else
+      crew_->submit(job);
     return;
   }
   thread_->announce(cpu_job(chain_.nodes[node]));
-  mailbox_.store(static_cast<std::uint32_t>(node) + 1, std::memory_order_release);
-  futex_wake_local(mailbox_, 1);
+  wake(static_cast<std::uint32_t>(node) + 1);
+}
+
+void Worker::take(const Ready& job) {
+  taken_ = job;
+  wake(1);
+}
+
+/// The mailbox is empty, or it says that the run is over.
+void Worker::wake(std::uint32_t mail) {
+  std::uint32_t empty = 0;
+  if (mailbox_.compare_exchange_strong(empty, mail)) futex_wake_local(mailbox_, 1);
 }
 
 void Worker::skip(std::size_t position, std::uint64_t sequence) {
@@ -168,7 +190,16 @@ void Worker::execute() {
       continue;
     }
     mailbox_.store(0, std::memory_order_release);
-    run_chain(mail - 1, false);
+    if (crew_ == nullptr)
+      run_chain(mail - 1, false);
+    else
+      execute_crew_job();
+  }
+}
+
+void Worker::execute_crew_job() {
+  for (std::optional<Ready> job = taken_; job; job = crew_->next(*this)) {
+    job->worker->run_chain(job->node, job->begun);
     run_lane();
   }
 }
@@ -178,9 +209,9 @@ void Worker::run_lane() {
   while (!lane_.empty()) {
     coord::Next next;
     for (std::size_t i = 0; i < lane_.size(); ++i) {
-      const Ready& ready = lane_[i];  // who was ready first is before it
+      const Ready& job = lane_[i];  // who was ready first is before it
       next.consider(
-          {ready.worker->key_of(ready.worker->chain_.nodes[ready.node]), 0, static_cast<int>(i)});
+          {job.worker->key_of(job.worker->chain_.nodes[job.node]), 0, static_cast<int>(i)});
     }
     const auto at = lane_.begin() + next.slot();
     const Ready job = *at;
@@ -189,13 +220,14 @@ void Worker::run_lane() {
   }
 }
 
-/// Before the XPU is given away: whoever gets it next must be more urgent than what waits here.
+/// Before the XPU is given away: whoever gets it next must be more urgent than what waits here. Which
+/// of them that will be nobody knows, so from here on each has a thread of its own.
 void Worker::show_lane() {
-  for (Ready& job : t_home->lane_) {
-    if (job.begun) continue;
+  for (const Ready& job : lane_) {
     job.worker->begin(job.worker->chain_.nodes[job.node]);
-    job.begun = true;
+    crew_->submit({job.worker, job.node, true});
   }
+  lane_.clear();
 }
 
 /// Runs XNodes from `node` on as long as they are placed here and no older activation is in the way;
@@ -217,6 +249,7 @@ void Worker::run_chain(std::size_t node, bool begun) {
     Worker& next = *chain_.nodes[node].worker;
     if (&next != this) return next.submit(node);
     if (!module.enter(activation)) return;
+    if (crew_ != nullptr && !t_home->lane_.empty()) return t_home->lane_.push_back({this, node});
   }
 }
 
@@ -284,7 +317,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
   if (limited && !end_limited(placed)) succeeded = false;
   if (port_) {
     backend_->finishing();
-    if (shares_ && !t_home->lane_.empty() && port_->contended()) show_lane();
+    if (crew_ != nullptr && !t_home->lane_.empty() && port_->contended()) t_home->show_lane();
     port_->finish();
   }
   thread_->end();

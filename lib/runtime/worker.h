@@ -22,6 +22,7 @@
 #include "coord/rule.h"
 #include "graph/graph.h"
 #include "processes/board.h"
+#include "runtime/crew.h"
 #include "runtime/urgency.h"
 #include "runtime/watch.h"
 #include "runtime/xmodule.h"
@@ -30,8 +31,6 @@
 #include "xpu/kind.h"
 
 namespace xauto::runtime {
-
-class Worker;
 
 /// One XNode as it was placed: everything that its job needs, looked up once.
 struct Placed {
@@ -76,12 +75,15 @@ class Worker {
   Worker(const Worker&) = delete;
   Worker& operator=(const Worker&) = delete;
 
+  /// Where its XPU takes one job at a time: the threads that may run its jobs. Before `start`.
+  void share(Crew& crew) { crew_ = &crew; }
   /// Starts both threads, registers with the coordinator, and runs `init` of each XNode placed
   /// here, on the execution thread. Errors name the XNode.
   [[nodiscard]] Status start();
   /// Waits for the running job, ends both threads. Idempotent. False: its exec has not returned
-  /// within `patience_ns`, or what an `init` has made is not destroyed 10 s later. Nothing can end it but the end of the process, so its thread is left
-  /// behind; this object must then outlive the process.
+  /// within `patience_ns`, or what an `init` has made is not destroyed 10 s later. Nothing can end
+  /// it but the end of the process, so its thread is left behind; this object must then outlive the
+  /// process.
   bool stop(std::int64_t patience_ns = INT64_MAX);
 
   /// It still takes jobs, or is at one.
@@ -99,6 +101,9 @@ class Worker {
   /// called again before that job has left this worker.
   void submit(std::size_t node);
 
+  /// The crew's choice: this thread, which has nothing to do, runs the job.
+  void take(const Ready& job);
+
   /// Activations of XNode `position` of the chain up to `sequence` will not come.
   void skip(std::size_t position, std::uint64_t sequence);
 
@@ -111,8 +116,10 @@ class Worker {
 
  private:
   void execute();
+  void execute_crew_job();
   void manage();
   [[nodiscard]] Status init_nodes();
+  [[nodiscard]] bool may_share() const;
   void destroy_objects(bool ran);
   void run_chain(std::size_t node, bool begun);
   bool run_job(Placed& placed, bool begun);
@@ -120,6 +127,7 @@ class Worker {
   [[nodiscard]] coord::Key key_of(const Placed& placed) const;
   [[nodiscard]] std::int64_t due(const Placed& placed) const;
   [[nodiscard]] xpu::CpuJob cpu_job(const Placed& placed) const;
+  void wake(std::uint32_t mail);
   void run_lane();
   void show_lane();
   void record(std::uint16_t kind, const Placed& placed, std::uint64_t sequence,
@@ -128,13 +136,6 @@ class Worker {
   void begin_limited(const Placed& placed, std::uint64_t sequence);
   bool end_limited(const Placed& placed);
 
-  /// Jobs that became ready on this execution thread, for workers of the same XPU: where only one
-  /// job runs at a time and nothing of it belongs to a thread, changing threads gains nothing.
-  struct Ready {
-    Worker* worker;
-    std::size_t node;
-    bool begun;  ///< its START is out
-  };
   static thread_local Worker* t_home;  ///< whose execution thread this is
 
   WorkerOptions options_;
@@ -144,9 +145,11 @@ class Worker {
   std::unique_ptr<coord::Port> port_;
   std::unique_ptr<xpu::Backend> backend_;
   std::thread exec_, mgmt_;
-  bool shares_ = false;                    ///< its jobs may run on another worker's thread
-  std::vector<Ready> lane_;                ///< of its execution thread
-  std::atomic<std::uint32_t> mailbox_{0};  ///< 0: empty; kQuit; else chain position + 1
+  Crew* crew_ = nullptr;     ///< who may run its jobs; null: its own thread alone
+  Ready taken_;              ///< of its execution thread, if it belongs to a crew
+  std::vector<Ready> lane_;  ///< what became ready on its execution thread, and stays with it
+  /// 0: empty; kQuit; else chain position + 1, or anything if it belongs to a crew.
+  std::atomic<std::uint32_t> mailbox_{0};
   /// The job whose queue the management thread acts on, in one word: its XNode's position in the
   /// chain above kSequenceBits, its activation's number below.
   std::atomic<std::uint64_t> current_{0};

@@ -35,28 +35,32 @@ struct TestState {
 ///         -> B (b1 on npu)           ┘
 class TestApp {
  public:
-  TestApp() {
-    spec.name = "test";
-    const Topic<int> camera("camera"), a("a"), b("b"), c("c");
-    detail::SourceSpec source{
-        *detail::topic_spec(camera), 1ms,
-        [](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
-          return std::make_shared<const int>(static_cast<int>(k));
-        }};
-    spec.sources.push_back(source);
+  TestApp() : TestApp(Bare{}) {
+    const Topic<int> a("a"), b("b"), c("c");
     add("A", {"a1", "a2"}, {*detail::topic_spec(camera)}, a);
     add("B", {"b1"}, {*detail::topic_spec(camera)}, b);
     add("C", {"c1"}, {*detail::topic_spec(a), *detail::topic_spec(b)}, c);
 
-    session.platform.name = "test";
-    session.platform.xpus = {{"cpu0", "cpu"}, {"npu0", "npu", false}};
-    session.app.name = "test";
     for (const char* name : {"a1", "a2", "b1", "c1"})
       session.app.xnodes.push_back({name,
                                     std::string(1, static_cast<char>(std::toupper(name[0]))),
                                     {{name == std::string("a1") ? "cpu" : "npu", 10}}});
     session.app.edges = {{0, 1}, {1, 3}, {2, 3}};
     session.policy.placements = {{0, 4}, {1, 3}, {1, 2}, {1, 1}};
+  }
+  /// The camera, and no module.
+  struct Bare {};
+  explicit TestApp(Bare) {
+    spec.name = "test";
+    detail::SourceSpec source{
+        *detail::topic_spec(camera), 1ms,
+        [](std::uint64_t k, detail::MessageMemory*) -> std::shared_ptr<const void> {
+          return std::make_shared<const int>(static_cast<int>(k));
+        }};
+    spec.sources.push_back(source);
+    session.platform.name = "test";
+    session.platform.xpus = {{"cpu0", "cpu"}, {"npu0", "npu", false}};
+    session.app.name = "test";
     session.cpu_sched = CpuSched::kOther;
     session.activations = 50;
     session.lockstep = true;
@@ -90,8 +94,8 @@ class TestApp {
       for (const Xpu& xpu : session.platform.xpus) {
         const std::string address = "xauto-test/engine-" + std::to_string(getpid()) + "-" +
                                     std::to_string(runs.fetch_add(1)) + "/" + xpu.id;
-        coord::ServerOptions options{
-            address, xpu.id, xpu::discipline_of(xpu, false), {"a1", "a2", "b1", "c1"}, {}};
+        coord::ServerOptions options{address, xpu.id, xpu::discipline_of(xpu, false), {}, {}};
+        for (const auto& xnode : session.app.xnodes) options.xnodes.push_back(xnode.name);
         for (const auto& [u, v] : session.policy.order)
           if (session.policy.placements[static_cast<std::size_t>(u)].xpu ==
               session.platform.find(xpu.id))
@@ -115,10 +119,11 @@ class TestApp {
     return report;
   }
 
+  const Topic<int> camera{"camera"};
   detail::AppSpecErased spec;
   Session session;
 
- private:
+  /// A module whose XNodes can run on both XPUs.
   void add(const std::string& name, const std::vector<std::string>& nodes,
            std::vector<detail::TopicSpec> inputs, const Topic<int>& output) {
     auto module = std::make_shared<detail::XModuleSpec>();
@@ -152,6 +157,7 @@ class TestApp {
     spec.modules.push_back(module);
   }
 
+ private:
   std::mutex mutex_;
   std::vector<std::string> log_;
   std::map<std::string, void*> objects_;  ///< [XNode]

@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/crew.h"
+
+#include <algorithm>
+
+#include "runtime/worker.h"
+
+namespace xauto::runtime {
+
+void Crew::join(Worker& worker) {
+  const Guard lock(mutex_);
+  idle_.push_back(&worker);
+}
+
+void Crew::submit(const Ready& job) {
+  Worker* thread = nullptr;
+  {
+    const Guard lock(mutex_);
+    if (idle_.empty()) {
+      waiting_.push_back(job);
+      return;
+    }
+    const auto own = std::find(idle_.begin(), idle_.end(), job.worker);
+    const auto chosen = own != idle_.end() ? own : idle_.end() - 1;
+    thread = *chosen;
+    *chosen = idle_.back();
+    idle_.pop_back();
+  }
+  thread->take(job);
+}
+
+std::optional<Ready> Crew::next(Worker& worker) {
+  const Guard lock(mutex_);
+  if (waiting_.empty()) {
+    idle_.push_back(&worker);
+    return std::nullopt;
+  }
+  const Ready job = waiting_.front();
+  waiting_.pop_front();
+  return job;
+}
+
+}  // namespace xauto::runtime
