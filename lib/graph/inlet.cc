@@ -94,6 +94,13 @@ Inlets::Inlets(const AppSpecErased& app, Inlet::Keep keep) {
     }
 }
 
+Inlet& Inlets::add(std::size_t source, const std::string& topic) {
+  added_.push_back(std::make_unique<Inlet>(topic, 0));
+  added_.back()->open(bell_, Inlet::Keep::kAll);
+  inlets_.push_back({source, added_.back().get(), topic, 0});
+  return *added_.back();
+}
+
 Inlets::~Inlets() {
   for (const Entry& entry : inlets_) entry.inlet->close();
 }

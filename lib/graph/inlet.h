@@ -76,6 +76,8 @@ class Inlets {
     Inlet::Waiting waiting;
   };
   [[nodiscard]] bool any() const { return !inlets_.empty(); }
+  /// One more, for a source that is not the program's own to push into. It lives as long as this.
+  [[nodiscard]] Inlet& add(std::size_t source, const std::string& topic);
   /// The oldest one of all.
   [[nodiscard]] std::optional<Pushed> take();
   /// Returns when something is pushed, or at `until_ns`, and now and then without a reason.
@@ -93,6 +95,7 @@ class Inlets {
     std::int64_t distance_ns;
   };
   std::vector<Entry> inlets_;
+  std::vector<std::unique_ptr<Inlet>> added_;
   std::atomic<std::uint32_t> bell_{0};
 };
 

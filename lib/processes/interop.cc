@@ -6,8 +6,6 @@
 #include <cstdlib>
 #include <cstring>
 
-#include "base/clock.h"
-
 namespace xauto::runtime {
 namespace {
 
@@ -83,21 +81,24 @@ std::vector<std::shared_ptr<const void>> Interop::take(const std::vector<int>& t
   for (;;) {
     bool all = true;
     for (std::size_t i = 0; i < topics.size(); ++i) {
-      while (auto envelope = feeds_[static_cast<std::size_t>(topics[i])]->take())
-        messages[i] = std::move(envelope->message);
+      if (auto newest = take(static_cast<std::size_t>(topics[i]))) messages[i] = std::move(newest);
       all = all && messages[i] != nullptr;
     }
-    const std::int64_t left = until_ns - now_ns();
-    if (all || left <= 0 || stop.load()) return messages;
+    const std::int64_t now = now_ns();
+    if (all || until_ns <= now || stop.load()) return messages;
     // Rung also for what was taken already, or is refused: then there is another round.
-    arrived_.wait(
-        [&] {
-          return !stop.load() && std::all_of(topics.begin(), topics.end(), [&](int t) {
-            return feeds_[static_cast<std::size_t>(t)]->empty();
-          });
-        },
-        std::min(left, kLookNs));
+    wait(std::min(until_ns, now + kLookNs), [&] {
+      return !stop.load() && std::none_of(topics.begin(), topics.end(), [&](int t) {
+        return waits(static_cast<std::size_t>(t));
+      });
+    });
   }
+}
+
+std::shared_ptr<const void> Interop::take(std::size_t topic) {
+  std::shared_ptr<const void> newest;
+  while (auto envelope = feeds_[topic]->take()) newest = std::move(envelope->message);
+  return newest;
 }
 
 void Interop::stop() {

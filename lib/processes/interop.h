@@ -11,6 +11,7 @@
 
 #include <xauto/result.h>
 
+#include "base/clock.h"
 #include "graph/graph.h"
 #include "processes/plan.h"
 #include "session/session.h"
@@ -38,6 +39,16 @@ class Interop {
   [[nodiscard]] std::vector<std::shared_ptr<const void>> take(const std::vector<int>& topics,
                                                               std::int64_t until_ns,
                                                               const std::atomic<bool>& stop);
+  /// Something has come for this source's topic that was not taken yet.
+  [[nodiscard]] bool waits(std::size_t topic) const { return !feeds_[topic]->empty(); }
+  /// The newest of it; null: it is no message of that type.
+  [[nodiscard]] std::shared_ptr<const void> take(std::size_t topic);
+  /// Returns when something comes, or at `until_ns`, and now and then without a reason; at once
+  /// unless `nothing_to_do`.
+  template <class NothingToDo>
+  void wait(std::int64_t until_ns, NothingToDo nothing_to_do) {
+    if (const std::int64_t left = until_ns - now_ns(); left > 0) arrived_.wait(nothing_to_do, left);
+  }
   /// Ends it, after what waits has been sent.
   void stop();
   /// What went wrong; a line each.

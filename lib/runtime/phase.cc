@@ -2,6 +2,7 @@
 #include "runtime/phase.h"
 
 #include <algorithm>
+#include <utility>
 
 namespace xauto::runtime {
 namespace {
@@ -17,6 +18,7 @@ constexpr std::int64_t kMostLeftOut = 1000;  ///< more are a sensor that was sta
 std::optional<ClockPhase::Seen> ClockPhase::arrived(std::int64_t at_ns, const Grid::Source& source,
                                                     Stream& stream) {
   const std::int64_t jitter = source.jitter_ns, middle = jitter / 2, period = source.period_ns();
+  const bool at_once = at_ns - std::exchange(stream.last_ns, at_ns) < period / 2;
   if (!base_ns_) {
     base_ns_ = at_ns - middle - source.due_ns(stream.next);
     seen_ns_ = at_ns;
@@ -35,7 +37,7 @@ std::optional<ClockPhase::Seen> ClockPhase::arrived(std::int64_t at_ns, const Gr
       stream.owed += static_cast<std::uint64_t>(skipped);
       late = at_ns - *base_ns_ - source.due_ns(stream.next);
     }
-  } else if (late < -tolerance && stream.owed > 0) {
+  } else if (late < -tolerance && stream.owed > 0 && at_once) {
     --stream.owed;
     return std::nullopt;
   } else if (late < -period / 2 && stream.next == 0) {
@@ -65,6 +67,18 @@ std::optional<ClockPhase::Seen> ClockPhase::arrived(std::int64_t at_ns, const Gr
   const std::int64_t pull = std::clamp((late - middle) / kFollow, -tolerance, tolerance);
   *base_ns_ += pull;
   return Seen{number, nominal + pull, 0};
+}
+
+std::optional<std::int64_t> ClockPhase::left_out_ns(const Grid::Source& source,
+                                                    const Stream& stream) const {
+  if (!base_ns_) return std::nullopt;
+  const std::int64_t period = source.period_ns();
+  const std::int64_t nominal = *base_ns_ + source.due_ns(stream.next);
+  // The tolerance as it will be then, or a little more.
+  const std::int64_t silent = nominal + source.jitter_ns + 2 * period - seen_ns_;
+  const std::int64_t tolerance =
+      2 * kRoundingNs + static_cast<std::int64_t>(static_cast<__int128>(silent) * ppm_ / 1'000'000);
+  return nominal + std::max(source.jitter_ns + tolerance, period - source.jitter_ns / 2);
 }
 
 }  // namespace xauto::runtime

@@ -35,13 +35,23 @@ class ClockPhase {
   /// What has come of one source.
   struct Stream {
     std::uint64_t next = 0;  ///< the number after its last one's
-    std::uint64_t owed =
-        0;  ///< left out, and may come yet: a driver that was held up brings several
+    /// Left out, and may come yet: a driver that was held up brings several at a time.
+    std::uint64_t owed = 0;
+    std::int64_t last_ns = 0;  ///< the last arrival
   };
   /// A message of `source` has come at `at_ns` of CLOCK_MONOTONIC. Nullopt: it is older than the
   /// clock's first release, or one that was taken to be left out.
   [[nodiscard]] std::optional<Seen> arrived(std::int64_t at_ns, const Grid::Source& source,
                                             Stream& stream);
+  /// From when on the stream's next message counts as left out, if nothing came; nullopt: nobody
+  /// knows. What comes then is a later one for `arrived`, too.
+  [[nodiscard]] std::optional<std::int64_t> left_out_ns(const Grid::Source& source,
+                                                        const Stream& stream) const;
+  /// That time has come.
+  static void leave_out(Stream& stream) {
+    ++stream.next;
+    ++stream.owed;
+  }
   /// Of release 0 of a source without offset; nullopt: no message has come yet.
   [[nodiscard]] std::optional<std::int64_t> base_ns() const { return base_ns_; }
 

@@ -82,19 +82,11 @@ std::int64_t watched_ns(std::int64_t wcet_us, bool emulated) {
 }
 
 /// What a policy of keys takes for granted and this run does not keep by the way it was set up.
-std::vector<std::string> unkept_of_keys(const detail::AppSpecErased& app, const Session& session) {
+std::vector<std::string> unkept_of_keys(const Session& session) {
   std::vector<std::string> lines;
   if (session.lockstep) lines.emplace_back("each release waits for the one before (--lockstep)");
   if (!session.input.empty())
     lines.emplace_back("a recording is released as it was recorded, not as app.json says");
-  for (const detail::SourceSpec& source : app.sources) {
-    const auto to = session.deployment.transport.find(source.topic.name);
-    const bool fed =
-        to != session.deployment.transport.end() && to->second == TopicTransport::kCycloneDdsFeed;
-    if (fed)
-      lines.push_back("source '" + source.topic.name +
-                      "' is fed: its releases are taken as they come");
-  }
   for (const ModuleSpec& module : session.app.modules)
     if (const auto said = session.deployment.of(module.name).overload;
         said && said->kind != Overload::Kind::kQueue)
@@ -161,7 +153,7 @@ void Placing::compare_with_certificate(const detail::AppSpecErased& app, const S
                                        const Graph& graph) {
   if (session.scheduling != Scheduling::kXAuto) return;
   if (session.keys) {
-    for (std::string& line : unkept_of_keys(app, session)) unkept.push_back(std::move(line));
+    for (std::string& line : unkept_of_keys(session)) unkept.push_back(std::move(line));
     for (std::string& line : unkept_by_xpus(session)) unkept.push_back(std::move(line));
     for (const std::string& why : unkept)
       log::warn("the policy's worst cases do not hold in this run: {}", why);

@@ -35,8 +35,10 @@ Status Releaser::run(int fifo) {
     if (fifo > 0) (void)rt::set_fifo(fifo);
     using Keep = detail::Inlet::Keep;
     inlets_.emplace(context_.app, context_.session.input.empty() ? Keep::kAll : Keep::kNone);
+    open_feeds(fifo);
     status = detail::call(context_.app.on_start, "on_start", context_.app.name);
     if (status) status = context_.session.input.empty() ? release_periodic() : release_recorded();
+    feeds_.reset();
     notes_ = inlets_->close();
     inlets_.reset();
     const Status stopped = detail::call(context_.app.on_stop, "on_stop", context_.app.name);
@@ -61,19 +63,42 @@ Status Releaser::drain_for_lockstep() {
               "app '" + context_.app.name + "'");
 }
 
-/// A run by keys takes what is pushed for releases of a grid.
+/// A run by keys takes what is pushed, or fed, for releases of a grid.
 bool Releaser::tracks() const {
-  return context_.grid.periodic && !context_.session.lockstep;
+  return context_.grid.periodic && !context_.session.lockstep && context_.session.input.empty();
+}
+
+/// The source of `topic` releases when it likes to, and we follow.
+bool Releaser::tracked(std::size_t topic) const {
+  const auto source = static_cast<std::size_t>(context_.graph.topics[topic].source);
+  return context_.app.sources[source].inlet != nullptr ||
+         (tracks() && wiring_.interop() != nullptr && wiring_.interop()->feeds(topic));
+}
+
+void Releaser::open_feeds(int fifo) {
+  std::vector<Feeds::Feed> feeds;
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
+    const Graph::Topic& topic = context_.graph.topics[t];
+    if (topic.source < 0) continue;
+    const auto source = static_cast<std::size_t>(topic.source);
+    if (context_.app.sources[source].inlet != nullptr || !tracked(t)) continue;
+    const Grid::Source& grid = context_.grid.sources[source];
+    feeds.push_back({t, &inlets_->add(source, topic.spec.name),
+                     Pace(grid.period_ns(), grid.jitter_ns, context_.grid.clock_ppm[grid.clock])});
+  }
+  if (!feeds.empty()) feeds_.emplace(*wiring_.interop(), std::move(feeds), fifo);
 }
 
 /// Releases what is pushed until then; `once`: one message at most. False: the run is over.
 Result<bool> Releaser::release_pushed(std::int64_t until_ns, bool once) {
   while (!stop_.load()) {
     const std::uint32_t seen = inlets_->pushes();
+    const std::int64_t now = now_ns();  // what comes after this look comes later than this
     auto pushed = inlets_->take();
     if (!pushed) {
+      if (tracks() && lose_overdue(now)) return false;
       if (now_ns() >= until_ns) return true;
-      inlets_->wait(seen, until_ns);
+      inlets_->wait(seen, std::min(until_ns, next_overdue_ns()));
       continue;
     }
     XAUTO_TRY(drain_for_lockstep());
@@ -86,11 +111,56 @@ Result<bool> Releaser::release_pushed(std::int64_t until_ns, bool once) {
       release(context_.session.lockstep ? now_ns() : pushed->waiting.at_ns,
               {{t, number++, std::move(pushed->waiting.message), 0}});
     }
-    if (pushes_left_ > 0 && t == slowest_source() && --pushes_left_ == 0) return false;
+    if (counted_all(t)) return false;
     // Whoever pushes without a pause must not hold it up.
     if (once || now_ns() >= until_ns) return true;
   }
   return false;
+}
+
+/// One more release of `topic`'s source. True: it was the run's last.
+bool Releaser::counted_all(int topic) {
+  return pushes_left_ > 0 && topic == slowest_source() && --pushes_left_ == 0;
+}
+
+/// Sensors that fell silent: their releases are lost as time goes on. True: the run is over.
+bool Releaser::lose_overdue(std::int64_t now_ns) {
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
+    if (context_.graph.topics[t].source < 0 || !tracked(t)) continue;
+    const auto source = static_cast<std::size_t>(context_.graph.topics[t].source);
+    const Grid::Source& grid = context_.grid.sources[source];
+    ClockPhase::Stream& stream = streams_[source];
+    for (;;) {
+      const auto limit = phases_[grid.clock]->left_out_ns(grid, stream);
+      if (!limit || now_ns < *limit) break;
+      leave_out(static_cast<int>(t), stream.next, now_ns);
+      ClockPhase::leave_out(stream);
+      if (counted_all(static_cast<int>(t))) return true;
+    }
+  }
+  return false;
+}
+
+std::int64_t Releaser::next_overdue_ns() const {
+  std::int64_t next_ns = INT64_MAX;
+  for (std::size_t t = 0; tracks() && t < context_.graph.topics.size(); ++t) {
+    if (context_.graph.topics[t].source < 0 || !tracked(t)) continue;
+    const auto source = static_cast<std::size_t>(context_.graph.topics[t].source);
+    const Grid::Source& grid = context_.grid.sources[source];
+    if (const auto limit = phases_[grid.clock]->left_out_ns(grid, streams_[source]))
+      next_ns = std::min(next_ns, *limit);
+  }
+  return next_ns;
+}
+
+/// What did not come is lost, and known to be: nobody waits for it.
+void Releaser::leave_out(int topic, std::uint64_t number, std::int64_t at_ns) {
+  Seen& seen = seen_[static_cast<std::size_t>(
+      context_.graph.topics[static_cast<std::size_t>(topic)].source)];
+  ++seen.left_out;
+  ++seen.of;
+  context_.board.count_late(0);
+  release(at_ns, {{topic, number, nullptr, 0}});
 }
 
 /// As the release of the grid that it is. False: it is none.
@@ -102,12 +172,8 @@ bool Releaser::release_tracked(int topic, const detail::Inlet::Waiting& pushed) 
   std::uint64_t next = stream.next;
   const auto found = phases_[grid.clock]->arrived(pushed.at_ns, grid, stream);
   if (!found) return false;
+  for (; next < found->number; ++next) leave_out(topic, next, pushed.at_ns);
   Seen& seen = seen_[source];
-  // What did not come is lost, and known to be: nobody waits for it.
-  for (; next < found->number; ++next, ++seen.left_out, ++seen.of) {
-    context_.board.count_late(0);
-    release(pushed.at_ns, {{topic, next, nullptr, 0}});
-  }
   seen.off += found->off_ns > 0 ? 1 : 0;
   if (found->off_ns > 0) context_.board.count_late(found->off_ns);
   seen.farthest_ns = std::max(seen.farthest_ns, found->off_ns);
@@ -150,11 +216,9 @@ Status Releaser::release_periodic() {
   phases_.resize(context_.grid.clock_ppm.size());
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
     if (context_.graph.topics[t].source < 0) continue;
-    const auto& spec =
-        context_.app.sources[static_cast<std::size_t>(context_.graph.topics[t].source)];
     const Grid::Source& grid =
         context_.grid.sources[static_cast<std::size_t>(context_.graph.topics[t].source)];
-    if (spec.inlet != nullptr) {
+    if (tracked(t)) {
       if (tracks() && phases_[grid.clock] == nullptr)
         phases_[grid.clock] = std::make_unique<ClockPhase>(context_.grid.clock_ppm[grid.clock]);
       continue;
@@ -300,7 +364,7 @@ std::vector<std::string> Releaser::broken() const {
     if (phases_.size() > grid.clock && phases_[grid.clock] != nullptr &&
         !phases_[grid.clock]->base_ns())
       lines.push_back(
-          fmt::format("source '{}' was not released: nothing was pushed on its clock, so its phase "
+          fmt::format("source '{}' was not released: nothing came on its clock, so its phase "
                       "is not known",
                       name));
   }

@@ -15,6 +15,7 @@
 #include "graph/inlet.h"
 #include "record/recording.h"
 #include "runtime/context.h"
+#include "runtime/feeds.h"
 #include "runtime/ledger.h"
 #include "runtime/phase.h"
 #include "runtime/wiring.h"
@@ -55,8 +56,14 @@ class Releaser {
   [[nodiscard]] int slowest_source() const;
   [[nodiscard]] Status release_periodic();
   [[nodiscard]] Result<bool> release_pushed(std::int64_t until_ns, bool once = false);
+  [[nodiscard]] bool lose_overdue(std::int64_t now_ns);
+  [[nodiscard]] std::int64_t next_overdue_ns() const;
+  void leave_out(int topic, std::uint64_t number, std::int64_t at_ns);
+  [[nodiscard]] bool counted_all(int topic);
   [[nodiscard]] bool release_tracked(int topic, const detail::Inlet::Waiting& pushed);
   [[nodiscard]] bool tracks() const;
+  [[nodiscard]] bool tracked(std::size_t topic) const;
+  void open_feeds(int fifo);
   void sleep(std::int64_t until_ns) const;
   [[nodiscard]] Status drain_for_lockstep();
   [[nodiscard]] Status release_recorded();
@@ -73,6 +80,7 @@ class Releaser {
   std::vector<std::size_t> recorded_topic_;  ///< [topic] -> the recorder's index
   std::string recording_error_;
   std::optional<detail::Inlets> inlets_;  ///< while it releases
+  std::optional<Feeds> feeds_;            ///< likewise; before its inlets
   std::vector<std::uint64_t> pushed_;     ///< [topic] releases of pushed sources
   std::uint64_t pushes_left_ = 0;         ///< of the slowest source; 0: no end
   std::vector<std::string> notes_;

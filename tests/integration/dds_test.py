@@ -4,13 +4,15 @@ the app computes with, and it can neither stop nor slow the app. dds_peer is tha
 import json
 import os
 import pathlib
+import re
 import shutil
 import signal
 import subprocess
 import sys
+import time
 import unittest
 
-from common import BIN, QUEUES, activations, wait_for
+from common import BIN, QUEUES, activations, wait_for, xauto
 from isolate_test import Case as Runs  # the test app and how it is run
 
 PEER = BIN / "dds_peer"
@@ -21,7 +23,7 @@ LOOPBACK = ("<CycloneDDS><Domain id='any'><General><Interfaces><NetworkInterface
             "<Peers><Peer address='localhost'/></Peers></Discovery></Domain></CycloneDDS>")
 
 
-class Dds(Runs):
+class Peers(Runs):
     @classmethod
     def setUpClass(cls):
         super().setUpClass()
@@ -49,6 +51,8 @@ class Dds(Runs):
         """Queues hold all that comes while the machine stands still."""
         return self.deploy(**QUEUES, transport=transport)
 
+
+class Dds(Peers):
     def read(self, name):
         """{number: (age in us, bytes)} of what the peer heard."""
         with open(self.path(name)) as file:
@@ -194,6 +198,59 @@ class Dds(Runs):
 
 
 del Runs  # or its own tests would run here, too
+
+class FedByKeys(Peers):
+    """Who feeds a run by keys gives it its grid, and cannot make it faster."""
+    PERIOD_US, JITTER_US = 50_000, 20_000
+
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        app = json.loads(pathlib.Path(cls.path("app.json")).read_text())
+        for xnode in app["xnodes"]:
+            if xnode["name"] in ("a1", "b1", "d1"):
+                xnode["source"] = "src"
+        app.update(version=2, sources=[{"name": "src", "period_us": cls.PERIOD_US, "jitter_us": cls.JITTER_US}])
+        pathlib.Path(cls.path("app.json")).write_text(json.dumps(app))
+        done = xauto("solve", "--app", cls.path("app.json"), "--platform", cls.path("platform.json"), "--time-limit-s", 10,
+                     "--max-evaluations", 200, "--out", cls.path("policy.json"))
+        assert done.returncode == 0, done.stderr
+
+    def feed_by_keys(self, period_us, count, *flags, activations=30):
+        """The run's report, what it says is broken, and how long it was fed, in s."""
+        with open(self.path("feed"), "w") as file:
+            file.writelines(f"{k} 0 4096 {bytes([k % 250]).hex() * 4096}\n" for k in range(count))
+        self.peer("feed", "rt/src", self.path("feed"), period_us)
+        began = time.monotonic()
+        run = self.run_dds(*self.deployment(src="cyclonedds:feed"), *flags, period=self.PERIOD_US, activations=activations)
+        return run, " ".join(run["worst_case_broken"]), time.monotonic() - began
+
+    def test_who_feeds_gives_the_grid(self):
+        for flags in ((), ("--isolate",)):
+            run, broken, _ = self.feed_by_keys(self.PERIOD_US, 60, *flags)
+            # A message is a release; where the machine stands still, some are left out, and lost by number.
+            left_out = int((re.findall("source 'src' left out ([0-9]+) of", broken) or [0])[0])
+            modules = {m["name"]: m for m in run["modules"]}
+            self.assertGreaterEqual(modules["D"]["activations"], 20)
+            self.assertEqual([modules[m]["dropped"] for m in "ABCD"], [left_out] * 4, run)
+            self.assertNotIn("as they come", broken)
+            numbers = sorted(int(k) for k in self.results()["d"])
+            self.assertEqual(len(numbers), modules["D"]["activations"])
+            self.assertEqual(numbers[-1] - numbers[0] + 1, modules["D"]["activations"] + left_out)
+
+    def test_who_stops_feeding_costs_releases_not_the_run(self):
+        run, broken, _ = self.feed_by_keys(self.PERIOD_US, 15)
+        self.assertRegex(broken, "source 'src' left out [0-9]+ of 30 releases")
+        self.assertEqual(run["activations"] + run["lost_activations"], 30)
+        self.assertGreaterEqual(run["lost_activations"], 15)
+
+    def test_who_feeds_too_fast_is_slowed_down(self):
+        run, broken, took_s = self.feed_by_keys(1_000, 6000, activations=30)
+        # 30 of them at their period, less the jitter, wherever it begins.
+        self.assertGreater(took_s, (29 * self.PERIOD_US - self.JITTER_US) * 1e-6)
+        self.assertIn("off its grid", broken)
+        self.assertEqual(run["modules"][0]["failed"], 0)
+
 
 if __name__ == "__main__":
     if not PEER.exists() or not PLUGIN.exists():

@@ -155,6 +155,34 @@ TEST(Phase, AfterADriverWasHeldUpTheGridIsWhereItWas) {
   }
 }
 
+/// Losing what is overdue as time goes on finds what the next arrival would have found.
+TEST(Phase, ASilentSensorLosesItsReleasesAsTimeGoesOn) {
+  std::mt19937_64 random(5);
+  for (int round = 0; round < 100; ++round) {
+    const Sensor sensor = camera(4 * kMs);
+    ClockPhase waiting(50), losing(50);
+    ClockPhase::Stream of_waiting, of_losing;
+    EXPECT_FALSE(losing.left_out_ns(sensor.source, of_losing)) << "nobody knows";
+    int lost = 0;
+    for (std::uint64_t k = 0; k < 300; ++k) {
+      if (k > 0 && random() % 4 == 0) continue;  // left out
+      const std::int64_t at = sensor.due(k) + static_cast<std::int64_t>(random() % (3 * kMs));
+      while (of_losing.next > 0 && *losing.left_out_ns(sensor.source, of_losing) <= at) {
+        ClockPhase::leave_out(of_losing);
+        ++lost;
+      }
+      const auto expected = waiting.arrived(at, sensor.source, of_waiting);
+      const auto seen = losing.arrived(at, sensor.source, of_losing);
+      ASSERT_TRUE(expected && seen) << k;
+      EXPECT_EQ(seen->number, k);
+      EXPECT_EQ(seen->number, expected->number);
+      EXPECT_EQ(seen->nominal_ns, expected->nominal_ns);
+      EXPECT_EQ(seen->off_ns, expected->off_ns);
+    }
+    EXPECT_GT(lost, 30);
+  }
+}
+
 TEST(Phase, NoArrivalMakesItOverflowOrGoBack) {
   std::mt19937_64 random(11);
   Sensor sensor = camera(kMs);

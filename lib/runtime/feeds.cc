@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/feeds.h"
+
+#include "base/clock.h"
+#include "base/rt.h"
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::int64_t kLookNs = 50'000'000;  ///< at `stop_`, which nobody rings for
+
+}  // namespace
+
+Feeds::Feeds(Interop& interop, std::vector<Feed> feeds, int fifo)
+    : interop_(interop), feeds_(std::move(feeds)) {
+  thread_ = std::thread([this, fifo] {
+    rt::set_thread_name("xauto/feeds");
+    rt::set_timer_slack_1ns();
+    if (fifo > 0) (void)rt::set_fifo(fifo);
+    run();
+  });
+}
+
+Feeds::~Feeds() {
+  stop_.store(true);
+  thread_.join();
+}
+
+void Feeds::run() {
+  while (!stop_.load()) {
+    std::int64_t wake_ns = now_ns() + kLookNs;
+    for (Feed& feed : feeds_) {
+      if (!interop_.waits(feed.topic)) continue;
+      if (const std::int64_t earliest_ns = feed.pace.earliest_ns(); now_ns() < earliest_ns) {
+        wake_ns = std::min(wake_ns, earliest_ns);
+        continue;
+      }
+      auto message = interop_.take(feed.topic);
+      if (message == nullptr) continue;  // it was refused
+      feed.pace.passed(now_ns());
+      (void)feed.inlet->push(std::move(message));  // full: it is left out, and counted as such
+    }
+    interop_.wait(wake_ns, [this] {
+      return std::none_of(feeds_.begin(), feeds_.end(), [this](const Feed& feed) {
+        return interop_.waits(feed.topic) && feed.pace.earliest_ns() <= now_ns();
+      });
+    });
+  }
+}
+
+}  // namespace xauto::runtime
