@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The shared-memory protocol, exhaustively: never two owners of a gate, the most urgent job runs or
 // is being resumed, no wake-up is lost, every suspension ends, whoever dies at whatever access.
+#include <array>
 #include <cstdlib>
 
 #include <gtest/gtest.h>
@@ -141,6 +142,37 @@ TEST(Protocol, TwoJobsOnTwoXpusWithDeaths) {
       w.coarse = true;
       w.deaths = 1;
       expect_clean(w, 1000);
+    }
+}
+
+/// A chain of two XNodes, on XPU `first` and then on the other one, as one activation of it after the
+/// other comes; `keys`: of its two XNodes, from their nominal release on.
+std::vector<ProtocolWorld::Task> activations(std::uint32_t xnode, int first,
+                                             std::array<Key, 2> keys,
+                                             std::vector<std::uint64_t> releases) {
+  constexpr Key kPeriod = 3;
+  std::vector<ProtocolWorld::Task> tasks;
+  for (const std::uint64_t k : releases)
+    for (const int i : {0, 1}) {
+      const Key key = static_cast<Key>(k) * kPeriod + keys[static_cast<std::size_t>(i)];
+      tasks.push_back({(first + i) % 2, {xnode + static_cast<std::uint32_t>(i), k, key}});
+    }
+  return tasks;
+}
+
+/// A policy of keys whose releases overlap: one module has releases 0 and 1 in flight, a worker for
+/// each; the other one takes them one after the other, and is slower than its period.
+TEST(Protocol, TwoReleasesInFlightOnTwoXpusWithDeaths) {
+  for (const Discipline d : kBoth)
+    for (const int first : {0, 1}) {
+      if (kSmallOnly || (d == Discipline::kPreemptive && !long_ones())) continue;
+      ProtocolWorld w =
+          world({d, d}, {activations(0, 0, {2, 5}, {0}), activations(0, 0, {2, 5}, {1}),
+                         activations(2, first, {3, 6}, {0, 1})});
+      w.coarse = true;
+      w.deaths = 1;
+      w.limit = 40'000'000;
+      expect_clean(w, 10'000);
     }
 }
 
