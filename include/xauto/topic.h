@@ -167,8 +167,8 @@ class Input {
   [[nodiscard]] std::shared_ptr<const T> share_sampled(const Topic<T>& topic) const {
     return std::static_pointer_cast<const T>(sample(topic.name(), typeid(T)));
   }
-  /// How old the message of an input or sampled topic was when the activation began to run: since
-  /// the release at the sensor, the oldest of those that fired the modules which made it. What these
+  /// How old the message of an input or sampled topic is; where the module samples topics, was when
+  /// the activation began to run. Since the release at the sensor, the oldest of those that fired the modules which made it. What these
   /// modules sampled may be older. Negative: there is none.
   /// Throws std::logic_error if it is neither an input nor a sampled topic of this module.
   template <class T>

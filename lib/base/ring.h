@@ -27,6 +27,13 @@ class Ring {
     items_[(first_ + size_) & (items_.size() - 1)] = std::move(item);
     ++size_;
   }
+  /// pop_front that returns the item.
+  [[nodiscard]] T take_front() {
+    T item = std::move(items_[first_]);
+    first_ = (first_ + 1) & (items_.size() - 1);
+    --size_;
+    return item;
+  }
   /// What the item held is let go at once.
   void pop_front() {
     items_[first_] = T();

@@ -6,6 +6,8 @@
 
 #include <cxxabi.h>
 
+#include "base/clock.h"
+
 namespace xauto {
 namespace {
 
@@ -83,7 +85,9 @@ const std::shared_ptr<const void>& Input::sample(const std::string& topic,
 std::chrono::nanoseconds Input::age_of(const std::string& topic) const {
   const detail::Envelope& read =
       data_->messages[place_of(*data_, topic, nullptr, "an input of, nor sampled by,")];
-  return std::chrono::nanoseconds(read.message == nullptr ? -1 : data_->began_ns - read.origin_ns);
+  if (read.message == nullptr) return std::chrono::nanoseconds(-1);
+  const std::int64_t now = data_->began_ns != 0 ? data_->began_ns : now_ns();
+  return std::chrono::nanoseconds(now - read.origin_ns);
 }
 
 std::optional<std::chrono::nanoseconds> Input::due() const {

@@ -54,7 +54,7 @@ struct InputData {
   const std::vector<TopicSpec>* topics = nullptr;  ///< inputs, then what is sampled
   std::size_t inputs = 0;                          ///< how many of them are inputs
   std::vector<Envelope> messages;                  ///< by topic
-  std::int64_t began_ns = 0;                       ///< when the activation began to run
+  std::int64_t began_ns = 0;  ///< when the activation began to run; 0: not looked at
   std::int64_t origin_ns = 0;
   std::int64_t due_ns = 0;  ///< of the XNode that runs; 0: nothing says
   std::uint64_t sequence = 0;

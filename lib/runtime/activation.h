@@ -30,6 +30,8 @@ class Activation {
   [[nodiscard]] int index() const { return index_; }
   [[nodiscard]] void* state() { return state_.get(); }
   [[nodiscard]] const Input& input() const { return input_; }
+  [[nodiscard]] std::uint64_t sequence() const { return InputAccess::sequence(input_); }
+  [[nodiscard]] std::int64_t origin_ns() const { return InputAccess::origin_ns(input_); }
   /// By when its next XNode is to end; 0: nothing says.
   void set_due(std::int64_t ns) { InputAccess::due(input_, ns); }
   /// When the sensor released what input number `input` was given.

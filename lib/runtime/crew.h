@@ -16,6 +16,7 @@
 
 #include "base/pi_mutex.h"
 #include "base/ring.h"
+#include "coord/rule.h"
 
 namespace xauto::runtime {
 
@@ -25,6 +26,7 @@ class Worker;
 struct Ready {
   Worker* worker = nullptr;
   std::size_t node = 0;
+  coord::Key key = 0;
   bool begun = false;  ///< its START is out
 };
 

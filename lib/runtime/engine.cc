@@ -190,7 +190,7 @@ void Engine::activate(int module, Activation& activation) {
   const NodeRow& chain = wiring_->chain(static_cast<std::size_t>(module), activation.index());
   context_->board.module(module).in_flight.fetch_add(1);
   if (trace_) {
-    trace_->write(XAUTO_EV_ACTIVATE, activation.input().sequence(), XAUTO_EV_NONE,
+    trace_->write(XAUTO_EV_ACTIVATE, activation.sequence(), XAUTO_EV_NONE,
                   static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
     if (!graph_.single_rate || grid_.periodic) trace_inputs(module, activation);
   }
@@ -229,8 +229,7 @@ void Engine::sampled(int module, std::span<const detail::Envelope> messages) {
 }
 
 void Engine::done(int module, const Activation& activation) {
-  const Input& input = activation.input();
-  ledger_->done(module, input.origin().count(), input.sequence(), activation.origins().get());
+  ledger_->done(module, activation.origin_ns(), activation.sequence(), activation.origins().get());
 }
 
 void Engine::left(int module) {
@@ -243,8 +242,7 @@ void Engine::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
 
 void Engine::passed(int module, const Activation& activation, int node) {
   static_cast<void>(module);
-  const Input& input = activation.input();
-  ledger_->passed(node, input.origin().count(), input.sequence(), activation.origins().get());
+  ledger_->passed(node, activation.origin_ns(), activation.sequence(), activation.origins().get());
 }
 
 void Engine::skip(int module, std::uint64_t sequence) {

@@ -53,13 +53,14 @@ void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
                   const detail::Origins* origins) {
   ModuleLine& counts = context_.board.module(module);
   counts.activations.fetch_add(1, std::memory_order_relaxed);
+  const Graph::Module& ended = context_.graph.modules[static_cast<std::size_t>(module)];
+  const bool asked_for = ended.sink || routes_.end_at(ended.nodes.back());
+  if (!asked_for && context_.trace == nullptr) return;
   const std::int64_t now = now_ns();  // one instant for all accounts: the trace and the table agree
   if (context_.trace != nullptr)
     context_.trace->write_at(now, XAUTO_EV_DONE, sequence, XAUTO_EV_NONE,
                              static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
-  const Graph::Module& ended = context_.graph.modules[static_cast<std::size_t>(module)];
-  if (ended.sink || routes_.end_at(ended.nodes.back()))
-    through(module, sequence, origin_ns, origins, now, false);
+  if (asked_for) through(module, sequence, origin_ns, origins, now, false);
 }
 
 void Ledger::passed(int node, std::int64_t origin_ns, std::uint64_t sequence,

@@ -16,7 +16,7 @@ class Urgency {
   /// The same for each job.
   [[nodiscard]] static Urgency of_priority(std::int64_t priority) {
     Urgency urgency;
-    urgency.key_ns_ = {coord::key_of_priority(priority)};
+    urgency.constant_ = coord::key_of_priority(priority);
     return urgency;
   }
   /// By the release: entry n mod size of each array belongs to activation n, and counts from its
@@ -25,7 +25,6 @@ class Urgency {
                                        const std::vector<std::int64_t>& hold_us) {
     Urgency urgency;
     urgency.by_release_ = true;
-    urgency.key_ns_.clear();
     for (const std::int64_t us : key_us) urgency.key_ns_.push_back(us * 1000);
     for (const std::int64_t us : hold_us) urgency.hold_ns_.push_back(us * 1000);
     return urgency;
@@ -33,7 +32,7 @@ class Urgency {
 
   /// Of activation `n`, whose nominal release is at `nominal_ns` of CLOCK_MONOTONIC.
   [[nodiscard]] coord::Key key(std::int64_t nominal_ns, std::uint64_t n) const {
-    if (!by_release_) return key_ns_.front();
+    if (!by_release_) return constant_;
     return nominal_ns + key_ns_[static_cast<std::size_t>(n % key_ns_.size())];
   }
   /// How much of it comes from the release: the rest is the same for each job.
@@ -50,7 +49,8 @@ class Urgency {
 
  private:
   bool by_release_ = false;
-  std::vector<std::int64_t> key_ns_ = {0}, hold_ns_;
+  coord::Key constant_ = 0;  ///< not by release
+  std::vector<std::int64_t> key_ns_, hold_ns_;
 };
 
 }  // namespace xauto::runtime

@@ -151,17 +151,18 @@ bool Worker::stop(std::int64_t patience_ns) {
 
 void Worker::submit(std::size_t node) {
   if (!chain_.runtime->enter(*chain_.activation)) return;  // whoever is in the way submits it again
-  const std::uint64_t sequence = chain_.activation->input().sequence();
+  const std::uint64_t sequence = chain_.activation->sequence();
   record(XAUTO_EV_READY, chain_.nodes[node], sequence);
   if (crew_ != nullptr) {
-    const Ready job{this, node, false};
+    const Ready job{this, node, key_of(chain_.nodes[node])};
     if (t_home != nullptr && t_home->crew_ == crew_)
       t_home->lane_.push_back(job);
     else
       crew_->submit(job);
     return;
   }
-  thread_->announce(cpu_job(chain_.nodes[node]));
+  if (thread_->observed() || chain_.nodes[node].fifo_priority > 0)
+    thread_->announce(cpu_job(chain_.nodes[node]));
   wake(static_cast<std::uint32_t>(node) + 1);
 }
 
@@ -209,9 +210,8 @@ void Worker::run_lane() {
   while (!lane_.empty()) {
     coord::Next next;
     for (std::size_t i = 0; i < lane_.size(); ++i) {
-      const Ready& job = lane_[i];  // who was ready first is before it
-      next.consider(
-          {job.worker->key_of(job.worker->chain_.nodes[job.node]), 0, static_cast<int>(i)});
+      // Who was ready first is before it.
+      next.consider({lane_[i].key, 0, static_cast<int>(i)});
     }
     const auto at = lane_.begin() + next.slot();
     const Ready job = *at;
@@ -225,7 +225,7 @@ void Worker::run_lane() {
 void Worker::show_lane() {
   for (const Ready& job : lane_) {
     job.worker->begin(job.worker->chain_.nodes[job.node]);
-    crew_->submit({job.worker, job.node, true});
+    crew_->submit({job.worker, job.node, job.key, true});
   }
   lane_.clear();
 }
@@ -238,24 +238,25 @@ void Worker::run_chain(std::size_t node, bool begun) {
   for (;; begun = false) {
     if (!run_job(chain_.nodes[node], begun)) return module.finish(activation, false);
     if (++node == chain_.nodes.size()) {
+      if (!chain_.nodes.back().urgency.by_release()) return module.finish(activation, true);
       const std::int64_t due_ns = due(chain_.nodes.back());
-      const std::uint64_t sequence = activation.input().sequence();
+      const std::uint64_t sequence = activation.sequence();
       module.finish(activation, true);
-      if (const std::int64_t now = due_ns == 0 ? 0 : now_ns(); now > due_ns)
-        module.missed(sequence, now - due_ns);
+      if (const std::int64_t now = now_ns(); now > due_ns) module.missed(sequence, now - due_ns);
       return;
     }
     module.pass(activation);
     Worker& next = *chain_.nodes[node].worker;
     if (&next != this) return next.submit(node);
     if (!module.enter(activation)) return;
-    if (crew_ != nullptr && !t_home->lane_.empty()) return t_home->lane_.push_back({this, node});
+    if (crew_ != nullptr && !t_home->lane_.empty())
+      return t_home->lane_.push_back({this, node, key_of(chain_.nodes[node])});
   }
 }
 
 /// START, without waiting for what comes of it.
 void Worker::begin(Placed& placed) {
-  const std::uint64_t sequence = chain_.activation->input().sequence();
+  const std::uint64_t sequence = chain_.activation->sequence();
   const auto position = static_cast<std::uint64_t>(&placed - chain_.nodes.data());
   current_.store(position << kSequenceBits | sequence, std::memory_order_release);
   record(XAUTO_EV_START, placed, sequence);
@@ -263,8 +264,7 @@ void Worker::begin(Placed& placed) {
 }
 
 coord::Key Worker::key_of(const Placed& placed) const {
-  const Input& input = chain_.activation->input();
-  return placed.urgency.key(input.origin().count(), input.sequence());
+  return placed.urgency.key(chain_.activation->origin_ns(), chain_.activation->sequence());
 }
 
 /// By when the job is to end; 0: its policy does not say.
@@ -273,34 +273,36 @@ std::int64_t Worker::due(const Placed& placed) const {
 }
 
 xpu::CpuJob Worker::cpu_job(const Placed& placed) const {
-  const Input& input = chain_.activation->input();
-  const std::int64_t nominal = input.origin().count();
-  const std::uint64_t n = input.sequence();
+  const std::int64_t nominal = chain_.activation->origin_ns();
+  const std::uint64_t n = chain_.activation->sequence();
   return {placed.xnode, n, placed.urgency.of_release(nominal, n),
           placed.urgency.holds() ? placed.urgency.hold(nominal, n) : 0, placed.fifo_priority};
 }
 
 bool Worker::run_job(Placed& placed, bool begun) {
   const Input& input = chain_.activation->input();
+  const bool observed = thread_->observed();
   chain_.activation->set_due(due(placed));
-  const xpu::CpuJob job = cpu_job(placed);
-  thread_->next(job);
+  if (observed || placed.fifo_priority > 0) thread_->next(cpu_job(placed));
   // Told before: after the hold it is woken with this job's key.
-  if (placed.urgency.holds()) sleep_until_ns(job.not_before_ns);
+  if (placed.urgency.holds())
+    sleep_until_ns(
+        placed.urgency.hold(chain_.activation->origin_ns(), chain_.activation->sequence()));
   if (port_) {
     if (!begun) begin(placed);
     port_->wait();
     backend_->admitted();
   }
-  if (thread_->observed()) {
+  if (observed) {
     const std::int64_t since = now_ns();
     thread_->begin(since);
     thread_->has_xpu(since);
   }
-  if (&placed == &chain_.nodes.front()) chain_.runtime->begin(*chain_.activation, now_ns());
-  record(XAUTO_EV_RUN, placed, input.sequence());
+  if (&placed == &chain_.nodes.front() && chain_.runtime->looks_first())
+    chain_.runtime->begin(*chain_.activation, now_ns());
+  record(XAUTO_EV_RUN, placed, chain_.activation->sequence());
   const bool limited = placed.limits.any();
-  if (limited) begin_limited(placed, input.sequence());
+  if (limited) begin_limited(placed, chain_.activation->sequence());
   bool succeeded = false;
   try {
     if (Status status =
@@ -320,19 +322,20 @@ bool Worker::run_job(Placed& placed, bool begun) {
     if (crew_ != nullptr && !t_home->lane_.empty() && port_->contended()) t_home->show_lane();
     port_->finish();
   }
-  thread_->end();
-  if (thread_->observed()) thread_->gave_xpu(now_ns());
-  record(XAUTO_EV_FINISH, placed, input.sequence(), succeeded ? 0 : 1);
+  if (observed) {
+    thread_->end();
+    thread_->gave_xpu(now_ns());
+  }
+  record(XAUTO_EV_FINISH, placed, chain_.activation->sequence(), succeeded ? 0 : 1);
   if (succeeded && placed.ends_chain) chain_.runtime->passed(*chain_.activation, placed.node);
   return succeeded;
 }
 
-void Worker::record(std::uint16_t kind, const Placed& placed, std::uint64_t sequence,
-                    std::uint32_t arg) {
-  if (trace_ != nullptr)
-    trace_->write(kind, sequence, static_cast<std::uint16_t>(placed.xnode),
-                  static_cast<std::uint16_t>(chain_.module),
-                  static_cast<std::uint16_t>(options_.xpu), arg);
+void Worker::write(std::uint16_t kind, const Placed& placed, std::uint64_t sequence,
+                   std::uint32_t arg) {
+  trace_->write(kind, sequence, static_cast<std::uint16_t>(placed.xnode),
+                static_cast<std::uint16_t>(chain_.module), static_cast<std::uint16_t>(options_.xpu),
+                arg);
 }
 
 void Worker::note_failure(const Placed& placed, const std::string& what) {
@@ -340,7 +343,7 @@ void Worker::note_failure(const Placed& placed, const std::string& what) {
   if (!failure_.empty()) return;  // counted by the engine; one is enough to read
   failure_ = "exec of XNode '" + placed.name + "' on " + xpu_name() + ": " + what;
   log::warn("{} (activation {} dropped; further failures here are only counted)", failure_,
-            chain_.activation->input().sequence());
+            chain_.activation->sequence());
 }
 
 std::string Worker::first_failure() const {

@@ -131,7 +131,10 @@ class Worker {
   void run_lane();
   void show_lane();
   void record(std::uint16_t kind, const Placed& placed, std::uint64_t sequence,
-              std::uint32_t arg = 0);
+              std::uint32_t arg = 0) {
+    if (trace_ != nullptr) write(kind, placed, sequence, arg);
+  }
+  void write(std::uint16_t kind, const Placed& placed, std::uint64_t sequence, std::uint32_t arg);
   void note_failure(const Placed& placed, const std::string& what);
   void begin_limited(const Placed& placed, std::uint64_t sequence);
   bool end_limited(const Placed& placed);

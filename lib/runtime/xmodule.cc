@@ -16,6 +16,7 @@ ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
     : module_(graph.modules[static_cast<std::size_t>(index)]),
       numbered_(module_.numbered),
       tells_origins_(graph.tells_origins),
+      looks_first_(tells_origins_ || !module_.samples.empty()),
       index_(index),
       host_(host),
       outputs_(std::move(outputs)),
@@ -166,8 +167,7 @@ bool ModuleRuntime::matched(std::vector<Lost>& lost) {
   return false;
 }
 
-/// An activation that may be fired. Called with the mutex held.
-Activation* ModuleRuntime::room() {
+Activation* ModuleRuntime::room_of_several() {
   for (const auto& activation : activations_)
     if (activation->stage_ == Activation::Stage::kFree) return activation.get();
   return nullptr;
@@ -180,8 +180,7 @@ void ModuleRuntime::Started::add(Activation& activation) {
 }
 
 /// Numbered: what was lost gets its turn. Otherwise it is told at once. Called with the mutex held.
-void ModuleRuntime::line_up(std::vector<Lost>& lost) {
-  if (!numbered_) return;
+void ModuleRuntime::take_turns(std::vector<Lost>& lost) {
   for (const Lost& range : lost) {
     Turn* newest = turns_.empty() ? nullptr : &turns_[turns_.size() - 1];
     if (newest != nullptr && newest->activation == nullptr && newest->lost.reason == range.reason &&
@@ -229,8 +228,7 @@ void ModuleRuntime::take(Activation& activation, std::vector<Lost>& lost) {
   InputAccess::stamp(activation.input_, released_ns, sequence);
   std::vector<detail::Envelope>& messages = InputAccess::messages(activation.input_);
   for (std::size_t i = 0; i < queues_.size(); ++i) {
-    messages[i] = std::move(queues_[i].waiting.front());
-    queues_[i].waiting.pop_front();
+    messages[i] = queues_[i].waiting.take_front();
   }
   if (numbered_) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
@@ -241,7 +239,7 @@ void ModuleRuntime::take(Activation& activation, std::vector<Lost>& lost) {
   activation.position_ = 0;
 }
 
-void ModuleRuntime::activate(Started started) {
+void ModuleRuntime::activate_all(Started started) {
   for (Activation* activation = started.first; activation != nullptr;) {
     Activation* next = activation->next_;  // read first: it may be at its end soon
     host_.activate(index_, *activation);
@@ -347,17 +345,37 @@ void ModuleRuntime::finish(Activation& activation, bool succeeded) {
   Started free, started;
   {
     const Guard order(order_);
-    {
-      const Guard lock(mutex_);
-      activation.stage_ = succeeded ? Activation::Stage::kSucceeded : Activation::Stage::kFailed;
-      if (activations_.size() > 1) unpark(free);
-      collect_locked();
+    if (activations_.size() == 1) {
+      settle_only(activation, succeeded, lost, started);
+    } else {
+      {
+        const Guard lock(mutex_);
+        activation.stage_ = succeeded ? Activation::Stage::kSucceeded : Activation::Stage::kFailed;
+        unpark(free);
+        collect_locked();
+      }
+      proceed(free);
+      tell_settled(lost, started);
     }
-    proceed(free);
-    tell_settled(lost, started);
   }
   tell(lost);
   activate(started);
+}
+
+/// One in flight: it is the oldest of all that is not settled, and nobody waits behind it inside.
+void ModuleRuntime::settle_only(Activation& activation, bool succeeded, std::vector<Lost>& lost,
+                                Started& started) {
+  std::uint64_t skip_below = 0;
+  tell(activation, succeeded, skip_below);
+  tell_skipped(skip_below);
+  {
+    const Guard lock(mutex_);
+    turns_.pop_front();
+    empty(activation);
+    fire(lost, started);
+    collect_locked();
+  }
+  tell_settled(lost, started);
 }
 
 void ModuleRuntime::missed(std::uint64_t sequence, std::int64_t late_ns) const {
@@ -382,7 +400,7 @@ bool ModuleRuntime::abandon(std::uint64_t sequence) {
       const Guard lock(mutex_);
       const auto found =
           std::find_if(activations_.begin(), activations_.end(), [&](const auto& activation) {
-            return activation->stage_ == Stage::kRuns && activation->input().sequence() == sequence;
+            return activation->stage_ == Stage::kRuns && activation->sequence() == sequence;
           });
       Fate open = Fate::kOpen;
       if (found == activations_.end() ||
@@ -432,7 +450,10 @@ void ModuleRuntime::give_back(Activation& activation) {
 
 /// Room for the next one. Called with the mutex held.
 void ModuleRuntime::empty(Activation& activation) {
-  for (detail::Envelope& message : InputAccess::messages(activation.input_)) message = {};
+  for (detail::Envelope& message : InputAccess::messages(activation.input_)) {
+    message.message.reset();
+    message.origins.reset();
+  }
   activation.stage_ = Activation::Stage::kFree;
   if (watched_) activation.fate_.store(Activation::Fate::kOpen);
 }
@@ -471,20 +492,23 @@ void ModuleRuntime::tell_settled(std::vector<Lost>& lost, Started& started) {
 
 void ModuleRuntime::tell(const Turn& turn, std::uint64_t& skip_below) {
   if (turn.activation == nullptr) {
-    tell({turn.lost});
+    tell_all({turn.lost});
     if (numbered_) skip_below = turn.lost.last + 1;
     return;
   }
-  Activation& activation = *turn.activation;
-  const std::uint64_t sequence = activation.input().sequence();
-  if (activation.stage_ == Activation::Stage::kSucceeded) {
+  tell(*turn.activation, turn.activation->stage_ == Activation::Stage::kSucceeded, skip_below);
+}
+
+void ModuleRuntime::tell(Activation& activation, bool succeeded, std::uint64_t& skip_below) {
+  const std::uint64_t sequence = activation.sequence();
+  if (succeeded) {
     tell_skipped(skip_below);
     host_.done(index_, activation);
     for (std::size_t i = 0; i < activation.taken_.size(); ++i)
-      outputs_[i]->publish({std::move(activation.taken_[i]), activation.input().origin().count(),
-                            sequence, activation.origins_});
+      outputs_[i]->publish(
+          {std::move(activation.taken_[i]), activation.origin_ns(), sequence, activation.origins_});
   } else {
-    tell({{sequence, sequence, XAUTO_DROP_FAILED}});
+    tell_all({{sequence, sequence, XAUTO_DROP_FAILED}});
     if (numbered_) skip_below = sequence + 1;
   }
   activation.taken_.clear();
@@ -492,14 +516,12 @@ void ModuleRuntime::tell(const Turn& turn, std::uint64_t& skip_below) {
 }
 
 /// No job of what was lost will start any more. One tombstone settles everything before it, too.
-void ModuleRuntime::tell_skipped(std::uint64_t& skip_below) {
-  if (skip_below == 0) return;
-  const std::uint64_t last = std::exchange(skip_below, 0) - 1;
+void ModuleRuntime::skip(std::uint64_t last) {
   host_.skip(index_, last);
   for (const transport::Channel* output : outputs_) output->publish({nullptr, 0, last});
 }
 
-void ModuleRuntime::tell(const std::vector<Lost>& lost) {
+void ModuleRuntime::tell_all(const std::vector<Lost>& lost) {
   for (const Lost& range : lost)
     for (std::uint64_t sequence = range.first; sequence <= range.last; ++sequence)
       host_.dropped(index_, sequence, range.reason);

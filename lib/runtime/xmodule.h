@@ -20,6 +20,7 @@
 #include <cstdint>
 #include <memory>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "base/pi_mutex.h"
@@ -87,6 +88,8 @@ class ModuleRuntime {
   bool enter(Activation& activation) { return activations_.size() == 1 || may_enter(activation); }
   /// The first XNode is about to run: what is sampled is read now.
   void begin(Activation& activation, std::int64_t now_ns);
+  /// Whether that does anything.
+  [[nodiscard]] bool looks_first() const { return looks_first_; }
   /// It is through with its next XNode, and not at its end.
   void pass(Activation& activation) {
     if (activations_.size() > 1) let_others_in(activation);
@@ -137,8 +140,17 @@ class ModuleRuntime {
   [[nodiscard]] bool fresh(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   void take(Activation& activation, std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   void fire(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(mutex_);
-  void line_up(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
-  [[nodiscard]] Activation* room() XAUTO_REQUIRES(mutex_);
+  void line_up(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_) {
+    if (numbered_ && !lost.empty()) take_turns(lost);
+  }
+  void take_turns(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
+  /// An activation that may be fired.
+  [[nodiscard]] Activation* room() XAUTO_REQUIRES(mutex_) {
+    if (activations_.size() > 1) return room_of_several();
+    Activation& only = *activations_.front();
+    return only.stage_ == Activation::Stage::kFree ? &only : nullptr;
+  }
+  [[nodiscard]] Activation* room_of_several() XAUTO_REQUIRES(mutex_);
   void empty(Activation& activation) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] bool over() XAUTO_REQUIRES(mutex_);
   void collect() XAUTO_REQUIRES(order_);
@@ -151,14 +163,28 @@ class ModuleRuntime {
   void let_others_in(Activation& activation);
   void give_back(Activation& activation);
   void proceed(Started parked);
-  void activate(Started started);
+  void activate(Started started) {
+    if (started.first != nullptr) activate_all(started);
+  }
+  void activate_all(Started started);
   void tell_settled(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(order_);
   void tell(const Turn& turn, std::uint64_t& skip_below) XAUTO_REQUIRES(order_);
-  void tell_skipped(std::uint64_t& skip_below) XAUTO_REQUIRES(order_);
-  void tell(const std::vector<Lost>& lost);
+  void tell(Activation& activation, bool succeeded, std::uint64_t& skip_below)
+      XAUTO_REQUIRES(order_);
+  void settle_only(Activation& activation, bool succeeded, std::vector<Lost>& lost,
+                   Started& started) XAUTO_REQUIRES(order_);
+  void tell_skipped(std::uint64_t& skip_below) XAUTO_REQUIRES(order_) {
+    if (skip_below != 0) skip(std::exchange(skip_below, 0) - 1);
+  }
+  void skip(std::uint64_t last) XAUTO_REQUIRES(order_);
+  void tell(const std::vector<Lost>& lost) {
+    if (!lost.empty()) tell_all(lost);
+  }
+  void tell_all(const std::vector<Lost>& lost);
 
   const Graph::Module& module_;
   const bool numbered_, tells_origins_;
+  const bool looks_first_;  ///< before its first XNode runs
   const int index_;
   ModuleHost& host_;
   std::vector<const transport::Channel*> outputs_;

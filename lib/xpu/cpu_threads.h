@@ -47,6 +47,7 @@ class CpuThread {
   [[nodiscard]] Status enter(bool scheduled, int fifo);
   void leave();
 
+  // What follows does nothing where nobody observes and a job has no SCHED_FIFO priority.
   /// The next job, before the thread is woken for it: so that it is woken with that job's priority,
   /// not with its last one's.
   void announce(const CpuJob& job);
