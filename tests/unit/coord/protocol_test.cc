@@ -179,7 +179,7 @@ TEST(Protocol, TwoReleasesInFlightOnTwoXpusWithDeaths) {
 TEST(Protocol, TwoReleasesInFlightMeetAnotherModules) {
   for (const Discipline d : kBoth)
     for (const int first : {0, 1}) {
-      if (kSmallOnly || (d == Discipline::kPreemptive && !long_ones())) continue;
+      if (kSmallOnly || (d == Discipline::kPreemptive && !full())) continue;
       ProtocolWorld w =
           world({d, d}, {activations(0, 0, {2, 5}, {0}), activations(0, 0, {2, 5}, {1}),
                          activations(2, first, {3, 6}, {0})});
