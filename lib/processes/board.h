@@ -44,7 +44,7 @@ inline constexpr std::size_t kBoardNameBytes = 104;  ///< with the 0 at its end;
 /// A release is settled once: done, failed or dropped. In an app of one rate they are settled in
 /// order, so the sum of the three is the number of the next one.
 struct alignas(64) ModuleLine {
-  std::atomic<std::uint64_t> activations{}, failed{}, dropped{};  ///< [M]
+  std::atomic<std::uint64_t> activations{}, failed{}, dropped{};  ///< [M] one writer at a time
   std::atomic<std::uint32_t> in_flight{};                         ///< [M] activations that are
   char name[kBoardNameBytes] = {};                                ///< [H] before the run
   [[nodiscard]] std::uint64_t settled() const {

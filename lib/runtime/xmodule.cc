@@ -458,36 +458,21 @@ void ModuleRuntime::empty(Activation& activation) {
   if (watched_) activation.fate_.store(Activation::Fate::kOpen);
 }
 
-/// The oldest of all that is not settled has ended. Called with the mutex held.
-bool ModuleRuntime::over() {
-  if (turns_.empty()) return false;
-  const Activation* oldest = turns_.front().activation;
-  return oldest == nullptr || oldest->stage_ == Activation::Stage::kSucceeded ||
-         oldest->stage_ == Activation::Stage::kFailed;
-}
-
 void ModuleRuntime::collect() {
   const Guard lock(mutex_);
   collect_locked();
 }
 
-void ModuleRuntime::collect_locked() {
-  for (; over(); turns_.pop_front()) settled_.push_back(turns_.front());
-}
-
-/// Tells what was collected, and what that makes room for.
-void ModuleRuntime::tell_settled(std::vector<Lost>& lost, Started& started) {
-  while (!settled_.empty()) {
-    std::uint64_t skip_below = 0;
-    for (const Turn& turn : settled_) tell(turn, skip_below);
-    tell_skipped(skip_below);
-    const Guard lock(mutex_);
-    for (const Turn& turn : settled_)
-      if (turn.activation != nullptr) empty(*turn.activation);
-    settled_.clear();
-    fire(lost, started);
-    collect_locked();
-  }
+void ModuleRuntime::tell_collected(std::vector<Lost>& lost, Started& started) {
+  std::uint64_t skip_below = 0;
+  for (const Turn& turn : settled_) tell(turn, skip_below);
+  tell_skipped(skip_below);
+  const Guard lock(mutex_);
+  for (const Turn& turn : settled_)
+    if (turn.activation != nullptr) empty(*turn.activation);
+  settled_.clear();
+  fire(lost, started);
+  collect_locked();
 }
 
 void ModuleRuntime::tell(const Turn& turn, std::uint64_t& skip_below) {

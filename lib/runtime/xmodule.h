@@ -152,9 +152,17 @@ class ModuleRuntime {
   }
   [[nodiscard]] Activation* room_of_several() XAUTO_REQUIRES(mutex_);
   void empty(Activation& activation) XAUTO_REQUIRES(mutex_);
-  [[nodiscard]] bool over() XAUTO_REQUIRES(mutex_);
+  /// The oldest of all that is not settled has ended.
+  [[nodiscard]] bool over() XAUTO_REQUIRES(mutex_) {
+    if (turns_.empty()) return false;
+    const Activation* oldest = turns_.front().activation;
+    return oldest == nullptr || oldest->stage_ == Activation::Stage::kSucceeded ||
+           oldest->stage_ == Activation::Stage::kFailed;
+  }
   void collect() XAUTO_REQUIRES(order_);
-  void collect_locked() XAUTO_REQUIRES(order_, mutex_);
+  void collect_locked() XAUTO_REQUIRES(order_, mutex_) {
+    for (; over(); turns_.pop_front()) settled_.push_back(turns_.front());
+  }
   [[nodiscard]] bool held(const Activation& activation) XAUTO_REQUIRES(mutex_);
   void unpark(Started& free) XAUTO_REQUIRES(mutex_);
 
@@ -167,7 +175,11 @@ class ModuleRuntime {
     if (started.first != nullptr) activate_all(started);
   }
   void activate_all(Started started);
-  void tell_settled(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(order_);
+  /// Tells what was collected, and what that makes room for.
+  void tell_settled(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(order_) {
+    while (!settled_.empty()) tell_collected(lost, started);
+  }
+  void tell_collected(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(order_);
   void tell(const Turn& turn, std::uint64_t& skip_below) XAUTO_REQUIRES(order_);
   void tell(Activation& activation, bool succeeded, std::uint64_t& skip_below)
       XAUTO_REQUIRES(order_);
