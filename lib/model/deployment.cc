@@ -53,6 +53,14 @@ ModuleDeployment read_module(const Reader& r) {
     if (!m.on_hang) r["on_hang"].refuse("must be \"log\", \"drop\" or \"restart\"");
   }
   m.match_us = integer("match_us", 0, kMaxTimeUs);
+  if (r.has("parameters"))
+    r["parameters"].each_member(
+        kMaxModuleParameters, [&](const std::string& name, const Reader& value) {
+          if (name.empty() || name.size() > kMaxParameterName)
+            return value.refuse("is of a parameter whose name has not 1 to " +
+                                std::to_string(kMaxParameterName) + " bytes");
+          m.parameters.emplace(name, value.scalar());
+        });
   return m;
 }
 
@@ -70,6 +78,12 @@ ordered_json to_document(const ModuleDeployment& m) {
   put("hang_us", m.hang_us);
   if (m.on_hang) out["on_hang"] = to_string(*m.on_hang);
   put("match_us", m.match_us);
+  if (!m.parameters.empty()) {
+    ordered_json parameters = ordered_json::object();
+    for (const auto& [name, value] : m.parameters)
+      std::visit([&, at = &name](const auto& v) { parameters[*at] = v; }, value);
+    out["parameters"] = std::move(parameters);
+  }
   return out;
 }
 
@@ -183,7 +197,12 @@ Result<Deployment> parse_deployment(std::string_view text, std::string_view orig
     root["app"].refuse("is for app '" + d.app + "', not for '" + app.name + "'");
   if (root.has("queue_depth")) d.queue_depth = root["queue_depth"].integer(1, kMaxQueue);
   if (root.has("keep")) d.keep = root["keep"].integer(1, kMaxQueue);
-  if (root.has("defaults")) d.defaults = read_module(root["defaults"]);
+  if (root.has("defaults")) {
+    d.defaults = read_module(root["defaults"]);
+    if (!d.defaults.parameters.empty())
+      root["defaults"]["parameters"].refuse("is for all modules, and parameters are of one",
+                                            "say it under \"modules\"");
+  }
   if (root.has("modules"))
     root["modules"].each_member(kMaxXNodes, [&](const std::string& name, const Reader& module) {
       if (modules.find(name) == modules.end())

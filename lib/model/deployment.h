@@ -14,6 +14,7 @@
 
 #include "model/app.h"
 #include "model/keys.h"
+#include "model/parameter.h"
 
 namespace xauto {
 
@@ -60,6 +61,8 @@ struct ModuleDeployment {
   /// Several rates: inputs belong together when their origins are at most so far apart; missing:
   /// the newest of each.
   std::optional<std::int64_t> match_us;
+  /// Of one module, not of the defaults; the program that declares them checks them.
+  std::map<std::string, ParameterValue, std::less<>> parameters = {};
   bool operator==(const ModuleDeployment&) const = default;
 };
 

@@ -340,6 +340,7 @@ class Run {
     std::vector<detail::TopicSpec> topics = module.spec->inputs;
     for (const detail::SampleSpec& sample : module.spec->samples) topics.push_back(sample.topic);
     InputAccess::bind(input, &topics, module.inputs.size());
+    InputAccess::parameters(input) = detail::initial_of(module.parameters);
     InputAccess::stamp(input, now_ns(), k);
     InputAccess::begin(input, now_ns());
     for (std::size_t i = 0; i < module.inputs.size(); ++i) {
