@@ -10,7 +10,9 @@ namespace xauto::runtime {
 namespace {
 
 constexpr const char* kStale =
-    "app.json describes another version of this program: profile it again with `xauto profile`";
+    "app.json describes another version of this program, or other names: profile it again with "
+    "`xauto "
+    "profile`, with the same deployment";
 
 class Builder {
  public:

@@ -25,7 +25,7 @@ std::size_t place_of(const detail::InputData& data, const std::string& topic,
                      const std::type_info* type, const char* what) {
   for (std::size_t i = 0; data.topics != nullptr && i < data.topics->size(); ++i) {
     const detail::TopicSpec& known = (*data.topics)[i];
-    if (known.name != topic) continue;
+    if ((known.called.empty() ? known.name : known.called) != topic) continue;
     if (type != nullptr && known.type != *type)
       throw std::logic_error("topic '" + topic + "' carries " + known.type_name);
     return i;

@@ -41,6 +41,7 @@ struct Envelope {
 
 struct TopicSpec {
   std::string name;
+  std::string called = {};  ///< by the program, where a deployment names it otherwise; else empty
   std::type_index type = typeid(void);
   std::string type_name;
   /// Null where the type has no Codec.

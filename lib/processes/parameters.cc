@@ -142,50 +142,59 @@ Result<Json> change(std::string_view request, Board* board) {
 
 }  // namespace
 
-Status post_parameters(Board& board, const Graph& graph, const Deployment& deployment) {
+Result<std::vector<std::vector<ParameterValue>>> first_values(const Graph& graph,
+                                                              const Deployment& deployment) {
   constexpr const char* kWhere = "deployment.json";
-  const auto known = [&](const std::string& name) {
-    return std::any_of(graph.modules.begin(), graph.modules.end(),
-                       [&](const Graph::Module& m) { return m.name == name; });
-  };
   for (const auto& [name, said] : deployment.modules)
-    if (!said.parameters.empty() && !known(name))
+    if (!said.parameters.empty() &&
+        std::none_of(graph.modules.begin(), graph.modules.end(),
+                     [at = &name](const Graph::Module& m) { return m.name == *at; }))
       return fail(ErrorCode::kInvalid, "XModule '" + name + "' is not in the program", kWhere);
-  std::size_t at = 0;
-  for (std::size_t m = 0; m < graph.modules.size(); ++m) {
-    const Graph::Module& module = graph.modules[m];
+  std::vector<std::vector<ParameterValue>> all;
+  for (const Graph::Module& module : graph.modules) {
+    std::vector<ParameterValue>& values = all.emplace_back();
     const auto said = deployment.modules.find(module.name);
     std::map<std::string, ParameterValue, std::less<>> given;
     if (said != deployment.modules.end()) given = said->second.parameters;
+    std::string known;
     for (const detail::ParameterHandle& parameter : module.parameters) {
-      ParameterLine& line = board.parameter(at++);
-      ParameterValue value = parameter->initial;
-      if (const auto found = given.find(parameter->name); found != given.end()) {
-        auto taken = parameter->take(found->second);
-        if (!taken) {
-          Error error = std::move(taken).error();
-          error.where = std::string(kWhere) + ": " + where_of(module.name, parameter->name);
-          return tl::unexpected<Error>(std::move(error));
-        }
-        value = *std::move(taken);
-        given.erase(found);
+      known += (known.empty() ? "it has " : ", ") + parameter->name;
+      values.push_back(parameter->initial);
+      const auto found = given.find(parameter->name);
+      if (found == given.end()) continue;
+      auto taken = parameter->take(found->second);
+      if (!taken) {
+        Error error = std::move(taken).error();
+        error.where = std::string(kWhere) + ": " + where_of(module.name, parameter->name);
+        return tl::unexpected<Error>(std::move(error));
       }
-      name_line(line.name, parameter->name);
-      line.module = static_cast<std::uint32_t>(m);
-      line.type = static_cast<std::uint32_t>(parameter->type());
-      encode(parameter->initial, line.initial);
-      line.least = bits_of(parameter->least);
-      line.most = bits_of(parameter->most);
-      store(line, value, 1);
+      values.back() = *std::move(taken);
+      given.erase(found);
     }
-    if (!given.empty()) {
-      std::string list;
-      for (const detail::ParameterHandle& parameter : module.parameters)
-        list += (list.empty() ? "it has " : ", ") + parameter->name;
+    if (!given.empty())
       return fail(ErrorCode::kInvalid,
                   "XModule '" + module.name + "' has no parameter '" + given.begin()->first + "'",
                   kWhere,
-                  list.empty() ? "the program declares none (XModule::add_parameter)" : list);
+                  known.empty() ? "the program declares none (XModule::add_parameter)" : known);
+  }
+  return all;
+}
+
+Status post_parameters(Board& board, const Graph& graph, const Deployment& deployment) {
+  XAUTO_ASSIGN(const auto values, first_values(graph, deployment));
+  std::size_t at = 0;
+  for (std::size_t m = 0; m < graph.modules.size(); ++m) {
+    const Graph::Module& module = graph.modules[m];
+    for (std::size_t p = 0; p < module.parameters.size(); ++p) {
+      const detail::ParameterSpec& parameter = *module.parameters[p];
+      ParameterLine& line = board.parameter(at++);
+      name_line(line.name, parameter.name);
+      line.module = static_cast<std::uint32_t>(m);
+      line.type = static_cast<std::uint32_t>(parameter.type());
+      encode(parameter.initial, line.initial);
+      line.least = bits_of(parameter.least);
+      line.most = bits_of(parameter.most);
+      store(line, values[m][p], 1);
     }
     board.module(static_cast<int>(m)).parameters.store(1);
   }

@@ -28,6 +28,11 @@
 
 namespace xauto::runtime {
 
+/// What the parameters of each module are worth at first, in the order of their declaration.
+/// Errors: a parameter that nobody declares, a value that it cannot have.
+[[nodiscard]] Result<std::vector<std::vector<ParameterValue>>> first_values(
+    const Graph& graph, const Deployment& deployment);
+
 /// Before the run, by the process that leads: declarations, and the values of the deployment.
 /// Errors: a parameter that nobody declares, a value that it cannot have.
 [[nodiscard]] Status post_parameters(Board& board, const Graph& graph,

@@ -231,5 +231,77 @@ class Refused(Params):
         self.end()
 
 
+class Instances(Params):
+    """A under two names, "left" and "right", with values of their own; B reads what left publishes."""
+    NAMES = {"instances": {"left": "A", "right": "A"},
+             "modules": {"right": {"remap": {"a": "a"}, "parameters": {"count": 8}},
+                         "left": {"parameters": {"count": 7}}, "B": {"remap": {"a": "left/a"}}}}
+
+    def deploy(self, **names):
+        self.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "params", **QUEUES, **names})
+
+    def profile(self, *flags):
+        return xauto("profile", "--platform", "platform.json", "--real", "--repetitions", 3, *flags, "--app-out", "app.json",
+                     "--", BIN / "params", "result", cwd=self.folder)
+
+    def plan(self, **names):
+        self.deploy(**names)
+        done = self.profile("--deployment", "deployment.json")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--method", "heft", "--out", "policy.json",
+                     cwd=self.folder)
+        self.assertEqual(done.returncode, 0, done.stderr)
+
+    def command(self, *flags, deploy=True, activations=0, app=()):
+        words = super().command(*flags, activations=activations, app=app)
+        self.deploy(**self.NAMES)
+        if not deploy:
+            at = words.index("--deployment")
+            del words[at:at + 2]
+        return words
+
+    def test_profile_solve_and_run_agree_on_the_names(self):
+        self.plan(**self.NAMES)
+        app = json.loads((self.folder / "app.json").read_text())
+        self.assertEqual([(x["name"], x["module"]) for x in app["xnodes"]],
+                         [("left/a.first", "left"), ("left/a.second", "left"), ("right/a.first", "right"),
+                          ("right/a.second", "right"), ("b.only", "B")])
+        self.assertIn(["left/a.second", "b.only"], app["edges"])
+        for flags in ([], ["--isolate"]):
+            with self.subTest(flags=flags):
+                self.start(*flags)
+                self.sees("a", "1,8,0.500000,day,day")
+                self.assertEqual(self.values()[("left", "count")], 7)
+                self.param("set", "right", "mode=night")
+                self.sees("a", "1,8,0.500000,night,day")
+                self.assertEqual(self.param("get", "left", "mode"), "day\n")
+                self.assertEqual(self.values("changes")[("right", "mode")], 1)
+                self.sees("b", "day")
+                run = self.end()
+                self.assertEqual([m["name"] for m in run["modules"]], ["left", "right", "B"])
+                self.assertIn("right mode (1 times, now night)", " ".join(run["notes"]))
+                (self.folder / "result").unlink()
+
+    def test_names_that_do_not_fit_are_refused(self):
+        self.plan(**self.NAMES)
+        self.assertIn("XNode 'a.first' is not in app.json", self.refused(deploy=False))
+        for names, told in (
+                ({"instances": {"left": "A"}}, "topic 'a' has no publisher, but XModule 'B' reads it"),
+                ({"modules": {"B": {"remap": {"a": "tick"}}}}, "topic 'tick' has two types"),
+                ({"instances": {"B": "A"}}, "two XModules are called 'B'"),
+                ({"instances": {"left": "C"}}, "instance 'left' is of XModule 'C', which is not in the program\n  hint: the program has A, B"),
+                ({"modules": {"A": {"remap": {"x": "y"}}}}, "XModule 'A' has no topic 'x' to remap\n  hint: its topics are a, tick")):
+            with self.subTest(names=names):
+                self.deploy(**names)
+                done = self.profile("--deployment", "deployment.json")
+                self.assertNotEqual(done.returncode, 0)
+                self.assertIn(told, done.stderr)
+        self.write("other.json", {"schema": "xauto.deployment", "version": 1, "app": "other"})
+        self.assertIn("deployment.json: is for app 'other', not for 'params'", self.profile("--deployment", "other.json").stderr)
+        self.deploy()
+        self.assertEqual(self.profile().returncode, 0)
+        self.assertIn("instance 'left' is not in the app", self.refused())
+
+
 if __name__ == "__main__":
     unittest.main()
