@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include <xauto/parameter.h>
 #include <xauto/result.h>
 #include <xauto/topic.h>
 #include <xauto/xmodule.h>
@@ -78,6 +79,18 @@ class Fire {
     return *this;
   }
 
+  /// The value of a parameter of the module, from the next firing on. Default: as declared.
+  template <class T>
+  Fire& set(const Parameter<T>& parameter, T value) {
+    if constexpr (std::is_same_v<T, std::string>)
+      set_text(parameter.spec_, std::move(value));
+    else if constexpr (std::is_same_v<T, double>)
+      set_real(parameter.spec_, value);
+    else
+      set_integer(parameter.spec_, static_cast<std::int64_t>(value));
+    return *this;
+  }
+
   /// Runs the XNodes one after the other, on this thread. The number of the activation, from 0 on,
   /// is Input::sequence(), the virtual time Input::origin(). Errors: kInvalid of an input topic
   /// without a message, of a name or type that the module does not have, of a module that the App
@@ -89,6 +102,9 @@ class Fire {
   struct Data;
   explicit Fire(std::shared_ptr<detail::XModuleSpec> module);
   void put(detail::TopicHandle topic, std::shared_ptr<const void> message);
+  void set_integer(detail::ParameterHandle parameter, std::int64_t value);
+  void set_real(detail::ParameterHandle parameter, double value);
+  void set_text(detail::ParameterHandle parameter, std::string value);
   std::unique_ptr<Data> data_;
 };
 

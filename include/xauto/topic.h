@@ -17,6 +17,8 @@
 #include <utility>
 #include <vector>
 
+#include <xauto/parameter.h>
+
 namespace xauto {
 
 /// A name and a message type. A value: copies name the same topic. Two modules that use one name
@@ -185,6 +187,19 @@ class Input {
   /// Number of that release, from 0 on.
   [[nodiscard]] std::uint64_t sequence() const;
 
+  /// The value that a parameter of this module had when the activation began: all its XNodes see
+  /// the same, and the parameters of a module that are set together change together. No lock, no
+  /// allocation. Throws std::logic_error if neither this module nor one of its XNodes declares it.
+  template <class T>
+  [[nodiscard]] decltype(auto) value(const Parameter<T>& parameter) const {
+    if constexpr (std::is_same_v<T, std::string>)
+      return text_of(*parameter.spec_);
+    else if constexpr (std::is_same_v<T, double>)
+      return real_of(*parameter.spec_);
+    else
+      return static_cast<T>(integer_of(*parameter.spec_));
+  }
+
  private:
   friend class InputAccess;  // lib/runtime fills it
   Input();
@@ -193,6 +208,9 @@ class Input {
   [[nodiscard]] const std::shared_ptr<const void>& sample(const std::string& topic,
                                                           const std::type_info& type) const;
   [[nodiscard]] std::chrono::nanoseconds age_of(const std::string& topic) const;
+  [[nodiscard]] std::int64_t integer_of(const detail::ParameterSpec& parameter) const;
+  [[nodiscard]] double real_of(const detail::ParameterSpec& parameter) const;
+  [[nodiscard]] const std::string& text_of(const detail::ParameterSpec& parameter) const;
   std::unique_ptr<detail::InputData> data_;
 };
 

@@ -32,6 +32,7 @@ void add_node(XModuleSpec& module, std::shared_ptr<XNodeSpecErased> node);
 void add_input(XModuleSpec& module, TopicHandle topic);
 void add_sample(XModuleSpec& module, TopicHandle topic, std::chrono::nanoseconds max_age);
 void add_output(XModuleSpec& module, TopicHandle topic, Take take);
+void add_parameter(XModuleSpec& module, ParameterHandle parameter);
 void set_in_flight(XModuleSpec& module, int activations);
 /// `late`: beyond the key of the module's last XNode.
 using OnMiss = std::function<void(std::uint64_t sequence, std::chrono::nanoseconds late)>;
@@ -106,6 +107,13 @@ class XModule {
           else
             return detail::make_message<T>(memory, [&]() -> T { return make(from); });
         });
+    return *this;
+  }
+
+  /// The module's XNodes may read this parameter (Input::value). Declared twice is once.
+  template <class T>
+  XModule& add_parameter(const Parameter<T>& parameter) {
+    detail::add_parameter(*spec_, parameter.spec_);
     return *this;
   }
 

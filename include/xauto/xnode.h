@@ -9,6 +9,7 @@
 #include <type_traits>
 #include <utility>
 
+#include <xauto/parameter.h>
 #include <xauto/result.h>
 #include <xauto/topic.h>
 #include <xauto/xpu.h>
@@ -26,6 +27,7 @@ using Exec = std::function<Status(void* object, void* state, const Input&)>;
 std::shared_ptr<XNodeSpecErased> make_xnode(std::string name);
 const std::string& name_of(const XNodeSpecErased& xnode);
 void add_impl(XNodeSpecErased& xnode, const XPU& xpu, Init init, Exec exec);
+void add_parameter(XNodeSpecErased& xnode, ParameterHandle parameter);
 
 }  // namespace detail
 
@@ -108,6 +110,13 @@ class XNode {
             return call(exec, *static_cast<Object*>(object), *static_cast<State*>(state), input);
           });
     }
+    return *this;
+  }
+
+  /// Its implementations read this parameter; it is one of the module's. Declared twice is once.
+  template <class T>
+  XNode& add_parameter(const Parameter<T>& parameter) {
+    detail::add_parameter(*spec_, parameter.spec_);
     return *this;
   }
 

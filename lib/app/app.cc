@@ -8,6 +8,7 @@
 
 #include "base/pi_mutex.h"
 #include "emu/client.h"
+#include "graph/deployed.h"
 #include "graph/graph.h"
 #include "launch/keeper.h"
 #include "session/notes.h"
@@ -106,8 +107,13 @@ int App::main(int, char** argv) {
 
 Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_ptr<Data>& self) {
   detail::add_timers(spec);
-  XAUTO_TRY(runtime::Graph::build(spec));
   XAUTO_ASSIGN(runtime::Session session, options.data_->session());
+  const bool renamed = detail::renames(session.deployment);
+  detail::AppSpecErased deployed;
+  if (renamed) {
+    XAUTO_ASSIGN(deployed, detail::deployed(spec, session.deployment));
+  }
+  XAUTO_TRY(runtime::Graph::build(renamed ? deployed : spec));
   XAUTO_ASSIGN(const std::string programs, launch::find_programs(options.data_->programs));
   bool emulator_died = false;
   XAUTO_ASSIGN(const auto keeper, launch::Keeper::start(session, programs, [&] {
@@ -125,13 +131,14 @@ Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_pt
   struct Held {
     std::shared_ptr<Data> app;
     runtime::Session session;
+    detail::AppSpecErased deployed;
   };
-  const auto held = std::make_shared<Held>(Held{self, std::move(session)});
+  const auto held = std::make_shared<Held>(Held{self, std::move(session), std::move(deployed)});
   // On a thread of its own, whose name, emulator and priority are nobody else's.
   app::Ran ran;
   std::thread([&] {
     emu::set_this_threads_site(site);
-    ran = app::run_engine(spec, held->session, stop, held);
+    ran = app::run_engine(renamed ? held->deployed : spec, held->session, stop, held);
   }).join();
   if (ran.stuck) {
     const Guard lock(mutex);

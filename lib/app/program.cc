@@ -14,6 +14,7 @@
 #include "base/log.h"
 #include "base/memory_file.h"
 #include "base/rt.h"
+#include "graph/deployed.h"
 #include "graph/graph.h"
 #include "runtime/profiler.h"
 #include "session/session.h"
@@ -32,7 +33,17 @@ void on_signal(int number) {
   signal(number, SIG_DFL);
 }
 
-Result<std::string> answer(const detail::AppSpecErased& app, const runtime::Session& session) {
+Result<std::string> answer(const detail::AppSpecErased& program, const runtime::Session& session) {
+  // A run's is for its app.json; before there is one it is for the program.
+  if (const std::string& of = session.deployment.app;
+      session.mode != runtime::Mode::kRun && !of.empty() && of != program.name)
+    return fail(ErrorCode::kInvalid, "is for app '" + of + "', not for '" + program.name + "'",
+                "deployment.json");
+  XAUTO_ASSIGN(auto deployed, detail::deployed(program, session.deployment));
+  // A thread that was left behind may use it until the process ends.
+  static std::shared_ptr<const detail::AppSpecErased> held;
+  held = std::make_shared<const detail::AppSpecErased>(std::move(deployed));
+  const detail::AppSpecErased& app = *held;
   switch (session.mode) {
     case runtime::Mode::kDescribe: {
       XAUTO_ASSIGN(const runtime::Graph graph, runtime::Graph::build(app));
@@ -44,7 +55,7 @@ Result<std::string> answer(const detail::AppSpecErased& app, const runtime::Sess
       return std::move(profiled.text);
     }
     case runtime::Mode::kRun: {
-      Ran ran = run_engine(app, session, g_stop, nullptr);  // the process ends without destructors
+      Ran ran = run_engine(app, session, g_stop, held);  // the process ends without destructors
       g_stuck = ran.stuck;
       if (!ran.report) return tl::unexpected<Error>(std::move(ran.report).error());
       return ran.member ? std::string() : runtime::to_json(*ran.report);

@@ -105,6 +105,8 @@ struct Fire::Data {
   std::vector<detail::TopicSpec> topics;              ///< inputs, then what is sampled
   std::vector<std::shared_ptr<const void>> messages;  ///< by topic
   std::vector<std::int64_t> put_ns;                   ///< by topic: when that was put
+  std::vector<detail::ParameterHandle> declared;
+  std::vector<detail::ParameterNow> parameters;
   std::shared_ptr<std::int64_t> clock_ns = std::make_shared<std::int64_t>(0);
   std::uint64_t sequence = 0;
   std::shared_ptr<emu::Site> site = std::make_shared<emu::Site>();
@@ -115,6 +117,7 @@ struct Fire::Data {
     const std::int64_t limit_ns = module.samples[topic - module.inputs.size()].max_age_ns;
     return limit_ns > 0 && *clock_ns - put_ns[topic] > limit_ns;
   }
+  void set(const detail::ParameterSpec& parameter, const ParameterValue& value);
   [[nodiscard]] Status check();
   [[nodiscard]] Status prepare();
   [[nodiscard]] Status exec(const Input& input, Outcome::Data& outcome);
@@ -128,6 +131,8 @@ Fire::Fire(
   for (const auto& node : data_->module.nodes) data_->nodes.push_back({node.get(), nullptr, {}});
   data_->topics = data_->module.inputs;
   for (const auto& sample : data_->module.samples) data_->topics.push_back(sample.topic);
+  data_->declared = detail::parameters_of(data_->module);
+  data_->parameters = detail::initial_of(data_->declared);
   data_->messages.resize(data_->topics.size());
   data_->put_ns.resize(data_->topics.size());
   data_->site->virtual_ns = data_->clock_ns;
@@ -168,6 +173,32 @@ void Fire::put(detail::TopicHandle topic, std::shared_ptr<const void> message) {
                           "' is neither an input of it nor sampled by it");
 }
 
+void Fire::Data::set(const detail::ParameterSpec& parameter, const ParameterValue& value) {
+  const auto now = std::find_if(parameters.begin(), parameters.end(),
+                                [&](const auto& p) { return p.spec == &parameter; });
+  if (now == parameters.end())
+    misuse.push_back("parameter '" + parameter.name + "' is not declared by it");
+  else if (const auto taken = parameter.take(value); taken)
+    now->set(*taken);
+  else
+    misuse.push_back("parameter '" + parameter.name + "' " + taken.error().what);
+}
+
+// NOLINTBEGIN(performance-unnecessary-value-param)
+void Fire::set_integer(detail::ParameterHandle parameter, std::int64_t value) {
+  if (parameter->type() == ParameterType::kBoolean)
+    data_->set(*parameter, value != 0);
+  else
+    data_->set(*parameter, value);
+}
+void Fire::set_real(detail::ParameterHandle parameter, double value) {
+  data_->set(*parameter, value);
+}
+void Fire::set_text(detail::ParameterHandle parameter, std::string value) {
+  data_->set(*parameter, std::move(value));
+}
+// NOLINTEND(performance-unnecessary-value-param)
+
 /// What the test did wrong, and the App would refuse.
 Status Fire::Data::check() {
   std::vector<std::string> problems = module.misuse;
@@ -177,6 +208,8 @@ Status Fire::Data::check() {
       problems.push_back("XNode '" + node.spec->name + "' has no implementation");
   }
   problems.insert(problems.end(), misuse.begin(), misuse.end());
+  for (const detail::ParameterHandle& parameter : declared)
+    if (const std::string wrong = parameter->misuse(); !wrong.empty()) problems.push_back(wrong);
   if (nodes.empty()) problems.emplace_back("it has no XNode");
   for (std::size_t i = 0; i < module.inputs.size(); ++i)
     if (messages[i] == nullptr)
@@ -233,6 +266,7 @@ Result<Outcome> Fire::run() {
   XAUTO_TRY(d.prepare());
   Input input = InputAccess::make();
   InputAccess::bind(input, &d.topics, d.module.inputs.size());
+  InputAccess::parameters(input) = d.parameters;
   InputAccess::begin(input, *d.clock_ns);
   const std::uint64_t sequence = d.sequence++;
   InputAccess::stamp(input, *d.clock_ns, sequence);

@@ -58,6 +58,17 @@ void set_timer(XModuleSpec& module, std::chrono::microseconds period) {
   module.inputs.push_back(*module.timer);
 }
 
+std::vector<ParameterHandle> parameters_of(const XModuleSpec& module) {
+  std::vector<ParameterHandle> all;
+  const auto add = [&](const std::vector<ParameterHandle>& declared) {
+    for (const ParameterHandle& parameter : declared)
+      if (std::find(all.begin(), all.end(), parameter) == all.end()) all.push_back(parameter);
+  };
+  add(module.parameters);
+  for (const auto& node : module.nodes) add(node->parameters);
+  return all;
+}
+
 void add_timers(AppSpecErased& app) {
   for (const auto& module : app.modules) {
     if (!module->timer) continue;
@@ -83,6 +94,14 @@ void add_sample(XModuleSpec& module, TopicHandle topic, std::chrono::nanoseconds
     module.misuse.push_back("XModule '" + module.name + "' samples topic '" + topic->name +
                             "' with a negative age");
   module.samples.push_back({*topic, max_age.count()});
+}
+
+void add_parameter(XModuleSpec& module, ParameterHandle parameter) {
+  module.parameters.push_back(std::move(parameter));
+}
+
+void add_parameter(XNodeSpecErased& xnode, ParameterHandle parameter) {
+  xnode.parameters.push_back(std::move(parameter));
 }
 
 void set_in_flight(XModuleSpec& module, int activations) {

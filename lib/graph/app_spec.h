@@ -28,6 +28,7 @@ struct ImplSpec {
 struct XNodeSpecErased {
   std::string name;
   std::vector<ImplSpec> impls;
+  std::vector<ParameterHandle> parameters = {};
   std::vector<std::string> misuse;  ///< collected, reported when the App is checked
 };
 
@@ -54,8 +55,9 @@ struct XModuleSpec {
   std::vector<TopicSpec> inputs;
   std::vector<SampleSpec> samples;
   std::vector<OutputSpec> outputs;
-  int in_flight = 1;  ///< activations that may be at once
-  OnMiss on_miss;     ///< may be empty
+  std::vector<ParameterHandle> parameters = {};  ///< without those that its XNodes declare
+  int in_flight = 1;                             ///< activations that may be at once
+  OnMiss on_miss;                                ///< may be empty
   /// XModule::every: its topic is the last of the inputs then known; nullopt: not called.
   std::optional<TopicSpec> timer;
   std::chrono::microseconds timer_period{};
@@ -81,6 +83,9 @@ struct AppSpecErased {
   std::vector<ObserverSpec> observers;
   std::vector<std::function<void()>> on_start, on_stop, on_end;
 };
+
+/// What a module and its XNodes declare, each once, in the order of declaration.
+[[nodiscard]] std::vector<ParameterHandle> parameters_of(const XModuleSpec& module);
 
 /// Adds the sources that fire modules by the clock, once. Before the app is looked at.
 void add_timers(AppSpecErased& app);

@@ -10,7 +10,9 @@ namespace xauto::runtime {
 namespace {
 
 constexpr const char* kStale =
-    "app.json describes another version of this program: profile it again with `xauto profile`";
+    "app.json describes another version of this program, or other names: profile it again with "
+    "`xauto "
+    "profile`, with the same deployment";
 
 class Builder {
  public:
@@ -22,6 +24,7 @@ class Builder {
     connect();
     find_components();
     check_observers();
+    count_parameters();
     order_modules();
     if (!problems_.empty()) {
       std::string text = problems_.front();
@@ -72,6 +75,29 @@ class Builder {
     if (app_.sources.empty()) problem("no source: nothing would ever fire");
   }
 
+  void add_parameters(Graph::Module& module) {
+    const std::string who = "XModule '" + module.name + "'";
+    module.parameters = detail::parameters_of(*module.spec);
+    std::set<std::string> names;
+    for (const detail::ParameterHandle& parameter : module.parameters) {
+      if (const std::string misuse = parameter->misuse(); !misuse.empty())
+        problem(who + ": " + misuse);
+      else if (!names.insert(parameter->name).second)
+        problem(who + " has two parameters called '" + parameter->name + "'");
+    }
+    if (module.parameters.size() > kMaxModuleParameters)
+      problem(who + " has " + std::to_string(module.parameters.size()) + " parameters; at most " +
+              std::to_string(kMaxModuleParameters) + " are possible");
+  }
+
+  void count_parameters() {
+    std::size_t count = 0;
+    for (const Graph::Module& module : graph_.modules) count += module.parameters.size();
+    if (count > kMaxParameters)
+      problem("the app has " + std::to_string(count) + " parameters; at most " +
+              std::to_string(kMaxParameters) + " are possible");
+  }
+
   void add_module(const detail::XModuleSpec& spec) {
     const int index = static_cast<int>(graph_.modules.size());
     for (const std::string& text : spec.misuse) problem(text);
@@ -99,6 +125,7 @@ class Builder {
       module.nodes.push_back(static_cast<int>(graph_.nodes.size()));
       graph_.nodes.push_back({node->name, index, node.get()});
     }
+    add_parameters(module);
     for (const detail::TopicSpec& input : spec.inputs) {
       const int t = topic(input, "XModule '" + spec.name + "' reads it");
       if (std::find(module.inputs.begin(), module.inputs.end(), t) != module.inputs.end())

@@ -36,11 +36,12 @@ struct Graph {
   struct Module {
     std::string name;
     const detail::XModuleSpec* spec = nullptr;
-    std::vector<int> nodes;    ///< in chain order
-    std::vector<int> inputs;   ///< topics
-    std::vector<int> outputs;  ///< topics, as spec->outputs
-    bool sink = false;         ///< its outputs fire no other module
-    std::vector<int> samples;  ///< topics, as spec->samples
+    std::vector<int> nodes;                           ///< in chain order
+    std::vector<int> inputs;                          ///< topics
+    std::vector<int> outputs;                         ///< topics, as spec->outputs
+    bool sink = false;                                ///< its outputs fire no other module
+    std::vector<int> samples;                         ///< topics, as spec->samples
+    std::vector<detail::ParameterHandle> parameters;  ///< its own and its XNodes'
     /// [sample] sources whose origins come through it, a bit each: where samples go in a circle, a
     /// way that has come round is no chain (docs/runtime.md).
     std::vector<std::uint32_t> sample_origins;

@@ -23,6 +23,7 @@
 #include "emu/state_memory.h"
 #include "launch/cpu_run.h"
 #include "launch/daemons.h"
+#include "launch/parameter_desk.h"
 #include "model/json.h"
 #include "model/json_value.h"
 #include "processes/packet.h"
@@ -102,6 +103,7 @@ class Supervisor {
         return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
       session.board_fd = board_fd_.get();
       XAUTO_ASSIGN(live_, listen_abstract(base_ + kLiveName));
+      XAUTO_ASSIGN(desk_, ParameterDesk::open(base_ + kParameterName, board_fd_.get()));
       prepare_cpus(scheduled);
     }
     if (scheduled)
@@ -215,8 +217,10 @@ class Supervisor {
     daemons_->add_to(fds);
     for (const ModuleProcess& process : processes_)
       if (!process.noticed) fds.push_back({process.child.pidfd(), POLLIN, 0});
+    if (desk_) desk_->add_to(fds);
     if (live_) fds.push_back({live_.get(), POLLIN, 0});
     if (poll(fds.data(), fds.size(), 200) > 0 && live_ && fds.back().revents != 0) introduce();
+    if (desk_) desk_->serve(now_ns());
   }
 
   /// To whoever wants to look at the run: the board, to be read and not to be written.
@@ -355,6 +359,7 @@ class Supervisor {
   std::string base_, bin_;
   UniqueFd answer_, trace_, session_, board_fd_, live_;
   std::shared_ptr<const Board> board_;
+  std::unique_ptr<ParameterDesk> desk_;  ///< null: it is no run
   std::optional<Daemons> daemons_;
   std::vector<ModuleProcess> processes_;
   Child app_;

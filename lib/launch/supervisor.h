@@ -33,6 +33,9 @@ namespace xauto::launch {
 /// read (`Board::observe`).
 inline constexpr const char* kLiveName = "live";
 
+/// Of the tool: where parameters are changed (parameter_desk.h).
+inline constexpr const char* kParameterName = "param";
+
 /// A deadline miss or a hang, and what was traced around it.
 struct Incident {
   bool hang = false;

@@ -53,6 +53,20 @@ ModuleDeployment read_module(const Reader& r) {
     if (!m.on_hang) r["on_hang"].refuse("must be \"log\", \"drop\" or \"restart\"");
   }
   m.match_us = integer("match_us", 0, kMaxTimeUs);
+  if (r.has("remap"))
+    r["remap"].each_member(kMaxRemaps, [&](const std::string& topic, const Reader& to) {
+      std::string name = to.text();
+      if (name.empty() && !to.failed()) to.refuse("must not be empty");
+      m.remap.emplace(topic, std::move(name));
+    });
+  if (r.has("parameters"))
+    r["parameters"].each_member(
+        kMaxModuleParameters, [&](const std::string& name, const Reader& value) {
+          if (name.empty() || name.size() > kMaxParameterName)
+            return value.refuse("is of a parameter whose name has not 1 to " +
+                                std::to_string(kMaxParameterName) + " bytes");
+          m.parameters.emplace(name, value.scalar());
+        });
   return m;
 }
 
@@ -70,6 +84,17 @@ ordered_json to_document(const ModuleDeployment& m) {
   put("hang_us", m.hang_us);
   if (m.on_hang) out["on_hang"] = to_string(*m.on_hang);
   put("match_us", m.match_us);
+  if (!m.parameters.empty()) {
+    ordered_json parameters = ordered_json::object();
+    for (const auto& [name, value] : m.parameters)
+      std::visit([&, at = &name](const auto& v) { parameters[*at] = v; }, value);
+    out["parameters"] = std::move(parameters);
+  }
+  if (!m.remap.empty()) {
+    ordered_json remap = ordered_json::object();
+    for (const auto& [from, to] : m.remap) remap[from] = to;
+    out["remap"] = std::move(remap);
+  }
   return out;
 }
 
@@ -169,30 +194,55 @@ std::vector<std::vector<std::string>> Deployment::processes(const AppSpec& spec)
   return found;
 }
 
-Result<Deployment> parse_deployment(std::string_view text, std::string_view origin,
-                                    const AppSpec& app, Keys* keys) {
+namespace {
+
+/// `app` null: names are not checked.
+Result<Deployment> parse(std::string_view text, std::string_view origin, const AppSpec* app,
+                         Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
   root.expect("xauto.deployment");
   std::set<std::string> modules;
-  for (const XNodeSpec& xnode : app.xnodes) modules.insert(xnode.module);
+  if (app != nullptr)
+    for (const XNodeSpec& xnode : app->xnodes) modules.insert(xnode.module);
+  const auto is_module = [&](const std::string& name) {
+    return app == nullptr || modules.contains(name);
+  };
   Deployment d;
   d.app = root["app"].text();
-  if (d.app != app.name && !root.failed())
-    root["app"].refuse("is for app '" + d.app + "', not for '" + app.name + "'");
+  if (app != nullptr && d.app != app->name && !root.failed())
+    root["app"].refuse("is for app '" + d.app + "', not for '" + app->name + "'");
   if (root.has("queue_depth")) d.queue_depth = root["queue_depth"].integer(1, kMaxQueue);
   if (root.has("keep")) d.keep = root["keep"].integer(1, kMaxQueue);
-  if (root.has("defaults")) d.defaults = read_module(root["defaults"]);
+  if (root.has("defaults")) {
+    d.defaults = read_module(root["defaults"]);
+    if (!d.defaults.parameters.empty())
+      root["defaults"]["parameters"].refuse("is for all modules, and parameters are of one",
+                                            "say it under \"modules\"");
+    if (!d.defaults.remap.empty())
+      root["defaults"]["remap"].refuse("is for all modules, and topics are renamed of one",
+                                       "say it under \"modules\"");
+  }
+  if (root.has("instances"))
+    root["instances"].each_member(kMaxInstances, [&](const std::string& name, const Reader& of) {
+      if (name.empty()) return of.refuse("is of an instance without a name");
+      std::string module = of.text();
+      if (module.empty() && !of.failed()) return of.refuse("must be the name of an XModule");
+      if (!is_module(name))
+        return of.refuse("instance '" + name + "' is not in the app",
+                         "`xauto profile --deployment` of this file writes an app that has it");
+      d.instances.emplace(name, std::move(module));
+    });
   if (root.has("modules"))
     root["modules"].each_member(kMaxXNodes, [&](const std::string& name, const Reader& module) {
-      if (modules.find(name) == modules.end())
-        return module.refuse("XModule '" + name + "' is not in the app");
+      if (!is_module(name)) return module.refuse("XModule '" + name + "' is not in the app");
       d.modules.emplace(name, read_module(module));
     });
   if (root.has("budgets_us"))
     root["budgets_us"].each_member(kMaxXNodes, [&](const std::string& name, const Reader& budget) {
-      if (app.find(name) < 0) return budget.refuse("XNode '" + name + "' is not in the app");
+      if (app != nullptr && app->find(name) < 0)
+        return budget.refuse("XNode '" + name + "' is not in the app");
       d.budgets_us.emplace(name, budget.integer(1, kMaxTimeUs));
     });
   std::set<std::string> names;
@@ -202,7 +252,7 @@ Result<Deployment> parse_deployment(std::string_view text, std::string_view orig
       if (c.failed()) return;
       if (!names.insert(chain.name).second)
         return c["name"].refuse("is the name of another chain, too");
-      if (modules.find(chain.to) == modules.end())
+      if (!is_module(chain.to))
         return c["to"].refuse("XModule '" + chain.to + "' is not in the app");
       if (c.has("deadline_us")) chain.deadline_us = c["deadline_us"].integer(1, kMaxTimeUs);
       if (c.has("max_age_us")) chain.max_age_us = c["max_age_us"].integer(1, kMaxTimeUs);
@@ -217,18 +267,35 @@ Result<Deployment> parse_deployment(std::string_view text, std::string_view orig
       if (!d.transport.contains(topic)) r.refuse("must be \"cyclonedds\" or \"cyclonedds:feed\"");
     });
   XAUTO_TRY(context.status());
+  for (const auto& [name, module] : d.modules) modules.insert(name);
   check(d, modules, root);
   XAUTO_TRY(context.status());
   if (keys != nullptr) *keys = context.keys(document);
   return d;
 }
 
-Result<Deployment> load_deployment(const std::string& path, const AppSpec& app) {
+Result<Deployment> load(const std::string& path, const AppSpec* app) {
   XAUTO_ASSIGN(const std::string text, read_file(path));
   Keys keys;
-  XAUTO_ASSIGN(Deployment deployment, parse_deployment(text, path, app, &keys));
+  XAUTO_ASSIGN(Deployment deployment, parse(text, path, app, &keys));
   XAUTO_TRY(judge(keys, path));
   return deployment;
+}
+
+}  // namespace
+
+Result<Deployment> parse_deployment(std::string_view text, std::string_view origin,
+                                    const AppSpec& app, Keys* keys) {
+  return parse(text, origin, &app, keys);
+}
+Result<Deployment> parse_deployment(std::string_view text, std::string_view origin) {
+  return parse(text, origin, nullptr, nullptr);
+}
+Result<Deployment> load_deployment(const std::string& path, const AppSpec& app) {
+  return load(path, &app);
+}
+Result<Deployment> load_deployment(const std::string& path) {
+  return load(path, nullptr);
 }
 
 std::string to_json(const Deployment& d) {
@@ -236,6 +303,11 @@ std::string to_json(const Deployment& d) {
   if (d.queue_depth) document["queue_depth"] = *d.queue_depth;
   if (d.keep) document["keep"] = *d.keep;
   document["defaults"] = to_document(d.defaults);
+  if (!d.instances.empty()) {
+    ordered_json instances = ordered_json::object();
+    for (const auto& [name, of] : d.instances) instances[name] = of;
+    document["instances"] = std::move(instances);
+  }
   ordered_json modules = ordered_json::object();
   for (const auto& [name, module] : d.modules) modules[name] = to_document(module);
   document["modules"] = std::move(modules);

@@ -14,6 +14,7 @@
 
 #include "model/app.h"
 #include "model/keys.h"
+#include "model/parameter.h"
 
 namespace xauto {
 
@@ -60,6 +61,10 @@ struct ModuleDeployment {
   /// Several rates: inputs belong together when their origins are at most so far apart; missing:
   /// the newest of each.
   std::optional<std::int64_t> match_us;
+  /// Of one module, not of the defaults; the program that declares them checks them.
+  std::map<std::string, ParameterValue, std::less<>> parameters = {};
+  /// Topic as the program calls it -> topic; likewise.
+  std::map<std::string, std::string, std::less<>> remap = {};
   bool operator==(const ModuleDeployment&) const = default;
 };
 
@@ -75,6 +80,8 @@ struct Deployment {
   std::string app;                                ///< AppSpec::name
   std::optional<std::int64_t> queue_depth, keep;  ///< of topics between processes
   ModuleDeployment defaults;
+  /// Name -> XModule of the program that runs under it; one that has any runs under these alone.
+  std::map<std::string, std::string, std::less<>> instances = {};
   std::map<std::string, ModuleDeployment, std::less<>> modules;
   std::map<std::string, std::int64_t, std::less<>> budgets_us;  ///< XNode -> its budget
   std::vector<ChainDeployment> chains;
@@ -88,6 +95,7 @@ struct Deployment {
 };
 
 inline constexpr std::size_t kMaxChains = 256;
+inline constexpr std::size_t kMaxInstances = 4096, kMaxRemaps = 4096;  ///< of one module
 inline constexpr std::size_t kMaxTransports = 256;
 inline constexpr std::int64_t kMaxBudgetPct = 1'000'000;
 
@@ -95,6 +103,9 @@ inline constexpr std::int64_t kMaxBudgetPct = 1'000'000;
 [[nodiscard]] Result<Deployment> parse_deployment(std::string_view text, std::string_view origin,
                                                   const AppSpec& app, Keys* keys = nullptr);
 [[nodiscard]] Result<Deployment> load_deployment(const std::string& path, const AppSpec& app);
+/// Before there is an app.json: names are not checked.
+[[nodiscard]] Result<Deployment> parse_deployment(std::string_view text, std::string_view origin);
+[[nodiscard]] Result<Deployment> load_deployment(const std::string& path);
 [[nodiscard]] std::string to_json(const Deployment& deployment);
 
 }  // namespace xauto

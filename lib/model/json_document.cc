@@ -440,6 +440,16 @@ std::int64_t Reader::time() const {
   return integer(0, kMaxTimeUs);
 }
 
+ParameterValue Reader::scalar() const {
+  if (value_ == nullptr) return false;
+  if (value_->is_boolean()) return value_->get<bool>();
+  if (value_->is_string()) return text();
+  if (value_->is_number_float()) return value_->get<double>();
+  if (value_->is_number_integer()) return integer(INT64_MIN, INT64_MAX);
+  refuse("must be true, false, a number or a string, is " + shown(*value_));
+  return false;
+}
+
 std::string Reader::decimal() const {
   if (value_ == nullptr) return {};
   if (value_->is_string()) return text();

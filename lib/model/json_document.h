@@ -19,6 +19,7 @@
 #include <xauto/result.h>
 
 #include "model/keys.h"
+#include "model/parameter.h"
 
 namespace xauto::json_document {
 
@@ -94,6 +95,9 @@ class Reader {
   [[nodiscard]] bool boolean() const;
   [[nodiscard]] std::int64_t integer(std::int64_t low, std::int64_t high) const;
   [[nodiscard]] std::int64_t time() const;  ///< integer from 0 to kMaxTimeUs
+
+  /// A boolean, a number or a text; an integer where it is written as one.
+  [[nodiscard]] ParameterValue scalar() const;
 
   /// A number as the shortest decimal that means it, or a text as it is. Empty: refused.
   [[nodiscard]] std::string decimal() const;

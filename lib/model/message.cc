@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "model/message.h"
 
+#include <bit>
 #include <cstdlib>
 #include <stdexcept>
 
@@ -24,12 +25,20 @@ std::size_t place_of(const detail::InputData& data, const std::string& topic,
                      const std::type_info* type, const char* what) {
   for (std::size_t i = 0; data.topics != nullptr && i < data.topics->size(); ++i) {
     const detail::TopicSpec& known = (*data.topics)[i];
-    if (known.name != topic) continue;
+    if ((known.called.empty() ? known.name : known.called) != topic) continue;
     if (type != nullptr && known.type != *type)
       throw std::logic_error("topic '" + topic + "' carries " + known.type_name);
     return i;
   }
   throw std::logic_error("topic '" + topic + "' is not " + what + " this XModule");
+}
+
+const detail::ParameterNow& now_of(const detail::InputData& data,
+                                   const detail::ParameterSpec& parameter) {
+  for (const detail::ParameterNow& now : data.parameters)
+    if (now.spec == &parameter) return now;
+  throw std::logic_error("parameter '" + parameter.name + "' is declared neither by this XModule " +
+                         "nor by one of its XNodes: add_parameter does that");
 }
 
 }  // namespace
@@ -101,6 +110,18 @@ std::chrono::nanoseconds Input::origin() const {
 
 std::uint64_t Input::sequence() const {
   return data_->sequence;
+}
+
+std::int64_t Input::integer_of(const detail::ParameterSpec& parameter) const {
+  return static_cast<std::int64_t>(now_of(*data_, parameter).bits);
+}
+
+double Input::real_of(const detail::ParameterSpec& parameter) const {
+  return std::bit_cast<double>(now_of(*data_, parameter).bits);
+}
+
+const std::string& Input::text_of(const detail::ParameterSpec& parameter) const {
+  return now_of(*data_, parameter).text;
 }
 
 }  // namespace xauto

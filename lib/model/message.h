@@ -14,6 +14,8 @@
 
 #include <xauto/topic.h>
 
+#include "model/parameter.h"
+
 namespace xauto::detail {
 
 /// Where a message is made so that other processes can read it without a copy. Implemented by the
@@ -39,6 +41,7 @@ struct Envelope {
 
 struct TopicSpec {
   std::string name;
+  std::string called = {};  ///< by the program, where a deployment names it otherwise; else empty
   std::type_index type = typeid(void);
   std::string type_name;
   /// Null where the type has no Codec.
@@ -58,6 +61,7 @@ struct InputData {
   std::int64_t origin_ns = 0;
   std::int64_t due_ns = 0;  ///< of the XNode that runs; 0: nothing says
   std::uint64_t sequence = 0;
+  std::vector<ParameterNow> parameters;  ///< of the module, since the activation began
 };
 
 }  // namespace xauto::detail

@@ -14,6 +14,7 @@
 #include "base/memory_file.h"
 #include "model/app.h"
 #include "model/deployment.h"
+#include "model/parameter.h"
 #include "session/distribution.h"
 
 namespace xauto::runtime {
@@ -25,12 +26,12 @@ constexpr std::uint32_t kBoardMagic = 0x58424f41;  // "XBOA"
 std::size_t bytes_of(const BoardShape& shape) {
   return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
          shape.modules * sizeof(ModuleLine) + shape.nodes * sizeof(XNodeLine) +
-         shape.flows * sizeof(FlowLine);
+         shape.flows * sizeof(FlowLine) + shape.parameters * sizeof(ParameterLine);
 }
 
 void fill(void* memory, const BoardShape& s) {
-  auto* header = new (memory)
-      BoardHeader{kBoardMagic, s.processes, s.modules, s.nodes, s.flows, {}, {}, {}, {}};
+  auto* header = new (memory) BoardHeader{kBoardMagic,  s.processes, s.modules, s.nodes, s.flows,
+                                          s.parameters, {},          {},        {},      {}};
   auto* lines = reinterpret_cast<ProcessLine*>(header + 1);
   for (std::uint32_t p = 0; p < s.processes; ++p) (new (lines + p) ProcessLine)->stand_in.store(p);
   auto* counts = reinterpret_cast<ModuleLine*>(lines + s.processes);
@@ -39,6 +40,8 @@ void fill(void* memory, const BoardShape& s) {
   for (std::uint32_t n = 0; n < s.nodes; ++n) new (xnodes + n) XNodeLine;
   auto* flows = reinterpret_cast<FlowLine*>(xnodes + s.nodes);
   for (std::uint32_t f = 0; f < s.flows; ++f) new (flows + f) FlowLine;
+  auto* parameters = reinterpret_cast<ParameterLine*>(flows + s.flows);
+  for (std::uint32_t p = 0; p < s.parameters; ++p) new (parameters + p) ParameterLine;
 }
 
 }  // namespace
@@ -52,7 +55,8 @@ Board::Board(void* memory, std::size_t bytes, bool mapped, const BoardShape& sha
       processes_(reinterpret_cast<ProcessLine*>(header_ + 1)),
       modules_(reinterpret_cast<ModuleLine*>(processes_ + shape.processes)),
       xnodes_(reinterpret_cast<XNodeLine*>(modules_ + shape.modules)),
-      flows_(reinterpret_cast<FlowLine*>(xnodes_ + shape.nodes)) {}
+      flows_(reinterpret_cast<FlowLine*>(xnodes_ + shape.nodes)),
+      parameters_(reinterpret_cast<ParameterLine*>(flows_ + shape.flows)) {}
 
 Board::~Board() {
   if (mapped_)
@@ -70,7 +74,7 @@ std::shared_ptr<Board> Board::local(const BoardShape& shape) {
 
 Result<std::shared_ptr<Board>> Board::create(const BoardShape& shape, UniqueFd& fd) {
   if (shape.processes == 0 || shape.processes > kMaxProcesses || shape.modules > kMaxXNodes ||
-      shape.nodes > kMaxXNodes || shape.flows > kMaxFlows)
+      shape.nodes > kMaxXNodes || shape.flows > kMaxFlows || shape.parameters > kMaxParameters)
     return fail(ErrorCode::kInvalid, std::to_string(shape.processes) + " processes and " +
                                          std::to_string(shape.modules) + " modules are too many");
   const std::size_t bytes = bytes_of(shape);
@@ -97,7 +101,7 @@ Result<std::shared_ptr<Board>> Board::map(int fd, const BoardShape& shape) {
   auto board = std::shared_ptr<Board>(new Board(memory, bytes, true, shape));
   const BoardHeader& h = *board->header_;
   if (h.magic != kBoardMagic || h.processes != shape.processes || h.modules != shape.modules ||
-      h.nodes != shape.nodes || h.flows != shape.flows)
+      h.nodes != shape.nodes || h.flows != shape.flows || h.parameters != shape.parameters)
     return fail(ErrorCode::kInvalid, "the app's shared memory is another app's", {},
                 "all processes of an app must be of one build");
   return board;
@@ -109,6 +113,15 @@ bool Board::busy() const {
 }
 
 Result<std::shared_ptr<const Board>> Board::observe(int fd) {
+  XAUTO_ASSIGN(std::shared_ptr<const Board> board, look(fd, PROT_READ));
+  return board;
+}
+
+Result<std::shared_ptr<Board>> Board::steer(int fd) {
+  return look(fd, PROT_READ | PROT_WRITE);
+}
+
+Result<std::shared_ptr<Board>> Board::look(int fd, int protection) {
   struct stat status {};
   // Its size cannot change once it is sealed, and what is sealed is filled in or about to be.
   const int seals = fcntl(fd, F_GET_SEALS);
@@ -116,20 +129,21 @@ Result<std::shared_ptr<const Board>> Board::observe(int fd) {
       static_cast<std::size_t>(status.st_size) < sizeof(BoardHeader))
     return fail(ErrorCode::kUnavailable, "the app has not started yet");
   const auto bytes = static_cast<std::size_t>(status.st_size);
-  void* memory = mmap(nullptr, bytes, PROT_READ, MAP_SHARED, fd, 0);
+  void* memory = mmap(nullptr, bytes, protection, MAP_SHARED, fd, 0);
   if (memory == MAP_FAILED)
     return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
   const auto* header = static_cast<const BoardHeader*>(memory);
-  const BoardShape shape{header->processes, header->modules, header->nodes, header->flows};
+  const BoardShape shape{header->processes, header->modules, header->nodes, header->flows,
+                         header->parameters};
   const bool whole = header->magic == kBoardMagic && shape.processes >= 1 &&
                      shape.processes <= kMaxProcesses && shape.modules <= kMaxXNodes &&
                      shape.nodes <= kMaxXNodes && shape.flows >= 1 && shape.flows <= kMaxFlows &&
-                     bytes_of(shape) == bytes;
+                     shape.parameters <= kMaxParameters && bytes_of(shape) == bytes;
   if (!whole) {
     munmap(memory, bytes);
     return fail(ErrorCode::kUnavailable, "the app has not started yet");
   }
-  return std::shared_ptr<const Board>(new Board(memory, bytes, true, shape));
+  return std::shared_ptr<Board>(new Board(memory, bytes, true, shape));
 }
 
 void FlowLine::add(std::int64_t us) {

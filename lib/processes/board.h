@@ -3,7 +3,7 @@
 // module, XNode and chain, which so survive the process that wrote them. The memory is the
 // supervisor's, if there is one: `xauto top` and the progress line read it while the run goes on.
 //
-// [M] written by the process that hosts the module (or by the hub in its place once it is dead),
+// [S] written by the supervisor, [M] by the process that hosts the module (or by the hub in its place once it is dead),
 // [H] by the hub.
 #pragma once
 
@@ -26,7 +26,7 @@ inline constexpr std::uint32_t kMaxProcesses = 256;
 inline constexpr std::size_t kBoardTextBytes = 2048;  ///< with the 0 at its end; longer is cut
 
 struct alignas(64) BoardHeader {
-  std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0, flows = 0;
+  std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0, flows = 0, parameters = 0;
   std::atomic<std::uint64_t> released{};  ///< [H] releases of the sensors
   std::atomic<std::uint64_t> late{};      ///< [H] ... that were not where app.json has them
   std::atomic<std::int64_t> latest_ns{};  ///< [H] the most that one of these was off
@@ -36,7 +36,7 @@ struct alignas(64) BoardHeader {
 
 /// What is counted, and checked when memory of another process is mapped.
 struct BoardShape {
-  std::uint32_t processes = 1, modules = 0, nodes = 0, flows = 1;
+  std::uint32_t processes = 1, modules = 0, nodes = 0, flows = 1, parameters = 0;
 };
 
 inline constexpr std::size_t kBoardNameBytes = 104;  ///< with the 0 at its end; longer ones are cut
@@ -47,6 +47,8 @@ struct alignas(64) ModuleLine {
   std::atomic<std::uint64_t> activations{}, failed{}, dropped{};  ///< [M] one writer at a time
   std::atomic<std::uint32_t> in_flight{};                         ///< [M] activations that are
   char name[kBoardNameBytes] = {};                                ///< [H] before the run
+  /// [H] 1 before the run, [S] grows when parameters change; see parameters.h.
+  std::atomic<std::uint64_t> parameters{};
   [[nodiscard]] std::uint64_t settled() const {
     return activations.load() + failed.load() + dropped.load();
   }
@@ -67,6 +69,18 @@ struct alignas(64) FlowLine {
   std::atomic<std::int64_t> last_us{-1}, longest_us{-1};  ///< -1: there was none
   std::atomic<std::uint32_t> latency_us[kBuckets] = {};
   void add(std::int64_t us);
+};
+
+inline constexpr std::size_t kParameterWords = 32;  ///< a number, or a length and a text
+
+/// A parameter of a module. Those of one module are side by side, as it declares them.
+struct alignas(64) ParameterLine {
+  char name[kBoardNameBytes] = {};     ///< [H] before the run, as all up to `value`
+  std::uint32_t module = 0, type = 0;  ///< ParameterType
+  std::uint64_t least = 0, most = 0;   ///< bits_of(), of numbers
+  std::uint64_t initial[kParameterWords] = {};
+  std::atomic<std::uint64_t> value[2][kParameterWords] = {};  ///< [H] before the run, then [S]
+  std::atomic<std::uint64_t> changes{};                       ///< [S]
 };
 
 /// Jobs of one XNode that has limits (watch.h).
@@ -97,6 +111,8 @@ class Board {
   /// To look at only, of an app that may do with its memory what it likes. kUnavailable: the app
   /// has not got so far yet.
   [[nodiscard]] static Result<std::shared_ptr<const Board>> observe(int fd);
+  /// The same by whoever may write [S]. `fd` is open for writing.
+  [[nodiscard]] static Result<std::shared_ptr<Board>> steer(int fd);
   ~Board();
   Board(const Board&) = delete;
   Board& operator=(const Board&) = delete;
@@ -116,6 +132,10 @@ class Board {
   [[nodiscard]] std::string unkept() const;
   XNodeLine& xnode(std::size_t node) { return xnodes_[node]; }
   [[nodiscard]] const XNodeLine& xnode(std::size_t node) const { return xnodes_[node]; }
+  ParameterLine& parameter(std::size_t index) { return parameters_[index]; }
+  [[nodiscard]] const ParameterLine& parameter(std::size_t index) const {
+    return parameters_[index];
+  }
   ProcessLine& process(int index) { return processes_[index]; }
   [[nodiscard]] int processes() const { return static_cast<int>(shape_.processes); }
   [[nodiscard]] std::uint64_t settled() const;
@@ -129,6 +149,7 @@ class Board {
 
  private:
   Board(void* memory, std::size_t bytes, bool mapped, const BoardShape& shape);
+  [[nodiscard]] static Result<std::shared_ptr<Board>> look(int fd, int protection);
   void* memory_;
   std::size_t bytes_;
   bool mapped_;
@@ -138,6 +159,7 @@ class Board {
   ModuleLine* modules_;
   XNodeLine* xnodes_;
   FlowLine* flows_;
+  ParameterLine* parameters_;
 };
 
 /// Rings the readers of one topic.

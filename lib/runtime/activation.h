@@ -65,10 +65,11 @@ class Activation {
   std::vector<std::shared_ptr<const void>> taken_;  ///< its results, by output
   std::atomic<Fate> fate_{Fate::kOpen};
   Stage stage_ = Stage::kFree;
-  std::uint64_t number_ = 0;    ///< how many were fired before it
-  std::size_t position_ = 0;    ///< XNodes of the chain that it is through with
-  bool parked_ = false;         ///< an older one is not yet through with the next XNode
-  Activation* next_ = nullptr;  ///< of those that a caller is to run
+  std::uint64_t parameters_ = 0;  ///< version of those that it sees
+  std::uint64_t number_ = 0;      ///< how many were fired before it
+  std::size_t position_ = 0;      ///< XNodes of the chain that it is through with
+  bool parked_ = false;           ///< an older one is not yet through with the next XNode
+  Activation* next_ = nullptr;    ///< of those that a caller is to run
 };
 
 }  // namespace xauto::runtime

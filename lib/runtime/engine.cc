@@ -6,6 +6,7 @@
 #include <uapi/xauto/event.h>
 
 #include "base/log.h"
+#include "processes/parameters.h"
 #include "runtime/routes.h"
 #include "session/notes.h"
 
@@ -60,6 +61,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   if (e.role_->leads())
     for (std::size_t m = 0; m < e.graph_.modules.size(); ++m)
       name_line(board.module(static_cast<int>(m)).name, e.graph_.modules[m].name);
+  if (e.role_->leads()) XAUTO_TRY(post_parameters(board, e.graph_, session.deployment));
   e.context_ = std::make_unique<Context>(
       Context{app, session, e.graph_, e.plan_, e.grid_, board, e.trace_.get()});
   e.ledger_ = std::make_unique<Ledger>(*e.context_, std::move(routes), *e.role_);
@@ -180,6 +182,7 @@ RunReport Engine::report() {
   if (context_->session.keys && wiring_->lost_scheduler())
     result.unkept.emplace_back(
         "nobody kept keys on real CPUs after the sched_ext scheduler had ended");
+  add_note(result.note, changed_parameters(context_->board));
   if (releaser_) result.broken = releaser_->broken();
   return result;
 }

@@ -18,6 +18,9 @@ class InputAccess {
     input.data_->messages.resize(topics->size());
   }
   static std::vector<detail::Envelope>& messages(Input& input) { return input.data_->messages; }
+  static std::vector<detail::ParameterNow>& parameters(Input& input) {
+    return input.data_->parameters;
+  }
   static void stamp(Input& input, std::int64_t origin_ns, std::uint64_t sequence) {
     input.data_->origin_ns = origin_ns;
     input.data_->sequence = sequence;

@@ -23,6 +23,7 @@
 #include "base/rt.h"
 #include "graph/inlet.h"
 #include "model/json.h"
+#include "processes/parameters.h"
 #include "record/recording.h"
 #include "runtime/input_access.h"
 #include "xpu/backend.h"
@@ -209,6 +210,14 @@ class Run {
     return any;
   }
 
+  /// Before `run`.
+  void set_parameters(std::vector<std::vector<ParameterValue>> values) {
+    for (std::size_t m = 0; m < graph_.modules.size(); ++m) {
+      parameters_.push_back(detail::initial_of(graph_.modules[m].parameters));
+      for (std::size_t p = 0; p < values[m].size(); ++p) parameters_[m][p].set(values[m][p]);
+    }
+  }
+
   /// Destroys what the inits have made, takes no message any more; on the thread of `run`.
   [[nodiscard]] Status release() {
     const bool started = inlets_.has_value();
@@ -340,6 +349,7 @@ class Run {
     std::vector<detail::TopicSpec> topics = module.spec->inputs;
     for (const detail::SampleSpec& sample : module.spec->samples) topics.push_back(sample.topic);
     InputAccess::bind(input, &topics, module.inputs.size());
+    InputAccess::parameters(input) = parameters_[static_cast<std::size_t>(m)];
     InputAccess::stamp(input, now_ns(), k);
     InputAccess::begin(input, now_ns());
     for (std::size_t i = 0; i < module.inputs.size(); ++i) {
@@ -439,6 +449,7 @@ class Run {
   };
   std::map<int, Active> active_;  ///< node -> XPU it was last initialised for
   std::optional<detail::Inlets> inlets_;
+  std::vector<std::vector<detail::ParameterNow>> parameters_;  ///< [module]
   std::vector<int> cores_;
   int core_now_ = -1;
 
@@ -462,8 +473,10 @@ Result<Profiled> profile(const detail::AppSpecErased& app, const Session& sessio
         : graph(std::move(built)), run(app, session, graph) {}
   };
   XAUTO_ASSIGN(Graph graph, Graph::build(app));
+  XAUTO_ASSIGN(auto values, first_values(graph, session.deployment));
   // The thread may be left behind with it.
   auto shared = std::make_shared<Shared>(app, session, std::move(graph));
+  shared->run.set_parameters(std::move(values));
   std::future<Status> ended = shared->ended.get_future();
   // A thread of its own, so that the caller's priority and affinity stay as they are.
   std::thread thread([shared] {

@@ -152,6 +152,7 @@ Status Wiring::make_module(std::size_t index, ModuleHost& host) {
     chains_[index][i]->activation = &made.activation(i);
   }
   const ModuleDeployment said = context_.session.deployment.of(module.name);
+  made.read_parameters(ParameterReader(context_.board, context_.graph, static_cast<int>(index)));
   made.shift_origins(context_.grid.shift_ns[index]);
   if (said.overload)
     made.set_overload(*said.overload);

@@ -247,8 +247,28 @@ void ModuleRuntime::activate_all(Started started) {
   }
 }
 
+void ModuleRuntime::read_parameters(ParameterReader reader) {
+  parameters_ = std::move(reader);
+  if (!parameters_.now().empty()) looks_first_ = true;
+  for (const auto& activation : activations_)
+    InputAccess::parameters(activation->input_) = parameters_.now();
+}
+
+/// What the activation sees until its end. Texts have room, so nothing is allocated.
+void ModuleRuntime::take_parameters(Activation& activation) {
+  parameters_.look();
+  if (activation.parameters_ == parameters_.version()) return;
+  activation.parameters_ = parameters_.version();
+  std::vector<detail::ParameterNow>& seen = InputAccess::parameters(activation.input_);
+  for (std::size_t i = 0; i < seen.size(); ++i) {
+    seen[i].bits = parameters_.now()[i].bits;
+    seen[i].text.assign(parameters_.now()[i].text);
+  }
+}
+
 void ModuleRuntime::begin(Activation& activation, std::int64_t now_ns) {
   InputAccess::begin(activation.input_, now_ns);
+  take_parameters(activation);
   if (!module_.samples.empty()) {
     const Guard lock(mutex_);
     std::vector<detail::Envelope>& messages = InputAccess::messages(activation.input_);

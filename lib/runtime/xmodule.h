@@ -27,6 +27,7 @@
 #include "base/ring.h"
 #include "graph/graph.h"
 #include "model/deployment.h"
+#include "processes/parameters.h"
 #include "runtime/activation.h"
 #include "transport/topic.h"
 
@@ -71,6 +72,8 @@ class ModuleRuntime {
   /// Several rates: fires with messages whose origins are at most `tolerance_ns` apart, the oldest
   /// such ones first; a message that can have no partner any more is lost.
   void match_within(std::int64_t tolerance_ns) { match_ns_ = tolerance_ns; }
+  /// Activations see what this reads when they begin.
+  void read_parameters(ParameterReader reader);
   /// `abandon` may be called.
   void watch() { watched_ = true; }
   /// Numbered: releases below `next` are settled already.
@@ -166,6 +169,7 @@ class ModuleRuntime {
   [[nodiscard]] bool held(const Activation& activation) XAUTO_REQUIRES(mutex_);
   void unpark(Started& free) XAUTO_REQUIRES(mutex_);
 
+  void take_parameters(Activation& activation);
   void gather_origins(Activation& activation);
   bool may_enter(Activation& activation);
   void let_others_in(Activation& activation);
@@ -196,7 +200,7 @@ class ModuleRuntime {
 
   const Graph::Module& module_;
   const bool numbered_, tells_origins_;
-  const bool looks_first_;  ///< before its first XNode runs
+  bool looks_first_;  ///< before its first XNode runs
   const int index_;
   ModuleHost& host_;
   std::vector<const transport::Channel*> outputs_;
@@ -224,6 +228,7 @@ class ModuleRuntime {
   /// whoever hears of k + 1 takes an untold k for lost.
   Ring<Turn> turns_ XAUTO_GUARDED_BY(mutex_);
 
+  ParameterReader parameters_;  ///< of whoever begins: activations begin one after the other
   bool watched_ = false;
   std::int64_t match_ns_ = -1;
   std::vector<std::int64_t> shift_ns_;  ///< [input]

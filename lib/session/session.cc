@@ -96,6 +96,8 @@ std::string to_json(const Session& s) {
             {"processes", s.processes},
             {"hub", s.hub},
             {"hub_fd", s.hub_fd}};
+  if (s.mode != Mode::kRun && !s.deployment.app.empty())
+    j["deployment"] = xauto::to_json(s.deployment);
   // The formats of lib/model travel as the texts that their own readers check.
   if (s.mode == Mode::kRun) {
     j["app"] = xauto::to_json(s.app);
@@ -158,6 +160,10 @@ Result<Session> parse_session(const std::string& text) {
     s.processes = j.at("processes").get<std::vector<std::vector<std::string>>>();
     s.hub = j.at("hub").get<std::string>();
     s.hub_fd = j.at("hub_fd").get<int>();
+    if (s.mode != Mode::kRun && j.contains("deployment")) {
+      XAUTO_ASSIGN(s.deployment,
+                   parse_deployment(j.at("deployment").get<std::string>(), "session"));
+    }
     if (s.mode == Mode::kRun) {
       XAUTO_ASSIGN(s.app, parse_app(j.at("app").get<std::string>(), "session"));
       XAUTO_ASSIGN(s.deployment,

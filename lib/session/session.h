@@ -75,7 +75,8 @@ struct Session {
   int board_fd = -1;                ///< memfd for the board (board.h); -1: nobody looks
   double trace_keep_s = 0;          ///< for so long the trace holds what happens (if memory allows)
 
-  Deployment deployment;  ///< kRun
+  /// Of the other modes what names modules and topics, and parameters; of no app: none.
+  Deployment deployment;
 
   /// Modules by process, beside the hub; empty: all in one. See isolation.h.
   std::vector<std::vector<std::string>> processes;

@@ -20,7 +20,7 @@ namespace xauto::cli {
 namespace {
 
 struct ProfileFlags {
-  std::string platform = "small", input, out, app_out, from = "wcet", read;
+  std::string platform = "small", input, deployment, out, app_out, from = "wcet", read;
   std::uint64_t warmup = 3, repetitions = 30;
   std::int64_t margin_pct = 20, exec_limit_s = 30;
   int app_version = 1;
@@ -115,6 +115,9 @@ Result<Profile> measure(const ProfileFlags& flags, const Platform& platform) {
   session.platform = platform;
   XAUTO_ASSIGN(session.presence, flags.emulation.decide(platform, nullptr));
   session.input = flags.input;
+  if (!flags.deployment.empty()) {
+    XAUTO_ASSIGN(session.deployment, load_deployment(flags.deployment));
+  }
   session.warmup = flags.warmup;
   session.repetitions = flags.repetitions;
   session.margin_pct = flags.margin_pct;
@@ -204,6 +207,8 @@ void add_profile(Commands& commands) {
   verb.option("--platform", flags->platform, "small, large, or a platform.json").shown();
   verb.option("--input", flags->input,
               "recorded input (rosbag2 SQLite); default: the app's own messages");
+  verb.option("--deployment", flags->deployment,
+              "deployment.json: its instances, names of topics, and values of parameters");
   verb.option("--warmup", flags->warmup, "releases that are not counted").range(0, 100000).shown();
   flags->repetitions_given =
       verb.option("--repetitions", flags->repetitions,

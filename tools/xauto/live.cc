@@ -87,7 +87,8 @@ std::vector<XpuStatus> ask_coordinators(const std::string& run) {
   std::vector<XpuStatus> answers;
   for (const std::string& address : abstract_sockets(address_of(run, ""))) {
     const std::string name = address.substr(address.rfind('/') + 1);
-    if (name == launch::kEmudName || name == launch::kHubName || name == launch::kLiveName)
+    if (name == launch::kEmudName || name == launch::kHubName || name == launch::kLiveName ||
+        name == launch::kParameterName)
       continue;
     auto answer = ask(address).and_then(parse_xpu_status);
     if (answer)

@@ -68,14 +68,19 @@ class Fixture {
     });
   }
 
-  /// `loop`: there is a module of that name, too, which fires by the clock.
-  [[nodiscard]] RunOptions options(bool loop = false) const {
+  /// `loop`: there is a module of that name, too, which fires by the clock. `instance`: M's name.
+  [[nodiscard]] RunOptions options(bool loop = false, const std::string& instance = "") const {
     AppSpec spec;
     spec.name = "fixture";
     spec.xnodes = {{"m1", "M", {{"gpu", 100}}}, {"m2", "M", {{"cpu", 100}}}};
     spec.xnodes[0].sources = {0};
     spec.edges = {{0, 1}};
     spec.sources = {{"camera", {1000}}};
+    if (!instance.empty())
+      for (XNodeSpec& xnode : spec.xnodes) {
+        xnode.module = instance;
+        xnode.name = instance + "/" + xnode.name;
+      }
     if (loop) {
       spec.xnodes.push_back({"count", "LOOP", {{"cpu", 100}}, {1}});
       spec.sources.push_back({"LOOP/every", {2000}});
@@ -125,6 +130,23 @@ TEST(Run, TwiceInOneProcess) {
     EXPECT_EQ(f.sum.load(), 190 * run);
     EXPECT_EQ(f.alive.load(), 2 * run);
   }
+}
+
+TEST(Run, AModuleUnderAnotherNameAndThenUnderItsOwn) {
+  Fixture f("a");
+  const auto named = f.app.run(
+      f.options(false, "left")
+          .deployment(
+              R"({"schema": "xauto.deployment", "version": 1, "app": "fixture", "instances": {"left": "M"},
+          "modules": {"left": {"remap": {"result": "result"}}}})"));
+  ASSERT_TRUE(named) << named.error().to_string();
+  EXPECT_TRUE(named->good()) << named->json();
+  EXPECT_EQ(named->modules(), std::vector<std::string>{"left"});
+  EXPECT_EQ(f.results.load(), 20);
+  const auto own = f.app.run(f.options());
+  ASSERT_TRUE(own) << own.error().to_string();
+  EXPECT_EQ(own->modules(), std::vector<std::string>{"M"});
+  EXPECT_EQ(f.results.load(), 40);
 }
 
 struct Beat {

@@ -188,5 +188,43 @@ TEST_F(TestingTest, AnInitThatThrowsIsToldAndWhatIsNoOutputThrows) {
   EXPECT_THROW((void)outcome->get(Topic<int>("line")), std::logic_error);
 }
 
+TEST_F(TestingTest, ParametersAreAsDeclaredUntilTheyAreSet) {
+  const Parameter<bool> on("on", true);
+  const Parameter<unsigned char> level("level", 200);
+  const Parameter<double> gain("gain", 0.5, 0, 1);
+  const Parameter<std::string> mode("mode", "day");
+  const Parameter<int> nobodys("nobodys", 1);
+  const Topic<int> tick("tick");
+  const Topic<std::string> out("out");
+  XNode<std::string> node("node");
+  bool ask = false;
+  node.add_impl(
+      XPU::CPU, [](const XpuId&) { return SchedHandle::thread(); },
+      [&](std::string& seen, const Input& input) {
+        seen = std::to_string(input.value(on)) + std::to_string(input.value(level)) +
+               std::to_string(input.value(gain)) + input.value(mode);
+        if (ask) (void)input.value(nobodys);
+      });
+  node.add_parameter(level).add_parameter(on);
+  XModule<std::string> steered("steered");
+  steered.add_node(node).add_input_topic(tick).add_output_topic(
+      out, [](std::string& seen) { return seen; });
+  steered.add_parameter(on).add_parameter(gain).add_parameter(mode);
+  testing::Fire fire(steered);
+  EXPECT_EQ(fire.put(tick, 1).run()->get(out), "12000.500000day");
+  fire.set(on, false).set(level, static_cast<unsigned char>(7)).set(gain, 1.0);
+  EXPECT_EQ(fire.set(mode, std::string("night")).run()->get(out), "071.000000night");
+  EXPECT_EQ(fire.run()->get(out), "071.000000night");
+  const auto beyond = fire.set(gain, 1.5).set(nobodys, 2).run();
+  ASSERT_FALSE(beyond);
+  EXPECT_NE(beyond.error().what.find("parameter 'gain' '1.5' is out of range"), std::string::npos);
+  EXPECT_NE(beyond.error().what.find("parameter 'nobodys' is not declared"), std::string::npos);
+  ask = true;
+  const auto threw = fire.run();
+  ASSERT_FALSE(threw);
+  EXPECT_NE(threw.error().what.find("parameter 'nobodys' is declared neither by this XModule"),
+            std::string::npos);
+}
+
 }  // namespace
 }  // namespace xauto

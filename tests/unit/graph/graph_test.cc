@@ -184,5 +184,53 @@ TEST(Graph, RefusesAModuleThatOnlySamplesAndASampleThatNobodyPublishes) {
   EXPECT_REFUSAL(b, "samples topic 'mid' with a negative age");
 }
 
+TEST(Graph, AModuleHasTheParametersOfItsXNodesEachOnce) {
+  const Parameter<int> level("level", 3, 0, 9);
+  const Parameter<bool> on("on", true);
+  detail::AppSpecErased app;
+  app.name = "test";
+  const auto module = detail::make_xmodule("A", [] { return std::make_shared<int>(); });
+  const auto handle = detail::make_parameter("level", std::int64_t{3}, 0, 9);
+  const auto xnode = detail::make_xnode("a1");
+  detail::add_impl(*xnode, XPU::CPU, {}, {});
+  detail::add_parameter(*xnode, handle);
+  detail::add_parameter(*xnode, detail::make_parameter("on", true));
+  detail::add_node(*module, xnode);
+  detail::add_parameter(*module, handle);
+  detail::add_input(*module, detail::topic_spec(kIn));
+  app.modules.push_back(module);
+  app.sources.push_back({*detail::topic_spec(kIn), 10ms, {}});
+  const auto graph = runtime::Graph::build(app);
+  ASSERT_TRUE(graph) << graph.error().to_string();
+  ASSERT_EQ(graph->modules[0].parameters.size(), 2u);
+  EXPECT_EQ(graph->modules[0].parameters[0], handle);
+  EXPECT_EQ(graph->modules[0].parameters[1]->name, "on");
+}
+
+TEST(Graph, RefusesParametersThatCannotBe) {
+  Builder b;
+  XNode<State> a1 = node("a1");
+  a1.add_parameter(Parameter<double>("level", 0.5));
+  b.app.add_module(XModule<State>("A")
+                       .add_node(a1)
+                       .add_input_topic(kIn)
+                       .add_parameter(Parameter<int>("level", 3))
+                       .add_parameter(Parameter<int>("beyond", 3, 4, 5))
+                       .add_parameter(Parameter<std::uint64_t>("long", UINT64_MAX))
+                       .add_parameter(Parameter<std::string>("a=b", "x")));
+  EXPECT_REFUSAL(b, "XModule 'A' has two parameters called 'level'");
+  EXPECT_REFUSAL(b, "parameter 'beyond': its default '3' is out of range; possible is 4 to 5");
+  EXPECT_REFUSAL(b, "XModule 'A': parameter 'a=b' needs a name");
+  EXPECT_EQ(b.refusal().find("'long'"), std::string::npos) << "it is what JSON can say at most";
+}
+
+TEST(Graph, RefusesMoreParametersThanFit) {
+  Builder b;
+  XModule<State> many("A");
+  for (int i = 0; i < 257; ++i) many.add_parameter(Parameter<bool>("p" + std::to_string(i), true));
+  b.app.add_module(many.add_node(node("a1")).add_input_topic(kIn));
+  EXPECT_REFUSAL(b, "XModule 'A' has 257 parameters; at most 256 are possible");
+}
+
 }  // namespace
 }  // namespace xauto

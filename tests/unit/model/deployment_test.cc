@@ -57,13 +57,53 @@ TEST(Deployment, ModulesOfOneProcessNameShareAProcess) {
 TEST(Deployment, WhatIsWrittenIsReadAgain) {
   const auto d = parse(R"(, "queue_depth": 4, "keep": 2,
       "defaults": {"budget_pct": 120, "hang_us": 5, "on_hang": "log", "match_us": 0},
-      "modules": {"B": {"process": "x", "restarts": 1}}, "budgets_us": {"a2": 900},
+      "modules": {"B": {"process": "x", "restarts": 1, "parameters":
+          {"a": true, "b": -3, "c": 0.5, "d": 1.0, "e": "day", "f": -9223372036854775808},
+          "remap": {"image": "camera/left", "x": "y"}}}, "instances": {"B": "b", "C": "b"}, "budgets_us": {"a2": 900},
       "chains": [{"name": "n", "from": "camera", "to": "C", "deadline_us": 5, "max_age_us": 6}],
       "transport": {"camera": "cyclonedds:feed", "objects": "cyclonedds"})");
   ASSERT_TRUE(d) << d.error().to_string();
   const auto again = parse_deployment(to_json(*d), "again", make_app());
   ASSERT_TRUE(again) << again.error().to_string();
   EXPECT_EQ(*again, *d);
+}
+
+TEST(Deployment, ParametersKeepTheTypesThatTheyAreWrittenWith) {
+  const auto d = parse(R"(, "modules": {"B": {"parameters": {"i": 1, "r": 1.0, "t": "1"}}})");
+  ASSERT_TRUE(d) << d.error().to_string();
+  const auto& given = d->modules.at("B").parameters;
+  EXPECT_EQ(given.at("i"), ParameterValue(std::int64_t{1}));
+  EXPECT_EQ(given.at("r"), ParameterValue(1.0));
+  EXPECT_EQ(given.at("t"), ParameterValue(std::string("1")));
+  EXPECT_TRUE(d->of("A").parameters.empty());
+  EXPECT_EQ(refusal(R"(, "defaults": {"parameters": {"i": 1}})"),
+            "d.json: /defaults/parameters: is for all modules, and parameters are of one");
+  EXPECT_EQ(
+      refusal(R"(, "modules": {"B": {"parameters": {"i": [1]}}})"),
+      "d.json: /modules/B/parameters/i: must be true, false, a number or a string, is an array");
+  EXPECT_NE(refusal(R"(, "modules": {"B": {"parameters": {"i": 18446744073709551615}}})"), "");
+  EXPECT_NE(refusal(R"(, "modules": {"B": {"parameters": {"": 1}}})"), "");
+}
+
+TEST(Deployment, InstancesAreModulesOfTheAppIfThereIsOne) {
+  const std::string text = R"({"schema": "xauto.deployment", "version": 1, "app": "drive",
+      "instances": {"left": "lanes"}, "modules": {"left": {"remap": {"a": "b"}}}})";
+  EXPECT_EQ(parse_deployment(text, "d.json", make_app()).error().to_string(),
+            "d.json: /instances/left: instance 'left' is not in the app\n"
+            "  hint: `xauto profile --deployment` of this file writes an app that has it");
+  const auto d = parse_deployment(text, "d.json");
+  ASSERT_TRUE(d) << d.error().to_string();
+  EXPECT_EQ(d->instances.at("left"), "lanes");
+  EXPECT_EQ(d->modules.at("left").remap.at("a"), "b");
+  EXPECT_EQ(parse_deployment(to_json(*d), "again").value(), *d);
+  EXPECT_EQ(refusal(R"(, "defaults": {"remap": {"a": "b"}})"),
+            "d.json: /defaults/remap: is for all modules, and topics are renamed of one");
+  EXPECT_EQ(refusal(R"(, "modules": {"B": {"remap": {"a": ""}}})"),
+            "d.json: /modules/B/remap/a: must not be empty");
+  EXPECT_EQ(refusal(R"(, "instances": {"": "A"})"),
+            "d.json: /instances/: is of an instance without a name");
+  EXPECT_EQ(refusal(R"(, "instances": {"B": ""})"),
+            "d.json: /instances/B: must be the name of an XModule");
 }
 
 TEST(Deployment, RefusalsNameThePlaceAndTheCause) {
