@@ -7,9 +7,9 @@
 //   reader   version v ► values[v % 2] ► version is still v: they belong together
 //   writer   values[(v + 1) % 2] ► version v + 1
 //
-// So a reader waits for nobody. Somebody who is interrupted while he writes disturbs no reader: what
-// they read is the other one. A reader that meets two changes tries again, at most kTries times, and
-// then keeps what it has until the next activation.
+// So a reader waits for nobody. A writer that is interrupted disturbs no reader: they read the other
+// one. A reader that meets two changes tries again, at most kTries times, and then keeps what it has
+// until the next activation.
 #pragma once
 
 #include <atomic>
