@@ -19,4 +19,6 @@ endif()
 # Clang counts signs among the conversions, and sees what the standard library calls within itself.
 if(CMAKE_CXX_COMPILER_ID STREQUAL "Clang")
   add_compile_options(-Wno-sign-conversion -Wno-deprecated-declarations)
+  # What a lock guards is touched with the lock held (lib/base/thread_safety.h): the sanitizers' builds compile all of lib/.
+  add_compile_options($<$<COMPILE_LANGUAGE:CXX>:-Wthread-safety> $<$<COMPILE_LANGUAGE:CXX>:-Werror=thread-safety>)
 endif()

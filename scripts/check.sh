@@ -97,7 +97,6 @@ style() {
   one "Markdown lines of at most 120 columns" scripts/check-doc-lines.py
   one "the API is documented (doxygen)" scripts/check-api-docs.sh
   one "clang-tidy, of what changed" scripts/check-tidy.sh
-  one "what a lock guards is touched with the lock held" scripts/check-thread-safety.sh
 }
 # What runs where, each test once if it can: unit tests under ASan+UBSan, those that need speed (label `heavy`: the explorer of the
 # protocol, the solver's) in the release build, with the integration scripts; those with threads under TSan as well (one that

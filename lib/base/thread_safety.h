@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a lock guards, for clang's -Wthread-safety (scripts/check-thread-safety.sh); nothing to other
-// compilers. https://clang.llvm.org/docs/ThreadSafetyAnalysis.html
+// What a lock guards, for clang's -Wthread-safety (cmake/warnings.cmake: the presets asan and tsan);
+// nothing to other compilers. https://clang.llvm.org/docs/ThreadSafetyAnalysis.html
 //
 // And who may call a class that says "Threads: one".
 #pragma once
