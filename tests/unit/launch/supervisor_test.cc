@@ -103,7 +103,8 @@ TEST(Supervisor, StartsTheDaemonsOfARunAndLeavesNoneBehind) {
   request.on_tick = [&](double, const runtime::Board*) { most = std::max(most, left().size()); };
   const auto outcome = supervise(request);
   ASSERT_TRUE(outcome) << outcome.error().to_string();
-  EXPECT_EQ(most, 4u);  // emulator, two coordinators, and us
+  // Emulator, two coordinators, and us: for those who look, and for `xauto param`.
+  EXPECT_EQ(most, 5u);
   EXPECT_EQ(outcome->deaths, 0u);
   EXPECT_EQ(left(), std::vector<std::string>());
 }
