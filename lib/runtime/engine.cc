@@ -189,9 +189,18 @@ RunReport Engine::report() {
 
 // ---- what the modules tell ---------------------------------------------------------------------
 
+/// Where one activation ends before the next begins, without a locked access.
+void Engine::count_in_flight(int module, int change) {
+  std::atomic<std::uint32_t>& count = context_->board.module(module).in_flight;
+  if (wiring_->module(static_cast<std::size_t>(module))->one_at_a_time())
+    count.store(change > 0 ? 1 : 0, std::memory_order_release);
+  else
+    count.fetch_add(static_cast<std::uint32_t>(change));
+}
+
 void Engine::activate(int module, Activation& activation) {
   const NodeRow& chain = wiring_->chain(static_cast<std::size_t>(module), activation.index());
-  context_->board.module(module).in_flight.fetch_add(1);
+  count_in_flight(module, 1);
   if (trace_) {
     trace_->write(XAUTO_EV_ACTIVATE, activation.sequence(), XAUTO_EV_NONE,
                   static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
@@ -236,7 +245,7 @@ void Engine::done(int module, const Activation& activation) {
 }
 
 void Engine::left(int module) {
-  context_->board.module(module).in_flight.fetch_sub(1);
+  count_in_flight(module, -1);
 }
 
 void Engine::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {

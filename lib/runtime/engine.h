@@ -60,6 +60,7 @@ class Engine final : private ModuleHost {
   void skip(int module, std::uint64_t sequence) override;
 
   [[nodiscard]] Status open_trace(bool leads);
+  void count_in_flight(int module, int change);
   void trace_inputs(int module, Activation& activation);
   [[nodiscard]] std::uint32_t publisher_of(int topic) const;
   [[nodiscard]] Result<RunReport> run_all();

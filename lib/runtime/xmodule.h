@@ -82,6 +82,8 @@ class ModuleRuntime {
     next_ = next;
     for (InputQueue& queue : queues_) queue.expected = next;
   }
+  /// An activation is told to have left before the next one is told to be activated.
+  [[nodiscard]] bool one_at_a_time() const { return activations_.size() == 1 && !watched_; }
   [[nodiscard]] Activation& activation(std::size_t index) { return *activations_[index]; }
 
   /// A message (or tombstone) for input number `input`; beyond the inputs: for a sampled topic.
