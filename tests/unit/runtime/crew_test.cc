@@ -149,6 +149,7 @@ TEST(Crew, AMoreUrgentJobDoesNotWaitForItsThread) {
     return fail(ErrorCode::kTimeout, "no such event");
   };
   app.exec = [&](const std::string& node, std::uint64_t k) -> Status {
+    if (node == "a1" && k == 0) return wait_for(XAUTO_EV_RUN, kB1, 0);
     if (node == "b1" && k == 0) return wait_for(XAUTO_EV_START, kA2, 0);
     if (node == "a2" && k == 0) return wait_for(XAUTO_EV_START, kB1, 1);
     if (node == "b1" && k == 1) {
