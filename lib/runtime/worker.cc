@@ -299,7 +299,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
     thread_->has_xpu(since);
   }
   if (&placed == &chain_.nodes.front() && chain_.runtime->looks_first())
-    chain_.runtime->begin(*chain_.activation, now_ns());
+    chain_.runtime->begin(*chain_.activation, chain_.runtime->samples() ? now_ns() : 0);
   record(XAUTO_EV_RUN, placed, chain_.activation->sequence());
   const bool limited = placed.limits.any();
   if (limited) begin_limited(placed, chain_.activation->sequence());

@@ -269,7 +269,7 @@ void ModuleRuntime::take_parameters(Activation& activation) {
 void ModuleRuntime::begin(Activation& activation, std::int64_t now_ns) {
   InputAccess::begin(activation.input_, now_ns);
   take_parameters(activation);
-  if (!module_.samples.empty()) {
+  if (samples()) {
     const Guard lock(mutex_);
     std::vector<detail::Envelope>& messages = InputAccess::messages(activation.input_);
     for (std::size_t i = 0; i < newest_.size(); ++i) {
@@ -279,7 +279,7 @@ void ModuleRuntime::begin(Activation& activation, std::int64_t now_ns) {
     }
   }
   if (tells_origins_) gather_origins(activation);
-  if (!module_.samples.empty())
+  if (samples())
     host_.sampled(index_,
                   std::span(InputAccess::messages(activation.input_)).subspan(newest_from_));
 }

@@ -91,8 +91,10 @@ class ModuleRuntime {
   /// Its next XNode may take it. False: an older one is not through with that XNode; somebody will
   /// `proceed` with it.
   bool enter(Activation& activation) { return activations_.size() == 1 || may_enter(activation); }
-  /// The first XNode is about to run: what is sampled is read now.
+  /// The first XNode is about to run: what is sampled is read now. `now_ns` counts where it
+  /// `samples()`; 0 otherwise.
   void begin(Activation& activation, std::int64_t now_ns);
+  [[nodiscard]] bool samples() const { return !module_.samples.empty(); }
   /// Whether that does anything.
   [[nodiscard]] bool looks_first() const { return looks_first_; }
   /// It is through with its next XNode, and not at its end.
