@@ -11,8 +11,7 @@ namespace {
 
 constexpr const char* kStale =
     "app.json describes another version of this program, or other names: profile it again with "
-    "`xauto "
-    "profile`, with the same deployment";
+    "`xauto profile`, with the same deployment";
 
 class Builder {
  public:

@@ -7,7 +7,6 @@
 #include <thread>
 
 #include <fmt/format.h>
-#include <pwd.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -39,16 +38,10 @@ Status may_ask(int socket, const std::string& run) {
   if (getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0 || geteuid() == 0 ||
       peer.uid == geteuid())
     return {};
-  const passwd* entry = getpwuid(peer.uid);
-  return fail(ErrorCode::kPermission,
-              "run '" + run + "' is of " +
-                  (entry != nullptr ? entry->pw_name : "uid " + std::to_string(peer.uid)) +
-                  ", and answers only that user and root",
-              "--run", "ask as that user, or with sudo");
-}
-
-std::string address_of(const std::string& run, const char* name) {
-  return launch::kSocketPrefix + run + "/" + name;
+  return fail(
+      ErrorCode::kPermission,
+      "run '" + run + "' is of " + user_name(peer.uid) + ", and answers only that user and root",
+      "--run", "ask as that user, or with sudo");
 }
 
 Result<Watched> find_run(const ParamFlags& flags) {

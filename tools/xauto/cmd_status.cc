@@ -10,7 +10,6 @@
 #include <set>
 
 #include <fmt/format.h>
-#include <pwd.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -43,11 +42,6 @@ struct Unseen {
   unsigned uid = 0;
   bool elsewhere = false;  ///< known to be in another network namespace
 };
-
-std::string user_name(unsigned uid) {
-  const passwd* entry = getpwuid(uid);
-  return entry != nullptr ? entry->pw_name : "uid " + std::to_string(uid);
-}
 
 std::vector<Unseen> coordinators_but(const std::set<int>& answered) {
   std::error_code error;

@@ -6,6 +6,7 @@
 #include <thread>
 
 #include <fmt/format.h>
+#include <pwd.h>
 
 #include "base/log.h"
 #include "base/socket.h"
@@ -35,10 +36,6 @@ Result<Json> ask(const std::string& address, std::vector<UniqueFd>* fds = nullpt
   return *std::move(parsed);
 }
 
-std::string address_of(const std::string& run, const std::string& name) {
-  return launch::kSocketPrefix + run + "/" + name;
-}
-
 Result<Watched> introduced(const std::string& run) {
   std::vector<UniqueFd> fds;
   XAUTO_ASSIGN(const Json hello, ask(address_of(run, launch::kLiveName), &fds));
@@ -50,6 +47,15 @@ Result<Watched> introduced(const std::string& run) {
 }
 
 }  // namespace
+
+std::string address_of(const std::string& run, const std::string& name) {
+  return launch::kSocketPrefix + run + "/" + name;
+}
+
+std::string user_name(unsigned uid) {
+  const passwd* entry = getpwuid(uid);
+  return entry != nullptr ? entry->pw_name : "uid " + std::to_string(uid);
+}
 
 std::vector<std::string> running() {
   std::vector<std::string> runs;

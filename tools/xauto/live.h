@@ -26,6 +26,10 @@ struct Watched {
 };
 /// Of this network namespace.
 [[nodiscard]] std::vector<std::string> running();
+/// Where one of the run's sockets listens; without `name`, what all their addresses begin with.
+[[nodiscard]] std::string address_of(const std::string& run, const std::string& name);
+/// For people: the name, or "uid 1000" where it has none.
+[[nodiscard]] std::string user_name(unsigned uid);
 /// The run named `run`, or with an empty name the only one, waited for at most `wait_s`.
 [[nodiscard]] Result<Watched> watch(const std::string& run, int wait_s,
                                     const std::atomic<bool>& stop);
