@@ -281,7 +281,8 @@ std::string changed_parameters(const Board& board) {
       list += (list.empty() ? "" : ", ") + one.module + " " + one.spec.name + " (" +
               std::to_string(one.changes) + " times, now " + to_text(one.value) + ")";
   if (list.empty()) return {};
-  return "parameters were changed during the run, and WCETs were measured with other values: " +
+  return "parameters were changed during the run, which may not be the values that WCETs were "
+         "measured with: " +
          list;
 }
 

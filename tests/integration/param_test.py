@@ -101,7 +101,7 @@ class Live(Params):
                 self.assertEqual(self.values("default"), DEFAULTS)
                 self.assertEqual(self.values()[("A", "gain")], -0.25)
                 notes = " ".join(self.end()["notes"])
-                self.assertIn("parameters were changed during the run, and WCETs were measured with other values: "
+                self.assertIn("parameters were changed during the run, which may not be the values that WCETs were measured with: "
                               "A on (1 times, now false), A count (1 times, now 42), A gain (1 times, now -0.25), "
                               "B mode (1 times, now a = b)", notes)
                 (self.folder / "result").unlink()

@@ -104,7 +104,8 @@ TEST_F(Parameters, AChangeIsSeenByItsModuleAlone) {
   EXPECT_EQ(a.now()[2].text, "n");
   EXPECT_EQ(a.now()[0].bits, 9u) << "what does not change stays, in both copies";
   EXPECT_EQ(changed_parameters(*board),
-            "parameters were changed during the run, and WCETs were measured with other values: "
+            "parameters were changed during the run, which may not be the values that WCETs were "
+            "measured with: "
             "A count (1 times, now 9), A mode (2 times, now n)");
 }
 
