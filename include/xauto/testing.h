@@ -91,6 +91,10 @@ class Fire {
     return *this;
   }
 
+  /// What Input::due and Input::result_due say from the next firing on: so long after its begin, a
+  /// time above 0. Default: nothing, as where no policy of keys says.
+  Fire& due(std::chrono::nanoseconds within);
+
   /// Runs the XNodes one after the other, on this thread. The number of the activation, from 0 on,
   /// is Input::sequence(), the virtual time Input::origin(). Errors: kInvalid of an input topic
   /// without a message, of a name or type that the module does not have, of a module that the App

@@ -170,8 +170,8 @@ class Input {
     return std::static_pointer_cast<const T>(sample(topic.name(), typeid(T)));
   }
   /// How old the message of an input or sampled topic is; where the module samples topics, was when
-  /// the activation began to run. Since the release at the sensor, the oldest of those that fired the modules which made it. What these
-  /// modules sampled may be older. Negative: there is none.
+  /// the activation began to run. Since the release at the sensor, the oldest of those that fired
+  /// the modules which made it. What these modules sampled may be older. Negative: there is none.
   /// Throws std::logic_error if it is neither an input nor a sampled topic of this module.
   template <class T>
   [[nodiscard]] std::chrono::nanoseconds age(const Topic<T>& topic) const {
@@ -184,6 +184,14 @@ class Input {
   /// gave it. Who ends later may make others late, so an exec may choose the shorter of two ways.
   /// Nullopt where nothing says: no run by keys, or no XNode that asks.
   [[nodiscard]] std::optional<std::chrono::nanoseconds> due() const;
+  /// By when the module's result is to be there, CLOCK_MONOTONIC: the same of its last XNode. The
+  /// worst case that is left is this less the present; it holds while the run's assumptions do.
+  [[nodiscard]] std::optional<std::chrono::nanoseconds> result_due() const;
+  /// Whether the XNode that asks would end by due() if it went on for `way` from now, undisturbed.
+  /// True where nothing says. The certificate allows for no more than the WCET of the plan: `way`,
+  /// and what the XNode did before it asked, must be within that, whatever the answer is. Costs one
+  /// reading of the clock.
+  [[nodiscard]] bool time_for(std::chrono::nanoseconds way) const;
   /// Number of that release, from 0 on.
   [[nodiscard]] std::uint64_t sequence() const;
 

@@ -108,6 +108,7 @@ struct Fire::Data {
   std::vector<detail::ParameterHandle> declared;
   std::vector<detail::ParameterNow> parameters;
   std::shared_ptr<std::int64_t> clock_ns = std::make_shared<std::int64_t>(0);
+  std::int64_t within_ns = 0;  ///< Fire::due; 0: nothing says
   std::uint64_t sequence = 0;
   std::shared_ptr<emu::Site> site = std::make_shared<emu::Site>();
 
@@ -185,6 +186,12 @@ void Fire::Data::set(const detail::ParameterSpec& parameter, const ParameterValu
 }
 
 // NOLINTBEGIN(performance-unnecessary-value-param)
+Fire& Fire::due(std::chrono::nanoseconds within) {
+  if (within.count() <= 0) data_->misuse.emplace_back("due() takes a time above 0");
+  data_->within_ns = within.count();
+  return *this;
+}
+
 void Fire::set_integer(detail::ParameterHandle parameter, std::int64_t value) {
   if (parameter->type() == ParameterType::kBoolean)
     data_->set(*parameter, value != 0);
@@ -270,6 +277,9 @@ Result<Outcome> Fire::run() {
   InputAccess::begin(input, *d.clock_ns);
   const std::uint64_t sequence = d.sequence++;
   InputAccess::stamp(input, *d.clock_ns, sequence);
+  InputAccess::clock(input, d.clock_ns.get());
+  if (const std::int64_t due_ns = *d.clock_ns + d.within_ns; d.within_ns > 0)
+    InputAccess::due(input, due_ns, due_ns);
   for (std::size_t i = 0; i < d.messages.size(); ++i)
     if (!d.too_old(i)) InputAccess::messages(input)[i] = {d.messages[i], d.put_ns[i], sequence};
   auto outcome = std::make_shared<Outcome::Data>();

@@ -104,6 +104,17 @@ std::optional<std::chrono::nanoseconds> Input::due() const {
   return std::chrono::nanoseconds(data_->due_ns);
 }
 
+std::optional<std::chrono::nanoseconds> Input::result_due() const {
+  if (data_->result_due_ns == 0) return std::nullopt;
+  return std::chrono::nanoseconds(data_->result_due_ns);
+}
+
+bool Input::time_for(std::chrono::nanoseconds way) const {
+  if (data_->due_ns == 0) return true;
+  const std::int64_t now = data_->clock_ns != nullptr ? *data_->clock_ns : now_ns();
+  return way.count() <= data_->due_ns - now;
+}
+
 std::chrono::nanoseconds Input::origin() const {
   return std::chrono::nanoseconds(data_->origin_ns);
 }

@@ -59,7 +59,9 @@ struct InputData {
   std::vector<Envelope> messages;                  ///< by topic
   std::int64_t began_ns = 0;  ///< when the activation began to run; 0: not looked at
   std::int64_t origin_ns = 0;
-  std::int64_t due_ns = 0;  ///< of the XNode that runs; 0: nothing says
+  std::int64_t due_ns = 0;                 ///< of the XNode that runs; 0: nothing says
+  std::int64_t result_due_ns = 0;          ///< of the module's last one
+  const std::int64_t* clock_ns = nullptr;  ///< virtual time; null: CLOCK_MONOTONIC
   std::uint64_t sequence = 0;
   std::vector<ParameterNow> parameters;  ///< of the module, since the activation began
 };

@@ -33,7 +33,7 @@ class Activation {
   [[nodiscard]] std::uint64_t sequence() const { return InputAccess::sequence(input_); }
   [[nodiscard]] std::int64_t origin_ns() const { return InputAccess::origin_ns(input_); }
   /// By when its next XNode is to end; 0: nothing says.
-  void set_due(std::int64_t ns) { InputAccess::due(input_, ns); }
+  void set_due(std::int64_t ns, std::int64_t result_ns) { InputAccess::due(input_, ns, result_ns); }
   /// When the sensor released what input number `input` was given.
   [[nodiscard]] std::int64_t origin_of(std::size_t input) {
     return InputAccess::messages(input_)[input].origin_ns;

@@ -28,7 +28,11 @@ class InputAccess {
   // Without the call that the public ones are: the hot path asks often.
   [[nodiscard]] static std::int64_t origin_ns(const Input& input) { return input.data_->origin_ns; }
   [[nodiscard]] static std::uint64_t sequence(const Input& input) { return input.data_->sequence; }
-  static void due(Input& input, std::int64_t ns) { input.data_->due_ns = ns; }
+  static void due(Input& input, std::int64_t ns, std::int64_t result_ns) {
+    input.data_->due_ns = ns;
+    input.data_->result_due_ns = result_ns;
+  }
+  static void clock(Input& input, const std::int64_t* ns) { input.data_->clock_ns = ns; }
   static void begin(Input& input, std::int64_t now_ns) { input.data_->began_ns = now_ns; }
 };
 

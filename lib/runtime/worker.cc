@@ -282,7 +282,7 @@ xpu::CpuJob Worker::cpu_job(const Placed& placed) const {
 bool Worker::run_job(Placed& placed, bool begun) {
   const Input& input = chain_.activation->input();
   const bool observed = thread_->observed();
-  chain_.activation->set_due(due(placed));
+  chain_.activation->set_due(due(placed), due(chain_.nodes.back()));
   if (observed || placed.fifo_priority > 0) thread_->next(cpu_job(placed));
   // Told before: after the hold it is woken with this job's key.
   if (placed.urgency.holds())

@@ -13,12 +13,12 @@ using namespace xauto;
 runtime::Graph make_graph() {
   runtime::Graph graph;
   graph.modules.resize(2);
-  graph.modules[0].name = "A";
+  graph.modules[0].name = std::string("A");
   graph.modules[0].parameters = {detail::make_parameter("on", true),
                                  detail::make_parameter("count", std::int64_t{3}, 0, 100),
                                  detail::make_parameter("gain", 0.5, -1.0, 1.0),
                                  detail::make_parameter("mode", std::string("day"))};
-  graph.modules[1].name = "B";
+  graph.modules[1].name = std::string("B");
   return graph;
 }
 

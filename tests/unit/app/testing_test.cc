@@ -156,6 +156,30 @@ TEST(Testing, WhatIsSampledMayBeMissingAndGrowsOld) {
   EXPECT_EQ(next(), -1) << "20 ms old: beyond its limit";
 }
 
+TEST_F(TestingTest, AnXNodeMayAskWhetherThereIsTime) {
+  XNode<Seen> choose("choose");  // detect has taken 8 ms before it
+  choose.add_impl(
+      XPU::CPU, [](const XpuId&) { return SchedHandle::thread(); },
+      [](Seen& state, const Input& input) {
+        state.text = input.time_for(6ms) ? "better" : "shorter";
+        if (input.result_due() != input.due()) state.text = "one of them is wrong";
+      });
+  module.add_node(choose);
+  testing::Fire fire(module);
+  fire.put(number, 1).put(word, std::string("a"));
+  const auto took = [&] {
+    const auto outcome = fire.run();
+    return outcome ? outcome->get(line) : outcome.error().to_string();
+  };
+  EXPECT_EQ(took(), "better") << "nothing says by when";
+  fire.due(14ms);
+  EXPECT_EQ(took(), "better");
+  fire.due(14ms - 1ns);
+  EXPECT_EQ(took(), "shorter");
+  fire.due(0ms);
+  EXPECT_NE(took().find("above 0"), std::string::npos);
+}
+
 TEST_F(TestingTest, MistakesOfTheTestAreToldTogether) {
   testing::Fire fire(module);
   const auto outcome = fire.on("detect", XPU::DLA)

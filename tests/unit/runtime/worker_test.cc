@@ -119,10 +119,14 @@ TEST_F(WorkerTest, RunsTheChainInOrderOnOneThreadOfItsOwn) {
 }
 
 TEST_F(WorkerTest, AnXNodeIsToldByWhenItIsToEndAndTheModuleWhenItWasMissed) {
-  std::vector<std::optional<std::chrono::nanoseconds>> due;  // execution thread; read after its end
+  std::vector<std::optional<std::chrono::nanoseconds>> due,
+      result;  // execution thread's, till its end
+  std::vector<bool> time;
   for (auto& impl : impls_)
     impl->exec = [&](void*, void*, const Input& input) {
       due.push_back(input.due());
+      result.push_back(input.result_due());
+      time.push_back(input.time_for(1s));
       return Status();
     };
   spec_.on_miss = [this](std::uint64_t sequence, std::chrono::nanoseconds late) {
@@ -144,6 +148,10 @@ TEST_F(WorkerTest, AnXNodeIsToldByWhenItIsToEndAndTheModuleWhenItWasMissed) {
   EXPECT_EQ(due[2], 5001ns);
   EXPECT_EQ(due[3], 7001ns);
   EXPECT_EQ(due[5], 1'000'000'000'000'000us + 1ns);
+  EXPECT_EQ(result[0], std::nullopt);
+  EXPECT_EQ(result[2], 7001ns);
+  EXPECT_EQ(result[4], due[5]);
+  EXPECT_EQ(time, (std::vector{true, true, false, false, false, true}));
 }
 
 TEST_F(WorkerTest, HandsTheChainOverToTheNextWorker) {
