@@ -2,9 +2,11 @@
 #include "graph/graph.h"
 
 #include <algorithm>
-#include <climits>
 #include <map>
 #include <set>
+#include <utility>
+
+#include "model/onward.h"
 
 namespace xauto::runtime {
 namespace {
@@ -238,43 +240,33 @@ class Builder {
     graph_.tells_origins = !graph_.single_rate || !graph_.samples.empty();
   }
 
-  /// A sample carries the origin of a source onward where it leads away from that source: to a
-  /// component that is more samples away from it than the one it comes from. So what comes back to
-  /// where it was is not taken for something old.
+  /// Which sources' origins each sample carries onward (ranks_of).
   void find_sample_origins() {
-    constexpr int kFar = INT_MAX;
-    for (Graph::Module& module : graph_.modules)
+    const auto component = [&](int m) {
+      return graph_.modules[static_cast<std::size_t>(m)].component;
+    };
+    std::vector<std::pair<int, int>> samples;  // of components
+    for (Graph::Module& module : graph_.modules) {
       module.sample_origins.assign(module.samples.size(), 0);
+      for (const int t : module.samples)
+        if (const int from = graph_.topics[static_cast<std::size_t>(t)].module; from >= 0)
+          samples.emplace_back(component(from), module.component);
+    }
     for (std::size_t s = 0; s < graph_.sources.size() && s < detail::kMaxOrigins; ++s) {
-      std::vector<int> away(static_cast<std::size_t>(graph_.components), kFar);
-      const auto component = [&](const Graph::Module& m) -> int& {
-        return away[static_cast<std::size_t>(m.component)];
-      };
       const int topic = graph_.topic_of_source[s];
+      std::vector<char> hears(static_cast<std::size_t>(graph_.components), 0);
       for (const Graph::Module& module : graph_.modules)
-        for (const int t : module.inputs)
-          if (t == topic) component(module) = 0;
-      for (bool again = true; again;) {
-        again = false;
-        for (const Graph::Module& module : graph_.modules)
-          for (const int t : module.samples) {
-            const Graph::Topic& read = graph_.topics[static_cast<std::size_t>(t)];
-            const int from = t == topic ? -1
-                             : read.module < 0
-                                 ? kFar
-                                 : component(graph_.modules[static_cast<std::size_t>(read.module)]);
-            if (from == kFar || component(module) <= from + 1) continue;
-            component(module) = from + 1;
-            again = true;
-          }
-      }
+        for (const std::vector<int>* heard : {&module.inputs, &module.samples})
+          if (std::find(heard->begin(), heard->end(), topic) != heard->end())
+            hears[static_cast<std::size_t>(module.component)] = 1;
+      const std::vector<int> rank = ranks_of(hears, samples);
+      const auto rank_of = [&](int c) { return rank[static_cast<std::size_t>(c)]; };
       for (Graph::Module& module : graph_.modules)
         for (std::size_t i = 0; i < module.samples.size(); ++i) {
-          const Graph::Topic& read = graph_.topics[static_cast<std::size_t>(module.samples[i])];
+          const int from = graph_.topics[static_cast<std::size_t>(module.samples[i])].module;
           const bool own = module.samples[i] == topic;
-          const bool onward =
-              read.module >= 0 &&
-              component(graph_.modules[static_cast<std::size_t>(read.module)]) < component(module);
+          const bool onward = from >= 0 && rank_of(component(from)) != kUnreached &&
+                              rank_of(component(from)) < rank_of(module.component);
           if (own || onward) module.sample_origins[i] |= 1u << s;
         }
     }

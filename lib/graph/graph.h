@@ -42,8 +42,8 @@ struct Graph {
     bool sink = false;                                ///< its outputs fire no other module
     std::vector<int> samples;                         ///< topics, as spec->samples
     std::vector<detail::ParameterHandle> parameters;  ///< its own and its XNodes'
-    /// [sample] sources whose origins come through it, a bit each: where samples go in a circle, a
-    /// way that has come round is no chain (docs/runtime.md).
+    /// [sample] sources whose origins come through it, a bit each: a way that has come round is no
+    /// chain (model/onward.h, docs/runtime.md).
     std::vector<std::uint32_t> sample_origins;
     int component = -1;  ///< modules that fire each other, directly or through others
     /// Activation k stems from release k of each source of the component.

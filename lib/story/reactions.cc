@@ -2,12 +2,12 @@
 #include "story/reactions.h"
 
 #include <algorithm>
-#include <climits>
 #include <map>
 #include <utility>
 
 #include "base/index.h"
 #include "model/components.h"
+#include "model/onward.h"
 
 namespace xauto::story {
 namespace {
@@ -38,35 +38,27 @@ class Follower {
   }
 
  private:
-  /// [component] how many samples away from the source it is. What comes back to where it was is
-  /// not taken for something old (Graph::Module::sample_origins).
-  [[nodiscard]] std::vector<int> distances(int source) const {
-    std::vector<int> away(parts_.components.size(), INT_MAX);
-    for (std::size_t c = 0; c < away.size(); ++c) {
+  /// [component] as the runtime follows it (Graph::Module::sample_origins).
+  [[nodiscard]] std::vector<int> ranks_from(int source) const {
+    std::vector<char> hears(parts_.components.size(), 0);
+    for (std::size_t c = 0; c < hears.size(); ++c) {
       const std::vector<int>& heard = parts_.components[c].sources;
-      if (std::find(heard.begin(), heard.end(), source) != heard.end()) away[c] = 0;
+      hears[c] = std::find(heard.begin(), heard.end(), source) != heard.end() ? 1 : 0;
     }
     for (const Activation& a : story_.activations)
       for (const SampleRead& read : a.samples)
-        if (read.source == source && home_[at(a.module)] >= 0) away[at(home_[at(a.module)])] = 0;
-    for (bool again = true; again;) {
-      again = false;
-      for (const auto& [u, v] : app_.samples) {
-        const int from = away[at(parts_.of[at(u)])];
-        int& to = away[at(parts_.of[at(v)])];
-        if (from == INT_MAX || to <= from + 1) continue;
-        to = from + 1;
-        again = true;
-      }
-    }
-    return away;
+        if (read.source == source && home_[at(a.module)] >= 0) hears[at(home_[at(a.module)])] = 1;
+    std::vector<std::pair<int, int>> samples;
+    for (const auto& [u, v] : app_.samples)
+      samples.emplace_back(parts_.of[at(u)], parts_.of[at(v)]);
+    return ranks_of(hears, samples);
   }
 
   /// [activation] the oldest release of `source` that it is made of; kNothing, or kUnknown.
   [[nodiscard]] std::vector<std::int64_t> known_of(int source) const {
-    const std::vector<int> away = distances(source);
-    const auto away_of = [&](int module) {
-      return home_[at(module)] < 0 ? INT_MAX : away[at(home_[at(module)])];
+    const std::vector<int> rank = ranks_from(source);
+    const auto rank_of = [&](int module) {
+      return home_[at(module)] < 0 ? kUnreached : rank[at(home_[at(module)])];
     };
     // Who publishes has ended before anybody reads.
     std::vector<std::size_t> order(story_.activations.size());
@@ -88,7 +80,7 @@ class Follower {
             made_of(take.from < 0
                         ? kUnknown
                         : static_cast<std::int64_t>(story_.releases[at(take.from)].sequence));
-        } else if (away_of(take.module) != INT_MAX) {
+        } else if (rank_of(take.module) != kUnreached) {
           made_of(take.from < 0 ? kUnknown : known[at(take.from)]);
         }
       }
@@ -96,7 +88,8 @@ class Follower {
         if (read.number < 0) continue;
         if (read.source >= 0) {
           if (read.source == source) made_of(read.number);
-        } else if (away_of(read.module) < away_of(activation.module)) {
+        } else if (rank_of(read.module) != kUnreached &&
+                   rank_of(read.module) < rank_of(activation.module)) {
           made_of(read.from < 0 ? kUnknown : known[at(read.from)]);
         }
       }

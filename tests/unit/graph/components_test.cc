@@ -88,5 +88,17 @@ TEST_F(Components, WhatComesRoundIsNoOriginOfItsOwnSource) {
   EXPECT_EQ(bits(2, 1), c2) << "a source that is sampled itself";
 }
 
+/// a -> A ⇢ B ⇢ C, and A ⇢ C: C hears of a on two ways.
+TEST_F(Components, AReleaseIsFollowedOnTheLongerWayToo) {
+  source("a", 10);
+  source("b", 20);
+  source("c", 30);
+  module("A", {"a"});
+  module("B", {"b"}, {"A"});
+  module("C", {"c"}, {"A", "B"});
+  const Graph g = graph();
+  EXPECT_EQ(g.modules[2].sample_origins, (std::vector<std::uint32_t>{1, 1 | 2}));
+}
+
 }  // namespace
 }  // namespace xauto::runtime
