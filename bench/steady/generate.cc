@@ -354,11 +354,11 @@ SteadyCase make_case(Kind kind, std::uint64_t seed, int load_pct) {
   return Generator(kind, seed, load_pct).make();
 }
 
-std::vector<SteadyCase> standard_set() {
+std::vector<SteadyCase> standard_set(std::uint64_t first) {
   std::vector<SteadyCase> set;
   const auto add = [&](Kind kind, int count, int least, int step) {
     for (int k = 0; k < count; ++k)
-      set.push_back(make_case(kind, static_cast<std::uint64_t>(k) + 1, least + k % 6 * step));
+      set.push_back(make_case(kind, first + static_cast<std::uint64_t>(k), least + k % 6 * step));
   };
   add(Kind::kRates, 10, 40, 10);
   add(Kind::kPipelined, 10, 40, 10);

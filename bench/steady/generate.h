@@ -53,8 +53,9 @@ struct Share {
 [[nodiscard]] SteadyCase scale_case(const std::string& name, const std::vector<Share>& shares,
                                     int load_pct);
 
-/// 55 cases: loads of 40 to 90 %, four of overload, and three that others have published.
-[[nodiscard]] std::vector<SteadyCase> standard_set();
+/// 55 cases: loads of 40 to 90 %, four of overload, and three that others have published. From
+/// another `first` seed: cases of the same kinds that nothing was tuned on.
+[[nodiscard]] std::vector<SteadyCase> standard_set(std::uint64_t first = 1);
 /// 300 XNodes of five rates; 1 000 XNodes with 50 000 jobs a hyperperiod, and as an overload.
 [[nodiscard]] std::vector<SteadyCase> scale_set();
 

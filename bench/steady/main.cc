@@ -21,6 +21,7 @@ struct Flags {
   Asked asked;
   std::vector<std::string> only;
   std::string json, folder;
+  std::uint64_t first = 1;
   bool scale = false, list = false;
 };
 
@@ -215,7 +216,7 @@ Status write_cases(const std::vector<SteadyCase>& cases, const std::string& fold
 }
 
 Result<int> run(const Flags& flags) {
-  std::vector<SteadyCase> cases = flags.scale ? scale_set() : standard_set();
+  std::vector<SteadyCase> cases = flags.scale ? scale_set() : standard_set(flags.first);
   std::erase_if(cases, [&](const SteadyCase& made) { return !wanted(made, flags.only); });
   if (cases.empty())
     return fail(ErrorCode::kNotFound, "no case has this name or kind", "--only",
@@ -278,6 +279,8 @@ int main(int argc, char** argv) {
   program.option("--plays", asked.plays.count, "of each rule").range(1, 1000).shown();
   program.option("--jobs", asked.plays.jobs, "in each play, about").positive().shown();
   program.option("--only", flags.only, "cases or kinds: rates,clocks-3").separated_by(',');
+  program.option("--first", flags.first, "seed of the first case of each kind; 1: what we tune on")
+      .shown();
   program.flag("--scale", flags.scale, "the large cases instead");
   program.flag("--list", flags.list, "name the cases, and end");
   program.option("--write", flags.folder, "write the cases into this folder, and end");
