@@ -3,7 +3,7 @@
 """Apps that nothing was tuned on, run on emulated XPUs: is any chain longer than its certified worst case?
 
 Apps of several rates, of several clocks, and of both with activations in flight (bench_steady, from a seed of their own).
-Each is solved and run twice by `xauto compare`: under version 1's fixed priorities, and under keys. XNodes take random
+Each is solved and run twice: under version 1's fixed priorities, and under keys. XNodes take random
 times, the same in both runs (bench_standin). The certificate allows each XNode SLACK us more than what it draws, and each
 source JITTER us: that is what dispatch and the emulator's timers take here, as a WCET that was measured here would hold
 it. Periods and times are those of the cases times SLOWER.
@@ -64,39 +64,64 @@ def runnable(app, options):
     return app
 
 
-def one(folder, name, number, options):
-    made = json.loads(pathlib.Path(folder, name + ".app.json").read_text())
-    app = os.path.join(folder, name + ".run.json")
-    pathlib.Path(app).write_text(json.dumps(runnable(made, options)))
-    done = subprocess.run(
-        ["chrt", "-f", "50"] * options.real_time + [os.path.join(options.build, "bin/xauto"), "compare", "--app", app, "--platform",
-         os.path.join(folder, name + ".platform.json"), "--seconds", str(options.seconds), "--policies", "fixed,keys",
-         "--emulate", "--time-limit-s", str(options.solve_s), "--json", "--out", os.path.join(folder, name), "--",
-         os.path.join(options.build, "bench/bench_standin"), app, str(number), str(options.slack_us)],
-        capture_output=True, text=True)
-    row = {"app": name, "xnodes": len(made["xnodes"])}
-    if not done.stdout.startswith("{"):
-        row["why"] = " ".join(done.stderr.strip().splitlines()[-2:])
-        return row
-    runs = {run["policy"]: run for run in json.loads(done.stdout)["runs"]}
-    worst = {c["name"]: c["worst_case_us"] for c in runs["keys"]["chains"]}
-    for policy, run in runs.items():
-        seen = [c["latency_us"]["max"] / worst[c["name"]] for c in run["chains"] if c["latency_us"]["max"] is not None]
-        row[policy] = {"releases": run["activations"] + run["lost_activations"], "lost": run["lost_activations"],
-                       "chains": len(run["chains"]), "measured": len(seen), "above": sum(s > 1 for s in seen),
-                       "above_by_2_pct": sum(s > 1.02 for s in seen), "longest_to_worst_case": max(seen, default=None)}
-    row["assumptions_broken"] = runs["keys"]["worst_case_broken"]
-    return row
+def tool(options, *arguments, real_time=False):
+    chrt = ["chrt", "-f", "50"] if real_time and options.real_time else []
+    return subprocess.run([*chrt, os.path.join(options.build, "bin/xauto"), *map(str, arguments)], capture_output=True, text=True)
+
+
+class App:
+    def __init__(self, folder, number, name, options):
+        self.name, self.options = name, options
+        self.path = lambda what: os.path.join(folder, f"{name}.{what}")
+        made = json.loads(pathlib.Path(self.path("app.json")).read_text())
+        pathlib.Path(self.path("run.json")).write_text(json.dumps(runnable(made, options)))
+        self.of = ["--app", self.path("run.json"), "--platform", self.path("platform.json")]
+        self.run_flags = ["--emulate", "--json", "--seconds", options.seconds]
+        self.program = ["--", os.path.join(options.build, "bench/bench_standin"), self.path("run.json"), number, options.slack_us]
+        self.row = {"app": name, "xnodes": len(made["xnodes"])}
+        self.runs = {}
+
+    def solve(self):
+        done = tool(self.options, "solve", *self.of, "--time-limit-s", self.options.solve_s, "--out", self.path("policy.json"))
+        if done.returncode:
+            self.row["why"] = " ".join((done.stdout + done.stderr).strip().splitlines()[-2:])
+
+    def run(self, policy):
+        if "why" in self.row:
+            return
+        if policy == "fixed":
+            done = tool(self.options, "compare", *self.of, *self.run_flags, "--policies", "fixed", "--time-limit-s", 1, "--out",
+                        self.path("compare"), *self.program, real_time=True)
+        else:
+            done = tool(self.options, "run", *self.of, *self.run_flags, "--policy", self.path("policy.json"), *self.program,
+                        real_time=True)
+        if done.stdout.startswith("{"):
+            self.runs[policy] = json.loads(done.stdout)["runs"][0]
+        else:
+            self.row["why"] = f"{policy}: " + " ".join(done.stderr.strip().splitlines()[-2:])
+
+    def account(self):
+        if "why" in self.row:
+            return
+        worst = {c["name"]: c["worst_case_us"] for c in self.runs["keys"]["chains"]}
+        for policy, run in self.runs.items():
+            seen = [c["latency_us"]["max"] / worst[c["name"]] for c in run["chains"] if c["latency_us"]["max"] is not None]
+            lost = sum(m["failed"] + m["dropped"] for m in run["modules"])
+            self.row[policy] = {
+                "activations": sum(m["activations"] for m in run["modules"]) + lost, "lost": lost, "chains": len(run["chains"]),
+                "measured": len(seen), "above": sum(s > 1 for s in seen), "above_by_2_pct": sum(s > 1.02 for s in seen),
+                "longest_to_worst_case": max(seen, default=None)}
+        self.row["assumptions_broken"] = self.runs["keys"]["worst_case_broken"]
 
 
 def line(row):
-    if "keys" not in row:
-        return f"{row['app']:<14}{row['xnodes']:>7}  {row.get('why', '')}"
     text = f"{row['app']:<14}{row['xnodes']:>7}"
+    if "why" in row:
+        return f"{text}  {row['why']}"
     for policy in ("fixed", "keys"):
         r = row[policy]
         longest = "-" if r["longest_to_worst_case"] is None else f"{r['longest_to_worst_case']:.3f}"
-        text += f"{r['releases']:>10}{r['lost']:>6}{r['above_by_2_pct']:>5} of {r['measured']:<4}{longest:>8}"
+        text += f"  {r['activations']:>11}{r['lost']:>6}{r['above_by_2_pct']:>5} of {r['measured']:<3}{longest:>7}"
     return text + "  " + ("; ".join(row["assumptions_broken"]) or "kept")
 
 
@@ -112,14 +137,19 @@ def main():
                             ",".join(KINDS), "--write", folder], check=True)
             names = sorted((p.name[:-len(".app.json")] for p in pathlib.Path(folder).glob("*.app.json")),
                            key=lambda n: (int(n.split("-")[1]), n))
-        print(f"{'app':<14}{'XNodes':>7}{'fixed: releases, lost, chains > 1.02 wc':>36}{'max/wc':>8}"
-              f"{'keys: the same':>34}  assumptions", flush=True)
+        print(f"{'':<21}  {'fixed priorities':<36}  {'keys':<36}\n{'app':<14}{'XNodes':>7}" +
+              2 * f"  {'activations':>11}{'lost':>6}{'> 1.02 wc':>12}{'max/wc':>7}" + "  assumptions", flush=True)
         with concurrent.futures.ThreadPoolExecutor(options.at_once) as pool:
-            todo = list(enumerate(names[:options.apps]))
-            for begin in range(0, len(todo), options.at_once):  # together, so that nobody solves while another one runs
-                for row in pool.map(lambda n: one(folder, n[1], n[0], options), todo[begin:begin + options.at_once]):
-                    rows.append(row)
-                    print(line(row), flush=True)
+            todo = [App(folder, number, name, options) for number, name in enumerate(names[:options.apps])]
+            for begin in range(0, len(todo), options.at_once):  # in step, so that nobody solves while another one runs
+                apps = todo[begin:begin + options.at_once]
+                list(pool.map(App.solve, apps))
+                for policy in ("fixed", "keys"):
+                    list(pool.map(lambda app: app.run(policy), apps))
+                for app in apps:
+                    app.account()
+                    rows.append(app.row)
+                    print(line(app.row), flush=True)
     ran = [r for r in rows if "keys" in r]
     kept = [r for r in ran if not r["assumptions_broken"]]
     over = lambda policy, of: sum(r[policy]["above_by_2_pct"] > 0 for r in of)

@@ -23,15 +23,15 @@ std::uint64_t misses(const RunFlags& flags, const runtime::RunReport& report) {
   return count;
 }
 
-std::uint64_t lost(const runtime::RunReport& report) {
+}  // namespace
+
+std::uint64_t lost_results(const runtime::RunReport& report) {
   if (report.num_releases > 0) return report.lost_releases;
   std::uint64_t count = 0;  // several rates: of each module whose results the app is there for
   for (const runtime::ModuleReport& module : report.modules)
     if (module.sink) count += module.failed + module.dropped;
   return count;
 }
-
-}  // namespace
 
 Status check_gate(const RunFlags& flags) {
   const Deployment& deployment = flags.deployment;
@@ -65,7 +65,7 @@ std::vector<GateCount> gate_of(const RunFlags& flags, const PolicyRun& run) {
       gate.count = misses(flags, run.report);
       gate.what = fmt::format("{} results missed their deadline, or became too old", gate.count);
     } else if (word == "lost") {
-      gate.count = lost(run.report);
+      gate.count = lost_results(run.report);
       gate.what = fmt::format("{} activations were lost", gate.count);
     } else if (word == "hang") {
       for (const runtime::XNodeReport& x : run.report.xnodes) gate.count += x.hangs;

@@ -13,6 +13,10 @@ namespace xauto::cli {
 /// The words of --fail-on.
 inline const std::vector<std::string> kGateWords = {"miss", "lost", "hang", "restart"};
 
+/// Releases without a result; with several rates there are no releases of the whole: of each module
+/// whose results the app is there for, its own.
+[[nodiscard]] std::uint64_t lost_results(const runtime::RunReport& report);
+
 /// One word, and what of it the run had.
 struct GateCount {
   std::string word;

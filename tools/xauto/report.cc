@@ -20,10 +20,6 @@
 namespace xauto::cli {
 namespace {
 
-std::uint64_t lost_releases(const PolicyRun& run) {
-  return run.report.lost_releases;
-}
-
 /// null where nothing was measured.
 Json or_null(std::int64_t us, std::size_t count) {
   return count == 0 ? Json() : us;
@@ -217,7 +213,7 @@ std::vector<Error> complaints(const PolicyRun& run) {
     for (const std::string& note : run.outcome.notes) why += (why.empty() ? "" : "; ") + note;
     add("is not complete" + (why.empty() ? "" : ": " + why));
   }
-  if (const std::uint64_t lost = lost_releases(run); lost > 0) {
+  if (const std::uint64_t lost = run.report.lost_releases; lost > 0) {
     std::string modules;
     std::uint64_t failed = 0;
     for (const runtime::ModuleReport& m : run.report.modules) {
@@ -269,7 +265,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
               {"p10_us", or_null(run.latency.p10_us, n)},
               {"p90_us", or_null(run.latency.p90_us, n)},
               {"activations", n},
-              {"lost_activations", lost_releases(run)},
+              {"lost_activations", lost_results(run.report)},
               {"complete", run.report.complete},
               {"deadline_misses", misses},
               {"scheduling", runtime::to_string(run.scheduling)},
@@ -422,7 +418,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
       out += fmt::format("  {}: real CPUs: {}\n", run.name, run.outcome.real_cpus);
     if (const auto worst = worst_case_of(flags, run))
       out += fmt::format("  {}: {}\n", run.name, to_string(*worst));
-    if (const std::uint64_t lost = lost_releases(run))
+    if (const std::uint64_t lost = run.report.lost_releases)
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
     out += losses_of(run);
     if (flags.app.version == 2 && !by_chains) out += chains_table(flags, run);
