@@ -41,7 +41,16 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
     route.counts = std::move(counts);
     route.module = graph.nodes[static_cast<std::size_t>(node)].module;
     route.source = source;
-    if (grid.periodic) route.period_ns = grid.sources[source].period_ns();
+    if (grid.periodic) {
+      const int topic = graph.topic_of_source[source];
+      const int component = graph.modules[static_cast<std::size_t>(route.module)].component;
+      route.period_ns = grid.sources[source].period_ns();
+      route.through_samples =
+          std::none_of(graph.modules.begin(), graph.modules.end(), [&](const Graph::Module& m) {
+            return m.component == component &&
+                   std::find(m.inputs.begin(), m.inputs.end(), topic) != m.inputs.end();
+          });
+    }
     routes.routes_.push_back(std::move(route));
     routes.ends_[static_cast<std::size_t>(node)].push_back(routes.routes_.size() - 1);
   };
@@ -133,6 +142,10 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
       // Newly known are the release of `origin` and those since the last one that was known; half a
       // period tells them apart, since nominal instants are exact to the nanosecond.
       if (route.last_origin_ns != 0 && origin <= route.last_origin_ns) continue;
+      if (route.last_origin_ns == 0 && route.through_samples) {
+        route.last_origin_ns = origin;
+        continue;
+      }
       std::int64_t newly = origin;
       for (int n = 0; n < kMostSkipped; ++n, newly -= route.period_ns) {
         if (route.last_origin_ns == 0 ? newly != origin

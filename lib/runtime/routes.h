@@ -30,7 +30,9 @@ struct FlowLine;
 
 // In an app of version 2 a chain is app.json's, and its latency is the reduced reaction time that
 // its worst case is about: from the nominal release k to the end of the first job that knows k or a
-// newer one. Each release counts, also those that a result has skipped.
+// newer one. Each release counts, also those that a result has skipped. Where a chain leads through
+// samples, the first that comes is not counted, nor are those before it: a reader that starts for the
+// first time may have been late for it, and no worst case is about that (docs/steady-state.md).
 
 /// Threads: any.
 class Routes {
@@ -61,6 +63,7 @@ class Routes {
     int module = -1;         ///< of the node where it ends
     std::size_t source = 0;  ///< index into Origins; beyond it: the oldest origin
     std::int64_t last_origin_ns = 0;
+    bool through_samples = false;
     std::int64_t period_ns = 0;  ///< of the source, where each of its releases counts; 0: results
     FlowLine* line = nullptr;    ///< null: nobody looks
   };

@@ -115,8 +115,11 @@ class Follower {
     }
     std::sort(ends.begin(), ends.end());
     std::int64_t last = kNothing;
-    // A trace that begins later does not tell what was known before.
-    bool since_begin = story_.overwritten == 0;
+    // A trace that begins later does not tell what was known before. Of what comes through samples
+    // the first is not counted, as in the run (Routes).
+    const std::vector<int>& heard = parts_.components[at(parts_.of[at(chain.to)])].sources;
+    bool since_begin =
+        story_.overwritten == 0 && std::find(heard.begin(), heard.end(), chain.from) != heard.end();
     for (const auto& [end_ns, j] : ends) {
       const std::int64_t newest = known[at(story_.jobs[at(j)].activation)];
       if (newest < 0) {  // what was known meanwhile is not known

@@ -91,7 +91,7 @@ class Soak(Case):
             name = module["name"]
             # Each release of a sensor is a result, or counted as lost.
             of_this = module["activations"] + module["failed"] + module["dropped"]
-            self.assertEqual(of_this, slowest * rates["slow"] // rates[name])
+            self.assertEqual(of_this, -(-slowest * rates["slow"] // rates[name]))
             self.assertEqual((observed[name][0], module["failed"]), (module["activations"], 0))
             self.assertLess(observed[name][1], of_this)
             released += of_this
