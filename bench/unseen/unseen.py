@@ -31,6 +31,7 @@ def parse():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--build", default=str(SOURCE / "build"))
     parser.add_argument("--apps", type=int, default=50)
+    parser.add_argument("--only", help="of these the named ones: rates-105,clocks-204")
     parser.add_argument("--first", type=int, default=101, help="seed of the first case of each kind")
     parser.add_argument("--seconds", type=float, default=60, help="of each run")
     parser.add_argument("--solve-s", type=float, default=5)
@@ -140,7 +141,8 @@ def main():
         print(f"{'':<21}  {'fixed priorities':<36}  {'keys':<36}\n{'app':<14}{'XNodes':>7}" +
               2 * f"  {'activations':>11}{'lost':>6}{'> 1.02 wc':>12}{'max/wc':>7}" + "  assumptions", flush=True)
         with concurrent.futures.ThreadPoolExecutor(options.at_once) as pool:
-            todo = [App(folder, number, name, options) for number, name in enumerate(names[:options.apps])]
+            todo = [App(folder, number, name, options) for number, name in enumerate(names[:options.apps])
+                    if not options.only or name in options.only.split(",")]
             for begin in range(0, len(todo), options.at_once):  # in step, so that nobody solves while another one runs
                 apps = todo[begin:begin + options.at_once]
                 list(pool.map(App.solve, apps))
