@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // A program for an app.json of version 2 that has none: each XNode keeps an emulated XPU busy for a
-// random time, at most its WCET. For unseen.py.
+// random time, at most its WCET. For unseen.py and ../runtime/sustain.py.
 //
 //   bench_standin APP SEED SLACK_US
 //
 // The time of an XNode in a release is drawn by SEED, XNode and release, so that it is the same under
-// each policy: one in four takes its whole WCET less SLACK_US, the others 30 % and more of that.
+// each policy: one in four takes its whole WCET less SLACK_US, the others 30 % and more of that. SEED
+// 0: each takes all of it.
 //
 // What a program can have: an edge into an XModule comes from the last XNode of another one and ends
 // at its first; so do samples. What is otherwise is refused.
@@ -65,6 +66,7 @@ Node node_of(const xauto::XNodeSpec& spec, std::uint64_t seed, std::int64_t slac
         [most = wcet_us - slack_us, seed](xauto::emu::Context& context, State& state,
                                           const xauto::Input& input) {
           state.result.number = input.sequence();
+          if (seed == 0) return context.run(std::chrono::microseconds(most));
           return context.run(
               std::chrono::microseconds(drawn(most, seed ^ mixed(input.sequence()))));
         });
@@ -100,7 +102,8 @@ void add_modules(xauto::App& app, const xauto::AppSpec& spec, std::uint64_t seed
     Module module(named.name);
     module.in_flight(static_cast<int>(named.max_in_flight));
     for (const int x : xnodes[named.name])
-      module.add_node(node_of(at(x), mixed(seed ^ static_cast<std::uint64_t>(x)), slack_us));
+      module.add_node(
+          node_of(at(x), seed == 0 ? 0 : mixed(seed ^ static_cast<std::uint64_t>(x)), slack_us));
     for (const int source : at(xnodes[named.name].front()).sources)
       module.add_input_topic(MessageTopic(spec.sources[static_cast<std::size_t>(source)].name));
     for (const auto& edge : spec.edges)

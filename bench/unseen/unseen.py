@@ -78,7 +78,7 @@ class App:
         pathlib.Path(self.path("run.json")).write_text(json.dumps(runnable(made, options)))
         self.of = ["--app", self.path("run.json"), "--platform", self.path("platform.json")]
         self.run_flags = ["--emulate", "--json", "--seconds", options.seconds]
-        self.program = ["--", os.path.join(options.build, "bench/bench_standin"), self.path("run.json"), number, options.slack_us]
+        self.program = ["--", os.path.join(options.build, "bench/bench_standin"), self.path("run.json"), number + 1, options.slack_us]
         self.row = {"app": name, "xnodes": len(made["xnodes"])}
         self.runs = {}
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// For in_flight_test.py and bench/runtime/sustain.py: the Driving Case with PERIOD between releases
+// For in_flight_test.py: the Driving Case with PERIOD between releases
 // and up to N activations of each module at once.
 //
 //   pipelined [PERIOD US] [N] [pushed EVERY US [OMIT]]
