@@ -91,6 +91,12 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
         refused("would change what the policy was made for", "--period-us",
                 "change the sources in app.json and solve again; `xauto solve --assume` tries it"));
   XAUTO_TRY(grid.take_in_flight(graph, app));
+  for (const SourceSpec& source : app.sources)
+    if (source.urgent)
+      return tl::unexpected<Error>(
+          refused("app.json lets source '" + source.name +
+                      "' be urgent: the solver certifies it, a run does not know it yet",
+                  where, "take out \"urgent\" and solve again"));
   grid.clock_ppm.clear();
   for (const ClockSpec& clock : app.clocks) grid.clock_ppm.push_back(clock.ppm);
   std::vector<int> spec_of(graph.sources.size(), -1);
