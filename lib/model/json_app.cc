@@ -87,6 +87,7 @@ void read_clocks_and_sources(const Reader& root, AppSpec& app,
   std::string declared;
   for (const ClockSpec& clock : app.clocks)
     if (declared.size() < kMaxNameBytes) declared += (declared.empty() ? "" : ", ") + clock.name;
+  root.knows({"sources/*/urgent/by_us", "sources/*/urgent/every_us"});
   root["sources"].each_element(kMaxSources, [&](std::size_t i, const Reader& s) {
     SourceSpec source{s["name"].text(), read_period(s)};
     if (s.has("offset_us")) source.offset_us = s["offset_us"].time();

@@ -185,10 +185,10 @@ Status validate_urgent(const AppSpec& app, const Components& components) {
                          "): an urgent release would overtake the one before",
                      where + "/by_us", "state at most the period");
     if (above(source.urgent->every_us) < 0)
-      return invalid("source " + quoted(source.name) + ": " +
-                         std::to_string(source.urgent->every_us) + " us are below its period (" +
-                         source.period.text() + ")",
-                     where + "/every_us", "where each release may be urgent, state the period, rounded up");
+      return invalid(
+          "source " + quoted(source.name) + ": " + std::to_string(source.urgent->every_us) +
+              " us are below its period (" + source.period.text() + ")",
+          where + "/every_us", "where each release may be urgent, state the period, rounded up");
   }
   for (const Component& component : components.components) {
     int first = -1;

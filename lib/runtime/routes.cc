@@ -41,7 +41,11 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
     route.counts = std::move(counts);
     route.module = graph.nodes[static_cast<std::size_t>(node)].module;
     route.source = source;
-    if (grid.periodic) route.period_ns = grid.sources[source].period_ns();
+    if (grid.periodic) {
+      route.period_ns = grid.sources[source].period_ns();
+      route.hurries =
+          grid.urgent_source[static_cast<std::size_t>(route.module)] == static_cast<int>(source);
+    }
     routes.routes_.push_back(std::move(route));
     routes.ends_[static_cast<std::size_t>(node)].push_back(routes.routes_.size() - 1);
   };
@@ -117,7 +121,8 @@ void Routes::count(Route& route, std::int64_t latency_us, std::optional<std::int
 }
 
 std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
-                                              const detail::Origins* origins, std::int64_t now_ns) {
+                                              const detail::Origins* origins, std::int64_t now_ns,
+                                              bool urgent) {
   std::optional<std::int64_t> missed_us;
   if (!end_at(node)) return missed_us;
   const Guard lock(*mutex_);
@@ -133,6 +138,7 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
       // Newly known are the release of `origin` and those since the last one that was known; half a
       // period tells them apart, since nominal instants are exact to the nanosecond.
       if (route.last_origin_ns != 0 && origin <= route.last_origin_ns) continue;
+      if (urgent && route.hurries) counts.urgent_us.add((now_ns - origin) / 1000);
       std::int64_t newly = origin;
       for (int n = 0; n < kMostSkipped; ++n, newly -= route.period_ns) {
         if (route.last_origin_ns == 0 ? newly != origin

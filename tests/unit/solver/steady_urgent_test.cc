@@ -163,11 +163,11 @@ std::string attack_random(const SteadyShape& shape, int apps, int plays, std::ui
     if (answer->outcome != Outcome::kPolicy) continue;
     ++tried.policies;
     const auto checked = check(told, platform, answer->policy);
-    if (!checked)
-      return "app " + std::to_string(a) + ", the check: " + checked.error().to_string();
+    if (!checked) return "app " + std::to_string(a) + ", the check: " + checked.error().to_string();
     for (std::size_t c = 0; c < checked->chains.size(); ++c) {
       EXPECT_LE(checked->chains[c].derived_us, answer->policy.chains[c].worst_case_us);
-      EXPECT_EQ(checked->chains[c].urgent_us.has_value(), checked->chains[c].claimed_urgent_us.has_value());
+      EXPECT_EQ(checked->chains[c].urgent_us.has_value(),
+                checked->chains[c].claimed_urgent_us.has_value());
     }
     for (int k = 0; k < plays; ++k) {
       Disturbance how;
@@ -182,8 +182,7 @@ std::string attack_random(const SteadyShape& shape, int apps, int plays, std::ui
     }
     const auto found = attack::attack(app, platform, answer->policy, {10'000, seed});
     tried.jobs += found.jobs;
-    if (found.broken())
-      return "app " + std::to_string(a) + ", attack: " + found.late + found.chain;
+    if (found.broken()) return "app " + std::to_string(a) + ", attack: " + found.late + found.chain;
   }
   return {};
 }
