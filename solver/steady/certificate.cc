@@ -112,12 +112,15 @@ bool sane(const Problem& p, const std::vector<int>& xpu, const Windows& w, std::
 }
 
 /// The urgent releases of one component, on one XPU. Which of its activations they are, nobody knows:
-/// each XNode has the shortest of its windows, which begins up to `slip` after the earliest.
+/// each XNode has the shortest of its windows, which begins up to `slip` after the earliest. Where
+/// windows are deeper than two urgent releases are apart, jobs of two releases may begin at any
+/// distance: then all begin at once.
 Pattern urgent_pattern(const Problem& p, const Component& c, int m, const std::vector<int>& xpu,
                        const Windows& u, const Charges& charges) {
   Pattern g;
   g.period = c.urgent_every;
   g.once = true;
+  Tick earliest = kMostTicks * 1024, latest = 0;
   g.ppm = p.domains[at(c.domain)].ppm;
   for (const int i : c.xnodes) {
     if (p.urgent[at(i)] == 0 || xpu[at(i)] != m) continue;
@@ -131,8 +134,13 @@ Pattern urgent_pattern(const Problem& p, const Component& c, int m, const std::v
     }
     g.slip = std::max(g.slip, last - begin);
     const bool pays = charges.urgent_preempts[at(i)] != 0;
-    g.jobs.push_back({begin % g.period, length, p.wcet(i, m) + (pays ? p.preempt[at(m)] : 0)});
+    earliest = std::min(earliest, begin);
+    latest = std::max(latest, begin);
+    g.jobs.push_back({begin, length, p.wcet(i, m) + (pays ? p.preempt[at(m)] : 0)});
   }
+  const bool deep = latest + g.slip - earliest > g.period - lost_in(g.period, g.ppm);
+  if (deep) g.slip = 0;
+  for (WindowedJob& job : g.jobs) job.arrival = deep ? 0 : job.arrival % g.period;
   return g;
 }
 

@@ -158,7 +158,16 @@ class Load {
       const Ticks key = first.a + shortest;
       g.items.push_back({i, 0, 0, {first.a, key, key - longest}, w_.wcet[at(i)]});
     }
-    if (!g.items.empty()) groups_.push_back(std::move(g));
+    if (g.items.empty()) return;
+    // Jobs of two urgent releases, the older one deeper in its chain, may begin at any distance
+    // unless one chain has begun before the next: then, at worst, all begin at once.
+    const auto [first, last] =
+        std::ranges::minmax(g.items, {}, [](const Item& i) { return i.window.a; });
+    if (last.window.a + g.slip - first.window.a > least(g.period, g.ppm)) {
+      g.slip = 0;
+      for (Item& i : g.items) i.window = {0, i.window.d - i.window.a, i.window.e - i.window.a};
+    }
+    groups_.push_back(std::move(g));
   }
 
   bool add_group(const std::vector<int>& xnodes) {

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Urgent releases at run time: who goes first, and beside which worst case. The policy's keys are written here, and
-`xauto check` says that they hold: the camera's job has time until 18 ms after its release, the lidar's until 15 ms, and
-10 ms less has the camera's where it is urgent. So an ordinary one waits for the lidar's 8 ms, an urgent one does not."""
+`xauto check` says that they hold: the camera's job has time until 18 ms after its release, the lidar's until 15 ms.
+Where the camera's is urgent it has 10 ms less. So an ordinary one waits for the lidar's 8 ms, an urgent one does not."""
 import json
 import pathlib
 import tempfile
@@ -64,8 +64,8 @@ class Urgent(unittest.TestCase):
         done = self.tool("check", "app", "--policy", self.folder / "policy.json")
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         self.assertIn("urgent", done.stdout)
-        done = self.tool("simulate", "app", "--policy", self.folder / "policy.json", "--urgent", "--random-times", "--jitter",
-                         "--json")
+        done = self.tool("simulate", "app", "--policy", self.folder / "policy.json", "--urgent", "--random-times",
+                         "--jitter", "--json")
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         camera = json.loads(done.stdout)["chains"][0]
         self.assertGreater(camera["urgent"]["releases"], 50)

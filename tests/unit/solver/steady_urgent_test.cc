@@ -202,6 +202,12 @@ TEST(SteadyUrgent, NoPatternOfUrgentReleasesBreaksAPolicy) {
   EXPECT_EQ(attack_random(urgent_shape(1, 0), 90, 12, 21, tried), "");
   EXPECT_EQ(attack_random(urgent_shape(2, 100), 40, 12, 22, tried), "");
   EXPECT_EQ(attack_random(urgent_shape(2, 20'000), 40, 12, 23, tried), "");
+  SteadyShape pipeline = urgent_shape(1, 0);
+  pipeline.max_components = 1;
+  pipeline.max_nodes = 6;
+  pipeline.least_period = 6;
+  pipeline.most_period = 10;
+  EXPECT_EQ(attack_random(pipeline, 90, 12, 24, tried), "");
   EXPECT_GT(tried.policies, 60);
   EXPECT_GT(tried.jobs, 500'000);
 }
