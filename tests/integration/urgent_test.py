@@ -84,7 +84,10 @@ class Urgent(unittest.TestCase):
         self.assertLess(camera["urgent_us"]["p50"], camera["latency_us"]["p99"])
         if run["worst_case_exceeded"]:
             self.assertTrue(run["worst_case_broken"], "exceeded, and nothing was seen to be broken")
-        self.assertFalse([line for line in run["worst_case_broken"] or [] if "too soon" in line])
+        # After a stall a message may be the release after its own: then two that are urgent are too near.
+        broken = run["worst_case_broken"] or []
+        if any("too soon" in line for line in broken):
+            self.assertTrue([line for line in broken if "off its grid" in line or "left out" in line], broken)
 
     def test_an_urgent_release_goes_first(self):
         self.check_run()
