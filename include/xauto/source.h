@@ -22,8 +22,19 @@ using Make =
 using Observe = std::function<void(const void* message, std::uint64_t sequence)>;
 
 Status push(Inlet& inlet, std::shared_ptr<const void> message);
+Status push_urgent(Inlet& inlet, std::shared_ptr<const void> message);
 
 }  // namespace detail
+
+/// What a release is, for Source::publish.
+enum class Release : std::uint8_t {
+  ordinary,
+  /// Its jobs, in all modules that the message reaches by edges, go before their turn, by what
+  /// app.json states as "urgent" of the source. The policy's worst cases hold all the same: for the
+  /// urgent release a shorter one, for all others the ordinary one. One that comes sooner after the
+  /// urgent one before than app.json states is released as an ordinary one, and counted.
+  urgent,
+};
 
 /// What pushed() returns, for App::add_source.
 struct Pushed {
@@ -51,12 +62,17 @@ class Source {
   /// Errors, all kUnavailable: the app does not take messages (before App::on_start calls, after
   /// the run's end, in a process of the app that has not its sources); too many wait, since the app
   /// runs in lockstep and this is faster. Nothing is kept for later.
-  [[nodiscard]] Status publish(T message) const {
-    return publish(std::make_shared<const T>(std::move(message)));
+  /// kInvalid of an urgent release in a run that knows nothing of it: by a policy without keys, or of
+  /// an app.json that states no "urgent" of this source. Without an app.json (profile), with a
+  /// recorded input, and in lockstep each release is an ordinary one.
+  [[nodiscard]] Status publish(T message, Release release = Release::ordinary) const {
+    return publish(std::make_shared<const T>(std::move(message)), release);
   }
   /// The same without a copy. kInvalid when it is null.
-  [[nodiscard]] Status publish(std::shared_ptr<const T> message) const {
-    return detail::push(*inlet_, std::move(message));
+  [[nodiscard]] Status publish(std::shared_ptr<const T> message,
+                               Release release = Release::ordinary) const {
+    return release == Release::urgent ? detail::push_urgent(*inlet_, std::move(message))
+                                      : detail::push(*inlet_, std::move(message));
   }
 
  private:

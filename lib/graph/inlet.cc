@@ -23,7 +23,11 @@ Status push(Inlet& inlet, std::shared_ptr<const void> message) {
   return inlet.push(std::move(message));
 }
 
-Status Inlet::push(std::shared_ptr<const void> message) {
+Status push_urgent(Inlet& inlet, std::shared_ptr<const void> message) {
+  return inlet.push(std::move(message), true);
+}
+
+Status Inlet::push(std::shared_ptr<const void> message, bool urgent) {
   const std::string where = "topic '" + topic_ + "'";
   if (message == nullptr) return fail(ErrorCode::kInvalid, "a null message was published", where);
   const Guard lock(mutex_);
@@ -33,6 +37,12 @@ Status Inlet::push(std::shared_ptr<const void> message) {
                 "more, or its sources are in another process",
                 where, "publish between the calls of App::on_start and App::on_stop");
   if (keep_ == Keep::kNone) return {};
+  if (urgent && urgent_ == Urgent::kRefused)
+    return fail(
+        ErrorCode::kInvalid,
+        "an urgent message was published, and nothing certifies that in this run", where,
+        "state \"urgent\": {\"by_us\", \"every_us\"} of this source in app.json (version 2), "
+        "solve again, and run by that policy");
   if (keep_ == Keep::kNewest) waiting_.clear();
   if (waiting_.size() >= kMaxWaiting)
     return fail(ErrorCode::kUnavailable,
@@ -45,7 +55,7 @@ Status Inlet::push(std::shared_ptr<const void> message) {
   }
   ++early_.of;
   last_ns_ = now;
-  waiting_.push_back({std::move(message), now});
+  waiting_.push_back({std::move(message), now, urgent && urgent_ == Urgent::kTaken});
   bell_->fetch_add(1);
   futex_wake_local(*bell_, INT_MAX);
   return {};
@@ -55,8 +65,14 @@ void Inlet::open(std::atomic<std::uint32_t>& bell, Keep keep) {
   const Guard lock(mutex_);
   bell_ = &bell;
   keep_ = keep;
+  urgent_ = Urgent::kOrdinary;
   last_ns_ = 0;
   early_ = {};
+}
+
+void Inlet::take_urgent(Urgent how) {
+  const Guard lock(mutex_);
+  urgent_ = how;
 }
 
 std::size_t Inlet::close() {

@@ -32,6 +32,13 @@ class Inlet {
   struct Waiting {
     std::shared_ptr<const void> message;
     std::int64_t at_ns = 0;  ///< CLOCK_MONOTONIC, of the push
+    bool urgent = false;
+  };
+  /// What becomes of a push that says it is urgent.
+  enum class Urgent : std::uint8_t {
+    kTaken,
+    kOrdinary,  ///< nobody schedules by keys, and nobody claims to
+    kRefused,
   };
   /// What came closer together than was declared, in one run.
   struct Early {
@@ -41,10 +48,11 @@ class Inlet {
 
   Inlet(std::string topic, std::int64_t distance_ns)
       : topic_(std::move(topic)), distance_ns_(distance_ns) {}
-  [[nodiscard]] Status push(std::shared_ptr<const void> message);
+  [[nodiscard]] Status push(std::shared_ptr<const void> message, bool urgent = false);
 
   // The run's side. `bell` is advanced at every push, until `close`.
   void open(std::atomic<std::uint32_t>& bell, Keep keep);
+  void take_urgent(Urgent how);  ///< kOrdinary at `open`
   /// Returns how many messages were not taken.
   std::size_t close();
   [[nodiscard]] std::optional<Waiting> take();
@@ -58,6 +66,7 @@ class Inlet {
   mutable PiMutex mutex_;
   std::atomic<std::uint32_t>* bell_ XAUTO_GUARDED_BY(mutex_) = nullptr;  ///< null: closed
   Keep keep_ XAUTO_GUARDED_BY(mutex_) = Keep::kAll;
+  Urgent urgent_ XAUTO_GUARDED_BY(mutex_) = Urgent::kOrdinary;
   std::deque<Waiting> waiting_ XAUTO_GUARDED_BY(mutex_);
   std::int64_t last_ns_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< of the last push of this run; 0: none
   Early early_ XAUTO_GUARDED_BY(mutex_);

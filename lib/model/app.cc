@@ -86,6 +86,11 @@ void add_periodic(Fnv& fnv, const AppSpec& app) {
       fnv.add(value);
     fnv.add(app.clocks[at(source.clock)].name);
     fnv.add(app.clocks[at(source.clock)].ppm);
+    if (source.urgent) {  // without it the hash is that of files written before there was one
+      fnv.add("urgent");
+      fnv.add(source.urgent->by_us);
+      fnv.add(source.urgent->every_us);
+    }
   }
   // By name: the order of the modules in the file means nothing.
   std::vector<const ModuleSpec*> modules;

@@ -49,6 +49,14 @@ struct ClockSpec {
   bool operator==(const ClockSpec&) const = default;
 };
 
+/// Releases of a source that a program may mark urgent: the keys of all that hears of such a release,
+/// by edges, move forward by `by_us`, and holds with them, at most to the nominal release.
+struct UrgentSpec {
+  std::int64_t by_us = 0;     ///< from 1 to the source's period: releases stay in order
+  std::int64_t every_us = 0;  ///< least distance of two that are urgent, at least the period
+  bool operator==(const UrgentSpec&) const = default;
+};
+
 /// A sensor. Its k-th release is in [offset + k period, offset + k period + jitter].
 struct SourceSpec {
   std::string name;  ///< its topic
@@ -59,6 +67,7 @@ struct SourceSpec {
   /// In a profile alone: the program publishes. `period` is then the least distance that it states;
   /// no grid is known.
   bool pushed = false;
+  std::optional<UrgentSpec> urgent = {};  ///< version 2; nullopt: no release is
   bool operator==(const SourceSpec&) const = default;
 };
 

@@ -87,10 +87,16 @@ void read_clocks_and_sources(const Reader& root, AppSpec& app,
   std::string declared;
   for (const ClockSpec& clock : app.clocks)
     if (declared.size() < kMaxNameBytes) declared += (declared.empty() ? "" : ", ") + clock.name;
+  root.knows({"sources/*/urgent/by_us", "sources/*/urgent/every_us"});
   root["sources"].each_element(kMaxSources, [&](std::size_t i, const Reader& s) {
     SourceSpec source{s["name"].text(), read_period(s)};
     if (s.has("offset_us")) source.offset_us = s["offset_us"].time();
     if (s.has("jitter_us")) source.jitter_us = s["jitter_us"].integer(0, kMaxPeriodUs);
+    if (s.has("urgent")) {
+      const Reader urgent = s["urgent"];
+      source.urgent = {urgent["by_us"].integer(1, kMaxPeriodUs),
+                       urgent["every_us"].integer(1, kMaxPeriodUs)};
+    }
     if (s.has("clock")) {
       const std::string name = s["clock"].text();
       if (s.failed()) return;
@@ -184,6 +190,7 @@ ordered_json periodic_sources_to_json(const AppSpec& app) {
     if (s.offset_us != 0) source["offset_us"] = s.offset_us;
     if (s.jitter_us != 0) source["jitter_us"] = s.jitter_us;
     if (s.clock != 0) source["clock"] = app.clocks[static_cast<std::size_t>(s.clock)].name;
+    if (s.urgent) source["urgent"] = {{"by_us", s.urgent->by_us}, {"every_us", s.urgent->every_us}};
     out.push_back(std::move(source));
   }
   return out;

@@ -107,6 +107,8 @@ void read_claims(const Reader& root, const AppSpec& app, KeyPolicy& policy) {
     there[i] = 1;
     policy.chains[i] = {app.chains[i].name, c["worst_case_us"].time(), c["lower_bound_us"].time(),
                         c["optimal"].boolean()};
+    if (c.has("urgent_worst_case_us"))
+      policy.chains[i].urgent_worst_case_us = c["urgent_worst_case_us"].time();
   });
   if (root.failed()) return;
   for (std::size_t i = 0; i < there.size(); ++i)
@@ -235,11 +237,14 @@ std::string to_json(const KeyPolicy& policy, const AppSpec& app, const Platform&
   ordered_json document = head_to_json(policy, 2);
   document["xnodes"] = std::move(xnodes);
   document["chains"] = ordered_json::array();
-  for (const ChainClaim& c : policy.chains)
+  for (const ChainClaim& c : policy.chains) {
     document["chains"].push_back({{"name", c.name},
                                   {"worst_case_us", c.worst_case_us},
                                   {"lower_bound_us", c.lower_bound_us},
                                   {"optimal", c.optimal}});
+    if (c.urgent_worst_case_us)
+      document["chains"].back()["urgent_worst_case_us"] = *c.urgent_worst_case_us;
+  }
   document["solve_ms"] = policy.solve_ms;
   return json_document::to_text(document);
 }

@@ -73,6 +73,14 @@ class Validation {
                        "/chains/" + std::to_string(k) + "/name");
       if (!is_time(claim.worst_case_us) || !is_time(claim.lower_bound_us))
         return invalid("chain '" + claim.name + "' has a time out of range", "/chains");
+      const bool urgent = app_.sources[at(app_.chains[k].from)].urgent.has_value();
+      if (claim.urgent_worst_case_us.has_value() != urgent)
+        return invalid("chain '" + claim.name +
+                           (urgent ? "' has no urgent_worst_case_us, and its source may be urgent"
+                                   : "' has urgent_worst_case_us, and its source is never urgent"),
+                       "/chains/" + std::to_string(k), kHint);
+      if (claim.urgent_worst_case_us && !is_time(*claim.urgent_worst_case_us))
+        return invalid("chain '" + claim.name + "' has a time out of range", "/chains");
     }
     return {};
   }

@@ -39,6 +39,8 @@ struct ChainClaim {
   /// chain enters another clock, executions may stay below it.
   std::int64_t lower_bound_us = 0;
   bool optimal = false;  ///< both are equal
+  /// As worst_case_us, of a release that its source marks urgent. There iff the source may.
+  std::optional<std::int64_t> urgent_worst_case_us = {};
   bool operator==(const ChainClaim&) const = default;
 };
 

@@ -37,6 +37,7 @@ struct Envelope {
   std::int64_t origin_ns = 0;           ///< CLOCK_MONOTONIC time at which the sensor released it
   std::uint64_t sequence = 0;           ///< number of that release
   std::shared_ptr<const Origins> origins = {};  ///< null where all origins are the same, see Graph
+  bool urgent = false;  ///< its sensor marked that release, see docs/runtime.md
 };
 
 struct TopicSpec {

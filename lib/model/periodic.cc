@@ -166,6 +166,45 @@ Status validate_clocks(const AppSpec& app) {
   return {};
 }
 
+/// An urgent release may reach the one before, and not overtake it. Of one component's sources one may
+/// say so: a release that several make urgent would have several amounts and distances.
+Status validate_urgent(const AppSpec& app, const Components& components) {
+  for (std::size_t i = 0; i < app.sources.size(); ++i) {
+    const SourceSpec& source = app.sources[i];
+    if (!source.urgent) continue;
+    const std::string where = nth("sources", i) + "/urgent";
+    XAUTO_TRY(in_range(source.urgent->by_us, 1, kMaxPeriodUs, "a time in us", where + "/by_us"));
+    XAUTO_TRY(
+        in_range(source.urgent->every_us, 1, kMaxPeriodUs, "a time in us", where + "/every_us"));
+    const auto above = [&](std::int64_t us) {  // its sign: us - period
+      return static_cast<__int128>(us) * source.period.den - source.period.num;
+    };
+    if (above(source.urgent->by_us) > 0)
+      return invalid("source " + quoted(source.name) + ": " + std::to_string(source.urgent->by_us) +
+                         " us are above its period (" + source.period.text() +
+                         "): an urgent release would overtake the one before",
+                     where + "/by_us", "state at most the period");
+    if (above(source.urgent->every_us) < 0)
+      return invalid(
+          "source " + quoted(source.name) + ": " + std::to_string(source.urgent->every_us) +
+              " us are below its period (" + source.period.text() + ")",
+          where + "/every_us", "where each release may be urgent, state the period, rounded up");
+  }
+  for (const Component& component : components.components) {
+    int first = -1;
+    for (const int s : component.sources) {
+      if (!app.sources[at(s)].urgent) continue;
+      if (first >= 0)
+        return invalid(
+            "sources " + quoted(app.sources[at(first)].name) + " and " +
+                quoted(app.sources[at(s)].name) + " are joined by edges, and both may be urgent",
+            nth("sources", at(s)) + "/urgent", "state it of one of them, or sample the other one");
+      first = s;
+    }
+  }
+  return {};
+}
+
 Status validate_modules(const AppSpec& app) {
   XAUTO_TRY(validate_names(app.modules, "modules", "module"));
   std::unordered_set<std::string_view> named, listed;
@@ -415,6 +454,7 @@ Status validate_periodic(const AppSpec& app) {
       if (end < 0 || at(end) >= app.xnodes.size())
         return invalid("names an unknown XNode", nth("samples", k));
   XAUTO_ASSIGN(const Components components, find_components(app));
+  XAUTO_TRY(validate_urgent(app, components));
   XAUTO_TRY(validate_samples(app, components));
   return validate_chains(app, components);
 }

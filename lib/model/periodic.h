@@ -28,7 +28,8 @@ void complete_chains(AppSpec& app);
 [[nodiscard]] AppSpec as_version_1(AppSpec app);
 
 /// Of an app whose sources, XNodes and edges are valid:
-///   sources   offset in [0, period), jitter from 0 to an hour; clocks with names, ppm in range
+///   sources   offset in [0, period), jitter from 0 to an hour; clocks with names, ppm in range;
+///             urgent: by at most the period, every at least it; one such source per component
 ///   XNodes    without predecessors hear of a source; components as find_components() says
 ///   modules   each that an XNode names, once; max_in_flight from 1
 ///   samples   between XNodes, each once; inside a component back to an XNode that precedes it only

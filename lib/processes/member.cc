@@ -63,14 +63,15 @@ Result<bool> Member::ready(const std::atomic<bool>& stop) {
 }
 
 void Member::tell(int module, std::uint64_t sequence, std::int64_t origin_ns, std::int64_t now_ns,
-                  bool lost, const detail::Origins* origins) {
+                  bool lost, const detail::Origins* origins, bool urgent) {
   Packet packet{.word = static_cast<std::uint32_t>(Word::kEvent),
                 .index = static_cast<std::uint32_t>(module),
                 .sequence = sequence,
                 .origin_ns = origin_ns,
                 .now_ns = now_ns,
                 .lost = lost ? 1u : 0u,
-                .rates = origins != nullptr ? 1u : 0u};
+                .rates = origins != nullptr ? 1u : 0u,
+                .urgent = urgent ? 1u : 0u};
   if (origins != nullptr) packet.origins = *origins;
   (void)send_packet(socket_.get(), &packet, sizeof packet);  // a dead hub: we are ended as well
 }

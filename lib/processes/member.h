@@ -34,7 +34,7 @@ class Member {
   [[nodiscard]] Result<bool> ready(const std::atomic<bool>& stop);
   /// A sink module, or one where a chain ends, is through with a release. Any thread.
   void tell(int module, std::uint64_t sequence, std::int64_t origin_ns, std::int64_t now_ns,
-            bool lost, const detail::Origins* origins);
+            bool lost, const detail::Origins* origins, bool urgent = false);
   /// Until the hub says Stop (true) or is gone (false), or `stop` is set (true).
   [[nodiscard]] bool wait_stop(const std::atomic<bool>& stop);
   void report(const std::string& text);

@@ -46,10 +46,12 @@ struct Packet {
   std::uint64_t sequence = 0;
   std::int64_t origin_ns = 0, now_ns = 0;
   std::uint32_t lost = 0;
-  std::uint32_t rates = 0;    ///< 1: `origins` is filled in
+  std::uint32_t rates = 0;   ///< 1: `origins` is filled in
+  std::uint32_t urgent = 0;  ///< 1: of a release that its sensor marked
+  std::uint32_t pad = 0;
   detail::Origins origins{};  ///< by source, see Envelope
 };
-static_assert(sizeof(Packet) == 40 + sizeof(detail::Origins));
+static_assert(sizeof(Packet) == 48 + sizeof(detail::Origins));
 inline constexpr std::size_t kMaxReportBytes = 32 * 1024;
 
 /// Sends a word without more; errors are the socket's.

@@ -41,6 +41,8 @@ class Activation {
   /// By source, the oldest of what it is made from; null: see Graph::tells_origins. From
   /// ModuleRuntime::begin on.
   [[nodiscard]] const std::shared_ptr<const detail::Origins>& origins() const { return origins_; }
+  /// Of a release that its sensor marked urgent.
+  [[nodiscard]] bool urgent() const { return urgent_; }
   /// It was given up: what its XNodes still do is lost.
   [[nodiscard]] bool abandoned() const {
     return fate_.load(std::memory_order_acquire) == Fate::kAbandoned;
@@ -65,6 +67,7 @@ class Activation {
   std::vector<std::shared_ptr<const void>> taken_;  ///< its results, by output
   std::atomic<Fate> fate_{Fate::kOpen};
   Stage stage_ = Stage::kFree;
+  bool urgent_ = false;
   std::uint64_t parameters_ = 0;  ///< version of those that it sees
   std::uint64_t number_ = 0;      ///< how many were fired before it
   std::size_t position_ = 0;      ///< XNodes of the chain that it is through with

@@ -241,7 +241,8 @@ void Engine::sampled(int module, std::span<const detail::Envelope> messages) {
 }
 
 void Engine::done(int module, const Activation& activation) {
-  ledger_->done(module, activation.origin_ns(), activation.sequence(), activation.origins().get());
+  ledger_->done(module, activation.origin_ns(), activation.sequence(), activation.origins().get(),
+                activation.urgent());
 }
 
 void Engine::left(int module) {
@@ -254,7 +255,8 @@ void Engine::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
 
 void Engine::passed(int module, const Activation& activation, int node) {
   static_cast<void>(module);
-  ledger_->passed(node, activation.origin_ns(), activation.sequence(), activation.origins().get());
+  ledger_->passed(node, activation.origin_ns(), activation.sequence(), activation.origins().get(),
+                  activation.urgent());
 }
 
 void Engine::skip(int module, std::uint64_t sequence) {

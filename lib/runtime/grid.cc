@@ -79,6 +79,8 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
     grid.in_flight.push_back(module.spec->in_flight);
   }
   grid.depth.assign(graph.modules.size(), 1);
+  grid.urgent_by_us.assign(graph.modules.size(), 0);
+  grid.urgent_source.assign(graph.modules.size(), -1);
   for (const SourceSpec& source : graph.sources)
     grid.sources.push_back({session.period_us > 0 ? Period{session.period_us} : source.period, 0, 0,
                             0, static_cast<std::uint32_t>(grid.sources.size())});
@@ -105,6 +107,11 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
     grid.sources[s] = {spec.period, spec.offset_us * 1000, spec.jitter_us * 1000,
                        static_cast<std::size_t>(spec.clock),
                        static_cast<std::uint32_t>(spec_of[s])};
+    if (spec.urgent) {
+      // Releases are on the grid: so are the distances of those that are urgent.
+      const std::int64_t apart = spec.urgent->every_us * spec.period.den + spec.period.num - 1;
+      grid.sources[s].urgent_apart = static_cast<std::uint64_t>(apart / spec.period.num);
+    }
   }
   XAUTO_ASSIGN(const Components components, find_components(app));
   std::vector<std::vector<char>> heard(graph.modules.size(),
@@ -126,6 +133,11 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
         const std::vector<char>& of = heard[static_cast<std::size_t>(topic.module)];
         for (std::size_t s = 0; s < of.size(); ++s) heard[index][s] |= of[s];
       }
+    }
+    for (std::size_t s = 0; s < graph.sources.size(); ++s) {
+      if (heard[index][s] == 0 || grid.sources[s].urgent_apart == 0) continue;
+      grid.urgent_source[index] = static_cast<int>(s);
+      grid.urgent_by_us[index] = app.sources[static_cast<std::size_t>(spec_of[s])].urgent->by_us;
     }
     // A job that comes early waits no longer than until its own key.
     std::int64_t last_us = 0;

@@ -30,6 +30,8 @@ struct Grid {
     std::uint32_t number = 0;    ///< in the trace: app.json's, of version 1 the program's
     /// Of release `k`, after the start. In whole nanoseconds, rounded down; no drift adds up.
     [[nodiscard]] std::int64_t due_ns(std::uint64_t k) const;
+    /// Releases from one that may be urgent to the next; 0: none may.
+    std::uint64_t urgent_apart = 0;
     [[nodiscard]] std::int64_t period_ns() const { return due_ns(1) - due_ns(0); }
   };
   /// The app is of version 2: its sources, chains and offsets are app.json's.
@@ -39,6 +41,10 @@ struct Grid {
   /// [module][input] of a source's topic: how much later than its component's activation that
   /// source releases; 0 of other topics.
   std::vector<std::vector<std::int64_t>> shift_ns;
+  /// [module] source whose releases may be urgent, and by how much keys and holds are then earlier;
+  /// -1 and 0: none.
+  std::vector<int> urgent_source;
+  std::vector<std::int64_t> urgent_by_us;
   /// [module] activations that may be at once: the program's word, of version 2 app.json's.
   std::vector<int> in_flight;
   /// [module] activations that may wait at its door when the policy's keys are kept.

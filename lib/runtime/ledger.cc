@@ -50,7 +50,7 @@ void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
 }
 
 void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
-                  const detail::Origins* origins) {
+                  const detail::Origins* origins, bool urgent) {
   ModuleLine& counts = context_.board.module(module);
   // In order, so one at a time: no locked access on the hot path.
   counts.activations.store(counts.activations.load(std::memory_order_relaxed) + 1,
@@ -62,13 +62,13 @@ void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
   if (context_.trace != nullptr)
     context_.trace->write_at(now, XAUTO_EV_DONE, sequence, XAUTO_EV_NONE,
                              static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
-  if (asked_for) through(module, sequence, origin_ns, origins, now, false);
+  if (asked_for) through(module, sequence, origin_ns, origins, now, false, urgent);
 }
 
 void Ledger::passed(int node, std::int64_t origin_ns, std::uint64_t sequence,
-                    const detail::Origins* origins) {
+                    const detail::Origins* origins, bool urgent) {
   if (!role_.leads()) return;  // its chains are counted where the accounts are: not yet
-  if (const auto late_us = routes_.published(node, origin_ns, origins, now_ns()))
+  if (const auto late_us = routes_.published(node, origin_ns, origins, now_ns(), urgent))
     missed(context_.graph.nodes[static_cast<std::size_t>(node)].module, sequence, *late_us);
 }
 
@@ -80,16 +80,16 @@ void Ledger::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
     context_.trace->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE,
                           static_cast<std::uint16_t>(module), XAUTO_EV_NONE, reason);
   if (context_.graph.modules[static_cast<std::size_t>(module)].sink)
-    through(module, sequence, 0, nullptr, now_ns(), true);
+    through(module, sequence, 0, nullptr, now_ns(), true, false);
 }
 
 void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
-                     const detail::Origins* origins, std::int64_t now, bool lost) {
-  if (role_.tell(module, sequence, origin_ns, now, lost, origins)) return;
+                     const detail::Origins* origins, std::int64_t now, bool lost, bool urgent) {
+  if (role_.tell(module, sequence, origin_ns, now, lost, origins, urgent)) return;
   if (!lost)
     if (const auto late_us =
             routes_.published(context_.graph.modules[static_cast<std::size_t>(module)].nodes.back(),
-                              origin_ns, origins, now);
+                              origin_ns, origins, now, urgent);
         late_us && (!context_.graph.single_rate || !context_.session.deployment.chains.empty()))
       missed(module, sequence, *late_us);
   if (!context_.graph.modules[static_cast<std::size_t>(module)].sink) return;

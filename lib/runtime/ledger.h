@@ -27,18 +27,18 @@ class Ledger {
 
   /// A release of the sensors is about to be published. The releasing thread.
   void open(std::uint64_t sequence, std::int64_t origin_ns);
-  /// Activation `sequence` of `module`, hosted here, has ended. `origins`: see Envelope.
+  /// Activation `sequence` of `module`, hosted here, has ended. `origins`, `urgent`: see Envelope.
   void done(int module, std::int64_t origin_ns, std::uint64_t sequence,
-            const detail::Origins* origins);
+            const detail::Origins* origins, bool urgent);
   /// `node` of the graph has ended its job, and a chain with it.
   void passed(int node, std::int64_t origin_ns, std::uint64_t sequence,
-              const detail::Origins* origins);
+              const detail::Origins* origins, bool urgent);
   /// ... or was lost for `reason` (XAUTO_DROP_*).
   void dropped(int module, std::uint64_t sequence, std::uint32_t reason);
   /// A sink module, or one where a chain ends, is through with release `sequence`; known here, or
   /// told by its process.
   void through(int module, std::uint64_t sequence, std::int64_t origin_ns,
-               const detail::Origins* origins, std::int64_t now_ns, bool lost);
+               const detail::Origins* origins, std::int64_t now_ns, bool lost, bool urgent);
   /// Whether a chain ends at `node` of the graph.
   [[nodiscard]] bool ends_chain(int node) const { return routes_.end_at(node); }
   /// The process of `module` died; what it counted and did not tell is lost.

@@ -36,6 +36,7 @@ Status Releaser::run(int fifo) {
     using Keep = detail::Inlet::Keep;
     inlets_.emplace(context_.app, context_.session.input.empty() ? Keep::kAll : Keep::kNone);
     open_feeds(fifo);
+    open_for_urgent();
     status = detail::call(context_.app.on_start, "on_start", context_.app.name);
     if (status) status = context_.session.input.empty() ? release_periodic() : release_recorded();
     feeds_.reset();
@@ -87,6 +88,31 @@ void Releaser::open_feeds(int fifo) {
                      Pace(grid.period_ns(), grid.jitter_ns, context_.grid.clock_ppm[grid.clock])});
   }
   if (!feeds.empty()) feeds_.emplace(*wiring_.interop(), std::move(feeds), fifo);
+}
+
+/// An urgent release is one of a policy of keys that counts with it. Who runs the app in another way
+/// and claims nothing (lockstep) takes it for an ordinary one.
+void Releaser::open_for_urgent() {
+  if (context_.session.lockstep || context_.session.mode != Mode::kRun) return;
+  for (std::size_t s = 0; s < context_.app.sources.size(); ++s) {
+    if (context_.app.sources[s].inlet == nullptr) continue;
+    const bool certified = context_.session.keys && context_.scheduled() && tracks() &&
+                           context_.grid.sources[s].urgent_apart > 0;
+    using Urgent = detail::Inlet::Urgent;
+    context_.app.sources[s].inlet->take_urgent(certified ? Urgent::kTaken : Urgent::kRefused);
+  }
+}
+
+/// Two of them are so many releases apart: what is nearer is an ordinary one. By numbers, and not by
+/// the time of the push, since it is the nominal releases that the certificate counts with.
+bool Releaser::urgent(Seen& seen, std::size_t source, std::uint64_t number) {
+  if (seen.last_urgent && number - *seen.last_urgent < context_.grid.sources[source].urgent_apart) {
+    ++seen.too_soon;
+    context_.board.count_late(0);
+    return false;
+  }
+  seen.last_urgent = number;
+  return true;
 }
 
 /// Releases what is pushed until then; `once`: one message at most. False: the run is over.
@@ -177,7 +203,8 @@ bool Releaser::release_tracked(int topic, const detail::Inlet::Waiting& pushed) 
   seen.off += found->off_ns > 0 ? 1 : 0;
   if (found->off_ns > 0) context_.board.count_late(found->off_ns);
   seen.farthest_ns = std::max(seen.farthest_ns, found->off_ns);
-  release(pushed.at_ns, {{topic, found->number, pushed.message, found->nominal_ns}});
+  const bool is_urgent = pushed.urgent && urgent(seen, source, found->number);
+  release(pushed.at_ns, {{topic, found->number, pushed.message, found->nominal_ns, is_urgent}});
   return true;
 }
 
@@ -361,6 +388,11 @@ std::vector<std::string> Releaser::broken() const {
     if (seen.left_out > 0)
       lines.push_back(
           fmt::format("source '{}' left out {} of {} releases", name, seen.left_out, seen.of));
+    if (seen.too_soon > 0)
+      lines.push_back(fmt::format(
+          "source '{}' marked {} releases urgent too soon: less than {} releases after the "
+          "urgent one before; they were ordinary ones",
+          name, seen.too_soon, grid.urgent_apart));
     if (phases_.size() > grid.clock && phases_[grid.clock] != nullptr &&
         !phases_[grid.clock]->base_ns())
       lines.push_back(
@@ -397,6 +429,7 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
     const int topic = sample.topic;
     const std::int64_t origin_ns = origin_of(sample);
     detail::Envelope envelope{sample.message, origin_ns, sample.sequence};
+    envelope.urgent = sample.urgent;
     if (context_.graph.tells_origins) {
       auto origins = std::make_shared<detail::Origins>();
       origins->fill(0);
@@ -430,7 +463,7 @@ Status Releaser::open_recorder() {
 
 /// The first failure ends the recording, not the run; the report tells.
 void Releaser::record(std::int64_t origin_ns, const std::vector<Sample>& samples) {
-  for (const auto& [topic, sequence, message, nominal_ns] : samples) {
+  for (const auto& [topic, sequence, message, nominal_ns, is_urgent] : samples) {
     if (message == nullptr) continue;
     const auto t = static_cast<std::size_t>(topic);
     Status done;

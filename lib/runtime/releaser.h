@@ -48,7 +48,9 @@ class Releaser {
     std::uint64_t sequence = 0;
     std::shared_ptr<const void> message;  ///< null: lost
     std::int64_t nominal_ns = 0;          ///< when it should be released; 0: when it is
+    bool urgent = false;
   };
+  struct Seen;
   Releaser(const Context& context, Wiring& wiring, Ledger& ledger, const std::atomic<bool>& stop)
       : context_(context), wiring_(wiring), ledger_(ledger), stop_(stop) {}
   [[nodiscard]] Status open_recorder();
@@ -64,6 +66,8 @@ class Releaser {
   [[nodiscard]] bool tracks() const;
   [[nodiscard]] bool tracked(std::size_t topic) const;
   void open_feeds(int fifo);
+  void open_for_urgent();
+  [[nodiscard]] bool urgent(Seen& seen, std::size_t source, std::uint64_t number);
   void sleep(std::int64_t until_ns) const;
   [[nodiscard]] Status drain_for_lockstep();
   [[nodiscard]] Status release_recorded();
@@ -92,6 +96,8 @@ class Releaser {
     std::uint64_t off = 0;  ///< pushed: for which the grid had to be moved
     std::int64_t farthest_ns = 0;
     std::uint64_t left_out = 0;  ///< pushed: there was no message
+    std::uint64_t too_soon = 0;  ///< urgent, sooner after the one before than stated
+    std::optional<std::uint64_t> last_urgent = {};  ///< its number
   };
   std::vector<Seen> seen_;  ///< [source]
   /// [clock] of what is pushed in a run by keys; null: everything of it is released by us.

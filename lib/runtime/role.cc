@@ -117,8 +117,8 @@ class Leader final : public Role, private HubHost {
   // HubHost, on the hub's thread. Members run, so everything is attached.
   void event(const Packet& packet) override {
     ledger_->through(static_cast<int>(packet.index), packet.sequence, packet.origin_ns,
-                     packet.rates != 0 ? &packet.origins : nullptr, packet.now_ns,
-                     packet.lost != 0);
+                     packet.rates != 0 ? &packet.origins : nullptr, packet.now_ns, packet.lost != 0,
+                     packet.urgent != 0);
   }
 
   void left(int process) override {
@@ -201,8 +201,8 @@ class Follower final : public Role {
   void hand_over(const RunReport& report) override { member_->report(to_json(report)); }
 
   bool tell(int module, std::uint64_t sequence, std::int64_t origin_ns, std::int64_t now_ns,
-            bool lost, const detail::Origins* origins) override {
-    member_->tell(module, sequence, origin_ns, now_ns, lost, origins);
+            bool lost, const detail::Origins* origins, bool urgent) override {
+    member_->tell(module, sequence, origin_ns, now_ns, lost, origins, urgent);
     return true;
   }
   void looked(std::int64_t now) override {

@@ -58,7 +58,8 @@ class Role {
   /// that has the accounts; false: that is this one. Any thread.
   [[nodiscard]] virtual bool tell(int /*module*/, std::uint64_t /*sequence*/,
                                   std::int64_t /*origin_ns*/, std::int64_t /*now_ns*/,
-                                  bool /*lost*/, const detail::Origins* /*origins*/) {
+                                  bool /*lost*/, const detail::Origins* /*origins*/,
+                                  bool /*urgent*/) {
     return false;
   }
 

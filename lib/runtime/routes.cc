@@ -50,6 +50,8 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
             return m.component == component &&
                    std::find(m.inputs.begin(), m.inputs.end(), topic) != m.inputs.end();
           });
+      route.hurries =
+          grid.urgent_source[static_cast<std::size_t>(route.module)] == static_cast<int>(source);
     }
     routes.routes_.push_back(std::move(route));
     routes.ends_[static_cast<std::size_t>(node)].push_back(routes.routes_.size() - 1);
@@ -126,7 +128,8 @@ void Routes::count(Route& route, std::int64_t latency_us, std::optional<std::int
 }
 
 std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
-                                              const detail::Origins* origins, std::int64_t now_ns) {
+                                              const detail::Origins* origins, std::int64_t now_ns,
+                                              bool urgent) {
   std::optional<std::int64_t> missed_us;
   if (!end_at(node)) return missed_us;
   const Guard lock(*mutex_);
@@ -142,10 +145,14 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
       // Newly known are the release of `origin` and those since the last one that was known; half a
       // period tells them apart, since nominal instants are exact to the nanosecond.
       if (route.last_origin_ns != 0 && origin <= route.last_origin_ns) continue;
+<<<<<<< HEAD
       if (route.last_origin_ns == 0 && route.through_samples) {
         route.last_origin_ns = origin;
         continue;
       }
+=======
+      if (urgent && route.hurries) counts.urgent_us.add((now_ns - origin) / 1000);
+>>>>>>> 3009e5dd94da978c61ebec2425d081db4b21ffc5
       std::int64_t newly = origin;
       for (int n = 0; n < kMostSkipped; ++n, newly -= route.period_ns) {
         if (route.last_origin_ns == 0 ? newly != origin

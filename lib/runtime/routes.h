@@ -53,7 +53,8 @@ class Routes {
   /// `node` has ended a job of what stems from `origin_ns`, or by source from `origins`. Returns the
   /// latency of a chain that so missed its deadline, or the age of a result that became too old.
   std::optional<std::int64_t> published(int node, std::int64_t origin_ns,
-                                        const detail::Origins* origins, std::int64_t now_ns);
+                                        const detail::Origins* origins, std::int64_t now_ns,
+                                        bool urgent = false);
   /// `lost`: [module] activations that failed or were dropped.
   [[nodiscard]] std::vector<RouteReport> report(const std::vector<std::uint64_t>& lost) const;
 
@@ -66,6 +67,7 @@ class Routes {
     bool through_samples = false;
     std::int64_t period_ns = 0;  ///< of the source, where each of its releases counts; 0: results
     FlowLine* line = nullptr;    ///< null: nobody looks
+    bool hurries = false;        ///< an urgent activation of its end is of an urgent release
   };
   void count(Route& route, std::int64_t latency_us, std::optional<std::int64_t>& missed_us);
   std::vector<std::vector<std::size_t>> ends_;  ///< [node of the graph] -> routes

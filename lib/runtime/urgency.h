@@ -3,6 +3,7 @@
 // start. Out of the policy, looked up once.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -20,10 +21,13 @@ class Urgency {
     return urgency;
   }
   /// By the release: entry n mod size of each array belongs to activation n, and counts from its
-  /// nominal release. `hold_us` may be empty: nobody is held.
+  /// nominal release. `hold_us` may be empty: nobody is held. In an urgent release both are earlier by
+  /// `urgent_by_us`, a hold not before that release.
   [[nodiscard]] static Urgency of_keys(const std::vector<std::int64_t>& key_us,
-                                       const std::vector<std::int64_t>& hold_us) {
+                                       const std::vector<std::int64_t>& hold_us,
+                                       std::int64_t urgent_by_us = 0) {
     Urgency urgency;
+    urgency.urgent_by_ns_ = urgent_by_us * 1000;
     urgency.by_release_ = true;
     for (const std::int64_t us : key_us) urgency.key_ns_.push_back(us * 1000);
     for (const std::int64_t us : hold_us) urgency.hold_ns_.push_back(us * 1000);
@@ -31,25 +35,30 @@ class Urgency {
   }
 
   /// Of activation `n`, whose nominal release is at `nominal_ns` of CLOCK_MONOTONIC.
-  [[nodiscard]] coord::Key key(std::int64_t nominal_ns, std::uint64_t n) const {
+  [[nodiscard]] coord::Key key(std::int64_t nominal_ns, std::uint64_t n,
+                               bool urgent = false) const {
     if (!by_release_) return constant_;
-    return nominal_ns + key_ns_[static_cast<std::size_t>(n % key_ns_.size())];
+    return nominal_ns + key_ns_[static_cast<std::size_t>(n % key_ns_.size())] -
+           (urgent ? urgent_by_ns_ : 0);
   }
   /// How much of it comes from the release: the rest is the same for each job.
-  [[nodiscard]] coord::Key of_release(std::int64_t nominal_ns, std::uint64_t n) const {
-    return by_release_ ? key(nominal_ns, n) : 0;
+  [[nodiscard]] coord::Key of_release(std::int64_t nominal_ns, std::uint64_t n, bool urgent) const {
+    return by_release_ ? key(nominal_ns, n, urgent) : 0;
   }
   [[nodiscard]] bool by_release() const { return by_release_; }
   /// Some of its jobs are not to start as soon as they could.
   [[nodiscard]] bool holds() const { return !hold_ns_.empty(); }
   /// Where `holds()`: the instant before which activation `n` does not start.
-  [[nodiscard]] std::int64_t hold(std::int64_t nominal_ns, std::uint64_t n) const {
-    return nominal_ns + hold_ns_[static_cast<std::size_t>(n % hold_ns_.size())];
+  [[nodiscard]] std::int64_t hold(std::int64_t nominal_ns, std::uint64_t n,
+                                  bool urgent = false) const {
+    const std::int64_t hold_ns = hold_ns_[static_cast<std::size_t>(n % hold_ns_.size())];
+    return nominal_ns + (urgent ? std::max<std::int64_t>(0, hold_ns - urgent_by_ns_) : hold_ns);
   }
 
  private:
   bool by_release_ = false;
   coord::Key constant_ = 0;  ///< not by release
+  std::int64_t urgent_by_ns_ = 0;
   std::vector<std::int64_t> key_ns_, hold_ns_;
 };
 

@@ -94,7 +94,8 @@ Status Wiring::place_module(std::size_t module, int index) {
     if (context_.scheduled()) {
       if (context_.session.keys) {
         const KeyPlacement& key = context_.session.keys->placements[placed.xnode];
-        placed.urgency = Urgency::of_keys(key.key_us, key.hold_us);
+        placed.urgency =
+            Urgency::of_keys(key.key_us, key.hold_us, context_.grid.urgent_by_us[module]);
       } else {
         placed.urgency =
             Urgency::of_priority(context_.session.policy.placements[placed.xnode].priority);

@@ -94,7 +94,8 @@ Status Worker::init_nodes() {
     crew_ = nullptr;
   lane_.reserve(64);
   for (auto node = chain_.nodes.rbegin(); node != chain_.nodes.rend(); ++node)
-    if (node->worker == this) thread_->expect(node->xnode, node->urgency.of_release(now_ns(), 0));
+    if (node->worker == this)
+      thread_->expect(node->xnode, node->urgency.of_release(now_ns(), 0, false));
   return {};
 }
 
@@ -264,7 +265,8 @@ void Worker::begin(Placed& placed) {
 }
 
 coord::Key Worker::key_of(const Placed& placed) const {
-  return placed.urgency.key(chain_.activation->origin_ns(), chain_.activation->sequence());
+  return placed.urgency.key(chain_.activation->origin_ns(), chain_.activation->sequence(),
+                            chain_.activation->urgent());
 }
 
 /// By when the job is to end; 0: its policy does not say.
@@ -275,8 +277,10 @@ std::int64_t Worker::due(const Placed& placed) const {
 xpu::CpuJob Worker::cpu_job(const Placed& placed) const {
   const std::int64_t nominal = chain_.activation->origin_ns();
   const std::uint64_t n = chain_.activation->sequence();
-  return {placed.xnode, n, placed.urgency.of_release(nominal, n),
-          placed.urgency.holds() ? placed.urgency.hold(nominal, n) : 0, placed.fifo_priority};
+  const bool urgent = chain_.activation->urgent();
+  return {placed.xnode, n, placed.urgency.of_release(nominal, n, urgent),
+          placed.urgency.holds() ? placed.urgency.hold(nominal, n, urgent) : 0,
+          placed.fifo_priority};
 }
 
 bool Worker::run_job(Placed& placed, bool begun) {
@@ -286,8 +290,8 @@ bool Worker::run_job(Placed& placed, bool begun) {
   if (observed || placed.fifo_priority > 0) thread_->next(cpu_job(placed));
   // Told before: after the hold it is woken with this job's key.
   if (placed.urgency.holds())
-    sleep_until_ns(
-        placed.urgency.hold(chain_.activation->origin_ns(), chain_.activation->sequence()));
+    sleep_until_ns(placed.urgency.hold(chain_.activation->origin_ns(),
+                                       chain_.activation->sequence(), chain_.activation->urgent()));
   if (port_) {
     if (!begun) begin(placed);
     port_->wait();

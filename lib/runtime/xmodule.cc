@@ -227,8 +227,10 @@ void ModuleRuntime::take(Activation& activation, std::vector<Lost>& lost) {
   }
   InputAccess::stamp(activation.input_, released_ns, sequence);
   std::vector<detail::Envelope>& messages = InputAccess::messages(activation.input_);
+  activation.urgent_ = false;
   for (std::size_t i = 0; i < queues_.size(); ++i) {
     messages[i] = queues_[i].waiting.take_front();
+    activation.urgent_ = activation.urgent_ || messages[i].urgent;
   }
   if (numbered_) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
@@ -510,8 +512,8 @@ void ModuleRuntime::tell(Activation& activation, bool succeeded, std::uint64_t& 
     tell_skipped(skip_below);
     host_.done(index_, activation);
     for (std::size_t i = 0; i < activation.taken_.size(); ++i)
-      outputs_[i]->publish(
-          {std::move(activation.taken_[i]), activation.origin_ns(), sequence, activation.origins_});
+      outputs_[i]->publish({std::move(activation.taken_[i]), activation.origin_ns(), sequence,
+                            activation.origins_, activation.urgent_});
   } else {
     tell_all({{sequence, sequence, XAUTO_DROP_FAILED}});
     if (numbered_) skip_below = sequence + 1;

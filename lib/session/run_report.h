@@ -45,6 +45,8 @@ struct RouteReport {
   std::uint64_t lost = 0;        ///< activations of `to` that failed or were dropped
   std::uint64_t age_misses = 0;  ///< results that became older than max_age_us
   Distribution latency_us, age_us;
+  Distribution urgent_us =
+      {};  ///< of latency_us, the releases that the chain's source marked urgent
 };
 
 struct RunReport {

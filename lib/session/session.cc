@@ -237,6 +237,7 @@ std::string to_json(const RunReport& r) {
                       {"age_us", to_document(x.age_us)}});
     if (x.deadline_us) routes.back()["deadline_us"] = *x.deadline_us;
     if (x.max_age_us) routes.back()["max_age_us"] = *x.max_age_us;
+    if (x.urgent_us.count() > 0) routes.back()["urgent_us"] = to_document(x.urgent_us);
   }
   return json{{"complete", r.complete},
               {"note", r.note},
@@ -301,6 +302,7 @@ Result<RunReport> parse_run_report(const std::string& text) {
       route.age_misses = x.at("age_misses").get<std::uint64_t>();
       route.latency_us = distribution_from(x.at("latency_us"));
       route.age_us = distribution_from(x.at("age_us"));
+      if (const auto u = x.find("urgent_us"); u != x.end()) route.urgent_us = distribution_from(*u);
       r.routes.push_back(std::move(route));
     }
     r.lost_coordinators = j.at("lost_coordinators").get<std::vector<std::string>>();

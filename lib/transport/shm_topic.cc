@@ -275,7 +275,9 @@ void ShmPublisher::push(std::uint32_t s, const detail::Envelope& envelope, std::
   slot.origin_ns.store(envelope.origin_ns, std::memory_order_relaxed);
   slot.chunk.store(chunk, std::memory_order_relaxed);
   slot.bytes.store(bytes, std::memory_order_relaxed);
-  slot.rates.store(envelope.origins != nullptr ? 1 : 0, std::memory_order_relaxed);
+  slot.rates.store(
+      (envelope.origins != nullptr ? kHasOrigins : 0) | (envelope.urgent ? kIsUrgent : 0),
+      std::memory_order_relaxed);
   if (envelope.origins != nullptr)
     for (std::size_t i = 0; i < detail::kMaxOrigins; ++i)
       slot.origins[i].store((*envelope.origins)[i], std::memory_order_relaxed);
@@ -337,7 +339,9 @@ std::optional<ShmSubscriber::Taken> ShmSubscriber::next() {
                 slot.bytes.load(std::memory_order_relaxed),
                 slot.sequence.load(std::memory_order_relaxed),
                 slot.origin_ns.load(std::memory_order_relaxed), nullptr};
-    if (slot.rates.load(std::memory_order_relaxed) != 0) {
+    const std::uint32_t rates = slot.rates.load(std::memory_order_relaxed);
+    taken.urgent = (rates & kIsUrgent) != 0;
+    if ((rates & kHasOrigins) != 0) {
       auto origins = std::make_shared<detail::Origins>();
       for (std::size_t i = 0; i < detail::kMaxOrigins; ++i)
         (*origins)[i] = slot.origins[i].load(std::memory_order_relaxed);
@@ -358,13 +362,15 @@ std::optional<detail::Envelope> ShmSubscriber::take_blank() {
   const auto taken = next();
   if (!taken) return std::nullopt;
   if (taken->chunk < control_->chunks()) free_chunk(taken->chunk);
-  return detail::Envelope{nullptr, taken->origin_ns, taken->sequence, taken->origins};
+  return detail::Envelope{nullptr, taken->origin_ns, taken->sequence, taken->origins,
+                          taken->urgent};
 }
 
 std::optional<detail::Envelope> ShmSubscriber::take() {
   const auto taken = next();
   if (!taken) return std::nullopt;
-  detail::Envelope envelope{nullptr, taken->origin_ns, taken->sequence, taken->origins};
+  detail::Envelope envelope{nullptr, taken->origin_ns, taken->sequence, taken->origins,
+                            taken->urgent};
   if (taken->chunk >= control_->chunks()) return envelope;
   const std::byte* at = data_ + taken->chunk * control_->stride();
   const bool fits = taken->bytes <= control_->shape().chunk_bytes;

@@ -55,13 +55,16 @@ struct TopicShape {
   std::uint32_t keep = 8;         ///< messages that each of them (and the publisher) may keep
 };
 
+inline constexpr std::uint32_t kHasOrigins = 1;  ///< `origins` belongs to this message
+inline constexpr std::uint32_t kIsUrgent = 2;    ///< see detail::Envelope
+
 struct QueuePlace {
   std::atomic<std::uint64_t> word{};  ///< [*] position + 1, or 0: empty
   std::atomic<std::uint64_t> sequence{};
   std::atomic<std::int64_t> origin_ns{};
   std::atomic<std::uint64_t> bytes{};
   std::atomic<std::uint32_t> chunk{};  ///< kNoChunk: a tombstone
-  std::atomic<std::uint32_t> rates{};  ///< 1: `origins` belongs to this message
+  std::atomic<std::uint32_t> rates{};  ///< kHasOrigins, kIsUrgent
   std::uint32_t pad[6] = {};
   std::atomic<std::int64_t> origins[detail::kMaxOrigins] = {};
 };
@@ -200,6 +203,7 @@ class ShmSubscriber final : public Subscriber, public std::enable_shared_from_th
     std::uint64_t bytes, sequence;
     std::int64_t origin_ns;
     std::shared_ptr<const detail::Origins> origins;
+    bool urgent = false;
   };
   std::optional<Taken> next();
   void free_chunk(std::uint32_t chunk);

@@ -111,6 +111,39 @@ bool sane(const Problem& p, const std::vector<int>& xpu, const Windows& w, std::
   return true;
 }
 
+/// The urgent releases of one component, on one XPU. Which of its activations they are, nobody knows:
+/// each XNode has the shortest of its windows, which begins up to `slip` after the earliest. Where
+/// windows are deeper than two urgent releases are apart, jobs of two releases may begin at any
+/// distance: then all begin at once.
+Pattern urgent_pattern(const Problem& p, const Component& c, int m, const std::vector<int>& xpu,
+                       const Windows& u, const Charges& charges) {
+  Pattern g;
+  g.period = c.urgent_every;
+  g.once = true;
+  Tick earliest = kMostTicks * 1024, latest = 0;
+  g.ppm = p.domains[at(c.domain)].ppm;
+  for (const int i : c.xnodes) {
+    if (p.urgent[at(i)] == 0 || xpu[at(i)] != m) continue;
+    const std::size_t first = at(p.slot[at(i)]);
+    Tick begin = u.a[first], last = begin, length = u.d[first] - begin;
+    for (std::size_t s = first; s < first + at(c.jobs); ++s) {
+      begin = std::min(begin, u.a[s]);
+      last = std::max(last, u.a[s]);
+      length = std::min(length, u.d[s] - u.a[s]);
+      g.deepest = std::max(g.deepest, u.d[s]);
+    }
+    g.slip = std::max(g.slip, last - begin);
+    const bool pays = charges.urgent_preempts[at(i)] != 0;
+    earliest = std::min(earliest, begin);
+    latest = std::max(latest, begin);
+    g.jobs.push_back({begin, length, p.wcet(i, m) + (pays ? p.preempt[at(m)] : 0)});
+  }
+  const bool deep = latest + g.slip - earliest > g.period - lost_in(g.period, g.ppm);
+  if (deep) g.slip = 0;
+  for (WindowedJob& job : g.jobs) job.arrival = deep ? 0 : job.arrival % g.period;
+  return g;
+}
+
 }  // namespace
 
 std::vector<char> shared_xpus(const Problem& p, const std::vector<int>& xpu) {
@@ -118,7 +151,7 @@ std::vector<char> shared_xpus(const Problem& p, const std::vector<int>& xpu) {
   std::vector<char> shared(at(p.num_xpus), 0);
   for (int i = 0; i < p.num_xnodes; ++i) {
     int& d = domain[at(xpu[at(i)])];
-    if (d >= 0 && d != p.domain_of(i)) shared[at(xpu[at(i)])] = 1;
+    if ((d >= 0 && d != p.domain_of(i)) || p.urgent[at(i)] != 0) shared[at(xpu[at(i)])] = 1;
     d = p.domain_of(i);
   }
   return shared;
@@ -130,7 +163,7 @@ Tick drift_pad(Tick deepest, std::int64_t ppm) {
 }
 
 bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Windows& w,
-                 const Charges& charges, Tightest* tightest) {
+                 const Windows& u, const Charges& charges, Tightest* tightest) {
   // One per domain; of a clock that has been split one per component.
   std::vector<Pattern> patterns(p.domains.size() + p.components.size());
   std::vector<Blocking> blocking;
@@ -152,6 +185,10 @@ bool shared_fits(const Problem& p, int m, const std::vector<int>& xpu, const Win
     }
     if (p.preemptive[at(m)] == 0) blocking.push_back({longest, p.wcet(i, m)});
   }
+  // None blocks for longer than the job whose place it takes: its e is earlier by no more than its
+  // key.
+  for (const Component& c : p.components)
+    if (c.urgent_source >= 0) patterns.push_back(urgent_pattern(p, c, m, xpu, u, charges));
   std::erase_if(patterns, [](const Pattern& g) { return g.jobs.empty(); });
   return demand_fits(patterns, blocking, tightest);
 }
@@ -160,13 +197,17 @@ bool certify(const Problem& p, const std::vector<int>& xpu, Windows& w, std::str
   w.a.resize(at(p.num_slots));
   for (std::size_t d = 0; d < p.domains.size(); ++d) derive_ready(p, static_cast<int>(d), xpu, w);
   if (!sane(p, xpu, w, why)) return false;
+  Windows u;
+  derive_urgent(p, xpu, w, u);
+  if (int i = -1; urgent_shortfall(p, xpu, w, u, i) > 0)
+    return refuse(why, "XNode '" + p.xnode_name[at(i)] + "' has no room for urgent releases");
   Charges charges;
-  charge(p, xpu, w, -1, charges);
+  charge(p, xpu, w, u, -1, charges);
   const std::vector<char> shared = shared_xpus(p, xpu);
   for (int m = 0; m < p.num_xpus; ++m) {
     const std::string name = "XPU '" + p.xpu_name[at(m)] + "': ";
     if (shared[at(m)] != 0) {
-      if (!shared_fits(p, m, xpu, w, charges))
+      if (!shared_fits(p, m, xpu, w, u, charges))
         return refuse(why, name + "the demand is above what it can serve");
       continue;
     }

@@ -13,7 +13,8 @@
 
 namespace xauto::solver::steady {
 
-/// XPUs that serve more than one domain, given who is where: these need the demand bound.
+/// XPUs that serve more than one domain, or urgent releases, given who is where: these need the
+/// demand bound.
 [[nodiscard]] std::vector<char> shared_xpus(const Problem& problem, const std::vector<int>& xpu);
 
 /// How much earlier than its d a job has to be done in nominal time on an XPU of one domain whose
@@ -22,9 +23,10 @@ namespace xauto::solver::steady {
 /// length of the interval + deepest: work / (1 - ppm) pays for the first, this for the second.
 [[nodiscard]] Tick drift_pad(Tick deepest, std::int64_t ppm);
 
-/// One XPU by the demand bound, whatever domains it serves. `w` and `charges` are derived.
+/// One XPU by the demand bound, whatever domains it serves. `w`, `u` (urgent releases) and `charges`
+/// are derived.
 [[nodiscard]] bool shared_fits(const Problem& problem, int xpu, const std::vector<int>& xpus,
-                               const Windows& w, const Charges& charges,
+                               const Windows& w, const Windows& u, const Charges& charges,
                                Tightest* tightest = nullptr);
 
 /// d and hold of `w` are given (by slot), the rest is derived. False, with `why` (may be null): an

@@ -16,6 +16,15 @@ struct View {
   }
 };
 
+/// How long an activation is held at least: an urgent one is held for less, and each may be urgent.
+struct Holds {
+  const Problem& p;
+  const std::vector<Tick>& values;
+  [[nodiscard]] Tick operator()(int xnode, std::int64_t activation) const {
+    return std::max(Tick{0}, values[p.slot_of(xnode, activation)] - p.urgent_by(xnode));
+  }
+};
+
 /// A real length that is not shorter than `length` of a clock, which may be below 0.
 Tick longest(Tick length, std::int64_t ppm) {
   return length > 0 ? in_slow_time(length, ppm) : length + in_slow_time(-length, ppm) + length;
@@ -24,7 +33,7 @@ Tick longest(Tick length, std::int64_t ppm) {
 /// The first activation n of `v` with release + hold certainly at or after release(k of cu) + after.
 /// `most_hold`: the largest of v.
 std::int64_t first_reader(const Problem& p, const Component& cu, std::int64_t k, Tick after, int v,
-                          const View& hold, Tick most_hold) {
+                          const Holds& hold, Tick most_hold) {
   const Component& cv = p.components[at(p.component_of[at(v)])];
   const std::int64_t ppm = p.domains[at(cv.domain)].ppm;
   const Tick from = cu.phase + k * cu.period;
@@ -56,7 +65,9 @@ struct Way {
   const Problem& p;
   const Chain& chain;
   const std::vector<int>& samples;
-  View d, hold;
+  View d;
+  Holds hold;
+  Tick sooner = 0;              ///< keys of the first component, where its release is urgent
   std::vector<Tick> most_hold;  ///< [sample of the way] of its reader
 
   /// Whether the releases from the first component on the clock of `v` to that of `v`, which
@@ -93,12 +104,13 @@ struct Way {
       const int u = leaves_by(p, chain, samples, next);
       const Component& cu = p.components[at(p.component_of[at(u)])];
       const std::int64_t ppm = p.domains[at(cu.domain)].ppm;
-      const Tick ends = before + longest(since, ppm) + d(u, k);
+      const Tick due = d(u, k) - (next == 0 ? sooner : 0);
+      const Tick ends = before + longest(since, ppm) + due;
       if (next == samples.size()) return ends;
       const int v = p.samples[at(samples[next])].second;
       const Component& cv = p.components[at(p.component_of[at(v)])];
       if (cv.domain != cu.domain) return across(next, v, ends, origins);
-      const std::int64_t n = first_reader(p, cu, k, d(u, k), v, hold, most_hold[next]);
+      const std::int64_t n = first_reader(p, cu, k, due, v, hold, most_hold[next]);
       since += cv.phase + n * cv.period - cu.phase - k * cu.period;
       k = n;
       ++next;
@@ -141,14 +153,15 @@ struct Way {
 
 }  // namespace
 
-Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w) {
-  Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}, {}};
+Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w,
+                bool urgent) {
+  const Component& c = p.components[at(p.component_of[at(leaves_by(p, chain, path.samples, 0))])];
+  Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}, urgent ? c.urgent_by : 0, {}};
   for (const int s : path.samples) {
     const int v = p.samples[at(s)].second;
     const auto first = w.hold.begin() + p.slot[at(v)];
     way.most_hold.push_back(*std::max_element(first, first + p.jobs[at(v)]));
   }
-  const Component& c = p.components[at(p.component_of[at(leaves_by(p, chain, path.samples, 0))])];
   Tick worst = 0;
   std::vector<Way::Origin> origins;
   for (int k = 0; k < c.jobs; ++k) {
@@ -159,9 +172,10 @@ Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Wi
   return worst;
 }
 
-Tick worst_case(const Problem& p, const Chain& chain, const Windows& w) {
+Tick worst_case(const Problem& p, const Chain& chain, const Windows& w, bool urgent) {
   Tick worst = 0;
-  for (const Path& path : chain.paths) worst = std::max(worst, worst_case(p, chain, path, w));
+  for (const Path& path : chain.paths)
+    worst = std::max(worst, worst_case(p, chain, path, w, urgent));
   return worst;
 }
 

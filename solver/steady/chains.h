@@ -4,6 +4,7 @@
 // Inside a component: d of the last XNode - (offset of the source - phase).
 // Through a sample u -> v: v reads when it starts, not before its release + hold.
 //   One domain:  the first activation n of v with  release(n) + hold_v(n) >= release(k) + d_u(k).
+//                Where v's release may be urgent, it may be held for less.
 //   Two domains: from d_u to v's release + hold at most the largest distance of two of them.
 #pragma once
 
@@ -14,10 +15,12 @@
 
 namespace xauto::solver::steady {
 
-/// The worst of its ways, in ticks. d and hold of `w` are read.
-[[nodiscard]] Tick worst_case(const Problem& problem, const Chain& chain, const Windows& w);
-/// The same for one way; `last` (may be null): the slot of its last job.
+/// The worst of its ways, in ticks. d and hold of `w` are read. `urgent`: of a release that the
+/// chain's source marks so; the source may.
+[[nodiscard]] Tick worst_case(const Problem& problem, const Chain& chain, const Windows& w,
+                              bool urgent = false);
+/// The same for one way.
 [[nodiscard]] Tick worst_case(const Problem& problem, const Chain& chain, const Path& path,
-                              const Windows& w);
+                              const Windows& w, bool urgent = false);
 
 }  // namespace xauto::solver::steady

@@ -20,6 +20,12 @@ Status compare(const ChainClaim& claim, ChainProof& proof) {
   if (proof.derived_us > claim.worst_case_us)
     return lies(fmt::format("worst_case_us is {}, what follows is {}, along {}",
                             claim.worst_case_us, proof.derived_us, fmt::join(proof.path, " > ")));
+  if (proof.urgent_us.has_value() != claim.urgent_worst_case_us.has_value())
+    return lies(proof.urgent_us ? "no urgent_worst_case_us, and its source may be urgent"
+                                : "urgent_worst_case_us, and its source is never urgent");
+  if (proof.urgent_us && *proof.urgent_us > *claim.urgent_worst_case_us)
+    return lies(fmt::format("urgent_worst_case_us is {}, what follows is {}",
+                            *claim.urgent_worst_case_us, *proof.urgent_us));
   if (claim.lower_bound_us > proof.derived_us)
     return lies(fmt::format("lower_bound_us is {}, but this policy is never longer than {}",
                             claim.lower_bound_us, proof.derived_us));
@@ -52,7 +58,12 @@ Result<CheckReport> check(const AppSpec& app, const Platform& platform, const Ke
           ErrorCode::kInvalid,
           fmt::format("chain {} is '{}', not '{}'", k, policy.chains[k].name, app.chains[k].name),
           "policy");
-    XAUTO_ASSIGN(ChainProof proof, checking::derive_chain(w, k));
+    XAUTO_ASSIGN(ChainProof proof, checking::derive_chain(w, k, false));
+    proof.claimed_urgent_us = policy.chains[k].urgent_worst_case_us;
+    if (app.sources[at(app.chains[k].from)].urgent) {
+      XAUTO_ASSIGN(const ChainProof urgent, checking::derive_chain(w, k, true));
+      proof.urgent_us = urgent.derived_us;
+    }
     proof.name = app.chains[k].name;
     proof.deadline_us = app.chains[k].deadline_us;
     XAUTO_TRY(checking::compare(policy.chains[k], proof));

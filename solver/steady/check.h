@@ -42,6 +42,8 @@ struct ChainProof {
   std::int64_t claimed_us = 0;
   std::int64_t own_bound_us = 0;  ///< no policy is shorter: least WCETs along the worst path
   std::int64_t claimed_bound_us = 0;
+  /// derived_us and claimed_us of an urgent release; nullopt: its source has none.
+  std::optional<std::int64_t> urgent_us = {}, claimed_urgent_us = {};
   std::vector<std::string> path;  ///< source, then where it enters and leaves each component
   std::optional<std::int64_t> deadline_us;
   [[nodiscard]] bool late() const { return deadline_us && derived_us > *deadline_us; }

@@ -41,7 +41,8 @@ Mark later(const Mark& a, const Mark& b, std::int64_t ppm) {
 
 class Walk {
  public:
-  Walk(const World& w, const ChainSpec& chain) : w_(w), chain_(chain) {
+  Walk(const World& w, const ChainSpec& chain, bool urgent)
+      : w_(w), chain_(chain), urgent_(urgent) {
     for (const auto& sample : w.app.samples) samples_.insert(sample);
     reads_.resize(w.app.xnodes.size());
     for (const auto& [u, v] : samples_) reads_[at(u)].push_back(v);
@@ -81,6 +82,7 @@ class Walk {
       }
       for (Ticks& end : ends) end -= offset;
       path_ = {source.name};
+      first_ = static_cast<int>(c);
       XAUTO_TRY(visit(static_cast<int>(c), enters,
                       Late(static_cast<std::size_t>(home.classes), Mark{0, home.phi - offset}),
                       ends));
@@ -119,6 +121,14 @@ class Walk {
     return {};
   }
 
+  /// Its key, in what the release itself reaches by edges with its urgency.
+  [[nodiscard]] Ticks due(int x, std::int64_t n) const {
+    const Ticks d = w_.window(x, n).d;
+    return urgent_ && w_.component_of[at(x)] == first_ && !w_.urgent[at(x)].empty()
+               ? d - w_.components[at(first_)].urgent_by
+               : d;
+  }
+
   /// To the nominal release of what is marked, in a component of that drift.
   [[nodiscard]] static Ticks value(const Mark& mark, const Component& c) {
     return mark.real + most(mark.grid, c.ppm);
@@ -128,8 +138,8 @@ class Walk {
     bound_ = std::max(bound_, bound);
     for (std::size_t n = 0; n < late.size(); ++n) {
       if (late[n].real <= kUnreached) continue;
-      const Ticks end = value(late[n], w_.components[at(c)]) +
-                        w_.window(chain_.to, static_cast<std::int64_t>(n)).d;
+      const Ticks end =
+          value(late[n], w_.components[at(c)]) + due(chain_.to, static_cast<std::int64_t>(n));
       if (!proof_.path.empty() && end <= worst_) continue;
       worst_ = end;
       proof_.path = path_;
@@ -169,23 +179,23 @@ class Walk {
       const Mark& so_far = late[static_cast<std::size_t>(n) % late.size()];
       if (so_far.real <= kUnreached) continue;
       const Ticks release = from.phi + n * from.period;
-      const Ticks end = w_.window(u, n).d;
+      const Ticks end = due(u, n);
       // The first that knows it with the least drift, up to the one that does with the most.
       const auto gap = [&](std::int64_t k) { return to.phi + k * to.period - release; };
       const Ticks reach = floor_div(static_cast<__int128>(end - latest) * kMillion,
                                     kMillion + (end > latest ? to.ppm : -to.ppm));
       std::int64_t m = floor_div(static_cast<__int128>(release) + reach - to.phi, to.period) - 1;
-      while (most(gap(m), to.ppm) + w_.window(v, m).e < end) ++m;
+      while (most(gap(m), to.ppm) + w_.earliest(v, m) < end) ++m;
       for (;; ++m) {
         if (++work_ > kMaxWork) return true;  // sample() says so
         Mark mark{so_far.real, so_far.grid + gap(m)};
         const Ticks latest_release =
-            value(so_far, from) + end - w_.window(v, m - 1).e + most(to.period, to.ppm);
+            value(so_far, from) + end - w_.earliest(v, m - 1) + most(to.period, to.ppm);
         if (latest_release < value(mark, to)) mark = {latest_release, 0};
         const std::int64_t k = m % classes;
         Mark& best = next[static_cast<std::size_t>(k < 0 ? k + classes : k)];
         best = later(best, mark, to.ppm);
-        if (least(gap(m), to.ppm) + w_.window(v, m).e >= end) break;
+        if (least(gap(m), to.ppm) + w_.earliest(v, m) >= end) break;
       }
     }
     return true;
@@ -195,15 +205,16 @@ class Walk {
     Ticks end = kUnreached;
     for (std::size_t n = 0; n < late.size(); ++n)
       if (late[n].real > kUnreached)
-        end = std::max(end,
-                       value(late[n], w_.home(u)) + w_.window(u, static_cast<std::int64_t>(n)).d);
+        end = std::max(end, value(late[n], w_.home(u)) + due(u, static_cast<std::int64_t>(n)));
     const Component& to = w_.home(v);
     for (std::int64_t m = 0; m < to.classes; ++m)
-      next.push_back({end - w_.window(v, m - 1).e + most(to.period, to.ppm), 0});
+      next.push_back({end - w_.earliest(v, m - 1) + most(to.period, to.ppm), 0});
   }
 
   const World& w_;
   const ChainSpec& chain_;
+  bool urgent_;
+  int first_ = -1;  ///< component that the way begins in
   std::set<std::pair<int, int>> samples_;
   std::vector<std::vector<int>> reads_;
   std::vector<char> visited_;
@@ -216,8 +227,8 @@ class Walk {
 
 }  // namespace chains
 
-Result<ChainProof> derive_chain(const World& w, std::size_t index) {
-  return chains::Walk(w, w.app.chains[index]).derive();
+Result<ChainProof> derive_chain(const World& w, std::size_t index, bool urgent) {
+  return chains::Walk(w, w.app.chains[index], urgent).derive();
 }
 
 }  // namespace xauto::solver::steady::checking

@@ -10,6 +10,7 @@
 namespace xauto::solver::steady::checking {
 
 /// What follows for chain `index`; an error where nothing leads from its source to its XNode.
-[[nodiscard]] Result<ChainProof> derive_chain(const World& w, std::size_t index);
+/// `urgent`: for a release that its source marks so.
+[[nodiscard]] Result<ChainProof> derive_chain(const World& w, std::size_t index, bool urgent);
 
 }  // namespace xauto::solver::steady::checking

@@ -5,6 +5,10 @@
 //
 //   one group, preemptive   earliest deadline first is simulated until a pattern repeats the one
 //                           before: it meets all keys if any schedule does (Dertouzos 1974)
+//   an urgent source        its urgent releases are a group beside the one that all its releases are
+//                           in. Of each XNode, at most one urgent job has its window in an interval
+//                           that does not hold the ordinary window of that job (keys are in order):
+//                           the group counts each XNode once
 //   otherwise               demand bound: what has its window in an interval of length t, at worst,
 //                           and the longest job that may be running when it begins and has a later
 //                           key (XPUs that do not preempt), is at most t
@@ -19,6 +23,7 @@
 #include <numeric>
 #include <optional>
 #include <queue>
+#include <set>
 
 #include <fmt/format.h>
 
@@ -36,6 +41,7 @@ struct Item {
   Ticks release = 0;  ///< on the grid of the clock
   Window window;
   Ticks work = 0;  ///< WCET and, where it may preempt, the cost of that
+  bool charged = false;
 };
 
 struct Group {
@@ -45,6 +51,10 @@ struct Group {
   int clock = -1;
   std::vector<Item> items;
   Ticks longest = 0;  ///< from the earliest start of a job to its key
+  /// Urgent releases alone. Which activations they are is open: an item is the shortest of its XNode's
+  /// windows, which may begin up to `slip` later.
+  bool urgent = false;
+  Ticks slip = 0;
 };
 
 /// What is in an interval: at its end `demand`, between the begins of two windows and two keys.
@@ -68,6 +78,7 @@ class Load {
     if (xpu_.preemptive && xpu_.preempt_us > 0) charge();
     Ticks longest = 0;
     for (const Group& g : groups_) {
+      if (g.urgent) continue;
       __int128 sum = 0;
       for (const Item& i : g.items) sum += i.work;
       proof_.load += static_cast<double>(sum) / (static_cast<double>(g.period) * slowdown(g));
@@ -122,6 +133,41 @@ class Load {
       // A component has at most as many windows as World allows.
       for (const auto& [component, own] : by_component) add_group(own);
     }
+    for (std::size_t c = 0; c < w_.components.size(); ++c) add_urgent(w_.components[c]);
+  }
+
+  /// Any of its releases, so far apart.
+  void add_urgent(const Component& c) {
+    Group g;
+    g.urgent = true;
+    g.period = c.urgent_apart * c.period;
+    g.ppm = c.ppm;
+    g.clock = c.clock;
+    for (const int i : c.xnodes) {
+      const auto& all = w_.urgent[at(i)];
+      if (all.empty() || w_.policy.placements[at(i)].xpu != m_) continue;
+      const auto [first, last] = std::ranges::minmax(all, {}, &Window::a);
+      Ticks shortest = kMaxTicks, longest = 0;
+      for (const Window& window : all) {
+        shortest = std::min(shortest, window.d - window.a);
+        longest = std::max(longest, window.d - window.e);
+      }
+      g.xnodes.push_back(i);
+      g.slip = std::max(g.slip, last.a - first.a);
+      g.longest = std::max(g.longest, longest);
+      const Ticks key = first.a + shortest;
+      g.items.push_back({i, 0, 0, {first.a, key, key - longest}, w_.wcet[at(i)]});
+    }
+    if (g.items.empty()) return;
+    // Jobs of two urgent releases, the older one deeper in its chain, may begin at any distance
+    // unless one chain has begun before the next: then, at worst, all begin at once.
+    const auto [first, last] =
+        std::ranges::minmax(g.items, {}, [](const Item& i) { return i.window.a; });
+    if (last.window.a + g.slip - first.window.a > least(g.period, g.ppm)) {
+      g.slip = 0;
+      for (Item& i : g.items) i.window = {0, i.window.d - i.window.a, i.window.e - i.window.a};
+    }
+    groups_.push_back(std::move(g));
   }
 
   bool add_group(const std::vector<int>& xnodes) {
@@ -174,15 +220,28 @@ class Load {
       for (Item& i : g.items) {
         if (lags_of != i.xnode) lags.clear();  // items are by XNode; most need none
         lags_of = i.xnode;
-        if (std::ranges::any_of(g.xnodes, [&](int j) { return may_preempt(i, j, lags); }) ||
-            std::ranges::any_of(groups_, [&](const Group& other) {
-              return &other != &g && may_preempt(i, g, other);
-            })) {
-          i.work += xpu_.preempt_us * w_.scale;
-          ++proof_.charged;
-        }
+        const auto over_other = [&](const Group& other) {
+          if (g.urgent || other.urgent) return may_preempt_urgent(i, other);
+          return &other != &g && may_preempt(i, g, other);
+        };
+        if ((!g.urgent &&
+             std::ranges::any_of(g.xnodes, [&](int j) { return may_preempt(i, j, lags); })) ||
+            std::ranges::any_of(groups_, over_other))
+          pay(i);
       }
     }
+    // An urgent job takes the place of one that is counted with what it pays.
+    for (const Group& urgent : groups_)
+      for (const Item& u : urgent.items)
+        for (Group& g : groups_)
+          for (Item& i : g.items)
+            if (urgent.urgent && u.charged && i.xnode == u.xnode && !i.charged) pay(i);
+  }
+
+  void pay(Item& i) {
+    i.work += xpu_.preempt_us * w_.scale;
+    i.charged = true;
+    ++proof_.charged;
   }
 
   /// Phases are known.
@@ -203,6 +262,13 @@ class Load {
       }
       return true;
     }
+  }
+
+  /// One of them is urgent: any phase may occur, but activations of one XNode are in order.
+  static bool may_preempt_urgent(const Item& i, const Group& other) {
+    return std::ranges::any_of(other.items, [&](const Item& j) {
+      return j.xnode != i.xnode && j.window.d - j.window.e > i.window.d - i.window.a;
+    });
   }
 
   /// Any phase may occur, or, of one clock without drift, any that the periods' divisor allows.
@@ -369,8 +435,12 @@ class Load {
       Ticks period, spread, work;
     };
     std::vector<Stream> all;
-    __int128 length = blocked;
+    __int128 length = blocked, once = 0;
     for (const Group& g : groups_) {
+      if (g.urgent) {
+        for (const Item& i : g.items) once += i.work;
+        continue;
+      }
       std::map<int, Stream> of;
       for (const Item& i : g.items) {
         Stream& load = of.try_emplace(i.xnode, Stream{least(w_.home(i.xnode).period, g.ppm), 0, 0})
@@ -384,9 +454,10 @@ class Load {
         all.push_back(load);
       }
     }
+    length += once;
     for (std::int64_t steps = 0; steps < kMaxPlayed;
          steps += static_cast<std::int64_t>(all.size())) {
-      __int128 next = blocked;
+      __int128 next = blocked + once;
       for (const Stream& load : all)
         next += (length + load.spread + load.period - 1) / load.period * load.work;
       if (next <= length) return static_cast<Ticks>(length);
@@ -424,18 +495,18 @@ class Load {
     steps.clear();
     const Begin& start = all[from];
     const Ticks release = start.item->release - start.shift;
-    const Ticks margin = drift(g, end);
+    const Ticks margin = drift(g, end + g.slip);
     const auto visit = [&](const Begin& b, Ticks base) {
       const Ticks shift = b.item->release - b.shift + base - release;
       const Ticks gap = b.item->window.a - start.item->window.a;
       if (most(shift, g.ppm) + gap < 0) return;
       const Ticks key =
           std::max<Ticks>(0, least(shift, g.ppm) + gap) + b.item->window.d - b.item->window.a;
-      if (key <= end) steps.push_back({key, b.item->work, b.item, shift});
+      if (key <= end + g.slip) steps.push_back({key, b.item->work, b.item, shift});
     };
     Ticks base = 0;
     for (std::size_t k = from;;) {
-      if (all[k].at + base - start.at > end + margin) break;
+      if (all[k].at + base - start.at > end + g.slip + margin) break;
       visit(all[k], base);
       if (++k == all.size()) {
         k = 0;
@@ -453,8 +524,16 @@ class Load {
       visit(all[k], base);
     }
     std::ranges::sort(steps, {}, &Step::length);
-    Ticks sum = 0;
-    for (Step& s : steps) s.demand = sum += s.demand;
+    if (g.urgent) {  // of each XNode the first
+      std::set<int> there;
+      std::erase_if(steps, [&](const Step& s) { return !there.insert(s.last->xnode).second; });
+    }
+    Ticks sum = 0, window = 0;
+    for (Step& s : steps) {
+      s.demand = sum += s.demand;
+      window = std::max(window, s.last->window.d - s.last->window.a);
+      s.length = std::max(s.length - g.slip, window);
+    }
   }
 
   /// At each length the larger of both curves; only steps that rise.
@@ -512,7 +591,7 @@ class Load {
     std::vector<std::vector<Step>> curves;
     for (const Group& g : groups_) {
       std::vector<Step> curve, steps;
-      XAUTO_TRY(affordable(g, *end));
+      XAUTO_TRY(affordable(g, *end + g.slip));
       const std::vector<Begin> all = begins(g);
       for (std::size_t from = 0; from < all.size(); ++from) {
         demand_from(g, all, from, *end, steps);
@@ -526,6 +605,12 @@ class Load {
     for (std::size_t k = 0; k < groups_.size(); ++k)
       for (const int j : groups_[k].xnodes) {
         Blocker blocker{0, w_.wcet[at(j)], j};
+        if (groups_[k].urgent) {
+          for (const Window& window : w_.urgent[at(j)])
+            blocker.until = std::max(blocker.until, window.d - window.e);
+          XAUTO_TRY(compare(total, &blocker));
+          continue;
+        }
         for (const Window& window : w_.windows[at(j)])
           blocker.until = std::max(blocker.until, window.d - window.e);
         // Most hold whatever is in the interval. Else phases, and who waits for whom, decide.

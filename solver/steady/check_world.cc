@@ -257,7 +257,31 @@ Status set_components(World& w) {
     c.ppm = w.app.clocks[at(c.clock)].ppm;
     c.period = first.period.num * (w.scale / first.period.den);
     c.phi = first.offset_us * w.scale;
+    for (const int s : c.sources) {
+      const SourceSpec& source = w.app.sources[at(s)];
+      if (!source.urgent || c.urgent_source == s) continue;
+      const std::string where = "source '" + source.name + "'";
+      if (c.urgent_source >= 0)
+        return invalid("may be urgent beside '" + w.app.sources[at(c.urgent_source)].name + "'",
+                       where, "state it of one of those that edges join");
+      c.urgent_source = s;
+      if (source.urgent->by_us < 1 || source.urgent->by_us > kMaxTimeUs ||
+          source.urgent->every_us < 1 || source.urgent->every_us > kMaxTimeUs)
+        return invalid("urgent by or every out of range", where);
+      c.urgent_by = source.urgent->by_us * w.scale;
+      c.urgent_apart = ceil_div(static_cast<__int128>(source.urgent->every_us) * w.scale, c.period);
+      if (static_cast<__int128>(c.urgent_apart) * c.period > kMaxTicks)
+        return invalid("urgent every does not fit", where, "state less");
+    }
     for (const int s : c.sources) c.phi = std::min(c.phi, w.app.sources[at(s)].offset_us * w.scale);
+  }
+  w.hears_urgent.assign(n, 0);
+  for (const int i : w.order) {
+    const auto& heard = w.app.xnodes[at(i)].sources;
+    const bool own = std::ranges::find(heard, w.home(i).urgent_source) != heard.end();
+    const bool through = std::ranges::any_of(
+        w.before[at(i)], [&](const auto& before) { return w.hears_urgent[at(before.first)] != 0; });
+    w.hears_urgent[at(i)] = own || through;
   }
   return {};
 }
@@ -362,6 +386,60 @@ Status set_windows(World& w) {
   return {};
 }
 
+/// Windows of urgent releases: keys and holds of whatever hears of the source are earlier. What comes
+/// from elsewhere comes when it does: messages, other predecessors, the module's and the XNode's
+/// activations before, which need not be urgent.
+Status set_urgent(World& w) {
+  w.urgent.resize(w.app.xnodes.size());
+  for (const int i : w.order) {
+    const Component& c = w.home(i);
+    if (!w.hears_urgent[at(i)]) continue;
+    const auto& ordinary = w.windows[at(i)];
+    auto& all = w.urgent[at(i)];
+    all.resize(ordinary.size());
+    const KeyPlacement& p = w.policy.placements[at(i)];
+    for (std::size_t j = 0; j < all.size(); ++j) {
+      Window& window = all[j];
+      window.d = ordinary[j].d - c.urgent_by;
+      if (!p.hold_us.empty())
+        window.a = window.e =
+            std::max<Ticks>(0, p.hold_us[j % p.hold_us.size()] * w.scale - c.urgent_by);
+      for (const int s : w.app.xnodes[at(i)].sources) {
+        const SourceSpec& source = w.app.sources[at(s)];
+        const Ticks offset = source.offset_us * w.scale - c.phi;
+        window.a = std::max(window.a, most(offset, c.ppm) + source.jitter_us * w.scale);
+        window.e = std::max(window.e, least(offset, c.ppm));
+      }
+      for (const auto& [u, transfer] : w.before[at(i)]) {
+        const Window& before = w.urgent[at(u)].empty() ? w.windows[at(u)][j] : w.urgent[at(u)][j];
+        window.a = std::max(window.a, before.d + transfer);
+        window.e = std::max(window.e, before.e + transfer);
+      }
+      const auto n = static_cast<std::int64_t>(j);
+      const int m = w.module_of[at(i)];
+      const __int128 span = static_cast<__int128>(w.in_flight[at(m)]) * c.period;
+      if (w.entry[at(i)] && span <= 2 * kMaxTicks)
+        for (const int x : w.module_xnodes[at(m)])
+          window.a = std::max(window.a, w.window(x, n - w.in_flight[at(m)]).d -
+                                            least(static_cast<Ticks>(span), c.ppm));
+      const Window& previous = w.window(i, n - 1);
+      window.a = std::max(window.a, previous.a - least(c.period, c.ppm));
+      const std::string where = place(w, i, n) + ", urgent";
+      if (previous.d - least(c.period, c.ppm) > window.d)
+        return fail(ErrorCode::kInfeasible,
+                    fmt::format("its key, at {} us, may fall before that of the activation before",
+                                w.us(window.d)),
+                    where, "urgent releases must not overtake: make urgent.by_us smaller");
+      if (window.a + w.wcet[at(i)] > window.d)
+        return fail(ErrorCode::kInfeasible,
+                    fmt::format("it is ready by {} us, takes {} us, and its key is {} us",
+                                w.us(window.a), w.us(w.wcet[at(i)]), w.us(window.d)),
+                    where, "make urgent.by_us smaller, or the keys later");
+    }
+  }
+  return {};
+}
+
 }  // namespace world
 
 std::vector<std::int64_t> World::lags(int xnode, bool forward) const {
@@ -410,6 +488,7 @@ Result<World> structure(const AppSpec& app, const Platform& platform, const KeyP
 Result<World> derive(const AppSpec& app, const Platform& platform, const KeyPolicy& policy) {
   XAUTO_ASSIGN(World w, structure(app, platform, policy, true));
   XAUTO_TRY(world::set_windows(w));
+  XAUTO_TRY(world::set_urgent(w));
   return w;
 }
 

@@ -7,6 +7,7 @@
 // the component's clock, which may run `ppm` fast or slow.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <string>
 #include <utility>
@@ -40,6 +41,9 @@ struct Component {
   Ticks period = 0;
   Ticks phi = 0;             ///< nominal release of activation 0
   std::int64_t classes = 1;  ///< windows repeat after so many activations
+  int urgent_source = -1;    ///< whose releases may be urgent; -1: none
+  Ticks urgent_by = 0;
+  std::int64_t urgent_apart = 0;  ///< activations from one urgent release to the next, at least
   [[nodiscard]] Ticks pattern() const { return classes * period; }
 };
 
@@ -59,6 +63,9 @@ struct World {
   std::vector<int> order;                    ///< topological
   std::vector<Ticks> wcet;                   ///< [xnode] on its XPU, no preemption charged
   std::vector<std::vector<Window>> windows;  ///< [xnode][activation mod classes]
+  /// The same in an urgent release; empty where an XNode does not hear of an urgent source.
+  std::vector<std::vector<Window>> urgent;
+  std::vector<char> hears_urgent;  ///< [xnode] of its component's urgent source, by edges
 
   [[nodiscard]] const Component& home(int xnode) const {
     return components[at(component_of[at(xnode)])];
@@ -68,6 +75,14 @@ struct World {
     const auto size = static_cast<std::int64_t>(all.size());
     const std::int64_t j = activation % size;
     return all[static_cast<std::size_t>(j < 0 ? j + size : j)];
+  }
+  /// No activation of this class starts earlier after its nominal release, urgent or not.
+  [[nodiscard]] Ticks earliest(int xnode, std::int64_t activation) const {
+    const Ticks e = window(xnode, activation).e;
+    const auto& all = urgent[at(xnode)];
+    if (all.empty()) return e;
+    const auto size = static_cast<std::int64_t>(all.size());
+    return std::min(e, all[static_cast<std::size_t>((activation % size + size) % size)].e);
   }
   [[nodiscard]] const std::string& name(int xnode) const { return app.xnodes[at(xnode)].name; }
   [[nodiscard]] double us(Ticks t) const {

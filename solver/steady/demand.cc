@@ -41,7 +41,10 @@ struct Curves {
 bool curves(const Pattern& g, Tick horizon, std::size_t& budget, Curves& out) {
   out.due.clear();
   out.arrived.clear();
-  std::vector<Step> ends;
+  struct End {
+    Tick length, work, window;
+  };
+  std::vector<End> ends;
   const std::size_t n = g.jobs.size();
   for (std::size_t s = 0; s < n; ++s) {
     ends.clear();
@@ -53,19 +56,22 @@ bool curves(const Pattern& g, Tick horizon, std::size_t& budget, Curves& out) {
       if (since > horizon) break;
       if (budget-- == 0) return false;
       arrived += job.work;
-      out.arrived.push_back({shortest(since, g), arrived});
-      if (since + job.length <= horizon) ends.push_back({since + job.length, job.work});
+      out.arrived.push_back({shortest(std::max(Tick{0}, since - g.slip), g), arrived});
+      if (since + job.length <= horizon) ends.push_back({since + job.length, job.work, job.length});
       if (++k == n) {
         k = 0;
         turn += g.period;
       }
+      if (g.once && k == s) break;
     }
     std::sort(ends.begin(), ends.end(),
-              [](const Step& a, const Step& b) { return a.length < b.length; });
-    Tick sum = 0;
-    for (const Step& e : ends) {
-      sum += e.value;
-      out.due.push_back({shortest(e.length, g), sum});
+              [](const End& a, const End& b) { return a.length < b.length; });
+    Tick sum = 0, window = 0;
+    for (const End& e : ends) {
+      sum += e.work;
+      // No interval that holds a window is shorter than that.
+      window = std::max(window, e.window);
+      out.due.push_back({shortest(std::max(e.length - g.slip, window), g), sum});
     }
   }
   envelope(out.due);
@@ -147,6 +153,7 @@ bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& bl
   // More work than time fails in some interval, which may be long: no need to find it.
   double load = 0;
   for (const Pattern& g : patterns) {
+    if (g.once) continue;
     double part = 0;
     for (const WindowedJob& job : g.jobs) part += static_cast<double>(job.work);
     load += part / static_cast<double>(g.period);
@@ -162,7 +169,7 @@ bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& bl
       if (!curves(patterns[g], horizon, budget, all[g])) return false;
     // Beyond the horizon of the least of them a real length is not known: leave a margin.
     Tick known = horizon;
-    for (const Pattern& g : patterns) known = std::min(known, shortest(horizon, g));
+    for (const Pattern& g : patterns) known = std::min(known, shortest(horizon - g.slip, g));
     bool fits = true;
     if (tightest != nullptr) *tightest = {};
     const Tick end = busy_end(all, blocked, known);

@@ -26,7 +26,11 @@ struct WindowedJob {
 struct Pattern {
   Tick period = 0;
   std::int64_t ppm = 0;
-  Tick deepest = 0;  ///< largest d; a clock that drifts shifts releases against a and d by so much
+  /// A job may arrive by so much later than its `arrival` says, each by another amount: two may be
+  /// nearer than they look.
+  Tick slip = 0;
+  bool once = false;  ///< each of its jobs at most once in any interval: it loads nothing for long
+  Tick deepest = 0;   ///< largest d; a clock that drifts shifts releases against a and d by so much
   std::vector<WindowedJob> jobs;
 };
 

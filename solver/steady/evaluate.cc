@@ -43,6 +43,12 @@ Evaluator::Evaluator(const Problem& problem, const std::vector<Tick>& reference)
     for (int i = 0; i < p_.num_xnodes; ++i)
       if (in[at(i)] != 0) chain_xnodes_.back().push_back(i);
   }
+  rigid_.assign(at(p_.num_xnodes), 0);
+  for (int i = 0; i < p_.num_xnodes; ++i)
+    rigid_[at(i)] = p_.urgent[at(i)] != 0 &&
+                    (p_.root[at(i)] != 0 ||
+                     std::any_of(p_.pred[at(i)].begin(), p_.pred[at(i)].end(),
+                                 [&](const Link& l) { return p_.urgent[at(l.xnode)] == 0; }));
   rule_.work.resize(at(p_.num_xnodes));
   rule_.delay.resize(at(p_.num_xnodes));
   rule_.cost.resize(at(p_.num_xpus));
@@ -84,7 +90,10 @@ bool Evaluator::deepen_pads(const Decision& decision, Figures& out) {
 
 /// Whether a shared XPU serves the same windows as in the base.
 bool Evaluator::as_before(const Decision& decision, int m, const Figures& out) const {
-  if (base_ == nullptr || was_shared_[at(m)] == 0 || base_figures_->missing.empty()) return false;
+  // Windows of urgent releases follow from those on other XPUs, too.
+  if (base_ == nullptr || p_.any_urgent || was_shared_[at(m)] == 0 ||
+      base_figures_->missing.empty())
+    return false;
   const Windows &now = out.w, &before = base_figures_->w;
   for (int i = 0; i < p_.num_xnodes; ++i) {
     if ((decision.xpu[at(i)] == m) != (base_->xpu[at(i)] == m)) return false;
@@ -102,24 +111,30 @@ bool Evaluator::serves(const Decision& decision, Figures& out) {
   // How much is missing leads the annealer to where nothing is.
   double missing = 0;
   out.missing.assign(at(p_.num_xpus), 0);
+  if (p_.any_urgent) {
+    derive_urgent(p_, decision.xpu, out.w, urgent_);
+    int i = -1;
+    if (const Tick lacks = urgent_shortfall(p_, decision.xpu, out.w, urgent_, i); lacks > 0)
+      missing = 1 + static_cast<double>(lacks) / static_cast<double>(lacks + p_.period_of(i));
+  }
   for (int m = 0; m < p_.num_xpus; ++m) {
     if (shared_[at(m)] == 0) continue;
+    // A valid state is left for a valid one.
+    if (missing > 0 && most_ < kInvalidCost) break;
     double& here = out.missing[at(m)];
     if (as_before(decision, m, out)) {
       here = base_figures_->missing[at(m)];
     } else {
-      charge(p_, decision.xpu, out.w, m, charges_);
+      charge(p_, decision.xpu, out.w, urgent_, m, charges_);
       Tightest t;
-      if (!shared_fits(p_, m, decision.xpu, out.w, charges_, &t))
+      if (!shared_fits(p_, m, decision.xpu, out.w, urgent_, charges_, &t))
         here = 0.01 + (t.demand > t.length ? static_cast<double>(t.demand - t.length) /
                                                  static_cast<double>(t.demand)
                                            : 1);
     }
     missing += here;
-    // A valid state is left for a valid one.
-    if (missing > 0 && most_ < kInvalidCost) break;
   }
-  if (missing > 0) out.cost = kInvalidCost * (1 + missing / (p_.num_xpus + 1));
+  if (missing > 0) out.cost = kInvalidCost * (1 + missing / (p_.num_xpus + 3));
   return missing == 0;
 }
 
@@ -219,7 +234,9 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures&
       rule_.cost[at(m)] = in_fast_time(p_.preempt[at(m)], ppm);
       rule_.window[at(i)] = kNoTick;
     } else {
-      rule_.window[at(i)] = std::max(decision.window[at(i)], p_.wcet(i, m));
+      // A window that cannot begin earlier has to end later by what urgency takes of it.
+      rule_.window[at(i)] = std::max(decision.window[at(i)],
+                                     p_.wcet(i, m) + (rigid_[at(i)] != 0 ? p_.urgent_by(i) : 0));
     }
   }
   if (!plan(decision, out, until)) return false;

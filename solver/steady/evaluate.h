@@ -78,9 +78,11 @@ class Evaluator {
   std::vector<Exhibitor> exhibitors_;  ///< one per domain
   Rule rule_;
   std::vector<std::vector<int>> chain_xnodes_;  ///< [chain] those that its end waits for
+  Windows urgent_;                              ///< of the candidate, in urgent releases
   Charges charges_;
   std::vector<char> shared_, was_shared_;  ///< [xpu]
-  std::vector<char> changed_;              ///< [domain] its schedule is not that of the base
+  std::vector<char> rigid_;  ///< [xnode] urgent, after what is not: its window cannot move forward
+  std::vector<char> changed_;  ///< [domain] its schedule is not that of the base
   const Decision* base_ = nullptr;
   const Figures* base_figures_ = nullptr;
   double most_ = 0;

@@ -50,6 +50,7 @@ class Clock {
 /// One way from a chain's source to its XNode.
 struct Path {
   std::size_t chain = 0;
+  int first = -1;  ///< component that it begins in
   std::vector<std::pair<int, int>> samples;
   /// [sample] what the reader of activation first + k knows: an activation of the first component.
   struct Known {
@@ -72,6 +73,7 @@ class Play {
       clocks_.emplace_back(static_cast<Atoms>(phase * static_cast<double>(longest)) * kMillion,
                            options.phases ? w.app.clocks[c].ppm : 0, w.scale, random_.next());
     }
+    urgent_.resize(w.components.size());
     jobs_.resize(n);
     done_.assign(n, 0);
     left_.resize(w.module_xnodes.size(), 0);
@@ -86,6 +88,8 @@ class Play {
     for (std::size_t k = 0; k < w_.app.chains.size(); ++k) {
       const ChainSpec& chain = w_.app.chains[k];
       report_.chains.push_back({chain.name, 0, 0, w_.policy.chains[k].worst_case_us});
+      report_.chains.back().claimed_urgent_us =
+          w_.policy.chains[k].urgent_worst_case_us.value_or(0);
       for (std::size_t c = 0; c < w_.components.size(); ++c) {
         std::vector<int> enters;
         for (const int x : w_.components[c].xnodes)
@@ -93,6 +97,7 @@ class Play {
         std::vector<char> visited(w_.components.size(), 0);
         Path path;
         path.chain = k;
+        path.first = static_cast<int>(c);
         if (!enters.empty()) XAUTO_TRY(extend(static_cast<int>(c), enters, visited, path));
       }
     }
@@ -210,11 +215,17 @@ class Play {
   /// The nominal release of activation n: its jobs wait for messages, holds and each other.
   void begin(int component, std::int64_t n) {
     const Component& c = w_.components[at(component)];
+    std::vector<std::int64_t>& marked = urgent_[at(component)];
+    const bool urgent = options_.urgent && c.urgent_source >= 0 &&
+                        (marked.empty() || n - marked.back() >= c.urgent_apart) &&
+                        random_.unit() < 0.5;
+    if (urgent) marked.push_back(n);
     for (const int i : c.xnodes) {
+      const Atoms sooner = urgent && w_.hears_urgent[at(i)] ? c.urgent_by * kMillion : 0;
       const KeyPlacement& p = w_.policy.placements[at(i)];
       const std::size_t j = static_cast<std::size_t>(n) % p.key_us.size();
       Job job;
-      job.key = now_ + atoms(p.key_us[j]);
+      job.key = now_ + atoms(p.key_us[j]) - sooner;
       job.left = some(w_.wcet[at(i)] * kMillion, options_.random_times);
       // One more, so that nothing is ready before all of it is said.
       job.waits = 1 + static_cast<int>(w_.before[at(i)].size());
@@ -229,7 +240,8 @@ class Play {
       }
       if (!p.hold_us.empty()) {
         ++job.waits;
-        events_.push({now_ + atoms(p.hold_us[j]), Kind::kArrives, i, n, 0});
+        events_.push(
+            {now_ + std::max<Atoms>(0, atoms(p.hold_us[j]) - sooner), Kind::kArrives, i, n, 0});
       }
       jobs_[at(i)].push_back(job);
       events_.push({now_, Kind::kArrives, i, n, 0});
@@ -312,10 +324,19 @@ class Play {
         const SourceSpec& source = w_.app.sources[at(w_.app.chains[path.chain].from)];
         const Ticks period = source.period.num * (w_.scale / source.period.den);
         PlayedChain& chain = report_.chains[path.chain];
+        const auto since = [&](std::int64_t k) {
+          return us(now_ -
+                    clocks_[at(source.clock)].real(source.offset_us * w_.scale + k * period));
+        };
         chain.releases += knows - path.last;
-        chain.longest_us = std::max(
-            chain.longest_us, us(now_ - clocks_[at(source.clock)].real(source.offset_us * w_.scale +
-                                                                       (path.last + 1) * period)));
+        chain.longest_us = std::max(chain.longest_us, since(path.last + 1));
+        if (chain.claimed_urgent_us > 0) {
+          const std::vector<std::int64_t>& marked = urgent_[at(path.first)];
+          auto k = std::ranges::upper_bound(marked, path.last);
+          if (k != marked.end() && *k <= knows)
+            chain.longest_urgent_us = std::max(chain.longest_urgent_us, since(*k));
+          for (; k != marked.end() && *k <= knows; ++k) ++chain.urgent;
+        }
       }
       path.last = std::max(path.last, knows);
     }
@@ -375,6 +396,7 @@ class Play {
   std::vector<std::vector<std::pair<std::size_t, std::size_t>>>
       starts_of_;                                  ///< [reader] path, sample
   std::vector<std::vector<std::size_t>> ends_of_;  ///< [XNode] paths
+  std::vector<std::vector<std::int64_t>> urgent_;  ///< [component] its urgent releases
   std::vector<std::deque<Job>> jobs_;              ///< [xnode] released, not ended, in order
   std::vector<std::int64_t> done_;                 ///< [xnode] activations that have ended
   std::vector<std::int64_t> left_;                 ///< [module] activations that have left

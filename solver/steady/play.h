@@ -5,7 +5,8 @@
 //
 //   An XNode's activations run in order. It is ready when its predecessors of the same activation
 //   have ended (transfers included), its sources' messages are there, its hold is over, and, if it
-//   enters its module, activation n - max_in_flight has left. What suspends another job pays
+//   enters its module, activation n - max_in_flight has left. Key and hold of an urgent release are
+//   earlier. What suspends another job pays
 //   preempt_us once. Everything that ends at one instant ends before any XPU decides.
 #pragma once
 
@@ -30,6 +31,7 @@ struct PlayOptions {
   /// [xnode] Whoever has less goes first, whatever the keys say; of equal ones whoever was ready
   /// first. To play other rules beside keys. Empty: keys.
   std::vector<std::int64_t> rank = {};
+  bool urgent = false;  ///< every other release that may be, at random; otherwise none
 };
 
 struct PlayedXNode {
@@ -44,6 +46,14 @@ struct PlayedChain {
   std::int64_t releases = 0;  ///< whose latency was seen
   double longest_us = 0;      ///< reduced reaction time
   std::int64_t claimed_us = 0;
+  std::int64_t urgent = 0;  ///< of `releases`
+  double longest_urgent_us = 0;
+  std::int64_t claimed_urgent_us = 0;  ///< 0: none may be
+
+  [[nodiscard]] bool exceeded() const {
+    return longest_us > static_cast<double>(claimed_us) ||
+           longest_urgent_us > static_cast<double>(claimed_urgent_us);
+  }
 };
 
 struct PlayReport {

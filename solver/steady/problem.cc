@@ -321,6 +321,33 @@ struct Builder {
     return {};
   }
 
+  /// Behind `reach`.
+  Status set_urgent() const {
+    p.urgent.assign(at(p.num_xnodes), 0);
+    for (int i = 0; i < p.num_xnodes; ++i)
+      for (const int s : app.xnodes[at(i)].sources) {
+        const SourceSpec& source = app.sources[at(s)];
+        if (!source.urgent) continue;
+        Component& c = p.components[at(p.component_of[at(i)])];
+        if (c.urgent_source >= 0 && c.urgent_source != s)
+          return fail(ErrorCode::kInvalid, "two sources of one component may be urgent", "sources");
+        c.urgent_source = s;
+        Tick every = 0;
+        XAUTO_TRY(
+            ticks(source.urgent->by_us, "by_us of source '" + source.name + "'", c.urgent_by));
+        XAUTO_TRY(
+            ticks(source.urgent->every_us, "every_us of source '" + source.name + "'", every));
+        // Releases are on the grid: so are the distances of those that are urgent.
+        c.urgent_every = (every + c.period - 1) / c.period * c.period;
+        if (c.urgent_every > kMostTicks)
+          return too_long("every_us of source '" + source.name + "'");
+        p.any_urgent = true;
+        for (const int j : c.xnodes)
+          if (j == i || p.before(i, j)) p.urgent[at(j)] = 1;
+      }
+    return {};
+  }
+
   [[nodiscard]] bool along_edges(int u, int v) const { return u == v || p.before(u, v); }
 
   /// All ways on from `v`, of a component not seen before.
@@ -421,6 +448,7 @@ Result<Problem> Problem::create(const AppSpec& app, const Platform& platform,
   XAUTO_TRY(build.set_domains(clock_of));
   XAUTO_TRY(build.set_wcets(base));
   build.set_reach();
+  XAUTO_TRY(build.set_urgent());
   XAUTO_TRY(build.set_modules());
   XAUTO_TRY(build.set_chains());
   return p;

@@ -45,6 +45,9 @@ struct Component {
   Tick period = 0;
   Tick phase = 0;           ///< nominal release n is at phase + n * period
   int jobs = 1;             ///< hyperperiod / period
+  int urgent_source = -1;   ///< whose releases may be urgent; -1: none
+  Tick urgent_by = 0;       ///< then keys and holds move forward by so much
+  Tick urgent_every = 0;    ///< least distance of two such releases, a multiple of the period
   std::vector<int> xnodes;  ///< in topological order
 };
 
@@ -109,6 +112,8 @@ struct Problem {
   std::vector<std::vector<Tick>> transfers;   ///< [from type * num_types + to type]
   std::vector<std::pair<int, int>> samples;   ///< (u, v)
   std::vector<char> reads;                    ///< [xnode] the second of some sample
+  std::vector<char> urgent;                   ///< [xnode] hears of its component's urgent source
+  bool any_urgent = false;
   std::vector<Chain> chains;
   std::vector<std::vector<std::uint64_t>> reach;  ///< [xnode] bitset: XNodes behind it by edges
 
@@ -125,6 +130,10 @@ struct Problem {
   }
   [[nodiscard]] Tick period_of(int xnode) const {
     return components[at(component_of[at(xnode)])].period;
+  }
+  /// By how much the keys of `xnode` move forward in an urgent release.
+  [[nodiscard]] Tick urgent_by(int xnode) const {
+    return urgent[at(xnode)] != 0 ? components[at(component_of[at(xnode)])].urgent_by : 0;
   }
   /// Of any activation, one before the first too.
   [[nodiscard]] std::size_t slot_of(int xnode, std::int64_t activation) const {

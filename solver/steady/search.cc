@@ -260,8 +260,9 @@ void Search::construct(const std::function<void(const Candidate&)>& on_better) {
                                  kWeights / static_cast<std::int64_t>(weights.size()));
   best_.figures = {};
   best_.figures.cost = 1e18;
-  const std::vector<double> parts =
-      p_.domains.size() > 1 ? std::vector<double>{0.95, 0.5, 0.25} : std::vector<double>{1};
+  const std::vector<double> parts = p_.domains.size() > 1 || p_.any_urgent
+                                        ? std::vector<double>{0.95, 0.5, 0.25}
+                                        : std::vector<double>{1};
   for (const double greed : {0.3, 1.0, 0.1, 3.0})
     for (const int rule : {0, 1, 2})
       for (const auto* prices : {&std::as_const(weights), &std::as_const(flat)})

@@ -5,6 +5,7 @@
 #include <mutex>
 #include <thread>
 
+#include "solver/steady/chains.h"
 #include "solver/steady/lower_bounds.h"
 #include "solver/steady/search.h"
 
@@ -27,7 +28,7 @@ KeyPlacement placement(const Problem& p, const Candidate& c, int i) {
   KeyPlacement placed;
   placed.xpu = c.decision.xpu[at(i)];
   // Predicted times are those of one schedule; domains that share XPUs have none in common.
-  const bool predicted = p.domains.size() == 1;
+  const bool predicted = p.domains.size() == 1 && !p.any_urgent;
   bool held = false;
   for (int n = 0; n < p.jobs[at(i)]; ++n) {
     const std::size_t s = at(p.slot[at(i)] + n);
@@ -57,6 +58,9 @@ KeyPolicy policy_of(const AppSpec& app, const Platform& platform, const Problem&
   for (std::size_t k = 0; k < p.chains.size(); ++k) {
     const std::int64_t worst = us_above(p, c.figures.chain[k]);
     policy.chains.push_back({p.chains[k].name, worst, bounds[k], worst == bounds[k]});
+    if (app.sources[at(p.chains[k].source)].urgent)
+      policy.chains.back().urgent_worst_case_us =
+          us_above(p, worst_case(p, p.chains[k], c.figures.w, true));
   }
   return policy;
 }

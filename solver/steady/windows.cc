@@ -57,6 +57,53 @@ struct Pair {
   }
 };
 
+/// Adds to `a` of entries that they wait until their modules have room; of one domain, or, -1, of
+/// all urgent ones. Those before them are as in `w`.
+void admit(const Problem& p, int domain, const Windows& w, Windows& of) {
+  for (const Module& module : p.modules) {
+    const Component& component = p.components[at(module.component)];
+    if (domain >= 0 ? component.domain != domain : component.urgent_source < 0) continue;
+    // So many activations later every job of today is over, in any policy that is looked at.
+    if (module.in_flight > kMostTicks / component.period) continue;
+    const Tick apart = module.in_flight * component.period;
+    const Tick lost = lost_in(apart, p.domains[at(component.domain)].ppm);
+    for (int n = 0; n < component.jobs; ++n) {
+      Tick last = 0;
+      for (const int i : module.xnodes) last = std::max(last, w.d[at(p.slot[at(i)] + n)]);
+      const auto admitted = static_cast<std::size_t>((n + module.in_flight) % component.jobs);
+      for (const int e : module.entries) {
+        if (domain < 0 && p.urgent[at(e)] == 0) continue;
+        Tick& a = of.a[at(p.slot[at(e)]) + admitted];
+        a = std::max(a, last - apart + lost);
+      }
+    }
+  }
+}
+
+/// Urgent releases and the others, as of two domains.
+void charge_urgent(const Problem& p, const std::vector<int>& here, const Windows& w,
+                   const Windows& u, Charges& out) {
+  for (const int j : here) {
+    Tick longest = 0, longest_urgent = 0;
+    for (int n = 0; n < p.jobs[at(j)]; ++n) {
+      const std::size_t s = at(p.slot[at(j)] + n);
+      longest = std::max(longest, w.d[s] - w.e[s]);
+      if (p.urgent[at(j)] != 0) longest_urgent = std::max(longest_urgent, u.d[s] - u.e[s]);
+    }
+    for (const int i : here)
+      for (int n = 0; n < p.jobs[at(i)] && i != j; ++n) {
+        const std::size_t s = at(p.slot[at(i)] + n);
+        if (longest_urgent > w.d[s] - w.a[s]) out.preempts[s] = 1;
+        if (p.urgent[at(i)] != 0 && std::max(longest, longest_urgent) > u.d[s] - u.a[s])
+          out.urgent_preempts[at(i)] = 1;
+      }
+  }
+  // An urgent job takes the place of one that is counted with what it pays.
+  for (const int i : here)
+    if (out.urgent_preempts[at(i)] != 0)
+      std::fill_n(out.preempts.begin() + p.slot[at(i)], p.jobs[at(i)], char{1});
+}
+
 }  // namespace
 
 Tick lost_in(Tick distance, std::int64_t ppm) {
@@ -84,28 +131,59 @@ void derive_ready(const Problem& p, int domain, const std::vector<int>& xpu, Win
       }
     }
   }
-  const std::int64_t ppm = p.domains[at(domain)].ppm;
-  for (const Module& module : p.modules) {
-    const Component& component = p.components[at(module.component)];
-    // So many activations later every job of today is over, in any policy that is looked at.
-    if (component.domain != domain || module.in_flight > kMostTicks / component.period) continue;
-    const Tick apart = module.in_flight * component.period;
-    for (int n = 0; n < component.jobs; ++n) {
-      Tick last = 0;
-      for (const int i : module.xnodes) last = std::max(last, w.d[at(p.slot[at(i)] + n)]);
-      const auto admitted = static_cast<std::size_t>((n + module.in_flight) % component.jobs);
-      for (const int e : module.entries) {
-        Tick& a = w.a[at(p.slot[at(e)]) + admitted];
-        a = std::max(a, last - apart + lost_in(apart, ppm));
-      }
-    }
-  }
+  admit(p, domain, w, w);
 }
 
-void charge(const Problem& p, const std::vector<int>& xpu, const Windows& w, int only_xpu,
-            Charges& out) {
+void derive_urgent(const Problem& p, const std::vector<int>& xpu, const Windows& w, Windows& u) {
+  u = w;
+  if (!p.any_urgent) return;
+  for (const Component& c : p.components)
+    for (const int i : c.xnodes) {
+      if (p.urgent[at(i)] == 0) continue;
+      const std::size_t base = at(p.slot[at(i)]);
+      const Tick least = p.root[at(i)] != 0 ? p.root_ready[at(i)] : 0;
+      const Tick apart = c.period - lost_in(c.period, p.domains[at(c.domain)].ppm);
+      for (std::size_t n = 0; n < at(c.jobs); ++n) {
+        const std::size_t s = base + n, previous = base + (n == 0 ? at(c.jobs) - 1 : n - 1);
+        u.hold[s] = std::max(Tick{0}, w.hold[s] - c.urgent_by);
+        u.d[s] = w.d[s] - c.urgent_by;
+        u.e[s] = u.hold[s];
+        u.a[s] = std::max({least, u.hold[s], w.a[previous] - apart});
+        for (const Link& link : p.pred[at(i)]) {
+          const std::size_t from = at(p.slot[at(link.xnode)]) + n;
+          const Tick passes = p.transfer(link, xpu[at(link.xnode)], xpu[at(i)]);
+          u.a[s] = std::max(u.a[s], u.d[from] + passes);
+          u.e[s] = std::max(u.e[s], u.e[from]);
+        }
+      }
+    }
+  admit(p, -1, w, u);
+}
+
+Tick urgent_shortfall(const Problem& p, const std::vector<int>& xpu, const Windows& w,
+                      const Windows& u, int& xnode) {
+  Tick most = 0;
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    if (p.urgent[at(i)] == 0) continue;
+    const Component& c = p.components[at(p.component_of[at(i)])];
+    const Tick apart = c.period - lost_in(c.period, p.domains[at(c.domain)].ppm);
+    const Tick work = p.wcet(i, xpu[at(i)]);
+    for (int n = 0; n < c.jobs; ++n) {
+      const std::size_t s = p.slot_of(i, n), previous = p.slot_of(i, n - 1);
+      const Tick missing = std::max(u.a[s] + work - u.d[s], w.d[previous] - apart - u.d[s]);
+      if (missing <= most) continue;
+      most = missing;
+      xnode = i;
+    }
+  }
+  return most;
+}
+
+void charge(const Problem& p, const std::vector<int>& xpu, const Windows& w, const Windows& u,
+            int only_xpu, Charges& out) {
   out.preempts.assign(at(p.num_slots), 0);
   out.blocked_by.assign(at(p.num_slots), 0);
+  out.urgent_preempts.assign(at(p.num_xnodes), 0);
   std::vector<std::vector<int>> here(at(p.num_xpus));
   for (int i = 0; i < p.num_xnodes; ++i) here[at(xpu[at(i)])].push_back(i);
   for (int m = 0; m < p.num_xpus; ++m) {
@@ -128,6 +206,7 @@ void charge(const Problem& p, const std::vector<int>& xpu, const Windows& w, int
           }
         }
       }
+    if (preemptive && p.any_urgent) charge_urgent(p, here[at(m)], w, u, out);
   }
 }
 

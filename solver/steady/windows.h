@@ -25,10 +25,22 @@ struct Windows {
 /// Fills `a` and `e` of the domain from d and hold.
 void derive_ready(const Problem& problem, int domain, const std::vector<int>& xpu, Windows& w);
 
+/// The windows of urgent releases, as if each activation were one: `u` is `w` but for the XNodes that
+/// hear of the urgent source. Their keys and holds are earlier by urgent_by, a hold by at most itself.
+/// `a` follows from that, and from what does not move: the arrival, predecessors that do not hear of
+/// the source, the module's earlier activations, the XNode's activation before.
+void derive_urgent(const Problem& problem, const std::vector<int>& xpu, const Windows& w,
+                   Windows& u);
+/// What is missing most, so that each urgent job has its WCET in its window, and no key falls where
+/// an urgent release follows another one. 0: nothing; `xnode` is whose it is.
+[[nodiscard]] Tick urgent_shortfall(const Problem& problem, const std::vector<int>& xpu,
+                                    const Windows& w, const Windows& u, int& xnode);
+
 /// By slot: what a job pays beyond its WCET.
 struct Charges {
   std::vector<char> preempts;    ///< it may start by preempting: charged the XPU's cost
   std::vector<Tick> blocked_by;  ///< longest job that may run when it becomes ready, not preemptive
+  std::vector<char> urgent_preempts;  ///< [xnode] as preempts, of an urgent release
 };
 
 /// Job (i, n) can preempt (be blocked by) (j, m) of its XPU iff (j, m) may have started before
@@ -38,9 +50,10 @@ struct Charges {
 /// In different domains, for any distance of the releases: d_j - e_j > d_i - a_i.
 /// Drift needs nothing but that distances of one domain are taken with their error, at most ppm of
 /// the longest one that matters.
+/// Urgent releases (`u`; read if there are any) keep no phase to anything.
 /// `only_xpu` -1: all.
-void charge(const Problem& problem, const std::vector<int>& xpu, const Windows& w, int only_xpu,
-            Charges& out);
+void charge(const Problem& problem, const std::vector<int>& xpu, const Windows& w, const Windows& u,
+            int only_xpu, Charges& out);
 
 /// The distance of two releases n periods apart may be shorter by so much, where the clock is fast.
 [[nodiscard]] Tick lost_in(Tick distance, std::int64_t ppm);

@@ -37,6 +37,7 @@ class Dice {
 struct Fate {
   std::vector<std::vector<std::uint8_t>> run;     ///< [xnode][activation] of the WCET
   std::vector<std::vector<std::uint8_t>> jitter;  ///< [source][release] of the jitter
+  std::vector<std::vector<std::uint8_t>> urgent;  ///< [source][release] above 0: if it may
   std::vector<Atoms> phase;                       ///< [clock]
   std::vector<std::int64_t> drift, later_drift;   ///< [clock] ppm, before and after `turn`
   std::vector<std::int64_t> turn;                 ///< [clock] 1/scale us
@@ -107,6 +108,18 @@ class World {
       const KeyPlacement& p = policy.placements[i];
       wcet_.push_back(atoms(app.xnodes[i].wcet_us.find(platform.xpus[at(p.xpu)].type)->second));
     }
+    for (const SourceSpec& s : app.sources) {
+      std::vector<char> hears(n, 0);
+      for (std::size_t i = 0; i < n; ++i)
+        for (const int heard : app.xnodes[i].sources)
+          if (&app.sources[at(heard)] == &s && s.urgent) hears[i] = 1;
+      for (bool more = true; more;) {
+        more = false;
+        for (const auto& [u, v] : app.edges)
+          if (hears[at(u)] && !hears[at(v)]) hears[at(v)] = 1, more = true;
+      }
+      hurries_.push_back(std::move(hears));
+    }
     for (std::size_t c = 0; c < app.chains.size(); ++c)
       for (std::size_t g = 0; g < n; ++g)
         if (period_[g] > 0 && group_[g] == static_cast<int>(g)) {
@@ -176,6 +189,7 @@ class World {
   std::vector<std::int64_t> states_;
   std::vector<Atoms> wcet_;
   std::vector<Path> paths_;
+  std::vector<std::vector<char>> hurries_;  ///< [source][xnode] an urgent release of it
 };
 
 struct Outcome {
@@ -196,6 +210,7 @@ class Run {
     const std::size_t n = w_.wcet_.size();
     jobs_.resize(n);
     gone_.resize(n);
+    mark();
     for (std::size_t i = 0; i < n; ++i) {
       const auto count = static_cast<std::int64_t>(f_.run[i].size());
       jobs_[i].resize(at(count));
@@ -205,13 +220,15 @@ class Run {
         Job& job = jobs_[i][at(k)];
         const Atoms release = w_.nominal(i, k, f_);
         const std::size_t j = at(k) % p.key_us.size();
-        job.key = release + w_.atoms(p.key_us[j]);
+        const Atoms sooner = hurry(i, k);
+        job.key = release + w_.atoms(p.key_us[j]) - sooner;
         job.left = std::max<Atoms>(1, w_.wcet_[i] / 255 * f_.run[i][at(k)] +
                                           (f_.run[i][at(k)] == 255 ? w_.wcet_[i] % 255 : 0));
         job.waits = w_.edges_in_[i] + static_cast<int>(w_.app_.xnodes[i].sources.size()) +
                     (k > 0 ? 1 : 0) + (!w_.inner_[i] && k >= w_.states_[i] ? 1 : 0) +
                     (p.hold_us.empty() ? 0 : 1);
-        if (!p.hold_us.empty()) push(release + w_.atoms(p.hold_us[j]), kArrives, i, k);
+        if (!p.hold_us.empty())
+          push(release + std::max<Atoms>(0, w_.atoms(p.hold_us[j]) - sooner), kArrives, i, k);
         for (const int s : w_.app_.xnodes[i].sources) {
           const SourceSpec& source = w_.app_.sources[at(s)];
           const auto& jitter = f_.jitter[at(s)];
@@ -267,6 +284,28 @@ class Run {
     Atoms since = 0;
     std::uint32_t stamp = 0;
   };
+
+  /// Which releases are urgent: those that fate wants, where they are not too soon.
+  void mark() {
+    for (std::size_t s = 0; s < w_.app_.sources.size(); ++s) {
+      const SourceSpec& source = w_.app_.sources[s];
+      urgent_.emplace_back();
+      if (!source.urgent) continue;
+      const std::int64_t period = source.period.num * (w_.scale_ / source.period.den);
+      std::int64_t since = INT64_MAX / 2;
+      for (const std::uint8_t wanted : f_.urgent[s]) {
+        const bool is = wanted > 0 && since >= source.urgent->every_us * w_.scale_;
+        urgent_.back().push_back(is);
+        since = (is ? 0 : since) + period;
+      }
+    }
+  }
+  [[nodiscard]] Atoms hurry(std::size_t i, std::int64_t k) const {
+    for (std::size_t s = 0; s < urgent_.size(); ++s)
+      if (w_.hurries_[s][i] && at(k) < urgent_[s].size() && urgent_[s][at(k)])
+        return w_.atoms(w_.app_.sources[s].urgent->by_us);
+    return 0;
+  }
 
   void push(Atoms when, Kind kind, std::size_t i, std::int64_t k, std::uint32_t stamp = 0) {
     events_.push({when, kind, stamp, static_cast<int>(i), k});
@@ -370,8 +409,14 @@ class Run {
       if (!known || n >= last.size() || last[n].end < 0) continue;
       const Atoms release = w_.real(
           source.clock, source.offset_us * w_.scale_ + static_cast<std::int64_t>(k) * period, f_);
-      const Atoms over =
-          last[n].end - release - w_.atoms(w_.policy_.chains[at(path.chain)].worst_case_us);
+      const auto& urgent = urgent_[at(chain.from)];
+      const ChainClaim& claim = w_.policy_.chains[at(path.chain)];
+      const std::int64_t least =
+          k < urgent.size() && urgent[k]
+              ? std::min(claim.worst_case_us,
+                         claim.urgent_worst_case_us.value_or(claim.worst_case_us))
+              : claim.worst_case_us;
+      const Atoms over = last[n].end - release - w_.atoms(least);
       if (over > o.over[at(path.chain)]) {
         o.over[at(path.chain)] = over;
         o.over_when[at(path.chain)] = last[n].end;
@@ -385,6 +430,7 @@ class Run {
   std::vector<std::vector<Job>> jobs_;
   std::vector<std::vector<int>> gone_;  ///< [first XNode of a module][activation] still to end
   std::vector<Device> xpus_;
+  std::vector<std::vector<char>> urgent_;  ///< [source][release]
   std::priority_queue<Event, std::vector<Event>, std::greater<>> events_;
 };
 
@@ -429,6 +475,12 @@ class Climb {
       if (dice_.coin())
         for (auto& j : f.jitter.back()) j = dice_.coin() ? 255 : 0;
     }
+    for (std::size_t s = 0; s < w_.app_.sources.size(); ++s) {
+      f.urgent.emplace_back(f.jitter[s].size(), std::uint8_t{0});
+      if (!w_.app_.sources[s].urgent) continue;
+      if (dice_.coin())
+        for (auto& u : f.urgent.back()) u = dice_.coin() ? 255 : 0;
+    }
     for (const ClockSpec& c : w_.app_.clocks) {
       f.phase.push_back(0);
       f.drift.push_back(-c.ppm + 2 * dice_.roll(1) * c.ppm);
@@ -468,6 +520,7 @@ class Climb {
   /// A few changes, most of them near what is worst so far.
   void mutate(Fate& f, std::int64_t near) {
     for (std::int64_t changes = 1 + dice_.roll(3); changes > 0; --changes) {
+      if (hurried(f, near)) continue;
       const std::int64_t what = dice_.roll(9);
       if (what < 6) {
         const auto i = at(dice_.roll(static_cast<std::int64_t>(w_.wcet_.size()) - 1));
@@ -494,6 +547,19 @@ class Climb {
         f.ties_up = !f.ties_up;
       }
     }
+  }
+
+  /// Another pattern of urgent releases, now and then, where there may be some.
+  bool hurried(Fate& f, std::int64_t near) {
+    std::vector<std::size_t> may;
+    for (std::size_t s = 0; s < w_.app_.sources.size(); ++s)
+      if (w_.app_.sources[s].urgent) may.push_back(s);
+    if (may.empty() || dice_.roll(3) > 0) return false;
+    const std::size_t s = may[at(dice_.roll(static_cast<std::int64_t>(may.size()) - 1))];
+    const SourceSpec& source = w_.app_.sources[s];
+    change(f.urgent[s], near / kMillion / (source.period.num * (w_.scale_ / source.period.den)),
+           dice_.coin() ? 255 : 0);
+    return true;
   }
 
   void change(std::vector<std::uint8_t>& all, std::int64_t near, std::uint8_t value) {

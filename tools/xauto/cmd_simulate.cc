@@ -107,6 +107,8 @@ void add_simulate(Commands& commands) {
             "version 2: each source as late as it may be, at random");
   verb.flag("--phases", flags->play.phases,
             "version 2: between clocks, and their drift, at random");
+  verb.flag("--urgent", flags->play.urgent,
+            "version 2: releases that may be urgent are, or are not, at random");
   verb.option("--seed", flags->play.seed, "version 2: of all that is random").shown();
 }
 

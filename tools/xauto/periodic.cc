@@ -76,8 +76,26 @@ std::string chain_table(const AppSpec& app, const KeyPolicy& policy) {
                        ms(claim.worst_case_us), deadline ? ms(*deadline) : "-",
                        ms(claim.lower_bound_us), 100 * gap, claim.optimal ? "  optimal" : "",
                        deadline && claim.worst_case_us > *deadline ? "  MISSED" : "");
+    if (claim.urgent_worst_case_us)
+      out += fmt::format("  {:<24}{:>14}\n", "  urgent", ms(*claim.urgent_worst_case_us));
   }
   return out;
+}
+
+/// What urgency is, and what it takes of the proof. Empty: no source states it.
+std::string urgency(const AppSpec& app) {
+  std::string out;
+  for (const SourceSpec& s : app.sources)
+    if (s.urgent)
+      out += fmt::format("\n  {}: its urgent releases go first by {}, each {} at most once.",
+                         s.name, ms(s.urgent->by_us), ms(s.urgent->every_us));
+  if (out.empty()) return out;
+  return out +
+         "\n  Worst cases hold with them and without. Their XPUs are proven as if several clocks "
+         "met "
+         "there: an urgent\n  job of each XNode may come at any time, beside all ordinary ones. "
+         "Lower "
+         "bounds are those without urgency.\n";
 }
 
 bool misses(const AppSpec& app, const KeyPolicy& policy) {
@@ -327,7 +345,8 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                      "\n  worst case: {}.\n  The check has derived these worst cases again. Lower "
                      "bounds are the solver's alone: of no policy of keys that\n  keeps to the "
                      "pins, forbids and groups can a shorter worst case be certified this way.\n",
-                     kKeyScope);
+                     kKeyScope)
+              << urgency(app);
     if (asked.hint != nullptr) std::cout << moved_line(app, platform, *asked.hint, answer);
     std::cout << what_if_table(app, answer.policy, ifs);
     if (late)
@@ -476,6 +495,10 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
                 {"claimed_bound_us", chain.claimed_bound_us},
                 {"late", chain.late()},
                 {"path", chain.path}};
+      if (chain.urgent_us) {
+        j["urgent_worst_case_us"] = *chain.urgent_us;
+        j["claimed_urgent_us"] = chain.claimed_urgent_us.value_or(0);
+      }
       root["chains"].push_back(std::move(j));
     }
     std::cout << root.dump(2) << "\n";
@@ -489,6 +512,9 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
     for (const std::string& step : chain.path) way += (way.empty() ? "" : " > ") + step;
     std::cout << fmt::format("  {:<24}{:>14}{:>14}   {}{}\n", chain.name, ms(chain.derived_us),
                              ms(chain.claimed_us), way, chain.late() ? "   MISSED" : "");
+    if (chain.urgent_us)
+      std::cout << fmt::format("  {:<24}{:>14}{:>14}\n", "  urgent", ms(*chain.urgent_us),
+                               ms(chain.claimed_urgent_us.value_or(0)));
   }
   for (const std::string& missed : broken) std::cout << "  MISSED " << missed << "\n";
   std::cout << fmt::format("\n{} tells the truth: {}.\n", path, kKeyScope);
@@ -522,14 +548,23 @@ Result<int> simulate_periodic(const AppSpec& app, const Platform& platform, cons
                        "releases");
   bool exceeded = false;
   for (const steady::PlayedChain& chain : played.chains) {
-    exceeded = exceeded || chain.longest_us > static_cast<double>(chain.claimed_us);
-    chains.push_back({{"name", chain.name},
-                      {"longest_us", chain.longest_us},
-                      {"worst_case_us", chain.claimed_us},
-                      {"releases", chain.releases}});
+    exceeded = exceeded || chain.exceeded();
+    Json entry = {{"name", chain.name},
+                  {"longest_us", chain.longest_us},
+                  {"worst_case_us", chain.claimed_us},
+                  {"releases", chain.releases}};
     table += fmt::format("  {:<24}{:>14}{:>14}{:>10}\n", chain.name,
                          chain.releases > 0 ? ms_of(chain.longest_us) : "-", ms(chain.claimed_us),
                          chain.releases);
+    if (chain.urgent > 0) {
+      entry["urgent"] = {{"longest_us", chain.longest_urgent_us},
+                         {"worst_case_us", chain.claimed_urgent_us},
+                         {"releases", chain.urgent}};
+      table +=
+          fmt::format("  {:<24}{:>14}{:>14}{:>10}\n", "  urgent", ms_of(chain.longest_urgent_us),
+                      ms(chain.claimed_urgent_us), chain.urgent);
+    }
+    chains.push_back(std::move(entry));
   }
   table +=
       fmt::format("\n  {} on {}: {} jobs in {} s, {} late, {} times one was suspended\n", app.name,

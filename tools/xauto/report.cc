@@ -65,6 +65,14 @@ std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
                        r.deadline_us ? in_ms(*r.deadline_us, 1) : "",
                        r.deadline_us ? std::to_string(r.deadline_misses) : "", l.count,
                        claims && claims->chains[i].exceeded ? "  exceeded" : "");
+    if (r.urgent_us.count() == 0) continue;
+    const Latency u = summarise(r.urgent_us);
+    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", "  urgent",
+                       in_ms(u.p50_us, u.count), in_ms(u.p99_us, u.count), in_ms(u.max_us, u.count),
+                       claim != nullptr && claim->urgent_worst_case_us
+                           ? in_ms(*claim->urgent_worst_case_us, 1)
+                           : "-",
+                       "", "", "", u.count);
   }
   if (claims) out += fmt::format("\n  {}: {}\n", run.name, to_string(*claims));
   return out;
@@ -343,6 +351,12 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
         chain["worst_case_us"] = claimed.claim.worst_case_us;
         chain["lower_bound_us"] = claimed.claim.lower_bound_us;
         chain["exceeded"] = claimed.exceeded;
+        if (claimed.claim.urgent_worst_case_us)
+          chain["urgent_worst_case_us"] = *claimed.claim.urgent_worst_case_us;
+      }
+      if (r.urgent_us.count() > 0) {
+        chain["urgent_results"] = r.urgent_us.count();
+        chain["urgent_us"] = quantiles_json(r.urgent_us);
       }
       ++index;
       chains.push_back(std::move(chain));

@@ -96,6 +96,11 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
     const std::int64_t allowed_us =
         flags.emulates() ? worst_us + worst_us * kEmulatorPct / 100 : worst_us;
     chain.exceeded = chain.count > 0 && chain.max_us > allowed_us;
+    const runtime::Distribution& urgent = run.report.routes[i].urgent_us;
+    if (chain.claim.urgent_worst_case_us && urgent.count() > 0) {
+      const std::int64_t urgent_us = *chain.claim.urgent_worst_case_us;
+      chain.exceeded = chain.exceeded || urgent.max() > urgent_us + (allowed_us - worst_us);
+    }
     claims.exceeded = claims.exceeded || chain.exceeded;
     unmeasured += chain.count == 0 ? 1 : 0;
     claims.chains.push_back(std::move(chain));

@@ -208,6 +208,53 @@ TEST(Periodic, WhatAFileLeavesOutIsFilledIn) {
   EXPECT_EQ(again, app);
 }
 
+TEST(Periodic, UrgentReleasesAreRead) {
+  AppSpec app = parse_app(test::slurp(test::golden() / "app-2.json"), "a").value();
+  const std::string hash = app.hash();
+  app.sources[0].urgent = {2000, 1'000'000};
+  ASSERT_TRUE(validate(app)) << validate(app).error().to_string();
+  EXPECT_NE(app.hash(), hash);
+  EXPECT_EQ(parse_app(to_json(app), "a").value(), app);
+  app.sources[0].urgent = {33'333, 33'334};  // 33333 1/3
+  EXPECT_TRUE(validate(app));
+  app.sources[0].urgent->every_us = 33'333;
+  EXPECT_FALSE(validate(app));
+}
+
+// A join that two sources may make urgent would have two amounts.
+TEST(Periodic, OneSourceOfAComponentMayBeUrgent) {
+  AppSpec app = islands({{"a", {1000}}, {"b", {1000}}});
+  app.xnodes.push_back({"join", "j", {{"cpu", 10}}});
+  app.edges = {{0, 2}, {1, 2}};
+  app.chains.clear();
+  complete_modules(app);
+  complete_chains(app);
+  app.sources[0].urgent = {100, 5000};
+  ASSERT_TRUE(validate(app)) << validate(app).error().to_string();
+  app.sources[1].urgent = {100, 5000};
+  const Status status = validate(app);
+  ASSERT_FALSE(status);
+  EXPECT_EQ(status.error().where, "/sources/1/urgent");
+}
+
+TEST(KeyPolicy, SaysTheUrgentWorstCaseWhereTheSourceMayBe) {
+  AppSpec app = islands({{"a", {1000}}});
+  app.sources[0].urgent = {100, 5000};
+  const Platform platform = Platform::builtin("small").value();
+  KeyPolicy policy;
+  policy.app = app.name;
+  policy.app_hash = app.hash();
+  policy.placements = {{0, {500}}};
+  policy.chains = {{app.chains[0].name, 500, 10, false}};
+  EXPECT_FALSE(validate(policy, app, platform));
+  policy.chains[0].urgent_worst_case_us = 400;
+  ASSERT_TRUE(validate(policy, app, platform));
+  EXPECT_EQ(parse_key_policy(to_json(policy, app, platform), "p", app, platform).value(), policy);
+  app.sources[0].urgent.reset();
+  policy.app_hash = app.hash();
+  EXPECT_FALSE(validate(policy, app, platform));
+}
+
 // In memory, version 1 could carry what its file has no place for.
 TEST(Periodic, Version1HasNothingOfVersion2) {
   const AppSpec plain = parse_app(test::slurp(test::golden() / "app-sources.json"), "a").value();

@@ -150,5 +150,14 @@ TEST(Urgency, AKeyMovesWithTheReleaseAPriorityDoesNot) {
   EXPECT_EQ(key.hold(10'000'000, 7), 10'500'000);
 }
 
+TEST(Urgency, KeyAndHoldOfAnUrgentReleaseAreEarlier) {
+  const Urgency key = Urgency::of_keys({1000, 2000}, {500, 100}, 300);
+  EXPECT_EQ(key.key(10'000'000, 1, true), 11'700'000);
+  EXPECT_EQ(key.key(10'000'000, 1, false), 12'000'000);
+  EXPECT_EQ(key.hold(10'000'000, 0, true), 10'200'000);
+  EXPECT_EQ(key.hold(10'000'000, 1, true), 10'000'000) << "not before its release";
+  EXPECT_EQ(Urgency::of_priority(5).key(0, 0, true), coord::key_of_priority(5));
+}
+
 }  // namespace
 }  // namespace xauto::runtime

@@ -109,6 +109,7 @@ TEST(Routes, OfVersion2EachReleaseHasAReaction) {
   Grid grid;
   grid.periodic = true;
   grid.sources = {{{100}, 0, 0}, {{100}, 0, 0}};
+  grid.urgent_source = {0, -1, -1};  // of the lidar, where the chain ends
   AppSpec app;
   app.version = 2;
   app.sources = graph.sources;
@@ -116,17 +117,18 @@ TEST(Routes, OfVersion2EachReleaseHasAReaction) {
   app.chains = {{"c", 0, 0, 250}};
   auto routes = Routes::make(graph, grid, {}, app);
   ASSERT_TRUE(routes);
-  const auto result = [&](std::int64_t origin_us, std::int64_t now_us) {
+  const auto result = [&](std::int64_t origin_us, std::int64_t now_us, bool urgent = false) {
     detail::Origins origins{};
     origins[0] = origin_us * 1000;
-    routes->published(0, 1, &origins, now_us * 1000);
+    routes->published(0, 1, &origins, now_us * 1000, urgent);
   };
-  result(1000, 1120);  // the first that is known: 120
-  result(1000, 1150);  // knows nothing new
-  result(1300, 1390);  // 1100, 1200 and 1300, which waited 290, 190 and 90
+  result(1000, 1120);        // the first that is known: 120
+  result(1000, 1150);        // knows nothing new
+  result(1300, 1390, true);  // 1100, 1200 and 1300, which waited 290, 190 and 90
   const RouteReport r = routes->report({0, 0, 0}).at(0);
   EXPECT_EQ(r.latency_us.exact(), (std::vector<std::int64_t>{120, 90, 190, 290}));
   EXPECT_EQ(r.deadline_misses, 1u) << "of those, one was later than 250";
+  EXPECT_EQ(r.urgent_us.exact(), std::vector<std::int64_t>{90}) << "the release that was urgent";
 }
 
 /// docs/steady-state.md, "Chains": release k comes through a sample with the first activation n of the

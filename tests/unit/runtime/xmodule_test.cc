@@ -46,7 +46,7 @@ class Fixture : public ::testing::Test, public ModuleHost {
     graph_.modules.back().sample_origins.assign(samples.size(), ~0u);
     channel_ = {};
     channel_.subscribe([this](const detail::Envelope& e) {
-      log_ += (e.message ? " out" : " tomb") + std::to_string(e.sequence);
+      log_ += (e.message ? " out" : " tomb") + std::to_string(e.sequence) + (e.urgent ? "!" : "");
     });
     module_ = std::make_unique<ModuleRuntime>(graph_, 0, *this,
                                               std::vector<const transport::Channel*>{&channel_});
@@ -119,6 +119,27 @@ TEST_F(Fixture, WhatIsSampledFiresNobodyAndIsReadWhenTheActivationBegins) {
   tombstone(2, 9);
   EXPECT_EQ(log(), " run1 nothing nothing")
       << "what was lost replaces nothing, and nobody waits for it";
+}
+
+TEST_F(Fixture, AnActivationIsUrgentWhereOneOfItsInputsIsAndSoIsItsResult) {
+  build(true, {1us});
+  const auto urgent = [&](int input, std::uint64_t k) {
+    module_->receive(input, {std::make_shared<const int>(0), 1000, k, nullptr, true});
+  };
+  urgent(2, 0);  // a sample hurries nobody
+  message(0, 0);
+  message(1, 0);
+  EXPECT_FALSE(only().urgent());
+  module_->finish(only(), true);
+  message(0, 1);
+  urgent(1, 1);
+  EXPECT_TRUE(only().urgent());
+  module_->finish(only(), true);
+  message(0, 2);
+  message(1, 2);
+  EXPECT_FALSE(only().urgent()) << "the one before was";
+  module_->finish(only(), true);
+  EXPECT_EQ(log(), " run0 done0 out0 run1 done1 out1! run2 done2 out2");
 }
 
 TEST_F(Fixture, AnActivationCountsAsReleasedWithTheFirstOfItsComponentsSources) {

@@ -26,6 +26,9 @@ struct Disturbance {
   bool worst_times = false;     ///< every job its WCET
   bool shortest_times = false;  ///< else: some jobs nearly nothing
   bool drift = true;            ///< clocks at the ends of their ppm
+  /// Which releases of the sources that may are urgent: bit n mod 32 of release n, where that is not
+  /// too soon. 0: none; 1: at random.
+  std::uint32_t urgent = 1;
 };
 
 class NaiveRun {
@@ -38,6 +41,8 @@ class NaiveRun {
     for (const SourceSpec& s : app.sources) scale_ = std::lcm(scale_, s.period.den);
     scale_ *= 8;  // so that phases and drift fall between microseconds
     make_clocks(how);
+    components();
+    mark(activations, how);
     make_jobs(activations, how);
   }
 
@@ -53,6 +58,11 @@ class NaiveRun {
     }
     for (std::size_t c = 0; c < app_.chains.size(); ++c) {
       const Time worst = chain(app_.chains[c]);
+      const Time urgent = urgent_seen_;
+      if (urgent > policy_.chains[c].urgent_worst_case_us.value_or(kMaxTimeUs) * scale_)
+        return "chain " + app_.chains[c].name + " takes an urgent release " +
+               std::to_string(static_cast<double>(urgent) / static_cast<double>(scale_)) +
+               " us, claimed " + std::to_string(*policy_.chains[c].urgent_worst_case_us);
       if (worst > policy_.chains[c].worst_case_us * scale_)
         return "chain " + app_.chains[c].name + " takes " +
                std::to_string(static_cast<double>(worst) / static_cast<double>(scale_)) +
@@ -111,8 +121,36 @@ class NaiveRun {
       }
   }
 
+  /// Which releases are urgent, of each source.
+  void mark(int activations, const Disturbance& how) {
+    urgent_.resize(app_.sources.size());
+    for (std::size_t s = 0; s < app_.sources.size(); ++s) {
+      const SourceSpec& source = app_.sources[s];
+      if (!source.urgent) continue;
+      Time last = -1;
+      for (Time n = 0; n < 40 * activations; ++n) {
+        const bool wanted =
+            how.urgent == 1 ? random_.below(2) == 0 : (how.urgent >> (n % 32) & 1U) != 0;
+        // As the formats say it: two of them are at least every_us apart.
+        const bool far = last < 0 || (n - last) * source.period.num >=
+                                         source.urgent->every_us * source.period.den;
+        urgent_[s].push_back(wanted && far ? 1 : 0);
+        if (wanted && far) last = n;
+      }
+    }
+  }
+  [[nodiscard]] Time sooner(int xnode, int n) const {
+    for (std::size_t s = 0; s < app_.sources.size(); ++s) {
+      if (urgent_[s].empty() || urgent_[s][at(n)] == 0) continue;
+      for (std::size_t r = 0; r < app_.xnodes.size(); ++r)
+        if (std::count(app_.xnodes[r].sources.begin(), app_.xnodes[r].sources.end(), s) > 0 &&
+            leads(static_cast<int>(r), xnode))
+          return app_.sources[s].urgent->by_us * scale_;
+    }
+    return 0;
+  }
+
   void make_jobs(int activations, const Disturbance& how) {
-    components();
     Time horizon = 0;
     for (std::size_t s = 0; s < app_.sources.size(); ++s)
       horizon = std::max(horizon, nominal(static_cast<int>(s), activations));
@@ -130,6 +168,9 @@ class NaiveRun {
         j.key = placed.key_us[at(n) % placed.key_us.size()] * scale_;
         if (!placed.hold_us.empty())
           j.hold = placed.hold_us[at(n) % placed.hold_us.size()] * scale_;
+        const Time moved = sooner(j.xnode, n);
+        j.key -= moved;
+        j.hold = std::max<Time>(0, j.hold - moved);
         j.arrival = j.release;
         for (const int s : app_.xnodes[i].sources) {
           // One message is one time, whoever hears it.
@@ -264,6 +305,7 @@ class NaiveRun {
   /// Longest from a release to the end of the first job that knows it.
   Time chain(const ChainSpec& spec) const {
     Time worst = 0;
+    urgent_seen_ = 0;
     for (std::size_t r = 0; r < app_.xnodes.size(); ++r) {
       const auto& heard = app_.xnodes[r].sources;
       if (std::find(heard.begin(), heard.end(), spec.from) == heard.end()) continue;
@@ -305,7 +347,11 @@ class NaiveRun {
       for (std::size_t n = 0; n < knows.size(); ++n)
         if (knows[n] >= k) {
           const Job& j = jobs_[at(jobs_of_[at(last)][n])];
-          if (j.end >= 0) worst = std::max(worst, j.end - nominal(spec.from, k));
+          if (j.end < 0) break;
+          worst = std::max(worst, j.end - nominal(spec.from, k));
+          const auto& urgent = urgent_[at(spec.from)];
+          if (!urgent.empty() && urgent[at(k)] != 0)
+            urgent_seen_ = std::max(urgent_seen_, j.end - nominal(spec.from, k));
           break;
         }
     return worst;
@@ -318,6 +364,8 @@ class NaiveRun {
   Time scale_ = 1;
   std::vector<Time> begin_;
   std::vector<double> slow_;
+  std::vector<std::vector<char>> urgent_;  ///< [source][release]; empty: none is
+  mutable Time urgent_seen_ = 0;           ///< by the last chain()
   std::vector<int> component_, first_source_;
   std::vector<std::vector<int>> jobs_of_;
   std::vector<Job> jobs_;

@@ -19,6 +19,7 @@ struct SteadyShape {
   int least_period = 10, most_period = 24;
   int clocks = 1;
   int ppm = 0;
+  bool urgent = false;  ///< sources may be urgent
   bool fractions = false, transfers = true, jitter = true, offsets = true;
 };
 
@@ -51,6 +52,11 @@ inline AppSpec random_steady_app(solver::test::Dice& dice, const SteadyShape& sh
     if (shape.jitter) source.jitter_us = dice.chance(40) ? dice.roll(0, 4) : 0;
     source.clock = dice.roll(0, shape.clocks - 1);
     if (shape.fractions && c > 0) source.period = app.sources[0].period;
+    if (shape.urgent && dice.chance(60)) {
+      const int period = static_cast<int>(source.period.num / source.period.den);
+      source.urgent = {dice.roll(1, dice.chance(70) ? 6 : period),
+                       period * dice.roll(1, 4) + dice.roll(0, 1)};
+    }
     app.sources.push_back(source);
     first.push_back(static_cast<int>(app.xnodes.size()));
     const int nodes = dice.roll(1, shape.max_nodes);

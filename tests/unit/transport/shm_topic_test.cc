@@ -86,10 +86,12 @@ TEST(ShmTopic, OriginsBySourceTravelWithTheirMessageOnly) {
   for (std::uint64_t k = 0; k < 2 * world.shape.depth; ++k) {  // every slot is used for both
     const bool with = (k + k / world.shape.depth) % 2 == 0;
     world.publisher->publish({std::make_shared<const Frame>(frame(k)), 0, k,
-                              with ? std::make_shared<const detail::Origins>(origins) : nullptr});
+                              with ? std::make_shared<const detail::Origins>(origins) : nullptr,
+                              k % 3 == 0});
     const auto envelope = world.readers[0]->take();
     ASSERT_TRUE(envelope);
     ASSERT_EQ(envelope->origins != nullptr, with);
+    EXPECT_EQ(envelope->urgent, k % 3 == 0);
     if (with) {
       EXPECT_EQ(*envelope->origins, origins);
     }

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Urgent releases at run time: who goes first, and beside which worst case. The policy's keys are written here, and
+`xauto check` says that they hold: the camera's job has time until 18 ms after its release, the lidar's until 15 ms.
+Where the camera's is urgent it has 10 ms less. So an ordinary one waits for the lidar's 8 ms, an urgent one does not."""
+import json
+import pathlib
+import tempfile
+import unittest
+
+from common import BIN, QUEUES, xauto
+
+KEYS = {"camera.run": 18000, "lidar.run": 15000}
+BY = 10000
+
+
+class Urgent(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        folder = tempfile.TemporaryDirectory()
+        cls.addClassCleanup(folder.cleanup)
+        cls.folder = pathlib.Path(folder.name)
+        cls.write("platform", {"schema": "xauto.platform", "version": 1, "name": "one",
+                               "xpus": [{"id": "gpu0", "type": "gpu"}]})
+        cls.write("queues", {"schema": "xauto.deployment", "version": 1, "app": "urgentapp", **QUEUES})
+        cls.plan("app", "policy", {"by_us": BY, "every_us": 40000})
+        cls.plan("plain", "plain-policy", None)
+
+    @classmethod
+    def write(cls, name, document):
+        (cls.folder / f"{name}.json").write_text(json.dumps(document))
+
+    @classmethod
+    def plan(cls, app, policy, urgent):
+        source = {"period_us": 20000, "jitter_us": 1000}
+        cls.write(app, {"schema": "xauto.app", "version": 2, "name": "urgentapp", "edges": [],
+                        "sources": [{"name": "camera", **source, **({"urgent": urgent} if urgent else {})},
+                                    {"name": "lidar", **source}],
+                        "xnodes": [{"name": f"{n}.run", "module": f"{n}M", "source": n, "wcet_us": {"gpu": us}}
+                                   for n, us in (("camera", 3000), ("lidar", 8000))]})
+        done = cls.tool("solve", app, "--max-evaluations", 300, "--threads", 1, "--time-limit-s", 60,
+                        "--out", cls.folder / f"{policy}.json")
+        assert done.returncode == 0, done.stdout + done.stderr
+        document = json.loads((cls.folder / f"{policy}.json").read_text())
+        for row in document["xnodes"]:
+            for unused in ("hold_us", "start_us", "finish_us"):
+                row.pop(unused, None)
+            row["key_us"] = [KEYS[row["name"]]]
+        for chain, name in zip(document["chains"], KEYS):
+            chain.update(worst_case_us=KEYS[name], lower_bound_us=0, optimal=False)
+            if "urgent_worst_case_us" in chain:
+                chain["urgent_worst_case_us"] = KEYS[name] - BY
+        cls.write(policy, document)
+
+    @classmethod
+    def tool(cls, verb, app, *more):
+        return xauto(verb, "--app", cls.folder / f"{app}.json", "--platform", cls.folder / "platform.json", *more)
+
+    def run_app(self, every, *flags, app="app", policy="policy"):
+        done = self.tool("run", app, "--policy", self.folder / f"{policy}.json", "--emulate", "--json", "--deployment",
+                         self.folder / "queues.json", *flags, "--", BIN / "urgentapp", str(every))
+        return done, json.loads(done.stdout)["runs"][0] if done.stdout else None
+
+    def test_the_policy_holds_and_is_played(self):
+        done = self.tool("check", "app", "--policy", self.folder / "policy.json")
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        self.assertIn("urgent", done.stdout)
+        done = self.tool("simulate", "app", "--policy", self.folder / "policy.json", "--urgent", "--random-times",
+                         "--jitter", "--json")
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        camera = json.loads(done.stdout)["chains"][0]
+        self.assertGreater(camera["urgent"]["releases"], 50)
+        self.assertLessEqual(camera["urgent"]["longest_us"], KEYS["camera.run"] - BY)
+
+    def check_run(self, *flags):
+        done, run = self.run_app(2, "--seconds", 4, *flags)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        camera = run["chains"][0]
+        self.assertEqual(camera["urgent_worst_case_us"], KEYS["camera.run"] - BY)
+        self.assertGreater(camera["urgent_results"], 20)
+        self.assertGreater(camera["results"], 1.5 * camera["urgent_results"])
+        # Half of all are urgent, and the longer half is ordinary: it has waited for the lidar's 8 ms.
+        self.assertGreater(camera["latency_us"]["p99"], 8000)
+        self.assertLess(camera["urgent_us"]["p50"], 8000)
+        self.assertLess(camera["urgent_us"]["p50"], camera["latency_us"]["p99"])
+        if run["worst_case_exceeded"]:
+            self.assertTrue(run["worst_case_broken"], "exceeded, and nothing was seen to be broken")
+        # After a stall a message may be the release after its own: then two that are urgent are too near.
+        broken = run["worst_case_broken"] or []
+        if any("too soon" in line for line in broken):
+            self.assertTrue([line for line in broken if "off its grid" in line or "left out" in line], broken)
+
+    def test_an_urgent_release_goes_first(self):
+        self.check_run()
+
+    def test_the_mark_travels_between_processes(self):
+        self.check_run("--isolate")
+
+    def test_what_is_urgent_too_soon_is_an_ordinary_release(self):
+        done, run = self.run_app(1, "--seconds", 2)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        broken = [line for line in run["worst_case_broken"] if "too soon" in line]
+        self.assertEqual(len(broken), 1, run["worst_case_broken"])
+        self.assertIn("source 'camera' marked", broken[0])
+        camera = run["chains"][0]
+        self.assertLessEqual(camera["urgent_results"], camera["results"] / 2 + 1)
+        self.assertGreater(camera["urgent_results"], 10)
+
+    def test_without_a_statement_it_is_refused(self):
+        done, _ = self.run_app(2, "--seconds", 1, app="plain", policy="plain-policy")
+        self.assertIn("nothing certifies that in this run", done.stderr)
+        self.assertIn('"urgent": {"by_us", "every_us"}', done.stderr)
+
+
+if __name__ == "__main__":
+    unittest.main()
