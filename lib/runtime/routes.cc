@@ -145,14 +145,11 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
       // Newly known are the release of `origin` and those since the last one that was known; half a
       // period tells them apart, since nominal instants are exact to the nanosecond.
       if (route.last_origin_ns != 0 && origin <= route.last_origin_ns) continue;
-<<<<<<< HEAD
       if (route.last_origin_ns == 0 && route.through_samples) {
         route.last_origin_ns = origin;
         continue;
       }
-=======
       if (urgent && route.hurries) counts.urgent_us.add((now_ns - origin) / 1000);
->>>>>>> 3009e5dd94da978c61ebec2425d081db4b21ffc5
       std::int64_t newly = origin;
       for (int n = 0; n < kMostSkipped; ++n, newly -= route.period_ns) {
         if (route.last_origin_ns == 0 ? newly != origin
