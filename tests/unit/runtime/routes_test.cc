@@ -141,6 +141,7 @@ TEST(Routes, TheFirstThatComesThroughSamplesIsNotCounted) {
   Grid grid;
   grid.periodic = true;
   grid.sources = {{{100}, 0, 0}, {{100}, 0, 0}};
+  grid.urgent_source = {-1, -1, -1};
   AppSpec app;
   app.version = 2;
   app.sources = graph.sources;
