@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# What `make check` does: style, then the tests in a release build, under ASan+UBSan, and under TSan, then the kernel
-# side in booted VMs, then the Debian packages in a clean root. Each part runs by itself with
+# What `make check` does: style, then the tests in a release build, the kernel side in booted VMs, the tests under
+# ASan+UBSan and under TSan, then the Debian packages in a clean root. Each part runs by itself with
 # `make style|unit|asan|tsan|fuzz|kernel-check|package-check`; `make check-fast` and `make check-full` do less and more.
 # The last line is the count over all parts.
 set -uo pipefail
@@ -105,11 +105,31 @@ release=(xauto xauto-coordinator xauto-emud xauto-cpusched driving camera integr
 threaded='base|trace|coord|emu|transport|processes|runtime|launch'
 unit() { build ci build "${release[@]}" && { note "tests, release"; tests build -L heavy; integration build -LE long; }; }
 integration() { local dir=$1; shift; tests "$dir" -L integration "$@"; }
-asan() { build asan build-asan unit_tests fuzzers && { note "tests, ASan+UBSan"; tests build-asan -L 'unit|fuzz'; }; }
-tsan() {
+asan_build() { build asan build-asan unit_tests fuzzers; }
+asan_tests() { note "tests, ASan+UBSan"; tests build-asan -L 'unit|fuzz'; }
+asan() { asan_build && asan_tests; }
+tsan_build() {
   local targets
   IFS='|' read -ra targets <<<"$threaded"
-  build tsan build-tsan "${targets[@]/#/test_}" && { note "tests, TSan"; tests build-tsan -R "^($threaded)\." -LE heavy -E 'Snapshot.AMachineThatDies'; }
+  build tsan build-tsan "${targets[@]/#/test_}"
+}
+tsan_tests() { note "tests, TSan"; tests build-tsan -R "^($threaded)\." -LE heavy -E 'Snapshot.AMachineThatDies'; }
+tsan() { tsan_build && tsan_tests; }
+# A VM takes one core most of the time: what only compiles goes on beside it.
+kernel_and_sanitizers() {
+  local vms log asan_built=1 tsan_built=1
+  kernel_build || { asan; tsan; return; }
+  log=$(mktemp)
+  scripts/kernel-check.sh build >"$log" &
+  vms=$!
+  asan_build && asan_built=0
+  tsan_build && tsan_built=0
+  note "the rest of the VMs"
+  wait "$vms"
+  counted "the kernel side" cat "$log"
+  rm -f "$log"
+  [ $asan_built -ne 0 ] || asan_tests
+  [ $tsan_built -ne 0 ] || tsan_tests
 }
 # For the inner loop: every unit test in the release build, but for the heavy ones.
 fast() {
@@ -148,11 +168,11 @@ counted() {
   fi
 }
 # Programs and modules in VMs; scripts/kernel-check.sh counts them.
-kernel() {
+kernel_build() {
   build ci build "${release[@]}" kmod_tests scx_tests || return
   note "kernel side, in VMs"
-  counted "the kernel side" scripts/kernel-check.sh build
 }
+kernel() { kernel_build && counted "the kernel side" scripts/kernel-check.sh build; }
 # The Debian packages, made of the release build and tried in a clean root; scripts/package-check.sh counts.
 package() {
   build ci build "${release[@]}" || return
@@ -165,9 +185,7 @@ case ${1:-check} in
   check)
     style
     unit
-    asan
-    tsan
-    kernel
+    kernel_and_sanitizers
     package
     ;;
   style | unit | asan | tsan | fuzz | kernel | package | fast | full) "$1" ;;
