@@ -217,14 +217,15 @@ inline std::optional<Case> valid(std::uint64_t seed, const Wanted& wanted) {
   return {};
 }
 
-/// Keys as small, and modules with as few activations in flight, as the check lets them be, one
-/// after the other; `arrays`: with a key of its own for each activation of a hyperperiod.
-inline void tighten(Case& c, std::uint64_t seed, bool arrays) {
+/// Keys as small, and modules with as few activations in flight, as `judge` lets them be, one after
+/// the other; `arrays`: with a key of its own for each activation of a hyperperiod.
+template <typename Judge>
+void tighten(Case& c, std::uint64_t seed, bool arrays, const Judge& judge) {
   Random random(seed);
   const auto accepted = [&](Case& next) {
     next.policy.app_hash = next.app.hash();
     for (ChainClaim& claim : next.policy.chains) claim = {claim.name, 900'000'000'000, 0, false};
-    return check(next.app, next.platform, next.policy).has_value();
+    return judge(next);
   };
   const auto improve = [&](std::int64_t& value, std::int64_t least) {
     for (std::int64_t step = value - least; step > 0;) {
@@ -255,6 +256,12 @@ inline void tighten(Case& c, std::uint64_t seed, bool arrays) {
   }
   accepted(c);
   claim_what_follows(c);
+}
+
+/// ... as the check lets them be.
+inline void tighten(Case& c, std::uint64_t seed, bool arrays) {
+  tighten(c, seed, arrays,
+          [](const Case& next) { return check(next.app, next.platform, next.policy).has_value(); });
 }
 
 }  // namespace xauto::attack

@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the solver's own certificate accepts, by itself. Policies of the search hold what a
+// non-preemptive XPU must not take early, so that most charges of the certificate never decide there.
+// Keys and holds of others have to be judged right, too: a hint's, a caller's.
+#include <gtest/gtest.h>
+
+#include "solver/steady/certificate.h"
+
+#include "attack/attack.h"
+#include "attack/producer.h"
+
+namespace xauto::solver::steady::test {
+namespace {
+
+using attack::Case;
+
+bool certified(const Case& c) {
+  const auto p = Problem::create(c.app, c.platform);
+  if (!p) return false;
+  std::vector<int> xpu;
+  Windows w;
+  w.d.assign(at(p->num_slots), 0);
+  w.hold.assign(at(p->num_slots), 0);
+  for (int i = 0; i < p->num_xnodes; ++i) {
+    const KeyPlacement& placement = c.policy.placements[at(i)];
+    xpu.push_back(placement.xpu);
+    const std::size_t keys = placement.key_us.size(), holds = placement.hold_us.size();
+    const std::size_t jobs = at(p->jobs[at(i)]);
+    if (jobs % keys != 0 || (holds > 0 && jobs % holds != 0)) return false;
+    for (std::size_t n = 0; n < jobs; ++n) {
+      w.d[p->slot_of(i, static_cast<int>(n))] = placement.key_us[n % keys] * p->scale;
+      if (holds > 0)
+        w.hold[p->slot_of(i, static_cast<int>(n))] = placement.hold_us[n % holds] * p->scale;
+    }
+  }
+  return certify(*p, xpu, w);
+}
+
+attack::Wanted mixture(std::uint64_t seed) {
+  attack::Wanted w;
+  w.clocks = seed % 3 == 0 ? 2 : 1;
+  w.ppm = seed % 2 == 0 ? 20'000 : 0;  // far worse than any: a few activations are enough
+  w.components = 2 + static_cast<int>(seed / 3 % 3);
+  w.load = seed % 5 == 0 ? 0.85 : 0.6;
+  w.preemptive = seed / 4 % 2 == 0;
+  w.preempt_us = seed / 8 % 2 == 0 ? 10 : 0;
+  w.jitter_us = seed % 7 > 3 ? 60 : 0;
+  w.holds = seed % 4 > 1;
+  return w;
+}
+
+TEST(SteadyCertificate, NothingBreaksWhatIsJustAccepted) {
+  int made = 0, touched = 0;
+  for (std::uint64_t seed = 1; seed <= 90; ++seed) {
+    auto c = attack::valid(seed, mixture(seed));
+    if (!c || !certified(*c)) continue;
+    attack::tighten(*c, seed, seed % 3 == 0, certified);
+    ++made;
+    const auto found = attack::attack(c->app, c->platform, c->policy, {20'000, seed});
+    EXPECT_TRUE(found.late.empty()) << seed << ": " << found.late;
+    touched += found.closest_us > -0.001 ? 1 : 0;
+  }
+  EXPECT_GE(made, 45);
+  EXPECT_GE(touched, made / 3);  // the attack reaches keys: it would see a microsecond more
+}
+
+}  // namespace
+}  // namespace xauto::solver::steady::test
