@@ -8,6 +8,9 @@
 
 namespace xauto {
 
+/// How often whoever waits looks at what nobody rings for: a stop, another process's death.
+inline constexpr std::int64_t kLookNs = 50'000'000;
+
 /// Any clock of clock_gettime(2).
 [[nodiscard]] inline std::int64_t clock_ns(clockid_t clock) {
   timespec now{};

@@ -11,13 +11,15 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "base/clock.h"
+
 namespace xauto {
 
 /// Sleeps while `word` holds `expected`, at most `limit_ns` (negative: without limit): the default
 /// is only a net for the one case that has no waker, a peer that died between its store and its
 /// wake. Callers loop on their condition. False: that time was over.
 inline bool futex_wait(std::atomic<std::uint32_t>& word, std::uint32_t expected,
-                       std::int64_t limit_ns = 50'000'000) {
+                       std::int64_t limit_ns = kLookNs) {
   const timespec limit{limit_ns / 1'000'000'000, limit_ns % 1'000'000'000};
   return syscall(SYS_futex, reinterpret_cast<std::uint32_t*>(&word), FUTEX_WAIT, expected,
                  limit_ns < 0 ? nullptr : &limit, nullptr, 0) == 0 ||

@@ -11,7 +11,6 @@
 namespace xauto::detail {
 namespace {
 
-constexpr std::int64_t kLookNs = 50'000'000;  ///< at whatever else may have happened
 
 std::string in_us(std::int64_t ns) {
   return std::to_string(ns / 1000) + " us";

@@ -6,6 +6,8 @@
 #include <cstdlib>
 #include <cstring>
 
+#include "base/clock.h"
+
 namespace xauto::runtime {
 namespace {
 
@@ -76,7 +78,6 @@ Interop::~Interop() {
 std::vector<std::shared_ptr<const void>> Interop::take(const std::vector<int>& topics,
                                                        std::int64_t until_ns,
                                                        const std::atomic<bool>& stop) {
-  constexpr std::int64_t kLookNs = 50'000'000;  // at `stop`, which nobody rings for
   std::vector<std::shared_ptr<const void>> messages(topics.size());
   for (;;) {
     bool all = true;

@@ -5,11 +5,7 @@
 #include "base/rt.h"
 
 namespace xauto::runtime {
-namespace {
-
-constexpr std::int64_t kLookNs = 50'000'000;  ///< at `stop_`, which nobody rings for
-
-}  // namespace
+namespace {}  // namespace
 
 Feeds::Feeds(Interop& interop, std::vector<Feed> feeds, int fifo)
     : interop_(interop), feeds_(std::move(feeds)) {

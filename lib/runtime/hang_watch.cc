@@ -7,6 +7,7 @@
 #include <uapi/xauto/event.h>
 #include <unistd.h>
 
+#include "base/clock.h"
 #include "base/log.h"
 #include "session/notes.h"
 
@@ -37,7 +38,7 @@ HangWatch::HangWatch(const Context& context, const Wiring& wiring, Role& role,
   }
   if (shortest == 0 && !others) return;
   const std::int64_t period =
-      shortest == 0 ? 50'000'000 : std::clamp<std::int64_t>(shortest / 4, 1'000'000, 50'000'000);
+      shortest == 0 ? kLookNs : std::clamp<std::int64_t>(shortest / 4, 1'000'000, kLookNs);
   watchdog_ = std::make_unique<Watchdog>(period, [this](std::int64_t now) {
     for (const auto& worker : wiring_.workers())
       if (const auto job = worker->find_hung(now)) hung(*worker, *job);

@@ -206,7 +206,7 @@ bool Ledger::wait_drained(const std::function<bool()>& idle) {
     if (left != last) since = now_ns();
     last = left;
     if (now_ns() - since > kStallNs) return false;
-    futex_wait_local(in_flight_, left, 50'000'000);
+    futex_wait_local(in_flight_, left, kLookNs);
   }
 }
 

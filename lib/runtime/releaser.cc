@@ -52,7 +52,6 @@ Status Releaser::run(int fifo) {
 
 /// An hour may lie between two releases: looks at `stop_` meanwhile.
 void Releaser::sleep(std::int64_t until_ns) const {
-  constexpr std::int64_t kLookNs = 50'000'000;
   for (std::int64_t now = now_ns(); until_ns - now > kLookNs && !stop_.load(); now = now_ns())
     sleep_until_ns(now + kLookNs);
   if (!stop_.load()) sleep_until_ns(until_ns);

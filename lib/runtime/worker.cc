@@ -16,7 +16,6 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kQuit = UINT32_MAX;
-constexpr std::int64_t kLookNs = 50'000'000;  ///< how often a stopping thread looks at the time
 constexpr std::int64_t kDestroyNs = 10'000'000'000;  ///< patience with what `init` has made
 constexpr std::uint32_t kIdle = 1, kThrough = 2;     ///< Worker::ended_
 

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cstdint>
 
+#include "base/clock.h"
 #include "base/futex.h"
 
 namespace xauto::transport {
@@ -22,7 +23,7 @@ struct alignas(64) Doorbell {
   }
   /// One thread. `nothing_to_do` is asked after the announcement, so that no ring is missed.
   template <class NothingToDo>
-  void wait(NothingToDo nothing_to_do, std::int64_t limit_ns = 50'000'000) {
+  void wait(NothingToDo nothing_to_do, std::int64_t limit_ns = kLookNs) {
     const std::uint32_t seen = rings.load(std::memory_order_seq_cst);
     waiting.store(1, std::memory_order_seq_cst);
     if (nothing_to_do()) futex_wait(rings, seen, limit_ns);

@@ -30,7 +30,7 @@ struct CompareFlags : RunFlags {
   double time_limit_s = 10;
 };
 
-const std::vector<std::pair<std::string, std::string>> kNames = {
+const std::vector<std::pair<std::string, std::string>> kPolicyNames = {
     {"ros2", "ROS 2 model"},
     {"heft", "HEFT"},
     {"local", "local optimum, scheduled"},
@@ -42,14 +42,8 @@ const std::vector<std::pair<std::string, std::string>> kNames = {
 const std::vector<std::string> kVersion1 = {"ros2", "heft", "xauto", "xauto-unscheduled"};
 const std::vector<std::string> kVersion2 = {"ros2", "fixed", "keys"};
 
-std::string list_of(const std::vector<std::string>& ids) {
-  std::string text;
-  for (const std::string& id : ids) text += (text.empty() ? "" : ",") + id;
-  return text;
-}
-
 std::string name_of(const std::string& id) {
-  for (const auto& [known, name] : kNames)
+  for (const auto& [known, name] : kPolicyNames)
     if (known == id) return name;
   return id;
 }
@@ -128,7 +122,7 @@ Result<int> compare(const CompareFlags& given, const Options& options) {
     if ((id == "fixed" || id == "keys" || id == "ros2" ? flags.app.version == 1 && id != "ros2"
                                                        : flags.app.version == 2))
       return fail(ErrorCode::kInvalid, "'" + id + "' is not for an app of this version",
-                  "--policies", "there are " + list_of(known));
+                  "--policies", fmt::format("there are {}", fmt::join(known, ",")));
   std::error_code error;
   std::filesystem::create_directories(flags.out, error);
   if (error) return fail(ErrorCode::kIo, "cannot make the folder: " + error.message(), flags.out);
@@ -184,11 +178,12 @@ void add_compare(Commands& commands) {
       [flags](const Options& options) { return compare(*flags, options); });
   flags->declare(verb);
   std::vector<std::string> known;
-  for (const auto& [id, name] : kNames) known.push_back(id);
+  for (const auto& [id, name] : kPolicyNames) known.push_back(id);
   verb.option("--policies", flags->policies, "which, in this order")
       .separated_by(',')
       .one_of(known)
-      .shown_as(list_of(kVersion1) + "; of an app of version 2 " + list_of(kVersion2));
+      .shown_as(fmt::format("{}; of an app of version 2 {}", fmt::join(kVersion1, ","),
+                            fmt::join(kVersion2, ",")));
   verb.option("--out", flags->out,
               "folder for report.json, timeline.html, the traces and the policies")
       .shown();
