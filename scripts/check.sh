@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# What `make check` does: style, then the tests in a release build, the kernel side in booted VMs, the tests under
-# ASan+UBSan and under TSan, then the Debian packages in a clean root. Each part runs by itself with
+# What `make check` does: style, the tests in a release build, the Debian packages in a clean root, the kernel side in booted
+# VMs, the tests under ASan+UBSan and under TSan; what waits runs beside what computes. Each part runs by itself with
 # `make style|unit|asan|tsan|fuzz|kernel-check|package-check`; `make check-fast` and `make check-full` do less and more.
 # The last line is the count over all parts.
 set -uo pipefail
@@ -54,7 +54,7 @@ tests() {
   shift
   report=$PWD/$dir/junit.xml log=$PWD/$dir/ctest.log
   rm -f "$report"
-  (cd "$dir" && ctest -j"$jobs" --output-on-failure --timeout 300 --repeat until-pass:2 --output-junit "$report" "$@") | tee "$log" |
+  (cd "$dir" && ctest -j"${parallel:-$jobs}" --output-on-failure --timeout 300 --repeat until-pass:2 --output-junit "$report" "$@") | tee "$log" |
     grep -vE '^ *(Start |[0-9]+/[0-9]+ Test .*Passed|Test +#[0-9]+: .*Passed)'
   status=${PIPESTATUS[0]}
   counts=$(python3 - "$report" "$log" <<'PY'
@@ -104,7 +104,8 @@ style() {
 release=(xauto xauto-coordinator xauto-emud xauto-cpusched driving camera integration_programs xauto_shared test_coord test_solver)
 threaded='base|trace|coord|emu|transport|processes|runtime|launch'
 unit() { build ci build "${release[@]}" && { note "tests, release"; tests build -L heavy; integration build -LE long; }; }
-integration() { local dir=$1; shift; tests "$dir" -L integration "$@"; }
+# They mostly wait: a quarter of their time is work.
+integration() { local dir=$1 parallel=$((3 * jobs)); shift; tests "$dir" -L integration "$@"; }
 asan_build() { build asan build-asan unit_tests fuzzers; }
 asan_tests() { note "tests, ASan+UBSan"; tests build-asan -L 'unit|fuzz'; }
 asan() { asan_build && asan_tests; }
@@ -117,17 +118,13 @@ tsan_tests() { note "tests, TSan"; tests build-tsan -R "^($threaded)\." -LE heav
 tsan() { tsan_build && tsan_tests; }
 # A VM takes one core most of the time: what only compiles goes on beside it.
 kernel_and_sanitizers() {
-  local vms log asan_built=1 tsan_built=1
+  local asan_built=1 tsan_built=1
   kernel_build || { asan; tsan; return; }
-  log=$(mktemp)
-  scripts/kernel-check.sh build >"$log" &
-  vms=$!
+  beside "the kernel side" scripts/kernel-check.sh build
   asan_build && asan_built=0
   tsan_build && tsan_built=0
   note "the rest of the VMs"
-  wait "$vms"
-  counted "the kernel side" cat "$log"
-  rm -f "$log"
+  joined
   [ $asan_built -ne 0 ] || asan_tests
   [ $tsan_built -ne 0 ] || tsan_tests
 }
@@ -167,12 +164,39 @@ counted() {
     failed=$((failed + 1))
   fi
 }
+# beside NAME SCRIPT ARGUMENT...: starts a script whose last line is a count. `joined` waits for it, shows what it said, counts it.
+beside() {
+  side_name=$1 side_log=$(mktemp)
+  shift
+  "$@" >"$side_log" 2>&1 &
+  side=$!
+}
+joined() {
+  wait "$side"
+  counted "$side_name" cat "$side_log"
+  rm -f "$side_log"
+}
 # Programs and modules in VMs; scripts/kernel-check.sh counts them.
 kernel_build() {
   build ci build "${release[@]}" kmod_tests scx_tests || return
   note "kernel side, in VMs"
 }
 kernel() { kernel_build && counted "the kernel side" scripts/kernel-check.sh build; }
+# Style beside the compiler; the packages, which compute, beside the integration scripts, which wait.
+release_and_packages() {
+  local built=1
+  note "style, beside the build"
+  beside "style" scripts/check.sh style
+  build ci build "${release[@]}" kmod_tests scx_tests && built=0
+  joined
+  [ $built -eq 0 ] || return
+  note "tests, release"
+  tests build -L heavy
+  note "integration, beside the packages in a clean Debian root"
+  beside "the packages" scripts/package-check.sh build
+  integration build -LE long
+  joined
+}
 # The Debian packages, made of the release build and tried in a clean root; scripts/package-check.sh counts.
 package() {
   build ci build "${release[@]}" || return
@@ -183,10 +207,8 @@ fuzz() { build asan build-asan unit_tests fuzzers && { note "fuzzers"; tests bui
 
 case ${1:-check} in
   check)
-    style
-    unit
+    release_and_packages
     kernel_and_sanitizers
-    package
     ;;
   style | unit | asan | tsan | fuzz | kernel | package | fast | full) "$1" ;;
   *)
