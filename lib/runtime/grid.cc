@@ -47,8 +47,9 @@ Status check_joins(const Graph& graph, const Session& session, const Grid& grid,
 }  // namespace
 
 std::int64_t Grid::Source::due_ns(std::uint64_t k) const {
-  const __int128 us = static_cast<__int128>(k) * period.num * 1000 / period.den;
-  return offset_ns + static_cast<std::int64_t>(us);
+  const __int128 ns = static_cast<__int128>(k) * period.num * 1000;
+  if (period.den == 1) return offset_ns + static_cast<std::int64_t>(ns);
+  return offset_ns + static_cast<std::int64_t>(ns / period.den);
 }
 
 /// The plan may allow fewer activations than the program has states for, not more.

@@ -236,8 +236,10 @@ Status Releaser::release_periodic() {
     int topic;
     const Grid::Source* grid;
     std::uint64_t sequence = 0;
+    std::int64_t due_ns = 0;  ///< of its next release, after `start`
   };
   std::vector<Source> sources;
+  std::vector<Sample> samples, fed;  // of one release; here, so that their memory stays
   std::int64_t slowest_ns = 1;
   phases_.resize(context_.grid.clock_ppm.size());
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
@@ -269,10 +271,10 @@ Status Releaser::release_periodic() {
   while (!stop_.load()) {
     std::int64_t next_ns = length_ns;
     bool waits = false;  // for the first message of a clock
-    for (const Source& s : sources) {
-      const std::int64_t due_ns = due_of(s);
-      waits |= due_ns == kForeverNs;
-      next_ns = std::min(next_ns, due_ns);
+    for (Source& s : sources) {
+      s.due_ns = due_of(s);
+      waits |= s.due_ns == kForeverNs;
+      next_ns = std::min(next_ns, s.due_ns);
     }
     std::int64_t due = start + next_ns;
     if (waits) {
@@ -292,10 +294,11 @@ Status Releaser::release_periodic() {
       due = now;
     }
     // Messages are made before their release, so that making them does not count as latency.
-    std::vector<Sample> samples, fed;
+    samples.clear();
+    fed.clear();
     std::int64_t fed_period_ns = 0;
     for (Source& s : sources) {
-      if (due_of(s) > next_ns) continue;
+      if (s.due_ns > next_ns) continue;
       if (wiring_.interop() != nullptr &&
           wiring_.interop()->feeds(static_cast<std::size_t>(s.topic))) {
         fed_period_ns =
@@ -331,6 +334,7 @@ Status Releaser::release_periodic() {
       if (samples.empty()) continue;
     }
     release(now_ns(), samples);
+    samples.clear();  // the messages belong to who reads them
   }
   return {};
 }
