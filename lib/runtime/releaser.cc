@@ -423,7 +423,7 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
           origin_of(samples[i]), XAUTO_EV_PUBLISH, samples[i].sequence, XAUTO_EV_NONE,
           XAUTO_EV_NONE, XAUTO_EV_NONE,
           whole ? 0
-                : XAUTO_TAKE_SOURCE |
+                : XAUTO_TAKE_SOURCE | (samples[i].urgent ? XAUTO_RELEASE_URGENT : 0) |
                       context_.grid.sources[static_cast<std::size_t>(topic.source)].number);
     }
   }

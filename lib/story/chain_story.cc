@@ -121,6 +121,7 @@ Result<ChainStory> story_of(const ReadTrace& trace, const TraceReactions& chain,
   story.note = chain.note;
   story.number = release.number;
   story.reaction_us = release.reaction_us;
+  story.urgent = release.urgent;
   const auto list = by_reaction(chain);
   story.of = static_cast<std::int64_t>(list.size());
   story.rank = std::find(list.begin(), list.end(), &release) - list.begin() + 1;
@@ -132,7 +133,8 @@ Result<ChainStory> story_of(const ReadTrace& trace, const TraceReactions& chain,
 }
 
 std::string story_text(const ChainStory& story) {
-  std::string out = fmt::format("{}: release {} took {} ms, ", story.chain, story.number,
+  std::string out = fmt::format("{}: {} {} took {} ms, ", story.chain,
+                                story.urgent ? "urgent release" : "release", story.number,
                                 in_ms(story.reaction_us));
   out += story.rank == 1 ? fmt::format("the longest of {}", story.of)
                          : fmt::format("number {} from the longest of {}", story.rank, story.of);

@@ -41,6 +41,7 @@ struct StorySensor {
 struct ChainStory {
   std::string chain, note;  ///< note: source, and what is claimed
   std::int64_t number = 0, reaction_us = 0;
+  bool urgent = false;                           ///< its source marked it so
   std::int64_t rank = 1, of = 1, median_us = 0;  ///< rank 1: the longest
   std::vector<StorySensor> sensors;              ///< by time
   std::vector<StoryJob> jobs;                    ///< by begin

@@ -22,7 +22,7 @@ class Follower {
     for (const JobStory& job : story.jobs) home_[at(job.module)] = parts_.of[at(job.xnode)];
     for (std::size_t r = 0; r < story.releases.size(); ++r)
       released_[{story.releases[r].source, static_cast<std::int64_t>(story.releases[r].sequence)}] =
-          story.releases[r].begin_ns;
+          static_cast<int>(r);
   }
 
   std::vector<Reaction> follow() {
@@ -134,8 +134,13 @@ class Follower {
       const std::int64_t first =
           last == kNothing ? newest : std::max(last + 1, newest - kMostSkipped + 1);
       for (std::int64_t k = first; k <= newest; ++k)
-        if (const auto release = released_.find({chain.from, k}); release != released_.end())
-          into.push_back({index, k, release->second, end_ns, j});
+        if (const auto found = released_.find({chain.from, k}); found != released_.end()) {
+          const ReleaseSpan& release = story_.releases[at(found->second)];
+          const bool urgent =
+              release.urgent &&
+              story_.activations[at(story_.jobs[at(j)].activation)].urgent_source == chain.from;
+          into.push_back({index, k, release.begin_ns, end_ns, j, urgent});
+        }
       last = newest;
     }
   }
@@ -145,7 +150,7 @@ class Follower {
   const Story& story_;
   const Components parts_;
   std::vector<int> home_;  ///< [module] its component; -1: no job of it is in the trace
-  std::map<std::pair<int, std::int64_t>, std::int64_t> released_;  ///< (source, number) -> when
+  std::map<std::pair<int, std::int64_t>, int> released_;  ///< (source, number) -> Story::releases
 };
 
 }  // namespace
@@ -157,15 +162,22 @@ std::vector<Reaction> reactions_of(const AppSpec& app, const Story& story) {
   return Follower(app, story, std::move(*parts)).follow();
 }
 
-std::optional<Window> window_of(const KeyPolicy& keys, const Story& story, const JobStory& job) {
+std::optional<Window> window_of(const AppSpec& app, const KeyPolicy& keys, const Story& story,
+                                const JobStory& job) {
   if (job.activation < 0) return std::nullopt;
-  const std::int64_t released_ns = story.activations[at(job.activation)].released_ns;
+  const Activation& activation = story.activations[at(job.activation)];
+  const std::int64_t released_ns = activation.released_ns;
   if (released_ns <= 0) return std::nullopt;
   const KeyPlacement& placed = keys.placements[at(job.xnode)];
   const auto of = [&](const std::vector<std::int64_t>& us) {
     return us.empty() ? 0 : us[static_cast<std::size_t>(job.sequence % us.size())] * 1000;
   };
-  return Window{released_ns, released_ns + of(placed.hold_us), released_ns + of(placed.key_us)};
+  const std::int64_t sooner_ns =
+      activation.urgent_source < 0 ? 0
+                                   : app.sources[at(activation.urgent_source)].urgent->by_us * 1000;
+  return Window{released_ns,
+                released_ns + std::max<std::int64_t>(of(placed.hold_us) - sooner_ns, 0),
+                released_ns + of(placed.key_us) - sooner_ns};
 }
 
 }  // namespace xauto::story

@@ -20,7 +20,8 @@ struct Reaction {
   int chain = -1;  ///< index into AppSpec::chains
   std::int64_t number = 0;
   std::int64_t released_ns = 0, end_ns = 0;
-  int job = -1;  ///< index into Story::jobs: the first that knows it
+  int job = -1;         ///< index into Story::jobs: the first that knows it
+  bool urgent = false;  ///< the source marked it so, and the keys of its jobs moved forward
   [[nodiscard]] std::int64_t us() const { return (end_ns - released_ns) / 1000; }
 };
 
@@ -28,12 +29,13 @@ struct Reaction {
 /// out. Empty of an app of version 1.
 [[nodiscard]] std::vector<Reaction> reactions_of(const AppSpec& app, const Story& story);
 
-/// When a job may run: from its nominal release and hold to its key.
+/// When a job may run: from its nominal release and hold to its key, of an urgent release by as much
+/// earlier as app.json says.
 struct Window {
   std::int64_t released_ns = 0, begin_ns = 0, key_ns = 0;
 };
 /// Nullopt: the trace does not tell its release.
-[[nodiscard]] std::optional<Window> window_of(const KeyPolicy& keys, const Story& story,
-                                              const JobStory& job);
+[[nodiscard]] std::optional<Window> window_of(const AppSpec& app, const KeyPolicy& keys,
+                                              const Story& story, const JobStory& job);
 
 }  // namespace xauto::story

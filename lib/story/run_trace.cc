@@ -185,7 +185,7 @@ class Painter {
         run_.push_back(std::move(piece));
       }
       if (scene_.keys == nullptr || first_[j] < 0) continue;
-      const auto window = window_of(*scene_.keys, story_, job);
+      const auto window = window_of(app_, *scene_.keys, story_, job);
       if (!window) continue;
       tell_window(*window, begin_of(first_[j]), *first_piece(j));
       if (job.complete) tell_lateness(*window, job.end_ns(), *last_piece(j));
@@ -333,6 +333,7 @@ class Painter {
       args.emplace_back("release", static_cast<std::int64_t>(release.sequence));
       if (release.source >= 0 && static_cast<std::size_t>(release.source) < app_.sources.size())
         args.emplace_back("source", app_.sources[static_cast<std::size_t>(release.source)].name);
+      if (release.urgent) args.emplace_back("urgent", std::int64_t{1});
       const std::int64_t latency_us = (release.end_ns - release.begin_ns) / 1000;
       if (release.fate == Fate::kDone) {
         args.emplace_back("latency_us", latency_us);

@@ -60,15 +60,20 @@ void paint_chains(PerfettoWriter& out, Track root, const AppSpec& app, const Sce
                {},
                {}},
               0};
+    if (reaction.urgent) span.details.args.emplace_back("urgent", std::int64_t{1});
     if (chain.deadline_us) span.details.args.emplace_back("deadline_us", *chain.deadline_us);
     spans[at(reaction.chain)].push_back(std::move(span));
   }
   for (std::size_t c = 0; c < spans.size(); ++c) {
     std::string text = "from source " + app.sources[at(app.chains[c].from)].name;
     // Never without the verdict, which is the group's.
-    if (c < scene.claims.size())
-      text += fmt::format("; worst case {} us, bound {} us", scene.claims[c].worst_case_us,
-                          scene.claims[c].lower_bound_us);
+    if (c < scene.claims.size()) {
+      const ChainClaim& claim = scene.claims[c];
+      text +=
+          fmt::format("; worst case {} us, bound {} us", claim.worst_case_us, claim.lower_bound_us);
+      if (claim.urgent_worst_case_us)
+        text += fmt::format("; of an urgent release {} us", *claim.urgent_worst_case_us);
+    }
     paint_spans(out, group, app.chains[c].name, text, spans[c]);
   }
 }
@@ -79,7 +84,7 @@ void paint_windows(PerfettoWriter& out, Track track, int row, const AppSpec& app
   std::vector<Span> spans;
   for (const JobStory& job : story.jobs) {
     if (scene.row_of[at(job.xpu)] != row) continue;
-    const auto window = window_of(*scene.keys, story, job);
+    const auto window = window_of(app, *scene.keys, story, job);
     if (!window) continue;
     Span span{window->begin_ns,
               window->key_ns,

@@ -79,6 +79,7 @@ class Reader {
     story_.num_modules = modules_.size();
     if (story_.several_rates) {
       find_inputs();
+      find_urgent();
       find_samples();
     } else {
       end_releases();
@@ -128,11 +129,17 @@ class Reader {
     return (arg & XAUTO_TAKE_SOURCE) != 0 && index < known ? static_cast<int>(index) : -1;
   }
 
+  [[nodiscard]] bool may_be_urgent(int source) const {
+    return app_.version == 2 && source >= 0 &&
+           app_.sources[static_cast<std::size_t>(source)].urgent.has_value();
+  }
+
   void publish(const trace::Event& e, std::int64_t ts) {
-    const int source = source_of(e.arg);
+    const int source = source_of(e.arg & ~XAUTO_RELEASE_URGENT);
     story_.several_rates |=
         source >= 0 || !published_.emplace(e.seq, story_.releases.size()).second;
-    story_.releases.push_back({e.seq, ts, ts, Fate::kUnknown, source});
+    const bool urgent = may_be_urgent(source) && (e.arg & XAUTO_RELEASE_URGENT) != 0;
+    story_.releases.push_back({e.seq, ts, ts, Fate::kUnknown, source, urgent});
   }
 
   void activate(const trace::Event& e, std::int64_t ts) {
@@ -318,6 +325,19 @@ class Reader {
           take.from = *at;
           break;
         }
+      }
+  }
+
+  /// By edges, from the releases on; who publishes began before whoever takes.
+  void find_urgent() {
+    for (Activation& taker : story_.activations)
+      for (const Take& take : taker.takes) {
+        if (take.from < 0) continue;
+        const auto from = static_cast<std::size_t>(take.from);
+        const int source = take.source < 0                ? story_.activations[from].urgent_source
+                           : story_.releases[from].urgent ? take.source
+                                                          : -1;
+        taker.urgent_source = std::max(taker.urgent_source, source);  // a component has one
       }
   }
 

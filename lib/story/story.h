@@ -69,6 +69,7 @@ struct Activation {
   std::vector<SampleRead> samples = {};
   /// Of an app of version 2: the nominal release that keys and holds count from; 0: unknown.
   std::int64_t released_ns = 0;
+  int urgent_source = -1;  ///< that marked the release it is made of urgent; -1: none did
   /// The oldest of what it took, from which its latency counts; 0: unknown, or one rate.
   [[nodiscard]] std::int64_t origin_ns() const;
 };
@@ -78,7 +79,8 @@ struct ReleaseSpan {
   std::uint64_t sequence = 0;
   std::int64_t begin_ns = 0, end_ns = 0;
   Fate fate = Fate::kUnknown;
-  int source = -1;  ///< whose; -1: of all, or not told
+  int source = -1;      ///< whose; -1: of all, or not told
+  bool urgent = false;  ///< its source marked it so
 };
 
 /// A module of the run; index = `module` of the events.

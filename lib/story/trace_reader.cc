@@ -207,12 +207,13 @@ class TraceFile {
   }
 
   void take_reaction(const proto::TrackEvent& event, const Track& track, std::int64_t ts) {
-    TraceReactions::One one{0, ts, 0, {}, -1};
+    TraceReactions::One one{0, ts, 0, {}, -1, false};
     for (const auto& arg : event.debug_annotations()) {
       if (arg.name() == "release") one.number = arg.int_value();
       if (arg.name() == "reaction_us") one.reaction_us = arg.int_value();
       if (arg.name() == "xnode") one.xnode = arg.string_value();
       if (arg.name() == "activation") one.activation = arg.int_value();
+      if (arg.name() == "urgent") one.urgent = arg.int_value() != 0;
     }
     if (one.reaction_us < 0 || !is_time(one.reaction_us)) return;
     out_.reactions[static_cast<std::size_t>(track.row)].releases.push_back(std::move(one));

@@ -50,6 +50,7 @@ struct TraceReactions {
     std::int64_t number = 0, released_ns = 0, reaction_us = 0;
     std::string xnode;             ///< whose job was the first to know it
     std::int64_t activation = -1;  ///< as TraceSlice's
+    bool urgent = false;
   };
   std::vector<One> releases;  ///< by number
 };

@@ -105,6 +105,24 @@ class Urgent(unittest.TestCase):
         self.assertLessEqual(camera["urgent_results"], camera["results"] / 2 + 1)
         self.assertGreater(camera["urgent_results"], 10)
 
+    def test_the_trace_tells_which_were_urgent(self):
+        trace = self.folder / "urgent.pftrace"
+        done, _ = self.run_app(2, "--seconds", 2, "--trace-out", trace)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        chains = {}
+        for number in range(10, 30):
+            done = xauto("explain", "--trace", trace, "--chain", "camera -> camera.run", "--activation", number,
+                         "--json")
+            if done.returncode == 0:
+                chains[number] = json.loads(done.stdout)["chains"][0]
+        self.assertGreater(len(chains), 10)
+        # Every second one is; a stall may have lost a message, and with it the count.
+        self.assertGreaterEqual(sum(c["urgent"] for c in chains.values()), len(chains) // 3)
+        self.assertGreaterEqual(sum(not c["urgent"] for c in chains.values()), len(chains) // 3)
+        for chain in chains.values():
+            job = next(j for j in chain["jobs"] if j["xnode"] == "camera.run")
+            self.assertEqual(job["key_us"] - job["released_us"], KEYS["camera.run"] - BY * chain["urgent"])
+
     def test_without_a_statement_it_is_refused(self):
         done, _ = self.run_app(2, "--seconds", 1, app="plain", policy="plain-policy")
         self.assertIn("nothing certifies that in this run", done.stderr)

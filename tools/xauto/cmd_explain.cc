@@ -139,15 +139,11 @@ Json to_json(const story::ChainStory& story) {
                     {"lateness_us", or_null(job.lateness_us)},
                     {"reads", std::move(reads)}});
   }
-  return {{"chain", story.chain},
-          {"note", story.note},
-          {"release", story.number},
-          {"reaction_us", story.reaction_us},
-          {"rank", story.rank},
-          {"of", story.of},
-          {"median_us", story.median_us},
-          {"cut", story.cut},
-          {"sensors", std::move(sensors)},
+  return {{"chain", story.chain},    {"note", story.note},
+          {"release", story.number}, {"reaction_us", story.reaction_us},
+          {"urgent", story.urgent},  {"rank", story.rank},
+          {"of", story.of},          {"median_us", story.median_us},
+          {"cut", story.cut},        {"sensors", std::move(sensors)},
           {"jobs", std::move(jobs)}};
 }
 

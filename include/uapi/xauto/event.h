@@ -32,7 +32,8 @@
 /*
  * With several rates, after ACTIVATE, once per input: seq = when the sensor released what was taken
  * (its origin, ts_ns); arg = the module that published it, or XAUTO_TAKE_SOURCE | the source's
- * index. PUBLISH has such an arg, too; 0 where one event is told for all sources.
+ * index. PUBLISH has such an arg, too; 0 where one event is told for all sources. There
+ * XAUTO_RELEASE_URGENT says that the source marked the release urgent.
  */
 #define XAUTO_EV_TAKE 13
 
@@ -48,6 +49,7 @@
 #define XAUTO_SAMPLE_NONE 0xffffffffffffffffull
 
 #define XAUTO_TAKE_SOURCE 0x80000000u
+#define XAUTO_RELEASE_URGENT 0x40000000u
 
 #define XAUTO_DROP_FAILED 1   /* exec threw or returned an error */
 #define XAUTO_DROP_UPSTREAM 2 /* an input of this activation was dropped upstream */

@@ -58,11 +58,11 @@ struct Loop {
   static std::uint64_t ns(std::int64_t us) {
     return static_cast<std::uint64_t>(1'000'000 + us * 1000);
   }
-  void release(int source, std::uint64_t k) {
+  void release(int source, std::uint64_t k, std::uint32_t mark = 0) {
     at(source == 0 ? 2'000 + static_cast<std::int64_t>(k) * 10'000
                    : static_cast<std::int64_t>(k) * 5'000,
        XAUTO_EV_PUBLISH, k, kUnset, kUnset, kUnset,
-       XAUTO_TAKE_SOURCE | static_cast<std::uint32_t>(source));
+       XAUTO_TAKE_SOURCE | mark | static_cast<std::uint32_t>(source));
   }
   /// Taken at `us`, run from `begin` to `end`; `read`: the number of CTL's that it samples.
   void camera(std::uint64_t k, std::int64_t us, std::int64_t begin, std::int64_t end,
@@ -89,9 +89,11 @@ struct Loop {
     at(begin + 500, XAUTO_EV_FINISH, k, 1, 2, 1);
     at(begin + 501, XAUTO_EV_DONE, k, 1);
   }
-  void run() {
+  /// `urgent`: the camera's release that is.
+  void run(int urgent = -1) {
     for (std::uint64_t k = 0; k < 6; ++k) release(1, k);
-    for (std::uint64_t k = 0; k < 3; ++k) release(0, k);
+    for (std::uint64_t k = 0; k < 3; ++k)
+      release(0, k, static_cast<int>(k) == urgent ? XAUTO_RELEASE_URGENT : 0);
     control(0, 10, XAUTO_SAMPLE_NONE);
     camera(0, 2'010, 2'500, 3'400, 0);
     control(1, 5'020, 0);
@@ -162,7 +164,7 @@ TEST(Reactions, AWindowIsFromReleaseAndHoldToTheKey) {
   const Story story = loop.story();
   std::size_t seen = 0;
   for (const JobStory& job : story.jobs) {
-    const auto window = window_of(loop.keys, story, job);
+    const auto window = window_of(loop.app, loop.keys, story, job);
     ASSERT_TRUE(window);
     const std::int64_t n = static_cast<std::int64_t>(job.sequence);
     if (job.xnode == 0) {  // its component's only source: the offset is the component's
@@ -174,6 +176,33 @@ TEST(Reactions, AWindowIsFromReleaseAndHoldToTheKey) {
     ++seen;
   }
   EXPECT_EQ(seen, 12u);
+}
+
+/// What hears of it by edges; not CTL, which samples.
+TEST(Reactions, KeysAndHoldsOfAnUrgentReleaseAreEarlier) {
+  Loop loop;
+  loop.app.chains.push_back({"alone", 0, 0});
+  loop.run(1);
+  // A mark that app.json does not allow is the trace's error.
+  EXPECT_FALSE(loop.story().releases.front().urgent);
+  for (const Activation& a : loop.story().activations) EXPECT_EQ(a.urgent_source, -1);
+  loop.app.sources[0].urgent = UrgentSpec{600, 10'000};
+  const Story story = loop.story();
+  int seen = 0;
+  for (const JobStory& job : story.jobs) {
+    const bool urgent = job.xnode == 0 && job.sequence == 1;
+    EXPECT_EQ(story.activations[static_cast<std::size_t>(job.activation)].urgent_source,
+              urgent ? 0 : -1);
+    if (!urgent) continue;
+    ++seen;
+    const auto window = window_of(loop.app, loop.keys, story, job);
+    ASSERT_TRUE(window);
+    EXPECT_EQ(window->begin_ns, window->released_ns);  // a hold of 500 us: no longer than that
+    EXPECT_EQ(window->key_ns, window->released_ns + 3'400'000);
+  }
+  EXPECT_EQ(seen, 1);
+  for (const Reaction& r : reactions_of(loop.app, story))
+    EXPECT_EQ(r.urgent, r.chain == 3 && r.number == 1) << r.chain << " " << r.number;
 }
 
 /// Two activations of CAM are in flight, and end in order.
