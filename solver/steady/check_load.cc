@@ -467,6 +467,16 @@ class Load {
     return {};
   }
 
+  /// Of one clock that does not drift: intervals longer than a turn and a window need not be looked
+  /// at, whatever the load. What has its key more than the longest window after an interval's begin
+  /// has begun in it; so an interval longer by a turn has more work by exactly the turn's, which is
+  /// at most the turn, as `overload` has seen. A blocker matters in shorter ones only.
+  [[nodiscard]] std::optional<Ticks> turn() const {
+    const Group& g = groups_.front();
+    if (groups_.size() > 1 || g.ppm > 0 || g.urgent) return {};
+    return g.period + g.longest;
+  }
+
   /// A window's begin on the grid, in [0, period).
   struct Begin {
     Ticks at = 0;
@@ -585,7 +595,8 @@ class Load {
     if (!xpu_.preemptive)
       for (const Group& g : groups_)
         for (const int j : g.xnodes) longest = std::max(longest, w_.wcet[at(j)]);
-    const std::optional<Ticks> end = busy(longest);
+    std::optional<Ticks> end = busy(longest);
+    if (!end) end = turn();
     if (!end) return no_end();
 
     std::vector<std::vector<Step>> curves;

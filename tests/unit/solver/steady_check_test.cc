@@ -115,6 +115,20 @@ TEST(SteadyCheck, KeysThatForgetTheBlockingAreRefused) {
   }
 }
 
+/// On an XPU that is full there is no end of the busy time; a turn of the windows is enough.
+TEST(SteadyCheck, AGateMayBeFull) {
+  Case c = empty(false);
+  xnode(c, source(c, 1000), 1, 600, {600});
+  xnode(c, source(c, 1000), 1, 400, {1000}, {600});
+  EXPECT_TRUE(holds(c));
+  c.policy.placements[1].key_us = {999};
+  EXPECT_TRUE(fails(c, "ready by 600 us"));
+  c.policy.placements[1].key_us = {1000};
+  c.app.sources[0].offset_us = 1;  // the grid's begin moves on for one of them: `b` may come first
+  c.policy.placements[1].hold_us = {};
+  EXPECT_TRUE(fails(c, "of 'b', which may run when they begin"));
+}
+
 TEST(SteadyCheck, KeysThatForgetThePreemptionsAreRefused) {
   Case c = empty(true, 50);
   xnode(c, source(c, 1000), 0, 400, {900});

@@ -45,6 +45,10 @@ std::string attack(const SteadyShape& shape, int apps, int plays, std::uint64_t 
     ++played.policies;
     const Status sound = validate(answer->policy, told, on);
     EXPECT_TRUE(sound) << (sound ? "" : sound.error().to_string());
+    if (!blind) {
+      const auto derived = check(app, platform, answer->policy);
+      EXPECT_TRUE(derived) << "app " << a << ": " << (derived ? "" : derived.error().to_string());
+    }
     for (int k = 0; k < plays; ++k) {
       Disturbance how;
       how.seed = static_cast<std::uint64_t>(k) + 1;
