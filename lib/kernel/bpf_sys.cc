@@ -53,6 +53,11 @@ bool may_use_bpf() {
   return static_cast<bool>(fd) && geteuid() == 0;
 }
 
+bool has_bpf() {
+  bpf_attr attributes{};
+  return bpf(BPF_MAP_CREATE, attributes) >= 0 || errno != ENOSYS;  // EINVAL, or EPERM
+}
+
 Result<UniqueFd> open_pinned_map(const std::string& path) {
   bpf_attr attributes{};
   attributes.pathname = word(path.c_str());

@@ -62,6 +62,8 @@ class MappedMap {
 
 /// Whether this process may make BPF maps: tries one.
 [[nodiscard]] bool may_use_bpf();
+/// Whether the kernel has bpf(2): CONFIG_BPF_SYSCALL.
+[[nodiscard]] bool has_bpf();
 /// One line: which right the kernel wants for BPF.
 [[nodiscard]] std::string bpf_hint();
 

@@ -26,9 +26,11 @@ class Probe {
 
   std::vector<Finding> run() {
     kernel();
+    jetson();
     cores();
     realtime();
     throttling();
+    real_time_groups();
     memory_lock();
     sched_ext();
     btf();
@@ -61,6 +63,35 @@ class Probe {
            : "general kernel");
   }
 
+  /// What its release has by NVIDIA's configuration; the other findings say what is there.
+  void jetson() {
+    const std::string line =
+        first_line("/etc/nv_tegra_release");  // "# R36 (release), REVISION: 4.3, ..."
+    if (line.rfind("# R", 0) != 0) return;
+    const std::string release = line.substr(3, line.find(' ', 2) - 3);
+    const std::size_t revision = line.find("REVISION: ");
+    std::string found = "L4T " + release;
+    if (revision != std::string::npos)
+      found += "." + line.substr(revision + 10, line.find(',', revision) - revision - 10);
+    const std::string board = first_line("/proc/device-tree/model");
+    if (!board.empty()) found += std::string(", ") + board.c_str();  // it ends by a NUL
+    std::string meaning = "a release that nobody has read for XAuto";
+    if (release == "35")
+      meaning =
+          "its own kernel has no BPF (no sched_ext, no `xauto trace`) and RT groups; nvdla is "
+          "built in";
+    else if (release == "36")
+      meaning = "its own kernel has no BTF: no sched_ext, no `xauto trace`";
+    else if (release == "38" || release == "39")
+      meaning = rm() ? "its GPU driver is NVIDIA's RM, which has no TSG files: xauto.ko suspends "
+                       "nothing here"
+                     : "Linux 6.8: no sched_ext; the GPU driver is nvgpu";
+    add("jetson", Verdict::kOk, found, meaning, "docs/jetson.md has the list for the first board");
+  }
+
+  /// NVIDIA's RM driver, and no nvgpu.
+  [[nodiscard]] bool rm() const { return there("/dev/nvidiactl") && !there("/dev/nvgpu"); }
+
   void cores() {
     const std::string isolated = first_line("/sys/devices/system/cpu/isolated");
     add("cores", Verdict::kOk,
@@ -82,8 +113,10 @@ class Probe {
     else
       add("realtime", Verdict::kDegraded, "SCHED_FIFO refused, " + limit,
           "CPU XNodes run as ordinary threads: priorities are not enforced on real CPUs",
-          "put '@GROUP - rtprio 60' into /etc/security/limits.d/xauto.conf and log in again (in a "
-          "systemd unit: LimitRTPRIO=60), or run as root");
+          group_has_no_runtime() ? "see rt_groups"
+                                 : "put '@GROUP - rtprio 60' into "
+                                   "/etc/security/limits.d/xauto.conf and log in again (in a "
+                                   "systemd unit: LimitRTPRIO=60), or run as root");
   }
 
   void throttling() {
@@ -97,6 +130,39 @@ class Probe {
           "a core that real-time threads keep busy for longer is taken from them for the rest of "
           "the period",
           "keep CPU XNodes below that load, or `sysctl kernel.sched_rt_runtime_us=-1`");
+  }
+
+  /// CONFIG_RT_GROUP_SCHED, as JetPack 5 has it: in a group without a runtime of its own no thread
+  /// may be a real-time one, not even root's. The group's file; "": no such configuration.
+  [[nodiscard]] std::string runtime_file() const {
+    const std::string top = "/sys/fs/cgroup/cpu", file = "/cpu.rt_runtime_us";
+    if (!there(top + file)) return {};
+    std::ifstream groups(root_ + "/proc/self/cgroup");  // "4:cpu,cpuacct:/user.slice"
+    std::string own;
+    for (std::string line; std::getline(groups, line);) {
+      const std::size_t name = line.find(':'), path = line.find(':', name + 1);
+      if (path == std::string::npos) continue;
+      const std::string controllers = "," + line.substr(name + 1, path - name - 1) + ",";
+      if (controllers.find(",cpu,") != std::string::npos) own = line.substr(path + 1);
+    }
+    return top + (own == "/" ? "" : own) + file;
+  }
+  [[nodiscard]] bool group_has_no_runtime() const {
+    const std::string file = runtime_file();
+    return !file.empty() && first_line(file) == "0" &&
+           first_line("/proc/sys/kernel/sched_rt_runtime_us") != "-1";
+  }
+
+  void real_time_groups() {
+    const std::string file = runtime_file();
+    if (file.empty()) return;
+    if (!group_has_no_runtime())
+      return add("rt_groups", Verdict::kOk, file + ": " + first_line(file),
+                 "CPU XNodes run by priority where SCHED_FIFO is permitted");
+    add("rt_groups", Verdict::kDegraded, file + ": 0",
+        "this group may run no real-time thread, not even root's: priorities are not enforced on "
+        "real CPUs",
+        "write a runtime to that file, or `sysctl kernel.sched_rt_runtime_us=-1`");
   }
 
   void memory_lock() {
@@ -130,7 +196,10 @@ class Probe {
   }
 
   void bpf() {
-    if (const Status built = bpf_is_built_in(); !built)
+    if (!limits_.has_bpf)
+      add("bpf", Verdict::kMissing, "this kernel has no bpf(2)", "no sched_ext, no `xauto trace`",
+          "a kernel with CONFIG_BPF_SYSCALL has it");
+    else if (const Status built = bpf_is_built_in(); !built)
       add("bpf", Verdict::kMissing, built.error().what, "no sched_ext, no `xauto trace`",
           built.error().hint);
     else if (!limits_.may_use_bpf)
@@ -162,6 +231,12 @@ class Probe {
     for (const std::string& node : device.nodes)
       if (there(node)) nodes += (nodes.empty() ? "" : " ") + node;
     if (!nodes.empty()) return add(device.type, Verdict::kOk, nodes, device.what);
+    if (device.driver == "nvgpu" && rm())
+      return add(device.type, Verdict::kMissing, "no nvgpu, but NVIDIA's RM driver",
+                 "a platform's " + device.type +
+                     " is emulated on this machine: a context of that "
+                     "driver is no TSG file, and xauto.ko cannot suspend it",
+                 "an XPU type of your own runs on it, gated (docs/api.md, SchedHandle)");
     add(device.type, Verdict::kMissing, "no " + device.driver + " device node",
         "a platform's " + device.type + " is emulated on this machine", device.advice);
   }
@@ -209,6 +284,7 @@ Permitted Permitted::of_this_process() {
   limits.cores = static_cast<int>(rt::allowed_cores().size());
   limits.highest_fifo = rt::highest_fifo();
   limits.may_use_bpf = kernel::may_use_bpf();
+  limits.has_bpf = kernel::has_bpf();
   rlimit limit{};
   getrlimit(RLIMIT_RTPRIO, &limit);
   limits.rtprio_limit = limit.rlim_cur;

@@ -55,6 +55,57 @@ TEST_F(Machine, OrinIsRecognised) {
   EXPECT_EQ(find("xauto.ko").verdict, Verdict::kOk);
 }
 
+TEST_F(Machine, ReleasesOfL4TAreToldApart) {
+  EXPECT_EQ(find("jetson").id, "absent");
+  const auto release = [&](const std::string& of) {
+    file("etc/nv_tegra_release", "# R" + of + ", GCID: 1, BOARD: generic, EABI: aarch64\n");
+    return find("jetson");
+  };
+  file("proc/device-tree/model", std::string("NVIDIA Jetson AGX Orin\0", 23));
+  Finding f = release("35 (release), REVISION: 6.0");
+  EXPECT_EQ(f.found, "L4T 35.6.0, NVIDIA Jetson AGX Orin");
+  EXPECT_NE(f.meaning.find("no BPF"), std::string::npos);
+  EXPECT_NE(f.meaning.find("nvdla is built in"), std::string::npos);
+  f = release("36 (release), REVISION: 4.3");
+  EXPECT_EQ(f.found, "L4T 36.4.3, NVIDIA Jetson AGX Orin");
+  EXPECT_NE(f.meaning.find("no BTF"), std::string::npos);
+  file("dev/nvgpu/igpu0/tsg");
+  EXPECT_NE(release("39 (release), REVISION: 2.0").meaning.find("nvgpu"), std::string::npos);
+  EXPECT_NE(release("41 (release), REVISION: 0.0").meaning.find("nobody"), std::string::npos);
+  EXPECT_EQ(find("gpu").verdict, Verdict::kOk);
+}
+
+TEST_F(Machine, ThorHasNoTsg) {
+  file("etc/nv_tegra_release", "# R38 (release), REVISION: 4.0, GCID: 1\n");
+  file("dev/nvidiactl");
+  EXPECT_NE(find("jetson").meaning.find("RM"), std::string::npos);
+  EXPECT_EQ(find("gpu").verdict, Verdict::kMissing);
+  EXPECT_EQ(find("gpu").found, "no nvgpu, but NVIDIA's RM driver");
+  EXPECT_EQ(find("dla").found, "no nvdla device node");
+}
+
+TEST_F(Machine, AKernelWithoutBpfIsNotAQuestionOfRights) {
+  limits_.has_bpf = false;
+  EXPECT_EQ(find("bpf").found, "this kernel has no bpf(2)");
+  EXPECT_EQ(find("btf").verdict, Verdict::kMissing);
+}
+
+TEST_F(Machine, AGroupWithoutRuntimeMayRunNoRealTimeThread) {
+  EXPECT_EQ(find("rt_groups").id, "absent");
+  file("sys/fs/cgroup/cpu/cpu.rt_runtime_us", "950000\n");
+  file("proc/self/cgroup", "5:cpuset:/\n4:cpu,cpuacct:/\n0::/user.slice\n");
+  EXPECT_EQ(find("rt_groups").verdict, Verdict::kOk);
+  file("proc/self/cgroup", "5:cpuset:/\n4:cpu,cpuacct:/user.slice\n0::/user.slice\n");
+  file("sys/fs/cgroup/cpu/user.slice/cpu.rt_runtime_us", "0\n");
+  const Finding f = find("rt_groups");
+  EXPECT_EQ(f.verdict, Verdict::kDegraded);
+  EXPECT_EQ(f.found, "/sys/fs/cgroup/cpu/user.slice/cpu.rt_runtime_us: 0");
+  limits_.highest_fifo = 0;
+  EXPECT_EQ(find("realtime").advice, "see rt_groups");
+  file("proc/sys/kernel/sched_rt_runtime_us", "-1\n");
+  EXPECT_EQ(find("rt_groups").verdict, Verdict::kOk);
+}
+
 TEST_F(Machine, ModuleOfASimilarNameIsNotOurs) {
   file("proc/modules", "xauto_nvgpu_emu 1 0 - Live 0x0\n");
   EXPECT_EQ(find("xauto.ko").verdict, Verdict::kMissing);
