@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many releases, isolated: none is lost that is not counted, and nothing grows. XAUTO_SOAK_RELEASES says how many."""
+"""Many releases, isolated: none is lost that is not counted, and nothing grows. XAUTO_SOAK_RELEASES says how many,
+XAUTO_SOAK_KILLS how many processes die meanwhile."""
 import json
 import os
 import pathlib
+import random
+import signal
 import subprocess
 import time
 import unittest
@@ -11,6 +14,8 @@ from common import BIN, FULL, XAUTO, children_of, xauto
 from isolate_test import TESTAPP, Case
 
 RELEASES = int(os.environ.get("XAUTO_SOAK_RELEASES", "20000" if FULL else "4000"))
+KILLS = int(os.environ.get("XAUTO_SOAK_KILLS", "20" if FULL else "5"))
+KILL_EVERY_S = 0.4
 SANITIZED = any(name in (BIN / "testapp").read_bytes() for name in (b"__asan_init", b"__tsan_init"))
 PROCESSES = 7  # 2 coordinators, the hub, 4 modules
 GROWTH_KB = 4 * 1024  # accounts of the last 65536 releases, and what malloc keeps
@@ -62,26 +67,29 @@ class Soak(Case):
         self.assertEqual(tallies, {"c": whole, "d": whole})
         self.assert_flat(seen)
 
-    def test_three_rates_by_keys(self):
-        """Three sensors, each on its own grid. The observers in the hub count for themselves."""
-        rates = {"fast": 1000, "middle": 2000, "slow": 5000}
-        slowest = int(RELEASES / sum(rates["slow"] / us for us in rates.values()))
+    RATES = {"fast": 1000, "middle": 2000, "slow": 5000}
+
+    def three_rates(self, slowest, *flags):
+        """The command of a run by keys of three sensors, each on its own grid; `slowest`: releases of the slow one."""
         write = lambda name, value: pathlib.Path(self.path(name)).write_text(json.dumps(value))
         write("rates.json", {
             "schema": "xauto.app", "version": 2, "name": "ratesapp",
-            "sources": [{"name": f"in/{n}", "period_us": us, "jitter_us": 100} for n, us in rates.items()],
+            "sources": [{"name": f"in/{n}", "period_us": us, "jitter_us": 100} for n, us in self.RATES.items()],
             "edges": [],
-            "xnodes": [{"name": f"{n}.0", "module": n, "wcet_us": {"gpu": 100}, "source": f"in/{n}"} for n in rates]})
+            "xnodes": [{"name": f"{n}.0", "module": n, "wcet_us": {"gpu": 100}, "source": f"in/{n}"}
+                       for n in self.RATES]})
         write("rates-deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "ratesapp", "queue_depth": 256,
                                         "keep": 256})
         solved = xauto("solve", "--app", self.path("rates.json"), "--platform", "small", "--max-evaluations", 500,
                        "--time-limit-s", 60, "--out", self.path("keys.json"))
         self.assertEqual(solved.returncode, 0, solved.stderr)
-        run, seen = self.watched(
-            [XAUTO, "run", "--app", self.path("rates.json"), "--policy", self.path("keys.json"), "--platform", "small",
-             "--deployment", self.path("rates-deployment.json"), "--emulate", "--isolate", "--json", "--activations",
-             str(slowest), "--", TESTAPP.replace("testapp", "ratesapp"), self.path("result"),
-             *(f"{n}:{us}:gpu=20" for n, us in rates.items())], processes=5)  # a coordinator, the hub, 3 modules
+        return [XAUTO, "run", "--app", self.path("rates.json"), "--policy", self.path("keys.json"), "--platform",
+                "small", "--deployment", self.path("rates-deployment.json"), "--emulate", "--isolate", "--json",
+                "--activations", str(slowest), *map(str, flags), "--", TESTAPP.replace("testapp", "ratesapp"),
+                self.path("result"), *(f"{n}:{us}:gpu=20" for n, us in self.RATES.items())]
+
+    def assert_counted(self, run, slowest, observed_all=True):
+        """Each release of a sensor is a result, or counted as lost; the observers in the hub count for themselves."""
         observed = {}
         for line in pathlib.Path(self.path("result")).read_text().splitlines():
             name, messages, _, latest = line.split()
@@ -89,14 +97,57 @@ class Soak(Case):
         released = 0
         for module in run["modules"]:
             name = module["name"]
-            # Each release of a sensor is a result, or counted as lost.
             of_this = module["activations"] + module["failed"] + module["dropped"]
-            self.assertEqual(of_this, -(-slowest * rates["slow"] // rates[name]))
-            self.assertEqual((observed[name][0], module["failed"]), (module["activations"], 0))
+            self.assertEqual(of_this, -(-slowest * self.RATES["slow"] // self.RATES[name]), run["modules"])
+            self.assertEqual(module["failed"], 0)
+            if observed_all:
+                self.assertEqual(observed[name][0], module["activations"])
+            else:  # who dies between its count and its message has told the count only
+                self.assertLessEqual(observed[name][0], module["activations"])
+                self.assertLessEqual(module["activations"] - observed[name][0], KILLS)
             self.assertLess(observed[name][1], of_this)
             released += of_this
         self.assertEqual(released, run["activations"] + run["lost_activations"])
+
+    def test_three_rates_by_keys(self):
+        slowest = int(RELEASES / sum(self.RATES["slow"] / us for us in self.RATES.values()))
+        run, seen = self.watched(self.three_rates(slowest), processes=5)  # a coordinator, the hub, 3 modules
+        self.assert_counted(run, slowest)
         self.assert_flat(seen)
+
+    def test_three_rates_by_keys_with_deaths(self):
+        """Modules and the coordinator are killed at random: what is lost by that is counted, and the rest goes on."""
+        slowest = int((KILLS * KILL_EVERY_S + 2) * 1e6 / self.RATES["slow"])
+        command = self.three_rates(slowest, "--restarts", 1_000_000)
+        with open(self.path("report"), "w") as report, open(self.path("errors"), "w") as errors:
+            tool = subprocess.Popen(command, stdout=report, stderr=errors)
+            while len(children_of(tool.pid)) < 5:
+                self.assertIsNone(tool.poll(), pathlib.Path(self.path("errors")).read_text())
+                time.sleep(0.01)
+            time.sleep(1)
+            rng = random.Random(KILLS)
+            coordinators, kills = 90, 0  # of these the tool gives one up after 100
+            while kills < KILLS and tool.poll() is None:
+                time.sleep(rng.uniform(0, KILL_EVERY_S))
+                family = children_of(tool.pid)
+                coordinator = coordinators > 0 and rng.random() < 0.2
+                victims = [pid for pid, name in family.items()
+                           if name.startswith("xauto-coordinat" if coordinator else "m:")]
+                if not victims:
+                    continue
+                try:
+                    os.kill(rng.choice(sorted(victims)), signal.SIGKILL)
+                except ProcessLookupError:
+                    continue
+                kills += 1
+                coordinators -= coordinator
+            tool.wait()
+        errors = pathlib.Path(self.path("errors")).read_text()
+        self.assertEqual(kills, KILLS, errors)
+        self.assertEqual(tool.returncode, 0, errors)
+        run = json.loads(pathlib.Path(self.path("report")).read_text())["runs"][0]
+        self.assertTrue(run["complete"])
+        self.assert_counted(run, slowest, observed_all=False)
 
     def assert_flat(self, seen):
         """What is there in the second half of the run was there in the first."""
