@@ -55,14 +55,18 @@ void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
   // In order, so one at a time: no locked access on the hot path.
   counts.activations.store(counts.activations.load(std::memory_order_relaxed) + 1,
                            std::memory_order_relaxed);
-  const Graph::Module& ended = context_.graph.modules[static_cast<std::size_t>(module)];
-  const bool asked_for = ended.sink || routes_.end_at(ended.nodes.back());
-  if (!asked_for && context_.trace == nullptr) return;
+  const bool tells = asked_for(module);
+  if (!tells && context_.trace == nullptr) return;
   const std::int64_t now = now_ns();  // one instant for all accounts: the trace and the table agree
   if (context_.trace != nullptr)
     context_.trace->write_at(now, XAUTO_EV_DONE, sequence, XAUTO_EV_NONE,
                              static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
-  if (asked_for) through(module, sequence, origin_ns, origins, now, false, urgent);
+  if (tells) through(module, sequence, origin_ns, origins, now, false, urgent);
+}
+
+bool Ledger::asked_for(int module) const {
+  const Graph::Module& ended = context_.graph.modules[static_cast<std::size_t>(module)];
+  return ended.sink || routes_.end_at(ended.nodes.back());
 }
 
 void Ledger::passed(int node, std::int64_t origin_ns, std::uint64_t sequence,
@@ -86,12 +90,15 @@ void Ledger::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
 void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
                      const detail::Origins* origins, std::int64_t now, bool lost, bool urgent) {
   if (role_.tell(module, sequence, origin_ns, now, lost, origins, urgent)) return;
-  if (!lost)
+  if (!lost) {
+    std::atomic<std::uint64_t>& told = latencies_[static_cast<std::size_t>(module)]->told;
+    told.store(told.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
     if (const auto late_us =
             routes_.published(context_.graph.modules[static_cast<std::size_t>(module)].nodes.back(),
                               origin_ns, origins, now, urgent);
         late_us && (!context_.graph.single_rate || !context_.session.deployment.chains.empty()))
       missed(module, sequence, *late_us);
+  }
   if (!context_.graph.modules[static_cast<std::size_t>(module)].sink) return;
   if (!lost) {
     Latencies& latencies = *latencies_[static_cast<std::size_t>(module)];
@@ -151,9 +158,15 @@ void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool 
 
 void Ledger::forget(int module) {
   const auto m = static_cast<std::size_t>(module);
-  context_.board.module(module).in_flight.store(0);
-  // It may have died between counting a release and telling.
-  const std::uint64_t settled = context_.board.module(module).settled();
+  ModuleLine& counts = context_.board.module(module);
+  counts.in_flight.store(0);
+  // It may have died between counting a release and telling: nobody has that result.
+  const std::uint64_t settled = counts.settled();
+  const std::uint64_t done = counts.activations.load(), told = latencies_[m]->told.load();
+  if (asked_for(module) && done > told) {
+    counts.activations.store(told);
+    counts.dropped.fetch_add(done - told);
+  }
   if (context_.graph.modules[m].sink && context_.graph.single_rate && settled > 0)
     account(module, settled - 1, now_ns(), true);
 }

@@ -63,11 +63,14 @@ class Ledger {
   };
   /// Latencies of a sink; the counts are on the board.
   struct Latencies {
+    std::atomic<std::uint64_t> told{0};  ///< results that were heard of here; one writer at a time
     PiMutex mutex;
     Distribution us XAUTO_GUARDED_BY(mutex);
   };
 
   void account(int module, std::uint64_t sequence, std::int64_t now_ns, bool lost);
+  /// Whether its results are told to who keeps the accounts.
+  [[nodiscard]] bool asked_for(int module) const;
   void missed(int module, std::uint64_t sequence, std::int64_t latency_us);
   [[nodiscard]] bool settled() const;
   [[nodiscard]] bool wait_quiet();
