@@ -42,6 +42,7 @@ static u32 xauto_queues_generation = 1; /* of the list, under its lock; never 0,
 static struct kmem_cache *xauto_queue_cache; /* of its own: a leak shows at unload */
 static struct delayed_work xauto_sweepers[XAUTO_DEVICES];
 static bool xauto_sweepers_stopped; /* under the registry's lock */
+static u32 xauto_sleeps; /* of the system; what a driver was told before the last is gone */
 
 static const struct xauto_queue_ops *xauto_queue_ops_of(u32 type)
 {
@@ -221,7 +222,6 @@ static int xauto_queue_resume(struct xauto_queue *queue, u32 portid, u64 *cost)
 		queue->stats.resumes++;
 		queue->stats.suspended_ns += begin + *cost - queue->suspended_at;
 		queue->suspended = false;
-		queue->slept = false;
 		queue->lost = false;
 		xauto_power_put(queue->power);
 	}
@@ -268,9 +268,12 @@ static int xauto_queue_preempt(struct xauto_queue *queue, u32 portid, bool *wait
 /* Suspended: tells the driver so. */
 static int xauto_queue_tell(struct xauto_queue *queue, u32 portid, bool *waited)
 {
+	u32 sleeps = READ_ONCE(xauto_sleeps); /* before: one in between makes it be told again */
 	int err = queue->ops->suspend(queue);
 
 	*waited = false;
+	if (!err)
+		queue->sleeps = sleeps;
 	if (!err && queue->ops->slot)
 		err = queue->ops->slot(queue, &queue->slot);
 	if (!err && xauto_queue_may_preempt(queue))
@@ -291,7 +294,6 @@ static int xauto_queue_suspend(struct xauto_queue *queue, u32 portid, u64 *cost)
 	err = xauto_power_get(queue->power);
 	if (!err) {
 		queue->suspended = true;
-		queue->slept = false;
 		queue->suspended_at = begin;
 		err = xauto_queue_tell(queue, portid, &waited);
 	}
@@ -313,8 +315,8 @@ static void xauto_queue_escaped(struct xauto_queue *queue, u32 portid, u64 cost,
 /* It is suspended, as far as the driver was told: tells it again. */
 static int xauto_queue_tell_again(struct xauto_queue *queue, u32 portid, u64 *cost)
 {
-	u32 slot = queue->slot;
-	bool escaped = queue->slept || queue->lost, waited;
+	u32 slot = queue->slot, sleeps = queue->sleeps;
+	bool waited;
 	u64 begin = ktime_get_ns();
 	int err;
 
@@ -329,9 +331,8 @@ static int xauto_queue_tell_again(struct xauto_queue *queue, u32 portid, u64 *co
 	}
 	if (err && err != -ETIMEDOUT)
 		return err;
-	if (escaped || waited || slot != queue->slot)
+	if (queue->lost || waited || slot != queue->slot || sleeps != queue->sleeps)
 		xauto_queue_escaped(queue, portid, *cost, err);
-	queue->slept = false;
 	queue->lost = false;
 	return err;
 }
@@ -339,7 +340,8 @@ static int xauto_queue_tell_again(struct xauto_queue *queue, u32 portid, u64 *co
 /* The sweeper's. A DLA is asked for the slot each time, and told by a command now and then. */
 static void xauto_queue_keep_suspended(struct xauto_queue *queue)
 {
-	bool due = time_after_eq(jiffies, queue->retry_at);
+	bool due = time_after_eq(jiffies, queue->retry_at) ||
+		   queue->sleeps != READ_ONCE(xauto_sleeps);
 	u32 slot;
 	u64 cost;
 	int err;
@@ -348,7 +350,7 @@ static void xauto_queue_keep_suspended(struct xauto_queue *queue)
 		err = queue->ops->slot(queue, &slot);
 		if (err == -EAGAIN || (err && queue->lost))
 			return;
-		if (!err && !due && !queue->slept && !queue->lost && slot == queue->slot)
+		if (!err && !due && !queue->lost && slot == queue->slot)
 			return;
 	} else if (!due) {
 		return;
@@ -578,20 +580,14 @@ static void xauto_queue_sweep(struct work_struct *work)
 	}
 }
 
-/* The system has slept: whatever the drivers were told they have forgotten. */
+/* The system has slept. Refuses nothing. */
 static int xauto_queue_on_sleep(struct notifier_block *block, unsigned long event, void *data)
 {
-	struct xauto_queue *queue;
-	unsigned long id;
 	int i;
 
 	if (event != PM_POST_SUSPEND && event != PM_POST_HIBERNATION && event != PM_POST_RESTORE)
 		return NOTIFY_DONE;
-	for (id = 0; (queue = xauto_queue_next(&id)); id++) {
-		WRITE_ONCE(queue->slept, true);
-		WRITE_ONCE(queue->retry_at, jiffies);
-		xauto_queue_put(queue);
-	}
+	WRITE_ONCE(xauto_sleeps, xauto_sleeps + 1);
 	for (i = 0; i < XAUTO_DEVICES; i++)
 		mod_delayed_work(xauto_device_at(i)->works, &xauto_sweepers[i], 0);
 	return NOTIFY_DONE;

@@ -129,7 +129,7 @@ struct xauto_queue_info {
  * @votes: claims that want it suspended
  * @suspended: the driver was told to suspend and not yet to resume
  * @orphan: suspended without a vote since the driver refused to resume; the sweeper tries again
- * @slept: the system has, since it was suspended: whatever was told is forgotten
+ * @sleeps: how often the system had slept when the driver was told last
  * @lost: the process has released it, as far as we have seen
  * @slot: that it had when it was suspended
  * @suspended_at: ktime in ns when @suspended became true
@@ -161,8 +161,8 @@ struct xauto_queue {
 	unsigned int votes;
 	bool suspended;
 	bool orphan;
-	bool slept;
 	bool lost;
+	u32 sleeps;
 	u32 slot;
 	u64 suspended_at;
 	unsigned long retry_at;

@@ -17,7 +17,8 @@
  *     FD is a descriptor of the caller's. The module takes its own reference, so the caller may
  *     close it. To register another process's queue, take its descriptor with pidfd_getfd(2),
  *     whose ptrace rules then apply, and say in PID whose it is. Registering a queue again on the
- *     same socket gives the handle it has.
+ *     same socket gives the handle it has. A DLA queue that nobody has registered is resumed: its
+ *     slot may have been suspended when another process released it.
  *
  * XAUTO_CMD_UNREGISTER  HANDLE
  *     Resumes it first.

@@ -122,6 +122,20 @@ void escapes() {
   ktap_test(eventually([] { return guest::count(guest::gpu_state(), "enabled=0") == 2; }) &&
                 info(held.owner, handle).escapes == 0,
             "one that had no work is suspended again, and did not escape");
+
+  // A TSG may have a second file, which another owner has registered: no driver's word tells that.
+  nvgpu_tsg_get_share_token_args token{1, 1, 0};
+  (void)raw::call(held.tsg.get(), NVGPU_TSG_IOCTL_GET_SHARE_TOKEN, &token);
+  nvgpu_gpu_open_tsg_args shared{0, NVGPU_GPU_IOCTL_OPEN_TSG_FLAGS_SHARE, 1, token.share_token};
+  if (raw::call(raw::ctrl().get(), NVGPU_GPU_IOCTL_OPEN_TSG, &shared) != 0) ktap_bail("not shared");
+  const UniqueFd second(static_cast<int>(shared.tsg_fd));
+  QueueControl another = control();
+  const auto same = registered(another, QueueType::kGpuTsg, second);
+  known = info(held.owner, held.handle).escapes;
+  ktap_test(another.suspend(same) && another.resume(same) && eventually([&] {
+              return held.off() && info(held.owner, held.handle).escapes > known;
+            }),
+            "another owner's resume through a second file of the TSG is an escape as well");
   raw::gpu_parameter("save_us", "100");
 }
 
@@ -495,7 +509,7 @@ void unload_is_told() {
 }  // namespace
 
 int main() {
-  ktap_plan(45);
+  ktap_plan(46);
   escapes();
   repeated();
   dla_released();
