@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/netlink/xauto.yaml says what include/uapi/xauto/netlink.h says: every name, number and limit, both ways; and what
-a request may hold is what kmod/netlink.c takes."""
+"""docs/netlink/xauto.yaml says what include/uapi/xauto/netlink.h says: every name, number and limit, both ways; and
+what a request may hold is what kmod/netlink.c takes."""
 import pathlib
 import re
 import sys
