@@ -255,7 +255,10 @@ static int xauto_queue_preempt(struct xauto_queue *queue, u32 portid, bool *wait
 		ms = max_t(u64, ms, XAUTO_STUCK_STEP_MS);
 	else if (!*waited || ms < XAUTO_SLOW_MS)
 		return err;
+	if (!queue->stuck_ms) /* the driver counts for the context's life, and so do we */
+		kref_get(&queue->ref);
 	queue->stuck_ms = min_t(u64, queue->stuck_ms + ms, INT_MAX);
+	queue->remembered = true;
 	if (err)
 		queue->preempt_at = jiffies + msecs_to_jiffies(2 * queue->stuck_ms);
 	if (queue->stuck_ms >= XAUTO_STUCK_MAX_MS && !queue->gated) {
@@ -531,7 +534,7 @@ static struct file *xauto_queue_take_gone(struct xauto_queue *queue)
 static void xauto_queue_sweep_one(struct xauto_queue *queue)
 {
 	struct file *gone = NULL;
-	bool adopted = false;
+	bool adopted = false, forgotten = false;
 	u64 cost;
 
 	mutex_lock(&queue->lock);
@@ -545,6 +548,10 @@ static void xauto_queue_sweep_one(struct xauto_queue *queue)
 		queue->orphan = false;
 		adopted = true;
 	}
+	if (queue->remembered && !queue->file) {
+		queue->remembered = false;
+		forgotten = true;
+	}
 	xauto_queue_unlock(queue);
 	if (gone) {
 		mutex_lock(&xauto_queues_lock);
@@ -553,6 +560,8 @@ static void xauto_queue_sweep_one(struct xauto_queue *queue)
 		fput(gone);
 	}
 	if (adopted)
+		xauto_queue_put(queue);
+	if (forgotten)
 		xauto_queue_put(queue);
 }
 
@@ -634,6 +643,8 @@ void xauto_queue_exit(void)
 			xauto_power_put(queue->power);
 			xauto_queue_put(queue);
 		}
+		if (queue->remembered)
+			xauto_queue_put(queue);
 		xauto_queue_put(queue);
 	}
 	xa_destroy(&xauto_queues);

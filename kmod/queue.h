@@ -114,7 +114,7 @@ struct xauto_queue_info {
 
 /**
  * struct xauto_queue - a hardware queue
- * @ref: one per claim, one of the registry while it is an orphan
+ * @ref: one per claim, one of the registry while it is an orphan, and one while @remembered
  * @rcu: the registry is walked without its lock
  * @id: in the registry, and in events
  * @type: enum xauto_queue_type
@@ -137,6 +137,7 @@ struct xauto_queue_info {
  * @retry_ms: how long it did so last; 0: the driver did what it was told
  * @preempt_at: jiffies; not preempted until then
  * @stuck_ms: preemptions that took long, in sum
+ * @remembered: it has cost the context some of its life: kept until the process closes it
  * @gated: never preempted again
  * @n_sliced: stakes that set the time slice
  * @n_leveled: stakes that set the interleave level
@@ -169,6 +170,7 @@ struct xauto_queue {
 	u32 retry_ms;
 	unsigned long preempt_at;
 	u32 stuck_ms;
+	bool remembered;
 	bool gated;
 	u32 n_sliced;
 	u32 n_leveled;

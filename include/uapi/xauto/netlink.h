@@ -60,7 +60,8 @@
  * A GPU gives up after 100 ms or more, and a context that was slow for 3 s in all its life is
  * killed by its driver. So one that failed is left alone for a while (SUSPEND: EBUSY), and once
  * STUCK_MS is %XAUTO_STUCK_MAX_MS it is GATED: never preempted again, for it would not survive it.
- * Its owner has to wait until its work has ended.
+ * Its owner has to wait until its work has ended. That is remembered until its process closes it,
+ * also while nobody has it registered.
  *
  * Permission
  * ----------

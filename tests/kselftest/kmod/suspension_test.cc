@@ -281,6 +281,12 @@ void stuck() {
   ktap_test(!owner.suspend(handle) && info(owner, handle).errors == at_end.errors &&
                 has(guest::gpu_state(), "killed=0") && !has(guest::gpu_state(), "killed=1"),
             "for ever, and the driver does not kill it");
+  (void)owner.unregister(handle);
+  QueueControl another = control();
+  const auto anew = registered(another, QueueType::kGpuTsg, tsg);
+  const auto again = another.suspend(anew);
+  ktap_test(info(another, anew).gated && !again && again.error().code == ErrorCode::kUnavailable,
+            "also where another owner registers it");
   raw::gpu_parameter("yield_us", "0");
 }
 
@@ -509,7 +515,7 @@ void unload_is_told() {
 }  // namespace
 
 int main() {
-  ktap_plan(46);
+  ktap_plan(47);
   escapes();
   repeated();
   dla_released();
