@@ -81,7 +81,11 @@ static int xauto_dla_suspend(struct xauto_queue *queue)
 		err = xauto_dla_set_status(queue, NVDLA_SET_QUEUE_SUSPEND);
 	if (!err)
 		err = xauto_dla_ask_slot(queue->file, &after);
-	return err ?: before == after ? 0 : -ENODATA;
+	if (!err && before != after)
+		err = -ENODATA;
+	if (!err)
+		queue->slot = after;
+	return err;
 }
 
 /* A file without a queue has nothing that could be resumed. */

@@ -277,8 +277,6 @@ static int xauto_queue_tell(struct xauto_queue *queue, u32 portid, bool *waited)
 	*waited = false;
 	if (!err)
 		queue->sleeps = sleeps;
-	if (!err && queue->ops->slot)
-		err = queue->ops->slot(queue, &queue->slot);
 	if (!err && xauto_queue_may_preempt(queue))
 		err = xauto_queue_preempt(queue, portid, waited);
 	return err;
@@ -351,7 +349,7 @@ static void xauto_queue_keep_suspended(struct xauto_queue *queue)
 
 	if (queue->ops->slot) {
 		err = queue->ops->slot(queue, &slot);
-		if (err == -EAGAIN || (err && queue->lost))
+		if (err == -EAGAIN || (err && queue->lost) || (err && err != -ENODATA && !due))
 			return;
 		if (!err && !due && !queue->lost && slot == queue->slot)
 			return;

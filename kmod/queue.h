@@ -56,7 +56,7 @@ struct xauto_queue;
  * struct xauto_queue_ops - what a kind of queue can do; tsg.c, dla.c
  * @verify: is this file such a queue? 0, or a negative errno with its text in the extack
  * @slot: which of the device's queues the file has now; -ENODATA: none, -EAGAIN: asleep
- * @suspend: start none of its work
+ * @suspend: start none of its work; notes the slot that it was told of
  * @preempt: wait until none of it runs; -ETIMEDOUT: it still does
  * @resume: let it run
  *

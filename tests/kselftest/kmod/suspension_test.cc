@@ -183,6 +183,14 @@ void dla_released() {
   (void)raw::call(dla.get(), NVDLA_IOCTL_ALLOC_QUEUE);
   ktap_test(eventually([] { return has(guest::dla_state(), "suspended=1"); }),
             "also where that was too quick to be seen");
+  const std::uint64_t before = info(owner, handle).errors;
+  guest::dla_fault("fail_suspend", 1000);
+  guest::sleep_ms(2000);
+  guest::dla_fault("fail_suspend", 0);
+  const std::uint64_t errors = info(owner, handle).errors - before;
+  ktap_test(errors >= 1 && errors <= 10,
+            "a firmware that refuses is asked ever more rarely (%llu times in 2 s)",
+            static_cast<unsigned long long>(errors));
   (void)raw::call(dla.get(), NVDLA_IOCTL_RELEASE_QUEUE);
   ktap_test(has(text_of(owner.suspend(handle)), "released"), "suspending a released one says so");
   ktap_test(owner.resume(handle).has_value() && !info(owner, handle).suspended,
@@ -515,7 +523,7 @@ void unload_is_told() {
 }  // namespace
 
 int main() {
-  ktap_plan(47);
+  ktap_plan(48);
   escapes();
   repeated();
   dla_released();
