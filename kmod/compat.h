@@ -54,6 +54,13 @@ static inline struct class *xauto_class_create(const char *name)
 #define XAUTO_DEVNODE_CONST
 #endif
 
+/* Since 6.14 what a child is compared with is const. */
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 14, 0)
+#define XAUTO_CHILD_CONST const
+#else
+#define XAUTO_CHILD_CONST
+#endif
+
 /* 6.13 has hrtimer_setup(); 6.15 removed hrtimer_init(). */
 static inline void xauto_hrtimer_setup(struct hrtimer *timer,
 				       enum hrtimer_restart (*function)(struct hrtimer *),

@@ -43,7 +43,9 @@ static struct sk_buff *xauto_event_message(u32 kind, struct xauto_queue *queue, 
 	    nla_put_u32(msg, XAUTO_A_PORTID, portid) ||
 	    nla_put_u64_64bit(msg, XAUTO_A_TIME_NS, ktime_get_ns(), XAUTO_A_PAD) ||
 	    nla_put_u64_64bit(msg, XAUTO_A_COST_NS, cost_ns, XAUTO_A_PAD) ||
-	    nla_put_u32(msg, XAUTO_A_ERRNO, -err)) {
+	    nla_put_u32(msg, XAUTO_A_ERRNO, -err) ||
+	    (kind == XAUTO_KEV_ESCAPED &&
+	     nla_put_u64_64bit(msg, XAUTO_A_ESCAPES, queue->stats.escapes, XAUTO_A_PAD))) {
 		nlmsg_free(msg);
 		return NULL;
 	}
@@ -88,6 +90,12 @@ void xauto_event_of_queue(u32 kind, struct xauto_queue *queue, u32 portid, u64 c
 		break;
 	case XAUTO_KEV_TARGET_GONE:
 		trace_target_gone(queue, portid, cost_ns, err);
+		break;
+	case XAUTO_KEV_ESCAPED:
+		trace_escaped(queue, portid, cost_ns, err);
+		break;
+	case XAUTO_KEV_GATED:
+		trace_gated(queue, portid, cost_ns, err);
 		break;
 	}
 	xauto_event_multicast(kind, queue, queue->pid, portid, cost_ns, err);

@@ -49,7 +49,10 @@ static const struct nla_policy xauto_watchdog_policy[XAUTO_A_MAX + 1] = {
 	[XAUTO_A_TIMEOUT_MS] = NLA_POLICY_FULL_RANGE(NLA_U32, &xauto_watchdog_range),
 };
 
-/* @skb: the caller's message: both who sent it and who opened the socket need the capability. */
+/*
+ * @skb: the caller's message. Who sends it needs the capability; who opened the socket does, too,
+ * unless the message has an address (sendto(2)), for which netlink asks the sender alone.
+ */
 static bool xauto_may_touch(struct sk_buff *skb, const struct cred *opener)
 {
 	return uid_eq(current_euid(), opener->euid) ||
@@ -196,6 +199,8 @@ static int xauto_cmd_unregister(struct sk_buff *skb, struct genl_info *info)
 	if (err == -ENOENT)
 		NL_SET_ERR_MSG_ATTR(info->extack, info->attrs[XAUTO_A_HANDLE],
 				    "no such handle on this socket");
+	else if (err == -EINTR)
+		NL_SET_ERR_MSG(info->extack, "interrupted; the module goes on");
 	else if (err)
 		NL_SET_ERR_MSG(
 			info->extack,
@@ -213,6 +218,13 @@ static void xauto_explain(struct netlink_ext_ack *extack, struct nlattr *at, u32
 		NL_SET_ERR_MSG(extack, "the queue's process is gone");
 	else if (err == -EOPNOTSUPP)
 		NL_SET_ERR_MSG(extack, "a DLA queue has neither time slice nor interleave level");
+	else if (err == -EINTR)
+		NL_SET_ERR_MSG(extack, "interrupted");
+	else if (err == -ENODATA)
+		NL_SET_ERR_MSG(extack, "its process has released the DLA queue");
+	else if (action == XAUTO_ACTION_SUSPEND && err == -EBUSY)
+		NL_SET_ERR_MSG(extack,
+			       "not tried: this context did not leave the engine in time before");
 	else if (action == XAUTO_ACTION_RESUME)
 		NL_SET_ERR_MSG(extack, "the driver did not resume it; the module tries again");
 	else if (action == XAUTO_ACTION_SUSPEND && err == -ETIMEDOUT)
@@ -395,6 +407,9 @@ static int xauto_fill_queue(struct sk_buff *msg, struct xauto_queue *queue,
 	    nla_put_u64_64bit(msg, XAUTO_A_SUSPENDED_NS, q.stats.suspended_ns, XAUTO_A_PAD) ||
 	    nla_put_u64_64bit(msg, XAUTO_A_COST_NS, q.stats.cost_ns, XAUTO_A_PAD) ||
 	    nla_put_u64_64bit(msg, XAUTO_A_COST_MAX_NS, q.stats.cost_max_ns, XAUTO_A_PAD) ||
+	    nla_put_u64_64bit(msg, XAUTO_A_ESCAPES, q.stats.escapes, XAUTO_A_PAD) ||
+	    nla_put_u32(msg, XAUTO_A_STUCK_MS, q.stuck_ms) ||
+	    nla_put_u8(msg, XAUTO_A_GATED, q.gated) ||
 	    (q.timeslice_us && nla_put_u32(msg, XAUTO_A_TIMESLICE_US, q.timeslice_us)) ||
 	    (handle && nla_put_u32(msg, XAUTO_A_HANDLE, handle)))
 		return -EMSGSIZE;
@@ -443,18 +458,12 @@ out:
 static int xauto_dump_queue(struct sk_buff *msg, struct netlink_callback *cb,
 			    struct xauto_queue *queue)
 {
-	const struct cred *opener = xauto_queue_cred(queue);
 	struct xauto_owner *owner;
 	void *header;
 	int err;
 
-	if (!opener)
+	if (!READ_ONCE(queue->file) || !xauto_may_touch(cb->skb, queue->cred))
 		return 0;
-	if (!xauto_may_touch(cb->skb, opener)) {
-		put_cred(opener);
-		return 0;
-	}
-	put_cred(opener);
 	header = genlmsg_put(msg, NETLINK_CB(cb->skb).portid, cb->nlh->nlmsg_seq, &xauto_family,
 			     NLM_F_MULTI, XAUTO_CMD_GET);
 	if (!header)

@@ -1,41 +1,60 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
- * Owners: sockets, their claims, watchdogs and deaths; and the sweeper. owner.h tells the rules.
+ * Owners: sockets, their claims, watchdogs and deaths; owner.h tells the rules.
  */
-#include <linux/moduleparam.h>
+#include <linux/cred.h>
+#include <linux/list.h>
 #include <linux/netlink.h>
 #include <linux/notifier.h>
 #include <linux/pid.h>
 #include <linux/sched/signal.h>
 #include <linux/slab.h>
+#include <linux/spinlock.h>
 #include <net/net_namespace.h>
 #include <net/sock.h>
 
 #include "compat.h"
+#include "device.h"
 #include "event.h"
 #include "owner.h"
 #include "queue.h"
 
-static unsigned int xauto_sweep_ms = 50;
-module_param_named(sweep_ms, xauto_sweep_ms, uint, 0444);
-MODULE_PARM_DESC(sweep_ms,
-		 "how often dead processes and orphaned queues are looked for (default: 50 ms)");
+/* An owner whose process dies while a child has the socket, or a driver it, is seen so soon. */
+#define XAUTO_LOOK_MS 20
 
-/* In an owner's table of handles. @vote is covered by the queue's lock. */
+/**
+ * struct xauto_claim - in an owner's table of handles
+ * @ref: the table's, which the last @end takes over; one while @end is queued, one of a handler
+ * @owner: whose it is, with a reference
+ * @queue: what it is about, with a reference
+ * @stake: what it wants of it, covered by the queue's lock
+ * @end: on the device's work queue: ends the vote
+ * @final: and everything else; written before @end is queued
+ * @done: @end has done so
+ */
 struct xauto_claim {
+	struct kref ref;
+	struct xauto_owner *owner;
 	struct xauto_queue *queue;
-	bool vote;
+	struct xauto_stake stake;
+	struct work_struct end;
+	bool final;
+	bool done;
 };
 
-/* By port id; the array's own lock orders additions and removals. */
+/* By port id; the array's own lock orders removals. */
 static DEFINE_XARRAY(xauto_owners);
-static atomic_t xauto_n_owners = ATOMIC_INIT(0);
-static struct workqueue_struct *xauto_reaper;
+/* Those that are about to end as well: they count. */
+static struct list_head xauto_all_owners = LIST_HEAD_INIT(xauto_all_owners);
+static DEFINE_SPINLOCK(xauto_all_owners_lock);
+static DEFINE_MUTEX(xauto_owners_lock); /* additions, and @xauto_closed */
+static bool xauto_closed;
+static struct workqueue_struct *xauto_reaper; /* no work on it calls a driver */
 static struct kmem_cache *xauto_owner_cache; /* caches of their own: a leak shows at unload */
 static struct kmem_cache *xauto_claim_cache;
 
-static void xauto_sweep(struct work_struct *work);
-static DECLARE_DELAYED_WORK(xauto_sweeper, xauto_sweep);
+static void xauto_look(struct work_struct *work);
+static DECLARE_DELAYED_WORK(xauto_looker, xauto_look);
 
 static void xauto_owner_free(struct rcu_head *rcu)
 {
@@ -46,11 +65,13 @@ static void xauto_owner_release(struct kref *ref)
 {
 	struct xauto_owner *owner = container_of(ref, struct xauto_owner, ref);
 
+	spin_lock(&xauto_all_owners_lock);
+	list_del(&owner->node);
+	spin_unlock(&xauto_all_owners_lock);
 	xa_destroy(&owner->claims);
 	put_pid(owner->pid);
 	sock_put(owner->sk);
 	call_rcu(&owner->rcu, xauto_owner_free);
-	atomic_dec(&xauto_n_owners);
 }
 
 void xauto_owner_put(struct xauto_owner *owner)
@@ -93,24 +114,43 @@ struct xauto_owner *xauto_owner_find(struct sk_buff *skb)
 	return owner;
 }
 
-/* Ends the claim's vote; the owner's lock is held. */
-static int xauto_owner_end_vote(struct xauto_owner *owner, struct xauto_claim *claim, u64 *cost_ns)
+static void xauto_claim_release(struct kref *ref)
 {
-	bool voted = claim->vote;
-	int err = xauto_queue_vote(claim->queue, &claim->vote, false, owner->portid, cost_ns);
+	struct xauto_claim *claim = container_of(ref, struct xauto_claim, ref);
 
-	owner->n_votes -= voted;
-	return err;
+	xauto_queue_put(claim->queue);
+	xauto_owner_put(claim->owner);
+	kmem_cache_free(xauto_claim_cache, claim);
 }
 
-static void xauto_owner_end_votes(struct xauto_owner *owner)
+static void xauto_claim_put(struct xauto_claim *claim)
 {
-	struct xauto_claim *claim;
-	unsigned long handle;
+	kref_put(&claim->ref, xauto_claim_release);
+}
 
-	lockdep_assert_held(&owner->lock);
-	xa_for_each(&owner->claims, handle, claim)
-		xauto_owner_end_vote(owner, claim, NULL);
+/* Work, on the device's queue: it waits for that device and no other. */
+static void xauto_claim_end(struct work_struct *work)
+{
+	struct xauto_claim *claim = container_of(work, struct xauto_claim, end);
+	bool final = READ_ONCE(claim->final);
+
+	xauto_queue_want(claim->queue, &claim->stake, final ? XAUTO_WANT_NOTHING : XAUTO_WANT_RUN,
+			 claim->owner->portid, NULL);
+	if (final && !claim->done) {
+		claim->done = true;
+		xauto_claim_put(claim); /* the table's */
+	}
+	xauto_claim_put(claim); /* this work's */
+}
+
+/* @final: it is out of its table. */
+static void xauto_claim_queue_end(struct xauto_claim *claim, bool final)
+{
+	kref_get(&claim->ref);
+	if (final)
+		WRITE_ONCE(claim->final, true);
+	if (!queue_work(claim->queue->device->works, &claim->end))
+		xauto_claim_put(claim); /* it is queued already, and will see @final */
 }
 
 /* Work: the owner is out of the table, nobody finds it any more. */
@@ -127,12 +167,9 @@ static void xauto_owner_reap(struct work_struct *work)
 
 	mutex_lock(&owner->lock);
 	xauto_event_of_owner(XAUTO_KEV_OWNER_GONE, owner->portid, owner->pid);
-	/* All votes before any claim: what is suspended comes first. */
-	xauto_owner_end_votes(owner);
 	xa_for_each(&owner->claims, handle, claim) {
 		xa_erase(&owner->claims, handle);
-		xauto_queue_put(claim->queue);
-		kmem_cache_free(xauto_claim_cache, claim);
+		xauto_claim_queue_end(claim, true);
 	}
 	mutex_unlock(&owner->lock);
 	xauto_owner_put(owner);
@@ -141,11 +178,12 @@ static void xauto_owner_reap(struct work_struct *work)
 static void xauto_owner_watchdog(struct work_struct *work)
 {
 	struct xauto_owner *owner = container_of(work, struct xauto_owner, watchdog.work);
-	unsigned long due;
+	struct xauto_claim *claim;
+	unsigned long handle, due;
 
 	mutex_lock(&owner->lock);
 	due = READ_ONCE(owner->fed) + msecs_to_jiffies(owner->watchdog_ms);
-	if (!owner->n_votes || !owner->watchdog_ms)
+	if (!atomic_read(&owner->n_votes) || !owner->watchdog_ms)
 		goto out;
 	if (time_before(jiffies, due)) {
 		queue_delayed_work(xauto_reaper, &owner->watchdog, due - jiffies);
@@ -153,7 +191,8 @@ static void xauto_owner_watchdog(struct work_struct *work)
 	}
 	owner->expired = true;
 	xauto_event_of_owner(XAUTO_KEV_WATCHDOG, owner->portid, owner->pid);
-	xauto_owner_end_votes(owner);
+	xa_for_each(&owner->claims, handle, claim)
+		xauto_claim_queue_end(claim, false);
 out:
 	mutex_unlock(&owner->lock);
 }
@@ -161,7 +200,7 @@ out:
 static void xauto_owner_start_watchdog(struct xauto_owner *owner)
 {
 	lockdep_assert_held(&owner->lock);
-	if (owner->watchdog_ms && owner->n_votes && !owner->dead)
+	if (owner->watchdog_ms && atomic_read(&owner->n_votes) && !owner->dead)
 		mod_delayed_work(xauto_reaper, &owner->watchdog,
 				 msecs_to_jiffies(owner->watchdog_ms));
 }
@@ -180,42 +219,80 @@ static struct xauto_owner *xauto_owner_new(struct sk_buff *skb)
 	owner->sk = NETLINK_CB(skb).sk;
 	sock_hold(owner->sk);
 	owner->portid = NETLINK_CB(skb).portid;
+	owner->uid = current_euid();
 	owner->pid = get_pid(task_tgid(current));
 	owner->watchdog_ms = XAUTO_WATCHDOG_DEFAULT_MS;
 	owner->fed = jiffies;
+	spin_lock(&xauto_all_owners_lock);
+	list_add(&owner->node, &xauto_all_owners);
+	spin_unlock(&xauto_all_owners_lock);
 	return owner;
 }
 
-struct xauto_owner *xauto_owner_get(struct sk_buff *skb, struct netlink_ext_ack *extack)
+/* Is there room for one more of this user's? 0, or a negative errno with its text. */
+static int xauto_owner_admit(struct sk_buff *skb, struct netlink_ext_ack *extack)
+{
+	bool may_reserve = netlink_ns_capable(skb, &init_user_ns, CAP_SYS_NICE);
+	struct xauto_owner *owner;
+	u32 all = 0, mine = 0;
+
+	lockdep_assert_held(&xauto_owners_lock);
+	if (xauto_closed) {
+		NL_SET_ERR_MSG(extack, "the module is being unloaded");
+		return -ESHUTDOWN;
+	}
+	spin_lock(&xauto_all_owners_lock);
+	list_for_each_entry(owner, &xauto_all_owners, node) {
+		all++;
+		mine += uid_eq(owner->uid, current_euid());
+	}
+	spin_unlock(&xauto_all_owners_lock);
+	if (all >= XAUTO_MAX_OWNERS - (may_reserve ? 0 : XAUTO_RESERVED_OWNERS)) {
+		NL_SET_ERR_MSG(extack, "too many owners on this machine");
+		return -ENOSPC;
+	}
+	if (!may_reserve && mine >= XAUTO_MAX_USER_OWNERS) {
+		NL_SET_ERR_MSG(extack, "too many owners of this user");
+		return -ENOSPC;
+	}
+	return 0;
+}
+
+/* A new one in the table, or the one that another thread has made for this socket just now. */
+static struct xauto_owner *xauto_owner_add(struct sk_buff *skb, struct netlink_ext_ack *extack)
 {
 	struct xauto_owner *owner = xauto_owner_find(skb);
 	int err;
 
 	if (owner)
 		return owner;
-	if (atomic_inc_return(&xauto_n_owners) > XAUTO_MAX_OWNERS) {
-		atomic_dec(&xauto_n_owners);
-		NL_SET_ERR_MSG(extack, "too many owners on this machine");
-		return ERR_PTR(-ENOSPC);
-	}
+	err = xauto_owner_admit(skb, extack);
+	if (err)
+		return ERR_PTR(err);
 	owner = xauto_owner_new(skb);
-	if (!owner) {
-		atomic_dec(&xauto_n_owners);
+	if (!owner)
 		return ERR_PTR(-ENOMEM);
-	}
 	kref_get(&owner->ref); /* the caller's, beside the table's */
-	/* Before others see the owner: what they do with it is swept even if we get no CPU. */
-	queue_delayed_work(xauto_reaper, &xauto_sweeper, msecs_to_jiffies(xauto_sweep_ms));
+	/* Before others see the owner: its process is looked at even if we get no CPU. */
+	queue_delayed_work(xauto_reaper, &xauto_looker, msecs_to_jiffies(XAUTO_LOOK_MS));
 	err = xa_insert(&xauto_owners, owner->portid, owner, GFP_KERNEL);
 	if (err) {
-		/* Two threads sent on one socket; the other was first. */
 		xauto_owner_put(owner);
 		xauto_owner_put(owner);
-		owner = err == -EBUSY ? xauto_owner_find(skb) : NULL;
-		if (!owner && err == -EBUSY)
-			NL_SET_ERR_MSG(extack, "the socket's owner just ended; register again");
-		return owner ?: ERR_PTR(err == -EBUSY ? -EAGAIN : err);
+		return ERR_PTR(err);
 	}
+	return owner;
+}
+
+struct xauto_owner *xauto_owner_get(struct sk_buff *skb, struct netlink_ext_ack *extack)
+{
+	struct xauto_owner *owner = xauto_owner_find(skb);
+
+	if (owner)
+		return owner;
+	mutex_lock(&xauto_owners_lock);
+	owner = xauto_owner_add(skb, extack);
+	mutex_unlock(&xauto_owners_lock);
 	return owner;
 }
 
@@ -262,6 +339,10 @@ int xauto_owner_claim(struct xauto_owner *owner, struct xauto_queue *queue, u32 
 		err = -ENOMEM;
 		goto put;
 	}
+	kref_init(&claim->ref);
+	INIT_WORK(&claim->end, xauto_claim_end);
+	claim->stake.votes = &owner->n_votes;
+	claim->owner = owner;
 	claim->queue = queue;
 	err = xa_alloc_cyclic(&owner->claims, handle, claim, XA_LIMIT(1, INT_MAX),
 			      &owner->next_handle, GFP_KERNEL);
@@ -269,6 +350,7 @@ int xauto_owner_claim(struct xauto_owner *owner, struct xauto_queue *queue, u32 
 		kmem_cache_free(xauto_claim_cache, claim);
 		goto put;
 	}
+	kref_get(&owner->ref);
 	owner->n_claims++;
 	xauto_event_of_queue(XAUTO_KEV_REGISTER, queue, owner->portid, 0, 0);
 	mutex_unlock(&owner->lock);
@@ -286,41 +368,60 @@ int xauto_owner_unclaim(struct xauto_owner *owner, u32 handle)
 
 	mutex_lock(&owner->lock);
 	claim = xa_erase(&owner->claims, handle);
-	if (!claim) {
-		mutex_unlock(&owner->lock);
-		return -ENOENT;
-	}
-	err = xauto_owner_end_vote(owner, claim, NULL);
-	owner->n_claims--;
-	xauto_event_of_queue(XAUTO_KEV_UNREGISTER, claim->queue, owner->portid, 0, 0);
+	if (claim)
+		owner->n_claims--;
 	mutex_unlock(&owner->lock);
-	xauto_queue_put(claim->queue);
-	kmem_cache_free(xauto_claim_cache, claim);
+	if (!claim)
+		return -ENOENT;
+	err = xauto_queue_want(claim->queue, &claim->stake, XAUTO_WANT_NOTHING, owner->portid,
+			       NULL);
+	if (err == -EINTR) { /* the caller dies; we do not */
+		xauto_claim_queue_end(claim, true);
+		return err;
+	}
+	xauto_event_of_queue(XAUTO_KEV_UNREGISTER, claim->queue, owner->portid, 0, 0);
+	xauto_claim_put(claim);
 	return err == -ENODEV ? 0 : err;
+}
+
+/* With a reference, or NULL. */
+static struct xauto_claim *xauto_owner_claim_of(struct xauto_owner *owner, u32 handle)
+{
+	struct xauto_claim *claim;
+
+	mutex_lock(&owner->lock);
+	claim = owner->dead ? NULL : xa_load(&owner->claims, handle);
+	if (claim)
+		kref_get(&claim->ref);
+	mutex_unlock(&owner->lock);
+	return claim;
 }
 
 int xauto_owner_act(struct xauto_owner *owner, u32 action, u32 handle, u32 value, u64 *cost_ns)
 {
-	struct xauto_claim *claim;
+	struct xauto_claim *claim = xauto_owner_claim_of(owner, handle);
 	int err;
 
 	*cost_ns = 0;
-	mutex_lock(&owner->lock);
-	claim = owner->dead ? NULL : xa_load(&owner->claims, handle);
-	if (!claim) {
-		err = -ENOENT;
-	} else if (action == XAUTO_ACTION_SUSPEND) {
-		bool voted = claim->vote;
-
-		err = xauto_queue_vote(claim->queue, &claim->vote, true, owner->portid, cost_ns);
-		if (claim->vote && !voted && !owner->n_votes++)
-			xauto_owner_start_watchdog(owner);
+	if (!claim)
+		return -ENOENT;
+	if (action == XAUTO_ACTION_SUSPEND) {
+		err = xauto_queue_want(claim->queue, &claim->stake, XAUTO_WANT_SUSPENDED,
+				       owner->portid, cost_ns);
+		if (!err) {
+			mutex_lock(&owner->lock);
+			if (!delayed_work_pending(&owner->watchdog))
+				xauto_owner_start_watchdog(owner);
+			mutex_unlock(&owner->lock);
+		}
 	} else if (action == XAUTO_ACTION_RESUME) {
-		err = xauto_owner_end_vote(owner, claim, cost_ns);
+		err = xauto_queue_want(claim->queue, &claim->stake, XAUTO_WANT_RUN, owner->portid,
+				       cost_ns);
 	} else {
-		err = xauto_queue_set(claim->queue, action, value, owner->portid, cost_ns);
+		err = xauto_queue_set(claim->queue, &claim->stake, action, value, owner->portid,
+				      cost_ns);
 	}
-	mutex_unlock(&owner->lock);
+	xauto_claim_put(claim);
 	return err;
 }
 
@@ -359,8 +460,8 @@ bool xauto_owner_expired(struct xauto_owner *owner)
 }
 
 /*
- * Every thread has begun to exit. Its descriptors close then, but the socket may live on in a
- * child.
+ * Every thread has begun to exit, or has to: one may be in a driver for a second, and the socket
+ * stays open as long. Descriptors close then, but the socket may live on in a child.
  */
 static bool xauto_process_is_dead(struct pid *pid)
 {
@@ -369,12 +470,13 @@ static bool xauto_process_is_dead(struct pid *pid)
 
 	rcu_read_lock();
 	task = pid_task(pid, PIDTYPE_TGID);
-	dead = !task || !atomic_read(&task->signal->live);
+	dead = !task || !atomic_read(&task->signal->live) ||
+	       (READ_ONCE(task->signal->flags) & SIGNAL_GROUP_EXIT);
 	rcu_read_unlock();
 	return dead;
 }
 
-static void xauto_sweep(struct work_struct *work)
+static void xauto_look(struct work_struct *work)
 {
 	struct xauto_owner *owner;
 	unsigned long portid;
@@ -387,8 +489,10 @@ static void xauto_sweep(struct work_struct *work)
 			xauto_owner_bury(owner);
 		xauto_owner_put(owner);
 	}
-	if (xauto_queue_sweep() || atomic_read(&xauto_n_owners))
-		queue_delayed_work(xauto_reaper, &xauto_sweeper, msecs_to_jiffies(xauto_sweep_ms));
+	mutex_lock(&xauto_owners_lock);
+	if (!xa_empty(&xauto_owners) && !xauto_closed)
+		queue_delayed_work(xauto_reaper, &xauto_looker, msecs_to_jiffies(XAUTO_LOOK_MS));
+	mutex_unlock(&xauto_owners_lock);
 }
 
 static int xauto_on_netlink(struct notifier_block *block, unsigned long state, void *data)
@@ -433,7 +537,6 @@ int xauto_owner_init(void)
 	err = netlink_register_notifier(&xauto_netlink_block);
 	if (err)
 		goto err_reaper;
-	xauto_sweep_ms = clamp(xauto_sweep_ms, 1u, 1000u);
 	return 0;
 
 err_reaper:
@@ -443,16 +546,26 @@ err_caches:
 	return err;
 }
 
-void xauto_owner_exit(void)
+void xauto_owner_stop(void)
 {
 	struct xauto_owner *owner;
 	unsigned long portid;
 
-	netlink_unregister_notifier(&xauto_netlink_block);
-	cancel_delayed_work_sync(&xauto_sweeper);
+	mutex_lock(&xauto_owners_lock);
+	xauto_closed = true;
+	mutex_unlock(&xauto_owners_lock);
+	cancel_delayed_work_sync(&xauto_looker);
 	xa_for_each(&xauto_owners, portid, owner)
 		xauto_owner_bury(owner);
-	destroy_workqueue(xauto_reaper); /* waits for them */
+	flush_workqueue(xauto_reaper);
+	xauto_device_flush();
+}
+
+void xauto_owner_exit(void)
+{
+	netlink_unregister_notifier(&xauto_netlink_block);
+	destroy_workqueue(xauto_reaper);
+	xauto_device_flush(); /* claims of handlers that were at work */
 	xa_destroy(&xauto_owners);
 	rcu_barrier(); /* the last owners are on their way to xauto_owner_free() */
 	xauto_owner_free_caches();

@@ -13,18 +13,23 @@
  * another process may have a socket on it by then. Hence an owner holds its socket, a message finds
  * only the owner of the socket it came from, and the notifier takes none whose socket lives.
  *
- * The notifier only takes the owner out of the table; the driver calls happen on our work queue,
- * so that no exiting process waits for a driver.
+ * The notifier only takes the owner out of the table; the driver calls happen on the work queues of
+ * the devices, a work item for each claim. So no exiting process waits for a driver, and no queue
+ * for another queue's driver call.
  *
- * Locks: owner->lock covers claims and the watchdog's settings; a queue's lock is taken inside it.
+ * Locks: owner->lock covers claims and the watchdog's settings. No driver is called with it held,
+ * and no queue's lock is taken inside it.
  */
 #ifndef XAUTO_OWNER_H
 #define XAUTO_OWNER_H
 
+#include <linux/atomic.h>
 #include <linux/kref.h>
+#include <linux/list.h>
 #include <linux/mutex.h>
 #include <linux/rcupdate.h>
 #include <linux/types.h>
+#include <linux/uidgid.h>
 #include <linux/workqueue.h>
 #include <linux/xarray.h>
 
@@ -34,17 +39,18 @@ struct sk_buff;
 struct sock;
 struct xauto_queue;
 
-#define XAUTO_MAX_OWNERS 1024
 #define XAUTO_MAX_CLAIMS 256 /* of one owner */
 
 /**
  * struct xauto_owner - a netlink socket
  * @ref: one of the table's, one of a handler at work, one while a work item is queued
  * @rcu: the table is read without a lock
+ * @node: in the list of all
  * @sk: the socket, held so that no other has its address
  * @portid: its name in events, and the table's key
+ * @uid: whose share of the table it takes
  * @pid: the process that registered first
- * @lock: covers everything below except @fed
+ * @lock: covers everything below except @n_votes and @fed
  * @claims: handle to struct xauto_claim
  * @next_handle: for xa_alloc_cyclic(): a handle is not soon used again
  * @n_claims: in @claims
@@ -54,19 +60,21 @@ struct xauto_queue;
  * @watchdog_ms: 0: none
  * @fed: jiffies of the last message
  * @watchdog: due while @n_votes > 0
- * @reap: ends all votes and claims
+ * @reap: hands all claims to their devices' work queues, to end
  */
 struct xauto_owner {
 	struct kref ref;
 	struct rcu_head rcu;
+	struct list_head node;
 	struct sock *sk;
 	u32 portid;
+	kuid_t uid;
 	struct pid *pid;
-	struct mutex lock; /* everything below except @fed */
+	struct mutex lock; /* everything below except @n_votes and @fed */
 	struct xarray claims;
 	u32 next_handle;
 	u32 n_claims;
-	u32 n_votes;
+	atomic_t n_votes;
 	bool dead;
 	bool expired;
 	u32 watchdog_ms;
@@ -99,7 +107,9 @@ void xauto_owner_set_watchdog(struct xauto_owner *owner, u32 timeout_ms);
 bool xauto_owner_expired(struct xauto_owner *owner);
 
 int xauto_owner_init(void);
-/* No message can come any more: ends every owner, and waits until all is resumed. */
+/* Messages may still come, but make no owner any more: ends all, and waits until all is resumed. */
+void xauto_owner_stop(void);
+/* No message can come any more. */
 void xauto_owner_exit(void);
 
 #endif /* XAUTO_OWNER_H */

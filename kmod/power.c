@@ -2,40 +2,56 @@
 /*
  * Power for what is suspended.
  *
- * A disabled TSG has no work on the engine, so runtime power management may gate the GPU while the
- * TSG's context is off it; boards were wedged that way. From a TSG's file no public way leads to
- * its device, so all platform devices of the driver that made the file (one GPU, two DLAs) stay
- * powered while something of that driver is suspended.
+ * Both drivers forget a suspension with the power: nvgpu enables every channel when the GPU comes
+ * back, and a DLA's firmware starts anew. So the device stays powered while something of it is
+ * suspended. No public way leads from an anonymous file to its device, so it is all platform
+ * devices of the driver that made the file. A driver that is built in cannot be told from the
+ * others; there it is the one whose child the file's node is.
+ * (A system sleep asks nobody; queue.c suspends again after it.)
  */
 #include <linux/device.h>
+#include <linux/fs.h>
 #include <linux/platform_device.h>
 #include <linux/pm_runtime.h>
 
+#include "compat.h"
 #include "power.h"
 #include "queue.h"
 
 struct xauto_power_search {
-	struct module *driver;
+	const struct file *file;
 	struct device **devices;
 	int found;
 };
 
+static int xauto_power_is_node(struct device *child, XAUTO_CHILD_CONST void *node)
+{
+	return child->devt == *(const dev_t *)node;
+}
+
 static int xauto_power_look_at(struct device *dev, void *data)
 {
 	struct xauto_power_search *search = data;
+	dev_t node = file_inode(search->file)->i_rdev;
+	struct module *module = search->file->f_op->owner;
 	struct device_driver *driver = READ_ONCE(dev->driver);
+	struct device *child = NULL;
 
-	if (driver && driver->owner == search->driver && search->found < XAUTO_MAX_POWER)
+	if (!driver || search->found == XAUTO_MAX_POWER)
+		return 0;
+	if (node && !module)
+		child = device_find_child(dev, &node, xauto_power_is_node);
+	if (child || (module && driver->owner == module))
 		search->devices[search->found++] = get_device(dev);
+	put_device(child);
 	return 0;
 }
 
-void xauto_power_find(struct module *driver, struct device **devices)
+void xauto_power_find(const struct file *file, struct device **devices)
 {
-	struct xauto_power_search search = { .driver = driver, .devices = devices };
+	struct xauto_power_search search = { .file = file, .devices = devices };
 
-	if (driver) /* a built-in driver cannot be told from the others */
-		bus_for_each_dev(&platform_bus_type, NULL, &search, xauto_power_look_at);
+	bus_for_each_dev(&platform_bus_type, NULL, &search, xauto_power_look_at);
 }
 
 void xauto_power_forget(struct device **devices)

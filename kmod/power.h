@@ -3,10 +3,10 @@
 #define XAUTO_POWER_H
 
 struct device;
-struct module;
+struct file;
 
 /* @devices: XAUTO_MAX_POWER entries, NULL where there is none. */
-void xauto_power_find(struct module *driver, struct device **devices);
+void xauto_power_find(const struct file *file, struct device **devices);
 void xauto_power_forget(struct device **devices);
 
 /* Powered until the matching put. 0 or a negative errno, and then nothing is held. May sleep. */

@@ -28,6 +28,7 @@ DECLARE_EVENT_CLASS(xauto_queue,
 		__field(u32, portid)
 		__field(u32, votes)
 		__field(s32, err)
+		__field(u64, escapes)
 	),
 	TP_fast_assign(
 		__entry->cost_ns = cost_ns;
@@ -37,11 +38,14 @@ DECLARE_EVENT_CLASS(xauto_queue,
 		__entry->portid = portid;
 		__entry->votes = queue->votes;
 		__entry->err = err;
+		__entry->escapes = queue->stats.escapes;
 	),
-	TP_printk("queue=%u type=%s pid=%d portid=%u votes=%u cost_ns=%llu err=%d", __entry->queue,
+	TP_printk("queue=%u type=%s pid=%d portid=%u votes=%u cost_ns=%llu err=%d escapes=%llu",
+		  __entry->queue,
 		  __print_symbolic(__entry->type, { XAUTO_QUEUE_GPU_TSG, "gpu" },
 				   { XAUTO_QUEUE_DLA, "dla" }),
-		  __entry->pid, __entry->portid, __entry->votes, __entry->cost_ns, __entry->err)
+		  __entry->pid, __entry->portid, __entry->votes, __entry->cost_ns, __entry->err,
+		  __entry->escapes)
 );
 
 #define XAUTO_QUEUE_EVENT(name)                                                            \
@@ -56,6 +60,8 @@ XAUTO_QUEUE_EVENT(resume);
 XAUTO_QUEUE_EVENT(set_timeslice);
 XAUTO_QUEUE_EVENT(set_interleave);
 XAUTO_QUEUE_EVENT(target_gone);
+XAUTO_QUEUE_EVENT(escaped);
+XAUTO_QUEUE_EVENT(gated);
 
 DECLARE_EVENT_CLASS(xauto_owner,
 	TP_PROTO(u32 portid, int pid),

@@ -26,17 +26,17 @@
 #include <linux/mutex.h>
 #include <linux/sched/mm.h>
 #include <linux/sched/signal.h>
+#include <linux/security.h>
 #include <linux/uaccess.h>
 
 #include "compat.h"
+#include "device.h"
 #include "uarg.h"
 
-#define UARG_MAX 64
-/* A driver may take long for one device; the others' calls then go through the other lanes. */
-#define UARG_LANES 4
+#define UARG_MAX 64 /* of an argument, and of what is written beside it */
 
 /**
- * struct xauto_uarg_lane - a thread and its part of the page
+ * struct xauto_uarg_lane - a device's thread and its part of the page
  * @busy: held by the one whose call it is
  * @worker: the thread
  * @work: the call
@@ -58,7 +58,7 @@ struct xauto_uarg_lane {
 	long result;
 };
 
-static struct xauto_uarg_lane xauto_uarg_lanes[UARG_LANES];
+static struct xauto_uarg_lane xauto_uarg_lanes[XAUTO_DEVICES]; /* by the device's index */
 static struct mm_struct *xauto_uarg_mm;
 static unsigned long xauto_uarg_page;
 static bool xauto_uarg_alone; /* the loader's own mappings are gone; lane 0's thread only */
@@ -74,6 +74,21 @@ static void xauto_uarg_trim(void)
 		  xauto_uarg_mm->task_size - xauto_uarg_page - PAGE_SIZE);
 }
 
+/* As the kernel's vfs_ioctl(), which newer kernels do not export. */
+static long xauto_vfs_ioctl(struct file *file, unsigned int cmd, unsigned long arg)
+{
+	long err = file->f_op->unlocked_ioctl ? file->f_op->unlocked_ioctl(file, cmd, arg) :
+						-ENOIOCTLCMD;
+
+	switch (err) {
+	case -ENOIOCTLCMD:
+		return -ENOTTY;
+	case -ENODEV:
+		return -EIO;
+	}
+	return err;
+}
+
 static void xauto_uarg_call(struct kthread_work *work)
 {
 	struct xauto_uarg_lane *lane = container_of(work, struct xauto_uarg_lane, work);
@@ -86,35 +101,29 @@ static void xauto_uarg_call(struct kthread_work *work)
 	if (copy_to_user(user, lane->arg, size)) {
 		lane->result = -EFAULT;
 	} else {
-		lane->result =
-			lane->file->f_op->unlocked_ioctl(lane->file, lane->cmd, lane->address);
+		lane->result = xauto_vfs_ioctl(lane->file, lane->cmd, lane->address);
 		if ((_IOC_DIR(lane->cmd) & _IOC_READ) && copy_from_user(lane->arg, user, size))
 			lane->result = -EFAULT;
 	}
 	kthread_unuse_mm(xauto_uarg_mm);
 }
 
-static struct xauto_uarg_lane *xauto_uarg_take_lane(void)
+long xauto_ioctl_arg(struct xauto_device *device, struct file *file, unsigned int cmd, void *arg,
+		     u64 *scratch)
 {
-	struct xauto_uarg_lane *lane;
-	int i;
-
-	for (i = 0; i < UARG_LANES; i++)
-		if (mutex_trylock(&xauto_uarg_lanes[i].busy))
-			return &xauto_uarg_lanes[i];
-	lane = &xauto_uarg_lanes[raw_smp_processor_id() % UARG_LANES];
-	mutex_lock(&lane->busy);
-	return lane;
-}
-
-long xauto_ioctl_arg(struct file *file, unsigned int cmd, void *arg)
-{
-	struct xauto_uarg_lane *lane;
+	struct xauto_uarg_lane *lane = &xauto_uarg_lanes[device->index];
 	long result;
 
-	if (WARN_ON_ONCE(_IOC_SIZE(cmd) > UARG_MAX) || !file->f_op->unlocked_ioctl)
+	if (WARN_ON_ONCE(_IOC_SIZE(cmd) > UARG_MAX))
 		return -ENOTTY;
-	lane = xauto_uarg_take_lane();
+	/* Here, since this is who asks; the lane's thread is the kernel. */
+	result = security_file_ioctl(file, cmd, lane->address);
+	if (result)
+		return result;
+	if (mutex_lock_killable(&lane->busy))
+		return -EINTR;
+	if (scratch)
+		*scratch = lane->address + UARG_MAX;
 	lane->file = file;
 	lane->cmd = cmd;
 	lane->arg = arg;
@@ -127,16 +136,16 @@ long xauto_ioctl_arg(struct file *file, unsigned int cmd, void *arg)
 
 long xauto_ioctl(struct file *file, unsigned int cmd)
 {
-	if (!file->f_op->unlocked_ioctl)
-		return -ENOTTY;
-	return file->f_op->unlocked_ioctl(file, cmd, 0);
+	int err = security_file_ioctl(file, cmd, 0);
+
+	return err ? err : xauto_vfs_ioctl(file, cmd, 0);
 }
 
 void xauto_uarg_exit(void)
 {
 	int i;
 
-	for (i = 0; i < UARG_LANES; i++)
+	for (i = 0; i < XAUTO_DEVICES; i++)
 		if (xauto_uarg_lanes[i].worker)
 			kthread_destroy_worker(xauto_uarg_lanes[i].worker);
 	mmput(xauto_uarg_mm);
@@ -155,11 +164,11 @@ int xauto_uarg_init(void)
 	xauto_uarg_mm = current->mm;
 	mmget(xauto_uarg_mm);
 
-	for (i = 0; i < UARG_LANES; i++) {
+	for (i = 0; i < XAUTO_DEVICES; i++) {
 		struct xauto_uarg_lane *lane = &xauto_uarg_lanes[i];
 
 		mutex_init(&lane->busy);
-		lane->address = xauto_uarg_page + i * UARG_MAX;
+		lane->address = xauto_uarg_page + i * 2 * UARG_MAX;
 		kthread_init_work(&lane->work, xauto_uarg_call);
 		lane->worker = kthread_create_worker(0, "xauto/ioctl%d", i);
 		if (IS_ERR(lane->worker)) {

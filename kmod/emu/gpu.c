@@ -24,13 +24,21 @@
 #include "fault.h"
 #include "gpu_engine.h"
 
+static char *gpu_release = "r36";
+module_param_named(release, gpu_release, charp, 0444);
+MODULE_PARM_DESC(release, "whose nvgpu this is: r35 or r36 (default: r36)");
+
 /* Faults, in debugfs: how many of the next calls fail. */
-static u32 gpu_fail_preempt;
-static u32 gpu_fail_enable;
+static u32 gpu_fail_preempt; /* the context does not leave: EBUSY, as late as nvgpu says it */
+static u32 gpu_fail_enable; /* ENABLE meets a GPU that does not power on */
 
 enum { NODE_CTRL, NODE_TSG, NODE_CHANNEL, N_NODES };
 
-static const char *const gpu_node_names[N_NODES] = { "ctrl", "tsg", "channel" };
+/* Both hierarchies exist at once. */
+static const char *const gpu_node_names[2 * N_NODES] = {
+	"nvgpu/igpu0/ctrl", "nvgpu/igpu0/tsg", "nvgpu/igpu0/channel",
+	"nvhost-ctrl-gpu",  "nvhost-tsg-gpu",  "nvhost-gpu",
+};
 
 static struct gpu gpu_emu;
 static struct platform_device *gpu_pdev;
@@ -39,15 +47,46 @@ static struct cdev gpu_node_cdev;
 static dev_t gpu_node_base;
 static struct dentry *gpu_debug_dir;
 
+static bool gpu_is_r36(void)
+{
+	return strcmp(gpu_release, "r35") != 0;
+}
+
+/*
+ * nvgpu's order of refusals: what cannot be of this file is EINVAL, a number that is unknown in its
+ * range is the caller's, ENOTTY.
+ */
+static bool gpu_cmd_is_foreign(unsigned int cmd, unsigned int magic, unsigned int last,
+			       unsigned int max_size)
+{
+	return _IOC_TYPE(cmd) != magic || !_IOC_NR(cmd) || _IOC_NR(cmd) > last ||
+	       _IOC_SIZE(cmd) > max_size;
+}
+
+/* nvgpu's gk20a_busy() and gk20a_idle(). Power that comes back enables every channel. */
+static int gpu_busy(bool fail)
+{
+	if (fail)
+		return -ENODEV;
+	pm_runtime_get_sync(&gpu_pdev->dev);
+	return 0;
+}
+
+static void gpu_idle(void)
+{
+	pm_runtime_mark_last_busy(&gpu_pdev->dev);
+	pm_runtime_put_autosuspend(&gpu_pdev->dev);
+}
+
 static int gpu_tsg_file_release(struct inode *inode, struct file *file)
 {
-	gpu_tsg_free(file->private_data);
+	gpu_tsg_put(file->private_data);
 	return 0;
 }
 
 static const struct file_operations gpu_channel_fops;
 
-static long gpu_tsg_bind_channel(struct gpu_tsg *tsg, void __user *arg)
+static long gpu_tsg_bind_channel(struct gpu_tsg *tsg, void __user *arg, bool bind)
 {
 	struct file *file;
 	long err = -EINVAL;
@@ -62,9 +101,40 @@ static long gpu_tsg_bind_channel(struct gpu_tsg *tsg, void __user *arg)
 	 * A channel is another file of ours; the "channel" node has them as well as OPEN_CHANNEL.
 	 */
 	if (file->f_op == &gpu_channel_fops)
-		err = gpu_channel_bind(tsg, file->private_data);
+		err = bind ? gpu_channel_bind(tsg, file->private_data, gpu_is_r36()) :
+			     gpu_channel_unbind(tsg, file->private_data);
 	fput(file);
 	return err;
+}
+
+/* Those that need the GPU powered, which may be what enables the TSG. */
+static long gpu_tsg_switch(struct gpu_tsg *tsg, unsigned int cmd)
+{
+	long err = gpu_busy(cmd == NVGPU_IOCTL_TSG_ENABLE &&
+			    xauto_emu_take_fault(&gpu_fail_enable));
+
+	if (err)
+		return err;
+	if (cmd == NVGPU_IOCTL_TSG_ENABLE)
+		gpu_tsg_enable(tsg);
+	else if (cmd == NVGPU_IOCTL_TSG_DISABLE)
+		gpu_tsg_disable(tsg);
+	else
+		err = gpu_tsg_preempt(tsg, xauto_emu_take_fault(&gpu_fail_preempt));
+	gpu_idle();
+	return err;
+}
+
+static long gpu_tsg_get_share_token(struct gpu_tsg *tsg, void __user *arg)
+{
+	struct nvgpu_tsg_get_share_token_args args;
+
+	if (copy_from_user(&args, arg, sizeof(args)))
+		return -EFAULT;
+	if (!args.source_device_instance_id || !args.target_device_instance_id)
+		return -EINVAL;
+	args.share_token = gpu_tsg_token(tsg);
+	return copy_to_user(arg, &args, sizeof(args)) ? -EFAULT : 0;
 }
 
 static long gpu_tsg_ioctl(struct file *file, unsigned int cmd, unsigned long value)
@@ -74,16 +144,17 @@ static long gpu_tsg_ioctl(struct file *file, unsigned int cmd, unsigned long val
 	struct nvgpu_timeslice_args slice = {};
 	struct gpu_tsg *tsg = file->private_data;
 
+	if (gpu_cmd_is_foreign(cmd, NVGPU_TSG_IOCTL_MAGIC, gpu_is_r36() ? 21 : 17, 24))
+		return -EINVAL;
 	switch (cmd) {
 	case NVGPU_TSG_IOCTL_BIND_CHANNEL:
-		return gpu_tsg_bind_channel(tsg, arg);
+		return gpu_tsg_bind_channel(tsg, arg, true);
+	case NVGPU_TSG_IOCTL_UNBIND_CHANNEL:
+		return gpu_tsg_bind_channel(tsg, arg, false);
 	case NVGPU_IOCTL_TSG_ENABLE:
-		return xauto_emu_take_fault(&gpu_fail_enable) ? -EIO : gpu_tsg_enable(tsg);
 	case NVGPU_IOCTL_TSG_DISABLE:
-		gpu_tsg_disable(tsg);
-		return 0;
 	case NVGPU_IOCTL_TSG_PREEMPT:
-		return xauto_emu_take_fault(&gpu_fail_preempt) ? -ETIMEDOUT : gpu_tsg_preempt(tsg);
+		return gpu_tsg_switch(tsg, cmd);
 	case NVGPU_IOCTL_TSG_SET_RUNLIST_INTERLEAVE:
 		if (copy_from_user(&interleave, arg, sizeof(interleave)))
 			return -EFAULT;
@@ -95,6 +166,10 @@ static long gpu_tsg_ioctl(struct file *file, unsigned int cmd, unsigned long val
 	case NVGPU_IOCTL_TSG_GET_TIMESLICE:
 		slice.timeslice_us = READ_ONCE(tsg->timeslice_us);
 		return copy_to_user(arg, &slice, sizeof(slice)) ? -EFAULT : 0;
+	case NVGPU_TSG_IOCTL_GET_SHARE_TOKEN:
+		if (gpu_is_r36())
+			return gpu_tsg_get_share_token(tsg, arg);
+		break;
 	}
 	return -ENOTTY;
 }
@@ -117,6 +192,8 @@ static long gpu_channel_ioctl(struct file *file, unsigned int cmd, unsigned long
 	struct xauto_emu_work work;
 	long err;
 
+	if (cmd == NVGPU_IOCTL_CHANNEL_SET_PREEMPTION_MODE)
+		return gpu_channel_touch(file->private_data);
 	if (cmd != XAUTO_EMU_IOCTL_SUBMIT)
 		return -ENOTTY;
 	if (copy_from_user(&work, arg, sizeof(work)))
@@ -157,35 +234,48 @@ static const struct file_operations gpu_channel_fops = { .owner = THIS_MODULE,
 							 .read = gpu_channel_read,
 							 XAUTO_NO_LLSEEK };
 
-static long gpu_ctrl_open_tsg(void __user *arg)
+/* What r36 asks beside r35's flags, which may be anything there. */
+static struct gpu_tsg *gpu_open_or_share(const struct nvgpu_gpu_open_tsg_args *args)
 {
-	struct nvgpu_gpu_open_tsg_args args;
+	bool shared = args->flags & NVGPU_GPU_IOCTL_OPEN_TSG_FLAGS_SHARE;
+	struct gpu_tsg *tsg;
+
+	if (shared != !!args->source_device_instance_id || shared != !!args->share_token)
+		return ERR_PTR(-EINVAL);
+	if (!shared)
+		return gpu_tsg_new(&gpu_emu);
+	tsg = gpu_tsg_share(&gpu_emu, args->share_token);
+	return tsg ?: ERR_PTR(-EINVAL);
+}
+
+/* @size: of the release's struct; the first field is the same in both. */
+static long gpu_ctrl_open_tsg(void __user *arg, size_t size)
+{
+	struct nvgpu_gpu_open_tsg_args args = {};
 	struct gpu_tsg *tsg;
 	struct file *file;
 	char name[32];
 	int fd;
 
-	if (copy_from_user(&args, arg, sizeof(args)))
+	if (copy_from_user(&args, arg, size))
 		return -EFAULT;
-	if (args.flags)
-		return -EOPNOTSUPP; /* sharing between processes is not emulated */
-	tsg = gpu_tsg_new(&gpu_emu);
+	tsg = gpu_is_r36() ? gpu_open_or_share(&args) : gpu_tsg_new(&gpu_emu);
 	if (IS_ERR(tsg))
 		return PTR_ERR(tsg);
 	fd = get_unused_fd_flags(O_CLOEXEC);
 	if (fd < 0) {
-		gpu_tsg_free(tsg);
+		gpu_tsg_put(tsg);
 		return fd;
 	}
 	snprintf(name, sizeof(name), "nvgpu-ga10b-tsg%d", fd);
 	file = anon_inode_getfile(name, &gpu_tsg_fops, tsg, O_RDWR | O_CLOEXEC);
 	if (IS_ERR(file)) {
 		put_unused_fd(fd);
-		gpu_tsg_free(tsg);
+		gpu_tsg_put(tsg);
 		return PTR_ERR(file);
 	}
 	args.tsg_fd = fd;
-	if (copy_to_user(arg, &args, sizeof(args))) {
+	if (copy_to_user(arg, &args, size)) {
 		put_unused_fd(fd);
 		fput(file);
 		return -EFAULT;
@@ -204,9 +294,9 @@ static long gpu_ctrl_open_channel(void __user *arg)
 
 	if (copy_from_user(&args, arg, sizeof(args)))
 		return -EFAULT;
-	if (args.in.runlist_id != -1 && args.in.runlist_id != 0)
-		return -EINVAL; /* there is one engine */
-	channel = gpu_channel_new(&gpu_emu);
+	if (args.in.runlist_id < -1 || args.in.runlist_id >= GPU_ENGINES)
+		return -EINVAL;
+	channel = gpu_channel_new(&gpu_emu, max(args.in.runlist_id, 0));
 	if (!channel)
 		return -ENOMEM;
 	fd = get_unused_fd_flags(O_CLOEXEC);
@@ -235,7 +325,15 @@ static long gpu_ctrl_ioctl(struct file *file, unsigned int cmd, unsigned long va
 {
 	switch (cmd) {
 	case NVGPU_GPU_IOCTL_OPEN_TSG:
-		return gpu_ctrl_open_tsg((void __user *)value);
+		if (!gpu_is_r36())
+			break;
+		return gpu_ctrl_open_tsg((void __user *)value,
+					 sizeof(struct nvgpu_gpu_open_tsg_args));
+	case NVGPU_GPU_IOCTL_OPEN_TSG_R35:
+		if (gpu_is_r36())
+			break;
+		return gpu_ctrl_open_tsg((void __user *)value,
+					 sizeof(struct nvgpu_gpu_open_tsg_args_r35));
 	case NVGPU_GPU_IOCTL_OPEN_CHANNEL:
 		return gpu_ctrl_open_channel((void __user *)value);
 	}
@@ -252,7 +350,7 @@ static int gpu_node_open(struct inode *inode, struct file *file)
 {
 	void *made;
 
-	switch (iminor(inode)) {
+	switch (iminor(inode) % N_NODES) {
 	case NODE_CTRL:
 		replace_fops(file, fops_get(&gpu_ctrl_fops));
 		return 0;
@@ -264,7 +362,7 @@ static int gpu_node_open(struct inode *inode, struct file *file)
 		replace_fops(file, fops_get(&gpu_tsg_fops));
 		return 0;
 	case NODE_CHANNEL:
-		made = gpu_channel_new(&gpu_emu);
+		made = gpu_channel_new(&gpu_emu, 0);
 		if (!made)
 			return -ENOMEM;
 		file->private_data = made;
@@ -283,19 +381,19 @@ static char *gpu_devnode(XAUTO_DEVNODE_CONST struct device *dev, umode_t *mode)
 {
 	if (mode)
 		*mode = 0666;
-	return kasprintf(GFP_KERNEL, "nvgpu/igpu0/%s", gpu_node_names[MINOR(dev->devt)]);
+	return kstrdup(gpu_node_names[MINOR(dev->devt)], GFP_KERNEL);
 }
 
 static int gpu_create_nodes(void)
 {
 	int i, err;
 
-	err = alloc_chrdev_region(&gpu_node_base, 0, N_NODES, "nvgpu");
+	err = alloc_chrdev_region(&gpu_node_base, 0, 2 * N_NODES, "nvgpu");
 	if (err)
 		return err;
 	cdev_init(&gpu_node_cdev, &gpu_node_fops);
 	gpu_node_cdev.owner = THIS_MODULE;
-	err = cdev_add(&gpu_node_cdev, gpu_node_base, N_NODES);
+	err = cdev_add(&gpu_node_cdev, gpu_node_base, 2 * N_NODES);
 	if (err)
 		goto err_region;
 	gpu_node_class = xauto_class_create("nvgpu-emu");
@@ -304,10 +402,10 @@ static int gpu_create_nodes(void)
 		goto err_cdev;
 	}
 	gpu_node_class->devnode = gpu_devnode;
-	for (i = 0; i < N_NODES; i++) {
+	for (i = 0; i < 2 * N_NODES; i++) {
 		struct device *dev = device_create(gpu_node_class, &gpu_pdev->dev,
-						   gpu_node_base + i, NULL, "igpu0-%s",
-						   gpu_node_names[i]);
+						   gpu_node_base + i, NULL, "nvgpu-emu%d",
+						   i);
 
 		if (IS_ERR(dev)) {
 			err = PTR_ERR(dev);
@@ -323,7 +421,7 @@ err_nodes:
 err_cdev:
 	cdev_del(&gpu_node_cdev);
 err_region:
-	unregister_chrdev_region(gpu_node_base, N_NODES);
+	unregister_chrdev_region(gpu_node_base, 2 * N_NODES);
 	return err;
 }
 
@@ -331,11 +429,11 @@ static void gpu_remove_nodes(void)
 {
 	int i;
 
-	for (i = 0; i < N_NODES; i++)
+	for (i = 0; i < 2 * N_NODES; i++)
 		device_destroy(gpu_node_class, gpu_node_base + i);
 	class_destroy(gpu_node_class);
 	cdev_del(&gpu_node_cdev);
-	unregister_chrdev_region(gpu_node_base, N_NODES);
+	unregister_chrdev_region(gpu_node_base, 2 * N_NODES);
 }
 
 static int gpu_state_show(struct seq_file *out, void *data)
@@ -354,11 +452,24 @@ static int gpu_runtime_suspend(struct device *dev)
 
 static int gpu_runtime_resume(struct device *dev)
 {
+	gpu_power_on(&gpu_emu);
 	return 0;
+}
+
+/* A system sleep asks nobody's reference; afterwards it is as after any power-on. */
+static int __maybe_unused gpu_system_suspend(struct device *dev)
+{
+	return pm_runtime_force_suspend(dev);
+}
+
+static int __maybe_unused gpu_system_resume(struct device *dev)
+{
+	return pm_runtime_force_resume(dev);
 }
 
 static const struct dev_pm_ops gpu_pm_ops = {
 	SET_RUNTIME_PM_OPS(gpu_runtime_suspend, gpu_runtime_resume, NULL)
+	SET_SYSTEM_SLEEP_PM_OPS(gpu_system_suspend, gpu_system_resume)
 };
 
 static struct platform_driver gpu_driver = {
@@ -371,8 +482,11 @@ static struct platform_driver gpu_driver = {
 
 static int __init gpu_emu_init(void)
 {
-	int err = platform_driver_register(&gpu_driver);
+	int err;
 
+	if (strcmp(gpu_release, "r35") && strcmp(gpu_release, "r36"))
+		return -EINVAL;
+	err = platform_driver_register(&gpu_driver);
 	if (err)
 		return err;
 	gpu_pdev = platform_device_register_simple("xauto-gk20a", PLATFORM_DEVID_NONE, NULL, 0);

@@ -2,6 +2,7 @@
 /*
  * The emulated GPU's engine; gpu_engine.h tells the model.
  */
+#include <linux/delay.h>
 #include <linux/device.h>
 #include <linux/moduleparam.h>
 #include <linux/pm_runtime.h>
@@ -19,6 +20,10 @@ MODULE_PARM_DESC(save_us, "taking a context off the engine (default: 100)");
 static unsigned int gpu_restore_us = 175;
 module_param_named(restore_us, gpu_restore_us, uint, 0644);
 MODULE_PARM_DESC(restore_us, "putting a context on the engine (default: 175)");
+static unsigned int gpu_yield_us;
+module_param_named(yield_us, gpu_yield_us, uint, 0644);
+MODULE_PARM_DESC(yield_us,
+		 "how long running work keeps its context on the engine (default: 0, as under CILP)");
 
 struct gpu_work {
 	struct list_head node;
@@ -32,201 +37,255 @@ static u64 gpu_us_to_ns(u32 us)
 
 /*
  * The channel whose work is next; round robin is left out, channels of a TSG run one after the
- * other.
+ * other. @loaded: the context is on the engine, which then asks nobody who is enabled.
  */
-static struct gpu_channel *gpu_tsg_busy_channel(struct gpu_tsg *tsg)
+static struct gpu_channel *gpu_tsg_busy_channel(struct gpu_tsg *tsg, bool loaded)
 {
 	struct gpu_channel *channel;
 
 	list_for_each_entry(channel, &tsg->channels, node)
-		if (!list_empty(&channel->work))
+		if ((loaded || channel->enabled) && !list_empty(&channel->work))
 			return channel;
 	return NULL;
 }
 
 static bool gpu_tsg_runnable(struct gpu_tsg *tsg)
 {
-	return tsg->enabled && !tsg->lost && gpu_tsg_busy_channel(tsg);
+	return gpu_tsg_busy_channel(tsg, false);
 }
 
-static bool gpu_level_is_used(struct gpu *gpu, u32 level)
+static bool gpu_level_is_used(struct gpu_engine *engine, u32 level)
 {
 	struct gpu_tsg *tsg;
 
-	list_for_each_entry(tsg, &gpu->tsgs, node)
-		if (tsg->level == level)
+	list_for_each_entry(tsg, &engine->gpu->tsgs, node)
+		if (tsg->engine == engine && tsg->level == level)
 			return true;
 	return false;
 }
 
 /* All of this level, each after a round of the level above. */
-static void gpu_append_level(struct gpu *gpu, u32 level)
+static void gpu_append_level(struct gpu_engine *engine, u32 level)
 {
 	struct gpu_tsg *tsg;
 
 	if (level >= NVGPU_RUNLIST_INTERLEAVE_NUM_LEVELS)
 		return;
-	if (!gpu_level_is_used(gpu, level))
-		return gpu_append_level(gpu, level + 1);
-	list_for_each_entry(tsg, &gpu->tsgs, node) {
-		if (tsg->level != level)
+	if (!gpu_level_is_used(engine, level))
+		return gpu_append_level(engine, level + 1);
+	list_for_each_entry(tsg, &engine->gpu->tsgs, node) {
+		if (tsg->engine != engine || tsg->level != level)
 			continue;
-		gpu_append_level(gpu, level + 1);
-		if (gpu->runlist_length < ARRAY_SIZE(gpu->runlist))
-			gpu->runlist[gpu->runlist_length++] = tsg;
+		gpu_append_level(engine, level + 1);
+		if (engine->runlist_length < ARRAY_SIZE(engine->runlist))
+			engine->runlist[engine->runlist_length++] = tsg;
 	}
 }
 
-static void gpu_build_runlist(struct gpu *gpu)
+static void gpu_build_runlist(struct gpu_engine *engine)
 {
-	gpu->runlist_length = 0;
-	gpu_append_level(gpu, 0);
-	if (gpu->at >= gpu->runlist_length)
-		gpu->at = 0;
+	engine->runlist_length = 0;
+	gpu_append_level(engine, 0);
+	if (engine->at >= engine->runlist_length)
+		engine->at = 0;
 }
 
-static struct gpu_tsg *gpu_pick(struct gpu *gpu)
+static struct gpu_tsg *gpu_pick(struct gpu_engine *engine)
 {
 	u32 i, at;
 
-	for (i = 1; i <= gpu->runlist_length; i++) {
-		at = (gpu->at + i) % gpu->runlist_length;
-		if (gpu_tsg_runnable(gpu->runlist[at])) {
-			gpu->at = at;
-			return gpu->runlist[at];
+	if (!engine->gpu->powered)
+		return NULL;
+	for (i = 1; i <= engine->runlist_length; i++) {
+		at = (engine->at + i) % engine->runlist_length;
+		if (gpu_tsg_runnable(engine->runlist[at])) {
+			engine->at = at;
+			return engine->runlist[at];
 		}
 	}
 	return NULL;
 }
 
-static bool gpu_others_wait(struct gpu *gpu)
+static bool gpu_others_wait(struct gpu_engine *engine)
 {
-	struct gpu_tsg *tsg;
+	u32 i;
 
-	list_for_each_entry(tsg, &gpu->tsgs, node)
-		if (tsg != gpu->current_tsg && gpu_tsg_runnable(tsg))
+	for (i = 0; i < engine->runlist_length; i++)
+		if (engine->runlist[i] != engine->current_tsg &&
+		    gpu_tsg_runnable(engine->runlist[i]))
 			return true;
 	return false;
 }
 
-/*
- * The engine has power while it is not idle. Whoever ends the idleness holds a reference as well.
- */
-static void gpu_set_phase(struct gpu *gpu, enum gpu_phase phase)
+/* Of RUN: shall the context leave? */
+static bool gpu_wanted_off(struct gpu_engine *engine, u64 now)
 {
-	if (gpu->phase == GPU_IDLE && phase != GPU_IDLE)
-		pm_runtime_get_noresume(gpu->dev);
-	if (gpu->phase != GPU_IDLE && phase == GPU_IDLE) {
-		pm_runtime_mark_last_busy(gpu->dev);
-		pm_runtime_put_autosuspend(gpu->dev);
-	}
-	gpu->phase = phase;
+	return engine->current_tsg->preempt ||
+	       (now >= engine->slice_end && gpu_others_wait(engine));
 }
 
-static void gpu_left_engine(struct gpu *gpu)
+static void gpu_left_engine(struct gpu_engine *engine)
 {
-	if (gpu->current_tsg)
-		gpu->current_tsg->preempt = false;
-	gpu->current_tsg = NULL;
-	wake_up_all(&gpu->off);
+	if (engine->current_tsg)
+		engine->current_tsg->preempt = false;
+	engine->current_tsg = NULL;
 }
 
-static void gpu_run(struct gpu *gpu, u64 now)
+static void gpu_run(struct gpu_engine *engine, u64 now)
 {
-	gpu_set_phase(gpu, GPU_RUN);
-	gpu->since = now;
-	gpu->slice_end = now + gpu_us_to_ns(gpu->current_tsg->timeslice_us);
+	engine->phase = GPU_RUN;
+	engine->since = now;
+	engine->leaving = 0;
+	engine->slice_end = now + gpu_us_to_ns(engine->current_tsg->timeslice_us);
+}
+
+static void gpu_save(struct gpu_engine *engine, u64 now)
+{
+	engine->phase = GPU_SAVE;
+	engine->phase_end = now + gpu_us_to_ns(gpu_save_us);
 }
 
 /* The engine is free for anybody. */
-static void gpu_choose(struct gpu *gpu, u64 now)
+static void gpu_choose(struct gpu_engine *engine, u64 now)
 {
 	struct gpu_tsg *next;
 
-	if (gpu->current_tsg && gpu->current_tsg->preempt) {
-		gpu_set_phase(gpu, GPU_SAVE);
-		gpu->phase_end = now + gpu_us_to_ns(gpu_save_us);
-		return;
-	}
-	next = gpu_pick(gpu);
+	if (engine->current_tsg && engine->current_tsg->preempt)
+		return gpu_save(engine, now);
+	next = gpu_pick(engine);
 	if (!next) {
-		gpu_set_phase(gpu, GPU_IDLE);
-	} else if (next == gpu->current_tsg) {
-		gpu_run(gpu, now);
-	} else if (gpu->current_tsg) {
-		gpu_set_phase(gpu, GPU_SAVE);
-		gpu->phase_end = now + gpu_us_to_ns(gpu_save_us);
+		engine->phase = GPU_IDLE;
+	} else if (next == engine->current_tsg) {
+		gpu_run(engine, now);
+	} else if (engine->current_tsg) {
+		gpu_save(engine, now);
 	} else {
-		gpu->current_tsg = next;
-		gpu->switches++;
-		gpu_set_phase(gpu, GPU_RESTORE);
-		gpu->phase_end = now + gpu_us_to_ns(gpu_restore_us);
+		engine->current_tsg = next;
+		engine->switches++;
+		engine->phase = GPU_RESTORE;
+		engine->phase_end = now + gpu_us_to_ns(gpu_restore_us);
 	}
 }
 
-static void gpu_account(struct gpu *gpu, u64 now)
+static void gpu_work_free(struct gpu_channel *channel, struct gpu_work *work)
 {
-	struct gpu_channel *channel = gpu_tsg_busy_channel(gpu->current_tsg);
-	struct gpu_work *work;
-	u64 ran = now - gpu->since;
-
-	gpu->since = now;
-	if (!channel)
-		return;
-	work = list_first_entry(&channel->work, struct gpu_work, node);
-	work->left_ns -= min(work->left_ns, ran);
-	gpu->current_tsg->ran_ns += ran;
-	if (work->left_ns)
-		return;
 	list_del(&work->node);
 	kfree(work);
 	channel->waiting--;
-	channel->finished++;
+	pm_runtime_mark_last_busy(channel->gpu->dev);
+	pm_runtime_put_autosuspend(channel->gpu->dev);
+}
+
+static void gpu_channel_drop_work(struct gpu_channel *channel)
+{
+	struct gpu_work *work, *next;
+
+	list_for_each_entry_safe(work, next, &channel->work, node)
+		gpu_work_free(channel, work);
+	channel->submitted = channel->finished;
 	wake_up_all(&channel->done);
 }
 
-static u64 gpu_next_change(struct gpu *gpu, u64 now)
+/* nvgpu's recovery: the TSG is torn down, and its process's work with it. */
+static void gpu_tsg_kill(struct gpu_tsg *tsg)
+{
+	struct gpu_channel *channel;
+
+	tsg->killed = true;
+	list_for_each_entry(channel, &tsg->channels, node)
+		gpu_channel_drop_work(channel);
+}
+
+/* Of RUN. Has a piece of work ended? */
+static bool gpu_account(struct gpu_engine *engine, u64 now)
+{
+	struct gpu_channel *channel = gpu_tsg_busy_channel(engine->current_tsg, true);
+	struct gpu_work *work;
+	u64 ran = now - engine->since;
+
+	engine->since = now;
+	if (!channel)
+		return false;
+	work = list_first_entry(&channel->work, struct gpu_work, node);
+	work->left_ns -= min(work->left_ns, ran);
+	engine->current_tsg->ran_ns += ran;
+	if (work->left_ns)
+		return false;
+	gpu_work_free(channel, work);
+	channel->finished++;
+	wake_up_all(&channel->done);
+	return true;
+}
+
+static u64 gpu_next_report(struct gpu_engine *engine)
+{
+	return engine->leaving + (engine->reports + 1) * (u64)GPU_POLL_MS * NSEC_PER_MSEC;
+}
+
+static u64 gpu_next_change(struct gpu_engine *engine, u64 now)
 {
 	struct gpu_channel *channel;
 	u64 end;
 
-	switch (gpu->phase) {
+	switch (engine->phase) {
 	case GPU_IDLE:
 		return U64_MAX;
 	case GPU_SAVE:
 	case GPU_RESTORE:
-		return gpu->phase_end;
+		return engine->phase_end;
 	case GPU_RUN:
 		break;
 	}
-	channel = gpu_tsg_busy_channel(gpu->current_tsg);
-	if (!channel || gpu->current_tsg->preempt)
+	channel = gpu_tsg_busy_channel(engine->current_tsg, true);
+	if (!channel)
 		return now;
-	end = gpu->since + list_first_entry(&channel->work, struct gpu_work, node)->left_ns;
-	if (!gpu->current_tsg->enabled || gpu_others_wait(gpu))
-		end = min(end, max(gpu->slice_end, gpu->since));
+	end = engine->since + list_first_entry(&channel->work, struct gpu_work, node)->left_ns;
+	if (engine->leaving)
+		return min3(end, engine->leaving + gpu_us_to_ns(gpu_yield_us),
+			    gpu_next_report(engine));
+	if (engine->current_tsg->preempt)
+		return engine->since;
+	if (gpu_others_wait(engine))
+		end = min(end, max(engine->slice_end, engine->since));
 	return end;
 }
 
-static void gpu_change(struct gpu *gpu, u64 now)
+static void gpu_change_run(struct gpu_engine *engine, u64 now)
 {
-	struct gpu_tsg *tsg = gpu->current_tsg;
+	struct gpu_tsg *tsg = engine->current_tsg;
+	bool ended = gpu_account(engine, now);
 
-	switch (gpu->phase) {
+	if (!gpu_wanted_off(engine, now)) {
+		engine->leaving = 0;
+	} else if (!engine->leaving) {
+		engine->leaving = now;
+		engine->reports = 0;
+	} else if (now >= gpu_next_report(engine)) {
+		engine->reports++;
+		tsg->stuck_ms += GPU_POLL_MS;
+		if (tsg->stuck_ms > GPU_STUCK_MAX_MS)
+			gpu_tsg_kill(tsg);
+	}
+	if (!gpu_tsg_busy_channel(tsg, true) ||
+	    (engine->leaving &&
+	     (ended || now >= engine->leaving + gpu_us_to_ns(gpu_yield_us))))
+		gpu_choose(engine, now);
+}
+
+static void gpu_change(struct gpu_engine *engine, u64 now)
+{
+	switch (engine->phase) {
 	case GPU_IDLE:
 		break;
 	case GPU_SAVE:
-		gpu_left_engine(gpu);
-		gpu_choose(gpu, now);
+		gpu_left_engine(engine);
+		gpu_choose(engine, now);
 		break;
 	case GPU_RESTORE:
-		gpu_run(gpu, now);
+		gpu_run(engine, now);
 		break;
 	case GPU_RUN:
-		gpu_account(gpu, now);
-		if (tsg->preempt || !gpu_tsg_busy_channel(tsg) ||
-		    (now >= gpu->slice_end && (!tsg->enabled || gpu_others_wait(gpu))))
-			gpu_choose(gpu, now);
+		gpu_change_run(engine, now);
 		break;
 	}
 }
@@ -235,69 +294,83 @@ static void gpu_change(struct gpu *gpu, u64 now)
  * Everything that has happened up to now; with the lock held before whatever is changed, and again
  * after.
  */
-static void gpu_catch_up(struct gpu *gpu)
+static void gpu_catch_up(struct gpu_engine *engine)
 {
 	u64 now = ktime_get_ns(), at;
 
-	lockdep_assert_held(&gpu->lock);
-	while ((at = gpu_next_change(gpu, now)) <= now)
-		gpu_change(gpu, at);
-	if (gpu->phase == GPU_RUN)
-		gpu_account(gpu, now);
+	lockdep_assert_held(&engine->gpu->lock);
+	while ((at = gpu_next_change(engine, now)) <= now)
+		gpu_change(engine, at);
+	if (engine->phase == GPU_RUN)
+		gpu_account(engine, now);
 }
 
-static void gpu_settle(struct gpu *gpu)
+static void gpu_settle(struct gpu_engine *engine)
 {
 	u64 now = ktime_get_ns(), at;
 
-	if (gpu->phase == GPU_IDLE) {
-		if (gpu->current_tsg && gpu->current_tsg->preempt)
-			gpu_left_engine(gpu); /* nothing of it was running */
-		gpu_choose(gpu, now);
+	if (engine->phase == GPU_IDLE) {
+		if (engine->current_tsg && engine->current_tsg->preempt)
+			gpu_left_engine(engine); /* nothing of it was running */
+		gpu_choose(engine, now);
 	}
-	gpu_catch_up(gpu);
-	at = gpu_next_change(gpu, now);
+	gpu_catch_up(engine);
+	at = gpu_next_change(engine, now);
 	if (at == U64_MAX)
-		hrtimer_try_to_cancel(&gpu->timer);
+		hrtimer_try_to_cancel(&engine->timer);
 	else
-		hrtimer_start(&gpu->timer, ns_to_ktime(at), HRTIMER_MODE_ABS_SOFT);
+		hrtimer_start(&engine->timer, ns_to_ktime(at), HRTIMER_MODE_ABS_SOFT);
 }
 
 static enum hrtimer_restart gpu_on_timer(struct hrtimer *timer)
 {
-	struct gpu *gpu = container_of(timer, struct gpu, timer);
+	struct gpu_engine *engine = container_of(timer, struct gpu_engine, timer);
 
-	spin_lock_bh(&gpu->lock);
-	gpu_catch_up(gpu);
-	gpu_settle(gpu);
-	spin_unlock_bh(&gpu->lock);
+	spin_lock_bh(&engine->gpu->lock);
+	gpu_catch_up(engine);
+	gpu_settle(engine);
+	spin_unlock_bh(&engine->gpu->lock);
 	return HRTIMER_NORESTART; /* gpu_settle() has set the next */
 }
 
 static void gpu_enter(struct gpu *gpu) __acquires(&gpu->lock)
 {
+	int i;
+
 	spin_lock_bh(&gpu->lock);
-	gpu_catch_up(gpu);
+	for (i = 0; i < GPU_ENGINES; i++)
+		gpu_catch_up(&gpu->engines[i]);
 }
 
 static void gpu_leave(struct gpu *gpu) __releases(&gpu->lock)
 {
-	gpu_settle(gpu);
+	int i;
+
+	for (i = 0; i < GPU_ENGINES; i++)
+		gpu_settle(&gpu->engines[i]);
 	spin_unlock_bh(&gpu->lock);
 }
 
 void gpu_init(struct gpu *gpu, struct device *dev)
 {
+	int i;
+
 	spin_lock_init(&gpu->lock);
 	INIT_LIST_HEAD(&gpu->tsgs);
-	init_waitqueue_head(&gpu->off);
 	gpu->dev = dev;
-	xauto_hrtimer_setup(&gpu->timer, gpu_on_timer, HRTIMER_MODE_ABS_SOFT);
+	for (i = 0; i < GPU_ENGINES; i++) {
+		gpu->engines[i].gpu = gpu;
+		mutex_init(&gpu->engines[i].busy);
+		xauto_hrtimer_setup(&gpu->engines[i].timer, gpu_on_timer, HRTIMER_MODE_ABS_SOFT);
+	}
 }
 
 void gpu_stop(struct gpu *gpu)
 {
-	hrtimer_cancel(&gpu->timer);
+	int i;
+
+	for (i = 0; i < GPU_ENGINES; i++)
+		hrtimer_cancel(&gpu->engines[i].timer);
 }
 
 struct gpu_tsg *gpu_tsg_new(struct gpu *gpu)
@@ -307,8 +380,8 @@ struct gpu_tsg *gpu_tsg_new(struct gpu *gpu)
 	if (!tsg)
 		return ERR_PTR(-ENOMEM);
 	tsg->gpu = gpu;
+	tsg->files = 1;
 	INIT_LIST_HEAD(&tsg->channels);
-	tsg->enabled = true;
 	tsg->timeslice_us = NVGPU_TSG_TIMESLICE_DEFAULT_US;
 	gpu_enter(gpu);
 	if (gpu->n_tsgs >= GPU_MAX_TSGS) {
@@ -318,48 +391,83 @@ struct gpu_tsg *gpu_tsg_new(struct gpu *gpu)
 	}
 	gpu->n_tsgs++;
 	list_add_tail(&tsg->node, &gpu->tsgs);
-	gpu_build_runlist(gpu);
 	gpu_leave(gpu);
 	return tsg;
 }
 
-static void gpu_channel_drop_work(struct gpu_channel *channel)
+u64 gpu_tsg_token(struct gpu_tsg *tsg)
 {
-	struct gpu_work *work, *next;
+	u64 token;
 
-	list_for_each_entry_safe(work, next, &channel->work, node) {
-		list_del(&work->node);
-		kfree(work);
-	}
-	channel->waiting = 0;
-	channel->submitted = channel->finished;
-	wake_up_all(&channel->done);
+	spin_lock_bh(&tsg->gpu->lock);
+	if (!tsg->token)
+		tsg->token = ++tsg->gpu->tokens;
+	token = tsg->token;
+	spin_unlock_bh(&tsg->gpu->lock);
+	return token;
 }
 
-static void gpu_channel_unbind(struct gpu_channel *channel)
+struct gpu_tsg *gpu_tsg_share(struct gpu *gpu, u64 token)
+{
+	struct gpu_tsg *tsg, *found = NULL;
+
+	spin_lock_bh(&gpu->lock);
+	list_for_each_entry(tsg, &gpu->tsgs, node) {
+		if (tsg->token == token && tsg->files) {
+			tsg->files++;
+			found = tsg;
+			break;
+		}
+	}
+	spin_unlock_bh(&gpu->lock);
+	return found;
+}
+
+/* What nvgpu does at the end of whatever needed the TSG off, however it was before. */
+static void gpu_tsg_enable_all(struct gpu_tsg *tsg)
+{
+	struct gpu_channel *channel;
+
+	list_for_each_entry(channel, &tsg->channels, node)
+		channel->enabled = true;
+}
+
+static void gpu_tsg_lose(struct gpu_tsg *tsg, struct gpu_channel *channel)
 {
 	list_del(&channel->node);
 	channel->tsg = NULL;
+	if (tsg->engine->current_tsg == tsg)
+		tsg->preempt = true;
+	gpu_tsg_enable_all(tsg);
 }
 
-void gpu_tsg_free(struct gpu_tsg *tsg)
+void gpu_tsg_put(struct gpu_tsg *tsg)
 {
 	struct gpu *gpu = tsg->gpu;
 	struct gpu_channel *channel, *next;
+	struct gpu_engine *engine;
 	LIST_HEAD(unbound);
 
 	gpu_enter(gpu);
+	if (--tsg->files) {
+		gpu_leave(gpu);
+		return;
+	}
+	engine = tsg->engine;
 	list_for_each_entry_safe(channel, next, &tsg->channels, node) {
 		gpu_channel_drop_work(channel);
-		gpu_channel_unbind(channel);
+		list_del(&channel->node);
+		channel->tsg = NULL;
 		list_add(&channel->node, &unbound);
 	}
 	list_del(&tsg->node);
 	gpu->n_tsgs--;
-	gpu_build_runlist(gpu);
-	if (gpu->current_tsg == tsg) {
-		gpu_left_engine(gpu);
-		gpu_choose(gpu, ktime_get_ns());
+	if (engine) {
+		gpu_build_runlist(engine);
+		if (engine->current_tsg == tsg) {
+			gpu_left_engine(engine);
+			gpu_choose(engine, ktime_get_ns());
+		}
 	}
 	gpu_leave(gpu);
 	list_for_each_entry_safe(channel, next, &unbound, node)
@@ -367,26 +475,20 @@ void gpu_tsg_free(struct gpu_tsg *tsg)
 	kfree(tsg);
 }
 
-int gpu_tsg_enable(struct gpu_tsg *tsg)
+void gpu_tsg_enable(struct gpu_tsg *tsg)
 {
-	int err = 0;
-
-	pm_runtime_get_sync(tsg->gpu->dev);
 	gpu_enter(tsg->gpu);
-	if (tsg->lost)
-		err = -EIO;
-	else
-		tsg->enabled = true;
+	gpu_tsg_enable_all(tsg);
 	gpu_leave(tsg->gpu);
-	pm_runtime_mark_last_busy(tsg->gpu->dev);
-	pm_runtime_put_autosuspend(tsg->gpu->dev);
-	return err;
 }
 
 void gpu_tsg_disable(struct gpu_tsg *tsg)
 {
+	struct gpu_channel *channel;
+
 	gpu_enter(tsg->gpu);
-	tsg->enabled = false;
+	list_for_each_entry(channel, &tsg->channels, node)
+		channel->enabled = false;
 	gpu_leave(tsg->gpu);
 }
 
@@ -394,43 +496,81 @@ static bool gpu_tsg_off_engine(struct gpu_tsg *tsg)
 {
 	bool off;
 
-	spin_lock_bh(&tsg->gpu->lock);
-	off = tsg->gpu->current_tsg != tsg || !tsg->preempt;
-	spin_unlock_bh(&tsg->gpu->lock);
+	gpu_enter(tsg->gpu);
+	off = tsg->engine->current_tsg != tsg || !tsg->preempt;
+	gpu_leave(tsg->gpu);
 	return off;
 }
 
-int gpu_tsg_preempt(struct gpu_tsg *tsg)
+/* nvgpu's way to wait for a PBDMA or an engine: it looks, and sleeps twice as long each time. */
+static int gpu_poll_unit(struct gpu_tsg *tsg, bool stuck)
 {
+	ktime_t until = ktime_add_ms(ktime_get(), GPU_POLL_MS);
+	unsigned int delay_us = 10;
+
+	while (stuck || !gpu_tsg_off_engine(tsg)) {
+		if (ktime_after(ktime_get(), until))
+			return -EBUSY;
+		usleep_range(delay_us, delay_us * 2);
+		delay_us = min(delay_us * 2, 200u);
+	}
+	return 0;
+}
+
+int gpu_tsg_preempt(struct gpu_tsg *tsg, bool stuck)
+{
+	struct gpu_engine *engine = READ_ONCE(tsg->engine);
+	int err;
+
+	if (!engine)
+		return 0; /* no channel, hence no runlist */
+	mutex_lock(&engine->busy);
 	gpu_enter(tsg->gpu);
-	if (tsg->gpu->current_tsg == tsg)
-		tsg->preempt = true;
+	if (engine->current_tsg == tsg)
+		tsg->preempt = true; /* which stays, whoever gives up waiting */
 	gpu_leave(tsg->gpu);
-	return wait_event_timeout(tsg->gpu->off, gpu_tsg_off_engine(tsg), 3 * HZ) ? 0 : -ETIMEDOUT;
+	err = gpu_poll_unit(tsg, stuck); /* its PBDMA */
+	if (err)
+		gpu_poll_unit(tsg, stuck); /* the engine: the same answer, as long again */
+	mutex_unlock(&engine->busy);
+	return err;
 }
 
 int gpu_tsg_set_level(struct gpu_tsg *tsg, u32 level)
 {
+	struct gpu_engine *engine = READ_ONCE(tsg->engine);
+
 	if (level >= NVGPU_RUNLIST_INTERLEAVE_NUM_LEVELS)
 		return -EINVAL;
+	if (engine)
+		mutex_lock(&engine->busy);
 	gpu_enter(tsg->gpu);
 	tsg->level = level;
-	gpu_build_runlist(tsg->gpu);
+	if (engine)
+		gpu_build_runlist(engine);
 	gpu_leave(tsg->gpu);
+	if (engine)
+		mutex_unlock(&engine->busy);
 	return 0;
 }
 
 int gpu_tsg_set_timeslice(struct gpu_tsg *tsg, u32 us)
 {
+	struct gpu_engine *engine = READ_ONCE(tsg->engine);
+
 	if (us < NVGPU_TSG_TIMESLICE_MIN_US || us > NVGPU_TSG_TIMESLICE_MAX_US)
 		return -EINVAL;
+	if (engine)
+		mutex_lock(&engine->busy);
 	gpu_enter(tsg->gpu);
 	tsg->timeslice_us = us;
 	gpu_leave(tsg->gpu);
+	if (engine)
+		mutex_unlock(&engine->busy);
 	return 0;
 }
 
-struct gpu_channel *gpu_channel_new(struct gpu *gpu)
+struct gpu_channel *gpu_channel_new(struct gpu *gpu, u32 engine)
 {
 	struct gpu_channel *channel = kzalloc(sizeof(*channel), GFP_KERNEL);
 
@@ -438,6 +578,7 @@ struct gpu_channel *gpu_channel_new(struct gpu *gpu)
 		return NULL;
 	kref_init(&channel->ref);
 	channel->gpu = gpu;
+	channel->engine = &gpu->engines[engine];
 	INIT_LIST_HEAD(&channel->node);
 	INIT_LIST_HEAD(&channel->work);
 	init_waitqueue_head(&channel->done);
@@ -454,36 +595,66 @@ void gpu_channel_put(struct gpu_channel *channel)
 	kref_put(&channel->ref, gpu_channel_free);
 }
 
-void gpu_channel_close(struct gpu_channel *channel)
+int gpu_channel_unbind(struct gpu_tsg *tsg, struct gpu_channel *channel)
 {
 	bool bound;
 
+	mutex_lock(&channel->engine->busy);
 	gpu_enter(channel->gpu);
-	gpu_channel_drop_work(channel);
-	bound = channel->tsg;
-	if (bound)
-		gpu_channel_unbind(channel);
+	bound = channel->tsg && (!tsg || channel->tsg == tsg);
+	if (bound) {
+		gpu_channel_drop_work(channel);
+		gpu_tsg_lose(channel->tsg, channel);
+	}
 	gpu_leave(channel->gpu);
-	if (bound)
-		gpu_channel_put(channel);
+	mutex_unlock(&channel->engine->busy);
+	if (!bound)
+		return -EINVAL;
+	gpu_channel_put(channel);
+	return 0;
+}
+
+void gpu_channel_close(struct gpu_channel *channel)
+{
+	gpu_channel_unbind(NULL, channel);
 	gpu_channel_put(channel);
 }
 
-int gpu_channel_bind(struct gpu_tsg *tsg, struct gpu_channel *channel)
+int gpu_channel_bind(struct gpu_tsg *tsg, struct gpu_channel *channel, bool enable_all)
 {
-	int err = 0;
+	struct gpu_engine *engine = channel->engine;
+	int err = -EINVAL;
 
 	if (channel->gpu != tsg->gpu)
 		return -EINVAL;
+	mutex_lock(&engine->busy);
 	gpu_enter(tsg->gpu);
-	if (channel->tsg) {
-		err = -EINVAL;
-	} else {
+	if (!channel->tsg && (!tsg->engine || tsg->engine == engine)) {
+		err = 0;
 		kref_get(&channel->ref);
 		channel->tsg = tsg;
+		channel->enabled = true;
 		list_add_tail(&channel->node, &tsg->channels);
+		if (enable_all)
+			gpu_tsg_enable_all(tsg);
+		WRITE_ONCE(tsg->engine, engine);
+		gpu_build_runlist(engine);
 	}
 	gpu_leave(tsg->gpu);
+	mutex_unlock(&engine->busy);
+	return err;
+}
+
+int gpu_channel_touch(struct gpu_channel *channel)
+{
+	int err = -EINVAL;
+
+	gpu_enter(channel->gpu);
+	if (channel->tsg) {
+		gpu_tsg_enable_all(channel->tsg);
+		err = 0;
+	}
+	gpu_leave(channel->gpu);
 	return err;
 }
 
@@ -496,11 +667,11 @@ int gpu_channel_submit(struct gpu_channel *channel, u64 duration_ns, u64 *sequen
 	if (!work)
 		return -ENOMEM;
 	work->left_ns = duration_ns;
-	pm_runtime_get_sync(gpu->dev);
+	pm_runtime_get_sync(gpu->dev); /* the work's, until it has finished */
 	gpu_enter(gpu);
 	if (!channel->tsg) {
 		err = -EINVAL;
-	} else if (channel->tsg->lost) {
+	} else if (channel->tsg->killed) {
 		err = -EIO;
 	} else if (channel->waiting >= GPU_MAX_WORK) {
 		err = -EAGAIN;
@@ -510,10 +681,10 @@ int gpu_channel_submit(struct gpu_channel *channel, u64 duration_ns, u64 *sequen
 		*sequence = ++channel->submitted;
 	}
 	gpu_leave(gpu);
-	pm_runtime_mark_last_busy(gpu->dev);
-	pm_runtime_put_autosuspend(gpu->dev);
-	if (err)
+	if (err) {
+		pm_runtime_put_autosuspend(gpu->dev);
 		kfree(work);
+	}
 	return err;
 }
 
@@ -530,34 +701,58 @@ bool gpu_channel_idle(struct gpu_channel *channel, u64 *finished)
 
 void gpu_power_off(struct gpu *gpu)
 {
+	int i;
+
+	gpu_enter(gpu);
+	gpu->powered = false;
+	for (i = 0; i < GPU_ENGINES; i++) {
+		gpu_left_engine(&gpu->engines[i]);
+		gpu->engines[i].phase = GPU_IDLE;
+	}
+	gpu_leave(gpu);
+}
+
+void gpu_power_on(struct gpu *gpu)
+{
 	struct gpu_tsg *tsg;
 
-	spin_lock_bh(&gpu->lock);
-	list_for_each_entry(tsg, &gpu->tsgs, node) {
-		if (!tsg->enabled && gpu_tsg_busy_channel(tsg)) {
-			tsg->lost = true;
-			dev_err(gpu->dev,
-				"power went while a disabled TSG had work: its context is lost\n");
-		}
+	gpu_enter(gpu);
+	gpu->powered = true;
+	list_for_each_entry(tsg, &gpu->tsgs, node)
+		gpu_tsg_enable_all(tsg);
+	gpu_leave(gpu);
+}
+
+static void gpu_tsg_show(struct gpu_tsg *tsg, u32 number, struct seq_file *out)
+{
+	struct gpu_channel *channel;
+	u32 channels = 0, on = 0;
+
+	list_for_each_entry(channel, &tsg->channels, node) {
+		channels++;
+		on += channel->enabled;
 	}
-	spin_unlock_bh(&gpu->lock);
+	seq_printf(out, "tsg=%u enabled=%d current=%d killed=%d stuck_ms=%u level=%u timeslice_us=%u ",
+		   number, on || !channels, tsg->engine && tsg == tsg->engine->current_tsg,
+		   tsg->killed, tsg->stuck_ms, tsg->level, tsg->timeslice_us);
+	seq_printf(out, "busy=%d channels=%u on=%u files=%u ran_us=%llu\n",
+		   !!gpu_tsg_busy_channel(tsg, true), channels, on, tsg->files,
+		   div_u64(tsg->ran_ns, NSEC_PER_USEC));
 }
 
 void gpu_show(struct gpu *gpu, struct seq_file *out)
 {
 	static const char * const phases[] = { "idle", "restore", "run", "save" };
 	struct gpu_tsg *tsg;
-	u32 i = 0;
+	u32 i;
 
 	gpu_enter(gpu);
-	seq_printf(out, "phase=%s switches=%llu runlist=%u\n", phases[gpu->phase], gpu->switches,
-		   gpu->runlist_length);
+	for (i = 0; i < GPU_ENGINES; i++)
+		seq_printf(out, "engine=%u phase=%s switches=%llu runlist=%u\n", i,
+			   phases[gpu->engines[i].phase], gpu->engines[i].switches,
+			   gpu->engines[i].runlist_length);
+	i = 0;
 	list_for_each_entry(tsg, &gpu->tsgs, node)
-		seq_printf(
-			out,
-			"tsg=%u enabled=%d current=%d lost=%d level=%u timeslice_us=%u busy=%d ran_us=%llu\n",
-			i++, tsg->enabled, tsg == gpu->current_tsg, tsg->lost, tsg->level,
-			tsg->timeslice_us, !!gpu_tsg_busy_channel(tsg),
-			div_u64(tsg->ran_ns, NSEC_PER_USEC));
+		gpu_tsg_show(tsg, i++, out);
 	gpu_leave(gpu);
 }

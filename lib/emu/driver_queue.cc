@@ -46,8 +46,9 @@ Result<DriverQueue> DriverQueue::open_gpu() {
   DriverQueue queue;
   queue.gpu_ = true;
   XAUTO_ASSIGN(const UniqueFd ctrl, open_node(kGpuCtrl));
-  nvgpu_gpu_open_tsg_args tsg{};
-  if (ioctl(ctrl.get(), NVGPU_GPU_IOCTL_OPEN_TSG, &tsg) != 0)
+  nvgpu_gpu_open_tsg_args tsg{};  // r35's is its beginning
+  if (ioctl(ctrl.get(), NVGPU_GPU_IOCTL_OPEN_TSG, &tsg) != 0 &&
+      (errno != ENOTTY || ioctl(ctrl.get(), NVGPU_GPU_IOCTL_OPEN_TSG_R35, &tsg) != 0))
     return system_error("OPEN_TSG", kGpuCtrl);
   queue.queue_.reset(static_cast<int>(tsg.tsg_fd));
   nvgpu_gpu_open_channel_args channel{};

@@ -32,6 +32,8 @@ class DriverQueue {
 
   /// The descriptor that is the TSG or the DLA queue.
   [[nodiscard]] int descriptor() const { return queue_.get(); }
+  /// Of a TSG: its channel's.
+  [[nodiscard]] int channel() const { return channel_.get(); }
 
  private:
   bool gpu_ = false;

@@ -47,6 +47,9 @@ ErrorCode code_of(int error) {
     case ETIMEDOUT:
       return ErrorCode::kTimeout;
     case ENODEV:
+    case EBUSY:
+    case ENODATA:
+    case ESHUTDOWN:
       return ErrorCode::kUnavailable;
     default:
       return ErrorCode::kIo;
@@ -130,6 +133,9 @@ void QueueControl::Socket::take_reply(nlmsghdr* header) {
     info.suspended_ns = u64_of(a, XAUTO_A_SUSPENDED_NS);
     info.cost_ns = u64_of(a, XAUTO_A_COST_NS);
     info.cost_max_ns = u64_of(a, XAUTO_A_COST_MAX_NS);
+    info.escapes = u64_of(a, XAUTO_A_ESCAPES);
+    info.stuck_ms = u32_of(a, XAUTO_A_STUCK_MS);
+    info.gated = a[XAUTO_A_GATED] != nullptr && nla_get_u8(a[XAUTO_A_GATED]) != 0;
     infos.push_back(info);
   } else if (generic->cmd == XAUTO_CMD_CONTROL && a[XAUTO_A_RESULTS] != nullptr) {
     nlattr* nest = nullptr;
@@ -393,7 +399,8 @@ Result<QueueEvents> QueueEvents::subscribe() {
                                  u32_of(a, XAUTO_A_PORTID),
                                  u64_of(a, XAUTO_A_TIME_NS),
                                  u64_of(a, XAUTO_A_COST_NS),
-                                 static_cast<int>(u32_of(a, XAUTO_A_ERRNO))};
+                                 static_cast<int>(u32_of(a, XAUTO_A_ERRNO)),
+                                 u64_of(a, XAUTO_A_ESCAPES)};
         return NL_OK;
       },
       socket.get());

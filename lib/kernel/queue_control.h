@@ -44,6 +44,9 @@ struct QueueInfo {
   std::uint32_t timeslice_us = 0;  ///< 0: not asked, or it has none
   std::uint64_t suspends = 0, resumes = 0, errors = 0;
   std::uint64_t suspended_ns = 0, cost_ns = 0, cost_max_ns = 0;
+  std::uint64_t escapes = 0;   ///< found running although suspended
+  std::uint32_t stuck_ms = 0;  ///< preemptions that took 100 ms or more, in sum
+  bool gated = false;          ///< stuck_ms reached its limit: it is never preempted again
 };
 
 /// A connection is an owner: what it suspended runs again when it is destroyed, however that
@@ -62,7 +65,9 @@ class QueueControl {
   /// Resumes it first.
   [[nodiscard]] Status unregister(std::uint32_t handle);
 
-  /// When they return: none of a TSG's work runs; none of a DLA queue's tasks is started.
+  /// When they return: none of a TSG's work runs; none of a DLA queue's tasks is started. kTimeout:
+  /// a context that did not leave the engine; kUnavailable: one that did not before, so it was not
+  /// tried (`gated` says whether it ever is), or one whose process is gone.
   [[nodiscard]] Status suspend(std::uint32_t handle);
   [[nodiscard]] Status resume(std::uint32_t handle);
   /// In order, up to the first that fails; the error tells which. At most XAUTO_MAX_OPS.
@@ -99,7 +104,8 @@ struct QueueEvent {
   std::uint32_t port = 0;
   std::uint64_t time_ns = 0;  ///< CLOCK_MONOTONIC
   std::uint64_t cost_ns = 0;
-  int error = 0;  ///< a positive errno
+  int error = 0;              ///< a positive errno
+  std::uint64_t escapes = 0;  ///< with XAUTO_KEV_ESCAPED
 };
 
 /// What xauto.ko does, as it does it. Threads: one at a time.

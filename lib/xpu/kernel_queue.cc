@@ -7,6 +7,7 @@
 
 #include <unistd.h>
 
+#include "base/log.h"
 #include "base/pi_mutex.h"
 #include "kernel/queue_control.h"
 #include "kernel/queue_files.h"
@@ -97,9 +98,32 @@ class KernelQueue final : public Backend {
     const auto it = handles_.find(handle.value());
     if (it == handles_.end())
       return fail(ErrorCode::kInternal, "suspending a context that was never attached");
+    Status done = act_on(it->second, action);
+    if (done || action == XAUTO_ACTION_RESUME) return done;
+    // Half a context suspended is none, and what would resume it is never called.
+    (void)act_on(it->second, XAUTO_ACTION_RESUME);
+    if (!told_gated_ && any_gated(it->second)) {
+      told_gated_ = true;
+      log::warn(
+          "a GPU context does not leave the engine in time and is not preempted any more: {}; "
+          "split "
+          "its kernels, or plan it with \"preemptive\": false",
+          done.error().to_string());
+    }
+    return done;
+  }
+
+  Status act_on(const std::vector<std::uint32_t>& queues, xauto_action action) {
     ops_.clear();
-    for (const std::uint32_t queue : it->second) ops_.push_back({action, queue, 0});
+    for (const std::uint32_t queue : queues) ops_.push_back({action, queue, 0});
     return control_.control(ops_);
+  }
+
+  bool any_gated(const std::vector<std::uint32_t>& queues) {
+    return std::any_of(queues.begin(), queues.end(), [&](std::uint32_t queue) {
+      const auto info = control_.query(queue);
+      return info && info->gated;
+    });
   }
 
   const QueueType type_;
@@ -108,6 +132,7 @@ class KernelQueue final : public Backend {
   std::vector<QueueFile> before_;
   std::map<std::uintptr_t, std::vector<std::uint32_t>> handles_;
   std::vector<QueueOp> ops_;
+  bool told_gated_ = false;
 };
 
 }  // namespace

@@ -7,7 +7,8 @@
  *
  * Every reference, table and work-queue operation is a step of its own. A locked section with one such operation or one driver call in it
  * is one step as well, since nothing it touches can be seen without the lock; -DFINE splits those too, at each lock, as a check of that
- * argument. Time is left out: a timer that is armed may fire at any moment.
+ * argument. Time is left out: a timer that is armed may fire at any moment. So is what a driver does by itself, and what is told it again
+ * for that.
  *
  * Scenarios, chosen by queue_test.sh with -D:
  *   HANDLERS 1, 2      threads that send messages
@@ -19,6 +20,7 @@
  *   DEATH              the first socket's process may die while another holds the socket
  *   UNLOAD             the module may unload at any moment
  *   TARGET             the process whose queue it is may die at any moment
+ *   KILLED             a handler may be killed while it waits to unregister
  *   RESUME_REFUSALS, SUSPEND_REFUSALS      how often the driver may refuse
  * and mutations that must be refuted: BROKEN_...
  */
@@ -63,7 +65,9 @@ typedef Queue {
 typedef Owner {
 	bool alive; byte ref; byte sock; bool mortal;
 	bool lock;
-	byte claim; bool vote; byte n_votes; bool dead;
+	bool in_table; byte n_votes; bool dead;	/* in_table: the claim is in its table of handles */
+	bool c_alive; byte c_ref; byte c_q; bool vote; bool ended; bool final; bool done;	/* struct xauto_claim, of which there is one */
+	bool pending; bool ending;		/* its work item is queued, runs */
 	bool reap;				/* the work item is queued or runs */
 	bool due; bool biting; bool cancelled;	/* the watchdog's: pending, running, cancel_delayed_work_sync() was called */
 };
@@ -72,6 +76,7 @@ Owner own[OWNERS];
 byte table[SOCKETS] = NONE;	/* by port id */
 byte n_owners;
 bool sweep_due, sweeping, sweep_cancelled;
+bool look_due, looking, closed;
 
 /* Sockets and the module's doors. */
 bool is_open[2];
@@ -96,7 +101,8 @@ bool refused_in_sweep;
 #define IN_MODULE assert(!unloaded)
 #define ALIVE_Q(i) IN_MODULE; assert(q[i].alive && q[i].ref > 0)
 #define ALIVE_O(o) IN_MODULE; assert(own[o].alive && own[o].ref > 0)
-#define VOTED(o, i) (own[o].alive && own[o].claim == i && own[o].vote)
+#define ALIVE_C(o) IN_MODULE; assert(own[o].c_alive && own[o].c_ref > 0)
+#define VOTED(o, i) (own[o].c_alive && own[o].c_q == i && own[o].vote)
 #if OWNERS == 3
 #define ANY_O(what) (own[0].what || own[1].what || own[2].what)
 #define ALL_VOTES(i) (VOTED(0, i) + VOTED(1, i) + VOTED(2, i))
@@ -110,6 +116,12 @@ bool refused_in_sweep;
 #define ANY_OWNER ANY_O(alive)
 #define ANY_REAP ANY_O(reap)
 #define ANY_DUE ANY_O(due)
+#if SOCKETS == 2
+#define NO_OWNERS (table[0] == NONE && table[1] == NONE)
+#else
+#define NO_OWNERS (table[0] == NONE)
+#endif
+#define ANY_ENDING (ANY_O(pending) || ANY_O(ending))
 #if QUEUES == 2
 #define ANY_Q(what) (q[0].what || q[1].what)
 #else
@@ -138,6 +150,7 @@ inline unlock_q(i)
 {
 	atomic {
 		assert(q[i].votes == ALL_VOTES(i));		/* votes are counted, nobody's word is written over another's */
+		assert(own[0].n_votes == own[0].vote);
 		assert(!q[i].file || !q[i].votes || (q[i].suspended && suspended_in_hw));	/* one owner's resume does not undo a vote */
 		assert(!q[i].file || !suspended_in_hw || q[i].votes || (q[i].suspended && q[i].orphan));
 		assert(!q[i].orphan || sweep_due || sweeping || sweep_cancelled);	/* an orphan is in the hands of the sweeper */
@@ -171,7 +184,10 @@ inline queue_get(i)
 			:: else
 			fi;
 			if
-			:: i != NONE -> used_q[i] = true; q[i].alive = true; q[i].ref = 1; q[i].file = true
+			:: i != NONE -> used_q[i] = true; q[i].alive = true; q[i].ref = 1; q[i].file = true;
+#ifndef BROKEN_SWEEP_ARMED_LATE
+				sweep_due = sweep_due || !sweep_cancelled
+#endif
 			:: else
 			fi
 		fi
@@ -215,9 +231,10 @@ inline resume_q(i)
 	fi
 }
 
-/* xauto_queue_suspend(); @ok: did it? */
+/* xauto_queue_suspend() where it runs, xauto_queue_tell_again() where it does not; @ok: did it? */
 inline suspend_q(i, ok)
 {
+	first = !q[i].suspended;
 	q[i].suspended = true;
 	if
 	:: suspended_in_hw = true; ok = true
@@ -229,42 +246,49 @@ inline suspend_q(i, ok)
 		:: true
 		fi;
 		if
-		:: !q[i].votes -> resume_q(i)
+		:: first -> resume_q(i)
 		:: else
 		fi
 	fi
 }
 
-/* xauto_queue_vote() */
-inline set_vote(o, i, want)
+#define RUN 0
+#define SUSPENDED 1
+#define NOTHING 2
+
+/* xauto_queue_want(); @ok: it is suspended as wanted */
+inline want_q(o, i, wish)
 {
 	SECTION {
 		lock_q(i);
-		ALIVE_O(o);
+		ALIVE_C(o);
+		ok = false;
 		if
-		:: own[o].vote == want
-		:: own[o].vote != want && want ->
+		:: wish == SUSPENDED && (own[o].ended || !q[i].file) /* -ENOENT, -ENODEV */
+		:: wish == SUSPENDED && !own[o].ended && q[i].file ->
+			suspend_q(i, ok);
 			if
-			:: q[i].file ->
-				suspend_q(i, ok);
-				if
-				:: ok -> own[o].vote = true;
+			:: ok && !own[o].vote -> own[o].vote = true; own[o].n_votes++;
 #ifdef BROKEN_VOTES_OVERWRITTEN
-					q[i].votes = 1
+				q[i].votes = 1
 #else
-					q[i].votes++
+				q[i].votes++
 #endif
-				:: else
-				fi
-			:: else /* -ENODEV */
+			:: else
 			fi
-		:: own[o].vote != want && !want ->
+		:: wish != SUSPENDED && own[o].vote ->
 			own[o].vote = false;
+			own[o].n_votes--;
 			q[i].votes--;
 			if
 			:: q[i].file && !q[i].votes && q[i].suspended -> resume_q(i)
 			:: else
 			fi
+		:: wish != SUSPENDED && !own[o].vote
+		fi;
+		if
+		:: wish == NOTHING -> own[o].ended = true
+		:: else
 		fi;
 		unlock_q(i)
 	}
@@ -337,7 +361,7 @@ inline lock_o(o)
 
 inline unlock_o(o)
 {
-	atomic { ALIVE_O(o); assert(own[o].n_votes == own[o].vote); own[o].lock = false }
+	atomic { ALIVE_O(o); own[o].lock = false }
 }
 
 inline owner_put(o)
@@ -347,7 +371,7 @@ inline owner_put(o)
 		own[o].ref--;
 		if
 		:: own[o].ref == 0 ->
-			assert(own[o].claim == NONE && !own[o].due && !own[o].biting && !own[o].lock);
+			assert(!own[o].c_alive && !own[o].in_table && !own[o].due && !own[o].biting && !own[o].lock);
 			own[o].alive = false;
 			n_owners--
 		:: else
@@ -394,14 +418,13 @@ inline owner_find(s, o)
 }
 
 bool used_o[OWNERS];
-/* xauto_owner_get(); NONE where a slot is missing, which C would call -ENOMEM */
+/* xauto_owner_get(), under xauto_owners_lock, which is a leaf; NONE where a slot is missing, which C would call -ENOMEM */
 inline owner_get(s, o)
 {
 	SECTION {
 		owner_find(s, o);
-		ok = false;
 		if
-		:: o == NONE ->
+		:: o == NONE && !closed ->
 			if
 			:: !used_o[0] -> o = 0
 #if OWNERS >= 2
@@ -414,46 +437,30 @@ inline owner_get(s, o)
 			fi;
 			if
 			:: o != NONE ->
-				ok = true;
-				used_o[o] = true; own[o].alive = true; own[o].ref = 2; own[o].sock = s; own[o].claim = NONE;
+				used_o[o] = true; own[o].alive = true; own[o].ref = 2; own[o].sock = s;
 				own[o].mortal = (s == 0 && !process_dead);
 				n_owners++;
-#ifndef BROKEN_SWEEP_ARMED_LATE
-				sweep_due = sweep_due || !sweep_cancelled
-#endif
+				look_due = true;
+				assert(table[PORT(s)] == NONE);
+				table[PORT(s)] = o
 			:: else
 			fi
 		:: else
 		fi
 	}
-	if
-	:: ok ->
-		atomic { /* xa_insert() */
-			if
-			:: table[PORT(s)] == NONE -> table[PORT(s)] = o
-			:: else -> ok = false
-			fi
-		}
-		if
-		:: ok ->
-#ifdef BROKEN_SWEEP_ARMED_LATE
-			sweep_due = sweep_due || !sweep_cancelled
-#endif
-			ok = false
-		:: else -> owner_put(o); owner_put(o); owner_find(s, o)
-		fi
-	:: else
-	fi
 }
 
-/* xauto_owner_claim(), which takes over the queue's reference */
+/* xauto_owner_claim(), which takes over the queue's reference. A second claim waits until the first is freed. */
 inline add_claim(o, i)
 {
 	SECTION {
 		lock_o(o);
 		if
-		:: own[o].claim == NONE && !own[o].dead -> own[o].claim = i; ok = true
-		:: else -> assert(own[o].dead || own[o].claim == i); ok = false
+		:: !own[o].c_alive && !own[o].dead ->
+			own[o].in_table = true; own[o].c_alive = true; own[o].c_ref = 1; own[o].c_q = i; own[o].ref++;
+			own[o].ended = false; own[o].final = false; own[o].done = false;
+			ok = true
+		:: else -> ok = false
 		fi;
 		unlock_o(o)
 	}
@@ -463,72 +470,129 @@ inline add_claim(o, i)
 	fi
 }
 
-inline end_vote(o)
+/* xauto_claim_put() */
+inline claim_put(o, i)
 {
-	atomic { voted = own[o].vote; i = own[o].claim }
-	set_vote(o, i, false);
-	own[o].n_votes = own[o].n_votes - voted
+	atomic {
+		ALIVE_C(o);
+		i = own[o].c_q;
+		own[o].c_ref--;
+		if
+		:: own[o].c_ref == 0 ->
+			assert(!own[o].vote && !own[o].in_table && !own[o].pending);
+			own[o].c_alive = false;
+			queue_put(i);
+			owner_put(o)
+		:: else
+		fi
+	}
+}
+
+/* xauto_claim_queue_end() */
+inline claim_queue_end(o, is_final)
+{
+	atomic {
+		ALIVE_C(o);
+		own[o].final = own[o].final || is_final;
+		if
+		:: !own[o].pending -> own[o].c_ref++; own[o].pending = true
+		:: else
+		fi
+	}
+}
+
+/* xauto_owner_claim_of() */
+inline claim_of(o)
+{
+	SECTION {
+		lock_o(o);
+		if
+		:: !own[o].dead && own[o].in_table -> own[o].c_ref++; i = own[o].c_q
+		:: else -> i = NONE
+		fi;
+		unlock_o(o)
+	}
 }
 
 inline act_suspend(o)
 {
-	SECTION {
-		lock_o(o);
+	claim_of(o);
+	if
+	:: i != NONE ->
+		want_q(o, i, SUSPENDED);
 		if
-		:: !own[o].dead && own[o].claim != NONE ->
-			atomic { voted = own[o].vote; i = own[o].claim }
-			set_vote(o, i, true);
-			atomic {
+		:: ok ->
+			SECTION { /* xauto_owner_start_watchdog() */
+				lock_o(o);
 				if
-				:: own[o].vote && !voted ->
-					own[o].n_votes++;
-					if /* xauto_owner_start_watchdog() */
-					:: !own[o].cancelled && HAS_WATCHDOG(o) -> own[o].due = true
-					:: else
-					fi
+				:: own[o].n_votes > 0 && !own[o].dead && HAS_WATCHDOG(o) -> own[o].due = true
 				:: else
-				fi
+				fi;
+				unlock_o(o)
 			}
 		:: else
 		fi;
-		unlock_o(o)
-	}
+		claim_put(o, i)
+	:: else
+	fi
 }
 
 inline act_resume(o)
 {
-	SECTION {
-		lock_o(o);
-		if
-		:: !own[o].dead && own[o].claim != NONE -> end_vote(o)
-		:: else
-		fi;
-		unlock_o(o)
-	}
+	claim_of(o);
+	if
+	:: i != NONE -> want_q(o, i, RUN); claim_put(o, i)
+	:: else
+	fi
 }
 
 inline unclaim(o)
 {
 	SECTION {
 		lock_o(o);
-		if
-		:: own[o].claim != NONE -> end_vote(o); own[o].claim = NONE; ok = true
-		:: else -> ok = false
-		fi;
+		ok = own[o].in_table;
+		own[o].in_table = false;
+		i = own[o].c_q;
 		unlock_o(o)
 	}
 	if
-	:: ok -> queue_put(i)
+	:: ok ->
+		if
+		:: want_q(o, i, NOTHING); claim_put(o, i)
+#ifdef KILLED
+		:: claim_queue_end(o, true) /* killed while it waited for the queue's lock */
+#endif
+		fi
 	:: else
 	fi
+}
+
+/* xauto_claim_end(), on the device's work queue */
+proctype End_claim(byte o)
+{
+	byte i = NONE;
+	bool ok, first, is_final;
+
+end:	do
+	:: atomic { own[o].pending -> own[o].pending = false; own[o].ending = true; is_final = own[o].final; i = own[o].c_q }
+		if
+		:: is_final -> want_q(o, i, NOTHING)
+		:: else -> want_q(o, i, RUN)
+		fi;
+		atomic {
+			if
+			:: is_final && !own[o].done -> own[o].done = true; claim_put(o, i) /* the table's */
+			:: else
+			fi
+		}
+		claim_put(o, i);
+		atomic { own[o].ending = false; i = NONE; ok = false; first = false; is_final = false }
+	od
 }
 
 /* xauto_owner_reap(), on the work queue */
 proctype Reap(byte o)
 {
-	byte i = NONE;
-	bool ok, voted;
-
 end:	do
 	:: own[o].reap ->
 		SECTION { lock_o(o); own[o].dead = true; unlock_o(o) }
@@ -537,24 +601,18 @@ end:	do
 			!own[o].biting;
 			lock_o(o);
 			if
-			:: own[o].claim != NONE -> end_vote(o); own[o].claim = NONE; ok = true
-			:: else -> ok = false
-			fi
+			:: own[o].in_table -> own[o].in_table = false; claim_queue_end(o, true)
+			:: else
+			fi;
+			unlock_o(o)
 		}
-		if
-		:: ok -> queue_put(i)
-		:: else
-		fi;
-		SECTION { unlock_o(o); owner_put(o); own[o].reap = false; i = NONE; ok = false; voted = false }
+		SECTION { owner_put(o); own[o].reap = false }
 	od
 }
 
 /* xauto_owner_watchdog(): fires whenever it is due; that the owner was fed in time is a choice */
 proctype Watchdog(byte o)
 {
-	byte i = NONE;
-	bool ok, voted;
-
 end:	do
 	:: atomic { own[o].due -> own[o].due = false; own[o].biting = true }
 		SECTION {
@@ -562,22 +620,21 @@ end:	do
 			if
 			:: own[o].n_votes == 0
 			:: own[o].n_votes > 0 -> own[o].due = !own[o].cancelled /* fed */
-			:: own[o].n_votes > 0 -> end_vote(o)
+			:: own[o].n_votes > 0 && own[o].in_table -> claim_queue_end(o, false)
 			fi;
 			unlock_o(o);
-			own[o].biting = false; i = NONE; ok = false; voted = false
+			own[o].biting = false
 		}
 	od
 }
 
-/* xauto_sweep(); its look at the owners matters only where one may die */
-proctype Sweeper()
+/* xauto_look(): matters only where an owner may die */
+proctype Looker()
 {
-	byte o = NONE, i, port;
-	bool gone, adopted, taken, all_gone;
+	byte o = NONE, port;
 
 end:	do
-	:: atomic { sweep_due -> sweep_due = false; sweeping = true; all_gone = ALL_CLOSED && !ANY_OWNER && handlers == 0; refused_in_sweep = false }
+	:: atomic { look_due -> look_due = false; looking = true }
 #ifdef DEATH
 		port = 0;
 		do
@@ -596,18 +653,36 @@ end:	do
 		:: else -> break
 		od;
 #endif
+		atomic {
+			if
+			:: closed
+			:: !closed && NO_OWNERS
+			:: else -> look_due = true
+			fi;
+			looking = false; port = 0; o = NONE
+		}
+	od
+}
+
+/* xauto_queue_sweep() */
+proctype Sweeper()
+{
+	byte i;
+	bool gone, adopted, taken, all_gone;
+
+end:	do
+	:: atomic { sweep_due -> sweep_due = false; sweeping = true; all_gone = ALL_CLOSED && !ANY_OWNER && handlers == 0; refused_in_sweep = false }
 		sweep_queues();
 		SECTION {
 			/* Nothing that no owner claims is left, suspended or not, but what the driver refused just now. */
 			assert(!all_gone || refused_in_sweep || (!suspended_in_hw && !ANY_QUEUE));
-			taken = ANY_QUEUE;
 			if
-			:: taken || n_owners > 0 -> sweep_due = !sweep_cancelled
+			:: ANY_QUEUE -> sweep_due = !sweep_cancelled
 			:: else
 			fi
 		}
 		atomic {
-			sweeping = false; refused_in_sweep = false; all_gone = false; gone = false; adopted = false; taken = false; i = 0; port = 0; o = NONE
+			sweeping = false; refused_in_sweep = false; all_gone = false; gone = false; adopted = false; taken = false; i = 0
 		}
 	od
 }
@@ -616,7 +691,7 @@ end:	do
 proctype Handler(byte s)
 {
 	byte i = NONE, o = NONE;
-	bool ok, voted;
+	bool ok, first;
 #ifdef BRIEF
 	bool registered;
 #endif
@@ -648,6 +723,9 @@ proctype Handler(byte s)
 				fi
 			:: else
 			fi;
+#ifdef BROKEN_SWEEP_ARMED_LATE
+			sweep_due = sweep_due || !sweep_cancelled;
+#endif
 			atomic { fgets--; file_put(); o = NONE; i = NONE; ok = false }
 		:: owner_find(s, o);
 			if
@@ -660,7 +738,7 @@ proctype Handler(byte s)
 				:: unclaim(o)
 #endif
 				fi;
-				SECTION { owner_put(o); o = NONE; i = NONE; ok = false; voted = false }
+				SECTION { owner_put(o); o = NONE; i = NONE; ok = false; first = false }
 			:: else
 			fi
 		fi;
@@ -727,25 +805,34 @@ proctype Unload()
 	byte i, o = NONE, port;
 	bool gone, adopted, taken;
 
+	/* xauto_owner_stop() */
+	atomic { closed = true; look_due = false }
+	!looking;
+	port = 0;
+	do
+	:: port < SOCKETS ->
+		atomic { /* xa_for_each() */
+			o = table[port];
+			if
+			:: o != NONE -> bury(o)
+			:: else
+			fi
+		}
+		port++
+	:: else -> break
+	od;
+	!ANY_REAP;
+	!ANY_ENDING;		/* xauto_device_flush() */
 	family = false;		/* genl_unregister_family() waits for handlers */
 	handlers == 0;
 	notifier = false;	/* netlink_unregister_notifier() waits likewise */
 	notifications == 0;
-	atomic { sweep_cancelled = true; sweep_due = false }
-	!sweeping;
-	port = 0;
-	do
-	:: port < SOCKETS ->
-		o = table[port];
-		if
-		:: o != NONE -> bury(o)
-		:: else
-		fi;
-		port++
-	:: else -> break
-	od;
 	!ANY_REAP;		/* destroy_workqueue() drains */
 	assert(!ANY_DUE);	/* which does not wait for timers */
+	!ANY_ENDING;
+	assert(!ANY_OWNER);	/* and thus no claim */
+	atomic { sweep_cancelled = true; sweep_due = false }
+	!sweeping;
 	refused_in_sweep = false;
 	sweep_queues();
 	i = 0;
@@ -774,7 +861,7 @@ proctype End()
 	timeout ->
 		assert(ALL_CLOSED);
 		assert(unloaded || !suspended_in_hw);
-		assert(!ANY_OWNER && !ANY_QUEUE && n_owners == 0 && !ANY_REAP && !ANY_DUE)
+		assert(!ANY_OWNER && !ANY_QUEUE && n_owners == 0 && !ANY_REAP && !ANY_DUE && !ANY_ENDING)
 }
 
 init {
@@ -817,7 +904,15 @@ init {
 		:: else
 		fi;
 #endif
+		run Looker();
 		run Sweeper();
+		run End_claim(0);
+#if OWNERS >= 2
+		run End_claim(1);
+#endif
+#if OWNERS == 3
+		run End_claim(2);
+#endif
 #ifdef TARGET
 		run Target();
 #endif

@@ -60,6 +60,7 @@ holds module_unloads -DHANDLERS=1 -DUNLOAD
 holds two_owners -DBRIEF -DWATCHDOGS=0 -DSUSPEND_REFUSALS=0
 holds port_used_again -DBRIEF -DWATCHDOGS=0 -DREUSE "${no_refusals[@]}"
 holds owner_process_dies -DHANDLERS=1 -DDEATH -DWATCHDOGS=1 "${no_refusals[@]}"
+holds caller_killed -DHANDLERS=1 -DKILLED "${no_refusals[@]}"
 holds each_lock_a_step -DHANDLERS=1 -DFINE "${no_refusals[@]}"
 refuted broken_no_orphan_reference 'q[i].ref>0' -DHANDLERS=1 -DBROKEN_NO_ORPHAN
 refuted broken_votes_overwritten 'q[i].votes==' -DBRIEF -DWATCHDOGS=0 -DBROKEN_VOTES_OVERWRITTEN "${no_refusals[@]}"

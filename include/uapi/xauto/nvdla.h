@@ -4,7 +4,8 @@
  * layouts are the driver's. Used by kmod/, kmod/emu/ and lib/kernel/, as nvgpu.h is.
  *
  * The ctrl node is opened once per process and DLA; a queue is allocated to that file. Suspending
- * acts on the file's queue: the running task completes, none is started.
+ * acts on the file's queue: the running task completes, none is started. A queue is a slot of a
+ * fixed pool: once released, its number may be another process's.
  */
 #ifndef _UAPI_XAUTO_NVDLA_H
 #define _UAPI_XAUTO_NVDLA_H
@@ -43,12 +44,30 @@ struct nvdla_set_queue_status_args {
 	__u64 status;
 };
 
+/**
+ * struct nvdla_get_q_status_args - the file's queue; EINVAL where it has none
+ * @id: out: its slot
+ * @reserved: 0
+ * @fence: address of a struct nvdev_fence, which the driver fills
+ */
 struct nvdla_get_q_status_args {
 	__u32 id;
 	__u32 reserved;
 	__u64 fence;
 };
 
+struct nvdev_fence {
+	__u32 type;
+	__u32 action;
+	__u32 syncpoint_index;
+	__u32 syncpoint_value;
+	__u32 sync_fd;
+	__u32 semaphore_handle;
+	__u32 semaphore_offset;
+	__u32 semaphore_value;
+};
+
+/* Answers whether the file has a queue or not. */
 struct nvdla_get_fw_ver_args {
 	__u32 version;
 };

@@ -15,11 +15,18 @@
 
 #define NVGPU_TSG_IOCTL_MAGIC 'T'
 #define NVGPU_GPU_IOCTL_MAGIC 'G'
+#define NVGPU_CHANNEL_IOCTL_MAGIC 'H'
+
+/* r35's, without what r36 needs to share a TSG: another size, so another number. */
+struct nvgpu_gpu_open_tsg_args_r35 {
+	__u32 tsg_fd;
+	__u32 reserved;
+};
 
 /**
- * struct nvgpu_gpu_open_tsg_args - a new TSG (ctrl node)
+ * struct nvgpu_gpu_open_tsg_args - a new TSG (ctrl node), r36
  * @tsg_fd: out: the TSG
- * @flags: bit 0: open one that another process shares
+ * @flags: bit 0: open one that another process shares; without it the next two are 0
  * @source_device_instance_id: with bit 0: where the token comes from
  * @share_token: with bit 0: the token
  */
@@ -32,7 +39,8 @@ struct nvgpu_gpu_open_tsg_args {
 
 /**
  * struct nvgpu_gpu_open_channel_args - a new channel (ctrl node)
- * @in.runlist_id: in: -1: the graphics engine's; out: the channel's file descriptor, in the same
+ * @in.runlist_id: in: -1: the graphics engine's, else that of another, e.g. for asynchronous
+ *   copies; a TSG has channels of one runlist; out: the channel's file descriptor, in the same
  *   place
  */
 struct nvgpu_gpu_open_channel_args {
@@ -47,6 +55,10 @@ struct nvgpu_gpu_open_channel_args {
 	};
 };
 
+#define NVGPU_GPU_IOCTL_OPEN_TSG_FLAGS_SHARE (1u << 0)
+
+#define NVGPU_GPU_IOCTL_OPEN_TSG_R35 \
+	_IOWR(NVGPU_GPU_IOCTL_MAGIC, 9, struct nvgpu_gpu_open_tsg_args_r35)
 #define NVGPU_GPU_IOCTL_OPEN_TSG \
 	_IOWR(NVGPU_GPU_IOCTL_MAGIC, 9, struct nvgpu_gpu_open_tsg_args)
 #define NVGPU_GPU_IOCTL_OPEN_CHANNEL \
@@ -72,6 +84,22 @@ struct nvgpu_timeslice_args {
 	__u32 reserved;
 };
 
+/* r36: what another process opens the same TSG with. */
+struct nvgpu_tsg_get_share_token_args {
+	__u64 source_device_instance_id;
+	__u64 target_device_instance_id;
+	__u64 share_token;
+};
+
+struct nvgpu_preemption_mode_args {
+	__u32 graphics_preempt_mode;
+	__u32 compute_preempt_mode;
+};
+
+/* On a channel. Like all that needs the TSG off for a moment it ends with the TSG enabled. */
+#define NVGPU_IOCTL_CHANNEL_SET_PREEMPTION_MODE \
+	_IOW(NVGPU_CHANNEL_IOCTL_MAGIC, 122, struct nvgpu_preemption_mode_args)
+
 #define NVGPU_TSG_IOCTL_BIND_CHANNEL _IOW(NVGPU_TSG_IOCTL_MAGIC, 1, int)
 #define NVGPU_TSG_IOCTL_UNBIND_CHANNEL _IOW(NVGPU_TSG_IOCTL_MAGIC, 2, int)
 #define NVGPU_IOCTL_TSG_ENABLE _IO(NVGPU_TSG_IOCTL_MAGIC, 3)
@@ -83,5 +111,7 @@ struct nvgpu_timeslice_args {
 	_IOW(NVGPU_TSG_IOCTL_MAGIC, 9, struct nvgpu_timeslice_args)
 #define NVGPU_IOCTL_TSG_GET_TIMESLICE \
 	_IOR(NVGPU_TSG_IOCTL_MAGIC, 10, struct nvgpu_timeslice_args)
+#define NVGPU_TSG_IOCTL_GET_SHARE_TOKEN \
+	_IOWR(NVGPU_TSG_IOCTL_MAGIC, 20, struct nvgpu_tsg_get_share_token_args)
 
 #endif /* _UAPI_XAUTO_NVGPU_H */

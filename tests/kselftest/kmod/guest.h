@@ -65,6 +65,22 @@ inline void sleep_ms(int ms) {
   std::this_thread::sleep_for(std::chrono::milliseconds(ms));
 }
 
+/// Why this guest cannot sleep and wake up by itself; "" if it can.
+inline std::string cannot_sleep() {
+  if (slurp("/sys/power/state").find("mem") == std::string::npos) return "no suspend to RAM here";
+  if (slurp("/sys/class/rtc/rtc0/device/power/wakeup").find("enabled") == std::string::npos)
+    return "no clock that wakes this machine";
+  return {};
+}
+/// Sleeps for about 2 s, with everything that is asleep then. False: something refused.
+inline bool system_sleep() {
+  write("/sys/class/rtc/rtc0/wakealarm", "0");
+  write("/sys/class/rtc/rtc0/wakealarm", "+2");
+  std::ofstream state("/sys/power/state");
+  state << "mem" << std::flush;
+  return static_cast<bool>(state);
+}
+
 /// The text of a refusal, or "" for success; printed by a test that fails.
 template <class T>
 std::string text_of(const T& result) {

@@ -15,8 +15,7 @@
 #include "kernel/queue_control.h"
 #include "kernel/queue_files.h"
 
-#include "../ktap.h"
-#include "guest.h"
+#include "raw.h"
 
 using xauto::emu::DriverQueue;
 using xauto::kernel::QueueControl;
@@ -85,9 +84,11 @@ namespace {
   }
 }
 
-/// An app: keeps a TSG and a DLA queue busy with short work.
+/// An app: keeps a TSG and a DLA queue busy with short work, and does now and then what makes the
+/// drivers forget that they are suspended.
 [[noreturn]] void app(int instance) {
   prctl(PR_SET_PDEATHSIG, SIGKILL);
+  std::mt19937_64 random(static_cast<std::uint64_t>(getpid()));
   auto tsg = DriverQueue::open_gpu();
   auto dla = DriverQueue::open_dla(instance % 2);
   if (!tsg || !dla) _exit(2);
@@ -96,6 +97,24 @@ namespace {
     (void)dla->submit(std::chrono::microseconds(300));
     (void)tsg->wait(50);
     (void)dla->wait(50);
+    nvgpu_preemption_mode_args mode{};
+    switch (random() % 16) {
+      case 0: {
+        const raw::UniqueFd another = raw::channel();  // closed again at once
+        int fd = another.get();
+        (void)raw::call(tsg->descriptor(), NVGPU_TSG_IOCTL_BIND_CHANNEL, &fd);
+        break;
+      }
+      case 1:
+        (void)raw::call(tsg->channel(), NVGPU_IOCTL_CHANNEL_SET_PREEMPTION_MODE, &mode);
+        break;
+      case 2:
+        (void)raw::call(dla->descriptor(), NVDLA_IOCTL_RELEASE_QUEUE);
+        (void)raw::call(dla->descriptor(), NVDLA_IOCTL_ALLOC_QUEUE);
+        break;
+      default:
+        break;
+    }
   }
 }
 

@@ -1,0 +1,540 @@
+// SPDX-License-Identifier: Apache-2.0
+// A suspension holds although the drivers do not keep it: nvgpu enables a TSG whenever something else
+// needed it off, nvdla forgets with the queue or the power, and a context may not leave its engine.
+// What must happen is told by order, not by time: something is so again while something else that
+// takes long still goes on.
+#include <csignal>
+#include <functional>
+#include <vector>
+
+#include <sys/eventfd.h>
+#include <sys/mman.h>
+#include <sys/wait.h>
+
+#include "emu/driver_queue.h"
+#include "kernel/queue_control.h"
+
+#include "raw.h"
+
+using namespace std::chrono_literals;
+using guest::eventually, guest::has, guest::text_of;
+using raw::UniqueFd;
+using xauto::ErrorCode;
+using xauto::kernel::QueueControl;
+using xauto::kernel::QueueEvents;
+using xauto::kernel::QueueInfo;
+using xauto::kernel::QueueOp;
+using xauto::kernel::QueueType;
+
+namespace {
+
+QueueControl control() {
+  auto control = QueueControl::open();
+  if (!control) ktap_bail("no xauto.ko: %s", control.error().to_string().c_str());
+  (void)control->set_watchdog(60000);
+  return std::move(*control);
+}
+std::uint32_t registered(QueueControl& control, QueueType type, const UniqueFd& fd) {
+  auto handle = control.register_queue(type, fd.get());
+  if (!handle) ktap_bail("not registered: %s", handle.error().to_string().c_str());
+  (void)control.set_watchdog(60000);
+  return handle->handle;
+}
+QueueInfo info(QueueControl& control, std::uint32_t handle) {
+  const auto info = control.query(handle);
+  return info ? *info : QueueInfo{};
+}
+void reload(const char* parameters) {
+  const std::string load = std::string("rmmod xauto && insmod /modules/xauto.ko ") + parameters;
+  if (system(load.c_str()) != 0) ktap_bail("xauto.ko does not load with '%s'", parameters);
+}
+
+/// All events of a kind that come within the time; the others are dropped.
+std::vector<xauto::kernel::QueueEvent> events_of(QueueEvents& events, xauto_kevent kind,
+                                                 int quiet_ms = 200) {
+  std::vector<xauto::kernel::QueueEvent> found;
+  for (;;) {
+    const auto event = events.next(quiet_ms);
+    if (!event || !*event) return found;
+    if ((*event)->kind == kind) found.push_back(**event);
+  }
+}
+
+/// A TSG that always has work, suspended by the module.
+struct Held {
+  QueueControl owner = control();
+  UniqueFd tsg = raw::tsg(), channel = raw::channel();
+  std::uint32_t handle = 0;
+  Held() {
+    if (raw::bind(tsg, channel) != 0 || raw::work(channel, 60000) != 0) ktap_bail("no work");
+    handle = registered(owner, QueueType::kGpuTsg, tsg);
+    const auto done = owner.suspend(handle);
+    if (!done) ktap_bail("not suspended: %s", done.error().what.c_str());
+  }
+  [[nodiscard]] bool off() const {
+    return has(guest::gpu_state(), "enabled=0 current=0") && !has(guest::gpu_state(), "current=1");
+  }
+};
+
+void escapes() {
+  auto events = QueueEvents::subscribe();
+  if (!events) ktap_bail("no events");
+  // The sign of an escape is that the context has to be waited for; this guest may stall as long as
+  // a context usually takes.
+  raw::gpu_parameter("save_us", "20000");
+  Held held;
+  UniqueFd other = raw::channel();
+  nvgpu_preemption_mode_args mode{};
+  const struct {
+    const char* what;
+    std::function<int()> act;
+  } ways[] = {
+      {"a new channel", [&] { return raw::bind(held.tsg, other); }},
+      {"a channel that is closed", [&] { return other.reset(), 0; }},
+      {"another preemption mode",
+       [&] {
+         return raw::call(held.channel.get(), NVGPU_IOCTL_CHANNEL_SET_PREEMPTION_MODE, &mode);
+       }},
+      {"ENABLE", [&] { return raw::call(held.tsg.get(), NVGPU_IOCTL_TSG_ENABLE); }},
+  };
+  std::uint64_t known = info(held.owner, held.handle).escapes;
+  for (const auto& way : ways) {
+    const int said = way.act();
+    ktap_test(said == 0 && eventually([&] {
+                return held.off() && info(held.owner, held.handle).escapes > known;
+              }),
+              "a TSG that %s enabled is suspended again, and counted", way.what);
+    known = info(held.owner, held.handle).escapes;
+  }
+  const auto told = events_of(*events, XAUTO_KEV_ESCAPED);
+  ktap_test(told.size() == known && known >= 4 && told.back().escapes == known &&
+                told.back().time_ns > told.front().time_ns && told.back().pid == getpid(),
+            "each escape is told, with its time and the count (%zu of %llu)", told.size(),
+            static_cast<unsigned long long>(known));
+  guest::sleep_ms(300);
+  ktap_test(info(held.owner, held.handle).escapes == known, "a suspension that holds is no escape");
+
+  const UniqueFd idle = raw::tsg(), nothing = raw::channel();
+  (void)raw::bind(idle, nothing);
+  const auto handle = registered(held.owner, QueueType::kGpuTsg, idle);
+  (void)held.owner.suspend(handle);
+  (void)raw::call(idle.get(), NVGPU_IOCTL_TSG_ENABLE);
+  ktap_test(eventually([] { return guest::count(guest::gpu_state(), "enabled=0") == 2; }) &&
+                info(held.owner, handle).escapes == 0,
+            "one that had no work is suspended again, and did not escape");
+
+  // A TSG may have a second file, which another owner has registered: no driver's word tells that.
+  nvgpu_tsg_get_share_token_args token{1, 1, 0};
+  (void)raw::call(held.tsg.get(), NVGPU_TSG_IOCTL_GET_SHARE_TOKEN, &token);
+  nvgpu_gpu_open_tsg_args shared{0, NVGPU_GPU_IOCTL_OPEN_TSG_FLAGS_SHARE, 1, token.share_token};
+  if (raw::call(raw::ctrl().get(), NVGPU_GPU_IOCTL_OPEN_TSG, &shared) != 0) ktap_bail("not shared");
+  const UniqueFd second(static_cast<int>(shared.tsg_fd));
+  QueueControl another = control();
+  const auto same = registered(another, QueueType::kGpuTsg, second);
+  known = info(held.owner, held.handle).escapes;
+  ktap_test(another.suspend(same) && another.resume(same) && eventually([&] {
+              return held.off() && info(held.owner, held.handle).escapes > known;
+            }),
+            "another owner's resume through a second file of the TSG is an escape as well");
+  raw::gpu_parameter("save_us", "100");
+}
+
+void repeated() {
+  reload("sweep_ms=1000");
+  {
+    Held held;
+    int good = 0;
+    for (int i = 0; i < 5; ++i) {
+      (void)raw::call(held.tsg.get(), NVGPU_IOCTL_TSG_ENABLE);
+      (void)eventually([] { return has(guest::gpu_state(), "current=1"); });
+      good += held.owner.suspend(held.handle).has_value() && held.off();
+    }
+    ktap_test(good == 5, "a repeated vote suspends a TSG again that the driver enabled (%d of 5)",
+              good);
+    ktap_test(held.owner.resume(held.handle).has_value() && guest::suspended() == 0,
+              "and one resume is enough");
+  }
+  reload("");
+}
+
+void dla_released() {
+  raw::dla_parameter("flush_resumes", "1");
+  auto events = QueueEvents::subscribe();
+  QueueControl owner = control();
+  const UniqueFd dla = raw::dla();
+  (void)raw::call(dla.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  const auto handle = registered(owner, QueueType::kDla, dla);
+  (void)owner.suspend(handle);
+  (void)raw::call(dla.get(), NVDLA_IOCTL_RELEASE_QUEUE);
+  guest::sleep_ms(2000);
+  ktap_test(info(owner, handle).errors == 0 && info(owner, handle).escapes == 1,
+            "a DLA queue that its process released is no driver error (%llu), and told once",
+            static_cast<unsigned long long>(info(owner, handle).errors));
+  (void)raw::call(dla.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  (void)raw::task(dla, 10);
+  ktap_test(eventually([&] {
+              return has(guest::dla_state(), "suspended=1") && info(owner, handle).escapes == 2;
+            }),
+            "one that is allocated again is suspended again");
+  const auto told = events_of(*events, XAUTO_KEV_ESCAPED);
+  ktap_test(told.size() == 2 && told[0].error == ENODATA && told[1].error == 0,
+            "both are told, in words of their own");
+  (void)raw::call(dla.get(), NVDLA_IOCTL_RELEASE_QUEUE);
+  (void)raw::call(dla.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  ktap_test(eventually([] { return has(guest::dla_state(), "suspended=1"); }),
+            "also where that was too quick to be seen");
+  const std::uint64_t before = info(owner, handle).errors;
+  guest::dla_fault("fail_suspend", 1000);
+  guest::sleep_ms(2000);
+  guest::dla_fault("fail_suspend", 0);
+  const std::uint64_t errors = info(owner, handle).errors - before;
+  ktap_test(errors >= 1 && errors <= 10,
+            "a firmware that refuses is asked ever more rarely (%llu times in 2 s)",
+            static_cast<unsigned long long>(errors));
+  (void)raw::call(dla.get(), NVDLA_IOCTL_RELEASE_QUEUE);
+  ktap_test(has(text_of(owner.suspend(handle)), "released"), "suspending a released one says so");
+  ktap_test(owner.resume(handle).has_value() && !info(owner, handle).suspended,
+            "and its resume has nothing to do");
+  raw::dla_parameter("flush_resumes", "0");
+}
+
+void dla_slots() {
+  (void)eventually([] { return !has(guest::dla_state(), "queue="); });
+  QueueControl owner = control();
+  const UniqueFd bare = raw::dla();
+  ktap_test(has(text_of(owner.register_queue(QueueType::kDla, bare.get())), "has no queue"),
+            "a ctrl node without a queue is none, whatever its firmware version");
+  UniqueFd first = raw::dla(), keeper = raw::dla();
+  (void)raw::call(keeper.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  (void)raw::call(first.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  (void)raw::task(keeper, 60000);  // so that the firmware forgets nothing
+  const auto handle = registered(owner, QueueType::kDla, first);
+  (void)owner.suspend(handle);
+  const int slot = raw::slot(first);
+  (void)raw::call(first.get(), NVDLA_IOCTL_RELEASE_QUEUE);
+  const UniqueFd second = raw::dla();
+  (void)raw::call(second.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  if (raw::slot(second) != slot) ktap_bail("the slot is not used again");
+  ktap_test(has(guest::dla_state(), "suspended=1"),
+            "a slot that was released while suspended comes suspended to the next one");
+  QueueControl another = control();
+  (void)registered(another, QueueType::kDla, second);
+  ktap_test(!has(guest::dla_state(), "suspended=1"), "which runs once it is registered");
+  int good = 0;
+  for (int i = 0; i < 20; ++i) good += !owner.suspend(handle).has_value();
+  ktap_test(good == 20 && !has(guest::dla_state(), "suspended=1"),
+            "a late suspend of the first one does not hit the second");
+}
+
+void system_sleeps() {
+  const char* const names[] = {"the system sleeps with a TSG and a DLA queue suspended",
+                               "both are suspended again, and told"};
+  if (const std::string why = guest::cannot_sleep(); !why.empty()) {
+    for (const char* name : names) ktap_skip(name, why.c_str());
+    return;
+  }
+  auto events = QueueEvents::subscribe();
+  Held held;
+  const UniqueFd dla = raw::dla();
+  (void)raw::call(dla.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  const auto handle = registered(held.owner, QueueType::kDla, dla);
+  (void)held.owner.suspend(handle);
+  (void)events_of(*events, XAUTO_KEV_SUSPEND);
+  ktap_test(guest::system_sleep(), "%s", names[0]);
+  const bool off = eventually([&] {
+    return held.off() && has(guest::dla_state(), "suspended=1") &&
+           info(held.owner, handle).escapes == 1 && info(held.owner, held.handle).escapes >= 1;
+  });
+  const auto told = events_of(*events, XAUTO_KEV_ESCAPED);
+  ktap_test(off && told.size() >= 2, "%s (%llu and %llu, %zu events)", names[1],
+            static_cast<unsigned long long>(info(held.owner, held.handle).escapes),
+            static_cast<unsigned long long>(info(held.owner, handle).escapes), told.size());
+}
+
+void stuck() {
+  auto events = QueueEvents::subscribe();
+  QueueControl owner = control();
+  const UniqueFd tsg = raw::tsg(), channel = raw::channel();
+  (void)raw::bind(tsg, channel);
+  const auto handle = registered(owner, QueueType::kGpuTsg, tsg);
+  raw::gpu_parameter("yield_us", "300000");
+  (void)raw::work(channel, 60000);
+  (void)eventually([] { return has(guest::gpu_state(), "current=1"); });
+  const auto first = owner.suspend(handle);
+  ktap_test(
+      !first && first.error().code == ErrorCode::kTimeout && has(first.error().what, "runs again"),
+      "a context that does not leave within 100 ms is a time-out");
+  const QueueInfo after = info(owner, handle);
+  const auto second = owner.suspend(handle);
+  ktap_test(!second && second.error().code == ErrorCode::kUnavailable &&
+                has(second.error().what, "not tried") && after.stuck_ms >= 500 && !after.gated &&
+                info(owner, handle).errors == after.errors,
+            "asked again at once, the driver is left alone (%u ms)", after.stuck_ms);
+  int tries = 0;
+  (void)eventually(
+      [&] {
+        (void)eventually([] { return has(guest::gpu_state(), "current=1"); });
+        ++tries;
+        (void)owner.suspend(handle);
+        return info(owner, handle).gated;
+      },
+      30000);
+  const QueueInfo at_end = info(owner, handle);
+  ktap_test(at_end.gated && at_end.stuck_ms >= 1500 && at_end.errors <= 4,
+            "it is tried ever more rarely, and then given up (%llu of %d)",
+            static_cast<unsigned long long>(at_end.errors), tries);
+  const auto told = events_of(*events, XAUTO_KEV_GATED);
+  ktap_test(told.size() == 1 && told[0].pid == getpid(), "which is told, once");
+  guest::sleep_ms(3500);
+  ktap_test(!owner.suspend(handle) && info(owner, handle).errors == at_end.errors &&
+                has(guest::gpu_state(), "killed=0") && !has(guest::gpu_state(), "killed=1"),
+            "for ever, and the driver does not kill it");
+  (void)owner.unregister(handle);
+  QueueControl another = control();
+  const auto anew = registered(another, QueueType::kGpuTsg, tsg);
+  const auto again = another.suspend(anew);
+  ktap_test(info(another, anew).gated && !again && again.error().code == ErrorCode::kUnavailable,
+            "also where another owner registers it");
+  raw::gpu_parameter("yield_us", "0");
+}
+
+/// Runs `body` in a child. What it owns ends with it, so one that shall go on owning pauses.
+pid_t child(const std::function<void()>& body) {
+  const pid_t pid = fork();
+  if (pid == 0) {
+    body();
+    _exit(0);
+  }
+  return pid;
+}
+bool lives(pid_t pid) {
+  return waitpid(pid, nullptr, WNOHANG) == 0;
+}
+void reap(pid_t pid) {
+  kill(pid, SIGKILL);
+  waitpid(pid, nullptr, 0);
+}
+
+void devices() {
+  const UniqueFd tsg = raw::tsg(), channel = raw::channel(), dla = raw::dla();
+  (void)raw::bind(tsg, channel);
+  (void)raw::call(dla.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  // The owner is killed while it is in a DLA command of its own.
+  raw::dla_parameter("command_us", "1");
+  const pid_t owner = child([&] {
+    QueueControl c = control();
+    const auto g = registered(c, QueueType::kGpuTsg, tsg), d = registered(c, QueueType::kDla, dla);
+    (void)c.suspend(g);
+    raw::dla_parameter("command_us", "1000000");
+    (void)c.suspend(d);  // its life tells how long the command takes
+  });
+  if (!eventually([] { return guest::count(guest::gpu_state(), "enabled=0") == 1; }))
+    ktap_bail("not suspended");
+  guest::sleep_ms(100);
+  QueueControl observer = control();
+  auto begin = std::chrono::steady_clock::now();
+  const auto ms = [&] {
+    return static_cast<long>((std::chrono::steady_clock::now() - begin) / 1ms);
+  };
+  const auto list = observer.list();
+  ktap_test(list && list->size() == 2 && !has(guest::dla_state(), "suspended=1") && lives(owner),
+            "a list does not wait for a DLA command (%ld ms)", ms());
+  begin = std::chrono::steady_clock::now();
+  kill(owner, SIGKILL);
+  const bool resumed =
+      eventually([] { return guest::count(guest::gpu_state(), "enabled=0") == 0; });
+  const long took = ms();
+  ktap_test(resumed && lives(owner),
+            "a dead owner's TSG runs again while its DLA command goes on (%ld ms)", took);
+  reap(owner);
+  raw::dla_parameter("command_us", "50");
+  ktap_test(eventually([] { return guest::suspended() == 0; }), "and then the DLA queue");
+
+  // The owner is killed while somebody else is in a command of that DLA.
+  const UniqueFd others = raw::dla();
+  (void)raw::call(others.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  const pid_t second = child([&] {
+    QueueControl c = control();
+    const auto d = registered(c, QueueType::kDla, dla), g = registered(c, QueueType::kGpuTsg, tsg);
+    (void)c.suspend(d);
+    (void)c.suspend(g);
+    pause();
+  });
+  if (!eventually([] { return guest::suspended() == 2; })) ktap_bail("not suspended");
+  raw::dla_parameter("command_us", "1000000");
+  const pid_t busy = child([&] { (void)raw::set_status(others, NVDLA_SET_QUEUE_RESUME); });
+  guest::sleep_ms(100);
+  begin = std::chrono::steady_clock::now();
+  reap(second);
+  const bool again = eventually([] { return guest::count(guest::gpu_state(), "enabled=0") == 0; });
+  const long waited = ms();
+  ktap_test(again && has(guest::dla_state(), "suspended=1"),
+            "a dead owner's TSG does not wait for its DLA queue (%ld ms)", waited);
+  raw::dla_parameter("command_us", "50");
+  reap(busy);
+  ktap_test(eventually([] { return guest::suspended() == 0; }), "whose turn comes, too");
+
+  // One that waits for another's driver call can be killed.
+  raw::dla_parameter("command_us", "1000000");
+  const pid_t first = child([&] {
+    QueueControl c = control();
+    (void)c.suspend(registered(c, QueueType::kDla, dla));
+  });
+  guest::sleep_ms(300);  // it registers, which resumes, and suspends: two commands
+  const pid_t behind = child([&] {
+    QueueControl c = control();
+    (void)c.suspend(registered(c, QueueType::kDla, dla));
+  });
+  guest::sleep_ms(300);
+  kill(behind, SIGKILL);
+  const bool died = eventually([&] { return !lives(behind); }, 10000);
+  ktap_test(died && lives(first), "who waits behind a driver call can be killed");
+  raw::dla_parameter("command_us", "50");
+  waitpid(first, nullptr, 0);
+  ktap_test(eventually([] { return guest::suspended() == 0; }), "and leaves nothing suspended");
+}
+
+void release_35() {
+  if (system("rmmod xauto xauto_nvgpu_emu xauto_nvdla_emu && insmod /modules/xauto_nvgpu_emu.ko "
+             "release=r35 && insmod /modules/xauto_nvdla_emu.ko release=r35 && "
+             "insmod /modules/xauto.ko") != 0)
+    ktap_bail("the emulators do not load as r35");
+  {
+    Held held;
+    const UniqueFd other = raw::channel();
+    (void)raw::bind(held.tsg, other);
+    (void)raw::work(other, 60000);
+    ktap_test(eventually([] { return has(guest::gpu_state(), "channels=2 on=0"); }),
+              "r35: a new channel of a suspended TSG is suspended, too");
+    const UniqueFd dla = raw::dla();
+    (void)raw::call(dla.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+    const auto handle = held.owner.register_queue(QueueType::kDla, dla.get());
+    ktap_test(handle && held.owner.suspend(handle->handle),
+              "r35: a queue of the driver that is built in is suspended: %s",
+              text_of(handle).c_str());
+    guest::sleep_ms(400);
+    ktap_test(has(guest::dla_state(), "powered=1") && has(guest::dla_state(), "suspended=1"),
+              "r35: its DLA keeps its power");
+    (void)held.owner.resume(handle ? handle->handle : 1);
+    ktap_test(eventually([] { return !has(guest::dla_state(), "powered=1"); }),
+              "r35: and gives it back");
+  }
+  if (system("rmmod xauto xauto_nvgpu_emu xauto_nvdla_emu && insmod /modules/xauto_nvgpu_emu.ko && "
+             "insmod /modules/xauto_nvdla_emu.ko && "
+             "insmod /modules/xauto.ko gpu_drivers=kernel,xauto_nvgpu_emu") != 0)
+    ktap_bail("the emulators do not load as r36");
+  QueueControl c = control();
+  const UniqueFd files[] = {raw::node("/dev/null"), UniqueFd(eventfd(0, 0)),
+                            UniqueFd(memfd_create("nvgpu-ga10b-tsg1", 0)),
+                            UniqueFd(open("/tmp/nvgpu-ga10b-tsg1", O_RDWR | O_CREAT, 0600)),
+                            UniqueFd(open("/tmp/nvhost-ctrl-nvdla0", O_RDWR | O_CREAT, 0600))};
+  int refused = 0;
+  for (const auto& file : files)
+    for (const QueueType type : {QueueType::kGpuTsg, QueueType::kDla})
+      refused += has(text_of(c.register_queue(type, file.get())), "the file is not of") ||
+                 has(text_of(c.register_queue(type, file.get())), "not a TSG");
+  ktap_test(refused == 10, "built-in files with other names, or kinds, are none (%d of 10)",
+            refused);
+  reload("");
+}
+
+void fair_shares() {
+  constexpr int kEach = 128, kAll = 1024, kReserve = 64;
+  int ready[2], hold[2];
+  if (pipe(ready) != 0 || pipe(hold) != 0) ktap_bail("pipe");
+  std::vector<pid_t> users;
+  int total = 0, most = 0;
+  std::string why;
+  for (uid_t user = 1000; user < 1008; ++user) {
+    users.push_back(child([&] {
+      if (setgid(user) != 0 || setuid(user) != 0) _exit(9);
+      const UniqueFd tsg = raw::node("/dev/nvgpu/igpu0/tsg");
+      std::vector<QueueControl> owners;
+      int made = 0;
+      std::string text;
+      for (; made < kAll; ++made) {
+        auto c = QueueControl::open();
+        if (!c) break;
+        text = text_of(c->register_queue(QueueType::kGpuTsg, tsg.get()));
+        if (!text.empty()) break;
+        (void)c->set_watchdog(60000);
+        owners.push_back(std::move(*c));
+      }
+      const bool told = has(text, "too many owners");
+      if (!told) made = -1;
+      (void)!write(ready[1], &made, sizeof made);
+      pause();
+    }));
+    int made = 0;
+    (void)!read(ready[0], &made, sizeof made);
+    total += made;
+    most = std::max(most, made);
+  }
+  ktap_test(most == kEach, "one user has at most %d owners (%d)", kEach, most);
+  ktap_test(total == kAll - kReserve, "all users together leave %d of %d (%d)", kReserve, kAll,
+            total);
+  QueueControl root = control();
+  const UniqueFd tsg = raw::tsg();
+  ktap_test(root.register_queue(QueueType::kGpuTsg, tsg.get()).has_value(),
+            "which are for who has CAP_SYS_NICE");
+  for (const pid_t user : users) reap(user);
+  for (const int fd : {ready[0], ready[1], hold[0], hold[1]}) close(fd);
+}
+
+void undone() {
+  const UniqueFd tsg = raw::tsg(), channel = raw::channel();
+  (void)raw::bind(tsg, channel);
+  QueueControl stays = control();
+  const auto mine = registered(stays, QueueType::kGpuTsg, tsg);
+  const auto set = [](QueueControl& c, std::uint32_t handle, std::uint32_t us) {
+    const QueueOp ops[] = {{XAUTO_ACTION_SET_TIMESLICE, handle, us},
+                           {XAUTO_ACTION_SET_INTERLEAVE, handle, 2}};
+    return c.control(ops).has_value();
+  };
+  const pid_t owner = child([&] {
+    QueueControl c = control();
+    (void)set(c, registered(c, QueueType::kGpuTsg, tsg), 5000);
+    pause();
+  });
+  const bool were = eventually([] { return has(guest::gpu_state(), "level=2 timeslice_us=5000"); });
+  reap(owner);
+  ktap_test(were && eventually([] { return has(guest::gpu_state(), "level=0 timeslice_us=1024"); }),
+            "time slice and interleave level do not outlive their owner");
+  const bool again = set(stays, mine, 3000);
+  ktap_test(again && stays.unregister(mine).has_value() &&
+                has(guest::gpu_state(), "level=0 timeslice_us=1024"),
+            "nor a registration");
+}
+
+void unload_is_told() {
+  auto events = QueueEvents::subscribe();
+  const UniqueFd tsg = raw::tsg(), channel = raw::channel();
+  (void)raw::bind(tsg, channel);
+  QueueControl c = control();
+  (void)c.suspend(registered(c, QueueType::kGpuTsg, tsg));
+  (void)events_of(*events, XAUTO_KEV_REGISTER);
+  if (system("rmmod xauto") != 0) ktap_bail("rmmod");
+  const auto told = events_of(*events, XAUTO_KEV_RESUME);
+  ktap_test(told.size() == 1 && told[0].error == 0,
+            "what unloading the module resumes is told (%zu)", told.size());
+  if (system("insmod /modules/xauto.ko") != 0) ktap_bail("insmod");
+}
+
+}  // namespace
+
+int main() {
+  ktap_plan(48);
+  escapes();
+  repeated();
+  dla_released();
+  system_sleeps();
+  dla_slots();
+  stuck();
+  devices();
+  release_35();
+  fair_shares();
+  undone();
+  unload_is_told();
+  ktap_test(eventually([] { return guest::suspended() == 0; }), "nothing is left suspended");
+  return ktap_exit();
+}
