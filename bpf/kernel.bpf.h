@@ -63,24 +63,65 @@ struct sched_ext_entity {
 	u64 dsq_vtime;
 };
 
+struct ns_common {
+	unsigned int inum;
+};
+
+struct pid_namespace {
+	struct ns_common ns;
+};
+
+struct upid {
+	int nr;
+	struct pid_namespace *ns;
+};
+
+/* One upid per level of namespaces; kernels declare the array as [1], as [] or as [0]. */
+struct pid {
+	unsigned int level;
+	struct upid numbers[1];
+};
+
 struct task_struct {
 	unsigned int flags;
 	unsigned int __state;
 	int pid;
 	int tgid;
+	u64 start_time;
+	struct pid *thread_pid;
+	struct rt_mutex_waiter *pi_blocked_on;
 	int nr_cpus_allowed;
 	const struct cpumask *cpus_ptr;
 	struct sched_ext_entity scx;
 	char comm[16];
 };
 
+struct rb_node {
+	unsigned long __rb_parent_color;
+};
+
+struct rb_root_cached {
+	struct rb_node *rb_leftmost;
+};
+
+struct rt_waiter_node {
+	struct rb_node entry;
+};
+
+struct rt_mutex_base {
+	struct rb_root_cached waiters;
+	struct task_struct *owner;
+};
+
+struct rt_mutex_waiter {
+	struct rt_waiter_node tree;
+	struct task_struct *task;
+	struct rt_mutex_base *lock;
+};
+
 /* Before 5.14 `__state` was called `state`, and was a long. */
 struct task_struct___old {
 	long state;
-};
-
-struct scx_exit_task_args {
-	bool cancelled;
 };
 
 enum scx_exit_kind {
@@ -134,7 +175,6 @@ struct sched_ext_ops {
 	void (*running)(struct task_struct *);
 	void (*stopping)(struct task_struct *, bool);
 	void (*enable)(struct task_struct *);
-	void (*exit_task)(struct task_struct *, struct scx_exit_task_args *);
 	s32 (*init)(void);
 	void (*exit)(struct scx_exit_info *);
 	u64 flags;

@@ -33,6 +33,8 @@
  * What user space may get wrong (a job word, a slot number, a table) never does: that thread is an
  * ordinary one then, and a count tells.
  *
+ * Who holds a lock that an XNode thread waits for runs with that one's key (lend.bpf.h).
+ *
  * Locks: all callbacks of a thread run under its run queue's lock, which therefore protects jobs[].
  * cpu_state[] is written by its own CPU and read by others without a lock, as said at each place.
  */
@@ -60,7 +62,7 @@ const volatile unsigned int age_ms = 1000;
 #define XNODE_DSQ(cpu) (0x58440000ULL | (u32)(cpu))
 #define NS_PER_US 1000ULL
 
-/* cpu_state.current, besides a slot number */
+/* cpu_state.current, besides a slot's number */
 #define CURRENT_SWITCHING (-1) /* between two threads, or idle: nobody to preempt */
 #define CURRENT_KERNEL (-2)
 #define CURRENT_ORDINARY (-3)
@@ -69,6 +71,7 @@ const volatile unsigned int age_ms = 1000;
  * struct cpu_state - one CPU, written by it alone except @woken
  * @current:   who runs: a slot, or CURRENT_*. Never "nobody, no key" between two threads: whoever
  *             wakes then would kick, and kick again, and the CPU would do nothing else
+ * @tid:       the thread that runs, by the kernel's own id; written before @current
  * @credit_ns: of the floor; negative after a turn that a late tick made longer
  * @credit_at: when it was last refilled
  * @began_ns:  when @current began, or was last accounted
@@ -89,6 +92,8 @@ struct cpu_state {
 	u32 granted;
 	u32 woken;
 	u32 rekicked;
+	u32 tid;
+	u32 pad;
 };
 
 struct {
@@ -106,7 +111,9 @@ XAUTO_MAP_SCHED;
 XAUTO_MAP_COUNTS;
 XAUTO_MAP_THREADS;
 
+#include "threads.bpf.h"
 #include "jobs.bpf.h"
+#include "lend.bpf.h"
 
 static unsigned long long vtime_now; /* of the fair queue: the largest that has begun to run */
 
@@ -150,14 +157,42 @@ static __always_inline u64 slice_of(const struct xauto_bpf_job *job)
 	return slice;
 }
 
+/* What is lent to it included. `t`: its slot; NULL: it is no XNode's. */
+static __always_inline s64 judge(struct task_struct *p, const struct xnode_thread *t, struct claim *c)
+{
+	c->key = NO_KEY;
+	if (t && key_of(t->job) != NO_KEY) {
+		c->key = t->job->key;
+		c->since_ns = t->job->since_ns;
+		c->slot = (s32)t->at;
+		c->cpu = t->job->cpu;
+	}
+	c->tid = p->pid;
+	borrow((u32)p->pid, c);
+	return c->key;
+}
+
+/* Where a thread with a claim runs; -1: its affinity forbids that, it runs elsewhere. */
+static __always_inline s32 place(struct task_struct *p, const struct claim *c)
+{
+	return bpf_cpumask_test_cpu(c->cpu, p->cpus_ptr) ? (s32)c->cpu : -1;
+}
+
+static __always_inline s32 home_of(struct task_struct *p, const struct claim *c)
+{
+	s32 cpu = place(p, c);
+
+	return cpu < 0 ? (s32)bpf_cpumask_first(p->cpus_ptr) : cpu;
+}
+
 /* ---- queues -------------------------------------------------------------------------------- */
 
 /* To be destroyed also when it fails. */
-static __always_inline bool iterate(struct bpf_iter_scx_dsq *it, s32 cpu)
+static __always_inline bool iterate(struct bpf_iter_scx_dsq *it, u64 dsq)
 {
-	if (!bpf_iter_scx_dsq_new(it, XNODE_DSQ(cpu), 0))
+	if (!bpf_iter_scx_dsq_new(it, dsq, 0))
 		return true;
-	scx_bpf_error("CPU %d has no queue", cpu); /* xauto_init() made one for each */
+	scx_bpf_error("there is no queue %llx", dsq); /* xauto_init() made them */
 	return false;
 }
 
@@ -167,32 +202,64 @@ static __always_inline bool iterate(struct bpf_iter_scx_dsq *it, s32 cpu)
  * another job while it waited: it was queued by the key of the old one, so the present words are what
  * counts. Queues are as long as a CPU has XNode threads.
  */
-__noinline s64 first_of(s32 cpu, struct claim *first)
+static __noinline s64 first_queued(s32 cpu, struct claim *first)
 {
 	struct bpf_iter_scx_dsq it;
 	struct task_struct *p;
-	bool any = false;
 
 	if (!first)
 		return NO_KEY;
 	first->key = NO_KEY;
-	if (!iterate(&it, cpu))
+	if (!iterate(&it, XNODE_DSQ(cpu)))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
 		struct claim c = { .key = NO_KEY, .slot = -1 };
 		struct xnode_thread t;
 
-		if (!thread_of(p, &t) || claim_of(t.at, &c) == NO_KEY)
+		if (thread_of(p, &t))
+			claim_of(t.at, &c);
+		borrow((u32)p->pid, &c);
+		if (c.key == NO_KEY)
 			c.key = LAST_KEY; /* it became ordinary here, and has to leave */
-		if (any && !XAUTO_RULE_BEFORE(c, *first))
+		if (first->key != NO_KEY && !XAUTO_RULE_BEFORE(c, *first))
 			continue;
-		any = true;
-		c.tid = p->pid;
 		*first = c;
+		first->tid = p->pid;
 	}
 out:
 	bpf_iter_scx_dsq_destroy(&it);
 	return first->key;
+}
+
+/* Before that, ordinary threads that were queued before anything was lent to them. */
+static __noinline s64 first_lent(s32 cpu, struct claim *first)
+{
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+
+	if (!first)
+		return NO_KEY;
+	if (!iterate(&it, FAIR_DSQ))
+		goto out;
+	while ((p = bpf_iter_scx_dsq_next(&it))) {
+		struct claim c = { .key = NO_KEY, .slot = -1 };
+
+		borrow((u32)p->pid, &c);
+		if (c.key == NO_KEY || home_of(p, &c) != cpu || !XAUTO_RULE_BEFORE(c, *first))
+			continue;
+		*first = c;
+		first->tid = p->pid;
+	}
+out:
+	bpf_iter_scx_dsq_destroy(&it);
+	return first->key;
+}
+
+static __always_inline s64 first_of(s32 cpu, struct claim *first)
+{
+	s64 key = first_queued(cpu, first);
+
+	return anybody_lends() ? first_lent(cpu, first) : key;
 }
 
 __noinline s64 key_waiting(s32 cpu)
@@ -212,26 +279,15 @@ static __always_inline u64 vtime_of_key(s64 key)
 	return (u64)key - 4 * KEY_LIMIT;
 }
 
-static __always_inline void enqueue_xnode(struct task_struct *p, struct xauto_bpf_job *job, u64 enq_flags)
+/* Somebody with that claim waits for the CPU. */
+static __always_inline void ask_for(s32 cpu, const struct claim *mine)
 {
-	struct claim mine = { .key = job->key }, running;
-	s32 cpu = (s32)job->cpu;
-	struct cpu_state *c;
+	struct claim running = { .key = NO_KEY };
+	struct cpu_state *c = state_of(cpu);
 	s64 current;
 
-	if (!bpf_cpumask_test_cpu(cpu, p->cpus_ptr)) {
-		cpu = (s32)bpf_cpumask_first(p->cpus_ptr);
-		count(XAUTO_BPF_STAT_MISPLACED);
-	}
-	job->queued_ns = bpf_ktime_get_ns();
-	insert_vtime(p, XNODE_DSQ(cpu), slice_of(job), vtime_of_key(mine.key), enq_flags);
-	count(XAUTO_BPF_STAT_QUEUED);
-
-	c = state_of(cpu);
 	if (!c)
 		return;
-	if (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP))
-		c->woken = 1;
 	current = *(volatile s64 *)&c->current;
 	if (current == CURRENT_SWITCHING) {
 		/* Wakes it if it is idle. If it is not, running() or tick() will look at the queue. */
@@ -249,11 +305,59 @@ static __always_inline void enqueue_xnode(struct task_struct *p, struct xauto_bp
 		if (thread_at((u32)current, &t))
 			__sync_lock_test_and_set(&t.slot->waiting, 1);
 		claim_of((u32)current, &running);
-		if (!XAUTO_RULE_TAKES(mine, running))
-			return;
 	}
+	borrow(c->tid, &running);
+	if (!XAUTO_RULE_TAKES(*mine, running))
+		return;
 	count(XAUTO_BPF_STAT_KICKED);
 	scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
+}
+
+/* By its claim. `job`: NULL if it is no XNode's thread and runs by what is lent to it. */
+static __always_inline void enqueue_claim(struct task_struct *p, const struct claim *mine,
+					  struct xauto_bpf_job *job, u64 enq_flags)
+{
+	s32 cpu = place(p, mine);
+	struct cpu_state *c;
+
+	if (cpu < 0) {
+		cpu = home_of(p, mine);
+		count(XAUTO_BPF_STAT_MISPLACED);
+	}
+	if (job)
+		job->queued_ns = bpf_ktime_get_ns();
+	insert_vtime(p, XNODE_DSQ(cpu), job ? slice_of(job) : xnode_slice_us * NS_PER_US,
+		     vtime_of_key(mine->key), enq_flags);
+	count(XAUTO_BPF_STAT_QUEUED);
+	c = state_of(cpu);
+	if (c && (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP)))
+		c->woken = 1;
+	ask_for(cpu, mine);
+}
+
+/* Of another thread, which holds what an XNode thread has just gone to sleep for. */
+static __always_inline void hurry(u32 pid, s32 here)
+{
+	struct claim c = { .key = NO_KEY };
+	struct task_struct *p;
+	struct cpu_state *there;
+	struct xnode_thread t;
+	s32 cpu;
+
+	p = bpf_task_from_pid((s32)pid);
+	if (!p)
+		return;
+	if (thread_of(p, &t))
+		claim_of(t.at, &c);
+	borrow(pid, &c);
+	cpu = home_of(p, &c);
+	there = state_of(cpu);
+	/* Here dispatch() follows. Where it runs, it goes on. */
+	if (c.key != NO_KEY && cpu != here && there && there->tid != pid) {
+		there->woken = 1;
+		ask_for(cpu, &c);
+	}
+	bpf_task_release(p);
 }
 
 static __always_inline void enqueue_kernel_thread(struct task_struct *p, u64 enq_flags)
@@ -290,20 +394,21 @@ static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flag
 SEC("struct_ops/xauto_select_cpu")
 s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_flags)
 {
+	struct claim mine = {};
 	struct xnode_thread t;
-	bool idle = false;
+	bool idle = false, xnode;
 	s32 cpu;
 
-	if (thread_of(p, &t)) {
+	xnode = thread_of(p, &t);
+	if (xnode)
 		latch(t.job, t.slot);
-		/* Not straight to the local queue even if idle: XNode threads get there only by
-		 * dispatch(), so that their order is the queue's.
-		 */
-		if (key_of(t.job) != NO_KEY && bpf_cpumask_test_cpu(t.job->cpu, p->cpus_ptr))
-			return (s32)t.job->cpu;
-	}
+	/* Not straight to the local queue even if idle: XNode threads get there only by
+	 * dispatch(), so that their order is the queue's.
+	 */
+	if (judge(p, xnode ? &t : NULL, &mine) != NO_KEY && place(p, &mine) >= 0)
+		return place(p, &mine);
 	cpu = scx_bpf_select_cpu_dfl(p, prev_cpu, wake_flags, &idle);
-	if (idle)
+	if (idle && mine.key == NO_KEY)
 		insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), ordinary_slice_us * NS_PER_US, 0);
 	return cpu;
 }
@@ -311,16 +416,21 @@ s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_fla
 SEC("struct_ops/xauto_enqueue")
 void BPF_PROG(xauto_enqueue, struct task_struct *p, u64 enq_flags)
 {
+	struct claim mine = {};
 	struct xnode_thread t;
+	bool xnode;
 
-	if (thread_of(p, &t)) {
+	xnode = thread_of(p, &t);
+	if (xnode) {
 		latch(t.job, t.slot);
-		if (key_of(t.job) != NO_KEY) {
-			enqueue_xnode(p, t.job, enq_flags);
-			return;
-		}
+		end_lending(t.at);
 	}
-	if (p->flags & PF_KTHREAD)
+	/* The lock that it is woken for is its own now, and others may wait for that. */
+	if (anybody_lends() && p->pi_blocked_on)
+		lend_again();
+	if (judge(p, xnode ? &t : NULL, &mine) != NO_KEY)
+		enqueue_claim(p, &mine, xnode ? t.job : NULL, enq_flags);
+	else if (p->flags & PF_KTHREAD)
 		enqueue_kernel_thread(p, enq_flags);
 	else
 		enqueue_ordinary(p, enq_flags);
@@ -334,13 +444,13 @@ __noinline int dispatch_aged(s32 cpu)
 	struct task_struct *p;
 	bool moved = false;
 
-	if (!iterate(&it, cpu))
+	if (!iterate(&it, XNODE_DSQ(cpu)))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
 		struct xnode_thread t;
 
-		/* It may have left its slot since it was queued. */
-		if (!thread_of(p, &t) || !t.job->queued_ns || t.job->queued_ns > oldest)
+		/* Who has no slot was lent a key, or has left: the floor is for such a one. */
+		if (thread_of(p, &t) && (!t.job->queued_ns || t.job->queued_ns > oldest))
 			continue;
 		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
 		if (moved)
@@ -351,13 +461,13 @@ out:
 	return moved;
 }
 
-__noinline int dispatch_thread(s32 cpu, s32 who)
+__noinline int dispatch_thread(u64 dsq, s32 who)
 {
 	struct bpf_iter_scx_dsq it;
 	struct task_struct *p;
 	bool moved = false;
 
-	if (!iterate(&it, cpu))
+	if (!iterate(&it, dsq))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
 		if (p->pid != who)
@@ -391,21 +501,21 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 	struct cpu_state *c = state_of(cpu);
 	struct claim first = {}, mine = { .key = NO_KEY };
 	struct xnode_thread t;
-	u64 now = bpf_ktime_get_ns(), slice = 0;
-	bool fresh = false, waits;
+	u64 now = bpf_ktime_get_ns(), slice = xnode_slice_us * NS_PER_US;
+	bool fresh = false, waits, xnode;
 
 	if (!c)
 		return;
 	c->rekicked = 0;
-	if (prev && (prev->scx.flags & SCX_VALUE(scx_ent_flags, SCX_TASK_QUEUED)) &&
-	    thread_of(prev, &t)) {
-		/* A job that it has told just now did not get the CPU yet: it asks, as the others do. */
-		fresh = latch(t.job, t.slot);
-		charge(c, t.job, t.slot, now);
-		mine.key = key_of(t.job);
-		mine.since_ns = t.job->since_ns;
-		mine.slot = (s32)t.at;
-		slice = slice_of(t.job);
+	if (prev && (prev->scx.flags & SCX_VALUE(scx_ent_flags, SCX_TASK_QUEUED))) {
+		xnode = thread_of(prev, &t);
+		if (xnode) {
+			/* A job that it has told just now did not get the CPU yet: it asks, as the others do. */
+			fresh = latch(t.job, t.slot);
+			charge(c, t.job, t.slot, now);
+			slice = slice_of(t.job);
+		}
+		judge(prev, xnode ? &t : NULL, &mine);
 	}
 	waits = first_of(cpu, &first) != NO_KEY;
 	refill(c, now);
@@ -434,7 +544,8 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 		return;
 	}
 	/* It may have been taken off the queue meanwhile: then whoever is first. */
-	if (!dispatch_thread(cpu, first.tid))
+	if (!dispatch_thread(XNODE_DSQ(cpu), first.tid) &&
+	    !(anybody_lends() && dispatch_thread(FAIR_DSQ, first.tid)))
 		move_to_local(XNODE_DSQ(cpu));
 }
 
@@ -445,17 +556,21 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 	struct cpu_state *c = state_of(cpu);
 	bool kernel = p->flags & PF_KTHREAD;
 	struct xauto_bpf_slot *slot = NULL;
+	struct claim claim = {};
 	struct xnode_thread t;
 	s64 current = kernel ? CURRENT_KERNEL : CURRENT_ORDINARY;
 	s64 mine = NO_KEY, waiting;
+	bool xnode;
 
 	if (!c)
 		return;
 	c->began_ns = bpf_ktime_get_ns();
-	if (thread_of(p, &t)) {
+	xnode = thread_of(p, &t);
+	if (xnode) {
 		slot = t.slot;
 		latch(t.job, slot);
 		t.job->queued_ns = 0;
+		end_lending(t.at); /* not all who are woken are queued by us */
 		mine = key_of(t.job);
 		if (mine != NO_KEY)
 			current = t.at;
@@ -467,7 +582,9 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 	 * A thread that a fair or real-time thread had interrupted comes back this way without
 	 * dispatch(), so this is the only place that sees a more urgent one queued meanwhile.
 	 */
+	c->tid = (u32)p->pid;
 	__sync_lock_test_and_set(&c->current, current);
+	mine = judge(p, xnode ? &t : NULL, &claim);
 	waiting = key_waiting(cpu);
 	if (slot)
 		slot->waiting = waiting != NO_KEY;
@@ -493,17 +610,26 @@ void BPF_PROG(xauto_tick, struct task_struct *p)
 {
 	s32 cpu = scx_bpf_task_cpu(p);
 	struct cpu_state *c = state_of(cpu);
+	struct claim claim = {};
 	struct xnode_thread t;
-	s64 mine = NO_KEY;
+	s64 mine;
+	bool xnode;
 
-	if (!c || c->granted || p->flags & PF_KTHREAD)
+	if (!c)
 		return;
-	if (thread_of(p, &t)) {
+	if (anybody_lends())
+		lend_again();
+	if (c->granted || p->flags & PF_KTHREAD)
+		return;
+	xnode = thread_of(p, &t);
+	if (!xnode) {
+		mine = judge(p, NULL, &claim);
+	} else {
 		s64 before = key_of(t.job);
 
 		latch(t.job, t.slot);
 		charge(c, t.job, t.slot, bpf_ktime_get_ns());
-		mine = key_of(t.job);
+		mine = judge(p, &t, &claim);
 		/* Demoted just now: it must go through a queue to become ordinary. */
 		if (before != NO_KEY && mine == NO_KEY) {
 			set_slice(p, 0);
@@ -526,6 +652,7 @@ void BPF_PROG(xauto_stopping, struct task_struct *p, bool runnable)
 	u64 now = bpf_ktime_get_ns();
 	struct xnode_thread t;
 	s64 mine = NO_KEY;
+	u32 to = 0;
 	u64 ran;
 
 	if (!c)
@@ -536,13 +663,23 @@ void BPF_PROG(xauto_stopping, struct task_struct *p, bool runnable)
 		charge(c, t.job, t.slot, now);
 		mine = key_of(t.job);
 	}
+	if (!runnable && p->pi_blocked_on) {
+		/* Who lends to it lends to whom it waits for. */
+		if (anybody_lends())
+			lend_again();
+		if (mine != NO_KEY)
+			to = begin_lending(t.at, p);
+	}
 	if (mine == NO_KEY)
 		set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
 	if (c->granted && !(p->flags & PF_KTHREAD)) {
 		c->credit_ns -= (s64)ran;
 		c->granted = 0;
 	}
+	c->tid = 0;
 	c->current = CURRENT_SWITCHING;
+	if (to)
+		hurry(to, cpu);
 }
 
 SEC("struct_ops/xauto_enable")
@@ -551,14 +688,12 @@ void BPF_PROG(xauto_enable, struct task_struct *p)
 	set_vtime(p, vtime_now);
 }
 
-/* Also called for every thread when we are unloaded: then they stay registered. */
-SEC("struct_ops/xauto_exit_task")
-void BPF_PROG(xauto_exit_task, struct task_struct *p, struct scx_exit_task_args *args)
+/* Before it has lost its id, which exit_task() comes after. */
+SEC("tp_btf/sched_process_exit")
+int BPF_PROG(xauto_exited, struct task_struct *p)
 {
-	u32 tid = p->pid;
-
-	if (p->flags & PF_EXITING)
-		bpf_map_delete_elem(&threads, &tid);
+	forget(p);
+	return 0;
 }
 
 SEC("struct_ops.s/xauto_init")
@@ -620,7 +755,6 @@ struct sched_ext_ops xauto_ops = {
 	.tick = (void *)xauto_tick,
 	.stopping = (void *)xauto_stopping,
 	.enable = (void *)xauto_enable,
-	.exit_task = (void *)xauto_exit_task,
 	.init = (void *)xauto_init,
 	.exit = (void *)xauto_exit,
 	.flags = SCX_OPS_ENQ_EXITING,

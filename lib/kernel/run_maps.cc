@@ -22,15 +22,17 @@ namespace fs = std::filesystem;
 struct Known {
   const char* name;
   std::size_t value_size;
+  std::size_t key_size = sizeof(std::uint32_t);
 };
-constexpr std::array<Known, 8> kKnown = {{{"head", sizeof(xauto_bpf_head)},
-                                          {"table", sizeof(xauto_bpf_entry)},
-                                          {"slots", sizeof(xauto_bpf_slot)},
-                                          {"jobs", sizeof(xauto_bpf_job)},
-                                          {"sched", sizeof(xauto_bpf_sched)},
-                                          {"counts", sizeof(xauto_bpf_counts)},
-                                          {"names", sizeof(xauto_bpf_name)},
-                                          {"threads", sizeof(std::uint32_t)}}};
+constexpr std::array<Known, 8> kKnown = {
+    {{"head", sizeof(xauto_bpf_head)},
+     {"table", sizeof(xauto_bpf_entry)},
+     {"slots", sizeof(xauto_bpf_slot)},
+     {"jobs", sizeof(xauto_bpf_job)},
+     {"sched", sizeof(xauto_bpf_sched)},
+     {"counts", sizeof(xauto_bpf_counts)},
+     {"names", sizeof(xauto_bpf_name)},
+     {"threads", 2 * sizeof(std::uint64_t), sizeof(std::uint64_t)}}};
 
 bool good_name(const std::string& run) {
   return !run.empty() && run.size() <= 64 && std::all_of(run.begin(), run.end(), [](char c) {
@@ -137,7 +139,7 @@ Result<RunMaps> RunMaps::open(const std::string& run) {
   maps.run_ = run;
   for (const Known& known : kKnown) {
     XAUTO_ASSIGN(UniqueFd fd, open_pinned_map(folder(run) + "/" + known.name));
-    XAUTO_TRY(check_shape(fd.get(), known.name, known.value_size, 1));
+    XAUTO_TRY(check_shape(fd.get(), known.name, known.value_size, 1, known.key_size));
     maps.maps_.push_back({known.name, std::move(fd)});
   }
   XAUTO_TRY(maps.map_all(false));

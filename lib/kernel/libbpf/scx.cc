@@ -20,8 +20,10 @@ constexpr auto kEnableLimit = std::chrono::seconds(5);
 struct ScxScheduler::Loaded {
   xauto_scx* object = nullptr;
   bpf_link* link = nullptr;
+  bpf_link* exited = nullptr;
   ~Loaded() {
     bpf_link__destroy(link);
+    bpf_link__destroy(exited);
     xauto_scx__destroy(object);
   }
 };
@@ -64,6 +66,8 @@ Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& o
   const int load_error = xauto_scx__load(loaded.object);
   verifier.write();
   if (load_error != 0) return libbpf_failed("the kernel did not accept the scheduler", load_error);
+  loaded.exited = bpf_program__attach(loaded.object->progs.xauto_exited);
+  if (loaded.exited == nullptr) return libbpf_failed("following the ends of threads", errno);
   // By hand: a skeleton of bpftool 7.5 attaches struct_ops only with a newer libbpf than Debian's.
   loaded.link = bpf_map__attach_struct_ops(loaded.object->maps.xauto_ops);
   if (loaded.link == nullptr) return libbpf_failed("enabling the scheduler", errno);
