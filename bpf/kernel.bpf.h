@@ -61,6 +61,7 @@ struct sched_ext_entity {
 	u32 weight;
 	u64 slice;
 	u64 dsq_vtime;
+	unsigned long runnable_at;
 };
 
 struct ns_common {
@@ -144,6 +145,7 @@ enum scx_public_consts {
 };
 enum scx_dsq_id_flags {
 	SCX_DSQ_LOCAL = 0x8000000000000002ULL,
+	SCX_DSQ_LOCAL_ON = 0xC000000000000000ULL,
 };
 enum scx_enq_flags {
 	SCX_ENQ_WAKEUP = 1ULL,
@@ -175,10 +177,13 @@ struct sched_ext_ops {
 	void (*running)(struct task_struct *);
 	void (*stopping)(struct task_struct *, bool);
 	void (*enable)(struct task_struct *);
+	void (*cpu_online)(s32);
+	void (*cpu_offline)(s32);
 	s32 (*init)(void);
 	void (*exit)(struct scx_exit_info *);
 	u64 flags;
 	u32 timeout_ms;
+	u64 hotplug_seq;
 	char name[128];
 };
 

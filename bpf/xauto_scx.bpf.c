@@ -14,6 +14,8 @@
  *   2. the floor: an ordinary thread, or an XNode thread that has waited for age_ms, as long as the
  *      CPU has credit. Credit grows by floor_permille of time up to floor_burst_us. Without it a
  *      busy XNode would lock its CPU, and the kernel's watchdog would throw us out;
+ *      An ordinary thread that has waited for half of the watchdog's limit needs no credit: the floor
+ *      is a share, and of a crowd each would get its part of that too late;
  *   3. the first by the rule of c's XNode queue, or the XNode thread that runs if that takes nothing
  *      from it;
  *   4. the fair queue.
@@ -32,6 +34,9 @@
  * What cannot be ends the scheduler with a reason (scx_bpf_error), and the kernel goes back to its own.
  * What user space may get wrong (a job word, a slot number, a table) never does: that thread is an
  * ordinary one then, and a count tells.
+ *
+ * CPUs may go and come. What waits for one that goes is handed to the kernel, which moves it; from then
+ * on its XNode threads run, by their keys, on the first other CPU that they may use.
  *
  * Who holds a lock that an XNode thread waits for runs with that one's key (lend.bpf.h).
  *
@@ -57,6 +62,8 @@ const volatile unsigned int grant_us = 1000;	     /* least credit that buys a tu
 const volatile unsigned int floor_permille = 50;
 const volatile unsigned int floor_burst_us = 5000;
 const volatile unsigned int age_ms = 1000;
+const volatile unsigned long rescue_jiffies = 1000; /* an ordinary thread that waits longer goes first */
+const volatile unsigned int rescue_look_ms = 100;   /* how often we look for one */
 
 #define FAIR_DSQ 0x58460000ULL
 #define XNODE_DSQ(cpu) (0x58440000ULL | (u32)(cpu))
@@ -72,6 +79,8 @@ const volatile unsigned int age_ms = 1000;
  * @current:   who runs: a slot, or CURRENT_*. Never "nobody, no key" between two threads: whoever
  *             wakes then would kick, and kick again, and the CPU would do nothing else
  * @tid:       the thread that runs, by the kernel's own id; written before @current
+ * @offline:   it is about to go, or has gone; written by whoever takes it away
+ * @look_at:   when to look for ordinary threads that have waited too long
  * @credit_ns: of the floor; negative after a turn that a late tick made longer
  * @credit_at: when it was last refilled
  * @began_ns:  when @current began, or was last accounted
@@ -93,7 +102,8 @@ struct cpu_state {
 	u32 woken;
 	u32 rekicked;
 	u32 tid;
-	u32 pad;
+	u32 offline;
+	u64 look_at;
 };
 
 struct {
@@ -116,6 +126,13 @@ XAUTO_MAP_THREADS;
 #include "lend.bpf.h"
 
 static unsigned long long vtime_now; /* of the fair queue: the largest that has begun to run */
+
+static unsigned int offline_cpus; /* how many */
+
+static __always_inline bool any_offline(void)
+{
+	return *(volatile unsigned int *)&offline_cpus;
+}
 
 static __always_inline struct cpu_state *state_of(s32 cpu)
 {
@@ -172,17 +189,45 @@ static __always_inline s64 judge(struct task_struct *p, const struct xnode_threa
 	return c->key;
 }
 
-/* Where a thread with a claim runs; -1: its affinity forbids that, it runs elsewhere. */
+static __always_inline bool is_offline(s32 cpu)
+{
+	struct cpu_state *c = state_of(cpu);
+
+	return c && *(volatile u32 *)&c->offline;
+}
+
+/* Where a thread with a claim runs; -1: that CPU is forbidden to it or is away, it runs elsewhere. */
 static __always_inline s32 place(struct task_struct *p, const struct claim *c)
 {
-	return bpf_cpumask_test_cpu(c->cpu, p->cpus_ptr) ? (s32)c->cpu : -1;
+	s32 cpu = (s32)c->cpu;
+
+	if (!bpf_cpumask_test_cpu(c->cpu, p->cpus_ptr) || (any_offline() && is_offline(cpu)))
+		return -1;
+	return cpu;
 }
 
 static __always_inline s32 home_of(struct task_struct *p, const struct claim *c)
 {
-	s32 cpu = place(p, c);
+	s32 cpu = place(p, c), first;
+	struct bpf_iter_num it;
+	int *i;
 
-	return cpu < 0 ? (s32)bpf_cpumask_first(p->cpus_ptr) : cpu;
+	if (cpu >= 0)
+		return cpu;
+	first = (s32)bpf_cpumask_first(p->cpus_ptr);
+	if (!any_offline())
+		return first;
+	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
+	while ((i = bpf_iter_num_next(&it))) {
+		if (*i >= (int)nr_cpus)
+			break;
+		if (!bpf_cpumask_test_cpu((u32)*i, p->cpus_ptr) || is_offline(*i))
+			continue;
+		first = *i;
+		break;
+	}
+	bpf_iter_num_destroy(&it);
+	return first;
 }
 
 /* ---- queues -------------------------------------------------------------------------------- */
@@ -380,6 +425,11 @@ static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flag
 	u64 vtime = p->scx.dsq_vtime;
 	s32 cpu;
 
+	/* A CPU that is going takes no more from our queues. The kernel moves what is in its own. */
+	if (any_offline() && is_offline(scx_bpf_task_cpu(p))) {
+		insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), slice, enq_flags);
+		return;
+	}
 	/* Sleeping earns at most one slice, and so does having been an XNode thread (vtime_of_key). */
 	if ((s64)(vtime_now - vtime) > (s64)slice)
 		vtime = vtime_now - slice;
@@ -480,6 +530,51 @@ out:
 	return moved;
 }
 
+/* An ordinary thread that has waited for long gets a turn: true if there is one. */
+__noinline int dispatch_rescued(s32 cpu)
+{
+	u64 now = bpf_jiffies64();
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+	bool moved = false;
+
+	if (!iterate(&it, FAIR_DSQ))
+		goto out;
+	while ((p = bpf_iter_scx_dsq_next(&it))) {
+		/* runnable_at: what the kernel's watchdog goes by. */
+		if ((s64)(now - p->scx.runnable_at) <= (s64)rescue_jiffies ||
+		    !bpf_cpumask_test_cpu((u32)cpu, p->cpus_ptr))
+			continue;
+		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
+		if (moved)
+			break;
+	}
+out:
+	bpf_iter_scx_dsq_destroy(&it);
+	return moved;
+}
+
+/* What was put into the queue of a CPU that had just gone: true if there is one. */
+__noinline int dispatch_stranded(s32 here)
+{
+	struct bpf_iter_num it;
+	bool moved = false;
+	int *i;
+
+	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
+	while ((i = bpf_iter_num_next(&it))) {
+		if (*i >= (int)nr_cpus)
+			break;
+		if (*i == here || !is_offline(*i) || scx_bpf_dsq_nr_queued(XNODE_DSQ(*i)) <= 0)
+			continue;
+		moved = move_to_local(XNODE_DSQ(*i));
+		if (moved)
+			break;
+	}
+	bpf_iter_num_destroy(&it);
+	return moved;
+}
+
 static __always_inline void refill(struct cpu_state *c, u64 now)
 {
 	s64 most = (s64)(floor_burst_us * NS_PER_US);
@@ -507,6 +602,8 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 	if (!c)
 		return;
 	c->rekicked = 0;
+	if (any_offline() && dispatch_stranded(cpu))
+		return;
 	if (prev && (prev->scx.flags & SCX_VALUE(scx_ent_flags, SCX_TASK_QUEUED))) {
 		xnode = thread_of(prev, &t);
 		if (xnode) {
@@ -523,6 +620,14 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 		c->woken = 0;
 		move_to_local(FAIR_DSQ);
 		return;
+	}
+	if (now >= c->look_at) {
+		if (dispatch_rescued(cpu)) { /* and there may be more of them */
+			c->grant = 1;
+			count(XAUTO_BPF_STAT_FLOOR);
+			return;
+		}
+		c->look_at = now + rescue_look_ms * 1000 * NS_PER_US;
 	}
 	if (!c->woken && c->credit_ns >= (s64)(grant_us * NS_PER_US)) {
 		if (dispatch_aged(cpu)) {
@@ -696,10 +801,48 @@ int BPF_PROG(xauto_exited, struct task_struct *p)
 	return 0;
 }
 
+/* Hands what waits for the CPU to the kernel. `all`: not only what may run nowhere else. */
+static __always_inline void hand_over(u64 dsq, s32 cpu, bool all)
+{
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+
+	if (!iterate(&it, dsq))
+		goto out;
+	while ((p = bpf_iter_scx_dsq_next(&it))) {
+		if (bpf_cpumask_test_cpu((u32)cpu, p->cpus_ptr) && (all || p->nr_cpus_allowed == 1))
+			move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL_ON) | (u32)cpu);
+	}
+out:
+	bpf_iter_scx_dsq_destroy(&it);
+}
+
+SEC("struct_ops/xauto_cpu_offline")
+void BPF_PROG(xauto_cpu_offline, s32 cpu)
+{
+	struct cpu_state *c = state_of(cpu);
+
+	if (!c || __sync_lock_test_and_set(&c->offline, 1))
+		return;
+	__sync_fetch_and_add(&offline_cpus, 1);
+	hand_over(XNODE_DSQ(cpu), cpu, true);
+	hand_over(FAIR_DSQ, cpu, false);
+}
+
+SEC("struct_ops/xauto_cpu_online")
+void BPF_PROG(xauto_cpu_online, s32 cpu)
+{
+	struct cpu_state *c = state_of(cpu);
+
+	if (c && __sync_lock_test_and_set(&c->offline, 0))
+		__sync_fetch_and_add(&offline_cpus, -1);
+}
+
 SEC("struct_ops.s/xauto_init")
 s32 BPF_PROG(xauto_init)
 {
 	struct xauto_bpf_sched *s = bpf_map_lookup_elem(&sched, &(u32){ 0 });
+	const struct cpumask *online;
 	struct bpf_iter_num it;
 	s32 error;
 	int *i;
@@ -709,6 +852,7 @@ s32 BPF_PROG(xauto_init)
 	error = scx_bpf_create_dsq(FAIR_DSQ, -1);
 	if (error)
 		return error;
+	online = scx_bpf_get_online_cpumask();
 	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
 	while ((i = bpf_iter_num_next(&it))) {
 		u32 cpu = *i;
@@ -722,13 +866,20 @@ s32 BPF_PROG(xauto_init)
 		c->current = CURRENT_SWITCHING;
 		c->credit_at = bpf_ktime_get_ns();
 		c->credit_ns = (s64)(floor_burst_us * NS_PER_US);
+		if (!bpf_cpumask_test_cpu(cpu, online)) {
+			c->offline = 1;
+			offline_cpus++;
+		}
 		error = scx_bpf_create_dsq(XNODE_DSQ(cpu), -1);
 		if (error)
 			break;
 	}
 	bpf_iter_num_destroy(&it);
-	if (!error)
+	scx_bpf_put_cpumask(online);
+	if (!error) {
+		s->exit_kind = 0; /* of one before us */
 		s->running = 1;
+	}
 	return error;
 }
 
@@ -755,6 +906,8 @@ struct sched_ext_ops xauto_ops = {
 	.tick = (void *)xauto_tick,
 	.stopping = (void *)xauto_stopping,
 	.enable = (void *)xauto_enable,
+	.cpu_online = (void *)xauto_cpu_online,
+	.cpu_offline = (void *)xauto_cpu_offline,
 	.init = (void *)xauto_init,
 	.exit = (void *)xauto_exit,
 	.flags = SCX_OPS_ENQ_EXITING,

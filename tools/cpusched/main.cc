@@ -6,6 +6,7 @@
 // Tells on --ready-fd, in one line, "ok WHY" or "no WHY" (a second line: what to do); then runs
 // until it is told to stop (status 0) or the kernel ends the scheduler (status 1, the reason on
 // stderr).
+#include <optional>
 #include <string>
 
 #include <poll.h>
@@ -39,13 +40,23 @@ int serve(const std::string& run, const xauto::kernel::ScxOptions& options, int 
   };
   auto maps = xauto::kernel::RunMaps::open(run);
   if (!maps) return refuse(maps.error());
-  auto scheduler = xauto::kernel::ScxScheduler::load(*maps, options);
-  if (!scheduler) return refuse(scheduler.error());
+  std::optional<xauto::kernel::ScxScheduler> scheduler;
+  const auto load = [&]() -> xauto::Status {
+    scheduler.reset();
+    XAUTO_ASSIGN(auto loaded, xauto::kernel::ScxScheduler::load(*maps, options));
+    scheduler.emplace(std::move(loaded));
+    return {};
+  };
+  if (const auto loaded = load(); !loaded) return refuse(loaded.error());
   tell(ready_fd, "ok " + scheduler->choice().why);
   for (;;) {
     pollfd wait{stop.get(), POLLIN, 0};
     if (poll(&wait, 1, kLookMs) > 0) return 0;
     if (const auto exit = xauto::kernel::scx_exit_of(maps->sched())) {
+      if (xauto::kernel::scx_asks_restart(maps->sched()) && load()) {
+        xauto::log::warn("the sched_ext scheduler was loaded again: {}", *exit);
+        continue;
+      }
       xauto::log::error("the kernel ended the sched_ext scheduler: {}", *exit);
       return 1;
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The scheduler beside what else a machine does: namespaces. KTAP; as
+// The scheduler beside what else a machine does: namespaces, CPUs that go and come, crowds. KTAP; as
 // scx_test.
 //   scx_machine_test [NAME]
 #include <algorithm>
@@ -99,8 +99,162 @@ void pid_namespace() {
       other);
 }
 
+// ---- CPUs that go and come ----------------------------------------------------------------------
+
+bool switch_cpu(int cpu, bool on) {
+  const std::string file = "/sys/devices/system/cpu/cpu" + std::to_string(cpu) + "/online";
+  const int fd = open(file.c_str(), O_WRONLY);
+  const bool done = fd >= 0 && write(fd, on ? "1" : "0", 1) == 1;
+  close(fd);
+  return done;
+}
+
+/// A thread that is nobody's job.
+void be_ordinary(int cpu = -1) {
+  cpu_set_t all;
+  CPU_ZERO(&all);
+  for (unsigned c = 0; c < 64; ++c)
+    if (cpu < 0 || c == static_cast<unsigned>(cpu)) CPU_SET(c, &all);
+  sched_setaffinity(0, sizeof all, &all);
+  sched_param none{};
+  sched_setscheduler(0, SCHED_OTHER, &none);
+}
+
+void hotplug() {
+  constexpr int kRounds = 4;
+  World world(2, kCpu);
+  world.load();
+  std::atomic<bool> stop{false};
+  std::atomic<double> low{0}, high{0}, ordinary{0}, pinned{0};
+  std::atomic<int> where{-1};
+  int switched = 0, ran = 0, back = 0;
+  {
+    const auto show = [&](std::atomic<double>& cpu) {
+      while (!stop) cpu = cpu_seconds();
+    };
+    XNodeThread spins(world, 0, [&](const kernel::ThreadSlot&) { show(low); });
+    Waiter waiter(world, 1, [&](const kernel::ThreadSlot&) {
+      where = sched_getcpu();
+      burn_us(1000);
+      high = cpu_seconds();
+    });
+    std::thread anywhere([&] {
+      be_ordinary();
+      show(ordinary);
+    });
+    std::thread here([&] {
+      be_ordinary(kCpu);
+      show(pinned);
+    });
+    std::uint32_t jobs = 0;
+    const auto job_ran = [&] {
+      waiter.submit(1, ++jobs);
+      return wait_for([&] { return waiter.done() == jobs; });
+    };
+    const auto all_run = [&] {
+      const double before[4] = {low, high, ordinary, pinned};
+      return job_ran() && wait_for([&] {
+               return low > before[0] && high > before[1] && ordinary > before[2] &&
+                      pinned > before[3];
+             });
+    };
+    for (int i = 0; i < kRounds; ++i) {
+      switched += switch_cpu(kCpu, false);
+      ran += all_run() && where != kCpu;
+      switched += switch_cpu(kCpu, true);
+      // The CPU's own wake-up may have raced with its coming.
+      back += wait_for([&] { return job_ran() && where == kCpu; });
+    }
+    stop = true;
+    anywhere.join();
+    here.join();
+  }
+  const auto exit = kernel::scx_exit_of(world.maps.sched());
+  ktap_note("%s", exit ? exit->c_str() : "the scheduler is there");
+  ktap_test(switched == 2 * kRounds && scx_state() == "enabled" && !exit,
+            "a CPU goes and comes %d times, and the scheduler stays", kRounds);
+  ktap_test(ran == kRounds, "... while it is away, its threads run on another: %d of %d", ran,
+            kRounds);
+  ktap_test(back == kRounds, "... and come back to it: %d of %d", back, kRounds);
+}
+
+/// A CPU goes or comes while the scheduler is loaded: at another moment each time.
+void loaded_meanwhile() {
+  constexpr int kLoads = 8;
+  World world(1, 0);
+  int loaded = 0, stayed = 0, switched = 0;
+  for (int i = 0; i < kLoads; ++i) {
+    std::thread other([&] {
+      sleep_ms(100 + 300 * i);
+      switched += switch_cpu(kCpu, i % 2 != 0);
+    });
+    {
+      auto loader = world.try_load();
+      loaded += loader ? 1 : 0;
+      if (!loader) ktap_note("%s", loader.error().what.c_str());
+      other.join();
+      stayed += scx_state() == "enabled";
+    }
+    wait_for([] { return scx_state() == "disabled"; });
+  }
+  ktap_test(loaded == kLoads && stayed == kLoads && switched == kLoads,
+            "a CPU goes or comes during a load: %d of %d loaded, %d stayed", loaded, kLoads,
+            stayed);
+}
+
+// ---- crowds -------------------------------------------------------------------------------------
+
+void crowd() {
+  constexpr int kThreads = 100;
+  const auto cpus = static_cast<std::uint32_t>(sysconf(_SC_NPROCESSORS_ONLN));
+  World world(cpus, kCpu);
+  for (std::uint32_t i = 0; i < cpus; ++i) world.rows[i].cpu = i;
+  world.put_rows();
+  world.load({"--timeout-ms", "3000"});
+  std::atomic<bool> stop{false};
+  std::vector<std::atomic<double>> got(kThreads);
+  double hogs = 0;
+  const auto begin = Clock::now();
+  double wall = 0;
+  std::string state;
+  {
+    std::vector<std::thread> threads;
+    for (int i = 0; i < kThreads; ++i)
+      threads.emplace_back([&, i] {
+        be_ordinary();
+        while (!stop) got[static_cast<std::size_t>(i)] = cpu_seconds();
+      });
+    std::vector<std::unique_ptr<XNodeThread>> spinners;
+    for (std::uint32_t i = 0; i < cpus; ++i)
+      spinners.push_back(
+          std::make_unique<XNodeThread>(world, i, [&](const kernel::ThreadSlot&) { spin(stop); }));
+    for (auto& each : got) each = 0;
+    sleep_ms(10'000);
+    state = scx_state();
+    wall = seconds(Clock::now() - begin);
+    stop = true;
+    for (auto& spinner : spinners) {
+      spinner->join();
+      hogs += spinner->cpu();
+    }
+    for (auto& thread : threads) thread.join();
+  }
+  const auto served =
+      std::count_if(got.begin(), got.end(), [](const auto& one) { return one > 0; });
+  const auto exit = kernel::scx_exit_of(world.maps.sched());
+  if (exit) ktap_note("%s", exit->c_str());
+  ktap_test(state == "enabled",
+            "hogs on all CPUs and %d ordinary threads: 10 s, the kernel's limit is 3 s", kThreads);
+  ktap_test(served == kThreads && hogs > 0.5 * wall * cpus,
+            "... each of which is served, %d of them; the hogs have %.2f of %.2f s",
+            static_cast<int>(served), hogs, wall * cpus);
+}
+
 const Test kTests[] = {
     {"pid_namespace", 1, pid_namespace},
+    {"hotplug", 3, hotplug},
+    {"loaded_meanwhile", 1, loaded_meanwhile},
+    {"crowd", 2, crowd},
 };
 
 }  // namespace
