@@ -56,6 +56,7 @@ char _license[] SEC("license") = "GPL";
 
 /* Set by the loader before it loads. Plain C types: the C++ skeleton has no u32. */
 const volatile unsigned int nr_cpus = 1;
+const volatile unsigned int mode = XAUTO_BPF_MODE_FULL;
 const volatile unsigned int xnode_slice_us = 4000;    /* after it, the floor and the budget are looked at */
 const volatile unsigned int ordinary_slice_us = 5000;
 const volatile unsigned int grant_us = 1000;	     /* least credit that buys a turn */
@@ -878,6 +879,7 @@ s32 BPF_PROG(xauto_init)
 	scx_bpf_put_cpumask(online);
 	if (!error) {
 		s->exit_kind = 0; /* of one before us */
+		s->mode = mode;
 		s->running = 1;
 	}
 	return error;

@@ -68,6 +68,7 @@ Result<ScxScheduler> ScxScheduler::load_once(const RunMaps& maps, const ScxOptio
   if (loaded.object == nullptr) return libbpf_failed("opening the scheduler", errno);
   auto& constants = *loaded.object->rodata;
   constants.nr_cpus = static_cast<unsigned>(cpus);
+  constants.mode = scheduler.choice_.partial ? XAUTO_BPF_MODE_PARTIAL : XAUTO_BPF_MODE_FULL;
   constants.floor_permille = options.floor_permille;
   constants.floor_burst_us = options.floor_burst_us;
   constants.xnode_slice_us = options.xnode_slice_us;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The scheduler beside what else a machine does: namespaces, CPUs that go and come, crowds. KTAP; as
+// The scheduler beside what else a machine does: namespaces, CPUs that go and come, several apps, crowds. KTAP; as
 // scx_test.
 //   scx_machine_test [NAME]
 #include <algorithm>
@@ -202,6 +202,42 @@ void loaded_meanwhile() {
             stayed);
 }
 
+// ---- several apps -------------------------------------------------------------------------------
+
+void second_app() {
+  World world(2, kCpu);  // priorities 10 and 20
+  world.load();
+  std::vector<kernel::TableRow> rows{{static_cast<std::uint32_t>(kCpu), -15, 0}};
+  {
+    auto second = kernel::RunMaps::join(world.maps.run(), 1);
+    if (!second) ktap_bail("joining: %s", second.error().to_string().c_str());
+    if (!second->replace_table(rows)) ktap_bail("writing rows");
+    std::atomic<bool> stop{false};
+    double between = 0, low_cpu = 0, high_cpu = 0;
+    {
+      const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
+      XNodeThread low(world, 0, body), other(world, second->first(), body);
+      sleep_ms(1500);
+      world.put_rows();  // the first app's new table leaves the other's rows alone
+      std::optional<XNodeThread> high(std::in_place, world, 1, body);
+      sleep_ms(1500);
+      stop = true;
+      low.join();
+      other.join();
+      high->join();
+      low_cpu = low.cpu();
+      between = other.cpu();
+      high_cpu = high->cpu();
+    }
+    ktap_test(low_cpu < 0.3 && between > 1.0 && between < 2.0 && high_cpu > 1.0,
+              "a second app's priority of 15 is between the first one's 10 and 20: %.2f, %.2f, "
+              "%.2f s of 3",
+              low_cpu, between, high_cpu);
+  }
+  auto third = kernel::RunMaps::join(world.maps.run(), 512);
+  ktap_test(third && third->first() == 2, "... and its rows are free again after it");
+}
+
 // ---- crowds -------------------------------------------------------------------------------------
 
 void crowd() {
@@ -254,6 +290,7 @@ const Test kTests[] = {
     {"pid_namespace", 1, pid_namespace},
     {"hotplug", 3, hotplug},
     {"loaded_meanwhile", 1, loaded_meanwhile},
+    {"second_app", 2, second_app},
     {"crowd", 2, crowd},
 };
 
