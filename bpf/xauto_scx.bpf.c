@@ -35,6 +35,8 @@
  * What user space may get wrong (a job word, a slot number, a table) never does: that thread is an
  * ordinary one then, and a count tells.
  *
+ * Ordinary threads of a cgroup that has had its cpu.max are parked until its period ends (groups.bpf.h).
+ *
  * CPUs may go and come. What waits for one that goes is handed to the kernel, which moves it; from then
  * on its XNode threads run, by their keys, on the first other CPU that they may use.
  *
@@ -67,8 +69,10 @@ const volatile unsigned long rescue_jiffies = 1000; /* an ordinary thread that w
 const volatile unsigned int rescue_look_ms = 100;   /* how often we look for one */
 
 #define FAIR_DSQ 0x58460000ULL
+#define PARKED_DSQ 0x58460001ULL
 #define XNODE_DSQ(cpu) (0x58440000ULL | (u32)(cpu))
 #define NS_PER_US 1000ULL
+#define PARKED_LOOK_NS 2000000ULL
 
 /* cpu_state.current, besides a slot's number */
 #define CURRENT_SWITCHING (-1) /* between two threads, or idle: nobody to preempt */
@@ -82,6 +86,7 @@ const volatile unsigned int rescue_look_ms = 100;   /* how often we look for one
  * @tid:       the thread that runs, by the kernel's own id; written before @current
  * @offline:   it is about to go, or has gone; written by whoever takes it away
  * @look_at:   when to look for ordinary threads that have waited too long
+ * @parked_at: when to look again for parked threads that may go on
  * @credit_ns: of the floor; negative after a turn that a late tick made longer
  * @credit_at: when it was last refilled
  * @began_ns:  when @current began, or was last accounted
@@ -105,6 +110,7 @@ struct cpu_state {
 	u32 tid;
 	u32 offline;
 	u64 look_at;
+	u64 parked_at;
 };
 
 struct {
@@ -125,6 +131,7 @@ XAUTO_MAP_THREADS;
 #include "threads.bpf.h"
 #include "jobs.bpf.h"
 #include "lend.bpf.h"
+#include "groups.bpf.h"
 
 static unsigned long long vtime_now; /* of the fair queue: the largest that has begun to run */
 
@@ -164,6 +171,20 @@ static __always_inline void charge(struct cpu_state *c, struct xauto_bpf_job *jo
 		job->flags |= XAUTO_BPF_JOB_DEMOTED;
 		count(XAUTO_BPF_STAT_DEMOTED);
 	}
+}
+
+/* The same of an ordinary thread: of its fair share, its cgroups, and of the floor's credit. */
+static __always_inline bool charge_ordinary(struct cpu_state *c, struct task_struct *p, u64 now)
+{
+	u64 ran = now > c->began_ns ? now - c->began_ns : 0;
+
+	c->began_ns = now;
+	set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
+	if (p->flags & PF_KTHREAD)
+		return false;
+	if (c->granted)
+		c->credit_ns -= (s64)ran;
+	return is_throttled(p, ran, now);
 }
 
 static __always_inline u64 slice_of(const struct xauto_bpf_job *job)
@@ -434,6 +455,10 @@ static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flag
 	/* Sleeping earns at most one slice, and so does having been an XNode thread (vtime_of_key). */
 	if ((s64)(vtime_now - vtime) > (s64)slice)
 		vtime = vtime_now - slice;
+	if (is_throttled(p, 0, bpf_ktime_get_ns())) {
+		insert_vtime(p, PARKED_DSQ, slice, vtime, enq_flags);
+		return;
+	}
 	insert_vtime(p, FAIR_DSQ, slice, vtime, enq_flags);
 	cpu = scx_bpf_pick_idle_cpu(p->cpus_ptr, 0);
 	if (cpu >= 0)
@@ -459,7 +484,7 @@ s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_fla
 	if (judge(p, xnode ? &t : NULL, &mine) != NO_KEY && place(p, &mine) >= 0)
 		return place(p, &mine);
 	cpu = scx_bpf_select_cpu_dfl(p, prev_cpu, wake_flags, &idle);
-	if (idle && mine.key == NO_KEY)
+	if (idle && mine.key == NO_KEY && !is_throttled(p, 0, bpf_ktime_get_ns()))
 		insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), ordinary_slice_us * NS_PER_US, 0);
 	return cpu;
 }
@@ -471,6 +496,9 @@ void BPF_PROG(xauto_enqueue, struct task_struct *p, u64 enq_flags)
 	struct xnode_thread t;
 	bool xnode;
 
+	/* Nobody else is there, so the CPU chooses again only if it is told to. */
+	if (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_LAST))
+		scx_bpf_kick_cpu(scx_bpf_task_cpu(p), 0);
 	xnode = thread_of(p, &t);
 	if (xnode) {
 		latch(t.job, t.slot);
@@ -532,14 +560,14 @@ out:
 }
 
 /* An ordinary thread that has waited for long gets a turn: true if there is one. */
-__noinline int dispatch_rescued(s32 cpu)
+__noinline int dispatch_rescued(s32 cpu, u64 dsq)
 {
 	u64 now = bpf_jiffies64();
 	struct bpf_iter_scx_dsq it;
 	struct task_struct *p;
 	bool moved = false;
 
-	if (!iterate(&it, FAIR_DSQ))
+	if (!iterate(&it, dsq))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
 		/* runnable_at: what the kernel's watchdog goes by. */
@@ -553,6 +581,39 @@ __noinline int dispatch_rescued(s32 cpu)
 out:
 	bpf_iter_scx_dsq_destroy(&it);
 	return moved;
+}
+
+/* A parked thread whose cgroups may run again: true if there is one. */
+__noinline int dispatch_parked(s32 cpu)
+{
+	u64 now = bpf_ktime_get_ns();
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+	bool moved = false;
+
+	if (!iterate(&it, PARKED_DSQ))
+		goto out;
+	while ((p = bpf_iter_scx_dsq_next(&it))) {
+		if (!bpf_cpumask_test_cpu((u32)cpu, p->cpus_ptr) || is_throttled(p, 0, now))
+			continue;
+		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
+		if (moved)
+			break;
+	}
+out:
+	bpf_iter_scx_dsq_destroy(&it);
+	return moved;
+}
+
+/* An ordinary thread's turn: true if there is one. */
+static __always_inline bool dispatch_ordinary(struct cpu_state *c, s32 cpu, u64 now)
+{
+	if (scx_bpf_dsq_nr_queued(PARKED_DSQ) > 0 && now >= c->parked_at) {
+		if (dispatch_parked(cpu))
+			return true;
+		c->parked_at = now + PARKED_LOOK_NS;
+	}
+	return scx_bpf_dsq_nr_queued(FAIR_DSQ) > 0 && move_to_local(FAIR_DSQ);
 }
 
 /* What was put into the queue of a CPU that had just gone: true if there is one. */
@@ -596,9 +657,9 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 {
 	struct cpu_state *c = state_of(cpu);
 	struct claim first = {}, mine = { .key = NO_KEY };
-	struct xnode_thread t;
+	struct xnode_thread t = {};
 	u64 now = bpf_ktime_get_ns(), slice = xnode_slice_us * NS_PER_US;
-	bool fresh = false, waits, xnode;
+	bool fresh = false, goes_on = false, waits, xnode;
 
 	if (!c)
 		return;
@@ -607,8 +668,12 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 		return;
 	if (prev && (prev->scx.flags & SCX_VALUE(scx_ent_flags, SCX_TASK_QUEUED))) {
 		xnode = thread_of(prev, &t);
+		if (!xnode || key_of(t.job) == NO_KEY)
+			goes_on = !charge_ordinary(c, prev, now);
 		if (xnode) {
-			/* A job that it has told just now did not get the CPU yet: it asks, as the others do. */
+			/* A job that it has told just now did not get the CPU yet: it asks, as
+			 * the others do.
+			 */
 			fresh = latch(t.job, t.slot);
 			charge(c, t.job, t.slot, now);
 			slice = slice_of(t.job);
@@ -619,11 +684,13 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 	refill(c, now);
 	if (!waits && mine.key == NO_KEY) {
 		c->woken = 0;
-		move_to_local(FAIR_DSQ);
+		if (!dispatch_ordinary(c, cpu, now) && goes_on)
+			set_slice(prev, ordinary_slice_us * NS_PER_US);
 		return;
 	}
 	if (now >= c->look_at) {
-		if (dispatch_rescued(cpu)) { /* and there may be more of them */
+		/* If there is one, there may be more of them. */
+		if (dispatch_rescued(cpu, FAIR_DSQ) || dispatch_rescued(cpu, PARKED_DSQ)) {
 			c->grant = 1;
 			count(XAUTO_BPF_STAT_FLOOR);
 			return;
@@ -636,7 +703,7 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 			count(XAUTO_BPF_STAT_AGED);
 			return;
 		}
-		if (scx_bpf_dsq_nr_queued(FAIR_DSQ) > 0 && move_to_local(FAIR_DSQ)) {
+		if (dispatch_ordinary(c, cpu, now)) {
 			c->grant = 1;
 			count(XAUTO_BPF_STAT_FLOOR);
 			return;
@@ -756,19 +823,25 @@ void BPF_PROG(xauto_stopping, struct task_struct *p, bool runnable)
 	s32 cpu = scx_bpf_task_cpu(p);
 	struct cpu_state *c = state_of(cpu);
 	u64 now = bpf_ktime_get_ns();
-	struct xnode_thread t;
+	struct xnode_thread t = {};
 	s64 mine = NO_KEY;
 	u32 to = 0;
-	u64 ran;
 
 	if (!c)
 		return;
-	ran = now - c->began_ns;
 	if (thread_of(p, &t)) {
+		u64 began = c->began_ns;
+
 		latch(t.job, t.slot);
 		charge(c, t.job, t.slot, now);
 		mine = key_of(t.job);
+		if (mine == NO_KEY)
+			c->began_ns = began;
+		else if (c->granted)
+			c->credit_ns -= (s64)(now - began);
 	}
+	if (mine == NO_KEY)
+		charge_ordinary(c, p, now);
 	if (!runnable && p->pi_blocked_on) {
 		/* Who lends to it lends to whom it waits for. */
 		if (anybody_lends())
@@ -776,12 +849,7 @@ void BPF_PROG(xauto_stopping, struct task_struct *p, bool runnable)
 		if (mine != NO_KEY)
 			to = begin_lending(t.at, p);
 	}
-	if (mine == NO_KEY)
-		set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
-	if (c->granted && !(p->flags & PF_KTHREAD)) {
-		c->credit_ns -= (s64)ran;
-		c->granted = 0;
-	}
+	c->granted = 0;
 	c->tid = 0;
 	c->current = CURRENT_SWITCHING;
 	if (to)
@@ -828,6 +896,7 @@ void BPF_PROG(xauto_cpu_offline, s32 cpu)
 	__sync_fetch_and_add(&offline_cpus, 1);
 	hand_over(XNODE_DSQ(cpu), cpu, true);
 	hand_over(FAIR_DSQ, cpu, false);
+	hand_over(PARKED_DSQ, cpu, false);
 }
 
 SEC("struct_ops/xauto_cpu_online")
@@ -839,11 +908,82 @@ void BPF_PROG(xauto_cpu_online, s32 cpu)
 		__sync_fetch_and_add(&offline_cpus, -1);
 }
 
+/* Wakes an idle CPU for parked threads that may go on: nobody else does. */
+struct parked_timer {
+	struct bpf_timer timer;
+};
+
+struct {
+	__uint(type, BPF_MAP_TYPE_ARRAY);
+	__uint(max_entries, 1);
+	__type(key, u32);
+	__type(value, struct parked_timer);
+} timers SEC(".maps");
+
+static int on_parked_timer(void *map, u32 *key, struct parked_timer *t)
+{
+	u64 now = bpf_ktime_get_ns();
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+
+	if (scx_bpf_dsq_nr_queued(PARKED_DSQ) > 0) {
+		if (iterate(&it, PARKED_DSQ)) {
+			while ((p = bpf_iter_scx_dsq_next(&it))) {
+				s32 cpu;
+
+				if (is_throttled(p, 0, now))
+					continue;
+				cpu = scx_bpf_pick_idle_cpu(p->cpus_ptr, 0);
+				if (cpu < 0)
+					break;
+				scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_IDLE));
+			}
+		}
+		bpf_iter_scx_dsq_destroy(&it);
+	}
+	bpf_timer_start(&t->timer, now - limited_ns < 1000000000ULL ? 2 * PARKED_LOOK_NS : 50 * PARKED_LOOK_NS,
+			0);
+	return 0;
+}
+
+/* What the kernel's own dump of an error does not know. */
+SEC("struct_ops/xauto_dump")
+void BPF_PROG(xauto_dump, struct scx_dump_ctx *dump)
+{
+	scx_bpf_dump("xauto: mode %llu, %llu ordinary, %llu parked, %llu lend\n", mode,
+		     (u64)scx_bpf_dsq_nr_queued(FAIR_DSQ), (u64)scx_bpf_dsq_nr_queued(PARKED_DSQ), lending);
+}
+
+SEC("struct_ops/xauto_dump_cpu")
+void BPF_PROG(xauto_dump_cpu, struct scx_dump_ctx *dump, s32 cpu, bool idle)
+{
+	struct cpu_state *c = bpf_map_lookup_elem(&cpu_states, &cpu);
+
+	if (c && !idle)
+		scx_bpf_dump("xauto: current %lld, %llu wait by key, credit %lld ns, offline %llu\n", c->current,
+			     (u64)scx_bpf_dsq_nr_queued(XNODE_DSQ(cpu)), c->credit_ns, c->offline);
+}
+
+SEC("struct_ops/xauto_dump_task")
+void BPF_PROG(xauto_dump_task, struct scx_dump_ctx *dump, struct task_struct *p)
+{
+	struct claim c = { .key = NO_KEY };
+	struct xnode_thread t;
+
+	if (thread_of(p, &t))
+		scx_bpf_dump("xauto: slot %llu, XNode %lld, key %lld, ran %llu ns\n", t.at,
+			     (s64)(t.job->job >> XAUTO_BPF_JOB_SHIFT) - 1, t.job->key, t.job->used_ns);
+	borrow((u32)p->pid, &c);
+	if (c.key != NO_KEY)
+		scx_bpf_dump("xauto: runs by key %lld of slot %lld, lent\n", c.key, c.slot);
+}
+
 SEC("struct_ops.s/xauto_init")
 s32 BPF_PROG(xauto_init)
 {
 	struct xauto_bpf_sched *s = bpf_map_lookup_elem(&sched, &(u32){ 0 });
 	const struct cpumask *online;
+	struct parked_timer *timer;
 	struct bpf_iter_num it;
 	s32 error;
 	int *i;
@@ -851,8 +991,16 @@ s32 BPF_PROG(xauto_init)
 	if (!s)
 		return -22; /* EINVAL; cannot be: the map has one element */
 	error = scx_bpf_create_dsq(FAIR_DSQ, -1);
+	if (!error)
+		error = scx_bpf_create_dsq(PARKED_DSQ, -1);
 	if (error)
 		return error;
+	timer = bpf_map_lookup_elem(&timers, &(u32){ 0 });
+	if (timer) {
+		bpf_timer_init(&timer->timer, &timers, 1 /* CLOCK_MONOTONIC */);
+		bpf_timer_set_callback(&timer->timer, on_parked_timer);
+		bpf_timer_start(&timer->timer, 0, 0);
+	}
 	online = scx_bpf_get_online_cpumask();
 	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
 	while ((i = bpf_iter_num_next(&it))) {
@@ -908,11 +1056,14 @@ struct sched_ext_ops xauto_ops = {
 	.tick = (void *)xauto_tick,
 	.stopping = (void *)xauto_stopping,
 	.enable = (void *)xauto_enable,
+	.dump = (void *)xauto_dump,
+	.dump_cpu = (void *)xauto_dump_cpu,
+	.dump_task = (void *)xauto_dump_task,
 	.cpu_online = (void *)xauto_cpu_online,
 	.cpu_offline = (void *)xauto_cpu_offline,
 	.init = (void *)xauto_init,
 	.exit = (void *)xauto_exit,
-	.flags = SCX_OPS_ENQ_EXITING,
+	.flags = SCX_OPS_ENQ_EXITING | SCX_OPS_ENQ_LAST,
 	.timeout_ms = 10000,
 	.name = "xauto",
 };

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The scheduler beside what else a machine does: namespaces, CPUs that go and come, several apps, crowds. KTAP; as
+// The scheduler beside what else a machine does: namespaces, CPUs that go and come, cgroups, several apps, crowds. KTAP; as
 // scx_test.
 //   scx_machine_test [NAME]
 #include <algorithm>
+#include <fstream>
 
 #include <fcntl.h>
 #include <linux/sched.h>
@@ -202,6 +203,85 @@ void loaded_meanwhile() {
             stayed);
 }
 
+// ---- cgroups ------------------------------------------------------------------------------------
+
+bool put(const std::string& file, const std::string& text) {
+  const int fd = open(file.c_str(), O_WRONLY);
+  const bool done = fd >= 0 && write(fd, text.data(), text.size()) == ssize_t(text.size());
+  close(fd);
+  return done;
+}
+
+void cpu_max() {
+  const std::string root = "/sys/fs/cgroup", limited = root + "/limited";
+  World world(1, kCpu);
+  world.load();
+  put(root + "/cgroup.subtree_control", "+cpu");
+  mkdir(limited.c_str(), 0755);
+  if (access((limited + "/cpu.max").c_str(), F_OK) != 0) {
+    for (int i = 0; i < 2; ++i) ktap_skip("cpu.max", "this kernel has none (CONFIG_CFS_BANDWIDTH)");
+    return;
+  }
+  const bool set = put(limited + "/cpu.max", "20000 100000");
+  struct Shared {
+    std::atomic<bool> stop{false};
+    std::atomic<double> got[3]{};
+  };
+  auto& s = shared<Shared>();
+  std::vector<pid_t> children;
+  for (int i = 0; i < 3; ++i) {  // two of the limited cgroup, one beside them
+    children.push_back(fork());
+    if (children.back() != 0) continue;
+    be_ordinary();
+    if (i < 2 && !put(limited + "/cgroup.procs", "0")) _exit(1);
+    while (!s.stop) s.got[i] = cpu_seconds();
+    _exit(0);
+  }
+  sleep_ms(500);
+  const double before[3] = {s.got[0], s.got[1], s.got[2]};
+  const auto begin = Clock::now();
+  sleep_ms(5000);
+  const double wall = seconds(Clock::now() - begin);
+  const double both = s.got[0] - before[0] + s.got[1] - before[1], other = s.got[2] - before[2];
+  s.stop = true;
+  int failed = 0;
+  for (const pid_t child : children) {
+    int status = 1;
+    waitpid(child, &status, 0);
+    failed += status != 0;
+  }
+  rmdir(limited.c_str());
+  ktap_test(set && failed == 0 && both > 0.1 * wall && both < 0.3 * wall,
+            "a cgroup limited to 20 %% of a CPU has that: %.2f of %.2f s", both, wall);
+  ktap_test(other > 0.8 * wall && scx_state() == "enabled",
+            "... and who is beside it is not slowed down: %.2f s", other);
+}
+
+// ---- what is said when it goes wrong --------------------------------------------------------------
+
+void dumped() {
+  const std::string trace = "/sys/kernel/tracing/";
+  World world(1, kCpu);
+  world.load();
+  std::atomic<bool> stop{false};
+  XNodeThread spins(world, 0, [&](const kernel::ThreadSlot&) { spin(stop); });
+  put(trace + "trace", "\n");
+  put(trace + "events/sched_ext/sched_ext_dump/enable", "1");
+  put("/proc/sysrq-trigger", "D");  // the kernel's dump of its scheduler
+  int general = 0, cpu = 0, slot = 0;
+  std::ifstream lines(trace + "trace");
+  for (std::string line; std::getline(lines, line);) {
+    general += line.find("xauto: mode 1, ") != std::string::npos;
+    cpu += line.find("wait by key, credit") != std::string::npos;
+    slot += line.find("xauto: slot 0, XNode 0, key -10, ran ") != std::string::npos;
+  }
+  put(trace + "events/sched_ext/sched_ext_dump/enable", "0");
+  stop = true;
+  ktap_test(general == 1 && cpu > 0 && slot == 1,
+            "the kernel's dump tells our queues, CPUs and slots: %d, %d, %d lines", general, cpu,
+            slot);
+}
+
 // ---- several apps -------------------------------------------------------------------------------
 
 void second_app() {
@@ -290,6 +370,8 @@ const Test kTests[] = {
     {"pid_namespace", 1, pid_namespace},
     {"hotplug", 3, hotplug},
     {"loaded_meanwhile", 1, loaded_meanwhile},
+    {"cpu_max", 2, cpu_max},
+    {"dumped", 1, dumped},
     {"second_app", 2, second_app},
     {"crowd", 2, crowd},
 };
