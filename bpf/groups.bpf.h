@@ -35,7 +35,7 @@ struct {
 static unsigned long long limited_ns; /* when a cgroup with a limit was last seen */
 
 /* Charges the group for `ran` and ends its period if it is over: true if it is beyond its quota. */
-static __noinline bool group_is_over(u64 group, u64 ran, u64 now)
+__noinline int group_is_over(u64 group, u64 ran, u64 now)
 {
 	struct task_group *g = (struct task_group *)group;
 	u64 quota = BPF_CORE_READ(g, cfs_bandwidth.quota);
@@ -67,23 +67,27 @@ static __noinline bool group_is_over(u64 group, u64 ran, u64 now)
 	return use->used_ns >= quota;
 }
 
-/* ... of all groups that the thread is in. `ran`: since it was last charged. */
-static __noinline bool is_throttled(struct task_struct *p, u64 ran, u64 now)
+/* ... of this group and those that it is in. */
+__noinline int groups_are_over(u64 group, u64 ran, u64 now)
 {
 	bool over = false;
-	u64 group;
 	int i;
 
-	if (!bpf_core_field_exists(p->sched_task_group) ||
-	    !bpf_core_field_exists(((struct task_group *)0)->cfs_bandwidth))
-		return false;
-	group = (u64)BPF_CORE_READ(p, sched_task_group);
 	for (i = 0; i < DEEPEST_GROUP && group; i++) {
 		if (group_is_over(group, ran, now))
 			over = true;
 		group = (u64)BPF_CORE_READ((struct task_group *)group, parent);
 	}
 	return over;
+}
+
+/* `ran`: since it was last charged. */
+static __always_inline bool is_throttled(struct task_struct *p, u64 ran, u64 now)
+{
+	if (!bpf_core_field_exists(p->sched_task_group) ||
+	    !bpf_core_field_exists(((struct task_group *)0)->cfs_bandwidth))
+		return false;
+	return groups_are_over((u64)BPF_CORE_READ(p, sched_task_group), ran, now);
 }
 
 #endif /* _XAUTO_GROUPS_BPF_H */

@@ -173,7 +173,7 @@ static __always_inline s64 key_of(const struct xauto_bpf_job *job)
 __noinline s64 claim_of(u32 at, struct claim *out)
 {
 	struct xauto_bpf_entry entry = {};
-	struct xnode_thread t;
+	struct xnode_thread t = {};
 	s64 key = NO_KEY;
 	u64 word;
 

@@ -61,7 +61,7 @@ static __always_inline bool anybody_lends(void)
 }
 
 /* Whom the thread at address `from` waits for, over all locks between; 0: nobody. */
-static __noinline u32 last_holder(u64 from)
+__noinline u32 last_holder(u64 from)
 {
 	u64 at = from;
 	int i;
@@ -93,7 +93,7 @@ static __noinline u32 last_holder(u64 from)
 }
 
 /* Finds whom the lender of slot `at` lends to, and enters it there if it is the most urgent. */
-static __noinline int lend(u32 at)
+__noinline int lend(u32 at)
 {
 	struct lender *l = bpf_map_lookup_elem(&lenders, &at), *other;
 	struct claim mine = {}, best = {};
@@ -117,7 +117,7 @@ static __noinline int lend(u32 at)
 }
 
 /* All of them look again. */
-static __noinline int lend_again(void)
+__noinline int lend_again(void)
 {
 	struct xauto_bpf_head *h = bpf_map_lookup_elem(&head, &(u32){ 0 });
 	struct bpf_iter_num it;
@@ -163,26 +163,33 @@ static __always_inline void end_lending(u32 at)
 		lend_again();
 }
 
-/* Lowers `c` to what is lent to the thread, if that is more urgent. */
-static __always_inline void borrow(u32 pid, struct claim *c)
+__noinline s64 borrow_from(u32 pid, struct claim *c)
 {
 	struct claim best = {};
 	struct lender *l;
 	u32 *from;
 
-	if (!anybody_lends())
-		return;
+	if (!c)
+		return NO_KEY;
 	from = bpf_map_lookup_elem(&lent, &pid);
 	if (!from)
-		return;
+		return c->key;
 	l = bpf_map_lookup_elem(&lenders, from);
 	if (!l || !l->thread || l->to != pid || claim_of(*from, &best) >= c->key)
-		return;
+		return c->key;
 	if (c->key == NO_KEY)
 		c->cpu = best.cpu;
 	c->key = best.key;
 	c->since_ns = best.since_ns;
 	c->slot = best.slot;
+	return c->key;
+}
+
+/* Lowers `c` to what is lent to the thread, if that is more urgent. */
+static __always_inline void borrow(u32 pid, struct claim *c)
+{
+	if (anybody_lends())
+		borrow_from(pid, c);
 }
 
 #endif /* _XAUTO_LEND_BPF_H */

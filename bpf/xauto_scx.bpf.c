@@ -10,7 +10,9 @@
  * kernel's ordered kind, which takes no thread that is inserted without a place in the order. Who gets
  * CPU c when it has to choose:
  *
- *   1. kernel threads that were woken: short, and everything stalls without them;
+ *   1. kernel threads that were woken: short, and everything stalls without them. Not without end: they
+ *      have a credit of their own, of kernel_permille of time up to kernel_burst_us. Where XNode
+ *      threads want the CPU and it is used up, they are ordinary threads;
  *   2. the floor: an ordinary thread, or an XNode thread that has waited for age_ms, as long as the
  *      CPU has credit. Credit grows by floor_permille of time up to floor_burst_us. Without it a
  *      busy XNode would lock its CPU, and the kernel's watchdog would throw us out;
@@ -64,6 +66,8 @@ const volatile unsigned int ordinary_slice_us = 5000;
 const volatile unsigned int grant_us = 1000;	     /* least credit that buys a turn */
 const volatile unsigned int floor_permille = 50;
 const volatile unsigned int floor_burst_us = 5000;
+const volatile unsigned int kernel_permille = 100;    /* of kernel threads, before XNode threads */
+const volatile unsigned int kernel_burst_us = 50000;
 const volatile unsigned int age_ms = 1000;
 const volatile unsigned long rescue_jiffies = 1000; /* an ordinary thread that waits longer goes first */
 const volatile unsigned int rescue_look_ms = 100;   /* how often we look for one */
@@ -87,6 +91,8 @@ const volatile unsigned int rescue_look_ms = 100;   /* how often we look for one
  * @offline:   it is about to go, or has gone; written by whoever takes it away
  * @look_at:   when to look for ordinary threads that have waited too long
  * @parked_at: when to look again for parked threads that may go on
+ * @kernel_ns: credit of kernel threads
+ * @kernel_at: when it was last refilled
  * @credit_ns: of the floor; negative after a turn that a late tick made longer
  * @credit_at: when it was last refilled
  * @began_ns:  when @current began, or was last accounted
@@ -111,6 +117,8 @@ struct cpu_state {
 	u32 offline;
 	u64 look_at;
 	u64 parked_at;
+	s64 kernel_ns;
+	u64 kernel_at;
 };
 
 struct {
@@ -180,10 +188,12 @@ static __always_inline bool charge_ordinary(struct cpu_state *c, struct task_str
 
 	c->began_ns = now;
 	set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
-	if (p->flags & PF_KTHREAD)
-		return false;
 	if (c->granted)
 		c->credit_ns -= (s64)ran;
+	if (p->flags & PF_KTHREAD) {
+		c->kernel_ns -= (s64)ran;
+		return false;
+	}
 	return is_throttled(p, ran, now);
 }
 
@@ -269,7 +279,7 @@ static __always_inline bool iterate(struct bpf_iter_scx_dsq *it, u64 dsq)
  * another job while it waited: it was queued by the key of the old one, so the present words are what
  * counts. Queues are as long as a CPU has XNode threads.
  */
-static __noinline s64 first_queued(s32 cpu, struct claim *first)
+__noinline s64 first_queued(s32 cpu, struct claim *first)
 {
 	struct bpf_iter_scx_dsq it;
 	struct task_struct *p;
@@ -281,7 +291,7 @@ static __noinline s64 first_queued(s32 cpu, struct claim *first)
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
 		struct claim c = { .key = NO_KEY, .slot = -1 };
-		struct xnode_thread t;
+		struct xnode_thread t = {};
 
 		if (thread_of(p, &t))
 			claim_of(t.at, &c);
@@ -299,7 +309,7 @@ out:
 }
 
 /* Before that, ordinary threads that were queued before anything was lent to them. */
-static __noinline s64 first_lent(s32 cpu, struct claim *first)
+__noinline s64 first_lent(s32 cpu, struct claim *first)
 {
 	struct bpf_iter_scx_dsq it;
 	struct task_struct *p;
@@ -364,7 +374,7 @@ static __always_inline void ask_for(s32 cpu, const struct claim *mine)
 	if (current == CURRENT_KERNEL)
 		return; /* it is short, and dispatch() follows it */
 	if (current >= 0) {
-		struct xnode_thread t;
+		struct xnode_thread t = {};
 
 		/* Its worker looks at `waiting` after storing a new job, we at the job after storing
 		 * `waiting`: one of the two sees the other. The exchange is the barrier between.
@@ -408,7 +418,7 @@ static __always_inline void hurry(u32 pid, s32 here)
 	struct claim c = { .key = NO_KEY };
 	struct task_struct *p;
 	struct cpu_state *there;
-	struct xnode_thread t;
+	struct xnode_thread t = {};
 	s32 cpu;
 
 	p = bpf_task_from_pid((s32)pid);
@@ -425,20 +435,6 @@ static __always_inline void hurry(u32 pid, s32 here)
 		ask_for(cpu, &c);
 	}
 	bpf_task_release(p);
-}
-
-static __always_inline void enqueue_kernel_thread(struct task_struct *p, u64 enq_flags)
-{
-	struct cpu_state *c = state_of(scx_bpf_task_cpu(p));
-
-	/* Only a waking one jumps the queue, and not before its own kind: a kernel thread that spins
-	 * alternates with everybody else at the end of its slices.
-	 */
-	if (c && c->current != CURRENT_KERNEL && (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP)))
-		enq_flags |= SCX_VALUE(scx_enq_flags, SCX_ENQ_HEAD) |
-			     SCX_VALUE(scx_enq_flags, SCX_ENQ_PREEMPT);
-	insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), SCX_VALUE(scx_public_consts, SCX_SLICE_DFL),
-	       enq_flags);
 }
 
 static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flags)
@@ -465,13 +461,51 @@ static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flag
 		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_IDLE));
 }
 
+/* By several CPUs at once a little of the refill is lost or given twice: let's live with it. */
+static __always_inline bool kernel_is_over(struct cpu_state *c)
+{
+	s64 most = (s64)(kernel_burst_us * NS_PER_US);
+	u64 now = bpf_ktime_get_ns();
+
+	if (now > c->kernel_at)
+		c->kernel_ns += (s64)((now - c->kernel_at) * kernel_permille / 1000);
+	c->kernel_at = now;
+	if (c->kernel_ns > most)
+		c->kernel_ns = most;
+	if (c->kernel_ns < -most) /* from when no XNode wanted the CPU */
+		c->kernel_ns = -most;
+	return c->kernel_ns < 0;
+}
+
+static __always_inline void enqueue_kernel_thread(struct task_struct *p, u64 enq_flags)
+{
+	u64 slice = SCX_VALUE(scx_public_consts, SCX_SLICE_DFL);
+	s32 cpu = scx_bpf_task_cpu(p);
+	struct cpu_state *c = state_of(cpu);
+
+	if (c && (c->current >= 0 || scx_bpf_dsq_nr_queued(XNODE_DSQ(cpu)) > 0)) {
+		if (kernel_is_over(c)) {
+			enqueue_ordinary(p, enq_flags);
+			return;
+		}
+		slice = grant_us * NS_PER_US; /* then it is asked for its credit again */
+	}
+	/* Only a waking one jumps the queue, and not before its own kind: a kernel thread that spins
+	 * alternates with everybody else at the end of its slices.
+	 */
+	if (c && c->current != CURRENT_KERNEL && (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP)))
+		enq_flags |= SCX_VALUE(scx_enq_flags, SCX_ENQ_HEAD) |
+			     SCX_VALUE(scx_enq_flags, SCX_ENQ_PREEMPT);
+	insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), slice, enq_flags);
+}
+
 /* ---- callbacks, in the order in which a thread meets them --------------------------------- */
 
 SEC("struct_ops/xauto_select_cpu")
 s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_flags)
 {
 	struct claim mine = {};
-	struct xnode_thread t;
+	struct xnode_thread t = {};
 	bool idle = false, xnode;
 	s32 cpu;
 
@@ -493,7 +527,7 @@ SEC("struct_ops/xauto_enqueue")
 void BPF_PROG(xauto_enqueue, struct task_struct *p, u64 enq_flags)
 {
 	struct claim mine = {};
-	struct xnode_thread t;
+	struct xnode_thread t = {};
 	bool xnode;
 
 	/* Nobody else is there, so the CPU chooses again only if it is told to. */
@@ -526,7 +560,7 @@ __noinline int dispatch_aged(s32 cpu)
 	if (!iterate(&it, XNODE_DSQ(cpu)))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
-		struct xnode_thread t;
+		struct xnode_thread t = {};
 
 		/* Who has no slot was lent a key, or has left: the floor is for such a one. */
 		if (thread_of(p, &t) && (!t.job->queued_ns || t.job->queued_ns > oldest))
@@ -730,7 +764,7 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 	bool kernel = p->flags & PF_KTHREAD;
 	struct xauto_bpf_slot *slot = NULL;
 	struct claim claim = {};
-	struct xnode_thread t;
+	struct xnode_thread t = {};
 	s64 current = kernel ? CURRENT_KERNEL : CURRENT_ORDINARY;
 	s64 mine = NO_KEY, waiting;
 	bool xnode;
@@ -761,14 +795,14 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 	waiting = key_waiting(cpu);
 	if (slot)
 		slot->waiting = waiting != NO_KEY;
-	if (kernel)
-		return;
 	if (c->grant) {
 		c->grant = 0;
 		c->granted = 1;
 		set_slice(p, grant_us * NS_PER_US);
 		return;
 	}
+	if (kernel)
+		return;
 	if (waiting < mine && !c->rekicked) {
 		c->woken = 1;
 		c->rekicked = 1;
@@ -784,7 +818,7 @@ void BPF_PROG(xauto_tick, struct task_struct *p)
 	s32 cpu = scx_bpf_task_cpu(p);
 	struct cpu_state *c = state_of(cpu);
 	struct claim claim = {};
-	struct xnode_thread t;
+	struct xnode_thread t = {};
 	s64 mine;
 	bool xnode;
 
@@ -968,7 +1002,7 @@ SEC("struct_ops/xauto_dump_task")
 void BPF_PROG(xauto_dump_task, struct scx_dump_ctx *dump, struct task_struct *p)
 {
 	struct claim c = { .key = NO_KEY };
-	struct xnode_thread t;
+	struct xnode_thread t = {};
 
 	if (thread_of(p, &t))
 		scx_bpf_dump("xauto: slot %llu, XNode %lld, key %lld, ran %llu ns\n", t.at,
@@ -1015,6 +1049,8 @@ s32 BPF_PROG(xauto_init)
 		c->current = CURRENT_SWITCHING;
 		c->credit_at = bpf_ktime_get_ns();
 		c->credit_ns = (s64)(floor_burst_us * NS_PER_US);
+		c->kernel_at = c->credit_at;
+		c->kernel_ns = (s64)(kernel_burst_us * NS_PER_US);
 		if (!bpf_cpumask_test_cpu(cpu, online)) {
 			c->offline = 1;
 			offline_cpus++;

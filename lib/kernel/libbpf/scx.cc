@@ -5,6 +5,7 @@
 #include <thread>
 
 #include "base/first_line.h"
+#include "base/log.h"
 #include "kernel/libbpf/session.h"
 #include "kernel/scx_scheduler.h"
 
@@ -40,6 +41,7 @@ Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& o
   for (int i = 1;; ++i) {
     auto scheduler = load_once(maps, options);
     if (scheduler || i == kTries || !scx_asks_restart(maps.sched())) return scheduler;
+    log::debug("the scheduler is loaded again: {}", scheduler.error().to_string());
     const auto limit = std::chrono::steady_clock::now() + kEnableLimit;
     while (first_line(std::string(kScx) + "/state") != "disabled" &&
            std::chrono::steady_clock::now() < limit)

@@ -257,6 +257,53 @@ void cpu_max() {
             "... and who is beside it is not slowed down: %.2f s", other);
 }
 
+// ---- kernel threads -----------------------------------------------------------------------------
+
+/// Writing into a pty keeps a kernel worker busy; all unbound workers are sent to the XNode's CPU.
+void kernel_hog() {
+  const std::string cpus = "/sys/devices/virtual/workqueue/cpumask";
+  const std::string before = slurp(cpus);
+  World world(1, kCpu);
+  world.load();
+  std::atomic<bool> stop{false};
+  std::atomic<double> got{0};
+  double share = 0;
+  {
+    XNodeThread spins(world, 0, [&](const kernel::ThreadSlot&) {
+      while (!stop) got = cpu_seconds();
+    });
+    const bool sent = put(cpus, "2");
+    std::vector<std::thread> writers;
+    for (int i = 0; i < 4; ++i)
+      writers.emplace_back([&] {
+        be_ordinary(0);
+        const int master = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
+        grantpt(master);
+        unlockpt(master);
+        const int slave = open(ptsname(master), O_RDWR | O_NOCTTY | O_NONBLOCK);
+        char text[2048];
+        memset(text, 'a', sizeof text);
+        while (!stop) {
+          (void)!write(master, text, sizeof text);
+          (void)!read(slave, text, sizeof text);
+          (void)!read(master, text, sizeof text);
+        }
+        close(slave);
+        close(master);
+      });
+    sleep_ms(500);
+    const double from = got;
+    const auto begin = Clock::now();
+    sleep_ms(3000);
+    share = sent ? (got - from) / seconds(Clock::now() - begin) : 0;
+    stop = true;
+    for (auto& writer : writers) writer.join();
+    put(cpus, before);
+  }
+  ktap_test(share > 0.3 && scx_state() == "enabled",
+            "kernel threads that are busy leave an XNode its CPU: %.0f %%", share * 100);
+}
+
 // ---- what is said when it goes wrong --------------------------------------------------------------
 
 void dumped() {
@@ -371,6 +418,7 @@ const Test kTests[] = {
     {"hotplug", 3, hotplug},
     {"loaded_meanwhile", 1, loaded_meanwhile},
     {"cpu_max", 2, cpu_max},
+    {"kernel_hog", 1, kernel_hog},
     {"dumped", 1, dumped},
     {"second_app", 2, second_app},
     {"crowd", 2, crowd},
