@@ -8,17 +8,23 @@
 #define _XAUTO_COMPAT_BPF_H
 
 bool bpf_cpumask_test_cpu(u32 cpu, const struct cpumask *cpumask) __ksym;
+struct task_struct *bpf_task_from_pid(s32 pid) __ksym;
+void bpf_task_release(struct task_struct *p) __ksym;
 u32 bpf_cpumask_first(const struct cpumask *cpumask) __ksym;
 int bpf_iter_num_new(struct bpf_iter_num *it, int start, int end) __ksym;
 int *bpf_iter_num_next(struct bpf_iter_num *it) __ksym;
 void bpf_iter_num_destroy(struct bpf_iter_num *it) __ksym;
 
+const struct cpumask *scx_bpf_get_online_cpumask(void)
+	__ksym;
+void scx_bpf_put_cpumask(const struct cpumask *cpumask) __ksym;
 s32 scx_bpf_create_dsq(u64 dsq_id, s32 node) __ksym;
 s32 scx_bpf_select_cpu_dfl(struct task_struct *p, s32 prev_cpu, u64 wake_flags, bool *is_idle) __ksym;
 s32 scx_bpf_pick_idle_cpu(const struct cpumask *cpus_allowed, u64 flags) __ksym;
 void scx_bpf_kick_cpu(s32 cpu, u64 flags) __ksym;
 s32 scx_bpf_task_cpu(const struct task_struct *p) __ksym;
 s32 scx_bpf_dsq_nr_queued(u64 dsq_id) __ksym;
+void scx_bpf_dump_bstr(char *fmt, unsigned long long *data, u32 data_len) __ksym;
 void scx_bpf_error_bstr(char *fmt, unsigned long long *data, u32 data_len) __ksym;
 int bpf_iter_scx_dsq_new(struct bpf_iter_scx_dsq *it, u64 dsq_id, u64 flags) __ksym;
 struct task_struct *bpf_iter_scx_dsq_next(struct bpf_iter_scx_dsq *it) __ksym;
@@ -33,6 +39,14 @@ void bpf_iter_scx_dsq_destroy(struct bpf_iter_scx_dsq *it) __ksym;
 		static char text_[] = text;                                              \
 		unsigned long long param_[] = { (unsigned long long)(param) };           \
 		scx_bpf_error_bstr(text_, param_, sizeof(param_));                       \
+	})
+
+/* A line of a dump: up to four numbers, or none. */
+#define scx_bpf_dump(text, ...)                                                          \
+	({                                                                               \
+		static char text_[] = text;                                              \
+		unsigned long long param_[] = { __VA_ARGS__ };                           \
+		scx_bpf_dump_bstr(text_, param_, sizeof(param_));                        \
 	})
 
 /* 6.13 renamed dispatch* and consume. The 6.12 names can go when no supported kernel is 6.12. */

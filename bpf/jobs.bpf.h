@@ -28,12 +28,15 @@ static __always_inline void count(u32 what)
  * @since_ns: when its job asked for the CPU
  * @slot:     its slot
  * @tid:      the thread
+ * @cpu:      where it is to run
  */
 struct claim {
 	s64 key;
 	u64 since_ns;
 	s32 slot;
 	s32 tid;
+	u32 cpu;
+	u32 pad;
 };
 
 /* An XNode thread: where it is told what it runs, and what we go by. */
@@ -54,15 +57,13 @@ static __always_inline bool thread_at(u32 at, struct xnode_thread *t)
 	return t->slot && t->job;
 }
 
-/* False: an ordinary thread. Threads enter themselves, so the slot's number may be nonsense. */
 static __always_inline bool thread_of(struct task_struct *p, struct xnode_thread *t)
 {
-	u32 tid = p->pid;
-	u32 *at = bpf_map_lookup_elem(&threads, &tid);
+	u32 at = 0;
 
-	if (!at)
+	if (!slot_of(p, &at))
 		return false;
-	if (thread_at(*at, t))
+	if (thread_at(at, t))
 		return true;
 	count(XAUTO_BPF_STAT_NO_SLOT);
 	return false;
@@ -172,7 +173,7 @@ static __always_inline s64 key_of(const struct xauto_bpf_job *job)
 __noinline s64 claim_of(u32 at, struct claim *out)
 {
 	struct xauto_bpf_entry entry = {};
-	struct xnode_thread t;
+	struct xnode_thread t = {};
 	s64 key = NO_KEY;
 	u64 word;
 
@@ -187,6 +188,7 @@ __noinline s64 claim_of(u32 at, struct claim *out)
 	word = job_word(t.slot);
 	if (word == t.job->job) {
 		out->since_ns = t.job->since_ns;
+		out->cpu = t.job->cpu;
 		key = key_of(t.job);
 	} else {
 		word = __sync_fetch_and_add(&t.slot->job, 0) & ~XAUTO_BPF_JOB_ENDED;
@@ -194,6 +196,7 @@ __noinline s64 claim_of(u32 at, struct claim *out)
 		if (copy_entry(word, &entry) < 0 || entry.cpu >= nr_cpus ||
 		    !add_key(t.slot, &entry, &key))
 			key = NO_KEY;
+		out->cpu = entry.cpu;
 	}
 	out->key = key;
 	return key;

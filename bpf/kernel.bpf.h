@@ -40,13 +40,13 @@ enum bpf_map_type {
 	BPF_MAP_TYPE_ARRAY = 2,
 	BPF_MAP_TYPE_PERF_EVENT_ARRAY = 4,
 	BPF_MAP_TYPE_PERCPU_ARRAY = 6,
+	BPF_MAP_TYPE_LRU_HASH = 9,
 	BPF_MAP_TYPE_RINGBUF = 27,
 };
 
 enum { BPF_ANY = 0, BPF_F_MMAPABLE = 1U << 10 };
 #define BPF_F_CURRENT_CPU 0xffffffffULL
 
-#define PF_EXITING 0x00000004
 #define PF_KTHREAD 0x00200000
 
 #pragma clang attribute push(__attribute__((preserve_access_index)), apply_to = record)
@@ -61,6 +61,36 @@ struct sched_ext_entity {
 	u32 weight;
 	u64 slice;
 	u64 dsq_vtime;
+	unsigned long runnable_at;
+};
+
+struct cfs_bandwidth {
+	s64 period;
+	u64 quota;
+};
+
+struct task_group {
+	struct task_group *parent;
+	struct cfs_bandwidth cfs_bandwidth;
+};
+
+struct ns_common {
+	unsigned int inum;
+};
+
+struct pid_namespace {
+	struct ns_common ns;
+};
+
+struct upid {
+	int nr;
+	struct pid_namespace *ns;
+};
+
+/* One upid per level of namespaces; kernels declare the array as [1], as [] or as [0]. */
+struct pid {
+	unsigned int level;
+	struct upid numbers[1];
 };
 
 struct task_struct {
@@ -68,10 +98,37 @@ struct task_struct {
 	unsigned int __state;
 	int pid;
 	int tgid;
+	u64 start_time;
+	struct pid *thread_pid;
+	struct rt_mutex_waiter *pi_blocked_on;
 	int nr_cpus_allowed;
 	const struct cpumask *cpus_ptr;
+	struct task_group *sched_task_group;
 	struct sched_ext_entity scx;
 	char comm[16];
+};
+
+struct rb_node {
+	unsigned long __rb_parent_color;
+};
+
+struct rb_root_cached {
+	struct rb_node *rb_leftmost;
+};
+
+struct rt_waiter_node {
+	struct rb_node entry;
+};
+
+struct rt_mutex_base {
+	struct rb_root_cached waiters;
+	struct task_struct *owner;
+};
+
+struct rt_mutex_waiter {
+	struct rt_waiter_node tree;
+	struct task_struct *task;
+	struct rt_mutex_base *lock;
 };
 
 /* Before 5.14 `__state` was called `state`, and was a long. */
@@ -79,12 +136,12 @@ struct task_struct___old {
 	long state;
 };
 
-struct scx_exit_task_args {
-	bool cancelled;
-};
-
 enum scx_exit_kind {
 	SCX_EXIT_NONE,
+};
+
+struct scx_dump_ctx {
+	enum scx_exit_kind kind;
 };
 
 struct scx_exit_info {
@@ -103,11 +160,13 @@ enum scx_public_consts {
 };
 enum scx_dsq_id_flags {
 	SCX_DSQ_LOCAL = 0x8000000000000002ULL,
+	SCX_DSQ_LOCAL_ON = 0xC000000000000000ULL,
 };
 enum scx_enq_flags {
 	SCX_ENQ_WAKEUP = 1ULL,
 	SCX_ENQ_HEAD = 1ULL << 4,
 	SCX_ENQ_PREEMPT = 1ULL << 32,
+	SCX_ENQ_LAST = 1ULL << 41,
 };
 enum scx_ent_flags {
 	SCX_TASK_QUEUED = 1,
@@ -119,7 +178,8 @@ enum scx_kick_flags {
 
 /* These have the same value from 6.12 on. */
 enum {
-	SCX_OPS_ENQ_EXITING = 1 << 2, /* ask us about exiting threads too */
+	SCX_OPS_ENQ_LAST = 1 << 1,    /* ... about one whose slice has ended while nobody else is there */
+	SCX_OPS_ENQ_EXITING = 1 << 2, /* ... about exiting ones */
 };
 
 /*
@@ -134,13 +194,23 @@ struct sched_ext_ops {
 	void (*running)(struct task_struct *);
 	void (*stopping)(struct task_struct *, bool);
 	void (*enable)(struct task_struct *);
-	void (*exit_task)(struct task_struct *, struct scx_exit_task_args *);
+	void (*dump)(struct scx_dump_ctx *);
+	void (*dump_cpu)(struct scx_dump_ctx *, s32, bool);
+	void (*dump_task)(struct scx_dump_ctx *, struct task_struct *);
+	void (*cpu_online)(s32);
+	void (*cpu_offline)(s32);
 	s32 (*init)(void);
 	void (*exit)(struct scx_exit_info *);
 	u64 flags;
 	u32 timeout_ms;
+	u64 hotplug_seq;
 	char name[128];
 };
+
+/* The kernel's own, found by its name. */
+struct bpf_timer {
+	__u64 opaque[2];
+} __attribute__((aligned(8)));
 
 struct bpf_iter_num {
 	__u64 opaque[1];

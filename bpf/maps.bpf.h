@@ -30,13 +30,24 @@
 	} counts SEC(".maps")
 #define XAUTO_MAP_NAMES SHARED_ARRAY(names, XAUTO_BPF_MAX_XNODES, struct xauto_bpf_name)
 
-/* Thread id to slot. A thread enters itself; it is taken out when it ends. */
+/**
+ * struct thread_entry - whose slot it is. Map "threads". A thread enters itself (lib/kernel/thread_slots.cc)
+ * and is taken out when it ends. The key: the inode of its PID namespace << 32 | its id there, which is
+ * all that a thread in a container knows of itself.
+ * @slot:       element of "slots" and "jobs"
+ * @entered_ns: when. Ids are used again: a thread that began later is another one
+ */
+struct thread_entry {
+	u64 slot;
+	u64 entered_ns;
+};
+
 #define XAUTO_MAP_THREADS                                       \
 	struct {                                                \
 		__uint(type, BPF_MAP_TYPE_HASH);                \
 		__uint(max_entries, XAUTO_BPF_MAX_SLOTS);       \
-		__type(key, u32);                               \
-		__type(value, u32);                             \
+		__type(key, u64);                               \
+		__type(value, struct thread_entry);             \
 	} threads SEC(".maps")
 
 #endif /* _XAUTO_MAPS_BPF_H */

@@ -10,10 +10,14 @@
  * kernel's ordered kind, which takes no thread that is inserted without a place in the order. Who gets
  * CPU c when it has to choose:
  *
- *   1. kernel threads that were woken: short, and everything stalls without them;
+ *   1. kernel threads that were woken: short, and everything stalls without them. Not without end: they
+ *      have a credit of their own, of kernel_permille of time up to kernel_burst_us. Where XNode
+ *      threads want the CPU and it is used up, they are ordinary threads;
  *   2. the floor: an ordinary thread, or an XNode thread that has waited for age_ms, as long as the
  *      CPU has credit. Credit grows by floor_permille of time up to floor_burst_us. Without it a
  *      busy XNode would lock its CPU, and the kernel's watchdog would throw us out;
+ *      An ordinary thread that has waited for half of the watchdog's limit needs no credit: the floor
+ *      is a share, and of a crowd each would get its part of that too late;
  *   3. the first by the rule of c's XNode queue, or the XNode thread that runs if that takes nothing
  *      from it;
  *   4. the fair queue.
@@ -33,6 +37,13 @@
  * What user space may get wrong (a job word, a slot number, a table) never does: that thread is an
  * ordinary one then, and a count tells.
  *
+ * Ordinary threads of a cgroup that has had its cpu.max are parked until its period ends (groups.bpf.h).
+ *
+ * CPUs may go and come. What waits for one that goes is handed to the kernel, which moves it; from then
+ * on its XNode threads run, by their keys, on the first other CPU that they may use.
+ *
+ * Who holds a lock that an XNode thread waits for runs with that one's key (lend.bpf.h).
+ *
  * Locks: all callbacks of a thread run under its run queue's lock, which therefore protects jobs[].
  * cpu_state[] is written by its own CPU and read by others without a lock, as said at each place.
  */
@@ -49,18 +60,25 @@ char _license[] SEC("license") = "GPL";
 
 /* Set by the loader before it loads. Plain C types: the C++ skeleton has no u32. */
 const volatile unsigned int nr_cpus = 1;
+const volatile unsigned int mode = XAUTO_BPF_MODE_FULL;
 const volatile unsigned int xnode_slice_us = 4000;    /* after it, the floor and the budget are looked at */
 const volatile unsigned int ordinary_slice_us = 5000;
 const volatile unsigned int grant_us = 1000;	     /* least credit that buys a turn */
 const volatile unsigned int floor_permille = 50;
 const volatile unsigned int floor_burst_us = 5000;
+const volatile unsigned int kernel_permille = 100;    /* of kernel threads, before XNode threads */
+const volatile unsigned int kernel_burst_us = 50000;
 const volatile unsigned int age_ms = 1000;
+const volatile unsigned long rescue_jiffies = 1000; /* an ordinary thread that waits longer goes first */
+const volatile unsigned int rescue_look_ms = 100;   /* how often we look for one */
 
 #define FAIR_DSQ 0x58460000ULL
+#define PARKED_DSQ 0x58460001ULL
 #define XNODE_DSQ(cpu) (0x58440000ULL | (u32)(cpu))
 #define NS_PER_US 1000ULL
+#define PARKED_LOOK_NS 2000000ULL
 
-/* cpu_state.current, besides a slot number */
+/* cpu_state.current, besides a slot's number */
 #define CURRENT_SWITCHING (-1) /* between two threads, or idle: nobody to preempt */
 #define CURRENT_KERNEL (-2)
 #define CURRENT_ORDINARY (-3)
@@ -69,6 +87,12 @@ const volatile unsigned int age_ms = 1000;
  * struct cpu_state - one CPU, written by it alone except @woken
  * @current:   who runs: a slot, or CURRENT_*. Never "nobody, no key" between two threads: whoever
  *             wakes then would kick, and kick again, and the CPU would do nothing else
+ * @tid:       the thread that runs, by the kernel's own id; written before @current
+ * @offline:   it is about to go, or has gone; written by whoever takes it away
+ * @look_at:   when to look for ordinary threads that have waited too long
+ * @parked_at: when to look again for parked threads that may go on
+ * @kernel_ns: credit of kernel threads
+ * @kernel_at: when it was last refilled
  * @credit_ns: of the floor; negative after a turn that a late tick made longer
  * @credit_at: when it was last refilled
  * @began_ns:  when @current began, or was last accounted
@@ -89,6 +113,12 @@ struct cpu_state {
 	u32 granted;
 	u32 woken;
 	u32 rekicked;
+	u32 tid;
+	u32 offline;
+	u64 look_at;
+	u64 parked_at;
+	s64 kernel_ns;
+	u64 kernel_at;
 };
 
 struct {
@@ -106,9 +136,19 @@ XAUTO_MAP_SCHED;
 XAUTO_MAP_COUNTS;
 XAUTO_MAP_THREADS;
 
+#include "threads.bpf.h"
 #include "jobs.bpf.h"
+#include "lend.bpf.h"
+#include "groups.bpf.h"
 
 static unsigned long long vtime_now; /* of the fair queue: the largest that has begun to run */
+
+static unsigned int offline_cpus; /* how many */
+
+static __always_inline bool any_offline(void)
+{
+	return *(volatile unsigned int *)&offline_cpus;
+}
 
 static __always_inline struct cpu_state *state_of(s32 cpu)
 {
@@ -141,6 +181,22 @@ static __always_inline void charge(struct cpu_state *c, struct xauto_bpf_job *jo
 	}
 }
 
+/* The same of an ordinary thread: of its fair share, its cgroups, and of the floor's credit. */
+static __always_inline bool charge_ordinary(struct cpu_state *c, struct task_struct *p, u64 now)
+{
+	u64 ran = now > c->began_ns ? now - c->began_ns : 0;
+
+	c->began_ns = now;
+	set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
+	if (c->granted)
+		c->credit_ns -= (s64)ran;
+	if (p->flags & PF_KTHREAD) {
+		c->kernel_ns -= (s64)ran;
+		return false;
+	}
+	return is_throttled(p, ran, now);
+}
+
 static __always_inline u64 slice_of(const struct xauto_bpf_job *job)
 {
 	u64 slice = xnode_slice_us * NS_PER_US;
@@ -150,14 +206,70 @@ static __always_inline u64 slice_of(const struct xauto_bpf_job *job)
 	return slice;
 }
 
+/* What is lent to it included. `t`: its slot; NULL: it is no XNode's. */
+static __always_inline s64 judge(struct task_struct *p, const struct xnode_thread *t, struct claim *c)
+{
+	c->key = NO_KEY;
+	if (t && key_of(t->job) != NO_KEY) {
+		c->key = t->job->key;
+		c->since_ns = t->job->since_ns;
+		c->slot = (s32)t->at;
+		c->cpu = t->job->cpu;
+	}
+	c->tid = p->pid;
+	borrow((u32)p->pid, c);
+	return c->key;
+}
+
+static __always_inline bool is_offline(s32 cpu)
+{
+	struct cpu_state *c = state_of(cpu);
+
+	return c && *(volatile u32 *)&c->offline;
+}
+
+/* Where a thread with a claim runs; -1: that CPU is forbidden to it or is away, it runs elsewhere. */
+static __always_inline s32 place(struct task_struct *p, const struct claim *c)
+{
+	s32 cpu = (s32)c->cpu;
+
+	if (!bpf_cpumask_test_cpu(c->cpu, p->cpus_ptr) || (any_offline() && is_offline(cpu)))
+		return -1;
+	return cpu;
+}
+
+static __always_inline s32 home_of(struct task_struct *p, const struct claim *c)
+{
+	s32 cpu = place(p, c), first;
+	struct bpf_iter_num it;
+	int *i;
+
+	if (cpu >= 0)
+		return cpu;
+	first = (s32)bpf_cpumask_first(p->cpus_ptr);
+	if (!any_offline())
+		return first;
+	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
+	while ((i = bpf_iter_num_next(&it))) {
+		if (*i >= (int)nr_cpus)
+			break;
+		if (!bpf_cpumask_test_cpu((u32)*i, p->cpus_ptr) || is_offline(*i))
+			continue;
+		first = *i;
+		break;
+	}
+	bpf_iter_num_destroy(&it);
+	return first;
+}
+
 /* ---- queues -------------------------------------------------------------------------------- */
 
 /* To be destroyed also when it fails. */
-static __always_inline bool iterate(struct bpf_iter_scx_dsq *it, s32 cpu)
+static __always_inline bool iterate(struct bpf_iter_scx_dsq *it, u64 dsq)
 {
-	if (!bpf_iter_scx_dsq_new(it, XNODE_DSQ(cpu), 0))
+	if (!bpf_iter_scx_dsq_new(it, dsq, 0))
 		return true;
-	scx_bpf_error("CPU %d has no queue", cpu); /* xauto_init() made one for each */
+	scx_bpf_error("there is no queue %llx", dsq); /* xauto_init() made them */
 	return false;
 }
 
@@ -167,32 +279,64 @@ static __always_inline bool iterate(struct bpf_iter_scx_dsq *it, s32 cpu)
  * another job while it waited: it was queued by the key of the old one, so the present words are what
  * counts. Queues are as long as a CPU has XNode threads.
  */
-__noinline s64 first_of(s32 cpu, struct claim *first)
+__noinline s64 first_queued(s32 cpu, struct claim *first)
 {
 	struct bpf_iter_scx_dsq it;
 	struct task_struct *p;
-	bool any = false;
 
 	if (!first)
 		return NO_KEY;
 	first->key = NO_KEY;
-	if (!iterate(&it, cpu))
+	if (!iterate(&it, XNODE_DSQ(cpu)))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
 		struct claim c = { .key = NO_KEY, .slot = -1 };
-		struct xnode_thread t;
+		struct xnode_thread t = {};
 
-		if (!thread_of(p, &t) || claim_of(t.at, &c) == NO_KEY)
+		if (thread_of(p, &t))
+			claim_of(t.at, &c);
+		borrow((u32)p->pid, &c);
+		if (c.key == NO_KEY)
 			c.key = LAST_KEY; /* it became ordinary here, and has to leave */
-		if (any && !XAUTO_RULE_BEFORE(c, *first))
+		if (first->key != NO_KEY && !XAUTO_RULE_BEFORE(c, *first))
 			continue;
-		any = true;
-		c.tid = p->pid;
 		*first = c;
+		first->tid = p->pid;
 	}
 out:
 	bpf_iter_scx_dsq_destroy(&it);
 	return first->key;
+}
+
+/* Before that, ordinary threads that were queued before anything was lent to them. */
+__noinline s64 first_lent(s32 cpu, struct claim *first)
+{
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+
+	if (!first)
+		return NO_KEY;
+	if (!iterate(&it, FAIR_DSQ))
+		goto out;
+	while ((p = bpf_iter_scx_dsq_next(&it))) {
+		struct claim c = { .key = NO_KEY, .slot = -1 };
+
+		borrow((u32)p->pid, &c);
+		if (c.key == NO_KEY || home_of(p, &c) != cpu || !XAUTO_RULE_BEFORE(c, *first))
+			continue;
+		*first = c;
+		first->tid = p->pid;
+	}
+out:
+	bpf_iter_scx_dsq_destroy(&it);
+	return first->key;
+}
+
+static __always_inline s64 first_of(s32 cpu, struct claim *first)
+{
+	s64 key = first_queued(cpu, first);
+
+	return anybody_lends() ? first_lent(cpu, first) : key;
 }
 
 __noinline s64 key_waiting(s32 cpu)
@@ -212,26 +356,15 @@ static __always_inline u64 vtime_of_key(s64 key)
 	return (u64)key - 4 * KEY_LIMIT;
 }
 
-static __always_inline void enqueue_xnode(struct task_struct *p, struct xauto_bpf_job *job, u64 enq_flags)
+/* Somebody with that claim waits for the CPU. */
+static __always_inline void ask_for(s32 cpu, const struct claim *mine)
 {
-	struct claim mine = { .key = job->key }, running;
-	s32 cpu = (s32)job->cpu;
-	struct cpu_state *c;
+	struct claim running = { .key = NO_KEY };
+	struct cpu_state *c = state_of(cpu);
 	s64 current;
 
-	if (!bpf_cpumask_test_cpu(cpu, p->cpus_ptr)) {
-		cpu = (s32)bpf_cpumask_first(p->cpus_ptr);
-		count(XAUTO_BPF_STAT_MISPLACED);
-	}
-	job->queued_ns = bpf_ktime_get_ns();
-	insert_vtime(p, XNODE_DSQ(cpu), slice_of(job), vtime_of_key(mine.key), enq_flags);
-	count(XAUTO_BPF_STAT_QUEUED);
-
-	c = state_of(cpu);
 	if (!c)
 		return;
-	if (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP))
-		c->woken = 1;
 	current = *(volatile s64 *)&c->current;
 	if (current == CURRENT_SWITCHING) {
 		/* Wakes it if it is idle. If it is not, running() or tick() will look at the queue. */
@@ -241,7 +374,7 @@ static __always_inline void enqueue_xnode(struct task_struct *p, struct xauto_bp
 	if (current == CURRENT_KERNEL)
 		return; /* it is short, and dispatch() follows it */
 	if (current >= 0) {
-		struct xnode_thread t;
+		struct xnode_thread t = {};
 
 		/* Its worker looks at `waiting` after storing a new job, we at the job after storing
 		 * `waiting`: one of the two sees the other. The exchange is the barrier between.
@@ -249,25 +382,59 @@ static __always_inline void enqueue_xnode(struct task_struct *p, struct xauto_bp
 		if (thread_at((u32)current, &t))
 			__sync_lock_test_and_set(&t.slot->waiting, 1);
 		claim_of((u32)current, &running);
-		if (!XAUTO_RULE_TAKES(mine, running))
-			return;
 	}
+	borrow(c->tid, &running);
+	if (!XAUTO_RULE_TAKES(*mine, running))
+		return;
 	count(XAUTO_BPF_STAT_KICKED);
 	scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_PREEMPT));
 }
 
-static __always_inline void enqueue_kernel_thread(struct task_struct *p, u64 enq_flags)
+/* By its claim. `job`: NULL if it is no XNode's thread and runs by what is lent to it. */
+static __always_inline void enqueue_claim(struct task_struct *p, const struct claim *mine,
+					  struct xauto_bpf_job *job, u64 enq_flags)
 {
-	struct cpu_state *c = state_of(scx_bpf_task_cpu(p));
+	s32 cpu = place(p, mine);
+	struct cpu_state *c;
 
-	/* Only a waking one jumps the queue, and not before its own kind: a kernel thread that spins
-	 * alternates with everybody else at the end of its slices.
-	 */
-	if (c && c->current != CURRENT_KERNEL && (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP)))
-		enq_flags |= SCX_VALUE(scx_enq_flags, SCX_ENQ_HEAD) |
-			     SCX_VALUE(scx_enq_flags, SCX_ENQ_PREEMPT);
-	insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), SCX_VALUE(scx_public_consts, SCX_SLICE_DFL),
-	       enq_flags);
+	if (cpu < 0) {
+		cpu = home_of(p, mine);
+		count(XAUTO_BPF_STAT_MISPLACED);
+	}
+	if (job)
+		job->queued_ns = bpf_ktime_get_ns();
+	insert_vtime(p, XNODE_DSQ(cpu), job ? slice_of(job) : xnode_slice_us * NS_PER_US,
+		     vtime_of_key(mine->key), enq_flags);
+	count(XAUTO_BPF_STAT_QUEUED);
+	c = state_of(cpu);
+	if (c && (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP)))
+		c->woken = 1;
+	ask_for(cpu, mine);
+}
+
+/* Of another thread, which holds what an XNode thread has just gone to sleep for. */
+static __always_inline void hurry(u32 pid, s32 here)
+{
+	struct claim c = { .key = NO_KEY };
+	struct task_struct *p;
+	struct cpu_state *there;
+	struct xnode_thread t = {};
+	s32 cpu;
+
+	p = bpf_task_from_pid((s32)pid);
+	if (!p)
+		return;
+	if (thread_of(p, &t))
+		claim_of(t.at, &c);
+	borrow(pid, &c);
+	cpu = home_of(p, &c);
+	there = state_of(cpu);
+	/* Here dispatch() follows. Where it runs, it goes on. */
+	if (c.key != NO_KEY && cpu != here && there && there->tid != pid) {
+		there->woken = 1;
+		ask_for(cpu, &c);
+	}
+	bpf_task_release(p);
 }
 
 static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flags)
@@ -276,13 +443,60 @@ static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flag
 	u64 vtime = p->scx.dsq_vtime;
 	s32 cpu;
 
+	/* A CPU that is going takes no more from our queues. The kernel moves what is in its own. */
+	if (any_offline() && is_offline(scx_bpf_task_cpu(p))) {
+		insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), slice, enq_flags);
+		return;
+	}
 	/* Sleeping earns at most one slice, and so does having been an XNode thread (vtime_of_key). */
 	if ((s64)(vtime_now - vtime) > (s64)slice)
 		vtime = vtime_now - slice;
+	if (is_throttled(p, 0, bpf_ktime_get_ns())) {
+		insert_vtime(p, PARKED_DSQ, slice, vtime, enq_flags);
+		return;
+	}
 	insert_vtime(p, FAIR_DSQ, slice, vtime, enq_flags);
 	cpu = scx_bpf_pick_idle_cpu(p->cpus_ptr, 0);
 	if (cpu >= 0)
 		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_IDLE));
+}
+
+/* By several CPUs at once a little of the refill is lost or given twice: let's live with it. */
+static __always_inline bool kernel_is_over(struct cpu_state *c)
+{
+	s64 most = (s64)(kernel_burst_us * NS_PER_US);
+	u64 now = bpf_ktime_get_ns();
+
+	if (now > c->kernel_at)
+		c->kernel_ns += (s64)((now - c->kernel_at) * kernel_permille / 1000);
+	c->kernel_at = now;
+	if (c->kernel_ns > most)
+		c->kernel_ns = most;
+	if (c->kernel_ns < -most) /* from when no XNode wanted the CPU */
+		c->kernel_ns = -most;
+	return c->kernel_ns < 0;
+}
+
+static __always_inline void enqueue_kernel_thread(struct task_struct *p, u64 enq_flags)
+{
+	u64 slice = SCX_VALUE(scx_public_consts, SCX_SLICE_DFL);
+	s32 cpu = scx_bpf_task_cpu(p);
+	struct cpu_state *c = state_of(cpu);
+
+	if (c && (c->current >= 0 || scx_bpf_dsq_nr_queued(XNODE_DSQ(cpu)) > 0)) {
+		if (kernel_is_over(c)) {
+			enqueue_ordinary(p, enq_flags);
+			return;
+		}
+		slice = grant_us * NS_PER_US; /* then it is asked for its credit again */
+	}
+	/* Only a waking one jumps the queue, and not before its own kind: a kernel thread that spins
+	 * alternates with everybody else at the end of its slices.
+	 */
+	if (c && c->current != CURRENT_KERNEL && (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_WAKEUP)))
+		enq_flags |= SCX_VALUE(scx_enq_flags, SCX_ENQ_HEAD) |
+			     SCX_VALUE(scx_enq_flags, SCX_ENQ_PREEMPT);
+	insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), slice, enq_flags);
 }
 
 /* ---- callbacks, in the order in which a thread meets them --------------------------------- */
@@ -290,20 +504,21 @@ static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flag
 SEC("struct_ops/xauto_select_cpu")
 s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_flags)
 {
-	struct xnode_thread t;
-	bool idle = false;
+	struct claim mine = {};
+	struct xnode_thread t = {};
+	bool idle = false, xnode;
 	s32 cpu;
 
-	if (thread_of(p, &t)) {
+	xnode = thread_of(p, &t);
+	if (xnode)
 		latch(t.job, t.slot);
-		/* Not straight to the local queue even if idle: XNode threads get there only by
-		 * dispatch(), so that their order is the queue's.
-		 */
-		if (key_of(t.job) != NO_KEY && bpf_cpumask_test_cpu(t.job->cpu, p->cpus_ptr))
-			return (s32)t.job->cpu;
-	}
+	/* Not straight to the local queue even if idle: XNode threads get there only by
+	 * dispatch(), so that their order is the queue's.
+	 */
+	if (judge(p, xnode ? &t : NULL, &mine) != NO_KEY && place(p, &mine) >= 0)
+		return place(p, &mine);
 	cpu = scx_bpf_select_cpu_dfl(p, prev_cpu, wake_flags, &idle);
-	if (idle)
+	if (idle && mine.key == NO_KEY && !is_throttled(p, 0, bpf_ktime_get_ns()))
 		insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL), ordinary_slice_us * NS_PER_US, 0);
 	return cpu;
 }
@@ -311,16 +526,24 @@ s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_fla
 SEC("struct_ops/xauto_enqueue")
 void BPF_PROG(xauto_enqueue, struct task_struct *p, u64 enq_flags)
 {
-	struct xnode_thread t;
+	struct claim mine = {};
+	struct xnode_thread t = {};
+	bool xnode;
 
-	if (thread_of(p, &t)) {
+	/* Nobody else is there, so the CPU chooses again only if it is told to. */
+	if (enq_flags & SCX_VALUE(scx_enq_flags, SCX_ENQ_LAST))
+		scx_bpf_kick_cpu(scx_bpf_task_cpu(p), 0);
+	xnode = thread_of(p, &t);
+	if (xnode) {
 		latch(t.job, t.slot);
-		if (key_of(t.job) != NO_KEY) {
-			enqueue_xnode(p, t.job, enq_flags);
-			return;
-		}
+		end_lending(t.at);
 	}
-	if (p->flags & PF_KTHREAD)
+	/* The lock that it is woken for is its own now, and others may wait for that. */
+	if (anybody_lends() && p->pi_blocked_on)
+		lend_again();
+	if (judge(p, xnode ? &t : NULL, &mine) != NO_KEY)
+		enqueue_claim(p, &mine, xnode ? t.job : NULL, enq_flags);
+	else if (p->flags & PF_KTHREAD)
 		enqueue_kernel_thread(p, enq_flags);
 	else
 		enqueue_ordinary(p, enq_flags);
@@ -334,13 +557,13 @@ __noinline int dispatch_aged(s32 cpu)
 	struct task_struct *p;
 	bool moved = false;
 
-	if (!iterate(&it, cpu))
+	if (!iterate(&it, XNODE_DSQ(cpu)))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
-		struct xnode_thread t;
+		struct xnode_thread t = {};
 
-		/* It may have left its slot since it was queued. */
-		if (!thread_of(p, &t) || !t.job->queued_ns || t.job->queued_ns > oldest)
+		/* Who has no slot was lent a key, or has left: the floor is for such a one. */
+		if (thread_of(p, &t) && (!t.job->queued_ns || t.job->queued_ns > oldest))
 			continue;
 		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
 		if (moved)
@@ -351,13 +574,13 @@ out:
 	return moved;
 }
 
-__noinline int dispatch_thread(s32 cpu, s32 who)
+__noinline int dispatch_thread(u64 dsq, s32 who)
 {
 	struct bpf_iter_scx_dsq it;
 	struct task_struct *p;
 	bool moved = false;
 
-	if (!iterate(&it, cpu))
+	if (!iterate(&it, dsq))
 		goto out;
 	while ((p = bpf_iter_scx_dsq_next(&it))) {
 		if (p->pid != who)
@@ -367,6 +590,84 @@ __noinline int dispatch_thread(s32 cpu, s32 who)
 	}
 out:
 	bpf_iter_scx_dsq_destroy(&it);
+	return moved;
+}
+
+/* An ordinary thread that has waited for long gets a turn: true if there is one. */
+__noinline int dispatch_rescued(s32 cpu, u64 dsq)
+{
+	u64 now = bpf_jiffies64();
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+	bool moved = false;
+
+	if (!iterate(&it, dsq))
+		goto out;
+	while ((p = bpf_iter_scx_dsq_next(&it))) {
+		/* runnable_at: what the kernel's watchdog goes by. */
+		if ((s64)(now - p->scx.runnable_at) <= (s64)rescue_jiffies ||
+		    !bpf_cpumask_test_cpu((u32)cpu, p->cpus_ptr))
+			continue;
+		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
+		if (moved)
+			break;
+	}
+out:
+	bpf_iter_scx_dsq_destroy(&it);
+	return moved;
+}
+
+/* A parked thread whose cgroups may run again: true if there is one. */
+__noinline int dispatch_parked(s32 cpu)
+{
+	u64 now = bpf_ktime_get_ns();
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+	bool moved = false;
+
+	if (!iterate(&it, PARKED_DSQ))
+		goto out;
+	while ((p = bpf_iter_scx_dsq_next(&it))) {
+		if (!bpf_cpumask_test_cpu((u32)cpu, p->cpus_ptr) || is_throttled(p, 0, now))
+			continue;
+		moved = move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL));
+		if (moved)
+			break;
+	}
+out:
+	bpf_iter_scx_dsq_destroy(&it);
+	return moved;
+}
+
+/* An ordinary thread's turn: true if there is one. */
+static __always_inline bool dispatch_ordinary(struct cpu_state *c, s32 cpu, u64 now)
+{
+	if (scx_bpf_dsq_nr_queued(PARKED_DSQ) > 0 && now >= c->parked_at) {
+		if (dispatch_parked(cpu))
+			return true;
+		c->parked_at = now + PARKED_LOOK_NS;
+	}
+	return scx_bpf_dsq_nr_queued(FAIR_DSQ) > 0 && move_to_local(FAIR_DSQ);
+}
+
+/* What was put into the queue of a CPU that had just gone: true if there is one. */
+__noinline int dispatch_stranded(s32 here)
+{
+	struct bpf_iter_num it;
+	bool moved = false;
+	int *i;
+
+	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
+	while ((i = bpf_iter_num_next(&it))) {
+		if (*i >= (int)nr_cpus)
+			break;
+		if (*i == here || !is_offline(*i) || scx_bpf_dsq_nr_queued(XNODE_DSQ(*i)) <= 0)
+			continue;
+		moved = move_to_local(XNODE_DSQ(*i));
+		if (moved)
+			break;
+	}
+	bpf_iter_num_destroy(&it);
 	return moved;
 }
 
@@ -390,29 +691,45 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 {
 	struct cpu_state *c = state_of(cpu);
 	struct claim first = {}, mine = { .key = NO_KEY };
-	struct xnode_thread t;
-	u64 now = bpf_ktime_get_ns(), slice = 0;
-	bool fresh = false, waits;
+	struct xnode_thread t = {};
+	u64 now = bpf_ktime_get_ns(), slice = xnode_slice_us * NS_PER_US;
+	bool fresh = false, goes_on = false, waits, xnode;
 
 	if (!c)
 		return;
 	c->rekicked = 0;
-	if (prev && (prev->scx.flags & SCX_VALUE(scx_ent_flags, SCX_TASK_QUEUED)) &&
-	    thread_of(prev, &t)) {
-		/* A job that it has told just now did not get the CPU yet: it asks, as the others do. */
-		fresh = latch(t.job, t.slot);
-		charge(c, t.job, t.slot, now);
-		mine.key = key_of(t.job);
-		mine.since_ns = t.job->since_ns;
-		mine.slot = (s32)t.at;
-		slice = slice_of(t.job);
+	if (any_offline() && dispatch_stranded(cpu))
+		return;
+	if (prev && (prev->scx.flags & SCX_VALUE(scx_ent_flags, SCX_TASK_QUEUED))) {
+		xnode = thread_of(prev, &t);
+		if (!xnode || key_of(t.job) == NO_KEY)
+			goes_on = !charge_ordinary(c, prev, now);
+		if (xnode) {
+			/* A job that it has told just now did not get the CPU yet: it asks, as
+			 * the others do.
+			 */
+			fresh = latch(t.job, t.slot);
+			charge(c, t.job, t.slot, now);
+			slice = slice_of(t.job);
+		}
+		judge(prev, xnode ? &t : NULL, &mine);
 	}
 	waits = first_of(cpu, &first) != NO_KEY;
 	refill(c, now);
 	if (!waits && mine.key == NO_KEY) {
 		c->woken = 0;
-		move_to_local(FAIR_DSQ);
+		if (!dispatch_ordinary(c, cpu, now) && goes_on)
+			set_slice(prev, ordinary_slice_us * NS_PER_US);
 		return;
+	}
+	if (now >= c->look_at) {
+		/* If there is one, there may be more of them. */
+		if (dispatch_rescued(cpu, FAIR_DSQ) || dispatch_rescued(cpu, PARKED_DSQ)) {
+			c->grant = 1;
+			count(XAUTO_BPF_STAT_FLOOR);
+			return;
+		}
+		c->look_at = now + rescue_look_ms * 1000 * NS_PER_US;
 	}
 	if (!c->woken && c->credit_ns >= (s64)(grant_us * NS_PER_US)) {
 		if (dispatch_aged(cpu)) {
@@ -420,7 +737,7 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 			count(XAUTO_BPF_STAT_AGED);
 			return;
 		}
-		if (scx_bpf_dsq_nr_queued(FAIR_DSQ) > 0 && move_to_local(FAIR_DSQ)) {
+		if (dispatch_ordinary(c, cpu, now)) {
 			c->grant = 1;
 			count(XAUTO_BPF_STAT_FLOOR);
 			return;
@@ -434,7 +751,8 @@ void BPF_PROG(xauto_dispatch, s32 cpu, struct task_struct *prev)
 		return;
 	}
 	/* It may have been taken off the queue meanwhile: then whoever is first. */
-	if (!dispatch_thread(cpu, first.tid))
+	if (!dispatch_thread(XNODE_DSQ(cpu), first.tid) &&
+	    !(anybody_lends() && dispatch_thread(FAIR_DSQ, first.tid)))
 		move_to_local(XNODE_DSQ(cpu));
 }
 
@@ -445,17 +763,21 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 	struct cpu_state *c = state_of(cpu);
 	bool kernel = p->flags & PF_KTHREAD;
 	struct xauto_bpf_slot *slot = NULL;
-	struct xnode_thread t;
+	struct claim claim = {};
+	struct xnode_thread t = {};
 	s64 current = kernel ? CURRENT_KERNEL : CURRENT_ORDINARY;
 	s64 mine = NO_KEY, waiting;
+	bool xnode;
 
 	if (!c)
 		return;
 	c->began_ns = bpf_ktime_get_ns();
-	if (thread_of(p, &t)) {
+	xnode = thread_of(p, &t);
+	if (xnode) {
 		slot = t.slot;
 		latch(t.job, slot);
 		t.job->queued_ns = 0;
+		end_lending(t.at); /* not all who are woken are queued by us */
 		mine = key_of(t.job);
 		if (mine != NO_KEY)
 			current = t.at;
@@ -467,18 +789,20 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 	 * A thread that a fair or real-time thread had interrupted comes back this way without
 	 * dispatch(), so this is the only place that sees a more urgent one queued meanwhile.
 	 */
+	c->tid = (u32)p->pid;
 	__sync_lock_test_and_set(&c->current, current);
+	mine = judge(p, xnode ? &t : NULL, &claim);
 	waiting = key_waiting(cpu);
 	if (slot)
 		slot->waiting = waiting != NO_KEY;
-	if (kernel)
-		return;
 	if (c->grant) {
 		c->grant = 0;
 		c->granted = 1;
 		set_slice(p, grant_us * NS_PER_US);
 		return;
 	}
+	if (kernel)
+		return;
 	if (waiting < mine && !c->rekicked) {
 		c->woken = 1;
 		c->rekicked = 1;
@@ -493,17 +817,26 @@ void BPF_PROG(xauto_tick, struct task_struct *p)
 {
 	s32 cpu = scx_bpf_task_cpu(p);
 	struct cpu_state *c = state_of(cpu);
-	struct xnode_thread t;
-	s64 mine = NO_KEY;
+	struct claim claim = {};
+	struct xnode_thread t = {};
+	s64 mine;
+	bool xnode;
 
-	if (!c || c->granted || p->flags & PF_KTHREAD)
+	if (!c)
 		return;
-	if (thread_of(p, &t)) {
+	if (anybody_lends())
+		lend_again();
+	if (c->granted || p->flags & PF_KTHREAD)
+		return;
+	xnode = thread_of(p, &t);
+	if (!xnode) {
+		mine = judge(p, NULL, &claim);
+	} else {
 		s64 before = key_of(t.job);
 
 		latch(t.job, t.slot);
 		charge(c, t.job, t.slot, bpf_ktime_get_ns());
-		mine = key_of(t.job);
+		mine = judge(p, &t, &claim);
 		/* Demoted just now: it must go through a queue to become ordinary. */
 		if (before != NO_KEY && mine == NO_KEY) {
 			set_slice(p, 0);
@@ -524,25 +857,37 @@ void BPF_PROG(xauto_stopping, struct task_struct *p, bool runnable)
 	s32 cpu = scx_bpf_task_cpu(p);
 	struct cpu_state *c = state_of(cpu);
 	u64 now = bpf_ktime_get_ns();
-	struct xnode_thread t;
+	struct xnode_thread t = {};
 	s64 mine = NO_KEY;
-	u64 ran;
+	u32 to = 0;
 
 	if (!c)
 		return;
-	ran = now - c->began_ns;
 	if (thread_of(p, &t)) {
+		u64 began = c->began_ns;
+
 		latch(t.job, t.slot);
 		charge(c, t.job, t.slot, now);
 		mine = key_of(t.job);
+		if (mine == NO_KEY)
+			c->began_ns = began;
+		else if (c->granted)
+			c->credit_ns -= (s64)(now - began);
 	}
 	if (mine == NO_KEY)
-		set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
-	if (c->granted && !(p->flags & PF_KTHREAD)) {
-		c->credit_ns -= (s64)ran;
-		c->granted = 0;
+		charge_ordinary(c, p, now);
+	if (!runnable && p->pi_blocked_on) {
+		/* Who lends to it lends to whom it waits for. */
+		if (anybody_lends())
+			lend_again();
+		if (mine != NO_KEY)
+			to = begin_lending(t.at, p);
 	}
+	c->granted = 0;
+	c->tid = 0;
 	c->current = CURRENT_SWITCHING;
+	if (to)
+		hurry(to, cpu);
 }
 
 SEC("struct_ops/xauto_enable")
@@ -551,20 +896,128 @@ void BPF_PROG(xauto_enable, struct task_struct *p)
 	set_vtime(p, vtime_now);
 }
 
-/* Also called for every thread when we are unloaded: then they stay registered. */
-SEC("struct_ops/xauto_exit_task")
-void BPF_PROG(xauto_exit_task, struct task_struct *p, struct scx_exit_task_args *args)
+/* Before it has lost its id, which exit_task() comes after. */
+SEC("tp_btf/sched_process_exit")
+int BPF_PROG(xauto_exited, struct task_struct *p)
 {
-	u32 tid = p->pid;
+	forget(p);
+	return 0;
+}
 
-	if (p->flags & PF_EXITING)
-		bpf_map_delete_elem(&threads, &tid);
+/* Hands what waits for the CPU to the kernel. `all`: not only what may run nowhere else. */
+static __always_inline void hand_over(u64 dsq, s32 cpu, bool all)
+{
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+
+	if (!iterate(&it, dsq))
+		goto out;
+	while ((p = bpf_iter_scx_dsq_next(&it))) {
+		if (bpf_cpumask_test_cpu((u32)cpu, p->cpus_ptr) && (all || p->nr_cpus_allowed == 1))
+			move_task(&it, p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL_ON) | (u32)cpu);
+	}
+out:
+	bpf_iter_scx_dsq_destroy(&it);
+}
+
+SEC("struct_ops/xauto_cpu_offline")
+void BPF_PROG(xauto_cpu_offline, s32 cpu)
+{
+	struct cpu_state *c = state_of(cpu);
+
+	if (!c || __sync_lock_test_and_set(&c->offline, 1))
+		return;
+	__sync_fetch_and_add(&offline_cpus, 1);
+	hand_over(XNODE_DSQ(cpu), cpu, true);
+	hand_over(FAIR_DSQ, cpu, false);
+	hand_over(PARKED_DSQ, cpu, false);
+}
+
+SEC("struct_ops/xauto_cpu_online")
+void BPF_PROG(xauto_cpu_online, s32 cpu)
+{
+	struct cpu_state *c = state_of(cpu);
+
+	if (c && __sync_lock_test_and_set(&c->offline, 0))
+		__sync_fetch_and_add(&offline_cpus, -1);
+}
+
+/* Wakes an idle CPU for parked threads that may go on: nobody else does. */
+struct parked_timer {
+	struct bpf_timer timer;
+};
+
+struct {
+	__uint(type, BPF_MAP_TYPE_ARRAY);
+	__uint(max_entries, 1);
+	__type(key, u32);
+	__type(value, struct parked_timer);
+} timers SEC(".maps");
+
+static int on_parked_timer(void *map, u32 *key, struct parked_timer *t)
+{
+	u64 now = bpf_ktime_get_ns();
+	struct bpf_iter_scx_dsq it;
+	struct task_struct *p;
+
+	if (scx_bpf_dsq_nr_queued(PARKED_DSQ) > 0) {
+		if (iterate(&it, PARKED_DSQ)) {
+			while ((p = bpf_iter_scx_dsq_next(&it))) {
+				s32 cpu;
+
+				if (is_throttled(p, 0, now))
+					continue;
+				cpu = scx_bpf_pick_idle_cpu(p->cpus_ptr, 0);
+				if (cpu < 0)
+					break;
+				scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_IDLE));
+			}
+		}
+		bpf_iter_scx_dsq_destroy(&it);
+	}
+	bpf_timer_start(&t->timer, now - limited_ns < 1000000000ULL ? 2 * PARKED_LOOK_NS : 50 * PARKED_LOOK_NS,
+			0);
+	return 0;
+}
+
+/* What the kernel's own dump of an error does not know. */
+SEC("struct_ops/xauto_dump")
+void BPF_PROG(xauto_dump, struct scx_dump_ctx *dump)
+{
+	scx_bpf_dump("xauto: mode %llu, %llu ordinary, %llu parked, %llu lend\n", mode,
+		     (u64)scx_bpf_dsq_nr_queued(FAIR_DSQ), (u64)scx_bpf_dsq_nr_queued(PARKED_DSQ), lending);
+}
+
+SEC("struct_ops/xauto_dump_cpu")
+void BPF_PROG(xauto_dump_cpu, struct scx_dump_ctx *dump, s32 cpu, bool idle)
+{
+	struct cpu_state *c = bpf_map_lookup_elem(&cpu_states, &cpu);
+
+	if (c && !idle)
+		scx_bpf_dump("xauto: current %lld, %llu wait by key, credit %lld ns, offline %llu\n", c->current,
+			     (u64)scx_bpf_dsq_nr_queued(XNODE_DSQ(cpu)), c->credit_ns, c->offline);
+}
+
+SEC("struct_ops/xauto_dump_task")
+void BPF_PROG(xauto_dump_task, struct scx_dump_ctx *dump, struct task_struct *p)
+{
+	struct claim c = { .key = NO_KEY };
+	struct xnode_thread t = {};
+
+	if (thread_of(p, &t))
+		scx_bpf_dump("xauto: slot %llu, XNode %lld, key %lld, ran %llu ns\n", t.at,
+			     (s64)(t.job->job >> XAUTO_BPF_JOB_SHIFT) - 1, t.job->key, t.job->used_ns);
+	borrow((u32)p->pid, &c);
+	if (c.key != NO_KEY)
+		scx_bpf_dump("xauto: runs by key %lld of slot %lld, lent\n", c.key, c.slot);
 }
 
 SEC("struct_ops.s/xauto_init")
 s32 BPF_PROG(xauto_init)
 {
 	struct xauto_bpf_sched *s = bpf_map_lookup_elem(&sched, &(u32){ 0 });
+	const struct cpumask *online;
+	struct parked_timer *timer;
 	struct bpf_iter_num it;
 	s32 error;
 	int *i;
@@ -572,8 +1025,17 @@ s32 BPF_PROG(xauto_init)
 	if (!s)
 		return -22; /* EINVAL; cannot be: the map has one element */
 	error = scx_bpf_create_dsq(FAIR_DSQ, -1);
+	if (!error)
+		error = scx_bpf_create_dsq(PARKED_DSQ, -1);
 	if (error)
 		return error;
+	timer = bpf_map_lookup_elem(&timers, &(u32){ 0 });
+	if (timer) {
+		bpf_timer_init(&timer->timer, &timers, 1 /* CLOCK_MONOTONIC */);
+		bpf_timer_set_callback(&timer->timer, on_parked_timer);
+		bpf_timer_start(&timer->timer, 0, 0);
+	}
+	online = scx_bpf_get_online_cpumask();
 	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
 	while ((i = bpf_iter_num_next(&it))) {
 		u32 cpu = *i;
@@ -587,13 +1049,23 @@ s32 BPF_PROG(xauto_init)
 		c->current = CURRENT_SWITCHING;
 		c->credit_at = bpf_ktime_get_ns();
 		c->credit_ns = (s64)(floor_burst_us * NS_PER_US);
+		c->kernel_at = c->credit_at;
+		c->kernel_ns = (s64)(kernel_burst_us * NS_PER_US);
+		if (!bpf_cpumask_test_cpu(cpu, online)) {
+			c->offline = 1;
+			offline_cpus++;
+		}
 		error = scx_bpf_create_dsq(XNODE_DSQ(cpu), -1);
 		if (error)
 			break;
 	}
 	bpf_iter_num_destroy(&it);
-	if (!error)
+	scx_bpf_put_cpumask(online);
+	if (!error) {
+		s->exit_kind = 0; /* of one before us */
+		s->mode = mode;
 		s->running = 1;
+	}
 	return error;
 }
 
@@ -620,10 +1092,14 @@ struct sched_ext_ops xauto_ops = {
 	.tick = (void *)xauto_tick,
 	.stopping = (void *)xauto_stopping,
 	.enable = (void *)xauto_enable,
-	.exit_task = (void *)xauto_exit_task,
+	.dump = (void *)xauto_dump,
+	.dump_cpu = (void *)xauto_dump_cpu,
+	.dump_task = (void *)xauto_dump_task,
+	.cpu_online = (void *)xauto_cpu_online,
+	.cpu_offline = (void *)xauto_cpu_offline,
 	.init = (void *)xauto_init,
 	.exit = (void *)xauto_exit,
-	.flags = SCX_OPS_ENQ_EXITING,
+	.flags = SCX_OPS_ENQ_EXITING | SCX_OPS_ENQ_LAST,
 	.timeout_ms = 10000,
 	.name = "xauto",
 };

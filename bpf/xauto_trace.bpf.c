@@ -34,6 +34,8 @@ XAUTO_MAP_HEAD;
 XAUTO_MAP_SLOTS;
 XAUTO_MAP_THREADS;
 
+#include "threads.bpf.h"
+
 struct {
 	__uint(type, BPF_MAP_TYPE_RINGBUF);
 	__uint(max_entries, 1 << 20);
@@ -206,13 +208,6 @@ static __always_inline void fill(struct xauto_bpf_event *e, u32 kind, struct tas
 	e->kind = (__u16)kind;
 }
 
-static __always_inline u32 *slot_of(struct task_struct *p)
-{
-	u32 tid = p->pid;
-
-	return bpf_map_lookup_elem(&threads, &tid);
-}
-
 static __always_inline void switched_out(void *ctx, struct task_struct *p, u32 at, struct task_struct *next,
 					 bool ready, u64 now)
 {
@@ -282,7 +277,8 @@ int BPF_PROG(xauto_switch, bool preempt, struct task_struct *prev, struct task_s
 	u64 now = bpf_ktime_get_ns();
 	u32 cpu = bpf_get_smp_processor_id();
 	struct xauto_bpf_cpu *c = bpf_map_lookup_elem(&cpus, &cpu);
-	u32 *out = slot_of(prev), *in = slot_of(next);
+	u32 out_at = 0, in_at = 0;
+	bool out = slot_of(prev, &out_at), in = slot_of(next, &in_at);
 
 	if (c) {
 		u64 stretch = c->since_ns && now > c->since_ns ? now - c->since_ns : 0;
@@ -302,32 +298,32 @@ int BPF_PROG(xauto_switch, bool preempt, struct task_struct *prev, struct task_s
 			else
 				ready = BPF_CORE_READ((struct task_struct___old *)prev, state) == 0;
 		}
-		switched_out(ctx, prev, *out, next, ready, now);
+		switched_out(ctx, prev, out_at, next, ready, now);
 	}
 	if (in)
-		switched_in(ctx, next, *in, now);
+		switched_in(ctx, next, in_at, now);
 	return 0;
 }
 
 SEC("tp_btf/sched_wakeup")
 int BPF_PROG(xauto_wakeup, struct task_struct *p)
 {
-	u32 *at = slot_of(p);
 	struct xauto_bpf_event e = {};
 	struct xauto_bpf_slot *slot;
 	struct thread_state *st;
+	u32 at = 0;
 	u64 now;
 
-	if (!at)
+	if (!slot_of(p, &at))
 		return 0;
-	st = bpf_map_lookup_elem(&thread_states, at);
-	slot = bpf_map_lookup_elem(&slots, at);
+	st = bpf_map_lookup_elem(&thread_states, &at);
+	slot = bpf_map_lookup_elem(&slots, &at);
 	if (!st || !slot || st->began_ns) /* it runs: it was woken before it had gone to sleep */
 		return 0;
 	now = bpf_ktime_get_ns();
 	st->ready_ns = now;
 	st->woken = 1;
-	fill(&e, XAUTO_BPF_EV_WAKEUP, p, *at, slot, now);
+	fill(&e, XAUTO_BPF_EV_WAKEUP, p, at, slot, now);
 	e.arg = (u32)bpf_get_current_pid_tgid();
 	bpf_get_current_comm(e.other, sizeof(e.other));
 	emit(ctx, &e);
@@ -337,20 +333,20 @@ int BPF_PROG(xauto_wakeup, struct task_struct *p)
 SEC("tp_btf/sched_migrate_task")
 int BPF_PROG(xauto_migrate, struct task_struct *p, int to)
 {
-	u32 *at = slot_of(p);
 	struct xauto_bpf_event e = {};
 	struct xauto_bpf_slot *slot;
 	struct xauto_bpf_hist *h;
+	u32 at = 0;
 
-	if (!at)
+	if (!slot_of(p, &at))
 		return 0;
-	slot = bpf_map_lookup_elem(&slots, at);
+	slot = bpf_map_lookup_elem(&slots, &at);
 	if (!slot)
 		return 0;
 	h = hist_of(slot->job);
 	if (h)
 		add(&h->migrations, 1);
-	fill(&e, XAUTO_BPF_EV_MIGRATE, p, *at, slot, bpf_ktime_get_ns());
+	fill(&e, XAUTO_BPF_EV_MIGRATE, p, at, slot, bpf_ktime_get_ns());
 	/* The CPU that it leaves is in a place that differs between kernels; the previous RUN has it. */
 	e.cpu = (__u16)to;
 	emit(ctx, &e);
@@ -360,8 +356,6 @@ int BPF_PROG(xauto_migrate, struct task_struct *p, int to)
 SEC("tp_btf/sched_process_exit")
 int BPF_PROG(xauto_exit, struct task_struct *p)
 {
-	u32 tid = p->pid;
-
-	bpf_map_delete_elem(&threads, &tid);
+	forget(p);
 	return 0;
 }

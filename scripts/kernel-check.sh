@@ -88,7 +88,7 @@ scx() {
   local kernel items=() program append=""
   note "sched_ext and tracing on Linux $1"
   kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
-  for program in scx_test scx_keys_test scx_life_test driving_cpu periodic_cpu xauto xauto-coordinator xauto-emud xauto-cpusched; do
+  for program in scx_test scx_keys_test scx_lend_test scx_machine_test scx_life_test driving_cpu periodic_cpu xauto xauto-coordinator xauto-emud xauto-cpusched; do
     items+=("$build/bin/$program")
   done
   items+=("$(command -v bpftool || echo /usr/sbin/bpftool)")

@@ -78,16 +78,16 @@ Result<MapShape> shape_of(int map_fd) {
 }
 
 Status check_shape(int map_fd, const std::string& name, std::size_t value_size,
-                   std::uint32_t at_least) {
+                   std::uint32_t at_least, std::size_t key_size) {
   XAUTO_ASSIGN(const MapShape shape, shape_of(map_fd));
-  if (shape.key_size == sizeof(std::uint32_t) && shape.value_size == value_size &&
-      shape.max_entries >= at_least)
+  if (shape.key_size == key_size && shape.value_size == value_size && shape.max_entries >= at_least)
     return {};
   return fail(ErrorCode::kInvalid,
               "map '" + name + "' has keys of " + std::to_string(shape.key_size) +
                   " and values of " + std::to_string(shape.value_size) + " bytes, " +
-                  std::to_string(shape.max_entries) + " of them; this program needs 4, " +
-                  std::to_string(value_size) + ", and " + std::to_string(at_least),
+                  std::to_string(shape.max_entries) + " of them; this program needs " +
+                  std::to_string(key_size) + ", " + std::to_string(value_size) + ", and " +
+                  std::to_string(at_least),
               {}, "the maps were made by another version of XAuto: use one version for all");
 }
 

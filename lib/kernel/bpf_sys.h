@@ -23,7 +23,8 @@ struct MapShape {
 
 /// kInvalid, naming both sizes, if the map is not what this program was built for.
 [[nodiscard]] Status check_shape(int map_fd, const std::string& name, std::size_t value_size,
-                                 std::uint32_t at_least);
+                                 std::uint32_t at_least,
+                                 std::size_t key_size = sizeof(std::uint32_t));
 
 [[nodiscard]] Status set_element(int map_fd, const void* key, const void* value);
 [[nodiscard]] Status get_element(int map_fd, const void* key, void* value);

@@ -9,8 +9,10 @@
 #include <cstring>
 #include <filesystem>
 
+#include <fcntl.h>
 #include <linux/bpf.h>
 #include <signal.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
 
@@ -22,15 +24,35 @@ namespace fs = std::filesystem;
 struct Known {
   const char* name;
   std::size_t value_size;
+  std::size_t key_size = sizeof(std::uint32_t);
 };
-constexpr std::array<Known, 8> kKnown = {{{"head", sizeof(xauto_bpf_head)},
-                                          {"table", sizeof(xauto_bpf_entry)},
-                                          {"slots", sizeof(xauto_bpf_slot)},
-                                          {"jobs", sizeof(xauto_bpf_job)},
-                                          {"sched", sizeof(xauto_bpf_sched)},
-                                          {"counts", sizeof(xauto_bpf_counts)},
-                                          {"names", sizeof(xauto_bpf_name)},
-                                          {"threads", sizeof(std::uint32_t)}}};
+constexpr std::array<Known, 8> kKnown = {
+    {{"head", sizeof(xauto_bpf_head)},
+     {"table", sizeof(xauto_bpf_entry)},
+     {"slots", sizeof(xauto_bpf_slot)},
+     {"jobs", sizeof(xauto_bpf_job)},
+     {"sched", sizeof(xauto_bpf_sched)},
+     {"counts", sizeof(xauto_bpf_counts)},
+     {"names", sizeof(xauto_bpf_name)},
+     {"threads", 2 * sizeof(std::uint64_t), sizeof(std::uint64_t)}}};
+
+/// Rows of the table for apps that join the run.
+constexpr std::uint32_t kSpare = 512;
+
+/// Several processes write one table, each its rows.
+class Locked {
+ public:
+  explicit Locked(int folder) : folder_(folder) {
+    while (flock(folder_, LOCK_EX) != 0 && errno == EINTR) {
+    }
+  }
+  ~Locked() { flock(folder_, LOCK_UN); }
+  Locked(const Locked&) = delete;
+  Locked& operator=(const Locked&) = delete;
+
+ private:
+  int folder_;
+};
 
 bool good_name(const std::string& run) {
   return !run.empty() && run.size() <= 64 && std::all_of(run.begin(), run.end(), [](char c) {
@@ -85,6 +107,9 @@ void RunMaps::remove(const std::string& run) {
 RunMaps& RunMaps::operator=(RunMaps&& other) noexcept {
   std::swap(run_, other.run_);
   std::swap(owner_, other.owner_);
+  std::swap(first_, other.first_);
+  std::swap(xnodes_, other.xnodes_);
+  std::swap(folder_, other.folder_);
   std::swap(maps_, other.maps_);
   std::swap(head_, other.head_);
   std::swap(table_, other.table_);
@@ -96,7 +121,13 @@ RunMaps& RunMaps::operator=(RunMaps&& other) noexcept {
 }
 
 RunMaps::~RunMaps() {
-  if (owner_ && !maps_.empty()) remove(run_);
+  if (maps_.empty()) return;
+  if (owner_) {
+    remove(run_);
+  } else if (xnodes_ > 0) {  // what no table has any more is free again
+    publish({});
+    (void)set_names(std::vector<XNodeName>(xnodes_));
+  }
 }
 
 Result<RunMaps> RunMaps::create(const std::string& run, std::uint32_t xnodes, std::uint32_t slots) {
@@ -116,7 +147,8 @@ Result<RunMaps> RunMaps::create(const std::string& run, std::uint32_t xnodes, st
   RunMaps maps;
   maps.run_ = run;
   maps.owner_ = true;
-  auto loaded = load_maps(folder(run), xnodes, slots);
+  const std::uint32_t rows = std::min<std::uint32_t>(xnodes + kSpare, XAUTO_BPF_MAX_XNODES);
+  auto loaded = load_maps(folder(run), rows, slots);
   if (!loaded) {
     remove(run);
     return tl::unexpected<Error>(std::move(loaded).error());
@@ -125,22 +157,47 @@ Result<RunMaps> RunMaps::create(const std::string& run, std::uint32_t xnodes, st
   XAUTO_TRY(maps.map_all(true));
   auto& head = *maps.head_.as<xauto_bpf_head>();
   head.abi = XAUTO_BPF_ABI;
-  head.xnodes = xnodes;
+  head.xnodes = rows;
   head.slots = slots;
   head.owner = static_cast<__u64>(getpid());
+  maps.xnodes_ = xnodes;
+  maps.folder_.reset(::open(folder(run).c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  return maps;
+}
+
+Result<RunMaps> RunMaps::join(const std::string& run, std::uint32_t xnodes) {
+  XAUTO_ASSIGN(RunMaps maps, open(run, true));
+  maps.folder_.reset(::open(folder(run).c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  const Locked lock(maps.folder_.get());
+  const __u64 version = maps.head().version;
+  const xauto_bpf_entry* table = maps.bank(version);
+  auto* names = maps.names_.as<xauto_bpf_name>();
+  std::uint32_t free = 0, end = 0;
+  for (; end < maps.head().xnodes && free < xnodes; ++end)
+    free = names[end].xnode[0] == 0 && table[end].version != version ? free + 1 : 0;
+  if (version == 0 || xnodes == 0 || free < xnodes)
+    return fail(ErrorCode::kUnavailable,
+                "run " + run + " has no room for " + std::to_string(xnodes) + " more XNodes");
+  maps.first_ = end - xnodes;
+  maps.xnodes_ = xnodes;
+  for (std::uint32_t i = maps.first_; i < end; ++i) names[i].xnode[0] = '?';
   return maps;
 }
 
 Result<RunMaps> RunMaps::open(const std::string& run) {
+  return open(run, false);
+}
+
+Result<RunMaps> RunMaps::open(const std::string& run, bool writes) {
   XAUTO_TRY(check_name(run));
   RunMaps maps;
   maps.run_ = run;
   for (const Known& known : kKnown) {
     XAUTO_ASSIGN(UniqueFd fd, open_pinned_map(folder(run) + "/" + known.name));
-    XAUTO_TRY(check_shape(fd.get(), known.name, known.value_size, 1));
+    XAUTO_TRY(check_shape(fd.get(), known.name, known.value_size, 1, known.key_size));
     maps.maps_.push_back({known.name, std::move(fd)});
   }
-  XAUTO_TRY(maps.map_all(false));
+  XAUTO_TRY(maps.map_all(writes));
   const xauto_bpf_head& head = maps.head();
   if (head.abi != XAUTO_BPF_ABI)
     return fail(ErrorCode::kInvalid,
@@ -156,7 +213,7 @@ Result<RunMaps> RunMaps::open(const std::string& run) {
   return maps;
 }
 
-Status RunMaps::map_all(bool owner) {
+Status RunMaps::map_all(bool writes) {
   const auto attach = [&](MappedMap& into, const char* name, std::size_t size,
                           bool writable) -> Status {
     auto mapped = MappedMap::map(fd(name), size, writable);
@@ -168,12 +225,12 @@ Status RunMaps::map_all(bool owner) {
     into = std::move(*mapped);
     return {};
   };
-  XAUTO_TRY(attach(head_, "head", sizeof(xauto_bpf_head), owner));
-  XAUTO_TRY(attach(table_, "table", sizeof(xauto_bpf_entry), owner));
+  XAUTO_TRY(attach(head_, "head", sizeof(xauto_bpf_head), writes));
+  XAUTO_TRY(attach(table_, "table", sizeof(xauto_bpf_entry), writes));
   XAUTO_TRY(attach(slots_, "slots", sizeof(xauto_bpf_slot), false));
   XAUTO_TRY(attach(jobs_, "jobs", sizeof(xauto_bpf_job), false));
   XAUTO_TRY(attach(sched_, "sched", sizeof(xauto_bpf_sched), false));
-  return attach(names_, "names", sizeof(xauto_bpf_name), owner);
+  return attach(names_, "names", sizeof(xauto_bpf_name), writes);
 }
 
 int RunMaps::fd(const std::string& name) const {
@@ -194,11 +251,13 @@ Status RunMaps::pin(int map_fd, const std::string& name) const {
 }
 
 Status RunMaps::set_names(const std::vector<XNodeName>& names) {
-  if (!owner_ || names.size() != head().xnodes)
-    return fail(ErrorCode::kInvalid, std::to_string(names.size()) + " names for " +
-                                         std::to_string(head().xnodes) + " XNodes");
-  auto* into = names_.as<xauto_bpf_name>();
+  if (names.size() != xnodes_)
+    return fail(ErrorCode::kInvalid,
+                std::to_string(names.size()) + " names for " + std::to_string(xnodes_) + " XNodes");
+  const Locked lock(folder_.get());
+  auto* into = names_.as<xauto_bpf_name>() + first_;
   for (std::size_t i = 0; i < names.size(); ++i) {
+    into[i] = {};
     names[i].xnode.copy(into[i].xnode, sizeof into[i].xnode - 1);
     names[i].xpu.copy(into[i].xpu, sizeof into[i].xpu - 1);
     into[i].at = names[i].at;
@@ -231,12 +290,11 @@ std::uint64_t RunMaps::version() const {
 }
 
 Status RunMaps::replace_table(const std::vector<TableRow>& rows) {
-  if (!owner_)
+  if (xnodes_ == 0)
     return fail(ErrorCode::kPermission, "only the process that made the table replaces it", run_);
-  auto& head = *head_.as<xauto_bpf_head>();
-  if (rows.size() != head.xnodes)
+  if (rows.size() != xnodes_)
     return fail(ErrorCode::kInvalid, "a table of " + std::to_string(rows.size()) + " rows for " +
-                                         std::to_string(head.xnodes) + " XNodes");
+                                         std::to_string(xnodes_) + " XNodes");
   for (std::size_t i = 0; i < rows.size(); ++i) {
     const TableRow& row = rows[i];
     const bool on_cpu = row.cpu != XAUTO_BPF_NO_CPU;
@@ -248,20 +306,36 @@ Status RunMaps::replace_table(const std::vector<TableRow>& rows) {
                       " us; CPUs are below " + std::to_string(XAUTO_BPF_MAX_CPUS) +
                       ", keys within 2^60 of 0");
   }
+  publish(rows);
+  return {};
+}
+
+/// Ours that `rows` lacks are nobody's then.
+void RunMaps::publish(const std::vector<TableRow>& rows) {
+  auto& head = *head_.as<xauto_bpf_head>();
+  const Locked lock(folder_.get());
   const __u64 version = head.version + 1;
-  xauto_bpf_entry* bank = table_.as<xauto_bpf_entry>() + (version % XAUTO_BPF_BANKS) * head.xnodes;
-  for (std::size_t i = 0; i < rows.size(); ++i) {
-    std::atomic_ref stamp(bank[i].version);
+  const xauto_bpf_entry* from = bank(head.version);
+  xauto_bpf_entry* into = bank(version);
+  for (std::uint32_t i = 0; i < head.xnodes; ++i) {
+    const std::uint32_t ours = i - first_;
+    const bool mine = ours < xnodes_;
+    // Nobody's row: not of the table in force.
+    if (mine ? ours >= rows.size() : head.version == 0 || from[i].version != head.version) continue;
+    xauto_bpf_entry entry = from[i];
+    if (mine)
+      entry = {.key = rows[ours].key,
+               .budget_ns = static_cast<__u64>(rows[ours].budget_us) * 1000,
+               .cpu = rows[ours].cpu};
+    std::atomic_ref stamp(into[i].version);
     stamp.store(0, std::memory_order_relaxed);
     std::atomic_thread_fence(std::memory_order_seq_cst);
-    std::atomic_ref(bank[i].cpu).store(rows[i].cpu, std::memory_order_relaxed);
-    std::atomic_ref(bank[i].key).store(rows[i].key, std::memory_order_relaxed);
-    std::atomic_ref(bank[i].budget_ns)
-        .store(static_cast<__u64>(rows[i].budget_us) * 1000, std::memory_order_relaxed);
+    std::atomic_ref(into[i].cpu).store(entry.cpu, std::memory_order_relaxed);
+    std::atomic_ref(into[i].key).store(entry.key, std::memory_order_relaxed);
+    std::atomic_ref(into[i].budget_ns).store(entry.budget_ns, std::memory_order_relaxed);
     stamp.store(version, std::memory_order_release);
   }
   std::atomic_ref(head.version).store(version, std::memory_order_seq_cst);
-  return {};
 }
 
 }  // namespace xauto::kernel

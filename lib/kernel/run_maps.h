@@ -44,6 +44,9 @@ class RunMaps {
   /// `run`: a name of letters, digits and dashes. Removes what runs that were killed left behind.
   [[nodiscard]] static Result<RunMaps> create(const std::string& run, std::uint32_t xnodes,
                                               std::uint32_t slots);
+  /// A second app under the scheduler of `run`: `xnodes` of the rows that its table has to spare, and
+  /// given back with this object. `first()` says from where on.
+  [[nodiscard]] static Result<RunMaps> join(const std::string& run, std::uint32_t xnodes);
   /// The maps that another process made; their layout is checked.
   [[nodiscard]] static Result<RunMaps> open(const std::string& run);
   /// Names of the runs that have maps and whose maker lives.
@@ -56,8 +59,8 @@ class RunMaps {
   RunMaps& operator=(RunMaps&& other) noexcept;
   ~RunMaps();
 
-  /// Puts a new table into force, as a whole: each job goes by the one that it began with. No
-  /// system call.
+  /// Puts a new table into force, as a whole: each job goes by the one that it began with. Rows of
+  /// other apps stay as they are.
   [[nodiscard]] Status replace_table(const std::vector<TableRow>& rows);
   /// What the numbers mean, for those who look from outside.
   [[nodiscard]] Status set_names(const std::vector<XNodeName>& names);
@@ -65,6 +68,8 @@ class RunMaps {
   /// A number that grows with each replacement.
   [[nodiscard]] std::uint64_t version() const;
 
+  /// Number of our XNode 0 in the maps; 0 of who made them.
+  [[nodiscard]] std::uint32_t first() const { return first_; }
   [[nodiscard]] const std::string& run() const { return run_; }
   [[nodiscard]] const xauto_bpf_head& head() const { return *head_.as<xauto_bpf_head>(); }
   [[nodiscard]] const xauto_bpf_slot* slots() const { return slots_.as<xauto_bpf_slot>(); }
@@ -82,9 +87,16 @@ class RunMaps {
 
  private:
   RunMaps() = default;
-  [[nodiscard]] Status map_all(bool owner);
+  [[nodiscard]] static Result<RunMaps> open(const std::string& run, bool writes);
+  [[nodiscard]] Status map_all(bool writes);
+  void publish(const std::vector<TableRow>& rows);
+  [[nodiscard]] xauto_bpf_entry* bank(std::uint64_t version) const {
+    return table_.as<xauto_bpf_entry>() + (version % XAUTO_BPF_BANKS) * head().xnodes;
+  }
   std::string run_;
-  bool owner_ = false;
+  bool owner_ = false;                    ///< made them, and removes them
+  std::uint32_t first_ = 0, xnodes_ = 0;  ///< the rows that are ours to write; 0: none
+  UniqueFd folder_;                       ///< locked by who writes table and names
   std::vector<NamedMap> maps_;
   MappedMap head_, table_, slots_, jobs_, sched_, names_;
 };

@@ -62,6 +62,11 @@ ScxChoice choose_scx_mode(const std::string& root, const ScxOptions& options) {
   return {true, "partial mode: all CPUs of the policy are isolated"};
 }
 
+bool scx_asks_restart(const xauto_bpf_sched& sched) {
+  constexpr std::uint64_t kActRestart = std::uint64_t{1} << 48;  // SCX_ECODE_ACT_RESTART
+  return scx_exit_of(sched).has_value() && (sched.exit_code & kActRestart) != 0;
+}
+
 std::optional<std::string> scx_exit_of(const xauto_bpf_sched& sched) {
   auto& kind = const_cast<__u64&>(sched.exit_kind);
   if (std::atomic_ref(kind).load(std::memory_order_acquire) == 0) return std::nullopt;

@@ -44,7 +44,8 @@ struct ScxChoice {
 
 class ScxScheduler {
  public:
-  /// Loads and attaches; returns when the kernel says that it is enabled.
+  /// Loads and attaches; returns when the kernel says that it is enabled. Begins again if the kernel
+  /// asks for it: a CPU that comes or goes meanwhile.
   [[nodiscard]] static Result<ScxScheduler> load(const RunMaps& maps, const ScxOptions& options);
   ScxScheduler(ScxScheduler&&) noexcept;
   ~ScxScheduler();
@@ -53,10 +54,15 @@ class ScxScheduler {
 
  private:
   ScxScheduler();
+  [[nodiscard]] static Result<ScxScheduler> load_once(const RunMaps& maps,
+                                                      const ScxOptions& options);
   struct Loaded;
   std::unique_ptr<Loaded> loaded_;
   ScxChoice choice_;
 };
+
+/// Whether it ended because of something that a new one does not have: the kernel asks for a restart.
+[[nodiscard]] bool scx_asks_restart(const xauto_bpf_sched& sched);
 
 /// Why the scheduler ended, if it has: "runnable task stall (...)"; nullopt while it runs.
 [[nodiscard]] std::optional<std::string> scx_exit_of(const xauto_bpf_sched& sched);

@@ -29,6 +29,42 @@ std::vector<kernel::TableRow> table_rows(const CpuRunRequest& request,
   return rows;
 }
 
+namespace {
+
+std::vector<kernel::XNodeName> names_of(const CpuRunRequest& request) {
+  std::vector<kernel::XNodeName> names;
+  for (std::size_t i = 0; i < request.app.xnodes.size(); ++i) {
+    const int xpu = request.policy != nullptr ? request.policy->placements[i].xpu : -1;
+    const auto at = static_cast<std::size_t>(std::max(xpu, 0));
+    names.push_back({request.app.xnodes[i].name,
+                     xpu < 0 ? std::string() : request.platform.xpus[at].id,
+                     static_cast<std::uint32_t>(at)});
+  }
+  return names;
+}
+
+/// Under the scheduler that another run of XAuto has loaded, if there is one: by its rule, with rows
+/// of our own in its table. SCHED_FIFO would go before all of its XNodes.
+bool join_other(const CpuRunRequest& request, const std::vector<kernel::TableRow>& rows,
+                CpuRun& run) {
+  for (const std::string& other : kernel::RunMaps::runs()) {
+    auto seen = kernel::RunMaps::open(other);
+    if (other == request.run || !seen || seen->sched().running == 0) continue;
+    auto maps = kernel::RunMaps::join(other, static_cast<std::uint32_t>(rows.size()));
+    if (!maps || !maps->replace_table(rows) || !maps->set_names(names_of(request))) continue;
+    auto scheduler = kernel::start_scx(request.bin, other, {}, {"--join"});
+    if (!scheduler) continue;
+    run.maps.emplace(std::move(*maps));
+    run.info = "sched_ext, " + scheduler->why;
+    run.partial = scheduler->why.rfind("partial", 0) == 0;
+    run.scheduler.emplace(std::move(*scheduler));
+    return true;
+  }
+  return false;
+}
+
+}  // namespace
+
 CpuRun prepare_cpus(const CpuRunRequest& request) {
   CpuRun run;
   const std::vector<int> all = request.platform.instances_of("cpu");
@@ -41,6 +77,8 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
     run.note = "no sched_ext: " + error.what + "; SCHED_FIFO instead";
     run.scheduler.reset();
   };
+  const std::vector<kernel::TableRow> rows = table_rows(request, rt::allowed_cores());
+  if (want_ext && join_other(request, rows, run)) return run;
   // The program alone knows how many threads it has: one for each activation in flight. A slot is
   // 200 bytes.
   auto maps = kernel::RunMaps::create(
@@ -51,20 +89,11 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
     return run;
   }
   run.maps.emplace(std::move(*maps));
-  const std::vector<kernel::TableRow> rows = table_rows(request, rt::allowed_cores());
   if (const Status put = run.maps->replace_table(rows); !put) {
     if (want_ext) instead(put.error());
     return run;
   }
-  std::vector<kernel::XNodeName> names;
-  for (std::size_t i = 0; i < request.app.xnodes.size(); ++i) {
-    const int xpu = request.policy != nullptr ? request.policy->placements[i].xpu : -1;
-    const auto at = static_cast<std::size_t>(std::max(xpu, 0));
-    names.push_back({request.app.xnodes[i].name,
-                     xpu < 0 ? std::string() : request.platform.xpus[at].id,
-                     static_cast<std::uint32_t>(at)});
-  }
-  (void)run.maps->set_names(names);
+  (void)run.maps->set_names(names_of(request));
   if (!want_ext) return run;
   std::set<int> cpus;
   for (const kernel::TableRow& row : rows)

@@ -174,7 +174,10 @@ class Supervisor {
       outcome_.notes.push_back(cpus_.note);
     }
     if (!cpus_.info.empty()) log::info("{}", cpus_.info);
-    if (cpus_.maps) session.cpu_run = name;
+    if (cpus_.maps) {
+      session.cpu_run = cpus_.maps->run();
+      session.cpu_first_xnode = cpus_.maps->first();
+    }
     if (cpus_.scheduler) {
       session.cpu_scheduler_pid = cpus_.scheduler->child.pid();
       session.cpu_partial = cpus_.partial;

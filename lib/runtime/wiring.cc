@@ -35,6 +35,7 @@ Result<std::unique_ptr<Wiring>> Wiring::build(const Context& context, const Plac
   Wiring& w = *wiring;
   const Session& session = context.session;
   XAUTO_ASSIGN(w.threads_, xpu::CpuThreads::create({.run = session.cpu_run,
+                                                    .first_xnode = session.cpu_first_xnode,
                                                     .scheduler_pid = session.cpu_scheduler_pid,
                                                     .partial = session.cpu_partial}));
   const std::size_t modules = context.graph.modules.size(), topics = context.graph.topics.size();

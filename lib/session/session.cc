@@ -72,6 +72,7 @@ std::string to_json(const Session& s) {
             {"scheduling", to_string(s.scheduling)},
             {"cpu_sched", static_cast<int>(s.cpu_sched)},
             {"cpu_run", s.cpu_run},
+            {"cpu_first_xnode", s.cpu_first_xnode},
             {"cpu_scheduler_pid", s.cpu_scheduler_pid},
             {"cpu_partial", s.cpu_partial},
             {"cpu_by_keys", s.cpu_by_keys},
@@ -130,6 +131,7 @@ Result<Session> parse_session(const std::string& text) {
     if (cpu_sched < 0 || cpu_sched > 2) return fail(ErrorCode::kInvalid, "unknown cpu_sched");
     s.cpu_sched = static_cast<CpuSched>(cpu_sched);
     s.cpu_run = j.at("cpu_run").get<std::string>();
+    s.cpu_first_xnode = j.at("cpu_first_xnode").get<std::uint32_t>();
     s.cpu_scheduler_pid = j.at("cpu_scheduler_pid").get<int>();
     s.cpu_partial = j.at("cpu_partial").get<bool>();
     s.cpu_by_keys = j.at("cpu_by_keys").get<bool>();

@@ -48,7 +48,8 @@ struct Session {
   std::optional<KeyPolicy> keys;  ///< the same of an app of version 2
   Scheduling scheduling = Scheduling::kXAuto;
   CpuSched cpu_sched = CpuSched::kFifo;
-  std::string cpu_run;        ///< the run's BPF maps (kernel/run_maps.h); empty: none
+  std::string cpu_run;                ///< the run's BPF maps (kernel/run_maps.h); empty: none
+  std::uint32_t cpu_first_xnode = 0;  ///< number of XNode 0 there: another run's maps have its own
   int cpu_scheduler_pid = 0;  ///< xauto-cpusched holds the sched_ext scheduler; 0: there is none
   /// Real CPUs follow keys by SCHED_FIFO: the coordinator admits one job per core and has the others
   /// lowered. Of a policy of keys, where that is permitted and sched_ext does not do it. Decided

@@ -72,9 +72,10 @@ void CpuThread::leave() {
 
 /// Only sched_ext looks at more than the job, so the clock is read for nobody else.
 bool CpuThread::tell(const CpuJob& job) const {
-  if (!(scheduled_ && all_.ext())) return slot_.tell(job.xnode, job.sequence);
+  const std::uint32_t xnode = all_.first_xnode_ + job.xnode;
+  if (!(scheduled_ && all_.ext())) return slot_.tell(xnode, job.sequence);
   const std::int64_t asked = std::max(now_ns(), job.not_before_ns);
-  return slot_.tell(job.xnode, job.sequence, {job.key, static_cast<std::uint64_t>(asked)});
+  return slot_.tell(xnode, job.sequence, {job.key, static_cast<std::uint64_t>(asked)});
 }
 
 void CpuThread::announce(const CpuJob& job) {
@@ -132,6 +133,7 @@ Result<std::unique_ptr<CpuThreads>> CpuThreads::create(const CpuThreadsOptions& 
     return threads;
   }
   threads->slots_ = std::move(*observed);
+  threads->first_xnode_ = options.first_xnode;
   if (options.scheduler_pid == 0) return threads;
   threads->partial_ = options.partial;
   threads->scheduler_.reset(static_cast<int>(syscall(SYS_pidfd_open, options.scheduler_pid, 0)));

@@ -21,9 +21,10 @@
 namespace xauto::xpu {
 
 struct CpuThreadsOptions {
-  std::string run;        ///< of the maps below /sys/fs/bpf/xauto; empty: nobody observes
-  int scheduler_pid = 0;  ///< of xauto-cpusched; 0: no sched_ext
-  bool partial = false;   ///< threads must ask for SCHED_EXT
+  std::string run;                ///< of the maps below /sys/fs/bpf/xauto; empty: nobody observes
+  std::uint32_t first_xnode = 0;  ///< number of XNode 0 in those maps
+  int scheduler_pid = 0;          ///< of xauto-cpusched; 0: no sched_ext
+  bool partial = false;           ///< threads must ask for SCHED_EXT
 };
 
 class CpuThreads;
@@ -52,9 +53,7 @@ class CpuThread {
   /// not with its last one's.
   void announce(const CpuJob& job);
   /// What it will most likely run first, so that it has a key before its first job.
-  void expect(std::uint32_t xnode, std::int64_t key) const {
-    (void)slot_.tell(xnode, XAUTO_BPF_JOB_EXPECTED, {key, 0});
-  }
+  void expect(std::uint32_t xnode, std::int64_t key) const;
   /// The next job, now.
   void next(const CpuJob& job);
   /// Whether anybody sees the following: without BPF, nobody.
@@ -99,6 +98,7 @@ class CpuThreads {
 
   std::atomic<bool> ext_{false};
   bool partial_ = false;
+  std::uint32_t first_xnode_ = 0;
   UniqueFd scheduler_, quit_;  ///< pidfd; eventfd
   std::thread watcher_;
   mutable PiMutex mutex_;
@@ -106,6 +106,10 @@ class CpuThreads {
   std::string note_ XAUTO_GUARDED_BY(mutex_);
   kernel::ThreadSlots slots_;
 };
+
+inline void CpuThread::expect(std::uint32_t xnode, std::int64_t key) const {
+  (void)slot_.tell(all_.first_xnode_ + xnode, XAUTO_BPF_JOB_EXPECTED, {key, 0});
+}
 
 inline bool CpuThread::observed() const {
   return all_.slots_.observed();

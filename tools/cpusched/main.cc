@@ -6,6 +6,7 @@
 // Tells on --ready-fd, in one line, "ok WHY" or "no WHY" (a second line: what to do); then runs
 // until it is told to stop (status 0) or the kernel ends the scheduler (status 1, the reason on
 // stderr).
+#include <optional>
 #include <string>
 
 #include <poll.h>
@@ -31,7 +32,34 @@ void tell(int fd, const std::string& text) {
   close(fd);
 }
 
-int serve(const std::string& run, const xauto::kernel::ScxOptions& options, int ready_fd) {
+/// Beside another process's scheduler, for an app that joined its run: ends when that one does.
+int follow(const xauto::kernel::RunMaps& maps, int ready_fd) {
+  const xauto::UniqueFd stop = xauto::daemon::stop_signals();
+  const volatile std::uint32_t& running = maps.sched().running;
+  constexpr int kReloadLooks = 50;  ///< a scheduler that is loaded again is away for seconds
+  if (running == 0) {
+    tell(ready_fd, "no the sched_ext scheduler of run " + maps.run() + " has ended");
+    return 1;
+  }
+  tell(ready_fd, "ok " +
+                     std::string(maps.sched().mode == XAUTO_BPF_MODE_PARTIAL ? "partial" : "full") +
+                     " mode, beside run " + maps.run());
+  for (int away = 0; away < kReloadLooks;) {
+    pollfd wait{stop.get(), POLLIN, 0};
+    if (poll(&wait, 1, kLookMs) > 0) return 0;
+    if (running != 0)
+      away = 0;
+    else if (!xauto::kernel::scx_asks_restart(maps.sched()))
+      break;
+    else
+      ++away;
+  }
+  xauto::log::error("the sched_ext scheduler of run {} has ended", maps.run());
+  return 1;
+}
+
+int serve(const std::string& run, const xauto::kernel::ScxOptions& options, bool join,
+          int ready_fd) {
   const xauto::UniqueFd stop = xauto::daemon::stop_signals();
   const auto refuse = [&](const xauto::Error& error) {
     tell(ready_fd, "no " + error.what + (error.hint.empty() ? "" : "\n" + error.hint));
@@ -39,13 +67,24 @@ int serve(const std::string& run, const xauto::kernel::ScxOptions& options, int 
   };
   auto maps = xauto::kernel::RunMaps::open(run);
   if (!maps) return refuse(maps.error());
-  auto scheduler = xauto::kernel::ScxScheduler::load(*maps, options);
-  if (!scheduler) return refuse(scheduler.error());
+  if (join) return follow(*maps, ready_fd);
+  std::optional<xauto::kernel::ScxScheduler> scheduler;
+  const auto load = [&]() -> xauto::Status {
+    scheduler.reset();
+    XAUTO_ASSIGN(auto loaded, xauto::kernel::ScxScheduler::load(*maps, options));
+    scheduler.emplace(std::move(loaded));
+    return {};
+  };
+  if (const auto loaded = load(); !loaded) return refuse(loaded.error());
   tell(ready_fd, "ok " + scheduler->choice().why);
   for (;;) {
     pollfd wait{stop.get(), POLLIN, 0};
     if (poll(&wait, 1, kLookMs) > 0) return 0;
     if (const auto exit = xauto::kernel::scx_exit_of(maps->sched())) {
+      if (xauto::kernel::scx_asks_restart(maps->sched()) && load()) {
+        xauto::log::warn("the sched_ext scheduler was loaded again: {}", *exit);
+        continue;
+      }
       xauto::log::error("the kernel ended the sched_ext scheduler: {}", *exit);
       return 1;
     }
@@ -59,6 +98,7 @@ int main(int argc, char** argv) {
                            "xauto-cpusched");
   std::string run, mode = "auto", cpus;
   int ready_fd = -1;
+  bool join = false;
   xauto::kernel::ScxOptions options;
   root.version(XAUTO_VERSION);
   root.option("--run", run, "name of the run below /sys/fs/bpf/xauto").required();
@@ -81,6 +121,7 @@ int main(int argc, char** argv) {
   root.option("--age-ms", options.age_ms, "after which an XNode that waits gets a turn")
       .range(10u, 20'000u)
       .shown();
+  root.flag("--join", join, "load nothing: follow the run's scheduler, which is there already");
   root.option("--ready-fd", ready_fd, "tell here when the scheduler is enabled, or why not");
   if (const auto status = root.parse(argc, argv)) return *status;
   options.mode = mode == "full"      ? xauto::kernel::ScxMode::kFull
@@ -88,5 +129,5 @@ int main(int argc, char** argv) {
                                      : xauto::kernel::ScxMode::kAuto;
   options.cpus = xauto::kernel::parse_cpu_list(cpus);
   prctl(PR_SET_NAME, "xauto-cpusched");
-  return serve(run, options, ready_fd);
+  return serve(run, options, join, ready_fd);
 }

@@ -198,6 +198,7 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
       xpus.push_back({{"xpu", load.name}, {"load_pct", load.percent}});
   }
   for (std::size_t i = 0; i < now.kernel->hist.size(); ++i) {
+    if (live.names[i].xnode.empty()) continue;  // room for apps that join the run
     const XNodeNumbers n = numbers_of(now.kernel->hist[i], before.kernel->hist[i]);
     j["xnodes"].push_back({{"xnode", live.names[i].xnode},
                            {"xpu", live.names[i].xpu},
@@ -233,6 +234,7 @@ std::string kernel_part(const Live& live, const KernelLook& now, const KernelLoo
                      "jobs/s", "latency p50", "p99 us", "run ms/s", "wait ms/s", "preempted");
   const double s = static_cast<double>(now.at_ns - before.at_ns) * 1e-9;
   for (std::size_t i = 0; i < now.hist.size(); ++i) {
+    if (live.names[i].xnode.empty()) continue;  // room for apps that join the run
     const XNodeNumbers n = numbers_of(now.hist[i], before.hist[i]);
     out +=
         fmt::format("  {:<18}{:<8}{:>7.1f}{:>13}{:>8}{:>11.2f}{:>11.2f}{:>11}\n",

@@ -1,7 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cstdlib>
+#include <ctime>
 #include <thread>
 
 #include "base/first_line.h"
+#include "base/log.h"
 #include "kernel/libbpf/session.h"
 #include "kernel/scx_scheduler.h"
 
@@ -20,8 +24,10 @@ constexpr auto kEnableLimit = std::chrono::seconds(5);
 struct ScxScheduler::Loaded {
   xauto_scx* object = nullptr;
   bpf_link* link = nullptr;
+  bpf_link* exited = nullptr;
   ~Loaded() {
     bpf_link__destroy(link);
+    bpf_link__destroy(exited);
     xauto_scx__destroy(object);
   }
 };
@@ -31,6 +37,19 @@ ScxScheduler::ScxScheduler(ScxScheduler&&) noexcept = default;
 ScxScheduler::~ScxScheduler() = default;
 
 Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& options) {
+  constexpr int kTries = 10;
+  for (int i = 1;; ++i) {
+    auto scheduler = load_once(maps, options);
+    if (scheduler || i == kTries || !scx_asks_restart(maps.sched())) return scheduler;
+    log::debug("the scheduler is loaded again: {}", scheduler.error().to_string());
+    const auto limit = std::chrono::steady_clock::now() + kEnableLimit;
+    while (first_line(std::string(kScx) + "/state") != "disabled" &&
+           std::chrono::steady_clock::now() < limit)
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+}
+
+Result<ScxScheduler> ScxScheduler::load_once(const RunMaps& maps, const ScxOptions& options) {
   if (std::string refusal = scx_refusal(""); !refusal.empty())
     return fail(ErrorCode::kUnavailable, std::move(refusal));
   // Up to the greatest number, since there may be gaps: each CPU has a state and a queue.
@@ -43,17 +62,28 @@ Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& o
   scheduler.loaded_ = std::make_unique<Loaded>();
   Loaded& loaded = *scheduler.loaded_;
 
+  // Before anything looks at the CPUs: the kernel refuses us if one comes or goes after this.
+  const std::uint64_t seen =
+      std::strtoull(first_line(std::string(kScx) + "/hotplug_seq").c_str(), nullptr, 10);
   const LibbpfMessages messages;
   loaded.object = xauto_scx__open();
   if (loaded.object == nullptr) return libbpf_failed("opening the scheduler", errno);
   auto& constants = *loaded.object->rodata;
   constants.nr_cpus = static_cast<unsigned>(cpus);
+  constants.mode = scheduler.choice_.partial ? XAUTO_BPF_MODE_PARTIAL : XAUTO_BPF_MODE_FULL;
   constants.floor_permille = options.floor_permille;
   constants.floor_burst_us = options.floor_burst_us;
   constants.xnode_slice_us = options.xnode_slice_us;
   constants.age_ms = options.age_ms;
+  // The watchdog's clock is the tick, which is also the coarse clock's.
+  timespec tick{};
+  clock_getres(CLOCK_MONOTONIC_COARSE, &tick);
+  constants.rescue_jiffies = static_cast<unsigned long>(options.timeout_ms / 2) * 1'000'000 /
+                             static_cast<unsigned long>(std::max(tick.tv_nsec, 1'000'000L / 4));
+  constants.rescue_look_ms = options.timeout_ms / 100;
   auto* ops = loaded.object->struct_ops.xauto_ops;
   ops->timeout_ms = options.timeout_ms;
+  ops->hotplug_seq = seen;
   if (scheduler.choice_.partial) ops->flags |= kSwitchPartial;
   for (bpf_map* map :
        {loaded.object->maps.head, loaded.object->maps.table, loaded.object->maps.slots,
@@ -64,6 +94,8 @@ Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& o
   const int load_error = xauto_scx__load(loaded.object);
   verifier.write();
   if (load_error != 0) return libbpf_failed("the kernel did not accept the scheduler", load_error);
+  loaded.exited = bpf_program__attach(loaded.object->progs.xauto_exited);
+  if (loaded.exited == nullptr) return libbpf_failed("following the ends of threads", errno);
   // By hand: a skeleton of bpftool 7.5 attaches struct_ops only with a newer libbpf than Debian's.
   loaded.link = bpf_map__attach_struct_ops(loaded.object->maps.xauto_ops);
   if (loaded.link == nullptr) return libbpf_failed("enabling the scheduler", errno);

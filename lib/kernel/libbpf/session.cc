@@ -98,7 +98,7 @@ Status reuse(bpf_map* map, const RunMaps& maps) {
   const int fd = maps.fd(name);
   if (fd < 0) return fail(ErrorCode::kInternal, "the run has no map '" + name + "'");
   // Compared here, since libbpf would take over whatever size the map has.
-  XAUTO_TRY(check_shape(fd, name, bpf_map__value_size(map), 1));
+  XAUTO_TRY(check_shape(fd, name, bpf_map__value_size(map), 1, bpf_map__key_size(map)));
   if (const int error = bpf_map__reuse_fd(map, fd); error != 0)
     return libbpf_failed("map '" + name + "'", error);
   return {};

@@ -13,6 +13,8 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "base/clock.h"
+
 #include "tests.h"
 
 namespace xauto::test {
@@ -158,14 +160,16 @@ void wrong_slot() {
   std::atomic<bool> stop{false};
   std::atomic<std::uint64_t> rounds{0};
   std::thread stray([&] {
-    const auto tid = static_cast<std::uint32_t>(gettid());
-    const std::uint32_t nowhere = 4711;
-    if (!kernel::set_element(world.maps.fd("threads"), &tid, &nowhere)) ktap_bail("entering");
+    struct stat space {};
+    stat("/proc/self/ns/pid", &space);
+    const std::uint64_t key = space.st_ino << 32 | static_cast<std::uint64_t>(gettid());
+    const std::uint64_t nowhere[2] = {4711, static_cast<std::uint64_t>(now_ns())};
+    if (!kernel::set_element(world.maps.fd("threads"), &key, nowhere)) ktap_bail("entering");
     while (!stop) {
       usleep(1000);
       ++rounds;
     }
-    kernel::remove_element(world.maps.fd("threads"), &tid);
+    kernel::remove_element(world.maps.fd("threads"), &key);
   });
   const bool ran = wait_for([&] { return rounds > 100; });
   const std::uint64_t looks = world.stat(XAUTO_BPF_STAT_NO_SLOT);

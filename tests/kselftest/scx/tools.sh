@@ -69,13 +69,31 @@ ok "... and says so" has "the sched_ext scheduler ended: CPU XNodes went on unde
 ok "... with all activations" [ "$(wc -l <killed.order)" -eq 16 ]
 ok "... and the kernel is back at its own scheduler" [ "$(state)" = disabled ]
 
-# Taken: somebody else's scheduler (here our own, of another run).
-drive first ext 20 &
+# A second app while the first one runs: one scheduler, one rule.
+drive first ext 24 &
 run=$!
 while [ "$(state)" != enabled ]; do sleep 0.1; done
-drive second ext 4
-ok "with another scheduler loaded the app runs under SCHED_FIFO and says so" \
-  has "no sched_ext: another sched_ext scheduler is loaded: 'xauto" second.json
+drive second ext 6 &
+second=$!
+fifo=0 seen=0
+while kill -0 $second 2>/dev/null; do
+  for app in $(pidof driving_cpu); do
+    for task in /proc/$app/task/*; do
+      [ "$(cut -d' ' -f41 "$task/stat" 2>/dev/null)" = 1 ] || continue
+      # Execution threads: those above are real-time in any case.
+      [ "$(cut -d' ' -f40 "$task/stat" 2>/dev/null)" -lt 45 ] && fifo=$((fifo + 1))
+    done
+    seen=$((seen + 1))
+  done
+  sleep 0.2
+done
+wait $second
+ok "a second app runs beside the first under its scheduler, and says so" has "sched_ext, full mode, beside run" second.err
+ok "... nobody under SCHED_FIFO ($fifo threads, $seen looks)" [ "$fifo" -eq 0 -a "$seen" -gt 0 ]
+ok "... all stages of it" [ "$(wc -w <second.order)" -eq 120 ]
+# The rows are given back, so that a third finds them.
+drive third ext 2
+ok "... and a third one after it" has "sched_ext, full mode, beside run" third.err
 wait $run
 
 # No BTF: an empty folder in its place.

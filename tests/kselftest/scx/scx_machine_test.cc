@@ -1,0 +1,432 @@
+// SPDX-License-Identifier: Apache-2.0
+// The scheduler beside what else a machine does: namespaces, CPUs that go and come, cgroups, several apps, crowds. KTAP; as
+// scx_test.
+//   scx_machine_test [NAME]
+#include <algorithm>
+#include <fstream>
+
+#include <fcntl.h>
+#include <linux/sched.h>
+#include <sched.h>
+#include <sys/mman.h>
+#include <sys/mount.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+
+#include "tests.h"
+
+namespace xauto::test {
+namespace {
+
+constexpr int kCpu = 1;
+
+/// Memory that a child sees, too.
+template <class T>
+T& shared() {
+  void* at = mmap(nullptr, sizeof(T), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+  if (at == MAP_FAILED) ktap_bail("mmap");
+  return *new (at) T{};
+}
+
+// ---- PID namespaces -----------------------------------------------------------------------------
+
+/// A child whose thread id in its own PID namespace is `tid`, as init's is there 1.
+pid_t fork_with_id(pid_t tid) {
+  clone_args args{};
+  args.exit_signal = SIGCHLD;
+  args.set_tid = reinterpret_cast<std::uint64_t>(&tid);
+  args.set_tid_size = 1;
+  return static_cast<pid_t>(syscall(SYS_clone3, &args, sizeof args));
+}
+
+void pid_namespace() {
+  World world(1, kCpu);
+  world.load();
+  struct Shared {
+    std::atomic<int> step{0};
+    std::atomic<bool> stop{false};
+    std::atomic<double> inside{0}, stranger{0};
+  };
+  auto& s = shared<Shared>();
+  std::atomic<pid_t> id{0};
+  std::thread stranger([&] {
+    pin(kCpu);
+    sched_param none{};
+    sched_setscheduler(0, SCHED_OTHER, &none);
+    id = gettid();
+    while (!s.stop) s.stranger = cpu_seconds();
+  });
+  wait_for([&] { return id != 0; });
+  const pid_t container = fork();
+  if (container == 0) {
+    if (unshare(CLONE_NEWPID | CLONE_NEWNS) != 0) _exit(2);
+    const pid_t init = fork();
+    if (init == 0) {
+      mount("none", "/", nullptr, MS_REC | MS_PRIVATE, nullptr);
+      mount("proc", "/proc", "proc", 0, nullptr);
+      const pid_t app = fork_with_id(id);
+      if (app == 0) {
+        cpu_set_t all;
+        CPU_ZERO(&all);
+        for (unsigned c = 0; c < 64; ++c) CPU_SET(c, &all);
+        sched_setaffinity(0, sizeof all, &all);
+        const kernel::ThreadSlot slot = world.slots.take(0);
+        (void)slot.tell(0, 0);
+        s.step = world.slots.enter(slot) && gettid() == id ? 1 : 3;
+        while (!s.stop) s.inside = cpu_seconds();
+        world.slots.leave(slot);
+        _exit(0);
+      }
+      int status = 0;
+      waitpid(app, &status, 0);
+      _exit(app > 0 && status == 0 ? 0 : 4);
+    }
+    int status = 0;
+    waitpid(init, &status, 0);
+    _exit(init > 0 && status == 0 ? 0 : 5);
+  }
+  const bool began = wait_for([&] { return s.step != 0; }) && s.step == 1;
+  sleep_ms(300);
+  const double inside = s.inside, outside = s.stranger;
+  sleep_ms(1500);
+  const double got = s.inside - inside, other = s.stranger - outside;
+  s.stop = true;
+  int status = 1;
+  waitpid(container, &status, 0);
+  stranger.join();
+  ktap_test(
+      began && status == 0 && got > 4 * other,
+      "an XNode thread in a PID namespace has its CPU before an ordinary one: %.2f and %.2f s", got,
+      other);
+}
+
+// ---- CPUs that go and come ----------------------------------------------------------------------
+
+bool switch_cpu(int cpu, bool on) {
+  const std::string file = "/sys/devices/system/cpu/cpu" + std::to_string(cpu) + "/online";
+  const int fd = open(file.c_str(), O_WRONLY);
+  const bool done = fd >= 0 && write(fd, on ? "1" : "0", 1) == 1;
+  close(fd);
+  return done;
+}
+
+/// A thread that is nobody's job.
+void be_ordinary(int cpu = -1) {
+  cpu_set_t all;
+  CPU_ZERO(&all);
+  for (unsigned c = 0; c < 64; ++c)
+    if (cpu < 0 || c == static_cast<unsigned>(cpu)) CPU_SET(c, &all);
+  sched_setaffinity(0, sizeof all, &all);
+  sched_param none{};
+  sched_setscheduler(0, SCHED_OTHER, &none);
+}
+
+void hotplug() {
+  constexpr int kRounds = 4;
+  World world(2, kCpu);
+  world.load();
+  std::atomic<bool> stop{false};
+  std::atomic<double> low{0}, high{0}, ordinary{0}, pinned{0};
+  std::atomic<int> where{-1};
+  int switched = 0, ran = 0, back = 0;
+  {
+    const auto show = [&](std::atomic<double>& cpu) {
+      while (!stop) cpu = cpu_seconds();
+    };
+    XNodeThread spins(world, 0, [&](const kernel::ThreadSlot&) { show(low); });
+    Waiter waiter(world, 1, [&](const kernel::ThreadSlot&) {
+      where = sched_getcpu();
+      burn_us(1000);
+      high = cpu_seconds();
+    });
+    std::thread anywhere([&] {
+      be_ordinary();
+      show(ordinary);
+    });
+    std::thread here([&] {
+      be_ordinary(kCpu);
+      show(pinned);
+    });
+    std::uint32_t jobs = 0;
+    const auto job_ran = [&] {
+      waiter.submit(1, ++jobs);
+      return wait_for([&] { return waiter.done() == jobs; });
+    };
+    const auto all_run = [&] {
+      const double before[4] = {low, high, ordinary, pinned};
+      return job_ran() && wait_for([&] {
+               return low > before[0] && high > before[1] && ordinary > before[2] &&
+                      pinned > before[3];
+             });
+    };
+    for (int i = 0; i < kRounds; ++i) {
+      switched += switch_cpu(kCpu, false);
+      ran += all_run() && where != kCpu;
+      switched += switch_cpu(kCpu, true);
+      // The CPU's own wake-up may have raced with its coming.
+      back += wait_for([&] { return job_ran() && where == kCpu; });
+    }
+    stop = true;
+    anywhere.join();
+    here.join();
+  }
+  const auto exit = kernel::scx_exit_of(world.maps.sched());
+  ktap_note("%s", exit ? exit->c_str() : "the scheduler is there");
+  ktap_test(switched == 2 * kRounds && scx_state() == "enabled" && !exit,
+            "a CPU goes and comes %d times, and the scheduler stays", kRounds);
+  ktap_test(ran == kRounds, "... while it is away, its threads run on another: %d of %d", ran,
+            kRounds);
+  ktap_test(back == kRounds, "... and come back to it: %d of %d", back, kRounds);
+}
+
+/// A CPU goes or comes while the scheduler is loaded: at another moment each time.
+void loaded_meanwhile() {
+  constexpr int kLoads = 8;
+  World world(1, 0);
+  int loaded = 0, stayed = 0, switched = 0;
+  for (int i = 0; i < kLoads; ++i) {
+    std::thread other([&] {
+      sleep_ms(100 + 300 * i);
+      switched += switch_cpu(kCpu, i % 2 != 0);
+    });
+    {
+      auto loader = world.try_load();
+      loaded += loader ? 1 : 0;
+      if (!loader) ktap_note("%s", loader.error().what.c_str());
+      other.join();
+      stayed += scx_state() == "enabled";
+    }
+    wait_for([] { return scx_state() == "disabled"; });
+  }
+  ktap_test(loaded == kLoads && stayed == kLoads && switched == kLoads,
+            "a CPU goes or comes during a load: %d of %d loaded, %d stayed", loaded, kLoads,
+            stayed);
+}
+
+// ---- cgroups ------------------------------------------------------------------------------------
+
+bool put(const std::string& file, const std::string& text) {
+  const int fd = open(file.c_str(), O_WRONLY);
+  const bool done = fd >= 0 && write(fd, text.data(), text.size()) == ssize_t(text.size());
+  close(fd);
+  return done;
+}
+
+void cpu_max() {
+  const std::string root = "/sys/fs/cgroup", limited = root + "/limited";
+  World world(1, kCpu);
+  world.load();
+  put(root + "/cgroup.subtree_control", "+cpu");
+  mkdir(limited.c_str(), 0755);
+  if (access((limited + "/cpu.max").c_str(), F_OK) != 0) {
+    for (int i = 0; i < 2; ++i) ktap_skip("cpu.max", "this kernel has none (CONFIG_CFS_BANDWIDTH)");
+    return;
+  }
+  const bool set = put(limited + "/cpu.max", "20000 100000");
+  struct Shared {
+    std::atomic<bool> stop{false};
+    std::atomic<double> got[3]{};
+  };
+  auto& s = shared<Shared>();
+  std::vector<pid_t> children;
+  for (int i = 0; i < 3; ++i) {  // two of the limited cgroup, one beside them
+    children.push_back(fork());
+    if (children.back() != 0) continue;
+    be_ordinary();
+    if (i < 2 && !put(limited + "/cgroup.procs", "0")) _exit(1);
+    while (!s.stop) s.got[i] = cpu_seconds();
+    _exit(0);
+  }
+  sleep_ms(500);
+  const double before[3] = {s.got[0], s.got[1], s.got[2]};
+  const auto begin = Clock::now();
+  sleep_ms(5000);
+  const double wall = seconds(Clock::now() - begin);
+  const double both = s.got[0] - before[0] + s.got[1] - before[1], other = s.got[2] - before[2];
+  s.stop = true;
+  int failed = 0;
+  for (const pid_t child : children) {
+    int status = 1;
+    waitpid(child, &status, 0);
+    failed += status != 0;
+  }
+  rmdir(limited.c_str());
+  ktap_test(set && failed == 0 && both > 0.1 * wall && both < 0.3 * wall,
+            "a cgroup limited to 20 %% of a CPU has that: %.2f of %.2f s", both, wall);
+  ktap_test(other > 0.8 * wall && scx_state() == "enabled",
+            "... and who is beside it is not slowed down: %.2f s", other);
+}
+
+// ---- kernel threads -----------------------------------------------------------------------------
+
+/// Writing into a pty keeps a kernel worker busy; all unbound workers are sent to the XNode's CPU.
+void kernel_hog() {
+  const std::string cpus = "/sys/devices/virtual/workqueue/cpumask";
+  const std::string before = slurp(cpus);
+  World world(1, kCpu);
+  world.load();
+  std::atomic<bool> stop{false};
+  std::atomic<double> got{0};
+  double share = 0;
+  {
+    XNodeThread spins(world, 0, [&](const kernel::ThreadSlot&) {
+      while (!stop) got = cpu_seconds();
+    });
+    const bool sent = put(cpus, "2");
+    std::vector<std::thread> writers;
+    for (int i = 0; i < 4; ++i)
+      writers.emplace_back([&] {
+        be_ordinary(0);
+        const int master = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
+        grantpt(master);
+        unlockpt(master);
+        const int slave = open(ptsname(master), O_RDWR | O_NOCTTY | O_NONBLOCK);
+        char text[2048];
+        memset(text, 'a', sizeof text);
+        while (!stop) {
+          (void)!write(master, text, sizeof text);
+          (void)!read(slave, text, sizeof text);
+          (void)!read(master, text, sizeof text);
+        }
+        close(slave);
+        close(master);
+      });
+    sleep_ms(500);
+    const double from = got;
+    const auto begin = Clock::now();
+    sleep_ms(3000);
+    share = sent ? (got - from) / seconds(Clock::now() - begin) : 0;
+    stop = true;
+    for (auto& writer : writers) writer.join();
+    put(cpus, before);
+  }
+  ktap_test(share > 0.3 && scx_state() == "enabled",
+            "kernel threads that are busy leave an XNode its CPU: %.0f %%", share * 100);
+}
+
+// ---- what is said when it goes wrong --------------------------------------------------------------
+
+void dumped() {
+  const std::string trace = "/sys/kernel/tracing/";
+  World world(1, kCpu);
+  world.load();
+  std::atomic<bool> stop{false};
+  XNodeThread spins(world, 0, [&](const kernel::ThreadSlot&) { spin(stop); });
+  put(trace + "trace", "\n");
+  put(trace + "events/sched_ext/sched_ext_dump/enable", "1");
+  put("/proc/sysrq-trigger", "D");  // the kernel's dump of its scheduler
+  int general = 0, cpu = 0, slot = 0;
+  std::ifstream lines(trace + "trace");
+  for (std::string line; std::getline(lines, line);) {
+    general += line.find("xauto: mode 1, ") != std::string::npos;
+    cpu += line.find("wait by key, credit") != std::string::npos;
+    slot += line.find("xauto: slot 0, XNode 0, key -10, ran ") != std::string::npos;
+  }
+  put(trace + "events/sched_ext/sched_ext_dump/enable", "0");
+  stop = true;
+  ktap_test(general == 1 && cpu > 0 && slot == 1,
+            "the kernel's dump tells our queues, CPUs and slots: %d, %d, %d lines", general, cpu,
+            slot);
+}
+
+// ---- several apps -------------------------------------------------------------------------------
+
+void second_app() {
+  World world(2, kCpu);  // priorities 10 and 20
+  world.load();
+  std::vector<kernel::TableRow> rows{{static_cast<std::uint32_t>(kCpu), -15, 0}};
+  {
+    auto second = kernel::RunMaps::join(world.maps.run(), 1);
+    if (!second) ktap_bail("joining: %s", second.error().to_string().c_str());
+    if (!second->replace_table(rows)) ktap_bail("writing rows");
+    std::atomic<bool> stop{false};
+    double between = 0, low_cpu = 0, high_cpu = 0;
+    {
+      const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
+      XNodeThread low(world, 0, body), other(world, second->first(), body);
+      sleep_ms(1500);
+      world.put_rows();  // the first app's new table leaves the other's rows alone
+      std::optional<XNodeThread> high(std::in_place, world, 1, body);
+      sleep_ms(1500);
+      stop = true;
+      low.join();
+      other.join();
+      high->join();
+      low_cpu = low.cpu();
+      between = other.cpu();
+      high_cpu = high->cpu();
+    }
+    ktap_test(low_cpu < 0.3 && between > 1.0 && between < 2.0 && high_cpu > 1.0,
+              "a second app's priority of 15 is between the first one's 10 and 20: %.2f, %.2f, "
+              "%.2f s of 3",
+              low_cpu, between, high_cpu);
+  }
+  auto third = kernel::RunMaps::join(world.maps.run(), 512);
+  ktap_test(third && third->first() == 2, "... and its rows are free again after it");
+}
+
+// ---- crowds -------------------------------------------------------------------------------------
+
+void crowd() {
+  constexpr int kThreads = 100;
+  const auto cpus = static_cast<std::uint32_t>(sysconf(_SC_NPROCESSORS_ONLN));
+  World world(cpus, kCpu);
+  for (std::uint32_t i = 0; i < cpus; ++i) world.rows[i].cpu = i;
+  world.put_rows();
+  world.load({"--timeout-ms", "3000"});
+  std::atomic<bool> stop{false};
+  std::vector<std::atomic<double>> got(kThreads);
+  double hogs = 0;
+  const auto begin = Clock::now();
+  double wall = 0;
+  std::string state;
+  {
+    std::vector<std::thread> threads;
+    for (int i = 0; i < kThreads; ++i)
+      threads.emplace_back([&, i] {
+        be_ordinary();
+        while (!stop) got[static_cast<std::size_t>(i)] = cpu_seconds();
+      });
+    std::vector<std::unique_ptr<XNodeThread>> spinners;
+    for (std::uint32_t i = 0; i < cpus; ++i)
+      spinners.push_back(
+          std::make_unique<XNodeThread>(world, i, [&](const kernel::ThreadSlot&) { spin(stop); }));
+    for (auto& each : got) each = 0;
+    sleep_ms(10'000);
+    state = scx_state();
+    wall = seconds(Clock::now() - begin);
+    stop = true;
+    for (auto& spinner : spinners) {
+      spinner->join();
+      hogs += spinner->cpu();
+    }
+    for (auto& thread : threads) thread.join();
+  }
+  const auto served =
+      std::count_if(got.begin(), got.end(), [](const auto& one) { return one > 0; });
+  const auto exit = kernel::scx_exit_of(world.maps.sched());
+  if (exit) ktap_note("%s", exit->c_str());
+  ktap_test(state == "enabled",
+            "hogs on all CPUs and %d ordinary threads: 10 s, the kernel's limit is 3 s", kThreads);
+  ktap_test(served == kThreads && hogs > 0.5 * wall * cpus,
+            "... each of which is served, %d of them; the hogs have %.2f of %.2f s",
+            static_cast<int>(served), hogs, wall * cpus);
+}
+
+const Test kTests[] = {
+    {"pid_namespace", 1, pid_namespace},
+    {"hotplug", 3, hotplug},
+    {"loaded_meanwhile", 1, loaded_meanwhile},
+    {"cpu_max", 2, cpu_max},
+    {"kernel_hog", 1, kernel_hog},
+    {"dumped", 1, dumped},
+    {"second_app", 2, second_app},
+    {"crowd", 2, crowd},
+};
+
+}  // namespace
+}  // namespace xauto::test
+
+int main(int argc, char** argv) {
+  return xauto::test::run_tests(xauto::test::kTests, argc > 1 ? argv[1] : "");
+}
