@@ -11,7 +11,6 @@
 namespace xauto::detail {
 namespace {
 
-
 std::string in_us(std::int64_t ns) {
   return std::to_string(ns / 1000) + " us";
 }

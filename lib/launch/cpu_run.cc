@@ -56,6 +56,8 @@ bool join_other(const CpuRunRequest& request, const std::vector<kernel::TableRow
     if (!scheduler) continue;
     run.maps.emplace(std::move(*maps));
     run.info = "sched_ext, " + scheduler->why;
+    run.note = "CPUs are shared with run '" + other +
+               "'; worst cases are those of an app that has them alone";
     run.partial = scheduler->why.rfind("partial", 0) == 0;
     run.scheduler.emplace(std::move(*scheduler));
     return true;

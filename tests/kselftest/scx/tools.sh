@@ -89,6 +89,7 @@ while kill -0 $second 2>/dev/null; do
 done
 wait $second
 ok "a second app runs beside the first under its scheduler, and says so" has "sched_ext, full mode, beside run" second.err
+ok "... and that it is not alone" has "worst cases are those of an app that has them alone" second.err
 ok "... nobody under SCHED_FIFO ($fifo threads, $seen looks)" [ "$fifo" -eq 0 -a "$seen" -gt 0 ]
 ok "... all stages of it" [ "$(wc -w <second.order)" -eq 120 ]
 # The rows are given back, so that a third finds them.
