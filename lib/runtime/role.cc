@@ -127,6 +127,7 @@ class Leader final : public Role, private HubHost {
     for (std::size_t m = 0; m < graph.modules.size(); ++m) {
       if (context_->plan.process_of[m] != process) continue;
       modules += (modules.empty() ? "" : ", ") + graph.modules[m].name;
+      board()->module(static_cast<int>(m)).deaths.fetch_add(1, std::memory_order_relaxed);
       ledger_->forget(static_cast<int>(m));
     }
     log::warn("the process of {} died: its activations are dropped", modules);

@@ -7,8 +7,11 @@ import pathlib
 import pty
 import re
 import signal
+import socket
 import subprocess
 import tempfile
+import threading
+import time
 import unittest
 
 from common import TESTAPP, XAUTO, activations, children_of, testapp_files, wait_for, xauto
@@ -113,11 +116,48 @@ class Top(unittest.TestCase):
             return all(m["activations"] > 0 for m in seen["modules"]) and all(c["results"] > 0 for c in seen["chains"])
         wait_for("counts of every module and chain", counts, tool)
         self.assertEqual([m["name"] for m in seen["modules"]], ["A", "B", "C", "D"])
+        self.assertFalse(any(m["deaths"] for m in seen["modules"]))
+        os.kill(min(pid for pid in children_of(tool.pid) if self.is_member(pid)), signal.SIGKILL)
+
+        def died():
+            seen.update(self.look(tool, "--once", "--interval-ms", 50)[0])
+            return any(m["deaths"] for m in seen["modules"])
+        wait_for("the death of a module's process", died, tool)
+        self.assertEqual([m["deaths"] for m in seen["modules"] if m["deaths"]], [1])
+        words = xauto("top", "--run", f"{tool.pid}-0", "--once", "--interval-ms", 50).stdout
+        self.assertEqual(words.count("  died: 1"), 1, words)
 
     def test_without_a_run_it_says_so(self):
         done = xauto("top", "--run", "1-99", "--wait-s", 0)
         self.assertEqual(done.returncode, 2)
         self.assertIn("no run '1-99' is going on", done.stderr)
+
+    def test_who_looks_late_gets_the_answer_of_one_who_has_hung_up(self):
+        # A run introduces itself unasked and hangs up. Linux resets a connection that is closed with something unread in it
+        # (unix_release_sock), and the other end's next read fails, whatever waits there: so who looks sends nothing.
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.addCleanup(listener.close)
+        listener.bind(f"\0xauto/{os.getpid()}-77/live")
+        listener.listen()
+        board = os.memfd_create("no board")
+        self.addCleanup(os.close, board)
+        seen = []
+
+        def introduce():
+            peer, _ = listener.accept()
+            time.sleep(0.2)  # a question would be there by now
+            try:
+                seen.append(peer.recv(64, socket.MSG_DONTWAIT))
+            except BlockingIOError:
+                seen.append(None)
+            socket.send_fds(peer, [b"{}"], [board])
+            peer.close()
+        run = threading.Thread(target=introduce)
+        run.start()
+        done = xauto("top", "--run", f"{os.getpid()}-77", "--wait-s", 0, "--once")
+        run.join(10)
+        self.assertEqual(seen, [None])
+        self.assertIn("the app has not started yet", done.stderr)  # what an empty board says
 
     @staticmethod
     def is_member(pid):

@@ -175,7 +175,8 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
          {"rate_hz", static_cast<double>(module.activations - b.modules[m].activations) / s},
          {"activations", module.activations},
          {"dropped", module.dropped},
-         {"failed", module.failed}});
+         {"failed", module.failed},
+         {"deaths", module.deaths}});
   }
   j["xpus"] = Json::array();
   for (const XpuState& state : now.xpus)
@@ -268,9 +269,10 @@ void draw(const Observed& observed, const Look& now, const Look& before, bool te
                      "dropped", "failed");
   for (std::size_t m = 0; m < c.modules.size(); ++m) {
     const ModuleCounts& module = c.modules[m];
-    out += fmt::format("  {:<28}{:>9.1f}{:>13}{:>9}{:>9}\n", module.name,
+    out += fmt::format("  {:<28}{:>9.1f}{:>13}{:>9}{:>9}{}\n", module.name,
                        static_cast<double>(module.activations - b.modules[m].activations) / s,
-                       module.activations, module.dropped, module.failed);
+                       module.activations, module.dropped, module.failed,
+                       module.deaths == 0 ? "" : fmt::format("  died: {}", module.deaths));
   }
   out += fmt::format("\n  {:<8}{:<28}{}\n", "XPU", "runs now", "waits or is suspended");
   for (const XpuState& state : now.xpus)

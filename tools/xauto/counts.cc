@@ -63,14 +63,19 @@ ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
                     "{} us",
                     late, (board.latest_ns() + 999) / 1000));
   std::uint64_t jobs = 0, overruns = 0, lost = 0;
+  bool died = false;
   for (std::uint32_t n = 0; n < board.shape().nodes; ++n) {
     jobs += board.xnode(n).jobs.load();
     overruns += board.xnode(n).overruns.load();
   }
   if (overruns > 0)
     claims.broken.push_back(fmt::format("{} of {} jobs outran their WCET", overruns, jobs));
-  for (const ModuleCounts& module : counts.modules) lost += module.failed + module.dropped;
+  for (const ModuleCounts& module : counts.modules) {
+    lost += module.failed + module.dropped;
+    died = died || module.deaths > 0;
+  }
   if (lost > 0) claims.broken.push_back(fmt::format("{} activations were lost", lost));
+  if (died) claims.broken.emplace_back("processes of the run died");
   return claims;
 }
 
@@ -88,7 +93,7 @@ Counts counts_of(const runtime::Board& board) {
   for (std::uint32_t m = 0; m < shape.modules; ++m) {
     const runtime::ModuleLine& line = board.module(static_cast<int>(m));
     counts.modules.push_back({runtime::line_name(line.name), line.activations.load(),
-                              line.failed.load(), line.dropped.load()});
+                              line.failed.load(), line.dropped.load(), line.deaths.load()});
   }
   counts.whole = flow_of(board.flow(0));
   for (std::uint32_t f = 1; f < shape.flows; ++f) {

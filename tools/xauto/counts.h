@@ -14,6 +14,7 @@ namespace xauto::cli {
 struct ModuleCounts {
   std::string name;
   std::uint64_t activations = 0, failed = 0, dropped = 0;
+  std::uint32_t deaths = 0;  ///< of its process
 };
 
 /// A chain, or the app as a whole.

@@ -20,25 +20,34 @@ namespace {
 
 constexpr int kAnswerTimeoutMs = 1000;
 
-/// Sends one word and gets one packet of JSON, with what comes along.
-Result<Json> ask(const std::string& address, std::vector<UniqueFd>* fds = nullptr) {
-  XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
-  const auto kind = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
-  // Who introduces a run answers unasked, and may have hung up by now: its answer is there.
-  (void)send_packet(socket.get(), &kind, sizeof kind);
-  if (!wait_readable(socket.get(), kAnswerTimeoutMs))
+/// One packet of JSON from a peer, with what comes along.
+Result<Json> answer_of(int socket, const std::string& address,
+                       std::vector<UniqueFd>* fds = nullptr) {
+  if (!wait_readable(socket, kAnswerTimeoutMs))
     return fail(ErrorCode::kTimeout, "did not answer within 1 s", address);
   std::string text(coord::kMaxStatusBytes, '\0');
-  XAUTO_ASSIGN(const std::size_t size, receive_packet(socket.get(), text.data(), text.size(), fds));
+  XAUTO_ASSIGN(const std::size_t size, receive_packet(socket, text.data(), text.size(), fds));
   std::optional<Json> parsed = Json::parse(std::string_view(text).substr(0, size));
   if (!parsed || !parsed->is_object())
     return fail(ErrorCode::kInvalid, "answered with something else than a status", address);
   return *std::move(parsed);
 }
 
+/// A coordinator is asked by one word.
+Result<Json> ask(const std::string& address) {
+  XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
+  const auto kind = static_cast<std::uint32_t>(coord::MessageKind::kStatus);
+  XAUTO_TRY(send_packet(socket.get(), &kind, sizeof kind));
+  return answer_of(socket.get(), address);
+}
+
+/// Who introduces a run answers unasked and hangs up. A question that it leaves unread would make
+/// the kernel reset the connection, and the answer would be lost to whoever reads it a bit late.
 Result<Watched> introduced(const std::string& run) {
+  const std::string address = address_of(run, launch::kLiveName);
+  XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address));
   std::vector<UniqueFd> fds;
-  XAUTO_ASSIGN(const Json hello, ask(address_of(run, launch::kLiveName), &fds));
+  XAUTO_ASSIGN(const Json hello, answer_of(socket.get(), address, &fds));
   if (fds.size() != 1) return fail(ErrorCode::kInvalid, "did not pass its counts", run);
   const auto text = [&](const char* key) { return hello.at(key).text().value_or("?"); };
   Watched watched{run, text("app"), text("platform"), text("scheduling"), nullptr};
