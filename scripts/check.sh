@@ -116,17 +116,18 @@ tsan_build() {
 }
 tsan_tests() { note "tests, TSan"; tests build-tsan -R "^($threaded)\." -LE heavy -E 'Snapshot.AMachineThatDies'; }
 tsan() { tsan_build && tsan_tests; }
-# A VM takes one core most of the time: what only compiles goes on beside it.
+# A VM takes one core most of the time: what compiles goes on beside it, then tests one by one.
 kernel_and_sanitizers() {
   local asan_built=1 tsan_built=1
   kernel_build || { asan; tsan; return; }
   beside "the kernel side" scripts/kernel-check.sh build
   asan_build && asan_built=0
   tsan_build && tsan_built=0
-  note "the rest of the VMs"
-  joined
+  local parallel=1
   [ $asan_built -ne 0 ] || asan_tests
   [ $tsan_built -ne 0 ] || tsan_tests
+  note "the rest of the VMs"
+  joined
 }
 # For the inner loop: every unit test in the release build, but for the heavy ones.
 fast() {

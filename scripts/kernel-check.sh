@@ -10,7 +10,7 @@ build=${1:-build}
 shift || true
 lanes=("$@")
 out=$build/vm
-mkdir -p "$out"
+mkdir -p "$out/failed"
 passed=0 failed=0 skipped=0
 started=$(date +%s)
 note() { echo "kernel-check: $* ($(($(date +%s) - started)) s)"; }
@@ -93,7 +93,7 @@ scx() {
   done
   items+=("$(command -v bpftool || echo /usr/sbin/bpftool)")
   for program in run tools trace; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
-  [ -z "${XAUTO_FULL:-}" ] || append="xauto.kills=200 xauto.tables=10000"
+  [ -z "${XAUTO_FULL:-}" ] || append="xauto.kills=200 xauto.tables=10000 xauto.loads=8"
   VM_APPEND=$append VM_THREADS=single VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
 }
 
@@ -151,7 +151,9 @@ if [ ${#lanes[@]} -gt 1 ]; then
   for lane in "${lanes[@]}"; do
     for try in 1 2; do
       "$0" "$build" "$lane" >"$out/$lane.out" 2>&1 && break
-      echo "kernel-check: $lane failed, try $try of 2"
+      echo "kernel-check: $lane failed, try $try of 2:"
+      grep -E '^not ok|^Bail|^kernel-check' "$out/$lane.out" | head -n 8 | sed 's/^/  /'
+      cp "$out"/"$lane"*.log "$out/failed/" 2>/dev/null
     done
     head -n -1 "$out/$lane.out"
     if [[ $(tail -n 1 "$out/$lane.out") =~ ^([0-9]+)\ passed,\ ([0-9]+)\ failed,\ ([0-9]+)\ skipped ]]; then

@@ -180,11 +180,12 @@ void hotplug() {
 }
 
 /// A CPU goes or comes while the scheduler is loaded: at another moment each time.
+int g_loads = 8;
+
 void loaded_meanwhile() {
-  constexpr int kLoads = 8;
   World world(1, 0);
   int loaded = 0, stayed = 0, switched = 0;
-  for (int i = 0; i < kLoads; ++i) {
+  for (int i = 0; i < g_loads; ++i) {
     std::thread other([&] {
       sleep_ms(100 + 300 * i);
       switched += switch_cpu(kCpu, i % 2 != 0);
@@ -198,8 +199,8 @@ void loaded_meanwhile() {
     }
     wait_for([] { return scx_state() == "disabled"; });
   }
-  ktap_test(loaded == kLoads && stayed == kLoads && switched == kLoads,
-            "a CPU goes or comes during a load: %d of %d loaded, %d stayed", loaded, kLoads,
+  ktap_test(loaded == g_loads && stayed == g_loads && switched == g_loads,
+            "a CPU goes or comes during a load: %d of %d loaded, %d stayed", loaded, g_loads,
             stayed);
 }
 
@@ -428,5 +429,6 @@ const Test kTests[] = {
 }  // namespace xauto::test
 
 int main(int argc, char** argv) {
+  if (argc > 2) xauto::test::g_loads = std::max(1, atoi(argv[2]));
   return xauto::test::run_tests(xauto::test::kTests, argc > 1 ? argv[1] : "");
 }

@@ -196,14 +196,16 @@ void lowered_by_store() {
   world.load();
   std::vector<int> order;
   {
-    std::atomic<bool> go{false};
+    std::atomic<bool> runs{false}, go{false};
     XNodeThread changing(world, 2, [&](const kernel::ThreadSlot& slot) {
+      runs = true;
       spin(go);
       order.push_back(0);
       if (slot.tell(0, 1)) sched_yield();  // from 30 to 10, while 20 waits
       order.push_back(2);
     });
     Waiter waiting(world, 1, [&](const kernel::ThreadSlot&) { order.push_back(1); });
+    wait_for([&] { return runs.load(); });  // else the one to wait would have the CPU at once
     waiting.wake();
     wait_for([&] { return queued(world, waiting.index()); });
     go = true;
@@ -215,13 +217,15 @@ void lowered_by_store() {
   World again(3, kCpu);
   world.unload();
   again.load();
-  std::atomic<bool> go{false}, stop{false};
+  std::atomic<bool> runs{false}, go{false}, stop{false};
   XNodeThread silent(again, 2, [&](const kernel::ThreadSlot& slot) {
+    runs = true;
     spin(go);
     (void)slot.tell(0, 1);  // and does not yield
     spin(stop);
   });
   Waiter waiting(again, 1, [](const kernel::ThreadSlot&) {});
+  wait_for([&] { return runs.load(); });
   waiting.wake();
   wait_for([&] { return queued(again, waiting.index()); });
   go = true;

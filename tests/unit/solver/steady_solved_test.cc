@@ -15,7 +15,7 @@ namespace {
 TEST(SteadySolved, TheCheckDerivesWhatTheSolverClaims) {
   int policies = 0, gated = 0;
   for (const SteadyCase& made : standard_set()) {
-    // Patterns of thousands of jobs, or without end, and large apps take long under a sanitizer.
+    // Patterns of thousands of jobs, or without end, and large apps take long.
     if (made.kind == Kind::kAutomotive || made.kind == Kind::kPublic || made.kind == Kind::kLong ||
         made.app.xnodes.size() > 45)
       continue;
