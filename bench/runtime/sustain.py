@@ -3,13 +3,15 @@
 """How short the period of the Driving Case may get, on emulated XPUs.
 
 For each period: app.json of version 2 with `max_in_flight`, a policy of keys by `xauto solve`, and a run of so many
-releases, all XNodes taking their whole time. Told are what was lost, and the longest reaction of each chain beside its worst case. The busiest XPU's load is
-the least that any assignment leaves, so `period / load` of 1 cannot be passed.
+releases, all XNodes taking their whole time. Told are what was lost, and the longest reaction of each chain beside its worst case.
+The busiest XPU's load is the least that any assignment leaves, so `period / load` of 1 cannot be passed.
 
 With --slower N all times are N times as long. The plan allows each XNode --slack-us more than it takes: what dispatch and
 the emulator's timers cost, as a measured WCET would hold it. The load that is told holds it, too.
 
-    bench/runtime/sustain.py [--build build] [--releases 1000] [--periods-us 33000,27000,24000,22000] [--slower N] [--json]
+With --guest the runs are in a guest that keeps time (bench/guest.py).
+
+    bench/runtime/sustain.py [--build build] [--releases 1000] [--periods-us 33000,27000,24000,22000] [--slower N] [--guest] [--json]
 """
 import argparse
 import json
@@ -18,6 +20,9 @@ import pathlib
 import subprocess
 import sys
 import tempfile
+
+sys.path.append(str(pathlib.Path(__file__).resolve().parents[1]))
+import guest
 
 SOURCE = pathlib.Path(__file__).resolve().parents[2]
 FED = {"la.pre": "camera/front", "td.pre": "camera/front", "fcd.pre": "camera/front", "rcd.pre": "camera/rear",
@@ -33,7 +38,8 @@ def app_of(period_us, options):
         xnode["wcet_us"] = {xpu: us * options.slower + options.slack_us for xpu, us in xnode["wcet_us"].items()}
     app.pop("deadline_us", None)
     app.update(version=2, name="driving-pipelined",
-               sources=[{"name": n, "period_us": period_us * options.slower, "jitter_us": options.jitter_us} for n in sorted(set(FED.values()))],
+               sources=[{"name": n, "period_us": period_us * options.slower, "jitter_us": options.jitter_us}
+                        for n in sorted(set(FED.values()))],
                modules=[{"name": m, "max_in_flight": options.in_flight} for m in sorted({x["module"] for x in app["xnodes"]})])
     return app
 
@@ -49,6 +55,7 @@ def main():
     parser.add_argument("--slower", type=int, default=1)
     parser.add_argument("--slack-us", type=int, default=200)
     parser.add_argument("--real-time", action="store_true", help="the runs under SCHED_FIFO, for a machine with other work")
+    parser.add_argument("--guest", action="store_true", help="the runs in a guest that keeps time")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     tool = os.path.join(options.build, "bin/xauto")
@@ -69,11 +76,16 @@ def main():
             if not row["policy"]:
                 row["why"] = (solved.stdout + solved.stderr).strip().splitlines()[-1:]
                 continue
-            ran = subprocess.run(
-                [*(["chrt", "-f", "50"] if options.real_time else []), tool, "run", "--app", path("app.json"), "--platform",
-                 "small", "--policy", path("policy.json"), "--deployment", path("d.json"), "--emulate", "--json",
-                 "--activations", str(options.releases), "--", os.path.join(options.build, "bench/bench_standin"),
-                 path("app.json"), "0", str(options.slack_us)], capture_output=True, text=True)
+            standin = ["bench_standin" if options.guest else os.path.join(options.build, "bench/bench_standin")]
+            run = lambda at: ["run", "--app", at("app.json"), "--platform", "small", "--policy", at("policy.json"), "--deployment",
+                              at("d.json"), "--emulate", "--json", "--activations", str(options.releases), "--", *standin,
+                              at("app.json"), "0", str(options.slack_us)]
+            if options.guest:
+                names = ("app.json", "policy.json", "d.json")
+                ran = guest.run(options.build, {n: path(n) for n in names}, [["xauto", *run(str)]])[0]
+            else:
+                ran = subprocess.run([*(["chrt", "-f", "50"] if options.real_time else []), tool, *run(path)], capture_output=True,
+                                     text=True)
             if not ran.stdout.startswith("{"):
                 sys.exit(ran.stderr)
             run = json.loads(ran.stdout)["runs"][0]

@@ -12,7 +12,9 @@ What is told of a run: chains whose longest latency is above their worst case, a
 whether the run itself says that its assumptions were broken (a machine that stands still): then nothing is claimed. Fixed
 priorities claim nothing for such apps; theirs are held against the keys' worst cases.
 
-    bench/unseen/unseen.py [--build build] [--apps 50] [--seconds 60] [--at-once 2] [--slower 2] [--real-time] [--json FILE]
+With --guest the runs are in a guest that keeps time (bench/guest.py), where --slower 1 will do.
+
+    bench/unseen/unseen.py [--build build] [--apps 50] [--seconds 60] [--at-once 2] [--slower 2] [--real-time | --guest] [--json FILE]
 """
 import argparse
 import concurrent.futures
@@ -22,6 +24,9 @@ import pathlib
 import subprocess
 import sys
 import tempfile
+
+sys.path.append(str(pathlib.Path(__file__).resolve().parents[1]))
+import guest
 
 SOURCE = pathlib.Path(__file__).resolve().parents[2]
 KINDS = ("rates", "clocks", "mixed")
@@ -40,6 +45,7 @@ def parse():
     parser.add_argument("--jitter-us", type=int, default=500)
     parser.add_argument("--at-once", type=int, default=2, help="how many apps run side by side")
     parser.add_argument("--real-time", action="store_true", help="all of it under SCHED_FIFO, for a machine with other work")
+    parser.add_argument("--guest", action="store_true", help="the runs in a guest that keeps time")
     parser.add_argument("--json", help="write what was measured here")
     return parser.parse_args()
 
@@ -76,26 +82,37 @@ class App:
         self.path = lambda what: os.path.join(folder, f"{name}.{what}")
         made = json.loads(pathlib.Path(self.path("app.json")).read_text())
         pathlib.Path(self.path("run.json")).write_text(json.dumps(runnable(made, options)))
-        self.of = ["--app", self.path("run.json"), "--platform", self.path("platform.json")]
+        at = os.path.basename if options.guest else str
+        self.of = ["--app", at(self.path("run.json")), "--platform", at(self.path("platform.json"))]
         self.run_flags = ["--emulate", "--json", "--seconds", options.seconds]
-        self.program = ["--", os.path.join(options.build, "bench/bench_standin"), self.path("run.json"), number + 1, options.slack_us]
+        self.program = ["--", "bench_standin" if options.guest else os.path.join(options.build, "bench/bench_standin"),
+                        at(self.path("run.json")), number + 1, options.slack_us]
+        self.commands = {
+            "fixed": ["compare", *self.of, *self.run_flags, "--policies", "fixed", "--time-limit-s", 1, "--out",
+                      "compare" if options.guest else self.path("compare"), *self.program],
+            "keys": ["run", *self.of, *self.run_flags, "--policy", at(self.path("policy.json")), *self.program]}
         self.row = {"app": name, "xnodes": len(made["xnodes"])}
         self.runs = {}
 
     def solve(self):
-        done = tool(self.options, "solve", *self.of, "--time-limit-s", self.options.solve_s, "--out", self.path("policy.json"))
+        done = tool(self.options, "solve", "--app", self.path("run.json"), "--platform", self.path("platform.json"), "--time-limit-s",
+                    self.options.solve_s, "--out", self.path("policy.json"))
         if done.returncode:
             self.row["why"] = " ".join((done.stdout + done.stderr).strip().splitlines()[-2:])
 
     def run(self, policy):
+        if "why" not in self.row:
+            self.take(policy, tool(self.options, *self.commands[policy], real_time=True))
+
+    def run_in_guest(self):
         if "why" in self.row:
             return
-        if policy == "fixed":
-            done = tool(self.options, "compare", *self.of, *self.run_flags, "--policies", "fixed", "--time-limit-s", 1, "--out",
-                        self.path("compare"), *self.program, real_time=True)
-        else:
-            done = tool(self.options, "run", *self.of, *self.run_flags, "--policy", self.path("policy.json"), *self.program,
-                        real_time=True)
+        files = {os.path.basename(self.path(what)): self.path(what) for what in ("run.json", "platform.json", "policy.json")}
+        done = guest.run(self.options.build, files, [["xauto", *map(str, command)] for command in self.commands.values()])
+        for policy, ran in zip(self.commands, done):
+            self.take(policy, ran)
+
+    def take(self, policy, done):
         if done.stdout.startswith("{"):
             self.runs[policy] = json.loads(done.stdout)["runs"][0]
         else:
@@ -146,8 +163,11 @@ def main():
             for begin in range(0, len(todo), options.at_once):  # in step, so that nobody solves while another one runs
                 apps = todo[begin:begin + options.at_once]
                 list(pool.map(App.solve, apps))
-                for policy in ("fixed", "keys"):
-                    list(pool.map(lambda app: app.run(policy), apps))
+                if options.guest:
+                    list(pool.map(App.run_in_guest, apps))
+                else:
+                    for policy in ("fixed", "keys"):
+                        list(pool.map(lambda app: app.run(policy), apps))
                 for app in apps:
                     app.account()
                     rows.append(app.row)
