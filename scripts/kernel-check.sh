@@ -57,11 +57,28 @@ modules_of() { # KERNEL_FOLDER OUT: builds, prints the items for the guest
   done
 }
 
-# kmod NAME [ARCH]: xauto.ko and the emulators, on one of fetch-kernel.sh's kernels.
+kmod_kernel() { # NAME [ARCH]: fetch-kernel.sh's, or the self-built one that watches memory and locks
+  case $1 in
+    kasan) scripts/vm/build-kernel.sh 6.12-kasan ;;
+    *) scripts/vm/fetch-kernel.sh "$@" ;;
+  esac
+}
+
+# What a kernel prints when it finds a fault in itself. The guest looks too, but its buffer ends, and it may not live to look.
+reports='KASAN:|possible (recursive|circular|irq)|inconsistent lock state|suspicious RCU|sleeping function called|BUG[: ]|WARNING:'
+reports+='|register non-static key|ODEBUG:|UBSAN:|blocked for more than'
+no_reports() { # NAME
+  grep -qE "$reports" "$out/$1.log" || return 0
+  echo "kernel-check: the kernel of $1 reported:"
+  grep -m 5 -E "$reports" "$out/$1.log"
+  failed=$((failed + 1))
+}
+
+# kmod NAME [ARCH]: xauto.ko and the emulators, on one of fetch-kernel.sh's kernels, or on "kasan".
 kmod() {
   local kernel items program programs append=""
   note "xauto.ko on Linux $1 ${2:-amd64}"
-  kernel=$(scripts/vm/fetch-kernel.sh "$@") || { failed=$((failed + 1)); return; }
+  kernel=$(kmod_kernel "$@") || { failed=$((failed + 1)); return; }
   mapfile -t items < <(modules_of "$kernel" "$out/kmod-$1-${2:-amd64}")
   [ ${#items[@]} -gt 0 ] || { failed=$((failed + 1)); return; }
   programs=$build/bin
@@ -73,12 +90,39 @@ kmod() {
   for program in "$programs"/kmod_*_test; do items+=("$program:/tests/$(basename "$program")"); done
   # What the kernel does not know on its command line, init gets as its environment.
   [ -z "${XAUTO_FULL:-}" ] || append="XAUTO_FUZZ=20000 XAUTO_UNLOADS=20"
+  # lockdep's reports are warnings; "quiet" hides those.
+  [ "$1" != kasan ] || append+=" XAUTO_ATTACK=100000 loglevel=5 log_buf_len=4M"
   VM_APPEND=$append in_vm "kmod-$1-${2:-amd64}" "$kernel" run-kmod "${items[@]}"
+  no_reports "kmod-$1-${2:-amd64}"
+}
+
+# kasan: the kmod lane where memory and locks are watched; then bugs on purpose, each of which must be reported, or the lane is blind.
+kasan() {
+  local patch name kernel items
+  VM_MEMORY=2G VM_LIMIT_S=${VM_LIMIT_S:-2400} kmod kasan
+  kernel=$(kmod_kernel kasan) || return
+  for patch in tests/vm/plants/*.patch; do
+    name=$(basename "$patch" .patch)
+    mapfile -t items < <(PLANT=$patch modules_of "$kernel" "$out/plant-$name")
+    [ ${#items[@]} -gt 0 ] || { failed=$((failed + 1)); continue; }
+    items+=("$build/bin/kmod_attack_test:/tests/kmod_attack_test")
+    scripts/vm/mk-initrd.sh "$out/plant-$name.cpio.gz" tests/vm/run-plant:/tests/run "${items[@]}"
+    # How the guest ends is not asked: it is broken.
+    VM_MEMORY=2G VM_APPEND="loglevel=5" scripts/vm/run-vm.sh "$kernel" "$out/plant-$name.cpio.gz" "$out/plant-$name.log"
+    rm -f "$out/plant-$name.cpio.gz"
+    if grep -qE "$(sed -n 's/^# reported: //p' "$patch")" "$out/plant-$name.log"; then
+      passed=$((passed + 1))
+    else
+      echo "kernel-check: nothing reported the planted $name; see $out/plant-$name.log"
+      failed=$((failed + 1))
+    fi
+    note "planted $name"
+  done
 }
 
 scx_kernel() { # NAME: fetch-kernel.sh's 7.x, or the self-built 6.12
   case $1 in
-    6.12) scripts/vm/build-kernel.sh ;;
+    6.12) scripts/vm/build-kernel.sh 6.12-scx ;;
     *) scripts/vm/fetch-kernel.sh "$1" ;;
   esac
 }
@@ -143,7 +187,7 @@ consumers() {
 { # read whole before it runs: the file may be edited meanwhile
 if [ ${#lanes[@]} -eq 0 ]; then
   lanes=(kmod-7.x scx-7.x keys-7.x)
-  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 driving scx-7.x scx-6.12 keys-7.x keys-6.12)
+  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 keys-7.x keys-6.12)
 fi
 if [ ${#lanes[@]} -gt 1 ]; then
   # A guest's clocks go on while this machine stalls, so a lane that fails is run once more, and named; a fault fails twice.
@@ -168,6 +212,7 @@ else
     driving | consumers) "$lane" ;;
     scx-*) scx "${lane#scx-}" ;;
     keys-*) keys "${lane#keys-}" ;;
+    kmod-kasan) kasan ;;
     kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;
     kmod-*) kmod "${lane#kmod-}" ;;
     *)

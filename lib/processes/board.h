@@ -15,6 +15,7 @@
 
 #include <xauto/result.h>
 
+#include "base/context_counts.h"
 #include "base/unique_fd.h"
 #include "transport/doorbell.h"
 #include "transport/shm_topic.h"
@@ -32,6 +33,7 @@ struct alignas(64) BoardHeader {
   std::atomic<std::int64_t> latest_ns{};  ///< [H] the most that one of these was off
   /// [H] before the run: what the policy's claims take for granted and this run does not keep.
   char unkept[kBoardTextBytes] = {};
+  ContextCounts contexts{};  ///< by the workers of all processes
 };
 
 /// What is counted, and checked when memory of another process is mapped.
@@ -131,6 +133,8 @@ class Board {
   [[nodiscard]] std::int64_t latest_ns() const { return header_->latest_ns.load(); }
   void tell_unkept(const std::string& text);
   [[nodiscard]] std::string unkept() const;
+  [[nodiscard]] ContextCounts& contexts() { return header_->contexts; }
+  [[nodiscard]] const ContextCounts& contexts() const { return header_->contexts; }
   XNodeLine& xnode(std::size_t node) { return xnodes_[node]; }
   [[nodiscard]] const XNodeLine& xnode(std::size_t node) const { return xnodes_[node]; }
   ParameterLine& parameter(std::size_t index) { return parameters_[index]; }

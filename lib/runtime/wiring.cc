@@ -108,6 +108,7 @@ Status Wiring::place_module(std::size_t module, int index) {
     auto at = std::find_if(here.begin(), here.end(), [&](const auto& h) { return h.first == xpu; });
     if (at == here.end()) {
       XAUTO_ASSIGN(WorkerOptions options, placing_.worker(context_, module, index, xpu));
+      options.contexts = &context_.board.contexts();
       workers_.push_back(
           std::make_unique<Worker>(std::move(options), chain, context_.trace, *threads_));
       workers_.back()->share(crews_[static_cast<std::size_t>(xpu)]);

@@ -36,6 +36,7 @@ Worker::~Worker() {
 
 Status Worker::start() {
   XAUTO_ASSIGN(backend_, xpu::make_backend(options_.backend));
+  if (options_.contexts != nullptr) backend_->count_in(*options_.contexts);
   if (!options_.coordinator.empty()) {
     std::vector<std::uint32_t> xnodes;
     for (const Placed& placed : chain_.nodes)
@@ -294,7 +295,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
   if (port_) {
     if (!begun) begin(placed);
     port_->wait();
-    backend_->admitted();
+    backend_->admitted(placed.made.handle, !placed.ran_once);
   }
   if (observed) {
     const std::int64_t since = now_ns();
@@ -321,7 +322,8 @@ bool Worker::run_job(Placed& placed, bool begun) {
   }
   if (limited && !end_limited(placed)) succeeded = false;
   if (port_) {
-    backend_->finishing();
+    backend_->finishing(placed.made.handle, !placed.ran_once);
+    placed.ran_once = true;
     if (crew_ != nullptr && !t_home->lane_.empty() && port_->contended()) t_home->show_lane();
     port_->finish();
   }

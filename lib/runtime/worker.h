@@ -41,7 +41,8 @@ struct Placed {
   int fifo_priority = 0;  ///< SCHED_FIFO priority on a real CPU; 0: leave as it is
   const detail::ImplSpec* impl = nullptr;
   Worker* worker = nullptr;
-  detail::Made made;  ///< by init; on the worker's execution thread
+  detail::Made made;      ///< by init; on the worker's execution thread
+  bool ran_once = false;  ///< its worker's execution thread
   Limits limits;
   XNodeLine* line = nullptr;  ///< set if there are limits
   /// A chain ends here, and not at the module's end.
@@ -65,6 +66,7 @@ struct WorkerOptions {
   int mgmt_fifo = 0;
   std::string coordinator;  ///< abstract socket; empty: nobody schedules
   coord::OrderPairs order;
+  ContextCounts* contexts = nullptr;  ///< on the board, which outlives the worker
 };
 
 class Worker {

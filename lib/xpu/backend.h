@@ -8,6 +8,8 @@
 #include <xauto/result.h>
 #include <xauto/xpu.h>
 
+#include "base/context_counts.h"
+
 namespace xauto::xpu {
 
 inline constexpr int kStillWantedMs = 250;
@@ -25,9 +27,12 @@ class Backend {
   [[nodiscard]] virtual Status preempt(const SchedHandle& handle) = 0;
   /// Lets it run again. Resuming what runs is no error.
   [[nodiscard]] virtual Status restore(const SchedHandle& handle) = 0;
-  /// The job may run now; it has run, and will say FINISH. On the execution thread.
-  virtual void admitted() {}
-  virtual void finishing() {}
+  /// The job may run now; it has run, and will say FINISH. On the execution thread. `first`: it is
+  /// the first of its stage, which may open more of what `handle` names.
+  virtual void admitted(const SchedHandle&, bool /*first*/) {}
+  virtual void finishing(const SchedHandle&, bool /*first*/) {}
+  /// Where to count what cannot be promised. Before any `init`, and `counts` outlives the backend.
+  virtual void count_in(ContextCounts& /*counts*/) {}
   /// The execution thread does the work itself, and Linux preempts it unseen.
   [[nodiscard]] virtual bool on_thread() const { return false; }
   /// What is suspended shall stay so: called at least every kStillWantedMs while something is. A

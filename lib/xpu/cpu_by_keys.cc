@@ -36,13 +36,13 @@ class CpuByKeys final : public Backend {
     return runs_ ? set(kCpuAdmitted) : Status();
   }
   /// From asking to running, unless somebody has taken the core meanwhile.
-  void admitted() override {
+  void admitted(const SchedHandle&, bool) override {
     const Guard lock(mutex_);
     runs_ = true;
     (void)set(lowered_ ? kCpuLowered : kCpuAdmitted);
   }
   /// What follows is short, and others wait for it: the result, the next XNode's START.
-  void finishing() override {
+  void finishing(const SchedHandle&, bool) override {
     const Guard lock(mutex_);
     runs_ = false;
     (void)set(kCpuAsks);

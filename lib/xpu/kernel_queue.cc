@@ -1,17 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // GPUs and DLAs behind NVIDIA's drivers: what `init` returned is opaque (a CUcontext, a
-// cudlaDevHandle), but what it opened in the kernel is a descriptor of this process, and that is
-// what xauto.ko suspends. So the TSGs and queues that appear while `init` runs are the handle's.
+// cudlaDevHandle); contexts.h finds the TSGs and queues behind it, and xauto.ko suspends those.
 #include <algorithm>
 #include <map>
 
-#include <unistd.h>
-
+#include "base/clock.h"
 #include "base/log.h"
 #include "base/pi_mutex.h"
 #include "kernel/queue_control.h"
-#include "kernel/queue_files.h"
 #include "xpu/backend.h"
+#include "xpu/contexts.h"
 
 namespace xauto::xpu {
 namespace {
@@ -20,119 +18,185 @@ using kernel::QueueFile;
 using kernel::QueueOp;
 using kernel::QueueType;
 
-/// Contexts are shared: an `init` may return one that an earlier `init`, of any worker, has made.
-class KnownContexts {
- public:
-  void add(const SchedHandle& handle, const std::vector<int>& fds) {
-    const Guard lock(mutex_);
-    fds_[handle.value()] = fds;
-  }
-  std::vector<int> find(const SchedHandle& handle) const {
-    const Guard lock(mutex_);
-    const auto it = fds_.find(handle.value());
-    return it == fds_.end() ? std::vector<int>() : it->second;
-  }
-
- private:
-  mutable PiMutex mutex_;
-  std::map<std::uintptr_t, std::vector<int>> fds_ XAUTO_GUARDED_BY(mutex_);
-};
-
-KnownContexts& known_contexts() {
-  static KnownContexts contexts;
-  return contexts;
-}
+/// What a complete context opens is looked for so often at most: a look costs some 20 us.
+constexpr std::int64_t kLookAgainNs = 250'000'000;
 
 class KernelQueue final : public Backend {
  public:
   KernelQueue(QueueType type, int instance, kernel::QueueControl control)
-      : type_(type), instance_(instance), control_(std::move(control)) {}
+      : which_{type, type == QueueType::kDla ? instance : -1}, control_(std::move(control)) {}
 
-  Status before_init() override {
-    XAUTO_ASSIGN(before_, ours());
-    return {};
-  }
+  void count_in(ContextCounts& counts) override { counts_ = &counts; }
+
+  Status before_init() override { return all_.before_making(which_); }
 
   Status attach(const SchedHandle& handle) override {
-    const SchedHandle::Kind kind = type_ == QueueType::kGpuTsg ? SchedHandle::Kind::kCudaContext
-                                                               : SchedHandle::Kind::kCudlaDevice;
+    const SchedHandle::Kind kind = which_.type == QueueType::kGpuTsg
+                                       ? SchedHandle::Kind::kCudaContext
+                                       : SchedHandle::Kind::kCudlaDevice;
     if (handle.kind() != kind)
       return fail(ErrorCode::kInvalid,
-                  type_ == QueueType::kGpuTsg ? "the scheduling handle is no CUcontext"
-                                              : "the scheduling handle is no cudlaDevHandle",
+                  which_.type == QueueType::kGpuTsg ? "the scheduling handle is no CUcontext"
+                                                    : "the scheduling handle is no cudlaDevHandle",
                   {}, "a preemptive GPU or DLA needs the handle behind which its work is queued");
-    XAUTO_ASSIGN(std::vector<QueueFile> now, ours());
-    std::vector<int> fds;
-    for (const QueueFile& file : now)
-      if (std::find(before_.begin(), before_.end(), file) == before_.end()) fds.push_back(file.fd);
-    if (fds.empty()) fds = known_contexts().find(handle);
-    if (fds.empty())
-      return fail(ErrorCode::kNotFound,
-                  "no TSG or DLA queue of this process appeared while `init` ran, and no earlier "
-                  "`init` returned this handle",
-                  {}, "create the context inside `init`");
-    known_contexts().add(handle, fds);
-    std::vector<std::uint32_t>& handles = handles_[handle.value()];
-    handles.clear();
-    for (const int fd : fds) {
-      XAUTO_ASSIGN(const kernel::RegisteredQueue queue, control_.register_queue(type_, fd));
-      handles.push_back(queue.handle);
-    }
-    return {};
+    XAUTO_TRY(all_.made(which_, handle.value()));
+    const Guard lock(mutex_);
+    Context& context = contexts_[handle.value()];
+    if (context.complete()) count(&ContextCounts::incomplete, 1);
+    ++context.stages;
+    return take_what_is_new();
   }
 
-  Status preempt(const SchedHandle& handle) override { return act(handle, XAUTO_ACTION_SUSPEND); }
-  Status restore(const SchedHandle& handle) override { return act(handle, XAUTO_ACTION_RESUME); }
-  Status still_wanted() override { return control_.feed_watchdog(); }
-
- private:
-  Result<std::vector<QueueFile>> ours() const {
-    XAUTO_ASSIGN(std::vector<QueueFile> files, kernel::find_queue_files(getpid()));
-    std::erase_if(files, [&](const QueueFile& file) {
-      return file.type != type_ || (type_ == QueueType::kDla && file.instance != instance_);
-    });
-    return files;
-  }
-
-  Status act(const SchedHandle& handle, xauto_action action) {
-    const auto it = handles_.find(handle.value());
-    if (it == handles_.end())
+  Status preempt(const SchedHandle& handle) override {
+    const Guard lock(mutex_);
+    const auto it = contexts_.find(handle.value());
+    if (it == contexts_.end())
       return fail(ErrorCode::kInternal, "suspending a context that was never attached");
-    Status done = act_on(it->second, action);
-    if (done || action == XAUTO_ACTION_RESUME) return done;
+    Context& context = it->second;
+    XAUTO_TRY(refuse_shared(handle.value(), context));
+    if (generation_ != all_.generation()) XAUTO_TRY(take_what_is_new());
+    if (!context.complete()) count(&ContextCounts::early, 1);
+    Status done = act_on(context, XAUTO_ACTION_SUSPEND);
+    // One that was closed is gone, also where another has its number by now.
+    if (!done && done.error().code == ErrorCode::kUnavailable &&
+        renew(handle.value(), context).value_or(false))
+      done = act_on(context, XAUTO_ACTION_SUSPEND);
+    context.suspended = done.has_value();
+    if (done) return done;
     // Half a context suspended is none, and what would resume it is never called.
-    (void)act_on(it->second, XAUTO_ACTION_RESUME);
-    if (!told_gated_ && any_gated(it->second)) {
-      told_gated_ = true;
+    (void)act_on(context, XAUTO_ACTION_RESUME);
+    if (!context.gated && any_gated(context)) {
+      context.gated = true;
+      count(&ContextCounts::gated, 1);
       log::warn(
           "a GPU context does not leave the engine in time and is not preempted any more: {}; "
-          "split "
-          "its kernels, or plan it with \"preemptive\": false",
+          "split its kernels, or plan it with \"preemptive\": false",
           done.error().to_string());
     }
     return done;
   }
 
-  Status act_on(const std::vector<std::uint32_t>& queues, xauto_action action) {
+  Status restore(const SchedHandle& handle) override {
+    const Guard lock(mutex_);
+    const auto it = contexts_.find(handle.value());
+    if (it == contexts_.end())
+      return fail(ErrorCode::kInternal, "resuming a context that was never attached");
+    it->second.suspended = false;
+    return act_on(it->second, XAUTO_ACTION_RESUME);
+  }
+
+  Status still_wanted() override {
+    const Guard lock(mutex_);
+    return control_.feed_watchdog();
+  }
+
+  void admitted(const SchedHandle& handle, bool first) override {
+    count(&ContextCounts::unclaimed, all_.begin(which_, handle.value(), first));
+  }
+
+  void finishing(const SchedHandle& handle, bool first) override {
+    const std::int64_t now = now_ns();
+    const bool look = first || now - looked_ns_ >= kLookAgainNs;
+    if (look) looked_ns_ = now;
+    count(&ContextCounts::unclaimed, all_.end(which_, handle.value(), look));
+    if (!first && generation_ == all_.generation()) return;
+    const Guard lock(mutex_);
+    Context& context = contexts_[handle.value()];
+    if (const Status taken = take_what_is_new(); !taken)
+      log::warn("what a context has opened is not suspended with it: {}",
+                taken.error().to_string());
+    if (first && ++context.ran == context.stages) count(&ContextCounts::incomplete, -1);
+  }
+
+ private:
+  struct Queue {
+    QueueFile file;
+    std::uint32_t handle = 0;  ///< of the connection
+  };
+  struct Context {
+    std::vector<Queue> queues;
+    int stages = 0, ran = 0;  ///< whose `init` returned it; that have run once
+    bool suspended = false;
+    bool gated = false, shared = false;  ///< told
+    [[nodiscard]] bool complete() const { return ran == stages; }
+  };
+
+  void count(std::atomic<std::uint32_t> ContextCounts::*what, std::int64_t by) {
+    if (counts_ != nullptr && by != 0) (counts_->*what) += static_cast<std::uint32_t>(by);
+  }
+
+  Status take_what_is_new() XAUTO_REQUIRES(mutex_) {
+    generation_ = all_.generation();
+    Status taken;
+    for (auto& [value, context] : contexts_)
+      if (Status status = take_for(value, context); !status) taken = std::move(status);
+    return taken;
+  }
+
+  /// What was opened while its work is suspended is suspended with it.
+  Status take_for(Contexts::Value value, Context& context) XAUTO_REQUIRES(mutex_) {
+    for (const QueueFile& file : all_.of(value)) {
+      const bool known = std::any_of(context.queues.begin(), context.queues.end(),
+                                     [&](const Queue& queue) { return queue.file == file; });
+      if (known || !is_open(file)) continue;
+      XAUTO_ASSIGN(const kernel::RegisteredQueue queue,
+                   control_.register_queue(which_.type, file.fd));
+      context.queues.push_back({file, queue.handle});
+      if (context.suspended) XAUTO_TRY(control_.suspend(queue.handle));
+    }
+    return {};
+  }
+
+  /// False: nothing has changed.
+  Result<bool> renew(Contexts::Value value, Context& context) XAUTO_REQUIRES(mutex_) {
+    std::vector<Queue> before = std::move(context.queues);
+    context.queues.clear();
+    XAUTO_TRY(take_for(value, context));
+    // Registering what is registered gives the handle that it has.
+    bool changed = before.size() != context.queues.size();
+    for (const Queue& queue : before) {
+      const bool stays =
+          std::any_of(context.queues.begin(), context.queues.end(),
+                      [&](const Queue& other) { return other.handle == queue.handle; });
+      if (stays) continue;
+      changed = true;
+      (void)control_.unregister(queue.handle);
+    }
+    return changed && !context.queues.empty();
+  }
+
+  /// Suspending one would hold up the other, which may be the more urgent.
+  Status refuse_shared(Contexts::Value value, Context& context) XAUTO_REQUIRES(mutex_) {
+    if (which_.type != QueueType::kDla || !all_.shared(value)) return {};
+    if (!context.shared) {
+      context.shared = true;
+      count(&ContextCounts::shared, 1);
+      log::warn("two cuDLA handles have one queue, so neither is suspended");
+    }
+    return fail(ErrorCode::kUnavailable, "its DLA queue is another handle's, too");
+  }
+
+  Status act_on(const Context& context, xauto_action action) XAUTO_REQUIRES(mutex_) {
     ops_.clear();
-    for (const std::uint32_t queue : queues) ops_.push_back({action, queue, 0});
+    for (const Queue& queue : context.queues) ops_.push_back({action, queue.handle, 0});
     return control_.control(ops_);
   }
 
-  bool any_gated(const std::vector<std::uint32_t>& queues) {
-    return std::any_of(queues.begin(), queues.end(), [&](std::uint32_t queue) {
-      const auto info = control_.query(queue);
-      return info && info->gated;
-    });
+  bool any_gated(const Context& context) XAUTO_REQUIRES(mutex_) {
+    for (const Queue& queue : context.queues)
+      if (const auto info = control_.query(queue.handle); info && info->gated) return true;
+    return false;
   }
 
-  const QueueType type_;
-  const int instance_;
-  kernel::QueueControl control_;
-  std::vector<QueueFile> before_;
-  std::map<std::uintptr_t, std::vector<std::uint32_t>> handles_;
-  std::vector<QueueOp> ops_;
-  bool told_gated_ = false;
+  Contexts& all_ = Contexts::of_this_process();
+  const Contexts::Which which_;
+  ContextCounts* counts_ = nullptr;
+  std::int64_t looked_ns_ = 0;  ///< the execution thread's
+  PiMutex mutex_;               ///< the execution thread registers, the management thread suspends
+  kernel::QueueControl control_ XAUTO_GUARDED_BY(mutex_);
+  std::map<Contexts::Value, Context> contexts_ XAUTO_GUARDED_BY(mutex_);
+  std::vector<QueueOp> ops_ XAUTO_GUARDED_BY(mutex_);
+  std::atomic<std::uint64_t> generation_{0};  ///< of what has been taken; written under the lock
 };
 
 }  // namespace

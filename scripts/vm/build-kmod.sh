@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # Builds the kernel modules against a kernel that fetch-kernel.sh unpacked.
 # usage: build-kmod.sh KERNEL_FOLDER OUT [VAR=VALUE ...]       OUT gets a copy of the sources and the .ko files
+# Environment: PLANT, a patch for that copy: a bug on purpose.
 # Warnings are errors: a module that warns is not shipped. So are files of xauto.ko that call each other in a circle.
 set -euo pipefail
 kernel=$(realpath "$1") out=$(realpath -m "$2")
@@ -18,6 +19,7 @@ rm -rf "$out/kmod" "$out/include"
 cp -r "$root/Kbuild" "$root/kmod" "$out"
 mkdir -p "$out/include"
 cp -r "$root/include/uapi" "$out/include/"
+[ -z "${PLANT:-}" ] || patch -s -p1 -d "$out" <"$PLANT"
 read -r -a needs <"$kernel/needs"
 log=$out/build.log
 if ! make -C "$kernel/build" M="$out" "${cross[@]}" "${needs[@]}" W=1 "$@" modules >"$log" 2>&1; then

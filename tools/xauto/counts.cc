@@ -57,6 +57,7 @@ ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
   if (!claims.claimed) return claims;
   if (std::string unkept = board.unkept(); !unkept.empty())
     claims.broken.push_back(std::move(unkept));
+  for (std::string& line : board.contexts().doubts(true)) claims.broken.push_back(std::move(line));
   if (const std::uint64_t late = board.late(); late > 0)
     claims.broken.push_back(
         fmt::format("{} releases were not where app.json's period and jitter have them, by up to "

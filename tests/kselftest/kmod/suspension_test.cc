@@ -88,22 +88,27 @@ void escapes() {
   const struct {
     const char* what;
     std::function<int()> act;
+    bool again = false;  ///< it can be done twice
   } ways[] = {
       {"a new channel", [&] { return raw::bind(held.tsg, other); }},
       {"a channel that is closed", [&] { return other.reset(), 0; }},
       {"another preemption mode",
        [&] {
          return raw::call(held.channel.get(), NVGPU_IOCTL_CHANNEL_SET_PREEMPTION_MODE, &mode);
-       }},
-      {"ENABLE", [&] { return raw::call(held.tsg.get(), NVGPU_IOCTL_TSG_ENABLE); }},
+       },
+       true},
+      {"ENABLE", [&] { return raw::call(held.tsg.get(), NVGPU_IOCTL_TSG_ENABLE); }, true},
   };
   std::uint64_t known = info(held.owner, held.handle).escapes;
   for (const auto& way : ways) {
-    const int said = way.act();
-    ktap_test(said == 0 && eventually([&] {
-                return held.off() && info(held.owner, held.handle).escapes > known;
-              }),
-              "a TSG that %s enabled is suspended again, and counted", way.what);
+    const auto counted = [&] {
+      return held.off() && info(held.owner, held.handle).escapes > known;
+    };
+    bool good = way.act() == 0 && eventually(counted, way.again ? 500 : 5000);
+    // A sweep that comes at once finds nothing that had run: that is no escape.
+    for (int i = 0; i < 40 && !good && way.again; ++i)
+      good = way.act() == 0 && eventually(counted, 500);
+    ktap_test(good, "a TSG that %s enabled is suspended again, and counted", way.what);
     known = info(held.owner, held.handle).escapes;
   }
   const auto told = events_of(*events, XAUTO_KEV_ESCAPED);

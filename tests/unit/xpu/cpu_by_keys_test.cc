@@ -36,14 +36,14 @@ TEST(CpuByKeys, LowersTheExecutionThreadBelowAllThatAreAdmittedAndRaisesItAgain)
   EXPECT_EQ(priority_of(tid), kCpuAsks);
   EXPECT_TRUE(backend->preempt(handle));
   EXPECT_EQ(priority_of(tid), kCpuAsks) << "it has no job yet; its START must not wait";
-  backend->admitted();
+  backend->admitted(SchedHandle::thread(), false);
   EXPECT_EQ(priority_of(tid), kCpuLowered) << "it was taken before it came to run";
   EXPECT_TRUE(backend->restore(handle));
   EXPECT_EQ(priority_of(tid), kCpuAdmitted);
   EXPECT_TRUE(backend->preempt(handle));
   EXPECT_TRUE(backend->preempt(handle)) << "what is suspended may be suspended";
   EXPECT_EQ(priority_of(tid), kCpuLowered);
-  backend->finishing();
+  backend->finishing(SchedHandle::thread(), false);
   EXPECT_EQ(priority_of(tid), kCpuAsks);
   EXPECT_TRUE(backend->restore(handle));
   EXPECT_EQ(priority_of(tid), kCpuAsks) << "late: it is at its next START";
