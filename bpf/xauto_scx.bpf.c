@@ -12,7 +12,8 @@
  *
  *   1. kernel threads that were woken: short, and everything stalls without them. Not without end: they
  *      have a credit of their own, of kernel_permille of time up to kernel_burst_us. Where XNode
- *      threads want the CPU and it is used up, they are ordinary threads;
+ *      threads want the CPU and it is used up, they are ordinary threads. So are those that are nice
+ *      (khugepaged, ksmd): nobody waits for their work, and it may take tens of milliseconds;
  *   2. the floor: an ordinary thread, or an XNode thread that has waited for age_ms, as long as the
  *      CPU has credit. Credit grows by floor_permille of time up to floor_burst_us. Without it a
  *      busy XNode would lock its CPU, and the kernel's watchdog would throw us out;
@@ -181,6 +182,12 @@ static __always_inline void charge(struct cpu_state *c, struct xauto_bpf_job *jo
 	}
 }
 
+/* A kernel thread that others may wait for; 100 is the weight of nice 0. */
+static __always_inline bool hurries(const struct task_struct *p)
+{
+	return (p->flags & PF_KTHREAD) && p->scx.weight >= 100;
+}
+
 /* The same of an ordinary thread: of its fair share, its cgroups, and of the floor's credit. */
 static __always_inline bool charge_ordinary(struct cpu_state *c, struct task_struct *p, u64 now)
 {
@@ -191,7 +198,8 @@ static __always_inline bool charge_ordinary(struct cpu_state *c, struct task_str
 	if (c->granted)
 		c->credit_ns -= (s64)ran;
 	if (p->flags & PF_KTHREAD) {
-		c->kernel_ns -= (s64)ran;
+		if (hurries(p))
+			c->kernel_ns -= (s64)ran;
 		return false;
 	}
 	return is_throttled(p, ran, now);
@@ -543,7 +551,7 @@ void BPF_PROG(xauto_enqueue, struct task_struct *p, u64 enq_flags)
 		lend_again();
 	if (judge(p, xnode ? &t : NULL, &mine) != NO_KEY)
 		enqueue_claim(p, &mine, xnode ? t.job : NULL, enq_flags);
-	else if (p->flags & PF_KTHREAD)
+	else if (hurries(p))
 		enqueue_kernel_thread(p, enq_flags);
 	else
 		enqueue_ordinary(p, enq_flags);
@@ -761,7 +769,7 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 {
 	s32 cpu = scx_bpf_task_cpu(p);
 	struct cpu_state *c = state_of(cpu);
-	bool kernel = p->flags & PF_KTHREAD;
+	bool kernel = hurries(p);
 	struct xauto_bpf_slot *slot = NULL;
 	struct claim claim = {};
 	struct xnode_thread t = {};
@@ -826,7 +834,7 @@ void BPF_PROG(xauto_tick, struct task_struct *p)
 		return;
 	if (anybody_lends())
 		lend_again();
-	if (c->granted || p->flags & PF_KTHREAD)
+	if (c->granted || hurries(p))
 		return;
 	xnode = thread_of(p, &t);
 	if (!xnode) {

@@ -92,6 +92,11 @@ void set_timer_slack_1ns() {
   prctl(PR_SET_TIMERSLACK, 1ul, 0, 0, 0);
 }
 
+void leave_huge_pages() {
+  // Asked first: setting it takes the lock that page faults take.
+  if (prctl(PR_GET_THP_DISABLE, 0, 0, 0, 0) == 0) prctl(PR_SET_THP_DISABLE, 1, 0, 0, 0);
+}
+
 bool lock_memory() {
   rlimit limit{};
   getrlimit(RLIMIT_MEMLOCK, &limit);

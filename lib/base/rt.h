@@ -28,6 +28,10 @@ namespace xauto::rt {
 
 /// The default slack of 50 us would be added to every timed wake-up.
 void set_timer_slack_1ns();
+/// The kernel's khugepaged locks a process's memory while it puts pages together: whoever touches a
+/// new page waits, for tens of milliseconds. From now on it leaves this process alone. The price: no
+/// transparent huge pages for what is mapped from now on.
+void leave_huge_pages();
 /// Best effort; false where the memlock limit forbids it.
 bool lock_memory();
 /// Cut to the kernel's 15 characters.

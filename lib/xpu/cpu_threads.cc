@@ -47,6 +47,7 @@ CpuThread::~CpuThread() {
 
 Status CpuThread::enter(bool scheduled, int fifo) {
   scheduled_ = scheduled;
+  if (scheduled && (fifo > 0 || all_.ext())) rt::leave_huge_pages();
   fifo_wanted_.store(fifo);
   tid_.store(gettid());
   if (!(scheduled && all_.ext())) {

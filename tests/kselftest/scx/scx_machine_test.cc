@@ -3,6 +3,7 @@
 // scx_test.
 //   scx_machine_test [NAME]
 #include <algorithm>
+#include <filesystem>
 #include <fstream>
 
 #include <fcntl.h>
@@ -305,6 +306,47 @@ void kernel_hog() {
             "kernel threads that are busy leave an XNode its CPU: %.0f %%", share * 100);
 }
 
+/// khugepaged asked to be nice. Where it has work without end it gets what ordinary threads get.
+void nice_kernel_thread() {
+  const std::string knobs = "/sys/kernel/mm/transparent_hugepage/";
+  pid_t khugepaged = 0;
+  for (const auto& entry : std::filesystem::directory_iterator("/proc"))
+    if (slurp(entry.path() / "comm") == "khugepaged")
+      khugepaged = atoi(entry.path().filename().c_str());
+  if (khugepaged == 0) {
+    ktap_skip("a nice kernel thread", "this kernel has no khugepaged");
+    return;
+  }
+  const std::string wait = slurp(knobs + "khugepaged/scan_sleep_millisecs");
+  const auto used_s = [&] {
+    return atof(slurp("/proc/" + std::to_string(khugepaged) + "/schedstat").c_str()) / 1e9;
+  };
+  World world(1, kCpu);
+  world.load();
+  std::atomic<bool> stop{false};
+  double share = 1;
+  {
+    XNodeThread spins(world, 0, [&](const kernel::ThreadSlot&) { spin(stop); });
+    cpu_set_t own, all;
+    CPU_ZERO(&own);
+    CPU_SET(kCpu, &own);
+    sched_getaffinity(khugepaged, sizeof all, &all);
+    const bool sent = sched_setaffinity(khugepaged, sizeof own, &own) == 0 &&
+                      put(knobs + "enabled", "always") &&
+                      put(knobs + "khugepaged/scan_sleep_millisecs", "0");
+    sleep_ms(500);
+    const double from = used_s();
+    const auto begin = Clock::now();
+    sleep_ms(3000);
+    const double got = used_s() - from;
+    if (sent && got > 0) share = got / seconds(Clock::now() - begin);
+    stop = true;
+    put(knobs + "khugepaged/scan_sleep_millisecs", wait);
+    sched_setaffinity(khugepaged, sizeof all, &all);
+  }
+  ktap_test(share < 0.08, "a nice kernel thread has the floor, no more: %.1f %%", share * 100);
+}
+
 // ---- what is said when it goes wrong --------------------------------------------------------------
 
 void dumped() {
@@ -420,6 +462,7 @@ const Test kTests[] = {
     {"loaded_meanwhile", 1, loaded_meanwhile},
     {"cpu_max", 2, cpu_max},
     {"kernel_hog", 1, kernel_hog},
+    {"nice_kernel_thread", 1, nice_kernel_thread},
     {"dumped", 1, dumped},
     {"second_app", 2, second_app},
     {"crowd", 2, crowd},
