@@ -13,6 +13,14 @@ ok() { # NAME CONDITION...
 }
 has() { grep -q -- "$1" "$2"; }
 state() { cat /sys/kernel/sched_ext/state; }
+loaded() { # PID: waits until a run has loaded its scheduler, for 60 s
+  for _ in $(seq 600); do
+    [ "$(state)" != enabled ] || return 0
+    kill -0 "$1" 2>/dev/null || break
+    sleep 0.1
+  done
+  echo "# no scheduler was loaded"
+}
 dir=/tmp/tools
 mkdir -p $dir && cd $dir || exit 1
 echo "TAP version 13"
@@ -55,7 +63,7 @@ cmp -s ext.order other.order && echo "# without priorities the order happened to
 # The loader dies in the middle.
 drive killed ext 16 &
 run=$!
-while [ "$(state)" != enabled ]; do sleep 0.1; done
+loaded $run
 sleep 3
 kill -9 "$(pidof xauto-cpusched)"
 wait $run
@@ -72,7 +80,7 @@ ok "... and the kernel is back at its own scheduler" [ "$(state)" = disabled ]
 # A second app while the first one runs: one scheduler, one rule.
 drive first ext 24 &
 run=$!
-while [ "$(state)" != enabled ]; do sleep 0.1; done
+loaded $run
 drive second ext 6 &
 second=$!
 fifo=0 seen=0

@@ -2,10 +2,10 @@
 # Sourced by tools.sh: tracing with our tools and with bpftool, all at once on one run under sched_ext.
 drive traced ext 0 & # until it is stopped
 run=$!
-while [ "$(state)" != enabled ]; do sleep 0.1; done
+loaded $run
 xauto trace --out trace.jsonl --events --printk >trace.txt 2>trace.err &
 trace=$!
-while [ ! -e /sys/fs/bpf/xauto/*/pipe ]; do sleep 0.1; done
+for _ in $(seq 600); do [ ! -e /sys/fs/bpf/xauto/*/pipe ] || break; sleep 0.1; done
 maps=$(echo /sys/fs/bpf/xauto/*)
 bpftool map event_pipe pinned "$maps/pipe" >pipe.txt 2>&1 &
 pipe=$!
