@@ -12,10 +12,11 @@ namespace xauto {
 
 struct ContextCounts {
   std::atomic<std::uint32_t> incomplete{};  ///< now: a stage has not run yet, so more may be opened
-  std::atomic<std::uint32_t> early{};       ///< suspensions of one that was not complete
-  std::atomic<std::uint32_t> unclaimed{};   ///< TSGs and DLA queues of which nobody knows whose
-  std::atomic<std::uint32_t> shared{};      ///< contexts whose queue is another's, too
-  std::atomic<std::uint32_t> gated{};       ///< contexts that the kernel module preempts no more
+  std::atomic<std::uint32_t>
+      partial{};  ///< suspensions that may have left out what was just opened
+  std::atomic<std::uint32_t> unclaimed{};  ///< TSGs and DLA queues of which nobody knows whose
+  std::atomic<std::uint32_t> shared{};     ///< contexts whose queue is another's, too
+  std::atomic<std::uint32_t> gated{};      ///< contexts that the kernel module preempts no more
 
   /// Why no worst case holds, a line each, for people. `live`: of a run that goes on.
   [[nodiscard]] std::vector<std::string> doubts(bool live) const {
@@ -25,7 +26,7 @@ struct ContextCounts {
         lines.push_back(std::to_string(n) + " " + what);
     };
     if (live) say(incomplete, "contexts not complete: a stage on them has not run once");
-    say(early, "suspensions came before their context was complete: what it opened later ran on");
+    say(partial, "suspensions of a context may have left out what it had just opened");
     say(unclaimed, "TSGs or DLA queues appeared while several stages ran: they are not suspended");
     say(shared, "contexts share a DLA queue with another stage's: they are not suspended");
     say(gated, "GPU contexts did not leave the engine in time: they are not preempted any more");

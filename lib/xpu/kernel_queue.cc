@@ -55,7 +55,7 @@ class KernelQueue final : public Backend {
     Context& context = it->second;
     XAUTO_TRY(refuse_shared(handle.value(), context));
     if (generation_ != all_.generation()) XAUTO_TRY(take_what_is_new());
-    if (!context.complete()) count(&ContextCounts::early, 1);
+    ++context.unseen;
     Status done = act_on(context, XAUTO_ACTION_SUSPEND);
     // One that was closed is gone, also where another has its number by now.
     if (!done && done.error().code == ErrorCode::kUnavailable &&
@@ -99,12 +99,14 @@ class KernelQueue final : public Backend {
     const bool look = first || now - looked_ns_ >= kLookAgainNs;
     if (look) looked_ns_ = now;
     count(&ContextCounts::unclaimed, all_.end(which_, handle.value(), look));
-    if (!first && generation_ == all_.generation()) return;
+    if (!look && generation_ == all_.generation()) return;
     const Guard lock(mutex_);
-    Context& context = contexts_[handle.value()];
     if (const Status taken = take_what_is_new(); !taken)
       log::warn("what a context has opened is not suspended with it: {}",
                 taken.error().to_string());
+    if (look)
+      for (auto& [value, context] : contexts_) context.unseen = 0;  // they left nothing out
+    Context& context = contexts_[handle.value()];
     if (first && ++context.ran == context.stages) count(&ContextCounts::incomplete, -1);
   }
 
@@ -116,6 +118,7 @@ class KernelQueue final : public Backend {
   struct Context {
     std::vector<Queue> queues;
     int stages = 0, ran = 0;  ///< whose `init` returned it; that have run once
+    int unseen = 0;           ///< suspensions since the last look at what it has opened
     bool suspended = false;
     bool gated = false, shared = false;  ///< told
     [[nodiscard]] bool complete() const { return ran == stages; }
@@ -142,6 +145,9 @@ class KernelQueue final : public Backend {
       XAUTO_ASSIGN(const kernel::RegisteredQueue queue,
                    control_.register_queue(which_.type, file.fd));
       context.queues.push_back({file, queue.handle});
+      // It may have been there already when they came.
+      count(&ContextCounts::partial, context.unseen);
+      context.unseen = 0;
       if (context.suspended) XAUTO_TRY(control_.suspend(queue.handle));
     }
     return {};
@@ -151,6 +157,7 @@ class KernelQueue final : public Backend {
   Result<bool> renew(Contexts::Value value, Context& context) XAUTO_REQUIRES(mutex_) {
     std::vector<Queue> before = std::move(context.queues);
     context.queues.clear();
+    context.unseen = 0;  // a closed one refuses at once: none succeeded since
     XAUTO_TRY(take_for(value, context));
     // Registering what is registered gives the handle that it has.
     bool changed = before.size() != context.queues.size();
