@@ -36,7 +36,7 @@ def has_body(text, name):
     """`name(...)` is followed by a body, or by what a constructor initialises: not by what follows a call."""
     for match in re.finditer(rf"(?<![\w:.>]){re.escape(name)}\(", text):
         rest = text[after_parentheses(text, match.end() - 1):]
-        if re.match(r"\s*(const|override|noexcept|final|\s)*(\{|:[^:])", rest):
+        if re.match(r"\s*(const|override|noexcept|final|XAUTO_\w+\([^)]*\)|\s)*(\{|:[^:])", rest):
             return True
     return False
 
