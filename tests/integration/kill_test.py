@@ -301,6 +301,27 @@ class Kill(unittest.TestCase):
                 self.assertIn("end-to-end latency in ms", out)
             self.assert_nothing_left(tool, family, before)
 
+    def test_two_signals_at_once_are_one_wish(self):
+        """timeout(1) sends one to the tool and one to its group."""
+        tool, family, before = self.start()
+        self.wait_until_it_runs(tool)
+        tool.terminate()
+        time.sleep(0.02)
+        out, err = self.end(tool)
+        self.assertIn("stopped by the user", out + err)
+        self.assert_nothing_left(tool, family, before)
+
+    def test_a_later_one_ends_it_at_once(self):
+        tool, family, before = self.start()
+        self.wait_until_it_runs(tool)
+        os.kill(next(pid for pid, name in family.items() if name == "driving"), signal.SIGSTOP)  # so it cannot drain
+        tool.terminate()
+        time.sleep(0.7)
+        tool.terminate()
+        tool.communicate(timeout=60)
+        self.assertEqual(tool.returncode, -signal.SIGTERM)
+        self.assert_nothing_left(tool, family, before)
+
 
 if __name__ == "__main__":
     unittest.main()

@@ -11,6 +11,7 @@
 #include <fmt/format.h>
 #include <signal.h>
 
+#include "base/clock.h"
 #include "base/log.h"
 #include "kernel/probe.h"
 #include "model/json.h"
@@ -22,17 +23,28 @@
 namespace xauto::cli {
 namespace {
 
+/// timeout(1) and service managers send one to the tool and one to its process group: so near they
+/// are one wish.
+constexpr std::int64_t kOneWishNs = 500'000'000;
+
 std::atomic<bool> g_stop{false};
+std::atomic<std::int64_t> g_stopped_ns{0};  ///< 0: not yet
 
 void on_signal(int number) {
-  g_stop.store(true);
-  signal(number, SIG_DFL);
+  std::int64_t first_ns = 0;
+  if (g_stopped_ns.compare_exchange_strong(first_ns, now_ns())) {
+    g_stop.store(true);
+  } else if (now_ns() - first_ns > kOneWishNs) {
+    signal(number, SIG_DFL);
+    raise(number);
+  }
 }
 
 }  // namespace
 
 StopOnSignal::StopOnSignal() {
   g_stop.store(false);
+  g_stopped_ns.store(0);
   signal(SIGINT, on_signal);
   signal(SIGTERM, on_signal);
 }

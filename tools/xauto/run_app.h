@@ -26,7 +26,8 @@
 namespace xauto::cli {
 
 /// Set by SIGINT and SIGTERM while a `StopOnSignal` lives: the run drains, its answer is still
-/// written. A second signal ends the tool at once (and the kernel its children).
+/// written. A second signal, half a second later or more, ends the tool at once (and the kernel its
+/// children).
 class StopOnSignal {
  public:
   StopOnSignal();
