@@ -54,6 +54,21 @@ class App {
     return *this;
   }
 
+  /// The same of a sensor some of whose releases are urgent (source.h): those of which
+  /// `urgent(const T&, sequence)`, called after `make` on the same thread, returns true. Where nothing
+  /// certifies urgent releases (app.json, policy) they are ordinary ones, and the report tells how
+  /// many. Not called in lockstep, with a recorded input, and by `xauto profile`.
+  template <class T, class Make, class Urgent>
+  App& add_source(const Topic<T>& topic, std::chrono::microseconds period, Make make,
+                  Urgent urgent) {
+    add_source(topic, period, std::move(make));
+    mark_source_spec(
+        [urgent = std::move(urgent)](const void* message, std::uint64_t sequence) mutable -> bool {
+          return urgent(*static_cast<const T*>(message), sequence);
+        });
+    return *this;
+  }
+
   /// A sensor that is pushed into, e.g. from a driver's callback: what Source::publish is given is
   /// released at once, in the process that has the app's other sources (docs/api.md has the rules).
   template <class T>
@@ -110,6 +125,7 @@ class App {
   void add_module_spec(std::shared_ptr<detail::XModuleSpec> spec);
   void add_source_spec(detail::TopicHandle topic, std::chrono::microseconds period,
                        detail::Make make);
+  void mark_source_spec(detail::Judge urgent);  ///< of the source that was added last
   [[nodiscard]] std::shared_ptr<detail::Inlet> add_inlet(detail::TopicHandle topic,
                                                          std::chrono::microseconds distance);
   void add_observer_spec(detail::TopicHandle topic, detail::Observe observe);

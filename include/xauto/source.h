@@ -20,13 +20,14 @@ class Inlet;
 using Make =
     std::function<std::shared_ptr<const void>(std::uint64_t sequence, MessageMemory* memory)>;
 using Observe = std::function<void(const void* message, std::uint64_t sequence)>;
+using Judge = std::function<bool(const void* message, std::uint64_t sequence)>;
 
 Status push(Inlet& inlet, std::shared_ptr<const void> message);
 Status push_urgent(Inlet& inlet, std::shared_ptr<const void> message);
 
 }  // namespace detail
 
-/// What a release is, for Source::publish.
+/// What a release is, for Source::publish; App::add_source asks for it with its `urgent`.
 enum class Release : std::uint8_t {
   ordinary,
   /// Its jobs, in all modules that the message reaches by edges, go before their turn, by what

@@ -48,6 +48,9 @@ void App::add_source_spec(detail::TopicHandle topic, std::chrono::microseconds p
                           detail::Make make) {
   data_->spec.sources.push_back({*topic, period, std::move(make)});
 }
+void App::mark_source_spec(detail::Judge urgent) {
+  data_->spec.sources.back().urgent = std::move(urgent);
+}
 std::shared_ptr<detail::Inlet> App::add_inlet(detail::TopicHandle topic,
                                               std::chrono::microseconds distance) {
   auto inlet = std::make_shared<detail::Inlet>(

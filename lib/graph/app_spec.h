@@ -69,6 +69,7 @@ struct SourceSpec {
   std::chrono::microseconds period{};
   Make make;                               ///< empty: it is pushed
   std::shared_ptr<Inlet> inlet = nullptr;  ///< null: it is polled
+  Judge urgent = nullptr;  ///< polled: whether a message's release is; empty: none is
 };
 
 struct ObserverSpec {

@@ -21,7 +21,7 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kMaxFlows = kMaxChains + 1;
-constexpr std::uint32_t kBoardMagic = 0x58424f41;  // "XBOA"
+constexpr std::uint32_t kBoardMagic = 0x58424f42;  // "XBOB"; another one with each layout
 
 std::size_t bytes_of(const BoardShape& shape) {
   return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
@@ -153,6 +153,11 @@ void FlowLine::add(std::int64_t us) {
   last_us.store(us, std::memory_order_relaxed);
   if (us > longest_us.load(std::memory_order_relaxed))  // one at a time adds
     longest_us.store(us, std::memory_order_relaxed);
+}
+
+void FlowLine::add_urgent(std::int64_t us) {
+  if (us > longest_urgent_us.load(std::memory_order_relaxed))
+    longest_urgent_us.store(us, std::memory_order_relaxed);
 }
 
 void Board::count_late(std::int64_t ns) {

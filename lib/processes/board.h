@@ -65,13 +65,16 @@ struct alignas(64) FlowLine {
   std::uint32_t module = 0;                        ///< [H] where a chain ends
   /// [H] before the run, of a policy of keys: what it claims, and what is beyond that; 0: nothing.
   std::int64_t worst_case_us = 0, lower_bound_us = 0, allowed_us = 0;
+  std::int64_t urgent_worst_case_us = 0, urgent_allowed_us = 0;  ///< likewise, of urgent releases
   // All [H].
   std::atomic<std::uint64_t> results{}, late{}, old{};
   std::atomic<std::uint64_t> lost{};  ///< of flow 0; a chain loses what its module loses
   std::atomic<std::int64_t> last_origin_ns{}, max_age_us{};
   std::atomic<std::int64_t> last_us{-1}, longest_us{-1};  ///< -1: there was none
+  std::atomic<std::int64_t> longest_urgent_us{-1};        ///< of urgent releases
   std::atomic<std::uint32_t> latency_us[kBuckets] = {};
   void add(std::int64_t us);
+  void add_urgent(std::int64_t us);  ///< beside `add`
 };
 
 inline constexpr std::size_t kParameterWords = 32;  ///< a number, or a length and a text

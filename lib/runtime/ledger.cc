@@ -34,7 +34,11 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
     FlowLine& line = context.board.flow(i + 1);
     line.worst_case_us = line.allowed_us = claims[i].worst_case_us;
     line.lower_bound_us = claims[i].lower_bound_us;
-    if (context.session.emulates()) line.allowed_us += line.worst_case_us * kEmulatorPct / 100;
+    const std::int64_t margin_us =
+        context.session.emulates() ? line.worst_case_us * kEmulatorPct / 100 : 0;
+    line.allowed_us += margin_us;
+    line.urgent_worst_case_us = claims[i].urgent_worst_case_us.value_or(0);
+    line.urgent_allowed_us = line.urgent_worst_case_us + margin_us;
   }
 }
 

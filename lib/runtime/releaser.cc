@@ -41,6 +41,12 @@ Status Releaser::run(int fifo) {
     if (status) status = context_.session.input.empty() ? release_periodic() : release_recorded();
     feeds_.reset();
     notes_ = inlets_->close();
+    for (std::size_t s = 0; s < seen_.size(); ++s)
+      if (seen_[s].unheard > 0)
+        notes_.push_back(
+            fmt::format("source '{}' marked {} releases urgent, which nothing certifies "
+                        "in this run: they were ordinary ones",
+                        context_.graph.sources[s].name, seen_[s].unheard));
     inlets_.reset();
     const Status stopped = detail::call(context_.app.on_stop, "on_stop", context_.app.name);
     if (status) status = stopped;
@@ -89,17 +95,40 @@ void Releaser::open_feeds(int fifo) {
   if (!feeds.empty()) feeds_.emplace(*wiring_.interop(), std::move(feeds), fifo);
 }
 
-/// An urgent release is one of a policy of keys that counts with it. Who runs the app in another way
-/// and claims nothing (lockstep) takes it for an ordinary one.
+/// An urgent release is one of a policy of keys that counts with it.
+bool Releaser::certifies_urgent(std::size_t source) const {
+  return context_.session.keys && context_.scheduled() && tracks() &&
+         context_.grid.sources[source].urgent_apart > 0;
+}
+
+/// Who runs the app in another way and claims nothing (lockstep) takes it for an ordinary one.
 void Releaser::open_for_urgent() {
   if (context_.session.lockstep || context_.session.mode != Mode::kRun) return;
   for (std::size_t s = 0; s < context_.app.sources.size(); ++s) {
     if (context_.app.sources[s].inlet == nullptr) continue;
-    const bool certified = context_.session.keys && context_.scheduled() && tracks() &&
-                           context_.grid.sources[s].urgent_apart > 0;
     using Urgent = detail::Inlet::Urgent;
-    context_.app.sources[s].inlet->take_urgent(certified ? Urgent::kTaken : Urgent::kRefused);
+    context_.app.sources[s].inlet->take_urgent(certifies_urgent(s) ? Urgent::kTaken
+                                                                   : Urgent::kRefused);
   }
+}
+
+/// What the program says of a message that it has not pushed itself.
+Result<bool> Releaser::marked(Seen& seen, std::size_t source, const void* message,
+                              std::uint64_t number) const {
+  const detail::SourceSpec& spec = context_.app.sources[source];
+  if (!spec.urgent || message == nullptr || context_.session.lockstep ||
+      context_.session.mode != Mode::kRun)
+    return false;
+  bool says = false;
+  try {
+    says = spec.urgent(message, number);
+  } catch (const std::exception& e) {
+    return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
+                "what marks urgent messages of topic '" + spec.topic.name + "'");
+  }
+  if (!says || certifies_urgent(source)) return says;
+  ++seen.unheard;
+  return false;
 }
 
 /// Two of them are so many releases apart: what is nearer is an ordinary one. By numbers, and not by
@@ -129,7 +158,8 @@ Result<bool> Releaser::release_pushed(std::int64_t until_ns, bool once) {
     XAUTO_TRY(drain_for_lockstep());
     const int t = context_.graph.topic_of_source[pushed->source];
     if (tracks()) {
-      if (!release_tracked(t, pushed->waiting)) continue;
+      XAUTO_ASSIGN(const bool released, release_tracked(t, pushed->waiting));
+      if (!released) continue;
     } else {
       std::uint64_t& number = pushed_[static_cast<std::size_t>(t)];
       // In lockstep waiting for its turn is no latency.
@@ -189,7 +219,7 @@ void Releaser::leave_out(int topic, std::uint64_t number, std::int64_t at_ns) {
 }
 
 /// As the release of the grid that it is. False: it is none.
-bool Releaser::release_tracked(int topic, const detail::Inlet::Waiting& pushed) {
+Result<bool> Releaser::release_tracked(int topic, const detail::Inlet::Waiting& pushed) {
   const auto t = static_cast<std::size_t>(topic);
   const auto source = static_cast<std::size_t>(context_.graph.topics[t].source);
   const Grid::Source& grid = context_.grid.sources[source];
@@ -202,7 +232,8 @@ bool Releaser::release_tracked(int topic, const detail::Inlet::Waiting& pushed) 
   seen.off += found->off_ns > 0 ? 1 : 0;
   if (found->off_ns > 0) context_.board.count_late(found->off_ns);
   seen.farthest_ns = std::max(seen.farthest_ns, found->off_ns);
-  const bool is_urgent = pushed.urgent && urgent(seen, source, found->number);
+  XAUTO_ASSIGN(const bool fed, marked(seen, source, pushed.message.get(), found->number));
+  const bool is_urgent = (pushed.urgent || fed) && urgent(seen, source, found->number);
   release(pushed.at_ns, {{topic, found->number, pushed.message, found->nominal_ns, is_urgent}});
   return true;
 }
@@ -306,18 +337,21 @@ Status Releaser::release_periodic() {
         fed.push_back({s.topic, s.sequence++, nullptr, 0});
         continue;
       }
-      const auto& spec = context_.app.sources[static_cast<std::size_t>(
-          context_.graph.topics[static_cast<std::size_t>(s.topic)].source)];
+      const auto source =
+          static_cast<std::size_t>(context_.graph.topics[static_cast<std::size_t>(s.topic)].source);
+      const auto& spec = context_.app.sources[source];
+      std::shared_ptr<const void> message;
       try {
-        samples.push_back(
-            {s.topic, s.sequence,
-             spec.make(s.sequence, wiring_.publisher(static_cast<std::size_t>(s.topic))),
-             context_.grid.periodic ? due : 0});
+        message = spec.make(s.sequence, wiring_.publisher(static_cast<std::size_t>(s.topic)));
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(),
                     "the source of topic '" + spec.topic.name + "'");
       }
-      ++s.sequence;
+      Seen& seen = seen_[source];
+      XAUTO_ASSIGN(const bool says, marked(seen, source, message.get(), s.sequence));
+      const bool is_urgent = says && urgent(seen, source, s.sequence);
+      samples.push_back(
+          {s.topic, s.sequence++, std::move(message), context_.grid.periodic ? due : 0, is_urgent});
     }
     if (inlets_->any()) {
       XAUTO_ASSIGN(const bool goes_on, release_pushed(due));

@@ -62,11 +62,14 @@ class Releaser {
   [[nodiscard]] std::int64_t next_overdue_ns() const;
   void leave_out(int topic, std::uint64_t number, std::int64_t at_ns);
   [[nodiscard]] bool counted_all(int topic);
-  [[nodiscard]] bool release_tracked(int topic, const detail::Inlet::Waiting& pushed);
+  [[nodiscard]] Result<bool> release_tracked(int topic, const detail::Inlet::Waiting& pushed);
   [[nodiscard]] bool tracks() const;
   [[nodiscard]] bool tracked(std::size_t topic) const;
   void open_feeds(int fifo);
+  [[nodiscard]] bool certifies_urgent(std::size_t source) const;
   void open_for_urgent();
+  [[nodiscard]] Result<bool> marked(Seen& seen, std::size_t source, const void* message,
+                                    std::uint64_t number) const;
   [[nodiscard]] bool urgent(Seen& seen, std::size_t source, std::uint64_t number);
   void sleep(std::int64_t until_ns) const;
   [[nodiscard]] Status drain_for_lockstep();
@@ -96,6 +99,7 @@ class Releaser {
     std::uint64_t off = 0;  ///< pushed: for which the grid had to be moved
     std::int64_t farthest_ns = 0;
     std::uint64_t left_out = 0;  ///< pushed: there was no message
+    std::uint64_t unheard = 0;   ///< polled: urgent, and nothing certifies that
     std::uint64_t too_soon = 0;  ///< urgent, sooner after the one before than stated
     std::optional<std::uint64_t> last_urgent = {};  ///< its number
   };

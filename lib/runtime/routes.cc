@@ -149,7 +149,10 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
         route.last_origin_ns = origin;
         continue;
       }
-      if (urgent && route.hurries) counts.urgent_us.add((now_ns - origin) / 1000);
+      if (urgent && route.hurries) {
+        counts.urgent_us.add((now_ns - origin) / 1000);
+        if (route.line != nullptr) route.line->add_urgent((now_ns - origin) / 1000);
+      }
       std::int64_t newly = origin;
       for (int n = 0; n < kMostSkipped; ++n, newly -= route.period_ns) {
         if (route.last_origin_ns == 0 ? newly != origin

@@ -4,10 +4,11 @@
 Where the camera's is urgent it has 10 ms less. So an ordinary one waits for the lidar's 8 ms, an urgent one does not."""
 import json
 import pathlib
+import subprocess
 import tempfile
 import unittest
 
-from common import BIN, QUEUES, xauto
+from common import BIN, QUEUES, XAUTO, activations, wait_for, xauto
 
 KEYS = {"camera.run": 18000, "lidar.run": 15000}
 BY = 10000
@@ -55,9 +56,9 @@ class Urgent(unittest.TestCase):
     def tool(cls, verb, app, *more):
         return xauto(verb, "--app", cls.folder / f"{app}.json", "--platform", cls.folder / "platform.json", *more)
 
-    def run_app(self, every, *flags, app="app", policy="policy"):
+    def run_app(self, every, *flags, app="app", policy="policy", polled=()):
         done = self.tool("run", app, "--policy", self.folder / f"{policy}.json", "--emulate", "--json", "--deployment",
-                         self.folder / "queues.json", *flags, "--", BIN / "urgentapp", str(every))
+                         self.folder / "queues.json", *flags, "--", BIN / "urgentapp", str(every), *polled)
         return done, json.loads(done.stdout)["runs"][0] if done.stdout else None
 
     def test_the_policy_holds_and_is_played(self):
@@ -71,8 +72,8 @@ class Urgent(unittest.TestCase):
         self.assertGreater(camera["urgent"]["releases"], 50)
         self.assertLessEqual(camera["urgent"]["longest_us"], KEYS["camera.run"] - BY)
 
-    def check_run(self, *flags):
-        done, run = self.run_app(2, "--seconds", 4, *flags)
+    def check_run(self, *flags, polled=()):
+        done, run = self.run_app(2, "--seconds", 4, *flags, polled=polled)
         self.assertEqual(done.returncode, 0, done.stderr)
         camera = run["chains"][0]
         self.assertEqual(camera["urgent_worst_case_us"], KEYS["camera.run"] - BY)
@@ -91,6 +92,9 @@ class Urgent(unittest.TestCase):
 
     def test_an_urgent_release_goes_first(self):
         self.check_run()
+
+    def test_so_does_one_of_a_polled_source(self):
+        self.check_run(polled=["polled"])
 
     def test_the_mark_travels_between_processes(self):
         self.check_run("--isolate")
@@ -127,6 +131,33 @@ class Urgent(unittest.TestCase):
         done, _ = self.run_app(2, "--seconds", 1, app="plain", policy="plain-policy")
         self.assertIn("nothing certifies that in this run", done.stderr)
         self.assertIn('"urgent": {"by_us", "every_us"}', done.stderr)
+
+    def test_top_and_status_have_them_beside_their_own_worst_case(self):
+        tool = subprocess.Popen(
+            [XAUTO, "run", *(part for name in ("app", "platform", "policy", "deployment") for part in (
+                f"--{name}", str(self.folder / f"{'queues' if name == 'deployment' else name}.json"))),
+             "--emulate", "--activations", "0", "--", str(BIN / "urgentapp"), "2", "polled"],
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        try:
+            wait_for("results", lambda: activations(tool).get("cameraM", 0) > 20, tool)
+            top = json.loads(xauto("top", "--run", f"{tool.pid}-0", "--once", "--json", "--interval-ms", 50).stdout)
+            words = xauto("top", "--run", f"{tool.pid}-0", "--once", "--interval-ms", 50).stdout
+            status = json.loads(xauto("status", "--json").stdout)
+        finally:
+            tool.terminate()
+            tool.communicate(timeout=60)
+        own = [of for name, of in status["claims"].items() if name.endswith(f"/{tool.pid}-0")]
+        for camera, lidar in (top["chains"], own[0]["chains"]):
+            self.assertEqual(camera["urgent"]["worst_case_us"], KEYS["camera.run"] - BY)
+            self.assertLessEqual(3000, camera["urgent"]["longest_us"])
+            self.assertLessEqual(camera["urgent"]["longest_us"], camera["longest_us"])
+            self.assertNotIn("urgent", lidar)
+        self.assertRegex(words, r"\n    urgent +\d+\.\d\d +\*?8\.00\n")
+
+    def test_of_a_polled_source_it_is_told(self):
+        done, run = self.run_app(2, "--activations", 20, app="plain", policy="plain-policy", polled=["polled"])
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn("source 'camera' marked 10 releases urgent, which nothing certifies", " ".join(run["notes"]))
 
 
 if __name__ == "__main__":

@@ -109,12 +109,17 @@ int status(const Options& options) {
     Json all = {{"sessions", std::move(runs_of)}};
     for (const auto& [run, counts] : looks) {
       Json chains = Json::array();
-      for (const FlowCounts& chain : counts.chains)
+      const auto measured = [](std::int64_t us) { return us < 0 ? Json() : Json(us); };
+      for (const FlowCounts& chain : counts.chains) {
         chains.push_back({{"name", chain.name},
-                          {"last_us", chain.last_us < 0 ? Json() : Json(chain.last_us)},
-                          {"longest_us", chain.longest_us < 0 ? Json() : Json(chain.longest_us)},
+                          {"last_us", measured(chain.last_us)},
+                          {"longest_us", measured(chain.longest_us)},
                           {"worst_case_us", chain.worst_case_us},
                           {"lower_bound_us", chain.lower_bound_us}});
+        if (chain.urgent_worst_case_us > 0)
+          chains.elements().back()["urgent"] = {{"longest_us", measured(chain.longest_urgent_us)},
+                                                {"worst_case_us", chain.urgent_worst_case_us}};
+      }
       all["claims"][(prefix + run).c_str()] = {{"exceeded", counts.claims.exceeded},
                                                {"broken", counts.claims.broken},
                                                {"chains", std::move(chains)}};

@@ -26,6 +26,9 @@ FlowCounts flow_of(const runtime::FlowLine& line) {
   flow.worst_case_us = line.worst_case_us;
   flow.lower_bound_us = line.lower_bound_us;
   flow.allowed_us = line.allowed_us;
+  flow.urgent_worst_case_us = line.urgent_worst_case_us;
+  flow.urgent_allowed_us = line.urgent_allowed_us;
+  flow.longest_urgent_us = line.longest_urgent_us.load();
   for (std::uint32_t b = 0; b < runtime::FlowLine::kBuckets; ++b)
     if (const std::uint32_t count = line.latency_us[b].load(std::memory_order_relaxed); count > 0) {
       flow.latency_us.resize(b + 1);
@@ -51,8 +54,7 @@ ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
   ClaimCounts claims;
   for (const FlowCounts& chain : counts.chains) {
     claims.claimed = claims.claimed || chain.worst_case_us > 0;
-    claims.exceeded =
-        claims.exceeded || (chain.worst_case_us > 0 && chain.longest_us > chain.allowed_us);
+    claims.exceeded = claims.exceeded || chain.exceeds();
   }
   if (!claims.claimed) return claims;
   if (std::string unkept = board.unkept(); !unkept.empty())

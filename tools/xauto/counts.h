@@ -26,6 +26,12 @@ struct FlowCounts {
   std::int64_t last_us = -1, longest_us = -1;  ///< of the whole run; -1: none
   /// Of a policy of keys: what it claims, and what is beyond that; 0: nothing.
   std::int64_t worst_case_us = 0, lower_bound_us = 0, allowed_us = 0;
+  std::int64_t urgent_worst_case_us = 0, urgent_allowed_us = 0;  ///< likewise, of urgent releases
+  std::int64_t longest_urgent_us = -1;
+  [[nodiscard]] bool exceeds() const {
+    return (worst_case_us > 0 && longest_us > allowed_us) ||
+           (urgent_worst_case_us > 0 && longest_urgent_us > urgent_allowed_us);
+  }
 };
 
 /// Whether what the policy claims holds so far.

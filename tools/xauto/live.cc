@@ -122,12 +122,17 @@ std::string claims_text(const Counts& counts) {
   };
   std::string out = fmt::format("\n  {:<28}{:>9}{:>9}{:>12}{:>9}\n", "reaction, ms", "last",
                                 "longest", "worst case", "bound");
-  for (const FlowCounts& chain : counts.chains)
-    out += fmt::format(
-        "  {:<28}{:>9}{:>9}{:>12}{:>9}\n", chain.name, in_ms(chain.last_us),
-        in_ms(chain.longest_us),
-        chain.worst_case_us == 0 ? "-" : (stands ? "" : "*") + in_ms(chain.worst_case_us),
-        chain.worst_case_us == 0 ? "-" : in_ms(chain.lower_bound_us));
+  const auto claim = [&](std::int64_t us) {
+    return us == 0 ? "-" : (stands ? "" : "*") + in_ms(us);
+  };
+  for (const FlowCounts& chain : counts.chains) {
+    out += fmt::format("  {:<28}{:>9}{:>9}{:>12}{:>9}\n", chain.name, in_ms(chain.last_us),
+                       in_ms(chain.longest_us), claim(chain.worst_case_us),
+                       chain.worst_case_us == 0 ? "-" : in_ms(chain.lower_bound_us));
+    if (chain.urgent_worst_case_us > 0)
+      out += fmt::format("  {:<28}{:>9}{:>9}{:>12}\n", "  urgent", "",
+                         in_ms(chain.longest_urgent_us), claim(chain.urgent_worst_case_us));
+  }
   return out + fmt::format("  {}worst cases, so far: {}\n", stands ? "" : "* ",
                            verdict(counts.claims.exceeded, counts.claims.broken));
 }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// For urgent_test.py: two pushed sources of 20 ms on one emulated GPU. The camera's stage takes 3 ms,
-// the lidar's 8 ms. Every Nth release of the camera is urgent:
+// For urgent_test.py: two sources of 20 ms on one emulated GPU. The camera's stage takes 3 ms, the
+// lidar's 8 ms. Every Nth release of the camera is urgent:
 //
-//   urgentapp N
+//   urgentapp N [polled]      without the word both are pushed
 //
 // It prints to stderr what publish says first of an urgent release that it refuses.
 #include <atomic>
@@ -55,6 +55,14 @@ int main(int argc, char** argv) {
   const int every = argc > 1 ? std::atoi(argv[1]) : 2;
   xauto::App app("urgentapp");
   const xauto::Topic<int> camera("camera"), lidar("lidar");
+  if (argc > 2) {
+    const auto number = [](std::uint64_t k) { return static_cast<int>(k); };
+    app.add_source(camera, 20ms, number, [every](int k, std::uint64_t) { return k % every == 0; });
+    app.add_source(lidar, 20ms, number);
+    add(app, "camera", camera, 3ms);
+    add(app, "lidar", lidar, 8ms);
+    return app.main(argc, argv);
+  }
   const xauto::Source<int> cameras = app.add_source(camera, xauto::pushed(20ms));
   const xauto::Source<int> lidars = app.add_source(lidar, xauto::pushed(20ms));
   add(app, "camera", camera, 3ms);
