@@ -134,8 +134,9 @@ class Team {
   }
 
   [[nodiscard]] std::vector<Space> rounds() const {
-    using enum Space;
-    const Space order = TabuSearch::serves(problem_) ? kTabu : kOrdered;
+    constexpr auto kPriorities = Space::kPriorities, kOrdered = Space::kOrdered;
+    constexpr auto kDispatched = Space::kDispatched, kMixed = Space::kMixed;
+    const Space order = TabuSearch::serves(problem_) ? Space::kTabu : kOrdered;
     if (options_.priorities_only) return {kPriorities};
     if (options_.certify) return {order, kOrdered};
     const bool mixing = some_preempt_ && some_pay_;

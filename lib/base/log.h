@@ -17,25 +17,32 @@ namespace xauto::log {
 enum class Level { kDebug, kInfo, kWarn, kError };
 void write(Level level, std::string_view text);
 
+#if FMT_VERSION >= 80000
+using fmt::format_string;
+#else  // not looked at by the compiler yet
+template <class...>
+using format_string = fmt::string_view;
+#endif
+
 template <class... Args>
-void debug(fmt::format_string<Args...> format, Args&&... args) {
+void debug(format_string<Args...> format, Args&&... args) {
   write(Level::kDebug, fmt::format(format, std::forward<Args>(args)...));
 }
 template <class... Args>
-void info(fmt::format_string<Args...> format, Args&&... args) {
+void info(format_string<Args...> format, Args&&... args) {
   write(Level::kInfo, fmt::format(format, std::forward<Args>(args)...));
 }
 template <class... Args>
-void warn(fmt::format_string<Args...> format, Args&&... args) {
+void warn(format_string<Args...> format, Args&&... args) {
   write(Level::kWarn, fmt::format(format, std::forward<Args>(args)...));
 }
 template <class... Args>
-void error(fmt::format_string<Args...> format, Args&&... args) {
+void error(format_string<Args...> format, Args&&... args) {
   write(Level::kError, fmt::format(format, std::forward<Args>(args)...));
 }
 /// What to do about the error just reported.
 template <class... Args>
-void hint(fmt::format_string<Args...> format, Args&&... args) {
+void hint(format_string<Args...> format, Args&&... args) {
   write(Level::kError, "  hint: " + fmt::format(format, std::forward<Args>(args)...));
 }
 

@@ -5,20 +5,46 @@
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
+#include <utility>
 
 #include <fcntl.h>
 #include <poll.h>
 #include <signal.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
-#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
+
+#include "base/syscalls.h"
 
 extern char** environ;
 
 namespace xauto {
 namespace {
+
+/// Those that end a program.
+constexpr std::pair<int, const char*> kSignalNames[] = {
+    {SIGHUP, "SIGHUP"},   {SIGINT, "SIGINT"},   {SIGQUIT, "SIGQUIT"}, {SIGILL, "SIGILL"},
+    {SIGTRAP, "SIGTRAP"}, {SIGABRT, "SIGABRT"}, {SIGBUS, "SIGBUS"},   {SIGFPE, "SIGFPE"},
+    {SIGKILL, "SIGKILL"}, {SIGUSR1, "SIGUSR1"}, {SIGSEGV, "SIGSEGV"}, {SIGUSR2, "SIGUSR2"},
+    {SIGPIPE, "SIGPIPE"}, {SIGALRM, "SIGALRM"}, {SIGTERM, "SIGTERM"}, {SIGXCPU, "SIGXCPU"},
+    {SIGXFSZ, "SIGXFSZ"}, {SIGSYS, "SIGSYS"}};
+
+/// Descriptors first..last, at exec. Before Linux 5.11 (JetPack 5 has 5.10) that cannot be said of many
+/// at once: then they are closed now, all but `error_fd`, which says so of itself.
+void close_at_exec(unsigned first, unsigned last, int error_fd) {
+  if (first > last || syscall(SYS_close_range, first, last, CLOSE_RANGE_CLOEXEC) == 0) return;
+  const auto close_now = [](unsigned from, unsigned to) {
+    if (from > to || syscall(SYS_close_range, from, to, 0) == 0) return;
+    rlimit limit{};
+    if (getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
+    for (unsigned fd = from; fd <= to && fd < limit.rlim_cur; ++fd) close(static_cast<int>(fd));
+  };
+  const auto stays = static_cast<unsigned>(error_fd);
+  if (stays < first || stays > last) return close_now(first, last);
+  if (stays > first) close_now(first, stays - 1);
+  if (stays < last) close_now(stays + 1, last);
+}
 
 /// In the child, between fork and exec: only async-signal-safe calls.
 [[noreturn]] void become(const std::vector<char*>& argv, const std::vector<char*>& environment,
@@ -38,11 +64,11 @@ namespace {
   unsigned next = 3;
   for (const int fd : keep) {
     const auto kept = static_cast<unsigned>(fd);
-    if (kept > next) syscall(SYS_close_range, next, kept - 1, CLOSE_RANGE_CLOEXEC);
+    close_at_exec(next, kept - 1, error_fd);
     if (fcntl(fd, F_SETFD, 0) != 0) die(errno);
     next = kept + 1;
   }
-  syscall(SYS_close_range, next, ~0u, CLOSE_RANGE_CLOEXEC);
+  close_at_exec(next, ~0u, error_fd);
   execvpe(argv[0], argv.data(), environment.data());
   die(errno);
   _exit(127);
@@ -53,9 +79,9 @@ namespace {
 std::string Exit::to_string() const {
   if (unknown) return "an exit status that this program's own waitpid took";
   if (!signalled) return "exit status " + std::to_string(value);
-  const char* name = sigabbrev_np(value);
-  return std::string("signal ") +
-         (name != nullptr ? std::string("SIG") + name : std::to_string(value));
+  for (const auto& [number, name] : kSignalNames)
+    if (number == value) return std::string("signal ") + name;
+  return "signal " + std::to_string(value);
 }
 
 Result<Child> Child::spawn(const SpawnOptions& options) {

@@ -9,8 +9,9 @@
 #include <string_view>
 #include <system_error>
 
-#include <sys/syscall.h>
 #include <unistd.h>
+
+#include "base/syscalls.h"
 
 namespace xauto::kernel {
 namespace {

@@ -2,10 +2,10 @@
 #include "model/json_document.h"
 
 #include <algorithm>
-#include <charconv>
 #include <set>
 #include <vector>
 
+#include "base/number.h"
 #include "model/app.h"
 #include "model/json.h"
 
@@ -453,16 +453,14 @@ ParameterValue Reader::scalar() const {
 std::string Reader::decimal() const {
   if (value_ == nullptr) return {};
   if (value_->is_string()) return text();
-  char digits[64];
-  std::to_chars_result end{digits, std::errc::invalid_argument};
+  std::string digits;
   if (value_->is_number_unsigned())
-    end = std::to_chars(digits, digits + sizeof digits, value_->get<std::uint64_t>());
+    digits = std::to_string(value_->get<std::uint64_t>());
   else if (value_->is_number_integer())
-    end = std::to_chars(digits, digits + sizeof digits, value_->get<std::int64_t>());
+    digits = std::to_string(value_->get<std::int64_t>());
   else if (value_->is_number_float())
-    end = std::to_chars(digits, digits + sizeof digits, value_->get<double>(),
-                        std::chars_format::fixed);
-  if (end.ec == std::errc()) return {digits, end.ptr};
+    digits = decimal_of(value_->get<double>());
+  if (!digits.empty()) return digits;
   refuse("must be a number of less than 64 digits, is " + shown(*value_));
   return {};
 }

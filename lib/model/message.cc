@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "model/message.h"
 
-#include <bit>
 #include <cstdlib>
 #include <stdexcept>
 
 #include <cxxabi.h>
 
 #include "base/clock.h"
+#include "base/number.h"
 
 namespace xauto {
 namespace {
@@ -128,7 +128,7 @@ std::int64_t Input::integer_of(const detail::ParameterSpec& parameter) const {
 }
 
 double Input::real_of(const detail::ParameterSpec& parameter) const {
-  return std::bit_cast<double>(now_of(*data_, parameter).bits);
+  return real_of_bits(now_of(*data_, parameter).bits);
 }
 
 const std::string& Input::text_of(const detail::ParameterSpec& parameter) const {

@@ -2,11 +2,12 @@
 #include "model/parameter.h"
 
 #include <algorithm>
-#include <bit>
 #include <charconv>
 #include <cmath>
 #include <limits>
 #include <optional>
+
+#include "base/number.h"
 
 namespace xauto {
 namespace {
@@ -27,9 +28,8 @@ std::string wrong_text(const std::string& text) {
   return has_control(text) ? "contains a control character" : "";
 }
 
-template <class T>
-std::optional<T> number_of(std::string_view text) {
-  T value{};
+std::optional<std::int64_t> integer_of(std::string_view text) {
+  std::int64_t value = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
   return value;
@@ -47,12 +47,8 @@ std::string to_text(const ParameterValue& value) {
       return std::get<bool>(value) ? "true" : "false";
     case ParameterType::kInteger:
       return std::to_string(std::get<std::int64_t>(value));
-    case ParameterType::kReal: {
-      char digits[32];
-      const auto [end, error] =
-          std::to_chars(digits, digits + sizeof digits, std::get<double>(value));
-      return {digits, error == std::errc() ? end : digits};
-    }
+    case ParameterType::kReal:
+      return text_of(std::get<double>(value));
     case ParameterType::kText:
       break;
   }
@@ -66,7 +62,7 @@ std::uint64_t bits_of(const ParameterValue& value) {
     case ParameterType::kInteger:
       return static_cast<std::uint64_t>(std::get<std::int64_t>(value));
     case ParameterType::kReal:
-      return std::bit_cast<std::uint64_t>(std::get<double>(value));
+      return bits_of_real(std::get<double>(value));
     case ParameterType::kText:
       break;
   }
@@ -80,7 +76,7 @@ ParameterValue from_bits(ParameterType type, std::uint64_t bits) {
     case ParameterType::kInteger:
       return static_cast<std::int64_t>(bits);
     case ParameterType::kReal:
-      return std::bit_cast<double>(bits);
+      return real_of_bits(bits);
     case ParameterType::kText:
       break;
   }
@@ -136,12 +132,12 @@ Result<ParameterValue> ParameterSpec::take_text(std::string_view text) const {
       if (text != "true" && text != "false") return refused("say true or false");
       return take(text == "true");
     case ParameterType::kInteger: {
-      const auto number = number_of<std::int64_t>(text);
+      const auto number = integer_of(text);
       if (!number) return refused("say a whole number, as 12");
       return take(*number);
     }
     case ParameterType::kReal: {
-      const auto number = number_of<double>(text);
+      const auto number = real_of(text);
       if (!number || !std::isfinite(*number)) return refused("say a number, as 0.5");
       return take(*number);
     }

@@ -1,12 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "base/process.h"
 
+#include <cstddef>
+#include <tuple>
+
+#include <fcntl.h>
 #include <gtest/gtest.h>
+#include <linux/filter.h>
+#include <linux/seccomp.h>
 #include <signal.h>
+#include <sys/prctl.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include "base/memory_file.h"
 #include "base/socket.h"
+#include "base/syscalls.h"
 
 namespace xauto {
 namespace {
@@ -50,6 +59,47 @@ TEST(Process, OnlyWhatIsNamedIsInherited) {
                     .inherit = {kept->get()}});
   ASSERT_TRUE(child);
   EXPECT_EQ(child->wait(10'000)->to_string(), "exit status 0");
+}
+
+/// close_range, in this process and its children, as kernels before 5.11 (`flags`: those with a flag
+/// only) or before 5.9 have it.
+bool refuse_close_range(bool flags, int error) {
+  const auto nr = static_cast<std::uint32_t>(offsetof(seccomp_data, nr));
+  const auto flag = static_cast<std::uint32_t>(offsetof(seccomp_data, args[2]));
+  sock_filter code[] = {
+      BPF_STMT(BPF_LD | BPF_W | BPF_ABS, nr),
+      BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, SYS_close_range, 0, 3),
+      BPF_STMT(BPF_LD | BPF_W | BPF_ABS, flag),
+      BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, flags ? 0 : ~0u, 1, 0),
+      BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | static_cast<std::uint32_t>(error)),
+      BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW),
+  };
+  const sock_fprog program{sizeof code / sizeof code[0], code};
+  return prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0 &&
+         prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, &program) == 0;
+}
+
+TEST(Process, SoItIsOnOldKernels) {
+  for (const auto& [flags, error] : {std::tuple(true, EINVAL), std::tuple(false, ENOSYS)}) {
+    const pid_t pid = fork();  // the filter stays for good
+    if (pid == 0) {
+      int ends[2];
+      if (!refuse_close_range(flags, error) || pipe(ends) != 0) _exit(2);
+      // One that is kept, and gaps on both sides.
+      const int kept = fcntl(ends[0], F_DUPFD, 500), closed = fcntl(ends[0], F_DUPFD, 700);
+      const auto there = [](int fd) { return "[ -e /proc/self/fd/" + std::to_string(fd) + " ]"; };
+      auto child = Child::spawn({.argv = {"sh", "-c",
+                                          there(kept) + " && ! " + there(closed) + " && ! " +
+                                              there(ends[0]) + " && ! " + there(ends[1])},
+                                 .inherit = {kept}});
+      if (!child || child->wait(10'000)->to_string() != "exit status 0") _exit(1);
+      const auto missing = Child::spawn({.argv = {"/nowhere/xauto-emud"}});
+      _exit(!missing && missing.error().code == ErrorCode::kNotFound ? 0 : 3);
+    }
+    int status = 0;
+    ASSERT_EQ(waitpid(pid, &status, 0), pid);
+    EXPECT_EQ(status, 0) << "error " << error;
+  }
 }
 
 TEST(Process, EnvironmentIsAddedToOurs) {

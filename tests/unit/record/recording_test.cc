@@ -181,7 +181,9 @@ TEST_F(RecordingTest, MessageBeyondTheLimitIsRefused) {
   ASSERT_TRUE(recording) << recording.error().to_string();
   const auto message = recording->next();
   ASSERT_FALSE(message);
-  EXPECT_EQ(message.error().what, "message 2: data is longer than 67108864 bytes");
+  // By us, or by an older SQLite, which refuses the whole row.
+  EXPECT_NE(message.error().what.find("than 67108864 bytes"), std::string::npos)
+      << message.error().what;
 }
 
 TEST_F(RecordingTest, FolderWithoutOrWithSeveralRecordingsIsRefused) {
