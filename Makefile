@@ -66,6 +66,11 @@ bench:
 	@scripts/setup.sh build bench transport
 	@JOBS=$(JOBS) scripts/bench.sh $(if $(QUICK),--quick)
 
+# Whether the oldest tools that we promise (docs/dependencies.md) build it, and it works: in a Debian 11 root.
+floor-check:
+	@scripts/setup.sh build package
+	@JOBS=$(JOBS) scripts/check.sh floor
+
 # The API's reference: build/docs/html/index.html.
 docs:
 	@scripts/setup.sh check
@@ -88,4 +93,4 @@ setup:
 clean:
 	@rm -rf build build-debug build-asan build-tsan build-fuzz
 
-.PHONY: all build demo pedestrians check check-fast check-full kernel-check packages package-check modules style unit asan tsan fuzz bench docs format tidy setup clean
+.PHONY: all build demo pedestrians check check-fast check-full kernel-check packages package-check floor-check modules style unit asan tsan fuzz bench docs format tidy setup clean

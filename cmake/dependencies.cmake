@@ -2,12 +2,12 @@
 # Everything that we link, each once. Why each is here: docs/dependencies.md. Installed by
 # scripts/setup.sh. Foreign headers are SYSTEM so that our warning level stops at our own code.
 find_package(Threads REQUIRED)
-find_package(nlohmann_json 3.11 REQUIRED)  # JSON: lib/model, see json_value.h there
+find_package(nlohmann_json 3.9 REQUIRED)   # JSON: lib/model, see json_value.h there
 find_package(CLI11 2.1 REQUIRED)           # command lines: tools/cli only
-find_package(fmt 9 REQUIRED)               # text formatting
-find_package(spdlog 1.10 REQUIRED)         # logs for people: lib/base/log.cc only
+find_package(fmt 7.1 REQUIRED)             # text formatting
+find_package(spdlog 1.8 REQUIRED)          # logs for people: lib/base/log.cc only
 find_package(SQLite3 REQUIRED)             # recorded inputs: lib/record only
-find_package(Eigen3 3.4 REQUIRED NO_MODULE)  # solver
+find_package(Eigen3 3.3 REQUIRED NO_MODULE)  # solver
 find_path(XAUTO_EXPECTED_INCLUDE tl/expected.hpp REQUIRED)  # Result<T>
 find_path(LPSOLVE_INCLUDE lpsolve/lp_lib.h REQUIRED)        # the ILP: solver/ only
 find_library(LPSOLVE_LIBRARY NAMES lpsolve55_pic lpsolve55 REQUIRED)
@@ -20,7 +20,7 @@ find_package(PkgConfig REQUIRED)
 pkg_check_modules(LIBNL REQUIRED IMPORTED_TARGET libnl-genl-3.0)
 
 # Timelines in Perfetto's format: lib/story only.
-find_package(Protobuf 3.21 REQUIRED)
+find_package(Protobuf 3.12 REQUIRED)
 
 # Topics to and from DDS: lib/transport/cyclonedds only, a plug-in.
 option(XAUTO_CYCLONEDDS "Build the plug-in for Cyclone DDS (ROS 2) where cyclonedds-dev is installed" ON)

@@ -147,6 +147,7 @@ full() {
   tsan
   kernel
   package
+  floor
 }
 # A script whose last line is "N passed, M failed, K skipped".
 counted() {
@@ -198,6 +199,10 @@ release_and_packages() {
   integration build -LE long
   joined
 }
+floor() {
+  note "the oldest tools, in a Debian 11 root"
+  counted "the oldest tools" scripts/floor-check.sh
+}
 # The Debian packages, made of the release build and tried in a clean root; scripts/package-check.sh counts.
 package() {
   build ci build "${release[@]}" || return
@@ -211,9 +216,9 @@ case ${1:-check} in
     release_and_packages
     kernel_and_sanitizers
     ;;
-  style | unit | asan | tsan | fuzz | kernel | package | fast | full) "$1" ;;
+  style | unit | asan | tsan | fuzz | kernel | package | fast | full | floor) "$1" ;;
   *)
-    echo "usage: scripts/check.sh [check|fast|full|style|unit|asan|tsan|fuzz|kernel|package]" >&2
+    echo "usage: scripts/check.sh [check|fast|full|style|unit|asan|tsan|fuzz|kernel|package|floor]" >&2
     exit 2
     ;;
 esac

@@ -7,6 +7,7 @@
 set -uo pipefail
 root=$(realpath "$(dirname "$0")/..")
 cd "$root" || exit 2
+. tests/package/tap.sh
 if [ "${1:-}" != --inside ]; then
   build=$(realpath -m "${1:-build}")
   if [ "$(id -u)" -ne 0 ] || ! unshare --mount --pid --fork true 2>/dev/null; then
@@ -20,21 +21,11 @@ if [ "${1:-}" != --inside ]; then
   # 20 minutes is for a machine with a slow mirror; on this project's 2 cores it takes a minute and a half.
   timeout -k 10 1200 unshare --mount --propagation private --pid --fork --kill-child --mount-proc \
     "$0" --inside "$build" </dev/null 2>&1 | tee "$log"
-  awk -v status="${PIPESTATUS[0]}" '
-    /^1\.\.[0-9]+/ { planned += substr($0, 4) }
-    /^ok [0-9]+/ { run++; if ($0 ~ /# SKIP/) skip++; else good++ }
-    /^not ok [0-9]+/ { run++; bad++ }
-    END {
-      if (planned != run || !run) { bad++; print "# " run + 0 " checks ran, " planned + 0 " were planned" }
-      else if (status != 0 && !bad) bad++
-      printf "%d passed, %d failed, %d skipped\n", good, bad, skip
-      exit bad > 0
-    }' "$log"
+  total "$log" "${PIPESTATUS[0]}"
   exit
 fi
 
 { # read whole before it runs: the file may be edited meanwhile
-. tests/package/tap.sh
 build=$2
 debs=$build/package/debs
 abi() { scripts/package-abi.sh "$build/package/abi"; }

@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Makes a clean Debian 12 root as a tar file in the cache, and prints its path. Made again when older than a week.
+# Makes a clean Debian root as a tar file in the cache, and prints its path. Made again when older than a week.
 # usage: package-root.sh            to try packages in: a developer's tools (compiler, CMake, DKMS, a kernel's headers), and nothing of
 #                                   XAuto or of what it depends on
+#        package-root.sh floor      Debian 11 with the oldest of what XAuto is built with; see floor-check.sh
 #        package-root.sh ARCH       to build packages for ARCH in: cross-compiler, XAuto's build dependencies of that architecture, and an
 #                                   emulator to try them
 # environment: TMPDIR, better on a tmpfs: dpkg waits for the disk after every file
@@ -11,7 +12,7 @@ here=$(dirname "$(realpath "$0")")
 cache=${XAUTO_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/xauto}
 native=$(dpkg --print-architecture)
 target=${1:-}
-suites="bookworm bookworm-security"
+release=bookworm suites="bookworm bookworm-security"
 command -v mmdebstrap >/dev/null || { echo "package-root: mmdebstrap is missing; run scripts/setup.sh package" >&2; exit 1; }
 
 if [ -z "$target" ]; then
@@ -19,6 +20,13 @@ if [ -z "$target" ]; then
   # bash-completion, man-db: what reads our files; systemd, udev: every Debian has them, and they check the unit.
   packages="g++ cmake make pkg-config bash-completion systemd udev man-db dkms linux-headers-cloud-$native"
   options=()
+elif [ "$target" = floor ]; then
+  target="" release=bullseye suites=bullseye
+  name=floor-$native
+  packages="g++ cmake ninja-build ccache pkg-config python3 nlohmann-json3-dev libfmt-dev libspdlog-dev libeigen3-dev liblpsolve55-dev
+    libsuitesparse-dev protobuf-compiler libprotobuf-dev libexpected-dev libgtest-dev libgmock-dev libnl-genl-3-dev libsqlite3-dev"
+  # Headers only, and Debian 11 has none: bookworm's.
+  options=(--customize-hook="cp -r /usr/include/CLI \"\$1/usr/include/\" && cp -r /usr/share/cmake/CLI11 \"\$1/usr/share/cmake/\"")
 else
   name=cross-$target
   suites+=" bookworm-backports"
@@ -50,7 +58,7 @@ trap 'rm -rf "$work"' EXIT
 options+=(--aptopt='APT::Install-Recommends "false"')
 for file in /etc/apt/apt.conf.d/99*; do [ -e "$file" ] && options+=("--aptopt=$file"); done
 part=${tar%.tar}.part.tar
-if ! mmdebstrap --variant=minbase --mode=root --include="$packages" "${options[@]}" bookworm "$part" "$work/view/sources.list" \
+if ! mmdebstrap --variant=minbase --mode=root --include="$packages" "${options[@]}" $release "$part" "$work/view/sources.list" \
   >"$work/log" 2>&1; then
   tail -n 15 "$work/log" >&2
   echo "package-root: no Debian root; is the mirror in /etc/apt reachable?" >&2

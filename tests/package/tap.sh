@@ -50,3 +50,16 @@ plan() {
   echo "1..$checks"
   [ $bad -eq 0 ]
 }
+# total LOG STATUS: "N passed, M failed, K skipped" of a log of such lines; fewer than were planned is a failure.
+total() {
+  awk -v status="$2" '
+    /^1\.\.[0-9]+/ { planned += substr($0, 4) }
+    /^ok [0-9]+/ { run++; if ($0 ~ /# SKIP/) skip++; else good++ }
+    /^not ok [0-9]+/ { run++; bad++ }
+    END {
+      if (planned != run || !run) { bad++; print "# " run + 0 " checks ran, " planned + 0 " were planned" }
+      else if (status != 0 && !bad) bad++
+      printf "%d passed, %d failed, %d skipped\n", good, bad, skip
+      exit bad > 0
+    }' "$1"
+}
