@@ -142,6 +142,7 @@ full() {
   one "what \`make\` builds where only the group build is installed" \
     bash -c 'cmake --preset release -B build-bare -DXAUTO_BPF=OFF -DXAUTO_PEDESTRIANS=OFF && ninja -C build-bare'
   build ci build && { note "tests, release"; tests build -LE integration; integration build; }
+  one "attacks on steady policies" build/tests/attack_steady --policies 40 --solved 10 # 10^8 jobs
   build asan build-asan && { note "tests, ASan+UBSan"; tests build-asan -L 'unit|fuzz'; integration build-asan; }
   tests build-asan -L heavy -R 'Certify|BruteForce|Simulate|Objectives|TheAttack' # a minute
   tsan
