@@ -12,11 +12,10 @@ namespace xauto {
 
 struct ContextCounts {
   std::atomic<std::uint32_t> incomplete{};  ///< now: a stage has not run yet, so more may be opened
-  std::atomic<std::uint32_t>
-      partial{};  ///< suspensions that may have left out what was just opened
-  std::atomic<std::uint32_t> unclaimed{};  ///< TSGs and DLA queues of which nobody knows whose
-  std::atomic<std::uint32_t> shared{};     ///< contexts whose queue is another's, too
-  std::atomic<std::uint32_t> gated{};      ///< contexts that the kernel module preempts no more
+  std::atomic<std::uint32_t> partial{};     ///< suspensions that may have left out what was new
+  std::atomic<std::uint32_t> unclaimed{};   ///< TSGs and DLA queues of which nobody knows whose
+  std::atomic<std::uint32_t> shared{};      ///< contexts whose queue is another's, too
+  std::atomic<std::uint32_t> gated{};       ///< contexts that the kernel module preempts no more
 
   /// Why no worst case holds, a line each, for people. `live`: of a run that goes on.
   [[nodiscard]] std::vector<std::string> doubts(bool live) const {

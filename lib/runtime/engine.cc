@@ -182,8 +182,10 @@ RunReport Engine::report() {
   if (context_->session.keys && wiring_->lost_scheduler())
     result.unkept.emplace_back(
         "nobody kept keys on real CPUs after the sched_ext scheduler had ended");
-  for (std::string& line : context_->board.contexts().doubts(false))
-    result.unkept.push_back(std::move(line));
+  const ContextCounts& contexts = context_->board.contexts();
+  for (std::string& line : contexts.doubts(false)) result.unkept.push_back(std::move(line));
+  result.contexts = {contexts.partial.load(), contexts.unclaimed.load(), contexts.shared.load(),
+                     contexts.gated.load()};
   add_note(result.note, changed_parameters(context_->board));
   if (releaser_) result.broken = releaser_->broken();
   return result;

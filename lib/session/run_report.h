@@ -49,6 +49,12 @@ struct RouteReport {
       {};  ///< of latency_us, the releases that the chain's source marked urgent
 };
 
+/// What was not suspended as it should (base/context_counts.h).
+struct ContextReport {
+  std::uint32_t partial = 0, unclaimed = 0, shared = 0, gated = 0;
+  [[nodiscard]] bool any() const { return (partial | unclaimed | shared | gated) != 0; }
+};
+
 struct RunReport {
   bool complete = false;          ///< every release was accounted for before the end
   std::string note;               ///< why not, or what was done differently; for people
@@ -58,6 +64,7 @@ struct RunReport {
   std::vector<ModuleReport> modules;
   std::vector<XNodeReport> xnodes;  ///< those with limits
   std::vector<RouteReport> routes;
+  ContextReport contexts;
   std::vector<std::string> lost_coordinators;
   std::vector<std::string> died;  ///< modules whose process ended before its time, each time
   std::uint64_t deadline_misses = 0;

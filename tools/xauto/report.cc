@@ -377,6 +377,11 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       xnodes.push_back(std::move(entry));
     }
     j["limited_xnodes"] = std::move(xnodes);
+    if (const runtime::ContextReport& of = run.report.contexts; of.any())
+      j["contexts"] = {{"partial", of.partial},
+                       {"unclaimed", of.unclaimed},
+                       {"shared", of.shared},
+                       {"gated", of.gated}};
     Json notes = Json::array();
     if (!run.report.note.empty()) notes.push_back(run.report.note);
     for (const std::string& note : run.outcome.notes) notes.push_back(note);

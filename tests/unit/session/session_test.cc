@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "model/periodic.h"
+#include "session/run_report.h"
 
 namespace xauto::runtime {
 namespace {
@@ -54,6 +55,17 @@ TEST(Session, KeysTravelAsKeys) {
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_EQ(read->keys, session.keys);
   EXPECT_EQ(read->policy, session.policy);
+}
+
+TEST(RunReport, WhatWasNotSuspendedTravels) {
+  RunReport report;
+  report.contexts = {1, 2, 3, 4};
+  const auto read = parse_run_report(to_json(report));
+  ASSERT_TRUE(read) << read.error().to_string();
+  EXPECT_EQ(read->contexts.partial, 1u);
+  EXPECT_EQ(read->contexts.unclaimed, 2u);
+  EXPECT_EQ(read->contexts.shared, 3u);
+  EXPECT_EQ(read->contexts.gated, 4u);
 }
 
 }  // namespace
