@@ -42,6 +42,7 @@
 #define XAUTO_BPF_MAX_XNODES 4096
 #define XAUTO_BPF_MAX_SLOTS 256	   /* execution threads of one run */
 #define XAUTO_BPF_MAX_CPUS 256
+#define XAUTO_BPF_DUMP 32768	   /* of a kernel's dump, which is as long by default */
 #define XAUTO_BPF_KEY_LIMIT 0x1000000000000000LL /* 2^60 */
 
 /* A job in one word, so that it can be told by one store: XNode + 1 (0: none), its activation. */
