@@ -7,6 +7,7 @@ contained() { # CAPABILITIES, /sys: ro or rw, /sys/fs/bpf: own or shared, COMMAN
   # The cgroup that is its root has no process of its own, so that it may limit those below.
   mkdir -p /sys/fs/cgroup/box/app
   echo +cpu >/sys/fs/cgroup/cgroup.subtree_control
+  echo -cpu >/sys/fs/cgroup/box/cgroup.subtree_control # of the container before
   sh -c 'echo 0 >/sys/fs/cgroup/box/cgroup.procs && exec /usr/local/bin/unshare --cgroup sh -c "
     echo 0 >/sys/fs/cgroup/box/app/cgroup.procs && exec \"\$@\"" - "$@"' - \
     /usr/local/bin/unshare --pid --fork --kill-child --mount --uts --ipc --net sh -c '
