@@ -142,7 +142,7 @@ scx() {
   VM_APPEND=$append VM_THREADS=single VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
 }
 
-# machine NAME: what takes four CPUs in two clusters, and containers.
+# machine NAME: what takes four CPUs in two clusters, and containers. In the guest's own virtual time.
 machine() {
   local kernel items=() program
   note "sched_ext on four CPUs in two clusters, in a container, too, on Linux $1"
@@ -150,21 +150,20 @@ machine() {
   for program in scx_lend_test scx_machine_test xauto-cpusched; do items+=("$build/bin/$program"); done
   for program in unshare setpriv; do items+=("$(command -v $program):/usr/local/bin/$program"); done
   items+=("tests/kselftest/scx/container.sh:/tests/scx/container.sh")
-  VM_CPUS=4,sockets=2,cores=2 VM_THREADS=single VM_APPEND=${XAUTO_FULL:+xauto.full} VM_LIMIT_S=${VM_LIMIT_S:-900} \
+  VM_CPUS=4,sockets=2,cores=2 VM_ICOUNT=1 VM_APPEND=${XAUTO_FULL:+xauto.full} VM_LIMIT_S=${VM_LIMIT_S:-900} \
     in_vm "machine-$1" "$kernel" run-machine "${items[@]}"
 }
 
-# keys NAME [CPUS]: a policy of keys under sched_ext, in the guest's own virtual time. On one CPU: emulated ones take turns, milliseconds
-# each, and all but one of them are late then.
+# keys NAME: a policy of keys under sched_ext, in the guest's own virtual time. On one CPU: emulated ones take turns, milliseconds each.
 keys() {
-  local kernel items=() program name=keys-$1${2:+-$2}
-  note "keys under sched_ext on Linux $1, ${2:-1} CPUs"
+  local kernel items=() program
+  note "keys under sched_ext on Linux $1"
   kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
   for program in periodic_cpu xauto xauto-coordinator xauto-emud xauto-cpusched; do items+=("$build/bin/$program"); done
   for program in keys.sh keys.awk; do items+=("tests/kselftest/scx/$program:/tests/scx/$program"); done
-  VM_APPEND=${XAUTO_FULL:+xauto.seconds=190} VM_ICOUNT=1 VM_CPUS=${2:-1} VM_LIMIT_S=${VM_LIMIT_S:-${XAUTO_FULL:+5400}} \
-    in_vm "$name" "$kernel" run-keys "${items[@]}"
-  grep '^# jobs' "$out/$name.log"
+  VM_APPEND=${XAUTO_FULL:+xauto.seconds=190} VM_ICOUNT=1 VM_CPUS=1 VM_LIMIT_S=${VM_LIMIT_S:-${XAUTO_FULL:+5400}} \
+    in_vm "keys-$1" "$kernel" run-keys "${items[@]}"
+  grep '^# jobs' "$out/keys-$1.log"
 }
 
 # The Driving Case over the emulator modules, in the guest's own virtual time.
@@ -201,7 +200,7 @@ consumers() {
 { # read whole before it runs: the file may be edited meanwhile
 if [ ${#lanes[@]} -eq 0 ]; then
   lanes=(kmod-7.x scx-7.x machine-7.x keys-7.x)
-  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 machine-7.x keys-7.x keys-6.12 keys-7.x-4)
+  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 machine-7.x keys-7.x keys-6.12)
 fi
 if [ ${#lanes[@]} -gt 1 ]; then
   # A guest's clocks go on while this machine stalls, so a lane that fails is run once more, and named; a fault fails twice.
@@ -226,7 +225,6 @@ else
     driving | consumers) "$lane" ;;
     scx-*) scx "${lane#scx-}" ;;
     machine-*) machine "${lane#machine-}" ;;
-    keys-*-4) lane=${lane#keys-} && keys "${lane%-4}" 4 ;;
     keys-*) keys "${lane#keys-}" ;;
     kmod-kasan) kasan ;;
     kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;
