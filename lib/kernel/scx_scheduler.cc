@@ -102,7 +102,8 @@ Status keep_scx_dump(const std::string& root, const std::string& run, const std:
   const std::string path = root + kDump;
   std::filesystem::create_directories(std::filesystem::path(path).parent_path(), error);
   // Names of all users' threads are in it.
-  const UniqueFd file(open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600));
+  const UniqueFd file(
+      open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, 0600));
   const std::string text = "run " + run + ": " + why + "\n" + dump;
   if (file.get() < 0 || write(file.get(), text.data(), text.size()) < 0)
     return fail(ErrorCode::kIo, path + ": " + strerror(errno));
