@@ -64,6 +64,10 @@ struct sched_ext_entity {
 	unsigned long runnable_at;
 };
 
+struct sched_entity {
+	u64 sum_exec_runtime;
+};
+
 struct cfs_bandwidth {
 	s64 period;
 	u64 quota;
@@ -102,8 +106,10 @@ struct task_struct {
 	struct pid *thread_pid;
 	struct rt_mutex_waiter *pi_blocked_on;
 	int nr_cpus_allowed;
+	unsigned short migration_disabled;
 	const struct cpumask *cpus_ptr;
 	struct task_group *sched_task_group;
+	struct sched_entity se;
 	struct sched_ext_entity scx;
 	char comm[16];
 };
@@ -149,6 +155,7 @@ struct scx_exit_info {
 	s64 exit_code;
 	const char *reason;
 	char *msg;
+	char *dump;
 };
 
 #pragma clang attribute pop

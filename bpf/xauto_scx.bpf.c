@@ -73,6 +73,12 @@ const volatile unsigned int age_ms = 1000;
 const volatile unsigned long rescue_jiffies = 1000; /* an ordinary thread that waits longer goes first */
 const volatile unsigned int rescue_look_ms = 100;   /* how often we look for one */
 
+/* CPUs that share a cache, by one of them: a thread that may choose stays among those of its own. */
+const volatile unsigned char cluster_of[XAUTO_BPF_MAX_CPUS];
+
+/* The kernel's dump of the error that ended us, for the loader. */
+char exit_dump[XAUTO_BPF_DUMP] SEC(".data.dump");
+
 #define FAIR_DSQ 0x58460000ULL
 #define PARKED_DSQ 0x58460001ULL
 #define XNODE_DSQ(cpu) (0x58440000ULL | (u32)(cpu))
@@ -97,6 +103,8 @@ const volatile unsigned int rescue_look_ms = 100;   /* how often we look for one
  * @credit_ns: of the floor; negative after a turn that a late tick made longer
  * @credit_at: when it was last refilled
  * @began_ns:  when @current began, or was last accounted
+ * @began_run: what the kernel had counted for it then. An ordinary thread is charged by that: it has in it
+ *             what passes in the kernel before running(), and not what a hypervisor took
  * @grant:     the thread chosen last is to run on the floor's credit; stopping() of its predecessor
  *             comes between that choice and its running()
  * @granted:   the thread that runs does so on the floor's credit
@@ -110,6 +118,7 @@ struct cpu_state {
 	s64 credit_ns;
 	u64 credit_at;
 	u64 began_ns;
+	u64 began_run;
 	u32 grant;
 	u32 granted;
 	u32 woken;
@@ -191,9 +200,10 @@ static __always_inline bool hurries(const struct task_struct *p)
 /* The same of an ordinary thread: of its fair share, its cgroups, and of the floor's credit. */
 static __always_inline bool charge_ordinary(struct cpu_state *c, struct task_struct *p, u64 now)
 {
-	u64 ran = now > c->began_ns ? now - c->began_ns : 0;
+	u64 ran = p->se.sum_exec_runtime - c->began_run;
 
 	c->began_ns = now;
+	c->began_run += ran;
 	set_vtime(p, p->scx.dsq_vtime + ran * 100 / (p->scx.weight ?: 100));
 	if (c->granted)
 		c->credit_ns -= (s64)ran;
@@ -246,28 +256,36 @@ static __always_inline s32 place(struct task_struct *p, const struct claim *c)
 	return cpu;
 }
 
+static __always_inline bool is_near(u32 a, u32 b)
+{
+	return cluster_of[a % XAUTO_BPF_MAX_CPUS] == cluster_of[b % XAUTO_BPF_MAX_CPUS];
+}
+
+/* One that shares a cache with the policy's CPU, if there is such a one. */
 static __always_inline s32 home_of(struct task_struct *p, const struct claim *c)
 {
-	s32 cpu = place(p, c), first;
+	s32 cpu = place(p, c), first = -1;
 	struct bpf_iter_num it;
 	int *i;
 
 	if (cpu >= 0)
 		return cpu;
-	first = (s32)bpf_cpumask_first(p->cpus_ptr);
 	if (!any_offline())
-		return first;
+		return (s32)bpf_cpumask_first(p->cpus_ptr);
 	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
 	while ((i = bpf_iter_num_next(&it))) {
+		bool near = is_near((u32)*i, c->cpu);
+
 		if (*i >= (int)nr_cpus)
 			break;
-		if (!bpf_cpumask_test_cpu((u32)*i, p->cpus_ptr) || is_offline(*i))
+		if ((first >= 0 && !near) || !bpf_cpumask_test_cpu((u32)*i, p->cpus_ptr) || is_offline(*i))
 			continue;
 		first = *i;
-		break;
+		if (near)
+			break;
 	}
 	bpf_iter_num_destroy(&it);
-	return first;
+	return first >= 0 ? first : (s32)bpf_cpumask_first(p->cpus_ptr);
 }
 
 /* ---- queues -------------------------------------------------------------------------------- */
@@ -445,11 +463,70 @@ static __always_inline void hurry(u32 pid, s32 here)
 	bpf_task_release(p);
 }
 
+/*
+ * Whether the kernel lets us move the thread: a mistake ends the scheduler. It counts sections that must
+ * stay on their CPU, and where BPF programs are such sections, also us for the thread that runs here: by
+ * what the least is that ticks have seen.
+ */
+#define ENOUGH_TICKS 64
+static unsigned int ticks_seen, least_disabled = 0xffff;
+
+static __always_inline void see_tick(const struct task_struct *p)
+{
+	if (!bpf_core_field_exists(p->migration_disabled) || ticks_seen >= ENOUGH_TICKS)
+		return;
+	if (p->migration_disabled < least_disabled)
+		least_disabled = p->migration_disabled;
+	__sync_fetch_and_add(&ticks_seen, 1);
+}
+
+static __always_inline bool may_move(const struct task_struct *p)
+{
+	u32 own = 0;
+
+	if (!bpf_core_field_exists(p->migration_disabled))
+		return false;
+	if (bpf_get_current_task() == (u64)p && *(volatile u32 *)&ticks_seen >= ENOUGH_TICKS)
+		own = least_disabled;
+	return p->migration_disabled <= own;
+}
+
+/* An idle CPU of the cluster where the thread ran last, no longer marked idle; -1: there is none. */
+static __always_inline s32 take_idle_near(struct task_struct *p)
+{
+	u32 last = (u32)scx_bpf_task_cpu(p);
+	struct bpf_iter_num it;
+	s32 cpu = -1;
+	int *i;
+
+	bpf_iter_num_new(&it, 0, XAUTO_BPF_MAX_CPUS);
+	while ((i = bpf_iter_num_next(&it))) {
+		if (*i >= (int)nr_cpus)
+			break;
+		if (!is_near((u32)*i, last) || !bpf_cpumask_test_cpu((u32)*i, p->cpus_ptr) ||
+		    !scx_bpf_test_and_clear_cpu_idle(*i))
+			continue;
+		cpu = *i;
+		break;
+	}
+	bpf_iter_num_destroy(&it);
+	return cpu;
+}
+
+static __always_inline bool wake_idle_for(struct task_struct *p)
+{
+	s32 cpu = scx_bpf_pick_idle_cpu(p->cpus_ptr, 0);
+
+	if (cpu >= 0)
+		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_IDLE));
+	return cpu >= 0;
+}
+
 static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flags)
 {
 	u64 slice = ordinary_slice_us * NS_PER_US;
 	u64 vtime = p->scx.dsq_vtime;
-	s32 cpu;
+	s32 near;
 
 	/* A CPU that is going takes no more from our queues. The kernel moves what is in its own. */
 	if (any_offline() && is_offline(scx_bpf_task_cpu(p))) {
@@ -463,10 +540,14 @@ static __always_inline void enqueue_ordinary(struct task_struct *p, u64 enq_flag
 		insert_vtime(p, PARKED_DSQ, slice, vtime, enq_flags);
 		return;
 	}
+	/* Straight to it: from the fair queue, the first CPU that looks would take it. */
+	near = may_move(p) ? take_idle_near(p) : -1;
+	if (near >= 0) {
+		insert(p, SCX_VALUE(scx_dsq_id_flags, SCX_DSQ_LOCAL_ON) | (u32)near, slice, enq_flags);
+		return;
+	}
 	insert_vtime(p, FAIR_DSQ, slice, vtime, enq_flags);
-	cpu = scx_bpf_pick_idle_cpu(p->cpus_ptr, 0);
-	if (cpu >= 0)
-		scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_IDLE));
+	wake_idle_for(p);
 }
 
 /* By several CPUs at once a little of the refill is lost or given twice: let's live with it. */
@@ -521,7 +602,8 @@ s32 BPF_PROG(xauto_select_cpu, struct task_struct *p, s32 prev_cpu, u64 wake_fla
 	if (xnode)
 		latch(t.job, t.slot);
 	/* Not straight to the local queue even if idle: XNode threads get there only by
-	 * dispatch(), so that their order is the queue's.
+	 * dispatch(), so that their order is the queue's. Where the thread has a choice, the kernel looks
+	 * for an idle CPU at the previous one first, then in its cluster.
 	 */
 	if (judge(p, xnode ? &t : NULL, &mine) != NO_KEY && place(p, &mine) >= 0)
 		return place(p, &mine);
@@ -780,6 +862,7 @@ void BPF_PROG(xauto_running, struct task_struct *p)
 	if (!c)
 		return;
 	c->began_ns = bpf_ktime_get_ns();
+	c->began_run = p->se.sum_exec_runtime;
 	xnode = thread_of(p, &t);
 	if (xnode) {
 		slot = t.slot;
@@ -832,6 +915,7 @@ void BPF_PROG(xauto_tick, struct task_struct *p)
 
 	if (!c)
 		return;
+	see_tick(p);
 	if (anybody_lends())
 		lend_again();
 	if (c->granted || hurries(p))
@@ -904,10 +988,18 @@ void BPF_PROG(xauto_enable, struct task_struct *p)
 	set_vtime(p, vtime_now);
 }
 
-/* Before it has lost its id, which exit_task() comes after. */
+/* Before it has lost its id, which exit_task() comes after. Who was killed has not left its slot. */
 SEC("tp_btf/sched_process_exit")
 int BPF_PROG(xauto_exited, struct task_struct *p)
 {
+	struct xauto_bpf_slot *slot;
+	u32 at = 0;
+
+	if (slot_of(p, &at)) {
+		slot = bpf_map_lookup_elem(&slots, &at);
+		if (slot)
+			slot->tid = 0;
+	}
 	forget(p);
 	return 0;
 }
@@ -971,14 +1063,10 @@ static int on_parked_timer(void *map, u32 *key, struct parked_timer *t)
 	if (scx_bpf_dsq_nr_queued(PARKED_DSQ) > 0) {
 		if (iterate(&it, PARKED_DSQ)) {
 			while ((p = bpf_iter_scx_dsq_next(&it))) {
-				s32 cpu;
-
 				if (is_throttled(p, 0, now))
 					continue;
-				cpu = scx_bpf_pick_idle_cpu(p->cpus_ptr, 0);
-				if (cpu < 0)
+				if (!wake_idle_for(p))
 					break;
-				scx_bpf_kick_cpu(cpu, SCX_VALUE(scx_kick_flags, SCX_KICK_IDLE));
 			}
 		}
 		bpf_iter_scx_dsq_destroy(&it);
@@ -1087,6 +1175,7 @@ void BPF_PROG(xauto_exit, struct scx_exit_info *info)
 	s->exit_code = info->exit_code;
 	bpf_probe_read_kernel_str(s->exit_reason, sizeof(s->exit_reason), info->reason);
 	bpf_probe_read_kernel_str(s->exit_msg, sizeof(s->exit_msg), info->msg);
+	bpf_probe_read_kernel_str(exit_dump, sizeof(exit_dump), info->dump);
 	s->exit_kind = (u32)info->kind;
 	s->running = 0;
 }

@@ -136,9 +136,22 @@ scx() {
     items+=("$build/bin/$program")
   done
   items+=("$(command -v bpftool || echo /usr/sbin/bpftool)")
-  for program in run tools trace; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
+  for program in run tools trace container; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
+  for program in unshare setpriv; do items+=("$(command -v $program):/usr/local/bin/$program"); done
   [ -z "${XAUTO_FULL:-}" ] || append="xauto.kills=200 xauto.tables=10000 xauto.loads=8"
   VM_APPEND=$append VM_THREADS=single VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
+}
+
+# machine NAME: what takes four CPUs in two clusters, and containers. In the guest's own virtual time.
+machine() {
+  local kernel items=() program
+  note "sched_ext on four CPUs in two clusters, in a container, too, on Linux $1"
+  kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
+  for program in scx_lend_test scx_machine_test xauto-cpusched; do items+=("$build/bin/$program"); done
+  for program in unshare setpriv; do items+=("$(command -v $program):/usr/local/bin/$program"); done
+  items+=("tests/kselftest/scx/container.sh:/tests/scx/container.sh")
+  VM_CPUS=4,sockets=2,cores=2 VM_ICOUNT=1 VM_APPEND=${XAUTO_FULL:+xauto.full} VM_LIMIT_S=${VM_LIMIT_S:-900} \
+    in_vm "machine-$1" "$kernel" run-machine "${items[@]}"
 }
 
 # keys NAME: a policy of keys under sched_ext, in the guest's own virtual time. On one CPU: emulated ones take turns, milliseconds each.
@@ -186,8 +199,8 @@ consumers() {
 
 { # read whole before it runs: the file may be edited meanwhile
 if [ ${#lanes[@]} -eq 0 ]; then
-  lanes=(kmod-7.x scx-7.x keys-7.x)
-  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 keys-7.x keys-6.12)
+  lanes=(kmod-7.x scx-7.x machine-7.x keys-7.x)
+  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 machine-7.x keys-7.x keys-6.12)
 fi
 if [ ${#lanes[@]} -gt 1 ]; then
   # A guest's clocks go on while this machine stalls, so a lane that fails is run once more, and named; a fault fails twice.
@@ -211,6 +224,7 @@ else
   case $lane in
     driving | consumers) "$lane" ;;
     scx-*) scx "${lane#scx-}" ;;
+    machine-*) machine "${lane#machine-}" ;;
     keys-*) keys "${lane#keys-}" ;;
     kmod-kasan) kasan ;;
     kmod-*-arm64) lane=${lane#kmod-} && kmod "${lane%-arm64}" arm64 ;;

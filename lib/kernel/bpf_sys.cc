@@ -40,7 +40,8 @@ Status refused(const std::string& what) {
 }  // namespace
 
 std::string bpf_hint() {
-  return "BPF needs root, or CAP_BPF, CAP_PERFMON and CAP_SYS_NICE";
+  return "BPF needs root, or CAP_BPF, CAP_PERFMON and CAP_SYS_NICE; a container also needs the "
+         "host's /sys/fs/bpf, or CAP_SYS_ADMIN to mount one";
 }
 
 bool may_use_bpf() {

@@ -33,6 +33,7 @@ class Probe {
     real_time_groups();
     memory_lock();
     sched_ext();
+    sched_ext_dump();
     btf();
     bpf();
     module();
@@ -193,6 +194,15 @@ class Probe {
             (isolated.empty() ? std::string(" and everything else beside them (full mode)")
                               : "; alone on isolated CPUs (" + isolated +
                                     "), else with everything beside them"));
+  }
+
+  void sched_ext_dump() {
+    if (const auto kept = kept_scx_dump(root_))
+      add("sched_ext dump", Verdict::kDegraded,
+          kept->about.empty() ? "the kernel ended a scheduler of ours; only root reads why"
+                              : kept->about,
+          "CPU XNodes of that run went on under SCHED_FIFO",
+          "see " + kept->path + "; the file goes with the next boot, or remove it");
   }
 
   void bpf() {

@@ -5,13 +5,12 @@
 #include <array>
 #include <atomic>
 #include <cerrno>
-#include <cstdlib>
+#include <cstdio>
 #include <cstring>
 #include <filesystem>
 
 #include <fcntl.h>
 #include <linux/bpf.h>
-#include <signal.h>
 #include <sys/file.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
@@ -39,20 +38,29 @@ constexpr std::array<Known, 8> kKnown = {
 /// Rows of the table for apps that join the run.
 constexpr std::uint32_t kSpare = 512;
 
-/// Several processes write one table, each its rows.
+UniqueFd open_folder(const std::string& path) {
+  return UniqueFd(::open(path.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+}
+
+void hold(const UniqueFd& folder) {
+  while (flock(folder.get(), LOCK_EX) != 0 && errno == EINTR) {
+  }
+}
+
+/// Held by who makes folders of runs, or writes what several runs share.
 class Locked {
  public:
-  explicit Locked(int folder) : folder_(folder) {
-    while (flock(folder_, LOCK_EX) != 0 && errno == EINTR) {
-    }
-  }
-  ~Locked() { flock(folder_, LOCK_UN); }
-  Locked(const Locked&) = delete;
-  Locked& operator=(const Locked&) = delete;
+  Locked() : root_(open_folder(XAUTO_BPF_ROOT)) { hold(root_); }
 
  private:
-  int folder_;
+  UniqueFd root_;
 };
+
+/// Each run locks its folder as long as it lives. A number says less: in a container it is another's.
+bool maker_lives(const std::string& folder) {
+  const UniqueFd there = open_folder(folder);
+  return there && flock(there.get(), LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
+}
 
 bool good_name(const std::string& run) {
   return !run.empty() && run.size() <= 64 && std::all_of(run.begin(), run.end(), [](char c) {
@@ -64,14 +72,6 @@ Status check_name(const std::string& run) {
   if (good_name(run)) return {};
   return fail(ErrorCode::kInvalid, "is no name for a run", "'" + run + "'",
               "letters, digits and dashes; `xauto top --list` shows the runs");
-}
-
-/// The maker's pid is how the name of a run begins: "1234-0".
-bool maker_lives(const std::string& run) {
-  char* end = nullptr;
-  const long pid = std::strtol(run.c_str(), &end, 10);
-  if (end == run.c_str() || *end != '-' || pid <= 0) return true;  // not ours to judge
-  return kill(static_cast<pid_t>(pid), 0) == 0 || errno != ESRCH;
 }
 
 std::vector<std::string> folders() {
@@ -92,7 +92,7 @@ std::string RunMaps::folder(const std::string& run) {
 
 std::vector<std::string> RunMaps::runs() {
   std::vector<std::string> alive = folders();
-  std::erase_if(alive, [](const std::string& run) { return !maker_lives(run); });
+  std::erase_if(alive, [](const std::string& run) { return !maker_lives(folder(run)); });
   return alive;
 }
 
@@ -109,7 +109,7 @@ RunMaps& RunMaps::operator=(RunMaps&& other) noexcept {
   std::swap(owner_, other.owner_);
   std::swap(first_, other.first_);
   std::swap(xnodes_, other.xnodes_);
-  std::swap(folder_, other.folder_);
+  std::swap(life_, other.life_);
   std::swap(maps_, other.maps_);
   std::swap(head_, other.head_);
   std::swap(table_, other.table_);
@@ -124,9 +124,35 @@ RunMaps::~RunMaps() {
   if (maps_.empty()) return;
   if (owner_) {
     remove(run_);
-  } else if (xnodes_ > 0) {  // what no table has any more is free again
-    publish({});
-    (void)set_names(std::vector<XNodeName>(xnodes_));
+  } else if (xnodes_ > 0) {
+    const Locked lock;
+    give_back({first_, xnodes_});
+  }
+}
+
+/// What no table has any more, and nobody's name, is free again.
+void RunMaps::give_back(const Range& range) {
+  publish(range, {});
+  std::fill_n(names_.as<xauto_bpf_name>() + range.first, range.count, xauto_bpf_name{});
+  rmdir(folder_of(range).c_str());
+}
+
+/// Of a joined run, below that of the run.
+std::string RunMaps::folder_of(const Range& range) const {
+  return folder(run_) + "/joined-" + std::to_string(range.first) + "-" +
+         std::to_string(range.count);
+}
+
+/// Of joined runs that were killed.
+void RunMaps::give_back_of_the_dead() {
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(folder(run_), error)) {
+    Range rows;
+    const std::string name = entry.path().filename().string();
+    if (sscanf(name.c_str(), "joined-%u-%u", &rows.first, &rows.count) == 2 &&
+        rows.first < head().xnodes && rows.count <= head().xnodes - rows.first &&
+        !maker_lives(entry.path().string()))
+      give_back(rows);
   }
 }
 
@@ -138,13 +164,21 @@ Result<RunMaps> RunMaps::create(const std::string& run, std::uint32_t xnodes, st
   slots = std::clamp<std::uint32_t>(slots, 1, XAUTO_BPF_MAX_SLOTS);
   XAUTO_TRY(bpf_is_built_in());
   XAUTO_TRY(mount_bpffs());
-  for (const std::string& old : folders())
-    if (!maker_lives(old)) remove(old);
-  for (const std::string& path : {std::string(XAUTO_BPF_ROOT), folder(run)})
-    if (mkdir(path.c_str(), 0700) != 0 && errno != EEXIST)
-      return fail(errno == EACCES || errno == EPERM ? ErrorCode::kPermission : ErrorCode::kIo,
-                  path + ": " + strerror(errno), {}, bpf_hint());
+  const auto make = [](const std::string& path) -> Status {
+    if (mkdir(path.c_str(), 0700) == 0 || errno == EEXIST) return {};
+    return fail(errno == EACCES || errno == EPERM ? ErrorCode::kPermission : ErrorCode::kIo,
+                path + ": " + strerror(errno), {}, bpf_hint());
+  };
+  XAUTO_TRY(make(XAUTO_BPF_ROOT));
   RunMaps maps;
+  {
+    const Locked lock;
+    for (const std::string& old : folders())
+      if (!maker_lives(folder(old))) remove(old);
+    XAUTO_TRY(make(folder(run)));
+    maps.life_ = open_folder(folder(run));
+    hold(maps.life_);
+  }
   maps.run_ = run;
   maps.owner_ = true;
   const std::uint32_t rows = std::min<std::uint32_t>(xnodes + kSpare, XAUTO_BPF_MAX_XNODES);
@@ -161,14 +195,13 @@ Result<RunMaps> RunMaps::create(const std::string& run, std::uint32_t xnodes, st
   head.slots = slots;
   head.owner = static_cast<__u64>(getpid());
   maps.xnodes_ = xnodes;
-  maps.folder_.reset(::open(folder(run).c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
   return maps;
 }
 
 Result<RunMaps> RunMaps::join(const std::string& run, std::uint32_t xnodes) {
   XAUTO_ASSIGN(RunMaps maps, open(run, true));
-  maps.folder_.reset(::open(folder(run).c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
-  const Locked lock(maps.folder_.get());
+  const Locked lock;
+  maps.give_back_of_the_dead();
   const __u64 version = maps.head().version;
   const xauto_bpf_entry* table = maps.bank(version);
   auto* names = maps.names_.as<xauto_bpf_name>();
@@ -178,6 +211,11 @@ Result<RunMaps> RunMaps::join(const std::string& run, std::uint32_t xnodes) {
   if (version == 0 || xnodes == 0 || free < xnodes)
     return fail(ErrorCode::kUnavailable,
                 "run " + run + " has no room for " + std::to_string(xnodes) + " more XNodes");
+  const std::string own = maps.folder_of({end - xnodes, xnodes});
+  if (mkdir(own.c_str(), 0700) != 0)
+    return fail(ErrorCode::kIo, own + ": " + strerror(errno), {}, bpf_hint());
+  maps.life_ = open_folder(own);
+  hold(maps.life_);
   maps.first_ = end - xnodes;
   maps.xnodes_ = xnodes;
   for (std::uint32_t i = maps.first_; i < end; ++i) names[i].xnode[0] = '?';
@@ -254,7 +292,7 @@ Status RunMaps::set_names(const std::vector<XNodeName>& names) {
   if (names.size() != xnodes_)
     return fail(ErrorCode::kInvalid,
                 std::to_string(names.size()) + " names for " + std::to_string(xnodes_) + " XNodes");
-  const Locked lock(folder_.get());
+  const Locked lock;
   auto* into = names_.as<xauto_bpf_name>() + first_;
   for (std::size_t i = 0; i < names.size(); ++i) {
     into[i] = {};
@@ -306,20 +344,20 @@ Status RunMaps::replace_table(const std::vector<TableRow>& rows) {
                       " us; CPUs are below " + std::to_string(XAUTO_BPF_MAX_CPUS) +
                       ", keys within 2^60 of 0");
   }
-  publish(rows);
+  const Locked lock;
+  publish({first_, xnodes_}, rows);
   return {};
 }
 
-/// Ours that `rows` lacks are nobody's then.
-void RunMaps::publish(const std::vector<TableRow>& rows) {
+/// Those of `range` that `rows` lacks are nobody's then.
+void RunMaps::publish(const Range& range, const std::vector<TableRow>& rows) {
   auto& head = *head_.as<xauto_bpf_head>();
-  const Locked lock(folder_.get());
   const __u64 version = head.version + 1;
   const xauto_bpf_entry* from = bank(head.version);
   xauto_bpf_entry* into = bank(version);
   for (std::uint32_t i = 0; i < head.xnodes; ++i) {
-    const std::uint32_t ours = i - first_;
-    const bool mine = ours < xnodes_;
+    const std::uint32_t ours = i - range.first;
+    const bool mine = ours < range.count;
     // Nobody's row: not of the table in force.
     if (mine ? ours >= rows.size() : head.version == 0 || from[i].version != head.version) continue;
     xauto_bpf_entry entry = from[i];

@@ -44,8 +44,9 @@ class RunMaps {
   /// `run`: a name of letters, digits and dashes. Removes what runs that were killed left behind.
   [[nodiscard]] static Result<RunMaps> create(const std::string& run, std::uint32_t xnodes,
                                               std::uint32_t slots);
-  /// A second app under the scheduler of `run`: `xnodes` of the rows that its table has to spare, and
-  /// given back with this object. `first()` says from where on.
+  /// A second app under the scheduler of `run`: `xnodes` of the rows that its table has to spare.
+  /// They are given back with this object, or found by the next who joins if this process is killed.
+  /// `first()` says from where on.
   [[nodiscard]] static Result<RunMaps> join(const std::string& run, std::uint32_t xnodes);
   /// The maps that another process made; their layout is checked.
   [[nodiscard]] static Result<RunMaps> open(const std::string& run);
@@ -89,14 +90,21 @@ class RunMaps {
   RunMaps() = default;
   [[nodiscard]] static Result<RunMaps> open(const std::string& run, bool writes);
   [[nodiscard]] Status map_all(bool writes);
-  void publish(const std::vector<TableRow>& rows);
+  struct Range {
+    std::uint32_t first = 0, count = 0;
+  };
+  [[nodiscard]] std::string folder_of(const Range& joined) const;
+  // These three under the lock of all runs.
+  void publish(const Range& range, const std::vector<TableRow>& rows);
+  void give_back(const Range& range);
+  void give_back_of_the_dead();
   [[nodiscard]] xauto_bpf_entry* bank(std::uint64_t version) const {
     return table_.as<xauto_bpf_entry>() + (version % XAUTO_BPF_BANKS) * head().xnodes;
   }
   std::string run_;
   bool owner_ = false;                    ///< made them, and removes them
   std::uint32_t first_ = 0, xnodes_ = 0;  ///< the rows that are ours to write; 0: none
-  UniqueFd folder_;                       ///< locked by who writes table and names
+  UniqueFd life_;  ///< the run's folder, or a joined one's: locked as long as this process lives
   std::vector<NamedMap> maps_;
   MappedMap head_, table_, slots_, jobs_, sched_, names_;
 };

@@ -4,13 +4,29 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cerrno>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
 
+#include <fcntl.h>
+#include <unistd.h>
+
 #include "base/first_line.h"
+#include "base/unique_fd.h"
 
 namespace xauto::kernel {
+namespace {
+
+/// One for the machine, gone with the next boot.
+constexpr const char* kDump = "/run/xauto/sched_ext.dump";
+
+std::string cache_of(const std::string& cpu, int index) {
+  return cpu + "/cache/index" + std::to_string(index);
+}
+
+}  // namespace
+
 std::string scx_refusal(const std::string& root) {
   std::error_code error;
   const std::string scx = root + "/sys/kernel/sched_ext";
@@ -60,6 +76,47 @@ ScxChoice choose_scx_mode(const std::string& root, const ScxOptions& options) {
                          " is not isolated, and the kernel ranks SCHED_EXT below ordinary threads"};
   if (options.cpus.empty()) return {false, "full mode: no CPU was named"};
   return {true, "partial mode: all CPUs of the policy are isolated"};
+}
+
+std::vector<std::uint8_t> scx_clusters(const std::string& root, std::size_t cpus) {
+  std::vector<std::uint8_t> clusters(cpus);
+  for (std::size_t cpu = 0; cpu < cpus; ++cpu) {
+    const std::string folder = root + "/sys/devices/system/cpu/cpu" + std::to_string(cpu);
+    std::string level, highest, list;
+    for (int i = 0; !(level = first_line(cache_of(folder, i) + "/level")).empty(); ++i)
+      if (level >= highest) {
+        highest = level;
+        list = first_line(cache_of(folder, i) + "/shared_cpu_list");
+      }
+    // A kernel that knows no caches knows packages. A CPU that is away has neither.
+    if (list.empty()) list = first_line(folder + "/topology/package_cpus_list");
+    const std::vector<int> near = parse_cpu_list(list);
+    clusters[cpu] = static_cast<std::uint8_t>(near.empty() ? cpu : near.front());
+  }
+  return clusters;
+}
+
+Status keep_scx_dump(const std::string& root, const std::string& run, const std::string& why,
+                     const std::string& dump) {
+  std::error_code error;
+  const std::string path = root + kDump;
+  std::filesystem::create_directories(std::filesystem::path(path).parent_path(), error);
+  // Names of all users' threads are in it.
+  const UniqueFd file(
+      open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, 0600));
+  const std::string text = "run " + run + ": " + why + "\n" + dump;
+  if (file.get() < 0 || write(file.get(), text.data(), text.size()) < 0)
+    return fail(ErrorCode::kIo, path + ": " + strerror(errno));
+  return {};
+}
+
+std::optional<ScxDump> kept_scx_dump(const std::string& root, const std::string& run) {
+  const std::string path = root + kDump;
+  std::error_code error;
+  if (!std::filesystem::exists(path, error)) return std::nullopt;
+  ScxDump kept{kDump, first_line(path)};
+  if (!run.empty() && kept.about.rfind("run " + run + ":", 0) != 0) return std::nullopt;
+  return kept;
 }
 
 bool scx_asks_restart(const xauto_bpf_sched& sched) {

@@ -42,6 +42,9 @@ struct ScxChoice {
 /// "0-2,5" -> 0 1 2 5; nonsense ends the list.
 [[nodiscard]] std::vector<int> parse_cpu_list(const std::string& text);
 
+/// [CPU]: one CPU of those that it shares its last cache with, the same for all of them; `cpus` at most.
+[[nodiscard]] std::vector<std::uint8_t> scx_clusters(const std::string& root, std::size_t cpus);
+
 class ScxScheduler {
  public:
   /// Loads and attaches; returns when the kernel says that it is enabled. Begins again if the kernel
@@ -51,6 +54,8 @@ class ScxScheduler {
   ~ScxScheduler();
 
   [[nodiscard]] const ScxChoice& choice() const { return choice_; }
+  /// The kernel's, of the error that ended it; empty if none did.
+  [[nodiscard]] std::string dump() const;
 
  private:
   ScxScheduler();
@@ -63,6 +68,18 @@ class ScxScheduler {
 
 /// Whether it ended because of something that a new one does not have: the kernel asks for a restart.
 [[nodiscard]] bool scx_asks_restart(const xauto_bpf_sched& sched);
+
+/// Keeps the dump of an error, in place of the one before it: of what went wrong the last is left.
+/// `run`: whose scheduler it was.
+[[nodiscard]] Status keep_scx_dump(const std::string& root, const std::string& run,
+                                   const std::string& why, const std::string& dump);
+struct ScxDump {
+  std::string path;
+  std::string about;  ///< "run 1234-0: runnable task stall (...)"; empty: it may not be read
+};
+/// The one that is kept; `run` not empty: if it is about that one.
+[[nodiscard]] std::optional<ScxDump> kept_scx_dump(const std::string& root,
+                                                   const std::string& run = {});
 
 /// Why the scheduler ended, if it has: "runnable task stall (...)"; nullopt while it runs.
 [[nodiscard]] std::optional<std::string> scx_exit_of(const xauto_bpf_sched& sched);

@@ -76,7 +76,13 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
   if (request.want_ext && !real_cpus)
     run.note = "the CPUs are emulated: --cpu-sched ext has no effect";
   const auto instead = [&](const Error& error) {
-    run.note = "no sched_ext: " + error.what + "; SCHED_FIFO instead";
+    // Ours, and it was not joined.
+    const bool unseen = error.what.find("is loaded: 'xauto") != std::string::npos &&
+                        kernel::RunMaps::runs() == std::vector{request.run};
+    run.note =
+        "no sched_ext: " + error.what +
+        (unseen ? ", of a run that is not seen here: a container has to share /sys/fs/bpf" : "") +
+        "; SCHED_FIFO instead";
     run.scheduler.reset();
   };
   const std::vector<kernel::TableRow> rows = table_rows(request, rt::allowed_cores());

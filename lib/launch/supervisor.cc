@@ -21,6 +21,7 @@
 #include "base/socket.h"
 #include "emu/protocol.h"
 #include "emu/state_memory.h"
+#include "kernel/scx_scheduler.h"
 #include "launch/cpu_run.h"
 #include "launch/daemons.h"
 #include "launch/parameter_desk.h"
@@ -308,6 +309,8 @@ class Supervisor {
       if (cpus_.scheduler)
         if (const auto exit = cpus_.scheduler->child.poll()) {
           outcome_.notes.push_back("xauto-cpusched ended (" + exit->to_string() + ")");
+          if (const auto dump = kernel::kept_scx_dump("", cpus_.maps->run()))
+            outcome_.notes.push_back("the kernel's dump of " + dump->about + ": " + dump->path);
           outcome_.real_cpus += ", until it ended";
           cpus_.scheduler.reset();
         }

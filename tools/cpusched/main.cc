@@ -86,6 +86,10 @@ int serve(const std::string& run, const xauto::kernel::ScxOptions& options, bool
         continue;
       }
       xauto::log::error("the kernel ended the sched_ext scheduler: {}", *exit);
+      const std::string dump = scheduler ? scheduler->dump() : std::string();
+      if (dump.empty()) return 1;
+      const xauto::Status kept = xauto::kernel::keep_scx_dump("", run, *exit, dump);
+      if (!kept) xauto::log::error("its dump is lost: {}", kept.error().to_string());
       return 1;
     }
   }

@@ -42,6 +42,7 @@
 #define XAUTO_BPF_MAX_XNODES 4096
 #define XAUTO_BPF_MAX_SLOTS 256	   /* execution threads of one run */
 #define XAUTO_BPF_MAX_CPUS 256
+#define XAUTO_BPF_DUMP 32768	   /* of a kernel's dump, which is as long by default */
 #define XAUTO_BPF_KEY_LIMIT 0x1000000000000000LL /* 2^60 */
 
 /* A job in one word, so that it can be told by one store: XNode + 1 (0: none), its activation. */
@@ -54,7 +55,8 @@
 
 /**
  * struct xauto_bpf_head - what the maps of this run hold. Map "head", one element.
- * Written by the loader only.
+ * Written by the run that made the maps; @version also by those that joined it. Whoever writes @version,
+ * "table" or "names" holds the lock (flock) on XAUTO_BPF_ROOT.
  * @abi:     XAUTO_BPF_ABI
  * @xnodes:  entries per bank of "table", elements of "hist"
  * @slots:   elements of "slots" and "jobs"
@@ -73,7 +75,7 @@ struct xauto_bpf_head {
 
 /**
  * struct xauto_bpf_entry - one XNode of the policy. Map "table", bank * xnodes + xnode.
- * Written by the loader only.
+ * Written by the run whose XNode it is; of others' entries it copies those in force into the new bank.
  * @version:   stamp: the table version that this entry belongs to
  * @key:       of each of its jobs, before what the release adds
  * @budget_ns: run time after which the job is demoted to an ordinary thread; 0: none
@@ -97,7 +99,7 @@ struct xauto_bpf_entry {
  * @jobs:     how many jobs it has begun
  * @busy_ns:  time that finished jobs held the XPU (RUN to FINISH, less what they were suspended)
  * @held_ns:  since when the current job holds the XPU; 0: it does not
- * @tid:      the thread
+ * @tid:      the thread; 0: the slot is free, which the scheduler says of a thread that was killed
  * @xpu:      index into the platform's XPUs
  * @key:      what the release of @job adds to its XNode's key
  * @asked_ns: when @job asked for the CPU: equal keys go by that; 0: when the scheduler takes it up
@@ -173,7 +175,7 @@ struct xauto_bpf_counts {
 
 /**
  * struct xauto_bpf_sched - the scheduler's state and its post-mortem. Map "sched", one element.
- * Written by the scheduler only, except @mode by the loader before it starts.
+ * Written by the scheduler only.
  * @running:     1 between the scheduler's init and its exit
  * @mode:        XAUTO_BPF_MODE_*
  * @exit_kind:   enum scx_exit_kind of the kernel; 0: it has not ended
@@ -194,8 +196,8 @@ struct xauto_bpf_sched {
 
 /**
  * struct xauto_bpf_name - what the numbers of XNodes mean, for people. Map "names", by XNode.
- * Written by the loader only, before anybody else looks.
- * @xnode: name of the XNode, cut, ended by 0
+ * Written by the run whose XNode it is.
+ * @xnode: name of the XNode, cut, ended by 0; empty: nobody's row
  * @xpu:   name of its XPU
  * @at:    index of that XPU in the platform
  * @pad:   zero

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdlib>
+#include <cstring>
 #include <ctime>
 #include <thread>
 
@@ -35,6 +36,11 @@ struct ScxScheduler::Loaded {
 ScxScheduler::ScxScheduler() = default;
 ScxScheduler::ScxScheduler(ScxScheduler&&) noexcept = default;
 ScxScheduler::~ScxScheduler() = default;
+
+std::string ScxScheduler::dump() const {
+  const auto& dump = loaded_->object->data_dump->exit_dump;
+  return {dump, strnlen(dump, sizeof dump)};
+}
 
 Result<ScxScheduler> ScxScheduler::load(const RunMaps& maps, const ScxOptions& options) {
   constexpr int kTries = 10;
@@ -75,6 +81,8 @@ Result<ScxScheduler> ScxScheduler::load_once(const RunMaps& maps, const ScxOptio
   constants.floor_burst_us = options.floor_burst_us;
   constants.xnode_slice_us = options.xnode_slice_us;
   constants.age_ms = options.age_ms;
+  const std::vector<std::uint8_t> clusters = scx_clusters("", cpus);
+  std::copy(clusters.begin(), clusters.end(), constants.cluster_of);
   // The watchdog's clock is the tick, which is also the coarse clock's.
   timespec tick{};
   clock_getres(CLOCK_MONOTONIC_COARSE, &tick);

@@ -30,6 +30,9 @@ Result<ScxScheduler> ScxScheduler::load(const RunMaps&, const ScxOptions&) {
 ScxScheduler::ScxScheduler() = default;
 ScxScheduler::ScxScheduler(ScxScheduler&&) noexcept = default;
 ScxScheduler::~ScxScheduler() = default;
+std::string ScxScheduler::dump() const {
+  return {};
+}
 
 struct Tracer::Attached {};
 Result<Tracer> Tracer::attach(const RunMaps&, const TracerOptions&) {

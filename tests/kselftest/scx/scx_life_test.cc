@@ -3,6 +3,7 @@
 // and everything that makes the kernel refuse it. KTAP; run as root.
 //   scx_life_test [NAME [KILLS [TABLES]]]
 #include <cstdlib>
+#include <fstream>
 #include <random>
 
 #include <fcntl.h>
@@ -202,6 +203,14 @@ void impossible_maps() {
             "one whose slot has none cannot be: the scheduler ends and says why");
   ktap_test(wait_for([] { return scx_state() == "disabled"; }),
             "... and the kernel is back at its own");
+  wait_for([&] { return kernel::kept_scx_dump("", world.maps.run()).has_value(); });
+  const auto kept = kernel::kept_scx_dump("", world.maps.run());
+  std::string dump;
+  if (kept) std::getline(std::ifstream(kept->path), dump, '\0');
+  ktap_test(kept && kept->about.find("slot 1 has no job") != std::string::npos &&
+                dump.find("xauto: mode 1, ") != std::string::npos &&
+                dump.size() < XAUTO_BPF_DUMP + 512,
+            "... whose dump is kept, %zu bytes, with our lines in it", dump.size());
 }
 
 // ---- refusals: one clear line each, and nothing left behind -------------------------------------
@@ -305,7 +314,7 @@ const Test kTests[] = {
     {"tables", 1, tables},
     {"killed_loader", 2, killed_loader},
     {"wrong_slot", 1, wrong_slot},
-    {"impossible_maps", 3, impossible_maps},
+    {"impossible_maps", 4, impossible_maps},
     {"another_scheduler", 2, another_scheduler},
     {"wrong_layout", 2, wrong_layout},
     {"without_btf", 1, without_btf},

@@ -101,6 +101,33 @@ void pid_namespace() {
       other);
 }
 
+/// A run's maps are its own as long as it lives, also where its number is nobody's.
+void runs_elsewhere() {
+  World world(1, kCpu);
+  const pid_t container = fork();
+  if (container == 0) {
+    if (unshare(CLONE_NEWPID) != 0) _exit(2);
+    const pid_t init = fork();
+    if (init == 0) {
+      const auto other = kernel::RunMaps::create("1-0", 1, 1);
+      const auto runs = kernel::RunMaps::runs();
+      _exit(other && std::count(runs.begin(), runs.end(), world.maps.run()) == 1 ? 0 : 4);
+    }
+    int status = 0;
+    waitpid(init, &status, 0);
+    _exit(init > 0 && status == 0 ? 0 : 5);
+  }
+  int status = 1;
+  waitpid(container, &status, 0);
+  const bool there =
+      access((kernel::RunMaps::folder(world.maps.run()) + "/head").c_str(), F_OK) == 0;
+  ktap_test(status == 0 && there, "a run in a container sees one outside, and leaves it its maps");
+  // It ended without saying so.
+  { const World next(1, kCpu); }
+  ktap_test(access(kernel::RunMaps::folder("1-0").c_str(), F_OK) != 0,
+            "... and what is left of it after its death goes with the next run");
+}
+
 // ---- CPUs that go and come ----------------------------------------------------------------------
 
 bool switch_cpu(int cpu, bool on) {
@@ -412,8 +439,86 @@ void second_app() {
               "%.2f s of 3",
               low_cpu, between, high_cpu);
   }
-  auto third = kernel::RunMaps::join(world.maps.run(), 512);
-  ktap_test(third && third->first() == 2, "... and its rows are free again after it");
+  {
+    auto third = kernel::RunMaps::join(world.maps.run(), 512);
+    ktap_test(third && third->first() == 2, "... and its rows are free again after it");
+  }
+  auto& entered = shared<std::atomic<int>>();
+  entered = -1;
+  const pid_t killed = fork();
+  if (killed == 0) {
+    be_ordinary();
+    auto joined = kernel::RunMaps::join(world.maps.run(), 512);
+    const kernel::ThreadSlot slot = world.slots.take(0);
+    if (joined && joined->replace_table(std::vector<kernel::TableRow>(512, rows.front())) &&
+        world.slots.enter(slot))
+      entered = world.slots.index(slot);
+    for (;;) pause();
+  }
+  const bool began = wait_for([&] { return entered >= 0; });
+  kill(killed, SIGKILL);
+  waitpid(killed, nullptr, 0);
+  auto fourth = kernel::RunMaps::join(world.maps.run(), 512);
+  ktap_test(began && fourth && fourth->first() == 2,
+            "... also of one that was killed, while the first goes on");
+  ktap_test(began && world.maps.slots()[entered].tid == 0, "... and the slots of its threads");
+}
+
+// ---- clusters -----------------------------------------------------------------------------------
+
+/// An ordinary thread that loses its CPU to an XNode goes to the idle CPU that shares a cache with it.
+void clusters() {
+  constexpr int kRounds = 20;
+  const std::vector<std::uint8_t> of =
+      kernel::scx_clusters("", static_cast<std::size_t>(sysconf(_SC_NPROCESSORS_ONLN)));
+  if (of.size() < 4) {
+    ktap_skip("clusters", "two clusters of two CPUs are needed");
+    return;
+  }
+  const int last = static_cast<int>(of.size()) - 1;
+  const auto cluster = [&](int cpu) { return cpu < 0 ? -1 : of[static_cast<std::size_t>(cpu)]; };
+  World world(1, last);
+  world.load();
+  std::atomic<bool> stop{false}, busy{false};
+  std::atomic<int> where{-1}, tid{0};
+  int lost = 0, near = 0;
+  {
+    Waiter waiter(world, 0, [&](const kernel::ThreadSlot&) {
+      busy = true;
+      burn_us(20'000);
+    });
+    std::thread ordinary([&] {
+      tid = gettid();
+      be_ordinary(last);
+      while (!stop) where = sched_getcpu();
+    });
+    const auto may_use = [&](int from, int to) {
+      cpu_set_t set;
+      CPU_ZERO(&set);
+      for (int c = from; c <= to; ++c) CPU_SET(static_cast<unsigned>(c), &set);
+      sched_setaffinity(tid, sizeof set, &set);
+    };
+    wait_for([&] { return tid != 0; });
+    sleep_ms(500);  // the scheduler learns from ticks whom it may move
+    for (std::uint32_t i = 0; i < kRounds; ++i) {
+      may_use(last, last);
+      wait_for([&] { return where == last; });
+      may_use(0, last);
+      busy = false;
+      waiter.submit(0, i + 1);
+      wait_for([&] { return busy && (where != last || waiter.done() == i + 1); });
+      const int to = where;
+      lost += to != last;
+      near += to != last && cluster(to) == cluster(last);
+      wait_for([&] { return waiter.done() == i + 1; });
+    }
+    stop = true;
+    ordinary.join();
+  }
+  ktap_note("CPU 0 is of cluster %d, CPU %d of %d", cluster(0), last, cluster(last));
+  ktap_test(cluster(0) != cluster(last) && lost >= kRounds / 2 && near == lost,
+            "an ordinary thread that has to move stays in its cluster: %d of %d moves, %d CPUs",
+            near, lost, last + 1);
 }
 
 // ---- crowds -------------------------------------------------------------------------------------
@@ -466,13 +571,15 @@ void crowd() {
 
 const Test kTests[] = {
     {"pid_namespace", 1, pid_namespace},
+    {"runs_elsewhere", 2, runs_elsewhere},
     {"hotplug", 3, hotplug},
     {"loaded_meanwhile", 1, loaded_meanwhile},
     {"cpu_max", 2, cpu_max},
     {"kernel_hog", 1, kernel_hog},
     {"nice_kernel_thread", 1, nice_kernel_thread},
     {"dumped", 1, dumped},
-    {"second_app", 2, second_app},
+    {"second_app", 4, second_app},
+    {"clusters", 1, clusters},
     {"crowd", 2, crowd},
 };
 

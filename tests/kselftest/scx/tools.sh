@@ -21,6 +21,7 @@ loaded() { # PID: waits until a run has loaded its scheduler, for 60 s
   done
   echo "# no scheduler was loaded"
 }
+. "$(dirname "$0")/container.sh"
 dir=/tmp/tools
 mkdir -p $dir && cd $dir || exit 1
 echo "TAP version 13"
@@ -36,10 +37,11 @@ xauto solve --app app.json --platform one.json --method heft --out policy.json >
 # The period leaves time between two activations; one that comes early on a machine that stalls waits, and is not lost.
 # In lockstep the next one is released while a worker still tidies up at the priority of its
 # last job, and then its first job of the next activation comes late.
+inside= # of a container: the command before
 drive() { # NAME CPU_SCHED ACTIVATIONS [OPTIONS]: the app's order in NAME.order, the report in NAME.json
   name=$1 sched=$2 activations=$3
   shift 3
-  taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations "$activations" --period-us 500000 --overload queue:16 \
+  $inside taskset 2 xauto run --app app.json --platform one.json --policy policy.json --activations "$activations" --period-us 500000 --overload queue:16 \
     --cpu-sched "$sched" --out "$name.json" "$@" -- driving_cpu --order "$dir/$name.order" >"$name.out" 2>"$name.err"
 }
 
@@ -100,10 +102,23 @@ ok "a second app runs beside the first under its scheduler, and says so" has "sc
 ok "... and that it is not alone" has "worst cases are those of an app that has them alone" second.err
 ok "... nobody under SCHED_FIFO ($fifo threads, $seen looks)" [ "$fifo" -eq 0 -a "$seen" -gt 0 ]
 ok "... all stages of it" [ "$(wc -w <second.order)" -eq 120 ]
-# The rows are given back, so that a third finds them.
-drive third ext 2
-ok "... and a third one after it" has "sched_ext, full mode, beside run" third.err
+# The rows are given back, so that a third finds them. It is in a container.
+inside="contained $scx_caps ro shared" drive third ext 2
+ok "... and a third one after it, in a container that shares /sys/fs/bpf" has "sched_ext, full mode, beside run" third.err
+ok "... all stages of it" [ "$(wc -w <third.order)" -eq 40 ]
+inside="contained $scx_caps,+sys_admin ro own" drive apart ext 1
+ok "one that does not share it says so" has "no sched_ext: another sched_ext scheduler is loaded: 'xauto', of a run that is not seen here" apart.json
 wait $run
+
+# In containers that may less.
+inside="contained $usual_caps ro own" drive docker ext 1
+ok "a container with Docker's usual rights runs to its end" [ $? -eq 0 ]
+ok "... and says in a line what it lacks" has "no sched_ext: mounting the BPF file system at /sys/fs/bpf: Operation not permitted; SCHED_FIFO instead" docker.json
+inside="/usr/local/bin/unshare --user --map-root-user" drive rootless ext 1
+ok "a rootless one, too" [ $? -eq 0 ]
+ok "... and says so" has "no sched_ext: making the BPF maps: Operation not permitted" rootless.json
+inside="contained $scx_caps ro shared" drive enough ext 2
+ok "CAP_BPF, CAP_PERFMON, CAP_SYS_NICE and the host's /sys/fs/bpf are enough" has "sched_ext, full mode" enough.err
 
 # No BTF: an empty folder in its place.
 mkdir -p empty && mount -o bind empty /sys/kernel/btf

@@ -127,6 +127,15 @@ TEST_F(Machine, SchedExtThatIsTakenSaysByWhom) {
   EXPECT_EQ(find("sched_ext").verdict, Verdict::kDegraded);
 }
 
+TEST_F(Machine, TheDumpOfASchedulerThatTheKernelEndedIsNamed) {
+  EXPECT_EQ(find("sched_ext dump").id, "absent");
+  file("run/xauto/sched_ext.dump", "run 12-0: runnable task stall\nmore\n");
+  const Finding f = find("sched_ext dump");
+  EXPECT_EQ(f.verdict, Verdict::kDegraded);
+  EXPECT_EQ(f.found, "run 12-0: runnable task stall");
+  EXPECT_NE(f.advice.find("/run/xauto/sched_ext.dump"), std::string::npos);
+}
+
 TEST_F(Machine, UnprivilegedUserIsToldHowToGetMore) {
   limits_.highest_fifo = 0;
   limits_.rtprio_limit = 0;

@@ -35,6 +35,38 @@ class FakeRoot {
   fs::path root_;
 };
 
+TEST(ScxClusters, AreTheCpusThatShareTheLastCache) {
+  FakeRoot orin;  // two of its clusters; CPU 5 is away
+  const std::string cpus = "sys/devices/system/cpu/cpu";
+  for (int cpu = 0; cpu < 8; ++cpu) {
+    if (cpu == 5) continue;
+    const std::string own = cpus + std::to_string(cpu);
+    orin.file(own + "/cache/index0/level", "1")
+        .file(own + "/cache/index0/shared_cpu_list", std::to_string(cpu))
+        .file(own + "/cache/index1/level", "3")
+        .file(own + "/cache/index1/shared_cpu_list", cpu < 4 ? "0-3" : "4,6-7");
+  }
+  EXPECT_EQ(scx_clusters(orin.path(), 8), (std::vector<std::uint8_t>{0, 0, 0, 0, 4, 5, 4, 4}));
+
+  FakeRoot packages;  // a kernel that tells no caches
+  for (int cpu = 0; cpu < 2; ++cpu)
+    packages.file(cpus + std::to_string(cpu) + "/topology/package_cpus_list", "0-1");
+  EXPECT_EQ(scx_clusters(packages.path(), 2), (std::vector<std::uint8_t>{0, 0}));
+}
+
+TEST(ScxDump, TheLastOneIsKeptAndSaysWhoseItIs) {
+  const FakeRoot root;
+  EXPECT_FALSE(kept_scx_dump(root.path()));
+  ASSERT_TRUE(keep_scx_dump(root.path(), "12-0", "a stall", "much\nmore\n"));
+  ASSERT_TRUE(keep_scx_dump(root.path(), "34-0", "an error", "less\n"));
+  const auto kept = kept_scx_dump(root.path(), "34-0");
+  ASSERT_TRUE(kept);
+  EXPECT_EQ(kept->about, "run 34-0: an error");
+  EXPECT_EQ(fs::file_size(root.path() + kept->path), kept->about.size() + 1 + 5);
+  EXPECT_TRUE(kept_scx_dump(root.path()));
+  EXPECT_FALSE(kept_scx_dump(root.path(), "12-0"));
+}
+
 TEST(ScxRefusal, NamesWhatTheMachineLacks) {
   FakeRoot bare;
   EXPECT_NE(scx_refusal(bare.path()).find("no sched_ext"), std::string::npos);
