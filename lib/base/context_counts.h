@@ -16,6 +16,7 @@ struct ContextCounts {
   std::atomic<std::uint32_t> unclaimed{};   ///< TSGs and DLA queues of which nobody knows whose
   std::atomic<std::uint32_t> shared{};      ///< contexts whose queue is another's, too
   std::atomic<std::uint32_t> gated{};       ///< contexts that the kernel module preempts no more
+  std::atomic<std::uint32_t> held_up{};     ///< jobs that, suspended, held up a more urgent one
 
   /// Why no worst case holds, a line each, for people. `live`: of a run that goes on.
   [[nodiscard]] std::vector<std::string> doubts(bool live) const {
@@ -29,6 +30,7 @@ struct ContextCounts {
     say(unclaimed, "TSGs or DLA queues appeared while several stages ran: they are not suspended");
     say(shared, "contexts share a DLA queue with another stage's: they are not suspended");
     say(gated, "GPU contexts did not leave the engine in time: they are not preempted any more");
+    say(held_up, "suspended jobs held up a more urgent one that waits for their work");
     return lines;
   }
 };

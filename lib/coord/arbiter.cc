@@ -98,6 +98,13 @@ void Arbiter::finish(int slot, std::vector<Action>& out) {
   decide(out);
 }
 
+void Arbiter::lend(int slot, Key key, std::vector<Action>& out) {
+  Slot& s = at(slot);
+  XAUTO_CHECK(s.phase != Phase::kNone);
+  s.job.key = std::min(s.job.key, key);
+  decide(out);
+}
+
 void Arbiter::suspended(int slot, bool succeeded, std::vector<Action>& out) {
   Slot& s = at(slot);
   XAUTO_CHECK(s.queue == Queue::kSuspending);

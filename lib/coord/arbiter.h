@@ -72,6 +72,8 @@ class Arbiter {
   void commanded(int slot, bool suspend) {
     at(slot).queue = suspend ? Queue::kSuspending : Queue::kResuming;
   }
+  /// Its job goes by `key` if that is the more urgent.
+  void lend(int slot, Key key, std::vector<Action>& out);
   void suspended(int slot, bool succeeded, std::vector<Action>& out);
   void resumed(int slot, std::vector<Action>& out);
   /// The worker died or left: its job and its queue are no more.

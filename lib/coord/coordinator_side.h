@@ -130,7 +130,9 @@ class Referee {
   [[nodiscard]] std::uint64_t decisions() const { return decisions_; }
   [[nodiscard]] Job job_of(int slot) const {
     const WorkerLine& line = shm_.slots[slot].worker;
-    return {A::peek(line.xnode), A::peek(line.sequence), A::peek(line.key), A::peek(line.since_ns)};
+    const std::uint32_t generation = request_generation(A::peek(line.request));
+    return {A::peek(line.xnode), A::peek(line.sequence),
+            with_lent<A>(line, generation, A::peek(line.key)), A::peek(line.since_ns)};
   }
   /// The same, looking at a copy of the memory; for the tests.
   void move_to(Shm shm) { shm_ = shm; }
@@ -313,6 +315,11 @@ class Referee {
     }
 
     hear(slot, std::nullopt, wakes);
+    // A job is suspended as long as it matters, and the word is ours as long as one is.
+    const WorkerLine& line = shm_.slots[slot].worker;
+    if (A::load(line.lent) == request_generation(info.request) &&
+        arbiter_.slot(slot).phase != Phase::kNone)
+      arbiter_.lend(slot, A::peek(line.lent_key), held_actions());
   }
 
   /// What the worker's job is doing. `owns`: the generation of the job that has, or had, the XPU.

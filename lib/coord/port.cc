@@ -218,6 +218,24 @@ void Port::acknowledge(bool succeeded) {
   if (words_.acknowledge(slot_, pending_command_ | (succeeded ? 0u : kAckFailed))) ring();
 }
 
+std::optional<Port::Begun> Port::begun(std::uint32_t xnode, std::uint64_t sequence) const {
+  const WorkerLine& line = shm_.slots[slot_].worker;
+  const std::uint32_t request = line.request.load();
+  const Want want = request_want(request);
+  const std::uint32_t generation = request_generation(request);
+  const bool same = line.xnode.load() == xnode && line.sequence.load() == sequence;
+  const Key key = with_lent<RealAtomics>(line, generation, line.key.load());
+  // The execution thread may be at its next job by now.
+  if ((want != Want::kRun && want != Want::kNotEligible) || !same || line.request.load() != request)
+    return std::nullopt;
+  return Begun{generation, key};
+}
+
+void Port::lend(const Begun& job, Key key) {
+  words_.lend(slot_, job.generation, key);
+  ring();
+}
+
 void Port::interrupt() {
   interrupted_.store(true);
   ring_manager(slot_);

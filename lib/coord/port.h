@@ -2,13 +2,14 @@
 // Life of a job, step 4: a worker's door to the coordinator of its XPU. START and FINISH are one
 // atomic each when nobody else is on the XPU; see shm_layout.h for the protocol.
 //
-// Threads: `start`, `finish` from the execution thread; `wait_command`, `acknowledge` from the
-// management thread; `skip` and `interrupt` from any thread.
+// Threads: `start`, `finish` from the execution thread; `wait_command`, `acknowledge`, `begun`,
+// `lend` from the management thread; `skip` and `interrupt` from any thread.
 #pragma once
 
 #include <atomic>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -68,6 +69,15 @@ class Port {
   [[nodiscard]] Command wait_command(int timeout_ms = -1);
   /// The command last received was carried out (or, for a suspension, could not be).
   void acknowledge(bool succeeded);
+  /// The worker's job that began as activation `sequence` of `xnode` and is not over.
+  struct Begun {
+    std::uint32_t generation;
+    Key key;
+  };
+  [[nodiscard]] std::optional<Begun> begun(std::uint32_t xnode, std::uint64_t sequence) const;
+  /// That job, which is suspended, goes by `key` from now on, if that is the more urgent: a more
+  /// urgent job waits for its work.
+  void lend(const Begun& job, Key key);
   /// Makes `wait_command` return kInterrupted and `start` return: for shutdown.
   void interrupt();
 

@@ -11,7 +11,7 @@
 
 namespace xauto::coord {
 
-inline constexpr std::uint32_t kProtocolVersion = 4;
+inline constexpr std::uint32_t kProtocolVersion = 5;
 inline constexpr std::size_t kMaxWorkerName = 64;
 inline constexpr std::size_t kMaxWorkerXNodes = 256;
 inline constexpr std::size_t kMaxStatusBytes = 64 * 1024;
@@ -21,6 +21,7 @@ enum class MessageKind : std::uint32_t {
   kWelcome = 2,  ///< coordinator -> worker: Welcome + {memfd, doorbell eventfd}
   kRefused = 3,  ///< coordinator -> worker: Refused, then the socket is closed
   kStatus = 4,   ///< anybody -> coordinator: MessageKind alone; answered with JSON text
+  kObserve = 5,  ///< worker -> coordinator: MessageKind alone; answered with Welcome + {memfd}
 };
 
 struct Hello {
@@ -37,7 +38,7 @@ struct Hello {
 
 struct Welcome {
   std::uint32_t kind = static_cast<std::uint32_t>(MessageKind::kWelcome);
-  std::uint32_t slot = 0;
+  std::uint32_t slot = 0;  ///< of the answer to kObserve: nobody's
 };
 
 struct Refused {

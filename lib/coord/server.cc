@@ -197,6 +197,10 @@ bool Server::handle_packet(int fd, const void* data, std::size_t bytes) {
     const std::string text = to_json(status()).dump();
     return send_packet(fd, text.data(), std::min(text.size(), kMaxStatusBytes)).has_value();
   }
+  if (kind == static_cast<std::uint32_t>(MessageKind::kObserve)) {
+    const Welcome answer{.slot = kMaxSlots};
+    return send_packet(fd, &answer, sizeof answer, {memory_fd_.get()}).has_value();
+  }
   if (kind == static_cast<std::uint32_t>(MessageKind::kHello))
     return welcome(connections_[fd], data, bytes);
   return false;

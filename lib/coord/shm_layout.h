@@ -39,6 +39,9 @@
 //   - whoever gives back may be late as well: the coordinator repeats the command to suspend, which
 //     changes nothing but the count.
 //
+// A job that is suspended may be lent a more urgent key (its work is what a more urgent job waits
+// for): its management thread writes the key, sets kFat, and rings.
+//
 // A START writes its request before it looks at the owner word; the coordinator looks at all
 // requests after it has handed the word back. Hence no START is lost, whichever way the words are
 // interleaved: tests/unit/coord/protocol_test.cc tries all ways, with deaths.
@@ -55,7 +58,7 @@
 namespace xauto::coord {
 
 inline constexpr std::uint32_t kShmMagic = 0x58434f52;  // "XCOR"
-inline constexpr std::uint32_t kShmVersion = 5;
+inline constexpr std::uint32_t kShmVersion = 6;
 
 /// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bit 61 the owner took the
 /// XPU from its `victim`, bits 48..60 count of parkings, bits 40..47 slot + 1
@@ -86,6 +89,7 @@ enum class Want : std::uint32_t {
   kNotEligible = 3,  ///< has a job that was not eligible: the coordinator says when
 };
 inline constexpr std::uint32_t kGenerationMask = (1u << 30) - 1;
+inline constexpr std::uint32_t kNoGeneration = UINT32_MAX;
 constexpr std::uint32_t request_word(Want want, std::uint32_t generation) {
   return (generation & kGenerationMask) << 2 | static_cast<std::uint32_t>(want);
 }
@@ -121,6 +125,10 @@ struct alignas(64) WorkerLine {
   std::atomic<std::uint64_t> sequence{};        ///< [W]
   std::atomic<std::uint64_t> since_ns{};  ///< [W] CLOCK_MONOTONIC of the request; ties, and status
   std::atomic<std::uint64_t> victim{};    ///< [W] owner_word from which it takes, or wanted to
+  /// [W] management thread: while the request has the generation `lent`, its job goes by `lent_key`
+  /// if that is the more urgent; written in this order.
+  std::atomic<Key> lent_key{};
+  std::atomic<std::uint32_t> lent{kNoGeneration};
 };
 struct alignas(64) CoordinatorLine {
   std::atomic<std::uint32_t> grant{};    ///< [*] generation that may run; a futex

@@ -7,6 +7,7 @@
 // in tests/unit/coord/protocol_test.cc assume it.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <cstdint>
 
@@ -71,6 +72,12 @@ std::uint32_t command(std::atomic<std::uint32_t>& word, std::uint32_t last, bool
   return next;
 }
 
+/// The key of the job of this generation, whose own is `own`: that one, or what was lent to it.
+template <class A>
+Key with_lent(const WorkerLine& line, std::uint32_t generation, Key own) {
+  return A::peek(line.lent) == generation ? std::min(own, A::peek(line.lent_key)) : own;
+}
+
 /// What is the same for all workers of an XPU.
 struct Rules {
   Discipline discipline = Discipline::kPreemptive;
@@ -133,8 +140,7 @@ class Words {
       } else if (other == slot && owner_generation(seen) == generation) {
         return {};  // handed over to us before we could park
       } else if (rules_->discipline == Discipline::kPreemptive &&
-                 takes({job.key, job.since_ns, slot},
-                       {A::load(shm_.slots[other].worker.key), 0, other})) {
+                 takes({job.key, job.since_ns, slot}, {key_of(other, seen), 0, other})) {
         const std::uint32_t last = A::load(shm_.slots[other].coordinator.command);
         if ((seen & kTaken) != 0 || (last & 1u) != 0 ||
             A::load(shm_.slots[other].worker.ack) != last) {
@@ -208,6 +214,15 @@ class Words {
     return A::load(shm_.header->want_acks) != 0;
   }
 
+  /// The job of this generation, which is suspended, goes by `key` if that is the more urgent. To be
+  /// rung after.
+  void lend(int slot, std::uint32_t generation, Key key) const {
+    WorkerLine& line = shm_.slots[slot].worker;
+    A::store_relaxed(line.lent_key, key);
+    A::store(line.lent, generation);
+    A::fetch_or(shm_.header->owner, kFat);
+  }
+
   /// Returns whether the coordinator sleeps and must be woken through its descriptor.
   bool ring() const {
     A::fetch_add(shm_.header->rings, 1u);
@@ -225,7 +240,15 @@ class Words {
     bool more = false;  ///< others are parked, too
   };
 
-  /// The most urgent job that is parked (or is about to park: then it finds itself the owner).
+  /// Of the owner that this word names.
+  Key key_of(int owner, std::uint64_t word) const {
+    const WorkerLine& line = shm_.slots[owner].worker;
+    return with_lent<A>(line, owner_generation(word), A::load(line.key));
+  }
+
+  /// The most urgent job that is parked (or is about to park: then it finds itself the owner), by
+  /// keys of their own: whom one was lent is the owner or its victim, and the coordinator decides
+  /// where that is not the choice made here.
   Pick pick(int self) const {
     std::uint32_t generations[kMaxSlots];
     Next next;

@@ -38,6 +38,8 @@ Result<std::unique_ptr<Wiring>> Wiring::build(const Context& context, const Plac
                                                     .first_xnode = session.cpu_first_xnode,
                                                     .scheduler_pid = session.cpu_scheduler_pid,
                                                     .partial = session.cpu_partial}));
+  if (context.scheduled() && !session.coordinators.empty())
+    w.held_up_ = std::make_unique<HeldUp>(context, placing);
   const std::size_t modules = context.graph.modules.size(), topics = context.graph.topics.size();
   w.crews_ = std::vector<Crew>(session.platform.xpus.size());
   for (std::size_t m = 0; m < modules; ++m) {
@@ -109,6 +111,7 @@ Status Wiring::place_module(std::size_t module, int index) {
     if (at == here.end()) {
       XAUTO_ASSIGN(WorkerOptions options, placing_.worker(context_, module, index, xpu));
       options.contexts = &context_.board.contexts();
+      options.held_up = held_up_.get();
       workers_.push_back(
           std::make_unique<Worker>(std::move(options), chain, context_.trace, *threads_));
       workers_.back()->share(crews_[static_cast<std::size_t>(xpu)]);

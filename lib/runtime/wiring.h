@@ -20,6 +20,7 @@
 #include "processes/board.h"
 #include "processes/interop.h"
 #include "runtime/context.h"
+#include "runtime/held_up.h"
 #include "runtime/placing.h"
 #include "runtime/role.h"
 #include "runtime/worker.h"
@@ -94,6 +95,7 @@ class Wiring {
   std::unique_ptr<transport::Receiver> receiver_;
   std::vector<std::unique_ptr<ModuleRuntime>> modules_;        ///< [module]
   std::vector<std::vector<std::unique_ptr<NodeRow>>> chains_;  ///< [module][in flight]
+  std::unique_ptr<HeldUp> held_up_;                            ///< null: nobody schedules
   std::unique_ptr<xpu::CpuThreads> threads_;                   ///< outlives the workers
   std::vector<Crew> crews_;                                    ///< [XPU]; they, too
   std::vector<std::unique_ptr<Worker>> workers_;

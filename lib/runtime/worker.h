@@ -32,6 +32,8 @@
 
 namespace xauto::runtime {
 
+class HeldUp;
+
 /// One XNode as it was placed: everything that its job needs, looked up once.
 struct Placed {
   std::string name;
@@ -67,6 +69,7 @@ struct WorkerOptions {
   std::string coordinator;  ///< abstract socket; empty: nobody schedules
   coord::OrderPairs order;
   ContextCounts* contexts = nullptr;  ///< on the board, which outlives the worker
+  const HeldUp* held_up = nullptr;    ///< null: nobody looks at what its jobs hold up
 };
 
 class Worker {
@@ -120,6 +123,7 @@ class Worker {
   void execute();
   void execute_crew_job();
   void manage();
+  void tell_held_up(const Placed& placed, std::uint64_t sequence, std::uint32_t who);
   [[nodiscard]] Status init_nodes();
   [[nodiscard]] bool may_share() const;
   void destroy_objects(bool ran);

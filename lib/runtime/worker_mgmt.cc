@@ -5,6 +5,7 @@
 #include "base/clock.h"
 #include "base/log.h"
 #include "base/rt.h"
+#include "runtime/held_up.h"
 #include "runtime/worker.h"
 
 namespace xauto::runtime {
@@ -21,10 +22,15 @@ void Worker::manage() {
     SchedHandle handle;
     const Placed* job;
     std::uint64_t sequence;
+    std::optional<HeldUp::Watch> holds_up = {};
+    std::int64_t told_ns = 0;  ///< the backend: that it shall stay so
   };
   std::optional<Suspended> suspended;
   for (;;) {
-    const coord::Command command = port_->wait_command(suspended ? xpu::kStillWantedMs : -1);
+    constexpr int kLookMs = static_cast<int>(kHeldUpLookNs / 1'000'000);
+    const coord::Command command = port_->wait_command(!suspended            ? -1
+                                                       : suspended->holds_up ? kLookMs
+                                                                             : xpu::kStillWantedMs);
     switch (command) {
       case coord::Command::kSuspend: {
         if (suspended) {  // said twice; what the execution thread is at may be the next job
@@ -37,8 +43,10 @@ void Worker::manage() {
         record(XAUTO_EV_SUSPEND, *job, sequence);
         const Status done = backend_->preempt(job->made.handle);
         if (done) {
-          suspended = {job->made.handle, job, sequence};
           const std::int64_t now = now_ns();
+          suspended.emplace(Suspended{job->made.handle, job, sequence, {}, now});
+          if (options_.held_up != nullptr)
+            suspended->holds_up.emplace(*options_.held_up, job->node, now);
           watch_.away(now);
           thread_->gave_xpu(now);
           record(XAUTO_EV_SUSPENDED, *job, sequence);
@@ -61,6 +69,17 @@ void Worker::manage() {
         port_->acknowledge(true);
         break;
       case coord::Command::kNothing:
+        if (suspended && suspended->holds_up) {
+          const std::int64_t now = now_ns();
+          const auto job = port_->begun(suspended->job->xnode, suspended->sequence);
+          if (const auto waits = job ? suspended->holds_up->look(now, job->key) : std::nullopt) {
+            tell_held_up(*suspended->job, suspended->sequence, waits->xnode);
+            port_->lend(*job, waits->key);
+          }
+          if (now - suspended->told_ns < std::int64_t{xpu::kStillWantedMs - kLookMs} * 1'000'000)
+            break;
+          suspended->told_ns = now;
+        }
         if (const Status fed = backend_->still_wanted(); !fed)
           log::warn("{}: runs although the coordinator suspended it: {}", options_.name,
                     fed.error().to_string());
@@ -77,6 +96,19 @@ void Worker::manage() {
         break;
     }
   }
+}
+
+/// Before the coordinator resumes it, so that the trace tells them in this order.
+void Worker::tell_held_up(const Placed& placed, std::uint64_t sequence, std::uint32_t who) {
+  record(XAUTO_EV_HELD_UP, placed, sequence, who);
+  if (options_.contexts != nullptr && options_.contexts->held_up.fetch_add(1) > 0) return;
+  log::warn(
+      "XNode '{}' was suspended on {} while the more urgent '{}' waits for its work, so it got "
+      "that "
+      "one's urgency: an exec returns once its work is over, see docs/api.md (further ones are "
+      "only "
+      "counted)",
+      placed.name, xpu_name(), options_.held_up->name(who));
 }
 
 // ---- limits ------------------------------------------------------------------------------------

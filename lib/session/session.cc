@@ -241,25 +241,26 @@ std::string to_json(const RunReport& r) {
     if (x.max_age_us) routes.back()["max_age_us"] = *x.max_age_us;
     if (x.urgent_us.count() > 0) routes.back()["urgent_us"] = to_document(x.urgent_us);
   }
-  return json{
-      {"complete", r.complete},
-      {"note", r.note},
-      {"releases", std::move(releases)},
-      {"num_releases", r.num_releases},
-      {"lost_releases", r.lost_releases},
-      {"latencies_us", to_document(r.latencies_us)},
-      {"modules", std::move(modules)},
-      {"xnodes", std::move(xnodes)},
-      {"routes", std::move(routes)},
-      {"contexts", {r.contexts.partial, r.contexts.unclaimed, r.contexts.shared, r.contexts.gated}},
-      {"lost_coordinators", r.lost_coordinators},
-      {"died", r.died},
-      {"deadline_misses", r.deadline_misses},
-      {"overlapping_releases", r.overlapping_releases},
-      {"unkept", r.unkept},
-      {"broken", r.broken},
-      {"several_rates", r.several_rates},
-      {"recording_error", r.recording_error}}
+  return json{{"complete", r.complete},
+              {"note", r.note},
+              {"releases", std::move(releases)},
+              {"num_releases", r.num_releases},
+              {"lost_releases", r.lost_releases},
+              {"latencies_us", to_document(r.latencies_us)},
+              {"modules", std::move(modules)},
+              {"xnodes", std::move(xnodes)},
+              {"routes", std::move(routes)},
+              {"contexts",
+               {r.contexts.partial, r.contexts.unclaimed, r.contexts.shared, r.contexts.gated,
+                r.contexts.held_up}},
+              {"lost_coordinators", r.lost_coordinators},
+              {"died", r.died},
+              {"deadline_misses", r.deadline_misses},
+              {"overlapping_releases", r.overlapping_releases},
+              {"unkept", r.unkept},
+              {"broken", r.broken},
+              {"several_rates", r.several_rates},
+              {"recording_error", r.recording_error}}
       .dump();
 }
 
@@ -309,8 +310,8 @@ Result<RunReport> parse_run_report(const std::string& text) {
       if (const auto u = x.find("urgent_us"); u != x.end()) route.urgent_us = distribution_from(*u);
       r.routes.push_back(std::move(route));
     }
-    const auto contexts = j.at("contexts").get<std::array<std::uint32_t, 4>>();
-    r.contexts = {contexts[0], contexts[1], contexts[2], contexts[3]};
+    const auto contexts = j.at("contexts").get<std::array<std::uint32_t, 5>>();
+    r.contexts = {contexts[0], contexts[1], contexts[2], contexts[3], contexts[4]};
     r.lost_coordinators = j.at("lost_coordinators").get<std::vector<std::string>>();
     r.died = j.at("died").get<std::vector<std::string>>();
     r.deadline_misses = j.at("deadline_misses").get<std::uint64_t>();

@@ -125,7 +125,9 @@ class Painter {
   void paint_incident(const Incident& incident) {
     const double ms = static_cast<double>(incident.took_us) / 1000;
     const std::string text =
-        incident.xnode >= 0
+        incident.waits >= 0 ? fmt::format("{} was suspended while {} waits for its work",
+                                          name(incident.xnode), name(incident.waits))
+        : incident.xnode >= 0
             ? fmt::format("{} ran past its hang limit of {:.0f} ms", name(incident.xnode), ms)
             : fmt::format("release {} missed its deadline: {:.2f} ms", incident.sequence, ms);
     out_.instant(root_, incident.at_ns, text, {"incident", {}, {}, {}});

@@ -52,6 +52,11 @@ class Reader {
       case XAUTO_EV_SAMPLE:
         take_sample(event, ts);
         break;
+      case XAUTO_EV_HELD_UP:
+        if (event.arg < app_.xnodes.size())
+          story_.incidents.push_back(
+              {ts, 0, event.module, event.xnode, event.seq, static_cast<int>(event.arg)});
+        break;
       case XAUTO_EV_MISS:
       case XAUTO_EV_HANG:
         story_.incidents.push_back(
@@ -111,7 +116,7 @@ class Reader {
     if (e.ts_ns == 0 || e.ts_ns > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2)
       return false;
     if (e.kind == XAUTO_EV_PUBLISH) return true;
-    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_SAMPLE || e.module >= modules_.size())
+    if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_HELD_UP || e.module >= modules_.size())
       return false;
     if (e.kind == XAUTO_EV_TAKE || e.kind == XAUTO_EV_SAMPLE)
       return source_of(e.arg) >= 0 || e.arg < modules_.size();

@@ -89,11 +89,12 @@ struct ModuleInfo {
   bool sink = false;
 };
 
-/// What went wrong: a deadline miss, or a job past its hang limit.
+/// What went wrong: a deadline miss, a job past its hang limit, one that held up a more urgent one.
 struct Incident {
   std::int64_t at_ns = 0, took_us = 0;
-  int module = -1, xnode = -1;  ///< xnode: of a hang
+  int module = -1, xnode = -1;  ///< xnode: of the job, if it is about one
   std::uint64_t sequence = 0;
+  int waits = -1;  ///< the more urgent XNode
 };
 
 struct Story {

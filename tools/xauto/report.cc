@@ -381,7 +381,8 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       j["contexts"] = {{"partial", of.partial},
                        {"unclaimed", of.unclaimed},
                        {"shared", of.shared},
-                       {"gated", of.gated}};
+                       {"gated", of.gated},
+                       {"held_up", of.held_up}};
     Json notes = Json::array();
     if (!run.report.note.empty()) notes.push_back(run.report.note);
     for (const std::string& note : run.outcome.notes) notes.push_back(note);

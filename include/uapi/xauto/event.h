@@ -7,13 +7,14 @@
  *          2 - TAKE, MISS and HANG; what was padding is the stamp of the ring's slot.
  *          3 - SAMPLE; PUBLISH names its source; in an app of version 2 sources have app.json's
  *              numbers, and TAKE is written for one rate, too.
+ *          4 - HELD_UP.
  */
 #ifndef _UAPI_XAUTO_EVENT_H
 #define _UAPI_XAUTO_EVENT_H
 
 #include <linux/types.h>
 
-#define XAUTO_EVENT_VERSION 3
+#define XAUTO_EVENT_VERSION 4
 
 /* What happened. In the order in which one job meets them. */
 #define XAUTO_EV_PUBLISH 1   /* a source released a message; seq = its number; arg: see TAKE */
@@ -50,6 +51,12 @@
 
 #define XAUTO_TAKE_SOURCE 0x80000000u
 #define XAUTO_RELEASE_URGENT 0x40000000u
+
+/*
+ * The job is suspended, and the more urgent XNode `arg` waits for its work: it goes by that one's
+ * urgency until it ends.
+ */
+#define XAUTO_EV_HELD_UP 17
 
 #define XAUTO_DROP_FAILED 1   /* exec threw or returned an error */
 #define XAUTO_DROP_UPSTREAM 2 /* an input of this activation was dropped upstream */

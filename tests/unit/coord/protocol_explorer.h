@@ -10,12 +10,16 @@
 // What sleeps here really sleeps: a worker that waits for its grant looks again only after a
 // futex_wake of its slot, a management thread after a signal, the coordinator after its doorbell
 // was signalled or a worker died. So a lost wake-up shows as a state in which nothing can happen.
+//
+// A world with too many states for that is walked through at random, from its beginning to its end
+// many times: what goes wrong in few of its states is not found so.
 #pragma once
 
 #include <cstdint>
 #include <cstring>
 #include <memory>
 #include <optional>
+#include <random>
 #include <string>
 #include <utility>
 #include <vector>
@@ -106,6 +110,8 @@ struct ProtocolWorld {
   int deaths = 0;                          ///< workers (modules) that may die
   int coordinator_deaths = 0;
   bool may_refuse = false;
+  /// Module 0's management thread may lend its running job this key, once, whenever it likes.
+  std::optional<Key> lends = {};
   bool coarse = false;              ///< the coordinator does all it does at once
   bool lose_wakes = false;          ///< break it: whoever hands over does not wake
   bool verbose = false;             ///< the trail tells the words
@@ -128,18 +134,24 @@ class ProtocolExplorer {
   }
 
   ProtocolResult run() {
-    State initial;
-    for (std::size_t x = 0; x < world_.xpus.size(); ++x) {
-      initial.xpus.emplace_back(*this, x);
-      for (std::size_t m = 0; m < world_.modules.size(); ++m)
-        initial.xpus[x].referee->join(static_cast<int>(m));
+    visit(beginning());
+    return std::move(result_);
+  }
+
+  /// `walks` ways at random.
+  ProtocolResult walk(int walks, std::uint32_t seed) {
+    random_.emplace(seed);
+    for (int i = 0; i < walks && result_.violation.empty(); ++i) {
+      State at = beginning();
+      for (trail_.clear();; at = std::move(*chosen_)) {
+        choices_ = 0;
+        chosen_.reset();
+        ++result_.states;
+        choose(at);
+        if (!chosen_ || !result_.violation.empty()) break;
+        trail_.push_back(choice_);
+      }
     }
-    initial.modules.resize(world_.modules.size());
-    for (std::size_t m = 0; m < initial.modules.size(); ++m)
-      for (const Xpu& xpu : initial.xpus)
-        initial.modules[m].managers.push_back(
-            {.pending = xpu.memory->slots[m].coordinator.command.load()});
-    visit(initial);
     return std::move(result_);
   }
 
@@ -167,14 +179,16 @@ class ProtocolExplorer {
   struct Manager {
     bool awake = false, suspended = false;
     std::uint32_t pending = 0;  ///< command last received
-    int doing = 0;              ///< 0 nothing, 1 looks for a command, 2 acknowledges
+    int doing = 0;              ///< 0 nothing, 1 looks for a command, 2 acknowledges, 3 lends
     bool refuses = false;
     Record record = {};
   };
   struct Module {
     Act act = Act::kIdle;
-    std::size_t next = 0;  ///< job it is at
-    int victim = -1;       ///< of kTook and kReturned
+    std::size_t next = 0;     ///< job it is at
+    int victim = -1;          ///< of kTook and kReturned
+    bool lent = false;        ///< once
+    std::uint32_t lends = 0;  ///< generation of the job to which it does
     std::vector<std::uint32_t> generation = std::vector<std::uint32_t>(2, 0);
     Record record;
     std::vector<Manager> managers;
@@ -221,6 +235,21 @@ class ProtocolExplorer {
     std::vector<Module> modules;
     int deaths = 0, coordinator_deaths = 0;
   };
+
+  State beginning() const {
+    State initial;
+    for (std::size_t x = 0; x < world_.xpus.size(); ++x) {
+      initial.xpus.emplace_back(*this, x);
+      for (std::size_t m = 0; m < world_.modules.size(); ++m)
+        initial.xpus[x].referee->join(static_cast<int>(m));
+    }
+    initial.modules.resize(world_.modules.size());
+    for (std::size_t m = 0; m < initial.modules.size(); ++m)
+      for (const Xpu& xpu : initial.xpus)
+        initial.modules[m].managers.push_back(
+            {.pending = xpu.memory->slots[m].coordinator.command.load()});
+    return initial;
+  }
 
   void fail(const std::string& what) {
     if (!result_.violation.empty()) return;
@@ -334,10 +363,26 @@ class ProtocolExplorer {
     wake_pending_.clear();
   }
 
+  /// As Port::lend: the job may end meanwhile.
+  void step_lend(State& s, std::size_t m, std::size_t x) {
+    Module& module = s.modules[m];
+    Xpu& xpu = s.xpus[x];
+    const Words<A> words(xpu.shm(), &rules_[x]);
+    bool signal = false;
+    if (!advance(&module.managers[x].record, [&] {
+          words.lend(static_cast<int>(m), module.lends, *world_.lends);
+          signal = words.ring();
+        }))
+      return;
+    if (signal) xpu.doorbell = true;
+    module.managers[x].doing = 0;
+  }
+
   void step_manager(State& s, std::size_t m, std::size_t x) {
     Manager& manager = s.modules[m].managers[x];
     Xpu& xpu = s.xpus[x];
     const Words<A> words(xpu.shm(), &rules_[x]);
+    if (manager.doing == 3) return step_lend(s, m, x);
     if (manager.doing != 2) {
       manager.doing = 1;
       std::uint32_t command = 0;
@@ -430,7 +475,8 @@ class ProtocolExplorer {
   void check_quiet(const State& s) {
     for (std::size_t x = 0; x < s.xpus.size(); ++x) {
       if (s.xpus[x].discipline == Discipline::kKernel) continue;
-      int top = -1, running = 0;
+      int running = 0;
+      Next next;
       for (std::size_t m = 0; m < s.modules.size(); ++m) {
         const Module& module = s.modules[m];
         if (module.act != Act::kRun && module.act != Act::kAsleep) continue;
@@ -442,9 +488,11 @@ class ProtocolExplorer {
           if (runs) fail("a job runs before its order predecessors have finished");
           continue;
         }
-        if (top < 0 || t.job.key < task(s.modules[static_cast<std::size_t>(top)], top).job.key)
-          top = static_cast<int>(m);
+        const WorkerLine& line = s.xpus[x].memory->slots[m].worker;
+        next.consider({with_lent<RealAtomics>(line, module.generation[x], t.job.key), m,
+                       static_cast<int>(m)});
       }
+      const int top = next.slot();
       if (top < 0) continue;
       if (running == 0) fail("an XPU stands idle although somebody wants it");
       const Module& first = s.modules[static_cast<std::size_t>(top)];
@@ -527,6 +575,7 @@ class ProtocolExplorer {
         h.add(static_cast<std::uint64_t>(slot.worker.key.load()) * 2 +
               slot.coordinator.used.load());
         h.add(slot.worker.victim.load() ^ slot.worker.victim_command.load());
+        if (world_.lends) h.add(slot.worker.lent.load());
       }
       for (const auto& f : memory.finished) h.add(f.load());
       xpu.referee->describe([&](std::uint32_t part) { h.add(part); });
@@ -545,6 +594,7 @@ class ProtocolExplorer {
     for (const Module& module : s.modules) {
       h.add((static_cast<std::uint64_t>(module.act) * 64 + module.next) * 8 +
             static_cast<std::uint64_t>(module.victim + 1));
+      if (world_.lends) h.add(std::uint64_t{module.lends} << 1 | (module.lent ? 1u : 0u));
       for (const std::uint32_t g : module.generation) h.add(g);
       h.add(module.record);
       for (const Manager& manager : module.managers) {
@@ -562,10 +612,20 @@ class ProtocolExplorer {
   template <class Apply>
   void go(const State& from, const char* what, std::size_t who, std::size_t where, Apply apply) {
     if (!result_.violation.empty() || !result_.complete) return;
-    State to = from;
+    const auto name = [&] {
+      return std::string(what) + " " + std::to_string(who) + " on " + std::to_string(where);
+    };
     ++result_.steps;
-    trail_.push_back(std::string(what) + " " + std::to_string(who) + " on " +
-                     std::to_string(where));
+    if (random_) {
+      if ((*random_)() % ++choices_ != 0) return;
+      choice_ = name();
+      chosen_.emplace(from);
+      apply(*chosen_);
+      check_always(*chosen_);
+      return;
+    }
+    State to = from;
+    trail_.push_back(name());
     apply(to);
     if (world_.verbose) {
       const Memory& m = *to.xpus[0].memory;
@@ -590,6 +650,11 @@ class ProtocolExplorer {
       result_.trail = trail_;
       return;
     }
+    choose(s);
+  }
+
+  /// What may happen next, and what must hold if nothing is under way.
+  void choose(const State& s) {
     bool busy = false, possible = false;
     for (std::size_t x = 0; x < s.xpus.size(); ++x) {
       const Xpu& xpu = s.xpus[x];
@@ -662,6 +727,15 @@ class ProtocolExplorer {
       }
       for (std::size_t x = 0; x < s.xpus.size(); ++x) {
         const Manager& manager = module.managers[x];
+        if (world_.lends && m == 0 && !module.lent && module.act == Act::kRun && x == at &&
+            manager.doing == 0)
+          go(s, "manager lends", m, x, [&](State& to) {
+            Module& lender = to.modules[m];
+            lender.lent = true;
+            lender.lends = lender.generation[x];
+            lender.managers[x].doing = 3;
+            step_lend(to, m, x);
+          });
         if (!manager.awake && manager.doing == 0) continue;
         busy = true;
         go(s, "manager", m, x, [&](State& to) { step_manager(to, m, x); });
@@ -690,6 +764,10 @@ class ProtocolExplorer {
   ProtocolResult result_;
   Seen seen_;
   std::vector<std::string> trail_;
+  std::optional<std::mt19937> random_;  ///< a walk
+  std::uint32_t choices_ = 0;           ///< ... of this step so far, one of which is
+  std::optional<State> chosen_;
+  std::string choice_;
   std::vector<std::pair<std::size_t, int>> wake_pending_;
 };
 

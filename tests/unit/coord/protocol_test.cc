@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The shared-memory protocol, exhaustively: never two owners of a gate, the most urgent job runs or
 // is being resumed, no wake-up is lost, every suspension ends, whoever dies at whatever access.
+#include <algorithm>
 #include <array>
 #include <cstdlib>
 
@@ -149,7 +150,7 @@ TEST(Protocol, TwoJobsOnTwoXpusWithDeaths) {
 /// other comes; `keys`: of its two XNodes, from their nominal release on.
 std::vector<ProtocolWorld::Task> activations(std::uint32_t xnode, int first,
                                              std::array<Key, 2> keys,
-                                             std::vector<std::uint64_t> releases) {
+                                             const std::vector<std::uint64_t>& releases) {
   constexpr Key kPeriod = 3;
   std::vector<ProtocolWorld::Task> tasks;
   for (const std::uint64_t k : releases)
@@ -209,6 +210,56 @@ TEST(Protocol, OrderConstraintsHoldAndNobodyWaitsForTheDead) {
     w.deaths = 1;
     w.coordinator_deaths = kSmallOnly ? 0 : 1;
     expect_clean(w, 100);
+  }
+}
+
+/// The least urgent may become the most urgent at any moment, also while others take the XPU from it,
+/// give it back, or come; and what is lent to a job is not lent to the next one of its worker.
+TEST(Protocol, AKeyThatIsLentDecidesAndEndsWithItsJob) {
+  for (const Discipline d : kBoth) {
+    ProtocolWorld w = world({d}, {{task(0, 1), task(0, 1)}, {task(2, 3)}});
+    w.lends = key_of_priority(9);
+    w.coarse = true;
+    w.deaths = long_ones() ? 1 : 0;
+    expect_clean(w, 1000);
+    w = world({d}, {{task(0, 1)}, {task(2, 3)}});
+    w.lends = key_of_priority(9);
+    w.coarse = true;
+    w.deaths = 1;
+    expect_clean(w, 1000);
+    if (d == Discipline::kPreemptive && (kSmallOnly || !long_ones())) continue;
+    w = world({d}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
+    w.lends = key_of_priority(9);
+    w.coarse = true;
+    w.limit = 20'000'000;
+    expect_clean(w, 10'000);
+  }
+}
+
+/// Among three, whatever the order: too many ways for all of them.
+TEST(Protocol, AKeyThatIsLentAmongThree) {
+  std::array<std::int64_t, 3> order{1, 2, 3};
+  do {
+    ProtocolWorld w =
+        world({Discipline::kPreemptive},
+              {{task(0, 2 * order[0])}, {task(1, 2 * order[1])}, {task(2, 2 * order[2])}});
+    w.coarse = true;
+    for (const int lent : {5, 7}) {
+      w.lends = key_of_priority(lent);
+      const ProtocolResult result = ProtocolExplorer(w).walk(kSmallOnly ? 200 : 2'000, 1);
+      EXPECT_EQ(result.violation, "");
+    }
+  } while (std::next_permutation(order.begin(), order.end()));
+}
+
+TEST(Protocol, TwoJobsEveryAccessWhenKeysAreLent) {
+  if (!long_ones()) GTEST_SKIP() << "the coordinator's accesses, too: XAUTO_FULL=1";
+  for (const Discipline d : kBoth) {
+    if (d == Discipline::kPreemptive && !full()) continue;
+    ProtocolWorld w = world({d}, {{task(0, 1)}, {task(2, 3)}});
+    w.lends = key_of_priority(9);
+    w.limit = 400'000'000;
+    expect_clean(w, 5000);
   }
 }
 

@@ -16,6 +16,7 @@
 
 #include "base/memory_file.h"
 #include "base/socket.h"
+#include "coord/observer.h"
 #include "coord/port.h"
 #include "coord/protocol.h"
 
@@ -319,6 +320,50 @@ TEST(Server, OrderThatTheWorkersKeepIsKept) {
   second->wait();
   second->finish();
   EXPECT_FALSE(Port::connect(running.address(), "unordered", {3}, {}));
+}
+
+/// A suspended job that is lent the key of the most urgent one goes on, and that one waits for it.
+TEST(Server, WhoIsLentAKeyGoesOn) {
+  Running server(Discipline::kPreemptive);
+  auto low = server.port(1), high = server.port(2);
+  const auto observer = Observer::connect(server.address());
+  ASSERT_TRUE(observer) << observer.error().to_string();
+  const auto running = [&] {
+    std::vector<Observer::Running> jobs;
+    (*observer)->running(jobs);
+    return jobs.size() == 1 ? jobs[0].xnode : UINT32_MAX;
+  };
+  {
+    Obedient low_manages(*low), high_manages(*high);
+    low->start(numbered(1, 7, 1));
+    EXPECT_EQ(running(), 1u);
+    high->start(numbered(2, 0, 5));
+    wait_for([&] { return low_manages.suspended.load(); });
+    EXPECT_EQ(running(), 2u);
+
+    EXPECT_FALSE(low->begun(1, 6));  // is over
+    EXPECT_FALSE(low->begun(2, 7));
+    const auto job = low->begun(1, 7);
+    ASSERT_TRUE(job);
+    EXPECT_EQ(job->key, key_of_priority(1));
+    low->lend(*job, key_of_priority(5));
+    wait_for([&] {
+      return !low_manages.suspended.load() && high_manages.suspended.load() && running() == 1;
+    });
+    EXPECT_EQ(low->begun(1, 7)->key, key_of_priority(5));
+    low->finish();
+    wait_for([&] { return !high_manages.suspended.load() && running() == 2; });
+    high->finish();
+    // Its next job goes by its own key.
+    high->start(numbered(2, 1, 3));
+    low->begin(numbered(1, 8, 1));
+    EXPECT_EQ(low->begun(1, 8)->key, key_of_priority(1));
+    EXPECT_EQ(running(), 2u);
+    high->finish();
+    low->wait();
+    low->finish();
+  }
+  EXPECT_EQ(running(), UINT32_MAX);
 }
 
 TEST(Server, TellsItsStateInWords) {
