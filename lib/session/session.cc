@@ -242,25 +242,24 @@ std::string to_json(const RunReport& r) {
     if (x.urgent_us.count() > 0) routes.back()["urgent_us"] = to_document(x.urgent_us);
   }
   const ContextReport& c = r.contexts;
-  return json{
-      {"complete", r.complete},
-      {"note", r.note},
-      {"releases", std::move(releases)},
-      {"num_releases", r.num_releases},
-      {"lost_releases", r.lost_releases},
-      {"latencies_us", to_document(r.latencies_us)},
-      {"modules", std::move(modules)},
-      {"xnodes", std::move(xnodes)},
-      {"routes", std::move(routes)},
-      {"contexts", {c.partial, c.unclaimed, c.assumed, c.shared, c.gated}},
-      {"lost_coordinators", r.lost_coordinators},
-      {"died", r.died},
-      {"deadline_misses", r.deadline_misses},
-      {"overlapping_releases", r.overlapping_releases},
-      {"unkept", r.unkept},
-      {"broken", r.broken},
-      {"several_rates", r.several_rates},
-      {"recording_error", r.recording_error}}
+  return json{{"complete", r.complete},
+              {"note", r.note},
+              {"releases", std::move(releases)},
+              {"num_releases", r.num_releases},
+              {"lost_releases", r.lost_releases},
+              {"latencies_us", to_document(r.latencies_us)},
+              {"modules", std::move(modules)},
+              {"xnodes", std::move(xnodes)},
+              {"routes", std::move(routes)},
+              {"contexts", {c.partial, c.unclaimed, c.assumed, c.shared, c.gated}},
+              {"lost_coordinators", r.lost_coordinators},
+              {"died", r.died},
+              {"deadline_misses", r.deadline_misses},
+              {"overlapping_releases", r.overlapping_releases},
+              {"unkept", r.unkept},
+              {"broken", r.broken},
+              {"several_rates", r.several_rates},
+              {"recording_error", r.recording_error}}
       .dump();
 }
 
