@@ -87,6 +87,10 @@ kmod() {
     scripts/vm/build-arm64-tests.sh "$programs" || { failed=$((failed + 1)); return; }
     items=("ROOT=$programs" "${items[@]}")
   fi
+  if [ "${2:-amd64}" = amd64 ]; then
+    for program in xauto xauto-coordinator xauto-emud contexts_app; do items+=("$build/bin/$program:/opt/xauto/bin/$program"); done
+    items+=(tests/kselftest/kmod/contexts.sh:/tests/kmod_contexts tests/kselftest/kmod/contexts.json:/opt/xauto/contexts.json)
+  fi
   for program in "$programs"/kmod_*_test; do items+=("$program:/tests/$(basename "$program")"); done
   # What the kernel does not know on its command line, init gets as its environment.
   [ -z "${XAUTO_FULL:-}" ] || append="XAUTO_FUZZ=20000 XAUTO_UNLOADS=20"

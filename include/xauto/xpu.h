@@ -111,4 +111,13 @@ class SchedHandle {
   std::shared_ptr<const Callbacks> callbacks_;
 };
 
+/// For a CUcontext or a cudlaDevHandle that is not made in an `init`, but in main() or by a library:
+/// calls `make`, which makes it, and returns the handle that `make` returned. What appears meanwhile
+/// is suspended with it in later runs of this process. Not needed where the process has but one
+/// context (docs/api.md). On a machine without a driver, and for other handles, it does nothing
+/// else. It fails with nothing of its own; what `make` throws comes out. Threads: any; one makes
+/// contexts at a time, others and `init`s of GPUs and DLAs wait. Not while stages run that may open
+/// more themselves: what they open is taken for this context's.
+SchedHandle make_context(const std::function<SchedHandle()>& make);
+
 }  // namespace xauto

@@ -14,6 +14,7 @@ struct ContextCounts {
   std::atomic<std::uint32_t> incomplete{};  ///< now: a stage has not run yet, so more may be opened
   std::atomic<std::uint32_t> partial{};     ///< suspensions that may have left out what was new
   std::atomic<std::uint32_t> unclaimed{};   ///< TSGs and DLA queues of which nobody knows whose
+  std::atomic<std::uint32_t> assumed{};     ///< contexts that were given what was nobody's
   std::atomic<std::uint32_t> shared{};      ///< contexts whose queue is another's, too
   std::atomic<std::uint32_t> gated{};       ///< contexts that the kernel module preempts no more
   std::atomic<std::uint32_t> held_up{};     ///< jobs that, suspended, held up a more urgent one
@@ -27,8 +28,9 @@ struct ContextCounts {
     };
     if (live) say(incomplete, "contexts not complete: a stage on them has not run once");
     say(partial, "suspensions of a context may have left out what it had just opened");
-    say(unclaimed, "TSGs or DLA queues appeared while several stages ran: they are not suspended");
-    say(shared, "contexts share a DLA queue with another stage's: they are not suspended");
+    say(unclaimed, "TSGs or DLA queues are no known context's: they are not suspended");
+    say(assumed, "contexts were made before `init`: that there was no other then is assumed");
+    say(shared, "contexts are two modules', or their queue is: they are not suspended");
     say(gated, "GPU contexts did not leave the engine in time: they are not preempted any more");
     say(held_up, "suspended jobs held up a more urgent one that waits for their work");
     return lines;

@@ -75,7 +75,7 @@ Status Worker::init_nodes() {
   for (Placed& placed : chain_.nodes) {
     if (placed.worker != this) continue;
     const std::string where = "init of XNode '" + placed.name + "' on " + xpu_name();
-    XAUTO_TRY(backend_->before_init());
+    XAUTO_ASSIGN(const xpu::Backend::Init around, backend_->before_init());
     try {
       placed.made.handle = placed.impl->init(options_.backend.id, placed.made.object);
     } catch (const std::exception& e) {

@@ -241,6 +241,7 @@ std::string to_json(const RunReport& r) {
     if (x.max_age_us) routes.back()["max_age_us"] = *x.max_age_us;
     if (x.urgent_us.count() > 0) routes.back()["urgent_us"] = to_document(x.urgent_us);
   }
+  const ContextReport& c = r.contexts;
   return json{{"complete", r.complete},
               {"note", r.note},
               {"releases", std::move(releases)},
@@ -250,9 +251,7 @@ std::string to_json(const RunReport& r) {
               {"modules", std::move(modules)},
               {"xnodes", std::move(xnodes)},
               {"routes", std::move(routes)},
-              {"contexts",
-               {r.contexts.partial, r.contexts.unclaimed, r.contexts.shared, r.contexts.gated,
-                r.contexts.held_up}},
+              {"contexts", {c.partial, c.unclaimed, c.assumed, c.shared, c.gated, c.held_up}},
               {"lost_coordinators", r.lost_coordinators},
               {"died", r.died},
               {"deadline_misses", r.deadline_misses},
@@ -310,8 +309,8 @@ Result<RunReport> parse_run_report(const std::string& text) {
       if (const auto u = x.find("urgent_us"); u != x.end()) route.urgent_us = distribution_from(*u);
       r.routes.push_back(std::move(route));
     }
-    const auto contexts = j.at("contexts").get<std::array<std::uint32_t, 5>>();
-    r.contexts = {contexts[0], contexts[1], contexts[2], contexts[3], contexts[4]};
+    const auto contexts = j.at("contexts").get<std::array<std::uint32_t, 6>>();
+    r.contexts = {contexts[0], contexts[1], contexts[2], contexts[3], contexts[4], contexts[5]};
     r.lost_coordinators = j.at("lost_coordinators").get<std::vector<std::string>>();
     r.died = j.at("died").get<std::vector<std::string>>();
     r.deadline_misses = j.at("deadline_misses").get<std::uint64_t>();

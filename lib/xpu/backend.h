@@ -19,8 +19,10 @@ class Backend {
  public:
   virtual ~Backend() = default;
   /// Called right before and right after the `init` whose handle will be given to the others; on
-  /// the execution thread, while no other `init` of this process runs.
-  [[nodiscard]] virtual Status before_init() { return {}; }
+  /// the execution thread. What the first returns lives until the second has returned, or `init`
+  /// has failed: while it does no other `init` of this kind runs in this process.
+  using Init = std::shared_ptr<const void>;
+  [[nodiscard]] virtual Result<Init> before_init() { return Init(); }
   [[nodiscard]] virtual Status attach(const SchedHandle&) { return {}; }
   /// Suspends the work queued behind `handle`: when it returns, none of it runs. Suspending what is
   /// suspended is no error. An error leaves it running.

@@ -26,9 +26,15 @@ class KernelQueue final : public Backend {
   KernelQueue(QueueType type, int instance, kernel::QueueControl control)
       : which_{type, type == QueueType::kDla ? instance : -1}, control_(std::move(control)) {}
 
+  ~KernelQueue() override { all_.leave(this); }
+
   void count_in(ContextCounts& counts) override { counts_ = &counts; }
 
-  Status before_init() override { return all_.before_making(which_); }
+  Result<Init> before_init() override {
+    const auto making = std::make_shared<Contexts::Making>(all_);
+    making_ = making;
+    return making;
+  }
 
   Status attach(const SchedHandle& handle) override {
     const SchedHandle::Kind kind = which_.type == QueueType::kGpuTsg
@@ -39,9 +45,12 @@ class KernelQueue final : public Backend {
                   which_.type == QueueType::kGpuTsg ? "the scheduling handle is no CUcontext"
                                                     : "the scheduling handle is no cudlaDevHandle",
                   {}, "a preemptive GPU or DLA needs the handle behind which its work is queued");
-    XAUTO_TRY(all_.made(which_, handle.value()));
+    const auto making = making_.lock();
+    if (making == nullptr) return fail(ErrorCode::kInternal, "nobody looked before `init`");
+    XAUTO_TRY(all_.made(*making, which_, handle.value(), this));
     const Guard lock(mutex_);
     Context& context = contexts_[handle.value()];
+    if (context.stages == 0 && all_.assumed(handle.value())) count(&ContextCounts::assumed, 1);
     if (context.complete()) count(&ContextCounts::incomplete, 1);
     ++context.stages;
     return take_what_is_new();
@@ -53,7 +62,9 @@ class KernelQueue final : public Backend {
     if (it == contexts_.end())
       return fail(ErrorCode::kInternal, "suspending a context that was never attached");
     Context& context = it->second;
-    XAUTO_TRY(refuse_shared(handle.value(), context));
+    XAUTO_TRY(refuse(handle.value(), context));
+    // Looked at for the first time when it has run, it could lack what it has opened by now.
+    if (!context.complete()) count(&ContextCounts::unclaimed, all_.look(which_));
     if (generation_ != all_.generation()) XAUTO_TRY(take_what_is_new());
     ++context.unseen;
     Status done = act_on(context, XAUTO_ACTION_SUSPEND);
@@ -121,7 +132,7 @@ class KernelQueue final : public Backend {
     int unseen = 0;           ///< suspensions since the last look at what it has opened
     bool suspended = false;
     bool gated = false, shared = false;  ///< told
-    [[nodiscard]] bool complete() const { return ran == stages; }
+    [[nodiscard]] bool complete() const { return ran >= stages; }
   };
 
   void count(std::atomic<std::uint32_t> ContextCounts::*what, std::int64_t by) {
@@ -172,15 +183,19 @@ class KernelQueue final : public Backend {
     return changed && !context.queues.empty();
   }
 
-  /// Suspending one would hold up the other, which may be the more urgent.
-  Status refuse_shared(Contexts::Value value, Context& context) XAUTO_REQUIRES(mutex_) {
-    if (which_.type != QueueType::kDla || !all_.shared(value)) return {};
+  /// Suspending it would hold up another, which may be the more urgent; or is a guess.
+  Status refuse(Contexts::Value value, Context& context) XAUTO_REQUIRES(mutex_) {
+    if (all_.refuted(value))
+      return fail(ErrorCode::kUnavailable, "its context was made before `init`, another's, too");
+    if (!all_.shared(value)) return {};
     if (!context.shared) {
       context.shared = true;
       count(&ContextCounts::shared, 1);
-      log::warn("two cuDLA handles have one queue, so neither is suspended");
+      log::warn("two {}, so neither is suspended", which_.type == QueueType::kDla
+                                                       ? "cuDLA handles have one queue"
+                                                       : "modules have one GPU context");
     }
-    return fail(ErrorCode::kUnavailable, "its DLA queue is another handle's, too");
+    return fail(ErrorCode::kUnavailable, "its queue is another's, too");
   }
 
   Status act_on(const Context& context, xauto_action action) XAUTO_REQUIRES(mutex_) {
@@ -196,6 +211,7 @@ class KernelQueue final : public Backend {
   }
 
   Contexts& all_ = Contexts::of_this_process();
+  std::weak_ptr<Contexts::Making> making_;
   const Contexts::Which which_;
   ContextCounts* counts_ = nullptr;
   std::int64_t looked_ns_ = 0;  ///< the execution thread's

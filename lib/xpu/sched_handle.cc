@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "xpu/callbacks.h"
+#include "xpu/contexts.h"
 
 namespace xauto {
 
@@ -26,6 +27,18 @@ const char* SchedHandle::kind_name() const {
       return "custom";
   }
   return "?";
+}
+
+SchedHandle make_context(const std::function<SchedHandle()>& make) {
+  xpu::Contexts::Making making(xpu::Contexts::of_this_process());
+  SchedHandle handle = make();
+  // Without a driver nothing has appeared. What failed here fails in `init`, which can say so.
+  if (handle.kind() == SchedHandle::Kind::kCudaContext)
+    (void)making.made({kernel::QueueType::kGpuTsg, -1}, handle.value());
+  if (handle.kind() == SchedHandle::Kind::kCudlaDevice)
+    for (const int instance : {0, 1})  // as kernel/device_nodes.h has them
+      (void)making.made({kernel::QueueType::kDla, instance}, handle.value());
+  return handle;
 }
 
 }  // namespace xauto

@@ -380,6 +380,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
     if (const runtime::ContextReport& of = run.report.contexts; of.any())
       j["contexts"] = {{"partial", of.partial},
                        {"unclaimed", of.unclaimed},
+                       {"assumed", of.assumed},
                        {"shared", of.shared},
                        {"gated", of.gated},
                        {"held_up", of.held_up}};

@@ -10,63 +10,212 @@ using xauto::XPU;
 
 namespace {
 
-/// The first job opens what the context needs for copies; nobody tells the runtime.
-void opened_late() {
-  xauto::ContextCounts counts;
+using xauto::xpu::Backend;
+
+std::unique_ptr<Backend> gpu(xauto::ContextCounts& counts) {
   auto backend = xauto::xpu::make_kernel_queue({"gpu0", XPU::GPU, 0});
   if (!backend) ktap_bail("%s", backend.error().to_string().c_str());
   (*backend)->count_in(counts);
+  return std::move(*backend);
+}
+
+/// As a worker calls an `init` that does `what`.
+template <class What>
+xauto::Status init(Backend& backend, const SchedHandle& handle, What what) {
+  const auto around = backend.before_init();
+  what();
+  return backend.attach(handle);
+}
+xauto::Status init(Backend& backend, const SchedHandle& handle) {
+  return init(backend, handle, [] {});
+}
+
+/// A TSG that has a channel, so that it can be suspended.
+struct Tsg {
+  raw::UniqueFd tsg, channel;
+  void open(int runlist = 0) {
+    tsg = raw::tsg();
+    channel = raw::channel(runlist);
+    (void)raw::bind(tsg, channel);
+  }
+  void close() {
+    tsg.reset();
+    channel.reset();
+  }
+};
+
+/// How many TSGs and DLA queues are suspended with it; -1: it is refused.
+int suspended_with(Backend& backend, const SchedHandle& handle) {
+  if (!backend.preempt(handle)) return -1;
+  const int suspended = guest::suspended();
+  return backend.restore(handle) && guest::suspended() == 0 ? suspended : -2;
+}
+
+bool says(const xauto::ContextCounts& counts, const std::string& part) {
+  for (const std::string& line : counts.doubts(false))
+    if (guest::has(line, part)) return true;
+  return false;
+}
+
+/// cudart's context, made by any library before `init`; and one that make_context() knows.
+void made_before() {
+  xauto::ContextCounts counts;
+  const auto backend = gpu(counts);
+  int library = 0, later = 0, mine = 0, other = 0;
+  const SchedHandle primary = SchedHandle::cuda_context(&library);
+  const SchedHandle second = SchedHandle::cuda_context(&mine);
+  const SchedHandle third = SchedHandle::cuda_context(&other);
+  Tsg compute, copies, known, known_too, late;
+  compute.open();
+  copies.open(1);
+  const SchedHandle returned = xauto::make_context([&] {
+    known.open();
+    (void)xauto::make_context([&] {
+      known_too.open();
+      return third;
+    });
+    late.open(1);
+    return second;
+  });
+  ktap_test(returned == second && init(*backend, second).has_value() &&
+                init(*backend, third).has_value() && counts.assumed == 0,
+            "contexts of make_context() are known");
+  ktap_test(suspended_with(*backend, second) == 2 && suspended_with(*backend, third) == 1,
+            "each is suspended with what it has opened, though one was made within the other");
+  ktap_test(init(*backend, primary).has_value() && counts.assumed == 1 && says(counts, "assumed"),
+            "a context from before gets what is nobody's, and that is told");
+  ktap_test(suspended_with(*backend, primary) == 2, "and is suspended whole");
+  ktap_test(init(*backend, primary).has_value() && counts.assumed == 1,
+            "a second stage on it is told nothing new");
+
+  xauto::ContextCounts others;
+  const auto neighbour = gpu(others);
+  ktap_test(init(*neighbour, primary).has_value() && suspended_with(*neighbour, primary) == -1 &&
+                suspended_with(*backend, primary) == -1 && others.shared == 1 && counts.shared == 1,
+            "one context of two modules is not suspended: both would wait");
+
+  // It is closed, and another opened, as cudaDeviceReset does.
+  Tsg again;
+  again.open();
+  compute.close();
+  copies.close();
+  const SchedHandle renewed = SchedHandle::cuda_context(&later);
+  ktap_test(init(*backend, renewed).has_value() && suspended_with(*backend, renewed) == 1 &&
+                counts.assumed == 2,
+            "closed and made anew it gets what is nobody's then");
+
+  const xauto::Status refused = init(*backend, SchedHandle::cuda_context(&counts));
+  ktap_test(!refused && guest::has(refused.error().to_string(), "and so was that of another") &&
+                guest::has(refused.error().to_string(), "make_context"),
+            "a second context from before is refused, and the error says how it is done");
+  ktap_test(suspended_with(*backend, renewed) == -1 && suspended_with(*backend, second) == 2,
+            "the first may have the second's: it is not suspended any more, the others are");
+  ktap_test(!init(*backend, renewed).has_value(), "and no later `init` gets it");
+  counts.unclaimed = 0;
+  backend->admitted(second, true);
+  backend->finishing(second, true);
+  ktap_test(counts.unclaimed == 1, "what it had is nobody's now, and counted");
+}
+
+/// The library's context is there, too; nobody asks for it.
+void beside() {
+  xauto::ContextCounts counts;
+  const auto backend = gpu(counts);
+  int context = 0, other = 0;
+  const SchedHandle handle = SchedHandle::cuda_context(&context);
+  const SchedHandle made = SchedHandle::cuda_context(&other);
+  Tsg library, compute, copies;
+  library.open();
+  const bool attached = init(*backend, handle, [&] { compute.open(); }).has_value();
+  backend->admitted(handle, true);
+  (void)xauto::make_context([&] {
+    copies.open(1);
+    backend->finishing(handle, true);
+    return made;
+  });
+  ktap_test(attached && suspended_with(*backend, handle) == 1,
+            "what is made while a stage ends is not taken for the stage's");
+  backend->admitted(handle, true);
+  backend->finishing(handle, true);
+  ktap_test(counts.unclaimed == 1 && counts.assumed == 0,
+            "a context that no `init` returns is counted, once");
+  ktap_test(init(*backend, made).has_value() && suspended_with(*backend, made) == 1,
+            "and what was made meanwhile is suspended with its own handle");
+}
+
+/// The first job opens what the context needs for copies; nobody tells the runtime.
+void opened_late() {
+  xauto::ContextCounts counts;
+  const auto backend = gpu(counts);
   int context = 0, neighbour = 0;
   const SchedHandle handle = SchedHandle::cuda_context(&context);
   const SchedHandle other = SchedHandle::cuda_context(&neighbour);
-  (void)(*backend)->before_init();
-  const raw::UniqueFd compute = raw::tsg(), kernels = raw::channel();
-  (void)raw::bind(compute, kernels);
-  const bool attached = (*backend)->attach(handle).has_value();
-  (void)(*backend)->before_init();
-  const raw::UniqueFd theirs = raw::tsg(), their_kernels = raw::channel();
-  (void)raw::bind(theirs, their_kernels);
-  ktap_test(attached && (*backend)->attach(other).has_value() && counts.incomplete == 2,
+  Tsg compute, theirs;
+  const bool attached = init(*backend, handle, [&] { compute.open(); }).has_value();
+  ktap_test(attached && init(*backend, other, [&] { theirs.open(); }).has_value() &&
+                counts.incomplete == 2,
             "contexts are not complete before each has run once");
-  (void)(*backend)->preempt(handle);
-  (void)(*backend)->restore(handle);
+  (void)backend->preempt(handle);
+  (void)backend->restore(handle);
   ktap_test(counts.partial == 0, "a suspension before that has left nothing out yet");
 
-  (*backend)->admitted(handle, true);
+  backend->admitted(handle, true);
   const raw::UniqueFd copies = raw::tsg(), copier = raw::channel(1);
   (void)raw::bind(copies, copier);
-  (*backend)->finishing(handle, true);
-  ktap_test((*backend)->preempt(handle).has_value() && guest::suspended() == 2,
+  backend->finishing(handle, true);
+  ktap_test(backend->preempt(handle).has_value() && guest::suspended() == 2,
             "what the first job opened is suspended with its context");
-  ktap_test((*backend)->restore(handle).has_value() && guest::suspended() == 0 &&
+  ktap_test(backend->restore(handle).has_value() && guest::suspended() == 0 &&
                 counts.incomplete == 1 && counts.partial == 1 && counts.unclaimed == 0,
             "and resumed; the context is complete, the suspension before that is counted");
 
   // While it is suspended: its execution thread may be anywhere.
-  (*backend)->admitted(other, true);
-  (void)(*backend)->preempt(other);
+  backend->admitted(other, true);
+  (void)backend->preempt(other);
   const raw::UniqueFd more = raw::tsg(), copier_too = raw::channel(1);
   (void)raw::bind(more, copier_too);
-  (*backend)->finishing(other, true);
+  backend->finishing(other, true);
   ktap_test(guest::suspended() == 2, "what a suspended context opens is suspended at once");
-  (void)(*backend)->restore(other);
+  (void)backend->restore(other);
   ktap_test(guest::suspended() == 0 && counts.incomplete == 0, "and resumed");
 
-  (*backend)->admitted(handle, true);
-  (*backend)->admitted(other, true);
+  backend->admitted(handle, true);
+  backend->admitted(other, true);
   const raw::UniqueFd whose = raw::tsg();
-  (*backend)->finishing(handle, true);
-  (*backend)->finishing(other, true);
+  backend->finishing(handle, true);
+  backend->finishing(other, true);
   ktap_test(counts.unclaimed == 1, "what appears while two run is nobody's, and counted");
+
+  // The first preempts the second in its first run, when that has opened what it needs.
+  int third = 0;
+  const SchedHandle held = SchedHandle::cuda_context(&third);
+  Tsg base, grown;
+  const bool made = init(*backend, held, [&] { base.open(); }).has_value();
+  const unsigned unclaimed = counts.unclaimed;  // those of before are told again after an `init`
+  const unsigned partial = counts.partial;
+  backend->admitted(held, true);
+  Tsg early;
+  early.open();
+  ktap_test(suspended_with(*backend, held) == 2,
+            "a first run is suspended with what it has opened");
+  grown.open(1);
+  for (int i = 0; i < 2; ++i) {
+    backend->admitted(handle, false);
+    backend->finishing(handle, false);
+  }
+  backend->finishing(held, true);
+  ktap_test(made && counts.unclaimed == unclaimed + 1 && counts.partial == partial + 1 &&
+                suspended_with(*backend, held) == 3,
+            "a first run that is preempted keeps what it opened before");
 
   // A complete context is looked at every 250 ms: until then nobody knows what it has opened.
   const auto run_one = [&](bool opens) {
     guest::sleep_ms(300);
-    (*backend)->admitted(handle, false);
+    backend->admitted(handle, false);
     const raw::UniqueFd late = opens ? raw::tsg() : raw::UniqueFd();
-    (void)(*backend)->preempt(handle);
-    (void)(*backend)->restore(handle);
-    (*backend)->finishing(handle, false);
+    (void)backend->preempt(handle);
+    (void)backend->restore(handle);
+    backend->finishing(handle, false);
   };
   const unsigned before = counts.partial;
   run_one(false);
@@ -82,16 +231,16 @@ void one_dla_queue() {
   if (!backend) ktap_bail("%s", backend.error().to_string().c_str());
   (*backend)->count_in(counts);
   int first = 0, second = 0;
-  (void)(*backend)->before_init();
-  const raw::UniqueFd queue = raw::dla();
-  (void)raw::call(queue.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  raw::UniqueFd queue;
+  const auto open = [&] {
+    queue = raw::dla();
+    (void)raw::call(queue.get(), NVDLA_IOCTL_ALLOC_QUEUE);
+  };
   const SchedHandle one = SchedHandle::cudla_device(&first);
   const SchedHandle two = SchedHandle::cudla_device(&second);
-  ktap_test((*backend)->attach(one).has_value() && (*backend)->preempt(one).has_value() &&
-                guest::suspended() == 1 && (*backend)->restore(one).has_value(),
+  ktap_test(init(**backend, one, open).has_value() && suspended_with(**backend, one) == 1,
             "a cuDLA handle is suspended");
-  (void)(*backend)->before_init();
-  ktap_test((*backend)->attach(two).has_value(), "a second one of the process is registered");
+  ktap_test(init(**backend, two).has_value(), "a second one of the process is registered");
   ktap_test(!(*backend)->preempt(two) && !(*backend)->preempt(one) && guest::suspended() == 0 &&
                 counts.shared == 2,
             "neither is suspended then, for that would hold up the other");
@@ -100,26 +249,28 @@ void one_dla_queue() {
 }  // namespace
 
 int main() {
-  ktap_plan(16);
-  opened_late();
-  one_dla_queue();
-  auto backend = xauto::xpu::make_kernel_queue({"gpu0", XPU::GPU, 0});
-  if (!backend) ktap_bail("%s", backend.error().to_string().c_str());
-  (void)(*backend)->before_init();
+  ktap_plan(32);
+  for (const auto part : {made_before, beside, opened_late, one_dla_queue}) {
+    part();
+    (void)xauto::make_context([] { return SchedHandle(); });  // sees that all were closed
+  }
+  xauto::ContextCounts counts;
+  const auto backend = gpu(counts);
   int context = 0;
   const SchedHandle handle = SchedHandle::cuda_context(&context);
-  const raw::UniqueFd compute = raw::tsg(), copies = raw::tsg(), kernels = raw::channel(),
-                      copier = raw::channel(1);
-  (void)raw::bind(compute, kernels);
-  (void)raw::bind(copies, copier);
-  ktap_test((*backend)->attach(handle).has_value() && (*backend)->preempt(handle).has_value() &&
+  Tsg compute, copies;
+  const auto open = [&] {
+    compute.open();
+    copies.open(1);
+  };
+  ktap_test(init(*backend, handle, open).has_value() && backend->preempt(handle).has_value() &&
                 guest::suspended() == 2,
             "a context of two TSGs is suspended whole");
-  ktap_test((*backend)->restore(handle).has_value() && guest::suspended() == 0, "and resumed");
+  ktap_test(backend->restore(handle).has_value() && guest::suspended() == 0, "and resumed");
   raw::gpu_parameter("yield_us", "300000");
-  (void)raw::work(copier, 60000);
+  (void)raw::work(copies.channel, 60000);
   (void)guest::eventually([] { return guest::has(guest::gpu_state(), "current=1"); });
-  const auto refused = (*backend)->preempt(handle);
+  const auto refused = backend->preempt(handle);
   ktap_test(!refused && refused.error().code == xauto::ErrorCode::kTimeout,
             "one that does not leave is an error");
   ktap_test(guest::suspended() == 0, "and all of the context runs");

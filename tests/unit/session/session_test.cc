@@ -59,14 +59,15 @@ TEST(Session, KeysTravelAsKeys) {
 
 TEST(RunReport, WhatWasNotSuspendedTravels) {
   RunReport report;
-  report.contexts = {1, 2, 3, 4, 5};
+  report.contexts = {1, 2, 3, 4, 5, 6};
   const auto read = parse_run_report(to_json(report));
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_EQ(read->contexts.partial, 1u);
   EXPECT_EQ(read->contexts.unclaimed, 2u);
-  EXPECT_EQ(read->contexts.shared, 3u);
-  EXPECT_EQ(read->contexts.gated, 4u);
-  EXPECT_EQ(read->contexts.held_up, 5u);
+  EXPECT_EQ(read->contexts.assumed, 3u);
+  EXPECT_EQ(read->contexts.shared, 4u);
+  EXPECT_EQ(read->contexts.gated, 5u);
+  EXPECT_EQ(read->contexts.held_up, 6u);
 }
 
 }  // namespace

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+// For contexts.sh: two modules, each with a context of its own, as CUDA makes them. It opens a
+// second TSG in its first `exec`. In its own `slow` first waits until `quick`, which is more urgent,
+// has preempted it, and the file GO is there.
+//
+//   contexts_app GO [before]      before: main() makes both, slow's where nobody looks
+#include <atomic>
+#include <chrono>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <thread>
+
+#include <unistd.h>
+
+#include <xauto/xauto.h>
+
+#include "emu/driver_queue.h"
+
+namespace {
+
+using namespace std::chrono_literals;
+using xauto::SchedHandle;
+using xauto::emu::DriverQueue;
+
+struct Cuda {
+  std::optional<DriverQueue> compute, copies;
+
+  static DriverQueue opened() {
+    auto queue = DriverQueue::open_gpu();
+    if (!queue) throw std::runtime_error(queue.error().to_string());
+    return std::move(*queue);
+  }
+  SchedHandle make() {
+    if (!compute) compute = opened();
+    return SchedHandle::cuda_context(this);
+  }
+  xauto::Status run(std::chrono::milliseconds work) {
+    XAUTO_TRY(compute->submit(work));
+    const auto done = compute->wait();
+    if (!done) return tl::unexpected(done.error());
+    return {};
+  }
+};
+
+struct State {
+  int done = 0;
+};
+
+std::atomic<int> g_quick{0};  ///< jobs of quick's that have run
+
+void wait_for(const char* go) {
+  const int before = g_quick;
+  while (g_quick == before || access(go, F_OK) != 0) std::this_thread::sleep_for(1ms);
+}
+
+void add(xauto::App& app, const std::string& name, Cuda& cuda, std::chrono::milliseconds period,
+         std::chrono::milliseconds work, const char* go) {
+  const xauto::Topic<int> in(name), out(name + "/out");
+  app.add_source(in, period, [](std::uint64_t k) { return static_cast<int>(k); });
+  xauto::XNode<State> node(name + ".run");
+  node.add_impl(
+      xauto::XPU::GPU, [&cuda](const xauto::XpuId&) { return cuda.make(); },
+      [&cuda, work, go](State& state, const xauto::Input&) {
+        if (go != nullptr && !cuda.copies) wait_for(go);
+        if (!cuda.copies) cuda.copies = Cuda::opened();
+        ++state.done;
+        const xauto::Status done = cuda.run(work);
+        if (go == nullptr) ++g_quick;
+        return done;
+      });
+  xauto::XModule<State> module(name + "M");
+  module.add_node(node).add_input_topic(in).add_output_topic(out, &State::done);
+  app.add_module(module);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Cuda quick, slow;
+  if (argc > 2) {
+    xauto::make_context([&] { return quick.make(); });
+    slow.make();
+  }
+  xauto::App app("contexts");
+  add(app, "quick", quick, 50ms, 2ms, nullptr);
+  add(app, "slow", slow, 200ms, 30ms, argc > 1 ? argv[1] : nullptr);
+  return app.main(argc, argv);
+}
