@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+
 #include <xauto/xpu.h>
 
 namespace xauto {
