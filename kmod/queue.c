@@ -512,15 +512,19 @@ struct xauto_queue *xauto_queue_next(unsigned long *id)
 	return queue;
 }
 
-/* Nobody else can reach the queue any more: let the driver release one that runs. */
+/* Nobody else can reach the queue any more: let the driver release one that runs. NULL: later. */
 static struct file *xauto_queue_take_gone(struct xauto_queue *queue)
 {
 	struct file *file = queue->file;
 	u64 cost;
 
 	lockdep_assert_held(&queue->lock);
+	if (queue->suspended && time_before(jiffies, queue->retry_at))
+		return NULL;
 	if (queue->suspended && xauto_queue_resume(queue, 0, &cost)) {
-		/* Closing it is all that is left; the driver tears it down as it is. */
+		/* Without us nobody could resume what outlives its file. */
+		if (queue->ops->outlives_file)
+			return NULL;
 		queue->suspended = false;
 		xauto_power_put(queue->power);
 	}

@@ -16,7 +16,10 @@
  *	   '-------- sweeper: the driver resumes --------- ORPHAN (votes == 0, suspended, and kept
  *	                                                           alive until it runs)
  *
- *	  any state -- nobody but us holds the file --> GONE      (resumed first, file given back)
+ *	  any state -- nobody but us holds the file --> GONE      (resumed first, file given back;
+ *	                                                           a TSG that the driver does not
+ *	                                                           resume is kept until it does:
+ *	                                                           its channels may live on)
  *
  * SUSPENDED is what the driver was told, not what the hardware does: the drivers enable queues by
  * themselves. So the sweeper tells it again and again, and says when it finds one that had run
@@ -60,8 +63,10 @@ struct xauto_queue;
  * @preempt: wait until none of it runs; -ETIMEDOUT: it still does
  * @resume: let it run
  *
- * All may sleep and are called with the queue's lock held, except @verify. @slot, @preempt and the
- * last three may be missing.
+ * @outlives_file: what was suspended stays so after the file's last close
+ *
+ * All may sleep and are called with the queue's lock held, except @verify. @slot, @preempt, the
+ * time slice's and the interleave level's may be missing.
  */
 struct xauto_queue_ops {
 	int (*verify)(struct file *file, struct netlink_ext_ack *extack);
@@ -72,6 +77,7 @@ struct xauto_queue_ops {
 	int (*set_timeslice)(struct xauto_queue *queue, u32 us);
 	int (*get_timeslice)(struct xauto_queue *queue, u32 *us);
 	int (*set_interleave)(struct xauto_queue *queue, u32 level);
+	bool outlives_file;
 };
 
 extern const struct xauto_queue_ops xauto_tsg_ops;

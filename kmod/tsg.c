@@ -106,4 +106,5 @@ const struct xauto_queue_ops xauto_tsg_ops = {
 	.set_timeslice = xauto_tsg_set_timeslice,
 	.get_timeslice = xauto_tsg_read_timeslice,
 	.set_interleave = xauto_tsg_set_interleave,
+	.outlives_file = true, /* while a channel is bound to it */
 };

@@ -32,12 +32,12 @@ MODULE_PARM_DESC(release, "whose nvgpu this is: r35 or r36 (default: r36)");
 static u32 gpu_fail_preempt; /* the context does not leave: EBUSY, as late as nvgpu says it */
 static u32 gpu_fail_enable; /* ENABLE meets a GPU that does not power on */
 
-enum { NODE_CTRL, NODE_TSG, NODE_CHANNEL, N_NODES };
+enum { NODE_CTRL, NODE_TSG, NODE_CHANNEL, NODE_SCHED, N_NODES };
 
 /* Both hierarchies exist at once. */
 static const char *const gpu_node_names[2 * N_NODES] = {
-	"nvgpu/igpu0/ctrl", "nvgpu/igpu0/tsg", "nvgpu/igpu0/channel",
-	"nvhost-ctrl-gpu",  "nvhost-tsg-gpu",  "nvhost-gpu",
+	"nvgpu/igpu0/ctrl", "nvgpu/igpu0/tsg", "nvgpu/igpu0/channel", "nvgpu/igpu0/sched",
+	"nvhost-ctrl-gpu",  "nvhost-tsg-gpu",  "nvhost-gpu",	      "nvhost-sched-gpu",
 };
 
 static struct gpu gpu_emu;
@@ -301,14 +301,14 @@ static long gpu_ctrl_open_channel(void __user *arg)
 		return -ENOMEM;
 	fd = get_unused_fd_flags(O_CLOEXEC);
 	if (fd < 0) {
-		gpu_channel_put(channel);
+		gpu_channel_close(channel);
 		return fd;
 	}
 	snprintf(name, sizeof(name), "nvhost-ga10b-fd%d", fd);
 	file = anon_inode_getfile(name, &gpu_channel_fops, channel, O_RDWR | O_CLOEXEC);
 	if (IS_ERR(file)) {
 		put_unused_fd(fd);
-		gpu_channel_put(channel);
+		gpu_channel_close(channel);
 		return PTR_ERR(file);
 	}
 	args.out.channel_fd = fd;
@@ -345,6 +345,67 @@ static const struct file_operations gpu_ctrl_fops = { .owner = THIS_MODULE,
 						      .compat_ioctl = gpu_ctrl_ioctl,
 						      XAUTO_NO_LLSEEK };
 
+/* Bit n of a bitmap: TSG n. The size is told, too, where the caller's is too small. */
+static long gpu_sched_tell(const unsigned long *ids, __u32 *size, __u64 buffer)
+{
+	u64 words[GPU_MAX_TSGS / 64] = {};
+	unsigned int id;
+
+	if (*size < sizeof(words) || !buffer) {
+		*size = sizeof(words);
+		return -ENOSPC;
+	}
+	for_each_set_bit(id, ids, GPU_MAX_TSGS)
+		words[id / 64] |= BIT_ULL(id % 64);
+	return copy_to_user(u64_to_user_ptr(buffer), words, sizeof(words)) ? -EFAULT : 0;
+}
+
+static long gpu_sched_ioctl(struct file *file, unsigned int cmd, unsigned long value)
+{
+	struct nvgpu_sched_get_tsgs_by_pid_args by_pid;
+	void __user *arg = (void __user *)value;
+	struct nvgpu_sched_get_tsgs_args all;
+	DECLARE_BITMAP(ids, GPU_MAX_TSGS);
+	long err;
+
+	if (gpu_cmd_is_foreign(cmd, NVGPU_SCHED_IOCTL_MAGIC, 11, 32))
+		return -EINVAL;
+	switch (cmd) {
+	case NVGPU_SCHED_IOCTL_GET_TSGS:
+		if (copy_from_user(&all, arg, sizeof(all)))
+			return -EFAULT;
+		gpu_tsgs_of(&gpu_emu, 0, ids);
+		err = gpu_sched_tell(ids, &all.size, all.buffer);
+		if ((!err || err == -ENOSPC) && copy_to_user(arg, &all, sizeof(all)))
+			return -EFAULT;
+		return err;
+	case NVGPU_SCHED_IOCTL_GET_TSGS_BY_PID:
+		if (copy_from_user(&by_pid, arg, sizeof(by_pid)))
+			return -EFAULT;
+		/* The driver compares with what it noted, whatever namespace the caller is in. */
+		gpu_tsgs_of(&gpu_emu, (pid_t)by_pid.pid ?: -1, ids);
+		err = gpu_sched_tell(ids, &by_pid.size, by_pid.buffer);
+		if ((!err || err == -ENOSPC) && copy_to_user(arg, &by_pid, sizeof(by_pid)))
+			return -EFAULT;
+		return err;
+	}
+	return -ENOTTY;
+}
+
+static unsigned long gpu_sched_busy; /* bit 0: somebody has it open */
+
+static int gpu_sched_release(struct inode *inode, struct file *file)
+{
+	clear_bit_unlock(0, &gpu_sched_busy);
+	return 0;
+}
+
+static const struct file_operations gpu_sched_fops = { .owner = THIS_MODULE,
+						       .release = gpu_sched_release,
+						       .unlocked_ioctl = gpu_sched_ioctl,
+						       .compat_ioctl = gpu_sched_ioctl,
+						       XAUTO_NO_LLSEEK };
+
 /* The node decides what the file is. */
 static int gpu_node_open(struct inode *inode, struct file *file)
 {
@@ -367,6 +428,11 @@ static int gpu_node_open(struct inode *inode, struct file *file)
 			return -ENOMEM;
 		file->private_data = made;
 		replace_fops(file, fops_get(&gpu_channel_fops));
+		return 0;
+	case NODE_SCHED:
+		if (test_and_set_bit_lock(0, &gpu_sched_busy))
+			return -EBUSY;
+		replace_fops(file, fops_get(&gpu_sched_fops));
 		return 0;
 	}
 	return -ENXIO;

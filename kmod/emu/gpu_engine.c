@@ -380,19 +380,33 @@ struct gpu_tsg *gpu_tsg_new(struct gpu *gpu)
 	if (!tsg)
 		return ERR_PTR(-ENOMEM);
 	tsg->gpu = gpu;
-	tsg->files = 1;
+	tsg->tgid = current->tgid;
+	tsg->refs = 1;
 	INIT_LIST_HEAD(&tsg->channels);
 	tsg->timeslice_us = NVGPU_TSG_TIMESLICE_DEFAULT_US;
 	gpu_enter(gpu);
-	if (gpu->n_tsgs >= GPU_MAX_TSGS) {
+	tsg->id = find_first_zero_bit(gpu->ids, GPU_MAX_TSGS);
+	if (tsg->id == GPU_MAX_TSGS) {
 		gpu_leave(gpu);
 		kfree(tsg);
 		return ERR_PTR(-ENOSPC);
 	}
-	gpu->n_tsgs++;
+	__set_bit(tsg->id, gpu->ids);
 	list_add_tail(&tsg->node, &gpu->tsgs);
 	gpu_leave(gpu);
 	return tsg;
+}
+
+void gpu_tsgs_of(struct gpu *gpu, pid_t tgid, unsigned long *ids)
+{
+	struct gpu_tsg *tsg;
+
+	bitmap_zero(ids, GPU_MAX_TSGS);
+	spin_lock_bh(&gpu->lock);
+	list_for_each_entry(tsg, &gpu->tsgs, node)
+		if (!tgid || tsg->tgid == tgid)
+			__set_bit(tsg->id, ids);
+	spin_unlock_bh(&gpu->lock);
 }
 
 u64 gpu_tsg_token(struct gpu_tsg *tsg)
@@ -413,8 +427,8 @@ struct gpu_tsg *gpu_tsg_share(struct gpu *gpu, u64 token)
 
 	spin_lock_bh(&gpu->lock);
 	list_for_each_entry(tsg, &gpu->tsgs, node) {
-		if (tsg->token == token && tsg->files) {
-			tsg->files++;
+		if (tsg->token == token) {
+			tsg->refs++;
 			found = tsg;
 			break;
 		}
@@ -444,24 +458,16 @@ static void gpu_tsg_lose(struct gpu_tsg *tsg, struct gpu_channel *channel)
 void gpu_tsg_put(struct gpu_tsg *tsg)
 {
 	struct gpu *gpu = tsg->gpu;
-	struct gpu_channel *channel, *next;
 	struct gpu_engine *engine;
-	LIST_HEAD(unbound);
 
 	gpu_enter(gpu);
-	if (--tsg->files) {
+	if (--tsg->refs) {
 		gpu_leave(gpu);
 		return;
 	}
 	engine = tsg->engine;
-	list_for_each_entry_safe(channel, next, &tsg->channels, node) {
-		gpu_channel_drop_work(channel);
-		list_del(&channel->node);
-		channel->tsg = NULL;
-		list_add(&channel->node, &unbound);
-	}
 	list_del(&tsg->node);
-	gpu->n_tsgs--;
+	__clear_bit(tsg->id, gpu->ids);
 	if (engine) {
 		gpu_build_runlist(engine);
 		if (engine->current_tsg == tsg) {
@@ -470,8 +476,6 @@ void gpu_tsg_put(struct gpu_tsg *tsg)
 		}
 	}
 	gpu_leave(gpu);
-	list_for_each_entry_safe(channel, next, &unbound, node)
-		gpu_channel_put(channel);
 	kfree(tsg);
 }
 
@@ -576,7 +580,6 @@ struct gpu_channel *gpu_channel_new(struct gpu *gpu, u32 engine)
 
 	if (!channel)
 		return NULL;
-	kref_init(&channel->ref);
 	channel->gpu = gpu;
 	channel->engine = &gpu->engines[engine];
 	INIT_LIST_HEAD(&channel->node);
@@ -585,39 +588,30 @@ struct gpu_channel *gpu_channel_new(struct gpu *gpu, u32 engine)
 	return channel;
 }
 
-static void gpu_channel_free(struct kref *ref)
-{
-	kfree(container_of(ref, struct gpu_channel, ref));
-}
-
-void gpu_channel_put(struct gpu_channel *channel)
-{
-	kref_put(&channel->ref, gpu_channel_free);
-}
-
 int gpu_channel_unbind(struct gpu_tsg *tsg, struct gpu_channel *channel)
 {
-	bool bound;
+	struct gpu_tsg *from = NULL;
 
 	mutex_lock(&channel->engine->busy);
 	gpu_enter(channel->gpu);
-	bound = channel->tsg && (!tsg || channel->tsg == tsg);
-	if (bound) {
+	if (!tsg || channel->tsg == tsg)
+		from = channel->tsg;
+	if (from) {
 		gpu_channel_drop_work(channel);
-		gpu_tsg_lose(channel->tsg, channel);
+		gpu_tsg_lose(from, channel);
 	}
 	gpu_leave(channel->gpu);
 	mutex_unlock(&channel->engine->busy);
-	if (!bound)
+	if (!from)
 		return -EINVAL;
-	gpu_channel_put(channel);
+	gpu_tsg_put(from);
 	return 0;
 }
 
 void gpu_channel_close(struct gpu_channel *channel)
 {
 	gpu_channel_unbind(NULL, channel);
-	gpu_channel_put(channel);
+	kfree(channel);
 }
 
 int gpu_channel_bind(struct gpu_tsg *tsg, struct gpu_channel *channel, bool enable_all)
@@ -631,7 +625,7 @@ int gpu_channel_bind(struct gpu_tsg *tsg, struct gpu_channel *channel, bool enab
 	gpu_enter(tsg->gpu);
 	if (!channel->tsg && (!tsg->engine || tsg->engine == engine)) {
 		err = 0;
-		kref_get(&channel->ref);
+		tsg->refs++;
 		channel->tsg = tsg;
 		channel->enabled = true;
 		list_add_tail(&channel->node, &tsg->channels);
@@ -735,8 +729,8 @@ static void gpu_tsg_show(struct gpu_tsg *tsg, u32 number, struct seq_file *out)
 	seq_printf(out, "tsg=%u enabled=%d current=%d killed=%d stuck_ms=%u level=%u timeslice_us=%u ",
 		   number, on || !channels, tsg->engine && tsg == tsg->engine->current_tsg,
 		   tsg->killed, tsg->stuck_ms, tsg->level, tsg->timeslice_us);
-	seq_printf(out, "busy=%d channels=%u on=%u files=%u ran_us=%llu\n",
-		   !!gpu_tsg_busy_channel(tsg, true), channels, on, tsg->files,
+	seq_printf(out, "busy=%d channels=%u on=%u ran_us=%llu\n",
+		   !!gpu_tsg_busy_channel(tsg, true), channels, on,
 		   div_u64(tsg->ran_ns, NSEC_PER_USEC));
 }
 

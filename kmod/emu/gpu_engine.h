@@ -27,8 +27,8 @@
 #ifndef XAUTO_EMU_GPU_ENGINE_H
 #define XAUTO_EMU_GPU_ENGINE_H
 
+#include <linux/bitmap.h>
 #include <linux/hrtimer.h>
-#include <linux/kref.h>
 #include <linux/list.h>
 #include <linux/mutex.h>
 #include <linux/spinlock.h>
@@ -49,7 +49,9 @@ struct seq_file;
  * @gpu: it belongs to
  * @engine: whose runlist it is on, NULL before the first channel is bound
  * @node: in the GPU's list
- * @files: that share it, each with a reference
+ * @id: its bit in what the sched node tells
+ * @tgid: the process that opened it, as the initial PID namespace knows it
+ * @refs: files that share it, and channels bound to it: it outlives its files, as in nvgpu
  * @token: other files can be opened with, 0: none was asked for
  * @channels: bound ones
  * @preempt: asked to leave the engine
@@ -63,7 +65,9 @@ struct gpu_tsg {
 	struct gpu *gpu;
 	struct gpu_engine *engine;
 	struct list_head node;
-	u32 files;
+	u32 id;
+	pid_t tgid;
+	u32 refs;
 	u64 token;
 	struct list_head channels;
 	bool preempt;
@@ -76,7 +80,6 @@ struct gpu_tsg {
 
 /**
  * struct gpu_channel - a queue of work
- * @ref: its file, and the TSG that it is bound to
  * @gpu: it belongs to
  * @engine: that it was opened for
  * @tsg: bound to, or NULL
@@ -89,7 +92,6 @@ struct gpu_tsg {
  * @done: woken when one is
  */
 struct gpu_channel {
-	struct kref ref;
 	struct gpu *gpu;
 	struct gpu_engine *engine;
 	struct gpu_tsg *tsg;
@@ -144,7 +146,7 @@ struct gpu_engine {
  * @dev: powered while there is work
  * @powered: the engines may run
  * @tsgs: all
- * @n_tsgs: length of @tsgs
+ * @ids: of @tsgs
  * @tokens: given out so far
  * @engines: graphics and compute, then copies
  */
@@ -153,7 +155,7 @@ struct gpu {
 	struct device *dev;
 	bool powered;
 	struct list_head tsgs;
-	u32 n_tsgs;
+	DECLARE_BITMAP(ids, GPU_MAX_TSGS);
 	u64 tokens;
 	struct gpu_engine engines[GPU_ENGINES];
 };
@@ -165,8 +167,10 @@ struct gpu_tsg *gpu_tsg_new(struct gpu *gpu);
 /* One more file of the TSG with this token; NULL: there is none. */
 struct gpu_tsg *gpu_tsg_share(struct gpu *gpu, u64 token);
 u64 gpu_tsg_token(struct gpu_tsg *tsg);
-/* A file of it is closed; with the last one the TSG goes. */
+/* A file of it is closed, or a channel unbound; with the last of them the TSG goes. */
 void gpu_tsg_put(struct gpu_tsg *tsg);
+/* Those that @tgid has opened; 0: all. */
+void gpu_tsgs_of(struct gpu *gpu, pid_t tgid, unsigned long *ids);
 /* The caller holds a power reference, as for the next two. */
 void gpu_tsg_enable(struct gpu_tsg *tsg);
 void gpu_tsg_disable(struct gpu_tsg *tsg);
@@ -176,7 +180,6 @@ int gpu_tsg_set_level(struct gpu_tsg *tsg, u32 level);
 int gpu_tsg_set_timeslice(struct gpu_tsg *tsg, u32 us);
 
 struct gpu_channel *gpu_channel_new(struct gpu *gpu, u32 engine);
-void gpu_channel_put(struct gpu_channel *channel);
 /* Its file is closed: what waits is dropped. */
 void gpu_channel_close(struct gpu_channel *channel);
 /* @enable_all: every channel of the TSG (r36), not the new one alone (r35). */

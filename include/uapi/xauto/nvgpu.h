@@ -16,6 +16,7 @@
 #define NVGPU_TSG_IOCTL_MAGIC 'T'
 #define NVGPU_GPU_IOCTL_MAGIC 'G'
 #define NVGPU_CHANNEL_IOCTL_MAGIC 'H'
+#define NVGPU_SCHED_IOCTL_MAGIC 'S'
 
 /* r35's, without what r36 needs to share a TSG: another size, so another number. */
 struct nvgpu_gpu_open_tsg_args_r35 {
@@ -113,5 +114,28 @@ struct nvgpu_preemption_mode_args {
 	_IOR(NVGPU_TSG_IOCTL_MAGIC, 10, struct nvgpu_timeslice_args)
 #define NVGPU_TSG_IOCTL_GET_SHARE_TOKEN \
 	_IOWR(NVGPU_TSG_IOCTL_MAGIC, 20, struct nvgpu_tsg_get_share_token_args)
+
+/*
+ * The "sched" node: which TSGs there are. One may have it open at a time (EBUSY).
+ *
+ * @size: in: of the buffer, bytes; out: of the bitmap, also with ENOSPC: the buffer is too small
+ * @buffer: out: bit n: TSG n is there; a TSG is there while it has a file or a bound channel
+ */
+struct nvgpu_sched_get_tsgs_args {
+	__u32 size;
+	__u64 buffer;
+};
+
+/* @pid: in: of the process that opened the TSGs, as the initial PID namespace knows it */
+struct nvgpu_sched_get_tsgs_by_pid_args {
+	__u64 pid;
+	__u32 size;
+	__u64 buffer;
+};
+
+#define NVGPU_SCHED_IOCTL_GET_TSGS \
+	_IOWR(NVGPU_SCHED_IOCTL_MAGIC, 1, struct nvgpu_sched_get_tsgs_args)
+#define NVGPU_SCHED_IOCTL_GET_TSGS_BY_PID \
+	_IOWR(NVGPU_SCHED_IOCTL_MAGIC, 3, struct nvgpu_sched_get_tsgs_by_pid_args)
 
 #endif /* _UAPI_XAUTO_NVGPU_H */

@@ -148,6 +148,40 @@ void sharing() {
             "two files may be one TSG");
 }
 
+void sched_node() {
+  const UniqueFd sched = raw::sched(), ctrl = raw::ctrl();
+  ktap_test(open("/dev/nvhost-sched-gpu", O_RDWR | O_CLOEXEC) < 0 && errno == EBUSY,
+            "the sched node is one's at a time, under both names");
+  UniqueFd first = raw::tsg(), channel = raw::channel();
+  const UniqueFd second = raw::tsg();
+  ktap_test(raw::tsgs_of(sched, static_cast<std::uint64_t>(getpid())) == 2 &&
+                raw::tsgs_of(sched, 1) == 0 && raw::tsgs_of(sched, 0) == 0,
+            "it knows a process's TSGs");
+  std::uint64_t word = 0;
+  nvgpu_sched_get_tsgs_by_pid_args small{1, sizeof word, reinterpret_cast<std::uintptr_t>(&word)};
+  nvgpu_sched_get_tsgs_args nowhere{4096, 0};
+  ktap_test(raw::call(sched.get(), NVGPU_SCHED_IOCTL_GET_TSGS_BY_PID, &small) == ENOSPC &&
+                small.size == 32 &&
+                raw::call(sched.get(), NVGPU_SCHED_IOCTL_GET_TSGS, &nowhere) == ENOSPC &&
+                nowhere.size == 32,
+            "of too small a buffer it says the size that it wants");
+  ktap_test(raw::call(sched.get(), _IO('T', 3)) == EINVAL &&
+                raw::call(sched.get(), _IO('S', 12)) == EINVAL,
+            "an ioctl that is not the sched node's is EINVAL");
+  (void)raw::bind(first, channel);
+  (void)raw::work(channel, 300);
+  (void)suspend(first);
+  first.reset();
+  guest::sleep_ms(500);
+  ktap_test(raw::tsgs_of(sched, static_cast<std::uint64_t>(getpid())) == 2 &&
+                guest::suspended() == 1 && !raw::idle(channel),
+            "a TSG outlives its file while a channel is bound, suspended if it was");
+  channel.reset();
+  ktap_test(
+      raw::tsgs_of(sched, static_cast<std::uint64_t>(getpid())) == 1 && guest::suspended() == 0,
+      "and goes with the channel");
+}
+
 void dla_queues() {
   const UniqueFd a = raw::dla(), b = raw::dla(), other = raw::dla(1);
   nvdla_get_fw_ver_args version{};
@@ -225,13 +259,14 @@ void release_35() {
 }  // namespace
 
 int main() {
-  ktap_plan(30);
+  ktap_plan(36);
   ktap_test(on_r36(true), "r36 opens a TSG with 24 bytes");
   what_enables();
   system_sleep();
   runlists();
   preempt();
   sharing();
+  sched_node();
   dla_queues();
   release_35();
   ktap_test(guest::eventually([] { return guest::suspended() == 0; }), "nothing is left suspended");

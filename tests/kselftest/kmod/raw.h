@@ -91,6 +91,19 @@ inline bool idle(const UniqueFd& fd, int timeout_ms = 0) {
   return poll(&ready, 1, timeout_ms) == 1;
 }
 
+/// The "sched" node's answer, or the errno as a negative number.
+inline int tsgs_of(const UniqueFd& sched, std::uint64_t pid) {
+  std::uint64_t ids[64] = {};
+  nvgpu_sched_get_tsgs_by_pid_args args{pid, sizeof ids, reinterpret_cast<std::uintptr_t>(ids)};
+  const int error = call(sched.get(), NVGPU_SCHED_IOCTL_GET_TSGS_BY_PID, &args);
+  int count = 0;
+  for (const std::uint64_t word : ids) count += __builtin_popcountll(word);
+  return error != 0 ? -error : count;
+}
+inline UniqueFd sched() {
+  return node("/dev/nvgpu/igpu0/sched");
+}
+
 inline void gpu_parameter(const std::string& name, const std::string& value) {
   guest::write("/sys/module/xauto_nvgpu_emu/parameters/" + name, value);
 }

@@ -511,6 +511,27 @@ void undone() {
             "nor a registration");
 }
 
+/// nvgpu keeps a TSG while a channel is bound to it; nobody but the module could still resume it.
+void outlives_its_file() {
+  auto events = QueueEvents::subscribe();
+  for (const bool refused : {false, true}) {
+    QueueControl c = control();
+    UniqueFd tsg = raw::tsg();
+    const UniqueFd channel = raw::channel();
+    (void)raw::bind(tsg, channel);
+    const auto handle = registered(c, QueueType::kGpuTsg, tsg);
+    (void)raw::work(channel, 10);
+    (void)c.suspend(handle);
+    if (refused) guest::gpu_fault("fail_enable", 4);
+    tsg.reset();
+    ktap_test(eventually([] { return guest::suspended() == 0; }) && raw::idle(channel, 10000),
+              "a TSG whose last file is closed is resumed%s",
+              refused ? ", also by a driver that refuses at first" : ": its channels live on");
+    guest::gpu_fault("fail_enable", 0);
+    ktap_test(!events_of(*events, XAUTO_KEV_TARGET_GONE).empty(), "and told as gone");
+  }
+}
+
 void unload_is_told() {
   auto events = QueueEvents::subscribe();
   const UniqueFd tsg = raw::tsg(), channel = raw::channel();
@@ -528,7 +549,7 @@ void unload_is_told() {
 }  // namespace
 
 int main() {
-  ktap_plan(48);
+  ktap_plan(52);
   escapes();
   repeated();
   dla_released();
@@ -539,6 +560,7 @@ int main() {
   release_35();
   fair_shares();
   undone();
+  outlives_its_file();
   unload_is_told();
   ktap_test(eventually([] { return guest::suspended() == 0; }), "nothing is left suspended");
   return ktap_exit();
