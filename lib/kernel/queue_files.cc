@@ -2,6 +2,7 @@
 #include "kernel/queue_files.h"
 
 #include <algorithm>
+#include <bit>
 #include <cerrno>
 #include <charconv>
 #include <cstring>
@@ -9,9 +10,14 @@
 #include <string_view>
 #include <system_error>
 
+#include <fcntl.h>
+#include <sys/ioctl.h>
+#include <sys/stat.h>
+#include <uapi/xauto/nvgpu.h>
 #include <unistd.h>
 
 #include "base/syscalls.h"
+#include "kernel/device_nodes.h"
 
 namespace xauto::kernel {
 namespace {
@@ -30,6 +36,28 @@ bool is_anonymous_tsg(std::string_view target) {
   const std::size_t at = target.rfind("-tsg");
   int number = 0;
   return at != std::string_view::npos && ends_with_number(target.substr(at), "-tsg", number);
+}
+
+constexpr ino_t kFirstPidNamespace = 0xEFFFFFFC;  // Linux: PROC_PID_INIT_INO
+
+bool in_first_pid_namespace() {
+  struct stat space {};
+  return stat("/proc/self/ns/pid", &space) == 0 && space.st_ino == kFirstPidNamespace;
+}
+
+std::optional<std::size_t> count_by_node(int node, pid_t pid) {
+  std::vector<std::uint64_t> ids(64);  // twice what any GPU of today has channels
+  const auto ask = [&] {
+    nvgpu_sched_get_tsgs_by_pid_args args{};
+    args.pid = static_cast<__u64>(pid);
+    args.size = static_cast<__u32>(ids.size() * sizeof ids[0]);
+    args.buffer = reinterpret_cast<std::uintptr_t>(ids.data());
+    return ioctl(node, NVGPU_SCHED_IOCTL_GET_TSGS_BY_PID, &args) == 0;
+  };
+  if (!ask()) return {};
+  std::size_t count = 0;
+  for (const std::uint64_t word : ids) count += static_cast<std::size_t>(std::popcount(word));
+  return count;
 }
 
 }  // namespace
@@ -72,6 +100,14 @@ Result<std::vector<QueueFile>> find_queue_files(pid_t pid, const std::string& ro
   std::sort(found.begin(), found.end(),
             [](const QueueFile& a, const QueueFile& b) { return a.fd < b.fd; });
   return found;
+}
+
+std::optional<std::size_t> count_tsgs(pid_t pid) {
+  if (!in_first_pid_namespace()) return {};
+  for (const char* path : kGpuSchedNodes)
+    if (const UniqueFd node(open(path, O_RDWR | O_CLOEXEC | O_NONBLOCK)); node)
+      return count_by_node(node.get(), pid);
+  return {};
 }
 
 Result<UniqueFd> take_descriptor(pid_t pid, int fd) {

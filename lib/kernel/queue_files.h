@@ -3,6 +3,7 @@
 // they opened in the kernel is visible as descriptors.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -31,6 +32,12 @@ struct QueueFile {
 /// stands for / in tests.
 [[nodiscard]] Result<std::vector<QueueFile>> find_queue_files(pid_t pid,
                                                               const std::string& root = {});
+
+/// How many TSGs a process has opened and the GPU still has, by nvgpu's "sched" node: a TSG outlives
+/// its descriptors while a channel is bound to it. Nothing: there is no such node here, it is not
+/// ours to open, somebody else has it open at the moment, or (in a container) nvgpu knows the
+/// process by another number.
+[[nodiscard]] std::optional<std::size_t> count_tsgs(pid_t pid);
 
 /// A duplicate, in this process, of another's descriptor: pidfd_getfd(2), so ptrace's rules hold.
 [[nodiscard]] Result<UniqueFd> take_descriptor(pid_t pid, int fd);

@@ -4,11 +4,17 @@
 #include <algorithm>
 #include <climits>
 #include <string>
+#include <utility>
 
 #include <unistd.h>
 
+#include "base/clock.h"
+
 namespace xauto::xpu {
 namespace {
+
+/// Longer than xauto.ko keeps what was closed: sweep_ms is 1000 at most.
+constexpr std::int64_t kHiddenForNs = 2'000'000'000;
 
 using kernel::QueueFile;
 using kernel::QueueType;
@@ -177,6 +183,28 @@ void Contexts::leave(const void* user) {
 
 // ---- opened later ------------------------------------------------------------------------------
 
+/// TSGs that no descriptor leads to. One that is being opened has none yet, and xauto.ko keeps one
+/// that was closed until it has swept: so it counts what is there for some time.
+void Contexts::Hidden::look(std::size_t descriptors) {
+  const std::size_t all = kernel::count_tsgs(getpid()).value_or(0);
+  const std::size_t now = all - std::min(all, descriptors);
+  const std::int64_t time = now_ns();
+  if (now <= count) {
+    count = now;
+    told = std::min(told, count);
+    candidate = 0;
+  } else if (candidate == 0) {
+    candidate = now;
+    since_ns = time;
+  } else if (candidate = std::min(candidate, now); time - since_ns >= kHiddenForNs) {
+    count = std::exchange(candidate, 0);
+  }
+}
+
+std::uint32_t Contexts::Hidden::untold() {
+  return static_cast<std::uint32_t>(count - std::exchange(told, count));
+}
+
 /// Whose are those that nobody has seen? Of who may have opened them there is one, or they are
 /// nobody's. While a context is made that is left to the look after it.
 void Contexts::look_at(Which which, Seen& seen) {
@@ -188,6 +216,7 @@ void Contexts::look_at(Which which, Seen& seen) {
     std::erase_if(seen.ambiguous, [&](const QueueFile& file) { return !is_open(file); });
     if (!fresh.empty() && seen.suspects.size() == 1) claim(seen.suspects.front(), fresh);
     if (seen.suspects.size() > 1) add(seen.ambiguous, fresh);
+    if (which.type == QueueType::kGpuTsg) seen.hidden.look(seen.known.size());
   }
   seen.suspects.clear();
   for (const Value value : seen.active) add_once(seen.suspects, value);
@@ -197,7 +226,7 @@ std::uint32_t Contexts::untold(Seen& seen) const {
   Files free = unowned(seen.known);
   const Files fresh = new_ones(free, seen.told);
   seen.told = std::move(free);
-  return static_cast<std::uint32_t>(fresh.size());
+  return static_cast<std::uint32_t>(fresh.size()) + seen.hidden.untold();
 }
 
 std::uint32_t Contexts::begin(Which which, Value handle, bool look) {

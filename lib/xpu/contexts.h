@@ -5,7 +5,8 @@
 //   - while `init` or make_context() makes it (one at a time);
 //   - while an `exec` of it runs, and of no other handle on this XPU: nvgpu has a TSG for each
 //     runlist, so the first copy may open one long after the context.
-// What appears while several run could be anybody's, and is nobody's: it is counted.
+// What appears while several run could be anybody's, and is nobody's: it is counted. So is a TSG
+// that the GPU has and no descriptor leads to.
 // A handle of which nothing is known was made before: it is assumed to have all that is nobody's.
 // Of two such handles neither has anything.
 #pragma once
@@ -84,12 +85,20 @@ class Contexts {
   [[nodiscard]] std::uint64_t generation() const { return generation_.load(); }
 
  private:
+  struct Hidden {
+    std::size_t count = 0, told = 0;
+    std::size_t candidate = 0;  ///< the fewest of all looks since then, all of them above `count`
+    std::int64_t since_ns = 0;
+    void look(std::size_t descriptors);
+    [[nodiscard]] std::uint32_t untold();
+  };
   struct Seen {
     Files known, told;
     Files ambiguous;              ///< appeared while several ran
     std::vector<Value> active;    ///< whose `exec` runs, once for each
     std::vector<Value> first;     ///< ... and began with a look
     std::vector<Value> suspects;  ///< ... or has run since the last look
+    Hidden hidden;
   };
   struct Context {
     Files files;

@@ -224,6 +224,47 @@ void opened_late() {
   ktap_test(counts.partial == before + 1, "one that came after its stage had opened more is");
 }
 
+/// A library may close a TSG's descriptor: its channels keep the TSG, and nothing suspends it.
+void behind_no_descriptor() {
+  xauto::ContextCounts counts;
+  const auto backend = gpu(counts);
+  int context = 0;
+  const SchedHandle handle = SchedHandle::cuda_context(&context);
+  Tsg compute, swept, hidden, hidden_too;
+  const bool attached = init(*backend, handle, [&] { compute.open(); }).has_value();
+  const auto run_one = [&] {
+    backend->admitted(handle, true);
+    backend->finishing(handle, true);
+  };
+  hidden.open(1);
+  hidden_too.open(1);
+  swept.open();
+  run_one();  // which registers it, so that xauto.ko keeps it for a moment
+  counts.unclaimed = 0;
+  for (Tsg* closed : {&hidden, &hidden_too, &swept}) closed->tsg.reset();
+  swept.close();
+  {
+    const raw::UniqueFd anothers = raw::sched();
+    run_one();
+    guest::sleep_ms(2100);
+    run_one();
+    ktap_test(attached && counts.unclaimed == 0,
+              "while somebody else has the sched node, the descriptors are all that is known");
+  }
+  run_one();
+  ktap_test(counts.unclaimed == 0, "what is behind no descriptor may have been closed just now");
+  guest::sleep_ms(2100);
+  run_one();
+  run_one();
+  ktap_test(counts.unclaimed == 2 && says(counts, "they are not suspended"),
+            "2 s later it is counted as nobody's, once");
+  hidden.close();
+  hidden_too.close();
+  run_one();
+  ktap_test(counts.unclaimed == 2 && suspended_with(*backend, handle) == 1,
+            "the context itself is suspended as before");
+}
+
 /// nvdla's node is opened once, whatever cuDLA makes of it.
 void one_dla_queue() {
   xauto::ContextCounts counts;
@@ -249,8 +290,8 @@ void one_dla_queue() {
 }  // namespace
 
 int main() {
-  ktap_plan(32);
-  for (const auto part : {made_before, beside, opened_late, one_dla_queue}) {
+  ktap_plan(36);
+  for (const auto part : {made_before, beside, opened_late, behind_no_descriptor, one_dla_queue}) {
     part();
     (void)xauto::make_context([] { return SchedHandle(); });  // sees that all were closed
   }
