@@ -33,14 +33,25 @@ def measure(pid):
         return None  # it has ended
 
 
+def releases(pid):
+    """Its sources have been started: what a process needs for a run is there by then."""
+    try:
+        tasks = os.listdir(f"/proc/{pid}/task")
+        return any(pathlib.Path(f"/proc/{pid}/task/{task}/comm").read_text() == "xauto/sources\n" for task in tasks)
+    except OSError:
+        return False
+
+
 class Soak(Case):
     def watched(self, command, processes):
-        """Its report, and what its processes were measured at while all of them were there: [{pid: measurement}]."""
+        """Its report, and what its processes were measured at while releases went on: [{pid: measurement}]."""
         with open(self.path("report"), "w") as report, open(self.path("errors"), "w") as errors:
             tool = subprocess.Popen(command, stdout=report, stderr=errors)
             family = []
-            while len(family) < processes and tool.poll() is None:
+            while not any(map(releases, family)) and tool.poll() is None:
+                time.sleep(0.005)
                 family = list(children_of(tool.pid))
+            self.assertGreaterEqual(len(family), processes)
             seen = []
             while tool.poll() is None:
                 sample = {pid: measure(pid) for pid in family}
