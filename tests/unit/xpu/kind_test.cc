@@ -42,8 +42,7 @@ TEST(Kind, ANewOneIsARowAndABackend) {
   std::vector<Kind> table = kinds();
   table.push_back({.type = "fpga",
                    .nodes = {node.string()},
-                   .discipline = [] { return Discipline::kPreemptive; },
-                   .backend = make_fpga,
+                   .ways = {{.name = "fpga.ko", .backend = make_fpga}},
                    .preempt_us = 77,
                    .timeslice_us = 500,
                    .what = "a board's FPGA",

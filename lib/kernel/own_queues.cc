@@ -1,0 +1,246 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "kernel/own_queues.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <climits>
+#include <cstring>
+#include <string>
+#include <utility>
+
+#include <fcntl.h>
+#include <sys/ioctl.h>
+#include <time.h>
+#include <uapi/xauto/nvdla.h>
+#include <uapi/xauto/nvgpu.h>
+#include <unistd.h>
+
+#include "base/clock.h"
+#include "base/pi_mutex.h"
+#include "base/unique_fd.h"
+
+namespace xauto::kernel {
+namespace {
+
+constexpr std::int64_t kMs = 1'000'000;
+/// As kmod/queue.c has them, and why: nvgpu kills a context that was slow for 3 s in its life.
+constexpr std::int64_t kSlowMs = 100, kStuckStepMs = 500, kStuckMaxMs = 1500;
+constexpr std::int64_t kDlaAgainNs = 250 * kMs;
+
+/// How a TSG has behaved. nvgpu counts for its whole life, whichever backend has it.
+struct Stuck {
+  std::int64_t ms = 0, preempt_at_ns = 0;
+  [[nodiscard]] bool gated() const { return ms >= kStuckMaxMs; }
+};
+
+struct Memory {
+  PiMutex mutex;
+  std::map<std::pair<int, std::string>, Stuck> stuck XAUTO_GUARDED_BY(mutex);
+};
+
+Memory& memory() {
+  static Memory memory;
+  return memory;
+}
+
+Stuck stuck_of(const QueueFile& file) {
+  const Guard lock(memory().mutex);
+  const auto it = memory().stuck.find({file.fd, file.target});
+  return it == memory().stuck.end() ? Stuck() : it->second;
+}
+
+/// A number is used again, for another TSG or for a file of another driver. So what the call goes to
+/// is a duplicate, and that was looked at.
+UniqueFd same_file(const QueueFile& file) {
+  UniqueFd copy(fcntl(file.fd, F_DUPFD_CLOEXEC, 0));
+  if (!copy) return copy;
+  char target[PATH_MAX];
+  const ssize_t size =
+      readlink(("/proc/self/fd/" + std::to_string(copy.get())).c_str(), target, sizeof target);
+  if (size <= 0 || file.target != std::string_view(target, static_cast<std::size_t>(size)))
+    copy.reset();
+  return copy;
+}
+
+/// 0, or a positive errno. EBADF: it is closed.
+template <class Argument>
+int call(const QueueFile& file, unsigned long request, Argument* argument) {
+  const UniqueFd copy = same_file(file);
+  if (!copy) return EBADF;
+  int result;
+  do result = ioctl(copy.get(), request, argument);
+  while (result < 0 && errno == EINTR);
+  return result < 0 ? errno : 0;
+}
+int call(const QueueFile& file, unsigned long request) {
+  return call(file, request, static_cast<void*>(nullptr));
+}
+
+std::string name_of(const QueueFile& file) {
+  return "descriptor " + std::to_string(file.fd) + " (" + file.target + ")";
+}
+
+tl::unexpected<Error> failed(const QueueFile& file, const char* what, int error) {
+  if (error == EBADF) return fail(ErrorCode::kUnavailable, "is closed", name_of(file));
+  return fail(error == ENODEV ? ErrorCode::kUnavailable : ErrorCode::kIo,
+              std::string(what) + ": " + std::strerror(error), name_of(file),
+              error == ENODEV ? "the driver has lost the device: see the kernel's log" : "");
+}
+
+/// Which of the DLA's queues the file has; ENODATA: none.
+int ask_slot(const QueueFile& file, std::uint32_t& slot) {
+  nvdev_fence fence{};
+  nvdla_get_q_status_args args{};
+  args.fence = reinterpret_cast<std::uintptr_t>(&fence);
+  const int error = call(file, NVDLA_IOCTL_GET_QUEUE_STATUS, &args);
+  slot = args.id;
+  return error == EINVAL ? ENODATA : error;
+}
+
+int set_status(const QueueFile& file, std::uint64_t status) {
+  nvdla_set_queue_status_args args{status};
+  return call(file, NVDLA_IOCTL_SET_QUEUE_STATUS, &args);
+}
+
+/// nvgpu says EBUSY, with an interrupt pending EAGAIN, after 100 ms for each unit that is not left.
+/// What it spends is the context's: it is asked again later, and in the end never.
+int preempt(const QueueFile& file) {
+  const std::int64_t begin = now_ns();
+  const int error = call(file, NVGPU_IOCTL_TSG_PREEMPT);
+  const std::int64_t end = now_ns();
+  const bool stayed = error == EBUSY || error == EAGAIN;
+  std::int64_t ms = (end - begin) / kMs;
+  if (!stayed && ms < kSlowMs) return error;
+  if (stayed) ms = std::max(ms, kStuckStepMs);
+  const Guard lock(memory().mutex);
+  Stuck& stuck = memory().stuck[{file.fd, file.target}];
+  stuck.ms += ms;
+  if (stayed) stuck.preempt_at_ns = end + 2 * stuck.ms * kMs;
+  return stayed ? ETIMEDOUT : error;
+}
+
+}  // namespace
+
+Result<OwnQueues::Handle> OwnQueues::take(const QueueFile& file) {
+  for (const auto& [handle, queue] : queues_)
+    if (queue.file == file) return handle;
+  if (file.type == QueueType::kGpuTsg) {
+    nvgpu_timeslice_args args{};  // what only a TSG answers, of all that nvgpu has
+    if (const int error = call(file, NVGPU_IOCTL_TSG_GET_TIMESLICE, &args))
+      return error == EBADF || error == ENODEV
+                 ? failed(file, "GET_TIMESLICE", error)
+                 : fail(ErrorCode::kInvalid,
+                        std::string("is no TSG of nvgpu's: GET_TIMESLICE: ") + std::strerror(error),
+                        name_of(file));
+  } else {
+    std::uint32_t slot = 0;
+    if (const int error = ask_slot(file, slot))
+      return error == ENODATA ? fail(ErrorCode::kInvalid, "the DLA driver's file has no queue",
+                                     name_of(file), "allocate it in `init`")
+                              : failed(file, "GET_QUEUE_STATUS", error);
+    if (const int error = set_status(file, NVDLA_SET_QUEUE_RESUME))
+      return failed(file, "SET_QUEUE_STATUS", error);
+  }
+  // One that was closed does not come back, and its number may: what was counted is of another.
+  {
+    const Guard lock(memory().mutex);
+    std::erase_if(memory().stuck, [](const auto& entry) {
+      return !same_file({entry.first.first, QueueType::kGpuTsg, -1, entry.first.second});
+    });
+  }
+  queues_.emplace(++last_, Queue{.file = file});
+  return last_;
+}
+
+void OwnQueues::give_back(Handle handle) {
+  (void)resume(handle);
+  queues_.erase(handle);
+}
+
+Status OwnQueues::tell_suspend(Queue& queue, bool first) {
+  const QueueFile& file = queue.file;
+  if (file.type == QueueType::kDla) {
+    // The driver takes no lock against a release: a command that met another slot is no suspension.
+    std::uint32_t before = 0, after = 0;
+    int error = ask_slot(file, before);
+    if (!error && !first && before == queue.slot && now_ns() - queue.told_ns < kDlaAgainNs)
+      return {};
+    if (!error) error = set_status(file, NVDLA_SET_QUEUE_SUSPEND);
+    if (!error) error = ask_slot(file, after);
+    if (!error && before != after) error = ENODATA;
+    if (error == ENODATA)
+      return fail(ErrorCode::kUnavailable, "its queue was released", name_of(file));
+    if (error) return failed(file, "SET_QUEUE_STATUS", error);
+    queue.slot = after;
+    queue.told_ns = now_ns();
+    return {};
+  }
+  const Stuck stuck = stuck_of(file);
+  const bool may = !stuck.gated() && now_ns() >= stuck.preempt_at_ns;
+  if (first && !may)
+    return fail(ErrorCode::kUnavailable,
+                "did not leave its engine in time before, so it is not tried", name_of(file));
+  if (const int error = call(file, NVGPU_IOCTL_TSG_DISABLE)) return failed(file, "DISABLE", error);
+  const int error = may ? preempt(file) : 0;
+  if (error == ETIMEDOUT)
+    return fail(ErrorCode::kTimeout, "did not leave its engine in time", name_of(file),
+                "split its kernels");
+  if (error) return failed(file, "PREEMPT", error);
+  return {};
+}
+
+Status OwnQueues::tell_resume(Queue& queue) {
+  const QueueFile& file = queue.file;
+  const bool gpu = file.type == QueueType::kGpuTsg;
+  const int error =
+      gpu ? call(file, NVGPU_IOCTL_TSG_ENABLE) : set_status(file, NVDLA_SET_QUEUE_RESUME);
+  std::uint32_t slot = 0;
+  const bool none = error == EBADF || (error == EINVAL && !gpu && ask_slot(file, slot) == ENODATA);
+  queue.owed = error != 0 && !none;
+  if (queue.owed) return failed(file, gpu ? "ENABLE" : "SET_QUEUE_STATUS", error);
+  return {};
+}
+
+Status OwnQueues::suspend(Handle handle) {
+  Queue& queue = queues_.at(handle);
+  Status done = tell_suspend(queue, !queue.suspended);
+  if (!done && queue.suspended && done.error().code == ErrorCode::kTimeout)
+    done = {};  // it is disabled, and was off
+  queue.suspended = done.has_value();
+  if (!done) (void)tell_resume(queue);  // half a suspension is none
+  return done;
+}
+
+Status OwnQueues::resume(Handle handle) {
+  Queue& queue = queues_.at(handle);
+  queue.suspended = false;
+  return tell_resume(queue);
+}
+
+void OwnQueues::again() {
+  for (auto& [handle, queue] : queues_)
+    if (queue.suspended)
+      (void)tell_suspend(queue, false);
+    else if (queue.owed)
+      (void)tell_resume(queue);
+}
+
+bool OwnQueues::owes() const {
+  return std::any_of(queues_.begin(), queues_.end(),
+                     [](const auto& entry) { return entry.second.owed; });
+}
+
+bool OwnQueues::gated(Handle handle) const {
+  return stuck_of(queues_.at(handle).file).gated();
+}
+
+OwnQueues::~OwnQueues() {
+  for (auto& [handle, queue] : queues_)
+    if (queue.suspended) (void)resume(handle);
+  for (const std::int64_t until = now_ns() + kLastMs * kMs; owes() && now_ns() < until; again()) {
+    const timespec wait{0, 5 * kMs};
+    nanosleep(&wait, nullptr);
+  }
+}
+
+}  // namespace xauto::kernel
