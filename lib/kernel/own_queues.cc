@@ -121,6 +121,14 @@ int preempt(const QueueFile& file) {
 
 }  // namespace
 
+/// What was counted of those that are closed by now: a new TSG may have the number and the name.
+OwnQueues::OwnQueues() {
+  const Guard lock(memory().mutex);
+  std::erase_if(memory().stuck, [](const auto& entry) {
+    return !same_file({entry.first.first, QueueType::kGpuTsg, -1, entry.first.second});
+  });
+}
+
 Result<OwnQueues::Handle> OwnQueues::take(const QueueFile& file) {
   for (const auto& [handle, queue] : queues_)
     if (queue.file == file) return handle;
@@ -140,13 +148,6 @@ Result<OwnQueues::Handle> OwnQueues::take(const QueueFile& file) {
                               : failed(file, "GET_QUEUE_STATUS", error);
     if (const int error = set_status(file, NVDLA_SET_QUEUE_RESUME))
       return failed(file, "SET_QUEUE_STATUS", error);
-  }
-  // One that was closed does not come back, and its number may: what was counted is of another.
-  {
-    const Guard lock(memory().mutex);
-    std::erase_if(memory().stuck, [](const auto& entry) {
-      return !same_file({entry.first.first, QueueType::kGpuTsg, -1, entry.first.second});
-    });
   }
   queues_.emplace(++last_, Queue{.file = file});
   return last_;

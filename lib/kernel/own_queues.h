@@ -21,7 +21,7 @@ class OwnQueues {
   using Handle = std::uint32_t;
   static constexpr int kAgainMs = 50;
 
-  OwnQueues() = default;
+  OwnQueues();
   OwnQueues(const OwnQueues&) = delete;
   OwnQueues& operator=(const OwnQueues&) = delete;
   /// Resumes all; tries for kLastMs where a driver refuses.
