@@ -3,39 +3,30 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <climits>
 #include <cstring>
 #include <string>
 #include <utility>
 
-#include <fcntl.h>
 #include <sys/ioctl.h>
 #include <time.h>
 #include <uapi/xauto/nvdla.h>
 #include <uapi/xauto/nvgpu.h>
-#include <unistd.h>
 
 #include "base/clock.h"
 #include "base/pi_mutex.h"
 #include "base/unique_fd.h"
+#include "kernel/patience.h"
 
 namespace xauto::kernel {
 namespace {
 
 constexpr std::int64_t kMs = 1'000'000;
-/// As kmod/queue.c has them, and why: nvgpu kills a context that was slow for 3 s in its life.
-constexpr std::int64_t kSlowMs = 100, kStuckStepMs = 500, kStuckMaxMs = 1500;
 constexpr std::int64_t kDlaAgainNs = 250 * kMs;
 
-/// How a TSG has behaved. nvgpu counts for its whole life, whichever backend has it.
-struct Stuck {
-  std::int64_t ms = 0, preempt_at_ns = 0;
-  [[nodiscard]] bool gated() const { return ms >= kStuckMaxMs; }
-};
-
+/// How TSGs have behaved. nvgpu counts for their whole life, whichever backend has them.
 struct Memory {
   PiMutex mutex;
-  std::map<std::pair<int, std::string>, Stuck> stuck XAUTO_GUARDED_BY(mutex);
+  std::map<std::pair<int, std::string>, Patience> patience XAUTO_GUARDED_BY(mutex);
 };
 
 Memory& memory() {
@@ -43,29 +34,16 @@ Memory& memory() {
   return memory;
 }
 
-Stuck stuck_of(const QueueFile& file) {
+Patience patience_with(const QueueFile& file) {
   const Guard lock(memory().mutex);
-  const auto it = memory().stuck.find({file.fd, file.target});
-  return it == memory().stuck.end() ? Stuck() : it->second;
-}
-
-/// A number is used again, for another TSG or for a file of another driver. So what the call goes to
-/// is a duplicate, and that was looked at.
-UniqueFd same_file(const QueueFile& file) {
-  UniqueFd copy(fcntl(file.fd, F_DUPFD_CLOEXEC, 0));
-  if (!copy) return copy;
-  char target[PATH_MAX];
-  const ssize_t size =
-      readlink(("/proc/self/fd/" + std::to_string(copy.get())).c_str(), target, sizeof target);
-  if (size <= 0 || file.target != std::string_view(target, static_cast<std::size_t>(size)))
-    copy.reset();
-  return copy;
+  const auto it = memory().patience.find({file.fd, file.target});
+  return it == memory().patience.end() ? Patience() : it->second;
 }
 
 /// 0, or a positive errno. EBADF: it is closed.
 template <class Argument>
 int call(const QueueFile& file, unsigned long request, Argument* argument) {
-  const UniqueFd copy = same_file(file);
+  const UniqueFd copy = duplicate_of(file.fd, file.target);
   if (!copy) return EBADF;
   int result;
   do result = ioctl(copy.get(), request, argument);
@@ -103,19 +81,13 @@ int set_status(const QueueFile& file, std::uint64_t status) {
 }
 
 /// nvgpu says EBUSY, with an interrupt pending EAGAIN, after 100 ms for each unit that is not left.
-/// What it spends is the context's: it is asked again later, and in the end never.
 int preempt(const QueueFile& file) {
   const std::int64_t begin = now_ns();
   const int error = call(file, NVGPU_IOCTL_TSG_PREEMPT);
   const std::int64_t end = now_ns();
   const bool stayed = error == EBUSY || error == EAGAIN;
-  std::int64_t ms = (end - begin) / kMs;
-  if (!stayed && ms < kSlowMs) return error;
-  if (stayed) ms = std::max(ms, kStuckStepMs);
   const Guard lock(memory().mutex);
-  Stuck& stuck = memory().stuck[{file.fd, file.target}];
-  stuck.ms += ms;
-  if (stayed) stuck.preempt_at_ns = end + 2 * stuck.ms * kMs;
+  memory().patience[{file.fd, file.target}].waited(begin, end, stayed);
   return stayed ? ETIMEDOUT : error;
 }
 
@@ -124,8 +96,8 @@ int preempt(const QueueFile& file) {
 /// What was counted of those that are closed by now: a new TSG may have the number and the name.
 OwnQueues::OwnQueues() {
   const Guard lock(memory().mutex);
-  std::erase_if(memory().stuck, [](const auto& entry) {
-    return !same_file({entry.first.first, QueueType::kGpuTsg, -1, entry.first.second});
+  std::erase_if(memory().patience, [](const auto& entry) {
+    return !duplicate_of(entry.first.first, entry.first.second);
   });
 }
 
@@ -176,8 +148,7 @@ Status OwnQueues::tell_suspend(Queue& queue, bool first) {
     queue.told_ns = now_ns();
     return {};
   }
-  const Stuck stuck = stuck_of(file);
-  const bool may = !stuck.gated() && now_ns() >= stuck.preempt_at_ns;
+  const bool may = patience_with(file).may(now_ns());
   if (first && !may)
     return fail(ErrorCode::kUnavailable,
                 "did not leave its engine in time before, so it is not tried", name_of(file));
@@ -232,7 +203,7 @@ bool OwnQueues::owes() const {
 }
 
 bool OwnQueues::gated(Handle handle) const {
-  return stuck_of(queues_.at(handle).file).gated();
+  return patience_with(queues_.at(handle).file).gated();
 }
 
 OwnQueues::~OwnQueues() {

@@ -84,9 +84,10 @@ class Probe {
     else if (release == "36")
       meaning = "its own kernel has no BTF: no sched_ext, no `xauto trace`";
     else if (release == "38" || release == "39")
-      meaning = rm() ? "its GPU driver is NVIDIA's RM, which has no TSG files: xauto.ko suspends "
-                       "nothing here"
-                     : "Linux 6.8: no sched_ext; the GPU driver is nvgpu";
+      meaning = rm()
+                    ? "its GPU driver is NVIDIA's RM: xauto.ko suspends nothing here, each process "
+                      "its own work"
+                    : "Linux 6.8: no sched_ext; the GPU driver is nvgpu";
     add("jetson", Verdict::kOk, found, meaning, "docs/jetson.md has the list for the first board");
   }
 
@@ -256,12 +257,6 @@ class Probe {
     if (!nodes.empty())
       return add(device.type, Verdict::kOk, nodes,
                  device.what + (device.suspended ? ", " + device.suspended(root_) : ""));
-    if (device.driver == "nvgpu" && rm())
-      return add(device.type, Verdict::kMissing, "no nvgpu, but NVIDIA's RM driver",
-                 "a platform's " + device.type +
-                     " is emulated on this machine: a context of that "
-                     "driver is no TSG file, and xauto.ko cannot suspend it",
-                 "an XPU type of your own runs on it, gated (docs/api.md, SchedHandle)");
     add(device.type, Verdict::kMissing, "no " + device.driver + " device node",
         "a platform's " + device.type + " is emulated on this machine", device.advice);
   }

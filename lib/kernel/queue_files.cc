@@ -5,6 +5,7 @@
 #include <bit>
 #include <cerrno>
 #include <charconv>
+#include <climits>
 #include <cstring>
 #include <filesystem>
 #include <string_view>
@@ -18,6 +19,7 @@
 
 #include "base/syscalls.h"
 #include "kernel/device_nodes.h"
+#include "kernel/rm_queues.h"
 
 namespace xauto::kernel {
 namespace {
@@ -58,6 +60,13 @@ std::optional<std::size_t> count_by_node(int node, pid_t pid) {
   std::size_t count = 0;
   for (const std::uint64_t word : ids) count += static_cast<std::size_t>(std::popcount(word));
   return count;
+}
+
+bool leads_to(int fd, const std::string& wanted) {
+  char target[PATH_MAX];
+  const ssize_t size =
+      readlink(("/proc/self/fd/" + std::to_string(fd)).c_str(), target, sizeof target);
+  return size > 0 && wanted == std::string_view(target, static_cast<std::size_t>(size));
 }
 
 }  // namespace
@@ -108,6 +117,26 @@ std::optional<std::size_t> count_tsgs(pid_t pid) {
     if (const UniqueFd node(open(path, O_RDWR | O_CLOEXEC | O_NONBLOCK)); node)
       return count_by_node(node.get(), pid);
   return {};
+}
+
+Result<std::vector<QueueFile>> find_own_queues() {
+  XAUTO_ASSIGN(std::vector<QueueFile> all, find_queue_files(getpid()));
+  for (QueueFile& file : find_rm_groups()) all.push_back(std::move(file));
+  return all;
+}
+
+bool is_open(const QueueFile& file) {
+  if (file.type == QueueType::kRmGroup) {
+    const std::vector<QueueFile> all = find_rm_groups();
+    return std::find(all.begin(), all.end(), file) != all.end();
+  }
+  return leads_to(file.fd, file.target);
+}
+
+UniqueFd duplicate_of(int fd, const std::string& target) {
+  UniqueFd copy(fcntl(fd, F_DUPFD_CLOEXEC, 0));
+  if (copy && !leads_to(copy.get(), target)) copy.reset();
+  return copy;
 }
 
 Result<UniqueFd> take_descriptor(pid_t pid, int fd) {

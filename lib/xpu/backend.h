@@ -80,6 +80,8 @@ inline constexpr int kCpuLowered = 1, kCpuAdmitted = 2, kCpuAsks = 3;
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_kernel_queue(const XpuId& xpu);
 /// The same by this process itself (own_queue.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_own_queue(const XpuId& xpu);
+/// A GPU of NVIDIA's RM driver, by this process itself (rm.cc). kUnavailable: it is not watched.
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_rm(const XpuId& xpu);
 /// XPUs that cannot be preempted: both calls are refused (gate.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_gate();
 

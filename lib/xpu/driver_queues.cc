@@ -36,13 +36,12 @@ class DriverQueues final : public Backend {
   }
 
   Status attach(const SchedHandle& handle) override {
-    const SchedHandle::Kind kind = which_.type == QueueType::kGpuTsg
-                                       ? SchedHandle::Kind::kCudaContext
-                                       : SchedHandle::Kind::kCudlaDevice;
+    const SchedHandle::Kind kind = which_.type == QueueType::kDla ? SchedHandle::Kind::kCudlaDevice
+                                                                  : SchedHandle::Kind::kCudaContext;
     if (handle.kind() != kind)
       return fail(ErrorCode::kInvalid,
-                  which_.type == QueueType::kGpuTsg ? "the scheduling handle is no CUcontext"
-                                                    : "the scheduling handle is no cudlaDevHandle",
+                  which_.type == QueueType::kDla ? "the scheduling handle is no cudlaDevHandle"
+                                                 : "the scheduling handle is no CUcontext",
                   {}, "a preemptive GPU or DLA needs the handle behind which its work is queued");
     const auto making = making_.lock();
     if (making == nullptr) return fail(ErrorCode::kInternal, "nobody looked before `init`");
@@ -156,7 +155,7 @@ class DriverQueues final : public Backend {
     for (const QueueFile& file : all_.of(value)) {
       const bool known = std::any_of(context.queues.begin(), context.queues.end(),
                                      [&](const Queue& queue) { return queue.file == file; });
-      if (known || !is_open(file)) continue;
+      if (known || !kernel::is_open(file)) continue;
       XAUTO_ASSIGN(const QueueDoor::Handle handle, door_->take(file));
       context.queues.push_back({file, handle});
       // It may have been there already when they came.
@@ -228,9 +227,14 @@ class DriverQueues final : public Backend {
 
 }  // namespace
 
+std::unique_ptr<Backend> over_door(const XpuId& xpu, QueueType type,
+                                   std::unique_ptr<QueueDoor> door) {
+  return std::make_unique<DriverQueues>(type, xpu.index, std::move(door));
+}
+
 std::unique_ptr<Backend> over_door(const XpuId& xpu, std::unique_ptr<QueueDoor> door) {
   const QueueType type = xpu.type == XPU::GPU ? QueueType::kGpuTsg : QueueType::kDla;
-  return std::make_unique<DriverQueues>(type, xpu.index, std::move(door));
+  return over_door(xpu, type, std::move(door));
 }
 
 }  // namespace xauto::xpu

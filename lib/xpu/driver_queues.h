@@ -38,6 +38,9 @@ class QueueDoor {
   [[nodiscard]] virtual bool owes() const { return false; }
 };
 
+[[nodiscard]] std::unique_ptr<Backend> over_door(const XpuId& xpu, kernel::QueueType type,
+                                                 std::unique_ptr<QueueDoor> door);
+/// Of nvgpu or nvdla.
 [[nodiscard]] std::unique_ptr<Backend> over_door(const XpuId& xpu, std::unique_ptr<QueueDoor> door);
 
 }  // namespace xauto::xpu

@@ -25,6 +25,9 @@ std::vector<std::string> nodes(const char* const (&list)[N]) {
 bool on_nvgpu(const std::string& root) {
   return any_there(root, nodes(kernel::kGpuNodes));
 }
+bool on_rm(const std::string& root) {
+  return any_there(root, nodes(kernel::kRmNodes));
+}
 bool on_nvdla(const std::string& root) {
   return any_there(root, nodes(kernel::kDlaNodes));
 }
@@ -51,6 +54,16 @@ const std::vector<Kind>& kinds() {
        .what = "a Jetson's GPU",
        .driver = "nvgpu",
        .advice = "needs a Jetson with NVIDIA's kernel"},
+      // Nobody has measured these costs: each preemption is a message to the GPU's GSP.
+      {.type = "gpu",
+       .nodes = nodes(kernel::kRmNodes),
+       .ways =
+           {{.name = "rm", .backend = make_rm, .there = on_rm, .watched = true, .caveat = kOwn}},
+       .preempt_us = 1000,
+       .timeslice_us = 1000,
+       .what = "a GPU of NVIDIA's RM driver",
+       .driver = "nvidia",
+       .advice = "needs NVIDIA's driver"},
       {.type = "dla",
        .nodes = nodes(kernel::kDlaNodes),
        .ways = {{.name = "xauto.ko",
@@ -109,10 +122,22 @@ Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys,
   return way == nullptr ? Discipline::kGate : way->discipline;
 }
 
+namespace {
+
+const Way* way_in_use(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
+  return emulated || !xpu.preemptive ? nullptr : way_of(kind_of(xpu.type, table));
+}
+
+}  // namespace
+
 std::string caveat_of(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
-  if (emulated || !xpu.preemptive) return {};
-  const Way* way = way_of(kind_of(xpu.type, table));
+  const Way* way = way_in_use(xpu, emulated, table);
   return way == nullptr ? std::string() : way->caveat;
+}
+
+bool is_watched(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
+  const Way* way = way_in_use(xpu, emulated, table);
+  return way != nullptr && way->watched;
 }
 
 Result<std::unique_ptr<Backend>> make_backend(const BackendRequest& request,

@@ -27,6 +27,7 @@ struct Way {
   Result<std::unique_ptr<Backend>> (*backend)(const XpuId&) = nullptr;
   /// Whether this machine has it; `root` stands for / in tests. None: whatever has the XPU.
   bool (*there)(const std::string& root) = nullptr;
+  bool watched = false;     ///< libxauto_watch.so must be in the app's process
   std::string caveat = {};  ///< what it cannot promise, for `xauto doctor` and the report
 };
 
@@ -69,6 +70,10 @@ struct Kind {
 /// ...", or "".
 [[nodiscard]] std::string caveat_of(const Xpu& xpu, bool emulated,
                                     const std::vector<Kind>& table = kinds());
+
+/// Whether an app on such an XPU needs libxauto_watch.so in its process.
+[[nodiscard]] bool is_watched(const Xpu& xpu, bool emulated,
+                              const std::vector<Kind>& table = kinds());
 
 /// How one worker's work on an XPU is suspended in a run.
 struct BackendRequest {

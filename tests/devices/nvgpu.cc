@@ -79,6 +79,7 @@ class Tsg final : public File {
         if (state_.gone) return -ENODEV;
         ++tsg.preempts;
         if (tsg.channels.empty()) return 0;  // no runlist
+        if (state_.pass_preempt > 0 && state_.pass_preempt-- > 0) return 0;
         return state_.fail_preempt > 0 && state_.fail_preempt-- > 0 ? -state_.preempt_error : 0;
       case 0x8008540a: {  // GET_TIMESLICE
         const std::uint32_t args[2] = {1024, 0};

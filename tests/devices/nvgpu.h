@@ -30,7 +30,8 @@ struct NvgpuState {
 
   bool gone = false;     ///< the driver dies: gk20a_busy fails
   int fail_enable = 0;   ///< so many of the next find a GPU that does not power on
-  int fail_preempt = 0;  ///< so many of the next do not leave: EBUSY
+  int pass_preempt = 0;  ///< so many of the next leave, then
+  int fail_preempt = 0;  ///< so many do not: EBUSY
   int preempt_error = 16;
 
   [[nodiscard]] int disabled() const;

@@ -315,7 +315,8 @@ TEST_F(Own, TheBackendSuspendsAContextOfTwoTsgsWholeOrNotAtAll) {
       state.fail_preempt = 1;
       return 0;
     });
-    EXPECT_FALSE((*backend)->preempt(handle));
+    look([](auto& state) { return state.pass_preempt = 1; });
+    EXPECT_FALSE((*backend)->preempt(handle)) << "the second of its two";
     EXPECT_EQ(disabled(), 0) << "half a context suspended is none";
 
     look([](auto& state) { return state.fail_enable = 2; });
