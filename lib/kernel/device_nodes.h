@@ -11,5 +11,7 @@ inline constexpr const char* kDlaNodes[] = {"/dev/nvhost-ctrl-nvdla0", "/dev/nvh
                                             "/dev/nvdla0", "/dev/nvdla1"};
 /// NVIDIA's RM driver has one for all GPUs. A Jetson's display may have it beside nvgpu.
 inline constexpr const char* kRmNodes[] = {"/dev/nvidiactl"};
+/// amdkfd likewise.
+inline constexpr const char* kKfdNodes[] = {"/dev/kfd"};
 
 }  // namespace xauto::kernel

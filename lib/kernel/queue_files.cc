@@ -19,6 +19,7 @@
 
 #include "base/syscalls.h"
 #include "kernel/device_nodes.h"
+#include "kernel/kfd_queues.h"
 #include "kernel/rm_queues.h"
 
 namespace xauto::kernel {
@@ -121,13 +122,15 @@ std::optional<std::size_t> count_tsgs(pid_t pid) {
 
 Result<std::vector<QueueFile>> find_own_queues() {
   XAUTO_ASSIGN(std::vector<QueueFile> all, find_queue_files(getpid()));
-  for (QueueFile& file : find_rm_groups()) all.push_back(std::move(file));
+  for (const auto find : {find_rm_groups, find_kfd_queues})
+    for (QueueFile& file : find()) all.push_back(std::move(file));
   return all;
 }
 
 bool is_open(const QueueFile& file) {
-  if (file.type == QueueType::kRmGroup) {
-    const std::vector<QueueFile> all = find_rm_groups();
+  if (file.type == QueueType::kRmGroup || file.type == QueueType::kKfdQueue) {
+    const std::vector<QueueFile> all =
+        file.type == QueueType::kRmGroup ? find_rm_groups() : find_kfd_queues();
     return std::find(all.begin(), all.end(), file) != all.end();
   }
   return leads_to(file.fd, file.target);

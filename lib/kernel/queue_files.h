@@ -47,7 +47,12 @@ struct QueueFile {
 /// it goes to that file, whoever closes the number meanwhile.
 [[nodiscard]] UniqueFd duplicate_of(int fd, const std::string& target);
 /// Types of queues that a context on a GPU may have.
-inline constexpr QueueType kGpuQueues[] = {QueueType::kGpuTsg, QueueType::kRmGroup};
+inline constexpr QueueType kGpuQueues[] = {QueueType::kGpuTsg, QueueType::kRmGroup,
+                                           QueueType::kKfdQueue};
+/// Where nobody sees what this process opens.
+inline constexpr const char* kWatchHint =
+    "start it by `xauto run`, or with LD_PRELOAD=libxauto_watch.so, or plan with \"preemptive\": "
+    "false (docs/backends.md)";
 
 /// A duplicate, in this process, of another's descriptor: pidfd_getfd(2), so ptrace's rules hold.
 [[nodiscard]] Result<UniqueFd> take_descriptor(pid_t pid, int fd);

@@ -46,7 +46,8 @@ std::vector<xauto_watched_channel> watched() {
 }
 
 std::string target_of(const xauto_watched_channel& channel) {
-  return "rm:" + std::to_string(channel.client) + ":" + std::to_string(channel.group);
+  return "rm:" + std::to_string(channel.client) + ":" + std::to_string(channel.group) + ":" +
+         std::to_string(channel.made);
 }
 
 /// Names the status; what a driver may answer here.

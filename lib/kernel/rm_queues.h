@@ -18,7 +18,7 @@ namespace xauto::kernel {
 /// libxauto_watch.so stands before libc's ioctl in this process.
 [[nodiscard]] bool rm_is_watched();
 
-/// This process's groups, with `target` "rm:CLIENT:GROUP" and the client's descriptor.
+/// This process's groups, with `target` "rm:CLIENT:GROUP:MADE" and the client's descriptor.
 [[nodiscard]] std::vector<QueueFile> find_rm_groups();
 
 /// Threads: one at a time.

@@ -82,6 +82,8 @@ inline constexpr int kCpuLowered = 1, kCpuAdmitted = 2, kCpuAsks = 3;
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_own_queue(const XpuId& xpu);
 /// A GPU of NVIDIA's RM driver, by this process itself (rm.cc). kUnavailable: it is not watched.
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_rm(const XpuId& xpu);
+/// A GPU of amdkfd, likewise (kfd.cc).
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_kfd(const XpuId& xpu);
 /// XPUs that cannot be preempted: both calls are refused (gate.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_gate();
 

@@ -28,6 +28,9 @@ bool on_nvgpu(const std::string& root) {
 bool on_rm(const std::string& root) {
   return any_there(root, nodes(kernel::kRmNodes));
 }
+bool on_kfd(const std::string& root) {
+  return any_there(root, nodes(kernel::kKfdNodes));
+}
 bool on_nvdla(const std::string& root) {
   return any_there(root, nodes(kernel::kDlaNodes));
 }
@@ -64,6 +67,15 @@ const std::vector<Kind>& kinds() {
        .what = "a GPU of NVIDIA's RM driver",
        .driver = "nvidia",
        .advice = "needs NVIDIA's driver"},
+      {.type = "gpu",
+       .nodes = nodes(kernel::kKfdNodes),
+       .ways =
+           {{.name = "kfd", .backend = make_kfd, .there = on_kfd, .watched = true, .caveat = kOwn}},
+       .preempt_us = 1000,
+       .timeslice_us = 1000,
+       .what = "an AMD GPU under ROCm",
+       .driver = "amdkfd",
+       .advice = "needs amdgpu with amdkfd"},
       {.type = "dla",
        .nodes = nodes(kernel::kDlaNodes),
        .ways = {{.name = "xauto.ko",

@@ -17,11 +17,13 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "kernel/kfd.h"
 #include "kernel/rm.h"
 #include "kernel/watch/watch.h"
 
 namespace {
 
+namespace kfd = xauto::kernel::kfd;
 namespace rm = xauto::kernel::rm;
 
 bool leads_to(int fd, std::string_view node) {
@@ -55,7 +57,7 @@ class Objects {
       return;
     }
     if (const auto it = clients_.find(client); it != clients_.end())
-      it->second.objects[object] = {parent, type};
+      it->second.objects[object] = {parent, type, ++made_};
   }
 
   void freed(std::uint32_t client, std::uint32_t object) {
@@ -83,7 +85,9 @@ class Objects {
             });
         if (subdevice == client.objects.end()) continue;
         if (n < room)
-          to[n] = {client.fd, number, subdevice->first, grouped ? object.parent : handle, handle};
+          to[n] = {client.fd,        number,
+                   subdevice->first, grouped ? object.parent : handle,
+                   handle,           grouped ? parent->made : object.made};
         ++n;
       }
     return n;
@@ -91,7 +95,7 @@ class Objects {
 
  private:
   struct Object {
-    std::uint32_t parent, type;
+    std::uint32_t parent, type, made;
   };
   struct Client {
     int fd = -1;
@@ -110,6 +114,7 @@ class Objects {
     }
   };
   std::mutex mutex_;
+  std::uint32_t made_ = 0;
   std::map<std::uint32_t, Client> clients_;
 };
 
@@ -137,6 +142,63 @@ void saw_rm(int fd, unsigned number, std::size_t size, const void* argument) {
     const auto& args = *static_cast<const rm::Free*>(argument);
     if (args.status == rm::kOk) objects().freed(args.root, args.object);
   }
+}
+
+/// What amdkfd was told of its queues.
+class Queues {
+ public:
+  void made(int fd, const kfd::CreateQueue& args) {
+    if (!leads_to(fd, kfd::kNode)) return;
+    const std::lock_guard lock(mutex_);
+    queues_[args.queue] = {
+        fd, args.queue, args.ring_address, args.ring_size, args.percentage, args.priority,
+        0,  ++made_};
+  }
+
+  void updated(const kfd::UpdateQueue& args) {
+    const std::lock_guard lock(mutex_);
+    const auto it = queues_.find(args.queue);
+    if (it == queues_.end()) return;
+    xauto_watched_kfd_queue& queue = it->second;
+    queue = {queue.fd,        args.queue,    args.ring_address, args.ring_size,
+             args.percentage, args.priority, queue.updates + 1, queue.made};
+  }
+
+  void destroyed(std::uint32_t queue) {
+    const std::lock_guard lock(mutex_);
+    queues_.erase(queue);
+  }
+
+  std::size_t list(xauto_watched_kfd_queue* to, std::size_t room) {
+    const std::lock_guard lock(mutex_);
+    std::erase_if(queues_,
+                  [](const auto& entry) { return !leads_to(entry.second.fd, kfd::kNode); });
+    std::size_t n = 0;
+    for (const auto& [id, queue] : queues_) {
+      if (n < room) to[n] = queue;
+      ++n;
+    }
+    return n;
+  }
+
+ private:
+  std::mutex mutex_;
+  std::uint32_t made_ = 0;
+  std::map<std::uint32_t, xauto_watched_kfd_queue> queues_;
+};
+
+Queues& queues() {
+  static Queues& queues = *new Queues;
+  return queues;
+}
+
+void saw_kfd(int fd, unsigned number, std::size_t size, const void* argument) {
+  if (number == kfd::kCreateQueue && size >= sizeof(kfd::CreateQueue))
+    queues().made(fd, *static_cast<const kfd::CreateQueue*>(argument));
+  else if (number == kfd::kUpdateQueue && size >= sizeof(kfd::UpdateQueue))
+    queues().updated(*static_cast<const kfd::UpdateQueue*>(argument));
+  else if (number == kfd::kDestroyQueue && size >= sizeof(kfd::DestroyQueue))
+    queues().destroyed(static_cast<const kfd::DestroyQueue*>(argument)->queue);
 }
 
 using Ioctl = int (*)(int, unsigned long, ...);
@@ -167,12 +229,19 @@ __attribute__((visibility("default"))) int ioctl(int fd, unsigned long request, 
   // A foreign error's argument says nothing.
   if (result == 0 && _IOC_TYPE(request) == 'F' && _IOC_DIR(request) == (_IOC_READ | _IOC_WRITE))
     saw_rm(fd, _IOC_NR(request), _IOC_SIZE(request), argument);
+  if (result == 0 && _IOC_TYPE(request) == kfd::kType)
+    saw_kfd(fd, _IOC_NR(request), _IOC_SIZE(request), argument);
   return result;
 }
 
 __attribute__((visibility("default"))) std::size_t xauto_watched_channels_1(
     xauto_watched_channel* to, std::size_t room) {
   return objects().list(to, room);
+}
+
+__attribute__((visibility("default"))) std::size_t xauto_watched_kfd_queues_1(
+    xauto_watched_kfd_queue* to, std::size_t room) {
+  return queues().list(to, room);
 }
 
 __attribute__((visibility("default"))) void xauto_watched_client_is_gone_1(std::uint32_t client) {

@@ -17,6 +17,7 @@ struct xauto_watched_channel {
   std::uint32_t subdevice;  ///< of the same device
   std::uint32_t group;      ///< its channel group; its own handle where it has none
   std::uint32_t channel;
+  std::uint32_t made;  ///< its group was the so manieth object: handles are used again
 };
 
 /// A queue of amdkfd's, with what UPDATE_QUEUE must be told again.
@@ -24,7 +25,9 @@ struct xauto_watched_kfd_queue {
   std::int32_t fd;  ///< /dev/kfd
   std::uint32_t queue;
   std::uint64_t ring_address, ring_size;
-  std::uint32_t percentage, priority;
+  std::uint32_t percentage, priority;  ///< that the process asked for last
+  std::uint32_t updates;               ///< how often it has
+  std::uint32_t made;                  ///< it was the so manieth: numbers are used again
 };
 
 /// The first `room` of them; how many there are.

@@ -139,6 +139,12 @@ TEST_F(RmTest, GroupsAreSeenAsTheyComeAndGo) {
     EXPECT_TRUE(kernel::find_rm_groups().empty());
     Cuda cuda;
     const std::uint32_t group = cuda.group();
+    std::uint32_t refused[8] = {cuda.client(), 0x1234, 0x5678, 0xc86f};
+    EXPECT_EQ(ioctl(cuda.fd(), 0xc020462b, refused), 0);
+    EXPECT_NE(refused[7], 0u);
+    std::uint32_t taken[8] = {cuda.client(), group, cuda.subdevice(), 0xc86f};
+    EXPECT_EQ(ioctl(cuda.fd(), 0xc020462b, taken), 0);
+    EXPECT_NE(taken[7], 0u) << "a handle that is used";
     EXPECT_TRUE(kernel::find_rm_groups().empty()) << "without a channel there is nothing";
     const std::uint32_t first = cuda.channel(group);
     (void)cuda.alloc_short(group, 0xca6f);
@@ -146,8 +152,8 @@ TEST_F(RmTest, GroupsAreSeenAsTheyComeAndGo) {
     const std::vector<QueueFile> groups = kernel::find_rm_groups();
     ASSERT_EQ(groups.size(), 2u);
     EXPECT_EQ(groups[0].fd, cuda.fd());
-    EXPECT_EQ(groups[0].target,
-              "rm:" + std::to_string(cuda.client()) + ":" + std::to_string(group));
+    EXPECT_TRUE(groups[0].target.starts_with("rm:" + std::to_string(cuda.client()) + ":" +
+                                             std::to_string(group) + ":"));
     EXPECT_TRUE(kernel::is_open(groups[0]));
     cuda.free(first);
     EXPECT_EQ(kernel::find_rm_groups().size(), 2u);
@@ -160,7 +166,13 @@ TEST_F(RmTest, GroupsAreSeenAsTheyComeAndGo) {
     (void)again.channel_of_its_own();
     EXPECT_EQ(kernel::find_rm_groups().size(), 1u);
   });
-  kernel_.run([&] { EXPECT_TRUE(kernel::find_rm_groups().empty()); });
+  kernel_.run([&] {
+    EXPECT_TRUE(kernel::find_rm_groups().empty());
+    Cuda closed;
+    (void)closed.channel_of_its_own();
+    closed.close();
+    EXPECT_TRUE(kernel::find_rm_groups().empty());
+  });
 }
 
 TEST_F(RmTest, AContextIsDisabledByOneCallAndEnabledByOne) {
@@ -196,14 +208,26 @@ TEST_F(RmTest, MoreChannelsThanACallTakesAreSeveralCalls) {
   kernel_.run([&] {
     Cuda cuda;
     const std::uint32_t group = cuda.group();
-    for (int i = 0; i < 70; ++i) (void)cuda.channel(group);
+    for (int i = 0; i < 64; ++i) (void)cuda.channel(group);
     RmQueues rm;
     const auto handle = *rm.take(kernel::find_rm_groups()[0]);
+    ASSERT_TRUE(rm.suspend({handle}));
+    EXPECT_EQ(disabled(), 64);
+    EXPECT_EQ(look([](const auto& state) { return state.calls; }), 1);
+    ASSERT_TRUE(rm.resume({handle}));
+    for (int i = 0; i < 6; ++i) (void)cuda.channel(group);
     ASSERT_TRUE(rm.suspend({handle}));
     EXPECT_EQ(disabled(), 70);
     ASSERT_TRUE(rm.resume({handle}));
     EXPECT_EQ(disabled(), 0);
-    EXPECT_EQ(look([](const auto& state) { return state.calls; }), 4);
+    EXPECT_EQ(look([](const auto& state) { return state.calls; }), 6);
+    ASSERT_TRUE(rm.suspend({handle}));
+    set(&devices::RmState::status, 0x40u);
+    set(&devices::RmState::fail_enable, 1);
+    EXPECT_EQ(rm.resume({handle}).error().code, ErrorCode::kIo);
+    EXPECT_EQ(disabled(), 64) << "the rest is resumed all the same";
+    rm.again();
+    EXPECT_EQ(disabled(), 0);
   });
 }
 
@@ -260,7 +284,13 @@ TEST_F(RmTest, WhatIsFreedOrClosedIsGone) {
     cuda.free(group);
     EXPECT_EQ(rm.suspend({handle}).error().code, ErrorCode::kUnavailable);
     EXPECT_TRUE(rm.resume({handle})) << "what is gone needs none";
-    EXPECT_FALSE(rm.take({file.fd, file.type, -1, "rm:1:2"}));
+    EXPECT_FALSE(rm.take({file.fd, file.type, -1, "rm:1:2:3"}));
+    std::uint32_t same[8] = {cuda.client(), cuda.device(), group, 0xa06c};
+    EXPECT_EQ(ioctl(cuda.fd(), 0xc020462b, same), 0);
+    ASSERT_EQ(same[7], 0u);
+    (void)cuda.channel(group);
+    EXPECT_FALSE(kernel::is_open(file)) << "a handle that is used again";
+    cuda.free(group);
     (void)cuda.channel(cuda.group());
     const auto closed = *rm.take(kernel::find_rm_groups()[0]);
     const int number = cuda.fd();
@@ -271,6 +301,17 @@ TEST_F(RmTest, WhatIsFreedOrClosedIsGone) {
     EXPECT_EQ(rm.suspend({closed}).error().code, ErrorCode::kUnavailable);
     EXPECT_EQ(kernel::find_rm_groups().size(), 0u) << "the driver has";
     EXPECT_TRUE(rm.resume({closed}));
+    EXPECT_FALSE(rm.owes());
+
+    auto last = std::make_unique<Cuda>();
+    (void)last->channel(last->group());
+    const auto taken = *rm.take(kernel::find_rm_groups()[0]);
+    ASSERT_TRUE(rm.suspend({taken}));
+    const int again = last->fd();
+    last->close();
+    const UniqueFd in_its_place(open("/dev/nvidiactl", O_RDWR | O_CLOEXEC));
+    ASSERT_EQ(in_its_place.get(), again);
+    EXPECT_TRUE(rm.resume({taken})) << "the driver says that it is gone";
     EXPECT_FALSE(rm.owes());
   });
 }
@@ -284,6 +325,8 @@ TEST_F(RmTest, TheRowFindsItAndTheBackendSuspendsAContextWhole) {
     EXPECT_FALSE(is_watched(gpu, true));
     auto backend = make_backend({gpu, {"gpu0", XPU::GPU, 0}});
     ASSERT_TRUE(backend) << backend.error().to_string();
+    ContextCounts counts;
+    (*backend)->count_in(counts);
     int context = 0, another = 0;
     const SchedHandle handle = SchedHandle::cuda_context(&context);
     const SchedHandle second = SchedHandle::cuda_context(&another);
@@ -311,6 +354,7 @@ TEST_F(RmTest, TheRowFindsItAndTheBackendSuspendsAContextWhole) {
     EXPECT_EQ(disabled(), 3);
     ASSERT_TRUE((*backend)->restore(handle));
     EXPECT_EQ(disabled(), 0);
+    EXPECT_EQ(counts.assumed, 0u);
     ASSERT_TRUE((*backend)->preempt(second));
     EXPECT_EQ(disabled(), 1);
     backend->reset();
