@@ -79,6 +79,7 @@ class Node final : public File {
     queue.priority = priority;
     int& fail = percentage == 0 ? state_.fail_off : state_.fail_on;
     if (fail > 0 && fail-- > 0) return -state_.error;
+    state_.taken_off += queue.active && percentage == 0 ? 1 : 0;
     map(queue);
     return 0;
   }

@@ -21,6 +21,7 @@ struct KfdState {
   };
   std::map<std::uint32_t, Queue> queues;
   int updates = 0;
+  int taken_off = 0;  ///< by an update
 
   int fail_off = 0;  ///< so many of the next updates that take a queue off fail with `error`
   int fail_on = 0;   ///< ... that put one on

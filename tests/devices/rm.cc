@@ -145,6 +145,7 @@ class Control final : public File {
       channels.push_back(&channel->second);
     }
     for (RmState::Object* channel : channels) channel->disabled = disable;
+    state_.disables += disable ? 1 : 0;
     return 0;
   }
 

@@ -24,7 +24,8 @@ struct RmState {
   };
   std::map<std::uint32_t, Client> clients;
   std::uint32_t last = 0xc1d00000;
-  int calls = 0;  ///< of DISABLE_CHANNELS
+  int calls = 0;     ///< of DISABLE_CHANNELS
+  int disables = 0;  ///< ... that disabled
 
   bool no_gsp = false;
   bool lost = false;            ///< the GPU
