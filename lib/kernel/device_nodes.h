@@ -5,8 +5,7 @@
 namespace xauto::kernel {
 
 inline constexpr const char* kGpuNodes[] = {"/dev/nvgpu/igpu0/tsg", "/dev/nvhost-tsg-gpu"};
-inline constexpr const char* kGpuSchedNodes[] = {"/dev/nvgpu/igpu0/sched",
-                                                 "/dev/nvhost-sched-gpu"};
+inline constexpr const char* kGpuSchedNodes[] = {"/dev/nvgpu/igpu0/sched", "/dev/nvhost-sched-gpu"};
 inline constexpr const char* kDlaNodes[] = {"/dev/nvhost-ctrl-nvdla0", "/dev/nvhost-ctrl-nvdla1",
                                             "/dev/nvdla0", "/dev/nvdla1"};
 /// NVIDIA's RM driver has one for all GPUs. A Jetson's display may have it beside nvgpu.

@@ -48,7 +48,7 @@ std::optional<xauto_watched_kfd_queue> find(const QueueFile& file) {
 
 /// 0, or a positive errno. Not through libxauto_watch.so: it tells what the process wants.
 int update(const xauto_watched_kfd_queue& queue, std::uint32_t percentage) {
-  const UniqueFd copy = duplicate_of(queue.fd, kfd::kNode);
+  const Duplicate copy(queue.fd, kfd::kNode);
   if (!copy) return EBADF;
   kfd::UpdateQueue args{.ring_address = queue.ring_address,
                         .queue = queue.queue,

@@ -42,15 +42,14 @@ Patience patience_with(const QueueFile& file) {
 
 /// 0, or a positive errno. EBADF: it is closed.
 template <class Argument>
-int call(const QueueFile& file, unsigned long request, Argument* argument) {
-  const UniqueFd copy = duplicate_of(file.fd, file.target);
-  if (!copy) return EBADF;
+int call(int file, unsigned long request, Argument* argument) {
+  if (file < 0) return EBADF;
   int result;
-  do result = ioctl(copy.get(), request, argument);
+  do result = ioctl(file, request, argument);
   while (result < 0 && errno == EINTR);
   return result < 0 ? errno : 0;
 }
-int call(const QueueFile& file, unsigned long request) {
+int call(int file, unsigned long request) {
   return call(file, request, static_cast<void*>(nullptr));
 }
 
@@ -66,7 +65,7 @@ tl::unexpected<Error> failed(const QueueFile& file, const char* what, int error)
 }
 
 /// Which of the DLA's queues the file has; ENODATA: none.
-int ask_slot(const QueueFile& file, std::uint32_t& slot) {
+int ask_slot(int file, std::uint32_t& slot) {
   nvdev_fence fence{};
   nvdla_get_q_status_args args{};
   args.fence = reinterpret_cast<std::uintptr_t>(&fence);
@@ -75,15 +74,15 @@ int ask_slot(const QueueFile& file, std::uint32_t& slot) {
   return error == EINVAL ? ENODATA : error;
 }
 
-int set_status(const QueueFile& file, std::uint64_t status) {
+int set_status(int file, std::uint64_t status) {
   nvdla_set_queue_status_args args{status};
   return call(file, NVDLA_IOCTL_SET_QUEUE_STATUS, &args);
 }
 
 /// nvgpu says EBUSY, with an interrupt pending EAGAIN, after 100 ms for each unit that is not left.
-int preempt(const QueueFile& file) {
+int preempt(int fd, const QueueFile& file) {
   const std::int64_t begin = now_ns();
-  const int error = call(file, NVGPU_IOCTL_TSG_PREEMPT);
+  const int error = call(fd, NVGPU_IOCTL_TSG_PREEMPT);
   const std::int64_t end = now_ns();
   const bool stayed = error == EBUSY || error == EAGAIN;
   const Guard lock(memory().mutex);
@@ -97,16 +96,17 @@ int preempt(const QueueFile& file) {
 OwnQueues::OwnQueues() {
   const Guard lock(memory().mutex);
   std::erase_if(memory().patience, [](const auto& entry) {
-    return !duplicate_of(entry.first.first, entry.first.second);
+    return !Duplicate(entry.first.first, entry.first.second);
   });
 }
 
 Result<OwnQueues::Handle> OwnQueues::take(const QueueFile& file) {
   for (const auto& [handle, queue] : queues_)
     if (queue.file == file) return handle;
+  const Duplicate copy(file.fd, file.target);
   if (file.type == QueueType::kGpuTsg) {
     nvgpu_timeslice_args args{};  // what only a TSG answers, of all that nvgpu has
-    if (const int error = call(file, NVGPU_IOCTL_TSG_GET_TIMESLICE, &args))
+    if (const int error = call(copy.get(), NVGPU_IOCTL_TSG_GET_TIMESLICE, &args))
       return error == EBADF || error == ENODEV
                  ? failed(file, "GET_TIMESLICE", error)
                  : fail(ErrorCode::kInvalid,
@@ -114,11 +114,11 @@ Result<OwnQueues::Handle> OwnQueues::take(const QueueFile& file) {
                         name_of(file));
   } else {
     std::uint32_t slot = 0;
-    if (const int error = ask_slot(file, slot))
+    if (const int error = ask_slot(copy.get(), slot))
       return error == ENODATA ? fail(ErrorCode::kInvalid, "the DLA driver's file has no queue",
                                      name_of(file), "allocate it in `init`")
                               : failed(file, "GET_QUEUE_STATUS", error);
-    if (const int error = set_status(file, NVDLA_SET_QUEUE_RESUME))
+    if (const int error = set_status(copy.get(), NVDLA_SET_QUEUE_RESUME))
       return failed(file, "SET_QUEUE_STATUS", error);
   }
   queues_.emplace(++last_, Queue{.file = file});
@@ -132,14 +132,16 @@ void OwnQueues::give_back(Handle handle) {
 
 Status OwnQueues::tell_suspend(Queue& queue, bool first) {
   const QueueFile& file = queue.file;
+  if (!queue.held) queue.held = Duplicate(file.fd, file.target);
+  const int fd = queue.held.get();
   if (file.type == QueueType::kDla) {
     // The driver takes no lock against a release: a command that met another slot is no suspension.
     std::uint32_t before = 0, after = 0;
-    int error = ask_slot(file, before);
+    int error = ask_slot(fd, before);
     if (!error && !first && before == queue.slot && now_ns() - queue.told_ns < kDlaAgainNs)
       return {};
-    if (!error) error = set_status(file, NVDLA_SET_QUEUE_SUSPEND);
-    if (!error) error = ask_slot(file, after);
+    if (!error) error = set_status(fd, NVDLA_SET_QUEUE_SUSPEND);
+    if (!error) error = ask_slot(fd, after);
     if (!error && before != after) error = ENODATA;
     if (error == ENODATA)
       return fail(ErrorCode::kUnavailable, "its queue was released", name_of(file));
@@ -152,8 +154,8 @@ Status OwnQueues::tell_suspend(Queue& queue, bool first) {
   if (first && !may)
     return fail(ErrorCode::kUnavailable,
                 "did not leave its engine in time before, so it is not tried", name_of(file));
-  if (const int error = call(file, NVGPU_IOCTL_TSG_DISABLE)) return failed(file, "DISABLE", error);
-  const int error = may ? preempt(file) : 0;
+  if (const int error = call(fd, NVGPU_IOCTL_TSG_DISABLE)) return failed(file, "DISABLE", error);
+  const int error = may ? preempt(fd, file) : 0;
   if (error == ETIMEDOUT)
     return fail(ErrorCode::kTimeout, "did not leave its engine in time", name_of(file),
                 "split its kernels");
@@ -164,11 +166,13 @@ Status OwnQueues::tell_suspend(Queue& queue, bool first) {
 Status OwnQueues::tell_resume(Queue& queue) {
   const QueueFile& file = queue.file;
   const bool gpu = file.type == QueueType::kGpuTsg;
-  const int error =
-      gpu ? call(file, NVGPU_IOCTL_TSG_ENABLE) : set_status(file, NVDLA_SET_QUEUE_RESUME);
+  if (!queue.held) queue.held = Duplicate(file.fd, file.target);
+  const int fd = queue.held.get();
+  const int error = gpu ? call(fd, NVGPU_IOCTL_TSG_ENABLE) : set_status(fd, NVDLA_SET_QUEUE_RESUME);
   std::uint32_t slot = 0;
-  const bool none = error == EBADF || (error == EINVAL && !gpu && ask_slot(file, slot) == ENODATA);
+  const bool none = error == EBADF || (error == EINVAL && !gpu && ask_slot(fd, slot) == ENODATA);
   queue.owed = error != 0 && !none;
+  if (!queue.owed) queue.held = {};
   if (queue.owed) return failed(file, gpu ? "ENABLE" : "SET_QUEUE_STATUS", error);
   return {};
 }

@@ -54,6 +54,9 @@ class OwnQueues {
     bool suspended = false, owed = false;
     std::uint32_t slot = 0;    ///< a DLA's, when it was suspended
     std::int64_t told_ns = 0;  ///< by a command
+    /// From its suspension until it runs again: a TSG outlives its file while a channel is bound, so
+    /// one that was closed meanwhile would stay disabled.
+    Duplicate held = {};
   };
   [[nodiscard]] static Status tell_suspend(Queue& queue, bool first);
   [[nodiscard]] static Status tell_resume(Queue& queue);

@@ -8,8 +8,10 @@
 #include <climits>
 #include <cstring>
 #include <filesystem>
+#include <set>
 #include <string_view>
 #include <system_error>
+#include <utility>
 
 #include <fcntl.h>
 #include <sys/ioctl.h>
@@ -17,6 +19,7 @@
 #include <uapi/xauto/nvgpu.h>
 #include <unistd.h>
 
+#include "base/pi_mutex.h"
 #include "base/syscalls.h"
 #include "kernel/device_nodes.h"
 #include "kernel/kfd_queues.h"
@@ -61,6 +64,17 @@ std::optional<std::size_t> count_by_node(int node, pid_t pid) {
   std::size_t count = 0;
   for (const std::uint64_t word : ids) count += static_cast<std::size_t>(std::popcount(word));
   return count;
+}
+
+/// Numbers of those that live.
+struct Duplicates {
+  PiMutex mutex;
+  std::set<int> numbers XAUTO_GUARDED_BY(mutex);
+};
+
+Duplicates& duplicates() {
+  static Duplicates duplicates;
+  return duplicates;
 }
 
 bool leads_to(int fd, const std::string& wanted) {
@@ -121,7 +135,11 @@ std::optional<std::size_t> count_tsgs(pid_t pid) {
 }
 
 Result<std::vector<QueueFile>> find_own_queues() {
+  const Guard lock(duplicates().mutex);  // none comes or goes while they are read
   XAUTO_ASSIGN(std::vector<QueueFile> all, find_queue_files(getpid()));
+  std::erase_if(all, [](const QueueFile& file) XAUTO_REQUIRES(duplicates().mutex) {
+    return duplicates().numbers.contains(file.fd);
+  });
   for (const auto find : {find_rm_groups, find_kfd_queues})
     for (QueueFile& file : find()) all.push_back(std::move(file));
   return all;
@@ -136,10 +154,26 @@ bool is_open(const QueueFile& file) {
   return leads_to(file.fd, file.target);
 }
 
-UniqueFd duplicate_of(int fd, const std::string& target) {
-  UniqueFd copy(fcntl(fd, F_DUPFD_CLOEXEC, 0));
-  if (copy && !leads_to(copy.get(), target)) copy.reset();
-  return copy;
+Duplicate::Duplicate(int fd, const std::string& target) {
+  const Guard lock(duplicates().mutex);
+  fd_.reset(fcntl(fd, F_DUPFD_CLOEXEC, 0));
+  if (fd_ && leads_to(fd_.get(), target))
+    duplicates().numbers.insert(fd_.get());
+  else
+    fd_.reset();
+}
+
+Duplicate& Duplicate::operator=(Duplicate&& other) noexcept {
+  close();
+  fd_ = std::move(other.fd_);
+  return *this;
+}
+
+void Duplicate::close() {
+  if (!fd_) return;
+  const Guard lock(duplicates().mutex);
+  duplicates().numbers.erase(fd_.get());
+  fd_.reset();
 }
 
 Result<UniqueFd> take_descriptor(pid_t pid, int fd) {

@@ -43,9 +43,22 @@ struct QueueFile {
 [[nodiscard]] Result<std::vector<QueueFile>> find_own_queues();
 /// It is still there, and what it was: a number is used again.
 [[nodiscard]] bool is_open(const QueueFile& file);
-/// A duplicate of this process's descriptor, if it leads to `target`; what a driver is asked through
-/// it goes to that file, whoever closes the number meanwhile.
-[[nodiscard]] UniqueFd duplicate_of(int fd, const std::string& target);
+/// A duplicate of this process's descriptor, if it leads to `target`: what a driver is asked through
+/// it goes to that file, whoever closes the number meanwhile. find_own_queues() does not list it.
+class Duplicate {
+ public:
+  Duplicate() = default;
+  Duplicate(int fd, const std::string& target);
+  Duplicate(Duplicate&&) = default;
+  Duplicate& operator=(Duplicate&& other) noexcept;
+  ~Duplicate() { close(); }
+  [[nodiscard]] int get() const { return fd_.get(); }
+  explicit operator bool() const { return static_cast<bool>(fd_); }
+
+ private:
+  void close();
+  UniqueFd fd_;
+};
 /// Types of queues that a context on a GPU may have.
 inline constexpr QueueType kGpuQueues[] = {QueueType::kGpuTsg, QueueType::kRmGroup,
                                            QueueType::kKfdQueue};

@@ -82,7 +82,7 @@ struct Message {
 
 /// 0, or what went wrong.
 std::uint32_t send(Message& message) {
-  const UniqueFd copy = duplicate_of(message.fd, rm::kControlNode);
+  const Duplicate copy(message.fd, rm::kControlNode);
   if (!copy) return rm::kInvalidClient;
   rm::Control call{.client = message.client,
                    .object = message.subdevice,

@@ -33,6 +33,9 @@ class Channel final : public File {
   ~Channel() override {
     for (auto& [id, tsg] : state_.tsgs)
       if (tsg.channels.erase(number) > 0) tsg.enabled = true;
+    std::erase_if(state_.tsgs, [](const auto& entry) {
+      return entry.second.closed && entry.second.channels.empty();
+    });
   }
   std::string link() const override {
     return "anon_inode:nvhost-ga10b-fd" + std::to_string(number);
@@ -46,7 +49,11 @@ class Channel final : public File {
 class Tsg final : public File {
  public:
   Tsg(NvgpuState& state, int id) : state_(state), id_(id) { state.tsgs[id]; }
-  ~Tsg() override { state_.tsgs.erase(id_); }
+  ~Tsg() override {
+    NvgpuState::Tsg& tsg = state_.tsgs[id_];
+    tsg.closed = true;
+    if (tsg.channels.empty()) state_.tsgs.erase(id_);
+  }
   /// By the number of its first descriptor, so that of another later.
   std::string link() const override { return "anon_inode:nvgpu-ga10b-tsg" + std::to_string(named); }
   int named = -1;

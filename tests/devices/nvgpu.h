@@ -20,6 +20,7 @@ struct NvgpuState {
   struct Tsg {
     std::set<int> channels;  ///< by number
     bool enabled = true;     ///< all of them
+    bool closed = false;     ///< its file is gone: it lives as long as a channel is bound
     int disables = 0, preempts = 0;
   };
   std::map<int, Tsg> tsgs;

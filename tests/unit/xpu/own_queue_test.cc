@@ -255,6 +255,25 @@ TEST_F(Own, AFileThatIsNoneOrIsClosedIsRefused) {
   });
 }
 
+/// It outlives its file while a channel is bound.
+TEST_F(Own, ATsgThatIsClosedWhileItIsSuspendedRunsAgain) {
+  kernel_.run([&] {
+    Tsg tsg;
+    OwnQueues own;
+    const QueueFile file = file_of(tsg.tsg.get());
+    const auto handle = *own.take(file);
+    ASSERT_TRUE(own.suspend(handle));
+    EXPECT_EQ(kernel::find_own_queues()->size(), 1u) << "what is held is no other queue";
+    tsg.tsg.reset();
+    EXPECT_FALSE(kernel::is_open(file));
+    EXPECT_EQ(disabled(), 1);
+    ASSERT_TRUE(own.resume(handle));
+    EXPECT_EQ(disabled(), 0);
+    EXPECT_EQ(look([](const auto& state) { return state.tsgs.begin()->second.closed; }), true)
+        << "and is held no longer";
+  });
+}
+
 TEST_F(Own, ADlaQueueIsSuspendedInItsSlotAlsoInANewOne) {
   kernel_.run([&] {
     look([](auto& state) { return state.slot_suspended[0] = true; });  // left by whom it was
