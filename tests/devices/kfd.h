@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// amdkfd's queues, as Linux's source says (6.18): what UPDATE_QUEUE refuses, and when a queue runs.
+// amdkfd's queues, as Linux's source says: what UPDATE_QUEUE refuses, and when a queue runs.
 #pragma once
 
 #include <cstdint>

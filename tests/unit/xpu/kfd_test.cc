@@ -24,7 +24,7 @@ using kernel::KfdQueues;
 using kernel::QueueFile;
 
 /// As ROCm's runtime makes queues, with numbers of its own.
-struct Hsa {
+struct Rocm {
   UniqueFd fd{open("/dev/kfd", O_RDWR | O_CLOEXEC)};
   /// `longer`: of a header that has a field more.
   std::uint32_t queue(std::uint32_t percentage = 100, bool longer = false) const {
@@ -81,21 +81,21 @@ class KfdTest : public ::testing::Test {
 /// What the tests rest on.
 TEST_F(KfdTest, TheDeviceRefusesAsTheDriverDoes) {
   kernel_.run([&] {
-    const Hsa hsa;
-    const std::uint32_t queue = hsa.queue();
-    EXPECT_EQ(hsa.update(queue, 101), EINVAL);
-    EXPECT_EQ(hsa.update(queue, 100, 16), EINVAL);
-    EXPECT_EQ(hsa.update(queue, 100, 7, 65535), EINVAL) << "no power of two";
-    EXPECT_EQ(hsa.update(queue, 100, 7, 131072), EFAULT) << "a ring that is not mapped so far";
-    EXPECT_EQ(hsa.update(queue + 1, 100), EFAULT) << "no such queue";
+    const Rocm rocm;
+    const std::uint32_t queue = rocm.queue();
+    EXPECT_EQ(rocm.update(queue, 101), EINVAL);
+    EXPECT_EQ(rocm.update(queue, 100, 16), EINVAL);
+    EXPECT_EQ(rocm.update(queue, 100, 7, 65535), EINVAL) << "no power of two";
+    EXPECT_EQ(rocm.update(queue, 100, 7, 131072), EFAULT) << "a ring that is not mapped so far";
+    EXPECT_EQ(rocm.update(queue + 1, 100), EFAULT) << "no such queue";
   });
   EXPECT_EQ(look([](const auto& state) { return state.queues.size(); }), 0u);
 }
 
 TEST_F(KfdTest, AQueueIsTakenOffAndPutBackAsItsProcessWantsIt) {
   kernel_.run([&] {
-    const Hsa hsa;
-    const std::uint32_t first = hsa.queue(), second = hsa.queue(60, true);
+    const Rocm rocm;
+    const std::uint32_t first = rocm.queue(), second = rocm.queue(60, true);
     ASSERT_EQ(kernel::find_kfd_queues().size(), 2u);
     EXPECT_TRUE(kernel::find_kfd_queues()[0].target.starts_with("kfd:" + std::to_string(first)));
     KfdQueues kfd;
@@ -106,7 +106,7 @@ TEST_F(KfdTest, AQueueIsTakenOffAndPutBackAsItsProcessWantsIt) {
     const int updates = look([](const auto& state) { return state.updates; });
     kfd.again();
     EXPECT_EQ(look([](const auto& state) { return state.updates; }), updates) << "it holds";
-    EXPECT_EQ(hsa.update(second, 80, 9), 0);
+    EXPECT_EQ(rocm.update(second, 80, 9), 0);
     EXPECT_EQ(active(), 2) << "the process itself has put it back";
     kfd.again();
     EXPECT_EQ(active(), 1);
@@ -117,7 +117,7 @@ TEST_F(KfdTest, AQueueIsTakenOffAndPutBackAsItsProcessWantsIt) {
       EXPECT_EQ(state.queues.at(second).priority, 9u);
       return 0;
     });
-    EXPECT_EQ(hsa.update(second, 0), 0);
+    EXPECT_EQ(rocm.update(second, 0), 0);
     ASSERT_TRUE(kfd.suspend(handle));
     ASSERT_TRUE(kfd.resume(handle));
     EXPECT_EQ(active(), 1) << "its process had taken it off";
@@ -127,8 +127,8 @@ TEST_F(KfdTest, AQueueIsTakenOffAndPutBackAsItsProcessWantsIt) {
 TEST_F(KfdTest, OneThatDoesNotLeaveRunsAndIsLeftAlone) {
   for (const int error : {ETIME, ETIMEDOUT, EBUSY, EAGAIN})
     kernel_.run([&] {
-      const Hsa hsa;
-      const std::uint32_t queue = hsa.queue();
+      const Rocm rocm;
+      const std::uint32_t queue = rocm.queue();
       KfdQueues kfd;
       const auto handle = *kfd.take(kernel::find_kfd_queues()[0]);
       fail(&devices::KfdState::fail_off, error);
@@ -140,14 +140,14 @@ TEST_F(KfdTest, OneThatDoesNotLeaveRunsAndIsLeftAlone) {
       const int updates = look([](const auto& state) { return state.updates; });
       EXPECT_EQ(kfd.suspend(handle).error().code, ErrorCode::kUnavailable);
       EXPECT_EQ(look([](const auto& state) { return state.updates; }), updates);
-      hsa.destroy(queue);
+      rocm.destroy(queue);
     });
 }
 
 TEST_F(KfdTest, AGpuThatWasResetIsSaidAndAResumeIsOwed) {
   kernel_.run([&] {
-    const Hsa hsa;
-    (void)hsa.queue();
+    const Rocm rocm;
+    (void)rocm.queue();
     KfdQueues kfd;
     const auto handle = *kfd.take(kernel::find_kfd_queues()[0]);
     ASSERT_TRUE(kfd.suspend(handle));
@@ -168,20 +168,20 @@ TEST_F(KfdTest, AGpuThatWasResetIsSaidAndAResumeIsOwed) {
 
 TEST_F(KfdTest, WhatIsDestroyedOrClosedIsGone) {
   kernel_.run([&] {
-    Hsa hsa;
-    const std::uint32_t queue = hsa.queue();
+    Rocm rocm;
+    const std::uint32_t queue = rocm.queue();
     KfdQueues kfd;
     const QueueFile file = kernel::find_kfd_queues()[0];
     const auto handle = *kfd.take(file);
-    hsa.destroy(queue);
+    rocm.destroy(queue);
     EXPECT_FALSE(kernel::is_open(file));
     EXPECT_EQ(kfd.suspend(handle).error().code, ErrorCode::kUnavailable);
     EXPECT_TRUE(kfd.resume(handle)) << "what is gone needs none";
     EXPECT_FALSE(KfdQueues().take(file));
-    EXPECT_EQ(hsa.queue(), queue);
+    EXPECT_EQ(rocm.queue(), queue);
     EXPECT_FALSE(kernel::is_open(file)) << "a number that is used again";
     const auto closed = *kfd.take(kernel::find_kfd_queues()[0]);
-    hsa.fd.reset();
+    rocm.fd.reset();
     EXPECT_EQ(kfd.suspend(closed).error().code, ErrorCode::kUnavailable);
     EXPECT_FALSE(kfd.owes());
   });
@@ -196,11 +196,11 @@ TEST_F(KfdTest, TheRowFindsItAndTheBackendSuspendsAContextWhole) {
     ASSERT_TRUE(backend) << backend.error().to_string();
     int context = 0;
     const SchedHandle handle = SchedHandle::cuda_context(&context);
-    const Hsa hsa;
+    const Rocm rocm;
     {
       const auto around = (*backend)->before_init();
-      (void)hsa.queue();
-      (void)hsa.queue();
+      (void)rocm.queue();
+      (void)rocm.queue();
       ASSERT_TRUE((*backend)->attach(handle));
     }
     ASSERT_TRUE((*backend)->preempt(handle));
@@ -224,8 +224,8 @@ TEST_F(KfdTest, AnOwnerThatIsKilledWhileItIsSuspendedLeavesNothing) {
   int pipe_ends[2];
   ASSERT_EQ(pipe(pipe_ends), 0);
   const pid_t child = kernel_.fork([&] {
-    const Hsa hsa;
-    (void)hsa.queue();
+    const Rocm rocm;
+    (void)rocm.queue();
     KfdQueues kfd;
     if (!kfd.suspend(*kfd.take(kernel::find_kfd_queues()[0]))) _exit(1);
     (void)!write(pipe_ends[1], "", 1);
