@@ -35,7 +35,7 @@ bool on_nvdla(const std::string& root) {
   return any_there(root, nodes(kernel::kDlaNodes));
 }
 
-constexpr const char* kOwn =
+constexpr const char* kByItself =
     "by each process itself: one that hangs resumes nobody until it is killed";
 
 }  // namespace
@@ -51,7 +51,7 @@ const std::vector<Kind>& kinds() {
        .ways = {{.name = "xauto.ko",
                  .backend = make_kernel_queue,
                  .there = kernel::module_is_loaded},
-                {.name = "own", .backend = make_own_queue, .there = on_nvgpu, .caveat = kOwn}},
+                {.name = "own", .backend = make_own_queue, .there = on_nvgpu, .caveat = kByItself}},
        .preempt_us = 275,
        .timeslice_us = 1000,
        .what = "a Jetson's GPU",
@@ -60,8 +60,11 @@ const std::vector<Kind>& kinds() {
       // Nobody has measured these costs: each preemption is a message to the GPU's GSP.
       {.type = "gpu",
        .nodes = nodes(kernel::kRmNodes),
-       .ways =
-           {{.name = "rm", .backend = make_rm, .there = on_rm, .watched = true, .caveat = kOwn}},
+       .ways = {{.name = "rm",
+                 .backend = make_rm,
+                 .there = on_rm,
+                 .watched = true,
+                 .caveat = kByItself}},
        .preempt_us = 1000,
        .timeslice_us = 1000,
        .what = "a GPU of NVIDIA's RM driver",
@@ -69,8 +72,11 @@ const std::vector<Kind>& kinds() {
        .advice = "needs NVIDIA's driver"},
       {.type = "gpu",
        .nodes = nodes(kernel::kKfdNodes),
-       .ways =
-           {{.name = "kfd", .backend = make_kfd, .there = on_kfd, .watched = true, .caveat = kOwn}},
+       .ways = {{.name = "kfd",
+                 .backend = make_kfd,
+                 .there = on_kfd,
+                 .watched = true,
+                 .caveat = kByItself}},
        .preempt_us = 1000,
        .timeslice_us = 1000,
        .what = "an AMD GPU under ROCm",
@@ -81,7 +87,7 @@ const std::vector<Kind>& kinds() {
        .ways = {{.name = "xauto.ko",
                  .backend = make_kernel_queue,
                  .there = kernel::module_is_loaded},
-                {.name = "own", .backend = make_own_queue, .there = on_nvdla, .caveat = kOwn}},
+                {.name = "own", .backend = make_own_queue, .there = on_nvdla, .caveat = kByItself}},
        .preempt_us = 132,
        .timeslice_us = 1000,
        .what = "a Jetson's DLA",
