@@ -110,6 +110,9 @@ TEST_F(KfdTest, AQueueIsTakenOffAndPutBackAsItsProcessWantsIt) {
     EXPECT_EQ(active(), 2) << "the process itself has put it back";
     kfd.again();
     EXPECT_EQ(active(), 1);
+    const int told = look([](const auto& state) { return state.updates; });
+    kfd.again();
+    EXPECT_EQ(look([](const auto& state) { return state.updates; }), told) << "once";
     ASSERT_TRUE(kfd.resume(handle));
     EXPECT_EQ(active(), 2);
     look([&](const auto& state) {
