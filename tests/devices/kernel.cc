@@ -172,6 +172,14 @@ Kernel::~Kernel() {
 }
 
 std::string Kernel::missing() {
+  // It reports races of descriptors that it has not seen made, and opens files to say so, locked.
+#if defined(__has_feature)
+#if __has_feature(thread_sanitizer)
+  return "ThreadSanitizer waits for the supervisor, and that for it";
+#endif
+#elif defined(__SANITIZE_THREAD__)
+  return "ThreadSanitizer waits for the supervisor, and that for it";
+#endif
   const pid_t child = ::fork();
   if (child == 0) {
     const int listener = install_filter();
