@@ -7,7 +7,7 @@ cd "$(dirname "$0")/.."
 jobs=${JOBS:-2}
 native=$(dpkg --print-architecture)
 arch=${1:-$native}
-targets="xauto_shared xauto xauto-coordinator xauto-emud xauto-cpusched"
+targets="xauto_shared xauto_watch xauto xauto-coordinator xauto-emud xauto-cpusched"
 case $arch in
   "$native" | arm64) ;;
   *) echo "packages: no packages for '$arch': there are $native and arm64" >&2; exit 2 ;;

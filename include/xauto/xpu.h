@@ -68,7 +68,8 @@ class SchedHandle {
   [[nodiscard]] static SchedHandle gate() { return {Kind::kGate, 0}; }
   /// For a CPU implementation that computes in `exec`, on the thread it is called on.
   [[nodiscard]] static SchedHandle thread() { return {Kind::kThread, 0}; }
-  /// For a GPU: the CUcontext that all work of the XNode goes to, and no other XNode's. Not null.
+  /// For a GPU: the CUcontext that all work of the XNode goes to, and no other XNode's. Not null. On
+  /// an AMD GPU what HIP calls its context: it is a name, and nothing is called through it.
   [[nodiscard]] static SchedHandle cuda_context(void* cu_context) {
     return {Kind::kCudaContext, reinterpret_cast<std::uintptr_t>(cu_context)};
   }

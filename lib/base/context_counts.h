@@ -16,7 +16,7 @@ struct ContextCounts {
   std::atomic<std::uint32_t> unclaimed{};   ///< TSGs and DLA queues of which nobody knows whose
   std::atomic<std::uint32_t> assumed{};     ///< contexts that were given what was nobody's
   std::atomic<std::uint32_t> shared{};      ///< contexts whose queue is another's, too
-  std::atomic<std::uint32_t> gated{};       ///< contexts that the kernel module preempts no more
+  std::atomic<std::uint32_t> gated{};       ///< contexts that are preempted no more
   std::atomic<std::uint32_t> held_up{};     ///< jobs that, suspended, held up a more urgent one
 
   /// Why no worst case holds, a line each, for people. `live`: of a run that goes on.

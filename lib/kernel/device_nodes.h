@@ -1,13 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// NVIDIA's device nodes, by driver generation: JetPack 6 first, then JetPack 5.
+// Device nodes of the drivers. NVIDIA's for Jetsons by generation: JetPack 6 first, then JetPack 5.
 #pragma once
 
 namespace xauto::kernel {
 
 inline constexpr const char* kGpuNodes[] = {"/dev/nvgpu/igpu0/tsg", "/dev/nvhost-tsg-gpu"};
-inline constexpr const char* kGpuSchedNodes[] = {"/dev/nvgpu/igpu0/sched",
-                                                 "/dev/nvhost-sched-gpu"};
+inline constexpr const char* kGpuSchedNodes[] = {"/dev/nvgpu/igpu0/sched", "/dev/nvhost-sched-gpu"};
 inline constexpr const char* kDlaNodes[] = {"/dev/nvhost-ctrl-nvdla0", "/dev/nvhost-ctrl-nvdla1",
                                             "/dev/nvdla0", "/dev/nvdla1"};
+/// NVIDIA's RM driver has one for all GPUs. A Jetson's display may have it beside nvgpu.
+inline constexpr const char* kRmNodes[] = {"/dev/nvidiactl"};
+/// amdkfd likewise.
+inline constexpr const char* kKfdNodes[] = {"/dev/kfd"};
 
 }  // namespace xauto::kernel

@@ -37,7 +37,7 @@ class Probe {
     btf();
     bpf();
     module();
-    for (const Device& each : devices_) device(each);
+    for (std::size_t i = 0; i < devices_.size(); ++i) device(i);
     governor();
     opencl();
     return std::move(findings_);
@@ -84,9 +84,10 @@ class Probe {
     else if (release == "36")
       meaning = "its own kernel has no BTF: no sched_ext, no `xauto trace`";
     else if (release == "38" || release == "39")
-      meaning = rm() ? "its GPU driver is NVIDIA's RM, which has no TSG files: xauto.ko suspends "
-                       "nothing here"
-                     : "Linux 6.8: no sched_ext; the GPU driver is nvgpu";
+      meaning = rm()
+                    ? "its GPU driver is NVIDIA's RM: xauto.ko suspends nothing here, each process "
+                      "its own work"
+                    : "Linux 6.8: no sched_ext; the GPU driver is nvgpu";
     add("jetson", Verdict::kOk, found, meaning, "docs/jetson.md has the list for the first board");
   }
 
@@ -233,20 +234,29 @@ class Probe {
       add("xauto.ko", Verdict::kOk, "loaded", "GPU TSGs and DLA queues can be suspended");
     else
       add("xauto.ko", Verdict::kMissing, "not loaded",
-          "a GPU or DLA of this machine is gated: one job at a time, not preempted");
+          "each process suspends its own TSGs and DLA queues: one that hangs resumes nobody until "
+          "it is killed",
+          "`insmod xauto.ko` on a Jetson (docs/kernel.md)");
   }
 
-  void device(const Device& device) {
+  [[nodiscard]] std::string nodes_of(const Device& device) const {
     std::string nodes;
     for (const std::string& node : device.nodes)
       if (there(node)) nodes += (nodes.empty() ? "" : " ") + node;
-    if (!nodes.empty()) return add(device.type, Verdict::kOk, nodes, device.what);
-    if (device.driver == "nvgpu" && rm())
-      return add(device.type, Verdict::kMissing, "no nvgpu, but NVIDIA's RM driver",
-                 "a platform's " + device.type +
-                     " is emulated on this machine: a context of that "
-                     "driver is no TSG file, and xauto.ko cannot suspend it",
-                 "an XPU type of your own runs on it, gated (docs/api.md, SchedHandle)");
+    return nodes;
+  }
+
+  /// Of several drivers of a type one that is there, else the first is what is missing.
+  void device(std::size_t index) {
+    const Device& device = devices_[index];
+    const std::string nodes = nodes_of(device);
+    if (nodes.empty())
+      for (std::size_t i = 0; i < devices_.size(); ++i)
+        if (devices_[i].type == device.type && (i < index || !nodes_of(devices_[i]).empty()))
+          return;
+    if (!nodes.empty())
+      return add(device.type, Verdict::kOk, nodes,
+                 device.what + (device.suspended ? ", " + device.suspended(root_) : ""));
     add(device.type, Verdict::kMissing, "no " + device.driver + " device node",
         "a platform's " + device.type + " is emulated on this machine", device.advice);
   }

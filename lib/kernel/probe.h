@@ -2,6 +2,7 @@
 // What this machine offers to XAuto, and what to do about what is missing.
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -41,6 +42,7 @@ struct Device {
   std::string type;                ///< "gpu"
   std::vector<std::string> nodes;  ///< any of them will do
   std::string what, driver, advice;
+  std::function<std::string(const std::string& root)> suspended = {};  ///< "suspended by ..."
 };
 
 /// `root`: "" for this machine, or a folder that stands for / in tests. Changes nothing, needs no

@@ -19,6 +19,9 @@ namespace xauto::kernel {
 enum class QueueType : std::uint32_t {
   kGpuTsg = XAUTO_QUEUE_GPU_TSG,
   kDla = XAUTO_QUEUE_DLA,
+  // Not xauto.ko's:
+  kRmGroup = 0x100,  ///< a channel group of NVIDIA's RM
+  kKfdQueue,         ///< a queue of amdkfd's
 };
 
 /// A queue as this connection knows it.

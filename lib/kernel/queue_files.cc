@@ -5,10 +5,13 @@
 #include <bit>
 #include <cerrno>
 #include <charconv>
+#include <climits>
 #include <cstring>
 #include <filesystem>
+#include <set>
 #include <string_view>
 #include <system_error>
+#include <utility>
 
 #include <fcntl.h>
 #include <sys/ioctl.h>
@@ -16,8 +19,11 @@
 #include <uapi/xauto/nvgpu.h>
 #include <unistd.h>
 
+#include "base/pi_mutex.h"
 #include "base/syscalls.h"
 #include "kernel/device_nodes.h"
+#include "kernel/kfd_queues.h"
+#include "kernel/rm_queues.h"
 
 namespace xauto::kernel {
 namespace {
@@ -58,6 +64,24 @@ std::optional<std::size_t> count_by_node(int node, pid_t pid) {
   std::size_t count = 0;
   for (const std::uint64_t word : ids) count += static_cast<std::size_t>(std::popcount(word));
   return count;
+}
+
+/// Numbers of those that live.
+struct Duplicates {
+  PiMutex mutex;
+  std::set<int> numbers XAUTO_GUARDED_BY(mutex);
+};
+
+Duplicates& duplicates() {
+  static Duplicates duplicates;
+  return duplicates;
+}
+
+bool leads_to(int fd, const std::string& wanted) {
+  char target[PATH_MAX];
+  const ssize_t size =
+      readlink(("/proc/self/fd/" + std::to_string(fd)).c_str(), target, sizeof target);
+  return size > 0 && wanted == std::string_view(target, static_cast<std::size_t>(size));
 }
 
 }  // namespace
@@ -108,6 +132,48 @@ std::optional<std::size_t> count_tsgs(pid_t pid) {
     if (const UniqueFd node(open(path, O_RDWR | O_CLOEXEC | O_NONBLOCK)); node)
       return count_by_node(node.get(), pid);
   return {};
+}
+
+Result<std::vector<QueueFile>> find_own_queues() {
+  const Guard lock(duplicates().mutex);  // none comes or goes while they are read
+  XAUTO_ASSIGN(std::vector<QueueFile> all, find_queue_files(getpid()));
+  std::erase_if(all, [](const QueueFile& file) XAUTO_REQUIRES(duplicates().mutex) {
+    return duplicates().numbers.contains(file.fd);
+  });
+  for (const auto find : {find_rm_groups, find_kfd_queues})
+    for (QueueFile& file : find()) all.push_back(std::move(file));
+  return all;
+}
+
+bool is_open(const QueueFile& file) {
+  if (file.type == QueueType::kRmGroup || file.type == QueueType::kKfdQueue) {
+    const std::vector<QueueFile> all =
+        file.type == QueueType::kRmGroup ? find_rm_groups() : find_kfd_queues();
+    return std::find(all.begin(), all.end(), file) != all.end();
+  }
+  return leads_to(file.fd, file.target);
+}
+
+Duplicate::Duplicate(int fd, const std::string& target) {
+  const Guard lock(duplicates().mutex);
+  fd_.reset(fcntl(fd, F_DUPFD_CLOEXEC, 0));
+  if (fd_ && leads_to(fd_.get(), target))
+    duplicates().numbers.insert(fd_.get());
+  else
+    fd_.reset();
+}
+
+Duplicate& Duplicate::operator=(Duplicate&& other) noexcept {
+  close();
+  fd_ = std::move(other.fd_);
+  return *this;
+}
+
+void Duplicate::close() {
+  if (!fd_) return;
+  const Guard lock(duplicates().mutex);
+  duplicates().numbers.erase(fd_.get());
+  fd_.reset();
 }
 
 Result<UniqueFd> take_descriptor(pid_t pid, int fd) {

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstdlib>
 #include <cstring>
 #include <utility>
 
@@ -28,6 +29,7 @@
 #include "model/json.h"
 #include "model/json_value.h"
 #include "processes/packet.h"
+#include "xpu/kind.h"
 
 namespace xauto::launch {
 namespace {
@@ -132,6 +134,8 @@ class Supervisor {
       if (is_real[x]) real += session.platform.xpus[x].id + "\n";
     options.environment.emplace_back(emu::kRealVariable, real);
     if (session.emulator_modules) options.environment.emplace_back(emu::kDriversVariable, "1");
+    if (const std::string watch = watch_library(session); !watch.empty())
+      options.environment.emplace_back("LD_PRELOAD", watch);
     if (session.scheduling == Scheduling::kRos2 && session.mode == Mode::kRun)
       options.environment.emplace_back("XAUTO_EMU_CPU_POOL", "1");
     if (hub) options.inherit.push_back(hub.get());
@@ -154,6 +158,17 @@ class Supervisor {
       processes_.push_back(std::move(process));
     }
     return {};
+  }
+
+  /// What the app must be watched with on some XPU, before what it is preloaded with anyway; or "".
+  [[nodiscard]] std::string watch_library(const Session& session) const {
+    const std::vector<Xpu>& xpus = session.platform.xpus;
+    bool watched = false;
+    for (std::size_t x = 0; x < xpus.size(); ++x)
+      watched = watched || xpu::is_watched(xpus[x], session.emulated(static_cast<int>(x)));
+    if (!watched) return {};
+    const char* others = std::getenv("LD_PRELOAD");
+    return bin_ + "/libxauto_watch.so" + (others != nullptr ? std::string(":") + others : "");
   }
 
   /// The run's BPF maps and, if asked for, the sched_ext scheduler; what cannot be had is noted.

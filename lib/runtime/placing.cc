@@ -95,15 +95,28 @@ std::vector<std::string> unkept_of_keys(const Session& session) {
   return lines;
 }
 
+bool real_and_used(const Session& session, std::size_t x) {
+  return !session.emulated(static_cast<int>(x)) &&
+         std::any_of(session.policy.placements.begin(), session.policy.placements.end(),
+                     [&](const Placement& p) { return p.xpu == static_cast<int>(x); });
+}
+
+/// By whom XPUs are suspended, where that says less than a plan would like.
+void note_caveats(const Session& session, std::string& note) {
+  for (std::size_t x = 0; x < session.platform.xpus.size(); ++x) {
+    const Xpu& xpu = session.platform.xpus[x];
+    if (!real_and_used(session, x)) continue;
+    if (const std::string caveat = xpu::caveat_of(xpu, false); !caveat.empty())
+      add_note(note, "work on " + xpu.id + " is suspended " + caveat);
+  }
+}
+
 /// What both kinds of policies plan with, and the machine does not do.
 std::vector<std::string> unkept_by_xpus(const Session& session) {
   std::vector<std::string> lines;
   for (std::size_t x = 0; x < session.platform.xpus.size(); ++x) {
     const Xpu& xpu = session.platform.xpus[x];
-    const bool used =
-        std::any_of(session.policy.placements.begin(), session.policy.placements.end(),
-                    [&](const Placement& p) { return p.xpu == static_cast<int>(x); });
-    if (!used || session.emulated(static_cast<int>(x))) continue;
+    if (!real_and_used(session, x)) continue;
     const Discipline discipline = xpu::discipline_of(xpu, false, session.cpu_by_keys);
     if (xpu.preemptive && discipline == Discipline::kGate)
       lines.push_back("nobody can suspend work on " + xpu.id + ": its jobs run to their end");
@@ -122,6 +135,7 @@ Placing Placing::of(const Session& session, const Graph& graph) {
   if (session.scheduling == Scheduling::kXAuto) {
     placing.fifo_by_xnode = placing.workers.by_rank(session.policy);
     placing.order = order_in_force(session, graph, placing);
+    note_caveats(session, placing.note);
   }
   placing.cores = rt::allowed_cores();
   for (const Graph::Node& node : graph.nodes) {

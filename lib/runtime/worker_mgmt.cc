@@ -2,6 +2,8 @@
 // Life of a job, step 6: the management thread. It sleeps until there is a command for this worker,
 // from a more urgent job or from the coordinator. It carries it out through the XPU's backend, and
 // acknowledges. Also what there is to do for jobs with limits, see watch.h.
+#include <algorithm>
+
 #include "base/clock.h"
 #include "base/log.h"
 #include "base/rt.h"
@@ -28,9 +30,9 @@ void Worker::manage() {
   std::optional<Suspended> suspended;
   for (;;) {
     constexpr int kLookMs = static_cast<int>(kHeldUpLookNs / 1'000'000);
-    const coord::Command command = port_->wait_command(!suspended            ? -1
-                                                       : suspended->holds_up ? kLookMs
-                                                                             : xpu::kStillWantedMs);
+    const int again_ms = backend_->again_ms(suspended.has_value());
+    const coord::Command command = port_->wait_command(
+        suspended && suspended->holds_up ? std::min(kLookMs, again_ms) : again_ms);
     switch (command) {
       case coord::Command::kSuspend: {
         if (suspended) {  // said twice; what the execution thread is at may be the next job
@@ -76,8 +78,7 @@ void Worker::manage() {
             tell_held_up(*suspended->job, suspended->sequence, waits->xnode);
             port_->lend(*job, waits->key);
           }
-          if (now - suspended->told_ns < std::int64_t{xpu::kStillWantedMs - kLookMs} * 1'000'000)
-            break;
+          if (now - suspended->told_ns < std::int64_t{again_ms - kLookMs} * 1'000'000) break;
           suspended->told_ns = now;
         }
         if (const Status fed = backend_->still_wanted(); !fed)

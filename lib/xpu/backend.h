@@ -37,10 +37,12 @@ class Backend {
   virtual void count_in(ContextCounts& /*counts*/) {}
   /// The execution thread does the work itself, and Linux preempts it unseen.
   [[nodiscard]] virtual bool on_thread() const { return false; }
-  /// What is suspended shall stay so: called at least every kStillWantedMs while something is. A
-  /// backend whose device has a watchdog feeds it. kTimeout: it was too late, everything runs
-  /// again.
+  /// What is suspended shall stay so: called at least every again_ms(). A backend whose device has a
+  /// watchdog feeds it; one whose driver may resume by itself suspends again. kTimeout: it was too
+  /// late, everything runs again.
   [[nodiscard]] virtual Status still_wanted() { return {}; }
+  /// Less than 0: it need not be called. Asked after each call of one of these.
+  [[nodiscard]] virtual int again_ms(bool suspended) { return suspended ? kStillWantedMs : -1; }
 };
 
 /// What emu::Context::open finds on a thread of a run: taken where the run is set up, and entered by
@@ -73,9 +75,15 @@ inline constexpr int kCpuLowered = 1, kCpuAdmitted = 2, kCpuAsks = 3;
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_cpu_by_keys(const XpuId& xpu);
 /// What the app suspends itself, by SchedHandle::custom (custom.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_custom(const XpuId& xpu);
-/// A GPU or DLA of NVIDIA's drivers, or of the emulator modules, through xauto.ko
-/// (kernel_queue.cc). kUnavailable when the module is not loaded.
+/// A GPU or DLA of nvgpu or nvdla, or of the emulator modules, through xauto.ko (kernel_queue.cc).
+/// kUnavailable when the module is not loaded.
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_kernel_queue(const XpuId& xpu);
+/// The same by this process itself (own_queue.cc).
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_own_queue(const XpuId& xpu);
+/// A GPU of NVIDIA's RM driver, by this process itself (rm.cc). kUnavailable: it is not watched.
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_rm(const XpuId& xpu);
+/// A GPU of amdkfd, likewise (kfd.cc).
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_kfd(const XpuId& xpu);
 /// XPUs that cannot be preempted: both calls are refused (gate.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_gate();
 

@@ -2,7 +2,6 @@
 #include "xpu/contexts.h"
 
 #include <algorithm>
-#include <climits>
 #include <string>
 #include <utility>
 
@@ -51,17 +50,10 @@ Files only(const Files& files, Contexts::Which which) {
 
 /// Of a machine without /proc nothing is known, and `made` will say so.
 Files all_files() {
-  return kernel::find_queue_files(getpid()).value_or(Files());
+  return kernel::find_own_queues().value_or(Files());
 }
 
 }  // namespace
-
-bool is_open(const QueueFile& file) {
-  char target[PATH_MAX];
-  const ssize_t size =
-      readlink(("/proc/self/fd/" + std::to_string(file.fd)).c_str(), target, sizeof target);
-  return size > 0 && file.target == std::string_view(target, static_cast<std::size_t>(size));
-}
 
 Contexts& Contexts::of_this_process() {
   static Contexts contexts;
@@ -69,7 +61,7 @@ Contexts& Contexts::of_this_process() {
 }
 
 Result<Files> Contexts::files(Which which) {
-  XAUTO_ASSIGN(const Files files, kernel::find_queue_files(getpid()));
+  XAUTO_ASSIGN(const Files files, kernel::find_own_queues());
   return only(files, which);
 }
 
@@ -83,7 +75,7 @@ Files Contexts::unowned(const Files& files) const {
 /// A number that is used again is no longer whose it was.
 void Contexts::forget_closed() {
   for (auto& [handle, context] : contexts_) {
-    std::erase_if(context.files, [](const QueueFile& file) { return !is_open(file); });
+    std::erase_if(context.files, [](const QueueFile& file) { return !kernel::is_open(file); });
     if (context.files.empty()) context.assumed = context.refuted = false;
   }
 }
@@ -213,7 +205,7 @@ void Contexts::look_at(Which which, Seen& seen) {
   if (auto now = files(which)) {
     const Files fresh = new_ones(*now, seen.known);
     seen.known = std::move(*now);
-    std::erase_if(seen.ambiguous, [&](const QueueFile& file) { return !is_open(file); });
+    std::erase_if(seen.ambiguous, [&](const QueueFile& file) { return !kernel::is_open(file); });
     if (!fresh.empty() && seen.suspects.size() == 1) claim(seen.suspects.front(), fresh);
     if (seen.suspects.size() > 1) add(seen.ambiguous, fresh);
     if (which.type == QueueType::kGpuTsg) seen.hidden.look(seen.known.size());

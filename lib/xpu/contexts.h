@@ -123,7 +123,4 @@ class Contexts {
   std::atomic<std::uint64_t> generation_{1};
 };
 
-/// It is still the file that it was: a number is used again.
-[[nodiscard]] bool is_open(const kernel::QueueFile& file);
-
 }  // namespace xauto::xpu

@@ -1,234 +1,48 @@
 // SPDX-License-Identifier: Apache-2.0
-// GPUs and DLAs behind NVIDIA's drivers: what `init` returned is opaque (a CUcontext, a
-// cudlaDevHandle); contexts.h finds the TSGs and queues behind it, and xauto.ko suspends those.
-#include <algorithm>
-#include <map>
-
-#include "base/clock.h"
-#include "base/log.h"
-#include "base/pi_mutex.h"
+// GPUs and DLAs of nvgpu and nvdla, suspended by xauto.ko: whatever becomes of this process.
 #include "kernel/queue_control.h"
-#include "xpu/backend.h"
-#include "xpu/contexts.h"
+#include "xpu/driver_queues.h"
 
 namespace xauto::xpu {
 namespace {
 
-using kernel::QueueFile;
-using kernel::QueueOp;
-using kernel::QueueType;
-
-/// What a complete context opens is looked for so often at most: a look costs some 20 us.
-constexpr std::int64_t kLookAgainNs = 250'000'000;
-
-class KernelQueue final : public Backend {
+class Module final : public QueueDoor {
  public:
-  KernelQueue(QueueType type, int instance, kernel::QueueControl control)
-      : which_{type, type == QueueType::kDla ? instance : -1}, control_(std::move(control)) {}
+  explicit Module(kernel::QueueControl control) : control_(std::move(control)) {}
 
-  ~KernelQueue() override { all_.leave(this); }
-
-  void count_in(ContextCounts& counts) override { counts_ = &counts; }
-
-  Result<Init> before_init() override {
-    const auto making = std::make_shared<Contexts::Making>(all_);
-    making_ = making;
-    return making;
+  Result<Handle> take(const kernel::QueueFile& file) override {
+    XAUTO_ASSIGN(const kernel::RegisteredQueue queue, control_.register_queue(file.type, file.fd));
+    return queue.handle;
   }
-
-  Status attach(const SchedHandle& handle) override {
-    const SchedHandle::Kind kind = which_.type == QueueType::kGpuTsg
-                                       ? SchedHandle::Kind::kCudaContext
-                                       : SchedHandle::Kind::kCudlaDevice;
-    if (handle.kind() != kind)
-      return fail(ErrorCode::kInvalid,
-                  which_.type == QueueType::kGpuTsg ? "the scheduling handle is no CUcontext"
-                                                    : "the scheduling handle is no cudlaDevHandle",
-                  {}, "a preemptive GPU or DLA needs the handle behind which its work is queued");
-    const auto making = making_.lock();
-    if (making == nullptr) return fail(ErrorCode::kInternal, "nobody looked before `init`");
-    XAUTO_TRY(all_.made(*making, which_, handle.value(), this));
-    const Guard lock(mutex_);
-    Context& context = contexts_[handle.value()];
-    if (context.stages == 0 && all_.assumed(handle.value())) count(&ContextCounts::assumed, 1);
-    if (context.complete()) count(&ContextCounts::incomplete, 1);
-    ++context.stages;
-    return take_what_is_new();
+  void give_back(Handle handle) override { (void)control_.unregister(handle); }
+  Status suspend(const std::vector<Handle>& handles) override {
+    return all(handles, XAUTO_ACTION_SUSPEND);
   }
-
-  Status preempt(const SchedHandle& handle) override {
-    const Guard lock(mutex_);
-    const auto it = contexts_.find(handle.value());
-    if (it == contexts_.end())
-      return fail(ErrorCode::kInternal, "suspending a context that was never attached");
-    Context& context = it->second;
-    XAUTO_TRY(refuse(handle.value(), context));
-    // Looked at for the first time when it has run, it could lack what it has opened by now.
-    if (!context.complete()) count(&ContextCounts::unclaimed, all_.look(which_));
-    if (generation_ != all_.generation()) XAUTO_TRY(take_what_is_new());
-    ++context.unseen;
-    Status done = act_on(context, XAUTO_ACTION_SUSPEND);
-    // One that was closed is gone, also where another has its number by now.
-    if (!done && done.error().code == ErrorCode::kUnavailable &&
-        renew(handle.value(), context).value_or(false))
-      done = act_on(context, XAUTO_ACTION_SUSPEND);
-    context.suspended = done.has_value();
-    if (done) return done;
-    // Half a context suspended is none, and what would resume it is never called.
-    (void)act_on(context, XAUTO_ACTION_RESUME);
-    if (!context.gated && any_gated(context)) {
-      context.gated = true;
-      count(&ContextCounts::gated, 1);
-      log::warn(
-          "a GPU context does not leave the engine in time and is not preempted any more: {}; "
-          "split its kernels, or plan it with \"preemptive\": false",
-          done.error().to_string());
-    }
-    return done;
+  Status resume(const std::vector<Handle>& handles) override {
+    return all(handles, XAUTO_ACTION_RESUME);
   }
-
-  Status restore(const SchedHandle& handle) override {
-    const Guard lock(mutex_);
-    const auto it = contexts_.find(handle.value());
-    if (it == contexts_.end())
-      return fail(ErrorCode::kInternal, "resuming a context that was never attached");
-    it->second.suspended = false;
-    return act_on(it->second, XAUTO_ACTION_RESUME);
+  bool gated(Handle handle) override {
+    const auto info = control_.query(handle);
+    return info && info->gated;
   }
-
-  Status still_wanted() override {
-    const Guard lock(mutex_);
-    return control_.feed_watchdog();
-  }
-
-  void admitted(const SchedHandle& handle, bool first) override {
-    count(&ContextCounts::unclaimed, all_.begin(which_, handle.value(), first));
-  }
-
-  void finishing(const SchedHandle& handle, bool first) override {
-    const std::int64_t now = now_ns();
-    const bool look = first || now - looked_ns_ >= kLookAgainNs;
-    if (look) looked_ns_ = now;
-    count(&ContextCounts::unclaimed, all_.end(which_, handle.value(), look));
-    if (!look && generation_ == all_.generation()) return;
-    const Guard lock(mutex_);
-    if (const Status taken = take_what_is_new(); !taken)
-      log::warn("what a context has opened is not suspended with it: {}",
-                taken.error().to_string());
-    if (look)
-      for (auto& [value, context] : contexts_) context.unseen = 0;  // they left nothing out
-    Context& context = contexts_[handle.value()];
-    if (first && ++context.ran == context.stages) count(&ContextCounts::incomplete, -1);
-  }
+  Status still_wanted() override { return control_.feed_watchdog(); }
 
  private:
-  struct Queue {
-    QueueFile file;
-    std::uint32_t handle = 0;  ///< of the connection
-  };
-  struct Context {
-    std::vector<Queue> queues;
-    int stages = 0, ran = 0;  ///< whose `init` returned it; that have run once
-    int unseen = 0;           ///< suspensions since the last look at what it has opened
-    bool suspended = false;
-    bool gated = false, shared = false;  ///< told
-    [[nodiscard]] bool complete() const { return ran >= stages; }
-  };
-
-  void count(std::atomic<std::uint32_t> ContextCounts::*what, std::int64_t by) {
-    if (counts_ != nullptr && by != 0) (counts_->*what) += static_cast<std::uint32_t>(by);
-  }
-
-  Status take_what_is_new() XAUTO_REQUIRES(mutex_) {
-    generation_ = all_.generation();
-    Status taken;
-    for (auto& [value, context] : contexts_)
-      if (Status status = take_for(value, context); !status) taken = std::move(status);
-    return taken;
-  }
-
-  /// What was opened while its work is suspended is suspended with it.
-  Status take_for(Contexts::Value value, Context& context) XAUTO_REQUIRES(mutex_) {
-    for (const QueueFile& file : all_.of(value)) {
-      const bool known = std::any_of(context.queues.begin(), context.queues.end(),
-                                     [&](const Queue& queue) { return queue.file == file; });
-      if (known || !is_open(file)) continue;
-      XAUTO_ASSIGN(const kernel::RegisteredQueue queue,
-                   control_.register_queue(which_.type, file.fd));
-      context.queues.push_back({file, queue.handle});
-      // It may have been there already when they came.
-      count(&ContextCounts::partial, context.unseen);
-      context.unseen = 0;
-      if (context.suspended) XAUTO_TRY(control_.suspend(queue.handle));
-    }
-    return {};
-  }
-
-  /// False: nothing has changed.
-  Result<bool> renew(Contexts::Value value, Context& context) XAUTO_REQUIRES(mutex_) {
-    std::vector<Queue> before = std::move(context.queues);
-    context.queues.clear();
-    context.unseen = 0;  // a closed one refuses at once: none succeeded since
-    XAUTO_TRY(take_for(value, context));
-    // Registering what is registered gives the handle that it has.
-    bool changed = before.size() != context.queues.size();
-    for (const Queue& queue : before) {
-      const bool stays =
-          std::any_of(context.queues.begin(), context.queues.end(),
-                      [&](const Queue& other) { return other.handle == queue.handle; });
-      if (stays) continue;
-      changed = true;
-      (void)control_.unregister(queue.handle);
-    }
-    return changed && !context.queues.empty();
-  }
-
-  /// Suspending it would hold up another, which may be the more urgent; or is a guess.
-  Status refuse(Contexts::Value value, Context& context) XAUTO_REQUIRES(mutex_) {
-    if (all_.refuted(value))
-      return fail(ErrorCode::kUnavailable, "its context was made before `init`, another's, too");
-    if (!all_.shared(value)) return {};
-    if (!context.shared) {
-      context.shared = true;
-      count(&ContextCounts::shared, 1);
-      log::warn("two {}, so neither is suspended", which_.type == QueueType::kDla
-                                                       ? "cuDLA handles have one queue"
-                                                       : "modules have one GPU context");
-    }
-    return fail(ErrorCode::kUnavailable, "its queue is another's, too");
-  }
-
-  Status act_on(const Context& context, xauto_action action) XAUTO_REQUIRES(mutex_) {
+  Status all(const std::vector<Handle>& handles, xauto_action action) {
     ops_.clear();
-    for (const Queue& queue : context.queues) ops_.push_back({action, queue.handle, 0});
+    for (const Handle handle : handles) ops_.push_back({action, handle, 0});
     return control_.control(ops_);
   }
 
-  bool any_gated(const Context& context) XAUTO_REQUIRES(mutex_) {
-    for (const Queue& queue : context.queues)
-      if (const auto info = control_.query(queue.handle); info && info->gated) return true;
-    return false;
-  }
-
-  Contexts& all_ = Contexts::of_this_process();
-  std::weak_ptr<Contexts::Making> making_;
-  const Contexts::Which which_;
-  ContextCounts* counts_ = nullptr;
-  std::int64_t looked_ns_ = 0;  ///< the execution thread's
-  PiMutex mutex_;               ///< the execution thread registers, the management thread suspends
-  kernel::QueueControl control_ XAUTO_GUARDED_BY(mutex_);
-  std::map<Contexts::Value, Context> contexts_ XAUTO_GUARDED_BY(mutex_);
-  std::vector<QueueOp> ops_ XAUTO_GUARDED_BY(mutex_);
-  std::atomic<std::uint64_t> generation_{0};  ///< of what has been taken; written under the lock
+  kernel::QueueControl control_;
+  std::vector<kernel::QueueOp> ops_;
 };
 
 }  // namespace
 
 Result<std::unique_ptr<Backend>> make_kernel_queue(const XpuId& xpu) {
   XAUTO_ASSIGN(kernel::QueueControl control, kernel::QueueControl::open());
-  const QueueType type = xpu.type == XPU::GPU ? QueueType::kGpuTsg : QueueType::kDla;
-  return std::unique_ptr<Backend>(
-      std::make_unique<KernelQueue>(type, xpu.index, std::move(control)));
+  return over_door(xpu, std::make_unique<Module>(std::move(control)));
 }
 
 }  // namespace xauto::xpu

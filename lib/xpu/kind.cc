@@ -1,20 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "xpu/kind.h"
 
+#include <algorithm>
+
+#include <sys/stat.h>
+
 #include "kernel/device_nodes.h"
 
 namespace xauto::xpu {
 namespace {
 
-/// Of what only xauto.ko can suspend.
-Discipline by_module() {
-  return kernel::module_is_loaded() ? Discipline::kPreemptive : Discipline::kGate;
-}
-Discipline by_kernel() {
-  return Discipline::kKernel;
-}
-Discipline by_coordinator() {
-  return Discipline::kPreemptive;
+bool any_there(const std::string& root, const std::vector<std::string>& nodes) {
+  return std::any_of(nodes.begin(), nodes.end(), [&](const std::string& node) {
+    struct stat status {};
+    return stat((root + node).c_str(), &status) == 0;
+  });
 }
 
 template <std::size_t N>
@@ -22,34 +22,78 @@ std::vector<std::string> nodes(const char* const (&list)[N]) {
   return {list, list + N};
 }
 
+bool on_nvgpu(const std::string& root) {
+  return any_there(root, nodes(kernel::kGpuNodes));
+}
+bool on_rm(const std::string& root) {
+  return any_there(root, nodes(kernel::kRmNodes));
+}
+bool on_kfd(const std::string& root) {
+  return any_there(root, nodes(kernel::kKfdNodes));
+}
+bool on_nvdla(const std::string& root) {
+  return any_there(root, nodes(kernel::kDlaNodes));
+}
+
+constexpr const char* kByItself =
+    "by each process itself: one that hangs resumes nobody until it is killed";
+
 }  // namespace
 
 const std::vector<Kind>& kinds() {
   // Preemption costs and time slices are those of the paper's measurements on a Jetson Orin.
   static const std::vector<Kind> table = {
       {.type = "cpu",
-       .discipline = by_kernel,
-       .backend = make_cpu_thread,
+       .ways = {{.name = "", .discipline = Discipline::kKernel, .backend = make_cpu_thread}},
        .backend_by_keys = make_cpu_by_keys},
       {.type = "gpu",
        .nodes = nodes(kernel::kGpuNodes),
-       .discipline = by_module,
-       .backend = make_kernel_queue,
+       .ways = {{.name = "xauto.ko",
+                 .backend = make_kernel_queue,
+                 .there = kernel::module_is_loaded},
+                {.name = "own", .backend = make_own_queue, .there = on_nvgpu, .caveat = kByItself}},
        .preempt_us = 275,
        .timeslice_us = 1000,
        .what = "a Jetson's GPU",
        .driver = "nvgpu",
        .advice = "needs a Jetson with NVIDIA's kernel"},
+      // Nobody has measured these costs: each preemption is a message to the GPU's GSP.
+      {.type = "gpu",
+       .nodes = nodes(kernel::kRmNodes),
+       .ways = {{.name = "rm",
+                 .backend = make_rm,
+                 .there = on_rm,
+                 .watched = true,
+                 .caveat = kByItself}},
+       .preempt_us = 1000,
+       .timeslice_us = 1000,
+       .what = "a GPU of NVIDIA's RM driver",
+       .driver = "nvidia",
+       .advice = "needs NVIDIA's driver"},
+      {.type = "gpu",
+       .nodes = nodes(kernel::kKfdNodes),
+       .ways = {{.name = "kfd",
+                 .backend = make_kfd,
+                 .there = on_kfd,
+                 .watched = true,
+                 .caveat = kByItself}},
+       .preempt_us = 1000,
+       .timeslice_us = 1000,
+       .what = "an AMD GPU under ROCm",
+       .driver = "amdkfd",
+       .advice = "needs amdgpu with amdkfd"},
       {.type = "dla",
        .nodes = nodes(kernel::kDlaNodes),
-       .discipline = by_module,
-       .backend = make_kernel_queue,
+       .ways = {{.name = "xauto.ko",
+                 .backend = make_kernel_queue,
+                 .there = kernel::module_is_loaded},
+                {.name = "own", .backend = make_own_queue, .there = on_nvdla, .caveat = kByItself}},
        .preempt_us = 132,
        .timeslice_us = 1000,
        .what = "a Jetson's DLA",
        .driver = "nvdla",
        .advice = "needs a Jetson Xavier or Orin with NVIDIA's kernel"},
-      {.type = "", .discipline = by_coordinator, .backend = make_custom},
+      {.type = "", .ways = {{.name = "custom", .backend = make_custom}}},
   };
   return table;
 }
@@ -58,17 +102,32 @@ std::vector<kernel::Device> devices(const std::vector<Kind>& table) {
   std::vector<kernel::Device> devices;
   for (const Kind& kind : table)
     if (!kind.nodes.empty())
-      devices.push_back({kind.type, kind.nodes, kind.what, kind.driver, kind.advice});
+      devices.push_back({kind.type, kind.nodes, kind.what, kind.driver, kind.advice,
+                         [kind](const std::string& root) {
+                           const Way* way = way_of(kind, root);
+                           if (way == nullptr)
+                             return std::string("gated: nobody can suspend its work");
+                           return "suspended " +
+                                  (way->caveat.empty() ? "by " + way->name : way->caveat);
+                         }});
   return devices;
 }
 
 const Kind& kind_of(const std::string& type, const std::vector<Kind>& table) {
-  const Kind* own = nullptr;
+  const Kind *own = nullptr, *first = nullptr;
   for (const Kind& kind : table) {
-    if (kind.type == type) return kind;
     if (kind.type.empty()) own = &kind;
+    if (kind.type != type) continue;
+    if (kind.nodes.empty() || any_there({}, kind.nodes)) return kind;
+    if (first == nullptr) first = &kind;
   }
-  return *own;
+  return first != nullptr ? *first : *own;
+}
+
+const Way* way_of(const Kind& kind, const std::string& root) {
+  for (const Way& way : kind.ways)
+    if (way.there == nullptr || way.there(root)) return &way;
+  return nullptr;
 }
 
 Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys,
@@ -77,7 +136,26 @@ Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys,
   if (emulated) return Discipline::kPreemptive;
   const Kind& kind = kind_of(xpu.type, table);
   if (by_keys && kind.backend_by_keys != nullptr) return Discipline::kPreemptive;
-  return kind.discipline();
+  const Way* way = way_of(kind);
+  return way == nullptr ? Discipline::kGate : way->discipline;
+}
+
+namespace {
+
+const Way* way_in_use(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
+  return emulated || !xpu.preemptive ? nullptr : way_of(kind_of(xpu.type, table));
+}
+
+}  // namespace
+
+std::string caveat_of(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
+  const Way* way = way_in_use(xpu, emulated, table);
+  return way == nullptr ? std::string() : way->caveat;
+}
+
+bool is_watched(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
+  const Way* way = way_in_use(xpu, emulated, table);
+  return way != nullptr && way->watched;
 }
 
 Result<std::unique_ptr<Backend>> make_backend(const BackendRequest& request,
@@ -86,11 +164,10 @@ Result<std::unique_ptr<Backend>> make_backend(const BackendRequest& request,
   const bool driver = !kind.nodes.empty() && request.xpu.preemptive;
   if (request.emulated && !(request.emulator_modules && driver))
     return make_emulated(request.scheduled);
-  const bool gated =
-      discipline_of(request.xpu, request.emulated, false, table) == Discipline::kGate;
-  if (!request.scheduled || gated) return make_gate();
+  const Way* way = way_of(kind);
+  if (!request.scheduled || !request.xpu.preemptive || way == nullptr) return make_gate();
   return request.by_keys && kind.backend_by_keys != nullptr ? kind.backend_by_keys(request.id)
-                                                            : kind.backend(request.id);
+                                                            : way->backend(request.id);
 }
 
 }  // namespace xauto::xpu

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // What an XPU is, in one table: a row per kind, a file per backend. It alone says by which nodes an
 // XPU is found, who keeps its priorities, and how its work is suspended. A new kind is one row in
-// kind.cc and one backend file. Only cores are asked for by name elsewhere: they are counted, and
-// threads are pinned to them.
+// kind.cc and one backend file; so is another driver of a kind, and another way to suspend its work
+// is a line of its row. Only cores are asked for by name elsewhere: they are counted, and threads
+// are pinned to them.
 #pragma once
 
 #include <cstdint>
@@ -18,15 +19,25 @@
 
 namespace xauto::xpu {
 
+/// A way to suspend work on a kind of XPU, or to have Linux do it.
+struct Way {
+  std::string name;  ///< "xauto.ko"; empty: it needs no word
+  /// Who keeps the priorities on a preemptive instance.
+  Discipline discipline = Discipline::kPreemptive;
+  Result<std::unique_ptr<Backend>> (*backend)(const XpuId&) = nullptr;
+  /// Whether this machine has it; `root` stands for / in tests. None: whatever has the XPU.
+  bool (*there)(const std::string& root) = nullptr;
+  bool watched = false;     ///< libxauto_watch.so must be in the app's process
+  std::string caveat = {};  ///< what it cannot promise, for `xauto doctor` and the report
+};
+
 struct Kind {
   std::string type;  ///< "gpu"; empty: every type without a row of its own
   /// Device nodes, by instance; a machine with any of them has such an XPU. None: it needs no
   /// driver, so it is always there (CPUs are counted).
   std::vector<std::string> nodes = {};
-  /// Who keeps the priorities on a real, preemptive instance on this machine.
-  Discipline (*discipline)() = nullptr;
-  /// What suspends its work where the discipline is kPreemptive, or lets Linux do it (kKernel).
-  Result<std::unique_ptr<Backend>> (*backend)(const XpuId&) = nullptr;
+  /// In the order of choice; where this machine has none of them an instance is gated.
+  std::vector<Way> ways = {};
   /// What suspends its work in a run by keys where SCHED_FIFO keeps the order: it knows no keys.
   Result<std::unique_ptr<Backend>> (*backend_by_keys)(const XpuId&) = nullptr;
   /// Of an instance as `xauto doctor --platform-out` writes it: costs of a preemption.
@@ -42,15 +53,27 @@ struct Kind {
 /// Those that need a driver, for `xauto doctor`.
 [[nodiscard]] std::vector<kernel::Device> devices(const std::vector<Kind>& table = kinds());
 
-/// The row of `type`.
+/// The row of `type`; of several drivers' rows the first whose node is here.
 [[nodiscard]] const Kind& kind_of(const std::string& type,
                                   const std::vector<Kind>& table = kinds());
+
+/// How work on a preemptive XPU of this machine is suspended; null: it cannot be.
+[[nodiscard]] const Way* way_of(const Kind& kind, const std::string& root = {});
 
 /// Of an XPU of a run: what is not preemptive is gated, what is emulated is preempted by the
 /// emulator, else the row decides.
 /// `by_keys`: Session::cpu_by_keys.
 [[nodiscard]] Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys = false,
                                        const std::vector<Kind>& table = kinds());
+
+/// What cannot be promised of it in such a run, though it is preemptive: "by each process itself:
+/// ...", or "".
+[[nodiscard]] std::string caveat_of(const Xpu& xpu, bool emulated,
+                                    const std::vector<Kind>& table = kinds());
+
+/// Whether an app on such an XPU needs libxauto_watch.so in its process.
+[[nodiscard]] bool is_watched(const Xpu& xpu, bool emulated,
+                              const std::vector<Kind>& table = kinds());
 
 /// How one worker's work on an XPU is suspended in a run.
 struct BackendRequest {

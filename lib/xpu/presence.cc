@@ -142,7 +142,7 @@ Platform platform_of(const Machine& machine, const std::string& name,
     if (kind.type == "cpu")
       for (std::size_t i = 0; i < std::min(machine.cores, kMaxXpus - table.size()); ++i)
         platform.xpus.push_back({"cpu" + std::to_string(i), "cpu"});
-    if (kind.nodes.empty()) continue;
+    if (kind.nodes.empty() || &kind_of(kind.type, table) != &kind) continue;
     platform.xpus.push_back({kind.type + "0", kind.type, true, kind.preempt_us, kind.timeslice_us});
     if (!machine.devices.contains(kind.type)) platform.xpus.back().emulated = true;
   }

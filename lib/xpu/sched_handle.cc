@@ -34,7 +34,8 @@ SchedHandle make_context(const std::function<SchedHandle()>& make) {
   SchedHandle handle = make();
   // Without a driver nothing has appeared. What failed here fails in `init`, which can say so.
   if (handle.kind() == SchedHandle::Kind::kCudaContext)
-    (void)making.made({kernel::QueueType::kGpuTsg, -1}, handle.value());
+    for (const kernel::QueueType type : kernel::kGpuQueues)
+      (void)making.made({type, -1}, handle.value());
   if (handle.kind() == SchedHandle::Kind::kCudlaDevice)
     for (const int instance : {0, 1})  // as kernel/device_nodes.h has them
       (void)making.made({kernel::QueueType::kDla, instance}, handle.value());

@@ -244,7 +244,7 @@ void behind_no_descriptor() {
   for (Tsg* closed : {&hidden, &hidden_too, &swept}) closed->tsg.reset();
   swept.close();
   {
-    const raw::UniqueFd anothers = raw::sched();
+    const raw::UniqueFd theirs = raw::sched();
     run_one();
     guest::sleep_ms(2100);
     run_one();

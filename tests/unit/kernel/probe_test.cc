@@ -34,6 +34,7 @@ class Machine : public ::testing::Test {
   }
   const std::vector<Device> devices_ = {
       {"gpu", {kGpuNodes, kGpuNodes + 2}, "a Jetson's GPU", "nvgpu", "needs a Jetson"},
+      {"gpu", {kRmNodes[0]}, "a GPU of NVIDIA's RM driver", "nvidia", ""},
       {"dla", {kDlaNodes, kDlaNodes + 4}, "a Jetson's DLA", "nvdla", "needs a Jetson"}};
   fs::path root_;
   Permitted limits_{"6.1.0", 4, 99, 99, ~0ull, false};
@@ -79,8 +80,8 @@ TEST_F(Machine, ThorHasNoTsg) {
   file("etc/nv_tegra_release", "# R38 (release), REVISION: 4.0, GCID: 1\n");
   file("dev/nvidiactl");
   EXPECT_NE(find("jetson").meaning.find("RM"), std::string::npos);
-  EXPECT_EQ(find("gpu").verdict, Verdict::kMissing);
-  EXPECT_EQ(find("gpu").found, "no nvgpu, but NVIDIA's RM driver");
+  EXPECT_EQ(find("gpu").verdict, Verdict::kOk);
+  EXPECT_EQ(find("gpu").found, "/dev/nvidiactl");
   EXPECT_EQ(find("dla").found, "no nvdla device node");
 }
 

@@ -42,8 +42,7 @@ TEST(Kind, ANewOneIsARowAndABackend) {
   std::vector<Kind> table = kinds();
   table.push_back({.type = "fpga",
                    .nodes = {node.string()},
-                   .discipline = [] { return Discipline::kPreemptive; },
-                   .backend = make_fpga,
+                   .ways = {{.name = "fpga.ko", .backend = make_fpga}},
                    .preempt_us = 77,
                    .timeslice_us = 500,
                    .what = "a board's FPGA",
@@ -93,6 +92,64 @@ TEST(Kind, TheDisciplineIsThePlatformsThenTheEmulatorsThenTheRows) {
   EXPECT_EQ(discipline_of({"npu0", "npu"}, false), Discipline::kPreemptive);
   EXPECT_EQ(discipline_of({"gpu0", "gpu"}, false),
             kernel::module_is_loaded() ? Discipline::kPreemptive : Discipline::kGate);
+}
+
+TEST(Kind, NvgpusWorkIsSuspendedByTheModuleElseByItsProcessElseByNobody) {
+  const fs::path root = fs::temp_directory_path() / ("xauto-ways-" + std::to_string(getpid()));
+  fs::remove_all(root);
+  const auto chosen = [&](const char* type) {
+    const Way* way = way_of(kind_of(type), root.string());
+    return way == nullptr ? std::string("gate") : way->name;
+  };
+  EXPECT_EQ(chosen("gpu"), "gate");
+  fs::create_directories(root / "dev/nvgpu/igpu0");
+  std::ofstream(root / "dev/nvgpu/igpu0/tsg") << "";
+  EXPECT_EQ(chosen("gpu"), "own");
+  EXPECT_EQ(chosen("dla"), "gate");
+  const auto doctor = [&] {
+    for (const kernel::Finding& f :
+         kernel::probe(root.string(), kernel::Permitted::of_this_process(), devices()))
+      if (f.id == "gpu") return f.meaning;
+    return std::string();
+  };
+  EXPECT_EQ(doctor(),
+            "a Jetson's GPU, suspended by each process itself: one that hangs resumes nobody until "
+            "it is killed");
+  fs::create_directories(root / "proc");
+  std::ofstream(root / "proc/modules") << "xauto 16384 0 - Live 0x0\n";
+  EXPECT_EQ(chosen("gpu"), "xauto.ko");
+  EXPECT_EQ(doctor(), "a Jetson's GPU, suspended by xauto.ko");
+  EXPECT_EQ(chosen("dla"), "xauto.ko");
+  fs::remove_all(root);
+}
+
+TEST(Kind, ATypeMayHaveARowForEachDriver) {
+  const fs::path node = fs::temp_directory_path() / ("xauto-driver-" + std::to_string(getpid()));
+  std::vector<Kind> table = kinds();
+  table.push_back({.type = "dla",
+                   .nodes = {node.string()},
+                   .ways = {{.name = "other", .backend = make_fpga}},
+                   .preempt_us = 5,
+                   .what = "another DLA",
+                   .driver = "otherdla"});
+  const auto probed = [&] {
+    std::vector<kernel::Finding> found;
+    for (const kernel::Finding& f :
+         kernel::probe("", kernel::Permitted::of_this_process(), devices(table)))
+      if (f.id == "dla") found.push_back(f);
+    return found;
+  };
+  EXPECT_EQ(kind_of("dla", table).driver, "nvdla") << "none is here: the first";
+  ASSERT_EQ(probed().size(), 1u);
+  EXPECT_EQ(probed()[0].found, "no nvdla device node");
+  std::ofstream(node) << "";
+  EXPECT_EQ(kind_of("dla", table).driver, "otherdla");
+  ASSERT_EQ(probed().size(), 1u);
+  EXPECT_EQ(probed()[0].meaning, "another DLA, suspended by other");
+  const Platform here = platform_of(Machine::here(table), "here", table);
+  EXPECT_EQ(here.instances_of("dla").size(), 1u);
+  EXPECT_EQ(here.xpus[static_cast<std::size_t>(here.find("dla0"))].preempt_us, 5);
+  fs::remove(node);
 }
 
 TEST(Kind, AnXpuOfTheAppsOwnSaysHowItIsSuspended) {

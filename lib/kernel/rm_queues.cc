@@ -1,0 +1,221 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "kernel/rm_queues.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <string>
+#include <tuple>
+
+#include <dlfcn.h>
+#include <sys/ioctl.h>
+
+#include "base/clock.h"
+#include "base/unique_fd.h"
+#include "kernel/rm.h"
+#include "kernel/watch/watch.h"
+
+namespace xauto::kernel {
+namespace {
+
+/// libxauto_watch.so's functions; it may not be there.
+template <class Function>
+Function* watch(const char* name) {
+  return reinterpret_cast<Function*>(dlsym(RTLD_DEFAULT, name));
+}
+
+auto* list_function() {
+  static auto* const list = watch<decltype(xauto_watched_channels_1)>("xauto_watched_channels_1");
+  return list;
+}
+
+void forget_client(std::uint32_t client) {
+  static auto* const forget =
+      watch<decltype(xauto_watched_client_is_gone_1)>("xauto_watched_client_is_gone_1");
+  if (forget != nullptr) forget(client);
+}
+
+std::vector<xauto_watched_channel> watched() {
+  auto* const list = list_function();
+  std::vector<xauto_watched_channel> channels;
+  if (list == nullptr) return channels;
+  // More may come between two calls.
+  for (std::size_t n = list(nullptr, 0); n > channels.size(); n = list(channels.data(), n))
+    channels.resize(n);
+  return channels;
+}
+
+std::string target_of(const xauto_watched_channel& channel) {
+  return "rm:" + std::to_string(channel.client) + ":" + std::to_string(channel.group) + ":" +
+         std::to_string(channel.made);
+}
+
+/// Names the status; what a driver may answer here.
+Error failed(const char* what, std::uint32_t status, const std::string& where) {
+  switch (status) {
+    case rm::kTimeout:
+    case rm::kTimeoutRetry:
+    case rm::kBusyRetry:
+    case rm::kStateInUse:
+      return {ErrorCode::kTimeout, "did not leave its engine in time", where, "split its kernels"};
+    case rm::kInvalidClient:
+    case rm::kInvalidObjectHandle:
+    case rm::kObjectNotFound:
+      return {ErrorCode::kUnavailable, "is gone", where, ""};
+    case rm::kGpuIsLost:
+      return {ErrorCode::kUnavailable, "the GPU is lost", where, "see the kernel's log"};
+    case rm::kNotSupported:
+      return {ErrorCode::kUnavailable, "this driver runs without GSP firmware and refuses", where,
+              "load nvidia.ko with NVreg_EnableGpuFirmware=1, or plan with \"preemptive\": false"};
+    default:
+      return {ErrorCode::kIo, std::string(what) + ": RM's status " + std::to_string(status), where,
+              ""};
+  }
+}
+
+/// A message to the GPU of `subdevice`.
+struct Message {
+  int fd;
+  std::uint32_t client, subdevice;
+  rm::DisableChannels params{};
+};
+
+/// 0, or what went wrong.
+std::uint32_t send(Message& message) {
+  const Duplicate copy(message.fd, rm::kControlNode);
+  if (!copy) return rm::kInvalidClient;
+  rm::Control call{.client = message.client,
+                   .object = message.subdevice,
+                   .command = rm::kDisableChannels,
+                   .params = reinterpret_cast<std::uintptr_t>(&message.params),
+                   .params_size = sizeof message.params};
+  // Who answers and sets no status has not done it.
+  call.status = rm::kInvalidClient;
+  int result;
+  do result = ioctl(copy.get(), rm::escape(rm::kControl, sizeof call), &call);
+  while (result < 0 && errno == EINTR);
+  if (result == 0) return call.status;
+  return call.status == rm::kOk ? rm::kInvalidClient : call.status;
+}
+
+}  // namespace
+
+bool rm_is_watched() {
+  return list_function() != nullptr;
+}
+
+std::vector<QueueFile> find_rm_groups() {
+  std::vector<QueueFile> groups;
+  for (const xauto_watched_channel& channel : watched()) {
+    QueueFile group{channel.fd, QueueType::kRmGroup, -1, target_of(channel)};
+    if (std::find(groups.begin(), groups.end(), group) == groups.end())
+      groups.push_back(std::move(group));
+  }
+  return groups;
+}
+
+Result<RmQueues::Handle> RmQueues::take(const QueueFile& group) {
+  for (const auto& [handle, known] : groups_)
+    if (known.file == group) return handle;
+  const std::vector<QueueFile> all = find_rm_groups();
+  if (std::find(all.begin(), all.end(), group) == all.end())
+    return fail(ErrorCode::kUnavailable, "is no channel group of this process", group.target);
+  groups_.emplace(++last_, Group{.file = group});
+  return last_;
+}
+
+void RmQueues::give_back(Handle handle) {
+  (void)resume({handle});
+  groups_.erase(handle);
+}
+
+Status RmQueues::tell(const std::vector<Handle>& handles, bool disable) {
+  const std::vector<xauto_watched_channel> channels = watched();
+  std::vector<Message> messages;
+  std::string where;
+  for (const Handle handle : handles) {
+    Group& group = groups_.at(handle);
+    group.channels = 0;
+    where += (where.empty() ? "" : ", ") + group.file.target;
+    for (const xauto_watched_channel& channel : channels) {
+      if (channel.fd != group.file.fd || target_of(channel) != group.file.target) continue;
+      ++group.channels;
+      auto it = std::find_if(messages.begin(), messages.end(), [&](const Message& m) {
+        return std::tie(m.fd, m.client, m.subdevice) ==
+                   std::tie(channel.fd, channel.client, channel.subdevice) &&
+               m.params.count < rm::kMaxChannels;
+      });
+      if (it == messages.end())
+        it = messages.insert(it, Message{channel.fd, channel.client, channel.subdevice});
+      it->params.disable = disable ? 1 : 0;
+      it->params.clients[it->params.count] = channel.client;
+      it->params.channels[it->params.count++] = channel.channel;
+    }
+    if (group.channels == 0 && disable)
+      return fail(ErrorCode::kUnavailable, "is gone", group.file.target);
+  }
+  Status done;
+  for (Message& message : messages)
+    if (const std::uint32_t status = send(message); status != rm::kOk) {
+      if (status == rm::kInvalidClient || status == rm::kInvalidObjectHandle)
+        forget_client(message.client);
+      done = tl::unexpected<Error>(
+          failed(disable ? "DISABLE_CHANNELS" : "enabling channels", status, where));
+      if (disable) return done;  // what is resumed is resumed whole
+    }
+  return done;
+}
+
+Status RmQueues::suspend(const std::vector<Handle>& handles) {
+  const std::int64_t begin = now_ns();
+  for (const Handle handle : handles)
+    if (!groups_.at(handle).suspended && !groups_.at(handle).patience.may(begin))
+      return fail(ErrorCode::kUnavailable,
+                  "did not leave its engine in time before, so it is not tried",
+                  groups_.at(handle).file.target);
+  const Status done = tell(handles, true);
+  const bool stayed = !done && done.error().code == ErrorCode::kTimeout;
+  for (const Handle handle : handles) {
+    Group& group = groups_.at(handle);
+    if (done || stayed) group.patience.waited(begin, now_ns(), stayed);
+    group.suspended = done.has_value();
+  }
+  if (!done) (void)resume(handles);  // half a suspension is none
+  return done;
+}
+
+Status RmQueues::resume(const std::vector<Handle>& handles) {
+  for (const Handle handle : handles) groups_.at(handle).suspended = false;
+  const Status done = tell(handles, false);
+  const bool gone =
+      !done && done.error().code == ErrorCode::kUnavailable && done.error().what == "is gone";
+  for (const Handle handle : handles) groups_.at(handle).owed = !done && !gone;
+  return gone ? Status() : done;
+}
+
+void RmQueues::again() {
+  const std::vector<xauto_watched_channel> channels = watched();
+  for (auto& [handle, group] : groups_) {
+    const auto now = static_cast<std::size_t>(
+        std::count_if(channels.begin(), channels.end(), [&, &group = group](const auto& channel) {
+          return target_of(channel) == group.file.target;
+        }));
+    if (group.suspended && now != group.channels)
+      (void)tell({handle}, true);
+    else if (group.owed)
+      (void)resume({handle});
+  }
+}
+
+bool RmQueues::owes() const {
+  return std::any_of(groups_.begin(), groups_.end(),
+                     [](const auto& entry) { return entry.second.owed; });
+}
+
+RmQueues::~RmQueues() {
+  for (const auto& [handle, group] : groups_)
+    if (group.suspended) (void)resume({handle});
+  for (int i = 0; owes() && i < 3; ++i) again();
+}
+
+}  // namespace xauto::kernel

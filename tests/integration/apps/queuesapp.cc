@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+// Two modules on a GPU, each with a context of two queues of a driver, made with the driver's own
+// ioctls as CUDA or ROCm would: tests/devices has such drivers.
+//
+//   queuesapp nvgpu|rm|kfd HOLD
+//
+// A job of `slow` lasts until one of `quick`, which is more urgent, has run. One of `quick` that
+// meets such a job lasts while the file HOLD is there.
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <fcntl.h>
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+#include <xauto/xauto.h>
+
+namespace {
+
+using namespace std::chrono_literals;
+
+template <class Args>
+void call(int fd, unsigned long request, Args& args) {
+  if (ioctl(fd, request, &args) != 0) throw std::runtime_error("a driver refused");
+}
+int node(const char* path) {
+  const int fd = open(path, O_RDWR | O_CLOEXEC);
+  if (fd < 0) throw std::runtime_error(std::string("cannot open ") + path);
+  return fd;
+}
+
+void open_nvgpu() {
+  const int ctrl = node("/dev/nvgpu/igpu0/ctrl");
+  for (int i = 0; i < 2; ++i) {
+    std::uint32_t tsg[6] = {};
+    int channel = -1;
+    call(ctrl, 0xc0184709, tsg);
+    call(ctrl, 0xc004470b, channel);
+    call(static_cast<int>(tsg[0]), 0x40045401, channel);
+  }
+  close(ctrl);
+}
+
+std::uint32_t rm_object(int fd, std::uint32_t client, std::uint32_t parent, std::uint32_t type) {
+  std::uint32_t args[12] = {client, parent, 0, type};
+  call(fd, 0xc030462b, args);
+  if (args[10] != 0) throw std::runtime_error("RM refused");
+  return args[2];
+}
+void open_rm() {
+  const int fd = node("/dev/nvidiactl");
+  const std::uint32_t client = rm_object(fd, 0, 0, 0x41);
+  const std::uint32_t device = rm_object(fd, client, client, 0x80);
+  (void)rm_object(fd, client, device, 0x2080);
+  for (int i = 0; i < 2; ++i)
+    (void)rm_object(fd, client, rm_object(fd, client, device, 0xa06c), 0xc86f);
+}
+
+void open_kfd() {
+  static const int fd = node("/dev/kfd");
+  for (int i = 0; i < 2; ++i) {
+    struct {
+      std::uint64_t ring = 0x7f0000100000, write = 0, read = 0, doorbell = 0;
+      std::uint32_t size = 65536, gpu = 0, type = 2, percentage = 100, priority = 7, id = 0;
+      std::uint64_t rest[4] = {};
+    } args;
+    call(fd, 0xc0584b02, args);
+  }
+}
+
+struct State {
+  int done = 0;
+};
+
+std::atomic<int> g_quick{0};      ///< jobs of quick's that have run
+std::atomic<bool> g_slow{false};  ///< one of slow's is at it
+std::string g_driver, g_hold;
+
+void add(xauto::App& app, const std::string& name, std::chrono::milliseconds period) {
+  const xauto::Topic<int> in(name), out(name + "/out");
+  app.add_source(in, period, [](std::uint64_t k) { return static_cast<int>(k); });
+  xauto::XNode<State> node(name + ".run");
+  node.add_impl(
+      xauto::XPU::GPU,
+      [name](const xauto::XpuId&) {
+        (g_driver == "rm" ? open_rm : g_driver == "kfd" ? open_kfd : open_nvgpu)();
+        static int contexts[2];
+        return xauto::SchedHandle::cuda_context(&contexts[name == "quick" ? 0 : 1]);
+      },
+      [name](State& state, const xauto::Input&) {
+        if (name == "slow") {
+          g_slow = true;
+          for (const int before = g_quick; g_quick == before;) std::this_thread::sleep_for(500us);
+          g_slow = false;
+        } else {
+          while (g_slow && access(g_hold.c_str(), F_OK) == 0) std::this_thread::sleep_for(500us);
+          ++g_quick;
+        }
+        ++state.done;
+        return xauto::Status();
+      });
+  xauto::XModule<State> module(name + "M");
+  module.add_node(node).add_input_topic(in).add_output_topic(out, &State::done);
+  app.add_module(module);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  g_driver = argc > 1 ? argv[1] : "nvgpu";
+  g_hold = argc > 2 ? argv[2] : "/nonexistent";
+  xauto::App app("queues");
+  add(app, "quick", 20ms);
+  add(app, "slow", 200ms);
+  return app.main(argc, argv);
+}
