@@ -29,9 +29,13 @@ std::vector<xauto_watched_kfd_queue> watched_queues() {
   auto* const list = list_queues();
   std::vector<xauto_watched_kfd_queue> queues;
   if (list == nullptr) return queues;
-  // More may come between two calls.
-  for (std::size_t n = list(nullptr, 0); n > queues.size(); n = list(queues.data(), n))
+  // More may come between two calls, or some may go.
+  std::size_t n = list(nullptr, 0);
+  while (n > queues.size()) {
     queues.resize(n);
+    n = list(queues.data(), queues.size());
+  }
+  queues.resize(n);
   return queues;
 }
 

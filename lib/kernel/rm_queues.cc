@@ -39,9 +39,13 @@ std::vector<xauto_watched_channel> watched() {
   auto* const list = list_function();
   std::vector<xauto_watched_channel> channels;
   if (list == nullptr) return channels;
-  // More may come between two calls.
-  for (std::size_t n = list(nullptr, 0); n > channels.size(); n = list(channels.data(), n))
+  // More may come between two calls, or some may go.
+  std::size_t n = list(nullptr, 0);
+  while (n > channels.size()) {
     channels.resize(n);
+    n = list(channels.data(), channels.size());
+  }
+  channels.resize(n);
   return channels;
 }
 
