@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The backend of GPUs and DLAs over the emulators: a CUcontext is two TSGs, one for each runlist, and
-// the second may be opened by the first job only; two cuDLA handles may have one queue.
+// The backends of GPUs and DLAs over the emulators: a CUcontext is two TSGs, one for each runlist, and
+// the second may be opened by the first job only; two cuDLA handles may have one queue. Whether
+// xauto.ko tells the drivers or this process itself, the same must be so.
 #include "xpu/backend.h"
 
 #include "raw.h"
@@ -12,8 +13,10 @@ namespace {
 
 using xauto::xpu::Backend;
 
+decltype(&xauto::xpu::make_kernel_queue) make_backend;
+
 std::unique_ptr<Backend> gpu(xauto::ContextCounts& counts) {
-  auto backend = xauto::xpu::make_kernel_queue({"gpu0", XPU::GPU, 0});
+  auto backend = make_backend({"gpu0", XPU::GPU, 0});
   if (!backend) ktap_bail("%s", backend.error().to_string().c_str());
   (*backend)->count_in(counts);
   return std::move(*backend);
@@ -268,7 +271,7 @@ void behind_no_descriptor() {
 /// nvdla's node is opened once, whatever cuDLA makes of it.
 void one_dla_queue() {
   xauto::ContextCounts counts;
-  auto backend = xauto::xpu::make_kernel_queue({"dla0", XPU::DLA, 0});
+  auto backend = make_backend({"dla0", XPU::DLA, 0});
   if (!backend) ktap_bail("%s", backend.error().to_string().c_str());
   (*backend)->count_in(counts);
   int first = 0, second = 0;
@@ -287,14 +290,8 @@ void one_dla_queue() {
             "neither is suspended then, for that would hold up the other");
 }
 
-}  // namespace
-
-int main() {
-  ktap_plan(36);
-  for (const auto part : {made_before, beside, opened_late, behind_no_descriptor, one_dla_queue}) {
-    part();
-    (void)xauto::make_context([] { return SchedHandle(); });  // sees that all were closed
-  }
+/// Two TSGs, told through one call or through several.
+void whole() {
   xauto::ContextCounts counts;
   const auto backend = gpu(counts);
   int context = 0;
@@ -307,6 +304,11 @@ int main() {
   ktap_test(init(*backend, handle, open).has_value() && backend->preempt(handle).has_value() &&
                 guest::suspended() == 2,
             "a context of two TSGs is suspended whole");
+  (void)raw::call(compute.tsg.get(), NVGPU_IOCTL_TSG_ENABLE);
+  const bool enabled = guest::suspended() < 2;
+  ktap_test(guest::eventually(
+                [&] { return backend->still_wanted().has_value() && guest::suspended() == 2; }),
+            "what the driver enables meanwhile%s is suspended again", enabled ? "" : " (too late)");
   ktap_test(backend->restore(handle).has_value() && guest::suspended() == 0, "and resumed");
   raw::gpu_parameter("yield_us", "300000");
   (void)raw::work(copies.channel, 60000);
@@ -316,5 +318,22 @@ int main() {
             "one that does not leave is an error");
   ktap_test(guest::suspended() == 0, "and all of the context runs");
   raw::gpu_parameter("yield_us", "0");
+}
+
+}  // namespace
+
+int main() {
+  const std::pair<const char*, decltype(make_backend)> ways[] = {
+      {"xauto.ko", xauto::xpu::make_kernel_queue}, {"own", xauto::xpu::make_own_queue}};
+  ktap_plan(74);
+  for (const auto& [name, make] : ways) {
+    ktap_note("%s", name);
+    make_backend = make;
+    for (const auto part :
+         {made_before, beside, opened_late, behind_no_descriptor, one_dla_queue, whole}) {
+      part();
+      (void)xauto::make_context([] { return SchedHandle(); });  // sees that all were closed
+    }
+  }
   return ktap_exit();
 }
