@@ -7,36 +7,25 @@
 #include <optional>
 #include <string>
 
-#include <dlfcn.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
 #include "base/clock.h"
 #include "base/unique_fd.h"
 #include "kernel/kfd.h"
-#include "kernel/watch/watch.h"
+#include "kernel/watched.h"
 
 namespace xauto::kernel {
 namespace {
 
 auto* list_queues() {
-  static auto* const list = reinterpret_cast<decltype(xauto_watched_kfd_queues_1)*>(
-      dlsym(RTLD_DEFAULT, "xauto_watched_kfd_queues_1"));
+  static auto* const list =
+      watch_function<decltype(xauto_watched_kfd_queues_1)>("xauto_watched_kfd_queues_1");
   return list;
 }
 
 std::vector<xauto_watched_kfd_queue> watched_queues() {
-  auto* const list = list_queues();
-  std::vector<xauto_watched_kfd_queue> queues;
-  if (list == nullptr) return queues;
-  // More may come between two calls, or some may go.
-  std::size_t n = list(nullptr, 0);
-  while (n > queues.size()) {
-    queues.resize(n);
-    n = list(queues.data(), queues.size());
-  }
-  queues.resize(n);
-  return queues;
+  return all_watched(list_queues());
 }
 
 QueueFile file_of(const xauto_watched_kfd_queue& queue) {

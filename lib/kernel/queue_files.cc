@@ -5,7 +5,6 @@
 #include <bit>
 #include <cerrno>
 #include <charconv>
-#include <climits>
 #include <cstring>
 #include <filesystem>
 #include <set>
@@ -21,6 +20,7 @@
 
 #include "base/pi_mutex.h"
 #include "base/syscalls.h"
+#include "kernel/descriptor.h"
 #include "kernel/device_nodes.h"
 #include "kernel/kfd_queues.h"
 #include "kernel/rm_queues.h"
@@ -75,13 +75,6 @@ struct Duplicates {
 Duplicates& duplicates() {
   static Duplicates duplicates;
   return duplicates;
-}
-
-bool leads_to(int fd, const std::string& wanted) {
-  char target[PATH_MAX];
-  const ssize_t size =
-      readlink(("/proc/self/fd/" + std::to_string(fd)).c_str(), target, sizeof target);
-  return size > 0 && wanted == std::string_view(target, static_cast<std::size_t>(size));
 }
 
 }  // namespace

@@ -43,6 +43,7 @@ struct QueueFile {
 [[nodiscard]] Result<std::vector<QueueFile>> find_own_queues();
 /// It is still there, and what it was: a number is used again.
 [[nodiscard]] bool is_open(const QueueFile& file);
+
 /// A duplicate of this process's descriptor, if it leads to `target`: what a driver is asked through
 /// it goes to that file, whoever closes the number meanwhile. find_own_queues() does not list it.
 class Duplicate {
@@ -59,6 +60,7 @@ class Duplicate {
   void close();
   UniqueFd fd_;
 };
+
 /// Types of queues that a context on a GPU may have.
 inline constexpr QueueType kGpuQueues[] = {QueueType::kGpuTsg, QueueType::kRmGroup,
                                            QueueType::kKfdQueue};

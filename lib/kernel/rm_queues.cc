@@ -7,46 +7,30 @@
 #include <string>
 #include <tuple>
 
-#include <dlfcn.h>
 #include <sys/ioctl.h>
 
 #include "base/clock.h"
 #include "base/unique_fd.h"
 #include "kernel/rm.h"
-#include "kernel/watch/watch.h"
+#include "kernel/watched.h"
 
 namespace xauto::kernel {
 namespace {
 
-/// libxauto_watch.so's functions; it may not be there.
-template <class Function>
-Function* watch(const char* name) {
-  return reinterpret_cast<Function*>(dlsym(RTLD_DEFAULT, name));
+auto* list_channels() {
+  static auto* const list =
+      watch_function<decltype(xauto_watched_channels_1)>("xauto_watched_channels_1");
+  return list;
 }
 
-auto* list_function() {
-  static auto* const list = watch<decltype(xauto_watched_channels_1)>("xauto_watched_channels_1");
-  return list;
+std::vector<xauto_watched_channel> watched_channels() {
+  return all_watched(list_channels());
 }
 
 void forget_client(std::uint32_t client) {
   static auto* const forget =
-      watch<decltype(xauto_watched_client_is_gone_1)>("xauto_watched_client_is_gone_1");
+      watch_function<decltype(xauto_watched_client_is_gone_1)>("xauto_watched_client_is_gone_1");
   if (forget != nullptr) forget(client);
-}
-
-std::vector<xauto_watched_channel> watched() {
-  auto* const list = list_function();
-  std::vector<xauto_watched_channel> channels;
-  if (list == nullptr) return channels;
-  // More may come between two calls, or some may go.
-  std::size_t n = list(nullptr, 0);
-  while (n > channels.size()) {
-    channels.resize(n);
-    n = list(channels.data(), channels.size());
-  }
-  channels.resize(n);
-  return channels;
 }
 
 std::string target_of(const xauto_watched_channel& channel) {
@@ -54,27 +38,29 @@ std::string target_of(const xauto_watched_channel& channel) {
          std::to_string(channel.made);
 }
 
+bool is_gone(std::uint32_t status) {
+  return status == rm::kInvalidClient || status == rm::kInvalidObjectHandle ||
+         status == rm::kObjectNotFound;
+}
+
+bool did_stay(std::uint32_t status) {
+  return status == rm::kTimeout || status == rm::kTimeoutRetry || status == rm::kBusyRetry ||
+         status == rm::kStateInUse;
+}
+
 /// Names the status; what a driver may answer here.
-Error failed(const char* what, std::uint32_t status, const std::string& where) {
-  switch (status) {
-    case rm::kTimeout:
-    case rm::kTimeoutRetry:
-    case rm::kBusyRetry:
-    case rm::kStateInUse:
-      return {ErrorCode::kTimeout, "did not leave its engine in time", where, "split its kernels"};
-    case rm::kInvalidClient:
-    case rm::kInvalidObjectHandle:
-    case rm::kObjectNotFound:
-      return {ErrorCode::kUnavailable, "is gone", where, ""};
-    case rm::kGpuIsLost:
-      return {ErrorCode::kUnavailable, "the GPU is lost", where, "see the kernel's log"};
-    case rm::kNotSupported:
-      return {ErrorCode::kUnavailable, "this driver runs without GSP firmware and refuses", where,
-              "load nvidia.ko with NVreg_EnableGpuFirmware=1, or plan with \"preemptive\": false"};
-    default:
-      return {ErrorCode::kIo, std::string(what) + ": RM's status " + std::to_string(status), where,
-              ""};
-  }
+tl::unexpected<Error> failed(const char* what, std::uint32_t status, const std::string& where) {
+  if (did_stay(status))
+    return fail(ErrorCode::kTimeout, "did not leave its engine in time", where,
+                "split its kernels");
+  if (is_gone(status)) return fail(ErrorCode::kUnavailable, "is gone", where);
+  if (status == rm::kGpuIsLost)
+    return fail(ErrorCode::kUnavailable, "the GPU is lost", where, "see the kernel's log");
+  if (status == rm::kNotSupported)
+    return fail(
+        ErrorCode::kUnavailable, "this driver runs without GSP firmware and refuses", where,
+        "load nvidia.ko with NVreg_EnableGpuFirmware=1, or plan with \"preemptive\": false");
+  return fail(ErrorCode::kIo, std::string(what) + ": RM's status " + std::to_string(status), where);
 }
 
 /// A message to the GPU of `subdevice`.
@@ -105,12 +91,12 @@ std::uint32_t send(Message& message) {
 }  // namespace
 
 bool rm_is_watched() {
-  return list_function() != nullptr;
+  return list_channels() != nullptr;
 }
 
 std::vector<QueueFile> find_rm_groups() {
   std::vector<QueueFile> groups;
-  for (const xauto_watched_channel& channel : watched()) {
+  for (const xauto_watched_channel& channel : watched_channels()) {
     QueueFile group{channel.fd, QueueType::kRmGroup, -1, target_of(channel)};
     if (std::find(groups.begin(), groups.end(), group) == groups.end())
       groups.push_back(std::move(group));
@@ -133,14 +119,19 @@ void RmQueues::give_back(Handle handle) {
   groups_.erase(handle);
 }
 
-Status RmQueues::tell(const std::vector<Handle>& handles, bool disable) {
-  const std::vector<xauto_watched_channel> channels = watched();
+std::string RmQueues::names(const std::vector<Handle>& handles) const {
+  std::string all;
+  for (const Handle handle : handles)
+    all += (all.empty() ? "" : ", ") + groups_.at(handle).file.target;
+  return all;
+}
+
+std::uint32_t RmQueues::tell(const std::vector<Handle>& handles, bool disable) {
+  const std::vector<xauto_watched_channel> channels = watched_channels();
   std::vector<Message> messages;
-  std::string where;
   for (const Handle handle : handles) {
     Group& group = groups_.at(handle);
     group.channels = 0;
-    where += (where.empty() ? "" : ", ") + group.file.target;
     for (const xauto_watched_channel& channel : channels) {
       if (channel.fd != group.file.fd || target_of(channel) != group.file.target) continue;
       ++group.channels;
@@ -155,17 +146,15 @@ Status RmQueues::tell(const std::vector<Handle>& handles, bool disable) {
       it->params.clients[it->params.count] = channel.client;
       it->params.channels[it->params.count++] = channel.channel;
     }
-    if (group.channels == 0 && disable)
-      return fail(ErrorCode::kUnavailable, "is gone", group.file.target);
+    if (group.channels == 0 && disable) return rm::kObjectNotFound;
   }
-  Status done;
+  std::uint32_t done = rm::kOk;
   for (Message& message : messages)
     if (const std::uint32_t status = send(message); status != rm::kOk) {
       if (status == rm::kInvalidClient || status == rm::kInvalidObjectHandle)
         forget_client(message.client);
-      done = tl::unexpected<Error>(
-          failed(disable ? "DISABLE_CHANNELS" : "enabling channels", status, where));
-      if (disable) return done;  // what is resumed is resumed whole
+      if (disable) return status;  // what is resumed is resumed whole
+      if (!is_gone(status) || done == rm::kOk) done = status;
     }
   return done;
 }
@@ -177,28 +166,29 @@ Status RmQueues::suspend(const std::vector<Handle>& handles) {
       return fail(ErrorCode::kUnavailable,
                   "did not leave its engine in time before, so it is not tried",
                   groups_.at(handle).file.target);
-  const Status done = tell(handles, true);
-  const bool stayed = !done && done.error().code == ErrorCode::kTimeout;
+  const std::uint32_t status = tell(handles, true);
   for (const Handle handle : handles) {
     Group& group = groups_.at(handle);
-    if (done || stayed) group.patience.waited(begin, now_ns(), stayed);
-    group.suspended = done.has_value();
+    if (status == rm::kOk || did_stay(status))
+      group.patience.waited(begin, now_ns(), did_stay(status));
+    group.suspended = status == rm::kOk;
   }
-  if (!done) (void)resume(handles);  // half a suspension is none
-  return done;
+  if (status == rm::kOk) return {};
+  (void)resume(handles);  // half a suspension is none
+  return failed("DISABLE_CHANNELS", status, names(handles));
 }
 
 Status RmQueues::resume(const std::vector<Handle>& handles) {
   for (const Handle handle : handles) groups_.at(handle).suspended = false;
-  const Status done = tell(handles, false);
-  const bool gone =
-      !done && done.error().code == ErrorCode::kUnavailable && done.error().what == "is gone";
-  for (const Handle handle : handles) groups_.at(handle).owed = !done && !gone;
-  return gone ? Status() : done;
+  const std::uint32_t status = tell(handles, false);
+  const bool owed = status != rm::kOk && !is_gone(status);
+  for (const Handle handle : handles) groups_.at(handle).owed = owed;
+  if (owed) return failed("enabling channels", status, names(handles));
+  return {};
 }
 
 void RmQueues::again() {
-  const std::vector<xauto_watched_channel> channels = watched();
+  const std::vector<xauto_watched_channel> channels = watched_channels();
   for (auto& [handle, group] : groups_) {
     const auto now = static_cast<std::size_t>(
         std::count_if(channels.begin(), channels.end(), [&, &group = group](const auto& channel) {

@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <map>
+#include <string>
 #include <vector>
 
 #include <xauto/result.h>
@@ -54,7 +55,9 @@ class RmQueues {
     std::size_t channels = 0;  ///< that were told
     Patience patience = {};
   };
-  [[nodiscard]] Status tell(const std::vector<Handle>& handles, bool disable);
+  /// RM's status; of several what is to be tried again, before what is gone.
+  [[nodiscard]] std::uint32_t tell(const std::vector<Handle>& handles, bool disable);
+  [[nodiscard]] std::string names(const std::vector<Handle>& handles) const;
   std::map<Handle, Group> groups_;
   Handle last_ = 0;
 };

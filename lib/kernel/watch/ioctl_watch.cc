@@ -5,10 +5,8 @@
 #include <algorithm>
 #include <atomic>
 #include <cstdarg>
-#include <cstring>
 #include <map>
 #include <mutex>
-#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -17,6 +15,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "kernel/descriptor.h"
 #include "kernel/kfd.h"
 #include "kernel/rm.h"
 #include "kernel/watch/watch.h"
@@ -26,18 +25,7 @@ namespace {
 namespace kfd = xauto::kernel::kfd;
 namespace rm = xauto::kernel::rm;
 
-bool leads_to(int fd, std::string_view node) {
-  char path[64] = "/proc/self/fd/", target[64];
-  char* at = path + std::strlen(path);
-  char digits[16];
-  int n = 0;
-  for (unsigned number = static_cast<unsigned>(fd); number != 0 || n == 0; number /= 10)
-    digits[n++] = static_cast<char>('0' + number % 10);
-  while (n > 0) *at++ = digits[--n];
-  *at = 0;
-  const ssize_t size = readlink(path, target, sizeof target);
-  return size > 0 && node == std::string_view(target, static_cast<std::size_t>(size));
-}
+using xauto::kernel::leads_to;
 
 /// The objects of RM that say what a channel is.
 class Objects {
