@@ -22,19 +22,6 @@ std::vector<std::string> nodes(const char* const (&list)[N]) {
   return {list, list + N};
 }
 
-bool on_nvgpu(const std::string& root) {
-  return any_there(root, nodes(kernel::kGpuNodes));
-}
-bool on_rm(const std::string& root) {
-  return any_there(root, nodes(kernel::kRmNodes));
-}
-bool on_kfd(const std::string& root) {
-  return any_there(root, nodes(kernel::kKfdNodes));
-}
-bool on_nvdla(const std::string& root) {
-  return any_there(root, nodes(kernel::kDlaNodes));
-}
-
 constexpr const char* kByItself =
     "by each process itself: one that hangs resumes nobody until it is killed";
 
@@ -51,7 +38,7 @@ const std::vector<Kind>& kinds() {
        .ways = {{.name = "xauto.ko",
                  .backend = make_kernel_queue,
                  .there = kernel::module_is_loaded},
-                {.name = "own", .backend = make_own_queue, .there = on_nvgpu, .caveat = kByItself}},
+                {.name = "own", .backend = make_own_queue, .caveat = kByItself}},
        .preempt_us = 275,
        .timeslice_us = 1000,
        .what = "a Jetson's GPU",
@@ -60,11 +47,7 @@ const std::vector<Kind>& kinds() {
       // Nobody has measured these costs: each preemption is a message to the GPU's GSP.
       {.type = "gpu",
        .nodes = nodes(kernel::kRmNodes),
-       .ways = {{.name = "rm",
-                 .backend = make_rm,
-                 .there = on_rm,
-                 .watched = true,
-                 .caveat = kByItself}},
+       .ways = {{.name = "rm", .backend = make_rm, .watched = true, .caveat = kByItself}},
        .preempt_us = 1000,
        .timeslice_us = 1000,
        .what = "a GPU of NVIDIA's RM driver",
@@ -72,11 +55,7 @@ const std::vector<Kind>& kinds() {
        .advice = "needs NVIDIA's driver"},
       {.type = "gpu",
        .nodes = nodes(kernel::kKfdNodes),
-       .ways = {{.name = "kfd",
-                 .backend = make_kfd,
-                 .there = on_kfd,
-                 .watched = true,
-                 .caveat = kByItself}},
+       .ways = {{.name = "kfd", .backend = make_kfd, .watched = true, .caveat = kByItself}},
        .preempt_us = 1000,
        .timeslice_us = 1000,
        .what = "an AMD GPU under ROCm",
@@ -87,7 +66,7 @@ const std::vector<Kind>& kinds() {
        .ways = {{.name = "xauto.ko",
                  .backend = make_kernel_queue,
                  .there = kernel::module_is_loaded},
-                {.name = "own", .backend = make_own_queue, .there = on_nvdla, .caveat = kByItself}},
+                {.name = "own", .backend = make_own_queue, .caveat = kByItself}},
        .preempt_us = 132,
        .timeslice_us = 1000,
        .what = "a Jetson's DLA",
@@ -125,8 +104,9 @@ const Kind& kind_of(const std::string& type, const std::vector<Kind>& table) {
 }
 
 const Way* way_of(const Kind& kind, const std::string& root) {
+  const bool here = kind.nodes.empty() || any_there(root, kind.nodes);
   for (const Way& way : kind.ways)
-    if (way.there == nullptr || way.there(root)) return &way;
+    if (way.there == nullptr ? here : way.there(root)) return &way;
   return nullptr;
 }
 

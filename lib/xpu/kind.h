@@ -25,7 +25,7 @@ struct Way {
   /// Who keeps the priorities on a preemptive instance.
   Discipline discipline = Discipline::kPreemptive;
   Result<std::unique_ptr<Backend>> (*backend)(const XpuId&) = nullptr;
-  /// Whether this machine has it; `root` stands for / in tests. None: whatever has the XPU.
+  /// Whether this machine has it; `root` stands for / in tests. None: where the XPU is.
   bool (*there)(const std::string& root) = nullptr;
   bool watched = false;     ///< libxauto_watch.so must be in the app's process
   std::string caveat = {};  ///< what it cannot promise, for `xauto doctor` and the report
@@ -61,8 +61,7 @@ struct Kind {
 [[nodiscard]] const Way* way_of(const Kind& kind, const std::string& root = {});
 
 /// Of an XPU of a run: what is not preemptive is gated, what is emulated is preempted by the
-/// emulator, else the row decides.
-/// `by_keys`: Session::cpu_by_keys.
+/// emulator, else the row decides. `by_keys`: Session::cpu_by_keys.
 [[nodiscard]] Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys = false,
                                        const std::vector<Kind>& table = kinds());
 

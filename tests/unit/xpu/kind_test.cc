@@ -69,7 +69,6 @@ TEST(Kind, ANewOneIsARowAndABackend) {
   EXPECT_EQ(fpga.preempt_us, 77);
   EXPECT_EQ(probed().verdict, kernel::Verdict::kOk);
   EXPECT_TRUE(Machine::here(table).has(here, static_cast<std::size_t>(here.find("fpga0")), table));
-  fs::remove(node);
 
   // Scheduled by its discipline, suspended by its backend.
   EXPECT_EQ(discipline_of(fpga, false, false, table), Discipline::kPreemptive);
@@ -79,6 +78,8 @@ TEST(Kind, ANewOneIsARowAndABackend) {
   EXPECT_EQ(suspended, 1);
   ASSERT_TRUE((*backend)->restore(SchedHandle::gate()));
   EXPECT_EQ(suspended, 0);
+  fs::remove(node);
+  EXPECT_EQ(discipline_of(fpga, false, false, table), Discipline::kGate) << "it is gone";
 }
 
 TEST(Kind, TheDisciplineIsThePlatformsThenTheEmulatorsThenTheRows) {
