@@ -15,7 +15,6 @@
 #include "base/clock.h"
 #include "base/pi_mutex.h"
 #include "base/unique_fd.h"
-#include "kernel/patience.h"
 
 namespace xauto::kernel {
 namespace {

@@ -11,6 +11,7 @@
 
 #include <xauto/result.h>
 
+#include "kernel/patience.h"
 #include "kernel/queue_files.h"
 
 namespace xauto::kernel {
@@ -19,7 +20,6 @@ namespace xauto::kernel {
 class OwnQueues {
  public:
   using Handle = std::uint32_t;
-  static constexpr int kAgainMs = 50;
 
   OwnQueues();
   OwnQueues(const OwnQueues&) = delete;

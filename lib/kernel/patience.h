@@ -9,6 +9,9 @@
 
 namespace xauto::kernel {
 
+/// How often a process tells a driver again what it has suspended: as xauto.ko's sweeper.
+inline constexpr int kAgainMs = 50;
+
 /// Value type.
 class Patience {
  public:

@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "kernel/patience.h"
 #include "xpu/driver_queues.h"
 
 namespace xauto::xpu {
@@ -39,8 +40,7 @@ class ProcessDoor final : public QueueDoor {
     queues_.again();
     return {};
   }
-  /// As xauto.ko's sweeper.
-  int again_ms() const override { return 50; }
+  int again_ms() const override { return kernel::kAgainMs; }
   bool owes() const override { return queues_.owes(); }
 
  private:

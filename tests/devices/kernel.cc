@@ -22,6 +22,8 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "base/socket.h"
+
 namespace devices {
 namespace {
 
@@ -79,40 +81,6 @@ std::uint64_t socket_inode(const std::string& link) {
   std::uint64_t inode = 0;
   std::from_chars(target + kPrefix, target + size, inode);
   return inode;
-}
-
-bool send_fd(int socket, int fd) {
-  char byte = 0;
-  iovec data{&byte, 1};
-  alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int))] = {};
-  msghdr message{};
-  message.msg_iov = &data;
-  message.msg_iovlen = 1;
-  message.msg_control = control;
-  message.msg_controllen = sizeof control;
-  cmsghdr* header = CMSG_FIRSTHDR(&message);
-  header->cmsg_level = SOL_SOCKET;
-  header->cmsg_type = SCM_RIGHTS;
-  header->cmsg_len = CMSG_LEN(sizeof(int));
-  std::memcpy(CMSG_DATA(header), &fd, sizeof fd);
-  return sendmsg(socket, &message, 0) == 1;
-}
-
-int receive_fd(int socket) {
-  char byte = 0;
-  iovec data{&byte, 1};
-  alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int))] = {};
-  msghdr message{};
-  message.msg_iov = &data;
-  message.msg_iovlen = 1;
-  message.msg_control = control;
-  message.msg_controllen = sizeof control;
-  if (recvmsg(socket, &message, MSG_CMSG_CLOEXEC) != 1) return -1;
-  const cmsghdr* header = CMSG_FIRSTHDR(&message);
-  int fd = -1;
-  if (header != nullptr && header->cmsg_type == SCM_RIGHTS)
-    std::memcpy(&fd, CMSG_DATA(header), sizeof fd);
-  return fd;
 }
 
 }  // namespace
@@ -212,19 +180,20 @@ pid_t Kernel::fork(const std::function<void()>& body) {
   const pid_t child = ::fork();
   if (child == 0) {
     const int listener = install_filter();
-    if (listener < 0 || !send_fd(there.get(), listener)) _exit(127);
+    char go = 0;
+    if (listener < 0 || !xauto::send_packet(there.get(), &go, 1, {listener})) _exit(127);
     close(listener);
     // From here on nobody but the supervisor answers: it has to have begun.
-    char go;
-    if (recv(there.get(), &go, 1, 0) != 1) _exit(127);
+    if (!xauto::receive_packet(there.get(), &go, 1)) _exit(127);
     body();
     _exit(0);
   }
   there.reset();
-  const int listener = receive_fd(here.get());
-  if (listener < 0) return -1;
-  threads_.emplace_back([this, listener] { serve(listener); });
-  (void)!send(here.get(), "", 1, MSG_NOSIGNAL);
+  char go = 0;
+  std::vector<xauto::UniqueFd> fds;
+  if (!xauto::receive_packet(here.get(), &go, 1, &fds) || fds.size() != 1) return -1;
+  threads_.emplace_back([this, listener = fds[0].release()] { serve(listener); });
+  (void)xauto::send_packet(here.get(), &go, 1);
   return child;
 }
 

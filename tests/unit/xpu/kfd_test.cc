@@ -3,19 +3,19 @@
 // libxauto_watch.so, with which this program is linked.
 #include "devices/kfd.h"
 
-#include <csignal>
 #include <cstring>
 #include <string>
 
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/ioctl.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include "base/unique_fd.h"
 #include "kernel/kfd_queues.h"
 #include "xpu/kind.h"
+
+#include "device_test.h"
 
 namespace xauto::xpu {
 namespace {
@@ -53,17 +53,8 @@ struct Rocm {
   }
 };
 
-class KfdTest : public ::testing::Test {
+class KfdTest : public DeviceTest<devices::Kfd, devices::KfdState> {
  protected:
-  void SetUp() override {
-    if (const std::string why = devices::Kernel::missing(); !why.empty()) GTEST_SKIP() << why;
-  }
-  template <class What>
-  auto look(What what) {
-    kernel_.settle();
-    const std::lock_guard lock(kernel_.mutex());
-    return what(state_);
-  }
   int active() {
     return look([](const auto& state) { return state.active(); });
   }
@@ -73,9 +64,6 @@ class KfdTest : public ::testing::Test {
       return state.*what = 1;
     });
   }
-
-  devices::KfdState state_;
-  devices::Kernel kernel_{{std::make_shared<devices::Kfd>(state_)}};
 };
 
 /// What the tests rest on.
@@ -224,24 +212,14 @@ TEST_F(KfdTest, TheRowFindsItAndTheBackendSuspendsAContextWhole) {
 }
 
 TEST_F(KfdTest, AnOwnerThatIsKilledWhileItIsSuspendedLeavesNothing) {
-  int pipe_ends[2];
-  ASSERT_EQ(pipe(pipe_ends), 0);
-  const pid_t child = kernel_.fork([&] {
-    const Rocm rocm;
-    (void)rocm.queue();
-    KfdQueues kfd;
-    if (!kfd.suspend(*kfd.take(kernel::find_kfd_queues()[0]))) _exit(1);
-    (void)!write(pipe_ends[1], "", 1);
-    for (;;) pause();
-  });
-  ASSERT_GT(child, 0);
-  close(pipe_ends[1]);
-  char byte;
-  EXPECT_EQ(read(pipe_ends[0], &byte, 1), 1);
-  close(pipe_ends[0]);
-  EXPECT_EQ(active(), 0);
-  kill(child, SIGKILL);
-  waitpid(child, nullptr, 0);
+  kill_once(
+      [&](const auto& stay) {
+        const Rocm rocm;
+        (void)rocm.queue();
+        KfdQueues kfd;
+        if (kfd.suspend(*kfd.take(kernel::find_kfd_queues()[0]))) stay();
+      },
+      [&] { EXPECT_EQ(active(), 0); });
   EXPECT_EQ(look([](const auto& state) { return state.queues.size(); }), 0u);
 }
 

@@ -1,13 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // The backend `own` over nvgpu and nvdla as their source says (tests/devices): what a process does to
 // its own TSGs and DLA queues, and what is left of it when it dies.
-#include <csignal>
 #include <string>
 
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/ioctl.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include "base/unique_fd.h"
@@ -15,6 +13,7 @@
 #include "kernel/queue_files.h"
 #include "xpu/kind.h"
 
+#include "device_test.h"
 #include "devices/nvgpu.h"
 
 namespace xauto::xpu {
@@ -59,17 +58,8 @@ QueueFile file_of(int fd) {
   return {};
 }
 
-class Own : public ::testing::Test {
+class Own : public DeviceTest<devices::Nvgpu, devices::NvgpuState> {
  protected:
-  void SetUp() override {
-    if (const std::string why = devices::Kernel::missing(); !why.empty()) GTEST_SKIP() << why;
-  }
-  template <class What>
-  auto look(What what) {
-    kernel_.settle();
-    const std::lock_guard lock(kernel_.mutex());
-    return what(state_);
-  }
   int disabled() {
     return look([](const auto& state) { return state.disabled(); });
   }
@@ -83,9 +73,6 @@ class Own : public ::testing::Test {
   int suspended_slots() {
     return look([](const auto& state) { return state.suspended_slots(); });
   }
-
-  devices::NvgpuState state_;
-  devices::Kernel kernel_{{std::make_shared<devices::Nvgpu>(state_)}};
 };
 
 /// What the tests rest on.
@@ -322,7 +309,7 @@ TEST_F(Own, TheBackendSuspendsAContextOfTwoTsgsWholeOrNotAtAll) {
     }
     ASSERT_TRUE((*backend)->preempt(handle));
     EXPECT_EQ(disabled(), 2);
-    EXPECT_EQ((*backend)->again_ms(true), OwnQueues::kAgainMs);
+    EXPECT_EQ((*backend)->again_ms(true), kernel::kAgainMs);
     copies->bind(copies->channel);
     EXPECT_EQ(disabled(), 1);
     ASSERT_TRUE((*backend)->still_wanted());
@@ -340,37 +327,26 @@ TEST_F(Own, TheBackendSuspendsAContextOfTwoTsgsWholeOrNotAtAll) {
 
     look([](auto& state) { return state.fail_enable = 2; });
     EXPECT_FALSE((*backend)->restore(handle));
-    EXPECT_EQ((*backend)->again_ms(false), OwnQueues::kAgainMs) << "it owes a resume";
+    EXPECT_EQ((*backend)->again_ms(false), kernel::kAgainMs) << "it owes a resume";
     ASSERT_TRUE((*backend)->still_wanted());
     EXPECT_LT((*backend)->again_ms(false), 0);
   });
 }
 
 TEST_F(Own, AnOwnerThatIsKilledWhileItIsSuspendedLeavesNothing) {
-  int pipe_ends[2];
-  ASSERT_EQ(pipe(pipe_ends), 0);
-  const pid_t child = kernel_.fork([&] {
-    OwnQueues own;
-    const Tsg tsg;
-    const UniqueFd dla = open_dla();
-    if (!own.suspend(*own.take(file_of(tsg.tsg.get())))) _exit(1);
-    if (!own.suspend(*own.take(file_of(dla.get())))) _exit(2);
-    (void)!write(pipe_ends[1], "", 1);
-    for (;;) pause();
-  });
-  ASSERT_GT(child, 0);
-  close(pipe_ends[1]);
-  char byte;
-  if (read(pipe_ends[0], &byte, 1) != 1) {
-    int status = 0;
-    waitpid(child, &status, 0);
-    FAIL() << "the child ended, status " << status;
-  }
-  close(pipe_ends[0]);
-  EXPECT_EQ(disabled(), 1);
-  EXPECT_EQ(suspended_slots(), 1);
-  kill(child, SIGKILL);
-  waitpid(child, nullptr, 0);
+  kill_once(
+      [&](const auto& stay) {
+        OwnQueues own;
+        const Tsg tsg;
+        const UniqueFd dla = open_dla();
+        if (own.suspend(*own.take(file_of(tsg.tsg.get()))) &&
+            own.suspend(*own.take(file_of(dla.get()))))
+          stay();
+      },
+      [&] {
+        EXPECT_EQ(disabled(), 1);
+        EXPECT_EQ(suspended_slots(), 1);
+      });
   EXPECT_EQ(look([](const auto& state) { return state.tsgs.size(); }), 0u);
   kernel_.run([&] {
     const UniqueFd dla = open_dla();

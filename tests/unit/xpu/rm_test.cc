@@ -3,7 +3,6 @@
 // libxauto_watch.so, with which this program is linked.
 #include "devices/rm.h"
 
-#include <csignal>
 #include <cstring>
 #include <string>
 #include <vector>
@@ -11,12 +10,13 @@
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/ioctl.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include "base/unique_fd.h"
 #include "kernel/rm_queues.h"
 #include "xpu/kind.h"
+
+#include "device_test.h"
 
 namespace xauto::xpu {
 namespace {
@@ -81,17 +81,8 @@ class Cuda {
   std::uint32_t client_ = 0, device_ = 0, subdevice_ = 0;
 };
 
-class RmTest : public ::testing::Test {
+class RmTest : public DeviceTest<devices::Rm, devices::RmState> {
  protected:
-  void SetUp() override {
-    if (const std::string why = devices::Kernel::missing(); !why.empty()) GTEST_SKIP() << why;
-  }
-  template <class What>
-  auto look(What what) {
-    kernel_.settle();
-    const std::lock_guard lock(kernel_.mutex());
-    return what(state_);
-  }
   int disabled() {
     return look([](const auto& state) { return state.channels(true); });
   }
@@ -99,9 +90,6 @@ class RmTest : public ::testing::Test {
   void set(T devices::RmState::*what, T value) {
     look([&](auto& state) { return state.*what = value; });
   }
-
-  devices::RmState state_;
-  devices::Kernel kernel_{{std::make_shared<devices::Rm>(state_)}};
 };
 
 /// What the tests rest on.
@@ -363,24 +351,14 @@ TEST_F(RmTest, TheRowFindsItAndTheBackendSuspendsAContextWhole) {
 }
 
 TEST_F(RmTest, AnOwnerThatIsKilledWhileItIsSuspendedLeavesNothing) {
-  int pipe_ends[2];
-  ASSERT_EQ(pipe(pipe_ends), 0);
-  const pid_t child = kernel_.fork([&] {
-    Cuda cuda;
-    (void)cuda.channel(cuda.group());
-    RmQueues rm;
-    if (!rm.suspend({*rm.take(kernel::find_rm_groups()[0])})) _exit(1);
-    (void)!write(pipe_ends[1], "", 1);
-    for (;;) pause();
-  });
-  ASSERT_GT(child, 0);
-  close(pipe_ends[1]);
-  char byte;
-  EXPECT_EQ(read(pipe_ends[0], &byte, 1), 1);
-  close(pipe_ends[0]);
-  EXPECT_EQ(disabled(), 1);
-  kill(child, SIGKILL);
-  waitpid(child, nullptr, 0);
+  kill_once(
+      [&](const auto& stay) {
+        Cuda cuda;
+        (void)cuda.channel(cuda.group());
+        RmQueues rm;
+        if (rm.suspend({*rm.take(kernel::find_rm_groups()[0])})) stay();
+      },
+      [&] { EXPECT_EQ(disabled(), 1); });
   EXPECT_EQ(look([](const auto& state) { return state.clients.size(); }), 0u);
 }
 
