@@ -2,6 +2,7 @@
 #include "xpu/contexts.h"
 
 #include <algorithm>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -176,10 +177,12 @@ void Contexts::leave(const void* user) {
 // ---- opened later ------------------------------------------------------------------------------
 
 /// TSGs that no descriptor leads to. One that is being opened has none yet, and xauto.ko keeps one
-/// that was closed until it has swept: so it counts what is there for some time.
+/// that was closed until it has swept: so it counts what is there for some time. While nvgpu does
+/// not say, nothing is known, and nothing changes.
 void Contexts::Hidden::look(std::size_t descriptors) {
-  const std::size_t all = kernel::count_tsgs(getpid()).value_or(0);
-  const std::size_t now = all - std::min(all, descriptors);
+  const std::optional<std::size_t> all = kernel::count_tsgs(getpid());
+  if (!all) return;
+  const std::size_t now = *all - std::min(*all, descriptors);
   const std::int64_t time = now_ns();
   if (now <= count) {
     count = now;

@@ -261,6 +261,14 @@ void behind_no_descriptor() {
   run_one();
   ktap_test(counts.unclaimed == 2 && says(counts, "they are not suspended"),
             "2 s later it is counted as nobody's, once");
+  {
+    const raw::UniqueFd theirs = raw::sched();
+    run_one();
+  }
+  run_one();
+  guest::sleep_ms(2100);
+  run_one();
+  ktap_test(counts.unclaimed == 2, "and not again when nvgpu has not said it for a moment");
   hidden.close();
   hidden_too.close();
   run_one();
@@ -325,7 +333,7 @@ void whole() {
 int main() {
   const std::pair<const char*, decltype(make_backend)> ways[] = {
       {"xauto.ko", xauto::xpu::make_kernel_queue}, {"own", xauto::xpu::make_own_queue}};
-  ktap_plan(74);
+  ktap_plan(76);
   for (const auto& [name, make] : ways) {
     ktap_note("%s", name);
     make_backend = make;
