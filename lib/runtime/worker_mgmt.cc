@@ -104,11 +104,9 @@ void Worker::tell_held_up(const Placed& placed, std::uint64_t sequence, std::uin
   record(XAUTO_EV_HELD_UP, placed, sequence, who);
   if (options_.contexts != nullptr && options_.contexts->held_up.fetch_add(1) > 0) return;
   log::warn(
-      "XNode '{}' was suspended on {} while the more urgent '{}' waits for its work, so it got "
-      "that "
-      "one's urgency: an exec returns once its work is over, see docs/api.md (further ones are "
-      "only "
-      "counted)",
+      "XNode '{}' was suspended on {} while the more urgent '{}' waits for its work, so it "
+      "got that one's urgency: an exec returns once its work is over, see docs/api.md "
+      "(further ones are only counted)",
       placed.name, xpu_name(), options_.held_up->name(who));
 }
 
