@@ -28,7 +28,6 @@ class Waiter {
  public:
   Waiter(World& world, std::uint32_t xnode, std::function<void(const kernel::ThreadSlot&)> job)
       : thread_(world, xnode, [this, job = std::move(job)](const kernel::ThreadSlot& slot) {
-          slot_ = slot;
           for (;;) {
             const std::uint32_t mail = mail_.load();
             if (mail == 2) return;
@@ -52,23 +51,23 @@ class Waiter {
   }
   [[nodiscard]] std::uint32_t done() const { return done_.load(); }
   void tell(std::uint32_t xnode, std::uint64_t sequence) const {
-    (void)slot_.tell(xnode, sequence);
+    (void)thread_.slot().tell(xnode, sequence);
   }
   [[nodiscard]] std::uint32_t index() const { return thread_.index(); }
   /// Tells its next job for it, as the runtime does who hands a job over, and wakes it.
   void submit(std::uint32_t xnode, std::uint64_t sequence, const kernel::Told& told = {}) {
     wait_for([&] { return asleep(); });
-    (void)slot_.tell(xnode, sequence, told);
+    (void)thread_.slot().tell(xnode, sequence, told);
     wake();
   }
 
  private:
   [[nodiscard]] bool asleep() const {
-    const std::string stat = slurp("/proc/self/task/" + std::to_string(slot_.tid()) + "/stat");
+    const std::string stat =
+        slurp("/proc/self/task/" + std::to_string(thread_.slot().tid()) + "/stat");
     return stat.find(") S ") != std::string::npos;
   }
   std::atomic<std::uint32_t> mail_{0}, done_{0};
-  kernel::ThreadSlot slot_;
   XNodeThread thread_;
 };
 

@@ -99,11 +99,10 @@ std::uint64_t World::stat(int which) const {
 }
 
 XNodeThread::XNodeThread(World& world, std::uint32_t xnode,
-                         std::function<void(const kernel::ThreadSlot&)> body, bool ext) {
-  const kernel::ThreadSlot slot = world.slots.take(0);
-  index_ = static_cast<std::uint32_t>(world.slots.index(slot));
+                         std::function<void(const kernel::ThreadSlot&)> body, bool ext)
+    : slot_(world.slots.take(0)), index_(static_cast<std::uint32_t>(world.slots.index(slot_))) {
   std::atomic<bool> entered{false};
-  thread_ = std::thread([&world, &entered, slot, xnode, ext, body = std::move(body), this] {
+  thread_ = std::thread([&world, &entered, slot = slot_, xnode, ext, body = std::move(body), this] {
     if (ext) {
       sched_param none{};
       if (syscall(SYS_sched_setscheduler, 0, SCHED_EXT, &none) != 0) ktap_bail("SCHED_EXT refused");

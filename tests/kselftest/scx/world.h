@@ -68,8 +68,10 @@ class XNodeThread {
   void join();
   [[nodiscard]] double cpu() const { return cpu_s_; }  ///< after join
   [[nodiscard]] std::uint32_t index() const { return index_; }
+  [[nodiscard]] const kernel::ThreadSlot& slot() const { return slot_; }  ///< entered
 
  private:
+  const kernel::ThreadSlot slot_;
   std::uint32_t index_;
   double cpu_s_ = 0;
   std::thread thread_;
