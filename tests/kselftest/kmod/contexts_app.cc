@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // For contexts.sh: two modules, each with a context of its own, as CUDA makes them. It opens a
 // second TSG in its first `exec`. In its own `slow` first waits until `quick`, which is more urgent,
-// has preempted it, and the file GO is there.
+// has preempted it, and the file GO is there; `quick` pauses meanwhile.
 //
 //   contexts_app GO [before]      before: main() makes both, slow's where nobody looks
 #include <atomic>
@@ -47,11 +47,19 @@ struct State {
   int done = 0;
 };
 
-std::atomic<int> g_quick{0};  ///< jobs of quick's that have run
+std::atomic<int> g_released{0}, g_quick{0};  ///< jobs of quick's; that have run
+/// slow's first job has begun; one of quick's has begun since and is over (one that only ended
+/// meanwhile may have begun before: then it was slow that preempted it); slow has its second TSG.
+std::atomic<bool> g_waits{false}, g_preempted{false}, g_opened{false};
 
+/// Until none of quick's jobs runs, either: what appears then would be nobody's.
 void wait_for(const char* go) {
-  const int before = g_quick;
-  while (g_quick == before || access(go, F_OK) != 0) std::this_thread::sleep_for(1ms);
+  g_waits = true;
+  const auto alone = [&] { return g_preempted && g_quick == g_released && access(go, F_OK) == 0; };
+  do {
+    while (!alone()) std::this_thread::sleep_for(1ms);
+    std::this_thread::sleep_for(100ms);  // what runs after quick's exec
+  } while (!alone());
 }
 
 void add(xauto::App& app, const std::string& name, Cuda& cuda, std::chrono::milliseconds period,
@@ -59,17 +67,22 @@ void add(xauto::App& app, const std::string& name, Cuda& cuda, std::chrono::mill
   const xauto::Topic<int> in(name), out(name + "/out");
   // slow's first job comes after quick's: what both opened in their first would be nobody's.
   app.add_source(in, period, [go](std::uint64_t k) {
-    while (go != nullptr && g_quick == 0) std::this_thread::sleep_for(1ms);
+    while (go != nullptr ? g_quick == 0 : g_preempted && !g_opened)
+      std::this_thread::sleep_for(1ms);
+    if (go == nullptr) ++g_released;
     return static_cast<int>(k);
   });
   xauto::XNode<State> node(name + ".run");
   node.add_impl(
       xauto::XPU::GPU, [&cuda](const xauto::XpuId&) { return cuda.make(); },
       [&cuda, work, go](State& state, const xauto::Input&) {
+        const bool preempts = go == nullptr && g_waits;
         if (go != nullptr && !cuda.copies) wait_for(go);
         if (!cuda.copies) cuda.copies = Cuda::opened();
+        if (go != nullptr) g_opened = true;
         ++state.done;
         const xauto::Status done = cuda.run(work);
+        if (preempts) g_preempted = true;
         if (go == nullptr) ++g_quick;
         return done;
       });
@@ -88,6 +101,6 @@ int main(int argc, char** argv) {
   }
   xauto::App app("contexts");
   add(app, "quick", quick, 50ms, 2ms, nullptr);
-  add(app, "slow", slow, 200ms, 30ms, argc > 1 ? argv[1] : nullptr);
+  add(app, "slow", slow, 2s, 30ms, argc > 1 ? argv[1] : nullptr);
   return app.main(argc, argv);
 }
