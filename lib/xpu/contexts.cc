@@ -177,11 +177,14 @@ void Contexts::leave(const void* user) {
 // ---- opened later ------------------------------------------------------------------------------
 
 /// TSGs that no descriptor leads to. One that is being opened has none yet, and xauto.ko keeps one
-/// that was closed until it has swept: so it counts what is there for some time. While nvgpu does
-/// not say, nothing is known, and nothing changes.
+/// that was closed until it has swept: so it counts what is there for some time. When nvgpu does not
+/// say, that time begins anew; what has been counted stays.
 void Contexts::Hidden::look(std::size_t descriptors) {
   const std::optional<std::size_t> all = kernel::count_tsgs(getpid());
-  if (!all) return;
+  if (!all) {
+    candidate = 0;
+    return;
+  }
   const std::size_t now = *all - std::min(*all, descriptors);
   const std::int64_t time = now_ns();
   if (now <= count) {
