@@ -88,6 +88,24 @@ std::uint32_t send(Message& message) {
   return call.status == rm::kOk ? rm::kInvalidClient : call.status;
 }
 
+/// Of two statuses that which is to be tried again, before what is gone.
+std::uint32_t worse(std::uint32_t a, std::uint32_t b) {
+  return b != rm::kOk && (a == rm::kOk || !is_gone(b)) ? b : a;
+}
+
+/// Enables what is left of a message of which one channel is gone: RM refuses it whole.
+std::uint32_t enable_each(const Message& message) {
+  std::uint32_t done = rm::kOk;
+  for (std::uint32_t i = 0; i < message.params.count; ++i) {
+    Message one{message.fd, message.client, message.subdevice};
+    one.params.count = 1;
+    one.params.clients[0] = message.params.clients[i];
+    one.params.channels[0] = message.params.channels[i];
+    done = worse(done, send(one));
+  }
+  return done;
+}
+
 }  // namespace
 
 bool rm_is_watched() {
@@ -150,11 +168,12 @@ std::uint32_t RmQueues::tell(const std::vector<Handle>& handles, bool disable) {
   }
   std::uint32_t done = rm::kOk;
   for (Message& message : messages)
-    if (const std::uint32_t status = send(message); status != rm::kOk) {
+    if (std::uint32_t status = send(message); status != rm::kOk) {
       if (status == rm::kInvalidClient || status == rm::kInvalidObjectHandle)
         forget_client(message.client);
       if (disable) return status;  // what is resumed is resumed whole
-      if (!is_gone(status) || done == rm::kOk) done = status;
+      if (status == rm::kObjectNotFound) status = enable_each(message);
+      done = worse(done, status);
     }
   return done;
 }

@@ -10,6 +10,7 @@
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/ioctl.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include "base/unique_fd.h"
@@ -216,6 +217,28 @@ TEST_F(RmTest, MoreChannelsThanACallTakesAreSeveralCalls) {
     EXPECT_EQ(disabled(), 64) << "the rest is resumed all the same";
     rm.again();
     EXPECT_EQ(disabled(), 0);
+  });
+}
+
+/// Between the look at what there is and the call, or by who is not seen.
+TEST_F(RmTest, AChannelThatWasFreedUnseenLeavesTheOthersNotDisabled) {
+  kernel_.run([&] {
+    Cuda cuda;
+    const std::uint32_t group = cuda.group();
+    const std::uint32_t freed = cuda.channel(group);
+    (void)cuda.channel(group);
+    (void)cuda.channel(cuda.group());
+    RmQueues rm;
+    std::vector<RmQueues::Handle> handles;
+    for (const QueueFile& file : kernel::find_rm_groups()) handles.push_back(*rm.take(file));
+    ASSERT_TRUE(rm.suspend(handles));
+    std::uint32_t args[4] = {cuda.client(), 0, freed, 0};
+    ASSERT_EQ(syscall(SYS_ioctl, cuda.fd(), 0xc0104629, args), 0);
+    ASSERT_EQ(args[3], 0u);
+    EXPECT_EQ(disabled(), 2);
+    EXPECT_TRUE(rm.resume(handles)) << "what is gone needs none";
+    EXPECT_EQ(disabled(), 0);
+    EXPECT_FALSE(rm.owes());
   });
 }
 
