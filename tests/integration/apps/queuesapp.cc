@@ -4,8 +4,9 @@
 //
 //   queuesapp nvgpu|rm|kfd HOLD
 //
-// A job of `slow` lasts until one of `quick`, which is more urgent, has run. One of `quick` that
-// meets such a job lasts while the file HOLD is there.
+// A job of `slow` lasts until one of `quick`, which is more urgent, has run; or for 200 ms, for one
+// that is late is the more urgent itself. One of `quick` that meets such a job lasts while the file
+// HOLD is there.
 #include <atomic>
 #include <chrono>
 #include <cstdint>
@@ -78,8 +79,9 @@ struct State {
   int done = 0;
 };
 
-std::atomic<int> g_quick{0};      ///< jobs of quick's that have run
-std::atomic<bool> g_slow{false};  ///< one of slow's is at it
+std::atomic<int> g_quick{0};       ///< jobs of quick's that have run
+std::atomic<bool> g_slow{false};   ///< one of slow's is at it
+std::atomic<bool> g_holds{false};  ///< ... and has met one of quick's, which lasts
 std::string g_driver, g_hold;
 
 void add(xauto::App& app, const std::string& name, std::chrono::milliseconds period) {
@@ -96,10 +98,17 @@ void add(xauto::App& app, const std::string& name, std::chrono::milliseconds per
       [name](State& state, const xauto::Input&) {
         if (name == "slow") {
           g_slow = true;
-          for (const int before = g_quick; g_quick == before;) std::this_thread::sleep_for(500us);
+          const auto limit = std::chrono::steady_clock::now() + 200ms;
+          for (const int before = g_quick;
+               g_quick == before && (g_holds || std::chrono::steady_clock::now() < limit);)
+            std::this_thread::sleep_for(500us);
           g_slow = false;
         } else {
-          while (g_slow && access(g_hold.c_str(), F_OK) == 0) std::this_thread::sleep_for(500us);
+          while (g_slow && access(g_hold.c_str(), F_OK) == 0) {
+            g_holds = true;
+            std::this_thread::sleep_for(500us);
+          }
+          g_holds = false;
           ++g_quick;
         }
         ++state.done;
