@@ -31,7 +31,7 @@ check-fast:
 	@JOBS=$(JOBS) scripts/check.sh fast
 
 check-full:
-	@scripts/setup.sh build check transport pedestrians kernel package
+	@scripts/setup.sh build check transport pedestrians kernel package jetpack
 	@scripts/fetch-video.sh
 	@scripts/vm/fetch-checkpatch.sh >/dev/null
 	@JOBS=$(JOBS) scripts/check.sh full
@@ -46,7 +46,7 @@ kernel-check:
 	@scripts/setup.sh build check kernel
 	@JOBS=$(JOBS) scripts/check.sh kernel
 
-# Debian packages of the release build, in build/package/debs; for another machine: make packages ARCH=arm64
+# Debian packages of the release build, in build/package/debs. For another machine: make packages ARCH=arm64; for a Jetson: ARCH=jetpack
 ARCH ?=
 packages:
 	@scripts/setup.sh build kernel package
@@ -71,6 +71,11 @@ floor-check:
 	@scripts/setup.sh build package
 	@JOBS=$(JOBS) scripts/check.sh floor
 
+# The packages for a Jetson: what they need, their programs emulated, and an arm64 machine with systemd and DKMS.
+jetpack-check:
+	@scripts/setup.sh build kernel package jetpack
+	@JOBS=$(JOBS) scripts/check.sh jetpack
+
 # The API's reference: build/docs/html/index.html.
 docs:
 	@scripts/setup.sh check
@@ -93,4 +98,4 @@ setup:
 clean:
 	@rm -rf build build-debug build-asan build-tsan build-fuzz
 
-.PHONY: all build demo pedestrians check check-fast check-full kernel-check packages package-check floor-check modules style unit asan tsan fuzz bench docs format tidy setup clean
+.PHONY: all build demo pedestrians check check-fast check-full kernel-check packages package-check floor-check jetpack-check modules style unit asan tsan fuzz bench docs format tidy setup clean

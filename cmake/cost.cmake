@@ -9,7 +9,7 @@ if(NOT EXISTS ${PROJECT_BINARY_DIR}/headers.cc)
 endif()
 # One for both: GCC takes it at another -O than it was made at, as long as that is not -O0.
 add_library(xauto_precompiled OBJECT EXCLUDE_FROM_ALL ${PROJECT_BINARY_DIR}/headers.cc)
-target_link_libraries(xauto_precompiled PRIVATE fmt::fmt)
+target_link_libraries(xauto_precompiled PRIVATE ${XAUTO_FMT})
 target_precompile_headers(xauto_precompiled PRIVATE ${XAUTO_HEADERS})
 
 function(xauto_headers target)
@@ -17,7 +17,7 @@ function(xauto_headers target)
   if(NOT ARG_FROM)
     set(ARG_FROM xauto_precompiled)
   endif()
-  target_link_libraries(${target} PRIVATE fmt::fmt) # the headers were compiled with its definitions
+  target_link_libraries(${target} PRIVATE ${XAUTO_FMT}) # the headers were compiled with its definitions
   target_precompile_headers(${target} REUSE_FROM ${ARG_FROM})
   get_target_property(type ${target} TYPE)
   if(type STREQUAL "EXECUTABLE")

@@ -1,19 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 # Everything that we link, each once. Why each is here: docs/dependencies.md. Installed by
 # scripts/setup.sh. Foreign headers are SYSTEM so that our warning level stops at our own code.
+option(XAUTO_LINK_IN "Link in every library but those of the compiler and of libc" OFF) # for systems that lack ours: docs/packages.md
+if(XAUTO_LINK_IN)
+  set(CMAKE_FIND_LIBRARY_SUFFIXES .a)
+endif()
 find_package(Threads REQUIRED)
 find_package(nlohmann_json 3.9 REQUIRED)   # JSON: lib/model, see json_value.h there
 find_package(CLI11 2.1 REQUIRED)           # command lines: tools/cli only
 find_package(fmt 7.1 REQUIRED)             # text formatting
 find_package(spdlog 1.8 REQUIRED)          # logs for people: lib/base/log.cc only
+if(XAUTO_LINK_IN) # Debian has no archives of these two
+  set(XAUTO_FMT fmt::fmt-header-only)
+  set(XAUTO_SPDLOG spdlog::spdlog_header_only)
+  set_target_properties(spdlog::spdlog_header_only PROPERTIES INTERFACE_LINK_LIBRARIES "Threads::Threads;fmt::fmt-header-only")
+else()
+  set(XAUTO_FMT fmt::fmt)
+  set(XAUTO_SPDLOG spdlog::spdlog)
+endif()
 find_package(SQLite3 REQUIRED)             # recorded inputs: lib/record only
 find_package(Eigen3 3.3 REQUIRED NO_MODULE)  # solver
 find_path(XAUTO_EXPECTED_INCLUDE tl/expected.hpp REQUIRED)  # Result<T>
 find_path(LPSOLVE_INCLUDE lpsolve/lp_lib.h REQUIRED)        # the ILP: solver/ only
 find_library(LPSOLVE_LIBRARY NAMES lpsolve55_pic lpsolve55 REQUIRED)
+find_library(COLAMD_LIBRARY NAMES colamd REQUIRED)
+if(XAUTO_LINK_IN)
+  find_library(SUITESPARSE_LIBRARY NAMES suitesparseconfig REQUIRED)
+endif()
 add_library(lpsolve INTERFACE)
 target_include_directories(lpsolve SYSTEM INTERFACE ${LPSOLVE_INCLUDE})
-target_link_libraries(lpsolve INTERFACE ${LPSOLVE_LIBRARY} colamd m dl)
+target_link_libraries(lpsolve INTERFACE ${LPSOLVE_LIBRARY} ${COLAMD_LIBRARY} ${SUITESPARSE_LIBRARY} m dl)
 
 # Netlink to xauto.ko.
 find_package(PkgConfig REQUIRED)

@@ -32,7 +32,13 @@ if(TARGET xauto_cyclonedds)
   install(TARGETS xauto_cyclonedds LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR}/xauto COMPONENT interop)
 endif()
 
-# Development: find_package(xauto), pkg-config, headers.
+# Development: find_package(xauto), pkg-config, headers; and the one header of somebody else's that ours include.
+if(XAUTO_LINK_IN)
+  set(XAUTO_BUNDLED ${CMAKE_INSTALL_INCLUDEDIR}/xauto/bundled)
+  set(XAUTO_PC_BUNDLED " -isystem \${prefix}/${XAUTO_BUNDLED}")
+  target_include_directories(xauto_shared SYSTEM INTERFACE $<INSTALL_INTERFACE:${XAUTO_BUNDLED}>)
+  install(FILES ${XAUTO_EXPECTED_INCLUDE}/tl/expected.hpp DESTINATION ${XAUTO_BUNDLED}/tl COMPONENT development)
+endif()
 set(cmake_dir ${CMAKE_INSTALL_LIBDIR}/cmake/xauto)
 install(EXPORT xauto-targets NAMESPACE xauto:: DESTINATION ${cmake_dir} COMPONENT development)
 configure_package_config_file(packaging/xauto-config.cmake.in ${PROJECT_BINARY_DIR}/package/xauto-config.cmake

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # What `make check` does: style, the tests in a release build, the Debian packages in a clean root, the kernel side in booted
 # VMs, the tests under ASan+UBSan and under TSan; what waits runs beside what computes. Each part runs by itself with
-# `make style|unit|asan|tsan|fuzz|kernel-check|package-check`; `make check-fast` and `make check-full` do less and more.
+# `make style|unit|asan|tsan|fuzz|kernel-check|package-check|floor-check|jetpack-check`; `make check-fast` and `make check-full` do less and more.
 # The last line is the count over all parts.
 set -uo pipefail
 cd "$(dirname "$0")/.."
@@ -149,6 +149,7 @@ full() {
   kernel
   package
   floor
+  jetpack
 }
 # A script whose last line is "N passed, M failed, K skipped".
 counted() {
@@ -204,6 +205,11 @@ floor() {
   note "the oldest tools, in a Debian 11 root"
   counted "the oldest tools" scripts/floor-check.sh
 }
+jetpack() {
+  build ci build xauto || return
+  note "the packages for JetPack, on an emulated arm64 machine"
+  counted "the packages for JetPack" scripts/jetpack-check.sh
+}
 # The Debian packages, made of the release build and tried in a clean root; scripts/package-check.sh counts.
 package() {
   build ci build "${release[@]}" || return
@@ -217,7 +223,7 @@ case ${1:-check} in
     release_and_packages
     kernel_and_sanitizers
     ;;
-  style | unit | asan | tsan | fuzz | kernel | package | fast | full | floor) "$1" ;;
+  style | unit | asan | tsan | fuzz | kernel | package | fast | full | floor | jetpack) "$1" ;;
   *)
     echo "usage: scripts/check.sh [check|fast|full|style|unit|asan|tsan|fuzz|kernel|package|floor]" >&2
     exit 2

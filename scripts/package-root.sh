@@ -4,6 +4,7 @@
 # usage: package-root.sh            to try packages in: a developer's tools (compiler, CMake, DKMS, a kernel's headers), and nothing of
 #                                   XAuto or of what it depends on
 #        package-root.sh floor      Debian 11 with the oldest of what XAuto is built with; see floor-check.sh
+#        package-root.sh jetpack    Debian 11 with a cross-compiler for arm64, and the same for arm64; see packages.sh
 #        package-root.sh ARCH       to build packages for ARCH in: cross-compiler, XAuto's build dependencies of that architecture, and an
 #                                   emulator to try them
 # environment: TMPDIR, better on a tmpfs: dpkg waits for the disk after every file
@@ -13,6 +14,8 @@ cache=${XAUTO_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/xauto}
 native=$(dpkg --print-architecture)
 target=${1:-}
 release=bookworm suites="bookworm bookworm-security"
+# Headers only, and Debian 11 has none: bookworm's.
+cli11=(--customize-hook="cp -r --parents /usr/include/CLI /usr/share/cmake/CLI11 /usr/share/doc/libcli11-dev \"\$1\"")
 command -v mmdebstrap >/dev/null || { echo "package-root: mmdebstrap is missing; run scripts/setup.sh package" >&2; exit 1; }
 
 if [ -z "$target" ]; then
@@ -25,8 +28,16 @@ elif [ "$target" = floor ]; then
   name=floor-$native
   packages="g++ cmake ninja-build ccache pkg-config python3 nlohmann-json3-dev libfmt-dev libspdlog-dev libeigen3-dev liblpsolve55-dev
     libsuitesparse-dev protobuf-compiler libprotobuf-dev libexpected-dev libgtest-dev libgmock-dev libnl-genl-3-dev libsqlite3-dev"
-  # Headers only, and Debian 11 has none: bookworm's.
-  options=(--customize-hook="cp -r /usr/include/CLI \"\$1/usr/include/\" && cp -r /usr/share/cmake/CLI11 \"\$1/usr/share/cmake/\"")
+  options=("${cli11[@]}")
+elif [ "$target" = jetpack ]; then
+  target=arm64 release=bullseye suites=bullseye
+  name=jetpack-$native
+  packages="crossbuild-essential-arm64 qemu-user-static debhelper dkms cmake ninja-build ccache pkg-config python3 protobuf-compiler libexpected-dev
+    nlohmann-json3-dev libeigen3-dev"
+  for library in libfmt-dev libspdlog-dev libsqlite3-dev liblpsolve55-dev libsuitesparse-dev libnl-genl-3-dev libprotobuf-dev; do
+    packages+=" $library:arm64"
+  done
+  options=("--architectures=$native,arm64" "${cli11[@]}")
 else
   name=cross-$target
   suites+=" bookworm-backports"

@@ -1,37 +1,39 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# What `make packages [ARCH=arm64]` does. For this machine: the release build, packaged. For another: a cross-build in a Debian root that
-# has its libraries, as Debian's own builders do it. usage: packages.sh [ARCH]      environment: JOBS
+# What `make packages [ARCH=arm64|jetpack]` does. For this machine: the release build, packaged. For another: a cross-build in a Debian root
+# that has its libraries, as Debian's own builders do it. jetpack: arm64, built in Debian 11 (its libc is as old as Ubuntu 20.04's), needs no
+# library but libc and the compiler's. usage: packages.sh [ARCH]      environment: JOBS
 set -euo pipefail
 cd "$(dirname "$0")/.."
 jobs=${JOBS:-2}
 native=$(dpkg --print-architecture)
-arch=${1:-$native}
+variant=${1:-$native}
+arch=${variant/#jetpack/arm64}
 targets="xauto_shared xauto_watch xauto xauto-coordinator xauto-emud xauto-cpusched"
 case $arch in
   "$native" | arm64) ;;
-  *) echo "packages: no packages for '$arch': there are $native and arm64" >&2; exit 2 ;;
+  *) echo "packages: no packages for '$arch': there are $native, arm64 and jetpack" >&2; exit 2 ;;
 esac
 
 # The host's tools are needed in any case: they write the man pages.
 cmake --preset release >/dev/null
 # shellcheck disable=SC2086
 ninja -C build -j"$jobs" $targets
-if [ "$arch" = "$native" ]; then
+if [ "$variant" = "$native" ]; then
   exec scripts/package-build.sh build build/package/debs
 fi
 
 [ "$(id -u)" -eq 0 ] || { echo "packages: a cross-build needs root, for its Debian root" >&2; exit 1; }
 if [ "${XAUTO_INSIDE:-}" != 1 ]; then
   # A mount namespace of its own: however this ends, nothing stays mounted.
-  XAUTO_INSIDE=1 exec unshare --mount --propagation private --pid --fork --kill-child --mount-proc "$0" "$arch" </dev/null
+  XAUTO_INSIDE=1 exec unshare --mount --propagation private --pid --fork --kill-child --mount-proc "$0" "$variant" </dev/null
 fi
-out=$PWD/build-$arch
+out=$PWD/build-$variant
 mkdir -p "$out/work" "$out/ccache"
 mount -t tmpfs -o size=8g,mode=755 xauto-packages "$out/work"
 root=$out/work/root
 mkdir -p "$root" "$out/work/tmp"
-tar=$(TMPDIR=$out/work/tmp scripts/package-root.sh "$arch")
+tar=$(TMPDIR=$out/work/tmp scripts/package-root.sh "$variant")
 tar -xf "$tar" -C "$root"
 triplet=$(dpkg-architecture -a"$arch" -qDEB_HOST_MULTIARCH 2>/dev/null)
 printf '#!/bin/sh\nPKG_CONFIG_LIBDIR=/usr/lib/%s/pkgconfig:/usr/share/pkgconfig exec pkg-config "$@"\n' "$triplet" >"$root/usr/local/bin/pkg-config-$arch"
@@ -45,9 +47,15 @@ git ls-files -z | tar --null --ignore-failed-read -T - -cf - | tar -xf - -C "$ro
 mkdir -p "$root/host/man" "$root/host/completion"
 packaging/make-man.py build/bin "$root/host/man"
 build/bin/xauto completion bash >"$root/host/completion/xauto"
-if ! env -i PATH=/usr/lib/ccache:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8 CCACHE_DIR=/ccache XAUTO_HOST_DOCS=/host \
+kind=any profile=
+if [ "$variant" = jetpack ]; then
+  kind=binary profile=pkg.xauto.jetpack
+  sed -i '1s/)/+jetpack)/' "$root/src/debian/changelog"
+fi
+if ! env -i PATH=/usr/lib/ccache:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8 CCACHE_DIR=/ccache CCACHE_SLOPPINESS=pch_defines,time_macros XAUTO_HOST_DOCS=/host \
+  DEB_BUILD_PROFILES="$profile" \
   DEB_BUILD_OPTIONS="parallel=$jobs nocheck noautodbgsym" chroot "$root" \
-  sh -c "cd /src && dpkg-buildpackage --build=any --host-arch=$arch -d -us -uc" >"$out/build.log" 2>&1; then
+  sh -c "cd /src && dpkg-buildpackage --build=$kind --host-arch=$arch -d -us -uc && ninja -C obj-deb driving driving-steady" >"$out/build.log" 2>&1; then
   tail -n 30 "$out/build.log" >&2
   echo "packages: the build for $arch failed; the whole log is $out/build.log" >&2
   exit 1
@@ -66,7 +74,8 @@ if [ -z "$here" ] || [ "$emulated" != "$here" ]; then
   exit 1
 fi
 echo "packages: the $arch solver, emulated, finds the Driving Case's HEFT latency: $emulated us"
-rm -rf "$out/debs"
-mkdir -p "$out/debs"
+rm -rf "$out/debs" "$out/apps"
+mkdir -p "$out/debs" "$out/apps"
+cp "$root"/src/obj-deb/bin/driving* "$out/apps" # to try them with
 mv "$root"/*.deb "$root"/*.changes "$root"/*.buildinfo "$out/debs"
 ls "$out"/debs/*.deb
