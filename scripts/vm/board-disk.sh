@@ -41,6 +41,7 @@ for deb in "$work"/tree/var/cache/apt/archives/*.deb; do
   dpkg-deb -R "$deb" "$work/deb"
   dpkg-deb -Znone -b "$work/deb" "$deb" >/dev/null
 done
+rm -rf "$work/deb"
 
 # The kernel that the headers are for, but not as a package: it would want to make an initrd.
 release=$(basename "$work"/tree/var/cache/apt/archives/linux-headers-*-cloud-arm64_*.deb | sed 's/^linux-headers-//; s/_.*//')
@@ -83,6 +84,8 @@ printf '%s\n' force-unsafe-io 'path-exclude=/usr/share/doc/*' 'path-exclude=/usr
 /debootstrap/debootstrap --second-stage
 status=$?
 [ $status -eq 0 ] || tail -n 30 /debootstrap/debootstrap.log
+rm /etc/dpkg/dpkg.cfg.d/board
+echo force-unsafe-io >/etc/dpkg/dpkg.cfg.d/unsafe-io
 rm -rf /setup /debootstrap /var/cache/apt/archives/*.deb
 sync
 mount -o remount,ro /

@@ -12,7 +12,7 @@ LIMIT_S=900
 
 listing() {
   find / -xdev \( -path "$here" -o -path /tmp -o -path /var/lib/dpkg -o -path /var/cache -o -path /var/log -o -path '/usr/lib/modules/*/modules.*' \
-    -o -path /etc/ld.so.cache -o -path /var/lib/systemd \) -prune -o -printf '%p %y %m %U:%G %l\n' | sort
+    -o -name __pycache__ -o -path /etc/ld.so.cache -o -path /var/lib/systemd \) -prune -o -printf '%p %y %m %U:%G %l\n' | sort
   ls -AR /dev/shm
 }
 install_all() {
