@@ -70,5 +70,110 @@ TEST(RunReport, WhatWasNotSuspendedTravels) {
   EXPECT_EQ(read->contexts.held_up, 6u);
 }
 
+Session full() {
+  Session session = steady();
+  session.mode = Mode::kProfile;
+  session.scheduling = Scheduling::kTimeshare;
+  session.cpu_sched = CpuSched::kExt;
+  session.cpu_run = "run";
+  session.cpu_first_xnode = 7;
+  session.cpu_partial = true;
+  session.presence = {Presence::kEither};
+  session.coordinators = {{"cpu0", "socket"}};
+  session.activations = 5;
+  session.duration_us = std::int64_t{1} << 40;
+  session.record = "a \"b\".db3";
+  session.hub_fd = -1;
+  session.trace_keep_s = 0.25;
+  session.processes = {{"A"}, {}, {"B", "C"}};
+  return session;
+}
+
+TEST(Session, EachFieldTravels) {
+  const Session session = full();
+  const auto read = parse_session(to_json(session));
+  ASSERT_TRUE(read) << read.error().to_string();
+  EXPECT_EQ(to_json(*read), to_json(session));
+  EXPECT_EQ(read->presence, session.presence);
+  EXPECT_EQ(read->coordinators, session.coordinators);
+  EXPECT_EQ(read->processes, session.processes);
+  EXPECT_EQ(read->duration_us, session.duration_us);
+  EXPECT_EQ(read->record, session.record);
+  EXPECT_EQ(read->cpu_sched, CpuSched::kExt);
+}
+
+/// `text` with the value of one member, a number or a word, changed.
+std::string with(std::string text, const std::string& name, const std::string& value) {
+  const std::size_t begin = text.find("\"" + name + "\":") + name.size() + 3;
+  return text.replace(begin, text.find_first_of(",}", begin) - begin, value);
+}
+
+TEST(Session, WhatIsNotAsWrittenIsNamed) {
+  const std::string text = to_json(full());
+  for (const auto& [field, value] :
+       std::vector<std::pair<std::string, std::string>>{{"mode", "3"},
+                                                        {"mode", "-1"},
+                                                        {"scheduling", "3"},
+                                                        {"cpu_sched", "3"},
+                                                        {"cpu_first_xnode", "4294967296"},
+                                                        {"cpu_first_xnode", "-1"},
+                                                        {"cpu_scheduler_pid", "2147483648"},
+                                                        {"cpu_partial", "1"},
+                                                        {"lockstep", "null"},
+                                                        {"activations", "-1"},
+                                                        {"activations", "1.5"},
+                                                        {"trace_keep_s", "\"1\""},
+                                                        {"hub", "1"},
+                                                        {"hub_fd", "{}"}}) {
+    const auto read = parse_session(with(text, field, value));
+    ASSERT_FALSE(read) << field << " " << value;
+    EXPECT_EQ(read.error().what, "malformed session: " + field) << value;
+  }
+  EXPECT_FALSE(parse_session(with(text, "version", "2")));
+  EXPECT_FALSE(parse_session("{}"));
+  EXPECT_FALSE(parse_session("[" + text + "]"));
+  EXPECT_FALSE(parse_session(text.substr(0, text.size() - 1)));
+}
+
+TEST(RunReport, EachFieldTravels) {
+  RunReport report;
+  report.complete = true;
+  report.note = "two\nlines";
+  report.releases = {{1, 2, 3}, {4, 5, -1}};
+  report.num_releases = 2;
+  for (std::int64_t i = 0; i < 70'000; ++i) report.latencies_us.add(i);
+  report.modules = {{"m", true, 1, 2, 3, report.latencies_us}};
+  report.xnodes = {{"m.x", 10, 20, 3, 2, 1, 30}};
+  report.routes.resize(2);
+  report.routes[0].deadline_us = 40;
+  report.routes[1].max_age_us = 50;
+  report.routes[1].urgent_us.add(6);
+  report.died = {"m", "m"};
+  report.unkept = {"one", "two"};
+  report.several_rates = true;
+  const auto read = parse_run_report(to_json(report));
+  ASSERT_TRUE(read) << read.error().to_string();
+  EXPECT_EQ(to_json(*read), to_json(report));
+  EXPECT_EQ(read->latencies_us.quantile(0.9), report.latencies_us.quantile(0.9));
+  EXPECT_EQ(read->routes[0].deadline_us, 40);
+  EXPECT_FALSE(read->routes[0].max_age_us);
+  EXPECT_EQ(read->died, report.died);
+  // A distribution that cannot be, inside of a module.
+  const std::string text = to_json(report);
+  EXPECT_EQ(parse_run_report(with(text, "max", "true")).error().what,
+            "malformed answer of the app: latencies_us");
+}
+
+TEST(RunReport, AnErrorTravels) {
+  const Error error = {ErrorCode::kTimeout, "what \xff", "where", "hint"};
+  const auto read = parse_run_report(error_to_json(error));
+  ASSERT_FALSE(read);
+  EXPECT_EQ(read.error().code, ErrorCode::kTimeout);
+  EXPECT_EQ(read.error().what, "what \xef\xbf\xbd");  // what is no UTF-8 is replaced
+  EXPECT_EQ(read.error().hint, "hint");
+  EXPECT_EQ(parse_run_report(with(error_to_json(error), "code", "99")).error().what,
+            "malformed answer of the app: code");
+}
+
 }  // namespace
 }  // namespace xauto::runtime
