@@ -14,6 +14,10 @@ case $arch in
   "$native" | arm64) ;;
   *) echo "packages: no packages for '$arch': there are $native, arm64 and jetpack" >&2; exit 2 ;;
 esac
+if [ "$variant" = jetpack ] && [ "$native" != amd64 ]; then
+  echo "packages: those for JetPack are cross-built on amd64; this machine is $native" >&2
+  exit 2
+fi
 
 # The host's tools are needed in any case: they write the man pages.
 cmake --preset release >/dev/null
