@@ -46,17 +46,24 @@ unit_starts() {
   systemctl start xauto@driving
   sleep 20
   systemctl is-active xauto@driving
-  [ "$(systemctl show -p NRestarts --value xauto@driving)" = 0 ]
-  [ "$(pgrep -c -f xauto-coordinator)" -ge 2 ]
+  systemctl show -p NRestarts xauto@driving | tee said
+  grep -Fx NRestarts=0 said
+  pids=$(systemctl show -p MainPID --value xauto@driving)
+  pids+=" $(pidof xauto-coordinator driving)"
+  echo "processes: $pids"
+  [ "$(wc -w <<<"$pids")" -eq 8 ] # a coordinator for each XPU of `small`
   # Without root, and with real-time priorities all the same.
-  absent pgrep -u root -f 'xauto run'
-  chrt -p "$(pgrep -f xauto-coordinator | head -n 1)" | grep SCHED_FIFO
+  for pid in $pids; do
+    echo "$pid: $(stat -c %u "/proc/$pid") $(cat "/proc/$pid/comm")"
+    [ "$(stat -c %u "/proc/$pid")" -ne 0 ]
+  done
+  chrt -p "$(pidof -s xauto-coordinator)" | grep SCHED_FIFO
 }
 unit_stops() {
   systemctl stop xauto@driving
   journalctl -u xauto@driving --no-pager | tail -n 15
   [ "$(systemctl show -p Result --value xauto@driving)" = success ]
-  absent pgrep -f xauto-coordinator
+  absent pidof xauto-coordinator driving
 }
 purge_all() {
   rmmod xauto
