@@ -104,7 +104,8 @@ void Keeper::keep(runtime::Session& session, const std::string& bin, std::promis
     decide_cpu_by_keys(session);  // App::run has no sched_ext to ask for
     for (const Xpu& xpu : session.platform.xpus) session.coordinators[xpu.id] = base + xpu.id;
     XAUTO_ASSIGN(file, make_memory_file("xauto-session"));
-    XAUTO_TRY(write_memory_file(file.get(), to_json(session)));
+    XAUTO_ASSIGN(const std::string text, to_json(session));
+    XAUTO_TRY(write_memory_file(file.get(), text));
     return daemons.start_coordinators(session, file.get());
   };
   Status begun = begin();

@@ -118,7 +118,8 @@ class Supervisor {
       session.hub_fd = hub.get();
     }
     XAUTO_ASSIGN(session_, make_memory_file("xauto-session"));
-    XAUTO_TRY(write_memory_file(session_.get(), to_json(session)));
+    XAUTO_ASSIGN(const std::string text, to_json(session));
+    XAUTO_TRY(write_memory_file(session_.get(), text));
     if (scheduled) XAUTO_TRY(daemons_->start_coordinators(session, session_.get()));
     SpawnOptions options;
     options.argv = request_.command;

@@ -288,7 +288,11 @@ std::optional<Scheduling> scheduling_from(const std::string& name) {
   return std::nullopt;
 }
 
-std::string to_json(const Session& s) {
+Result<std::string> to_json(const Session& s) {
+  for (const std::string& path : {s.input, s.record})
+    if (Json::parse(Json(path).dump())->text() != path)
+      return fail(ErrorCode::kInvalid, "a path that is not UTF-8", path,
+                  "give the file another name");
   Json j = encode(s);
   j["version"] = kSessionVersion;
   j["platform"] = xauto::to_json(s.platform);

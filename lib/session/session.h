@@ -101,7 +101,8 @@ inline constexpr const char* kSessionVariable = "XAUTO_SESSION";
 inline constexpr const char* kProcessVariable = "XAUTO_PROCESS";
 inline constexpr std::uint64_t kMaxActivations = 100'000'000;
 
-[[nodiscard]] std::string to_json(const Session& session);
+/// kInvalid: a path is not UTF-8, and would not arrive as it is.
+[[nodiscard]] Result<std::string> to_json(const Session& session);
 [[nodiscard]] Result<Session> parse_session(const std::string& text);
 /// Reads the memfd named by XAUTO_SESSION; nullopt if the variable is not set.
 [[nodiscard]] Result<std::optional<Session>> inherited_session();

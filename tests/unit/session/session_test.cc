@@ -36,13 +36,13 @@ TEST(Session, PrioritiesTravelWithAnAppOfVersion2) {
   session.policy.placements = {{0, 2, 0, 100}, {0, 1, 100, 300}};
   session.policy.latency_us = 300;
   session.policy.lower_bound_us = 100;
-  const auto read = parse_session(to_json(session));
+  const auto read = parse_session(*to_json(session));
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_FALSE(read->keys);
   EXPECT_EQ(read->policy, session.policy);
   EXPECT_EQ(read->app, session.app);
   session.policy.app_hash = session.app.hash();  // of another app
-  EXPECT_FALSE(parse_session(to_json(session)));
+  EXPECT_FALSE(parse_session(*to_json(session)));
 }
 
 TEST(Session, KeysTravelAsKeys) {
@@ -51,7 +51,7 @@ TEST(Session, KeysTravelAsKeys) {
                            "test", {{0, {5'000}}, {0, {300}}}, {{"c", 50'000, 300}},
                            0};
   session.policy = assignment_of(*session.keys);
-  const auto read = parse_session(to_json(session));
+  const auto read = parse_session(*to_json(session));
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_EQ(read->keys, session.keys);
   EXPECT_EQ(read->policy, session.policy);
@@ -91,15 +91,23 @@ Session full() {
 
 TEST(Session, EachFieldTravels) {
   const Session session = full();
-  const auto read = parse_session(to_json(session));
+  const auto read = parse_session(*to_json(session));
   ASSERT_TRUE(read) << read.error().to_string();
-  EXPECT_EQ(to_json(*read), to_json(session));
+  EXPECT_EQ(*to_json(*read), *to_json(session));
   EXPECT_EQ(read->presence, session.presence);
   EXPECT_EQ(read->coordinators, session.coordinators);
   EXPECT_EQ(read->processes, session.processes);
   EXPECT_EQ(read->duration_us, session.duration_us);
   EXPECT_EQ(read->record, session.record);
   EXPECT_EQ(read->cpu_sched, CpuSched::kExt);
+}
+
+TEST(Session, APathThatJsonWouldChangeIsRefused) {
+  Session session = full();
+  session.record = "/tmp/\xff";
+  const auto text = to_json(session);
+  ASSERT_FALSE(text);
+  EXPECT_EQ(text.error().where, session.record);
 }
 
 /// `text` with the value of one member, a number or a word, changed.
@@ -109,7 +117,7 @@ std::string with(std::string text, const std::string& name, const std::string& v
 }
 
 TEST(Session, WhatIsNotAsWrittenIsNamed) {
-  const std::string text = to_json(full());
+  const std::string text = *to_json(full());
   for (const auto& [field, value] :
        std::vector<std::pair<std::string, std::string>>{{"mode", "3"},
                                                         {"mode", "-1"},
