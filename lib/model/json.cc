@@ -28,6 +28,7 @@ Result<Platform> parse_platform(std::string_view text, std::string_view origin, 
     if (x.has("preempt_us")) xpu.preempt_us = x["preempt_us"].time();
     if (x.has("timeslice_us")) xpu.timeslice_us = x["timeslice_us"].time();
     if (x.has("switch_us")) xpu.switch_us = x["switch_us"].time();
+    if (x.has("levels")) xpu.levels = static_cast<int>(x["levels"].integer(0, kMaxLevels));
     if (x.has("emulated")) xpu.emulated = x["emulated"].boolean();
     platform.xpus.push_back(std::move(xpu));
   });
@@ -103,6 +104,7 @@ std::string to_json(const Platform& platform) {
                         {"preempt_us", x.preempt_us},
                         {"timeslice_us", x.timeslice_us}};
     if (x.switch_us >= 0) xpu["switch_us"] = x.switch_us;
+    if (x.levels > 0) xpu["levels"] = x.levels;
     if (x.emulated) xpu["emulated"] = *x.emulated;
     xpus.push_back(std::move(xpu));
   }
@@ -181,7 +183,7 @@ Result<Platform> load_platform(const std::string& name_or_path) {
   auto text = read_file(name_or_path);
   if (!text) {
     Error error = std::move(text).error();
-    error.hint = "use small, large, or the path of a platform.json";
+    error.hint = std::string("use ") + kPlatformNames;
     return tl::unexpected<Error>(std::move(error));
   }
   Keys keys;

@@ -27,6 +27,17 @@ std::vector<std::string> Platform::types() const {
 }
 
 Result<Platform> Platform::builtin(std::string_view name) {
+  const auto add_cpus = [](Platform& platform, int count) {
+    for (int i = 0; i < count; ++i)
+      platform.xpus.push_back({"cpu" + std::to_string(i), "cpu", true, 0, 0, -1});
+  };
+  if (name == "core-ultra") {
+    Platform platform{.name = std::string(name), .xpus = {}};
+    add_cpus(platform, 6);
+    platform.xpus.push_back({"gpu0", "gpu", true, 1000, 1000, -1, 3});
+    platform.xpus.push_back({"npu0", "npu", false, 0, 1000, -1});
+    return platform;
+  }
   int cpus = 0, dlas = 0;
   if (name == "small") {
     cpus = 4;
@@ -36,12 +47,11 @@ Result<Platform> Platform::builtin(std::string_view name) {
     dlas = 2;
   } else {
     return fail(ErrorCode::kNotFound, "no built-in platform '" + std::string(name) + "'", {},
-                "use small, large, or the path of a platform.json");
+                std::string("use ") + kPlatformNames);
   }
   Platform platform;
   platform.name = name;
-  for (int i = 0; i < cpus; ++i)
-    platform.xpus.push_back({"cpu" + std::to_string(i), "cpu", true, 0, 0, -1});
+  add_cpus(platform, cpus);
   platform.xpus.push_back({"gpu0", "gpu", true, 275, 1000, -1});
   for (int i = 0; i < dlas; ++i)
     platform.xpus.push_back({"dla" + std::to_string(i), "dla", true, 132, 1000, -1});
@@ -81,6 +91,15 @@ Status validate(const Platform& platform) {
                   std::to_string(xpu.switch_us) + " is not a time from 0 to " +
                       std::to_string(kMaxTimeUs) + " us",
                   at + "/switch_us");
+    if (xpu.levels != 0 && (xpu.levels < 2 || xpu.levels > kMaxLevels))
+      return fail(ErrorCode::kInvalid,
+                  std::to_string(xpu.levels) + " is not a number of levels from 2 to " +
+                      std::to_string(kMaxLevels),
+                  at + "/levels",
+                  xpu.levels == 1 ? "with one level it is \"preemptive\": false" : "");
+    if (xpu.levels != 0 && !xpu.preemptive)
+      return fail(ErrorCode::kInvalid, "XPU '" + xpu.id + "' has levels and is not preemptive",
+                  at + "/levels", "by levels the hardware preempts: leave one of the two out");
   }
   return {};
 }
@@ -93,6 +112,8 @@ const char* to_string(Discipline discipline) {
       return "gate";
     case Discipline::kKernel:
       return "kernel";
+    case Discipline::kLevels:
+      return "levels";
   }
   return "?";
 }

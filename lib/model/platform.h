@@ -25,6 +25,10 @@ struct Xpu {
   std::int64_t timeslice_us = 0;
   /// Cost of one hardware context switch between time slices; -1 (the default): as preempt_us.
   std::int64_t switch_us = -1;
+  /// Nobody suspends its work, but its hardware preempts by as many priority levels: one job runs,
+  /// and each of at most levels - 1 others was preempted by the next. A job that is more urgent than
+  /// all of them then waits until the one that runs has ended. 0: there is no such limit.
+  int levels = 0;
   /// Emulated or real, whatever this machine has; unset: emulated where this machine lacks it, see
   /// xpu/presence.h.
   std::optional<bool> emulated = {};
@@ -48,16 +52,23 @@ struct Platform {
   bool operator==(const Platform&) const = default;
 
   /// The paper's configurations: "small" = 4 cpu + 1 gpu + 1 dla, "large" = 8 cpu + 1 gpu + 2 dla.
-  /// GPU: preempt 275 us, DLA: 132 us, both with a time slice of 1 ms.
+  /// GPU: preempt 275 us, DLA: 132 us, both with a time slice of 1 ms. "core-ultra": the six
+  /// performance cores of a Core Ultra 7 155H, its GPU (3 levels; nobody has measured the 1000 us)
+  /// and its NPU, which is not preemptive.
   [[nodiscard]] static Result<Platform> builtin(std::string_view name);
 };
 
+/// What a `--platform` may be, for people.
+inline constexpr const char* kPlatformNames = "small, large, core-ultra, or a platform.json";
+
 /// Limits of a platform file.
 inline constexpr std::size_t kMaxXpus = 256;
+inline constexpr int kMaxLevels = 1024;
 inline constexpr std::int64_t kMaxTimeUs =
     1'000'000'000'000;  ///< about 11 days; sums stay far from overflow
 
-/// ids unique and non-empty, types non-empty, times in [0, kMaxTimeUs], 1..kMaxXpus instances.
+/// ids unique and non-empty, types non-empty, times in [0, kMaxTimeUs], levels 0 or in 2..kMaxLevels
+/// and only where it is preemptive, 1..kMaxXpus instances.
 [[nodiscard]] Status validate(const Platform& platform);
 
 /// Whether an XPU of the platform is there in a run.
@@ -73,6 +84,9 @@ enum class Discipline : std::uint8_t {
   kPreemptive,  ///< the coordinator: the most urgent job runs, the others are suspended
   kGate,        ///< the coordinator: one job at a time, to its end
   kKernel,      ///< Linux: every job runs, its thread has the job's priority
+  /// The coordinator and the hardware: the most urgent job is started on a level above all that have
+  /// started, as long as there is one; the hardware preempts by levels
+  kLevels,
 };
 [[nodiscard]] const char* to_string(Discipline discipline);
 

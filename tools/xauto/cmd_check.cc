@@ -96,7 +96,7 @@ void add_check(Commands& commands) {
       "xauto check --app app.json --platform small --policy policy.json",
       [flags](const Options& options) { return check(*flags, options); });
   verb.option("--app", flags->app, "app.json").required();
-  verb.option("--platform", flags->platform, "small, large, or a platform.json").shown();
+  verb.option("--platform", flags->platform, kPlatformNames).shown();
   verb.option("--policy", flags->policy, "policy.json").required();
   const auto of_attack = [&](const char* option, auto& value, const std::string& help) {
     const Argument argument = verb.option(option, value, help + "; of version 1").shown();

@@ -294,7 +294,7 @@ void add_explain(Commands& commands) {
       "xauto explain --trace drive.pftrace --activation worst",
       [flags](const Options& options) { return explain(*flags, options); });
   verb.option("--app", flags->app, "app.json");
-  verb.option("--platform", flags->platform, "small, large, or a platform.json");
+  verb.option("--platform", flags->platform, kPlatformNames);
   verb.option("--policy", flags->policy, "policy.json");
   verb.option("--windows", flags->windows,
               "of an app of version 2: write a picture of every job's window here, an SVG");

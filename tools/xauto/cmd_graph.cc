@@ -57,7 +57,7 @@ void add_graph(Commands& commands) {
       [flags](const Options& options) { return graph(*flags, options); });
   verb.option("--app", flags->app, "app.json").required();
   verb.option("--policy", flags->policy, "policy.json: draws where each XNode runs, too");
-  verb.option("--platform", flags->platform, "of the policy: small, large, or a platform.json")
+  verb.option("--platform", flags->platform, std::string("of the policy: ") + kPlatformNames)
       .shown();
   verb.option("--dot", flags->dot,
               "write it here for Graphviz; without --dot and --svg: to stdout");

@@ -204,7 +204,7 @@ void add_profile(Commands& commands) {
       "xauto profile --platform small --input drive.db3 --out profile.json --app-out app.json -- "
       "build/bin/driving",
       [flags](const Options& options) { return profile(*flags, options); });
-  verb.option("--platform", flags->platform, "small, large, or a platform.json").shown();
+  verb.option("--platform", flags->platform, kPlatformNames).shown();
   verb.option("--input", flags->input,
               "recorded input (rosbag2 SQLite); default: the app's own messages");
   verb.option("--deployment", flags->deployment,

@@ -91,7 +91,7 @@ void add_simulate(Commands& commands) {
                            "xauto simulate --app app.json --platform small --policy policy.json",
                            [flags](const Options& options) { return simulate(*flags, options); });
   verb.option("--app", flags->app, "app.json").required();
-  verb.option("--platform", flags->platform, "small, large, or a platform.json").shown();
+  verb.option("--platform", flags->platform, kPlatformNames).shown();
   verb.option("--policy", flags->policy, "policy.json");
   verb.option(
           "--model", flags->model,

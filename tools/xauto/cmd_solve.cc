@@ -273,7 +273,7 @@ void add_solve(Commands& commands) {
       "xauto solve --app app.json --platform small --time-limit-s 10 --out policy.json",
       [flags](const Options& options) { return solve(*flags, options); });
   verb.option("--app", flags->app, "app.json").required();
-  verb.option("--platform", flags->platform, "small, large, or a platform.json").required();
+  verb.option("--platform", flags->platform, kPlatformNames).required();
   verb.option("--out", flags->out, "where policy.json goes");
   verb.option("--method", flags->options.method, "how")
       .one_of({"auto", "search", "ilp", "heft", "local"})

@@ -58,7 +58,7 @@ const std::atomic<bool>* StopOnSignal::flag() const {
 
 void RunFlags::declare(Verb verb) {
   verb.option("--app", app_path, "app.json: the XNodes and their WCETs").required();
-  verb.option("--platform", platform, "small, large, or a platform.json").shown();
+  verb.option("--platform", platform, kPlatformNames).shown();
   verb.option("--activations", activations,
               "releases of the slowest sensor, the others as many as fit into "
               "that time; 0: until Ctrl-C or the input's end")

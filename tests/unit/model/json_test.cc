@@ -103,6 +103,31 @@ TEST(Json, PolicyMayListXNodesInAnyOrder) {
   EXPECT_EQ(parse_policy(to_json(policy, app, platform), "p.json", app, platform).value(), policy);
 }
 
+TEST(Json, LevelsAreOfAPreemptiveXpuAlone) {
+  const auto with = [](const std::string& rest) {
+    return parse_platform(R"({"schema": "xauto.platform", "version": 1, "name": "p", "xpus": [)"
+                          R"({"id": "gpu0", "type": "gpu", )" +
+                              rest + "}]}",
+                          "p.json");
+  };
+  const auto three = with(R"("levels": 3)");
+  ASSERT_TRUE(three) << three.error().to_string();
+  EXPECT_EQ(three->xpus[0].levels, 3);
+  EXPECT_EQ(parse_platform(to_json(*three), "again")->xpus, three->xpus);
+  EXPECT_EQ(with(R"("levels": 0)")->xpus[0].levels, 0);
+  for (const char* wrong : {R"("levels": 1)", R"("levels": -3)", R"("levels": 1025)",
+                            R"("levels": 2.5)", R"("levels": 3, "preemptive": false)"}) {
+    const auto refused = with(wrong);
+    ASSERT_FALSE(refused) << wrong;
+    EXPECT_EQ(refused.error().where, "p.json: /xpus/0/levels") << refused.error().to_string();
+  }
+  const Platform ultra = *Platform::builtin("core-ultra");
+  EXPECT_TRUE(validate(ultra));
+  EXPECT_EQ(parse_platform(to_json(ultra), "again")->xpus, ultra.xpus);
+  EXPECT_EQ(ultra.instances_of("cpu").size(), 6U);
+  EXPECT_EQ(ultra.xpus[static_cast<std::size_t>(ultra.find("gpu0"))].levels, 3);
+}
+
 TEST(File, IsReplacedAsAWhole) {
   const Folder folder;
   const std::string path = folder / "out.json";
@@ -121,8 +146,7 @@ TEST(File, ThatIsMissingAFolderOrAPipeIsRefusedAtOnce) {
   EXPECT_EQ(read_file(folder / "").error().code, ErrorCode::kInvalid);
   ASSERT_EQ(mkfifo((folder / "pipe").c_str(), 0600), 0);
   EXPECT_EQ(read_file(folder / "pipe").error().code, ErrorCode::kInvalid);
-  EXPECT_EQ(load_platform(folder / "none").error().hint,
-            "use small, large, or the path of a platform.json");
+  EXPECT_EQ(load_platform(folder / "none").error().hint, std::string("use ") + kPlatformNames);
   EXPECT_FALSE(write_file(folder / "no/such/folder", "x"));
 }
 
