@@ -7,8 +7,9 @@
 
 namespace xauto::coord {
 
-Arbiter::Arbiter(Discipline discipline, const OrderPairs& order)
-    : discipline_(discipline), order_(order) {
+Arbiter::Arbiter(Discipline discipline, const OrderPairs& order, int levels)
+    : discipline_(discipline), levels_(levels), order_(order) {
+  XAUTO_CHECK(discipline != Discipline::kLevels || levels >= 2);
   for (const std::uint32_t u : order_.predecessors())
     if (finished_.size() <= u) finished_.resize(std::size_t{u} + 1);
 }
@@ -44,7 +45,7 @@ bool Arbiter::settled() const {
   const int owner = admitted();
   for (int i = 0; i < high(); ++i) {
     const Slot& s = slot(i);
-    if (s.phase == Phase::kAdmitted && i != owner) return false;
+    if (s.phase == Phase::kAdmitted && (i != owner || s.level != 0)) return false;
     if (s.queue != Queue::kEnabled && !(i == owner && s.queue == Queue::kResuming)) return false;
     // Whoever finishes hands over; without an owner nobody would.
     if (s.phase == Phase::kWaiting && (owner < 0 || !eligible(s.job))) return false;
@@ -84,6 +85,7 @@ void Arbiter::adopt(int slot, const Job& job, std::vector<Action>& out) {
   Slot& s = at(slot);
   XAUTO_CHECK(s.phase != Phase::kAdmitted);
   s.phase = Phase::kAdmitted;
+  s.level = 0;
   s.job = job;
   decide(out);
 }
@@ -133,9 +135,10 @@ void Arbiter::finished(std::uint32_t xnode, std::uint64_t count, std::vector<Act
 
 void Arbiter::decide(std::vector<Action>& out) {
   if (in_batch_) return;
-  const auto grant = [&](int slot) {
+  const auto grant = [&](int slot, int level = 0) {
     at(slot).phase = Phase::kAdmitted;
-    out.push_back({Action::Kind::kGrant, slot});
+    at(slot).level = level;
+    out.push_back({Action::Kind::kGrant, slot, level});
   };
 
   const int top = most_urgent();
@@ -148,6 +151,15 @@ void Arbiter::decide(std::vector<Action>& out) {
     case Discipline::kGate: {
       const bool taken = admitted() >= 0;
       if (!taken && top >= 0) grant(top);
+      return;
+    }
+
+    case Discipline::kLevels: {
+      int highest = -1;
+      for (const Slot& s : slots_)
+        if (s.phase == Phase::kAdmitted) highest = std::max(highest, s.level);
+      if (top >= 0 && slot(top).phase == Phase::kWaiting && highest + 1 < levels_)
+        grant(top, highest + 1);
       return;
     }
 

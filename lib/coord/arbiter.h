@@ -12,6 +12,8 @@
 //               job is suspended; the queue of the most urgent admitted job is resumed.
 //   gate        a job is granted when nobody is admitted; it runs to its end.
 //   kernel      every eligible job is granted; the kernel's own scheduler keeps the priorities.
+//   levels      the most urgent eligible job is granted, on a level above those of all admitted ones,
+//               as soon as there is one; the hardware runs the job on the highest level.
 // A job is eligible when its order predecessors (Policy::order) of the same activation have
 // finished. FINISH comes from the execution thread, acks from the management thread, so a FINISH
 // may overtake an ack: a queue without a job is resumed, and the slot's next job waits until the
@@ -19,7 +21,9 @@
 //
 // Invariants, checked after every event in the tests: with no ack outstanding, a preemptive XPU has
 // its most urgent eligible job running and no other; a gate never has two admitted jobs; a queue is
-// suspended only for an admitted job; every SUSPEND is followed by RESUME or by the slot's death.
+// suspended only for an admitted job; every SUSPEND is followed by RESUME or by the slot's death; of
+// two jobs on levels the more urgent one is on the higher, unless a key was lent, and the most urgent
+// one waits only for the highest level.
 #pragma once
 
 #include <cstdint>
@@ -45,6 +49,7 @@ struct Job {
 struct Action {
   enum class Kind : std::uint8_t { kGrant, kSuspend, kResume } kind;
   int slot;
+  int level = 0;  ///< of a GRANT
   bool operator==(const Action&) const = default;
 };
 
@@ -54,17 +59,20 @@ class Arbiter {
     Phase phase = Phase::kNone;
     Queue queue = Queue::kEnabled;
     bool refuses = false;  ///< its queue could not be suspended; left alone until it finishes
+    int level = 0;         ///< of an admitted job; 0 is the lowest
     Job job;
   };
 
   /// `order`: pairs (u, v) of xnodes on this XPU: v#k is not started before u#k has finished.
-  explicit Arbiter(Discipline discipline, const OrderPairs& order = {});
+  /// `levels`: how many the hardware has; of kLevels, at least 2.
+  explicit Arbiter(Discipline discipline, const OrderPairs& order = {}, int levels = 0);
 
   // Events. Each may make decisions: the actions to carry out, in this order, are appended to
   // `out`. Precondition violations are our own bugs and end the process (what it suspended is
   // resumed).
   void start(int slot, const Job& job, std::vector<Action>& out);
-  /// A job that started on the uncontended fast path before the coordinator was involved.
+  /// A job that started on the uncontended fast path before the coordinator was involved: on the
+  /// lowest level.
   void adopt(int slot, const Job& job, std::vector<Action>& out);
   void finish(int slot, std::vector<Action>& out);
   /// Another job took the XPU from this slot and had its queue be suspended, or gave it back and
@@ -89,8 +97,8 @@ class Arbiter {
   /// As it was found in shared memory by a new coordinator. Decides nothing.
   void restore(int slot, const Slot& state);
 
-  /// Nobody needs the coordinator: at most one job is admitted, its queue is enabled or on its way
-  /// there, no other queue is touched, and nobody waits who could not be handed the XPU.
+  /// Nobody needs the coordinator: at most one job is admitted, on the lowest level, its queue is
+  /// enabled or on its way there, no other queue is touched, and nobody waits who could not be handed the XPU.
   [[nodiscard]] bool settled() const;
   /// The admitted job; -1 if there is none.
   [[nodiscard]] int admitted() const;
@@ -120,6 +128,7 @@ class Arbiter {
   [[nodiscard]] int high() const { return static_cast<int>(slots_.size()); }
 
   Discipline discipline_;
+  int levels_;
   bool in_batch_ = false;
   std::vector<Slot> slots_;  ///< as many as were ever used
   Order order_;

@@ -29,8 +29,8 @@ struct Wakes {
 template <class A>
 class Referee {
  public:
-  Referee(Shm shm, Discipline discipline, const OrderPairs& order)
-      : shm_(shm), arbiter_(discipline, order) {}
+  Referee(Shm shm, Discipline discipline, const OrderPairs& order, int levels = 0)
+      : shm_(shm), arbiter_(discipline, order, levels) {}
 
   /// Order constraints are not kept. Before the first job.
   void forget_order() { arbiter_.forget_order(); }
@@ -106,6 +106,7 @@ class Referee {
         const bool owned = taking.victim == i && taking.generation == generation;
         const bool granted = A::load(memory.coordinator.grant) == generation;
         slot.phase = owns || owned || granted ? Phase::kAdmitted : Phase::kWaiting;
+        if (granted) slot.level = level_of(A::peek(memory.coordinator.level), generation);
         // Whoever handed the XPU over to it may have died before it said so.
         if (owns || owned) give<A>(shm_.slots[i].coordinator.grant, generation);
         if (slot.phase == Phase::kAdmitted) wakes.granted.push_back(i);
@@ -360,6 +361,8 @@ class Referee {
       CoordinatorLine& line = shm_.slots[action.slot].coordinator;
       if (!info.used) continue;
       if (action.kind == Action::Kind::kGrant) {
+        if (action.level > 0)
+          A::store(line.level, level_word(action.level, request_generation(info.request)));
         give<A>(line.grant, request_generation(info.request));
         wakes.granted.push_back(action.slot);
         continue;

@@ -59,6 +59,8 @@ class Port {
   /// ready should `begin` before this one finishes.
   [[nodiscard]] bool contended() const;
   [[nodiscard]] Discipline discipline() const { return rules_.discipline; }
+  /// On which level of the hardware the job that may run shall queue its work; 0: the lowest.
+  [[nodiscard]] int level() const { return lost() ? 0 : words_.level(slot_, generation_); }
   /// FINISH of the job last started.
   void finish();
   /// Activations of `xnode` up to and including `sequence` will not be started: nobody waits for

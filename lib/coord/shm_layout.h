@@ -32,6 +32,9 @@
 //                          │ no queue is suspended or being suspended, one job at most is admitted
 //                          └──► back to 0, {owner} or {owner, kParked}
 //
+// Where the hardware preempts by levels nobody takes: a job that meets nobody, or is handed the XPU,
+// is on the lowest level, and for one that is more urgent than the owner the coordinator decides.
+//
 // Taking is two writes, the owner word and the command, and so is giving back. Commands count, and
 // each is one CAS from the one before, so that a late second write finds its turn gone:
 //   - whoever takes says before the first write, in `victim` and `victim_command` of its own line,
@@ -58,7 +61,7 @@
 namespace xauto::coord {
 
 inline constexpr std::uint32_t kShmMagic = 0x58434f52;  // "XCOR"
-inline constexpr std::uint32_t kShmVersion = 6;
+inline constexpr std::uint32_t kShmVersion = 7;
 
 /// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bit 61 the owner took the
 /// XPU from its `victim`, bits 48..60 count of parkings, bits 40..47 slot + 1
@@ -106,6 +109,17 @@ constexpr bool later(std::uint32_t a, std::uint32_t b) {
   return ahead != 0 && ahead < (1u << 29);
 }
 
+/// Level word: bits 32..61 the generation that it is for, bits 0..31 the level. A job whose
+/// generation it does not have is on the lowest one.
+constexpr std::uint64_t level_word(int level, std::uint32_t generation) {
+  return std::uint64_t{generation} << 32 | static_cast<std::uint32_t>(level);
+}
+constexpr int level_of(std::uint64_t word, std::uint32_t generation) {
+  return static_cast<std::uint32_t>(word >> 32) == generation
+             ? static_cast<int>(static_cast<std::uint32_t>(word))
+             : 0;
+}
+
 /// Command and acknowledgement: bit 0 the queue shall be suspended, bit 1 (ack only) that failed,
 /// bits 2..31 count.
 constexpr std::uint32_t command_word(bool suspend, std::uint32_t count) {
@@ -135,6 +149,7 @@ struct alignas(64) CoordinatorLine {
   std::atomic<std::uint32_t> command{};  ///< [*] for the management thread
   std::atomic<std::uint32_t> bell{};     ///< [*] counts its wake-ups; a futex
   std::atomic<std::uint32_t> used{};     ///< [C] 1: a worker has this slot
+  std::atomic<std::uint64_t> level{};    ///< [C] of the job granted, written before `grant`
 };
 struct SlotMemory {
   WorkerLine worker;

@@ -139,8 +139,11 @@ class Words {
         if (A::cas(owner, seen, (seen & kParkings) | owner_word(slot, generation))) return {};
       } else if (other == slot && owner_generation(seen) == generation) {
         return {};  // handed over to us before we could park
-      } else if (rules_->discipline == Discipline::kPreemptive &&
-                 takes({job.key, job.since_ns, slot}, {key_of(other, seen), 0, other})) {
+      } else if (urgent_enough(job, slot, other, seen)) {
+        if (rules_->discipline == Discipline::kLevels) {
+          if (A::cas(owner, seen, seen | kFat)) return {Started::kDecided};
+          continue;
+        }
         const std::uint32_t last = A::load(shm_.slots[other].coordinator.command);
         if ((seen & kTaken) != 0 || (last & 1u) != 0 ||
             A::load(shm_.slots[other].worker.ack) != last) {
@@ -232,6 +235,10 @@ class Words {
   [[nodiscard]] bool granted(int slot, std::uint32_t generation) const {
     return A::load(shm_.slots[slot].coordinator.grant) == generation;
   }
+  /// Of the hardware, on which the job of this generation runs; once it may run.
+  [[nodiscard]] int level(int slot, std::uint32_t generation) const {
+    return level_of(A::peek(shm_.slots[slot].coordinator.level), generation);
+  }
 
  private:
   struct Pick {
@@ -239,6 +246,12 @@ class Words {
     std::uint32_t generation = 0;
     bool more = false;  ///< others are parked, too
   };
+
+  /// Whether a job that comes preempts the owner that `seen` names.
+  bool urgent_enough(const Job& job, int slot, int other, std::uint64_t seen) const {
+    if (rules_->discipline == Discipline::kGate) return false;
+    return takes({job.key, job.since_ns, slot}, {key_of(other, seen), 0, other});
+  }
 
   /// Of the owner that this word names.
   Key key_of(int owner, std::uint64_t word) const {

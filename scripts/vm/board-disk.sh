@@ -5,6 +5,7 @@
 # When it boots, systemd unpacks the second disk (a tar file) to /root/test, runs the `run` in it, says XAUTO-VM-EXIT=STATUS, and ends.
 # Root, for debootstrap. Its second half runs on the emulated board, as no arm64 program runs here.
 set -euo pipefail
+exec 3>&1 >&2 # stdout is for the answer; mke2fs writes there
 here=$(dirname "$(realpath "$0")")
 cache=${XAUTO_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/xauto}
 for tool in debootstrap mke2fs qemu-system-aarch64 cpio; do
@@ -17,7 +18,7 @@ mkdir -p "$cache/boards"
 exec 9>"$cache/boards/.lock"
 flock 9
 if [ -n "$(find "$out" -maxdepth 0 -mtime -7 2>/dev/null)" ]; then
-  echo "$out"
+  echo "$out" >&3
   exit 0
 fi
 rm -rf "$cache"/boards/bullseye-*
@@ -122,4 +123,4 @@ rm -rf "$work/tree" "$work/image" "$work/start" "$work/apt"
 VM_LIMIT_S=3600 "$here/run-board.sh" "$work" "$work/log" "" board.init=/setup || failed "$work/log" "the second half of debootstrap failed on the emulated board"
 mv "$work" "$out"
 trap - EXIT
-echo "$out"
+echo "$out" >&3
