@@ -18,6 +18,7 @@ struct ContextCounts {
   std::atomic<std::uint32_t> shared{};      ///< contexts whose queue is another's, too
   std::atomic<std::uint32_t> gated{};       ///< contexts that are preempted no more
   std::atomic<std::uint32_t> held_up{};     ///< jobs that, suspended, held up a more urgent one
+  std::atomic<std::uint32_t> misplaced{};   ///< jobs that could not be put on their level
 
   /// Why no worst case holds, a line each, for people. `live`: of a run that goes on.
   [[nodiscard]] std::vector<std::string> doubts(bool live) const {
@@ -33,6 +34,7 @@ struct ContextCounts {
     say(shared, "contexts are two modules', or their queue is: they are not suspended");
     say(gated, "GPU contexts did not leave the engine in time: they are not preempted any more");
     say(held_up, "suspended jobs held up a more urgent one that waits for their work");
+    say(misplaced, "jobs ran on another priority level of the hardware than was theirs");
     return lines;
   }
 };

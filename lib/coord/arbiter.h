@@ -97,8 +97,8 @@ class Arbiter {
   /// As it was found in shared memory by a new coordinator. Decides nothing.
   void restore(int slot, const Slot& state);
 
-  /// Nobody needs the coordinator: at most one job is admitted, on the lowest level, its queue is
-  /// enabled or on its way there, no other queue is touched, and nobody waits who could not be handed the XPU.
+  /// Nobody needs the coordinator: at most one job is admitted, its queue is enabled or on its way
+  /// there, no other queue is touched, and nobody waits who could not be handed the XPU.
   [[nodiscard]] bool settled() const;
   /// The admitted job; -1 if there is none.
   [[nodiscard]] int admitted() const;

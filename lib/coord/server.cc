@@ -81,7 +81,7 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
              s.shm_.header->discipline != static_cast<std::uint8_t>(s.options_.discipline)) {
     return fail(ErrorCode::kInvalid, "the shared memory is another app's");
   }
-  s.referee_.emplace(s.shm_, s.options_.discipline, s.options_.order);
+  s.referee_.emplace(s.shm_, s.options_.discipline, s.options_.order, s.options_.levels);
   if (filled && s.shm_.header->order == OrderKept::kNotKept) s.referee_->forget_order();
 
   s.doorbell_ = UniqueFd(s.options_.doorbell_fd >= 0 ? s.options_.doorbell_fd

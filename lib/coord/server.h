@@ -34,6 +34,7 @@ struct ServerOptions {
   /// socket, the shared memory (empty: the first one fills it), the doorbell. -1: made here.
   int listener_fd = -1, memory_fd = -1, doorbell_fd = -1;
   bool by_keys = false;  ///< a policy of keys: for people, who are told instants
+  int levels = 0;        ///< of kLevels: how many the hardware has
 };
 
 /// Threads: one.

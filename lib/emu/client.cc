@@ -250,8 +250,9 @@ Result<Control> Control::connect() {
 }
 
 /// Asked of every emulator until one has answered: suspending twice is suspending once.
-Status Control::request(std::uint32_t op, std::uint32_t answer_op, std::uint32_t context) {
-  const Packet packet{.op = op, .context = context, .tag = ++tag_};
+Status Control::request(std::uint32_t op, std::uint32_t answer_op, std::uint32_t context,
+                        std::int64_t value) {
+  const Packet packet{.op = op, .context = context, .tag = ++tag_, .value = value};
   std::int64_t limit_ns = now_ns() + kComeBackNs;
   bool asked = socket_ && send_packet(socket_.get(), &packet, sizeof packet);
   for (;;) {
@@ -291,6 +292,11 @@ Status Control::suspend(std::uint32_t context) {
 Status Control::resume(std::uint32_t context) {
   return request(static_cast<std::uint32_t>(Op::kResume), static_cast<std::uint32_t>(Op::kResumed),
                  context);
+}
+
+Status Control::level(std::uint32_t context, int level) {
+  return request(static_cast<std::uint32_t>(Op::kLevel), static_cast<std::uint32_t>(Op::kLeveled),
+                 context, level);
 }
 
 }  // namespace xauto::emu

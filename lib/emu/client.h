@@ -46,11 +46,14 @@ class Control {
   /// kComeBackNs: then it will not have been suspended. kUnavailable when the emulator is gone.
   [[nodiscard]] Status suspend(std::uint32_t context);
   [[nodiscard]] Status resume(std::uint32_t context);
+  /// Of the work that the context is given from now on.
+  [[nodiscard]] Status level(std::uint32_t context, int level);
 
  private:
   Control(std::string address, UniqueFd socket)
       : address_(std::move(address)), socket_(std::move(socket)) {}
-  [[nodiscard]] Status request(std::uint32_t op, std::uint32_t answer, std::uint32_t context);
+  [[nodiscard]] Status request(std::uint32_t op, std::uint32_t answer, std::uint32_t context,
+                               std::int64_t value = 0);
   std::string address_;
   UniqueFd socket_;
   std::uint64_t tag_ = 0;

@@ -15,8 +15,8 @@ namespace xauto::emu {
 
 class Device {
  public:
-  Device(std::string name, bool preemptive, Nanos preempt_ns)
-      : preemptive_(preemptive), preempt_ns_(preempt_ns) {
+  Device(std::string name, bool preemptive, Nanos preempt_ns, int levels = 0)
+      : preemptive_(preemptive), preempt_ns_(preempt_ns), levels_(levels) {
     stats_.name = std::move(name);
   }
   virtual ~Device() = default;
@@ -34,6 +34,7 @@ class Device {
   Status submit(ContextId id, std::uint64_t tag, Nanos work_ns);
   Status suspend(ContextId id, std::uint64_t tag, Nanos now, std::vector<Event>& events);
   Status resume(ContextId id, std::uint64_t tag, Nanos now, std::vector<Event>& events);
+  Status level(ContextId id, int level);
 
   [[nodiscard]] virtual Nanos next_event() const = 0;
   /// One step: up to the next event or `limit`, whichever is first.
@@ -52,6 +53,7 @@ class Device {
     std::uint64_t tag = 0;  ///< of the job, or of the last one
     Nanos left_ns = 0;
     std::uint64_t block = 0;  ///< suspended: the preemption that took it off; 0: none
+    int level = 0;
     [[nodiscard]] bool runnable() const { return busy && !suspended; }
   };
   struct Ack {
@@ -77,8 +79,18 @@ class Device {
     events.push_back({Event::Kind::kDone, id, context.tag, time});
   }
 
+  /// Whoever is on the device has just been taken off it, at now_.
+  void block(Nanos now) {
+    // A second preemption within the first one's time waits for it.
+    ++stats_.preemptions;
+    stats_.overhead_ns += preempt_ns_;
+    if (blocked_until_ <= now) ++block_;
+    blocked_until_ = std::max(blocked_until_, now) + preempt_ns_;
+  }
+
   const bool preemptive_;
   const Nanos preempt_ns_;
+  const int levels_;  ///< 0: one
   Nanos now_ = 0;
   Nanos blocked_until_ = 0;  ///< a preemption is in progress, or several in a row
   std::uint64_t block_ = 0;  ///< its number
@@ -89,15 +101,16 @@ class Device {
 
 class TimeSliced final : public Device {
  public:
-  TimeSliced(std::string name, bool preemptive, Nanos preempt_ns, Nanos slice_ns, Nanos switch_ns)
-      : Device(std::move(name), preemptive, preempt_ns),
+  TimeSliced(std::string name, bool preemptive, Nanos preempt_ns, Nanos slice_ns, Nanos switch_ns,
+             int levels)
+      : Device(std::move(name), preemptive, preempt_ns, levels),
         slice_ns_(slice_ns),
         switch_ns_(switch_ns) {}
   [[nodiscard]] Nanos next_event() const override;
   void advance(Nanos limit, std::vector<Event>& events) override;
 
  private:
-  void join(ContextId id) override { queue_.push_back(id); }
+  void join(ContextId id) override;
   void leave(ContextId id) override;
   bool evict(ContextId id) override;
   [[nodiscard]] std::vector<ContextId> order() const override {
@@ -106,8 +119,12 @@ class TimeSliced final : public Device {
   void save_more(DeviceRecord& record) const override;
   Status restore_more(const DeviceRecord& record) override;
 
+  /// Behind those of its level.
+  void enqueue(ContextId id);
+  [[nodiscard]] bool takes_turns() const;
+
   const Nanos slice_ns_, switch_ns_;
-  std::deque<ContextId> queue_;  ///< runnable, the front is on the device
+  std::deque<ContextId> queue_;  ///< runnable, by level; the front is on the device
   bool on_device_ = false;       ///< the front has begun its slice
   Nanos slice_left_ = 0;
   Nanos switch_until_ = 0;

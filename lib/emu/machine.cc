@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "emu/machine.h"
 
+#include <algorithm>
 #include <limits>
 
 #include "emu/device.h"
@@ -42,11 +43,7 @@ Status Device::suspend(ContextId id, std::uint64_t tag, Nanos now, std::vector<E
   if (!context.suspended) {
     context.suspended = true;
     if (context.busy && evict(id)) {
-      // A second preemption within the first one's time waits for it.
-      ++stats_.preemptions;
-      stats_.overhead_ns += preempt_ns_;
-      if (blocked_until_ <= now) ++block_;
-      blocked_until_ = std::max(blocked_until_, now) + preempt_ns_;
+      block(now);
       context.block = block_;
     }
   }
@@ -69,7 +66,36 @@ Status Device::resume(ContextId id, std::uint64_t tag, Nanos now, std::vector<Ev
   return {};
 }
 
+Status Device::level(ContextId id, int level) {
+  if (level < 0 || level >= std::max(1, levels_))
+    return fail(ErrorCode::kUnavailable, "has no level " + std::to_string(level), stats_.name);
+  Context& context = contexts_[id];
+  if (context.busy) return fail(ErrorCode::kInvalid, "the context has a job already", stats_.name);
+  context.level = level;
+  return {};
+}
+
 // ---- time-sliced: one context at a time ---------------------------------------------------------
+
+void TimeSliced::enqueue(ContextId id) {
+  const int level = contexts_.at(id).level;
+  const auto before = std::find_if(queue_.begin(), queue_.end(), [&](ContextId other) {
+    return contexts_.at(other).level < level;
+  });
+  queue_.insert(before, id);
+}
+
+void TimeSliced::join(ContextId id) {
+  enqueue(id);
+  if (!on_device_ || queue_.front() != id) return;
+  on_device_ = false;
+  block(now_);
+}
+
+bool TimeSliced::takes_turns() const {
+  return preemptive_ && queue_.size() > 1 &&
+         contexts_.at(queue_[0]).level == contexts_.at(queue_[1]).level;
+}
 
 void TimeSliced::leave(ContextId id) {
   if (!queue_.empty() && queue_.front() == id) on_device_ = false;
@@ -87,7 +113,7 @@ Nanos TimeSliced::next_event() const {
   if (queue_.empty()) return kNever;
   const Nanos start = std::max({now_, blocked_until_, switch_until_});
   const Nanos left = contexts_.at(queue_.front()).left_ns;
-  const bool sliced = preemptive_ && queue_.size() > 1;
+  const bool sliced = takes_turns();
   const Nanos slice = on_device_ ? slice_left_ : slice_ns_;
   return start + (sliced ? std::min(left, slice) : left);
 }
@@ -117,7 +143,7 @@ void TimeSliced::advance(Nanos limit, std::vector<Event>& events) {
     slice_left_ = slice_ns_;
   }
   // Alone, a context's slice is renewed for free; a newcomer finds it wherever it happens to be.
-  const bool sliced = preemptive_ && queue_.size() > 1;
+  const bool sliced = takes_turns();
   const Nanos step =
       std::min(limit - now_, sliced ? std::min(context.left_ns, slice_left_) : context.left_ns);
   now_ += step;
@@ -131,7 +157,7 @@ void TimeSliced::advance(Nanos limit, std::vector<Event>& events) {
     finish(id, now_, events);
   } else if (sliced && step > 0 && slice_left_ == slice_ns_) {
     queue_.pop_front();
-    queue_.push_back(id);
+    enqueue(id);
     on_device_ = false;
     switch_until_ = now_ + switch_ns_;
     ++stats_.switches;
@@ -204,6 +230,7 @@ void Device::save(Snapshot& snapshot) const {
     snapshot.contexts.push_back({.id = id,
                                  .busy = context.busy,
                                  .suspended = context.suspended,
+                                 .level = static_cast<std::uint16_t>(context.level),
                                  .tag = context.tag,
                                  .left_ns = context.left_ns,
                                  .block = context.block});
@@ -231,16 +258,19 @@ Status Device::restore(const DeviceRecord& record, std::span<const ContextRecord
   stats_.preemptions = record.preemptions;
   stats_.jobs = record.jobs;
   bool runnable = true;
+  int level = kMaxLevels;
   for (const ContextRecord& c : contexts) {
-    if (c.busy > 1 || c.suspended > 1 || c.zero != 0 || c.zero2 != 0)
+    if (c.busy > 1 || c.suspended > 1 || c.level >= std::max(1, levels_) || c.zero != 0)
       return refuse("a context's state is impossible");
     if (c.suspended != 0 ? !preemptive_ || c.block > record.block : c.block != 0)
       return refuse("a context cannot be suspended like that");
     if (c.busy != 0 ? c.left_ns <= 0 || c.left_ns > kMaxWorkNs : c.left_ns != 0)
       return refuse("a context's work is impossible");
-    const Context context{c.busy != 0, c.suspended != 0, c.tag, c.left_ns, c.block};
-    if (context.runnable() && !runnable) return refuse("its contexts are out of order");
+    const Context context{c.busy != 0, c.suspended != 0, c.tag, c.left_ns, c.block, c.level};
+    if (context.runnable() && (!runnable || c.level > level))
+      return refuse("its contexts are out of order");
     runnable = context.runnable();
+    level = context.level;
     contexts_[c.id] = context;
     if (runnable) join(c.id);
   }
@@ -277,10 +307,12 @@ Result<Machine> Machine::create(const Platform& platform) {
   std::int64_t cpus = 0;
   for (const Xpu& xpu : platform.xpus) {
     constexpr Nanos kMicro = 1000;
-    if (xpu.timeslice_us > 0 || !xpu.preemptive)
-      machine.devices_.push_back(std::make_unique<TimeSliced>(
-          xpu.id, xpu.preemptive, xpu.preempt_us * kMicro,
-          std::max<Nanos>(1, xpu.timeslice_us * kMicro), xpu.effective_switch_us() * kMicro));
+    // Without time slices who has the device keeps it, as long as nobody comes on a higher level.
+    const Nanos slice = xpu.timeslice_us > 0 ? xpu.timeslice_us * kMicro : kMaxWorkNs;
+    if (xpu.timeslice_us > 0 || !xpu.preemptive || xpu.levels > 0)
+      machine.devices_.push_back(
+          std::make_unique<TimeSliced>(xpu.id, xpu.preemptive, xpu.preempt_us * kMicro, slice,
+                                       xpu.effective_switch_us() * kMicro, xpu.levels));
     else
       machine.devices_.push_back(
           std::make_unique<Shared>(xpu.id, xpu.preemptive, xpu.preempt_us * kMicro, 1));
@@ -344,6 +376,13 @@ Status Machine::resume(ContextId context, std::uint64_t tag, Nanos now) {
   XAUTO_ASSIGN(Device * device, device_of(context));
   advance(now, pending_);
   return device->resume(context, tag, now, pending_);
+}
+
+Status Machine::level(ContextId context, int level, Nanos now) {
+  thread_.check();
+  XAUTO_ASSIGN(Device * device, device_of(context));
+  advance(now, pending_);
+  return device->level(context, level);
 }
 
 Result<Progress> Machine::progress(ContextId context, std::uint64_t tag) {

@@ -7,6 +7,9 @@
 //    with work take turns in order of arrival, a time slice each. A context that is switched out
 //    with work left costs switch_us before the next one runs. After the end of a job the next one
 //    starts free.
+//    Contexts may have levels: only those of the highest level that has work take turns. A context of
+//    a higher level that is given work takes the device from the one that is on it, which blocks the
+//    device for preempt_us; that one goes on, for free, when nobody above has work.
 //  * Shared device (timeslice_us = 0: a CPU core, or the pool of all of them). All enabled contexts
 //    with work progress at once, each at rate min(1, cores / contexts).
 //  * Suspending a context that is on the device blocks the device for preempt_us, then the next one
@@ -74,6 +77,9 @@ class Machine {
   [[nodiscard]] Status submit(ContextId context, std::uint64_t tag, Nanos work_ns, Nanos now);
   [[nodiscard]] Status suspend(ContextId context, std::uint64_t tag, Nanos now);
   [[nodiscard]] Status resume(ContextId context, std::uint64_t tag, Nanos now);
+  /// Of the jobs that it is given from now on. kInvalid: it has one; kUnavailable: the device has no
+  /// such level.
+  [[nodiscard]] Status level(ContextId context, int level, Nanos now);
 
   /// Of the job `tag`; only the last one of a context is remembered.
   [[nodiscard]] Result<Progress> progress(ContextId context, std::uint64_t tag);

@@ -9,7 +9,7 @@
 
 namespace xauto::emu {
 
-inline constexpr std::uint32_t kEmuVersion = 2;
+inline constexpr std::uint32_t kEmuVersion = 3;
 inline constexpr std::size_t kMaxDeviceName = 48;
 inline constexpr const char* kEmudVariable = "XAUTO_EMUD";  ///< abstract socket of this session
 inline constexpr const char* kCpuPoolVariable =
@@ -28,6 +28,7 @@ enum class Op : std::uint32_t {
   kRejoin = 5,   ///< to the next emulator: context, value = its key, tag of the call under way (0:
                  ///< none) -> kRejoined
   kPing = 6,     ///< tag -> kPong: the tool asks whether the emulator still answers
+  kLevel = 7,    ///< context, tag, value = level of what it is given from now on -> kLeveled
   kOpened = 65,  ///< context, value = the key that has it back
   kDone = 66,
   kSuspended = 67,
@@ -36,6 +37,7 @@ enum class Op : std::uint32_t {
   kRejoined = 70,  ///< context, tag, value = Progress of the call: kUnknown -> submit it again,
                    ///< kUnderWay -> kDone will come
   kPong = 71,
+  kLeveled = 72,
 };
 
 struct Packet {

@@ -224,6 +224,17 @@ bool Server::handle_packet(int connection, const void* data, std::size_t bytes, 
       dirty_ = true;
       return true;
     }
+    case Op::kLevel: {
+      const int level = static_cast<int>(std::clamp<std::int64_t>(packet.value, -1, kMaxLevels));
+      if (const auto done = machine_.level(packet.context, level, now); done)
+        answer(connection, {.op = static_cast<std::uint32_t>(Op::kLeveled),
+                            .context = packet.context,
+                            .tag = packet.tag});
+      else
+        refuse(connection, packet.tag, done.error());
+      dirty_ = true;
+      return true;
+    }
     case Op::kSuspend:
     case Op::kResume: {
       if (requests_.size() >= kMaxRequests) {

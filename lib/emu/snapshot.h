@@ -32,13 +32,13 @@ struct DeviceRecord {
 struct ContextRecord {
   ContextId id = 0;
   std::uint8_t busy = 0, suspended = 0;
-  std::uint16_t zero = 0;
+  std::uint16_t level = 0;
   std::uint64_t tag = 0;  ///< of the job, or of the last one
   Nanos left_ns = 0;
   std::uint64_t block = 0;
   std::uint64_t key = 0;  ///< the server's: what its owner shows to have it back
   std::int32_t pid = 0;   ///< the server's: the owner's process; 0: not known
-  std::uint32_t zero2 = 0;
+  std::uint32_t zero = 0;
 };
 static_assert(sizeof(DeviceRecord) == 96 && std::is_trivially_copyable_v<DeviceRecord>);
 static_assert(sizeof(ContextRecord) == 48 && std::is_trivially_copyable_v<ContextRecord>);

@@ -8,7 +8,8 @@ namespace xauto {
 namespace {
 
 std::optional<Discipline> discipline_from(const std::string& name) {
-  for (const Discipline d : {Discipline::kPreemptive, Discipline::kGate, Discipline::kKernel})
+  for (const Discipline d :
+       {Discipline::kPreemptive, Discipline::kGate, Discipline::kKernel, Discipline::kLevels})
     if (name == to_string(d)) return d;
   return std::nullopt;
 }

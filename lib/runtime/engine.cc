@@ -184,8 +184,9 @@ RunReport Engine::report() {
         "nobody kept keys on real CPUs after the sched_ext scheduler had ended");
   const ContextCounts& contexts = context_->board.contexts();
   for (std::string& line : contexts.doubts(false)) result.unkept.push_back(std::move(line));
-  result.contexts = {contexts.partial.load(), contexts.unclaimed.load(), contexts.assumed.load(),
-                     contexts.shared.load(),  contexts.gated.load(),     contexts.held_up.load()};
+  result.contexts = {contexts.partial.load(),  contexts.unclaimed.load(), contexts.assumed.load(),
+                     contexts.shared.load(),   contexts.gated.load(),     contexts.held_up.load(),
+                     contexts.misplaced.load()};
   add_note(result.note, changed_parameters(context_->board));
   if (releaser_) result.broken = releaser_->broken();
   return result;

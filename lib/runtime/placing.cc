@@ -120,6 +120,13 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
     const Discipline discipline = xpu::discipline_of(xpu, false, session.cpu_by_keys);
     if (xpu.preemptive && discipline == Discipline::kGate)
       lines.push_back("nobody can suspend work on " + xpu.id + ": its jobs run to their end");
+    if (discipline == Discipline::kLevels)
+      if (const int there = xpu::levels_of(xpu, false); xpu.levels == 0 || there < xpu.levels)
+        lines.push_back(fmt::format(
+            "{} preempts by {} priority levels, and the plan counts on {}: a more urgent job may "
+            "wait "
+            "for the job that runs",
+            xpu.id, there, xpu.levels == 0 ? "any number" : std::to_string(xpu.levels)));
     if (session.keys && discipline == Discipline::kKernel && session.cpu_sched != CpuSched::kExt)
       lines.push_back("nobody keeps keys on " + xpu.id +
                       ": without SCHED_FIFO Linux orders its threads as it likes");

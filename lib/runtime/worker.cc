@@ -295,6 +295,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
   if (port_) {
     if (!begun) begin(placed);
     port_->wait();
+    if (port_->discipline() == Discipline::kLevels) take_level(placed);
     backend_->admitted(placed.made.handle, !placed.ran_once);
   }
   if (observed) {
@@ -334,6 +335,17 @@ bool Worker::run_job(Placed& placed, bool begun) {
   record(XAUTO_EV_FINISH, placed, chain_.activation->sequence(), succeeded ? 0 : 1);
   if (succeeded && placed.ends_chain) chain_.runtime->passed(*chain_.activation, placed.node);
   return succeeded;
+}
+
+/// Of the hardware, before anything is queued. The order is lost where that fails: it is counted.
+void Worker::take_level(const Placed& placed) {
+  const int level = port_->level();
+  const Status taken = backend_->level(placed.made.handle, level);
+  if (taken || options_.contexts == nullptr) return;
+  if (options_.contexts->misplaced.fetch_add(1) > 0) return;
+  log::warn("'{}' on {} cannot have priority level {}: {} (activation {}; more are only counted)",
+            placed.name, xpu_name(), level, taken.error().to_string(),
+            chain_.activation->sequence());
 }
 
 void Worker::write(std::uint16_t kind, const Placed& placed, std::uint64_t sequence,

@@ -140,6 +140,7 @@ class Worker {
               std::uint32_t arg = 0) {
     if (trace_ != nullptr) write(kind, placed, sequence, arg);
   }
+  void take_level(const Placed& placed);
   void write(std::uint16_t kind, const Placed& placed, std::uint64_t sequence, std::uint32_t arg);
   void note_failure(const Placed& placed, const std::string& what);
   void begin_limited(const Placed& placed, std::uint64_t sequence);

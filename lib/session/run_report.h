@@ -51,9 +51,10 @@ struct RouteReport {
 
 /// What was not suspended as it should (base/context_counts.h).
 struct ContextReport {
-  std::uint32_t partial = 0, unclaimed = 0, assumed = 0, shared = 0, gated = 0, held_up = 0;
+  std::uint32_t partial = 0, unclaimed = 0, assumed = 0, shared = 0, gated = 0, held_up = 0,
+                misplaced = 0;
   [[nodiscard]] bool any() const {
-    return (partial | unclaimed | assumed | shared | gated | held_up) != 0;
+    return (partial | unclaimed | assumed | shared | gated | held_up | misplaced) != 0;
   }
 };
 

@@ -55,7 +55,7 @@ void fields(Io io, T& x) {
 template <class Io, Is<ContextReport> T>
 void fields(Io io, T& x) {
   io("partial", x.partial, "unclaimed", x.unclaimed, "assumed", x.assumed, "shared", x.shared,
-     "gated", x.gated, "held_up", x.held_up);
+     "gated", x.gated, "held_up", x.held_up, "misplaced", x.misplaced);
 }
 
 template <class Io, Is<RunReport> T>

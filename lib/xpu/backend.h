@@ -29,6 +29,9 @@ class Backend {
   [[nodiscard]] virtual Status preempt(const SchedHandle& handle) = 0;
   /// Lets it run again. Resuming what runs is no error.
   [[nodiscard]] virtual Status restore(const SchedHandle& handle) = 0;
+  /// On an XPU that preempts by levels, before the job runs: on this level the hardware shall have
+  /// what it queues; 0 is the lowest. On the execution thread. An error leaves it where it was.
+  [[nodiscard]] virtual Status level(const SchedHandle&, int /*level*/) { return {}; }
   /// The job may run now; it has run, and will say FINISH. On the execution thread. `first`: it is
   /// the first of its stage, which may open more of what `handle` names.
   virtual void admitted(const SchedHandle&, bool /*first*/) {}

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Emulated XPUs: suspend and resume are requests to xauto-emud, as TSG disable and enable are
 // requests to the driver.
+#include <map>
 #include <optional>
 #include <string>
 
+#include "base/pi_mutex.h"
 #include "emu/client.h"
 #include "xpu/backend.h"
 
@@ -17,15 +19,29 @@ class Emulated final : public Backend {
   Status attach(const SchedHandle& handle) override { return check_emulated(handle); }
   Status preempt(const SchedHandle& handle) override {
     XAUTO_TRY(check_emulated(handle));
+    const Guard lock(mutex_);
     return control_->suspend(static_cast<std::uint32_t>(handle.value()));
   }
   Status restore(const SchedHandle& handle) override {
     XAUTO_TRY(check_emulated(handle));
+    const Guard lock(mutex_);
     return control_->resume(static_cast<std::uint32_t>(handle.value()));
+  }
+  Status level(const SchedHandle& handle, int level) override {
+    XAUTO_TRY(check_emulated(handle));
+    const Guard lock(mutex_);
+    const auto context = static_cast<std::uint32_t>(handle.value());
+    int& last = levels_[context];
+    if (last == level) return {};
+    XAUTO_TRY(control_->level(context, level));
+    last = level;
+    return {};
   }
 
  private:
-  std::optional<emu::Control> control_;  ///< none: nobody schedules
+  PiMutex mutex_;  ///< the execution thread asks for levels, the management thread suspends
+  std::optional<emu::Control> control_ XAUTO_GUARDED_BY(mutex_);  ///< none: nobody schedules
+  std::map<std::uint32_t, int> levels_ XAUTO_GUARDED_BY(mutex_);  ///< on which they are
 };
 
 }  // namespace

@@ -113,11 +113,12 @@ const Way* way_of(const Kind& kind, const std::string& root) {
 Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys,
                          const std::vector<Kind>& table) {
   if (!xpu.preemptive) return Discipline::kGate;
-  if (emulated) return Discipline::kPreemptive;
+  if (emulated) return xpu.levels > 0 ? Discipline::kLevels : Discipline::kPreemptive;
   const Kind& kind = kind_of(xpu.type, table);
   if (by_keys && kind.backend_by_keys != nullptr) return Discipline::kPreemptive;
   const Way* way = way_of(kind);
-  return way == nullptr ? Discipline::kGate : way->discipline;
+  if (way == nullptr) return Discipline::kGate;
+  return way->levels != nullptr && way->levels() < 2 ? Discipline::kGate : way->discipline;
 }
 
 namespace {
@@ -127,6 +128,13 @@ const Way* way_in_use(const Xpu& xpu, bool emulated, const std::vector<Kind>& ta
 }
 
 }  // namespace
+
+int levels_of(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
+  if (discipline_of(xpu, emulated, false, table) != Discipline::kLevels) return 0;
+  if (emulated) return xpu.levels;
+  const int there = way_of(kind_of(xpu.type, table))->levels();
+  return xpu.levels > 0 ? std::min(xpu.levels, there) : there;
+}
 
 std::string caveat_of(const Xpu& xpu, bool emulated, const std::vector<Kind>& table) {
   const Way* way = way_in_use(xpu, emulated, table);

@@ -27,6 +27,8 @@ struct Way {
   Result<std::unique_ptr<Backend>> (*backend)(const XpuId&) = nullptr;
   /// Whether this machine has it; `root` stands for / in tests. None: where the XPU is.
   bool (*there)(const std::string& root) = nullptr;
+  /// Of Discipline::kLevels: how many levels the hardware gives this process; 0: no order is kept.
+  int (*levels)() = nullptr;
   bool watched = false;     ///< libxauto_watch.so must be in the app's process
   std::string caveat = {};  ///< what it cannot promise, for `xauto doctor` and the report
 };
@@ -64,6 +66,11 @@ struct Kind {
 /// emulator, else the row decides. `by_keys`: Session::cpu_by_keys.
 [[nodiscard]] Discipline discipline_of(const Xpu& xpu, bool emulated, bool by_keys = false,
                                        const std::vector<Kind>& table = kinds());
+
+/// On how many levels jobs are started on such an XPU, of those that the platform says and the
+/// hardware has. 0: it is not by levels that it preempts.
+[[nodiscard]] int levels_of(const Xpu& xpu, bool emulated,
+                            const std::vector<Kind>& table = kinds());
 
 /// What cannot be promised of it in such a run, though it is preemptive: "by each process itself:
 /// ...", or "".

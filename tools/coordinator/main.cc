@@ -27,9 +27,10 @@ xauto::Result<xauto::coord::ServerOptions> options_for(const std::string& xpu, i
     return xauto::fail(xauto::ErrorCode::kInvalid, "is not an XPU of the platform", xpu);
   xauto::coord::ServerOptions options;
   options.xpu = xpu;
+  const xauto::Xpu& instance = session.platform.xpus[static_cast<std::size_t>(index)];
   options.discipline =
-      xauto::xpu::discipline_of(session.platform.xpus[static_cast<std::size_t>(index)],
-                                session.emulated(index), session.cpu_by_keys);
+      xauto::xpu::discipline_of(instance, session.emulated(index), session.cpu_by_keys);
+  options.levels = xauto::xpu::levels_of(instance, session.emulated(index));
   options.by_keys = session.keys.has_value();
   for (const auto& xnode : session.app.xnodes) options.xnodes.push_back(xnode.name);
   for (const auto& [u, v] : session.policy.order)

@@ -26,7 +26,7 @@ int main(int argc, char** argv) {
   std::string platform_path;
   xauto::emu::ServerOptions options;
   int ready_fd = -1;
-  cli.option("--platform", platform_path, kPlatformNames).required();
+  cli.option("--platform", platform_path, xauto::kPlatformNames).required();
   cli.option("--socket", options.address, "abstract socket to listen on").required();
   cli.option("--listen-fd", options.listener_fd,
              "the listening socket, kept by who starts us again");

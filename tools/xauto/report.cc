@@ -378,9 +378,10 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
     }
     j["limited_xnodes"] = std::move(xnodes);
     if (const runtime::ContextReport& of = run.report.contexts; of.any())
-      j["contexts"] = {{"partial", of.partial}, {"unclaimed", of.unclaimed},
-                       {"assumed", of.assumed}, {"shared", of.shared},
-                       {"gated", of.gated},     {"held_up", of.held_up}};
+      j["contexts"] = {{"partial", of.partial},    {"unclaimed", of.unclaimed},
+                       {"assumed", of.assumed},    {"shared", of.shared},
+                       {"gated", of.gated},        {"held_up", of.held_up},
+                       {"misplaced", of.misplaced}};
     Json notes = Json::array();
     if (!run.report.note.empty()) notes.push_back(run.report.note);
     for (const std::string& note : run.outcome.notes) notes.push_back(note);

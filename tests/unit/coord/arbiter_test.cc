@@ -19,8 +19,8 @@ Job job(std::uint32_t xnode, std::int64_t priority, std::uint64_t sequence = 0) 
 }
 
 struct Bench {
-  explicit Bench(Discipline discipline, OrderPairs order = {})
-      : arbiter(discipline, std::move(order)) {}
+  explicit Bench(Discipline discipline, OrderPairs order = {}, int levels = 0)
+      : arbiter(discipline, std::move(order), levels) {}
   std::vector<Action> take() { return std::exchange(out, {}); }
   Arbiter arbiter;
   std::vector<Action> out;
@@ -134,11 +134,35 @@ void expect_clean(const World& world, std::uint64_t at_least_states) {
   EXPECT_GE(explored.states, at_least_states);
 }
 
-constexpr Discipline kAll[] = {Discipline::kPreemptive, Discipline::kGate, Discipline::kKernel};
+TEST(Arbiter, AMoreUrgentJobIsStartedOnALevelAboveAsLongAsThereIsOne) {
+  Bench b(Discipline::kLevels, {}, 2);
+  b.arbiter.start(0, job(0, 1), b.out);
+  EXPECT_EQ(b.take(), (std::vector<Action>{{Kind::kGrant, 0, 0}}));
+  b.arbiter.start(1, job(1, 2), b.out);
+  EXPECT_EQ(b.take(), (std::vector<Action>{{Kind::kGrant, 1, 1}}));
+  b.arbiter.start(2, job(2, 3), b.out);
+  EXPECT_TRUE(b.take().empty()) << "nothing is above the second level";
+  b.arbiter.finish(1, b.out);
+  EXPECT_EQ(b.take(), (std::vector<Action>{{Kind::kGrant, 2, 1}}));
+  b.arbiter.start(1, job(1, 2), b.out);
+  EXPECT_TRUE(b.take().empty()) << "less urgent than what runs";
+  b.arbiter.finish(2, b.out);
+  EXPECT_EQ(b.take(), (std::vector<Action>{{Kind::kGrant, 1, 1}})) << "job 0 has not ended";
+  b.arbiter.finish(0, b.out);
+  b.arbiter.start(0, job(0, 9), b.out);
+  EXPECT_TRUE(b.take().empty()) << "only the lowest level is free, and what runs is not on it";
+  EXPECT_TRUE(b.arbiter.settled()) << "what runs hands over, and job 0 is then on the lowest";
+  b.arbiter.finish(1, b.out);
+  EXPECT_EQ(b.take(), (std::vector<Action>{{Kind::kGrant, 0, 0}}));
+}
+
+constexpr Discipline kAll[] = {Discipline::kPreemptive, Discipline::kGate, Discipline::kKernel,
+                               Discipline::kLevels};
 
 TEST(ArbiterExplorer, FourJobsOfFourWorkersKeepEveryInvariant) {
   for (const Discipline d : kAll)
-    expect_clean({d, {}, {{job(0, 1)}, {job(1, 2)}, {job(2, 3)}, {job(3, 4)}}, false, false}, 80);
+    expect_clean({d, {}, {{job(0, 1)}, {job(1, 2)}, {job(2, 3)}, {job(3, 4)}}, false, false, 3},
+                 80);
 }
 
 TEST(ArbiterExplorer, ThreeWorkersOfTwoJobsEachWithDeathsAndRefusals) {
@@ -147,14 +171,16 @@ TEST(ArbiterExplorer, ThreeWorkersOfTwoJobsEachWithDeathsAndRefusals) {
                   {},
                   {{job(0, 1), job(1, 5)}, {job(2, 3), job(3, 2)}, {job(4, 4), job(5, 6)}},
                   true,
-                  true},
+                  true,
+                  2},
                  300);
 }
 
 TEST(ArbiterExplorer, OrderConstraintsWithDeathsLeaveNobodyWaiting) {
   for (const Discipline d : kAll)
     expect_clean(
-        {d, {{0, 2}, {2, 1}}, {{job(0, 1), job(1, 5)}, {job(2, 9)}, {job(3, 4)}}, true, true}, 100);
+        {d, {{0, 2}, {2, 1}}, {{job(0, 1), job(1, 5)}, {job(2, 9)}, {job(3, 4)}}, true, true, 2},
+        100);
 }
 
 TEST(ArbiterExplorer, EqualPrioritiesKeepEveryInvariant) {

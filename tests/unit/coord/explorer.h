@@ -20,6 +20,7 @@ struct World {
   std::vector<std::vector<Job>> workers;  ///< [slot] its jobs, in order
   bool may_die = false;
   bool may_refuse = false;  ///< a suspension may fail
+  int levels = 0;           ///< of kLevels
 };
 
 struct Explored {
@@ -33,7 +34,7 @@ class Explorer {
   explicit Explorer(World world) : world_(std::move(world)) {}
 
   Explored run() {
-    State initial{Arbiter(world_.discipline, world_.order), {}};
+    State initial{Arbiter(world_.discipline, world_.order, world_.levels), {}};
     initial.workers.resize(world_.workers.size());
     visit(initial);
     return std::move(result_);
@@ -73,9 +74,10 @@ class Explorer {
             other.job.since_ns < slot.job.since_ns)
           ++rank;
       }
-      for (const int part : {static_cast<int>(w.next), int{w.started}, int{w.granted}, int{w.dead},
-                             w.command, int{w.queue_suspended}, static_cast<int>(slot.phase),
-                             static_cast<int>(slot.queue), int{slot.refuses}, rank})
+      for (const int part :
+           {static_cast<int>(w.next), int{w.started}, int{w.granted}, int{w.dead}, w.command,
+            int{w.queue_suspended}, static_cast<int>(slot.phase), static_cast<int>(slot.queue),
+            int{slot.refuses}, rank, slot.phase == Phase::kAdmitted ? slot.level : 0})
         k += static_cast<char>('0' + part);
     }
     return k;
@@ -118,6 +120,7 @@ class Explorer {
           fail("an eligible job waits on a kernel-scheduled XPU");
       return;
     }
+    if (world_.discipline == Discipline::kLevels) return check_levels(s, top);
     if (world_.discipline == Discipline::kGate) {
       if (top >= 0 && admitted == 0) fail("a gate stands idle");
       return;
@@ -131,6 +134,26 @@ class Explorer {
       if (s.workers[i].queue_suspended && slot.phase != Phase::kAdmitted)
         fail("a queue is suspended for nobody");
     }
+  }
+
+  void check_levels(const State& s, int top) {
+    int highest = -1;
+    for (std::size_t i = 0; i < s.workers.size(); ++i) {
+      const Arbiter::Slot& a = s.arbiter.slot(static_cast<int>(i));
+      if (a.phase != Phase::kAdmitted) continue;
+      highest = std::max(highest, a.level);
+      for (std::size_t j = 0; j < s.workers.size(); ++j) {
+        const Arbiter::Slot& b = s.arbiter.slot(static_cast<int>(j));
+        if (j == i || b.phase != Phase::kAdmitted) continue;
+        const bool before = more_urgent({a.job.key, a.job.since_ns, static_cast<int>(i)},
+                                        {b.job.key, b.job.since_ns, static_cast<int>(j)});
+        if (before ? a.level <= b.level : a.level >= b.level)
+          fail("the hardware prefers the less urgent job");
+      }
+    }
+    if (highest >= world_.levels) fail("a level that the hardware lacks");
+    if (top >= 0 && s.arbiter.slot(top).phase == Phase::kWaiting && highest + 1 < world_.levels)
+      fail("the most urgent job waits although there is a level for it");
   }
 
   template <class Apply>

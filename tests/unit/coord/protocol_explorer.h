@@ -106,6 +106,7 @@ struct ProtocolWorld {
   };
   std::vector<Discipline> xpus;
   OrderPairs order;                        ///< on XPU 0
+  int levels = 2;                          ///< of the XPUs that preempt by levels
   std::vector<std::vector<Task>> modules;  ///< each: its jobs, one after the other
   int deaths = 0;                          ///< workers (modules) that may die
   int coordinator_deaths = 0;
@@ -197,7 +198,8 @@ class ProtocolExplorer {
     Xpu(const ProtocolExplorer& explorer, std::size_t index) : memory(new Memory) {
       memory->header.num_xnodes = kXNodes;
       referee.emplace(shm(), explorer.world_.xpus[index],
-                      index == 0 ? explorer.world_.order : decltype(explorer.world_.order){});
+                      index == 0 ? explorer.world_.order : decltype(explorer.world_.order){},
+                      explorer.world_.levels);
       discipline = explorer.world_.xpus[index];
       memory->header.waiting.store(1);
     }
@@ -461,6 +463,7 @@ class ProtocolExplorer {
 
   void check_always(const State& s) {
     for (std::size_t x = 0; x < s.xpus.size(); ++x) {
+      if (s.xpus[x].discipline == Discipline::kLevels) check_levels(s, x);
       if (s.xpus[x].discipline != Discipline::kGate) continue;
       int owners = 0;
       for (std::size_t m = 0; m < s.modules.size(); ++m)
@@ -468,6 +471,30 @@ class ProtocolExplorer {
             task(s.modules[m], static_cast<int>(m)).xpu == static_cast<int>(x))
           ++owners;
       if (owners > 1) fail("two owners of a gate");
+    }
+  }
+
+  [[nodiscard]] int level(const State& s, std::size_t m, std::size_t x) const {
+    return Words<RealAtomics>(s.xpus[x].shm(), &rules_[x])
+        .level(static_cast<int>(m), s.modules[m].generation[x]);
+  }
+  [[nodiscard]] bool runs_on(const State& s, std::size_t m, std::size_t x) const {
+    return s.modules[m].act == Act::kRun &&
+           task(s.modules[m], static_cast<int>(m)).xpu == static_cast<int>(x);
+  }
+
+  /// Of two jobs that run, the hardware prefers the more urgent.
+  void check_levels(const State& s, std::size_t x) {
+    for (std::size_t m = 0; m < s.modules.size(); ++m) {
+      if (!runs_on(s, m, x)) continue;
+      if (level(s, m, x) >= world_.levels) fail("a level that the hardware lacks");
+      for (std::size_t n = 0; n < s.modules.size(); ++n) {
+        if (m == n || !runs_on(s, n, x)) continue;
+        const Key a = task(s.modules[m], static_cast<int>(m)).job.key,
+                  b = task(s.modules[n], static_cast<int>(n)).job.key;
+        if (a < b ? level(s, m, x) <= level(s, n, x) : level(s, m, x) == level(s, n, x))
+          fail("the hardware prefers the less urgent job");
+      }
     }
   }
 
@@ -496,6 +523,12 @@ class ProtocolExplorer {
       if (top < 0) continue;
       if (running == 0) fail("an XPU stands idle although somebody wants it");
       const Module& first = s.modules[static_cast<std::size_t>(top)];
+      if (s.xpus[x].discipline == Discipline::kLevels && first.act != Act::kRun) {
+        bool full = false;
+        for (std::size_t m = 0; m < s.modules.size(); ++m)
+          full = full || (runs_on(s, m, x) && level(s, m, x) + 1 == world_.levels);
+        if (!full) fail("the most urgent job waits although there is a level for it");
+      }
       if (s.xpus[x].discipline == Discipline::kPreemptive) {
         if (first.act != Act::kRun || first.managers[x].suspended)
           fail("the most urgent job does not run");
@@ -575,6 +608,7 @@ class ProtocolExplorer {
         h.add(static_cast<std::uint64_t>(slot.worker.key.load()) * 2 +
               slot.coordinator.used.load());
         h.add(slot.worker.victim.load() ^ slot.worker.victim_command.load());
+        h.add(slot.coordinator.level.load());
         if (world_.lends) h.add(slot.worker.lent.load());
       }
       for (const auto& f : memory.finished) h.add(f.load());
@@ -671,7 +705,7 @@ class ProtocolExplorer {
           at.leaving = -1;
           at.record = {};
           at.referee.emplace(at.shm(), at.discipline,
-                             x == 0 ? world_.order : decltype(world_.order){});
+                             x == 0 ? world_.order : decltype(world_.order){}, world_.levels);
           at.doing = 3;
           // Management threads see the closed socket, come back, and look for commands again.
           for (Module& module : to.modules)

@@ -35,6 +35,7 @@ ProtocolResult expect_clean(const ProtocolWorld& world, std::uint64_t at_least_s
 }
 
 constexpr Discipline kBoth[] = {Discipline::kPreemptive, Discipline::kGate};
+constexpr Discipline kAsked[] = {Discipline::kPreemptive, Discipline::kGate, Discipline::kLevels};
 
 bool full() {
   return std::getenv("XAUTO_EXPLORER_FULL") != nullptr;
@@ -63,7 +64,7 @@ ProtocolWorld world(std::vector<Discipline> xpus,
 // Every access of everybody is a step.
 
 TEST(Protocol, TwoJobsEveryAccessWithTheDeathOfAWorkerAnywhere) {
-  for (const Discipline d : kBoth) {
+  for (const Discipline d : kAsked) {
     ProtocolWorld w = world({d}, {{task(0, 1)}, {task(2, 3)}});
     w.deaths = 1;
     expect_clean(w, 5000);
@@ -80,9 +81,22 @@ TEST(Protocol, ThreeJobsEveryAccessOnAGate) {
   expect_clean(world({Discipline::kGate}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}}), 4000);
 }
 
+/// Where there are three levels all may have started; where there are two the third waits for one.
+TEST(Protocol, ThreeJobsOnLevels) {
+  for (const int levels : {2, 3}) {
+    ProtocolWorld w = world({Discipline::kLevels}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
+    w.levels = levels;
+    w.coarse = !full();
+    w.deaths = levels == 3 || kSmallOnly ? 0 : 1;
+    w.coordinator_deaths = levels == 3 && !kSmallOnly ? 1 : 0;
+    w.limit = 400'000'000;
+    expect_clean(w, 1000);
+  }
+}
+
 TEST(Protocol, EveryAccessWithTheDeathOfTheCoordinatorAnywhere) {
   if (!full()) GTEST_SKIP() << "millions of states: XAUTO_EXPLORER_FULL=1";
-  for (const Discipline d : kBoth) {
+  for (const Discipline d : kAsked) {
     ProtocolWorld w = world({d}, {{task(0, 1)}, {task(2, 3)}});
     w.coordinator_deaths = 1;
     w.limit = 200'000'000;
@@ -113,7 +127,7 @@ TEST(Protocol, WhoParksWhileAnXpuIsTakenIsNotForgotten) {
 }
 
 TEST(Protocol, ThreeJobsOnOneXpuWithADeath) {
-  for (const Discipline d : kBoth) {
+  for (const Discipline d : kAsked) {
     if (d == Discipline::kPreemptive && (kSmallOnly || !long_ones())) continue;
     ProtocolWorld w = world({d}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
     w.coarse = true;
@@ -124,8 +138,9 @@ TEST(Protocol, ThreeJobsOnOneXpuWithADeath) {
 }
 
 TEST(Protocol, ThreeJobsOnOneXpuWithDeathsOfAWorkerAndOfTheCoordinator) {
-  for (const Discipline d : kBoth) {
+  for (const Discipline d : kAsked) {
     if ((d == Discipline::kPreemptive && !full()) || kSmallOnly) continue;
+    if (d == Discipline::kLevels && !long_ones()) continue;
     ProtocolWorld w = world({d}, {{task(0, 1)}, {task(1, 3)}, {task(2, 2)}});
     w.coarse = true;
     w.deaths = w.coordinator_deaths = 1;
@@ -135,7 +150,7 @@ TEST(Protocol, ThreeJobsOnOneXpuWithDeathsOfAWorkerAndOfTheCoordinator) {
 }
 
 TEST(Protocol, TwoJobsOnTwoXpusWithDeaths) {
-  for (const Discipline d : kBoth)
+  for (const Discipline d : kAsked)
     for (const int first : {0, 1}) {
       if (first == 0 && kSmallOnly) continue;
       ProtocolWorld w = world(
@@ -192,7 +207,7 @@ TEST(Protocol, TwoReleasesInFlightMeetAnotherModules) {
 }
 
 TEST(Protocol, WorkersThatBringSeveralJobs) {
-  for (const Discipline d : kBoth) {
+  for (const Discipline d : kAsked) {
     if (d == Discipline::kPreemptive && kSmallOnly) continue;
     ProtocolWorld w = world({d}, {{task(0, 1), task(1, 4)}, {task(2, 3), task(3, 2)}});
     w.coarse = true;
@@ -201,7 +216,8 @@ TEST(Protocol, WorkersThatBringSeveralJobs) {
 }
 
 TEST(Protocol, OrderConstraintsHoldAndNobodyWaitsForTheDead) {
-  for (const Discipline d : {Discipline::kPreemptive, Discipline::kGate, Discipline::kKernel}) {
+  for (const Discipline d :
+       {Discipline::kPreemptive, Discipline::kGate, Discipline::kLevels, Discipline::kKernel}) {
     ProtocolWorld w = world({d}, {{task(0, 1)}, {task(1, 9)}});
     if (full()) w.modules.push_back({task(2, 4)});
     w.limit = 400'000'000;
@@ -264,7 +280,7 @@ TEST(Protocol, TwoJobsEveryAccessWhenKeysAreLent) {
 }
 
 TEST(Protocol, TheExplorerFindsALostWakeUp) {
-  for (const Discipline d : kBoth) {
+  for (const Discipline d : kAsked) {
     ProtocolWorld w = world({d}, {{task(0, 1)}, {task(2, 3)}});
     w.lose_wakes = true;
     EXPECT_NE(ProtocolExplorer(w).run().violation, "");
