@@ -31,13 +31,6 @@ Result<Platform> Platform::builtin(std::string_view name) {
     for (int i = 0; i < count; ++i)
       platform.xpus.push_back({"cpu" + std::to_string(i), "cpu", true, 0, 0, -1});
   };
-  if (name == "core-ultra") {
-    Platform platform{.name = std::string(name), .xpus = {}};
-    add_cpus(platform, 6);
-    platform.xpus.push_back({"gpu0", "gpu", true, 1000, 1000, -1, 3});
-    platform.xpus.push_back({"npu0", "npu", false, 0, 1000, -1});
-    return platform;
-  }
   int cpus = 0, dlas = 0;
   if (name == "small") {
     cpus = 4;

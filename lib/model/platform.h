@@ -27,7 +27,8 @@ struct Xpu {
   std::int64_t switch_us = -1;
   /// Nobody suspends its work, but its hardware preempts by as many priority levels: one job runs,
   /// and each of at most levels - 1 others was preempted by the next. A job that is more urgent than
-  /// all of them then waits until the one that runs has ended. 0: there is no such limit.
+  /// all of them then waits until the one that runs has ended: so validate_on() refuses an app of
+  /// more modules that may be there at once. 0: there is no such limit.
   int levels = 0;
   /// Emulated or real, whatever this machine has; unset: emulated where this machine lacks it, see
   /// xpu/presence.h.
@@ -52,14 +53,12 @@ struct Platform {
   bool operator==(const Platform&) const = default;
 
   /// The paper's configurations: "small" = 4 cpu + 1 gpu + 1 dla, "large" = 8 cpu + 1 gpu + 2 dla.
-  /// GPU: preempt 275 us, DLA: 132 us, both with a time slice of 1 ms. "core-ultra": the six
-  /// performance cores of a Core Ultra 7 155H, its GPU (3 levels; nobody has measured the 1000 us)
-  /// and its NPU, which is not preemptive.
+  /// GPU: preempt 275 us, DLA: 132 us, both with a time slice of 1 ms.
   [[nodiscard]] static Result<Platform> builtin(std::string_view name);
 };
 
 /// What a `--platform` may be, for people.
-inline constexpr const char* kPlatformNames = "small, large, core-ultra, or a platform.json";
+inline constexpr const char* kPlatformNames = "small, large, or a platform.json";
 
 /// Limits of a platform file.
 inline constexpr std::size_t kMaxXpus = 256;

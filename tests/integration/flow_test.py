@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 import unittest
 
+import pftrace
 from common import APP, BIN, DRIVING, XAUTO, wait_for, xauto
 
 
@@ -28,6 +29,31 @@ class Flow(unittest.TestCase):
         result = xauto(*arguments, **keywords)
         self.assertEqual(result.returncode, 0, result.stderr)
         return result.stdout
+
+    def test_an_xpu_that_preempts_by_levels(self):
+        """Nobody suspends its jobs: each is put on a level of the hardware, and the order is kept."""
+        def platform(levels):
+            xpus = [{"id": f"cpu{i}", "type": "cpu"} for i in range(4)]
+            xpus.append({"id": "gpu0", "type": "gpu", "preempt_us": 275, "timeslice_us": 1000, "levels": levels})
+            text = json.dumps({"schema": "xauto.platform", "version": 1, "name": "levels", "xpus": xpus})
+            pathlib.Path(self.path("levels.json")).write_text(text)
+            return ["--app", APP, "--platform", self.path("levels.json")]
+
+        refused = xauto("solve", *platform(3), "--method", "heft", "--out", self.path("p.json"))
+        self.assertNotEqual(refused.returncode, 0)
+        self.assertIn("/xpus/4/levels", refused.stderr)
+        self.good("solve", *platform(16), "--method", "heft", "--out", self.path("p.json"))
+        self.good("check", *platform(16), "--policy", self.path("p.json"))
+        run = json.loads(self.good("run", *platform(16), "--policy", self.path("p.json"), "--emulate", "--lockstep",
+                                   "--activations", 20, "--trace-out", self.path("t.pftrace"), "--json", "--",
+                                   DRIVING))["runs"][0]
+        self.assertTrue(run["complete"])
+        self.assertEqual(run["lost_activations"], 0)
+        self.assertNotIn("contexts", run)
+        trace = pftrace.Trace(pathlib.Path(self.path("t.pftrace")).read_bytes())
+        there = {x["name"] for x in load(self.path("p.json"))["xnodes"] if x["xpu"] == "gpu0"}
+        parts = {s.args["part"] for s in trace.on("run", "run") if s.name.split(" ")[0] in there}
+        self.assertEqual(parts, {1}, "nobody was suspended")
 
     def test_driving_case_gives_the_published_latencies(self):
         published = {"ros2": 42_000, "heft": 30_100, "auto": 26_100}

@@ -34,10 +34,14 @@ Job numbered(std::uint32_t xnode, std::uint64_t sequence, std::int64_t priority)
 /// A coordinator in a thread.
 class Running {
  public:
-  explicit Running(Discipline discipline, OrderPairs order = {})
+  explicit Running(Discipline discipline, OrderPairs order = {}, int levels = 0)
       : address_(unique_address()), order_(std::move(order)), stop_(eventfd(0, EFD_CLOEXEC)) {
-    auto server = Server::create(
-        {address_, "gpu0", discipline, std::vector<std::string>(16, "node"), order_});
+    auto server = Server::create({.address = address_,
+                                  .xpu = "gpu0",
+                                  .discipline = discipline,
+                                  .xnodes = std::vector<std::string>(16, "node"),
+                                  .order = order_,
+                                  .levels = levels});
     EXPECT_TRUE(server) << server.error().to_string();
     server_ = std::move(*server);
     thread_ = std::thread([this] { EXPECT_TRUE(server_->run(stop_.get())); });
@@ -104,6 +108,25 @@ class Obedient {
 
 void wait_for(const std::function<bool()>& condition) {
   while (!condition()) std::this_thread::yield();  // the test's own time limit is the net
+}
+
+TEST(Server, AJobIsToldItsLevelAndTheOneAboveAllWaits) {
+  Running running(Discipline::kLevels, {}, 2);
+  const auto low = running.port(0), middle = running.port(1), high = running.port(2);
+  low->start(numbered(0, 0, 1));
+  EXPECT_EQ(low->level(), 0);
+  middle->start(numbered(1, 0, 2));  // returns although `low` runs
+  EXPECT_EQ(middle->level(), 1);
+  auto waits = std::async(std::launch::async, [&] { high->start(numbered(2, 0, 3)); });
+  EXPECT_EQ(waits.wait_for(20ms), std::future_status::timeout) << "no level is above the second";
+  middle->finish();
+  waits.get();
+  EXPECT_EQ(high->level(), 1) << "the first job has not ended";
+  high->finish();
+  low->finish();
+  high->start(numbered(2, 1, 3));
+  EXPECT_EQ(high->level(), 0);
+  high->finish();
 }
 
 TEST(Server, UncontendedStartAndFinishNeedNoCoordinator) {

@@ -9,6 +9,8 @@
 
 #include <gtest/gtest.h>
 
+#include "emu/snapshot.h"
+
 #include "times.h"
 
 namespace xauto::emu {
@@ -121,6 +123,48 @@ TEST(Machine, WhatIsNotPreemptiveRunsToItsEnd) {
   ASSERT_TRUE(m.submit(b, 2, 1 * kMs, 0));
   EXPECT_FALSE(m.suspend(a, 9, 0));
   EXPECT_EQ(play(m), "done1@3000 done2@4000");
+}
+
+TEST(Machine, AHigherLevelTakesTheDeviceAndGivesItBackForFree) {
+  Platform platform = *Platform::builtin("small");
+  platform.xpus[4].levels = 3;
+  Machine m = std::move(*Machine::create(platform));
+  const ContextId a = *m.open("gpu0", 0), b = *m.open("gpu0", 0), c = *m.open("gpu0", 0);
+  ASSERT_TRUE(m.level(b, 1, 0));
+  ASSERT_TRUE(m.level(c, 2, 0));
+  ASSERT_TRUE(m.submit(a, 1, 5 * kMs, 0));
+  ASSERT_TRUE(m.submit(b, 2, 3 * kMs, 1 * kMs));
+  EXPECT_FALSE(m.level(b, 0, 1 * kMs)) << "it has a job";
+  ASSERT_TRUE(m.submit(c, 3, 1 * kMs, 2 * kMs));
+  // a 0-1000, 275, b 1275-2000, 275, c 2275-3275, b -5550, a -9550: nobody takes turns.
+  EXPECT_EQ(play(m), "done3@3275 done2@5550 done1@9550");
+  EXPECT_EQ(m.stats()[4].preemptions, 2u);
+  EXPECT_EQ(m.stats()[4].switches, 0u);
+  ASSERT_TRUE(m.level(b, 0, 10 * kMs));
+  ASSERT_TRUE(m.submit(a, 4, 2 * kMs, 10 * kMs));
+  ASSERT_TRUE(m.submit(b, 5, 1 * kMs, 10 * kMs));
+  EXPECT_EQ(play(m), "done5@12275 done4@13275") << "those of one level do";
+  EXPECT_FALSE(m.level(a, 3, 14 * kMs));
+  EXPECT_FALSE(m.level(a, -1, 14 * kMs));
+  EXPECT_FALSE(small().level(a, 0, 0)) << "no such context";
+}
+
+TEST(Machine, ALevelOutlivesTheEmulator) {
+  Platform platform = *Platform::builtin("small");
+  platform.xpus[4].levels = 2;
+  Machine m = std::move(*Machine::create(platform));
+  const ContextId a = *m.open("gpu0", 0), b = *m.open("gpu0", 0);
+  ASSERT_TRUE(m.level(b, 1, 0));
+  ASSERT_TRUE(m.submit(a, 1, 2 * kMs, 0));
+  ASSERT_TRUE(m.submit(b, 2, 2 * kMs, 0));
+  std::vector<Event> events;
+  m.advance(1 * kMs, events);
+  Snapshot snapshot;
+  m.save(snapshot);
+  Machine next = std::move(*Machine::restore(platform, snapshot, 1 * kMs));
+  EXPECT_EQ(play(next), play(m));
+  for (ContextRecord& context : snapshot.contexts) context.level = 2;
+  EXPECT_FALSE(Machine::restore(platform, snapshot, 1 * kMs)) << "a level that the device lacks";
 }
 
 TEST(Machine, ClosedContextTakesItsWorkAlong) {

@@ -121,11 +121,6 @@ TEST(Json, LevelsAreOfAPreemptiveXpuAlone) {
     ASSERT_FALSE(refused) << wrong;
     EXPECT_EQ(refused.error().where, "p.json: /xpus/0/levels") << refused.error().to_string();
   }
-  const Platform ultra = *Platform::builtin("core-ultra");
-  EXPECT_TRUE(validate(ultra));
-  EXPECT_EQ(parse_platform(to_json(ultra), "again")->xpus, ultra.xpus);
-  EXPECT_EQ(ultra.instances_of("cpu").size(), 6U);
-  EXPECT_EQ(ultra.xpus[static_cast<std::size_t>(ultra.find("gpu0"))].levels, 3);
 }
 
 TEST(File, IsReplacedAsAWhole) {
