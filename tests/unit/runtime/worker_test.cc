@@ -8,8 +8,18 @@
 #include <stdexcept>
 
 #include <gtest/gtest.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <xauto/emu.h>
 
 #include "base/clock.h"
+#include "base/socket.h"
+#include "base/unique_fd.h"
+#include "coord/port.h"
+#include "coord/server.h"
+#include "emu/client.h"
+#include "emu/server.h"
 
 namespace xauto::runtime {
 namespace {
@@ -115,6 +125,68 @@ TEST_F(WorkerTest, RunsTheChainInOrderOnOneThreadOfItsOwn) {
   for (const std::thread::id id : ids) {
     EXPECT_EQ(id, ids.front());
     EXPECT_NE(id, std::this_thread::get_id());
+  }
+}
+
+/// A coordinator or an emulator, in a thread.
+template <class Server>
+class Serving {
+ public:
+  explicit Serving(std::unique_ptr<Server> server) : server_(std::move(server)) {
+    thread_ = std::thread([this] { EXPECT_TRUE(server_->run(stop_.get())); });
+  }
+  ~Serving() {
+    signal_eventfd(stop_.get());
+    thread_.join();
+  }
+
+ private:
+  UniqueFd stop_{eventfd(0, EFD_CLOEXEC)};
+  std::unique_ptr<Server> server_;
+  std::thread thread_;
+};
+
+/// The coordinator starts it on the second level, which one of the two emulated GPUs does not have.
+TEST_F(WorkerTest, TakesTheLevelThatItIsTold) {
+  for (const int levels : {0, 2}) {
+    const std::string self = "xauto-test/level-" + std::to_string(getpid()) + "-";
+    const std::string emulator = self + "emud" + std::to_string(levels),
+                      arbiter = self + "gpu0" + std::to_string(levels);
+    const Xpu gpu{.id = "gpu0", .type = "gpu", .levels = levels};
+    auto emulated = emu::Server::create({"one", {gpu}}, {.address = emulator});
+    ASSERT_TRUE(emulated) << emulated.error().to_string();
+    const Serving<emu::Server> devices(std::move(*emulated));
+    auto decides = coord::Server::create({.address = arbiter,
+                                          .xpu = "gpu0",
+                                          .discipline = Discipline::kLevels,
+                                          .xnodes = {"a", "b", "other"},
+                                          .levels = 2});
+    ASSERT_TRUE(decides) << decides.error().to_string();
+    const Serving<coord::Server> coordinator(std::move(*decides));
+    emu::set_this_threads_site(std::make_shared<emu::Site>(emu::Site{.address = emulator}));
+    std::vector<std::shared_ptr<emu::Context>> open;
+    for (auto& impl : impls_)
+      impl->init = [&](const XpuId& xpu, std::shared_ptr<void>&) {
+        open.push_back(std::make_shared<emu::Context>(std::move(*emu::Context::open(xpu))));
+        return open.back()->handle();
+      };
+    for (Placed& placed : row_.nodes) placed.urgency = Urgency::of_priority(9);
+    ContextCounts counts;
+    Worker worker({.name = "M@gpu0",
+                   .xpu = 0,
+                   .backend = {.xpu = gpu, .id = {"gpu0", XPU::GPU, 0}, .emulated = true},
+                   .coordinator = arbiter,
+                   .contexts = &counts},
+                  row_, nullptr, *threads_);
+    for (Placed& placed : row_.nodes) placed.worker = &worker;
+    ASSERT_TRUE(worker.start());
+    const auto other = std::move(*coord::Port::connect(arbiter, "other", {2}, {}));
+    other->start({2, 0, coord::key_of_priority(1)});
+    EXPECT_TRUE(run(levels == 0 ? 0 : 1));
+    other->finish();
+    EXPECT_EQ(counts.misplaced.load(), levels == 0 ? 2u : 0u) << levels;
+    EXPECT_TRUE(worker.stop());
+    emu::set_this_threads_site(nullptr);
   }
 }
 
