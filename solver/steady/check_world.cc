@@ -477,6 +477,7 @@ Result<World> structure(const AppSpec& app, const Platform& platform, const KeyP
   XAUTO_TRY(validate(app));
   XAUTO_TRY(validate(platform));
   XAUTO_TRY(world::check_indices(app, platform, policy));
+  XAUTO_TRY(validate_on(app, platform));
   World w{app, platform, policy};
   XAUTO_TRY(world::set_scale(w, fine));
   XAUTO_TRY(world::set_graph(w));

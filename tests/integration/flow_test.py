@@ -13,6 +13,9 @@ import pftrace
 from common import APP, BIN, DRIVING, XAUTO, wait_for, xauto
 
 
+STEADY = str(pathlib.Path(APP).with_name("steady.json"))
+
+
 def load(path):
     return json.loads(pathlib.Path(path).read_text())
 
@@ -42,6 +45,15 @@ class Flow(unittest.TestCase):
         refused = xauto("solve", *platform(3), "--method", "heft", "--out", self.path("p.json"))
         self.assertNotEqual(refused.returncode, 0)
         self.assertIn("/xpus/4/levels", refused.stderr)
+        steady = ["--app", STEADY, "--platform", self.path("levels.json"), "--policy", self.path("keys.json")]
+        platform(16)
+        self.good("solve", *steady[:4], "--max-evaluations", 500, "--threads", 1, "--time-limit-s", 60, "--out", steady[5])
+        self.good("check", *steady)
+        platform(3)
+        for verb in ["check"], ["simulate", "--seconds", 1]:
+            refused = xauto(*verb, *steady)
+            self.assertNotEqual(refused.returncode, 0, verb)
+            self.assertIn("3 levels", refused.stdout + refused.stderr)
         self.good("solve", *platform(16), "--method", "heft", "--out", self.path("p.json"))
         self.good("check", *platform(16), "--policy", self.path("p.json"))
         run = json.loads(self.good("run", *platform(16), "--policy", self.path("p.json"), "--emulate", "--lockstep",
