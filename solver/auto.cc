@@ -39,7 +39,8 @@ class Team {
                                               : began + seconds(options.time_limit_s)) {
     for (std::size_t x = 0; x < problem.preemptive.size(); ++x) {
       some_preempt_ = some_preempt_ || problem.preemptive[x];
-      some_pay_ = some_pay_ || !problem.preemptive[x] || problem.preempt[x] > 0;
+      some_pay_ =
+          some_pay_ || !problem.preemptive[x] || problem.preempt[x] > 0 || problem.levels[x] > 0;
       undisturbed_.preemptive[x] = 0;
     }
     rounds_ = rounds();

@@ -49,6 +49,25 @@ std::vector<int> topological(const std::vector<std::vector<int>>& succ) {
   return order;
 }
 
+/// [xnode of `on_xpu`, in its order] at most so many of them have started and not ended when it has
+/// started and they are less urgent; see B in certify.h.
+std::vector<int> depths(const Decision& decision, const std::vector<int>& on_xpu,
+                        const Reach& reach) {
+  std::vector<std::size_t> rising(on_xpu.size());
+  std::iota(rising.begin(), rising.end(), std::size_t{0});
+  std::sort(rising.begin(), rising.end(), [&](std::size_t a, std::size_t b) {
+    return decision.priority[at(on_xpu[a])] < decision.priority[at(on_xpu[b])];
+  });
+  std::vector<int> depth(on_xpu.size(), 1);
+  for (std::size_t a = 0; a < rising.size(); ++a)
+    for (std::size_t b = 0; b < a; ++b) {
+      const int i = on_xpu[rising[a]], j = on_xpu[rising[b]];
+      if (!reach.before(i, j) && !reach.before(j, i))
+        depth[rising[a]] = std::max(depth[rising[a]], depth[rising[b]] + 1);
+    }
+  return depth;
+}
+
 /// Depth-first over all chains, from the sources; see the formula in certify.h.
 class Chains {
  public:
@@ -65,6 +84,13 @@ class Chains {
       for (int s : list) source_[at(s)] = 0;
     std::vector<std::vector<int>> on_xpu(at(problem.num_xpus));
     for (std::size_t i = 0; i < n_; ++i) on_xpu[at(decision.xpu[i])].push_back(static_cast<int>(i));
+    std::vector<char> may_keep(n_, 0);  // the last level of its XPU
+    for (std::size_t x = 0; x < on_xpu.size(); ++x) {
+      if (problem.levels[x] == 0) continue;
+      const std::vector<int> depth = depths(decision, on_xpu[x], reach);
+      for (std::size_t k = 0; k < depth.size(); ++k)
+        may_keep[at(on_xpu[x][k])] = depth[k] >= problem.levels[x];
+    }
     for (int i = 0; i < problem.num_xnodes; ++i) {
       const std::size_t x = at(decision.xpu[at(i)]);
       Time blocking = 0;
@@ -75,6 +101,9 @@ class Chains {
           interferers_[at(i)].push_back(j);
         } else if (problem.preemptive[x]) {
           may_preempt = true;
+          if (may_keep[at(j)] != 0)
+            blocking =
+                std::max(blocking, problem.wcet_on(j, decision.xpu[at(j)]) + problem.preempt[x]);
         } else {
           blocking = std::max(blocking, problem.wcet_on(j, decision.xpu[at(j)]));
         }
@@ -149,6 +178,7 @@ class Inflated {
     reach_.emplace(n_, succ, topological(succ), until);
     std::fill(problem_.preempt.begin(), problem_.preempt.end(), 0);
     std::fill(problem_.preemptive.begin(), problem_.preemptive.end(), 1);
+    std::fill(problem_.levels.begin(), problem_.levels.end(), 0);
     on_xpu_.resize(at(problem.num_xpus));
     for (int i = 0; i < problem.num_xnodes; ++i) on_xpu_[at(decision.xpu[at(i)])].push_back(i);
     for (std::size_t x = 0; x < on_xpu_.size(); ++x)
@@ -167,6 +197,12 @@ class Inflated {
 
   [[nodiscard]] bool follows(const Decision& decision, const std::vector<Time>& finish) const {
     for (std::size_t x = 0; x < on_xpu_.size(); ++x) {
+      if (given_.levels[x] > 0) {
+        if (until_.over()) return false;
+        const std::vector<int> depth = depths(decision, on_xpu_[x], *reach_);
+        if (std::any_of(depth.begin(), depth.end(), [&](int d) { return d > given_.levels[x]; }))
+          return false;
+      }
       // All of the XPU in the order of its priorities, whoever is open: then no pair is needed.
       std::vector<int> urgent = on_xpu_[x];
       std::sort(urgent.begin(), urgent.end(),

@@ -30,7 +30,8 @@ inline constexpr std::int64_t kMostChainSteps = 2'000'000;
 /// once). Let F be the finishes of the execution with C' and free preemption. If every XPU either
 /// has all its XNodes ordered by edges and order pairs, or is preemptive and its priorities follow
 /// F, then no execution of the real rule finishes any XNode after its F: docs/ilp.md, theorem, with
-/// F as deadlines. nullopt where neither holds for an XPU.
+/// F as deadlines. An XPU with levels counts as preemptive where they suffice for whatever XNodes
+/// may be open at once. nullopt where neither holds for an XPU.
 [[nodiscard]] std::optional<Time> deadline_certificate(const Problem& problem,
                                                        const Decision& decision,
                                                        const Until& until = {});
@@ -50,14 +51,17 @@ inline constexpr std::int64_t kMostChainSteps = 2'000'000;
 /// Take the XNode i that finishes last, then the predecessor (by edge or order pair) that made it
 /// eligible last, and so on to a source: a chain whose response intervals [eligible, finish] follow
 /// each other without a gap. Within i's interval its XPU is never idle and runs only i, XNodes of
-/// higher priority that are not ordered against i by the graph, and, on a non-preemptive XPU, at
-/// most one of lower priority that had started before. An XNode runs once, so along one chain each
-/// interferes once:
+/// higher priority that are not ordered against i by the graph, and, on an XPU that does not preempt
+/// or has as many XNodes open as levels, at most one of lower priority that had started before. An
+/// XNode runs once, so along one chain each interferes once:
 ///
 ///   latency <= max over chains of  sum over i in chain of (C_i + S_i + B_i)
 ///                                  + sum over j in the union of hp(i), i in chain, of (C_j + S_j)
 ///
-/// S: preempt_us where a start can preempt; B: longest lower-priority C on a non-preemptive XPU.
+/// S: preempt_us where a start can preempt; B: longest lower-priority C on a non-preemptive XPU. With
+/// L levels, B: longest lower-priority C + S among those j that may be the L-th. j is at most the
+/// l-th if no longer sequence of rising priorities ends with it, each XNode unordered with the next:
+/// those that have started and not ended are such a sequence, the running one its last.
 /// Chains are enumerated with a bound; past `max_steps` or `until`, each chain's interference is
 /// counted per XNode instead (classical response times), which is larger and still safe.
 ///

@@ -8,8 +8,6 @@
 #include "base/index.h"
 
 namespace xauto::solver {
-namespace {}  // namespace
-
 Evaluator::Evaluator(const Problem& problem)
     : problem_(problem), n_(at(problem.num_xnodes)), m_(at(problem.num_xpus)) {
   succ_begin_.assign(n_ + 1, 0);
@@ -256,6 +254,14 @@ void Evaluator::restore(const Snapshot& snapshot) {
     if (status_[i] == kReady) push_ready(static_cast<int>(i));
 }
 
+int Evaluator::suspended(std::size_t xpu) const {
+  int count = 0;
+  for (std::size_t k = 0; k < words_; ++k)
+    for (std::uint64_t bits = ready_[xpu * words_ + k]; bits != 0; bits &= bits - 1)
+      count += remaining_[at(sequence_[k * 64 + at(std::countr_zero(bits))])] >= 0;
+  return count;
+}
+
 template <bool kRecord>
 void Evaluator::decide(int xpu, Time now) {
   const std::size_t x = at(xpu);
@@ -270,6 +276,7 @@ void Evaluator::decide(int xpu, Time now) {
   if (running >= 0) {
     const int place = position_[at(running)];
     if (best > place) return;
+    if (problem_.levels[x] > 0 && 1 + suspended(x) >= problem_.levels[x]) return;
     remaining_[at(running)] = end_[x] - now;
     status_[at(running)] = kReady;
     word[at(place) / 64] |= std::uint64_t{1} << (place % 64);

@@ -85,6 +85,8 @@ class Evaluator {
   [[nodiscard]] Time cost() const;
   template <bool kRecord>
   void decide(int xpu, Time now);
+  /// Of the XNodes ready on `xpu`, how many have started.
+  [[nodiscard]] int suspended(std::size_t xpu) const;
   void move_position(int xnode, int position);
   void update_tails(int xnode);
   void push_ready(int xnode);

@@ -136,7 +136,8 @@ class PaperModel {
     for (int m = 1; m < p_.num_xpus; ++m) {
       if (p_.xpu_type[at(m)] != p_.xpu_type[at(m - 1)] ||
           p_.preemptive[at(m)] != p_.preemptive[at(m - 1)] ||
-          p_.preempt[at(m)] != p_.preempt[at(m - 1)] || !open_alike(m - 1, m))
+          p_.preempt[at(m)] != p_.preempt[at(m - 1)] || p_.levels[at(m)] != p_.levels[at(m - 1)] ||
+          !open_alike(m - 1, m))
         continue;
       std::vector<Term> ahead;
       for (const int i : p_.topo) {

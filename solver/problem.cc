@@ -24,6 +24,7 @@ Result<Problem> Problem::create(const AppSpec& app, const Platform& platform) {
     p.type_xpus[static_cast<std::size_t>(type)].push_back(static_cast<int>(m));
     p.preemptive.push_back(xpu.preemptive ? 1 : 0);
     p.preempt.push_back(xpu.preempt_us);
+    p.levels.push_back(xpu.levels);
   }
   for (const XNodeSpec& x : app.xnodes)
     for (const std::string& type : p.type_name)

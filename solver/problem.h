@@ -13,6 +13,9 @@
 //    once. The XNode that starts by preempting another occupies the XPU for preempt_us more (its
 //    own remaining time grows by preempt_us). Resuming a suspended XNode is free. The first start
 //    on an idle XPU is free.
+//  * Preemptive XPU with L levels: the same as long as fewer than L of its XNodes have started and
+//    not ended. Once L have, the running one runs to its end: to preempt it, the hardware would
+//    need a level above it.
 //  * Non-preemptive XPU: the running XNode runs to its end.
 //  * Everything that finishes at one instant finishes before any XPU decides at that instant.
 //  * start = when the XNode is first put on its XPU (before preempt_us is paid); finish = its end.
@@ -60,6 +63,7 @@ struct Problem {
   std::vector<std::vector<int>> type_xpus;  ///< [type] -> its XPU instances, ascending
   std::vector<char> preemptive;             ///< [xpu]
   std::vector<Time> preempt;                ///< [xpu] preempt_us
+  std::vector<int> levels;                  ///< [xpu] 0: it preempts without limit
   std::vector<Time> wcet_flat;  ///< [xnode * num_types + type], kCannotRun if no implementation
   std::vector<std::vector<int>> pred, succ;  ///< direct precedence, as given
   std::vector<int> topo;                     ///< a topological order

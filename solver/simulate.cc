@@ -40,6 +40,7 @@ class Run {
     running_.assign(at(p_.num_xpus), -1);
     since_.assign(at(p_.num_xpus), 0);
     switching_.assign(n, 0);
+    open_.assign(at(p_.num_xpus), 0);
   }
 
   Simulation run() {
@@ -72,6 +73,7 @@ class Run {
       if (i < 0 || since_[at(m)] + left_[at(i)] > now) continue;
       put_off(m, now);
       result_.finish[at(i)] = now;
+      --open_[at(m)];
       any = true;
       for (const int s : p_.succ[at(i)]) release(s);
       for (const int s : order_succ_[at(i)]) release(s);
@@ -90,6 +92,7 @@ class Run {
     if (ready.empty()) return;
     const int current = running_[at(m)];
     if (current >= 0 && !p_.preemptive[at(m)]) return;
+    if (current >= 0 && p_.levels[at(m)] > 0 && open_[at(m)] >= p_.levels[at(m)]) return;
     const int i = ready.top().second;
     if (current >= 0 && d_.priority[at(i)] <= d_.priority[at(current)]) return;
     ready.pop();
@@ -102,7 +105,10 @@ class Run {
     }
     running_[at(m)] = i;
     since_[at(m)] = now;
-    if (result_.start[at(i)] < 0) result_.start[at(i)] = now;
+    if (result_.start[at(i)] < 0) {
+      result_.start[at(i)] = now;
+      ++open_[at(m)];
+    }
   }
 
   /// Takes the running XNode off its XPU and accounts for what it did.
@@ -131,6 +137,7 @@ class Run {
   std::vector<std::priority_queue<std::pair<std::int64_t, int>>> ready_;
   std::vector<int> running_;     ///< [xpu] XNode or -1
   std::vector<Time> since_;      ///< [xpu] when the running XNode was put on
+  std::vector<int> open_;        ///< [xpu] of its XNodes, how many have started and not ended
   std::vector<Time> switching_;  ///< [xnode] preemption cost still to be paid
 };
 

@@ -67,6 +67,8 @@ class Simulator {
   std::vector<Time> work_, left_, finish_;    ///< by slot
   std::vector<int> first_slot_, first_word_;  ///< by XPU, one more at the end
   std::vector<std::uint64_t> ready_;
+  std::vector<char> started_;
+  std::vector<int> open_;     ///< by XPU: how many of its slots have started and not ended
   std::vector<int> running_;  ///< by XPU: slot or -1
   std::vector<Time> end_;     ///< by XPU
   std::vector<char> touched_;

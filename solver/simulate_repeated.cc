@@ -24,6 +24,8 @@ Simulator::Simulator(const Problem& problem) : problem_(problem) {
   succ_begin_.resize(n + 1);
   first_slot_.resize(m + 1);
   first_word_.resize(m + 1);
+  started_.resize(n);
+  open_.resize(m);
   running_.resize(m);
   end_.resize(m);
   touched_.assign(m, 0);
@@ -89,6 +91,8 @@ Time Simulator::run(std::span<const Time> actual) {
   }
   std::fill(running_.begin(), running_.end(), -1);
   std::fill(end_.begin(), end_.end(), kIdle);
+  std::fill(open_.begin(), open_.end(), 0);
+  std::fill(started_.begin(), started_.end(), 0);
   for (int s = 0; s < problem_.num_xnodes; ++s)
     if (waits_for_[at(s)] == 0) make_ready(s);
 
@@ -105,12 +109,15 @@ Time Simulator::run(std::span<const Time> actual) {
                        std::countr_zero(ready_[at(word)]);
       if (running >= 0) {
         if (slot > running) continue;
+        if (problem_.levels[at(m)] > 0 && open_[at(m)] >= problem_.levels[at(m)]) continue;
         left_[at(running)] = end_[at(m)] - now;
         const int k = running - first_slot_[at(m)];
         ready_[at(first_word_[at(m)] + k / 64)] |= std::uint64_t{1} << (k % 64);
         left_[at(slot)] += problem_.preempt[at(m)];
       }
       ready_[at(word)] &= ready_[at(word)] - 1;
+      open_[at(m)] += started_[at(slot)] == 0;
+      started_[at(slot)] = 1;
       running_[at(m)] = slot;
       end_[at(m)] = now + left_[at(slot)];
     }
@@ -126,6 +133,7 @@ Time Simulator::run(std::span<const Time> actual) {
       running_[m] = -1;
       end_[m] = kIdle;
       finish_[at(slot)] = now;
+      --open_[m];
       if (!touched_[m]) {
         touched_[m] = 1;
         touched_list_.push_back(static_cast<int>(m));

@@ -409,7 +409,8 @@ class Check {
   /// take a first one in violation, by F. What may run before it on its XPU has earlier F and
   /// predecessors with earlier F, hence is released no later than in F's schedule and needs no more
   /// time; that schedule meets the deadlines F, and priorities by deadline meet what any schedule
-  /// meets (Horn 1974).
+  /// meets (Horn 1974). An XPU with levels is as preemptive as that only if its levels suffice
+  /// whatever is open: no sequence of XNodes of rising priority, each open to the next, is longer.
   std::optional<Us> certificate() {
     const std::size_t n = at(world_.n);
     if (n > 2000) return std::nullopt;
@@ -425,7 +426,8 @@ class Check {
           inflated[i] = wcet_[i] + world_.preempt_us[at(candidate_.xpu[i])];
       }
     for (std::size_t x = 0; x < sequential.size(); ++x)
-      if (!sequential[x] && !world_.preemptive[x]) return std::nullopt;
+      if (!sequential[x] && (!world_.preemptive[x] || !levels_suffice(x, reaches)))
+        return std::nullopt;
     const Execution e = verification::execute(world_.relaxed(), candidate_, inflated);
     for (std::size_t i = 0; i < n; ++i)
       for (std::size_t j = 0; j < n; ++j)
@@ -433,6 +435,25 @@ class Check {
             candidate_.priority[i] > candidate_.priority[j] && e.finish[i] > e.finish[j])
           return std::nullopt;
     return e.latency;
+  }
+
+  [[nodiscard]] bool levels_suffice(std::size_t x,
+                                    const std::vector<std::vector<bool>>& reaches) const {
+    if (world_.levels[x] == 0) return true;
+    std::vector<std::size_t> here;
+    for (std::size_t i = 0; i < at(world_.n); ++i)
+      if (at(candidate_.xpu[i]) == x) here.push_back(i);
+    std::sort(here.begin(), here.end(), [&](std::size_t i, std::size_t j) {
+      return candidate_.priority[i] < candidate_.priority[j];
+    });
+    std::vector<int> length(here.size(), 1);
+    for (std::size_t a = 0; a < here.size(); ++a) {
+      for (std::size_t b = 0; b < a; ++b)
+        if (!reaches[here[a]][here[b]] && !reaches[here[b]][here[a]])
+          length[a] = std::max(length[a], length[b] + 1);
+      if (length[a] > world_.levels[x]) return false;
+    }
+    return true;
   }
 
   /// [i][j]: j cannot start before i has finished.

@@ -126,6 +126,7 @@ class ByExecution {
     begin.done.assign(at(w_.n), 0);
     begin.over.assign(at(w_.n) * at(w_.n), 0);
     begin.runs.assign(at(w_.m), -1);
+    begin.begun.assign(at(w_.n), 0);
     begin.touched.assign(at(w_.m), 0);
     visit(begin);
     return beaten_ ? Proof::kBeaten : budget_ < 0 ? Proof::kUnknown : Proof::kHolds;
@@ -137,7 +138,7 @@ class ByExecution {
     int finished = 0;
     std::vector<int> xpu;
     std::vector<Us> rest;
-    std::vector<char> done, over;
+    std::vector<char> done, over, begun;
     std::vector<int> runs;
     std::vector<char> touched;
   };
@@ -145,6 +146,14 @@ class ByExecution {
   [[nodiscard]] bool is_ready(const Moment& s, int i) const {
     return !s.done[at(i)] && std::all_of(w_.before[at(i)].begin(), w_.before[at(i)].end(),
                                          [&](int u) { return s.done[at(u)] != 0; });
+  }
+
+  /// As many XNodes have begun on x and not ended as its hardware has levels.
+  [[nodiscard]] bool full(const Moment& s, int x) const {
+    int open = 0;
+    for (int i = 0; i < w_.n; ++i)
+      open += s.xpu[at(i)] == x && s.begun[at(i)] != 0 && s.done[at(i)] == 0;
+    return w_.levels[at(x)] != 0 && open >= w_.levels[at(x)];
   }
 
   void visit(Moment s) {
@@ -168,7 +177,7 @@ class ByExecution {
       for (const int i : ready)
         if (s.xpu[at(i)] < 0) return place(s, i);
       for (int x = 0; x < w_.m; ++x) {
-        if (s.runs[at(x)] >= 0 && !w_.preemptive[at(x)]) continue;
+        if (s.runs[at(x)] >= 0 && (!w_.preemptive[at(x)] || full(s, x))) continue;
         std::vector<int> rivals;
         for (const int i : ready)
           if (s.xpu[at(i)] == x) rivals.push_back(i);
@@ -194,6 +203,7 @@ class ByExecution {
         if (s.runs[at(x)] == first) continue;
         if (s.runs[at(x)] >= 0) s.rest[at(first)] += w_.preempt_us[at(x)];
         s.runs[at(x)] = first;
+        s.begun[at(first)] = 1;
       }
       Us step = std::numeric_limits<Us>::max();
       for (const int i : s.runs)

@@ -25,11 +25,12 @@ World::World(const AppSpec& app, const Platform& platform)
   for (std::size_t k = 0; k < first_to_last.size(); ++k)
     for (const int v : after[at(first_to_last[k])])
       if (--missing[at(v)] == 0) first_to_last.push_back(v);
-  std::vector<std::tuple<std::string, bool, Us>> kinds;
+  std::vector<std::tuple<std::string, bool, Us, int>> kinds;
   for (const Xpu& xpu : platform.xpus) {
     preemptive.push_back(xpu.preemptive ? 1 : 0);
     preempt_us.push_back(xpu.preempt_us);
-    const std::tuple key(xpu.type, xpu.preemptive, xpu.preempt_us);
+    levels.push_back(xpu.levels);
+    const std::tuple key(xpu.type, xpu.preemptive, xpu.preempt_us, xpu.levels);
     const auto found = std::find(kinds.begin(), kinds.end(), key);
     kind.push_back(static_cast<int>(found - kinds.begin()));
     if (found == kinds.end()) kinds.push_back(key);
@@ -48,7 +49,7 @@ Us World::least(int xnode) const {
 
 bool World::preemption_is_free() const {
   for (int x = 0; x < m; ++x)
-    if (!preemptive[at(x)] || preempt_us[at(x)] != 0) return false;
+    if (!preemptive[at(x)] || preempt_us[at(x)] != 0 || levels[at(x)] != 0) return false;
   return true;
 }
 
@@ -56,6 +57,7 @@ World World::relaxed() const {
   World free = *this;
   std::fill(free.preemptive.begin(), free.preemptive.end(), char{1});
   std::fill(free.preempt_us.begin(), free.preempt_us.end(), Us{0});
+  std::fill(free.levels.begin(), free.levels.end(), 0);
   return free;
 }
 
@@ -63,6 +65,7 @@ Execution execute(const World& world, const Candidate& candidate, const std::vec
   struct Processor {
     std::priority_queue<std::pair<std::int64_t, int>> waiting;  // (priority, xnode)
     int job = -1;
+    int begun = 0;  // and not done
     Us until = 0;
   };
   Execution result;
@@ -90,6 +93,7 @@ Execution execute(const World& world, const Candidate& candidate, const std::vec
       if (p.job >= 0) {
         if (!world.preemptive[x] || candidate.priority[at(next)] < candidate.priority[at(p.job)])
           continue;
+        if (world.levels[x] != 0 && p.begun == world.levels[x]) continue;
         rest[at(p.job)] = p.until - now;
         p.waiting.pop();
         p.waiting.emplace(candidate.priority[at(p.job)], p.job);
@@ -99,7 +103,9 @@ Execution execute(const World& world, const Candidate& candidate, const std::vec
       }
       p.job = next;
       p.until = now + rest[at(next)];
-      if (result.start[at(next)] < 0) result.start[at(next)] = now;
+      if (result.start[at(next)] >= 0) continue;
+      result.start[at(next)] = now;
+      ++p.begun;
     }
     std::optional<Us> soonest;
     for (const Processor& p : processors)
@@ -110,6 +116,7 @@ Execution execute(const World& world, const Candidate& candidate, const std::vec
       if (p.job < 0 || p.until != now) continue;
       const int done = p.job;
       p.job = -1;
+      --p.begun;
       result.finish[at(done)] = now;
       for (const int v : world.after[at(done)]) unlock(v);
       for (const int v : unlocks[at(done)]) unlock(v);

@@ -22,12 +22,14 @@ struct World {
   std::vector<std::vector<std::optional<Us>>> wcet;  ///< [xnode][xpu]
   std::vector<char> preemptive;                      ///< [xpu]
   std::vector<Us> preempt_us;                        ///< [xpu]
+  std::vector<int> levels;                           ///< [xpu], 0: any number
   std::vector<int> kind;                             ///< [xpu]: equal for instances that are alike
   std::vector<int> first_to_last;                    ///< an order that respects the edges
 
   World(const AppSpec& app, const Platform& platform);
   [[nodiscard]] Us least(int xnode) const;
-  [[nodiscard]] bool preemption_is_free() const;  ///< every XPU preemptive, at no cost
+  [[nodiscard]] bool preemption_is_free()
+      const;  ///< every XPU preemptive, at no cost and without limit
   /// The same XPUs, all preemptive and for free: whatever runs on *this can run there, no longer.
   [[nodiscard]] World relaxed() const;
 };

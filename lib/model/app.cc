@@ -417,7 +417,7 @@ Status validate_on(const AppSpec& app, const Platform& platform) {
                     platform.name + "' lacks",
                 "/xnodes/" + std::to_string(i) + "/wcet_us");
   }
-  for (std::size_t m = 0; m < platform.xpus.size(); ++m)
+  for (std::size_t m = 0; app.version > 1 && m < platform.xpus.size(); ++m)
     if (const Xpu& xpu = platform.xpus[m]; xpu.levels > 0)
       if (const std::int64_t jobs = most_at_once(app, xpu.type); jobs > xpu.levels)
         return fail(ErrorCode::kInfeasible,

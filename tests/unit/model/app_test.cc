@@ -97,7 +97,7 @@ TEST(Platform, BuiltInsAreThePapers) {
   EXPECT_FALSE(Platform::builtin("huge"));
 }
 
-TEST(ValidateOn, AsManyActivationsAsAnXpuHasLevelsAndNoMore) {
+TEST(ValidateOn, InVersion2AsManyActivationsAsAnXpuHasLevelsAndNoMore) {
   AppSpec app;
   app.name = "a";
   for (const char* module : {"A", "B", "C"})
@@ -106,6 +106,9 @@ TEST(ValidateOn, AsManyActivationsAsAnXpuHasLevelsAndNoMore) {
   app.xnodes.push_back({"D.x", "D", {{"cpu", 5}}});
   Platform platform = Platform::builtin("small").value();
   Xpu& gpu = platform.xpus[static_cast<std::size_t>(platform.find("gpu0"))];
+  gpu.levels = 2;
+  EXPECT_TRUE(validate_on(app, platform)) << "version 1 is planned with levels that are taken";
+  app.version = 2;
   gpu.levels = 3;
   EXPECT_TRUE(validate_on(app, platform)) << "one job of a module at a time";
   app.modules = {{"B", 2}};

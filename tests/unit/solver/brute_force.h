@@ -64,7 +64,7 @@ class BruteForce {
  private:
   struct State {
     Time now = 0;
-    std::uint32_t done = 0;
+    std::uint32_t done = 0, begun = 0;
     std::array<int, kMaxNodes> xpu{};
     std::array<Time, kMaxNodes> left{};
     std::array<std::uint32_t, kMaxNodes>
@@ -89,7 +89,15 @@ class BruteForce {
   }
   [[nodiscard]] bool same_kind(int a, int b) const {
     return p_.xpu_type[at(a)] == p_.xpu_type[at(b)] &&
-           p_.preemptive[at(a)] == p_.preemptive[at(b)] && p_.preempt[at(a)] == p_.preempt[at(b)];
+           p_.preemptive[at(a)] == p_.preemptive[at(b)] && p_.preempt[at(a)] == p_.preempt[at(b)] &&
+           p_.levels[at(a)] == p_.levels[at(b)];
+  }
+
+  [[nodiscard]] bool full(const State& s, int m) const {
+    int open = 0;
+    for (int i = 0; i < p_.num_xnodes; ++i)
+      open += s.xpu[at(i)] == m && (s.begun & bit(i) & ~s.done) != 0;
+    return p_.levels[at(m)] != 0 && open >= p_.levels[at(m)];
   }
 
   void explore(State s) {
@@ -114,7 +122,7 @@ class BruteForce {
       for (int i = 0; i < p_.num_xnodes; ++i)
         if (ready(s, i) && s.now + s.left[at(i)] + tail_[at(i)] >= best_.makespan) return;
       for (int m = 0; m < p_.num_xpus; ++m) {
-        if (s.on[at(m)] >= 0 && !p_.preemptive[at(m)]) continue;
+        if (s.on[at(m)] >= 0 && (!p_.preemptive[at(m)] || full(s, m))) continue;
         std::uint32_t want = 0;
         for (int i = 0; i < p_.num_xnodes; ++i)
           if (s.xpu[at(i)] == m && ready(s, i)) want |= bit(i);
@@ -140,6 +148,7 @@ class BruteForce {
         if (first == s.on[at(m)]) continue;
         if (s.on[at(m)] >= 0) s.left[at(first)] += p_.preempt[at(m)];
         s.on[at(m)] = first;
+        s.begun |= bit(first);
       }
       Time step = std::numeric_limits<Time>::max();
       for (const int i : s.on)
@@ -240,7 +249,7 @@ class PolicyBruteForce {
     for (int k = 0; k < m; ++k)
       if (p_.xpu_type[at(k)] == p_.xpu_type[at(m)] &&
           p_.preemptive[at(k)] == p_.preemptive[at(m)] && p_.preempt[at(k)] == p_.preempt[at(m)] &&
-          p_.forbidden.empty() && !is_used(k))
+          p_.levels[at(k)] == p_.levels[at(m)] && p_.forbidden.empty() && !is_used(k))
         return true;
     return false;
   }

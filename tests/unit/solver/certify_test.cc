@@ -208,6 +208,62 @@ TEST(Certify, TheOrderOfAnUndisturbedXpuChangesNothingAtWcet) {
   EXPECT_GT(added, 100);
 }
 
+/// Chains that meet on one GPU only: each comes to it and goes on by a processor of its own.
+Case meeting_on_a_gpu(test::Dice& dice, int chains, int levels) {
+  Case c;
+  c.app.name = "meeting";
+  c.platform.name = "p";
+  c.platform.xpus = {{"gpu0", "gpu", true, dice.roll(0, 3), 0, -1, levels}};
+  for (int k = 0; k < chains; ++k) {
+    const std::string own = test::numbered("own", k);
+    c.platform.xpus.push_back({own, own, true, 0, 0, -1});
+    c.app.xnodes.push_back({own + ".in", own, {{own, dice.roll(1, 20)}}});
+    c.app.xnodes.push_back({own + ".gpu", own, {{"gpu", dice.roll(1, 15)}}});
+    c.app.xnodes.push_back({own + ".out", own, {{own, dice.roll(1, 60)}}});
+    c.app.edges.emplace_back(3 * k, 3 * k + 1);
+    c.app.edges.emplace_back(3 * k + 1, 3 * k + 2);
+  }
+  c.problem = Problem::create(c.app, c.platform).value();
+  return c;
+}
+
+TEST(Certify, TheWorstCaseCountsWithLevelsThatAreTaken) {
+  int beyond = 0, enough = 0;
+  for (std::uint64_t seed = 0; seed < 1500; ++seed) {
+    test::Dice dice(110'000 + seed);
+    const int levels = 2 + static_cast<int>(seed % 2);
+    Case c = meeting_on_a_gpu(dice, dice.roll(3, 6), levels);
+    Decision decision = test::random_decision(dice, c.problem);
+    if (seed % 3 == 0) decision = settle_priorities(c.problem, decision);
+    if (seed % 3 == 1) test::add_random_order(dice, c.problem, decision, 20);
+    const Time bound = worst_case(c.problem, decision);
+    const Time longest = longest_execution(dice, c.problem, decision, 300);
+    ASSERT_LE(longest, bound) << "seed " << seed;
+    if (const auto by_deadlines = deadline_certificate(c.problem, decision)) {
+      ++enough;
+      ASSERT_LE(longest, *by_deadlines) << "seed " << seed;
+    }
+    // Without that the bound would be exceeded, so this test can fail.
+    Problem unlimited = c.problem;
+    unlimited.levels.assign(unlimited.levels.size(), 0);
+    beyond += longest > worst_case(unlimited, decision);
+  }
+  EXPECT_GT(beyond, 10);
+  EXPECT_GT(enough, 10);
+}
+
+TEST(Certify, WhereLevelsSufficeAnXpuIsAsPreemptiveAsAnyOther) {
+  for (std::uint64_t seed = 0; seed < 60; ++seed) {
+    test::Dice dice(120'000 + seed);
+    Case c = meeting_on_a_gpu(dice, 4, 4);
+    const Decision decision = test::random_decision(dice, c.problem);
+    Problem unlimited = c.problem;
+    unlimited.levels.assign(unlimited.levels.size(), 0);
+    ASSERT_EQ(worst_case(c.problem, decision), worst_case(unlimited, decision));
+    ASSERT_EQ(simulate(c.problem, decision).finish, simulate(unlimited, decision).finish);
+  }
+}
+
 TEST(Certify, NoCertificateWherePrioritiesDoNotFollowTheFinishes) {
   // gpu: long first by priority although short, ready at the same time, would end sooner in any
   // order by finish that puts it first; the certificate must not claim what it cannot show.

@@ -41,6 +41,7 @@ struct Shape {
   int max_preempt = 4;  ///< 0: free preemption
   int max_cpus = 3, max_gpus = 2;
   int non_preemptive_percent = 25;  ///< of the XPUs
+  int levels_percent = 30;          ///< of those that preempt: two or three levels
 };
 
 inline Platform random_platform(Dice& dice, const Shape& shape) {
@@ -49,8 +50,9 @@ inline Platform random_platform(Dice& dice, const Shape& shape) {
   const auto add = [&](const std::string& type, int count) {
     const bool preemptive = !dice.chance(shape.non_preemptive_percent);
     const int preempt = dice.roll(0, shape.max_preempt);
+    const int levels = preemptive && dice.chance(shape.levels_percent) ? dice.roll(2, 3) : 0;
     for (int i = 0; i < count; ++i)
-      platform.xpus.push_back({numbered(type, i), type, preemptive, preempt, 3, -1});
+      platform.xpus.push_back({numbered(type, i), type, preemptive, preempt, 3, -1, levels});
   };
   add("cpu", dice.roll(1, shape.max_cpus));
   add("gpu", dice.roll(0, shape.max_gpus));

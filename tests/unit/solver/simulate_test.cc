@@ -52,6 +52,35 @@ TEST(Simulate, NonPreemptiveXpuRunsTheRunningXNodeToItsEnd) {
   EXPECT_EQ(s.preemptions, 0);
 }
 
+TEST(Simulate, TheLastLevelsXNodeRunsToItsEnd) {
+  // gpu: low (10) from 0; mid (6) preempts at 4; high (3) comes at 5, urgent (1) at 7.
+  const AppSpec app = app_of({{{"cpu", 4}},
+                              {{"cpu", 1}},
+                              {{"cpu", 2}},
+                              {{"gpu", 10}},
+                              {{"gpu", 6}},
+                              {{"gpu", 3}},
+                              {{"gpu", 1}}},
+                             {{0, 1}, {1, 2}, {0, 4}, {1, 5}, {2, 6}});
+  const Decision d{{0, 0, 0, 1, 1, 1, 1}, {3, 2, 1, 1, 2, 3, 4}, {}};
+  Platform platform = cpu_and_gpu(2);
+  const auto of = [&](int levels) {
+    platform.xpus[1].levels = levels;
+    return simulate(*Problem::create(app, platform), d);
+  };
+  // mid: 4 + 2 + 6; then the most urgent of those that wait starts, and low goes on at last.
+  const Simulation two = of(2);
+  EXPECT_EQ(two.start, (std::vector<Time>{0, 4, 5, 0, 4, 13, 12}));
+  EXPECT_EQ(two.finish, (std::vector<Time>{4, 5, 7, 22, 12, 16, 13}));
+  EXPECT_EQ(two.preemptions, 1);
+  // high preempts mid, which has run for 1: 5 + 2 + 3; urgent waits for it.
+  const Simulation three = of(3);
+  EXPECT_EQ(three.finish, (std::vector<Time>{4, 5, 7, 24, 18, 10, 11}));
+  EXPECT_EQ(three.preemptions, 2);
+  EXPECT_EQ(of(4).finish, of(0).finish);
+  EXPECT_EQ(of(0).preemptions, 3);
+}
+
 TEST(Simulate, StartOnAnXpuThatBecameIdleAtThatInstantIsFree) {
   // x1 ends at 4, exactly when x2 becomes ready.
   const AppSpec app = app_of({{{"cpu", 4}}, {{"gpu", 4}}, {{"gpu", 3}}}, {{0, 2}});

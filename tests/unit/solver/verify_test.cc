@@ -337,6 +337,37 @@ TEST(Verify, CertifiesASequenceOnEachXpuAsItsLongestPath) {
                           [](const std::string& s) { return s.starts_with("worst_case_us"); }));
 }
 
+TEST(Verify, AWorstCaseWhoseLevelsMayBeTakenIsNotShown) {
+  // gpu: low (40) from 0; mid (50) may come anywhere in [0, 20] and take the last of two levels
+  // before high (1) comes at 10, whose 500 on the CPU then begin at up to 20 + 50 + 1.
+  Case c;
+  c.app.name = "levels";
+  c.app.xnodes = {{"low", "L", {{"gpu", 40}}}, {"in", "M", {{"a", 20}}},
+                  {"mid", "M", {{"gpu", 50}}}, {"first", "H", {{"b", 10}}},
+                  {"high", "H", {{"gpu", 1}}}, {"last", "H", {{"b", 500}}}};
+  c.app.edges = {{1, 2}, {3, 4}, {4, 5}};
+  for (const int levels : {3, 2}) {
+    c.platform = {"p",
+                  {{"a0", "a", true, 0, 0, -1},
+                   {"b0", "b", true, 0, 0, -1},
+                   {"gpu0", "gpu", true, 0, 0, -1, levels}}};
+    const Problem p = *Problem::create(c.app, c.platform);
+    const Decision d{{2, 0, 2, 1, 2, 1}, {1, 1, 2, 3, 3, 1}, {}};
+    c.policy = make_policy(c.app, c.platform, p, d, "search");
+    ASSERT_EQ(c.policy.latency_us, 511);
+    c.policy.worst_case_us = 511;
+    const auto about = [&](const VerifyOptions& options, auto what) {
+      const std::vector<std::string> said = verify(c.app, c.platform, c.policy, options).*what;
+      return std::any_of(said.begin(), said.end(), [](const std::string& s) {
+        return s.find("worst_case_us") != std::string::npos;
+      });
+    };
+    const VerifyOptions without{.executions = 0, .schedules = 0};
+    EXPECT_EQ(about(without, &Verification::shown), levels == 3);
+    EXPECT_EQ(about({}, &Verification::lies), levels == 2) << "an execution is longer";
+  }
+}
+
 TEST(Verify, ItsCertificateIsNeverExceeded) {
   // Priorities by finish, iterated: where the checker certifies, no execution is longer.
   Dice dice(5);
