@@ -12,5 +12,7 @@ inline constexpr const char* kDlaNodes[] = {"/dev/nvhost-ctrl-nvdla0", "/dev/nvh
 inline constexpr const char* kRmNodes[] = {"/dev/nvidiactl"};
 /// amdkfd likewise.
 inline constexpr const char* kKfdNodes[] = {"/dev/kfd"};
+/// i915's nodes look like any driver's; its integrated GPU is always this device.
+inline constexpr const char* kI915Nodes[] = {"/sys/bus/pci/drivers/i915/0000:00:02.0"};
 
 }  // namespace xauto::kernel

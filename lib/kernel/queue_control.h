@@ -22,6 +22,7 @@ enum class QueueType : std::uint32_t {
   // Not xauto.ko's:
   kRmGroup = 0x100,  ///< a channel group of NVIDIA's RM
   kKfdQueue,         ///< a queue of amdkfd's
+  kI915Context,      ///< a context of i915's
 };
 
 /// A queue as this connection knows it.

@@ -22,6 +22,7 @@
 #include "base/syscalls.h"
 #include "kernel/descriptor.h"
 #include "kernel/device_nodes.h"
+#include "kernel/i915_contexts.h"
 #include "kernel/kfd_queues.h"
 #include "kernel/rm_queues.h"
 
@@ -133,16 +134,25 @@ Result<std::vector<QueueFile>> find_own_queues() {
   std::erase_if(all, [](const QueueFile& file) XAUTO_REQUIRES(duplicates().mutex) {
     return duplicates().numbers.contains(file.fd);
   });
-  for (const auto find : {find_rm_groups, find_kfd_queues})
+  for (const auto find : {find_rm_groups, find_kfd_queues, find_i915_contexts})
     for (QueueFile& file : find()) all.push_back(std::move(file));
   return all;
 }
 
 bool is_open(const QueueFile& file) {
-  if (file.type == QueueType::kRmGroup || file.type == QueueType::kKfdQueue) {
-    const std::vector<QueueFile> all =
-        file.type == QueueType::kRmGroup ? find_rm_groups() : find_kfd_queues();
+  const auto is_among = [&](const std::vector<QueueFile>& all) {
     return std::find(all.begin(), all.end(), file) != all.end();
+  };
+  switch (file.type) {
+    case QueueType::kRmGroup:
+      return is_among(find_rm_groups());
+    case QueueType::kKfdQueue:
+      return is_among(find_kfd_queues());
+    case QueueType::kI915Context:
+      return is_among(find_i915_contexts());
+    case QueueType::kGpuTsg:
+    case QueueType::kDla:
+      break;
   }
   return leads_to(file.fd, file.target);
 }

@@ -63,7 +63,7 @@ class Duplicate {
 
 /// Types of queues that a context on a GPU may have.
 inline constexpr QueueType kGpuQueues[] = {QueueType::kGpuTsg, QueueType::kRmGroup,
-                                           QueueType::kKfdQueue};
+                                           QueueType::kKfdQueue, QueueType::kI915Context};
 /// Where nobody sees what this process opens.
 inline constexpr const char* kWatchHint =
     "start it by `xauto run`, or with LD_PRELOAD=libxauto_watch.so, or plan with \"preemptive\": "

@@ -101,13 +101,13 @@ bool real_and_used(const Session& session, std::size_t x) {
                      [&](const Placement& p) { return p.xpu == static_cast<int>(x); });
 }
 
-/// By whom XPUs are suspended, where that says less than a plan would like.
+/// Who schedules work on XPUs, where that says less than a plan would like.
 void note_caveats(const Session& session, std::string& note) {
   for (std::size_t x = 0; x < session.platform.xpus.size(); ++x) {
     const Xpu& xpu = session.platform.xpus[x];
     if (!real_and_used(session, x)) continue;
     if (const std::string caveat = xpu::caveat_of(xpu, false); !caveat.empty())
-      add_note(note, "work on " + xpu.id + " is suspended " + caveat);
+      add_note(note, "work on " + xpu.id + " is " + caveat);
   }
 }
 

@@ -87,6 +87,8 @@ inline constexpr int kCpuLowered = 1, kCpuAdmitted = 2, kCpuAsks = 3;
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_rm(const XpuId& xpu);
 /// A GPU of amdkfd, likewise (kfd.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_kfd(const XpuId& xpu);
+/// A GPU of i915, likewise; it has levels (i915.cc).
+[[nodiscard]] Result<std::unique_ptr<Backend>> make_i915(const XpuId& xpu);
 /// XPUs that cannot be preempted: both calls are refused (gate.cc).
 [[nodiscard]] Result<std::unique_ptr<Backend>> make_gate();
 

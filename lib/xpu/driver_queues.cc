@@ -94,6 +94,22 @@ class DriverQueues final : public Backend {
     return door_->resume(handles(it->second));
   }
 
+  Status level(const SchedHandle& handle, int level) override {
+    const Guard lock(mutex_);
+    const auto it = contexts_.find(handle.value());
+    if (it == contexts_.end())
+      return fail(ErrorCode::kInternal, "a level for a context that was never attached");
+    Context& context = it->second;
+    XAUTO_TRY(refuse(handle.value(), context));
+    if (generation_ != all_.generation()) XAUTO_TRY(take_what_is_new());
+    context.level = level;
+    Status done = door_->level(handles(context), level);
+    if (!done && done.error().code == ErrorCode::kUnavailable &&
+        renew(handle.value(), context).value_or(false))
+      done = door_->level(handles(context), level);
+    return done;
+  }
+
   Status still_wanted() override {
     const Guard lock(mutex_);
     return door_->still_wanted();
@@ -132,6 +148,7 @@ class DriverQueues final : public Backend {
   struct Context {
     std::vector<Queue> queues;
     int stages = 0, ran = 0;  ///< whose `init` returned it; that have run once
+    int level = -1;           ///< that was told, of a driver that has levels
     int unseen = 0;           ///< suspensions since the last look at what it has opened
     bool suspended = false;
     bool gated = false, shared = false;  ///< told
@@ -162,6 +179,7 @@ class DriverQueues final : public Backend {
       count(&ContextCounts::partial, context.unseen);
       context.unseen = 0;
       if (context.suspended) XAUTO_TRY(door_->suspend({handle}));
+      if (context.level >= 0) XAUTO_TRY(door_->level({handle}, context.level));
     }
     return {};
   }
@@ -193,9 +211,9 @@ class DriverQueues final : public Backend {
     if (!context.shared) {
       context.shared = true;
       count(&ContextCounts::shared, 1);
-      log::warn("two {}, so neither is suspended", which_.type == QueueType::kDla
-                                                       ? "cuDLA handles have one queue"
-                                                       : "modules have one GPU context");
+      log::warn("two {}, so neither is scheduled on its own", which_.type == QueueType::kDla
+                                                                  ? "cuDLA handles have one queue"
+                                                                  : "modules have one GPU context");
     }
     return fail(ErrorCode::kUnavailable, "its queue is another's, too");
   }

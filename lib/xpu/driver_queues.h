@@ -29,6 +29,8 @@ class QueueDoor {
   /// was closed; kTimeout: it did not leave its engine.
   [[nodiscard]] virtual Status suspend(const std::vector<Handle>& handles) = 0;
   [[nodiscard]] virtual Status resume(const std::vector<Handle>& handles) = 0;
+  /// Of a driver that suspends nothing: Backend::level.
+  [[nodiscard]] virtual Status level(const std::vector<Handle>&, int /*level*/) { return {}; }
   /// It did not leave its engine in time so often that nobody tries any more.
   [[nodiscard]] virtual bool gated(Handle handle) = 0;
   /// Backend::still_wanted, again_ms.

@@ -6,6 +6,7 @@
 #include <sys/stat.h>
 
 #include "kernel/device_nodes.h"
+#include "kernel/i915_contexts.h"
 
 namespace xauto::xpu {
 namespace {
@@ -23,7 +24,7 @@ std::vector<std::string> nodes(const char* const (&list)[N]) {
 }
 
 constexpr const char* kByItself =
-    "by each process itself: one that hangs resumes nobody until it is killed";
+    "suspended by each process itself: one that hangs resumes nobody until it is killed";
 
 }  // namespace
 
@@ -61,6 +62,21 @@ const std::vector<Kind>& kinds() {
        .what = "an AMD GPU under ROCm",
        .driver = "amdkfd",
        .advice = "needs amdgpu with amdkfd"},
+      // Nobody has measured these costs either. i915 reads a context's priority when it queues.
+      {.type = "gpu",
+       .nodes = nodes(kernel::kI915Nodes),
+       .ways = {{.name = "i915",
+                 .discipline = Discipline::kLevels,
+                 .backend = make_i915,
+                 .levels = kernel::i915_levels,
+                 .watched = true,
+                 .caveat = "put on priority levels by each process itself, and preempted by the "
+                           "hardware: other programs' contexts have levels, too"}},
+       .preempt_us = 1000,
+       .timeslice_us = 1000,
+       .what = "an Intel GPU",
+       .driver = "i915",
+       .advice = "needs an Intel processor's GPU under i915"},
       {.type = "dla",
        .nodes = nodes(kernel::kDlaNodes),
        .ways = {{.name = "xauto.ko",
@@ -84,10 +100,9 @@ std::vector<kernel::Device> devices(const std::vector<Kind>& table) {
       devices.push_back({kind.type, kind.nodes, kind.what, kind.driver, kind.advice,
                          [kind](const std::string& root) {
                            const Way* way = way_of(kind, root);
-                           if (way == nullptr)
+                           if (way == nullptr || (way->levels != nullptr && way->levels() < 2))
                              return std::string("gated: nobody can suspend its work");
-                           return "suspended " +
-                                  (way->caveat.empty() ? "by " + way->name : way->caveat);
+                           return way->caveat.empty() ? "suspended by " + way->name : way->caveat;
                          }});
   return devices;
 }

@@ -29,8 +29,9 @@ struct Way {
   bool (*there)(const std::string& root) = nullptr;
   /// Of Discipline::kLevels: how many levels the hardware gives this process; 0: no order is kept.
   int (*levels)() = nullptr;
-  bool watched = false;     ///< libxauto_watch.so must be in the app's process
-  std::string caveat = {};  ///< what it cannot promise, for `xauto doctor` and the report
+  bool watched = false;  ///< libxauto_watch.so must be in the app's process
+  /// What it cannot promise, for `xauto doctor` and the report: "suspended by ...: ...".
+  std::string caveat = {};
 };
 
 struct Kind {
@@ -72,8 +73,8 @@ struct Kind {
 [[nodiscard]] int levels_of(const Xpu& xpu, bool emulated,
                             const std::vector<Kind>& table = kinds());
 
-/// What cannot be promised of it in such a run, though it is preemptive: "by each process itself:
-/// ...", or "".
+/// What cannot be promised of it in such a run, though it is preemptive: "suspended by each process
+/// itself: ...", or "".
 [[nodiscard]] std::string caveat_of(const Xpu& xpu, bool emulated,
                                     const std::vector<Kind>& table = kinds());
 

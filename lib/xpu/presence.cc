@@ -144,7 +144,14 @@ Platform platform_of(const Machine& machine, const std::string& name,
         platform.xpus.push_back({"cpu" + std::to_string(i), "cpu"});
     if (kind.nodes.empty() || &kind_of(kind.type, table) != &kind) continue;
     platform.xpus.push_back({kind.type + "0", kind.type, true, kind.preempt_us, kind.timeslice_us});
-    if (!machine.devices.contains(kind.type)) platform.xpus.back().emulated = true;
+    Xpu& xpu = platform.xpus.back();
+    if (!machine.devices.contains(kind.type)) {
+      xpu.emulated = true;
+    } else if (const Way* way = way_of(kind); way != nullptr && way->levels != nullptr) {
+      xpu.levels = way->levels();
+      xpu.preemptive = xpu.levels >= 2;
+      if (!xpu.preemptive) xpu.levels = 0;
+    }
   }
   return platform;
 }

@@ -52,7 +52,7 @@ int install_filter() {
   load(offsetof(seccomp_data, args[1]));
   code.push_back(BPF_STMT(BPF_ALU | BPF_RSH | BPF_K, 8));
   code.push_back(BPF_STMT(BPF_ALU | BPF_AND | BPF_K, 0xff));
-  for (const char type : {'G', 'T', 'H', 'D', 'F', 'K'})
+  for (const char type : {'G', 'T', 'H', 'D', 'F', 'K', 'd'})
     notify_if(static_cast<std::uint32_t>(type));
   code.push_back(BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW));
   sock_fprog program{static_cast<unsigned short>(code.size()), code.data()};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs a command, and all that it starts, on drivers of user space: on_devices nvgpu|rm|kfd STATE COMMAND...
-// STATE is a file that says what they know, in a line of JSON, written anew many times a second.
+// Runs a command, and all that it starts, on drivers of user space: on_devices nvgpu|rm|kfd|i915 STATE
+// COMMAND... STATE is a file that says what they know, in a line of JSON, written anew many times a second.
 // Ends as the command did.
 #include <cstdio>
 #include <cstring>
@@ -10,6 +10,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "i915.h"
 #include "kernel.h"
 #include "kfd.h"
 #include "nvgpu.h"
@@ -21,14 +22,16 @@ struct Devices {
   devices::NvgpuState nvgpu;
   devices::RmState rm;
   devices::KfdState kfd;
+  devices::I915State i915;
 
   [[nodiscard]] std::string json() const {
-    int suspensions = rm.disables + kfd.taken_off;
+    int suspensions = rm.disables + kfd.taken_off + i915.preemptions;
     for (const auto& [id, tsg] : nvgpu.tsgs) suspensions += tsg.disables;
-    const int queues = static_cast<int>(nvgpu.tsgs.size() + kfd.queues.size()) +
-                       rm.channels(false) + rm.channels(true);
-    const int suspended =
-        nvgpu.disabled() + rm.channels(true) + static_cast<int>(kfd.queues.size()) - kfd.active();
+    const int queues =
+        static_cast<int>(nvgpu.tsgs.size() + kfd.queues.size() + i915.contexts.size()) +
+        rm.channels(false) + rm.channels(true);
+    const int suspended = nvgpu.disabled() + rm.channels(true) +
+                          static_cast<int>(kfd.queues.size()) - kfd.active() + i915.preempted();
     return "{\"queues\": " + std::to_string(queues) +
            ", \"suspended\": " + std::to_string(suspended) +
            ", \"suspensions\": " + std::to_string(suspensions) + "}\n";
@@ -39,7 +42,7 @@ struct Devices {
 
 int main(int argc, char** argv) {
   if (argc < 4) {
-    std::fprintf(stderr, "on_devices nvgpu|rm|kfd STATE COMMAND...\n");
+    std::fprintf(stderr, "on_devices nvgpu|rm|kfd|i915 STATE COMMAND...\n");
     return 2;
   }
   if (const std::string why = devices::Kernel::missing(); !why.empty()) {
@@ -51,6 +54,7 @@ int main(int argc, char** argv) {
   std::shared_ptr<devices::Driver> driver = std::make_shared<devices::Nvgpu>(all.nvgpu);
   if (which == "rm") driver = std::make_shared<devices::Rm>(all.rm);
   if (which == "kfd") driver = std::make_shared<devices::Kfd>(all.kfd);
+  if (which == "i915") driver = std::make_shared<devices::I915>(all.i915);
   devices::Kernel kernel({driver});
   const pid_t child = kernel.fork([&] {
     execvp(argv[3], argv + 3);

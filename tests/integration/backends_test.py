@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""GPUs without xauto.ko: a whole run whose processes suspend their own queues, over drivers of user space
-(tests/devices). Nothing is left suspended, whoever is killed, and who suspends is said."""
+"""GPUs without xauto.ko: a whole run whose processes suspend their own queues, or put them on levels of the
+hardware, over drivers of user space (tests/devices). Nothing is left suspended, whoever is killed, and who suspends
+is said."""
 import json
 import os
 import pathlib
@@ -12,7 +13,7 @@ import unittest
 
 from common import BIN, XAUTO, alive, children_of, wait_for, xauto
 
-DRIVERS = ("nvgpu", "rm", "kfd")
+DRIVERS = ("nvgpu", "rm", "kfd", "i915")
 APP = {
     "schema": "xauto.app", "version": 2, "name": "queues", "clocks": [],
     "sources": [{"name": "quick", "rate_hz": 50, "jitter_us": 1000}, {"name": "slow", "rate_hz": 5, "offset_us": 5000, "jitter_us": 1000}],
@@ -23,7 +24,7 @@ APP = {
     "chains": [{"name": "quick", "from": "quick", "to": "quick.run", "deadline_us": 20000},
                {"name": "slow", "from": "slow", "to": "slow.run", "deadline_us": 200000}]}
 PLATFORM = {"schema": "xauto.platform", "version": 1, "name": "test", "xpus": [
-    {"id": "gpu0", "type": "gpu", "preemptive": True, "preempt_us": 100, "timeslice_us": 1000}]}
+    {"id": "gpu0", "type": "gpu", "preemptive": True, "preempt_us": 100, "timeslice_us": 1000, "levels": 2}]}
 
 
 class Backends(unittest.TestCase):
@@ -84,9 +85,10 @@ class Backends(unittest.TestCase):
                     self.skipTest(tool.communicate()[1])
                 self.until(tool, "suspensions", lambda now: now["suspensions"] > 8)
                 run, err = self.end(tool)
-                self.assertIn("work on gpu0 is suspended by each process itself", " ".join(run["notes"]), err)
+                who = "put on priority levels" if driver == "i915" else "suspended"
+                self.assertIn(f"work on gpu0 is {who} by each process itself", " ".join(run["notes"]), err)
                 doubts = run.get("contexts", {})
-                self.assertEqual([doubts.get(d, 0) for d in ("unclaimed", "assumed", "shared", "gated", "held_up")], [0] * 5)
+                self.assertEqual([doubts.get(d, 0) for d in ("unclaimed", "assumed", "shared", "gated", "held_up", "misplaced")], [0] * 6)
 
     def test_the_coordinator_is_killed_while_work_is_suspended(self):
         for driver in DRIVERS:

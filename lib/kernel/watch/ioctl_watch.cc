@@ -16,12 +16,14 @@
 #include <unistd.h>
 
 #include "kernel/descriptor.h"
+#include "kernel/i915.h"
 #include "kernel/kfd.h"
 #include "kernel/rm.h"
 #include "kernel/watch/watch.h"
 
 namespace {
 
+namespace i915 = xauto::kernel::i915;
 namespace kfd = xauto::kernel::kfd;
 namespace rm = xauto::kernel::rm;
 
@@ -189,6 +191,59 @@ void saw_kfd(int fd, unsigned number, std::size_t size, const void* argument) {
     queues().destroyed(static_cast<const kfd::DestroyQueue*>(argument)->queue);
 }
 
+/// The contexts of i915's files. A file that is closed takes its own with it, and nobody is told:
+/// what another file has got its number for is i915's or not by its link.
+class Contexts {
+ public:
+  void made(int fd, std::uint32_t id) {
+    xauto_watched_i915_context context{fd, id, 0, {}};
+    const std::string_view node = xauto::kernel::link_of(fd, context.node, sizeof context.node);
+    if (!node.starts_with(i915::kFolder) || !i915::is_i915(fd, ask)) return;
+    context.node[node.size()] = 0;
+    const std::lock_guard lock(mutex_);
+    context.made = ++made_;
+    contexts_[{fd, id}] = context;
+  }
+
+  void destroyed(int fd, std::uint32_t id) {
+    const std::lock_guard lock(mutex_);
+    contexts_.erase({fd, id});
+  }
+
+  std::size_t list(xauto_watched_i915_context* to, std::size_t room) {
+    const std::lock_guard lock(mutex_);
+    std::erase_if(contexts_,
+                  [](const auto& entry) { return !leads_to(entry.second.fd, entry.second.node); });
+    std::size_t n = 0;
+    for (const auto& [key, context] : contexts_) {
+      if (n < room) to[n] = context;
+      ++n;
+    }
+    return n;
+  }
+
+ private:
+  static long ask(int fd, unsigned long request, void* argument) {
+    return syscall(SYS_ioctl, fd, request, argument);
+  }
+  std::mutex mutex_;
+  std::uint32_t made_ = 0;
+  std::map<std::pair<int, std::uint32_t>, xauto_watched_i915_context> contexts_;
+};
+
+Contexts& contexts() {
+  static Contexts& contexts = *new Contexts;
+  return contexts;
+}
+
+void saw_drm(int fd, unsigned number, std::size_t size, const void* argument) {
+  if (size < sizeof(i915::Context)) return;
+  if (number == i915::kCreate)
+    contexts().made(fd, static_cast<const i915::Context*>(argument)->id);
+  else if (number == i915::kDestroy)
+    contexts().destroyed(fd, static_cast<const i915::Context*>(argument)->id);
+}
+
 using Ioctl = int (*)(int, unsigned long, ...);
 
 /// libc's, or who else stands before it.
@@ -219,6 +274,8 @@ __attribute__((visibility("default"))) int ioctl(int fd, unsigned long request, 
     saw_rm(fd, _IOC_NR(request), _IOC_SIZE(request), argument);
   if (result == 0 && _IOC_TYPE(request) == kfd::kType)
     saw_kfd(fd, _IOC_NR(request), _IOC_SIZE(request), argument);
+  if (result == 0 && _IOC_TYPE(request) == i915::kType)
+    saw_drm(fd, _IOC_NR(request), _IOC_SIZE(request), argument);
   return result;
 }
 
@@ -230,6 +287,11 @@ __attribute__((visibility("default"))) std::size_t xauto_watched_channels_1(
 __attribute__((visibility("default"))) std::size_t xauto_watched_kfd_queues_1(
     xauto_watched_kfd_queue* to, std::size_t room) {
   return queues().list(to, room);
+}
+
+__attribute__((visibility("default"))) std::size_t xauto_watched_i915_contexts_1(
+    xauto_watched_i915_context* to, std::size_t room) {
+  return contexts().list(to, room);
 }
 
 __attribute__((visibility("default"))) void xauto_watched_client_is_gone_1(std::uint32_t client) {

@@ -2,11 +2,11 @@
 // Two modules on a GPU, each with a context of two queues of a driver, made with the driver's own
 // ioctls as CUDA or ROCm would: tests/devices has such drivers.
 //
-//   queuesapp nvgpu|rm|kfd HOLD
+//   queuesapp nvgpu|rm|kfd|i915 HOLD
 //
 // A job of `slow` lasts until one of `quick`, which is more urgent, has run; or for 200 ms, for one
 // that is late is the more urgent itself. One of `quick` that meets such a job lasts while the file
-// HOLD is there.
+// HOLD is there. On i915 a job is a request in each queue, which is done when the job is.
 #include <atomic>
 #include <chrono>
 #include <cstdint>
@@ -75,6 +75,38 @@ void open_kfd() {
   }
 }
 
+struct I915Request {
+  int fd;
+  std::uint32_t context;
+  void queue() const {
+    const std::uint32_t object[14] = {context};  // one that has its number
+    struct {
+      std::uint64_t objects;
+      std::uint32_t count = 1, rest[7] = {};
+      std::uint64_t flags = 0, context, pad = 0;
+    } args{.objects = reinterpret_cast<std::uintptr_t>(object), .context = context};
+    static_assert(sizeof args == 64);
+    call(fd, 0x40406469, args);
+  }
+  void wait() const {
+    struct {
+      std::uint32_t object, flags = 0;
+      std::int64_t timeout = -1;
+    } args{.object = context};
+    call(fd, 0xc010646c, args);
+  }
+};
+std::vector<I915Request> g_requests[2];  ///< quick's, slow's
+
+void open_i915(std::vector<I915Request>& requests) {
+  const int fd = node("/dev/dri/renderD128");
+  for (int i = 0; i < 2; ++i) {
+    std::uint32_t context[2] = {};
+    call(fd, 0xc008646d, context);
+    requests.push_back({fd, context[0]});
+  }
+}
+
 struct State {
   int done = 0;
 };
@@ -87,16 +119,21 @@ std::string g_driver, g_hold;
 void add(xauto::App& app, const std::string& name, std::chrono::milliseconds period) {
   const xauto::Topic<int> in(name), out(name + "/out");
   app.add_source(in, period, [](std::uint64_t k) { return static_cast<int>(k); });
+  const int which = name == "quick" ? 0 : 1;
   xauto::XNode<State> node(name + ".run");
   node.add_impl(
       xauto::XPU::GPU,
-      [name](const xauto::XpuId&) {
-        (g_driver == "rm" ? open_rm : g_driver == "kfd" ? open_kfd : open_nvgpu)();
+      [which](const xauto::XpuId&) {
+        if (g_driver == "i915")
+          open_i915(g_requests[which]);
+        else
+          (g_driver == "rm" ? open_rm : g_driver == "kfd" ? open_kfd : open_nvgpu)();
         static int contexts[2];
-        return xauto::SchedHandle::cuda_context(&contexts[name == "quick" ? 0 : 1]);
+        return xauto::SchedHandle::cuda_context(&contexts[which]);
       },
-      [name](State& state, const xauto::Input&) {
-        if (name == "slow") {
+      [which](State& state, const xauto::Input&) {
+        for (const I915Request& request : g_requests[which]) request.queue();
+        if (which == 1) {
           g_slow = true;
           const auto limit = std::chrono::steady_clock::now() + 200ms;
           for (const int before = g_quick;
@@ -111,6 +148,7 @@ void add(xauto::App& app, const std::string& name, std::chrono::milliseconds per
           g_holds = false;
           ++g_quick;
         }
+        for (const I915Request& request : g_requests[which]) request.wait();
         ++state.done;
         return xauto::Status();
       });
