@@ -69,7 +69,7 @@ Result<std::string> workload_part(const Flags& flags, std::vector<Measured>& all
             }))
           continue;
         XAUTO_ASSIGN(const Platform platform, load_platform(name));
-        XAUTO_ASSIGN(const AppSpec app, workload(nodes, seed, flags.settings));
+        XAUTO_ASSIGN(const AppSpec app, workload(nodes, seed, flags.settings, platform));
         XAUTO_ASSIGN(Measured m, measure(app, platform, flags.settings));
         m.seed = seed;
         lines << json_line(m) << std::flush;
@@ -99,7 +99,8 @@ Result<std::string> scaling_part(const Flags& flags) {
     for (const std::string& name : flags.platforms)
       for (int k = 1; k <= flags.scaling_apps; ++k) {
         XAUTO_ASSIGN(const Platform platform, load_platform(name));
-        XAUTO_ASSIGN(const AppSpec app, workload(nodes, static_cast<std::uint64_t>(k), settings));
+        XAUTO_ASSIGN(const AppSpec app,
+                     workload(nodes, static_cast<std::uint64_t>(k), settings, platform));
         XAUTO_ASSIGN(Measured m, measure(app, platform, settings));
         m.seed = static_cast<std::uint64_t>(k);
         lines += json_line(m);
@@ -124,7 +125,7 @@ Result<std::string> yardstick_part(const Flags& flags) {
     AppSpec app;
     std::uint64_t dag = 0;
     for (bool easy = true; easy && dag < 50;) {
-      XAUTO_ASSIGN(app, workload(nodes, ++dag, flags.settings));
+      XAUTO_ASSIGN(app, workload(nodes, ++dag, flags.settings, platform));
       Settings quick = flags.settings;
       quick.time_limit_s = 0.2;
       XAUTO_ASSIGN(const Measured m, measure(app, platform, quick));

@@ -10,6 +10,8 @@
 #include "solver/simulate.h"
 #include "solver/solve.h"
 
+#include "bench/synthetic/emulate.h"
+
 namespace xauto::bench {
 namespace {
 
@@ -32,13 +34,21 @@ AppSpec fastest_only(const AppSpec& app, const Platform& platform) {
 
 }  // namespace
 
-Result<AppSpec> workload(int nodes, std::uint64_t seed, const Settings& settings) {
+Result<AppSpec> workload(int nodes, std::uint64_t seed, const Settings& settings,
+                         const Platform& platform) {
   solver::GenerateOptions options;
   options.nodes = nodes;
   options.seed = seed * 1000 + static_cast<std::uint64_t>(nodes);
   options.max_depth = nodes <= 40 ? settings.max_depth : 0;
   options.fork_join = settings.fork_join;
-  return solver::generate(options);
+  XAUTO_ASSIGN(AppSpec app, solver::generate(options));
+  if (platform.instances_of("dla").empty() && !platform.instances_of("npu").empty())
+    for (XNodeSpec& xnode : app.xnodes)
+      if (auto dla = xnode.wcet_us.extract("dla"); !dla.empty()) {
+        dla.key() = "npu";
+        xnode.wcet_us.insert(std::move(dla));
+      }
+  return app;
 }
 
 Result<Measured> measure(const AppSpec& app, const Platform& platform, const Settings& settings) {
@@ -73,6 +83,7 @@ Result<Measured> measure(const AppSpec& app, const Platform& platform, const Set
   m.solve_s = std::chrono::duration<double>(Clock::now() - began).count();
   m.xauto = policy.latency_us;
   m.bound = policy.lower_bound_us;
+  if (const auto emulated = emulate(app, platform, policy)) m.emulated = emulated->latency_us;
   m.optimal = policy.optimal;
   m.certified = report.certified_us > 0
                     ? std::max(report.certified_us, policy.order.empty() ? 0 : policy.latency_us)

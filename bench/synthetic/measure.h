@@ -28,6 +28,7 @@ struct Measured {
   std::int64_t ros2_slices = 0;  ///< the same with the platform's time slice and switch cost
   std::int64_t heft = 0;
   std::int64_t xauto = 0;
+  std::int64_t emulated = 0;   ///< XAuto's policy on the emulated XPUs; 0: not measured
   std::int64_t bound = 0;      ///< proven
   std::int64_t certified = 0;  ///< least certified worst case found; 0: none
   std::int64_t unscheduled_ideal = 0, unscheduled_slices = 0;  ///< XAuto's assignment, time sharing
@@ -43,8 +44,10 @@ struct Measured {
   }
 };
 
-/// The workload's DAG `seed` of a group of `nodes`.
-[[nodiscard]] Result<AppSpec> workload(int nodes, std::uint64_t seed, const Settings& settings);
+/// The workload's DAG `seed` of a group of `nodes`. On a platform with an NPU and no DLA, what runs
+/// on a DLA runs on the NPU.
+[[nodiscard]] Result<AppSpec> workload(int nodes, std::uint64_t seed, const Settings& settings,
+                                       const Platform& platform);
 [[nodiscard]] Result<Measured> measure(const AppSpec& app, const Platform& platform,
                                        const Settings& settings);
 

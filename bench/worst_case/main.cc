@@ -25,6 +25,7 @@ struct Flags {
   std::int64_t executions = 20'000;
   double time_limit_s = 0.1;
   std::uint64_t seed = 1;
+  std::string platform;  ///< empty: small and large, and both without preemption
 };
 
 struct Totals {
@@ -60,11 +61,14 @@ void draw(solver::Random& random, std::uint64_t kind, const std::vector<solver::
 Status attack(const Flags& flags, int number, Totals& totals) {
   constexpr int kSizes[] = {10, 15, 20, 25, 30, 35, 40};
   Settings settings;
-  XAUTO_ASSIGN(const AppSpec app,
-               workload(kSizes[number % 7],
-                        10'000 + flags.seed * 1000 + static_cast<std::uint64_t>(number), settings));
-  XAUTO_ASSIGN(Platform platform, load_platform(number / 7 % 2 == 0 ? "small" : "large"));
-  if (number / 14 % 3 == 2)  // a third: the accelerators cannot preempt
+  XAUTO_ASSIGN(Platform platform, load_platform(!flags.platform.empty() ? flags.platform
+                                                : number / 7 % 2 == 0   ? "small"
+                                                                        : "large"));
+  XAUTO_ASSIGN(
+      const AppSpec app,
+      workload(kSizes[number % 7], 10'000 + flags.seed * 1000 + static_cast<std::uint64_t>(number),
+               settings, platform));
+  if (flags.platform.empty() && number / 14 % 3 == 2)  // a third: the accelerators cannot preempt
     for (Xpu& xpu : platform.xpus) xpu.preemptive = xpu.type == "cpu";
   solver::SolveOptions solving;
   solving.certify = number / 42 % 2 == 0;
@@ -127,6 +131,7 @@ int main(int argc, char** argv) {
   app.option("--executions", flags.executions, "per policy").shown();
   app.option("--time-limit-s", flags.time_limit_s, "of the solver, per policy").shown();
   app.option("--seed", flags.seed).shown();
+  app.option("--platform", flags.platform, "this one instead of small and large");
   if (const auto exit = app.parse(argc, argv)) return *exit;
   xauto::bench::Totals t[2];  // certified methods, plain ones
   const auto began = std::chrono::steady_clock::now();

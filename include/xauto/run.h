@@ -26,7 +26,7 @@ class RunOptions {
   RunOptions& app(std::string path_or_text);
   /// policy.json, likewise. Needed unless the scheduling is "ros2".
   RunOptions& policy(std::string path_or_text);
-  /// "small", "large", a platform.json, or its text. Default: "small".
+  /// "small", "large", "core-ultra", a platform.json, or its text. Default: "small".
   RunOptions& platform(std::string name_or_path_or_text);
   /// deployment.json, likewise. Its modules must stay in one process.
   RunOptions& deployment(std::string path_or_text);

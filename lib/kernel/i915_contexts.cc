@@ -13,7 +13,6 @@
 #include "base/unique_fd.h"
 #include "kernel/i915.h"
 #include "kernel/watched.h"
-#include "model/platform.h"
 
 namespace xauto::kernel {
 namespace {
@@ -104,7 +103,7 @@ int i915_levels() {
     if (!fd || !i915::is_i915(fd.get(), ask)) continue;
     const std::int32_t has = scheduler_of(fd.get());
     if ((has & i915::kPriorities) == 0 || (has & i915::kPreemption) == 0) return 0;
-    if ((has & i915::kThreeBuckets) == 0) return std::min(1 - i915::kLeastPriority, kMaxLevels);
+    if ((has & i915::kThreeBuckets) == 0) return 1 - i915::kLeastPriority;
     return may_have_most(fd.get()) ? 3 : 2;
   }
   return 0;

@@ -57,7 +57,7 @@ inline constexpr int kMaxJsonDepth = 64;
 [[nodiscard]] Result<AppSpec> load_app(const std::string& path);
 /// Either version.
 [[nodiscard]] Result<AppSpec> load_any_app(const std::string& path);
-/// `name_or_path`: a built-in name ("small", "large") or a platform.json.
+/// `name_or_path`: a built-in name ("small", "large", "core-ultra") or a platform.json.
 [[nodiscard]] Result<Platform> load_platform(const std::string& name_or_path);
 [[nodiscard]] Result<Profile> load_profile(const std::string& path);
 [[nodiscard]] Result<Policy> load_policy(const std::string& path, const AppSpec& app,

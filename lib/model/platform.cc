@@ -31,6 +31,14 @@ Result<Platform> Platform::builtin(std::string_view name) {
     for (int i = 0; i < count; ++i)
       platform.xpus.push_back({"cpu" + std::to_string(i), "cpu", true, 0, 0, -1});
   };
+  Platform platform;
+  platform.name = name;
+  if (name == "core-ultra") {
+    add_cpus(platform, 6);
+    platform.xpus.push_back({"gpu0", "gpu", true, 275, 1000, -1, 3});
+    platform.xpus.push_back({"npu0", "npu", false, 0, 1000, -1});
+    return platform;
+  }
   int cpus = 0, dlas = 0;
   if (name == "small") {
     cpus = 4;
@@ -42,8 +50,6 @@ Result<Platform> Platform::builtin(std::string_view name) {
     return fail(ErrorCode::kNotFound, "no built-in platform '" + std::string(name) + "'", {},
                 std::string("use ") + kPlatformNames);
   }
-  Platform platform;
-  platform.name = name;
   add_cpus(platform, cpus);
   platform.xpus.push_back({"gpu0", "gpu", true, 275, 1000, -1});
   for (int i = 0; i < dlas; ++i)

@@ -53,6 +53,9 @@ class Flow(unittest.TestCase):
             self.assertIn("/xpus/4/levels: XPU 'gpu0' has 3 levels", refused.stdout + refused.stderr)
         self.good("solve", *platform(3), "--method", "heft", "--out", self.path("p.json"))
         self.good("check", *platform(3), "--policy", self.path("p.json"))
+        self.good("solve", "--app", APP, "--platform", "core-ultra", "--max-evaluations", 2000, "--threads", 1,
+                  "--time-limit-s", 60, "--out", self.path("intel.json"))
+        self.good("check", "--app", APP, "--platform", "core-ultra", "--policy", self.path("intel.json"))
         run = json.loads(self.good("run", *platform(3), "--policy", self.path("p.json"), "--emulate", "--lockstep",
                                    "--activations", 20, "--trace-out", self.path("t.pftrace"), "--json", "--",
                                    DRIVING))["runs"][0]

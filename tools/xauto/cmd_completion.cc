@@ -18,7 +18,7 @@ std::string joined(const std::vector<std::string>& words) {
 
 /// Words that an option also takes, or that begin what it takes.
 const std::map<std::string, std::vector<std::string>> kMoreValues = {
-    {"--platform", {"small", "large"}},
+    {"--platform", {"small", "large", "core-ultra"}},
     {"--overload", {"newest", "skip", "queue:"}},
     {"--activation", {"worst", "median"}}};
 

@@ -95,6 +95,11 @@ TEST(Platform, BuiltInsAreThePapers) {
   EXPECT_TRUE(validate(small));
   EXPECT_TRUE(validate(large));
   EXPECT_FALSE(Platform::builtin("huge"));
+  const Platform intel = Platform::builtin("core-ultra").value();
+  EXPECT_TRUE(validate(intel));
+  EXPECT_EQ(intel.instances_of("cpu").size(), 6u);
+  EXPECT_EQ(intel.xpus[static_cast<std::size_t>(intel.find("gpu0"))].levels, 3);
+  EXPECT_FALSE(intel.xpus[static_cast<std::size_t>(intel.find("npu0"))].preemptive);
 }
 
 TEST(ValidateOn, InVersion2AsManyActivationsAsAnXpuHasLevelsAndNoMore) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The simulator's time-sharing models and the emulated devices are two programs for one text of
 // rules. Here random apps run on both, in virtual time, and must finish every XNode at the same
-// microsecond.
+// microsecond. So do the simulator of policies, and those devices under the coordinator's decisions.
 #include <algorithm>
 #include <limits>
 #include <map>
@@ -11,6 +11,9 @@
 
 #include "emu/machine.h"
 #include "solver/simulate.h"
+#include "solver/solve.h"
+
+#include "bench/synthetic/emulate.h"
 
 namespace xauto {
 namespace {
@@ -93,6 +96,68 @@ void compare(solver::Model model) {
               simulated.finish)
         << "seed " << seed;
   }
+}
+
+/// Policies of random priorities and some order, where a preemption costs nothing: how the cost of one
+/// within another is paid differs by a rule of the devices.
+TEST(EmulationAgrees, UnderTheCoordinatorsDecisionsWithTheRuleThatPoliciesArePlannedBy) {
+  int preemptions = 0, limited = 0;
+  for (unsigned seed = 0; seed < 4000; ++seed) {
+    std::mt19937 random(seed);
+    // Jobs come to the GPU from everywhere: chains over all XPUs, with some edges between them.
+    AppSpec app;
+    app.name = "chains";
+    const int chains = 4 + static_cast<int>(random() % 8);
+    for (int c = 0; c < chains; ++c)
+      for (unsigned k = 0, length = 1 + random() % 4; k < length; ++k) {
+        const int i = static_cast<int>(app.xnodes.size());
+        app.xnodes.push_back({"n" + std::to_string(i), "m" + std::to_string(c), {}});
+        // No two instants are alike: the order of what comes at one is nobody's promise.
+        for (const char* type : {"cpu", "gpu", "dla"})
+          if (random() % 2 == 0) app.xnodes.back().wcet_us[type] = 1000 + random() % 200'000;
+        if (app.xnodes.back().wcet_us.empty()) app.xnodes.back().wcet_us["gpu"] = 9'973;
+        if (k > 0) app.edges.emplace_back(i - 1, i);
+        if (i > 1 && random() % 8 == 0) app.edges.emplace_back(random() % unsigned(i - 1), i);
+      }
+    Platform platform = *Platform::builtin("small");
+    for (Xpu& xpu : platform.xpus) {
+      xpu.preempt_us = 0;
+      const unsigned kind = random() % 4;
+      if (kind == 0) xpu.preemptive = false;
+      if (kind > 1 && xpu.type != "cpu") xpu.levels = static_cast<int>(random() % 2 + 2);
+    }
+    const auto problem = solver::Problem::create(app, platform);
+    ASSERT_TRUE(problem) << problem.error().to_string();
+    solver::Decision decision;
+    std::vector<std::int64_t> priority;
+    for (int i = 0; i < problem->num_xnodes; ++i) {
+      int m;
+      do m = static_cast<int>(random() % static_cast<unsigned>(problem->num_xpus));
+      while (problem->wcet_on(i, m) == solver::kCannotRun);
+      decision.xpu.push_back(m);
+      priority.push_back(i + 1);
+    }
+    std::shuffle(priority.begin(), priority.end(), random);
+    decision.priority = priority;
+    for (int v = 0; v < problem->num_xnodes; ++v)
+      for (int u = 0; u < v; ++u)
+        if (decision.xpu[static_cast<std::size_t>(u)] ==
+                decision.xpu[static_cast<std::size_t>(v)] &&
+            random() % 12 == 0)
+          decision.order.emplace_back(u, v);
+    const solver::Simulation simulated = solver::simulate(*problem, decision);
+    const Policy policy = solver::make_policy(app, platform, *problem, decision, "random");
+    const auto emulated = bench::emulate(app, platform, policy);
+    ASSERT_TRUE(emulated) << emulated.error().to_string();
+    ASSERT_EQ(emulated->finish_us, simulated.finish) << "seed " << seed;
+    preemptions += static_cast<int>(simulated.preemptions);
+    Platform free = platform;
+    for (Xpu& xpu : free.xpus) xpu.levels = 0;
+    limited +=
+        solver::simulate(*solver::Problem::create(app, free), decision).finish != simulated.finish;
+  }
+  EXPECT_GT(preemptions, 3000);
+  EXPECT_GT(limited, 50);
 }
 
 TEST(EmulationAgrees, WithTheSimulatorsRos2Model) {
