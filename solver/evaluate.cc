@@ -287,6 +287,7 @@ void Evaluator::decide(int xpu, Time now) {
   word[k] &= word[k] - 1;
   const std::size_t i = at(sequence_[at(best)]);
   if (remaining_[i] < 0) {
+    if (problem_.levels[x] > 0 && suspended(x) > 0) cost = problem_.preempt[x];
     if constexpr (kRecord) started_at_[i] = now;
     remaining_[i] = work_[i];
   }

@@ -15,7 +15,8 @@
 //    on an idle XPU is free.
 //  * Preemptive XPU with L levels: the same as long as fewer than L of its XNodes have started and
 //    not ended. Once L have, the running one runs to its end: to preempt it, the hardware would
-//    need a level above it.
+//    need a level above it. Whoever starts while others have started and not ended pays preempt_us,
+//    also if the running one ends at that instant: the hardware goes back to them at once.
 //  * Non-preemptive XPU: the running XNode runs to its end.
 //  * Everything that finishes at one instant finishes before any XPU decides at that instant.
 //  * start = when the XNode is first put on its XPU (before preempt_us is paid); finish = its end.

@@ -96,16 +96,19 @@ class Run {
     const int i = ready.top().second;
     if (current >= 0 && d_.priority[at(i)] <= d_.priority[at(current)]) return;
     ready.pop();
+    const bool first = result_.start[at(i)] < 0;
     if (current >= 0) {
       put_off(m, now);
       wait(current);
+    }
+    if (current >= 0 || (p_.levels[at(m)] > 0 && open_[at(m)] > 0 && first)) {
       left_[at(i)] += p_.preempt[at(m)];
       switching_[at(i)] += p_.preempt[at(m)];
       ++result_.preemptions;
     }
     running_[at(m)] = i;
     since_[at(m)] = now;
-    if (result_.start[at(i)] < 0) {
+    if (first) {
       result_.start[at(i)] = now;
       ++open_[at(m)];
     }

@@ -113,8 +113,9 @@ Time Simulator::run(std::span<const Time> actual) {
         left_[at(running)] = end_[at(m)] - now;
         const int k = running - first_slot_[at(m)];
         ready_[at(first_word_[at(m)] + k / 64)] |= std::uint64_t{1} << (k % 64);
-        left_[at(slot)] += problem_.preempt[at(m)];
       }
+      if (running >= 0 || (problem_.levels[at(m)] > 0 && open_[at(m)] > 0 && !started_[at(slot)]))
+        left_[at(slot)] += problem_.preempt[at(m)];
       ready_[at(word)] &= ready_[at(word)] - 1;
       open_[at(m)] += started_[at(slot)] == 0;
       started_[at(slot)] = 1;

@@ -148,12 +148,15 @@ class ByExecution {
                                          [&](int u) { return s.done[at(u)] != 0; });
   }
 
-  /// As many XNodes have begun on x and not ended as its hardware has levels.
-  [[nodiscard]] bool full(const Moment& s, int x) const {
+  /// How many XNodes have begun on x and not ended.
+  [[nodiscard]] int open_on(const Moment& s, int x) const {
     int open = 0;
     for (int i = 0; i < w_.n; ++i)
       open += s.xpu[at(i)] == x && s.begun[at(i)] != 0 && s.done[at(i)] == 0;
-    return w_.levels[at(x)] != 0 && open >= w_.levels[at(x)];
+    return open;
+  }
+  [[nodiscard]] bool full(const Moment& s, int x) const {
+    return w_.levels[at(x)] != 0 && open_on(s, x) >= w_.levels[at(x)];
   }
 
   void visit(Moment s) {
@@ -201,7 +204,9 @@ class ByExecution {
           return;
         }
         if (s.runs[at(x)] == first) continue;
-        if (s.runs[at(x)] >= 0) s.rest[at(first)] += w_.preempt_us[at(x)];
+        if (s.runs[at(x)] >= 0 ||
+            (w_.levels[at(x)] != 0 && s.begun[at(first)] == 0 && open_on(s, x) > 0))
+          s.rest[at(first)] += w_.preempt_us[at(x)];
         s.runs[at(x)] = first;
         s.begun[at(first)] = 1;
       }

@@ -100,6 +100,9 @@ Execution execute(const World& world, const Candidate& candidate, const std::vec
         rest[at(next)] += world.preempt_us[x];
       } else {
         p.waiting.pop();
+        // Levels: what was begun below goes on at once, and is preempted.
+        const bool begins = result.start[at(next)] < 0;
+        if (world.levels[x] != 0 && p.begun > 0 && begins) rest[at(next)] += world.preempt_us[x];
       }
       p.job = next;
       p.until = now + rest[at(next)];

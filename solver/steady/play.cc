@@ -170,6 +170,7 @@ class Play {
     std::priority_queue<Ready, std::vector<Ready>, std::greater<>> ready;
     Ready running;
     bool busy = false, look = false;
+    int begun = 0;  ///< jobs that have started and not ended
     Atoms since = 0, used = 0;
     std::uint32_t stamp = 0;
   };
@@ -280,6 +281,7 @@ class Play {
     Device& d = devices_[at(w_.policy.placements[at(e.index)].xpu)];
     if (!d.busy || d.stamp != e.stamp) return;
     d.busy = false;
+    --d.begun;
     d.look = true;
     d.used += now_ - d.since;
     const Job j = job(e.index, e.activation);
@@ -368,19 +370,26 @@ class Play {
     if (d.ready.empty()) return;
     const Ready next = d.ready.top();
     Job& j = job(next.xnode, next.activation);
+    const Xpu& xpu = w_.platform.xpus[m];
+    // The hardware has gone back to the job below by the time that the next one comes.
+    const bool above = xpu.levels > 0 && d.begun > 0;
+    const bool preempts = d.busy || above;
     if (d.busy) {
-      if (!w_.platform.xpus[m].preemptive || next.key >= d.running.key) return;
+      if (!xpu.preemptive || next.key >= d.running.key) return;
       job(d.running.xnode, d.running.activation).left -= now_ - d.since;
       d.used += now_ - d.since;
       ++report_.suspended;
       ++report_.xnodes[at(d.running.xnode)].suspended;
       d.ready.pop();
       d.ready.push(d.running);
-      if (!j.started) j.left += atoms(w_.platform.xpus[m].preempt_us);
     } else {
       d.ready.pop();
     }
-    if (!j.started) read(next.xnode);
+    if (!j.started) {
+      if (preempts) j.left += atoms(xpu.preempt_us);
+      ++d.begun;
+      read(next.xnode);
+    }
     j.started = true;
     d.busy = true;
     d.running = next;

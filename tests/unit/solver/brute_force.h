@@ -93,11 +93,14 @@ class BruteForce {
            p_.levels[at(a)] == p_.levels[at(b)];
   }
 
-  [[nodiscard]] bool full(const State& s, int m) const {
+  [[nodiscard]] int open_on(const State& s, int m) const {
     int open = 0;
     for (int i = 0; i < p_.num_xnodes; ++i)
       open += s.xpu[at(i)] == m && (s.begun & bit(i) & ~s.done) != 0;
-    return p_.levels[at(m)] != 0 && open >= p_.levels[at(m)];
+    return open;
+  }
+  [[nodiscard]] bool full(const State& s, int m) const {
+    return p_.levels[at(m)] != 0 && open_on(s, m) >= p_.levels[at(m)];
   }
 
   void explore(State s) {
@@ -146,7 +149,9 @@ class BruteForce {
           return;
         }
         if (first == s.on[at(m)]) continue;
-        if (s.on[at(m)] >= 0) s.left[at(first)] += p_.preempt[at(m)];
+        if (s.on[at(m)] >= 0 ||
+            (p_.levels[at(m)] != 0 && (s.begun & bit(first)) == 0 && open_on(s, m) > 0))
+          s.left[at(first)] += p_.preempt[at(m)];
         s.on[at(m)] = first;
         s.begun |= bit(first);
       }

@@ -54,15 +54,15 @@ inline NaiveSchedule naive_simulate(const Problem& p, const Decision& d,
             best = static_cast<int>(i);
         if (best < 0 || best == on[m]) continue;
         if (on[m] >= 0 && !p.preemptive[m]) continue;
-        if (on[m] >= 0 && p.levels[m] != 0) {
-          int open = 0;
-          for (std::size_t i = 0; i < n; ++i)
-            if (static_cast<std::size_t>(d.xpu[i]) == m && result.start[i] >= 0 &&
-                result.finish[i] < 0)
-              ++open;
-          if (open == p.levels[m]) continue;
-        }
-        if (on[m] >= 0) left[static_cast<std::size_t>(best)] += p.preempt[m];
+        int open = 0;
+        for (std::size_t i = 0; i < n; ++i)
+          if (static_cast<std::size_t>(d.xpu[i]) == m && result.start[i] >= 0 &&
+              result.finish[i] < 0)
+            ++open;
+        if (on[m] >= 0 && p.levels[m] != 0 && open == p.levels[m]) continue;
+        const bool above_others =
+            p.levels[m] != 0 && open > 0 && result.start[static_cast<std::size_t>(best)] < 0;
+        if (on[m] >= 0 || above_others) left[static_cast<std::size_t>(best)] += p.preempt[m];
         on[m] = best;
         if (result.start[static_cast<std::size_t>(best)] < 0)
           result.start[static_cast<std::size_t>(best)] = now;

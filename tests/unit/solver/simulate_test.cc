@@ -68,15 +68,15 @@ TEST(Simulate, TheLastLevelsXNodeRunsToItsEnd) {
     platform.xpus[1].levels = levels;
     return simulate(*Problem::create(app, platform), d);
   };
-  // mid: 4 + 2 + 6; then the most urgent of those that wait starts, and low goes on at last.
+  // mid: 4 + 2 + 6; then the most urgent of those that wait starts above low, and pays.
   const Simulation two = of(2);
-  EXPECT_EQ(two.start, (std::vector<Time>{0, 4, 5, 0, 4, 13, 12}));
-  EXPECT_EQ(two.finish, (std::vector<Time>{4, 5, 7, 22, 12, 16, 13}));
-  EXPECT_EQ(two.preemptions, 1);
+  EXPECT_EQ(two.start, (std::vector<Time>{0, 4, 5, 0, 4, 15, 12}));
+  EXPECT_EQ(two.finish, (std::vector<Time>{4, 5, 7, 26, 12, 20, 15}));
+  EXPECT_EQ(two.preemptions, 3);
   // high preempts mid, which has run for 1: 5 + 2 + 3; urgent waits for it.
   const Simulation three = of(3);
-  EXPECT_EQ(three.finish, (std::vector<Time>{4, 5, 7, 24, 18, 10, 11}));
-  EXPECT_EQ(three.preemptions, 2);
+  EXPECT_EQ(three.finish, (std::vector<Time>{4, 5, 7, 26, 20, 10, 13}));
+  EXPECT_EQ(three.preemptions, 3);
   EXPECT_EQ(of(4).finish, of(0).finish);
   EXPECT_EQ(of(0).preemptions, 3);
 }
