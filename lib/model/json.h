@@ -16,6 +16,7 @@
 #include "model/platform.h"
 #include "model/policy.h"
 #include "model/profile.h"
+#include "model/tables.h"
 
 namespace xauto {
 
@@ -43,12 +44,22 @@ inline constexpr int kMaxJsonDepth = 64;
 [[nodiscard]] Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin,
                                                const AppSpec& app, const Platform& platform);
 
+[[nodiscard]] Result<Scenarios> parse_scenarios(std::string_view text, std::string_view origin,
+                                                const AppSpec& app, const Platform& platform,
+                                                Keys* keys = nullptr);
+[[nodiscard]] Result<Tables> parse_tables(std::string_view text, std::string_view origin,
+                                          const AppSpec& app, const Platform& platform,
+                                          Keys* keys = nullptr);
+
 [[nodiscard]] std::string to_json(const AppSpec& app);
 [[nodiscard]] std::string to_json(const Platform& platform);
 [[nodiscard]] std::string to_json(const Profile& profile);
 [[nodiscard]] std::string to_json(const Policy& policy, const AppSpec& app,
                                   const Platform& platform);
 [[nodiscard]] std::string to_json(const KeyPolicy& policy, const AppSpec& app,
+                                  const Platform& platform);
+[[nodiscard]] std::string to_json(const Scenarios& scenarios);
+[[nodiscard]] std::string to_json(const Tables& tables, const AppSpec& app,
                                   const Platform& platform);
 
 /// For those that would take an app of version 2 for one release.
@@ -69,6 +80,11 @@ inline constexpr int kMaxJsonDepth = 64;
                                               const Platform& platform);
 [[nodiscard]] Result<KeyPolicy> load_key_policy(const std::string& path, const AppSpec& app,
                                                 const Platform& platform);
+
+[[nodiscard]] Result<Scenarios> load_scenarios(const std::string& path, const AppSpec& app,
+                                               const Platform& platform);
+[[nodiscard]] Result<Tables> load_tables(const std::string& path, const AppSpec& app,
+                                         const Platform& platform);
 
 /// Regular file, at most kMaxFileBytes.
 [[nodiscard]] Result<std::string> read_file(const std::string& path);

@@ -159,6 +159,11 @@ BEYOND = {
                  "keys-more-than-activations", "keys-that-do-not-divide", "stale-hash", "start-before-hold",
                  "start-without-finish", "xnode-not-placed", "xnode-twice", "xnode-unknown", "xpu-unknown",
                  "xpu-without-implementation"},
+    "scenarios": {"another-app", "lost-twice", "lost-unknown", "name-twice", "no-implementation", "type-unknown",
+                  "xnode-unknown"},
+    "tables": {"another-app", "not-placed", "not-served", "order-cycle", "order-of-two-xpus", "placed-twice",
+               "priority-twice", "scenario-unknown", "served-twice", "serves-with-a-lost-xpu", "stale", "table-twice",
+               "table-unknown", "xpu-of-no-implementation", "xpu-unknown"},
 }
 
 
@@ -191,6 +196,10 @@ def test_what_the_tools_write_is_valid():
         written("app", "generate", "--nodes", 12, "--seed", 3, "--out", "a.json", out="a.json")
         written("policy", "solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", "p.json",
                 out="p.json")
+        scenarios = {"schema": "xauto.scenarios", "version": 1, "app": "driving", "scenarios": [{"name": "slow", "wcet_scale_pct": {"gpu": 150}}]}
+        (folder / "scenarios.json").write_text(json.dumps(scenarios))
+        written("tables", "solve", "--app", APP, "--platform", "small", "--scenarios", "scenarios.json", "--tables", 1,
+                "--max-evaluations", 200, "--time-limit-s", 60, "--out", "t.json", out="t.json")
         written("simulation", "simulate", "--app", APP, "--platform", "small", "--policy", "p.json", "--out", "s.json",
                 out="s.json")
         steady = SOURCE / "examples/driving/steady.json"

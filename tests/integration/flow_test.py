@@ -67,6 +67,36 @@ class Flow(unittest.TestCase):
         parts = {s.args["part"] for s in trace.on("run", "run") if s.name.split(" ")[0] in there}
         self.assertEqual(parts, {1}, "nobody was suspended")
 
+    def test_tables_for_scenarios(self):
+        """Several policies: what the file says of each scenario is true, and is checked."""
+        clocks = [{"name": f"gpu {g}", "wcet_scale_pct": {"gpu": g, "dla": 100}} for g in (100, 150, 200)]
+        document = {"schema": "xauto.scenarios", "version": 1, "app": "driving", "scenarios": clocks + [{"name": "no DLA", "lost": ["dla0"]}]}
+        pathlib.Path(self.path("scenarios.json")).write_text(json.dumps(document))
+        asked = ["--app", APP, "--platform", "small", "--scenarios", self.path("scenarios.json")]
+        limits = ["--max-evaluations", 1000, "--threads", 1, "--time-limit-s", 100]
+        told = json.loads(self.good("solve", *asked, "--tables", 2, *limits, "--out", self.path("t.json"), "--json"))
+        tables = load(self.path("t.json"))
+        self.assertLessEqual(len(tables["tables"]), 2)
+        self.assertEqual([s["scenario"] for s in tables["serves"]], [s["name"] for s in document["scenarios"]])
+        worst = max(s["worst_case_us"] / s["lower_bound_us"] for s in tables["serves"])
+        self.assertAlmostEqual(told["worst_regret"], worst)
+        self.assertLess(worst, 1.5)
+        by_name = {t["name"]: t for t in tables["tables"]}
+        without = next(s for s in tables["serves"] if s["scenario"] == "no DLA")
+        self.assertNotIn("dla0", {x["xpu"] for x in by_name[without["table"]]["xnodes"]})
+        check = ["check", "--app", APP, "--platform", "small", "--policy", self.path("t.json"), "--executions", 500]
+        self.assertIn("tells the truth", self.good(*check))
+        tables["serves"][1]["worst_case_us"] -= 1
+        pathlib.Path(self.path("t.json")).write_text(json.dumps(tables))
+        lie = xauto(*check)
+        self.assertEqual(lie.returncode, 1, lie.stdout)
+        self.assertIn("scenario 'gpu 150'", lie.stdout)
+        for wrong in (["--tables", 2], ["--regret", 1.1]), (["--method", "heft"], asked[4:] + ["--tables", 1]), ([], asked[4:]):
+            refused = xauto("solve", "--app", APP, "--platform", "small", *wrong[0], *wrong[1])
+            self.assertEqual(refused.returncode, 2, refused.stdout)
+        refused = xauto("solve", "--app", STEADY, *asked[2:], "--tables", 1)
+        self.assertEqual(refused.returncode, 2, refused.stdout)
+
     def test_driving_case_gives_the_published_latencies(self):
         published = {"ros2": 42_000, "heft": 30_100, "auto": 26_100}
         for method, latency in published.items():

@@ -15,6 +15,7 @@
 #include "xauto/command.h"
 #include "xauto/objectives_file.h"
 #include "xauto/periodic.h"
+#include "xauto/tables.h"
 
 namespace xauto::cli {
 namespace {
@@ -41,6 +42,12 @@ Result<int> check(const CheckFlags& flags, const Options& options) {
     XAUTO_ASSIGN(solver::Objectives asked, load_objectives(flags.app));
     XAUTO_TRY(add_to_objectives(flags.wishes, asked));
     return check_periodic(app, platform, flags.policy, asked, options);
+  }
+  if (is_tables_file(flags.policy)) {
+    if (!flags.against.empty() || flags.wishes.given())
+      return fail(ErrorCode::kInvalid, "are for a policy.json", "--against, pins and deadlines",
+                  "leave them out: tables know the app's deadline alone");
+    return check_tables(app, platform, flags.policy, flags.options, options);
   }
   XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
   solver::VerifyOptions asked = flags.options;
@@ -97,7 +104,7 @@ void add_check(Commands& commands) {
       [flags](const Options& options) { return check(*flags, options); });
   verb.option("--app", flags->app, "app.json").required();
   verb.option("--platform", flags->platform, kPlatformNames).shown();
-  verb.option("--policy", flags->policy, "policy.json").required();
+  verb.option("--policy", flags->policy, "policy.json, or tables.json").required();
   const auto of_attack = [&](const char* option, auto& value, const std::string& help) {
     const Argument argument = verb.option(option, value, help + "; of version 1").shown();
     flags->of_attacks.emplace_back(option, argument);

@@ -22,6 +22,7 @@
 #include "xauto/objectives_file.h"
 #include "xauto/outputs.h"
 #include "xauto/periodic.h"
+#include "xauto/tables.h"
 
 namespace xauto::cli {
 namespace {
@@ -41,6 +42,9 @@ struct SolveFlags {
   std::string hint;
   std::vector<std::string> assume;
   bool keep = false;
+  std::string scenarios;
+  int tables = 0;
+  double regret = 0;
   solver::SolveOptions options;
 };
 
@@ -226,9 +230,45 @@ Result<int> solve_on_and_on(SolveFlags& flags, const AppSpec& app, const Options
   return solve_periodic(app, platform, asked, flags.assume, flags.out, options);
 }
 
+/// Several policies: --scenarios.
+Result<int> solve_tables(SolveFlags& flags, const AppSpec& app, const Options& options) {
+  XAUTO_TRY(require_version_1(app, flags.app));
+  XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  XAUTO_TRY(read_objectives(flags));
+  const solver::Objectives& asked = flags.options.objectives;
+  if (!asked.chains.empty() || !asked.pins.empty() || !asked.forbids.empty() ||
+      !asked.groups.empty() || asked.deadline_us)
+    return fail(ErrorCode::kInvalid,
+                "chains, pins, forbids, groups and --deadline-us are not known", "--scenarios",
+                "take them out of app.json");
+  if (flags.options.method != "auto" || flags.what_if || !flags.implement.empty() ||
+      !flags.hint.empty() || flags.keep || !flags.assume.empty())
+    return fail(ErrorCode::kInvalid,
+                "does not go with --method, --what-if, --implement, --hint, --keep and --assume",
+                "--scenarios");
+  if (flags.tables <= 0 && flags.regret < 1)
+    return fail(ErrorCode::kInvalid, "needs --tables or --regret", "--scenarios",
+                "how many policies may there be, or how much longer than the bound may each take?");
+  solver::TablesOptions tables;
+  tables.tables = flags.tables;
+  tables.regret = flags.regret;
+  tables.time_limit_s = flags.options.time_limit_s;
+  tables.max_evaluations = flags.options.max_evaluations;
+  tables.threads = flags.options.threads;
+  tables.seed = flags.options.seed;
+  tables.stop = &interrupted;
+  std::signal(SIGINT, on_interrupt);
+  std::signal(SIGTERM, on_interrupt);
+  return solve_with_tables(app, platform, flags.scenarios, tables, flags.out, options);
+}
+
 Result<int> solve(SolveFlags& flags, const Options& options) {
   const auto began = std::chrono::steady_clock::now();
   XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
+  if (!flags.scenarios.empty()) return solve_tables(flags, app, options);
+  if (flags.tables > 0 || flags.regret > 0)
+    return fail(ErrorCode::kInvalid, "are for several scenarios", "--tables, --regret",
+                "name them: --scenarios scenarios.json");
   if (app.version == 2) return solve_on_and_on(flags, app, options);
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   if (!flags.hint.empty() || flags.keep || !flags.assume.empty())
@@ -300,6 +340,14 @@ void add_solve(Commands& commands) {
       "version 2: what would be if SOURCE=HZ, TYPE=PERCENT% of its WCETs, or +TYPE one more");
   verb.flag("--keep", flags->keep,
             "version 2: with --hint, as few XNodes as possible move to another XPU");
+  verb.option("--scenarios", flags->scenarios,
+              "scenarios.json: several policies, one of which serves each scenario");
+  verb.option("--tables", flags->tables, "with --scenarios: at most so many policies")
+      .range(1, static_cast<int>(kMaxTables));
+  verb.option("--regret", flags->regret,
+              "with --scenarios: the fewest policies whose worst cases are at most so many times "
+              "the lower bounds")
+      .range(1.0, 1000.0);
   verb.option("--implement", flags->implement,
               "XNODE=TYPE:WCET_US: what this implementation would gain");
 }

@@ -24,6 +24,9 @@ namespace xauto::cli {
 struct Wishes {
   std::vector<std::string> pins, forbids, groups;
   std::int64_t deadline_us = 0;
+  [[nodiscard]] bool given() const {
+    return !pins.empty() || !forbids.empty() || !groups.empty() || deadline_us > 0;
+  }
 };
 void add_wishes(Verb verb, Wishes& wishes);
 [[nodiscard]] Status add_to_objectives(const Wishes& wishes, solver::Objectives& objectives);

@@ -183,6 +183,43 @@ TEST(Golden, EveryMalformedPolicyIsRefusedWithItsMessage) {
   });
 }
 
+TEST(Golden, ScenariosAndTablesAreWrittenAsTheyWereRead) {
+  const AppSpec app = golden_app();
+  const Platform platform = golden_platform();
+  const std::string text = slurp(golden() / "scenarios.json");
+  const auto scenarios = parse_scenarios(text, "scenarios.json", app, platform);
+  ASSERT_TRUE(scenarios) << scenarios.error().to_string();
+  EXPECT_EQ(to_json(*scenarios), text);
+  const AppSpec slow = app_under(app, scenarios->list[1]);
+  EXPECT_EQ(slow.xnodes[0].wcet_us,
+            (decltype(slow.xnodes[0].wcet_us){{"cpu", 3000}, {"gpu", 1400}}))
+      << "what is stated instead of what scaling gives";
+  EXPECT_EQ(slow.xnodes[1].wcet_on("gpu"), 11690);
+  EXPECT_EQ(app_under(app, {"x", {{"cpu", 101}}}).xnodes[2].wcet_on("cpu"), 1515);
+  EXPECT_EQ(app_under(app, {"x", {{"cpu", 133}}}).xnodes[3].wcet_on("cpu"), 3325);
+  EXPECT_EQ(app_under(app, {"x", {{"cpu", 1}}}).xnodes[2].wcet_on("cpu"), 15);
+  EXPECT_EQ(platform_under(platform, scenarios->list[2]).xpus.size(), 3u);
+
+  const std::string written = slurp(golden() / "tables.json");
+  const auto tables = parse_tables(written, "tables.json", app, platform);
+  ASSERT_TRUE(tables) << tables.error().to_string();
+  EXPECT_EQ(to_json(*tables, app, platform), written);
+  EXPECT_EQ(tables->scenarios, scenarios->list);
+  EXPECT_EQ(tables->serves[2], (Served{1, 17500, 10150}));
+  EXPECT_DOUBLE_EQ(tables->worst_regret(), 17500.0 / 10150);
+}
+
+TEST(Golden, EveryMalformedSetOfScenariosOrTablesIsRefusedWithItsMessage) {
+  const AppSpec app = golden_app();
+  const Platform platform = golden_platform();
+  every_case("scenarios", 14, [&](const std::string& text, const std::string& name) {
+    return parse_scenarios(text, name, app, platform);
+  });
+  every_case("tables", 17, [&](const std::string& text, const std::string& name) {
+    return parse_tables(text, name, app, platform);
+  });
+}
+
 TEST(Golden, EveryMalformedAppOfVersion2IsRefusedWithItsMessage) {
   every_case("app-2", 60, [](const std::string& text, const std::string& name) {
     return parse_app(text, name);

@@ -1,0 +1,190 @@
+// SPDX-License-Identifier: Apache-2.0
+// scenarios.json and tables.json.
+#include <cstdint>
+
+#include "model/json.h"
+#include "model/json_parts.h"
+#include "model/tables.h"
+
+namespace xauto {
+
+using namespace json_parts;
+
+namespace {
+
+Scenario read_scenario(const Reader& x) {
+  Scenario s;
+  s.name = x["name"].text();
+  if (x.has("wcet_scale_pct"))
+    x["wcet_scale_pct"].each_member(kMaxXpus, [&](const std::string& type, const Reader& pct) {
+      s.wcet_scale_pct[type] = pct.integer(1, kMaxScalePct);
+    });
+  if (x.has("wcet_us"))
+    x["wcet_us"].each_member(kMaxXNodes, [&](const std::string& xnode, const Reader& on) {
+      on.each_member(kMaxXpus, [&](const std::string& type, const Reader& us) {
+        s.wcet_us[xnode][type] = us.integer(1, kMaxTimeUs);
+      });
+    });
+  if (x.has("lost"))
+    x["lost"].each_element(kMaxXpus,
+                           [&](std::size_t, const Reader& id) { s.lost.push_back(id.text()); });
+  return s;
+}
+
+std::vector<Scenario> read_scenarios(const Reader& root) {
+  std::vector<Scenario> all;
+  root["scenarios"].each_element(
+      kMaxScenarios, [&](std::size_t, const Reader& x) { all.push_back(read_scenario(x)); });
+  return all;
+}
+
+ordered_json scenarios_to_json(const std::vector<Scenario>& scenarios) {
+  ordered_json all = ordered_json::array();
+  for (const Scenario& s : scenarios) {
+    ordered_json one = {{"name", s.name}};
+    if (!s.wcet_scale_pct.empty()) one["wcet_scale_pct"] = s.wcet_scale_pct;
+    if (!s.wcet_us.empty()) one["wcet_us"] = s.wcet_us;
+    if (!s.lost.empty()) one["lost"] = s.lost;
+    all.push_back(std::move(one));
+  }
+  return all;
+}
+
+Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
+                 const NameIndex& index) {
+  Table table;
+  table.name = x["name"].text();
+  table.xpu.assign(app.xnodes.size(), -1);
+  table.priority.assign(app.xnodes.size(), 0);
+  x["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& placed) {
+    const int found = read_name(placed["name"], index, "XNode", "the app");
+    const std::string id = placed["xpu"].text();
+    const std::int64_t priority = placed["priority"].integer(-kMaxTimeUs, kMaxTimeUs);
+    if (placed.failed()) return;
+    const auto i = static_cast<std::size_t>(found);
+    if (table.xpu[i] >= 0)
+      return placed["name"].refuse("XNode '" + app.xnodes[i].name + "' is placed twice");
+    table.xpu[i] = platform.find(id);
+    table.priority[i] = priority;
+    if (table.xpu[i] < 0)
+      placed["xpu"].refuse("XPU '" + id + "' is not in platform '" + platform.name + "'");
+  });
+  if (x.has("order")) table.order = read_pairs(x["order"], index);
+  for (std::size_t i = 0; i < table.xpu.size() && !x.failed(); ++i)
+    if (table.xpu[i] < 0) x["xnodes"].refuse("XNode '" + app.xnodes[i].name + "' is not placed");
+  return table;
+}
+
+}  // namespace
+
+Result<Scenarios> parse_scenarios(std::string_view text, std::string_view origin,
+                                  const AppSpec& app, const Platform& platform, Keys* keys) {
+  XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
+  Reader::Context context{std::string(origin), {}};
+  const Reader root(context, &document, "");
+  root.expect("xauto.scenarios");
+  Scenarios scenarios;
+  scenarios.app = root["app"].text();
+  scenarios.list = read_scenarios(root);
+  XAUTO_TRY(context.status());
+  XAUTO_TRY(in_file(validate(scenarios, app, platform), origin));
+  if (keys != nullptr) *keys = context.keys(document);
+  return scenarios;
+}
+
+Result<Tables> parse_tables(std::string_view text, std::string_view origin, const AppSpec& app,
+                            const Platform& platform, Keys* keys) {
+  XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
+  Reader::Context context{std::string(origin), {}};
+  const Reader root(context, &document, "");
+  root.expect("xauto.tables");
+  Tables tables;
+  tables.app = root["app"].text();
+  tables.app_hash = root["app_hash"].text();
+  if (root.has("platform")) tables.platform = root["platform"].text();
+  tables.scenarios = read_scenarios(root);
+  const NameIndex xnodes = index_by_name(app.xnodes);
+  root["tables"].each_element(kMaxTables, [&](std::size_t, const Reader& x) {
+    tables.tables.push_back(read_table(x, app, platform, xnodes));
+  });
+  const NameIndex scenario_of = index_by_name(tables.scenarios),
+                  table_of = index_by_name(tables.tables);
+  tables.serves.resize(tables.scenarios.size());
+  root["serves"].each_element(kMaxScenarios, [&](std::size_t, const Reader& x) {
+    const int s = read_name(x["scenario"], scenario_of, "scenario", "the file");
+    const int t = read_name(x["table"], table_of, "table", "the file");
+    const Served served{t, x["worst_case_us"].time(), x["lower_bound_us"].time()};
+    if (x.failed()) return;
+    Served& of = tables.serves[static_cast<std::size_t>(s)];
+    if (of.table >= 0) return x["scenario"].refuse("is served twice");
+    of = served;
+  });
+  if (root.has("solve_ms")) tables.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
+  XAUTO_TRY(context.status());
+  for (std::size_t s = 0; s < tables.serves.size(); ++s)
+    if (tables.serves[s].table < 0)
+      return fail(ErrorCode::kInvalid,
+                  "scenario '" + tables.scenarios[s].name + "' is served by no table",
+                  std::string(origin) + ": /serves");
+  XAUTO_TRY(in_file(validate(tables, app, platform), origin));
+  if (keys != nullptr) *keys = context.keys(document);
+  return tables;
+}
+
+std::string to_json(const Scenarios& scenarios) {
+  ordered_json document = {{"schema", "xauto.scenarios"}, {"version", 1}, {"app", scenarios.app}};
+  document["scenarios"] = scenarios_to_json(scenarios.list);
+  return json_document::to_text(document);
+}
+
+std::string to_json(const Tables& tables, const AppSpec& app, const Platform& platform) {
+  const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
+  ordered_json document = {{"schema", "xauto.tables"},
+                           {"version", 1},
+                           {"app", tables.app},
+                           {"app_hash", tables.app_hash},
+                           {"platform", tables.platform}};
+  document["scenarios"] = scenarios_to_json(tables.scenarios);
+  document["tables"] = ordered_json::array();
+  for (const Table& t : tables.tables) {
+    ordered_json xnodes = ordered_json::array();
+    for (std::size_t i = 0; i < t.xpu.size(); ++i)
+      xnodes.push_back({{"name", app.xnodes[i].name},
+                        {"xpu", platform.xpus[static_cast<std::size_t>(t.xpu[i])].id},
+                        {"priority", t.priority[i]}});
+    ordered_json table = {{"name", t.name}};
+    table["xnodes"] = std::move(xnodes);
+    if (!t.order.empty()) table["order"] = pairs_to_json(t.order, name);
+    document["tables"].push_back(std::move(table));
+  }
+  document["serves"] = ordered_json::array();
+  for (std::size_t s = 0; s < tables.serves.size(); ++s) {
+    const Served& served = tables.serves[s];
+    document["serves"].push_back(
+        {{"scenario", tables.scenarios[s].name},
+         {"table", tables.tables[static_cast<std::size_t>(served.table)].name},
+         {"worst_case_us", served.worst_case_us},
+         {"lower_bound_us", served.lower_bound_us}});
+  }
+  document["solve_ms"] = tables.solve_ms;
+  return json_document::to_text(document);
+}
+
+Result<Scenarios> load_scenarios(const std::string& path, const AppSpec& app,
+                                 const Platform& platform) {
+  XAUTO_ASSIGN(const std::string text, read_file(path));
+  Keys keys;
+  XAUTO_ASSIGN(Scenarios scenarios, parse_scenarios(text, path, app, platform, &keys));
+  XAUTO_TRY(judge(keys, path));
+  return scenarios;
+}
+
+Result<Tables> load_tables(const std::string& path, const AppSpec& app, const Platform& platform) {
+  XAUTO_ASSIGN(const std::string text, read_file(path));
+  Keys keys;
+  XAUTO_ASSIGN(Tables tables, parse_tables(text, path, app, platform, &keys));
+  XAUTO_TRY(judge(keys, path));
+  return tables;
+}
+
+}  // namespace xauto

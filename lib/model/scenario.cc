@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "model/scenario.h"
+
+#include <algorithm>
+#include <set>
+
+namespace xauto {
+namespace {
+
+Status valid_scale(const Scenario& s, const std::vector<std::string>& types,
+                   const std::string& at) {
+  for (const auto& [type, pct] : s.wcet_scale_pct) {
+    if (std::find(types.begin(), types.end(), type) == types.end())
+      return fail(ErrorCode::kInvalid, "the platform has no XPU of type '" + type + "'",
+                  at + "/wcet_scale_pct/" + type);
+    if (pct < 1 || pct > kMaxScalePct)
+      return fail(
+          ErrorCode::kInvalid,
+          std::to_string(pct) + " is not a percentage from 1 to " + std::to_string(kMaxScalePct),
+          at + "/wcet_scale_pct/" + type);
+  }
+  return {};
+}
+
+Status valid_wcets(const Scenario& s, const AppSpec& app, const std::string& at) {
+  for (const auto& [name, by_type] : s.wcet_us) {
+    const std::string where = at + "/wcet_us/" + name;
+    const int i = app.find(name);
+    if (i < 0) return fail(ErrorCode::kInvalid, "the app has no XNode '" + name + "'", where);
+    for (const auto& [type, us] : by_type) {
+      if (!app.xnodes[static_cast<std::size_t>(i)].wcet_on(type))
+        return fail(ErrorCode::kInvalid,
+                    "XNode '" + name + "' has no implementation on '" + type + "'",
+                    where + "/" + type);
+      if (us < 1 || us > kMaxTimeUs)
+        return fail(
+            ErrorCode::kInvalid,
+            std::to_string(us) + " is not a WCET from 1 to " + std::to_string(kMaxTimeUs) + " us",
+            where + "/" + type);
+    }
+  }
+  return {};
+}
+
+}  // namespace
+
+Status validate(const Scenarios& scenarios, const AppSpec& app, const Platform& platform,
+                const std::string& at) {
+  if (scenarios.app != app.name)
+    return fail(ErrorCode::kInvalid,
+                "is about app '" + scenarios.app + "', this is app '" + app.name + "'", "/app");
+  if (scenarios.list.empty() || scenarios.list.size() > kMaxScenarios)
+    return fail(ErrorCode::kInvalid,
+                std::to_string(scenarios.list.size()) + " scenarios; 1 to " +
+                    std::to_string(kMaxScenarios) + " are possible",
+                at);
+  const std::vector<std::string> types = platform.types();
+  std::set<std::string> names;
+  for (std::size_t k = 0; k < scenarios.list.size(); ++k) {
+    const Scenario& s = scenarios.list[k];
+    const std::string here = at + "/" + std::to_string(k);
+    if (s.name.empty()) return fail(ErrorCode::kInvalid, "a scenario needs a name", here + "/name");
+    if (!names.insert(s.name).second)
+      return fail(ErrorCode::kInvalid, "two scenarios are called '" + s.name + "'", here + "/name");
+    XAUTO_TRY(valid_scale(s, types, here));
+    XAUTO_TRY(valid_wcets(s, app, here));
+    std::set<std::string> lost;
+    for (std::size_t n = 0; n < s.lost.size(); ++n) {
+      const std::string where = here + "/lost/" + std::to_string(n);
+      if (platform.find(s.lost[n]) < 0)
+        return fail(ErrorCode::kInvalid, "the platform has no XPU '" + s.lost[n] + "'", where);
+      if (!lost.insert(s.lost[n]).second)
+        return fail(ErrorCode::kInvalid, "XPU '" + s.lost[n] + "' is lost twice", where);
+    }
+    if (lost.size() == platform.xpus.size())
+      return fail(ErrorCode::kInfeasible, "no XPU is left", here + "/lost");
+    if (Status possible = validate_on(app_under(app, s), platform_under(platform, s)); !possible) {
+      Error error = std::move(possible).error();
+      error.what = "under scenario '" + s.name + "': " + error.what;
+      error.where = here;
+      return tl::unexpected<Error>(std::move(error));
+    }
+  }
+  return {};
+}
+
+AppSpec app_under(const AppSpec& app, const Scenario& scenario) {
+  AppSpec scaled = app;
+  for (XNodeSpec& x : scaled.xnodes) {
+    const auto stated = scenario.wcet_us.find(x.name);
+    for (auto& [type, us] : x.wcet_us) {
+      if (const auto pct = scenario.wcet_scale_pct.find(type);
+          pct != scenario.wcet_scale_pct.end()) {
+        // In two parts: a product of both could pass 64 bits.
+        const std::int64_t hundreds = us / 100, rest = us % 100;
+        us = hundreds * pct->second + (rest * pct->second + 99) / 100;
+      }
+      if (stated == scenario.wcet_us.end()) continue;
+      if (const auto own = stated->second.find(type); own != stated->second.end()) us = own->second;
+    }
+  }
+  return scaled;
+}
+
+Platform platform_under(const Platform& platform, const Scenario& scenario) {
+  Platform left = platform;
+  std::erase_if(left.xpus, [&](const Xpu& xpu) {
+    return std::find(scenario.lost.begin(), scenario.lost.end(), xpu.id) != scenario.lost.end();
+  });
+  return left;
+}
+
+}  // namespace xauto

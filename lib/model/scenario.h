@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+// Scenario: under which execution times and with which XPUs an app may have to run: a clock point, a
+// power mode, what else runs, an XPU that is lost. File: scenarios.json. Value types; `validate` says
+// whether they make sense, and every reader calls it.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "model/app.h"
+#include "model/platform.h"
+
+namespace xauto {
+
+struct Scenario {
+  std::string name;  ///< unique, "gpu at 60 %"
+  /// XPU type -> percent of the app's WCETs there, rounded up to the next microsecond; 100 where
+  /// nothing is said.
+  std::map<std::string, std::int64_t, std::less<>> wcet_scale_pct = {};
+  /// XNode -> XPU type -> WCET, instead of what scaling gives.
+  std::map<std::string, std::map<std::string, std::int64_t, std::less<>>, std::less<>> wcet_us = {};
+  std::vector<std::string> lost = {};  ///< XPUs that are not there, by id
+  bool operator==(const Scenario&) const = default;
+};
+
+struct Scenarios {
+  std::string app;  ///< AppSpec::name
+  std::vector<Scenario> list;
+  bool operator==(const Scenarios&) const = default;
+};
+
+inline constexpr std::size_t kMaxScenarios = 1000;
+inline constexpr std::int64_t kMaxScalePct = 100'000;
+
+/// Names unique and not empty, types and XPUs of the platform, XNodes and implementations of the
+/// app, percentages from 1 to kMaxScalePct, WCETs at least 1 us; in each scenario every XNode can
+/// run somewhere (kInfeasible). `at`: the JSON pointer of the list, for messages.
+[[nodiscard]] Status validate(const Scenarios& scenarios, const AppSpec& app,
+                              const Platform& platform, const std::string& at = "/scenarios");
+
+/// What is to be scheduled under a scenario, and on what: other WCETs, the lost XPUs left out. Of
+/// what `validate` has passed.
+[[nodiscard]] AppSpec app_under(const AppSpec& app, const Scenario& scenario);
+[[nodiscard]] Platform platform_under(const Platform& platform, const Scenario& scenario);
+
+}  // namespace xauto

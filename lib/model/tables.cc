@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "model/tables.h"
+
+#include <algorithm>
+#include <set>
+
+namespace xauto {
+
+double Tables::worst_regret() const {
+  double worst = 0;
+  for (const Served& s : serves)
+    worst = std::max(worst, static_cast<double>(s.worst_case_us) /
+                                static_cast<double>(std::max<std::int64_t>(1, s.lower_bound_us)));
+  return worst;
+}
+
+Policy policy_under(const Table& table, const AppSpec& app, const Platform& platform,
+                    const Scenario& scenario) {
+  const AppSpec scaled = app_under(app, scenario);
+  const Platform left = platform_under(platform, scenario);
+  Policy policy;
+  policy.app = scaled.name;
+  policy.app_hash = scaled.hash();
+  policy.platform = left.name;
+  policy.method = "tables";
+  for (std::size_t i = 0; i < table.xpu.size(); ++i) {
+    const std::string& id = platform.xpus[static_cast<std::size_t>(table.xpu[i])].id;
+    policy.placements.push_back({left.find(id), table.priority[i], 0, 0});
+  }
+  policy.order = table.order;
+  return policy;
+}
+
+Status validate(const Tables& tables, const AppSpec& app, const Platform& platform) {
+  if (app.version != 1)
+    return fail(ErrorCode::kInvalid, "tables are for an app of version 1, one release", "/app");
+  if (tables.app != app.name)
+    return fail(ErrorCode::kInvalid,
+                "are for app '" + tables.app + "', this is app '" + app.name + "'", "/app");
+  if (tables.app_hash != app.hash())
+    return fail(ErrorCode::kInvalid, "are for another version of app '" + app.name + "'",
+                "/app_hash", "solve again");
+  XAUTO_TRY(validate(Scenarios{tables.app, tables.scenarios}, app, platform));
+  if (tables.tables.empty() || tables.tables.size() > kMaxTables)
+    return fail(ErrorCode::kInvalid,
+                std::to_string(tables.tables.size()) + " tables; 1 to " +
+                    std::to_string(kMaxTables) + " are possible",
+                "/tables");
+  std::set<std::string> names;
+  for (std::size_t t = 0; t < tables.tables.size(); ++t) {
+    const Table& table = tables.tables[t];
+    const std::string at = "/tables/" + std::to_string(t);
+    if (table.name.empty()) return fail(ErrorCode::kInvalid, "a table needs a name", at + "/name");
+    if (!names.insert(table.name).second)
+      return fail(ErrorCode::kInvalid, "two tables are called '" + table.name + "'", at + "/name");
+    if (table.xpu.size() != app.xnodes.size() || table.priority.size() != app.xnodes.size())
+      return fail(ErrorCode::kInvalid, "does not place every XNode", at + "/xnodes");
+    if (Status valid = validate(policy_under(table, app, platform, {}), app, platform); !valid) {
+      Error error = std::move(valid).error();
+      error.where = at + error.where;
+      return tl::unexpected<Error>(std::move(error));
+    }
+  }
+  if (tables.serves.size() != tables.scenarios.size())
+    return fail(ErrorCode::kInvalid, "does not serve every scenario", "/serves");
+  for (std::size_t s = 0; s < tables.serves.size(); ++s) {
+    const Served& served = tables.serves[s];
+    const std::string at = "/serves/" + std::to_string(s);
+    const Scenario& scenario = tables.scenarios[s];
+    if (served.table < 0 || static_cast<std::size_t>(served.table) >= tables.tables.size())
+      return fail(ErrorCode::kInvalid, "there is no such table", at + "/table");
+    const Table& table = tables.tables[static_cast<std::size_t>(served.table)];
+    const Policy policy = policy_under(table, app, platform, scenario);
+    const auto lost = std::find_if(policy.placements.begin(), policy.placements.end(),
+                                   [](const Placement& p) { return p.xpu < 0; });
+    if (lost != policy.placements.end())
+      return fail(ErrorCode::kInvalid,
+                  "table '" + table.name + "' has an XNode on an XPU that scenario '" +
+                      scenario.name + "' has lost",
+                  at + "/table");
+    if (served.worst_case_us < 0 || served.worst_case_us > kMaxTimeUs ||
+        served.lower_bound_us < 0 || served.lower_bound_us > kMaxTimeUs)
+      return fail(ErrorCode::kInvalid, "a time is out of range", at);
+  }
+  return {};
+}
+
+}  // namespace xauto

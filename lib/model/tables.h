@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tables: several policies for one app, and which of them serves which scenario. File: tables.json.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <xauto/result.h>
+
+#include "model/policy.h"
+#include "model/scenario.h"
+
+namespace xauto {
+
+/// One policy without its times, which depend on the scenario.
+struct Table {
+  std::string name;
+  std::vector<int> xpu;                ///< [xnode] index into Platform::xpus
+  std::vector<std::int64_t> priority;  ///< [xnode] as Placement::priority
+  std::vector<std::pair<int, int>> order;
+  bool operator==(const Table&) const = default;
+};
+
+/// How a scenario is served.
+struct Served {
+  int table = -1;
+  std::int64_t worst_case_us = 0;   ///< of every execution within the scenario's WCETs
+  std::int64_t lower_bound_us = 0;  ///< proven: under this scenario no policy is shorter
+  bool operator==(const Served&) const = default;
+};
+
+struct Tables {
+  std::string app, app_hash, platform;
+  std::vector<Scenario> scenarios;
+  std::vector<Table> tables;
+  std::vector<Served> serves;  ///< [scenario]
+  std::int64_t solve_ms = 0;
+  bool operator==(const Tables&) const = default;
+
+  /// The largest of worst_case_us / lower_bound_us.
+  [[nodiscard]] double worst_regret() const;
+};
+
+inline constexpr std::size_t kMaxTables = 100;
+
+/// A table as a policy of the app under `scenario`, without its times and claims: XPUs are indices
+/// into platform_under(). xpu -1: it uses an XPU that is lost.
+[[nodiscard]] Policy policy_under(const Table& table, const AppSpec& app, const Platform& platform,
+                                  const Scenario& scenario);
+
+/// Of this app (name and hash); every table a policy that validate() accepts, under each scenario
+/// that it serves too.
+[[nodiscard]] Status validate(const Tables& tables, const AppSpec& app, const Platform& platform);
+
+}  // namespace xauto

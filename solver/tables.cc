@@ -1,0 +1,428 @@
+// SPDX-License-Identifier: Apache-2.0
+// See tables.h.
+#include "solver/tables.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <set>
+#include <thread>
+
+#include "base/index.h"
+#include "solver/certify.h"
+#include "solver/ilp_model.h"
+#include "solver/ordered.h"
+#include "solver/random.h"
+#include "solver/solve.h"
+
+namespace xauto::solver {
+namespace {
+
+constexpr double kCannotServe = std::numeric_limits<double>::infinity();
+
+struct Plan {
+  std::vector<int> xpu, sequence;
+  std::vector<double> regret;  ///< [scenario]
+  bool operator<(const Plan& other) const {
+    return xpu != other.xpu ? xpu < other.xpu : sequence < other.sequence;
+  }
+};
+
+/// A set of candidates, and by which each scenario is served.
+struct Choice {
+  std::vector<int> chosen;
+  std::vector<int> serves;  ///< [scenario] candidate
+  double worst = kCannotServe;
+};
+
+class TablesSearch {
+ public:
+  TablesSearch(const AppSpec& app, const Platform& platform, const Scenarios& scenarios,
+               const TablesOptions& options)
+      : app_(app),
+        platform_(platform),
+        scenarios_(scenarios.list),
+        options_(options),
+        began_(std::chrono::steady_clock::now()),
+        random_(options.seed) {}
+
+  Result<Tables> run() {
+    XAUTO_TRY(solve_each());
+    Choice best = choose();
+    // Evaluations are counted per search: then a fixed number of rounds, so that speed says nothing.
+    constexpr int kRounds = 24;
+    for (int round = 0; (options_.max_evaluations == 0 || round < kRounds) && !over(1.0); ++round) {
+      if (best.worst == kCannotServe || best.worst <= goal()) break;
+      if (!improve(best)) break;
+      Choice next = choose();
+      if (next.worst < best.worst || next.chosen.size() < best.chosen.size()) best = next;
+      tell(best.worst);
+    }
+    return answer(best);
+  }
+
+ private:
+  [[nodiscard]] double elapsed() const {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - began_).count();
+  }
+  [[nodiscard]] bool over(double share) const {
+    return (options_.stop != nullptr && options_.stop->load()) ||
+           elapsed() >= share * options_.time_limit_s;
+  }
+  /// Nothing better is asked for.
+  [[nodiscard]] double goal() const {
+    return options_.tables > 0 ? std::max(1.0, options_.regret) : 1.0;
+  }
+  void tell(double worst) const {
+    if (options_.on_progress)
+      options_.on_progress(elapsed(), static_cast<int>(bound_.size()), worst);
+  }
+
+  /// Half of the time, in equal shares of what is left of it.
+  Status solve_each() {
+    const std::size_t n = scenarios_.size();
+    problems_.reserve(n);
+    for (std::size_t s = 0; s < n; ++s) {
+      const AppSpec scaled = app_under(app_, scenarios_[s]);
+      const Platform left = platform_under(platform_, scenarios_[s]);
+      XAUTO_ASSIGN(Problem problem, Problem::create(scaled, platform_));
+      problem.forbidden.assign(at(problem.num_xnodes) * at(problem.num_xpus), 0);
+      for (std::size_t x = 0; x < platform_.xpus.size(); ++x)
+        if (left.find(platform_.xpus[x].id) < 0)
+          for (std::size_t i = 0; i < at(problem.num_xnodes); ++i)
+            problem.forbidden[i * at(problem.num_xpus) + x] = 1;
+      problems_.push_back(std::move(problem));
+      SolveOptions solving;
+      solving.certify = true;
+      solving.threads = options_.threads;
+      solving.seed = options_.seed + s;
+      solving.stop = options_.stop;
+      solving.max_evaluations = options_.max_evaluations;
+      solving.time_limit_s =
+          std::max(0.05, options_.time_limit_s / 2 - elapsed()) / static_cast<double>(n - s);
+      XAUTO_ASSIGN(const Policy policy, solve(scaled, left, solving));
+      bound_.push_back(std::max<Time>(1, policy.lower_bound_us));
+      Plan candidate;
+      std::vector<Time> starts;
+      for (const Placement& p : policy.placements) {
+        candidate.xpu.push_back(platform_.find(left.xpus[at(p.xpu)].id));
+        starts.push_back(p.start_us);
+      }
+      candidate.sequence = sequence_of(priorities_by_key(starts));
+      solved_.push_back(std::move(candidate));
+      tell(kCannotServe);
+    }
+    for (Plan& candidate : solved_) add(std::move(candidate));
+    return {};
+  }
+
+  /// With its regrets; what is there already is not added again.
+  void add(Plan candidate) {
+    for (std::size_t s = 0; s < problems_.size(); ++s) {
+      const bool runs = [&] {
+        for (std::size_t i = 0; i < candidate.xpu.size(); ++i)
+          if (problems_[s].wcet_on(static_cast<int>(i), candidate.xpu[i]) == kCannotRun)
+            return false;
+        return true;
+      }();
+      if (!runs) {
+        candidate.regret.push_back(kCannotServe);
+        continue;
+      }
+      OrderedEvaluator evaluator(problems_[s]);
+      evaluator.reset(candidate.xpu, candidate.sequence);
+      candidate.sequence = evaluator.sequence();
+      candidate.regret.push_back(static_cast<double>(evaluator.makespan()) /
+                                 static_cast<double>(bound_[s]));
+    }
+    if (known_.insert({candidate.xpu, candidate.sequence}).second)
+      candidates_.push_back(std::move(candidate));
+  }
+
+  /// The least number of candidates that serve every scenario within `regret`, and which; empty: as
+  /// many as `most` do not.
+  [[nodiscard]] std::vector<int> cover(double regret, int most) const {
+    IlpModel model;
+    std::vector<IlpModel::Term> all;
+    std::vector<int> column(candidates_.size(), -1);
+    for (std::size_t c = 0; c < candidates_.size(); ++c) {
+      const bool serves = std::any_of(candidates_[c].regret.begin(), candidates_[c].regret.end(),
+                                      [&](double r) { return r <= regret; });
+      if (!serves || dominated(c, regret)) continue;
+      column[c] = model.add_binary("table_" + std::to_string(c));
+      all.push_back({column[c], 1});
+    }
+    const int count = model.add_column("tables", 0, most);
+    all.push_back({count, -1});
+    model.equal("tables", all, 0);
+    for (std::size_t s = 0; s < problems_.size(); ++s) {
+      std::vector<IlpModel::Term> serve;
+      for (std::size_t c = 0; c < candidates_.size(); ++c)
+        if (column[c] >= 0 && candidates_[c].regret[s] <= regret) serve.push_back({column[c], 1});
+      if (serve.empty()) return {};
+      model.at_least("scenario_" + std::to_string(s), serve, 1);
+    }
+    model.minimise(count);
+    constexpr double kSeconds = 2;
+    const IlpModel::Outcome outcome = model.solve(kSeconds, options_.stop);
+    if (outcome != IlpModel::Outcome::kOptimal && outcome != IlpModel::Outcome::kFeasible)
+      return {};
+    std::vector<int> chosen;
+    for (std::size_t c = 0; c < candidates_.size(); ++c)
+      if (column[c] >= 0 && model.value(column[c]) > 0.5) chosen.push_back(static_cast<int>(c));
+    return static_cast<int>(chosen.size()) <= most ? chosen : std::vector<int>();
+  }
+
+  /// Another one serves within `regret` all that this one does; of equals the first stays.
+  [[nodiscard]] bool dominated(std::size_t c, double regret) const {
+    for (std::size_t d = 0; d < candidates_.size(); ++d) {
+      if (d == c) continue;
+      bool all = true, more = false;
+      for (std::size_t s = 0; s < problems_.size() && all; ++s) {
+        const bool mine = candidates_[c].regret[s] <= regret,
+                   its = candidates_[d].regret[s] <= regret;
+        all = !mine || its;
+        more = more || (its && !mine);
+      }
+      if (all && (more || d < c)) return true;
+    }
+    return false;
+  }
+
+  /// The least largest regret with as many tables as may be; with a regret asked for, the fewest
+  /// tables within it.
+  [[nodiscard]] Choice choose() const {
+    std::vector<double> levels;
+    for (const Plan& c : candidates_)
+      for (const double r : c.regret)
+        if (r < kCannotServe) levels.push_back(r);
+    std::sort(levels.begin(), levels.end());
+    levels.erase(std::unique(levels.begin(), levels.end()), levels.end());
+    const int most = options_.tables > 0 ? options_.tables : static_cast<int>(scenarios_.size());
+    std::vector<int> best;
+    if (options_.regret >= 1) best = cover(options_.regret, most);
+    if (best.empty()) {
+      std::size_t low = 0, high = levels.size();  // high: not covered, or beyond the last
+      for (high = levels.size() - 1, best = cover(levels[high], most); low < high;) {
+        const std::size_t middle = (low + high) / 2;
+        std::vector<int> some = cover(levels[middle], most);
+        if (some.empty()) {
+          low = middle + 1;
+        } else {
+          high = middle;
+          best = std::move(some);
+        }
+      }
+    }
+    Choice choice;
+    choice.chosen = std::move(best);
+    if (choice.chosen.empty()) return choice;
+    choice.worst = 0;
+    for (std::size_t s = 0; s < problems_.size(); ++s) {
+      const int by =
+          *std::min_element(choice.chosen.begin(), choice.chosen.end(), [&](int a, int b) {
+            return candidates_[at(a)].regret[s] < candidates_[at(b)].regret[s];
+          });
+      choice.serves.push_back(by);
+      choice.worst = std::max(choice.worst, candidates_[at(by)].regret[s]);
+    }
+    return choice;
+  }
+
+  /// One candidate more for each group of scenarios that one table serves. False: there is nothing
+  /// that could become better.
+  bool improve(const Choice& choice) {
+    struct Task {
+      std::vector<int> group;
+      int from;
+      std::uint64_t seed;
+      Plan result;
+    };
+    std::vector<Task> tasks;
+    for (const int c : choice.chosen) {
+      Task task{{}, c, random_.next(), {}};
+      for (std::size_t s = 0; s < problems_.size(); ++s)
+        if (choice.serves[s] == c) task.group.push_back(static_cast<int>(s));
+      // One at its bounds stays as it is; the others may take scenarios off a worse one.
+      if (!task.group.empty()) tasks.push_back(std::move(task));
+    }
+    // What limits also tries to take a scenario of the limiting table's over.
+    for (std::size_t s = 0; s < problems_.size(); ++s) {
+      if (candidates_[at(choice.serves[s])].regret[s] < choice.worst) continue;
+      for (const int c : choice.chosen) {
+        if (c == choice.serves[s] || candidates_[at(c)].regret[s] == kCannotServe) continue;
+        Task task{{static_cast<int>(s)}, c, random_.next(), {}};
+        for (std::size_t other = 0; other < problems_.size(); ++other)
+          if (choice.serves[other] == c) task.group.push_back(static_cast<int>(other));
+        tasks.push_back(std::move(task));
+      }
+    }
+    const double slice = std::min(
+        0.4, std::max(0.02, options_.time_limit_s - elapsed()) / static_cast<double>(tasks.size()));
+    std::atomic<std::size_t> next{0};
+    const auto work = [&] {
+      for (std::size_t k; (k = next.fetch_add(1)) < tasks.size();)
+        tasks[k].result = anneal_for(tasks[k].group, tasks[k].from, tasks[k].seed, slice);
+    };
+    std::vector<std::thread> threads;
+    for (int t = 1; t < options_.threads; ++t) threads.emplace_back(work);
+    work();
+    for (std::thread& thread : threads) thread.join();
+    for (Task& task : tasks) add(std::move(task.result));
+    return true;
+  }
+
+  /// Anneals a candidate for some scenarios at once: the largest of makespan / bound.
+  [[nodiscard]] Plan anneal_for(const std::vector<int>& group, int from, std::uint64_t seed,
+                                double seconds) const {
+    const auto deadline = std::chrono::steady_clock::now() + std::chrono::duration<double>(seconds);
+    Random random(seed);
+    std::vector<OrderedEvaluator> evaluators;
+    for (const int s : group) {
+      evaluators.emplace_back(problems_[at(s)]);
+      evaluators.back().reset(candidates_[at(from)].xpu, candidates_[at(from)].sequence);
+    }
+    const auto ratio = [&](std::size_t k) {
+      return static_cast<double>(evaluators[k].makespan()) /
+             static_cast<double>(bound_[at(group[k])]);
+    };
+    const auto worst = [&] {
+      std::size_t most = 0;
+      for (std::size_t k = 1; k < evaluators.size(); ++k)
+        if (ratio(k) > ratio(most)) most = k;
+      return most;
+    };
+    const std::size_t n = candidates_[at(from)].xpu.size();
+    std::size_t limiting = worst();
+    double current = ratio(limiting), best = current;
+    Plan found{evaluators[0].xpu(), evaluators[0].sequence(), {}};
+    std::vector<int> chain;
+    evaluators[limiting].critical_chain(chain);
+    const std::int64_t most_moves =
+        options_.max_evaluations > 0 ? options_.max_evaluations : std::int64_t{1} << 60;
+    double heat = 0.02;
+    for (std::int64_t move = 0; move < most_moves && best > 1; ++move) {
+      if (move % 64 == 0) {
+        if (options_.max_evaluations == 0 && std::chrono::steady_clock::now() >= deadline) break;
+        heat = std::max(heat * 0.999, 1e-5);
+        if (move % 16384 == 0) heat = 0.02;  // again from warm
+      }
+      const int i = !chain.empty() && random.below(2) == 0 ? chain[random.below(chain.size())]
+                                                           : static_cast<int>(random.below(n));
+      const bool moves = random.below(3) == 0;
+      int to = -1;
+      if (moves) {
+        to = static_cast<int>(random.below(platform_.xpus.size()));
+        const bool runs = std::all_of(group.begin(), group.end(), [&](int s) {
+          return problems_[at(s)].wcet_on(i, to) != kCannotRun;
+        });
+        if (!runs || to == evaluators[0].xpu()[at(i)]) continue;
+      } else {
+        to = static_cast<int>(random.below(n));
+        if (random.below(2) == 0) {  // nearby
+          const int here = evaluators[0].position(i);
+          to = std::clamp(here + static_cast<int>(random.below(9)) - 4, 0, static_cast<int>(n) - 1);
+        }
+        if (to == evaluators[0].position(i)) continue;
+      }
+      const double limit = current * (1 - heat * std::log(random.unit()) * 0.5);
+      bool within = true;
+      std::size_t tried = 0;
+      // The one that limits is the likeliest to refuse.
+      for (std::size_t step = 0; step < evaluators.size() && within; ++step) {
+        const std::size_t k = step == 0 ? limiting : step <= limiting ? step - 1 : step;
+        OrderedEvaluator& evaluator = evaluators[k];
+        if (moves)
+          evaluator.assign(i, to);
+        else
+          evaluator.reposition(i, to);
+        ++tried;
+        const auto most = static_cast<Time>(limit * static_cast<double>(bound_[at(group[k])])) + 1;
+        within = evaluator.evaluate(most) != kNever;
+      }
+      for (std::size_t step = 0; step < tried; ++step) {
+        const std::size_t k = step == 0 ? limiting : step <= limiting ? step - 1 : step;
+        within ? evaluators[k].commit() : evaluators[k].rollback();
+      }
+      if (!within) continue;
+      limiting = worst();
+      current = ratio(limiting);
+      evaluators[limiting].critical_chain(chain);
+      if (current >= best) continue;
+      best = current;
+      found.xpu = evaluators[0].xpu();
+      found.sequence = evaluators[0].sequence();
+    }
+    return found;
+  }
+
+  Result<Tables> answer(const Choice& choice) {
+    if (choice.chosen.empty())
+      return fail(ErrorCode::kInfeasible,
+                  "no " + std::to_string(options_.tables) +
+                      " tables serve every scenario: they have lost different XPUs",
+                  app_.name, "ask for more tables");
+    if (options_.regret >= 1 && choice.worst > options_.regret + 1e-12)
+      return fail(ErrorCode::kInfeasible,
+                  "the largest regret found is " + std::to_string(choice.worst) + ", not " +
+                      std::to_string(options_.regret),
+                  app_.name, "more tables, or more time");
+    Tables tables;
+    tables.app = app_.name;
+    tables.app_hash = app_.hash();
+    tables.platform = platform_.name;
+    tables.scenarios = scenarios_;
+    std::vector<int> used = choice.serves;
+    std::sort(used.begin(), used.end());
+    used.erase(std::unique(used.begin(), used.end()), used.end());
+    // In the order of the scenarios that they serve first.
+    std::vector<int> number(candidates_.size(), -1);
+    for (std::size_t s = 0; s < scenarios_.size(); ++s) {
+      const std::size_t c = at(choice.serves[s]);
+      const Plan& candidate = candidates_[c];
+      if (number[c] < 0) {
+        number[c] = static_cast<int>(tables.tables.size());
+        const Solution solution{candidate.xpu, candidate.sequence, 0, true, {}};
+        Table table;
+        table.name = "table " + std::to_string(number[c]);
+        table.xpu = candidate.xpu;
+        table.priority = to_decision(solution).priority;
+        table.order = order_pairs(problems_[s], solution);
+        tables.tables.push_back(std::move(table));
+      }
+      OrderedEvaluator evaluator(problems_[s]);
+      evaluator.reset(candidate.xpu, candidate.sequence);
+      tables.serves.push_back({number[c], evaluator.makespan(), bound_[s]});
+    }
+    tables.solve_ms = static_cast<std::int64_t>(elapsed() * 1000);
+    return tables;
+  }
+
+  const AppSpec& app_;
+  const Platform& platform_;
+  const std::vector<Scenario>& scenarios_;
+  const TablesOptions& options_;
+  const SteadyTime began_;
+  Random random_;
+  std::vector<Problem> problems_;  ///< [scenario] on the whole platform, what is lost forbidden
+  std::vector<Time> bound_;        ///< [scenario]
+  std::vector<Plan> solved_;
+  std::vector<Plan> candidates_;
+  std::set<std::pair<std::vector<int>, std::vector<int>>> known_;
+};
+
+}  // namespace
+
+Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
+                            const Scenarios& scenarios, const TablesOptions& options) {
+  if (app.version != 1)
+    return fail(ErrorCode::kInvalid, "tables are for an app of version 1, one release", app.name);
+  if (options.tables <= 0 && options.regret < 1)
+    return fail(ErrorCode::kInvalid, "say how many tables, or within which regret", app.name);
+  XAUTO_TRY(validate(scenarios, app, platform));
+  return TablesSearch(app, platform, scenarios, options).run();
+}
+
+}  // namespace xauto::solver

@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+// Few policies for many scenarios: which, and which of them serves which scenario.
+//
+// The regret of a policy under a scenario is its certified worst case there over the scenario's
+// proven lower bound. Every table is ordered on each XPU, so its worst case under a scenario is the
+// longest path at that scenario's WCETs, and holds for all that lies component-wise below it
+// (certify.h). Asked is the least largest regret with K tables, or the fewest tables within a regret.
+//
+//  1. Each scenario is solved alone: its lower bound, and a candidate.
+//  2. Choice: of the candidates the K of least largest regret. For a regret r that is a set cover
+//     (an ILP of a binary per candidate and a row per scenario); the r are the candidates' own.
+//  3. Each chosen table is annealed for the scenarios that it serves, all of them at once: the
+//     largest makespan / bound falls. What comes of it is one more candidate. Then 2 again.
+//
+// The bounds are proven, the worst cases certified; that no other K tables are better is not.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <string>
+
+#include <xauto/result.h>
+
+#include "model/tables.h"
+
+namespace xauto::solver {
+
+struct TablesOptions {
+  int tables = 0;     ///< at most so many; 0: as many as `regret` needs
+  double regret = 0;  ///< at least 1: the fewest tables of at most this regret; 0: not asked
+  double time_limit_s = 60;
+  std::int64_t max_evaluations = 0;  ///< of each search within; 0: no limit
+  int threads = 1;
+  std::uint64_t seed = 1;
+  const std::atomic<bool>* stop = nullptr;
+  /// From the calling thread: how many scenarios are solved, or the largest regret so far.
+  std::function<void(double elapsed_s, int scenarios_solved, double worst_regret)> on_progress;
+};
+
+/// Errors: kInvalid for an app of version 2, or where neither tables nor regret is asked for;
+/// kInfeasible if no set of `tables` tables serves all scenarios (each has lost other XPUs), or if
+/// nothing within `regret` was found.
+[[nodiscard]] Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
+                                          const Scenarios& scenarios, const TablesOptions& options);
+
+}  // namespace xauto::solver

@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+// scenarios.json and tables.json from outside, for an app and a platform of our own: those of
+// tests/golden.
+#include "model/json.h"
+
+#include "json_property.h"
+
+namespace {
+
+xauto::Platform make_platform() {
+  return {"bench",
+          {{"cpu0", "cpu", true, 0, 0, -1},
+           {"cpu1", "cpu", true, 0, 0, -1},
+           {"gpu0", "gpu", true, 275, 1000, -1},
+           {"dla0", "dla", false, 132, 1000, 40}}};
+}
+
+xauto::AppSpec make_app() {
+  return {1,
+          "driving",
+          {{"fcd.pre", "FCD", {{"cpu", 3000}, {"gpu", 900}}},
+           {"fcd.infer", "FCD", {{"dla", 11000}, {"gpu", 7000}}},
+           {"fcd.post", "FCD", {{"cpu", 1500}}},
+           {"spur/größe", "LA", {{"cpu", 2500}}}},
+          {{0, 1}, {1, 2}},
+          100000};
+}
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  using namespace xauto;
+  static const Platform platform = make_platform();
+  static const AppSpec app = make_app();
+  const std::string_view text(reinterpret_cast<const char*>(data), size);
+  const auto tables = [](std::string_view from) {
+    return parse_tables(from, fuzz::kOrigin, app, platform);
+  };
+  fuzz::check_read(
+      tables(text), [](const Tables& t) { return to_json(t, app, platform); }, tables);
+  const auto scenarios = [](std::string_view from) {
+    return parse_scenarios(from, fuzz::kOrigin, app, platform);
+  };
+  fuzz::check_read(
+      scenarios(text), [](const Scenarios& s) { return to_json(s); }, scenarios);
+  return 0;
+}

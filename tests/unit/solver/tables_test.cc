@@ -1,0 +1,198 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/tables.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include "solver/generate.h"
+#include "solver/simulate.h"
+#include "solver/solve.h"
+#include "solver/verify_tables.h"
+
+#include "problem_random.h"
+
+namespace xauto::solver {
+namespace {
+
+struct ManyScenarios {
+  AppSpec app;
+  Platform platform = Platform::builtin("small").value();
+  Scenarios scenarios;
+};
+
+ManyScenarios under_scenarios(int nodes, std::uint64_t seed) {
+  GenerateOptions options;
+  options.nodes = nodes;
+  options.seed = seed;
+  ManyScenarios c;
+  c.app = generate(options).value();
+  c.scenarios.app = c.app.name;
+  for (const int gpu : {100, 200})
+    for (const int cpu : {100, 150})
+      c.scenarios.list.push_back({"gpu " + std::to_string(gpu) + " cpu " + std::to_string(cpu),
+                                  {{"gpu", gpu}, {"cpu", cpu}}});
+  c.scenarios.list.push_back({"no dla", {}, {}, {"dla0"}});
+  return c;
+}
+
+TablesOptions tables_budget(int tables) {
+  TablesOptions options;
+  options.tables = tables;
+  options.time_limit_s = 1e9;
+  options.max_evaluations = 400;
+  return options;
+}
+
+/// Its own arithmetic of a scenario: WCETs from the app's, an XPU's order from the table's pairs.
+Time longest_under(test::Dice& dice, const ManyScenarios& c, const Tables& tables, std::size_t s) {
+  const Scenario& scenario = tables.scenarios[s];
+  const Table& table = tables.tables[static_cast<std::size_t>(tables.serves[s].table)];
+  const Problem problem = Problem::create(c.app, c.platform).value();
+  const Decision decision{table.xpu, table.priority, table.order};
+  Time longest = 0;
+  for (int k = 0; k < 60; ++k) {
+    std::vector<Time> actual;
+    for (std::size_t i = 0; i < c.app.xnodes.size(); ++i) {
+      const std::string& type = c.platform.xpus[static_cast<std::size_t>(table.xpu[i])].type;
+      const double pct = scenario.wcet_scale_pct.contains(type)
+                             ? static_cast<double>(scenario.wcet_scale_pct.find(type)->second)
+                             : 100.0;
+      const auto wcet = static_cast<int>(
+          std::ceil(static_cast<double>(*c.app.xnodes[i].wcet_on(type)) * pct / 100 - 1e-9));
+      actual.push_back(k == 0 ? wcet : dice.chance(70) ? wcet : dice.roll(0, wcet));
+    }
+    longest = std::max(longest, simulate(problem, decision, {.actual = actual}).makespan);
+  }
+  return longest;
+}
+
+TEST(Tables, NoExecutionIsLongerThanItsScenarioSays) {
+  for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+    const ManyScenarios c = under_scenarios(12, seed);
+    const auto tables = solve_tables(c.app, c.platform, c.scenarios, tables_budget(2));
+    ASSERT_TRUE(tables) << tables.error().to_string();
+    ASSERT_LE(tables->tables.size(), 2u);
+    test::Dice dice(seed);
+    for (std::size_t s = 0; s < c.scenarios.list.size(); ++s) {
+      const Served& served = tables->serves[s];
+      EXPECT_EQ(longest_under(dice, c, *tables, s), served.worst_case_us)
+          << "at WCET it takes that long, and never longer";
+      EXPECT_LE(served.lower_bound_us, served.worst_case_us);
+      const Table& table = tables->tables[static_cast<std::size_t>(served.table)];
+      if (!c.scenarios.list[s].lost.empty()) {
+        EXPECT_EQ(std::count(table.xpu.begin(), table.xpu.end(), c.platform.find("dla0")), 0);
+      }
+    }
+    const TablesVerification v = verify_tables(
+        c.app, c.platform, *tables, {.executions = 300, .proof_nodes = 1000, .schedules = 300});
+    EXPECT_TRUE(v.truthful()) << v.lies.front();
+    EXPECT_DOUBLE_EQ(v.worst_regret, tables->worst_regret());
+  }
+}
+
+TEST(Tables, MoreTablesServeNoWorseAndOneEachIsTheBestOfEach) {
+  int better = 0;
+  for (std::uint64_t seed = 1; seed <= 8; ++seed) {
+    const ManyScenarios c = under_scenarios(14, 40 + seed);
+    double before = 1e9;
+    for (const int k : {1, 2, 5}) {
+      // Only what serves every scenario can serve alone.
+      const auto tables = solve_tables(c.app, c.platform, c.scenarios, tables_budget(k));
+      ASSERT_TRUE(tables) << tables.error().to_string();
+      EXPECT_LE(tables->worst_regret(), before + 1e-9) << "seed " << seed << ", " << k;
+      better += tables->worst_regret() < before - 1e-9 && k > 1;
+      before = tables->worst_regret();
+    }
+  }
+  EXPECT_GT(better, 4);
+}
+
+TEST(Tables, TheFewestWithinARegret) {
+  const ManyScenarios c = under_scenarios(14, 3);
+  TablesOptions options = tables_budget(0);
+  options.regret = 1.25;
+  const auto few = solve_tables(c.app, c.platform, c.scenarios, options);
+  ASSERT_TRUE(few) << few.error().to_string();
+  EXPECT_LE(few->worst_regret(), 1.25);
+  if (few->tables.size() > 1) {
+    TablesOptions fewer = tables_budget(static_cast<int>(few->tables.size()) - 1);
+    fewer.regret = 1.25;
+    const auto none = solve_tables(c.app, c.platform, c.scenarios, fewer);
+    ASSERT_FALSE(none);
+    EXPECT_EQ(none.error().code, ErrorCode::kInfeasible);
+  }
+}
+
+TEST(Tables, TheAnswerOfABudgetIsTheSameEveryTime) {
+  const ManyScenarios c = under_scenarios(12, 9);
+  TablesOptions options = tables_budget(2);
+  auto first = solve_tables(c.app, c.platform, c.scenarios, options);
+  options.threads = 1;
+  auto second = solve_tables(c.app, c.platform, c.scenarios, options);
+  ASSERT_TRUE(first && second);
+  first->solve_ms = second->solve_ms = 0;
+  EXPECT_EQ(*first, *second);
+}
+
+TEST(Tables, AScenarioThatCannotRunIsNamed) {
+  ManyScenarios c = under_scenarios(12, 5);
+  c.scenarios.list.push_back({"no core", {}, {}, {"cpu0", "cpu1", "cpu2", "cpu3"}});
+  const auto tables = solve_tables(c.app, c.platform, c.scenarios, tables_budget(2));
+  if (tables) GTEST_SKIP() << "this app runs without cores";
+  EXPECT_EQ(tables.error().code, ErrorCode::kInfeasible);
+  EXPECT_NE(tables.error().what.find("'no core'"), std::string::npos);
+  EXPECT_EQ(tables.error().where, "/scenarios/5");
+}
+
+TEST(Tables, DifferentXpusLostNeedATableEach) {
+  ManyScenarios c;
+  c.app.name = "two";
+  c.app.xnodes = {{"x", "X", {{"cpu", 5}, {"gpu", 3}}}};
+  c.platform = {"p", {{"cpu0", "cpu"}, {"gpu0", "gpu"}}};
+  c.scenarios = {"two", {{"no gpu", {}, {}, {"gpu0"}}, {"no cpu", {}, {}, {"cpu0"}}}};
+  const auto one = solve_tables(c.app, c.platform, c.scenarios, tables_budget(1));
+  ASSERT_FALSE(one);
+  EXPECT_EQ(one.error().code, ErrorCode::kInfeasible);
+  const auto two = solve_tables(c.app, c.platform, c.scenarios, tables_budget(2));
+  ASSERT_TRUE(two) << two.error().to_string();
+  EXPECT_EQ(two->serves[0], (Served{0, 5, 5}));
+  EXPECT_EQ(two->serves[1], (Served{1, 3, 3}));
+  EXPECT_EQ(two->worst_regret(), 1);
+}
+
+TEST(Tables, EachFalseNumberIsALie) {
+  const ManyScenarios c = under_scenarios(12, 2);
+  const Tables good = solve_tables(c.app, c.platform, c.scenarios, tables_budget(2)).value();
+  const VerifyOptions quick{.executions = 100, .proof_nodes = 1000, .schedules = 2000};
+  const auto lies = [&](const Tables& tables) {
+    return !verify_tables(c.app, c.platform, tables, quick).truthful();
+  };
+  EXPECT_FALSE(lies(good));
+  for (std::size_t s = 0; s < good.serves.size(); ++s) {
+    Tables bad = good;
+    --bad.serves[s].worst_case_us;
+    EXPECT_TRUE(lies(bad)) << "a worst case below its own execution";
+    bad = good;
+    bad.serves[s].lower_bound_us = bad.serves[s].worst_case_us + 1;
+    EXPECT_TRUE(lies(bad)) << "a bound above a policy";
+  }
+  // Without its order a table has no certificate here, or an execution that is longer.
+  Tables bare = good;
+  for (Table& table : bare.tables) table.order.clear();
+  const TablesVerification v = verify_tables(c.app, c.platform, bare, quick);
+  const auto certified = [](const TablesVerification& of) {
+    return std::count_if(of.shown.begin(), of.shown.end(), [](const std::string& line) {
+      return line.find("worst_case_us") != std::string::npos;
+    });
+  };
+  EXPECT_LT(certified(v), certified(verify_tables(c.app, c.platform, good, quick)));
+  Tables scaled = good;
+  scaled.scenarios[0].wcet_scale_pct["gpu"] = 300;
+  scaled.scenarios[0].wcet_scale_pct["cpu"] = 300;
+  EXPECT_TRUE(lies(scaled)) << "claims of another scenario";
+}
+
+}  // namespace
+}  // namespace xauto::solver

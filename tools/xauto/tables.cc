@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "xauto/tables.h"
+
+#include <algorithm>
+#include <cstdio>
+#include <iostream>
+
+#include <fmt/format.h>
+
+#include "model/claims.h"
+#include "model/json.h"
+#include "model/json_value.h"
+#include "solver/verify_tables.h"
+
+#include "xauto/outputs.h"
+
+namespace xauto::cli {
+namespace {
+
+double regret_of(const Served& served) {
+  return static_cast<double>(served.worst_case_us) /
+         static_cast<double>(std::max<std::int64_t>(1, served.lower_bound_us));
+}
+
+bool misses(const AppSpec& app, const Served& served) {
+  return app.deadline_us && served.worst_case_us > *app.deadline_us;
+}
+
+void print_tables(const AppSpec& app, const Tables& tables) {
+  std::size_t width = 8;
+  for (const Scenario& s : tables.scenarios) width = std::max(width, s.name.size());
+  std::printf("%s on %s: %zu scenarios, %zu tables, %.2f s\n\n", app.name.c_str(),
+              tables.platform.c_str(), tables.scenarios.size(), tables.tables.size(),
+              static_cast<double>(tables.solve_ms) / 1000);
+  std::printf("  %-*s  %-10s %12s %12s %8s\n", static_cast<int>(width), "scenario", "table",
+              "worst case", "lower bound", "regret");
+  std::size_t worst = 0;
+  for (std::size_t s = 0; s < tables.serves.size(); ++s) {
+    const Served& served = tables.serves[s];
+    if (regret_of(served) > regret_of(tables.serves[worst])) worst = s;
+    std::printf("  %-*s  %-10s %12s %12s %8.3f%s\n", static_cast<int>(width),
+                tables.scenarios[s].name.c_str(),
+                tables.tables[static_cast<std::size_t>(served.table)].name.c_str(),
+                ms(served.worst_case_us).c_str(), ms(served.lower_bound_us).c_str(),
+                regret_of(served), misses(app, served) ? "  MISSES THE DEADLINE" : "");
+  }
+  std::printf(
+      "\n  worst regret %.3f, under '%s'. Each worst case is certified, of %s, at the scenario's "
+      "times and below; each bound is proven. That no other %zu tables do better is not.\n"
+      "  Nothing is claimed yet of a release that is under way when the scenario changes.\n",
+      tables.worst_regret(), tables.scenarios[worst].name.c_str(), kWorstCaseScope,
+      tables.tables.size());
+}
+
+}  // namespace
+
+Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
+                              const std::string& scenarios, solver::TablesOptions asked,
+                              const std::string& out, const Options& options) {
+  XAUTO_ASSIGN(const Scenarios list, load_scenarios(scenarios, app, platform));
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", out));
+  SearchLine line;
+  asked.on_progress = [&](double elapsed_s, int solved, double worst) {
+    if (!line.due(elapsed_s)) return;
+    line.show(elapsed_s, static_cast<std::size_t>(solved) < list.list.size()
+                             ? fmt::format("{} of {} scenarios solved", solved, list.list.size())
+                             : fmt::format("worst regret {:.3f}", worst));
+  };
+  const auto solved = solver::solve_tables(app, platform, list, asked);
+  line.end();
+  if (!solved) return tl::unexpected<Error>(solved.error());
+  const Tables& tables = *solved;
+  if (options.json) {
+    Json root = Json::parse(to_json(tables, app, platform)).value_or(Json());
+    root["worst_regret"] = tables.worst_regret();
+    std::cout << root.dump(2) << "\n";
+  } else {
+    print_tables(app, tables);
+  }
+  std::fflush(stdout);
+  if (!out.empty()) outputs.write(out, to_json(tables, app, platform));
+  if (!options.json && !out.empty() && outputs.good())
+    std::printf("\n  written to %s\n", out.c_str());
+  const bool missed = std::any_of(tables.serves.begin(), tables.serves.end(),
+                                  [&](const Served& served) { return misses(app, served); });
+  return outputs.status(missed ? kAnswerIsNo : kDone);
+}
+
+bool is_tables_file(const std::string& path) {
+  const auto text = read_file(path);
+  if (!text) return false;
+  const auto document = Json::parse(*text);
+  return document && document->at("schema").text() == std::optional<std::string>("xauto.tables");
+}
+
+Result<int> check_tables(const AppSpec& app, const Platform& platform, const std::string& path,
+                         const solver::VerifyOptions& asked, const Options& options) {
+  XAUTO_ASSIGN(const Tables tables, load_tables(path, app, platform));
+  const solver::TablesVerification v = solver::verify_tables(app, platform, tables, asked);
+  std::vector<std::string> missed;
+  for (std::size_t s = 0; s < tables.serves.size(); ++s)
+    if (misses(app, tables.serves[s]))
+      missed.push_back("scenario '" + tables.scenarios[s].name +
+                       "': " + ms(tables.serves[s].worst_case_us) + " of " + ms(*app.deadline_us));
+  const int status = v.truthful() && missed.empty() ? kDone : kAnswerIsNo;
+  if (options.json) {
+    std::cout << Json{{"schema", "xauto.check"},  {"version", 1},
+                      {"truthful", v.truthful()}, {"lies", v.lies},
+                      {"shown", v.shown},         {"taken", v.taken},
+                      {"missed", missed},         {"worst_regret", v.worst_regret}}
+                     .dump(2)
+              << "\n";
+    return status;
+  }
+  for (const std::string& lie : v.lies) std::cout << "  LIE    " << lie << "\n";
+  for (const std::string& one : missed) std::cout << "  MISSED " << one << "\n";
+  for (const std::string& shown : v.shown) std::cout << "  shown  " << shown << "\n";
+  for (const std::string& taken : v.taken) std::cout << "  taken  " << taken << "\n";
+  std::cout << (v.truthful() ? fmt::format("\n{} tells the truth; its worst regret is {:.3f}.\n",
+                                           path, v.worst_regret)
+                             : fmt::format("\n{} lies: {} of its statements are false.\n", path,
+                                           v.lies.size()));
+  return status;
+}
+
+}  // namespace xauto::cli

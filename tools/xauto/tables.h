@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+// Several policies for several scenarios: `xauto solve --scenarios`, and `xauto check` of what that
+// writes.
+#pragma once
+
+#include <string>
+
+#include "model/app.h"
+#include "model/platform.h"
+#include "solver/tables.h"
+#include "solver/verify.h"
+
+#include "xauto/command.h"
+
+namespace xauto::cli {
+
+/// Solves, prints, and writes tables.json to `out` unless that is empty. Exit status 1: a scenario
+/// misses the app's deadline.
+[[nodiscard]] Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
+                                            const std::string& scenarios,
+                                            solver::TablesOptions asked, const std::string& out,
+                                            const Options& options);
+
+/// Whether a file says that it is tables; what is none of ours is refused by who reads it.
+[[nodiscard]] bool is_tables_file(const std::string& path);
+[[nodiscard]] Result<int> check_tables(const AppSpec& app, const Platform& platform,
+                                       const std::string& path, const solver::VerifyOptions& asked,
+                                       const Options& options);
+
+}  // namespace xauto::cli
