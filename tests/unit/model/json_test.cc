@@ -8,14 +8,12 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "app_text.h"
+
 namespace xauto {
 namespace {
 
-std::string app_text(const std::string& rest) {
-  return R"({"schema":"xauto.app","version":1,"name":"a",)"
-         R"("xnodes":[{"name":"x","module":"M","wcet_us":{"cpu":1}}],"edges":[])" +
-         rest + "}";
-}
+using test::app_text;
 
 class Folder {
  public:

@@ -16,8 +16,12 @@
 #include "model/deployment.h"
 #include "model/json.h"
 
+#include "app_text.h"
+
 namespace xauto {
 namespace {
+
+using test::app_text;
 
 using nlohmann::json;
 const std::string kSource = XAUTO_SOURCE_DIR;
