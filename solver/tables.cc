@@ -396,8 +396,29 @@ class TablesSearch {
       evaluator.reset(candidate.xpu, candidate.sequence);
       tables.serves.push_back({number[c], evaluator.makespan(), bound_[s]});
     }
+    add_changes(choice, tables);
     tables.solve_ms = static_cast<std::int64_t>(elapsed() * 1000);
     return tables;
+  }
+
+  void add_changes(const Choice& choice, Tables& tables) const {
+    const auto period = one_period_us(app_);
+    for (std::size_t s = 0; s < scenarios_.size(); ++s)
+      for (std::size_t t = 0; t < scenarios_.size(); ++t) {
+        if (s == t) continue;
+        Change change{static_cast<int>(s), static_cast<int>(t), {}, {}};
+        const Plan& plan = candidates_[at(choice.serves[s])];
+        if (plan.regret[t] < kCannotServe) {
+          Problem both = problems_[s];
+          for (std::size_t w = 0; w < both.wcet_flat.size(); ++w)
+            both.wcet_flat[w] = std::max(both.wcet_flat[w], problems_[t].wcet_flat[w]);
+          OrderedEvaluator evaluator(both);
+          evaluator.reset(plan.xpu, plan.sequence);
+          change.worst_case_us = evaluator.makespan();
+          if (period) change.delay_us = std::max<Time>(0, evaluator.makespan() - *period);
+        }
+        tables.changes.push_back(change);
+      }
   }
 
   const AppSpec& app_;

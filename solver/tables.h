@@ -13,6 +13,9 @@
 //     largest makespan / bound falls. What comes of it is one more candidate. Then 2 again.
 //
 // The bounds are proven, the worst cases certified; that no other K tables are better is not.
+//
+// A release during which the scenario changes keeps its table, and each of its jobs takes at most the
+// larger of its two WCETs. So its worst case is the longest path of the table at those.
 #pragma once
 
 #include <atomic>

@@ -1,10 +1,92 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "solver/verify_tables.h"
 
+#include <algorithm>
+
 #include "base/index.h"
 #include "solver/verify_world.h"
 
 namespace xauto::solver {
+
+namespace {
+
+/// A table as a policy of the scenario's app, with the times that it has there.
+Policy executed_under(const Table& table, const AppSpec& app, const Platform& platform,
+                      const Scenario& scenario) {
+  Policy policy = policy_under(table, app, platform, scenario);
+  const verification::World world(app_under(app, scenario), platform_under(platform, scenario));
+  verification::Candidate candidate;
+  candidate.order_before.resize(app.xnodes.size());
+  std::vector<verification::Us> takes;
+  for (std::size_t i = 0; i < policy.placements.size(); ++i) {
+    candidate.xpu.push_back(policy.placements[i].xpu);
+    candidate.priority.push_back(policy.placements[i].priority);
+    takes.push_back(*world.wcet[i][at(policy.placements[i].xpu)]);
+  }
+  for (const auto& [u, v] : policy.order) candidate.order_before[at(v)].push_back(u);
+  const verification::Execution executed = verification::execute(world, candidate, takes);
+  for (std::size_t i = 0; i < policy.placements.size(); ++i) {
+    policy.placements[i].start_us = executed.start[i];
+    policy.placements[i].finish_us = executed.finish[i];
+  }
+  policy.latency_us = executed.latency;
+  return policy;
+}
+
+void verify_changes(const AppSpec& app, const Platform& platform, const Tables& tables,
+                    const VerifyOptions& options, TablesVerification& all) {
+  const auto period = one_period_us(app);
+  // There may be thousands: each is executed and certified, and attacked a little.
+  VerifyOptions quick = options;
+  quick.executions = std::min<std::int64_t>(options.executions, 100);
+  quick.proof_nodes = quick.schedules = 0;
+  std::size_t certified = 0, without = 0;
+  for (const Change& change : tables.changes) {
+    const Scenario both =
+        across(app, tables.scenarios[at(change.from)], tables.scenarios[at(change.to)]);
+    const std::string name = "change from '" + tables.scenarios[at(change.from)].name + "' to '" +
+                             tables.scenarios[at(change.to)].name + "': ";
+    const Table& table = tables.tables[at(tables.serves[at(change.from)].table)];
+    const Policy placed = policy_under(table, app, platform, both);
+    const bool lost = std::any_of(placed.placements.begin(), placed.placements.end(),
+                                  [](const Placement& p) { return p.xpu < 0; });
+    if (!change.worst_case_us) {
+      if (change.delay_us) all.lies.push_back(name + "a delay, and no worst case");
+      ++without;
+      continue;
+    }
+    if (lost) {
+      all.lies.push_back(name + "a worst case, though its table needs an XPU that is lost");
+      continue;
+    }
+    Policy policy = executed_under(table, app, platform, both);
+    policy.worst_case_us = change.worst_case_us;
+    const Verification v =
+        verify(app_under(app, both), platform_under(platform, both), policy, quick);
+    for (const std::string& lie : v.lies) all.lies.push_back(name + lie);
+    const bool shown = std::any_of(v.shown.begin(), v.shown.end(), [](const std::string& line) {
+      return line.starts_with("worst_case_us");
+    });
+    if (shown)
+      ++certified;
+    else if (v.lies.empty())
+      all.taken.push_back(name + "its worst case was not re-derived");
+    if (!change.delay_us) continue;
+    const std::int64_t least =
+        period ? std::max<std::int64_t>(0, *change.worst_case_us - *period) : -1;
+    if (!period)
+      all.lies.push_back(name + "a delay, though the app states no one rate");
+    else if (*change.delay_us < least)
+      all.lies.push_back(name + "delay_us is said to be " + std::to_string(*change.delay_us) +
+                         ", it is " + std::to_string(least));
+  }
+  if (certified > 0)
+    all.shown.push_back("the worst case of a release that spans a change, of " +
+                        std::to_string(certified) + " changes" +
+                        (without > 0 ? "; " + std::to_string(without) + " have none" : ""));
+}
+
+}  // namespace
 
 TablesVerification verify_tables(const AppSpec& app, const Platform& platform, const Tables& tables,
                                  const VerifyOptions& options) {
@@ -19,24 +101,7 @@ TablesVerification verify_tables(const AppSpec& app, const Platform& platform, c
     const Served& served = tables.serves[s];
     const AppSpec scaled = app_under(app, scenario);
     const Platform left = platform_under(platform, scenario);
-    // A policy of the scenario's app, with the claims of the file and the times that it has here.
-    Policy policy = policy_under(tables.tables[at(served.table)], app, platform, scenario);
-    const verification::World world(scaled, left);
-    verification::Candidate candidate;
-    candidate.order_before.resize(scaled.xnodes.size());
-    std::vector<verification::Us> takes;
-    for (std::size_t i = 0; i < policy.placements.size(); ++i) {
-      candidate.xpu.push_back(policy.placements[i].xpu);
-      candidate.priority.push_back(policy.placements[i].priority);
-      takes.push_back(*world.wcet[i][at(policy.placements[i].xpu)]);
-    }
-    for (const auto& [u, v] : policy.order) candidate.order_before[at(v)].push_back(u);
-    const verification::Execution executed = verification::execute(world, candidate, takes);
-    for (std::size_t i = 0; i < policy.placements.size(); ++i) {
-      policy.placements[i].start_us = executed.start[i];
-      policy.placements[i].finish_us = executed.finish[i];
-    }
-    policy.latency_us = executed.latency;
+    Policy policy = executed_under(tables.tables[at(served.table)], app, platform, scenario);
     policy.lower_bound_us = served.lower_bound_us;
     policy.worst_case_us = served.worst_case_us;
     const Verification v = verify(scaled, left, policy, options);
@@ -53,6 +118,7 @@ TablesVerification verify_tables(const AppSpec& app, const Platform& platform, c
     if (!v.counterexample.empty())
       all.lies.push_back("scenario '" + scenario.name + "': " + v.counterexample);
   }
+  verify_changes(app, platform, tables, options, all);
   return all;
 }
 

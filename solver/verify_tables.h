@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Do tables tell the truth? Every claim of tables.json again, with the checker's own code
-// (verify.h): each scenario's lower bound, and the worst case of the table that serves it.
+// (verify.h): each scenario's lower bound, the worst case of the table that serves it, and that of a
+// release during which one scenario takes the place of another.
 #pragma once
 
 #include <string>

@@ -119,6 +119,16 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
     if (of.table >= 0) return x["scenario"].refuse("is served twice");
     of = served;
   });
+  if (root.has("changes"))
+    root["changes"].each_element(kMaxScenarios * kMaxScenarios, [&](std::size_t, const Reader& x) {
+      Change change{read_name(x["from"], scenario_of, "scenario", "the file"),
+                    read_name(x["to"], scenario_of, "scenario", "the file"),
+                    {},
+                    {}};
+      if (x.has("worst_case_us")) change.worst_case_us = x["worst_case_us"].time();
+      if (x.has("delay_us")) change.delay_us = x["delay_us"].time();
+      tables.changes.push_back(change);
+    });
   if (root.has("solve_ms")) tables.solve_ms = root["solve_ms"].integer(0, kMaxTimeUs);
   XAUTO_TRY(context.status());
   for (std::size_t s = 0; s < tables.serves.size(); ++s)
@@ -165,6 +175,14 @@ std::string to_json(const Tables& tables, const AppSpec& app, const Platform& pl
          {"table", tables.tables[static_cast<std::size_t>(served.table)].name},
          {"worst_case_us", served.worst_case_us},
          {"lower_bound_us", served.lower_bound_us}});
+  }
+  if (!tables.changes.empty()) document["changes"] = ordered_json::array();
+  for (const Change& c : tables.changes) {
+    ordered_json change = {{"from", tables.scenarios[static_cast<std::size_t>(c.from)].name},
+                           {"to", tables.scenarios[static_cast<std::size_t>(c.to)].name}};
+    if (c.worst_case_us) change["worst_case_us"] = *c.worst_case_us;
+    if (c.delay_us) change["delay_us"] = *c.delay_us;
+    document["changes"].push_back(std::move(change));
   }
   document["solve_ms"] = tables.solve_ms;
   return json_document::to_text(document);

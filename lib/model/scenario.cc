@@ -102,6 +102,18 @@ AppSpec app_under(const AppSpec& app, const Scenario& scenario) {
   return scaled;
 }
 
+Scenario across(const AppSpec& app, const Scenario& from, const Scenario& to) {
+  Scenario both{from.name + " -> " + to.name, {}, {}, from.lost};
+  const AppSpec a = app_under(app, from), b = app_under(app, to);
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+    for (const auto& [type, us] : a.xnodes[i].wcet_us)
+      both.wcet_us[app.xnodes[i].name][type] = std::max(us, b.xnodes[i].wcet_us.find(type)->second);
+  for (const std::string& id : to.lost)
+    if (std::find(both.lost.begin(), both.lost.end(), id) == both.lost.end())
+      both.lost.push_back(id);
+  return both;
+}
+
 Platform platform_under(const Platform& platform, const Scenario& scenario) {
   Platform left = platform;
   std::erase_if(left.xpus, [&](const Xpu& xpu) {

@@ -33,7 +33,7 @@ struct Scenarios {
   bool operator==(const Scenarios&) const = default;
 };
 
-inline constexpr std::size_t kMaxScenarios = 1000;
+inline constexpr std::size_t kMaxScenarios = 200;
 inline constexpr std::int64_t kMaxScalePct = 100'000;
 
 /// Names unique and not empty, types and XPUs of the platform, XNodes and implementations of the
@@ -46,5 +46,9 @@ inline constexpr std::int64_t kMaxScalePct = 100'000;
 /// what `validate` has passed.
 [[nodiscard]] AppSpec app_under(const AppSpec& app, const Scenario& scenario);
 [[nodiscard]] Platform platform_under(const Platform& platform, const Scenario& scenario);
+
+/// What a release has to live with during which one scenario takes the place of another: of each
+/// WCET the larger, and all XPUs that either has lost.
+[[nodiscard]] Scenario across(const AppSpec& app, const Scenario& from, const Scenario& to);
 
 }  // namespace xauto

@@ -14,6 +14,11 @@ double Tables::worst_regret() const {
   return worst;
 }
 
+std::optional<std::int64_t> one_period_us(const AppSpec& app) {
+  if (app.sources.empty() || app.rates() != 1) return std::nullopt;
+  return app.sources.front().period.floor_us();
+}
+
 Policy policy_under(const Table& table, const AppSpec& app, const Platform& platform,
                     const Scenario& scenario) {
   const AppSpec scaled = app_under(app, scenario);
@@ -81,6 +86,19 @@ Status validate(const Tables& tables, const AppSpec& app, const Platform& platfo
     if (served.worst_case_us < 0 || served.worst_case_us > kMaxTimeUs ||
         served.lower_bound_us < 0 || served.lower_bound_us > kMaxTimeUs)
       return fail(ErrorCode::kInvalid, "a time is out of range", at);
+  }
+  const std::size_t n = tables.scenarios.size();
+  if (!tables.changes.empty() && tables.changes.size() != n * (n - 1))
+    return fail(ErrorCode::kInvalid, "are not all changes between two scenarios, each once",
+                "/changes");
+  for (std::size_t k = 0; k < tables.changes.size(); ++k) {
+    const Change& change = tables.changes[k];
+    const std::size_t from = k / (n - 1), to = k % (n - 1) + (k % (n - 1) >= from ? 1 : 0);
+    if (change.from != static_cast<int>(from) || change.to != static_cast<int>(to))
+      return fail(ErrorCode::kInvalid,
+                  "is not the change from '" + tables.scenarios[from].name + "' to '" +
+                      tables.scenarios[to].name + "', which comes here",
+                  "/changes/" + std::to_string(k));
   }
   return {};
 }

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -31,11 +32,24 @@ struct Served {
   bool operator==(const Served&) const = default;
 };
 
+/// Of a release that is under way when scenario `to` takes the place of `from`: it keeps the table of
+/// `from` to its end.
+struct Change {
+  int from = -1, to = -1;  ///< scenarios
+  /// Of every execution within across(from, to); nullopt: it may need an XPU that is lost.
+  std::optional<std::int64_t> worst_case_us;
+  /// Where the app says at which one rate it is released: so much later than planned the next
+  /// release comes, at most, if it waits for that one's end.
+  std::optional<std::int64_t> delay_us;
+  bool operator==(const Change&) const = default;
+};
+
 struct Tables {
   std::string app, app_hash, platform;
   std::vector<Scenario> scenarios;
   std::vector<Table> tables;
-  std::vector<Served> serves;  ///< [scenario]
+  std::vector<Served> serves;   ///< [scenario]
+  std::vector<Change> changes;  ///< all (from, to) of different scenarios, in that order; or none
   std::int64_t solve_ms = 0;
   bool operator==(const Tables&) const = default;
 
@@ -44,6 +58,9 @@ struct Tables {
 };
 
 inline constexpr std::size_t kMaxTables = 100;
+
+/// The period of all releases, where an app of version 1 states one.
+[[nodiscard]] std::optional<std::int64_t> one_period_us(const AppSpec& app);
 
 /// A table as a policy of the app under `scenario`, without its times and claims: XPUs are indices
 /// into platform_under(). xpu -1: it uses an XPU that is lost.

@@ -161,7 +161,7 @@ BEYOND = {
                  "xpu-without-implementation"},
     "scenarios": {"another-app", "lost-twice", "lost-unknown", "name-twice", "no-implementation", "type-unknown",
                   "xnode-unknown"},
-    "tables": {"another-app", "not-placed", "not-served", "order-cycle", "order-of-two-xpus", "placed-twice",
+    "tables": {"another-app", "change-to-an-unknown-scenario", "changes-not-all", "changes-out-of-order", "not-placed", "not-served", "order-cycle", "order-of-two-xpus", "placed-twice",
                "priority-twice", "scenario-unknown", "served-twice", "serves-with-a-lost-xpu", "stale", "table-twice",
                "table-unknown", "xpu-of-no-implementation", "xpu-unknown"},
 }

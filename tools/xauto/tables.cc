@@ -25,6 +25,9 @@ double regret_of(const Served& served) {
 bool misses(const AppSpec& app, const Served& served) {
   return app.deadline_us && served.worst_case_us > *app.deadline_us;
 }
+bool misses(const AppSpec& app, const Change& change) {
+  return app.deadline_us && change.worst_case_us && *change.worst_case_us > *app.deadline_us;
+}
 
 void print_tables(const AppSpec& app, const Tables& tables) {
   std::size_t width = 8;
@@ -44,12 +47,32 @@ void print_tables(const AppSpec& app, const Tables& tables) {
                 ms(served.worst_case_us).c_str(), ms(served.lower_bound_us).c_str(),
                 regret_of(served), misses(app, served) ? "  MISSES THE DEADLINE" : "");
   }
+  const Change* longest = nullptr;
+  std::size_t without = 0;
+  for (const Change& change : tables.changes) {
+    if (!change.worst_case_us)
+      ++without;
+    else if (longest == nullptr || *change.worst_case_us > *longest->worst_case_us)
+      longest = &change;
+  }
   std::printf(
       "\n  worst regret %.3f, under '%s'. Each worst case is certified, of %s, at the scenario's "
-      "times and below; each bound is proven. That no other %zu tables do better is not.\n"
-      "  Nothing is claimed yet of a release that is under way when the scenario changes.\n",
+      "times and below; each bound is proven. That no other %zu tables do better is not.\n",
       tables.worst_regret(), tables.scenarios[worst].name.c_str(), kWorstCaseScope,
       tables.tables.size());
+  if (longest != nullptr)
+    std::printf("  A release that is under way when the scenario changes takes at most %s%s.\n",
+                ms(*longest->worst_case_us).c_str(),
+                app.deadline_us && *longest->worst_case_us > *app.deadline_us
+                    ? ", which MISSES THE DEADLINE"
+                    : "");
+  if (longest != nullptr && longest->delay_us)
+    std::printf("  The next one waits for it: it comes at most %s later than planned.\n",
+                ms(*longest->delay_us).c_str());
+  if (without > 0)
+    std::printf(
+        "  In %zu of %zu changes it may need an XPU that is lost: nothing is claimed of it then.\n",
+        without, tables.changes.size());
 }
 
 }  // namespace
@@ -82,8 +105,9 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
   if (!out.empty()) outputs.write(out, to_json(tables, app, platform));
   if (!options.json && !out.empty() && outputs.good())
     std::printf("\n  written to %s\n", out.c_str());
-  const bool missed = std::any_of(tables.serves.begin(), tables.serves.end(),
-                                  [&](const Served& served) { return misses(app, served); });
+  const auto late = [&](const auto& of) { return misses(app, of); };
+  const bool missed = std::any_of(tables.serves.begin(), tables.serves.end(), late) ||
+                      std::any_of(tables.changes.begin(), tables.changes.end(), late);
   return outputs.status(missed ? kAnswerIsNo : kDone);
 }
 
@@ -103,6 +127,12 @@ Result<int> check_tables(const AppSpec& app, const Platform& platform, const std
     if (misses(app, tables.serves[s]))
       missed.push_back("scenario '" + tables.scenarios[s].name +
                        "': " + ms(tables.serves[s].worst_case_us) + " of " + ms(*app.deadline_us));
+  for (const Change& change : tables.changes)
+    if (misses(app, change))
+      missed.push_back("change from '" +
+                       tables.scenarios[static_cast<std::size_t>(change.from)].name + "' to '" +
+                       tables.scenarios[static_cast<std::size_t>(change.to)].name +
+                       "': " + ms(*change.worst_case_us) + " of " + ms(*app.deadline_us));
   const int status = v.truthful() && missed.empty() ? kDone : kAnswerIsNo;
   if (options.json) {
     std::cout << Json{{"schema", "xauto.check"},  {"version", 1},

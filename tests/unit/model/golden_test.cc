@@ -207,6 +207,12 @@ TEST(Golden, ScenariosAndTablesAreWrittenAsTheyWereRead) {
   EXPECT_EQ(tables->scenarios, scenarios->list);
   EXPECT_EQ(tables->serves[2], (Served{1, 17500, 10150}));
   EXPECT_DOUBLE_EQ(tables->worst_regret(), 17500.0 / 10150);
+  EXPECT_EQ(tables->changes[1], (Change{0, 2, {}, {}}));
+  EXPECT_EQ(tables->changes[4], (Change{2, 0, 17500, 1200}));
+  const Scenario both = across(app, tables->scenarios[1], tables->scenarios[2]);
+  EXPECT_EQ(app_under(app, both).xnodes[0].wcet_us,
+            (decltype(slow.xnodes[0].wcet_us){{"cpu", 4500}, {"gpu", 1400}}));
+  EXPECT_EQ(both.lost, std::vector<std::string>{"dla0"});
 }
 
 TEST(Golden, EveryMalformedSetOfScenariosOrTablesIsRefusedWithItsMessage) {
@@ -215,7 +221,7 @@ TEST(Golden, EveryMalformedSetOfScenariosOrTablesIsRefusedWithItsMessage) {
   every_case("scenarios", 14, [&](const std::string& text, const std::string& name) {
     return parse_scenarios(text, name, app, platform);
   });
-  every_case("tables", 17, [&](const std::string& text, const std::string& name) {
+  every_case("tables", 20, [&](const std::string& text, const std::string& name) {
     return parse_tables(text, name, app, platform);
   });
 }

@@ -162,6 +162,61 @@ TEST(Tables, DifferentXpusLostNeedATableEach) {
   EXPECT_EQ(two->worst_regret(), 1);
 }
 
+/// Each job takes the WCET of one of the two scenarios, or less; the change comes at any moment.
+TEST(Tables, AReleaseThatSpansAChangeEndsInTime) {
+  int longer = 0, none = 0;
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    ManyScenarios c = under_scenarios(12, 70 + seed);
+    c.scenarios.list.push_back({"dla slow", {{"dla", 180}}});
+    c.app.sources = {{"camera", {20'000}}};
+    const Tables tables = solve_tables(c.app, c.platform, c.scenarios, tables_budget(3)).value();
+    const std::size_t n = c.scenarios.list.size();
+    ASSERT_EQ(tables.changes.size(), n * (n - 1));
+    const Problem problem = Problem::create(c.app, c.platform).value();
+    test::Dice dice(seed);
+    for (const Change& change : tables.changes) {
+      const auto from = static_cast<std::size_t>(change.from),
+                 to = static_cast<std::size_t>(change.to);
+      const Table& table = tables.tables[static_cast<std::size_t>(tables.serves[from].table)];
+      const bool on_dla =
+          std::count(table.xpu.begin(), table.xpu.end(), c.platform.find("dla0")) > 0;
+      EXPECT_EQ(change.worst_case_us.has_value(), !on_dla || tables.scenarios[to].lost.empty());
+      if (!change.worst_case_us) {
+        ++none;
+        continue;
+      }
+      EXPECT_EQ(change.delay_us, std::max<Time>(0, *change.worst_case_us - 20'000));
+      longer += *change.worst_case_us >
+                std::max(tables.serves[from].worst_case_us, tables.serves[to].worst_case_us);
+      for (int k = 0; k < 20; ++k) {
+        std::vector<Time> actual;
+        for (std::size_t i = 0; i < c.app.xnodes.size(); ++i) {
+          const std::string& type = c.platform.xpus[static_cast<std::size_t>(table.xpu[i])].type;
+          const Scenario& now = tables.scenarios[dice.chance(50) ? from : to];
+          const auto wcet = static_cast<int>(*app_under(c.app, now).xnodes[i].wcet_on(type));
+          actual.push_back(dice.chance(80) ? wcet : dice.roll(0, wcet));
+        }
+        const Decision decision{table.xpu, table.priority, table.order};
+        ASSERT_LE(simulate(problem, decision, {.actual = actual}).makespan, *change.worst_case_us);
+      }
+    }
+    const VerifyOptions quick{.executions = 50, .proof_nodes = 100, .schedules = 100};
+    EXPECT_TRUE(verify_tables(c.app, c.platform, tables, quick).truthful());
+    for (const std::size_t k : {std::size_t{0}, tables.changes.size() - 1}) {
+      Tables bad = tables;
+      if (!bad.changes[k].worst_case_us) continue;
+      --*bad.changes[k].worst_case_us;
+      EXPECT_FALSE(verify_tables(c.app, c.platform, bad, quick).truthful());
+      bad = tables;
+      if (*bad.changes[k].delay_us == 0) continue;
+      --*bad.changes[k].delay_us;
+      EXPECT_FALSE(verify_tables(c.app, c.platform, bad, quick).truthful());
+    }
+  }
+  EXPECT_GT(longer, 10) << "the larger of both worst cases would not do";
+  EXPECT_GT(none, 10);
+}
+
 TEST(Tables, EachFalseNumberIsALie) {
   const ManyScenarios c = under_scenarios(12, 2);
   const Tables good = solve_tables(c.app, c.platform, c.scenarios, tables_budget(2)).value();
