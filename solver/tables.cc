@@ -53,9 +53,9 @@ class TablesSearch {
     Choice best = choose();
     // Evaluations are counted per search: then a fixed number of rounds, so that speed says nothing.
     constexpr int kRounds = 24;
-    for (int round = 0; (options_.max_evaluations == 0 || round < kRounds) && !over(1.0); ++round) {
+    for (int round = 0; (options_.max_evaluations == 0 || round < kRounds) && !over(); ++round) {
       if (best.worst == kCannotServe || best.worst <= goal()) break;
-      if (!improve(best)) break;
+      improve(best);
       Choice next = choose();
       if (next.worst < best.worst || next.chosen.size() < best.chosen.size()) best = next;
       tell(best.worst);
@@ -67,9 +67,9 @@ class TablesSearch {
   [[nodiscard]] double elapsed() const {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - began_).count();
   }
-  [[nodiscard]] bool over(double share) const {
+  [[nodiscard]] bool over() const {
     return (options_.stop != nullptr && options_.stop->load()) ||
-           elapsed() >= share * options_.time_limit_s;
+           elapsed() >= options_.time_limit_s;
   }
   /// Nothing better is asked for.
   [[nodiscard]] double goal() const {
@@ -204,8 +204,9 @@ class TablesSearch {
     std::vector<int> best;
     if (options_.regret >= 1) best = cover(options_.regret, most);
     if (best.empty()) {
-      std::size_t low = 0, high = levels.size();  // high: not covered, or beyond the last
-      for (high = levels.size() - 1, best = cover(levels[high], most); low < high;) {
+      std::size_t low = 0,
+                  high = levels.size() - 1;  // each serves its own scenario: there are some
+      for (best = cover(levels[high], most); low < high;) {
         const std::size_t middle = (low + high) / 2;
         std::vector<int> some = cover(levels[middle], most);
         if (some.empty()) {
@@ -231,9 +232,9 @@ class TablesSearch {
     return choice;
   }
 
-  /// One candidate more for each group of scenarios that one table serves. False: there is nothing
-  /// that could become better.
-  bool improve(const Choice& choice) {
+  /// One candidate more for each group of scenarios that a table serves, and for each with one more
+  /// of those that limit.
+  void improve(const Choice& choice) {
     struct Task {
       std::vector<int> group;
       int from;
@@ -245,10 +246,8 @@ class TablesSearch {
       Task task{{}, c, random_.next(), {}};
       for (std::size_t s = 0; s < problems_.size(); ++s)
         if (choice.serves[s] == c) task.group.push_back(static_cast<int>(s));
-      // One at its bounds stays as it is; the others may take scenarios off a worse one.
       if (!task.group.empty()) tasks.push_back(std::move(task));
     }
-    // What limits also tries to take a scenario of the limiting table's over.
     for (std::size_t s = 0; s < problems_.size(); ++s) {
       if (candidates_[at(choice.serves[s])].regret[s] < choice.worst) continue;
       for (const int c : choice.chosen) {
@@ -271,7 +270,6 @@ class TablesSearch {
     work();
     for (std::thread& thread : threads) thread.join();
     for (Task& task : tasks) add(std::move(task.result));
-    return true;
   }
 
   /// Anneals a candidate for some scenarios at once: the largest of makespan / bound.
