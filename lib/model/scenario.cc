@@ -102,6 +102,47 @@ AppSpec app_under(const AppSpec& app, const Scenario& scenario) {
   return scaled;
 }
 
+Result<Scenarios> scenarios_of(const std::vector<NamedProfile>& profiles, const Platform& platform,
+                               WcetFrom from) {
+  if (profiles.empty()) return fail(ErrorCode::kInvalid, "no profile is given");
+  std::vector<AppSpec> apps;
+  for (const NamedProfile& one : profiles) {
+    if (!one.profile.incomplete.empty())
+      return fail(ErrorCode::kInvalid, "is incomplete: " + one.profile.incomplete, one.name);
+    XAUTO_ASSIGN(AppSpec app, to_app(one.profile, platform, from));
+    apps.push_back(std::move(app));
+  }
+  const AppSpec& first = apps.front();
+  Scenarios scenarios{first.name, {}};
+  for (std::size_t k = 0; k < apps.size(); ++k) {
+    const std::string& name = profiles[k].name;
+    if (apps[k].name != first.name)
+      return fail(ErrorCode::kInvalid, "is of app '" + apps[k].name + "'", name,
+                  profiles[0].name + " is of '" + first.name + "'");
+    if (apps[k].xnodes.size() != first.xnodes.size())
+      return fail(ErrorCode::kInvalid, "has other XNodes than " + profiles[0].name, name);
+    Scenario scenario{name};
+    for (const XNodeSpec& x : apps[k].xnodes) {
+      const int i = first.find(x.name);
+      if (i < 0)
+        return fail(ErrorCode::kInvalid,
+                    "has XNode '" + x.name + "', which " + profiles[0].name + " has not", name);
+      const auto& other = first.xnodes[static_cast<std::size_t>(i)].wcet_us;
+      const bool alike =
+          std::equal(x.wcet_us.begin(), x.wcet_us.end(), other.begin(), other.end(),
+                     [](const auto& a, const auto& b) { return a.first == b.first; });
+      if (!alike)
+        return fail(
+            ErrorCode::kInvalid,
+            "XNode '" + x.name + "' was measured on other types of XPU than in " + profiles[0].name,
+            name, "measure all of them under the same platform");
+      scenario.wcet_us[x.name] = x.wcet_us;
+    }
+    scenarios.list.push_back(std::move(scenario));
+  }
+  return scenarios;
+}
+
 Scenario across(const AppSpec& app, const Scenario& from, const Scenario& to) {
   Scenario both{from.name + " -> " + to.name, {}, {}, from.lost};
   const AppSpec a = app_under(app, from), b = app_under(app, to);

@@ -13,6 +13,7 @@
 
 #include "model/app.h"
 #include "model/platform.h"
+#include "model/profile.h"
 
 namespace xauto {
 
@@ -46,6 +47,17 @@ inline constexpr std::int64_t kMaxScalePct = 100'000;
 /// what `validate` has passed.
 [[nodiscard]] AppSpec app_under(const AppSpec& app, const Scenario& scenario);
 [[nodiscard]] Platform platform_under(const Platform& platform, const Scenario& scenario);
+
+/// What was measured, under a name.
+struct NamedProfile {
+  std::string name;
+  Profile profile;
+};
+/// A scenario for each, with the WCETs of all its XNodes. kInvalid: they are not of one app; one was
+/// not measured to its end, or not on all types of XPU that another was: what it lacks would count as
+/// the app has it.
+[[nodiscard]] Result<Scenarios> scenarios_of(const std::vector<NamedProfile>& profiles,
+                                             const Platform& platform, WcetFrom from);
 
 /// What a release has to live with during which one scenario takes the place of another: of each
 /// WCET the larger, and all XPUs that either has lost.

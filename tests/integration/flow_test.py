@@ -14,6 +14,7 @@ from common import APP, BIN, DRIVING, XAUTO, wait_for, xauto
 
 
 STEADY = str(pathlib.Path(APP).with_name("steady.json"))
+GOLDEN = pathlib.Path(__file__).resolve().parents[1] / "golden"
 
 
 def load(path):
@@ -91,6 +92,21 @@ class Flow(unittest.TestCase):
         lie = xauto(*check)
         self.assertEqual(lie.returncode, 1, lie.stdout)
         self.assertIn("scenario 'gpu 150'", lie.stdout)
+        profile = load(GOLDEN / "profile.json")
+        for name, times in ("full", 1), ("throttled", 2):
+            for xnode in profile["xnodes"]:
+                for samples in xnode["on"].values():
+                    samples["max_us"] *= times
+            pathlib.Path(self.path(name + ".json")).write_text(json.dumps(profile))
+        bench = ["--platform", GOLDEN / "platform.json"]
+        self.good("profile", *bench, "--merge", self.path("full.json"), self.path("throttled.json"), "--out", self.path("m.json"))
+        merged = load(self.path("m.json"))["scenarios"]
+        self.assertEqual([s["name"] for s in merged], ["full", "throttled"])
+        self.good("profile", *bench, "--read", self.path("full.json"), "--app-out", self.path("ma.json"))
+        self.good("solve", "--app", self.path("ma.json"), *bench, "--scenarios", self.path("m.json"), "--regret", 1.5, "--out",
+                  self.path("mt.json"), *limits)
+        self.good("check", "--app", self.path("ma.json"), *bench, "--policy", self.path("mt.json"))
+        self.assertEqual(xauto("profile", *bench, "--merge", self.path("full.json"), "--read", self.path("full.json")).returncode, 2)
         for wrong in (["--tables", 2], ["--regret", 1.1]), (["--method", "heft"], asked[4:] + ["--tables", 1]), ([], asked[4:]):
             refused = xauto("solve", "--app", APP, "--platform", "small", *wrong[0], *wrong[1])
             self.assertEqual(refused.returncode, 2, refused.stdout)

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto profile: times each XNode alone on each XPU; profile.json, and the app.json that follows.
 #include <algorithm>
+#include <filesystem>
 #include <iostream>
 #include <memory>
 #include <optional>
@@ -27,7 +28,7 @@ struct ProfileFlags {
   bool stable = false;
   std::optional<Argument> repetitions_given;
   EmulationOptions emulation;
-  std::vector<std::string> command;
+  std::vector<std::string> command, merge;
 };
 
 /// Further rounds of repetitions with --stable, at most: docs/formats.md, profile.json.
@@ -138,8 +139,44 @@ Result<Profile> measure(const ProfileFlags& flags, const Platform& platform) {
   return result;
 }
 
+WcetFrom from_of(const ProfileFlags& flags) {
+  return flags.from == "p50"   ? WcetFrom::kP50
+         : flags.from == "p99" ? WcetFrom::kP99
+                               : WcetFrom::kMaxPlusMargin;
+}
+
+/// Profiles, each made at other clocks or beside other work, to scenarios.json.
+Result<int> merge(const ProfileFlags& flags, const Options& options) {
+  if (!flags.read.empty() || !flags.command.empty() || !flags.app_out.empty())
+    return fail(ErrorCode::kInvalid, "measures nothing: leave out the app, --read and --app-out",
+                "--merge");
+  XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  Outputs outputs;
+  XAUTO_TRY(outputs.expect("--out", flags.out));
+  std::vector<NamedProfile> profiles;
+  for (const std::string& path : flags.merge) {
+    XAUTO_ASSIGN(Profile one, load_profile(path));
+    profiles.push_back({std::filesystem::path(path).stem().string(), std::move(one)});
+    const ProfileConditions &c = profiles.back().profile.conditions,
+                            &first = profiles.front().profile.conditions;
+    if (c.machine != first.machine || c.input != first.input)
+      log::warn("{}: measured on '{}' with input '{}', the first one on '{}' with '{}'", path,
+                c.machine, c.input, first.machine, first.input);
+  }
+  XAUTO_ASSIGN(const Scenarios scenarios, scenarios_of(profiles, platform, from_of(flags)));
+  const std::string text = to_json(scenarios);
+  if (options.json || flags.out.empty()) std::cout << text;
+  outputs.write(flags.out, text);
+  if (!options.json && !flags.out.empty() && outputs.good())
+    std::cout << fmt::format(
+        "{}: {} scenarios of app '{}'; `xauto solve --scenarios {}` plans for them\n", flags.out,
+        scenarios.list.size(), scenarios.app, flags.out);
+  return outputs.status(kDone);
+}
+
 Result<int> profile(const ProfileFlags& given, const Options& options) {
   ProfileFlags flags = given;
+  if (!flags.merge.empty()) return merge(flags, options);
   if (flags.read.empty() == flags.command.empty())
     return fail(ErrorCode::kInvalid, "give either an app to run, after --, or --read profile.json");
   if (flags.from == "p99" && flags.read.empty()) {
@@ -165,10 +202,7 @@ Result<int> profile(const ProfileFlags& given, const Options& options) {
   }
   outputs.write(flags.out, text);
   if (!flags.app_out.empty()) {
-    const WcetFrom from = flags.from == "p50"   ? WcetFrom::kP50
-                          : flags.from == "p99" ? WcetFrom::kP99
-                                                : WcetFrom::kMaxPlusMargin;
-    auto app = to_app(*result, platform, from);
+    auto app = to_app(*result, platform, from_of(flags));
     if (app && flags.app_version == 2) {
       if (auto periodic = as_version_2(*app)) {
         app = std::move(periodic);
@@ -237,6 +271,10 @@ void add_profile(Commands& commands) {
   flags->emulation.declare(verb);
   verb.option("--read", flags->read,
               "an existing profile.json instead of measuring, e.g. for --app-out");
+  verb.option(
+      "--merge", flags->merge,
+      "profiles of one app, made under different conditions: write scenarios.json to --out, "
+      "a scenario for each, named as its file");
   verb.option("command", flags->command, "the app's program and its arguments, after --");
 }
 

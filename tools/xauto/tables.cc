@@ -32,8 +32,9 @@ bool misses(const AppSpec& app, const Change& change) {
 void print_tables(const AppSpec& app, const Tables& tables) {
   std::size_t width = 8;
   for (const Scenario& s : tables.scenarios) width = std::max(width, s.name.size());
-  std::printf("%s on %s: %zu scenarios, %zu tables, %.2f s\n\n", app.name.c_str(),
-              tables.platform.c_str(), tables.scenarios.size(), tables.tables.size(),
+  const std::size_t count = tables.tables.size();
+  std::printf("%s on %s: %zu scenarios, %zu table%s, %.2f s\n\n", app.name.c_str(),
+              tables.platform.c_str(), tables.scenarios.size(), count, count == 1 ? "" : "s",
               static_cast<double>(tables.solve_ms) / 1000);
   std::printf("  %-*s  %-10s %12s %12s %8s\n", static_cast<int>(width), "scenario", "table",
               "worst case", "lower bound", "regret");
@@ -57,9 +58,9 @@ void print_tables(const AppSpec& app, const Tables& tables) {
   }
   std::printf(
       "\n  worst regret %.3f, under '%s'. Each worst case is certified, of %s, at the scenario's "
-      "times and below; each bound is proven. That no other %zu tables do better is not.\n",
+      "times and below; each bound is proven.%s\n",
       tables.worst_regret(), tables.scenarios[worst].name.c_str(), kWorstCaseScope,
-      tables.tables.size());
+      tables.worst_regret() > 1 ? " That as few tables cannot do better is not." : "");
   if (longest != nullptr)
     std::printf("  A release that is under way when the scenario changes takes at most %s%s.\n",
                 ms(*longest->worst_case_us).c_str(),

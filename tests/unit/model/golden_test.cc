@@ -215,6 +215,44 @@ TEST(Golden, ScenariosAndTablesAreWrittenAsTheyWereRead) {
   EXPECT_EQ(both.lost, std::vector<std::string>{"dla0"});
 }
 
+TEST(Golden, ProfilesOfOneAppBecomeItsScenarios) {
+  const Platform platform = golden_platform();
+  const Profile slow = parse_profile(slurp(golden() / "profile.json"), "profile.json").value();
+  Profile fast = slow;
+  for (XNodeProfile& x : fast.xnodes)
+    for (auto& [xpu, s] : x.on) s = {s.count, 1, 2, 3, 50};
+  const auto merge = [&](const Profile& a, const Profile& b) {
+    return scenarios_of({{"slow", a}, {"fast", b}}, platform, WcetFrom::kMaxPlusMargin);
+  };
+  const auto scenarios = merge(slow, fast);
+  ASSERT_TRUE(scenarios) << scenarios.error().to_string();
+  ASSERT_EQ(scenarios->list.size(), 2u);
+  const AppSpec app = to_app(slow, platform, WcetFrom::kMaxPlusMargin).value();
+  EXPECT_TRUE(validate(*scenarios, app, platform));
+  EXPECT_EQ(app_under(app, scenarios->list[0]).xnodes, app.xnodes) << "its own";
+  for (const XNodeSpec& x : app_under(app, scenarios->list[1]).xnodes)
+    for (const auto& [type, us] : x.wcet_us)
+      EXPECT_EQ(us, (50 * (100 + slow.margin_pct) + 99) / 100) << x.name << type;
+  Profile other = fast;
+  other.app = "another";
+  EXPECT_FALSE(merge(slow, other));
+  other = fast;
+  other.incomplete = "interrupted";
+  EXPECT_FALSE(merge(slow, other));
+  other = fast;
+  for (XNodeProfile& x : other.xnodes)
+    if (x.on.size() > 1) {
+      x.on.erase(x.on.begin());
+      const auto refused = merge(slow, other);
+      ASSERT_FALSE(refused) << "what it lacks would count as the app has it";
+      EXPECT_EQ(refused.error().where, "fast");
+      break;
+    }
+  other = fast;
+  other.xnodes[0].name = "renamed";
+  EXPECT_FALSE(merge(slow, other));
+}
+
 TEST(Golden, EveryMalformedSetOfScenariosOrTablesIsRefusedWithItsMessage) {
   const AppSpec app = golden_app();
   const Platform platform = golden_platform();
