@@ -99,6 +99,12 @@ class App {
   /// made is destroyed, before main() returns: the place to write results.
   App& on_end(std::function<void()> callback);
 
+  /// Of a run with tables (docs/modes.md): from the next release on at least what scenario `name` covers
+  /// counts; "": nobody asks any more. As `xauto mode` does. Threads: any, also a callback or an
+  /// `exec`, in any process of the app. Errors: kNotFound: there is no such scenario; kUnavailable: no
+  /// run goes on, or it has no tables.
+  [[nodiscard]] Status request_mode(const std::string& name);
+
   /// Everything that is wrong with the graph as declared: names each module, XNode and topic
   /// involved. Error: kInvalid.
   [[nodiscard]] Status check() const;

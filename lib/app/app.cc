@@ -75,6 +75,10 @@ App& App::on_end(std::function<void()> callback) {
   return *this;
 }
 
+Status App::request_mode(const std::string& name) {
+  return data_->spec.modes->ask(name);
+}
+
 Status App::check() const {
   detail::add_timers(data_->spec);
   XAUTO_TRY(runtime::Graph::build(data_->spec));

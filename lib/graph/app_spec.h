@@ -14,6 +14,8 @@
 #include <xauto/source.h>
 #include <xauto/xmodule.h>
 
+#include "base/pi_mutex.h"
+#include "base/thread_safety.h"
 #include "graph/inlet.h"
 #include "model/message.h"
 
@@ -77,12 +79,33 @@ struct ObserverSpec {
   Observe callback;
 };
 
+/// App::request_mode while a run goes on. Threads: any.
+class ModeRequests {
+ public:
+  using Ask = std::function<Status(const std::string& name)>;
+  /// Null: no run goes on.
+  void bind(Ask ask) {
+    const Guard lock(mutex_);
+    ask_ = std::move(ask);
+  }
+  [[nodiscard]] Status ask(const std::string& name) {
+    const Guard lock(mutex_);
+    if (ask_) return ask_(name);
+    return fail(ErrorCode::kUnavailable, "no run goes on", "App::request_mode");
+  }
+
+ private:
+  PiMutex mutex_;
+  Ask ask_ XAUTO_GUARDED_BY(mutex_);
+};
+
 struct AppSpecErased {
   std::string name;
   std::vector<std::shared_ptr<XModuleSpec>> modules;
   std::vector<SourceSpec> sources;
   std::vector<ObserverSpec> observers;
   std::vector<std::function<void()>> on_start, on_stop, on_end;
+  std::shared_ptr<ModeRequests> modes = std::make_shared<ModeRequests>();
 };
 
 /// What a module and its XNodes declare, each once, in the order of declaration.

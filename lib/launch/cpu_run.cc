@@ -9,21 +9,29 @@
 #include "coord/rule.h"
 
 namespace xauto::launch {
+namespace {
+
+std::size_t num_tasks(const CpuRunRequest& request) {
+  return request.app.xnodes.size() * std::max<std::size_t>(1, request.tables.size());
+}
+
+}  // namespace
 
 std::vector<kernel::TableRow> table_rows(const CpuRunRequest& request,
                                          const std::vector<int>& cores) {
-  std::vector<kernel::TableRow> rows(request.app.xnodes.size());
-  if (request.policy == nullptr) return rows;
+  std::vector<kernel::TableRow> rows(num_tasks(request));
+  if (request.tables.empty()) return rows;
   const std::vector<int> cpus = request.platform.instances_of("cpu");
+  const std::size_t xnodes = request.app.xnodes.size();
   for (std::size_t i = 0; i < rows.size(); ++i) {
-    const Placement& placement = request.policy->placements[i];
+    const Placement& placement = request.tables[i / xnodes]->placements[i % xnodes];
     const auto cpu = std::find(cpus.begin(), cpus.end(), placement.xpu);
     if (cpu == cpus.end() || !request.real[static_cast<std::size_t>(*cpu)]) continue;
     const auto instance = static_cast<std::size_t>(cpu - cpus.begin());
     if (instance >= cores.size()) continue;
     rows[i].cpu = static_cast<std::uint32_t>(cores[instance]);
     rows[i].key = request.keys ? 0 : coord::key_of_priority(placement.priority);
-    if (const auto wcet = request.app.xnodes[i].wcet_on("cpu"))
+    if (const auto wcet = request.app.xnodes[i % xnodes].wcet_on("cpu"))
       rows[i].budget_us = *wcet * request.budget_pct / 100;
   }
   return rows;
@@ -33,10 +41,12 @@ namespace {
 
 std::vector<kernel::XNodeName> names_of(const CpuRunRequest& request) {
   std::vector<kernel::XNodeName> names;
-  for (std::size_t i = 0; i < request.app.xnodes.size(); ++i) {
-    const int xpu = request.policy != nullptr ? request.policy->placements[i].xpu : -1;
+  const std::size_t xnodes = request.app.xnodes.size();
+  for (std::size_t i = 0; i < num_tasks(request); ++i) {
+    const int xpu =
+        request.tables.empty() ? -1 : request.tables[i / xnodes]->placements[i % xnodes].xpu;
     const auto at = static_cast<std::size_t>(std::max(xpu, 0));
-    names.push_back({request.app.xnodes[i].name,
+    names.push_back({request.app.xnodes[i % xnodes].name,
                      xpu < 0 ? std::string() : request.platform.xpus[at].id,
                      static_cast<std::uint32_t>(at)});
   }
@@ -72,7 +82,7 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
   const std::vector<int> all = request.platform.instances_of("cpu");
   const bool real_cpus = std::any_of(
       all.begin(), all.end(), [&](int x) { return request.real[static_cast<std::size_t>(x)]; });
-  const bool want_ext = request.want_ext && request.policy != nullptr && real_cpus;
+  const bool want_ext = request.want_ext && !request.tables.empty() && real_cpus;
   if (request.want_ext && !real_cpus)
     run.note = "the CPUs are emulated: --cpu-sched ext has no effect";
   const auto instead = [&](const Error& error) {
@@ -89,8 +99,8 @@ CpuRun prepare_cpus(const CpuRunRequest& request) {
   if (want_ext && join_other(request, rows, run)) return run;
   // The program alone knows how many threads it has: one for each activation in flight. A slot is
   // 200 bytes.
-  auto maps = kernel::RunMaps::create(
-      request.run, static_cast<std::uint32_t>(request.app.xnodes.size()), XAUTO_BPF_MAX_SLOTS);
+  auto maps = kernel::RunMaps::create(request.run, static_cast<std::uint32_t>(num_tasks(request)),
+                                      XAUTO_BPF_MAX_SLOTS);
   if (!maps) {
     if (want_ext) instead(maps.error());
     log::debug("this run cannot be observed: {}", maps.error().to_string());

@@ -25,7 +25,7 @@
 #include "kernel/scx_scheduler.h"
 #include "launch/cpu_run.h"
 #include "launch/daemons.h"
-#include "launch/parameter_desk.h"
+#include "launch/desk.h"
 #include "model/json.h"
 #include "model/json_value.h"
 #include "processes/packet.h"
@@ -106,7 +106,7 @@ class Supervisor {
         return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
       session.board_fd = board_fd_.get();
       XAUTO_ASSIGN(live_, listen_abstract(base_ + kLiveName));
-      XAUTO_ASSIGN(desk_, ParameterDesk::open(base_ + kParameterName, board_fd_.get()));
+      XAUTO_ASSIGN(desk_, Desk::open(base_ + kDeskName, board_fd_.get()));
       prepare_cpus(scheduled);
     }
     if (scheduled)
@@ -177,11 +177,14 @@ class Supervisor {
     Session& session = request_.session;
     std::string name = base_.substr(std::string(kSocketPrefix).size());
     name.pop_back();
+    std::vector<const Policy*> tables;
+    for (std::size_t t = 0; scheduled && t < session.num_tables(); ++t)
+      tables.push_back(&session.of_table(t));
     cpus_ = launch::prepare_cpus({.run = name,
                                   .bin = bin_,
                                   .app = session.app,
                                   .platform = session.platform,
-                                  .policy = scheduled ? &session.policy : nullptr,
+                                  .tables = std::move(tables),
                                   .keys = session.keys.has_value(),
                                   .real = real_xpus(session),
                                   .want_ext = session.cpu_sched == CpuSched::kExt,
@@ -381,7 +384,7 @@ class Supervisor {
   std::string base_, bin_;
   UniqueFd answer_, trace_, session_, board_fd_, live_;
   std::shared_ptr<const Board> board_;
-  std::unique_ptr<ParameterDesk> desk_;  ///< null: it is no run
+  std::unique_ptr<Desk> desk_;  ///< null: it is no run
   std::optional<Daemons> daemons_;
   std::vector<ModuleProcess> processes_;
   Child app_;

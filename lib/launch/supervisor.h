@@ -33,8 +33,8 @@ namespace xauto::launch {
 /// read (`Board::observe`).
 inline constexpr const char* kLiveName = "live";
 
-/// Of the tool: where parameters are changed (parameter_desk.h).
-inline constexpr const char* kParameterName = "param";
+/// Of the tool: where parameters and the scenario are changed (desk.h).
+inline constexpr const char* kDeskName = "desk";
 
 /// A deadline miss or a hang, and what was traced around it.
 struct Incident {

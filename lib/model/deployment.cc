@@ -266,6 +266,12 @@ Result<Deployment> parse(std::string_view text, std::string_view origin, const A
         if (where == kTransportNames[i]) d.transport.emplace(topic, static_cast<TopicTransport>(i));
       if (!d.transport.contains(topic)) r.refuse("must be \"cyclonedds\" or \"cyclonedds:feed\"");
     });
+  if (root.has("tables")) {
+    const Reader tables = root["tables"];
+    if (tables.has("dwell_ms")) d.tables.dwell_ms = tables["dwell_ms"].integer(1, kMaxDwellMs);
+    if (tables.has("margin_pct"))
+      d.tables.margin_pct = tables["margin_pct"].integer(0, kMaxMarginPct);
+  }
   XAUTO_TRY(context.status());
   for (const auto& [name, module] : d.modules) modules.insert(name);
   check(d, modules, root);
@@ -326,6 +332,12 @@ std::string to_json(const Deployment& d) {
     ordered_json transport = ordered_json::object();
     for (const auto& [topic, where] : d.transport) transport[topic] = to_string(where);
     document["transport"] = std::move(transport);
+  }
+  if (d.tables != TablesDeployment{}) {
+    ordered_json tables = ordered_json::object();
+    if (d.tables.dwell_ms) tables["dwell_ms"] = *d.tables.dwell_ms;
+    if (d.tables.margin_pct) tables["margin_pct"] = *d.tables.margin_pct;
+    document["tables"] = std::move(tables);
   }
   return json_document::to_text(document);
 }

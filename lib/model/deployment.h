@@ -76,6 +76,13 @@ struct ChainDeployment {
   bool operator==(const ChainDeployment&) const = default;
 };
 
+/// Of a run with tables: when it goes back to a scenario below the one in force.
+struct TablesDeployment {
+  std::optional<std::int64_t> dwell_ms;    ///< not before so long; 2000
+  std::optional<std::int64_t> margin_pct;  ///< jobs stay so much below what that scenario allows; 0
+  bool operator==(const TablesDeployment&) const = default;
+};
+
 struct Deployment {
   std::string app;                                ///< AppSpec::name
   std::optional<std::int64_t> queue_depth, keep;  ///< of topics between processes
@@ -86,6 +93,7 @@ struct Deployment {
   std::map<std::string, std::int64_t, std::less<>> budgets_us;  ///< XNode -> its budget
   std::vector<ChainDeployment> chains;
   std::map<std::string, TopicTransport, std::less<>> transport;  ///< topic -> where it goes
+  TablesDeployment tables;
   bool operator==(const Deployment&) const = default;
 
   /// What holds for one module: what is said of it, else what is said of all.
@@ -98,6 +106,7 @@ inline constexpr std::size_t kMaxChains = 256;
 inline constexpr std::size_t kMaxInstances = 4096, kMaxRemaps = 4096;  ///< of one module
 inline constexpr std::size_t kMaxTransports = 256;
 inline constexpr std::int64_t kMaxBudgetPct = 1'000'000;
+inline constexpr std::int64_t kMaxDwellMs = 3'600'000, kMaxMarginPct = 90;
 
 /// `origin` names the text in messages. Checked against `app`: its name, modules and XNodes.
 [[nodiscard]] Result<Deployment> parse_deployment(std::string_view text, std::string_view origin,

@@ -28,6 +28,15 @@ Scenario read_scenario(const Reader& x) {
   if (x.has("lost"))
     x["lost"].each_element(kMaxXpus,
                            [&](std::size_t, const Reader& id) { s.lost.push_back(id.text()); });
+  if (x.has("when"))
+    x["when"].each_element(kMaxConditions, [&](std::size_t, const Reader& c) {
+      Condition condition;
+      condition.file = c["file"].text();
+      if (c.has("at_least")) condition.at_least = c["at_least"].integer(-kMaxReading, kMaxReading);
+      if (c.has("at_most")) condition.at_most = c["at_most"].integer(-kMaxReading, kMaxReading);
+      if (c.has("equals")) condition.equals = c["equals"].text();
+      s.when.push_back(std::move(condition));
+    });
   return s;
 }
 
@@ -45,6 +54,14 @@ ordered_json scenarios_to_json(const std::vector<Scenario>& scenarios) {
     if (!s.wcet_scale_pct.empty()) one["wcet_scale_pct"] = s.wcet_scale_pct;
     if (!s.wcet_us.empty()) one["wcet_us"] = s.wcet_us;
     if (!s.lost.empty()) one["lost"] = s.lost;
+    if (!s.when.empty()) one["when"] = ordered_json::array();
+    for (const Condition& c : s.when) {
+      ordered_json condition = {{"file", c.file}};
+      if (c.at_least) condition["at_least"] = *c.at_least;
+      if (c.at_most) condition["at_most"] = *c.at_most;
+      if (c.equals) condition["equals"] = *c.equals;
+      one["when"].push_back(std::move(condition));
+    }
     all.push_back(std::move(one));
   }
   return all;

@@ -42,6 +42,30 @@ Status valid_wcets(const Scenario& s, const AppSpec& app, const std::string& at)
   return {};
 }
 
+Status valid_conditions(const Scenario& s, const std::string& at) {
+  if (s.when.size() > kMaxConditions)
+    return fail(ErrorCode::kInvalid, std::to_string(s.when.size()) + " conditions are too many",
+                at + "/when", "at most " + std::to_string(kMaxConditions));
+  for (std::size_t k = 0; k < s.when.size(); ++k) {
+    const Condition& c = s.when[k];
+    const std::string where = at + "/when/" + std::to_string(k);
+    if (c.file.empty() || c.file.front() != '/')
+      return fail(ErrorCode::kInvalid, "'" + c.file + "' is not an absolute path", where + "/file");
+    const bool range = c.at_least || c.at_most;
+    if (range == c.equals.has_value())
+      return fail(ErrorCode::kInvalid,
+                  "needs either equals, or at_least and at_most or one of them", where);
+    if (c.at_least && c.at_most && *c.at_least > *c.at_most)
+      return fail(ErrorCode::kInvalid,
+                  "no number is at least " + std::to_string(*c.at_least) + " and at most " +
+                      std::to_string(*c.at_most),
+                  where);
+    if (c.equals && c.equals->size() > kMaxConditionText)
+      return fail(ErrorCode::kInvalid, "is longer than any file that is read", where + "/equals");
+  }
+  return {};
+}
+
 }  // namespace
 
 Status validate(const Scenarios& scenarios, const AppSpec& app, const Platform& platform,
@@ -64,6 +88,7 @@ Status validate(const Scenarios& scenarios, const AppSpec& app, const Platform& 
       return fail(ErrorCode::kInvalid, "two scenarios are called '" + s.name + "'", here + "/name");
     XAUTO_TRY(valid_scale(s, types, here));
     XAUTO_TRY(valid_wcets(s, app, here));
+    XAUTO_TRY(valid_conditions(s, here));
     std::set<std::string> lost;
     for (std::size_t n = 0; n < s.lost.size(); ++n) {
       const std::string where = here + "/lost/" + std::to_string(n);
@@ -100,6 +125,16 @@ AppSpec app_under(const AppSpec& app, const Scenario& scenario) {
     }
   }
   return scaled;
+}
+
+bool covers(const AppSpec& app, const Scenario& a, const Scenario& b) {
+  const AppSpec under_a = app_under(app, a), under_b = app_under(app, b);
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+    for (const auto& [type, us] : under_b.xnodes[i].wcet_us)
+      if (us > under_a.xnodes[i].wcet_us.find(type)->second) return false;
+  return std::all_of(b.lost.begin(), b.lost.end(), [&](const std::string& id) {
+    return std::find(a.lost.begin(), a.lost.end(), id) != a.lost.end();
+  });
 }
 
 Result<Scenarios> scenarios_of(const std::vector<NamedProfile>& profiles, const Platform& platform,
@@ -144,7 +179,7 @@ Result<Scenarios> scenarios_of(const std::vector<NamedProfile>& profiles, const 
 }
 
 Scenario across(const AppSpec& app, const Scenario& from, const Scenario& to) {
-  Scenario both{from.name + " -> " + to.name, {}, {}, from.lost};
+  Scenario both{from.name + " -> " + to.name, {}, {}, from.lost, {}};
   const AppSpec a = app_under(app, from), b = app_under(app, to);
   for (std::size_t i = 0; i < app.xnodes.size(); ++i)
     for (const auto& [type, us] : a.xnodes[i].wcet_us)

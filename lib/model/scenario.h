@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -17,6 +18,15 @@
 
 namespace xauto {
 
+/// What a file of the machine has to say: a clock in /sys/class/devfreq, a power mode's name. Exactly
+/// `equals`, or at least one of the other two.
+struct Condition {
+  std::string file;  ///< absolute path; its text without space around it
+  std::optional<std::int64_t> at_least, at_most;  ///< of a file that holds one whole number
+  std::optional<std::string> equals;
+  bool operator==(const Condition&) const = default;
+};
+
 struct Scenario {
   std::string name;  ///< unique, "gpu at 60 %"
   /// XPU type -> percent of the app's WCETs there, rounded up to the next microsecond; 100 where
@@ -25,6 +35,9 @@ struct Scenario {
   /// XNode -> XPU type -> WCET, instead of what scaling gives.
   std::map<std::string, std::map<std::string, std::int64_t, std::less<>>, std::less<>> wcet_us = {};
   std::vector<std::string> lost = {};  ///< XPUs that are not there, by id
+  /// Under which it was measured: a run is in this scenario while all of them hold. Empty: the machine
+  /// does not tell.
+  std::vector<Condition> when = {};
   bool operator==(const Scenario&) const = default;
 };
 
@@ -35,7 +48,9 @@ struct Scenarios {
 };
 
 inline constexpr std::size_t kMaxScenarios = 200;
+inline constexpr std::size_t kMaxConditions = 64, kMaxConditionText = 200;  ///< of one; of `equals`
 inline constexpr std::int64_t kMaxScalePct = 100'000;
+inline constexpr std::int64_t kMaxReading = 1'000'000'000'000'000;  ///< Hz, say; exact in JSON
 
 /// Names unique and not empty, types and XPUs of the platform, XNodes and implementations of the
 /// app, percentages from 1 to kMaxScalePct, WCETs at least 1 us; in each scenario every XNode can
@@ -47,6 +62,10 @@ inline constexpr std::int64_t kMaxScalePct = 100'000;
 /// what `validate` has passed.
 [[nodiscard]] AppSpec app_under(const AppSpec& app, const Scenario& scenario);
 [[nodiscard]] Platform platform_under(const Platform& platform, const Scenario& scenario);
+
+/// What holds under `a` holds under `b`: no WCET of `b` is longer, and `b` has lost no XPU that `a`
+/// has. Of what `validate` has passed.
+[[nodiscard]] bool covers(const AppSpec& app, const Scenario& a, const Scenario& b);
 
 /// What was measured, under a name.
 struct NamedProfile {

@@ -2,9 +2,17 @@
 #include "model/tables.h"
 
 #include <algorithm>
+#include <array>
 #include <set>
 
 namespace xauto {
+
+const char* to_string(Why why) {
+  constexpr std::array<const char*, 6> kNames = {"start",   "asked", "machine",
+                                                 "overrun", "back",  "outside"};
+  const auto at = static_cast<std::size_t>(why);
+  return at < kNames.size() ? kNames[at] : "?";
+}
 
 double Tables::worst_regret() const {
   double worst = 0;

@@ -57,6 +57,17 @@ struct Tables {
   [[nodiscard]] double worst_regret() const;
 };
 
+/// Why a scenario counts in a run. Written as a number into traces: append only.
+enum class Why : std::uint8_t {
+  kStart,    ///< it is the file's first
+  kAsked,    ///< people asked for it, or no longer ask for more
+  kMachine,  ///< the machine's clocks are those of this scenario
+  kOverrun,  ///< a job took longer than the scenario before allows
+  kBack,     ///< a dwell long nothing needed more
+  kOutside,  ///< no scenario allows what was seen: this one is passed by least
+};
+[[nodiscard]] const char* to_string(Why why);  ///< "asked"; of a number beyond them "?"
+
 inline constexpr std::size_t kMaxTables = 100;
 
 /// The period of all releases, where an app of version 1 states one.

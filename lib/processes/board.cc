@@ -15,23 +15,31 @@
 #include "model/app.h"
 #include "model/deployment.h"
 #include "model/parameter.h"
+#include "model/scenario.h"
 #include "session/distribution.h"
 
 namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kMaxFlows = kMaxChains + 1;
-constexpr std::uint32_t kBoardMagic = 0x58424f43;  // "XBOC"; another one with each layout
+constexpr std::uint32_t kBoardMagic = 0x58424f44;  // "XBOD"; another one with each layout
 
 std::size_t bytes_of(const BoardShape& shape) {
   return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
          shape.modules * sizeof(ModuleLine) + shape.nodes * sizeof(XNodeLine) +
-         shape.flows * sizeof(FlowLine) + shape.parameters * sizeof(ParameterLine);
+         shape.flows * sizeof(FlowLine) + shape.parameters * sizeof(ParameterLine) +
+         shape.scenarios * sizeof(ScenarioLine);
 }
 
 void fill(void* memory, const BoardShape& s) {
-  auto* header = new (memory) BoardHeader{kBoardMagic,  s.processes, s.modules, s.nodes, s.flows,
-                                          s.parameters, {},          {},        {},      {}};
+  auto* header = new (memory) BoardHeader;
+  header->magic = kBoardMagic;
+  header->processes = s.processes;
+  header->modules = s.modules;
+  header->nodes = s.nodes;
+  header->flows = s.flows;
+  header->parameters = s.parameters;
+  header->scenarios = s.scenarios;
   auto* lines = reinterpret_cast<ProcessLine*>(header + 1);
   for (std::uint32_t p = 0; p < s.processes; ++p) (new (lines + p) ProcessLine)->stand_in.store(p);
   auto* counts = reinterpret_cast<ModuleLine*>(lines + s.processes);
@@ -42,6 +50,8 @@ void fill(void* memory, const BoardShape& s) {
   for (std::uint32_t f = 0; f < s.flows; ++f) new (flows + f) FlowLine;
   auto* parameters = reinterpret_cast<ParameterLine*>(flows + s.flows);
   for (std::uint32_t p = 0; p < s.parameters; ++p) new (parameters + p) ParameterLine;
+  auto* scenarios = reinterpret_cast<ScenarioLine*>(parameters + s.parameters);
+  for (std::uint32_t k = 0; k < s.scenarios; ++k) new (scenarios + k) ScenarioLine;
 }
 
 }  // namespace
@@ -56,7 +66,8 @@ Board::Board(void* memory, std::size_t bytes, bool mapped, const BoardShape& sha
       modules_(reinterpret_cast<ModuleLine*>(processes_ + shape.processes)),
       xnodes_(reinterpret_cast<XNodeLine*>(modules_ + shape.modules)),
       flows_(reinterpret_cast<FlowLine*>(xnodes_ + shape.nodes)),
-      parameters_(reinterpret_cast<ParameterLine*>(flows_ + shape.flows)) {}
+      parameters_(reinterpret_cast<ParameterLine*>(flows_ + shape.flows)),
+      scenarios_(reinterpret_cast<ScenarioLine*>(parameters_ + shape.parameters)) {}
 
 Board::~Board() {
   if (mapped_)
@@ -74,7 +85,8 @@ std::shared_ptr<Board> Board::local(const BoardShape& shape) {
 
 Result<std::shared_ptr<Board>> Board::create(const BoardShape& shape, UniqueFd& fd) {
   if (shape.processes == 0 || shape.processes > kMaxProcesses || shape.modules > kMaxXNodes ||
-      shape.nodes > kMaxXNodes || shape.flows > kMaxFlows || shape.parameters > kMaxParameters)
+      shape.nodes > kMaxXNodes || shape.flows > kMaxFlows || shape.parameters > kMaxParameters ||
+      shape.scenarios > kMaxScenarios)
     return fail(ErrorCode::kInvalid, std::to_string(shape.processes) + " processes and " +
                                          std::to_string(shape.modules) + " modules are too many");
   const std::size_t bytes = bytes_of(shape);
@@ -101,7 +113,8 @@ Result<std::shared_ptr<Board>> Board::map(int fd, const BoardShape& shape) {
   auto board = std::shared_ptr<Board>(new Board(memory, bytes, true, shape));
   const BoardHeader& h = *board->header_;
   if (h.magic != kBoardMagic || h.processes != shape.processes || h.modules != shape.modules ||
-      h.nodes != shape.nodes || h.flows != shape.flows || h.parameters != shape.parameters)
+      h.nodes != shape.nodes || h.flows != shape.flows || h.parameters != shape.parameters ||
+      h.scenarios != shape.scenarios)
     return fail(ErrorCode::kInvalid, "the app's shared memory is another app's", {},
                 "all processes of an app must be of one build");
   return board;
@@ -133,12 +146,13 @@ Result<std::shared_ptr<Board>> Board::look(int fd, int protection) {
   if (memory == MAP_FAILED)
     return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
   const auto* header = static_cast<const BoardHeader*>(memory);
-  const BoardShape shape{header->processes, header->modules, header->nodes, header->flows,
-                         header->parameters};
+  const BoardShape shape{header->processes, header->modules,    header->nodes,
+                         header->flows,     header->parameters, header->scenarios};
   const bool whole = header->magic == kBoardMagic && shape.processes >= 1 &&
                      shape.processes <= kMaxProcesses && shape.modules <= kMaxXNodes &&
                      shape.nodes <= kMaxXNodes && shape.flows >= 1 && shape.flows <= kMaxFlows &&
-                     shape.parameters <= kMaxParameters && bytes_of(shape) == bytes;
+                     shape.parameters <= kMaxParameters && shape.scenarios <= kMaxScenarios &&
+                     bytes_of(shape) == bytes;
   if (!whole) {
     munmap(memory, bytes);
     return fail(ErrorCode::kUnavailable, "the app has not started yet");

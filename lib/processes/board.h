@@ -27,18 +27,36 @@ inline constexpr std::uint32_t kMaxProcesses = 256;
 inline constexpr std::size_t kBoardTextBytes = 2048;  ///< with the 0 at its end; longer is cut
 
 struct alignas(64) BoardHeader {
-  std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0, flows = 0, parameters = 0;
+  std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0, flows = 0, parameters = 0,
+                scenarios = 0;
   std::atomic<std::uint64_t> released{};  ///< [H] releases of the sensors
   std::atomic<std::uint64_t> late{};      ///< [H] ... that were not where app.json has them
   std::atomic<std::int64_t> latest_ns{};  ///< [H] the most that one of these was off
   /// [H] before the run: what the policy's claims take for granted and this run does not keep.
   char unkept[kBoardTextBytes] = {};
   ContextCounts contexts{};  ///< by the workers of all processes
+  // Of a run with tables:
+  std::atomic<std::uint32_t> asked{};            ///< [S], and any process: scenario + 1; 0: none
+  std::atomic<std::uint32_t> scenario{}, why{};  ///< [H] in force, and runtime::Why
+  std::atomic<std::uint64_t> switches{};         ///< [H] to another table
+  /// [H] the tables of releases: in_force() of the newest, and of the one before.
+  std::atomic<std::uint64_t> in_force{}, before{};
 };
+
+/// A table, and the first release that has it. Up to 2^48 releases: 281 years at 30 kHz.
+constexpr std::uint64_t in_force(std::uint64_t release, std::uint32_t table) {
+  return release << 16 | table;
+}
+constexpr std::uint64_t first_release(std::uint64_t word) {
+  return word >> 16;
+}
+constexpr std::uint32_t table_in(std::uint64_t word) {
+  return static_cast<std::uint32_t>(word & 0xffff);
+}
 
 /// What is counted, and checked when memory of another process is mapped.
 struct BoardShape {
-  std::uint32_t processes = 1, modules = 0, nodes = 0, flows = 1, parameters = 0;
+  std::uint32_t processes = 1, modules = 0, nodes = 0, flows = 1, parameters = 0, scenarios = 0;
 };
 
 inline constexpr std::size_t kBoardNameBytes = 104;  ///< with the 0 at its end; longer ones are cut
@@ -93,6 +111,22 @@ struct alignas(64) ParameterLine {
 struct alignas(64) XNodeLine {
   std::atomic<std::uint64_t> jobs{}, overruns{}, hangs{};  ///< [M]
   std::atomic<std::int64_t> longest_ns{};                  ///< [M]
+  /// With tables: the longest job since the hub last looked. [M] raises it, [H] takes it.
+  std::atomic<std::int64_t> saw_ns{};
+  void saw(std::int64_t ns) {
+    std::int64_t seen = saw_ns.load(std::memory_order_relaxed);
+    while (ns > seen && !saw_ns.compare_exchange_weak(seen, ns)) {
+    }
+  }
+};
+
+/// A scenario of a run with tables.
+struct alignas(64) ScenarioLine {
+  char name[kBoardNameBytes] = {}, table[kBoardNameBytes] = {};  ///< [H] before the run
+  std::int64_t worst_case_us = 0;                                ///< likewise
+  // [H], of releases that met no change of the scenario:
+  std::atomic<std::uint64_t> releases{};
+  std::atomic<std::int64_t> longest_us{-1};  ///< -1: there was none
 };
 
 struct alignas(64) ProcessLine {
@@ -144,6 +178,15 @@ class Board {
   [[nodiscard]] const ParameterLine& parameter(std::size_t index) const {
     return parameters_[index];
   }
+  ScenarioLine& scenario(std::size_t index) { return scenarios_[index]; }
+  [[nodiscard]] const ScenarioLine& scenario(std::size_t index) const { return scenarios_[index]; }
+  [[nodiscard]] BoardHeader& header() { return *header_; }
+  [[nodiscard]] const BoardHeader& header() const { return *header_; }
+  /// Which one a release has; known from before it is published on.
+  [[nodiscard]] std::uint32_t table_of(std::uint64_t release) const {
+    const std::uint64_t now = header_->in_force.load();
+    return table_in(release >= first_release(now) ? now : header_->before.load());
+  }
   ProcessLine& process(int index) { return processes_[index]; }
   [[nodiscard]] int processes() const { return static_cast<int>(shape_.processes); }
   [[nodiscard]] std::uint64_t settled() const;
@@ -168,6 +211,7 @@ class Board {
   XNodeLine* xnodes_;
   FlowLine* flows_;
   ParameterLine* parameters_;
+  ScenarioLine* scenarios_;
 };
 
 /// Rings the readers of one topic.

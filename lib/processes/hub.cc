@@ -39,7 +39,7 @@ Result<std::unique_ptr<Hub>> Hub::create(const Plan& plan, const Graph& graph,
                                          const Session& session, std::size_t flows, HubHost& host) {
   auto hub = std::unique_ptr<Hub>(new Hub(plan, graph, host));
   if (session.board_fd >= 0) hub->board_fd_ = UniqueFd(fcntl(session.board_fd, F_DUPFD_CLOEXEC, 3));
-  XAUTO_ASSIGN(hub->board_, Board::create(shape_of(plan, graph, flows), hub->board_fd_));
+  XAUTO_ASSIGN(hub->board_, Board::create(shape_of(plan, graph, session, flows), hub->board_fd_));
   hub->topics_.resize(graph.topics.size());
   for (std::size_t t = 0; t < graph.topics.size(); ++t)
     if (const std::size_t readers = plan.topics[t].readers.size(); readers > 0) {

@@ -25,7 +25,7 @@ Result<std::unique_ptr<Member>> Member::join(const Plan& plan, const Graph& grap
     if (size == sizeof packet && word == Word::kTopic && packet.index < graph.topics.size()) {
       XAUTO_ASSIGN(member->topics_[packet.index], transport::join_link(std::move(fds)));
     } else if (size == sizeof packet && word == Word::kBoard && fds.size() == 1) {
-      XAUTO_ASSIGN(member->board_, Board::map(fds[0].get(), shape_of(plan, graph, flows)));
+      XAUTO_ASSIGN(member->board_, Board::map(fds[0].get(), shape_of(plan, graph, session, flows)));
     } else if (size == sizeof packet && word == Word::kBegin && member->board_ != nullptr) {
       for (std::size_t t = 0; t < graph.topics.size(); ++t) {
         const Plan::Remote& remote = plan.topics[t];

@@ -248,7 +248,10 @@ Result<std::vector<PostedParameter>> posted_parameters(const Board& board) {
 }
 
 std::string change_parameters(std::string_view request, Board* board) {
-  const auto done = change(request, board);
+  return to_answer(change(request, board));
+}
+
+std::string to_answer(const Result<Json>& done) {
   if (done) return done->dump();
   const Error& error = done.error();
   return Json{{"error", Json{{"code", static_cast<int>(error.code)},

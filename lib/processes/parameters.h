@@ -23,6 +23,7 @@
 
 #include "graph/graph.h"
 #include "model/deployment.h"
+#include "model/json_value.h"
 #include "model/parameter.h"
 #include "processes/board.h"
 
@@ -75,6 +76,8 @@ struct PostedParameter {
 [[nodiscard]] std::string change_parameters(std::string_view request, Board* board);
 inline constexpr std::size_t kMaxParameterRequest = 16 * 1024, kMaxParameterAnswer = 64 * 1024;
 inline constexpr std::size_t kMaxSetAtOnce = 32;
+/// What was done, or {"error": {...}}.
+[[nodiscard]] std::string to_answer(const Result<Json>& done);
 /// The error that an answer carries, if it does.
 [[nodiscard]] Status answer_error(std::string_view answer);
 

@@ -65,13 +65,16 @@ Result<Plan> Plan::make(const Graph& graph, const detail::AppSpecErased& app,
   return plan;
 }
 
-BoardShape shape_of(const Plan& plan, const Graph& graph, std::size_t flows) {
+BoardShape shape_of(const Plan& plan, const Graph& graph, const Session& session,
+                    std::size_t flows) {
   std::size_t parameters = 0;
   for (const Graph::Module& module : graph.modules) parameters += module.parameters.size();
   return {static_cast<std::uint32_t>(plan.processes),
           static_cast<std::uint32_t>(graph.modules.size()),
-          static_cast<std::uint32_t>(graph.nodes.size()), static_cast<std::uint32_t>(flows),
-          static_cast<std::uint32_t>(parameters)};
+          static_cast<std::uint32_t>(graph.nodes.size()),
+          static_cast<std::uint32_t>(flows),
+          static_cast<std::uint32_t>(parameters),
+          static_cast<std::uint32_t>(session.tables ? session.tables->scenarios.size() : 0)};
 }
 
 }  // namespace xauto::runtime

@@ -30,6 +30,7 @@ struct Plan {
 };
 
 /// What the board of such an app counts.
-[[nodiscard]] BoardShape shape_of(const Plan& plan, const Graph& graph, std::size_t flows);
+[[nodiscard]] BoardShape shape_of(const Plan& plan, const Graph& graph, const Session& session,
+                                  std::size_t flows);
 
 }  // namespace xauto::runtime

@@ -43,6 +43,8 @@ class Activation {
   [[nodiscard]] const std::shared_ptr<const detail::Origins>& origins() const { return origins_; }
   /// Of a release that its sensor marked urgent.
   [[nodiscard]] bool urgent() const { return urgent_; }
+  /// Of its release; 0 in a run without tables.
+  [[nodiscard]] std::uint32_t table() const { return table_; }
   /// It was given up: what its XNodes still do is lost.
   [[nodiscard]] bool abandoned() const {
     return fate_.load(std::memory_order_acquire) == Fate::kAbandoned;
@@ -68,6 +70,7 @@ class Activation {
   std::atomic<Fate> fate_{Fate::kOpen};
   Stage stage_ = Stage::kFree;
   bool urgent_ = false;
+  std::uint32_t table_ = 0;
   std::uint64_t parameters_ = 0;  ///< version of those that it sees
   std::uint64_t number_ = 0;      ///< how many were fired before it
   std::size_t position_ = 0;      ///< XNodes of the chain that it is through with

@@ -6,6 +6,7 @@
 #include <uapi/xauto/event.h>
 
 #include "base/log.h"
+#include "processes/mode.h"
 #include "processes/parameters.h"
 #include "runtime/routes.h"
 #include "session/notes.h"
@@ -76,6 +77,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
     for (const std::string& line : e.placing_.unkept) add_note(unkept, line);
     board.tell_unkept(unkept);
   }
+  app.modes->bind([&board](const std::string& name) { return ask_for_scenario(board, name); });
   XAUTO_TRY(e.wiring_->start());
   e.hangs_ = std::make_unique<HangWatch>(*e.context_, *e.wiring_, *e.role_, e.placing_.limits);
   return engine;
@@ -96,6 +98,7 @@ void Engine::note_chain_ends() {
 }
 
 Engine::~Engine() {
+  app_.modes->bind(nullptr);
   hangs_.reset();
   if (wiring_) wiring_->join();  // until then its threads need the role
   role_.reset();                 // and until then its threads need the wiring
@@ -177,7 +180,7 @@ void Engine::tell_notes(RunReport& into) {
 RunReport Engine::report() {
   RunReport result;
   tell_notes(result);
-  ledger_->report(placing_.limits, result);
+  ledger_->report(placing_.limits.front(), result);
   result.unkept = placing_.unkept;
   if (context_->session.keys && wiring_->lost_scheduler())
     result.unkept.emplace_back(
@@ -188,7 +191,9 @@ RunReport Engine::report() {
                      contexts.shared.load(),   contexts.gated.load(),     contexts.held_up.load(),
                      contexts.misplaced.load()};
   add_note(result.note, changed_parameters(context_->board));
-  if (releaser_) result.broken = releaser_->broken();
+  if (!releaser_) return result;
+  result.broken = releaser_->broken();
+  releaser_->report(result);
   return result;
 }
 
@@ -211,12 +216,12 @@ void Engine::activate(int module, Activation& activation) {
                   static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
     if (!graph_.single_rate || grid_.periodic) trace_inputs(module, activation);
   }
-  chain.nodes.front().worker->submit(0);
+  chain.chain()->worker->submit(0);
 }
 
 void Engine::proceed(int module, Activation& activation, std::size_t node) {
   const NodeRow& chain = wiring_->chain(static_cast<std::size_t>(module), activation.index());
-  chain.nodes[node].worker->submit(node);
+  chain.chain()[node].worker->submit(node);
 }
 
 /// Numbers of releases mean nothing across sources of several rates: what an activation was made of

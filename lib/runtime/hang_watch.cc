@@ -15,33 +15,40 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::int64_t kSilenceNs = 3'000'000'000;  ///< of a watchdog, beyond the hang limit
+/// A member tells for how long its jobs run. The hub looks itself, at the instant that counts.
+constexpr std::int64_t kTellNs = 1'000'000;
 
 }  // namespace
 
 /// Looks often enough to notice a hang within a quarter of the shortest limit.
 HangWatch::HangWatch(const Context& context, const Wiring& wiring, Role& role,
-                     const std::vector<Limits>& limits)
+                     const std::vector<std::vector<Limits>>& limits)
     : context_(context), wiring_(wiring), role_(role) {
   std::int64_t shortest = 0;
   bool others = false;
-  for (std::size_t n = 0; n < limits.size(); ++n) {
-    const std::int64_t ns = limits[n].hang_ns;
-    const auto module = static_cast<std::size_t>(context_.graph.nodes[n].module);
-    if (ns <= 0) continue;
-    if (context_.hosts(module)) {
-      shortest = shortest == 0 ? ns : std::min(shortest, ns);
-    } else if (limits[n].on_hang == OnHang::kRestart) {
-      others = role_.look_after(context_.plan.process_of[module],
-                                std::min(ns, INT64_MAX - kSilenceNs) + kSilenceNs) ||
-               others;
+  for (const std::vector<Limits>& of_table : limits)
+    for (std::size_t n = 0; n < of_table.size(); ++n) {
+      const std::int64_t ns = of_table[n].hang_ns;
+      const auto module = static_cast<std::size_t>(context_.graph.nodes[n].module);
+      if (ns <= 0) continue;
+      if (context_.hosts(module)) {
+        shortest = shortest == 0 ? ns : std::min(shortest, ns);
+      } else if (of_table[n].on_hang == OnHang::kRestart) {
+        others = role_.look_after(context_.plan.process_of[module],
+                                  std::min(ns, INT64_MAX - kSilenceNs) + kSilenceNs) ||
+                 others;
+      }
     }
-  }
-  if (shortest == 0 && !others) return;
-  const std::int64_t period =
+  const bool tells = context_.session.tables && !role_.leads();
+  if (shortest == 0 && !others && !tells) return;
+  std::int64_t period =
       shortest == 0 ? kLookNs : std::clamp<std::int64_t>(shortest / 4, 1'000'000, kLookNs);
-  watchdog_ = std::make_unique<Watchdog>(period, [this](std::int64_t now) {
-    for (const auto& worker : wiring_.workers())
+  if (tells) period = std::min(period, kTellNs);
+  watchdog_ = std::make_unique<Watchdog>(period, [this, tells](std::int64_t now) {
+    for (const auto& worker : wiring_.workers()) {
       if (const auto job = worker->find_hung(now)) hung(*worker, *job);
+      if (tells) worker->tell_time(now);
+    }
     role_.looked(now);
   });
 }

@@ -17,9 +17,10 @@ namespace xauto::runtime {
 /// Threads: one, apart from its own.
 class HangWatch {
  public:
-  /// `limits`: [graph node]. Starts a thread if anything has a hang limit.
+  /// `limits`: [table][graph node]. Starts a thread if anything has a hang limit, or if the times of
+  /// jobs decide which table is next and another process decides.
   HangWatch(const Context& context, const Wiring& wiring, Role& role,
-            const std::vector<Limits>& limits);
+            const std::vector<std::vector<Limits>>& limits);
   void stop() { watchdog_.reset(); }
   /// What hung, for people. After `stop`.
   [[nodiscard]] const std::string& note() const { return note_; }

@@ -12,27 +12,29 @@ HeldUp::HeldUp(const Context& context, const Placing& placing)
       by_keys_(context.session.keys.has_value()),
       xpus_(context.session.platform.xpus.size()),
       xnode_(placing.xnode),
-      wcet_ns_(context.session.app.xnodes.size()) {
+      wcet_ns_(context.session.num_tables() * context.session.app.xnodes.size()) {
   const Session& session = context.session;
   for (const XNodeSpec& xnode : session.app.xnodes) names_.push_back(xnode.name);
-  for (std::size_t n = 0; n < placing.xpu.size(); ++n) {
-    if (placing.xpu[n] < 0) continue;
-    const auto at = static_cast<std::size_t>(placing.xpu[n]);
-    const Xpu& xpu = session.platform.xpus[at];
-    wcet_ns_[xnode_[n]] = session.app.xnodes[xnode_[n]].wcet_on(xpu.type).value_or(0) * 1000;
-    const auto address = session.coordinators.find(xpu.id);
-    if (xpus_[at] || address == session.coordinators.end()) continue;
-    auto observer = coord::Observer::connect(address->second);
-    if (observer)
-      xpus_[at] = std::move(*observer);
-    else
-      log::debug("who is held up on {} is not seen: {}", xpu.id, observer.error().to_string());
-  }
+  for (std::size_t t = 0; t < placing.xpu.size(); ++t)
+    for (std::size_t n = 0; n < placing.xpu[t].size(); ++n) {
+      if (placing.xpu[t][n] < 0) continue;
+      const auto at = static_cast<std::size_t>(placing.xpu[t][n]);
+      const Xpu& xpu = session.platform.xpus[at];
+      wcet_ns_[session.task(t, xnode_[n])] =
+          session.app.xnodes[xnode_[n]].wcet_on(xpu.type).value_or(0) * 1000;
+      const auto address = session.coordinators.find(xpu.id);
+      if (xpus_[at] || address == session.coordinators.end()) continue;
+      auto observer = coord::Observer::connect(address->second);
+      if (observer)
+        xpus_[at] = std::move(*observer);
+      else
+        log::debug("who is held up on {} is not seen: {}", xpu.id, observer.error().to_string());
+    }
 }
 
 /// [XNode] on a way from `node`, by edges and samples.
 std::vector<char> HeldUp::after(int node) const {
-  std::vector<char> later(wcet_ns_.size(), 0), seen(graph_.nodes.size(), 0);
+  std::vector<char> later(names_.size(), 0), seen(graph_.nodes.size(), 0);
   std::vector<int> todo{node};
   while (!todo.empty()) {
     const int from = todo.back();
@@ -70,13 +72,15 @@ std::optional<HeldUp::Waits> HeldUp::Watch::look(std::int64_t now_ns, coord::Key
     running_.clear();
     observer->running(running_);
     for (const coord::Observer::Running& job : running_) {
-      if (job.xnode >= later_.size() || later_[job.xnode] == 0 || job.key >= key) continue;
+      if (job.xnode >= all_.wcet_ns_.size()) continue;
+      const auto xnode = static_cast<std::uint32_t>(job.xnode % later_.size());  // of a task
+      if (later_[xnode] == 0 || job.key >= key) continue;
       Sight& s = sight(x, job);
       s.still = true;
       s.ran_ns = s.ran_ns < 0 ? 0 : s.ran_ns + passed_ns;
       if (s.ran_ns <= held_up_after_ns(all_.wcet_ns_[job.xnode])) continue;
       if (unseen && (!all_.by_keys_ || now_ns <= job.key)) continue;
-      if (!first || job.key < first->key) first = Waits{job.xnode, job.key};
+      if (!first || job.key < first->key) first = Waits{xnode, job.key};
     }
   }
   std::erase_if(sights_, [](const Sight& s) { return !s.still; });

@@ -82,7 +82,7 @@ class HeldUp {
   const bool by_keys_;
   std::vector<std::unique_ptr<coord::Observer>> xpus_;  ///< null: unused, or nobody tells
   std::vector<std::uint32_t> xnode_;                    ///< [graph node]
-  std::vector<std::int64_t> wcet_ns_;                   ///< [XNode] where it is placed
+  std::vector<std::int64_t> wcet_ns_;                   ///< [task] where it is placed
   std::vector<std::string> names_;                      ///< [XNode]
 };
 

@@ -234,6 +234,14 @@ std::string Ledger::what_did_not_end() const {
                                       : "a module's last activation did not end";
 }
 
+std::optional<std::int64_t> Ledger::latency_us(std::uint64_t sequence) const {
+  const Guard lock(mutex_);
+  const auto at = std::find_if(releases_.rbegin(), releases_.rend(),
+                               [&](const Release& r) { return r.sequence == sequence; });
+  if (at == releases_.rend()) return std::nullopt;
+  return at->latency_us;
+}
+
 void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
   {
     const Guard lock(mutex_);

@@ -51,6 +51,9 @@ class Ledger {
   /// What `wait_drained` waited for in vain, for people.
   [[nodiscard]] std::string what_did_not_end() const;
 
+  /// Of a release that is accounted for, one of the last kKeptReleases: -1: it was lost.
+  [[nodiscard]] std::optional<std::int64_t> latency_us(std::uint64_t sequence) const;
+
   /// Adds counts, latencies and chains.
   void report(const std::vector<Limits>& limits, RunReport& into);
 

@@ -15,10 +15,11 @@
 namespace xauto::runtime {
 namespace {
 
-/// The XPU instance of `node`: the policy's, or with ROS 2 scheduling the first of its fastest
+/// The XPU instance of `node`: the table's, or with ROS 2 scheduling the first of its fastest
 /// type.
-int xpu_of(const Session& session, const Graph::Node& node, std::uint32_t xnode) {
-  if (session.scheduling != Scheduling::kRos2) return session.policy.placements[xnode].xpu;
+int xpu_of(const Session& session, std::size_t table, const Graph::Node& node,
+           std::uint32_t xnode) {
+  if (session.scheduling != Scheduling::kRos2) return session.of_table(table).placements[xnode].xpu;
   const XNodeSpec& spec = session.app.xnodes[xnode];
   int best = -1;
   std::int64_t best_us = 0;
@@ -59,26 +60,26 @@ FifoRange choose_priorities(const Session& session, FifoRange& fifo, std::string
   return plan;
 }
 
-/// The policy's pairs of XNodes, on all XPUs.
-coord::OrderPairs order_in_force(const Session& session, const Graph& graph, Placing& placing) {
-  coord::OrderPairs order;
-  if (session.policy.order.empty()) return order;
-  if (!graph.single_rate) {
-    // A pair would have to say which release of u comes before which of v.
-    const std::string unordered =
-        "the sources have several periods: the policy's order constraints are not enforced";
-    add_note(placing.note, unordered);
-    placing.unkept.push_back("its order constraints are not enforced");
-    return order;
-  }
-  for (const auto& [u, v] : session.policy.order)
-    order.emplace_back(static_cast<std::uint32_t>(u), static_cast<std::uint32_t>(v));
-  return order;
+/// Whether the policy's pairs of XNodes are kept, on all XPUs.
+bool keeps_order(const Session& session, const Graph& graph, Placing& placing) {
+  if (graph.single_rate) return true;
+  if (session.policy.order.empty()) return false;
+  // A pair would have to say which release of u comes before which of v.
+  const std::string unordered =
+      "the sources have several periods: the policy's order constraints are not enforced";
+  add_note(placing.note, unordered);
+  placing.unkept.push_back("its order constraints are not enforced");
+  return false;
 }
 
-/// Beyond it a job broke the claims of a policy of keys.
-std::int64_t watched_ns(std::int64_t wcet_us, bool emulated) {
-  return emulated ? wcet_us * (100 + kEmulatorPct) * 10 + kEmulatorUs * 1000 : wcet_us * 1000;
+/// The longest that it may take on XPUs of this type, whatever the scenario.
+std::int64_t wcet_of(const Session& session, std::uint32_t xnode, const std::string& type) {
+  std::int64_t wcet_us = session.app.xnodes[xnode].wcet_on(type).value_or(0);
+  if (session.tables)
+    for (const Scenario& scenario : session.tables->scenarios)
+      wcet_us = std::max(wcet_us,
+                         app_under(session.app, scenario).xnodes[xnode].wcet_on(type).value_or(0));
+  return wcet_us;
 }
 
 /// What a policy of keys takes for granted and this run does not keep by the way it was set up.
@@ -96,9 +97,11 @@ std::vector<std::string> unkept_of_keys(const Session& session) {
 }
 
 bool real_and_used(const Session& session, std::size_t x) {
-  return !session.emulated(static_cast<int>(x)) &&
-         std::any_of(session.policy.placements.begin(), session.policy.placements.end(),
-                     [&](const Placement& p) { return p.xpu == static_cast<int>(x); });
+  if (session.emulated(static_cast<int>(x))) return false;
+  for (std::size_t t = 0; t < session.num_tables(); ++t)
+    for (const Placement& p : session.of_table(t).placements)
+      if (p.xpu == static_cast<int>(x)) return true;
+  return false;
 }
 
 /// Who schedules work on XPUs, where that says less than a plan would like.
@@ -136,38 +139,49 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
 
 }  // namespace
 
+std::int64_t watched_ns(std::int64_t wcet_us, bool emulated) {
+  return emulated ? wcet_us * (100 + kEmulatorPct) * 10 + kEmulatorUs * 1000 : wcet_us * 1000;
+}
+
 Placing Placing::of(const Session& session, const Graph& graph) {
   Placing placing;
   placing.workers = choose_priorities(session, placing.fifo, placing.note);
   if (session.scheduling == Scheduling::kXAuto) {
-    placing.fifo_by_xnode = placing.workers.by_rank(session.policy);
-    placing.order = order_in_force(session, graph, placing);
+    for (std::size_t t = 0; t < session.num_tables(); ++t)
+      placing.fifo_by_xnode.push_back(placing.workers.by_rank(session.of_table(t)));
+    placing.ordered = keeps_order(session, graph, placing);
     note_caveats(session, placing.note);
   }
   placing.cores = rt::allowed_cores();
-  for (const Graph::Node& node : graph.nodes) {
-    const auto xnode = static_cast<std::uint32_t>(session.app.find(node.name));
-    const int at = xpu_of(session, node, xnode);
-    placing.xnode.push_back(xnode);
-    placing.xpu.push_back(at);
-    Limits limits;
-    if (at >= 0) {
-      const std::string& type = session.platform.xpus[static_cast<std::size_t>(at)].type;
-      limits =
-          Limits::of(session.deployment, graph.modules[static_cast<std::size_t>(node.module)].name,
-                     node.name, session.app.xnodes[xnode].wcet_on(type).value_or(0));
-      if (session.keys) {
-        const std::int64_t watched =
-            watched_ns(*session.app.xnodes[xnode].wcet_on(type), session.emulated(at));
-        if (limits.budget_ns > watched)
-          placing.unkept.push_back("the deployment's budget of XNode '" + node.name +
-                                   "' is longer than its WCET, so not every overrun is seen");
-        if (limits.budget_ns == 0) limits.budget_ns = watched;
-      }
+  for (const Graph::Node& node : graph.nodes)
+    placing.xnode.push_back(static_cast<std::uint32_t>(session.app.find(node.name)));
+  for (std::size_t t = 0; t < session.num_tables(); ++t) {
+    placing.xpu.emplace_back();
+    placing.limits.emplace_back();
+    for (std::size_t n = 0; n < graph.nodes.size(); ++n) {
+      const int at = xpu_of(session, t, graph.nodes[n], placing.xnode[n]);
+      placing.xpu.back().push_back(at);
+      placing.limits.back().push_back(placing.limits_of(session, graph, n, at));
     }
-    placing.limits.push_back(limits);
   }
   return placing;
+}
+
+Limits Placing::limits_of(const Session& session, const Graph& graph, std::size_t node, int at) {
+  if (at < 0) return {};
+  const std::string& name = graph.nodes[node].name;
+  const std::string& type = session.platform.xpus[static_cast<std::size_t>(at)].type;
+  const auto module = static_cast<std::size_t>(graph.nodes[node].module);
+  Limits of_job = Limits::of(session.deployment, graph.modules[module].name, name,
+                             wcet_of(session, xnode[node], type));
+  if (!session.keys) return of_job;
+  const std::int64_t watched =
+      watched_ns(*session.app.xnodes[xnode[node]].wcet_on(type), session.emulated(at));
+  if (of_job.budget_ns > watched)
+    unkept.push_back("the deployment's budget of XNode '" + name +
+                     "' is longer than its WCET, so not every overrun is seen");
+  if (of_job.budget_ns == 0) of_job.budget_ns = watched;
+  return of_job;
 }
 
 void Placing::compare_with_certificate(const detail::AppSpecErased& app, const Session& session,
@@ -237,8 +251,7 @@ Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module
     if (coordinator == session.coordinators.end())
       return fail(ErrorCode::kInternal, "session names no coordinator", x.id);
     options.coordinator = coordinator->second;
-    for (const auto& pair : order)
-      if (session.policy.placements[pair.first].xpu == at) options.order.push_back(pair);
+    if (ordered) options.order = session.order_on(at);
   }
   return options;
 }

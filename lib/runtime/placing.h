@@ -18,21 +18,27 @@
 
 namespace xauto::runtime {
 
+/// What a job may take before it counts as longer than its WCET. An emulated one takes a little more.
+[[nodiscard]] std::int64_t watched_ns(std::int64_t wcet_us, bool emulated);
+
 struct Placing {
   /// What this process may; with `workers` less what is no business of theirs.
   FifoRange fifo, workers;
-  std::vector<int> fifo_by_xnode;  ///< of XNodes on real CPUs; empty: nobody schedules
-  std::vector<int> cores;          ///< the kernel's numbers of the platform's CPUs, in order
-  coord::OrderPairs order;
-  std::vector<std::uint32_t> xnode;  ///< [graph node] -> index in app.json
-  std::vector<int> xpu;              ///< [graph node]; -1: none has an implementation
-  std::vector<Limits> limits;        ///< [graph node]
-  std::vector<char> ends_chain;      ///< [graph node] 1: one does, and its module goes on
-  std::string note;                  ///< what falls short of what a run would like, for people
+  /// [table][XNode] of XNodes on real CPUs; empty: nobody schedules.
+  std::vector<std::vector<int>> fifo_by_xnode;
+  std::vector<int> cores;             ///< the kernel's numbers of the platform's CPUs, in order
+  bool ordered = false;               ///< order constraints are kept
+  std::vector<std::uint32_t> xnode;   ///< [graph node] -> index in app.json
+  std::vector<std::vector<int>> xpu;  ///< [table][graph node]; -1: none has an implementation
+  std::vector<std::vector<Limits>> limits;  ///< [table][graph node]
+  std::vector<char> ends_chain;             ///< [graph node] 1: one does, and its module goes on
+  std::string note;  ///< what falls short of what a run would like, for people
   /// What the policy's worst case takes for granted and this run does not keep; see RunReport.
   std::vector<std::string> unkept;
 
   [[nodiscard]] static Placing of(const Session& session, const Graph& graph);
+  [[nodiscard]] Limits limits_of(const Session& session, const Graph& graph, std::size_t node,
+                                 int at);
   /// Tells the user before the first release, not after an hour, under which of its assumptions the
   /// policy's worst case does not hold in this run.
   void compare_with_certificate(const detail::AppSpecErased& app, const Session& session,

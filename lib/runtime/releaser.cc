@@ -24,6 +24,7 @@ Result<std::unique_ptr<Releaser>> Releaser::make(const Context& context, Wiring&
                                                  Ledger& ledger, const std::atomic<bool>& stop) {
   auto releaser = std::unique_ptr<Releaser>(new Releaser(context, wiring, ledger, stop));
   XAUTO_TRY(releaser->open_recorder());
+  XAUTO_ASSIGN(releaser->tables_, TableSwitch::make(context, wiring, ledger));
   return releaser;
 }
 
@@ -367,6 +368,9 @@ Status Releaser::release_periodic() {
       if (context_.graph.single_rate) start += now_ns() - due;
       if (samples.empty()) continue;
     }
+    // Nobody has a use for it any more: the next one is there.
+    if (tables_ && tables_->too_late(now_ns(), due))
+      for (Sample& sample : samples) sample.message.reset();
     release(now_ns(), samples);
     samples.clear();  // the messages belong to who reads them
   }
@@ -405,7 +409,7 @@ void Releaser::watch_jitter(std::int64_t now_ns, const Sample& sample) {
 }
 
 std::vector<std::string> Releaser::broken() const {
-  std::vector<std::string> lines;
+  std::vector<std::string> lines = tables_ ? tables_->broken() : std::vector<std::string>();
   for (std::size_t s = 0; s < seen_.size(); ++s) {
     const Seen& seen = seen_[s];
     const Grid::Source& grid = context_.grid.sources[s];
@@ -442,6 +446,10 @@ std::vector<std::string> Releaser::broken() const {
 
 void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) {
   const std::uint64_t sequence = samples.front().sequence;
+  if (tables_) {
+    tables_->before(sequence, [this] { return wait_drained(); });
+    now_ns = std::max(now_ns, xauto::now_ns());  // what waited was not released before
+  }
   const auto origin_of = [&](const Sample& sample) {
     return sample.nominal_ns > 0 ? sample.nominal_ns : now_ns;
   };

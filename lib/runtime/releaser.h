@@ -18,6 +18,7 @@
 #include "runtime/feeds.h"
 #include "runtime/ledger.h"
 #include "runtime/phase.h"
+#include "runtime/table_switch.h"
 #include "runtime/wiring.h"
 
 namespace xauto::runtime {
@@ -38,8 +39,13 @@ class Releaser {
   [[nodiscard]] std::string close();
   /// What the sources did that was not as declared; for people, after `run`.
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
-  /// Of app.json's sources, what did not come as it states; a line each, after `run`.
+  /// Of app.json's sources, what did not come as it states, and what was outside of every scenario; a
+  /// line each, after `run`.
   [[nodiscard]] std::vector<std::string> broken() const;
+  /// Scenarios and switches of a run with tables.
+  void report(RunReport& into) const {
+    if (tables_) tables_->report(into);
+  }
 
  private:
   /// What a source releases: its own number, which is everybody's in its component.
@@ -83,6 +89,7 @@ class Releaser {
   Wiring& wiring_;
   Ledger& ledger_;
   const std::atomic<bool>& stop_;
+  std::unique_ptr<TableSwitch> tables_;  ///< null: there is one policy
   std::optional<record::Recorder> recorder_;
   std::vector<std::size_t> recorded_topic_;  ///< [topic] -> the recorder's index
   std::string recording_error_;

@@ -223,7 +223,7 @@ class Follower final : public Role {
 Result<std::unique_ptr<Role>> Role::of(const Graph& graph, const Plan& plan, const Session& session,
                                        std::size_t flows, std::atomic<bool>& stop) {
   if (plan.processes == 1) {
-    const BoardShape shape = shape_of(plan, graph, flows);
+    const BoardShape shape = shape_of(plan, graph, session, flows);
     if (session.board_fd < 0)
       return std::unique_ptr<Role>(std::make_unique<Alone>(Board::local(shape)));
     UniqueFd fd(fcntl(session.board_fd, F_DUPFD_CLOEXEC, 3));

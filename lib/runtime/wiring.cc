@@ -2,6 +2,7 @@
 #include "runtime/wiring.h"
 
 #include <algorithm>
+#include <map>
 #include <set>
 #include <utility>
 
@@ -68,59 +69,72 @@ void Wiring::join() {
 
 /// The module's chain, and a worker per XPU that it uses; for one of the activations in flight.
 Status Wiring::place_module(std::size_t module, int index) {
-  const Platform& platform = context_.session.platform;
   chains_[module].push_back(std::make_unique<NodeRow>());
   NodeRow& chain = *chains_[module].back();
   chain.module = static_cast<int>(module);
-  std::vector<std::pair<int, Worker*>> here;  // by XPU
-  for (const int n : context_.graph.modules[module].nodes) {
-    const auto at_node = static_cast<std::size_t>(n);
-    const Graph::Node& node = context_.graph.nodes[at_node];
-    const int xpu = placing_.xpu[at_node];
-    const std::string where = "XNode '" + node.name + "'";
-    if (xpu < 0)
-      return fail(ErrorCode::kInvalid,
-                  "has no implementation for any XPU of platform '" + platform.name + "'", where);
-    const Xpu& x = platform.xpus[static_cast<std::size_t>(xpu)];
-    Placed placed;
-    placed.name = node.name;
-    placed.xnode = placing_.xnode[at_node];
-    placed.impl = find_impl(*node.spec, x.type);
-    if (placed.impl == nullptr)
-      return fail(ErrorCode::kInvalid,
-                  "is assigned to " + x.id + " but has no implementation for '" + x.type + "'",
-                  where, "add one with add_impl, or solve again with the app.json of this program");
-    placed.limits = placing_.limits[at_node];
-    placed.node = n;
-    placed.line = &context_.board.xnode(at_node);
-    placed.ends_chain = placing_.ends_chain[at_node] != 0;
-    if (context_.scheduled()) {
-      if (context_.session.keys) {
-        const KeyPlacement& key = context_.session.keys->placements[placed.xnode];
-        placed.urgency =
-            Urgency::of_keys(key.key_us, key.hold_us, context_.grid.urgent_by_us[module]);
-      } else {
-        placed.urgency =
-            Urgency::of_priority(context_.session.policy.placements[placed.xnode].priority);
+  chain.tables = context_.session.num_tables();
+  std::vector<std::pair<int, Worker*>> here;                      // by XPU
+  std::map<std::pair<int, int>, std::shared_ptr<Instance>> made;  // by node and XPU
+  for (std::size_t table = 0; table < chain.tables; ++table)
+    for (const int n : context_.graph.modules[module].nodes) {
+      XAUTO_ASSIGN(Placed placed, place_node(module, table, n));
+      const int xpu = placing_.xpu[table][static_cast<std::size_t>(n)];
+      auto at =
+          std::find_if(here.begin(), here.end(), [&](const auto& h) { return h.first == xpu; });
+      if (at == here.end()) {
+        XAUTO_ASSIGN(WorkerOptions options, placing_.worker(context_, module, index, xpu));
+        options.contexts = &context_.board.contexts();
+        options.held_up = held_up_.get();
+        workers_.push_back(
+            std::make_unique<Worker>(std::move(options), chain, context_.trace, *threads_));
+        workers_.back()->share(crews_[static_cast<std::size_t>(xpu)]);
+        at = here.insert(here.end(), {xpu, workers_.back().get()});
       }
-      if (!context_.session.emulated(xpu) && x.type == "cpu")
-        placed.fifo_priority =
-            context_.session.cpu_by_keys ? xpu::kCpuAsks : placing_.fifo_by_xnode[placed.xnode];
+      placed.worker = at->second;
+      placed.here = made.try_emplace({n, xpu}, placed.here).first->second;
+      chain.nodes.push_back(std::move(placed));
     }
-    auto at = std::find_if(here.begin(), here.end(), [&](const auto& h) { return h.first == xpu; });
-    if (at == here.end()) {
-      XAUTO_ASSIGN(WorkerOptions options, placing_.worker(context_, module, index, xpu));
-      options.contexts = &context_.board.contexts();
-      options.held_up = held_up_.get();
-      workers_.push_back(
-          std::make_unique<Worker>(std::move(options), chain, context_.trace, *threads_));
-      workers_.back()->share(crews_[static_cast<std::size_t>(xpu)]);
-      at = here.insert(here.end(), {xpu, workers_.back().get()});
-    }
-    placed.worker = at->second;
-    chain.nodes.push_back(std::move(placed));
-  }
   return {};
+}
+
+/// Node `n` of the graph as `table` places it, but for its worker.
+Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) {
+  const Session& session = context_.session;
+  const auto at_node = static_cast<std::size_t>(n);
+  const Graph::Node& node = context_.graph.nodes[at_node];
+  const int xpu = placing_.xpu[table][at_node];
+  const std::string where = "XNode '" + node.name + "'";
+  if (xpu < 0)
+    return fail(ErrorCode::kInvalid,
+                "has no implementation for any XPU of platform '" + session.platform.name + "'",
+                where);
+  const Xpu& x = session.platform.xpus[static_cast<std::size_t>(xpu)];
+  Placed placed;
+  placed.name = node.name;
+  placed.xnode = placing_.xnode[at_node];
+  placed.task = session.task(table, placed.xnode);
+  placed.impl = find_impl(*node.spec, x.type);
+  if (placed.impl == nullptr)
+    return fail(ErrorCode::kInvalid,
+                "is assigned to " + x.id + " but has no implementation for '" + x.type + "'", where,
+                "add one with add_impl, or solve again with the app.json of this program");
+  placed.limits = placing_.limits[table][at_node];
+  placed.watched = session.tables.has_value();
+  placed.node = n;
+  placed.line = &context_.board.xnode(at_node);
+  placed.ends_chain = placing_.ends_chain[at_node] != 0;
+  if (!context_.scheduled()) return placed;
+  if (session.keys) {
+    const KeyPlacement& key = session.keys->placements[placed.xnode];
+    placed.urgency = Urgency::of_keys(key.key_us, key.hold_us, context_.grid.urgent_by_us[module]);
+  } else {
+    placed.urgency =
+        Urgency::of_priority(session.of_table(table).placements[placed.xnode].priority);
+  }
+  if (!session.emulated(xpu) && x.type == "cpu")
+    placed.fifo_priority =
+        session.cpu_by_keys ? xpu::kCpuAsks : placing_.fifo_by_xnode[table][placed.xnode];
+  return placed;
 }
 
 /// What this process publishes to others.
@@ -166,6 +180,7 @@ Status Wiring::make_module(std::size_t index, ModuleHost& host) {
     made.set_overload({Overload::Kind::kQueue, context_.grid.depth[index]});
   if (said.match_us) made.match_within(*said.match_us * 1000);
   if (said.on_hang == OnHang::kDrop) made.watch();
+  if (context_.session.tables) made.read_tables(context_.board);
   return {};
 }
 

@@ -80,6 +80,7 @@ class Wiring {
   Wiring(const Context& context, const Placing& placing, Role& role)
       : context_(context), placing_(placing), role_(role) {}
   [[nodiscard]] Status place_module(std::size_t module, int index);
+  [[nodiscard]] Result<Placed> place_node(std::size_t module, std::size_t table, int n);
   [[nodiscard]] Status open_topics();
   [[nodiscard]] Status make_module(std::size_t module, ModuleHost& host);
   void connect(std::size_t topic);

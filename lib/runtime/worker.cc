@@ -6,6 +6,9 @@
 #include <climits>
 #include <exception>
 #include <future>
+#include <utility>
+
+#include <pthread.h>
 
 #include "base/clock.h"
 #include "base/futex.h"
@@ -40,7 +43,7 @@ Status Worker::start() {
   if (!options_.coordinator.empty()) {
     std::vector<std::uint32_t> xnodes;
     for (const Placed& placed : chain_.nodes)
-      if (placed.worker == this) xnodes.push_back(placed.xnode);
+      if (placed.worker == this) xnodes.push_back(placed.task);
     XAUTO_ASSIGN(port_, coord::Port::connect(options_.coordinator, options_.name, xnodes,
                                              options_.order, options_.mgmt_fifo));
     mgmt_ = std::thread([this] {
@@ -72,18 +75,20 @@ Status Worker::init_nodes() {
   rt::set_timer_slack_1ns();
   if (options_.core) XAUTO_TRY(rt::pin_to_core(*options_.core));
   XAUTO_TRY(thread_->enter(backend_->on_thread(), options_.exec_fifo));
+  (void)pthread_getcpuclockid(pthread_self(), &cpu_clock_);
   for (Placed& placed : chain_.nodes) {
-    if (placed.worker != this) continue;
+    if (placed.worker != this || std::exchange(placed.here->there, true)) continue;
+    detail::Made& made = placed.here->made;
     const std::string where = "init of XNode '" + placed.name + "' on " + xpu_name();
     XAUTO_ASSIGN(const xpu::Backend::Init around, backend_->before_init());
     try {
-      placed.made.handle = placed.impl->init(options_.backend.id, placed.made.object);
+      made.handle = placed.impl->init(options_.backend.id, made.object);
     } catch (const std::exception& e) {
       return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
     } catch (...) {
       return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
     }
-    if (Status attached = backend_->attach(placed.made.handle); !attached) {
+    if (Status attached = backend_->attach(made.handle); !attached) {
       attached.error().where = where;
       return attached;
     }
@@ -95,7 +100,7 @@ Status Worker::init_nodes() {
   lane_.reserve(64);
   for (auto node = chain_.nodes.rbegin(); node != chain_.nodes.rend(); ++node)
     if (node->worker == this)
-      thread_->expect(node->xnode, node->urgency.of_release(now_ns(), 0, false));
+      thread_->expect(node->task, node->urgency.of_release(now_ns(), 0, false));
   return {};
 }
 
@@ -104,8 +109,8 @@ bool Worker::may_share() const {
   // With order constraints a thread could wait for a job that is behind it in its own lane.
   if (!port_ || port_->discipline() != Discipline::kGate || !options_.order.empty()) return false;
   return std::none_of(chain_.nodes.begin(), chain_.nodes.end(), [this](const Placed& placed) {
-    return placed.worker == this && (placed.made.handle.kind() != SchedHandle::Kind::kGate ||
-                                     placed.made.object != nullptr || placed.urgency.holds());
+    return placed.worker == this && (placed.here->made.handle.kind() != SchedHandle::Kind::kGate ||
+                                     placed.here->made.object != nullptr || placed.urgency.holds());
   });
 }
 
@@ -113,12 +118,12 @@ bool Worker::may_share() const {
 /// call on their handles. It has made none if there was no job.
 void Worker::destroy_objects(bool ran) {
   const auto owns = [this](const Placed& placed) {
-    return placed.worker == this && placed.made.object != nullptr;
+    return placed.worker == this && placed.here->made.object != nullptr;
   };
   if (std::none_of(chain_.nodes.begin(), chain_.nodes.end(), owns)) return;
   while (ran && port_ && managed_.load() == 0) futex_wait_local(managed_, 0, kLookNs);
   for (auto node = chain_.nodes.rbegin(); node != chain_.nodes.rend(); ++node)
-    if (node->worker == this) node->made.object.reset();
+    if (node->worker == this) node->here->made.object.reset();
 }
 
 bool Worker::stop(std::int64_t patience_ns) {
@@ -153,17 +158,17 @@ bool Worker::stop(std::int64_t patience_ns) {
 void Worker::submit(std::size_t node) {
   if (!chain_.runtime->enter(*chain_.activation)) return;  // whoever is in the way submits it again
   const std::uint64_t sequence = chain_.activation->sequence();
-  record(XAUTO_EV_READY, chain_.nodes[node], sequence);
+  const Placed& placed = chain_.chain()[node];
+  record(XAUTO_EV_READY, placed, sequence);
   if (crew_ != nullptr) {
-    const Ready job{this, node, key_of(chain_.nodes[node])};
+    const Ready job{this, node, key_of(placed)};
     if (t_home != nullptr && t_home->crew_ == crew_)
       t_home->lane_.push_back(job);
     else
       crew_->submit(job);
     return;
   }
-  if (thread_->observed() || chain_.nodes[node].fifo_priority > 0)
-    thread_->announce(cpu_job(chain_.nodes[node]));
+  if (thread_->observed() || placed.fifo_priority > 0) thread_->announce(cpu_job(placed));
   wake(static_cast<std::uint32_t>(node) + 1);
 }
 
@@ -179,7 +184,7 @@ void Worker::wake(std::uint32_t mail) {
 }
 
 void Worker::skip(std::size_t position, std::uint64_t sequence) {
-  if (port_) port_->skip(chain_.nodes[position].xnode, sequence);
+  if (port_) port_->skip(chain_.nodes[position].task, sequence);
 }
 
 void Worker::execute() {
@@ -225,7 +230,7 @@ void Worker::run_lane() {
 /// of them that will be nobody knows, so from here on each has a thread of its own.
 void Worker::show_lane() {
   for (const Ready& job : lane_) {
-    job.worker->begin(job.worker->chain_.nodes[job.node]);
+    job.worker->begin(job.worker->chain_.chain()[job.node]);
     crew_->submit({job.worker, job.node, job.key, true});
   }
   lane_.clear();
@@ -236,32 +241,34 @@ void Worker::show_lane() {
 void Worker::run_chain(std::size_t node, bool begun) {
   ModuleRuntime& module = *chain_.runtime;
   Activation& activation = *chain_.activation;
+  const Placed* chain = chain_.chain();
+  const std::size_t length = chain_.length();
   for (;; begun = false) {
-    if (!run_job(chain_.nodes[node], begun)) return module.finish(activation, false);
-    if (++node == chain_.nodes.size()) {
-      if (!chain_.nodes.back().urgency.by_release()) return module.finish(activation, true);
-      const std::int64_t due_ns = due(chain_.nodes.back());
+    if (!run_job(chain, node, begun)) return module.finish(activation, false);
+    if (++node == length) {
+      if (!chain[length - 1].urgency.by_release()) return module.finish(activation, true);
+      const std::int64_t due_ns = due(chain[length - 1]);
       const std::uint64_t sequence = activation.sequence();
       module.finish(activation, true);
       if (const std::int64_t now = now_ns(); now > due_ns) module.missed(sequence, now - due_ns);
       return;
     }
     module.pass(activation);
-    Worker& next = *chain_.nodes[node].worker;
+    Worker& next = *chain[node].worker;
     if (&next != this) return next.submit(node);
     if (!module.enter(activation)) return;
     if (crew_ != nullptr && !t_home->lane_.empty())
-      return t_home->lane_.push_back({this, node, key_of(chain_.nodes[node])});
+      return t_home->lane_.push_back({this, node, key_of(chain[node])});
   }
 }
 
 /// START, without waiting for what comes of it.
-void Worker::begin(Placed& placed) {
+void Worker::begin(const Placed& placed) {
   const std::uint64_t sequence = chain_.activation->sequence();
-  const auto position = static_cast<std::uint64_t>(&placed - chain_.nodes.data());
-  current_.store(position << kSequenceBits | sequence, std::memory_order_release);
+  const auto place = static_cast<std::uint64_t>(&placed - chain_.nodes.data());
+  current_.store(place << kSequenceBits | sequence, std::memory_order_release);
   record(XAUTO_EV_START, placed, sequence);
-  port_->begin({placed.xnode, sequence, key_of(placed)});
+  port_->begin({placed.task, sequence, key_of(placed)});
 }
 
 coord::Key Worker::key_of(const Placed& placed) const {
@@ -278,15 +285,17 @@ xpu::CpuJob Worker::cpu_job(const Placed& placed) const {
   const std::int64_t nominal = chain_.activation->origin_ns();
   const std::uint64_t n = chain_.activation->sequence();
   const bool urgent = chain_.activation->urgent();
-  return {placed.xnode, n, placed.urgency.of_release(nominal, n, urgent),
+  return {placed.task, n, placed.urgency.of_release(nominal, n, urgent),
           placed.urgency.holds() ? placed.urgency.hold(nominal, n, urgent) : 0,
           placed.fifo_priority};
 }
 
-bool Worker::run_job(Placed& placed, bool begun) {
+bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
+  const Placed& placed = chain[position];
+  Instance& here = *placed.here;
   const Input& input = chain_.activation->input();
   const bool observed = thread_->observed();
-  chain_.activation->set_due(due(placed), due(chain_.nodes.back()));
+  chain_.activation->set_due(due(placed), due(chain[chain_.length() - 1]));
   if (observed || placed.fifo_priority > 0) thread_->next(cpu_job(placed));
   // Told before: after the hold it is woken with this job's key.
   if (placed.urgency.holds())
@@ -296,22 +305,22 @@ bool Worker::run_job(Placed& placed, bool begun) {
     if (!begun) begin(placed);
     port_->wait();
     if (port_->discipline() == Discipline::kLevels) take_level(placed);
-    backend_->admitted(placed.made.handle, !placed.ran_once);
+    backend_->admitted(here.made.handle, !here.ran_once);
   }
   if (observed) {
     const std::int64_t since = now_ns();
     thread_->begin(since);
     thread_->has_xpu(since);
   }
-  if (&placed == &chain_.nodes.front() && chain_.runtime->looks_first())
+  if (position == 0 && chain_.runtime->looks_first())
     chain_.runtime->begin(*chain_.activation, chain_.runtime->samples() ? now_ns() : 0);
   record(XAUTO_EV_RUN, placed, chain_.activation->sequence());
-  const bool limited = placed.limits.any();
+  const bool limited = placed.limits.any() || placed.watched;
   if (limited) begin_limited(placed, chain_.activation->sequence());
   bool succeeded = false;
   try {
     if (Status status =
-            placed.impl->exec(placed.made.object.get(), chain_.activation->state(), input);
+            placed.impl->exec(here.made.object.get(), chain_.activation->state(), input);
         status)
       succeeded = true;
     else
@@ -323,8 +332,8 @@ bool Worker::run_job(Placed& placed, bool begun) {
   }
   if (limited && !end_limited(placed)) succeeded = false;
   if (port_) {
-    backend_->finishing(placed.made.handle, !placed.ran_once);
-    placed.ran_once = true;
+    backend_->finishing(here.made.handle, !here.ran_once);
+    here.ran_once = true;
     if (crew_ != nullptr && !t_home->lane_.empty() && port_->contended()) t_home->show_lane();
     port_->finish();
   }
@@ -340,7 +349,7 @@ bool Worker::run_job(Placed& placed, bool begun) {
 /// Of the hardware, before anything is queued. The order is lost where that fails: it is counted.
 void Worker::take_level(const Placed& placed) {
   const int level = port_->level();
-  const Status taken = backend_->level(placed.made.handle, level);
+  const Status taken = backend_->level(placed.here->made.handle, level);
   if (taken || options_.contexts == nullptr) return;
   if (options_.contexts->misplaced.fetch_add(1) > 0) return;
   log::warn("'{}' on {} cannot have priority level {}: {} (activation {}; more are only counted)",

@@ -16,6 +16,8 @@
 #include <thread>
 #include <vector>
 
+#include <time.h>
+
 #include <xauto/result.h>
 
 #include "coord/port.h"
@@ -34,19 +36,28 @@ namespace xauto::runtime {
 
 class HeldUp;
 
-/// One XNode as it was placed: everything that its job needs, looked up once.
+/// What an XNode's init has made on one XPU, shared by all tables that place it there. Of the worker's
+/// execution thread.
+struct Instance {
+  detail::Made made;
+  bool there = false;     ///< init has run
+  bool ran_once = false;  ///< exec has
+};
+
+/// One XNode as a table places it: everything that its job needs, looked up once.
 struct Placed {
   std::string name;
   std::uint32_t xnode = 0;  ///< index into app.json's xnodes
+  std::uint32_t task = 0;   ///< as coordinators and BPF maps know it, see Session::task
   int node = -1;            ///< index into the graph's nodes
   Urgency urgency;
   int fifo_priority = 0;  ///< SCHED_FIFO priority on a real CPU; 0: leave as it is
   const detail::ImplSpec* impl = nullptr;
   Worker* worker = nullptr;
-  detail::Made made;      ///< by init; on the worker's execution thread
-  bool ran_once = false;  ///< its worker's execution thread
+  std::shared_ptr<Instance> here = std::make_shared<Instance>();
   Limits limits;
-  XNodeLine* line = nullptr;  ///< set if there are limits
+  bool watched = false;       ///< how long its jobs take decides which table is next
+  XNodeLine* line = nullptr;  ///< set if there are limits, or it is watched
   /// A chain ends here, and not at the module's end.
   bool ends_chain = false;
 };
@@ -56,7 +67,13 @@ struct NodeRow {
   int module = -1;
   ModuleRuntime* runtime = nullptr;
   Activation* activation = nullptr;
-  std::vector<Placed> nodes;
+  std::vector<Placed> nodes;  ///< the chain as the first table places it, then as the next one does
+  std::size_t tables = 1;
+  [[nodiscard]] std::size_t length() const { return nodes.size() / tables; }
+  /// As the activation's table places it.
+  [[nodiscard]] const Placed* chain() const {
+    return tables == 1 ? nodes.data() : nodes.data() + activation->table() * length();
+  }
 };
 
 struct WorkerOptions {
@@ -101,6 +118,8 @@ class Worker {
     int module;
   };
   [[nodiscard]] std::optional<Hung> find_hung(std::int64_t now_ns);
+  /// Tells the board for how long the job that runs has had its XPU, if that is watched. Any thread.
+  void tell_time(std::int64_t now_ns) const;
 
   /// Hands over the activation: run from chain position `node` on. Any thread; must not be
   /// called again before that job has left this worker.
@@ -128,8 +147,8 @@ class Worker {
   [[nodiscard]] bool may_share() const;
   void destroy_objects(bool ran);
   void run_chain(std::size_t node, bool begun);
-  bool run_job(Placed& placed, bool begun);
-  void begin(Placed& placed);
+  bool run_job(const Placed* chain, std::size_t position, bool begun);
+  void begin(const Placed& placed);
   [[nodiscard]] coord::Key key_of(const Placed& placed) const;
   [[nodiscard]] std::int64_t due(const Placed& placed) const;
   [[nodiscard]] xpu::CpuJob cpu_job(const Placed& placed) const;
@@ -160,8 +179,8 @@ class Worker {
   std::vector<Ready> lane_;  ///< what became ready on its execution thread, and stays with it
   /// 0: empty; kQuit; else chain position + 1, or anything if it belongs to a crew.
   std::atomic<std::uint32_t> mailbox_{0};
-  /// The job whose queue the management thread acts on, in one word: its XNode's position in the
-  /// chain above kSequenceBits, its activation's number below.
+  /// The job whose queue the management thread acts on, in one word: its place in NodeRow::nodes above
+  /// kSequenceBits, its activation's number below.
   std::atomic<std::uint64_t> current_{0};
   static constexpr int kSequenceBits = 48;
   std::atomic<bool> lost_{false};
@@ -172,7 +191,8 @@ class Worker {
   Stopwatch watch_;                              ///< of jobs with limits
   std::atomic<const Placed*> limited_{nullptr};  ///< whose job that is
   std::uint64_t hung_job_ = 0;                   ///< of find_hung
-  std::int64_t cpu_since_ns_ = 0;                ///< of the execution thread
+  std::atomic<std::int64_t> cpu_since_ns_{0};    ///< of the execution thread's CPU time
+  clockid_t cpu_clock_ = CLOCK_MONOTONIC;  ///< of the execution thread; set before its first job
   mutable PiMutex failure_mutex_;
   std::string failure_ XAUTO_GUARDED_BY(failure_mutex_);
 };

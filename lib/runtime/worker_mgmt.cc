@@ -43,10 +43,10 @@ void Worker::manage() {
         const Placed* job = &chain_.nodes[current >> kSequenceBits];
         const std::uint64_t sequence = current & ((std::uint64_t{1} << kSequenceBits) - 1);
         record(XAUTO_EV_SUSPEND, *job, sequence);
-        const Status done = backend_->preempt(job->made.handle);
+        const Status done = backend_->preempt(job->here->made.handle);
         if (done) {
           const std::int64_t now = now_ns();
-          suspended.emplace(Suspended{job->made.handle, job, sequence, {}, now});
+          suspended.emplace(Suspended{job->here->made.handle, job, sequence, {}, now});
           if (options_.held_up != nullptr)
             suspended->holds_up.emplace(*options_.held_up, job->node, now);
           watch_.away(now);
@@ -73,7 +73,7 @@ void Worker::manage() {
       case coord::Command::kNothing:
         if (suspended && suspended->holds_up) {
           const std::int64_t now = now_ns();
-          const auto job = port_->begun(suspended->job->xnode, suspended->sequence);
+          const auto job = port_->begun(suspended->job->task, suspended->sequence);
           if (const auto waits = job ? suspended->holds_up->look(now, job->key) : std::nullopt) {
             tell_held_up(*suspended->job, suspended->sequence, waits->xnode);
             port_->lend(*job, waits->key);
@@ -114,7 +114,7 @@ void Worker::tell_held_up(const Placed& placed, std::uint64_t sequence, std::uin
 
 void Worker::begin_limited(const Placed& placed, std::uint64_t sequence) {
   limited_.store(&placed, std::memory_order_release);
-  if (backend_->on_thread()) cpu_since_ns_ = clock_ns(CLOCK_THREAD_CPUTIME_ID);
+  if (backend_->on_thread()) cpu_since_ns_.store(clock_ns(cpu_clock_));
   watch_.begin(now_ns(), sequence);
 }
 
@@ -122,8 +122,9 @@ void Worker::begin_limited(const Placed& placed, std::uint64_t sequence) {
 bool Worker::end_limited(const Placed& placed) {
   const std::int64_t wall_ns = watch_.end(now_ns());
   const std::int64_t took_ns =
-      backend_->on_thread() ? clock_ns(CLOCK_THREAD_CPUTIME_ID) - cpu_since_ns_ : wall_ns;
+      backend_->on_thread() ? clock_ns(cpu_clock_) - cpu_since_ns_.load() : wall_ns;
   XNodeLine& line = *placed.line;  // of the module's workers on this XPU
+  if (placed.watched) line.saw(took_ns);
   line.jobs.fetch_add(1, std::memory_order_relaxed);
   if (placed.limits.budget_ns > 0 && took_ns > placed.limits.budget_ns)
     line.overruns.fetch_add(1, std::memory_order_relaxed);
@@ -131,6 +132,17 @@ bool Worker::end_limited(const Placed& placed) {
   while (took_ns > longest_ns && !line.longest_ns.compare_exchange_weak(longest_ns, took_ns)) {
   }
   return !chain_.activation->abandoned();
+}
+
+void Worker::tell_time(std::int64_t now_ns) const {
+  const auto seen = watch_.look(now_ns);
+  if (!seen) return;
+  const Placed* placed = limited_.load(std::memory_order_acquire);
+  const std::int64_t took_ns =
+      backend_->on_thread() ? clock_ns(cpu_clock_) - cpu_since_ns_.load() : seen->took_ns;
+  // `placed` and the times belong together only if that job still runs.
+  const auto again = watch_.look(now_ns);
+  if (again && again->job == seen->job && placed->watched) placed->line->saw(took_ns);
 }
 
 std::optional<Worker::Hung> Worker::find_hung(std::int64_t now_ns) {

@@ -236,6 +236,7 @@ void ModuleRuntime::take(Activation& activation, std::vector<Lost>& lost) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
     next_ = std::max(next_, sequence + 1);
   }
+  if (tables_ != nullptr) activation.table_ = tables_->table_of(sequence);
   activation.stage_ = Activation::Stage::kRuns;
   activation.number_ = fired_++;
   activation.position_ = 0;

@@ -76,6 +76,8 @@ class ModuleRuntime {
   void read_parameters(ParameterReader reader);
   /// `abandon` may be called.
   void watch() { watched_ = true; }
+  /// Activations have the tables that the board says of their releases. It outlives this.
+  void read_tables(const Board& board) { tables_ = &board; }
   /// Numbered: releases below `next` are settled already.
   void begin_at(std::uint64_t next) {
     const Guard lock(mutex_);
@@ -234,6 +236,7 @@ class ModuleRuntime {
 
   ParameterReader parameters_;  ///< of whoever begins: activations begin one after the other
   bool watched_ = false;
+  const Board* tables_ = nullptr;
   std::int64_t match_ns_ = -1;
   std::vector<std::int64_t> shift_ns_;  ///< [input]
 };

@@ -58,6 +58,28 @@ struct ContextReport {
   }
 };
 
+/// A scenario of a run with tables: releases under it that met no change of the scenario.
+struct ScenarioReport {
+  std::string name, table;
+  std::uint64_t releases = 0;
+  std::int64_t longest_us = -1;  ///< -1: there was none
+  std::int64_t worst_case_us = 0;
+};
+
+/// Another scenario counts from a release on.
+struct SwitchReport {
+  std::uint64_t release = 0;  ///< the first one of it
+  std::string from, to;       ///< scenarios
+  std::string table;          ///< which that release has
+  std::string why;            ///< runtime::Why
+  std::string detail;         ///< the job that was the reason, for people; empty: none was
+  std::int64_t held_us = 0;   ///< the sensors waited so long for what was in flight
+  /// The longest release that was in flight, or had ended since the choice before; -1: there was none.
+  std::int64_t spanned_us = -1;
+  std::optional<std::int64_t> worst_case_us;  ///< of such a release; empty: nothing is claimed
+};
+inline constexpr std::size_t kKeptSwitches = 4096;
+
 struct RunReport {
   bool complete = false;          ///< every release was accounted for before the end
   std::string note;               ///< why not, or what was done differently; for people
@@ -78,6 +100,10 @@ struct RunReport {
   std::vector<std::string> unkept;
   /// What app.json states and this run saw otherwise: then its claims do not hold; a line each.
   std::vector<std::string> broken;
+  /// Of a run with tables; empty of others. The last kKeptSwitches of `num_switches`.
+  std::vector<ScenarioReport> scenarios;
+  std::vector<SwitchReport> switches;
+  std::uint64_t num_switches = 0;
   bool several_rates = false;   ///< there are no releases to count, but each sensor's
   std::string recording_error;  ///< why the recording is not whole; empty: it is, or there is none
 };

@@ -58,6 +58,18 @@ void fields(Io io, T& x) {
      "gated", x.gated, "held_up", x.held_up, "misplaced", x.misplaced);
 }
 
+template <class Io, Is<ScenarioReport> T>
+void fields(Io io, T& x) {
+  io("name", x.name, "table", x.table, "releases", x.releases, "longest_us", x.longest_us,
+     "worst_case_us", x.worst_case_us);
+}
+
+template <class Io, Is<SwitchReport> T>
+void fields(Io io, T& x) {
+  io("release", x.release, "from", x.from, "to", x.to, "table", x.table, "why", x.why, "detail",
+     x.detail, "held_us", x.held_us, "spanned_us", x.spanned_us, "worst_case_us", x.worst_case_us);
+}
+
 template <class Io, Is<RunReport> T>
 void fields(Io io, T& x) {
   io("complete", x.complete, "note", x.note, "releases", x.releases, "num_releases", x.num_releases,
@@ -65,6 +77,7 @@ void fields(Io io, T& x) {
      "xnodes", x.xnodes, "routes", x.routes, "contexts", x.contexts, "lost_coordinators",
      x.lost_coordinators, "died", x.died, "deadline_misses", x.deadline_misses,
      "overlapping_releases", x.overlapping_releases, "unkept", x.unkept, "broken", x.broken,
+     "scenarios", x.scenarios, "switches", x.switches, "num_switches", x.num_switches,
      "several_rates", x.several_rates, "recording_error", x.recording_error);
 }
 
@@ -288,6 +301,25 @@ std::optional<Scheduling> scheduling_from(const std::string& name) {
   return std::nullopt;
 }
 
+void Session::take_tables(Tables all) {
+  by_table.clear();
+  for (const Table& table : all.tables)
+    by_table.push_back(policy_under(table, app, platform, Scenario{}));
+  policy = by_table[static_cast<std::size_t>(all.serves.front().table)];
+  policy.worst_case_us = all.serves.front().worst_case_us;
+  tables = std::move(all);
+}
+
+std::vector<std::pair<std::uint32_t, std::uint32_t>> Session::order_on(int xpu) const {
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
+  for (std::size_t t = 0; t < num_tables(); ++t)
+    for (const auto& [u, v] : of_table(t).order)
+      if (of_table(t).placements[static_cast<std::size_t>(v)].xpu == xpu)
+        order.emplace_back(task(t, static_cast<std::uint32_t>(u)),
+                           task(t, static_cast<std::uint32_t>(v)));
+  return order;
+}
+
 Result<std::string> to_json(const Session& s) {
   for (const std::string& path : {s.input, s.record})
     if (Json::parse(Json(path).dump())->text() != path)
@@ -304,7 +336,9 @@ Result<std::string> to_json(const Session& s) {
     deployment.app = s.app.name;
     j["deployment"] = xauto::to_json(deployment);
     j["by_keys"] = s.keys.has_value();
-    if (s.scheduling != Scheduling::kRos2)
+    if (s.tables)
+      j["tables"] = xauto::to_json(*s.tables, s.app, s.platform);
+    else if (s.scheduling != Scheduling::kRos2)
       j["policy"] = s.keys ? xauto::to_json(*s.keys, s.app, s.platform)
                            : xauto::to_json(s.policy, s.app, s.platform);
   }
@@ -329,6 +363,11 @@ Result<Session> parse_session(const std::string& text) {
   XAUTO_ASSIGN(s.app, parse_app(member("app"), "session"));
   XAUTO_ASSIGN(s.deployment, parse_deployment(member("deployment"), "session", s.app));
   if (s.scheduling == Scheduling::kRos2) return s;
+  if (j->has("tables")) {
+    XAUTO_ASSIGN(Tables tables, parse_tables(member("tables"), "session", s.app, s.platform));
+    s.take_tables(std::move(tables));
+    return s;
+  }
   if (j->at("by_keys").boolean().value_or(false)) {
     XAUTO_ASSIGN(s.keys, parse_key_policy(member("policy"), "session", s.app, s.platform));
     s.policy = assignment_of(*s.keys);

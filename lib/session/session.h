@@ -9,6 +9,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <xauto/result.h>
@@ -18,6 +19,7 @@
 #include "model/key_policy.h"
 #include "model/platform.h"
 #include "model/policy.h"
+#include "model/tables.h"
 
 namespace xauto::runtime {
 
@@ -46,6 +48,10 @@ struct Session {
   /// priorities for as_version_1(app).
   Policy policy;
   std::optional<KeyPolicy> keys;  ///< the same of an app of version 2
+  /// Several policies, of which each release gets one (runtime/table_switch.h); then `policy` is that of
+  /// the first scenario's table. With kXAuto; set by take_tables.
+  std::optional<Tables> tables;
+  std::vector<Policy> by_table;  ///< [table]; empty: `policy` alone
   Scheduling scheduling = Scheduling::kXAuto;
   CpuSched cpu_sched = CpuSched::kFifo;
   std::string cpu_run;                ///< the run's BPF maps (kernel/run_maps.h); empty: none
@@ -84,6 +90,19 @@ struct Session {
   std::string hub;  ///< abstract socket
   int hub_fd = -1;  ///< the same, listening, inherited by the hub; -1: it makes it
   int process = 0;  ///< which of them this is (environment XAUTO_PROCESS); 0: the hub
+
+  void take_tables(Tables all);
+  [[nodiscard]] std::size_t num_tables() const { return std::max<std::size_t>(1, by_table.size()); }
+  [[nodiscard]] const Policy& of_table(std::size_t table) const {
+    return by_table.empty() ? policy : by_table[table];
+  }
+  /// An XNode as one table places it. Coordinators and the scheduler of real CPUs know it by this
+  /// number, so each table has its own order and priorities there.
+  [[nodiscard]] std::uint32_t task(std::size_t table, std::uint32_t xnode) const {
+    return static_cast<std::uint32_t>(table * app.xnodes.size()) + xnode;
+  }
+  /// Order constraints of all tables on this XPU, between tasks.
+  [[nodiscard]] std::vector<std::pair<std::uint32_t, std::uint32_t>> order_on(int xpu) const;
 
   [[nodiscard]] Presence presence_of(int xpu) const {
     return presence.empty() ? Presence::kReal : presence[static_cast<std::size_t>(xpu)];

@@ -32,10 +32,9 @@ xauto::Result<xauto::coord::ServerOptions> options_for(const std::string& xpu, i
       xauto::xpu::discipline_of(instance, session.emulated(index), session.cpu_by_keys);
   options.levels = xauto::xpu::levels_of(instance, session.emulated(index));
   options.by_keys = session.keys.has_value();
-  for (const auto& xnode : session.app.xnodes) options.xnodes.push_back(xnode.name);
-  for (const auto& [u, v] : session.policy.order)
-    if (session.policy.placements[static_cast<std::size_t>(v)].xpu == index)
-      options.order.emplace_back(static_cast<std::uint32_t>(u), static_cast<std::uint32_t>(v));
+  for (std::size_t table = 0; table < session.num_tables(); ++table)
+    for (const auto& xnode : session.app.xnodes) options.xnodes.push_back(xnode.name);
+  options.order = session.order_on(index);
   return options;
 }
 

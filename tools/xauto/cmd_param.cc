@@ -7,11 +7,7 @@
 #include <thread>
 
 #include <fmt/format.h>
-#include <sys/socket.h>
-#include <unistd.h>
 
-#include "base/socket.h"
-#include "launch/supervisor.h"
 #include "model/json_value.h"
 #include "processes/parameters.h"
 
@@ -28,34 +24,6 @@ struct ParamFlags {
   std::vector<std::string> words;  ///< module, then what of it
   int wait_s = 0;
 };
-
-constexpr int kAnswerMs = 5000;  ///< the run's tool looks at least five times a second
-
-/// Of a run of somebody else's: nobody would answer.
-Status may_ask(int socket, const std::string& run) {
-  ucred peer{};
-  socklen_t size = sizeof peer;
-  if (getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0 || geteuid() == 0 ||
-      peer.uid == geteuid())
-    return {};
-  return fail(
-      ErrorCode::kPermission,
-      "run '" + run + "' is of " + user_name(peer.uid) + ", and answers only that user and root",
-      "--run", "ask as that user, or with sudo");
-}
-
-Result<Watched> find_run(const ParamFlags& flags) {
-  const std::atomic<bool> never{false};
-  auto watched = watch(flags.run, flags.wait_s, never);
-  if (watched) return watched;
-  // One of somebody else's is seen, and says nothing.
-  const std::vector<std::string> runs = running();
-  const std::string run = flags.run.empty() && runs.size() == 1 ? runs.front() : flags.run;
-  if (!run.empty())
-    if (const auto socket = connect_abstract(address_of(run, launch::kLiveName)))
-      XAUTO_TRY(may_ask(socket->get(), run));
-  return watched;
-}
 
 /// All of the run's, or of one module.
 Result<std::vector<PostedParameter>> read(const Watched& run, const std::string& module) {
@@ -85,7 +53,7 @@ Result<int> list(const ParamFlags& flags, const Options& options) {
   if (flags.words.size() > 1)
     return fail(ErrorCode::kInvalid, "'" + flags.words[1] + "' is one word too much",
                 "xauto param list", "xauto param list [MODULE]");
-  XAUTO_ASSIGN(const Watched run, find_run(flags));
+  XAUTO_ASSIGN(const Watched run, find_run(flags.run, flags.wait_s));
   XAUTO_ASSIGN(const std::vector<PostedParameter> all,
                read(run, flags.words.empty() ? "" : flags.words.front()));
   if (options.json) {
@@ -132,7 +100,7 @@ Result<int> get(const ParamFlags& flags, const Options& options) {
   if (flags.words.size() != 2)
     return fail(ErrorCode::kInvalid, "needs a module and a name", "xauto param get",
                 "xauto param get MODULE NAME");
-  XAUTO_ASSIGN(const Watched run, find_run(flags));
+  XAUTO_ASSIGN(const Watched run, find_run(flags.run, flags.wait_s));
   XAUTO_ASSIGN(const std::vector<PostedParameter> all, read(run, flags.words[0]));
   for (const PostedParameter& p : all) {
     if (p.spec.name != flags.words[1]) continue;
@@ -161,33 +129,10 @@ Result<int> set(const ParamFlags& flags, const Options& options) {
                   "xauto param set", kUsage);
     values[word.substr(0, equals)] = word.substr(equals + 1);
   }
-  XAUTO_ASSIGN(const Watched run, find_run(flags));
-  const std::string where = "run '" + run.run + "'";
+  XAUTO_ASSIGN(const Watched run, find_run(flags.run, flags.wait_s));
   Json request = {{"module", flags.words.front()}};
   request["set"] = values;
-  const std::string text = request.dump();
-  if (text.size() > runtime::kMaxParameterRequest)
-    return fail(ErrorCode::kInvalid, "these values are too long to be set at once", where,
-                "set some of them, then the others");
-  XAUTO_ASSIGN(const UniqueFd socket,
-               connect_abstract(address_of(run.run, launch::kParameterName)));
-  XAUTO_TRY(may_ask(socket.get(), run.run));
-  XAUTO_TRY(send_packet(socket.get(), text.data(), text.size()));
-  if (!wait_readable(socket.get(), kAnswerMs))
-    return fail(ErrorCode::kTimeout, "did not answer within 5 s", where,
-                "`xauto param get` tells whether the value is set");
-  std::string answer(runtime::kMaxParameterAnswer, '\0');
-  const auto size = receive_packet(socket.get(), answer.data(), answer.size());
-  if (!size)
-    return fail(ErrorCode::kUnavailable, "hung up without an answer; it may be at its end", where);
-  answer.resize(*size);
-  if (Status status = runtime::answer_error(answer); !status) {
-    Error error = std::move(status).error();
-    error.where = where + (error.where.empty() ? "" : ", " + error.where);
-    return tl::unexpected<Error>(std::move(error));
-  }
-  const std::optional<Json> parsed = Json::parse(answer);
-  const Json& was = parsed->at("was");
+  XAUTO_ASSIGN(const Json was, ask_desk(run, request));
   if (options.json) {
     std::cout << Json{{"was", was}}.dump() << "\n";
     return kDone;

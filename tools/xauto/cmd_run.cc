@@ -14,6 +14,7 @@
 #include "xauto/outputs.h"
 #include "xauto/report.h"
 #include "xauto/run_app.h"
+#include "xauto/tables.h"
 
 namespace xauto::cli {
 namespace {
@@ -31,6 +32,21 @@ std::string dump_path(const std::string& trace_out, bool hang, int number) {
   return fmt::format("{}.{}-{}{}", stem, hang ? "hang" : "miss", number, suffix);
 }
 
+/// Of tables.json: the run begins under the first scenario.
+Status take_tables(const OneRunFlags& flags, PolicyRun& run) {
+  if (run.scheduling != runtime::Scheduling::kXAuto)
+    return fail(ErrorCode::kInvalid, "is of a run that nobody schedules, and tables are scheduled",
+                "--scheduling " + flags.scheduling, "give --policy a policy.json");
+  XAUTO_ASSIGN(run.tables, load_tables(flags.policy_path, flags.app, flags.spec));
+  for (const Table& table : run.tables->tables)
+    XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence,
+                                    policy_under(table, flags.app, flags.spec, {}),
+                                    flags.policy_path + ": table '" + table.name + "'"));
+  const auto first = static_cast<std::size_t>(run.tables->serves.front().table);
+  run.policy = policy_under(run.tables->tables[first], flags.app, flags.spec, {});
+  return {};
+}
+
 Result<int> run(const OneRunFlags& given, const Options& options) {
   OneRunFlags flags = given;
   XAUTO_TRY(flags.prepare());
@@ -45,7 +61,9 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
       return fail(ErrorCode::kInvalid, "is needed unless --scheduling ros2", "--policy",
                   "make one with `xauto solve --app " + flags.app_path + " --platform " +
                       flags.platform + " --out policy.json`");
-    if (flags.app.version == 2) {
+    if (is_tables_file(flags.policy_path)) {
+      XAUTO_TRY(take_tables(flags, run));
+    } else if (flags.app.version == 2) {
       XAUTO_ASSIGN(run.keys, load_key_policy(flags.policy_path, flags.app, flags.spec));
       run.policy = assignment_of(*run.keys);
     } else {
@@ -67,7 +85,9 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
     XAUTO_TRY(
         outputs.expect("--record", flags.record.substr(0, flags.record.find_last_not_of('/') + 1)));
   if (flags.app.version == 1) {
-    XAUTO_ASSIGN(run.predicted, predict(flags.app, flags.spec, run.scheduling, run.policy));
+    const AppSpec app =
+        run.tables ? app_under(flags.app, run.tables->scenarios.front()) : flags.app;
+    XAUTO_ASSIGN(run.predicted, predict(app, flags.spec, run.scheduling, run.policy));
   }
   const StopOnSignal stop;
   Dump dump;
@@ -116,7 +136,9 @@ void add_run(Commands& commands) {
       "xauto run --app app.json --policy policy.json --platform small -- build/bin/driving",
       [flags](const Options& options) { return run(*flags, options); });
   flags->declare(verb);
-  verb.option("--policy", flags->policy_path, "policy.json from `xauto solve`");
+  verb.option(
+      "--policy", flags->policy_path,
+      "policy.json from `xauto solve`, or tables.json: each release gets one of its policies");
   verb.option("--name", flags->name,
               "what the run is called in tables, pages and report.json; default: the policy's "
               "file without folder and suffix");

@@ -94,7 +94,7 @@ int status(const Options& options) {
   const std::atomic<bool> never{false};
   for (const auto& [run, xpus] : sessions)
     if (const auto watched = watch(run, 1, never))  // its tool may have hung up too soon
-      if (Counts counts = counts_of(*watched->board); counts.claims.claimed)
+      if (Counts counts = counts_of(*watched->board); counts.claims.claimed || counts.scenario)
         looks.emplace(run, std::move(counts));
   if (options.json) {
     Json list = Json::array();
@@ -108,6 +108,14 @@ int status(const Options& options) {
     }
     Json all = {{"sessions", std::move(runs_of)}};
     for (const auto& [run, counts] : looks) {
+      if (counts.scenario)
+        all["scenario"][(prefix + run).c_str()] = {
+            {"name", counts.scenario->name},
+            {"table", counts.scenario->table},
+            {"why", counts.scenario->why},
+            {"asked", counts.scenario->asked.empty() ? Json() : Json(counts.scenario->asked)},
+            {"switches", counts.scenario->switches}};
+      if (!counts.claims.claimed) continue;
       Json chains = Json::array();
       const auto measured = [](std::int64_t us) { return us < 0 ? Json() : Json(us); };
       for (const FlowCounts& chain : counts.chains) {
@@ -137,7 +145,7 @@ int status(const Options& options) {
   for (const auto& [run, xpus] : sessions) {
     std::cout << "run " << run << "\n";
     if (const auto seen = looks.find(run); seen != looks.end())
-      std::cout << claims_text(seen->second) << "\n";
+      std::cout << claims_text(seen->second) << scenario_text(seen->second) << "\n";
     for (const XpuStatus& xpu : xpus) {
       std::cout << fmt::format(
           "  {:<8}{}, {}; coordinator pid {}, {} decisions\n", xpu.xpu, to_string(xpu.discipline),

@@ -170,6 +170,12 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
   }
   if (c.claims.claimed)
     j["claims"] = {{"exceeded", c.claims.exceeded}, {"broken", c.claims.broken}};
+  if (c.scenario)
+    j["scenario"] = {{"name", c.scenario->name},
+                     {"table", c.scenario->table},
+                     {"why", c.scenario->why},
+                     {"asked", c.scenario->asked.empty() ? Json() : Json(c.scenario->asked)},
+                     {"switches", c.scenario->switches}};
   j["modules"] = Json::array();
   for (std::size_t m = 0; m < c.modules.size(); ++m) {
     const ModuleCounts& module = c.modules[m];
@@ -268,6 +274,7 @@ void draw(const Observed& observed, const Look& now, const Look& before, bool te
                        chain.lost, chain.late, chain.old);
   }
   out += claims_text(c);
+  out += scenario_text(c);
   out += fmt::format("\n  {:<28}{:>9}{:>13}{:>9}{:>9}\n", "module", "per s", "activations",
                      "dropped", "failed");
   for (std::size_t m = 0; m < c.modules.size(); ++m) {

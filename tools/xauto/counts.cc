@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "base/clock.h"
+#include "model/tables.h"
 #include "session/distribution.h"
 
 namespace xauto::cli {
@@ -88,6 +89,17 @@ bool several_rates(const Counts& counts) {
 
 }  // namespace
 
+ScenarioCounts scenario_of(const runtime::Board& board, std::uint32_t index) {
+  const runtime::ScenarioLine& line = board.scenario(index);
+  ScenarioCounts counts;
+  counts.name = runtime::line_name(line.name);
+  counts.table = runtime::line_name(line.table);
+  counts.worst_case_us = line.worst_case_us;
+  counts.releases = line.releases.load();
+  counts.longest_us = line.longest_us.load();
+  return counts;
+}
+
 Counts counts_of(const runtime::Board& board) {
   Counts counts;
   counts.at_ns = now_ns();
@@ -105,6 +117,15 @@ Counts counts_of(const runtime::Board& board) {
       counts.chains.back().lost = counts.modules[module].failed + counts.modules[module].dropped;
   }
   counts.claims = claims_of(board, counts);
+  if (shape.scenarios > 0) {
+    const runtime::BoardHeader& header = board.header();
+    const std::uint32_t scenario = header.scenario.load(), asked = header.asked.load();
+    counts.scenario = scenario_of(board, scenario < shape.scenarios ? scenario : 0);
+    counts.scenario->why = to_string(static_cast<Why>(std::min(header.why.load(), 255u)));
+    counts.scenario->switches = header.switches.load();
+    if (asked > 0 && asked <= shape.scenarios)
+      counts.scenario->asked = runtime::line_name(board.scenario(asked - 1).name);
+  }
   return counts;
 }
 

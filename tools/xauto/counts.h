@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -41,6 +42,14 @@ struct ClaimCounts {
   std::vector<std::string> broken;  ///< a line for each assumption that is broken
 };
 
+/// Of a run with tables: which one releases get now.
+struct ScenarioCounts {
+  std::string name, table, why, asked;  ///< asked: by people; empty: nothing
+  std::uint64_t switches = 0;           ///< to another table
+  std::uint64_t releases = 0;           ///< under this scenario
+  std::int64_t longest_us = -1, worst_case_us = 0;
+};
+
 struct Counts {
   std::int64_t at_ns = 0;
   std::uint64_t released = 0;
@@ -48,10 +57,14 @@ struct Counts {
   FlowCounts whole;  ///< empty with several rates
   std::vector<FlowCounts> chains;
   ClaimCounts claims;
+  std::optional<ScenarioCounts> scenario;  ///< none: there is one policy
 };
 
 /// All counts of one moment, or nearly: each is right by itself.
 [[nodiscard]] Counts counts_of(const runtime::Board& board);
+
+/// Of a run with tables, one of its scenarios; `why` and `asked` of the one in force.
+[[nodiscard]] ScenarioCounts scenario_of(const runtime::Board& board, std::uint32_t index);
 
 /// One flow over the time between two looks.
 struct FlowNumbers {

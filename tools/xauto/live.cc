@@ -7,11 +7,14 @@
 
 #include <fmt/format.h>
 #include <pwd.h>
+#include <sys/socket.h>
+#include <unistd.h>
 
 #include "base/log.h"
 #include "base/socket.h"
 #include "coord/protocol.h"
 #include "launch/supervisor.h"
+#include "processes/parameters.h"
 
 #include "xauto/worst_case.h"
 
@@ -98,12 +101,68 @@ Result<Watched> watch(const std::string& run, int wait_s, const std::atomic<bool
   }
 }
 
+namespace {
+
+constexpr int kAnswerMs = 5000;  ///< the run's tool looks at least five times a second
+
+/// Of a run of somebody else's: nobody would answer.
+Status may_ask(int socket, const std::string& run) {
+  ucred peer{};
+  socklen_t size = sizeof peer;
+  if (getsockopt(socket, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0 || geteuid() == 0 ||
+      peer.uid == geteuid())
+    return {};
+  return fail(
+      ErrorCode::kPermission,
+      "run '" + run + "' is of " + user_name(peer.uid) + ", and answers only that user and root",
+      "--run", "ask as that user, or with sudo");
+}
+
+}  // namespace
+
+Result<Watched> find_run(const std::string& name, int wait_s) {
+  const std::atomic<bool> never{false};
+  auto watched = watch(name, wait_s, never);
+  if (watched) return watched;
+  // One of somebody else's is seen, and says nothing.
+  const std::vector<std::string> runs = running();
+  const std::string run = name.empty() && runs.size() == 1 ? runs.front() : name;
+  if (!run.empty())
+    if (const auto socket = connect_abstract(address_of(run, launch::kLiveName)))
+      XAUTO_TRY(may_ask(socket->get(), run));
+  return watched;
+}
+
+Result<Json> ask_desk(const Watched& run, const Json& request) {
+  const std::string where = "run '" + run.run + "'";
+  const std::string text = request.dump();
+  if (text.size() > runtime::kMaxParameterRequest)
+    return fail(ErrorCode::kInvalid, "these values are too long to be set at once", where,
+                "set some of them, then the others");
+  XAUTO_ASSIGN(const UniqueFd socket, connect_abstract(address_of(run.run, launch::kDeskName)));
+  XAUTO_TRY(may_ask(socket.get(), run.run));
+  XAUTO_TRY(send_packet(socket.get(), text.data(), text.size()));
+  if (!wait_readable(socket.get(), kAnswerMs))
+    return fail(ErrorCode::kTimeout, "did not answer within 5 s", where, "ask what holds now");
+  std::string answer(runtime::kMaxParameterAnswer, '\0');
+  const auto size = receive_packet(socket.get(), answer.data(), answer.size());
+  if (!size)
+    return fail(ErrorCode::kUnavailable, "hung up without an answer; it may be at its end", where);
+  answer.resize(*size);
+  if (Status status = runtime::answer_error(answer); !status) {
+    Error error = std::move(status).error();
+    error.where = where + (error.where.empty() ? "" : ", " + error.where);
+    return tl::unexpected<Error>(std::move(error));
+  }
+  return Json::parse(answer)->at("was");
+}
+
 std::vector<XpuStatus> ask_coordinators(const std::string& run) {
   std::vector<XpuStatus> answers;
   for (const std::string& address : abstract_sockets(address_of(run, ""))) {
     const std::string name = address.substr(address.rfind('/') + 1);
     if (name == launch::kEmudName || name == launch::kHubName || name == launch::kLiveName ||
-        name == launch::kParameterName)
+        name == launch::kDeskName)
       continue;
     auto answer = ask(address).and_then(parse_xpu_status);
     if (answer)
@@ -135,6 +194,14 @@ std::string claims_text(const Counts& counts) {
   }
   return out + fmt::format("  {}worst cases, so far: {}\n", stands ? "" : "* ",
                            verdict(counts.claims.exceeded, counts.claims.broken));
+}
+
+std::string scenario_text(const Counts& counts) {
+  if (!counts.scenario) return {};
+  const ScenarioCounts& s = *counts.scenario;
+  return fmt::format("\n  scenario '{}' ({}), table '{}'; {} change{} of the table{}\n", s.name,
+                     s.why, s.table, s.switches, s.switches == 1 ? "" : "s",
+                     s.asked.empty() ? "" : ", asked for is '" + s.asked + "'");
 }
 
 bool Live::goes_on() const {

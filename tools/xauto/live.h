@@ -12,6 +12,7 @@
 
 #include "kernel/run_maps.h"
 #include "kernel/tracer.h"
+#include "model/json_value.h"
 #include "model/xpu_status.h"
 #include "processes/board.h"
 
@@ -33,12 +34,19 @@ struct Watched {
 /// The run named `run`, or with an empty name the only one, waited for at most `wait_s`.
 [[nodiscard]] Result<Watched> watch(const std::string& run, int wait_s,
                                     const std::atomic<bool>& stop);
+/// `watch`, of whoever may be somebody else's run: then it says so.
+[[nodiscard]] Result<Watched> find_run(const std::string& name, int wait_s);
+/// Asks the run's tool to change something (launch/desk.h). Returns what was before.
+[[nodiscard]] Result<Json> ask_desk(const Watched& run, const Json& request);
 /// What its coordinators say of their workers; one that is just ending is left out.
 [[nodiscard]] std::vector<XpuStatus> ask_coordinators(const std::string& run);
 
 /// Of a run by keys: each chain's last and longest reaction of the whole run beside what is claimed
 /// of it, and whether that holds so far. Empty of other runs.
 [[nodiscard]] std::string claims_text(const Counts& counts);
+
+/// Which scenario counts, and why; empty of runs without tables.
+[[nodiscard]] std::string scenario_text(const Counts& counts);
 
 struct Live {
   kernel::RunMaps maps;

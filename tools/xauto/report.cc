@@ -249,6 +249,78 @@ std::string beside(std::int64_t us, std::int64_t simulated_us) {
   return times < 10 ? fmt::format("{:+.1f} %", 100 * (times - 1)) : fmt::format("{:.0f} x", times);
 }
 
+/// Scenarios, and the switches between them.
+void add_tables(const runtime::RunReport& report, const TableClaims& claims, Json& j) {
+  j["worst_case_of"] = kWorstCaseScope;
+  j["worst_case_exceeded"] = !claims.exceeded.empty();
+  j["worst_case_broken"] = claims.broken;
+  Json scenarios = Json::array();
+  for (const runtime::ScenarioReport& s : report.scenarios)
+    scenarios.push_back({{"name", s.name},
+                         {"table", s.table},
+                         {"releases", s.releases},
+                         {"longest_us", or_null(s.longest_us, s.releases)},
+                         {"worst_case_us", s.worst_case_us}});
+  j["scenarios"] = std::move(scenarios);
+  Json switches = Json::array();
+  for (const runtime::SwitchReport& s : report.switches) {
+    Json one = {{"release", s.release},
+                {"from", s.from},
+                {"to", s.to},
+                {"table", s.table},
+                {"why", s.why},
+                {"held_us", s.held_us},
+                {"spanned_us", or_null(s.spanned_us, s.spanned_us < 0 ? 0 : 1)}};
+    if (s.worst_case_us) one["worst_case_us"] = *s.worst_case_us;
+    if (!s.detail.empty()) one["detail"] = s.detail;
+    switches.push_back(std::move(one));
+  }
+  j["switches"] = std::move(switches);
+  j["num_switches"] = report.num_switches;
+}
+
+std::string tables_text(const PolicyRun& run, const TableClaims& claims) {
+  const runtime::RunReport& report = run.report;
+  std::size_t width = 8;
+  for (const runtime::ScenarioReport& s : report.scenarios) width = std::max(width, s.name.size());
+  std::string out = fmt::format("\n  {:<{}}  {:<10}{:>10}{:>12}{:>13}\n", "scenario", width,
+                                "table", "releases", "longest", "worst case");
+  for (const runtime::ScenarioReport& s : report.scenarios)
+    if (s.releases > 0)
+      out += fmt::format("  {:<{}}  {:<10}{:>10}{:>12}{:>13}\n", s.name, width, s.table, s.releases,
+                         in_ms(s.longest_us, s.releases), in_ms(s.worst_case_us, 1));
+  std::int64_t held_us = 0;
+  const runtime::SwitchReport* worst = nullptr;
+  const auto share = [](const runtime::SwitchReport& s) {
+    return static_cast<double>(s.spanned_us) / static_cast<double>(*s.worst_case_us);
+  };
+  for (const runtime::SwitchReport& s : report.switches) {
+    held_us = std::max(held_us, s.held_us);
+    if (s.worst_case_us && *s.worst_case_us > 0 && s.spanned_us >= 0 &&
+        (worst == nullptr || share(s) > share(*worst)))
+      worst = &s;
+  }
+  out += fmt::format("\n  {} change{} of the scenario", report.num_switches,
+                     report.num_switches == 1 ? "" : "s");
+  if (report.num_switches > 0)
+    out +=
+        fmt::format("; a release waited at most {} ms for what was in flight", in_ms(held_us, 1));
+  out += "\n";
+  if (worst != nullptr)
+    out += fmt::format(
+        "  of the releases that met one the nearest to its worst case took {} ms of "
+        "{} ('{}' to '{}')\n",
+        in_ms(worst->spanned_us, 1), in_ms(*worst->worst_case_us, 1), worst->from, worst->to);
+  constexpr std::size_t kShown = 5;  // the last ones
+  const std::size_t first = report.switches.size() - std::min(kShown, report.switches.size());
+  for (std::size_t i = first; i < report.switches.size(); ++i) {
+    const runtime::SwitchReport& s = report.switches[i];
+    out += fmt::format("  release {}: '{}', table '{}' ({}){}\n", s.release, s.to, s.table, s.why,
+                       s.detail.empty() ? "" : ": " + s.detail);
+  }
+  return out + fmt::format("  {}: {}\n", run.name, to_string(claims));
+}
+
 }  // namespace
 
 bool is_healthy(const PolicyRun& run) {
@@ -362,6 +434,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       chains.push_back(std::move(chain));
     }
     j["chains"] = std::move(chains);
+    if (const auto of_tables = table_claims_of(flags, run)) add_tables(run.report, *of_tables, j);
     Json xnodes = Json::array();
     for (const runtime::XNodeReport& x : run.report.xnodes) {
       Json entry = {
@@ -437,6 +510,7 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
       out += fmt::format("  {}: real CPUs: {}\n", run.name, run.outcome.real_cpus);
     if (const auto worst = worst_case_of(flags, run))
       out += fmt::format("  {}: {}\n", run.name, to_string(*worst));
+    if (const auto of_tables = table_claims_of(flags, run)) out += tables_text(run, *of_tables);
     if (const std::uint64_t lost = run.report.lost_releases)
       out += fmt::format("  {}: {} activations were lost\n", run.name, lost);
     out += losses_of(run);

@@ -193,6 +193,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.scheduling = run.scheduling;
   if (run.policy) session.policy = *run.policy;
   session.keys = run.keys;
+  if (run.tables) session.take_tables(*run.tables);
   session.cpu_sched = flags.cpu_sched == "ext"    ? runtime::CpuSched::kExt
                       : flags.cpu_sched == "fifo" ? runtime::CpuSched::kFifo
                                                   : runtime::CpuSched::kOther;

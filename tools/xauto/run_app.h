@@ -15,6 +15,7 @@
 #include "cli/cli.h"
 #include "launch/supervisor.h"
 #include "model/deployment.h"
+#include "model/tables.h"
 #include "session/run_report.h"
 #include "session/session.h"
 #include "solver/simulate.h"
@@ -79,7 +80,9 @@ struct PolicyRun {
   runtime::Scheduling scheduling = runtime::Scheduling::kXAuto;
   std::optional<Policy> policy;   ///< none for ros2; of version 2: assignment_of(keys)
   std::optional<KeyPolicy> keys;  ///< of an app of version 2
-  solver::Simulation predicted;   ///< of version 1: of one release; of version 2 empty
+  /// Several policies, of which each release gets one; then `policy` is that of the first scenario.
+  std::optional<Tables> tables;
+  solver::Simulation predicted;  ///< of version 1: of one release; of version 2 empty
   // Filled in by `execute`.
   runtime::RunReport report;
   launch::Outcome outcome;

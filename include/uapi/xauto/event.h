@@ -8,13 +8,14 @@
  *          3 - SAMPLE; PUBLISH names its source; in an app of version 2 sources have app.json's
  *              numbers, and TAKE is written for one rate, too.
  *          4 - HELD_UP.
+ *          5 - SWITCH.
  */
 #ifndef _UAPI_XAUTO_EVENT_H
 #define _UAPI_XAUTO_EVENT_H
 
 #include <linux/types.h>
 
-#define XAUTO_EVENT_VERSION 4
+#define XAUTO_EVENT_VERSION 5
 
 /* What happened. In the order in which one job meets them. */
 #define XAUTO_EV_PUBLISH 1   /* a source released a message; seq = its number; arg: see TAKE */
@@ -57,6 +58,13 @@
  * urgency until it ends.
  */
 #define XAUTO_EV_HELD_UP 17
+
+/*
+ * With tables, before PUBLISH: another scenario counts from release seq on. module = the table that
+ * it has; arg = the scenario, and above 16 bits why (lib/model/tables.h); xnode = whose job
+ * was the reason, if one was.
+ */
+#define XAUTO_EV_SWITCH 18
 
 #define XAUTO_DROP_FAILED 1   /* exec threw or returned an error */
 #define XAUTO_DROP_UPSTREAM 2 /* an input of this activation was dropped upstream */

@@ -29,7 +29,7 @@ CpuRunRequest request_of(const Session& session) {
           .bin = "",
           .app = session.app,
           .platform = session.platform,
-          .policy = &session.policy,
+          .tables = {&session.policy},
           .real = {true, true, true},
           .budget_pct = 150};
 }

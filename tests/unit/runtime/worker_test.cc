@@ -49,7 +49,7 @@ class WorkerTest : public ::testing::Test, public ModuleHost {
       };
       Placed placed;
       placed.name = name;
-      placed.xnode = static_cast<std::uint32_t>(row_.nodes.size());
+      placed.xnode = placed.task = static_cast<std::uint32_t>(row_.nodes.size());
       placed.impl = impl.get();
       impls_.push_back(std::move(impl));
       row_.nodes.push_back(std::move(placed));
@@ -170,7 +170,10 @@ TEST_F(WorkerTest, TakesTheLevelThatItIsTold) {
         open.push_back(std::make_shared<emu::Context>(std::move(*emu::Context::open(xpu))));
         return open.back()->handle();
       };
-    for (Placed& placed : row_.nodes) placed.urgency = Urgency::of_priority(9);
+    for (Placed& placed : row_.nodes) {
+      placed.urgency = Urgency::of_priority(9);
+      placed.here = std::make_shared<Instance>();
+    }
     ContextCounts counts;
     Worker worker({.name = "M@gpu0",
                    .xpu = 0,

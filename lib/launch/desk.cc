@@ -1,25 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "launch/parameter_desk.h"
+#include "launch/desk.h"
 
 #include <utility>
 
 #include "base/socket.h"
+#include "processes/mode.h"
 #include "processes/parameters.h"
 
 namespace xauto::launch {
 
-Result<std::unique_ptr<ParameterDesk>> ParameterDesk::open(const std::string& address,
-                                                           int board_fd) {
+Result<std::unique_ptr<Desk>> Desk::open(const std::string& address, int board_fd) {
   XAUTO_ASSIGN(UniqueFd listener, listen_abstract(address));
-  return std::unique_ptr<ParameterDesk>(new ParameterDesk(std::move(listener), board_fd));
+  return std::unique_ptr<Desk>(new Desk(std::move(listener), board_fd));
 }
 
-void ParameterDesk::add_to(std::vector<pollfd>& fds) const {
+void Desk::add_to(std::vector<pollfd>& fds) const {
   fds.push_back({listener_.get(), POLLIN, 0});
   for (const Client& client : clients_) fds.push_back({client.socket.get(), POLLIN, 0});
 }
 
-void ParameterDesk::serve(std::int64_t now_ns) {
+void Desk::serve(std::int64_t now_ns) {
   while (wait_readable(listener_.get(), 0)) {
     auto peer = accept_own(listener_.get());
     if (!peer && peer.error().code != ErrorCode::kPermission) break;
@@ -32,7 +32,7 @@ void ParameterDesk::serve(std::int64_t now_ns) {
   });
 }
 
-bool ParameterDesk::answer(int client) {
+bool Desk::answer(int client) {
   if (!wait_readable(client, 0)) return false;
   std::string request(runtime::kMaxParameterRequest, '\0');
   const auto size = receive_packet(client, request.data(), request.size());
@@ -40,7 +40,7 @@ bool ParameterDesk::answer(int client) {
   if (board_ == nullptr)
     if (auto board = runtime::Board::steer(board_fd_)) board_ = std::move(*board);
   const std::string text =
-      runtime::change_parameters(std::string_view(request).substr(0, *size), board_.get());
+      runtime::answer_request(std::string_view(request).substr(0, *size), board_.get());
   (void)send_packet(client, text.data(), text.size());  // who has hung up needs no answer
   return true;
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where `xauto param set` asks: a socket of the run's tool, which alone writes the values of
-// parameters (processes/parameters.h). One packet, one answer. A client that says nothing is sent
-// away; nobody waits for it.
+// Where a run that goes on is asked to change, by `xauto param set` and `xauto mode`: a socket of the
+// run's tool, which alone writes the values of parameters (processes/parameters.h). One packet, one
+// answer. A client that says nothing is sent away; nobody waits for it.
 #pragma once
 
 #include <cstddef>
@@ -20,22 +20,20 @@
 namespace xauto::launch {
 
 /// Threads: one.
-class ParameterDesk {
+class Desk {
  public:
   static constexpr std::size_t kMaxClients = 8;  ///< then the oldest is sent away
   static constexpr std::int64_t kPatienceNs = 1'000'000'000;
 
   /// `board_fd`: the board, to be; open for writing; outlives this.
-  [[nodiscard]] static Result<std::unique_ptr<ParameterDesk>> open(const std::string& address,
-                                                                   int board_fd);
+  [[nodiscard]] static Result<std::unique_ptr<Desk>> open(const std::string& address, int board_fd);
   /// What to wait for.
   void add_to(std::vector<pollfd>& fds) const;
   /// Lets in who has come, and answers who has asked.
   void serve(std::int64_t now_ns);
 
  private:
-  ParameterDesk(UniqueFd listener, int board_fd)
-      : listener_(std::move(listener)), board_fd_(board_fd) {}
+  Desk(UniqueFd listener, int board_fd) : listener_(std::move(listener)), board_fd_(board_fd) {}
   /// False: it stays, it has not asked yet.
   [[nodiscard]] bool answer(int client);
   struct Client {

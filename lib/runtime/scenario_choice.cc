@@ -1,0 +1,187 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/scenario_choice.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::int64_t kLongestDwells = 64;  ///< what trials that fail grow the dwell to
+
+}  // namespace
+
+ScenarioChoice::ScenarioChoice(const AppSpec& app, const Platform& platform, const Tables& tables,
+                               const Allow& allow, const ChoiceOptions& options)
+    : options_(options), dwell_ns_(options.dwell_ns) {
+  const std::vector<std::string> types = platform.types();
+  const auto type_of = [&](const std::string& type) {
+    return static_cast<int>(std::find(types.begin(), types.end(), type) - types.begin());
+  };
+  for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
+    worst_us_.push_back(tables.serves[s].worst_case_us);
+    table_.push_back(tables.serves[s].table);
+    covers_.emplace_back();
+    for (const Scenario& other : tables.scenarios)
+      covers_.back().push_back(covers(app, tables.scenarios[s], other) ? 1 : 0);
+    const AppSpec under = app_under(app, tables.scenarios[s]);
+    auto& rows = allowed_ns_.emplace_back();
+    for (const XNodeSpec& xnode : under.xnodes) {
+      auto& row = rows.emplace_back(types.size(), 0);
+      for (std::size_t t = 0; t < types.size(); ++t)
+        if (const auto wcet = xnode.wcet_on(types[t])) row[t] = allow(types[t], *wcet);
+    }
+  }
+  for (const Table& table : tables.tables) {
+    auto& row = type_.emplace_back();
+    for (const int xpu : table.xpu)
+      row.push_back(type_of(platform.xpus[static_cast<std::size_t>(xpu)].type));
+  }
+  recent_ns_.assign(app.xnodes.size(), std::vector<std::int64_t>(types.size(), 0));
+  older_ns_ = recent_ns_;
+  now_.table = table_.front();
+}
+
+void ScenarioChoice::ask(int scenario) {
+  if (scenario >= static_cast<int>(table_.size())) scenario = -1;
+  asked_anew_ = asked_anew_ || scenario != asked_;
+  asked_ = scenario;
+}
+
+void ScenarioChoice::expect(int scenario) {
+  expected_ = scenario < static_cast<int>(table_.size()) ? scenario : -1;
+}
+
+void ScenarioChoice::saw(int table, std::size_t xnode, std::int64_t ns) {
+  const int type = type_[static_cast<std::size_t>(table)][xnode];
+  std::int64_t& longest = recent_ns_[xnode][static_cast<std::size_t>(type)];
+  longest = std::max(longest, ns);
+}
+
+bool ScenarioChoice::on_floor(std::size_t scenario) const {
+  return (asked_ < 0 || covers_[scenario][static_cast<std::size_t>(asked_)] != 0) &&
+         (expected_ < 0 || covers_[scenario][static_cast<std::size_t>(expected_)] != 0);
+}
+
+/// How far what was seen passes what the scenario allows, as a factor; at most 1: it does not.
+double ScenarioChoice::overshoot(std::size_t scenario, Evidence* worst) const {
+  double most = 0;
+  for (std::size_t x = 0; x < recent_ns_.size(); ++x)
+    for (std::size_t t = 0; t < recent_ns_[x].size(); ++t) {
+      const Evidence seen{x, static_cast<int>(t), std::max(recent_ns_[x][t], older_ns_[x][t])};
+      if (seen.ns == 0) continue;
+      const double factor =
+          static_cast<double>(seen.ns) / static_cast<double>(allowed(scenario, seen));
+      if (factor <= most) continue;
+      most = factor;
+      if (worst != nullptr) *worst = seen;
+    }
+  return most;
+}
+
+bool ScenarioChoice::fits(std::size_t scenario, std::int64_t margin_pct) const {
+  return overshoot(scenario) <= static_cast<double>(100 - margin_pct) / 100;
+}
+
+/// Of those that `may`, the one with the least worst case; of equal ones the first; -1: none may.
+template <class May>
+int ScenarioChoice::least(May may) const {
+  int best = -1;
+  for (std::size_t s = 0; s < worst_us_.size(); ++s)
+    if ((best < 0 || worst_us_[s] < worst_us_[static_cast<std::size_t>(best)]) && may(s))
+      best = static_cast<int>(s);
+  return best;
+}
+
+void ScenarioChoice::put(int scenario, Why why, std::int64_t now_ns) {
+  // A trial that failed: the next one comes later. One that held for long: all is as it was.
+  if (why == Why::kOverrun && now_.why == Why::kBack) {
+    const bool soon = now_ns - since_ns_ < 4 * dwell_ns_;
+    dwell_ns_ = soon ? std::min(2 * dwell_ns_, kLongestDwells * options_.dwell_ns)
+                     : options_.dwell_ns;
+  }
+  now_ = {scenario, 0, why};
+  now_.table = table_[static_cast<std::size_t>(scenario)];
+  since_ns_ = now_ns;
+}
+
+/// Evidence counts for a dwell at least, and for two at most.
+void ScenarioChoice::age(std::int64_t now_ns) {
+  if (!begun_) span_since_ns_ = since_ns_ = now_ns;
+  begun_ = true;
+  if (now_ns - span_since_ns_ < dwell_ns_) return;
+  const bool long_ago = now_ns - span_since_ns_ >= 2 * dwell_ns_;
+  std::swap(older_ns_, recent_ns_);
+  for (auto& row : recent_ns_) std::fill(row.begin(), row.end(), 0);
+  if (long_ago)
+    for (auto& row : older_ns_) std::fill(row.begin(), row.end(), 0);
+  span_since_ns_ = now_ns;
+}
+
+/// The least one that covers the floor and fits the evidence; -1: there is none.
+int ScenarioChoice::next_scenario() const {
+  const auto current = static_cast<std::size_t>(now_.scenario);
+  const auto may = [&](std::size_t s) { return on_floor(s) && fits(s, 0); };
+  // What held before still holds, as far as anybody knows. Where nothing covers that as well, and where
+  // it was a guess, what was seen decides.
+  if (now_.why != Why::kOutside)
+    if (const int next = least([&](std::size_t s) { return may(s) && covers_[s][current] != 0; });
+        next >= 0)
+      return next;
+  return least(may);
+}
+
+/// The one that is passed by least. Where none covers both what the machine says and what people ask
+/// for, they give way: the machine is as it is.
+int ScenarioChoice::nearest() const {
+  int best = -1;
+  double least_passed = 0;
+  const bool floor = least([&](std::size_t s) { return on_floor(s); }) >= 0;
+  for (std::size_t s = 0; s < worst_us_.size(); ++s) {
+    if (floor ? !on_floor(s)
+              : expected_ >= 0 && covers_[s][static_cast<std::size_t>(expected_)] == 0)
+      continue;
+    const double passed = std::max(1.0, overshoot(s));
+    if (best >= 0 && (passed > least_passed ||
+                      (passed == least_passed && worst_us_[s] >= worst_us_[static_cast<std::size_t>(best)])))
+      continue;
+    best = static_cast<int>(s);
+    least_passed = passed;
+  }
+  return best;
+}
+
+/// The job by which what was seen passes the scenario `judged`.
+void ScenarioChoice::blame(const Evidence& seen, int judged) {
+  now_.xnode = static_cast<int>(seen.xnode);
+  now_.saw_ns = seen.ns;
+  now_.allowed_ns = allowed(static_cast<std::size_t>(judged), seen);
+}
+
+bool ScenarioChoice::decide(std::int64_t now_ns) {
+  const int before = now_.scenario;
+  const auto current = static_cast<std::size_t>(before);
+  const bool anew = std::exchange(asked_anew_, false);
+  Evidence worst;
+  const bool fitted = overshoot(current, &worst) <= 1;
+  if (fitted && on_floor(current)) {
+    if (now_.why == Why::kOutside) put(before, Why::kBack, now_ns);  // it was a guess, and holds
+    if (anew || now_ns - since_ns_ >= dwell_ns_) {
+      const int lower = least([&](std::size_t s) {
+        return on_floor(s) && worst_us_[s] < worst_us_[current] && fits(s, options_.margin_pct);
+      });
+      if (lower >= 0) put(lower, anew ? Why::kAsked : Why::kBack, now_ns);
+    }
+  } else if (const int next = next_scenario(); next >= 0) {
+    put(next, !fitted ? Why::kOverrun : anew ? Why::kAsked : Why::kMachine, now_ns);
+    if (!fitted) blame(worst, before);
+  } else {
+    const int near = nearest();
+    if (now_.why != Why::kOutside || near != before) put(near, Why::kOutside, now_ns);
+    if (overshoot(static_cast<std::size_t>(near), &worst) > 1) blame(worst, near);
+  }
+  age(now_ns);
+  return now_.scenario != before;
+}
+
+}  // namespace xauto::runtime

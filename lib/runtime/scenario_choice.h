@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which scenario a run with tables counts with. Asked before each release. Pure: time comes from
+// outside, so tests need none.
+//
+//   floor      the scenario that people ask for (`xauto mode`, App::request_mode), and the one that
+//              the machine's clocks say (lib/launch/conditions.h)
+//   evidence   for how long jobs have had their XPUs, in the last dwell at least
+//
+//                     a job past its WCET, or a higher floor: at once
+//        ┌───────────────────────────────────────────────────────────────┐
+//        │                                                               ▼
+//   a scenario that covers the floor                    the least one that covers the floor,
+//   and fits the evidence                               the scenario before, and the evidence
+//        ▲                                                               │
+//        └───────────────────────────────────────────────────────────────┘
+//          after a dwell in which nothing took longer than the lower one allows, less a margin
+//
+// A scenario whose XNodes run elsewhere cannot be seen from here: XNodes that left a throttled GPU
+// tell nothing of it. So going back is a trial, and each trial that fails doubles the dwell.
+// The least scenario is the one whose worst case is the least.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "model/app.h"
+#include "model/platform.h"
+#include "model/tables.h"
+
+namespace xauto::runtime {
+
+/// What is in force, and what it was chosen for.
+struct Choice {
+  int scenario = 0;  ///< index into Tables::scenarios
+  int table = 0;     ///< index into Tables::tables
+  Why why = Why::kStart;
+  /// kOverrun, kOutside: the job, how long it had its XPU, and what the scenario before (kOverrun) or
+  /// this one (kOutside) allows.
+  int xnode = -1;
+  std::int64_t saw_ns = 0, allowed_ns = 0;
+};
+
+struct ChoiceOptions {
+  std::int64_t dwell_ns = 2'000'000'000;  ///< at least so long before it goes back
+  /// It goes back where what was seen is so much below what the lower scenario allows. WCETs that were
+  /// measured have a margin of their own.
+  std::int64_t margin_pct = 0;
+};
+
+/// Threads: one.
+class ScenarioChoice {
+ public:
+  /// What a job may take before it counts as longer than its WCET on an XPU of this type, in ns: on
+  /// emulated ones a little more.
+  using Allow = std::function<std::int64_t(const std::string& type, std::int64_t wcet_us)>;
+  /// `tables` are valid for `app` and `platform`.
+  ScenarioChoice(const AppSpec& app, const Platform& platform, const Tables& tables,
+                 const Allow& allow, const ChoiceOptions& options = {});
+
+  /// People's wish; -1: none. Beyond the list: as none.
+  void ask(int scenario);
+  /// What the machine's clocks say; -1: nothing.
+  void expect(int scenario);
+  /// A job of `xnode` has had its XPU for so long, where `table` places it. It may still have it.
+  void saw(int table, std::size_t xnode, std::int64_t ns);
+  /// What shall be in force from now on. True: that is another scenario than before.
+  bool decide(std::int64_t now_ns);
+  [[nodiscard]] const Choice& now() const { return now_; }
+ private:
+  struct Evidence {
+    std::size_t xnode = 0;
+    int type = 0;
+    std::int64_t ns = 0;
+  };
+  [[nodiscard]] bool on_floor(std::size_t scenario) const;
+  [[nodiscard]] bool fits(std::size_t scenario, std::int64_t margin_pct) const;
+  [[nodiscard]] double overshoot(std::size_t scenario, Evidence* worst = nullptr) const;
+  [[nodiscard]] std::int64_t allowed(std::size_t scenario, const Evidence& seen) const {
+    return allowed_ns_[scenario][seen.xnode][static_cast<std::size_t>(seen.type)];
+  }
+  template <class May>
+  [[nodiscard]] int least(May may) const;
+  [[nodiscard]] int next_scenario() const;
+  [[nodiscard]] int nearest() const;
+  void blame(const Evidence& seen, int judged);
+  void put(int scenario, Why why, std::int64_t now_ns);
+  void age(std::int64_t now_ns);
+
+  const ChoiceOptions options_;
+  std::vector<std::int64_t> worst_us_;                             ///< [scenario]
+  std::vector<int> table_;                                         ///< [scenario]
+  std::vector<std::vector<char>> covers_;                          ///< [scenario][covered scenario]
+  std::vector<std::vector<std::vector<std::int64_t>>> allowed_ns_; ///< [scenario][xnode][type]
+  std::vector<std::vector<int>> type_;                             ///< [table][xnode]
+  /// [xnode][type] the longest, of this span of time and of the one before; 0: nothing.
+  std::vector<std::vector<std::int64_t>> recent_ns_, older_ns_;
+  std::int64_t span_since_ns_ = 0;
+  bool begun_ = false;
+  int asked_ = -1, expected_ = -1;
+  bool asked_anew_ = false;
+  std::int64_t since_ns_ = 0, dwell_ns_;
+  Choice now_;
+};
+
+}  // namespace xauto::runtime

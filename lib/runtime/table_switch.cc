@@ -1,0 +1,247 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "runtime/table_switch.h"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+#include <uapi/xauto/event.h>
+
+#include "base/clock.h"
+#include "base/log.h"
+#include "model/claims.h"
+#include "runtime/placing.h"
+
+namespace xauto::runtime {
+namespace {
+
+ChoiceOptions options_of(const Deployment& deployment) {
+  ChoiceOptions options;
+  if (deployment.tables.dwell_ms) options.dwell_ns = *deployment.tables.dwell_ms * 1'000'000;
+  if (deployment.tables.margin_pct) options.margin_pct = *deployment.tables.margin_pct;
+  return options;
+}
+
+/// Where some XPUs of a type are emulated, all of them are judged as such.
+bool emulates_type(const Session& session, const std::string& type) {
+  const std::vector<int> all = session.platform.instances_of(type);
+  return std::any_of(all.begin(), all.end(), [&](int x) { return session.emulated(x); });
+}
+
+}  // namespace
+
+Result<std::unique_ptr<TableSwitch>> TableSwitch::make(const Context& context,
+                                                       const Wiring& wiring,
+                                                       const Ledger& ledger) {
+  if (!context.session.tables) return std::unique_ptr<TableSwitch>();
+  if (!context.graph.single_rate)
+    return fail(ErrorCode::kInvalid, "its sources have several periods",
+                "app '" + context.app.name + "'",
+                "tables are for apps of one rate; give `xauto run` one policy");
+  return std::unique_ptr<TableSwitch>(new TableSwitch(context, wiring, ledger));
+}
+
+TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, const Ledger& ledger)
+    : context_(context),
+      wiring_(wiring),
+      ledger_(ledger),
+      tables_(*context.session.tables),
+      choice_(
+          context.session.app, context.session.platform, tables_,
+          [&](const std::string& type, std::int64_t wcet_us) {
+            return watched_ns(wcet_us, emulates_type(context.session, type));
+          },
+          options_of(context.session.deployment)),
+      conditions_(tables_),
+      node_of_(context.session.app.xnodes.size()),
+      table_(choice_.now().table) {
+  for (std::size_t n = 0; n < context.graph.nodes.size(); ++n)
+    node_of_[static_cast<std::size_t>(context.session.app.find(context.graph.nodes[n].name))] = n;
+  const Session& session = context.session;
+  if (session.input.empty() && !session.lockstep && !context.app.sources.empty())
+    period_ns_ = 1000 * (session.period_us > 0 ? session.period_us
+                                               : context.app.sources.front().period.count());
+  for (const Change& change : tables_.changes)
+    if (change.worst_case_us)
+      longest_delay_ns_ =
+          std::max(longest_delay_ns_, *change.worst_case_us * 1000 - period_ns_);
+  Board& board = context.board;
+  for (std::size_t s = 0; s < tables_.scenarios.size(); ++s) {
+    ScenarioLine& line = board.scenario(s);
+    name_line(line.name, tables_.scenarios[s].name);
+    name_line(line.table,
+              tables_.tables[static_cast<std::size_t>(tables_.serves[s].table)].name);
+    line.worst_case_us = tables_.serves[s].worst_case_us;
+  }
+  put(0, table_);
+}
+
+/// What jobs took since the last look, and how long those that run have taken so far.
+void TableSwitch::look() {
+  const std::int64_t now = now_ns();
+  for (const auto& worker : wiring_.workers()) worker->tell_time(now);
+  for (std::size_t x = 0; x < node_of_.size(); ++x) {
+    std::atomic<std::int64_t>& saw = context_.board.xnode(node_of_[x]).saw_ns;
+    if (saw.load(std::memory_order_relaxed) == 0) continue;
+    choice_.saw(table_, x, saw.exchange(0));
+  }
+}
+
+void TableSwitch::before(std::uint64_t release, const std::function<bool()>& drained) {
+  const std::int64_t since = now_ns();
+  const int from = choice_.now().scenario;
+  const auto choose = [&] {
+    look();
+    choice_.ask(static_cast<int>(context_.board.header().asked.load()) - 1);
+    choice_.expect(conditions_.now().scenario);
+    return choice_.decide(now_ns());
+  };
+  choose();
+  std::int64_t held_ns = 0;
+  if (choice_.now().table != table_ || catches_up_) {
+    if (!drained()) {
+      if (!std::exchange(stuck_, true))
+        log::error("what is in flight does not end, so releases keep table '{}'",
+                   tables_.tables[static_cast<std::size_t>(table_)].name);
+      return;
+    }
+    stuck_ = false;
+    held_ns = now_ns() - since;
+    choose();  // what was in flight may have taken longer still
+  }
+  const Choice& choice = choice_.now();
+  SwitchReport change;
+  const bool changed = choice.scenario != from;
+  judge(release, changed ? &change : nullptr);
+  // Whoever waited for nothing is on time again. Where a release meets the next one in any case, the
+  // wait keeps no claim.
+  constexpr std::int64_t kNothingNs = 200'000;
+  const bool waited = held_ns > kNothingNs;
+  const auto now_in = static_cast<std::size_t>(choice.scenario);
+  catches_up_ = waited && tables_.serves[now_in].worst_case_us * 1000 <= period_ns_;
+  if (choice.table != table_) put(release, choice.table);
+  if (!changed) return tell_outside(choice);
+  change.release = release;
+  change.from = tables_.scenarios[static_cast<std::size_t>(from)].name;
+  change.to = tables_.scenarios[now_in].name;
+  change.held_us = held_ns / 1000;
+  if (const Change* claimed = change_of(from, choice.scenario))
+    change.worst_case_us = claimed->worst_case_us;
+  tell(std::move(change), choice);
+}
+
+/// Counts the latencies of releases below `below`: under the scenario in force, or, with `change`, as
+/// those that met one. What has not ended counts later.
+void TableSwitch::judge(std::uint64_t below, SwitchReport* change) {
+  for (; judged_ < below; ++judged_) {
+    const auto latency = ledger_.latency_us(judged_);
+    if (!latency && change == nullptr) return;
+    if (!latency || *latency < 0) continue;
+    if (change != nullptr) {
+      change->spanned_us = std::max(change->spanned_us, *latency);
+      continue;
+    }
+    ScenarioLine& line =
+        context_.board.scenario(static_cast<std::size_t>(choice_.now().scenario));
+    line.releases.fetch_add(1, std::memory_order_relaxed);
+    if (*latency > line.longest_us.load(std::memory_order_relaxed))
+      line.longest_us.store(*latency, std::memory_order_relaxed);
+  }
+}
+
+/// From `release` on. Known before that release is published, so by all that have it.
+void TableSwitch::put(std::uint64_t release, int table) {
+  BoardHeader& header = context_.board.header();
+  header.before.store(header.in_force.load());
+  header.in_force.store(in_force(release, static_cast<std::uint32_t>(table)));
+  if (release > 0) header.switches.fetch_add(1);
+  table_ = table;
+}
+
+const Change* TableSwitch::change_of(int from, int to) const {
+  if (tables_.changes.empty()) return nullptr;
+  const std::size_t others = tables_.scenarios.size() - 1;
+  const int at = static_cast<int>(others) * from + to - (to > from ? 1 : 0);
+  return &tables_.changes[static_cast<std::size_t>(at)];
+}
+
+std::string TableSwitch::words_of(const Choice& choice) const {
+  if (choice.xnode < 0) return {};
+  const auto x = static_cast<std::size_t>(choice.xnode);
+  return fmt::format("XNode '{}' had its XPU for {:.3f} ms, allowed are {:.3f}",
+                     context_.session.app.xnodes[x].name,
+                     static_cast<double>(choice.saw_ns) * 1e-6,
+                     static_cast<double>(choice.allowed_ns) * 1e-6);
+}
+
+void TableSwitch::tell(SwitchReport change, const Choice& choice) {
+  BoardHeader& header = context_.board.header();
+  header.scenario.store(static_cast<std::uint32_t>(choice.scenario));
+  header.why.store(static_cast<std::uint32_t>(choice.why));
+  change.table = tables_.tables[static_cast<std::size_t>(choice.table)].name;
+  change.why = to_string(choice.why);
+  change.detail = words_of(choice);
+  if (context_.trace != nullptr)
+    context_.trace->write(
+        XAUTO_EV_SWITCH, change.release,
+        choice.xnode < 0 ? XAUTO_EV_NONE : static_cast<std::uint16_t>(choice.xnode),
+        static_cast<std::uint16_t>(choice.table), XAUTO_EV_NONE,
+        static_cast<std::uint32_t>(choice.scenario) | static_cast<std::uint32_t>(choice.why) << 16);
+  log::info("scenario '{}' -> '{}' ({}), table '{}' from release {} on{}{}", change.from, change.to,
+            change.why, change.table, change.release, change.detail.empty() ? "" : ": ",
+            change.detail);
+  ++num_switches_;
+  switches_.push_back(std::move(change));
+  if (switches_.size() > kKeptSwitches) switches_.pop_front();
+  tell_outside(choice);
+}
+
+/// A wrong assumption is said when it shows, and counted.
+void TableSwitch::tell_outside(const Choice& choice) {
+  const auto count = [](Outside& outside, const std::string& text) {
+    if (outside.times++ > 0) return;
+    outside.first = text;
+    log::error("{} (further times are only counted)", text);
+  };
+  const bool outside = choice.why == Why::kOutside;
+  if (outside && choice.xnode >= 0)
+    count(jobs_, fmt::format("outside of every scenario: {} under '{}', by which it is passed least",
+                             words_of(choice),
+                             tables_.scenarios[static_cast<std::size_t>(choice.scenario)].name));
+  if (outside && choice.xnode < 0 && !outside_)
+    count(jobs_, "no scenario covers both what is asked for and what the machine's clocks say; the "
+                 "clocks decide");
+  outside_ = outside;
+  if (conditions_.now().outside)
+    count(clocks_, fmt::format("the machine's clocks and modes are those of no scenario; '{}' is the "
+                               "least that counts",
+                               tables_.scenarios[static_cast<std::size_t>(
+                                                     conditions_.now().scenario)]
+                                   .name));
+}
+
+bool TableSwitch::too_late(std::int64_t now_ns, std::int64_t due_ns) const {
+  return catches_up_ && now_ns - due_ns > period_ns_ + longest_delay_ns_;
+}
+
+std::vector<std::string> TableSwitch::broken() const {
+  std::vector<std::string> lines;
+  for (const Outside* outside : {&jobs_, &clocks_})
+    if (outside->times > 0)
+      lines.push_back(outside->first + (outside->times > 1
+                                            ? fmt::format(", {} times", outside->times)
+                                            : std::string()));
+  return lines;
+}
+
+void TableSwitch::report(RunReport& into) {
+  judge(context_.board.released(), nullptr);
+  for (std::size_t s = 0; s < tables_.scenarios.size(); ++s) {
+    const ScenarioLine& line = context_.board.scenario(s);
+    into.scenarios.push_back({line_name(line.name), line_name(line.table), line.releases.load(),
+                              line.longest_us.load(), line.worst_case_us});
+  }
+  into.switches.assign(switches_.begin(), switches_.end());
+  into.num_switches = num_switches_;
+}
+
+}  // namespace xauto::runtime

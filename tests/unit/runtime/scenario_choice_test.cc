@@ -1,0 +1,246 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which scenario counts. Random runs are judged by conditions written here from the words of
+// docs/modes.md, not by the code's own arithmetic: times, floors and dwells are kept a second time.
+#include "runtime/scenario_choice.h"
+
+#include <algorithm>
+#include <optional>
+#include <random>
+
+#include <gtest/gtest.h>
+
+namespace xauto::runtime {
+namespace {
+
+constexpr std::int64_t kMilli = 1'000'000;
+constexpr std::int64_t kDwell = 100 * kMilli;
+
+/// XNode a can run on both types, b on the CPU alone.
+AppSpec two_xnodes() {
+  AppSpec app;
+  app.name = "two";
+  app.sources.push_back({"camera", Period{10'000, 1}});
+  app.xnodes.push_back({"a", "m", {{"cpu", 4000}, {"gpu", 1000}}});
+  app.xnodes.push_back({"b", "m", {{"cpu", 1000}}});
+  app.edges.emplace_back(0, 1);
+  return app;
+}
+
+Platform two_xpus() {
+  Platform platform;
+  platform.name = "here";
+  platform.xpus.push_back({"cpu0", "cpu"});
+  platform.xpus.push_back({"gpu0", "gpu"});
+  return platform;
+}
+
+constexpr int kNominal = 0, kHalfGpu = 1, kHalfCpu = 2, kHalfBoth = 3, kNoGpu = 4;
+
+/// a is on the GPU, unless that is at most half as fast, or lost.
+Tables five_scenarios() {
+  Tables tables;
+  tables.app = "two";
+  tables.app_hash = two_xnodes().hash();
+  Scenario half_gpu{"half gpu"}, half_cpu{"half cpu"}, half_both{"half both"}, no_gpu{"no gpu"};
+  half_gpu.wcet_scale_pct["gpu"] = 200;
+  half_cpu.wcet_scale_pct["cpu"] = 200;
+  half_both.wcet_scale_pct = {{"gpu", 200}, {"cpu", 200}};
+  no_gpu.lost = {"gpu0"};
+  tables.scenarios = {Scenario{"nominal"}, half_gpu, half_cpu, half_both, no_gpu};
+  tables.tables = {{"gpu", {1, 0}, {2, 1}, {}}, {"cpu", {0, 0}, {2, 1}, {}}};
+  tables.serves = {{0, 2000, 2000}, {0, 3000, 3000}, {0, 3000, 3000}, {0, 4000, 4000}, {1, 5000, 5000}};
+  return tables;
+}
+
+class ChoiceTest : public ::testing::Test {
+ protected:
+  ScenarioChoice make() {
+    return ScenarioChoice(app_, platform_, tables_,
+                          [](const std::string&, std::int64_t us) { return us * 1000; },
+                          {kDwell, 0});
+  }
+  AppSpec app_ = two_xnodes();
+  Platform platform_ = two_xpus();
+  Tables tables_ = five_scenarios();
+};
+
+TEST_F(ChoiceTest, TheFixtureIsValid) {
+  EXPECT_TRUE(validate(tables_, app_, platform_));
+}
+
+TEST_F(ChoiceTest, BeginsWithTheFirstAndStaysWhileJobsKeepTheirTimes) {
+  ScenarioChoice choice = make();
+  for (std::int64_t t = 0; t < 10 * kDwell; t += 10 * kMilli) {
+    choice.saw(choice.now().table, 0, kMilli);
+    EXPECT_FALSE(choice.decide(t));
+  }
+  EXPECT_EQ(choice.now().scenario, kNominal);
+  EXPECT_EQ(choice.now().why, Why::kStart);
+}
+
+TEST_F(ChoiceTest, AJobThatIsTooLongEscalatesToTheLeastThatCoversIt) {
+  ScenarioChoice choice = make();
+  choice.saw(0, 0, kMilli + 1);
+  EXPECT_TRUE(choice.decide(0));
+  EXPECT_EQ(choice.now().scenario, kHalfGpu);
+  EXPECT_EQ(choice.now().why, Why::kOverrun);
+  EXPECT_EQ(choice.now().xnode, 0);
+  EXPECT_EQ(choice.now().saw_ns, kMilli + 1);
+  EXPECT_EQ(choice.now().allowed_ns, kMilli);
+  // What held before still holds: not "half cpu", which forgets the GPU.
+  choice.saw(0, 1, 2 * kMilli);
+  EXPECT_TRUE(choice.decide(kMilli));
+  EXPECT_EQ(choice.now().scenario, kHalfBoth);
+}
+
+TEST_F(ChoiceTest, GoesBackAfterADwellWithoutNeedAndLaterWhereTheTrialFails) {
+  ScenarioChoice choice = make();
+  choice.saw(0, 0, 2 * kMilli);
+  ASSERT_TRUE(choice.decide(0));
+  std::vector<std::int64_t> backs;  // how long after the escalation
+  std::int64_t since = 0;
+  for (std::int64_t t = kMilli; backs.size() < 5; t += kMilli) {
+    ASSERT_LT(t, 1000 * kDwell);
+    // The GPU is slow for ever, but a job that shows it comes only under the nominal scenario.
+    choice.saw(0, 0, choice.now().scenario == kNominal ? 2 * kMilli : kMilli / 2);
+    if (!choice.decide(t)) continue;
+    if (choice.now().scenario == kNominal) {
+      EXPECT_EQ(choice.now().why, Why::kBack);
+      backs.push_back(t - since);
+    } else {
+      since = t;
+    }
+  }
+  for (std::size_t i = 0; i < backs.size(); ++i) EXPECT_GE(backs[i], kDwell << i) << i;
+}
+
+TEST_F(ChoiceTest, WhatIsAskedForIsAFloorAndIsGivenBackAtOnce) {
+  ScenarioChoice choice = make();
+  choice.ask(kNoGpu);
+  EXPECT_TRUE(choice.decide(0));
+  EXPECT_EQ(choice.now().scenario, kNoGpu);
+  EXPECT_EQ(choice.now().table, 1);
+  EXPECT_EQ(choice.now().why, Why::kAsked);
+  choice.ask(-1);
+  EXPECT_TRUE(choice.decide(1));
+  EXPECT_EQ(choice.now().scenario, kNominal);
+  EXPECT_EQ(choice.now().why, Why::kAsked);
+}
+
+TEST_F(ChoiceTest, TheMachineIsBelievedAtOnceUpwardsAndAfterADwellDownwards) {
+  ScenarioChoice choice = make();
+  choice.expect(kHalfCpu);
+  EXPECT_TRUE(choice.decide(0));
+  EXPECT_EQ(choice.now().scenario, kHalfCpu);
+  EXPECT_EQ(choice.now().why, Why::kMachine);
+  choice.expect(kNominal);
+  EXPECT_FALSE(choice.decide(kDwell - 1));
+  EXPECT_TRUE(choice.decide(kDwell));
+  EXPECT_EQ(choice.now().scenario, kNominal);
+}
+
+TEST_F(ChoiceTest, OutsideOfEveryScenarioIsSaidAndEndsWhenItIsOver) {
+  ScenarioChoice choice = make();
+  choice.saw(0, 1, 3 * kMilli);  // b takes 2 ms where it is slowest
+  choice.decide(0);
+  EXPECT_EQ(choice.now().why, Why::kOutside);
+  EXPECT_EQ(choice.now().xnode, 1);
+  EXPECT_EQ(choice.now().saw_ns, 3 * kMilli);
+  EXPECT_EQ(choice.now().allowed_ns, 2 * kMilli);
+  EXPECT_EQ(choice.now().scenario, kHalfCpu) << "of those that are passed by least the shortest";
+  // What people ask for is kept meanwhile.
+  choice.ask(kNoGpu);
+  choice.decide(1);
+  EXPECT_EQ(choice.now().scenario, kNoGpu);
+  EXPECT_EQ(choice.now().why, Why::kOutside);
+  choice.ask(-1);
+  std::int64_t t = 2;
+  for (; choice.now().scenario != kNominal && t < 10 * kDwell; t += kMilli) choice.decide(t);
+  EXPECT_EQ(choice.now().scenario, kNominal);
+  EXPECT_NE(choice.now().why, Why::kOutside);
+}
+
+TEST_F(ChoiceTest, WhereNothingCoversBothTheMachineCounts) {
+  ScenarioChoice choice = make();
+  choice.ask(kNoGpu);
+  choice.expect(kHalfCpu);
+  choice.decide(0);
+  EXPECT_EQ(choice.now().scenario, kHalfCpu);
+  EXPECT_EQ(choice.now().why, Why::kOutside);
+  EXPECT_EQ(choice.now().xnode, -1);
+}
+
+/// Whatever comes: after each decision no job of the last dwell is longer than the scenario allows, and
+/// the floor is covered, unless no scenario does so. Nothing lower than that is left before a dwell.
+TEST_F(ChoiceTest, RandomRunsKeepTheConditions) {
+  std::mt19937_64 random(11);
+  const auto draw = [&](std::int64_t low, std::int64_t high) {
+    return std::uniform_int_distribution<std::int64_t>(low, high)(random);
+  };
+  const std::vector<std::int64_t> cpu = {100, 100, 200, 200, 100}, gpu = {100, 200, 100, 200, 100};
+  const auto covered = [&](int s, int by) {
+    return cpu[static_cast<std::size_t>(by)] >= cpu[static_cast<std::size_t>(s)] &&
+           gpu[static_cast<std::size_t>(by)] >= gpu[static_cast<std::size_t>(s)] &&
+           (s != kNoGpu || by == kNoGpu);
+  };
+  struct Seen {
+    std::int64_t at, ns;
+    int xnode, type;  // 0: CPU
+  };
+  const std::int64_t nominal_ns[2][2] = {{4 * kMilli, kMilli}, {kMilli, 0}};  // [xnode][type]
+  const auto fits = [&](int s, const Seen& seen) {
+    const auto pct = seen.type == 0 ? cpu[static_cast<std::size_t>(s)] : gpu[static_cast<std::size_t>(s)];
+    return seen.ns * 100 <= nominal_ns[seen.xnode][seen.type] * pct;
+  };
+  std::uint64_t escalations = 0, backs = 0, outsides = 0;
+  for (int round = 0; round < 300; ++round) {
+    ScenarioChoice choice = make();
+    std::vector<Seen> seen;
+    int asked = -1, expected = -1;
+    std::int64_t now = 0;
+    for (int step = 0; step < 200; ++step) {
+      now += draw(1, 20) * kMilli;
+      const int table = choice.now().table;
+      for (int jobs = static_cast<int>(draw(0, 2)); jobs > 0; --jobs) {
+        const int xnode = static_cast<int>(draw(0, 1));
+        const int type = xnode == 0 && table == 0 ? 1 : 0;
+        const std::int64_t ns = nominal_ns[xnode][type] * draw(50, draw(0, 30) == 0 ? 230 : 100) / 100;
+        choice.saw(table, static_cast<std::size_t>(xnode), ns);
+        seen.push_back({now, ns, xnode, type});
+      }
+      if (draw(0, 40) == 0) choice.ask(asked = static_cast<int>(draw(-1, 4)));
+      if (draw(0, 40) == 0) choice.expect(expected = static_cast<int>(draw(-1, 3)));
+      const int before = choice.now().scenario;
+      choice.decide(now);
+      const Choice& chosen = choice.now();
+      EXPECT_EQ(chosen.table, chosen.scenario == kNoGpu ? 1 : 0);
+      std::erase_if(seen, [&](const Seen& s) { return now - s.at > 64 * 2 * kDwell; });
+      // Of the last dwell; older ones may or may not count still.
+      const auto recent = [&](const Seen& s) { return now - s.at < kDwell; };
+      const auto good = [&](int s) {
+        return (asked < 0 || covered(asked, s)) && (expected < 0 || covered(expected, s)) &&
+               std::all_of(seen.begin(), seen.end(),
+                           [&](const Seen& one) { return !recent(one) || fits(s, one); });
+      };
+      if (chosen.why == Why::kOutside) {
+        ++outsides;
+        // Nothing that anybody has seen so far would do.
+        const auto ever = [&](int s) {
+          return (asked < 0 || covered(asked, s)) && (expected < 0 || covered(expected, s)) &&
+                 std::all_of(seen.begin(), seen.end(), [&](const Seen& one) { return fits(s, one); });
+        };
+        for (int s = 0; s < 5; ++s) ASSERT_FALSE(ever(s)) << round << " " << step << " " << s;
+        continue;
+      }
+      ASSERT_TRUE(good(chosen.scenario)) << round << " " << step;
+      escalations += chosen.scenario != before && chosen.why == Why::kOverrun ? 1 : 0;
+      backs += chosen.scenario != before && chosen.why == Why::kBack ? 1 : 0;
+    }
+  }
+  EXPECT_GT(escalations, 100u);
+  EXPECT_GT(backs, 100u);
+  EXPECT_GT(outsides, 100u);
+}
+
+}  // namespace
+}  // namespace xauto::runtime
