@@ -25,8 +25,9 @@ using ReadText = std::function<std::optional<std::string>(const std::string& pat
 
 /// Which scenario the machine is in.
 struct Machine {
-  int scenario = -1;     ///< -1: it says nothing
-  bool outside = false;  ///< scenarios have conditions, and none holds: `scenario` is the last resort
+  int scenario = -1;  ///< -1: it says nothing
+  bool outside =
+      false;  ///< scenarios have conditions, and none holds: `scenario` is the last resort
 };
 /// Of the scenarios whose conditions hold, the one with the least worst case. If none holds, of those
 /// that have conditions the one with the greatest: the machine is slower than where it was measured.

@@ -97,8 +97,8 @@ void ScenarioChoice::put(int scenario, Why why, std::int64_t now_ns) {
   // A trial that failed: the next one comes later. One that held for long: all is as it was.
   if (why == Why::kOverrun && now_.why == Why::kBack) {
     const bool soon = now_ns - since_ns_ < 4 * dwell_ns_;
-    dwell_ns_ = soon ? std::min(2 * dwell_ns_, kLongestDwells * options_.dwell_ns)
-                     : options_.dwell_ns;
+    dwell_ns_ =
+        soon ? std::min(2 * dwell_ns_, kLongestDwells * options_.dwell_ns) : options_.dwell_ns;
   }
   now_ = {scenario, 0, why};
   now_.table = table_[static_cast<std::size_t>(scenario)];
@@ -142,8 +142,9 @@ int ScenarioChoice::nearest() const {
               : expected_ >= 0 && covers_[s][static_cast<std::size_t>(expected_)] == 0)
       continue;
     const double passed = std::max(1.0, overshoot(s));
-    if (best >= 0 && (passed > least_passed ||
-                      (passed == least_passed && worst_us_[s] >= worst_us_[static_cast<std::size_t>(best)])))
+    if (best >= 0 &&
+        (passed > least_passed ||
+         (passed == least_passed && worst_us_[s] >= worst_us_[static_cast<std::size_t>(best)])))
       continue;
     best = static_cast<int>(s);
     least_passed = passed;

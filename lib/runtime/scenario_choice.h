@@ -69,6 +69,7 @@ class ScenarioChoice {
   /// What shall be in force from now on. True: that is another scenario than before.
   bool decide(std::int64_t now_ns);
   [[nodiscard]] const Choice& now() const { return now_; }
+
  private:
   struct Evidence {
     std::size_t xnode = 0;
@@ -90,11 +91,11 @@ class ScenarioChoice {
   void age(std::int64_t now_ns);
 
   const ChoiceOptions options_;
-  std::vector<std::int64_t> worst_us_;                             ///< [scenario]
-  std::vector<int> table_;                                         ///< [scenario]
-  std::vector<std::vector<char>> covers_;                          ///< [scenario][covered scenario]
-  std::vector<std::vector<std::vector<std::int64_t>>> allowed_ns_; ///< [scenario][xnode][type]
-  std::vector<std::vector<int>> type_;                             ///< [table][xnode]
+  std::vector<std::int64_t> worst_us_;     ///< [scenario]
+  std::vector<int> table_;                 ///< [scenario]
+  std::vector<std::vector<char>> covers_;  ///< [scenario][covered scenario]
+  std::vector<std::vector<std::vector<std::int64_t>>> allowed_ns_;  ///< [scenario][xnode][type]
+  std::vector<std::vector<int>> type_;                              ///< [table][xnode]
   /// [xnode][type] the longest, of this span of time and of the one before; 0: nothing.
   std::vector<std::vector<std::int64_t>> recent_ns_, older_ns_;
   std::int64_t span_since_ns_ = 0;

@@ -29,8 +29,7 @@ bool emulates_type(const Session& session, const std::string& type) {
 
 }  // namespace
 
-Result<std::unique_ptr<TableSwitch>> TableSwitch::make(const Context& context,
-                                                       const Wiring& wiring,
+Result<std::unique_ptr<TableSwitch>> TableSwitch::make(const Context& context, const Wiring& wiring,
                                                        const Ledger& ledger) {
   if (!context.session.tables) return std::unique_ptr<TableSwitch>();
   if (!context.graph.single_rate)
@@ -62,14 +61,12 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, const Led
                                                : context.app.sources.front().period.count());
   for (const Change& change : tables_.changes)
     if (change.worst_case_us)
-      longest_delay_ns_ =
-          std::max(longest_delay_ns_, *change.worst_case_us * 1000 - period_ns_);
+      longest_delay_ns_ = std::max(longest_delay_ns_, *change.worst_case_us * 1000 - period_ns_);
   Board& board = context.board;
   for (std::size_t s = 0; s < tables_.scenarios.size(); ++s) {
     ScenarioLine& line = board.scenario(s);
     name_line(line.name, tables_.scenarios[s].name);
-    name_line(line.table,
-              tables_.tables[static_cast<std::size_t>(tables_.serves[s].table)].name);
+    name_line(line.table, tables_.tables[static_cast<std::size_t>(tables_.serves[s].table)].name);
     line.worst_case_us = tables_.serves[s].worst_case_us;
   }
   put(0, table_);
@@ -140,8 +137,7 @@ void TableSwitch::judge(std::uint64_t below, SwitchReport* change) {
       change->spanned_us = std::max(change->spanned_us, *latency);
       continue;
     }
-    ScenarioLine& line =
-        context_.board.scenario(static_cast<std::size_t>(choice_.now().scenario));
+    ScenarioLine& line = context_.board.scenario(static_cast<std::size_t>(choice_.now().scenario));
     line.releases.fetch_add(1, std::memory_order_relaxed);
     if (*latency > line.longest_us.load(std::memory_order_relaxed))
       line.longest_us.store(*latency, std::memory_order_relaxed);
@@ -168,8 +164,7 @@ std::string TableSwitch::words_of(const Choice& choice) const {
   if (choice.xnode < 0) return {};
   const auto x = static_cast<std::size_t>(choice.xnode);
   return fmt::format("XNode '{}' had its XPU for {:.3f} ms, allowed are {:.3f}",
-                     context_.session.app.xnodes[x].name,
-                     static_cast<double>(choice.saw_ns) * 1e-6,
+                     context_.session.app.xnodes[x].name, static_cast<double>(choice.saw_ns) * 1e-6,
                      static_cast<double>(choice.allowed_ns) * 1e-6);
 }
 
@@ -204,19 +199,21 @@ void TableSwitch::tell_outside(const Choice& choice) {
   };
   const bool outside = choice.why == Why::kOutside;
   if (outside && choice.xnode >= 0)
-    count(jobs_, fmt::format("outside of every scenario: {} under '{}', by which it is passed least",
-                             words_of(choice),
-                             tables_.scenarios[static_cast<std::size_t>(choice.scenario)].name));
+    count(jobs_,
+          fmt::format("outside of every scenario: {} under '{}', by which it is passed least",
+                      words_of(choice),
+                      tables_.scenarios[static_cast<std::size_t>(choice.scenario)].name));
   if (outside && choice.xnode < 0 && !outside_)
-    count(jobs_, "no scenario covers both what is asked for and what the machine's clocks say; the "
-                 "clocks decide");
+    count(jobs_,
+          "no scenario covers both what is asked for and what the machine's clocks say; the "
+          "clocks decide");
   outside_ = outside;
   if (conditions_.now().outside)
-    count(clocks_, fmt::format("the machine's clocks and modes are those of no scenario; '{}' is the "
-                               "least that counts",
-                               tables_.scenarios[static_cast<std::size_t>(
-                                                     conditions_.now().scenario)]
-                                   .name));
+    count(
+        clocks_,
+        fmt::format("the machine's clocks and modes are those of no scenario; '{}' is the "
+                    "least that counts",
+                    tables_.scenarios[static_cast<std::size_t>(conditions_.now().scenario)].name));
 }
 
 bool TableSwitch::too_late(std::int64_t now_ns, std::int64_t due_ns) const {

@@ -71,9 +71,9 @@ class TableSwitch {
   std::vector<std::size_t> node_of_;  ///< [XNode] -> graph node
   std::int64_t period_ns_ = 0;        ///< 0: none is stated
   std::int64_t longest_delay_ns_ = 0;
-  int table_ = 0;                ///< in force
-  std::uint64_t judged_ = 0;     ///< releases whose latency is counted
-  bool catches_up_ = false;      ///< the next release waits for the one before
+  int table_ = 0;             ///< in force
+  std::uint64_t judged_ = 0;  ///< releases whose latency is counted
+  bool catches_up_ = false;   ///< the next release waits for the one before
   bool outside_ = false, stuck_ = false;
   std::deque<SwitchReport> switches_;
   std::uint64_t num_switches_ = 0;

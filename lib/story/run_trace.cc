@@ -108,6 +108,7 @@ class Painter {
                    {"loss", {}, {}, {}});
     }
     for (const Incident& incident : story_.incidents) paint_incident(incident);
+    paint_switches();
     collect_run();
     connect();
     paint_releases();
@@ -131,6 +132,23 @@ class Painter {
             ? fmt::format("{} ran past its hang limit of {:.0f} ms", name(incident.xnode), ms)
             : fmt::format("release {} missed its deadline: {:.2f} ms", incident.sequence, ms);
     out_.instant(root_, incident.at_ns, text, {"incident", {}, {}, {}});
+  }
+
+  void paint_switches() {
+    if (scene_.tables == nullptr || story_.switches.empty()) return;
+    const auto name_in = [](const auto& list, int at) {
+      const auto i = static_cast<std::size_t>(at);
+      return i < list.size() ? list[i].name : std::string("?");
+    };
+    const Track track =
+        out_.add_track(root_, "tables", "from which release on another scenario counts");
+    for (const TableSwitch& s : story_.switches)
+      out_.instant(
+          track, s.at_ns,
+          fmt::format("'{}', table '{}' ({}{})", name_in(scene_.tables->scenarios, s.scenario),
+                      name_in(scene_.tables->tables, s.table), to_string(s.why),
+                      s.xnode < 0 ? "" : ": " + name(s.xnode)),
+          {"table", {{"release", static_cast<std::int64_t>(s.release)}}, {}, {}});
   }
 
   const std::string& name(int xnode) const {

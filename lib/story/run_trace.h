@@ -11,6 +11,7 @@
 #include <xauto/result.h>
 
 #include "model/key_policy.h"
+#include "model/tables.h"
 #include "solver/simulate.h"
 #include "story/story.h"
 
@@ -30,6 +31,7 @@ struct Scene {
   std::vector<std::int64_t> priorities;  ///< by XNode; empty: none
   std::vector<solver::Slice> plan;       ///< of one release, from its beginning
   const KeyPolicy* keys = nullptr;       ///< the run went by; null: by none
+  const Tables* tables = nullptr;        ///< likewise
   std::vector<ChainClaim> claims;        ///< [chain]; empty: nothing is claimed
   std::string verdict;                   ///< ... and what became of it in this run
 };

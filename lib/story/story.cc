@@ -63,6 +63,11 @@ class Reader {
             {ts, std::int64_t{event.arg} * (event.kind == XAUTO_EV_HANG ? 1000 : 1), event.module,
              event.kind == XAUTO_EV_HANG ? event.xnode : -1, event.seq});
         break;
+      case XAUTO_EV_SWITCH:
+        story_.switches.push_back({ts, event.seq, static_cast<int>(event.arg & 0xffff),
+                                   event.module, static_cast<Why>(std::min(event.arg >> 16, 255u)),
+                                   event.xnode < app_.xnodes.size() ? event.xnode : -1});
+        break;
       case XAUTO_EV_DONE:
       case XAUTO_EV_DROP:
         end_of_activation(event, ts);
@@ -115,7 +120,7 @@ class Reader {
   bool makes_sense(const trace::Event& e) const {
     if (e.ts_ns == 0 || e.ts_ns > std::uint64_t{std::numeric_limits<std::int64_t>::max()} / 2)
       return false;
-    if (e.kind == XAUTO_EV_PUBLISH) return true;
+    if (e.kind == XAUTO_EV_PUBLISH || e.kind == XAUTO_EV_SWITCH) return true;
     if (e.kind < XAUTO_EV_PUBLISH || e.kind > XAUTO_EV_HELD_UP || e.module >= modules_.size())
       return false;
     if (e.kind == XAUTO_EV_TAKE || e.kind == XAUTO_EV_SAMPLE)

@@ -11,6 +11,7 @@
 
 #include "model/app.h"
 #include "model/platform.h"
+#include "model/tables.h"
 #include "trace/trace.h"
 
 namespace xauto::story {
@@ -97,6 +98,15 @@ struct Incident {
   int waits = -1;  ///< the more urgent XNode
 };
 
+/// With tables: another scenario counts from a release on.
+struct TableSwitch {
+  std::int64_t at_ns = 0;
+  std::uint64_t release = 0;
+  int scenario = 0, table = 0;
+  Why why = Why::kStart;
+  int xnode = -1;  ///< whose job was the reason; -1: none was
+};
+
 struct Story {
   std::vector<JobStory> jobs;           ///< by begin
   std::vector<Activation> activations;  ///< by begin; a dropped one that never began has no length
@@ -107,6 +117,7 @@ struct Story {
   std::uint64_t lost = 0;         ///< events that are not there, or that make no sense
   std::uint64_t overwritten = 0;  ///< events from before `begin_ns`, where the trace begins to hold
   std::vector<Incident> incidents;
+  std::vector<TableSwitch> switches;
 };
 
 /// The trace may have been cut short anywhere, its writer killed at any point: what does not fit

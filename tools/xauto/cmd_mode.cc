@@ -24,8 +24,7 @@ Result<int> list(const Watched& run, const Options& options) {
   const Counts counts = counts_of(*run.board);
   if (scenarios == 0 || !counts.scenario)
     return fail(ErrorCode::kUnavailable, "has one policy, so there are no modes",
-                "run '" + run.run + "'",
-                "start it with the tables of `xauto solve --scenarios`");
+                "run '" + run.run + "'", "start it with the tables of `xauto solve --scenarios`");
   const ScenarioCounts& now = *counts.scenario;
   if (options.json) {
     Json all = Json::array();
@@ -54,11 +53,10 @@ Result<int> list(const Watched& run, const Options& options) {
                            "worst case", "releases", "longest");
   for (std::uint32_t s = 0; s < scenarios; ++s) {
     const ScenarioCounts one = scenario_of(*run.board, s);
-    std::cout << fmt::format("  {} {:<{}}  {:<12}{:>12}{:>10}{:>12}{}\n",
-                             one.name == now.name ? "*" : " ", one.name, width, one.table,
-                             ms(one.worst_case_us), one.releases,
-                             one.releases == 0 ? "-" : ms(one.longest_us),
-                             one.name == now.asked ? "  asked for" : "");
+    std::cout << fmt::format(
+        "  {} {:<{}}  {:<12}{:>12}{:>10}{:>12}{}\n", one.name == now.name ? "*" : " ", one.name,
+        width, one.table, ms(one.worst_case_us), one.releases,
+        one.releases == 0 ? "-" : ms(one.longest_us), one.name == now.asked ? "  asked for" : "");
   }
   return kDone;
 }
@@ -84,10 +82,9 @@ Result<int> mode(const ModeFlags& flags, const Options& options) {
 
 void add_mode(Commands& commands) {
   auto flags = std::make_shared<ModeFlags>();
-  Verb verb = commands.add(
-      "mode", "Show the scenarios of a run with tables, or ask for one.",
-      "xauto mode\n  xauto mode \"no DLA\"\n  xauto mode --none",
-      [flags](const Options& options) { return mode(*flags, options); });
+  Verb verb = commands.add("mode", "Show the scenarios of a run with tables, or ask for one.",
+                           "xauto mode\n  xauto mode \"no DLA\"\n  xauto mode --none",
+                           [flags](const Options& options) { return mode(*flags, options); });
   verb.option("name", flags->name,
               "from the next release on at least what this scenario covers counts; without it: the "
               "list");

@@ -557,6 +557,7 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
     scene.keys = &*run.keys;
     scene.claims = run.keys->chains;
   }
+  if (run.tables) scene.tables = &*run.tables;
   scene.verdict = std::move(verdict);
   return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());
 }
@@ -566,8 +567,11 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run) {
   if (!run.story) return tl::unexpected<Error>(run.story.error());
   const auto claims = key_claims_of(flags, run);
+  const auto of_tables = table_claims_of(flags, run);
   return perfetto(flags, run, *run.story, modules_of(run.report),
-                  claims ? to_string(*claims) : "nothing is claimed of this run");
+                  claims      ? to_string(*claims)
+                  : of_tables ? to_string(*of_tables)
+                              : "nothing is claimed of this run");
 }
 
 Result<std::string> perfetto_of(const RunFlags& flags, const PolicyRun& run,

@@ -48,7 +48,8 @@ Tables five_scenarios() {
   no_gpu.lost = {"gpu0"};
   tables.scenarios = {Scenario{"nominal"}, half_gpu, half_cpu, half_both, no_gpu};
   tables.tables = {{"gpu", {1, 0}, {2, 1}, {}}, {"cpu", {0, 0}, {2, 1}, {}}};
-  tables.serves = {{0, 2000, 2000}, {0, 3000, 3000}, {0, 3000, 3000}, {0, 4000, 4000}, {1, 5000, 5000}};
+  tables.serves = {
+      {0, 2000, 2000}, {0, 3000, 3000}, {0, 3000, 3000}, {0, 4000, 4000}, {1, 5000, 5000}};
   return tables;
 }
 
@@ -189,7 +190,8 @@ TEST_F(ChoiceTest, RandomRunsKeepTheConditions) {
   };
   const std::int64_t nominal_ns[2][2] = {{4 * kMilli, kMilli}, {kMilli, 0}};  // [xnode][type]
   const auto fits = [&](int s, const Seen& seen) {
-    const auto pct = seen.type == 0 ? cpu[static_cast<std::size_t>(s)] : gpu[static_cast<std::size_t>(s)];
+    const auto pct =
+        seen.type == 0 ? cpu[static_cast<std::size_t>(s)] : gpu[static_cast<std::size_t>(s)];
     return seen.ns * 100 <= nominal_ns[seen.xnode][seen.type] * pct;
   };
   std::uint64_t escalations = 0, backs = 0, outsides = 0;
@@ -204,7 +206,8 @@ TEST_F(ChoiceTest, RandomRunsKeepTheConditions) {
       for (int jobs = static_cast<int>(draw(0, 2)); jobs > 0; --jobs) {
         const int xnode = static_cast<int>(draw(0, 1));
         const int type = xnode == 0 && table == 0 ? 1 : 0;
-        const std::int64_t ns = nominal_ns[xnode][type] * draw(50, draw(0, 30) == 0 ? 230 : 100) / 100;
+        const std::int64_t ns =
+            nominal_ns[xnode][type] * draw(50, draw(0, 30) == 0 ? 230 : 100) / 100;
         choice.saw(table, static_cast<std::size_t>(xnode), ns);
         seen.push_back({now, ns, xnode, type});
       }
@@ -227,7 +230,8 @@ TEST_F(ChoiceTest, RandomRunsKeepTheConditions) {
         // Nothing that anybody has seen so far would do.
         const auto ever = [&](int s) {
           return (asked < 0 || covered(asked, s)) && (expected < 0 || covered(expected, s)) &&
-                 std::all_of(seen.begin(), seen.end(), [&](const Seen& one) { return fits(s, one); });
+                 std::all_of(seen.begin(), seen.end(),
+                             [&](const Seen& one) { return fits(s, one); });
         };
         for (int s = 0; s < 5; ++s) ASSERT_FALSE(ever(s)) << round << " " << step << " " << s;
         continue;
