@@ -13,7 +13,7 @@
 #include <xauto/result.h>
 
 #include "graph/inlet.h"
-#include "record/recording.h"
+#include "record/background.h"
 #include "runtime/context.h"
 #include "runtime/feeds.h"
 #include "runtime/ledger.h"
@@ -77,13 +77,14 @@ class Releaser {
   void take_fed(std::vector<Sample> fed, std::int64_t period_ns, std::vector<Sample>& samples);
   void release(std::int64_t now_ns, const std::vector<Sample>& samples);
   void watch_jitter(std::int64_t now_ns, const Sample& sample);
-  void record(std::int64_t origin_ns, const std::vector<Sample>& samples);
+  void record(std::int64_t now_ns, const std::vector<Sample>& samples);
 
   const Context& context_;
   Wiring& wiring_;
   Ledger& ledger_;
   const std::atomic<bool>& stop_;
-  std::optional<record::Recorder> recorder_;
+  std::optional<record::BackgroundRecorder> recorder_;
+  std::int64_t wall_offset_ns_ = 0;          ///< the wall clock's time minus now_ns()
   std::vector<std::size_t> recorded_topic_;  ///< [topic] -> the recorder's index
   std::string recording_error_;
   std::optional<detail::Inlets> inlets_;  ///< while it releases
