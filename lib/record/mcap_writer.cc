@@ -23,8 +23,10 @@ namespace {
 // disk by 1 %; smaller ones cost more index. A second: slow topics are not lost for longer.
 constexpr std::size_t kChunkBytes = 1u << 20;
 constexpr std::int64_t kChunkNs = 1'000'000'000;
-/// Level 3 took twice the time for 2 % less. What does not get smaller is stored as it is.
+/// Level 3 took twice the time for 2 % less. What does not get smaller by a 16th is stored as it is:
+/// camera frames that are JPEG already, so that nobody unpacks them for nothing.
 constexpr int kZstdLevel = 1;
+constexpr std::size_t kWorthwhile = 16;
 
 struct ContextFree {
   void operator()(ZSTD_CCtx* context) const { ZSTD_freeCCtx(context); }
@@ -146,7 +148,8 @@ Status McapWriter::end_chunk() {
   packed_.resize(ZSTD_compressBound(records.size()));
   const std::size_t packed = ZSTD_compressCCtx(zstd_.get(), packed_.data(), packed_.size(),
                                                records.data(), records.size(), kZstdLevel);
-  const bool smaller = ZSTD_isError(packed) == 0 && packed < records.size();
+  const bool smaller =
+      ZSTD_isError(packed) == 0 && packed <= records.size() - records.size() / kWorthwhile;
   const auto stored = smaller ? std::span<const std::byte>(packed_).first(packed) : records;
 
   ChunkHead chunk;

@@ -216,7 +216,8 @@ def read(data, unpack=None):
             out["chunks"][-1][4][number] = at
             out["chunks"][-1][5] += place[1]
         elif op == METADATA:
-            out["metadata"][f.text()] = f.pairs()
+            name = f.text()
+            out["metadata"][name] = f.pairs()
         elif op == DATA_END:
             assert f.take("I") in (0, zlib.crc32(data[:at])), "data section's checksum"
         else:
