@@ -29,7 +29,16 @@ void BackgroundRecorder::ring(std::atomic<std::uint32_t>& word) {
 void BackgroundRecorder::write_enclosed(std::size_t topic, std::int64_t timestamp_ns,
                                         std::uint64_t number, std::vector<std::byte> data,
                                         IfFull if_full) {
-  const std::size_t bytes = data.size();
+  put({topic, timestamp_ns, number, std::move(data)}, if_full);
+}
+
+void BackgroundRecorder::write(std::size_t topic, std::int64_t timestamp_ns,
+                               std::vector<std::byte> data) {
+  put({topic, timestamp_ns, {}, std::move(data)}, IfFull::kWait);
+}
+
+void BackgroundRecorder::put(Item item, IfFull if_full) {
+  const std::size_t bytes = item.data.size();
   for (;;) {
     if (failed_.load()) return;
     const std::uint32_t seen = emptied_.load();
@@ -38,7 +47,7 @@ void BackgroundRecorder::write_enclosed(std::size_t topic, std::int64_t timestam
       // One message always has room, however large it is.
       if (bytes_ == 0 || bytes_ + bytes <= queue_bytes_) {
         bytes_ += bytes;
-        queue_.push_back({topic, timestamp_ns, number, std::move(data)});
+        queue_.push_back(std::move(item));
         break;
       }
       if (if_full == IfFull::kLose) {
@@ -74,8 +83,9 @@ void BackgroundRecorder::run() {
     }
     if (!failed_.load()) {
       try {
-        status_ = recorder_.write(item.topic, item.timestamp_ns,
-                                  enclose(item.timestamp_ns, item.number, item.data));
+        status_ = recorder_.write(
+            item.topic, item.timestamp_ns,
+            item.number ? enclose(item.timestamp_ns, *item.number, item.data) : item.data);
       } catch (const std::exception& e) {  // no memory
         status_ = fail(ErrorCode::kIo, e.what());
       }

@@ -5,7 +5,7 @@
 #include <atomic>
 #include <cstdint>
 #include <deque>
-#include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -34,6 +34,8 @@ class BackgroundRecorder {
   /// or the caller waits. After the first failure nothing is recorded any more.
   void write_enclosed(std::size_t topic, std::int64_t timestamp_ns, std::uint64_t number,
                       std::vector<std::byte> data, IfFull if_full);
+  /// A message as it is; waits for room.
+  void write(std::size_t topic, std::int64_t timestamp_ns, std::vector<std::byte> data);
   /// Writes what waits and closes the file. What went wrong first; or that messages were lost.
   [[nodiscard]] Status close();
 
@@ -41,9 +43,10 @@ class BackgroundRecorder {
   struct Item {
     std::size_t topic = 0;
     std::int64_t timestamp_ns = 0;
-    std::uint64_t number = 0;
+    std::optional<std::uint64_t> number;  ///< to be enclosed, with it
     std::vector<std::byte> data;
   };
+  void put(Item item, IfFull if_full);
   void run();
   static void ring(std::atomic<std::uint32_t>& word);
 

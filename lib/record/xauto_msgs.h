@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The ROS 2 type that a recorded message of an app has: xauto_msgs/msg/Message (docs/interop.md) in CDR,
-// with its definition beside it. So a program that knows nothing of XAuto shows and plays it.
+// The ROS 2 types of what is recorded, in CDR, with their definitions beside them: so a program that
+// knows nothing of XAuto shows and plays it. A message of an app is a xauto_msgs/msg/Message
+// (docs/interop.md), the account of a release a xauto_msgs/msg/Release (docs/formats.md).
 #pragma once
 
 #include <cstddef>
@@ -30,5 +31,11 @@ inline constexpr std::string_view kMessageType = "xauto_msgs/msg/Message";
 /// kInvalid: it is no such message.
 [[nodiscard]] Result<std::span<const std::byte>> enclosed(const Topic& topic,
                                                           std::span<const std::byte> message);
+
+/// The topic of the accounts: "/xauto/releases".
+[[nodiscard]] Topic releases_topic();
+/// `latency_us`: -1: lost.
+[[nodiscard]] std::vector<std::byte> encode_release(std::int64_t stamp_ns, std::uint64_t number,
+                                                    std::int64_t latency_us);
 
 }  // namespace xauto::record

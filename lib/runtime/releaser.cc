@@ -243,9 +243,16 @@ bool Releaser::wait_drained() {
       [this] { return wiring_.receiver() == nullptr || wiring_.receiver()->idle(); });
 }
 
-std::string Releaser::close() {
-  if (recorder_)
-    if (const Status closed = recorder_->close(); !closed) recording_error_ = closed.error().what;
+std::string Releaser::close(const std::vector<Release>& releases) {
+  if (!recorder_) return recording_error_;
+  // At the end, where nobody waits for it.
+  for (const Release& release : releases) {
+    const std::int64_t stamp_ns = release.origin_ns + wall_offset_ns_;
+    const std::int64_t end_ns = stamp_ns + std::max<std::int64_t>(release.latency_us, 0) * 1000;
+    recorder_->write(releases_topic_, end_ns,
+                     record::encode_release(stamp_ns, release.sequence, release.latency_us));
+  }
+  if (const Status closed = recorder_->close(); !closed) recording_error_ = closed.error().what;
   return recording_error_;
 }
 
@@ -491,6 +498,9 @@ Status Releaser::open_recorder() {
                   "messages of type " + topic.spec.type_name + " cannot be recorded",
                   "topic '" + topic.spec.name + "'", "specialise xauto::Codec for it");
     XAUTO_ASSIGN(recorded_topic_[t], recorder.add_topic(record::app_topic(topic.spec.name)));
+  }
+  if (context_.graph.single_rate) {
+    XAUTO_ASSIGN(releases_topic_, recorder.add_topic(record::releases_topic()));
   }
   recorder_.emplace(std::move(recorder));
   // Once: so the distances between messages are those that were measured, whoever sets the clock.

@@ -136,7 +136,7 @@ class Flow(unittest.TestCase):
                   "--activations", 8, "--lockstep", "--record", self.path("drive.mcap"), "--", DRIVING)
         info = json.loads(self.good("record", "info", self.path("drive.mcap"), "--json"))
         self.assertEqual({t["name"]: t["messages"] for t in info["topics"]},
-                         {"/camera/front": 8, "/camera/rear": 8, "/lidar/top": 8})
+                         {"/camera/front": 8, "/camera/rear": 8, "/lidar/top": 8, "/xauto/releases": 8})
 
         self.good("profile", "--platform", "small", "--emulate", "--input", self.path("drive.mcap"),
                   "--warmup", 1, "--repetitions", 4, "--out", self.path("profile.json"),

@@ -107,7 +107,8 @@ class Bags(unittest.TestCase):
         """Reads the answer by its bytes, where they are not compressed, and by `record`."""
         info = json.loads(xauto("record", "info", path, "--json").stdout)
         self.assertEqual([(t["name"], t["type"], t["serialization_format"], t["schema_encoding"], t["messages"]) for t in info["topics"]],
-                         [("/src", "xauto_msgs/msg/Message", "cdr", "ros2msg", count)])
+                         [("/src", "xauto_msgs/msg/Message", "cdr", "ros2msg", count),
+                          ("/xauto/releases", "xauto_msgs/msg/Release", "cdr", "ros2msg", count)])
         self.assertEqual(xauto("record", "check", path).returncode, 0)
 
     def test_answer_is_read_by_a_program_of_its_own(self):
@@ -120,18 +121,26 @@ class Bags(unittest.TestCase):
         bag = read(pathlib.Path(made).read_bytes())
         self.assertEqual(bag["profile"], "ros2")
         self.assertGreater(len(bag["chunks"]), 1)
-        self.assertEqual(len(bag["messages"]), 300)
-        for k, (stamp, topic, sequence, data) in enumerate(bag["messages"]):
+        found = {topic: [m for m in bag["messages"] if m[1] == topic] for topic in ("/src", "/xauto/releases")}
+        self.assertEqual([len(messages) for messages in found.values()], [300, 300])
+        for k, (stamp, topic, sequence, data) in enumerate(found["/src"]):
             self.assertEqual((topic, sequence, enclosed(data)), ("/src", k, (stamp, k, noise[k])))
             self.assertTrue(begin <= stamp <= end, (begin, stamp, end))
-        [(schema_number, _, encoding, metadata)] = bag["channels"].values()
+        # In lockstep no release is lost, and each ends before the next begins.
+        for k, (stamp, topic, sequence, data) in enumerate(found["/xauto/releases"]):
+            sec, nanosec, number, latency_us = struct.unpack("<iIQq", data[4:])
+            self.assertEqual((sequence, number, sec * 10**9 + nanosec + latency_us * 1000), (k, k, stamp))
+            self.assertGreaterEqual(latency_us, 0)
+            self.assertLessEqual(found["/src"][k][0], stamp + 1000)
+            self.assertTrue(k == 299 or stamp <= found["/src"][k + 1][0])
+        [schema_number, _, encoding, metadata] = next(c for c in bag["channels"].values() if c[1] == "/src")
         self.assertEqual((encoding, metadata), ("cdr", {"offered_qos_profiles": "[]"}))
         name, schema_encoding, text = bag["schemas"][schema_number]
         self.assertEqual((name, schema_encoding), ("xauto_msgs/msg/Message", "ros2msg"))
         fields = [line.split("#")[0].split() for line in text.splitlines()]
         self.assertEqual([f for f in fields if f], [f for f in map(str.split, MESSAGE_SCHEMA.splitlines())])
         self.assertIn("storage_identifier: mcap\n", bag["metadata"]["rosbag2"]["serialized_metadata"])
-        self.assertIn("message_count: 300\n", bag["metadata"]["rosbag2"]["serialized_metadata"])
+        self.assertIn("message_count: 600\n", bag["metadata"]["rosbag2"]["serialized_metadata"])
 
     def test_golden_file_is_read_by_a_program_of_its_own(self):
         bag = read((SOURCE / "tests/golden/recording.mcap").read_bytes())
@@ -209,14 +218,17 @@ class Bags(unittest.TestCase):
         pathlib.Path(given).write_bytes(self.bag(self.messages(1000, made=half)))
         self.run_app("--activations", 1000, "--input", given, "--record", made)
         seen = peer("read", made)
-        self.assertEqual(seen["indexed"], seen["streamed"])
-        self.assertEqual(seen["count"], 1000)
+        # One by log time, the other as it was written.
+        self.assertEqual(sorted(seen["indexed"]), sorted(seen["streamed"]))
+        self.assertEqual(seen["count"], 2000)
+        self.assertEqual(sum(topic == "/xauto/releases" for _, topic, _ in seen["indexed"]), 1000)
+        seen["indexed"] = [m for m in seen["indexed"] if m[1] == "/src"]
         self.assertEqual([enclosed(bytes.fromhex(d))[1:] for _, _, d in seen["indexed"]],
                          [(k, half(k)) for k in range(1000)])
         self.assertEqual([enclosed(bytes.fromhex(d))[0] for _, _, d in seen["indexed"]], [int(t) for t, _, _ in seen["indexed"]])
         self.assertIn("zstd", seen["compressions"])
         self.assertEqual(seen["profile"], "ros2")
-        [topic] = seen["topics"]
+        topic = next(t for t in seen["topics"] if t["topic"] == "/src")
         self.assertEqual((topic["topic"], topic["encoding"], topic["type"], topic["schemaEncoding"], topic["qos"]),
                          ("/src", "cdr", "xauto_msgs/msg/Message", "ros2msg", "[]"))
         self.assertIn("serialized_metadata", seen["metadata"]["rosbag2"])

@@ -79,6 +79,14 @@ TEST(XautoMsgs, MessageIsCdr) {
   EXPECT_EQ(enclosed({"a", "Frame", "xauto"}, made)->size(), made.size());
 }
 
+TEST(XautoMsgs, ReleaseIsCdr) {
+  const auto made = encode_release(7'000'000'009, 5, -1);
+  const unsigned char expected[] = {0, 1, 0, 0, 7, 0, 0,   0,   9,   0,   0,   0,   5,   0,
+                                    0, 0, 0, 0, 0, 0, 255, 255, 255, 255, 255, 255, 255, 255};
+  ASSERT_EQ(made.size(), sizeof expected);
+  EXPECT_EQ(std::memcmp(made.data(), expected, sizeof expected), 0);
+}
+
 // As on a full disk: the first failure ends the recording, and the caller never notices.
 TEST_F(BackgroundTest, FailureIsToldAtTheEnd) {
   BackgroundRecorder background(recorder());
