@@ -252,7 +252,8 @@ std::string Releaser::close(const std::vector<Release>& releases) {
     recorder_->write(releases_topic_, end_ns,
                      record::encode_release(stamp_ns, release.sequence, release.latency_us));
   }
-  if (const Status closed = recorder_->close(); !closed) recording_error_ = closed.error().what;
+  if (const Status closed = recorder_->close(); !closed && recording_error_.empty())
+    recording_error_ = closed.error().what;
   return recording_error_;
 }
 
@@ -468,7 +469,7 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
                       context_.grid.sources[static_cast<std::size_t>(topic.source)].number);
     }
   }
-  if (recorder_) record(now_ns, samples);
+  if (recorder_ && recording_error_.empty()) record(now_ns, samples);
   for (const Sample& sample : samples) {
     const int topic = sample.topic;
     const std::int64_t origin_ns = origin_of(sample);
@@ -522,7 +523,6 @@ void Releaser::record(std::int64_t now_ns, const std::vector<Sample>& samples) {
     } catch (const std::exception& e) {
       recording_error_ = std::string("recording ended early: ") + e.what();
       log::warn("{}", recording_error_);
-      recorder_.reset();
       return;
     }
   }

@@ -34,7 +34,8 @@ class Releaser {
   [[nodiscard]] Status run(int fifo);
   /// Until everything that was released is through; see Ledger::wait_drained.
   [[nodiscard]] bool wait_drained();
-  /// Closes the recording, with an account of `releases`, if the app has one rate. Returns why it is not whole; empty: it is, or there is none.
+  /// Closes the recording, with an account of `releases` (of an app of one rate). Returns why it is
+  /// not whole; empty: it is, or there is none.
   [[nodiscard]] std::string close(const std::vector<Release>& releases);
   /// What the sources did that was not as declared; for people, after `run`.
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
@@ -84,9 +85,9 @@ class Releaser {
   Ledger& ledger_;
   const std::atomic<bool>& stop_;
   std::optional<record::BackgroundRecorder> recorder_;
-  std::size_t releases_topic_ = 0;           ///< likewise
-  std::int64_t wall_offset_ns_ = 0;          ///< the wall clock's time minus now_ns()
   std::vector<std::size_t> recorded_topic_;  ///< [topic] -> the recorder's index
+  std::size_t releases_topic_ = 0;           ///< of the accounts
+  std::int64_t wall_offset_ns_ = 0;          ///< the wall clock's time minus now_ns()
   std::string recording_error_;
   std::optional<detail::Inlets> inlets_;  ///< while it releases
   std::optional<Feeds> feeds_;            ///< likewise; before its inlets
