@@ -23,7 +23,7 @@ pedestrians:
 check:
 	@scripts/setup.sh build check transport kernel package
 	@scripts/vm/fetch-checkpatch.sh >/dev/null
-	@scripts/fetch-mcap-core.sh || true # the tests with it are skipped, and say so
+	@scripts/fetch-mcap-core.sh || true # its test is skipped then, and says so
 	@JOBS=$(JOBS) scripts/check.sh check
 
 # Less, for the inner loop, and more: every test in every build, every kernel, the largest worlds (hours).

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Puts the second reader and writer of MCAP (npm's @mcap/core) into build/mcap-core, for tests/integration/mcap_test.py. It takes the node and
+# Puts the second reader and writer of MCAP (npm's @mcap/core) into build/mcap-core, for tests/integration/mcap_core_test.py. It takes the node and
 # npm that are there, whoever brought them (NodeSource's packages conflict with Debian's npm), and Debian's where there are none.
 # npm checks each package against tests/integration/mcap/package-lock.json.
 set -euo pipefail

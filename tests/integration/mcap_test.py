@@ -1,11 +1,10 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""A bag feeds an app, and what the app records is a bag again: written and read by ours, by @mcap/core, and by mcap_file.py."""
+"""A bag feeds an app, and what the app records is a bag again: written and read by ours and by mcap_file.py."""
 import json
 import os
 import pathlib
 import random
-import shutil
 import signal
 import sqlite3
 import struct
@@ -18,8 +17,6 @@ import unittest
 from common import SOURCE, TESTAPP, XAUTO, testapp_files, wait_for, xauto
 from mcap_file import Writer, channel, message, read, schema
 
-CORE = SOURCE / "build/mcap-core"
-PEER = SOURCE / "tests/integration/mcap/peer.js"
 START = 1_700_000_000_123_456_789
 MESSAGE_SCHEMA = """\
 builtin_interfaces/Time stamp
@@ -56,14 +53,7 @@ def block(k):
     return struct.pack("<512Q", *(mix(k + i) for i in range(512)))
 
 
-def peer(*arguments, given=None):
-    done = subprocess.run(["node", PEER, CORE, *map(str, arguments)], capture_output=True, text=True, timeout=100,
-                          input=given and json.dumps(given))
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout) if arguments[0] == "read" else None
-
-
-class Bags(unittest.TestCase):
+class Case(unittest.TestCase):
     def setUp(self):
         self.folder = tempfile.TemporaryDirectory()
         self.addCleanup(self.folder.cleanup)
@@ -88,6 +78,16 @@ class Bags(unittest.TestCase):
             bag.add(b"".join(message(1, t, d, at) for t, d in messages[at:at + per_chunk]), compression, chunked)
         return bag.end()
 
+    def look(self, path, count):
+        """Reads the answer by its bytes, where they are not compressed, and by `record`."""
+        info = json.loads(xauto("record", "info", path, "--json").stdout)
+        self.assertEqual([(t["name"], t["type"], t["serialization_format"], t["schema_encoding"], t["messages"]) for t in info["topics"]],
+                         [("/src", "xauto_msgs/msg/Message", "cdr", "ros2msg", count),
+                          ("/xauto/releases", "xauto_msgs/msg/Release", "cdr", "ros2msg", count)])
+        self.assertEqual(xauto("record", "check", path).returncode, 0)
+
+
+class Bags(Case):
     def test_bag_feeds_an_app_whose_answer_is_a_bag(self):
         messages = self.messages()
         shuffled = messages[:]
@@ -102,14 +102,6 @@ class Bags(unittest.TestCase):
                 pathlib.Path(given).write_bytes(data)
                 self.assertEqual(self.run_app("--input", given, "--record", made), expected)
                 self.look(made, 20)
-
-    def look(self, path, count):
-        """Reads the answer by its bytes, where they are not compressed, and by `record`."""
-        info = json.loads(xauto("record", "info", path, "--json").stdout)
-        self.assertEqual([(t["name"], t["type"], t["serialization_format"], t["schema_encoding"], t["messages"]) for t in info["topics"]],
-                         [("/src", "xauto_msgs/msg/Message", "cdr", "ros2msg", count),
-                          ("/xauto/releases", "xauto_msgs/msg/Release", "cdr", "ros2msg", count)])
-        self.assertEqual(xauto("record", "check", path).returncode, 0)
 
     def test_answer_is_read_by_a_program_of_its_own(self):
         made = self.path("small.mcap")
@@ -202,47 +194,6 @@ class Bags(unittest.TestCase):
         subprocess.run([sys.executable, SOURCE / "tests/golden/make_mcap.py", self.folder.name], check=True)
         for file in sorted((SOURCE / "tests/golden/errors/mcap").glob("*.mcap")):
             self.assertEqual(pathlib.Path(self.path(file.name)).read_bytes(), file.read_bytes(), file.name)
-
-    # ---- @mcap/core ----
-
-    def core(self):
-        if not shutil.which("node") or not (CORE / "whole").exists():
-            self.skipTest("@mcap/core is not there: scripts/fetch-mcap-core.sh installs it")
-
-    def test_answer_is_read_by_mcap_core_to_the_last_message(self):
-        self.core()
-        given, made = self.path("given.mcap"), self.path("made.mcap")
-        def half(k):  # gets smaller, but for every third
-            return block(k) if k % 3 == 0 else struct.pack("<512Q", *(k % 7,) * 512)
-
-        pathlib.Path(given).write_bytes(self.bag(self.messages(1000, made=half)))
-        self.run_app("--activations", 1000, "--input", given, "--record", made)
-        seen = peer("read", made)
-        # One by log time, the other as it was written.
-        self.assertEqual(sorted(seen["indexed"]), sorted(seen["streamed"]))
-        self.assertEqual(seen["count"], 2000)
-        self.assertEqual(sum(topic == "/xauto/releases" for _, topic, _ in seen["indexed"]), 1000)
-        seen["indexed"] = [m for m in seen["indexed"] if m[1] == "/src"]
-        self.assertEqual([enclosed(bytes.fromhex(d))[1:] for _, _, d in seen["indexed"]],
-                         [(k, half(k)) for k in range(1000)])
-        self.assertEqual([enclosed(bytes.fromhex(d))[0] for _, _, d in seen["indexed"]], [int(t) for t, _, _ in seen["indexed"]])
-        self.assertIn("zstd", seen["compressions"])
-        self.assertEqual(seen["profile"], "ros2")
-        topic = next(t for t in seen["topics"] if t["topic"] == "/src")
-        self.assertEqual((topic["topic"], topic["encoding"], topic["type"], topic["schemaEncoding"], topic["qos"]),
-                         ("/src", "cdr", "xauto_msgs/msg/Message", "ros2msg", "[]"))
-        self.assertIn("serialized_metadata", seen["metadata"]["rosbag2"])
-
-    def test_what_mcap_core_writes_feeds_an_app(self):
-        self.core()
-        expected = self.run_app("--activations", 20)
-        for chunked in (True, False):
-            with self.subTest(chunked=chunked):
-                made = self.path(f"core-{chunked}.mcap")
-                peer("write", made, given={"topic": "/src", "type": "xauto_msgs/msg/Message", "schema": MESSAGE_SCHEMA, "chunked": chunked,
-                                           "messages": [[str(t), d.hex()] for t, d in self.messages()]})
-                self.assertEqual(xauto("record", "check", made).returncode, 0)
-                self.assertEqual(self.run_app("--input", made), expected)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// MCAP by @mcap/core, for tests/integration/mcap_test.py.
+// MCAP by @mcap/core, for tests/integration/mcap_core_test.py.
 //
 //   peer.js MODULES read FILE      prints as JSON what the indexed reader and the streaming reader find, to the last message
 //   peer.js MODULES write FILE     writes the messages of stdin: {"topic", "type", "schema", "chunked", "messages": [[time, hex]]}

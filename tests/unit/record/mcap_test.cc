@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // MCAP files: ours byte for byte, others' as they may be. That a second implementation reads ours, and
-// that we read its, is tests/integration/mcap_test.py.
+// that we read its, is tests/integration/mcap_test.py and mcap_core_test.py.
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
