@@ -19,6 +19,7 @@ else()
   set(XAUTO_SPDLOG spdlog::spdlog)
 endif()
 find_package(SQLite3 REQUIRED)             # recorded inputs: lib/record only
+find_package(ZLIB REQUIRED)                # ... MCAP's checksums
 find_package(Eigen3 3.3 REQUIRED NO_MODULE)  # solver
 find_path(XAUTO_EXPECTED_INCLUDE tl/expected.hpp REQUIRED)  # Result<T>
 find_path(LPSOLVE_INCLUDE lpsolve/lp_lib.h REQUIRED)        # the ILP: solver/ only
@@ -31,9 +32,11 @@ add_library(lpsolve INTERFACE)
 target_include_directories(lpsolve SYSTEM INTERFACE ${LPSOLVE_INCLUDE})
 target_link_libraries(lpsolve INTERFACE ${LPSOLVE_LIBRARY} ${COLAMD_LIBRARY} ${SUITESPARSE_LIBRARY} m dl)
 
-# Netlink to xauto.ko.
+# Netlink to xauto.ko; what is compressed in MCAP.
 find_package(PkgConfig REQUIRED)
 pkg_check_modules(LIBNL REQUIRED IMPORTED_TARGET libnl-genl-3.0)
+pkg_check_modules(LZ4 REQUIRED IMPORTED_TARGET liblz4)
+pkg_check_modules(ZSTD REQUIRED IMPORTED_TARGET libzstd)
 
 # Timelines in Perfetto's format: lib/story only.
 find_package(Protobuf 3.12 REQUIRED)

@@ -4,29 +4,11 @@
 #include <filesystem>
 #include <fstream>
 
-#include <sqlite3.h>
-
 #include "record/recording.h"
+#include "record/storage.h"
 
 namespace xauto::record {
 namespace {
-
-// A batch is what a killed recorder loses.
-constexpr std::size_t kBatchMessages = 256;
-constexpr std::size_t kBatchBytes = 16u << 20;
-constexpr int kMetadataVersion = 5;
-
-// The tables of rosbag2's schema version 3; readers of versions 1 to 4 take it.
-constexpr const char* kSchema =
-    "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);"
-    "CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL,"
-    " metadata TEXT NOT NULL);"
-    "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
-    " serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);"
-    "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,"
-    " timestamp INTEGER NOT NULL, data BLOB NOT NULL);"
-    "CREATE INDEX timestamp_idx ON messages (timestamp ASC);"
-    "INSERT INTO schema(schema_version, ros_distro) VALUES (3, '');";
 
 /// A YAML double-quoted text.
 std::string quoted(const std::string& text) {
@@ -47,18 +29,14 @@ std::string quoted(const std::string& text) {
   return out + '"';
 }
 
-void bind_text(sqlite3_stmt* statement, int index, const std::string& text) {
-  sqlite3_bind_text64(statement, index, text.data(), text.size(), SQLITE_TRANSIENT, SQLITE_UTF8);
-}
-
-Result<Statement> prepare(sqlite3* database, const std::string& path, const char* sql) {
-  sqlite3_stmt* statement = nullptr;
-  if (sqlite3_prepare_v2(database, sql, -1, &statement, nullptr) != SQLITE_OK)
-    return fail(ErrorCode::kIo, sqlite3_errmsg(database), path);
-  return Statement(statement);
-}
-
 }  // namespace
+
+Recorder::Recorder(Recorder&&) noexcept = default;
+Recorder& Recorder::operator=(Recorder&&) noexcept = default;
+
+Recorder::~Recorder() {
+  if (writer_) (void)close();
+}
 
 Result<Recorder> Recorder::create(const std::string& given) {
   namespace fs = std::filesystem;
@@ -69,66 +47,32 @@ Result<Recorder> Recorder::create(const std::string& given) {
     return fail(ErrorCode::kInvalid, "exists already", given, "record under a new name");
   Recorder r;
   r.path_ = path.string();
-  if (path.extension() != ".db3") {
+  r.storage_ = path.extension() == ".db3" ? "sqlite3" : "mcap";
+  if (path.extension() != ".db3" && path.extension() != ".mcap") {
     if (!fs::create_directory(path, error))
       return fail(ErrorCode::kNotFound, "cannot be created: " + error.message(), given);
     r.folder_ = path.string();
-    r.path_ = (path / (path.filename().string() + "_0.db3")).string();
+    r.path_ = (path / (path.filename().string() + "_0.mcap")).string();
   }
-  sqlite3* database = nullptr;
-  const int opened = sqlite3_open_v2(r.path_.c_str(), &database,
-                                     SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE, nullptr);
-  r.database_.reset(database);
-  if (opened != SQLITE_OK) {
-    Error failure{ErrorCode::kNotFound,
-                  std::string("cannot be created: ") + sqlite3_errmsg(database),
-                  r.path_,
-                  {}};
-    r.database_.reset();
-    return tl::unexpected<Error>(std::move(failure));
-  }
-  // The journal is a file, so that a recorder that is killed leaves a recording that can be opened;
-  // nobody waits for the disk, so that recording does not disturb what it records.
-  for (const char* sql : {"PRAGMA journal_mode=DELETE", "PRAGMA synchronous=OFF", kSchema, "BEGIN"})
-    XAUTO_TRY(r.execute(sql));
-  XAUTO_ASSIGN(r.insert_,
-               prepare(database, r.path_,
-                       "INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)"));
+  XAUTO_ASSIGN(r.writer_, r.storage_ == "mcap" ? create_mcap(r.path_) : create_sqlite(r.path_));
   return r;
 }
 
-Recorder::~Recorder() {
-  if (database_) (void)close();
-}
-
-Status Recorder::execute(const char* sql) const {
-  if (sqlite3_exec(database_.get(), sql, nullptr, nullptr, nullptr) != SQLITE_OK)
-    return fail(ErrorCode::kIo, sqlite3_errmsg(database_.get()), path_);
-  return {};
-}
-
 Result<std::size_t> Recorder::add_topic(const Topic& topic) {
-  if (!database_) return fail(ErrorCode::kInvalid, "is closed", path_);
+  if (!writer_) return fail(ErrorCode::kInvalid, "is closed", path_);
   if (topic.name.empty()) return fail(ErrorCode::kInvalid, "a topic needs a name", path_);
-  for (const std::string* text : {&topic.name, &topic.type, &topic.serialization_format})
+  for (const std::string* text :
+       {&topic.name, &topic.type, &topic.serialization_format, &topic.schema_encoding})
     if (text->size() > kMaxTopicTextBytes)
       return fail(ErrorCode::kInvalid, "a topic's name, type or format is too long", path_);
+  if (topic.schema.size() > kMaxSchemaBytes)
+    return fail(ErrorCode::kInvalid, "a topic's schema is too long", path_);
   if (topics_.size() >= kMaxTopics)
     return fail(ErrorCode::kInvalid, "has 4096 topics already", path_);
   for (const Written& other : topics_)
     if (other.topic.name == topic.name)
       return fail(ErrorCode::kInvalid, "topic '" + topic.name + "' is there already", path_);
-  XAUTO_ASSIGN(
-      const Statement insert,
-      prepare(database_.get(), path_,
-              "INSERT INTO topics(id, name, type, serialization_format, offered_qos_profiles)"
-              " VALUES (?, ?, ?, ?, '[]')"));
-  sqlite3_bind_int64(insert.get(), 1, static_cast<std::int64_t>(topics_.size() + 1));
-  bind_text(insert.get(), 2, topic.name);
-  bind_text(insert.get(), 3, topic.type);
-  bind_text(insert.get(), 4, topic.serialization_format);
-  if (sqlite3_step(insert.get()) != SQLITE_DONE)
-    return fail(ErrorCode::kIo, sqlite3_errmsg(database_.get()), path_);
+  XAUTO_TRY(writer_->add_topic(topic));
   topics_.push_back({topic, 0});
   return topics_.size() - 1;
 }
@@ -136,7 +80,7 @@ Result<std::size_t> Recorder::add_topic(const Topic& topic) {
 Status Recorder::write(std::size_t topic, std::int64_t timestamp_ns,
                        std::span<const std::byte> data) {
   thread_.check();
-  if (!database_) return fail(ErrorCode::kInvalid, "is closed", path_);
+  if (!writer_) return fail(ErrorCode::kInvalid, "is closed", path_);
   if (topic >= topics_.size())
     return fail(ErrorCode::kInvalid, "topic " + std::to_string(topic) + " was not added", path_);
   if (timestamp_ns < 0 || timestamp_ns > kMaxTimestampNs)
@@ -149,24 +93,12 @@ Status Recorder::write(std::size_t topic, std::int64_t timestamp_ns,
                 "a message of " + std::to_string(data.size()) + " bytes is longer than " +
                     std::to_string(kMaxMessageBytes),
                 path_);
-  sqlite3_reset(insert_.get());
-  sqlite3_bind_int64(insert_.get(), 1, static_cast<std::int64_t>(topic + 1));
-  sqlite3_bind_int64(insert_.get(), 2, timestamp_ns);
-  // An empty blob, not NULL, for an empty message.
-  const void* bytes = data.empty() ? static_cast<const void*>("") : data.data();
-  sqlite3_bind_blob64(insert_.get(), 3, bytes, data.size(), SQLITE_STATIC);
-  const int done = sqlite3_step(insert_.get());
-  sqlite3_clear_bindings(insert_.get());
-  if (done != SQLITE_DONE) return fail(ErrorCode::kIo, sqlite3_errmsg(database_.get()), path_);
+  XAUTO_TRY(writer_->write(topic, timestamp_ns, data));
   first_ns_ = num_messages_ == 0 ? timestamp_ns : std::min(first_ns_, timestamp_ns);
   last_ns_ = std::max(last_ns_, timestamp_ns);
   ++num_messages_;
   ++topics_[topic].messages;
-  batch_bytes_ += data.size();
-  if (++batch_messages_ < kBatchMessages && batch_bytes_ < kBatchBytes) return {};
-  batch_messages_ = batch_bytes_ = 0;
-  sqlite3_reset(insert_.get());
-  return execute("COMMIT; BEGIN");
+  return {};
 }
 
 std::string Recorder::metadata(const std::string& indent) const {
@@ -177,7 +109,7 @@ std::string Recorder::metadata(const std::string& indent) const {
   std::string out;
   const auto line = [&](const std::string& text) { out += indent + text; };
   line("version: " + std::to_string(kMetadataVersion) + "\n");
-  line("storage_identifier: sqlite3\n");
+  line("storage_identifier: " + storage_ + "\n");
   line("duration:\n");
   line("  " + duration);
   line("starting_time:\n");
@@ -206,26 +138,13 @@ std::string Recorder::metadata(const std::string& indent) const {
   return out;
 }
 
-Status Recorder::insert_metadata(const std::string& yaml) const {
-  XAUTO_ASSIGN(const Statement insert,
-               prepare(database_.get(), path_,
-                       "INSERT INTO metadata(metadata_version, metadata) VALUES (?, ?)"));
-  sqlite3_bind_int(insert.get(), 1, kMetadataVersion);
-  bind_text(insert.get(), 2, yaml);
-  if (sqlite3_step(insert.get()) != SQLITE_DONE)
-    return fail(ErrorCode::kIo, sqlite3_errmsg(database_.get()), path_);
-  return {};
-}
-
 Status Recorder::close() {
   thread_.check();
-  if (!database_) return {};
-  insert_.reset();
-  Status done = insert_metadata(metadata(""));
-  if (Status committed = execute("COMMIT"); done) done = std::move(committed);
-  database_.reset();
+  if (!writer_) return {};
+  const Status done = writer_->close(metadata(""));
+  writer_.reset();
   if (!done) {
-    Error error = std::move(done).error();
+    Error error = done.error();
     error.what = "the last messages could not be written: " + error.what;
     return tl::unexpected<Error>(std::move(error));
   }

@@ -2,56 +2,98 @@
 #include "record/recording.h"
 
 #include <algorithm>
-#include <cstring>
+#include <cctype>
 #include <filesystem>
 #include <fstream>
-#include <set>
+#include <utility>
 
-#include <sqlite3.h>
+#include "record/storage.h"
 
 namespace xauto::record {
+
+struct Recording::File {
+  std::unique_ptr<Reader> reader;  ///< null: read to its end
+  std::string path;
+  std::vector<std::size_t> topic_of;  ///< [the reader's topic] -> ours
+  std::int64_t start_ns = 0;
+  bool begun = false;
+  std::optional<Message> head;  ///< the next message, of one that was begun
+};
+
 namespace {
 
-constexpr int kMaxSchemaVersion = 4;
-// Of SQLite's machine, per call of the progress handler; per byte of the file; and to start with.
-// Reading a recording once takes some 30 steps per message, and a message is at least 10 bytes
-// long.
-constexpr int kStepsPerCall = 1000;
-constexpr std::int64_t kStepsPerByte = 20, kStepsToStart = 2'000'000;
+namespace fs = std::filesystem;
 
-int spend(void* budget) {
-  auto& left = *static_cast<std::int64_t*>(budget);
-  left -= kStepsPerCall;
-  return left < 0 ? 1 : 0;
+constexpr std::size_t kMaxMetadataBytes = 4u << 20;
+
+/// rosbag2 can compress each message of an SQLite file by itself. Only metadata.yaml tells.
+bool messages_compressed(const fs::path& folder) {
+  std::ifstream in(folder / "metadata.yaml");
+  std::string text(kMaxMetadataBytes, '\0');
+  in.read(text.data(), static_cast<std::streamsize>(text.size()));
+  text.resize(static_cast<std::size_t>(in.gcount()));
+  const std::string key = "compression_mode:";
+  const std::size_t at = text.find("\n  " + key);
+  if (at == std::string::npos) return false;
+  const std::size_t begin = at + 3 + key.size();
+  std::string mode = text.substr(begin, text.find('\n', begin) - begin);
+  std::transform(mode.begin(), mode.end(), mode.begin(),
+                 [](unsigned char c) { return std::tolower(c); });
+  return mode.find("message") != std::string::npos;
 }
 
-/// The one .db3 file of a rosbag2 folder; any other path as it is.
-Result<std::string> resolve(const std::string& path) {
-  namespace fs = std::filesystem;
+/// The files of a rosbag2 folder, in the order of their numbers; any other path as it is.
+Result<std::vector<std::string>> resolve(const std::string& path) {
   std::error_code error;
-  if (!fs::is_directory(path, error)) return path;
-  std::vector<std::string> found;
+  if (!fs::is_directory(path, error)) return std::vector<std::string>{path};
+  std::vector<std::string> mcap, sqlite, compressed;
   for (fs::directory_iterator entry(path, error), end; !error && entry != end;
-       entry.increment(error))
-    if (entry->path().extension() == ".db3") found.push_back(entry->path().string());
+       entry.increment(error)) {
+    const fs::path& file = entry->path();
+    if (file.extension() == ".mcap") mcap.push_back(file.string());
+    if (file.extension() == ".db3") sqlite.push_back(file.string());
+    if (file.extension() == ".zstd" || file.extension() == ".lz4")
+      compressed.push_back(file.filename().string());
+  }
   if (error) return fail(ErrorCode::kInvalid, "cannot be listed: " + error.message(), path);
-  if (found.empty())
-    return fail(ErrorCode::kInvalid, "holds no .db3 file", path,
-                "a rosbag2 folder of sqlite3 storage has one");
-  if (found.size() > 1)
-    return fail(ErrorCode::kInvalid, "holds " + std::to_string(found.size()) + " .db3 files", path,
+  if (mcap.empty() && sqlite.empty() && !compressed.empty())
+    return fail(ErrorCode::kInvalid, "holds compressed files, such as " + shown(compressed.front()),
+                path, "`ros2 bag convert` or `zstd -d` unpacks them");
+  if (mcap.empty() && sqlite.empty())
+    return fail(ErrorCode::kInvalid, "holds no .mcap file and no .db3 file", path,
+                "a rosbag2 folder has one or several");
+  if (!mcap.empty() && !sqlite.empty())
+    return fail(ErrorCode::kInvalid, "holds .mcap files and .db3 files", path,
                 "name the one to read");
-  return found.front();
+  if (!sqlite.empty() && messages_compressed(path))
+    return fail(ErrorCode::kInvalid, "holds messages that are compressed one by one", path,
+                "`ros2 bag convert` makes a bag without that");
+  std::vector<std::string>& found = mcap.empty() ? sqlite : mcap;
+  if (found.size() > kMaxFiles)
+    return fail(
+        ErrorCode::kInvalid,
+        "holds " + std::to_string(found.size()) + " files, more than " + std::to_string(kMaxFiles),
+        path, "name the one to read");
+  std::sort(found.begin(), found.end(), [](const std::string& a, const std::string& b) {
+    return a.size() != b.size() ? a.size() < b.size() : a < b;  // bag_9 before bag_10
+  });
+  return std::move(found);
 }
 
-std::string text_of(sqlite3_stmt* row, int column) {
-  const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(row, column));
-  return text == nullptr
-             ? ""
-             : std::string(text, static_cast<std::size_t>(sqlite3_column_bytes(row, column)));
+Result<std::unique_ptr<Reader>> open_file(const std::string& path) {
+  std::error_code error;
+  const auto status = fs::status(path, error);
+  if (!fs::exists(status)) return fail(ErrorCode::kNotFound, "there is no such recording", path);
+  if (!fs::is_regular_file(status)) return fail(ErrorCode::kInvalid, "is not a regular file", path);
+  const std::string suffix = fs::path(path).extension().string();
+  if (suffix == ".mcap") return open_mcap(path);
+  if (suffix == ".db3") return open_sqlite(path);
+  return fail(ErrorCode::kInvalid, "is neither .mcap nor .db3", path,
+              "recorded inputs are rosbag2's: such a file, or a folder of them");
 }
 
-/// A name of the file in a message: cut, printable.
+}  // namespace
+
 std::string shown(std::string text) {
   if (text.size() > 60) text = text.substr(0, 57) + "...";
   for (char& c : text)
@@ -59,222 +101,92 @@ std::string shown(std::string text) {
   return "'" + text + "'";
 }
 
-}  // namespace
-
-void SqliteCloser::operator()(sqlite3* database) const {
-  sqlite3_close_v2(database);
-}
-void SqliteCloser::operator()(sqlite3_stmt* statement) const {
-  sqlite3_finalize(statement);
-}
-
-tl::unexpected<Error> Recording::broken(const std::string& what) const {
-  return fail(ErrorCode::kInvalid, what, path_);
-}
-
-tl::unexpected<Error> Recording::damaged() const {
-  switch (sqlite3_errcode(database_.get())) {
-    case SQLITE_INTERRUPT:
-      return broken("is damaged: its pages lead in circles");
-    case SQLITE_TOOBIG:
-      return broken("holds a value of more than " + std::to_string(kMaxMessageBytes) + " bytes");
-    case SQLITE_READONLY:
-    case SQLITE_CANTOPEN:
-      return fail(ErrorCode::kInvalid, "was not closed by its recorder", path_,
-                  "`sqlite3 " + path_ + " .tables` repairs it, with the right to write there");
-    default:
-      return broken(std::string("is damaged: ") + sqlite3_errmsg(database_.get()));
-  }
-}
-
-Result<Statement> Recording::prepare(const char* sql) const {
-  sqlite3_stmt* statement = nullptr;
-  if (sqlite3_prepare_v2(database_.get(), sql, -1, &statement, nullptr) != SQLITE_OK)
-    return damaged();
-  return Statement(statement);
-}
+Recording::Recording(Recording&&) noexcept = default;
+Recording& Recording::operator=(Recording&&) noexcept = default;
+Recording::~Recording() = default;
 
 Result<Recording> Recording::open(const std::string& given) {
   Recording r;
-  XAUTO_ASSIGN(r.path_, resolve(given));
-  std::error_code error;
-  const auto status = std::filesystem::status(r.path_, error);
-  if (!std::filesystem::exists(status))
-    return fail(ErrorCode::kNotFound, "there is no such recording", r.path_);
-  if (!std::filesystem::is_regular_file(status)) return r.broken("is not a regular file");
-  const std::uint64_t bytes = std::filesystem::file_size(r.path_, error);
-  char magic[16] = {};
-  if (std::ifstream in(r.path_, std::ios::binary); !in) {
-    return r.broken("cannot be opened");
-  } else if (!in.read(magic, sizeof magic) ||
-             std::memcmp(magic, "SQLite format 3", sizeof magic) != 0) {
-    return fail(ErrorCode::kInvalid, "is not an SQLite file", r.path_,
-                "recorded inputs are rosbag2 recordings of sqlite3 storage; mcap is not read");
+  r.path_ = given;
+  XAUTO_ASSIGN(const std::vector<std::string> paths, resolve(given));
+  if (paths.size() == 1) r.path_ = paths.front();
+  for (const std::string& path : paths) {
+    XAUTO_ASSIGN(auto reader, open_file(path));
+    XAUTO_TRY(r.add(std::move(reader), path));
   }
-  sqlite3* database = nullptr;
-  const int opened = sqlite3_open_v2(r.path_.c_str(), &database, SQLITE_OPEN_READONLY, nullptr);
-  r.database_.reset(database);
-  if (opened != SQLITE_OK) return r.damaged();
-  // A hostile file must not run code, write, or keep us for ever.
-  sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
-  sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
-  sqlite3_db_config(database, SQLITE_DBCONFIG_ENABLE_VIEW, 0, nullptr);
-  sqlite3_limit(database, SQLITE_LIMIT_LENGTH, static_cast<int>(kMaxMessageBytes));
-  sqlite3_exec(database, "PRAGMA cell_size_check=ON; PRAGMA mmap_size=0", nullptr, nullptr,
-               nullptr);
-  r.budget_ = std::make_unique<std::int64_t>(kStepsToStart +
-                                             static_cast<std::int64_t>(bytes) * kStepsPerByte);
-  sqlite3_progress_handler(database, kStepsPerCall, spend, r.budget_.get());
-
-  XAUTO_TRY(r.check_layout());
-  XAUTO_TRY(r.read_topics());
-  XAUTO_TRY(r.count_messages(bytes));
-  XAUTO_ASSIGN(
-      r.order_,
-      r.prepare("SELECT rowid, topic_id, timestamp FROM messages ORDER BY timestamp, rowid"));
-  XAUTO_ASSIGN(r.data_, r.prepare("SELECT data FROM messages WHERE rowid = ?"));
+  if (r.topics_.empty()) return fail(ErrorCode::kInvalid, "has no topics", r.path_);
+  if (r.num_messages_ == 0) return fail(ErrorCode::kInvalid, "has no messages", r.path_);
   return r;
 }
 
-/// Real tables with real columns: views and generated columns would compute what the file's author
-/// wants.
-Status Recording::check_layout() const {
-  struct Table {
-    const char *name, *info;
-    std::vector<const char*> columns;
-  };
-  const Table tables[] = {
-      {"topics", "PRAGMA table_info(topics)", {"id", "name", "type", "serialization_format"}},
-      {"messages", "PRAGMA table_info(messages)", {"id", "topic_id", "timestamp", "data"}}};
-  for (const Table& table : tables) {
-    XAUTO_ASSIGN(const Statement find,
-                 prepare("SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = ?"));
-    sqlite3_bind_text(find.get(), 1, table.name, -1, SQLITE_STATIC);
-    const int step = sqlite3_step(find.get());
-    if (step != SQLITE_ROW && step != SQLITE_DONE) return damaged();
-    if (step == SQLITE_DONE || sqlite3_column_int64(find.get(), 0) <= 0)
-      return broken(std::string("is no rosbag2 recording: table '") + table.name + "' is missing");
-    XAUTO_ASSIGN(const Statement info, prepare(table.info));
-    std::set<std::string> there;
-    while (sqlite3_step(info.get()) == SQLITE_ROW) there.insert(text_of(info.get(), 1));
-    for (const char* column : table.columns)
-      if (!there.contains(column))
-        return broken(std::string("is no rosbag2 recording: table '") + table.name +
-                      "' has no column '" + column + "'");
-  }
-  XAUTO_ASSIGN(const Statement find,
-               prepare("SELECT rootpage FROM sqlite_master WHERE type = 'table'"
-                       " AND name = 'schema'"));
-  const int step = sqlite3_step(find.get());
-  if (step == SQLITE_DONE) return {};  // versions 1 and 2 had no such table
-  if (step != SQLITE_ROW || sqlite3_column_int64(find.get(), 0) <= 0) return damaged();
-  XAUTO_ASSIGN(const Statement version, prepare("SELECT schema_version FROM schema NOT INDEXED"));
-  if (sqlite3_step(version.get()) != SQLITE_ROW ||
-      sqlite3_column_type(version.get(), 0) != SQLITE_INTEGER)
-    return broken("table 'schema' states no version");
-  const std::int64_t number = sqlite3_column_int64(version.get(), 0);
-  if (number < 1 || number > kMaxSchemaVersion)
-    return broken("has schema version " + std::to_string(number) + ", this program reads 1 to " +
-                  std::to_string(kMaxSchemaVersion));
-  return {};
-}
-
-Status Recording::read_topics() {
-  XAUTO_ASSIGN(const Statement rows,
-               prepare("SELECT id, name, type, serialization_format FROM topics NOT INDEXED"));
-  static constexpr const char* kColumns[] = {"id", "name", "type", "serialization_format"};
-  std::set<std::string> names;
-  std::vector<std::pair<std::int64_t, Topic>> topics;
-  int step;
-  while ((step = sqlite3_step(rows.get())) == SQLITE_ROW) {
-    if (topics.size() >= kMaxTopics)
-      return broken("has more than " + std::to_string(kMaxTopics) + " topics");
-    if (sqlite3_column_type(rows.get(), 0) != SQLITE_INTEGER)
-      return broken("topics.id is not an integer");
-    for (int column = 1; column < 4; ++column) {
-      const std::string what = std::string("topics.") + kColumns[column];
-      if (sqlite3_column_type(rows.get(), column) != SQLITE_TEXT)
-        return broken(what + " is not a text");
-      if (static_cast<std::size_t>(sqlite3_column_bytes(rows.get(), column)) > kMaxTopicTextBytes)
-        return broken(what + " is longer than " + std::to_string(kMaxTopicTextBytes) + " bytes");
+Status Recording::add(std::unique_ptr<Reader> reader, const std::string& path) {
+  auto file = std::make_unique<File>();
+  for (const Topic& topic : reader->topics()) {
+    const auto [at, is_new] = topic_at_.try_emplace(topic.name, topics_.size());
+    file->topic_of.push_back(at->second);
+    if (is_new) {
+      topics_.push_back(topic);
+      continue;
     }
-    Topic topic{text_of(rows.get(), 1), text_of(rows.get(), 2), text_of(rows.get(), 3)};
-    if (topic.name.empty()) return broken("a topic has no name");
-    if (!names.insert(topic.name).second)
-      return broken("topic " + shown(topic.name) + " is there twice");
-    topics.emplace_back(sqlite3_column_int64(rows.get(), 0), std::move(topic));
+    const Topic& same = topics_[at->second];
+    if (same.type != topic.type || same.serialization_format != topic.serialization_format)
+      return fail(ErrorCode::kInvalid,
+                  "topic " + shown(topic.name) + " has another type than in the files before",
+                  path);
   }
-  if (step != SQLITE_DONE) return damaged();
-  if (topics.empty()) return broken("has no topics");
-  std::sort(topics.begin(), topics.end(),
-            [](const auto& a, const auto& b) { return a.first < b.first; });
-  for (auto& [id, topic] : topics) {
-    if (!topic_ids_.empty() && topic_ids_.back() == id)
-      return broken("topic id " + std::to_string(id) + " is there twice");
-    topic_ids_.push_back(id);
-    topics_.push_back(std::move(topic));
+  if (topics_.size() > kMaxTopics)
+    return fail(ErrorCode::kInvalid, "has more than " + std::to_string(kMaxTopics) + " topics",
+                path_);
+  if (reader->num_messages() == 0) return {};  // the last of a split bag may be
+  XAUTO_ASSIGN(file->start_ns, reader->start_ns());
+  num_messages_ += reader->num_messages();
+  if (const std::string note = reader->note(); !note.empty()) {
+    if (!note_.empty()) note_ += "\n";
+    note_ += path + ": " + note;
   }
+  file->path = path;
+  file->reader = std::move(reader);
+  files_.push_back(std::move(file));
   return {};
 }
 
-/// By reading every row's key once: count(*) cannot be interrupted.
-Status Recording::count_messages(std::uint64_t file_bytes) {
-  XAUTO_ASSIGN(const Statement rows, prepare("SELECT rowid FROM messages NOT INDEXED"));
-  int step;
-  while ((step = sqlite3_step(rows.get())) == SQLITE_ROW)
-    if (++num_messages_ > file_bytes) return broken("is damaged: its pages lead in circles");
-  if (step != SQLITE_DONE) return damaged();
-  if (num_messages_ == 0) return broken("has no messages");
+Status Recording::fetch(File& file) {
+  XAUTO_ASSIGN(file.head, file.reader->next());
+  if (!file.head) file.reader.reset();  // and so its memory
   return {};
 }
 
 Result<std::optional<Message>> Recording::next() {
   thread_.check();
-  if (finished_) return std::optional<Message>();
-  sqlite3_stmt* row = order_.get();
-  const int step = sqlite3_step(row);
-  if (step == SQLITE_DONE && num_read_ == num_messages_) {
-    finished_ = true;
-    return std::optional<Message>();
+  const auto time = [](const File& file) {
+    return file.head ? file.head->timestamp_ns : file.start_ns;
+  };
+  for (;;) {
+    // Of what may be next, the earliest; of equals, the one in the file before.
+    File* first = nullptr;
+    for (const auto& file : files_) {
+      if (file->begun && file->reader && !file->head) XAUTO_TRY(fetch(*file));
+      if (file->reader && (first == nullptr || time(*file) < time(*first))) first = file.get();
+    }
+    if (first == nullptr) return std::optional<Message>();
+    if (!first->begun) {
+      first->begun = true;
+      continue;
+    }
+    std::optional<Message> message = std::exchange(first->head, std::nullopt);
+    if (message->timestamp_ns < last_ns_)
+      return fail(ErrorCode::kInvalid, "is damaged: its messages are earlier than it says",
+                  first->path);
+    last_ns_ = message->timestamp_ns;
+    message->topic = first->topic_of[message->topic];
+    return message;
   }
-  if (step == SQLITE_DONE || (step == SQLITE_ROW && num_read_ == num_messages_))
-    return broken("is damaged: its index does not list its messages");
-  if (step != SQLITE_ROW) return damaged();
-  ++num_read_;
-  const std::int64_t id = sqlite3_column_int64(row, 0);
-  const std::string which = "message " + std::to_string(id) + ": ";
-  if (sqlite3_column_type(row, 1) != SQLITE_INTEGER)
-    return broken(which + "topic_id is not an integer");
-  if (sqlite3_column_type(row, 2) != SQLITE_INTEGER)
-    return broken(which + "timestamp is not an integer");
-  Message message;
-  const std::int64_t topic = sqlite3_column_int64(row, 1);
-  const auto found = std::lower_bound(topic_ids_.begin(), topic_ids_.end(), topic);
-  if (found == topic_ids_.end() || *found != topic)
-    return broken(which + "topic_id " + std::to_string(topic) + " is not in table 'topics'");
-  message.topic = static_cast<std::size_t>(found - topic_ids_.begin());
-  message.timestamp_ns = sqlite3_column_int64(row, 2);
-  if (message.timestamp_ns < 0 || message.timestamp_ns > kMaxTimestampNs)
-    return broken(which + "timestamp " + std::to_string(message.timestamp_ns) +
-                  " is not from 0 to " + std::to_string(kMaxTimestampNs) + " ns");
-  if (message.timestamp_ns < last_ns_) return broken("is damaged: its index is not in order");
-  last_ns_ = message.timestamp_ns;
+}
 
-  sqlite3_stmt* blob = data_.get();
-  sqlite3_reset(blob);
-  sqlite3_bind_int64(blob, 1, id);
-  const int got = sqlite3_step(blob);
-  if (got == SQLITE_DONE)
-    return broken("is damaged: its index lists " + which + "which is not there");
-  if (got == SQLITE_TOOBIG)
-    return broken(which + "data is longer than " + std::to_string(kMaxMessageBytes) + " bytes");
-  if (got != SQLITE_ROW) return damaged();
-  if (sqlite3_column_type(blob, 0) != SQLITE_BLOB) return broken(which + "data is not a blob");
-  const auto* data = static_cast<const std::byte*>(sqlite3_column_blob(blob, 0));
-  const auto bytes = static_cast<std::size_t>(sqlite3_column_bytes(blob, 0));
-  if (data == nullptr && bytes > 0) return damaged();
-  message.data.assign(data, data + bytes);
-  return std::optional<Message>(std::move(message));
+Status Recording::verify() {
+  for (const auto& file : files_)
+    if (file->reader) XAUTO_TRY(file->reader->verify());
+  return {};
 }
 
 }  // namespace xauto::record

@@ -1,7 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recorded inputs: SQLite files in the layout of rosbag2's sqlite3 storage (schema version 3), so
-// that ROS 2 tools open ours and we open theirs. Tables: schema, metadata, topics, messages;
-// docs/formats.md. Reading (recording.cc) trusts nothing in the file; writing is recorder.cc.
+// Recorded inputs as ROS 2's rosbag2 has them, so that its tools open ours and we open theirs:
+// files of MCAP or of SQLite, and folders of such files; docs/formats.md.
+//
+//   recording.cc (files merged by time)  ─► storage.h ─► mcap_reader.cc ─► mcap_layout.h, mcap_block.h
+//   recorder.cc (folder, metadata.yaml)  ─┘        └───► sqlite_reader.cc
+//                                                        mcap_writer.cc, sqlite_writer.cc
+//
+// Reading trusts nothing in a file.
 #pragma once
 
 #include <cstddef>
@@ -10,25 +15,28 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <unordered_map>
 #include <vector>
 
 #include <xauto/result.h>
 
 #include "base/thread_safety.h"
 
-struct sqlite3;
-struct sqlite3_stmt;
-
 namespace xauto::record {
 
 inline constexpr std::size_t kMaxTopics = 4096;
 inline constexpr std::size_t kMaxTopicTextBytes = 64u << 10;  ///< a name, a type, a format
+inline constexpr std::size_t kMaxSchemaBytes = 1u << 20;
 inline constexpr std::size_t kMaxMessageBytes = 64u << 20;
+inline constexpr std::size_t kMaxFiles = 256;  ///< of a folder: all are open at once
 /// 2100-01-01: a time stamp beyond it is a mistake of unit or a damaged file.
 inline constexpr std::int64_t kMaxTimestampNs = 4'102'444'800'000'000'000;
 
 struct Topic {
   std::string name, type, serialization_format;
+  /// What `type` means to who has never seen it: "ros2msg" and the .msg files' text, for example.
+  /// Both empty: not known, or the storage is sqlite3, where we do not keep it.
+  std::string schema_encoding = {}, schema = {};
 };
 
 struct Message {
@@ -37,66 +45,64 @@ struct Message {
   std::vector<std::byte> data;
 };
 
-struct SqliteCloser {
-  void operator()(sqlite3* database) const;
-  void operator()(sqlite3_stmt* statement) const;
-};
-using Database = std::unique_ptr<sqlite3, SqliteCloser>;
-using Statement = std::unique_ptr<sqlite3_stmt, SqliteCloser>;
+class Reader;
+class Writer;
 
-/// Reads messages of all topics by ascending time stamp, then in the order they were written; holds
-/// one message at a time. Threads: one.
+/// Reads messages of all topics by ascending time stamp, then in the order they were written. Holds
+/// one message per file that overlaps another one in time; of MCAP also the chunks that do, at most
+/// 512 MiB per file. Threads: one.
 class Recording {
  public:
-  /// `path`: a .db3 file, or a rosbag2 folder that holds exactly one. kInvalid names what is wrong
-  /// with it.
+  /// `path`: a .mcap or .db3 file, or a folder that holds such files, of one kind. kInvalid names
+  /// what is wrong with it.
   [[nodiscard]] static Result<Recording> open(const std::string& path);
+  Recording(Recording&&) noexcept;
+  Recording& operator=(Recording&&) noexcept;
+  ~Recording();
 
   [[nodiscard]] const std::vector<Topic>& topics() const { return topics_; }
   [[nodiscard]] std::uint64_t num_messages() const { return num_messages_; }
   /// nullopt at the end. What is wrong with one message is found here, not by open().
   [[nodiscard]] Result<std::optional<Message>> next();
+  /// Why this is not all that was recorded: its recorder died. Empty: nothing says that it did.
+  [[nodiscard]] const std::string& note() const { return note_; }
+  /// Before the first next(): reads all files from end to end for the checksums of the whole. Those
+  /// of a chunk are always checked.
+  [[nodiscard]] Status verify();
 
  private:
+  struct File;
   Recording() = default;
-  [[nodiscard]] Result<Statement> prepare(const char* sql) const;
-  [[nodiscard]] tl::unexpected<Error> broken(const std::string& what) const;
-  [[nodiscard]] tl::unexpected<Error> damaged() const;  ///< with SQLite's last error
-  [[nodiscard]] Status check_layout() const;
-  [[nodiscard]] Status read_topics();
-  [[nodiscard]] Status count_messages(std::uint64_t file_bytes);
+  [[nodiscard]] Status add(std::unique_ptr<Reader> reader, const std::string& path);
+  [[nodiscard]] Status fetch(File& file);
 
   std::string path_;
   OneThread thread_;
-  /// Steps of SQLite's machine left: pages that refer to each other in circles must not hang us.
-  std::unique_ptr<std::int64_t> budget_;
-  Database database_;
-  Statement order_;  ///< rows by time
-  Statement data_;   ///< the blob of one row, so that sorting never moves blobs
+  std::vector<std::unique_ptr<File>> files_;
   std::vector<Topic> topics_;
-  std::vector<std::int64_t> topic_ids_;
-  std::uint64_t num_messages_ = 0, num_read_ = 0;
+  std::unordered_map<std::string, std::size_t> topic_at_;  ///< by name
+  std::uint64_t num_messages_ = 0;
   std::int64_t last_ns_ = 0;
-  bool finished_ = false;
+  std::string note_;
 };
 
-/// Writes one. Messages are committed in batches and on close. Threads: one at a time.
+/// Writes one. Threads: one at a time.
 class Recorder {
  public:
   /// The next thread that calls is another one; the caller orders the two.
   void give_away() { thread_.give_away(); }
-  /// "x.db3": that file alone. Any other path: a rosbag2 folder with x_0.db3 and metadata.yaml.
-  /// Refuses to overwrite.
+  /// "x.mcap", "x.db3": that file alone. Any other path: a rosbag2 folder with x_0.mcap and
+  /// metadata.yaml. Refuses to overwrite.
   [[nodiscard]] static Result<Recorder> create(const std::string& path);
-  Recorder(Recorder&&) noexcept = default;
-  Recorder& operator=(Recorder&&) noexcept = default;
+  Recorder(Recorder&&) noexcept;
+  Recorder& operator=(Recorder&&) noexcept;
   ~Recorder();
 
   /// Index for write(). Names are unique.
   [[nodiscard]] Result<std::size_t> add_topic(const Topic& topic);
   [[nodiscard]] Status write(std::size_t topic, std::int64_t timestamp_ns,
                              std::span<const std::byte> data);
-  /// Commits and writes the metadata; an error means that the last batch may not be in the file.
+  /// Writes what is left and the metadata; an error means that the last batch may not be there.
   [[nodiscard]] Status close();
 
  private:
@@ -105,18 +111,15 @@ class Recorder {
     std::uint64_t messages = 0;
   };
   Recorder() = default;
-  [[nodiscard]] Status execute(const char* sql) const;
-  [[nodiscard]] Status insert_metadata(const std::string& yaml) const;
   /// rosbag2's metadata (version 5), each line after `indent`.
   [[nodiscard]] std::string metadata(const std::string& indent) const;
 
   OneThread thread_;
-  std::string path_;    ///< of the .db3
+  std::string path_;    ///< of the file
   std::string folder_;  ///< empty for a file alone
-  Database database_;
-  Statement insert_;
+  std::string storage_;
+  std::unique_ptr<Writer> writer_;  ///< null: closed
   std::vector<Written> topics_;
-  std::size_t batch_messages_ = 0, batch_bytes_ = 0;
   std::uint64_t num_messages_ = 0;
   std::int64_t first_ns_ = 0, last_ns_ = 0;
 };

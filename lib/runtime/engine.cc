@@ -133,12 +133,11 @@ Result<RunReport> Engine::run_all() {
   }
   XAUTO_TRY(releaser_->run(placing_.fifo.sources));
   const bool drained = releaser_->wait_drained();
-  const std::string recording_error = releaser_->close();
   role_->end();
   stop_workers();
   RunReport result = report();
   role_->gather(result);
-  result.recording_error = recording_error;
+  result.recording_error = releaser_->close(result.releases);
   // A run without an end of its own is complete when it has been told to stop.
   const bool endless = session_.activations == 0 && session_.duration_us == 0;
   result.complete = drained && (!stop_.load() || endless);

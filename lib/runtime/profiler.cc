@@ -25,6 +25,7 @@
 #include "model/json.h"
 #include "processes/parameters.h"
 #include "record/recording.h"
+#include "record/xauto_msgs.h"
 #include "runtime/input_access.h"
 #include "xpu/backend.h"
 #include "xpu/presence.h"
@@ -50,12 +51,13 @@ class Feed {
     Feed feed(app, graph, inlets);
     if (!session.input.empty()) {
       XAUTO_ASSIGN(auto recording, record::Recording::open(session.input));
+      if (!recording.note().empty()) log::warn("{}", recording.note());
       feed.recording_.emplace(std::move(recording));
       for (std::size_t t = 0; t < graph.topics.size(); ++t) {
         if (graph.topics[t].source < 0) continue;
         const auto& topics = feed.recording_->topics();
         const auto at = std::find_if(topics.begin(), topics.end(), [&](const auto& topic) {
-          return topic.name == graph.topics[t].spec.name;
+          return record::is_app_topic(topic, graph.topics[t].spec.name);
         });
         if (at == topics.end())
           return fail(ErrorCode::kInvalid,
@@ -86,16 +88,17 @@ class Feed {
     while (left > 0) {
       XAUTO_ASSIGN(auto message, recording_->next());
       if (!message) return false;
-      const std::string& name = recording_->topics()[message->topic].name;
+      const record::Topic& recorded = recording_->topics()[message->topic];
       for (std::size_t t = 0; t < graph_->topics.size(); ++t) {
         const Graph::Topic& topic = graph_->topics[t];
-        if (topic.source < 0 || topic.spec.name != name) continue;
+        if (topic.source < 0 || !record::is_app_topic(recorded, topic.spec.name)) continue;
         if (topic.spec.decode == nullptr)
           return fail(ErrorCode::kInvalid,
                       "messages of type " + topic.spec.type_name + " cannot be decoded",
-                      "topic '" + name + "'", "specialise xauto::Codec for it");
+                      "topic '" + topic.spec.name + "'", "specialise xauto::Codec for it");
+        XAUTO_ASSIGN(const auto data, record::enclosed(recorded, message->data));
         if (messages[t] == nullptr) --left;
-        messages[t] = topic.spec.decode(message->data);
+        messages[t] = topic.spec.decode(data);
       }
     }
     return true;

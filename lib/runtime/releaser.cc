@@ -11,6 +11,7 @@
 #include "base/clock.h"
 #include "base/log.h"
 #include "base/rt.h"
+#include "record/xauto_msgs.h"
 
 namespace xauto::runtime {
 namespace {
@@ -41,7 +42,7 @@ Status Releaser::run(int fifo) {
     status = detail::call(context_.app.on_start, "on_start", context_.app.name);
     if (status) status = context_.session.input.empty() ? release_periodic() : release_recorded();
     feeds_.reset();
-    notes_ = inlets_->close();
+    for (std::string& note : inlets_->close()) notes_.push_back(std::move(note));
     for (std::size_t s = 0; s < seen_.size(); ++s)
       if (seen_[s].unheard > 0)
         notes_.push_back(
@@ -53,7 +54,6 @@ Status Releaser::run(int fifo) {
     if (status) status = stopped;
   });
   thread.join();
-  if (recorder_) recorder_->give_away();
   return status;
 }
 
@@ -244,9 +244,17 @@ bool Releaser::wait_drained() {
       [this] { return wiring_.receiver() == nullptr || wiring_.receiver()->idle(); });
 }
 
-std::string Releaser::close() {
-  if (recorder_)
-    if (const Status closed = recorder_->close(); !closed) recording_error_ = closed.error().what;
+std::string Releaser::close(const std::vector<Release>& releases) {
+  if (!recorder_) return recording_error_;
+  // At the end, where nobody waits for it.
+  for (const Release& release : releases) {
+    const std::int64_t stamp_ns = release.origin_ns + wall_offset_ns_;
+    const std::int64_t end_ns = stamp_ns + std::max<std::int64_t>(release.latency_us, 0) * 1000;
+    recorder_->write(releases_topic_, end_ns,
+                     record::encode_release(stamp_ns, release.sequence, release.latency_us));
+  }
+  if (const Status closed = recorder_->close(); !closed && recording_error_.empty())
+    recording_error_ = closed.error().what;
   return recording_error_;
 }
 
@@ -469,7 +477,7 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
                       context_.grid.sources[static_cast<std::size_t>(topic.source)].number);
     }
   }
-  if (recorder_) record(now_ns, samples);
+  if (recorder_ && recording_error_.empty()) record(now_ns, samples);
   for (const Sample& sample : samples) {
     const int topic = sample.topic;
     const std::int64_t origin_ns = origin_of(sample);
@@ -490,7 +498,6 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
 Status Releaser::open_recorder() {
   if (context_.session.record.empty()) return {};
   XAUTO_ASSIGN(auto recorder, record::Recorder::create(context_.session.record));
-  recorder_.emplace(std::move(recorder));
   recorded_topic_.assign(context_.graph.topics.size(), 0);
   for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
     const Graph::Topic& topic = context_.graph.topics[t];
@@ -499,30 +506,33 @@ Status Releaser::open_recorder() {
       return fail(ErrorCode::kInvalid,
                   "messages of type " + topic.spec.type_name + " cannot be recorded",
                   "topic '" + topic.spec.name + "'", "specialise xauto::Codec for it");
-    XAUTO_ASSIGN(recorded_topic_[t],
-                 recorder_->add_topic({topic.spec.name, topic.spec.type_name, "xauto"}));
+    XAUTO_ASSIGN(recorded_topic_[t], recorder.add_topic(record::app_topic(topic.spec.name)));
   }
-  recorder_->give_away();  // to the thread that releases
+  if (context_.graph.single_rate) {
+    XAUTO_ASSIGN(releases_topic_, recorder.add_topic(record::releases_topic()));
+  }
+  recorder_.emplace(std::move(recorder));
+  // Once: so the distances between messages are those that were measured, whoever sets the clock.
+  wall_offset_ns_ = clock_ns(CLOCK_REALTIME) - now_ns();
   return {};
 }
 
-/// The first failure ends the recording, not the run; the report tells.
-void Releaser::record(std::int64_t origin_ns, const std::vector<Sample>& samples) {
+/// The first failure ends the recording, not the run; the report tells. In lockstep nothing is in
+/// real time, so there nothing need be lost.
+void Releaser::record(std::int64_t now_ns, const std::vector<Sample>& samples) {
+  const auto if_full = context_.session.lockstep ? record::BackgroundRecorder::IfFull::kWait
+                                                 : record::BackgroundRecorder::IfFull::kLose;
   for (const auto& [topic, sequence, message, nominal_ns, is_urgent] : samples) {
     if (message == nullptr) continue;
     const auto t = static_cast<std::size_t>(topic);
-    Status done;
     try {
-      const std::vector<std::byte> bytes = context_.graph.topics[t].spec.encode(message.get());
-      done = recorder_->write(recorded_topic_[t], origin_ns, bytes);
+      recorder_->write_enclosed(recorded_topic_[t], now_ns + wall_offset_ns_, sequence,
+                                context_.graph.topics[t].spec.encode(message.get()), if_full);
     } catch (const std::exception& e) {
-      done = fail(ErrorCode::kIo, e.what(), context_.session.record);
+      recording_error_ = std::string("recording ended early: ") + e.what();
+      log::warn("{}", recording_error_);
+      return;
     }
-    if (done) continue;
-    recording_error_ = "recording ended early: " + done.error().what;
-    log::warn("{}", recording_error_);
-    recorder_.reset();
-    return;
   }
 }
 
@@ -552,11 +562,12 @@ Status Releaser::release_recorded() {
     if (context_.graph.topics[t].source >= 0) missing.insert(static_cast<int>(t));
   for (std::size_t r = 0; r < recording.topics().size(); ++r)
     for (const int t : std::set<int>(missing))
-      if (context_.graph.topics[static_cast<std::size_t>(t)].spec.name ==
-          recording.topics()[r].name) {
+      if (record::is_app_topic(recording.topics()[r],
+                               context_.graph.topics[static_cast<std::size_t>(t)].spec.name)) {
         topic_of[r] = t;
         missing.erase(t);
       }
+  if (!recording.note().empty()) notes_.push_back(recording.note());
   const auto topic_name = [&](int t) {
     return context_.graph.topics[static_cast<std::size_t>(t)].spec.name;
   };
@@ -585,8 +596,10 @@ Status Releaser::release_recorded() {
       return fail(ErrorCode::kInvalid, "messages of type " + spec.type_name + " cannot be decoded",
                   "topic '" + spec.name + "'", "specialise xauto::Codec for it");
     std::uint64_t& number = sequence[static_cast<std::size_t>(t)];
+    XAUTO_ASSIGN(const auto data,
+                 record::enclosed(recording.topics()[message->topic], message->data));
     try {
-      batch.push_back({t, number, spec.decode(message->data), 0});
+      batch.push_back({t, number, spec.decode(data), 0});
     } catch (const std::exception& e) {
       return fail(ErrorCode::kInvalid, "message " + std::to_string(number) + ": " + e.what(),
                   context_.session.input + ": topic '" + spec.name + "'");

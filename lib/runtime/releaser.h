@@ -13,7 +13,7 @@
 #include <xauto/result.h>
 
 #include "graph/inlet.h"
-#include "record/recording.h"
+#include "record/background.h"
 #include "runtime/context.h"
 #include "runtime/feeds.h"
 #include "runtime/ledger.h"
@@ -35,8 +35,9 @@ class Releaser {
   [[nodiscard]] Status run(int fifo);
   /// Until everything that was released is through; see Ledger::wait_drained.
   [[nodiscard]] bool wait_drained();
-  /// Closes the recording. Returns why it is not whole; empty: it is, or there is none.
-  [[nodiscard]] std::string close();
+  /// Closes the recording, with an account of `releases` (of an app of one rate). Returns why it is
+  /// not whole; empty: it is, or there is none.
+  [[nodiscard]] std::string close(const std::vector<Release>& releases);
   /// What the sources did that was not as declared; for people, after `run`.
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
   /// Of app.json's sources, what did not come as it states, and what was outside of every scenario; a
@@ -83,15 +84,17 @@ class Releaser {
   void take_fed(std::vector<Sample> fed, std::int64_t period_ns, std::vector<Sample>& samples);
   void release(std::int64_t now_ns, const std::vector<Sample>& samples);
   void watch_jitter(std::int64_t now_ns, const Sample& sample);
-  void record(std::int64_t origin_ns, const std::vector<Sample>& samples);
+  void record(std::int64_t now_ns, const std::vector<Sample>& samples);
 
   const Context& context_;
   Wiring& wiring_;
   Ledger& ledger_;
   const std::atomic<bool>& stop_;
   std::unique_ptr<TableSwitch> tables_;  ///< null: there is one policy
-  std::optional<record::Recorder> recorder_;
+  std::optional<record::BackgroundRecorder> recorder_;
   std::vector<std::size_t> recorded_topic_;  ///< [topic] -> the recorder's index
+  std::size_t releases_topic_ = 0;           ///< of the accounts
+  std::int64_t wall_offset_ns_ = 0;          ///< the wall clock's time minus now_ns()
   std::string recording_error_;
   std::optional<detail::Inlets> inlets_;  ///< while it releases
   std::optional<Feeds> feeds_;            ///< likewise; before its inlets

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A recorded input from outside: any bytes as a .db3 are refused, or read to an end in bounded
-// time.
+// A recorded input from outside: any bytes as a .db3, or as an .mcap where they begin as one, are refused,
+// or read to an end in bounded time.
 #include <cstdio>
 #include <cstdlib>
 #include <fstream>
@@ -12,26 +12,35 @@
 
 namespace {
 
-std::string scratch() {
+std::string scratch(const char* suffix) {
   static const std::string path = [] {
     const bool shm = access("/dev/shm", W_OK) == 0;
     return std::string(shm ? "/dev/shm" : "/tmp") + "/xauto_fuzz_recording." +
-           std::to_string(getpid()) + ".db3";
+           std::to_string(getpid());
   }();
-  static const int at_exit = std::atexit([] { unlink(scratch().c_str()); });
+  static const int at_exit = std::atexit([] {
+    unlink(scratch(".db3").c_str());
+    unlink(scratch(".mcap").c_str());
+  });
   (void)at_exit;
-  return path;
+  return path + suffix;
 }
 
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using namespace xauto;
-  std::ofstream(scratch(), std::ios::binary)
+  // A byte may be wrong: also the first one of an MCAP file.
+  const bool mcap = size > 4 && data[1] == 'M' && data[2] == 'C';
+  const std::string path = scratch(mcap ? ".mcap" : ".db3");
+  std::ofstream(path, std::ios::binary)
       .write(reinterpret_cast<const char*>(data), static_cast<std::streamsize>(size));
-  auto recording = record::Recording::open(scratch());
+  auto recording = record::Recording::open(path);
   Status status;
-  if (!recording) status = tl::unexpected<Error>(recording.error());
+  if (!recording)
+    status = tl::unexpected<Error>(recording.error());
+  else
+    status = recording->verify();
   std::uint64_t messages = 0;
   while (status) {
     const auto message = recording->next();
@@ -39,7 +48,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
       status = tl::unexpected<Error>(message.error());
     else if (!*message)
       break;
-    else if (++messages > size || (*message)->topic >= recording->topics().size())
+    else if ((++messages > size && !mcap) || (*message)->topic >= recording->topics().size())
       std::abort();
   }
   if (!status && (status.error().what.empty() || status.error().to_string().size() > 4096))

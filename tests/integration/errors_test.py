@@ -18,6 +18,7 @@ COMMANDS = {
                          "--policy", f],
     "profile": lambda f: ["profile", "--read", f],
     "recording": lambda f: ["record", "check", f],
+    "mcap": lambda f: ["record", "check", f],
 }
 
 
@@ -62,6 +63,9 @@ class Errors(unittest.TestCase):
 
     def test_recording(self):
         self.refuse("recording")
+
+    def test_mcap(self):
+        self.refuse("mcap")
 
     def test_profile_writes_version_2_where_it_can(self):
         profile = json.loads((GOLDEN / "profile-sources.json").read_text())

@@ -133,12 +133,12 @@ class Flow(unittest.TestCase):
         solve = ["--platform", "small", "--method", "heft"]
         self.good("solve", "--app", APP, *solve, "--out", self.path("p.json"))
         self.good("run", "--app", APP, "--policy", self.path("p.json"), "--platform", "small", "--emulate",
-                  "--activations", 8, "--lockstep", "--record", self.path("drive.db3"), "--", DRIVING)
-        info = json.loads(self.good("record", "info", self.path("drive.db3"), "--json"))
+                  "--activations", 8, "--lockstep", "--record", self.path("drive.mcap"), "--", DRIVING)
+        info = json.loads(self.good("record", "info", self.path("drive.mcap"), "--json"))
         self.assertEqual({t["name"]: t["messages"] for t in info["topics"]},
-                         {"camera/front": 8, "camera/rear": 8, "lidar/top": 8})
+                         {"/camera/front": 8, "/camera/rear": 8, "/lidar/top": 8, "/xauto/releases": 8})
 
-        self.good("profile", "--platform", "small", "--emulate", "--input", self.path("drive.db3"),
+        self.good("profile", "--platform", "small", "--emulate", "--input", self.path("drive.mcap"),
                   "--warmup", 1, "--repetitions", 4, "--out", self.path("profile.json"),
                   "--app-out", self.path("app.json"), "--", DRIVING)
         profile = load(self.path("profile.json"))
@@ -158,7 +158,7 @@ class Flow(unittest.TestCase):
         self.assertEqual({x["name"] for x in spec["xnodes"] if "source" in x}, roots)
         self.good("solve", "--app", app, *solve, "--out", self.path("p2.json"))
         report = json.loads(self.good("run", "--app", app, "--policy", self.path("p2.json"), "--platform",
-                                      "small", "--emulate", "--input", self.path("drive.db3"), "--json", "--lockstep",
+                                      "small", "--emulate", "--input", self.path("drive.mcap"), "--json", "--lockstep",
                                       "--timeline", self.path("t.html"), "--", DRIVING))
         run = report["runs"][0]
         self.assertEqual((run["activations"], run["lost_activations"], run["complete"]), (8, 0, True))

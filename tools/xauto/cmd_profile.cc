@@ -235,12 +235,12 @@ void add_profile(Commands& commands) {
   auto flags = std::make_shared<ProfileFlags>();
   Verb verb = commands.add(
       "profile", "Time each XNode of an app alone on each XPU that it can run on.",
-      "xauto profile --platform small --input drive.db3 --out profile.json --app-out app.json -- "
+      "xauto profile --platform small --input drive.mcap --out profile.json --app-out app.json -- "
       "build/bin/driving",
       [flags](const Options& options) { return profile(*flags, options); });
   verb.option("--platform", flags->platform, kPlatformNames).shown();
   verb.option("--input", flags->input,
-              "recorded input (rosbag2 SQLite); default: the app's own messages");
+              "recorded input (rosbag2: .mcap, .db3, a folder); default: the app's own messages");
   verb.option("--deployment", flags->deployment,
               "deployment.json: its instances, names of topics, and values of parameters");
   verb.option("--warmup", flags->warmup, "releases that are not counted").range(0, 100000).shown();

@@ -6,6 +6,7 @@
 
 #include <fmt/format.h>
 
+#include "base/log.h"
 #include "model/json_value.h"
 #include "record/recording.h"
 
@@ -20,13 +21,16 @@ struct Contents {
   std::vector<std::uint64_t> messages, bytes;  ///< per topic
   std::uint64_t num_messages = 0;
   double seconds = 0;
+  std::string note;  ///< why it is not all that was recorded
 };
 
-Result<Contents> read(const std::string& path) {
+Result<Contents> read(const std::string& path, bool verify) {
   XAUTO_ASSIGN(auto recording, record::Recording::open(path));
+  if (verify) XAUTO_TRY(recording.verify());
   Contents c;
   c.topics = recording.topics();
   c.num_messages = recording.num_messages();
+  c.note = recording.note();
   c.messages.resize(c.topics.size());
   c.bytes.resize(c.topics.size());
   std::int64_t first = -1, last = 0;
@@ -56,10 +60,14 @@ int print_info(const std::string& path, const Contents& c, const Options& option
     topics.push_back({{"name", topic.name},
                       {"type", topic.type},
                       {"serialization_format", topic.serialization_format},
+                      {"schema_encoding", topic.schema_encoding},
                       {"messages", c.messages[i]},
                       {"bytes", c.bytes[i]}});
   }
-  const Json all = {{"messages", c.num_messages}, {"duration_s", c.seconds}, {"topics", topics}};
+  const Json all = {{"messages", c.num_messages},
+                    {"duration_s", c.seconds},
+                    {"topics", topics},
+                    {"note", c.note}};
   if (options.json)
     std::cout << all.dump(2) << "\n";
   else
@@ -69,10 +77,11 @@ int print_info(const std::string& path, const Contents& c, const Options& option
 
 int print_check(const std::string& path, const Contents& c, const Options& options) {
   if (options.json)
-    std::cout << Json{{"readable", true}, {"messages", c.num_messages}}.dump(2) << "\n";
+    std::cout << Json{{"readable", true}, {"messages", c.num_messages}, {"note", c.note}}.dump(2)
+              << "\n";
   else
     std::cout << fmt::format("{}: all {} messages can be read\n", path, c.num_messages);
-  return kDone;
+  return c.note.empty() ? kDone : kAnswerIsNo;
 }
 
 }  // namespace
@@ -84,16 +93,19 @@ void add_record(Commands& commands) {
   auto flags = std::make_shared<Flags>();
   Verb verb = commands.add(
       "record", "Tell what is in a recorded input; to make one: xauto run --record FILE.",
-      "xauto record info drive.db3", [flags](const Options& options) -> Result<int> {
-        XAUTO_ASSIGN(const auto contents, read(flags->path));
-        return flags->action == "check" ? print_check(flags->path, contents, options)
-                                        : print_info(flags->path, contents, options);
+      "xauto record info drive.mcap", [flags](const Options& options) -> Result<int> {
+        const bool check = flags->action == "check";
+        XAUTO_ASSIGN(const auto contents, read(flags->path, check));
+        if (!contents.note.empty()) log::warn("{}", contents.note);
+        return check ? print_check(flags->path, contents, options)
+                     : print_info(flags->path, contents, options);
       });
   verb.option("action", flags->action,
-              "info: topics, counts, duration; check: only whether all can be read")
+              "info: topics, counts, duration; check: whether all can be read and the recording is "
+              "whole")
       .required()
       .one_of({"info", "check"});
-  verb.option("file", flags->path, "a .db3 file or a rosbag2 folder").required();
+  verb.option("file", flags->path, "a .mcap file, a .db3 file or a rosbag2 folder").required();
 }
 
 }  // namespace xauto::cli

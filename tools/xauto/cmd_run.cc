@@ -158,7 +158,8 @@ void add_run(Commands& commands) {
               "(activations), hang, restart (processes that died)")
       .separated_by(',')
       .one_of(kGateWords);
-  verb.option("--record", flags->record, "record the sources' messages here (rosbag2 layout)");
+  verb.option("--record", flags->record,
+              "record the sources' messages here: .mcap, .db3, or a rosbag2 folder");
 }
 
 }  // namespace xauto::cli

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "record/recording.h"
 
+#include <algorithm>
 #include <fstream>
 
 #include <gtest/gtest.h>
@@ -103,10 +104,14 @@ TEST_F(RecordingTest, MessagesComeBackByTimeThenInTheOrderWritten) {
 TEST_F(RecordingTest, FolderIsWhatRosbag2Wants) {
   ASSERT_TRUE(record_two(path("drive/")));
   EXPECT_TRUE(Recording::open(path("drive")));
-  EXPECT_TRUE(Recording::open(path("drive/drive_0.db3")));
+  EXPECT_TRUE(Recording::open(path("drive/drive_0.mcap")));
   EXPECT_EQ(test::slurp(path("drive/metadata.yaml")),
             test::slurp(test::golden() / "metadata.yaml"));
-  const std::string database = path("drive/drive_0.db3");
+}
+
+TEST_F(RecordingTest, DatabaseIsWhatRosbag2Wants) {
+  ASSERT_TRUE(record_two(path("drive.db3")));
+  const std::string database = path("drive.db3");
   EXPECT_EQ(query(database, "SELECT schema_version, ros_distro FROM schema"),
             std::vector<std::string>{"3|"});
   EXPECT_EQ(
@@ -164,6 +169,43 @@ TEST_F(RecordingTest, RecorderNeverOverwritesAndChecksWhatItIsGiven) {
   EXPECT_FALSE(recorder->write(0, 0, {})) << "closed";
 }
 
+// As `ros2 bag record --max-bag-size` splits one, and as several recorders at once would.
+TEST_F(RecordingTest, FilesOfAFolderAreOneRecording) {
+  for (const std::string suffix : {".db3", ".mcap"}) {
+    const std::string bag = path("bag" + suffix);
+    fs::create_directories(bag);
+    for (int file = 0; file < 12; ++file) {
+      auto recorder = Recorder::create(bag + "/bag_" + std::to_string(file) + suffix);
+      ASSERT_TRUE(recorder && recorder->add_topic({"of " + std::to_string(file % 2), "t", "f"}));
+      for (int i = 0; i < 20; ++i)
+        ASSERT_TRUE(recorder->write(0, 10 * file + i, bytes(std::to_string(file))));
+      ASSERT_TRUE(recorder->close());
+    }
+    auto recording = Recording::open(bag);
+    ASSERT_TRUE(recording) << recording.error().to_string();
+    EXPECT_EQ(recording->num_messages(), 240u);
+    ASSERT_EQ(recording->topics().size(), 2u);
+    std::vector<std::pair<std::int64_t, int>> seen;
+    for (;;) {
+      const auto message = recording->next();
+      ASSERT_TRUE(message) << message.error().to_string();
+      if (!*message) break;
+      const auto& data = (*message)->data;
+      const int file =
+          std::stoi(std::string(reinterpret_cast<const char*>(data.data()), data.size()));
+      EXPECT_EQ((*message)->topic, static_cast<std::size_t>(file % 2));
+      seen.emplace_back((*message)->timestamp_ns, file);
+    }
+    EXPECT_EQ(seen.size(), 240u);
+    EXPECT_TRUE(std::is_sorted(seen.begin(), seen.end())) << suffix;
+  }
+  auto other = Recorder::create(path("bag.mcap/bag_12.mcap"));
+  ASSERT_TRUE(other && other->add_topic({"of 1", "another", "f"}) && other->write(0, 0, {}) &&
+              other->close());
+  EXPECT_EQ(Recording::open(path("bag.mcap")).error().what,
+            "topic 'of 1' has another type than in the files before");
+}
+
 TEST_F(RecordingTest, RecorderThatIsDroppedKeepsItsMessages) {
   {
     auto recorder = Recorder::create(path("a.db3"));
@@ -186,12 +228,25 @@ TEST_F(RecordingTest, MessageBeyondTheLimitIsRefused) {
       << message.error().what;
 }
 
-TEST_F(RecordingTest, FolderWithoutOrWithSeveralRecordingsIsRefused) {
+TEST_F(RecordingTest, FolderThatCannotBeReadIsRefused) {
   fs::create_directories(folder_ / "bag");
-  EXPECT_EQ(Recording::open(path("bag")).error().what, "holds no .db3 file");
+  EXPECT_EQ(Recording::open(path("bag")).error().what, "holds no .mcap file and no .db3 file");
+  std::ofstream(path("bag/bag_0.db3.zstd"));
+  EXPECT_EQ(Recording::open(path("bag")).error().what,
+            "holds compressed files, such as 'bag_0.db3.zstd'");
   std::ofstream(path("bag/bag_0.db3"));
-  std::ofstream(path("bag/bag_1.db3"));
-  EXPECT_EQ(Recording::open(path("bag")).error().what, "holds 2 .db3 files");
+  std::ofstream(path("bag/metadata.yaml"))
+      << "rosbag2_bagfile_information:\n  compression_mode: MESSAGE\n";
+  EXPECT_EQ(Recording::open(path("bag")).error().what,
+            "holds messages that are compressed one by one");
+  std::ofstream(path("bag/bag_0.mcap"));
+  EXPECT_EQ(Recording::open(path("bag")).error().what, "holds .mcap files and .db3 files");
+  fs::create_directories(folder_ / "many");
+  for (std::size_t i = 0; i <= kMaxFiles; ++i)
+    std::ofstream(path("many/many_" + std::to_string(i) + ".mcap"));
+  EXPECT_EQ(Recording::open(path("many")).error().what, "holds 257 files, more than 256");
+  std::ofstream(path("text.txt"));
+  EXPECT_EQ(Recording::open(path("text.txt")).error().what, "is neither .mcap nor .db3");
   EXPECT_EQ(Recording::open(path("nothing")).error().code, ErrorCode::kNotFound);
 }
 

@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "record/background.h"
+
+#include <exception>
+#include <utility>
+
+#include "base/futex.h"
+#include "base/log.h"
+#include "base/rt.h"
+#include "record/xauto_msgs.h"
+
+namespace xauto::record {
+
+BackgroundRecorder::BackgroundRecorder(Recorder recorder, std::size_t queue_bytes)
+    : queue_bytes_(queue_bytes), recorder_(std::move(recorder)) {
+  recorder_.give_away();
+  thread_ = std::thread([this] { run(); });
+}
+
+BackgroundRecorder::~BackgroundRecorder() {
+  (void)close();
+}
+
+void BackgroundRecorder::ring(std::atomic<std::uint32_t>& word) {
+  word.fetch_add(1);
+  futex_wake_local(word, 1);
+}
+
+void BackgroundRecorder::write_enclosed(std::size_t topic, std::int64_t timestamp_ns,
+                                        std::uint64_t number, std::vector<std::byte> data,
+                                        IfFull if_full) {
+  put({topic, timestamp_ns, number, std::move(data)}, if_full);
+}
+
+void BackgroundRecorder::write(std::size_t topic, std::int64_t timestamp_ns,
+                               std::vector<std::byte> data) {
+  put({topic, timestamp_ns, {}, std::move(data)}, IfFull::kWait);
+}
+
+void BackgroundRecorder::put(Item item, IfFull if_full) {
+  const std::size_t bytes = item.data.size();
+  for (;;) {
+    if (failed_.load()) return;
+    const std::uint32_t seen = emptied_.load();
+    {
+      const Guard lock(mutex_);
+      // One message always has room, however large it is.
+      if (bytes_ == 0 || bytes_ + bytes <= queue_bytes_) {
+        bytes_ += bytes;
+        queue_.push_back(std::move(item));
+        break;
+      }
+      if (if_full == IfFull::kLose) {
+        ++lost_;
+        return;
+      }
+    }
+    futex_wait_local(emptied_, seen);
+  }
+  ring(filled_);
+}
+
+void BackgroundRecorder::run() {
+  rt::set_thread_name("xauto/record");
+  (void)rt::set_other();  // not what the creating thread has: nothing of the app waits for it
+  for (;;) {
+    const std::uint32_t seen = filled_.load();
+    Item item;
+    bool closing = false, empty = false;
+    {
+      const Guard lock(mutex_);
+      closing = closing_;
+      empty = queue_.empty();
+      if (!empty) {
+        item = std::move(queue_.front());
+        queue_.pop_front();
+      }
+    }
+    if (empty && closing) break;
+    if (empty) {
+      futex_wait_local(filled_, seen);
+      continue;
+    }
+    if (!failed_.load()) {
+      try {
+        status_ = recorder_.write(
+            item.topic, item.timestamp_ns,
+            item.number ? enclose(item.timestamp_ns, *item.number, item.data) : item.data);
+      } catch (const std::exception& e) {  // no memory
+        status_ = fail(ErrorCode::kIo, e.what());
+      }
+      if (!status_) {
+        failed_.store(true);
+        log::warn("recording ended early: {}", status_.error().what);
+      }
+    }
+    {
+      const Guard lock(mutex_);
+      bytes_ -= item.data.size();
+    }
+    ring(emptied_);
+  }
+}
+
+Status BackgroundRecorder::close() {
+  if (!thread_.joinable()) return {};
+  {
+    const Guard lock(mutex_);
+    closing_ = true;
+  }
+  ring(filled_);
+  thread_.join();
+  recorder_.give_away();
+  Status closed = recorder_.close();
+  if (!status_) {
+    Error error = status_.error();
+    error.what = "recording ended early: " + error.what;
+    return tl::unexpected<Error>(std::move(error));
+  }
+  const Guard lock(mutex_);
+  if (closed && lost_ > 0)
+    return fail(ErrorCode::kIo,
+                std::to_string(lost_) + " messages are missing: writing did not keep up");
+  return closed;
+}
+
+}  // namespace xauto::record
