@@ -3,7 +3,7 @@
 // outside, so tests need none.
 //
 //   floor      the scenario that people ask for (`xauto mode`, App::request_mode), and the one that
-//              the machine's clocks say (lib/launch/conditions.h)
+//              the machine's clocks say (condition_watch.h)
 //   evidence   for how long jobs have had their XPUs, in the last dwell at least
 //
 //                     a job past its WCET, or a higher floor: at once
