@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // A message of a .msg file from outside: bytes of DDS. What is taken must be what is written again.
-#include <test_msgs/msg/all_kinds.h>
-#include <test_msgs/msg/wide.h>
-#include <vision_msgs/msg/detection2_d_array.h>
-
 #include <cstdlib>
 #include <span>
 #include <stdexcept>
+
+#include <test_msgs/msg/all_kinds.h>
+#include <test_msgs/msg/wide.h>
+#include <vision_msgs/msg/detection2_d_array.h>
 
 namespace {
 

@@ -46,7 +46,7 @@ MALFORMED = (
     ("p/msg/A.msg", b"string a \xff", ": is not UTF-8: invalid start byte at byte 9"),
     ("p/msg/a.msg", "int8 a", ": is not called <package>/msg/<Type>"),
     ("P/msg/A.msg", "int8 a", ": is not called <package>/msg/<Type>"),
-    ("p/msg/A.idl", "module p { module msg { struct A { long a; }; };", ":1: the end of the file where"),
+    ("p/msg/A.idl", "module p { module msg { struct A { long a; }; };", ":1: 'the end of the file' where"),
     ("p/msg/A.idl", "module p { module msg { struct B { long a; }; }; };", ":1: 'p::msg::B': a file has one struct"),
     ("p/msg/A.idl", "// nothing", ":1: there is no struct A in the module p::msg"),
     ("p/msg/A.idl", "module p { module msg {\nunion A switch (long) {}; }; };", ":2: 'union' is nothing that ROS 2 has in messages"),
@@ -77,8 +77,8 @@ class Messages(unittest.TestCase):
 
     def test_headers_are_the_golden_ones(self):
         out = self.make("test_msgs/msg/Part.msg", "test_msgs/msg/Lane.idl")
-        for golden in sorted(GOLDEN.glob("*.h")):
-            made = (out / "test_msgs/msg" / golden.name).read_text()
+        for golden in sorted(GOLDEN.glob("*.h.txt")):
+            made = (out / "test_msgs/msg" / golden.stem).read_text()
             if os.environ.get("XAUTO_UPDATE_GOLDEN"):
                 golden.write_text(made)
             self.assertEqual(made, golden.read_text(), golden.name)

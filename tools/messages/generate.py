@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
 """C++ types of .msg and .idl files, for cmake/messages.cmake.
 

@@ -7,7 +7,7 @@ import re
 
 from interface import (CONSTANT_NAME, MAX_ARRAY, MAX_BOUND, PRIMITIVES, TEXTS, Constant, Field, Refused, Type, check_default, check_value)
 
-TYPE = re.compile(r"(?P<element>[A-Za-z][A-Za-z0-9_/]*)(<=(?P<text>[0-9]+))?(?P<many>\[((?P<upto><=)?(?P<count>[0-9]+))?\])?")
+TYPE = re.compile(r"(?P<element>[A-Za-z][A-Za-z0-9_/]*)(<=(?P<text>[0-9]+))?(?P<many>\[((?P<at_most><=)?(?P<count>[0-9]+))?\])?")
 
 
 def read_msg(text, message):
@@ -61,7 +61,7 @@ def read_type(word, package, where):
         element = nested(element, package, where)
     type_ = Type(element, text_bound=bound(found["text"], MAX_BOUND, where))
     if found["many"] is not None:
-        if count is not None and not found["upto"]:
+        if count is not None and not found["at_most"]:
             type_.array = bound(count, MAX_ARRAY, where)
         else:
             type_.sequence, type_.bound = True, bound(count, MAX_BOUND, where)
