@@ -297,7 +297,7 @@ Samples native_image(const Options& options, std::size_t bytes, std::uint64_t ro
         if (here == nullptr) {
           here = open();
           if (here == nullptr) std::exit(1);
-          publisher = *here->publish(spec, {});
+          publisher = *here->publish(spec, {.depth = 1});  // as Participant
         }
         std::fill(image->data.begin(), image->data.end(), static_cast<std::uint8_t>(k));
         std::int64_t start = now_ns();
