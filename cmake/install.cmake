@@ -46,6 +46,9 @@ configure_package_config_file(packaging/xauto-config.cmake.in ${PROJECT_BINARY_D
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/package/xauto-config-version.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${PROJECT_BINARY_DIR}/package/xauto-config.cmake ${PROJECT_BINARY_DIR}/package/xauto-config-version.cmake
         DESTINATION ${cmake_dir} COMPONENT development)
+# xauto_add_messages, and what it runs.
+install(FILES cmake/messages.cmake DESTINATION ${cmake_dir} COMPONENT development)
+install(DIRECTORY tools/messages DESTINATION ${cmake_dir} COMPONENT development FILES_MATCHING PATTERN "*.py" PATTERN "*.msg")
 string(REGEX REPLACE "[^/]+" ".." XAUTO_PC_UP ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
 configure_file(packaging/xauto.pc.in ${PROJECT_BINARY_DIR}/package/xauto.pc @ONLY)
 install(FILES ${PROJECT_BINARY_DIR}/package/xauto.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT development)

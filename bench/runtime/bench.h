@@ -89,6 +89,8 @@ void dispatch(const Options& options, Table& table);
 void decisions(const Options& options, Table& table);
 void suspensions(const Options& options, Table& table);
 void transfers(const Options& options, Table& table);
+/// A sensor_msgs/Image over DDS, beside Cyclone's own type.
+void images(const Options& options, Table& table);
 void coordinators(const Options& options, Table& table);
 
 }  // namespace xauto::bench

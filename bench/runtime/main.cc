@@ -45,6 +45,8 @@ int judge(const Table& table) {
   }
   ratio("6 MB between processes by own-shm-futex: <= 1.3", "6 MB between processes", "xauto",
         "own-shm-futex", 1.3);
+  ratio("6 MB image over DDS by Cyclone's own type: <= 1.05", "6 MB image over DDS", "xauto",
+        "cyclone-own-type", 1.05);
   absolute("coordinators at 40 XNodes and 10 Hz: <= 0.35 %", "40 XNodes at 10 Hz",
            "share of a CPU, %", 0.35);
   absolute("coordinators at 40 XNodes and 100 Hz: <= 2 %", "40 XNodes at 100 Hz",
@@ -63,7 +65,8 @@ int main(int argc, char** argv) {
   cli.option("--rounds", options.rounds, "samples per row").shown();
   cli.option("--seconds", options.seconds, "of the coordinators' load").shown();
   cli.option("--json", json, "write the rows here").shown();
-  cli.option("--only", options.only, "dispatch, decision, suspend, transfer, or coordinator");
+  cli.option("--only", options.only,
+             "dispatch, decision, suspend, transfer, image, or coordinator");
   cli.flag("--fifo", options.fifo, "SCHED_FIFO, as a run with the permission for it");
   if (const auto status = cli.parse(argc, argv)) return *status;
 
@@ -77,6 +80,7 @@ int main(int argc, char** argv) {
   if (wanted("decision")) decisions(options, table);
   if (wanted("suspend")) suspensions(options, table);
   if (wanted("transfer")) transfers(options, table);
+  if (options.only == "image") images(options, table);  // else with the transfers
   if (wanted("coordinator")) coordinators(options, table);
   if (wanted("dispatch")) dispatch(options, table);
 

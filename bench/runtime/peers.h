@@ -37,6 +37,9 @@ Samples starpu_dispatch(const Options& options, const Dag& dag);
 Samples cyclone_dispatch(const Options& options, const Dag& dag);
 Samples cyclone_round_trip(const Options& options, int here, int there);
 Samples cyclone_transfer(const Options& options, std::size_t bytes, std::uint64_t rounds);
+/// ... of a sensor_msgs/Image with so many bytes of pixels: Cyclone's own type, and ours.
+Samples cyclone_image(const Options& options, std::size_t bytes, std::uint64_t rounds);
+Samples native_image(const Options& options, std::size_t bytes, std::uint64_t rounds);
 // peers_iceoryx.cc
 Samples iceoryx_dispatch(const Options& options, const Dag& dag);
 Samples iceoryx_round_trip(const Options& options, int here, int there);

@@ -9,8 +9,10 @@
 #include <thread>
 
 #include <dds/dds.h>
+#include <sensor_msgs/msg/image.h>
 
 #include "base/futex.h"
+#include "transport/bridge.h"
 
 #include "pair.h"
 #include "peers.h"
@@ -224,6 +226,103 @@ Samples cyclone_transfer(const Options& options, std::size_t bytes, std::uint64_
                    touch(reinterpret_cast<const std::byte*>(blob.data._buffer), blob.data._length);
             shared->arrived.store(now_ns());
           });
+        };
+      });
+}
+
+// One image from a process to another, by Cyclone's own C type for it and by our plug-in: from dds_write
+// or publish until the reader has it as its struct.
+
+Samples cyclone_image(const Options& options, std::size_t bytes, std::uint64_t rounds) {
+  const SharedMemory<Shared> shared;
+  std::unique_ptr<Participant> participant;
+  dds_entity_t writer = 0;
+  std::vector<std::uint8_t> data(bytes);
+  std::string frame = "camera", encoding = "rgb8";
+  volatile std::uint64_t sink = 0;
+  return measure(
+      options, *shared, rounds,
+      [&](std::uint32_t k) {
+        if (!participant) {
+          participant = std::make_unique<Participant>();
+          writer = participant->writer(xauto_bench_Image_desc, "image");
+          wait_for_reader(writer);
+        }
+        std::fill(data.begin(), data.end(), static_cast<std::uint8_t>(k));
+        xauto_bench_Image image{};
+        image.frame_id = frame.data();
+        image.encoding = encoding.data();
+        image.data._buffer = data.data();
+        image.data._length = image.data._maximum = static_cast<std::uint32_t>(bytes);
+        const std::int64_t start = now_ns();
+        dds_write(writer, &image);
+        return start;
+      },
+      [&] {
+        auto own = std::make_shared<Participant>();
+        const dds_entity_t reader = own->reader(xauto_bench_Image_desc, "image");
+        const dds_entity_t waitset = own->waitset();
+        dds_waitset_attach(waitset, reader, 0);
+        return [&, own, reader, waitset] {
+          dds_waitset_wait(waitset, nullptr, 0, DDS_MSECS(100));
+          return take<xauto_bench_Image>(reader, [&](const xauto_bench_Image& image) {
+            sink = sink + touch(reinterpret_cast<const std::byte*>(image.data._buffer),
+                                image.data._length);
+            shared->arrived.store(now_ns());
+          });
+        };
+      });
+}
+
+Samples native_image(const Options& options, std::size_t bytes, std::uint64_t rounds) {
+  using sensor_msgs::msg::Image;
+  const SharedMemory<Shared> shared;
+  setenv("CYCLONEDDS_URI", kConfig, 1);
+  const auto spec = *detail::topic_spec(Topic<Image>("image"));
+  const auto open = [&] {
+    auto bridge = transport::open_bridge("cyclonedds", {.domain = 77, .largest_bytes = 8 << 20});
+    if (!bridge) fmt::print(stderr, "bench: {}\n", bridge.error().to_string());
+    return std::shared_ptr<transport::Bridge>(bridge ? std::move(*bridge) : nullptr);
+  };
+  std::shared_ptr<transport::Bridge> here;
+  std::shared_ptr<transport::Publisher> publisher;
+  const auto image = std::make_shared<Image>();
+  image->header.frame_id = "camera";
+  image->encoding = "rgb8";
+  image->data.resize(bytes);
+  volatile std::uint64_t sink = 0;
+  return measure(
+      options, *shared, rounds,
+      [&](std::uint32_t k) {
+        if (here == nullptr) {
+          here = open();
+          if (here == nullptr) std::exit(1);
+          publisher = *here->publish(spec, {.depth = 1});  // as Participant
+        }
+        std::fill(image->data.begin(), image->data.end(), static_cast<std::uint8_t>(k));
+        std::int64_t start = now_ns();
+        publisher->publish({image, start, k});
+        // The first one: until both have found each other.
+        for (int waited = 1; k == 0 && shared->done.load() == 0; ++waited) {
+          usleep(1000);
+          if (waited % 100 == 0) publisher->publish({image, start = now_ns(), k});
+        }
+        return start;
+      },
+      [&] {
+        const auto there = open();
+        if (there == nullptr) std::exit(1);
+        const auto doorbell = std::make_shared<transport::Doorbell>();
+        const auto subscriber = *there->subscribe(spec, {}, *doorbell);
+        return [&, there, doorbell, subscriber] {
+          doorbell->wait([&] { return subscriber->empty(); }, 100'000'000);
+          const auto envelope = subscriber->take();
+          if (!envelope) return false;
+          const auto& came = *static_cast<const Image*>(envelope->message.get());
+          sink =
+              sink + touch(reinterpret_cast<const std::byte*>(came.data.data()), came.data.size());
+          shared->arrived.store(now_ns());
+          return true;
         };
       });
 }

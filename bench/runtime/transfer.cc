@@ -129,10 +129,33 @@ void size(const Options& options, Table& table, const std::string& name) {
 
 }  // namespace
 
+void images(const Options& options, Table& table) {
+#ifdef XAUTO_BENCH_CYCLONE
+  // In turns: whatever else the machine does is in both.
+  constexpr std::size_t kBytes = std::size_t{6} << 20;
+  constexpr int kTurns = 5;
+  const std::uint64_t rounds = std::min<std::uint64_t>(options.rounds, 500) / kTurns;
+  Samples own, ours;
+  const auto turn = [&](Samples& into, const char* what, auto transfer) {
+    const Samples more = in_process(what, [&] { return transfer(options, kBytes, rounds); });
+    for (const std::int64_t ns : more.ns()) into.add(ns);
+  };
+  for (int i = 0; i < kTurns; ++i) {
+    turn(own, "image of Cyclone's own type", cyclone_image);
+    turn(ours, "image over DDS", native_image);
+  }
+  table.add("image", "6 MB image over DDS", "cyclone-own-type", own);
+  table.add("image", "6 MB image over DDS", "xauto", ours);
+#else
+  (void)options, (void)table;
+#endif
+}
+
 void transfers(const Options& options, Table& table) {
   size<1024>(options, table, "1 KB");
   size<std::size_t{1} << 20>(options, table, "1 MB");
   size<std::size_t{6} << 20>(options, table, "6 MB");
+  images(options, table);
 }
 
 }  // namespace xauto::bench

@@ -21,6 +21,9 @@
 
 namespace xauto {
 
+template <class T>
+struct Interface;  // of types made from .msg and .idl files, see xauto/cdr.h
+
 /// A name and a message type. A value: copies name the same topic. Two modules that use one name
 /// with two types are refused when the App is built.
 template <class T>
@@ -100,12 +103,19 @@ class MessageMemory;
 using TopicHandle = std::shared_ptr<const TopicSpec>;
 using Encode = std::vector<std::byte> (*)(const void*);
 using Decode = std::shared_ptr<const void> (*)(std::span<const std::byte>);
+using EncodedBytes = std::size_t (*)(const void*);
+using EncodeInto = void (*)(const void*, std::span<std::byte>);
+using StampNs = std::int64_t (*)(const void*);
 
 std::shared_ptr<TopicSpec> make_topic(const std::string& name, const std::type_info& type);
 void set_codec(TopicSpec& topic, Encode encode, Decode decode);
 /// Of an encoded message; 8 MiB unless said.
 void set_max_bytes(TopicSpec& topic, std::size_t bytes);
 void set_plain_bytes(TopicSpec& topic, std::size_t bytes);
+/// Of a .msg or .idl file, see xauto/cdr.h. `name` and `schema` are constants of the program;
+/// `stamp_ns` null: it has no header.
+void set_interface(TopicSpec& topic, const char* name, const char* schema, EncodedBytes bytes,
+                   EncodeInto encode, StampNs stamp_ns);
 /// Room for a message where other processes can read it; null: there is none, use the heap.
 std::shared_ptr<void> loan(MessageMemory* memory, std::size_t bytes);
 
@@ -129,12 +139,30 @@ TopicHandle topic_spec(const Topic<T>& topic) {
     set_codec(
         *spec, [](const void* m) { return Codec<T>::encode(*static_cast<const T*>(m)); },
         [](std::span<const std::byte> b) -> std::shared_ptr<const void> {
-          return std::make_shared<const T>(Codec<T>::decode(b));
+          if constexpr (requires(T & m) { Codec<T>::decode_into(m, b); }) {
+            auto message = std::make_shared<T>();  // which may be too large for the stack
+            Codec<T>::decode_into(*message, b);
+            return message;
+          } else {
+            return std::make_shared<const T>(Codec<T>::decode(b));
+          }
         });
     if constexpr (requires { Codec<T>::kMaxBytes; }) set_max_bytes(*spec, Codec<T>::kMaxBytes);
   }
   if constexpr (std::is_trivially_copyable_v<T> && !std::is_pointer_v<T>)
     set_plain_bytes(*spec, sizeof(T));
+  if constexpr (requires { Interface<T>::kName; }) {
+    StampNs stamp_ns = nullptr;
+    if constexpr (requires(const T& m) { Interface<T>::stamp_ns(m); })
+      stamp_ns = [](const void* m) { return Interface<T>::stamp_ns(*static_cast<const T*>(m)); };
+    set_interface(
+        *spec, Interface<T>::kName, Interface<T>::kSchema,
+        [](const void* m) { return Codec<T>::encoded_bytes(*static_cast<const T*>(m)); },
+        [](const void* m, std::span<std::byte> room) {
+          Codec<T>::encode_into(*static_cast<const T*>(m), room);
+        },
+        stamp_ns);
+  }
   return spec;
 }
 

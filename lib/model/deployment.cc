@@ -20,7 +20,11 @@ using nlohmann::ordered_json;
 constexpr std::int64_t kMaxRestarts = 1'000'000;
 constexpr std::int64_t kMaxQueue = 256;
 constexpr const char* kOnHangNames[] = {"log", "drop", "restart"};
-constexpr const char* kTransportNames[] = {"cyclonedds", "cyclonedds:feed"};
+constexpr const char* kOut = "cyclonedds";
+constexpr const char* kFeed = "cyclonedds:feed";
+constexpr const char* kReliabilityNames[] = {"reliable", "best_effort"};
+constexpr const char* kDurabilityNames[] = {"volatile", "transient_local"};
+constexpr const char* kProfileNames[] = {"default", "sensor_data"};
 
 ModuleDeployment read_module(const Reader& r) {
   ModuleDeployment m;
@@ -68,6 +72,59 @@ ModuleDeployment read_module(const Reader& r) {
           m.parameters.emplace(name, value.scalar());
         });
   return m;
+}
+
+/// One of two words, by its place among `names`.
+template <class Enum>
+std::optional<Enum> one_of(const Reader& r, const char* key, const char* const (&names)[2]) {
+  if (!r.has(key)) return std::nullopt;
+  const std::string text = r[key].text();
+  for (std::size_t i = 0; i < std::size(names); ++i)
+    if (text == names[i]) return static_cast<Enum>(i);
+  r[key].refuse(std::string("must be \"") + names[0] + "\" or \"" + names[1] + "\"");
+  return std::nullopt;
+}
+
+TopicTransport read_transport(const Reader& r) {
+  TopicTransport t;
+  if (!r.is_object()) {
+    const std::string where = r.text();
+    t.feed = where == kFeed;
+    if (!t.feed && where != kOut)
+      r.refuse(std::string("must be \"") + kOut + "\" or \"" + kFeed + "\"");
+    return t;
+  }
+  if (r["via"].text() != kOut) r["via"].refuse(std::string("must be \"") + kOut + "\"");
+  if (r.has("feed")) t.feed = r["feed"].boolean();
+  if (!r.has("qos")) return t;
+  const Reader qos = r["qos"];
+  if (!qos.is_object()) qos.refuse("must be an object");
+  t.qos.profile = one_of<QosProfile>(qos, "profile", kProfileNames);
+  t.qos.reliability = one_of<Reliability>(qos, "reliability", kReliabilityNames);
+  t.qos.durability = one_of<Durability>(qos, "durability", kDurabilityNames);
+  if (qos.has("depth")) {
+    t.qos.depth = qos["depth"].integer(1, kMaxQosDepth);
+    if (t.feed) qos["depth"].refuse("is of what goes out: of what is fed the newest message waits");
+  }
+  if (qos.has("deadline_us")) t.qos.deadline_us = qos["deadline_us"].integer(1, kMaxTimeUs);
+  return t;
+}
+
+ordered_json to_document(const TopicTransport& t) {
+  if (t.qos == TopicQos{}) return t.feed ? kFeed : kOut;
+  ordered_json out = {{"via", kOut}};
+  if (t.feed) out["feed"] = true;
+  ordered_json qos = ordered_json::object();
+  const auto word = [&](const char* key, const auto& value, const char* const(&names)[2]) {
+    if (value) qos[key] = names[static_cast<std::size_t>(*value)];
+  };
+  word("profile", t.qos.profile, kProfileNames);
+  word("reliability", t.qos.reliability, kReliabilityNames);
+  word("durability", t.qos.durability, kDurabilityNames);
+  if (t.qos.depth) qos["depth"] = *t.qos.depth;
+  if (t.qos.deadline_us) qos["deadline_us"] = *t.qos.deadline_us;
+  out["qos"] = std::move(qos);
+  return out;
 }
 
 ordered_json to_document(const ModuleDeployment& m) {
@@ -119,10 +176,6 @@ void check(const Deployment& d, const std::set<std::string>& modules, const Read
 
 const char* to_string(OnHang action) {
   return kOnHangNames[static_cast<std::size_t>(action)];
-}
-
-const char* to_string(TopicTransport transport) {
-  return kTransportNames[static_cast<std::size_t>(transport)];
 }
 
 Result<Overload> Overload::parse(const std::string& text) {
@@ -261,10 +314,7 @@ Result<Deployment> parse(std::string_view text, std::string_view origin, const A
   if (root.has("transport"))
     root["transport"].each_member(kMaxTransports, [&](const std::string& topic, const Reader& r) {
       if (topic.empty()) return r.refuse("is for a topic without a name");
-      const std::string where = r.text();
-      for (std::size_t i = 0; i < std::size(kTransportNames); ++i)
-        if (where == kTransportNames[i]) d.transport.emplace(topic, static_cast<TopicTransport>(i));
-      if (!d.transport.contains(topic)) r.refuse("must be \"cyclonedds\" or \"cyclonedds:feed\"");
+      d.transport.emplace(topic, read_transport(r));
     });
   if (root.has("tables")) {
     const Reader tables = root["tables"];
@@ -330,7 +380,7 @@ std::string to_json(const Deployment& d) {
   document["chains"] = std::move(chains);
   if (!d.transport.empty()) {
     ordered_json transport = ordered_json::object();
-    for (const auto& [topic, where] : d.transport) transport[topic] = to_string(where);
+    for (const auto& [topic, where] : d.transport) transport[topic] = to_document(where);
     document["transport"] = std::move(transport);
   }
   if (d.tables != TablesDeployment{}) {

@@ -15,6 +15,7 @@
 #include "model/app.h"
 #include "model/keys.h"
 #include "model/parameter.h"
+#include "model/topic_transport.h"
 
 namespace xauto {
 
@@ -40,13 +41,6 @@ struct Overload {
   [[nodiscard]] std::string to_string() const;
   bool operator==(const Overload&) const = default;
 };
-
-/// Where else a topic goes, beside the app's own processes.
-enum class TopicTransport : std::uint8_t {
-  kCycloneDds,      ///< its messages are published to DDS, too
-  kCycloneDdsFeed,  ///< a source's topic: its messages come from DDS
-};
-[[nodiscard]] const char* to_string(TopicTransport transport);
 
 /// What is said of one XModule; of all others in `Deployment::defaults`.
 struct ModuleDeployment {

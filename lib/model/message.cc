@@ -66,6 +66,15 @@ void set_plain_bytes(TopicSpec& topic, std::size_t bytes) {
   topic.plain_bytes = bytes;
 }
 
+void set_interface(TopicSpec& topic, const char* name, const char* schema, EncodedBytes bytes,
+                   EncodeInto encode, StampNs stamp_ns) {
+  topic.ros_type = name;
+  topic.schema = schema;
+  topic.encoded_bytes = bytes;
+  topic.encode_into = encode;
+  topic.stamp_ns = stamp_ns;
+}
+
 std::shared_ptr<void> loan(MessageMemory* memory, std::size_t bytes) {
   return memory == nullptr ? nullptr : memory->loan(bytes);
 }

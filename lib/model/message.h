@@ -9,6 +9,7 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <string_view>
 #include <typeindex>
 #include <vector>
 
@@ -52,6 +53,13 @@ struct TopicSpec {
   std::size_t plain_bytes = 0;
   /// Largest encoded message between processes: Codec<T>::kMaxBytes, if it says so.
   std::size_t max_bytes = std::size_t{8} << 20;
+  /// Of a type of a .msg or .idl file, whose Codec then writes and reads CDR.
+  std::string ros_type = {};     ///< "sensor_msgs/msg/Image"; empty: it is none
+  std::string_view schema = {};  ///< its definition as MCAP's "ros2msg"
+  /// `encode` without a vector in between; null unless `ros_type` is set.
+  EncodedBytes encoded_bytes = nullptr;
+  EncodeInto encode_into = nullptr;
+  StampNs stamp_ns = nullptr;  ///< of its header, ns since 1970; null: it has none
 };
 
 struct InputData {

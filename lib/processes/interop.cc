@@ -40,7 +40,7 @@ Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& p
     if (topic == graph.topics.end())
       return fail(ErrorCode::kInvalid, "the app has no such topic", place);
     const auto t = static_cast<std::size_t>(topic - graph.topics.begin());
-    const bool feed = where == TopicTransport::kCycloneDdsFeed;
+    const bool feed = where.feed;
     if (feed && topic->source < 0)
       return fail(ErrorCode::kInvalid, "is published by a module, so it cannot be fed", place,
                   "\"cyclonedds\" lets others hear it; only topics of sources can be fed");
@@ -62,11 +62,15 @@ Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& p
   interop->publishers_.resize(graph.topics.size());
   interop->feeds_.resize(graph.topics.size());
   for (const std::size_t t : out) {
-    XAUTO_ASSIGN(interop->publishers_[t], interop->bridge_->publish(graph.topics[t].spec));
+    const detail::TopicSpec& spec = graph.topics[t].spec;
+    XAUTO_ASSIGN(interop->publishers_[t],
+                 interop->bridge_->publish(spec, session.deployment.transport.at(spec.name).qos));
   }
   for (const std::size_t t : in) {
+    const detail::TopicSpec& spec = graph.topics[t].spec;
     XAUTO_ASSIGN(interop->feeds_[t],
-                 interop->bridge_->subscribe(graph.topics[t].spec, interop->arrived_));
+                 interop->bridge_->subscribe(spec, session.deployment.transport.at(spec.name).qos,
+                                             interop->arrived_));
   }
   return interop;
 }
@@ -75,15 +79,15 @@ Interop::~Interop() {
   stop();
 }
 
-std::vector<std::shared_ptr<const void>> Interop::take(const std::vector<int>& topics,
-                                                       std::int64_t until_ns,
-                                                       const std::atomic<bool>& stop) {
-  std::vector<std::shared_ptr<const void>> messages(topics.size());
+std::vector<detail::Envelope> Interop::take(const std::vector<int>& topics, std::int64_t until_ns,
+                                            const std::atomic<bool>& stop) {
+  std::vector<detail::Envelope> messages(topics.size());
   for (;;) {
     bool all = true;
     for (std::size_t i = 0; i < topics.size(); ++i) {
-      if (auto newest = take(static_cast<std::size_t>(topics[i]))) messages[i] = std::move(newest);
-      all = all && messages[i] != nullptr;
+      if (auto newest = take(static_cast<std::size_t>(topics[i])); newest.message != nullptr)
+        messages[i] = std::move(newest);
+      all = all && messages[i].message != nullptr;
     }
     const std::int64_t now = now_ns();
     if (all || until_ns <= now || stop.load()) return messages;
@@ -96,9 +100,9 @@ std::vector<std::shared_ptr<const void>> Interop::take(const std::vector<int>& t
   }
 }
 
-std::shared_ptr<const void> Interop::take(std::size_t topic) {
-  std::shared_ptr<const void> newest;
-  while (auto envelope = feeds_[topic]->take()) newest = std::move(envelope->message);
+detail::Envelope Interop::take(std::size_t topic) {
+  detail::Envelope newest;
+  while (auto envelope = feeds_[topic]->take()) newest = std::move(*envelope);
   return newest;
 }
 

@@ -36,13 +36,13 @@ class Interop {
   [[nodiscard]] bool feeds(std::size_t topic) const { return feeds_[topic] != nullptr; }
   /// The newest message of each of `topics` that was not taken yet. Waits until all have one, not
   /// beyond `until_ns` or a stop; null: none came.
-  [[nodiscard]] std::vector<std::shared_ptr<const void>> take(const std::vector<int>& topics,
-                                                              std::int64_t until_ns,
-                                                              const std::atomic<bool>& stop);
+  [[nodiscard]] std::vector<detail::Envelope> take(const std::vector<int>& topics,
+                                                   std::int64_t until_ns,
+                                                   const std::atomic<bool>& stop);
   /// Something has come for this source's topic that was not taken yet.
   [[nodiscard]] bool waits(std::size_t topic) const { return !feeds_[topic]->empty(); }
-  /// The newest of it; null: it is no message of that type.
-  [[nodiscard]] std::shared_ptr<const void> take(std::size_t topic);
+  /// The newest of it, with its stamp or arrival as origin; null: it is no message of that type.
+  [[nodiscard]] detail::Envelope take(std::size_t topic);
   /// Returns when something comes, or at `until_ns`, and now and then without a reason; at once
   /// unless `nothing_to_do`.
   template <class NothingToDo>

@@ -31,7 +31,8 @@ void Feeds::run() {
         wake_ns = std::min(wake_ns, earliest_ns);
         continue;
       }
-      auto message = interop_.take(feed.topic);
+      // The certificate counts with when jobs can begin, so it is the arrival that gives the grid.
+      auto message = interop_.take(feed.topic).message;
       if (message == nullptr) continue;  // it was refused
       feed.pace.passed(now_ns());
       (void)feed.inlet->push(std::move(message));  // full: it is left out, and counted as such

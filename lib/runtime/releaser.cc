@@ -397,7 +397,8 @@ void Releaser::take_fed(std::vector<Sample> fed, std::int64_t period_ns,
   for (const Sample& sample : fed) topics.push_back(sample.topic);
   auto taken = wiring_.interop()->take(topics, until, stop_);
   for (std::size_t i = 0; i < fed.size(); ++i) {
-    fed[i].message = std::move(taken[i]);  // null: a tombstone, for whoever counts
+    fed[i].message = std::move(taken[i].message);  // null: a tombstone, for whoever counts
+    fed[i].stamp_ns = taken[i].origin_ns;
     samples.push_back(std::move(fed[i]));
   }
 }
@@ -454,24 +455,26 @@ std::vector<std::string> Releaser::broken() const {
 
 void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) {
   const std::uint64_t sequence = samples.front().sequence;
-  if (tables_) {
-    tables_->before(sequence, [this] { return wait_drained(); });
-    now_ns = std::max(now_ns, xauto::now_ns());  // what waited was not released before
-  }
+  // What waited was not released before.
+  if (tables_ && tables_->before(sequence, [this] { return wait_drained(); }))
+    now_ns = xauto::now_ns();
   const auto origin_of = [&](const Sample& sample) {
-    return sample.nominal_ns > 0 ? sample.nominal_ns : now_ns;
+    if (sample.nominal_ns > 0) return sample.nominal_ns;
+    return sample.stamp_ns > 0 ? sample.stamp_ns : now_ns;
   };
   for (const Sample& sample : samples)
     if (sample.nominal_ns > 0) watch_jitter(now_ns, sample);
-  ledger_.open(sequence, origin_of(samples.front()));
+  std::int64_t oldest_ns = INT64_MAX;
+  for (const Sample& sample : samples) oldest_ns = std::min(oldest_ns, origin_of(sample));
+  ledger_.open(sequence, oldest_ns);
   if (context_.trace != nullptr) {
     // One release in an app of one rate, several otherwise.
     const bool whole = context_.graph.single_rate && !context_.grid.periodic;
     for (std::size_t i = 0; i < (whole ? 1 : samples.size()); ++i) {
       const auto& topic = context_.graph.topics[static_cast<std::size_t>(samples[i].topic)];
       context_.trace->write_at(
-          origin_of(samples[i]), XAUTO_EV_PUBLISH, samples[i].sequence, XAUTO_EV_NONE,
-          XAUTO_EV_NONE, XAUTO_EV_NONE,
+          whole ? oldest_ns : origin_of(samples[i]), XAUTO_EV_PUBLISH, samples[i].sequence,
+          XAUTO_EV_NONE, XAUTO_EV_NONE, XAUTO_EV_NONE,
           whole ? 0
                 : XAUTO_TAKE_SOURCE | (samples[i].urgent ? XAUTO_RELEASE_URGENT : 0) |
                       context_.grid.sources[static_cast<std::size_t>(topic.source)].number);
@@ -522,7 +525,7 @@ Status Releaser::open_recorder() {
 void Releaser::record(std::int64_t now_ns, const std::vector<Sample>& samples) {
   const auto if_full = context_.session.lockstep ? record::BackgroundRecorder::IfFull::kWait
                                                  : record::BackgroundRecorder::IfFull::kLose;
-  for (const auto& [topic, sequence, message, nominal_ns, is_urgent] : samples) {
+  for (const auto& [topic, sequence, message, nominal_ns, is_urgent, stamp_ns] : samples) {
     if (message == nullptr) continue;
     const auto t = static_cast<std::size_t>(topic);
     try {

@@ -56,6 +56,7 @@ class Releaser {
     std::shared_ptr<const void> message;  ///< null: lost
     std::int64_t nominal_ns = 0;          ///< when it should be released; 0: when it is
     bool urgent = false;
+    std::int64_t stamp_ns = 0;  ///< its origin, of what is fed without a grid; 0: the release
   };
   struct Seen;
   Releaser(const Context& context, Wiring& wiring, Ledger& ledger, const std::atomic<bool>& stop)

@@ -83,7 +83,7 @@ void TableSwitch::look() {
   }
 }
 
-void TableSwitch::before(std::uint64_t release, const std::function<bool()>& drained) {
+bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& drained) {
   const std::int64_t since = now_ns();
   const int from = choice_.now().scenario;
   const auto choose = [&] {
@@ -99,7 +99,7 @@ void TableSwitch::before(std::uint64_t release, const std::function<bool()>& dra
       if (!std::exchange(stuck_, true))
         log::error("what is in flight does not end, so releases keep table '{}'",
                    tables_.tables[static_cast<std::size_t>(table_)].name);
-      return;
+      return true;
     }
     stuck_ = false;
     held_ns = now_ns() - since;
@@ -116,7 +116,10 @@ void TableSwitch::before(std::uint64_t release, const std::function<bool()>& dra
   const auto now_in = static_cast<std::size_t>(choice.scenario);
   catches_up_ = waited && tables_.serves[now_in].worst_case_us * 1000 <= period_ns_;
   if (choice.table != table_) put(release, choice.table);
-  if (!changed) return tell_outside(choice);
+  if (!changed) {
+    tell_outside(choice);
+    return waited;
+  }
   change.release = release;
   change.from = tables_.scenarios[static_cast<std::size_t>(from)].name;
   change.to = tables_.scenarios[now_in].name;
@@ -124,6 +127,7 @@ void TableSwitch::before(std::uint64_t release, const std::function<bool()>& dra
   if (const Change* claimed = change_of(from, choice.scenario))
     change.worst_case_us = claimed->worst_case_us;
   tell(std::move(change), choice);
+  return waited;
 }
 
 /// Counts the latencies of releases below `below`: under the scenario in force, or, with `change`, as

@@ -42,8 +42,8 @@ class TableSwitch {
                                                                  const Ledger& ledger);
 
   /// Release `release` is about to be published: gives it its table. `drained` waits until all
-  /// earlier ones have ended; false: it gave up, then the table stays.
-  void before(std::uint64_t release, const std::function<bool()>& drained);
+  /// earlier ones have ended; false: it gave up, then the table stays. Returns whether it waited.
+  bool before(std::uint64_t release, const std::function<bool()>& drained);
   /// A release that should have been at `due_ns` is so late at `now_ns` that it is left out.
   [[nodiscard]] bool too_late(std::int64_t now_ns, std::int64_t due_ns) const;
 

@@ -13,6 +13,7 @@
 #include <xauto/result.h>
 
 #include "model/message.h"
+#include "model/topic_transport.h"
 #include "transport/doorbell.h"
 #include "transport/transport.h"
 
@@ -26,13 +27,14 @@ class Bridge {
   Bridge(const Bridge&) = delete;
   Bridge& operator=(const Bridge&) = delete;
 
-  /// A publisher never waits: kBridgeQueue messages wait for the bridge's own thread, then the
-  /// oldest is lost for the outside.
-  [[nodiscard]] virtual Result<std::shared_ptr<Publisher>> publish(
-      const detail::TopicSpec& topic) = 0;
-  /// `arrived` is rung by a thread of the middleware.
+  /// A publisher never waits: as many messages as the QoS has depth (kBridgeQueue, if it says none)
+  /// wait for the bridge's own thread, then the oldest is lost for the outside.
+  [[nodiscard]] virtual Result<std::shared_ptr<Publisher>> publish(const detail::TopicSpec& topic,
+                                                                   const TopicQos& qos) = 0;
+  /// `arrived` is rung by a thread of the middleware. The origin of what it takes is the message's
+  /// stamp, if it has a credible one.
   [[nodiscard]] virtual Result<std::shared_ptr<Subscriber>> subscribe(
-      const detail::TopicSpec& topic, Doorbell& arrived) = 0;
+      const detail::TopicSpec& topic, const TopicQos& qos, Doorbell& arrived) = 0;
   /// Sends what waits, for at most a second, and ends the threads.
   virtual void stop() = 0;
   /// What went wrong since the start, for the run's report; a line each.

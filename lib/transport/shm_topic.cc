@@ -224,6 +224,12 @@ std::uint32_t ShmPublisher::store(const void* message, std::uint64_t& bytes) {
   }
   if (spec_.encode == nullptr) return kNoChunk;
   try {
+    if (spec_.encode_into != nullptr) {
+      bytes = spec_.encoded_bytes(message);
+      if (bytes > control_->shape().chunk_bytes) return kNoChunk;
+      spec_.encode_into(message, {at, bytes});
+      return chunk;
+    }
     const std::vector<std::byte> encoded = spec_.encode(message);
     bytes = encoded.size();
     if (bytes > control_->shape().chunk_bytes) return kNoChunk;

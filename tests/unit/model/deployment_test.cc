@@ -61,11 +61,40 @@ TEST(Deployment, WhatIsWrittenIsReadAgain) {
           {"a": true, "b": -3, "c": 0.5, "d": 1.0, "e": "day", "f": -9223372036854775808},
           "remap": {"image": "camera/left", "x": "y"}}}, "instances": {"B": "b", "C": "b"}, "budgets_us": {"a2": 900},
       "chains": [{"name": "n", "from": "camera", "to": "C", "deadline_us": 5, "max_age_us": 6}],
-      "transport": {"camera": "cyclonedds:feed", "objects": "cyclonedds"})");
+      "transport": {"camera": "cyclonedds:feed", "objects": "cyclonedds",
+          "imu": {"via": "cyclonedds", "feed": true, "qos": {"profile": "sensor_data", "deadline_us": 7}},
+          "map": {"via": "cyclonedds", "qos": {"reliability": "best_effort",
+                  "durability": "transient_local", "depth": 3}}})");
   ASSERT_TRUE(d) << d.error().to_string();
   const auto again = parse_deployment(to_json(*d), "again", make_app());
   ASSERT_TRUE(again) << again.error().to_string();
   EXPECT_EQ(*again, *d);
+}
+
+TEST(Deployment, TransportIsAWordOrAnObjectThatSaysMore) {
+  const auto d = parse(R"(, "transport": {"a": "cyclonedds", "b": {"via": "cyclonedds"},
+      "c": {"via": "cyclonedds", "feed": true}, "d": "cyclonedds:feed"})");
+  ASSERT_TRUE(d) << d.error().to_string();
+  EXPECT_EQ(d->transport.at("a"), d->transport.at("b"));
+  EXPECT_EQ(d->transport.at("c"), d->transport.at("d"));
+  EXPECT_TRUE(d->transport.at("c").feed);
+}
+
+TEST(Deployment, ProfileIsWhatHoldsWhereNothingElseIsSaid) {
+  EXPECT_EQ(TopicQos{}.resolved(), TopicQos{});
+  // The values of rmw/qos_profiles.h, rmw_qos_profile_sensor_data and rmw_qos_profile_default.
+  EXPECT_EQ(TopicQos{.profile = QosProfile::kSensorData}.resolved(),
+            (TopicQos{.reliability = Reliability::kBestEffort,
+                      .durability = Durability::kVolatile,
+                      .depth = 5}));
+  EXPECT_EQ((TopicQos{.profile = QosProfile::kDefault,
+                      .reliability = Reliability::kBestEffort,
+                      .deadline_us = 9}
+                 .resolved()),
+            (TopicQos{.reliability = Reliability::kBestEffort,
+                      .durability = Durability::kVolatile,
+                      .depth = 10,
+                      .deadline_us = 9}));
 }
 
 TEST(Deployment, ParametersKeepTheTypesThatTheyAreWrittenWith) {
@@ -131,6 +160,27 @@ TEST(Deployment, RefusalsNameThePlaceAndTheCause) {
        "d.json: /chains/1/name: is the name of another chain, too"},
       {R"(, "transport": {"t": "pigeon"})",
        "d.json: /transport/t: must be \"cyclonedds\" or \"cyclonedds:feed\""},
+      {R"(, "transport": {"t": 5})", "d.json: /transport/t: must be a string, is 5"},
+      {R"(, "transport": {"t": {"feed": true}})", "d.json: /transport/t: key \"via\" is missing"},
+      {R"(, "transport": {"t": {"via": "cyclonedds:feed"}})",
+       "d.json: /transport/t/via: must be \"cyclonedds\""},
+      {R"(, "transport": {"t": {"via": "cyclonedds", "feed": 1}})",
+       "d.json: /transport/t/feed: must be true or false, is 1"},
+      {R"(, "transport": {"t": {"via": "cyclonedds", "qos": "sensor_data"}})",
+       "d.json: /transport/t/qos: must be an object"},
+      {R"(, "transport": {"t": {"via": "cyclonedds", "qos": {"profile": "fast"}}})",
+       "d.json: /transport/t/qos/profile: must be \"default\" or \"sensor_data\""},
+      {R"(, "transport": {"t": {"via": "cyclonedds", "qos": {"reliability": "yes"}}})",
+       "d.json: /transport/t/qos/reliability: must be \"reliable\" or \"best_effort\""},
+      {R"(, "transport": {"t": {"via": "cyclonedds", "qos": {"durability": "persistent"}}})",
+       "d.json: /transport/t/qos/durability: must be \"volatile\" or \"transient_local\""},
+      {R"(, "transport": {"t": {"via": "cyclonedds", "qos": {"depth": 0}}})",
+       "d.json: /transport/t/qos/depth: must be an integer from 1 to 256, is 0"},
+      {R"(, "transport": {"t": {"via": "cyclonedds", "feed": true, "qos": {"depth": 5}}})",
+       "d.json: /transport/t/qos/depth: is of what goes out: of what is fed the newest message "
+       "waits"},
+      {R"(, "transport": {"t": {"via": "cyclonedds", "qos": {"deadline_us": -1}}})",
+       "d.json: /transport/t/qos/deadline_us: must be an integer from 1 to 1000000000000, is -1"},
       {R"(, "transport": {"": "cyclonedds"})",
        "d.json: /transport/: is for a topic without a name"},
   };
