@@ -33,8 +33,8 @@ void BackgroundRecorder::write_enclosed(std::size_t topic, std::int64_t timestam
 }
 
 void BackgroundRecorder::write(std::size_t topic, std::int64_t timestamp_ns,
-                               std::vector<std::byte> data) {
-  put({topic, timestamp_ns, {}, std::move(data)}, IfFull::kWait);
+                               std::vector<std::byte> data, IfFull if_full) {
+  put({topic, timestamp_ns, {}, std::move(data)}, if_full);
 }
 
 void BackgroundRecorder::put(Item item, IfFull if_full) {

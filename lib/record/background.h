@@ -34,8 +34,9 @@ class BackgroundRecorder {
   /// or the caller waits. After the first failure nothing is recorded any more.
   void write_enclosed(std::size_t topic, std::int64_t timestamp_ns, std::uint64_t number,
                       std::vector<std::byte> data, IfFull if_full);
-  /// A message as it is; waits for room.
-  void write(std::size_t topic, std::int64_t timestamp_ns, std::vector<std::byte> data);
+  /// A message as it is.
+  void write(std::size_t topic, std::int64_t timestamp_ns, std::vector<std::byte> data,
+             IfFull if_full = IfFull::kWait);
   /// Writes what waits and closes the file. What went wrong first; or that messages were lost.
   [[nodiscard]] Status close();
 

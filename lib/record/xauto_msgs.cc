@@ -46,9 +46,13 @@ mcap::Bytes begin(std::int64_t stamp_ns, std::uint64_t number, std::size_t more)
 
 }  // namespace
 
-Topic app_topic(const std::string& name) {
-  return {name.starts_with('/') ? name : "/" + name, std::string(kMessageType), "cdr", "ros2msg",
-          kMessageSchema};
+Topic app_topic(const std::string& name, const std::string& ros_type, std::string_view schema) {
+  Topic topic{name.starts_with('/') ? name : "/" + name, std::string(kMessageType), "cdr",
+              "ros2msg", kMessageSchema};
+  if (ros_type.empty()) return topic;
+  topic.type = ros_type;
+  topic.schema = schema;
+  return topic;
 }
 
 bool is_app_topic(const Topic& recorded, const std::string& name) {

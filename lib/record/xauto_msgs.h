@@ -19,8 +19,10 @@ namespace xauto::record {
 
 inline constexpr std::string_view kMessageType = "xauto_msgs/msg/Message";
 
-/// The topic of a recording that an app's topic `name` becomes: "/name", as ROS 2 has it.
-[[nodiscard]] Topic app_topic(const std::string& name);
+/// The topic of a recording that an app's topic `name` becomes: "/name", as ROS 2 has it. `ros_type`,
+/// `schema`: of a type that ROS 2 knows (TopicSpec); its messages are recorded as they are. Else empty.
+[[nodiscard]] Topic app_topic(const std::string& name, const std::string& ros_type = {},
+                              std::string_view schema = {});
 /// Whether messages of `recorded` are those of the app's topic `name`.
 [[nodiscard]] bool is_app_topic(const Topic& recorded, const std::string& name);
 

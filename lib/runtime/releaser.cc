@@ -509,7 +509,8 @@ Status Releaser::open_recorder() {
       return fail(ErrorCode::kInvalid,
                   "messages of type " + topic.spec.type_name + " cannot be recorded",
                   "topic '" + topic.spec.name + "'", "specialise xauto::Codec for it");
-    XAUTO_ASSIGN(recorded_topic_[t], recorder.add_topic(record::app_topic(topic.spec.name)));
+    XAUTO_ASSIGN(recorded_topic_[t], recorder.add_topic(record::app_topic(topic.spec.name, topic.spec.ros_type,
+                                                                  topic.spec.schema)));
   }
   if (context_.graph.single_rate) {
     XAUTO_ASSIGN(releases_topic_, recorder.add_topic(record::releases_topic()));
@@ -529,8 +530,13 @@ void Releaser::record(std::int64_t now_ns, const std::vector<Sample>& samples) {
     if (message == nullptr) continue;
     const auto t = static_cast<std::size_t>(topic);
     try {
-      recorder_->write_enclosed(recorded_topic_[t], now_ns + wall_offset_ns_, sequence,
-                                context_.graph.topics[t].spec.encode(message.get()), if_full);
+      const detail::TopicSpec& spec = context_.graph.topics[t].spec;
+      std::vector<std::byte> bytes = spec.encode(message.get());
+      if (spec.ros_type.empty())
+        recorder_->write_enclosed(recorded_topic_[t], now_ns + wall_offset_ns_, sequence,
+                                  std::move(bytes), if_full);
+      else
+        recorder_->write(recorded_topic_[t], now_ns + wall_offset_ns_, std::move(bytes), if_full);
     } catch (const std::exception& e) {
       recording_error_ = std::string("recording ended early: ") + e.what();
       log::warn("{}", recording_error_);
