@@ -3,13 +3,16 @@
 
 #include <algorithm>
 #include <limits>
+#include <utility>
 
 #include "emu/device.h"
+#include "emu/script_play.h"
 
 namespace xauto::emu {
 namespace {
 
 constexpr Nanos kNever = std::numeric_limits<Nanos>::max();
+using Wide = __int128;
 
 /// Far enough from the end that sums of times do not overflow.
 bool is_time(Nanos time) {
@@ -32,7 +35,7 @@ Status Device::submit(ContextId id, std::uint64_t tag, Nanos work_ns) {
   if (context.busy) return fail(ErrorCode::kInvalid, "the context has a job already", stats_.name);
   context.busy = true;
   context.tag = tag;
-  context.left_ns = work_ns;
+  context.left = work_ns * kUnits;
   if (!context.suspended) join(id);
   return {};
 }
@@ -40,6 +43,10 @@ Status Device::submit(ContextId id, std::uint64_t tag, Nanos work_ns) {
 Status Device::suspend(ContextId id, std::uint64_t tag, Nanos now, std::vector<Event>& events) {
   if (!preemptive_) return fail(ErrorCode::kUnavailable, "is not preemptive", stats_.name);
   Context& context = contexts_[id];
+  if (stopped() && !context.suspended && is_on(id)) {
+    stuck_.push_back({id, tag, now + kStuckNs});
+    return {};
+  }
   if (!context.suspended) {
     context.suspended = true;
     if (context.busy && evict(id)) {
@@ -57,6 +64,11 @@ Status Device::suspend(ContextId id, std::uint64_t tag, Nanos now, std::vector<E
 
 Status Device::resume(ContextId id, std::uint64_t tag, Nanos now, std::vector<Event>& events) {
   Context& context = contexts_[id];
+  std::erase_if(stuck_, [&](const Stuck& waits) {
+    if (waits.context != id) return false;
+    events.push_back({Event::Kind::kStuck, id, waits.tag, now});
+    return true;
+  });
   if (context.suspended) {
     context.suspended = false;
     context.block = 0;
@@ -64,6 +76,32 @@ Status Device::resume(ContextId id, std::uint64_t tag, Nanos now, std::vector<Ev
   }
   events.push_back({Event::Kind::kResumed, id, tag, now});
   return {};
+}
+
+Nanos Device::next_event() const {
+  return std::min(stuck_.empty() ? kNever : stuck_.front().until, next_of_work());
+}
+
+void Device::advance(Nanos limit, std::vector<Event>& events) {
+  advance_work(stuck_.empty() ? limit : std::min(limit, stuck_.front().until), events);
+  while (!stuck_.empty() && stuck_.front().until <= now_) {
+    events.push_back(
+        {Event::Kind::kStuck, stuck_.front().context, stuck_.front().tag, stuck_.front().until});
+    stuck_.pop_front();
+  }
+}
+
+void Device::tune(Nanos rate, Nanos cores, std::vector<Event>& events) {
+  rate_ = rate;
+  cores_ = cores;
+  if (stopped()) return;
+  // It goes on: what was asked for meanwhile is done now.
+  for (const Stuck& waits : std::exchange(stuck_, {})) {
+    if (!contexts_.contains(waits.context))
+      events.push_back({Event::Kind::kStuck, waits.context, waits.tag, now_});
+    else
+      (void)suspend(waits.context, waits.tag, now_, events);  // it is preemptive
+  }
 }
 
 Status Device::level(ContextId id, int level) {
@@ -108,17 +146,17 @@ bool TimeSliced::evict(ContextId id) {
   return front && preempt_ns_ > 0;
 }
 
-Nanos TimeSliced::next_event() const {
+Nanos TimeSliced::next_of_work() const {
   if (!acks_.empty()) return blocked_until_;
-  if (queue_.empty()) return kNever;
+  if (queue_.empty() || stopped()) return kNever;
   const Nanos start = std::max({now_, blocked_until_, switch_until_});
-  const Nanos left = contexts_.at(queue_.front()).left_ns;
+  const Nanos left = time_for(contexts_.at(queue_.front()).left);
   const bool sliced = takes_turns();
   const Nanos slice = on_device_ ? slice_left_ : slice_ns_;
   return start + (sliced ? std::min(left, slice) : left);
 }
 
-void TimeSliced::advance(Nanos limit, std::vector<Event>& events) {
+void TimeSliced::advance_work(Nanos limit, std::vector<Event>& events) {
   if (blocked_until_ > now_) {
     now_ = std::min(limit, blocked_until_);
     if (now_ < blocked_until_) return;
@@ -132,7 +170,7 @@ void TimeSliced::advance(Nanos limit, std::vector<Event>& events) {
     now_ = std::min(limit, switch_until_);
     if (now_ < switch_until_) return;
   }
-  if (queue_.empty()) {
+  if (queue_.empty() || stopped()) {
     now_ = limit;
     return;
   }
@@ -144,14 +182,15 @@ void TimeSliced::advance(Nanos limit, std::vector<Event>& events) {
   }
   // Alone, a context's slice is renewed for free; a newcomer finds it wherever it happens to be.
   const bool sliced = takes_turns();
-  const Nanos step =
-      std::min(limit - now_, sliced ? std::min(context.left_ns, slice_left_) : context.left_ns);
+  const Nanos left = time_for(context.left);
+  const Nanos step = std::min(limit - now_, sliced ? std::min(left, slice_left_) : left);
   now_ += step;
-  context.left_ns -= step;
+  // What is left of the nanosecond in which a job ends is nobody's.
+  context.left -= std::min(context.left, step * rate_);
   stats_.busy_ns += step;
   slice_left_ -= step % slice_ns_;
   if (slice_left_ <= 0) slice_left_ += slice_ns_;
-  if (context.left_ns == 0) {
+  if (context.left == 0) {
     queue_.pop_front();
     on_device_ = false;
     finish(id, now_, events);
@@ -167,18 +206,21 @@ void TimeSliced::advance(Nanos limit, std::vector<Event>& events) {
 
 // ---- shared: everybody at once ------------------------------------------------------------------
 
-Nanos Shared::next_event() const {
+Nanos Shared::next_of_work() const {
   if (!acks_.empty()) return blocked_until_;
-  if (running_.empty()) return kNever;
+  if (running_.empty() || stopped()) return kNever;
   Nanos least = kNever;
-  for (const ContextId id : running_) least = std::min(least, contexts_.at(id).left_ns);
+  for (const ContextId id : running_) least = std::min(least, contexts_.at(id).left);
+  least = time_for(least);
   const auto sharers = static_cast<std::int64_t>(running_.size());
   const Nanos start = std::max(now_, blocked_until_);
+  if (sharers <= cores_) return start + least;
   // Rounded up: at that time the work is done for sure.
-  return start + (sharers <= cores_ ? least : (least * sharers + cores_ - 1) / cores_);
+  const Wide shared = (static_cast<Wide>(least) * sharers + cores_ - 1) / cores_;
+  return start + static_cast<Nanos>(std::min<Wide>(shared, kNever / 2));
 }
 
-void Shared::advance(Nanos limit, std::vector<Event>& events) {
+void Shared::advance_work(Nanos limit, std::vector<Event>& events) {
   if (blocked_until_ > now_) {
     now_ = std::min(limit, blocked_until_);
     if (now_ < blocked_until_) return;
@@ -188,22 +230,23 @@ void Shared::advance(Nanos limit, std::vector<Event>& events) {
       events.push_back({Event::Kind::kSuspended, ack.context, ack.tag, blocked_until_});
     acks_.clear();
   }
-  if (running_.empty()) {
+  if (running_.empty() || stopped()) {
     now_ = limit;
     return;
   }
-  const Nanos until = std::min(limit, next_event());
+  const Nanos until = std::min(limit, next_of_work());
   const auto sharers = static_cast<std::int64_t>(running_.size());
   const Nanos elapsed = until - now_;
-  const Nanos progress = sharers <= cores_ ? elapsed : elapsed * cores_ / sharers;
+  const Nanos share = sharers <= cores_
+                          ? elapsed
+                          : static_cast<Nanos>(static_cast<Wide>(elapsed) * cores_ / sharers);
   now_ = until;
   std::vector<ContextId> done;
   for (const ContextId id : running_) {
     Context& context = contexts_[id];
-    const Nanos step = std::min(context.left_ns, progress);
-    context.left_ns -= step;
-    stats_.busy_ns += step;
-    if (context.left_ns == 0) done.push_back(id);
+    context.left -= std::min(context.left, share * rate_);
+    stats_.busy_ns += share;
+    if (context.left == 0) done.push_back(id);
   }
   for (const ContextId id : done) {
     leave(id);
@@ -232,7 +275,7 @@ void Device::save(Snapshot& snapshot) const {
                                  .suspended = context.suspended,
                                  .level = static_cast<std::uint16_t>(context.level),
                                  .tag = context.tag,
-                                 .left_ns = context.left_ns,
+                                 .left = context.left,
                                  .block = context.block});
   };
   for (const ContextId id : order()) append(id, contexts_.at(id));
@@ -264,9 +307,9 @@ Status Device::restore(const DeviceRecord& record, std::span<const ContextRecord
       return refuse("a context's state is impossible");
     if (c.suspended != 0 ? !preemptive_ || c.block > record.block : c.block != 0)
       return refuse("a context cannot be suspended like that");
-    if (c.busy != 0 ? c.left_ns <= 0 || c.left_ns > kMaxWorkNs : c.left_ns != 0)
+    if (c.busy != 0 ? c.left <= 0 || c.left > kMaxWorkNs * kUnits : c.left != 0)
       return refuse("a context's work is impossible");
-    const Context context{c.busy != 0, c.suspended != 0, c.tag, c.left_ns, c.block, c.level};
+    const Context context{c.busy != 0, c.suspended != 0, c.tag, c.left, c.block, c.level};
     if (context.runnable() && (!runnable || c.level > level))
       return refuse("its contexts are out of order");
     runnable = context.runnable();
@@ -301,10 +344,12 @@ Machine::Machine(Machine&&) noexcept = default;
 Machine& Machine::operator=(Machine&&) noexcept = default;
 Machine::~Machine() = default;
 
-Result<Machine> Machine::create(const Platform& platform) {
+Result<Machine> Machine::create(const Platform& platform, const EmulationScript& script) {
   XAUTO_TRY(validate(platform));
+  if (script != EmulationScript{}) XAUTO_TRY(validate(script, platform));
   Machine machine;
-  std::int64_t cpus = 0;
+  machine.script_ = std::make_unique<ScriptPlay>(script);
+  std::vector<std::string> cpus;
   for (const Xpu& xpu : platform.xpus) {
     constexpr Nanos kMicro = 1000;
     // Without time slices who has the device keeps it, as long as nobody comes on a higher level.
@@ -316,10 +361,14 @@ Result<Machine> Machine::create(const Platform& platform) {
     else
       machine.devices_.push_back(
           std::make_unique<Shared>(xpu.id, xpu.preemptive, xpu.preempt_us * kMicro, 1));
-    cpus += xpu.type == "cpu" ? 1 : 0;
+    machine.parts_.push_back({xpu.type, {xpu.id}});
+    if (xpu.type == "cpu") cpus.push_back(xpu.id);
   }
-  if (cpus > 0 && platform.find("cpu") < 0)
-    machine.devices_.push_back(std::make_unique<Shared>("cpu", true, 0, cpus));
+  if (!cpus.empty() && platform.find("cpu") < 0) {
+    const auto cores = static_cast<Nanos>(cpus.size());
+    machine.devices_.push_back(std::make_unique<Shared>("cpu", true, 0, cores));
+    machine.parts_.push_back({"cpu", std::move(cpus), 100, 0, cores});
+  }
   return machine;
 }
 
@@ -353,6 +402,7 @@ void Machine::close(ContextId context, Nanos now) {
   if (found == device_of_.end()) return;
   found->second->close(context);
   device_of_.erase(found);
+  tune(pending_);
 }
 
 Status Machine::submit(ContextId context, std::uint64_t tag, Nanos work_ns, Nanos now) {
@@ -361,21 +411,31 @@ Status Machine::submit(ContextId context, std::uint64_t tag, Nanos work_ns, Nano
   if (work_ns <= 0 || work_ns > kMaxWorkNs)
     return fail(ErrorCode::kInvalid, std::to_string(work_ns) + " ns is no amount of work");
   advance(now, pending_);
-  return device->submit(context, tag, work_ns);
+  XAUTO_TRY(device->submit(context, tag, work_ns));
+  if (script_begin_ < 0) {
+    script_begin_ = now;
+    take_steps(pending_);
+  }
+  tune(pending_);
+  return {};
 }
 
 Status Machine::suspend(ContextId context, std::uint64_t tag, Nanos now) {
   thread_.check();
   XAUTO_ASSIGN(Device * device, device_of(context));
   advance(now, pending_);
-  return device->suspend(context, tag, now, pending_);
+  const Status done = device->suspend(context, tag, now, pending_);
+  tune(pending_);
+  return done;
 }
 
 Status Machine::resume(ContextId context, std::uint64_t tag, Nanos now) {
   thread_.check();
   XAUTO_ASSIGN(Device * device, device_of(context));
   advance(now, pending_);
-  return device->resume(context, tag, now, pending_);
+  const Status done = device->resume(context, tag, now, pending_);
+  tune(pending_);
+  return done;
 }
 
 Status Machine::level(ContextId context, int level, Nanos now) {
@@ -392,13 +452,15 @@ Result<Progress> Machine::progress(ContextId context, std::uint64_t tag) {
 
 void Machine::save(Snapshot& snapshot) const {
   snapshot.next_id = next_id_;
+  snapshot.script_begin = script_begin_;
   snapshot.devices.clear();
   snapshot.contexts.clear();
   for (const auto& device : devices_) device->save(snapshot);
 }
 
-Result<Machine> Machine::restore(const Platform& platform, const Snapshot& snapshot, Nanos now) {
-  XAUTO_ASSIGN(Machine machine, create(platform));
+Result<Machine> Machine::restore(const Platform& platform, const Snapshot& snapshot, Nanos now,
+                                 const EmulationScript& script) {
+  XAUTO_ASSIGN(Machine machine, create(platform, script));
   if (snapshot.devices.size() != machine.devices_.size())
     return fail(ErrorCode::kInvalid, "another platform's devices are here");
   std::span<const ContextRecord> left(snapshot.contexts);
@@ -413,15 +475,25 @@ Result<Machine> Machine::restore(const Platform& platform, const Snapshot& snaps
           !machine.device_of_.emplace(context.id, machine.devices_[i].get()).second)
         return fail(ErrorCode::kInvalid, "context " + std::to_string(context.id) + " cannot be",
                     machine.devices_[i]->stats().name);
+    if (record.now != snapshot.devices.front().now)
+      return fail(ErrorCode::kInvalid, "is at another time than others",
+                  machine.devices_[i]->stats().name);
     XAUTO_TRY(machine.devices_[i]->restore(record, own, now));
+    machine.time_ = record.now;
   }
   if (!left.empty()) return fail(ErrorCode::kInvalid, "contexts are on no device");
   machine.next_id_ = snapshot.next_id;
+  if (snapshot.script_begin < -1 || snapshot.script_begin > machine.time_)
+    return fail(ErrorCode::kInvalid, "its script began at an impossible time");
+  machine.script_begin_ = snapshot.script_begin;
+  machine.take_steps(machine.pending_);
+  machine.tune(machine.pending_, false);
+  machine.pending_.clear();  // nothing has changed
   return machine;
 }
 
 Nanos Machine::next_event() const {
-  Nanos next = kNever;
+  Nanos next = next_change();
   if (!pending_.empty()) next = pending_.front().time;
   for (const auto& device : devices_) next = std::min(next, device->next_event());
   return next;
@@ -432,14 +504,72 @@ void Machine::advance(Nanos now, std::vector<Event>& events) {
   // `events` may be pending_ itself: calls collect there what happened on the way.
   std::vector<Event> happened;
   if (&events != &pending_) happened.swap(pending_);
-  for (const auto& device : devices_) {
-    while (device->next_event() <= now) device->advance(now, happened);
-    // What is left of the interval brings no event.
-    device->advance(now, happened);
+  for (;;) {
+    Nanos next = next_change();
+    for (const auto& device : devices_) next = std::min(next, device->next_event());
+    if (next > now) break;
+    time_ = std::max(time_, next);
+    for (const auto& device : devices_)
+      while (device->next_event() <= next) device->advance(next, happened);
+    if (script_->empty()) continue;
+    take_steps(happened);
+    tune(happened);
   }
+  // What is left of the interval brings no event.
+  time_ = std::max(time_, now);
+  for (const auto& device : devices_) device->advance(now, happened);
   std::stable_sort(happened.begin(), happened.end(),
                    [](const Event& a, const Event& b) { return a.time < b.time; });
   events.insert(events.end(), happened.begin(), happened.end());
+}
+
+Nanos Machine::next_change() const {
+  if (script_begin_ < 0) return kNever;
+  const Nanos next = script_->next_change(time_ - script_begin_);
+  return next == kNever ? kNever : script_begin_ + next;
+}
+
+/// Those of the script that are due.
+void Machine::take_steps(std::vector<Event>& events) {
+  if (script_->empty() || script_begin_ < 0) return;
+  const std::size_t steps = script_->steps_at(time_ - script_begin_);
+  if (steps == steps_) return;
+  steps_ = steps;
+  events.push_back({Event::Kind::kScript, 0, steps, time_});
+  const ScriptPlay::State& state = script_->after(steps);
+  const auto said = [](const auto& percents, const std::string& type, Nanos otherwise) {
+    const auto found = percents.find(type);
+    return found == percents.end() ? otherwise : found->second;
+  };
+  for (Part& part : parts_) {
+    part.speed_pct = said(state.speed_pct, part.type, 100);
+    part.contention_pct = said(state.contention_pct, part.type, 0);
+    part.cores = std::count_if(part.xpus.begin(), part.xpus.end(),
+                               [&](const std::string& id) { return !state.stopped.contains(id); });
+  }
+}
+
+/// To what the script says and who is busy now. `advance`: the devices were as they are until now; not
+/// so those of a machine that is being restored, which nobody has told yet that they are stopped.
+void Machine::tune(std::vector<Event>& events, bool advance) {
+  if (script_->empty()) return;
+  // Only what stops or goes on changes who is busy meanwhile: again until nothing does.
+  for (bool changed = true; changed;) {
+    changed = false;
+    Nanos busy = 0;
+    for (std::size_t d = 0; d < devices_.size(); ++d)
+      if (parts_[d].contention_pct > 0) busy += std::min(parts_[d].cores, devices_[d]->load());
+    for (std::size_t d = 0; d < devices_.size(); ++d) {
+      const Part& part = parts_[d];
+      const Nanos others = part.contention_pct > 0 ? std::max<Nanos>(0, busy - 1) : 0;
+      const Nanos rate =
+          std::max<Nanos>(1, kUnits * part.speed_pct / (100 + part.contention_pct * others));
+      if (devices_[d]->is_tuned(rate, part.cores)) continue;
+      if (advance) devices_[d]->advance(time_, events);
+      devices_[d]->tune(rate, part.cores, events);
+      changed = true;
+    }
+  }
 }
 
 std::vector<DeviceStats> Machine::stats() const {

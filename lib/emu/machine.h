@@ -17,6 +17,18 @@
 //    acknowledged at once, and so is resuming, which is free.
 //  * A device that is not preemptive refuses suspension and runs each job to its end, in order of
 //    arrival.
+//
+// A script (model/emulation_script.h) changes how fast work progresses, from the first submission on:
+//
+//  * Work progresses at rate speed_pct / (100 + contention_pct * others). `others`: how many XPUs of
+//    types with contention have work that may run, itself and those that are stopped not counted.
+//    The rate is a whole number of millionths, rounded down, and at least one. By that number all is
+//    exact, whatever changes in the middle of a job.
+//  * Time slices, switches and preemptions take as long as ever.
+//  * On a device that is stopped no work progresses. A switch or a preemption that is under way ends.
+//    A job that is on it cannot be taken off: who asks is refused after kStuckNs, and it stays; if the
+//    device goes on earlier, it is taken off then. All else is answered as ever.
+//  * A stopped CPU is missing in the pool of all of them.
 #pragma once
 
 #include <cstdint>
@@ -29,6 +41,7 @@
 #include <xauto/result.h>
 
 #include "base/thread_safety.h"
+#include "model/emulation_script.h"
 #include "model/platform.h"
 
 namespace xauto::emu {
@@ -38,23 +51,29 @@ using Nanos = std::int64_t;
 
 inline constexpr std::size_t kMaxContexts = 4096;
 inline constexpr Nanos kMaxWorkNs = 3'600'000'000'000;  ///< an hour
+/// Of work, in a nanosecond at nominal speed: an hour of it fits into 64 bits.
+inline constexpr Nanos kUnits = 1'000'000;
+/// nvgpu gives an engine so long to be left (its context switch timeout), then PREEMPT fails.
+inline constexpr Nanos kStuckNs = 100'000'000;
 
 struct Event {
-  enum class Kind : std::uint8_t { kDone, kSuspended, kResumed } kind;
-  ContextId context;
-  std::uint64_t tag;  ///< the job of kDone, the request of the others
+  /// kStuck: a suspension that was refused; kScript: the script has gone on.
+  enum class Kind : std::uint8_t { kDone, kSuspended, kResumed, kStuck, kScript } kind;
+  ContextId context;  ///< 0: of none
+  std::uint64_t tag;  ///< the job of kDone, the request of the others; kScript: steps taken so far
   Nanos time;
   bool operator==(const Event&) const = default;
 };
 
 struct DeviceStats {
   std::string name;
-  Nanos busy_ns = 0;      ///< work done
+  Nanos busy_ns = 0;      ///< time in which work progressed, of each context
   Nanos overhead_ns = 0;  ///< switches and preemptions
   std::uint64_t switches = 0, preemptions = 0, jobs = 0;
 };
 
 class Device;
+class ScriptPlay;
 struct Snapshot;
 
 /// What a context knows of a job.
@@ -65,7 +84,8 @@ class Machine {
  public:
   /// Devices: every XPU by its id, and for each CPU type the pool of its instances by the type's
   /// name.
-  [[nodiscard]] static Result<Machine> create(const Platform& platform);
+  [[nodiscard]] static Result<Machine> create(const Platform& platform,
+                                              const EmulationScript& script = {});
   Machine(Machine&&) noexcept;
   Machine& operator=(Machine&&) noexcept;
   ~Machine();
@@ -89,9 +109,10 @@ class Machine {
   /// it is over, as if it had been asked for once. Nothing else tells the machine that went on
   /// from the one that was restored.
   void save(Snapshot& snapshot) const;
-  /// Of a machine of the same platform; `snapshot` is checked in full. Its times must be past.
+  /// Of a machine of the same platform and script; `snapshot` is checked in full. Its times must be
+  /// past.
   [[nodiscard]] static Result<Machine> restore(const Platform& platform, const Snapshot& snapshot,
-                                               Nanos now);
+                                               Nanos now, const EmulationScript& script = {});
 
   /// When something will happen by itself; INT64_MAX: nothing.
   [[nodiscard]] Nanos next_event() const;
@@ -106,8 +127,24 @@ class Machine {
  private:
   Machine();
   [[nodiscard]] Result<Device*> device_of(ContextId context);
+  [[nodiscard]] Nanos next_change() const;
+  void take_steps(std::vector<Event>& events);
+  void tune(std::vector<Event>& events, bool advance = true);
+
+  /// What the script says of a device.
+  struct Part {
+    std::string type;
+    std::vector<std::string> xpus;
+    Nanos speed_pct = 100, contention_pct = 0;
+    Nanos cores = 1;  ///< that are not stopped
+  };
 
   std::vector<std::unique_ptr<Device>> devices_;
+  std::vector<Part> parts_;  ///< [device]
+  std::unique_ptr<ScriptPlay> script_;
+  Nanos script_begin_ = -1;       ///< the first submission; -1: there has been none
+  std::size_t steps_ = SIZE_MAX;  ///< of the script, taken; SIZE_MAX: it has not begun
+  Nanos time_ = 0;                ///< up to which everything is brought
   OneThread thread_;
   std::map<ContextId, Device*> device_of_;
   std::vector<Event> pending_;  ///< happened in a call, not yet reported

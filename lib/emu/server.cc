@@ -43,8 +43,9 @@ Result<std::unique_ptr<Server>> Server::create(const Platform& platform,
     memory.emplace(std::move(mapped));
     XAUTO_ASSIGN(before, memory->load());
   }
-  XAUTO_ASSIGN(Machine machine,
-               before ? Machine::restore(platform, *before, now_ns()) : Machine::create(platform));
+  XAUTO_ASSIGN(Machine machine, before
+                                    ? Machine::restore(platform, *before, now_ns(), options.script)
+                                    : Machine::create(platform, options.script));
   auto server = std::unique_ptr<Server>(new Server(std::move(machine)));
   if (memory) server->memory_.emplace(std::move(*memory));
   server->epoll_ = UniqueFd(epoll_create1(EPOLL_CLOEXEC));
@@ -309,8 +310,19 @@ void Server::deliver(Nanos now) {
                                           .tag = event.tag});
       continue;
     }
+    if (event.kind == Event::Kind::kScript) {
+      log::debug("emud: script: {} step{} taken at {} ns", event.tag, event.tag == 1 ? "" : "s",
+                 event.time);
+      continue;
+    }
     const auto request = requests_.find(event.tag);
     if (request == requests_.end()) continue;  // who asked is gone
+    if (event.kind == Event::Kind::kStuck) {
+      refuse(request->second.connection, request->second.tag,
+             {ErrorCode::kTimeout, "the work did not leave the XPU; it runs again", {}, {}});
+      requests_.erase(request);
+      continue;
+    }
     const Op op = event.kind == Event::Kind::kSuspended ? Op::kSuspended : Op::kResumed;
     answer(request->second.connection, {.op = static_cast<std::uint32_t>(op),
                                         .context = event.context,

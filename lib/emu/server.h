@@ -36,6 +36,7 @@ struct ServerOptions {
   /// What outlives an emulator, kept by whoever starts the next one: the listening socket, the
   /// memory (StateMemory::make). -1: made here, and none.
   int listener_fd = -1, memory_fd = -1;
+  EmulationScript script = {};  ///< without steps: there is none
 };
 
 /// Threads: one.

@@ -8,8 +8,9 @@ namespace {
 
 struct Counts {
   std::uint32_t devices, contexts, next_id, zero;
+  Nanos script_begin;
 };
-static_assert(sizeof(Counts) == 16);
+static_assert(sizeof(Counts) == 24);
 
 }  // namespace
 
@@ -20,7 +21,7 @@ std::size_t Snapshot::bytes() const {
 
 void Snapshot::encode(std::byte* out) const {
   const Counts counts{static_cast<std::uint32_t>(devices.size()),
-                      static_cast<std::uint32_t>(contexts.size()), next_id, 0};
+                      static_cast<std::uint32_t>(contexts.size()), next_id, 0, script_begin};
   std::memcpy(out, &counts, sizeof counts);
   out += sizeof counts;
   if (!devices.empty()) std::memcpy(out, devices.data(), devices.size() * sizeof(DeviceRecord));
@@ -36,6 +37,7 @@ Result<Snapshot> Snapshot::decode(std::span<const std::byte> data) {
     return fail(ErrorCode::kInvalid, "its counts are impossible");
   Snapshot snapshot;
   snapshot.next_id = counts.next_id;
+  snapshot.script_begin = counts.script_begin;
   snapshot.devices.resize(counts.devices);
   snapshot.contexts.resize(counts.contexts);
   if (data.size() != snapshot.bytes()) return fail(ErrorCode::kInvalid, "its length is wrong");

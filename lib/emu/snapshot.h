@@ -34,7 +34,7 @@ struct ContextRecord {
   std::uint8_t busy = 0, suspended = 0;
   std::uint16_t level = 0;
   std::uint64_t tag = 0;  ///< of the job, or of the last one
-  Nanos left_ns = 0;
+  Nanos left = 0;         ///< in kUnits per ns of work
   std::uint64_t block = 0;
   std::uint64_t key = 0;  ///< the server's: what its owner shows to have it back
   std::int32_t pid = 0;   ///< the server's: the owner's process; 0: not known
@@ -45,6 +45,8 @@ static_assert(sizeof(ContextRecord) == 48 && std::is_trivially_copyable_v<Contex
 
 struct Snapshot {
   ContextId next_id = 1;
+  Nanos script_begin =
+      -1;  ///< when the first work came, from which the script counts; -1: none yet
   std::vector<DeviceRecord> devices;
   std::vector<ContextRecord> contexts;
 
@@ -55,6 +57,6 @@ struct Snapshot {
   [[nodiscard]] static Result<Snapshot> decode(std::span<const std::byte> data);
 };
 inline constexpr std::size_t kMaxSnapshotBytes =
-    16 + kMaxDevices * sizeof(DeviceRecord) + kMaxContexts * sizeof(ContextRecord);
+    24 + kMaxDevices * sizeof(DeviceRecord) + kMaxContexts * sizeof(ContextRecord);
 
 }  // namespace xauto::emu

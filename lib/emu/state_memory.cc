@@ -18,7 +18,7 @@
 namespace xauto::emu {
 namespace {
 
-constexpr std::uint64_t kMagic = 0x3165746174736d65;  ///< "emstate1"
+constexpr std::uint64_t kMagic = 0x3265746174736d65;  ///< "emstate2"
 
 tl::unexpected<Error> io_error(const char* what) {
   return fail(ErrorCode::kIo, std::string(what) + ": " + strerror(errno), "emulator's memory");

@@ -71,7 +71,7 @@ void Daemons::Daemon::hand_over(std::initializer_list<const char*> flags) {
   }
 }
 
-Status Daemons::start_emulator(const runtime::Session& session) {
+Status Daemons::start_emulator(const runtime::Session& session, const EmulationScript& script) {
   if (!session.emulates()) return {};
   Platform emulated{session.platform.name, {}};
   for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
@@ -88,6 +88,13 @@ Status Daemons::start_emulator(const runtime::Session& session) {
   daemon.options.argv = {bin_ + "/xauto-emud", "--socket", emulator_, "--platform",
                          "/proc/self/fd/" + std::to_string(platform_.get())};
   daemon.options.inherit = {platform_.get()};
+  if (!script.steps.empty()) {
+    XAUTO_ASSIGN(script_, make_memory_file("xauto-emulation"));
+    XAUTO_TRY(write_memory_file(script_.get(), to_json(script)));
+    daemon.options.argv.insert(daemon.options.argv.end(),
+                               {"--script", "/proc/self/fd/" + std::to_string(script_.get())});
+    daemon.options.inherit.push_back(script_.get());
+  }
   daemon.hand_over({"--listen-fd", "--memory-fd"});
   XAUTO_ASSIGN(daemon.child, start_daemon(daemon.name, daemon.options));
   daemon.ping.emplace(emulator_);

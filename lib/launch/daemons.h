@@ -16,6 +16,7 @@
 
 #include "base/process.h"
 #include "launch/pulse.h"
+#include "model/emulation_script.h"
 #include "session/session.h"
 
 namespace xauto::launch {
@@ -40,8 +41,9 @@ class Daemons {
   Daemons(std::string base, std::string bin, std::vector<std::string>& notes)
       : base_(std::move(base)), bin_(std::move(bin)), notes_(notes) {}
 
-  /// If the session emulates something.
-  [[nodiscard]] Status start_emulator(const runtime::Session& session);
+  /// If the session emulates something. `script` without steps: there is none.
+  [[nodiscard]] Status start_emulator(const runtime::Session& session,
+                                      const EmulationScript& script = {});
   /// Empty: there is none.
   [[nodiscard]] const std::string& emulator() const { return emulator_; }
   /// One for each of the session's coordinators. `session_fd`: the session, to be read by them.
@@ -78,7 +80,7 @@ class Daemons {
 
   const std::string base_, bin_;
   std::vector<std::string>& notes_;
-  UniqueFd platform_;
+  UniqueFd platform_, script_;
   std::string emulator_;
   std::vector<Daemon> daemons_;
   std::int64_t next_look_ns_ = 0;

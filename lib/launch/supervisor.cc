@@ -98,7 +98,7 @@ class Supervisor {
       session.trace_fd = trace_.get();
       session.trace_keep_s = request_.trace_keep_s;
     }
-    XAUTO_TRY(daemons_->start_emulator(session));
+    XAUTO_TRY(daemons_->start_emulator(session, request_.emulation));
     const bool scheduled = session.mode == Mode::kRun && session.scheduling == Scheduling::kXAuto;
     if (session.mode == Mode::kRun) {
       board_fd_ = private_memfd("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING);

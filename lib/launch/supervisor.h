@@ -23,6 +23,7 @@
 
 #include "base/process.h"
 #include "launch/daemons.h"
+#include "model/emulation_script.h"
 #include "processes/board.h"
 #include "session/session.h"
 #include "trace/trace.h"
@@ -46,6 +47,7 @@ struct Incident {
 struct Supervision {
   runtime::Session session;          ///< addresses and descriptors are filled in
   std::vector<std::string> command;  ///< the app and its arguments
+  EmulationScript emulation;         ///< of the emulated XPUs; without steps: none
   std::string bin;  ///< where xauto-coordinator and xauto-emud are; empty: beside us
   const std::atomic<bool>* stop = nullptr;  ///< set by Ctrl-C: drain; see stop_count for more
   /// About five times a second. `board` is null until the app has made it.

@@ -11,6 +11,7 @@
 #include <xauto/result.h>
 
 #include "model/app.h"
+#include "model/emulation_script.h"
 #include "model/key_policy.h"
 #include "model/keys.h"
 #include "model/platform.h"
@@ -50,6 +51,10 @@ inline constexpr int kMaxJsonDepth = 64;
 [[nodiscard]] Result<Tables> parse_tables(std::string_view text, std::string_view origin,
                                           const AppSpec& app, const Platform& platform,
                                           Keys* keys = nullptr);
+[[nodiscard]] Result<EmulationScript> parse_emulation_script(std::string_view text,
+                                                             std::string_view origin,
+                                                             const Platform& platform,
+                                                             Keys* keys = nullptr);
 
 [[nodiscard]] std::string to_json(const AppSpec& app);
 [[nodiscard]] std::string to_json(const Platform& platform);
@@ -59,6 +64,7 @@ inline constexpr int kMaxJsonDepth = 64;
 [[nodiscard]] std::string to_json(const KeyPolicy& policy, const AppSpec& app,
                                   const Platform& platform);
 [[nodiscard]] std::string to_json(const Scenarios& scenarios);
+[[nodiscard]] std::string to_json(const EmulationScript& script);
 [[nodiscard]] std::string to_json(const Tables& tables, const AppSpec& app,
                                   const Platform& platform);
 
@@ -85,6 +91,8 @@ inline constexpr int kMaxJsonDepth = 64;
                                                const Platform& platform);
 [[nodiscard]] Result<Tables> load_tables(const std::string& path, const AppSpec& app,
                                          const Platform& platform);
+[[nodiscard]] Result<EmulationScript> load_emulation_script(const std::string& path,
+                                                            const Platform& platform);
 
 /// Regular file, at most kMaxFileBytes.
 [[nodiscard]] Result<std::string> read_file(const std::string& path);

@@ -509,8 +509,8 @@ Status Releaser::open_recorder() {
       return fail(ErrorCode::kInvalid,
                   "messages of type " + topic.spec.type_name + " cannot be recorded",
                   "topic '" + topic.spec.name + "'", "specialise xauto::Codec for it");
-    XAUTO_ASSIGN(recorded_topic_[t], recorder.add_topic(record::app_topic(topic.spec.name, topic.spec.ros_type,
-                                                                  topic.spec.schema)));
+    XAUTO_ASSIGN(recorded_topic_[t], recorder.add_topic(record::app_topic(
+                                         topic.spec.name, topic.spec.ros_type, topic.spec.schema)));
   }
   if (context_.graph.single_rate) {
     XAUTO_ASSIGN(releases_topic_, recorder.add_topic(record::releases_topic()));

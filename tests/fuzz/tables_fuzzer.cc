@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// scenarios.json and tables.json from outside, for an app and a platform of our own: those of
+// scenarios.json, tables.json and emulation.json from outside, for an app and a platform of our own: those of
 // tests/golden.
 #include "model/json.h"
 
@@ -43,5 +43,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   };
   fuzz::check_read(
       scenarios(text), [](const Scenarios& s) { return to_json(s); }, scenarios);
+  const auto script = [](std::string_view from) {
+    return parse_emulation_script(from, fuzz::kOrigin, platform);
+  };
+  fuzz::check_read(
+      script(text), [](const EmulationScript& s) { return to_json(s); }, script);
   return 0;
 }

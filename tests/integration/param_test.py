@@ -194,7 +194,7 @@ class Refused(Params):
 
     def test_whoever_sends_nonsense_is_answered_and_who_says_nothing_holds_nobody_up(self):
         self.start()
-        address = f"\0xauto/{self.run_id}/param"
+        address = f"\0xauto/{self.run_id}/desk"
         for _ in range(20):
             s = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             self.addCleanup(s.close)

@@ -23,10 +23,11 @@ int complain(const xauto::Error& error) {
 int main(int argc, char** argv) {
   xauto::cli::Program cli("Emulates the XPUs of a platform; started by the xauto tool.",
                           "xauto-emud");
-  std::string platform_path;
+  std::string platform_path, script_path;
   xauto::emu::ServerOptions options;
   int ready_fd = -1;
   cli.option("--platform", platform_path, xauto::kPlatformNames).required();
+  cli.option("--script", script_path, "emulation.json: what happens to the XPUs meanwhile");
   cli.option("--socket", options.address, "abstract socket to listen on").required();
   cli.option("--listen-fd", options.listener_fd,
              "the listening socket, kept by who starts us again");
@@ -38,6 +39,11 @@ int main(int argc, char** argv) {
 
   const auto platform = xauto::load_platform(platform_path);
   if (!platform) return complain(platform.error());
+  if (!script_path.empty()) {
+    auto script = xauto::load_emulation_script(script_path, *platform);
+    if (!script) return complain(script.error());
+    options.script = std::move(*script);
+  }
   auto server = xauto::emu::Server::create(*platform, options);
   if (!server) return complain(server.error());
 

@@ -81,6 +81,10 @@ void RunFlags::declare(Verb verb) {
       .range(std::int64_t{0}, std::int64_t{100'000})
       .shown();
   emulation.declare(verb);
+  verb.option(
+          "--emulate-script", script_path,
+          "emulation.json: clocks, contention and stops of the emulated XPUs while the app runs")
+      .excludes("--real");
   verb.flag("--emulator-modules", emulator_modules,
             "emulate GPUs and DLAs by the kernel modules of kmod/emu, suspended through xauto.ko");
   verb.option("--deployment", deployment_path,
@@ -113,11 +117,28 @@ Status RunFlags::prepare() {
     emulation.all_asked = true;
   }
   XAUTO_ASSIGN(presence, emulation.decide(spec, &app));
+  XAUTO_TRY(prepare_script());
   return prepare_deployment();
 }
 
 bool RunFlags::emulates() const {
   return std::find(presence.begin(), presence.end(), Presence::kEmulated) != presence.end();
+}
+
+/// The emulator knows only what is emulated: what the script says of another XPU would be passed over.
+Status RunFlags::prepare_script() {
+  if (script_path.empty()) return {};
+  if (emulator_modules)
+    return fail(ErrorCode::kInvalid, "is for xauto-emud, not for the emulator modules",
+                "--emulate-script", "leave out --emulator-modules");
+  XAUTO_ASSIGN(script, load_emulation_script(script_path, spec));
+  Platform emulated{spec.name, {}};
+  for (std::size_t x = 0; x < spec.xpus.size(); ++x)
+    if (presence[x] == Presence::kEmulated) emulated.xpus.push_back(spec.xpus[x]);
+  if (Status fits = validate(script, emulated); !fits)
+    return fail(ErrorCode::kInvalid, "tells of an XPU that is not emulated in this run",
+                script_path + ": " + fits.error().where, "see --emulate");
+  return {};
 }
 
 bool RunFlags::kernel_schedules(std::size_t xpu) const {
@@ -208,6 +229,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.record = flags.record_path;
   session.deployment = flags.deployment;
   session.processes = flags.deployment.processes(flags.app);
+  request.emulation = flags.script;
   request.command = flags.command;
   request.stop = stop;
   request.trace_keep_s = flags.trace_keep_s;
@@ -237,6 +259,9 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
     progress.update(done, fmt::format("{:.0f} s{}", elapsed_s, words));
   };
   XAUTO_ASSIGN(run.outcome, launch::supervise(std::move(request)));
+  if (!flags.script_path.empty())
+    run.outcome.notes.push_back("emulated under " + flags.script_path +
+                                "; what is predicted knows nothing of it");
   progress.finish();
   XAUTO_ASSIGN(run.report, runtime::parse_run_report(run.outcome.answer));
   runtime::Distribution latencies = run.report.latencies_us;

@@ -15,6 +15,7 @@
 #include "cli/cli.h"
 #include "launch/supervisor.h"
 #include "model/deployment.h"
+#include "model/emulation_script.h"
 #include "model/tables.h"
 #include "session/run_report.h"
 #include "session/session.h"
@@ -44,6 +45,7 @@ struct RunFlags {
   std::int64_t period_us = 0, cpu_budget_pct = 0;
   bool lockstep = false, isolate = false, emulator_modules = false;
   EmulationOptions emulation;
+  std::string script_path;  ///< emulation.json
   int restarts = 0;
   std::string deployment_path;
   std::vector<std::string> overload;
@@ -55,9 +57,11 @@ struct RunFlags {
   /// Loads what the flags name; decides between emulated and real XPUs, and says so on stderr.
   [[nodiscard]] Status prepare();
   [[nodiscard]] Status prepare_deployment();
+  [[nodiscard]] Status prepare_script();
 
   AppSpec app;
   Platform spec;
+  EmulationScript script;               ///< without steps: there is none
   Deployment deployment;                ///< the file's, with what other flags say
   std::vector<Presence> presence;       ///< [XPU]
   [[nodiscard]] bool emulates() const;  ///< some of them

@@ -255,8 +255,8 @@ TEST(Snapshot, WhatCannotBeIsRefused) {
   EXPECT_TRUE(refused([](Snapshot& s) { s.contexts[0].id = 0; }));
   EXPECT_TRUE(refused([](Snapshot& s) { s.contexts[0].id = s.next_id; }));
   EXPECT_TRUE(refused([](Snapshot& s) { std::swap(s.contexts[0], s.contexts[1]); }));
-  EXPECT_TRUE(refused([](Snapshot& s) { s.contexts[0].left_ns = 0; }));
-  EXPECT_TRUE(refused([](Snapshot& s) { s.contexts[0].left_ns = kMaxWorkNs + 1; }));
+  EXPECT_TRUE(refused([](Snapshot& s) { s.contexts[0].left = 0; }));
+  EXPECT_TRUE(refused([](Snapshot& s) { s.contexts[0].left = kMaxWorkNs * kUnits + 1; }));
   EXPECT_TRUE(refused([](Snapshot& s) { s.contexts[1].busy = 0; }));
   EXPECT_TRUE(refused([](Snapshot& s) { s.contexts[1].block = 2; }));
   EXPECT_TRUE(refused([](Snapshot& s) { s.contexts[0].zero = 1; }));

@@ -264,6 +264,22 @@ TEST(Golden, EveryMalformedSetOfScenariosOrTablesIsRefusedWithItsMessage) {
   });
 }
 
+TEST(Golden, AnEmulationScriptIsWrittenAsItWasRead) {
+  const std::string text = slurp(golden() / "emulation.json");
+  const auto script = parse_emulation_script(text, "emulation.json", golden_platform());
+  ASSERT_TRUE(script) << script.error().to_string();
+  EXPECT_EQ(to_json(*script), text);
+  EXPECT_EQ(script->steps[1].stop, std::vector<std::string>{"dla0"});
+  EXPECT_EQ(script->steps[1].contention_pct.at("gpu"), 20);
+}
+
+TEST(Golden, EveryMalformedEmulationScriptIsRefusedWithItsMessage) {
+  const Platform platform = golden_platform();
+  every_case("emulation", 16, [&](const std::string& text, const std::string& name) {
+    return parse_emulation_script(text, name, platform);
+  });
+}
+
 TEST(Golden, EveryMalformedAppOfVersion2IsRefusedWithItsMessage) {
   every_case("app-2", 60, [](const std::string& text, const std::string& name) {
     return parse_app(text, name);

@@ -193,7 +193,7 @@ TEST_F(Dds, OriginIsTheStampAsFarAsItIsCredible) {
   EXPECT_NEAR(static_cast<double>(origin_of(began - 3'000'000'000, 9001)),
               static_cast<double>(began - 3'000'000'000), 1e6);
   EXPECT_TRUE(there_->notes().empty());
-  EXPECT_GE(origin_of(began - 3'600'000'000'000, 9002), began);     // an hour old
+  EXPECT_GE(origin_of(began - 3'600'000'000'000, 9002), began);           // an hour old
   const std::int64_t ahead = origin_of(began + 3'600'000'000'000, 9003);  // by an hour
   EXPECT_LE(ahead, now_ns());
   const auto notes = there_->notes();
