@@ -2,6 +2,7 @@
 #include "runtime/scenario_choice.h"
 
 #include <algorithm>
+#include <tuple>
 #include <utility>
 
 namespace xauto::runtime {
@@ -63,24 +64,25 @@ bool ScenarioChoice::on_floor(std::size_t scenario) const {
          (expected_ < 0 || covers_[scenario][static_cast<std::size_t>(expected_)] != 0);
 }
 
-/// How far what was seen passes what the scenario allows, as a factor; at most 1: it does not.
-double ScenarioChoice::overshoot(std::size_t scenario, Evidence* worst) const {
-  double most = 0;
+/// What was seen beside what the scenario allows.
+ScenarioChoice::Passed ScenarioChoice::passed(std::size_t scenario) const {
+  Passed passed;
   for (std::size_t x = 0; x < recent_ns_.size(); ++x)
     for (std::size_t t = 0; t < recent_ns_[x].size(); ++t) {
       const Evidence seen{x, static_cast<int>(t), std::max(recent_ns_[x][t], older_ns_[x][t])};
       if (seen.ns == 0) continue;
       const double factor =
           static_cast<double>(seen.ns) / static_cast<double>(allowed(scenario, seen));
-      if (factor <= most) continue;
-      most = factor;
-      if (worst != nullptr) *worst = seen;
+      passed.times += factor > 1 ? 1 : 0;
+      if (factor <= passed.factor) continue;
+      passed.factor = factor;
+      passed.worst = seen;
     }
-  return most;
+  return passed;
 }
 
 bool ScenarioChoice::fits(std::size_t scenario, std::int64_t margin_pct) const {
-  return overshoot(scenario) <= static_cast<double>(100 - margin_pct) / 100;
+  return passed(scenario).factor <= static_cast<double>(100 - margin_pct) / 100;
 }
 
 /// Of those that `may`, the one with the least worst case; of equal ones the first; -1: none may.
@@ -131,24 +133,23 @@ int ScenarioChoice::next_scenario() const {
   return least(may);
 }
 
-/// The one that is passed by least. Where none covers both what the machine says and what people ask
-/// for, they give way: the machine is as it is.
+/// The one that the fewest XNodes pass; of these the one that is passed by least, then the one with the
+/// least worst case: one job that a stall made longer must not hide that a whole XPU is slow. Where none
+/// covers both what the machine says and what people ask for, they give way: the machine is as it is.
 int ScenarioChoice::nearest() const {
-  int best = -1;
-  double least_passed = 0;
   const bool floor = least([&](std::size_t s) { return on_floor(s); }) >= 0;
-  for (std::size_t s = 0; s < worst_us_.size(); ++s) {
-    if (floor ? !on_floor(s)
-              : expected_ >= 0 && covers_[s][static_cast<std::size_t>(expected_)] == 0)
-      continue;
-    const double passed = std::max(1.0, overshoot(s));
-    if (best >= 0 &&
-        (passed > least_passed ||
-         (passed == least_passed && worst_us_[s] >= worst_us_[static_cast<std::size_t>(best)])))
-      continue;
-    best = static_cast<int>(s);
-    least_passed = passed;
-  }
+  const auto may = [&](std::size_t s) {
+    return floor ? on_floor(s)
+                 : expected_ < 0 || covers_[s][static_cast<std::size_t>(expected_)] != 0;
+  };
+  const auto rank = [&](std::size_t s) {
+    const Passed by = passed(s);
+    return std::tuple(by.times, std::max(1.0, by.factor), worst_us_[s]);
+  };
+  int best = -1;
+  for (std::size_t s = 0; s < worst_us_.size(); ++s)
+    if (may(s) && (best < 0 || rank(s) < rank(static_cast<std::size_t>(best))))
+      best = static_cast<int>(s);
   return best;
 }
 
@@ -163,8 +164,8 @@ bool ScenarioChoice::decide(std::int64_t now_ns) {
   const int before = now_.scenario;
   const auto current = static_cast<std::size_t>(before);
   const bool anew = std::exchange(asked_anew_, false);
-  Evidence worst;
-  const bool fitted = overshoot(current, &worst) <= 1;
+  const Passed by = passed(current);
+  const bool fitted = by.times == 0;
   if (fitted && on_floor(current)) {
     if (now_.why == Why::kOutside) put(before, Why::kBack, now_ns);  // it was a guess, and holds
     if (anew || now_ns - since_ns_ >= dwell_ns_) {
@@ -175,11 +176,12 @@ bool ScenarioChoice::decide(std::int64_t now_ns) {
     }
   } else if (const int next = next_scenario(); next >= 0) {
     put(next, !fitted ? Why::kOverrun : anew ? Why::kAsked : Why::kMachine, now_ns);
-    if (!fitted) blame(worst, before);
+    if (!fitted) blame(by.worst, before);
   } else {
     const int near = nearest();
     if (now_.why != Why::kOutside || near != before) put(near, Why::kOutside, now_ns);
-    if (overshoot(static_cast<std::size_t>(near), &worst) > 1) blame(worst, near);
+    if (const Passed still = passed(static_cast<std::size_t>(near)); still.times > 0)
+      blame(still.worst, near);
   }
   age(now_ns);
   return now_.scenario != before;

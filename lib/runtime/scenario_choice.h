@@ -76,9 +76,14 @@ class ScenarioChoice {
     int type = 0;
     std::int64_t ns = 0;
   };
+  struct Passed {
+    std::size_t times = 0;  ///< by so many XNodes
+    double factor = 0;      ///< at most by this; at most 1: it is not
+    Evidence worst = {};    ///< by that
+  };
   [[nodiscard]] bool on_floor(std::size_t scenario) const;
   [[nodiscard]] bool fits(std::size_t scenario, std::int64_t margin_pct) const;
-  [[nodiscard]] double overshoot(std::size_t scenario, Evidence* worst = nullptr) const;
+  [[nodiscard]] Passed passed(std::size_t scenario) const;
   [[nodiscard]] std::int64_t allowed(std::size_t scenario, const Evidence& seen) const {
     return allowed_ns_[scenario][seen.xnode][static_cast<std::size_t>(seen.type)];
   }

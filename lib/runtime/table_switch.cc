@@ -203,10 +203,9 @@ void TableSwitch::tell_outside(const Choice& choice) {
   };
   const bool outside = choice.why == Why::kOutside;
   if (outside && choice.xnode >= 0)
-    count(jobs_,
-          fmt::format("outside of every scenario: {} under '{}', by which it is passed least",
-                      words_of(choice),
-                      tables_.scenarios[static_cast<std::size_t>(choice.scenario)].name));
+    count(jobs_, fmt::format("outside of every scenario: {} under '{}', which the fewest pass",
+                             words_of(choice),
+                             tables_.scenarios[static_cast<std::size_t>(choice.scenario)].name));
   if (outside && choice.xnode < 0 && !outside_)
     count(jobs_,
           "no scenario covers both what is asked for and what the machine's clocks say; the "

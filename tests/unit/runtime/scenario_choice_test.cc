@@ -148,7 +148,7 @@ TEST_F(ChoiceTest, OutsideOfEveryScenarioIsSaidAndEndsWhenItIsOver) {
   EXPECT_EQ(choice.now().xnode, 1);
   EXPECT_EQ(choice.now().saw_ns, 3 * kMilli);
   EXPECT_EQ(choice.now().allowed_ns, 2 * kMilli);
-  EXPECT_EQ(choice.now().scenario, kHalfCpu) << "of those that are passed by least the shortest";
+  EXPECT_EQ(choice.now().scenario, kHalfCpu) << "passed least; then the shortest";
   // What people ask for is kept meanwhile.
   choice.ask(kNoGpu);
   choice.decide(1);
@@ -159,6 +159,15 @@ TEST_F(ChoiceTest, OutsideOfEveryScenarioIsSaidAndEndsWhenItIsOver) {
   for (; choice.now().scenario != kNominal && t < 10 * kDwell; t += kMilli) choice.decide(t);
   EXPECT_EQ(choice.now().scenario, kNominal);
   EXPECT_NE(choice.now().why, Why::kOutside);
+}
+
+TEST_F(ChoiceTest, OneJobThatIsFarTooLongDoesNotHideASlowXpu) {
+  ScenarioChoice choice = make();
+  choice.saw(0, 1, 50 * kMilli);  // b: the machine stood still
+  choice.saw(0, 0, 2 * kMilli);   // a: the GPU is at half
+  choice.decide(0);
+  EXPECT_EQ(choice.now().scenario, kHalfBoth) << "a fits, and b passes it least";
+  EXPECT_EQ(choice.now().why, Why::kOutside);
 }
 
 TEST_F(ChoiceTest, WhereNothingCoversBothTheMachineCounts) {
