@@ -2,7 +2,6 @@
 #include "runtime/scenario_choice.h"
 
 #include <algorithm>
-#include <tuple>
 #include <utility>
 
 namespace xauto::runtime {
@@ -73,7 +72,7 @@ ScenarioChoice::Passed ScenarioChoice::passed(std::size_t scenario) const {
       if (seen.ns == 0) continue;
       const double factor =
           static_cast<double>(seen.ns) / static_cast<double>(allowed(scenario, seen));
-      passed.times += factor > 1 ? 1 : 0;
+      passed.excess += std::max(0.0, factor - 1);
       if (factor <= passed.factor) continue;
       passed.factor = factor;
       passed.worst = seen;
@@ -133,19 +132,16 @@ int ScenarioChoice::next_scenario() const {
   return least(may);
 }
 
-/// The one that the fewest XNodes pass; of these the one that is passed by least, then the one with the
-/// least worst case: one job that a stall made longer must not hide that a whole XPU is slow. Where none
-/// covers both what the machine says and what people ask for, they give way: the machine is as it is.
+/// The one that jobs pass by least, all of them added up; then the one with the least worst case. Added
+/// up, since one job that a stall made longer must not hide that a whole XPU is slow. Where none covers
+/// both what the machine says and what people ask for, they give way: the machine is as it is.
 int ScenarioChoice::nearest() const {
   const bool floor = least([&](std::size_t s) { return on_floor(s); }) >= 0;
   const auto may = [&](std::size_t s) {
     return floor ? on_floor(s)
                  : expected_ < 0 || covers_[s][static_cast<std::size_t>(expected_)] != 0;
   };
-  const auto rank = [&](std::size_t s) {
-    const Passed by = passed(s);
-    return std::tuple(by.times, std::max(1.0, by.factor), worst_us_[s]);
-  };
+  const auto rank = [&](std::size_t s) { return std::pair(passed(s).excess, worst_us_[s]); };
   int best = -1;
   for (std::size_t s = 0; s < worst_us_.size(); ++s)
     if (may(s) && (best < 0 || rank(s) < rank(static_cast<std::size_t>(best))))
@@ -165,7 +161,7 @@ bool ScenarioChoice::decide(std::int64_t now_ns) {
   const auto current = static_cast<std::size_t>(before);
   const bool anew = std::exchange(asked_anew_, false);
   const Passed by = passed(current);
-  const bool fitted = by.times == 0;
+  const bool fitted = by.factor <= 1;
   if (fitted && on_floor(current)) {
     if (now_.why == Why::kOutside) put(before, Why::kBack, now_ns);  // it was a guess, and holds
     if (anew || now_ns - since_ns_ >= dwell_ns_) {
@@ -180,7 +176,7 @@ bool ScenarioChoice::decide(std::int64_t now_ns) {
   } else {
     const int near = nearest();
     if (now_.why != Why::kOutside || near != before) put(near, Why::kOutside, now_ns);
-    if (const Passed still = passed(static_cast<std::size_t>(near)); still.times > 0)
+    if (const Passed still = passed(static_cast<std::size_t>(near)); still.factor > 1)
       blame(still.worst, near);
   }
   age(now_ns);

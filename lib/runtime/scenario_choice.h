@@ -77,9 +77,9 @@ class ScenarioChoice {
     std::int64_t ns = 0;
   };
   struct Passed {
-    std::size_t times = 0;  ///< by so many XNodes
-    double factor = 0;      ///< at most by this; at most 1: it is not
-    Evidence worst = {};    ///< by that
+    double factor = 0;    ///< by this at most; at most 1: it is not
+    Evidence worst = {};  ///< by that
+    double excess = 0;    ///< of all XNodes, what is above 1
   };
   [[nodiscard]] bool on_floor(std::size_t scenario) const;
   [[nodiscard]] bool fits(std::size_t scenario, std::int64_t margin_pct) const;

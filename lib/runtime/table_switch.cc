@@ -203,7 +203,7 @@ void TableSwitch::tell_outside(const Choice& choice) {
   };
   const bool outside = choice.why == Why::kOutside;
   if (outside && choice.xnode >= 0)
-    count(jobs_, fmt::format("outside of every scenario: {} under '{}', which the fewest pass",
+    count(jobs_, fmt::format("outside of every scenario: {} under '{}', which is passed by least",
                              words_of(choice),
                              tables_.scenarios[static_cast<std::size_t>(choice.scenario)].name));
   if (outside && choice.xnode < 0 && !outside_)
