@@ -35,8 +35,8 @@ elif [ "$target" = jetpack ]; then
   name=jetpack-$native
   packages="crossbuild-essential-arm64 qemu-user-static debhelper dkms cmake ninja-build ccache pkg-config python3 protobuf-compiler libexpected-dev
     nlohmann-json3-dev libeigen3-dev"
-  for library in libfmt-dev libspdlog-dev libsqlite3-dev zlib1g-dev libzstd-dev liblz4-dev liblpsolve55-dev libsuitesparse-dev libnl-genl-3-dev
-    libprotobuf-dev; do
+  for library in libfmt-dev libspdlog-dev libsqlite3-dev zlib1g-dev libzstd-dev liblz4-dev liblpsolve55-dev libsuitesparse-dev \
+    libnl-genl-3-dev libprotobuf-dev; do
     packages+=" $library:arm64"
   done
   options=("--architectures=$native,arm64" "${cli11[@]}")
@@ -45,8 +45,8 @@ else
   suites+=" bookworm-backports"
   packages="crossbuild-essential-$target qemu-user-static debhelper dh-dkms cmake ninja-build ccache pkg-config python3 protobuf-compiler clang-19
     libexpected-dev nlohmann-json3-dev libcli11-dev libeigen3-dev"
-  for library in libfmt-dev libspdlog-dev libsqlite3-dev zlib1g-dev libzstd-dev liblz4-dev liblpsolve55-dev libsuitesparse-dev libnl-genl-3-dev
-    libprotobuf-dev libelf-dev; do
+  for library in libfmt-dev libspdlog-dev libsqlite3-dev zlib1g-dev libzstd-dev liblz4-dev liblpsolve55-dev libsuitesparse-dev \
+    libnl-genl-3-dev libprotobuf-dev libelf-dev; do
     packages+=" $library:$target"
   done
   options=("--architectures=$native,$target"

@@ -31,7 +31,8 @@ namespace xauto {
 template <class T>
 struct Interface;
 
-/// Plain CDR.
+/// Plain CDR. Of all this a program needs nothing: the headers that `xauto_add_messages` makes use it.
+/// @cond
 namespace cdr {
 
 inline constexpr std::size_t kHeaderBytes = 4;  ///< of the encapsulation header
@@ -365,4 +366,5 @@ struct MessageCodec {
 };
 
 }  // namespace cdr
+/// @endcond
 }  // namespace xauto
