@@ -101,7 +101,7 @@ style() {
 # What runs where, each test once if it can: unit tests under ASan+UBSan, those that need speed (label `heavy`: the explorer of the
 # protocol, the solver's) in the release build, with the integration scripts; those with threads under TSan as well (one that
 # takes long there has none). CONTRIBUTING.md says what is left to `full`.
-release=(xauto xauto-coordinator xauto-emud xauto-cpusched driving camera integration_programs xauto_shared xauto_watch test_coord test_solver)
+release=(xauto xauto-coordinator xauto-emud xauto-cpusched driving camera integration_programs xauto_shared xauto_watch test_coord test_messages test_solver)
 threaded='base|trace|coord|emu|transport|processes|runtime|launch'
 unit() { build ci build "${release[@]}" && { note "tests, release"; tests build -L heavy; integration build -LE long; }; }
 # They mostly wait: a quarter of their time is work.

@@ -73,7 +73,8 @@ class CycloneTypes : public ::testing::Test {
       std::shared_ptr<const void> came;
       for (int tries = 0; came == nullptr; ++tries) {  // until both have found each other
         ASSERT_LT(tries, 4000) << "nothing comes";
-        out->publish({sent, now_ns(), seed});
+        // Again only where nobody may have been there: what comes twice is taken for the next one.
+        if (tries % 200 == 0) out->publish({sent, now_ns(), seed});
         std::this_thread::sleep_for(std::chrono::milliseconds(1));
         void* sample[1] = {nullptr};
         dds_sample_info_t info;
