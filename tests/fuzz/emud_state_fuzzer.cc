@@ -22,9 +22,17 @@ const Platform& platform() {
   return small;
 }
 
+/// Under way, with a stop to come.
+const EmulationScript& script() {
+  static const EmulationScript steps{{{1000, {{"gpu", 50}}, {{"cpu", 10}, {"gpu", 20}}},
+                                      {12'000, {}, {}, {"gpu0"}},
+                                      {20'000, {}, {}, {}, {"gpu0"}}}};
+  return steps;
+}
+
 /// Two contexts that take turns, one that is suspended and one that is being so, an idle one.
 std::vector<std::byte> valid() {
-  emu::Machine m = *emu::Machine::create(platform());
+  emu::Machine m = *emu::Machine::create(platform(), script());
   std::vector<emu::ContextId> ids;
   for (const char* device : {"gpu0", "gpu0", "gpu0", "dla0", "cpu0", "cpu", "cpu"}) {
     ids.push_back(*m.open(device, 0));
@@ -63,7 +71,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   const auto snapshot = emu::Snapshot::decode(bytes);
   if (!snapshot) return 0;
-  auto machine = emu::Machine::restore(platform(), *snapshot, kNow);
+  auto machine = emu::Machine::restore(platform(), *snapshot, kNow, script());
   if (!machine) return 0;
 
   // Everything comes to its end: nobody stays suspended, every job is done once.
@@ -97,6 +105,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   emu::Snapshot again;
   machine->save(again);
-  check(emu::Machine::restore(platform(), again, now).has_value());
+  check(emu::Machine::restore(platform(), again, now, script()).has_value());
   return 0;
 }
