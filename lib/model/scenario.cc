@@ -127,9 +127,8 @@ AppSpec app_under(const AppSpec& app, const Scenario& scenario) {
   return scaled;
 }
 
-bool covers(const AppSpec& app, const Scenario& a, const Scenario& b) {
-  const AppSpec under_a = app_under(app, a), under_b = app_under(app, b);
-  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+bool covers(const Scenario& a, const AppSpec& under_a, const Scenario& b, const AppSpec& under_b) {
+  for (std::size_t i = 0; i < under_b.xnodes.size(); ++i)
     for (const auto& [type, us] : under_b.xnodes[i].wcet_us)
       if (us > under_a.xnodes[i].wcet_us.find(type)->second) return false;
   return std::all_of(b.lost.begin(), b.lost.end(), [&](const std::string& id) {

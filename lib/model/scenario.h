@@ -64,8 +64,9 @@ inline constexpr std::int64_t kMaxReading = 1'000'000'000'000'000;  ///< Hz, say
 [[nodiscard]] Platform platform_under(const Platform& platform, const Scenario& scenario);
 
 /// What holds under `a` holds under `b`: no WCET of `b` is longer, and `b` has lost no XPU that `a`
-/// has. Of what `validate` has passed.
-[[nodiscard]] bool covers(const AppSpec& app, const Scenario& a, const Scenario& b);
+/// has. `under_a`, `under_b`: app_under() of each.
+[[nodiscard]] bool covers(const Scenario& a, const AppSpec& under_a, const Scenario& b,
+                          const AppSpec& under_b);
 
 /// What was measured, under a name.
 struct NamedProfile {

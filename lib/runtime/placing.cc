@@ -72,14 +72,17 @@ bool keeps_order(const Session& session, const Graph& graph, Placing& placing) {
   return false;
 }
 
-/// The longest that it may take on XPUs of this type, whatever the scenario.
-std::int64_t wcet_of(const Session& session, std::uint32_t xnode, const std::string& type) {
-  std::int64_t wcet_us = session.app.xnodes[xnode].wcet_on(type).value_or(0);
-  if (session.tables)
-    for (const Scenario& scenario : session.tables->scenarios)
-      wcet_us = std::max(wcet_us,
-                         app_under(session.app, scenario).xnodes[xnode].wcet_on(type).value_or(0));
-  return wcet_us;
+/// The app with the longest WCETs that any scenario allows.
+AppSpec longest(const Session& session) {
+  AppSpec app = session.app;
+  if (!session.tables) return app;
+  for (const Scenario& scenario : session.tables->scenarios) {
+    const AppSpec under = app_under(session.app, scenario);
+    for (std::size_t x = 0; x < app.xnodes.size(); ++x)
+      for (auto& [type, us] : app.xnodes[x].wcet_us)
+        us = std::max(us, under.xnodes[x].wcet_us.find(type)->second);
+  }
+  return app;
 }
 
 /// What a policy of keys takes for granted and this run does not keep by the way it was set up.
@@ -155,25 +158,27 @@ Placing Placing::of(const Session& session, const Graph& graph) {
   placing.cores = rt::allowed_cores();
   for (const Graph::Node& node : graph.nodes)
     placing.xnode.push_back(static_cast<std::uint32_t>(session.app.find(node.name)));
+  const AppSpec app = longest(session);
   for (std::size_t t = 0; t < session.num_tables(); ++t) {
     placing.xpu.emplace_back();
     placing.limits.emplace_back();
     for (std::size_t n = 0; n < graph.nodes.size(); ++n) {
       const int at = xpu_of(session, t, graph.nodes[n], placing.xnode[n]);
       placing.xpu.back().push_back(at);
-      placing.limits.back().push_back(placing.limits_of(session, graph, n, at));
+      placing.limits.back().push_back(placing.limits_of(session, app, graph, n, at));
     }
   }
   return placing;
 }
 
-Limits Placing::limits_of(const Session& session, const Graph& graph, std::size_t node, int at) {
+Limits Placing::limits_of(const Session& session, const AppSpec& app, const Graph& graph,
+                          std::size_t node, int at) {
   if (at < 0) return {};
   const std::string& name = graph.nodes[node].name;
   const std::string& type = session.platform.xpus[static_cast<std::size_t>(at)].type;
   const auto module = static_cast<std::size_t>(graph.nodes[node].module);
   Limits of_job = Limits::of(session.deployment, graph.modules[module].name, name,
-                             wcet_of(session, xnode[node], type));
+                             app.xnodes[xnode[node]].wcet_on(type).value_or(0));
   if (!session.keys) return of_job;
   const std::int64_t watched =
       watched_ns(*session.app.xnodes[xnode[node]].wcet_on(type), session.emulated(at));

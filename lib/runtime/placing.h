@@ -37,8 +37,9 @@ struct Placing {
   std::vector<std::string> unkept;
 
   [[nodiscard]] static Placing of(const Session& session, const Graph& graph);
-  [[nodiscard]] Limits limits_of(const Session& session, const Graph& graph, std::size_t node,
-                                 int at);
+  /// Of graph node `node` on XPU `at`; `app` has the longest WCETs. Adds to `unkept`.
+  [[nodiscard]] Limits limits_of(const Session& session, const AppSpec& app, const Graph& graph,
+                                 std::size_t node, int at);
   /// Tells the user before the first release, not after an hour, under which of its assumptions the
   /// policy's worst case does not hold in this run.
   void compare_with_certificate(const detail::AppSpecErased& app, const Session& session,

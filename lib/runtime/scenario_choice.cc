@@ -18,15 +18,17 @@ ScenarioChoice::ScenarioChoice(const AppSpec& app, const Platform& platform, con
   const auto type_of = [&](const std::string& type) {
     return static_cast<int>(std::find(types.begin(), types.end(), type) - types.begin());
   };
+  std::vector<AppSpec> under;  // [scenario]
+  for (const Scenario& scenario : tables.scenarios) under.push_back(app_under(app, scenario));
   for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
     worst_us_.push_back(tables.serves[s].worst_case_us);
     table_.push_back(tables.serves[s].table);
     covers_.emplace_back();
-    for (const Scenario& other : tables.scenarios)
-      covers_.back().push_back(covers(app, tables.scenarios[s], other) ? 1 : 0);
-    const AppSpec under = app_under(app, tables.scenarios[s]);
+    for (std::size_t other = 0; other < under.size(); ++other)
+      covers_.back().push_back(
+          covers(tables.scenarios[s], under[s], tables.scenarios[other], under[other]) ? 1 : 0);
     auto& rows = allowed_ns_.emplace_back();
-    for (const XNodeSpec& xnode : under.xnodes) {
+    for (const XNodeSpec& xnode : under[s].xnodes) {
       auto& row = rows.emplace_back(types.size(), 0);
       for (std::size_t t = 0; t < types.size(); ++t)
         if (const auto wcet = xnode.wcet_on(types[t])) row[t] = allow(types[t], *wcet);
@@ -143,9 +145,14 @@ int ScenarioChoice::nearest() const {
   };
   const auto rank = [&](std::size_t s) { return std::pair(passed(s).excess, worst_us_[s]); };
   int best = -1;
-  for (std::size_t s = 0; s < worst_us_.size(); ++s)
-    if (may(s) && (best < 0 || rank(s) < rank(static_cast<std::size_t>(best))))
-      best = static_cast<int>(s);
+  std::pair<double, std::int64_t> least_rank;
+  for (std::size_t s = 0; s < worst_us_.size(); ++s) {
+    if (!may(s)) continue;
+    const auto here = rank(s);
+    if (best >= 0 && here >= least_rank) continue;
+    best = static_cast<int>(s);
+    least_rank = here;
+  }
   return best;
 }
 
