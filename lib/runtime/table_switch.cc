@@ -52,7 +52,8 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, const Led
           options_of(context.session.deployment)),
       conditions_(tables_),
       node_of_(context.session.app.xnodes.size()),
-      table_(choice_.now().table) {
+      table_(choice_.now().table),
+      scenario_(choice_.now().scenario) {
   for (std::size_t n = 0; n < context.graph.nodes.size(); ++n)
     node_of_[static_cast<std::size_t>(context.session.app.find(context.graph.nodes[n].name))] = n;
   const Session& session = context.session;
@@ -85,7 +86,7 @@ void TableSwitch::look() {
 
 bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& drained) {
   const std::int64_t since = now_ns();
-  const int from = choice_.now().scenario;
+  const int from = scenario_;
   const auto choose = [&] {
     look();
     choice_.ask(static_cast<int>(context_.board.header().asked.load()) - 1);
@@ -141,7 +142,7 @@ void TableSwitch::judge(std::uint64_t below, SwitchReport* change) {
       change->spanned_us = std::max(change->spanned_us, *latency);
       continue;
     }
-    ScenarioLine& line = context_.board.scenario(static_cast<std::size_t>(choice_.now().scenario));
+    ScenarioLine& line = context_.board.scenario(static_cast<std::size_t>(scenario_));
     line.releases.fetch_add(1, std::memory_order_relaxed);
     if (*latency > line.longest_us.load(std::memory_order_relaxed))
       line.longest_us.store(*latency, std::memory_order_relaxed);
@@ -173,6 +174,7 @@ std::string TableSwitch::words_of(const Choice& choice) const {
 }
 
 void TableSwitch::tell(SwitchReport change, const Choice& choice) {
+  scenario_ = choice.scenario;
   BoardHeader& header = context_.board.header();
   header.scenario.store(static_cast<std::uint32_t>(choice.scenario));
   header.why.store(static_cast<std::uint32_t>(choice.why));

@@ -7,12 +7,13 @@
 //                         and the table's number, go out together
 //
 // Tables are of version 1: what they claim is about releases that meet no other. So the wait is what
-// keeps the claim of the change (Change::worst_case_us), and it is at most Change::delay_us. Where it
-// made a release late, the ones after it wait likewise, until one is on time. One that is later than a
-// period and the longest such delay is not released at all: it is lost, and counted.
+// keeps the claim of the change (Change::worst_case_us), and as far as that holds it is at most
+// Change::delay_us. Where it made a release late, the ones after it wait likewise, until one is on time.
+// One that is later than a period and the longest such delay is not released at all: it is lost, and
+// counted.
 //
-// Nothing runs between two releases for this: a job that runs too long is seen by the next release,
-// which is the first that can have another table.
+// A job that runs too long is seen by the next release, which is the first that can have another table.
+// In another process its watchdog tells (HangWatch).
 #pragma once
 
 #include <cstdint>
@@ -71,7 +72,8 @@ class TableSwitch {
   std::vector<std::size_t> node_of_;  ///< [XNode] -> graph node
   std::int64_t period_ns_ = 0;        ///< 0: none is stated
   std::int64_t longest_delay_ns_ = 0;
-  int table_ = 0;             ///< in force
+  int table_ = 0;     ///< in force
+  int scenario_ = 0;  ///< the one that was told; the choice is ahead of it while a drain fails
   std::uint64_t judged_ = 0;  ///< releases whose latency is counted
   bool catches_up_ = false;   ///< the next release waits for the one before
   bool outside_ = false, stuck_ = false;
