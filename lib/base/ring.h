@@ -22,17 +22,14 @@ class Ring {
   /// Item `i` from the front; below `size()`.
   [[nodiscard]] T& operator[](std::size_t i) { return items_[(first_ + i) & (items_.size() - 1)]; }
 
-  void push_back(T item) {
-    if (size_ == items_.size()) grow();
-    items_[(first_ + size_) & (items_.size() - 1)] = std::move(item);
-    ++size_;
-  }
-  /// pop_front that returns the item.
-  [[nodiscard]] T take_front() {
-    T item = std::move(items_[first_]);
+  /// `item` is none of this ring's own.
+  void push_back(const T& item) { room() = item; }
+  void push_back(T&& item) { room() = std::move(item); }
+  /// pop_front, with the item moved into `into`.
+  void take_front(T& into) {
+    into = std::move(items_[first_]);
     first_ = (first_ + 1) & (items_.size() - 1);
     --size_;
-    return item;
   }
   /// What the item held is let go at once.
   void pop_front() {
@@ -45,6 +42,11 @@ class Ring {
   }
 
  private:
+  /// A new last item.
+  T& room() {
+    if (size_ == items_.size()) grow();
+    return items_[(first_ + size_++) & (items_.size() - 1)];
+  }
   void grow() {
     std::vector<T> larger(items_.empty() ? 1 : items_.size() * 2);
     for (std::size_t i = 0; i < size_; ++i)

@@ -23,6 +23,7 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
     : context_(context), routes_(std::move(routes)), role_(role) {
   for (const Graph::Module& module : context.graph.modules) {
     latencies_.push_back(std::make_unique<Latencies>());
+    asked_for_.push_back(module.sink || routes_.end_at(module.nodes.back()) ? 1 : 0);
     if (module.sink) ++num_sinks_;
   }
   sink_next_.assign(context.graph.modules.size(), 0);
@@ -66,11 +67,6 @@ void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
     context_.trace->write_at(now, XAUTO_EV_DONE, sequence, XAUTO_EV_NONE,
                              static_cast<std::uint16_t>(module), XAUTO_EV_NONE);
   if (tells) through(module, sequence, origin_ns, origins, now, false, urgent);
-}
-
-bool Ledger::asked_for(int module) const {
-  const Graph::Module& ended = context_.graph.modules[static_cast<std::size_t>(module)];
-  return ended.sink || routes_.end_at(ended.nodes.back());
 }
 
 void Ledger::passed(int node, std::int64_t origin_ns, std::uint64_t sequence,

@@ -73,7 +73,9 @@ class Ledger {
 
   void account(int module, std::uint64_t sequence, std::int64_t now_ns, bool lost);
   /// Whether its results are told to who keeps the accounts.
-  [[nodiscard]] bool asked_for(int module) const;
+  [[nodiscard]] bool asked_for(int module) const {
+    return asked_for_[static_cast<std::size_t>(module)] != 0;
+  }
   void missed(int module, std::uint64_t sequence, std::int64_t latency_us);
   [[nodiscard]] bool settled() const;
   [[nodiscard]] bool wait_quiet();
@@ -82,6 +84,7 @@ class Ledger {
   Routes routes_;
   Role& role_;
   std::vector<std::unique_ptr<Latencies>> latencies_;  ///< [module]
+  std::vector<char> asked_for_;                        ///< [module]
   int num_sinks_ = 0;
   std::uint64_t num_released_ = 0;           ///< one rate; of the releasing thread, then of `run`'s
   std::atomic<std::uint32_t> in_flight_{0};  ///< one rate: releases not accounted for; a futex

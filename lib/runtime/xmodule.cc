@@ -219,19 +219,17 @@ bool ModuleRuntime::fresh(std::vector<Lost>& lost) {
 void ModuleRuntime::take(Activation& activation, std::vector<Lost>& lost) {
   std::int64_t released_ns = INT64_MAX;
   std::uint64_t sequence = 0;
-  for (std::size_t i = 0; i < queues_.size(); ++i) {
-    const detail::Envelope& first = queues_[i].waiting.front();
-    if (first.origin_ns - shift_ns_[i] >= released_ns) continue;
-    released_ns = first.origin_ns - shift_ns_[i];
-    sequence = first.sequence;
-  }
-  InputAccess::stamp(activation.input_, released_ns, sequence);
   std::vector<detail::Envelope>& messages = InputAccess::messages(activation.input_);
   activation.urgent_ = false;
   for (std::size_t i = 0; i < queues_.size(); ++i) {
-    messages[i] = queues_[i].waiting.take_front();
-    activation.urgent_ = activation.urgent_ || messages[i].urgent;
+    detail::Envelope& message = messages[i];
+    queues_[i].waiting.take_front(message);
+    activation.urgent_ |= message.urgent;
+    if (message.origin_ns - shift_ns_[i] >= released_ns) continue;
+    released_ns = message.origin_ns - shift_ns_[i];
+    sequence = message.sequence;
   }
+  InputAccess::stamp(activation.input_, released_ns, sequence);
   if (numbered_) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
     next_ = std::max(next_, sequence + 1);
