@@ -34,7 +34,7 @@ enum class Command : std::uint8_t {
   kNothing,      ///< the time is over
 };
 
-class Port {
+class alignas(64) Port {
  public:
   /// Registers a worker with the coordinator behind the abstract socket `address`. `order`: pairs
   /// (u, v) of XNodes on this XPU, as the coordinator knows them. `fifo`: SCHED_FIFO priority of
@@ -93,21 +93,22 @@ class Port {
   void ring();
   void ring_manager(int slot);
 
+  // Each job asks for these.
+  Words<RealAtomics> words_;
+  Shm shm_;
+  Job job_;
+  int slot_ = -1;
+  std::uint32_t generation_ = 0;
+  bool waits_ = false;  ///< begun, and not known to run
+  std::atomic<bool> lost_{false}, interrupted_{false};
+  std::atomic<bool> ended_{false};  ///< the socket: its coordinator is dead
+  std::uint32_t pending_command_ = 0;
+  Rules rules_;
   std::string address_;
   Hello hello_;
   UniqueFd socket_, memory_, doorbell_;
   std::shared_ptr<SocketWatch> watch_;
-  Shm shm_;
   std::size_t bytes_ = 0;
-  int slot_ = -1;
-  Rules rules_;
-  Words<RealAtomics> words_;
-  Job job_;
-  std::uint32_t generation_ = 0;
-  bool waits_ = false;  ///< begun, and not known to run
-  std::uint32_t pending_command_ = 0;
-  std::atomic<bool> lost_{false}, interrupted_{false};
-  std::atomic<bool> ended_{false};  ///< the socket: its coordinator is dead
 };
 
 }  // namespace xauto::coord

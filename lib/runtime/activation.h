@@ -18,11 +18,11 @@ namespace xauto::runtime {
 class ModuleRuntime;
 
 /// Threads: what is read here, by whoever runs the activation's XNodes, while it is in flight.
-class Activation {
+class alignas(64) Activation {
  public:
   Activation(int index, std::shared_ptr<void> state, const std::vector<detail::TopicSpec>* topics,
              std::size_t inputs)
-      : index_(index), state_(std::move(state)) {
+      : state_(std::move(state)), index_(index) {
     InputAccess::bind(input_, topics, inputs);
   }
 
@@ -62,20 +62,20 @@ class Activation {
   /// `finish` and `abandon` race for it.
   enum class Fate : std::uint8_t { kOpen, kEnding, kAbandoned };
 
-  const int index_;
-  std::shared_ptr<void> state_;
   Input input_ = InputAccess::make();
-  std::shared_ptr<const detail::Origins> origins_;
-  std::vector<std::shared_ptr<const void>> taken_;  ///< its results, by output
-  std::atomic<Fate> fate_{Fate::kOpen};
+  std::shared_ptr<void> state_;
+  const int index_;
   Stage stage_ = Stage::kFree;
+  std::atomic<Fate> fate_{Fate::kOpen};
   bool urgent_ = false;
+  bool parked_ = false;  ///< an older one is not yet through with the next XNode
   std::uint32_t table_ = 0;
+  std::uint64_t number_ = 0;                        ///< how many were fired before it
+  std::size_t position_ = 0;                        ///< XNodes of the chain that it is through with
+  Activation* next_ = nullptr;                      ///< of those that a caller is to run
+  std::vector<std::shared_ptr<const void>> taken_;  ///< its results, by output
+  std::shared_ptr<const detail::Origins> origins_;
   std::uint64_t parameters_ = 0;  ///< version of those that it sees
-  std::uint64_t number_ = 0;      ///< how many were fired before it
-  std::size_t position_ = 0;      ///< XNodes of the chain that it is through with
-  bool parked_ = false;           ///< an older one is not yet through with the next XNode
-  Activation* next_ = nullptr;    ///< of those that a caller is to run
 };
 
 }  // namespace xauto::runtime

@@ -118,10 +118,9 @@ Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) 
     return fail(ErrorCode::kInvalid,
                 "is assigned to " + x.id + " but has no implementation for '" + x.type + "'", where,
                 "add one with add_impl, or solve again with the app.json of this program");
-  placed.limits = placing_.limits[table][at_node];
-  placed.watched = session.tables.has_value();
+  placed.time(placing_.limits[table][at_node], session.tables.has_value(),
+              context_.board.xnode(at_node));
   placed.node = n;
-  placed.line = &context_.board.xnode(at_node);
   placed.ends_chain = placing_.ends_chain[at_node] != 0;
   if (!context_.scheduled()) return placed;
   if (session.keys) {

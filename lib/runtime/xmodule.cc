@@ -13,23 +13,24 @@ namespace xauto::runtime {
 ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
                              std::vector<const transport::Channel*> outputs,
                              std::vector<detail::MessageMemory*> memories, int in_flight)
-    : module_(graph.modules[static_cast<std::size_t>(index)]),
-      numbered_(module_.numbered),
-      tells_origins_(graph.tells_origins),
-      looks_first_(tells_origins_ || !module_.samples.empty()),
+    : newest_from_(graph.modules[static_cast<std::size_t>(index)].spec->inputs.size()),
       index_(index),
+      numbered_(graph.modules[static_cast<std::size_t>(index)].numbered),
+      tells_origins_(graph.tells_origins),
+      looks_first_(tells_origins_ ||
+                   !graph.modules[static_cast<std::size_t>(index)].samples.empty()),
       host_(host),
+      queues_(newest_from_),
+      module_(graph.modules[static_cast<std::size_t>(index)]),
       outputs_(std::move(outputs)),
       memories_(std::move(memories)),
       topics_(module_.spec->inputs),
-      newest_from_(topics_.size()),
-      queues_(topics_.size()),
-      newest_(module_.spec->samples.size()),
-      shift_ns_(topics_.size(), 0) {
+      newest_(module_.spec->samples.size()) {
   for (const detail::SampleSpec& sample : module_.spec->samples) topics_.push_back(sample.topic);
   for (int i = 0; i < in_flight; ++i)
     activations_.push_back(
         std::make_unique<Activation>(i, module_.spec->make_state(), &topics_, newest_from_));
+  if (in_flight == 1) only_ = activations_.front().get();
   memories_.resize(module_.spec->outputs.size());
 }
 
@@ -47,7 +48,7 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
     const Guard lock(mutex_);
     InputQueue& queue = queues_[static_cast<std::size_t>(input)];
     if (numbered_ && envelope.sequence < next_) return;  // of a release that is already lost
-    arrive(queue, envelope, lost);
+    if (!arrives_alone(queue, envelope)) arrive(queue, envelope, lost);
     fire(lost, started);
     any_over = over();
   }
@@ -58,6 +59,18 @@ void ModuleRuntime::receive(int input, const detail::Envelope& envelope) {
   }
   tell(lost);
   activate(started);
+}
+
+/// The common case, which loses nothing: the next message, and none before it waits. False: it is not
+/// that one. Called with the mutex held.
+bool ModuleRuntime::arrives_alone(InputQueue& queue, const detail::Envelope& envelope) {
+  const bool next = envelope.sequence == queue.expected && envelope.message != nullptr;
+  if (!numbered_ || !next || !queue.waiting.empty() || hung_ > 0 ||
+      overload_.kind == Overload::Kind::kSkip)
+    return false;
+  ++queue.expected;
+  queue.waiting.push_back(envelope);
+  return true;
 }
 
 /// Called with the mutex held.
@@ -193,7 +206,7 @@ void ModuleRuntime::take_turns(std::vector<Lost>& lost) {
 }
 
 /// Fires as often as there are fresh inputs, and room. Called with the mutex held.
-void ModuleRuntime::fire(std::vector<Lost>& lost, Started& started) {
+void ModuleRuntime::fire_all(std::vector<Lost>& lost, Started& started) {
   line_up(lost);
   for (Activation* free = room(); free != nullptr && fresh(lost); free = room()) {
     take(*free, lost);
@@ -225,8 +238,8 @@ void ModuleRuntime::take(Activation& activation, std::vector<Lost>& lost) {
     detail::Envelope& message = messages[i];
     queues_[i].waiting.take_front(message);
     activation.urgent_ |= message.urgent;
-    if (message.origin_ns - shift_ns_[i] >= released_ns) continue;
-    released_ns = message.origin_ns - shift_ns_[i];
+    if (message.origin_ns - queues_[i].shift_ns >= released_ns) continue;
+    released_ns = message.origin_ns - queues_[i].shift_ns;
     sequence = message.sequence;
   }
   InputAccess::stamp(activation.input_, released_ns, sequence);
@@ -366,7 +379,7 @@ void ModuleRuntime::finish(Activation& activation, bool succeeded) {
   Started free, started;
   {
     const Guard order(order_);
-    if (activations_.size() == 1) {
+    if (only_ != nullptr) {
       settle_only(activation, succeeded, lost, started);
     } else {
       {

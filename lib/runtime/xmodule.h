@@ -55,7 +55,7 @@ class ModuleHost {
 };
 
 /// Threads: `receive` from any thread; what takes an activation, from the thread that runs it.
-class ModuleRuntime {
+class alignas(64) ModuleRuntime {
  public:
   /// `outputs`: the channels of the module's output topics, in their order; `memories`: where their
   /// messages are made. `in_flight`: how many activations may be at once, each with a state.
@@ -68,7 +68,10 @@ class ModuleRuntime {
     overload_ = overload;
   }
   /// How much earlier than its message's origin the activation counts as released, by input.
-  void shift_origins(std::vector<std::int64_t> by_ns) { shift_ns_ = std::move(by_ns); }
+  void shift_origins(const std::vector<std::int64_t>& by_ns) {
+    const Guard lock(mutex_);
+    for (std::size_t i = 0; i < queues_.size(); ++i) queues_[i].shift_ns = by_ns[i];
+  }
   /// Several rates: fires with messages whose origins are at most `tolerance_ns` apart, the oldest
   /// such ones first; a message that can have no partner any more is lost.
   void match_within(std::int64_t tolerance_ns) { match_ns_ = tolerance_ns; }
@@ -85,14 +88,14 @@ class ModuleRuntime {
     for (InputQueue& queue : queues_) queue.expected = next;
   }
   /// An activation is told to have left before the next one is told to be activated.
-  [[nodiscard]] bool one_at_a_time() const { return activations_.size() == 1 && !watched_; }
+  [[nodiscard]] bool one_at_a_time() const { return only_ != nullptr && !watched_; }
   [[nodiscard]] Activation& activation(std::size_t index) { return *activations_[index]; }
 
   /// A message (or tombstone) for input number `input`; beyond the inputs: for a sampled topic.
   void receive(int input, const detail::Envelope& envelope);
   /// Its next XNode may take it. False: an older one is not through with that XNode; somebody will
   /// `proceed` with it.
-  bool enter(Activation& activation) { return activations_.size() == 1 || may_enter(activation); }
+  bool enter(Activation& activation) { return only_ != nullptr || may_enter(activation); }
   /// The first XNode is about to run: what is sampled is read now. `now_ns` counts where it
   /// `samples()`; 0 otherwise.
   void begin(Activation& activation, std::int64_t now_ns);
@@ -101,8 +104,10 @@ class ModuleRuntime {
   [[nodiscard]] bool looks_first() const { return looks_first_; }
   /// It is through with its next XNode, and not at its end.
   void pass(Activation& activation) {
-    if (activations_.size() > 1) let_others_in(activation);
+    if (only_ == nullptr) let_others_in(activation);
   }
+  /// Nobody hears of its results.
+  [[nodiscard]] bool ends_inside() const { return outputs_.empty(); }
   /// Its chain has ended.
   void finish(Activation& activation, bool succeeded);
 
@@ -121,6 +126,7 @@ class ModuleRuntime {
   struct InputQueue {
     Ring<detail::Envelope> waiting;  ///< in order; at most one unless queued
     std::uint64_t expected = 0;      ///< numbered: number of the next message
+    std::int64_t shift_ns = 0;       ///< see shift_origins
   };
   /// Releases first..last were lost for `reason`; told to the host without the mutex.
   struct Lost {
@@ -140,6 +146,8 @@ class ModuleRuntime {
 
   void settle(std::uint64_t below, std::uint32_t reason, std::vector<Lost>& lost)
       XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] bool arrives_alone(InputQueue& queue, const detail::Envelope& envelope)
+      XAUTO_REQUIRES(mutex_);
   void arrive(InputQueue& queue, const detail::Envelope& envelope, std::vector<Lost>& lost)
       XAUTO_REQUIRES(mutex_);
   void lose_while_hung(InputQueue& queue, const detail::Envelope& envelope, std::vector<Lost>& lost)
@@ -148,16 +156,20 @@ class ModuleRuntime {
   [[nodiscard]] bool matched(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] bool fresh(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   void take(Activation& activation, std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
-  void fire(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(mutex_);
+  void fire(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(mutex_) {
+    // Asked at each message and each end: mostly an input is still missing.
+    const bool missing = queues_[empty_].waiting.empty() && lost.empty();
+    if (!missing || overload_.kind == Overload::Kind::kQueue) fire_all(lost, started);
+  }
+  void fire_all(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(mutex_);
   void line_up(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_) {
     if (numbered_ && !lost.empty()) take_turns(lost);
   }
   void take_turns(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   /// An activation that may be fired.
   [[nodiscard]] Activation* room() XAUTO_REQUIRES(mutex_) {
-    if (activations_.size() > 1) return room_of_several();
-    Activation& only = *activations_.front();
-    return only.stage_ == Activation::Stage::kFree ? &only : nullptr;
+    if (only_ == nullptr) return room_of_several();
+    return only_->stage_ == Activation::Stage::kFree ? only_ : nullptr;
   }
   [[nodiscard]] Activation* room_of_several() XAUTO_REQUIRES(mutex_);
   void empty(Activation& activation) XAUTO_REQUIRES(mutex_);
@@ -204,41 +216,41 @@ class ModuleRuntime {
   }
   void tell_all(const std::vector<Lost>& lost);
 
-  const Graph::Module& module_;
+  // In the order of use: what each message and each end asks for lies together.
+  const std::size_t newest_from_;  ///< numbers of inputs from here on are sampled
+  const int index_;
   const bool numbered_, tells_origins_;
   bool looks_first_;  ///< before its first XNode runs
-  const int index_;
+  bool watched_ = false;
+  std::int64_t match_ns_ = -1;
   ModuleHost& host_;
-  std::vector<const transport::Channel*> outputs_;
-  std::vector<detail::MessageMemory*> memories_;  ///< of the outputs; null: the heap
-  std::vector<detail::TopicSpec> topics_;
-  const std::size_t newest_from_;  ///< numbers of inputs from here on are sampled
+  const Board* tables_ = nullptr;
   std::vector<std::unique_ptr<Activation>> activations_;
+  Activation* only_ = nullptr;  ///< where one is in flight at a time
 
+  PiMutex mutex_;  ///< nothing is called while it is held
   /// Held while it is told what was settled, so that it is told in order. Before `mutex_`; before
   /// those of modules downstream.
   PiMutex order_;
-  std::vector<Turn> settled_ XAUTO_GUARDED_BY(order_);  ///< a member, so that it keeps its memory
-
-  PiMutex mutex_;  ///< nothing is called while it is held
   std::vector<InputQueue> queues_ XAUTO_GUARDED_BY(mutex_);
-  std::vector<detail::Envelope> newest_ XAUTO_GUARDED_BY(mutex_);  ///< by sampled topic
   std::size_t empty_ XAUTO_GUARDED_BY(mutex_) =
       0;  ///< a queue that was empty when last looked at: the first to look at
-  Overload overload_ XAUTO_GUARDED_BY(mutex_);
   std::uint64_t next_ XAUTO_GUARDED_BY(mutex_) =
       0;  ///< numbered: releases below this number are settled, taken or lost
+  std::size_t hung_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< activations that were given up
+  Overload overload_ XAUTO_GUARDED_BY(mutex_);
   std::uint64_t fired_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< activations so far
-  std::size_t hung_ XAUTO_GUARDED_BY(mutex_) = 0;     ///< activations that were given up
   /// What is not settled yet, the oldest first. Numbered: what was lost is told in its turn, since
   /// whoever hears of k + 1 takes an untold k for lost.
   Ring<Turn> turns_ XAUTO_GUARDED_BY(mutex_);
+  std::vector<Turn> settled_ XAUTO_GUARDED_BY(order_);  ///< a member, so that it keeps its memory
 
+  const Graph::Module& module_;
+  std::vector<const transport::Channel*> outputs_;
+  std::vector<detail::MessageMemory*> memories_;  ///< of the outputs; null: the heap
+  std::vector<detail::TopicSpec> topics_;
+  std::vector<detail::Envelope> newest_ XAUTO_GUARDED_BY(mutex_);  ///< by sampled topic
   ParameterReader parameters_;  ///< of whoever begins: activations begin one after the other
-  bool watched_ = false;
-  const Board* tables_ = nullptr;
-  std::int64_t match_ns_ = -1;
-  std::vector<std::int64_t> shift_ns_;  ///< [input]
 };
 
 }  // namespace xauto::runtime
