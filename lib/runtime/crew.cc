@@ -2,6 +2,7 @@
 #include "runtime/crew.h"
 
 #include <algorithm>
+#include <vector>
 
 #include "runtime/worker.h"
 
@@ -38,6 +39,11 @@ std::optional<Ready> Crew::next(Worker& worker) {
   const Ready job = waiting_.front();
   waiting_.pop_front();
   return job;
+}
+
+bool Crew::leave(Worker& worker) {
+  const Guard lock(mutex_);
+  return std::erase(idle_, &worker) > 0;
 }
 
 }  // namespace xauto::runtime

@@ -40,6 +40,8 @@ class Crew {
   /// What the thread of `worker`, which is through with its own, is to go on with. None: it is told
   /// by Worker::take.
   [[nodiscard]] std::optional<Ready> next(Worker& worker);
+  /// That thread has something to do after all. False: it is being told what.
+  [[nodiscard]] bool leave(Worker& worker);
 
  private:
   PiMutex mutex_;

@@ -205,15 +205,40 @@ void Worker::execute() {
 }
 
 void Worker::execute_crew_job() {
-  for (std::optional<Ready> job = taken_; job; job = crew_->next(*this)) {
+  for (std::optional<Ready> job = taken_; job;) {
     job->worker->run_chain(job->node, job->begun);
     run_lane();
+    job = std::exchange(asked_, false) ? std::nullopt : crew_->next(*this);
   }
+}
+
+/// A job of the last XNode of a module without outputs is over, and what is left is to account for it.
+/// Whoever hears of that may bring the next job at once, and take this core for it: it is to find
+/// this thread free, not to wake another one.
+void Worker::ask_early() {
+  Worker& home = *t_home;
+  if (crew_ == nullptr || !home.lane_.empty()) return;
+  if (const auto job = crew_->next(home))
+    home.lane_.push_back(*job);
+  else
+    home.asked_ = true;
+}
+
+/// It has something to do after all. If it was chosen meanwhile, that job joins what waits here.
+void Worker::withdraw() {
+  asked_ = false;
+  if (crew_->leave(*this)) return;
+  std::uint32_t mail = 0;
+  while ((mail = mailbox_.load(std::memory_order_acquire)) == 0) futex_wait_local(mailbox_, 0);
+  if (mail == kQuit) return;
+  mailbox_.store(0, std::memory_order_release);
+  lane_.push_back(taken_);
 }
 
 /// The most urgent job of this thread first, as the XPU itself would be given.
 void Worker::run_lane() {
   while (!lane_.empty()) {
+    if (asked_) withdraw();
     coord::Next next;
     for (std::size_t i = 0; i < lane_.size(); ++i) {
       // Who was ready first is before it.
@@ -246,8 +271,11 @@ void Worker::run_chain(std::size_t node, bool begun) {
   for (;; begun = false) {
     if (!run_job(chain, node, begun)) return module.finish(activation, false);
     if (++node == length) {
-      if (!chain[length - 1].urgency.by_release()) return module.finish(activation, true);
-      const std::int64_t due_ns = due(chain[length - 1]);
+      if (!chain[length - 1].urgency.by_release()) {
+        if (module.ends_inside()) ask_early();
+        return module.finish(activation, true);
+      }
+      const std::int64_t due_ns = key_of(chain[length - 1]);
       const std::uint64_t sequence = activation.sequence();
       module.finish(activation, true);
       if (const std::int64_t now = now_ns(); now > due_ns) module.missed(sequence, now - due_ns);
@@ -276,11 +304,6 @@ coord::Key Worker::key_of(const Placed& placed) const {
                             chain_.activation->urgent());
 }
 
-/// By when the job is to end; 0: its policy does not say.
-std::int64_t Worker::due(const Placed& placed) const {
-  return placed.urgency.by_release() ? key_of(placed) : 0;
-}
-
 xpu::CpuJob Worker::cpu_job(const Placed& placed) const {
   const std::int64_t nominal = chain_.activation->origin_ns();
   const std::uint64_t n = chain_.activation->sequence();
@@ -295,7 +318,8 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   Instance& here = *placed.here;
   const Input& input = chain_.activation->input();
   const bool observed = thread_->observed();
-  chain_.activation->set_due(due(placed), due(chain[chain_.length() - 1]));
+  if (placed.urgency.by_release())
+    chain_.activation->set_due(key_of(placed), key_of(chain[chain_.length() - 1]));
   if (observed || placed.fifo_priority > 0) thread_->next(cpu_job(placed));
   // Told before: after the hold it is woken with this job's key.
   if (placed.urgency.holds())
@@ -315,8 +339,7 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   if (position == 0 && chain_.runtime->looks_first())
     chain_.runtime->begin(*chain_.activation, chain_.runtime->samples() ? now_ns() : 0);
   record(XAUTO_EV_RUN, placed, chain_.activation->sequence());
-  const bool limited = placed.limits.any() || placed.watched;
-  if (limited) begin_limited(placed, chain_.activation->sequence());
+  if (placed.timed) begin_limited(placed, chain_.activation->sequence());
   bool succeeded = false;
   try {
     if (Status status =
@@ -330,7 +353,7 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   } catch (...) {
     note_failure(placed, "threw something that is no std::exception");
   }
-  if (limited && !end_limited(placed)) succeeded = false;
+  if (placed.timed && !end_limited(placed)) succeeded = false;
   if (port_) {
     backend_->finishing(here.made.handle, !here.ran_once);
     here.ran_once = true;

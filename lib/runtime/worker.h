@@ -44,22 +44,31 @@ struct Instance {
   bool ran_once = false;  ///< exec has
 };
 
-/// One XNode as a table places it: everything that its job needs, looked up once.
-struct Placed {
-  std::string name;
-  std::uint32_t xnode = 0;  ///< index into app.json's xnodes
-  std::uint32_t task = 0;   ///< as coordinators and BPF maps know it, see Session::task
-  int node = -1;            ///< index into the graph's nodes
-  Urgency urgency;
-  int fifo_priority = 0;  ///< SCHED_FIFO priority on a real CPU; 0: leave as it is
-  const detail::ImplSpec* impl = nullptr;
+/// One XNode as a table places it: everything that its job needs, looked up once. What each job asks
+/// for is in the first cache line.
+struct alignas(64) Placed {
   Worker* worker = nullptr;
+  const detail::ImplSpec* impl = nullptr;
   std::shared_ptr<Instance> here = std::make_shared<Instance>();
+  std::uint32_t task = 0;   ///< as coordinators and BPF maps know it, see Session::task
+  int fifo_priority = 0;    ///< SCHED_FIFO priority on a real CPU; 0: leave as it is
+  bool timed = false;       ///< see `time`
+  bool watched = false;     ///< how long its jobs take decides which table is next
+  bool ends_chain = false;  ///< a chain ends here, and not at the module's end
+  Urgency urgency;
+  std::uint32_t xnode = 0;  ///< index into app.json's xnodes
+  int node = -1;            ///< index into the graph's nodes
   Limits limits;
-  bool watched = false;       ///< how long its jobs take decides which table is next
-  XNodeLine* line = nullptr;  ///< set if there are limits, or it is watched
-  /// A chain ends here, and not at the module's end.
-  bool ends_chain = false;
+  XNodeLine* line = nullptr;  ///< of the board
+  std::string name;
+
+  /// Its jobs are timed if they have limits, or are watched.
+  void time(const Limits& with, bool watch, XNodeLine& on) {
+    limits = with;
+    watched = watch;
+    line = &on;
+    timed = limits.any() || watched;
+  }
 };
 
 /// The chain of one module as one of its activations runs through it, shared by its workers.
@@ -141,6 +150,8 @@ class Worker {
  private:
   void execute();
   void execute_crew_job();
+  void ask_early();
+  void withdraw();
   void manage();
   void tell_held_up(const Placed& placed, std::uint64_t sequence, std::uint32_t who);
   [[nodiscard]] Status init_nodes();
@@ -150,7 +161,6 @@ class Worker {
   bool run_job(const Placed* chain, std::size_t position, bool begun);
   void begin(const Placed& placed);
   [[nodiscard]] coord::Key key_of(const Placed& placed) const;
-  [[nodiscard]] std::int64_t due(const Placed& placed) const;
   [[nodiscard]] xpu::CpuJob cpu_job(const Placed& placed) const;
   void wake(std::uint32_t mail);
   void run_lane();
@@ -168,21 +178,23 @@ class Worker {
   static thread_local Worker* t_home;  ///< whose execution thread this is
 
   WorkerOptions options_;
+  // Each job asks for these.
+  alignas(64) Crew* crew_ = nullptr;  ///< who may run its jobs; null: its own thread alone
   NodeRow& chain_;
   trace::Writer* trace_;
   std::unique_ptr<xpu::CpuThread> thread_;  ///< how the execution thread gets its CPU
   std::unique_ptr<coord::Port> port_;
   std::unique_ptr<xpu::Backend> backend_;
-  std::thread exec_, mgmt_;
-  Crew* crew_ = nullptr;     ///< who may run its jobs; null: its own thread alone
-  Ready taken_;              ///< of its execution thread, if it belongs to a crew
-  std::vector<Ready> lane_;  ///< what became ready on its execution thread, and stays with it
-  /// 0: empty; kQuit; else chain position + 1, or anything if it belongs to a crew.
-  std::atomic<std::uint32_t> mailbox_{0};
   /// The job whose queue the management thread acts on, in one word: its place in NodeRow::nodes above
   /// kSequenceBits, its activation's number below.
   std::atomic<std::uint64_t> current_{0};
   static constexpr int kSequenceBits = 48;
+  /// 0: empty; kQuit; else chain position + 1, or anything if it belongs to a crew.
+  std::atomic<std::uint32_t> mailbox_{0};
+  std::vector<Ready> lane_;  ///< what became ready on its execution thread, and stays with it
+  Ready taken_;              ///< of its execution thread, if it belongs to a crew
+  bool asked_ = false;       ///< see ask_early
+  std::thread exec_, mgmt_;
   std::atomic<bool> lost_{false};
   std::atomic<std::uint32_t> managed_{0};  ///< 1: the management thread is through; a futex
   /// 1: the execution thread takes no job any more; 2: it is through, too, with what its inits have

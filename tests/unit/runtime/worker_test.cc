@@ -4,8 +4,11 @@
 #include "runtime/worker.h"
 
 #include <chrono>
+#include <functional>
 #include <future>
 #include <stdexcept>
+#include <thread>
+#include <vector>
 
 #include <gtest/gtest.h>
 #include <sys/eventfd.h>
@@ -303,8 +306,7 @@ TEST_F(WorkerTest, AnExecThatDoesNotReturnIsFoundOnce) {
     return {};
   };
   XNodeLine line;
-  row_.nodes[0].line = &line;
-  row_.nodes[0].limits.hang_ns = 1'000'000;
+  row_.nodes[0].time({0, 1'000'000}, false, line);
   Worker& worker = only();
   ASSERT_TRUE(worker.start());
   std::thread driver([&] { EXPECT_TRUE(run(0)); });
@@ -319,6 +321,147 @@ TEST_F(WorkerTest, AnExecThatDoesNotReturnIsFoundOnce) {
   driver.join();
   EXPECT_TRUE(worker.stop());
   EXPECT_FALSE(worker.in_exec());
+}
+
+/// Modules M and S on one XPU that takes a job at a time, a worker each; S hears M and has no output.
+class TwoOfACrew : public ::testing::Test, public ModuleHost {
+ protected:
+  TwoOfACrew() {
+    for (const std::size_t m : {0u, 1u}) {
+      specs_[m].name = m == 0 ? "M" : "S";
+      specs_[m].make_state = []() -> std::shared_ptr<void> { return std::make_shared<int>(); };
+      specs_[m].inputs = {*detail::topic_spec(Topic<int>(m == 0 ? "in" : "between"))};
+      graph_.modules.push_back({specs_[m].name, &specs_[m], {}, {}, {}, m == 1});
+      graph_.modules.back().numbered = false;
+    }
+    specs_[0].outputs = {
+        {*detail::topic_spec(Topic<int>("between")),
+         [](void*, detail::MessageMemory*) { return std::make_shared<const int>(0); }}};
+    between_.subscribe([this](const detail::Envelope& e) { modules_[1]->receive(0, e); });
+    const std::string address = "xauto-test/crew-" + std::to_string(getpid());
+    coordinator_ = std::make_unique<Serving<coord::Server>>(
+        std::move(*coord::Server::create({.address = address,
+                                          .xpu = "npu0",
+                                          .discipline = Discipline::kGate,
+                                          .xnodes = {"m", "s"}})));
+    for (const std::size_t m : {0u, 1u}) {
+      std::vector<const transport::Channel*> outputs;
+      if (m == 0) outputs.push_back(&between_);
+      modules_[m] =
+          std::make_unique<ModuleRuntime>(graph_, static_cast<int>(m), *this, std::move(outputs));
+      modules_[m]->set_overload({Overload::Kind::kQueue, 4});
+      impls_[m].init = [](const XpuId&, std::shared_ptr<void>&) { return SchedHandle::gate(); };
+      impls_[m].exec = [this, m](void*, void*, const Input& input) -> Status {
+        {
+          const Guard lock(mutex_);
+          ran_.push_back((m == 0 ? "m" : "s") + std::to_string(input.sequence()));
+          threads_of_.push_back(std::this_thread::get_id());
+        }
+        if (during_) during_(m, input.sequence());
+        return {};
+      };
+      rows_[m].module = static_cast<int>(m);
+      rows_[m].runtime = modules_[m].get();
+      rows_[m].activation = &modules_[m]->activation(0);
+      Placed placed;
+      placed.name = m == 0 ? "m" : "s";
+      placed.xnode = placed.task = static_cast<std::uint32_t>(m);
+      placed.impl = &impls_[m];
+      placed.urgency = Urgency::of_priority(static_cast<std::int64_t>(9 - m));
+      rows_[m].nodes.push_back(std::move(placed));
+      workers_[m] = std::make_unique<Worker>(
+          WorkerOptions{.name = specs_[m].name,
+                        .xpu = 0,
+                        .backend = {.xpu = {"npu0", "npu", false}, .id = {"npu0", XPU("npu"), 0}},
+                        .coordinator = address},
+          rows_[m], nullptr, *threads_);
+      workers_[m]->share(crew_);
+      rows_[m].nodes.front().worker = workers_[m].get();
+      EXPECT_TRUE(workers_[m]->start());
+    }
+  }
+  ~TwoOfACrew() override {
+    for (const auto& worker : workers_) EXPECT_TRUE(worker->stop());
+  }
+
+  void message(std::size_t module, std::uint64_t sequence) {
+    modules_[module]->receive(0, {std::make_shared<const int>(0), 1, sequence});
+  }
+  /// As the sensor's thread does, which is woken when a release has ended.
+  void message_from_elsewhere(std::size_t module, std::uint64_t sequence) {
+    std::thread([&] { message(module, sequence); }).join();
+  }
+  void wait_for(std::size_t jobs) {
+    for (const std::int64_t limit = now_ns() + 30'000'000'000; now_ns() < limit;
+         std::this_thread::sleep_for(1ms)) {
+      const Guard lock(mutex_);
+      if (ended_ >= jobs) return;
+    }
+    ADD_FAILURE() << "jobs have no thread";
+  }
+
+  void activate(int m, Activation&) override {
+    rows_[static_cast<std::size_t>(m)].nodes.front().worker->submit(0);
+  }
+  void proceed(int, Activation&, std::size_t) override {}
+  void done(int m, const Activation& activation) override {
+    if (after_) after_(static_cast<std::size_t>(m), activation.sequence());
+  }
+  void left(int) override {
+    const Guard lock(mutex_);
+    ++ended_;
+  }
+  void dropped(int, std::uint64_t, std::uint32_t) override { ADD_FAILURE(); }
+  void skip(int, std::uint64_t) override {}
+
+  detail::XModuleSpec specs_[2];
+  Graph graph_;
+  transport::Channel between_;
+  std::unique_ptr<Serving<coord::Server>> coordinator_;
+  std::unique_ptr<xpu::CpuThreads> threads_ = std::move(*xpu::CpuThreads::create({}));
+  std::unique_ptr<ModuleRuntime> modules_[2];
+  detail::ImplSpec impls_[2];
+  NodeRow rows_[2];
+  Crew crew_;
+  std::function<void(std::size_t, std::uint64_t)> during_, after_;  ///< an exec; a module's end
+  PiMutex mutex_;
+  std::vector<std::string> ran_ XAUTO_GUARDED_BY(mutex_);
+  std::vector<std::thread::id> threads_of_ XAUTO_GUARDED_BY(mutex_);
+  std::size_t ended_ XAUTO_GUARDED_BY(mutex_) = 0;
+  std::unique_ptr<Worker> workers_[2];
+};
+
+TEST_F(TwoOfACrew, WhoHearsOfAnEndFindsItsThreadFree) {
+  after_ = [&](std::size_t m, std::uint64_t k) {
+    if (m == 1 && k < 3) message_from_elsewhere(0, k + 1);
+  };
+  message(0, 0);
+  wait_for(8);
+  const Guard lock(mutex_);
+  EXPECT_EQ(ran_, (std::vector<std::string>{"m0", "s0", "m1", "s1", "m2", "s2", "m3", "s3"}));
+  for (const std::thread::id id : threads_of_) EXPECT_EQ(id, threads_of_.front());
+}
+
+/// S's end makes S's next job ready, on the thread that had nothing to do any more.
+TEST_F(TwoOfACrew, AThreadThatIsNotFreeAfterAllKeepsBothJobs) {
+  for (const bool chosen : {false, true}) {
+    during_ = [&](std::size_t m, std::uint64_t k) {
+      if (m == 1 && k == 0) message_from_elsewhere(1, 1);
+    };
+    after_ = [&](std::size_t m, std::uint64_t k) {
+      if (m == 1 && k == 0 && chosen) message_from_elsewhere(0, 2);
+    };
+    {
+      const Guard lock(mutex_);
+      ran_.clear();
+      ended_ = 0;
+    }
+    message(0, 0);
+    wait_for(chosen ? 5 : 3);
+    const Guard lock(mutex_);
+    EXPECT_EQ(ran_, chosen ? (std::vector<std::string>{"m0", "s0", "m2", "s1", "s2"})
+                           : (std::vector<std::string>{"m0", "s0", "s1"}));
+  }
 }
 
 }  // namespace
