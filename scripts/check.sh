@@ -99,8 +99,8 @@ style() {
   one "clang-tidy, of what changed" scripts/check-tidy.sh
 }
 # What runs where, each test once if it can: unit tests under ASan+UBSan, those that need speed (label `heavy`: the explorer of the
-# protocol, the solver's) in the release build, with the integration scripts; those with threads under TSan as well (one that
-# takes long there has none). CONTRIBUTING.md says what is left to `full`.
+# protocol, the solver's) in the release build, with the integration scripts; those with threads under TSan as well (two that
+# take long there have none). CONTRIBUTING.md says what is left to `full`.
 release=(xauto xauto-coordinator xauto-emud xauto-cpusched driving camera integration_programs xauto_shared xauto_watch test_coord test_messages test_solver)
 threaded='base|trace|coord|emu|transport|processes|runtime|launch'
 unit() { build ci build "${release[@]}" && { note "tests, release"; tests build -L heavy; integration build -LE long; }; }
@@ -114,7 +114,7 @@ tsan_build() {
   IFS='|' read -ra targets <<<"$threaded"
   build tsan build-tsan "${targets[@]/#/test_}"
 }
-tsan_tests() { note "tests, TSan"; tests build-tsan -R "^($threaded)\." -LE heavy -E 'Snapshot.AMachineThatDies'; }
+tsan_tests() { note "tests, TSan"; tests build-tsan -R "^($threaded)\." -LE heavy -E 'Snapshot.AMachineThatDies|Script.AgreesWithASecond'; }
 tsan() { tsan_build && tsan_tests; }
 # A VM takes one core most of the time: what compiles goes on beside it, then tests one by one.
 kernel_and_sanitizers() {
