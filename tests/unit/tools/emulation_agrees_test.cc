@@ -3,6 +3,7 @@
 // rules. Here random apps run on both, in virtual time, and must finish every XNode at the same
 // microsecond. So do the simulator of policies, and those devices under the coordinator's decisions.
 #include <algorithm>
+#include <cstdlib>
 #include <limits>
 #include <map>
 #include <random>
@@ -102,7 +103,8 @@ void compare(solver::Model model) {
 /// within another is paid differs by a rule of the devices.
 TEST(EmulationAgrees, UnderTheCoordinatorsDecisionsWithTheRuleThatPoliciesArePlannedBy) {
   int preemptions = 0, limited = 0;
-  for (unsigned seed = 0; seed < 4000; ++seed) {
+  const unsigned seeds = std::getenv("XAUTO_FULL") != nullptr ? 4000 : 1200;
+  for (unsigned seed = 0; seed < seeds; ++seed) {
     std::mt19937 random(seed);
     // Jobs come to the GPU from everywhere: chains over all XPUs, with some edges between them.
     AppSpec app;
@@ -156,8 +158,8 @@ TEST(EmulationAgrees, UnderTheCoordinatorsDecisionsWithTheRuleThatPoliciesArePla
     limited +=
         solver::simulate(*solver::Problem::create(app, free), decision).finish != simulated.finish;
   }
-  EXPECT_GT(preemptions, 3000);
-  EXPECT_GT(limited, 50);
+  EXPECT_GT(preemptions, 1000);
+  EXPECT_GT(limited, 10);
 }
 
 TEST(EmulationAgrees, WithTheSimulatorsRos2Model) {
