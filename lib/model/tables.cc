@@ -8,8 +8,8 @@
 namespace xauto {
 
 const char* to_string(Why why) {
-  constexpr std::array<const char*, 6> kNames = {"start",   "asked", "machine",
-                                                 "overrun", "back",  "outside"};
+  constexpr std::array<const char*, 7> kNames = {"start", "asked",   "machine", "overrun",
+                                                 "back",  "outside", "lost"};
   const auto at = static_cast<std::size_t>(why);
   return at < kNames.size() ? kNames[at] : "?";
 }

@@ -24,6 +24,16 @@ Result<std::unique_ptr<StandIn>> StandIn::take_over(int process, const Plan& pla
     const std::uint64_t settled = hub.board()->module(m).settled();
     if (settled > 0) g.tombstone(m, settled - 1);
   }
+  // What it had taken out of its queues, nobody has any more. Told now: whoever waits for the end of
+  // all that is in flight sends nothing after it.
+  for (std::size_t t = 0; t < graph.topics.size(); ++t) {
+    if (plan.topics[t].reader(process) < 0) continue;
+    const std::uint64_t next = hub.topic(t).next_sequence();
+    for (const Graph::Subscriber& s : graph.topics[t].subscribers)
+      if (next > 0 && !s.sampled && plan.process_of[static_cast<std::size_t>(s.module)] == process &&
+          graph.modules[static_cast<std::size_t>(s.module)].numbered)
+        g.arrive(s.module, next - 1);
+  }
   for (std::size_t t = 0; t < graph.topics.size(); ++t) {
     const int reader = plan.topics[t].reader(process);
     if (reader < 0) continue;

@@ -34,7 +34,14 @@ ScenarioChoice::ScenarioChoice(const AppSpec& app, const Platform& platform, con
         if (const auto wcet = xnode.wcet_on(types[t])) row[t] = allow(types[t], *wcet);
     }
   }
+  gone_.assign(platform.xpus.size(), 0);
+  for (const Scenario& scenario : tables.scenarios) {
+    auto& row = lost_.emplace_back(platform.xpus.size(), 0);
+    for (std::size_t x = 0; x < platform.xpus.size(); ++x)
+      row[x] = std::count(scenario.lost.begin(), scenario.lost.end(), platform.xpus[x].id) > 0;
+  }
   for (const Table& table : tables.tables) {
+    xpu_.push_back(table.xpu);
     auto& row = type_.emplace_back();
     for (const int xpu : table.xpu)
       row.push_back(type_of(platform.xpus[static_cast<std::size_t>(xpu)].type));
@@ -46,6 +53,7 @@ ScenarioChoice::ScenarioChoice(const AppSpec& app, const Platform& platform, con
 
 void ScenarioChoice::ask(int scenario) {
   if (scenario >= static_cast<int>(table_.size())) scenario = -1;
+  if (scenario != asked_) std::fill(gone_.begin(), gone_.end(), 0);  // who asks knows
   asked_anew_ = asked_anew_ || scenario != asked_;
   asked_ = scenario;
 }
@@ -55,12 +63,44 @@ void ScenarioChoice::expect(int scenario) {
 }
 
 void ScenarioChoice::saw(int table, std::size_t xnode, std::int64_t ns) {
+  const auto xpu = static_cast<std::size_t>(xpu_[static_cast<std::size_t>(table)][xnode]);
+  if (gone_[xpu] != 0) return;
   const int type = type_[static_cast<std::size_t>(table)][xnode];
   std::int64_t& longest = recent_ns_[xnode][static_cast<std::size_t>(type)];
   longest = std::max(longest, ns);
 }
 
+/// Of those that `may`, the one with the least worst case; of equal ones the first; -1: none may.
+template <class May>
+int ScenarioChoice::least(May may) const {
+  int best = -1;
+  for (std::size_t s = 0; s < worst_us_.size(); ++s)
+    if ((best < 0 || worst_us_[s] < worst_us_[static_cast<std::size_t>(best)]) && may(s))
+      best = static_cast<int>(s);
+  return best;
+}
+
+void ScenarioChoice::hung(int table, std::size_t xnode) {
+  const int xpu = xpu_[static_cast<std::size_t>(table)][xnode];
+  const auto at = static_cast<std::size_t>(xpu);
+  const auto all_gone = [&](std::size_t s) {
+    for (std::size_t x = 0; x < gone_.size(); ++x)
+      if ((gone_[x] != 0 || x == at) && !does_without(s, x)) return false;
+    return true;
+  };
+  if (gone_[at] != 0 || least(all_gone) < 0) return;  // nobody does without it: see the hang limit
+  gone_[at] = 1;
+  hung_ = {static_cast<int>(xnode), xpu};
+  // What jobs took there is no evidence of a clock.
+  const std::vector<int>& where = xpu_[static_cast<std::size_t>(table)];
+  const auto type = static_cast<std::size_t>(type_[static_cast<std::size_t>(table)][xnode]);
+  for (std::size_t x = 0; x < where.size(); ++x)
+    if (where[x] == xpu) recent_ns_[x][type] = older_ns_[x][type] = 0;
+}
+
 bool ScenarioChoice::on_floor(std::size_t scenario) const {
+  for (std::size_t x = 0; x < gone_.size(); ++x)
+    if (gone_[x] != 0 && !does_without(scenario, x)) return false;
   return (asked_ < 0 || covers_[scenario][static_cast<std::size_t>(asked_)] != 0) &&
          (expected_ < 0 || covers_[scenario][static_cast<std::size_t>(expected_)] != 0);
 }
@@ -84,16 +124,6 @@ ScenarioChoice::Passed ScenarioChoice::passed(std::size_t scenario) const {
 
 bool ScenarioChoice::fits(std::size_t scenario, std::int64_t margin_pct) const {
   return passed(scenario).factor <= static_cast<double>(100 - margin_pct) / 100;
-}
-
-/// Of those that `may`, the one with the least worst case; of equal ones the first; -1: none may.
-template <class May>
-int ScenarioChoice::least(May may) const {
-  int best = -1;
-  for (std::size_t s = 0; s < worst_us_.size(); ++s)
-    if ((best < 0 || worst_us_[s] < worst_us_[static_cast<std::size_t>(best)]) && may(s))
-      best = static_cast<int>(s);
-  return best;
 }
 
 void ScenarioChoice::put(int scenario, Why why, std::int64_t now_ns) {
@@ -163,6 +193,13 @@ void ScenarioChoice::blame(const Evidence& seen, int judged) {
   now_.allowed_ns = allowed(static_cast<std::size_t>(judged), seen);
 }
 
+void ScenarioChoice::lose(int scenario, std::int64_t now_ns) {
+  put(scenario, Why::kLost, now_ns);
+  const Hung hung = std::exchange(hung_, {});
+  now_.xnode = hung.xnode;
+  now_.xpu = hung.xpu;
+}
+
 bool ScenarioChoice::decide(std::int64_t now_ns) {
   const int before = now_.scenario;
   const auto current = static_cast<std::size_t>(before);
@@ -170,7 +207,10 @@ bool ScenarioChoice::decide(std::int64_t now_ns) {
   const Passed by = passed(current);
   const bool fitted = by.factor <= 1;
   if (fitted && on_floor(current)) {
-    if (now_.why == Why::kOutside) put(before, Why::kBack, now_ns);  // it was a guess, and holds
+    if (hung_.xpu >= 0)
+      lose(before, now_ns);  // and it was left already
+    else if (now_.why == Why::kOutside)
+      put(before, Why::kBack, now_ns);  // it was a guess, and holds
     if (anew || now_ns - since_ns_ >= dwell_ns_) {
       const int lower = least([&](std::size_t s) {
         return on_floor(s) && worst_us_[s] < worst_us_[current] && fits(s, options_.margin_pct);
@@ -178,8 +218,12 @@ bool ScenarioChoice::decide(std::int64_t now_ns) {
       if (lower >= 0) put(lower, anew ? Why::kAsked : Why::kBack, now_ns);
     }
   } else if (const int next = next_scenario(); next >= 0) {
-    put(next, !fitted ? Why::kOverrun : anew ? Why::kAsked : Why::kMachine, now_ns);
-    if (!fitted) blame(by.worst, before);
+    if (hung_.xpu >= 0) {
+      lose(next, now_ns);
+    } else {
+      put(next, !fitted ? Why::kOverrun : anew ? Why::kAsked : Why::kMachine, now_ns);
+      if (!fitted) blame(by.worst, before);
+    }
   } else {
     const int near = nearest();
     if (now_.why != Why::kOutside || near != before) put(near, Why::kOutside, now_ns);

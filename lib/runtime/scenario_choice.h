@@ -4,9 +4,11 @@
 //
 //   floor      the scenario that people ask for (`xauto mode`, App::request_mode), and the one that
 //              the machine's clocks say (condition_watch.h)
+//   lost       XPUs from which a job did not return within its hang limit, where a scenario does
+//              without them; until people ask anew, as nothing is seen of an XPU that nobody uses
 //   evidence   for how long jobs have had their XPUs, in the last dwell at least
 //
-//                     a job past its WCET, or a higher floor: at once
+//                a job past its WCET, a higher floor, an XPU that is lost: at once
 //        ┌───────────────────────────────────────────────────────────────┐
 //        │                                                               ▼
 //   a scenario that covers the floor                    the least one that covers the floor,
@@ -38,8 +40,8 @@ struct Choice {
   int table = 0;     ///< index into Tables::tables
   Why why = Why::kStart;
   /// kOverrun, kOutside: the job, how long it had its XPU, and what the scenario before (kOverrun) or
-  /// this one (kOutside) allows.
-  int xnode = -1;
+  /// this one (kOutside) allows. kLost: the job, and the XPU.
+  int xnode = -1, xpu = -1;
   std::int64_t saw_ns = 0, allowed_ns = 0;
 };
 
@@ -66,6 +68,8 @@ class ScenarioChoice {
   void expect(int scenario);
   /// A job of `xnode` has had its XPU for so long, where `table` places it. It may still have it.
   void saw(int table, std::size_t xnode, std::int64_t ns);
+  /// A job of `xnode` does not return from where `table` places it.
+  void hung(int table, std::size_t xnode);
   /// What shall be in force from now on. True: that is another scenario than before.
   bool decide(std::int64_t now_ns);
   [[nodiscard]] const Choice& now() const { return now_; }
@@ -81,6 +85,9 @@ class ScenarioChoice {
     Evidence worst = {};  ///< by that
     double excess = 0;    ///< of all XNodes, what is above 1
   };
+  [[nodiscard]] bool does_without(std::size_t scenario, std::size_t xpu) const {
+    return lost_[scenario][xpu] != 0;
+  }
   [[nodiscard]] bool on_floor(std::size_t scenario) const;
   [[nodiscard]] bool fits(std::size_t scenario, std::int64_t margin_pct) const;
   [[nodiscard]] Passed passed(std::size_t scenario) const;
@@ -93,6 +100,7 @@ class ScenarioChoice {
   [[nodiscard]] int nearest() const;
   void blame(const Evidence& seen, int judged);
   void put(int scenario, Why why, std::int64_t now_ns);
+  void lose(int scenario, std::int64_t now_ns);
   void age(std::int64_t now_ns);
 
   const ChoiceOptions options_;
@@ -100,7 +108,13 @@ class ScenarioChoice {
   std::vector<int> table_;                 ///< [scenario]
   std::vector<std::vector<char>> covers_;  ///< [scenario][covered scenario]
   std::vector<std::vector<std::vector<std::int64_t>>> allowed_ns_;  ///< [scenario][xnode][type]
-  std::vector<std::vector<int>> type_;                              ///< [table][xnode]
+  std::vector<std::vector<int>> type_, xpu_;                        ///< [table][xnode]
+  std::vector<std::vector<char>> lost_;                             ///< [scenario][XPU]
+  std::vector<char> gone_;                                          ///< [XPU]
+  struct Hung {
+    int xnode = -1, xpu = -1;
+  };
+  Hung hung_;  ///< since the last choice
   /// [xnode][type] the longest, of this span of time and of the one before; 0: nothing.
   std::vector<std::vector<std::int64_t>> recent_ns_, older_ns_;
   std::int64_t span_since_ns_ = 0;

@@ -2,6 +2,7 @@
 #include "runtime/table_switch.h"
 
 #include <algorithm>
+#include <utility>
 
 #include <fmt/format.h>
 #include <uapi/xauto/event.h>
@@ -52,6 +53,7 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, const Led
           options_of(context.session.deployment)),
       conditions_(tables_),
       node_of_(context.session.app.xnodes.size()),
+      hangs_(context.session.app.xnodes.size()),
       table_(choice_.now().table),
       scenario_(choice_.now().scenario) {
   for (std::size_t n = 0; n < context.graph.nodes.size(); ++n)
@@ -78,9 +80,14 @@ void TableSwitch::look() {
   const std::int64_t now = now_ns();
   for (const auto& worker : wiring_.workers()) worker->tell_time(now);
   for (std::size_t x = 0; x < node_of_.size(); ++x) {
-    std::atomic<std::int64_t>& saw = context_.board.xnode(node_of_[x]).saw_ns;
-    if (saw.load(std::memory_order_relaxed) == 0) continue;
-    choice_.saw(table_, x, saw.exchange(0));
+    XNodeLine& line = context_.board.xnode(node_of_[x]);
+    if (line.saw_ns.load(std::memory_order_relaxed) != 0)
+      choice_.saw(table_, x, line.saw_ns.exchange(0));
+    // All that is in flight has this table, so that job has.
+    if (const std::uint64_t hangs = line.hangs.load(std::memory_order_relaxed); hangs > hangs_[x]) {
+      hangs_[x] = hangs;
+      choice_.hung(table_, x);
+    }
   }
 }
 
@@ -108,7 +115,8 @@ bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& dra
   }
   const Choice& choice = choice_.now();
   SwitchReport change;
-  const bool changed = choice.scenario != from;
+  const bool lost = choice.why == Why::kLost && choice.xpu != std::exchange(lost_, choice.xpu);
+  const bool changed = choice.scenario != from || lost;
   judge(release, changed ? &change : nullptr);
   // Whoever waited for nothing is on time again. Where a release meets the next one in any case, the
   // wait keeps no claim.
@@ -159,7 +167,7 @@ void TableSwitch::put(std::uint64_t release, int table) {
 }
 
 const Change* TableSwitch::change_of(int from, int to) const {
-  if (tables_.changes.empty()) return nullptr;
+  if (tables_.changes.empty() || from == to) return nullptr;
   const std::size_t others = tables_.scenarios.size() - 1;
   const int at = static_cast<int>(others) * from + to - (to > from ? 1 : 0);
   return &tables_.changes[static_cast<std::size_t>(at)];
@@ -168,6 +176,10 @@ const Change* TableSwitch::change_of(int from, int to) const {
 std::string TableSwitch::words_of(const Choice& choice) const {
   if (choice.xnode < 0) return {};
   const auto x = static_cast<std::size_t>(choice.xnode);
+  if (choice.xpu >= 0)
+    return fmt::format("XNode '{}' did not return from {} within its hang limit",
+                       context_.session.app.xnodes[x].name,
+                       context_.session.platform.xpus[static_cast<std::size_t>(choice.xpu)].id);
   return fmt::format("XNode '{}' had its XPU for {:.3f} ms, allowed are {:.3f}",
                      context_.session.app.xnodes[x].name, static_cast<double>(choice.saw_ns) * 1e-6,
                      static_cast<double>(choice.allowed_ns) * 1e-6);

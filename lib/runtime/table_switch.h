@@ -70,6 +70,7 @@ class TableSwitch {
   ScenarioChoice choice_;
   ConditionWatch conditions_;
   std::vector<std::size_t> node_of_;  ///< [XNode] -> graph node
+  std::vector<std::uint64_t> hangs_;  ///< [XNode] that were looked at
   std::int64_t period_ns_ = 0;        ///< 0: none is stated
   std::int64_t longest_delay_ns_ = 0;
   int table_ = 0;     ///< in force
@@ -77,6 +78,7 @@ class TableSwitch {
   std::uint64_t judged_ = 0;  ///< releases whose latency is counted
   bool catches_up_ = false;   ///< the next release waits for the one before
   bool outside_ = false, stuck_ = false;
+  int lost_ = -1;  ///< the XPU that was last told to be lost
   std::deque<SwitchReport> switches_;
   std::uint64_t num_switches_ = 0;
   struct Outside {

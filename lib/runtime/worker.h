@@ -202,7 +202,7 @@ class Worker {
   std::atomic<std::uint32_t> ended_{0};
   Stopwatch watch_;                              ///< of jobs with limits
   std::atomic<const Placed*> limited_{nullptr};  ///< whose job that is
-  std::uint64_t hung_job_ = 0;                   ///< of find_hung
+  std::atomic<std::uint64_t> hung_job_{0};       ///< the last one that find_hung found
   std::atomic<std::int64_t> cpu_since_ns_{0};    ///< of the execution thread's CPU time
   clockid_t cpu_clock_ = CLOCK_MONOTONIC;  ///< of the execution thread; set before its first job
   mutable PiMutex failure_mutex_;

@@ -136,7 +136,7 @@ bool Worker::end_limited(const Placed& placed) {
 
 void Worker::tell_time(std::int64_t now_ns) const {
   const auto seen = watch_.look(now_ns);
-  if (!seen) return;
+  if (!seen || seen->job == hung_job_.load(std::memory_order_relaxed)) return;  // that is told
   const Placed* placed = limited_.load(std::memory_order_acquire);
   const std::int64_t took_ns =
       backend_->on_thread() ? clock_ns(cpu_clock_) - cpu_since_ns_.load() : seen->took_ns;
@@ -147,13 +147,13 @@ void Worker::tell_time(std::int64_t now_ns) const {
 
 std::optional<Worker::Hung> Worker::find_hung(std::int64_t now_ns) {
   const auto seen = watch_.look(now_ns);
-  if (!seen || seen->job == hung_job_) return std::nullopt;
+  if (!seen || seen->job == hung_job_.load(std::memory_order_relaxed)) return std::nullopt;
   const Placed* placed = limited_.load(std::memory_order_acquire);
   if (placed->limits.hang_ns <= 0 || seen->took_ns <= placed->limits.hang_ns) return std::nullopt;
   // limited_ belongs to the job that was seen only if that one still runs.
   const auto again = watch_.look(now_ns);
   if (!again || again->job != seen->job) return std::nullopt;
-  hung_job_ = seen->job;
+  hung_job_.store(seen->job, std::memory_order_relaxed);
   placed->line->hangs.fetch_add(1, std::memory_order_relaxed);
   return Hung{placed, seen->sequence, chain_.module};
 }

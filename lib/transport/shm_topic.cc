@@ -425,6 +425,10 @@ class ShmLink final : public Link {
       return fail(ErrorCode::kIo, std::string("cannot share a topic: ") + strerror(errno));
     return fds;
   }
+  std::uint64_t next_sequence() const override {
+    const auto control = TopicControl::map(fds_.control.get());
+    return control ? (*control)->next_sequence() : 0;
+  }
   void release_all(std::uint32_t reader) override {
     if (auto control = TopicControl::map(fds_.control.get())) (*control)->release_all(reader);
   }

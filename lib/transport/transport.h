@@ -77,6 +77,8 @@ class Link {
       const detail::TopicSpec& topic, std::uint32_t reader) = 0;
   /// For a process that publishes it, or only reads it.
   [[nodiscard]] virtual Result<std::vector<UniqueFd>> invite(bool publishes) const = 0;
+  /// One beyond the last release that went out, from whichever process.
+  [[nodiscard]] virtual std::uint64_t next_sequence() const = 0;
   /// The process of this reader is dead: it holds no message any more.
   virtual void release_all(std::uint32_t reader) = 0;
 };

@@ -85,6 +85,48 @@ class Throttle(unittest.TestCase):
         self.assertIn("GPU at half", [s["to"] for s in report["switches"]])
         self.assertIn("XNode", next(s for s in report["switches"] if s["why"] in ("overrun", "outside"))["detail"])
 
+    def test_a_dla_that_stops_for_good_is_lost_and_its_table_does_without(self):
+        for xnode in self.app["xnodes"]:
+            xnode["wcet_us"] = {kind: us * 4 for kind, us in xnode["wcet_us"].items()}
+        self.write("app.json", self.app)
+        self.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "driving",
+                                      "scenarios": [{"name": "nominal"}, {"name": "no DLA", "lost": ["dla0"]}]})
+        self.solve("--scenarios", "scenarios.json", "--tables", 2, "--time-limit-s", 4, app="app.json")
+        tables = json.loads((self.folder / "policy.json").read_text())
+        on_dla = [x["name"] for x in tables["tables"][0]["xnodes"] if x["xpu"] == "dla0"]
+        self.assertTrue(on_dla, "so this tests nothing")
+        self.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "driving",
+                                       "defaults": {**QUEUES["defaults"], "isolate": True, "hang_us": 500_000,
+                                                    "on_hang": "restart", "restarts": 5}})
+        self.script({"at_us": 1_000_000, "stop": ["dla0"]})
+        with open(self.folder / "err", "w") as err:
+            tool = subprocess.Popen(
+                [XAUTO, "run", "--app", "app.json", "--platform", "small", "--emulate", "--policy", "policy.json",
+                 "--deployment", "deployment.json", "--activations", "0", "--period-us", "100000", "--emulate-script",
+                 "script.json", "--json", "--", DRIVING], cwd=self.folder, stdout=subprocess.PIPE, stderr=err, text=True)
+        self.addCleanup(lambda: (tool.kill(), tool.wait()))
+        self.addCleanup(lambda: tool.stdout.close())
+
+        def now():
+            done = xauto("mode", "--run", f"{tool.pid}-0", "--wait-s", 10, "--json")
+            self.assertEqual(done.returncode, 0, done.stderr + (self.folder / "err").read_text())
+            return json.loads(done.stdout)["now"]
+
+        def results():
+            done = xauto("top", "--run", f"{tool.pid}-0", "--once", "--interval-ms", 50, "--json")
+            return {m["name"]: m["activations"] for m in json.loads(done.stdout)["modules"]}
+        wait_for("the table without the DLA", lambda: now() == "no DLA", tool)
+        wait_for("results", lambda: results(), tool)
+        before = results()
+        wait_for("results of all modules", lambda: all(n > before[m] + 5 for m, n in results().items()), tool)
+        tool.terminate()
+        report = json.loads(tool.communicate(timeout=60)[0])["runs"][0]
+        lost = next((s for s in report["switches"] if s["why"] == "lost"), None)
+        self.assertTrue(lost, f"{report['switches']}\n{(self.folder / 'err').read_text()}")
+        self.assertEqual(lost["to"], "no DLA")
+        self.assertRegex(lost["detail"], f"^XNode '({'|'.join(on_dla)})' did not return from dla0 within its hang limit$")
+        self.assertNotIn("back", [s["why"] for s in report["switches"][report["switches"].index(lost):]])
+
     def test_a_stopped_dla_is_seen_by_the_hang_limit(self):
         self.solve("--pin", "fcd.infer=dla0", "--pin", "td.infer=dla0")
         self.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "driving", **QUEUES,

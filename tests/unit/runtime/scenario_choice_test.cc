@@ -170,6 +170,52 @@ TEST_F(ChoiceTest, OneJobThatIsFarTooLongDoesNotHideASlowXpu) {
   EXPECT_EQ(choice.now().why, Why::kOutside);
 }
 
+TEST_F(ChoiceTest, AnXpuFromWhichAJobDoesNotReturnIsLostUntilPeopleAskAnew) {
+  ScenarioChoice choice = make();
+  choice.saw(0, 0, 90 * kMilli);  // seen before its hang limit
+  choice.decide(0);
+  EXPECT_EQ(choice.now().why, Why::kOutside);
+  choice.hung(0, 0);
+  EXPECT_TRUE(choice.decide(1));
+  EXPECT_EQ(choice.now().scenario, kNoGpu);
+  EXPECT_EQ(choice.now().why, Why::kLost);
+  EXPECT_EQ(choice.now().xnode, 0);
+  EXPECT_EQ(choice.now().xpu, 1);
+  choice.saw(0, 0, 95 * kMilli);  // it is still there
+  for (std::int64_t t = 2; t < 200 * kDwell; t += 10 * kMilli)
+    ASSERT_FALSE(choice.decide(t)) << "nothing has said that it is back";
+  EXPECT_EQ(choice.now().why, Why::kLost);
+  choice.ask(kHalfGpu);
+  EXPECT_TRUE(choice.decide(201 * kDwell));
+  EXPECT_EQ(choice.now().scenario, kHalfGpu);
+  EXPECT_EQ(choice.now().why, Why::kAsked);
+}
+
+TEST_F(ChoiceTest, AnXpuThatIsLostIsSaidToBeEvenWhereItWasLeftAlready) {
+  ScenarioChoice choice = make();
+  choice.ask(kNoGpu);
+  choice.saw(0, 1, 90 * kMilli);
+  choice.decide(0);
+  ASSERT_EQ(choice.now().scenario, kNoGpu);
+  ASSERT_EQ(choice.now().why, Why::kOutside);
+  choice.hung(0, 0);
+  std::int64_t t = 1;
+  for (; choice.now().why == Why::kOutside && t < 10 * kDwell; t += kMilli) choice.decide(t);
+  EXPECT_EQ(choice.now().scenario, kNoGpu);
+  EXPECT_EQ(choice.now().why, Why::kLost);
+  EXPECT_EQ(choice.now().xpu, 1);
+}
+
+TEST_F(ChoiceTest, AnXpuThatNoScenarioDoesWithoutIsNotGivenUp) {
+  ScenarioChoice choice = make();
+  choice.hung(0, 1);  // b, on the CPU
+  EXPECT_FALSE(choice.decide(0));
+  EXPECT_EQ(choice.now().scenario, kNominal);
+  choice.hung(0, 0);
+  EXPECT_TRUE(choice.decide(1)) << "the GPU is another matter";
+  EXPECT_EQ(choice.now().scenario, kNoGpu);
+}
+
 TEST_F(ChoiceTest, WhereNothingCoversBothTheMachineCounts) {
   ScenarioChoice choice = make();
   choice.ask(kNoGpu);
