@@ -84,6 +84,8 @@ Status Wiring::place_module(std::size_t module, int index) {
       if (at == here.end()) {
         XAUTO_ASSIGN(WorkerOptions options, placing_.worker(context_, module, index, xpu));
         options.contexts = &context_.board.contexts();
+        if (context_.session.board_fd >= 0)
+          options.counts = &context_.board.xpu(static_cast<std::size_t>(xpu));
         options.held_up = held_up_.get();
         workers_.push_back(
             std::make_unique<Worker>(std::move(options), chain, context_.trace, *threads_));

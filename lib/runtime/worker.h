@@ -56,8 +56,9 @@ struct Placed {
   Worker* worker = nullptr;
   std::shared_ptr<Instance> here = std::make_shared<Instance>();
   Limits limits;
-  bool watched = false;       ///< how long its jobs take decides which table is next
-  XNodeLine* line = nullptr;  ///< set if there are limits, or it is watched
+  bool watched = false;  ///< how long its jobs take decides which table is next
+  XNodeLine* line = nullptr;
+  [[nodiscard]] bool limited() const { return limits.any() || watched; }
   /// A chain ends here, and not at the module's end.
   bool ends_chain = false;
 };
@@ -86,6 +87,7 @@ struct WorkerOptions {
   std::string coordinator;  ///< abstract socket; empty: nobody schedules
   coord::OrderPairs order;
   ContextCounts* contexts = nullptr;  ///< on the board, which outlives the worker
+  XpuLine* counts = nullptr;          ///< likewise, of its XPU; null: nobody can look at it
   const HeldUp* held_up = nullptr;    ///< null: nobody looks at what its jobs hold up
 };
 
@@ -162,8 +164,9 @@ class Worker {
   void take_level(const Placed& placed);
   void write(std::uint16_t kind, const Placed& placed, std::uint64_t sequence, std::uint32_t arg);
   void note_failure(const Placed& placed, const std::string& what);
-  void begin_limited(const Placed& placed, std::uint64_t sequence);
-  bool end_limited(const Placed& placed);
+  void begin_timed(const Placed& placed, std::uint64_t sequence);
+  bool end_timed(const Placed& placed);
+  void tell_cpu_time();
 
   static thread_local Worker* t_home;  ///< whose execution thread this is
 
@@ -188,10 +191,12 @@ class Worker {
   /// 1: the execution thread takes no job any more; 2: it is through, too, with what its inits have
   /// made; a futex.
   std::atomic<std::uint32_t> ended_{0};
-  Stopwatch watch_;                              ///< of jobs with limits
-  std::atomic<const Placed*> limited_{nullptr};  ///< whose job that is
-  std::uint64_t hung_job_ = 0;                   ///< of find_hung
-  std::atomic<std::int64_t> cpu_since_ns_{0};    ///< of the execution thread's CPU time
+  Stopwatch watch_;                            ///< of the job that runs
+  std::atomic<const Placed*> timed_{nullptr};  ///< whose job that is
+  std::uint64_t hung_job_ = 0;                 ///< of find_hung
+  std::atomic<std::int64_t> cpu_since_ns_{0};  ///< of the execution thread's CPU time
+  std::int64_t cpu_told_ns_ = 0;               ///< ... what is on the board
+  bool holds_ = false;  ///< its XPU is held by jobs, and no CPU: for how long is counted
   clockid_t cpu_clock_ = CLOCK_MONOTONIC;  ///< of the execution thread; set before its first job
   mutable PiMutex failure_mutex_;
   std::string failure_ XAUTO_GUARDED_BY(failure_mutex_);
