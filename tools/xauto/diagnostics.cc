@@ -52,9 +52,9 @@ std::string claim_words(const FlowCounts& flow, const ClaimCounts& claims, bool 
   return "not claimed here: " + one_line(claims.broken);
 }
 
-/// `name`: behind the run's. `slack`: the longest is of what the worst case is about.
+/// `of_each`: what is claimed is of every result. With tables it is of those that met no change.
 Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCounts& before,
-                   const RunLook& look, std::int64_t before_ns, bool slack) {
+                   const RunLook& look, std::int64_t before_ns, bool of_each) {
   const ClaimCounts& claims = look.counts.claims;
   const std::int64_t at_ns = look.counts.at_ns;
   const bool claimed = now.worst_case_us > 0 && claims.stands();
@@ -106,7 +106,9 @@ Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCou
     d.values.emplace_back(key, std::move(value));
   };
   // Autoware's four keys, then ours.
-  const bool as_expected = (!claimed || over == 0) && late == 0;
+  const bool last_over = claimed && of_each && now.last_us > now.allowed_us;
+  const bool last_late = has_deadline && now.last_us > now.deadline_us;
+  const bool as_expected = (!claimed || over == 0) && late == 0 && !last_over && !last_late;
   say("is_processing_time_ms_in_expected_range", limit_us > 0 ? word(as_expected) : kUnknown);
   say("processing_time_ms", millis(now.last_us));
   say("is_consecutive_processing_delay_in_range",
@@ -114,7 +116,7 @@ Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCou
   say("consecutive_processing_delay_ms", millis(delay_us));
   say("longest_ms", millis(now.longest_us));
   say("worst_case_ms", claimed ? millis(now.worst_case_us) : kUnknown);
-  say("slack_ms", claimed && slack && now.longest_us >= 0
+  say("slack_ms", claimed && of_each && now.longest_us >= 0
                       ? signed_millis(now.worst_case_us - now.longest_us)
                       : kUnknown);
   say("deadline_ms", has_deadline ? millis(now.deadline_us) : kUnknown);

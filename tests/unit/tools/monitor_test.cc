@@ -89,6 +89,11 @@ TEST(Diagnostics, OneThatIsLongerThanCertifiedIsAWarningAndBeyondItsDeadlineAnEr
   d = chain_of(now, &before);
   EXPECT_EQ(d.level, Level::kError);
   EXPECT_TRUE(d.message.starts_with("2 results later than the deadline of 80.000 ms"));
+  // Without a result in between, the last one still is what it was.
+  now.counts.chains[0].last_us = 80'001;
+  d = chain_of(now, &now);
+  EXPECT_EQ(d.level, Level::kOk);
+  EXPECT_EQ(value(d, "is_processing_time_ms_in_expected_range"), "False");
   // What was told once is over.
   RunLook later = look(12 * kSecond);
   later.counts.chains[0].over = 1;
