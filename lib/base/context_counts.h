@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cstdint>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace xauto {
@@ -20,21 +21,41 @@ struct ContextCounts {
   std::atomic<std::uint32_t> held_up{};     ///< jobs that, suspended, held up a more urgent one
   std::atomic<std::uint32_t> misplaced{};   ///< jobs that could not be put on their level
 
-  /// Why no worst case holds, a line each, for people. `live`: of a run that goes on.
+  /// `say(kind, count, what)` of each that only grows: why no worst case holds.
+  template <class Say>
+  void each(Say say) const {
+    const auto tell = [&](const char* kind, const std::atomic<std::uint32_t>& count,
+                          const char* what) {
+      say(kind, count.load(std::memory_order_relaxed), what);
+    };
+    tell("partial_context", partial,
+         "suspensions of a context may have left out what it had just opened");
+    tell("unclaimed_queue", unclaimed,
+         "TSGs or DLA queues are no known context's: they are not suspended");
+    tell("assumed_context", assumed,
+         "contexts were made before `init`: that there was no other then is assumed");
+    tell("shared_context", shared,
+         "contexts are two modules', or their queue is: they are not suspended");
+    tell("gated_context", gated,
+         "GPU contexts did not leave the engine in time: they are not preempted any more");
+    tell("held_up_job", held_up,
+         "suspended jobs held up a more urgent one that waits for their work");
+    tell("misplaced_job", misplaced,
+         "jobs ran on another priority level of the hardware than was theirs");
+  }
+  /// ... that counts now: a stage has not run once, so its context may not be complete.
+  [[nodiscard]] std::string not_complete() const {
+    const std::uint32_t n = incomplete.load(std::memory_order_relaxed);
+    if (n == 0) return {};
+    return std::to_string(n) + " contexts not complete: a stage on them has not run once";
+  }
+  /// The same, a line each, for people. `live`: of a run that goes on.
   [[nodiscard]] std::vector<std::string> doubts(bool live) const {
     std::vector<std::string> lines;
-    const auto say = [&](const std::atomic<std::uint32_t>& count, const char* what) {
-      if (const std::uint32_t n = count.load(std::memory_order_relaxed); n > 0)
-        lines.push_back(std::to_string(n) + " " + what);
-    };
-    if (live) say(incomplete, "contexts not complete: a stage on them has not run once");
-    say(partial, "suspensions of a context may have left out what it had just opened");
-    say(unclaimed, "TSGs or DLA queues are no known context's: they are not suspended");
-    say(assumed, "contexts were made before `init`: that there was no other then is assumed");
-    say(shared, "contexts are two modules', or their queue is: they are not suspended");
-    say(gated, "GPU contexts did not leave the engine in time: they are not preempted any more");
-    say(held_up, "suspended jobs held up a more urgent one that waits for their work");
-    say(misplaced, "jobs ran on another priority level of the hardware than was theirs");
+    if (std::string line = not_complete(); live && !line.empty()) lines.push_back(std::move(line));
+    each([&](const char*, std::uint32_t count, const char* what) {
+      if (count > 0) lines.push_back(std::to_string(count) + " " + what);
+    });
     return lines;
   }
 };

@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include "base/memory_file.h"
+#include "base/utf8.h"
 #include "model/app.h"
 #include "model/deployment.h"
 #include "model/parameter.h"
@@ -22,13 +23,13 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kMaxFlows = kMaxChains + 1;
-constexpr std::uint32_t kBoardMagic = 0x58424f44;  // "XBOD"; another one with each layout
+constexpr std::uint32_t kBoardMagic = 0x58424f45;  // "XBOE"; another one with each layout
 
 std::size_t bytes_of(const BoardShape& shape) {
   return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
          shape.modules * sizeof(ModuleLine) + shape.nodes * sizeof(XNodeLine) +
          shape.flows * sizeof(FlowLine) + shape.parameters * sizeof(ParameterLine) +
-         shape.scenarios * sizeof(ScenarioLine);
+         shape.scenarios * sizeof(ScenarioLine) + shape.xpus * sizeof(XpuLine);
 }
 
 void fill(void* memory, const BoardShape& s) {
@@ -40,6 +41,7 @@ void fill(void* memory, const BoardShape& s) {
   header->flows = s.flows;
   header->parameters = s.parameters;
   header->scenarios = s.scenarios;
+  header->xpus = s.xpus;
   auto* lines = reinterpret_cast<ProcessLine*>(header + 1);
   for (std::uint32_t p = 0; p < s.processes; ++p) (new (lines + p) ProcessLine)->stand_in.store(p);
   auto* counts = reinterpret_cast<ModuleLine*>(lines + s.processes);
@@ -52,6 +54,8 @@ void fill(void* memory, const BoardShape& s) {
   for (std::uint32_t p = 0; p < s.parameters; ++p) new (parameters + p) ParameterLine;
   auto* scenarios = reinterpret_cast<ScenarioLine*>(parameters + s.parameters);
   for (std::uint32_t k = 0; k < s.scenarios; ++k) new (scenarios + k) ScenarioLine;
+  auto* xpus = reinterpret_cast<XpuLine*>(scenarios + s.scenarios);
+  for (std::uint32_t x = 0; x < s.xpus; ++x) new (xpus + x) XpuLine;
 }
 
 }  // namespace
@@ -67,7 +71,8 @@ Board::Board(void* memory, std::size_t bytes, bool mapped, const BoardShape& sha
       xnodes_(reinterpret_cast<XNodeLine*>(modules_ + shape.modules)),
       flows_(reinterpret_cast<FlowLine*>(xnodes_ + shape.nodes)),
       parameters_(reinterpret_cast<ParameterLine*>(flows_ + shape.flows)),
-      scenarios_(reinterpret_cast<ScenarioLine*>(parameters_ + shape.parameters)) {}
+      scenarios_(reinterpret_cast<ScenarioLine*>(parameters_ + shape.parameters)),
+      xpus_(reinterpret_cast<XpuLine*>(scenarios_ + shape.scenarios)) {}
 
 Board::~Board() {
   if (mapped_)
@@ -86,7 +91,7 @@ std::shared_ptr<Board> Board::local(const BoardShape& shape) {
 Result<std::shared_ptr<Board>> Board::create(const BoardShape& shape, UniqueFd& fd) {
   if (shape.processes == 0 || shape.processes > kMaxProcesses || shape.modules > kMaxXNodes ||
       shape.nodes > kMaxXNodes || shape.flows > kMaxFlows || shape.parameters > kMaxParameters ||
-      shape.scenarios > kMaxScenarios)
+      shape.scenarios > kMaxScenarios || shape.xpus > kMaxXpus)
     return fail(ErrorCode::kInvalid, std::to_string(shape.processes) + " processes and " +
                                          std::to_string(shape.modules) + " modules are too many");
   const std::size_t bytes = bytes_of(shape);
@@ -114,7 +119,7 @@ Result<std::shared_ptr<Board>> Board::map(int fd, const BoardShape& shape) {
   const BoardHeader& h = *board->header_;
   if (h.magic != kBoardMagic || h.processes != shape.processes || h.modules != shape.modules ||
       h.nodes != shape.nodes || h.flows != shape.flows || h.parameters != shape.parameters ||
-      h.scenarios != shape.scenarios)
+      h.scenarios != shape.scenarios || h.xpus != shape.xpus)
     return fail(ErrorCode::kInvalid, "the app's shared memory is another app's", {},
                 "all processes of an app must be of one build");
   return board;
@@ -146,13 +151,13 @@ Result<std::shared_ptr<Board>> Board::look(int fd, int protection) {
   if (memory == MAP_FAILED)
     return fail(ErrorCode::kIo, std::string("cannot map shared memory: ") + strerror(errno));
   const auto* header = static_cast<const BoardHeader*>(memory);
-  const BoardShape shape{header->processes, header->modules,    header->nodes,
-                         header->flows,     header->parameters, header->scenarios};
+  const BoardShape shape{header->processes,  header->modules,   header->nodes, header->flows,
+                         header->parameters, header->scenarios, header->xpus};
   const bool whole = header->magic == kBoardMagic && shape.processes >= 1 &&
                      shape.processes <= kMaxProcesses && shape.modules <= kMaxXNodes &&
                      shape.nodes <= kMaxXNodes && shape.flows >= 1 && shape.flows <= kMaxFlows &&
                      shape.parameters <= kMaxParameters && shape.scenarios <= kMaxScenarios &&
-                     bytes_of(shape) == bytes;
+                     shape.xpus <= kMaxXpus && bytes_of(shape) == bytes;
   if (!whole) {
     munmap(memory, bytes);
     return fail(ErrorCode::kUnavailable, "the app has not started yet");
@@ -160,8 +165,14 @@ Result<std::shared_ptr<Board>> Board::look(int fd, int protection) {
   return std::shared_ptr<Board>(new Board(memory, bytes, true, shape));
 }
 
-void FlowLine::add(std::int64_t us) {
+void FlowLine::add(std::int64_t us, std::int64_t now_ns) {
   results.fetch_add(1, std::memory_order_relaxed);
+  sum_us.fetch_add(us, std::memory_order_relaxed);
+  last_ns.store(now_ns, std::memory_order_relaxed);
+  // A run whose first result is late counts from there.
+  if (limit_us() > 0 && (us <= limit_us() || in_time_ns.load(std::memory_order_relaxed) == 0))
+    in_time_ns.store(now_ns, std::memory_order_relaxed);
+  if (allowed_us > 0 && us > allowed_us) over.fetch_add(1, std::memory_order_relaxed);
   latency_us[std::min(Distribution::bucket_of(us), kBuckets - 1)].fetch_add(
       1, std::memory_order_relaxed);
   last_us.store(us, std::memory_order_relaxed);
@@ -185,7 +196,7 @@ void Board::tell_unkept(const std::string& text) {
 }
 
 std::string Board::unkept() const {
-  return {header_->unkept, strnlen(header_->unkept, kBoardTextBytes)};
+  return valid_utf8({header_->unkept, strnlen(header_->unkept, kBoardTextBytes)});
 }
 
 void name_line(char (&field)[kBoardNameBytes], const std::string& name) {
@@ -193,7 +204,7 @@ void name_line(char (&field)[kBoardNameBytes], const std::string& name) {
 }
 
 std::string line_name(const char (&field)[kBoardNameBytes]) {
-  return {field, strnlen(field, kBoardNameBytes)};
+  return valid_utf8({field, strnlen(field, kBoardNameBytes)});
 }
 
 std::uint64_t Board::settled() const {

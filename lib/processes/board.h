@@ -28,10 +28,14 @@ inline constexpr std::size_t kBoardTextBytes = 2048;  ///< with the 0 at its end
 
 struct alignas(64) BoardHeader {
   std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0, flows = 0, parameters = 0,
-                scenarios = 0;
+                scenarios = 0, xpus = 0;
   std::atomic<std::uint64_t> released{};  ///< [H] releases of the sensors
   std::atomic<std::uint64_t> late{};      ///< [H] ... that were not where app.json has them
   std::atomic<std::int64_t> latest_ns{};  ///< [H] the most that one of these was off
+  /// [H] of an app of one rate: releases that came while an earlier one was still in flight.
+  std::atomic<std::uint64_t> overlapping{};
+  /// [H] with tables: how often jobs, or the machine's clocks, were those of no scenario.
+  std::atomic<std::uint64_t> outside_jobs{}, outside_clocks{};
   /// [H] before the run: what the policy's claims take for granted and this run does not keep.
   char unkept[kBoardTextBytes] = {};
   ContextCounts contexts{};  ///< by the workers of all processes
@@ -56,7 +60,8 @@ constexpr std::uint32_t table_in(std::uint64_t word) {
 
 /// What is counted, and checked when memory of another process is mapped.
 struct BoardShape {
-  std::uint32_t processes = 1, modules = 0, nodes = 0, flows = 1, parameters = 0, scenarios = 0;
+  std::uint32_t processes = 1, modules = 0, nodes = 0, flows = 1, parameters = 0, scenarios = 0,
+                xpus = 0;
 };
 
 inline constexpr std::size_t kBoardNameBytes = 104;  ///< with the 0 at its end; longer ones are cut
@@ -81,17 +86,27 @@ struct alignas(64) FlowLine {
   static constexpr std::uint32_t kBuckets = 2048;  ///< Distribution's: up to days
   char name[kBoardNameBytes] = {};                 ///< [H] before the run
   std::uint32_t module = 0;                        ///< [H] where a chain ends
-  /// [H] before the run, of a policy of keys: what it claims, and what is beyond that; 0: nothing.
+  /// [H] before the run: what the policy claims, and what is beyond that; 0: nothing. A bound from
+  /// below has a policy of keys only. With tables it is the scenario that claims (ScenarioLine).
   std::int64_t worst_case_us = 0, lower_bound_us = 0, allowed_us = 0;
   std::int64_t urgent_worst_case_us = 0, urgent_allowed_us = 0;  ///< likewise, of urgent releases
+  /// [H] before the run: what app.json and the deployment state; 0: nothing.
+  std::int64_t period_us = 0, deadline_us = 0, age_limit_us = 0;
   // All [H].
   std::atomic<std::uint64_t> results{}, late{}, old{};
+  std::atomic<std::uint64_t> over{};    ///< results that took longer than allowed_us
+  std::atomic<std::int64_t> sum_us{};   ///< of all latencies
+  std::atomic<std::int64_t> last_ns{};  ///< when the last result came; 0: there was none
+  std::atomic<std::int64_t>
+      in_time_ns{};                   ///< ... that kept limit_us(); before there is one: the first
   std::atomic<std::uint64_t> lost{};  ///< of flow 0; a chain loses what its module loses
   std::atomic<std::int64_t> last_origin_ns{}, max_age_us{};
   std::atomic<std::int64_t> last_us{-1}, longest_us{-1};  ///< -1: there was none
   std::atomic<std::int64_t> longest_urgent_us{-1};        ///< of urgent releases
   std::atomic<std::uint32_t> latency_us[kBuckets] = {};
-  void add(std::int64_t us);
+  /// What a result may take: the deadline, and without one what the policy claims; 0: anything.
+  [[nodiscard]] std::int64_t limit_us() const { return deadline_us > 0 ? deadline_us : allowed_us; }
+  void add(std::int64_t us, std::int64_t now_ns);
   void add_urgent(std::int64_t us);  ///< beside `add`
 };
 
@@ -123,10 +138,20 @@ struct alignas(64) XNodeLine {
 /// A scenario of a run with tables.
 struct alignas(64) ScenarioLine {
   char name[kBoardNameBytes] = {}, table[kBoardNameBytes] = {};  ///< [H] before the run
-  std::int64_t worst_case_us = 0;                                ///< likewise
+  std::int64_t worst_case_us = 0, allowed_us = 0;                ///< likewise; as FlowLine's
   // [H], of releases that met no change of the scenario:
-  std::atomic<std::uint64_t> releases{};
-  std::atomic<std::int64_t> longest_us{-1};  ///< -1: there was none
+  std::atomic<std::uint64_t> releases{}, over{};  ///< over: longer than allowed_us
+  std::atomic<std::int64_t> longest_us{-1};       ///< -1: there was none
+};
+
+/// An XPU of the platform, by the jobs that ran there.
+struct alignas(64) XpuLine {
+  char name[kBoardNameBytes] = {};  ///< [H] before the run
+  // [M], by the workers of all processes:
+  std::atomic<std::uint64_t> suspensions{};  ///< of queues, by the backend
+  /// For how long jobs that ended had it, less what they were suspended for. On a real CPU, which the
+  /// kernel takes away unseen, the CPU time of the threads that run jobs, told when they sleep.
+  std::atomic<std::int64_t> busy_ns{};
 };
 
 struct alignas(64) ProcessLine {
@@ -138,7 +163,7 @@ struct alignas(64) ProcessLine {
 
 /// Into a line's name.
 void name_line(char (&field)[kBoardNameBytes], const std::string& name);
-/// Out of it, whatever its writer left there.
+/// Out of it, whatever its writer left there; UTF-8.
 [[nodiscard]] std::string line_name(const char (&field)[kBoardNameBytes]);
 
 class Board {
@@ -180,6 +205,8 @@ class Board {
   }
   ScenarioLine& scenario(std::size_t index) { return scenarios_[index]; }
   [[nodiscard]] const ScenarioLine& scenario(std::size_t index) const { return scenarios_[index]; }
+  XpuLine& xpu(std::size_t index) { return xpus_[index]; }
+  [[nodiscard]] const XpuLine& xpu(std::size_t index) const { return xpus_[index]; }
   [[nodiscard]] BoardHeader& header() { return *header_; }
   [[nodiscard]] const BoardHeader& header() const { return *header_; }
   /// Which one a release has; known from before it is published on.
@@ -212,6 +239,7 @@ class Board {
   FlowLine* flows_;
   ParameterLine* parameters_;
   ScenarioLine* scenarios_;
+  XpuLine* xpus_;
 };
 
 /// Rings the readers of one topic.

@@ -2,26 +2,11 @@
 #include "processes/interop.h"
 
 #include <algorithm>
-#include <charconv>
-#include <cstdlib>
-#include <cstring>
 
 #include "base/clock.h"
 
 namespace xauto::runtime {
 namespace {
-
-/// ROS 2's variable for it.
-Result<int> domain() {
-  const char* text = std::getenv("ROS_DOMAIN_ID");
-  if (text == nullptr || *text == '\0') return 0;
-  int value = -1;
-  const auto [end, error] = std::from_chars(text, text + std::strlen(text), value);
-  if (error != std::errc() || *end != '\0' || value < 0)
-    return fail(ErrorCode::kInvalid, "ROS_DOMAIN_ID is '" + std::string(text) + "'", {},
-                "a number from 0 to 232");
-  return value;
-}
 
 std::size_t largest(const detail::TopicSpec& spec) {
   return spec.plain_bytes > 0 ? spec.plain_bytes : spec.max_bytes;
@@ -56,7 +41,7 @@ Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& p
     options.largest_bytes = std::max(options.largest_bytes, largest(topic->spec));
   }
   if (out.empty() && in.empty()) return nullptr;
-  XAUTO_ASSIGN(options.domain, domain());
+  XAUTO_ASSIGN(options.domain, transport::ros_domain());
   auto interop = std::unique_ptr<Interop>(new Interop);
   XAUTO_ASSIGN(interop->bridge_, transport::open_bridge("cyclonedds", options));
   interop->publishers_.resize(graph.topics.size());

@@ -74,7 +74,8 @@ BoardShape shape_of(const Plan& plan, const Graph& graph, const Session& session
           static_cast<std::uint32_t>(graph.nodes.size()),
           static_cast<std::uint32_t>(flows),
           static_cast<std::uint32_t>(parameters),
-          static_cast<std::uint32_t>(session.tables ? session.tables->scenarios.size() : 0)};
+          static_cast<std::uint32_t>(session.tables ? session.tables->scenarios.size() : 0),
+          static_cast<std::uint32_t>(session.platform.xpus.size())};
 }
 
 }  // namespace xauto::runtime

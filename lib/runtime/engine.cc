@@ -62,6 +62,9 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
   if (e.role_->leads())
     for (std::size_t m = 0; m < e.graph_.modules.size(); ++m)
       name_line(board.module(static_cast<int>(m)).name, e.graph_.modules[m].name);
+  if (e.role_->leads())
+    for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
+      name_line(board.xpu(x).name, session.platform.xpus[x].id);
   if (e.role_->leads()) XAUTO_TRY(post_parameters(board, e.graph_, session.deployment));
   e.context_ = std::make_unique<Context>(
       Context{app, session, e.graph_, e.plan_, e.grid_, board, e.trace_.get()});

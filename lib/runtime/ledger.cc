@@ -28,19 +28,41 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
   }
   sink_next_.assign(context.graph.modules.size(), 0);
   if (!role.leads()) return;
-  routes_.show_on(context.board);
-  if (!context.session.keys || !context.scheduled()) return;
-  const std::vector<ChainClaim>& claims = context.session.keys->chains;
-  for (std::size_t i = 0; i < std::min(routes_.size(), claims.size()); ++i) {
-    FlowLine& line = context.board.flow(i + 1);
-    line.worst_case_us = line.allowed_us = claims[i].worst_case_us;
-    line.lower_bound_us = claims[i].lower_bound_us;
-    const std::int64_t margin_us =
-        context.session.emulates() ? line.worst_case_us * kEmulatorPct / 100 : 0;
-    line.allowed_us += margin_us;
-    line.urgent_worst_case_us = claims[i].urgent_worst_case_us.value_or(0);
-    line.urgent_allowed_us = line.urgent_worst_case_us + margin_us;
+  const Session& session = context.session;
+  const bool paced = session.input.empty() && !session.lockstep;
+  routes_.show_on(context.board, paced ? &context.grid : nullptr);
+  if (context.graph.single_rate) {
+    FlowLine& whole = context.board.flow(0);
+    whole.deadline_us = session.app.deadline_us.value_or(0);
+    if (paced && !context.grid.sources.empty())
+      whole.period_us = context.grid.sources.front().period_ns() / 1000;
   }
+  if (context.scheduled()) show_claims();
+}
+
+/// What the policy claims of each flow, before the run.
+void Ledger::show_claims() {
+  const Session& session = context_.session;
+  const auto claim = [&](FlowLine& line, std::int64_t worst_us) {
+    line.worst_case_us = worst_us;
+    line.allowed_us = worst_us + (session.emulates() ? worst_us * kEmulatorPct / 100 : 0);
+  };
+  if (session.keys) {
+    const std::vector<ChainClaim>& claims = session.keys->chains;
+    for (std::size_t i = 0; i < std::min(routes_.size(), claims.size()); ++i) {
+      FlowLine& line = context_.board.flow(i + 1);
+      claim(line, claims[i].worst_case_us);
+      line.lower_bound_us = claims[i].lower_bound_us;
+      line.urgent_worst_case_us = claims[i].urgent_worst_case_us.value_or(0);
+      line.urgent_allowed_us = line.urgent_worst_case_us + (line.allowed_us - line.worst_case_us);
+    }
+    return;
+  }
+  // With tables each scenario claims for itself (TableSwitch). Otherwise it is about a release, of
+  // which every chain of an app of one rate is a part: none takes longer.
+  if (session.tables || !context_.graph.single_rate || !session.policy.worst_case_us) return;
+  for (std::size_t i = 0; i <= routes_.size(); ++i)
+    claim(context_.board.flow(i), *session.policy.worst_case_us);
 }
 
 void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
@@ -51,7 +73,8 @@ void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
   while (open_base_ + open_.size() <= sequence) open_.push_back({});
   if (sequence >= open_base_)
     open_[sequence - open_base_] = {origin_ns, origin_ns, num_sinks_, false};
-  if (in_flight_.fetch_add(1) > 0) ++overlapping_releases_;
+  if (in_flight_.fetch_add(1) > 0)
+    context_.board.header().overlapping.fetch_add(1, std::memory_order_relaxed);
 }
 
 void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
@@ -139,7 +162,7 @@ void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool 
         whole.lost.fetch_add(1, std::memory_order_relaxed);
       } else {
         latencies_us_.add(latency_us);
-        whole.add(latency_us);
+        whole.add(latency_us, now);
       }
       if (context_.session.app.deadline_us &&
           (open.lost || latency_us > *context_.session.app.deadline_us)) {
@@ -244,7 +267,6 @@ void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
     into.releases.assign(releases_.begin(), releases_.end());
     into.num_releases = num_releases_;
     into.lost_releases = lost_releases_;
-    into.overlapping_releases = overlapping_releases_;
     into.latencies_us = latencies_us_;
   }
   std::sort(into.releases.begin(), into.releases.end(),
@@ -271,6 +293,7 @@ void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
                            limits[n].hang_ns / 1000, line.jobs, line.overruns, line.hangs,
                            line.longest_ns / 1000});
   }
+  into.overlapping_releases = context_.board.header().overlapping.load();
   into.deadline_misses = deadline_misses_.load();
   into.several_rates = !context_.graph.single_rate;
 }

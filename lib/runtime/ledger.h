@@ -71,6 +71,7 @@ class Ledger {
     Distribution us XAUTO_GUARDED_BY(mutex);
   };
 
+  void show_claims();
   void account(int module, std::uint64_t sequence, std::int64_t now_ns, bool lost);
   /// Whether its results are told to who keeps the accounts.
   [[nodiscard]] bool asked_for(int module) const {
@@ -93,9 +94,8 @@ class Ledger {
   /// Written once per release and sink, not per job.
   mutable PiMutex mutex_;
   std::deque<Release> releases_ XAUTO_GUARDED_BY(mutex_);  ///< the last kKeptReleases
-  std::uint64_t num_releases_ XAUTO_GUARDED_BY(mutex_) = 0,
-                              lost_releases_ XAUTO_GUARDED_BY(mutex_) = 0,
-                              overlapping_releases_ XAUTO_GUARDED_BY(mutex_) = 0;
+  std::uint64_t num_releases_ XAUTO_GUARDED_BY(mutex_) = 0, lost_releases_
+                                                            XAUTO_GUARDED_BY(mutex_) = 0;
   Distribution latencies_us_ XAUTO_GUARDED_BY(mutex_);
   std::deque<Open> open_
       XAUTO_GUARDED_BY(mutex_);  ///< from open_base_ on; those before are accounted for

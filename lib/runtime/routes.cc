@@ -108,19 +108,24 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
   return routes;
 }
 
-void Routes::show_on(Board& board) {
+void Routes::show_on(Board& board, const Grid* grid) {
   for (std::size_t i = 0; i < routes_.size(); ++i) {
     Route& route = routes_[i];
     route.line = &board.flow(i + 1);
     route.line->module = static_cast<std::uint32_t>(route.module);
     name_line(route.line->name, route.counts.name);
+    route.line->deadline_us = route.counts.deadline_us.value_or(0);
+    route.line->age_limit_us = route.counts.max_age_us.value_or(0);
+    if (grid != nullptr && route.source < grid->sources.size())
+      route.line->period_us = grid->sources[route.source].period_ns() / 1000;
   }
 }
 
-void Routes::count(Route& route, std::int64_t latency_us, std::optional<std::int64_t>& missed_us) {
+void Routes::count(Route& route, std::int64_t latency_us, std::int64_t now_ns,
+                   std::optional<std::int64_t>& missed_us) {
   RouteReport& counts = route.counts;
   counts.latency_us.add(latency_us);
-  if (route.line != nullptr) route.line->add(latency_us);
+  if (route.line != nullptr) route.line->add(latency_us, now_ns);
   if (!counts.deadline_us || latency_us <= *counts.deadline_us) return;
   ++counts.deadline_misses;
   if (route.line != nullptr) route.line->late.fetch_add(1, std::memory_order_relaxed);
@@ -158,10 +163,10 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
         if (route.last_origin_ns == 0 ? newly != origin
                                       : newly - route.last_origin_ns < route.period_ns / 2)
           break;
-        count(route, (now_ns - newly) / 1000, missed_us);
+        count(route, (now_ns - newly) / 1000, now_ns, missed_us);
       }
     } else {
-      count(route, (now_ns - origin) / 1000, missed_us);
+      count(route, (now_ns - origin) / 1000, now_ns, missed_us);
     }
     if (route.last_origin_ns != 0) {
       const std::int64_t age_us = (now_ns - route.last_origin_ns) / 1000;

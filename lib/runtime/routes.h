@@ -44,8 +44,9 @@ class Routes {
                                            const Deployment& deployment, const AppSpec& app);
 
   [[nodiscard]] std::size_t size() const { return routes_.size(); }
-  /// Counts on the board from here on, too: chain i is flow i + 1.
-  void show_on(Board& board);
+  /// Counts on the board from here on, too: chain i is flow i + 1. `grid`: null where releases do
+  /// not come by periods.
+  void show_on(Board& board, const Grid* grid = nullptr);
   /// Whether a chain ends at `node` of the graph.
   [[nodiscard]] bool end_at(int node) const {
     return !ends_[static_cast<std::size_t>(node)].empty();
@@ -69,7 +70,8 @@ class Routes {
     FlowLine* line = nullptr;    ///< null: nobody looks
     bool hurries = false;        ///< an urgent activation of its end is of an urgent release
   };
-  void count(Route& route, std::int64_t latency_us, std::optional<std::int64_t>& missed_us);
+  void count(Route& route, std::int64_t latency_us, std::int64_t now_ns,
+             std::optional<std::int64_t>& missed_us);
   std::vector<std::vector<std::size_t>> ends_;  ///< [node of the graph] -> routes
   bool single_rate_ = true;
   mutable std::unique_ptr<PiMutex> mutex_ = std::make_unique<PiMutex>();

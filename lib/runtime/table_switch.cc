@@ -70,7 +70,8 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, const Led
     ScenarioLine& line = board.scenario(s);
     name_line(line.name, tables_.scenarios[s].name);
     name_line(line.table, tables_.tables[static_cast<std::size_t>(tables_.serves[s].table)].name);
-    line.worst_case_us = tables_.serves[s].worst_case_us;
+    line.worst_case_us = line.allowed_us = tables_.serves[s].worst_case_us;
+    if (session.emulates()) line.allowed_us += line.worst_case_us * kEmulatorPct / 100;
   }
   put(0, table_);
 }
@@ -152,6 +153,7 @@ void TableSwitch::judge(std::uint64_t below, SwitchReport* change) {
     }
     ScenarioLine& line = context_.board.scenario(static_cast<std::size_t>(scenario_));
     line.releases.fetch_add(1, std::memory_order_relaxed);
+    if (*latency > line.allowed_us) line.over.fetch_add(1, std::memory_order_relaxed);
     if (*latency > line.longest_us.load(std::memory_order_relaxed))
       line.longest_us.store(*latency, std::memory_order_relaxed);
   }
@@ -210,24 +212,28 @@ void TableSwitch::tell(SwitchReport change, const Choice& choice) {
 
 /// A wrong assumption is said when it shows, and counted.
 void TableSwitch::tell_outside(const Choice& choice) {
-  const auto count = [](Outside& outside, const std::string& text) {
+  BoardHeader& header = context_.board.header();
+  const auto count = [](Outside& outside, std::atomic<std::uint64_t>& shown,
+                        const std::string& text) {
+    shown.fetch_add(1, std::memory_order_relaxed);
     if (outside.times++ > 0) return;
     outside.first = text;
     log::error("{} (further times are only counted)", text);
   };
   const bool outside = choice.why == Why::kOutside;
   if (outside && choice.xnode >= 0)
-    count(jobs_, fmt::format("outside of every scenario: {} under '{}', which is passed by least",
-                             words_of(choice),
-                             tables_.scenarios[static_cast<std::size_t>(choice.scenario)].name));
+    count(jobs_, header.outside_jobs,
+          fmt::format("outside of every scenario: {} under '{}', which is passed by least",
+                      words_of(choice),
+                      tables_.scenarios[static_cast<std::size_t>(choice.scenario)].name));
   if (outside && choice.xnode < 0 && !outside_)
-    count(jobs_,
+    count(jobs_, header.outside_jobs,
           "no scenario covers both what is asked for and what the machine's clocks say; the "
           "clocks decide");
   outside_ = outside;
   if (conditions_.now().outside)
     count(
-        clocks_,
+        clocks_, header.outside_clocks,
         fmt::format("the machine's clocks and modes are those of no scenario; '{}' is the "
                     "least that counts",
                     tables_.scenarios[static_cast<std::size_t>(conditions_.now().scenario)].name));

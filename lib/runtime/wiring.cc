@@ -84,6 +84,8 @@ Status Wiring::place_module(std::size_t module, int index) {
       if (at == here.end()) {
         XAUTO_ASSIGN(WorkerOptions options, placing_.worker(context_, module, index, xpu));
         options.contexts = &context_.board.contexts();
+        if (context_.session.board_fd >= 0)
+          options.counts = &context_.board.xpu(static_cast<std::size_t>(xpu));
         options.held_up = held_up_.get();
         workers_.push_back(
             std::make_unique<Worker>(std::move(options), chain, context_.trace, *threads_));
@@ -118,8 +120,8 @@ Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) 
     return fail(ErrorCode::kInvalid,
                 "is assigned to " + x.id + " but has no implementation for '" + x.type + "'", where,
                 "add one with add_impl, or solve again with the app.json of this program");
-  placed.time(placing_.limits[table][at_node], session.tables.has_value(),
-              context_.board.xnode(at_node));
+  placed.limit(placing_.limits[table][at_node], session.tables.has_value(),
+               context_.board.xnode(at_node));
   placed.node = n;
   placed.ends_chain = placing_.ends_chain[at_node] != 0;
   if (!context_.scheduled()) return placed;

@@ -40,6 +40,7 @@ Worker::~Worker() {
 Status Worker::start() {
   XAUTO_ASSIGN(backend_, xpu::make_backend(options_.backend));
   if (options_.contexts != nullptr) backend_->count_in(*options_.contexts);
+  holds_ = options_.counts != nullptr && !backend_->on_thread();
   if (!options_.coordinator.empty()) {
     std::vector<std::uint32_t> xnodes;
     for (const Placed& placed : chain_.nodes)
@@ -189,10 +190,12 @@ void Worker::skip(std::size_t position, std::uint64_t sequence) {
 
 void Worker::execute() {
   t_home = this;
+  cpu_told_ns_ = clock_ns(cpu_clock_);  // not what the inits took
   for (;;) {
     const std::uint32_t mail = mailbox_.load(std::memory_order_acquire);
     if (mail == kQuit) return;
     if (mail == 0) {
+      if (!holds_) tell_cpu_time();
       futex_wait_local(mailbox_, 0);
       continue;
     }
@@ -202,6 +205,14 @@ void Worker::execute() {
     else
       execute_crew_job();
   }
+}
+
+/// Before it sleeps, where it costs no job anything.
+void Worker::tell_cpu_time() {
+  if (options_.counts == nullptr) return;
+  const std::int64_t cpu_ns = clock_ns(cpu_clock_);
+  options_.counts->busy_ns.fetch_add(cpu_ns - std::exchange(cpu_told_ns_, cpu_ns),
+                                     std::memory_order_relaxed);
 }
 
 void Worker::execute_crew_job() {
@@ -339,7 +350,8 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   if (position == 0 && chain_.runtime->looks_first())
     chain_.runtime->begin(*chain_.activation, chain_.runtime->samples() ? now_ns() : 0);
   record(XAUTO_EV_RUN, placed, chain_.activation->sequence());
-  if (placed.timed) begin_limited(placed, chain_.activation->sequence());
+  const bool timed = holds_ || placed.limited;
+  if (timed) begin_timed(placed, chain_.activation->sequence());
   bool succeeded = false;
   try {
     if (Status status =
@@ -353,7 +365,7 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   } catch (...) {
     note_failure(placed, "threw something that is no std::exception");
   }
-  if (placed.timed && !end_limited(placed)) succeeded = false;
+  if (timed && !end_timed(placed)) succeeded = false;
   if (port_) {
     backend_->finishing(here.made.handle, !here.ran_once);
     here.ran_once = true;

@@ -52,7 +52,7 @@ struct alignas(64) Placed {
   std::shared_ptr<Instance> here = std::make_shared<Instance>();
   std::uint32_t task = 0;   ///< as coordinators and BPF maps know it, see Session::task
   int fifo_priority = 0;    ///< SCHED_FIFO priority on a real CPU; 0: leave as it is
-  bool timed = false;       ///< see `time`
+  bool limited = false;     ///< see `limit`
   bool watched = false;     ///< how long its jobs take decides which table is next
   bool ends_chain = false;  ///< a chain ends here, and not at the module's end
   Urgency urgency;
@@ -63,11 +63,11 @@ struct alignas(64) Placed {
   std::string name;
 
   /// Its jobs are timed if they have limits, or are watched.
-  void time(const Limits& with, bool watch, XNodeLine& on) {
-    limits = with;
+  void limit(const Limits& by, bool watch, XNodeLine& on) {
+    limits = by;
     watched = watch;
     line = &on;
-    timed = limits.any() || watched;
+    limited = limits.any() || watched;
   }
 };
 
@@ -95,6 +95,7 @@ struct WorkerOptions {
   std::string coordinator;  ///< abstract socket; empty: nobody schedules
   coord::OrderPairs order;
   ContextCounts* contexts = nullptr;  ///< on the board, which outlives the worker
+  XpuLine* counts = nullptr;          ///< likewise, of its XPU; null: nobody can look at it
   const HeldUp* held_up = nullptr;    ///< null: nobody looks at what its jobs hold up
 };
 
@@ -172,8 +173,9 @@ class Worker {
   void take_level(const Placed& placed);
   void write(std::uint16_t kind, const Placed& placed, std::uint64_t sequence, std::uint32_t arg);
   void note_failure(const Placed& placed, const std::string& what);
-  void begin_limited(const Placed& placed, std::uint64_t sequence);
-  bool end_limited(const Placed& placed);
+  void begin_timed(const Placed& placed, std::uint64_t sequence);
+  bool end_timed(const Placed& placed);
+  void tell_cpu_time();
 
   static thread_local Worker* t_home;  ///< whose execution thread this is
 
@@ -189,6 +191,7 @@ class Worker {
   /// kSequenceBits, its activation's number below.
   std::atomic<std::uint64_t> current_{0};
   static constexpr int kSequenceBits = 48;
+  bool holds_ = false;  ///< its XPU is held by jobs, and no CPU: for how long is counted
   /// 0: empty; kQuit; else chain position + 1, or anything if it belongs to a crew.
   std::atomic<std::uint32_t> mailbox_{0};
   std::vector<Ready> lane_;  ///< what became ready on its execution thread, and stays with it
@@ -200,10 +203,11 @@ class Worker {
   /// 1: the execution thread takes no job any more; 2: it is through, too, with what its inits have
   /// made; a futex.
   std::atomic<std::uint32_t> ended_{0};
-  Stopwatch watch_;                              ///< of jobs with limits
-  std::atomic<const Placed*> limited_{nullptr};  ///< whose job that is
-  std::atomic<std::uint64_t> hung_job_{0};       ///< the last one that find_hung found
-  std::atomic<std::int64_t> cpu_since_ns_{0};    ///< of the execution thread's CPU time
+  Stopwatch watch_;                            ///< of the job that runs
+  std::atomic<const Placed*> timed_{nullptr};  ///< whose job that is
+  std::atomic<std::uint64_t> hung_job_{0};     ///< the last one that find_hung found
+  std::atomic<std::int64_t> cpu_since_ns_{0};  ///< of the execution thread's CPU time
+  std::int64_t cpu_told_ns_ = 0;               ///< ... what is on the board
   clockid_t cpu_clock_ = CLOCK_MONOTONIC;  ///< of the execution thread; set before its first job
   mutable PiMutex failure_mutex_;
   std::string failure_ XAUTO_GUARDED_BY(failure_mutex_);

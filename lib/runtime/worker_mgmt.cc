@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Life of a job, step 6: the management thread. It sleeps until there is a command for this worker,
 // from a more urgent job or from the coordinator. It carries it out through the XPU's backend, and
-// acknowledges. Also what there is to do for jobs with limits, see watch.h.
+// acknowledges. Also how long jobs have had their XPU, and what there is to do about limits (watch.h).
 #include <algorithm>
 
 #include "base/clock.h"
@@ -50,6 +50,8 @@ void Worker::manage() {
           if (options_.held_up != nullptr)
             suspended->holds_up.emplace(*options_.held_up, job->node, now);
           watch_.away(now);
+          if (options_.counts != nullptr)
+            options_.counts->suspensions.fetch_add(1, std::memory_order_relaxed);
           thread_->gave_xpu(now);
           record(XAUTO_EV_SUSPENDED, *job, sequence);
         } else {
@@ -110,17 +112,19 @@ void Worker::tell_held_up(const Placed& placed, std::uint64_t sequence, std::uin
       placed.name, xpu_name(), options_.held_up->name(who));
 }
 
-// ---- limits ------------------------------------------------------------------------------------
+// ---- times -------------------------------------------------------------------------------------
 
-void Worker::begin_limited(const Placed& placed, std::uint64_t sequence) {
-  limited_.store(&placed, std::memory_order_release);
+void Worker::begin_timed(const Placed& placed, std::uint64_t sequence) {
+  timed_.store(&placed, std::memory_order_release);
   if (backend_->on_thread()) cpu_since_ns_.store(clock_ns(cpu_clock_));
   watch_.begin(now_ns(), sequence);
 }
 
 /// False: the activation was given up meanwhile.
-bool Worker::end_limited(const Placed& placed) {
+bool Worker::end_timed(const Placed& placed) {
   const std::int64_t wall_ns = watch_.end(now_ns());
+  if (holds_) options_.counts->busy_ns.fetch_add(wall_ns, std::memory_order_relaxed);
+  if (!placed.limited) return true;
   const std::int64_t took_ns =
       backend_->on_thread() ? clock_ns(cpu_clock_) - cpu_since_ns_.load() : wall_ns;
   XNodeLine& line = *placed.line;  // of the module's workers on this XPU
@@ -137,7 +141,7 @@ bool Worker::end_limited(const Placed& placed) {
 void Worker::tell_time(std::int64_t now_ns) const {
   const auto seen = watch_.look(now_ns);
   if (!seen || seen->job == hung_job_.load(std::memory_order_relaxed)) return;  // that is told
-  const Placed* placed = limited_.load(std::memory_order_acquire);
+  const Placed* placed = timed_.load(std::memory_order_acquire);
   const std::int64_t took_ns =
       backend_->on_thread() ? clock_ns(cpu_clock_) - cpu_since_ns_.load() : seen->took_ns;
   // `placed` and the times belong together only if that job still runs.
@@ -148,9 +152,9 @@ void Worker::tell_time(std::int64_t now_ns) const {
 std::optional<Worker::Hung> Worker::find_hung(std::int64_t now_ns) {
   const auto seen = watch_.look(now_ns);
   if (!seen || seen->job == hung_job_.load(std::memory_order_relaxed)) return std::nullopt;
-  const Placed* placed = limited_.load(std::memory_order_acquire);
+  const Placed* placed = timed_.load(std::memory_order_acquire);
   if (placed->limits.hang_ns <= 0 || seen->took_ns <= placed->limits.hang_ns) return std::nullopt;
-  // limited_ belongs to the job that was seen only if that one still runs.
+  // timed_ belongs to the job that was seen only if that one still runs.
   const auto again = watch_.look(now_ns);
   if (!again || again->job != seen->job) return std::nullopt;
   hung_job_.store(seen->job, std::memory_order_relaxed);

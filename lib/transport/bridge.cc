@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "transport/bridge.h"
 
+#include <charconv>
 #include <climits>
 #include <cstdlib>
 #include <cstring>
@@ -26,6 +27,17 @@ std::string own_folder() {
 }
 
 }  // namespace
+
+Result<int> ros_domain() {
+  const char* text = std::getenv("ROS_DOMAIN_ID");
+  if (text == nullptr || *text == '\0') return 0;
+  int value = -1;
+  const auto [end, error] = std::from_chars(text, text + std::strlen(text), value);
+  if (error != std::errc() || *end != '\0' || value < 0)
+    return fail(ErrorCode::kInvalid, "ROS_DOMAIN_ID is '" + std::string(text) + "'", {},
+                "a number from 0 to 232");
+  return value;
+}
 
 Result<std::unique_ptr<Bridge>> open_bridge(const std::string& name, const BridgeOptions& options) {
   // Installed beside libxauto.so; in a build folder, beside or above the programs.

@@ -60,6 +60,9 @@ inline constexpr const char* kPluginSymbol = "xauto_transport_plugin";
 /// XAUTO_VERSION_TEXT is defined where a plug-in is loaded and in plug-ins, nowhere else.
 #define XAUTO_PLUGIN_BUILD XAUTO_VERSION_TEXT " " __VERSION__
 
+/// ROS_DOMAIN_ID, which is ROS 2's variable for the domain; 0 without it.
+[[nodiscard]] Result<int> ros_domain();
+
 /// Loads plug-in `name` ("cyclonedds") and opens it. kUnavailable where it is not installed.
 [[nodiscard]] Result<std::unique_ptr<Bridge>> open_bridge(const std::string& name,
                                                           const BridgeOptions& options);

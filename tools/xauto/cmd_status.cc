@@ -119,11 +119,13 @@ int status(const Options& options) {
       Json chains = Json::array();
       const auto measured = [](std::int64_t us) { return us < 0 ? Json() : Json(us); };
       for (const FlowCounts& chain : counts.chains) {
+        if (chain.worst_case_us == 0) continue;  // with tables the scenarios claim: `xauto mode`
         chains.push_back({{"name", chain.name},
                           {"last_us", measured(chain.last_us)},
                           {"longest_us", measured(chain.longest_us)},
-                          {"worst_case_us", chain.worst_case_us},
-                          {"lower_bound_us", chain.lower_bound_us}});
+                          {"worst_case_us", chain.worst_case_us}});
+        if (chain.lower_bound_us > 0)
+          chains.elements().back()["lower_bound_us"] = chain.lower_bound_us;
         if (chain.urgent_worst_case_us > 0)
           chains.elements().back()["urgent"] = {{"longest_us", measured(chain.longest_urgent_us)},
                                                 {"worst_case_us", chain.urgent_worst_case_us}};

@@ -163,7 +163,7 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
     if (chain.worst_case_us == 0) continue;
     Json& shown = j["chains"].elements().back();
     shown["worst_case_us"] = chain.worst_case_us;
-    shown["lower_bound_us"] = chain.lower_bound_us;
+    if (chain.lower_bound_us > 0) shown["lower_bound_us"] = chain.lower_bound_us;
     if (chain.urgent_worst_case_us > 0)
       shown["urgent"] = {{"longest_us", measured(chain.longest_urgent_us)},
                          {"worst_case_us", chain.urgent_worst_case_us}};

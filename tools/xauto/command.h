@@ -60,6 +60,7 @@ void add_explain(Commands&);
 void add_generate(Commands&);
 void add_graph(Commands&);
 void add_mode(Commands&);
+void add_monitor(Commands&);
 void add_param(Commands&);
 void add_profile(Commands&);
 void add_record(Commands&);

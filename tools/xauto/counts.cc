@@ -20,6 +20,14 @@ FlowCounts flow_of(const runtime::FlowLine& line) {
   flow.lost = line.lost.load();
   flow.late = line.late.load();
   flow.old = line.old.load();
+  flow.over = line.over.load();
+  flow.sum_us = line.sum_us.load();
+  flow.last_ns = line.last_ns.load();
+  flow.in_time_ns = line.in_time_ns.load();
+  flow.period_us = line.period_us;
+  flow.deadline_us = line.deadline_us;
+  flow.age_limit_us = line.age_limit_us;
+  flow.limit_us = line.limit_us();
   flow.last_origin_ns = line.last_origin_ns.load();
   flow.max_age_us = line.max_age_us.load();
   flow.last_us = line.last_us.load();
@@ -53,38 +61,64 @@ FlowCounts together(const std::vector<FlowCounts>& chains) {
 
 ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
   ClaimCounts claims;
+  const bool tables = !counts.scenarios.empty();
+  const bool one_policy = counts.whole.worst_case_us > 0 && !tables;  // of version 1
   for (const FlowCounts& chain : counts.chains) {
     claims.claimed = claims.claimed || chain.worst_case_us > 0;
     claims.exceeded = claims.exceeded || chain.exceeds();
   }
-  if (!claims.claimed) return claims;
-  if (std::string unkept = board.unkept(); !unkept.empty())
-    claims.broken.push_back(std::move(unkept));
-  for (std::string& line : board.contexts().doubts(true)) claims.broken.push_back(std::move(line));
-  if (const std::uint64_t late = board.late(); late > 0)
-    claims.broken.push_back(
+  claims.claimed = claims.claimed || counts.whole.worst_case_us > 0;
+  claims.exceeded = claims.exceeded || counts.whole.exceeds();
+  const bool keys = claims.claimed && !one_policy && !tables;
+  claims.watches_wcets = !one_policy;
+
+  const auto broken = [&](std::string line) {
+    if (claims.claimed) claims.broken.push_back(std::move(line));
+  };
+  if (std::string unkept = board.unkept(); !unkept.empty()) broken(std::move(unkept));
+  if (std::string line = board.contexts().not_complete(); !line.empty()) broken(std::move(line));
+  const auto count = [&](const char* kind, std::uint64_t n, bool breaks, const std::string& line) {
+    claims.violations.push_back({kind, n, breaks && claims.claimed});
+    if (n > 0 && breaks) broken(line);
+  };
+  board.contexts().each([&](const char* kind, std::uint32_t n, const char* what) {
+    count(kind, n, true, fmt::format("{} {}", n, what));
+  });
+  const runtime::BoardHeader& header = board.header();
+  const std::uint64_t late = board.late();
+  count("release_off_grid", late, true,
         fmt::format("{} releases were not where app.json's period and jitter have them, by up to "
                     "{} us",
                     late, (board.latest_ns() + 999) / 1000));
-  std::uint64_t jobs = 0, overruns = 0, lost = 0;
-  bool died = false;
+  // Chains of keys are about releases that overlap.
+  const std::uint64_t overlapping = header.overlapping.load();
+  count("release_overlap", overlapping, one_policy || tables,
+        fmt::format("{} of {} releases came while an earlier one was in flight", overlapping,
+                    counts.released));
+  const std::uint64_t jobs_outside = header.outside_jobs.load(),
+                      clocks_outside = header.outside_clocks.load();
+  count("job_outside_scenarios", jobs_outside, true,
+        fmt::format("jobs were outside of every scenario, {} times", jobs_outside));
+  count("clock_outside_scenarios", clocks_outside, true,
+        fmt::format("the machine's clocks and modes were those of no scenario, {} times",
+                    clocks_outside));
+  std::uint64_t jobs = 0, overruns = 0, hangs = 0, lost = 0, deaths = 0;
   for (std::uint32_t n = 0; n < board.shape().nodes; ++n) {
     jobs += board.xnode(n).jobs.load();
     overruns += board.xnode(n).overruns.load();
+    hangs += board.xnode(n).hangs.load();
   }
-  if (overruns > 0)
-    claims.broken.push_back(fmt::format("{} of {} jobs outran their WCET", overruns, jobs));
+  // Budgets are WCETs in a run by keys; elsewhere they are what the deployment states.
+  count(keys ? "wcet_overrun" : "budget_overrun", overruns, keys,
+        fmt::format("{} of {} jobs outran their WCET", overruns, jobs));
+  count("hang", hangs, false, {});
   for (const ModuleCounts& module : counts.modules) {
     lost += module.failed + module.dropped;
-    died = died || module.deaths > 0;
+    deaths += module.deaths;
   }
-  if (lost > 0) claims.broken.push_back(fmt::format("{} activations were lost", lost));
-  if (died) claims.broken.emplace_back("processes of the run died");
+  count("lost_activation", lost, keys || tables, fmt::format("{} activations were lost", lost));
+  count("process_death", deaths, true, "processes of the run died");
   return claims;
-}
-
-bool several_rates(const Counts& counts) {
-  return counts.whole.results + counts.whole.lost == 0;
 }
 
 }  // namespace
@@ -95,6 +129,8 @@ ScenarioCounts scenario_of(const runtime::Board& board, std::uint32_t index) {
   counts.name = runtime::line_name(line.name);
   counts.table = runtime::line_name(line.table);
   counts.worst_case_us = line.worst_case_us;
+  counts.allowed_us = line.allowed_us;
+  counts.over = line.over.load();
   counts.releases = line.releases.load();
   counts.longest_us = line.longest_us.load();
   return counts;
@@ -116,7 +152,13 @@ Counts counts_of(const runtime::Board& board) {
     if (const std::uint32_t module = board.flow(f).module; module < shape.modules)
       counts.chains.back().lost = counts.modules[module].failed + counts.modules[module].dropped;
   }
-  counts.claims = claims_of(board, counts);
+  for (std::uint32_t x = 0; x < shape.xpus; ++x) {
+    const runtime::XpuLine& line = board.xpu(x);
+    counts.xpus.push_back(
+        {runtime::line_name(line.name), line.suspensions.load(), line.busy_ns.load()});
+  }
+  for (std::uint32_t s = 0; s < shape.scenarios; ++s)
+    counts.scenarios.push_back(scenario_of(board, s));
   if (shape.scenarios > 0) {
     const runtime::BoardHeader& header = board.header();
     const std::uint32_t scenario = header.scenario.load(), asked = header.asked.load();
@@ -125,7 +167,11 @@ Counts counts_of(const runtime::Board& board) {
     counts.scenario->switches = header.switches.load();
     if (asked > 0 && asked <= shape.scenarios)
       counts.scenario->asked = runtime::line_name(board.scenario(asked - 1).name);
+    counts.whole.worst_case_us = counts.scenario->worst_case_us;
+    counts.whole.allowed_us = counts.scenario->allowed_us;
+    for (const ScenarioCounts& one : counts.scenarios) counts.whole.over += one.over;
   }
+  counts.claims = claims_of(board, counts);
   return counts;
 }
 
@@ -159,7 +205,7 @@ FlowNumbers numbers_of(const FlowCounts& now, const FlowCounts& before, std::int
 }
 
 std::string progress_words(const Counts& now, const Counts& before) {
-  const bool several = several_rates(now);
+  const bool several = !now.single_rate();
   const FlowNumbers n =
       several ? numbers_of(together(now.chains), together(before.chains), now.at_ns, before.at_ns)
               : numbers_of(now.whole, before.whole, now.at_ns, before.at_ns);
@@ -170,7 +216,7 @@ std::string progress_words(const Counts& now, const Counts& before) {
 }
 
 double progress_of(const Counts& now, std::uint64_t activations) {
-  if (activations == 0 || several_rates(now)) return -1;
+  if (activations == 0 || !now.single_rate()) return -1;
   return static_cast<double>(now.whole.results + now.whole.lost) / static_cast<double>(activations);
 }
 

@@ -23,31 +23,52 @@ struct FlowCounts {
   std::string name;
   std::uint64_t results = 0, lost = 0, late = 0, old = 0;
   std::int64_t last_origin_ns = 0, max_age_us = 0;
-  std::vector<std::uint64_t> latency_us;       ///< by Distribution's buckets
-  std::int64_t last_us = -1, longest_us = -1;  ///< of the whole run; -1: none
-  /// Of a policy of keys: what it claims, and what is beyond that; 0: nothing.
+  std::vector<std::uint64_t> latency_us;                          ///< by Distribution's buckets
+  std::int64_t last_us = -1, longest_us = -1;                     ///< of the whole run; -1: none
+  std::uint64_t over = 0;                                         ///< results beyond allowed_us
+  std::int64_t sum_us = 0, last_ns = 0, in_time_ns = 0;           ///< as FlowLine's
+  std::int64_t period_us = 0, deadline_us = 0, age_limit_us = 0;  ///< what is stated; 0: nothing
+  std::int64_t limit_us = 0;  ///< what in_time_ns is about; 0: nothing
+  /// What the policy claims, and what is beyond that; 0: nothing. Of the whole app with tables: what
+  /// the scenario in force claims.
   std::int64_t worst_case_us = 0, lower_bound_us = 0, allowed_us = 0;
   std::int64_t urgent_worst_case_us = 0, urgent_allowed_us = 0;  ///< likewise, of urgent releases
   std::int64_t longest_urgent_us = -1;
   [[nodiscard]] bool exceeds() const {
-    return (worst_case_us > 0 && longest_us > allowed_us) ||
+    return (worst_case_us > 0 && over > 0) ||
            (urgent_worst_case_us > 0 && longest_urgent_us > urgent_allowed_us);
   }
 };
 
+/// An assumption of the policy's claims, or of what runs beside them, and how often it was not kept.
+struct Violation {
+  std::string kind;         ///< "wcet_overrun": a word for programs
+  std::uint64_t count = 0;  ///< since the run began
+  bool breaks = false;      ///< the claims of this policy are about runs without it
+};
+
 /// Whether what the policy claims holds so far.
 struct ClaimCounts {
-  bool claimed = false;             ///< it claims something
-  bool exceeded = false;            ///< some chain took longer
-  std::vector<std::string> broken;  ///< a line for each assumption that is broken
+  bool claimed = false;               ///< it claims something
+  bool exceeded = false;              ///< some chain took longer
+  std::vector<std::string> broken;    ///< a line for each assumption that is broken
+  std::vector<Violation> violations;  ///< every kind, also those that did not happen
+  bool watches_wcets = true;  ///< else only the report, from the trace, says who outran them
+  [[nodiscard]] bool stands() const { return claimed && broken.empty(); }
+};
+
+struct XpuCounts {
+  std::string name;
+  std::uint64_t suspensions = 0;
+  std::int64_t busy_ns = 0;
 };
 
 /// Of a run with tables: which one releases get now.
 struct ScenarioCounts {
-  std::string name, table, why, asked;  ///< asked: by people; empty: nothing
-  std::uint64_t switches = 0;           ///< to another table
-  std::uint64_t releases = 0;           ///< under this scenario
-  std::int64_t longest_us = -1, worst_case_us = 0;
+  std::string name, table, why, asked;   ///< asked: by people; empty: nothing
+  std::uint64_t switches = 0;            ///< to another table
+  std::uint64_t releases = 0, over = 0;  ///< under this scenario; over: beyond allowed_us
+  std::int64_t longest_us = -1, worst_case_us = 0, allowed_us = 0;
 };
 
 struct Counts {
@@ -58,6 +79,13 @@ struct Counts {
   std::vector<FlowCounts> chains;
   ClaimCounts claims;
   std::optional<ScenarioCounts> scenario;  ///< none: there is one policy
+  std::vector<ScenarioCounts> scenarios;   ///< all of them
+  std::vector<XpuCounts> xpus;
+  /// Releases are counted, by `whole`; as far as can be told before the first one.
+  [[nodiscard]] bool single_rate() const {
+    return whole.results + whole.lost > 0 || whole.period_us > 0 || whole.deadline_us > 0 ||
+           whole.worst_case_us > 0;
+  }
 };
 
 /// All counts of one moment, or nearly: each is right by itself.

@@ -20,6 +20,7 @@ int main(int argc, char** argv) {
   xauto::cli::add_status(commands);
   xauto::cli::add_trace(commands);
   xauto::cli::add_top(commands);
+  xauto::cli::add_monitor(commands);
   xauto::cli::add_mode(commands);
   xauto::cli::add_param(commands);
   xauto::cli::add_record(commands);

@@ -27,7 +27,7 @@ TEST(Board, IsReadByOneWhoCannotWriteIt) {
   name_line((*board)->flow(3).name, std::string(500, 'x'));
   (*board)->module(1).dropped.store(7);
   (*board)->count_release();
-  for (const std::int64_t us : {5, 1'000'000, 3, -1}) (*board)->flow(3).add(us);
+  for (const std::int64_t us : {5, 1'000'000, 3, -1}) (*board)->flow(3).add(us, 7);
 
   const auto seen = Board::observe(read_only(fd.get()).get());
   ASSERT_TRUE(seen);
@@ -52,12 +52,48 @@ TEST(Board, IsReadByOneWhoCannotWriteIt) {
   EXPECT_EQ((*seen)->unkept(), std::string(kBoardTextBytes - 1, 'u'));
 }
 
+TEST(Board, AFlowTellsWhatWasLongerThanClaimedAndWhenTheLastResultWasInTime) {
+  const auto board = Board::local({1, 0, 0, 3, 0, 0, 1});
+  FlowLine& claims = board->flow(1);
+  claims.worst_case_us = 100;
+  claims.allowed_us = 102;
+  EXPECT_EQ(claims.limit_us(), 102);
+  claims.add(150, 1'000);  // the first one: from here on nothing was in time
+  EXPECT_EQ(claims.in_time_ns.load(), 1'000);
+  claims.add(102, 2'000);
+  claims.add(103, 3'000);
+  EXPECT_EQ(claims.in_time_ns.load(), 2'000);
+  EXPECT_EQ(claims.last_ns.load(), 3'000);
+  EXPECT_EQ(claims.over.load(), 2u);
+  EXPECT_EQ(claims.sum_us.load(), 150 + 102 + 103);
+  FlowLine& promises = board->flow(2);
+  promises.allowed_us = 100;
+  promises.deadline_us = 50;
+  EXPECT_EQ(promises.limit_us(), 50);
+  promises.add(50, 1'000);
+  promises.add(51, 2'000);
+  EXPECT_EQ(promises.in_time_ns.load(), 1'000);
+  EXPECT_EQ(promises.over.load(), 0u);
+  FlowLine& neither = board->flow(0);
+  neither.add(1'000'000, 1'000);
+  EXPECT_EQ(neither.in_time_ns.load(), 0);
+  EXPECT_EQ(neither.over.load(), 0u);
+}
+
+TEST(Board, NamesAreUtf8WhateverIsThere) {
+  const auto board = Board::local({1, 1});
+  std::string name(kBoardNameBytes - 2, 'x');
+  name_line(board->module(0).name, name + "\xc3\xb6");  // cut within the character
+  EXPECT_EQ(line_name(board->module(0).name), name + "?");
+}
+
 TEST(Board, OfAnotherShapeIsRefused) {
   UniqueFd fd;
   ASSERT_TRUE(Board::create({2, 2, 2, 2}, fd));
   EXPECT_TRUE(Board::map(fd.get(), {2, 2, 2, 2}));
   EXPECT_FALSE(Board::map(fd.get(), {2, 2, 2, 1}));
   EXPECT_FALSE(Board::map(fd.get(), {2, 2, 2, 3}));
+  EXPECT_FALSE(Board::map(fd.get(), {2, 2, 2, 2, 0, 0, 1}));
 }
 
 TEST(Board, MemoryThatCouldShrinkIsNotLookedAt) {

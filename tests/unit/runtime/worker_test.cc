@@ -306,7 +306,7 @@ TEST_F(WorkerTest, AnExecThatDoesNotReturnIsFoundOnce) {
     return {};
   };
   XNodeLine line;
-  row_.nodes[0].time({0, 1'000'000}, false, line);
+  row_.nodes[0].limit({0, 1'000'000}, false, line);
   Worker& worker = only();
   ASSERT_TRUE(worker.start());
   std::thread driver([&] { EXPECT_TRUE(run(0)); });

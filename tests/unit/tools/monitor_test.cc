@@ -1,0 +1,373 @@
+// SPDX-License-Identifier: Apache-2.0
+// What `xauto monitor` makes of counts: levels and texts of /diagnostics, Prometheus's text, and who is
+// answered over HTTP. The text as a whole is read by second implementations in
+// tests/integration/monitor_test.py.
+#include <algorithm>
+#include <cstring>
+#include <string>
+
+#include <arpa/inet.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/socket.h>
+
+#include "base/clock.h"
+#include "session/distribution.h"
+
+#include "xauto/diagnostics.h"
+#include "xauto/metrics.h"
+#include "xauto/metrics_server.h"
+
+namespace xauto::cli {
+namespace {
+
+constexpr std::int64_t kSecond = 1'000'000'000;
+
+/// A chain every 100 ms that claims 50 ms and has a deadline of 80 ms; its last result came `ago_ms` ago.
+RunLook look(std::int64_t at_ns, std::int64_t ago_ms = 20) {
+  RunLook look{"7-0", "car", "orin", "xauto", {}, {}};
+  look.counts.at_ns = at_ns;
+  FlowCounts chain;
+  chain.name = "camera -> plan";
+  chain.results = static_cast<std::uint64_t>(at_ns / 100'000'000);
+  chain.period_us = 100'000;
+  chain.worst_case_us = chain.allowed_us = 50'000;
+  chain.deadline_us = chain.limit_us = 80'000;
+  chain.last_us = 40'125;
+  chain.longest_us = 48'000;
+  chain.last_ns = chain.in_time_ns = at_ns - ago_ms * 1'000'000;
+  look.counts.chains.push_back(chain);
+  look.counts.claims.claimed = true;
+  return look;
+}
+
+Diagnostic find(const std::vector<Diagnostic>& list, const std::string& name) {
+  const auto at = std::find_if(list.begin(), list.end(),
+                               [&](const Diagnostic& d) { return d.name == "xauto/car: " + name; });
+  if (at == list.end()) throw std::runtime_error("no status " + name);
+  return *at;
+}
+
+std::string value(const Diagnostic& d, const std::string& key) {
+  for (const auto& [k, v] : d.values)
+    if (k == key) return v;
+  return "no such key";
+}
+
+Diagnostic chain_of(const RunLook& now, const RunLook* before) {
+  return find(diagnostics_of(now, before), "chain camera -> plan");
+}
+
+TEST(Diagnostics, AChainInTimeHasAutowaresKeysAndTheCertificatesNumbers) {
+  const RunLook before = look(10 * kSecond), now = look(11 * kSecond);
+  const Diagnostic d = chain_of(now, &before);
+  EXPECT_EQ(d.level, Level::kOk);
+  EXPECT_EQ(d.message, "OK");
+  EXPECT_EQ(value(d, "is_processing_time_ms_in_expected_range"), "True");
+  EXPECT_EQ(value(d, "processing_time_ms"), "40.125");
+  EXPECT_EQ(value(d, "is_consecutive_processing_delay_in_range"), "True");
+  EXPECT_EQ(value(d, "consecutive_processing_delay_ms"), "0.000");
+  EXPECT_EQ(value(d, "worst_case_ms"), "50.000");
+  EXPECT_EQ(value(d, "slack_ms"), "2.000");
+  EXPECT_EQ(value(d, "deadline_ms"), "80.000");
+  EXPECT_EQ(value(d, "rate_hz"), "10.000");
+  EXPECT_EQ(value(d, "claim"), "stands");
+}
+
+TEST(Diagnostics, OneThatIsLongerThanCertifiedIsAWarningAndBeyondItsDeadlineAnError) {
+  const RunLook before = look(10 * kSecond);
+  RunLook now = look(11 * kSecond);
+  now.counts.chains[0].over = 1;
+  now.counts.chains[0].longest_us = 51'000;
+  Diagnostic d = chain_of(now, &before);
+  EXPECT_EQ(d.level, Level::kWarn);
+  EXPECT_EQ(d.message, "1 results longer than the certified worst case of 50.000 ms");
+  EXPECT_EQ(value(d, "is_processing_time_ms_in_expected_range"), "False");
+  EXPECT_EQ(value(d, "slack_ms"), "-1.000");
+  now.counts.chains[0].late = 2;
+  d = chain_of(now, &before);
+  EXPECT_EQ(d.level, Level::kError);
+  EXPECT_TRUE(d.message.starts_with("2 results later than the deadline of 80.000 ms"));
+  // Without a result in between, the last one still is what it was.
+  now.counts.chains[0].last_us = 80'001;
+  d = chain_of(now, &now);
+  EXPECT_EQ(d.level, Level::kOk);
+  EXPECT_EQ(value(d, "is_processing_time_ms_in_expected_range"), "False");
+  // What was told once is over.
+  RunLook later = look(12 * kSecond);
+  later.counts.chains[0].over = 1;
+  later.counts.chains[0].late = 2;
+  EXPECT_EQ(chain_of(later, &now).level, Level::kOk);
+}
+
+TEST(Diagnostics, ADelayThatGoesOnIsAnErrorAfterTwoPeriodsAndTheLimit) {
+  const RunLook before = look(10 * kSecond);
+  RunLook now = look(11 * kSecond);
+  now.counts.chains[0].in_time_ns = now.counts.at_ns - 279'000'000;  // 2 * 100 + 80 ms are allowed
+  Diagnostic d = chain_of(now, &before);
+  EXPECT_EQ(d.level, Level::kOk);
+  EXPECT_EQ(value(d, "consecutive_processing_delay_ms"), "279.000");
+  now.counts.chains[0].in_time_ns -= 2'000'000;
+  d = chain_of(now, &before);
+  EXPECT_EQ(d.level, Level::kError);
+  EXPECT_EQ(value(d, "is_consecutive_processing_delay_in_range"), "False");
+  EXPECT_EQ(d.message, "no result in time for 281.000 ms");
+}
+
+TEST(Diagnostics, WhoIsSilentIsStale) {
+  const RunLook before = look(10 * kSecond);
+  EXPECT_EQ(chain_of(look(11 * kSecond, 279), &before).level, Level::kOk);
+  const Diagnostic d = chain_of(look(11 * kSecond, 281), &before);
+  EXPECT_EQ(d.level, Level::kStale);
+  EXPECT_EQ(d.message, "no result for 281.000 ms");
+  RunLook begins = look(11 * kSecond);
+  begins.counts.chains[0].results = 0;
+  begins.counts.chains[0].last_ns = begins.counts.chains[0].in_time_ns = 0;
+  begins.counts.chains[0].last_us = begins.counts.chains[0].longest_us = -1;
+  EXPECT_EQ(chain_of(begins, nullptr).level, Level::kStale);
+  EXPECT_EQ(value(chain_of(begins, nullptr), "processing_time_ms"), "n/a");
+}
+
+TEST(Diagnostics, WhereNothingIsClaimedThereIsNoThreshold) {
+  const RunLook before = look(10 * kSecond);
+  RunLook now = look(11 * kSecond);
+  now.counts.claims.broken = {"3 activations were lost"};
+  now.counts.chains[0].over = 5;
+  Diagnostic d = chain_of(now, &before);  // the deadline still holds
+  EXPECT_EQ(d.level, Level::kOk);
+  EXPECT_EQ(d.message, "OK; the certified worst case is not claimed here");
+  EXPECT_EQ(value(d, "worst_case_ms"), "n/a");
+  EXPECT_EQ(value(d, "slack_ms"), "n/a");
+  EXPECT_EQ(value(d, "claim"), "not claimed here: 3 activations were lost");
+  EXPECT_EQ(value(d, "is_processing_time_ms_in_expected_range"), "True");
+  const Diagnostic claims = find(diagnostics_of(now, &before), "worst cases");
+  EXPECT_EQ(claims.level, Level::kWarn);
+  EXPECT_EQ(value(claims, "stands"), "False");
+
+  now.counts.chains[0].deadline_us = 0;
+  now.counts.chains[0].limit_us = 50'000;  // what the run itself compares with
+  now.counts.chains[0].in_time_ns = 1;
+  d = chain_of(now, &before);
+  EXPECT_EQ(d.level, Level::kOk);
+  EXPECT_EQ(d.message, "there is nothing to hold results against");
+  for (const char* key :
+       {"is_processing_time_ms_in_expected_range", "is_consecutive_processing_delay_in_range",
+        "consecutive_processing_delay_ms", "deadline_ms"})
+    EXPECT_EQ(value(d, key), "n/a") << key;
+}
+
+TEST(Diagnostics, WorstCasesThatAreExceededThoughNothingWasBrokenAreAnError) {
+  RunLook now = look(11 * kSecond);
+  now.counts.claims.exceeded = true;
+  EXPECT_EQ(find(diagnostics_of(now, nullptr), "worst cases").level, Level::kError);
+  now.counts.claims.claimed = false;
+  EXPECT_EQ(find(diagnostics_of(now, nullptr), "worst cases").level, Level::kOk);
+}
+
+TEST(Diagnostics, ModulesAndXpus) {
+  RunLook before = look(10 * kSecond), now = look(11 * kSecond);
+  before.counts.modules = {{"fcd", 5, 0, 1, 0}};
+  now.counts.modules = {{"fcd", 15, 2, 1, 0}};
+  before.counts.xpus = {{"gpu0", 1, 100'000'000}, {"dla0", 0, 0}};
+  now.counts.xpus = {{"gpu0", 3, 350'000'000}, {"dla0", 0, 0}};
+  XpuStatus gpu;
+  gpu.xpu = "gpu0";
+  gpu.workers = {
+      {"fcd@gpu0", "running", "fcd.infer"}, {"b@gpu0", "suspended", "b1"}, {"c@gpu0", "idle", ""}};
+  now.xpus = {gpu};
+  const auto list = diagnostics_of(now, &before);
+  EXPECT_EQ(find(list, "module fcd").level, Level::kWarn);
+  EXPECT_EQ(find(list, "module fcd").message, "2 activations failed");
+  const Diagnostic xpu = find(list, "XPU gpu0");
+  EXPECT_EQ(xpu.level, Level::kOk);
+  EXPECT_EQ(value(xpu, "busy_percent"), "25.0");
+  EXPECT_EQ(value(xpu, "suspensions"), "3");
+  EXPECT_EQ(value(xpu, "running"), "fcd.infer");
+  EXPECT_EQ(value(xpu, "waiting"), "b1");
+  EXPECT_EQ(find(list, "XPU dla0").level, Level::kStale);
+  now.scheduling = "ros2";
+  EXPECT_EQ(find(diagnostics_of(now, &before), "XPU dla0").level, Level::kOk);
+  now.counts.modules[0].deaths = 1;
+  EXPECT_EQ(find(diagnostics_of(now, &before), "module fcd").level, Level::kError);
+  for (const Diagnostic& d : stale(list, "the run has ended")) {
+    EXPECT_EQ(d.level, Level::kStale);
+    EXPECT_EQ(d.message, "the run has ended");
+  }
+}
+
+// ---- Prometheus ----------------------------------------------------------------------------------
+
+bool has(const std::string& text, const std::string& line) {
+  return text.starts_with(line + "\n") || text.find("\n" + line + "\n") != std::string::npos;
+}
+
+TEST(Metrics, BoundsAreEndsOfTheBoardsBucketsSoEachCountIsExact) {
+  RunLook now = look(kSecond);
+  FlowCounts& chain = now.counts.chains[0];
+  // One result at each side of each bound.
+  for (const std::int64_t bound : latency_bounds_us())
+    for (const std::int64_t us : {bound - 1, bound}) {
+      const std::uint32_t bucket = runtime::Distribution::bucket_of(us);
+      chain.latency_us.resize(std::max<std::size_t>(chain.latency_us.size(), bucket + 1));
+      ++chain.latency_us[bucket];
+    }
+  const std::string text = metrics_text({now});
+  const std::string bucket = "\nxauto_chain_latency_seconds_bucket{";
+  std::vector<std::pair<double, int>> seen;
+  for (auto at = text.find(bucket); at != std::string::npos; at = text.find(bucket, at + 1)) {
+    const auto le = text.find("le=\"", at) + 4;
+    seen.emplace_back(std::stod(text.substr(le)), std::stoi(text.substr(text.find("} ", le) + 2)));
+  }
+  const std::vector<std::int64_t> bounds = latency_bounds_us();
+  ASSERT_EQ(seen.size(), bounds.size() + 1);
+  for (std::size_t i = 0; i < bounds.size(); ++i) {
+    EXPECT_DOUBLE_EQ(seen[i].first, static_cast<double>(bounds[i]) / 1e6);
+    EXPECT_EQ(seen[i].second, 2 * static_cast<int>(i) + 1) << bounds[i];
+  }
+  EXPECT_EQ(seen.back().second, 2 * static_cast<int>(bounds.size()));
+}
+
+TEST(Metrics, NamesAreEscapedAndTimesAreSecondsToTheMicrosecond) {
+  RunLook now = look(kSecond);
+  now.counts.chains[0].name = "a\"b\\c\nd";
+  now.counts.chains[0].longest_us = 50'001;
+  const std::string text = metrics_text({now});
+  const std::string labels = R"({app="car",run="7-0",chain="a\"b\\c\nd"})";
+  EXPECT_TRUE(has(text, "xauto_chain_last_latency_seconds" + labels + " 0.040125")) << text;
+  EXPECT_TRUE(has(text, "xauto_chain_worst_case_seconds" + labels + " 0.05"));
+  EXPECT_TRUE(has(text, "xauto_chain_slack_seconds" + labels + " -0.000001"));
+}
+
+TEST(Metrics, AWorstCaseThatIsNotClaimedIsAbsent) {
+  RunLook now = look(kSecond);
+  EXPECT_TRUE(has(metrics_text({now}), "xauto_claim_stands{app=\"car\",run=\"7-0\"} 1"));
+  now.counts.claims.broken = {"lost"};
+  std::string text = metrics_text({now});
+  EXPECT_TRUE(has(text, "xauto_claim_stands{app=\"car\",run=\"7-0\"} 0"));
+  EXPECT_EQ(text.find("worst_case_seconds"), std::string::npos);
+  EXPECT_EQ(text.find("slack_seconds"), std::string::npos);
+  EXPECT_NE(text.find("xauto_chain_deadline_seconds"), std::string::npos);
+  now.counts.claims.claimed = false;
+  now.counts.chains[0].worst_case_us = 0;
+  text = metrics_text({now});
+  EXPECT_EQ(text.find("claim_stands"), std::string::npos);
+  EXPECT_EQ(text.find("over_worst_case"), std::string::npos);
+}
+
+TEST(Metrics, WithoutARunThereIsStillAPage) {
+  EXPECT_TRUE(has(metrics_text({}), "xauto_runs 0"));
+}
+
+// ---- HTTP ----------------------------------------------------------------------------------------
+
+TEST(MetricsServer, AnswersAsRfc9110Says) {
+  const auto answer = [](const std::string& line) {
+    return http_answer(line + "\r\nHost: x\r\n\r\n", "m 1\n");
+  };
+  EXPECT_TRUE(answer("GET /metrics HTTP/1.1").starts_with("HTTP/1.1 200 OK\r\n"));
+  EXPECT_TRUE(answer("GET /metrics?x=1 HTTP/1.0").ends_with("\r\n\r\nm 1\n"));
+  EXPECT_NE(answer("GET /metrics HTTP/1.1").find("Content-Length: 4\r\n"), std::string::npos);
+  EXPECT_TRUE(answer("HEAD /metrics HTTP/1.1").ends_with("\r\n\r\n"));
+  EXPECT_NE(answer("HEAD /metrics HTTP/1.1").find("Content-Length: 4\r\n"), std::string::npos);
+  EXPECT_TRUE(answer("GET / HTTP/1.1").starts_with("HTTP/1.1 404 "));
+  EXPECT_TRUE(answer("POST /metrics HTTP/1.1").starts_with("HTTP/1.1 405 "));
+  EXPECT_NE(answer("POST /metrics HTTP/1.1").find("Allow: GET, HEAD\r\n"), std::string::npos);
+  for (const char* line : {"", " ", "GET", "GET /metrics", "GET /metrics HTTP/2", "GET  HTTP/1.1"})
+    EXPECT_TRUE(answer(line).starts_with("HTTP/1.1 400 ")) << line;
+}
+
+class Scraping : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    auto opened = MetricsServer::open("127.0.0.1", 0);
+    ASSERT_TRUE(opened) << opened.error().to_string();
+    server_ = std::move(*opened);
+    server_->show(std::string(300'000, 'm'));
+  }
+  UniqueFd connected() {
+    UniqueFd socket(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+    sockaddr_in to{};
+    to.sin_family = AF_INET;
+    to.sin_port = htons(static_cast<std::uint16_t>(server_->port()));
+    to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    EXPECT_EQ(connect(socket.get(), reinterpret_cast<sockaddr*>(&to), sizeof to), 0);
+    return socket;
+  }
+  static void say(const UniqueFd& socket, const std::string& text) {
+    EXPECT_EQ(send(socket.get(), text.data(), text.size(), MSG_NOSIGNAL),
+              static_cast<ssize_t>(text.size()));
+  }
+  /// All that comes until the server hangs up, while it serves.
+  std::string heard(const UniqueFd& socket) {
+    std::string text;
+    for (;;) {
+      server_->serve(now_);
+      char bytes[4096];
+      const ssize_t got = recv(socket.get(), bytes, sizeof bytes, MSG_DONTWAIT);
+      if (got == 0) return text;
+      if (got > 0) {
+        text.append(bytes, static_cast<std::size_t>(got));
+        continue;
+      }
+      std::vector<pollfd> fds = {{socket.get(), POLLIN, 0}};
+      server_->add_to(fds);
+      if (poll(fds.data(), fds.size(), 10'000) == 0) return "nothing comes";
+    }
+  }
+  std::unique_ptr<MetricsServer> server_;
+  std::int64_t now_ = kSecond;
+};
+
+TEST_F(Scraping, ARequestMayComeInPiecesAndTheAnswerIsWhole) {
+  const UniqueFd socket = connected();
+  for (const char* piece : {"GET /met", "rics HTTP/1.1\r", "\nHost: car\r\n", "\r\n"}) {
+    say(socket, piece);
+    server_->serve(now_);
+  }
+  const std::string answer = heard(socket);
+  EXPECT_TRUE(answer.starts_with("HTTP/1.1 200 OK\r\n")) << answer.substr(0, 100);
+  EXPECT_TRUE(answer.ends_with("\r\n\r\n" + std::string(300'000, 'm')));
+}
+
+TEST_F(Scraping, ThoseThatHangKeepNobodyFromReading) {
+  std::vector<UniqueFd> silent, deaf;
+  for (int i = 0; i < 20; ++i) {
+    silent.push_back(connected());
+    deaf.push_back(connected());
+    say(deaf.back(), "GET /metrics HTTP/1.1\r\n\r\n");  // and never reads
+    server_->serve(now_);
+  }
+  const UniqueFd socket = connected();
+  say(socket, "GET /metrics HTTP/1.1\r\n\r\n");
+  EXPECT_TRUE(heard(socket).starts_with("HTTP/1.1 200 OK\r\n"));
+  // They are sent away when their time is over.
+  std::vector<pollfd> fds;
+  server_->add_to(fds);
+  EXPECT_GT(fds.size(), 1u);
+  EXPECT_LE(fds.size(), 1 + MetricsServer::kMaxClients);
+  server_->serve(now_ + MetricsServer::kPatienceNs + 1);
+  fds.clear();
+  server_->add_to(fds);
+  EXPECT_EQ(fds.size(), 1u);
+}
+
+TEST_F(Scraping, ARequestWithoutAnEndIsRefused) {
+  const UniqueFd socket = connected();
+  say(socket, "GET /metrics HTTP/1.1\r\n" + std::string(MetricsServer::kMaxHeadBytes, 'x'));
+  EXPECT_TRUE(heard(socket).starts_with("HTTP/1.1 431 "));
+}
+
+TEST(MetricsServerOpen, SaysWhatIsWrongWithAnAddress) {
+  const auto wrong = MetricsServer::open("car.local", 0);
+  ASSERT_FALSE(wrong);
+  EXPECT_EQ(wrong.error().code, ErrorCode::kInvalid);
+  const auto first = MetricsServer::open("127.0.0.1", 0);
+  ASSERT_TRUE(first);
+  const auto second = MetricsServer::open("127.0.0.1", (*first)->port());
+  ASSERT_FALSE(second);
+  EXPECT_NE(second.error().to_string().find("choose another"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace xauto::cli
