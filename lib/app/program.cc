@@ -54,6 +54,9 @@ Result<std::string> answer(const detail::AppSpecErased& program, const runtime::
       g_stuck = profiled.left_behind;
       return std::move(profiled.text);
     }
+    case runtime::Mode::kLoad:
+      XAUTO_TRY(runtime::load(app, session, g_stop));
+      return std::string();
     case runtime::Mode::kRun: {
       Ran ran = run_engine(app, session, g_stop, held);  // the process ends without destructors
       g_stuck = ran.stuck;
@@ -139,7 +142,7 @@ int program(const detail::AppSpecErased& app, char** argv) {
                         (*session)->processes[static_cast<std::size_t>(process - 1)].front());
   const auto text = answer(app, **session);
   int status = text ? 0 : 1;
-  if ((*session)->process != 0) {
+  if ((*session)->process != 0 || (*session)->mode == runtime::Mode::kLoad) {
     if (!text) log::error("{}", text.error().to_string());
   } else {
     const std::string written = text ? *text : runtime::error_to_json(text.error());

@@ -69,12 +69,19 @@ std::string fifo_hint() {
 }
 
 Status pin_to_core(int core) {
+  return pin_to_cores({core});
+}
+
+Status pin_to_cores(const std::vector<int>& cores, pid_t thread) {
   cpu_set_t set;
   CPU_ZERO(&set);
-  CPU_SET(static_cast<unsigned>(core), &set);
-  if (const int error = pthread_setaffinity_np(pthread_self(), sizeof set, &set); error != 0)
-    return fail(ErrorCode::kInvalid,
-                "cannot run on core " + std::to_string(core) + ": " + strerror(error));
+  std::string names;
+  for (const int core : cores) {
+    CPU_SET(static_cast<unsigned>(core), &set);
+    names += (names.empty() ? "" : ", ") + std::to_string(core);
+  }
+  if (sched_setaffinity(thread, sizeof set, &set) != 0)
+    return fail(ErrorCode::kInvalid, "cannot run on core " + names + ": " + strerror(errno));
   return {};
 }
 

@@ -6,6 +6,8 @@
 #include <string>
 #include <vector>
 
+#include <sys/types.h>
+
 #include <xauto/result.h>
 
 namespace xauto::rt {
@@ -23,6 +25,8 @@ namespace xauto::rt {
 [[nodiscard]] std::string fifo_hint();
 
 [[nodiscard]] Status pin_to_core(int core);
+/// To any of these; `thread`: the kernel's number of another one than the calling thread.
+[[nodiscard]] Status pin_to_cores(const std::vector<int>& cores, pid_t thread = 0);
 /// The cores that this process may use, ascending.
 [[nodiscard]] std::vector<int> allowed_cores();
 

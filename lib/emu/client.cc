@@ -252,7 +252,11 @@ Result<Control> Control::connect() {
 /// Asked of every emulator until one has answered: suspending twice is suspending once.
 Status Control::request(std::uint32_t op, std::uint32_t answer_op, std::uint32_t context,
                         std::int64_t value) {
-  const Packet packet{.op = op, .context = context, .tag = ++tag_, .value = value};
+  XAUTO_TRY(ask({.op = op, .context = context, .tag = ++tag_, .value = value}, answer_op));
+  return {};
+}
+
+Result<std::int64_t> Control::ask(const Packet& packet, std::uint32_t answer_op) {
   std::int64_t limit_ns = now_ns() + kComeBackNs;
   bool asked = socket_ && send_packet(socket_.get(), &packet, sizeof packet);
   for (;;) {
@@ -272,9 +276,17 @@ Status Control::request(std::uint32_t op, std::uint32_t answer_op, std::uint32_t
     }
     if (!answer) return tl::unexpected<Error>(answer.error());
     if (answer->tag != tag_) continue;  // the late answer to a request that timed out
-    if (answer->op == answer_op) return {};
-    if (is(*answer, Op::kError)) return error_of(*answer);
+    if (answer->op == answer_op) return answer->value;
+    if (is(*answer, Op::kError)) return tl::unexpected<Error>(error_of(*answer).error());
   }
+}
+
+Result<std::int64_t> Control::busy_ns(const std::string& xpu) {
+  Packet packet{.op = static_cast<std::uint32_t>(Op::kBusy), .tag = ++tag_};
+  if (xpu.size() >= kMaxDeviceName)
+    return fail(ErrorCode::kInvalid, "XPU name is too long to be emulated", xpu);
+  std::memcpy(packet.name, xpu.data(), xpu.size());
+  return ask(packet, static_cast<std::uint32_t>(Op::kBusied));
 }
 
 Status Control::suspend(std::uint32_t context) {

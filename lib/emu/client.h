@@ -15,6 +15,8 @@
 
 namespace xauto::emu {
 
+struct Packet;
+
 /// Where the contexts that a thread opens find their emulator.
 struct Site {
   std::string address;         ///< abstract socket; empty: there is no emulator
@@ -48,12 +50,16 @@ class Control {
   [[nodiscard]] Status resume(std::uint32_t context);
   /// Of the work that the context is given from now on.
   [[nodiscard]] Status level(std::uint32_t context, int level);
+  /// How long work has progressed on an XPU, whoever's; of several contexts at once each counts. An
+  /// emulator in the place of one that died counts on.
+  [[nodiscard]] Result<std::int64_t> busy_ns(const std::string& xpu);
 
  private:
   Control(std::string address, UniqueFd socket)
       : address_(std::move(address)), socket_(std::move(socket)) {}
   [[nodiscard]] Status request(std::uint32_t op, std::uint32_t answer, std::uint32_t context,
                                std::int64_t value = 0);
+  [[nodiscard]] Result<std::int64_t> ask(const Packet& packet, std::uint32_t answer);
   std::string address_;
   UniqueFd socket_;
   std::uint64_t tag_ = 0;

@@ -445,6 +445,14 @@ Status Machine::level(ContextId context, int level, Nanos now) {
   return device->level(context, level);
 }
 
+Result<Nanos> Machine::busy(const std::string& name, Nanos now) {
+  thread_.check();
+  advance(now, pending_);
+  for (const auto& device : devices_)
+    if (device->stats().name == name) return device->stats().busy_ns;
+  return fail(ErrorCode::kNotFound, "there is no emulated XPU '" + name + "'");
+}
+
 Result<Progress> Machine::progress(ContextId context, std::uint64_t tag) {
   XAUTO_ASSIGN(const Device* const device, device_of(context));
   return device->progress(context, tag);

@@ -101,6 +101,9 @@ class Machine {
   /// such level.
   [[nodiscard]] Status level(ContextId context, int level, Nanos now);
 
+  /// How long work has progressed on the device until `now`.
+  [[nodiscard]] Result<Nanos> busy(const std::string& device, Nanos now);
+
   /// Of the job `tag`; only the last one of a context is remembered.
   [[nodiscard]] Result<Progress> progress(ContextId context, std::uint64_t tag);
 

@@ -29,6 +29,7 @@ enum class Op : std::uint32_t {
                  ///< none) -> kRejoined
   kPing = 6,     ///< tag -> kPong: the tool asks whether the emulator still answers
   kLevel = 7,    ///< context, tag, value = level of what it is given from now on -> kLeveled
+  kBusy = 8,     ///< tag, name -> kBusied: how long the device has been busy
   kOpened = 65,  ///< context, value = the key that has it back
   kDone = 66,
   kSuspended = 67,
@@ -38,6 +39,7 @@ enum class Op : std::uint32_t {
                    ///< kUnderWay -> kDone will come
   kPong = 71,
   kLeveled = 72,
+  kBusied = 73,  ///< tag, value = ns
 };
 
 struct Packet {

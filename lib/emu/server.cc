@@ -236,6 +236,16 @@ bool Server::handle_packet(int connection, const void* data, std::size_t bytes, 
       dirty_ = true;
       return true;
     }
+    case Op::kBusy: {
+      const auto busy = machine_.busy(packet.name, now);
+      if (busy)
+        answer(connection,
+               {.op = static_cast<std::uint32_t>(Op::kBusied), .tag = packet.tag, .value = *busy});
+      else
+        refuse(connection, packet.tag, busy.error());
+      dirty_ = true;  // time has passed on the devices
+      return true;
+    }
     case Op::kSuspend:
     case Op::kResume: {
       if (requests_.size() >= kMaxRequests) {

@@ -38,6 +38,53 @@ Result<Platform> parse_platform(std::string_view text, std::string_view origin, 
   return platform;
 }
 
+namespace {
+
+Samples read_samples(const Reader& s, bool emulated) {
+  Samples samples{s["count"].integer(1, kMaxTimeUs), s["min_us"].time(), s["p50_us"].time(),
+                  s["p99_us"].time(), s["max_us"].time()};
+  samples.emulated = s.has("emulated") ? s["emulated"].boolean() : emulated;
+  if (s.has("max_at")) samples.max_at = s["max_at"].integer(1, kMaxTimeUs);
+  if (s.has("outlier")) {
+    const Reader o = s["outlier"];
+    samples.outlier = {o["count"].integer(1, kMaxTimeUs), o["max_us"].time(),
+                       o["later_count"].integer(0, kMaxTimeUs)};
+  }
+  if (s.has("others"))
+    s["others"].each_member(kMaxXpus, [&](const std::string& xpu, const Reader& o) {
+      samples.others[xpu] = {o["busy_us"].time(), o["idle_us"].time(), o["used"].boolean()};
+    });
+  return samples;
+}
+
+Reading read_reading(const Reader& r) {
+  using Of = Reading::Of;
+  Reading reading;
+  const std::string of = r["of"].text();
+  bool known = false;
+  for (const Of kind : {Of::kClock, Of::kTemperature, Of::kPowerMode, Of::kGovernor})
+    if (of == to_string(kind)) {
+      reading.of = kind;
+      known = true;
+    }
+  if (!known) r["of"].refuse("'" + of + "' is none of clock, temperature, power_mode, governor");
+  reading.file = r["file"].text();
+  if (r.has("name")) reading.name = r["name"].text();
+  if (reading.is_number()) {
+    reading.first = r["first"].integer(-kMaxReading, kMaxReading);
+    reading.min = r["min"].integer(-kMaxReading, kMaxReading);
+    reading.max = r["max"].integer(-kMaxReading, kMaxReading);
+    reading.last = r["last"].integer(-kMaxReading, kMaxReading);
+  } else {
+    r["texts"].each_element(kMaxReadingTexts, [&](std::size_t, const Reader& text) {
+      reading.texts.push_back(text.text());
+    });
+  }
+  return reading;
+}
+
+}  // namespace
+
 Result<Profile> parse_profile(std::string_view text, std::string_view origin, Keys* keys) {
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
@@ -54,6 +101,16 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
   c.warmup = conditions["warmup"].integer(0, kMaxTimeUs);
   c.repetitions = conditions["repetitions"].integer(0, kMaxTimeUs);
   c.governor = conditions["governor"].text();
+  if (conditions.has("readings"))
+    conditions["readings"].each_element(
+        kMaxReadings, [&](std::size_t, const Reader& r) { c.readings.push_back(read_reading(r)); });
+  for (const auto& [key, texts] :
+       {std::pair("beside", &c.beside), std::pair("not_beside", &c.not_beside)})
+    if (conditions.has(key))
+      conditions[key].each_member(kMaxXpus,
+                                  [&, to = texts](const std::string& type, const Reader& what) {
+                                    (*to)[type] = what.text();
+                                  });
   profile.margin_pct = root["margin_pct"].integer(0, 1000);
   profile.sources = read_sources(root, true);
   const NameIndex source_index = index_by_name(profile.sources);
@@ -61,17 +118,14 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     XNodeProfile node{x["name"].text(), x["module"].text(), {}};
     x["on"].each_member(kMaxXpus, [&](const std::string& xpu, const Reader& s) {
-      Samples& samples = node.on[xpu];
-      samples = {s["count"].integer(1, kMaxTimeUs), s["min_us"].time(), s["p50_us"].time(),
-                 s["p99_us"].time(), s["max_us"].time()};
-      samples.emulated = s.has("emulated") ? s["emulated"].boolean() : c.emulated;
-      if (s.has("max_at")) samples.max_at = s["max_at"].integer(1, kMaxTimeUs);
-      if (s.has("outlier")) {
-        const Reader o = s["outlier"];
-        samples.outlier = {o["count"].integer(1, kMaxTimeUs), o["max_us"].time(),
-                           o["later_count"].integer(0, kMaxTimeUs)};
-      }
+      node.on[xpu] = read_samples(s, c.emulated);
     });
+    if (x.has("beside"))
+      x["beside"].each_member(kMaxXpus, [&](const std::string& type, const Reader& on) {
+        on.each_member(kMaxXpus, [&](const std::string& xpu, const Reader& s) {
+          node.beside[type][xpu] = read_samples(s, c.emulated);
+        });
+      });
     node.sources = read_heard(x, source_index);
     if (x.has("missing"))
       x["missing"].each_element(
@@ -113,29 +167,54 @@ std::string to_json(const Platform& platform) {
   return json_document::to_text(document);
 }
 
+namespace {
+
+ordered_json samples_to_json(const Samples& s, bool emulated) {
+  ordered_json entry = {{"count", s.count},
+                        {"min_us", s.min_us},
+                        {"p50_us", s.p50_us},
+                        {"p99_us", s.p99_us},
+                        {"max_us", s.max_us}};
+  if (s.max_at > 0) entry["max_at"] = s.max_at;
+  if (s.emulated != emulated) entry["emulated"] = s.emulated;
+  if (s.outlier)
+    entry["outlier"] = {{"count", s.outlier->count},
+                        {"max_us", s.outlier->max_us},
+                        {"later_count", s.outlier->later_count}};
+  for (const auto& [xpu, o] : s.others)
+    entry["others"][xpu] = {{"busy_us", o.busy_us}, {"idle_us", o.idle_us}, {"used", o.used}};
+  return entry;
+}
+
+ordered_json reading_to_json(const Reading& r) {
+  ordered_json entry = {{"of", to_string(r.of)}, {"file", r.file}};
+  if (!r.name.empty()) entry["name"] = r.name;
+  if (r.is_number()) {
+    entry["first"] = r.first;
+    entry["min"] = r.min;
+    entry["max"] = r.max;
+    entry["last"] = r.last;
+  } else {
+    entry["texts"] = r.texts;
+  }
+  return entry;
+}
+
+}  // namespace
+
 std::string to_json(const Profile& profile) {
   const ProfileConditions& c = profile.conditions;
   ordered_json xnodes = ordered_json::array();
   for (const XNodeProfile& x : profile.xnodes) {
     ordered_json on = ordered_json::object();
-    for (const auto& [xpu, s] : x.on) {
-      ordered_json& entry = on[xpu];
-      entry = {{"count", s.count},
-               {"min_us", s.min_us},
-               {"p50_us", s.p50_us},
-               {"p99_us", s.p99_us},
-               {"max_us", s.max_us}};
-      if (s.max_at > 0) entry["max_at"] = s.max_at;
-      if (s.emulated != c.emulated) entry["emulated"] = s.emulated;
-      if (s.outlier)
-        entry["outlier"] = {{"count", s.outlier->count},
-                            {"max_us", s.outlier->max_us},
-                            {"later_count", s.outlier->later_count}};
-    }
+    for (const auto& [xpu, s] : x.on) on[xpu] = samples_to_json(s, c.emulated);
     ordered_json xnode = {{"name", x.name}, {"module", x.module}};
     write_heard(x.sources, profile.sources, xnode);
     xnode["on"] = std::move(on);
     if (!x.missing.empty()) xnode["missing"] = x.missing;
+    for (const auto& [type, samples] : x.beside)
+      for (const auto& [xpu, s] : samples)
+        xnode["beside"][type][xpu] = samples_to_json(s, c.emulated);
     xnodes.push_back(std::move(xnode));
   }
   ordered_json document = {{"schema", "xauto.profile"}, {"version", 1}, {"app", profile.app}};
@@ -143,6 +222,11 @@ std::string to_json(const Profile& profile) {
                             {"emulated", c.emulated}, {"input", c.input},
                             {"warmup", c.warmup},     {"repetitions", c.repetitions},
                             {"governor", c.governor}};
+  ordered_json& conditions = document["conditions"];
+  for (const Reading& reading : c.readings)
+    conditions["readings"].push_back(reading_to_json(reading));
+  if (!c.beside.empty()) conditions["beside"] = c.beside;
+  if (!c.not_beside.empty()) conditions["not_beside"] = c.not_beside;
   document["margin_pct"] = profile.margin_pct;
   if (!profile.sources.empty()) document["sources"] = sources_to_json(profile.sources);
   if (!profile.incomplete.empty()) document["incomplete"] = profile.incomplete;

@@ -2,6 +2,7 @@
 #include "model/profile.h"
 
 #include <algorithm>
+#include <cstdlib>
 #include <set>
 
 #include "base/quantile.h"
@@ -48,6 +49,66 @@ std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct)
   return max_us;
 }
 
+const char* to_string(Reading::Of of) {
+  switch (of) {
+    case Reading::Of::kClock:
+      return "clock";
+    case Reading::Of::kTemperature:
+      return "temperature";
+    case Reading::Of::kPowerMode:
+      return "power_mode";
+    case Reading::Of::kGovernor:
+      return "governor";
+  }
+  return "";
+}
+
+std::int64_t Reading::jitter(std::int64_t clock) {
+  return std::abs(clock) / 100;
+}
+
+bool Reading::same_clock(std::int64_t a, std::int64_t b) {
+  return std::abs(a - b) <= jitter(std::max(std::abs(a), std::abs(b)));
+}
+
+bool Reading::changed() const {
+  if (of == Of::kTemperature) return false;
+  return of == Of::kClock ? !same_clock(min, max) : texts.size() > 1;
+}
+
+namespace {
+
+Status validate(const Samples& s, const std::string& xnode, const std::string& at) {
+  if (s.count < 1) return fail(ErrorCode::kInvalid, "no samples", at + "/count");
+  if (s.min_us < 0 || s.max_us > kMaxTimeUs || s.min_us > s.p50_us || s.p50_us > s.p99_us ||
+      s.p99_us > s.max_us)
+    return fail(ErrorCode::kInvalid, "XNode '" + xnode + "': min, p50, p99, max do not ascend", at);
+  if (s.max_at > s.count)
+    return fail(ErrorCode::kInvalid,
+                std::to_string(s.max_at) + " is none of " + std::to_string(s.count) + " samples",
+                at + "/max_at");
+  if (s.outlier && (s.outlier->max_us < s.min_us || s.outlier->max_us > s.max_us ||
+                    s.outlier->count + s.outlier->later_count > s.count))
+    return fail(ErrorCode::kInvalid, "is not of these samples", at + "/outlier");
+  return {};
+}
+
+Status validate(const Reading& r, std::set<std::string>& files, const std::string& at) {
+  if (r.file.empty() || r.file.front() != '/')
+    return fail(ErrorCode::kInvalid, "'" + r.file + "' is not an absolute path", at + "/file");
+  if (!files.insert(r.file).second)
+    return fail(ErrorCode::kInvalid, "'" + r.file + "' is there twice", at + "/file");
+  if (r.is_number()) {
+    if (r.min > std::min(r.first, r.last) || std::max(r.first, r.last) > r.max)
+      return fail(ErrorCode::kInvalid, "first and last are not between min and max", at);
+  } else if (r.texts.empty()) {
+    return fail(ErrorCode::kInvalid, "no text", at + "/texts");
+  }
+  return {};
+}
+
+}  // namespace
+
 Status validate(const Profile& profile) {
   if (profile.margin_pct < 0 || profile.margin_pct > 1000)
     return fail(ErrorCode::kInvalid,
@@ -58,6 +119,10 @@ Status validate(const Profile& profile) {
                 std::to_string(profile.xnodes.size()) + " XNodes; 1 to " +
                     std::to_string(kMaxXNodes) + " are possible",
                 "/xnodes");
+  std::set<std::string> files;
+  const std::vector<Reading>& readings = profile.conditions.readings;
+  for (std::size_t i = 0; i < readings.size(); ++i)
+    XAUTO_TRY(validate(readings[i], files, "/conditions/readings/" + std::to_string(i)));
   XAUTO_TRY(validate(profile.sources));
   std::set<std::string> names;
   for (std::size_t i = 0; i < profile.xnodes.size(); ++i) {
@@ -66,22 +131,10 @@ Status validate(const Profile& profile) {
     if (x.name.empty()) return fail(ErrorCode::kInvalid, "an XNode needs a name", where + "/name");
     if (!names.insert(x.name).second)
       return fail(ErrorCode::kInvalid, "two XNodes are called '" + x.name + "'", where + "/name");
-    for (const auto& [xpu, s] : x.on) {
-      const std::string place = where + "/on/" + xpu;
-      if (s.count < 1) return fail(ErrorCode::kInvalid, "no samples", place + "/count");
-      if (s.min_us < 0 || s.max_us > kMaxTimeUs || s.min_us > s.p50_us || s.p50_us > s.p99_us ||
-          s.p99_us > s.max_us)
-        return fail(ErrorCode::kInvalid, "XNode '" + x.name + "': min, p50, p99, max do not ascend",
-                    place);
-      if (s.max_at > s.count)
-        return fail(
-            ErrorCode::kInvalid,
-            std::to_string(s.max_at) + " is none of " + std::to_string(s.count) + " samples",
-            place + "/max_at");
-      if (s.outlier && (s.outlier->max_us < s.min_us || s.outlier->max_us > s.max_us ||
-                        s.outlier->count + s.outlier->later_count > s.count))
-        return fail(ErrorCode::kInvalid, "is not of these samples", place + "/outlier");
-    }
+    for (const auto& [xpu, s] : x.on) XAUTO_TRY(validate(s, x.name, where + "/on/" + xpu));
+    for (const auto& [type, on] : x.beside)
+      for (const auto& [xpu, s] : on)
+        XAUTO_TRY(validate(s, x.name, where + "/beside/" + type + "/" + xpu));
   }
   for (const auto& [name, pairs] :
        {std::pair("/edges/", &profile.edges), {"/samples/", &profile.sampled}})
@@ -121,7 +174,7 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
           ErrorCode::kInvalid, "was not measured on any XPU", "XNode '" + x.name + "'",
           profile.incomplete.empty() ? "" : "the profile is incomplete: " + profile.incomplete);
     XNodeSpec spec{x.name, x.module, {}, x.sources};
-    for (const auto& [id, samples] : x.on) {
+    const auto take = [&](const std::string& id, const Samples& samples) -> Status {
       const int xpu = platform.find(id);
       if (xpu < 0)
         return fail(ErrorCode::kInvalid,
@@ -136,7 +189,11 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
       if (!samples.emulated) spec.real_on.insert(type);
       std::int64_t& wcet = spec.wcet_us[type];
       wcet = std::max({wcet, statistic(samples, from, profile.margin_pct), std::int64_t{1}});
-    }
+      return {};
+    };
+    for (const auto& [id, samples] : x.on) XAUTO_TRY(take(id, samples));
+    for (const auto& [beside, on] : x.beside)
+      for (const auto& [id, samples] : on) XAUTO_TRY(take(id, samples));
     app.xnodes.push_back(std::move(spec));
   }
   XAUTO_TRY(validate(app));

@@ -28,13 +28,22 @@ struct Outlier {
   bool operator==(const Outlier&) const = default;
 };
 
-/// Summary of `count` execution times of one XNode alone on one XPU instance, warm-up left out.
+/// How busy another XPU was while an XNode ran, and in as long a time in which it did not: means per
+/// repetition. Only of `profile --audit`.
+struct OtherXpu {
+  std::int64_t busy_us = 0, idle_us = 0;
+  bool used = false;  ///< busier beside the XNode than without it; runtime/audit.h has the rule
+  bool operator==(const OtherXpu&) const = default;
+};
+
+/// Summary of `count` execution times of one XNode on one XPU instance, warm-up left out.
 struct Samples {
   std::int64_t count = 0;
   std::int64_t min_us = 0, p50_us = 0, p99_us = 0, max_us = 0;  ///< of all, outliers among them
   bool emulated = false;                                        ///< a stand-in's, on the emulator
   std::int64_t max_at = 0;  ///< which sample was the longest, from 1 on; 0: not known
   std::optional<Outlier> outlier = {};
+  std::map<std::string, OtherXpu, std::less<>> others = {};  ///< those whose busy time is known
 
   /// Longer than twice the median: worth a look before it becomes a plan.
   [[nodiscard]] bool spread() const { return max_us > 2 * p50_us; }
@@ -49,11 +58,36 @@ struct Samples {
 struct XNodeProfile {
   std::string name;
   std::string module;
-  std::map<std::string, Samples, std::less<>> on;  ///< XPU instance id -> samples
+  std::map<std::string, Samples, std::less<>> on;  ///< XPU instance id -> samples, alone
   std::vector<int> sources = {};                   ///< as XNodeSpec::sources
   std::vector<std::string> missing = {};  ///< XPU instances where it was to be measured and was not
+  /// Co-run class (the XPU type that a generator loads meanwhile) -> XPU instance id -> samples. Only
+  /// of `profile --contended`.
+  std::map<std::string, std::map<std::string, Samples, std::less<>>, std::less<>> beside = {};
   bool operator==(const XNodeProfile&) const = default;
 };
+
+/// What one file of the machine said while the profiler measured. It is read before and after each
+/// pass, and about once a second in between.
+struct Reading {
+  enum class Of : std::uint8_t { kClock, kTemperature, kPowerMode, kGovernor } of = Of::kClock;
+  std::string file;       ///< absolute path, as Condition::file
+  std::string name = {};  ///< of a thermal zone: what it measures
+  /// Of clocks and temperatures, in the file's own unit.
+  std::int64_t first = 0, min = 0, max = 0, last = 0;
+  std::vector<std::string> texts = {};  ///< of the others: each once, in the order of their coming
+
+  [[nodiscard]] bool is_number() const { return of == Of::kClock || of == Of::kTemperature; }
+  /// By how much a clock may be read lower and be the same: rates that are measured are not exact.
+  [[nodiscard]] static std::int64_t jitter(std::int64_t clock);
+  [[nodiscard]] static bool same_clock(std::int64_t a, std::int64_t b);
+  /// A clock, a mode or a governor that was not one and the same all the time.
+  [[nodiscard]] bool changed() const;
+  bool operator==(const Reading&) const = default;
+};
+[[nodiscard]] const char* to_string(Reading::Of of);
+inline constexpr std::int64_t kMaxReading = 1'000'000'000'000'000;  ///< Hz, say; exact in JSON
+inline constexpr std::size_t kMaxReadings = 256, kMaxReadingTexts = 16;
 
 /// Under what conditions the times hold. A profile taken under others must not be trusted silently.
 struct ProfileConditions {
@@ -63,7 +97,10 @@ struct ProfileConditions {
   std::string input;      ///< recorded input that was replayed
   std::int64_t warmup = 0;
   std::int64_t repetitions = 0;
-  std::string governor;  ///< cpufreq governor, empty if unknown
+  std::string governor;                ///< cpufreq governor, empty if unknown
+  std::vector<Reading> readings = {};  ///< by file
+  /// Co-run class -> what loaded its XPUs; and of classes that were not measured, why not.
+  std::map<std::string, std::string, std::less<>> beside = {}, not_beside = {};
   bool operator==(const ProfileConditions&) const = default;
 };
 
@@ -86,7 +123,7 @@ struct Profile {
 enum class WcetFrom { kMaxPlusMargin, kP99, kP50 };
 /// What is the WCET of these samples: see WcetFrom. The maximum is that without outliers.
 [[nodiscard]] std::int64_t statistic(const Samples& s, WcetFrom from, std::int64_t margin_pct);
-/// The app.json that follows: per XPU type the worst instance's statistic. `platform` gives each
+/// The app.json that follows: per XPU type the worst statistic of all instances and co-run classes. `platform` gives each
 /// instance its type. A p99 needs kP99Samples. Of version 1, which knows neither samples nor several
 /// activations in flight; where there are any, of version 2.
 [[nodiscard]] Result<AppSpec> to_app(const Profile& profile, const Platform& platform,

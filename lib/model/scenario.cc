@@ -2,6 +2,7 @@
 #include "model/scenario.h"
 
 #include <algorithm>
+#include <map>
 #include <set>
 
 namespace xauto {
@@ -175,6 +176,82 @@ Result<Scenarios> scenarios_of(const std::vector<NamedProfile>& profiles, const 
     scenarios.list.push_back(std::move(scenario));
   }
   return scenarios;
+}
+
+namespace {
+
+/// [file] -> [profile] what it said there; files that all of them have read.
+using Said = std::map<std::string, std::vector<const Reading*>>;
+Said said_to_all(const std::vector<NamedProfile>& profiles, Reading::Of of) {
+  Said said;
+  for (const NamedProfile& one : profiles)
+    for (const Reading& reading : one.profile.conditions.readings)
+      if (reading.of == of) said[reading.file].push_back(&reading);
+  std::erase_if(said, [&](const auto& file) { return file.second.size() != profiles.size(); });
+  return said;
+}
+
+bool alike(const Said& clocks, const Said& modes, std::size_t a, std::size_t b) {
+  return std::all_of(clocks.begin(), clocks.end(),
+                     [&](const auto& file) {
+                       return Reading::same_clock(file.second[a]->min, file.second[b]->min);
+                     }) &&
+         std::all_of(modes.begin(), modes.end(), [&](const auto& file) {
+           return file.second[a]->texts == file.second[b]->texts;
+         });
+}
+
+/// By how many percent the times of two scenarios differ at most, and where; "": nowhere.
+std::string difference(const Scenario& a, const Scenario& b) {
+  std::int64_t largest = 0;
+  std::string where;
+  for (const auto& [xnode, types] : a.wcet_us)
+    for (const auto& [type, us] : types) {
+      const std::int64_t other = b.wcet_us.at(xnode).at(type);
+      const std::int64_t low = std::min(us, other), high = std::max(us, other);
+      const std::int64_t pct = ((high - low) * 100 + low - 1) / low;
+      if (pct <= largest) continue;
+      largest = pct;
+      where = "by " + std::to_string(pct) + " % (XNode '" + xnode + "' on " + type + ")";
+    }
+  return where;
+}
+
+}  // namespace
+
+std::string set_conditions(Scenarios& scenarios, const std::vector<NamedProfile>& profiles) {
+  if (profiles.size() < 2) return {};
+  for (const NamedProfile& one : profiles)
+    for (const Reading& r : one.profile.conditions.readings)
+      if (r.changed() && r.of != Reading::Of::kGovernor)
+        return one.name + " was not measured under one condition: " + r.file + " changed meanwhile";
+  const Said clocks = said_to_all(profiles, Reading::Of::kClock);
+  const Said modes = said_to_all(profiles, Reading::Of::kPowerMode);
+  if (clocks.empty() && modes.empty())
+    return "no clock and no power mode was read in all of the profiles";
+  bool need_modes = false;
+  for (std::size_t a = 0; a < profiles.size(); ++a)
+    for (std::size_t b = 0; b < a; ++b) {
+      if (!alike(clocks, {}, a, b)) continue;
+      need_modes = need_modes || !alike({}, modes, a, b);
+      if (!alike({}, modes, a, b)) continue;
+      if (const std::string differ = difference(scenarios.list[b], scenarios.list[a]);
+          !differ.empty())
+        return profiles[b].name + " and " + profiles[a].name +
+               " were measured under the same clocks and power mode, and their WCETs differ " +
+               differ;
+    }
+  if (clocks.size() + (need_modes ? modes.size() : 0) > kMaxConditions)
+    return "more than " + std::to_string(kMaxConditions) + " clocks were read";
+  for (std::size_t k = 0; k < profiles.size(); ++k) {
+    std::vector<Condition>& when = scenarios.list[k].when;
+    for (const auto& [file, readings] : clocks)
+      when.push_back({file, readings[k]->min - Reading::jitter(readings[k]->min), {}, {}});
+    if (need_modes)
+      for (const auto& [file, readings] : modes)
+        when.push_back({file, {}, {}, readings[k]->texts.front()});
+  }
+  return {};
 }
 
 Scenario across(const AppSpec& app, const Scenario& from, const Scenario& to) {

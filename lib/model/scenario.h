@@ -50,7 +50,6 @@ struct Scenarios {
 inline constexpr std::size_t kMaxScenarios = 200;
 inline constexpr std::size_t kMaxConditions = 64, kMaxConditionText = 200;  ///< of one; of `equals`
 inline constexpr std::int64_t kMaxScalePct = 100'000;
-inline constexpr std::int64_t kMaxReading = 1'000'000'000'000'000;  ///< Hz, say; exact in JSON
 
 /// Names unique and not empty, types and XPUs of the platform, XNodes and implementations of the
 /// app, percentages from 1 to kMaxScalePct, WCETs at least 1 us; in each scenario every XNode can
@@ -78,6 +77,14 @@ struct NamedProfile {
 /// the app has it.
 [[nodiscard]] Result<Scenarios> scenarios_of(const std::vector<NamedProfile>& profiles,
                                              const Platform& platform, WcetFrom from);
+
+/// Gives each of scenarios_of(profiles) as conditions (Scenario::when) the clocks at which its profile
+/// was measured: at least those, less Reading::jitter(). Where clocks do not tell two
+/// profiles apart, the power mode is a condition, too. Either all scenarios have conditions then or
+/// none: a run in which some lack them would take what it does not know for a slower machine. Returns why none has; empty: they
+/// have, or there is one profile only.
+[[nodiscard]] std::string set_conditions(Scenarios& scenarios,
+                                         const std::vector<NamedProfile>& profiles);
 
 /// What a release has to live with during which one scenario takes the place of another: of each
 /// WCET the larger, and all XPUs that either has lost.

@@ -2,43 +2,20 @@
 #include "runtime/condition_watch.h"
 
 #include <algorithm>
-#include <charconv>
 
-#include <fcntl.h>
-#include <unistd.h>
-
-#include "base/unique_fd.h"
+#include "base/log.h"
+#include "base/short_file.h"
 
 namespace xauto::runtime {
 namespace {
 
-constexpr std::size_t kMaxText = 256;
-
-std::optional<std::string> read_text(const std::string& path) {
-  const UniqueFd fd(open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
-  if (!fd) return std::nullopt;
-  char text[kMaxText];
-  const ssize_t size = read(fd.get(), text, sizeof text);
-  if (size < 0) return std::nullopt;
-  return std::string(text, static_cast<std::size_t>(size));
-}
-
-/// Without white space around it.
-std::string_view stripped(std::string_view text) {
-  constexpr const char* kSpace = " \t\r\n";
-  const std::size_t first = text.find_first_not_of(kSpace);
-  if (first == std::string_view::npos) return {};
-  return text.substr(first, text.find_last_not_of(kSpace) - first + 1);
-}
-
 /// nullopt: what is there cannot be compared.
 std::optional<bool> holds(const Condition& condition, std::string_view text) {
   if (condition.equals) return text == *condition.equals;
-  std::int64_t value = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return (!condition.at_least || value >= *condition.at_least) &&
-         (!condition.at_most || value <= *condition.at_most);
+  const auto value = whole_number(text);
+  if (!value) return std::nullopt;
+  return (!condition.at_least || *value >= *condition.at_least) &&
+         (!condition.at_most || *value <= *condition.at_most);
 }
 
 }  // namespace
@@ -70,12 +47,24 @@ Machine machine_in(const Tables& tables, const ReadText& read) {
   return least >= 0 ? Machine{least, false} : Machine{greatest, greatest >= 0};
 }
 
+std::optional<std::string> unreadable(const Tables& tables, const ReadText& read) {
+  for (const Scenario& scenario : tables.scenarios)
+    for (const Condition& condition : scenario.when)
+      if (!read(condition.file)) return condition.file;
+  return std::nullopt;
+}
+
 ConditionWatch::ConditionWatch(const Tables& tables) : tables_(tables) {
   const bool any = std::any_of(tables.scenarios.begin(), tables.scenarios.end(),
                                [](const Scenario& s) { return !s.when.empty(); });
   if (!any) return;
+  if (const auto file = unreadable(tables, read_short_file))
+    log::warn(
+        "{}: cannot be read, so scenarios with a condition on it (`when`) are not recognised by "
+        "the machine; run with the rights to read it, or take it out of scenarios.json",
+        *file);
   const auto look = [this] {
-    const Machine machine = machine_in(tables_, read_text);
+    const Machine machine = machine_in(tables_, read_short_file);
     scenario_.store(machine.scenario);
     outside_.store(machine.outside);
   };

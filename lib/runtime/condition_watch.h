@@ -33,10 +33,14 @@ struct Machine {
 /// that have conditions the one with the greatest: the machine is slower than where it was measured.
 [[nodiscard]] Machine machine_in(const Tables& tables, const ReadText& read);
 
+/// The first file of a condition that cannot be read: its scenario counts as one without conditions.
+[[nodiscard]] std::optional<std::string> unreadable(const Tables& tables, const ReadText& read);
+
 /// Threads: any.
 class ConditionWatch {
  public:
-  /// `tables` outlive it. Without conditions nothing is read, and there is no thread.
+  /// `tables` outlive it. Without conditions nothing is read, and there is no thread. Warns of a file
+  /// that cannot be read: a profile of root's may name some that others cannot.
   explicit ConditionWatch(const Tables& tables);
   [[nodiscard]] Machine now() const;
 

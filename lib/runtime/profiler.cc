@@ -3,8 +3,10 @@
 // each message of the input, every module in topological order, on one thread. In pass p each XNode
 // runs on the p-th of its XPU instances; there are as many passes as the XNode with most instances
 // has, and each pass replays the input from its start with fresh module states. Nothing else runs
-// on the XPU meanwhile. The thread that asked for the profile watches: when it is told to stop, or
-// when an exec takes too long, it answers with what there is, and the other thread is left behind.
+// meanwhile. With --contended all passes come again for each co-run class, beside its load (corun.h);
+// with --audit each exec is followed by as long a time in which nothing runs (audit.h). The thread
+// that asked for the profile watches: when it is told to stop, or when an exec takes too long, it
+// answers with what there is, and the other thread is left behind.
 #include "runtime/profiler.h"
 
 #include <algorithm>
@@ -13,7 +15,9 @@
 #include <future>
 #include <map>
 #include <memory>
+#include <set>
 #include <thread>
+#include <tuple>
 
 #include <sys/utsname.h>
 
@@ -26,7 +30,10 @@
 #include "processes/parameters.h"
 #include "record/recording.h"
 #include "record/xauto_msgs.h"
+#include "runtime/audit.h"
+#include "runtime/corun.h"
 #include "runtime/input_access.h"
+#include "runtime/machine_readings.h"
 #include "xpu/backend.h"
 #include "xpu/presence.h"
 
@@ -148,7 +155,8 @@ ProfileConditions conditions(const Session& session) {
   c.input = session.input;
   c.warmup = static_cast<std::int64_t>(session.warmup);
   c.repetitions = static_cast<std::int64_t>(session.repetitions);
-  std::ifstream("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor") >> c.governor;
+  std::ifstream(session.machine_root + "/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor") >>
+      c.governor;
   return c;
 }
 
@@ -162,7 +170,11 @@ std::map<std::string, std::int64_t> in_flight_of(const Graph& graph) {
 class Run {
  public:
   Run(const detail::AppSpecErased& app, const Session& session, const Graph& graph)
-      : app_(app), session_(session), graph_(graph), samples_(graph.nodes.size()) {
+      : app_(app),
+        session_(session),
+        graph_(graph),
+        samples_(graph.nodes.size()),
+        machine_(session.machine_root) {
     for (const Graph::Node& node : graph.nodes) {
       std::vector<int> xpus;
       for (int x = 0; x < static_cast<int>(session.platform.xpus.size()); ++x)
@@ -189,25 +201,78 @@ class Run {
       log::warn("no permission for SCHED_FIFO: neighbours' work shows in the times; {}",
                 rt::fifo_hint());
     XAUTO_TRY(leave_out_missing_cores());
-    std::vector<std::vector<int>> everywhere = alternatives_;
-    XAUTO_TRY(run_passes(everywhere));
-    for (std::uint64_t round = 0; round < session_.stable_rounds; ++round) {
-      std::vector<std::vector<int>> again(alternatives_.size());
-      if (!not_yet_stable(again)) break;
-      XAUTO_TRY(run_passes(again));
+    if (session_.audit) XAUTO_TRY(prepare_audit());
+    if (session_.contended) corun_.emplace(session_, cores_);
+    for (const std::string& beside : classes()) {
+      if (!beside.empty() && !can_be_loaded(beside)) {
+        note_class(beside);
+        continue;
+      }
+      XAUTO_TRY(run_passes(alternatives_, beside));
+      for (std::uint64_t round = 0; round < session_.stable_rounds; ++round) {
+        std::vector<std::vector<int>> again(alternatives_.size());
+        if (!not_yet_stable(again, beside)) break;
+        XAUTO_TRY(run_passes(again, beside));
+      }
+      if (!beside.empty()) note_class(beside);
     }
     return {};
   }
 
+  /// One release, then the XNodes on session.load_xpu again and again, as the words want it.
+  Status load(const std::atomic<bool>& stop) {
+    XAUTO_ASSIGN(LoadWords * words, map_load_words(session_.load_fd));
+    inlets_.emplace(
+        app_, session_.input.empty() ? detail::Inlet::Keep::kNewest : detail::Inlet::Keep::kNone);
+    XAUTO_TRY(detail::call(app_.on_start, "on_start", app_.name));
+    // The profiler has a priority and a core, which its children inherit.
+    XAUTO_TRY(rt::set_other());
+    cores_ = session_.load_cores;
+    Placing placing;
+    for (const std::vector<int>& xpus : alternatives_) {
+      const bool there = std::find(xpus.begin(), xpus.end(), session_.load_xpu) != xpus.end();
+      placing.on.push_back(there ? session_.load_xpu : xpus.front());
+    }
+    placing.counts.resize(alternatives_.size());
+    XAUTO_ASSIGN(Feed feed, Feed::open(app_, graph_, session_, *inlets_));
+    newest_.assign(graph_.topics.size(), nullptr);
+    Messages messages(graph_.topics.size());
+    XAUTO_ASSIGN(const bool any, feed.next(messages));
+    if (!any) return fail(ErrorCode::kInvalid, "has no release", session_.input);
+    std::vector<std::shared_ptr<void>> states;
+    for (const Graph::Module& module : graph_.modules) states.push_back(module.spec->make_state());
+    const auto run_one = [&](int m) {
+      return run_module(m, placing, 0, states[static_cast<std::size_t>(m)].get(), messages);
+    };
+    for (const int m : graph_.module_order) XAUTO_TRY(run_one(m));
+    placing.only = session_.load_xpu;
+    std::vector<int> modules = graph_.module_order;
+    std::erase_if(modules, [&](int m) {
+      const std::vector<int>& nodes = graph_.modules[static_cast<std::size_t>(m)].nodes;
+      return std::none_of(nodes.begin(), nodes.end(), [&](int n) {
+        return placing.on[static_cast<std::size_t>(n)] == placing.only;
+      });
+    });
+    if (modules.empty())
+      return fail(ErrorCode::kInternal, "the app has no XNode for " + xpu(placing.only).id);
+    // From now on wherever nobody is in the way; prepare() has no further say in it.
+    XAUTO_TRY(rt::pin_to_cores(cores_));
+    core_now_ = cores_.front();
+    return serve(
+        *words,
+        [&, next = std::size_t{0}]() mutable { return run_one(modules[next++ % modules.size()]); },
+        stop);
+  }
+
   /// Which alternatives have times that are not stable yet, into `again`. False: none.
-  bool not_yet_stable(std::vector<std::vector<int>>& again) {
+  bool not_yet_stable(std::vector<std::vector<int>>& again, const std::string& beside) {
     bool any = false;
     const Guard lock(mutex_);
     for (std::size_t n = 0; n < again.size(); ++n)
-      for (const auto& [x, taken] : samples_[n]) {
+      for (const auto& [where, taken] : samples_[n]) {
         const Samples s = summarise(taken.us, settled_after());
-        if (!s.spread() || s.outlier) continue;
-        again[n].push_back(x);
+        if (where.beside != beside || !s.spread() || s.outlier) continue;
+        again[n].push_back(where.xpu);
         any = true;
       }
     return any;
@@ -225,6 +290,7 @@ class Run {
   [[nodiscard]] Status release() {
     const bool started = inlets_.has_value();
     inlets_.reset();
+    corun_.reset();
     active_.clear();
     return started ? detail::call(app_.on_stop, "on_stop", app_.name) : Status();
   }
@@ -236,6 +302,9 @@ class Run {
     Profile p;
     p.app = graph_.name;
     p.conditions = conditions(session_);
+    p.conditions.readings = readings_;
+    p.conditions.beside = beside_;
+    p.conditions.not_beside = not_beside_;
     p.margin_pct = session_.margin_pct;
     p.sources = graph_.sources;
     p.edges = graph_.edges;
@@ -247,12 +316,15 @@ class Run {
       XNodeProfile x{
           node.name, graph_.modules[static_cast<std::size_t>(node.module)].name, {}, node.sources};
       for (const auto& [at, taken] : samples_[n]) {
-        Samples& s = x.on[xpu(at).id] = summarise(taken.us, settled_after());
+        Samples& s = (at.beside.empty() ? x.on : x.beside[at.beside])[xpu(at.xpu).id];
+        s = summarise(taken.us, settled_after());
         s.emulated = taken.emulated;
         p.conditions.emulated = p.conditions.emulated || s.emulated;
+        for (const auto& [other, pairs] : taken.others)
+          s.others[xpu(other).id] = judged(taken, other);
       }
       for (const int at : alternatives_[n])
-        if (!samples_[n].contains(at)) x.missing.push_back(xpu(at).id);
+        if (!samples_[n].contains({"", at})) x.missing.push_back(xpu(at).id);
       p.xnodes.push_back(std::move(x));
     }
     return p;
@@ -265,9 +337,25 @@ class Run {
   }
 
  private:
+  /// Where an XNode is timed.
+  struct Where {
+    std::string beside;  ///< co-run class; "": alone
+    int xpu;
+    bool operator<(const Where& other) const {
+      return std::tie(beside, xpu) < std::tie(other.beside, other.xpu);
+    }
+  };
+  /// What the XNodes of a release run on.
+  struct Placing {
+    std::vector<int> on;       ///< [node] XPU
+    std::vector<bool> counts;  ///< [node] whether it is timed, once it is warm
+    std::string beside = {};   ///< as in Where
+    int only = -1;  ///< only those on this XPU, on what the release before has left; -1: all
+  };
   struct Taken {
     std::vector<std::int64_t> us;
     bool emulated = false;
+    std::map<int, std::vector<BusyPair>> others = {};  ///< of an audit: XPU -> per repetition
   };
 
   [[nodiscard]] const Xpu& xpu(int x) const {
@@ -277,6 +365,88 @@ class Run {
     return session_.stable_rounds == 0
                ? 0
                : static_cast<std::int64_t>(kSettledRounds * session_.repetitions);
+  }
+
+  /// Whether anything of the class can be loaded beside any of the times taken alone.
+  [[nodiscard]] bool can_be_loaded(const std::string& type) {
+    std::set<int> real;
+    std::vector<Corun::Stage> stages;
+    {
+      const Guard lock(mutex_);
+      for (const auto& of_node : samples_)
+        for (const auto& [where, taken] : of_node) {
+          if (!taken.emulated) real.insert(where.xpu);
+          stages.push_back({where.xpu, taken.emulated, cores_.front()});
+        }
+    }
+    corun_->set_real(std::move(real));
+    return std::any_of(stages.begin(), stages.end(),
+                       [&](const Corun::Stage& stage) { return corun_->can_load(type, stage); });
+  }
+
+  [[nodiscard]] std::vector<std::string> classes() const {
+    std::vector<std::string> classes = {""};
+    if (!session_.contended) return classes;
+    for (const Xpu& x : session_.platform.xpus)
+      if (std::find(classes.begin(), classes.end(), x.type) == classes.end())
+        classes.push_back(x.type);
+    return classes;
+  }
+
+  /// What was loaded in a class, or why nothing was.
+  void note_class(const std::string& beside) {
+    corun_->rest();
+    const std::string what = corun_->what(beside), failure = corun_->failure(beside);
+    const Guard lock(mutex_);
+    if (!what.empty()) beside_[beside] = what;
+    if (!failure.empty())
+      not_beside_[beside] = failure;
+    else if (what.empty())
+      not_beside_[beside] = corun_->why_not(beside);
+  }
+
+  /// How many questions the audit asks, and so how many repetitions it takes. CPUs are shown and not
+  /// judged: whoever waits for another XPU may keep a core busy.
+  Status prepare_audit() {
+    audit_.emplace(session_.platform, session_.presence, session_.machine_root, cores_);
+    bool any = false;
+    std::size_t questions = 0;
+    for (std::size_t n = 0; n < alternatives_.size(); ++n)
+      for (const int x : alternatives_[n]) {
+        XAUTO_TRY(prepare(static_cast<int>(n), x));
+        for (const int other : audit_->others(x, active_[static_cast<int>(n)].emulated)) {
+          any = true;
+          if (xpu(other).type != "cpu") ++questions;
+        }
+      }
+    if (!any)
+      return fail(ErrorCode::kUnavailable, "nothing tells how busy the XPUs are", "--audit",
+                  "docs/modes.md says what is asked of drivers");
+    if (const std::size_t needed = repetitions_needed(questions); session_.repetitions < needed)
+      return fail(ErrorCode::kInvalid,
+                  std::to_string(session_.repetitions) +
+                      " repetitions cannot tell use from chance in " + std::to_string(questions) +
+                      " pairs of an XNode and another XPU",
+                  "--audit", "use --repetitions " + std::to_string(needed) + " or more");
+    const Guard lock(mutex_);
+    questions_ = questions;
+    return {};
+  }
+
+  [[nodiscard]] OtherXpu judged(const Taken& taken, int other) const XAUTO_REQUIRES(mutex_) {
+    std::int64_t sum_us = 0;
+    for (const std::int64_t us : taken.us) sum_us += us;
+    const auto mean_ns = sum_us * 1000 / static_cast<std::int64_t>(taken.us.size());
+    OtherXpu judged = judge(taken.others.at(other), mean_ns, questions_);
+    judged.used = judged.used && xpu(other).type != "cpu";
+    return judged;
+  }
+
+  void look_at_machine() {
+    machine_.look();
+    std::vector<Reading> readings = machine_.taken();
+    const Guard lock(mutex_);
+    readings_ = std::move(readings);
   }
 
   /// Cores that this machine lacks are emulated, for stand-ins. An XNode that computes itself was
@@ -300,27 +470,27 @@ class Run {
   }
 
   /// Each XNode on each of `xpus[node]`, one per pass; where that is none, on its first one, for
-  /// those behind it.
-  Status run_passes(const std::vector<std::vector<int>>& xpus) {
+  /// those behind it. `beside`: a co-run class; "": alone.
+  Status run_passes(const std::vector<std::vector<int>>& xpus, const std::string& beside) {
     std::size_t passes = 0;
     for (const auto& of_node : xpus) passes = std::max(passes, of_node.size());
     const std::uint64_t total = passes * (session_.warmup + session_.repetitions);
     std::uint64_t done = 0;
     std::int64_t told = now_ns();
     for (std::size_t pass = 0; pass < passes; ++pass) {
+      look_at_machine();
       XAUTO_ASSIGN(Feed feed, Feed::open(app_, graph_, session_, *inlets_));
       newest_.assign(graph_.topics.size(), nullptr);
       std::vector<std::shared_ptr<void>> states;
       for (const Graph::Module& module : graph_.modules)
         states.push_back(module.spec->make_state());
-      std::vector<int> on(xpus.size());
-      std::vector<bool> counts(xpus.size());
+      Placing placing{{}, {}, beside};
       for (std::size_t n = 0; n < xpus.size(); ++n) {
         // Each XPU instance once: a later pass that comes round to it again adds nothing new.
-        counts[n] = pass < xpus[n].size();
-        on[n] = counts[n]         ? xpus[n][pass]
-                : xpus[n].empty() ? alternatives_[n].front()
-                                  : xpus[n][pass % xpus[n].size()];
+        placing.counts.push_back(pass < xpus[n].size());
+        placing.on.push_back(placing.counts[n] ? xpus[n][pass]
+                             : xpus[n].empty() ? alternatives_[n].front()
+                                               : xpus[n][pass % xpus[n].size()]);
       }
       for (std::uint64_t k = 0; k < session_.warmup + session_.repetitions; ++k, ++done) {
         Messages messages(graph_.topics.size());
@@ -333,20 +503,22 @@ class Run {
                       session_.input, "record more, or use fewer --warmup");
         }
         for (const int m : graph_.module_order)
-          XAUTO_TRY(
-              run_module(m, on, counts, k, states[static_cast<std::size_t>(m)].get(), messages));
+          XAUTO_TRY(run_module(m, placing, k, states[static_cast<std::size_t>(m)].get(), messages));
         newest_ = std::move(messages);
         if (now_ns() - told > 1'000'000'000) {
-          log::info("profile: {} of {} releases", done, total);
+          log::info("profile: {} of {} releases{}", done, total,
+                    beside.empty() ? "" : ", beside " + beside);
+          look_at_machine();
           told = now_ns();
         }
       }
+      look_at_machine();
     }
     return {};
   }
 
-  Status run_module(int m, const std::vector<int>& on, const std::vector<bool>& counts,
-                    std::uint64_t k, void* state, Messages& messages) {
+  Status run_module(int m, const Placing& placing, std::uint64_t k, void* state,
+                    Messages& messages) {
     const Graph::Module& module = graph_.modules[static_cast<std::size_t>(m)];
     Input input = InputAccess::make();
     std::vector<detail::TopicSpec> topics = module.spec->inputs;
@@ -366,9 +538,18 @@ class Run {
     }
     for (const int n : module.nodes) {
       const auto index = static_cast<std::size_t>(n);
-      XAUTO_ASSIGN(const detail::ImplSpec* impl, prepare(n, on[index]));
-      const std::string where =
-          "exec of XNode '" + graph_.nodes[index].name + "' on " + xpu(on[index]).id;
+      const int at = placing.on[index];
+      if (placing.only >= 0 && at != placing.only) continue;
+      XAUTO_ASSIGN(const detail::ImplSpec* impl, prepare(n, at));
+      const std::string where = "exec of XNode '" + graph_.nodes[index].name + "' on " + xpu(at).id;
+      bool count = placing.counts[index];
+      const bool emulated = active_[n].emulated;
+      if (count && !placing.beside.empty()) {
+        count = corun_->beside(placing.beside, {at, emulated, core_now_});
+      } else if (corun_) {
+        corun_->rest();
+      }
+      if (audit_) XAUTO_TRY(audit_->begin(at, emulated));
       {
         const Guard lock(mutex_);
         exec_of_ = where;
@@ -387,14 +568,23 @@ class Run {
         return fail(ErrorCode::kUnavailable, "threw something that is no std::exception", where);
       }
       const std::int64_t us = (now_ns() - before + 999) / 1000;
+      {
+        const Guard lock(mutex_);
+        exec_since_ns_ = 0;
+      }
+      std::map<int, BusyPair> others;
+      if (audit_) {
+        XAUTO_ASSIGN(others, audit_->end());
+      }
       const Guard lock(mutex_);
-      exec_since_ns_ = 0;
       if (closed_) return fail(ErrorCode::kUnavailable, "stopped");
-      if (k < session_.warmup || !counts[index]) continue;
-      Taken& taken = samples_[index][on[index]];
+      if (k < session_.warmup || !count) continue;
+      Taken& taken = samples_[index][{placing.beside, at}];
       taken.us.push_back(us);
-      taken.emulated = active_[n].emulated;
+      taken.emulated = emulated;
+      for (const auto& [other, pair] : others) taken.others[other].push_back(pair);
     }
+    if (placing.only >= 0) return {};
     for (std::size_t i = 0; i < module.outputs.size(); ++i)
       messages[static_cast<std::size_t>(module.outputs[i])] =
           module.spec->outputs[i].take(state, nullptr);
@@ -457,11 +647,18 @@ class Run {
   int core_now_ = -1;
 
   PiMutex mutex_;  ///< and of writing alternatives_
-  std::vector<std::map<int, Taken>> samples_
-      XAUTO_GUARDED_BY(mutex_);  ///< [node] XPU -> in the order of the repetitions
+  std::vector<std::map<Where, Taken>> samples_
+      XAUTO_GUARDED_BY(mutex_);  ///< [node], in the order of the repetitions
   std::string exec_of_ XAUTO_GUARDED_BY(mutex_);
   std::int64_t exec_since_ns_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< 0: none runs
   bool closed_ XAUTO_GUARDED_BY(mutex_) = false;             ///< the result was taken
+  MachineReadings machine_;                                  ///< the thread of `run`
+  std::optional<Corun> corun_;                               ///< with --contended; likewise
+  std::optional<Audit> audit_;                               ///< with --audit; likewise
+  std::size_t questions_ XAUTO_GUARDED_BY(mutex_) = 0;       ///< of the audit
+  using Texts = std::map<std::string, std::string, std::less<>>;
+  Texts beside_ XAUTO_GUARDED_BY(mutex_), not_beside_ XAUTO_GUARDED_BY(mutex_);  ///< by class
+  std::vector<Reading> readings_ XAUTO_GUARDED_BY(mutex_);
 };
 
 }  // namespace
@@ -503,6 +700,17 @@ Result<Profiled> profile(const detail::AppSpecErased& app, const Session& sessio
   }
   thread.detach();
   return Profiled{to_json(shared->run.result(incomplete)), true};
+}
+
+Status load(const detail::AppSpecErased& app, const Session& session,
+            const std::atomic<bool>& stop) {
+  XAUTO_ASSIGN(const Graph graph, Graph::build(app));
+  XAUTO_ASSIGN(auto values, first_values(graph, session.deployment));
+  Run run(app, session, graph);
+  run.set_parameters(std::move(values));
+  Status done = run.load(stop);
+  Status released = run.release();
+  return done ? released : done;
 }
 
 Result<std::string> describe(const Graph& graph, const Platform& platform) {

@@ -25,6 +25,10 @@ struct Profiled {
 [[nodiscard]] Result<Profiled> profile(const detail::AppSpecErased& app, const Session& session,
                                        const std::atomic<bool>& stop);
 
+/// What Session says of Mode::kLoad, until `stop` or the end of the process that asked for it.
+[[nodiscard]] Status load(const detail::AppSpecErased& app, const Session& session,
+                          const std::atomic<bool>& stop);
+
 /// The graph as profile.json without samples: what `describe` answers.
 [[nodiscard]] Result<std::string> describe(const Graph& graph, const Platform& platform);
 

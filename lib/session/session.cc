@@ -96,13 +96,15 @@ void fields(Io io, T& x) {
      x.emulator_modules, "coordinators", x.coordinators, "activations", x.activations,
      "duration_us", x.duration_us, "lockstep", x.lockstep, "period_us", x.period_us, "input",
      x.input, "record", x.record, "warmup", x.warmup, "repetitions", x.repetitions, "margin_pct",
-     x.margin_pct, "exec_limit_s", x.exec_limit_s, "stable_rounds", x.stable_rounds, "answer_fd",
-     x.answer_fd, "trace_fd", x.trace_fd, "board_fd", x.board_fd, "trace_keep_s", x.trace_keep_s,
-     "processes", x.processes, "hub", x.hub, "hub_fd", x.hub_fd);
+     x.margin_pct, "exec_limit_s", x.exec_limit_s, "stable_rounds", x.stable_rounds, "contended",
+     x.contended, "audit", x.audit, "load_xpu", x.load_xpu, "load_fd", x.load_fd, "load_cores",
+     x.load_cores, "machine_root", x.machine_root, "answer_fd", x.answer_fd, "trace_fd", x.trace_fd,
+     "board_fd", x.board_fd, "trace_keep_s", x.trace_keep_s, "processes", x.processes, "hub", x.hub,
+     "hub_fd", x.hub_fd);
 }
 
 constexpr Mode last(Mode) {
-  return Mode::kRun;
+  return Mode::kLoad;
 }
 constexpr Scheduling last(Scheduling) {
   return Scheduling::kRos2;
@@ -321,7 +323,7 @@ std::vector<std::pair<std::uint32_t, std::uint32_t>> Session::order_on(int xpu) 
 }
 
 Result<std::string> to_json(const Session& s) {
-  for (const std::string& path : {s.input, s.record})
+  for (const std::string& path : {s.input, s.record, s.machine_root})
     if (Json::parse(Json(path).dump())->text() != path)
       return fail(ErrorCode::kInvalid, "a path that is not UTF-8", path,
                   "give the file another name");
@@ -355,6 +357,10 @@ Result<Session> parse_session(const std::string& text) {
   XAUTO_ASSIGN(s.platform, parse_platform(member("platform"), "session"));
   if (!s.presence.empty() && s.presence.size() != s.platform.xpus.size())
     return fail(ErrorCode::kInvalid, "the session does not say of each XPU whether it is real");
+  if (s.mode == Mode::kLoad &&
+      (s.load_xpu < 0 || s.load_xpu >= static_cast<int>(s.platform.xpus.size()) ||
+       s.load_cores.empty()))
+    return malformed("session: load_xpu");
   if (s.mode != Mode::kRun) {
     if (!j->has("deployment")) return s;
     XAUTO_ASSIGN(s.deployment, parse_deployment(member("deployment"), "session"));

@@ -27,6 +27,7 @@ enum class Mode : std::uint8_t {
   kDescribe,  ///< print the graph
   kProfile,   ///< time each XNode alone
   kRun,
+  kLoad,  ///< run the XNodes of one XPU again and again, for a profile of others (runtime/corun.h)
 };
 
 enum class Scheduling : std::uint8_t {
@@ -77,10 +78,17 @@ struct Session {
   std::int64_t margin_pct = 20;                ///< kProfile
   std::int64_t exec_limit_s = 30;              ///< kProfile: one that takes longer ends it
   std::uint64_t stable_rounds = 0;  ///< kProfile: further rounds of repetitions for wide spreads
-  int answer_fd = -1;               ///< memfd for the Answer
-  int trace_fd = -1;                ///< memfd for the trace; -1: none
-  int board_fd = -1;                ///< memfd for the board (board.h); -1: nobody looks
-  double trace_keep_s = 0;          ///< for so long the trace holds what happens (if memory allows)
+  bool contended = false;  ///< kProfile: also beside a load of each type of XPU (runtime/corun.h)
+  bool audit = false;      ///< kProfile: how busy other XPUs are meanwhile (runtime/audit.h)
+  int load_xpu = -1;       ///< kLoad: which
+  int load_fd = -1;        ///< kLoad: memfd with the LoadWords
+  std::vector<int> load_cores;  ///< kLoad: where its threads may run
+  /// kProfile: where the machine's /sys, /proc and /var are; empty: where they belong
+  std::string machine_root;
+  int answer_fd = -1;       ///< memfd for the Answer
+  int trace_fd = -1;        ///< memfd for the trace; -1: none
+  int board_fd = -1;        ///< memfd for the board (board.h); -1: nobody looks
+  double trace_keep_s = 0;  ///< for so long the trace holds what happens (if memory allows)
 
   /// Of the other modes what names modules and topics, and parameters; of no app: none.
   Deployment deployment;

@@ -134,8 +134,8 @@ BEYOND = {
     "app": {"cycle", "duplicate-key", "edge-self", "edge-twice", "edge-unknown-xnode", "source-behind-an-edge",
             "source-heard-twice", "source-name-twice", "source-unknown", "xnode-name-twice"},
     "platform": {"duplicate-key", "id-twice"},
-    "profile": {"edge-unknown-xnode", "source-behind-an-edge", "source-name-twice", "statistics-do-not-ascend",
-                "xnode-twice"},
+    "profile": {"beside-does-not-ascend", "edge-unknown-xnode", "reading-out-of-its-range", "reading-twice",
+                "source-behind-an-edge", "source-name-twice", "statistics-do-not-ascend", "xnode-twice"},
     "policy": {"app-of-another-name", "finish-before-start", "order-across-xpus", "order-against-the-edges",
                "order-self", "order-twice", "order-unknown-xnode", "priority-twice", "stale-hash", "xnode-not-placed",
                "xnode-twice", "xnode-unknown", "xpu-unknown", "xpu-without-implementation",
@@ -223,6 +223,8 @@ def test_what_the_tools_write_is_valid():
                 "--lockstep", "--activations", 3, "--out", "r.json", "--", DRIVING, out="r.json")
         written("profile", "profile", "--platform", "small", "--emulate", "--warmup", 0, "--repetitions", 2, "--out",
                 "f.json", "--", DRIVING, out="f.json")
+        written("profile", "profile", "--platform", "small", "--emulate", "--warmup", 0, "--repetitions", 2,
+                "--contended", "--out", "g.json", "--", DRIVING, out="g.json")
 
 
 def test_a_typo_is_told_once_and_refused_with_strict():

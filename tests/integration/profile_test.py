@@ -210,5 +210,85 @@ class Outliers(Case):
         self.assertEqual(self.on("m.infer")["gpu0"]["count"], 100)
 
 
+class Conditions(Case):
+    """Clocks, power mode and temperatures of a machine whose files are in a folder."""
+    GPU = "/sys/class/devfreq/17000000.gpu/cur_freq"
+    MODE = "/var/lib/nvpmodel/status"
+
+    def machine(self, name, gpu, mode="pmode:0000"):
+        for file, text in ((self.GPU, gpu), (self.MODE, mode), ("/sys/class/thermal/thermal_zone0/temp", 45500),
+                           ("/sys/class/thermal/thermal_zone0/type", "cpu-thermal")):
+            path = self.folder / name / file[1:]
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(f"{text}\n")
+
+    def profile_on(self, machine):
+        done = self.good("profile", "--platform", "small", "--emulate", "--repetitions", 3, "--machine-root", machine, "--out",
+                         f"{machine}.json", "--", BIN / "camera")
+        readings = self.read(f"{machine}.json")["conditions"]["readings"]
+        return done.stderr, {r["file"]: r for r in readings}
+
+    def merge(self, *profiles):
+        done = self.good("profile", "--platform", "small", "--merge", *profiles, "--out", "scenarios.json")
+        return done.stderr, {s["name"]: s.get("when") for s in self.read("scenarios.json")["scenarios"]}
+
+    def test_a_machine_that_stands_still_is_written_down(self):
+        self.machine("orin", 1300500000)
+        said, readings = self.profile_on("orin")
+        self.assertNotIn("changed", said)
+        self.assertEqual(readings[self.GPU], {"of": "clock", "file": self.GPU, "first": 1300500000, "min": 1300500000,
+                                              "max": 1300500000, "last": 1300500000})
+        self.assertEqual(readings[self.MODE], {"of": "power_mode", "file": self.MODE, "texts": ["pmode:0000"]})
+        zone = readings["/sys/class/thermal/thermal_zone0/temp"]
+        self.assertEqual((zone["name"], zone["last"]), ("cpu-thermal", 45500))
+
+    def test_a_clock_that_changes_meanwhile_is_said_with_what_to_do(self):
+        self.machine("orin", 1300500000)
+        tool = subprocess.Popen([XAUTO, "profile", "--platform", "small", "--repetitions", "60", "--machine-root", "orin",
+                                 "--out", "orin.json", "--", STAGES, "/dev/null"], cwd=self.folder, stdout=subprocess.PIPE,
+                                stderr=subprocess.PIPE, text=True)
+        self.addCleanup(tool.kill)
+        while "m.work has run 20 times" not in (line := tool.stderr.readline()):
+            self.assertTrue(line, "it has ended before")
+        self.machine("orin", 306000000)
+        _, said = tool.communicate(timeout=120)
+        self.assertEqual(tool.returncode, 0, said)
+        lines = [line for line in said.splitlines() if "changed" in line]
+        self.assertEqual(len(lines), 1, said)
+        for word in (self.GPU, "306000000", "1300500000", "jetson_clocks", "performance"):
+            self.assertIn(word, lines[0])
+        steady = self.read("orin.json")
+        for reading in steady["conditions"]["readings"]:
+            if "min" in reading:
+                reading["min"] = reading["last"] = reading["max"]
+        (self.folder / "steady.json").write_text(json.dumps(steady))
+        warned, when = self.merge("orin.json", "steady.json")
+        self.assertEqual(when, {"orin": None, "steady": None})
+        self.assertIn(f"{self.GPU} changed meanwhile", warned)
+
+    def test_scenarios_are_told_apart_by_what_differed(self):
+        self.machine("full", 1000000000)
+        self.machine("half", 500000000, "pmode:0002")
+        self.profile_on("full")
+        self.profile_on("half")
+        warned, when = self.merge("full.json", "half.json")
+        self.assertNotIn("when", warned)
+        self.assertEqual(when, {"full": [{"file": self.GPU, "at_least": 990000000}],
+                                "half": [{"file": self.GPU, "at_least": 495000000}]})
+
+    def test_one_condition_with_two_times_is_told(self):
+        self.machine("quiet", 1000000000)
+        self.machine("busy", 1000000000)
+        self.profile_on("quiet")
+        self.profile_on("busy")
+        slow = self.read("busy.json")
+        slow["xnodes"][1]["on"]["gpu0"]["max_us"] += 1_000_000
+        (self.folder / "busy.json").write_text(json.dumps(slow))
+        warned, when = self.merge("quiet.json", "busy.json")
+        self.assertEqual(when, {"quiet": None, "busy": None})
+        for word in ("quiet and busy were measured under the same clocks and power mode", "camera.infer", "on gpu"):
+            self.assertIn(word, warned)
+
+
 if __name__ == "__main__":
     unittest.main()

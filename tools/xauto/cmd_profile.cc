@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// xauto profile: times each XNode alone on each XPU; profile.json, and the app.json that follows.
+// xauto profile: times each XNode on each XPU, alone and beside loads of the others; profile.json, and the
+// app.json that follows.
 #include <algorithm>
 #include <filesystem>
 #include <iostream>
 #include <memory>
 #include <optional>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -21,11 +23,12 @@ namespace xauto::cli {
 namespace {
 
 struct ProfileFlags {
-  std::string platform = "small", input, deployment, out, app_out, from = "wcet", read;
+  std::string platform = "small", input, deployment, out, app_out, from = "wcet", read,
+              machine_root, script;
   std::uint64_t warmup = 3, repetitions = 30;
   std::int64_t margin_pct = 20, exec_limit_s = 30;
   int app_version = 1;
-  bool stable = false;
+  bool stable = false, contended = false, audit = false;
   std::optional<Argument> repetitions_given;
   EmulationOptions emulation;
   std::vector<std::string> command, merge;
@@ -46,39 +49,157 @@ const char* conditions_of(const Profile& profile) {
 std::vector<std::string> remarks(const Profile& profile, const Platform& platform) {
   std::vector<std::string> lines;
   const auto below = profile.conditions.repetitions;
+  const auto remark = [&](const std::string& where, const Samples& s) {
+    const double times =
+        static_cast<double>(s.max_us) / static_cast<double>(std::max<std::int64_t>(1, s.p50_us));
+    if (s.outlier)
+      lines.push_back(fmt::format(
+          "{}: outlier: repetition {} took {} us{}, and none of the {} after that more than twice "
+          "the median; the WCET is from the others' maximum, {} us",
+          where, s.max_at, s.max_us,
+          s.outlier->count > 1 ? fmt::format(" (one of {} so long)", s.outlier->count) : "",
+          s.outlier->later_count, s.outlier->max_us));
+    else if (s.spread() && s.count > below)
+      lines.push_back(
+          fmt::format("{}: repetition {} took {} us, {:.1f} times the median, and such times came "
+                      "back within {} repetitions: the WCET is from the maximum of all",
+                      where, s.max_at, s.max_us, times, s.count));
+    else if (s.spread())
+      lines.push_back(fmt::format(
+          "{}: repetition {} of {} took {} us, {:.1f} times the median, and becomes the WCET; "
+          "--stable repeats until it is seen whether that comes back",
+          where, s.max_at, s.count, s.max_us, times));
+    if (!profile.incomplete.empty() && s.count < below)
+      lines.push_back(fmt::format("{}: {} of {} repetitions", where, s.count, below));
+  };
   for (const XNodeProfile& x : profile.xnodes) {
     for (const Xpu& xpu : platform.xpus) {
-      const auto at = x.on.find(xpu.id);
-      if (at == x.on.end()) continue;
-      const Samples& s = at->second;
       const std::string where = x.name + " on " + xpu.id;
-      const double times =
-          static_cast<double>(s.max_us) / static_cast<double>(std::max<std::int64_t>(1, s.p50_us));
-      if (s.outlier)
-        lines.push_back(fmt::format(
-            "{}: outlier: repetition {} took {} us{}, and none of the {} after that more than "
-            "twice "
-            "the median; the WCET is from the others' maximum, {} us",
-            where, s.max_at, s.max_us,
-            s.outlier->count > 1 ? fmt::format(" (one of {} so long)", s.outlier->count) : "",
-            s.outlier->later_count, s.outlier->max_us));
-      else if (s.spread() && s.count > below)
-        lines.push_back(
-            fmt::format("{}: repetition {} took {} us, {:.1f} times the median, and such times "
-                        "came back within "
-                        "{} repetitions: the WCET is from the maximum of all",
-                        where, s.max_at, s.max_us, times, s.count));
-      else if (s.spread())
-        lines.push_back(fmt::format(
-            "{}: repetition {} of {} took {} us, {:.1f} times the median, and becomes the WCET; "
-            "--stable repeats until it is seen whether that comes back",
-            where, s.max_at, s.count, s.max_us, times));
-      if (!profile.incomplete.empty() && s.count < below)
-        lines.push_back(fmt::format("{}: {} of {} repetitions", where, s.count, below));
+      if (const auto at = x.on.find(xpu.id); at != x.on.end()) remark(where, at->second);
+      for (const auto& [type, on] : x.beside)
+        if (const auto at = on.find(xpu.id); at != on.end())
+          remark(where + " beside " + type, at->second);
     }
     for (const std::string& xpu : x.missing)
       lines.push_back(fmt::format("{} on {}: not measured", x.name, xpu));
   }
+  return lines;
+}
+
+/// row(XNode, its name in the first of its rows, XPU, times alone) for all that was timed, an XNode's
+/// in the platform's order.
+template <class Row>
+void each_row(const Profile& profile, const Platform& platform, Row row) {
+  for (const XNodeProfile& x : profile.xnodes) {
+    std::string title = x.name;
+    for (const Xpu& xpu : platform.xpus) {
+      const auto at = x.on.find(xpu.id);
+      if (at == x.on.end()) continue;
+      row(x, std::exchange(title, {}), xpu.id, at->second);
+    }
+  }
+}
+
+/// Of all co-run classes together.
+std::int64_t wcet(const XNodeProfile& x, const std::string& xpu, std::int64_t margin_pct) {
+  std::int64_t us = statistic(x.on.at(xpu), WcetFrom::kMaxPlusMargin, margin_pct);
+  for (const auto& [type, on] : x.beside)
+    if (const auto at = on.find(xpu); at != on.end())
+      us = std::max(us, statistic(at->second, WcetFrom::kMaxPlusMargin, margin_pct));
+  return us;
+}
+
+/// The longest times beside each type of XPU, and what loaded it.
+std::string contention_table(const Profile& profile, const Platform& platform) {
+  const ProfileConditions& c = profile.conditions;
+  std::string out = fmt::format("\n  {:<24}{:<8}{:>9}", "max beside a load of", "XPU", "nothing");
+  for (const auto& [type, what] : c.beside) out += fmt::format("{:>9}", type);
+  out += "\n";
+  each_row(profile, platform,
+           [&](const XNodeProfile& x, const std::string& title, const std::string& xpu,
+               const Samples& alone) {
+             out += fmt::format("  {:<24}{:<8}{:>9}", title, xpu, alone.max_us);
+             for (const auto& [type, what] : c.beside) {
+               const auto on = x.beside.find(type);
+               const bool there = on != x.beside.end() && on->second.contains(xpu);
+               out += fmt::format("{:>9}", there ? std::to_string(on->second.at(xpu).max_us) : "-");
+             }
+             out += "\n";
+           });
+  out += "\n";
+  for (const auto& [type, what] : c.beside)
+    out += fmt::format("  beside {}: {} (all but the XNode's own)\n", type, what);
+  for (const auto& [type, why] : c.not_beside)
+    out += fmt::format("  not beside {}: {}\n", type, why);
+  return out;
+}
+
+bool is_audited(const Profile& profile) {
+  return std::any_of(profile.xnodes.begin(), profile.xnodes.end(), [](const XNodeProfile& x) {
+    return std::any_of(x.on.begin(), x.on.end(),
+                       [](const auto& on) { return !on.second.others.empty(); });
+  });
+}
+
+/// "also on gpu0 (2103 us)", or "".
+std::string used_by(const Samples& samples) {
+  std::string used;
+  for (const auto& [id, o] : samples.others)
+    if (o.used)
+      used +=
+          fmt::format("{}{} ({} us)", used.empty() ? "also on " : ", ", id, o.busy_us - o.idle_us);
+  return used;
+}
+
+/// A line for each XNode and XPU: how busy the others were meanwhile.
+std::string audit_table(const Profile& profile, const Platform& platform) {
+  std::vector<std::string> columns;
+  for (const Xpu& xpu : platform.xpus)
+    if (xpu.type != "cpu") columns.push_back(xpu.id);
+  std::string out = fmt::format("\n  {:<24}{:<8}{:>9}", "busy beside/without, us", "XPU", "itself");
+  for (const std::string& id : columns) out += fmt::format("{:>13}", id);
+  out += fmt::format("{:>13}  {}\n", "CPUs", "verdict");
+  const auto cell = [](std::int64_t busy_us, std::int64_t idle_us) {
+    return fmt::format("{:>13}", fmt::format("{}/{}", busy_us, idle_us));
+  };
+  each_row(
+      profile, platform,
+      [&](const XNodeProfile&, const std::string& title, const std::string& xpu, const Samples& s) {
+        out += fmt::format("  {:<24}{:<8}{:>9}", title, xpu, s.p50_us);
+        bool all_seen = true;
+        for (const std::string& id : columns) {
+          const auto other = s.others.find(id);
+          const bool seen = other != s.others.end();
+          all_seen = all_seen && (seen || id == xpu);
+          out += seen ? cell(other->second.busy_us, other->second.idle_us)
+                      : fmt::format("{:>13}", "-");
+        }
+        std::int64_t busy_us = 0, idle_us = 0;
+        for (const auto& [id, other] : s.others) {
+          const int index = platform.find(id);
+          if (index < 0 || platform.xpus[static_cast<std::size_t>(index)].type != "cpu") continue;
+          busy_us += other.busy_us;
+          idle_us += other.idle_us;
+        }
+        const std::string used = used_by(s);
+        out += fmt::format("{}  {}\n", cell(busy_us, idle_us),
+                           !used.empty() ? used
+                           : all_seen    ? "on no other"
+                                         : "on no other that is seen (-: is not)");
+      });
+  return out;
+}
+
+/// What an audit found, a line each.
+std::vector<std::string> findings(const Profile& profile) {
+  std::vector<std::string> lines;
+  for (const XNodeProfile& x : profile.xnodes)
+    for (const auto& [id, samples] : x.on)
+      if (const std::string used = used_by(samples); !used.empty())
+        lines.push_back(fmt::format(
+            "XNode '{}' is said to run on {}, and is {}, of {} us in all: layers that fall back? Build it "
+            "without fallback, split it, or declare it where it runs",
+            x.name, id, used, samples.p50_us));
   return lines;
 }
 
@@ -89,23 +210,44 @@ std::string table(const Profile& profile, const Platform& platform) {
                   profile.conditions.repetitions, profile.conditions.warmup);
   out += fmt::format("  {:<24}{:<8}{:>9}{:>9}{:>9}{:>9}{:>10}{:>6}\n", "XNode", "XPU", "min", "p50",
                      "p99", "max", "WCET", "n");
-  for (const XNodeProfile& x : profile.xnodes) {
-    std::string name = x.name;
-    for (const Xpu& xpu : platform.xpus) {
-      const auto at = x.on.find(xpu.id);
-      if (at == x.on.end()) continue;
-      const Samples& s = at->second;
-      out += fmt::format("  {:<24}{:<8}{:>9}{:>9}{:>9}{:>9}{:>10}{:>6}{}\n", name, xpu.id, s.min_us,
-                         s.p50_us, s.count < kP99Samples ? "-" : std::to_string(s.p99_us), s.max_us,
-                         statistic(s, WcetFrom::kMaxPlusMargin, profile.margin_pct), s.count,
-                         profile.conditions.emulated && !s.emulated ? "  real" : "");
-      name.clear();
-    }
-  }
-  out += fmt::format("\n  WCET: max + {} %\n", profile.margin_pct);
+  each_row(profile, platform,
+           [&](const XNodeProfile& x, const std::string& title, const std::string& xpu,
+               const Samples& s) {
+             out += fmt::format("  {:<24}{:<8}{:>9}{:>9}{:>9}{:>9}{:>10}{:>6}{}\n", title, xpu,
+                                s.min_us, s.p50_us,
+                                s.count < kP99Samples ? "-" : std::to_string(s.p99_us), s.max_us,
+                                wcet(x, xpu, profile.margin_pct), s.count,
+                                profile.conditions.emulated && !s.emulated ? "  real" : "");
+           });
+  const bool contended =
+      !profile.conditions.beside.empty() || !profile.conditions.not_beside.empty();
+  out += fmt::format("\n  WCET: max{} + {} %\n", contended ? " of all co-run classes" : "",
+                     profile.margin_pct);
+  if (contended) out += contention_table(profile, platform);
+  if (is_audited(profile)) out += audit_table(profile, platform);
   for (const std::string& line : remarks(profile, platform)) out += "  " + line + "\n";
   if (!profile.incomplete.empty()) out += "  incomplete: " + profile.incomplete + "\n";
   return out;
+}
+
+/// What was not one and the same while it was measured, and what to do; empty: nothing.
+std::string changes(const Profile& profile) {
+  std::vector<std::string> what;
+  bool clock = false;
+  for (const Reading& r : profile.conditions.readings) {
+    if (!r.changed()) continue;
+    clock = clock || r.of == Reading::Of::kClock;
+    what.push_back(r.is_number()
+                       ? fmt::format("{} from {} to {}", r.file, r.min, r.max)
+                       : fmt::format("{} from '{}' to '{}'", r.file, r.texts[0], r.texts[1]));
+  }
+  if (what.empty()) return {};
+  return fmt::format(
+      "conditions changed while it was measured: {}{}; the times are of no one condition: {}, "
+      "then profile again",
+      what.front(), what.size() > 1 ? fmt::format(" (and {} more)", what.size() - 1) : "",
+      clock ? "fix the clocks (on a Jetson: jetson_clocks; elsewhere: governor 'performance')"
+            : "leave power mode and governors alone meanwhile");
 }
 
 /// Runs the app and times it.
@@ -124,6 +266,12 @@ Result<Profile> measure(const ProfileFlags& flags, const Platform& platform) {
   session.margin_pct = flags.margin_pct;
   session.exec_limit_s = flags.exec_limit_s;
   session.stable_rounds = flags.stable ? kStableRounds : 0;
+  session.machine_root = flags.machine_root;
+  session.contended = flags.contended;
+  session.audit = flags.audit;
+  if (!flags.script.empty()) {
+    XAUTO_ASSIGN(request.emulation, load_script(flags.script, platform, session.presence));
+  }
   request.command = flags.command;
   const StopOnSignal stop;
   request.stop = stop.flag();
@@ -163,7 +311,20 @@ Result<int> merge(const ProfileFlags& flags, const Options& options) {
       log::warn("{}: measured on '{}' with input '{}', the first one on '{}' with '{}'", path,
                 c.machine, c.input, first.machine, first.input);
   }
-  XAUTO_ASSIGN(const Scenarios scenarios, scenarios_of(profiles, platform, from_of(flags)));
+  const auto is_contended = [](const NamedProfile& one) {
+    return !one.profile.conditions.beside.empty();
+  };
+  const auto contended = std::count_if(profiles.begin(), profiles.end(), is_contended);
+  if (contended > 0 && contended < static_cast<std::ptrdiff_t>(profiles.size()))
+    log::warn(
+        "{} of {} profiles are --contended: the others' times are of XPUs with nothing beside",
+        contended, profiles.size());
+  XAUTO_ASSIGN(Scenarios scenarios, scenarios_of(profiles, platform, from_of(flags)));
+  if (const std::string why = set_conditions(scenarios, profiles); !why.empty())
+    log::warn(
+        "no scenario has conditions (`when`), so a run is not told by the machine in which it is: "
+        "{}",
+        why);
   const std::string text = to_json(scenarios);
   if (options.json || flags.out.empty()) std::cout << text;
   outputs.write(flags.out, text);
@@ -200,6 +361,7 @@ Result<int> profile(const ProfileFlags& given, const Options& options) {
   } else {
     std::cout << table(*result, platform);
   }
+  if (const std::string changed = changes(*result); !changed.empty()) log::warn("{}", changed);
   outputs.write(flags.out, text);
   if (!flags.app_out.empty()) {
     auto app = to_app(*result, platform, from_of(flags));
@@ -224,7 +386,9 @@ Result<int> profile(const ProfileFlags& given, const Options& options) {
     else
       log::error("{} is not written: {}", flags.app_out, app.error().to_string());
   }
-  if (result->incomplete.empty()) return outputs.status(kDone);
+  const std::vector<std::string> found = findings(*result);
+  for (const std::string& line : found) log::error("{}", line);
+  if (result->incomplete.empty()) return outputs.status(found.empty() ? kDone : kAnswerIsNo);
   log::error("the profile is incomplete: {}", result->incomplete);
   return outputs.status(kAnswerIsNo);
 }
@@ -268,7 +432,22 @@ void add_profile(Commands& commands) {
               "where each part that edges join has one period")
       .range(1, 2)
       .shown();
+  verb.flag(
+      "--contended", flags->contended,
+      "once more beside a load of each type of XPU, the memory of which all share: the WCET is "
+      "the longest of all");
+  verb.flag("--audit", flags->audit,
+            "show how busy other XPUs are while an XNode runs: status 1 where it uses another than "
+            "it "
+            "is said to run on")
+      .excludes("--contended");
   flags->emulation.declare(verb);
+  verb.option("--emulate-script", flags->script,
+              "emulation.json: clocks and contention of the emulated XPUs while it is profiled")
+      .excludes("--real");
+  verb.option("--machine-root", flags->machine_root,
+              "folder in which the machine's /sys, /proc and /var are, where a container has them "
+              "elsewhere: clocks, power mode and temperatures are read there");
   verb.option("--read", flags->read,
               "an existing profile.json instead of measuring, e.g. for --app-out");
   verb.option(

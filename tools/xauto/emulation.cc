@@ -5,6 +5,7 @@
 #include <sstream>
 
 #include "base/log.h"
+#include "model/json.h"
 
 namespace xauto::cli {
 
@@ -36,6 +37,19 @@ Result<std::vector<Presence>> EmulationOptions::decide(const Platform& platform,
   else if (!said.empty())
     log::info("platform '{}': {}{}", platform.name, said, why);
   return presence;
+}
+
+Result<EmulationScript> load_script(const std::string& path, const Platform& platform,
+                                    const std::vector<Presence>& presence) {
+  XAUTO_ASSIGN(EmulationScript script, load_emulation_script(path, platform));
+  Platform emulated{platform.name, {}};
+  for (std::size_t x = 0; x < platform.xpus.size(); ++x)
+    if (presence[x] == Presence::kEmulated || presence[x] == Presence::kEither)
+      emulated.xpus.push_back(platform.xpus[x]);
+  if (Status fits = validate(script, emulated); !fits)
+    return fail(ErrorCode::kInvalid, "tells of an XPU that is not emulated in this run",
+                path + ": " + fits.error().where, "see --emulate");
+  return script;
 }
 
 std::string in_parentheses(const Platform& platform, const std::vector<Presence>& presence) {

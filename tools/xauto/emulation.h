@@ -10,6 +10,7 @@
 
 #include "cli/cli.h"
 #include "model/app.h"
+#include "model/emulation_script.h"
 #include "model/platform.h"
 #include "model/policy.h"
 #include "xpu/presence.h"
@@ -29,6 +30,11 @@ class EmulationOptions {
   bool real_ = false;
   std::optional<Argument> emulate_;
 };
+
+/// Of an emulation.json, on which XPUs of `platform` it may tell something: those that are emulated, or
+/// may turn out to be. The emulator knows only these: what it says of another would be passed over.
+[[nodiscard]] Result<EmulationScript> load_script(const std::string& path, const Platform& platform,
+                                                  const std::vector<Presence>& presence);
 
 /// " (emulated)", " (real: cpu0; emulated: gpu0)" or nothing.
 [[nodiscard]] std::string in_parentheses(const Platform& platform,

@@ -125,19 +125,12 @@ bool RunFlags::emulates() const {
   return std::find(presence.begin(), presence.end(), Presence::kEmulated) != presence.end();
 }
 
-/// The emulator knows only what is emulated: what the script says of another XPU would be passed over.
 Status RunFlags::prepare_script() {
   if (script_path.empty()) return {};
   if (emulator_modules)
     return fail(ErrorCode::kInvalid, "is for xauto-emud, not for the emulator modules",
                 "--emulate-script", "leave out --emulator-modules");
-  XAUTO_ASSIGN(script, load_emulation_script(script_path, spec));
-  Platform emulated{spec.name, {}};
-  for (std::size_t x = 0; x < spec.xpus.size(); ++x)
-    if (presence[x] == Presence::kEmulated) emulated.xpus.push_back(spec.xpus[x]);
-  if (Status fits = validate(script, emulated); !fits)
-    return fail(ErrorCode::kInvalid, "tells of an XPU that is not emulated in this run",
-                script_path + ": " + fits.error().where, "see --emulate");
+  XAUTO_ASSIGN(script, load_script(script_path, spec, presence));
   return {};
 }
 

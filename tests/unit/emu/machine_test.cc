@@ -45,6 +45,18 @@ TEST(Machine, AloneAJobTakesItsTime) {
   EXPECT_EQ(play(m), "done1@7000");
 }
 
+TEST(Machine, BusyIsWhatHasProgressedUntilNow) {
+  Machine m = small();  // slice 1000 us, switch 275 us
+  const ContextId a = *m.open("gpu0", 0), b = *m.open("gpu0", 0);
+  ASSERT_TRUE(m.submit(a, 1, 2 * kMs, 0));
+  ASSERT_TRUE(m.submit(b, 2, 1 * kMs, 0));
+  EXPECT_EQ(m.busy("gpu0", 400 * kUs).value(), 400 * kUs);
+  EXPECT_EQ(m.busy("gpu0", 1200 * kUs).value(), 1000 * kUs) << "a switch is nobody's work";
+  EXPECT_EQ(m.busy("gpu0", 9000 * kUs).value(), 3000 * kUs);
+  EXPECT_EQ(m.busy("cpu1", 9000 * kUs).value(), 0);
+  EXPECT_FALSE(m.busy("gpu1", 9000 * kUs));
+}
+
 TEST(Machine, GpuTakesTurnsAndPaysForEachSwitch) {
   Machine m = small();  // slice 1000 us, switch 275 us
   const ContextId a = *m.open("gpu0", 0), b = *m.open("gpu0", 0);

@@ -316,5 +316,23 @@ TEST_F(EmuServer, MemoryOfAnotherPlatformIsRefused) {
                                .memory_fd = fcntl(memory_.get(), F_DUPFD_CLOEXEC, 3)}));
 }
 
+TEST_F(EmuServer, BusyTimeIsTheWorkThatWasDoneAndOutlivesTheEmulator) {
+  auto context = Context::open(gpu());
+  auto control = Control::connect();
+  ASSERT_TRUE(context && control);
+  EXPECT_EQ(control->busy_ns("gpu0").value(), 0);
+  ASSERT_TRUE(context->run(3ms));
+  EXPECT_EQ(control->busy_ns("gpu0").value(), 3'000'000) << "of the device's time, not of ours";
+  EXPECT_EQ(control->busy_ns("dla0").value(), 0);
+  end();
+  begin();
+  ASSERT_TRUE(context->run(2ms));
+  EXPECT_EQ(control->busy_ns("gpu0").value(), 5'000'000);
+  const auto unknown = control->busy_ns("gpu7");
+  ASSERT_FALSE(unknown);
+  EXPECT_EQ(unknown.error().code, ErrorCode::kNotFound);
+  EXPECT_FALSE(control->busy_ns(std::string(kMaxDeviceName, 'g')));
+}
+
 }  // namespace
 }  // namespace xauto::emu

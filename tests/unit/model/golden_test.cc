@@ -136,6 +136,13 @@ TEST(Golden, ProfileIsWrittenAsItWasRead) {
   ASSERT_TRUE(profile) << profile.error().to_string();
   EXPECT_EQ(profile->xnodes[0].on.at("gpu0").max_us, 750);
   EXPECT_EQ(to_json(*profile), text);
+  const std::string more = slurp(golden() / "profile-contended.json");
+  const auto contended = parse_profile(more, "profile-contended.json");
+  ASSERT_TRUE(contended) << contended.error().to_string();
+  EXPECT_EQ(contended->xnodes[0].beside.at("cpu").at("gpu0").max_us, 7000);
+  EXPECT_TRUE(contended->xnodes[0].on.at("gpu0").others.at("dla0").used);
+  EXPECT_TRUE(contended->conditions.readings[0].changed());
+  EXPECT_EQ(to_json(*contended), more);
 }
 
 // The hash goes into files that outlive a release: it may not change by accident.

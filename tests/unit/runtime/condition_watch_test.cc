@@ -56,6 +56,16 @@ TEST(Conditions, AllHaveToHoldAndNoneIsGuessed) {
   EXPECT_EQ(holds(when({}), files.reader()), std::nullopt);
 }
 
+TEST(Conditions, AFileThatCannotBeReadIsNamed) {
+  Files files;
+  Tables tables;
+  tables.scenarios = {when({}), when({{"/clock", 900, {}, {}}, {"/emc", 1, {}, {}}})};
+  files.text = {{"/clock", "1\n"}, {"/emc", "not even a number"}};
+  EXPECT_EQ(unreadable(tables, files.reader()), std::nullopt) << "whatever they say";
+  files.text.erase("/emc");
+  EXPECT_EQ(unreadable(tables, files.reader()), "/emc");
+}
+
 TEST(Conditions, TheLeastScenarioThatHoldsElseTheGreatestThatIsKnown) {
   Files files;
   Tables tables;

@@ -84,6 +84,10 @@ Session full() {
   session.duration_us = std::int64_t{1} << 40;
   session.record = "a \"b\".db3";
   session.hub_fd = -1;
+  session.contended = session.audit = true;
+  session.machine_root = "/host";
+  session.load_xpu = 0;
+  session.load_cores = {0, 3};
   session.trace_keep_s = 0.25;
   session.processes = {{"A"}, {}, {"B", "C"}};
   return session;
@@ -100,6 +104,22 @@ TEST(Session, EachFieldTravels) {
   EXPECT_EQ(read->duration_us, session.duration_us);
   EXPECT_EQ(read->record, session.record);
   EXPECT_EQ(read->cpu_sched, CpuSched::kExt);
+  EXPECT_TRUE(read->contended && read->audit);
+  EXPECT_EQ(read->machine_root, "/host");
+  EXPECT_EQ(read->load_cores, session.load_cores);
+}
+
+TEST(Session, ALoadIsOfAnXpuAndOnCores) {
+  Session session = full();
+  session.mode = Mode::kLoad;
+  EXPECT_TRUE(parse_session(*to_json(session)));
+  session.load_xpu = static_cast<int>(session.platform.xpus.size());
+  EXPECT_FALSE(parse_session(*to_json(session)));
+  session.load_xpu = -1;
+  EXPECT_FALSE(parse_session(*to_json(session)));
+  session.load_xpu = 0;
+  session.load_cores = {};
+  EXPECT_FALSE(parse_session(*to_json(session)));
 }
 
 TEST(Session, APathThatJsonWouldChangeIsRefused) {
@@ -119,7 +139,7 @@ std::string with(std::string text, const std::string& name, const std::string& v
 TEST(Session, WhatIsNotAsWrittenIsNamed) {
   const std::string text = *to_json(full());
   for (const auto& [field, value] :
-       std::vector<std::pair<std::string, std::string>>{{"mode", "3"},
+       std::vector<std::pair<std::string, std::string>>{{"mode", "4"},
                                                         {"mode", "-1"},
                                                         {"scheduling", "3"},
                                                         {"cpu_sched", "3"},
