@@ -24,6 +24,7 @@ check:
 	@scripts/setup.sh build check transport kernel package
 	@scripts/vm/fetch-checkpatch.sh >/dev/null
 	@scripts/fetch-mcap-core.sh || true # its test is skipped then, and says so
+	@scripts/fetch-onnx.sh || true # likewise
 	@JOBS=$(JOBS) scripts/check.sh check
 
 # Less, for the inner loop, and more: every test in every build, every kernel, the largest worlds (hours).
@@ -36,6 +37,7 @@ check-full:
 	@scripts/fetch-video.sh
 	@scripts/vm/fetch-checkpatch.sh >/dev/null
 	@scripts/fetch-mcap-core.sh || true
+	@scripts/fetch-onnx.sh || true
 	@JOBS=$(JOBS) scripts/check.sh full
 
 # Parts of check, each by itself.
