@@ -20,6 +20,11 @@ pedestrians:
 	@scripts/setup.sh build pedestrians
 	@JOBS=$(JOBS) scripts/pedestrians.sh
 
+# Real nets over the same video: faces and lines by ONNX Runtime.
+perception:
+	@scripts/setup.sh build pedestrians
+	@JOBS=$(JOBS) scripts/perception.sh
+
 check:
 	@scripts/setup.sh build check transport kernel package
 	@scripts/vm/fetch-checkpatch.sh >/dev/null
@@ -102,4 +107,4 @@ setup:
 clean:
 	@rm -rf build build-debug build-asan build-tsan build-fuzz
 
-.PHONY: all build demo pedestrians check check-fast check-full kernel-check packages package-check floor-check jetpack-check modules style unit asan tsan fuzz bench docs format tidy setup clean
+.PHONY: all build demo pedestrians perception check check-fast check-full kernel-check packages package-check floor-check jetpack-check modules style unit asan tsan fuzz bench docs format tidy setup clean

@@ -42,9 +42,8 @@ for archive in jp.keijiro.*.tgz; do
   tar -xzf "$archive" -C made/nets --strip-components=2 --wildcards 'package/ONNX/*.onnx'
 done
 ln "made/node_modules/onnxruntime-node/bin/napi-v6/linux/$machine/libonnxruntime.so.1" made/lib/
-"$scripts/vm/apt-view.sh" "$work/apt" "$(dpkg --print-architecture)" trixie >log 2>&1 &&
-  APT_CONFIG=$work/apt/apt.conf apt-get download libonnxruntime-dev >log 2>&1 ||
-  give_up "Debian 13's libonnxruntime-dev cannot be downloaded"
+"$scripts/vm/apt-view.sh" "$work/apt" "$(dpkg --print-architecture)" trixie >log 2>&1 || give_up "Debian 13's archive cannot be read"
+APT_CONFIG=$work/apt/apt.conf apt-get download libonnxruntime-dev >log 2>&1 || give_up "Debian 13's libonnxruntime-dev cannot be downloaded"
 dpkg-deb --fsys-tarfile libonnxruntime-dev_*.deb |
   tar -xO ./usr/include/onnxruntime/onnxruntime_c_api.h >made/include/onnxruntime_c_api.h
 cd "$scripts/.."
