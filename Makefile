@@ -26,10 +26,11 @@ perception:
 	@JOBS=$(JOBS) scripts/perception.sh
 
 check:
-	@scripts/setup.sh build check transport kernel package
+	@scripts/setup.sh build check transport pedestrians kernel package
 	@scripts/vm/fetch-checkpatch.sh >/dev/null
 	@scripts/fetch-mcap-core.sh || true # its test is skipped then, and says so
-	@scripts/fetch-onnx.sh || true # likewise
+	@scripts/fetch-onnx.sh || true # likewise, with the video
+	@scripts/fetch-video.sh || true
 	@JOBS=$(JOBS) scripts/check.sh check
 
 # Less, for the inner loop, and more: every test in every build, every kernel, the largest worlds (hours).

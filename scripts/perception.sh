@@ -65,7 +65,7 @@ for policy in static tables; do
   build/bin/xauto check --app "$out/app.json" --platform $platform --policy "$out/$policy.json" | tail -n 1
 done
 
-echo "perception: $frames frames at 4 Hz under each, core 1 burning; by SCHED_FIFO, and as a user without that right"
+echo "perception: $frames frames at 2 Hz under each, core 1 burning; by SCHED_FIFO, and as a user without that right"
 echo taken >"$place"
 start_burner
 runs=()

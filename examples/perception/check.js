@@ -72,9 +72,11 @@ async function linesOf(image, file) {
   const map = out.size / 2, lines = [];
   for (let i = 0; i < map * map; i++) {
     const [x1, y1, x2, y2] = out.offsets.subarray(4 * i, 4 * i + 4);
-    if (out.scores[i] < 0.2 - SCORE || Math.hypot(x2 - x1, y2 - y1) * 2 < 9) continue;
+    const length = Math.hypot(x2 - x1, y2 - y1) * 2;
+    if (out.scores[i] < 0.2 - SCORE || length < 9) continue;
     const x = i % map, y = Math.floor(i / map), sx = image.width / map, sy = image.height / map;
-    lines.push([out.scores[i], (x + x1) * sx, (y + y1) * sy, (x + x2) * sx, (y + y2) * sy]);
+    lines.push(Object.assign([out.scores[i], (x + x1) * sx, (y + y1) * sy, (x + x2) * sx, (y + y2) * sy],
+      {sure: out.scores[i] >= 0.2 + SCORE && length >= 11}));
   }
   return lines;
 }
@@ -113,16 +115,13 @@ async function facesOf(image, file, people) {
         found.push([score, x - w / 2, y - h / 2, w, h]);
       }
     for (const face of found.sort((a, b) => b[0] - a[0]))
-      if (!faces.some((f) => f.head === left && iou(f.slice(1), face.slice(1)) > 0.3)) faces.push(Object.assign(face, {head: left}));
+      if (!faces.some((f) => f.head === left && iou(f.slice(1), face.slice(1)) > 0.3)) faces.push(Object.assign(face, {head: left, sure: face[0] >= 0.5 + SCORE}));
   }
   return faces;
 }
 
-/** How many of `a`, but those close to the threshold, have their like in `b`. */
-function found(a, b, threshold, same) {
-  const sure = a.filter((one) => one[0] >= threshold + SCORE);
-  return [sure.filter((one) => b.some((other) => Math.abs(one[0] - other[0]) <= SCORE && same(one, other))).length, sure.length];
-}
+/** How many of `a` have their like in `b`. */
+const found = (a, b, same) => a.filter((one) => b.some((other) => Math.abs(one[0] - other[0]) <= SCORE && same(one, other))).length;
 
 (async () => {
   const scenes = JSON.parse(fs.readFileSync(path.join(folder, 'scenes.json')));
@@ -135,15 +134,16 @@ function found(a, b, threshold, same) {
     if (!fs.existsSync(file)) continue;
     const image = readPpm(file);
     frames++;
-    for (const [kind, reference, threshold, same] of
-      [['faces', await facesOf(image, scenes.faces, scene.people), 0.5, sameFace],
-        ['lines', await linesOf(image, scenes.lines), 0.2, sameLine]]) {
-      const [hit, expected] = found(reference, scene[kind], threshold, same), [told, all] = found(scene[kind], reference, threshold, same);
-      total[kind] += expected;
-      // A line's length may be close to its threshold, too: one of fifty.
-      if (hit < 0.98 * expected || told < 0.98 * all) {
+    for (const [kind, reference, same] of
+      [['faces', await facesOf(image, scenes.faces, scene.people), sameFace], ['lines', await linesOf(image, scenes.lines), sameLine]]) {
+      const ours = scene[kind], sure = reference.filter((one) => one.sure);
+      const hit = found(sure, ours, same), told = found(ours, reference, same);
+      total[kind] += sure.length;
+      // A level of 255 more or less at the net's input moves the ends of a line, of one in fifty by more than a pixel of the map.
+      const may = (all) => kind === 'lines' ? 1 + 0.02 * all.length : 0;
+      if (sure.length - hit > may(sure) || ours.length - told > may(ours)) {
         bad++;
-        console.log(`frame ${scene.frame}: ${hit} of ${expected} ${kind} of the reference are in the run, ${told} of ${all} of the run in the reference`);
+        console.log(`frame ${scene.frame}: ${hit} of ${sure.length} ${kind} of the reference are in the run, ${told} of ${ours.length} of the run in the reference`);
       }
     }
   }

@@ -312,7 +312,7 @@ int main(int argc, char** argv) {
   std::map<std::uint64_t, cv::Mat> shown;
 
   xauto::App app("perception");
-  app.add_source(frames, 250ms, [&, video](std::uint64_t) {
+  app.add_source(frames, 500ms, [&, video](std::uint64_t) {
     if (!*video) video->emplace(argv[1]);
     return (*video)->frame();
   });
