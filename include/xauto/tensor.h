@@ -4,7 +4,8 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <span>
+#include <fstream>
+#include <stdexcept>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -167,7 +168,38 @@ inline Result<std::vector<TensorSpec>> agreed(const std::vector<TensorSpec>& ask
     XAUTO_ASSIGN(TensorSpec both, agreed(spec, *found, where));
     made.push_back(std::move(both));
   }
+  if (kind == "input" && made.size() != has.size())
+    return fail(ErrorCode::kInvalid,
+                "the model has " + std::to_string(has.size()) + " inputs, and the app counts on " +
+                    std::to_string(made.size()),
+                where, "name all of them");
   return made;
+}
+
+/// The whole file, of at most 4 GiB.
+inline Result<std::vector<char>> whole_file(const std::string& path) {
+  std::ifstream file(path, std::ios::binary | std::ios::ate);
+  if (!file) return fail(ErrorCode::kNotFound, "cannot be opened", path);
+  const std::streamoff size = file.tellg();
+  if (size <= 0 || size > std::streamoff{1} << 32)
+    return fail(ErrorCode::kInvalid, "has " + std::to_string(size) + " bytes, not 1 to 4 GiB",
+                path);
+  std::vector<char> bytes(static_cast<std::size_t>(size));
+  if (!file.seekg(0).read(bytes.data(), size)) return fail(ErrorCode::kIo, "cannot be read", path);
+  return bytes;
+}
+
+/// The tensor of that number, if T is its type. Throws std::logic_error: the program is wrong.
+template <class T>
+const TensorSpec& tensor_at(const std::vector<TensorSpec>& specs, std::size_t index,
+                            const char* kind) {
+  if (index >= specs.size())
+    throw std::logic_error(std::string("there is no ") + kind + " " + std::to_string(index) +
+                           ": the net has " + std::to_string(specs.size()));
+  if (specs[index].type != element_type<T>())
+    throw std::logic_error(std::string(kind) + " \"" + specs[index].name + "\" is " +
+                           text_of(specs[index]) + ", not " + name_of(element_type<T>()));
+  return specs[index];
 }
 
 }  // namespace detail
