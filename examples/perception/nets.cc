@@ -98,7 +98,8 @@ std::vector<Line> to_lines(std::span<const float> scores, std::span<const float>
     if (scores[i] < kLineScore) continue;
     const float* offset = &offsets[4 * i];
     if (2 * std::hypot(offset[2] - offset[0], offset[3] - offset[1]) < kLineLength) continue;
-    const auto x = static_cast<float>(i % map), y = static_cast<float>(i / map);
+    const std::size_t row = i / map;
+    const auto x = static_cast<float>(i % map), y = static_cast<float>(row);
     lines.push_back({{(x + offset[0]) * to_x, (y + offset[1]) * to_y},
                      {(x + offset[2]) * to_x, (y + offset[3]) * to_y},
                      scores[i]});

@@ -253,7 +253,7 @@ class Session {
   static cl_int set(cl_kernel kernel, cl_uint place, const T& value) {
     if constexpr (std::is_same_v<T, Buffer>) {
       const cl_mem memory = value.get();
-      return clSetKernelArg(kernel, place, sizeof memory, &memory);
+      return clSetKernelArg(kernel, place, sizeof(cl_mem), &memory);
     } else {
       static_assert(std::is_trivially_copyable_v<T> && !std::is_pointer_v<T>,
                     "an argument is a Buffer or a value");

@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <new>
 #include <string>
 #include <vector>
 
@@ -104,7 +105,7 @@ class Engine final : public nv::ICudaEngine, Counted {
   }
   nv::TensorFormat getTensorFormat(const char*) const noexcept override { return plan.format; }
   nv::IExecutionContext* createExecutionContext() noexcept override {
-    return new Execution(logger_);
+    return new (std::nothrow) Execution(logger_);
   }
 
  private:
@@ -115,7 +116,8 @@ class Runtime final : public nv::IRuntime, Counted {
  public:
   explicit Runtime(nv::ILogger& logger) : logger_(logger) {}
   nv::ICudaEngine* deserializeCudaEngine(const void* blob, std::size_t size) noexcept override {
-    if (std::string(static_cast<const char*>(blob), size) == "a plan") return new Engine(logger_);
+    if (std::string(static_cast<const char*>(blob), size) == "a plan")
+      return new (std::nothrow) Engine(logger_);
     logger_.log(nv::ILogger::Severity::kERROR, "of another version");
     return nullptr;
   }
@@ -265,5 +267,5 @@ TEST_F(TensorRt, AnXNodeIsAFileAndAnExec) {
 }  // namespace
 
 nvinfer1::IRuntime* nvinfer1::createInferRuntime(ILogger& logger) noexcept {
-  return new Runtime(logger);
+  return new (std::nothrow) Runtime(logger);
 }

@@ -15,7 +15,6 @@ namespace {
 using xauto::ErrorCode;
 using xauto::Status;
 using xauto::opencl::Buffer;
-using xauto::opencl::Program;
 using xauto::opencl::Session;
 
 constexpr const char* kSource = R"cl(
