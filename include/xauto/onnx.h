@@ -133,7 +133,8 @@ class Session {
   [[nodiscard]] Status run() {
     for (std::size_t i = 0; i < outputs_.size(); ++i)
       if (results_[i].from_runtime) {
-        values_.at(inputs_.size() + i).reset();
+        results_[i].elements = 0;  // of a run that fails there is nothing
+        values_[inputs_.size() + i].reset();
         raw_outputs_[i] = nullptr;
       }
     XAUTO_TRY(checked(api_->Run(session_.get(), nullptr, input_names_.data(), raw_inputs_.data(),
