@@ -20,10 +20,17 @@ pedestrians:
 	@scripts/setup.sh build pedestrians
 	@JOBS=$(JOBS) scripts/pedestrians.sh
 
+# Real nets over the same video: faces and lines by ONNX Runtime.
+perception:
+	@scripts/setup.sh build pedestrians
+	@JOBS=$(JOBS) scripts/perception.sh
+
 check:
-	@scripts/setup.sh build check transport kernel package
+	@scripts/setup.sh build check transport pedestrians kernel package
 	@scripts/vm/fetch-checkpatch.sh >/dev/null
 	@scripts/fetch-mcap-core.sh || true # its test is skipped then, and says so
+	@scripts/fetch-onnx.sh || true # likewise, with the video
+	@scripts/fetch-video.sh || true
 	@JOBS=$(JOBS) scripts/check.sh check
 
 # Less, for the inner loop, and more: every test in every build, every kernel, the largest worlds (hours).
@@ -36,6 +43,7 @@ check-full:
 	@scripts/fetch-video.sh
 	@scripts/vm/fetch-checkpatch.sh >/dev/null
 	@scripts/fetch-mcap-core.sh || true
+	@scripts/fetch-onnx.sh || true
 	@JOBS=$(JOBS) scripts/check.sh full
 
 # Parts of check, each by itself.
@@ -100,4 +108,4 @@ setup:
 clean:
 	@rm -rf build build-debug build-asan build-tsan build-fuzz
 
-.PHONY: all build demo pedestrians check check-fast check-full kernel-check packages package-check floor-check jetpack-check modules style unit asan tsan fuzz bench docs format tidy setup clean
+.PHONY: all build demo pedestrians perception check check-fast check-full kernel-check packages package-check floor-check jetpack-check modules style unit asan tsan fuzz bench docs format tidy setup clean

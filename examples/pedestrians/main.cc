@@ -69,6 +69,7 @@ struct Image {
 };
 struct InState {
   Image image;
+  OpenClBuffers opencl;
 };
 struct HogState {
   std::vector<Detection> people;
@@ -76,6 +77,7 @@ struct HogState {
 struct MotionState {
   cv::Ptr<cv::BackgroundSubtractorMOG2> background = make_background();
   cv::Mat raw, clean;
+  OpenClBuffers opencl;
 };
 struct FuseState {
   std::vector<Detection> detections;
@@ -92,15 +94,6 @@ struct PredictState {
 xauto::SchedHandle on_thread(const xauto::XpuId&) {
   return xauto::SchedHandle::thread();
 }
-
-/// An XNode's own OpenCL device, made when it is placed there.
-struct Accelerator {
-  std::optional<OpenCl> cl;
-  xauto::SchedHandle load(const xauto::XpuId&) {
-    cl.emplace();
-    return xauto::SchedHandle::gate();
-  }
-};
 
 std::string json_of(const std::map<std::uint64_t, std::vector<Track>>& tracks) {
   std::string out = "{\"frames\": [\n";
@@ -138,8 +131,6 @@ int main(int argc, char** argv) {
   const xauto::Topic<std::vector<Track>> tracks("tracks");
   const xauto::Topic<Paths> paths("paths");
 
-  Accelerator grey_cl, clean_cl;
-
   xauto::XNode<InState> in_decode("in.decode");
   in_decode.add_impl(XPU::CPU, on_thread, [&](InState& state, const xauto::Input& input) {
     state.image.colour = decode(input.get(frames));
@@ -149,11 +140,10 @@ int main(int argc, char** argv) {
   in_grey.add_impl(XPU::CPU, on_thread, [](InState& state, const xauto::Input&) {
     to_grey(state.image.colour, state.image.grey);
   });
-  in_grey.add_impl(
-      kOpenCl, [&](const xauto::XpuId& xpu) { return grey_cl.load(xpu); },
-      [&](InState& state, const xauto::Input&) {
-        grey_cl.cl->to_grey(state.image.colour, state.image.grey);
-      });
+  in_grey.add_impl(kOpenCl, xauto::opencl::load(opencl_program()),
+                   [](xauto::opencl::Session& cl, InState& state, const xauto::Input&) {
+                     return to_grey(cl, state.opencl, state.image.colour, state.image.grey);
+                   });
   xauto::XModule<InState> in("IN");
   in.add_node(in_decode).add_node(in_grey).add_input_topic(frames).add_output_topic(
       images, &InState::image);
@@ -174,12 +164,11 @@ int main(int argc, char** argv) {
     state.clean = cv::Mat();  // the last one is still being read downstream
     clean_mask(state.raw, state.clean);
   });
-  bg_clean.add_impl(
-      kOpenCl, [&](const xauto::XpuId& xpu) { return clean_cl.load(xpu); },
-      [&](MotionState& state, const xauto::Input&) {
-        state.clean = cv::Mat();  // the last one is still being read downstream
-        clean_cl.cl->clean_mask(state.raw, state.clean);
-      });
+  bg_clean.add_impl(kOpenCl, xauto::opencl::load(opencl_program()),
+                    [](xauto::opencl::Session& cl, MotionState& state, const xauto::Input&) {
+                      state.clean = cv::Mat();  // the last one is still being read downstream
+                      return clean_mask(cl, state.opencl, state.raw, state.clean);
+                    });
   xauto::XModule<MotionState> background("MOTION");
   background.add_node(bg_subtract)
       .add_node(bg_clean)

@@ -2,29 +2,25 @@
 // The OpenCL implementations of two stages. Same results as stages.h, bit for bit.
 #pragma once
 
-#include <memory>
-
 #include <opencv2/core.hpp>
+
+#include <xauto/opencl.h>
 
 #include "stages.h"
 
 namespace pedestrians {
 
-/// A device, its queue and our kernels. Throws std::runtime_error that says what is missing.
-/// Threads: one at a time.
-class OpenCl {
- public:
-  OpenCl();
-  ~OpenCl();
-  OpenCl(const OpenCl&) = delete;
-  OpenCl& operator=(const OpenCl&) = delete;
+/// The kernels of both stages.
+[[nodiscard]] xauto::opencl::Program opencl_program();
 
-  void to_grey(const cv::Mat& bgr, Grey& grey);
-  void clean_mask(const cv::Mat& mask, cv::Mat& clean);
-
- private:
-  struct Device;
-  std::unique_ptr<Device> device_;
+/// What a stage has on the device, kept from frame to frame.
+struct OpenClBuffers {
+  xauto::opencl::Buffer in, out, half;
 };
+
+[[nodiscard]] xauto::Status to_grey(xauto::opencl::Session& cl, OpenClBuffers& buffers,
+                                    const cv::Mat& bgr, Grey& grey);
+[[nodiscard]] xauto::Status clean_mask(xauto::opencl::Session& cl, OpenClBuffers& buffers,
+                                       const cv::Mat& mask, cv::Mat& clean);
 
 }  // namespace pedestrians

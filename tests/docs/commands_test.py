@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every command in README.md and docs/tutorial.md is run, in order, and must print what the page shows.
+"""Every command in README.md, docs/tutorial.md and docs/nets.md is run, in order, and must print what the page shows.
 
 A ```console block holds `$ command` lines, each followed by what it prints to stdout. Compared up to numbers (each is
 a #), instances of XPUs (times decide which), runs of blanks and rulers; `...` on a line of its own stands for any lines, `…` inside a line for any text. Every
@@ -18,7 +18,7 @@ import unittest
 
 SOURCE = pathlib.Path(__file__).resolve().parents[2]
 BIN = pathlib.Path(os.environ.get("XAUTO_BIN", SOURCE / "build/bin"))
-PAGES = ("README.md", "docs/tutorial.md")
+PAGES = ("README.md", "docs/tutorial.md", "docs/nets.md")
 TIMEOUT_S = 200  # of one command
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
@@ -164,6 +164,10 @@ class Pages(unittest.TestCase):
 
     def test_tutorial(self):
         self.judge("docs/tutorial.md")
+
+    @unittest.skipUnless((BIN.parent / "onnx/whole").exists(), "scripts/fetch-onnx.sh could not fetch ONNX Runtime")
+    def test_nets(self):
+        self.judge("docs/nets.md")
 
 
 class TheTestItself(unittest.TestCase):

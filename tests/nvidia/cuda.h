@@ -1,0 +1,43 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Stands in for CUDA's cuda.h where there is no CUDA: the few declarations of the driver API that include/xauto/
+ * uses, written from its documentation. cuda.cc acts them out. */
+#pragma once
+
+#include <cstddef>
+
+#define CUDA_VERSION 12020
+
+enum CUresult {
+  CUDA_SUCCESS = 0,
+  CUDA_ERROR_INVALID_VALUE = 1,
+  CUDA_ERROR_OUT_OF_MEMORY = 2,
+  CUDA_ERROR_INVALID_DEVICE = 101,
+  CUDA_ERROR_INVALID_CONTEXT = 201,
+};
+using CUdevice = int;
+using CUdeviceptr = unsigned long long;
+using CUcontext = struct CUctx_st*;
+using CUstream = struct CUstream_st*;
+using cudaStream_t = CUstream;  // as the runtime API has it
+
+constexpr unsigned CU_STREAM_NON_BLOCKING = 1;
+constexpr unsigned CU_MEMHOSTALLOC_DEVICEMAP = 2;
+
+extern "C" {
+CUresult cuInit(unsigned flags);
+CUresult cuGetErrorString(CUresult error, const char** text);
+CUresult cuDeviceGet(CUdevice* device, int ordinal);
+CUresult cuCtxCreate(CUcontext* context, unsigned flags, CUdevice device);
+CUresult cuCtxDestroy(CUcontext context);
+CUresult cuCtxPushCurrent(CUcontext context);
+CUresult cuCtxPopCurrent(CUcontext* context);
+CUresult cuStreamCreate(CUstream* stream, unsigned flags);
+CUresult cuStreamSynchronize(CUstream stream);
+CUresult cuMemAlloc(CUdeviceptr* memory, std::size_t bytes);
+CUresult cuMemFree(CUdeviceptr memory);
+CUresult cuMemHostAlloc(void** memory, std::size_t bytes, unsigned flags);
+CUresult cuMemHostGetDevicePointer(CUdeviceptr* device, void* host, unsigned flags);
+CUresult cuMemFreeHost(void* memory);
+CUresult cuMemcpyHtoDAsync(CUdeviceptr to, const void* from, std::size_t bytes, CUstream stream);
+CUresult cuMemcpyDtoHAsync(void* to, CUdeviceptr from, std::size_t bytes, CUstream stream);
+}
