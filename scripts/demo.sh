@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # The Driving Case on an emulated Orin, in real time: one release after the other under four policies; then as a vehicle
-# runs it, at three rates on two clocks, under three.
+# runs it, at three rates on two clocks, under three; then on a GPU that throttles, under one policy and under tables.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 build=${CONFIGURED:-build}
@@ -16,5 +16,21 @@ echo
 echo "demo: the same at the rates of its sensors: cameras 30 Hz, LiDAR 10 Hz on its own clock, control 50 Hz"
 "$build"/bin/xauto compare --app examples/driving/steady.json --platform small --seconds "${SECONDS_STEADY:-3}" \
   --time-limit-s 2 --out "$build"/demo/steady -- "$build"/bin/driving-steady
+echo
+echo "demo: the GPU at half of its clock after a second: one policy, then a policy for each scenario (docs/modes.md)"
+tables=$build/demo/tables
+mkdir -p "$tables"
+driving=(--app examples/driving/app.json --platform small)
+"$build"/bin/xauto solve "${driving[@]}" --time-limit-s 2 --out "$tables"/one.json >/dev/null
+"$build"/bin/xauto solve "${driving[@]}" --scenarios examples/driving/scenarios.json --tables 2 --time-limit-s 6 \
+  --out "$tables"/two.json >"$tables"/solve.log
+# Releases that do not meet, as the tables' worst cases have it.
+for policy in one two; do
+  "$build"/bin/xauto run "${driving[@]}" --emulate --emulate-script examples/driving/throttle.json --overload queue:8 \
+    --policy "$tables"/$policy.json --period-us 66000 --activations $((${ACTIVATIONS:-220} * 6 / 10)) --out "$tables"/$policy-report.json \
+    --trace-out "$tables"/$policy.pftrace -- "$build"/bin/driving >"$tables"/$policy.log 2>&1 ||
+    { cat "$tables"/$policy.log; exit 1; }
+done
+python3 scripts/demo-tables.py "$tables"/one-report.json "$tables"/two-report.json
 echo
 echo "Next: open $build/demo/timeline.html in a browser; README.md tells how to schedule an app of your own."

@@ -13,6 +13,9 @@ inline constexpr const char* kWorstCaseScope =
 /// What an emulated job and chain may take beside what was claimed: messages to the emulator, and
 /// the sleep that it measures by. Of a job kEmulatorUs on top.
 inline constexpr std::int64_t kEmulatorPct = 2, kEmulatorUs = 100;
+/// An emulated job that is so much longer than its WCET shows that the emulator's machine stood still,
+/// not that a clock is slower: no other scenario counts for it.
+inline constexpr std::int64_t kEmulatorStallUs = 1000;
 
 /// ChainClaim::worst_case_us bounds the reduced reaction time of ... Where `max_in_flight`, holds or
 /// the order of one XNode's activations are not kept, or somebody else uses an XPU, it says nothing.

@@ -48,7 +48,8 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, const Led
       choice_(
           context.session.app, context.session.platform, tables_,
           [&](const std::string& type, std::int64_t wcet_us) {
-            return watched_ns(wcet_us, emulates_type(context.session, type));
+            const bool emulated = emulates_type(context.session, type);
+            return watched_ns(wcet_us, emulated) + (emulated ? kEmulatorStallUs * 1000 : 0);
           },
           options_of(context.session.deployment)),
       conditions_(tables_),

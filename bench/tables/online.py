@@ -1,0 +1,327 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""What tables do while the Driving Case runs on emulated XPUs. Four parts, each a number of docs/modes.md:
+
+    throttle    the GPU falls to half of its clock: one policy and tables in turn, several rounds; and how long it takes
+                from the moment when the first job passes its WCET to the first release that has another table
+    switches    people ask for another scenario again and again: lost releases, and those longer than their worst case
+    deaths      the same in processes of their own, one of which is killed at a random moment around each wish
+    violations  a clock below every scenario, a job longer than every scenario has it: how long until it is said
+
+    bench/tables/online.py [--bin build/bin] [--json FILE] [throttle switches deaths violations]
+"""
+import argparse
+import contextlib
+import json
+import os
+import pathlib
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+SOURCE = pathlib.Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(SOURCE / "tests/integration"))
+APP = SOURCE / "examples/driving/app.json"
+QUEUES = {"queue_depth": 256, "keep": 256, "defaults": {"overload": "queue:256"}}
+STALL_NS = 1_000_000  # kEmulatorStallUs: such a job shows no other clock
+DEATHS_OF_A_DAEMON = 90  # after 100 the tool gives it up
+
+
+def parse():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", default=["throttle", "switches", "deaths", "violations"])
+    parser.add_argument("--bin", default=str(SOURCE / "build/bin"))
+    parser.add_argument("--rounds", type=int, default=5, help="of throttle")
+    parser.add_argument("--releases", type=int, default=300, help="of each run of throttle")
+    parser.add_argument("--switches", type=int, default=1000)
+    parser.add_argument("--deaths", type=int, default=200)
+    parser.add_argument("--violations", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", help="write what was measured here, too")
+    return parser.parse_args()
+
+
+class Case:
+    """The files of one app, and runs of it."""
+
+    def __init__(self, folder, options):
+        self.folder, self.options = pathlib.Path(folder), options
+        self.app = json.loads(APP.read_text())
+        self.write("app.json", self.app)
+        self.deploy()
+
+    def write(self, name, value):
+        (self.folder / name).write_text(json.dumps(value))
+
+    def deploy(self, **keys):
+        defaults = {**QUEUES["defaults"], **keys.pop("defaults", {})}
+        self.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "driving", **QUEUES,
+                                       "defaults": defaults, **keys})
+
+    def script(self, *steps):
+        self.write("script.json", {"schema": "xauto.emulation", "version": 1, "steps": list(steps)})
+
+    def xauto(self, *words):
+        done = subprocess.run([self.options.bin + "/xauto", *map(str, words)], cwd=self.folder, capture_output=True, text=True)
+        if done.returncode != 0:
+            raise RuntimeError(f"xauto {' '.join(map(str, words))}: status {done.returncode}\n{done.stdout}{done.stderr}")
+        return done.stdout
+
+    def solve(self, out, scenarios=None, tables=2, seconds=10):
+        more = ()
+        if scenarios:
+            self.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "driving", "scenarios": scenarios})
+            more = ("--scenarios", "scenarios.json", "--tables", tables)
+        self.xauto("solve", "--app", "app.json", "--platform", "small", "--time-limit-s", seconds, "--out", out, *more)
+
+    def command(self, policy, *flags):
+        return [self.options.bin + "/xauto", "run", "--app", "app.json", "--platform", "small", "--emulate", "--policy", policy,
+                "--deployment", "deployment.json", "--json", *map(str, flags), "--", self.options.bin + "/driving"]
+
+    def run(self, *arguments):
+        done = subprocess.run(self.command(*arguments), cwd=self.folder, capture_output=True, text=True)
+        return json.loads(done.stdout)["runs"][0]
+
+    @contextlib.contextmanager
+    def running(self, *arguments):
+        """A run without an end; `report` has what it says then."""
+        self.report = None
+        with open(self.folder / "out", "w") as out, open(self.folder / "err", "w") as err:
+            self.tool = subprocess.Popen(self.command(*arguments, "--activations", 0), cwd=self.folder, stdout=out, stderr=err)
+        try:
+            self.wait(lambda: self.board()["releases"] > 2)
+            yield
+            self.tool.send_signal(signal.SIGTERM)
+            self.tool.wait(timeout=120)
+            self.report = json.loads((self.folder / "out").read_text())["runs"][0]
+        finally:
+            self.tool.kill()
+            self.tool.wait()
+
+    def said(self):
+        return (self.folder / "err").read_text()
+
+    def board(self):
+        return json.loads(self.xauto("top", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--interval-ms", 10, "--once", "--json"))
+
+    def mode(self, *words):
+        return json.loads(self.xauto("mode", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--json", *words))
+
+    def wait(self, probe, seconds=60):
+        """How long it took; None: it did not come to that."""
+        since = time.monotonic()
+        while not probe():
+            if time.monotonic() - since > seconds or self.tool.poll() is not None:
+                return None
+            time.sleep(0.002)
+        return time.monotonic() - since
+
+
+def quantile(values, q):
+    values = sorted(values)
+    return values[min(len(values) - 1, int(q * len(values)))]
+
+
+SLOWER = [{"name": "nominal"}, {"name": "GPU at half", "wcet_scale_pct": {"gpu": 200}}]
+
+
+def reaction(case, report):
+    """From the moment when a job first was longer than its WCET to the next release with another table, in periods."""
+    import pftrace
+    trace = pftrace.Trace((case.folder / "t.pftrace").read_bytes())
+    wcet = {x["name"]: x["wcet_us"] for x in case.app["xnodes"]}
+    came = {s.args["release"]: s.begin for s in trace.slices if s.category == "release"}
+    change = next((s for s in report["switches"] if s["to"] == SLOWER[1]["name"]), None)
+    parts = {}
+    for s in trace.slices:
+        if s.category == "run" and s.track.startswith("run/gpu"):
+            parts.setdefault((s.name.split(" ")[0], s.args["release"]), []).append(s)
+    passed = []
+    for (name, _), slices in parts.items():
+        limit = wcet[name]["gpu"] * 1020 + 100_000 + STALL_NS
+        if len(slices) == 1 and slices[0].end - slices[0].begin > limit:  # nobody took the XPU from it
+            passed.append(slices[0].begin + limit)
+    if change is None or not passed or change["release"] not in came:
+        return None
+    return came[change["release"]] - min(passed), change["held_us"] * 1000
+
+
+def throttle(case, options):
+    period_us = 66_000
+    case.solve("one.json")
+    case.solve("two.json", SLOWER)
+    case.script({"at_us": 1_000_000, "speed_pct": {"gpu": 50}})
+    rows, reactions = {"one": [], "two": []}, []
+    for _ in range(options.rounds):
+        for policy in rows:
+            report = case.run(f"{policy}.json", "--emulate-script", "script.json", "--period-us", period_us, "--activations",
+                              options.releases, "--trace-out", "t.pftrace")
+            rows[policy].append(report)
+            if policy == "two" and (took := reaction(case, report)):
+                reactions.append(took)
+    result = {"rounds": options.rounds, "releases": options.releases, "period_us": period_us}
+    for policy, reports in rows.items():
+        result[policy] = {key: [r[key] for r in reports] for key in ("p50_us", "p99_us", "max_us", "lost_activations")}
+    for key in ("p50_us", "p99_us", "max_us"):
+        medians = [statistics.median(result[policy][key]) for policy in rows]
+        result[key] = {"one": medians[0], "two": medians[1], "ratio": round(medians[0] / medians[1], 3)}
+        print(f"  throttle  {key[:-3]:4} one policy {medians[0] / 1000:7.2f} ms   tables {medians[1] / 1000:7.2f} ms"
+              f"   {medians[0] / medians[1]:.2f} times; medians of {options.rounds} runs of {options.releases} releases each")
+    result["reactions_ns"] = reactions
+    late = [took - held - period_us * 1000 for took, held in reactions]
+    result["later_than_period_and_delay"] = sum(ns > 0 for ns in late)
+    print(f"  throttle  reaction: {len(reactions)} seen, longest {max((t for t, _ in reactions), default=0) / 1e6:.1f} ms, "
+          f"{result['later_than_period_and_delay']} later than a period and what the sensors waited")
+    return result
+
+
+def switches(case, options):
+    case.solve("three.json", [{"name": "nominal"}, {"name": "GPU 10 % slower", "wcet_scale_pct": {"gpu": 110}},
+                              {"name": "DLA 30 % slower", "wcet_scale_pct": {"dla": 130}},
+                              {"name": "no DLA", "lost": ["dla0"]}], 3)
+    draw = random.Random(options.seed)
+    names = [s["name"] for s in json.loads((case.folder / "scenarios.json").read_text())["scenarios"]]
+    asked = names[0]
+    with case.running("three.json", "--period-us", 33_333):
+        since = time.monotonic()
+        for _ in range(options.switches):
+            asked = draw.choice([n for n in names if n != asked])
+            case.mode(asked)
+            # Two releases are on their way before the next wish.
+            time.sleep(draw.uniform(0.0, 0.07))
+        seconds = time.monotonic() - since
+    report = case.report
+    claimed = [s for s in report["switches"] if s.get("worst_case_us") and s["spanned_us"] >= 0]
+    over = [s for s in claimed if s["spanned_us"] > 1.02 * s["worst_case_us"]]
+    result = {"asked": options.switches, "seconds": round(seconds, 1), "switches": report["num_switches"],
+              "told": len(report["switches"]), "releases": report["activations"], "lost": report["lost_activations"],
+              "claimed": len(claimed), "longer_than_claimed_by_2_pct": len(over),
+              "longest": max((s["spanned_us"] / s["worst_case_us"] for s in claimed), default=None),
+              "longest_wait_us": max((s["held_us"] for s in report["switches"]), default=None),
+              "broken": report.get("worst_case_broken", [])}
+    print(f"  switches  {result['switches']} in {seconds:.0f} s, {result['releases']} releases, {result['lost']} lost; of "
+          f"{len(claimed)} that met a change {len(over)} were longer than claimed + 2 %")
+    return result
+
+
+def deaths(case, options):
+    from common import children_of
+    case.deploy(defaults={"isolate": True, "restarts": 1_000_000})
+    case.solve("three.json", [*SLOWER, {"name": "no DLA", "lost": ["dla0"]}], 3)
+    draw = random.Random(options.seed)
+    names = [s["name"] for s in json.loads((case.folder / "scenarios.json").read_text())["scenarios"]]
+    covering = {names[0]: names, names[1]: [names[1]], names[2]: [names[2]]}
+    asked, killed, hung, wrong, waits = names[0], {}, 0, 0, []
+    with case.running("three.json", "--period-us", 66_000):
+        while sum(killed.values()) < options.deaths and case.tool.poll() is None:
+            family = {pid: name for pid, name in children_of(case.tool.pid).items()
+                      if name.startswith("m:") or killed.get(name, 0) < DEATHS_OF_A_DAEMON and
+                      name.startswith(("xauto-coordinat", "xauto-emud"))}
+            pid = draw.choice(sorted(family))
+            asked = draw.choice([n for n in names if n != asked])
+            wish = subprocess.Popen([options.bin + "/xauto", "mode", "--run", f"{case.tool.pid}-0", "--wait-s", "10", asked],
+                                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            time.sleep(draw.uniform(0.0, 0.12))  # a process needs some ms to say it; a drain lasts a release
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+                killed[family[pid]] = killed.get(family[pid], 0) + 1
+            wish.wait()
+            before = case.board()
+            settled = {m["name"]: m["activations"] for m in before["modules"]}
+
+            def goes_on():
+                now = {m["name"]: m["activations"] for m in case.board()["modules"]}
+                return all(now[name] > count + 2 for name, count in settled.items())
+            took = case.wait(goes_on, 30)
+            if took is None:
+                hung += 1
+                break
+            waits.append(took)
+            wrong += case.mode()["now"] not in covering[asked]
+    report = case.report
+    result = {"deaths": sum(killed.values()), "by_name": killed, "hung": hung, "another_scenario_than_asked": wrong,
+              "longest_until_all_modules_go_on_s": round(max(waits, default=0), 2),
+              "median_s": round(statistics.median(waits), 2) if waits else None,
+              "switches": report["num_switches"] if report else None, "notes": report["notes"][:3] if report else None}
+    print(f"  deaths    {result['deaths']}, {hung} hung, {wrong} times another scenario than asked for; all modules had three more "
+          f"results after {result['median_s']} s (median), {result['longest_until_all_modules_go_on_s']} s at most")
+    return result
+
+
+def violations(case, options):
+    """Half of them by a clock that no scenario has, half by a GPU slower than any has it; each in a run of its own, since a run
+    says a thing once. From the injection to the words, in periods of the releases."""
+    clock = case.folder / "cur_freq"
+    clock.write_text("900\n")
+    case.solve("watched.json", [{"name": "fast", "when": [{"file": str(clock), "at_least": 900}]},
+                                {"name": "slow", "wcet_scale_pct": {"gpu": 150},
+                                 "when": [{"file": str(clock), "at_least": 600}]}])
+    period_s = 0.066
+    kinds = {"clock": ([], "those of no scenario"), "job": ([], "outside of every scenario: XNode")}
+    for k in range(options.violations):
+        kind = ("clock", "job")[k % 2]
+        times, words = kinds[kind]
+        clock.write_text("900\n")
+        # The emulator is told by the script; the script's time is its own, so the trace says when the GPU fell.
+        case.script({"at_us": 700_000 if kind == "job" else 3_600_000_000, "speed_pct": {"gpu": 30}})
+        with case.running("watched.json", "--period-us", int(period_s * 1e6), "--emulate-script", "script.json", "--trace-out",
+                          "t.pftrace"):
+            at = time.monotonic()
+            if kind == "clock":
+                clock.write_text("100\n")
+            took = case.wait(lambda: words in case.said(), 10)
+            if kind == "clock":
+                times.append(took)
+            elif took is None:
+                times.append(None)
+        if kind == "job" and took is not None:
+            times.append(said_after(case))
+    result = {"period_s": period_s}
+    for kind, (times, _) in kinds.items():
+        seen = [t for t in times if t is not None]
+        result[kind] = {"injected": len(times), "said": len(seen), "longest_s": max(seen, default=None),
+                        "median_s": statistics.median(seen) if seen else None,
+                        "within_a_period": sum(t <= period_s for t in seen)}
+        row = result[kind]
+        print(f"  violations by {kind:5} {row['injected']} injected, {row['said']} said, median "
+              f"{(row['median_s'] or 0) * 1000:.0f} ms, longest {(row['longest_s'] or 0) * 1000:.0f} ms; a period is 66 ms")
+    return result
+
+
+def said_after(case):
+    """From the moment when a GPU job first was longer than every scenario has it to the release that told it, in s."""
+    import pftrace
+    change = next((s for s in case.report["switches"] if s["why"] == "outside"), None)
+    trace = pftrace.Trace((case.folder / "t.pftrace").read_bytes())
+    wcet = {x["name"]: x["wcet_us"] for x in case.app["xnodes"]}
+    came = {s.args["release"]: s.begin for s in trace.slices if s.category == "release"}
+    passed = []
+    for s in trace.slices:
+        if s.category == "run" and s.track.startswith("run/gpu"):
+            limit = wcet[s.name.split(" ")[0]]["gpu"] * 1530 + 100_000 + STALL_NS
+            if s.end - s.begin > limit:
+                passed.append(s.begin + limit)
+    if change is None or change["release"] not in came or not passed:
+        return None
+    # Less than 0: another job, a stall say, was outside before.
+    return max(0, came[change["release"]] - min(passed)) / 1e9
+
+
+def main():
+    options = parse()
+    os.environ["XAUTO_BIN"] = options.bin
+    parts = {"throttle": throttle, "switches": switches, "deaths": deaths, "violations": violations}
+    result = {}
+    for part in options.parts:
+        with tempfile.TemporaryDirectory() as folder:
+            result[part] = parts[part](Case(folder, options), options)
+            if options.json:
+                pathlib.Path(options.json).write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
