@@ -30,7 +30,8 @@ Result<std::unique_ptr<StandIn>> StandIn::take_over(int process, const Plan& pla
     if (plan.topics[t].reader(process) < 0) continue;
     const std::uint64_t next = hub.topic(t).next_sequence();
     for (const Graph::Subscriber& s : graph.topics[t].subscribers)
-      if (next > 0 && !s.sampled && plan.process_of[static_cast<std::size_t>(s.module)] == process &&
+      if (next > 0 && !s.sampled &&
+          plan.process_of[static_cast<std::size_t>(s.module)] == process &&
           graph.modules[static_cast<std::size_t>(s.module)].numbered)
         g.arrive(s.module, next - 1);
   }

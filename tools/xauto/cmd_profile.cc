@@ -196,10 +196,11 @@ std::vector<std::string> findings(const Profile& profile) {
   for (const XNodeProfile& x : profile.xnodes)
     for (const auto& [id, samples] : x.on)
       if (const std::string used = used_by(samples); !used.empty())
-        lines.push_back(fmt::format(
-            "XNode '{}' is said to run on {}, and is {}, of {} us in all: layers that fall back? Build it "
-            "without fallback, split it, or declare it where it runs",
-            x.name, id, used, samples.p50_us));
+        lines.push_back(
+            fmt::format("XNode '{}' is said to run on {}, and is {}, of {} us in all: layers that "
+                        "fall back? Build it "
+                        "without fallback, split it, or declare it where it runs",
+                        x.name, id, used, samples.p50_us));
   return lines;
 }
 
