@@ -47,6 +47,7 @@ Result<Plan> Plan::make(const Graph& graph, const detail::AppSpecErased& app,
       readers.insert(plan.process_of[static_cast<std::size_t>(s.module)]);
     for (const detail::ObserverSpec& observer : app.observers)
       if (observer.topic.name == topic.spec.name) readers.insert(0);
+    if (session.record_outputs && topic.spec.encode != nullptr) readers.insert(0);
     readers.erase(remote.publisher);
     remote.readers.assign(readers.begin(), readers.end());
     if (remote.readers.empty()) continue;

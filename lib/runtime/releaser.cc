@@ -245,16 +245,19 @@ bool Releaser::wait_drained() {
 }
 
 std::string Releaser::close(const std::vector<Release>& releases) {
-  if (!recorder_) return recording_error_;
-  // At the end, where nobody waits for it.
-  for (const Release& release : releases) {
-    const std::int64_t stamp_ns = release.origin_ns + wall_offset_ns_;
-    const std::int64_t end_ns = stamp_ns + std::max<std::int64_t>(release.latency_us, 0) * 1000;
-    recorder_->write(releases_topic_, end_ns,
-                     record::encode_release(stamp_ns, release.sequence, release.latency_us));
+  records_.store(false);
+  if (recorder_) {
+    // At the end, where nobody waits for it.
+    for (const Release& release : releases) {
+      const std::int64_t stamp_ns = release.origin_ns + wall_offset_ns_;
+      const std::int64_t end_ns = stamp_ns + std::max<std::int64_t>(release.latency_us, 0) * 1000;
+      recorder_->write(releases_topic_, end_ns,
+                       record::encode_release(stamp_ns, release.sequence, release.latency_us));
+    }
   }
-  if (const Status closed = recorder_->close(); !closed && recording_error_.empty())
-    recording_error_ = closed.error().what;
+  const Status closed = recorder_ ? recorder_->close() : Status();
+  const Guard lock(recording_mutex_);
+  if (!closed && recording_error_.empty()) recording_error_ = closed.error().what;
   return recording_error_;
 }
 
@@ -480,7 +483,9 @@ void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) 
                       context_.grid.sources[static_cast<std::size_t>(topic.source)].number);
     }
   }
-  if (recorder_ && recording_error_.empty()) record(now_ns, samples);
+  if (recorder_)
+    for (const Sample& sample : samples)
+      record(static_cast<std::size_t>(sample.topic), now_ns, sample.sequence, sample.message.get());
   for (const Sample& sample : samples) {
     const int topic = sample.topic;
     const std::int64_t origin_ns = origin_of(sample);
@@ -502,46 +507,62 @@ Status Releaser::open_recorder() {
   if (context_.session.record.empty()) return {};
   XAUTO_ASSIGN(auto recorder, record::Recorder::create(context_.session.record));
   recorded_topic_.assign(context_.graph.topics.size(), 0);
-  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t) {
-    const Graph::Topic& topic = context_.graph.topics[t];
-    if (topic.source < 0) continue;
-    if (topic.spec.encode == nullptr)
-      return fail(ErrorCode::kInvalid,
-                  "messages of type " + topic.spec.type_name + " cannot be recorded",
-                  "topic '" + topic.spec.name + "'", "specialise xauto::Codec for it");
-    XAUTO_ASSIGN(recorded_topic_[t], recorder.add_topic(record::app_topic(
-                                         topic.spec.name, topic.spec.ros_type, topic.spec.schema)));
-  }
+  for (std::size_t t = 0; t < context_.graph.topics.size(); ++t)
+    XAUTO_TRY(record_topic(recorder, t));
   if (context_.graph.single_rate) {
     XAUTO_ASSIGN(releases_topic_, recorder.add_topic(record::releases_topic()));
   }
   recorder_.emplace(std::move(recorder));
   // Once: so the distances between messages are those that were measured, whoever sets the clock.
   wall_offset_ns_ = clock_ns(CLOCK_REALTIME) - now_ns();
+  records_.store(true);
+  return {};
+}
+
+/// What modules publish is recorded when it arrives here, on the thread that brings it.
+Status Releaser::record_topic(record::Recorder& recorder, std::size_t topic) {
+  const Graph::Topic& of = context_.graph.topics[topic];
+  const bool is_source = of.source >= 0;
+  if (!is_source && !context_.session.record_outputs) return {};
+  if (of.spec.encode == nullptr) {
+    if (is_source)
+      return fail(ErrorCode::kInvalid,
+                  "messages of type " + of.spec.type_name + " cannot be recorded",
+                  "topic '" + of.spec.name + "'", "specialise xauto::Codec for it");
+    notes_.push_back("topic '" + of.spec.name + "' is not recorded: " + of.spec.type_name +
+                     " has no xauto::Codec");
+    return {};
+  }
+  XAUTO_ASSIGN(recorded_topic_[topic], recorder.add_topic(record::app_topic(
+                                           of.spec.name, of.spec.ros_type, of.spec.schema)));
+  if (!is_source)
+    wiring_.channel(topic).subscribe([this, topic](const detail::Envelope& envelope) {
+      record(topic, now_ns(), envelope.sequence, envelope.message.get());
+    });
   return {};
 }
 
 /// The first failure ends the recording, not the run; the report tells. In lockstep nothing is in
-/// real time, so there nothing need be lost.
-void Releaser::record(std::int64_t now_ns, const std::vector<Sample>& samples) {
+/// real time, so there nothing need be lost. Any thread.
+void Releaser::record(std::size_t topic, std::int64_t now_ns, std::uint64_t sequence,
+                      const void* message) {
+  if (message == nullptr || !records_.load(std::memory_order_relaxed)) return;
   const auto if_full = context_.session.lockstep ? record::BackgroundRecorder::IfFull::kWait
                                                  : record::BackgroundRecorder::IfFull::kLose;
-  for (const auto& [topic, sequence, message, nominal_ns, is_urgent, stamp_ns] : samples) {
-    if (message == nullptr) continue;
-    const auto t = static_cast<std::size_t>(topic);
-    try {
-      const detail::TopicSpec& spec = context_.graph.topics[t].spec;
-      std::vector<std::byte> bytes = spec.encode(message.get());
-      if (spec.ros_type.empty())
-        recorder_->write_enclosed(recorded_topic_[t], now_ns + wall_offset_ns_, sequence,
-                                  std::move(bytes), if_full);
-      else
-        recorder_->write(recorded_topic_[t], now_ns + wall_offset_ns_, std::move(bytes), if_full);
-    } catch (const std::exception& e) {
-      recording_error_ = std::string("recording ended early: ") + e.what();
-      log::warn("{}", recording_error_);
-      return;
-    }
+  const std::int64_t stamp_ns = now_ns + wall_offset_ns_;
+  try {
+    const detail::TopicSpec& spec = context_.graph.topics[topic].spec;
+    std::vector<std::byte> bytes = spec.encode(message);
+    if (spec.ros_type.empty())
+      recorder_->write_enclosed(recorded_topic_[topic], stamp_ns, sequence, std::move(bytes),
+                                if_full);
+    else
+      recorder_->write(recorded_topic_[topic], stamp_ns, std::move(bytes), if_full);
+  } catch (const std::exception& e) {
+    if (!records_.exchange(false)) return;
+    const Guard lock(recording_mutex_);
+    recording_error_ = std::string("recording ended early: ") + e.what();
+    log::warn("{}", recording_error_);
   }
 }
 

@@ -12,6 +12,7 @@
 
 #include <xauto/result.h>
 
+#include "base/pi_mutex.h"
 #include "graph/inlet.h"
 #include "record/background.h"
 #include "runtime/context.h"
@@ -35,8 +36,8 @@ class Releaser {
   [[nodiscard]] Status run(int fifo);
   /// Until everything that was released is through; see Ledger::wait_drained.
   [[nodiscard]] bool wait_drained();
-  /// Closes the recording, with an account of `releases` (of an app of one rate). Returns why it is
-  /// not whole; empty: it is, or there is none.
+  /// Closes the recording, with an account of `releases` (of an app of one rate). Nothing is published
+  /// any more, or it is not recorded. Returns why it is not whole; empty: it is, or there is none.
   [[nodiscard]] std::string close(const std::vector<Release>& releases);
   /// What the sources did that was not as declared; for people, after `run`.
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
@@ -85,7 +86,8 @@ class Releaser {
   void take_fed(std::vector<Sample> fed, std::int64_t period_ns, std::vector<Sample>& samples);
   void release(std::int64_t now_ns, const std::vector<Sample>& samples);
   void watch_jitter(std::int64_t now_ns, const Sample& sample);
-  void record(std::int64_t now_ns, const std::vector<Sample>& samples);
+  [[nodiscard]] Status record_topic(record::Recorder& recorder, std::size_t topic);
+  void record(std::size_t topic, std::int64_t now_ns, std::uint64_t sequence, const void* message);
 
   const Context& context_;
   Wiring& wiring_;
@@ -96,7 +98,9 @@ class Releaser {
   std::vector<std::size_t> recorded_topic_;  ///< [topic] -> the recorder's index
   std::size_t releases_topic_ = 0;           ///< of the accounts
   std::int64_t wall_offset_ns_ = 0;          ///< the wall clock's time minus now_ns()
-  std::string recording_error_;
+  PiMutex recording_mutex_;
+  std::string recording_error_ XAUTO_GUARDED_BY(recording_mutex_);
+  std::atomic<bool> records_{false};      ///< open, and nothing has gone wrong
   std::optional<detail::Inlets> inlets_;  ///< while it releases
   std::optional<Feeds> feeds_;            ///< likewise; before its inlets
   std::vector<std::uint64_t> pushed_;     ///< [topic] releases of pushed sources

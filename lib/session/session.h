@@ -74,6 +74,7 @@ struct Session {
   std::int64_t period_us = 0;    ///< instead of the sources' own; 0: theirs
   std::string input;             ///< recorded input; empty: the sources' own messages
   std::string record;            ///< record the sources' messages into this file; empty: don't
+  bool record_outputs = false;   ///< ... and what modules publish
   std::uint64_t warmup = 3, repetitions = 30;  ///< kProfile
   std::int64_t margin_pct = 20;                ///< kProfile
   std::int64_t exec_limit_s = 30;              ///< kProfile: one that takes longer ends it

@@ -47,6 +47,26 @@ class Core(Case):
                          ("/src", "cdr", "xauto_msgs/msg/Message", "ros2msg", "[]"))
         self.assertIn("serialized_metadata", seen["metadata"]["rosbag2"])
 
+    def test_outputs_are_read_by_mcap_core_to_the_last_message(self):
+        """What modules publish, also those in processes of their own: as the app's own observer hears it."""
+        for flags in ((), ("--isolate",)):
+            with self.subTest(flags):
+                made = self.path(f"all{len(flags)}.mcap")
+                result = self.run_app("--activations", 100, "--record", made, "--record-outputs", *flags)
+                seen = peer("read", made)
+                self.assertEqual(sorted(seen["indexed"]), sorted(seen["streamed"]))
+                of = {}
+                for _, topic, data in seen["indexed"]:
+                    if topic != "/xauto/releases":
+                        of.setdefault(topic, []).append(enclosed(bytes.fromhex(data))[1:])
+                self.assertEqual(set(of), {"/src", "/a", "/b", "/c", "/d"})
+                for topic, messages in of.items():
+                    self.assertEqual([k for k, _ in messages], list(range(100)), topic)
+                lines = [line.split() for line in result.splitlines()]  # TOPIC NUMBER VALUE
+                for topic in "cd":
+                    self.assertEqual({k: struct.unpack("<Q", data)[0] for k, data in of["/" + topic]},
+                                     {int(k): int(value) for name, k, value in lines if name == topic})
+
     def test_what_mcap_core_writes_feeds_an_app(self):
         expected = self.run_app("--activations", 20)
         for chunked in (True, False):

@@ -75,6 +75,9 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
   }
   if (!flags.name.empty()) run.id = run.name = flags.name;
   XAUTO_TRY(check_gate(flags));
+  if (flags.record_outputs && flags.record.empty())
+    return fail(ErrorCode::kInvalid, "has no recording", "--record-outputs",
+                "say where to: --record drive.mcap");
   flags.record_path = flags.record;
   Outputs outputs;
   XAUTO_TRY(outputs.expect("--out", flags.out));
@@ -160,6 +163,8 @@ void add_run(Commands& commands) {
       .one_of(kGateWords);
   verb.option("--record", flags->record,
               "record the sources' messages here: .mcap, .db3, or a rosbag2 folder");
+  verb.flag("--record-outputs", flags->record_outputs,
+            "with --record: what modules publish, too, where their types can be encoded");
 }
 
 }  // namespace xauto::cli

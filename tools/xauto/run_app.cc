@@ -220,6 +220,7 @@ Status execute(const RunFlags& flags, PolicyRun& run, const std::atomic<bool>* s
   session.period_us = flags.period_us;
   session.input = flags.input;
   session.record = flags.record_path;
+  session.record_outputs = flags.record_outputs;
   session.deployment = flags.deployment;
   session.processes = flags.deployment.processes(flags.app);
   request.emulation = flags.script;

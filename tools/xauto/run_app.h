@@ -40,6 +40,7 @@ class StopOnSignal {
 /// Flags of every verb that starts an app.
 struct RunFlags {
   std::string app_path, platform = "small", input, cpu_sched = "fifo", record_path;
+  bool record_outputs = false;
   std::uint64_t activations = 200;
   double seconds = 0;  ///< 0: `activations` counts
   std::int64_t period_us = 0, cpu_budget_pct = 0;

@@ -372,7 +372,7 @@ class TwoOfACrew : public ::testing::Test, public ModuleHost {
       workers_[m] = std::make_unique<Worker>(
           WorkerOptions{.name = specs_[m].name,
                         .xpu = 0,
-                        .backend = {.xpu = {"npu0", "npu", false}, .id = {"npu0", XPU("npu"), 0}},
+                        .backend = {.xpu = npu_, .id = {"npu0", XPU("npu"), 0}},
                         .coordinator = address},
           rows_[m], nullptr, *threads_);
       workers_[m]->share(crew_);
@@ -414,6 +414,7 @@ class TwoOfACrew : public ::testing::Test, public ModuleHost {
   void dropped(int, std::uint64_t, std::uint32_t) override { ADD_FAILURE(); }
   void skip(int, std::uint64_t) override {}
 
+  const Xpu npu_{"npu0", "npu", false};
   detail::XModuleSpec specs_[2];
   Graph graph_;
   transport::Channel between_;
