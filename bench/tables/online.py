@@ -28,6 +28,7 @@ sys.path.insert(0, str(SOURCE / "tests/integration"))
 APP = SOURCE / "examples/driving/app.json"
 QUEUES = {"queue_depth": 256, "keep": 256, "defaults": {"overload": "queue:256"}}
 STALL_NS = 1_000_000  # kEmulatorStallUs: such a job shows no other clock
+MARGIN_PCT = 115
 DEATHS_OF_A_DAEMON = 90  # after 100 the tool gives it up
 
 
@@ -106,7 +107,7 @@ class Case:
         return (self.folder / "err").read_text()
 
     def board(self):
-        return json.loads(self.xauto("top", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--interval-ms", 10, "--once", "--json"))
+        return json.loads(self.xauto("top", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--interval-ms", 50, "--once", "--json"))
 
     def mode(self, *words):
         return json.loads(self.xauto("mode", "--run", f"{self.tool.pid}-0", "--wait-s", 10, "--json", *words))
@@ -180,9 +181,14 @@ def throttle(case, options):
 
 
 def switches(case, options):
-    case.solve("three.json", [{"name": "nominal"}, {"name": "GPU 10 % slower", "wcet_scale_pct": {"gpu": 110}},
+    # A margin over what jobs take, as `xauto profile` has one: what the emulator adds is no overrun. All scenarios fit into
+    # the period.
+    for xnode in case.app["xnodes"]:
+        xnode["wcet_us"] = {kind: us * MARGIN_PCT // 100 for kind, us in xnode["wcet_us"].items()}
+    case.write("app.json", case.app)
+    case.solve("three.json", [{"name": "nominal"}, {"name": "GPU 8 % slower", "wcet_scale_pct": {"gpu": 108}},
                               {"name": "DLA 30 % slower", "wcet_scale_pct": {"dla": 130}},
-                              {"name": "no DLA", "lost": ["dla0"]}], 3)
+                              {"name": "CPUs 50 % slower", "wcet_scale_pct": {"cpu": 150}}], 3)
     draw = random.Random(options.seed)
     names = [s["name"] for s in json.loads((case.folder / "scenarios.json").read_text())["scenarios"]]
     asked = names[0]
@@ -195,17 +201,21 @@ def switches(case, options):
             time.sleep(draw.uniform(0.0, 0.07))
         seconds = time.monotonic() - since
     report = case.report
-    claimed = [s for s in report["switches"] if s.get("worst_case_us") and s["spanned_us"] >= 0]
+    claimed = [s for s in report["switches"] if s.get("worst_case_us") and (s["spanned_us"] or -1) >= 0]
     over = [s for s in claimed if s["spanned_us"] > 1.02 * s["worst_case_us"]]
     result = {"asked": options.switches, "seconds": round(seconds, 1), "switches": report["num_switches"],
-              "told": len(report["switches"]), "releases": report["activations"], "lost": report["lost_activations"],
+              "told": len(report["switches"]), "table_changes": tables_changed(report["switches"]), "releases": report["activations"], "lost": report["lost_activations"],
               "claimed": len(claimed), "longer_than_claimed_by_2_pct": len(over),
               "longest": max((s["spanned_us"] / s["worst_case_us"] for s in claimed), default=None),
               "longest_wait_us": max((s["held_us"] for s in report["switches"]), default=None),
               "broken": report.get("worst_case_broken", [])}
-    print(f"  switches  {result['switches']} in {seconds:.0f} s, {result['releases']} releases, {result['lost']} lost; of "
+    print(f"  switches  {result['switches']} ({result['table_changes']} to another table) in {seconds:.0f} s, {result['releases']} releases, {result['lost']} lost; of "
           f"{len(claimed)} that met a change {len(over)} were longer than claimed + 2 %")
     return result
+
+
+def tables_changed(changes):
+    return sum(a["table"] != b["table"] for a, b in zip(changes, changes[1:]))
 
 
 def deaths(case, options):
@@ -262,6 +272,7 @@ def violations(case, options):
                                  "when": [{"file": str(clock), "at_least": 600}]}])
     period_s = 0.066
     kinds = {"clock": ([], "those of no scenario"), "job": ([], "outside of every scenario: XNode")}
+    said = dict.fromkeys(kinds, 0)
     for k in range(options.violations):
         kind = ("clock", "job")[k % 2]
         times, words = kinds[kind]
@@ -274,26 +285,24 @@ def violations(case, options):
             if kind == "clock":
                 clock.write_text("100\n")
             took = case.wait(lambda: words in case.said(), 10)
-            if kind == "clock":
-                times.append(took)
-            elif took is None:
-                times.append(None)
-        if kind == "job" and took is not None:
-            times.append(said_after(case))
+        said[kind] += took is not None
+        times.append(took if kind == "clock" else said_after(case))
     result = {"period_s": period_s}
     for kind, (times, _) in kinds.items():
         seen = [t for t in times if t is not None]
-        result[kind] = {"injected": len(times), "said": len(seen), "longest_s": max(seen, default=None),
+        result[kind] = {"injected": len(times), "said": said[kind], "timed": len(seen), "longest_s": max(seen, default=None),
                         "median_s": statistics.median(seen) if seen else None,
                         "within_a_period": sum(t <= period_s for t in seen)}
         row = result[kind]
-        print(f"  violations by {kind:5} {row['injected']} injected, {row['said']} said, median "
-              f"{(row['median_s'] or 0) * 1000:.0f} ms, longest {(row['longest_s'] or 0) * 1000:.0f} ms; a period is 66 ms")
+        print(f"  violations by {kind:5} {row['injected']} injected, {row['said']} said; of {row['timed']}: median "
+              f"{(row['median_s'] or 0) * 1000:.0f} ms, longest {(row['longest_s'] or 0) * 1000:.0f} ms, {row['within_a_period']} "
+              "within a period of 66 ms")
     return result
 
 
 def said_after(case):
-    """From the moment when a GPU job first was longer than every scenario has it to the release that told it, in s."""
+    """From the moment when a GPU job first was longer than every scenario has it to the release that told it, in s. None: no change of
+    the scenario tells when that was, as the run was in the slowest one already."""
     import pftrace
     change = next((s for s in case.report["switches"] if s["why"] == "outside"), None)
     trace = pftrace.Trace((case.folder / "t.pftrace").read_bytes())
