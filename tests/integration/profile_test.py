@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 import unittest
 
-from common import BIN, XAUTO
+from common import BIN, XAUTO, xauto
 
 STAGES = str(BIN / "stages")
 CORES = sorted(os.sched_getaffinity(0))[:2]  # all that the tool may use here: fewer than `small` has
@@ -241,6 +241,15 @@ class Conditions(Case):
         self.assertEqual(readings[self.MODE], {"of": "power_mode", "file": self.MODE, "texts": ["pmode:0000"]})
         zone = readings["/sys/class/thermal/thermal_zone0/temp"]
         self.assertEqual((zone["name"], zone["last"]), ("cpu-thermal", 45500))
+
+    def test_profiles_that_would_make_scenarios_of_one_name_are_refused(self):
+        self.machine("orin", 1300500000)
+        self.profile_on("orin")
+        (self.folder / "other").mkdir()
+        (self.folder / "other/orin.json").write_text((self.folder / "orin.json").read_text())
+        done = xauto("profile", "--platform", "small", "--merge", "orin.json", "other/orin.json", cwd=self.folder)
+        self.assertEqual(done.returncode, 2)
+        self.assertIn("other/orin.json: another file gives the scenario 'orin' its name", done.stderr)
 
     def test_a_clock_that_changes_meanwhile_is_said_with_what_to_do(self):
         self.machine("orin", 1300500000)

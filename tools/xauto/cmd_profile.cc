@@ -305,7 +305,12 @@ Result<int> merge(const ProfileFlags& flags, const Options& options) {
   std::vector<NamedProfile> profiles;
   for (const std::string& path : flags.merge) {
     XAUTO_ASSIGN(Profile one, load_profile(path));
-    profiles.push_back({std::filesystem::path(path).stem().string(), std::move(one)});
+    const std::string name = std::filesystem::path(path).stem().string();
+    if (std::any_of(profiles.begin(), profiles.end(),
+                    [&](const NamedProfile& other) { return other.name == name; }))
+      return fail(ErrorCode::kInvalid, "another file gives the scenario '" + name + "' its name",
+                  path, "rename one of them");
+    profiles.push_back({name, std::move(one)});
     const ProfileConditions &c = profiles.back().profile.conditions,
                             &first = profiles.front().profile.conditions;
     if (c.machine != first.machine || c.input != first.input)
