@@ -29,11 +29,9 @@ Result<std::unique_ptr<StandIn>> StandIn::take_over(int process, const Plan& pla
   for (std::size_t t = 0; t < graph.topics.size(); ++t) {
     if (plan.topics[t].reader(process) < 0) continue;
     const std::uint64_t next = hub.topic(t).next_sequence();
-    for (const Graph::Subscriber& s : graph.topics[t].subscribers)
-      if (next > 0 && !s.sampled &&
-          plan.process_of[static_cast<std::size_t>(s.module)] == process &&
-          graph.modules[static_cast<std::size_t>(s.module)].numbered)
-        g.arrive(s.module, next - 1);
+    g.each_reader(t, [&](int m) {
+      if (next > 0 && graph.modules[static_cast<std::size_t>(m)].numbered) g.arrive(m, next - 1);
+    });
   }
   for (std::size_t t = 0; t < graph.topics.size(); ++t) {
     const int reader = plan.topics[t].reader(process);
@@ -41,9 +39,7 @@ Result<std::unique_ptr<StandIn>> StandIn::take_over(int process, const Plan& pla
     XAUTO_ASSIGN(auto subscriber,
                  hub.topic(t).subscriber(graph.topics[t].spec, static_cast<std::uint32_t>(reader)));
     receiver.add(process, std::move(subscriber), true, [&g, t](const detail::Envelope& envelope) {
-      for (const Graph::Subscriber& s : g.graph_.topics[t].subscribers)
-        if (!s.sampled && g.plan_.process_of[static_cast<std::size_t>(s.module)] == g.process_)
-          g.arrive(s.module, envelope.sequence);
+      g.each_reader(t, [&](int m) { g.arrive(m, envelope.sequence); });
     });
   }
   return stand_in;
@@ -67,9 +63,7 @@ void StandIn::tombstone(int module, std::uint64_t sequence) {
     // One settles everything before it, so nothing is said twice.
     if (publisher != nullptr && publisher->next_sequence() <= sequence)
       publisher->publish({nullptr, 0, sequence});
-    for (const Graph::Subscriber& s : graph_.topics[static_cast<std::size_t>(t)].subscribers)
-      if (!s.sampled && plan_.process_of[static_cast<std::size_t>(s.module)] == process_)
-        arrive(s.module, sequence);
+    each_reader(static_cast<std::size_t>(t), [&](int m) { arrive(m, sequence); });
   }
 }
 

@@ -31,6 +31,13 @@ class StandIn {
   /// Everything up to `sequence` will not be done by `module`.
   void arrive(int module, std::uint64_t sequence);
   void tombstone(int module, std::uint64_t sequence);
+  /// Its modules that `topic` fires.
+  template <class Each>
+  void each_reader(std::size_t topic, Each each) const {
+    for (const Graph::Subscriber& s : graph_.topics[topic].subscribers)
+      if (!s.sampled && plan_.process_of[static_cast<std::size_t>(s.module)] == process_)
+        each(s.module);
+  }
 
   const Plan& plan_;
   const Graph& graph_;

@@ -83,13 +83,11 @@ int ScenarioChoice::least(May may) const {
 void ScenarioChoice::hung(int table, std::size_t xnode) {
   const int xpu = xpu_[static_cast<std::size_t>(table)][xnode];
   const auto at = static_cast<std::size_t>(xpu);
-  const auto all_gone = [&](std::size_t s) {
-    for (std::size_t x = 0; x < gone_.size(); ++x)
-      if ((gone_[x] != 0 || x == at) && !does_without(s, x)) return false;
-    return true;
-  };
-  if (gone_[at] != 0 || least(all_gone) < 0) return;  // nobody does without it: see the hang limit
-  gone_[at] = 1;
+  if (std::exchange(gone_[at], char{1}) != 0) return;
+  if (least([&](std::size_t s) { return does_without_gone(s); }) < 0) {
+    gone_[at] = 0;  // no scenario is for that: see the hang limit
+    return;
+  }
   hung_ = {static_cast<int>(xnode), xpu};
   // What jobs took there is no evidence of a clock.
   const std::vector<int>& where = xpu_[static_cast<std::size_t>(table)];
@@ -98,10 +96,15 @@ void ScenarioChoice::hung(int table, std::size_t xnode) {
     if (where[x] == xpu) recent_ns_[x][type] = older_ns_[x][type] = 0;
 }
 
-bool ScenarioChoice::on_floor(std::size_t scenario) const {
+bool ScenarioChoice::does_without_gone(std::size_t scenario) const {
   for (std::size_t x = 0; x < gone_.size(); ++x)
-    if (gone_[x] != 0 && !does_without(scenario, x)) return false;
-  return (asked_ < 0 || covers_[scenario][static_cast<std::size_t>(asked_)] != 0) &&
+    if (gone_[x] != 0 && lost_[scenario][x] == 0) return false;
+  return true;
+}
+
+bool ScenarioChoice::on_floor(std::size_t scenario) const {
+  return does_without_gone(scenario) &&
+         (asked_ < 0 || covers_[scenario][static_cast<std::size_t>(asked_)] != 0) &&
          (expected_ < 0 || covers_[scenario][static_cast<std::size_t>(expected_)] != 0);
 }
 

@@ -85,9 +85,7 @@ class ScenarioChoice {
     Evidence worst = {};  ///< by that
     double excess = 0;    ///< of all XNodes, what is above 1
   };
-  [[nodiscard]] bool does_without(std::size_t scenario, std::size_t xpu) const {
-    return lost_[scenario][xpu] != 0;
-  }
+  [[nodiscard]] bool does_without_gone(std::size_t scenario) const;
   [[nodiscard]] bool on_floor(std::size_t scenario) const;
   [[nodiscard]] bool fits(std::size_t scenario, std::int64_t margin_pct) const;
   [[nodiscard]] Passed passed(std::size_t scenario) const;

@@ -249,11 +249,12 @@ TEST_F(ChoiceTest, RandomRunsKeepTheConditions) {
         seen.type == 0 ? cpu[static_cast<std::size_t>(s)] : gpu[static_cast<std::size_t>(s)];
     return seen.ns * 100 <= nominal_ns[seen.xnode][seen.type] * pct;
   };
-  std::uint64_t escalations = 0, backs = 0, outsides = 0;
+  std::uint64_t escalations = 0, backs = 0, outsides = 0, losses = 0;
   for (int round = 0; round < 300; ++round) {
     ScenarioChoice choice = make();
     std::vector<Seen> seen;
     int asked = -1, expected = -1;
+    bool gpu_gone = false;
     std::int64_t now = 0;
     for (int step = 0; step < 200; ++step) {
       now += draw(1, 20) * kMilli;
@@ -264,9 +265,23 @@ TEST_F(ChoiceTest, RandomRunsKeepTheConditions) {
         const std::int64_t ns =
             nominal_ns[xnode][type] * draw(50, draw(0, 30) == 0 ? 230 : 100) / 100;
         choice.saw(table, static_cast<std::size_t>(xnode), ns);
-        seen.push_back({now, ns, xnode, type});
+        if (type == 0 || !gpu_gone) seen.push_back({now, ns, xnode, type});
       }
-      if (draw(0, 40) == 0) choice.ask(asked = static_cast<int>(draw(-1, 4)));
+      if (draw(0, 60) == 0) {
+        // b is on the CPU, which no scenario does without.
+        const int xnode = static_cast<int>(draw(0, 1));
+        choice.hung(table, static_cast<std::size_t>(xnode));
+        if (xnode == 0 && table == 0) {
+          losses += gpu_gone ? 0 : 1;
+          gpu_gone = true;
+          std::erase_if(seen, [](const Seen& s) { return s.type == 1; });
+        }
+      }
+      if (draw(0, 40) == 0) {
+        const int wish = static_cast<int>(draw(-1, 4));
+        gpu_gone = gpu_gone && wish == asked;
+        choice.ask(asked = wish);
+      }
       if (draw(0, 40) == 0) choice.expect(expected = static_cast<int>(draw(-1, 3)));
       const int before = choice.now().scenario;
       choice.decide(now);
@@ -276,7 +291,8 @@ TEST_F(ChoiceTest, RandomRunsKeepTheConditions) {
       // Of the last dwell; older ones may or may not count still.
       const auto recent = [&](const Seen& s) { return now - s.at < kDwell; };
       const auto good = [&](int s) {
-        return (asked < 0 || covered(asked, s)) && (expected < 0 || covered(expected, s)) &&
+        return (!gpu_gone || s == kNoGpu) && (asked < 0 || covered(asked, s)) &&
+               (expected < 0 || covered(expected, s)) &&
                std::all_of(seen.begin(), seen.end(),
                            [&](const Seen& one) { return !recent(one) || fits(s, one); });
       };
@@ -284,7 +300,8 @@ TEST_F(ChoiceTest, RandomRunsKeepTheConditions) {
         ++outsides;
         // Nothing that anybody has seen so far would do.
         const auto ever = [&](int s) {
-          return (asked < 0 || covered(asked, s)) && (expected < 0 || covered(expected, s)) &&
+          return (!gpu_gone || s == kNoGpu) && (asked < 0 || covered(asked, s)) &&
+                 (expected < 0 || covered(expected, s)) &&
                  std::all_of(seen.begin(), seen.end(),
                              [&](const Seen& one) { return fits(s, one); });
         };
@@ -299,6 +316,7 @@ TEST_F(ChoiceTest, RandomRunsKeepTheConditions) {
   EXPECT_GT(escalations, 100u);
   EXPECT_GT(backs, 100u);
   EXPECT_GT(outsides, 100u);
+  EXPECT_GT(losses, 100u);
 }
 
 }  // namespace
