@@ -22,46 +22,22 @@
 
 #include <opencv2/core/utility.hpp>
 #include <opencv2/imgcodecs.hpp>
-#include <opencv2/videoio.hpp>
 
 #include <xauto/xauto.h>
 
 #include "opencl.h"
 #include "stages.h"
+#include "video.h"
 
 namespace {
 
 using namespace std::chrono_literals;
 using namespace pedestrians;
 using xauto::XPU;
-using Jpeg = std::vector<std::byte>;
 
 const XPU kOpenCl("opencl");
 constexpr int kPathFrames = 12;
 constexpr std::uint64_t kShownFrame = 55;  ///< the one that is annotated, or the last one before it
-
-/// The video as JPEG frames, one after the other; from the start again at its end.
-class Video {
- public:
-  explicit Video(const std::string& path) : path_(path), capture_(path) {
-    if (!capture_.isOpened()) throw std::runtime_error(path + ": cannot be opened as a video");
-  }
-  Jpeg frame(std::uint64_t) {
-    cv::Mat image;
-    if (!capture_.read(image)) {
-      capture_.open(path_);
-      if (!capture_.read(image)) throw std::runtime_error(path_ + ": has no frames");
-    }
-    std::vector<unsigned char> bytes;
-    cv::imencode(".jpg", image, bytes, {cv::IMWRITE_JPEG_QUALITY, 95});
-    const auto* data = reinterpret_cast<const std::byte*>(bytes.data());
-    return {data, data + bytes.size()};
-  }
-
- private:
-  std::string path_;
-  cv::VideoCapture capture_;
-};
 
 struct Image {
   cv::Mat colour;
@@ -209,9 +185,9 @@ int main(int argc, char** argv) {
   std::map<std::uint64_t, cv::Mat> shown;
 
   xauto::App app("pedestrians");
-  app.add_source(frames, 150ms, [&, video](std::uint64_t number) {
+  app.add_source(frames, 150ms, [&, video](std::uint64_t) {
     if (!*video) video->emplace(argv[1]);
-    return (*video)->frame(number);
+    return (*video)->frame();
   });
   app.add_module(in)
       .add_module(hog)

@@ -22,12 +22,12 @@
 #include <opencv2/core/utility.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
-#include <opencv2/videoio.hpp>
 
 #include <xauto/onnx.h>
 #include <xauto/xauto.h>
 
 #include "../pedestrians/stages.h"
+#include "../pedestrians/video.h"
 #include "nets.h"
 
 namespace {
@@ -35,9 +35,10 @@ namespace {
 using namespace std::chrono_literals;
 using namespace perception;
 using pedestrians::Detection;
+using pedestrians::Jpeg;
 using pedestrians::Track;
+using pedestrians::Video;
 using xauto::XPU;
-using Jpeg = std::vector<std::byte>;
 
 /// Frames of which a run leaves pictures.
 constexpr std::uint64_t kShown[] = {3, 12, 25};
@@ -79,29 +80,6 @@ xauto::onnx::Model line_model(const std::string& folder, const Variant& net) {
           .outputs = {tensor<float>("scores", {1, half, half, 1}),
                       tensor<float>("offsets", {1, half, half, 4})}};
 }
-
-/// The video as JPEG frames, one after the other; from the start again at its end.
-class Video {
- public:
-  explicit Video(const std::string& path) : path_(path), capture_(path) {
-    if (!capture_.isOpened()) throw std::runtime_error(path + ": cannot be opened as a video");
-  }
-  Jpeg frame() {
-    cv::Mat image;
-    if (!capture_.read(image)) {
-      capture_.open(path_);
-      if (!capture_.read(image)) throw std::runtime_error(path_ + ": has no frames");
-    }
-    std::vector<unsigned char> bytes;
-    cv::imencode(".jpg", image, bytes, {cv::IMWRITE_JPEG_QUALITY, 95});
-    const auto* data = reinterpret_cast<const std::byte*>(bytes.data());
-    return {data, data + bytes.size()};
-  }
-
- private:
-  std::string path_;
-  cv::VideoCapture capture_;
-};
 
 struct Image {
   cv::Mat colour;

@@ -5,12 +5,15 @@
 
 #include <cstddef>
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <utility>
 
 #include <cuda.h>
 
 #include <xauto/result.h>
+#include <xauto/xnode.h>
+#include <xauto/xpu.h>
 
 /// CUDA contexts: cuda.h.
 namespace xauto::cuda {
@@ -87,5 +90,20 @@ class Context {
   CUcontext context_ = nullptr;
   CUstream stream_ = nullptr;
 };
+
+namespace detail {
+
+/// The `init` of an XNode that owns a Session of `model`, on the device of the XPU instance's index.
+template <class Session, class Model>
+[[nodiscard]] auto loader(Model model) {
+  return [model = std::move(model)](const XpuId& xpu) {
+    Result<std::unique_ptr<Session>> session = Session::open(model, xpu.index);
+    if (!session) throw std::runtime_error(session.error().to_string());
+    const SchedHandle handle = session.value()->handle();
+    return own(std::move(session).value(), handle);
+  };
+}
+
+}  // namespace detail
 
 }  // namespace xauto::cuda

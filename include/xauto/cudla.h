@@ -9,7 +9,6 @@
 #include <cstdint>
 #include <memory>
 #include <span>
-#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -19,7 +18,6 @@
 #include <xauto/cuda.h>
 #include <xauto/result.h>
 #include <xauto/tensor.h>
-#include <xauto/xnode.h>
 #include <xauto/xpu.h>
 
 /// XNodes from DLA loadables: cudla.h.
@@ -271,12 +269,7 @@ class Session {
 /// The `init` of an XNode that runs a loadable on a DLA; its exec gets the Session, as with onnx::load(). The
 /// XPU instance's index is the DLA's.
 [[nodiscard]] inline auto load(Model model) {
-  return [model = std::move(model)](const XpuId& xpu) {
-    Result<std::unique_ptr<Session>> session = Session::open(model, xpu.index);
-    if (!session) throw std::runtime_error(session.error().to_string());
-    const SchedHandle handle = session.value()->handle();
-    return own(std::move(session).value(), handle);
-  };
+  return cuda::detail::loader<Session>(std::move(model));
 }
 
 }  // namespace xauto::dla

@@ -11,7 +11,6 @@
 #include <memory>
 #include <mutex>
 #include <span>
-#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -21,7 +20,6 @@
 #include <xauto/cuda.h>
 #include <xauto/result.h>
 #include <xauto/tensor.h>
-#include <xauto/xnode.h>
 #include <xauto/xpu.h>
 
 /// XNodes from TensorRT plans: tensorrt.h.
@@ -251,12 +249,7 @@ class Session {
 /// The `init` of an XNode that runs a plan on a GPU; its exec gets the Session, as with onnx::load(). The
 /// XPU instance's index is the GPU's.
 [[nodiscard]] inline auto load(Model model) {
-  return [model = std::move(model)](const XpuId& xpu) {
-    Result<std::unique_ptr<Session>> session = Session::open(model, xpu.index);
-    if (!session) throw std::runtime_error(session.error().to_string());
-    const SchedHandle handle = session.value()->handle();
-    return own(std::move(session).value(), handle);
-  };
+  return cuda::detail::loader<Session>(std::move(model));
 }
 
 }  // namespace xauto::tensorrt
