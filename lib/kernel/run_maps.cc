@@ -190,10 +190,11 @@ Result<RunMaps> RunMaps::create(const std::string& run, std::uint32_t xnodes, st
   maps.maps_ = std::move(*loaded);
   XAUTO_TRY(maps.map_all(true));
   auto& head = *maps.head_.as<xauto_bpf_head>();
-  head.abi = XAUTO_BPF_ABI;
   head.xnodes = rows;
   head.slots = slots;
   head.owner = static_cast<__u64>(getpid());
+  // Last: who opens the maps meanwhile reads 0, and knows that they are not ready.
+  __atomic_store_n(&head.abi, XAUTO_BPF_ABI, __ATOMIC_RELEASE);
   maps.xnodes_ = xnodes;
   return maps;
 }
@@ -237,9 +238,11 @@ Result<RunMaps> RunMaps::open(const std::string& run, bool writes) {
   }
   XAUTO_TRY(maps.map_all(writes));
   const xauto_bpf_head& head = maps.head();
-  if (head.abi != XAUTO_BPF_ABI)
+  const auto abi = __atomic_load_n(&head.abi, __ATOMIC_ACQUIRE);
+  if (abi == 0) return fail(ErrorCode::kNotFound, "the run is just starting", folder(run));
+  if (abi != XAUTO_BPF_ABI)
     return fail(ErrorCode::kInvalid,
-                "maps of layout " + std::to_string(head.abi) + ", this program knows layout " +
+                "maps of layout " + std::to_string(abi) + ", this program knows layout " +
                     std::to_string(XAUTO_BPF_ABI),
                 folder(run), "use one version of XAuto for all");
   if (head.xnodes == 0 || head.xnodes > XAUTO_BPF_MAX_XNODES || head.slots == 0 ||

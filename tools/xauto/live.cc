@@ -249,7 +249,7 @@ Result<Live> observe(const std::string& run, int wait_s, const kernel::TracerOpt
                   XAUTO_BPF_ROOT, "start `xauto run ...` as root, then this, or see --wait-s");
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
   }
-  // The folder is there before its last file.
+  // The folder is there before its last file, and that before the maps are filled.
   Result<kernel::RunMaps> maps = kernel::RunMaps::open(name);
   for (int again = 0; again < 50 && !maps && maps.error().code == ErrorCode::kNotFound; ++again) {
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
