@@ -1,22 +1,34 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the machine says of its clocks and modes: the files that scenarios name (Scenario::when). Read on
-// a thread of its own, which no release waits for: a clock changes in milliseconds, and a file in
-// /sys or /proc tells nobody that it has changed.
+// What the machine says of its clocks and modes: the files that scenarios name (Scenario::when). And
+// the thread that reads them, on which it is also seen that an assumption is wrong. No release waits
+// for it, and it waits for none.
+//
+// When the files are read:
+//   by the clock   a clock's file in /sys tells nobody that it has changed. Not more often than such
+//                  clocks change: nvgpu's governor decides every 25 ms
+//   inotify        what programs write (nvpmodel's status) shows at once
+//   a job          that is too long may be the first sign of a clock that has fallen
 #pragma once
 
 #include <atomic>
 #include <cstdint>
 #include <functional>
-#include <memory>
+#include <map>
 #include <optional>
 #include <string>
+#include <thread>
+#include <vector>
 
+#include "base/unique_fd.h"
 #include "model/tables.h"
-#include "runtime/watch.h"
 
 namespace xauto::runtime {
 
-inline constexpr std::int64_t kConditionsNs = 50'000'000;  ///< between two looks
+/// Between two reads by the clock.
+inline constexpr std::int64_t kReadOftenNs = 25'000'000, kReadSeldomNs = 50'000'000;
+/// Of releases so far apart (0: nobody says): three quarters of a period where those limits allow it,
+/// so that what has changed is known within a period.
+[[nodiscard]] std::int64_t read_every_ns(std::int64_t period_ns);
 
 /// Whether the scenario's conditions hold; nullopt: it has none, or a file cannot be read. `read`: a
 /// file's text; nullopt: it cannot be read.
@@ -33,22 +45,51 @@ struct Machine {
 /// that have conditions the one with the greatest: the machine is slower than where it was measured.
 [[nodiscard]] Machine machine_in(const Tables& tables, const ReadText& read);
 
-/// The first file of a condition that cannot be read: its scenario counts as one without conditions.
-[[nodiscard]] std::optional<std::string> unreadable(const Tables& tables, const ReadText& read);
+/// Tells when somebody writes, replaces or removes one of some files. Sees what programs do, and not
+/// what the kernel does to its own files. Threads: one.
+class FileChanges {
+ public:
+  explicit FileChanges(const std::vector<std::string>& paths);
+  /// Readable when there is something to take; -1: the system has no inotify to give.
+  [[nodiscard]] int fd() const { return inotify_.get(); }
+  /// Takes what has happened since. True: one of the files may say something else.
+  [[nodiscard]] bool take();
+
+ private:
+  UniqueFd inotify_;
+  std::map<int, std::vector<std::string>> names_;  ///< folder's watch -> names in it
+};
 
 /// Threads: any.
 class ConditionWatch {
  public:
-  /// `tables` outlive it. Without conditions nothing is read, and there is no thread. Warns of a file
-  /// that cannot be read: a profile of root's may name some that others cannot.
-  explicit ConditionWatch(const Tables& tables);
+  struct Timing {
+    std::int64_t read_ns = kReadSeldomNs;
+    std::int64_t glance_ns = kReadSeldomNs;
+  };
+  /// Asked every `glance_ns`, and whenever files were read, on the watch's thread: whether jobs show that
+  /// the scenario in force is not the machine's.
+  using Glance = std::function<bool(const Machine& machine)>;
+  /// `tables` outlive it. Without conditions nothing is read. Warns of a file that cannot be read, once
+  /// of each: a profile of root's may name some that others cannot.
+  ConditionWatch(const Tables& tables, const Timing& timing, Glance glance);
+  ~ConditionWatch();
+  ConditionWatch(const ConditionWatch&) = delete;
+  ConditionWatch& operator=(const ConditionWatch&) = delete;
   [[nodiscard]] Machine now() const;
 
  private:
+  void read();
+  void watch(std::int64_t since_ns);
+
   const Tables& tables_;
-  std::atomic<int> scenario_{-1};
-  std::atomic<bool> outside_{false};
-  std::unique_ptr<Watchdog> thread_;  ///< last: it uses the others
+  const Timing timing_;
+  const Glance glance_;
+  std::vector<std::string> files_;      ///< of all conditions, each once
+  std::vector<char> warned_;            ///< [file]
+  std::atomic<std::uint64_t> machine_;  ///< both members of Machine, which belong together
+  UniqueFd quit_;                       ///< eventfd
+  std::thread thread_;                  ///< last: it uses the others
 };
 
 }  // namespace xauto::runtime

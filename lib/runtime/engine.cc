@@ -102,6 +102,7 @@ void Engine::note_chain_ends() {
 
 Engine::~Engine() {
   app_.modes->bind(nullptr);
+  releaser_.reset();  // its watch looks at the workers, and at the role's board
   hangs_.reset();
   if (wiring_) wiring_->join();  // until then its threads need the role
   role_.reset();                 // and until then its threads need the wiring
@@ -169,6 +170,7 @@ void Engine::stop_workers() {
     add_note(left_behind_, text);
   }
   hangs_->stop();
+  if (releaser_) releaser_->stop_watch();
 }
 
 /// What this process has to tell, apart from counts.

@@ -44,6 +44,10 @@ class Releaser {
   /// Of app.json's sources, what did not come as it states, and what was outside of every scenario; a
   /// line each, after `run`.
   [[nodiscard]] std::vector<std::string> broken() const;
+  /// No job runs any more: the last look at what tables take for granted. Before `broken` and `report`.
+  void stop_watch() {
+    if (tables_) tables_->stop_watch();
+  }
   /// Scenarios and switches of a run with tables.
   void report(RunReport& into) const {
     if (tables_) tables_->report(into);

@@ -203,6 +203,17 @@ void ScenarioChoice::lose(int scenario, std::int64_t now_ns) {
   now_.xpu = hung.xpu;
 }
 
+bool ScenarioChoice::holds() const {
+  const auto current = static_cast<std::size_t>(now_.scenario);
+  return on_floor(current) && fits(current, 0);
+}
+
+Choice ScenarioChoice::foresee(std::int64_t now_ns) const {
+  ScenarioChoice next = *this;
+  next.decide(now_ns);
+  return next.now();
+}
+
 bool ScenarioChoice::decide(std::int64_t now_ns) {
   const int before = now_.scenario;
   const auto current = static_cast<std::size_t>(before);

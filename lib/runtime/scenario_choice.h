@@ -70,6 +70,10 @@ class ScenarioChoice {
   void saw(int table, std::size_t xnode, std::int64_t ns);
   /// A job of `xnode` does not return from where `table` places it.
   void hung(int table, std::size_t xnode);
+  /// Whether what is in force still covers all that is known: nothing that was seen passes it.
+  [[nodiscard]] bool holds() const;
+  /// What `decide` would say now.
+  [[nodiscard]] Choice foresee(std::int64_t now_ns) const;
   /// What shall be in force from now on. True: that is another scenario than before.
   bool decide(std::int64_t now_ns);
   [[nodiscard]] const Choice& now() const { return now_; }

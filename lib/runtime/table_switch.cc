@@ -22,6 +22,8 @@ ChoiceOptions options_of(const Deployment& deployment) {
   return options;
 }
 
+constexpr std::int64_t kGlanceOftenNs = 1'000'000, kGlanceSeldomNs = 4'000'000;
+
 /// Where some XPUs of a type are emulated, all of them are judged as such.
 bool emulates_type(const Session& session, const std::string& type) {
   const std::vector<int> all = session.platform.instances_of(type);
@@ -52,7 +54,6 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, const Led
             return watched_ns(wcet_us, emulated) + (emulated ? kEmulatorStallUs * 1000 : 0);
           },
           options_of(context.session.deployment)),
-      conditions_(tables_),
       node_of_(context.session.app.xnodes.size()),
       hangs_(context.session.app.xnodes.size()),
       table_(choice_.now().table),
@@ -75,10 +76,16 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, const Led
     if (session.emulates()) line.allowed_us += line.worst_case_us * kEmulatorPct / 100;
   }
   put(0, table_);
+  // A job that is too long is found in the same period; what is in memory costs nothing to look at.
+  const std::int64_t glance_ns = std::clamp(period_ns_ / 8, kGlanceOftenNs, kGlanceSeldomNs);
+  conditions_ = std::make_unique<ConditionWatch>(
+      tables_, ConditionWatch::Timing{read_every_ns(period_ns_), glance_ns},
+      [this](const Machine& machine) { return glance(machine); });
 }
 
-/// What jobs took since the last look, and how long those that run have taken so far.
-void TableSwitch::look() {
+/// What jobs took since the last look, and how long those that run have taken so far; what people and
+/// the machine's files say.
+void TableSwitch::look(const Machine& machine) {
   const std::int64_t now = now_ns();
   for (const auto& worker : wiring_.workers()) worker->tell_time(now);
   for (std::size_t x = 0; x < node_of_.size(); ++x) {
@@ -91,31 +98,64 @@ void TableSwitch::look() {
       choice_.hung(table_, x);
     }
   }
+  choice_.ask(static_cast<int>(context_.board.header().asked.load()) - 1);
+  choice_.expect(machine.scenario);
+}
+
+bool TableSwitch::glance(const Machine& machine) {
+  std::vector<std::string> said;
+  bool holds = true;
+  {
+    const Guard lock(mutex_);
+    look(machine);
+    holds = choice_.holds();
+    said = outside(holds ? choice_.now() : choice_.foresee(now_ns()), machine);
+  }
+  for (const std::string& text : said) log::error("{} (further times are only counted)", text);
+  return !holds;
+}
+
+void TableSwitch::stop_watch() {
+  if (conditions_ == nullptr) return;
+  const Machine machine = conditions_->now();
+  conditions_.reset();
+  (void)glance(machine);
+}
+
+/// What shall be in force, and the table that is. What no scenario covers is said here where the watch
+/// has not seen it.
+std::pair<Choice, int> TableSwitch::choose() {
+  std::vector<std::string> said;
+  std::pair<Choice, int> chosen;
+  {
+    const Machine machine = conditions_->now();
+    const Guard lock(mutex_);
+    look(machine);
+    choice_.decide(now_ns());
+    chosen = {choice_.now(), table_};
+    said = outside(chosen.first, machine);
+  }
+  for (const std::string& text : said) log::error("{} (further times are only counted)", text);
+  return chosen;
 }
 
 bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& drained) {
   const std::int64_t since = now_ns();
   const int from = scenario_;
-  const auto choose = [&] {
-    look();
-    choice_.ask(static_cast<int>(context_.board.header().asked.load()) - 1);
-    choice_.expect(conditions_.now().scenario);
-    return choice_.decide(now_ns());
-  };
-  choose();
+  const auto [first, table] = choose();
   std::int64_t held_ns = 0;
-  if (choice_.now().table != table_ || catches_up_) {
+  if (first.table != table || catches_up_) {
     if (!drained()) {
       if (!std::exchange(stuck_, true))
         log::error("what is in flight does not end, so releases keep table '{}'",
-                   tables_.tables[static_cast<std::size_t>(table_)].name);
+                   tables_.tables[static_cast<std::size_t>(table)].name);
       return true;
     }
     stuck_ = false;
     held_ns = now_ns() - since;
-    choose();  // what was in flight may have taken longer still
   }
-  const Choice& choice = choice_.now();
+  // What was in flight may have taken longer still.
+  const Choice choice = held_ns > 0 ? choose().first : first;
   SwitchReport change;
   const bool lost = choice.why == Why::kLost && choice.xpu != std::exchange(lost_, choice.xpu);
   const bool changed = choice.scenario != from || lost;
@@ -126,11 +166,8 @@ bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& dra
   const bool waited = held_ns > kNothingNs;
   const auto now_in = static_cast<std::size_t>(choice.scenario);
   catches_up_ = waited && tables_.serves[now_in].worst_case_us * 1000 <= period_ns_;
-  if (choice.table != table_) put(release, choice.table);
-  if (!changed) {
-    tell_outside(choice);
-    return waited;
-  }
+  if (choice.table != table) put(release, choice.table);
+  if (!changed) return waited;
   change.release = release;
   change.from = tables_.scenarios[static_cast<std::size_t>(from)].name;
   change.to = tables_.scenarios[now_in].name;
@@ -166,6 +203,7 @@ void TableSwitch::put(std::uint64_t release, int table) {
   header.before.store(header.in_force.load());
   header.in_force.store(in_force(release, static_cast<std::uint32_t>(table)));
   if (release > 0) header.switches.fetch_add(1);
+  const Guard lock(mutex_);
   table_ = table;
 }
 
@@ -208,43 +246,45 @@ void TableSwitch::tell(SwitchReport change, const Choice& choice) {
   ++num_switches_;
   switches_.push_back(std::move(change));
   if (switches_.size() > kKeptSwitches) switches_.pop_front();
-  tell_outside(choice);
 }
 
-/// A wrong assumption is said when it shows, and counted.
-void TableSwitch::tell_outside(const Choice& choice) {
-  BoardHeader& header = context_.board.header();
-  const auto count = [](Outside& outside, std::atomic<std::uint64_t>& shown,
-                        const std::string& text) {
+/// Counts how often it came to that. Returns what is to be said: each kind the first time.
+std::vector<std::string> TableSwitch::outside(const Choice& choice, const Machine& machine) {
+  std::vector<std::string> said;
+  const auto count = [&](Outside& outside, bool is, std::atomic<std::uint64_t>& shown,
+                         const auto& words) {
+    if (std::exchange(outside.is, is) || !is) return;
     shown.fetch_add(1, std::memory_order_relaxed);
     if (outside.times++ > 0) return;
-    outside.first = text;
-    log::error("{} (further times are only counted)", text);
+    outside.first = words();
+    said.push_back(outside.first);
   };
-  const bool outside = choice.why == Why::kOutside;
-  if (outside && choice.xnode >= 0)
-    count(jobs_, header.outside_jobs,
-          fmt::format("outside of every scenario: {} under '{}', which is passed by least",
-                      words_of(choice),
-                      tables_.scenarios[static_cast<std::size_t>(choice.scenario)].name));
-  if (outside && choice.xnode < 0 && !outside_)
-    count(jobs_, header.outside_jobs,
-          "no scenario covers both what is asked for and what the machine's clocks say; the "
-          "clocks decide");
-  outside_ = outside;
-  if (conditions_.now().outside)
-    count(
-        clocks_, header.outside_clocks,
-        fmt::format("the machine's clocks and modes are those of no scenario; '{}' is the "
-                    "least that counts",
-                    tables_.scenarios[static_cast<std::size_t>(conditions_.now().scenario)].name));
+  BoardHeader& header = context_.board.header();
+  const auto name = [&](int scenario) -> const std::string& {
+    return tables_.scenarios[static_cast<std::size_t>(scenario)].name;
+  };
+  count(clocks_, machine.outside, header.outside_clocks, [&] {
+    return fmt::format(
+        "the machine's clocks and modes are those of no scenario; '{}' is the least that counts",
+        name(machine.scenario));
+  });
+  count(jobs_, choice.why == Why::kOutside, header.outside_jobs, [&] {
+    if (choice.xnode >= 0)
+      return fmt::format("outside of every scenario: {} under '{}', which is passed by least",
+                         words_of(choice), name(choice.scenario));
+    return std::string(
+        "no scenario covers both what is asked for and what the machine's clocks say; the clocks "
+        "decide");
+  });
+  return said;
 }
 
 bool TableSwitch::too_late(std::int64_t now_ns, std::int64_t due_ns) const {
   return catches_up_ && now_ns - due_ns > period_ns_ + longest_delay_ns_;
 }
 
-std::vector<std::string> TableSwitch::broken() const {
+std::vector<std::string> TableSwitch::broken() {
+  const Guard lock(mutex_);
   std::vector<std::string> lines;
   for (const Outside* outside : {&jobs_, &clocks_})
     if (outside->times > 0)

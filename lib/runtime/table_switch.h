@@ -12,8 +12,9 @@
 // One that is later than a period and the longest such delay is not released at all: it is lost, and
 // counted.
 //
-// A job that runs too long is seen by the next release, which is the first that can have another table.
-// In another process its watchdog tells (HangWatch).
+// A job that runs too long decides for the next release, which is the first that can have another table.
+// In another process its watchdog tells (HangWatch). That no scenario covers it is said at once, by the
+// watch's thread (ConditionWatch), which asks the same choice.
 #pragma once
 
 #include <cstdint>
@@ -21,10 +22,12 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <xauto/result.h>
 
+#include "base/pi_mutex.h"
 #include "runtime/condition_watch.h"
 #include "runtime/context.h"
 #include "runtime/ledger.h"
@@ -34,7 +37,7 @@
 
 namespace xauto::runtime {
 
-/// Threads: one, that of the releases, then that of the report.
+/// Threads: one, that of the releases, then that of the report; and its own.
 class TableSwitch {
  public:
   /// Null in a run without tables. Errors: the app has several rates.
@@ -48,18 +51,24 @@ class TableSwitch {
   /// A release that should have been at `due_ns` is so late at `now_ns` that it is left out.
   [[nodiscard]] bool too_late(std::int64_t now_ns, std::int64_t due_ns) const;
 
-  /// After the last release has ended.
+  /// No job runs any more: looks for the last time, and ends the watch. Idempotent.
+  void stop_watch();
+  /// After the last release has ended, and the watch.
   void report(RunReport& into);
   /// What was outside of every scenario, a line each; after the run.
-  [[nodiscard]] std::vector<std::string> broken() const;
+  [[nodiscard]] std::vector<std::string> broken();
 
  private:
   TableSwitch(const Context& context, const Wiring& wiring, const Ledger& ledger);
-  void look();
+  /// True: what is in force does not hold. On the watch's thread.
+  [[nodiscard]] bool glance(const Machine& machine);
+  void look(const Machine& machine) XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] std::pair<Choice, int> choose();
   void judge(std::uint64_t below, SwitchReport* change);
   void put(std::uint64_t release, int table);
   void tell(SwitchReport change, const Choice& choice);
-  void tell_outside(const Choice& choice);
+  [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const Machine& machine)
+      XAUTO_REQUIRES(mutex_);
   [[nodiscard]] const Change* change_of(int from, int to) const;
   [[nodiscard]] std::string words_of(const Choice& choice) const;
 
@@ -67,25 +76,28 @@ class TableSwitch {
   const Wiring& wiring_;
   const Ledger& ledger_;
   const Tables& tables_;
-  ScenarioChoice choice_;
-  ConditionWatch conditions_;
-  std::vector<std::size_t> node_of_;  ///< [XNode] -> graph node
-  std::vector<std::uint64_t> hangs_;  ///< [XNode] that were looked at
-  std::int64_t period_ns_ = 0;        ///< 0: none is stated
+  PiMutex mutex_;  ///< of the releases and the watch; nobody logs or waits under it
+  ScenarioChoice choice_ XAUTO_GUARDED_BY(mutex_);
+  std::vector<std::size_t> node_of_;                           ///< [XNode] -> graph node
+  std::vector<std::uint64_t> hangs_ XAUTO_GUARDED_BY(mutex_);  ///< [XNode] that were looked at
+  std::int64_t period_ns_ = 0;                                 ///< 0: none is stated
   std::int64_t longest_delay_ns_ = 0;
-  int table_ = 0;     ///< in force
+  int table_ XAUTO_GUARDED_BY(mutex_) = 0;  ///< in force
   int scenario_ = 0;  ///< the one that was told; the choice is ahead of it while a drain fails
   std::uint64_t judged_ = 0;  ///< releases whose latency is counted
   bool catches_up_ = false;   ///< the next release waits for the one before
-  bool outside_ = false, stuck_ = false;
+  bool stuck_ = false;
   int lost_ = -1;  ///< the XPU that was last told to be lost
   std::deque<SwitchReport> switches_;
   std::uint64_t num_switches_ = 0;
+  /// Of what no scenario covers.
   struct Outside {
+    bool is = false;
     std::uint64_t times = 0;
     std::string first;
   };
-  Outside jobs_, clocks_;
+  Outside jobs_ XAUTO_GUARDED_BY(mutex_), clocks_ XAUTO_GUARDED_BY(mutex_);
+  std::unique_ptr<ConditionWatch> conditions_;  ///< last: its thread uses the others
 };
 
 }  // namespace xauto::runtime

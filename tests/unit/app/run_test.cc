@@ -5,14 +5,17 @@
 #include <chrono>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
 #include <memory>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include <fcntl.h>
 #include <gtest/gtest.h>
 #include <signal.h>
 #include <sys/wait.h>
+#include <unistd.h>
 
 #include <xauto/emu.h>
 #include <xauto/xauto.h>
@@ -51,6 +54,7 @@ class Fixture {
     const auto exec = [this](Engine& engine, State& state, const Input& input) -> Status {
       state.value = input.get(camera);
       while (state.value == block_at) std::this_thread::sleep_for(1h);
+      while (busy) std::this_thread::sleep_for(1ms);
       if (engine.xpu.type == XPU::CPU) cpu = engine.xpu.index;
       return engine.context.run(100us);
     };
@@ -113,6 +117,7 @@ class Fixture {
   std::atomic<int> alive{0}, results{0}, sum{0};
   std::atomic<int> block_at{-1};  ///< the message whose exec never returns
   std::atomic<int> cpu{-1};       ///< where m2 ran last
+  std::atomic<bool> busy{false};  ///< an exec goes on
 };
 
 TEST(Run, TwiceInOneProcess) {
@@ -136,13 +141,15 @@ TEST(Run, TwiceInOneProcess) {
   }
 }
 
-/// "city": m2 on cpu0; "highway", all of it slower: on cpu1. WCETs that no stall of this machine passes.
+/// "city": m2 on cpu0; "highway", all of it slower: on cpu1. WCETs that no stall of this machine passes,
+/// unless others are given.
 class WithTables : public Fixture {
  public:
-  WithTables() : Fixture("a", true) {
+  explicit WithTables(std::int64_t wcet_us = 10'000'000, const std::vector<Condition>& when = {})
+      : Fixture("a", true) {
     AppSpec spec;
     spec.name = "fixture";
-    spec.xnodes = {{"m1", "M", {{"gpu", 10'000'000}}}, {"m2", "M", {{"cpu", 10'000'000}}}};
+    spec.xnodes = {{"m1", "M", {{"gpu", wcet_us}}}, {"m2", "M", {{"cpu", wcet_us}}}};
     spec.xnodes[0].sources = {0};
     spec.edges = {{0, 1}};
     spec.sources = {{"camera", {1000}}};
@@ -153,11 +160,12 @@ class WithTables : public Fixture {
     tables.app = spec.name;
     tables.app_hash = spec.hash();
     tables.platform = platform.name;
-    tables.scenarios = {{.name = "city"},
+    tables.scenarios = {{.name = "city", .when = when},
                         {.name = "highway", .wcet_scale_pct = {{"cpu", 200}, {"gpu", 200}}}};
     tables.tables = {{"near", {2, 0}, {2, 1}, {}}, {"far", {2, 1}, {2, 1}, {}}};
-    tables.serves = {{0, 20'000'000, 20'000'000}, {1, 40'000'000, 40'000'000}};
-    tables.changes = {{0, 1, 40'000'000, 39'999'000}, {1, 0, 40'000'000, 39'999'000}};
+    tables.serves = {{0, 2 * wcet_us, 2 * wcet_us}, {1, 4 * wcet_us, 4 * wcet_us}};
+    const std::int64_t delay_us = 4 * wcet_us - 1000;
+    tables.changes = {{0, 1, 4 * wcet_us, delay_us}, {1, 0, 4 * wcet_us, delay_us}};
     text = to_json(tables, spec, platform);
     with_tables = RunOptions()
                       .app(to_json(spec))
@@ -213,6 +221,78 @@ TEST(Run, TablesByWhatTheProgramAsksFor) {
                        one.at("why").text().value());
   EXPECT_EQ(switches, (std::vector<std::string>{"highway far asked", "city near asked"}));
   EXPECT_FALSE(f.app.request_mode("highway")) << "the run is over";
+}
+
+/// What this process says on stderr, as long as this lives.
+class Heard {
+ public:
+  Heard() : path_(::testing::TempDir() + "heard." + std::to_string(getpid())), before_(dup(2)) {
+    const int file = open(path_.c_str(), O_RDWR | O_CREAT | O_TRUNC | O_APPEND, 0600);
+    dup2(file, 2);
+    close(file);
+  }
+  ~Heard() {
+    dup2(before_, 2);
+    close(before_);
+    std::filesystem::remove(path_);
+  }
+  Heard(const Heard&) = delete;
+  Heard& operator=(const Heard&) = delete;
+  void wait_for(const std::string& words) const {
+    for (;; std::this_thread::sleep_for(1ms)) {
+      std::ifstream file(path_);
+      if (std::string(std::istreambuf_iterator<char>(file), {}).find(words) != std::string::npos)
+        return;
+    }
+  }
+
+ private:
+  std::string path_;
+  int before_;
+};
+
+TEST(Run, AJobOutsideOfEveryScenarioIsNamedWhileItRunsAndNoReleaseComes) {
+  WithTables f(20'000);
+  const Heard heard;
+  std::thread driver;
+  f.app.on_start([&] {
+    driver = std::thread([&] {
+      f.busy = true;
+      ASSERT_TRUE(f.source->publish(0));
+      heard.wait_for("outside of every scenario: XNode 'm1' had its XPU for ");
+      EXPECT_EQ(f.results, 0);
+      f.busy = false;
+      f.app.stop();
+    });
+  });
+  const auto report = f.app.run(f.with_tables);
+  driver.join();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(report->releases(), 1u);
+  EXPECT_NE(report->json().find("outside of every scenario: XNode 'm1'"), std::string::npos);
+}
+
+TEST(Run, AClockOfNoScenarioIsNamedThoughNoReleaseComes) {
+  const std::string clock = ::testing::TempDir() + "clock." + std::to_string(getpid());
+  std::ofstream(clock) << "900";
+  WithTables f(10'000'000, {{clock, 900, {}, {}}});
+  const Heard heard;
+  std::thread driver;
+  f.app.on_start([&] {
+    driver = std::thread([&] {
+      f.drive([&] { return f.results > 0; });
+      std::ofstream(clock) << "100";
+      heard.wait_for("the machine's clocks and modes are those of no scenario");
+      f.app.stop();
+    });
+  });
+  const auto report = f.app.run(f.with_tables);
+  driver.join();
+  std::filesystem::remove(clock);
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(report->releases(), 1u);
+  EXPECT_NE(report->json().find("those of no scenario; 'city' is the least"), std::string::npos)
+      << report->json();
 }
 
 TEST(Run, TablesOfAFileAndWhereTheyCannotBe) {

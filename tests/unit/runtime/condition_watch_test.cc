@@ -1,10 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// In which scenario the machine says it is: files that are here, in words.
+// In which scenario the machine says it is: files that are here in words; and how the watch hears of them,
+// with files in a folder.
 #include "runtime/condition_watch.h"
 
+#include <atomic>
+#include <chrono>
+#include <filesystem>
+#include <fstream>
 #include <map>
+#include <string>
+#include <thread>
 
 #include <gtest/gtest.h>
+#include <stdlib.h>
 
 namespace xauto::runtime {
 namespace {
@@ -56,16 +64,6 @@ TEST(Conditions, AllHaveToHoldAndNoneIsGuessed) {
   EXPECT_EQ(holds(when({}), files.reader()), std::nullopt);
 }
 
-TEST(Conditions, AFileThatCannotBeReadIsNamed) {
-  Files files;
-  Tables tables;
-  tables.scenarios = {when({}), when({{"/clock", 900, {}, {}}, {"/emc", 1, {}, {}}})};
-  files.text = {{"/clock", "1\n"}, {"/emc", "not even a number"}};
-  EXPECT_EQ(unreadable(tables, files.reader()), std::nullopt) << "whatever they say";
-  files.text.erase("/emc");
-  EXPECT_EQ(unreadable(tables, files.reader()), "/emc");
-}
-
 TEST(Conditions, TheLeastScenarioThatHoldsElseTheGreatestThatIsKnown) {
   Files files;
   Tables tables;
@@ -84,6 +82,98 @@ TEST(Conditions, TheLeastScenarioThatHoldsElseTheGreatestThatIsKnown) {
   EXPECT_TRUE(at("299").outside);
   EXPECT_EQ(at("fast").scenario, -1) << "nobody can tell";
   EXPECT_FALSE(at("fast").outside);
+}
+
+TEST(Conditions, FilesAreReadWithinAPeriodAndNotMoreOftenThanClocksChange) {
+  EXPECT_EQ(read_every_ns(0), kReadSeldomNs);
+  EXPECT_EQ(read_every_ns(100'000'000), kReadSeldomNs);
+  EXPECT_EQ(read_every_ns(1'000'000), kReadOftenNs);
+  for (std::int64_t period = 33'400'000; period < 200'000'000; period += 1'234'567)
+    EXPECT_LE(read_every_ns(period), period * 3 / 4);
+}
+
+/// A folder with one scenario's file, and what the watch sees of it.
+class Watched : public testing::Test {
+ protected:
+  Watched() {
+    std::string path = testing::TempDir() + "xauto-watch-XXXXXX";
+    folder_ = mkdtemp(path.data());
+    put("900");
+    tables_.scenarios = {when({{file(), 900, {}, {}}})};
+    tables_.serves = {{0, 10, 1}};
+  }
+  ~Watched() override { std::filesystem::remove_all(folder_); }
+  [[nodiscard]] std::string file() const { return folder_ + "/cur_freq"; }
+  void put(const std::string& text) const { std::ofstream(file()) << text; }
+  /// As programs do that want no reader to see half of it.
+  void replace(const std::string& text) const {
+    std::ofstream(file() + ".new") << text;
+    std::filesystem::rename(file() + ".new", file());
+  }
+  /// What the watch says, once it says something else than `before`.
+  static Machine next(const ConditionWatch& watch, bool outside) {
+    while (watch.now().outside != outside)
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    return watch.now();
+  }
+
+  std::string folder_;
+  Tables tables_;
+  static constexpr std::int64_t kNeverNs = 3'600'000'000'000;
+};
+
+TEST_F(Watched, WhatAProgramWritesShowsWithoutWaitingForTheClock) {
+  // Nothing but inotify can end these waits within the test's time limit.
+  const ConditionWatch watch(tables_, {kNeverNs, kNeverNs}, [](const Machine&) { return false; });
+  EXPECT_FALSE(watch.now().outside);
+  put("100");
+  EXPECT_EQ(next(watch, true).scenario, 0);
+  replace("900");
+  next(watch, false);
+  put("100");  // into the file that took its place
+  next(watch, true);
+}
+
+TEST_F(Watched, AFileOfTheKernelIsReadByTheClock) {
+  // What inotify does not see: here, since the file lies behind a link to another folder.
+  const std::string other = folder_ + "/other";
+  std::filesystem::create_directory(other);
+  std::filesystem::rename(file(), other + "/cur_freq");
+  std::filesystem::create_symlink(other + "/cur_freq", file());
+  const ConditionWatch watch(tables_, {1'000'000, kNeverNs}, [](const Machine&) { return false; });
+  put("100");
+  next(watch, true);
+}
+
+TEST_F(Watched, AJobThatIsTooLongHasTheFilesReadAtOnceAndIsToldWhatTheySay) {
+  const std::string other = folder_ + "/other";
+  std::filesystem::create_directory(other);
+  std::filesystem::rename(file(), other + "/cur_freq");
+  std::filesystem::create_symlink(other + "/cur_freq", file());
+  std::atomic<bool> too_long{false}, told{false};
+  std::atomic<int> glances{0};
+  const ConditionWatch watch(tables_, {kNeverNs, 1'000'000}, [&](const Machine& machine) {
+    ++glances;
+    if (machine.outside) told = true;
+    return too_long.load();
+  });
+  while (glances < 2) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  put("100");  // the first read is over, and no other is due
+  too_long = true;
+  EXPECT_TRUE(next(watch, true).outside);
+  while (!told) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+}
+
+TEST_F(Watched, OtherFilesOfTheFolderAreNobodysBusiness) {
+  FileChanges changes({file()});
+  ASSERT_GE(changes.fd(), 0);
+  std::ofstream(folder_ + "/else") << "1";
+  EXPECT_FALSE(changes.take());
+  put("1");
+  EXPECT_TRUE(changes.take());
+  EXPECT_FALSE(changes.take()) << "taken is taken";
+  std::filesystem::remove(file());
+  EXPECT_TRUE(changes.take());
 }
 
 }  // namespace
