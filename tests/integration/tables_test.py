@@ -198,6 +198,11 @@ class Tables(unittest.TestCase):
         done = xauto(*run, "--scheduling", "timeshare", "--", DRIVING)
         self.assertEqual(done.returncode, 2)
         self.assertIn("tables are scheduled", done.stderr)
+        golden = pathlib.Path(__file__).parents[1] / "golden"
+        done = xauto("solve", "--app", golden / "app-2.json", "--platform", "small", "--scenarios", self.folder / "scenarios.json",
+                     "--tables", 2)
+        self.assertEqual(done.returncode, 2)
+        self.assertIn("nothing bounds what a chain takes while one policy of keys takes the place of another", done.stderr)
         self.start()
         self.assertIn("there is no scenario 'highway'", self.mode("highway", status=2))
         self.end()

@@ -232,7 +232,12 @@ Result<int> solve_on_and_on(SolveFlags& flags, const AppSpec& app, const Options
 
 /// Several policies: --scenarios.
 Result<int> solve_tables(SolveFlags& flags, const AppSpec& app, const Options& options) {
-  XAUTO_TRY(require_version_1(app, flags.app));
+  if (app.version == 2)
+    return fail(
+        ErrorCode::kInvalid,
+        "is of version 2: nothing bounds what a chain takes while one policy of keys takes the "
+        "place of another",
+        "--scenarios, " + flags.app, "solve one policy, for the slowest scenario");
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
   XAUTO_TRY(read_objectives(flags));
   const solver::Objectives& asked = flags.options.objectives;
