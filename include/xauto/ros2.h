@@ -42,8 +42,8 @@ namespace detail {
 
 class Ros2Executor;
 
-/// A callback that is ready, on its way to its job. It is over when it was run, or when nobody holds it any
-/// more: the app may drop a release, whose job then never begins.
+/// A callback that is ready, on its way to its job. It is over when nobody holds it any more: the module's
+/// activation has ended, or the app has dropped the release, and its job never begins.
 class Ros2Ready {
  public:
   Ros2Ready(std::shared_ptr<Ros2Executor> gate, std::uint64_t number,
@@ -51,13 +51,12 @@ class Ros2Ready {
       : gate_(std::move(gate)), number_(number), work_(std::move(work)) {}
   Ros2Ready(const Ros2Ready&) = delete;
   Ros2Ready& operator=(const Ros2Ready&) = delete;
-  ~Ros2Ready() { end(); }
+  ~Ros2Ready();
 
   /// On the thread of the job, once.
   void run() const;
 
  private:
-  void end() const;
   std::shared_ptr<Ros2Executor> gate_;
   std::uint64_t number_;
   // Messages are const, and have one reader here: the gate's module.
@@ -203,15 +202,12 @@ class Ros2Executor final : public rclcpp::Executor {
 };
 
 inline void Ros2Ready::run() const {
-  struct AtEnd {
-    const Ros2Ready& ready;
-    ~AtEnd() { ready.end(); }
-  } const at_end{*this};  // also if the callback throws
-  gate_->execute(*work_);
+  // Given back here, also if the callback throws: who else ends a message may hold a lock of the runtime's.
+  const std::unique_ptr<rclcpp::AnyExecutable> work = std::move(work_);
+  gate_->execute(*work);
 }
 
-inline void Ros2Ready::end() const {
-  if (work_ == nullptr) return;
+inline Ros2Ready::~Ros2Ready() {
   // First: the end of an AnyExecutable gives its callback group back, and the gate may only then ask for more.
   work_.reset();
   gate_->over(number_);

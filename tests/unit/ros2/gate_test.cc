@@ -209,6 +209,19 @@ TEST_F(Ros2GateTest, AReentrantGroupIsReleasedOncePerMessageAndOneAtATime) {
   EXPECT_EQ(gate.counts().released, 8u);  // the wait set was ready all the time
 }
 
+TEST_F(Ros2GateTest, TheModuleIsFreeWhenTheNextMessageIsReleased) {
+  const auto adder = std::make_shared<Adder>();
+  Ros2Gate gate(app, "gate", 1us);
+  gate.add_node(adder);
+  for (int k = 0; k < 60; ++k) send(k);
+  start(options(1).overload("skip"));  // what comes while it is not free would be dropped
+  await([&] { return adder->calls == 60; });
+  const auto& report = finish();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(report->results("gate"), 60u) << report->json();
+  EXPECT_EQ(gate.counts().released, 60u);
+}
+
 TEST_F(Ros2GateTest, TimersAreJobsToo) {
   const auto node = std::make_shared<rclcpp::Node>("timer");
   std::atomic<int> ticks{0};
@@ -289,6 +302,63 @@ TEST_F(Ros2GateTest, ACallbackThatIsUnderWayAtTheStopEnds) {
   ASSERT_TRUE(report) << report.error().to_string();
   EXPECT_EQ(report->results("gate"), 1u) << report->json();
   EXPECT_EQ(adder->numbers, std::vector<int>{7});
+}
+
+TEST_F(Ros2GateTest, WhatWasReleasedBeforeTheStopRunsAfterIt) {
+  const auto adder = std::make_shared<Adder>();
+  const auto executor = std::make_shared<detail::Ros2Executor>(rclcpp::ExecutorOptions(), 1us);
+  executor->add_node(adder->get_node_base_interface());
+  std::unique_ptr<detail::Ros2Ready> ready;  // the app, in which the job waits to begin
+  Door released;
+  executor->publish_by([&](std::uint64_t number, std::unique_ptr<rclcpp::AnyExecutable> work) {
+    ready = std::make_unique<detail::Ros2Ready>(executor, number, std::move(work));
+    released.open();
+    return Status();
+  });
+  executor->start([] {});
+  send(5);
+  released.pass();
+  executor->stop();
+  EXPECT_EQ(adder->calls, 0);
+  ready->run();
+  EXPECT_EQ(adder->numbers, std::vector<int>{5});
+  ready.reset();
+  executor->publish_by(nullptr);
+}
+
+TEST_F(Ros2GateTest, WhatTheAppDoesNotTakeIsCountedAndAMessageStays) {
+  const auto adder = std::make_shared<Adder>();
+  const auto executor = std::make_shared<detail::Ros2Executor>(rclcpp::ExecutorOptions(), 1us);
+  executor->add_node(adder->get_node_base_interface());
+  std::atomic<int> tries{0};
+  executor->publish_by([&](std::uint64_t number, std::unique_ptr<rclcpp::AnyExecutable> work) {
+    const detail::Ros2Ready ready(executor, number, std::move(work));
+    if (++tries < 3) return Status(fail(ErrorCode::kUnavailable, "not now"));
+    ready.run();
+    return Status();
+  });
+  executor->start([] {});
+  send(5);
+  await([&] { return adder->calls == 1; });
+  executor->stop();
+  EXPECT_EQ(executor->counts().refused, 2u);
+  EXPECT_EQ(executor->counts().released, 1u);
+  EXPECT_EQ(adder->numbers, std::vector<int>{5});
+  executor->publish_by(nullptr);
+}
+
+TEST_F(Ros2GateTest, WhatTheMiddlewareThrowsIsToldByStop) {
+  const auto adder = std::make_shared<Adder>();
+  const auto executor = std::make_shared<detail::Ros2Executor>(rclcpp::ExecutorOptions(), 1us);
+  executor->add_node(adder->get_node_base_interface());
+  executor->publish_by([](std::uint64_t, std::unique_ptr<rclcpp::AnyExecutable>) -> Status {
+    throw std::runtime_error("rcl_wait() failed");
+  });
+  Door ended;
+  executor->start([&] { ended.open(); });
+  send(5);
+  ended.pass();
+  EXPECT_THROW(executor->stop(), std::runtime_error);
 }
 
 TEST_F(Ros2GateTest, ShutdownOfRclcppEndsTheRun) {
