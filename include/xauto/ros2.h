@@ -42,8 +42,8 @@ namespace detail {
 
 class Ros2Executor;
 
-/// A callback that is ready, on its way to its job. It is over when nobody holds it any more: the module's
-/// activation has ended, or the app has dropped the release, and its job never begins.
+/// A callback that is ready, on its way to its job. It is over when it was run, however long its message is kept
+/// (by the profiler, say), or when nobody holds it any more: the app may drop a release, whose job never begins.
 class Ros2Ready {
  public:
   Ros2Ready(std::shared_ptr<Ros2Executor> gate, std::uint64_t number,
@@ -51,12 +51,13 @@ class Ros2Ready {
       : gate_(std::move(gate)), number_(number), work_(std::move(work)) {}
   Ros2Ready(const Ros2Ready&) = delete;
   Ros2Ready& operator=(const Ros2Ready&) = delete;
-  ~Ros2Ready();
+  ~Ros2Ready() { end(); }
 
-  /// On the thread of the job, once.
+  /// On the thread of the job. Once: `profile --contended` makes its load by running one release again and again.
   void run() const;
 
  private:
+  void end() const;
   std::shared_ptr<Ros2Executor> gate_;
   std::uint64_t number_;
   // Messages are const, and have one reader here: the gate's module.
@@ -202,12 +203,16 @@ class Ros2Executor final : public rclcpp::Executor {
 };
 
 inline void Ros2Ready::run() const {
-  // Given back here, also if the callback throws: who else ends a message may hold a lock of the runtime's.
-  const std::unique_ptr<rclcpp::AnyExecutable> work = std::move(work_);
-  gate_->execute(*work);
+  if (work_ == nullptr) return;  // whose message was taken
+  struct AtEnd {
+    const Ros2Ready& ready;
+    ~AtEnd() { ready.end(); }
+  } const at_end{*this};  // also if the callback throws
+  gate_->execute(*work_);
 }
 
-inline Ros2Ready::~Ros2Ready() {
+inline void Ros2Ready::end() const {
+  if (work_ == nullptr) return;
   // First: the end of an AnyExecutable gives its callback group back, and the gate may only then ask for more.
   work_.reset();
   gate_->over(number_);

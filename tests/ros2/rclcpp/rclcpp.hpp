@@ -67,7 +67,11 @@ inline Context::SharedPtr get_global_default_context() {
 }
 }  // namespace contexts
 
-inline void init(int /*argc*/, const char* const* /*argv*/) {
+struct InitOptions {};
+/// signal_handler.hpp: what ends a program by a signal is nobody's here.
+enum class SignalHandlerOptions { All, SigInt, SigTerm, None };
+inline void init(int /*argc*/, const char* const* /*argv*/, const InitOptions& /*options*/ = {},
+                 SignalHandlerOptions /*signals*/ = SignalHandlerOptions::All) {
   contexts::get_global_default_context()->init();
 }
 /// utilities.cpp: null is the default context, here and in shutdown().

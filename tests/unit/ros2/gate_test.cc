@@ -209,17 +209,18 @@ TEST_F(Ros2GateTest, AReentrantGroupIsReleasedOncePerMessageAndOneAtATime) {
   EXPECT_EQ(gate.counts().released, 8u);  // the wait set was ready all the time
 }
 
-TEST_F(Ros2GateTest, TheModuleIsFreeWhenTheNextMessageIsReleased) {
+TEST_F(Ros2GateTest, AMessageWhoseReleaseWasDroppedIsReleasedAgain) {
   const auto adder = std::make_shared<Adder>();
   Ros2Gate gate(app, "gate", 1us);
   gate.add_node(adder);
   for (int k = 0; k < 60; ++k) send(k);
-  start(options(1).overload("skip"));  // what comes while it is not free would be dropped
+  start(options(1).overload("skip"));  // drops what comes while the module is not free
   await([&] { return adder->calls == 60; });
   const auto& report = finish();
   ASSERT_TRUE(report) << report.error().to_string();
   EXPECT_EQ(report->results("gate"), 60u) << report->json();
-  EXPECT_EQ(gate.counts().released, 60u);
+  EXPECT_EQ(gate.counts().begun, 60u);
+  for (int k = 0; k < 60; ++k) EXPECT_EQ(adder->numbers[static_cast<std::size_t>(k)], k);
 }
 
 TEST_F(Ros2GateTest, TimersAreJobsToo) {
@@ -322,7 +323,27 @@ TEST_F(Ros2GateTest, WhatWasReleasedBeforeTheStopRunsAfterIt) {
   EXPECT_EQ(adder->calls, 0);
   ready->run();
   EXPECT_EQ(adder->numbers, std::vector<int>{5});
+  ready->run();  // there is nothing left to take
+  EXPECT_EQ(executor->counts().begun, 1u);
   ready.reset();
+  executor->publish_by(nullptr);
+}
+
+TEST_F(Ros2GateTest, WhoKeepsAMessageThatHasRunHoldsUpNobody) {
+  const auto adder = std::make_shared<Adder>();
+  const auto executor = std::make_shared<detail::Ros2Executor>(rclcpp::ExecutorOptions(), 1us);
+  executor->add_node(adder->get_node_base_interface());
+  std::vector<std::unique_ptr<detail::Ros2Ready>> kept;
+  executor->publish_by([&](std::uint64_t number, std::unique_ptr<rclcpp::AnyExecutable> work) {
+    kept.push_back(std::make_unique<detail::Ros2Ready>(executor, number, std::move(work)));
+    kept.back()->run();
+    return Status();
+  });
+  executor->start([] {});
+  for (int k = 0; k < 3; ++k) send(k);
+  await([&] { return adder->calls == 3; });
+  executor->stop();
+  kept.clear();
   executor->publish_by(nullptr);
 }
 
