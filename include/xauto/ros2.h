@@ -273,9 +273,9 @@ class Ros2Gate {
   /// One callback group, as rclcpp::Executor::add_callback_group. Likewise.
   template <class Node>
   requires requires(Node& node) { node.get_node_base_interface(); }
-  void add_callback_group(rclcpp::CallbackGroup::SharedPtr group,
+  void add_callback_group(const rclcpp::CallbackGroup::SharedPtr& group,
                           const std::shared_ptr<Node>& node) {
-    executor_->add_callback_group(std::move(group), node->get_node_base_interface());
+    executor_->add_callback_group(group, node->get_node_base_interface());
   }
 
   /// Threads: any.
