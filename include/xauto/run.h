@@ -24,7 +24,8 @@ class RunOptions {
 
   /// app.json: a path, or the JSON text itself (it begins with "{"). Needed.
   RunOptions& app(std::string path_or_text);
-  /// policy.json, likewise. Needed unless the scheduling is "ros2".
+  /// policy.json, or tables.json: each release gets one of its policies (docs/modes.md). Likewise.
+  /// Needed unless the scheduling is "ros2".
   RunOptions& policy(std::string path_or_text);
   /// "small", "large", "core-ultra", a platform.json, or its text. Default: "small".
   RunOptions& platform(std::string name_or_path_or_text);

@@ -162,6 +162,7 @@ Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_pt
   data->report = *std::move(ran.report);
   data->app = spec.name;
   data->emulator_died = emulator_died;
+  data->emulates = held->session.emulates();
   if (!died.empty()) runtime::add_note(data->report.note, died);
   return RunReport(std::move(data));
 }

@@ -7,6 +7,7 @@
 
 #include "model/json.h"
 #include "model/json_value.h"
+#include "session/table_claims.h"
 #include "xpu/presence.h"
 
 namespace xauto {
@@ -40,6 +41,41 @@ Status one_process(const Deployment& deployment, const AppSpec& app) {
 
 }  // namespace
 
+/// Of `session` the app, the platform, what is emulated and the scheduling are known.
+Status RunOptions::Data::take_policy(runtime::Session& session) const {
+  const bool text = is_text(policy);
+  const std::string where = text ? "RunOptions::policy" : policy;
+  std::string all;
+  if (text) {
+    all = policy;
+  } else {
+    XAUTO_ASSIGN(all, read_file(policy));
+  }
+  if (says_tables(all)) {
+    if (session.scheduling != runtime::Scheduling::kXAuto)
+      return tl::unexpected<Error>(
+          at("scheduling",
+             "'" + scheduling + "' is of a run that nobody schedules, and tables are scheduled",
+             "give RunOptions::policy a policy.json"));
+    XAUTO_ASSIGN(Tables tables, text ? parse_tables(policy, where, session.app, session.platform)
+                                     : load_tables(policy, session.app, session.platform));
+    XAUTO_TRY(
+        xpu::check_placements(session.app, session.platform, session.presence, tables, where));
+    session.take_tables(std::move(tables));
+    return {};
+  }
+  if (session.app.version == 2) {
+    XAUTO_ASSIGN(session.keys, text ? parse_key_policy(policy, where, session.app, session.platform)
+                                    : load_key_policy(policy, session.app, session.platform));
+    session.policy = assignment_of(*session.keys);
+  } else {
+    XAUTO_ASSIGN(session.policy, text ? parse_policy(policy, where, session.app, session.platform)
+                                      : load_policy(policy, session.app, session.platform));
+  }
+  return xpu::check_placements(session.app, session.platform, session.presence, session.policy,
+                               where);
+}
+
 Result<runtime::Session> RunOptions::Data::session() const {
   runtime::Session session;
   if (app.empty())
@@ -65,19 +101,7 @@ Result<runtime::Session> RunOptions::Data::session() const {
     if (policy.empty())
       return tl::unexpected<Error>(
           at("policy", "is needed unless the scheduling is ros2", "make one with `xauto solve`"));
-    const char* const who = "RunOptions::policy";
-    if (session.app.version == 2) {
-      XAUTO_ASSIGN(session.keys, is_text(policy)
-                                     ? parse_key_policy(policy, who, session.app, session.platform)
-                                     : load_key_policy(policy, session.app, session.platform));
-      session.policy = assignment_of(*session.keys);
-    } else {
-      XAUTO_ASSIGN(session.policy, is_text(policy)
-                                       ? parse_policy(policy, who, session.app, session.platform)
-                                       : load_policy(policy, session.app, session.platform));
-    }
-    XAUTO_TRY(xpu::check_placements(session.app, session.platform, session.presence, session.policy,
-                                    is_text(policy) ? "RunOptions::policy" : policy));
+    XAUTO_TRY(take_policy(session));
   }
   if (cpu_sched != "fifo" && cpu_sched != "other")
     return tl::unexpected<Error>(
@@ -255,17 +279,19 @@ std::string RunReport::json() const {
                       {"age_misses", c.age_misses},
                       {"latency_us", times(c.latency_us)},
                       {"age_us", times(c.age_us)}});
-  return Json{{"app", data_->app},
-              {"good", good()},
-              {"complete", r.complete},
-              {"note", r.note},
-              {"releases", r.num_releases},
-              {"lost", r.lost_releases},
-              {"deadline_misses", r.deadline_misses},
-              {"latency_us", times(latencies_of(r))},
-              {"modules", std::move(modules)},
-              {"chains", std::move(chains)}}
-      .dump();
+  Json json = {{"app", data_->app},
+               {"good", good()},
+               {"complete", r.complete},
+               {"note", r.note},
+               {"releases", r.num_releases},
+               {"lost", r.lost_releases},
+               {"deadline_misses", r.deadline_misses},
+               {"latency_us", times(latencies_of(r))},
+               {"modules", std::move(modules)},
+               {"chains", std::move(chains)}};
+  if (!r.scenarios.empty())
+    runtime::add_tables(r, runtime::table_claims_of(r, data_->emulates), json);
+  return json.dump();
 }
 
 }  // namespace xauto

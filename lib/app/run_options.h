@@ -24,12 +24,14 @@ struct RunOptions::Data {
 
   /// Reads and checks all of it, as `xauto run` does.
   [[nodiscard]] Result<runtime::Session> session() const;
+  [[nodiscard]] Status take_policy(runtime::Session& session) const;
 };
 
 struct RunReport::Data {
   runtime::RunReport report;
   std::string app;
   bool emulator_died = false;
+  bool emulates = false;  ///< some XPU of the run
 };
 
 }  // namespace xauto

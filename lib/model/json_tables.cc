@@ -4,6 +4,7 @@
 
 #include "model/json.h"
 #include "model/json_parts.h"
+#include "model/json_value.h"
 #include "model/tables.h"
 
 namespace xauto {
@@ -220,6 +221,11 @@ Result<Tables> load_tables(const std::string& path, const AppSpec& app, const Pl
   XAUTO_ASSIGN(Tables tables, parse_tables(text, path, app, platform, &keys));
   XAUTO_TRY(judge(keys, path));
   return tables;
+}
+
+bool says_tables(std::string_view text) {
+  const auto document = Json::parse(text);
+  return document && document->at("schema").text() == std::optional<std::string>("xauto.tables");
 }
 
 }  // namespace xauto

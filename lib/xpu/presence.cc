@@ -110,6 +110,15 @@ Status check_placements(const AppSpec& app, const Platform& platform,
   return {};
 }
 
+Status check_placements(const AppSpec& app, const Platform& platform,
+                        const std::vector<Presence>& presence, const Tables& tables,
+                        const std::string& path) {
+  for (const Table& table : tables.tables)
+    XAUTO_TRY(check_placements(app, platform, presence, policy_under(table, app, platform, {}),
+                               path + ": table '" + table.name + "'"));
+  return {};
+}
+
 std::string ids_of(const Platform& platform, const std::vector<Presence>& presence,
                    Presence which) {
   std::string ids;

@@ -14,6 +14,7 @@
 #include "model/app.h"
 #include "model/platform.h"
 #include "model/policy.h"
+#include "model/tables.h"
 #include "xpu/kind.h"
 
 namespace xauto::xpu {
@@ -47,6 +48,10 @@ struct EmulationFlags {
 /// Refuses a policy that places an XNode where this machine has nothing for it, naming `path`.
 [[nodiscard]] Status check_placements(const AppSpec& app, const Platform& platform,
                                       const std::vector<Presence>& presence, const Policy& policy,
+                                      const std::string& path);
+/// Of each table.
+[[nodiscard]] Status check_placements(const AppSpec& app, const Platform& platform,
+                                      const std::vector<Presence>& presence, const Tables& tables,
                                       const std::string& path);
 
 /// For people: "" if nothing is emulated, "emulated" if everything is, else which are real:

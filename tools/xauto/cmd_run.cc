@@ -38,10 +38,8 @@ Status take_tables(const OneRunFlags& flags, PolicyRun& run) {
     return fail(ErrorCode::kInvalid, "is of a run that nobody schedules, and tables are scheduled",
                 "--scheduling " + flags.scheduling, "give --policy a policy.json");
   XAUTO_ASSIGN(run.tables, load_tables(flags.policy_path, flags.app, flags.spec));
-  for (const Table& table : run.tables->tables)
-    XAUTO_TRY(xpu::check_placements(flags.app, flags.spec, flags.presence,
-                                    policy_under(table, flags.app, flags.spec, {}),
-                                    flags.policy_path + ": table '" + table.name + "'"));
+  XAUTO_TRY(
+      xpu::check_placements(flags.app, flags.spec, flags.presence, *run.tables, flags.policy_path));
   const auto first = static_cast<std::size_t>(run.tables->serves.front().table);
   run.policy = policy_under(run.tables->tables[first], flags.app, flags.spec, {});
   return {};

@@ -249,37 +249,7 @@ std::string beside(std::int64_t us, std::int64_t simulated_us) {
   return times < 10 ? fmt::format("{:+.1f} %", 100 * (times - 1)) : fmt::format("{:.0f} x", times);
 }
 
-/// Scenarios, and the switches between them.
-void add_tables(const runtime::RunReport& report, const TableClaims& claims, Json& j) {
-  j["worst_case_of"] = kWorstCaseScope;
-  j["worst_case_exceeded"] = !claims.exceeded.empty();
-  j["worst_case_broken"] = claims.broken;
-  Json scenarios = Json::array();
-  for (const runtime::ScenarioReport& s : report.scenarios)
-    scenarios.push_back({{"name", s.name},
-                         {"table", s.table},
-                         {"releases", s.releases},
-                         {"longest_us", or_null(s.longest_us, s.releases)},
-                         {"worst_case_us", s.worst_case_us}});
-  j["scenarios"] = std::move(scenarios);
-  Json switches = Json::array();
-  for (const runtime::SwitchReport& s : report.switches) {
-    Json one = {{"release", s.release},
-                {"from", s.from},
-                {"to", s.to},
-                {"table", s.table},
-                {"why", s.why},
-                {"held_us", s.held_us},
-                {"spanned_us", or_null(s.spanned_us, s.spanned_us < 0 ? 0 : 1)}};
-    if (s.worst_case_us) one["worst_case_us"] = *s.worst_case_us;
-    if (!s.detail.empty()) one["detail"] = s.detail;
-    switches.push_back(std::move(one));
-  }
-  j["switches"] = std::move(switches);
-  j["num_switches"] = report.num_switches;
-}
-
-std::string tables_text(const PolicyRun& run, const TableClaims& claims) {
+std::string tables_text(const PolicyRun& run, const runtime::TableClaims& claims) {
   const runtime::RunReport& report = run.report;
   std::size_t width = 8;
   for (const runtime::ScenarioReport& s : report.scenarios) width = std::max(width, s.name.size());
@@ -434,7 +404,8 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       chains.push_back(std::move(chain));
     }
     j["chains"] = std::move(chains);
-    if (const auto of_tables = table_claims_of(flags, run)) add_tables(run.report, *of_tables, j);
+    if (const auto of_tables = table_claims_of(flags, run))
+      runtime::add_tables(run.report, *of_tables, j);
     Json xnodes = Json::array();
     for (const runtime::XNodeReport& x : run.report.xnodes) {
       Json entry = {

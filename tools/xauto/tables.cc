@@ -114,9 +114,7 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
 
 bool is_tables_file(const std::string& path) {
   const auto text = read_file(path);
-  if (!text) return false;
-  const auto document = Json::parse(*text);
-  return document && document->at("schema").text() == std::optional<std::string>("xauto.tables");
+  return text && says_tables(*text);
 }
 
 Result<int> check_tables(const AppSpec& app, const Platform& platform, const std::string& path,

@@ -113,33 +113,12 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
   return claims;
 }
 
-std::optional<TableClaims> table_claims_of(const RunFlags& flags, const PolicyRun& run) {
+std::optional<runtime::TableClaims> table_claims_of(const RunFlags& flags, const PolicyRun& run) {
   if (!run.tables) return std::nullopt;
-  TableClaims claims;
-  const runtime::RunReport& r = run.report;
-  claims.broken = r.unkept;
-  claims.broken.insert(claims.broken.end(), r.broken.begin(), r.broken.end());
-  if (r.overlapping_releases > 0)
-    claims.broken.push_back(fmt::format("{} of {} releases came while an earlier one was in flight",
-                                        r.overlapping_releases, r.num_releases));
-  if (r.lost_releases > 0)
-    claims.broken.push_back(fmt::format("{} releases were lost", r.lost_releases));
-  if (!r.lost_coordinators.empty() || !r.died.empty())
-    claims.broken.emplace_back("processes of the run died");
-  const auto judge = [&](const std::string& what, std::int64_t us, std::int64_t worst_us) {
-    if (us > worst_us + (flags.emulates() ? worst_us * kEmulatorPct / 100 : 0))
-      claims.exceeded.push_back(fmt::format("{}: {} of {}", what, ms(us), ms(worst_us)));
-  };
-  for (const runtime::ScenarioReport& s : r.scenarios)
-    judge("scenario '" + s.name + "'", s.longest_us, s.worst_case_us);
-  for (const runtime::SwitchReport& s : r.switches)
-    if (s.worst_case_us)
-      judge(fmt::format("change from '{}' to '{}' at release {}", s.from, s.to, s.release),
-            s.spanned_us, *s.worst_case_us);
-  return claims;
+  return runtime::table_claims_of(run.report, flags.emulates());
 }
 
-std::string to_string(const TableClaims& claims) {
+std::string to_string(const runtime::TableClaims& claims) {
   std::string text = fmt::format("worst cases of {}: {}", kWorstCaseScope,
                                  verdict(!claims.exceeded.empty(), claims.broken));
   constexpr std::size_t kShown = 3;

@@ -8,6 +8,8 @@
 #include <string>
 #include <vector>
 
+#include "session/table_claims.h"
+
 #include "xauto/run_app.h"
 
 namespace xauto::cli {
@@ -37,15 +39,10 @@ struct KeyClaims {
 [[nodiscard]] std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& run);
 [[nodiscard]] std::string to_string(const KeyClaims& claims);
 
-/// Of a run with tables: what was longer than its scenario, or the change that it met, claims.
-struct TableClaims {
-  std::vector<std::string> exceeded;  ///< a line each, "scenario 'x': 31.20 ms of 30.10 ms"
-  std::vector<std::string> broken;    ///< as WorstCase
-};
-/// Nullopt of other runs.
-[[nodiscard]] std::optional<TableClaims> table_claims_of(const RunFlags& flags,
-                                                         const PolicyRun& run);
-[[nodiscard]] std::string to_string(const TableClaims& claims);
+/// Nullopt of runs without tables.
+[[nodiscard]] std::optional<runtime::TableClaims> table_claims_of(const RunFlags& flags,
+                                                                  const PolicyRun& run);
+[[nodiscard]] std::string to_string(const runtime::TableClaims& claims);
 
 /// "kept, as far as it is watched", "not claimed here: ...".
 [[nodiscard]] std::string verdict(bool exceeded, const std::vector<std::string>& broken);

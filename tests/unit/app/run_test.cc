@@ -18,6 +18,7 @@
 #include <xauto/xauto.h>
 
 #include "model/json.h"
+#include "model/json_value.h"
 
 namespace xauto {
 namespace {
@@ -30,8 +31,9 @@ struct State {
 
 /// What an init owns: a context of this run's emulator.
 struct Engine {
-  explicit Engine(emu::Context c) : context(std::move(c)) {}
+  Engine(emu::Context c, XpuId id) : context(std::move(c)), xpu(std::move(id)) {}
   emu::Context context;
+  XpuId xpu;
 };
 
 /// camera (pushed or polled) -> M (m1 on gpu0, emulated; m2 on cpu0, emulated)
@@ -43,12 +45,13 @@ class Fixture {
       if (!context) throw std::runtime_error(context.error().to_string());
       const SchedHandle handle = context->handle();
       ++alive;
-      auto engine = std::unique_ptr<Engine>(new Engine(std::move(*context)));
+      auto engine = std::unique_ptr<Engine>(new Engine(std::move(*context), xpu));
       return own(std::move(engine), handle);
     };
     const auto exec = [this](Engine& engine, State& state, const Input& input) -> Status {
       state.value = input.get(camera);
       while (state.value == block_at) std::this_thread::sleep_for(1h);
+      if (engine.xpu.type == XPU::CPU) cpu = engine.xpu.index;
       return engine.context.run(100us);
     };
     XNode<State> m1("m1"), m2("m2");
@@ -109,6 +112,7 @@ class Fixture {
   std::unique_ptr<Source<int>> source;
   std::atomic<int> alive{0}, results{0}, sum{0};
   std::atomic<int> block_at{-1};  ///< the message whose exec never returns
+  std::atomic<int> cpu{-1};       ///< where m2 ran last
 };
 
 TEST(Run, TwiceInOneProcess) {
@@ -130,6 +134,108 @@ TEST(Run, TwiceInOneProcess) {
     EXPECT_EQ(f.sum.load(), 190 * run);
     EXPECT_EQ(f.alive.load(), 2 * run);
   }
+}
+
+/// "city": m2 on cpu0; "highway", all of it slower: on cpu1. WCETs that no stall of this machine passes.
+class WithTables : public Fixture {
+ public:
+  WithTables() : Fixture("a", true) {
+    AppSpec spec;
+    spec.name = "fixture";
+    spec.xnodes = {{"m1", "M", {{"gpu", 10'000'000}}}, {"m2", "M", {{"cpu", 10'000'000}}}};
+    spec.xnodes[0].sources = {0};
+    spec.edges = {{0, 1}};
+    spec.sources = {{"camera", {1000}}};
+    Platform platform;
+    platform.name = "tiny";
+    platform.xpus = {{"cpu0", "cpu"}, {"cpu1", "cpu"}, {"gpu0", "gpu", true, 50, 1000}};
+    Tables tables;
+    tables.app = spec.name;
+    tables.app_hash = spec.hash();
+    tables.platform = platform.name;
+    tables.scenarios = {{.name = "city"},
+                        {.name = "highway", .wcet_scale_pct = {{"cpu", 200}, {"gpu", 200}}}};
+    tables.tables = {{"near", {2, 0}, {2, 1}, {}}, {"far", {2, 1}, {2, 1}, {}}};
+    tables.serves = {{0, 20'000'000, 20'000'000}, {1, 40'000'000, 40'000'000}};
+    tables.changes = {{0, 1, 40'000'000, 39'999'000}, {1, 0, 40'000'000, 39'999'000}};
+    text = to_json(tables, spec, platform);
+    with_tables = RunOptions()
+                      .app(to_json(spec))
+                      .platform(to_json(platform))
+                      .policy(text)
+                      .emulate()
+                      .activations(0);
+  }
+  /// Publishes until `done`, and waits for each result.
+  template <class Done>
+  void drive(Done done) {
+    while (!done()) {
+      const int before = results;
+      ASSERT_TRUE(source->publish(next++));
+      while (results == before) std::this_thread::sleep_for(1ms);
+    }
+  }
+
+  std::string text;
+  RunOptions with_tables;
+  int next = 0;
+};
+
+TEST(Run, TablesByWhatTheProgramAsksFor) {
+  WithTables f;
+  EXPECT_NE(f.app.request_mode("highway").error().what.find("no run goes on"), std::string::npos);
+  std::thread driver;
+  f.app.on_start([&] {
+    driver = std::thread([&] {
+      f.drive([&] { return f.cpu == 0; });
+      const Status unknown = f.app.request_mode("motorway");
+      ASSERT_FALSE(unknown);
+      EXPECT_EQ(unknown.error().code, ErrorCode::kNotFound);
+      ASSERT_TRUE(f.app.request_mode("highway"));
+      const int on_time = f.next;
+      f.drive([&] { return f.cpu == 1; });
+      EXPECT_EQ(f.next, on_time + 1) << "the next release has the other table";
+      ASSERT_TRUE(f.app.request_mode(""));
+      f.drive([&] { return f.cpu == 0; });
+      f.app.stop();
+    });
+  });
+  const auto report = f.app.run(f.with_tables);
+  driver.join();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_TRUE(report->good()) << report->json();
+  const Json told = Json::parse(report->json()).value();
+  EXPECT_EQ(told.at("num_switches").integer(), 2);
+  EXPECT_EQ(told.at("worst_case_exceeded").boolean(), false) << report->json();
+  std::vector<std::string> switches;
+  for (const Json& one : told.at("switches").elements())
+    switches.push_back(one.at("to").text().value() + " " + one.at("table").text().value() + " " +
+                       one.at("why").text().value());
+  EXPECT_EQ(switches, (std::vector<std::string>{"highway far asked", "city near asked"}));
+  EXPECT_FALSE(f.app.request_mode("highway")) << "the run is over";
+}
+
+TEST(Run, TablesOfAFileAndWhereTheyCannotBe) {
+  WithTables f;
+  const std::filesystem::path path =
+      std::filesystem::temp_directory_path() / ("tables." + std::to_string(getpid()) + ".json");
+  std::ofstream(path) << f.text;
+  f.app.on_start([&] {
+    for (int k = 0; k < 3; ++k) EXPECT_TRUE(f.source->publish(k));
+  });
+  const auto report = f.app.run(RunOptions(f.with_tables).policy(path).activations(3));
+  std::filesystem::remove(path);
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_NE(report->json().find("\"scenarios\":[{\"name\":\"city\",\"table\":\"near\""),
+            std::string::npos)
+      << report->json();
+  const auto refused = f.app.run(RunOptions(f.with_tables).scheduling("timeshare"));
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().where, "RunOptions::scheduling");
+  const auto wrong =
+      f.app.run(RunOptions(f.with_tables).policy(R"({"schema": "xauto.tables", "version": 1})"));
+  ASSERT_FALSE(wrong);
+  EXPECT_EQ(wrong.error().where.find("RunOptions::policy"), 0u) << wrong.error().to_string();
 }
 
 TEST(Run, AModuleUnderAnotherNameAndThenUnderItsOwn) {

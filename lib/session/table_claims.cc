@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "session/table_claims.h"
+
+#include <cstdint>
+
+#include <fmt/format.h>
+
+#include "model/claims.h"
+#include "model/json_value.h"
+
+namespace xauto::runtime {
+namespace {
+
+double in_ms(std::int64_t us) {
+  return static_cast<double>(us) / 1000;
+}
+
+/// Null: there was none.
+Json longest(std::int64_t us) {
+  return us < 0 ? Json() : Json(us);
+}
+
+}  // namespace
+
+TableClaims table_claims_of(const RunReport& report, bool emulates) {
+  TableClaims claims;
+  claims.broken = report.unkept;
+  claims.broken.insert(claims.broken.end(), report.broken.begin(), report.broken.end());
+  if (report.overlapping_releases > 0)
+    claims.broken.push_back(fmt::format("{} of {} releases came while an earlier one was in flight",
+                                        report.overlapping_releases, report.num_releases));
+  if (report.lost_releases > 0)
+    claims.broken.push_back(fmt::format("{} releases were lost", report.lost_releases));
+  if (!report.lost_coordinators.empty() || !report.died.empty())
+    claims.broken.emplace_back("processes of the run died");
+  const auto judge = [&](const std::string& what, std::int64_t us, std::int64_t worst_us) {
+    if (us > worst_us + (emulates ? worst_us * kEmulatorPct / 100 : 0))
+      claims.exceeded.push_back(
+          fmt::format("{}: {:.2f} ms of {:.2f} ms", what, in_ms(us), in_ms(worst_us)));
+  };
+  for (const ScenarioReport& s : report.scenarios)
+    judge("scenario '" + s.name + "'", s.longest_us, s.worst_case_us);
+  for (const SwitchReport& s : report.switches)
+    if (s.worst_case_us)
+      judge(fmt::format("change from '{}' to '{}' at release {}", s.from, s.to, s.release),
+            s.spanned_us, *s.worst_case_us);
+  return claims;
+}
+
+void add_tables(const RunReport& report, const TableClaims& claims, Json& into) {
+  into["worst_case_of"] = kWorstCaseScope;
+  into["worst_case_exceeded"] = !claims.exceeded.empty();
+  into["worst_case_broken"] = claims.broken;
+  Json scenarios = Json::array();
+  for (const ScenarioReport& s : report.scenarios)
+    scenarios.push_back({{"name", s.name},
+                         {"table", s.table},
+                         {"releases", s.releases},
+                         {"longest_us", longest(s.longest_us)},
+                         {"worst_case_us", s.worst_case_us}});
+  into["scenarios"] = std::move(scenarios);
+  Json switches = Json::array();
+  for (const SwitchReport& s : report.switches) {
+    Json one = {{"release", s.release},
+                {"from", s.from},
+                {"to", s.to},
+                {"table", s.table},
+                {"why", s.why},
+                {"held_us", s.held_us},
+                {"spanned_us", longest(s.spanned_us)}};
+    if (s.worst_case_us) one["worst_case_us"] = *s.worst_case_us;
+    if (!s.detail.empty()) one["detail"] = s.detail;
+    switches.push_back(std::move(one));
+  }
+  into["switches"] = std::move(switches);
+  into["num_switches"] = report.num_switches;
+}
+
+}  // namespace xauto::runtime

@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+// Of a run with tables: what tables.json claims beside what was measured, for whoever reports it (the
+// tool, App::run).
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "session/run_report.h"
+
+namespace xauto {
+class Json;
+}
+
+namespace xauto::runtime {
+
+/// What was longer than its scenario, or the change that it met, claims.
+struct TableClaims {
+  std::vector<std::string> exceeded;  ///< a line each, "scenario 'x': 31.20 ms of 30.10 ms"
+  std::vector<std::string> broken;    ///< assumptions that this run broke, a line each
+};
+/// `emulates`: the emulator's own part is allowed for (kEmulatorPct).
+[[nodiscard]] TableClaims table_claims_of(const RunReport& report, bool emulates);
+
+/// Adds the members `worst_case_of`, `worst_case_exceeded`, `worst_case_broken`, `scenarios`, `switches`
+/// and `num_switches` (docs/formats.md, report.json).
+void add_tables(const RunReport& report, const TableClaims& claims, Json& into);
+
+}  // namespace xauto::runtime
