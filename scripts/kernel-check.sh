@@ -131,7 +131,7 @@ scx_kernel() { # NAME: fetch-kernel.sh's 7.x, or the self-built 6.12
   esac
 }
 
-# scx NAME: the sched_ext scheduler and the tracer.
+# scx NAME: the sched_ext scheduler and the tracer, in the guest's own virtual time: how busy this machine is does not matter.
 scx() {
   local kernel items=() program append=""
   note "sched_ext and tracing on Linux $1"
@@ -143,7 +143,16 @@ scx() {
   for program in run tools trace container; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
   for program in unshare setpriv; do items+=("$(command -v $program):/usr/local/bin/$program"); done
   [ -z "${XAUTO_FULL:-}" ] || append="xauto.kills=200 xauto.tables=10000 xauto.loads=8"
-  VM_APPEND=$append VM_THREADS=single VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
+  VM_APPEND=$append VM_ICOUNT=1 VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
+}
+
+# at-once NAME: of that, what needs CPUs that run at the same time.
+at_once() {
+  local kernel items=() program
+  note "sched_ext on CPUs that run at once, on Linux $1"
+  kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
+  for program in scx_lend_test scx_machine_test xauto-cpusched; do items+=("$build/bin/$program"); done
+  VM_APPEND=xauto.at-once VM_THREADS=single in_vm "at-once-$1" "$kernel" run-scx "${items[@]}"
 }
 
 # machine NAME: what takes four CPUs in two clusters, and containers. In the guest's own virtual time.
@@ -203,8 +212,8 @@ consumers() {
 
 { # read whole before it runs: the file may be edited meanwhile
 if [ ${#lanes[@]} -eq 0 ]; then
-  lanes=(kmod-7.x scx-7.x machine-7.x keys-7.x)
-  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 machine-7.x keys-7.x keys-6.12)
+  lanes=(kmod-7.x scx-7.x at-once-7.x machine-7.x keys-7.x)
+  [ -z "${XAUTO_FULL:-}" ] || lanes=(kmod-7.x kmod-6.12 kmod-6.1 kmod-5.10 kmod-kasan driving scx-7.x scx-6.12 at-once-7.x at-once-6.12 machine-7.x keys-7.x keys-6.12)
 fi
 if [ ${#lanes[@]} -gt 1 ]; then
   # A guest's clocks go on while this machine stalls, so a lane that fails is run once more, and named; a fault fails twice.
@@ -228,6 +237,7 @@ else
   case $lane in
     driving | consumers) "$lane" ;;
     scx-*) scx "${lane#scx-}" ;;
+    at-once-*) at_once "${lane#at-once-}" ;;
     machine-*) machine "${lane#machine-}" ;;
     keys-*) keys "${lane#keys-}" ;;
     kmod-kasan) kasan ;;

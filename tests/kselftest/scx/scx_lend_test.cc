@@ -286,7 +286,7 @@ const Test kTests[] = {
     {"pi_mutex", 2, pi_mutex},
     {"pthread_inherit", 2, pthread_inherit},
     {"ordinary_holder", 2, ordinary_holder},
-    {"other_cpu", 1, other_cpu},
+    {"other_cpu", 1, other_cpu, true},
     {"chain", 2, chain},
     {"queue", 2, queue},
 };

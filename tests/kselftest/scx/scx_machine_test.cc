@@ -578,9 +578,9 @@ const Test kTests[] = {
     {"kernel_hog", 1, kernel_hog},
     {"nice_kernel_thread", 1, nice_kernel_thread},
     {"dumped", 1, dumped},
-    {"second_app", 4, second_app},
+    {"second_app", 4, second_app, true},
     {"clusters", 1, clusters},
-    {"crowd", 2, crowd},
+    {"crowd", 2, crowd, true},
 };
 
 }  // namespace

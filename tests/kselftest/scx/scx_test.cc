@@ -24,9 +24,14 @@ void two_spinners() {
   World world(2, kCpu);
   world.load();
   for (const bool high_first : {false, true}) {
-    std::atomic<bool> stop{false};
-    const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
+    std::atomic<bool> both{false}, stop{false};
+    // Who comes first would have the CPU alone until the other is there.
+    const auto body = [&](const kernel::ThreadSlot&) {
+      while (!both) usleep(1000);
+      spin(stop);
+    };
     XNodeThread first(world, high_first ? 1 : 0, body), second(world, high_first ? 0 : 1, body);
+    both = true;
     XNodeThread& high = high_first ? first : second;
     XNodeThread& low = high_first ? second : first;
     sleep_ms(1500);

@@ -79,13 +79,23 @@ struct Test {
   const char* name;
   int count;  ///< results
   void (*run)();
+  bool at_once =
+      false;  ///< needs CPUs that run at the same time: none where emulated ones take turns
 };
 
-/// All of them, or those whose name contains `wanted`. Returns the program's status.
+/// Of `wanted`: "" for all, "turns" and "at-once" for those that do without such CPUs and the others,
+/// else a part of the name.
+inline bool is_wanted(const Test& test, const char* wanted) {
+  if (strcmp(wanted, "turns") == 0) return !test.at_once;
+  if (strcmp(wanted, "at-once") == 0) return test.at_once;
+  return strstr(test.name, wanted) != nullptr;
+}
+
+/// Those of `wanted`. Returns the program's status.
 template <std::size_t N>
 static int run_tests(const Test (&tests)[N], const char* wanted) {
   int count = 0;
-  for (const Test& test : tests) count += strstr(test.name, wanted) != nullptr ? test.count : 0;
+  for (const Test& test : tests) count += is_wanted(test, wanted) ? test.count : 0;
   ktap_plan(count);
   if (const std::string why = kernel::scx_refusal(""); !why.empty()) {
     for (int i = 0; i < count; ++i) ktap_skip("scheduler", why.c_str());
@@ -93,7 +103,7 @@ static int run_tests(const Test (&tests)[N], const char* wanted) {
   }
   become_controller();
   for (const Test& test : tests) {
-    if (strstr(test.name, wanted) == nullptr) continue;
+    if (!is_wanted(test, wanted)) continue;
     ktap_note("%s", test.name);
     test.run();
   }
