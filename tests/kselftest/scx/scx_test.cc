@@ -499,8 +499,7 @@ void counts() {
   // Beside the jobs, each thread takes up one when it enters.
   ktap_test(latched >= 2 * kJobs && latched <= 2 * kJobs + 2 && counting == 2,
             "the counts of all CPUs make one: %llu jobs taken up of %llu, on %d CPUs",
-            static_cast<unsigned long long>(latched), static_cast<unsigned long long>(2 * kJobs),
-            static_cast<int>(counting));
+            static_cast<unsigned long long>(latched), 2ULL * kJobs, static_cast<int>(counting));
 }
 
 // ---- coming and going ---------------------------------------------------------------------------
