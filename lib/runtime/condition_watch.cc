@@ -154,13 +154,19 @@ void ConditionWatch::watch(std::int64_t since_ns) {
   FileChanges changes(files_);
   // What was written between the first read and the watch.
   std::int64_t read_at = files_.empty() ? INT64_MAX : since_ns, glance_at = since_ns;
+  std::int64_t hears_at = since_ns;
   for (bool wrong = false;;) {
-    pollfd fds[] = {{quit_.get(), POLLIN, 0}, {changes.fd(), POLLIN, 0}};
-    const std::int64_t wait_ns = std::max<std::int64_t>(0, std::min(read_at, glance_at) - now_ns());
+    const std::int64_t now_at = now_ns();
+    const bool hears = now_at >= hears_at;
+    pollfd fds[] = {{quit_.get(), POLLIN, 0}, {hears ? changes.fd() : -1, POLLIN, 0}};
+    const std::int64_t next_at = std::min({read_at, glance_at, hears ? INT64_MAX : hears_at});
+    const std::int64_t wait_ns = std::max<std::int64_t>(0, next_at - now_at);
     const timespec wait = {wait_ns / 1'000'000'000, wait_ns % 1'000'000'000};
     const bool events = ppoll(fds, std::size(fds), &wait, nullptr) > 0;
     if (events && fds[0].revents != 0) return;
-    const bool written = events && fds[1].revents != 0 && changes.take();
+    const bool heard = events && fds[1].revents != 0;
+    const bool written = heard && changes.take();
+    if (heard) hears_at = now_ns() + kHeardApartNs;
     const auto read_now = [&] {
       read();
       read_at = now_ns() + timing_.read_ns;

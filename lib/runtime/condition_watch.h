@@ -26,6 +26,9 @@ namespace xauto::runtime {
 
 /// Between two reads by the clock.
 inline constexpr std::int64_t kReadOftenNs = 25'000'000, kReadSeldomNs = 50'000'000;
+/// Who writes without end is heard no more often: anybody who may write beside such a file could keep
+/// the thread busy.
+inline constexpr std::int64_t kHeardApartNs = 1'000'000;
 /// Of releases so far apart (0: nobody says): three quarters of a period where those limits allow it,
 /// so that what has changed is known within a period.
 [[nodiscard]] std::int64_t read_every_ns(std::int64_t period_ns);

@@ -164,6 +164,22 @@ TEST_F(Watched, AJobThatIsTooLongHasTheFilesReadAtOnceAndIsToldWhatTheySay) {
   while (!told) std::this_thread::sleep_for(std::chrono::milliseconds(1));
 }
 
+TEST_F(Watched, WhoWritesWithoutEndDoesNotDriveTheWatch) {
+  std::atomic<int> glances{0};
+  const auto begin = std::chrono::steady_clock::now();
+  int writes = 0;
+  {
+    const ConditionWatch watch(tables_, {kNeverNs, kNeverNs}, [&](const Machine&) {
+      ++glances;
+      return false;
+    });
+    for (; std::chrono::steady_clock::now() - begin < std::chrono::milliseconds(500); ++writes)
+      put("900");
+  }
+  const auto took = std::chrono::steady_clock::now() - begin;
+  EXPECT_LE(glances, took / std::chrono::nanoseconds(kHeardApartNs) + 2) << writes << " writes";
+}
+
 TEST_F(Watched, OtherFilesOfTheFolderAreNobodysBusiness) {
   FileChanges changes({file()});
   ASSERT_GE(changes.fd(), 0);
