@@ -314,9 +314,9 @@ def violations(case, options):
         row = result[kind] = {"injected": options.violations, "said": heard_of[kind], "timed": len(times),
                               "median_s": statistics.median(times) if times else None, "longest_s": max(times, default=None),
                               "within_a_period": sum(t <= period_s for t in times)}
-        print(f"  violations by {kind:6} {row['injected']} injected, {row['said']} said; of {row['timed']} timed: median "
-              f"{(row['median_s'] or 0) * 1000:.1f} ms, longest {(row['longest_s'] or 0) * 1000:.1f} ms, {row['within_a_period']} within "
-              f"a period of {period_s * 1000:.1f} ms")
+        timed = (f"of {len(times)} timed: median {row['median_s'] * 1000:.1f} ms, longest {row['longest_s'] * 1000:.1f} ms, "
+                 f"{row['within_a_period']} within a period of {period_s * 1000:.1f} ms") if times else "none timed"
+        print(f"  violations by {kind:6} {row['injected']} injected, {row['said']} said; {timed}")
     return result
 
 

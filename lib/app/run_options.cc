@@ -45,13 +45,7 @@ Status one_process(const Deployment& deployment, const AppSpec& app) {
 Status RunOptions::Data::take_policy(runtime::Session& session) const {
   const bool text = is_text(policy);
   const std::string where = text ? "RunOptions::policy" : policy;
-  std::string all;
-  if (text) {
-    all = policy;
-  } else {
-    XAUTO_ASSIGN(all, read_file(policy));
-  }
-  if (says_tables(all)) {
+  if (text ? says_tables(policy) : is_tables_file(policy)) {
     if (session.scheduling != runtime::Scheduling::kXAuto)
       return tl::unexpected<Error>(
           at("scheduling",

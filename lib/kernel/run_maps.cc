@@ -239,7 +239,8 @@ Result<RunMaps> RunMaps::open(const std::string& run, bool writes) {
   XAUTO_TRY(maps.map_all(writes));
   const xauto_bpf_head& head = maps.head();
   const auto abi = __atomic_load_n(&head.abi, __ATOMIC_ACQUIRE);
-  if (abi == 0) return fail(ErrorCode::kNotFound, "the run is just starting", folder(run));
+  if (abi == 0)
+    return fail(ErrorCode::kNotFound, "the run is just starting", folder(run), "try again");
   if (abi != XAUTO_BPF_ABI)
     return fail(ErrorCode::kInvalid,
                 "maps of layout " + std::to_string(abi) + ", this program knows layout " +

@@ -91,8 +91,9 @@ inline constexpr int kMaxJsonDepth = 64;
                                                const Platform& platform);
 [[nodiscard]] Result<Tables> load_tables(const std::string& path, const AppSpec& app,
                                          const Platform& platform);
-/// Whether a text says that it is tables; what is none of ours is refused by who reads it.
+/// Whether a text, or a file, says that it is tables; what is none of ours is refused by who reads it.
 [[nodiscard]] bool says_tables(std::string_view text);
+[[nodiscard]] bool is_tables_file(const std::string& path);
 [[nodiscard]] Result<EmulationScript> load_emulation_script(const std::string& path,
                                                             const Platform& platform);
 

@@ -228,4 +228,9 @@ bool says_tables(std::string_view text) {
   return document && document->at("schema").text() == std::optional<std::string>("xauto.tables");
 }
 
+bool is_tables_file(const std::string& path) {
+  const auto text = read_file(path);
+  return text && says_tables(*text);
+}
+
 }  // namespace xauto

@@ -24,6 +24,10 @@ ChoiceOptions options_of(const Deployment& deployment) {
 
 constexpr std::int64_t kGlanceOftenNs = 1'000'000, kGlanceSeldomNs = 4'000'000;
 
+void say_once(const std::vector<std::string>& lines) {
+  for (const std::string& line : lines) log::error("{} (further times are only counted)", line);
+}
+
 /// Where some XPUs of a type are emulated, all of them are judged as such.
 bool emulates_type(const Session& session, const std::string& type) {
   const std::vector<int> all = session.platform.instances_of(type);
@@ -111,7 +115,7 @@ bool TableSwitch::glance(const Machine& machine) {
     holds = choice_.holds();
     said = outside(holds ? choice_.now() : choice_.foresee(now_ns()), machine);
   }
-  for (const std::string& text : said) log::error("{} (further times are only counted)", text);
+  say_once(said);
   return !holds;
 }
 
@@ -135,7 +139,7 @@ std::pair<Choice, int> TableSwitch::choose() {
     chosen = {choice_.now(), table_};
     said = outside(chosen.first, machine);
   }
-  for (const std::string& text : said) log::error("{} (further times are only counted)", text);
+  say_once(said);
   return chosen;
 }
 

@@ -112,11 +112,6 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
   return outputs.status(missed ? kAnswerIsNo : kDone);
 }
 
-bool is_tables_file(const std::string& path) {
-  const auto text = read_file(path);
-  return text && says_tables(*text);
-}
-
 Result<int> check_tables(const AppSpec& app, const Platform& platform, const std::string& path,
                          const solver::VerifyOptions& asked, const Options& options) {
   XAUTO_ASSIGN(const Tables tables, load_tables(path, app, platform));

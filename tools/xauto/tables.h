@@ -21,8 +21,6 @@ namespace xauto::cli {
                                             solver::TablesOptions asked, const std::string& out,
                                             const Options& options);
 
-/// Whether a file says that it is tables; what is none of ours is refused by who reads it.
-[[nodiscard]] bool is_tables_file(const std::string& path);
 [[nodiscard]] Result<int> check_tables(const AppSpec& app, const Platform& platform,
                                        const std::string& path, const solver::VerifyOptions& asked,
                                        const Options& options);

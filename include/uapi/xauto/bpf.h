@@ -57,7 +57,7 @@
  * struct xauto_bpf_head - what the maps of this run hold. Map "head", one element.
  * Written by the run that made the maps; @version also by those that joined it. Whoever writes @version,
  * "table" or "names" holds the lock (flock) on XAUTO_BPF_ROOT.
- * @abi:     XAUTO_BPF_ABI
+ * @abi:     XAUTO_BPF_ABI, written when all the rest is ready; 0 before
  * @xnodes:  entries per bank of "table", elements of "hist"
  * @slots:   elements of "slots" and "jobs"
  * @pad:     zero

@@ -244,6 +244,8 @@ void wrong_layout() {
   auto& head = const_cast<xauto_bpf_head&>(other.maps.head());
   head.abi = 99;
   ktap_test(refused(other.try_load(), "maps of layout 99"), "with maps of another version");
+  head.abi = 0;
+  ktap_test(refused(other.try_load(), "the run is just starting"), "with maps that are being made");
   head.abi = XAUTO_BPF_ABI;
 }
 
@@ -316,7 +318,7 @@ const Test kTests[] = {
     {"wrong_slot", 1, wrong_slot},
     {"impossible_maps", 4, impossible_maps},
     {"another_scheduler", 2, another_scheduler},
-    {"wrong_layout", 2, wrong_layout},
+    {"wrong_layout", 3, wrong_layout},
     {"without_btf", 1, without_btf},
     {"without_privilege", 2, without_privilege},
     {"without_table", 1, without_table},

@@ -88,6 +88,11 @@ class Ros2GateTest : public ::testing::Test {
     rclcpp::shutdown();
   }
 
+  static std::shared_ptr<detail::Ros2Executor> executor_of(Adder& adder) {
+    auto executor = std::make_shared<detail::Ros2Executor>(rclcpp::ExecutorOptions(), 1us);
+    executor->add_node(adder.get_node_base_interface());
+    return executor;
+  }
   /// Of a gate "gate", one core.
   static RunOptions options(std::int64_t distance_us = 1000) {
     AppSpec spec;
@@ -307,8 +312,7 @@ TEST_F(Ros2GateTest, ACallbackThatIsUnderWayAtTheStopEnds) {
 
 TEST_F(Ros2GateTest, WhatWasReleasedBeforeTheStopRunsAfterIt) {
   const auto adder = std::make_shared<Adder>();
-  const auto executor = std::make_shared<detail::Ros2Executor>(rclcpp::ExecutorOptions(), 1us);
-  executor->add_node(adder->get_node_base_interface());
+  const auto executor = executor_of(*adder);
   std::unique_ptr<detail::Ros2Ready> ready;  // the app, in which the job waits to begin
   Door released;
   executor->publish_by([&](std::uint64_t number, std::unique_ptr<rclcpp::AnyExecutable> work) {
@@ -331,8 +335,7 @@ TEST_F(Ros2GateTest, WhatWasReleasedBeforeTheStopRunsAfterIt) {
 
 TEST_F(Ros2GateTest, WhoKeepsAMessageThatHasRunHoldsUpNobody) {
   const auto adder = std::make_shared<Adder>();
-  const auto executor = std::make_shared<detail::Ros2Executor>(rclcpp::ExecutorOptions(), 1us);
-  executor->add_node(adder->get_node_base_interface());
+  const auto executor = executor_of(*adder);
   std::vector<std::unique_ptr<detail::Ros2Ready>> kept;
   executor->publish_by([&](std::uint64_t number, std::unique_ptr<rclcpp::AnyExecutable> work) {
     kept.push_back(std::make_unique<detail::Ros2Ready>(executor, number, std::move(work)));
@@ -349,8 +352,7 @@ TEST_F(Ros2GateTest, WhoKeepsAMessageThatHasRunHoldsUpNobody) {
 
 TEST_F(Ros2GateTest, WhatTheAppDoesNotTakeIsCountedAndAMessageStays) {
   const auto adder = std::make_shared<Adder>();
-  const auto executor = std::make_shared<detail::Ros2Executor>(rclcpp::ExecutorOptions(), 1us);
-  executor->add_node(adder->get_node_base_interface());
+  const auto executor = executor_of(*adder);
   std::atomic<int> tries{0};
   executor->publish_by([&](std::uint64_t number, std::unique_ptr<rclcpp::AnyExecutable> work) {
     const detail::Ros2Ready ready(executor, number, std::move(work));
@@ -370,8 +372,7 @@ TEST_F(Ros2GateTest, WhatTheAppDoesNotTakeIsCountedAndAMessageStays) {
 
 TEST_F(Ros2GateTest, WhatTheMiddlewareThrowsIsToldByStop) {
   const auto adder = std::make_shared<Adder>();
-  const auto executor = std::make_shared<detail::Ros2Executor>(rclcpp::ExecutorOptions(), 1us);
-  executor->add_node(adder->get_node_base_interface());
+  const auto executor = executor_of(*adder);
   executor->publish_by([](std::uint64_t, std::unique_ptr<rclcpp::AnyExecutable>) -> Status {
     throw std::runtime_error("rcl_wait() failed");
   });

@@ -110,6 +110,13 @@ class Watched : public testing::Test {
     std::ofstream(file() + ".new") << text;
     std::filesystem::rename(file() + ".new", file());
   }
+  /// From inotify, as the kernel's own are: the file then lies behind a link to another folder.
+  void hide_writes() const {
+    const std::string other = folder_ + "/other";
+    std::filesystem::create_directory(other);
+    std::filesystem::rename(file(), other + "/cur_freq");
+    std::filesystem::create_symlink(other + "/cur_freq", file());
+  }
   /// What the watch says, once it says something else than `before`.
   static Machine next(const ConditionWatch& watch, bool outside) {
     while (watch.now().outside != outside)
@@ -135,21 +142,14 @@ TEST_F(Watched, WhatAProgramWritesShowsWithoutWaitingForTheClock) {
 }
 
 TEST_F(Watched, AFileOfTheKernelIsReadByTheClock) {
-  // What inotify does not see: here, since the file lies behind a link to another folder.
-  const std::string other = folder_ + "/other";
-  std::filesystem::create_directory(other);
-  std::filesystem::rename(file(), other + "/cur_freq");
-  std::filesystem::create_symlink(other + "/cur_freq", file());
+  hide_writes();
   const ConditionWatch watch(tables_, {1'000'000, kNeverNs}, [](const Machine&) { return false; });
   put("100");
   next(watch, true);
 }
 
 TEST_F(Watched, AJobThatIsTooLongHasTheFilesReadAtOnceAndIsToldWhatTheySay) {
-  const std::string other = folder_ + "/other";
-  std::filesystem::create_directory(other);
-  std::filesystem::rename(file(), other + "/cur_freq");
-  std::filesystem::create_symlink(other + "/cur_freq", file());
+  hide_writes();
   std::atomic<bool> too_long{false}, told{false};
   std::atomic<int> glances{0};
   const ConditionWatch watch(tables_, {kNeverNs, 1'000'000}, [&](const Machine& machine) {
