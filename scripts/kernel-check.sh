@@ -131,7 +131,7 @@ scx_kernel() { # NAME: fetch-kernel.sh's 7.x, or the self-built 6.12
   esac
 }
 
-# scx NAME: the sched_ext scheduler and the tracer, in the guest's own virtual time: how busy this machine is does not matter.
+# scx NAME: the sched_ext scheduler and the tracer, in the guest's own virtual time: a stall of this machine is none of the guest's.
 scx() {
   local kernel items=() program append=""
   note "sched_ext and tracing on Linux $1"

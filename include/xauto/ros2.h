@@ -236,8 +236,8 @@ inline void Ros2Ready::end() const {
 class Ros2Gate {
  public:
   /// `distance` (1 us to 1 h): as of pushed(). The gate keeps it: what is ready sooner waits where it is, so that
-  /// nothing that ROS sends breaks what the policy promises to the rest of the app. Throws what rclcpp throws of
-  /// `options`; of a context that was not initialised, say.
+  /// a burst from ROS does not break what the policy promises to the rest of the app (a callback past its WCET
+  /// may). Throws what rclcpp throws of `options`; of a context that was not initialised, say.
   Ros2Gate(App& app, const std::string& name, std::chrono::microseconds distance,
            const rclcpp::ExecutorOptions& options = rclcpp::ExecutorOptions())
       : executor_(std::make_shared<detail::Ros2Executor>(options, distance)) {

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the machine says of its clocks and modes: the files that scenarios name (Scenario::when). And
 // the thread that reads them, on which it is also seen that an assumption is wrong. No release waits
-// for it, and it waits for none.
+// while it reads. It is an ordinary thread: where real-time threads fill the CPUs, releases look alone.
 //
 // When the files are read:
-//   by the clock   a clock's file in /sys tells nobody that it has changed. Not more often than such
-//                  clocks change: nvgpu's governor decides every 25 ms
-//   inotify        what programs write (nvpmodel's status) shows at once
+//   by the clock   a clock's file in /sys tells nobody that it has changed. As often as nvgpu's governor
+//                  decides, every 25 ms, or less
+//   inotify        what programs write (nvpmodel's status)
 //   a job          that is too long may be the first sign of a clock that has fallen
 #pragma once
 

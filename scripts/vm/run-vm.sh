@@ -4,7 +4,7 @@
 # usage: run-vm.sh KERNEL_FOLDER INITRD LOG [COMMAND]      COMMAND: what init runs, default /tests/run
 # Environment: VM_LIMIT_S (300), VM_CPUS (2), VM_MEMORY (1G), VM_APPEND (more kernel parameters)
 #   VM_ICOUNT=1: the guest's clock counts its instructions (2 ns each) and jumps over idle time. What the guest measures then does not
-#   depend on how busy this machine is, and is the same every time; its CPUs take turns, so races want the default instead.
+#   depend on how busy this machine is. Its CPUs take turns, so races want the default instead.
 #   VM_THREADS=single: the guest's CPUs take turns in one thread. QEMU 7.2 with a thread each can run code that the guest has patched a moment
 #   ago (an "int3" oops, on a busy machine); loading a scheduler patches the kernel each time.
 # Status: 0..123 the guest's own, 124 it took too long, 125 it died without a verdict.
