@@ -151,7 +151,7 @@ at_once() {
   local kernel items=() program
   note "sched_ext on CPUs that run at once, on Linux $1"
   kernel=$(scx_kernel "$1") || { failed=$((failed + 1)); return; }
-  for program in scx_lend_test scx_machine_test xauto-cpusched; do items+=("$build/bin/$program"); done
+  for program in scx_test scx_lend_test scx_machine_test xauto-cpusched; do items+=("$build/bin/$program"); done
   VM_APPEND=xauto.at-once VM_THREADS=single in_vm "at-once-$1" "$kernel" run-scx "${items[@]}"
 }
 

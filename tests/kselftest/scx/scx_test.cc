@@ -523,7 +523,7 @@ const Test kTests[] = {
     {"two_spinners", 2, two_spinners},
     {"order_of_eight", 1, order_of_eight},
     {"equal_priorities", 1, equal_priorities},
-    {"preemption", 2, preemption},
+    {"preemption", 2, preemption, true},
     {"placement", 1, placement},
     {"lowered_by_store", 2, lowered_by_store},
     {"told_while_queued", 1, told_while_queued},
