@@ -87,6 +87,26 @@ PY
   skipped=$((skipped + skip))
 }
 
+# areas DIR CTEST_ARGUMENT...: unit tests, those of an area in one process (a process of its own per test cost as much CPU time as
+# the tests). Counted by gtest's reports. An area that fails is run again, each test by itself, and that counts; but for a sanitizer's report.
+areas() {
+  local dir=$1 report log passes skip bad again
+  shift
+  report=$PWD/$dir/junit.xml log=$PWD/$dir/areas.log
+  rm -rf "$report" "$dir/tests/areas"
+  (cd "$dir" && ctest -j"${parallel:-$jobs}" -L '^area$' --output-on-failure --timeout 600 --output-junit "$report" "$@") | tee "$log" |
+    grep -vE '^ *(Start |[0-9]+/[0-9]+ Test .*Passed)'
+  read -r passes skip bad again < <(scripts/count-areas.py "$report" "$log" "$dir/tests/areas")
+  if [ -z "$bad" ]; then
+    echo "check: ctest in $dir ran no area"
+    bad=1
+  fi
+  passed=$((passed + ${passes:-0}))
+  skipped=$((skipped + ${skip:-0}))
+  failed=$((failed + bad))
+  [ -z "$again" ] || { note "each by itself: ${again//|/, }"; tests "$dir" -L unit -R "^($again)\\."; }
+}
+
 style() {
   note "style"
   one "clang-format" bash -c 'scripts/sources.sh | xargs clang-format --dry-run -Werror'
@@ -102,19 +122,19 @@ style() {
 # protocol, the solver's) in the release build, with the integration scripts; those with threads under TSan as well (two that
 # take long there have none). CONTRIBUTING.md says what is left to `full`.
 release=(xauto xauto-coordinator xauto-emud xauto-cpusched driving camera integration_programs xauto_shared xauto_watch test_coord test_messages test_solver)
-threaded='base|trace|coord|emu|transport|processes|runtime|launch'
+threaded='base|trace|coord|emu|transport|processes|runtime|launch|ros2'
 unit() { build ci build "${release[@]}" && { note "tests, release"; tests build -L heavy; integration build -LE long; }; }
 # They mostly wait: a quarter of their time is work.
 integration() { local dir=$1 parallel=$((3 * jobs)); shift; tests "$dir" -L integration "$@"; }
 asan_build() { build asan build-asan unit_tests fuzzers; }
-asan_tests() { note "tests, ASan+UBSan"; tests build-asan -L 'unit|fuzz'; }
+asan_tests() { note "tests, ASan+UBSan"; areas build-asan; tests build-asan -L fuzz; }
 asan() { asan_build && asan_tests; }
 tsan_build() {
   local targets
   IFS='|' read -ra targets <<<"$threaded"
   build tsan build-tsan "${targets[@]/#/test_}"
 }
-tsan_tests() { note "tests, TSan"; tests build-tsan -R "^($threaded)\." -LE heavy -E 'Snapshot.AMachineThatDies|Script.AgreesWithASecond'; }
+tsan_tests() { note "tests, TSan"; areas build-tsan -R "^area\.($threaded)\$"; }
 tsan() { tsan_build && tsan_tests; }
 # A VM takes one core most of the time: what compiles goes on beside it, then tests one by one.
 kernel_and_sanitizers() {
@@ -133,7 +153,7 @@ kernel_and_sanitizers() {
 # For the inner loop: every unit test in the release build, but for the heavy ones.
 fast() {
   one "clang-format" bash -c 'scripts/sources.sh | xargs clang-format --dry-run -Werror'
-  build ci build unit_tests && { note "unit tests, release"; tests build -L unit; }
+  build ci build unit_tests && { note "unit tests, release"; areas build; }
 }
 # What takes long: every test in every build, each file compiled alone, every kernel, the explorer's largest worlds.
 full() {
@@ -142,7 +162,7 @@ full() {
   build debug build-debug
   one "what \`make\` builds where only the group build is installed" \
     bash -c 'cmake --preset release -B build-bare -DXAUTO_BPF=OFF -DXAUTO_PEDESTRIANS=OFF && ninja -C build-bare'
-  build ci build && { note "tests, release"; tests build -LE integration; integration build; }
+  build ci build && { note "tests, release"; tests build -LE 'integration|area'; integration build; }
   one "attacks on steady policies" build/tests/attack_steady --policies 40 --solved 10 # 10^8 jobs
   build asan build-asan && { note "tests, ASan+UBSan"; tests build-asan -L 'unit|fuzz'; integration build-asan; }
   tests build-asan -L heavy -R 'Certify|BruteForce|Simulate|Objectives|TheAttack' # a minute
