@@ -3,15 +3,19 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <charconv>
 #include <cstring>
 #include <thread>
 
+#include <fcntl.h>
 #include <pthread.h>
 #include <sched.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <unistd.h>
+
+#include "base/unique_fd.h"
 
 namespace xauto::rt {
 
@@ -111,6 +115,19 @@ bool lock_memory() {
   // included.
   const bool unlimited = limit.rlim_cur == RLIM_INFINITY || geteuid() == 0;
   return mlockall(unlimited ? MCL_CURRENT | MCL_FUTURE : MCL_CURRENT) == 0;
+}
+
+// Three numbers: ns on a core, ns in a run queue, and how often (kernel: proc_pid_schedstat). The second
+// is added to when the thread gets a core, so that one who asks for its own time has all of it.
+std::optional<std::int64_t> without_core_ns() {
+  thread_local const UniqueFd file(open("/proc/thread-self/schedstat", O_RDONLY | O_CLOEXEC));
+  char text[96];
+  const ssize_t size = pread(file.get(), text, sizeof text, 0);
+  const char* const end = text + std::max<ssize_t>(0, size);
+  const char* const second = std::find(static_cast<const char*>(text), end, ' ');
+  std::int64_t ns = 0;
+  if (second == end || std::from_chars(second + 1, end, ns).ec != std::errc()) return std::nullopt;
+  return ns;
 }
 
 void set_thread_name(const std::string& name) {

@@ -171,6 +171,12 @@ Placing Placing::of(const Session& session, const Graph& graph) {
   return placing;
 }
 
+/// Of a set of tables the choice between them watches (table_switch.h).
+static bool claims_worst_case(const Session& session) {
+  if (session.scheduling != Scheduling::kXAuto || session.tables) return false;
+  return session.keys || session.policy.worst_case_us;
+}
+
 Limits Placing::limits_of(const Session& session, const AppSpec& app, const Graph& graph,
                           std::size_t node, int at) {
   if (at < 0) return {};
@@ -179,7 +185,7 @@ Limits Placing::limits_of(const Session& session, const AppSpec& app, const Grap
   const auto module = static_cast<std::size_t>(graph.nodes[node].module);
   Limits of_job = Limits::of(session.deployment, graph.modules[module].name, name,
                              app.xnodes[xnode[node]].wcet_on(type).value_or(0));
-  if (!session.keys) return of_job;
+  if (!claims_worst_case(session)) return of_job;
   const std::int64_t watched =
       watched_ns(*session.app.xnodes[xnode[node]].wcet_on(type), session.emulated(at));
   if (of_job.budget_ns > watched)

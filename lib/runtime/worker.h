@@ -174,6 +174,7 @@ class Worker {
   void write(std::uint16_t kind, const Placed& placed, std::uint64_t sequence, std::uint32_t arg);
   void note_failure(const Placed& placed, const std::string& what);
   void begin_timed(const Placed& placed, std::uint64_t sequence);
+  [[nodiscard]] std::int64_t on_core_ns(std::int64_t wall_ns) const;
   bool end_timed(const Placed& placed);
   void tell_cpu_time();
 
@@ -203,11 +204,12 @@ class Worker {
   /// 1: the execution thread takes no job any more; 2: it is through, too, with what its inits have
   /// made; a futex.
   std::atomic<std::uint32_t> ended_{0};
-  Stopwatch watch_;                            ///< of the job that runs
-  std::atomic<const Placed*> timed_{nullptr};  ///< whose job that is
-  std::atomic<std::uint64_t> hung_job_{0};     ///< the last one that find_hung found
-  std::atomic<std::int64_t> cpu_since_ns_{0};  ///< of the execution thread's CPU time
-  std::int64_t cpu_told_ns_ = 0;               ///< ... what is on the board
+  Stopwatch watch_;                                    ///< of the job that runs
+  std::atomic<const Placed*> timed_{nullptr};          ///< whose job that is
+  std::atomic<std::uint64_t> hung_job_{0};             ///< the last one that find_hung found
+  std::atomic<std::int64_t> cpu_since_ns_{0};          ///< of the execution thread's CPU time
+  std::optional<std::int64_t> without_core_since_ns_;  ///< at the begin of the job that runs
+  std::int64_t cpu_told_ns_ = 0;                       ///< ... what is on the board
   clockid_t cpu_clock_ = CLOCK_MONOTONIC;  ///< of the execution thread; set before its first job
   mutable PiMutex failure_mutex_;
   std::string failure_ XAUTO_GUARDED_BY(failure_mutex_);

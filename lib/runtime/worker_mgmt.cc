@@ -116,8 +116,20 @@ void Worker::tell_held_up(const Placed& placed, std::uint64_t sequence, std::uin
 
 void Worker::begin_timed(const Placed& placed, std::uint64_t sequence) {
   timed_.store(&placed, std::memory_order_release);
-  if (backend_->on_thread()) cpu_since_ns_.store(clock_ns(cpu_clock_));
+  if (backend_->on_thread() && placed.limited) {
+    without_core_since_ns_ = rt::without_core_ns();
+    if (placed.watched || !without_core_since_ns_) cpu_since_ns_.store(clock_ns(cpu_clock_));
+  }
   watch_.begin(now_ns(), sequence);
+}
+
+/// Of a job on a real core, whom the kernel preempts unseen: all of its time but for what it waited in a
+/// run queue. A WCET was measured so, with nobody to wait for: an exec that sleeps for a lock or a file
+/// is on its core.
+std::int64_t Worker::on_core_ns(std::int64_t wall_ns) const {
+  if (!without_core_since_ns_) return clock_ns(cpu_clock_) - cpu_since_ns_.load();
+  const std::int64_t until_ns = rt::without_core_ns().value_or(*without_core_since_ns_);
+  return std::max<std::int64_t>(0, wall_ns - (until_ns - *without_core_since_ns_));
 }
 
 /// False: the activation was given up meanwhile.
@@ -125,8 +137,7 @@ bool Worker::end_timed(const Placed& placed) {
   const std::int64_t wall_ns = watch_.end(now_ns());
   if (holds_) options_.counts->busy_ns.fetch_add(wall_ns, std::memory_order_relaxed);
   if (!placed.limited) return true;
-  const std::int64_t took_ns =
-      backend_->on_thread() ? clock_ns(cpu_clock_) - cpu_since_ns_.load() : wall_ns;
+  const std::int64_t took_ns = backend_->on_thread() ? on_core_ns(wall_ns) : wall_ns;
   XNodeLine& line = *placed.line;  // of the module's workers on this XPU
   if (placed.watched) line.saw(took_ns);
   line.jobs.fetch_add(1, std::memory_order_relaxed);
@@ -138,6 +149,8 @@ bool Worker::end_timed(const Placed& placed) {
   return !chain_.activation->abandoned();
 }
 
+/// By another thread, so on a real core only what it has run for: what waits in a run queue now is not
+/// counted there yet. What it slept is told when it ends.
 void Worker::tell_time(std::int64_t now_ns) const {
   const auto seen = watch_.look(now_ns);
   if (!seen || seen->job == hung_job_.load(std::memory_order_relaxed)) return;  // that is told

@@ -203,6 +203,24 @@ TEST(Engine, JobsOverTheirBudgetAreCounted) {
   }
 }
 
+/// Asleep on a real core it keeps its chain as long as if it computed.
+TEST(Engine, WhereAWorstCaseIsClaimedJobsOverTheirWcetAreCounted) {
+  TestApp app;
+  app.session.app.xnodes[0].wcet_us = {{"cpu", 2'000}};
+  app.session.policy.worst_case_us = 100'000;
+  app.exec = [](const std::string& node, std::uint64_t k) -> Status {
+    if (node == "a1" && k % 10 == 0) std::this_thread::sleep_for(3ms);
+    return {};
+  };
+  const auto report = app.run();
+  ASSERT_TRUE(report) << report.error().to_string();
+  ASSERT_EQ(report->xnodes.size(), 4u);
+  EXPECT_EQ(report->xnodes[0].name, "a1");
+  EXPECT_EQ(report->xnodes[0].jobs, 50u);
+  EXPECT_GE(report->xnodes[0].overruns, 5u);  // a busy machine may add to them
+  EXPECT_GE(report->xnodes[0].longest_us, 3'000);
+}
+
 TEST(Engine, SourcesOfTwoPeriodsGiveEveryChainItsOwnLatency) {
   TestApp app;
   const Topic<int> slow("slow");
