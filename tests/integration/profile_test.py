@@ -72,6 +72,15 @@ class RealAndEmulated(Case):
         placed = next(x["xpu"] for x in self.read("policy.json")["xnodes"] if x["name"] == "m.work")
         self.assertEqual(cores, f"cores {CORES[int(placed.removeprefix('cpu'))]}", "the core that the policy names")
 
+    def test_a_job_that_sleeps_on_its_real_core_breaks_the_claim(self):
+        self.good("doctor", "--platform-out", "here.json")
+        self.profile("here.json", "--margin-pct", 900)  # a busy machine is none
+        self.good("solve", "--app", "app.json", "--platform", "here.json", "--method", "heft", "--out", "policy.json")
+        run = self.good("run", "--app", "app.json", "--platform", "here.json", "--policy", "policy.json", "--lockstep",
+                        "--activations", 20, "--json", "--", STAGES, "result", "once", 9, 500)
+        broken = json.loads(run.stdout)["runs"][0]["worst_case_broken"]
+        self.assertRegex(" ".join(broken), r"[1-9]\d* of 60 jobs outran their WCET, m\.work by 4\d\d\.\d\d ms")
+
     def test_small_measures_the_cores_there_are(self):
         done = self.profile("small")
         self.assertEqual(sorted(self.on("m.work")), [f"cpu{i}" for i in range(len(CORES))])
