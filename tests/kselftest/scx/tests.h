@@ -8,6 +8,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "base/clock.h"
 #include "kernel/scx_scheduler.h"
 
 #include "../ktap.h"
@@ -105,7 +106,9 @@ static int run_tests(const Test (&tests)[N], const char* wanted) {
   for (const Test& test : tests) {
     if (!is_wanted(test, wanted)) continue;
     ktap_note("%s", test.name);
+    const std::int64_t since_ns = now_ns();
     test.run();
+    ktap_note("%s: %.1f s", test.name, static_cast<double>(now_ns() - since_ns) * 1e-9);
   }
   return ktap_exit();
 }
