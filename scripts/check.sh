@@ -46,39 +46,18 @@ build() {
   fi
 }
 
-# tests DIR CTEST_ARGUMENT...: ctest, with its JUnit report added to the count. A test that said why it does not run here is
-# skipped; one that did not run for any other reason counts as failed. Threads and processes run in real time, on machines that
-# stand still for a quarter of a second: a test that fails is run once more, and named. What a sanitizer reported stays a failure.
-tests() {
-  local dir=$1 report log counts status passes bad skip
+# ctest_counted DIR CTEST_ARGUMENT...: ctest, its output without what passed, and what scripts/count-tests.py counts of it. With
+# `reports` set, gtest's reports count, and `again` says which areas are to run again.
+ctest_counted() {
+  local dir=$1 report log status passes bad skip
   shift
   report=$PWD/$dir/junit.xml log=$PWD/$dir/ctest.log
   rm -f "$report"
-  (cd "$dir" && ctest -j"${parallel:-$jobs}" --output-on-failure --timeout 300 --repeat until-pass:2 --output-junit "$report" "$@") | tee "$log" |
+  (cd "$dir" && ctest -j"${parallel:-$jobs}" --output-on-failure --output-junit "$report" "$@") | tee "$log" |
     grep -vE '^ *(Start |[0-9]+/[0-9]+ Test .*Passed|Test +#[0-9]+: .*Passed)'
   status=${PIPESTATUS[0]}
-  counts=$(python3 - "$report" "$log" <<'PY'
-import re, sys, xml.etree.ElementTree as xml
-try:
-    cases = xml.parse(sys.argv[1]).getroot().findall("testcase")
-except (OSError, xml.ParseError):
-    cases = []
-passed = {c.get("name") for c in cases if c.get("status") == "run" and c.find("failure") is None}
-said = [c.find("skipped") for c in cases if c.get("status") == "notrun"]
-skipped = sum(s is not None and s.get("message", "").startswith("SKIP_") for s in said)
-log = open(sys.argv[2], errors="replace").read()
-again = passed & set(re.findall(r"Test +#\d+: (\S+) .*\*\*\*(?:Failed|Timeout|Exception)", log))
-for name in sorted(again):
-    print(f"check: {name} failed, and passed when it was run again", file=sys.stderr)
-reported = re.findall(r"^.*(?:WARNING: ThreadSanitizer|ERROR: \w+Sanitizer|: runtime error: ).*$", log, re.M)
-if again and reported:
-    print("check: a sanitizer's report counts, whatever the second run says: " + reported[0], file=sys.stderr)
-    passed -= again
-print(len(passed), len(cases) - len(passed) - skipped, skipped)
-PY
-  )
-  read -r passes bad skip <<<"$counts"
-  if [ "$bad" -eq 0 ] && { [ "$status" -ne 0 ] || [ "$passes" -eq 0 ]; }; then
+  read -r passes bad skip again < <(scripts/count-tests.py "$report" "$log" ${reports:+"$reports"})
+  if [ "$bad" -eq 0 ] && [ -z "$again" ] && { [ "$status" -ne 0 ] || [ "$passes" -eq 0 ]; }; then
     echo "check: ctest in $dir ended with status $status, $passes passed"
     bad=1
   fi
@@ -87,24 +66,20 @@ PY
   skipped=$((skipped + skip))
 }
 
+# tests DIR CTEST_ARGUMENT...: each in a process of its own. Threads and processes run in real time, on machines that stand still
+# for a quarter of a second: a test that fails is run once more, and named.
+tests() {
+  local reports='' again
+  ctest_counted "$@" --timeout 300 --repeat until-pass:2
+}
+
 # areas DIR CTEST_ARGUMENT...: unit tests, those of an area in one process (a process of its own per test cost as much CPU time as
-# the tests). Counted by gtest's reports. An area that fails is run again, each test by itself, and that counts; but for a sanitizer's report.
+# the tests). An area that fails is run again, each test by itself, and that counts; but for a sanitizer's report.
 areas() {
-  local dir=$1 report log passes skip bad again
-  shift
-  report=$PWD/$dir/junit.xml log=$PWD/$dir/areas.log
-  rm -rf "$report" "$dir/tests/areas"
-  (cd "$dir" && ctest -j"${parallel:-$jobs}" -L '^area$' --output-on-failure --timeout 600 --output-junit "$report" "$@") | tee "$log" |
-    grep -vE '^ *(Start |[0-9]+/[0-9]+ Test .*Passed)'
-  read -r passes skip bad again < <(scripts/count-areas.py "$report" "$log" "$dir/tests/areas")
-  if [ -z "$bad" ]; then
-    echo "check: ctest in $dir ran no area"
-    bad=1
-  fi
-  passed=$((passed + ${passes:-0}))
-  skipped=$((skipped + ${skip:-0}))
-  failed=$((failed + bad))
-  [ -z "$again" ] || { note "each by itself: ${again//|/, }"; tests "$dir" -L unit -R "^($again)\\."; }
+  local reports=$PWD/$1/tests/areas again
+  rm -rf "$reports"
+  ctest_counted "$@" -L '^area$' --timeout 600
+  [ -z "$again" ] || { note "each by itself: ${again//|/, }"; tests "$1" -L unit -R "^($again)\\."; }
 }
 
 style() {

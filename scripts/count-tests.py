@@ -1,0 +1,79 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""Counts what ctest ran, for scripts/check.sh.
+
+  count-tests.py JUNIT LOG [DIRECTORY]   JUNIT: ctest's report; LOG: what it printed; DIRECTORY: gtest's reports, AREA.xml
+
+Prints "PASSED FAILED SKIPPED". A test that said why it does not run here is skipped; one that did not run for any other reason has
+failed. One that passed when it was run again is named. What a sanitizer reported stays a failure, whatever a second run says.
+
+With DIRECTORY each of ctest's tests is an area, whose tests gtest has counted. Prints "PASSED FAILED SKIPPED AREA|AREA": of the areas
+that passed, and those to run again, each test by itself. FAILED is 1 if a sanitizer reported something there."""
+import os
+import re
+import sys
+import xml.etree.ElementTree as xml
+
+REPORTED = re.compile(r"^.*(?:WARNING: ThreadSanitizer|ERROR: \w+Sanitizer|: runtime error: ).*$", re.M)
+
+
+def cases_of(path, where):
+    """The test cases of a report; none if it is none."""
+    try:
+        return xml.parse(path).getroot().findall(where)
+    except (OSError, xml.ParseError):
+        return []
+
+
+def sanitizer_reported(log):
+    reported = REPORTED.findall(log)
+    if reported:
+        print("check: a sanitizer's report counts, whatever the second run says: " + reported[0], file=sys.stderr)
+    return bool(reported)
+
+
+def passed_of(cases):
+    return {c.get("name") for c in cases if c.get("status") == "run" and c.find("failure") is None}
+
+
+def count_tests(cases, log):
+    passed = passed_of(cases)
+    said = [c.find("skipped") for c in cases if c.get("status") == "notrun"]
+    skipped = sum(s is not None and s.get("message", "").startswith("SKIP_") for s in said)
+    again = passed & set(re.findall(r"Test +#\d+: (\S+) .*\*\*\*(?:Failed|Timeout|Exception)", log))
+    for name in sorted(again):
+        print(f"check: {name} failed, and passed when it was run again", file=sys.stderr)
+    if again and sanitizer_reported(log):
+        passed -= again
+    print(len(passed), len(cases) - len(passed) - skipped, skipped)
+
+
+def count_areas(cases, log, directory):
+    passed = skipped = 0
+    again = []
+    good = passed_of(cases)
+    for name in sorted(c.get("name") for c in cases):
+        area = name.removeprefix("area.")
+        results = [c.get("result") for c in cases_of(os.path.join(directory, area + ".xml"), "testsuite/testcase")]
+        done, out = results.count("completed"), results.count("skipped")
+        if name not in good or done + out == 0:
+            again.append(area)
+            continue
+        passed += done
+        skipped += out
+    for name in sorted(set(re.findall(r"^\[  FAILED  \] (\w+\.[\w/]+)", log, re.M))):
+        print(f"check: {name} failed beside the others of its area", file=sys.stderr)
+    print(passed, int(bool(again) and sanitizer_reported(log)), skipped, "|".join(again))
+
+
+def main(junit, log, directory=None):
+    cases = cases_of(junit, "testcase")
+    with open(log, errors="replace") as file:
+        text = file.read()
+    if directory is None:
+        count_tests(cases, text)
+    else:
+        count_areas(cases, text, directory)
+
+
+main(*sys.argv[1:])
