@@ -3,7 +3,8 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <charconv>
+#include <cinttypes>
+#include <cstdio>
 #include <cstring>
 #include <thread>
 
@@ -117,17 +118,20 @@ bool lock_memory() {
   return mlockall(unlimited ? MCL_CURRENT | MCL_FUTURE : MCL_CURRENT) == 0;
 }
 
-// Three numbers: ns on a core, ns in a run queue, and how often (kernel: proc_pid_schedstat). The second
-// is added to when the thread gets a core, so that one who asks for its own time has all of it.
+// Three numbers: ns on a core, ns in a run queue, how often it got a core (kernel: proc_pid_schedstat).
+// The second is added to when it gets one, so that who asks for its own time has all of it. All three
+// are 0 where nobody counts, which can be a matter of the kernel's command line (nodelayacct, 5.10).
 std::optional<std::int64_t> without_core_ns() {
   thread_local const UniqueFd file(open("/proc/thread-self/schedstat", O_RDONLY | O_CLOEXEC));
   char text[96];
-  const ssize_t size = pread(file.get(), text, sizeof text, 0);
-  const char* const end = text + std::max<ssize_t>(0, size);
-  const char* const second = std::find(static_cast<const char*>(text), end, ' ');
-  std::int64_t ns = 0;
-  if (second == end || std::from_chars(second + 1, end, ns).ec != std::errc()) return std::nullopt;
-  return ns;
+  const ssize_t size = pread(file.get(), text, sizeof text - 1, 0);
+  if (size <= 0) return std::nullopt;
+  text[size] = 0;
+  std::int64_t ran = 0, waited = 0, times = 0;
+  if (std::sscanf(text, "%" SCNd64 " %" SCNd64 " %" SCNd64, &ran, &waited, &times) != 3 ||
+      times == 0)
+    return std::nullopt;
+  return waited;
 }
 
 void set_thread_name(const std::string& name) {

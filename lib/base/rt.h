@@ -41,7 +41,7 @@ void leave_huge_pages();
 /// Best effort; false where the memlock limit forbids it.
 bool lock_memory();
 /// For how long the calling thread could have run so far, and had no core: all else of its time it ran,
-/// or slept. nullopt: this kernel does not count it (CONFIG_SCHED_INFO), or /proc is not there.
+/// or slept. nullopt: this kernel does not count it, or /proc is not there.
 [[nodiscard]] std::optional<std::int64_t> without_core_ns();
 /// Cut to the kernel's 15 characters.
 void set_thread_name(const std::string& name);

@@ -124,8 +124,9 @@ struct alignas(64) ParameterLine {
 
 /// Jobs of one XNode that has limits (watch.h).
 struct alignas(64) XNodeLine {
-  std::atomic<std::uint64_t> jobs{}, overruns{}, hangs{};  ///< [M]
-  std::atomic<std::int64_t> longest_ns{};                  ///< [M]
+  // [M]; overruns: of the budget; over_wcet: of Limits::wcet_ns
+  std::atomic<std::uint64_t> jobs{}, overruns{}, over_wcet{}, hangs{};
+  std::atomic<std::int64_t> longest_ns{};  ///< [M]
   /// With tables: the longest job since the hub last looked. [M] raises it, [H] takes it.
   std::atomic<std::int64_t> saw_ns{};
   void saw(std::int64_t ns) {

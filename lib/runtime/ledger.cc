@@ -290,8 +290,8 @@ void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
     if (!limits[n].any()) continue;
     const XNodeLine& line = context_.board.xnode(n);
     into.xnodes.push_back({context_.graph.nodes[n].name, limits[n].budget_ns / 1000,
-                           limits[n].hang_ns / 1000, line.jobs, line.overruns, line.hangs,
-                           line.longest_ns / 1000});
+                           limits[n].wcet_ns / 1000, limits[n].hang_ns / 1000, line.jobs,
+                           line.overruns, line.over_wcet, line.hangs, line.longest_ns / 1000});
   }
   into.overlapping_releases = context_.board.header().overlapping.load();
   into.deadline_misses = deadline_misses_.load();

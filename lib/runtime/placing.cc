@@ -140,6 +140,13 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
   return lines;
 }
 
+/// By jobs within one WCET each. In a set of tables that depends on the scenario: the choice between
+/// tables watches it (table_switch.h).
+bool claims_worst_case(const Session& session) {
+  if (session.scheduling != Scheduling::kXAuto || session.tables) return false;
+  return session.keys || session.policy.worst_case_us;
+}
+
 }  // namespace
 
 std::int64_t watched_ns(std::int64_t wcet_us, bool emulated) {
@@ -171,27 +178,17 @@ Placing Placing::of(const Session& session, const Graph& graph) {
   return placing;
 }
 
-/// Of a set of tables the choice between them watches (table_switch.h).
-static bool claims_worst_case(const Session& session) {
-  if (session.scheduling != Scheduling::kXAuto || session.tables) return false;
-  return session.keys || session.policy.worst_case_us;
-}
-
 Limits Placing::limits_of(const Session& session, const AppSpec& app, const Graph& graph,
-                          std::size_t node, int at) {
+                          std::size_t node, int at) const {
   if (at < 0) return {};
   const std::string& name = graph.nodes[node].name;
   const std::string& type = session.platform.xpus[static_cast<std::size_t>(at)].type;
   const auto module = static_cast<std::size_t>(graph.nodes[node].module);
   Limits of_job = Limits::of(session.deployment, graph.modules[module].name, name,
                              app.xnodes[xnode[node]].wcet_on(type).value_or(0));
-  if (!claims_worst_case(session)) return of_job;
-  const std::int64_t watched =
-      watched_ns(*session.app.xnodes[xnode[node]].wcet_on(type), session.emulated(at));
-  if (of_job.budget_ns > watched)
-    unkept.push_back("the deployment's budget of XNode '" + name +
-                     "' is longer than its WCET, so not every overrun is seen");
-  if (of_job.budget_ns == 0) of_job.budget_ns = watched;
+  if (claims_worst_case(session))
+    of_job.wcet_ns =
+        watched_ns(*session.app.xnodes[xnode[node]].wcet_on(type), session.emulated(at));
   return of_job;
 }
 

@@ -24,8 +24,9 @@ struct XNodeLine;
 /// What the jobs of one XNode may take; 0: no limit.
 struct Limits {
   std::int64_t budget_ns = 0, hang_ns = 0;
+  std::int64_t wcet_ns = 0;  ///< the policy claims worst cases of jobs that take no longer
   OnHang on_hang = OnHang::kLog;
-  [[nodiscard]] bool any() const { return budget_ns > 0 || hang_ns > 0; }
+  [[nodiscard]] bool any() const { return budget_ns > 0 || hang_ns > 0 || wcet_ns > 0; }
 
   /// Of an XNode whose WCET on its XPU is `wcet_us`.
   [[nodiscard]] static Limits of(const Deployment& deployment, const std::string& module,

@@ -143,6 +143,8 @@ bool Worker::end_timed(const Placed& placed) {
   line.jobs.fetch_add(1, std::memory_order_relaxed);
   if (placed.limits.budget_ns > 0 && took_ns > placed.limits.budget_ns)
     line.overruns.fetch_add(1, std::memory_order_relaxed);
+  if (placed.limits.wcet_ns > 0 && took_ns > placed.limits.wcet_ns)
+    line.over_wcet.fetch_add(1, std::memory_order_relaxed);
   std::int64_t longest_ns = line.longest_ns.load(std::memory_order_relaxed);
   while (took_ns > longest_ns && !line.longest_ns.compare_exchange_weak(longest_ns, took_ns)) {
   }

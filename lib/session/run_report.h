@@ -27,11 +27,11 @@ struct ModuleReport {
   Distribution latencies_us;  ///< sinks: origin to done, per activation
 };
 
-/// An XNode with a budget or a hang limit; see watch.h for what is timed.
+/// An XNode with limits; see watch.h for what is timed.
 struct XNodeReport {
   std::string name;
-  std::int64_t budget_us = 0, hang_us = 0;  ///< 0: none
-  std::uint64_t jobs = 0, overruns = 0, hangs = 0;
+  std::int64_t budget_us = 0, wcet_us = 0, hang_us = 0;  ///< 0: none; wcet_us: Limits::wcet_ns
+  std::uint64_t jobs = 0, overruns = 0, over_wcet = 0, hangs = 0;
   std::int64_t longest_us = 0;
 };
 inline constexpr std::size_t kKeptReleases = 65'536;

@@ -41,8 +41,9 @@ void fields(Io io, T& x) {
 
 template <class Io, Is<XNodeReport> T>
 void fields(Io io, T& x) {
-  io("name", x.name, "budget_us", x.budget_us, "hang_us", x.hang_us, "jobs", x.jobs, "overruns",
-     x.overruns, "hangs", x.hangs, "longest_us", x.longest_us);
+  io("name", x.name, "budget_us", x.budget_us, "wcet_us", x.wcet_us, "hang_us", x.hang_us, "jobs",
+     x.jobs, "overruns", x.overruns, "over_wcet", x.over_wcet, "hangs", x.hangs, "longest_us",
+     x.longest_us);
 }
 
 template <class Io, Is<RouteReport> T>

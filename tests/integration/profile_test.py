@@ -74,12 +74,18 @@ class RealAndEmulated(Case):
 
     def test_a_job_that_sleeps_on_its_real_core_breaks_the_claim(self):
         self.good("doctor", "--platform-out", "here.json")
-        self.profile("here.json", "--margin-pct", 900)  # a busy machine is none
+        self.profile("here.json")
+        app = self.read("app.json")
+        next(x for x in app["xnodes"] if x["name"] == "m.work")["wcet_us"] = {"cpu": 100_000}  # no stall is as long
+        (self.folder / "app.json").write_text(json.dumps(app))
         self.good("solve", "--app", "app.json", "--platform", "here.json", "--method", "heft", "--out", "policy.json")
         run = self.good("run", "--app", "app.json", "--platform", "here.json", "--policy", "policy.json", "--lockstep",
                         "--activations", 20, "--json", "--", STAGES, "result", "once", 9, 500)
-        broken = json.loads(run.stdout)["runs"][0]["worst_case_broken"]
-        self.assertRegex(" ".join(broken), r"[1-9]\d* of 60 jobs outran their WCET, m\.work by 4\d\d\.\d\d ms")
+        report = json.loads(run.stdout)["runs"][0]
+        work = next(x for x in report["limited_xnodes"] if x["name"] == "m.work")
+        self.assertEqual((work["jobs"], work["wcet_us"], work["over_wcet"]), (20, 100_000, 1))
+        self.assertNotIn("budget_us", work)
+        self.assertRegex(" ".join(report["worst_case_broken"]), r"[1-9]\d* of 60 jobs outran their WCET, m\.work by 4\d\d\.\d\d ms")
 
     def test_small_measures_the_cores_there_are(self):
         done = self.profile("small")

@@ -53,7 +53,6 @@ struct ClaimCounts {
   bool exceeded = false;              ///< some chain took longer
   std::vector<std::string> broken;    ///< a line for each assumption that is broken
   std::vector<Violation> violations;  ///< every kind, also those that did not happen
-  bool watches_wcets = true;  ///< else only the report, from the trace, says who outran them
   [[nodiscard]] bool stands() const { return claimed && broken.empty(); }
 };
 

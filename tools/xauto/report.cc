@@ -133,7 +133,7 @@ std::string limits_table(const PolicyRun& run, int version, const std::string& w
     }
   }
   for (const runtime::XNodeReport& x : run.report.xnodes)
-    if ((x.overruns > 0 && !run.keys) || x.hangs > 0)
+    if (x.overruns > 0 || x.hangs > 0)
       out += fmt::format(
           "  {}XNode {}: of {} jobs {} exceeded {} ms, {} hung; the longest took {} ms\n", who,
           x.name, x.jobs, x.overruns, in_ms(x.budget_us, 1), x.hangs, in_ms(x.longest_us, x.jobs));
@@ -413,6 +413,10 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       if (x.budget_us > 0) {
         entry["budget_us"] = x.budget_us;
         entry["overruns"] = x.overruns;
+      }
+      if (x.wcet_us > 0) {
+        entry["wcet_us"] = x.wcet_us;
+        entry["over_wcet"] = x.over_wcet;
       }
       if (x.hang_us > 0) {
         entry["hang_us"] = x.hang_us;

@@ -33,14 +33,14 @@ std::string counted_overruns(const PolicyRun& run) {
   const runtime::XNodeReport* worst = nullptr;
   for (const runtime::XNodeReport& x : run.report.xnodes) {
     jobs += x.jobs;
-    count += x.overruns;
-    if (x.overruns > 0 &&
-        (worst == nullptr || x.longest_us - x.budget_us > worst->longest_us - worst->budget_us))
+    count += x.over_wcet;
+    if (x.over_wcet > 0 &&
+        (worst == nullptr || x.longest_us - x.wcet_us > worst->longest_us - worst->wcet_us))
       worst = &x;
   }
   if (worst == nullptr) return {};
   return fmt::format("{} of {} jobs outran their WCET, {} by {}", count, jobs, worst->name,
-                     ms(worst->longest_us - worst->budget_us));
+                     ms(worst->longest_us - worst->wcet_us));
 }
 
 }  // namespace

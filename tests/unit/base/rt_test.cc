@@ -2,7 +2,6 @@
 #include "base/rt.h"
 
 #include <chrono>
-#include <ctime>
 #include <functional>
 #include <thread>
 
@@ -11,6 +10,8 @@
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
+
+#include "base/clock.h"
 
 namespace xauto::rt {
 namespace {
@@ -43,12 +44,6 @@ TEST(Rt, HighestPriorityIsTheOneThatTheKernelAcceptsLast) {
   }
 }
 
-std::int64_t clock_now_ns(clockid_t clock) {
-  timespec now{};
-  clock_gettime(clock, &now);
-  return now.tv_sec * 1'000'000'000ll + now.tv_nsec;
-}
-
 /// What a thread that computes did not run for, by the clock of its CPU time, it waited for. Two of them
 /// share a core.
 TEST(Rt, WithoutACoreIsWhatAThreadThatComputesDoesNotRun) {
@@ -58,12 +53,12 @@ TEST(Rt, WithoutACoreIsWhatAThreadThatComputesDoesNotRun) {
     CPU_ZERO(&one);
     CPU_SET(allowed_cores().front(), &one);
     sched_setaffinity(0, sizeof one, &one);
-    const std::int64_t waited = *without_core_ns(), since = clock_now_ns(CLOCK_MONOTONIC);
-    const std::int64_t ran = clock_now_ns(CLOCK_THREAD_CPUTIME_ID);
-    while (clock_now_ns(CLOCK_THREAD_CPUTIME_ID) - ran < 100'000'000) {
+    const std::int64_t waited = *without_core_ns(), since = now_ns();
+    const std::int64_t ran = clock_ns(CLOCK_THREAD_CPUTIME_ID);
+    while (clock_ns(CLOCK_THREAD_CPUTIME_ID) - ran < 100'000'000) {
     }
-    const std::int64_t all = clock_now_ns(CLOCK_MONOTONIC) - since;
-    const std::int64_t not_run = all - (clock_now_ns(CLOCK_THREAD_CPUTIME_ID) - ran);
+    const std::int64_t all = now_ns() - since;
+    const std::int64_t not_run = all - (clock_ns(CLOCK_THREAD_CPUTIME_ID) - ran);
     const std::int64_t told = *without_core_ns() - waited;
     EXPECT_GT(told, 0);
     EXPECT_NEAR(static_cast<double>(told), static_cast<double>(not_run), 1e6 + 0.02 * 1e8);
@@ -76,9 +71,9 @@ TEST(Rt, WithoutACoreIsWhatAThreadThatComputesDoesNotRun) {
 TEST(Rt, ASleeperHasItsCore) {
   const auto waited = without_core_ns();
   if (!waited) GTEST_SKIP() << "this kernel does not count it";
-  const std::int64_t since = clock_now_ns(CLOCK_MONOTONIC);
+  const std::int64_t since = now_ns();
   std::this_thread::sleep_for(std::chrono::milliseconds(20));
-  const std::int64_t all = clock_now_ns(CLOCK_MONOTONIC) - since;
+  const std::int64_t all = now_ns() - since;
   EXPECT_GE(all - (*without_core_ns() - *waited), 20'000'000);
 }
 

@@ -369,5 +369,32 @@ TEST(MetricsServerOpen, SaysWhatIsWrongWithAnAddress) {
   EXPECT_NE(second.error().to_string().find("choose another"), std::string::npos);
 }
 
+/// As the report says it after the run. A budget is the deployment's wish: to pass it breaks no claim.
+TEST(Counts, AJobPastItsWcetBreaksTheClaimOfOnePolicyAndABudgetDoesNot) {
+  const auto board = runtime::Board::local({.nodes = 2});
+  board->flow(0).worst_case_us = board->flow(0).allowed_us = 50'000;
+  runtime::XNodeLine& line = board->xnode(1);
+  line.jobs = 9;
+  line.overruns = 4;
+  ASSERT_TRUE(counts_of(*board).claims.claimed);
+  EXPECT_TRUE(counts_of(*board).claims.stands());
+  line.over_wcet = 2;
+  const ClaimCounts claims = counts_of(*board).claims;
+  EXPECT_EQ(claims.broken, std::vector<std::string>{"2 of 9 jobs outran their WCET"});
+  const auto count = [&](const std::string& kind) {
+    for (const Violation& v : claims.violations)
+      if (v.kind == kind) return static_cast<int>(v.count) * (v.breaks ? 1 : -1);
+    return 0;
+  };
+  EXPECT_EQ(count("wcet_overrun"), 2);
+  EXPECT_EQ(count("budget_overrun"), -4);
+}
+
+/// Nobody looks there: no number, instead of 0.
+TEST(Counts, WhereNothingIsClaimedWcetsAreNotCounted) {
+  const auto board = runtime::Board::local({.nodes = 1});
+  for (const Violation& v : counts_of(*board).claims.violations) EXPECT_NE(v.kind, "wcet_overrun");
+}
+
 }  // namespace
 }  // namespace xauto::cli
