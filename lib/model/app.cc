@@ -10,6 +10,7 @@
 #include <unordered_map>
 
 #include "base/index.h"
+#include "model/loss.h"
 #include "model/periodic.h"
 #include "model/refusal.h"
 
@@ -74,6 +75,37 @@ class Fnv {
   std::uint64_t hash_ = 0xcbf29ce484222325u;
 };
 
+void add_variants(Fnv& fnv, const XNodeSpec& x) {
+  fnv.add(static_cast<std::int64_t>(x.variants.size()));
+  for (const VariantSpec& variant : x.variants) {
+    fnv.add(variant.name);
+    fnv.add(variant.quality_pct);
+    fnv.add(static_cast<std::int64_t>(variant.wcet_us.size()));
+    for (const auto& [type, us] : variant.wcet_us) {
+      fnv.add(type);
+      fnv.add(us);
+    }
+  }
+}
+
+/// Of version 1: nothing, where there is nothing to lose, so that hashes are those of files written
+/// before there was a word for it.
+void add_losses(Fnv& fnv, const AppSpec& app) {
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    if (app.xnodes[i].variants.empty()) continue;
+    fnv.add("variants");
+    fnv.add(static_cast<std::int64_t>(i));
+    add_variants(fnv, app.xnodes[i]);
+  }
+  std::set<std::string_view> optional;
+  for (const ModuleSpec& module : app.modules)
+    if (module.optional) optional.insert(module.name);
+  for (const std::string_view module : optional) {
+    fnv.add("optional");
+    fnv.add(module);
+  }
+}
+
 /// What version 2 adds. Each list with its size, so that an entry of one is never read as one of
 /// the next.
 void add_periodic(Fnv& fnv, const AppSpec& app) {
@@ -108,16 +140,7 @@ void add_periodic(Fnv& fnv, const AppSpec& app) {
     std::sort(heard.begin(), heard.end());
     size(heard.size());
     for (const int source : heard) fnv.add(source);
-    size(x.variants.size());
-    for (const VariantSpec& variant : x.variants) {
-      fnv.add(variant.name);
-      fnv.add(variant.quality_pct);
-      size(variant.wcet_us.size());
-      for (const auto& [type, us] : variant.wcet_us) {
-        fnv.add(type);
-        fnv.add(us);
-      }
-    }
+    add_variants(fnv, x);
   }
   std::vector<std::pair<int, int>> samples = app.samples;
   std::sort(samples.begin(), samples.end());
@@ -148,6 +171,31 @@ void add_periodic(Fnv& fnv, const AppSpec& app) {
   }
 }
 
+/// Version 2 lists every module that an XNode names; version 1 those of which there is more to say.
+Status validate_modules(const AppSpec& app) {
+  XAUTO_TRY(validate_names(app.modules, "modules", "module"));
+  std::set<std::string_view> named, listed;
+  for (const ModuleSpec& module : app.modules) listed.insert(module.name);
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    const XNodeSpec& x = app.xnodes[i];
+    named.insert(x.module);
+    if (app.version == 1) continue;
+    if (x.module.empty())
+      return invalid("XNode " + quoted(x.name) + " needs a module", nth("xnodes", i) + "/module");
+    if (!listed.contains(x.module))
+      return invalid("module " + quoted(x.module) + " is not in \"modules\"",
+                     nth("xnodes", i) + "/module");
+  }
+  for (std::size_t m = 0; m < app.modules.size(); ++m) {
+    if (!named.contains(app.modules[m].name))
+      return invalid("no XNode is in module " + quoted(app.modules[m].name),
+                     nth("modules", m) + "/name");
+    XAUTO_TRY(in_range(app.modules[m].max_in_flight, 1, kMaxInFlight, "a number of activations",
+                       nth("modules", m) + "/max_in_flight"));
+  }
+  return {};
+}
+
 /// Version 1 has no place for what only version 2 says: its writer would drop it.
 Status nothing_periodic(const AppSpec& app) {
   const auto refuse = [](const std::string& what, const std::string& where) {
@@ -160,12 +208,10 @@ Status nothing_periodic(const AppSpec& app) {
       return refuse("source " + quoted(source.name) + " has more than a period of whole us",
                     "/sources/" + std::to_string(i));
   }
-  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
-    if (!app.xnodes[i].variants.empty())
-      return refuse("XNode " + quoted(app.xnodes[i].name) + " has variants",
-                    "/xnodes/" + std::to_string(i) + "/variants");
   if (app.clocks != AppSpec().clocks) return refuse("clocks", "/clocks");
-  if (!app.modules.empty()) return refuse("modules", "/modules");
+  for (std::size_t m = 0; m < app.modules.size(); ++m)
+    if (app.modules[m].max_in_flight != 1)
+      return refuse("several activations in flight", nth("modules", m) + "/max_in_flight");
   if (!app.samples.empty()) return refuse("samples", "/samples");
   if (!app.chains.empty()) return refuse("chains of the app", "/chains");
   if (!app.transfers.empty()) return refuse("times of transfers", "/edges");
@@ -257,7 +303,10 @@ std::string AppSpec::hash() const {
     fnv.add(v);
   }
   fnv.add(deadline_us.value_or(0));
-  if (version > 1) add_periodic(fnv, *this);
+  if (version > 1)
+    add_periodic(fnv, *this);
+  else
+    add_losses(fnv, *this);
   return fnv.hex();
 }
 
@@ -374,7 +423,9 @@ Status validate(const AppSpec& app) {
   const std::vector<int> order = app.topological_order();
   if (order.size() != app.xnodes.size())
     return fail(ErrorCode::kInvalid, "cycle of XNodes: " + cycle_text(app, order), "/edges");
-  return app.version == 1 ? nothing_periodic(app) : validate_periodic(app);
+  XAUTO_TRY(validate_modules(app));
+  XAUTO_TRY(app.version == 1 ? nothing_periodic(app) : validate_periodic(app));
+  return validate_losses(app);
 }
 
 std::string rates_note(const AppSpec& app) {

@@ -33,7 +33,7 @@ void read_xnodes(const Reader& root, const NameIndex& sources, AppSpec& app) {
           return type.refuse("'" + name + "' is no key of wcet_us");
         spec.real_on.insert(name);
       });
-    if (app.version > 1 && x.has("variants"))
+    if (x.has("variants"))
       x["variants"].each_element(kMaxVariants, [&](std::size_t, const Reader& v) {
         VariantSpec variant{v["name"].text()};
         if (v.has("quality_pct")) variant.quality_pct = v["quality_pct"].integer(1, 100);
@@ -122,7 +122,7 @@ void read_modules(const Reader& root, AppSpec& app) {
   if (root.has("modules"))
     root["modules"].each_element(kMaxXNodes, [&](std::size_t, const Reader& m) {
       ModuleSpec module{m["name"].text()};
-      if (m.has("max_in_flight"))
+      if (app.version > 1 && m.has("max_in_flight"))
         module.max_in_flight = m["max_in_flight"].integer(1, kMaxInFlight);
       if (m.has("optional")) module.optional = m["optional"].boolean();
       if (m.failed()) return;
@@ -133,7 +133,7 @@ void read_modules(const Reader& root, AppSpec& app) {
         return m["name"].refuse("two modules are called '" + module.name + "'");
       app.modules.push_back(std::move(module));
     });
-  complete_modules(app);
+  if (app.version > 1) complete_modules(app);
 }
 
 /// ["u", "v"], or {"from": "u", "to": "v", "transfer_us": {"gpu": {"dla": 300}}}.
@@ -264,7 +264,7 @@ Result<AppSpec> parse_app(std::string_view text, std::string_view origin, Keys* 
   }
   const NameIndex sources = index_by_name(app.sources);
   read_xnodes(root, sources, app);
-  if (periodic) read_modules(root, app);
+  read_modules(root, app);
   XAUTO_TRY(context.status());
   // Before any of them is looked up by name.
   XAUTO_TRY(in_file(validate(app.sources), origin));
@@ -296,11 +296,14 @@ std::string to_json(const AppSpec& app) {
     if (ordered_json clocks = clocks_to_json(app); !clocks.empty())
       document["clocks"] = std::move(clocks);
     document["sources"] = periodic_sources_to_json(app);
-    for (const ModuleSpec& m : app.modules)
-      document["modules"].push_back(
-          {{"name", m.name}, {"max_in_flight", m.max_in_flight}, {"optional", m.optional}});
   } else if (!app.sources.empty()) {
     document["sources"] = sources_to_json(app.sources);
+  }
+  for (const ModuleSpec& m : app.modules) {
+    ordered_json module = {{"name", m.name}};
+    if (periodic) module["max_in_flight"] = m.max_in_flight;
+    module["optional"] = m.optional;
+    document["modules"].push_back(std::move(module));
   }
   document["xnodes"] = xnodes_to_json(app);
   document["edges"] = edges_to_json(app);

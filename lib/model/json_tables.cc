@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // scenarios.json and tables.json.
+#include <algorithm>
 #include <cstdint>
 
 #include "model/json.h"
@@ -38,6 +39,16 @@ Scenario read_scenario(const Reader& x) {
       if (c.has("equals")) condition.equals = c["equals"].text();
       s.when.push_back(std::move(condition));
     });
+  if (x.has("degraded")) s.degraded = x["degraded"].boolean();
+  if (x.has("variant_wcet_us"))
+    x["variant_wcet_us"].each_member(
+        kMaxXNodes, [&](const std::string& xnode, const Reader& variants) {
+          variants.each_member(kMaxVariants, [&](const std::string& variant, const Reader& on) {
+            on.each_member(kMaxXpus, [&](const std::string& type, const Reader& us) {
+              s.variant_wcet_us[xnode][variant][type] = us.integer(1, kMaxTimeUs);
+            });
+          });
+        });
   return s;
 }
 
@@ -63,9 +74,42 @@ ordered_json scenarios_to_json(const std::vector<Scenario>& scenarios) {
       if (c.equals) condition["equals"] = *c.equals;
       one["when"].push_back(std::move(condition));
     }
+    if (s.degraded) one["degraded"] = true;
+    if (!s.variant_wcet_us.empty()) one["variant_wcet_us"] = s.variant_wcet_us;
     all.push_back(std::move(one));
   }
   return all;
+}
+
+/// {"variants": {"fcd.infer": "small"}, "off": ["lane"]}
+void read_loss(const Reader& x, const AppSpec& app, const NameIndex& index, Loss& loss) {
+  if (x.has("variants"))
+    x["variants"].each_member(kMaxXNodes, [&](const std::string& xnode, const Reader& name) {
+      const auto found = index.find(xnode);
+      if (found == index.end()) return name.refuse("the app has no XNode '" + xnode + "'");
+      const auto i = static_cast<std::size_t>(found->second);
+      const std::vector<VariantSpec>& variants = app.xnodes[i].variants;
+      const std::string variant = name.text();
+      const auto is = std::find_if(variants.begin(), variants.end(),
+                                   [&](const VariantSpec& v) { return v.name == variant; });
+      if (is == variants.end())
+        return name.refuse("XNode '" + xnode + "' has no variant '" + variant + "'");
+      loss.variant.resize(app.xnodes.size(), -1);
+      loss.variant[i] = static_cast<int>(is - variants.begin());
+    });
+  if (x.has("off")) {
+    x["off"].each_element(
+        kMaxXNodes, [&](std::size_t, const Reader& name) { loss.off.push_back(name.text()); });
+    std::sort(loss.off.begin(), loss.off.end());
+  }
+}
+
+ordered_json variants_to_json(const Loss& loss, const AppSpec& app) {
+  ordered_json variants = ordered_json::object();
+  for (std::size_t i = 0; i < loss.variant.size(); ++i)
+    if (const int variant = loss.variant[i]; variant >= 0)
+      variants[app.xnodes[i].name] = app.xnodes[i].variants[static_cast<std::size_t>(variant)].name;
+  return variants;
 }
 
 Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
@@ -88,8 +132,7 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
       placed["xpu"].refuse("XPU '" + id + "' is not in platform '" + platform.name + "'");
   });
   if (x.has("order")) table.order = read_pairs(x["order"], index);
-  for (std::size_t i = 0; i < table.xpu.size() && !x.failed(); ++i)
-    if (table.xpu[i] < 0) x["xnodes"].refuse("XNode '" + app.xnodes[i].name + "' is not placed");
+  read_loss(x, app, index, table.loss);
   return table;
 }
 
@@ -177,12 +220,16 @@ std::string to_json(const Tables& tables, const AppSpec& app, const Platform& pl
   for (const Table& t : tables.tables) {
     ordered_json xnodes = ordered_json::array();
     for (std::size_t i = 0; i < t.xpu.size(); ++i)
-      xnodes.push_back({{"name", app.xnodes[i].name},
-                        {"xpu", platform.xpus[static_cast<std::size_t>(t.xpu[i])].id},
-                        {"priority", t.priority[i]}});
+      if (t.xpu[i] >= 0)
+        xnodes.push_back({{"name", app.xnodes[i].name},
+                          {"xpu", platform.xpus[static_cast<std::size_t>(t.xpu[i])].id},
+                          {"priority", t.priority[i]}});
     ordered_json table = {{"name", t.name}};
     table["xnodes"] = std::move(xnodes);
     if (!t.order.empty()) table["order"] = pairs_to_json(t.order, name);
+    if (ordered_json variants = variants_to_json(t.loss, app); !variants.empty())
+      table["variants"] = std::move(variants);
+    if (!t.loss.off.empty()) table["off"] = t.loss.off;
     document["tables"].push_back(std::move(table));
   }
   document["serves"] = ordered_json::array();

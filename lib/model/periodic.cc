@@ -16,34 +16,6 @@
 namespace xauto {
 namespace {
 
-std::string nth(const char* list, std::size_t i) {
-  return "/" + std::string(list) + "/" + std::to_string(i);
-}
-
-/// Names of a list are there, short and different.
-template <class Named>
-Status validate_names(const std::vector<Named>& list, const char* key, const char* what) {
-  std::unordered_set<std::string_view> names;
-  for (std::size_t i = 0; i < list.size(); ++i) {
-    const std::string& name = list[i].name;
-    const std::string where = nth(key, i) + "/name";
-    if (name.empty()) return invalid(std::string("a ") + what + " needs a name", where);
-    if (name.size() > kMaxNameBytes)
-      return invalid("a name is longer than " + std::to_string(kMaxNameBytes) + " bytes", where);
-    if (!names.insert(name).second)
-      return invalid(std::string("two ") + what + "s are called " + quoted(name), where);
-  }
-  return {};
-}
-
-Status in_range(std::int64_t value, std::int64_t low, std::int64_t high, const char* what,
-                const std::string& where) {
-  if (value >= low && value <= high) return {};
-  return invalid(std::to_string(value) + " is not " + what + " from " + std::to_string(low) +
-                     " to " + std::to_string(high),
-                 where);
-}
-
 // ---- who hears of what --------------------------------------------------------------------------
 
 /// Ways from a source to an XNode: along edges, and along samples from one component to another, no
@@ -200,54 +172,6 @@ Status validate_urgent(const AppSpec& app, const Components& components) {
                 quoted(app.sources[at(s)].name) + " are joined by edges, and both may be urgent",
             nth("sources", at(s)) + "/urgent", "state it of one of them, or sample the other one");
       first = s;
-    }
-  }
-  return {};
-}
-
-Status validate_modules(const AppSpec& app) {
-  XAUTO_TRY(validate_names(app.modules, "modules", "module"));
-  std::unordered_set<std::string_view> named, listed;
-  for (const ModuleSpec& module : app.modules) listed.insert(module.name);
-  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
-    const XNodeSpec& x = app.xnodes[i];
-    if (x.module.empty())
-      return invalid("XNode " + quoted(x.name) + " needs a module", nth("xnodes", i) + "/module");
-    if (!listed.contains(x.module))
-      return invalid("module " + quoted(x.module) + " is not in \"modules\"",
-                     nth("xnodes", i) + "/module");
-    named.insert(x.module);
-  }
-  for (std::size_t m = 0; m < app.modules.size(); ++m) {
-    if (!named.contains(app.modules[m].name))
-      return invalid("no XNode is in module " + quoted(app.modules[m].name),
-                     nth("modules", m) + "/name");
-    XAUTO_TRY(in_range(app.modules[m].max_in_flight, 1, kMaxInFlight, "a number of activations",
-                       nth("modules", m) + "/max_in_flight"));
-  }
-  return {};
-}
-
-Status validate_variants(const AppSpec& app) {
-  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
-    const std::vector<VariantSpec>& variants = app.xnodes[i].variants;
-    const std::string list = nth("xnodes", i) + "/variants";
-    if (variants.size() > kMaxVariants)
-      return invalid(std::to_string(variants.size()) + " variants; at most " +
-                         std::to_string(kMaxVariants) + " are possible",
-                     list);
-    XAUTO_TRY(validate_names(variants, (list.substr(1)).c_str(), "variant"));
-    for (std::size_t k = 0; k < variants.size(); ++k) {
-      const std::string where = list + "/" + std::to_string(k);
-      XAUTO_TRY(in_range(variants[k].quality_pct, 1, 100, "a quality in percent",
-                         where + "/quality_pct"));
-      if (variants[k].wcet_us.empty())
-        return invalid("variant " + quoted(variants[k].name) + " has no implementation",
-                       where + "/wcet_us", "give a WCET for at least one XPU type");
-      for (const auto& [type, us] : variants[k].wcet_us) {
-        if (type.empty()) return invalid("an XPU type without name", where + "/wcet_us");
-        XAUTO_TRY(in_range(us, 1, kMaxTimeUs, "a WCET in us", where + "/wcet_us/" + type));
-      }
     }
   }
   return {};
@@ -424,6 +348,7 @@ AppSpec as_version_1(AppSpec app) {
   app.clocks = {{kMainClock, 0}};
   for (SourceSpec& source : app.sources)  // it counts periods in whole microseconds
     source = {source.name, {std::max<std::int64_t>(1, source.period.floor_us())}};
+  for (XNodeSpec& x : app.xnodes) x.variants.clear();
   app.modules.clear();
   app.samples.clear();
   app.chains.clear();
@@ -442,8 +367,6 @@ Status validate_periodic(const AppSpec& app) {
       return invalid("XNode " + quoted(app.xnodes[i].name) +
                          " has neither a predecessor nor a source: nothing releases it",
                      nth("xnodes", i), "name its \"source\"; a sample releases nobody");
-  XAUTO_TRY(validate_modules(app));
-  XAUTO_TRY(validate_variants(app));
   XAUTO_TRY(validate_transfers(app));
   if (app.samples.size() > kMaxSamples)
     return invalid(std::to_string(app.samples.size()) + " samples; at most " +

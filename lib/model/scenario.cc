@@ -23,21 +23,48 @@ Status valid_scale(const Scenario& s, const std::vector<std::string>& types,
   return {};
 }
 
+using Wcets = std::map<std::string, std::int64_t, std::less<>>;  ///< by XPU type
+
+/// Of `has`, what `stated` gives other WCETs.
+Status valid_wcets(const Wcets& stated, const Wcets& has, const std::string& whose,
+                   const std::string& where) {
+  for (const auto& [type, us] : stated) {
+    if (!has.contains(type))
+      return fail(ErrorCode::kInvalid, whose + " has no implementation on '" + type + "'",
+                  where + "/" + type);
+    if (us < 1 || us > kMaxTimeUs)
+      return fail(
+          ErrorCode::kInvalid,
+          std::to_string(us) + " is not a WCET from 1 to " + std::to_string(kMaxTimeUs) + " us",
+          where + "/" + type);
+  }
+  return {};
+}
+
 Status valid_wcets(const Scenario& s, const AppSpec& app, const std::string& at) {
-  for (const auto& [name, by_type] : s.wcet_us) {
-    const std::string where = at + "/wcet_us/" + name;
+  const auto xnode = [&](const std::string& name,
+                         const std::string& where) -> Result<const XNodeSpec*> {
     const int i = app.find(name);
     if (i < 0) return fail(ErrorCode::kInvalid, "the app has no XNode '" + name + "'", where);
-    for (const auto& [type, us] : by_type) {
-      if (!app.xnodes[static_cast<std::size_t>(i)].wcet_on(type))
-        return fail(ErrorCode::kInvalid,
-                    "XNode '" + name + "' has no implementation on '" + type + "'",
-                    where + "/" + type);
-      if (us < 1 || us > kMaxTimeUs)
-        return fail(
-            ErrorCode::kInvalid,
-            std::to_string(us) + " is not a WCET from 1 to " + std::to_string(kMaxTimeUs) + " us",
-            where + "/" + type);
+    return &app.xnodes[static_cast<std::size_t>(i)];
+  };
+  for (const auto& [name, by_type] : s.wcet_us) {
+    const std::string where = at + "/wcet_us/" + name;
+    XAUTO_ASSIGN(const XNodeSpec* x, xnode(name, where));
+    XAUTO_TRY(valid_wcets(by_type, x->wcet_us, "XNode '" + name + "'", where));
+  }
+  for (const auto& [name, variants] : s.variant_wcet_us) {
+    const std::string where = at + "/variant_wcet_us/" + name;
+    XAUTO_ASSIGN(const XNodeSpec* x, xnode(name, where));
+    for (const auto& [variant, by_type] : variants) {
+      const auto found = std::find_if(x->variants.begin(), x->variants.end(),
+                                      [&name = variant](const auto& v) { return v.name == name; });
+      if (found == x->variants.end())
+        return fail(ErrorCode::kInvalid, "XNode '" + name + "' has no variant '" + variant + "'",
+                    where + "/" + variant);
+      XAUTO_TRY(valid_wcets(by_type, found->wcet_us,
+                            "variant '" + variant + "' of XNode '" + name + "'",
+                            where + "/" + variant));
     }
   }
   return {};
@@ -74,6 +101,9 @@ Status validate(const Scenarios& scenarios, const AppSpec& app, const Platform& 
   if (scenarios.app != app.name)
     return fail(ErrorCode::kInvalid,
                 "is about app '" + scenarios.app + "', this is app '" + app.name + "'", "/app");
+  if (!scenarios.list.empty() && scenarios.list.front().degraded)
+    return fail(ErrorCode::kInvalid, "a run begins with it, so it cannot be degraded",
+                at + "/0/degraded", "put a scenario before it in which nothing is lost");
   if (scenarios.list.empty() || scenarios.list.size() > kMaxScenarios)
     return fail(ErrorCode::kInvalid,
                 std::to_string(scenarios.list.size()) + " scenarios; 1 to " +
@@ -110,32 +140,83 @@ Status validate(const Scenarios& scenarios, const AppSpec& app, const Platform& 
   return {};
 }
 
+namespace {
+
+/// As the scenario scales them; then what it states.
+void scale(const Scenario& scenario, const Wcets* stated, Wcets& wcets) {
+  for (auto& [type, us] : wcets) {
+    if (const auto pct = scenario.wcet_scale_pct.find(type); pct != scenario.wcet_scale_pct.end()) {
+      // In two parts: a product of both could pass 64 bits.
+      const std::int64_t hundreds = us / 100, rest = us % 100;
+      us = hundreds * pct->second + (rest * pct->second + 99) / 100;
+    }
+    if (stated == nullptr) continue;
+    if (const auto own = stated->find(type); own != stated->end()) us = own->second;
+  }
+}
+
+template <class Map>
+const typename Map::mapped_type* in(const Map& map, const std::string& name) {
+  const auto found = map.find(name);
+  return found == map.end() ? nullptr : &found->second;
+}
+
+/// No WCET of `b` is longer than that of `a`, which has the same types.
+bool covers(const Wcets& a, const Wcets& b) {
+  return std::all_of(b.begin(), b.end(),
+                     [&](const auto& of) { return of.second <= a.find(of.first)->second; });
+}
+
+/// Of each type the larger one; both have the same.
+Wcets larger(const Wcets& a, const Wcets& b) {
+  Wcets both = a;
+  for (auto& [type, us] : both) us = std::max(us, b.find(type)->second);
+  return both;
+}
+
+}  // namespace
+
 AppSpec app_under(const AppSpec& app, const Scenario& scenario) {
   AppSpec scaled = app;
   for (XNodeSpec& x : scaled.xnodes) {
-    const auto stated = scenario.wcet_us.find(x.name);
-    for (auto& [type, us] : x.wcet_us) {
-      if (const auto pct = scenario.wcet_scale_pct.find(type);
-          pct != scenario.wcet_scale_pct.end()) {
-        // In two parts: a product of both could pass 64 bits.
-        const std::int64_t hundreds = us / 100, rest = us % 100;
-        us = hundreds * pct->second + (rest * pct->second + 99) / 100;
-      }
-      if (stated == scenario.wcet_us.end()) continue;
-      if (const auto own = stated->second.find(type); own != stated->second.end()) us = own->second;
-    }
+    scale(scenario, in(scenario.wcet_us, x.name), x.wcet_us);
+    const auto* of_variants = in(scenario.variant_wcet_us, x.name);
+    for (VariantSpec& variant : x.variants)
+      scale(scenario, of_variants == nullptr ? nullptr : in(*of_variants, variant.name),
+            variant.wcet_us);
   }
   return scaled;
 }
 
 bool covers(const Scenario& a, const AppSpec& under_a, const Scenario& b, const AppSpec& under_b) {
-  for (std::size_t i = 0; i < under_b.xnodes.size(); ++i)
-    for (const auto& [type, us] : under_b.xnodes[i].wcet_us)
-      if (us > under_a.xnodes[i].wcet_us.find(type)->second) return false;
+  for (std::size_t i = 0; i < under_b.xnodes.size(); ++i) {
+    const XNodeSpec &x = under_a.xnodes[i], &other = under_b.xnodes[i];
+    if (!covers(x.wcet_us, other.wcet_us)) return false;
+    for (std::size_t v = 0; v < other.variants.size(); ++v)
+      if (!covers(x.variants[v].wcet_us, other.variants[v].wcet_us)) return false;
+  }
   return std::all_of(b.lost.begin(), b.lost.end(), [&](const std::string& id) {
     return std::find(a.lost.begin(), a.lost.end(), id) != a.lost.end();
   });
 }
+
+namespace {
+
+bool same_types(const Wcets& a, const Wcets& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(),
+                    [](const auto& x, const auto& y) { return x.first == y.first; });
+}
+
+/// They and their variants.
+bool on_the_same_types(const XNodeSpec& a, const XNodeSpec& b) {
+  return same_types(a.wcet_us, b.wcet_us) &&
+         std::equal(a.variants.begin(), a.variants.end(), b.variants.begin(), b.variants.end(),
+                    [](const VariantSpec& x, const VariantSpec& y) {
+                      return x.name == y.name && same_types(x.wcet_us, y.wcet_us);
+                    });
+}
+
+}  // namespace
 
 Result<Scenarios> scenarios_of(const std::vector<NamedProfile>& profiles, const Platform& platform,
                                WcetFrom from) {
@@ -162,16 +243,15 @@ Result<Scenarios> scenarios_of(const std::vector<NamedProfile>& profiles, const 
       if (i < 0)
         return fail(ErrorCode::kInvalid,
                     "has XNode '" + x.name + "', which " + profiles[0].name + " has not", name);
-      const auto& other = first.xnodes[static_cast<std::size_t>(i)].wcet_us;
-      const bool alike =
-          std::equal(x.wcet_us.begin(), x.wcet_us.end(), other.begin(), other.end(),
-                     [](const auto& a, const auto& b) { return a.first == b.first; });
-      if (!alike)
-        return fail(
-            ErrorCode::kInvalid,
-            "XNode '" + x.name + "' was measured on other types of XPU than in " + profiles[0].name,
-            name, "measure all of them under the same platform");
+      if (!on_the_same_types(x, first.xnodes[static_cast<std::size_t>(i)]))
+        return fail(ErrorCode::kInvalid,
+                    "XNode '" + x.name +
+                        "' was measured on other types of XPU, or in other variants, than in " +
+                        profiles[0].name,
+                    name, "measure all of them under the same platform");
       scenario.wcet_us[x.name] = x.wcet_us;
+      for (const VariantSpec& variant : x.variants)
+        scenario.variant_wcet_us[x.name][variant.name] = variant.wcet_us;
     }
     scenarios.list.push_back(std::move(scenario));
   }
@@ -205,15 +285,22 @@ bool alike(const Said& clocks, const Said& modes, std::size_t a, std::size_t b) 
 std::string difference(const Scenario& a, const Scenario& b) {
   std::int64_t largest = 0;
   std::string where;
-  for (const auto& [xnode, types] : a.wcet_us)
-    for (const auto& [type, us] : types) {
-      const std::int64_t other = b.wcet_us.at(xnode).at(type);
+  const auto compare = [&](const Wcets& these, const Wcets& those, const std::string& whose) {
+    for (const auto& [type, us] : these) {
+      const std::int64_t other = those.at(type);
       const std::int64_t low = std::min(us, other), high = std::max(us, other);
       const std::int64_t pct = ((high - low) * 100 + low - 1) / low;
       if (pct <= largest) continue;
       largest = pct;
-      where = "by " + std::to_string(pct) + " % (XNode '" + xnode + "' on " + type + ")";
+      where = "by " + std::to_string(pct) + " % (" + whose + " on " + type + ")";
     }
+  };
+  for (const auto& [xnode, types] : a.wcet_us)
+    compare(types, b.wcet_us.at(xnode), "XNode '" + xnode + "'");
+  for (const auto& [xnode, variants] : a.variant_wcet_us)
+    for (const auto& [variant, types] : variants)
+      compare(types, b.variant_wcet_us.at(xnode).at(variant),
+              "variant '" + variant + "' of XNode '" + xnode + "'");
   return where;
 }
 
@@ -255,11 +342,17 @@ std::string set_conditions(Scenarios& scenarios, const std::vector<NamedProfile>
 }
 
 Scenario across(const AppSpec& app, const Scenario& from, const Scenario& to) {
-  Scenario both{from.name + " -> " + to.name, {}, {}, from.lost, {}};
+  Scenario both;
+  both.name = from.name + " -> " + to.name;
+  both.lost = from.lost;
   const AppSpec a = app_under(app, from), b = app_under(app, to);
-  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
-    for (const auto& [type, us] : a.xnodes[i].wcet_us)
-      both.wcet_us[app.xnodes[i].name][type] = std::max(us, b.xnodes[i].wcet_us.find(type)->second);
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    const XNodeSpec &x = a.xnodes[i], &other = b.xnodes[i];
+    both.wcet_us[x.name] = larger(x.wcet_us, other.wcet_us);
+    for (std::size_t v = 0; v < x.variants.size(); ++v)
+      both.variant_wcet_us[x.name][x.variants[v].name] =
+          larger(x.variants[v].wcet_us, other.variants[v].wcet_us);
+  }
   for (const std::string& id : to.lost)
     if (std::find(both.lost.begin(), both.lost.end(), id) == both.lost.end())
       both.lost.push_back(id);

@@ -38,6 +38,13 @@ struct Scenario {
   /// Under which it was measured: a run is in this scenario while all of them hold. Empty: the machine
   /// does not tell.
   std::vector<Condition> when = {};
+  /// What the app may lose (loss.h) it may lose here, where nothing else keeps its deadline.
+  bool degraded = false;
+  /// XNode -> its variant -> XPU type -> WCET, as wcet_us.
+  std::map<std::string,
+           std::map<std::string, std::map<std::string, std::int64_t, std::less<>>, std::less<>>,
+           std::less<>>
+      variant_wcet_us = {};
   bool operator==(const Scenario&) const = default;
 };
 
@@ -53,7 +60,7 @@ inline constexpr std::int64_t kMaxScalePct = 100'000;
 
 /// Names unique and not empty, types and XPUs of the platform, XNodes and implementations of the
 /// app, percentages from 1 to kMaxScalePct, WCETs at least 1 us; in each scenario every XNode can
-/// run somewhere (kInfeasible). `at`: the JSON pointer of the list, for messages.
+/// run somewhere (kInfeasible). The first, with which a run begins, is not degraded. `at`: the JSON pointer of the list, for messages.
 [[nodiscard]] Status validate(const Scenarios& scenarios, const AppSpec& app,
                               const Platform& platform, const std::string& at = "/scenarios");
 

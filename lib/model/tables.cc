@@ -4,6 +4,9 @@
 #include <algorithm>
 #include <array>
 #include <set>
+#include <utility>
+
+#include "base/index.h"
 
 namespace xauto {
 
@@ -27,22 +30,75 @@ std::optional<std::int64_t> one_period_us(const AppSpec& app) {
   return app.sources.front().period.floor_us();
 }
 
+AppSpec app_under(const AppSpec& app, const Scenario& scenario, const Loss& loss) {
+  return app_with(app_under(app, scenario), loss);
+}
+
 Policy policy_under(const Table& table, const AppSpec& app, const Platform& platform,
                     const Scenario& scenario) {
-  const AppSpec scaled = app_under(app, scenario);
+  const AppSpec left_app = app_under(app, scenario, table.loss);
   const Platform left = platform_under(platform, scenario);
   Policy policy;
-  policy.app = scaled.name;
-  policy.app_hash = scaled.hash();
+  policy.app = left_app.name;
+  policy.app_hash = left_app.hash();
   policy.platform = left.name;
   policy.method = "tables";
-  for (std::size_t i = 0; i < table.xpu.size(); ++i) {
-    const std::string& id = platform.xpus[static_cast<std::size_t>(table.xpu[i])].id;
-    policy.placements.push_back({left.find(id), table.priority[i], 0, 0});
+  std::vector<int> now(table.xpu.size(), -1);
+  for (const int i : kept(app, table.loss)) {
+    now[at(i)] = static_cast<int>(policy.placements.size());
+    const std::string& id = platform.xpus[at(table.xpu[at(i)])].id;
+    policy.placements.push_back({left.find(id), table.priority[at(i)], 0, 0});
   }
-  policy.order = table.order;
+  for (const auto& [u, v] : table.order) policy.order.emplace_back(now[at(u)], now[at(v)]);
   return policy;
 }
+
+Policy whole_policy(const Tables& tables, std::size_t table, const AppSpec& app,
+                    const Platform& platform) {
+  Table whole = tables.tables[table];
+  const Table& first = tables.tables[at(tables.serves.front().table)];
+  for (std::size_t i = 0; i < whole.xpu.size(); ++i) {
+    if (whole.xpu[i] >= 0) continue;
+    whole.xpu[i] = first.xpu[i];
+    whole.priority[i] = first.priority[i];
+  }
+  whole.loss = {};
+  return policy_under(whole, app, platform, {});
+}
+
+namespace {
+
+/// Every XNode that is not off has a place, in itself and beside the others.
+Status validate(const Table& table, const AppSpec& app, const Platform& platform,
+                const std::string& where) {
+  if (table.xpu.size() != app.xnodes.size() || table.priority.size() != app.xnodes.size())
+    return fail(ErrorCode::kInvalid, "does not place every XNode", where + "/xnodes");
+  XAUTO_TRY(validate(table.loss, app, where));
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    const bool off = table.loss.is_off(app.xnodes[i].module);
+    if (off == (table.xpu[i] < 0)) continue;
+    return fail(ErrorCode::kInvalid,
+                "XNode '" + app.xnodes[i].name + "' is " +
+                    (off ? "placed, and its module is off" : "not placed"),
+                where + "/xnodes");
+  }
+  for (const auto& [u, v] : table.order)
+    for (const int i : {u, v})
+      if (table.xpu[at(i)] < 0)
+        return fail(ErrorCode::kInvalid,
+                    "names XNode '" + app.xnodes[at(i)].name + "', whose module is off",
+                    where + "/order");
+  if (Status valid =
+          validate(policy_under(table, app, platform, {}), app_with(app, table.loss), platform);
+      !valid) {
+    Error error = std::move(valid).error();
+    error.where = where + error.where;
+    return tl::unexpected<Error>(std::move(error));
+  }
+  return {};
+}
+
+}  // namespace
 
 Status validate(const Tables& tables, const AppSpec& app, const Platform& platform) {
   if (app.version != 1)
@@ -66,13 +122,7 @@ Status validate(const Tables& tables, const AppSpec& app, const Platform& platfo
     if (table.name.empty()) return fail(ErrorCode::kInvalid, "a table needs a name", at + "/name");
     if (!names.insert(table.name).second)
       return fail(ErrorCode::kInvalid, "two tables are called '" + table.name + "'", at + "/name");
-    if (table.xpu.size() != app.xnodes.size() || table.priority.size() != app.xnodes.size())
-      return fail(ErrorCode::kInvalid, "does not place every XNode", at + "/xnodes");
-    if (Status valid = validate(policy_under(table, app, platform, {}), app, platform); !valid) {
-      Error error = std::move(valid).error();
-      error.where = at + error.where;
-      return tl::unexpected<Error>(std::move(error));
-    }
+    XAUTO_TRY(validate(table, app, platform, at));
   }
   if (tables.serves.size() != tables.scenarios.size())
     return fail(ErrorCode::kInvalid, "does not serve every scenario", "/serves");
@@ -83,6 +133,11 @@ Status validate(const Tables& tables, const AppSpec& app, const Platform& platfo
     if (served.table < 0 || static_cast<std::size_t>(served.table) >= tables.tables.size())
       return fail(ErrorCode::kInvalid, "there is no such table", at + "/table");
     const Table& table = tables.tables[static_cast<std::size_t>(served.table)];
+    if (!table.loss.none() && !scenario.degraded)
+      return fail(ErrorCode::kInvalid,
+                  "table '" + table.name + "' loses something (" + words_of(table.loss, app) +
+                      "), and scenario '" + scenario.name + "' is not degraded",
+                  at + "/table");
     const Policy policy = policy_under(table, app, platform, scenario);
     const auto lost = std::find_if(policy.placements.begin(), policy.placements.end(),
                                    [](const Placement& p) { return p.xpu < 0; });

@@ -10,6 +10,7 @@
 
 #include <xauto/result.h>
 
+#include "model/loss.h"
 #include "model/policy.h"
 #include "model/scenario.h"
 
@@ -18,9 +19,10 @@ namespace xauto {
 /// One policy without its times, which depend on the scenario.
 struct Table {
   std::string name;
-  std::vector<int> xpu;                ///< [xnode] index into Platform::xpus
+  std::vector<int> xpu;                ///< [xnode] index into Platform::xpus; -1: its module is off
   std::vector<std::int64_t> priority;  ///< [xnode] as Placement::priority
   std::vector<std::pair<int, int>> order;
+  Loss loss = {};  ///< none, unless all scenarios that it serves are degraded
   bool operator==(const Table&) const = default;
 };
 
@@ -74,13 +76,20 @@ inline constexpr std::size_t kMaxTables = 100;
 /// The period of all releases, where an app of version 1 states one.
 [[nodiscard]] std::optional<std::int64_t> one_period_us(const AppSpec& app);
 
-/// A table as a policy of the app under `scenario`, without its times and claims: XPUs are indices
-/// into platform_under(). xpu -1: it uses an XPU that is lost.
+/// What a table has to schedule under `scenario`, and on what: app_with() of app_under().
+[[nodiscard]] AppSpec app_under(const AppSpec& app, const Scenario& scenario, const Loss& loss);
+/// A table as a policy of that app, without its times and claims: XPUs are indices into
+/// platform_under(). xpu -1: it uses an XPU that is lost.
 [[nodiscard]] Policy policy_under(const Table& table, const AppSpec& app, const Platform& platform,
                                   const Scenario& scenario);
 
+/// Table number `table` as a policy of the whole app, to be made at the start of a run. XNodes whose
+/// module is off there are where the table of the first scenario has them: they get no job.
+[[nodiscard]] Policy whole_policy(const Tables& tables, std::size_t table, const AppSpec& app,
+                                  const Platform& platform);
+
 /// Of this app (name and hash); every table a policy that validate() accepts, under each scenario
-/// that it serves too.
+/// that it serves too; losses that loss.h allows, in degraded scenarios alone.
 [[nodiscard]] Status validate(const Tables& tables, const AppSpec& app, const Platform& platform);
 
 }  // namespace xauto

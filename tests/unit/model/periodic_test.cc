@@ -267,11 +267,10 @@ TEST(Periodic, Version1HasNothingOfVersion2) {
   EXPECT_TRUE(refused([](AppSpec& a) { a.sources[0].period = {100'000, 3}; }));
   EXPECT_TRUE(refused([](AppSpec& a) { a.sources[0].jitter_us = 1; }));
   EXPECT_TRUE(refused([](AppSpec& a) { a.clocks.push_back({"lidar", 1}); }));
-  EXPECT_TRUE(refused([](AppSpec& a) { a.modules.push_back({"FCD"}); }));
+  EXPECT_TRUE(refused([](AppSpec& a) { a.modules.push_back({"FCD", 2}); }));
   EXPECT_TRUE(refused([](AppSpec& a) { a.samples.emplace_back(2, 3); }));
   EXPECT_TRUE(refused([](AppSpec& a) { a.chains.push_back({"c", 0, 2}); }));
   EXPECT_TRUE(refused([](AppSpec& a) { a.transfers.push_back({0, "cpu", "gpu", 1}); }));
-  EXPECT_TRUE(refused([](AppSpec& a) { a.xnodes[0].variants.push_back({"v", 50, {{"cpu", 1}}}); }));
   EXPECT_TRUE(refused([](AppSpec& a) { a.version = 3; }));
 }
 

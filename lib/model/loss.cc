@@ -1,0 +1,144 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "model/loss.h"
+
+#include <algorithm>
+#include <set>
+#include <unordered_set>
+#include <utility>
+
+#include "base/index.h"
+#include "model/refusal.h"
+
+namespace xauto {
+namespace {
+
+Status validate_variants(const AppSpec& app) {
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    const std::vector<VariantSpec>& variants = app.xnodes[i].variants;
+    const std::string list = nth("xnodes", i) + "/variants";
+    if (variants.size() > kMaxVariants)
+      return invalid(std::to_string(variants.size()) + " variants; at most " +
+                         std::to_string(kMaxVariants) + " are possible",
+                     list);
+    XAUTO_TRY(validate_names(variants, (list.substr(1)).c_str(), "variant"));
+    for (std::size_t k = 0; k < variants.size(); ++k) {
+      const std::string where = list + "/" + std::to_string(k);
+      XAUTO_TRY(in_range(variants[k].quality_pct, 1, 100, "a quality in percent",
+                         where + "/quality_pct"));
+      if (variants[k].wcet_us.empty())
+        return invalid("variant " + quoted(variants[k].name) + " has no implementation",
+                       where + "/wcet_us", "give a WCET for at least one XPU type");
+      for (const auto& [type, us] : variants[k].wcet_us) {
+        if (type.empty()) return invalid("an XPU type without name", where + "/wcet_us");
+        XAUTO_TRY(in_range(us, 1, kMaxTimeUs, "a WCET in us", where + "/wcet_us/" + type));
+      }
+    }
+  }
+  return {};
+}
+
+std::unordered_set<std::string_view> optional_modules(const AppSpec& app) {
+  std::unordered_set<std::string_view> optional;
+  for (const ModuleSpec& module : app.modules)
+    if (module.optional) optional.insert(module.name);
+  return optional;
+}
+
+}  // namespace
+
+bool Loss::none() const {
+  return off.empty() &&
+         std::all_of(variant.begin(), variant.end(), [](int which) { return which < 0; });
+}
+
+bool Loss::is_off(const std::string& module) const {
+  return std::binary_search(off.begin(), off.end(), module);
+}
+
+Status validate_losses(const AppSpec& app) {
+  XAUTO_TRY(validate_variants(app));
+  const auto optional = optional_modules(app);
+  if (optional.empty()) return {};
+  for (std::size_t e = 0; e < app.edges.size(); ++e) {
+    const std::string &from = app.xnodes[at(app.edges[e].first)].module,
+                      &to = app.xnodes[at(app.edges[e].second)].module;
+    if (optional.contains(from) && !optional.contains(to))
+      return invalid("module " + quoted(to) + " waits for module " + quoted(from) +
+                         ", which is optional, and is not optional itself",
+                     nth("edges", e), "make both optional, or neither");
+  }
+  return {};
+}
+
+Status validate(const Loss& loss, const AppSpec& app, const std::string& where) {
+  if (!loss.variant.empty() && loss.variant.size() != app.xnodes.size())
+    return invalid("does not say the variant of every XNode", where + "/variants");
+  for (std::size_t i = 0; i < loss.variant.size(); ++i)
+    if (loss.variant[i] < -1 || loss.variant[i] >= static_cast<int>(app.xnodes[i].variants.size()))
+      return invalid("XNode " + quoted(app.xnodes[i].name) + " has no such variant",
+                     where + "/variants/" + app.xnodes[i].name);
+  const auto optional = optional_modules(app);
+  for (std::size_t k = 0; k < loss.off.size(); ++k) {
+    const std::string here = where + "/off/" + std::to_string(k);
+    if (!optional.contains(loss.off[k]))
+      return invalid("module " + quoted(loss.off[k]) + " is not optional", here);
+    if (k > 0 && loss.off[k] <= loss.off[k - 1])
+      return invalid("are not in alphabetical order, each once", here);
+  }
+  for (const auto& [u, v] : app.edges) {
+    const std::string &from = app.xnodes[at(u)].module, &to = app.xnodes[at(v)].module;
+    if (loss.is_off(from) && !loss.is_off(to))
+      return invalid("module " + quoted(from) + " is off, and module " + quoted(to) +
+                         ", which waits for it, is not",
+                     where + "/off");
+  }
+  if (kept(app, loss).empty()) return invalid("nothing is left to run", where + "/off");
+  return {};
+}
+
+std::int64_t loss_pct(const Loss& loss, const AppSpec& app) {
+  std::int64_t pct = 100 * static_cast<std::int64_t>(loss.off.size());
+  for (const int i : kept(app, loss))
+    if (const int variant = loss.variant_of(at(i)); variant >= 0)
+      pct += 100 - app.xnodes[at(i)].variants[at(variant)].quality_pct;
+  return pct;
+}
+
+std::string words_of(const Loss& loss, const AppSpec& app) {
+  std::string words;
+  const auto add = [&](const std::string& what) { words += (words.empty() ? "" : ", ") + what; };
+  for (const std::string& module : loss.off) add(module + " off");
+  for (const int i : kept(app, loss))
+    if (const int variant = loss.variant_of(at(i)); variant >= 0)
+      add(app.xnodes[at(i)].name + " " + app.xnodes[at(i)].variants[at(variant)].name);
+  return words;
+}
+
+std::vector<int> kept(const AppSpec& app, const Loss& loss) {
+  std::vector<int> kept;
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+    if (!loss.is_off(app.xnodes[i].module)) kept.push_back(static_cast<int>(i));
+  return kept;
+}
+
+AppSpec app_with(const AppSpec& app, const Loss& loss) {
+  AppSpec left = app;
+  left.modules.clear();
+  left.xnodes.clear();
+  left.edges.clear();
+  std::vector<int> now(app.xnodes.size(), -1);
+  for (const int i : kept(app, loss)) {
+    now[at(i)] = static_cast<int>(left.xnodes.size());
+    XNodeSpec& x = left.xnodes.emplace_back(app.xnodes[at(i)]);
+    if (const int variant = loss.variant_of(at(i)); variant >= 0) {
+      x.wcet_us = x.variants[at(variant)].wcet_us;
+      std::erase_if(x.real_on, [&](const std::string& type) { return !x.wcet_us.contains(type); });
+    }
+    x.variants.clear();
+  }
+  for (const auto& [u, v] : app.edges)
+    if (now[at(u)] >= 0 && now[at(v)] >= 0) left.edges.emplace_back(now[at(u)], now[at(v)]);
+  return left;
+}
+
+}  // namespace xauto

@@ -1,0 +1,205 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "model/loss.h"
+
+#include <gtest/gtest.h>
+
+#include "model/json.h"
+#include "model/tables.h"
+
+namespace xauto {
+namespace {
+
+/// camera -> see.a -> see.b -> act; see.b -> show.draw -> show.log, both optional.
+AppSpec app_of() {
+  AppSpec app;
+  app.name = "car";
+  app.deadline_us = 1000;
+  app.xnodes = {{"see.a", "see", {{"cpu", 100}, {"gpu", 40}}},
+                {"see.b", "see", {{"gpu", 300}}},
+                {"act", "act", {{"cpu", 50}}},
+                {"show.draw", "show", {{"cpu", 200}, {"gpu", 100}}},
+                {"log", "log", {{"cpu", 70}}}};
+  app.xnodes[1].variants = {{"small", 60, {{"gpu", 120}, {"cpu", 500}}},
+                            {"tiny", 25, {{"gpu", 50}}}};
+  app.xnodes[1].real_on = {"gpu"};
+  app.xnodes[3].variants = {{"lines", 90, {{"cpu", 20}}}};
+  app.modules = {{"show", 1, true}, {"log", 1, true}};
+  app.edges = {{0, 1}, {1, 2}, {1, 3}, {3, 4}};
+  return app;
+}
+
+Platform platform_of() {
+  Platform platform;
+  platform.name = "two";
+  platform.xpus = {{"cpu0", "cpu"}, {"gpu0", "gpu"}};
+  return platform;
+}
+
+/// Of tables.json for that app: everything at the start, less in the second table.
+Tables tables_of(const AppSpec& app) {
+  Tables tables;
+  tables.app = app.name;
+  tables.app_hash = app.hash();
+  tables.platform = "two";
+  tables.scenarios = {{"as it is"}, {"slow", {{"gpu", 300}}}};
+  tables.scenarios[1].degraded = true;
+  tables.scenarios[1].variant_wcet_us = {{"see.b", {{"small", {{"gpu", 333}}}}}};
+  tables.tables = {{"all", {0, 1, 0, 1, 0}, {5, 4, 3, 2, 1}, {}, {}},
+                   {"less", {0, 1, 0, -1, -1}, {5, 4, 3, 0, 0}, {{0, 2}}, {}}};
+  tables.tables[1].loss = {{-1, 0, -1, -1, -1}, {"log", "show"}};
+  tables.serves = {{0, 900, 500}, {1, 700, 600}};
+  return tables;
+}
+
+TEST(Loss, WhatIsLeftHasTheVariantsTimesAndNoModuleThatIsOff) {
+  const AppSpec app = app_of();
+  ASSERT_TRUE(validate(app)) << validate(app).error().to_string();
+  const Loss loss{{-1, 1, -1, -1, -1}, {"log"}};
+  ASSERT_TRUE(validate(loss, app, "/t"));
+  EXPECT_EQ(kept(app, loss), (std::vector<int>{0, 1, 2, 3}));
+  const AppSpec left = app_with(app, loss);
+  ASSERT_TRUE(validate(left)) << validate(left).error().to_string();
+  ASSERT_EQ(left.xnodes.size(), 4u);
+  EXPECT_EQ(left.xnodes[0], app.xnodes[0]);
+  EXPECT_EQ(left.xnodes[1].wcet_us, app.xnodes[1].variants[1].wcet_us);
+  EXPECT_EQ(left.xnodes[3].name, "show.draw");
+  EXPECT_EQ(left.edges, (std::vector<std::pair<int, int>>{{0, 1}, {1, 2}, {1, 3}}));
+  EXPECT_EQ(left.deadline_us, app.deadline_us);
+  EXPECT_EQ(loss_pct(loss, app), 75 + 100);
+  EXPECT_EQ(words_of(loss, app), "log off, see.b tiny");
+}
+
+TEST(Loss, OfNothingIsNothing) {
+  const AppSpec app = app_of();
+  for (const Loss& none : {Loss(), Loss{std::vector<int>(5, -1), {}}}) {
+    EXPECT_TRUE(none.none());
+    EXPECT_EQ(loss_pct(none, app), 0);
+    EXPECT_EQ(words_of(none, app), "");
+    EXPECT_EQ(app_with(app, none).edges, app.edges);
+  }
+}
+
+TEST(Loss, AVariantOfAModuleThatIsOffCostsNothingMore) {
+  EXPECT_EQ(loss_pct({{-1, -1, -1, 0, -1}, {"log", "show"}}, app_of()), 200);
+}
+
+TEST(Loss, IsRefusedWhereItWouldStarveOrIsNotThere) {
+  const AppSpec app = app_of();
+  const auto error = [&](const Loss& loss) {
+    const Status status = validate(loss, app, "/t");
+    return status ? std::string() : status.error().to_string();
+  };
+  EXPECT_EQ(error({{-1, 2, -1, -1, -1}, {}}),
+            "/t/variants/see.b: XNode 'see.b' has no such variant");
+  EXPECT_EQ(error({{-1}, {}}), "/t/variants: does not say the variant of every XNode");
+  EXPECT_EQ(error({{}, {"act"}}), "/t/off/0: module 'act' is not optional");
+  EXPECT_EQ(error({{}, {"nobody"}}), "/t/off/0: module 'nobody' is not optional");
+  EXPECT_EQ(error({{}, {"log", "log"}}), "/t/off/1: are not in alphabetical order, each once");
+  EXPECT_EQ(error({{}, {"show"}}),
+            "/t/off: module 'show' is off, and module 'log', which waits for it, is not");
+  AppSpec all = app;
+  all.edges.clear();
+  all.modules = {{"act", 1, true}, {"log", 1, true}, {"see", 1, true}, {"show", 1, true}};
+  EXPECT_FALSE(validate(Loss{{}, {"act", "log", "see", "show"}}, all, "/t")) << "nothing is left";
+}
+
+TEST(Loss, NobodyWhoIsNeededWaitsForAnOptionalModule) {
+  AppSpec app = app_of();
+  app.edges.emplace_back(3, 2);
+  const Status status = validate(app);
+  ASSERT_FALSE(status);
+  EXPECT_EQ(status.error().where, "/edges/4");
+  EXPECT_EQ(status.error().what,
+            "module 'act' waits for module 'show', which is optional, and is not optional itself");
+  app.modules.push_back({"act", 1, true});
+  EXPECT_TRUE(validate(app));
+}
+
+TEST(Loss, IsWrittenAsItWasRead) {
+  const AppSpec app = app_of();
+  const auto app_again = parse_app(to_json(app), "app.json");
+  ASSERT_TRUE(app_again) << app_again.error().to_string();
+  EXPECT_EQ(*app_again, app);
+  const Platform platform = platform_of();
+  const Tables tables = tables_of(app);
+  ASSERT_TRUE(validate(tables, app, platform))
+      << validate(tables, app, platform).error().to_string();
+  const auto again = parse_tables(to_json(tables, app, platform), "tables.json", app, platform);
+  ASSERT_TRUE(again) << again.error().to_string();
+  EXPECT_EQ(*again, tables);
+}
+
+TEST(Loss, BelongsToTheHashOfAnApp) {
+  const AppSpec app = app_of();
+  AppSpec other = app;
+  other.xnodes[1].variants[0].wcet_us["gpu"] = 121;
+  EXPECT_NE(other.hash(), app.hash());
+  other = app;
+  other.modules[0].optional = false;
+  EXPECT_NE(other.hash(), app.hash());
+  std::swap((other = app).modules[0], other.modules[1]);
+  EXPECT_EQ(other.hash(), app.hash()) << "the order of modules means nothing";
+}
+
+TEST(Loss, ScenariosScaleVariantsToo) {
+  const AppSpec app = app_of();
+  const Tables tables = tables_of(app);
+  const AppSpec slow = app_under(app, tables.scenarios[1]);
+  EXPECT_EQ(slow.xnodes[1].wcet_on("gpu"), 900);
+  EXPECT_EQ(slow.xnodes[1].variants[0].wcet_us.at("gpu"), 333) << "what is stated";
+  EXPECT_EQ(slow.xnodes[1].variants[0].wcet_us.at("cpu"), 500);
+  EXPECT_EQ(slow.xnodes[1].variants[1].wcet_us.at("gpu"), 150) << "what is scaled";
+  Scenario fast{"fast"};
+  fast.variant_wcet_us = {{"see.b", {{"small", {{"gpu", 400}}}}}};
+  EXPECT_FALSE(covers(tables.scenarios[1], slow, fast, app_under(app, fast)))
+      << "only a variant is longer";
+  const AppSpec both = app_under(app, across(app, tables.scenarios[1], fast));
+  EXPECT_EQ(both.xnodes[1].variants[0].wcet_us.at("gpu"), 400);
+  EXPECT_EQ(both.xnodes[1].variants[1].wcet_us.at("gpu"), 150);
+}
+
+TEST(Loss, ATableIsAPolicyOfWhatIsLeft) {
+  const AppSpec app = app_of();
+  const Tables tables = tables_of(app);
+  const Policy less = policy_under(tables.tables[1], app, platform_of(), tables.scenarios[1]);
+  EXPECT_EQ(less.placements.size(), 3u);
+  EXPECT_EQ(less.order, (std::vector<std::pair<int, int>>{{0, 2}}));
+  const Policy whole = whole_policy(tables, 1, app, platform_of());
+  ASSERT_EQ(whole.placements.size(), 5u);
+  EXPECT_EQ(whole.placements[3].xpu, 1) << "off: where the first scenario's table has it";
+  EXPECT_EQ(whole.placements[1].priority, 4);
+}
+
+TEST(Loss, ATableWithOneIsRefusedWhereItIsNotAllowed) {
+  const AppSpec app = app_of();
+  const auto error = [&](const auto& spoil) {
+    Tables tables = tables_of(app);
+    spoil(tables);
+    const Status status = validate(tables, app, platform_of());
+    return status ? std::string() : status.error().to_string();
+  };
+  EXPECT_EQ(error([](Tables&) {}), "");
+  EXPECT_EQ(error([](Tables& t) { t.scenarios[1].degraded = false; }),
+            "/serves/1/table: table 'less' loses something (log off, show off, see.b small), and "
+            "scenario 'slow' is not degraded");
+  EXPECT_EQ(error([](Tables& t) { t.scenarios[0].degraded = true; }),
+            "/scenarios/0/degraded: a run begins with it, so it cannot be degraded\n"
+            "  hint: put a scenario before it in which nothing is lost");
+  EXPECT_EQ(error([](Tables& t) { t.tables[1].xpu[3] = 0; }),
+            "/tables/1/xnodes: XNode 'show.draw' is placed, and its module is off");
+  EXPECT_EQ(error([](Tables& t) { t.tables[1].xpu[2] = -1; }),
+            "/tables/1/xnodes: XNode 'act' is not placed");
+  EXPECT_EQ(error([](Tables& t) {
+              t.tables[1].order = {{2, 4}};
+            }),
+            "/tables/1/order: names XNode 'log', whose module is off");
+  EXPECT_NE(error([](Tables& t) {
+              t.tables[1].loss.variant[1] = 1;
+              t.tables[1].xpu[1] = 0;
+            }),
+            "")
+      << "that variant has no implementation there";
+}
+
+}  // namespace
+}  // namespace xauto
