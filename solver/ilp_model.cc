@@ -77,8 +77,18 @@ void IlpModel::add_row(const std::string& name, const std::vector<Term>& terms, 
 }
 
 void IlpModel::minimise(int column) {
-  REAL one = 1;
-  set_obj_fnex(lp_, 1, &one, &column);
+  minimise({{column, 1}});
+}
+
+void IlpModel::minimise(const std::vector<Term>& terms) {
+  scratch_columns_.clear();
+  scratch_factors_.clear();
+  for (const Term& term : terms) {
+    scratch_columns_.push_back(term.column);
+    scratch_factors_.push_back(term.factor);
+  }
+  set_obj_fnex(lp_, static_cast<int>(terms.size()), scratch_factors_.data(),
+               scratch_columns_.data());
   set_minim(lp_);
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A thin owner of one lp_solve model: named columns and rows, minimise one column, end on time.
+// A thin owner of one lp_solve model: named columns and rows, minimise columns, end on time.
 // Private to ilp*.cc.
 #pragma once
 
@@ -41,6 +41,7 @@ class IlpModel {
   void set_binary(int column, bool binary);
   void set_range(int column, double low, double high);
   void minimise(int column);
+  void minimise(const std::vector<Term>& terms);  ///< each column once
 
   [[nodiscard]] Outcome solve(double time_limit_s, const std::atomic<bool>* stop);
   [[nodiscard]] double value(int column) const {

@@ -9,10 +9,12 @@
 #include <memory>
 #include <set>
 #include <thread>
+#include <tuple>
 
 #include "base/index.h"
 #include "solver/certify.h"
 #include "solver/ilp_model.h"
+#include "solver/least_loss.h"
 #include "solver/ordered.h"
 #include "solver/random.h"
 #include "solver/solve.h"
@@ -23,11 +25,16 @@ namespace {
 constexpr double kCannotServe = std::numeric_limits<double>::infinity();
 
 struct Plan {
-  std::vector<int> xpu, sequence;
-  std::vector<double> regret;  ///< [scenario]
-  bool operator<(const Plan& other) const {
-    return xpu != other.xpu ? xpu < other.xpu : sequence < other.sequence;
-  }
+  std::vector<int> xpu, sequence;  ///< of what its loss leaves
+  std::vector<double> regret;      ///< [scenario]
+  int loss = 0;                    ///< index into TablesSearch::lossy_
+};
+
+/// The app without what one loss takes, under all scenarios.
+struct Lossy {
+  Loss loss;
+  std::vector<int> kept;          ///< [XNode of the problems] index into the app's
+  std::vector<Problem> problems;  ///< [scenario] on the whole platform, what is lost forbidden
 };
 
 /// A set of candidates, and by which each scenario is served.
@@ -80,31 +87,43 @@ class TablesSearch {
       options_.on_progress(elapsed(), static_cast<int>(bound_.size()), worst);
   }
 
-  /// Half of the time, in equal shares of what is left of it.
-  Status solve_each() {
-    const std::size_t n = scenarios_.size();
-    problems_.reserve(n);
-    for (std::size_t s = 0; s < n; ++s) {
-      const AppSpec scaled = app_under(app_, scenarios_[s]);
-      const Platform left = platform_under(platform_, scenarios_[s]);
-      XAUTO_ASSIGN(Problem problem, Problem::create(scaled, platform_));
+  /// Index of the app with this loss.
+  Result<int> with(const Loss& loss) {
+    for (std::size_t k = 0; k < lossy_.size(); ++k)
+      if (lossy_[k].loss == loss) return static_cast<int>(k);
+    Lossy lossy{loss, kept(app_, loss), {}};
+    lossy.problems.reserve(scenarios_.size());
+    for (const Scenario& scenario : scenarios_) {
+      const Platform left = platform_under(platform_, scenario);
+      XAUTO_ASSIGN(Problem problem, Problem::create(app_under(app_, scenario, loss), platform_));
       problem.forbidden.assign(at(problem.num_xnodes) * at(problem.num_xpus), 0);
       for (std::size_t x = 0; x < platform_.xpus.size(); ++x)
         if (left.find(platform_.xpus[x].id) < 0)
           for (std::size_t i = 0; i < at(problem.num_xnodes); ++i)
             problem.forbidden[i * at(problem.num_xpus) + x] = 1;
-      problems_.push_back(std::move(problem));
-      SolveOptions solving;
-      solving.certify = true;
-      solving.threads = options_.threads;
-      solving.seed = options_.seed + s;
-      solving.stop = options_.stop;
-      solving.max_evaluations = options_.max_evaluations;
-      solving.time_limit_s =
+      lossy.problems.push_back(std::move(problem));
+    }
+    lossy_.push_back(std::move(lossy));
+    return static_cast<int>(lossy_.size()) - 1;
+  }
+
+  /// Half of the time, in equal shares of what is left of it.
+  Status solve_each() {
+    const std::size_t n = scenarios_.size();
+    XAUTO_TRY(with({}));
+    for (std::size_t s = 0; s < n; ++s) {
+      const double share_s =
           std::max(0.05, options_.time_limit_s / 2 - elapsed()) / static_cast<double>(n - s);
-      XAUTO_ASSIGN(const Policy policy, solve(scaled, left, solving));
+      Loss loss;
+      if (scenarios_[s].degraded) loss = least_loss_under(s, share_s / 2);
+      XAUTO_ASSIGN(const int lossy, with(loss));
+      XAUTO_ASSIGN(const Policy policy,
+                   solve_under(s, loss, scenarios_[s].degraded ? share_s / 2 : share_s, {}));
+      lossy_of_.push_back(lossy);
       bound_.push_back(std::max<Time>(1, policy.lower_bound_us));
+      const Platform left = platform_under(platform_, scenarios_[s]);
       Plan candidate;
+      candidate.loss = lossy;
       std::vector<Time> starts;
       for (const Placement& p : policy.placements) {
         candidate.xpu.push_back(platform_.find(left.xpus[at(p.xpu)].id));
@@ -118,27 +137,75 @@ class TablesSearch {
     return {};
   }
 
-  /// With its regrets; what is there already is not added again.
+  /// What is left under scenario `s`, solved alone. `enough`: a worst case that needs no improvement.
+  Result<Policy> solve_under(std::size_t s, const Loss& loss, double seconds,
+                             std::optional<Time> enough) const {
+    std::atomic<bool> stop{false};
+    SolveOptions solving;
+    solving.certify = true;
+    solving.threads = options_.threads;
+    solving.seed = options_.seed + s;
+    solving.stop = enough ? &stop : options_.stop;
+    solving.max_evaluations = options_.max_evaluations;
+    solving.time_limit_s = seconds;
+    if (enough)
+      solving.on_progress = [&](const Progress& progress) {
+        const bool decided = progress.incumbent <= *enough || progress.bound > *enough;
+        const bool told = options_.stop != nullptr && options_.stop->load();
+        if (decided || told) stop.store(true);
+      };
+    return solve(app_under(app_, scenarios_[s], loss), platform_under(platform_, scenarios_[s]),
+                 solving);
+  }
+
+  /// The least that was found with which the app keeps what a release has time for; all that it may
+  /// lose, where it does not even so.
+  [[nodiscard]] Loss least_loss_under(std::size_t s, double seconds) const {
+    const Time limit = *time_for_a_release(app_);
+    const double until_s = elapsed() + seconds;
+    constexpr double kTries = 8;
+    const auto suffices = [&](const Loss& loss) {
+      const auto policy = solve_under(
+          s, loss, std::max(0.02, std::min(seconds / kTries, until_s - elapsed())), limit);
+      return policy && policy->worst_case_us.value_or(kNever) <= limit;
+    };
+    const auto deadline =
+        options_.max_evaluations > 0
+            ? SteadyTime::max()
+            : std::chrono::steady_clock::now() + std::chrono::duration_cast<SteadyTime::duration>(
+                                                     std::chrono::duration<double>(seconds));
+    return least_loss(app_, platform_under(platform_, scenarios_[s]), suffices,
+                      {deadline, options_.stop})
+        .loss;
+  }
+
+  /// On XPUs that are there under the scenario.
+  [[nodiscard]] bool runs(const Plan& plan, std::size_t s) const {
+    const Problem& problem = lossy_[at(plan.loss)].problems[s];
+    for (std::size_t i = 0; i < plan.xpu.size(); ++i)
+      if (problem.wcet_on(static_cast<int>(i), plan.xpu[i]) == kCannotRun) return false;
+    return true;
+  }
+
+  /// With its regrets; what is there already is not added again. A scenario is served by plans of its
+  /// own loss alone: with more it would lose without need, and less was not found to suffice.
   void add(Plan candidate) {
-    for (std::size_t s = 0; s < problems_.size(); ++s) {
-      const bool runs = [&] {
-        for (std::size_t i = 0; i < candidate.xpu.size(); ++i)
-          if (problems_[s].wcet_on(static_cast<int>(i), candidate.xpu[i]) == kCannotRun)
-            return false;
-        return true;
-      }();
-      if (!runs) {
+    for (std::size_t s = 0; s < scenarios_.size(); ++s) {
+      if (candidate.loss != lossy_of_[s] || !runs(candidate, s)) {
         candidate.regret.push_back(kCannotServe);
         continue;
       }
-      OrderedEvaluator evaluator(problems_[s]);
+      OrderedEvaluator evaluator(problem(candidate, s));
       evaluator.reset(candidate.xpu, candidate.sequence);
       candidate.sequence = evaluator.sequence();
       candidate.regret.push_back(static_cast<double>(evaluator.makespan()) /
                                  static_cast<double>(bound_[s]));
     }
-    if (known_.insert({candidate.xpu, candidate.sequence}).second)
+    if (known_.insert({candidate.loss, candidate.xpu, candidate.sequence}).second)
       candidates_.push_back(std::move(candidate));
+  }
+  [[nodiscard]] const Problem& problem(const Plan& plan, std::size_t s) const {
+    return lossy_[at(plan.loss)].problems[s];
   }
 
   /// The least number of candidates that serve every scenario within `regret`, and which; empty: as
@@ -157,7 +224,7 @@ class TablesSearch {
     const int count = model.add_column("tables", 0, most);
     all.push_back({count, -1});
     model.equal("tables", all, 0);
-    for (std::size_t s = 0; s < problems_.size(); ++s) {
+    for (std::size_t s = 0; s < scenarios_.size(); ++s) {
       std::vector<IlpModel::Term> serve;
       for (std::size_t c = 0; c < candidates_.size(); ++c)
         if (column[c] >= 0 && candidates_[c].regret[s] <= regret) serve.push_back({column[c], 1});
@@ -180,7 +247,7 @@ class TablesSearch {
     for (std::size_t d = 0; d < candidates_.size(); ++d) {
       if (d == c) continue;
       bool all = true, more = false;
-      for (std::size_t s = 0; s < problems_.size() && all; ++s) {
+      for (std::size_t s = 0; s < scenarios_.size() && all; ++s) {
         const bool mine = candidates_[c].regret[s] <= regret,
                    its = candidates_[d].regret[s] <= regret;
         all = !mine || its;
@@ -221,7 +288,7 @@ class TablesSearch {
     choice.chosen = std::move(best);
     if (choice.chosen.empty()) return choice;
     choice.worst = 0;
-    for (std::size_t s = 0; s < problems_.size(); ++s) {
+    for (std::size_t s = 0; s < scenarios_.size(); ++s) {
       const int by =
           *std::min_element(choice.chosen.begin(), choice.chosen.end(), [&](int a, int b) {
             return candidates_[at(a)].regret[s] < candidates_[at(b)].regret[s];
@@ -244,16 +311,16 @@ class TablesSearch {
     std::vector<Task> tasks;
     for (const int c : choice.chosen) {
       Task task{{}, c, random_.next(), {}};
-      for (std::size_t s = 0; s < problems_.size(); ++s)
+      for (std::size_t s = 0; s < scenarios_.size(); ++s)
         if (choice.serves[s] == c) task.group.push_back(static_cast<int>(s));
       if (!task.group.empty()) tasks.push_back(std::move(task));
     }
-    for (std::size_t s = 0; s < problems_.size(); ++s) {
+    for (std::size_t s = 0; s < scenarios_.size(); ++s) {
       if (candidates_[at(choice.serves[s])].regret[s] < choice.worst) continue;
       for (const int c : choice.chosen) {
         if (c == choice.serves[s] || candidates_[at(c)].regret[s] == kCannotServe) continue;
         Task task{{static_cast<int>(s)}, c, random_.next(), {}};
-        for (std::size_t other = 0; other < problems_.size(); ++other)
+        for (std::size_t other = 0; other < scenarios_.size(); ++other)
           if (choice.serves[other] == c) task.group.push_back(static_cast<int>(other));
         tasks.push_back(std::move(task));
       }
@@ -279,7 +346,7 @@ class TablesSearch {
     Random random(seed);
     std::vector<OrderedEvaluator> evaluators;
     for (const int s : group) {
-      evaluators.emplace_back(problems_[at(s)]);
+      evaluators.emplace_back(problem(candidates_[at(from)], at(s)));
       evaluators.back().reset(candidates_[at(from)].xpu, candidates_[at(from)].sequence);
     }
     const auto ratio = [&](std::size_t k) {
@@ -295,7 +362,7 @@ class TablesSearch {
     const std::size_t n = candidates_[at(from)].xpu.size();
     std::size_t limiting = worst();
     double current = ratio(limiting), best = current;
-    Plan found{evaluators[0].xpu(), evaluators[0].sequence(), {}};
+    Plan found{evaluators[0].xpu(), evaluators[0].sequence(), {}, candidates_[at(from)].loss};
     std::vector<int> chain;
     evaluators[limiting].critical_chain(chain);
     const std::int64_t most_moves =
@@ -314,7 +381,7 @@ class TablesSearch {
       if (moves) {
         to = static_cast<int>(random.below(platform_.xpus.size()));
         const bool runs = std::all_of(group.begin(), group.end(), [&](int s) {
-          return problems_[at(s)].wcet_on(i, to) != kCannotRun;
+          return problem(candidates_[at(from)], at(s)).wcet_on(i, to) != kCannotRun;
         });
         if (!runs || to == evaluators[0].xpu()[at(i)]) continue;
       } else {
@@ -360,7 +427,8 @@ class TablesSearch {
     if (choice.chosen.empty())
       return fail(ErrorCode::kInfeasible,
                   "no " + std::to_string(options_.tables) +
-                      " tables serve every scenario: they have lost different XPUs",
+                      " tables serve every scenario: they have lost different XPUs" +
+                      (lossy_.size() > 1 ? ", or the app loses different things there" : ""),
                   app_.name, "ask for more tables");
     if (options_.regret >= 1 && choice.worst > options_.regret + 1e-12)
       return fail(ErrorCode::kInfeasible,
@@ -382,21 +450,36 @@ class TablesSearch {
       const Plan& candidate = candidates_[c];
       if (number[c] < 0) {
         number[c] = static_cast<int>(tables.tables.size());
-        const Solution solution{candidate.xpu, candidate.sequence, 0, true, {}};
-        Table table;
-        table.name = "table " + std::to_string(number[c]);
-        table.xpu = candidate.xpu;
-        table.priority = to_decision(solution).priority;
-        table.order = order_pairs(problems_[s], solution);
-        tables.tables.push_back(std::move(table));
+        tables.tables.push_back(table_of(candidate, number[c], s));
       }
-      OrderedEvaluator evaluator(problems_[s]);
+      OrderedEvaluator evaluator(problem(candidate, s));
       evaluator.reset(candidate.xpu, candidate.sequence);
       tables.serves.push_back({number[c], evaluator.makespan(), bound_[s]});
     }
     add_changes(choice, tables);
     tables.solve_ms = static_cast<std::int64_t>(elapsed() * 1000);
     return tables;
+  }
+
+  /// Of the whole app; the order is that of any scenario that it serves.
+  [[nodiscard]] Table table_of(const Plan& plan, int number, std::size_t serves) const {
+    const Lossy& lossy = lossy_[at(plan.loss)];
+    const Solution solution{plan.xpu, plan.sequence, 0, true, {}};
+    const std::vector<std::int64_t> priority = to_decision(solution).priority;
+    Table table;
+    table.name = "table " + std::to_string(number);
+    table.loss = lossy.loss;
+    if (!table.loss.none()) table.name += " (" + words_of(table.loss, app_) + ")";
+    if (table.name.size() > kMaxNameBytes) table.name.resize(kMaxNameBytes);
+    table.xpu.assign(app_.xnodes.size(), -1);
+    table.priority.assign(app_.xnodes.size(), 0);
+    for (std::size_t i = 0; i < lossy.kept.size(); ++i) {
+      table.xpu[at(lossy.kept[i])] = plan.xpu[i];
+      table.priority[at(lossy.kept[i])] = priority[i];
+    }
+    for (const auto& [u, v] : order_pairs(lossy.problems[serves], solution))
+      table.order.emplace_back(lossy.kept[at(u)], lossy.kept[at(v)]);
+    return table;
   }
 
   void add_changes(const Choice& choice, Tables& tables) const {
@@ -406,10 +489,10 @@ class TablesSearch {
         if (s == t) continue;
         Change change{static_cast<int>(s), static_cast<int>(t), {}, {}};
         const Plan& plan = candidates_[at(choice.serves[s])];
-        if (plan.regret[t] < kCannotServe) {
-          Problem both = problems_[s];
+        if (runs(plan, t)) {
+          Problem both = problem(plan, s);
           for (std::size_t w = 0; w < both.wcet_flat.size(); ++w)
-            both.wcet_flat[w] = std::max(both.wcet_flat[w], problems_[t].wcet_flat[w]);
+            both.wcet_flat[w] = std::max(both.wcet_flat[w], problem(plan, t).wcet_flat[w]);
           OrderedEvaluator evaluator(both);
           evaluator.reset(plan.xpu, plan.sequence);
           change.worst_case_us = evaluator.makespan();
@@ -425,11 +508,12 @@ class TablesSearch {
   const TablesOptions& options_;
   const SteadyTime began_;
   Random random_;
-  std::vector<Problem> problems_;  ///< [scenario] on the whole platform, what is lost forbidden
-  std::vector<Time> bound_;        ///< [scenario]
+  std::vector<Lossy> lossy_;   ///< the first without any loss
+  std::vector<int> lossy_of_;  ///< [scenario] index into them
+  std::vector<Time> bound_;    ///< [scenario] of what its loss leaves
   std::vector<Plan> solved_;
   std::vector<Plan> candidates_;
-  std::set<std::pair<std::vector<int>, std::vector<int>>> known_;
+  std::set<std::tuple<int, std::vector<int>, std::vector<int>>> known_;
 };
 
 }  // namespace
@@ -441,6 +525,14 @@ Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
   if (options.tables <= 0 && options.regret < 1)
     return fail(ErrorCode::kInvalid, "say how many tables, or within which regret", app.name);
   XAUTO_TRY(validate(scenarios, app, platform));
+  for (std::size_t s = 0; s < scenarios.list.size(); ++s)
+    if (scenarios.list[s].degraded && !time_for_a_release(app))
+      return fail(
+          ErrorCode::kInvalid,
+          "the app states neither a deadline nor one period: nothing says for what it would "
+          "lose anything",
+          "/scenarios/" + std::to_string(s) + "/degraded",
+          "give app.json deadline_us, or leave degraded out");
   return TablesSearch(app, platform, scenarios, options).run();
 }
 

@@ -14,6 +14,10 @@
 //
 // The bounds are proven, the worst cases certified; that no other K tables are better is not.
 //
+// Where a scenario is degraded, and no policy was found there that ends a release in the time that it
+// has, the app loses the least with which one was (least_loss.h); where all that it may lose does not
+// suffice, all of that. Bound and regret are then those of what is left.
+//
 // A release during which the scenario changes keeps its table, and each of its jobs takes at most the
 // larger of its two WCETs. So its worst case is the longest path of the table at those.
 #pragma once
@@ -41,9 +45,10 @@ struct TablesOptions {
   std::function<void(double elapsed_s, int scenarios_solved, double worst_regret)> on_progress;
 };
 
-/// Errors: kInvalid for an app of version 2, or where neither tables nor regret is asked for;
-/// kInfeasible if no set of `tables` tables serves all scenarios (each has lost other XPUs), or if
-/// nothing within `regret` was found.
+/// Errors: kInvalid for an app of version 2, where neither tables nor regret is asked for, or where a
+/// scenario is degraded and nothing says how long a release may take;
+/// kInfeasible if no set of `tables` tables serves all scenarios (each has lost other XPUs, or
+/// loses other things), or if nothing within `regret` was found.
 [[nodiscard]] Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
                                           const Scenarios& scenarios, const TablesOptions& options);
 

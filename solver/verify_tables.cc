@@ -14,9 +14,10 @@ namespace {
 Policy executed_under(const Table& table, const AppSpec& app, const Platform& platform,
                       const Scenario& scenario) {
   Policy policy = policy_under(table, app, platform, scenario);
-  const verification::World world(app_under(app, scenario), platform_under(platform, scenario));
+  const verification::World world(app_under(app, scenario, table.loss),
+                                  platform_under(platform, scenario));
   verification::Candidate candidate;
-  candidate.order_before.resize(app.xnodes.size());
+  candidate.order_before.resize(policy.placements.size());
   std::vector<verification::Us> takes;
   for (std::size_t i = 0; i < policy.placements.size(); ++i) {
     candidate.xpu.push_back(policy.placements[i].xpu);
@@ -62,7 +63,7 @@ void verify_changes(const AppSpec& app, const Platform& platform, const Tables& 
     Policy policy = executed_under(table, app, platform, both);
     policy.worst_case_us = change.worst_case_us;
     const Verification v =
-        verify(app_under(app, both), platform_under(platform, both), policy, quick);
+        verify(app_under(app, both, table.loss), platform_under(platform, both), policy, quick);
     for (const std::string& lie : v.lies) all.lies.push_back(name + lie);
     const bool shown = std::any_of(v.shown.begin(), v.shown.end(), [](const std::string& line) {
       return line.starts_with("worst_case_us");
@@ -99,12 +100,13 @@ TablesVerification verify_tables(const AppSpec& app, const Platform& platform, c
   for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
     const Scenario& scenario = tables.scenarios[s];
     const Served& served = tables.serves[s];
-    const AppSpec scaled = app_under(app, scenario);
+    const Table& table = tables.tables[at(served.table)];
+    const AppSpec left_app = app_under(app, scenario, table.loss);
     const Platform left = platform_under(platform, scenario);
-    Policy policy = executed_under(tables.tables[at(served.table)], app, platform, scenario);
+    Policy policy = executed_under(table, app, platform, scenario);
     policy.lower_bound_us = served.lower_bound_us;
     policy.worst_case_us = served.worst_case_us;
-    const Verification v = verify(scaled, left, policy, options);
+    const Verification v = verify(left_app, left, policy, options);
     const auto tell = [&](const std::vector<std::string>& from, std::vector<std::string>& to) {
       for (const std::string& line : from) {
         // Times and latency are of this very execution: nothing of the file is shown by them.

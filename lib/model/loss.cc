@@ -59,6 +59,9 @@ Status validate_losses(const AppSpec& app) {
   XAUTO_TRY(validate_variants(app));
   const auto optional = optional_modules(app);
   if (optional.empty()) return {};
+  if (std::all_of(app.xnodes.begin(), app.xnodes.end(),
+                  [&](const XNodeSpec& x) { return optional.contains(x.module); }))
+    return invalid("every module is optional: nothing would be left to run", "/modules");
   for (std::size_t e = 0; e < app.edges.size(); ++e) {
     const std::string &from = app.xnodes[at(app.edges[e].first)].module,
                       &to = app.xnodes[at(app.edges[e].second)].module;
@@ -92,7 +95,6 @@ Status validate(const Loss& loss, const AppSpec& app, const std::string& where) 
                          ", which waits for it, is not",
                      where + "/off");
   }
-  if (kept(app, loss).empty()) return invalid("nothing is left to run", where + "/off");
   return {};
 }
 

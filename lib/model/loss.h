@@ -29,11 +29,11 @@ struct Loss {
 };
 
 /// Variants with names, each once, with implementations, WCETs in range, and a quality of 1 to 100.
-/// No edge from an optional module to one that is not: it would wait for ever.
+/// No edge from an optional module to one that is not: it would wait for ever. Not all are optional.
 [[nodiscard]] Status validate_losses(const AppSpec& app);
 
 /// Variants that there are; modules that are optional, each once, with all that hears of them by
-/// edges; and something is left. `at`: the JSON pointer of the table, for messages.
+/// edges. `at`: the JSON pointer of the table, for messages.
 [[nodiscard]] Status validate(const Loss& loss, const AppSpec& app, const std::string& at);
 
 /// How much is lost: for each XNode 100 less its variant's quality in percent, for each module that

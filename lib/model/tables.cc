@@ -30,6 +30,12 @@ std::optional<std::int64_t> one_period_us(const AppSpec& app) {
   return app.sources.front().period.floor_us();
 }
 
+std::optional<std::int64_t> time_for_a_release(const AppSpec& app) {
+  const auto period = one_period_us(app);
+  if (!app.deadline_us || !period) return app.deadline_us ? app.deadline_us : period;
+  return std::min(*app.deadline_us, *period);
+}
+
 AppSpec app_under(const AppSpec& app, const Scenario& scenario, const Loss& loss) {
   return app_with(app_under(app, scenario), loss);
 }

@@ -76,6 +76,10 @@ inline constexpr std::size_t kMaxTables = 100;
 /// The period of all releases, where an app of version 1 states one.
 [[nodiscard]] std::optional<std::int64_t> one_period_us(const AppSpec& app);
 
+/// By when a release is to end: the deadline, or that one period, whichever is less; nullopt: the app
+/// states neither.
+[[nodiscard]] std::optional<std::int64_t> time_for_a_release(const AppSpec& app);
+
 /// What a table has to schedule under `scenario`, and on what: app_with() of app_under().
 [[nodiscard]] AppSpec app_under(const AppSpec& app, const Scenario& scenario, const Loss& loss);
 /// A table as a policy of that app, without its times and claims: XPUs are indices into

@@ -30,20 +30,21 @@ bool misses(const AppSpec& app, const Change& change) {
 }
 
 void print_tables(const AppSpec& app, const Tables& tables) {
-  std::size_t width = 8;
+  std::size_t width = 8, table_width = 10;
   for (const Scenario& s : tables.scenarios) width = std::max(width, s.name.size());
+  for (const Table& t : tables.tables) table_width = std::max(table_width, t.name.size());
   const std::size_t count = tables.tables.size();
   std::printf("%s on %s: %zu scenarios, %zu table%s, %.2f s\n\n", app.name.c_str(),
               tables.platform.c_str(), tables.scenarios.size(), count, count == 1 ? "" : "s",
               static_cast<double>(tables.solve_ms) / 1000);
-  std::printf("  %-*s  %-10s %12s %12s %8s\n", static_cast<int>(width), "scenario", "table",
-              "worst case", "lower bound", "regret");
+  std::printf("  %-*s  %-*s %12s %12s %8s\n", static_cast<int>(width), "scenario",
+              static_cast<int>(table_width), "table", "worst case", "lower bound", "regret");
   std::size_t worst = 0;
   for (std::size_t s = 0; s < tables.serves.size(); ++s) {
     const Served& served = tables.serves[s];
     if (regret_of(served) > regret_of(tables.serves[worst])) worst = s;
-    std::printf("  %-*s  %-10s %12s %12s %8.3f%s\n", static_cast<int>(width),
-                tables.scenarios[s].name.c_str(),
+    std::printf("  %-*s  %-*s %12s %12s %8.3f%s\n", static_cast<int>(width),
+                tables.scenarios[s].name.c_str(), static_cast<int>(table_width),
                 tables.tables[static_cast<std::size_t>(served.table)].name.c_str(),
                 ms(served.worst_case_us).c_str(), ms(served.lower_bound_us).c_str(),
                 regret_of(served), misses(app, served) ? "  MISSES THE DEADLINE" : "");
@@ -61,6 +62,12 @@ void print_tables(const AppSpec& app, const Tables& tables) {
       "times and below; each bound is proven.%s\n",
       tables.worst_regret(), tables.scenarios[worst].name.c_str(), kWorstCaseScope,
       tables.worst_regret() > 1 ? " That as few tables cannot do better is not." : "");
+  for (const Table& table : tables.tables)
+    if (!table.loss.none())
+      std::printf(
+          "  %s: loses %lld %%, the least that was found to end a release in time; that less does "
+          "not suffice is not proven.\n",
+          table.name.c_str(), static_cast<long long>(loss_pct(table.loss, app)));
   if (longest != nullptr)
     std::printf("  A release that is under way when the scenario changes takes at most %s%s.\n",
                 ms(*longest->worst_case_us).c_str(),

@@ -217,6 +217,118 @@ TEST(Tables, AReleaseThatSpansAChangeEndsInTime) {
   EXPECT_GT(none, 10);
 }
 
+/// Variants of half of the work for every second XNode, and optional modules where nobody waits; a
+/// deadline that the slowest scenario does not keep without.
+ManyScenarios with_losses(std::uint64_t seed) {
+  ManyScenarios c = under_scenarios(12, seed);
+  const auto succ = c.app.successors();
+  int optional = 0;
+  for (std::size_t i = 0; i < c.app.xnodes.size(); ++i) {
+    XNodeSpec& x = c.app.xnodes[i];
+    x.module = "m" + std::to_string(i);
+    if (i % 2 == 0) {
+      VariantSpec half{"half", 70};
+      for (const auto& [type, us] : x.wcet_us) half.wcet_us[type] = (us + 1) / 2;
+      x.variants = {half};
+    } else if (succ[i].empty() && ++optional < 3) {
+      c.app.modules.push_back({x.module, 1, true});
+    }
+  }
+  c.scenarios.list = {
+      {"nominal"}, {"slow", {{"gpu", 180}, {"cpu", 150}}}, {"no dla", {}, {}, {"dla0"}}};
+  SolveOptions options;
+  options.certify = true;
+  options.time_limit_s = 1e9;
+  options.max_evaluations = 2000;
+  const Policy slow = solve(app_under(c.app, c.scenarios.list[1]), c.platform, options).value();
+  c.app.deadline_us = slow.lower_bound_us * 85 / 100;
+  return c;
+}
+
+/// WCETs by its own arithmetic; the order from the table's pairs.
+Time at_wcets(const ManyScenarios& c, const Tables& tables, std::size_t s) {
+  const Table& table = tables.tables[static_cast<std::size_t>(tables.serves[s].table)];
+  AppSpec app = c.app;
+  app.modules.clear();
+  app.deadline_us.reset();
+  std::vector<Time> actual;
+  Decision decision{table.xpu, table.priority, table.order};
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    XNodeSpec& x = app.xnodes[i];
+    const bool off = std::count(table.loss.off.begin(), table.loss.off.end(), x.module) > 0;
+    if (off) {  // takes nothing, on a CPU, after all others
+      decision.xpu[i] = c.platform.find("cpu0");
+      decision.priority[i] = -1'000'000 - static_cast<int>(i);
+      x.wcet_us["cpu"] = 1;
+      actual.push_back(0);
+      continue;
+    }
+    const std::string& type = c.platform.xpus[static_cast<std::size_t>(table.xpu[i])].type;
+    Time us = *x.wcet_on(type);
+    if (!table.loss.variant.empty() && table.loss.variant[i] == 0) us = (us + 1) / 2;
+    const auto scale = tables.scenarios[s].wcet_scale_pct.find(type);
+    if (scale != tables.scenarios[s].wcet_scale_pct.end()) us = (us * scale->second + 99) / 100;
+    actual.push_back(us);
+    x.wcet_us[type] = std::max(us, *x.wcet_on(type));
+  }
+  const Problem problem = Problem::create(app, c.platform).value();
+  return simulate(problem, decision, {.actual = actual}).makespan;
+}
+
+TEST(Tables, WhereItIsDegradedTheAppLosesWhatItMustAndNowhereElse) {
+  int kept_by_loss = 0, all_lost = 0;
+  for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+    ManyScenarios c = with_losses(90 + seed);
+    const auto plain = solve_tables(c.app, c.platform, c.scenarios, tables_budget(3));
+    ASSERT_TRUE(plain) << plain.error().to_string();
+    for (const Table& table : plain->tables) EXPECT_TRUE(table.loss.none()) << "nobody allowed it";
+    EXPECT_GT(plain->serves[1].worst_case_us, *c.app.deadline_us);
+    c.scenarios.list[1].degraded = true;
+    const auto tables = solve_tables(c.app, c.platform, c.scenarios, tables_budget(3));
+    ASSERT_TRUE(tables) << tables.error().to_string();
+    for (const std::size_t s : {0, 2})
+      EXPECT_TRUE(tables->tables[static_cast<std::size_t>(tables->serves[s].table)].loss.none());
+    const Table& less = tables->tables[static_cast<std::size_t>(tables->serves[1].table)];
+    EXPECT_FALSE(less.loss.none());
+    EXPECT_NE(less.name.find(words_of(less.loss, c.app)), std::string::npos) << less.name;
+    if (tables->serves[1].worst_case_us <= *c.app.deadline_us)
+      ++kept_by_loss;
+    else
+      ++all_lost;
+    for (std::size_t s = 0; s < 3; ++s)
+      EXPECT_EQ(at_wcets(c, *tables, s), tables->serves[s].worst_case_us) << seed << ", " << s;
+    const VerifyOptions quick{.executions = 100, .proof_nodes = 500, .schedules = 300};
+    const TablesVerification v = verify_tables(c.app, c.platform, *tables, quick);
+    EXPECT_TRUE(v.truthful()) << v.lies.front();
+    const auto lies = [&](const auto& spoil) {
+      Tables bad = *tables;
+      spoil(bad, bad.tables[static_cast<std::size_t>(bad.serves[1].table)]);
+      return !verify_tables(c.app, c.platform, bad, quick).truthful();
+    };
+    EXPECT_TRUE(lies([](Tables& t, Table&) { t.scenarios[1].degraded = false; }));
+    EXPECT_TRUE(lies([](Tables& t, Table&) { --t.serves[1].worst_case_us; }));
+    EXPECT_TRUE(lies([](Tables& t, Table&) { t.serves[0].table = t.serves[1].table; }));
+    EXPECT_TRUE(lies([](Tables&, Table& table) {
+      table.loss.off.clear();
+      table.loss.variant.clear();
+    })) << "what it claims is of less work";
+    EXPECT_TRUE(lies([](Tables&, Table& table) { table.loss.off = {"m0"}; })) << "is needed";
+  }
+  EXPECT_GT(kept_by_loss, 6);
+  EXPECT_LT(all_lost, 6);
+}
+
+TEST(Tables, NothingSaysForWhatItWouldLose) {
+  ManyScenarios c = with_losses(7);
+  c.scenarios.list[1].degraded = true;
+  c.app.deadline_us.reset();
+  const auto tables = solve_tables(c.app, c.platform, c.scenarios, tables_budget(3));
+  ASSERT_FALSE(tables);
+  EXPECT_EQ(tables.error().where, "/scenarios/1/degraded");
+  c.app.sources = {{"camera", {100'000'000}}};
+  EXPECT_TRUE(solve_tables(c.app, c.platform, c.scenarios, tables_budget(3)));
+}
+
 TEST(Tables, EachFalseNumberIsALie) {
   const ManyScenarios c = under_scenarios(12, 2);
   const Tables good = solve_tables(c.app, c.platform, c.scenarios, tables_budget(2)).value();
