@@ -34,6 +34,7 @@ void add_sample(XModuleSpec& module, TopicHandle topic, std::chrono::nanoseconds
 void add_output(XModuleSpec& module, TopicHandle topic, Take take);
 void add_parameter(XModuleSpec& module, ParameterHandle parameter);
 void set_in_flight(XModuleSpec& module, int activations);
+void set_optional(XModuleSpec& module);
 /// `late`: beyond the key of the module's last XNode.
 using OnMiss = std::function<void(std::uint64_t sequence, std::chrono::nanoseconds late)>;
 void set_on_miss(XModuleSpec& module, OnMiss callback);
@@ -142,6 +143,14 @@ class XModule {
   /// `max_in_flight`).
   XModule& in_flight(int activations) {
     detail::set_in_flight(*spec_, activations);
+    return *this;
+  }
+
+  /// The app can do without it: where a set of tables says so, in scenarios that its user marks as
+  /// degraded, it gets no release. Modules that wait for one of its outputs have to be optional, too;
+  /// one that samples them sees the last message that there was.
+  XModule& optional() {
+    detail::set_optional(*spec_);
     return *this;
   }
 

@@ -27,6 +27,8 @@ using Exec = std::function<Status(void* object, void* state, const Input&)>;
 std::shared_ptr<XNodeSpecErased> make_xnode(std::string name);
 const std::string& name_of(const XNodeSpecErased& xnode);
 void add_impl(XNodeSpecErased& xnode, const XPU& xpu, Init init, Exec exec);
+void add_variant(XNodeSpecErased& xnode, const std::string& variant, int quality_pct,
+                 const XPU& xpu, Init init, Exec exec);
 void add_parameter(XNodeSpecErased& xnode, ParameterHandle parameter);
 
 }  // namespace detail
@@ -77,39 +79,21 @@ class XNode {
   ///   An exception or an error drops the activation, is counted and reported; the App goes on.
   template <class Init, class Exec>
   XNode& add_impl(const XPU& xpu, Init init, Exec exec) {
-    static_assert(std::is_invocable_v<Init, const XpuId&>, "init takes a const XpuId&");
-    using Made = std::invoke_result_t<Init, const XpuId&>;
-    using Object = typename detail::OwnedBy<Made>::Object;
-    if constexpr (std::is_void_v<Object>) {
-      static_assert(std::is_convertible_v<Made, SchedHandle>,
-                    "init returns a SchedHandle, or what own() makes");
-      static_assert(std::is_invocable_v<Exec, State&, const Input&>,
-                    "exec is void(State&, const Input&) or Status(State&, const Input&)");
-      detail::add_impl(
-          *spec_, xpu,
-          [init = std::move(init)](const XpuId& id, std::shared_ptr<void>&) mutable -> SchedHandle {
-            return init(id);
-          },
-          [exec = std::move(exec)](void*, void* state, const Input& input) mutable -> Status {
-            return call(exec, *static_cast<State*>(state), input);
-          });
-    } else {
-      static_assert(std::is_invocable_v<Exec, Object&, State&, const Input&>,
-                    "exec is void or Status of (T&, State&, const Input&), T being what init owns");
-      detail::add_impl(
-          *spec_, xpu,
-          [init = std::move(init)](const XpuId& id,
-                                   std::shared_ptr<void>& object) mutable -> SchedHandle {
-            Owned<Object> made = init(id);
-            if (made.object == nullptr) throw std::logic_error("init owns a null object");
-            object = std::move(made.object);
-            return std::move(made.handle);
-          },
-          [exec = std::move(exec)](void* object, void* state,
-                                   const Input& input) mutable -> Status {
-            return call(exec, *static_cast<Object*>(object), *static_cast<State*>(state), input);
-          });
-    }
+    auto [erased_init, erased_exec] = erase(std::move(init), std::move(exec));
+    detail::add_impl(*spec_, xpu, std::move(erased_init), std::move(erased_exec));
+    return *this;
+  }
+
+  /// Adds another implementation for one type of XPU: less work, and a result of so much less quality
+  /// (1 to 100 percent of the XNode's own). Runs where a set of tables says so, in scenarios that its
+  /// user marks as degraded; an XNode has its own implementation beside. The same `variant` on another
+  /// type has the same quality. init and exec: as add_impl.
+  template <class Init, class Exec>
+  XNode& add_variant(const std::string& variant, int quality_pct, const XPU& xpu, Init init,
+                     Exec exec) {
+    auto [erased_init, erased_exec] = erase(std::move(init), std::move(exec));
+    detail::add_variant(*spec_, variant, quality_pct, xpu, std::move(erased_init),
+                        std::move(erased_exec));
     return *this;
   }
 
@@ -126,6 +110,40 @@ class XNode {
  private:
   template <class>
   friend class XModule;
+  template <class Init, class Exec>
+  static std::pair<detail::Init, detail::Exec> erase(Init init, Exec exec) {
+    static_assert(std::is_invocable_v<Init, const XpuId&>, "init takes a const XpuId&");
+    using Made = std::invoke_result_t<Init, const XpuId&>;
+    using Object = typename detail::OwnedBy<Made>::Object;
+    if constexpr (std::is_void_v<Object>) {
+      static_assert(std::is_convertible_v<Made, SchedHandle>,
+                    "init returns a SchedHandle, or what own() makes");
+      static_assert(std::is_invocable_v<Exec, State&, const Input&>,
+                    "exec is void(State&, const Input&) or Status(State&, const Input&)");
+      return {
+          [init = std::move(init)](const XpuId& id, std::shared_ptr<void>&) mutable -> SchedHandle {
+            return init(id);
+          },
+          [exec = std::move(exec)](void*, void* state, const Input& input) mutable -> Status {
+            return call(exec, *static_cast<State*>(state), input);
+          }};
+    } else {
+      static_assert(std::is_invocable_v<Exec, Object&, State&, const Input&>,
+                    "exec is void or Status of (T&, State&, const Input&), T being what init owns");
+      return {[init = std::move(init)](const XpuId& id,
+                                       std::shared_ptr<void>& object) mutable -> SchedHandle {
+                Owned<Object> made = init(id);
+                if (made.object == nullptr) throw std::logic_error("init owns a null object");
+                object = std::move(made.object);
+                return std::move(made.handle);
+              },
+              [exec = std::move(exec)](void* object, void* state,
+                                       const Input& input) mutable -> Status {
+                return call(exec, *static_cast<Object*>(object), *static_cast<State*>(state),
+                            input);
+              }};
+    }
+  }
   template <class Exec, class... Arguments>
   static Status call(Exec& exec, Arguments&... arguments) {
     if constexpr (std::is_same_v<std::invoke_result_t<Exec&, Arguments&...>, Status>) {

@@ -262,6 +262,7 @@ std::string RunReport::json() const {
                        {"activations", m.activations},
                        {"failed", m.failed},
                        {"dropped", m.dropped},
+                       {"off", m.off},
                        {"latency_us", times(m.latencies_us)}});
   for (const runtime::RouteReport& c : r.routes)
     chains.push_back({{"name", c.name},

@@ -15,12 +15,38 @@ const std::string& name_of(const XNodeSpecErased& xnode) {
   return xnode.name;
 }
 
+namespace {
+
+void add(XNodeSpecErased& xnode, ImplSpec added) {
+  const std::string whose = added.variant.empty()
+                                ? "XNode '" + xnode.name + "'"
+                                : "variant '" + added.variant + "' of XNode '" + xnode.name + "'";
+  for (const ImplSpec& impl : xnode.impls) {
+    if (impl.variant != added.variant) continue;
+    if (impl.xpu == added.xpu)
+      xnode.misuse.push_back(whose + " has two implementations for '" + added.xpu.type() + "'");
+    if (impl.quality_pct != added.quality_pct)
+      xnode.misuse.push_back(whose + " has two qualities, " + std::to_string(impl.quality_pct) +
+                             " and " + std::to_string(added.quality_pct) + " %");
+  }
+  xnode.impls.push_back(std::move(added));
+}
+
+}  // namespace
+
 void add_impl(XNodeSpecErased& xnode, const XPU& xpu, Init init, Exec exec) {
-  for (const ImplSpec& impl : xnode.impls)
-    if (impl.xpu == xpu)
-      xnode.misuse.push_back("XNode '" + xnode.name + "' has two implementations for '" +
-                             xpu.type() + "'");
-  xnode.impls.push_back({xpu, std::move(init), std::move(exec)});
+  add(xnode, {xpu, std::move(init), std::move(exec)});
+}
+
+void add_variant(XNodeSpecErased& xnode, const std::string& variant, int quality_pct,
+                 const XPU& xpu, Init init, Exec exec) {
+  if (variant.empty())
+    xnode.misuse.push_back("XNode '" + xnode.name + "' has a variant without a name");
+  else if (quality_pct < 1 || quality_pct > 100)
+    xnode.misuse.push_back("variant '" + variant + "' of XNode '" + xnode.name + "': " +
+                           std::to_string(quality_pct) + " is not a quality from 1 to 100 %");
+  else
+    add(xnode, {xpu, std::move(init), std::move(exec), variant, quality_pct});
 }
 
 std::shared_ptr<XModuleSpec> make_xmodule(std::string name,
@@ -111,6 +137,10 @@ void set_in_flight(XModuleSpec& module, int activations) {
                             std::to_string(kMostInFlight));
   else
     module.in_flight = activations;
+}
+
+void set_optional(XModuleSpec& module) {
+  module.optional = true;
 }
 
 void add_output(XModuleSpec& module, TopicHandle topic, Take take) {

@@ -25,6 +25,8 @@ struct ImplSpec {
   XPU xpu{"cpu"};
   Init init;
   Exec exec;
+  std::string variant = {};  ///< "": the XNode's own
+  int quality_pct = 100;     ///< of the XNode's own
 };
 
 struct XNodeSpecErased {
@@ -59,6 +61,7 @@ struct XModuleSpec {
   std::vector<OutputSpec> outputs;
   std::vector<ParameterHandle> parameters = {};  ///< without those that its XNodes declare
   int in_flight = 1;                             ///< activations that may be at once
+  bool optional = false;                         ///< a table may have it off
   OnMiss on_miss;                                ///< may be empty
   /// XModule::every: its topic is the last of the inputs then known; nullopt: not called.
   std::optional<TopicSpec> timer;

@@ -119,7 +119,10 @@ class Builder {
       if (!added && at->second != spec.name)
         problem("XNode '" + node->name + "' is in two XModules, '" + at->second + "' and '" +
                 spec.name + "'");
-      if (node->impls.empty()) problem("XNode '" + node->name + "' has no implementation");
+      if (std::none_of(node->impls.begin(), node->impls.end(),
+                       [](const detail::ImplSpec& impl) { return impl.variant.empty(); }))
+        problem("XNode '" + node->name + "' has no implementation" +
+                (node->impls.empty() ? "" : " of its own, only variants"));
       for (const detail::ImplSpec& impl : node->impls)
         if (impl.xpu.type().empty())
           problem("XNode '" + node->name + "' has an implementation for an XPU type without name");
@@ -380,9 +383,10 @@ Status Graph::matches(const AppSpec& app) const {
   return same_pairs(samples, app.samples, "sample", app);
 }
 
-const detail::ImplSpec* find_impl(const detail::XNodeSpecErased& node, const std::string& type) {
+const detail::ImplSpec* find_impl(const detail::XNodeSpecErased& node, const std::string& type,
+                                  const std::string& variant) {
   for (const detail::ImplSpec& impl : node.impls)
-    if (impl.xpu.type() == type) return &impl;
+    if (impl.xpu.type() == type && impl.variant == variant) return &impl;
   return nullptr;
 }
 

@@ -82,9 +82,10 @@ struct Graph {
                                   const std::string& what, const AppSpec& app) const;
 };
 
-/// The implementation of `node` for XPUs of `type`, or null.
+/// The implementation of `node`, or of its variant, for XPUs of `type`; or null.
 [[nodiscard]] const detail::ImplSpec* find_impl(const detail::XNodeSpecErased& node,
-                                                const std::string& type);
+                                                const std::string& type,
+                                                const std::string& variant = {});
 
 /// "gpu0" with its type and its index among the instances of that type.
 [[nodiscard]] XpuId xpu_id(const Platform& platform, int xpu);

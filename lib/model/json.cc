@@ -57,6 +57,20 @@ Samples read_samples(const Reader& s, bool emulated) {
   return samples;
 }
 
+/// "on" and "beside" of an XNode or a variant.
+template <class Measured>
+void read_times(const Reader& x, bool emulated, Measured& into) {
+  x["on"].each_member(kMaxXpus, [&](const std::string& xpu, const Reader& s) {
+    into.on[xpu] = read_samples(s, emulated);
+  });
+  if (x.has("beside"))
+    x["beside"].each_member(kMaxXpus, [&](const std::string& type, const Reader& on) {
+      on.each_member(kMaxXpus, [&](const std::string& xpu, const Reader& s) {
+        into.beside[type][xpu] = read_samples(s, emulated);
+      });
+    });
+}
+
 Reading read_reading(const Reader& r) {
   using Of = Reading::Of;
   Reading reading;
@@ -117,14 +131,12 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
   if (root.has("incomplete")) profile.incomplete = root["incomplete"].text();
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     XNodeProfile node{x["name"].text(), x["module"].text(), {}};
-    x["on"].each_member(kMaxXpus, [&](const std::string& xpu, const Reader& s) {
-      node.on[xpu] = read_samples(s, c.emulated);
-    });
-    if (x.has("beside"))
-      x["beside"].each_member(kMaxXpus, [&](const std::string& type, const Reader& on) {
-        on.each_member(kMaxXpus, [&](const std::string& xpu, const Reader& s) {
-          node.beside[type][xpu] = read_samples(s, c.emulated);
-        });
+    read_times(x, c.emulated, node);
+    if (x.has("variants"))
+      x["variants"].each_element(kMaxVariants, [&](std::size_t, const Reader& v) {
+        VariantProfile variant{v["name"].text(), v["quality_pct"].integer(1, 100)};
+        read_times(v, c.emulated, variant);
+        node.variants.push_back(std::move(variant));
       });
     node.sources = read_heard(x, source_index);
     if (x.has("missing"))
@@ -140,6 +152,10 @@ Result<Profile> parse_profile(std::string_view text, std::string_view origin, Ke
   if (root.has("in_flight"))
     root["in_flight"].each_member(kMaxXNodes, [&](const std::string& module, const Reader& n) {
       profile.in_flight[module] = n.integer(1, kMaxInFlight);
+    });
+  if (root.has("optional"))
+    root["optional"].each_element(kMaxXNodes, [&](std::size_t, const Reader& module) {
+      profile.optional.push_back(module.text());
     });
   XAUTO_TRY(context.status());
   XAUTO_TRY(in_file(validate(profile), origin));
@@ -186,6 +202,17 @@ ordered_json samples_to_json(const Samples& s, bool emulated) {
   return entry;
 }
 
+void write_on(const SamplesByXpu& on, bool emulated, ordered_json& into) {
+  into["on"] = ordered_json::object();
+  for (const auto& [xpu, s] : on) into["on"][xpu] = samples_to_json(s, emulated);
+}
+
+void write_beside(const std::map<std::string, SamplesByXpu, std::less<>>& beside, bool emulated,
+                  ordered_json& into) {
+  for (const auto& [type, samples] : beside)
+    for (const auto& [xpu, s] : samples) into["beside"][type][xpu] = samples_to_json(s, emulated);
+}
+
 ordered_json reading_to_json(const Reading& r) {
   ordered_json entry = {{"of", to_string(r.of)}, {"file", r.file}};
   if (!r.name.empty()) entry["name"] = r.name;
@@ -206,15 +233,17 @@ std::string to_json(const Profile& profile) {
   const ProfileConditions& c = profile.conditions;
   ordered_json xnodes = ordered_json::array();
   for (const XNodeProfile& x : profile.xnodes) {
-    ordered_json on = ordered_json::object();
-    for (const auto& [xpu, s] : x.on) on[xpu] = samples_to_json(s, c.emulated);
     ordered_json xnode = {{"name", x.name}, {"module", x.module}};
     write_heard(x.sources, profile.sources, xnode);
-    xnode["on"] = std::move(on);
+    write_on(x.on, c.emulated, xnode);
     if (!x.missing.empty()) xnode["missing"] = x.missing;
-    for (const auto& [type, samples] : x.beside)
-      for (const auto& [xpu, s] : samples)
-        xnode["beside"][type][xpu] = samples_to_json(s, c.emulated);
+    write_beside(x.beside, c.emulated, xnode);
+    for (const VariantProfile& v : x.variants) {
+      ordered_json variant = {{"name", v.name}, {"quality_pct", v.quality_pct}};
+      write_on(v.on, c.emulated, variant);
+      write_beside(v.beside, c.emulated, variant);
+      xnode["variants"].push_back(std::move(variant));
+    }
     xnodes.push_back(std::move(xnode));
   }
   ordered_json document = {{"schema", "xauto.profile"}, {"version", 1}, {"app", profile.app}};
@@ -235,6 +264,7 @@ std::string to_json(const Profile& profile) {
   document["edges"] = pairs_to_json(profile.edges, name);
   if (!profile.sampled.empty()) document["samples"] = pairs_to_json(profile.sampled, name);
   if (!profile.in_flight.empty()) document["in_flight"] = profile.in_flight;
+  if (!profile.optional.empty()) document["optional"] = profile.optional;
   return json_document::to_text(document);
 }
 

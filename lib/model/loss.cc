@@ -98,6 +98,14 @@ Status validate(const Loss& loss, const AppSpec& app, const std::string& where) 
   return {};
 }
 
+std::optional<std::int64_t> wcet_of(const XNodeSpec& xnode, int variant, std::string_view type) {
+  if (variant < 0) return xnode.wcet_on(type);
+  const auto& wcets = xnode.variants[at(variant)].wcet_us;
+  const auto found = wcets.find(type);
+  if (found == wcets.end()) return std::nullopt;
+  return found->second;
+}
+
 std::int64_t loss_pct(const Loss& loss, const AppSpec& app) {
   std::int64_t pct = 100 * static_cast<std::int64_t>(loss.off.size());
   for (const int i : kept(app, loss))

@@ -6,7 +6,9 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <xauto/result.h>
@@ -35,6 +37,10 @@ struct Loss {
 /// Variants that there are; modules that are optional, each once, with all that hears of them by
 /// edges. `at`: the JSON pointer of the table, for messages.
 [[nodiscard]] Status validate(const Loss& loss, const AppSpec& app, const std::string& at);
+
+/// Of XNode or of its variant (-1: its own), on a type of XPU.
+[[nodiscard]] std::optional<std::int64_t> wcet_of(const XNodeSpec& xnode, int variant,
+                                                  std::string_view type);
 
 /// How much is lost: for each XNode 100 less its variant's quality in percent, for each module that
 /// is off 100. 0: nothing.

@@ -7,6 +7,7 @@
 
 #include "base/quantile.h"
 #include "model/periodic.h"
+#include "model/refusal.h"
 
 namespace xauto {
 
@@ -93,6 +94,16 @@ Status validate(const Samples& s, const std::string& xnode, const std::string& a
   return {};
 }
 
+Status validate(const SamplesByXpu& on,
+                const std::map<std::string, SamplesByXpu, std::less<>>& beside,
+                const std::string& xnode, const std::string& at) {
+  for (const auto& [xpu, s] : on) XAUTO_TRY(validate(s, xnode, at + "/on/" + xpu));
+  for (const auto& [type, samples] : beside)
+    for (const auto& [xpu, s] : samples)
+      XAUTO_TRY(validate(s, xnode, at + "/beside/" + type + "/" + xpu));
+  return {};
+}
+
 Status validate(const Reading& r, std::set<std::string>& files, const std::string& at) {
   if (r.file.empty() || r.file.front() != '/')
     return fail(ErrorCode::kInvalid, "'" + r.file + "' is not an absolute path", at + "/file");
@@ -131,10 +142,15 @@ Status validate(const Profile& profile) {
     if (x.name.empty()) return fail(ErrorCode::kInvalid, "an XNode needs a name", where + "/name");
     if (!names.insert(x.name).second)
       return fail(ErrorCode::kInvalid, "two XNodes are called '" + x.name + "'", where + "/name");
-    for (const auto& [xpu, s] : x.on) XAUTO_TRY(validate(s, x.name, where + "/on/" + xpu));
-    for (const auto& [type, on] : x.beside)
-      for (const auto& [xpu, s] : on)
-        XAUTO_TRY(validate(s, x.name, where + "/beside/" + type + "/" + xpu));
+    XAUTO_TRY(validate(x.on, x.beside, x.name, where));
+    XAUTO_TRY(validate_names(x.variants, (where.substr(1) + "/variants").c_str(), "variant"));
+    for (std::size_t v = 0; v < x.variants.size(); ++v) {
+      const VariantProfile& variant = x.variants[v];
+      const std::string here = where + "/variants/" + std::to_string(v);
+      XAUTO_TRY(
+          in_range(variant.quality_pct, 1, 100, "a quality in percent", here + "/quality_pct"));
+      XAUTO_TRY(validate(variant.on, variant.beside, x.name, here));
+    }
   }
   for (const auto& [name, pairs] :
        {std::pair("/edges/", &profile.edges), {"/samples/", &profile.sampled}})
@@ -152,6 +168,15 @@ Status validate(const Profile& profile) {
     if (std::none_of(profile.xnodes.begin(), profile.xnodes.end(),
                      [&name = module](const XNodeProfile& x) { return x.module == name; }))
       return fail(ErrorCode::kInvalid, "no XNode is of that module", where);
+  }
+  std::set<std::string> optional;
+  for (std::size_t k = 0; k < profile.optional.size(); ++k) {
+    const std::string where = "/optional/" + std::to_string(k);
+    if (!optional.insert(profile.optional[k]).second)
+      return invalid("module " + quoted(profile.optional[k]) + " is there twice", where);
+    if (std::none_of(profile.xnodes.begin(), profile.xnodes.end(),
+                     [&](const XNodeProfile& x) { return x.module == profile.optional[k]; }))
+      return invalid("no XNode is of module " + quoted(profile.optional[k]), where);
   }
   std::vector<char> has_predecessor(profile.xnodes.size(), 0);
   for (const auto& [u, v] : profile.edges) has_predecessor[static_cast<std::size_t>(v)] = 1;
@@ -174,7 +199,7 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
           ErrorCode::kInvalid, "was not measured on any XPU", "XNode '" + x.name + "'",
           profile.incomplete.empty() ? "" : "the profile is incomplete: " + profile.incomplete);
     XNodeSpec spec{x.name, x.module, {}, x.sources};
-    const auto take = [&](const std::string& id, const Samples& samples) -> Status {
+    const auto take = [&](const std::string& id, const Samples& samples, auto& wcets) -> Status {
       const int xpu = platform.find(id);
       if (xpu < 0)
         return fail(ErrorCode::kInvalid,
@@ -186,16 +211,26 @@ Result<AppSpec> to_app(const Profile& profile, const Platform& platform, WcetFro
                         std::to_string(kP99Samples),
                     "XNode '" + x.name + "' on " + id, "profile with --repetitions 100 or more");
       const std::string& type = platform.xpus[static_cast<std::size_t>(xpu)].type;
-      if (!samples.emulated) spec.real_on.insert(type);
-      std::int64_t& wcet = spec.wcet_us[type];
+      if (!samples.emulated && &wcets == &spec.wcet_us) spec.real_on.insert(type);
+      std::int64_t& wcet = wcets[type];
       wcet = std::max({wcet, statistic(samples, from, profile.margin_pct), std::int64_t{1}});
       return {};
     };
-    for (const auto& [id, samples] : x.on) XAUTO_TRY(take(id, samples));
-    for (const auto& [beside, on] : x.beside)
-      for (const auto& [id, samples] : on) XAUTO_TRY(take(id, samples));
+    const auto take_all = [&](const auto& measured, auto& wcets) -> Status {
+      for (const auto& [id, samples] : measured.on) XAUTO_TRY(take(id, samples, wcets));
+      for (const auto& [beside, on] : measured.beside)
+        for (const auto& [id, samples] : on) XAUTO_TRY(take(id, samples, wcets));
+      return {};
+    };
+    XAUTO_TRY(take_all(x, spec.wcet_us));
+    for (const VariantProfile& measured : x.variants) {
+      VariantSpec variant{measured.name, measured.quality_pct, {}};
+      XAUTO_TRY(take_all(measured, variant.wcet_us));
+      if (!variant.wcet_us.empty()) spec.variants.push_back(std::move(variant));
+    }
     app.xnodes.push_back(std::move(spec));
   }
+  for (const std::string& module : profile.optional) app.modules.push_back({module, 1, true});
   XAUTO_TRY(validate(app));
   if (profile.sampled.empty() && profile.in_flight.empty()) return app;
   app.samples = profile.sampled;

@@ -55,15 +55,27 @@ struct Samples {
 [[nodiscard]] Samples summarise(const std::vector<std::int64_t>& samples,
                                 std::int64_t settled_after = 0);
 
+using SamplesByXpu = std::map<std::string, Samples, std::less<>>;  ///< by XPU instance id
+
+/// Of another implementation of an XNode; see XNodeProfile.
+struct VariantProfile {
+  std::string name;
+  std::int64_t quality_pct = 100;  ///< as VariantSpec::quality_pct
+  SamplesByXpu on = {};
+  std::map<std::string, SamplesByXpu, std::less<>> beside = {};
+  bool operator==(const VariantProfile&) const = default;
+};
+
 struct XNodeProfile {
   std::string name;
   std::string module;
-  std::map<std::string, Samples, std::less<>> on;  ///< XPU instance id -> samples, alone
-  std::vector<int> sources = {};                   ///< as XNodeSpec::sources
+  SamplesByXpu on;                        ///< alone
+  std::vector<int> sources = {};          ///< as XNodeSpec::sources
   std::vector<std::string> missing = {};  ///< XPU instances where it was to be measured and was not
   /// Co-run class (the XPU type that a generator loads meanwhile) -> XPU instance id -> samples. Only
   /// of `profile --contended`.
-  std::map<std::string, std::map<std::string, Samples, std::less<>>, std::less<>> beside = {};
+  std::map<std::string, SamplesByXpu, std::less<>> beside = {};
+  std::vector<VariantProfile> variants = {};
   bool operator==(const XNodeProfile&) const = default;
 };
 
@@ -112,6 +124,7 @@ struct Profile {
   std::vector<std::pair<int, int>> edges;              ///< as AppSpec::edges
   std::vector<std::pair<int, int>> sampled = {};       ///< as AppSpec::samples
   std::map<std::string, std::int64_t> in_flight = {};  ///< by module; of others it is 1
+  std::vector<std::string> optional = {};              ///< modules; see ModuleSpec::optional
   std::vector<SourceSpec> sources = {};                ///< as AppSpec::sources
   std::string incomplete = {};                         ///< why it ended early; empty: it did not
   bool operator==(const Profile&) const = default;

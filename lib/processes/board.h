@@ -70,13 +70,14 @@ inline constexpr std::size_t kBoardNameBytes = 104;  ///< with the 0 at its end;
 /// order, so the sum of the three is the number of the next one.
 struct alignas(64) ModuleLine {
   std::atomic<std::uint64_t> activations{}, failed{}, dropped{};  ///< [M] one writer at a time
-  std::atomic<std::uint32_t> in_flight{};                         ///< [M] activations that are
-  std::atomic<std::uint32_t> deaths{};                            ///< [H] of its process
-  char name[kBoardNameBytes] = {};                                ///< [H] before the run
+  std::atomic<std::uint64_t> off{};        ///< [M] releases in whose table it is off
+  std::atomic<std::uint32_t> in_flight{};  ///< [M] activations that are
+  std::atomic<std::uint32_t> deaths{};     ///< [H] of its process
+  char name[kBoardNameBytes] = {};         ///< [H] before the run
   /// [H] 1 before the run, [S] grows when parameters change; see parameters.h.
   std::atomic<std::uint64_t> parameters{};
   [[nodiscard]] std::uint64_t settled() const {
-    return activations.load() + failed.load() + dropped.load();
+    return activations.load() + failed.load() + dropped.load() + off.load();
   }
 };
 

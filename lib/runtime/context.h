@@ -2,6 +2,8 @@
 // What every part of a run in one process knows, and none of them changes.
 #pragma once
 
+#include <vector>
+
 #include "graph/app_spec.h"
 #include "graph/graph.h"
 #include "processes/board.h"
@@ -27,5 +29,12 @@ struct Context {
   }
   [[nodiscard]] bool scheduled() const { return session.scheduling == Scheduling::kXAuto; }
 };
+
+/// [table][module] of one run.
+using OfTables = std::vector<std::vector<char>>;
+/// Whether the table has the module off; without tables one row.
+[[nodiscard]] OfTables modules_off(const Session& session, const Graph& graph);
+/// Whether it is on and fires no other one that is: a release is over when all of these are through.
+[[nodiscard]] OfTables sinks(const OfTables& off, const Graph& graph);
 
 }  // namespace xauto::runtime

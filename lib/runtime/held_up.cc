@@ -21,7 +21,9 @@ HeldUp::HeldUp(const Context& context, const Placing& placing)
       const auto at = static_cast<std::size_t>(placing.xpu[t][n]);
       const Xpu& xpu = session.platform.xpus[at];
       wcet_ns_[session.task(t, xnode_[n])] =
-          session.app.xnodes[xnode_[n]].wcet_on(xpu.type).value_or(0) * 1000;
+          wcet_of(session.app.xnodes[xnode_[n]], session.variant_of(t, xnode_[n]), xpu.type)
+              .value_or(0) *
+          1000;
       const auto address = session.coordinators.find(xpu.id);
       if (xpus_[at] || address == session.coordinators.end()) continue;
       auto observer = coord::Observer::connect(address->second);

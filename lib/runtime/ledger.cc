@@ -20,11 +20,17 @@ constexpr std::int64_t kQuietNs = 100'000'000;
 }  // namespace
 
 Ledger::Ledger(const Context& context, Routes routes, Role& role)
-    : context_(context), routes_(std::move(routes)), role_(role) {
-  for (const Graph::Module& module : context.graph.modules) {
+    : context_(context),
+      routes_(std::move(routes)),
+      role_(role),
+      off_(modules_off(context.session, context.graph)),
+      sinks_(sinks(off_, context.graph)) {
+  for (const std::vector<char>& of_table : sinks_)
+    num_sinks_.push_back(static_cast<int>(std::count(of_table.begin(), of_table.end(), 1)));
+  for (std::size_t m = 0; m < context.graph.modules.size(); ++m) {
     latencies_.push_back(std::make_unique<Latencies>());
-    asked_for_.push_back(module.sink || routes_.end_at(module.nodes.back()) ? 1 : 0);
-    if (module.sink) ++num_sinks_;
+    asked_for_.push_back(
+        ends_releases(m) || routes_.end_at(context.graph.modules[m].nodes.back()) ? 1 : 0);
   }
   sink_next_.assign(context.graph.modules.size(), 0);
   if (!role.leads()) return;
@@ -67,12 +73,13 @@ void Ledger::show_claims() {
 
 void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
   context_.board.count_release();
-  if (!context_.graph.single_rate || num_sinks_ == 0) return;
+  const int sinks_left = num_sinks_[table_of(sequence)];
+  if (!context_.graph.single_rate || sinks_left == 0) return;
   const Guard lock(mutex_);
   num_released_ = sequence + 1;
   while (open_base_ + open_.size() <= sequence) open_.push_back({});
   if (sequence >= open_base_)
-    open_[sequence - open_base_] = {origin_ns, origin_ns, num_sinks_, false};
+    open_[sequence - open_base_] = {origin_ns, origin_ns, sinks_left, false};
   if (in_flight_.fetch_add(1) > 0)
     context_.board.header().overlapping.fetch_add(1, std::memory_order_relaxed);
 }
@@ -101,12 +108,15 @@ void Ledger::passed(int node, std::int64_t origin_ns, std::uint64_t sequence,
 
 void Ledger::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
   ModuleLine& counts = context_.board.module(module);
-  (reason == XAUTO_DROP_FAILED ? counts.failed : counts.dropped)
+  if (is_off(module, sequence)) reason = XAUTO_DROP_OFF;
+  (reason == XAUTO_DROP_FAILED ? counts.failed
+   : reason == XAUTO_DROP_OFF  ? counts.off
+                               : counts.dropped)
       .fetch_add(1, std::memory_order_relaxed);
   if (context_.trace != nullptr)
     context_.trace->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE,
                           static_cast<std::uint16_t>(module), XAUTO_EV_NONE, reason);
-  if (context_.graph.modules[static_cast<std::size_t>(module)].sink)
+  if (ends_releases(static_cast<std::size_t>(module)))
     through(module, sequence, 0, nullptr, now_ns(), true, false);
 }
 
@@ -122,8 +132,8 @@ void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
         late_us && (!context_.graph.single_rate || !context_.session.deployment.chains.empty()))
       missed(module, sequence, *late_us);
   }
-  if (!context_.graph.modules[static_cast<std::size_t>(module)].sink) return;
-  if (!lost) {
+  if (!ends_releases(static_cast<std::size_t>(module))) return;
+  if (!lost && context_.graph.modules[static_cast<std::size_t>(module)].sink) {
     Latencies& latencies = *latencies_[static_cast<std::size_t>(module)];
     const Guard lock(latencies.mutex);
     latencies.us.add((now - origin_ns) / 1000);
@@ -148,6 +158,7 @@ void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool 
     const Guard lock(mutex_);
     std::uint64_t& next = sink_next_[static_cast<std::size_t>(module)];
     for (; next <= sequence && next < open_base_ + open_.size(); ++next) {
+      if (!is_sink(module, next)) continue;
       Open& open = open_[next - open_base_];
       open.last_ns = std::max(open.last_ns, now);
       open.lost |= lost || next < sequence;
@@ -190,7 +201,7 @@ void Ledger::forget(int module) {
     counts.activations.store(told);
     counts.dropped.fetch_add(done - told);
   }
-  if (context_.graph.modules[m].sink && context_.graph.single_rate && settled > 0)
+  if (ends_releases(m) && context_.graph.single_rate && settled > 0)
     account(module, settled - 1, now_ns(), true);
 }
 
@@ -279,6 +290,7 @@ void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
                         counts.activations,
                         counts.failed,
                         counts.dropped,
+                        counts.off,
                         {}};
     const Guard lock(latencies_[m]->mutex);
     module.latencies_us = latencies_[m]->us;

@@ -3,6 +3,7 @@
 // run has to tell of it.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <cstdint>
 #include <deque>
@@ -35,7 +36,7 @@ class Ledger {
               const detail::Origins* origins, bool urgent);
   /// ... or was lost for `reason` (XAUTO_DROP_*).
   void dropped(int module, std::uint64_t sequence, std::uint32_t reason);
-  /// A sink module, or one where a chain ends, is through with release `sequence`; known here, or
+  /// A sink of its table, or a module where a chain ends, is through with release `sequence`; known here, or
   /// told by its process.
   void through(int module, std::uint64_t sequence, std::int64_t origin_ns,
                const detail::Origins* origins, std::int64_t now_ns, bool lost, bool urgent);
@@ -78,6 +79,21 @@ class Ledger {
     return asked_for_[static_cast<std::size_t>(module)] != 0;
   }
   void missed(int module, std::uint64_t sequence, std::int64_t latency_us);
+  /// A sink of some table.
+  [[nodiscard]] bool ends_releases(std::size_t module) const {
+    return std::any_of(sinks_.begin(), sinks_.end(),
+                       [&](const std::vector<char>& of_table) { return of_table[module] != 0; });
+  }
+  /// Of the release's table.
+  [[nodiscard]] bool is_off(int module, std::uint64_t sequence) const {
+    return off_[table_of(sequence)][static_cast<std::size_t>(module)] != 0;
+  }
+  [[nodiscard]] bool is_sink(int module, std::uint64_t sequence) const {
+    return sinks_[table_of(sequence)][static_cast<std::size_t>(module)] != 0;
+  }
+  [[nodiscard]] std::size_t table_of(std::uint64_t sequence) const {
+    return sinks_.size() == 1 ? 0 : context_.board.table_of(sequence);
+  }
   [[nodiscard]] bool settled() const;
   [[nodiscard]] bool wait_quiet();
 
@@ -86,7 +102,8 @@ class Ledger {
   Role& role_;
   std::vector<std::unique_ptr<Latencies>> latencies_;  ///< [module]
   std::vector<char> asked_for_;                        ///< [module]
-  int num_sinks_ = 0;
+  const OfTables off_, sinks_;                         ///< [table][module]
+  std::vector<int> num_sinks_;                         ///< [table]
   std::uint64_t num_released_ = 0;           ///< one rate; of the releasing thread, then of `run`'s
   std::atomic<std::uint32_t> in_flight_{0};  ///< one rate: releases not accounted for; a futex
   std::atomic<std::uint64_t> deadline_misses_{0};

@@ -78,9 +78,14 @@ AppSpec longest(const Session& session) {
   if (!session.tables) return app;
   for (const Scenario& scenario : session.tables->scenarios) {
     const AppSpec under = app_under(session.app, scenario);
-    for (std::size_t x = 0; x < app.xnodes.size(); ++x)
-      for (auto& [type, us] : app.xnodes[x].wcet_us)
-        us = std::max(us, under.xnodes[x].wcet_us.find(type)->second);
+    const auto raise = [](auto& wcets, const auto& to) {
+      for (auto& [type, us] : wcets) us = std::max(us, to.find(type)->second);
+    };
+    for (std::size_t x = 0; x < app.xnodes.size(); ++x) {
+      raise(app.xnodes[x].wcet_us, under.xnodes[x].wcet_us);
+      for (std::size_t v = 0; v < app.xnodes[x].variants.size(); ++v)
+        raise(app.xnodes[x].variants[v].wcet_us, under.xnodes[x].variants[v].wcet_us);
+    }
   }
   return app;
 }
@@ -172,20 +177,21 @@ Placing Placing::of(const Session& session, const Graph& graph) {
     for (std::size_t n = 0; n < graph.nodes.size(); ++n) {
       const int at = xpu_of(session, t, graph.nodes[n], placing.xnode[n]);
       placing.xpu.back().push_back(at);
-      placing.limits.back().push_back(placing.limits_of(session, app, graph, n, at));
+      placing.limits.back().push_back(placing.limits_of(session, app, graph, t, n, at));
     }
   }
   return placing;
 }
 
 Limits Placing::limits_of(const Session& session, const AppSpec& app, const Graph& graph,
-                          std::size_t node, int at) const {
+                          std::size_t table, std::size_t node, int at) const {
   if (at < 0) return {};
   const std::string& name = graph.nodes[node].name;
   const std::string& type = session.platform.xpus[static_cast<std::size_t>(at)].type;
   const auto module = static_cast<std::size_t>(graph.nodes[node].module);
+  const int variant = session.variant_of(table, xnode[node]);
   Limits of_job = Limits::of(session.deployment, graph.modules[module].name, name,
-                             app.xnodes[xnode[node]].wcet_on(type).value_or(0));
+                             wcet_of(app.xnodes[xnode[node]], variant, type).value_or(0));
   if (claims_worst_case(session))
     of_job.wcet_ns =
         watched_ns(*session.app.xnodes[xnode[node]].wcet_on(type), session.emulated(at));

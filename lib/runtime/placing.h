@@ -37,9 +37,9 @@ struct Placing {
   std::vector<std::string> unkept;
 
   [[nodiscard]] static Placing of(const Session& session, const Graph& graph);
-  /// Of graph node `node` on XPU `at`; `app` has the longest WCETs.
+  /// Of graph node `node` on XPU `at`, as the table runs it; `app` has the longest WCETs.
   [[nodiscard]] Limits limits_of(const Session& session, const AppSpec& app, const Graph& graph,
-                                 std::size_t node, int at) const;
+                                 std::size_t table, std::size_t node, int at) const;
   /// Tells the user before the first release, not after an hour, under which of its assumptions the
   /// policy's worst case does not hold in this run.
   void compare_with_certificate(const detail::AppSpecErased& app, const Session& session,

@@ -2,7 +2,8 @@
 // An XNode's input is what the XNodes before it left, so the profiler runs the app as a whole: for
 // each message of the input, every module in topological order, on one thread. In pass p each XNode
 // runs on the p-th of its XPU instances; there are as many passes as the XNode with most instances
-// has, and each pass replays the input from its start with fresh module states. Nothing else runs
+// has, and each pass replays the input from its start with fresh module states. Passes of the variants
+// come after those: an XNode that is not timed runs its own implementation. Nothing else runs
 // meanwhile. With --contended all passes come again for each co-run class, beside its load (corun.h);
 // with --audit each exec is followed by as long a time in which nothing runs (audit.h). The thread
 // that asked for the profile watches: when it is told to stop, or when an exec takes too long, it
@@ -167,6 +168,26 @@ std::map<std::string, std::int64_t> in_flight_of(const Graph& graph) {
   return several;
 }
 
+std::vector<std::string> optional_of(const Graph& graph) {
+  std::vector<std::string> optional;
+  for (const Graph::Module& module : graph.modules)
+    if (module.spec->optional) optional.push_back(module.name);
+  return optional;
+}
+
+/// An XPU instance, and what an XNode has for its type.
+struct Alternative {
+  int xpu = -1;
+  const detail::ImplSpec* impl = nullptr;
+};
+using Alternatives = std::vector<Alternative>;
+
+VariantProfile* find_variant(XNodeProfile& x, const std::string& name) {
+  const auto at = std::find_if(x.variants.begin(), x.variants.end(),
+                               [&](const VariantProfile& v) { return v.name == name; });
+  return at == x.variants.end() ? nullptr : &*at;
+}
+
 class Run {
  public:
   Run(const detail::AppSpecErased& app, const Session& session, const Graph& graph)
@@ -176,12 +197,15 @@ class Run {
         samples_(graph.nodes.size()),
         machine_(session.machine_root) {
     for (const Graph::Node& node : graph.nodes) {
-      std::vector<int> xpus;
-      for (int x = 0; x < static_cast<int>(session.platform.xpus.size()); ++x)
-        if (find_impl(*node.spec, xpu(x).type) != nullptr &&
-            session.presence_of(x) != Presence::kAbsent)
-          xpus.push_back(x);
-      alternatives_.push_back(std::move(xpus));
+      alternatives_.emplace_back();
+      variants_.emplace_back();
+      for (const detail::ImplSpec& impl : node.spec->impls)
+        for (const int x : session.platform.instances_of(impl.xpu.type()))
+          if (session.presence_of(x) != Presence::kAbsent)
+            (impl.variant.empty() ? alternatives_ : variants_).back().push_back({x, &impl});
+      // By XPU, whatever the order in which the app has added them.
+      const auto by_xpu = [](const Alternative& a, const Alternative& b) { return a.xpu < b.xpu; };
+      std::stable_sort(alternatives_.back().begin(), alternatives_.back().end(), by_xpu);
     }
   }
 
@@ -209,8 +233,9 @@ class Run {
         continue;
       }
       XAUTO_TRY(run_passes(alternatives_, beside));
+      XAUTO_TRY(run_passes(variants_, beside));
       for (std::uint64_t round = 0; round < session_.stable_rounds; ++round) {
-        std::vector<std::vector<int>> again(alternatives_.size());
+        std::vector<Alternatives> again(alternatives_.size());
         if (!not_yet_stable(again, beside)) break;
         XAUTO_TRY(run_passes(again, beside));
       }
@@ -229,9 +254,11 @@ class Run {
     XAUTO_TRY(rt::set_other());
     cores_ = session_.load_cores;
     Placing placing;
-    for (const std::vector<int>& xpus : alternatives_) {
-      const bool there = std::find(xpus.begin(), xpus.end(), session_.load_xpu) != xpus.end();
-      placing.on.push_back(there ? session_.load_xpu : xpus.front());
+    for (const Alternatives& all : alternatives_) {
+      const auto there = std::find_if(all.begin(), all.end(), [&](const Alternative& one) {
+        return one.xpu == session_.load_xpu;
+      });
+      placing.on.push_back(there != all.end() ? *there : all.front());
     }
     placing.counts.resize(alternatives_.size());
     XAUTO_ASSIGN(Feed feed, Feed::open(app_, graph_, session_, *inlets_));
@@ -250,7 +277,7 @@ class Run {
     std::erase_if(modules, [&](int m) {
       const std::vector<int>& nodes = graph_.modules[static_cast<std::size_t>(m)].nodes;
       return std::none_of(nodes.begin(), nodes.end(), [&](int n) {
-        return placing.on[static_cast<std::size_t>(n)] == placing.only;
+        return placing.on[static_cast<std::size_t>(n)].xpu == placing.only;
       });
     });
     if (modules.empty())
@@ -265,14 +292,14 @@ class Run {
   }
 
   /// Which alternatives have times that are not stable yet, into `again`. False: none.
-  bool not_yet_stable(std::vector<std::vector<int>>& again, const std::string& beside) {
+  bool not_yet_stable(std::vector<Alternatives>& again, const std::string& beside) {
     bool any = false;
     const Guard lock(mutex_);
     for (std::size_t n = 0; n < again.size(); ++n)
       for (const auto& [where, taken] : samples_[n]) {
         const Samples s = summarise(taken.us, settled_after());
         if (where.beside != beside || !s.spread() || s.outlier) continue;
-        again[n].push_back(where.xpu);
+        again[n].push_back(where.at);
         any = true;
       }
     return any;
@@ -310,21 +337,30 @@ class Run {
     p.edges = graph_.edges;
     p.sampled = graph_.samples;
     p.in_flight = in_flight_of(graph_);
+    p.optional = optional_of(graph_);
     p.incomplete = incomplete;
     for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
       const Graph::Node& node = graph_.nodes[n];
       XNodeProfile x{
           node.name, graph_.modules[static_cast<std::size_t>(node.module)].name, {}, node.sources};
-      for (const auto& [at, taken] : samples_[n]) {
-        Samples& s = (at.beside.empty() ? x.on : x.beside[at.beside])[xpu(at.xpu).id];
+      for (const detail::ImplSpec& impl : node.spec->impls)
+        if (!impl.variant.empty() && find_variant(x, impl.variant) == nullptr)
+          x.variants.push_back({impl.variant, impl.quality_pct});
+      for (const auto& [where, taken] : samples_[n]) {
+        const std::string& variant = where.at.impl->variant;
+        VariantProfile* of = variant.empty() ? nullptr : find_variant(x, variant);
+        SamplesByXpu& on = where.beside.empty() ? (of == nullptr ? x.on : of->on)
+                           : of == nullptr      ? x.beside[where.beside]
+                                                : of->beside[where.beside];
+        Samples& s = on[xpu(where.at.xpu).id];
         s = summarise(taken.us, settled_after());
         s.emulated = taken.emulated;
         p.conditions.emulated = p.conditions.emulated || s.emulated;
         for (const auto& [other, pairs] : taken.others)
           s.others[xpu(other).id] = judged(taken, other);
       }
-      for (const int at : alternatives_[n])
-        if (!samples_[n].contains({"", at})) x.missing.push_back(xpu(at).id);
+      for (const Alternative& at : alternatives_[n])
+        if (!samples_[n].contains({"", at})) x.missing.push_back(xpu(at.xpu).id);
       p.xnodes.push_back(std::move(x));
     }
     return p;
@@ -340,14 +376,15 @@ class Run {
   /// Where an XNode is timed.
   struct Where {
     std::string beside;  ///< co-run class; "": alone
-    int xpu;
+    Alternative at;
     bool operator<(const Where& other) const {
-      return std::tie(beside, xpu) < std::tie(other.beside, other.xpu);
+      return std::tie(beside, at.xpu, at.impl) <
+             std::tie(other.beside, other.at.xpu, other.at.impl);
     }
   };
   /// What the XNodes of a release run on.
   struct Placing {
-    std::vector<int> on;       ///< [node] XPU
+    Alternatives on;           ///< [node]
     std::vector<bool> counts;  ///< [node] whether it is timed, once it is warm
     std::string beside = {};   ///< as in Where
     int only = -1;  ///< only those on this XPU, on what the release before has left; -1: all
@@ -375,8 +412,8 @@ class Run {
       const Guard lock(mutex_);
       for (const auto& of_node : samples_)
         for (const auto& [where, taken] : of_node) {
-          if (!taken.emulated) real.insert(where.xpu);
-          stages.push_back({where.xpu, taken.emulated, cores_.front()});
+          if (!taken.emulated) real.insert(where.at.xpu);
+          stages.push_back({where.at.xpu, taken.emulated, cores_.front()});
         }
     }
     corun_->set_real(std::move(real));
@@ -411,14 +448,15 @@ class Run {
     audit_.emplace(session_.platform, session_.presence, session_.machine_root, cores_);
     bool any = false;
     std::size_t questions = 0;
-    for (std::size_t n = 0; n < alternatives_.size(); ++n)
-      for (const int x : alternatives_[n]) {
-        XAUTO_TRY(prepare(static_cast<int>(n), x));
-        for (const int other : audit_->others(x, active_[static_cast<int>(n)].emulated)) {
-          any = true;
-          if (xpu(other).type != "cpu") ++questions;
+    for (const std::vector<Alternatives>* all : {&alternatives_, &variants_})
+      for (std::size_t n = 0; n < all->size(); ++n)
+        for (const Alternative& at : (*all)[n]) {
+          XAUTO_TRY(prepare(static_cast<int>(n), at));
+          for (const int other : audit_->others(at.xpu, active_[static_cast<int>(n)].emulated)) {
+            any = true;
+            if (xpu(other).type != "cpu") ++questions;
+          }
         }
-      }
     if (!any)
       return fail(ErrorCode::kUnavailable, "nothing tells how busy the XPUs are", "--audit",
                   "docs/modes.md says what is asked of drivers");
@@ -454,26 +492,28 @@ class Run {
   Status leave_out_missing_cores() {
     const xpu::Machine machine = xpu::Machine::here();
     for (std::size_t n = 0; n < alternatives_.size(); ++n) {
-      std::vector<int>& xpus = alternatives_[n];
-      const auto either = std::find_if(xpus.begin(), xpus.end(), [&](int x) {
-        return xpu(x).type == "cpu" && session_.presence_of(x) == Presence::kEither;
+      Alternatives& all = alternatives_[n];
+      const auto either = std::find_if(all.begin(), all.end(), [&](const Alternative& at) {
+        return xpu(at.xpu).type == "cpu" && session_.presence_of(at.xpu) == Presence::kEither;
       });
-      if (either == xpus.end()) continue;
+      if (either == all.end()) continue;
       XAUTO_TRY(prepare(static_cast<int>(n), *either));
       if (active_[static_cast<int>(n)].emulated) continue;
       const Guard lock(mutex_);
-      std::erase_if(xpus, [&](int x) {
-        return xpu(x).type == "cpu" && !machine.has(session_.platform, static_cast<std::size_t>(x));
-      });
+      for (Alternatives* of : {&all, &variants_[n]})
+        std::erase_if(*of, [&](const Alternative& at) {
+          return xpu(at.xpu).type == "cpu" &&
+                 !machine.has(session_.platform, static_cast<std::size_t>(at.xpu));
+        });
     }
     return {};
   }
 
-  /// Each XNode on each of `xpus[node]`, one per pass; where that is none, on its first one, for
-  /// those behind it. `beside`: a co-run class; "": alone.
-  Status run_passes(const std::vector<std::vector<int>>& xpus, const std::string& beside) {
+  /// Each XNode as each of `all[node]`, one per pass; where that is none, as one of its own, for those
+  /// behind it. `beside`: a co-run class; "": alone.
+  Status run_passes(const std::vector<Alternatives>& all, const std::string& beside) {
     std::size_t passes = 0;
-    for (const auto& of_node : xpus) passes = std::max(passes, of_node.size());
+    for (const Alternatives& of_node : all) passes = std::max(passes, of_node.size());
     const std::uint64_t total = passes * (session_.warmup + session_.repetitions);
     std::uint64_t done = 0;
     std::int64_t told = now_ns();
@@ -485,12 +525,11 @@ class Run {
       for (const Graph::Module& module : graph_.modules)
         states.push_back(module.spec->make_state());
       Placing placing{{}, {}, beside};
-      for (std::size_t n = 0; n < xpus.size(); ++n) {
-        // Each XPU instance once: a later pass that comes round to it again adds nothing new.
-        placing.counts.push_back(pass < xpus[n].size());
-        placing.on.push_back(placing.counts[n] ? xpus[n][pass]
-                             : xpus[n].empty() ? alternatives_[n].front()
-                                               : xpus[n][pass % xpus[n].size()]);
+      for (std::size_t n = 0; n < all.size(); ++n) {
+        // Each once: a later pass that comes round to it again adds nothing new.
+        placing.counts.push_back(pass < all[n].size());
+        placing.on.push_back(placing.counts[n] ? all[n][pass]
+                                               : alternatives_[n][pass % alternatives_[n].size()]);
       }
       for (std::uint64_t k = 0; k < session_.warmup + session_.repetitions; ++k, ++done) {
         Messages messages(graph_.topics.size());
@@ -538,9 +577,10 @@ class Run {
     }
     for (const int n : module.nodes) {
       const auto index = static_cast<std::size_t>(n);
-      const int at = placing.on[index];
+      const Alternative& as = placing.on[index];
+      const int at = as.xpu;
       if (placing.only >= 0 && at != placing.only) continue;
-      XAUTO_ASSIGN(const detail::ImplSpec* impl, prepare(n, at));
+      XAUTO_TRY(prepare(n, as));
       const std::string where = "exec of XNode '" + graph_.nodes[index].name + "' on " + xpu(at).id;
       bool count = placing.counts[index];
       const bool emulated = active_[n].emulated;
@@ -557,7 +597,7 @@ class Run {
       }
       const std::int64_t before = now_ns();
       try {
-        if (Status status = impl->exec(active_[n].made.object.get(), state, input); !status) {
+        if (Status status = as.impl->exec(active_[n].made.object.get(), state, input); !status) {
           Error error = std::move(status).error();
           error.where = error.where.empty() ? where : where + ": " + error.where;
           return tl::unexpected<Error>(std::move(error));
@@ -579,7 +619,7 @@ class Run {
       const Guard lock(mutex_);
       if (closed_) return fail(ErrorCode::kUnavailable, "stopped");
       if (k < session_.warmup || !count) continue;
-      Taken& taken = samples_[index][{placing.beside, at}];
+      Taken& taken = samples_[index][{placing.beside, as}];
       taken.us.push_back(us);
       taken.emulated = emulated;
       for (const auto& [other, pair] : others) taken.others[other].push_back(pair);
@@ -592,12 +632,11 @@ class Run {
   }
 
   /// Initialises once per XNode and instance; moves this thread to the core of a real CPU.
-  Result<const detail::ImplSpec*> prepare(int n, int at) {
-    const Xpu& x = xpu(at);
-    const Presence presence = session_.presence_of(at);
+  Status prepare(int n, const Alternative& as) {
+    const Xpu& x = xpu(as.xpu);
+    const Presence presence = session_.presence_of(as.xpu);
     const Graph::Node& node = graph_.nodes[static_cast<std::size_t>(n)];
-    const detail::ImplSpec* impl = find_impl(*node.spec, x.type);
-    const XpuId id = xpu_id(session_.platform, at);
+    const XpuId id = xpu_id(session_.platform, as.xpu);
     // An XPU's host thread may run anywhere; a CPU XNode runs on the instance that is measured.
     const bool real_core = x.type == "cpu" && presence != Presence::kEmulated &&
                            id.index < static_cast<int>(cores_.size());
@@ -608,12 +647,12 @@ class Run {
     }
     // A closure usually keeps the context that its last init made: coming back needs init again.
     const auto active = active_.find(n);
-    if (active == active_.end() || active->second.xpu != at) {
+    if (active == active_.end() || active->second.xpu != as.xpu || active->second.impl != as.impl) {
       const std::string where = "init of XNode '" + node.name + "' on " + x.id;
       active_.erase(n);  // its object goes before the next one comes
       detail::Made made;
       try {
-        made.handle = impl->init(id, made.object);
+        made.handle = as.impl->init(id, made.object);
       } catch (const std::exception& e) {
         return fail(ErrorCode::kUnavailable, std::string("threw: ") + e.what(), where);
       } catch (...) {
@@ -625,18 +664,19 @@ class Run {
           return tl::unexpected<Error>(emulated.error());
         }
       const bool emulated = made.handle.kind() == SchedHandle::Kind::kEmulated;
-      active_[n] = {at, emulated, std::move(made)};
+      active_[n] = {as.xpu, as.impl, emulated, std::move(made)};
     }
-    return impl;
+    return {};
   }
 
   Messages newest_;  ///< [topic] of the release before, for what is sampled
   const detail::AppSpecErased& app_;
   const Session& session_;
   const Graph& graph_;
-  std::vector<std::vector<int>> alternatives_;  ///< [node] -> XPU instances
+  std::vector<Alternatives> alternatives_, variants_;  ///< [node] its own; and not
   struct Active {
     int xpu = -1;
+    const detail::ImplSpec* impl = nullptr;
     bool emulated = false;
     detail::Made made = {};
   };
@@ -646,7 +686,7 @@ class Run {
   std::vector<int> cores_;
   int core_now_ = -1;
 
-  PiMutex mutex_;  ///< and of writing alternatives_
+  PiMutex mutex_;  ///< and of writing alternatives_ and variants_
   std::vector<std::map<Where, Taken>> samples_
       XAUTO_GUARDED_BY(mutex_);  ///< [node], in the order of the repetitions
   std::string exec_of_ XAUTO_GUARDED_BY(mutex_);
@@ -721,6 +761,7 @@ Result<std::string> describe(const Graph& graph, const Platform& platform) {
   p.edges = graph.edges;
   p.sampled = graph.samples;
   p.in_flight = in_flight_of(graph);
+  p.optional = optional_of(graph);
   for (const Graph::Node& node : graph.nodes)
     p.xnodes.push_back(
         {node.name, graph.modules[static_cast<std::size_t>(node.module)].name, {}, node.sources});

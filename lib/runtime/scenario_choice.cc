@@ -21,17 +21,22 @@ ScenarioChoice::ScenarioChoice(const AppSpec& app, const Platform& platform, con
   std::vector<AppSpec> under;  // [scenario]
   for (const Scenario& scenario : tables.scenarios) under.push_back(app_under(app, scenario));
   for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
-    worst_us_.push_back(tables.serves[s].worst_case_us);
-    table_.push_back(tables.serves[s].table);
+    const Served& served = tables.serves[s];
+    table_.push_back(served.table);
+    rank_.emplace_back(loss_pct(tables.tables[static_cast<std::size_t>(served.table)].loss, app),
+                       served.worst_case_us);
     covers_.emplace_back();
     for (std::size_t other = 0; other < under.size(); ++other)
       covers_.back().push_back(
           covers(tables.scenarios[s], under[s], tables.scenarios[other], under[other]) ? 1 : 0);
     auto& rows = allowed_ns_.emplace_back();
     for (const XNodeSpec& xnode : under[s].xnodes) {
-      auto& row = rows.emplace_back(types.size(), 0);
-      for (std::size_t t = 0; t < types.size(); ++t)
-        if (const auto wcet = xnode.wcet_on(types[t])) row[t] = allow(types[t], *wcet);
+      auto& row = rows.emplace_back();
+      for (int variant = -1; variant < static_cast<int>(xnode.variants.size()); ++variant)
+        for (const std::string& type : types) {
+          const auto wcet = wcet_of(xnode, variant, type);
+          row.push_back(wcet ? allow(type, *wcet) : 0);
+        }
     }
   }
   gone_.assign(platform.xpus.size(), 0);
@@ -40,13 +45,17 @@ ScenarioChoice::ScenarioChoice(const AppSpec& app, const Platform& platform, con
     for (std::size_t x = 0; x < platform.xpus.size(); ++x)
       row[x] = std::count(scenario.lost.begin(), scenario.lost.end(), platform.xpus[x].id) > 0;
   }
+  const int forms = static_cast<int>(types.size());
   for (const Table& table : tables.tables) {
     xpu_.push_back(table.xpu);
-    auto& row = type_.emplace_back();
-    for (const int xpu : table.xpu)
-      row.push_back(type_of(platform.xpus[static_cast<std::size_t>(xpu)].type));
+    auto& row = form_.emplace_back();
+    for (std::size_t x = 0; x < table.xpu.size(); ++x)
+      row.push_back(table.xpu[x] < 0
+                        ? -1
+                        : (table.loss.variant_of(x) + 1) * forms +
+                              type_of(platform.xpus[static_cast<std::size_t>(table.xpu[x])].type));
   }
-  recent_ns_.assign(app.xnodes.size(), std::vector<std::int64_t>(types.size(), 0));
+  for (const auto& row : allowed_ns_.front()) recent_ns_.emplace_back(row.size(), 0);
   older_ns_ = recent_ns_;
   now_.table = table_.front();
 }
@@ -63,25 +72,27 @@ void ScenarioChoice::expect(int scenario) {
 }
 
 void ScenarioChoice::saw(int table, std::size_t xnode, std::int64_t ns) {
-  const auto xpu = static_cast<std::size_t>(xpu_[static_cast<std::size_t>(table)][xnode]);
-  if (gone_[xpu] != 0) return;
-  const int type = type_[static_cast<std::size_t>(table)][xnode];
-  std::int64_t& longest = recent_ns_[xnode][static_cast<std::size_t>(type)];
+  // What a table has off had its job before: of the table before, of which all had ended.
+  const int xpu = xpu_[static_cast<std::size_t>(table)][xnode];
+  if (xpu < 0 || gone_[static_cast<std::size_t>(xpu)] != 0) return;
+  const int form = form_[static_cast<std::size_t>(table)][xnode];
+  std::int64_t& longest = recent_ns_[xnode][static_cast<std::size_t>(form)];
   longest = std::max(longest, ns);
 }
 
-/// Of those that `may`, the one with the least worst case; of equal ones the first; -1: none may.
+/// Of those that `may`, the least one; of equal ones the first; -1: none may.
 template <class May>
 int ScenarioChoice::least(May may) const {
   int best = -1;
-  for (std::size_t s = 0; s < worst_us_.size(); ++s)
-    if ((best < 0 || worst_us_[s] < worst_us_[static_cast<std::size_t>(best)]) && may(s))
+  for (std::size_t s = 0; s < rank_.size(); ++s)
+    if ((best < 0 || rank_[s] < rank_[static_cast<std::size_t>(best)]) && may(s))
       best = static_cast<int>(s);
   return best;
 }
 
 void ScenarioChoice::hung(int table, std::size_t xnode) {
   const int xpu = xpu_[static_cast<std::size_t>(table)][xnode];
+  if (xpu < 0) return;
   const auto at = static_cast<std::size_t>(xpu);
   if (std::exchange(gone_[at], char{1}) != 0) return;
   if (least([&](std::size_t s) { return does_without_gone(s); }) < 0) {
@@ -91,9 +102,11 @@ void ScenarioChoice::hung(int table, std::size_t xnode) {
   hung_ = {static_cast<int>(xnode), xpu};
   // What jobs took there is no evidence of a clock.
   const std::vector<int>& where = xpu_[static_cast<std::size_t>(table)];
-  const auto type = static_cast<std::size_t>(type_[static_cast<std::size_t>(table)][xnode]);
-  for (std::size_t x = 0; x < where.size(); ++x)
-    if (where[x] == xpu) recent_ns_[x][type] = older_ns_[x][type] = 0;
+  for (std::size_t x = 0; x < where.size(); ++x) {
+    if (where[x] != xpu) continue;
+    const auto form = static_cast<std::size_t>(form_[static_cast<std::size_t>(table)][x]);
+    recent_ns_[x][form] = older_ns_[x][form] = 0;
+  }
 }
 
 bool ScenarioChoice::does_without_gone(std::size_t scenario) const {
@@ -167,7 +180,7 @@ int ScenarioChoice::next_scenario() const {
   return least(may);
 }
 
-/// The one that jobs pass by least, all of them added up; then the one with the least worst case. Added
+/// The one that jobs pass by least, all of them added up; then the least one. Added
 /// up, since one job that a stall made longer must not hide that a whole XPU is slow. Where none covers
 /// both what the machine says and what people ask for, they give way: the machine is as it is.
 int ScenarioChoice::nearest() const {
@@ -176,10 +189,10 @@ int ScenarioChoice::nearest() const {
     return floor ? on_floor(s)
                  : expected_ < 0 || covers_[s][static_cast<std::size_t>(expected_)] != 0;
   };
-  const auto rank = [&](std::size_t s) { return std::pair(passed(s).excess, worst_us_[s]); };
+  const auto rank = [&](std::size_t s) { return std::pair(passed(s).excess, rank_[s]); };
   int best = -1;
-  std::pair<double, std::int64_t> least_rank;
-  for (std::size_t s = 0; s < worst_us_.size(); ++s) {
+  std::pair<double, Rank> least_rank;
+  for (std::size_t s = 0; s < rank_.size(); ++s) {
     if (!may(s)) continue;
     const auto here = rank(s);
     if (best >= 0 && here >= least_rank) continue;
@@ -227,7 +240,7 @@ bool ScenarioChoice::decide(std::int64_t now_ns) {
       put(before, Why::kBack, now_ns);  // it was a guess, and holds
     if (anew || now_ns - since_ns_ >= dwell_ns_) {
       const int lower = least([&](std::size_t s) {
-        return on_floor(s) && worst_us_[s] < worst_us_[current] && fits(s, options_.margin_pct);
+        return on_floor(s) && rank_[s] < rank_[current] && fits(s, options_.margin_pct);
       });
       if (lower >= 0) put(lower, anew ? Why::kAsked : Why::kBack, now_ns);
     }

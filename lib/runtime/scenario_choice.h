@@ -19,13 +19,15 @@
 //
 // A scenario whose XNodes run elsewhere cannot be seen from here: XNodes that left a throttled GPU
 // tell nothing of it. So going back is a trial, and each trial that fails doubles the dwell.
-// The least scenario is the one whose worst case is the least.
+// The least scenario is the one in which the app loses least (model/loss.h), then the one whose worst
+// case is the least.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "model/app.h"
@@ -66,7 +68,8 @@ class ScenarioChoice {
   void ask(int scenario);
   /// What the machine's clocks say; -1: nothing.
   void expect(int scenario);
-  /// A job of `xnode` has had its XPU for so long, where `table` places it. It may still have it.
+  /// A job of `xnode` has had its XPU for so long, where `table` places it and as the variant that it
+  /// has there. It may still have it.
   void saw(int table, std::size_t xnode, std::int64_t ns);
   /// A job of `xnode` does not return from where `table` places it.
   void hung(int table, std::size_t xnode);
@@ -81,9 +84,10 @@ class ScenarioChoice {
  private:
   struct Evidence {
     std::size_t xnode = 0;
-    int type = 0;
+    int form = 0;  ///< of the XNode: its type of XPU, and its variant
     std::int64_t ns = 0;
   };
+  using Rank = std::pair<std::int64_t, std::int64_t>;  ///< what is lost, and the worst case
   struct Passed {
     double factor = 0;    ///< by this at most; at most 1: it is not
     Evidence worst = {};  ///< by that
@@ -94,7 +98,7 @@ class ScenarioChoice {
   [[nodiscard]] bool fits(std::size_t scenario, std::int64_t margin_pct) const;
   [[nodiscard]] Passed passed(std::size_t scenario) const;
   [[nodiscard]] std::int64_t allowed(std::size_t scenario, const Evidence& seen) const {
-    return allowed_ns_[scenario][seen.xnode][static_cast<std::size_t>(seen.type)];
+    return allowed_ns_[scenario][seen.xnode][static_cast<std::size_t>(seen.form)];
   }
   template <class May>
   [[nodiscard]] int least(May may) const;
@@ -106,18 +110,18 @@ class ScenarioChoice {
   void age(std::int64_t now_ns);
 
   const ChoiceOptions options_;
-  std::vector<std::int64_t> worst_us_;     ///< [scenario]
+  std::vector<Rank> rank_;                 ///< [scenario]
   std::vector<int> table_;                 ///< [scenario]
   std::vector<std::vector<char>> covers_;  ///< [scenario][covered scenario]
-  std::vector<std::vector<std::vector<std::int64_t>>> allowed_ns_;  ///< [scenario][xnode][type]
-  std::vector<std::vector<int>> type_, xpu_;                        ///< [table][xnode]
-  std::vector<std::vector<char>> lost_;                             ///< [scenario][XPU]
-  std::vector<char> gone_;                                          ///< [XPU]
+  std::vector<std::vector<std::vector<std::int64_t>>> allowed_ns_;  ///< [scenario][xnode][form]
+  std::vector<std::vector<int>> form_, xpu_;  ///< [table][xnode]; -1: its module is off
+  std::vector<std::vector<char>> lost_;       ///< [scenario][XPU]
+  std::vector<char> gone_;                    ///< [XPU]
   struct Hung {
     int xnode = -1, xpu = -1;
   };
   Hung hung_;  ///< since the last choice
-  /// [xnode][type] the longest, of this span of time and of the one before; 0: nothing.
+  /// [xnode][form] the longest, of this span of time and of the one before; 0: nothing.
   std::vector<std::vector<std::int64_t>> recent_ns_, older_ns_;
   std::int64_t span_since_ns_ = 0;
   bool begun_ = false;

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <map>
 #include <set>
+#include <tuple>
 #include <utility>
 
 #include "base/clock.h"
@@ -73,8 +74,8 @@ Status Wiring::place_module(std::size_t module, int index) {
   NodeRow& chain = *chains_[module].back();
   chain.module = static_cast<int>(module);
   chain.tables = context_.session.num_tables();
-  std::vector<std::pair<int, Worker*>> here;                      // by XPU
-  std::map<std::pair<int, int>, std::shared_ptr<Instance>> made;  // by node and XPU
+  std::vector<std::pair<int, Worker*>> here;                            // by XPU
+  std::map<std::tuple<int, int, int>, std::shared_ptr<Instance>> made;  // by node, XPU and variant
   for (std::size_t table = 0; table < chain.tables; ++table)
     for (const int n : context_.graph.modules[module].nodes) {
       XAUTO_ASSIGN(Placed placed, place_node(module, table, n));
@@ -93,7 +94,9 @@ Status Wiring::place_module(std::size_t module, int index) {
         at = here.insert(here.end(), {xpu, workers_.back().get()});
       }
       placed.worker = at->second;
-      placed.here = made.try_emplace({n, xpu}, placed.here).first->second;
+      placed.here =
+          made.try_emplace({n, xpu, context_.session.variant_of(table, placed.xnode)}, placed.here)
+              .first->second;
       chain.nodes.push_back(std::move(placed));
     }
   return {};
@@ -115,11 +118,19 @@ Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) 
   placed.name = node.name;
   placed.xnode = placing_.xnode[at_node];
   placed.task = session.task(table, placed.xnode);
-  placed.impl = find_impl(*node.spec, x.type);
+  const int variant = session.variant_of(table, placed.xnode);
+  const std::string named =
+      variant < 0
+          ? ""
+          : session.app.xnodes[placed.xnode].variants[static_cast<std::size_t>(variant)].name;
+  placed.impl = find_impl(*node.spec, x.type, named);
   if (placed.impl == nullptr)
-    return fail(ErrorCode::kInvalid,
-                "is assigned to " + x.id + " but has no implementation for '" + x.type + "'", where,
-                "add one with add_impl, or solve again with the app.json of this program");
+    return fail(
+        ErrorCode::kInvalid,
+        "is assigned to " + x.id + " but has no implementation for '" + x.type + "'" +
+            (named.empty() ? "" : " in variant '" + named + "'"),
+        where,
+        "add one with add_impl (add_variant), or solve again with the app.json of this program");
   placed.limit(placing_.limits[table][at_node], session.tables.has_value(),
                context_.board.xnode(at_node));
   placed.node = n;
@@ -181,7 +192,13 @@ Status Wiring::make_module(std::size_t index, ModuleHost& host) {
     made.set_overload({Overload::Kind::kQueue, context_.grid.depth[index]});
   if (said.match_us) made.match_within(*said.match_us * 1000);
   if (said.on_hang == OnHang::kDrop) made.watch();
-  if (context_.session.tables) made.read_tables(context_.board);
+  if (context_.session.tables) {
+    std::vector<char> off;  // [table]
+    for (const std::vector<char>& of_table : modules_off(context_.session, context_.graph))
+      off.push_back(of_table[index]);
+    if (std::count(off.begin(), off.end(), 1) == 0) off.clear();
+    made.read_tables(context_.board, std::move(off));
+  }
   return {};
 }
 

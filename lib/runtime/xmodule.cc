@@ -209,6 +209,7 @@ void ModuleRuntime::take_turns(std::vector<Lost>& lost) {
 void ModuleRuntime::fire_all(std::vector<Lost>& lost, Started& started) {
   line_up(lost);
   for (Activation* free = room(); free != nullptr && fresh(lost); free = room()) {
+    if (leaves_out(lost)) continue;
     take(*free, lost);
     line_up(lost);
     turns_.push_back({free, {}});
@@ -225,6 +226,18 @@ bool ModuleRuntime::fresh(std::vector<Lost>& lost) {
   for (empty_ = 0; empty_ < queues_.size() && !queues_[empty_].waiting.empty();) ++empty_;
   if (empty_ < queues_.size()) return false;
   empty_ = 0;
+  return true;
+}
+
+/// Whether the fresh messages are of a release in whose table the module is off; then they are gone.
+/// Tables are of apps of one rate, whose modules are numbered. Called with the mutex held.
+bool ModuleRuntime::leaves_out(std::vector<Lost>& lost) {
+  if (off_.empty()) return false;
+  const std::uint64_t sequence = queues_.front().waiting.front().sequence;
+  if (off_[tables_->table_of(sequence)] == 0) return false;
+  settle(sequence, XAUTO_DROP_OVERRUN, lost);
+  settle(sequence + 1, XAUTO_DROP_OFF, lost);
+  line_up(lost);
   return true;
 }
 

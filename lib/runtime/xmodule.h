@@ -79,8 +79,12 @@ class alignas(64) ModuleRuntime {
   void read_parameters(ParameterReader reader);
   /// `abandon` may be called.
   void watch() { watched_ = true; }
-  /// Activations have the tables that the board says of their releases. It outlives this.
-  void read_tables(const Board& board) { tables_ = &board; }
+  /// Activations have the tables that the board says of their releases. It outlives this. `off`: by
+  /// table, whether its releases leave the module out; empty: none does.
+  void read_tables(const Board& board, std::vector<char> off) {
+    tables_ = &board;
+    off_ = std::move(off);
+  }
   /// Numbered: releases below `next` are settled already.
   void begin_at(std::uint64_t next) {
     const Guard lock(mutex_);
@@ -156,6 +160,7 @@ class alignas(64) ModuleRuntime {
   [[nodiscard]] bool matched(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] bool fresh(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   void take(Activation& activation, std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] bool leaves_out(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   void fire(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(mutex_) {
     // Asked at each message and each end: mostly an input is still missing.
     const bool missing = queues_[empty_].waiting.empty() && lost.empty();
@@ -225,6 +230,7 @@ class alignas(64) ModuleRuntime {
   std::int64_t match_ns_ = -1;
   ModuleHost& host_;
   const Board* tables_ = nullptr;
+  std::vector<char> off_;  ///< [table]
   std::vector<std::unique_ptr<Activation>> activations_;
   Activation* only_ = nullptr;  ///< where one is in flight at a time
 

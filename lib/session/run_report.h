@@ -24,6 +24,7 @@ struct ModuleReport {
   std::string name;
   bool sink = false;
   std::uint64_t activations = 0, failed = 0, dropped = 0;
+  std::uint64_t off = 0;      ///< releases in whose table it is off
   Distribution latencies_us;  ///< sinks: origin to done, per activation
 };
 

@@ -36,7 +36,7 @@ void fields(Io io, T& x) {
 template <class Io, Is<ModuleReport> T>
 void fields(Io io, T& x) {
   io("name", x.name, "sink", x.sink, "activations", x.activations, "failed", x.failed, "dropped",
-     x.dropped, "latencies_us", x.latencies_us);
+     x.dropped, "off", x.off, "latencies_us", x.latencies_us);
 }
 
 template <class Io, Is<XNodeReport> T>
@@ -306,8 +306,8 @@ std::optional<Scheduling> scheduling_from(const std::string& name) {
 
 void Session::take_tables(Tables all) {
   by_table.clear();
-  for (const Table& table : all.tables)
-    by_table.push_back(policy_under(table, app, platform, Scenario{}));
+  for (std::size_t t = 0; t < all.tables.size(); ++t)
+    by_table.push_back(whole_policy(all, t, app, platform));
   policy = by_table[static_cast<std::size_t>(all.serves.front().table)];
   policy.worst_case_us = all.serves.front().worst_case_us;
   tables = std::move(all);

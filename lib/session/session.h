@@ -105,6 +105,10 @@ struct Session {
   [[nodiscard]] const Policy& of_table(std::size_t table) const {
     return by_table.empty() ? policy : by_table[table];
   }
+  /// Index into XNodeSpec::variants of what runs under `table`; -1: its own implementation.
+  [[nodiscard]] int variant_of(std::size_t table, std::size_t xnode) const {
+    return tables ? tables->tables[table].loss.variant_of(xnode) : -1;
+  }
   /// An XNode as one table places it. Coordinators and the scheduler of real CPUs know it by this
   /// number, so each table has its own order and priorities there.
   [[nodiscard]] std::uint32_t task(std::size_t table, std::uint32_t xnode) const {

@@ -463,7 +463,10 @@ class Painter {
       entries[static_cast<std::size_t>(activation.module)].push_back(
           {activation.begin_ns, activation.end_ns, 0, lane_of[a],
            fmt::format("{} {}{}", scene_.modules[static_cast<std::size_t>(activation.module)].name,
-                       activation.sequence, activation.fate == Fate::kDropped ? " dropped" : ""),
+                       activation.sequence,
+                       activation.off()                    ? " off"
+                       : activation.fate == Fate::kDropped ? " dropped"
+                                                           : ""),
            std::move(details)});
     }
     for (const JobStory& job : story_.jobs) {
@@ -592,7 +595,7 @@ class Painter {
     }
     Steps dropped, missed;
     for (const Activation& a : story_.activations)
-      if (a.fate == Fate::kDropped) dropped.emplace_back(a.end_ns, 1);
+      if (a.fate == Fate::kDropped && !a.off()) dropped.emplace_back(a.end_ns, 1);
     if (app_.deadline_us && story_.several_rates)
       for (const Activation& a : story_.activations)
         if (a.fate == Fate::kDone && scene_.modules[static_cast<std::size_t>(a.module)].sink &&

@@ -388,15 +388,20 @@ class Reader {
     const auto sinks = static_cast<std::size_t>(std::count_if(
         modules_.begin(), modules_.end(), [](const ModuleInfo& m) { return m.sink; }));
     std::vector<std::size_t> through(story_.releases.size(), 0);
-    std::vector<bool> dropped(story_.releases.size(), false);
+    std::vector<bool> dropped(story_.releases.size(), false), less(dropped);
+    for (const Activation& a : story_.activations)
+      if (const auto at = published_.find(a.sequence); at != published_.end() && a.off())
+        less[at->second] = true;
     for (const Activation& a : story_.activations) {
       const auto at = published_.find(a.sequence);
-      if (at == published_.end() || !modules_[static_cast<std::size_t>(a.module)].sink ||
-          a.fate == Fate::kUnknown)
-        continue;
+      if (at == published_.end() || a.fate == Fate::kUnknown) continue;
       ReleaseSpan& release = story_.releases[at->second];
-      release.end_ns = std::max(release.end_ns, a.end_ns);
-      dropped[at->second] = dropped[at->second] || a.fate == Fate::kDropped;
+      const bool sink = modules_[static_cast<std::size_t>(a.module)].sink;
+      // Where a module is off, one before it may be the last.
+      if (!a.off() && (sink || less[at->second]))
+        release.end_ns = std::max(release.end_ns, a.end_ns);
+      if (!sink) continue;
+      dropped[at->second] = dropped[at->second] || (a.fate == Fate::kDropped && !a.off());
       if (++through[at->second] == sinks)
         release.fate = dropped[at->second] ? Fate::kDropped : Fate::kDone;
     }
@@ -473,6 +478,10 @@ const char* to_string(PhaseKind kind) {
   return "?";
 }
 
+bool Activation::off() const {
+  return fate == Fate::kDropped && reason == XAUTO_DROP_OFF;
+}
+
 const char* drop_reason(std::uint32_t reason) {
   switch (reason) {
     case XAUTO_DROP_FAILED:
@@ -485,6 +494,8 @@ const char* drop_reason(std::uint32_t reason) {
       return "it ran past its hang limit";
     case XAUTO_DROP_DIED:
       return "the module's process died";
+    case XAUTO_DROP_OFF:
+      return "the module is off";
     default:
       return "for an unknown reason";
   }

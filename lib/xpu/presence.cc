@@ -113,9 +113,9 @@ Status check_placements(const AppSpec& app, const Platform& platform,
 Status check_placements(const AppSpec& app, const Platform& platform,
                         const std::vector<Presence>& presence, const Tables& tables,
                         const std::string& path) {
-  for (const Table& table : tables.tables)
-    XAUTO_TRY(check_placements(app, platform, presence, policy_under(table, app, platform, {}),
-                               path + ": table '" + table.name + "'"));
+  for (std::size_t t = 0; t < tables.tables.size(); ++t)
+    XAUTO_TRY(check_placements(app, platform, presence, whole_policy(tables, t, app, platform),
+                               path + ": table '" + tables.tables[t].name + "'"));
   return {};
 }
 

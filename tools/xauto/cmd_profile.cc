@@ -204,7 +204,23 @@ std::vector<std::string> findings(const Profile& profile) {
   return lines;
 }
 
-std::string table(const Profile& profile, const Platform& platform) {
+/// For people: variants are rows as XNodes are.
+Profile with_variants(Profile profile) {
+  std::vector<XNodeProfile> all;
+  for (const XNodeProfile& x : profile.xnodes) {
+    all.push_back(x);
+    for (const VariantProfile& v : x.variants) {
+      XNodeProfile variant{fmt::format("{} ({})", x.name, v.name), x.module, v.on};
+      variant.beside = v.beside;
+      all.push_back(std::move(variant));
+    }
+  }
+  profile.xnodes = std::move(all);
+  return profile;
+}
+
+std::string table(const Profile& measured, const Platform& platform) {
+  const Profile profile = with_variants(measured);
   std::string out =
       fmt::format("{} on {}{}: execution times in us, {} repetitions after {} warm-up\n\n",
                   profile.app, platform.name, conditions_of(profile),
@@ -363,7 +379,7 @@ Result<int> profile(const ProfileFlags& given, const Options& options) {
   const std::string text = to_json(*result);
   if (options.json) {
     std::cout << text;
-    for (const std::string& line : remarks(*result, platform)) log::warn("{}", line);
+    for (const std::string& line : remarks(with_variants(*result), platform)) log::warn("{}", line);
   } else {
     std::cout << table(*result, platform);
   }
@@ -392,7 +408,7 @@ Result<int> profile(const ProfileFlags& given, const Options& options) {
     else
       log::error("{} is not written: {}", flags.app_out, app.error().to_string());
   }
-  const std::vector<std::string> found = findings(*result);
+  const std::vector<std::string> found = findings(with_variants(*result));
   for (const std::string& line : found) log::error("{}", line);
   if (result->incomplete.empty()) return outputs.status(found.empty() ? kDone : kAnswerIsNo);
   log::error("the profile is incomplete: {}", result->incomplete);

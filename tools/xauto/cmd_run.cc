@@ -41,7 +41,7 @@ Status take_tables(const OneRunFlags& flags, PolicyRun& run) {
   XAUTO_TRY(
       xpu::check_placements(flags.app, flags.spec, flags.presence, *run.tables, flags.policy_path));
   const auto first = static_cast<std::size_t>(run.tables->serves.front().table);
-  run.policy = policy_under(run.tables->tables[first], flags.app, flags.spec, {});
+  run.policy = whole_policy(*run.tables, first, flags.app, flags.spec);
   return {};
 }
 

@@ -360,6 +360,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                     {"activations", m.activations},
                     {"failed", m.failed},
                     {"dropped", m.dropped}};
+      if (m.off > 0) entry["off"] = m.off;
       if (m.sink) {
         const Latency latency = summarise(m.latencies_us);
         entry["p50_us"] = or_null(latency.p50_us, latency.count);

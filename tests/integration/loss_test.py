@@ -1,0 +1,185 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""Variants and optional modules: from the program (apps/lossapp.cc) by profile, solve and check to a run in which every
+release has what its table says. What ran is told by the app itself, a line per activation."""
+import collections
+import json
+import pathlib
+import subprocess
+import tempfile
+import unittest
+
+import pftrace
+from common import BIN, QUEUES, XAUTO, wait_for, xauto
+
+LOSSAPP = str(BIN / "lossapp")
+SCENARIOS = [{"name": "nominal"},
+             {"name": "slow", "wcet_scale_pct": {"gpu": 150}, "degraded": True},
+             {"name": "slower", "wcet_scale_pct": {"gpu": 300}, "degraded": True},
+             {"name": "slowest", "wcet_scale_pct": {"gpu": 500}, "degraded": True}]
+MS = {"see.infer": 15, "act.go": 2, "show.draw": 14, "log.write": 12, "small": 6, "tiny": 3}  # WCETs, above what jobs take
+RELEASE_MS = 60  # the period
+QUALITY = {"full": 100, "small": 60, "tiny": 30}
+
+
+def least_loss(gpu):
+    """Of all that can be left out, with the GPU so many times as slow. see, then show and log, beside act."""
+    fits = []
+    for variant, quality in QUALITY.items():
+        see = gpu * MS[{"full": "see.infer"}.get(variant, variant)]
+        for off, rest in (0, gpu * MS["show.draw"] + MS["log.write"]), (1, gpu * MS["show.draw"]), (2, 0):
+            if see + max(MS["act.go"], rest) <= RELEASE_MS:
+                fits.append(100 * off + 100 - quality)
+    return min(fits)
+
+
+class Loss(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        folder = tempfile.TemporaryDirectory()
+        cls.addClassCleanup(folder.cleanup)
+        cls.folder = pathlib.Path(folder.name)
+        done = xauto("profile", "--platform", "small", "--emulate", "--repetitions", 3, "--warmup", 0, "--out", "profile.json",
+                     "--app-out", "measured.json", "--", LOSSAPP, "profiled", cwd=cls.folder)
+        assert done.returncode == 0, done.stderr
+        cls.table = done.stdout
+        cls.app = json.loads((cls.folder / "measured.json").read_text())
+        # Times with room, and round: a machine that stands still meanwhile changes no loss.
+        for xnode in cls.app["xnodes"]:
+            for of in [xnode, *xnode.get("variants", [])]:
+                of["wcet_us"] = {kind: 1000 * MS[of["name"]] for kind in of["wcet_us"]}
+        cls.write("app.json", {**cls.app, "deadline_us": 100_000})
+        cls.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": "lossapp", "scenarios": SCENARIOS})
+        cls.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": "lossapp", **QUEUES})
+        cls.solved = xauto("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 4,
+                           "--time-limit-s", 4, "--out", "tables.json", cwd=cls.folder)
+        cls.tables = json.loads((cls.folder / "tables.json").read_text())
+        cls.serves = {s["scenario"]: next(t for t in cls.tables["tables"] if t["name"] == s["table"]) for s in cls.tables["serves"]}
+
+    @classmethod
+    def write(cls, name, value):
+        (cls.folder / name).write_text(json.dumps(value))
+
+    def check(self, tables):
+        self.write("other.json", tables)
+        return xauto("check", "--app", "app.json", "--platform", "small", "--policy", "other.json", "--json", cwd=self.folder)
+
+    def test_profile_measures_each_variant_and_app_json_has_it(self):
+        told = collections.Counter(line.split(" ")[0] + "".join(line.split(" ")[2:])
+                                   for line in (self.folder / "profiled").read_text().splitlines())
+        self.assertEqual(told["seesmall"], 3)
+        self.assertEqual(told["seetiny"], 3)
+        see = json.loads((self.folder / "profile.json").read_text())["xnodes"][0]
+        self.assertEqual([(v["name"], v["quality_pct"], v["on"]["gpu0"]["count"]) for v in see["variants"]],
+                         [("small", 60, 3), ("tiny", 30, 3)])
+        self.assertLess(see["variants"][0]["on"]["gpu0"]["min_us"], see["on"]["gpu0"]["min_us"])
+        self.assertIn("small", self.table)
+        self.assertEqual([m for m in self.app["modules"] if m["optional"]],
+                         [{"name": "show", "optional": True}, {"name": "log", "optional": True}])
+
+    def test_the_least_loss_that_keeps_the_deadline(self):
+        losses = []
+        for scenario in SCENARIOS:
+            table = self.serves[scenario["name"]]
+            losses.append(100 * len(table.get("off", [])) + sum(100 - QUALITY[v] for v in table.get("variants", {}).values()))
+            self.assertEqual(losses[-1], least_loss(scenario.get("wcet_scale_pct", {}).get("gpu", 100) / 100), (scenario, table))
+        self.assertEqual(losses, sorted(losses))
+        self.assertEqual(len(set(losses)), 3, losses)
+        self.assertEqual(self.serves["slower"]["off"], ["log"])  # what fires it ends the release then
+        self.assertIn(f"loses {losses[-1]} %", self.solved.stdout)
+        # Changes miss the deadline: the release before is of a scenario in which nothing was lost.
+        self.assertEqual(self.solved.returncode, 1)
+        answer = json.loads(xauto("check", "--app", "app.json", "--platform", "small", "--policy", "tables.json", "--json",
+                                  cwd=self.folder).stdout)
+        self.assertEqual(answer["lies"], [])
+
+    def test_what_a_table_may_not_lose_is_refused(self):
+        broken = json.loads(json.dumps(self.tables))
+        broken["scenarios"][2]["degraded"] = False
+        self.assertIn("scenario 'slower' is not degraded", self.check(broken).stderr)
+        broken = json.loads(json.dumps(self.tables))
+        table = next(t for t in broken["tables"] if t["name"] == self.serves["slowest"]["name"])
+        table["off"] = ["show"]
+        self.assertIn("module 'show' is off, and module 'log', which waits for it, is not", self.check(broken).stderr)
+        table["off"] = ["act"]
+        self.assertIn("module 'act' is not optional", self.check(broken).stderr)
+        table["off"] = ["log", "show"]
+        table["variants"] = {"see.infer": "huge"}
+        self.assertIn("XNode 'see.infer' has no variant 'huge'", self.check(broken).stderr)
+
+    def test_the_program_has_to_have_the_variant(self):
+        app = json.loads((self.folder / "app.json").read_text())
+        app["xnodes"][0]["variants"][1]["name"] = "none"
+        self.write("renamed.json", app)
+        done = xauto("solve", "--app", "renamed.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 4,
+                     "--time-limit-s", 2, "--out", "renamed_tables.json", cwd=self.folder)
+        self.assertEqual(done.returncode, 1, done.stderr)
+        done = xauto("run", "--app", "renamed.json", "--platform", "small", "--emulate", "--policy", "renamed_tables.json",
+                     "--activations", 5, "--", LOSSAPP, cwd=self.folder)
+        self.assertEqual(done.returncode, 2)
+        self.assertIn("has no implementation for 'gpu' in variant 'none'", done.stderr)
+
+    def switch_about(self, *flags):
+        (self.folder / "ran").unlink(missing_ok=True)
+        with open(self.folder / "out", "w") as out, open(self.folder / "err", "w") as err:
+            tool = subprocess.Popen(
+                [XAUTO, "run", "--app", "app.json", "--platform", "small", "--emulate", "--policy", "tables.json",
+                 "--activations", "0", "--deployment", "deployment.json", "--json", "--trace-out", "t.pftrace", *flags, "--",
+                 LOSSAPP, str(self.folder / "ran")], cwd=self.folder, stdout=out, stderr=err)
+        self.addCleanup(lambda: (tool.kill(), tool.wait()))
+        run = f"{tool.pid}-0"
+
+        def released():
+            done = xauto("top", "--run", run, "--wait-s", 5, "--interval-ms", 50, "--once", "--json")
+            return json.loads(done.stdout)["releases"] if done.stdout else 0
+        wait_for("releases", lambda: released() > 2, tool)
+        for name in ["slower", "slowest", "nominal", "slowest", "slower", "slow", "slower"]:
+            self.assertEqual(xauto("mode", "--run", run, name).returncode, 0)
+            at = released()
+            wait_for("a release after the wish", lambda: released() > at + 2, tool)
+        tool.terminate()
+        self.assertEqual(tool.wait(timeout=60), 0, (self.folder / "err").read_text())
+        return json.loads((self.folder / "out").read_text())["runs"][0]
+
+    def judge(self, report):
+        """Each release ran what its table has, no more and no less, in the variant that it has there."""
+        ran = collections.defaultdict(dict)
+        for line in (self.folder / "ran").read_text().splitlines():
+            module, number, *variant = line.split(" ")
+            self.assertNotIn(module, ran[int(number)], "twice")
+            ran[int(number)][module] = variant
+        modules = {m["name"]: m for m in report["modules"]}
+        self.assertEqual(sorted(ran), list(range(modules["act"]["activations"])))
+        by_name, off = {t["name"]: t for t in self.tables["tables"]}, collections.Counter()
+        table, of_table = self.serves["nominal"], collections.Counter()
+        changes = {s["release"]: by_name[s["table"]] for s in report["switches"]}
+        for n in sorted(ran):
+            table = changes.get(n, table)
+            of_table[table["name"]] += 1
+            off.update(table.get("off", []))
+            self.assertEqual(set(ran[n]), {"see", "act", "show", "log"} - set(table.get("off", [])), n)
+            self.assertEqual(ran[n]["see"], [table.get("variants", {}).get("see.infer", "full")], n)
+        self.assertEqual(len(of_table), 3, of_table)
+        self.assertEqual(report["lost_activations"], 0)
+        for name, module in modules.items():
+            self.assertEqual((module["dropped"], module["failed"], module.get("off", 0)), (0, 0, off[name]), name)
+        # A release lasts until the last module of its table is through.
+        trace = pftrace.Trace((self.folder / "t.pftrace").read_bytes())
+        ends, jobs = {}, collections.defaultdict(int)
+        for s in trace.slices:
+            if s.category == "release":
+                ends[s.args["release"]] = s.end
+            elif s.category == "run":
+                jobs[s.args["release"]] = max(jobs[s.args["release"]], s.end)
+        for n in sorted(ends)[:-1]:
+            self.assertGreaterEqual(ends[n], jobs[n], n)
+
+    def test_each_release_runs_what_its_table_has(self):
+        self.judge(self.switch_about())
+
+    def test_in_processes_of_their_own(self):
+        self.judge(self.switch_about("--isolate"))
+
+
+if __name__ == "__main__":
+    unittest.main()
