@@ -109,7 +109,8 @@ class Loss(unittest.TestCase):
 
     def test_the_program_has_to_have_the_variant(self):
         app = json.loads((self.folder / "app.json").read_text())
-        app["xnodes"][0]["variants"][1]["name"] = "none"
+        for variant in app["xnodes"][0]["variants"]:
+            variant["name"] = "no_" + variant["name"]
         self.write("renamed.json", app)
         done = xauto("solve", "--app", "renamed.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 4,
                      "--time-limit-s", 2, "--out", "renamed_tables.json", cwd=self.folder)
@@ -117,7 +118,7 @@ class Loss(unittest.TestCase):
         done = xauto("run", "--app", "renamed.json", "--platform", "small", "--emulate", "--policy", "renamed_tables.json",
                      "--activations", 5, "--", LOSSAPP, cwd=self.folder)
         self.assertEqual(done.returncode, 2)
-        self.assertIn("has no implementation for 'gpu' in variant 'none'", done.stderr)
+        self.assertIn("has no implementation for 'gpu' in variant 'no_", done.stderr)
 
     def switch_about(self, *flags):
         (self.folder / "ran").unlink(missing_ok=True)

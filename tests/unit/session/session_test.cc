@@ -170,7 +170,7 @@ TEST(RunReport, EachFieldTravels) {
   report.releases = {{1, 2, 3}, {4, 5, -1}};
   report.num_releases = 2;
   for (std::int64_t i = 0; i < 70'000; ++i) report.latencies_us.add(i);
-  report.modules = {{"m", true, 1, 2, 3, report.latencies_us}};
+  report.modules = {{"m", true, 1, 2, 3, 4, report.latencies_us}};
   report.xnodes = {{"m.x", 10, 20, 3, 2, 1, 30}};
   report.routes.resize(2);
   report.routes[0].deadline_us = 40;
