@@ -58,7 +58,7 @@ bool Loss::is_off(const std::string& module) const {
 Status validate_losses(const AppSpec& app) {
   XAUTO_TRY(validate_variants(app));
   const auto optional = optional_modules(app);
-  if (optional.empty()) return {};
+  if (optional.empty() || app.version > 1) return {};
   if (std::all_of(app.xnodes.begin(), app.xnodes.end(),
                   [&](const XNodeSpec& x) { return optional.contains(x.module); }))
     return invalid("every module is optional: nothing would be left to run", "/modules");

@@ -31,7 +31,8 @@ struct Loss {
 };
 
 /// Variants with names, each once, with implementations, WCETs in range, and a quality of 1 to 100.
-/// No edge from an optional module to one that is not: it would wait for ever. Not all are optional.
+/// Version 1, of which tables are: no edge from an optional module to one that is not, since that would
+/// wait for ever, and not all are optional.
 [[nodiscard]] Status validate_losses(const AppSpec& app);
 
 /// Variants that there are; modules that are optional, each once, with all that hears of them by

@@ -66,8 +66,8 @@ struct BoardShape {
 
 inline constexpr std::size_t kBoardNameBytes = 104;  ///< with the 0 at its end; longer ones are cut
 
-/// A release is settled once: done, failed or dropped. In an app of one rate they are settled in
-/// order, so the sum of the three is the number of the next one.
+/// A release is settled once: done, failed, dropped or off. In an app of one rate they are settled in
+/// order, so the sum of the four is the number of the next one.
 struct alignas(64) ModuleLine {
   std::atomic<std::uint64_t> activations{}, failed{}, dropped{};  ///< [M] one writer at a time
   std::atomic<std::uint64_t> off{};        ///< [M] releases in whose table it is off

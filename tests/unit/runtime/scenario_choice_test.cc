@@ -94,6 +94,65 @@ TEST_F(ChoiceTest, AJobThatIsTooLongEscalatesToTheLeastThatCoversIt) {
   EXPECT_EQ(choice.now().scenario, kHalfBoth);
 }
 
+/// Beside the nominal scenario and half of the GPU: a third of it, where a runs as a variant that takes
+/// 0.4 of its time, so that the worst case is the least of all.
+class LossTest : public ChoiceTest {
+ protected:
+  static constexpr int kThirdGpu = 2;
+  void SetUp() override {
+    app_.xnodes[0].variants = {{"small", 50, {{"gpu", 400}}}};
+    tables_.app_hash = app_.hash();
+    Scenario third{"a third", {{"gpu", 300}}};
+    third.degraded = true;
+    tables_.scenarios = {tables_.scenarios[kNominal], tables_.scenarios[kHalfGpu], third};
+    tables_.tables = {{"gpu", {1, 0}, {2, 1}, {}}, {"small", {1, 0}, {2, 1}, {}, {{0, -1}, {}}}};
+    tables_.serves = {{0, 2000, 2000}, {0, 3000, 3000}, {1, 1600, 1600}};
+    ASSERT_TRUE(validate(tables_, app_, platform_))
+        << validate(tables_, app_, platform_).error().to_string();
+  }
+};
+
+TEST_F(LossTest, NothingIsLostForAShorterWorstCase) {
+  ScenarioChoice choice = make();
+  for (std::int64_t t = 0; t < 5 * kDwell; t += 10 * kMilli) EXPECT_FALSE(choice.decide(t));
+  choice.saw(0, 0, 3 * kMilli / 2);
+  EXPECT_TRUE(choice.decide(5 * kDwell));
+  EXPECT_EQ(choice.now().scenario, kHalfGpu) << "both cover it, and here nothing is lost";
+  choice.saw(0, 0, 5 * kMilli / 2);
+  EXPECT_TRUE(choice.decide(5 * kDwell + 1));
+  EXPECT_EQ(choice.now().scenario, kThirdGpu);
+  EXPECT_EQ(choice.now().table, 1);
+}
+
+TEST_F(LossTest, AVariantIsHeldAgainstItsOwnWcet) {
+  ScenarioChoice choice = make();
+  choice.ask(kThirdGpu);
+  ASSERT_TRUE(choice.decide(0));
+  choice.ask(-1);
+  choice.saw(1, 0, 700'000);  // above 0.4 ms, below twice that, and far below a's own
+  EXPECT_TRUE(choice.decide(1));
+  EXPECT_EQ(choice.now().scenario, kHalfGpu);
+  choice.saw(1, 0, 1'300'000);
+  EXPECT_TRUE(choice.decide(2)) << "its own of 1.2 ms at a third";
+  EXPECT_EQ(choice.now().why, Why::kOutside);
+  EXPECT_EQ(choice.now().allowed_ns, 1'200'000);
+}
+
+TEST_F(LossTest, WhatIsOffTellsNothing) {
+  app_.xnodes.push_back({"c", "n", {{"gpu", 100}}});
+  app_.modules = {{"n", 1, true}};
+  tables_.app_hash = app_.hash();
+  tables_.tables[0] = {"gpu", {1, 0, 1}, {2, 1, 0}, {}};
+  tables_.tables[1] = {"small", {1, 0, -1}, {2, 1, 0}, {}, {{}, {"n"}}};
+  ASSERT_TRUE(validate(tables_, app_, platform_));
+  ScenarioChoice choice = make();
+  choice.saw(1, 2, kDwell);
+  choice.hung(1, 2);
+  EXPECT_FALSE(choice.decide(0));
+  choice.saw(0, 2, kDwell);
+  EXPECT_TRUE(choice.decide(1));
+}
+
 TEST_F(ChoiceTest, GoesBackAfterADwellWithoutNeedAndLaterWhereTheTrialFails) {
   ScenarioChoice choice = make();
   choice.saw(0, 0, 2 * kMilli);

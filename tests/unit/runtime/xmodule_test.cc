@@ -10,6 +10,7 @@
 #include <gtest/gtest.h>
 #include <uapi/xauto/event.h>
 
+#include "processes/board.h"
 #include "runtime/input_access.h"
 
 namespace xauto::runtime {
@@ -76,6 +77,7 @@ class Fixture : public ::testing::Test, public ModuleHost {
     log_ += (reason == XAUTO_DROP_FAILED    ? " failed"
              : reason == XAUTO_DROP_OVERRUN ? " overrun"
              : reason == XAUTO_DROP_HUNG    ? " hung"
+             : reason == XAUTO_DROP_OFF     ? " off"
                                             : " upstream") +
             std::to_string(s);
   }
@@ -119,6 +121,40 @@ TEST_F(Fixture, WhatIsSampledFiresNobodyAndIsReadWhenTheActivationBegins) {
   tombstone(2, 9);
   EXPECT_EQ(log(), " run1 nothing nothing")
       << "what was lost replaces nothing, and nobody waits for it";
+}
+
+TEST_F(Fixture, AReleaseInWhoseTableItIsOffGoesByAndNobodyWaits) {
+  const auto board = Board::local({1, 1});
+  ASSERT_TRUE(board);
+  const auto put = [&](std::uint64_t release, std::uint32_t table) {
+    board->header().before.store(board->header().in_force.load());
+    board->header().in_force.store(in_force(release, table));
+  };
+  const auto both = [&](std::uint64_t k) {
+    message(0, k);
+    message(1, k);
+  };
+  put(0, 0);
+  module_->read_tables(*board, {0, 1});
+  both(0);
+  EXPECT_EQ(log(), " run0");
+  put(1, 1);
+  both(1);
+  EXPECT_EQ(log(), "") << "in its turn: release 0 has not ended";
+  module_->finish(only(), true);
+  EXPECT_EQ(log(), " done0 out0 off1 skip1 tomb1");
+  message(0, 2);
+  EXPECT_EQ(log(), "") << "an input is missing";
+  message(1, 2);
+  EXPECT_EQ(log(), " off2 skip2 tomb2");
+  message(0, 3);  // its other input is lost: it gives way to release 4
+  message(0, 4);
+  message(1, 4);
+  EXPECT_EQ(log(), " overrun3 skip3 tomb3 off4 skip4 tomb4");
+  put(5, 0);
+  both(5);
+  EXPECT_EQ(log(), " run5");
+  EXPECT_EQ(only().table(), 0u);
 }
 
 TEST_F(Fixture, AnActivationIsUrgentWhereOneOfItsInputsIsAndSoIsItsResult) {
