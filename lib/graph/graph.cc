@@ -177,6 +177,9 @@ class Builder {
       for (const Graph::Subscriber& subscriber : topic.subscribers) {
         const Graph::Module& to = graph_.modules[static_cast<std::size_t>(subscriber.module)];
         if (from.nodes.empty() || to.nodes.empty()) continue;
+        if (!subscriber.sampled && from.spec->optional && !to.spec->optional)
+          problem("XModule '" + to.name + "' waits for XModule '" + from.name +
+                  "', which is optional, and is not optional itself");
         const std::pair<int, int> edge(from.nodes.back(), to.nodes.front());
         auto& into = subscriber.sampled ? graph_.samples : graph_.edges;
         if (std::find(into.begin(), into.end(), edge) == into.end()) into.push_back(edge);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // scenarios.json, tables.json and emulation.json from outside, for an app and a platform of our own: those of
-// tests/golden.
+// tests/golden, and something that the app can do without.
 #include "model/json.h"
 
 #include "json_property.h"
@@ -16,14 +16,17 @@ xauto::Platform make_platform() {
 }
 
 xauto::AppSpec make_app() {
-  return {1,
-          "driving",
-          {{"fcd.pre", "FCD", {{"cpu", 3000}, {"gpu", 900}}},
-           {"fcd.infer", "FCD", {{"dla", 11000}, {"gpu", 7000}}},
-           {"fcd.post", "FCD", {{"cpu", 1500}}},
-           {"spur/größe", "LA", {{"cpu", 2500}}}},
-          {{0, 1}, {1, 2}},
-          100000};
+  xauto::AppSpec app = {1,
+                        "driving",
+                        {{"fcd.pre", "FCD", {{"cpu", 3000}, {"gpu", 900}}},
+                         {"fcd.infer", "FCD", {{"dla", 11000}, {"gpu", 7000}}},
+                         {"fcd.post", "FCD", {{"cpu", 1500}}},
+                         {"spur/größe", "LA", {{"cpu", 2500}}}},
+                        {{0, 1}, {1, 2}},
+                        100000};
+  app.xnodes[1].variants = {{"small", 60, {{"gpu", 2000}, {"cpu", 9000}}}};
+  app.modules = {{"LA", 1, true}};
+  return app;
 }
 
 }  // namespace

@@ -62,12 +62,20 @@ void print_tables(const AppSpec& app, const Tables& tables) {
       "times and below; each bound is proven.%s\n",
       tables.worst_regret(), tables.scenarios[worst].name.c_str(), kWorstCaseScope,
       tables.worst_regret() > 1 ? " That as few tables cannot do better is not." : "");
-  for (const Table& table : tables.tables)
-    if (!table.loss.none())
-      std::printf(
-          "  %s: loses %lld %%, the least that was found to end a release in time; that less does "
-          "not suffice is not proven.\n",
-          table.name.c_str(), static_cast<long long>(loss_pct(table.loss, app)));
+  for (std::size_t t = 0; t < tables.tables.size(); ++t) {
+    const Table& table = tables.tables[t];
+    if (table.loss.none()) continue;
+    const bool suffices =
+        std::none_of(tables.serves.begin(), tables.serves.end(), [&](const Served& served) {
+          return served.table == static_cast<int>(t) &&
+                 served.worst_case_us > time_for_a_release(app).value_or(0);
+        });
+    std::printf("  %s: loses %lld %%, %s.\n", table.name.c_str(),
+                static_cast<long long>(loss_pct(table.loss, app)),
+                suffices ? "the least that was found to end a release in time; that less does not "
+                           "suffice is not proven"
+                         : "all that it may lose, and no release was found to end in time");
+  }
   if (longest != nullptr)
     std::printf("  A release that is under way when the scenario changes takes at most %s%s.\n",
                 ms(*longest->worst_case_us).c_str(),

@@ -94,6 +94,68 @@ TEST(Graph, RefusesANodeWithoutImplementation) {
   EXPECT_REFUSAL(b, "XNode 'a1' has no implementation");
 }
 
+TEST(Graph, AVariantIsBesideItsXNodesOwnImplementation) {
+  const auto with = [](const auto& add) {
+    Builder b;
+    XNode<State> made = node("a1");
+    add(made);
+    b.app.add_module(XModule<State>("A").add_node(made).add_input_topic(kIn));
+    return b.refusal();
+  };
+  EXPECT_EQ(with([](XNode<State>& x) {
+              x.add_variant("small", 60, XPU::CPU, no_handle, nothing)
+                  .add_variant("small", 60, XPU::GPU, no_handle, nothing)
+                  .add_variant("tiny", 1, XPU::CPU, no_handle, nothing);
+            }),
+            "");
+  const auto says = [&](const std::string& text, const auto& add) {
+    EXPECT_NE(with(add).find(text), std::string::npos) << with(add);
+  };
+  says("variant 'small' of XNode 'a1' has two implementations for 'cpu'", [](XNode<State>& x) {
+    x.add_variant("small", 60, XPU::CPU, no_handle, nothing)
+        .add_variant("small", 60, XPU::CPU, no_handle, nothing);
+  });
+  says("variant 'small' of XNode 'a1' has two qualities, 60 and 50 %", [](XNode<State>& x) {
+    x.add_variant("small", 60, XPU::CPU, no_handle, nothing)
+        .add_variant("small", 50, XPU::GPU, no_handle, nothing);
+  });
+  says("0 is not a quality from 1 to 100 %",
+       [](XNode<State>& x) { x.add_variant("small", 0, XPU::CPU, no_handle, nothing); });
+  says("a variant without a name",
+       [](XNode<State>& x) { x.add_variant("", 60, XPU::CPU, no_handle, nothing); });
+  Builder b;
+  XNode<State> only("a1");
+  only.add_variant("small", 60, XPU::CPU, no_handle, nothing);
+  b.app.add_module(XModule<State>("A").add_node(only).add_input_topic(kIn));
+  EXPECT_REFUSAL(b, "XNode 'a1' has no implementation of its own, only variants");
+}
+
+TEST(Graph, NobodyWhoIsNeededWaitsForAnOptionalModule) {
+  const auto refusal = [](bool sampled, bool both) {
+    Builder b;
+    b.app.add_module(XModule<State>("A")
+                         .add_node(node("a1"))
+                         .add_input_topic(kIn)
+                         .add_output_topic(kMid, &State::value)
+                         .optional());
+    XModule<State> other("B");
+    other.add_node(node("b1"));
+    if (sampled)
+      other.add_input_topic(kIn).add_sampled_topic(kMid);
+    else
+      other.add_input_topic(kMid);
+    if (both) other.optional();
+    b.app.add_module(other);
+    return b.refusal();
+  };
+  EXPECT_NE(
+      refusal(false, false)
+          .find("XModule 'B' waits for XModule 'A', which is optional, and is not optional itself"),
+      std::string::npos);
+  EXPECT_EQ(refusal(false, true), "");
+  EXPECT_EQ(refusal(true, false), "") << "it waits for nobody";
+}
+
 TEST(Graph, RefusesOneTopicWithTwoTypes) {
   Builder b;
   b.app.add_module(XModule<State>("A").add_node(node("a1")).add_input_topic(Topic<double>("in")));
