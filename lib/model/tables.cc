@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <set>
+#include <tuple>
 #include <utility>
 
 #include "base/index.h"
@@ -70,6 +71,23 @@ Policy whole_policy(const Tables& tables, std::size_t table, const AppSpec& app,
   }
   whole.loss = {};
   return policy_under(whole, app, platform, {});
+}
+
+std::size_t instances(const Tables& tables) {
+  std::set<std::tuple<std::size_t, int, int>> made;
+  for (const Table& table : tables.tables)
+    for (std::size_t i = 0; i < table.xpu.size(); ++i)
+      if (table.xpu[i] >= 0) made.emplace(i, table.loss.variant_of(i), table.xpu[i]);
+  return made.size();
+}
+
+std::size_t moves(const Table& a, const Table& b) {
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < a.xpu.size(); ++i)
+    if (a.xpu[i] >= 0 && b.xpu[i] >= 0 &&
+        (a.xpu[i] != b.xpu[i] || a.loss.variant_of(i) != b.loss.variant_of(i)))
+      ++count;
+  return count;
 }
 
 namespace {

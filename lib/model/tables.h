@@ -92,6 +92,11 @@ inline constexpr std::size_t kMaxTables = 100;
 [[nodiscard]] Policy whole_policy(const Tables& tables, std::size_t table, const AppSpec& app,
                                   const Platform& platform);
 
+/// What a run makes at its start: instances of XNodes, by variant and XPU, for all tables together.
+[[nodiscard]] std::size_t instances(const Tables& tables);
+/// XNodes that both tables have, and have elsewhere or as another variant.
+[[nodiscard]] std::size_t moves(const Table& a, const Table& b);
+
 /// Of this app (name and hash); every table a policy that validate() accepts, under each scenario
 /// that it serves too; losses that loss.h allows, in degraded scenarios alone.
 [[nodiscard]] Status validate(const Tables& tables, const AppSpec& app, const Platform& platform);

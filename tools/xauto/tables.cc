@@ -76,6 +76,15 @@ void print_tables(const AppSpec& app, const Tables& tables) {
                            "suffice is not proven"
                          : "all that it may lose, and no release was found to end in time");
   }
+  if (count > 1) {
+    std::size_t most = 0;
+    for (const Table& a : tables.tables)
+      for (const Table& b : tables.tables) most = std::max(most, moves(a, b));
+    std::printf(
+        "  A run makes %zu instances of %zu XNodes at its start; from one table to another at most "
+        "%zu XNodes move.\n",
+        instances(tables), app.xnodes.size(), most);
+  }
   if (longest != nullptr)
     std::printf("  A release that is under way when the scenario changes takes at most %s%s.\n",
                 ms(*longest->worst_case_us).c_str(),
@@ -113,6 +122,7 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
   if (options.json) {
     Json root = Json::parse(to_json(tables, app, platform)).value_or(Json());
     root["worst_regret"] = tables.worst_regret();
+    root["instances"] = instances(tables);
     std::cout << root.dump(2) << "\n";
   } else {
     print_tables(app, tables);

@@ -170,6 +170,16 @@ TEST(Loss, ATableIsAPolicyOfWhatIsLeft) {
   EXPECT_EQ(whole.placements[1].priority, 4);
 }
 
+TEST(Loss, InstancesAreMadeByXNodeVariantAndXpu) {
+  const AppSpec app = app_of();
+  Tables tables = tables_of(app);
+  EXPECT_EQ(instances(tables), 6u) << "five, and one of them as its variant, too";
+  EXPECT_EQ(moves(tables.tables[0], tables.tables[1]), 1u) << "what is off moves nowhere";
+  tables.tables[1].xpu[0] = 1;
+  EXPECT_EQ(instances(tables), 7u);
+  EXPECT_EQ(moves(tables.tables[0], tables.tables[1]), 2u);
+}
+
 TEST(Loss, ATableWithOneIsRefusedWhereItIsNotAllowed) {
   const AppSpec app = app_of();
   const auto error = [&](const auto& spoil) {
