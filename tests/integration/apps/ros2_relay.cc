@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // An app between topics of ROS 2, by the types of xauto_add_messages:
 //
-//   ros2_relay String|Image|PointCloud2 [FILE]
+//   ros2_relay String|Image|PointCloud2 [FILE [PERIOD_MS]]
 //
 // What comes on "there" goes out on "back", changed in a way that shows which field was taken for which. FILE gets a
 // line per message: NUMBER LATENCY_NS, from the header's stamp until the job has the message.
@@ -72,7 +72,8 @@ int relay(int argc, char** argv) {
   xauto::XModule<State> module("relay");
   module.add_node(node).add_input_topic(there).add_output_topic(back, &State::message);
   xauto::App app("ros2_relay");
-  app.add_source(there, 20ms, [](std::uint64_t) { return Message{}; });
+  const std::chrono::milliseconds period(argc > 3 ? std::atoll(argv[3]) : 20);
+  app.add_source(there, period, [](std::uint64_t) { return Message{}; });
   app.add_module(module);
   return app.main(argc, argv);
 }
@@ -84,6 +85,7 @@ int main(int argc, char** argv) {
   if (type == "String") return relay<String>(argc, argv);
   if (type == "Image") return relay<Image>(argc, argv);
   if (type == "PointCloud2") return relay<PointCloud2>(argc, argv);
-  std::fprintf(stderr, "usage: xauto run ... -- ros2_relay String|Image|PointCloud2 [FILE]\n");
+  std::fprintf(stderr,
+               "usage: xauto run ... -- ros2_relay String|Image|PointCloud2 [FILE [PERIOD_MS]]\n");
   return 2;
 }
