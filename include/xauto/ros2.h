@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Callbacks of ordinary ROS 2 nodes as jobs of an app. Only for apps that have rclcpp (Humble or Jazzy), which
-// is the app's to link. Compiled with rclcpp's headers, and tested with a stand-in written from its sources; not
-// run with rclcpp yet.
+// is the app's to link. Run with Humble's; of Jazzy compiled with the headers, and tested with a stand-in.
 #pragma once
 
 #include <chrono>
