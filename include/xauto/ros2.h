@@ -241,7 +241,8 @@ inline void Ros2Ready::end() const {
 /// A gate is a module NAME, fired by a pushed source "NAME/ready", with one XNode "NAME.callback" for XPU::CPU.
 /// Its jobs are as any other's: profiled, planned, begun when the scheduler says so, and suspended. One at a time:
 /// give callbacks that are to run side by side, or to be told apart, callback groups and gates of their own.
-/// No jobs are parameter events (/parameter_events): the gate's own thread runs them between two jobs, at once.
+/// No jobs are parameter events (/parameter_events): the gate's own thread runs them between two jobs. What a
+/// callback on them throws ends the run.
 ///
 /// Handle of what the app keeps: may be gone before the run. Threads: as App.
 class Ros2Gate {
