@@ -373,10 +373,11 @@ Status Releaser::release_periodic() {
       if (stop_.load()) break;
     }
     if (!fed.empty()) {
-      take_fed(std::move(fed), fed_period_ns, samples);
+      const bool came = take_fed(std::move(fed), fed_period_ns, samples);
       if (stop_.load()) break;
-      // The next release is a period after this one: the time grid follows whoever feeds us.
-      if (context_.graph.single_rate) start += now_ns() - due;
+      // The next release is a period after this one: the time grid follows whoever feeds us. After one that waited
+      // in vain the next waits at once: else what came a little late would lie there until a period later.
+      if (context_.graph.single_rate && came) start += now_ns() - due;
       if (samples.empty()) continue;
     }
     // Nobody has a use for it any more: the next one is there.
@@ -390,8 +391,8 @@ Status Releaser::release_periodic() {
 
 /// Messages that programs outside feed us. In an app of one rate a release waits for its message,
 /// for up to a period; without one it is lost, and told so downstream. Otherwise there is one or
-/// there is none.
-void Releaser::take_fed(std::vector<Sample> fed, std::int64_t period_ns,
+/// there is none. True: all came.
+bool Releaser::take_fed(std::vector<Sample> fed, std::int64_t period_ns,
                         std::vector<Sample>& samples) {
   const std::int64_t now = now_ns();
   std::int64_t until = now;
@@ -399,11 +400,14 @@ void Releaser::take_fed(std::vector<Sample> fed, std::int64_t period_ns,
   std::vector<int> topics;
   for (const Sample& sample : fed) topics.push_back(sample.topic);
   auto taken = wiring_.interop()->take(topics, until, stop_);
+  const bool all =
+      std::ranges::all_of(taken, [](const auto& one) { return one.message != nullptr; });
   for (std::size_t i = 0; i < fed.size(); ++i) {
     fed[i].message = std::move(taken[i].message);  // null: a tombstone, for whoever counts
     fed[i].stamp_ns = taken[i].origin_ns;
     samples.push_back(std::move(fed[i]));
   }
+  return all;
 }
 
 /// An app of version 2 states how late a release may be.

@@ -87,7 +87,7 @@ class Releaser {
   void sleep(std::int64_t until_ns) const;
   [[nodiscard]] Status drain_for_lockstep();
   [[nodiscard]] Status release_recorded();
-  void take_fed(std::vector<Sample> fed, std::int64_t period_ns, std::vector<Sample>& samples);
+  bool take_fed(std::vector<Sample> fed, std::int64_t period_ns, std::vector<Sample>& samples);
   void release(std::int64_t now_ns, const std::vector<Sample>& samples);
   void watch_jitter(std::int64_t now_ns, const Sample& sample);
   [[nodiscard]] Status record_topic(record::Recorder& recorder, std::size_t topic);

@@ -1,11 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Ordinary nodes whose callbacks run as jobs: real daemons, a real run of the app, and a stand-in of rclcpp
-// (tests/ros2/). Compiled for Humble here, for Jazzy in unit/ros2_jazzy/. No time is measured.
-#include <atomic>
-#include <chrono>
-#include <condition_variable>
-#include <functional>
-#include <mutex>
+// (tests/ros2/). Compiled for Humble here, for Jazzy in unit/ros2_jazzy/, and for the real one by XAUTO_RCLCPP
+// (tests/CMakeLists.txt): so it uses nothing that rclcpp does not have. No time is measured.
+#include <memory>
 #include <set>
 #include <stdexcept>
 #include <string>
@@ -13,139 +10,26 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <std_msgs/msg/int32.hpp>
 
 #include <xauto/ros2.h>
 #include <xauto/xauto.h>
 
-#include "model/json.h"
+#include "gate_fixture.h"
 
 namespace xauto {
 namespace {
 
 using namespace std::chrono_literals;
-
-/// Opens once.
-class Door {
- public:
-  void open() {
-    {
-      const std::lock_guard lock(mutex_);
-      open_ = true;
-    }
-    changed_.notify_all();
-  }
-  void pass() {
-    std::unique_lock lock(mutex_);
-    changed_.wait(lock, [this] { return open_; });
-  }
-
- private:
-  std::mutex mutex_;
-  std::condition_variable changed_;
-  bool open_ = false;
-};
-
-/// Code that knows nothing of XAuto.
-class Adder : public rclcpp::Node {
- public:
-  explicit Adder(std::size_t depth = 64, rclcpp::CallbackGroup::SharedPtr group = nullptr)
-      : Node("adder") {
-    out_ = create_publisher<int>("sum", 10);
-    rclcpp::SubscriptionOptions options;
-    options.callback_group = std::move(group);
-    in_ = create_subscription<int>(
-        "number", depth, [this](const int& number) { add(number); }, options);
-  }
-  std::function<void(int)> on_number = [](int) {};
-  std::vector<int> numbers;           ///< of the callback's thread; read after the run
-  std::set<std::thread::id> threads;  ///< likewise
-  std::atomic<int> calls{0}, inside{0}, most_inside{0};
-
- private:
-  void add(int number) {
-    most_inside = std::max(most_inside.load(), ++inside);
-    numbers.push_back(number);
-    threads.insert(std::this_thread::get_id());
-    ++calls;
-    const struct Leave {
-      std::atomic<int>& inside;
-      ~Leave() { --inside; }
-    } leave{inside};
-    on_number(number);
-    sum_ += number;
-    out_->publish(sum_);
-  }
-  int sum_ = 0;
-  rclcpp::Publisher<int>::SharedPtr out_;
-  rclcpp::Subscription<int>::SharedPtr in_;
-};
-
-class Ros2GateTest : public ::testing::Test {
- protected:
-  Ros2GateTest() { rclcpp::init(0, nullptr); }
-  ~Ros2GateTest() override {
-    finish();
-    rclcpp::shutdown();
-  }
-
-  static std::shared_ptr<detail::Ros2Executor> executor_of(Adder& adder) {
-    auto executor = std::make_shared<detail::Ros2Executor>(rclcpp::ExecutorOptions(), 1us);
-    executor->add_node(adder.get_node_base_interface());
-    return executor;
-  }
-  /// Of a gate "gate", one core.
-  static RunOptions options(std::int64_t distance_us = 1000) {
-    AppSpec spec;
-    spec.name = "app";
-    spec.xnodes = {{"gate.callback", "gate", {{"cpu", 100}}}};
-    spec.xnodes[0].sources = {0};
-    spec.sources = {{"gate/ready", {distance_us}}};
-    Platform platform;
-    platform.name = "tiny";
-    platform.xpus = {{"cpu0", "cpu"}};
-    Policy policy;
-    policy.app = spec.name;
-    policy.app_hash = spec.hash();
-    policy.method = "heft";
-    policy.platform = platform.name;
-    policy.placements = {{0, 1}};
-    return RunOptions()
-        .app(to_json(spec))
-        .platform(to_json(platform))
-        .policy(to_json(policy, spec, platform))
-        .cpu_sched("other")
-        .activations(0);
-  }
-  void start(const RunOptions& with = options()) {
-    thread_ = std::thread([this, with] { report_ = app.run(with); });
-  }
-  /// The run's end; without `stop` the run has to end by itself.
-  const Result<RunReport>& finish(bool stop = true) {
-    if (!thread_.joinable()) return report_;
-    if (stop) app.stop();
-    thread_.join();
-    return report_;
-  }
-  /// Until it is so: the time-out of the test's runner judges the rest.
-  static void await(const std::function<bool()>& condition) {
-    while (!condition()) std::this_thread::sleep_for(1ms);
-  }
-  static void send(int number) {
-    rclcpp::Publisher<int>(rclcpp::contexts::get_global_default_context(), "number")
-        .publish(number);
-  }
-
-  App app{"app"};
-
- private:
-  std::thread thread_;
-  Result<RunReport> report_ = fail(ErrorCode::kInternal, "not run");
-};
+using std_msgs::msg::Int32;
+using testing_ros2::Adder;
+using testing_ros2::Door;
+using testing_ros2::Ros2GateTest;
 
 TEST_F(Ros2GateTest, EveryMessageIsAJobOnTheWorkersThreadInOrder) {
-  const auto adder = std::make_shared<Adder>();
   rclcpp::Node listener("listener");  // spun by nobody: its queue keeps what comes
-  const auto heard = listener.create_subscription<int>("sum", 64, [](const int&) {});
+  const auto heard = listener.create_subscription<Int32>("sum", 64, [](const Int32&) {});
+  const auto adder = std::make_shared<Adder>();
   Ros2Gate gate(app, "gate", 1ms);
   gate.add_node(adder);
   ASSERT_TRUE(app.check()) << app.check().error().to_string();
@@ -167,9 +51,10 @@ TEST_F(Ros2GateTest, EveryMessageIsAJobOnTheWorkersThreadInOrder) {
   EXPECT_EQ(adder->threads.size(), 1u);
   for (int k = 0, sum = 0; k < 20; ++k) {
     sum += k;
-    const auto message = heard->take_type_erased();
-    ASSERT_NE(message, nullptr);
-    EXPECT_EQ(*static_cast<const int*>(message.get()), sum);
+    Int32 message;
+    rclcpp::MessageInfo info;
+    ASSERT_TRUE(heard->take(message, info));
+    EXPECT_EQ(message.data, sum);
   }
 }
 
@@ -195,15 +80,13 @@ TEST_F(Ros2GateTest, TheSubscriptionsDepthIsTheQueueAndAMessageIsTakenWhenItsJob
 }
 
 TEST_F(Ros2GateTest, AReentrantGroupIsReleasedOncePerMessageAndOneAtATime) {
-  const auto owner = std::make_shared<rclcpp::Node>("owner");
-  const auto group = owner->create_callback_group(rclcpp::CallbackGroupType::Reentrant, false);
-  const auto adder = std::make_shared<Adder>(64, group);
+  const auto adder = std::make_shared<Adder>(64, rclcpp::CallbackGroupType::Reentrant);
   Door door;
   adder->on_number = [&](int number) {
     if (number == 0) door.pass();
   };
   Ros2Gate gate(app, "gate", 1us);
-  gate.add_callback_group(group, owner);
+  gate.add_callback_group(adder->group, adder);
   start(options(1));
   for (int k = 0; k < 8; ++k) send(k);  // seven wait while the first one's callback does
   await([&] { return adder->calls == 1; });
@@ -244,6 +127,25 @@ TEST_F(Ros2GateTest, TimersAreJobsToo) {
   ASSERT_TRUE(report) << report.error().to_string();
   EXPECT_EQ(report->results("gate"), static_cast<std::uint64_t>(ticks.load()));
   EXPECT_EQ(gate.counts().begun, static_cast<std::uint64_t>(ticks.load()));
+}
+
+TEST_F(Ros2GateTest, NodesThatStartElsewhereReleaseNothing) {
+  const auto adder = std::make_shared<Adder>();
+  Ros2Gate gate(app, "gate", 1us);
+  gate.add_node(adder);
+  std::vector<rclcpp::Node::SharedPtr> nodes;
+  for (int k = 0; k < 5; ++k)
+    nodes.push_back(std::make_shared<rclcpp::Node>("node" + std::to_string(k)));
+  start(options(1));
+  send(0);
+  await([&] { return adder->calls == 1; });
+  for (int k = 5; k < 10; ++k)
+    nodes.push_back(std::make_shared<rclcpp::Node>("node" + std::to_string(k)));
+  send(1);
+  await([&] { return adder->calls == 2; });
+  ASSERT_TRUE(finish());
+  EXPECT_EQ(gate.counts().released, 2u);
+  EXPECT_EQ(adder->threads.size(), 1u);
 }
 
 TEST_F(Ros2GateTest, ACallbackThatThrowsLosesItsActivationAndTheGateGoesOn) {
