@@ -185,6 +185,7 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
          {"activations", module.activations},
          {"dropped", module.dropped},
          {"failed", module.failed},
+         {"off", module.off},
          {"deaths", module.deaths}});
   }
   j["xpus"] = Json::array();
@@ -279,9 +280,10 @@ void draw(const Observed& observed, const Look& now, const Look& before, bool te
                      "dropped", "failed");
   for (std::size_t m = 0; m < c.modules.size(); ++m) {
     const ModuleCounts& module = c.modules[m];
-    out += fmt::format("  {:<28}{:>9.1f}{:>13}{:>9}{:>9}{}\n", module.name,
+    out += fmt::format("  {:<28}{:>9.1f}{:>13}{:>9}{:>9}{}{}\n", module.name,
                        static_cast<double>(module.activations - b.modules[m].activations) / s,
                        module.activations, module.dropped, module.failed,
+                       module.off == 0 ? "" : fmt::format("  off: {}", module.off),
                        module.deaths == 0 ? "" : fmt::format("  died: {}", module.deaths));
   }
   out += fmt::format("\n  {:<8}{:<28}{}\n", "XPU", "runs now", "waits or is suspended");

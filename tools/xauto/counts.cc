@@ -146,13 +146,16 @@ Counts counts_of(const runtime::Board& board) {
   for (std::uint32_t m = 0; m < shape.modules; ++m) {
     const runtime::ModuleLine& line = board.module(static_cast<int>(m));
     counts.modules.push_back({runtime::line_name(line.name), line.activations.load(),
-                              line.failed.load(), line.dropped.load(), line.deaths.load()});
+                              line.failed.load(), line.dropped.load(), line.deaths.load(),
+                              line.off.load()});
   }
   counts.whole = flow_of(board.flow(0));
   for (std::uint32_t f = 1; f < shape.flows; ++f) {
     counts.chains.push_back(flow_of(board.flow(f)));
-    if (const std::uint32_t module = board.flow(f).module; module < shape.modules)
+    if (const std::uint32_t module = board.flow(f).module; module < shape.modules) {
       counts.chains.back().lost = counts.modules[module].failed + counts.modules[module].dropped;
+      counts.chains.back().off = counts.modules[module].off;
+    }
   }
   for (std::uint32_t x = 0; x < shape.xpus; ++x) {
     const runtime::XpuLine& line = board.xpu(x);

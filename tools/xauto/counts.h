@@ -16,6 +16,7 @@ struct ModuleCounts {
   std::string name;
   std::uint64_t activations = 0, failed = 0, dropped = 0;
   std::uint32_t deaths = 0;  ///< of its process
+  std::uint64_t off = 0;     ///< releases in whose table it is off
 };
 
 /// A chain, or the app as a whole.
@@ -34,6 +35,7 @@ struct FlowCounts {
   std::int64_t worst_case_us = 0, lower_bound_us = 0, allowed_us = 0;
   std::int64_t urgent_worst_case_us = 0, urgent_allowed_us = 0;  ///< likewise, of urgent releases
   std::int64_t longest_urgent_us = -1;
+  std::uint64_t off = 0;  ///< ModuleCounts::off of the chain's end
   [[nodiscard]] bool exceeds() const {
     return (worst_case_us > 0 && over > 0) ||
            (urgent_worst_case_us > 0 && longest_urgent_us > urgent_allowed_us);

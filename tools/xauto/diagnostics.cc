@@ -82,7 +82,11 @@ Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCou
   bool goes_on = false;
   const std::int64_t most_us = limit_us > 0 && now.period_us > 0 ? 2 * now.period_us + limit_us : 0;
   const bool watched = limit_us > 0 && limit_us == now.limit_us;  // with tables deadlines alone
-  if (watched && now.results > 0) {
+  // Its end is off: nothing is late, and nothing comes.
+  const bool off = now.off > before.off && now.results == before.results;
+  if (off) {
+    found.add(Level::kOk, "its end is off in this table");
+  } else if (watched && now.results > 0) {
     const bool in_time = now.in_time_ns == now.last_ns;
     delay_us = in_time ? 0 : std::max<std::int64_t>(0, at_ns - now.in_time_ns) / 1000;
     goes_on = most_us > 0 && delay_us > most_us;
@@ -91,9 +95,9 @@ Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCou
   }
   const std::int64_t silent_us =
       now.last_ns > 0 ? std::max<std::int64_t>(0, at_ns - now.last_ns) / 1000 : -1;
-  if (now.results == 0)
+  if (!off && now.results == 0)
     found.add(Level::kStale, "no result yet");
-  else if (most_us > 0 ? silent_us > most_us : now.results == before.results)
+  else if (!off && (most_us > 0 ? silent_us > most_us : now.results == before.results))
     found.add(Level::kStale, fmt::format("no result for {} ms", millis(silent_us)));
   if (found.message.empty())
     found.message = limit_us == 0     ? "there is nothing to hold results against"
@@ -170,7 +174,7 @@ Diagnostic of_module(const std::string& name, const ModuleCounts& now, const Mod
     found.add(Level::kWarn, fmt::format("{} activations failed", failed));
   if (const std::uint64_t dropped = grown(now.dropped, before.dropped); dropped > 0)
     found.add(Level::kWarn, fmt::format("{} activations were dropped", dropped));
-  if (found.message.empty()) found.message = "OK";
+  if (found.message.empty()) found.message = now.off > before.off ? "off in this table" : "OK";
   return {found.level,
           name,
           found.message,
@@ -178,6 +182,7 @@ Diagnostic of_module(const std::string& name, const ModuleCounts& now, const Mod
           {{"activations", std::to_string(now.activations)},
            {"failed", std::to_string(now.failed)},
            {"dropped", std::to_string(now.dropped)},
+           {"off", std::to_string(now.off)},
            {"process_deaths", std::to_string(now.deaths)}}};
 }
 

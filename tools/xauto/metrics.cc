@@ -227,6 +227,8 @@ void add_metrics_of(Page& page, const RunLook& look) {
                  module.failed);
     page.counter("xauto_module_drops_total", "Activations that were dropped.", labels,
                  module.dropped);
+    page.counter("xauto_module_off_total", "Releases in whose table the module is off.", labels,
+                 module.off);
     page.counter("xauto_module_process_deaths_total", "Deaths of the module's process.", labels,
                  module.deaths);
   }

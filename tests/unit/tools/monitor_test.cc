@@ -165,6 +165,24 @@ TEST(Diagnostics, WorstCasesThatAreExceededThoughNothingWasBrokenAreAnError) {
   EXPECT_EQ(find(diagnostics_of(now, nullptr), "worst cases").level, Level::kOk);
 }
 
+TEST(Diagnostics, AChainWhoseEndIsOffIsNeitherLateNorStale) {
+  RunLook before = look(10 * kSecond), now = look(20 * kSecond);  // silent for ten seconds
+  const auto chain_of = [&] {
+    return find(diagnostics_of(now, &before), "chain " + now.counts.chains[0].name);
+  };
+  now.counts.chains[0].results = before.counts.chains[0].results = 7;
+  now.counts.chains[0].last_ns = now.counts.chains[0].in_time_ns = 9 * kSecond;
+  EXPECT_NE(chain_of().level, Level::kOk);
+  now.counts.chains[0].off = 3;
+  EXPECT_EQ(chain_of().level, Level::kOk);
+  EXPECT_EQ(chain_of().message, "its end is off in this table");
+  before.counts.chains[0].off = 3;
+  EXPECT_NE(chain_of().level, Level::kOk) << "it was off, and is no longer";
+  before.counts.modules = {{"fcd", 5, 0, 0, 0, 0}};
+  now.counts.modules = {{"fcd", 5, 0, 0, 0, 4}};
+  EXPECT_EQ(find(diagnostics_of(now, &before), "module fcd").message, "off in this table");
+}
+
 TEST(Diagnostics, ModulesAndXpus) {
   RunLook before = look(10 * kSecond), now = look(11 * kSecond);
   before.counts.modules = {{"fcd", 5, 0, 1, 0}};
