@@ -5,7 +5,8 @@
 //   video ─► IN in.decode ─┤                         └─► FACES faces.net ───┼─► SCENE scene
 //            in.grey       └─► LINES  lines.net, lines.decode ──────────────┘
 //
-// Each net has variants, which cost and see more or less; the command line chooses.
+// Each net comes in several sizes, which cost and see more or less; the command line chooses. The smaller
+// ones for lines are variants of the chosen one: tables may use them where a scenario is degraded.
 //
 // Usage, through the tool: xauto run ... -- perception VIDEO NETS-FOLDER OUTPUT-FOLDER [FACES [LINES]]
 #include <algorithm>
@@ -43,27 +44,30 @@ using xauto::XPU;
 /// Frames of which a run leaves pictures.
 constexpr std::uint64_t kShown[] = {3, 12, 25};
 
-/// A net of one job: what the command line calls it, its file, the side of its square input.
-struct Variant {
+/// A net of one job: what the command line calls it, its file, the side of its square input, and how
+/// much it found of what the largest one did (docs/perception.md).
+struct Net {
   const char* name;
   const char* file;
   int size;
+  int found;
 };
-constexpr Variant kFaces[] = {{"128", "face_detection_front_128x128_barracuda.onnx", 128},
-                              {"256", "face_detection_back_256x256_barracuda.onnx", 256}};
-constexpr Variant kLines[] = {{"tiny-320", "mlsd_320x320_tiny.onnx", 320},
-                              {"tiny-512", "mlsd_512x512_tiny.onnx", 512},
-                              {"large-320", "mlsd_320x320_large.onnx", 320},
-                              {"large-512", "mlsd_512x512_large.onnx", 512}};
+// The cheapest first.
+constexpr Net kFaces[] = {{"128", "face_detection_front_128x128_barracuda.onnx", 128, 0},
+                          {"256", "face_detection_back_256x256_barracuda.onnx", 256, 7}};
+constexpr Net kLines[] = {{"tiny-320", "mlsd_320x320_tiny.onnx", 320, 782},
+                          {"tiny-512", "mlsd_512x512_tiny.onnx", 512, 1646},
+                          {"large-320", "mlsd_320x320_large.onnx", 320, 809},
+                          {"large-512", "mlsd_512x512_large.onnx", 512, 2429}};
 
 template <std::size_t kCount>
-const Variant* chosen(const Variant (&variants)[kCount], const std::string& name) {
-  for (const Variant& variant : variants)
-    if (name == variant.name) return &variant;
+const Net* chosen(const Net (&nets)[kCount], const std::string& name) {
+  for (const Net& net : nets)
+    if (name == net.name) return &net;
   return nullptr;
 }
 
-xauto::onnx::Model face_model(const std::string& folder, const Variant& net) {
+xauto::onnx::Model face_model(const std::string& folder, const Net& net) {
   using xauto::tensor;
   return {.file = folder + "/" + net.file,
           .inputs = {tensor<float>("input:0", {1, net.size, net.size, 3})},
@@ -72,7 +76,7 @@ xauto::onnx::Model face_model(const std::string& folder, const Variant& net) {
                       tensor<float>("Identity_2:0", {1, 512, 16}),
                       tensor<float>("Identity_3:0", {1, 384, 16})}};
 }
-xauto::onnx::Model line_model(const std::string& folder, const Variant& net) {
+xauto::onnx::Model line_model(const std::string& folder, const Net& net) {
   using xauto::tensor;
   const int half = net.size / 2;
   return {.file = folder + "/" + net.file,
@@ -99,6 +103,7 @@ struct FacesState {
   std::vector<Face> faces;
 };
 struct LinesState {
+  int size = 0;                            ///< of the net's input
   std::span<const float> scores, offsets;  ///< the session's, until its next run
   std::vector<Line> lines;
 };
@@ -166,8 +171,8 @@ void annotate(cv::Mat& image, const Scene& scene) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  const Variant* face_net = chosen(kFaces, argc > 4 ? argv[4] : "128");
-  const Variant* line_net = chosen(kLines, argc > 5 ? argv[5] : "tiny-320");
+  const Net* face_net = chosen(kFaces, argc > 4 ? argv[4] : "128");
+  const Net* line_net = chosen(kLines, argc > 5 ? argv[5] : "tiny-320");
   if (argc < 4 || argc > 6 || face_net == nullptr || line_net == nullptr) {
     std::fprintf(
         stderr,
@@ -252,19 +257,27 @@ int main(int argc, char** argv) {
       .add_output_topic(faces, &FacesState::faces);
 
   xauto::XNode<LinesState> lines_net("lines.net");
+  const auto find_lines = [&](const Net& of) {
+    return [&images, size = of.size](xauto::onnx::Session& net, LinesState& state,
+                                     const xauto::Input& input) -> xauto::Status {
+      to_line_input(input.get(images).colour, size, net.input<float>(0));
+      XAUTO_TRY(net.run());
+      state.size = size;
+      state.scores = net.output<float>(0);
+      state.offsets = net.output<float>(1);
+      return {};
+    };
+  };
   lines_net.add_impl(XPU::CPU, xauto::onnx::load(line_model(nets, *line_net)),
-                     [&](xauto::onnx::Session& net, LinesState& state,
-                         const xauto::Input& input) -> xauto::Status {
-                       to_line_input(input.get(images).colour, line_net->size, net.input<float>(0));
-                       XAUTO_TRY(net.run());
-                       state.scores = net.output<float>(0);
-                       state.offsets = net.output<float>(1);
-                       return {};
-                     });
+                     find_lines(*line_net));
+  for (const Net* less = kLines; less != line_net; ++less)
+    if (less->found < line_net->found)
+      lines_net.add_variant(less->name, 100 * less->found / line_net->found, XPU::CPU,
+                            xauto::onnx::load(line_model(nets, *less)), find_lines(*less));
   xauto::XNode<LinesState> lines_decode("lines.decode");
   lines_decode.add_impl(XPU::CPU, on_thread, [&](LinesState& state, const xauto::Input& input) {
     state.lines =
-        to_lines(state.scores, state.offsets, line_net->size, input.get(images).colour.size());
+        to_lines(state.scores, state.offsets, state.size, input.get(images).colour.size());
   });
   xauto::XModule<LinesState> line_detection("LINES");
   line_detection.add_node(lines_net)

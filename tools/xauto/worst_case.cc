@@ -2,6 +2,10 @@
 #include "xauto/worst_case.h"
 
 #include <algorithm>
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 
@@ -12,35 +16,38 @@
 namespace xauto::cli {
 namespace {
 
-/// Jobs in the trace that ran for longer than their WCET, in words; empty: none. Sees no allowance of
-/// emulated XPUs, unlike the count below. On real CPUs the kernel preempts unseen, so nothing is said
-/// of them.
-std::string traced_overruns(const RunFlags& flags, const PolicyRun& run) {
-  if (!run.story) return {};
+/// Jobs that ran for longer than their WCET, in words; empty: none. `traced`: the trace tells of those
+/// on XPUs that we schedule, and sees no allowance of emulated ones. Of real CPUs, where the kernel
+/// preempts unseen, the workers have counted; and of all, where nothing is traced.
+std::string overruns(const RunFlags& flags, const PolicyRun& run, bool traced) {
+  traced = traced && run.story.has_value();
   std::vector<bool> seen;
   for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x)
-    seen.push_back(!flags.kernel_schedules(x));
-  const story::Overruns over = overruns_of(flags.app, flags.spec, *run.story, seen);
-  if (over.count == 0) return {};
-  return fmt::format(
-      "{} of {} jobs outran their WCET, {} by {}", over.count, run.story->jobs.size(),
-      flags.app.xnodes[static_cast<std::size_t>(over.worst)].name, ms(over.worst_us));
-}
-
-/// Counted by the workers, each job; see Placing for what an emulated one may take beside its WCET.
-std::string counted_overruns(const PolicyRun& run) {
+    seen.push_back(traced && !flags.kernel_schedules(x));
   std::uint64_t count = 0, jobs = 0;
-  const runtime::XNodeReport* worst = nullptr;
+  std::int64_t worst_us = 0;
+  std::string worst;
+  const auto add = [&](std::uint64_t more, const std::string& name, std::int64_t by_us) {
+    count += more;
+    if (more == 0 || by_us <= worst_us) return;
+    worst_us = by_us;
+    worst = name;
+  };
+  if (traced) {
+    const story::Overruns over = overruns_of(flags.app, flags.spec, *run.story, seen);
+    if (over.count > 0)
+      add(over.count, flags.app.xnodes[static_cast<std::size_t>(over.worst)].name, over.worst_us);
+  }
   for (const runtime::XNodeReport& x : run.report.xnodes) {
     jobs += x.jobs;
-    count += x.over_wcet;
-    if (x.over_wcet > 0 &&
-        (worst == nullptr || x.longest_us - x.wcet_us > worst->longest_us - worst->wcet_us))
-      worst = &x;
+    const int xnode = flags.app.find(x.name);
+    if (xnode < 0) continue;
+    const int on = run.policy->placements[static_cast<std::size_t>(xnode)].xpu;
+    if (!seen[static_cast<std::size_t>(on)]) add(x.over_wcet, x.name, x.longest_us - x.wcet_us);
   }
-  if (worst == nullptr) return {};
-  return fmt::format("{} of {} jobs outran their WCET, {} by {}", count, jobs, worst->name,
-                     ms(worst->longest_us - worst->wcet_us));
+  if (traced) jobs = std::max<std::uint64_t>(jobs, run.story->jobs.size());
+  if (count == 0) return {};
+  return fmt::format("{} of {} jobs outran their WCET, {} by {}", count, jobs, worst, ms(worst_us));
 }
 
 }  // namespace
@@ -56,9 +63,8 @@ std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& r
   if (run.report.overlapping_releases > 0)
     worst.broken.push_back(fmt::format("{} of {} releases came while an earlier one was in flight",
                                        run.report.overlapping_releases, run.report.num_releases));
-  std::string over = traced_overruns(flags, run);
-  if (over.empty()) over = counted_overruns(run);
-  if (!over.empty()) worst.broken.push_back(std::move(over));
+  if (std::string over = overruns(flags, run, true); !over.empty())
+    worst.broken.push_back(std::move(over));
   if (!run.report.lost_coordinators.empty() || !run.report.died.empty())
     worst.broken.emplace_back("processes of the run died");
   return worst;
@@ -81,7 +87,7 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
   std::uint64_t lost = 0;
   for (const runtime::ModuleReport& m : run.report.modules) lost += m.failed + m.dropped;
   if (lost > 0) claims.broken.push_back(fmt::format("{} activations were lost", lost));
-  if (std::string over = counted_overruns(run); !over.empty())
+  if (std::string over = overruns(flags, run, false); !over.empty())
     claims.broken.push_back(std::move(over));
   if (!run.report.lost_coordinators.empty() || !run.report.died.empty())
     claims.broken.emplace_back("processes of the run died");

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "model/json.h"
+#include "model/profile.h"
 #include "model/tables.h"
 
 namespace xauto {
@@ -156,6 +157,71 @@ TEST(Loss, ScenariosScaleVariantsToo) {
   const AppSpec both = app_under(app, across(app, tables.scenarios[1], fast));
   EXPECT_EQ(both.xnodes[1].variants[0].wcet_us.at("gpu"), 400);
   EXPECT_EQ(both.xnodes[1].variants[1].wcet_us.at("gpu"), 150);
+}
+
+/// see on both types, its variant on the GPU alone; log is optional.
+Profile profile_of(std::int64_t times) {
+  Profile profile;
+  profile.app = "car";
+  profile.margin_pct = 10;
+  const auto samples = [&](std::int64_t us) {
+    Samples s{5, us * times, us * times, us * times, us * times};
+    s.emulated = true;
+    return s;
+  };
+  profile.xnodes = {{"see.b", "see", {{"cpu0", samples(500)}, {"gpu0", samples(300)}}},
+                    {"log", "log", {{"cpu0", samples(70)}}}};
+  profile.xnodes[0].variants = {{"small", 60, {{"gpu0", samples(120)}}}};
+  profile.xnodes[0].variants[0].beside = {{"cpu", {{"gpu0", samples(130)}}}};
+  profile.edges = {{0, 1}};
+  profile.optional = {"log"};
+  return profile;
+}
+
+TEST(Loss, ComesFromProfiles) {
+  const Profile once = profile_of(1);
+  ASSERT_TRUE(validate(once)) << validate(once).error().to_string();
+  const auto read = parse_profile(to_json(once), "profile.json");
+  ASSERT_TRUE(read) << read.error().to_string();
+  EXPECT_EQ(*read, once);
+  const auto app = to_app(once, platform_of(), WcetFrom::kMaxPlusMargin);
+  ASSERT_TRUE(app) << app.error().to_string();
+  ASSERT_EQ(app->xnodes[0].variants.size(), 1u);
+  EXPECT_EQ(app->xnodes[0].variants[0].quality_pct, 60);
+  EXPECT_EQ(app->xnodes[0].variants[0].wcet_us, (decltype(VariantSpec::wcet_us){{"gpu", 143}}))
+      << "beside a load it took longest, and a tenth more";
+  EXPECT_EQ(app->modules, (std::vector<ModuleSpec>{{"log", 1, true}}));
+
+  const std::vector<NamedProfile> both{{"full", once}, {"half", profile_of(2)}};
+  const auto scenarios = scenarios_of(both, platform_of(), WcetFrom::kMaxPlusMargin);
+  ASSERT_TRUE(scenarios) << scenarios.error().to_string();
+  ASSERT_TRUE(validate(*scenarios, *app, platform_of()));
+  EXPECT_EQ(app_under(*app, scenarios->list[0]).xnodes, app->xnodes);
+  EXPECT_EQ(app_under(*app, scenarios->list[1]).xnodes[0].variants[0].wcet_us.at("gpu"), 286);
+  std::vector<NamedProfile> other = both;
+  other[1].profile.xnodes[0].variants.clear();
+  EXPECT_FALSE(scenarios_of(other, platform_of(), WcetFrom::kMaxPlusMargin))
+      << "what it lacks would count as the app has it";
+}
+
+TEST(Loss, ProfilesThatMakeNoSenseAreRefused) {
+  const auto where = [](const auto& spoil) {
+    Profile profile = profile_of(1);
+    spoil(profile);
+    const Status status = validate(profile);
+    return status ? std::string() : status.error().where;
+  };
+  EXPECT_EQ(where([](Profile&) {}), "");
+  EXPECT_EQ(where([](Profile& p) { p.optional = {"log", "log"}; }), "/optional/1");
+  EXPECT_EQ(where([](Profile& p) { p.optional = {"nobody"}; }), "/optional/0");
+  EXPECT_EQ(where([](Profile& p) { p.xnodes[0].variants[0].quality_pct = 0; }),
+            "/xnodes/0/variants/0/quality_pct");
+  EXPECT_EQ(where([](Profile& p) {
+              p.xnodes[0].variants.push_back({"small", 50});
+            }),
+            "/xnodes/0/variants/1/name");
+  EXPECT_EQ(where([](Profile& p) { p.xnodes[0].variants[0].on["gpu0"].min_us = 900; }),
+            "/xnodes/0/variants/0/on/gpu0");
 }
 
 TEST(Loss, ATableIsAPolicyOfWhatIsLeft) {
