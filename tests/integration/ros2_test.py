@@ -3,6 +3,7 @@
 callbacks are XNodes like any other. No time is judged. The trace is read by pftrace.py."""
 import json
 import pathlib
+import re
 import tempfile
 import unittest
 
@@ -39,8 +40,10 @@ class Ros2(unittest.TestCase):
             modules = {m["name"]: m["activations"] for m in run["modules"]}
             self.assertEqual(set(modules), {"detect", "statistics"})
             self.assertGreater(modules["statistics"], 0)
-            # Lost is only what was released as the run ended: a gate has one callback with the app at a time.
-            self.assertLessEqual(run["lost_activations"], 2)
+            # Lost is only what was released as the run ended: a gate has one callback with the app at a time. Releases that a
+            # machine that stands still leaves out of the grid had no callback.
+            left_out = sum(int(n) for line in run["worst_case_broken"] for n in re.findall(r"left out (\d+) of", line))
+            self.assertLessEqual(run["lost_activations"] - left_out, 2)
             jobs = [s.name.split(" ")[0] for s in pftrace.Trace((folder / "t.pftrace").read_bytes()).on("run", "run")]
             self.assertGreaterEqual(jobs.count("detect.callback"), 1)
             self.assertGreaterEqual(jobs.count("statistics.callback"), 1)
