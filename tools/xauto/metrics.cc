@@ -143,6 +143,7 @@ void add_scenarios(Page& page, const Labels& of_run, const Counts& counts) {
   page.counter("xauto_table_switches_total", "Changes to another table.", of_run,
                counts.scenario->switches);
   for (const ScenarioCounts& s : counts.scenarios) {
+    if (s.name.empty()) continue;  // the run is about to begin, and names them
     Labels labels = of_run;
     labels.emplace_back("scenario", s.name);
     labels.emplace_back("table", s.table);

@@ -273,6 +273,18 @@ TEST(Metrics, AWorstCaseThatIsNotClaimedIsAbsent) {
   EXPECT_EQ(text.find("over_worst_case"), std::string::npos);
 }
 
+TEST(Metrics, ScenariosThatTheRunHasNotNamedYetAreAbsent) {
+  RunLook now = look(kSecond);
+  now.counts.scenario.emplace();
+  now.counts.scenarios.resize(2);
+  EXPECT_EQ(metrics_text({now}).find("xauto_scenario_active"), std::string::npos);
+  now.counts.scenario->name = now.counts.scenarios[1].name = "GPU at half";
+  const std::string text = metrics_text({now});
+  const auto first = text.find("\nxauto_scenario_active{");
+  ASSERT_NE(first, std::string::npos);
+  EXPECT_EQ(text.find("\nxauto_scenario_active{", first + 1), std::string::npos);
+}
+
 TEST(Metrics, WithoutARunThereIsStillAPage) {
   EXPECT_TRUE(has(metrics_text({}), "xauto_runs 0"));
 }
