@@ -381,6 +381,7 @@ class Team {
     progress.elapsed_s = std::chrono::duration<double>(Clock::now() - began_).count();
     progress.incumbent = incumbent_.load();
     progress.bound = std::min(bound_.load(), progress.incumbent);
+    progress.certified = ordered_best_.load();
     if (progress.incumbent > 0)
       progress.gap = static_cast<double>(progress.incumbent - progress.bound) /
                      static_cast<double>(progress.incumbent);

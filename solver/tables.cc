@@ -150,7 +150,7 @@ class TablesSearch {
     solving.time_limit_s = seconds;
     if (enough)
       solving.on_progress = [&](const Progress& progress) {
-        const bool decided = progress.incumbent <= *enough || progress.bound > *enough;
+        const bool decided = progress.certified <= *enough || progress.bound > *enough;
         const bool told = options_.stop != nullptr && options_.stop->load();
         if (decided || told) stop.store(true);
       };
