@@ -29,7 +29,7 @@ std::string overruns(const RunFlags& flags, const PolicyRun& run, bool traced) {
   std::string worst;
   const auto add = [&](std::uint64_t more, const std::string& name, std::int64_t by_us) {
     count += more;
-    if (more == 0 || by_us <= worst_us) return;
+    if (more == 0 || (!worst.empty() && by_us <= worst_us)) return;
     worst_us = by_us;
     worst = name;
   };
