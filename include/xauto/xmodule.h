@@ -147,8 +147,7 @@ class XModule {
   }
 
   /// The app can do without it: where a set of tables says so, in scenarios that its user marks as
-  /// degraded, it gets no release. Modules that wait for one of its outputs have to be optional, too;
-  /// one that samples them sees the last message that there was.
+  /// degraded, it gets no release. Modules that wait for one of its outputs have to be optional, too.
   XModule& optional() {
     detail::set_optional(*spec_);
     return *this;
