@@ -174,14 +174,22 @@ class Loss(unittest.TestCase):
             self.assertLessEqual(abs(module.get("off", 0) - off[name]), lost, name)
         # A release lasts until the last module of its table is through.
         trace = pftrace.Trace((self.folder / "t.pftrace").read_bytes())
-        ends, jobs = {}, collections.defaultdict(int)
+        began, ends, jobs = {}, {}, collections.defaultdict(int)
         for s in trace.slices:
             if s.category == "release":
-                ends[s.args["release"]] = s.end
+                began[s.args["release"]], ends[s.args["release"]] = s.begin, s.end
             elif s.category == "run":
                 jobs[s.args["release"]] = max(jobs[s.args["release"]], s.end)
         for n in sorted(ends)[:-1]:
             self.assertGreaterEqual(ends[n], jobs[n], n)
+        # And so its latency is counted: none of a scenario's releases is longer than the longest one in the report. Those
+        # that meet a change are of the change.
+        longest = {s["name"]: s["longest_us"] for s in report["scenarios"]}
+        now, to = "nominal", {s["release"]: s["to"] for s in report["switches"]}
+        for n in range(max(jobs)):
+            now = to.get(n, now)
+            if n in began and n in jobs and n + 1 not in to and n + 2 not in to and longest[now] is not None:
+                self.assertLessEqual((jobs[n] - began[n]) / 1000, longest[now] + 1, (n, now))
 
     def test_each_release_runs_what_its_table_has(self):
         self.judge(self.switch_about())
