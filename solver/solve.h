@@ -16,7 +16,8 @@ namespace xauto::solver {
 struct Progress {
   double elapsed_s = 0;
   Time incumbent = 0, bound = 0;
-  Time certified = 0;  ///< the least worst case so far, of schedules that keep an order on every XPU
+  Time certified =
+      0;           ///< the least worst case so far, of schedules that keep an order on every XPU
   double gap = 0;  ///< (incumbent - bound) / incumbent
   double evaluations_per_s = 0;
 };

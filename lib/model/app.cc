@@ -75,16 +75,20 @@ class Fnv {
   std::uint64_t hash_ = 0xcbf29ce484222325u;
 };
 
+void add_wcets(Fnv& fnv, const std::map<std::string, std::int64_t, std::less<>>& wcet_us) {
+  fnv.add(static_cast<std::int64_t>(wcet_us.size()));
+  for (const auto& [type, us] : wcet_us) {
+    fnv.add(type);
+    fnv.add(us);
+  }
+}
+
 void add_variants(Fnv& fnv, const XNodeSpec& x) {
   fnv.add(static_cast<std::int64_t>(x.variants.size()));
   for (const VariantSpec& variant : x.variants) {
     fnv.add(variant.name);
     fnv.add(variant.quality_pct);
-    fnv.add(static_cast<std::int64_t>(variant.wcet_us.size()));
-    for (const auto& [type, us] : variant.wcet_us) {
-      fnv.add(type);
-      fnv.add(us);
-    }
+    add_wcets(fnv, variant.wcet_us);
   }
 }
 
@@ -226,6 +230,12 @@ std::optional<std::int64_t> XNodeSpec::wcet_on(std::string_view type) const {
   return found->second;
 }
 
+int XNodeSpec::find_variant(std::string_view variant) const {
+  for (std::size_t v = 0; v < variants.size(); ++v)
+    if (variants[v].name == variant) return static_cast<int>(v);
+  return -1;
+}
+
 int AppSpec::find(std::string_view xnode) const {
   for (std::size_t i = 0; i < xnodes.size(); ++i)
     if (xnodes[i].name == xnode) return static_cast<int>(i);
@@ -290,11 +300,7 @@ std::string AppSpec::hash() const {
   for (const XNodeSpec& x : xnodes) {
     fnv.add(x.name);
     fnv.add(x.module);
-    fnv.add(static_cast<std::int64_t>(x.wcet_us.size()));
-    for (const auto& [type, us] : x.wcet_us) {
-      fnv.add(type);
-      fnv.add(us);
-    }
+    add_wcets(fnv, x.wcet_us);
   }
   std::vector<std::pair<int, int>> sorted = edges;
   std::sort(sorted.begin(), sorted.end());

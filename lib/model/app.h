@@ -39,6 +39,7 @@ struct XNodeSpec {
   std::vector<VariantSpec> variants = {};  ///< beside wcet_us; a set of tables may choose them
 
   [[nodiscard]] std::optional<std::int64_t> wcet_on(std::string_view type) const;
+  [[nodiscard]] int find_variant(std::string_view variant) const;  ///< index or -1
   bool operator==(const XNodeSpec&) const = default;
 };
 

@@ -88,14 +88,11 @@ void read_loss(const Reader& x, const AppSpec& app, const NameIndex& index, Loss
       const auto found = index.find(xnode);
       if (found == index.end()) return name.refuse("the app has no XNode '" + xnode + "'");
       const auto i = static_cast<std::size_t>(found->second);
-      const std::vector<VariantSpec>& variants = app.xnodes[i].variants;
       const std::string variant = name.text();
-      const auto is = std::find_if(variants.begin(), variants.end(),
-                                   [&](const VariantSpec& v) { return v.name == variant; });
-      if (is == variants.end())
-        return name.refuse("XNode '" + xnode + "' has no variant '" + variant + "'");
+      const int is = app.xnodes[i].find_variant(variant);
+      if (is < 0) return name.refuse("XNode '" + xnode + "' has no variant '" + variant + "'");
       loss.variant.resize(app.xnodes.size(), -1);
-      loss.variant[i] = static_cast<int>(is - variants.begin());
+      loss.variant[i] = is;
     });
   if (x.has("off")) {
     x["off"].each_element(

@@ -57,12 +57,11 @@ Status valid_wcets(const Scenario& s, const AppSpec& app, const std::string& at)
     const std::string where = at + "/variant_wcet_us/" + name;
     XAUTO_ASSIGN(const XNodeSpec* x, xnode(name, where));
     for (const auto& [variant, by_type] : variants) {
-      const auto found = std::find_if(x->variants.begin(), x->variants.end(),
-                                      [&name = variant](const auto& v) { return v.name == name; });
-      if (found == x->variants.end())
+      const int v = x->find_variant(variant);
+      if (v < 0)
         return fail(ErrorCode::kInvalid, "XNode '" + name + "' has no variant '" + variant + "'",
                     where + "/" + variant);
-      XAUTO_TRY(valid_wcets(by_type, found->wcet_us,
+      XAUTO_TRY(valid_wcets(by_type, x->variants[static_cast<std::size_t>(v)].wcet_us,
                             "variant '" + variant + "' of XNode '" + name + "'",
                             where + "/" + variant));
     }

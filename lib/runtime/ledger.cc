@@ -29,8 +29,11 @@ Ledger::Ledger(const Context& context, Routes routes, Role& role)
     num_sinks_.push_back(static_cast<int>(std::count(of_table.begin(), of_table.end(), 1)));
   for (std::size_t m = 0; m < context.graph.modules.size(); ++m) {
     latencies_.push_back(std::make_unique<Latencies>());
-    asked_for_.push_back(
-        ends_releases(m) || routes_.end_at(context.graph.modules[m].nodes.back()) ? 1 : 0);
+    const bool ends =
+        std::any_of(sinks_.begin(), sinks_.end(),
+                    [&](const std::vector<char>& of_table) { return of_table[m] != 0; });
+    ends_releases_.push_back(ends ? 1 : 0);
+    asked_for_.push_back(ends || routes_.end_at(context.graph.modules[m].nodes.back()) ? 1 : 0);
   }
   sink_next_.assign(context.graph.modules.size(), 0);
   if (!role.leads()) return;
@@ -116,7 +119,7 @@ void Ledger::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
   if (context_.trace != nullptr)
     context_.trace->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE,
                           static_cast<std::uint16_t>(module), XAUTO_EV_NONE, reason);
-  if (ends_releases(static_cast<std::size_t>(module)))
+  if (ends_releases_[static_cast<std::size_t>(module)] != 0)
     through(module, sequence, 0, nullptr, now_ns(), true, false);
 }
 
@@ -132,7 +135,7 @@ void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
         late_us && (!context_.graph.single_rate || !context_.session.deployment.chains.empty()))
       missed(module, sequence, *late_us);
   }
-  if (!ends_releases(static_cast<std::size_t>(module))) return;
+  if (ends_releases_[static_cast<std::size_t>(module)] == 0) return;
   if (!lost && context_.graph.modules[static_cast<std::size_t>(module)].sink) {
     Latencies& latencies = *latencies_[static_cast<std::size_t>(module)];
     const Guard lock(latencies.mutex);
@@ -201,7 +204,7 @@ void Ledger::forget(int module) {
     counts.activations.store(told);
     counts.dropped.fetch_add(done - told);
   }
-  if (ends_releases(m) && context_.graph.single_rate && settled > 0)
+  if (ends_releases_[m] != 0 && context_.graph.single_rate && settled > 0)
     account(module, settled - 1, now_ns(), true);
 }
 

@@ -3,7 +3,6 @@
 // run has to tell of it.
 #pragma once
 
-#include <algorithm>
 #include <atomic>
 #include <cstdint>
 #include <deque>
@@ -79,11 +78,6 @@ class Ledger {
     return asked_for_[static_cast<std::size_t>(module)] != 0;
   }
   void missed(int module, std::uint64_t sequence, std::int64_t latency_us);
-  /// A sink of some table.
-  [[nodiscard]] bool ends_releases(std::size_t module) const {
-    return std::any_of(sinks_.begin(), sinks_.end(),
-                       [&](const std::vector<char>& of_table) { return of_table[module] != 0; });
-  }
   /// Of the release's table.
   [[nodiscard]] bool is_off(int module, std::uint64_t sequence) const {
     return off_[table_of(sequence)][static_cast<std::size_t>(module)] != 0;
@@ -102,6 +96,7 @@ class Ledger {
   Role& role_;
   std::vector<std::unique_ptr<Latencies>> latencies_;  ///< [module]
   std::vector<char> asked_for_;                        ///< [module]
+  std::vector<char> ends_releases_;                    ///< [module] a sink of some table
   const OfTables off_, sinks_;                         ///< [table][module]
   std::vector<int> num_sinks_;                         ///< [table]
   std::uint64_t num_released_ = 0;           ///< one rate; of the releasing thread, then of `run`'s

@@ -194,8 +194,8 @@ Status Wiring::make_module(std::size_t index, ModuleHost& host) {
   if (said.on_hang == OnHang::kDrop) made.watch();
   if (context_.session.tables) {
     std::vector<char> off;  // [table]
-    for (const std::vector<char>& of_table : modules_off(context_.session, context_.graph))
-      off.push_back(of_table[index]);
+    for (const Table& table : context_.session.tables->tables)
+      off.push_back(table.loss.is_off(module.name) ? 1 : 0);
     if (std::count(off.begin(), off.end(), 1) == 0) off.clear();
     made.read_tables(context_.board, std::move(off));
   }

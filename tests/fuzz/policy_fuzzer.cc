@@ -2,35 +2,13 @@
 // policy.json from outside, for an app and a platform of our own: those of tests/golden.
 #include "model/json.h"
 
+#include "golden.h"
 #include "json_property.h"
-
-namespace {
-
-xauto::Platform make_platform() {
-  return {"bench",
-          {{"cpu0", "cpu", true, 0, 0, -1},
-           {"cpu1", "cpu", true, 0, 0, -1},
-           {"gpu0", "gpu", true, 275, 1000, -1},
-           {"dla0", "dla", false, 132, 1000, 40}}};
-}
-
-xauto::AppSpec make_app() {
-  return {1,
-          "driving",
-          {{"fcd.pre", "FCD", {{"cpu", 3000}, {"gpu", 900}}},
-           {"fcd.infer", "FCD", {{"dla", 11000}, {"gpu", 7000}}},
-           {"fcd.post", "FCD", {{"cpu", 1500}}},
-           {"spur/größe", "LA", {{"cpu", 2500}}}},
-          {{0, 1}, {1, 2}},
-          100000};
-}
-
-}  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using namespace xauto;
-  static const Platform platform = make_platform();
-  static const AppSpec app = make_app();
+  static const Platform platform = fuzz::golden_platform();
+  static const AppSpec app = fuzz::golden_app();
   const auto read = [](std::string_view text) {
     return parse_policy(text, fuzz::kOrigin, app, platform);
   };

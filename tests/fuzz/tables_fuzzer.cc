@@ -3,27 +3,13 @@
 // tests/golden, and something that the app can do without.
 #include "model/json.h"
 
+#include "golden.h"
 #include "json_property.h"
 
 namespace {
 
-xauto::Platform make_platform() {
-  return {"bench",
-          {{"cpu0", "cpu", true, 0, 0, -1},
-           {"cpu1", "cpu", true, 0, 0, -1},
-           {"gpu0", "gpu", true, 275, 1000, -1},
-           {"dla0", "dla", false, 132, 1000, 40}}};
-}
-
 xauto::AppSpec make_app() {
-  xauto::AppSpec app = {1,
-                        "driving",
-                        {{"fcd.pre", "FCD", {{"cpu", 3000}, {"gpu", 900}}},
-                         {"fcd.infer", "FCD", {{"dla", 11000}, {"gpu", 7000}}},
-                         {"fcd.post", "FCD", {{"cpu", 1500}}},
-                         {"spur/größe", "LA", {{"cpu", 2500}}}},
-                        {{0, 1}, {1, 2}},
-                        100000};
+  xauto::AppSpec app = xauto::fuzz::golden_app();
   app.xnodes[1].variants = {{"small", 60, {{"gpu", 2000}, {"cpu", 9000}}}};
   app.modules = {{"LA", 1, true}};
   return app;
@@ -33,7 +19,7 @@ xauto::AppSpec make_app() {
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using namespace xauto;
-  static const Platform platform = make_platform();
+  static const Platform platform = fuzz::golden_platform();
   static const AppSpec app = make_app();
   const std::string_view text(reinterpret_cast<const char*>(data), size);
   const auto tables = [](std::string_view from) {

@@ -23,6 +23,8 @@
 #include <sensor_msgs/msg/point_cloud2.hpp>
 #include <std_msgs/msg/string.hpp>
 
+#include "ros2_change.h"
+
 namespace {
 
 using namespace std::chrono_literals;
@@ -75,27 +77,6 @@ void fill(PointCloud2& message, std::uint32_t number, std::size_t bytes) {
   message.row_step = 16 * message.width;
   message.is_dense = number % 3 == 0;
   message.data = filled(bytes, number);
-}
-
-// As ros2_relay.cc has it.
-void change(String& message) {
-  message.data += "!";
-}
-void change(Image& message) {
-  std::swap(message.height, message.width);
-  message.step += 1;
-  message.is_bigendian ^= 1;
-  message.encoding += "!";
-  message.header.stamp.nanosec ^= 1;
-  if (!message.data.empty()) message.data.back() ^= 0xff;
-}
-void change(PointCloud2& message) {
-  std::swap(message.height, message.width);
-  std::swap(message.point_step, message.row_step);
-  message.is_dense = !message.is_dense;
-  for (auto& field : message.fields) std::swap(field.offset, field.count);
-  message.header.stamp.nanosec ^= 1;
-  if (!message.data.empty()) message.data.back() ^= 0xff;
 }
 
 std::uint32_t number_of(const String& message) {

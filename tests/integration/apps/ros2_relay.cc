@@ -19,32 +19,14 @@
 
 #include <xauto/xauto.h>
 
+#include "ros2_change.h"
+
 namespace {
 
 using namespace std::chrono_literals;
 using sensor_msgs::msg::Image;
 using sensor_msgs::msg::PointCloud2;
 using std_msgs::msg::String;
-
-void change(String& message) {
-  message.data += "!";
-}
-void change(Image& message) {
-  std::swap(message.height, message.width);
-  message.step += 1;
-  message.is_bigendian ^= 1;
-  message.encoding += "!";
-  message.header.stamp.nanosec ^= 1;
-  if (!message.data.empty()) message.data.back() ^= 0xff;
-}
-void change(PointCloud2& message) {
-  std::swap(message.height, message.width);
-  std::swap(message.point_step, message.row_step);
-  message.is_dense = !message.is_dense;
-  for (auto& field : message.fields) std::swap(field.offset, field.count);
-  message.header.stamp.nanosec ^= 1;
-  if (!message.data.empty()) message.data.back() ^= 0xff;
-}
 
 template <class Message>
 int relay(int argc, char** argv) {
