@@ -3,13 +3,16 @@
 # What `make check` does: style, the tests in a release build, the Debian packages in a clean root, the kernel side in booted
 # VMs, the tests under ASan+UBSan and under TSan; what waits runs beside what computes. Each part runs by itself with
 # `make style|unit|asan|tsan|fuzz|kernel-check|package-check|floor-check|jetpack-check`; `make check-fast` and `make check-full` do less and more.
-# The last line is the count over all parts.
+# What failed is named again before the last line, which is the count over all parts.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 jobs=${JOBS:-2}
-passed=0 failed=0 skipped=0 good=0
+passed=0 failed=0 skipped=0
+failures=$(mktemp)
+trap 'rm -f "$failures"' EXIT
 started=$(date +%s)
 
+failure() { failed=$((failed + 1)); echo "$1" >>"$failures"; }
 note() { echo "check: $* ($(($(date +%s) - started)) s)"; }
 
 # One check that is no ctest: counts as a test. Status 77: skipped, and it says why.
@@ -26,7 +29,7 @@ one() {
       echo "check: skipped: $name: $(tail -n 1 "$log")"
       ;;
     *)
-      failed=$((failed + 1))
+      failure "$name"
       echo "check: FAILED: $name"
       head -n 60 "$log"
       ;;
@@ -41,7 +44,7 @@ build() {
   if ! { cmake --preset "$preset" && ninja -C "$dir" -j"$jobs" "$@"; } >"build-$preset.log" 2>&1; then
     grep -E 'error|warning|FAILED' -A 5 "build-$preset.log" | head -n 60
     echo "check: the $preset build failed; its log is build-$preset.log"
-    failed=$((failed + 1))
+    failure "the $preset build"
     return 1
   fi
 }
@@ -56,13 +59,13 @@ ctest_counted() {
   (cd "$dir" && ctest -j"${parallel:-$jobs}" --output-on-failure --output-junit "$report" "$@") | tee "$log" |
     grep -vE '^ *(Start |[0-9]+/[0-9]+ Test .*Passed|Test +#[0-9]+: .*Passed)'
   status=${PIPESTATUS[0]}
-  read -r passes bad skip again < <(scripts/count-tests.py "$report" "$log" ${reports:+"$reports"})
+  { read -r passes bad skip again; sed "s|$| ($dir)|" >>"$failures"; } < <(scripts/count-tests.py "$report" "$log" ${reports:+"$reports"})
+  failed=$((failed + bad))
   if [ "$bad" -eq 0 ] && [ -z "$again" ] && { [ "$status" -ne 0 ] || [ "$passes" -eq 0 ]; }; then
     echo "check: ctest in $dir ended with status $status, $passes passed"
-    bad=1
+    failure "ctest in $dir"
   fi
   passed=$((passed + passes))
-  failed=$((failed + bad))
   skipped=$((skipped + skip))
 }
 
@@ -149,19 +152,21 @@ full() {
 }
 # A script whose last line is "N passed, M failed, K skipped".
 counted() {
-  local name=$1 counts log
+  local name=$1 counts log named
   shift
-  log=$(mktemp)
+  log=$(mktemp) named=$(wc -l <"$failures")
   "$@" | tee "$log"
   counts=$(tail -n 1 "$log")
+  grep -E '^(check: failed: |not ok |kernel-check: .* failed, try 2)' "$log" | sed "s|^check: failed: ||; s|^not ok|$name: &|" >>"$failures"
   rm -f "$log"
   if [[ $counts =~ ^([0-9]+)\ passed,\ ([0-9]+)\ failed,\ ([0-9]+)\ skipped ]]; then
     passed=$((passed + BASH_REMATCH[1]))
     failed=$((failed + BASH_REMATCH[2]))
+    [ "${BASH_REMATCH[2]}" -eq 0 ] || [ "$named" -lt "$(wc -l <"$failures")" ] || echo "$name" >>"$failures"
     skipped=$((skipped + BASH_REMATCH[3]))
   else
     echo "check: $name gave no count"
-    failed=$((failed + 1))
+    failure "$name: no count"
   fi
 }
 # beside NAME SCRIPT ARGUMENT...: starts a script whose last line is a count. `joined` waits for it, shows what it said, counts it.
@@ -226,5 +231,6 @@ case ${1:-check} in
     ;;
 esac
 note "done"
+sort -u "$failures" | sed 's/^/check: failed: /'
 echo "$passed passed, $failed failed, $skipped skipped"
 [ "$failed" -eq 0 ] && [ "$passed" -gt 0 ]

@@ -4,7 +4,7 @@
 
   count-tests.py JUNIT LOG [DIRECTORY]   JUNIT: ctest's report; LOG: what it printed; DIRECTORY: gtest's reports, AREA.xml
 
-Prints "PASSED FAILED SKIPPED". A test that said why it does not run here is skipped; one that did not run for any other reason has
+Prints "PASSED FAILED SKIPPED", then the name of each that failed, one a line. A test that said why it does not run here is skipped; one that did not run for any other reason has
 failed. One that passed when it was run again is named. What a sanitizer reported stays a failure, whatever a second run says.
 
 With DIRECTORY each of ctest's tests is an area, whose tests gtest has counted. Prints "PASSED FAILED SKIPPED AREA|AREA": of the areas
@@ -46,6 +46,10 @@ def count_tests(cases, log):
     if again and sanitizer_reported(log):
         passed -= again
     print(len(passed), len(cases) - len(passed) - skipped, skipped)
+    for c in cases:
+        skip = c.find("skipped")
+        if c.get("name") not in passed and not (skip is not None and skip.get("message", "").startswith("SKIP_")):
+            print(c.get("name"))
 
 
 def count_areas(cases, log, directory):
@@ -63,7 +67,10 @@ def count_areas(cases, log, directory):
         skipped += out
     for name in sorted(set(re.findall(r"^\[  FAILED  \] (\w+\.[\w/]+)", log, re.M))):
         print(f"check: {name} failed beside the others of its area", file=sys.stderr)
-    print(passed, int(bool(again) and sanitizer_reported(log)), skipped, "|".join(again))
+    reported = bool(again) and sanitizer_reported(log)
+    print(passed, int(reported), skipped, "|".join(again))
+    if reported:
+        print("a sanitizer's report")
 
 
 def main(junit, log, directory=None):
