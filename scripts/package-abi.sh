@@ -22,7 +22,7 @@ mkdir -p "$out"
 compiler=(g++)
 command -v ccache >/dev/null && compiler=(ccache g++)
 objects=()
-for file in lib/app/app.cc lib/app/run_options.cc lib/app/testing.cc lib/graph/app_spec.cc lib/graph/inlet.cc lib/model/message.cc lib/model/parameter.cc lib/xpu/sched_handle.cc lib/emu/client.cc; do
+for file in lib/app/app.cc lib/app/run_options.cc lib/app/testing.cc lib/graph/app_spec.cc lib/graph/inlet.cc lib/model/message.cc lib/model/parameter.cc lib/xpu/sched_handle.cc lib/transport/buffer.cc lib/emu/client.cc; do
   object=$out/$(basename "$file" .cc).o
   (cd "$source" && "${compiler[@]}" -std=c++20 -g -O0 -fPIC -Iinclude -Ilib -I. -c "$file" -o "$object") &
   objects+=("$object")

@@ -151,6 +151,7 @@ TopicHandle topic_spec(const Topic<T>& topic) {
   }
   if constexpr (std::is_trivially_copyable_v<T> && !std::is_pointer_v<T>)
     set_plain_bytes(*spec, sizeof(T));
+  if constexpr (requires { Codec<T>::describe(*spec); }) Codec<T>::describe(*spec);
   if constexpr (requires { Interface<T>::kName; }) {
     StampNs stamp_ns = nullptr;
     if constexpr (requires(const T& m) { Interface<T>::stamp_ns(m); })

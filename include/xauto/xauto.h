@@ -3,6 +3,7 @@
 #pragma once
 
 #include <xauto/app.h>
+#include <xauto/buffer.h>
 #include <xauto/parameter.h>
 #include <xauto/result.h>
 #include <xauto/run.h>

@@ -28,7 +28,7 @@ namespace xauto {
 /// peer kUnavailable. Descriptors beyond kMaxPassedFds are refused.
 [[nodiscard]] Result<std::size_t> receive_packet(int socket, void* data, std::size_t bytes,
                                                  std::vector<UniqueFd>* fds = nullptr);
-inline constexpr std::size_t kMaxPassedFds = 8;
+inline constexpr std::size_t kMaxPassedFds = 66;  ///< a topic of 64 readers (shm_topic.h)
 /// Whether there is something to read, or the other end is gone, within `timeout_ms`. A signal does
 /// not shorten the wait.
 [[nodiscard]] bool wait_readable(int fd, int timeout_ms);

@@ -66,6 +66,10 @@ void set_plain_bytes(TopicSpec& topic, std::size_t bytes) {
   topic.plain_bytes = bytes;
 }
 
+void set_buffered(TopicSpec& topic, const BufferedType& type) {
+  topic.buffered = type;
+}
+
 void set_interface(TopicSpec& topic, const char* name, const char* schema, EncodedBytes bytes,
                    EncodeInto encode, StampNs stamp_ns) {
   topic.ros_type = name;

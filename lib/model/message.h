@@ -13,6 +13,7 @@
 #include <typeindex>
 #include <vector>
 
+#include <xauto/buffer.h>
 #include <xauto/topic.h>
 
 #include "model/parameter.h"
@@ -53,6 +54,8 @@ struct TopicSpec {
   std::size_t plain_bytes = 0;
   /// Largest encoded message between processes: Codec<T>::kMaxBytes, if it says so.
   std::size_t max_bytes = std::size_t{8} << 20;
+  /// Of a Buffered, whose buffer passes by its descriptor; `make` null: it is none.
+  BufferedType buffered = {};
   /// Of a type of a .msg or .idl file, whose Codec then writes and reads CDR.
   std::string ros_type = {};     ///< "sensor_msgs/msg/Image"; empty: it is none
   std::string_view schema = {};  ///< its definition as MCAP's "ros2msg"

@@ -27,10 +27,10 @@ constexpr std::int64_t kReportNs = 2'000'000'000;
 transport::TopicShape shape_of(const Graph::Topic& topic, std::size_t readers,
                                const Session& session) {
   const detail::TopicSpec& spec = topic.spec;
-  return {spec.plain_bytes > 0 ? spec.plain_bytes : spec.max_bytes,
-          static_cast<std::uint32_t>(readers),
+  return {transport::chunk_bytes_of(spec), static_cast<std::uint32_t>(readers),
           static_cast<std::uint32_t>(session.deployment.queue_depth.value_or(kQueueDepth)),
-          static_cast<std::uint32_t>(session.deployment.keep.value_or(kKeep))};
+          static_cast<std::uint32_t>(session.deployment.keep.value_or(kKeep)),
+          spec.buffered.make != nullptr};
 }
 
 }  // namespace
@@ -187,9 +187,9 @@ Status Hub::introduce(int process) {
   for (std::size_t t = 0; t < topics_.size(); ++t) {
     const Plan::Remote& remote = plan_.topics[t];
     if (remote.readers.empty()) continue;
-    const bool publishes = remote.publisher == process;
-    if (!publishes && remote.reader(process) < 0) continue;
-    XAUTO_ASSIGN(const std::vector<UniqueFd> fds, topics_[t]->invite(publishes));
+    const int reader = remote.reader(process);
+    if (remote.publisher != process && reader < 0) continue;
+    XAUTO_ASSIGN(const std::vector<UniqueFd> fds, topics_[t]->invite(reader));
     std::vector<int> numbers;
     for (const UniqueFd& fd : fds) numbers.push_back(fd.get());
     XAUTO_TRY(say(socket, Word::kTopic, static_cast<int>(t), numbers));

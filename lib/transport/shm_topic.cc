@@ -50,6 +50,18 @@ Status check(const TopicShape& s) {
   return {};
 }
 
+/// A buffer's number, then what its message has besides.
+constexpr std::size_t kNumberBytes = sizeof(std::uint64_t);
+
+Status check(const TopicControl& control, const detail::TopicSpec& spec, std::size_t ends,
+             std::size_t wanted) {
+  const bool buffered = spec.buffered.make != nullptr;
+  if (control.shape().passes_buffers != buffered || ends != (buffered ? wanted : 0))
+    return fail(ErrorCode::kInvalid, "a topic of " + spec.type_name + " came with " +
+                                         std::to_string(ends) + " ways for buffers");
+  return {};
+}
+
 Result<UniqueFd> sealed_memory(const char* name, std::size_t bytes) {
   UniqueFd fd = private_memfd(name, MFD_CLOEXEC | MFD_ALLOW_SEALING);
   if (!fd || ftruncate(fd.get(), static_cast<off_t>(bytes)) != 0)
@@ -73,6 +85,11 @@ Result<std::byte*> map_data(const TopicControl& control, int fd, int protection)
 
 }  // namespace
 
+std::uint64_t chunk_bytes_of(const detail::TopicSpec& spec) {
+  if (spec.buffered.make != nullptr) return kNumberBytes + spec.buffered.info_bytes;
+  return spec.plain_bytes > 0 ? spec.plain_bytes : spec.max_bytes;
+}
+
 Result<TopicFds> make_topic(const TopicShape& shape) {
   XAUTO_TRY(check(shape));
   TopicFds fds;
@@ -84,6 +101,7 @@ Result<TopicFds> make_topic(const TopicShape& shape) {
   header.depth = shape.depth;
   header.keep = shape.keep;
   header.chunks = chunks_of(shape);
+  header.passes_buffers = shape.passes_buffers ? 1 : 0;
   header.chunk_bytes = shape.chunk_bytes;
   // All else starts as zeros.
   if (pwrite(fds.control.get(), static_cast<const void*>(&header), sizeof header, 0) !=
@@ -113,7 +131,7 @@ Result<std::shared_ptr<TopicControl>> TopicControl::map(int fd) {
   c.memory_ = memory;
   c.header_ = static_cast<TopicHeader*>(memory);
   const TopicHeader& h = *c.header_;
-  c.shape_ = {h.chunk_bytes, h.subscribers, h.depth, h.keep};
+  c.shape_ = {h.chunk_bytes, h.subscribers, h.depth, h.keep, h.passes_buffers != 0};
   if (h.magic != kTopicMagic || !check(c.shape_) || h.chunks != chunks_of(c.shape_) ||
       c.bytes_ < control_bytes(c.shape_))
     return fail(ErrorCode::kInvalid, "a topic's shared memory has no valid header", {},
@@ -144,16 +162,23 @@ void TopicControl::release_all(std::uint32_t subscriber) {
 
 Result<std::shared_ptr<ShmPublisher>> ShmPublisher::open(const detail::TopicSpec& spec,
                                                          int control_fd, int data_fd,
-                                                         Ringer* ringer) {
+                                                         Ringer* ringer,
+                                                         std::vector<UniqueFd> ends) {
   auto publisher = std::shared_ptr<ShmPublisher>(new ShmPublisher);
   publisher->spec_ = spec;
   publisher->ringer_ = ringer;
   XAUTO_ASSIGN(publisher->control_, TopicControl::map(control_fd));
   TopicControl& control = *publisher->control_;
+  XAUTO_TRY(check(control, spec, ends.size(), control.shape().subscribers));
   XAUTO_ASSIGN(publisher->data_, map_data(control, data_fd, PROT_READ | PROT_WRITE));
   const Guard lock(publisher->mutex_);
   publisher->queued_.resize(control.chunks());
   publisher->loaned_ = std::make_unique<std::atomic<std::uint32_t>[]>(control.chunks());
+  if (!ends.empty()) {
+    publisher->kept_.resize(control.chunks());
+    publisher->buffers_ =
+        std::make_unique<BufferSender>(spec.name, std::move(ends), control.header().buffers);
+  }
   for (std::uint32_t s = 0; s < control.shape().subscribers; ++s) {
     // A predecessor that died between its last slot and `tail`.
     TopicQueue& queue = control.queue(s);
@@ -167,8 +192,7 @@ ShmPublisher::~ShmPublisher() {
   if (data_ != nullptr) munmap(data_, control_->chunks() * control_->stride());
 }
 
-/// Queues before `held`: see the top of shm_topic.h.
-std::uint32_t ShmPublisher::find_free() {
+void ShmPublisher::mark_queued() {
   TopicControl& c = *control_;
   std::fill(queued_.begin(), queued_.end(), std::uint8_t{0});
   for (std::uint32_t s = 0; s < c.shape().subscribers; ++s)
@@ -178,12 +202,60 @@ std::uint32_t ShmPublisher::find_free() {
       const std::uint32_t chunk = slot.chunk.load(std::memory_order_relaxed);
       if (chunk < c.chunks()) queued_[chunk] = 1;
     }
+}
+
+/// Queues before `held`: see the top of shm_topic.h.
+std::uint32_t ShmPublisher::find_free() {
+  TopicControl& c = *control_;
+  mark_queued();
   // Lowest first: few chunks are ever touched, and they stay in the cache.
   for (std::uint32_t i = 0; i < c.chunks(); ++i)
     if (queued_[i] == 0 && loaned_[i].load(std::memory_order_acquire) == 0 &&
         c.held(i).load(std::memory_order_seq_cst) == 0)
       return i;
   return kNoChunk;
+}
+
+/// Messages whose buffers nobody reads any more; their ends are not for a holder of the mutex.
+ShmPublisher::Messages ShmPublisher::through() {
+  Messages done;
+  mark_queued();
+  for (std::uint32_t i = 0; i < kept_.size(); ++i)
+    if (kept_[i] != nullptr && queued_[i] == 0 &&
+        control_->held(i).load(std::memory_order_seq_cst) == 0)
+      done.push_back(std::move(kept_[i]));
+  return done;
+}
+
+void ShmPublisher::let_go() {
+  Messages done;
+  const Guard lock(mutex_);
+  done = through();
+}
+
+std::uint32_t ShmPublisher::store_buffered(const detail::Envelope& envelope, std::uint64_t& bytes,
+                                           BufferSender::Reached& reached) {
+  const void* message = envelope.message.get();
+  const auto& memory = detail::BufferAccess::memory(spec_.buffered.buffer(message));
+  BufferSender::Told told;
+  told.reached.set();  // a message without a buffer
+  if (memory != nullptr) {
+    auto heard = buffers_->tell(memory, [&](std::size_t reader) {
+      return control_->queue(static_cast<std::uint32_t>(reader)).asks.load();
+    });
+    if (!heard) return kNoChunk;
+    told = *heard;
+    memory->kept_by(weak_from_this());
+  }
+  const std::uint32_t chunk = find_free();
+  if (chunk == kNoChunk) return kNoChunk;
+  std::byte* at = data_ + chunk * control_->stride();
+  std::memcpy(at, &told.number, kNumberBytes);
+  std::memcpy(at + kNumberBytes, spec_.buffered.info(message), spec_.buffered.info_bytes);
+  bytes = kNumberBytes + spec_.buffered.info_bytes;
+  reached = told.reached;
+  kept_[chunk] = envelope.message;
+  return chunk;
 }
 
 std::shared_ptr<void> ShmPublisher::loan(std::size_t bytes) {
@@ -242,11 +314,18 @@ std::uint32_t ShmPublisher::store(const void* message, std::uint64_t& bytes) {
 
 void ShmPublisher::publish(const detail::Envelope& envelope) {
   TopicControl& c = *control_;
+  Messages done;
   {
     const Guard lock(mutex_);
     std::uint32_t chunk = kNoChunk;
     std::uint64_t bytes = 0;
-    if (envelope.message != nullptr) {
+    BufferSender::Reached reached;
+    reached.set();
+    if (buffers_ != nullptr) done = through();
+    if (envelope.message != nullptr && buffers_ != nullptr) {
+      chunk = store_buffered(envelope, bytes, reached);
+      if (chunk == kNoChunk) unsent_.fetch_add(1, std::memory_order_relaxed);
+    } else if (envelope.message != nullptr) {
       chunk = chunk_of(envelope.message.get());
       bytes = spec_.plain_bytes;
       if (chunk == kNoChunk) chunk = store(envelope.message.get(), bytes);
@@ -259,7 +338,7 @@ void ShmPublisher::publish(const detail::Envelope& envelope) {
              readers &= readers - 1)
           ++kept[static_cast<std::size_t>(std::countr_zero(readers))];
     for (std::uint32_t s = 0; s < c.shape().subscribers; ++s) {
-      const bool refused = kept[s] > 0 && kept[s] >= c.shape().keep;
+      const bool refused = (kept[s] > 0 && kept[s] >= c.shape().keep) || !reached.test(s);
       if (refused) c.queue(s).dropped.fetch_add(1, std::memory_order_relaxed);
       push(s, envelope, refused ? kNoChunk : chunk, bytes);
     }
@@ -295,17 +374,23 @@ void ShmPublisher::push(std::uint32_t s, const detail::Envelope& envelope, std::
 
 Result<std::shared_ptr<ShmSubscriber>> ShmSubscriber::open(const detail::TopicSpec& spec,
                                                            int control_fd, int data_fd,
-                                                           std::uint32_t index) {
+                                                           std::uint32_t index, UniqueFd end) {
   auto subscriber = std::shared_ptr<ShmSubscriber>(new ShmSubscriber);
   subscriber->spec_ = spec;
   XAUTO_ASSIGN(subscriber->control_, TopicControl::map(control_fd));
   if (index >= subscriber->control_->shape().subscribers)
     return fail(ErrorCode::kInvalid, "subscriber " + std::to_string(index) + " of a topic with " +
                                          std::to_string(subscriber->control_->shape().subscribers));
+  XAUTO_TRY(check(*subscriber->control_, spec, end ? 1 : 0, 1));
   XAUTO_ASSIGN(subscriber->data_, map_data(*subscriber->control_, data_fd, PROT_READ));
   subscriber->index_ = index;
   subscriber->bit_ = std::uint64_t{1} << index;
   subscriber->head_ = subscriber->control_->queue(index).head.load();
+  if (end) {
+    subscriber->buffers_ = std::make_unique<BufferReceiver>(spec.name, std::move(end));
+    subscriber->buffers_->drain();  // what a predecessor has not taken
+    subscriber->control_->queue(index).asks.fetch_add(1);
+  }
   return subscriber;
 }
 
@@ -372,14 +457,43 @@ std::optional<detail::Envelope> ShmSubscriber::take_blank() {
                           taken->urgent};
 }
 
+/// The chunk is this reader's as long as somebody has the buffer.
+std::shared_ptr<const void> ShmSubscriber::with_buffer(const std::byte* at, std::uint32_t chunk) {
+  std::uint64_t number;
+  std::memcpy(&number, at, kNumberBytes);
+  std::shared_ptr<detail::BufferMemory> memory;
+  if (number != 0) {
+    memory = buffers_->find(number);
+    if (memory == nullptr) {
+      control_->queue(index_).asks.fetch_add(1);
+      return nullptr;
+    }
+  }
+  std::shared_ptr<void> turn(
+      this, [self = shared_from_this(), chunk](void*) { self->free_chunk(chunk); });
+  return spec_.buffered.make(at + kNumberBytes,
+                             detail::BufferAccess::make(std::move(memory), std::move(turn)));
+}
+
 std::optional<detail::Envelope> ShmSubscriber::take() {
   const auto taken = next();
   if (!taken) return std::nullopt;
   detail::Envelope envelope{nullptr, taken->origin_ns, taken->sequence, taken->origins,
                             taken->urgent};
-  if (taken->chunk >= control_->chunks()) return envelope;
+  if (taken->chunk >= control_->chunks()) {
+    if (buffers_ != nullptr) buffers_->drain();  // it may be one that could not be told of
+    return envelope;
+  }
   const std::byte* at = data_ + taken->chunk * control_->stride();
   const bool fits = taken->bytes <= control_->shape().chunk_bytes;
+  if (buffers_ != nullptr) {
+    if (fits && taken->bytes == kNumberBytes + spec_.buffered.info_bytes)
+      envelope.message = with_buffer(at, taken->chunk);
+    if (envelope.message != nullptr) return envelope;
+    ++lost_;
+    free_chunk(taken->chunk);
+    return envelope;
+  }
   if (spec_.plain_bytes > 0 && fits && taken->bytes == spec_.plain_bytes) {
     envelope.message = {static_cast<const void*>(at),
                         [self = shared_from_this(), chunk = taken->chunk](const void*) {
@@ -401,28 +515,38 @@ std::optional<detail::Envelope> ShmSubscriber::take() {
 
 namespace {
 
+Result<UniqueFd> duplicate(int fd) {
+  UniqueFd second(fcntl(fd, F_DUPFD_CLOEXEC, 0));
+  if (!second) return fail(ErrorCode::kIo, std::string("cannot share a topic: ") + strerror(errno));
+  return second;
+}
+
+/// `ends`: of a topic that passes buffers. Who made it has those of all; who joined it has its own.
 class ShmLink final : public Link {
  public:
-  explicit ShmLink(TopicFds fds) : fds_(std::move(fds)) {}
+  ShmLink(TopicFds fds, std::vector<BufferEnds> ends)
+      : fds_(std::move(fds)), all_(std::move(ends)) {}
+  ShmLink(TopicFds fds, std::vector<UniqueFd> ends) : fds_(std::move(fds)), own_(std::move(ends)) {}
 
   Result<std::shared_ptr<Publisher>> publisher(const detail::TopicSpec& topic,
                                                Ringer* ringer) override {
-    return ShmPublisher::open(topic, fds_.control.get(), fds_.data.get(), ringer);
+    XAUTO_ASSIGN(std::vector<UniqueFd> ends, ends_of(-1));
+    return ShmPublisher::open(topic, fds_.control.get(), fds_.data.get(), ringer, std::move(ends));
   }
   Result<std::shared_ptr<Subscriber>> subscriber(const detail::TopicSpec& topic,
                                                  std::uint32_t reader) override {
-    return ShmSubscriber::open(topic, fds_.control.get(), fds_.data.get(), reader);
+    XAUTO_ASSIGN(std::vector<UniqueFd> ends, ends_of(static_cast<int>(reader)));
+    if (ends.size() > 1)
+      return fail(ErrorCode::kInvalid, "a reader's end is asked of a topic's publisher");
+    return ShmSubscriber::open(topic, fds_.control.get(), fds_.data.get(), reader,
+                               ends.empty() ? UniqueFd() : std::move(ends[0]));
   }
-  Result<std::vector<UniqueFd>> invite(bool publishes) const override {
+  Result<std::vector<UniqueFd>> invite(int reader) const override {
     std::vector<UniqueFd> fds(2);
-    fds[0] = UniqueFd(fcntl(fds_.control.get(), F_DUPFD_CLOEXEC, 0));
-    if (publishes) {
-      fds[1] = UniqueFd(fcntl(fds_.data.get(), F_DUPFD_CLOEXEC, 0));
-    } else {
-      XAUTO_ASSIGN(fds[1], read_only(fds_.data.get()));
-    }
-    if (!fds[0] || !fds[1])
-      return fail(ErrorCode::kIo, std::string("cannot share a topic: ") + strerror(errno));
+    XAUTO_ASSIGN(fds[0], duplicate(fds_.control.get()));
+    XAUTO_ASSIGN(fds[1], reader < 0 ? duplicate(fds_.data.get()) : read_only(fds_.data.get()));
+    XAUTO_ASSIGN(std::vector<UniqueFd> ends, ends_of(reader));
+    for (UniqueFd& end : ends) fds.push_back(std::move(end));
     return fds;
   }
   std::uint64_t next_sequence() const override {
@@ -434,21 +558,46 @@ class ShmLink final : public Link {
   }
 
  private:
+  /// The publisher's (-1), or a reader's.
+  [[nodiscard]] Result<std::vector<UniqueFd>> ends_of(int reader) const {
+    std::vector<UniqueFd> ends;
+    const auto add = [&](const UniqueFd& fd) -> Status {
+      XAUTO_ASSIGN(UniqueFd end, duplicate(fd.get()));
+      ends.push_back(std::move(end));
+      return {};
+    };
+    for (const UniqueFd& end : own_) XAUTO_TRY(add(end));
+    for (std::size_t r = 0; r < all_.size(); ++r)
+      if (reader < 0)
+        XAUTO_TRY(add(all_[r].publisher));
+      else if (r == static_cast<std::size_t>(reader))
+        XAUTO_TRY(add(all_[r].reader));
+    return ends;
+  }
+
   TopicFds fds_;
+  std::vector<BufferEnds> all_;  ///< [reader]
+  std::vector<UniqueFd> own_;
 };
 
 }  // namespace
 
 Result<std::unique_ptr<Link>> make_link(const TopicShape& shape) {
   XAUTO_ASSIGN(TopicFds fds, make_topic(shape));
-  return std::make_unique<ShmLink>(std::move(fds));
+  std::vector<BufferEnds> ends(shape.passes_buffers ? shape.subscribers : 0);
+  for (BufferEnds& pair : ends) {
+    XAUTO_ASSIGN(pair, make_buffer_ends());
+  }
+  return std::make_unique<ShmLink>(std::move(fds), std::move(ends));
 }
 
 Result<std::unique_ptr<Link>> join_link(std::vector<UniqueFd> fds) {
-  if (fds.size() != 2)
+  if (fds.size() < 2 || fds.size() > 2 + kMaxTopicSubscribers)
     return fail(ErrorCode::kInvalid,
-                "a topic came with " + std::to_string(fds.size()) + " descriptors, not 2");
-  return std::make_unique<ShmLink>(TopicFds{std::move(fds[0]), std::move(fds[1])});
+                "a topic came with " + std::to_string(fds.size()) + " descriptors, not 2 or more");
+  std::vector<UniqueFd> ends(std::make_move_iterator(fds.begin() + 2),
+                             std::make_move_iterator(fds.end()));
+  return std::make_unique<ShmLink>(TopicFds{std::move(fds[0]), std::move(fds[1])}, std::move(ends));
 }
 
 }  // namespace xauto::transport

@@ -23,6 +23,9 @@
 // A reader that keeps messages for itself gets no more of them beyond `keep`, and the others are
 // not affected: chunks = subscribers * (depth + keep) + own keep + 2.
 //
+// A message with a Buffer (xauto/buffer.h) has the buffer's number and its other part in the chunk; the descriptors come beside
+// (buffer_passing.h). The publisher keeps such a message until its chunk is free: then nobody reads the buffer any more.
+//
 // Who writes: [P] the publisher, [R] the reader of the queue, [*] both by the protocol above.
 #pragma once
 
@@ -38,6 +41,7 @@
 #include "base/pi_mutex.h"
 #include "base/unique_fd.h"
 #include "model/message.h"
+#include "transport/buffer_passing.h"
 #include "transport/transport.h"
 
 namespace xauto::transport {
@@ -53,7 +57,10 @@ struct TopicShape {
   std::uint32_t subscribers = 0;  ///< processes that read it
   std::uint32_t depth = 8;        ///< messages that wait for one of them; then the oldest is lost
   std::uint32_t keep = 8;         ///< messages that each of them (and the publisher) may keep
+  bool passes_buffers = false;    ///< buffer_passing.h
 };
+/// Of the largest message.
+[[nodiscard]] std::uint64_t chunk_bytes_of(const detail::TopicSpec& spec);
 
 inline constexpr std::uint32_t kHasOrigins = 1;  ///< `origins` belongs to this message
 inline constexpr std::uint32_t kIsUrgent = 2;    ///< see detail::Envelope
@@ -74,15 +81,17 @@ struct alignas(64) TopicQueue {
   std::atomic<std::uint64_t> tail{};              ///< [P] positions written
   std::atomic<std::uint64_t> dropped{};           ///< [P] overwritten, or refused beyond `keep`
   alignas(64) std::atomic<std::uint64_t> head{};  ///< [R] positions read or lost; for a successor
+  std::atomic<std::uint32_t> asks{};              ///< [R] how often to be told of all buffers again
 };
 static_assert(sizeof(TopicQueue) == 128);
 
 struct alignas(64) TopicHeader {
   std::uint32_t magic = 0;
   std::uint32_t subscribers = 0, depth = 0, keep = 0, chunks = 0;
-  std::uint32_t pad = 0;
+  std::uint32_t passes_buffers = 0;
   std::uint64_t chunk_bytes = 0;
   std::atomic<std::uint64_t> next_sequence{};  ///< [P] one beyond the last release that went out
+  std::atomic<std::uint64_t> buffers{};        ///< [P] told of so far, by all publishers
 };
 static_assert(sizeof(TopicHeader) == 64);
 
@@ -139,11 +148,15 @@ class TopicControl {
 };
 
 /// The writing end. Threads: `loan` and `publish` from any thread of one process.
-class ShmPublisher final : public Publisher, public std::enable_shared_from_this<ShmPublisher> {
+class ShmPublisher final : public Publisher,
+                           public BufferKeeper,
+                           public std::enable_shared_from_this<ShmPublisher> {
  public:
+  /// `ends`: of a topic that passes buffers, by reader.
   [[nodiscard]] static Result<std::shared_ptr<ShmPublisher>> open(const detail::TopicSpec& spec,
                                                                   int control_fd, int data_fd,
-                                                                  Ringer* ringer);
+                                                                  Ringer* ringer,
+                                                                  std::vector<UniqueFd> ends = {});
   ~ShmPublisher() override;
 
   /// A chunk to make a message in; null if the message is too large or no chunk is free, and then a
@@ -156,6 +169,8 @@ class ShmPublisher final : public Publisher, public std::enable_shared_from_this
     return [this](const detail::Envelope& envelope) { publish(envelope); };
   }
 
+  void let_go() override;
+
   [[nodiscard]] std::uint64_t next_sequence() const override { return control_->next_sequence(); }
   /// Messages that could not be sent to anybody: too large, no chunk, or encode threw.
   [[nodiscard]] std::uint64_t unsent() const override {
@@ -164,7 +179,12 @@ class ShmPublisher final : public Publisher, public std::enable_shared_from_this
 
  private:
   ShmPublisher() = default;
+  using Messages = std::vector<std::shared_ptr<const void>>;
+  void mark_queued() XAUTO_REQUIRES(mutex_);
   [[nodiscard]] std::uint32_t find_free() XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] Messages through() XAUTO_REQUIRES(mutex_);
+  std::uint32_t store_buffered(const detail::Envelope& envelope, std::uint64_t& bytes,
+                               BufferSender::Reached& reached) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] std::uint32_t chunk_of(const void* message) const;
   std::uint32_t store(const void* message, std::uint64_t& bytes) XAUTO_REQUIRES(mutex_);
   void push(std::uint32_t subscriber, const detail::Envelope& envelope, std::uint32_t chunk,
@@ -178,6 +198,8 @@ class ShmPublisher final : public Publisher, public std::enable_shared_from_this
   std::vector<std::uint8_t> queued_ XAUTO_GUARDED_BY(mutex_);  ///< scratch of find_free
   std::unique_ptr<std::atomic<std::uint32_t>[]> loaned_;       ///< [chunk] this process uses it
   std::atomic<std::uint64_t> unsent_{0};
+  std::unique_ptr<BufferSender> buffers_ XAUTO_GUARDED_BY(mutex_);  ///< null: it passes none
+  Messages kept_ XAUTO_GUARDED_BY(mutex_);                          ///< [chunk] with a buffer
 };
 
 /// The reading end of one process. Threads: `take` from one; the messages from any.
@@ -185,7 +207,8 @@ class ShmSubscriber final : public Subscriber, public std::enable_shared_from_th
  public:
   [[nodiscard]] static Result<std::shared_ptr<ShmSubscriber>> open(const detail::TopicSpec& spec,
                                                                    int control_fd, int data_fd,
-                                                                   std::uint32_t index);
+                                                                   std::uint32_t index,
+                                                                   UniqueFd end = {});
   ~ShmSubscriber() override;
 
   /// The next message or tombstone; nullopt: none. A message that cannot be decoded comes as a
@@ -207,12 +230,14 @@ class ShmSubscriber final : public Subscriber, public std::enable_shared_from_th
   };
   std::optional<Taken> next();
   void free_chunk(std::uint32_t chunk);
+  [[nodiscard]] std::shared_ptr<const void> with_buffer(const std::byte* at, std::uint32_t chunk);
 
   detail::TopicSpec spec_;
   std::shared_ptr<TopicControl> control_;
   const std::byte* data_ = nullptr;
   std::uint32_t index_ = 0;
   std::uint64_t bit_ = 0, head_ = 0, lost_ = 0;
+  std::unique_ptr<BufferReceiver> buffers_;  ///< null: it passes none
 };
 
 /// A topic in new shared memory.

@@ -75,8 +75,8 @@ class Link {
                                                                      Ringer* ringer) = 0;
   [[nodiscard]] virtual Result<std::shared_ptr<Subscriber>> subscriber(
       const detail::TopicSpec& topic, std::uint32_t reader) = 0;
-  /// For a process that publishes it, or only reads it.
-  [[nodiscard]] virtual Result<std::vector<UniqueFd>> invite(bool publishes) const = 0;
+  /// For the process that publishes it (`reader` -1), or is this reader of it.
+  [[nodiscard]] virtual Result<std::vector<UniqueFd>> invite(int reader) const = 0;
   /// One beyond the last release that went out, from whichever process.
   [[nodiscard]] virtual std::uint64_t next_sequence() const = 0;
   /// The process of this reader is dead: it holds no message any more.

@@ -280,7 +280,7 @@ TEST(ShmTopic, UnderLoadEveryMessageIsReadWholeInOrderOrCountedAsLost) {
 TEST(ShmTopic, LinkIsJoinedWithWhatItInvitesWith) {
   const auto spec = *detail::topic_spec(Topic<Frame>("t"));
   auto here = *make_link({sizeof(Frame), 1, 4, 3});
-  auto there = *join_link(*here->invite(false));
+  auto there = *join_link(*here->invite(0));
   const auto publisher = *here->publisher(spec, nullptr);
   const auto reader = *there->subscriber(spec, 0);
   publisher->sender()(
