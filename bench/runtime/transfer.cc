@@ -102,6 +102,42 @@ void size(const Options& options, Table& table, const std::string& name) {
         });
     table.add("transfer", name + " between processes", "xauto", ours);
   }
+  {  // as a buffer of a pool, whose descriptor passed once
+    reset();
+    const detail::TopicSpec spec = *detail::topic_spec(Topic<Buffered<std::uint64_t>>("t"));
+    const auto link = *transport::make_link({transport::chunk_bytes_of(spec), 1, 8, 8, true});
+    OneDoorbell ringer(shared->doorbell);
+    const auto publisher = *link->publisher(spec, &ringer);
+    const auto pool = *BufferPool::make(10, Bytes);
+    volatile std::uint64_t sink = 0;
+    auto ours = measure(
+        options, *shared, rounds,
+        [&](std::uint32_t k) {
+          auto message = std::make_shared<Buffered<std::uint64_t>>();
+          message->buffer = pool.acquire().value();
+          {
+            const auto to = message->buffer.write();
+            std::fill(to->bytes().begin(), to->bytes().end(), static_cast<std::byte>(k));
+          }
+          const std::int64_t start = now_ns();
+          publisher->publish({std::move(message), start, k});
+          return start;
+        },
+        [&] {
+          auto subscriber = *link->subscriber(spec, 0);
+          return [&, subscriber] {
+            shared->doorbell.wait([&] { return subscriber->empty(); });
+            const auto envelope = subscriber->take();
+            if (!envelope) return false;
+            const auto* frame =
+                static_cast<const Buffered<std::uint64_t>*>(envelope->message.get());
+            sink = sink + touch(frame->buffer.read()->bytes().data(), Bytes);
+            shared->arrived.store(now_ns());
+            return true;
+          };
+        });
+    table.add("transfer", name + " between processes", "xauto-buffer", ours);
+  }
   for (const Peer& peer : peers())
     if (peer.transfer != nullptr)
       add_peer(table, "transfer", name + " between processes", peer.name,
