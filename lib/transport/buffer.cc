@@ -210,7 +210,7 @@ Result<BufferBytes<std::byte>> Buffer::write() const {
   if (!memory_->is_writable())
     return fail(ErrorCode::kPermission, "a buffer that was opened to be read is not written", {},
                 "make a message of your own from it");
-  XAUTO_ASSIGN(std::byte* at, memory_->map());
+  XAUTO_ASSIGN(std::byte * at, memory_->map());
   XAUTO_TRY(memory_->sync(true, true));
   return BufferBytes<std::byte>(memory_, {at, memory_->size()});
 }
@@ -247,13 +247,13 @@ std::optional<Buffer> BufferPool::acquire() const {
   if (!index) return std::nullopt;
   return detail::BufferAccess::make(
       data_->memories()[*index],
-      std::shared_ptr<void>(data_.get(), [data = data_, i = *index](void*) { data->give_back(i); }));
+      std::shared_ptr<void>(data_.get(),
+                            [data = data_, i = *index](void*) { data->give_back(i); }));
 }
 
 std::optional<std::size_t> BufferPool::index_of(const Buffer& buffer) const {
   const auto& memories = data_->memories();
-  const auto at =
-      std::find(memories.begin(), memories.end(), detail::BufferAccess::memory(buffer));
+  const auto at = std::find(memories.begin(), memories.end(), detail::BufferAccess::memory(buffer));
   if (at == memories.end()) return std::nullopt;
   return static_cast<std::size_t>(at - memories.begin());
 }

@@ -34,9 +34,16 @@ BufferSender::BufferSender(std::string topic, std::vector<UniqueFd> ends,
 bool BufferSender::send(std::size_t reader, BufferPacket::Word word, std::uint64_t number,
                         std::size_t size, int fd) {
   const BufferPacket packet{kBufferMagic, static_cast<std::uint32_t>(word), number, size};
-  return send_packet(ends_[reader].get(), &packet, sizeof packet,
-                     fd < 0 ? std::vector<int>{} : std::vector<int>{fd})
-      .has_value();
+  const Status sent = send_packet(ends_[reader].get(), &packet, sizeof packet,
+                                  fd < 0 ? std::vector<int>{} : std::vector<int>{fd});
+  if (!sent)
+    warn("reader " + std::to_string(reader) +
+         " is not told of a buffer, and loses its messages: " + sent.error().what);
+  return sent.has_value();
+}
+
+void BufferSender::warn(const std::string& text) {
+  if (!std::exchange(warned_, true)) log::warn("topic '{}': {}", topic_, text);
 }
 
 /// A buffer that is gone is in no message either: messages have it.
@@ -63,11 +70,8 @@ Result<BufferSender::Told> BufferSender::tell(
   if (at == known_.end()) {
     forget_gone();
     if (known_.size() >= kMaxKnownBuffers) {
-      if (!std::exchange(warned_, true))
-        log::warn(
-            "topic '{}': more than {} buffers at a time; messages are lost. Use them again "
-            "(xauto::BufferPool)",
-            topic_, kMaxKnownBuffers);
+      warn("more than " + std::to_string(kMaxKnownBuffers) +
+           " buffers at a time; messages are lost. Use them again (xauto::BufferPool)");
       return fail(ErrorCode::kUnavailable, "too many buffers");
     }
     Known fresh{numbers_.fetch_add(1) + 1, memory, std::vector<std::uint64_t>(ends_.size())};
@@ -81,8 +85,13 @@ Result<BufferSender::Told> BufferSender::tell(
     if (known.told[r] != asked) {
       int fd = memory->fd();
       if (!memory->is_dmabuf()) {  // a dmabuf cannot be opened a second time
-        if (!unwritable)
-          if (auto opened = read_only(fd)) unwritable = std::move(*opened);
+        if (!unwritable) {
+          auto opened = read_only(fd);
+          if (opened)
+            unwritable = std::move(*opened);
+          else
+            warn(opened.error().what + "; messages are lost. See `ulimit -n`");
+        }
         fd = unwritable.get();
       }
       if (!cleared_[r]) cleared_[r] = send(r, BufferPacket::Word::kAllForgotten);
@@ -99,17 +108,17 @@ Result<BufferSender::Told> BufferSender::tell(
 // ---- reading -----------------------------------------------------------------------------------
 
 std::shared_ptr<detail::BufferMemory> BufferReceiver::find(std::uint64_t number) {
-  auto at = known_.find(number);
-  if (at == known_.end()) {
-    take_until(number);
-    at = known_.find(number);
+  if (!known_.contains(number) && !before_.contains(number)) drain();
+  if (const auto at = known_.find(number); at != known_.end()) {
+    before_.clear();  // messages come in order: none of a predecessor's is left
+    return at->second;
   }
-  return at == known_.end() ? nullptr : at->second;
+  const auto at = before_.find(number);
+  return at == before_.end() ? nullptr : at->second;
 }
 
-/// No further than to what was asked for: what comes after it may forget it, and was said later than the message.
-void BufferReceiver::take_until(std::uint64_t number) {
-  for (int i = 0; i < kMostAtOnce && !known_.contains(number); ++i) {
+void BufferReceiver::drain() {
+  for (int i = 0; i < kMostAtOnce; ++i) {
     BufferPacket packet;
     std::vector<UniqueFd> fds;
     const auto size = receive_packet(end_.get(), &packet, sizeof packet, &fds);
@@ -148,7 +157,7 @@ Status BufferReceiver::take(const BufferPacket& packet, std::vector<UniqueFd> fd
       known_.erase(packet.number);
       return {};
     case BufferPacket::Word::kAllForgotten:
-      known_.clear();
+      before_ = std::exchange(known_, {});
       return {};
   }
   return fail(ErrorCode::kInvalid, "an unknown word about a buffer");

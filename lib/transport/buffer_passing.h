@@ -68,6 +68,7 @@ class BufferSender {
   [[nodiscard]] bool send(std::size_t reader, BufferPacket::Word word, std::uint64_t number = 0,
                           std::size_t size = 0, int fd = -1);
   void forget_gone();
+  void warn(const std::string& text);
 
   const std::string topic_;
   std::vector<UniqueFd> ends_;
@@ -86,17 +87,18 @@ class BufferReceiver {
   /// Null: it is not known, whatever has come until now.
   [[nodiscard]] std::shared_ptr<detail::BufferMemory> find(std::uint64_t number);
   /// Takes what has come, so that the socket does not stay full.
-  void drain() { take_until(0); }
-  [[nodiscard]] std::size_t known() const { return known_.size(); }
+  void drain();
+  [[nodiscard]] std::size_t known() const { return known_.size() + before_.size(); }
 
  private:
-  void take_until(std::uint64_t number);
   [[nodiscard]] Status take(const BufferPacket& packet, std::vector<UniqueFd> fds);
   void warn(const Error& error);
 
   const std::string topic_;
   UniqueFd end_;
-  std::unordered_map<std::uint64_t, std::shared_ptr<detail::BufferMemory>> known_;  ///< by number
+  using Memories = std::unordered_map<std::uint64_t, std::shared_ptr<detail::BufferMemory>>;
+  Memories known_;   ///< by number
+  Memories before_;  ///< of a publisher that died: for its messages that wait yet
   bool warned_ = false;
 };
 

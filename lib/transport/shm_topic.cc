@@ -471,8 +471,12 @@ std::shared_ptr<const void> ShmSubscriber::with_buffer(const std::byte* at, std:
   }
   std::shared_ptr<void> turn(
       this, [self = shared_from_this(), chunk](void*) { self->free_chunk(chunk); });
-  return spec_.buffered.make(at + kNumberBytes,
-                             detail::BufferAccess::make(std::move(memory), std::move(turn)));
+  try {
+    return spec_.buffered.make(at + kNumberBytes,
+                               detail::BufferAccess::make(std::move(memory), std::move(turn)));
+  } catch (...) {  // as if it had been lost on the way
+    return nullptr;
+  }
 }
 
 std::optional<detail::Envelope> ShmSubscriber::take() {
