@@ -57,12 +57,7 @@ class BufferBytes {
 class Buffer {
  public:
   /// None; what it is asked for is 0, and read() and write() fail.
-  Buffer();
-  Buffer(const Buffer&);
-  Buffer(Buffer&&) noexcept;
-  Buffer& operator=(const Buffer&);
-  Buffer& operator=(Buffer&&) noexcept;
-  ~Buffer();
+  Buffer() = default;
 
   /// A new memfd, sealed against a change of its size, of zeros. kInvalid: no size from 1 to
   /// kMaxBufferBytes. kIo: no memory, or no descriptor left (RLIMIT_NOFILE).
@@ -89,7 +84,8 @@ class Buffer {
  private:
   friend struct detail::BufferAccess;
   std::shared_ptr<detail::BufferMemory> memory_;
-  std::shared_ptr<void> turn_;  ///< ends with the last copy: back to its pool, or to who published it
+  std::shared_ptr<void>
+      turn_;  ///< ends with the last copy: back to its pool, or to who published it
 };
 
 /// Buffers of which each is used again when nobody has it any more, in whichever process; who died has
@@ -99,7 +95,7 @@ class BufferPool {
   /// `count` (1 to 64) times Buffer::memory(bytes); its errors.
   [[nodiscard]] static Result<BufferPool> make(std::size_t count, std::size_t bytes);
   /// Those of a driver. kInvalid: not 1 to 64, or one that is none.
-  [[nodiscard]] static Result<BufferPool> of(std::vector<Buffer> buffers);
+  [[nodiscard]] static Result<BufferPool> of(const std::vector<Buffer>& buffers);
 
   /// The first that is free; nullopt: all are in use, so wait for a later release, or lose this one.
   [[nodiscard]] std::optional<Buffer> acquire() const;
@@ -129,7 +125,7 @@ struct BufferedType {
   std::size_t info_bytes = 0;
   const void* (*info)(const void* message) = nullptr;
   const Buffer& (*buffer)(const void* message) = nullptr;
-  std::shared_ptr<const void> (*make)(const void* info, Buffer buffer) = nullptr;
+  std::shared_ptr<const void> (*make)(const void* info, Buffer&& buffer) = nullptr;
 };
 void set_buffered(TopicSpec& topic, const BufferedType& type);
 
@@ -183,7 +179,7 @@ struct Codec<Buffered<Info>> {
         {sizeof(Info),
          [](const void* m) -> const void* { return &static_cast<const Message*>(m)->info; },
          [](const void* m) -> const Buffer& { return static_cast<const Message*>(m)->buffer; },
-         [](const void* info, Buffer buffer) -> std::shared_ptr<const void> {
+         [](const void* info, Buffer&& buffer) -> std::shared_ptr<const void> {
            auto message = std::make_shared<Message>();
            std::memcpy(&message->info, info, sizeof(Info));
            message->buffer = std::move(buffer);

@@ -167,13 +167,6 @@ class BufferPoolData {
 
 // ---- Buffer ------------------------------------------------------------------------------------
 
-Buffer::Buffer() = default;
-Buffer::Buffer(const Buffer&) = default;
-Buffer::Buffer(Buffer&&) noexcept = default;
-Buffer& Buffer::operator=(const Buffer&) = default;
-Buffer& Buffer::operator=(Buffer&&) noexcept = default;
-Buffer::~Buffer() = default;
-
 Result<Buffer> Buffer::memory(std::size_t bytes) {
   XAUTO_ASSIGN(auto memory, detail::BufferMemory::make(bytes));
   return detail::BufferAccess::make(std::move(memory));
@@ -223,10 +216,10 @@ Result<BufferPool> BufferPool::make(std::size_t count, std::size_t bytes) {
     XAUTO_ASSIGN(Buffer buffer, Buffer::memory(bytes));
     buffers.push_back(std::move(buffer));
   }
-  return of(std::move(buffers));
+  return of(buffers);
 }
 
-Result<BufferPool> BufferPool::of(std::vector<Buffer> buffers) {
+Result<BufferPool> BufferPool::of(const std::vector<Buffer>& buffers) {
   if (buffers.empty() || buffers.size() > kMostBuffers)
     return fail(ErrorCode::kInvalid, "a pool of " + std::to_string(buffers.size()) +
                                          " buffers, not of 1 to " + std::to_string(kMostBuffers));
