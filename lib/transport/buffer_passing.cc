@@ -49,18 +49,21 @@ void BufferSender::warn(const std::string& text) {
 /// A buffer that is gone is in no message either: messages have it.
 void BufferSender::forget_gone() {
   for (auto at = known_.begin(); at != known_.end();) {
-    Known& known = at->second;
-    bool left = false;
-    const bool gone = known.memory.expired();
-    for (std::size_t r = 0; gone && r < ends_.size(); ++r) {
-      if (known.told[r] == 0) continue;
-      if (send(r, BufferPacket::Word::kForgotten, known.number))
-        known.told[r] = 0;
-      else
-        left = true;  // a full socket: next time
+    if (!at->second.memory.expired()) {
+      ++at;
+      continue;
     }
-    at = gone && !left ? known_.erase(at) : std::next(at);
+    const Known gone = std::move(at->second);
+    at = known_.erase(at);
+    for (std::size_t r = 0; r < ends_.size(); ++r)
+      if (gone.told[r] != 0 && !send(r, BufferPacket::Word::kForgotten, gone.number)) start_over(r);
   }
+}
+
+/// Its socket is full, and it is not to keep from the others what they need: when it looks again it forgets all.
+void BufferSender::start_over(std::size_t reader) {
+  cleared_[reader] = false;
+  for (auto& [serial, known] : known_) known.told[reader] = 0;
 }
 
 Result<BufferSender::Told> BufferSender::tell(

@@ -68,6 +68,7 @@ class BufferSender {
   [[nodiscard]] bool send(std::size_t reader, BufferPacket::Word word, std::uint64_t number = 0,
                           std::size_t size = 0, int fd = -1);
   void forget_gone();
+  void start_over(std::size_t reader);
   void warn(const std::string& text);
 
   const std::string topic_;

@@ -352,6 +352,33 @@ TEST(BufferTopic, AReaderThatNeverLooksFillsItsOwnSocketOnly) {
   EXPECT_EQ(which_memory(frame->buffer.fd()), which_memory(buffer.fd()));
 }
 
+TEST(BufferTopic, AReaderThatNeverLooksDoesNotKeepGoneBuffersKnown) {
+  BufferWorld world(2, 2, 3);
+  std::uint64_t k = 0;
+  for (int set = 0; set < 20; ++set) {  // a camera that is opened again and again
+    std::vector<Buffer> buffers;
+    for (std::size_t i = 0; i < kMaxKnownBuffers; ++i) {
+      buffers.push_back(*Buffer::memory(4096));
+      world.publish(k++, buffers.back());
+      ASSERT_TRUE(world.take(1)) << set << " " << i;
+    }
+    buffers.clear();
+    world.publish(k++, Buffer());  // two that the other's queue keeps
+    world.publish(k++, Buffer());
+    ASSERT_TRUE(world.take(1));
+    ASSERT_TRUE(world.take(1));
+  }
+  EXPECT_EQ(world.publisher->unsent(), 0u);
+  const Buffer buffer = *Buffer::memory(4096);
+  std::shared_ptr<const BufferFrame> frame;
+  for (int tries = 0; tries < 10 && (frame == nullptr || !frame->buffer); ++tries) {
+    world.publish(k++, buffer);
+    while (!world.readers[0]->empty()) frame = world.take(0);
+  }
+  ASSERT_TRUE(frame && frame->buffer) << "it lives again when it looks";
+  EXPECT_EQ(which_memory(frame->buffer.fd()), which_memory(buffer.fd()));
+}
+
 TEST(BufferTopic, MoreBuffersThanAreKnownAtATimeLoseMessagesNotTheTopic) {
   BufferWorld world;
   std::vector<Buffer> buffers;
