@@ -120,14 +120,12 @@ struct Buffered {
 
 namespace detail {
 
-/// What carries a Buffered from process to process.
-struct BufferedType {
-  std::size_t info_bytes = 0;
-  const void* (*info)(const void* message) = nullptr;
-  const Buffer& (*buffer)(const void* message) = nullptr;
-  std::shared_ptr<const void> (*make)(const void* info, Buffer&& buffer) = nullptr;
-};
-void set_buffered(TopicSpec& topic, const BufferedType& type);
+using InfoOf = const void* (*)(const void* message);
+using BufferOf = const Buffer& (*)(const void* message);
+using MakeBuffered = std::shared_ptr<const void> (*)(const void* info, Buffer&& buffer);
+/// How the parts of a Buffered pass to other processes.
+void set_buffered(TopicSpec& topic, std::size_t info_bytes, InfoOf info, BufferOf buffer,
+                  MakeBuffered make);
 
 }  // namespace detail
 
@@ -175,16 +173,15 @@ struct Codec<Buffered<Info>> {
   static void describe(detail::TopicSpec& topic) {
     using Message = Buffered<Info>;
     detail::set_buffered(
-        topic,
-        {sizeof(Info),
-         [](const void* m) -> const void* { return &static_cast<const Message*>(m)->info; },
-         [](const void* m) -> const Buffer& { return static_cast<const Message*>(m)->buffer; },
-         [](const void* info, Buffer&& buffer) -> std::shared_ptr<const void> {
-           auto message = std::make_shared<Message>();
-           std::memcpy(&message->info, info, sizeof(Info));
-           message->buffer = std::move(buffer);
-           return message;
-         }});
+        topic, sizeof(Info),
+        [](const void* m) -> const void* { return &static_cast<const Message*>(m)->info; },
+        [](const void* m) -> const Buffer& { return static_cast<const Message*>(m)->buffer; },
+        [](const void* info, Buffer&& buffer) -> std::shared_ptr<const void> {
+          auto message = std::make_shared<Message>();
+          std::memcpy(&message->info, info, sizeof(Info));
+          message->buffer = std::move(buffer);
+          return message;
+        });
   }
 };
 

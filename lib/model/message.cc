@@ -66,8 +66,9 @@ void set_plain_bytes(TopicSpec& topic, std::size_t bytes) {
   topic.plain_bytes = bytes;
 }
 
-void set_buffered(TopicSpec& topic, const BufferedType& type) {
-  topic.buffered = type;
+void set_buffered(TopicSpec& topic, std::size_t info_bytes, InfoOf info, BufferOf buffer,
+                  MakeBuffered make) {
+  topic.buffered = {info_bytes, info, buffer, make};
 }
 
 void set_interface(TopicSpec& topic, const char* name, const char* schema, EncodedBytes bytes,

@@ -42,6 +42,14 @@ struct Envelope {
   bool urgent = false;  ///< its sensor marked that release, see docs/runtime.md
 };
 
+/// What carries a Buffered from process to process.
+struct BufferedType {
+  std::size_t info_bytes = 0;
+  InfoOf info = nullptr;
+  BufferOf buffer = nullptr;
+  MakeBuffered make = nullptr;  ///< null: it is no Buffered
+};
+
 struct TopicSpec {
   std::string name;
   std::string called = {};  ///< by the program, where a deployment names it otherwise; else empty
@@ -54,7 +62,7 @@ struct TopicSpec {
   std::size_t plain_bytes = 0;
   /// Largest encoded message between processes: Codec<T>::kMaxBytes, if it says so.
   std::size_t max_bytes = std::size_t{8} << 20;
-  /// Of a Buffered, whose buffer passes by its descriptor; `make` null: it is none.
+  /// Of a Buffered, whose buffer passes by its descriptor.
   BufferedType buffered = {};
   /// Of a type of a .msg or .idl file, whose Codec then writes and reads CDR.
   std::string ros_type = {};     ///< "sensor_msgs/msg/Image"; empty: it is none
