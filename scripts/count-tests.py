@@ -38,18 +38,16 @@ def passed_of(cases):
 
 def count_tests(cases, log):
     passed = passed_of(cases)
-    said = [c.find("skipped") for c in cases if c.get("status") == "notrun"]
-    skipped = sum(s is not None and s.get("message", "").startswith("SKIP_") for s in said)
+    said = {c.get("name"): c.find("skipped") for c in cases if c.get("status") == "notrun"}
+    skipped = {name for name, s in said.items() if s is not None and s.get("message", "").startswith("SKIP_")}
     again = passed & set(re.findall(r"Test +#\d+: (\S+) .*\*\*\*(?:Failed|Timeout|Exception)", log))
     for name in sorted(again):
         print(f"check: {name} failed, and passed when it was run again", file=sys.stderr)
     if again and sanitizer_reported(log):
         passed -= again
-    print(len(passed), len(cases) - len(passed) - skipped, skipped)
-    for c in cases:
-        skip = c.find("skipped")
-        if c.get("name") not in passed and not (skip is not None and skip.get("message", "").startswith("SKIP_")):
-            print(c.get("name"))
+    failed = [c.get("name") for c in cases if c.get("name") not in passed | skipped]
+    print(len(passed), len(failed), len(skipped))
+    print("".join(name + "\n" for name in failed), end="")
 
 
 def count_areas(cases, log, directory):
