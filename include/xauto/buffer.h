@@ -78,7 +78,8 @@ class Buffer {
   /// Mapped at the first call, which is the one that costs. kIo: it cannot be mapped, or its
   /// exporter refuses the CPU.
   [[nodiscard]] Result<BufferBytes<const std::byte>> read() const;
-  /// The same. kPermission: it came with a message from another process, or was opened to be read.
+  /// The same. kPermission: it came with a message from another process, or was opened to be read. In the
+  /// process that published it, it is not refused.
   [[nodiscard]] Result<BufferBytes<std::byte>> write() const;
 
  private:
