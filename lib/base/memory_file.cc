@@ -3,7 +3,9 @@
 
 #include <cerrno>
 #include <cstring>
+#include <string>
 
+#include <fcntl.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -27,6 +29,26 @@ Result<UniqueFd> make_memory_file(const char* name) {
   UniqueFd fd = private_memfd(name, MFD_CLOEXEC);
   if (!fd) return io_error("memfd_create");
   return fd;
+}
+
+Status seal_memory(int fd, std::size_t bytes) {
+  if (ftruncate(fd, static_cast<off_t>(bytes)) != 0) return io_error("cannot make shared memory");
+  if (fcntl(fd, F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
+    return io_error("cannot seal shared memory");
+  return {};
+}
+
+Result<UniqueFd> sealed_memory(const char* name, std::size_t bytes) {
+  UniqueFd fd = private_memfd(name, MFD_CLOEXEC | MFD_ALLOW_SEALING);
+  if (!fd) return io_error("cannot make shared memory");
+  XAUTO_TRY(seal_memory(fd.get(), bytes));
+  return fd;
+}
+
+Result<UniqueFd> read_only(int fd) {
+  UniqueFd second(open(("/proc/self/fd/" + std::to_string(fd)).c_str(), O_RDONLY | O_CLOEXEC));
+  if (!second) return io_error("cannot reopen memory");
+  return second;
 }
 
 Status write_memory_file(int fd, std::string_view text) {

@@ -53,11 +53,7 @@ Result<std::unique_ptr<Server>> Server::create(ServerOptions options) {
   if (!s.memory_fd_ || fstat(s.memory_fd_.get(), &status) != 0)
     return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
   const bool fresh = status.st_size == 0;
-  // Sealed: a client that shrinks it would kill us with SIGBUS.
-  if (fresh &&
-      (ftruncate(s.memory_fd_.get(), static_cast<off_t>(s.bytes_)) != 0 ||
-       fcntl(s.memory_fd_.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0))
-    return fail(ErrorCode::kIo, std::string("cannot seal shared memory: ") + strerror(errno));
+  if (fresh) XAUTO_TRY(seal_memory(s.memory_fd_.get(), s.bytes_));
   if (!fresh && static_cast<std::size_t>(status.st_size) != s.bytes_)
     return fail(ErrorCode::kInvalid, "the shared memory is another app's");
   void* memory = mmap(nullptr, s.bytes_, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE,

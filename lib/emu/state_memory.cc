@@ -50,12 +50,7 @@ struct StateMemory::Layout {
 };
 
 Result<UniqueFd> StateMemory::make() {
-  UniqueFd fd = private_memfd("xauto-emulator", MFD_CLOEXEC | MFD_ALLOW_SEALING);
-  // Sealed: nobody can make it shorter and its user die of SIGBUS.
-  if (!fd || ftruncate(fd.get(), sizeof(Layout)) != 0 ||
-      fcntl(fd.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
-    return io_error("cannot make it");
-  return fd;
+  return sealed_memory("xauto-emulator", sizeof(Layout));
 }
 
 Result<StateMemory> StateMemory::map(UniqueFd fd) {

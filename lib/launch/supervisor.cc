@@ -250,8 +250,7 @@ class Supervisor {
   void introduce() {
     const auto peer = accept_own(live_.get());
     if (!peer) return;
-    const UniqueFd board(
-        open(("/proc/self/fd/" + std::to_string(board_fd_.get())).c_str(), O_RDONLY | O_CLOEXEC));
+    const auto board = read_only(board_fd_.get());
     const Session& session = request_.session;
     const std::string text = Json{
         {"app", session.app.name},
@@ -259,7 +258,7 @@ class Supervisor {
         {"scheduling", to_string(session.scheduling)},
         {"activations", session.activations},
         {"pid", getpid()}}.dump();
-    if (board) (void)send_packet(peer->get(), text.data(), text.size(), {board.get()});
+    if (board) (void)send_packet(peer->get(), text.data(), text.size(), {board->get()});
   }
 
   /// The trace says by two counters that there is something new; what it was is among its events.

@@ -96,9 +96,9 @@ Result<std::shared_ptr<Board>> Board::create(const BoardShape& shape, UniqueFd& 
                                          std::to_string(shape.modules) + " modules are too many");
   const std::size_t bytes = bytes_of(shape);
   if (!fd) fd = private_memfd("xauto-board", MFD_CLOEXEC | MFD_ALLOW_SEALING);
-  if (!fd || ftruncate(fd.get(), static_cast<off_t>(bytes)) != 0 ||
-      fcntl(fd.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
+  if (!fd)
     return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
+  XAUTO_TRY(seal_memory(fd.get(), bytes));
   void* memory =
       mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd.get(), 0);
   if (memory == MAP_FAILED)

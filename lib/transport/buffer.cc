@@ -20,8 +20,6 @@
 namespace xauto {
 namespace {
 
-constexpr std::size_t kMostBuffers = 64;
-
 tl::unexpected<Error> io_error(const std::string& what, std::string hint = {}) {
   return fail(ErrorCode::kIo, what + ": " + strerror(errno), {}, std::move(hint));
 }
@@ -37,17 +35,21 @@ Status check_size(std::uint64_t bytes) {
   return {};
 }
 
+Status check_count(std::size_t buffers) {
+  if (buffers == 0 || buffers > transport::kMaxKnownBuffers)
+    return fail(ErrorCode::kInvalid, "a pool of " + std::to_string(buffers) +
+                                         " buffers, not of 1 to " +
+                                         std::to_string(transport::kMaxKnownBuffers));
+  return {};
+}
+
 }  // namespace
 
 namespace detail {
 
 Result<std::shared_ptr<BufferMemory>> BufferMemory::make(std::size_t bytes) {
   XAUTO_TRY(check_size(bytes));
-  UniqueFd fd = private_memfd("xauto-buffer", MFD_CLOEXEC | MFD_ALLOW_SEALING);
-  if (!fd) return io_error("cannot make a buffer", "see `ulimit -n`");
-  if (ftruncate(fd.get(), static_cast<off_t>(bytes)) != 0 ||
-      fcntl(fd.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
-    return io_error("cannot make a buffer");
+  XAUTO_ASSIGN(UniqueFd fd, sealed_memory("xauto-buffer", bytes));
   return adopt(std::move(fd), false);
 }
 
@@ -211,8 +213,9 @@ Result<BufferBytes<std::byte>> Buffer::write() const {
 // ---- BufferPool --------------------------------------------------------------------------------
 
 Result<BufferPool> BufferPool::make(std::size_t count, std::size_t bytes) {
+  XAUTO_TRY(check_count(count));
   std::vector<Buffer> buffers;
-  for (std::size_t i = 0; i < std::min(count, kMostBuffers + 1); ++i) {
+  for (std::size_t i = 0; i < count; ++i) {
     XAUTO_ASSIGN(Buffer buffer, Buffer::memory(bytes));
     buffers.push_back(std::move(buffer));
   }
@@ -220,9 +223,7 @@ Result<BufferPool> BufferPool::make(std::size_t count, std::size_t bytes) {
 }
 
 Result<BufferPool> BufferPool::of(const std::vector<Buffer>& buffers) {
-  if (buffers.empty() || buffers.size() > kMostBuffers)
-    return fail(ErrorCode::kInvalid, "a pool of " + std::to_string(buffers.size()) +
-                                         " buffers, not of 1 to " + std::to_string(kMostBuffers));
+  XAUTO_TRY(check_count(buffers.size()));
   std::vector<std::shared_ptr<detail::BufferMemory>> memories;
   for (const Buffer& buffer : buffers) {
     if (!buffer) return none();

@@ -14,6 +14,10 @@
 
 namespace xauto::transport {
 
+/// Buffers of one topic that are known at a time, and so of a pool: a camera has 4 to 32. The descriptors of each reader are
+/// bounded by it.
+inline constexpr std::size_t kMaxKnownBuffers = 64;
+
 /// Keeps messages because other processes read their buffers.
 class BufferKeeper {
  public:

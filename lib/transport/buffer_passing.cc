@@ -8,8 +8,8 @@
 #include <sys/socket.h>
 
 #include "base/log.h"
+#include "base/memory_file.h"
 #include "base/socket.h"
-#include "transport/shm_topic.h"
 
 namespace xauto::transport {
 namespace {

@@ -3,7 +3,7 @@
 // a message then has the buffer's number. The publisher tells a reader of a buffer before it puts the message into its queue,
 // and the reader looks into the socket when it meets a number that it does not know: so nobody waits for anybody.
 //
-//   publisher ──► Known(number) + descriptor     a memfd goes as one that cannot be written
+//   publisher ──► Known(number) + descriptor     of a memfd one for reading
 //             ──► Forgotten(number)              the publisher has it no more, and no message has
 //             ──► AllForgotten                   a new publisher, after one that died
 //
@@ -27,9 +27,6 @@
 #include "transport/buffer.h"
 
 namespace xauto::transport {
-
-/// Buffers of one topic that are known at a time: a camera has 4 to 32. The descriptors of each reader are bounded by it.
-inline constexpr std::size_t kMaxKnownBuffers = 64;
 
 struct BufferPacket {
   enum class Word : std::uint32_t { kKnown = 1, kForgotten, kAllForgotten };

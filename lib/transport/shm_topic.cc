@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "base/memory_file.h"
+#include "base/socket.h"
 
 namespace xauto::transport {
 namespace {
@@ -50,6 +51,9 @@ Status check(const TopicShape& s) {
   return {};
 }
 
+static_assert(BufferSender::Reached().size() >= kMaxTopicSubscribers);
+static_assert(kMaxPassedFds >= 2 + kMaxTopicSubscribers);  // what a publisher is invited with
+
 /// A buffer's number, then what its message has besides.
 constexpr std::size_t kNumberBytes = sizeof(std::uint64_t);
 
@@ -60,16 +64,6 @@ Status check(const TopicControl& control, const detail::TopicSpec& spec, std::si
     return fail(ErrorCode::kInvalid, "a topic of " + spec.type_name + " came with " +
                                          std::to_string(ends) + " ways for buffers");
   return {};
-}
-
-Result<UniqueFd> sealed_memory(const char* name, std::size_t bytes) {
-  UniqueFd fd = private_memfd(name, MFD_CLOEXEC | MFD_ALLOW_SEALING);
-  if (!fd || ftruncate(fd.get(), static_cast<off_t>(bytes)) != 0)
-    return fail(ErrorCode::kIo, std::string("cannot make shared memory: ") + strerror(errno));
-  // Sealed: a client that shrinks it would kill the others with SIGBUS.
-  if (fcntl(fd.get(), F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) != 0)
-    return fail(ErrorCode::kIo, std::string("cannot seal shared memory: ") + strerror(errno));
-  return fd;
 }
 
 Result<std::byte*> map_data(const TopicControl& control, int fd, int protection) {
@@ -108,12 +102,6 @@ Result<TopicFds> make_topic(const TopicShape& shape) {
       static_cast<ssize_t>(sizeof header))
     return fail(ErrorCode::kIo, std::string("cannot write shared memory: ") + strerror(errno));
   return fds;
-}
-
-Result<UniqueFd> read_only(int data_fd) {
-  UniqueFd fd(open(("/proc/self/fd/" + std::to_string(data_fd)).c_str(), O_RDONLY | O_CLOEXEC));
-  if (!fd) return fail(ErrorCode::kIo, std::string("cannot reopen memory: ") + strerror(errno));
-  return fd;
 }
 
 // ---- control -----------------------------------------------------------------------------------
@@ -206,8 +194,13 @@ void ShmPublisher::mark_queued() {
 
 /// Queues before `held`: see the top of shm_topic.h.
 std::uint32_t ShmPublisher::find_free() {
-  TopicControl& c = *control_;
   mark_queued();
+  return first_free();
+}
+
+/// Nobody else queues chunks, so that marks of earlier under the same lock err to the safe side.
+std::uint32_t ShmPublisher::first_free() {
+  TopicControl& c = *control_;
   // Lowest first: few chunks are ever touched, and they stay in the cache.
   for (std::uint32_t i = 0; i < c.chunks(); ++i)
     if (queued_[i] == 0 && loaned_[i].load(std::memory_order_acquire) == 0 &&
@@ -247,7 +240,7 @@ std::uint32_t ShmPublisher::store_buffered(const detail::Envelope& envelope, std
     told = *heard;
     memory->kept_by(weak_from_this());
   }
-  const std::uint32_t chunk = find_free();
+  const std::uint32_t chunk = first_free();
   if (chunk == kNoChunk) return kNoChunk;
   std::byte* at = data_ + chunk * control_->stride();
   std::memcpy(at, &told.number, kNumberBytes);

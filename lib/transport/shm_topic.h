@@ -102,8 +102,6 @@ struct TopicFds {
   UniqueFd control, data;
 };
 [[nodiscard]] Result<TopicFds> make_topic(const TopicShape& shape);
-/// A second descriptor of `data` that cannot be mapped for writing.
-[[nodiscard]] Result<UniqueFd> read_only(int data_fd);
 
 /// The mapped control part, checked; shared by publisher, reader and reaper.
 class TopicControl {
@@ -182,6 +180,7 @@ class ShmPublisher final : public Publisher,
   using Messages = std::vector<std::shared_ptr<const void>>;
   void mark_queued() XAUTO_REQUIRES(mutex_);
   [[nodiscard]] std::uint32_t find_free() XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] std::uint32_t first_free() XAUTO_REQUIRES(mutex_);
   [[nodiscard]] Messages through() XAUTO_REQUIRES(mutex_);
   std::uint32_t store_buffered(const detail::Envelope& envelope, std::uint64_t& bytes,
                                BufferSender::Reached& reached) XAUTO_REQUIRES(mutex_);

@@ -6,26 +6,18 @@
 #include <cstring>
 #include <vector>
 
-#include <dirent.h>
 #include <fcntl.h>
 #include <sys/mman.h>
 #include <unistd.h>
 
-#include "base/log.h"
 #include "base/socket.h"
 #include "transport/buffer_passing.h"
+
+#include "tests/open_descriptors.h"
 
 namespace {
 
 using namespace xauto;
-
-std::size_t open_descriptors() {
-  std::size_t count = 0;
-  DIR* folder = opendir("/proc/self/fd");
-  while (readdir(folder) != nullptr) ++count;
-  closedir(folder);
-  return count;
-}
 
 UniqueFd memory(unsigned seals, off_t bytes) {
   UniqueFd fd(memfd_create("fuzz", MFD_CLOEXEC | MFD_ALLOW_SEALING));

@@ -12,7 +12,6 @@
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
-#include <filesystem>
 #include <stdexcept>
 #include <string>
 
@@ -21,6 +20,8 @@
 #include <unistd.h>
 
 #include <xauto/xauto.h>
+
+#include "tests/open_descriptors.h"
 
 using namespace std::chrono_literals;
 
@@ -48,11 +49,6 @@ std::string inode(const xauto::Buffer& buffer) {
   struct stat status {};
   if (fstat(buffer.fd(), &status) != 0) return "none";
   return std::to_string(status.st_ino);
-}
-
-std::string descriptors() {
-  const auto all = std::filesystem::directory_iterator("/proc/self/fd");
-  return std::to_string(std::distance(begin(all), end(all)));
 }
 
 Frame take_picture(std::uint64_t number) {
@@ -97,8 +93,8 @@ xauto::XNode<State> stage(const std::string& name, const xauto::Topic<Frame>& to
           if (mark >= 0) std::abort();
         }
         const bool good = !frame.buffer || (is_whole(frame) && frame.info.number == in.sequence());
-        tell(name + " " + release + " " + inode(frame.buffer) + " " + descriptors() +
-             (good ? " ok" : " wrong"));
+        tell(name + " " + release + " " + inode(frame.buffer) + " " +
+             std::to_string(xauto::open_descriptors()) + (good ? " ok" : " wrong"));
         if (keep) state.frame = frame;
       });
   return made;

@@ -6,7 +6,6 @@
 #include <cstring>
 #include <thread>
 
-#include <dirent.h>
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/mman.h>
@@ -14,9 +13,12 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "base/memory_file.h"
 #include "base/socket.h"
 #include "transport/buffer_passing.h"
 #include "transport/shm_topic.h"
+
+#include "tests/open_descriptors.h"
 
 namespace xauto::transport {
 namespace {
@@ -31,14 +33,6 @@ std::pair<dev_t, ino_t> which_memory(int fd) {
   struct stat status {};
   EXPECT_EQ(fstat(fd, &status), 0);
   return {status.st_dev, status.st_ino};
-}
-
-std::size_t open_descriptors() {
-  std::size_t count = 0;
-  DIR* folder = opendir("/proc/self/fd");
-  while (readdir(folder) != nullptr) ++count;
-  closedir(folder);
-  return count;
 }
 
 void put_value(const Buffer& buffer, std::uint64_t value) {
