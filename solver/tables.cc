@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <limits>
 #include <memory>
 #include <set>
 #include <thread>
@@ -13,16 +12,15 @@
 
 #include "base/index.h"
 #include "solver/certify.h"
-#include "solver/ilp_model.h"
+#include "solver/choose_tables.h"
 #include "solver/least_loss.h"
 #include "solver/ordered.h"
 #include "solver/random.h"
 #include "solver/solve.h"
+#include "solver/steady/key_tables.h"
 
 namespace xauto::solver {
 namespace {
-
-constexpr double kCannotServe = std::numeric_limits<double>::infinity();
 
 struct Plan {
   std::vector<int> xpu, sequence;  ///< of what its loss leaves
@@ -35,13 +33,6 @@ struct Lossy {
   Loss loss;
   std::vector<int> kept;          ///< [XNode of the problems] index into the app's
   std::vector<Problem> problems;  ///< [scenario] on the whole platform, what is lost forbidden
-};
-
-/// A set of candidates, and by which each scenario is served.
-struct Choice {
-  std::vector<int> chosen;
-  std::vector<int> serves;  ///< [scenario] candidate
-  double worst = kCannotServe;
 };
 
 class TablesSearch {
@@ -57,13 +48,13 @@ class TablesSearch {
 
   Result<Tables> run() {
     XAUTO_TRY(solve_each());
-    Choice best = choose();
+    TableChoice best = choose();
     // Evaluations are counted per search: then a fixed number of rounds, so that speed says nothing.
     constexpr int kRounds = 24;
     for (int round = 0; (options_.max_evaluations == 0 || round < kRounds) && !over(); ++round) {
       if (best.worst == kCannotServe || best.worst <= goal()) break;
       improve(best);
-      Choice next = choose();
+      TableChoice next = choose();
       if (next.worst < best.worst || next.chosen.size() < best.chosen.size()) best = next;
       tell(best.worst);
     }
@@ -208,100 +199,18 @@ class TablesSearch {
     return lossy_[at(plan.loss)].problems[s];
   }
 
-  /// The least number of candidates that serve every scenario within `regret`, and which; empty: as
-  /// many as `most` do not.
-  [[nodiscard]] std::vector<int> cover(double regret, int most) const {
-    IlpModel model;
-    std::vector<IlpModel::Term> all;
-    std::vector<int> column(candidates_.size(), -1);
-    for (std::size_t c = 0; c < candidates_.size(); ++c) {
-      const bool serves = std::any_of(candidates_[c].regret.begin(), candidates_[c].regret.end(),
-                                      [&](double r) { return r <= regret; });
-      if (!serves || dominated(c, regret)) continue;
-      column[c] = model.add_binary("table_" + std::to_string(c));
-      all.push_back({column[c], 1});
-    }
-    const int count = model.add_column("tables", 0, most);
-    all.push_back({count, -1});
-    model.equal("tables", all, 0);
-    for (std::size_t s = 0; s < scenarios_.size(); ++s) {
-      std::vector<IlpModel::Term> serve;
-      for (std::size_t c = 0; c < candidates_.size(); ++c)
-        if (column[c] >= 0 && candidates_[c].regret[s] <= regret) serve.push_back({column[c], 1});
-      if (serve.empty()) return {};
-      model.at_least("scenario_" + std::to_string(s), serve, 1);
-    }
-    model.minimise(count);
-    constexpr double kSeconds = 2;
-    const IlpModel::Outcome outcome = model.solve(kSeconds, options_.stop);
-    if (outcome != IlpModel::Outcome::kOptimal && outcome != IlpModel::Outcome::kFeasible)
-      return {};
-    std::vector<int> chosen;
-    for (std::size_t c = 0; c < candidates_.size(); ++c)
-      if (column[c] >= 0 && model.value(column[c]) > 0.5) chosen.push_back(static_cast<int>(c));
-    return static_cast<int>(chosen.size()) <= most ? chosen : std::vector<int>();
+  [[nodiscard]] TableChoice choose() const {
+    std::vector<std::vector<double>> regret;
+    for (const Plan& c : candidates_) regret.push_back(c.regret);
+    return choose_tables(regret, most(), options_.regret, options_.stop);
   }
-
-  /// Another one serves within `regret` all that this one does; of equals the first stays.
-  [[nodiscard]] bool dominated(std::size_t c, double regret) const {
-    for (std::size_t d = 0; d < candidates_.size(); ++d) {
-      if (d == c) continue;
-      bool all = true, more = false;
-      for (std::size_t s = 0; s < scenarios_.size() && all; ++s) {
-        const bool mine = candidates_[c].regret[s] <= regret,
-                   its = candidates_[d].regret[s] <= regret;
-        all = !mine || its;
-        more = more || (its && !mine);
-      }
-      if (all && (more || d < c)) return true;
-    }
-    return false;
-  }
-
-  /// The least largest regret with as many tables as may be; with a regret asked for, the fewest
-  /// tables within it.
-  [[nodiscard]] Choice choose() const {
-    std::vector<double> levels;
-    for (const Plan& c : candidates_)
-      for (const double r : c.regret)
-        if (r < kCannotServe) levels.push_back(r);
-    std::sort(levels.begin(), levels.end());
-    levels.erase(std::unique(levels.begin(), levels.end()), levels.end());
-    const int most = options_.tables > 0 ? options_.tables : static_cast<int>(scenarios_.size());
-    std::vector<int> best;
-    if (options_.regret >= 1) best = cover(options_.regret, most);
-    if (best.empty()) {
-      std::size_t low = 0,
-                  high = levels.size() - 1;  // each serves its own scenario: there are some
-      for (best = cover(levels[high], most); low < high;) {
-        const std::size_t middle = (low + high) / 2;
-        std::vector<int> some = cover(levels[middle], most);
-        if (some.empty()) {
-          low = middle + 1;
-        } else {
-          high = middle;
-          best = std::move(some);
-        }
-      }
-    }
-    Choice choice;
-    choice.chosen = std::move(best);
-    if (choice.chosen.empty()) return choice;
-    choice.worst = 0;
-    for (std::size_t s = 0; s < scenarios_.size(); ++s) {
-      const int by =
-          *std::min_element(choice.chosen.begin(), choice.chosen.end(), [&](int a, int b) {
-            return candidates_[at(a)].regret[s] < candidates_[at(b)].regret[s];
-          });
-      choice.serves.push_back(by);
-      choice.worst = std::max(choice.worst, candidates_[at(by)].regret[s]);
-    }
-    return choice;
+  [[nodiscard]] int most() const {
+    return options_.tables > 0 ? options_.tables : static_cast<int>(scenarios_.size());
   }
 
   /// One candidate more for each group of scenarios that a table serves, and for each with one more
   /// of those that limit.
-  void improve(const Choice& choice) {
+  void improve(const TableChoice& choice) {
     struct Task {
       std::vector<int> group;
       int from;
@@ -423,7 +332,7 @@ class TablesSearch {
     return found;
   }
 
-  Result<Tables> answer(const Choice& choice) {
+  Result<Tables> answer(const TableChoice& choice) {
     if (choice.chosen.empty())
       return fail(ErrorCode::kInfeasible,
                   "no " + std::to_string(options_.tables) +
@@ -486,7 +395,7 @@ class TablesSearch {
     return table;
   }
 
-  void add_changes(const Choice& choice, Tables& tables) const {
+  void add_changes(const TableChoice& choice, Tables& tables) const {
     const auto period = one_period_us(app_);
     for (std::size_t s = 0; s < scenarios_.size(); ++s)
       for (std::size_t t = 0; t < scenarios_.size(); ++t) {
@@ -524,11 +433,10 @@ class TablesSearch {
 
 Result<Tables> solve_tables(const AppSpec& app, const Platform& platform,
                             const Scenarios& scenarios, const TablesOptions& options) {
-  if (app.version != 1)
-    return fail(ErrorCode::kInvalid, "tables are for an app of version 1, one release", app.name);
   if (options.tables <= 0 && options.regret < 1)
     return fail(ErrorCode::kInvalid, "say how many tables, or within which regret", app.name);
   XAUTO_TRY(validate(scenarios, app, platform));
+  if (app.version == 2) return steady::solve_key_tables(app, platform, scenarios, options);
   for (std::size_t s = 0; s < scenarios.list.size(); ++s)
     if (scenarios.list[s].degraded && !time_for_a_release(app))
       return fail(

@@ -4,6 +4,8 @@
 #include <algorithm>
 
 #include "base/index.h"
+#include "solver/steady/check.h"
+#include "solver/steady/check_handover.h"
 #include "solver/verify_world.h"
 
 namespace xauto::solver {
@@ -87,6 +89,95 @@ void verify_changes(const AppSpec& app, const Platform& platform, const Tables& 
                         (without > 0 ? "; " + std::to_string(without) + " have none" : ""));
 }
 
+/// Each table of keys at its envelope, which is what its claims are about.
+void verify_keys(const AppSpec& app, const Platform& platform, const Tables& tables,
+                 TablesVerification& all) {
+  for (std::size_t t = 0; t < tables.tables.size(); ++t) {
+    const Scenario envelope = xauto::envelope(tables, t, app);
+    const std::string name = "table '" + tables.tables[t].name + "': ";
+    const auto report = steady::check(app_under(app, envelope), platform_under(platform, envelope),
+                                      keys_under(tables, t, app, platform, envelope));
+    if (report)
+      all.shown.push_back(name +
+                          "every job ends by its key and every chain within its worst case, " +
+                          "at the longest WCETs of all that it serves");
+    else
+      all.lies.push_back(name + report.error().to_string());
+  }
+  for (std::size_t s = 0; s < tables.scenarios.size(); ++s)
+    for (std::size_t c = 0; c < app.chains.size(); ++c)
+      if (tables.serves[s].chain_bound_us[c] >
+          tables.keys[at(tables.serves[s].table)].chains[c].worst_case_us)
+        all.lies.push_back("scenario '" + tables.scenarios[s].name + "': chain '" +
+                           app.chains[c].name + "' has a worst case below its lower bound");
+  all.taken.push_back("the lower bounds of the scenarios");
+}
+
+void verify_handovers(const AppSpec& app, const Platform& platform, const Tables& tables,
+                      TablesVerification& all) {
+  std::vector<AppSpec> under;
+  std::vector<Scenario> envelopes;
+  for (std::size_t t = 0; t < tables.tables.size(); ++t) {
+    envelopes.push_back(envelope(tables, t, app));
+    under.push_back(app_under(app, envelopes.back()));
+  }
+  std::size_t shown = 0, without = 0;
+  for (const Handover& claim : tables.handovers) {
+    const std::string name = "from '" + tables.tables[at(claim.from)].name + "' to '" +
+                             tables.tables[at(claim.to)].name + "': ";
+    const bool claims = std::any_of(claim.worst_case_us.begin(), claim.worst_case_us.end(),
+                                    [](const auto& us) { return us.has_value(); });
+    const std::vector<std::string>& gone = envelopes[at(claim.to)].lost;
+    const bool lost = std::any_of(tables.tables[at(claim.from)].xpu.begin(),
+                                  tables.tables[at(claim.from)].xpu.end(), [&](int x) {
+                                    return std::find(gone.begin(), gone.end(),
+                                                     platform.xpus[at(x)].id) != gone.end();
+                                  });
+    if (lost && claims)
+      all.lies.push_back(name + "a worst case, though it may need an XPU that is lost");
+    if (!claims || lost) {
+      without += app.chains.size();
+      continue;
+    }
+    const AppSpec both =
+        app_under(app, across(app, envelopes[at(claim.from)], envelopes[at(claim.to)]));
+    KeyPolicy from = keys_under(tables, at(claim.from), app, platform, {}),
+              to = keys_under(tables, at(claim.to), app, platform, {});
+    from.app_hash = under[at(claim.from)].hash();
+    to.app_hash = under[at(claim.to)].hash();
+    const auto proof = steady::derive_handover(
+        {under[at(claim.from)], under[at(claim.to)], both, platform, from, to, tables.notice_us});
+    if (!proof) {
+      all.lies.push_back(name + proof.error().to_string());
+      continue;
+    }
+    for (std::size_t c = 0; c < app.chains.size(); ++c) {
+      if (!claim.worst_case_us[c]) {
+        ++without;
+        continue;
+      }
+      const auto& derived = proof->worst_case_us[c];
+      if (!derived)
+        all.lies.push_back(name + "chain '" + app.chains[c].name +
+                           "' has a worst case, and none follows" +
+                           (proof->why_not.empty() ? "" : ": " + proof->why_not.front()));
+      else if (*derived > *claim.worst_case_us[c])
+        all.lies.push_back(name + "chain '" + app.chains[c].name + "' is said to take " +
+                           std::to_string(*claim.worst_case_us[c]) + " us at most; " +
+                           std::to_string(*derived) + " follow");
+      else
+        ++shown;
+    }
+    if (claim.settles_us < proof->settles_us)
+      all.lies.push_back(name + "settles_us is said to be " + std::to_string(claim.settles_us) +
+                         "; " + std::to_string(proof->settles_us) + " follow");
+  }
+  if (shown > 0)
+    all.shown.push_back("the worst case of " + std::to_string(shown) +
+                        " chains while one table takes the place of another" +
+                        (without > 0 ? "; " + std::to_string(without) + " have none" : ""));
+}
+
 }  // namespace
 
 TablesVerification verify_tables(const AppSpec& app, const Platform& platform, const Tables& tables,
@@ -97,6 +188,11 @@ TablesVerification verify_tables(const AppSpec& app, const Platform& platform, c
     return all;
   }
   all.worst_regret = tables.worst_regret();
+  if (!tables.keys.empty()) {
+    verify_keys(app, platform, tables, all);
+    verify_handovers(app, platform, tables, all);
+    return all;
+  }
   for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
     const Scenario& scenario = tables.scenarios[s];
     const Served& served = tables.serves[s];

@@ -51,6 +51,17 @@ std::vector<std::pair<int, int>> read_pairs(const Reader& reader, const NameInde
   return pairs;
 }
 
+std::vector<std::int64_t> read_series(const Reader& reader, const char* key, bool required) {
+  // Activations of one XNode that a policy tells apart; that a file's size bounds all of them together
+  // is json_document's part.
+  constexpr std::size_t kMaxKeys = 1'000'000;
+  std::vector<std::int64_t> times;
+  if (required || reader.has(key))
+    reader[key].each_element(kMaxKeys,
+                             [&](std::size_t, const Reader& us) { times.push_back(us.time()); });
+  return times;
+}
+
 std::vector<SourceSpec> read_sources(const Reader& root, bool profile) {
   std::vector<SourceSpec> sources;
   if (root.has("sources"))

@@ -2,6 +2,7 @@
 // Private to lib/model: what several formats have in common.
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -41,6 +42,10 @@ NameIndex index_by_name(const std::vector<Named>& list) {
 [[nodiscard]] std::vector<std::pair<int, int>> read_pairs(const Reader& reader,
                                                           const NameIndex& index,
                                                           std::size_t limit = kMaxEdges);
+
+/// Times by activation, in microseconds; empty where the key is not required and not there.
+[[nodiscard]] std::vector<std::int64_t> read_series(const Reader& reader, const char* key,
+                                                    bool required);
 
 /// "sources" of version 1, where there are any; `profile`: also whether they are pushed.
 [[nodiscard]] std::vector<SourceSpec> read_sources(const Reader& root, bool profile = false);

@@ -12,10 +12,6 @@ using namespace json_parts;
 
 namespace {
 
-/// Activations of one XNode that a policy tells apart; that a file's size bounds all of them
-/// together is json_document's part.
-constexpr std::size_t kMaxKeys = 1'000'000;
-
 /// The file has the version that the caller reads, which is that of its app.
 void expect_version(const Reader& root, std::int64_t version, const AppSpec& app) {
   const std::int64_t given = root.expect("xauto.policy", 2);
@@ -86,14 +82,6 @@ std::vector<std::size_t> read_placements(const Reader& root, const AppSpec& app,
   return line_of;
 }
 
-std::vector<std::int64_t> read_times(const Reader& x, const char* key, bool required) {
-  std::vector<std::int64_t> times;
-  if (required || x.has(key))
-    x[key].each_element(kMaxKeys,
-                        [&](std::size_t, const Reader& us) { times.push_back(us.time()); });
-  return times;
-}
-
 /// Each chain of the app, once.
 void read_claims(const Reader& root, const AppSpec& app, KeyPolicy& policy) {
   const NameIndex index = index_by_name(app.chains);
@@ -157,10 +145,10 @@ Result<KeyPolicy> parse_key_policy(std::string_view text, std::string_view origi
       read_placements(root, app, index_by_name(app.xnodes), [&](std::size_t i, const Reader& x) {
         KeyPlacement& p = policy.placements[i];
         p.xpu = read_xpu(x, platform);
-        p.key_us = read_times(x, "key_us", true);
-        p.hold_us = read_times(x, "hold_us", false);
-        p.start_us = read_times(x, "start_us", false);
-        p.finish_us = read_times(x, "finish_us", false);
+        p.key_us = read_series(x, "key_us", true);
+        p.hold_us = read_series(x, "hold_us", false);
+        p.start_us = read_series(x, "start_us", false);
+        p.finish_us = read_series(x, "finish_us", false);
       });
   read_claims(root, app, policy);
   return accept(std::move(policy), root, context, document, app, platform, line_of, keys);
@@ -182,8 +170,8 @@ Result<KeyPolicy> parse_key_hint(std::string_view text, std::string_view origin,
   std::vector<char> there(app.xnodes.size(), 0);
   root["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& x) {
     const std::string name = x["name"].text(), xpu = x["xpu"].text();
-    KeyPlacement placed{platform.find(xpu), read_times(x, "key_us", true)};
-    placed.hold_us = read_times(x, "hold_us", false);
+    KeyPlacement placed{platform.find(xpu), read_series(x, "key_us", true)};
+    placed.hold_us = read_series(x, "hold_us", false);
     if (x.failed()) return;
     if (placed.key_us.empty()) return x["key_us"].refuse("XNode '" + name + "' has no key");
     const auto found = index.find(name);

@@ -2,6 +2,7 @@
 // scenarios.json and tables.json.
 #include <algorithm>
 #include <cstdint>
+#include <utility>
 
 #include "model/json.h"
 #include "model/json_parts.h"
@@ -109,6 +110,63 @@ ordered_json variants_to_json(const Loss& loss, const AppSpec& app) {
   return variants;
 }
 
+/// Each chain of the app once, in any order: each(chain, its line).
+template <class Each>
+void read_chains(const Reader& x, const AppSpec& app, Each each) {
+  const NameIndex index = index_by_name(app.chains);
+  std::vector<char> there(app.chains.size(), 0);
+  x["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
+    const int found = read_name(c["name"], index, "chain", "the app");
+    if (c.failed()) return;
+    if (std::exchange(there[static_cast<std::size_t>(found)], char{1}) != 0)
+      return c["name"].refuse("is there twice");
+    each(static_cast<std::size_t>(found), c);
+  });
+  if (x.failed()) return;
+  const auto missing = std::find(there.begin(), there.end(), 0);
+  if (missing != there.end())
+    x["chains"].refuse("chain '" +
+                       app.chains[static_cast<std::size_t>(missing - there.begin())].name +
+                       "' is missing");
+}
+
+/// What a table of version 2 says beyond where its XNodes are.
+KeyPolicy read_keys(const Reader& x, const AppSpec& app, const Table& table,
+                    const NameIndex& index) {
+  KeyPolicy keys;
+  keys.placements.resize(app.xnodes.size());
+  x["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& placed) {
+    const int found = read_name(placed["name"], index, "XNode", "the app");
+    if (placed.failed()) return;
+    KeyPlacement& p = keys.placements[static_cast<std::size_t>(found)];
+    p.xpu = table.xpu[static_cast<std::size_t>(found)];
+    p.key_us = read_series(placed, "key_us", true);
+    p.hold_us = read_series(placed, "hold_us", false);
+  });
+  keys.chains.resize(app.chains.size());
+  read_chains(x, app, [&](std::size_t k, const Reader& c) {
+    keys.chains[k] = {app.chains[k].name, c["worst_case_us"].time(), 0, false};
+    if (c.has("urgent_worst_case_us"))
+      keys.chains[k].urgent_worst_case_us = c["urgent_worst_case_us"].time();
+  });
+  return keys;
+}
+
+Handover read_handover(const Reader& x, const AppSpec& app, const NameIndex& table_of) {
+  Handover handover{read_name(x["from"], table_of, "table", "the file"),
+                    read_name(x["to"], table_of, "table", "the file"),
+                    std::vector<std::optional<std::int64_t>>(app.chains.size())};
+  handover.settles_us = x["settles_us"].time();
+  if (x.has("not_claimed"))
+    x["not_claimed"].each_element(kMaxXNodes, [&](std::size_t, const Reader& why) {
+      handover.not_claimed.push_back(why.text());
+    });
+  read_chains(x, app, [&](std::size_t k, const Reader& c) {
+    if (c.has("worst_case_us")) handover.worst_case_us[k] = c["worst_case_us"].time();
+  });
+  return handover;
+}
+
 Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
                  const NameIndex& index) {
   Table table;
@@ -118,7 +176,8 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
   x["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& placed) {
     const int found = read_name(placed["name"], index, "XNode", "the app");
     const std::string id = placed["xpu"].text();
-    const std::int64_t priority = placed["priority"].integer(-kMaxTimeUs, kMaxTimeUs);
+    const std::int64_t priority =
+        app.version == 2 ? 0 : placed["priority"].integer(-kMaxTimeUs, kMaxTimeUs);
     if (placed.failed()) return;
     const auto i = static_cast<std::size_t>(found);
     if (table.xpu[i] >= 0)
@@ -128,6 +187,7 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
     if (table.xpu[i] < 0)
       placed["xpu"].refuse("XPU '" + id + "' is not in platform '" + platform.name + "'");
   });
+  if (app.version == 2) return table;
   if (x.has("order")) table.order = read_pairs(x["order"], index);
   read_loss(x, app, index, table.loss);
   return table;
@@ -155,7 +215,12 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
   XAUTO_ASSIGN(const nlohmann::json document, json_document::parse(text, origin));
   Reader::Context context{std::string(origin), {}};
   const Reader root(context, &document, "");
-  root.expect("xauto.tables");
+  const std::int64_t version = root.expect("xauto.tables", 2);
+  if (!root.failed() && version != app.version)
+    root["version"].refuse("is " + std::to_string(version) + ", app '" + app.name +
+                               "' is of version " + std::to_string(app.version),
+                           "tables have the version of their app: solve again");
+  XAUTO_TRY(context.status());
   Tables tables;
   tables.app = root["app"].text();
   tables.app_hash = root["app_hash"].text();
@@ -164,20 +229,47 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
   const NameIndex xnodes = index_by_name(app.xnodes);
   root["tables"].each_element(kMaxTables, [&](std::size_t, const Reader& x) {
     tables.tables.push_back(read_table(x, app, platform, xnodes));
+    if (version == 1) return;
+    tables.keys.push_back(read_keys(x, app, tables.tables.back(), xnodes));
   });
+  XAUTO_TRY(context.status());
+  for (std::size_t t = 0; t < tables.keys.size(); ++t)
+    for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+      if (tables.tables[t].xpu[i] < 0 || tables.keys[t].placements[i].key_us.empty())
+        return fail(ErrorCode::kInvalid,
+                    "XNode '" + app.xnodes[i].name + "' " +
+                        (tables.tables[t].xpu[i] < 0 ? "is not placed" : "has no key"),
+                    std::string(origin) + ": /tables/" + std::to_string(t) + "/xnodes");
+  set_priorities(tables);
+
   const NameIndex scenario_of = index_by_name(tables.scenarios),
                   table_of = index_by_name(tables.tables);
   tables.serves.resize(tables.scenarios.size());
   root["serves"].each_element(kMaxScenarios, [&](std::size_t, const Reader& x) {
     const int s = read_name(x["scenario"], scenario_of, "scenario", "the file");
     const int t = read_name(x["table"], table_of, "table", "the file");
-    const Served served{t, x["worst_case_us"].time(), x["lower_bound_us"].time()};
+    Served served{t};
+    if (version == 1) {
+      served.worst_case_us = x["worst_case_us"].time();
+      served.lower_bound_us = x["lower_bound_us"].time();
+    } else {
+      served.chain_bound_us.resize(app.chains.size());
+      read_chains(x, app, [&](std::size_t k, const Reader& c) {
+        served.chain_bound_us[k] = c["lower_bound_us"].time();
+      });
+    }
     if (x.failed()) return;
     Served& of = tables.serves[static_cast<std::size_t>(s)];
     if (of.table >= 0) return x["scenario"].refuse("is served twice");
     of = served;
   });
-  if (root.has("changes"))
+  if (version == 2) {
+    tables.notice_us = root["notice_us"].time();
+    if (root.has("handovers"))
+      root["handovers"].each_element(kMaxTables * kMaxTables, [&](std::size_t, const Reader& x) {
+        tables.handovers.push_back(read_handover(x, app, table_of));
+      });
+  } else if (root.has("changes"))
     root["changes"].each_element(kMaxScenarios * kMaxScenarios, [&](std::size_t, const Reader& x) {
       Change change{read_name(x["from"], scenario_of, "scenario", "the file"),
                     read_name(x["to"], scenario_of, "scenario", "the file"),
@@ -195,6 +287,7 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
                   "scenario '" + tables.scenarios[s].name + "' is served by no table",
                   std::string(origin) + ": /serves");
   XAUTO_TRY(in_file(validate(tables, app, platform), origin));
+  if (version == 2) set_figures(tables, app);
   if (keys != nullptr) *keys = context.keys(document);
   return tables;
 }
@@ -205,24 +298,63 @@ std::string to_json(const Scenarios& scenarios) {
   return json_document::to_text(document);
 }
 
+namespace {
+
+void put_keys(const KeyPlacement& keys, ordered_json& into) {
+  into["key_us"] = keys.key_us;
+  if (!keys.hold_us.empty()) into["hold_us"] = keys.hold_us;
+}
+
+ordered_json claims_to_json(const std::vector<ChainClaim>& claims) {
+  ordered_json chains = ordered_json::array();
+  for (const ChainClaim& c : claims) {
+    chains.push_back({{"name", c.name}, {"worst_case_us", c.worst_case_us}});
+    if (c.urgent_worst_case_us) chains.back()["urgent_worst_case_us"] = *c.urgent_worst_case_us;
+  }
+  return chains;
+}
+
+ordered_json handover_to_json(const Handover& h, const Tables& tables, const AppSpec& app) {
+  ordered_json one = {{"from", tables.tables[static_cast<std::size_t>(h.from)].name},
+                      {"to", tables.tables[static_cast<std::size_t>(h.to)].name},
+                      {"settles_us", h.settles_us}};
+  if (!h.not_claimed.empty()) one["not_claimed"] = h.not_claimed;
+  one["chains"] = ordered_json::array();
+  for (std::size_t c = 0; c < app.chains.size(); ++c) {
+    one["chains"].push_back({{"name", app.chains[c].name}});
+    if (h.worst_case_us[c]) one["chains"].back()["worst_case_us"] = *h.worst_case_us[c];
+  }
+  return one;
+}
+
+}  // namespace
+
 std::string to_json(const Tables& tables, const AppSpec& app, const Platform& platform) {
   const auto name = [&](int i) { return app.xnodes[static_cast<std::size_t>(i)].name; };
+  const bool by_keys = !tables.keys.empty();
   ordered_json document = {{"schema", "xauto.tables"},
-                           {"version", 1},
+                           {"version", by_keys ? 2 : 1},
                            {"app", tables.app},
                            {"app_hash", tables.app_hash},
                            {"platform", tables.platform}};
   document["scenarios"] = scenarios_to_json(tables.scenarios);
   document["tables"] = ordered_json::array();
-  for (const Table& t : tables.tables) {
+  for (std::size_t k = 0; k < tables.tables.size(); ++k) {
+    const Table& t = tables.tables[k];
     ordered_json xnodes = ordered_json::array();
-    for (std::size_t i = 0; i < t.xpu.size(); ++i)
-      if (t.xpu[i] >= 0)
-        xnodes.push_back({{"name", app.xnodes[i].name},
-                          {"xpu", platform.xpus[static_cast<std::size_t>(t.xpu[i])].id},
-                          {"priority", t.priority[i]}});
+    for (std::size_t i = 0; i < t.xpu.size(); ++i) {
+      if (t.xpu[i] < 0) continue;
+      ordered_json placed = {{"name", app.xnodes[i].name},
+                             {"xpu", platform.xpus[static_cast<std::size_t>(t.xpu[i])].id}};
+      if (by_keys)
+        put_keys(tables.keys[k].placements[i], placed);
+      else
+        placed["priority"] = t.priority[i];
+      xnodes.push_back(std::move(placed));
+    }
     ordered_json table = {{"name", t.name}};
     table["xnodes"] = std::move(xnodes);
+    if (by_keys) table["chains"] = claims_to_json(tables.keys[k].chains);
     if (!t.order.empty()) table["order"] = pairs_to_json(t.order, name);
     if (ordered_json variants = variants_to_json(t.loss, app); !variants.empty())
       table["variants"] = std::move(variants);
@@ -232,12 +364,23 @@ std::string to_json(const Tables& tables, const AppSpec& app, const Platform& pl
   document["serves"] = ordered_json::array();
   for (std::size_t s = 0; s < tables.serves.size(); ++s) {
     const Served& served = tables.serves[s];
-    document["serves"].push_back(
-        {{"scenario", tables.scenarios[s].name},
-         {"table", tables.tables[static_cast<std::size_t>(served.table)].name},
-         {"worst_case_us", served.worst_case_us},
-         {"lower_bound_us", served.lower_bound_us}});
+    ordered_json one = {{"scenario", tables.scenarios[s].name},
+                        {"table", tables.tables[static_cast<std::size_t>(served.table)].name}};
+    if (by_keys) {
+      one["chains"] = ordered_json::array();
+      for (std::size_t c = 0; c < app.chains.size(); ++c)
+        one["chains"].push_back(
+            {{"name", app.chains[c].name}, {"lower_bound_us", served.chain_bound_us[c]}});
+    } else {
+      one["worst_case_us"] = served.worst_case_us;
+      one["lower_bound_us"] = served.lower_bound_us;
+    }
+    document["serves"].push_back(std::move(one));
   }
+  if (by_keys) document["notice_us"] = tables.notice_us;
+  if (!tables.handovers.empty()) document["handovers"] = ordered_json::array();
+  for (const Handover& h : tables.handovers)
+    document["handovers"].push_back(handover_to_json(h, tables, app));
   if (!tables.changes.empty()) document["changes"] = ordered_json::array();
   for (const Change& c : tables.changes) {
     ordered_json change = {{"from", tables.scenarios[static_cast<std::size_t>(c.from)].name},

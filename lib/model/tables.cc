@@ -60,6 +60,65 @@ Policy policy_under(const Table& table, const AppSpec& app, const Platform& plat
   return policy;
 }
 
+Scenario envelope(const Tables& tables, std::size_t table, const AppSpec& app) {
+  std::optional<Scenario> all;
+  for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
+    if (tables.serves[s].table != static_cast<int>(table)) continue;
+    all = all ? across(app, *all, tables.scenarios[s]) : tables.scenarios[s];
+  }
+  return all.value_or(Scenario{});
+}
+
+KeyPolicy keys_under(const Tables& tables, std::size_t table, const AppSpec& app,
+                     const Platform& platform, const Scenario& scenario) {
+  KeyPolicy policy = tables.keys[table];
+  const Platform left = platform_under(platform, scenario);
+  policy.app = app.name;
+  policy.app_hash = app_under(app, scenario).hash();
+  policy.platform = left.name;
+  policy.method = "tables";
+  for (KeyPlacement& p : policy.placements) p.xpu = left.find(platform.xpus[at(p.xpu)].id);
+  return policy;
+}
+
+Objective chain_objective(const AppSpec& app, const std::vector<std::int64_t>& us) {
+  Objective objective;
+  for (std::size_t k = 0; k < app.chains.size(); ++k) {
+    objective.sum_us += us[k];
+    if (!app.chains[k].deadline_us) continue;
+    const double late =
+        static_cast<double>(us[k]) / static_cast<double>(*app.chains[k].deadline_us);
+    if (objective.chain >= 0 && late <= objective.late) continue;
+    objective.late = late;
+    objective.chain = static_cast<int>(k);
+  }
+  return objective;
+}
+
+void set_priorities(Tables& tables) {
+  for (std::size_t t = 0; t < tables.keys.size(); ++t) {
+    const Policy by_keys = assignment_of(tables.keys[t]);
+    for (std::size_t i = 0; i < by_keys.placements.size(); ++i)
+      tables.tables[t].priority[i] = by_keys.placements[i].priority;
+  }
+}
+
+void set_figures(Tables& tables, const AppSpec& app) {
+  for (Served& served : tables.serves) {
+    std::vector<std::int64_t> worst;
+    for (const ChainClaim& claim : tables.keys[at(served.table)].chains)
+      worst.push_back(claim.worst_case_us);
+    const Objective of = chain_objective(app, worst),
+                    least = chain_objective(app, served.chain_bound_us);
+    served.worst_case_us = of.sum_us;
+    served.lower_bound_us = least.sum_us;
+    if (of.chain < 0) continue;
+    served.worst_case_us = worst[at(of.chain)];
+    served.lower_bound_us = static_cast<std::int64_t>(
+        least.late * static_cast<double>(*app.chains[at(of.chain)].deadline_us));
+  }
+}
+
 Policy whole_policy(const Tables& tables, std::size_t table, const AppSpec& app,
                     const Platform& platform) {
   Table whole = tables.tables[table];
@@ -122,11 +181,61 @@ Status validate(const Table& table, const AppSpec& app, const Platform& platform
   return {};
 }
 
+/// Of an app of version 2: what the file says beyond placements.
+Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& platform) {
+  const auto is_time = [](std::int64_t us) { return us >= 0 && us <= kMaxTimeUs; };
+  if (tables.keys.size() != tables.tables.size())
+    return fail(ErrorCode::kInvalid, "not every table has keys", "/tables");
+  for (std::size_t s = 0; s < tables.serves.size(); ++s) {
+    const std::string place = "/serves/" + std::to_string(s);
+    if (tables.scenarios[s].degraded)
+      return fail(ErrorCode::kInvalid, "is degraded: an app of version 2 loses nothing",
+                  "/scenarios/" + std::to_string(s) + "/degraded", "leave it out");
+    const std::vector<std::int64_t>& bounds = tables.serves[s].chain_bound_us;
+    if (bounds.size() != app.chains.size() || !std::all_of(bounds.begin(), bounds.end(), is_time))
+      return fail(ErrorCode::kInvalid, "has no lower bound for each chain", place + "/chains");
+  }
+  for (std::size_t t = 0; t < tables.tables.size(); ++t) {
+    const Scenario all = envelope(tables, t, app);
+    if (Status valid = validate(keys_under(tables, t, app, platform, all), app_under(app, all),
+                                platform_under(platform, all));
+        !valid) {
+      Error error = std::move(valid).error();
+      error.where = "/tables/" + std::to_string(t) + error.where;
+      return tl::unexpected<Error>(std::move(error));
+    }
+  }
+  if (!is_time(tables.notice_us)) return fail(ErrorCode::kInvalid, "is out of range", "/notice_us");
+  const std::size_t n = tables.tables.size();
+  if (!tables.handovers.empty() && tables.handovers.size() != n * (n - 1))
+    return fail(ErrorCode::kInvalid, "are not all from one table to another, each once",
+                "/handovers");
+  for (std::size_t k = 0; k < tables.handovers.size(); ++k) {
+    const Handover& h = tables.handovers[k];
+    const std::size_t from = k / (n - 1), to = k % (n - 1) + (k % (n - 1) >= from ? 1 : 0);
+    const std::string place = "/handovers/" + std::to_string(k);
+    if (h.from != static_cast<int>(from) || h.to != static_cast<int>(to))
+      return fail(ErrorCode::kInvalid,
+                  "is not that from '" + tables.tables[from].name + "' to '" +
+                      tables.tables[to].name + "', which comes here",
+                  place);
+    if (h.worst_case_us.size() != app.chains.size() || !is_time(h.settles_us) ||
+        !std::all_of(h.worst_case_us.begin(), h.worst_case_us.end(),
+                     [&](const auto& us) { return !us || is_time(*us); }))
+      return fail(ErrorCode::kInvalid, "has a chain too few or too many, or a time out of range",
+                  place + "/chains");
+  }
+  return {};
+}
+
 }  // namespace
 
 Status validate(const Tables& tables, const AppSpec& app, const Platform& platform) {
-  if (app.version != 1)
-    return fail(ErrorCode::kInvalid, "tables are for an app of version 1, one release", "/app");
+  if (tables.keys.empty() != (app.version == 1))
+    return fail(ErrorCode::kInvalid,
+                "are of version " + std::to_string(tables.keys.empty() ? 1 : 2) + ", app '" +
+                    app.name + "' is of version " + std::to_string(app.version),
+                "/version", "solve again");
   if (tables.app != app.name)
     return fail(ErrorCode::kInvalid,
                 "are for app '" + tables.app + "', this is app '" + app.name + "'", "/app");
@@ -174,6 +283,7 @@ Status validate(const Tables& tables, const AppSpec& app, const Platform& platfo
         served.lower_bound_us < 0 || served.lower_bound_us > kMaxTimeUs)
       return fail(ErrorCode::kInvalid, "a time is out of range", at);
   }
+  if (!tables.keys.empty()) return validate_keys(tables, app, platform);
   const std::size_t n = tables.scenarios.size();
   if (!tables.changes.empty() && tables.changes.size() != n * (n - 1))
     return fail(ErrorCode::kInvalid, "are not all changes between two scenarios, each once",

@@ -10,6 +10,7 @@
 
 #include <xauto/result.h>
 
+#include "model/key_policy.h"
 #include "model/loss.h"
 #include "model/policy.h"
 #include "model/scenario.h"
@@ -20,7 +21,7 @@ namespace xauto {
 struct Table {
   std::string name;
   std::vector<int> xpu;                ///< [xnode] index into Platform::xpus; -1: its module is off
-  std::vector<std::int64_t> priority;  ///< [xnode] as Placement::priority
+  std::vector<std::int64_t> priority;  ///< [xnode] as Placement::priority; of keys: assignment_of()
   std::vector<std::pair<int, int>> order;
   Loss loss = {};  ///< none, unless all scenarios that it serves are degraded
   bool operator==(const Table&) const = default;
@@ -31,6 +32,10 @@ struct Served {
   int table = -1;
   std::int64_t worst_case_us = 0;   ///< of every execution within the scenario's WCETs
   std::int64_t lower_bound_us = 0;  ///< proven: under this scenario no policy is shorter
+  /// Of an app of version 2, [chain]: proven, as ChainClaim::lower_bound_us. The two above follow from it
+  /// and from the table's chains: of the chain whose worst case is longest relative to its deadline,
+  /// and what that comes to in any policy; without deadlines the sums over all chains.
+  std::vector<std::int64_t> chain_bound_us = {};
   bool operator==(const Served&) const = default;
 };
 
@@ -46,12 +51,31 @@ struct Change {
   bool operator==(const Change&) const = default;
 };
 
+/// Of an app of version 2: a run goes from one table to another without a pause, and each release keeps
+/// the one that it has. docs/steady-state.md, theorem 8.
+struct Handover {
+  int from = -1, to = -1;  ///< tables
+  /// [chain] of every release that meets it, each job within the WCETs of both tables' scenarios;
+  /// nullopt: nothing is claimed.
+  std::vector<std::optional<std::int64_t>> worst_case_us;
+  std::int64_t settles_us = 0;  ///< from then on jobs are in time again; not before, the next one
+  std::vector<std::string> not_claimed =
+      {};  ///< why some chains have none, a line each; for people
+  bool operator==(const Handover&) const = default;
+};
+
 struct Tables {
   std::string app, app_hash, platform;
   std::vector<Scenario> scenarios;
   std::vector<Table> tables;
   std::vector<Served> serves;   ///< [scenario]
   std::vector<Change> changes;  ///< all (from, to) of different scenarios, in that order; or none
+  /// [table] of an app of version 2: keys and holds, and each chain's worst case in every scenario that
+  /// the table serves. Empty: of version 1.
+  std::vector<KeyPolicy> keys = {};
+  std::vector<Handover> handovers =
+      {};                      ///< all (from, to) of different tables, in that order; or none
+  std::int64_t notice_us = 0;  ///< they count on it that a job that takes too long is known by then
   std::int64_t solve_ms = 0;
   bool operator==(const Tables&) const = default;
 
@@ -86,6 +110,26 @@ inline constexpr std::size_t kMaxTables = 100;
 /// platform_under(). xpu -1: it uses an XPU that is lost.
 [[nodiscard]] Policy policy_under(const Table& table, const AppSpec& app, const Platform& platform,
                                   const Scenario& scenario);
+
+/// What `table` is certified for: of each WCET the longest of the scenarios that it serves, and what any
+/// of them has lost.
+[[nodiscard]] Scenario envelope(const Tables& tables, std::size_t table, const AppSpec& app);
+/// The keys of a table as a policy of app_under(`scenario`), without its lower bounds: XPUs are indices
+/// into platform_under(). xpu -1: it uses an XPU that is lost.
+[[nodiscard]] KeyPolicy keys_under(const Tables& tables, std::size_t table, const AppSpec& app,
+                                   const Platform& platform, const Scenario& scenario);
+/// Sets each table's priorities: those that come nearest to its keys (assignment_of).
+void set_priorities(Tables& tables);
+/// Sets what follows from the chains' figures: the two of each Served.
+void set_figures(Tables& tables, const AppSpec& app);
+/// Of an app of version 2: the largest worst case relative to its deadline, 0 where none has one; and
+/// the sum. `us`: by chain.
+struct Objective {
+  double late = 0;
+  std::int64_t sum_us = 0;
+  int chain = -1;  ///< whose `late` is
+};
+[[nodiscard]] Objective chain_objective(const AppSpec& app, const std::vector<std::int64_t>& us);
 
 /// Table number `table` as a policy of the whole app, to be made at the start of a run. XNodes whose
 /// module is off there are where the table of the first scenario has them: they get no job.

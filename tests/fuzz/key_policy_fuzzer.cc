@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// policy.json of version 2 from outside, for an app and a platform of our own: those of
+// policy.json and tables.json of version 2 from outside, for an app and a platform of our own: those of
 // tests/golden.
 #include "model/json.h"
 
@@ -92,5 +92,11 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   fuzz::check_read(
       read({reinterpret_cast<const char*>(data), size}),
       [](const KeyPolicy& policy) { return to_json(policy, app, platform); }, read);
+  const auto tables = [](std::string_view text) {
+    return parse_tables(text, fuzz::kOrigin, app, platform);
+  };
+  fuzz::check_read(
+      tables({reinterpret_cast<const char*>(data), size}),
+      [](const Tables& of) { return to_json(of, app, platform); }, tables);
   return 0;
 }

@@ -31,6 +31,12 @@ struct CheckFlags {
 Result<int> check(const CheckFlags& flags, const Options& options) {
   XAUTO_ASSIGN(const AppSpec app, load_any_app(flags.app));
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
+  if (is_tables_file(flags.policy)) {
+    if (!flags.against.empty() || flags.wishes.given())
+      return fail(ErrorCode::kInvalid, "are for a policy.json", "--against, pins and deadlines",
+                  "leave them out: tables know the app's deadline alone");
+    return check_tables(app, platform, flags.policy, flags.options, options);
+  }
   if (app.version == 2) {
     if (!flags.against.empty() || flags.wishes.deadline_us > 0)
       return fail(ErrorCode::kInvalid, "are for an app of version 1", "--against, --deadline-us");
@@ -42,12 +48,6 @@ Result<int> check(const CheckFlags& flags, const Options& options) {
     XAUTO_ASSIGN(solver::Objectives asked, load_objectives(flags.app));
     XAUTO_TRY(add_to_objectives(flags.wishes, asked));
     return check_periodic(app, platform, flags.policy, asked, options);
-  }
-  if (is_tables_file(flags.policy)) {
-    if (!flags.against.empty() || flags.wishes.given())
-      return fail(ErrorCode::kInvalid, "are for a policy.json", "--against, pins and deadlines",
-                  "leave them out: tables know the app's deadline alone");
-    return check_tables(app, platform, flags.policy, flags.options, options);
   }
   XAUTO_ASSIGN(const Policy policy, load_policy(flags.policy, app, platform));
   solver::VerifyOptions asked = flags.options;

@@ -232,14 +232,14 @@ Result<int> solve_on_and_on(SolveFlags& flags, const AppSpec& app, const Options
 
 /// Several policies: --scenarios.
 Result<int> solve_tables(SolveFlags& flags, const AppSpec& app, const Options& options) {
-  if (app.version == 2)
-    return fail(
-        ErrorCode::kInvalid,
-        "is of version 2: nothing bounds what a chain takes while one policy of keys takes the "
-        "place of another",
-        "--scenarios, " + flags.app, "solve one policy, for the slowest scenario");
   XAUTO_ASSIGN(const Platform platform, load_platform(flags.platform));
-  XAUTO_TRY(read_objectives(flags));
+  if (app.version == 1) {
+    XAUTO_TRY(read_objectives(flags));
+  } else {
+    XAUTO_ASSIGN(flags.options.objectives, load_objectives(flags.app));
+    flags.options.objectives.chains.clear();  // the app's own
+    XAUTO_TRY(add_to_objectives(flags.wishes, flags.options.objectives));
+  }
   const solver::Objectives& asked = flags.options.objectives;
   if (!asked.chains.empty() || !asked.pins.empty() || !asked.forbids.empty() ||
       !asked.groups.empty() || asked.deadline_us)

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <iostream>
+#include <set>
 
 #include <fmt/format.h>
 
@@ -29,6 +30,62 @@ bool misses(const AppSpec& app, const Change& change) {
   return app.deadline_us && change.worst_case_us && *change.worst_case_us > *app.deadline_us;
 }
 
+/// "from 'a' to 'b': brake: 81.00 of 80.00 ms", of what is beyond a chain's deadline.
+std::vector<std::string> missed_chains(const AppSpec& app, const Tables& tables) {
+  std::vector<std::string> missed;
+  const auto judge = [&](const std::string& what, std::size_t chain,
+                         std::optional<std::int64_t> us) {
+    const auto& deadline = app.chains[chain].deadline_us;
+    if (us && deadline && *us > *deadline)
+      missed.push_back(what + ": " + app.chains[chain].name + ": " + ms(*us) + " of " +
+                       ms(*deadline));
+  };
+  for (std::size_t t = 0; t < tables.keys.size(); ++t)
+    for (std::size_t c = 0; c < app.chains.size(); ++c) {
+      const ChainClaim& claim = tables.keys[t].chains[c];
+      judge("'" + tables.tables[t].name + "'", c, claim.worst_case_us);
+      judge("'" + tables.tables[t].name + "', urgent", c, claim.urgent_worst_case_us);
+    }
+  for (const Handover& h : tables.handovers)
+    for (std::size_t c = 0; c < app.chains.size(); ++c)
+      judge("from '" + tables.tables[static_cast<std::size_t>(h.from)].name + "' to '" +
+                tables.tables[static_cast<std::size_t>(h.to)].name + "'",
+            c, h.worst_case_us[c]);
+  return missed;
+}
+
+/// What a chain takes in each table, and while one table takes the place of another.
+void print_chains(const AppSpec& app, const Tables& tables) {
+  std::size_t width = 5;
+  for (const ChainSpec& chain : app.chains) width = std::max(width, chain.name.size());
+  std::printf("\n  %-*s %12s", static_cast<int>(width), "chain", "deadline");
+  for (const Table& table : tables.tables) std::printf(" %12s", table.name.c_str());
+  std::printf(" %12s\n", "any change");
+  for (std::size_t c = 0; c < app.chains.size(); ++c) {
+    const auto& deadline = app.chains[c].deadline_us;
+    std::printf("  %-*s %12s", static_cast<int>(width), app.chains[c].name.c_str(),
+                deadline ? ms(*deadline).c_str() : "-");
+    for (const KeyPolicy& keys : tables.keys)
+      std::printf(" %12s", ms(keys.chains[c].worst_case_us).c_str());
+    std::optional<std::int64_t> most = 0;
+    for (const Handover& h : tables.handovers)
+      most = most && h.worst_case_us[c] ? std::optional(std::max(*most, *h.worst_case_us[c]))
+                                        : std::nullopt;
+    std::printf(" %12s\n", tables.handovers.empty() ? "-" : most ? ms(*most).c_str() : "not known");
+  }
+  std::int64_t settles = 0;
+  for (const Handover& h : tables.handovers) settles = std::max(settles, h.settles_us);
+  if (settles > 0)
+    std::printf("  A change has settled after %s at most: a run makes no other one before.\n",
+                ms(settles).c_str());
+  std::set<std::string> why;
+  for (const Handover& h : tables.handovers) why.insert(h.not_claimed.begin(), h.not_claimed.end());
+  for (const std::string& line : why)
+    std::printf("  Not known what a change costs: %s.\n", line.c_str());
+  for (const std::string& missed : missed_chains(app, tables))
+    std::printf("  MISSES THE DEADLINE: %s\n", missed.c_str());
+}
+
 void print_tables(const AppSpec& app, const Tables& tables) {
   std::size_t width = 8, table_width = 10;
   for (const Scenario& s : tables.scenarios) width = std::max(width, s.name.size());
@@ -37,6 +94,7 @@ void print_tables(const AppSpec& app, const Tables& tables) {
   std::printf("%s on %s: %zu scenarios, %zu table%s, %.2f s\n\n", app.name.c_str(),
               tables.platform.c_str(), tables.scenarios.size(), count, count == 1 ? "" : "s",
               static_cast<double>(tables.solve_ms) / 1000);
+  const bool by_keys = !tables.keys.empty();
   std::printf("  %-*s  %-*s %12s %12s %8s\n", static_cast<int>(width), "scenario",
               static_cast<int>(table_width), "table", "worst case", "lower bound", "regret");
   std::size_t worst = 0;
@@ -60,7 +118,8 @@ void print_tables(const AppSpec& app, const Tables& tables) {
   std::printf(
       "\n  worst regret %.3f, under '%s'. Each worst case is certified, of %s, at the scenario's "
       "times and below; each bound is proven.%s\n",
-      tables.worst_regret(), tables.scenarios[worst].name.c_str(), kWorstCaseScope,
+      tables.worst_regret(), tables.scenarios[worst].name.c_str(),
+      by_keys ? kKeyScope : kWorstCaseScope,
       tables.worst_regret() > 1 ? " That as few tables cannot do better is not." : "");
   for (std::size_t t = 0; t < tables.tables.size(); ++t) {
     const Table& table = tables.tables[t];
@@ -85,6 +144,7 @@ void print_tables(const AppSpec& app, const Tables& tables) {
         "%zu XNodes move.\n",
         instances(tables), app.xnodes.size(), most);
   }
+  if (by_keys) print_chains(app, tables);
   if (longest != nullptr)
     std::printf("  A release that is under way when the scenario changes takes at most %s%s.\n",
                 ms(*longest->worst_case_us).c_str(),
@@ -133,7 +193,8 @@ Result<int> solve_with_tables(const AppSpec& app, const Platform& platform,
     std::printf("\n  written to %s\n", out.c_str());
   const auto late = [&](const auto& of) { return misses(app, of); };
   const bool missed = std::any_of(tables.serves.begin(), tables.serves.end(), late) ||
-                      std::any_of(tables.changes.begin(), tables.changes.end(), late);
+                      std::any_of(tables.changes.begin(), tables.changes.end(), late) ||
+                      !missed_chains(app, tables).empty();
   return outputs.status(missed ? kAnswerIsNo : kDone);
 }
 
@@ -141,7 +202,7 @@ Result<int> check_tables(const AppSpec& app, const Platform& platform, const std
                          const solver::VerifyOptions& asked, const Options& options) {
   XAUTO_ASSIGN(const Tables tables, load_tables(path, app, platform));
   const solver::TablesVerification v = solver::verify_tables(app, platform, tables, asked);
-  std::vector<std::string> missed;
+  std::vector<std::string> missed = missed_chains(app, tables);
   for (std::size_t s = 0; s < tables.serves.size(); ++s)
     if (misses(app, tables.serves[s]))
       missed.push_back("scenario '" + tables.scenarios[s].name +

@@ -301,5 +301,31 @@ TEST(Golden, EveryMalformedPolicyOfVersion2IsRefusedWithItsMessage) {
   });
 }
 
+TEST(Golden, TablesOfKeysAreWrittenAsTheyWereRead) {
+  const AppSpec app = golden_app_2();
+  const Platform platform = golden_platform();
+  const std::string text = slurp(golden() / "tables-2.json");
+  const auto tables = parse_tables(text, "tables-2.json", app, platform);
+  ASSERT_TRUE(tables) << tables.error().to_string();
+  EXPECT_EQ(to_json(*tables, app, platform), text);
+  // Of the one chain that has a deadline.
+  EXPECT_EQ(tables->serves[2], (Served{1, 37500, 11370, {11370, 25501}}));
+  EXPECT_DOUBLE_EQ(tables->worst_regret(), 34500.0 / 9000);
+  const Scenario all = envelope(*tables, 1, app);
+  EXPECT_EQ(app_under(app, all).xnodes[1].wcet_on("gpu"), 9100) << "the longest that it serves";
+  EXPECT_EQ(keys_under(*tables, 1, app, platform, all).app_hash, app_under(app, all).hash());
+  EXPECT_GT(tables->tables[0].priority[4], tables->tables[0].priority[2]) << "its key is smaller";
+  EXPECT_EQ(tables->handovers[0].worst_case_us,
+            (std::vector<std::optional<std::int64_t>>{51000, std::nullopt}));
+}
+
+TEST(Golden, EveryMalformedFileOfTablesOfKeysIsRefusedWithItsMessage) {
+  const AppSpec app = golden_app_2();
+  const Platform platform = golden_platform();
+  every_case("tables-2", 16, [&](const std::string& text, const std::string& name) {
+    return parse_tables(text, name, app, platform);
+  });
+}
+
 }  // namespace
 }  // namespace xauto

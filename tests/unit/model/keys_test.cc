@@ -66,6 +66,7 @@ Status read(const std::string& format, const std::string& text, Keys* keys) {
   if (format == "profile") return status(parse_profile(text, format, keys));
   if (format == "policy") return status(parse_policy(text, format, app, platform, keys));
   if (format == "policy-2") return status(parse_key_policy(text, format, app_2, platform, keys));
+  if (format == "tables-2") return status(parse_tables(text, format, app_2, platform, keys));
   if (format == "scenarios") return status(parse_scenarios(text, format, app, platform, keys));
   if (format == "emulation") return status(parse_emulation_script(text, format, platform, keys));
   if (format == "tables") return status(parse_tables(text, format, app, platform, keys));
@@ -90,8 +91,9 @@ std::string golden(const std::string& format) {
 }
 
 /// -2: version 2 of it.
-const char* const kFormats[] = {"app",   "platform", "profile",   "policy", "deployment",
-                                "app-2", "policy-2", "scenarios", "tables", "emulation"};
+const char* const kFormats[] = {"app",        "platform", "profile",  "policy",
+                                "deployment", "app-2",    "policy-2", "scenarios",
+                                "tables",     "tables-2", "emulation"};
 
 TEST(Keys, SchemasHaveTheKeysThatTheReadersAskFor) {
   for (const std::string format : kFormats) {

@@ -1,0 +1,179 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a change of tables may cost: the solver's bound against the checker's, and both against plays
+// that share no code with them (handover_naive.h).
+#include "solver/steady/handover.h"
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "base/index.h"
+#include "model/tables.h"
+#include "solver/steady/certificate.h"
+#include "solver/steady/chains.h"
+#include "solver/steady/check_handover.h"
+#include "solver/steady/solve.h"
+
+#include "handover_naive.h"
+#include "steady_random.h"
+
+namespace xauto::solver::steady {
+namespace {
+
+constexpr std::int64_t kTinyNotice = 2;
+
+/// An app, its twin with other WCETs, and a policy for each; nullopt: none was found.
+struct TwoPolicies {
+  AppSpec from_app, to_app, both;
+  Platform platform;
+  KeyPolicy from, to;
+};
+
+std::optional<KeyPolicy> solved_quickly(const AppSpec& app, const Platform& platform,
+                                        std::uint64_t seed) {
+  Options options;
+  options.max_evaluations = 300;
+  options.seed = seed;
+  const auto answer = solve(app, platform, options);
+  if (!answer || answer->outcome != Outcome::kPolicy) return std::nullopt;
+  return answer->policy;
+}
+
+std::optional<TwoPolicies> two_policies(std::uint64_t seed, int clocks = 1) {
+  solver::test::Dice dice(seed);
+  SteadyShape shape;
+  shape.clocks = clocks;
+  shape.max_components = 3;
+  shape.least_period = 12;
+  TwoPolicies two;
+  two.platform = random_steady_platform(dice);
+  two.from_app = two.to_app = two.both = random_steady_app(dice, shape);
+  for (std::size_t i = 0; i < two.to_app.xnodes.size(); ++i)
+    for (auto& [type, us] : two.to_app.xnodes[i].wcet_us) {
+      us = std::max<std::int64_t>(1, us + dice.roll(-1, 3));
+      std::int64_t& larger = two.both.xnodes[i].wcet_us.at(type);
+      larger = std::max(larger, us);
+    }
+  const auto from = solved_quickly(two.from_app, two.platform, seed),
+             to = solved_quickly(two.to_app, two.platform, seed + 1);
+  if (!from || !to) return std::nullopt;
+  two.from = *from;
+  two.to = *to;
+  return two;
+}
+
+/// `why`: of windows that do not hold; there are none.
+Windows windows_by(const Problem& p, const KeyPolicy& keys, std::vector<int>& xpu) {
+  Windows w;
+  for (auto* values : {&w.a, &w.d, &w.hold, &w.e}) values->assign(at(p.num_slots), 0);
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    const KeyPlacement& placed = keys.placements[at(i)];
+    xpu.push_back(placed.xpu);
+    for (int n = 0; n < p.jobs[at(i)]; ++n) {
+      const std::size_t k = at(n) % placed.key_us.size();
+      w.d[p.slot_of(i, n)] = placed.key_us[k] * p.scale;
+      if (!placed.hold_us.empty()) w.hold[p.slot_of(i, n)] = placed.hold_us[k] * p.scale;
+    }
+  }
+  std::string why;
+  EXPECT_TRUE(certify(p, xpu, w, &why)) << why;
+  return w;
+}
+
+struct Bounds {
+  std::vector<std::optional<std::int64_t>> us;
+  std::int64_t settles_us = 0;
+};
+
+Bounds bounds_of(const TwoPolicies& two) {
+  const Problem now = *Problem::create(two.from_app, two.platform),
+                then = *Problem::create(two.to_app, two.platform),
+                both = *Problem::create(two.both, two.platform);
+  HandoverInput in{now, then, both, {}, {}, {}, {}, kTinyNotice * now.scale};
+  in.from = windows_by(now, two.from, in.from_xpu);
+  in.to = windows_by(then, two.to, in.to_xpu);
+  const HandoverBound bound = bound_handover(in, 200'000);
+  Bounds bounds;
+  for (const Tick t : bound.worst)
+    bounds.us.push_back(t == kNoTick ? std::nullopt : std::optional(now.up_to_us(t) / now.scale));
+  bounds.settles_us = now.up_to_us(bound.settles) / now.scale;
+  return bounds;
+}
+
+Result<HandoverProof> checked(const TwoPolicies& two) {
+  return derive_handover(
+      {two.from_app, two.to_app, two.both, two.platform, two.from, two.to, kTinyNotice}, 1'000'000);
+}
+
+TEST(SteadyHandover, NoPlayIsLongerThanTheSolversBoundAndTheCheckerDerivesNoMore) {
+  int bounded = 0, broken = 0, chains = 0;
+  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+    const auto two = two_policies(seed);
+    if (!two) continue;
+    const Bounds bounds = bounds_of(*two);
+    chains += static_cast<int>(bounds.us.size());
+    if (bounds.settles_us == 0) continue;  // it does not settle
+    const auto proof = checked(*two);
+    ASSERT_TRUE(proof) << proof.error().to_string();
+    std::vector<std::optional<std::int64_t>> steady;
+    for (std::size_t c = 0; c < bounds.us.size(); ++c) {
+      steady.emplace_back(
+          std::max(two->from.chains[c].worst_case_us, two->to.chains[c].worst_case_us));
+      if (!bounds.us[c]) continue;
+      ++bounded;
+      ASSERT_TRUE(proof->worst_case_us[c]) << "seed " << seed << ", chain " << c;
+      EXPECT_LE(*proof->worst_case_us[c], *bounds.us[c]) << "seed " << seed << ", chain " << c;
+    }
+    EXPECT_LE(proof->settles_us, bounds.settles_us) << "seed " << seed;
+    const NaiveTables naive{two->from_app, two->to_app, two->both,
+                            two->platform, two->from,   two->to};
+    HandoverAttack attack{kTinyNotice, 150, seed};
+    HandoverClimb climb(naive, bounds.us, attack);
+    const HandoverFound found = climb.run();
+    EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << seed;
+    EXPECT_LE(found.worst, 1) << "seed " << seed;
+    EXPECT_LE(found.settles_us, static_cast<double>(bounds.settles_us)) << "seed " << seed;
+    // That neither table alone bounds a change shows that the plays find something.
+    HandoverClimb weaker(naive, steady, attack);
+    broken += weaker.run().worst > 1;
+  }
+  EXPECT_GE(bounded, 30);
+  EXPECT_GE(bounded * 10, chains * 6) << bounded << " of " << chains;
+  EXPECT_GE(broken, 5);
+}
+
+TEST(SteadyHandover, FromATableToItselfWithTheSameTimesNothingIsMuchLonger) {
+  for (std::uint64_t seed = 100; seed < 120; ++seed) {
+    auto two = two_policies(seed);
+    if (!two) continue;
+    two->to_app = two->both = two->from_app;
+    two->to = two->from;
+    const Bounds bounds = bounds_of(*two);
+    for (std::size_t c = 0; c < bounds.us.size(); ++c) {
+      ASSERT_TRUE(bounds.us[c]) << "seed " << seed;
+      EXPECT_GE(*bounds.us[c], two->from.chains[c].worst_case_us) << "seed " << seed;
+    }
+  }
+}
+
+TEST(SteadyHandover, WhatSeveralClocksShareIsNotClaimed) {
+  int shared = 0, apart = 0;
+  for (std::uint64_t seed = 200; seed < 240; ++seed) {
+    const auto two = two_policies(seed, 2);
+    if (!two) continue;
+    const Bounds bounds = bounds_of(*two);
+    const auto proof = checked(*two);
+    ASSERT_TRUE(proof);
+    for (std::size_t c = 0; c < bounds.us.size(); ++c) {
+      EXPECT_EQ(bounds.us[c].has_value(), proof->worst_case_us[c].has_value())
+          << "seed " << seed << ", chain " << c;
+      (bounds.us[c] ? apart : shared) += 1;
+    }
+  }
+  EXPECT_GT(shared, 0);
+}
+
+}  // namespace
+}  // namespace xauto::solver::steady
