@@ -163,6 +163,7 @@ Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_pt
   data->app = spec.name;
   data->emulator_died = emulator_died;
   data->emulates = held->session.emulates();
+  data->by_keys = held->session.keys.has_value();
   if (!died.empty()) runtime::add_note(data->report.note, died);
   return RunReport(std::move(data));
 }

@@ -285,7 +285,7 @@ std::string RunReport::json() const {
                {"modules", std::move(modules)},
                {"chains", std::move(chains)}};
   if (!r.scenarios.empty())
-    runtime::add_tables(r, runtime::table_claims_of(r, data_->emulates), json);
+    runtime::add_tables(r, runtime::table_claims_of(r, data_->emulates, data_->by_keys), json);
   return json.dump();
 }
 

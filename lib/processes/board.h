@@ -43,11 +43,13 @@ struct alignas(64) BoardHeader {
   std::atomic<std::uint32_t> asked{};            ///< [S], and any process: scenario + 1; 0: none
   std::atomic<std::uint32_t> scenario{}, why{};  ///< [H] in force, and runtime::Why
   std::atomic<std::uint64_t> switches{};         ///< [H] to another table
-  /// [H] the tables of releases: in_force() of the newest, and of the one before.
+  /// [H] the tables of releases: in_force() of the newest, and of the one before. In a run by keys
+  /// what counts is the nominal release of the component, in microseconds.
   std::atomic<std::uint64_t> in_force{}, before{};
 };
 
-/// A table, and the first release that has it. Up to 2^48 releases: 281 years at 30 kHz.
+/// A table, and the first release that has it. Up to 2^48 releases: 281 years at 30 kHz; as
+/// microseconds of CLOCK_MONOTONIC 8 years.
 constexpr std::uint64_t in_force(std::uint64_t release, std::uint32_t table) {
   return release << 16 | table;
 }
@@ -128,11 +130,15 @@ struct alignas(64) XNodeLine {
   // [M]; overruns: of the budget; over_wcet: of Limits::wcet_ns
   std::atomic<std::uint64_t> jobs{}, overruns{}, over_wcet{}, hangs{};
   std::atomic<std::int64_t> longest_ns{};  ///< [M]
-  /// With tables: the longest job since the hub last looked. [M] raises it, [H] takes it.
-  std::atomic<std::int64_t> saw_ns{};
-  void saw(std::int64_t ns) {
-    std::int64_t seen = saw_ns.load(std::memory_order_relaxed);
-    while (ns > seen && !saw_ns.compare_exchange_weak(seen, ns)) {
+  /// With tables: the longest job since the hub last looked, and by which of them it ran, as one word.
+  /// [M] raises it, [H] takes it. 0: there was none.
+  std::atomic<std::uint64_t> seen_job{};
+  std::atomic<std::uint32_t> hung_table{};  ///< [M] of the last job that hung
+  static constexpr int kTableBits = 8;
+  void saw(std::int64_t ns, std::uint32_t table) {
+    const std::uint64_t word = static_cast<std::uint64_t>(ns) << kTableBits | table;
+    std::uint64_t seen = seen_job.load(std::memory_order_relaxed);
+    while (word > seen && !seen_job.compare_exchange_weak(seen, word)) {
     }
   }
 };

@@ -142,12 +142,18 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
     }
     // A job that comes early waits no longer than until its own key.
     std::int64_t last_us = 0;
-    if (session.keys)
+    for (std::size_t t = 0; session.keys && t < session.num_tables(); ++t)
       for (const int n : module.nodes) {
         const int x = app.find(graph.nodes[static_cast<std::size_t>(n)].name);
-        for (const std::int64_t key : session.keys->placements[static_cast<std::size_t>(x)].key_us)
+        for (const std::int64_t key :
+             session.keys_of(t).placements[static_cast<std::size_t>(x)].key_us)
           last_us = std::max(last_us, key);
       }
+    // Some may be late while one table takes the place of another.
+    if (session.tables)
+      for (const Handover& handover : session.tables->handovers)
+        for (const auto& us : handover.worst_case_us)
+          if (us && last_us > 0) last_us = std::max(last_us, *us);
     const std::int64_t releases = last_us / std::max<std::int64_t>(1, component.period.floor_us());
     grid.depth[index] =
         static_cast<std::uint32_t>(std::clamp<std::int64_t>(releases + 2, kLeastDepth, kMostDepth));

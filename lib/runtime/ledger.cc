@@ -54,8 +54,24 @@ void Ledger::show_claims() {
   const Session& session = context_.session;
   const auto claim = [&](FlowLine& line, std::int64_t worst_us) {
     line.worst_case_us = worst_us;
-    line.allowed_us = worst_us + (session.emulates() ? worst_us * kEmulatorPct / 100 : 0);
+    line.allowed_us = allowed_us(worst_us);
   };
+  if (session.tables_of_keys()) {
+    // Of any table, and of any change where all of them claim something; which of these a release has is
+    // told as it comes (Routes::claim).
+    for (std::size_t i = 0; i < std::min(routes_.size(), session.keys->chains.size()); ++i) {
+      std::int64_t worst_us = 0;
+      for (const KeyPolicy& keys : session.tables->keys)
+        worst_us = std::max(worst_us, keys.chains[i].worst_case_us);
+      for (const Handover& change : session.tables->handovers)
+        worst_us = change.worst_case_us[i] && worst_us > 0
+                       ? std::max(worst_us, *change.worst_case_us[i])
+                       : 0;
+      context_.board.flow(i + 1).worst_case_us = worst_us;
+    }
+    routes_.claim(0, allowed_by(static_cast<std::size_t>(session.tables->serves.front().table)));
+    return;
+  }
   if (session.keys) {
     const std::vector<ChainClaim>& claims = session.keys->chains;
     for (std::size_t i = 0; i < std::min(routes_.size(), claims.size()); ++i) {
@@ -74,6 +90,34 @@ void Ledger::show_claims() {
     claim(context_.board.flow(i), *session.policy.worst_case_us);
 }
 
+std::int64_t Ledger::allowed_us(std::int64_t worst_us) const {
+  return worst_us + (context_.session.emulates() ? worst_us * kEmulatorPct / 100 : 0);
+}
+
+/// [chain] what a release may take by the table's claims.
+std::vector<std::int64_t> Ledger::allowed_by(std::size_t table) const {
+  std::vector<std::int64_t> allowed(routes_.size(), 0);
+  const std::vector<ChainClaim>& claims = context_.session.tables->keys[table].chains;
+  for (std::size_t i = 0; i < std::min(allowed.size(), claims.size()); ++i)
+    allowed[i] = allowed_us(claims[i].worst_case_us);
+  return allowed;
+}
+
+void Ledger::claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::size_t table,
+                            const Handover* change) {
+  if (!role_.leads()) return;
+  std::vector<std::int64_t> across(routes_.size(), 0);
+  std::int64_t longest_us = 0;  // what was released so long before may still be under way
+  if (change != nullptr)
+    for (std::size_t i = 0; i < std::min(across.size(), change->worst_case_us.size()); ++i)
+      if (change->worst_case_us[i]) across[i] = allowed_us(*change->worst_case_us[i]);
+  for (const KeyPolicy& keys : context_.session.tables->keys)
+    for (const ChainClaim& claim : keys.chains)
+      longest_us = std::max(longest_us, claim.worst_case_us);
+  routes_.claim(from_ns - longest_us * 1000, std::move(across));
+  routes_.claim(settled_ns, allowed_by(table));
+}
+
 void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
   context_.board.count_release();
   const int sinks_left = num_sinks_[table_of(sequence)];
@@ -83,7 +127,7 @@ void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
   while (open_base_ + open_.size() <= sequence) open_.push_back({});
   if (sequence >= open_base_)
     open_[sequence - open_base_] = {origin_ns, origin_ns, sinks_left, false};
-  if (in_flight_.fetch_add(1) > 0)
+  if (in_flight_.fetch_add(1) > 0 && !context_.session.tables_of_keys())
     context_.board.header().overlapping.fetch_add(1, std::memory_order_relaxed);
 }
 

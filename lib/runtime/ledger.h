@@ -54,6 +54,11 @@ class Ledger {
   /// Of a release that is accounted for, one of the last kKeptReleases: -1: it was lost.
   [[nodiscard]] std::optional<std::int64_t> latency_us(std::uint64_t sequence) const;
 
+  /// By tables of keys: what is nominally released at `from_ns` or later has `table`. `change`: what that
+  /// may cost whoever meets it; null: nothing is claimed until `settled_ns`.
+  void claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::size_t table,
+                      const Handover* change);
+
   /// Adds counts, latencies and chains.
   void report(const std::vector<Limits>& limits, RunReport& into);
 
@@ -72,6 +77,8 @@ class Ledger {
   };
 
   void show_claims();
+  [[nodiscard]] std::int64_t allowed_us(std::int64_t worst_us) const;
+  [[nodiscard]] std::vector<std::int64_t> allowed_by(std::size_t table) const;
   void account(int module, std::uint64_t sequence, std::int64_t now_ns, bool lost);
   /// Whether its results are told to who keeps the accounts.
   [[nodiscard]] bool asked_for(int module) const {
@@ -86,7 +93,8 @@ class Ledger {
     return sinks_[table_of(sequence)][static_cast<std::size_t>(module)] != 0;
   }
   [[nodiscard]] std::size_t table_of(std::uint64_t sequence) const {
-    return sinks_.size() == 1 ? 0 : context_.board.table_of(sequence);
+    // Keys: no module is off in any of them.
+    return sinks_.size() == 1 || context_.session.keys ? 0 : context_.board.table_of(sequence);
   }
   [[nodiscard]] bool settled() const;
   [[nodiscard]] bool wait_quiet();

@@ -381,7 +381,7 @@ Status Releaser::release_periodic() {
       if (samples.empty()) continue;
     }
     // Nobody has a use for it any more: the next one is there.
-    if (tables_ && tables_->too_late(now_ns(), due))
+    if (tables_ && !context_.session.keys && tables_->too_late(now_ns(), due))
       for (Sample& sample : samples) sample.message.reset();
     release(now_ns(), samples);
     samples.clear();  // the messages belong to who reads them
@@ -460,10 +460,28 @@ std::vector<std::string> Releaser::broken() const {
   return lines;
 }
 
+/// The earliest nominal release of the activations that `samples` are for.
+std::int64_t Releaser::component_release_ns(std::int64_t now_ns,
+                                            const std::vector<Sample>& samples) const {
+  std::int64_t earliest_ns = INT64_MAX;
+  for (const Sample& sample : samples) {
+    std::int64_t shift_ns = 0;  // of the source against its component
+    for (std::size_t m = 0; m < context_.graph.modules.size(); ++m)
+      for (std::size_t i = 0; i < context_.graph.modules[m].inputs.size(); ++i)
+        if (context_.graph.modules[m].inputs[i] == sample.topic)
+          shift_ns = std::max(shift_ns, context_.grid.shift_ns[m][i]);
+    const std::int64_t nominal_ns = sample.nominal_ns > 0 ? sample.nominal_ns : now_ns;
+    earliest_ns = std::min(earliest_ns, nominal_ns - shift_ns);
+  }
+  return earliest_ns;
+}
+
 void Releaser::release(std::int64_t now_ns, const std::vector<Sample>& samples) {
   const std::uint64_t sequence = samples.front().sequence;
   // What waited was not released before.
-  if (tables_ && tables_->before(sequence, [this] { return wait_drained(); }))
+  if (tables_ && context_.session.keys)
+    tables_->at_release(component_release_ns(now_ns, samples));
+  else if (tables_ && tables_->before(sequence, [this] { return wait_drained(); }))
     now_ns = xauto::now_ns();
   const auto origin_of = [&](const Sample& sample) {
     if (sample.nominal_ns > 0) return sample.nominal_ns;

@@ -88,6 +88,8 @@ class Releaser {
   [[nodiscard]] Status drain_for_lockstep();
   [[nodiscard]] Status release_recorded();
   bool take_fed(std::vector<Sample> fed, std::int64_t period_ns, std::vector<Sample>& samples);
+  [[nodiscard]] std::int64_t component_release_ns(std::int64_t now_ns,
+                                                  const std::vector<Sample>& samples) const;
   void release(std::int64_t now_ns, const std::vector<Sample>& samples);
   void watch_jitter(std::int64_t now_ns, const Sample& sample);
   [[nodiscard]] Status record_topic(record::Recorder& recorder, std::size_t topic);

@@ -121,9 +121,29 @@ void Routes::show_on(Board& board, const Grid* grid) {
   }
 }
 
-void Routes::count(Route& route, std::int64_t latency_us, std::int64_t now_ns,
+void Routes::claim(std::int64_t from_ns, std::vector<std::int64_t> allowed_us) {
+  const Guard lock(*mutex_);
+  while (!claims_.empty() && claims_.back().from_ns >= from_ns) claims_.pop_back();
+  claims_.push_back({from_ns, std::move(allowed_us)});
+  if (claims_.size() > kKeptClaims) claims_.pop_front();
+}
+
+/// Of the release at `origin_ns`.
+void Routes::count(Route& route, std::int64_t origin_ns, std::int64_t now_ns,
                    std::optional<std::int64_t>& missed_us) {
   RouteReport& counts = route.counts;
+  const std::int64_t latency_us = (now_ns - origin_ns) / 1000;
+  const auto claimed = std::find_if(claims_.rbegin(), claims_.rend(), [&](const Claims& claims) {
+    return claims.from_ns <= origin_ns;
+  });
+  if (claimed != claims_.rend()) {
+    const std::int64_t allowed_us =
+        claimed->allowed_us[static_cast<std::size_t>(&route - routes_.data())];
+    if (allowed_us > 0 && latency_us > allowed_us) {
+      ++counts.over_claim;
+      if (route.line != nullptr) route.line->over.fetch_add(1, std::memory_order_relaxed);
+    }
+  }
   counts.latency_us.add(latency_us);
   if (route.line != nullptr) route.line->add(latency_us, now_ns);
   if (!counts.deadline_us || latency_us <= *counts.deadline_us) return;
@@ -163,10 +183,10 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
         if (route.last_origin_ns == 0 ? newly != origin
                                       : newly - route.last_origin_ns < route.period_ns / 2)
           break;
-        count(route, (now_ns - newly) / 1000, now_ns, missed_us);
+        count(route, newly, now_ns, missed_us);
       }
     } else {
-      count(route, (now_ns - origin) / 1000, now_ns, missed_us);
+      count(route, origin, now_ns, missed_us);
     }
     if (route.last_origin_ns != 0) {
       const std::int64_t age_us = (now_ns - route.last_origin_ns) / 1000;

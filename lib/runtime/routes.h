@@ -11,6 +11,7 @@
 #pragma once
 
 #include <cstdint>
+#include <deque>
 #include <optional>
 #include <string>
 #include <vector>
@@ -56,6 +57,9 @@ class Routes {
   std::optional<std::int64_t> published(int node, std::int64_t origin_ns,
                                         const detail::Origins* origins, std::int64_t now_ns,
                                         bool urgent = false);
+  /// Releases of the chains' sources from `from_ns` on, until that of the next call, may take so long
+  /// (us, by chain; 0: nothing is claimed). At most kKeptClaims calls are remembered.
+  void claim(std::int64_t from_ns, std::vector<std::int64_t> allowed_us);
   /// `lost`: [module] activations that failed or were dropped.
   [[nodiscard]] std::vector<RouteReport> report(const std::vector<std::uint64_t>& lost) const;
 
@@ -70,12 +74,18 @@ class Routes {
     FlowLine* line = nullptr;    ///< null: nobody looks
     bool hurries = false;        ///< an urgent activation of its end is of an urgent release
   };
-  void count(Route& route, std::int64_t latency_us, std::int64_t now_ns,
+  void count(Route& route, std::int64_t origin_ns, std::int64_t now_ns,
              std::optional<std::int64_t>& missed_us);
+  struct Claims {
+    std::int64_t from_ns = 0;
+    std::vector<std::int64_t> allowed_us;  ///< [chain]
+  };
+  static constexpr std::size_t kKeptClaims = 64;
   std::vector<std::vector<std::size_t>> ends_;  ///< [node of the graph] -> routes
   bool single_rate_ = true;
   mutable std::unique_ptr<PiMutex> mutex_ = std::make_unique<PiMutex>();
   std::vector<Route> routes_;  ///< counts guarded by mutex_
+  std::deque<Claims> claims_;  ///< likewise; by time
 };
 
 }  // namespace xauto::runtime

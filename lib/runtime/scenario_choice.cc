@@ -23,12 +23,13 @@ ScenarioChoice::ScenarioChoice(const AppSpec& app, const Platform& platform, con
   for (std::size_t s = 0; s < tables.scenarios.size(); ++s) {
     const Served& served = tables.serves[s];
     table_.push_back(served.table);
-    rank_.emplace_back(loss_pct(tables.tables[static_cast<std::size_t>(served.table)].loss, app),
-                       served.worst_case_us);
     covers_.emplace_back();
     for (std::size_t other = 0; other < under.size(); ++other)
       covers_.back().push_back(
           covers(tables.scenarios[s], under[s], tables.scenarios[other], under[other]) ? 1 : 0);
+    rank_.emplace_back(loss_pct(tables.tables[static_cast<std::size_t>(served.table)].loss, app),
+                       served.worst_case_us,
+                       std::count(covers_.back().begin(), covers_.back().end(), 1));
     auto& rows = allowed_ns_.emplace_back();
     for (const XNodeSpec& xnode : under[s].xnodes) {
       auto& row = rows.emplace_back();

@@ -20,13 +20,15 @@
 // A scenario whose XNodes run elsewhere cannot be seen from here: XNodes that left a throttled GPU
 // tell nothing of it. So going back is a trial, and each trial that fails doubles the dwell.
 // The least scenario is the one in which the app loses least (model/loss.h), then the one whose worst
-// case is the least.
+// case is the least, then the one that covers fewest others: keys have one worst case for all that their
+// table serves.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -87,7 +89,8 @@ class ScenarioChoice {
     int form = 0;  ///< of the XNode: its type of XPU, and its variant
     std::int64_t ns = 0;
   };
-  using Rank = std::pair<std::int64_t, std::int64_t>;  ///< what is lost, and the worst case
+  /// What is lost, the worst case, and how many scenarios it covers.
+  using Rank = std::tuple<std::int64_t, std::int64_t, std::int64_t>;
   struct Passed {
     double factor = 0;    ///< by this at most; at most 1: it is not
     Evidence worst = {};  ///< by that

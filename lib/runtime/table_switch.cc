@@ -37,16 +37,17 @@ bool emulates_type(const Session& session, const std::string& type) {
 }  // namespace
 
 Result<std::unique_ptr<TableSwitch>> TableSwitch::make(const Context& context, const Wiring& wiring,
-                                                       const Ledger& ledger) {
+                                                       Ledger& ledger) {
   if (!context.session.tables) return std::unique_ptr<TableSwitch>();
-  if (!context.graph.single_rate)
-    return fail(ErrorCode::kInvalid, "its sources have several periods",
-                "app '" + context.app.name + "'",
-                "tables are for apps of one rate; give `xauto run` one policy");
+  if (!context.graph.single_rate && !context.session.keys)
+    return fail(
+        ErrorCode::kInvalid, "its sources have several periods", "app '" + context.app.name + "'",
+        "tables of version 1 are for apps of one rate: profile it again, for an app.json of "
+        "version 2, or give `xauto run` one policy");
   return std::unique_ptr<TableSwitch>(new TableSwitch(context, wiring, ledger));
 }
 
-TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, const Ledger& ledger)
+TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& ledger)
     : context_(context),
       wiring_(wiring),
       ledger_(ledger),
@@ -76,6 +77,7 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, const Led
     ScenarioLine& line = board.scenario(s);
     name_line(line.name, tables_.scenarios[s].name);
     name_line(line.table, tables_.tables[static_cast<std::size_t>(tables_.serves[s].table)].name);
+    if (session.keys) continue;  // it is chains that something is claimed of
     line.worst_case_us = line.allowed_us = tables_.serves[s].worst_case_us;
     if (session.emulates()) line.allowed_us += line.worst_case_us * kEmulatorPct / 100;
   }
@@ -94,12 +96,17 @@ void TableSwitch::look(const Machine& machine) {
   for (const auto& worker : wiring_.workers()) worker->tell_time(now);
   for (std::size_t x = 0; x < node_of_.size(); ++x) {
     XNodeLine& line = context_.board.xnode(node_of_[x]);
-    if (line.saw_ns.load(std::memory_order_relaxed) != 0)
-      choice_.saw(table_, x, line.saw_ns.exchange(0));
-    // All that is in flight has this table, so that job has.
-    if (const std::uint64_t hangs = line.hangs.load(std::memory_order_relaxed); hangs > hangs_[x]) {
+    if (line.seen_job.load(std::memory_order_relaxed) != 0) {
+      const std::uint64_t seen = line.seen_job.exchange(0);
+      const auto table = static_cast<std::size_t>(seen & ((1U << XNodeLine::kTableBits) - 1));
+      if (table < tables_.tables.size())
+        choice_.saw(static_cast<int>(table), x,
+                    static_cast<std::int64_t>(seen >> XNodeLine::kTableBits));
+    }
+    if (const std::uint64_t hangs = line.hangs.load(); hangs > hangs_[x]) {
       hangs_[x] = hangs;
-      choice_.hung(table_, x);
+      const std::uint32_t table = line.hung_table.load();
+      if (table < tables_.tables.size()) choice_.hung(static_cast<int>(table), x);
     }
   }
   choice_.ask(static_cast<int>(context_.board.header().asked.load()) - 1);
@@ -141,6 +148,49 @@ std::pair<Choice, int> TableSwitch::choose() {
   }
   say_once(said);
   return chosen;
+}
+
+void TableSwitch::at_release(std::int64_t nominal_ns) {
+  const int from = scenario_;
+  const auto [choice, table] = choose();
+  const bool lost = choice.why == Why::kLost && choice.xpu != std::exchange(lost_, choice.xpu);
+  // What has begun to be released keeps its table.
+  const std::int64_t since_ns = std::max(nominal_ns, newest_ns_ + 1);
+  newest_ns_ = std::max(newest_ns_, nominal_ns);
+  ScenarioLine& line = context_.board.scenario(static_cast<std::size_t>(scenario_));
+  line.releases.fetch_add(1, std::memory_order_relaxed);
+  if (choice.table != table) {
+    if (since_ns < settled_ns_) {
+      ++unsettled_;
+      return;
+    }
+    put_keys(since_ns, choice.table);
+  }
+  if (choice.scenario == from && !lost) return;
+  SwitchReport change;
+  change.release = context_.board.released();
+  change.from = tables_.scenarios[static_cast<std::size_t>(from)].name;
+  change.to = tables_.scenarios[static_cast<std::size_t>(choice.scenario)].name;
+  tell(std::move(change), choice);
+}
+
+/// What is nominally released at `from_ns` or later has the table, in whichever process.
+void TableSwitch::put_keys(std::int64_t from_ns, int table) {
+  const auto from_us = static_cast<std::uint64_t>((from_ns + 999) / 1000);
+  int before = 0;
+  {
+    const Guard lock(mutex_);
+    before = table_;
+  }
+  put(from_us, table);
+  const Handover* claimed = nullptr;
+  for (const Handover& h : tables_.handovers)
+    if (h.from == before && h.to == table) claimed = &h;
+  const auto since_ns = static_cast<std::int64_t>(from_us) * 1000;
+  const std::int64_t settles_ns = claimed == nullptr ? 0 : claimed->settles_us * 1000;
+  ledger_.claim_handover(since_ns, since_ns + settles_ns, static_cast<std::size_t>(table), claimed);
+  // Jobs of the next change may be too long that much before it is known.
+  settled_ns_ = since_ns + settles_ns + tables_.notice_us * 1000;
 }
 
 bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& drained) {
@@ -290,6 +340,10 @@ bool TableSwitch::too_late(std::int64_t now_ns, std::int64_t due_ns) const {
 std::vector<std::string> TableSwitch::broken() {
   const Guard lock(mutex_);
   std::vector<std::string> lines;
+  if (unsettled_ > 0)
+    lines.push_back(fmt::format(
+        "{} releases kept a table that no longer fits: the change before had not settled",
+        unsettled_));
   for (const Outside* outside : {&jobs_, &clocks_})
     if (outside->times > 0)
       lines.push_back(outside->first + (outside->times > 1
@@ -299,7 +353,7 @@ std::vector<std::string> TableSwitch::broken() {
 }
 
 void TableSwitch::report(RunReport& into) {
-  judge(context_.board.released(), nullptr);
+  if (!context_.session.keys) judge(context_.board.released(), nullptr);
   for (std::size_t s = 0; s < tables_.scenarios.size(); ++s) {
     const ScenarioLine& line = context_.board.scenario(s);
     into.scenarios.push_back({line_name(line.name), line_name(line.table), line.releases.load(),

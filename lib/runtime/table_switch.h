@@ -6,11 +6,16 @@
 //   another table         the sensors wait until all that is in flight has ended; then the release,
 //                         and the table's number, go out together
 //
-// Tables are of version 1: what they claim is about releases that meet no other. So the wait is what
+// Of an app of version 1 what tables claim is about releases that meet no other. So the wait is what
 // keeps the claim of the change (Change::worst_case_us), and as far as that holds it is at most
 // Change::delay_us. Where it made a release late, the ones after it wait likewise, until one is on time.
 // One that is later than a period and the longest such delay is not released at all: it is lost, and
 // counted.
+//
+// Of an app of version 2 nothing waits: what is nominally released from an instant on has the new table,
+// and keys decide between jobs of both. What that may cost is Handover::worst_case_us, as long as the
+// change before has settled; a release that would need another table sooner keeps the one in force, is
+// counted, and nothing is claimed then.
 //
 // A job that runs too long decides for the next release, which is the first that can have another table.
 // In another process its watchdog tells (HangWatch). That no scenario covers it is said at once, by the
@@ -40,14 +45,17 @@ namespace xauto::runtime {
 /// Threads: one, that of the releases, then that of the report; and its own.
 class TableSwitch {
  public:
-  /// Null in a run without tables. Errors: the app has several rates.
+  /// Null in a run without tables. Errors: the program has several rates, and app.json is of version 1.
   [[nodiscard]] static Result<std::unique_ptr<TableSwitch>> make(const Context& context,
                                                                  const Wiring& wiring,
-                                                                 const Ledger& ledger);
+                                                                 Ledger& ledger);
 
   /// Release `release` is about to be published: gives it its table. `drained` waits until all
   /// earlier ones have ended; false: it gave up, then the table stays. Returns whether it waited.
   bool before(std::uint64_t release, const std::function<bool()>& drained);
+  /// The same of an app of version 2: activations that are nominally released at `nominal_ns` of
+  /// CLOCK_MONOTONIC are about to be, or those that were in part. Never waits.
+  void at_release(std::int64_t nominal_ns);
   /// A release that should have been at `due_ns` is so late at `now_ns` that it is left out.
   [[nodiscard]] bool too_late(std::int64_t now_ns, std::int64_t due_ns) const;
 
@@ -59,13 +67,14 @@ class TableSwitch {
   [[nodiscard]] std::vector<std::string> broken();
 
  private:
-  TableSwitch(const Context& context, const Wiring& wiring, const Ledger& ledger);
+  TableSwitch(const Context& context, const Wiring& wiring, Ledger& ledger);
   /// True: what is in force does not hold. On the watch's thread.
   [[nodiscard]] bool glance(const Machine& machine);
   void look(const Machine& machine) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] std::pair<Choice, int> choose();
   void judge(std::uint64_t below, SwitchReport* change);
   void put(std::uint64_t release, int table);
+  void put_keys(std::int64_t from_ns, int table);
   void tell(SwitchReport change, const Choice& choice);
   [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const Machine& machine)
       XAUTO_REQUIRES(mutex_);
@@ -74,7 +83,7 @@ class TableSwitch {
 
   const Context& context_;
   const Wiring& wiring_;
-  const Ledger& ledger_;
+  Ledger& ledger_;
   const Tables& tables_;
   PiMutex mutex_;  ///< of the releases and the watch; nobody logs or waits under it
   ScenarioChoice choice_ XAUTO_GUARDED_BY(mutex_);
@@ -88,6 +97,10 @@ class TableSwitch {
   bool catches_up_ = false;   ///< the next release waits for the one before
   bool stuck_ = false;
   int lost_ = -1;  ///< the XPU that was last told to be lost
+  // Of keys:
+  std::int64_t newest_ns_ = 0;   ///< latest nominal release so far
+  std::int64_t settled_ns_ = 0;  ///< from then on another change is certified
+  std::uint64_t unsettled_ = 0;  ///< releases that needed another table sooner
   std::deque<SwitchReport> switches_;
   std::uint64_t num_switches_ = 0;
   /// Of what no scenario covers.

@@ -118,6 +118,7 @@ Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) 
   placed.name = node.name;
   placed.xnode = placing_.xnode[at_node];
   placed.task = session.task(table, placed.xnode);
+  placed.table = static_cast<std::uint32_t>(table);
   const int variant = session.variant_of(table, placed.xnode);
   const std::string named =
       variant < 0
@@ -137,7 +138,7 @@ Result<Placed> Wiring::place_node(std::size_t module, std::size_t table, int n) 
   placed.ends_chain = placing_.ends_chain[at_node] != 0;
   if (!context_.scheduled()) return placed;
   if (session.keys) {
-    const KeyPlacement& key = session.keys->placements[placed.xnode];
+    const KeyPlacement& key = session.keys_of(table).placements[placed.xnode];
     placed.urgency = Urgency::of_keys(key.key_us, key.hold_us, context_.grid.urgent_by_us[module]);
   } else {
     placed.urgency =
@@ -197,7 +198,7 @@ Status Wiring::make_module(std::size_t index, ModuleHost& host) {
     for (const Table& table : context_.session.tables->tables)
       off.push_back(table.loss.is_off(module.name) ? 1 : 0);
     if (std::count(off.begin(), off.end(), 1) == 0) off.clear();
-    made.read_tables(context_.board, std::move(off));
+    made.read_tables(context_.board, std::move(off), context_.session.tables_of_keys());
   }
   return {};
 }

@@ -51,6 +51,7 @@ struct alignas(64) Placed {
   const detail::ImplSpec* impl = nullptr;
   std::shared_ptr<Instance> here = std::make_shared<Instance>();
   std::uint32_t task = 0;   ///< as coordinators and BPF maps know it, see Session::task
+  std::uint32_t table = 0;  ///< that places it so
   int fifo_priority = 0;    ///< SCHED_FIFO priority on a real CPU; 0: leave as it is
   bool limited = false;     ///< see `limit`
   bool watched = false;     ///< how long its jobs take decides which table is next

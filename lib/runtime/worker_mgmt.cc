@@ -139,7 +139,7 @@ bool Worker::end_timed(const Placed& placed) {
   if (!placed.limited) return true;
   const std::int64_t took_ns = backend_->on_thread() ? on_core_ns(wall_ns) : wall_ns;
   XNodeLine& line = *placed.line;  // of the module's workers on this XPU
-  if (placed.watched) line.saw(took_ns);
+  if (placed.watched) line.saw(took_ns, placed.table);
   line.jobs.fetch_add(1, std::memory_order_relaxed);
   if (placed.limits.budget_ns > 0 && took_ns > placed.limits.budget_ns)
     line.overruns.fetch_add(1, std::memory_order_relaxed);
@@ -161,7 +161,8 @@ void Worker::tell_time(std::int64_t now_ns) const {
       backend_->on_thread() ? clock_ns(cpu_clock_) - cpu_since_ns_.load() : seen->took_ns;
   // `placed` and the times belong together only if that job still runs.
   const auto again = watch_.look(now_ns);
-  if (again && again->job == seen->job && placed->watched) placed->line->saw(took_ns);
+  if (again && again->job == seen->job && placed->watched)
+    placed->line->saw(took_ns, placed->table);
 }
 
 std::optional<Worker::Hung> Worker::find_hung(std::int64_t now_ns) {
@@ -173,7 +174,8 @@ std::optional<Worker::Hung> Worker::find_hung(std::int64_t now_ns) {
   const auto again = watch_.look(now_ns);
   if (!again || again->job != seen->job) return std::nullopt;
   hung_job_.store(seen->job, std::memory_order_relaxed);
-  placed->line->hangs.fetch_add(1, std::memory_order_relaxed);
+  placed->line->hung_table.store(placed->table);
+  placed->line->hangs.fetch_add(1);
   return Hung{placed, seen->sequence, chain_.module};
 }
 

@@ -260,7 +260,9 @@ void ModuleRuntime::take(Activation& activation, std::vector<Lost>& lost) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
     next_ = std::max(next_, sequence + 1);
   }
-  if (tables_ != nullptr) activation.table_ = tables_->table_of(sequence);
+  if (tables_ != nullptr)
+    activation.table_ = tables_->table_of(
+        tables_by_time_ ? static_cast<std::uint64_t>(released_ns) / 1000 : sequence);
   activation.stage_ = Activation::Stage::kRuns;
   activation.number_ = fired_++;
   activation.position_ = 0;

@@ -80,10 +80,12 @@ class alignas(64) ModuleRuntime {
   /// `abandon` may be called.
   void watch() { watched_ = true; }
   /// Activations have the tables that the board says of their releases. It outlives this. `off`: by
-  /// table, whether its releases leave the module out; empty: none does.
-  void read_tables(const Board& board, std::vector<char> off) {
+  /// table, whether its releases leave the module out; empty: none does. `by_time`: of their nominal
+  /// releases.
+  void read_tables(const Board& board, std::vector<char> off, bool by_time) {
     tables_ = &board;
     off_ = std::move(off);
+    tables_by_time_ = by_time;
   }
   /// Numbered: releases below `next` are settled already.
   void begin_at(std::uint64_t next) {
@@ -231,6 +233,7 @@ class alignas(64) ModuleRuntime {
   ModuleHost& host_;
   const Board* tables_ = nullptr;
   std::vector<char> off_;  ///< [table]
+  bool tables_by_time_ = false;
   std::vector<std::unique_ptr<Activation>> activations_;
   Activation* only_ = nullptr;  ///< where one is in flight at a time
 

@@ -50,7 +50,8 @@ template <class Io, Is<RouteReport> T>
 void fields(Io io, T& x) {
   io("name", x.name, "from", x.from, "to", x.to, "deadline_us", x.deadline_us, "max_age_us",
      x.max_age_us, "deadline_misses", x.deadline_misses, "lost", x.lost, "age_misses", x.age_misses,
-     "latency_us", x.latency_us, "age_us", x.age_us, "urgent_us", x.urgent_us);
+     "over_claim", x.over_claim, "latency_us", x.latency_us, "age_us", x.age_us, "urgent_us",
+     x.urgent_us);
 }
 
 template <class Io, Is<ContextReport> T>
@@ -308,8 +309,12 @@ void Session::take_tables(Tables all) {
   by_table.clear();
   for (std::size_t t = 0; t < all.tables.size(); ++t)
     by_table.push_back(whole_policy(all, t, app, platform));
-  policy = by_table[static_cast<std::size_t>(all.serves.front().table)];
-  policy.worst_case_us = all.serves.front().worst_case_us;
+  const auto first = static_cast<std::size_t>(all.serves.front().table);
+  policy = by_table[first];
+  if (all.keys.empty())
+    policy.worst_case_us = all.serves.front().worst_case_us;
+  else
+    keys = keys_under(all, first, app, platform, {});
   tables = std::move(all);
 }
 

@@ -48,7 +48,7 @@ struct Session {
   /// kRun with kXAuto, kTimeshare; of version 2 assignment_of(keys), or without keys a policy of
   /// priorities for as_version_1(app).
   Policy policy;
-  std::optional<KeyPolicy> keys;  ///< the same of an app of version 2
+  std::optional<KeyPolicy> keys;  ///< the same of an app of version 2; of tables that of the first
   /// Several policies, of which each release gets one (runtime/table_switch.h); then `policy` is that of
   /// the first scenario's table. With kXAuto; set by take_tables.
   std::optional<Tables> tables;
@@ -105,6 +105,12 @@ struct Session {
   [[nodiscard]] const Policy& of_table(std::size_t table) const {
     return by_table.empty() ? policy : by_table[table];
   }
+  /// Where there are `keys`.
+  [[nodiscard]] const KeyPolicy& keys_of(std::size_t table) const {
+    return tables ? tables->keys[table] : *keys;
+  }
+  /// Several policies of keys: a release has the table of its nominal instant.
+  [[nodiscard]] bool tables_of_keys() const { return tables && keys; }
   /// Index into XNodeSpec::variants of what runs under `table`; -1: its own implementation.
   [[nodiscard]] int variant_of(std::size_t table, std::size_t xnode) const {
     return tables ? tables->tables[table].loss.variant_of(xnode) : -1;

@@ -16,11 +16,12 @@ namespace xauto::runtime {
 
 /// What was longer than its scenario, or the change that it met, claims.
 struct TableClaims {
+  const char* scope = nullptr;        ///< what the worst cases are of
   std::vector<std::string> exceeded;  ///< a line each, "scenario 'x': 31.20 ms of 30.10 ms"
   std::vector<std::string> broken;    ///< assumptions that this run broke, a line each
 };
-/// `emulates`: the emulator's own part is allowed for (kEmulatorPct).
-[[nodiscard]] TableClaims table_claims_of(const RunReport& report, bool emulates);
+/// `emulates`: the emulator's own part is allowed for (kEmulatorPct). `by_keys`: the app is of version 2.
+[[nodiscard]] TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys);
 
 /// Adds the members `worst_case_of`, `worst_case_exceeded`, `worst_case_broken`, `scenarios`, `switches`
 /// and `num_switches` (docs/formats.md, report.json).

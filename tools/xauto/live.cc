@@ -195,7 +195,7 @@ std::string claims_text(const Counts& counts) {
   const bool tables = !counts.scenarios.empty();
   if (counts.whole.worst_case_us > 0 && !tables) add("a release", counts.whole);
   for (const FlowCounts& chain : counts.chains) {
-    if (tables) break;  // what is claimed is of releases
+    if (tables && chain.worst_case_us == 0) continue;  // what is claimed is of releases
     add(chain.name, chain);
     if (chain.urgent_worst_case_us > 0)
       out += fmt::format("  {:<28}{:>9}{:>9}{:>12}\n", "  urgent", "",

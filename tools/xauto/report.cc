@@ -49,6 +49,8 @@ std::optional<std::uint64_t> deadline_misses(const RunFlags& flags, const Policy
 
 /// Chains of an app of version 2, each beside what is claimed of it.
 std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
+  // Of tables there is no bound, and not always a worst case.
+  const auto claimed = [](std::int64_t us) { return us > 0 ? 1 : 0; };
   const auto claims = key_claims_of(flags, run);
   std::string out =
       fmt::format("\n  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", run.name, "p50", "p99",
@@ -58,13 +60,14 @@ std::string chains_table(const RunFlags& flags, const PolicyRun& run) {
     const Latency l = summarise(r.latency_us);
     const ChainClaim* claim =
         claims && i < claims->chains.size() ? &claims->chains[i].claim : nullptr;
-    out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}{}\n", r.name,
-                       in_ms(l.p50_us, l.count), in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count),
-                       claim != nullptr ? in_ms(claim->worst_case_us, 1) : "-",
-                       claim != nullptr ? in_ms(claim->lower_bound_us, 1) : "-",
-                       r.deadline_us ? in_ms(*r.deadline_us, 1) : "",
-                       r.deadline_us ? std::to_string(r.deadline_misses) : "", l.count,
-                       claims && claims->chains[i].exceeded ? "  exceeded" : "");
+    out += fmt::format(
+        "  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}{}\n", r.name, in_ms(l.p50_us, l.count),
+        in_ms(l.p99_us, l.count), in_ms(l.max_us, l.count),
+        claim != nullptr ? in_ms(claim->worst_case_us, claimed(claim->worst_case_us)) : "-",
+        claim != nullptr ? in_ms(claim->lower_bound_us, claimed(claim->lower_bound_us)) : "-",
+        r.deadline_us ? in_ms(*r.deadline_us, 1) : "",
+        r.deadline_us ? std::to_string(r.deadline_misses) : "", l.count,
+        claims && claims->chains[i].exceeded ? "  exceeded" : "");
     if (r.urgent_us.count() == 0) continue;
     const Latency u = summarise(r.urgent_us);
     out += fmt::format("  {:<28}{:>9}{:>9}{:>9}{:>12}{:>9}{:>10}{:>8}{:>7}\n", "  urgent",
@@ -249,8 +252,36 @@ std::string beside(std::int64_t us, std::int64_t simulated_us) {
   return times < 10 ? fmt::format("{:+.1f} %", 100 * (times - 1)) : fmt::format("{:.0f} x", times);
 }
 
+/// Of tables of keys: releases of all sources, each with its own clock's. What is claimed is of chains.
+std::string key_tables_text(const PolicyRun& run) {
+  const runtime::RunReport& report = run.report;
+  std::size_t width = 8;
+  for (const runtime::ScenarioReport& s : report.scenarios) width = std::max(width, s.name.size());
+  std::string out =
+      fmt::format("\n  {:<{}}  {:<10}{:>10}\n", "scenario", width, "table", "releases");
+  for (const runtime::ScenarioReport& s : report.scenarios)
+    if (s.releases > 0)
+      out += fmt::format("  {:<{}}  {:<10}{:>10}\n", s.name, width, s.table, s.releases);
+  return out + fmt::format("\n  {} change{} of the scenario\n", report.num_switches,
+                           report.num_switches == 1 ? "" : "s");
+}
+
+/// The last changes.
+std::string changes_text(const runtime::RunReport& report) {
+  std::string out;
+  constexpr std::size_t kShown = 5;
+  const std::size_t first = report.switches.size() - std::min(kShown, report.switches.size());
+  for (std::size_t i = first; i < report.switches.size(); ++i) {
+    const runtime::SwitchReport& s = report.switches[i];
+    out += fmt::format("  release {}: '{}', table '{}' ({}){}\n", s.release, s.to, s.table, s.why,
+                       s.detail.empty() ? "" : ": " + s.detail);
+  }
+  return out;
+}
+
 std::string tables_text(const PolicyRun& run, const runtime::TableClaims& claims) {
   const runtime::RunReport& report = run.report;
+  if (!run.tables->keys.empty()) return key_tables_text(run) + changes_text(report);
   std::size_t width = 8;
   for (const runtime::ScenarioReport& s : report.scenarios) width = std::max(width, s.name.size());
   std::string out = fmt::format("\n  {:<{}}  {:<10}{:>10}{:>12}{:>13}\n", "scenario", width,
@@ -281,14 +312,7 @@ std::string tables_text(const PolicyRun& run, const runtime::TableClaims& claims
         "  of the releases that met one the nearest to its worst case took {} ms of "
         "{} ('{}' to '{}')\n",
         in_ms(worst->spanned_us, 1), in_ms(*worst->worst_case_us, 1), worst->from, worst->to);
-  constexpr std::size_t kShown = 5;  // the last ones
-  const std::size_t first = report.switches.size() - std::min(kShown, report.switches.size());
-  for (std::size_t i = first; i < report.switches.size(); ++i) {
-    const runtime::SwitchReport& s = report.switches[i];
-    out += fmt::format("  release {}: '{}', table '{}' ({}){}\n", s.release, s.to, s.table, s.why,
-                       s.detail.empty() ? "" : ": " + s.detail);
-  }
-  return out + fmt::format("  {}: {}\n", run.name, to_string(claims));
+  return out + changes_text(report) + fmt::format("  {}: {}\n", run.name, to_string(claims));
 }
 
 }  // namespace
@@ -391,9 +415,10 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       }
       if (claims && index < claims->chains.size()) {
         const ChainClaimed& claimed = claims->chains[index];
-        chain["worst_case_us"] = claimed.claim.worst_case_us;
-        chain["lower_bound_us"] = claimed.claim.lower_bound_us;
+        if (claimed.claim.worst_case_us > 0) chain["worst_case_us"] = claimed.claim.worst_case_us;
+        if (!run.tables) chain["lower_bound_us"] = claimed.claim.lower_bound_us;
         chain["exceeded"] = claimed.exceeded;
+        if (run.tables) chain["longer_than_claimed"] = r.over_claim;
         if (claimed.claim.urgent_worst_case_us)
           chain["urgent_worst_case_us"] = *claimed.claim.urgent_worst_case_us;
       }
@@ -533,7 +558,10 @@ Result<std::string> perfetto(const RunFlags& flags, const PolicyRun& run, const 
     scene.keys = &*run.keys;
     scene.claims = run.keys->chains;
   }
-  if (run.tables) scene.tables = &*run.tables;
+  if (run.tables) {
+    scene.tables = &*run.tables;
+    scene.claims = claimed_chains(run);
+  }
   scene.verdict = std::move(verdict);
   return perfetto_trace(flags.app, scene, told, story::boottime_offset_ns());
 }

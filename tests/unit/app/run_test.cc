@@ -223,6 +223,102 @@ TEST(Run, TablesByWhatTheProgramAsksFor) {
   EXPECT_FALSE(f.app.request_mode("highway")) << "the run is over";
 }
 
+/// The same of an app of version 2: keys that nothing here is late for.
+RunOptions with_tables_of_keys(std::int64_t settles_us) {
+  constexpr std::int64_t kWcetUs = 1'000'000;
+  AppSpec spec;
+  spec.version = 2;
+  spec.name = "fixture";
+  spec.xnodes = {{"m1", "M", {{"gpu", kWcetUs}}}, {"m2", "M", {{"cpu", kWcetUs}}}};
+  spec.xnodes[0].sources = {0};
+  spec.edges = {{0, 1}};
+  spec.sources = {{"camera", {2000}}};
+  spec.sources[0].jitter_us = 900'000;
+  spec.modules = {{"M", 1, false}};
+  spec.clocks = {{"main", 0}};
+  spec.chains = {{"all", 0, 1, {}, 1}};
+  Platform platform;
+  platform.name = "tiny";
+  platform.xpus = {{"cpu0", "cpu"}, {"cpu1", "cpu"}, {"gpu0", "gpu", true, 50, 1000}};
+  Tables tables;
+  tables.app = spec.name;
+  tables.app_hash = spec.hash();
+  tables.platform = platform.name;
+  tables.scenarios = {{.name = "city"},
+                      {.name = "highway", .wcet_scale_pct = {{"cpu", 200}, {"gpu", 200}}}};
+  tables.tables = {{"near", {2, 0}, {0, 0}, {}}, {"far", {2, 1}, {0, 0}, {}}};
+  for (const int times : {1, 2}) {
+    KeyPolicy keys;
+    keys.placements = {{2, {times * kWcetUs + 1'000'000}},
+                       {times - 1, {2 * times * kWcetUs + 1'000'000}}};
+    keys.chains = {{"all", 30'000'000, 0, false}};
+    tables.keys.push_back(keys);
+    tables.serves.push_back({times - 1, 0, 0, {1000}});
+  }
+  for (const int from : {0, 1})
+    tables.handovers.push_back({from, 1 - from, {40'000'000}, settles_us});
+  return RunOptions()
+      .app(to_json(spec))
+      .platform(to_json(platform))
+      .policy(to_json(tables, spec, platform))
+      .emulate()
+      .activations(0);
+}
+
+TEST(Run, TablesOfKeysChangeWithoutAPauseAndKeepTheOrder) {
+  Fixture f("a");
+  std::thread driver;
+  f.app.on_start([&] {
+    driver = std::thread([&] {
+      const auto wait_for = [&](int cpu) {
+        while (f.cpu != cpu) std::this_thread::sleep_for(1ms);
+      };
+      wait_for(0);
+      ASSERT_TRUE(f.app.request_mode("highway"));
+      wait_for(1);
+      ASSERT_TRUE(f.app.request_mode(""));
+      wait_for(0);
+      f.app.stop();
+    });
+  });
+  const auto report = f.app.run(with_tables_of_keys(0));
+  driver.join();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_EQ(report->lost("M"), 0u) << report->json();
+  const Json told = Json::parse(report->json()).value();
+  EXPECT_EQ(told.at("num_switches").integer(), 2) << report->json();
+  EXPECT_EQ(told.at("worst_case_exceeded").boolean(), false) << report->json();
+  EXPECT_NE(told.at("worst_case_of").text()->find("by the policy's keys"), std::string::npos);
+  for (const Json& one : told.at("switches").elements())
+    EXPECT_EQ(one.at("held_us").integer(), 0) << "nobody waits";
+  const int n = f.results;
+  EXPECT_EQ(f.sum.load(), n * (n - 1) / 2) << "each release once";
+}
+
+TEST(Run, TablesOfKeysDoNotChangeBeforeTheChangeBeforeHasSettled) {
+  Fixture f("a");
+  std::thread driver;
+  f.app.on_start([&] {
+    driver = std::thread([&] {
+      while (f.cpu != 0) std::this_thread::sleep_for(1ms);
+      ASSERT_TRUE(f.app.request_mode("highway"));
+      while (f.cpu != 1) std::this_thread::sleep_for(1ms);
+      ASSERT_TRUE(f.app.request_mode(""));
+      const int before = f.results;
+      while (f.results < before + 20) std::this_thread::sleep_for(1ms);
+      EXPECT_EQ(f.cpu, 1);
+      f.app.stop();
+    });
+  });
+  const auto report = f.app.run(with_tables_of_keys(1'000'000'000));
+  driver.join();
+  ASSERT_TRUE(report) << report.error().to_string();
+  const Json told = Json::parse(report->json()).value();
+  EXPECT_EQ(told.at("num_switches").integer(), 1) << report->json();
+  EXPECT_NE(report->json().find("kept a table that no longer fits"), std::string::npos)
+      << report->json();
+}
+
 /// What this process says on stderr, as long as this lives.
 class Heard {
  public:

@@ -135,7 +135,7 @@ TEST_F(Fixture, AReleaseInWhoseTableItIsOffGoesByAndNobodyWaits) {
     message(1, k);
   };
   put(0, 0);
-  module_->read_tables(*board, {0, 1});
+  module_->read_tables(*board, {0, 1}, false);
   both(0);
   EXPECT_EQ(log(), " run0");
   put(1, 1);
