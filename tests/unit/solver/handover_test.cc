@@ -49,7 +49,12 @@ std::optional<TwoPolicies> two_policies(std::uint64_t seed, int clocks = 1) {
   shape.least_period = 12;
   TwoPolicies two;
   two.platform = random_steady_platform(dice);
-  two.from_app = two.to_app = two.both = random_steady_app(dice, shape);
+  if (seed % 3 == 0)  // what blocks shows where most XPUs do not preempt
+    for (Xpu& xpu : two.platform.xpus) xpu.preemptive = false;
+  two.from_app = random_steady_app(dice, shape);
+  if (seed % 3 == 1)  // and what waits for a module in pipelines
+    for (ModuleSpec& module : two.from_app.modules) module.max_in_flight = 2;
+  two.to_app = two.both = two.from_app;
   for (std::size_t i = 0; i < two.to_app.xnodes.size(); ++i)
     for (auto& [type, us] : two.to_app.xnodes[i].wcet_us) {
       us = std::max<std::int64_t>(1, us + dice.roll(-1, 3));
