@@ -32,7 +32,7 @@ Result<int> list(const Watched& run, const Options& options) {
       const ScenarioCounts one = scenario_of(*run.board, s);
       all.push_back({{"name", one.name},
                      {"table", one.table},
-                     {"worst_case_us", one.worst_case_us},
+                     {"worst_case_us", one.worst_case_us > 0 ? Json(one.worst_case_us) : Json()},
                      {"releases", one.releases},
                      {"longest_us", one.longest_us < 0 ? Json() : Json(one.longest_us)}});
     }
@@ -53,10 +53,11 @@ Result<int> list(const Watched& run, const Options& options) {
                            "worst case", "releases", "longest");
   for (std::uint32_t s = 0; s < scenarios; ++s) {
     const ScenarioCounts one = scenario_of(*run.board, s);
-    std::cout << fmt::format(
-        "  {} {:<{}}  {:<12}{:>12}{:>10}{:>12}{}\n", one.name == now.name ? "*" : " ", one.name,
-        width, one.table, ms(one.worst_case_us), one.releases,
-        one.releases == 0 ? "-" : ms(one.longest_us), one.name == now.asked ? "  asked for" : "");
+    std::cout << fmt::format("  {} {:<{}}  {:<12}{:>12}{:>10}{:>12}{}\n",
+                             one.name == now.name ? "*" : " ", one.name, width, one.table,
+                             one.worst_case_us > 0 ? ms(one.worst_case_us) : "-", one.releases,
+                             one.releases == 0 || one.longest_us < 0 ? "-" : ms(one.longest_us),
+                             one.name == now.asked ? "  asked for" : "");
   }
   return kDone;
 }
