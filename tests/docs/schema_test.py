@@ -166,6 +166,9 @@ BEYOND = {
     "tables": {"another-app", "change-to-an-unknown-scenario", "changes-not-all", "changes-out-of-order", "not-placed", "not-served", "order-cycle", "order-of-two-xpus", "placed-twice",
                "priority-twice", "scenario-unknown", "served-twice", "serves-with-a-lost-xpu", "stale", "table-twice",
                "table-unknown", "xpu-of-no-implementation", "xpu-unknown"},
+    "tables-2": {"chain-missing", "chain-twice", "chain-unknown", "degraded", "handover-to-an-unknown-table", "handovers-not-all",
+                 "handovers-out-of-order", "key-count", "key-too-early-for-what-it-serves", "keys-that-fall", "not-placed",
+                 "serves-with-a-lost-xpu"},
 }
 
 
@@ -207,6 +210,10 @@ def test_what_the_tools_write_is_valid():
         steady = SOURCE / "examples/driving/steady.json"
         written("policy-2", "solve", "--app", steady, "--platform", "small", "--max-evaluations", 200, "--out", "p2.json",
                 out="p2.json")
+        scenarios["app"] = "driving-steady"
+        (folder / "scenarios-2.json").write_text(json.dumps(scenarios))
+        written("tables-2", "solve", "--app", steady, "--platform", "small", "--scenarios", "scenarios-2.json", "--tables", 1,
+                "--max-evaluations", 200, "--time-limit-s", 60, "--out", "t2.json", out="t2.json")
         written("simulation-2", "simulate", "--app", steady, "--platform", "small", "--policy", "p2.json", "--seconds", 2,
                 "--out", "s2.json", out="s2.json")
         for format_, verb in (("check-2", "check"), ("explanation-2", "explain")):

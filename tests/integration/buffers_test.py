@@ -69,7 +69,8 @@ class Buffers(unittest.TestCase):
                 for who in ("look", "crop", "end"):
                     self.assertEqual({release: what[0] for release, what in told[who].items()}, camera, who)
                     descriptors = [int(told[who][release][1]) for release in range(300)]
-                    self.assertLessEqual(max(descriptors[50:]), max(descriptors[:50]), f"{who}: descriptors pile up")
+                    # A process has one or two more for a moment; in 250 releases they would be many.
+                    self.assertLessEqual(max(descriptors[50:]), max(descriptors[:50]) + 4, f"{who}: descriptors pile up")
 
     def test_a_process_that_dies_takes_no_buffer_with_it(self):
         for victim in ("look", "crop", "end"):
