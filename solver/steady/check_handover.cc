@@ -35,7 +35,6 @@ struct Job {
   bool of_q = false;
   Ticks release = 0, key = 0, starts = 0;    ///< starts: not before that
   Ticks work = 0;                            ///< what preempting costs included, once that is known
-  Ticks planned = 0;                         ///< by p's envelope
   Ticks ready = kUnknown, ended = kUnknown;  ///< A and F
   int waits = 0;                             ///< for so many of U that the walk has not come to
 };
@@ -48,6 +47,8 @@ struct Line {
   std::size_t low = 0;                     ///< all before it have been walked
   std::vector<int> known;                  ///< those whose A is known, by A
   std::vector<Ticks> latest;               ///< [of known] the largest F up to here
+  /// Key and WCET of p's jobs from t'' on, had there been no change; those with keys up to S + H.
+  std::vector<std::pair<Ticks, Ticks>> without_change;
 };
 
 /// Both tables, and the WCETs of p's jobs that have not ended at t.
@@ -172,8 +173,14 @@ class Walk {
           add(i, n);
           last_ = std::max(last_, jobs_.back().key);
         }
+        auto& without = lines_[at(both_.p.policy.placements[at(i)].xpu)].without_change;
+        for (n = first_kept_[at(i)]; release(i, n) < change + hyperperiod_; ++n)
+          if (const Ticks key = release(i, n) + both_.p.window(i, n).d;
+              key <= change + hyperperiod_)
+            without.emplace_back(key, both_.p.wcet[at(i)]);
       }
     }
+    for (Line& line : lines_) std::sort(line.without_change.begin(), line.without_change.end());
     ready_to_walk(0);
   }
 
@@ -189,9 +196,8 @@ class Walk {
     job.release = release(xnode, n);
     job.key = job.release + window.d;
     job.starts = job.release + window.e;
-    job.planned = w.wcet[at(xnode)];
     // As long as A is not known it may preempt.
-    job.work = (q ? job.planned : both_.larger[at(xnode)]) + lines_[at(job.xpu)].cost;
+    job.work = (q ? w.wcet[at(xnode)] : both_.larger[at(xnode)]) + lines_[at(job.xpu)].cost;
     jobs_of_[at(xnode)].push_back(static_cast<int>(jobs_.size()));
     jobs_.push_back(job);
   }
@@ -387,13 +393,13 @@ class Walk {
 
   /// F(x). V is gone through by A, the largest first.
   ///
-  /// Once all of V with A < s has F <= s, s >= t'', smaller s and R give no more. Let G be those, if
-  /// any, and z the one of G with the largest key, of these the last walked. Then G is in z's V.
-  /// Where s' <= A(z), F(z) >= s' + C(G) or, where a job of G was not known then, even from a later
+  /// Once all of V with A < s has F <= s, s >= t'', smaller s and the term of t give no more. Let G be
+  /// those, if any, and z the one of G with the largest key, of these the last walked. Then G is in z's
+  /// V. Where s' <= A(z), F(z) >= s' + C(G) or, where a job of G was not known then, even from a later
   /// s' on: such a job is in all of z's V(s). So s' + C(V(s')) = s' + C(G) + C(V(s)) <= s + C(V(s)),
   /// with G here those of it in V(s'). What may block at s' or t'' may do so at s, and what is taken
-  /// off for V(s) is no more. In the same way F(z) >= R + C(G without those ready by t').
-  /// Where G is empty, R is t''.
+  /// off for V(s) is no more. In the same way F(z) >= I(z) + C(G), and I(x) <= I(z), since z's key is
+  /// not the larger one. Where G is empty, I(x) <= t'' <= s.
   Ticks by_when_ended(const Job& x) {
     const Line& line = lines_[at(x.xpu)];
     find_blockers(x);
@@ -425,18 +431,15 @@ class Walk {
       if (s >= high_ && (k == 1 || line.latest[k - 2] <= s)) return worst;
     }
     if (!below) blocked_at_high = blocked(high_);
-    Ticks left = 0, planned = 0, largest = 0;
-    bool any = false;
-    for (; k > 0; --k) {
-      const Job& y = jobs_[at(line.known[k - 1])];
-      if (y.key > x.key) continue;
-      left += y.work;
-      planned += y.planned;
-      largest = any ? std::max(largest, y.key) : y.key;
-      any = true;
+    for (; k > 0; --k)
+      if (jobs_[at(line.known[k - 1])].key <= x.key) sum += jobs_[at(line.known[k - 1])].work;
+    Ticks begun = high_, work = 0;
+    for (const auto& [key, wcet] : line.without_change) {
+      if (key > x.key) break;
+      work += wcet;
+      begun = std::min(begun, key - work);
     }
-    const Ticks done = any ? std::min(high_ + left, largest + left - planned) : high_;
-    const Ticks second = done + sum + blocked_at_high;
+    const Ticks second = begun + sum + blocked_at_high;
     return first ? second : std::max(worst, second);
   }
 

@@ -35,6 +35,7 @@ class Walk {
     begin(s, since, until);
     most = std::min(most, walked_ + most_of_walk(domain_));
     for (const int i : domain_.xnodes) add_before(i);
+    plan_all();
     settled_by_ = last_late_ + 2 * deepest_ + domain_.hyper;
     extend(s + deepest_ + domain_.hyper);
     while (!settled()) {
@@ -91,7 +92,7 @@ class Walk {
     int xnode, xpu;
     std::int64_t n;
     Tick release, key, starts;  ///< starts: not before
-    Tick wcet, before;          ///< before: at the first table's envelope
+    Tick wcet;
     bool second, walked = false;
     int waits = 0;  ///< for so many that are not walked
     Tick ready = 0, ends = 0, work = 0;
@@ -109,11 +110,17 @@ class Walk {
     Tick all_end;  ///< of all up to this one
     int job;
   };
+  /// A job of the first table on an XPU, had there been no change.
+  struct Planned {
+    Tick key, work;
+    Tick begun;  ///< least key less all work with keys up to it, of those up to here
+  };
   static constexpr Tick kNotYet = kMostTicks * 1024;  ///< its end is not known yet
   struct OnXpu {
     std::vector<int> by_key;  ///< all, the walked ones too
     std::size_t first = 0;    ///< all before it are walked
     std::vector<Done> done;   ///< by `ready`
+    std::vector<Planned> plan;
   };
 
   void begin(Tick s, Tick since, Tick until) {
@@ -148,6 +155,34 @@ class Walk {
     return floor_div(time - 1 - c.phase, c.period) + 1;
   }
 
+  /// What the first table would execute from t on: it suffices to know a hyperperiod of it.
+  void plan(int xnode) {
+    const int xpu = in_.from_xpu[at(xnode)];
+    for (std::int64_t n = first_[at(xnode)]; release(xnode, n) < s_ + domain_.hyper; ++n) {
+      const Tick key = release(xnode, n) + in_.from.d[p_.slot_of(xnode, n)];
+      if (key <= s_ + domain_.hyper) by_xpu_[at(xpu)].plan.push_back({key, p_.wcet(xnode, xpu), 0});
+    }
+  }
+  void plan_all() {
+    for (const int i : domain_.xnodes) plan(i);
+    for (OnXpu& m : by_xpu_) {
+      std::sort(m.plan.begin(), m.plan.end(),
+                [](const Planned& a, const Planned& b) { return a.key < b.key; });
+      Tick work = 0;
+      for (std::size_t k = 0; k < m.plan.size(); ++k) {
+        work += m.plan[k].work;
+        m.plan[k].begun = m.plan[k].key - work;
+        if (k > 0) m.plan[k].begun = std::min(m.plan[k].begun, m.plan[k - 1].begun);
+      }
+    }
+  }
+  /// As if all that counts, with keys up to `key`, had begun by then.
+  [[nodiscard]] Tick begun_by(const OnXpu& m, Tick key) const {
+    const auto next = std::upper_bound(m.plan.begin(), m.plan.end(), key,
+                                       [](Tick k, const Planned& p) { return k < p.key; });
+    return next == m.plan.begin() ? until_ : std::min(until_, (next - 1)->begun);
+  }
+
   /// Activations of the first table that may not have ended.
   void add_before(int xnode) {
     const std::int64_t end = from_on(xnode, s_);
@@ -165,9 +200,8 @@ class Walk {
     const Windows& w = second ? in_.to : in_.from;
     const std::size_t slot = p_.slot_of(xnode, n);
     const int xpu = second ? in_.to_xpu[at(xnode)] : in_.from_xpu[at(xnode)];
-    Job job{xnode, xpu, n, released, released + w.d[slot], released + w.e[slot], 0, 0, second};
+    Job job{xnode, xpu, n, released, released + w.d[slot], released + w.e[slot], 0, second};
     job.wcet = (second ? in_.then : in_.both).wcet(xnode, xpu);
-    job.before = second ? job.wcet : in_.now.wcet(xnode, xpu);
     const auto x = static_cast<int>(jobs_.size());
     jobs_.push_back(job);
     index_[at(xnode)].push_back(x);
@@ -345,24 +379,19 @@ class Walk {
       if (s > x.ready) continue;
       ends = std::max(ends, s + sum + blocked(s));
       // What is ready earlier has ended by s: then its work fits between, and an earlier s gives no
-      // more (its F is at least its own first s and all of that work).
+      // more, nor does t (its F is at least its own first s, or begun_by, and all of that work).
       if (s >= until_ && (k == 0 || m.done[k - 1].all_end <= s)) {
         all = false;
         break;
       }
     }
     if (all) {
-      Tick left = 0, before = 0, key = since_;  // whose keys are not before t
       for (; k > 0; --k) {
-        const Job& z = jobs_[at(m.done[k - 1].job)];
-        if (z.key > x.key) continue;
-        left += z.work;
-        before += z.before;
-        key = std::max(key, z.key);
+        if (jobs_[at(m.done[k - 1].job)].key > x.key) continue;
+        sum += m.done[k - 1].work;
         if (blocks) pass(m.done[k - 1].job);
       }
-      const Tick by = left == 0 ? until_ : std::min(until_ + left, key + left - before);
-      ends = std::max(ends, by + sum + blocked(until_));
+      ends = std::max(ends, begun_by(m, x.key) + sum + blocked(until_));
     }
     x.ends = ends;
     std::size_t mine = m.done.size();
