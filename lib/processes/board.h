@@ -43,9 +43,10 @@ struct alignas(64) BoardHeader {
   std::atomic<std::uint32_t> asked{};            ///< [S], and any process: scenario + 1; 0: none
   std::atomic<std::uint32_t> scenario{}, why{};  ///< [H] in force, and runtime::Why
   std::atomic<std::uint64_t> switches{};         ///< [H] to another table
-  /// [H] the tables of releases: in_force() of the newest, and of the one before. In a run by keys
-  /// what counts is the nominal release of the component, in microseconds.
-  std::atomic<std::uint64_t> in_force{}, before{};
+  /// [H] the tables of releases: in_force() of the newest, of the one before, and older ones: what a
+  /// stall holds up may be of one of those. In a run by keys what counts is the nominal release of the
+  /// component, in microseconds.
+  std::atomic<std::uint64_t> in_force{}, before{}, older[30]{};
 };
 
 /// A table, and the first release that has it. Up to 2^48 releases: 281 years at 30 kHz; as
@@ -219,8 +220,20 @@ class Board {
   [[nodiscard]] const BoardHeader& header() const { return *header_; }
   /// Which one a release has; known from before it is published on.
   [[nodiscard]] std::uint32_t table_of(std::uint64_t release) const {
-    const std::uint64_t now = header_->in_force.load();
-    return table_in(release >= first_release(now) ? now : header_->before.load());
+    std::uint64_t word = header_->in_force.load();
+    if (release < first_release(word)) word = header_->before.load();
+    // Whoever puts a new one moves these on from the last one on, so none is missed.
+    for (std::size_t k = 0; release < first_release(word) && k < std::size(header_->older); ++k)
+      word = header_->older[k].load();
+    return table_in(word);
+  }
+  /// [H] From `release` on that table.
+  void put_table(std::uint64_t release, std::uint32_t table) {
+    for (std::size_t k = std::size(header_->older) - 1; k > 0; --k)
+      header_->older[k].store(header_->older[k - 1].load());
+    header_->older[0].store(header_->before.load());
+    header_->before.store(header_->in_force.load());
+    header_->in_force.store(in_force(release, table));
   }
   ProcessLine& process(int index) { return processes_[index]; }
   [[nodiscard]] int processes() const { return static_cast<int>(shape_.processes); }

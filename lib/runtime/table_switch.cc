@@ -253,10 +253,8 @@ void TableSwitch::judge(std::uint64_t below, SwitchReport* change) {
 
 /// From `release` on. Known before that release is published, so by all that have it.
 void TableSwitch::put(std::uint64_t release, int table) {
-  BoardHeader& header = context_.board.header();
-  header.before.store(header.in_force.load());
-  header.in_force.store(in_force(release, static_cast<std::uint32_t>(table)));
-  if (release > 0) header.switches.fetch_add(1);
+  context_.board.put_table(release, static_cast<std::uint32_t>(table));
+  if (release > 0) context_.board.header().switches.fetch_add(1);
   const Guard lock(mutex_);
   table_ = table;
 }

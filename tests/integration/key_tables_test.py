@@ -11,7 +11,7 @@ import tempfile
 import unittest
 
 import pftrace
-from common import BIN, XAUTO, wait_for, xauto
+from common import BIN, QUEUES, XAUTO, wait_for, xauto
 
 STEADY = pathlib.Path(__file__).parents[2] / "examples" / "driving" / "steady.json"
 SCENARIOS = [{"name": "nominal"}, {"name": "GPU at half", "wcet_scale_pct": {"gpu": 200}},
@@ -29,6 +29,7 @@ class KeyTables(unittest.TestCase):
         for source in cls.app["sources"]:  # all by one clock, so that changes are certified
             source.pop("clock", None)
         cls.write("app.json", cls.app)
+        cls.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": cls.app["name"], **QUEUES})
         cls.write("scenarios.json", {"schema": "xauto.scenarios", "version": 1, "app": cls.app["name"], "scenarios": SCENARIOS})
         done = xauto("solve", "--app", "app.json", "--platform", "small", "--scenarios", "scenarios.json", "--tables", 2,
                      "--time-limit-s", 6, "--out", "tables.json", "--json", cwd=cls.folder)
@@ -60,7 +61,8 @@ class KeyTables(unittest.TestCase):
     def run_about(self, *flags):
         with open(self.folder / "out", "w") as out, open(self.folder / "err", "w") as err:
             tool = subprocess.Popen([XAUTO, "run", "--app", "app.json", "--platform", "small", "--emulate", "--policy",
-                                     "tables.json", "--activations", "0", "--json", "--trace-out", "t.pftrace", *flags, "--",
+                                     "tables.json", "--activations", "0", "--deployment", "deployment.json", "--json", "--trace-out",
+                                     "t.pftrace", *flags, "--",
                                      str(BIN / "driving-steady")], cwd=self.folder, stdout=out, stderr=err)
         self.addCleanup(lambda: (tool.kill(), tool.wait()))
         run = ("--run", f"{tool.pid}-0", "--wait-s", 10, "--json")

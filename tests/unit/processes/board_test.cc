@@ -98,5 +98,15 @@ TEST(Board, MemoryThatCouldShrinkIsNotLookedAt) {
   EXPECT_FALSE(Board::observe(fd.get()));
 }
 
+TEST(Board, AReleaseKeepsItsTableThroughManyChanges) {
+  const auto board = Board::local({1, 1});
+  ASSERT_TRUE(board);
+  for (std::uint32_t k = 0; k < 40; ++k) board->put_table(k == 0 ? 0 : 100 * k, k % 7);
+  for (std::uint32_t k = 8; k < 40; ++k) {  // 32 are known
+    EXPECT_EQ(board->table_of(100 * k), k % 7) << k;
+    EXPECT_EQ(board->table_of(100 * k + 99), k % 7) << k;
+  }
+}
+
 }  // namespace
 }  // namespace xauto::runtime

@@ -127,8 +127,7 @@ TEST_F(Fixture, AReleaseInWhoseTableItIsOffGoesByAndNobodyWaits) {
   const auto board = Board::local({1, 1});
   ASSERT_TRUE(board);
   const auto put = [&](std::uint64_t release, std::uint32_t table) {
-    board->header().before.store(board->header().in_force.load());
-    board->header().in_force.store(in_force(release, table));
+    board->put_table(release, table);
   };
   const auto both = [&](std::uint64_t k) {
     message(0, k);
