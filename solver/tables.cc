@@ -7,17 +7,16 @@
 #include <cmath>
 #include <memory>
 #include <set>
-#include <thread>
 #include <tuple>
 
 #include "base/index.h"
 #include "solver/certify.h"
-#include "solver/choose_tables.h"
 #include "solver/least_loss.h"
 #include "solver/ordered.h"
 #include "solver/random.h"
 #include "solver/solve.h"
 #include "solver/steady/key_tables.h"
+#include "solver/tables_run.h"
 
 namespace xauto::solver {
 namespace {
@@ -43,7 +42,7 @@ class TablesSearch {
         platform_(platform),
         scenarios_(scenarios.list),
         options_(options),
-        began_(std::chrono::steady_clock::now()),
+        run_(options, scenarios.list.size()),
         random_(options.seed) {}
 
   Result<Tables> run() {
@@ -51,33 +50,18 @@ class TablesSearch {
     TableChoice best = choose();
     // Evaluations are counted per search: then a fixed number of rounds, so that speed says nothing.
     constexpr int kRounds = 24;
-    for (int round = 0; (options_.max_evaluations == 0 || round < kRounds) && !over(); ++round) {
-      if (best.worst == kCannotServe || best.worst <= goal()) break;
+    for (int round = 0; (options_.max_evaluations == 0 || round < kRounds) && !run_.over();
+         ++round) {
+      if (best.worst == kCannotServe || best.worst <= run_.goal()) break;
       improve(best);
       TableChoice next = choose();
       if (next.worst < best.worst || next.chosen.size() < best.chosen.size()) best = next;
-      tell(best.worst);
+      run_.tell(bound_.size(), best.worst);
     }
     return answer(best);
   }
 
  private:
-  [[nodiscard]] double elapsed() const {
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - began_).count();
-  }
-  [[nodiscard]] bool over() const {
-    return (options_.stop != nullptr && options_.stop->load()) ||
-           elapsed() >= options_.time_limit_s;
-  }
-  /// Nothing better is asked for.
-  [[nodiscard]] double goal() const {
-    return options_.tables > 0 ? std::max(1.0, options_.regret) : 1.0;
-  }
-  void tell(double worst) const {
-    if (options_.on_progress)
-      options_.on_progress(elapsed(), static_cast<int>(bound_.size()), worst);
-  }
-
   /// Index of the app with this loss.
   Result<int> with(const Loss& loss) {
     for (std::size_t k = 0; k < lossy_.size(); ++k)
@@ -103,8 +87,7 @@ class TablesSearch {
     const std::size_t n = scenarios_.size();
     XAUTO_TRY(with({}));
     for (std::size_t s = 0; s < n; ++s) {
-      const double share_s =
-          std::max(0.05, options_.time_limit_s / 2 - elapsed()) / static_cast<double>(n - s);
+      const double share_s = run_.share_s(s);
       Loss loss;
       if (scenarios_[s].degraded) loss = least_loss_under(s, share_s / 2);
       XAUTO_ASSIGN(const int lossy, with(loss));
@@ -122,7 +105,7 @@ class TablesSearch {
       }
       candidate.sequence = sequence_of(priorities_by_key(starts));
       solved_.push_back(std::move(candidate));
-      tell(kCannotServe);
+      run_.tell(bound_.size(), kCannotServe);
     }
     for (Plan& candidate : solved_) add(std::move(candidate));
     return {};
@@ -153,11 +136,11 @@ class TablesSearch {
   /// lose, where it does not even so.
   [[nodiscard]] Loss least_loss_under(std::size_t s, double seconds) const {
     const Time limit = *time_for_a_release(app_);
-    const double until_s = elapsed() + seconds;
+    const double until_s = run_.elapsed() + seconds;
     constexpr double kTries = 8;
     const auto suffices = [&](const Loss& loss) {
       const auto policy = solve_under(
-          s, loss, std::max(0.02, std::min(seconds / kTries, until_s - elapsed())), limit);
+          s, loss, std::max(0.02, std::min(seconds / kTries, until_s - run_.elapsed())), limit);
       return policy && policy->worst_case_us.value_or(kNever) <= limit;
     };
     const auto deadline =
@@ -202,10 +185,7 @@ class TablesSearch {
   [[nodiscard]] TableChoice choose() const {
     std::vector<std::vector<double>> regret;
     for (const Plan& c : candidates_) regret.push_back(c.regret);
-    return choose_tables(regret, most(), options_.regret, options_.stop);
-  }
-  [[nodiscard]] int most() const {
-    return options_.tables > 0 ? options_.tables : static_cast<int>(scenarios_.size());
+    return run_.choose(regret);
   }
 
   /// One candidate more for each group of scenarios that a table serves, and for each with one more
@@ -234,17 +214,11 @@ class TablesSearch {
         tasks.push_back(std::move(task));
       }
     }
-    const double slice = std::min(
-        0.4, std::max(0.02, options_.time_limit_s - elapsed()) / static_cast<double>(tasks.size()));
-    std::atomic<std::size_t> next{0};
-    const auto work = [&] {
-      for (std::size_t k; (k = next.fetch_add(1)) < tasks.size();)
-        tasks[k].result = anneal_for(tasks[k].group, tasks[k].from, tasks[k].seed, slice);
-    };
-    std::vector<std::thread> threads;
-    for (int t = 1; t < options_.threads; ++t) threads.emplace_back(work);
-    work();
-    for (std::thread& thread : threads) thread.join();
+    const double slice = std::min(0.4, std::max(0.02, options_.time_limit_s - run_.elapsed()) /
+                                           static_cast<double>(tasks.size()));
+    run_.on_threads(tasks.size(), [&](std::size_t k) {
+      tasks[k].result = anneal_for(tasks[k].group, tasks[k].from, tasks[k].seed, slice);
+    });
     for (Task& task : tasks) add(std::move(task.result));
   }
 
@@ -339,11 +313,7 @@ class TablesSearch {
                       " tables serve every scenario: they have lost different XPUs" +
                       (lossy_.size() > 1 ? ", or the app loses different things there" : ""),
                   app_.name, "ask for more tables");
-    if (options_.regret >= 1 && choice.worst > options_.regret + 1e-12)
-      return fail(ErrorCode::kInfeasible,
-                  "the largest regret found is " + std::to_string(choice.worst) + ", not " +
-                      std::to_string(options_.regret),
-                  app_.name, "more tables, or more time");
+    XAUTO_TRY(run_.judge(choice.worst, app_.name));
     Tables tables;
     tables.app = app_.name;
     tables.app_hash = app_.hash();
@@ -366,7 +336,7 @@ class TablesSearch {
       tables.serves.push_back({number[c], evaluator.makespan(), bound_[s]});
     }
     add_changes(choice, tables);
-    tables.solve_ms = static_cast<std::int64_t>(elapsed() * 1000);
+    tables.solve_ms = static_cast<std::int64_t>(run_.elapsed() * 1000);
     return tables;
   }
 
@@ -419,7 +389,7 @@ class TablesSearch {
   const Platform& platform_;
   const std::vector<Scenario>& scenarios_;
   const TablesOptions& options_;
-  const SteadyTime began_;
+  const TablesRun run_;
   Random random_;
   std::vector<Lossy> lossy_;   ///< the first without any loss
   std::vector<int> lossy_of_;  ///< [scenario] index into them

@@ -127,12 +127,7 @@ void verify_handovers(const AppSpec& app, const Platform& platform, const Tables
                              tables.tables[at(claim.to)].name + "': ";
     const bool claims = std::any_of(claim.worst_case_us.begin(), claim.worst_case_us.end(),
                                     [](const auto& us) { return us.has_value(); });
-    const std::vector<std::string>& gone = envelopes[at(claim.to)].lost;
-    const bool lost = std::any_of(tables.tables[at(claim.from)].xpu.begin(),
-                                  tables.tables[at(claim.from)].xpu.end(), [&](int x) {
-                                    return std::find(gone.begin(), gone.end(),
-                                                     platform.xpus[at(x)].id) != gone.end();
-                                  });
+    const bool lost = needs_lost(tables.tables[at(claim.from)], platform, envelopes[at(claim.to)]);
     if (lost && claims)
       all.lies.push_back(name + "a worst case, though it may need an XPU that is lost");
     if (!claims || lost) {

@@ -43,6 +43,24 @@ NameIndex index_by_name(const std::vector<Named>& list) {
                                                           const NameIndex& index,
                                                           std::size_t limit = kMaxEdges);
 
+/// "chains" of `x`, each chain of the app once, in any order: each(chain, its line).
+template <class Each>
+void each_chain(const Reader& x, const AppSpec& app, Each each) {
+  const NameIndex index = index_by_name(app.chains);
+  std::vector<char> there(app.chains.size(), 0);
+  x["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
+    const int found = read_name(c["name"], index, "chain", "the app");
+    if (c.failed()) return;
+    const auto k = static_cast<std::size_t>(found);
+    if (there[k]) return c["name"].refuse("chain '" + app.chains[k].name + "' is there twice");
+    there[k] = 1;
+    each(k, c);
+  });
+  if (x.failed()) return;
+  for (std::size_t k = 0; k < there.size(); ++k)
+    if (!there[k]) return x["chains"].refuse("chain '" + app.chains[k].name + "' is missing");
+}
+
 /// Times by activation, in microseconds; empty where the key is not required and not there.
 [[nodiscard]] std::vector<std::int64_t> read_series(const Reader& reader, const char* key,
                                                     bool required);

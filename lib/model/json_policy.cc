@@ -82,25 +82,14 @@ std::vector<std::size_t> read_placements(const Reader& root, const AppSpec& app,
   return line_of;
 }
 
-/// Each chain of the app, once.
 void read_claims(const Reader& root, const AppSpec& app, KeyPolicy& policy) {
-  const NameIndex index = index_by_name(app.chains);
-  std::vector<char> there(app.chains.size(), 0);
   policy.chains.resize(app.chains.size());
-  root["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
-    const int found = read_name(c["name"], index, "chain", "the app");
-    if (c.failed()) return;
-    const auto i = static_cast<std::size_t>(found);
-    if (there[i]) return c["name"].refuse("chain '" + app.chains[i].name + "' is there twice");
-    there[i] = 1;
-    policy.chains[i] = {app.chains[i].name, c["worst_case_us"].time(), c["lower_bound_us"].time(),
+  each_chain(root, app, [&](std::size_t k, const Reader& c) {
+    policy.chains[k] = {app.chains[k].name, c["worst_case_us"].time(), c["lower_bound_us"].time(),
                         c["optimal"].boolean()};
     if (c.has("urgent_worst_case_us"))
-      policy.chains[i].urgent_worst_case_us = c["urgent_worst_case_us"].time();
+      policy.chains[k].urgent_worst_case_us = c["urgent_worst_case_us"].time();
   });
-  if (root.failed()) return;
-  for (std::size_t i = 0; i < there.size(); ++i)
-    if (!there[i]) return root["chains"].refuse("chain '" + app.chains[i].name + "' is missing");
 }
 
 }  // namespace

@@ -110,48 +110,6 @@ ordered_json variants_to_json(const Loss& loss, const AppSpec& app) {
   return variants;
 }
 
-/// Each chain of the app once, in any order: each(chain, its line).
-template <class Each>
-void read_chains(const Reader& x, const AppSpec& app, Each each) {
-  const NameIndex index = index_by_name(app.chains);
-  std::vector<char> there(app.chains.size(), 0);
-  x["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
-    const int found = read_name(c["name"], index, "chain", "the app");
-    if (c.failed()) return;
-    if (std::exchange(there[static_cast<std::size_t>(found)], char{1}) != 0)
-      return c["name"].refuse("is there twice");
-    each(static_cast<std::size_t>(found), c);
-  });
-  if (x.failed()) return;
-  const auto missing = std::find(there.begin(), there.end(), 0);
-  if (missing != there.end())
-    x["chains"].refuse("chain '" +
-                       app.chains[static_cast<std::size_t>(missing - there.begin())].name +
-                       "' is missing");
-}
-
-/// What a table of version 2 says beyond where its XNodes are.
-KeyPolicy read_keys(const Reader& x, const AppSpec& app, const Table& table,
-                    const NameIndex& index) {
-  KeyPolicy keys;
-  keys.placements.resize(app.xnodes.size());
-  x["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& placed) {
-    const int found = read_name(placed["name"], index, "XNode", "the app");
-    if (placed.failed()) return;
-    KeyPlacement& p = keys.placements[static_cast<std::size_t>(found)];
-    p.xpu = table.xpu[static_cast<std::size_t>(found)];
-    p.key_us = read_series(placed, "key_us", true);
-    p.hold_us = read_series(placed, "hold_us", false);
-  });
-  keys.chains.resize(app.chains.size());
-  read_chains(x, app, [&](std::size_t k, const Reader& c) {
-    keys.chains[k] = {app.chains[k].name, c["worst_case_us"].time(), 0, false};
-    if (c.has("urgent_worst_case_us"))
-      keys.chains[k].urgent_worst_case_us = c["urgent_worst_case_us"].time();
-  });
-  return keys;
-}
-
 Handover read_handover(const Reader& x, const AppSpec& app, const NameIndex& table_of) {
   Handover handover{read_name(x["from"], table_of, "table", "the file"),
                     read_name(x["to"], table_of, "table", "the file"),
@@ -161,15 +119,17 @@ Handover read_handover(const Reader& x, const AppSpec& app, const NameIndex& tab
     x["not_claimed"].each_element(kMaxXNodes, [&](std::size_t, const Reader& why) {
       handover.not_claimed.push_back(why.text());
     });
-  read_chains(x, app, [&](std::size_t k, const Reader& c) {
+  each_chain(x, app, [&](std::size_t k, const Reader& c) {
     if (c.has("worst_case_us")) handover.worst_case_us[k] = c["worst_case_us"].time();
   });
   return handover;
 }
 
+/// `keys`: of version 2, what it says beyond where its XNodes are.
 Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
-                 const NameIndex& index) {
+                 const NameIndex& index, KeyPolicy* keys) {
   Table table;
+  if (keys != nullptr) keys->placements.resize(app.xnodes.size());
   table.name = x["name"].text();
   table.xpu.assign(app.xnodes.size(), -1);
   table.priority.assign(app.xnodes.size(), 0);
@@ -177,7 +137,12 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
     const int found = read_name(placed["name"], index, "XNode", "the app");
     const std::string id = placed["xpu"].text();
     const std::int64_t priority =
-        app.version == 2 ? 0 : placed["priority"].integer(-kMaxTimeUs, kMaxTimeUs);
+        keys != nullptr ? 0 : placed["priority"].integer(-kMaxTimeUs, kMaxTimeUs);
+    KeyPlacement by_keys{platform.find(id)};
+    if (keys != nullptr) {
+      by_keys.key_us = read_series(placed, "key_us", true);
+      by_keys.hold_us = read_series(placed, "hold_us", false);
+    }
     if (placed.failed()) return;
     const auto i = static_cast<std::size_t>(found);
     if (table.xpu[i] >= 0)
@@ -186,8 +151,21 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
     table.priority[i] = priority;
     if (table.xpu[i] < 0)
       placed["xpu"].refuse("XPU '" + id + "' is not in platform '" + platform.name + "'");
+    if (keys != nullptr) keys->placements[i] = std::move(by_keys);
   });
-  if (app.version == 2) return table;
+  if (keys != nullptr) {
+    for (std::size_t i = 0; i < app.xnodes.size() && !x.failed(); ++i)
+      if (table.xpu[i] < 0 || keys->placements[i].key_us.empty())
+        x["xnodes"].refuse("XNode '" + app.xnodes[i].name + "' " +
+                           (table.xpu[i] < 0 ? "is not placed" : "has no key"));
+    keys->chains.resize(app.chains.size());
+    each_chain(x, app, [&](std::size_t k, const Reader& c) {
+      keys->chains[k] = {app.chains[k].name, c["worst_case_us"].time(), 0, false};
+      if (c.has("urgent_worst_case_us"))
+        keys->chains[k].urgent_worst_case_us = c["urgent_worst_case_us"].time();
+    });
+    return table;
+  }
   if (x.has("order")) table.order = read_pairs(x["order"], index);
   read_loss(x, app, index, table.loss);
   return table;
@@ -228,18 +206,10 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
   tables.scenarios = read_scenarios(root);
   const NameIndex xnodes = index_by_name(app.xnodes);
   root["tables"].each_element(kMaxTables, [&](std::size_t, const Reader& x) {
-    tables.tables.push_back(read_table(x, app, platform, xnodes));
-    if (version == 1) return;
-    tables.keys.push_back(read_keys(x, app, tables.tables.back(), xnodes));
+    KeyPolicy* const of_table = version == 1 ? nullptr : &tables.keys.emplace_back();
+    tables.tables.push_back(read_table(x, app, platform, xnodes, of_table));
   });
   XAUTO_TRY(context.status());
-  for (std::size_t t = 0; t < tables.keys.size(); ++t)
-    for (std::size_t i = 0; i < app.xnodes.size(); ++i)
-      if (tables.tables[t].xpu[i] < 0 || tables.keys[t].placements[i].key_us.empty())
-        return fail(ErrorCode::kInvalid,
-                    "XNode '" + app.xnodes[i].name + "' " +
-                        (tables.tables[t].xpu[i] < 0 ? "is not placed" : "has no key"),
-                    std::string(origin) + ": /tables/" + std::to_string(t) + "/xnodes");
   set_priorities(tables);
 
   const NameIndex scenario_of = index_by_name(tables.scenarios),
@@ -254,7 +224,7 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
       served.lower_bound_us = x["lower_bound_us"].time();
     } else {
       served.chain_bound_us.resize(app.chains.size());
-      read_chains(x, app, [&](std::size_t k, const Reader& c) {
+      each_chain(x, app, [&](std::size_t k, const Reader& c) {
         served.chain_bound_us[k] = c["lower_bound_us"].time();
       });
     }

@@ -10,6 +10,37 @@
 #include "base/index.h"
 
 namespace xauto {
+namespace {
+
+/// All (from, to) of `n`, each once and from != to, in this order.
+std::pair<int, int> pair_at(std::size_t k, std::size_t n) {
+  const std::size_t from = k / (n - 1), to = k % (n - 1);
+  return {static_cast<int>(from), static_cast<int>(to + (to >= from ? 1 : 0))};
+}
+template <class Pair>
+const Pair* find_pair(const std::vector<Pair>& pairs, std::size_t n, int from, int to) {
+  if (pairs.empty() || from == to) return nullptr;
+  return &pairs[(n - 1) * at(from) + at(to) - (to > from ? 1 : 0)];
+}
+
+/// `pairs` are none, or all of `named`, in that order. `what`: one of them, `all`: all of them.
+template <class Pair, class Named>
+Status validate_pairs(const std::vector<Pair>& pairs, const std::vector<Named>& named,
+                      const std::string& place, const char* all, const char* what) {
+  const std::size_t n = named.size();
+  if (!pairs.empty() && pairs.size() != n * (n - 1)) return fail(ErrorCode::kInvalid, all, place);
+  for (std::size_t k = 0; k < pairs.size(); ++k) {
+    const auto [from, to] = pair_at(k, n);
+    if (pairs[k].from != from || pairs[k].to != to)
+      return fail(ErrorCode::kInvalid,
+                  std::string("is not ") + what + " from '" + named[at(from)].name + "' to '" +
+                      named[at(to)].name + "', which comes here",
+                  place + "/" + std::to_string(k));
+  }
+  return {};
+}
+
+}  // namespace
 
 const char* to_string(Why why) {
   constexpr std::array<const char*, 7> kNames = {"start", "asked",   "machine", "overrun",
@@ -93,6 +124,38 @@ Objective chain_objective(const AppSpec& app, const std::vector<std::int64_t>& u
     objective.chain = static_cast<int>(k);
   }
   return objective;
+}
+
+const Change* change_of(const Tables& tables, int from, int to) {
+  return find_pair(tables.changes, tables.scenarios.size(), from, to);
+}
+
+const Handover* handover_of(const Tables& tables, int from, int to) {
+  return find_pair(tables.handovers, tables.tables.size(), from, to);
+}
+
+bool needs_lost(const Table& table, const Platform& platform, const Scenario& scenario) {
+  const Platform left = platform_under(platform, scenario);
+  return std::any_of(table.xpu.begin(), table.xpu.end(),
+                     [&](int x) { return x >= 0 && left.find(platform.xpus[at(x)].id) < 0; });
+}
+
+bool Handover::claims_all() const {
+  return std::all_of(worst_case_us.begin(), worst_case_us.end(),
+                     [](const auto& us) { return us.has_value(); });
+}
+
+std::vector<std::int64_t> largest_claims(const Tables& tables) {
+  std::vector<std::int64_t> largest;
+  for (const KeyPolicy& keys : tables.keys) {
+    largest.resize(keys.chains.size());
+    for (std::size_t c = 0; c < largest.size(); ++c)
+      largest[c] = std::max(largest[c], keys.chains[c].worst_case_us);
+  }
+  for (const Handover& change : tables.handovers)
+    for (std::size_t c = 0; c < largest.size(); ++c)
+      largest[c] = std::max(largest[c], change.worst_case_us[c].value_or(0));
+  return largest;
 }
 
 void set_priorities(Tables& tables) {
@@ -206,24 +269,15 @@ Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& p
     }
   }
   if (!is_time(tables.notice_us)) return fail(ErrorCode::kInvalid, "is out of range", "/notice_us");
-  const std::size_t n = tables.tables.size();
-  if (!tables.handovers.empty() && tables.handovers.size() != n * (n - 1))
-    return fail(ErrorCode::kInvalid, "are not all from one table to another, each once",
-                "/handovers");
+  XAUTO_TRY(validate_pairs(tables.handovers, tables.tables, "/handovers",
+                           "are not all from one table to another, each once", "that"));
   for (std::size_t k = 0; k < tables.handovers.size(); ++k) {
     const Handover& h = tables.handovers[k];
-    const std::size_t from = k / (n - 1), to = k % (n - 1) + (k % (n - 1) >= from ? 1 : 0);
-    const std::string place = "/handovers/" + std::to_string(k);
-    if (h.from != static_cast<int>(from) || h.to != static_cast<int>(to))
-      return fail(ErrorCode::kInvalid,
-                  "is not that from '" + tables.tables[from].name + "' to '" +
-                      tables.tables[to].name + "', which comes here",
-                  place);
     if (h.worst_case_us.size() != app.chains.size() || !is_time(h.settles_us) ||
         !std::all_of(h.worst_case_us.begin(), h.worst_case_us.end(),
                      [&](const auto& us) { return !us || is_time(*us); }))
       return fail(ErrorCode::kInvalid, "has a chain too few or too many, or a time out of range",
-                  place + "/chains");
+                  "/handovers/" + std::to_string(k) + "/chains");
   }
   return {};
 }
@@ -271,10 +325,7 @@ Status validate(const Tables& tables, const AppSpec& app, const Platform& platfo
                   "table '" + table.name + "' loses something (" + words_of(table.loss, app) +
                       "), and scenario '" + scenario.name + "' is not degraded",
                   at + "/table");
-    const Policy policy = policy_under(table, app, platform, scenario);
-    const auto lost = std::find_if(policy.placements.begin(), policy.placements.end(),
-                                   [](const Placement& p) { return p.xpu < 0; });
-    if (lost != policy.placements.end())
+    if (needs_lost(table, platform, scenario))
       return fail(ErrorCode::kInvalid,
                   "table '" + table.name + "' has an XNode on an XPU that scenario '" +
                       scenario.name + "' has lost",
@@ -284,20 +335,8 @@ Status validate(const Tables& tables, const AppSpec& app, const Platform& platfo
       return fail(ErrorCode::kInvalid, "a time is out of range", at);
   }
   if (!tables.keys.empty()) return validate_keys(tables, app, platform);
-  const std::size_t n = tables.scenarios.size();
-  if (!tables.changes.empty() && tables.changes.size() != n * (n - 1))
-    return fail(ErrorCode::kInvalid, "are not all changes between two scenarios, each once",
-                "/changes");
-  for (std::size_t k = 0; k < tables.changes.size(); ++k) {
-    const Change& change = tables.changes[k];
-    const std::size_t from = k / (n - 1), to = k % (n - 1) + (k % (n - 1) >= from ? 1 : 0);
-    if (change.from != static_cast<int>(from) || change.to != static_cast<int>(to))
-      return fail(ErrorCode::kInvalid,
-                  "is not the change from '" + tables.scenarios[from].name + "' to '" +
-                      tables.scenarios[to].name + "', which comes here",
-                  "/changes/" + std::to_string(k));
-  }
-  return {};
+  return validate_pairs(tables.changes, tables.scenarios, "/changes",
+                        "are not all changes between two scenarios, each once", "the change");
 }
 
 }  // namespace xauto

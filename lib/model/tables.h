@@ -61,6 +61,8 @@ struct Handover {
   std::int64_t settles_us = 0;  ///< from then on jobs are in time again; not before, the next one
   std::vector<std::string> not_claimed =
       {};  ///< why some chains have none, a line each; for people
+  /// Whether it claims something of each chain.
+  [[nodiscard]] bool claims_all() const;
   bool operator==(const Handover&) const = default;
 };
 
@@ -130,6 +132,16 @@ struct Objective {
   int chain = -1;  ///< whose `late` is
 };
 [[nodiscard]] Objective chain_objective(const AppSpec& app, const std::vector<std::int64_t>& us);
+
+/// From scenario `from` to `to`; of keys, from table to table. Null: they are the same, or the file has none.
+[[nodiscard]] const Change* change_of(const Tables& tables, int from, int to);
+[[nodiscard]] const Handover* handover_of(const Tables& tables, int from, int to);
+/// The table has an XNode on an XPU that the scenario has lost.
+[[nodiscard]] bool needs_lost(const Table& table, const Platform& platform,
+                              const Scenario& scenario);
+
+/// Tables of keys, [chain]: the largest worst case of all tables, and of those changes that claim one.
+[[nodiscard]] std::vector<std::int64_t> largest_claims(const Tables& tables);
 
 /// Table number `table` as a policy of the whole app, to be made at the start of a run. XNodes whose
 /// module is off there are where the table of the first scenario has them: they get no job.

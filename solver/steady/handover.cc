@@ -57,7 +57,6 @@ class Walk {
     }
     return true;
   }
-  [[nodiscard]] std::int64_t walked() const { return walked_; }
   /// From S on.
   [[nodiscard]] Tick settles() const { return settled_by_ - s_; }
   /// Whoever is released later is as the second table says.
@@ -226,7 +225,7 @@ class Walk {
                 [&](int a, int b) { return jobs_[at(a)].key < jobs_[at(b)].key; });
   }
 
-  /// each(job that `x` waits for, whether it has to end)
+  /// each(job that `x` waits for)
   template <class Each>
   void waited_for(const Job& x, Each each) const {
     for (const Link& link : p_.pred[at(x.xnode)])
@@ -557,7 +556,8 @@ HandoverBound bound_handover(const HandoverInput& in, std::int64_t most_jobs, co
       bound.settles = std::max(bound.settles, settles);
       continue;
     }
-    bound.why_not.push_back("clock '" + p.clock_name[at(domain.clock)] + "' does not settle");
+    bound.why_not.push_back("clock '" + p.clock_name[at(domain.clock)] +
+                            "' was not seen to settle, as far as jobs were looked at");
     for (const int k : chains) bound.worst[at(k)] = kNoTick;
   }
   return bound;

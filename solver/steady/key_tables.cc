@@ -4,15 +4,14 @@
 #include <algorithm>
 #include <chrono>
 #include <optional>
-#include <thread>
 #include <utility>
 
 #include "base/index.h"
 #include "model/components.h"
-#include "solver/choose_tables.h"
 #include "solver/random.h"
 #include "solver/steady/handover.h"
 #include "solver/steady/solve.h"
+#include "solver/tables_run.h"
 
 namespace xauto::solver::steady {
 namespace {
@@ -33,7 +32,7 @@ class KeyTablesSearch {
         platform_(platform),
         scenarios_(scenarios.list),
         options_(options),
-        began_(std::chrono::steady_clock::now()),
+        run_(options, scenarios.list.size()),
         random_(options.seed) {
     for (const Scenario& scenario : scenarios_) under_.push_back(app_under(app, scenario));
   }
@@ -44,33 +43,17 @@ class KeyTablesSearch {
     solve_all();
     TableChoice best = choose();
     constexpr int kRounds = 12;  // of a fixed number of evaluations each
-    for (int round = 0; (options_.max_evaluations == 0 || round < kRounds) && !over(); ++round) {
-      if (best.chosen.empty() || best.worst <= goal()) break;
+    for (int round = 0; (options_.max_evaluations == 0 || round < kRounds) && !run_.over();
+         ++round) {
+      if (best.chosen.empty() || best.worst <= run_.goal()) break;
       improve(best);
       best = choose();
-      tell(best.worst);
+      run_.tell(bound_.size(), best.worst);
     }
     return answer(best);
   }
 
  private:
-  [[nodiscard]] double elapsed() const {
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - began_).count();
-  }
-  [[nodiscard]] bool over() const {
-    return (options_.stop != nullptr && options_.stop->load()) ||
-           elapsed() >= options_.time_limit_s;
-  }
-  [[nodiscard]] double goal() const {
-    return options_.tables > 0 ? std::max(1.0, options_.regret) : 1.0;
-  }
-  [[nodiscard]] int most() const {
-    return options_.tables > 0 ? options_.tables : static_cast<int>(scenarios_.size());
-  }
-  void tell(double worst) const {
-    if (options_.on_progress)
-      options_.on_progress(elapsed(), static_cast<int>(bound_.size()), worst);
-  }
   [[nodiscard]] double value_of(const std::vector<std::int64_t>& us) const {
     const Objective of = chain_objective(app_, us);
     return of.chain >= 0 ? of.late : static_cast<double>(of.sum_us);
@@ -92,7 +75,7 @@ class KeyTablesSearch {
     if (!shared || shared->outcome != Outcome::kPolicy) return {};
     double most = kMostForSplit * value_of(worst_of(shared->policy));
     do {
-      if (elapsed() > options_.time_limit_s / 4) break;
+      if (run_.elapsed() > options_.time_limit_s / 4) break;
       forbids_ = forbids_of(owner, clock_of);
       const auto answer =
           solve_for(scenarios_.front(), slice, options_.threads, options_.seed, nullptr);
@@ -158,8 +141,7 @@ class KeyTablesSearch {
   Status solve_each() {
     const std::size_t n = scenarios_.size();
     for (std::size_t s = 0; s < n; ++s) {
-      const double share_s =
-          std::max(0.05, options_.time_limit_s / 2 - elapsed()) / static_cast<double>(n - s);
+      const double share_s = run_.share_s(s);
       // Bounds are of all policies, also of those in which clocks share XPUs.
       std::optional<Answer> bounds;
       if (!forbids_.empty()) {
@@ -185,7 +167,7 @@ class KeyTablesSearch {
       bound_.push_back(answer.lower_bound_us);
       bound_value_.push_back(std::max(1e-9, value_of(answer.lower_bound_us)));
       add(scenarios_[s], std::move(answer.policy));
-      tell(kCannotServe);
+      run_.tell(bound_.size(), kCannotServe);
     }
     for (KeyTable& table : candidates_) rate(table);
     return {};
@@ -197,8 +179,9 @@ class KeyTablesSearch {
     for (std::size_t s = 0; s < scenarios_.size(); ++s) all.push_back(static_cast<int>(s));
     const Scenario envelope = join(all);
     if (known(envelope)) return;
-    const auto answer = solve_for(envelope, std::max(0.1, (options_.time_limit_s - elapsed()) / 10),
-                                  options_.threads, options_.seed, nullptr);
+    const auto answer =
+        solve_for(envelope, std::max(0.1, (options_.time_limit_s - run_.elapsed()) / 10),
+                  options_.threads, options_.seed, nullptr);
     if (!answer || answer->outcome != Outcome::kPolicy) return;
     add(envelope, answer->policy);
     rate(candidates_.back());
@@ -235,8 +218,8 @@ class KeyTablesSearch {
 
   [[nodiscard]] TableChoice choose() const {
     std::vector<std::vector<double>> regret;
-    for (const KeyTable& table : candidates_) regret.push_back(table.regret);
-    return choose_tables(regret, most(), options_.regret, options_.stop);
+    for (const KeyTable& c : candidates_) regret.push_back(c.regret);
+    return run_.choose(regret);
   }
 
   /// The policy of a candidate on the platform that is left under another envelope.
@@ -276,23 +259,16 @@ class KeyTablesSearch {
         tasks.push_back({std::move(group), c, random_.next()});
       }
     }
-    const double slice = std::min(1.0, std::max(0.05, options_.time_limit_s - elapsed()) *
+    const double slice = std::min(1.0, std::max(0.05, options_.time_limit_s - run_.elapsed()) *
                                            static_cast<double>(options_.threads) /
                                            static_cast<double>(tasks.size()));
-    std::atomic<std::size_t> next{0};
-    const auto work = [&] {
-      for (std::size_t k; (k = next.fetch_add(1)) < tasks.size();) {
-        const Scenario envelope = join(tasks[k].group);
-        const KeyPolicy hint = hint_for(candidates_[at(tasks[k].from)], envelope);
-        const bool placed = std::any_of(hint.placements.begin(), hint.placements.end(),
-                                        [](const KeyPlacement& p) { return p.xpu >= 0; });
-        tasks[k].result = solve_for(envelope, slice, 1, tasks[k].seed, placed ? &hint : nullptr);
-      }
-    };
-    std::vector<std::thread> threads;
-    for (int t = 1; t < options_.threads; ++t) threads.emplace_back(work);
-    work();
-    for (std::thread& thread : threads) thread.join();
+    run_.on_threads(tasks.size(), [&](std::size_t k) {
+      const Scenario envelope = join(tasks[k].group);
+      const KeyPolicy hint = hint_for(candidates_[at(tasks[k].from)], envelope);
+      const bool placed = std::any_of(hint.placements.begin(), hint.placements.end(),
+                                      [](const KeyPlacement& p) { return p.xpu >= 0; });
+      tasks[k].result = solve_for(envelope, slice, 1, tasks[k].seed, placed ? &hint : nullptr);
+    });
     for (const Task& task : tasks) {
       if (!task.result || task.result->outcome != Outcome::kPolicy) continue;
       add(join(task.group), task.result->policy);
@@ -303,15 +279,11 @@ class KeyTablesSearch {
   Result<Tables> answer(const TableChoice& choice) {
     if (choice.chosen.empty())
       return fail(ErrorCode::kInfeasible,
-                  "no " + std::to_string(most()) +
+                  "no " + std::to_string(run_.most()) +
                       " tables were found that serve every scenario: no policy was found for the "
                       "longest WCETs of several of them together",
                   app_.name, "ask for more tables, or give it more time");
-    if (options_.regret >= 1 && choice.worst > options_.regret + 1e-12)
-      return fail(ErrorCode::kInfeasible,
-                  "the largest regret found is " + std::to_string(choice.worst) + ", not " +
-                      std::to_string(options_.regret),
-                  app_.name, "more tables, or more time");
+    XAUTO_TRY(run_.judge(choice.worst, app_.name));
     Tables tables;
     tables.app = app_.name;
     tables.app_hash = app_.hash();
@@ -330,72 +302,59 @@ class KeyTablesSearch {
     set_priorities(tables);
     set_figures(tables, app_);
     XAUTO_TRY(add_handovers(tables));
-    tables.solve_ms = static_cast<std::int64_t>(elapsed() * 1000);
+    tables.solve_ms = static_cast<std::int64_t>(run_.elapsed() * 1000);
     return tables;
   }
 
   void put(const KeyTable& candidate, Tables& tables) const {
-    Table table;
-    table.name = "table " + std::to_string(tables.tables.size());
-    KeyPolicy keys = hint_for(candidate, {});  // on the whole platform
-    for (KeyPlacement& p : keys.placements) {
+    Table& table = tables.tables.emplace_back();
+    table.name = "table " + std::to_string(tables.tables.size() - 1);
+    KeyPolicy& keys = tables.keys.emplace_back();
+    for (const KeyPlacement& p : hint_for(candidate, {}).placements) {  // on the whole platform
       table.xpu.push_back(p.xpu);
-      p.start_us.clear();
-      p.finish_us.clear();
+      keys.placements.push_back({p.xpu, p.key_us, p.hold_us});
     }
-    for (ChainClaim& claim : keys.chains) {
-      claim.lower_bound_us = 0;
-      claim.optimal = false;
-    }
-    keys.app.clear();
-    keys.app_hash.clear();
-    keys.platform.clear();
-    keys.method.clear();
-    keys.solve_ms = 0;
     table.priority.assign(table.xpu.size(), 0);
-    tables.tables.push_back(std::move(table));
-    tables.keys.push_back(std::move(keys));
+    for (const ChainClaim& claim : candidate.policy.chains)
+      keys.chains.push_back(
+          {claim.name, claim.worst_case_us, 0, false, claim.urgent_worst_case_us});
   }
 
   Status add_handovers(Tables& tables) const {
     const std::size_t n = tables.tables.size();
     std::vector<Scenario> envelopes;
     std::vector<Problem> problems;
+    std::vector<Windows> windows;
     for (std::size_t t = 0; t < n; ++t) {
       envelopes.push_back(envelope(tables, t, app_));
       XAUTO_ASSIGN(Problem problem, Problem::create(app_under(app_, envelopes[t]), platform_));
+      XAUTO_ASSIGN(Windows of_table, windows_of(problem, tables.keys[t]));
       problems.push_back(std::move(problem));
+      windows.push_back(std::move(of_table));
     }
     for (std::size_t from = 0; from < n; ++from)
       for (std::size_t to = 0; to < n; ++to) {
         if (from == to) continue;
-        Handover handover{static_cast<int>(from), static_cast<int>(to),
-                          std::vector<std::optional<std::int64_t>>(app_.chains.size())};
-        const bool lost =
-            std::any_of(tables.tables[from].xpu.begin(), tables.tables[from].xpu.end(), [&](int x) {
-              const auto& gone = envelopes[to].lost;
-              return std::find(gone.begin(), gone.end(), platform_.xpus[at(x)].id) != gone.end();
-            });
-        if (lost) handover.not_claimed.emplace_back("it may need an XPU that is lost");
-        if (!lost) {
-          XAUTO_ASSIGN(
-              const Problem both,
-              Problem::create(app_under(app_, across(app_, envelopes[from], envelopes[to])),
-                              platform_));
-          HandoverInput in{
-              problems[from],        problems[to], both, tables.tables[from].xpu,
-              tables.tables[to].xpu, {},           {},   tables.notice_us * both.scale};
-          XAUTO_ASSIGN(in.from, windows_of(problems[from], tables.keys[from]));
-          XAUTO_ASSIGN(in.to, windows_of(problems[to], tables.keys[to]));
-          const HandoverBound bound =
-              bound_handover(in, kMostWalked, {SteadyTime::max(), options_.stop});
-          const auto up = [&](Tick t) { return both.up_to_us(t) / both.scale; };
-          for (std::size_t c = 0; c < bound.worst.size(); ++c)
-            if (bound.worst[c] != kNoTick) handover.worst_case_us[c] = up(bound.worst[c]);
-          handover.settles_us = up(bound.settles);
-          handover.not_claimed = bound.why_not;
+        Handover& handover = tables.handovers.emplace_back();
+        handover.from = static_cast<int>(from);
+        handover.to = static_cast<int>(to);
+        handover.worst_case_us.resize(app_.chains.size());
+        if (needs_lost(tables.tables[from], platform_, envelopes[to])) {
+          handover.not_claimed.emplace_back("it may need an XPU that is lost");
+          continue;
         }
-        tables.handovers.push_back(std::move(handover));
+        XAUTO_ASSIGN(const Problem both,
+                     Problem::create(app_under(app_, across(app_, envelopes[from], envelopes[to])),
+                                     platform_));
+        const HandoverBound bound = bound_handover(
+            {problems[from], problems[to], both, tables.tables[from].xpu, tables.tables[to].xpu,
+             windows[from], windows[to], tables.notice_us * both.scale},
+            kMostWalked, {SteadyTime::max(), options_.stop});
+        const auto up = [&](Tick t) { return both.up_to_us(t) / both.scale; };
+        for (std::size_t c = 0; c < bound.worst.size(); ++c)
+          if (bound.worst[c] != kNoTick) handover.worst_case_us[c] = up(bound.worst[c]);
+        handover.settles_us = up(bound.settles);
+        handover.not_claimed = bound.why_not;
       }
     return {};
   }
@@ -425,7 +384,7 @@ class KeyTablesSearch {
   const Platform& platform_;
   const std::vector<Scenario>& scenarios_;
   const TablesOptions& options_;
-  const SteadyTime began_;
+  const TablesRun run_;
   Random random_;
   static constexpr double kMostForSplit = 1.15;
   /// XNode and XPU, where each clock has XPUs of its own; empty: they share.

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the searches for tables of both versions have in common: their limits, and how they use threads.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "solver/choose_tables.h"
+#include "solver/tables.h"
+
+namespace xauto::solver {
+
+class TablesRun {
+ public:
+  explicit TablesRun(const TablesOptions& options, std::size_t scenarios)
+      : options_(options), scenarios_(scenarios), began_(std::chrono::steady_clock::now()) {}
+
+  [[nodiscard]] double elapsed() const {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - began_).count();
+  }
+  [[nodiscard]] bool over() const {
+    return (options_.stop != nullptr && options_.stop->load()) ||
+           elapsed() >= options_.time_limit_s;
+  }
+  /// Nothing better is asked for.
+  [[nodiscard]] double goal() const {
+    return options_.tables > 0 ? std::max(1.0, options_.regret) : 1.0;
+  }
+  [[nodiscard]] int most() const {
+    return options_.tables > 0 ? options_.tables : static_cast<int>(scenarios_);
+  }
+  void tell(std::size_t solved, double worst) const {
+    if (options_.on_progress) options_.on_progress(elapsed(), static_cast<int>(solved), worst);
+  }
+  /// Of the half of the time in which scenarios are solved one by one, the share of number `s`.
+  [[nodiscard]] double share_s(std::size_t s) const {
+    return std::max(0.05, options_.time_limit_s / 2 - elapsed()) /
+           static_cast<double>(scenarios_ - s);
+  }
+  /// `regret`: [candidate][scenario].
+  [[nodiscard]] TableChoice choose(const std::vector<std::vector<double>>& regret) const {
+    return choose_tables(regret, most(), options_.regret, options_.stop);
+  }
+  /// kInfeasible: it is more than was asked for.
+  [[nodiscard]] Status judge(double worst, const std::string& app) const {
+    if (options_.regret < 1 || worst <= options_.regret + 1e-12) return {};
+    return fail(ErrorCode::kInfeasible,
+                "the largest regret found is " + std::to_string(worst) + ", not " +
+                    std::to_string(options_.regret),
+                app, "more tables, or more time");
+  }
+  /// work(k) for all k below `tasks`, on as many threads as were asked for.
+  template <class Work>
+  void on_threads(std::size_t tasks, Work work) const {
+    std::atomic<std::size_t> next{0};
+    const auto loop = [&] {
+      for (std::size_t k; (k = next.fetch_add(1)) < tasks;) work(k);
+    };
+    std::vector<std::thread> threads;
+    for (int t = 1; t < options_.threads; ++t) threads.emplace_back(loop);
+    loop();
+    for (std::thread& thread : threads) thread.join();
+  }
+
+ private:
+  const TablesOptions& options_;
+  const std::size_t scenarios_;
+  const std::chrono::steady_clock::time_point began_;
+};
+
+}  // namespace xauto::solver
