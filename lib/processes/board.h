@@ -43,6 +43,9 @@ struct alignas(64) BoardHeader {
   std::atomic<std::uint32_t> asked{};            ///< [S], and any process: scenario + 1; 0: none
   std::atomic<std::uint32_t> scenario{}, why{};  ///< [H] in force, and runtime::Why
   std::atomic<std::uint64_t> switches{};         ///< [H] to another table
+  /// [H] by keys: those of which nothing is claimed for some chain; releases that kept a table because
+  /// the change before had not settled.
+  std::atomic<std::uint64_t> unproven_switches{}, unsettled{};
   /// [H] the tables of releases: in_force() of the newest, of the one before, and older ones: what a
   /// stall holds up may be of one of those. In a run by keys what counts is the nominal release of the
   /// component, in microseconds.

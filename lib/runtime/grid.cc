@@ -129,7 +129,8 @@ Result<Grid> Grid::make(const Graph& graph, const Session& session) {
       if (topic.source >= 0) {
         const auto s = static_cast<std::size_t>(topic.source);
         heard[index][s] = 1;
-        grid.shift_ns[index][i] = grid.sources[s].offset_ns - component.offset_us * 1000;
+        grid.sources[s].shift_ns = grid.sources[s].offset_ns - component.offset_us * 1000;
+        grid.shift_ns[index][i] = grid.sources[s].shift_ns;
       } else {
         const std::vector<char>& of = heard[static_cast<std::size_t>(topic.module)];
         for (std::size_t s = 0; s < of.size(); ++s) heard[index][s] |= of[s];

@@ -32,14 +32,14 @@ struct Grid {
     [[nodiscard]] std::int64_t due_ns(std::uint64_t k) const;
     /// Releases from one that may be urgent to the next; 0: none may.
     std::uint64_t urgent_apart = 0;
+    std::int64_t shift_ns = 0;  ///< it releases so much later than its component's activation
     [[nodiscard]] std::int64_t period_ns() const { return due_ns(1) - due_ns(0); }
   };
   /// The app is of version 2: its sources, chains and offsets are app.json's.
   bool periodic = false;
   std::vector<Source> sources;                ///< [source of the graph]
   std::vector<std::int64_t> clock_ppm = {0};  ///< [clock of app.json]
-  /// [module][input] of a source's topic: how much later than its component's activation that
-  /// source releases; 0 of other topics.
+  /// [module][input] of a source's topic: its shift_ns; 0 of other topics.
   std::vector<std::vector<std::int64_t>> shift_ns;
   /// [module] source whose releases may be urgent, and by how much keys and holds are then earlier;
   /// -1 and 0: none.

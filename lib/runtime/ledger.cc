@@ -57,18 +57,11 @@ void Ledger::show_claims() {
     line.allowed_us = allowed_us(worst_us);
   };
   if (session.tables_of_keys()) {
-    // Of any table, and of any change where all of them claim something; which of these a release has is
-    // told as it comes (Routes::claim).
-    for (std::size_t i = 0; i < std::min(routes_.size(), session.keys->chains.size()); ++i) {
-      std::int64_t worst_us = 0;
-      for (const KeyPolicy& keys : session.tables->keys)
-        worst_us = std::max(worst_us, keys.chains[i].worst_case_us);
-      for (const Handover& change : session.tables->handovers)
-        worst_us = change.worst_case_us[i] && worst_us > 0
-                       ? std::max(worst_us, *change.worst_case_us[i])
-                       : 0;
-      context_.board.flow(i + 1).worst_case_us = worst_us;
-    }
+    // Which claim a release is held against is told as it comes (Routes::claim).
+    const std::vector<std::int64_t> largest_us = largest_claims(*session.tables);
+    for (std::size_t i = 0; i < std::min(routes_.size(), largest_us.size()); ++i)
+      context_.board.flow(i + 1).worst_case_us = largest_us[i];
+    unproven_.assign(routes_.size(), 0);
     routes_.claim(0, allowed_by(static_cast<std::size_t>(session.tables->serves.front().table)));
     return;
   }
@@ -94,27 +87,30 @@ std::int64_t Ledger::allowed_us(std::int64_t worst_us) const {
   return worst_us + (context_.session.emulates() ? worst_us * kEmulatorPct / 100 : 0);
 }
 
-/// [chain] what a release may take by the table's claims.
+/// [chain] what a release may take by the table's claims, once all changes before it are proven.
 std::vector<std::int64_t> Ledger::allowed_by(std::size_t table) const {
   std::vector<std::int64_t> allowed(routes_.size(), 0);
   const std::vector<ChainClaim>& claims = context_.session.tables->keys[table].chains;
   for (std::size_t i = 0; i < std::min(allowed.size(), claims.size()); ++i)
-    allowed[i] = allowed_us(claims[i].worst_case_us);
+    if (unproven_[i] == 0) allowed[i] = allowed_us(claims[i].worst_case_us);
   return allowed;
 }
 
 void Ledger::claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::size_t table,
                             const Handover* change) {
   if (!role_.leads()) return;
+  const Tables& tables = *context_.session.tables;
   std::vector<std::int64_t> across(routes_.size(), 0);
-  std::int64_t longest_us = 0;  // what was released so long before may still be under way
-  if (change != nullptr)
-    for (std::size_t i = 0; i < std::min(across.size(), change->worst_case_us.size()); ++i)
-      if (change->worst_case_us[i]) across[i] = allowed_us(*change->worst_case_us[i]);
-  for (const KeyPolicy& keys : context_.session.tables->keys)
-    for (const ChainClaim& claim : keys.chains)
-      longest_us = std::max(longest_us, claim.worst_case_us);
-  routes_.claim(from_ns - longest_us * 1000, std::move(across));
+  for (std::size_t i = 0; i < across.size(); ++i) {
+    if (change == nullptr || i >= change->worst_case_us.size() || !change->worst_case_us[i])
+      unproven_[i] = 1;  // nobody knows when its jobs are in time again
+    if (unproven_[i] == 0) across[i] = allowed_us(*change->worst_case_us[i]);
+  }
+  // What was released so long before may still be under way when a job begins to be too long.
+  const std::vector<std::int64_t> largest_us = largest_claims(tables);
+  const auto longest_us = std::max_element(largest_us.begin(), largest_us.end());
+  const std::int64_t before_us = longest_us == largest_us.end() ? 0 : *longest_us;
+  routes_.claim(from_ns - (before_us + tables.notice_us) * 1000, std::move(across));
   routes_.claim(settled_ns, allowed_by(table));
 }
 

@@ -55,7 +55,8 @@ class Ledger {
   [[nodiscard]] std::optional<std::int64_t> latency_us(std::uint64_t sequence) const;
 
   /// By tables of keys: what is nominally released at `from_ns` or later has `table`. `change`: what that
-  /// may cost whoever meets it; null: nothing is claimed until `settled_ns`.
+  /// may cost whoever meets it, until `settled_ns`. Where it claims nothing of a chain (null: of any),
+  /// nothing is claimed of that one any more. The releasing thread.
   void claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::size_t table,
                       const Handover* change);
 
@@ -106,8 +107,9 @@ class Ledger {
   std::vector<char> asked_for_;                        ///< [module]
   std::vector<char> ends_releases_;                    ///< [module] a sink of some table
   const OfTables off_, sinks_;                         ///< [table][module]
-  std::vector<int> num_sinks_;                         ///< [table]
-  std::uint64_t num_released_ = 0;           ///< one rate; of the releasing thread, then of `run`'s
+  std::vector<char> unproven_;      ///< [chain] by tables of keys: a change was not certified
+  std::vector<int> num_sinks_;      ///< [table]
+  std::uint64_t num_released_ = 0;  ///< one rate; of the releasing thread, then of `run`'s
   std::atomic<std::uint32_t> in_flight_{0};  ///< one rate: releases not accounted for; a futex
   std::atomic<std::uint64_t> deadline_misses_{0};
 

@@ -465,13 +465,10 @@ std::int64_t Releaser::component_release_ns(std::int64_t now_ns,
                                             const std::vector<Sample>& samples) const {
   std::int64_t earliest_ns = INT64_MAX;
   for (const Sample& sample : samples) {
-    std::int64_t shift_ns = 0;  // of the source against its component
-    for (std::size_t m = 0; m < context_.graph.modules.size(); ++m)
-      for (std::size_t i = 0; i < context_.graph.modules[m].inputs.size(); ++i)
-        if (context_.graph.modules[m].inputs[i] == sample.topic)
-          shift_ns = std::max(shift_ns, context_.grid.shift_ns[m][i]);
+    const auto source = static_cast<std::size_t>(
+        context_.graph.topics[static_cast<std::size_t>(sample.topic)].source);
     const std::int64_t nominal_ns = sample.nominal_ns > 0 ? sample.nominal_ns : now_ns;
-    earliest_ns = std::min(earliest_ns, nominal_ns - shift_ns);
+    earliest_ns = std::min(earliest_ns, nominal_ns - context_.grid.sources[source].shift_ns);
   }
   return earliest_ns;
 }

@@ -11,6 +11,7 @@
 #include "base/log.h"
 #include "model/claims.h"
 #include "runtime/placing.h"
+#include "session/table_claims.h"
 
 namespace xauto::runtime {
 namespace {
@@ -153,19 +154,24 @@ std::pair<Choice, int> TableSwitch::choose() {
 void TableSwitch::at_release(std::int64_t nominal_ns) {
   const int from = scenario_;
   const auto [choice, table] = choose();
-  const bool lost = choice.why == Why::kLost && choice.xpu != std::exchange(lost_, choice.xpu);
-  // What has begun to be released keeps its table.
-  const std::int64_t since_ns = std::max(nominal_ns, newest_ns_ + 1);
+  const std::int64_t now = now_ns();
+  const std::uint64_t since_us = first_us_of_table(nominal_ns, newest_ns_);
   newest_ns_ = std::max(newest_ns_, nominal_ns);
-  ScenarioLine& line = context_.board.scenario(static_cast<std::size_t>(scenario_));
-  line.releases.fetch_add(1, std::memory_order_relaxed);
+  context_.board.scenario(static_cast<std::size_t>(from))
+      .releases.fetch_add(1, std::memory_order_relaxed);
+  const std::int64_t before_ns = std::exchange(released_ns_, now);
   if (choice.table != table) {
-    if (since_ns < settled_ns_) {
-      ++unsettled_;
+    if (static_cast<std::int64_t>(since_us) * 1000 < settled_ns_) {
+      context_.board.header().unsettled.fetch_add(1, std::memory_order_relaxed);
       return;
     }
-    put_keys(since_ns, choice.table);
+    const std::int64_t too_long_ns = choice.saw_ns - choice.allowed_ns +
+                                     (context_.session.emulates() ? kEmulatorStallUs * 1000 : 0);
+    put_keys(since_us, table, choice.table,
+             choice.why != Why::kOverrun ||
+                 noticed_in_time(now, too_long_ns, before_ns, tables_.notice_us * 1000));
   }
+  const bool lost = choice.why == Why::kLost && choice.xpu != std::exchange(lost_, choice.xpu);
   if (choice.scenario == from && !lost) return;
   SwitchReport change;
   change.release = context_.board.released();
@@ -174,21 +180,17 @@ void TableSwitch::at_release(std::int64_t nominal_ns) {
   tell(std::move(change), choice);
 }
 
-/// What is nominally released at `from_ns` or later has the table, in whichever process.
-void TableSwitch::put_keys(std::int64_t from_ns, int table) {
-  const auto from_us = static_cast<std::uint64_t>((from_ns + 999) / 1000);
-  int before = 0;
-  {
-    const Guard lock(mutex_);
-    before = table_;
-  }
-  put(from_us, table);
-  const Handover* claimed = nullptr;
-  for (const Handover& h : tables_.handovers)
-    if (h.from == before && h.to == table) claimed = &h;
+/// What is nominally released at `from_us` or later has table `to`, in whichever process. `in_time`: the
+/// certificate of the change counts with nothing that came earlier.
+void TableSwitch::put_keys(std::uint64_t from_us, int from, int to, bool in_time) {
+  put(from_us, to);
+  const Handover* change = handover_of(tables_, from, to);
   const auto since_ns = static_cast<std::int64_t>(from_us) * 1000;
-  const std::int64_t settles_ns = claimed == nullptr ? 0 : claimed->settles_us * 1000;
-  ledger_.claim_handover(since_ns, since_ns + settles_ns, static_cast<std::size_t>(table), claimed);
+  const std::int64_t settles_ns = change == nullptr ? 0 : change->settles_us * 1000;
+  const bool proven = in_time && change != nullptr && change->claims_all();
+  if (!proven) context_.board.header().unproven_switches.fetch_add(1, std::memory_order_relaxed);
+  ledger_.claim_handover(since_ns, since_ns + settles_ns, static_cast<std::size_t>(to),
+                         in_time ? change : nullptr);
   // Jobs of the next change may be too long that much before it is known.
   settled_ns_ = since_ns + settles_ns + tables_.notice_us * 1000;
 }
@@ -226,7 +228,7 @@ bool TableSwitch::before(std::uint64_t release, const std::function<bool()>& dra
   change.from = tables_.scenarios[static_cast<std::size_t>(from)].name;
   change.to = tables_.scenarios[now_in].name;
   change.held_us = held_ns / 1000;
-  if (const Change* claimed = change_of(from, choice.scenario))
+  if (const Change* claimed = xauto::change_of(tables_, from, choice.scenario))
     change.worst_case_us = claimed->worst_case_us;
   tell(std::move(change), choice);
   return waited;
@@ -257,13 +259,6 @@ void TableSwitch::put(std::uint64_t release, int table) {
   if (release > 0) context_.board.header().switches.fetch_add(1);
   const Guard lock(mutex_);
   table_ = table;
-}
-
-const Change* TableSwitch::change_of(int from, int to) const {
-  if (tables_.changes.empty() || from == to) return nullptr;
-  const std::size_t others = tables_.scenarios.size() - 1;
-  const int at = static_cast<int>(others) * from + to - (to > from ? 1 : 0);
-  return &tables_.changes[static_cast<std::size_t>(at)];
 }
 
 std::string TableSwitch::words_of(const Choice& choice) const {
@@ -338,10 +333,11 @@ bool TableSwitch::too_late(std::int64_t now_ns, std::int64_t due_ns) const {
 std::vector<std::string> TableSwitch::broken() {
   const Guard lock(mutex_);
   std::vector<std::string> lines;
-  if (unsettled_ > 0)
-    lines.push_back(fmt::format(
-        "{} releases kept a table that no longer fits: the change before had not settled",
-        unsettled_));
+  const BoardHeader& header = context_.board.header();
+  if (const std::uint64_t n = header.unproven_switches.load(); n > 0)
+    lines.push_back(words_of_unproven(n));
+  if (const std::uint64_t n = header.unsettled.load(); n > 0)
+    lines.push_back(words_of_unsettled(n));
   for (const Outside* outside : {&jobs_, &clocks_})
     if (outside->times > 0)
       lines.push_back(outside->first + (outside->times > 1

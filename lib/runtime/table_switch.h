@@ -15,13 +15,16 @@
 // Of an app of version 2 nothing waits: what is nominally released from an instant on has the new table,
 // and keys decide between jobs of both. What that may cost is Handover::worst_case_us, as long as the
 // change before has settled; a release that would need another table sooner keeps the one in force, is
-// counted, and nothing is claimed then.
+// counted, and nothing is claimed then. Nor is it after a change that was made later than the certificate
+// counts with (Tables::notice_us): a job had been too long for more than that when a release still had
+// the old table.
 //
 // A job that runs too long decides for the next release, which is the first that can have another table.
 // In another process its watchdog tells (HangWatch). That no scenario covers it is said at once, by the
 // watch's thread (ConditionWatch), which asks the same choice.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <deque>
 #include <functional>
@@ -41,6 +44,19 @@
 #include "session/run_report.h"
 
 namespace xauto::runtime {
+
+/// By keys, the microsecond from which on a new table counts: that of the release that is about to be
+/// published at `nominal_ns`, unless something was already, up to `newest_ns`, which keeps its table.
+constexpr std::uint64_t first_us_of_table(std::int64_t nominal_ns, std::int64_t newest_ns) {
+  return static_cast<std::uint64_t>(std::max(nominal_ns / 1000, newest_ns / 1000 + 1));
+}
+
+/// By keys: a job has been too long for `too_long_ns` by now. False: a release got the old table more than
+/// the notice after it had begun to be.
+constexpr bool noticed_in_time(std::int64_t now_ns, std::int64_t too_long_ns,
+                               std::int64_t last_release_ns, std::int64_t notice_ns) {
+  return last_release_ns <= now_ns - too_long_ns + notice_ns;
+}
 
 /// Threads: one, that of the releases, then that of the report; and its own.
 class TableSwitch {
@@ -74,11 +90,10 @@ class TableSwitch {
   [[nodiscard]] std::pair<Choice, int> choose();
   void judge(std::uint64_t below, SwitchReport* change);
   void put(std::uint64_t release, int table);
-  void put_keys(std::int64_t from_ns, int table);
+  void put_keys(std::uint64_t from_us, int from, int to, bool in_time);
   void tell(SwitchReport change, const Choice& choice);
   [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const Machine& machine)
       XAUTO_REQUIRES(mutex_);
-  [[nodiscard]] const Change* change_of(int from, int to) const;
   [[nodiscard]] std::string words_of(const Choice& choice) const;
 
   const Context& context_;
@@ -98,9 +113,9 @@ class TableSwitch {
   bool stuck_ = false;
   int lost_ = -1;  ///< the XPU that was last told to be lost
   // Of keys:
-  std::int64_t newest_ns_ = 0;   ///< latest nominal release so far
-  std::int64_t settled_ns_ = 0;  ///< from then on another change is certified
-  std::uint64_t unsettled_ = 0;  ///< releases that needed another table sooner
+  std::int64_t newest_ns_ = 0;    ///< latest nominal release so far
+  std::int64_t settled_ns_ = 0;   ///< from then on another change is certified
+  std::int64_t released_ns_ = 0;  ///< when the last one that has a table got it
   std::deque<SwitchReport> switches_;
   std::uint64_t num_switches_ = 0;
   /// Of what no scenario covers.

@@ -57,6 +57,19 @@ TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys
   return claims;
 }
 
+std::string words_of_unproven(std::uint64_t switches) {
+  return fmt::format(
+      "{} changes of the table have no worst case for some chains, of which nothing is claimed "
+      "since: "
+      "tables.json has none, or a job had been too long for more than its notice_us",
+      switches);
+}
+
+std::string words_of_unsettled(std::uint64_t releases) {
+  return fmt::format(
+      "{} releases kept a table that no longer fits: the change before had not settled", releases);
+}
+
 void add_tables(const RunReport& report, const TableClaims& claims, Json& into) {
   into["worst_case_of"] = claims.scope;
   into["worst_case_exceeded"] = !claims.exceeded.empty();

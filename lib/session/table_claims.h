@@ -3,6 +3,7 @@
 // tool, App::run).
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,10 @@ struct TableClaims {
 };
 /// `emulates`: the emulator's own part is allowed for (kEmulatorPct). `by_keys`: the app is of version 2.
 [[nodiscard]] TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys);
+
+/// Of a run by tables of keys, what breaks its claims.
+[[nodiscard]] std::string words_of_unproven(std::uint64_t switches);
+[[nodiscard]] std::string words_of_unsettled(std::uint64_t releases);
 
 /// Adds the members `worst_case_of`, `worst_case_exceeded`, `worst_case_broken`, `scenarios`, `switches`
 /// and `num_switches` (docs/formats.md, report.json).

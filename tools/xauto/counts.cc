@@ -9,6 +9,7 @@
 #include "base/clock.h"
 #include "model/tables.h"
 #include "session/distribution.h"
+#include "session/table_claims.h"
 
 namespace xauto::cli {
 namespace {
@@ -101,6 +102,10 @@ ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
   count("clock_outside_scenarios", clocks_outside, true,
         fmt::format("the machine's clocks and modes were those of no scenario, {} times",
                     clocks_outside));
+  const std::uint64_t unproven = header.unproven_switches.load(),
+                      unsettled = header.unsettled.load();
+  count("change_without_claim", unproven, true, runtime::words_of_unproven(unproven));
+  count("change_too_soon", unsettled, true, runtime::words_of_unsettled(unsettled));
   std::uint64_t jobs = 0, overruns = 0, over_wcet = 0, hangs = 0, lost = 0, deaths = 0;
   for (std::uint32_t n = 0; n < board.shape().nodes; ++n) {
     jobs += board.xnode(n).jobs.load();

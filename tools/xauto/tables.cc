@@ -95,6 +95,8 @@ void print_tables(const AppSpec& app, const Tables& tables) {
               tables.platform.c_str(), tables.scenarios.size(), count, count == 1 ? "" : "s",
               static_cast<double>(tables.solve_ms) / 1000);
   const bool by_keys = !tables.keys.empty();
+  const bool deadlines = std::any_of(app.chains.begin(), app.chains.end(),
+                                     [](const ChainSpec& c) { return c.deadline_us.has_value(); });
   std::printf("  %-*s  %-*s %12s %12s %8s\n", static_cast<int>(width), "scenario",
               static_cast<int>(table_width), "table", "worst case", "lower bound", "regret");
   std::size_t worst = 0;
@@ -116,10 +118,14 @@ void print_tables(const AppSpec& app, const Tables& tables) {
       longest = &change;
   }
   std::printf(
-      "\n  worst regret %.3f, under '%s'. Each worst case is certified, of %s, at the scenario's "
-      "times and below; each bound is proven.%s\n",
+      "\n  worst regret %.3f, under '%s'.%s Each worst case is certified, of %s, at the scenario's "
+      "times and below; each bound is proven%s.%s\n",
       tables.worst_regret(), tables.scenarios[worst].name.c_str(),
-      by_keys ? kKeyScope : kWorstCaseScope,
+      !by_keys    ? ""
+      : deadlines ? " Told is the chain that is worst off relative to its deadline, and what that "
+                    "comes to in any policy of keys."
+                  : " Told is the sum over all chains: none has a deadline.",
+      by_keys ? kKeyScope : kWorstCaseScope, by_keys ? ", of policies of keys" : "",
       tables.worst_regret() > 1 ? " That as few tables cannot do better is not." : "");
   for (std::size_t t = 0; t < tables.tables.size(); ++t) {
     const Table& table = tables.tables[t];

@@ -81,22 +81,12 @@ std::string verdict(bool exceeded, const std::vector<std::string>& broken) {
 
 std::vector<ChainClaim> claimed_chains(const PolicyRun& run) {
   if (run.keys) return run.keys->chains;
-  std::vector<ChainClaim> most;
-  if (!run.tables || run.tables->keys.empty()) return most;
-  for (const KeyPolicy& keys : run.tables->keys) {
-    most.resize(keys.chains.size());
-    for (std::size_t c = 0; c < most.size(); ++c) {
-      most[c].name = keys.chains[c].name;
-      most[c].worst_case_us = std::max(most[c].worst_case_us, keys.chains[c].worst_case_us);
-    }
-  }
-  for (const Handover& change : run.tables->handovers)
-    for (std::size_t c = 0; c < most.size(); ++c) {
-      const auto& us = change.worst_case_us[c];
-      most[c].worst_case_us =
-          us && most[c].worst_case_us > 0 ? std::max(most[c].worst_case_us, *us) : 0;
-    }
-  return most;
+  std::vector<ChainClaim> claims;
+  if (!run.tables || run.tables->keys.empty()) return claims;
+  const std::vector<std::int64_t> largest_us = largest_claims(*run.tables);
+  for (std::size_t c = 0; c < largest_us.size(); ++c)
+    claims.push_back({run.tables->keys.front().chains[c].name, largest_us[c], 0, false});
+  return claims;
 }
 
 std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& run) {

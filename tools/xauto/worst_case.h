@@ -35,8 +35,8 @@ struct KeyClaims {
   std::vector<std::string> broken;   ///< as WorstCase
   bool exceeded = false;             ///< one of them is
 };
-/// What the run's policy claims of the chains of an app of version 2; of tables the most of all of them
-/// and of all changes, 0 where some change claims nothing. Empty: it has no keys.
+/// What the run's policy claims of the chains of an app of version 2; of tables largest_claims(). Empty:
+/// it has no keys.
 [[nodiscard]] std::vector<ChainClaim> claimed_chains(const PolicyRun& run);
 /// Nullopt where nothing was claimed.
 [[nodiscard]] std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& run);

@@ -141,6 +141,13 @@ TEST(Run, TwiceInOneProcess) {
   }
 }
 
+Platform two_cpus_and_a_gpu() {
+  Platform platform;
+  platform.name = "tiny";
+  platform.xpus = {{"cpu0", "cpu"}, {"cpu1", "cpu"}, {"gpu0", "gpu", true, 50, 1000}};
+  return platform;
+}
+
 /// "city": m2 on cpu0; "highway", all of it slower: on cpu1. WCETs that no stall of this machine passes,
 /// unless others are given.
 class WithTables : public Fixture {
@@ -153,9 +160,7 @@ class WithTables : public Fixture {
     spec.xnodes[0].sources = {0};
     spec.edges = {{0, 1}};
     spec.sources = {{"camera", {1000}}};
-    Platform platform;
-    platform.name = "tiny";
-    platform.xpus = {{"cpu0", "cpu"}, {"cpu1", "cpu"}, {"gpu0", "gpu", true, 50, 1000}};
+    const Platform platform = two_cpus_and_a_gpu();
     Tables tables;
     tables.app = spec.name;
     tables.app_hash = spec.hash();
@@ -224,7 +229,8 @@ TEST(Run, TablesByWhatTheProgramAsksFor) {
 }
 
 /// The same of an app of version 2: keys that nothing here is late for.
-RunOptions with_tables_of_keys(std::int64_t settles_us) {
+RunOptions with_tables_of_keys(std::int64_t settles_us,
+                               std::optional<std::int64_t> of_change_us = 40'000'000) {
   constexpr std::int64_t kWcetUs = 1'000'000;
   AppSpec spec;
   spec.version = 2;
@@ -237,9 +243,7 @@ RunOptions with_tables_of_keys(std::int64_t settles_us) {
   spec.modules = {{"M", 1, false}};
   spec.clocks = {{"main", 0}};
   spec.chains = {{"all", 0, 1, {}, 1}};
-  Platform platform;
-  platform.name = "tiny";
-  platform.xpus = {{"cpu0", "cpu"}, {"cpu1", "cpu"}, {"gpu0", "gpu", true, 50, 1000}};
+  const Platform platform = two_cpus_and_a_gpu();
   Tables tables;
   tables.app = spec.name;
   tables.app_hash = spec.hash();
@@ -256,7 +260,7 @@ RunOptions with_tables_of_keys(std::int64_t settles_us) {
     tables.serves.push_back({times - 1, 0, 0, {1000}});
   }
   for (const int from : {0, 1})
-    tables.handovers.push_back({from, 1 - from, {40'000'000}, settles_us});
+    tables.handovers.push_back({from, 1 - from, {of_change_us}, settles_us});
   return RunOptions()
       .app(to_json(spec))
       .platform(to_json(platform))
@@ -316,6 +320,24 @@ TEST(Run, TablesOfKeysDoNotChangeBeforeTheChangeBeforeHasSettled) {
   const Json told = Json::parse(report->json()).value();
   EXPECT_EQ(told.at("num_switches").integer(), 1) << report->json();
   EXPECT_NE(report->json().find("kept a table that no longer fits"), std::string::npos)
+      << report->json();
+}
+
+TEST(Run, AfterAChangeThatClaimsNothingNothingIsClaimed) {
+  Fixture f("a");
+  std::thread driver;
+  f.app.on_start([&] {
+    driver = std::thread([&] {
+      while (f.cpu != 0) std::this_thread::sleep_for(1ms);
+      ASSERT_TRUE(f.app.request_mode("highway"));
+      while (f.cpu != 1) std::this_thread::sleep_for(1ms);
+      f.app.stop();
+    });
+  });
+  const auto report = f.app.run(with_tables_of_keys(0, std::nullopt));
+  driver.join();
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_NE(report->json().find("1 changes of the table have no worst case"), std::string::npos)
       << report->json();
 }
 

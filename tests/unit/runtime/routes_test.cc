@@ -161,5 +161,39 @@ TEST(Routes, TheFirstThatComesThroughSamplesIsNotCounted) {
   EXPECT_EQ(reports.at(1).latency_us.exact(), (std::vector<std::int64_t>{60, 60, 60, 60, 60}));
 }
 
+/// By tables of keys a release is held against what is claimed of it, by when it was released.
+TEST(Routes, EachReleaseIsHeldAgainstItsOwnClaim) {
+  Deployment d;
+  d.chains = {{"x", "lidar", "Fuse", {}, {}}};
+  auto routes = Routes::make(make_graph(true), {}, d, {});
+  ASSERT_TRUE(routes);
+  const auto over = [&] { return routes->report({0, 0, 0}).at(0).over_claim; };
+  const auto result = [&](std::int64_t origin_us, std::int64_t takes_us) {
+    routes->published(0, origin_us * 1000, nullptr, (origin_us + takes_us) * 1000);
+  };
+  result(100, 999);
+  EXPECT_EQ(over(), 0u) << "nothing is claimed yet";
+  routes->claim(0, {20});
+  routes->claim(1'000'000, {50});  // a change, and when it has settled
+  routes->claim(2'000'000, {10});
+  result(900, 20);
+  result(1000, 50);
+  result(2000, 10);
+  EXPECT_EQ(over(), 0u);
+  result(2100, 11);
+  EXPECT_EQ(over(), 1u);
+  result(999, 21);  // a result of an older release that comes late
+  EXPECT_EQ(over(), 2u);
+  routes->claim(1'500'000, {0});  // the next change, of which nothing is claimed
+  routes->claim(3'000'000, {30});
+  result(1499, 51);
+  EXPECT_EQ(over(), 3u);
+  result(2200, 999);
+  result(3000, 30);
+  EXPECT_EQ(over(), 3u);
+  result(3100, 31);
+  EXPECT_EQ(over(), 4u);
+}
+
 }  // namespace
 }  // namespace xauto::runtime
