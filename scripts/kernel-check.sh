@@ -132,6 +132,7 @@ scx_kernel() { # NAME: fetch-kernel.sh's 7.x, or the self-built 6.12
 }
 
 # scx NAME: the sched_ext scheduler and the tracer, in the guest's own virtual time: a stall of this machine is none of the guest's.
+# At 4 ns an instruction: its spinners last for seconds of that time, and each instruction of theirs is emulated.
 scx() {
   local kernel items=() program append=""
   note "sched_ext and tracing on Linux $1"
@@ -143,7 +144,7 @@ scx() {
   for program in run tools trace container; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
   for program in unshare setpriv; do items+=("$(command -v $program):/usr/local/bin/$program"); done
   [ -z "${XAUTO_FULL:-}" ] || append="xauto.kills=200 xauto.tables=10000 xauto.loads=8"
-  VM_APPEND=$append VM_ICOUNT=1 VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
+  VM_APPEND=$append VM_ICOUNT=2 VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
 }
 
 # at-once NAME: of that, what needs CPUs that run at the same time.

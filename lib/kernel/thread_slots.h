@@ -88,7 +88,9 @@ class ThreadSlots {
   /// One that nobody has, of any process of the run; when there are no more, one that nobody looks
   /// at.
   [[nodiscard]] ThreadSlot take(std::uint32_t xpu);
-  /// The calling thread is the one of `slot` from now on: scheduler and tracer know it.
+  /// The calling thread is the one of `slot` from now on: scheduler and tracer know it. Before its first
+  /// job is told: the scheduler sees it without one, and so takes that job for no job of the slot's last
+  /// thread, which may have had the same word.
   [[nodiscard]] Status enter(const ThreadSlot& slot) const;
   /// ... and no longer, before it ends. The slot may then be taken again.
   void leave(const ThreadSlot& slot) const;

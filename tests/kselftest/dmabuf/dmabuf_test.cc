@@ -81,9 +81,10 @@ void alone(const UniqueFd& device) {
   ktap_test(last_word(*buffer) == 77, "and what is in its pages is read");
 }
 
-/// Ends this process, a reader's: 0 when each frame is the exporter's memory and can be read, not written.
+/// Ends this process, a reader's: 0 when each frame is the exporter's memory and can be read, not written. One
+/// frame is kept until somebody kills it, and `told`, a pipe, says that it is there.
 [[noreturn]] void read_frames(transport::Link& link, const detail::TopicSpec& spec, ino_t expected,
-                              int frames) {
+                              int frames, int told = -1) {
   const auto reader = link.subscriber(spec, 0);
   if (!reader) _exit(2);
   std::shared_ptr<const void> kept;
@@ -100,6 +101,7 @@ void alone(const UniqueFd& device) {
     kept = ++seen == frames ? envelope->message : nullptr;
   }
   if (frames > 1) _exit(0);
+  if (write(told, "", 1) != 1) _exit(6);
   for (;;) pause();  // with the frame
 }
 
@@ -136,10 +138,15 @@ void between_processes(const UniqueFd& device) {
   ktap_test(all && status == 0, "another process reads 100 frames in the one dmabuf");
 
   (*link)->release_all(0);
+  int told[2];
+  if (pipe2(told, O_CLOEXEC) != 0) ktap_bail("no pipe");
   child = fork();
-  if (child == 0) read_frames(**there, spec, memory, 1);
+  if (child == 0) read_frames(**there, spec, memory, 1, told[1]);
+  close(told[1]);
   all = publish(100);
-  usleep(300'000);
+  char byte = 0;
+  all = read(told[0], &byte, 1) == 1 && all;  // 0: it died before
+  close(told[0]);
   ktap_test(all && !pool->acquire(), "who keeps a frame keeps the dmabuf");
   kill(child, SIGKILL);
   waitpid(child, &status, 0);

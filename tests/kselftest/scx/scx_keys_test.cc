@@ -127,8 +127,7 @@ void smaller_key_takes() {
 }
 
 void keys_out_of_range() {
-  World world(1, kCpu);
-  world.load();
+  World& world = loaded_world();
   std::vector<std::uint64_t> bad;
   {
     Waiter waiter(world, 0, [](const kernel::ThreadSlot&) {});
@@ -150,8 +149,7 @@ void keys_out_of_range() {
 // Its place in the kernel's queues was a key, some hours of nanoseconds; the fair queue counts from
 // the load of the scheduler on.
 void out_of_the_slot() {
-  World world(1, kCpu);
-  world.load();
+  World& world = loaded_world();
   std::atomic<bool> stop{false}, started{false};
   std::thread other([&] {
     pin(kCpu);

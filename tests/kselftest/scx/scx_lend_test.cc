@@ -106,10 +106,9 @@ bool blocked(std::uint32_t tid) {
 }
 
 std::vector<Round> rounds_of(const Case& c) {
-  World world(kXNodes, kCpu);
+  World& world = loaded_world();
   world.rows[kHigh].cpu = static_cast<std::uint32_t>(c.waiter_cpu);
   world.put_rows();
-  world.load();
   Lock first(c.of_pthread), second(c.of_pthread);
   std::atomic<double> low_cpu{0}, other_cpu{0}, middle_cpu{0};
   std::atomic<bool> held{false}, other_waits{false}, middle_runs{false}, middle_stop{false};

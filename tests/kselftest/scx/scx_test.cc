@@ -21,8 +21,7 @@ constexpr int kCpu = 1;
 // ---- order and preemption -----------------------------------------------------------------------
 
 void two_spinners() {
-  World world(2, kCpu);
-  world.load();
+  World& world = loaded_world();
   for (const bool high_first : {false, true}) {
     std::atomic<bool> both{false}, stop{false};
     // Who comes first would have the CPU alone until the other is there.
@@ -45,9 +44,8 @@ void two_spinners() {
 }
 
 void order_of_eight() {
-  constexpr int kRounds = 1000, kThreads = 8;
-  World world(kThreads + 1, kCpu);
-  world.load();
+  constexpr int kRounds = 300, kThreads = 8;
+  World& world = loaded_world();
   std::vector<int> order;  // only the thread that has the CPU writes
   std::atomic<bool> open{false}, holding{false};
   std::vector<std::unique_ptr<Waiter>> waiters;
@@ -172,11 +170,10 @@ void preemption() {
 }
 
 void placement() {
-  World world(2, kCpu);
+  World& world = loaded_world();
   world.rows[0].cpu = 0;
   world.rows[1].cpu = 1;
   world.put_rows();
-  world.load();
   int wrong = 0, jobs = 0;
   std::uint32_t wanted = 0;
   {
@@ -197,8 +194,7 @@ void placement() {
 }
 
 void lowered_by_store() {
-  World world(3, kCpu);
-  world.load();
+  World& world = loaded_world();
   std::vector<int> order;
   {
     std::atomic<bool> runs{false}, go{false};
@@ -219,20 +215,17 @@ void lowered_by_store() {
   }
   ktap_test(order == std::vector<int>({0, 1, 2}),
             "a job less urgent than one that waits, told by a store, yields to it at once");
-  World again(3, kCpu);
-  world.unload();
-  again.load();
   std::atomic<bool> runs{false}, go{false}, stop{false};
-  XNodeThread silent(again, 2, [&](const kernel::ThreadSlot& slot) {
+  XNodeThread silent(world, 2, [&](const kernel::ThreadSlot& slot) {
     runs = true;
     spin(go);
     (void)slot.tell(0, 1);  // and does not yield
     spin(stop);
   });
-  Waiter waiting(again, 1, [](const kernel::ThreadSlot&) {});
+  Waiter waiting(world, 1, [](const kernel::ThreadSlot&) {});
   wait_for([&] { return runs.load(); });
   waiting.wake();
-  wait_for([&] { return queued(again, waiting.index()); });
+  wait_for([&] { return queued(world, waiting.index()); });
   go = true;
   const bool ran = wait_for([&] { return waiting.done() == 1; }, 5);
   stop = true;
@@ -241,8 +234,7 @@ void lowered_by_store() {
 }
 
 void told_while_queued() {
-  World world(4, kCpu);
-  world.load();
+  World& world = loaded_world();
   std::vector<int> order;
   std::atomic<bool> open{false}, holding{false};
   {
@@ -308,8 +300,7 @@ void lost_preemption() {
 }
 
 void kick_storm() {
-  World world(9, kCpu);
-  world.load();
+  World& world = loaded_world();
   std::atomic<bool> stop{false};
   std::atomic<std::uint64_t> rounds{0};
   {
@@ -318,7 +309,7 @@ void kick_storm() {
     for (std::uint32_t i = 1; i < 9; ++i)
       waiters.push_back(
           std::make_unique<Waiter>(world, i, [&](const kernel::ThreadSlot&) { ++rounds; }));
-    const auto end = Clock::now() + std::chrono::seconds(3);
+    const auto end = Clock::now() + std::chrono::seconds(1);
     while (Clock::now() < end)
       for (auto& waiter : waiters) waiter->wake();
     stop = true;
@@ -389,10 +380,9 @@ void watchdog() {
 }
 
 void responsive_shell() {
-  World world(2, kCpu);
+  World& world = loaded_world();
   world.rows[1].cpu = 0;
   world.put_rows();
-  world.load();
   std::atomic<bool> stop{false};
   // Both CPUs have a runaway, so that the shell has nowhere to go.
   const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
@@ -426,10 +416,9 @@ void responsive_shell() {
 }
 
 void budget() {
-  World world(2, kCpu);
+  World& world = loaded_world();
   world.rows[1].budget_us = 50'000;
   world.put_rows();
-  world.load();
   std::atomic<bool> stop{false};
   const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
   XNodeThread low(world, 0, body), runaway(world, 1, body);
@@ -447,10 +436,9 @@ void budget() {
 }
 
 void kernel_threads() {
-  World world(2, kCpu);
+  World& world = loaded_world();
   world.rows[1].cpu = 0;
   world.put_rows();
-  world.load();
   std::atomic<bool> stop{false};
   const auto body = [&](const kernel::ThreadSlot&) { spin(stop); };
   XNodeThread first(world, 0, body), second(world, 1, body);
@@ -519,21 +507,22 @@ void leaves_nothing() {
   ktap_test(access(folder.c_str(), F_OK) != 0, "... and so is the folder with the pins");
 }
 
+// Those that share a scheduler first.
 const Test kTests[] = {
     {"two_spinners", 2, two_spinners},
     {"order_of_eight", 1, order_of_eight},
-    {"equal_priorities", 1, equal_priorities},
-    {"preemption", 2, preemption, true},
     {"placement", 1, placement},
     {"lowered_by_store", 2, lowered_by_store},
     {"told_while_queued", 1, told_while_queued},
-    {"lost_preemption", 1, lost_preemption},
     {"kick_storm", 1, kick_storm},
-    {"finite_slice", 1, finite_slice},
-    {"watchdog", 3, watchdog},
     {"responsive_shell", 1, responsive_shell},
     {"budget", 2, budget},
     {"kernel_threads", 1, kernel_threads},
+    {"equal_priorities", 1, equal_priorities},
+    {"preemption", 2, preemption, true},
+    {"lost_preemption", 1, lost_preemption},
+    {"finite_slice", 1, finite_slice},
+    {"watchdog", 3, watchdog},
     {"counts", 1, counts},
     {"leaves_nothing", 3, leaves_nothing},
 };

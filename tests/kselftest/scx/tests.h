@@ -110,6 +110,7 @@ static int run_tests(const Test (&tests)[N], const char* wanted) {
     test.run();
     ktap_note("%s: %.1f s", test.name, static_cast<double>(now_ns() - since_ns) * 1e-9);
   }
+  end_loaded_world();
   return ktap_exit();
 }
 

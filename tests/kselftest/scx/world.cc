@@ -22,6 +22,8 @@ T must(Result<T> result, const char* what) {
   return std::move(*result);
 }
 
+std::optional<World> g_loaded;
+
 std::string next_run() {
   static int number = 0;
   return std::to_string(getpid()) + "-" + std::to_string(number++);
@@ -70,9 +72,15 @@ World::World(std::uint32_t xnodes, int on_cpu, std::uint32_t slot_count)
                                              UniqueFd(dup(maps.fd("threads")))),
                  "mapping the slots")),
       cpu(on_cpu) {
-  for (std::uint32_t i = 0; i < xnodes; ++i)
-    rows.push_back({static_cast<std::uint32_t>(cpu), coord::key_of_priority(10 * (i + 1)), 0});
+  rows.resize(xnodes);
+  renew();
+}
+
+void World::renew() {
+  for (std::uint32_t i = 0; i < rows.size(); ++i)
+    rows[i] = {static_cast<std::uint32_t>(cpu), coord::key_of_priority(10 * (i + 1)), 0};
   put_rows();
+  before_ = must(maps.counts(), "counts");
 }
 
 void World::put_rows() {
@@ -85,6 +93,7 @@ Result<kernel::ScxProcess> World::try_load(const std::vector<std::string>& argum
 }
 
 void World::load(const std::vector<std::string>& arguments) {
+  if (g_loaded && this != &*g_loaded) end_loaded_world();
   loader = must(try_load(arguments), "loading the scheduler");
 }
 
@@ -95,7 +104,22 @@ void World::unload() {
 }
 
 std::uint64_t World::stat(int which) const {
-  return must(maps.counts(), "counts").stats[which];
+  return must(maps.counts(), "counts").stats[which] - before_.stats[which];
+}
+
+World& loaded_world() {
+  if (g_loaded) {
+    g_loaded->renew();
+  } else {
+    g_loaded.emplace(16U, 1);
+    g_loaded->load();
+  }
+  return *g_loaded;
+}
+
+void end_loaded_world() {
+  if (g_loaded) g_loaded->unload();
+  g_loaded.reset();
 }
 
 XNodeThread::XNodeThread(World& world, std::uint32_t xnode,
@@ -111,9 +135,10 @@ XNodeThread::XNodeThread(World& world, std::uint32_t xnode,
     CPU_ZERO(&all);
     for (unsigned c = 0; c < 64; ++c) CPU_SET(c, &all);
     sched_setaffinity(0, sizeof all, &all);
-    (void)slot.tell(xnode, 0);
     if (auto status = world.slots.enter(slot); !status)
       ktap_bail("entering: %s", status.error().to_string().c_str());
+    (void)slot.tell(xnode, 0);
+    usleep(1000);  // woken by its job, on its CPU
     entered = true;
     const double begin = cpu_seconds();
     body(slot);

@@ -51,13 +51,25 @@ class World {
 
   std::vector<kernel::TableRow> rows;
   void put_rows();
+  /// Since the load, or since loaded_world() gave it to this test.
   [[nodiscard]] std::uint64_t stat(int which) const;
 
   kernel::RunMaps maps;
   kernel::ThreadSlots slots;
   std::optional<kernel::ScxProcess> loader;
   int cpu;
+
+ private:
+  friend World& loaded_world();
+  void renew();
+  xauto_bpf_counts before_{};
 };
+
+/// One with 16 XNodes on CPU 1 and the scheduler as it is without arguments, for the tests that do with
+/// it: the kernel proves the program at each load, which takes an emulated machine seconds. Rows and
+/// counts are as in a new one. It ends when another world loads, and with end_loaded_world().
+[[nodiscard]] World& loaded_world();
+void end_loaded_world();
 
 /// A thread of one slot, told to run XNode `xnode`. `body` gets the slot.
 class XNodeThread {
