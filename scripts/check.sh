@@ -98,7 +98,8 @@ style() {
 }
 # What runs where, each test once if it can: unit tests under ASan+UBSan, those that need speed (label `heavy`: the explorer of the
 # protocol, the solver's) in the release build, with the integration scripts; those with threads under TSan as well (two that
-# take long there have none). CONTRIBUTING.md says what is left to `full`.
+# take long there have none). CONTRIBUTING.md says what is left to `full`; so are three of UBSan's checks, which stand before each
+# access to memory: a quarter of what that build cost.
 release=(xauto xauto-coordinator xauto-emud xauto-cpusched driving camera integration_programs xauto_shared xauto_watch test_coord test_messages test_solver)
 threaded='base|trace|coord|emu|transport|processes|runtime|launch|ros2'
 unit() { build ci build "${release[@]}" && { note "tests, release"; tests build -L heavy; integration build -LE long; }; }
@@ -142,7 +143,7 @@ full() {
     bash -c 'cmake --preset release -B build-bare -DXAUTO_BPF=OFF -DXAUTO_PEDESTRIANS=OFF && ninja -C build-bare'
   build ci build && { note "tests, release"; tests build -LE 'integration|area'; integration build; }
   one "attacks on steady policies" build/tests/attack_steady --policies 40 --solved 10 # 10^8 jobs
-  build asan build-asan && { note "tests, ASan+UBSan"; tests build-asan -L 'unit|fuzz'; integration build-asan; }
+  build asan-all build-asan && { note "tests, ASan+UBSan"; tests build-asan -L 'unit|fuzz'; integration build-asan; }
   tests build-asan -L heavy -R 'Certify|BruteForce|Simulate|Objectives|TheAttack' # a minute
   tsan
   kernel
