@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 # What compiling costs. A third of it was reading the same headers of the standard library for each file.
 #   xauto_headers(TARGET)   they are compiled once for all such targets (precompiled; the preset `debug` does without)
-#   xauto_cold(TARGET)      ... and Release has -O1: for what runs once, or waits for a person, a file, another process
+#   xauto_cold(TARGET)      ... and Release has -Og: for what runs once, or waits for a person, a file, another process
+# XAUTO_QUICK: all of it is. `make demo` on a bare machine waits for the compiler more than for the solver.
 set(XAUTO_HEADERS ${CMAKE_CURRENT_LIST_DIR}/headers.h)
-set(XAUTO_COLD $<$<CONFIG:Release>:-O1>)
+set(XAUTO_COLD $<$<CONFIG:Release>:-Og>)
+option(XAUTO_QUICK "compile in little time what then runs slower" OFF)
+if(XAUTO_QUICK)
+  add_compile_options(${XAUTO_COLD})
+endif()
 if(NOT EXISTS ${PROJECT_BINARY_DIR}/headers.cc)
   file(WRITE ${PROJECT_BINARY_DIR}/headers.cc "") # CMake wants a file
 endif()
