@@ -29,8 +29,12 @@ struct Wakes {
 template <class A>
 class Referee {
  public:
-  Referee(Shm shm, Discipline discipline, const OrderPairs& order, int levels = 0)
-      : shm_(shm), arbiter_(discipline, order, levels) {}
+  static constexpr int kMaxRounds = 64;  ///< so that no client keeps us from the others
+
+  /// After `max_rounds` a look ends, and asks for another one (Wakes::again).
+  Referee(Shm shm, Discipline discipline, const OrderPairs& order, int levels = 0,
+          int max_rounds = kMaxRounds)
+      : shm_(shm), arbiter_(discipline, order, levels), max_rounds_(max_rounds) {}
 
   /// Order constraints are not kept. Before the first job.
   void forget_order() { arbiter_.forget_order(); }
@@ -158,8 +162,6 @@ class Referee {
     std::uint32_t command = 0;  ///< last given
   };
 
-  static constexpr int kMaxRounds = 64;  ///< so that no client keeps us from the others
-
   [[nodiscard]] int high() const {
     return std::min(static_cast<int>(A::peek(shm_.header->high)), kMaxSlots);
   }
@@ -217,7 +219,7 @@ class Referee {
   void look_fat(Wakes& wakes) {
     std::vector<Action> actions;
     for (int round = 0;; ++round) {
-      if (round == kMaxRounds) {
+      if (round == max_rounds_) {
         if (!fat_) take_over(wakes);
         wakes.again = true;
         return;
@@ -375,6 +377,7 @@ class Referee {
 
   Shm shm_;
   Arbiter arbiter_;
+  int max_rounds_;
   bool fat_ = false;  ///< the owner word is ours
   std::array<SlotInfo, kMaxSlots> slots_;
   std::vector<Action> nothing_;

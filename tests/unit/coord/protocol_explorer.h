@@ -113,9 +113,11 @@ struct ProtocolWorld {
   bool may_refuse = false;
   /// Module 0's management thread may lend its running job this key, once, whenever it likes.
   std::optional<Key> lends = {};
-  bool coarse = false;              ///< the coordinator does all it does at once
-  bool lose_wakes = false;          ///< break it: whoever hands over does not wake
-  bool verbose = false;             ///< the trail tells the words
+  bool coarse = false;      ///< the coordinator does all it does at once
+  bool lose_wakes = false;  ///< break it: whoever hands over does not wake
+  int max_rounds = Referee<SteppedAtomics>::kMaxRounds;  ///< of one look of the coordinator
+  bool lose_again = false;  ///< break it: a look that gave up is not followed by another one
+  bool verbose = false;     ///< the trail tells the words
   std::uint64_t limit = 3'000'000;  ///< states
 };
 
@@ -199,7 +201,7 @@ class ProtocolExplorer {
       memory->header.num_xnodes = kXNodes;
       referee.emplace(shm(), explorer.world_.xpus[index],
                       index == 0 ? explorer.world_.order : decltype(explorer.world_.order){},
-                      explorer.world_.levels);
+                      explorer.world_.levels, explorer.world_.max_rounds);
       discipline = explorer.world_.xpus[index];
       memory->header.waiting.store(1);
     }
@@ -448,6 +450,7 @@ class ProtocolExplorer {
     xpu.referee.emplace(std::move(referee));
     xpu.doing = 0;
     xpu.leaving = -1;
+    if (wakes.again && !world_.lose_again) xpu.doorbell = true;
     for (const int slot : wakes.granted) wake(s, x, slot);
     for (const int slot : wakes.commanded) {
       Module& module = s.modules[static_cast<std::size_t>(slot)];

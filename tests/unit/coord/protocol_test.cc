@@ -279,6 +279,27 @@ TEST(Protocol, TwoJobsEveryAccessWhenKeysAreLent) {
   }
 }
 
+/// The coordinator gives up after one round, where something was missed; then it has to look again.
+ProtocolWorld impatient(Discipline d) {
+  ProtocolWorld w = world({d}, {{task(0, 1)}, {task(2, 3)}});
+  w.max_rounds = 1;
+  return w;
+}
+
+TEST(Protocol, ACoordinatorThatGivesUpLooksAgain) {
+  for (const Discipline d : kAsked) expect_clean(impatient(d), 100);
+}
+
+TEST(Protocol, TheExplorerFindsALookThatIsNotTakenAgain) {
+  int found = 0;
+  for (const Discipline d : kAsked) {
+    ProtocolWorld w = impatient(d);
+    w.lose_again = true;
+    found += ProtocolExplorer(w).run().violation.empty() ? 0 : 1;
+  }
+  EXPECT_GT(found, 0);
+}
+
 TEST(Protocol, TheExplorerFindsALostWakeUp) {
   for (const Discipline d : kAsked) {
     ProtocolWorld w = world({d}, {{task(0, 1)}, {task(2, 3)}});
