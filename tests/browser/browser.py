@@ -2,11 +2,13 @@
 """A headless Chromium, driven over its DevTools protocol: JSON over a pipe, ended by 0, so that neither a port nor a
 package beside the browser is needed."""
 import base64
+import contextlib
 import fcntl
 import json
 import os
 import select
 import shutil
+import signal
 import subprocess
 import tempfile
 import time
@@ -40,7 +42,7 @@ class Browser:
              "--hide-scrollbars", "--force-device-scale-factor=1", "--remote-debugging-pipe",
              f"--user-data-dir={self._profile.name}", f"--window-size={width},{height}", "about:blank"],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, pass_fds=(3, 4),
-            preexec_fn=pipes)
+            preexec_fn=pipes, start_new_session=True)
         for fd in high:
             os.close(fd)
         self._in, self._out = to_us, to_them
@@ -61,6 +63,8 @@ class Browser:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        with contextlib.suppress(ProcessLookupError):  # its helpers, which would go on to write into the profile
+            os.killpg(self._process.pid, signal.SIGKILL)
         os.close(self._in)
         os.close(self._out)
         self._profile.cleanup()
