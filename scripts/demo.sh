@@ -7,8 +7,8 @@ cd "$(dirname "$0")/.."
 build=${CONFIGURED:-build}
 echo "demo: building"
 # Where nothing is built yet, in little time. `make` then builds all of it again, to run fast.
-quick=ON
-! grep -qs '^XAUTO_QUICK:BOOL=OFF' "$build/CMakeCache.txt" || quick=OFF
+quick=OFF
+if [ ! -e "$build/CMakeCache.txt" ] || grep -qs '^XAUTO_QUICK:BOOL=ON' "$build/CMakeCache.txt"; then quick=ON; fi
 [ -n "${CONFIGURED:-}" ] || cmake --preset release -D XAUTO_QUICK=$quick >/dev/null
 ninja -C "$build" -j"${JOBS:-2}" xauto xauto-coordinator xauto-emud driving driving-steady
 echo "demo: running the Driving Case under four policies, about a minute"
