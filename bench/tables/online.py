@@ -75,12 +75,19 @@ class Case:
         self.write("deployment.json", {"schema": "xauto.deployment", "version": 1, "app": self.app["name"], **QUEUES,
                                        "defaults": defaults, **keys})
 
+    def with_margin(self, pct):
+        """As `xauto profile` has one: what the emulator adds to a job is no overrun."""
+        for xnode in self.app["xnodes"]:
+            xnode["wcet_us"] = {kind: us * pct // 100 for kind, us in xnode["wcet_us"].items()}
+        self.write("app.json", self.app)
+
     def script(self, *steps):
         self.write("script.json", {"schema": "xauto.emulation", "version": 1, "steps": list(steps)})
 
     def xauto(self, *words):
         done = subprocess.run([self.options.bin + "/xauto", *map(str, words)], cwd=self.folder, capture_output=True, text=True)
-        if done.returncode != 0 and not (words[0] == "solve" and done.returncode == 1):  # 1: a change may miss a deadline
+        # 1: a change of keys may miss a deadline, and the tables are written all the same.
+        if done.returncode != 0 and not (self.own_rates and words[0] == "solve" and done.returncode == 1):
             raise RuntimeError(f"xauto {' '.join(map(str, words))}: status {done.returncode}\n{done.stdout}{done.stderr}")
         return done.stdout
 
@@ -193,11 +200,7 @@ def throttle(case, options):
 
 
 def switches(case, options):
-    # A margin over what jobs take, as `xauto profile` has one: what the emulator adds is no overrun. All scenarios fit into
-    # the period.
-    for xnode in case.app["xnodes"]:
-        xnode["wcet_us"] = {kind: us * MARGIN_PCT // 100 for kind, us in xnode["wcet_us"].items()}
-    case.write("app.json", case.app)
+    case.with_margin(MARGIN_PCT)  # all scenarios fit into the period
     case.solve("three.json", [{"name": "nominal"}, {"name": "GPU 8 % slower", "wcet_scale_pct": {"gpu": 108}},
                               {"name": "DLA 30 % slower", "wcet_scale_pct": {"dla": 130}},
                               {"name": "CPUs 50 % slower", "wcet_scale_pct": {"cpu": 150}}], 3)
@@ -229,9 +232,7 @@ def switches(case, options):
 def key_switches(case, options):
     """Each result of a chain is held against its table's worst case, or that of the change which its release met, by the run.
     Here only what the run tells is counted, and the longest result of each chain set beside the largest of its claims."""
-    for xnode in case.app["xnodes"]:
-        xnode["wcet_us"] = {kind: us * KEY_MARGIN_PCT // 100 for kind, us in xnode["wcet_us"].items()}
-    case.write("app.json", case.app)
+    case.with_margin(KEY_MARGIN_PCT)
     names = ["nominal", "GPU at half", "CPUs slow"]
     case.solve("keys.json", [{"name": names[0]}, {"name": names[1], "wcet_scale_pct": {"gpu": 200}},
                              {"name": names[2], "wcet_scale_pct": {"cpu": 130}}], 3)
@@ -254,8 +255,9 @@ def key_switches(case, options):
               "broken": report.get("worst_case_broken", []), "claims": report.get("worst_case_of")}
     print(f"  key-switches  {result['switches']} in {seconds:.0f} s, {result['lost']} activations lost")
     for name, c in chains.items():
-        print(f"  key-switches  {name:8} {c['results']} results, {c['longer_than_claimed']} longer than claimed, longest "
-              f"{c['max_us'] / 1000:.2f} ms of {(c['worst_case_us'] or 0) / 1000:.2f} ms")
+        longest = f"longest {c['max_us'] / 1000:.2f} ms" if c["results"] else "none to measure"
+        claim = f"largest claim {c['worst_case_us'] / 1000:.2f} ms" if c["worst_case_us"] else "nothing is claimed"
+        print(f"  key-switches  {name:8} {c['results']} results, {c['longer_than_claimed']} longer than claimed; {longest}, {claim}")
     return result
 
 
