@@ -143,7 +143,7 @@ scx() {
   items+=("$(command -v bpftool || echo /usr/sbin/bpftool)")
   for program in run tools trace container; do items+=("tests/kselftest/scx/$program.sh:/tests/scx/$program.sh"); done
   for program in unshare setpriv; do items+=("$(command -v $program):/usr/local/bin/$program"); done
-  [ -z "${XAUTO_FULL:-}" ] || append="xauto.kills=200 xauto.tables=10000 xauto.loads=8"
+  [ -z "${XAUTO_FULL:-}" ] || append="XAUTO_FULL=1 xauto.kills=200 xauto.tables=10000 xauto.loads=8"
   VM_APPEND=$append VM_ICOUNT=2 VM_LIMIT_S=${VM_LIMIT_S:-900} in_vm "scx-$1" "$kernel" run-scx "${items[@]}"
 }
 

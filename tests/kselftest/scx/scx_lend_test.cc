@@ -248,11 +248,13 @@ void report(const Case& c, const char* what) {
   const std::vector<Round> rounds = rounds_of(c);
   std::vector<double> more, middle, waited;
   double kept = 0;
+  int late = 0;  // rounds in which it ran on at all
   for (const Round& round : rounds) {
     waited.push_back(round.waited);
     more.push_back(round.waited - round.worked);
     middle.push_back(round.middle);
     kept = std::max(kept, round.kept);
+    late += round.kept > 0.0005 ? 1 : 0;
   }
   const double own = c.waiter_cpu == kCpu ? noise_here() : noise_between();
   ktap_note(
@@ -264,9 +266,11 @@ void report(const Case& c, const char* what) {
   ktap_test(rounds.size() == kRounds && median(middle) < 0.001 + own && median(more) < 0.001 + own,
             "the most urgent waits for the section and 1 ms: %s", what);
   if (c.waiter_cpu == kCpu)
-    ktap_test(kept < 0.01,  // two ticks and more
-              "... and what was lent is given back with the lock: at worst it ran for %.2f ms more",
-              kept * 1e3);
+    ktap_test(
+        late <= 1 && kept < 0.01,  // two ticks and more
+        "... and what was lent is given back with the lock: in %d rounds it ran on, by %.2f ms "
+        "at worst",
+        late, kept * 1e3);
 }
 
 void pi_mutex() {

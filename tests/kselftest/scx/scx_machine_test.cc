@@ -564,14 +564,14 @@ void crowd() {
             static_cast<int>(served), hogs, wall * cpus);
 }
 
-// Those that share a scheduler first.
+// One without a scheduler, then those that share one.
 const Test kTests[] = {
+    {"runs_elsewhere", 2, runs_elsewhere},
     {"pid_namespace", 1, pid_namespace},
     {"cpu_max", 2, cpu_max},
     {"kernel_hog", 1, kernel_hog},
     {"nice_kernel_thread", 1, nice_kernel_thread},
     {"dumped", 1, dumped},
-    {"runs_elsewhere", 2, runs_elsewhere},
     {"hotplug", 3, hotplug},
     {"loaded_meanwhile", 1, loaded_meanwhile},
     {"second_app", 4, second_app, true},

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "world.h"
 
+#include <cstdlib>
 #include <ctime>
 #include <fstream>
 
@@ -36,6 +37,10 @@ std::string slurp(const std::string& path) {
   std::string line;
   std::getline(file, line);
   return line;
+}
+
+bool full() {
+  return getenv("XAUTO_FULL") != nullptr;
 }
 
 double cpu_seconds() {

@@ -31,6 +31,8 @@ inline double seconds(Clock::duration d) {
 /// CPU time of the calling thread.
 [[nodiscard]] double cpu_seconds();
 void pin(int cpu);
+/// Whether `make check-full` runs: the guest's init has it from the kernel's command line.
+[[nodiscard]] bool full();
 /// Burns that much CPU time of the calling thread.
 void burn_us(std::int64_t us);
 /// Waits until `done` says so; false after `limit_s`.
