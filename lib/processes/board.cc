@@ -23,7 +23,7 @@ namespace xauto::runtime {
 namespace {
 
 constexpr std::uint32_t kMaxFlows = kMaxChains + 1;
-constexpr std::uint32_t kBoardMagic = 0x58424f47;  // "XBOG"; another one with each layout
+constexpr std::uint32_t kBoardMagic = 0x58424f48;  // "XBOH"; another one with each layout
 
 std::size_t bytes_of(const BoardShape& shape) {
   return sizeof(BoardHeader) + shape.processes * sizeof(ProcessLine) +
@@ -153,7 +153,8 @@ Result<std::shared_ptr<Board>> Board::look(int fd, int protection) {
   const auto* header = static_cast<const BoardHeader*>(memory);
   const BoardShape shape{header->processes,  header->modules,   header->nodes, header->flows,
                          header->parameters, header->scenarios, header->xpus};
-  const bool whole = header->magic == kBoardMagic && shape.processes >= 1 &&
+  const bool whole = header->magic == kBoardMagic &&
+                     header->told.load(std::memory_order_acquire) != 0 && shape.processes >= 1 &&
                      shape.processes <= kMaxProcesses && shape.modules <= kMaxXNodes &&
                      shape.nodes <= kMaxXNodes && shape.flows >= 1 && shape.flows <= kMaxFlows &&
                      shape.parameters <= kMaxParameters && shape.scenarios <= kMaxScenarios &&

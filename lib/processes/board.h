@@ -29,6 +29,7 @@ inline constexpr std::size_t kBoardTextBytes = 2048;  ///< with the 0 at its end
 struct alignas(64) BoardHeader {
   std::uint32_t magic = 0, processes = 0, modules = 0, nodes = 0, flows = 0, parameters = 0,
                 scenarios = 0, xpus = 0;
+  std::atomic<std::uint32_t> told{};      ///< [H] what is there "before the run" is there
   std::atomic<std::uint64_t> released{};  ///< [H] releases of the sensors
   std::atomic<std::uint64_t> late{};      ///< [H] ... that were not where app.json has them
   std::atomic<std::int64_t> latest_ns{};  ///< [H] the most that one of these was off
@@ -186,7 +187,7 @@ class Board {
   [[nodiscard]] static Result<std::shared_ptr<Board>> create(const BoardShape& shape, UniqueFd& fd);
   [[nodiscard]] static Result<std::shared_ptr<Board>> map(int fd, const BoardShape& shape);
   /// To look at only, of an app that may do with its memory what it likes. kUnavailable: the app
-  /// has not got so far yet.
+  /// has not got as far as open_to_observers().
   [[nodiscard]] static Result<std::shared_ptr<const Board>> observe(int fd);
   /// The same by whoever may write [S]. `fd` is open for writing.
   [[nodiscard]] static Result<std::shared_ptr<Board>> steer(int fd);
@@ -207,6 +208,8 @@ class Board {
   [[nodiscard]] std::int64_t latest_ns() const { return header_->latest_ns.load(); }
   void tell_unkept(const std::string& text);
   [[nodiscard]] std::string unkept() const;
+  /// [H] All that is there "before the run" has been written: whoever observes may look.
+  void open_to_observers() { header_->told.store(1, std::memory_order_release); }
   [[nodiscard]] ContextCounts& contexts() { return header_->contexts; }
   [[nodiscard]] const ContextCounts& contexts() const { return header_->contexts; }
   XNodeLine& xnode(std::size_t node) { return xnodes_[node]; }

@@ -79,6 +79,7 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
     std::string unkept;
     for (const std::string& line : e.placing_.unkept) add_note(unkept, line);
     board.tell_unkept(unkept);
+    board.open_to_observers();
   }
   app.modes->bind([&board](const std::string& name) { return ask_for_scenario(board, name); });
   XAUTO_TRY(e.wiring_->start());

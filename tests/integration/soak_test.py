@@ -6,6 +6,7 @@ import os
 import pathlib
 import random
 import signal
+import statistics
 import subprocess
 import time
 import unittest
@@ -57,7 +58,7 @@ class Soak(Case):
                 sample = {pid: measure(pid) for pid in family}
                 if all(sample.values()):
                     seen.append(sample)
-                time.sleep(0.02)
+                time.sleep(0.01)
         self.assertEqual(tool.returncode, 0, pathlib.Path(self.path("errors")).read_text())
         return json.loads(pathlib.Path(self.path("report")).read_text())["runs"][0], seen
 
@@ -161,13 +162,15 @@ class Soak(Case):
         self.assert_counted(run, slowest, observed_all=False)
 
     def assert_flat(self, seen):
-        """What is there in the second half of the run was there in the first."""
+        """What stays there in the second half of the run was there in the first. A file that is open for a moment is in
+        one look or two: what is lost at each release, or now and then, is in all that follow."""
         self.assertGreater(len(seen), 8)
         half = len(seen) // 2
         for pid in seen[0]:
             before, after = ([sample[pid] for sample in part] for part in (seen[:half], seen[half:]))
             for what in (1, 2):
-                self.assertLessEqual(max(x[what] for x in after), max(x[what] for x in before), (before, after))
+                self.assertLessEqual(statistics.median(x[what] for x in after), max(x[what] for x in before),
+                                     (before, after))
             if not SANITIZED:  # their allocators keep what was freed
                 running = after[:len(after) // 2]  # the report is written at the end
                 self.assertLess(max(x[0] for x in running) - max(x[0] for x in before), GROWTH_KB, (before, after))

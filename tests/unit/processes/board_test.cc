@@ -25,6 +25,11 @@ TEST(Board, IsReadByOneWhoCannotWriteIt) {
   (*board)->count_release();
   for (const std::int64_t us : {5, 1'000'000, 3, -1}) (*board)->flow(3).add(us, 7);
 
+  // Names may still be missing: nobody is shown half of them.
+  EXPECT_EQ(Board::observe(read_only(fd.get())->get()).error().code, ErrorCode::kUnavailable);
+  EXPECT_EQ(Board::steer(fd.get()).error().code, ErrorCode::kUnavailable);
+  EXPECT_TRUE(Board::map(fd.get(), {3, 2, 5, 4}));  // a member is there before
+  (*board)->open_to_observers();
   const auto seen = Board::observe(read_only(fd.get())->get());
   ASSERT_TRUE(seen);
   EXPECT_EQ((*seen)->shape().modules, 2u);
