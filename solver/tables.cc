@@ -346,14 +346,8 @@ class TablesSearch {
     const Solution solution{plan.xpu, plan.sequence, 0, true, {}};
     const std::vector<std::int64_t> priority = to_decision(solution).priority;
     Table table;
-    table.name = "table " + std::to_string(number);
     table.loss = lossy.loss;
-    if (!table.loss.none()) {
-      const std::string words = words_of(table.loss, app_);
-      const bool fits = table.name.size() + words.size() + 3 <= kMaxNameBytes;
-      table.name += fits ? " (" + words + ")"
-                         : " (loses " + std::to_string(loss_pct(table.loss, app_)) + " %)";
-    }
+    table.name = name_of_table(at(number), table.loss, app_);
     table.xpu.assign(app_.xnodes.size(), -1);
     table.priority.assign(app_.xnodes.size(), 0);
     for (std::size_t i = 0; i < lossy.kept.size(); ++i) {

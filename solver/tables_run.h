@@ -9,6 +9,7 @@
 #include <thread>
 #include <vector>
 
+#include "model/loss.h"
 #include "solver/choose_tables.h"
 #include "solver/tables.h"
 
@@ -71,5 +72,16 @@ class TablesRun {
   const std::size_t scenarios_;
   const std::chrono::steady_clock::time_point began_;
 };
+
+/// "table 2 (lane off)".
+[[nodiscard]] inline std::string name_of_table(std::size_t number, const Loss& loss,
+                                               const AppSpec& app) {
+  const std::string name = "table " + std::to_string(number);
+  if (loss.none()) return name;
+  const std::string words = words_of(loss, app);
+  const bool fits = name.size() + words.size() + 3 <= kMaxNameBytes;
+  return name +
+         (fits ? " (" + words + ")" : " (loses " + std::to_string(loss_pct(loss, app)) + " %)");
+}
 
 }  // namespace xauto::solver

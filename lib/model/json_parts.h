@@ -13,6 +13,7 @@
 
 #include "model/app.h"
 #include "model/json_document.h"
+#include "model/loss.h"
 
 namespace xauto::json_parts {
 
@@ -43,22 +44,26 @@ NameIndex index_by_name(const std::vector<Named>& list) {
                                                           const NameIndex& index,
                                                           std::size_t limit = kMaxEdges);
 
-/// "chains" of `x`, each chain of the app once, in any order: each(chain, its line).
+/// "chains" of `x`, each chain of the app that `loss` leaves once, in any order: each(chain, its line).
 template <class Each>
-void each_chain(const Reader& x, const AppSpec& app, Each each) {
+void each_chain(const Reader& x, const AppSpec& app, Each each, const Loss& loss = {}) {
   const NameIndex index = index_by_name(app.chains);
-  std::vector<char> there(app.chains.size(), 0);
+  std::vector<char> there(app.chains.size(), 0), kept(app.chains.size(), 0);
+  for (const int k : kept_chains(app, loss)) kept[static_cast<std::size_t>(k)] = 1;
   x["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
     const int found = read_name(c["name"], index, "chain", "the app");
     if (c.failed()) return;
     const auto k = static_cast<std::size_t>(found);
     if (there[k]) return c["name"].refuse("chain '" + app.chains[k].name + "' is there twice");
+    if (!kept[k])
+      return c["name"].refuse("a module on the way of chain '" + app.chains[k].name + "' is off");
     there[k] = 1;
     each(k, c);
   });
   if (x.failed()) return;
   for (std::size_t k = 0; k < there.size(); ++k)
-    if (!there[k]) return x["chains"].refuse("chain '" + app.chains[k].name + "' is missing");
+    if (kept[k] && !there[k])
+      return x["chains"].refuse("chain '" + app.chains[k].name + "' is missing");
 }
 
 /// Times by activation, in microseconds; empty where the key is not required and not there.

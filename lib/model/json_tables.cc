@@ -120,7 +120,12 @@ Handover read_handover(const Reader& x, const AppSpec& app, const NameIndex& tab
       handover.not_claimed.push_back(why.text());
     });
   each_chain(x, app, [&](std::size_t k, const Reader& c) {
-    if (c.has("worst_case_us")) handover.worst_case_us[k] = c["worst_case_us"].time();
+    if (c.has("off") && c["off"].boolean()) {
+      handover.worst_case_us[k] = kNotThere;
+      if (c.has("worst_case_us")) c["worst_case_us"].refuse("has none: it is off");
+    } else if (c.has("worst_case_us")) {
+      handover.worst_case_us[k] = c["worst_case_us"].time();
+    }
   });
   return handover;
 }
@@ -133,9 +138,18 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
   table.name = x["name"].text();
   table.xpu.assign(app.xnodes.size(), -1);
   table.priority.assign(app.xnodes.size(), 0);
+  read_loss(x, app, index, table.loss);
+  std::vector<char> placed_already(app.xnodes.size(), 0);
   x["xnodes"].each_element(kMaxXNodes, [&](std::size_t, const Reader& placed) {
     const int found = read_name(placed["name"], index, "XNode", "the app");
-    const std::string id = placed["xpu"].text();
+    if (placed.failed()) return;
+    // Of version 2 what is off has keys all the same: the certificate counts with them.
+    const bool off =
+        keys != nullptr && table.loss.is_off(app.xnodes[static_cast<std::size_t>(found)].module);
+    if (off && placed.has("xpu"))
+      return placed["xpu"].refuse("the module of XNode '" +
+                                  app.xnodes[static_cast<std::size_t>(found)].name + "' is off");
+    const std::string id = off ? "" : placed["xpu"].text();
     const std::int64_t priority =
         keys != nullptr ? 0 : placed["priority"].integer(-kMaxTimeUs, kMaxTimeUs);
     KeyPlacement by_keys{platform.find(id)};
@@ -145,29 +159,31 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
     }
     if (placed.failed()) return;
     const auto i = static_cast<std::size_t>(found);
-    if (table.xpu[i] >= 0)
+    if (std::exchange(placed_already[i], 1) != 0)
       return placed["name"].refuse("XNode '" + app.xnodes[i].name + "' is placed twice");
     table.xpu[i] = platform.find(id);
     table.priority[i] = priority;
-    if (table.xpu[i] < 0)
+    if (table.xpu[i] < 0 && !off)
       placed["xpu"].refuse("XPU '" + id + "' is not in platform '" + platform.name + "'");
     if (keys != nullptr) keys->placements[i] = std::move(by_keys);
   });
   if (keys != nullptr) {
     for (std::size_t i = 0; i < app.xnodes.size() && !x.failed(); ++i)
-      if (table.xpu[i] < 0 || keys->placements[i].key_us.empty())
+      if (keys->placements[i].key_us.empty())
         x["xnodes"].refuse("XNode '" + app.xnodes[i].name + "' " +
-                           (table.xpu[i] < 0 ? "is not placed" : "has no key"));
-    keys->chains.resize(app.chains.size());
-    each_chain(x, app, [&](std::size_t k, const Reader& c) {
-      keys->chains[k] = {app.chains[k].name, c["worst_case_us"].time(), 0, false};
-      if (c.has("urgent_worst_case_us"))
-        keys->chains[k].urgent_worst_case_us = c["urgent_worst_case_us"].time();
-    });
+                           (placed_already[i] == 0 ? "is not placed" : "has no key"));
+    for (const ChainSpec& chain : app.chains) keys->chains.push_back({chain.name, kNotThere});
+    each_chain(
+        x, app,
+        [&](std::size_t k, const Reader& c) {
+          keys->chains[k] = {app.chains[k].name, c["worst_case_us"].time(), 0, false};
+          if (c.has("urgent_worst_case_us"))
+            keys->chains[k].urgent_worst_case_us = c["urgent_worst_case_us"].time();
+        },
+        table.loss);
     return table;
   }
   if (x.has("order")) table.order = read_pairs(x["order"], index);
-  read_loss(x, app, index, table.loss);
   return table;
 }
 
@@ -223,10 +239,14 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
       served.worst_case_us = x["worst_case_us"].time();
       served.lower_bound_us = x["lower_bound_us"].time();
     } else {
-      served.chain_bound_us.resize(app.chains.size());
-      each_chain(x, app, [&](std::size_t k, const Reader& c) {
-        served.chain_bound_us[k] = c["lower_bound_us"].time();
-      });
+      served.chain_bound_us.assign(app.chains.size(), kNotThere);
+      if (t < 0) return;
+      each_chain(
+          x, app,
+          [&](std::size_t k, const Reader& c) {
+            served.chain_bound_us[k] = c["lower_bound_us"].time();
+          },
+          tables.tables[static_cast<std::size_t>(t)].loss);
     }
     if (x.failed()) return;
     Served& of = tables.serves[static_cast<std::size_t>(s)];
@@ -278,6 +298,7 @@ void put_keys(const KeyPlacement& keys, ordered_json& into) {
 ordered_json claims_to_json(const std::vector<ChainClaim>& claims) {
   ordered_json chains = ordered_json::array();
   for (const ChainClaim& c : claims) {
+    if (c.worst_case_us == kNotThere) continue;
     chains.push_back({{"name", c.name}, {"worst_case_us", c.worst_case_us}});
     if (c.urgent_worst_case_us) chains.back()["urgent_worst_case_us"] = *c.urgent_worst_case_us;
   }
@@ -292,7 +313,10 @@ ordered_json handover_to_json(const Handover& h, const Tables& tables, const App
   one["chains"] = ordered_json::array();
   for (std::size_t c = 0; c < app.chains.size(); ++c) {
     one["chains"].push_back({{"name", app.chains[c].name}});
-    if (h.worst_case_us[c]) one["chains"].back()["worst_case_us"] = *h.worst_case_us[c];
+    if (h.worst_case_us[c] == kNotThere)
+      one["chains"].back()["off"] = true;
+    else if (h.worst_case_us[c])
+      one["chains"].back()["worst_case_us"] = *h.worst_case_us[c];
   }
   return one;
 }
@@ -313,9 +337,9 @@ std::string to_json(const Tables& tables, const AppSpec& app, const Platform& pl
     const Table& t = tables.tables[k];
     ordered_json xnodes = ordered_json::array();
     for (std::size_t i = 0; i < t.xpu.size(); ++i) {
-      if (t.xpu[i] < 0) continue;
-      ordered_json placed = {{"name", app.xnodes[i].name},
-                             {"xpu", platform.xpus[static_cast<std::size_t>(t.xpu[i])].id}};
+      if (t.xpu[i] < 0 && !by_keys) continue;
+      ordered_json placed = {{"name", app.xnodes[i].name}};
+      if (t.xpu[i] >= 0) placed["xpu"] = platform.xpus[static_cast<std::size_t>(t.xpu[i])].id;
       if (by_keys)
         put_keys(tables.keys[k].placements[i], placed);
       else
@@ -339,8 +363,9 @@ std::string to_json(const Tables& tables, const AppSpec& app, const Platform& pl
     if (by_keys) {
       one["chains"] = ordered_json::array();
       for (std::size_t c = 0; c < app.chains.size(); ++c)
-        one["chains"].push_back(
-            {{"name", app.chains[c].name}, {"lower_bound_us", served.chain_bound_us[c]}});
+        if (served.chain_bound_us[c] != kNotThere)
+          one["chains"].push_back(
+              {{"name", app.chains[c].name}, {"lower_bound_us", served.chain_bound_us[c]}});
     } else {
       one["worst_case_us"] = served.worst_case_us;
       one["lower_bound_us"] = served.lower_bound_us;

@@ -2,11 +2,13 @@
 #include "model/loss.h"
 
 #include <algorithm>
+#include <map>
 #include <set>
 #include <unordered_set>
 #include <utility>
 
 #include "base/index.h"
+#include "model/components.h"
 #include "model/refusal.h"
 
 namespace xauto {
@@ -58,8 +60,9 @@ bool Loss::is_off(const std::string& module) const {
 Status validate_losses(const AppSpec& app) {
   XAUTO_TRY(validate_variants(app));
   const auto optional = optional_modules(app);
-  if (optional.empty() || app.version > 1) return {};
-  if (std::all_of(app.xnodes.begin(), app.xnodes.end(),
+  if (optional.empty()) return {};
+  if (app.version == 1 &&
+      std::all_of(app.xnodes.begin(), app.xnodes.end(),
                   [&](const XNodeSpec& x) { return optional.contains(x.module); }))
     return invalid("every module is optional: nothing would be left to run", "/modules");
   for (std::size_t e = 0; e < app.edges.size(); ++e) {
@@ -95,6 +98,8 @@ Status validate(const Loss& loss, const AppSpec& app, const std::string& where) 
                          ", which waits for it, is not",
                      where + "/off");
   }
+  if (app.version == 2 && !app.chains.empty() && kept_chains(app, loss).empty())
+    return invalid("leaves no chain without a module that is off", where + "/off");
   return {};
 }
 
@@ -131,7 +136,93 @@ std::vector<int> kept(const AppSpec& app, const Loss& loss) {
   return kept;
 }
 
+namespace {
+
+/// Of chains, the XNodes on their ways.
+class OnTheWay {
+ public:
+  OnTheWay(const AppSpec& app, std::vector<int> component)
+      : component_(std::move(component)), onward_(app.xnodes.size()), back_(app.xnodes.size()) {
+    for (const auto* links : {&app.edges, &app.samples})
+      for (const auto& [u, v] : *links) {
+        onward_[at(u)].push_back({v, links == &app.samples});
+        back_[at(v)].push_back({u, links == &app.samples});
+      }
+  }
+  [[nodiscard]] int component(std::size_t xnode) const { return component_[xnode]; }
+
+  /// [xnode] whether some way from `roots`, which are of one component, to `to` may pass it. A way enters
+  /// no component twice, so none goes on from that of `to`, or comes back into that of `roots`.
+  [[nodiscard]] std::vector<char> between(const std::vector<int>& roots, int to) const {
+    std::vector<char> both = reach(roots, onward_, component_[at(to)]);
+    const std::vector<char> before = reach({to}, back_, component_[at(roots.front())]);
+    for (std::size_t i = 0; i < both.size(); ++i) both[i] = both[i] != 0 && before[i] != 0 ? 1 : 0;
+    return both;
+  }
+
+ private:
+  struct Link {
+    int xnode;
+    bool sample;
+  };
+  [[nodiscard]] std::vector<char> reach(std::vector<int> todo,
+                                        const std::vector<std::vector<Link>>& links,
+                                        int last) const {
+    std::vector<char> seen(links.size(), 0);
+    for (const int x : todo) seen[at(x)] = 1;
+    while (!todo.empty()) {
+      const int x = todo.back();
+      todo.pop_back();
+      for (const auto& [next, sample] : links[at(x)]) {
+        if (sample && component_[at(x)] == last) continue;
+        if (std::exchange(seen[at(next)], 1) == 0) todo.push_back(next);
+      }
+    }
+    return seen;
+  }
+
+  std::vector<int> component_;  ///< [xnode]
+  std::vector<std::vector<Link>> onward_, back_;
+};
+
+}  // namespace
+
+std::vector<int> kept_chains(const AppSpec& app, const Loss& loss) {
+  std::vector<int> chains;
+  std::optional<OnTheWay> ways;
+  if (!loss.off.empty())
+    if (auto components = find_components(app)) ways.emplace(app, std::move(components->of));
+  for (std::size_t c = 0; c < app.chains.size(); ++c) {
+    std::map<int, std::vector<int>> hear;  // component -> its XNodes that hear of the source
+    for (std::size_t i = 0; ways && i < app.xnodes.size(); ++i)
+      if (const std::vector<int>& of = app.xnodes[i].sources;
+          std::find(of.begin(), of.end(), app.chains[c].from) != of.end())
+        hear[ways->component(i)].push_back(static_cast<int>(i));
+    bool whole = true;
+    for (const auto& [component, roots] : hear) {
+      const std::vector<char> way = ways->between(roots, app.chains[c].to);
+      for (std::size_t i = 0; i < app.xnodes.size(); ++i)
+        whole = whole && (way[i] == 0 || !loss.is_off(app.xnodes[i].module));
+    }
+    if (whole) chains.push_back(static_cast<int>(c));
+  }
+  return chains;
+}
+
+namespace {
+
+void take_variant(XNodeSpec& x, int variant) {
+  if (variant >= 0) {
+    x.wcet_us = x.variants[at(variant)].wcet_us;
+    std::erase_if(x.real_on, [&](const std::string& type) { return !x.wcet_us.contains(type); });
+  }
+  x.variants.clear();
+}
+
+}  // namespace
+
 AppSpec app_with(const AppSpec& app, const Loss& loss) {
+  if (app.version == 2) return app_with(app, loss, kept_chains(app, loss));
   AppSpec left = app;
   left.modules.clear();
   left.xnodes.clear();
@@ -139,16 +230,43 @@ AppSpec app_with(const AppSpec& app, const Loss& loss) {
   std::vector<int> now(app.xnodes.size(), -1);
   for (const int i : kept(app, loss)) {
     now[at(i)] = static_cast<int>(left.xnodes.size());
-    XNodeSpec& x = left.xnodes.emplace_back(app.xnodes[at(i)]);
-    if (const int variant = loss.variant_of(at(i)); variant >= 0) {
-      x.wcet_us = x.variants[at(variant)].wcet_us;
-      std::erase_if(x.real_on, [&](const std::string& type) { return !x.wcet_us.contains(type); });
-    }
-    x.variants.clear();
+    take_variant(left.xnodes.emplace_back(app.xnodes[at(i)]), loss.variant_of(at(i)));
   }
   for (const auto& [u, v] : app.edges)
     if (now[at(u)] >= 0 && now[at(v)] >= 0) left.edges.emplace_back(now[at(u)], now[at(v)]);
   return left;
+}
+
+AppSpec app_with(const AppSpec& app, const Loss& loss, const std::vector<int>& chains) {
+  if (loss.none() && chains.size() == app.chains.size()) return app;
+  AppSpec left = app;
+  for (std::size_t i = 0; i < left.xnodes.size(); ++i) {
+    take_variant(left.xnodes[i], loss.variant_of(i));
+    if (loss.is_off(app.xnodes[i].module)) {
+      left.xnodes[i].wcet_us = {{off_xpu(app.xnodes[i].module), 1}};
+      left.xnodes[i].real_on.clear();
+    }
+  }
+  // Of types that are not there any more.
+  std::erase_if(left.transfers, [&](const TransferSpec& t) {
+    const auto [u, v] = left.edges[at(t.edge)];
+    return !left.xnodes[at(u)].wcet_on(t.from_type) || !left.xnodes[at(v)].wcet_on(t.to_type);
+  });
+  left.chains.clear();
+  for (const int c : chains) left.chains.push_back(app.chains[at(c)]);
+  return left;
+}
+
+std::string off_xpu(const std::string& module) {
+  return "(off) " + module;
+}
+
+Platform platform_with(Platform platform, const std::vector<std::string>& off) {
+  for (const std::string& module : off) {
+    Xpu& none = platform.xpus.emplace_back();
+    none.id = none.type = off_xpu(module);
+  }
+  return platform;
 }
 
 }  // namespace xauto

@@ -33,6 +33,9 @@ class MessageMemory {
 inline constexpr std::size_t kMaxOrigins = 24;  ///< further sources are known by the oldest only
 using Origins = std::array<std::int64_t, kMaxOrigins>;
 
+/// Origin of an envelope without a message: nothing was lost, the module is off in its release's table.
+inline constexpr std::int64_t kOffNs = -1;
+
 /// A message on its way: shared, never written again once published.
 struct Envelope {
   std::shared_ptr<const void> message;  ///< null: dropped upstream, see `Input` and docs/runtime.md

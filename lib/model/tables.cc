@@ -103,18 +103,25 @@ Scenario envelope(const Tables& tables, std::size_t table, const AppSpec& app) {
 KeyPolicy keys_under(const Tables& tables, std::size_t table, const AppSpec& app,
                      const Platform& platform, const Scenario& scenario) {
   KeyPolicy policy = tables.keys[table];
-  const Platform left = platform_under(platform, scenario);
+  const Loss& loss = tables.tables[table].loss;
+  const Platform left = platform_with(platform_under(platform, scenario), loss.off);
   policy.app = app.name;
-  policy.app_hash = app_under(app, scenario).hash();
+  policy.app_hash = app_under(app, scenario, loss).hash();
   policy.platform = left.name;
   policy.method = "tables";
-  for (KeyPlacement& p : policy.placements) p.xpu = left.find(platform.xpus[at(p.xpu)].id);
+  for (std::size_t i = 0; i < policy.placements.size(); ++i) {
+    int& xpu = policy.placements[i].xpu;
+    xpu = left.find(xpu < 0 ? off_xpu(app.xnodes[i].module) : platform.xpus[at(xpu)].id);
+  }
+  std::erase_if(policy.chains,
+                [](const ChainClaim& claim) { return claim.worst_case_us == kNotThere; });
   return policy;
 }
 
 Objective chain_objective(const AppSpec& app, const std::vector<std::int64_t>& us) {
   Objective objective;
   for (std::size_t k = 0; k < app.chains.size(); ++k) {
+    if (us[k] == kNotThere) continue;
     objective.sum_us += us[k];
     if (!app.chains[k].deadline_us) continue;
     const double late =
@@ -138,6 +145,11 @@ bool needs_lost(const Table& table, const Platform& platform, const Scenario& sc
   const Platform left = platform_under(platform, scenario);
   return std::any_of(table.xpu.begin(), table.xpu.end(),
                      [&](int x) { return x >= 0 && left.find(platform.xpus[at(x)].id) < 0; });
+}
+
+bool both_have(const Tables& tables, int from, int to, std::size_t chain) {
+  return tables.keys[at(from)].chains[chain].worst_case_us != kNotThere &&
+         tables.keys[at(to)].chains[chain].worst_case_us != kNotThere;
 }
 
 bool Handover::claims_all() const {
@@ -234,6 +246,7 @@ Status validate(const Table& table, const AppSpec& app, const Platform& platform
         return fail(ErrorCode::kInvalid,
                     "names XNode '" + app.xnodes[at(i)].name + "', whose module is off",
                     where + "/order");
+  if (app.version == 2) return {};  // its keys say more (validate_keys)
   if (Status valid =
           validate(policy_under(table, app, platform, {}), app_with(app, table.loss), platform);
       !valid) {
@@ -244,6 +257,16 @@ Status validate(const Table& table, const AppSpec& app, const Platform& platform
   return {};
 }
 
+/// [chain] a time where the table has the chain, kNotThere elsewhere.
+bool are_of_chains(const std::vector<std::int64_t>& us, const AppSpec& app, const Loss& loss) {
+  if (us.size() != app.chains.size()) return false;
+  std::vector<char> there(us.size(), 0);
+  for (const int c : kept_chains(app, loss)) there[at(c)] = 1;
+  for (std::size_t c = 0; c < us.size(); ++c)
+    if (there[c] != 0 ? us[c] < 0 || us[c] > kMaxTimeUs : us[c] != kNotThere) return false;
+  return true;
+}
+
 /// Of an app of version 2: what the file says beyond placements.
 Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& platform) {
   const auto is_time = [](std::int64_t us) { return us >= 0 && us <= kMaxTimeUs; };
@@ -251,17 +274,26 @@ Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& p
     return fail(ErrorCode::kInvalid, "not every table has keys", "/tables");
   for (std::size_t s = 0; s < tables.serves.size(); ++s) {
     const std::string place = "/serves/" + std::to_string(s);
-    if (tables.scenarios[s].degraded)
-      return fail(ErrorCode::kInvalid, "is degraded: an app of version 2 loses nothing",
-                  "/scenarios/" + std::to_string(s) + "/degraded", "leave it out");
     const std::vector<std::int64_t>& bounds = tables.serves[s].chain_bound_us;
-    if (bounds.size() != app.chains.size() || !std::all_of(bounds.begin(), bounds.end(), is_time))
-      return fail(ErrorCode::kInvalid, "has no lower bound for each chain", place + "/chains");
+    if (!are_of_chains(bounds, app, tables.tables[at(tables.serves[s].table)].loss))
+      return fail(ErrorCode::kInvalid,
+                  "has no lower bound for each chain of its table, or one too many",
+                  place + "/chains");
   }
   for (std::size_t t = 0; t < tables.tables.size(); ++t) {
     const Scenario all = envelope(tables, t, app);
-    if (Status valid = validate(keys_under(tables, t, app, platform, all), app_under(app, all),
-                                platform_under(platform, all));
+    const Loss& loss = tables.tables[t].loss;
+    std::vector<std::int64_t> worst;
+    for (const ChainClaim& claim : tables.keys[t].chains) worst.push_back(claim.worst_case_us);
+    if (tables.keys[t].placements.size() != app.xnodes.size() || !are_of_chains(worst, app, loss))
+      return fail(
+          ErrorCode::kInvalid,
+          "does not place every XNode, or has no worst case for each chain without a module "
+          "that is off, and for these alone",
+          "/tables/" + std::to_string(t));
+    if (Status valid =
+            validate(keys_under(tables, t, app, platform, all), app_under(app, all, loss),
+                     platform_with(platform_under(platform, all), loss.off));
         !valid) {
       Error error = std::move(valid).error();
       error.where = "/tables/" + std::to_string(t) + error.where;
@@ -275,9 +307,17 @@ Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& p
     const Handover& h = tables.handovers[k];
     if (h.worst_case_us.size() != app.chains.size() || !is_time(h.settles_us) ||
         !std::all_of(h.worst_case_us.begin(), h.worst_case_us.end(),
-                     [&](const auto& us) { return !us || is_time(*us); }))
+                     [&](const auto& us) { return !us || is_time(*us) || *us == kNotThere; }))
       return fail(ErrorCode::kInvalid, "has a chain too few or too many, or a time out of range",
                   "/handovers/" + std::to_string(k) + "/chains");
+    for (std::size_t c = 0; c < app.chains.size(); ++c)
+      if (h.worst_case_us[c] &&
+          (*h.worst_case_us[c] == kNotThere) == both_have(tables, h.from, h.to, c))
+        return fail(ErrorCode::kInvalid,
+                    "chain '" + app.chains[c].name +
+                        "' has a worst case where a table does not have the chain, or \"off\" where "
+                        "both have it",
+                    "/handovers/" + std::to_string(k) + "/chains");
   }
   return {};
 }

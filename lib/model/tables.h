@@ -27,12 +27,16 @@ struct Table {
   bool operator==(const Table&) const = default;
 };
 
+/// Of a chain that the table does not have, since a module on its way is off (kept_chains).
+inline constexpr std::int64_t kNotThere = -1;
+
 /// How a scenario is served.
 struct Served {
   int table = -1;
   std::int64_t worst_case_us = 0;   ///< of every execution within the scenario's WCETs
   std::int64_t lower_bound_us = 0;  ///< proven: under this scenario no policy is shorter
-  /// Of an app of version 2, [chain]: proven, as ChainClaim::lower_bound_us. The two above follow from it
+  /// Of an app of version 2, [chain]: proven, as ChainClaim::lower_bound_us, of what the table's loss
+  /// leaves; kNotThere: the table does not have the chain. The two above follow from it
   /// and from the table's chains: of the chain whose worst case is longest relative to its deadline,
   /// and what that comes to in any policy; without deadlines the sums over all chains.
   std::vector<std::int64_t> chain_bound_us = {};
@@ -56,12 +60,13 @@ struct Change {
 struct Handover {
   int from = -1, to = -1;  ///< tables
   /// [chain] of every release that meets it, each job within the WCETs of both tables' scenarios;
+  /// kNotThere: one of the tables does not have it, and its jobs are in time by settles_us, too;
   /// nullopt: nothing is claimed.
   std::vector<std::optional<std::int64_t>> worst_case_us;
   std::int64_t settles_us = 0;  ///< from then on jobs are in time again; not before, the next one
   std::vector<std::string> not_claimed =
       {};  ///< why some chains have none, a line each; for people
-  /// Whether it claims something of each chain.
+  /// Whether it claims something of each chain that both tables have, and the others have settled.
   [[nodiscard]] bool claims_all() const;
   bool operator==(const Handover&) const = default;
 };
@@ -72,8 +77,8 @@ struct Tables {
   std::vector<Table> tables;
   std::vector<Served> serves;   ///< [scenario]
   std::vector<Change> changes;  ///< all (from, to) of different scenarios, in that order; or none
-  /// [table] of an app of version 2: keys and holds, and each chain's worst case in every scenario that
-  /// the table serves. Empty: of version 1.
+  /// [table] of an app of version 2: keys and holds, also of what is off (app_with), and each chain's
+  /// worst case in every scenario that the table serves, or kNotThere. Empty: of version 1.
   std::vector<KeyPolicy> keys = {};
   std::vector<Handover> handovers =
       {};                      ///< all (from, to) of different tables, in that order; or none
@@ -116,8 +121,8 @@ inline constexpr std::size_t kMaxTables = 100;
 /// What `table` is certified for: of each WCET the longest of the scenarios that it serves, and what any
 /// of them has lost.
 [[nodiscard]] Scenario envelope(const Tables& tables, std::size_t table, const AppSpec& app);
-/// The keys of a table as a policy of app_under(`scenario`), without its lower bounds: XPUs are indices
-/// into platform_under(). xpu -1: it uses an XPU that is lost.
+/// The keys of a table as a policy of app_under(`scenario`, its loss), without its lower bounds: XPUs
+/// are indices into platform_with(platform_under()). xpu -1: it uses an XPU that is lost.
 [[nodiscard]] KeyPolicy keys_under(const Tables& tables, std::size_t table, const AppSpec& app,
                                    const Platform& platform, const Scenario& scenario);
 /// Sets each table's priorities: those that come nearest to its keys (assignment_of).
@@ -136,6 +141,8 @@ struct Objective {
 /// From scenario `from` to `to`; of keys, from table to table. Null: they are the same, or the file has none.
 [[nodiscard]] const Change* change_of(const Tables& tables, int from, int to);
 [[nodiscard]] const Handover* handover_of(const Tables& tables, int from, int to);
+/// Whether table `from` and table `to` both have the chain.
+[[nodiscard]] bool both_have(const Tables& tables, int from, int to, std::size_t chain);
 /// The table has an XNode on an XPU that the scenario has lost.
 [[nodiscard]] bool needs_lost(const Table& table, const Platform& platform,
                               const Scenario& scenario);

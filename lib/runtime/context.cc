@@ -7,6 +7,8 @@ namespace xauto::runtime {
 
 OfTables modules_off(const Session& session, const Graph& graph) {
   OfTables off;
+  // By keys it is no number of a release that says which table it has: each module tells what it left out.
+  if (session.tables_of_keys()) return {std::vector<char>(graph.modules.size(), 0)};
   for (std::size_t t = 0; t < session.num_tables(); ++t) {
     auto& row = off.emplace_back();
     for (const Graph::Module& module : graph.modules)

@@ -92,7 +92,8 @@ std::vector<std::int64_t> Ledger::allowed_by(std::size_t table) const {
   std::vector<std::int64_t> allowed(routes_.size(), 0);
   const std::vector<ChainClaim>& claims = context_.session.tables->keys[table].chains;
   for (std::size_t i = 0; i < std::min(allowed.size(), claims.size()); ++i)
-    if (unproven_[i] == 0) allowed[i] = allowed_us(claims[i].worst_case_us);
+    if (unproven_[i] == 0 && claims[i].worst_case_us != kNotThere)
+      allowed[i] = allowed_us(claims[i].worst_case_us);
   return allowed;
 }
 
@@ -104,7 +105,8 @@ void Ledger::claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::
   for (std::size_t i = 0; i < across.size(); ++i) {
     if (change == nullptr || i >= change->worst_case_us.size() || !change->worst_case_us[i])
       unproven_[i] = 1;  // nobody knows when its jobs are in time again
-    if (unproven_[i] == 0) across[i] = allowed_us(*change->worst_case_us[i]);
+    else if (unproven_[i] == 0 && *change->worst_case_us[i] != kNotThere)
+      across[i] = allowed_us(*change->worst_case_us[i]);
   }
   // What was released so long before may still be under way when a job begins to be too long.
   const std::vector<std::int64_t> largest_us = largest_claims(tables);
@@ -160,7 +162,8 @@ void Ledger::dropped(int module, std::uint64_t sequence, std::uint32_t reason) {
     context_.trace->write(XAUTO_EV_DROP, sequence, XAUTO_EV_NONE,
                           static_cast<std::uint16_t>(module), XAUTO_EV_NONE, reason);
   if (ends_releases_[static_cast<std::size_t>(module)] != 0)
-    through(module, sequence, 0, nullptr, now_ns(), true, false);
+    through(module, sequence, reason == XAUTO_DROP_OFF ? detail::kOffNs : 0, nullptr, now_ns(),
+            true, false);
 }
 
 void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
@@ -181,7 +184,7 @@ void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
     const Guard lock(latencies.mutex);
     latencies.us.add((now - origin_ns) / 1000);
   }
-  account(module, sequence, now, lost);
+  account(module, sequence, now, lost, lost && origin_ns == detail::kOffNs);
 }
 
 /// Into the trace, which so tells the tool.
@@ -194,7 +197,7 @@ void Ledger::missed(int module, std::uint64_t sequence, std::int64_t latency_us)
 
 /// A sink module settles its releases in order and each once; what it left out was lost with its
 /// process, what comes twice was told by a process that died meanwhile.
-void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool lost) {
+void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool lost, bool off) {
   if (!context_.graph.single_rate) return;
   std::uint32_t complete = 0;
   {
@@ -203,13 +206,16 @@ void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool 
     for (; next <= sequence && next < open_base_ + open_.size(); ++next) {
       if (!is_sink(module, next)) continue;
       Open& open = open_[next - open_base_];
-      open.last_ns = std::max(open.last_ns, now);
-      open.lost |= lost || next < sequence;
+      if (!off || next < sequence) open.last_ns = std::max(open.last_ns, now);
+      open.lost |= (lost && !off) || next < sequence;
+      open.ended |= !lost && next == sequence;
       if (--open.sinks_left > 0) continue;
+      ++complete;
+      ++num_releases_;
+      if (!open.lost && !open.ended) continue;  // all its ends are off: it has no latency
       const std::int64_t latency_us = (open.last_ns - open.origin_ns) / 1000;
       releases_.push_back({next, open.origin_ns, open.lost ? -1 : latency_us});
       if (releases_.size() > kKeptReleases) releases_.pop_front();
-      ++num_releases_;
       FlowLine& whole = context_.board.flow(0);
       if (open.lost) {
         ++lost_releases_;
@@ -224,7 +230,6 @@ void Ledger::account(int module, std::uint64_t sequence, std::int64_t now, bool 
         whole.late.fetch_add(1, std::memory_order_relaxed);
         missed(module, next, latency_us);
       }
-      ++complete;
     }
     for (; !open_.empty() && open_.front().sinks_left == 0; ++open_base_) open_.pop_front();
   }
@@ -245,7 +250,7 @@ void Ledger::forget(int module) {
     counts.dropped.fetch_add(done - told);
   }
   if (ends_releases_[m] != 0 && context_.graph.single_rate && settled > 0)
-    account(module, settled - 1, now_ns(), true);
+    account(module, settled - 1, now_ns(), true, false);
 }
 
 /// Every module is through with every release. Those whose result nobody waits for, since another

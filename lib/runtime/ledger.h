@@ -37,6 +37,7 @@ class Ledger {
   void dropped(int module, std::uint64_t sequence, std::uint32_t reason);
   /// A sink of its table, or a module where a chain ends, is through with release `sequence`; known here, or
   /// told by its process.
+  /// `origin_ns` of what is lost: detail::kOffNs where it is no loss, since the module is off.
   void through(int module, std::uint64_t sequence, std::int64_t origin_ns,
                const detail::Origins* origins, std::int64_t now_ns, bool lost, bool urgent);
   /// Whether a chain ends at `node` of the graph.
@@ -69,6 +70,7 @@ class Ledger {
     std::int64_t origin_ns = 0, last_ns = 0;
     int sinks_left = 0;
     bool lost = false;
+    bool ended = false;  ///< some sink had a result
   };
   /// Latencies of a sink; the counts are on the board.
   struct Latencies {
@@ -80,7 +82,7 @@ class Ledger {
   void show_claims();
   [[nodiscard]] std::int64_t allowed_us(std::int64_t worst_us) const;
   [[nodiscard]] std::vector<std::int64_t> allowed_by(std::size_t table) const;
-  void account(int module, std::uint64_t sequence, std::int64_t now_ns, bool lost);
+  void account(int module, std::uint64_t sequence, std::int64_t now_ns, bool lost, bool off);
   /// Whether its results are told to who keeps the accounts.
   [[nodiscard]] bool asked_for(int module) const {
     return asked_for_[static_cast<std::size_t>(module)] != 0;
@@ -94,8 +96,7 @@ class Ledger {
     return sinks_[table_of(sequence)][static_cast<std::size_t>(module)] != 0;
   }
   [[nodiscard]] std::size_t table_of(std::uint64_t sequence) const {
-    // Keys: no module is off in any of them.
-    return sinks_.size() == 1 || context_.session.keys ? 0 : context_.board.table_of(sequence);
+    return sinks_.size() == 1 ? 0 : context_.board.table_of(sequence);
   }
   [[nodiscard]] bool settled() const;
   [[nodiscard]] bool wait_quiet();

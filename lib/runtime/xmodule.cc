@@ -9,6 +9,14 @@
 #include "base/log.h"
 
 namespace xauto::runtime {
+namespace {
+
+/// Why the releases up to that of a tombstone are lost here.
+std::uint32_t reason_of(const detail::Envelope& tombstone) {
+  return tombstone.origin_ns == detail::kOffNs ? XAUTO_DROP_OFF : XAUTO_DROP_UPSTREAM;
+}
+
+}  // namespace
 
 ModuleRuntime::ModuleRuntime(const Graph& graph, int index, ModuleHost& host,
                              std::vector<const transport::Channel*> outputs,
@@ -113,7 +121,7 @@ void ModuleRuntime::arrive(InputQueue& queue, const detail::Envelope& envelope,
   if (numbered_) {
     if (gap) settle(envelope.sequence, XAUTO_DROP_OVERRUN, lost);
     if (envelope.message == nullptr)
-      settle(envelope.sequence + 1, XAUTO_DROP_UPSTREAM, lost);
+      settle(envelope.sequence + 1, reason_of(envelope), lost);
     else if (skip)
       settle(envelope.sequence + 1, XAUTO_DROP_OVERRUN, lost);
     else if (!queue.waiting.empty())
@@ -145,7 +153,8 @@ void ModuleRuntime::resolve(std::vector<Lost>& lost) {
     again = false;
     for (const InputQueue& queue : queues_)
       if (!queue.waiting.empty() && queue.waiting.front().message == nullptr) {
-        settle(queue.waiting.front().sequence + 1, XAUTO_DROP_UPSTREAM, lost);
+        const detail::Envelope& front = queue.waiting.front();
+        settle(front.sequence + 1, reason_of(front), lost);
         again = true;
       }
   }
@@ -230,13 +239,25 @@ bool ModuleRuntime::fresh(std::vector<Lost>& lost) {
 }
 
 /// Whether the fresh messages are of a release in whose table the module is off; then they are gone.
-/// Tables are of apps of one rate, whose modules are numbered. Called with the mutex held.
+/// Called with the mutex held.
 bool ModuleRuntime::leaves_out(std::vector<Lost>& lost) {
   if (off_.empty()) return false;
-  const std::uint64_t sequence = queues_.front().waiting.front().sequence;
-  if (off_[tables_->table_of(sequence)] == 0) return false;
-  settle(sequence, XAUTO_DROP_OVERRUN, lost);
-  settle(sequence + 1, XAUTO_DROP_OFF, lost);
+  std::int64_t released_ns = INT64_MAX;
+  std::uint64_t sequence = 0;
+  for (const InputQueue& queue : queues_) {
+    const detail::Envelope& message = queue.waiting.front();
+    if (message.origin_ns - queue.shift_ns >= released_ns) continue;
+    released_ns = message.origin_ns - queue.shift_ns;
+    sequence = message.sequence;
+  }
+  if (off_[table_of(released_ns, sequence)] == 0) return false;
+  if (numbered_) {
+    settle(sequence, XAUTO_DROP_OVERRUN, lost);
+    settle(sequence + 1, XAUTO_DROP_OFF, lost);
+  } else {
+    for (InputQueue& queue : queues_) queue.waiting.pop_front();
+    lost.push_back({sequence, sequence, XAUTO_DROP_OFF});
+  }
   line_up(lost);
   return true;
 }
@@ -260,9 +281,7 @@ void ModuleRuntime::take(Activation& activation, std::vector<Lost>& lost) {
     settle(sequence, XAUTO_DROP_OVERRUN, lost);
     next_ = std::max(next_, sequence + 1);
   }
-  if (tables_ != nullptr)
-    activation.table_ = tables_->table_of(
-        tables_by_time_ ? static_cast<std::uint64_t>(released_ns) / 1000 : sequence);
+  if (tables_ != nullptr) activation.table_ = table_of(released_ns, sequence);
   activation.stage_ = Activation::Stage::kRuns;
   activation.number_ = fired_++;
   activation.position_ = 0;
@@ -414,9 +433,9 @@ void ModuleRuntime::finish(Activation& activation, bool succeeded) {
 /// One in flight: it is the oldest of all that is not settled, and nobody waits behind it inside.
 void ModuleRuntime::settle_only(Activation& activation, bool succeeded, std::vector<Lost>& lost,
                                 Started& started) {
-  std::uint64_t skip_below = 0;
-  tell(activation, succeeded, skip_below);
-  tell_skipped(skip_below);
+  Skipped skipped;
+  tell(activation, succeeded, skipped);
+  tell_skipped(skipped);
   {
     const Guard lock(mutex_);
     turns_.pop_front();
@@ -513,9 +532,9 @@ void ModuleRuntime::collect() {
 }
 
 void ModuleRuntime::tell_collected(std::vector<Lost>& lost, Started& started) {
-  std::uint64_t skip_below = 0;
-  for (const Turn& turn : settled_) tell(turn, skip_below);
-  tell_skipped(skip_below);
+  Skipped skipped;
+  for (const Turn& turn : settled_) tell(turn, skipped);
+  tell_skipped(skipped);
   const Guard lock(mutex_);
   for (const Turn& turn : settled_)
     if (turn.activation != nullptr) empty(*turn.activation);
@@ -524,35 +543,37 @@ void ModuleRuntime::tell_collected(std::vector<Lost>& lost, Started& started) {
   collect_locked();
 }
 
-void ModuleRuntime::tell(const Turn& turn, std::uint64_t& skip_below) {
+void ModuleRuntime::tell(const Turn& turn, Skipped& skipped) {
   if (turn.activation == nullptr) {
     tell_all({turn.lost});
-    if (numbered_) skip_below = turn.lost.last + 1;
+    skip_below(turn.lost.last + 1, turn.lost.reason == XAUTO_DROP_OFF, skipped);
     return;
   }
-  tell(*turn.activation, turn.activation->stage_ == Activation::Stage::kSucceeded, skip_below);
+  tell(*turn.activation, turn.activation->stage_ == Activation::Stage::kSucceeded, skipped);
 }
 
-void ModuleRuntime::tell(Activation& activation, bool succeeded, std::uint64_t& skip_below) {
+void ModuleRuntime::tell(Activation& activation, bool succeeded, Skipped& skipped) {
   const std::uint64_t sequence = activation.sequence();
   if (succeeded) {
-    tell_skipped(skip_below);
+    tell_skipped(skipped);
     host_.done(index_, activation);
     for (std::size_t i = 0; i < activation.taken_.size(); ++i)
       outputs_[i]->publish({std::move(activation.taken_[i]), activation.origin_ns(), sequence,
                             activation.origins_, activation.urgent_});
   } else {
     tell_all({{sequence, sequence, XAUTO_DROP_FAILED}});
-    if (numbered_) skip_below = sequence + 1;
+    skip_below(sequence + 1, false, skipped);
   }
   activation.taken_.clear();
   host_.left(index_);
 }
 
 /// No job of what was lost will start any more. One tombstone settles everything before it, too.
-void ModuleRuntime::skip(std::uint64_t last) {
+void ModuleRuntime::skip(Skipped skipped) {
+  const std::uint64_t last = skipped.below - 1;
   host_.skip(index_, last);
-  for (const transport::Channel* output : outputs_) output->publish({nullptr, 0, last});
+  for (const transport::Channel* output : outputs_)
+    output->publish({nullptr, skipped.off ? detail::kOffNs : 0, last});
 }
 
 void ModuleRuntime::tell_all(const std::vector<Lost>& lost) {

@@ -144,6 +144,11 @@ class alignas(64) ModuleRuntime {
     Activation* activation = nullptr;  ///< null: `lost`
     Lost lost;
   };
+  /// Releases below `below` were left out; `off`: since the module is off in their table.
+  struct Skipped {
+    std::uint64_t below = 0;  ///< 0: none
+    bool off = false;
+  };
   /// Activations that the caller has to run, in order.
   struct Started {
     Activation *first = nullptr, *last = nullptr;
@@ -163,6 +168,10 @@ class alignas(64) ModuleRuntime {
   [[nodiscard]] bool fresh(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   void take(Activation& activation, std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
   [[nodiscard]] bool leaves_out(std::vector<Lost>& lost) XAUTO_REQUIRES(mutex_);
+  [[nodiscard]] std::uint32_t table_of(std::int64_t released_ns, std::uint64_t sequence) const {
+    return tables_->table_of(tables_by_time_ ? static_cast<std::uint64_t>(released_ns) / 1000
+                                             : sequence);
+  }
   void fire(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(mutex_) {
     // Asked at each message and each end: mostly an input is still missing.
     const bool missing = queues_[empty_].waiting.empty() && lost.empty();
@@ -209,15 +218,19 @@ class alignas(64) ModuleRuntime {
     while (!settled_.empty()) tell_collected(lost, started);
   }
   void tell_collected(std::vector<Lost>& lost, Started& started) XAUTO_REQUIRES(order_);
-  void tell(const Turn& turn, std::uint64_t& skip_below) XAUTO_REQUIRES(order_);
-  void tell(Activation& activation, bool succeeded, std::uint64_t& skip_below)
-      XAUTO_REQUIRES(order_);
+  void tell(const Turn& turn, Skipped& skipped) XAUTO_REQUIRES(order_);
+  void tell(Activation& activation, bool succeeded, Skipped& skipped) XAUTO_REQUIRES(order_);
   void settle_only(Activation& activation, bool succeeded, std::vector<Lost>& lost,
                    Started& started) XAUTO_REQUIRES(order_);
-  void tell_skipped(std::uint64_t& skip_below) XAUTO_REQUIRES(order_) {
-    if (skip_below != 0) skip(std::exchange(skip_below, 0) - 1);
+  void tell_skipped(Skipped& skipped) XAUTO_REQUIRES(order_) {
+    if (skipped.below != 0) skip(std::exchange(skipped, {}));
   }
-  void skip(std::uint64_t last) XAUTO_REQUIRES(order_);
+  void skip(Skipped skipped) XAUTO_REQUIRES(order_);
+  /// Numbered: all below `below` were, and what comes next is not told yet.
+  void skip_below(std::uint64_t below, bool off, Skipped& skipped) XAUTO_REQUIRES(order_) {
+    if (skipped.off != off) tell_skipped(skipped);
+    if (numbered_) skipped = {below, off};
+  }
   void tell(const std::vector<Lost>& lost) {
     if (!lost.empty()) tell_all(lost);
   }

@@ -628,8 +628,16 @@ KeyPolicy meant_for(KeyPolicy policy, const AppSpec& app) {
   return policy;
 }
 
-/// But for WCETs.
+/// But for WCETs, and times of messages between types that one of them does not have.
 bool same(AppSpec a, AppSpec b) {
+  const auto lacks = [](const AppSpec& app, const TransferSpec& t) {
+    const auto& [u, v] = app.edges[at(t.edge)];
+    return !app.xnodes[at(u)].wcet_on(t.from_type) || !app.xnodes[at(v)].wcet_on(t.to_type);
+  };
+  if (a.edges != b.edges || a.xnodes.size() != b.xnodes.size()) return false;
+  for (AppSpec* app : {&a, &b})
+    std::erase_if(app->transfers,
+                  [&](const TransferSpec& t) { return lacks(a, t) || lacks(b, t); });
   for (AppSpec* app : {&a, &b})
     for (XNodeSpec& x : app->xnodes) {
       x.wcet_us.clear();

@@ -276,10 +276,11 @@ class Walk {
     Tick ready = x.release + (root ? p_.root_ready[at(x.xnode)] : 0);
     const Windows& w = x.second ? in_.to : in_.from;
     const std::vector<int>& xpu = x.second ? in_.to_xpu : in_.from_xpu;
+    const Problem& of_table = x.second ? in_.then : in_.now;  // it may have a message less
     ready = std::max(ready, x.release + w.hold[p_.slot_of(x.xnode, x.n)]);
-    for (const Link& link : p_.pred[at(x.xnode)])
-      ready = std::max(
-          ready, ends(link.xnode, x.n) + p_.transfer(link, xpu[at(link.xnode)], xpu[at(x.xnode)]));
+    for (const Link& link : of_table.pred[at(x.xnode)])
+      ready = std::max(ready, ends(link.xnode, x.n) +
+                                  of_table.transfer(link, xpu[at(link.xnode)], xpu[at(x.xnode)]));
     if (const int u = find(x.xnode, x.n - 1); u >= 0) {
       const Job& last = jobs_[at(u)];
       const bool ordered = last.xpu == x.xpu && last.key <= x.key;

@@ -17,7 +17,8 @@
 
 namespace xauto::solver::steady {
 
-/// The three problems are of one app, and differ in their WCETs alone.
+/// The three problems are of one app, and differ in their WCETs, and in transfers between types that an
+/// XNode may have in one of them alone.
 struct HandoverInput {
   const Problem& now;                 ///< at the envelope of the table that is in force
   const Problem& then;                ///< of the next one

@@ -4,10 +4,12 @@
 #include <algorithm>
 #include <chrono>
 #include <optional>
+#include <set>
 #include <utility>
 
 #include "base/index.h"
 #include "model/components.h"
+#include "solver/least_loss.h"
 #include "solver/random.h"
 #include "solver/steady/handover.h"
 #include "solver/steady/solve.h"
@@ -19,7 +21,8 @@ namespace {
 /// Keys that are certified for an envelope.
 struct KeyTable {
   Scenario of;                 ///< the envelope
-  KeyPolicy policy;            ///< of that scenario's app and platform
+  std::size_t loss = 0;        ///< index into KeyTablesSearch::losses_
+  KeyPolicy policy;            ///< of what that leaves of the scenario's app, and its platform
   double value = 0;            ///< of its worst cases, what is compared
   std::vector<double> regret;  ///< [scenario]
 };
@@ -40,7 +43,7 @@ class KeyTablesSearch {
   Result<Tables> run() {
     XAUTO_TRY(split_by_clock());
     XAUTO_TRY(solve_each());
-    solve_all();
+    for (std::size_t loss = 0; loss < losses_.size(); ++loss) solve_all(loss);
     TableChoice best = choose();
     constexpr int kRounds = 12;  // of a fixed number of evaluations each
     for (int round = 0; (options_.max_evaluations == 0 || round < kRounds) && !run_.over();
@@ -71,14 +74,14 @@ class KeyTablesSearch {
     std::vector<int> owner(platform_.xpus.size(), 0), best;
     const double slice = std::max(0.02, options_.time_limit_s / 200);
     const auto shared =
-        solve_for(scenarios_.front(), 4 * slice, options_.threads, options_.seed, nullptr);
+        solve_for(scenarios_.front(), {}, 4 * slice, options_.threads, options_.seed, nullptr);
     if (!shared || shared->outcome != Outcome::kPolicy) return {};
     double most = kMostForSplit * value_of(worst_of(shared->policy));
     do {
       if (run_.elapsed() > options_.time_limit_s / 4) break;
       forbids_ = forbids_of(owner, clock_of);
       const auto answer =
-          solve_for(scenarios_.front(), slice, options_.threads, options_.seed, nullptr);
+          solve_for(scenarios_.front(), {}, slice, options_.threads, options_.seed, nullptr);
       if (!answer || answer->outcome != Outcome::kPolicy) continue;
       const double value = value_of(worst_of(answer->policy));
       if (value > most) continue;
@@ -122,40 +125,108 @@ class KeyTablesSearch {
     return us;
   }
 
-  [[nodiscard]] Result<Answer> solve_for(const Scenario& scenario, double seconds, int threads,
-                                         std::uint64_t seed, const KeyPolicy* hint) const {
+  /// [chain of the app], of those that are left.
+  [[nodiscard]] std::vector<std::int64_t> of_all_chains(const std::vector<std::int64_t>& us,
+                                                        const Loss& loss) const {
+    std::vector<std::int64_t> all(app_.chains.size(), kNotThere);
+    const std::vector<int> there = kept_chains(app_, loss);
+    for (std::size_t k = 0; k < there.size(); ++k) all[at(there[k])] = us[k];
+    return all;
+  }
+
+  [[nodiscard]] Platform platform_for(const Scenario& scenario, const Loss& loss) const {
+    return platform_with(platform_under(platform_, scenario), loss.off);
+  }
+
+  /// `in_time`: it may end where every chain keeps its deadline.
+  [[nodiscard]] Result<Answer> solve_for(const Scenario& scenario, const Loss& loss, double seconds,
+                                         int threads, std::uint64_t seed, const KeyPolicy* hint,
+                                         bool in_time = false) const {
     Options solving;
-    const Platform left = platform_under(platform_, scenario);
+    const Platform left = platform_for(scenario, loss);
     for (const auto& [xnode, xpu] : forbids_)
-      if (left.find(xpu) >= 0) solving.wishes.forbids.emplace_back(xnode, xpu);
+      if (left.find(xpu) >= 0 && !loss.is_off(app_.xnodes[at(app_.find(xnode))].module))
+        solving.wishes.forbids.emplace_back(xnode, xpu);
+    std::atomic<bool> enough{false};
+    if (in_time)
+      solving.on_progress = [&](const Progress& progress) {
+        const bool told = options_.stop != nullptr && options_.stop->load();
+        if (progress.late <= 1 || told) enough.store(true);
+      };
     solving.time_limit_s = seconds;
     solving.threads = threads;
     solving.seed = seed;
     solving.max_evaluations = options_.max_evaluations;
-    solving.stop = options_.stop;
+    solving.stop = in_time ? &enough : options_.stop;
     solving.hint = hint;
-    return solve(app_under(app_, scenario), left, solving);
+    return solve(app_under(app_, scenario, loss), left, solving);
+  }
+
+  /// The least that was found with which each chain that is left keeps its deadline; all that the app
+  /// may lose, where they do not even so.
+  [[nodiscard]] Loss least_loss_under(std::size_t s, double seconds) const {
+    const double until_s = run_.elapsed() + seconds;
+    constexpr double kTries = 8;
+    const auto suffices = [&](const Loss& loss) {
+      const std::vector<int> there = kept_chains(app_, loss);
+      if (there.empty()) return true;  // solve_each refuses it
+      const auto answer = solve_for(
+          scenarios_[s], loss, std::max(0.02, std::min(seconds / kTries, until_s - run_.elapsed())),
+          options_.threads, options_.seed + s, nullptr, true);
+      if (!answer || answer->outcome != Outcome::kPolicy) return false;
+      for (std::size_t k = 0; k < there.size(); ++k) {
+        const ChainClaim& claim = answer->policy.chains[k];
+        const std::int64_t limit = app_.chains[at(there[k])].deadline_us.value_or(INT64_MAX);
+        if (std::max(claim.worst_case_us, claim.urgent_worst_case_us.value_or(0)) > limit)
+          return false;
+      }
+      return true;
+    };
+    const auto deadline =
+        options_.max_evaluations > 0
+            ? SteadyTime::max()
+            : std::chrono::steady_clock::now() + std::chrono::duration_cast<SteadyTime::duration>(
+                                                     std::chrono::duration<double>(seconds));
+    return least_loss(app_, platform_under(platform_, scenarios_[s]), suffices,
+                      {deadline, options_.stop})
+        .loss;
+  }
+
+  /// Its index; a new one if it is new.
+  std::size_t number_of(const Loss& loss) {
+    const auto found = std::find(losses_.begin(), losses_.end(), loss);
+    if (found == losses_.end()) return losses_.push_back(loss), losses_.size() - 1;
+    return static_cast<std::size_t>(found - losses_.begin());
   }
 
   /// Half of the time, in equal shares of what is left of it.
   Status solve_each() {
     const std::size_t n = scenarios_.size();
     for (std::size_t s = 0; s < n; ++s) {
-      const double share_s = run_.share_s(s);
+      const bool degraded = scenarios_[s].degraded;
+      const double share_s = run_.share_s(s) / (degraded ? 2 : 1);
+      const std::string where = "scenario '" + scenarios_[s].name + "'";
+      const std::size_t lossy = degraded ? number_of(least_loss_under(s, share_s)) : 0;
+      const Loss loss = losses_[lossy];
+      if (kept_chains(app_, loss).empty())
+        return fail(ErrorCode::kInfeasible,
+                    "its deadlines were only found to be kept where no chain is left", where,
+                    "let less be optional, or leave the scenario out");
       // Bounds are of all policies, also of those in which clocks share XPUs.
       std::optional<Answer> bounds;
       if (!forbids_.empty()) {
         const auto forbids = std::exchange(forbids_, {});
-        auto all = solve_for(scenarios_[s], share_s / 4, options_.threads, options_.seed, nullptr);
+        auto all =
+            solve_for(scenarios_[s], loss, share_s / 4, options_.threads, options_.seed, nullptr);
         forbids_ = forbids;
         if (all) bounds = std::move(*all);
       }
-      auto solved = solve_for(scenarios_[s], share_s, options_.threads, options_.seed + s, nullptr);
+      auto solved =
+          solve_for(scenarios_[s], loss, share_s, options_.threads, options_.seed + s, nullptr);
       // An XNode may have no XPU left that its clock has: then this scenario is served as it can be.
       if (bounds && (!solved || solved->outcome != Outcome::kPolicy)) solved = *bounds;
       XAUTO_ASSIGN(Answer answer, std::move(solved));
       if (bounds) answer.lower_bound_us = bounds->lower_bound_us;
-      const std::string where = "scenario '" + scenarios_[s].name + "'";
       if (answer.outcome == Outcome::kUnsustainable)
         return fail(ErrorCode::kInfeasible, "no policy keeps up: " + answer.overload.text, where,
                     "less work, longer periods, or leave the scenario out");
@@ -164,9 +235,10 @@ class KeyTablesSearch {
                     "no policy was found in " + std::to_string(share_s) +
                         " s, and that there is none is not proven",
                     where, "more time: --time-limit-s");
-      bound_.push_back(answer.lower_bound_us);
-      bound_value_.push_back(std::max(1e-9, value_of(answer.lower_bound_us)));
-      add(scenarios_[s], std::move(answer.policy));
+      loss_of_.push_back(lossy);
+      bound_.push_back(of_all_chains(answer.lower_bound_us, loss));
+      bound_value_.push_back(std::max(1e-9, value_of(bound_.back())));
+      add(scenarios_[s], lossy, std::move(answer.policy));
       run_.tell(bound_.size(), kCannotServe);
     }
     for (KeyTable& table : candidates_) rate(table);
@@ -174,16 +246,18 @@ class KeyTablesSearch {
   }
 
   /// A candidate that serves everything, where no scenario covers all others.
-  void solve_all() {
+  void solve_all(std::size_t loss) {
     std::vector<int> all;
-    for (std::size_t s = 0; s < scenarios_.size(); ++s) all.push_back(static_cast<int>(s));
+    for (std::size_t s = 0; s < scenarios_.size(); ++s)
+      if (loss_of_[s] == loss) all.push_back(static_cast<int>(s));
+    if (all.empty()) return;
     const Scenario envelope = join(all);
-    if (known(envelope)) return;
-    const auto answer =
-        solve_for(envelope, std::max(0.1, (options_.time_limit_s - run_.elapsed()) / 10),
-                  options_.threads, options_.seed, nullptr);
+    if (known(envelope, loss)) return;
+    const auto answer = solve_for(envelope, losses_[loss],
+                                  std::max(0.1, (options_.time_limit_s - run_.elapsed()) / 10),
+                                  options_.threads, options_.seed, nullptr);
     if (!answer || answer->outcome != Outcome::kPolicy) return;
-    add(envelope, answer->policy);
+    add(envelope, loss, answer->policy);
     rate(candidates_.back());
   }
 
@@ -193,25 +267,28 @@ class KeyTablesSearch {
       all = across(app_, all, scenarios_[at(group[k])]);
     return all;
   }
-  [[nodiscard]] bool known(const Scenario& envelope) const {
+  [[nodiscard]] bool known(const Scenario& envelope, std::size_t loss) const {
     const AppSpec under = app_under(app_, envelope);
     return std::any_of(candidates_.begin(), candidates_.end(), [&](const KeyTable& table) {
-      return covers(table.of, app_under(app_, table.of), envelope, under) &&
+      return table.loss == loss && covers(table.of, app_under(app_, table.of), envelope, under) &&
              covers(envelope, under, table.of, app_under(app_, table.of));
     });
   }
 
-  void add(const Scenario& envelope, KeyPolicy policy) {
-    KeyTable table{envelope, std::move(policy)};
-    table.value = value_of(worst_of(table.policy));
+  void add(const Scenario& envelope, std::size_t loss, KeyPolicy policy) {
+    KeyTable table{envelope, loss, std::move(policy)};
+    table.value = value_of(of_all_chains(worst_of(table.policy), losses_[loss]));
     candidates_.push_back(std::move(table));
   }
 
+  /// A scenario is served by tables of its own loss alone: with more it would lose without need, and less
+  /// was not found to suffice.
   void rate(KeyTable& table) const {
     const AppSpec under = app_under(app_, table.of);
     table.regret.clear();
     for (std::size_t s = 0; s < scenarios_.size(); ++s)
-      table.regret.push_back(covers(table.of, under, scenarios_[s], under_[s])
+      table.regret.push_back(table.loss == loss_of_[s] &&
+                                     covers(table.of, under, scenarios_[s], under_[s])
                                  ? table.value / bound_value_[s]
                                  : kCannotServe);
   }
@@ -224,8 +301,8 @@ class KeyTablesSearch {
 
   /// The policy of a candidate on the platform that is left under another envelope.
   [[nodiscard]] KeyPolicy hint_for(const KeyTable& table, const Scenario& envelope) const {
-    const Platform had = platform_under(platform_, table.of),
-                   has = platform_under(platform_, envelope);
+    const Platform had = platform_for(table.of, losses_[table.loss]),
+                   has = platform_for(envelope, losses_[table.loss]);
     KeyPolicy hint = table.policy;
     for (KeyPlacement& p : hint.placements)
       if (p.xpu >= 0) p.xpu = has.find(had.xpus[at(p.xpu)].id);
@@ -253,9 +330,10 @@ class KeyTablesSearch {
       if (candidates_[at(choice.serves[s])].regret[s] < choice.worst) continue;
       for (const int c : choice.chosen) {
         std::vector<int> group = group_of(c);
-        if (c == choice.serves[s] || group.empty()) continue;
+        if (c == choice.serves[s] || group.empty() || candidates_[at(c)].loss != loss_of_[s])
+          continue;
         group.push_back(static_cast<int>(s));
-        if (known(join(group))) continue;
+        if (known(join(group), loss_of_[s])) continue;
         tasks.push_back({std::move(group), c, random_.next()});
       }
     }
@@ -267,11 +345,12 @@ class KeyTablesSearch {
       const KeyPolicy hint = hint_for(candidates_[at(tasks[k].from)], envelope);
       const bool placed = std::any_of(hint.placements.begin(), hint.placements.end(),
                                       [](const KeyPlacement& p) { return p.xpu >= 0; });
-      tasks[k].result = solve_for(envelope, slice, 1, tasks[k].seed, placed ? &hint : nullptr);
+      tasks[k].result = solve_for(envelope, losses_[candidates_[at(tasks[k].from)].loss], slice, 1,
+                                  tasks[k].seed, placed ? &hint : nullptr);
     });
     for (const Task& task : tasks) {
       if (!task.result || task.result->outcome != Outcome::kPolicy) continue;
-      add(join(task.group), task.result->policy);
+      add(join(task.group), candidates_[at(task.from)].loss, task.result->policy);
       rate(candidates_.back());
     }
   }
@@ -308,16 +387,21 @@ class KeyTablesSearch {
 
   void put(const KeyTable& candidate, Tables& tables) const {
     Table& table = tables.tables.emplace_back();
-    table.name = "table " + std::to_string(tables.tables.size() - 1);
+    table.loss = losses_[candidate.loss];
+    table.name = name_of_table(tables.tables.size() - 1, table.loss, app_);
     KeyPolicy& keys = tables.keys.emplace_back();
-    for (const KeyPlacement& p : hint_for(candidate, {}).placements) {  // on the whole platform
-      table.xpu.push_back(p.xpu);
-      keys.placements.push_back({p.xpu, p.key_us, p.hold_us});
+    for (const KeyPlacement& p : hint_for(candidate, {}).placements) {      // on the whole platform
+      table.xpu.push_back(at(p.xpu) < platform_.xpus.size() ? p.xpu : -1);  // is off
+      keys.placements.push_back({table.xpu.back(), p.key_us, p.hold_us});
     }
     table.priority.assign(table.xpu.size(), 0);
-    for (const ChainClaim& claim : candidate.policy.chains)
-      keys.chains.push_back(
-          {claim.name, claim.worst_case_us, 0, false, claim.urgent_worst_case_us});
+    for (const ChainSpec& chain : app_.chains) keys.chains.push_back({chain.name, kNotThere});
+    const std::vector<int> there = kept_chains(app_, table.loss);
+    for (std::size_t k = 0; k < there.size(); ++k) {
+      const ChainClaim& claim = candidate.policy.chains[k];
+      keys.chains[at(there[k])] = {claim.name, claim.worst_case_us, 0, false,
+                                   claim.urgent_worst_case_us};
+    }
   }
 
   Status add_handovers(Tables& tables) const {
@@ -325,10 +409,24 @@ class KeyTablesSearch {
     std::vector<Scenario> envelopes;
     std::vector<Problem> problems;
     std::vector<Windows> windows;
+    std::vector<int> all_chains;  // so that all problems have the same
+    for (std::size_t c = 0; c < app_.chains.size(); ++c) all_chains.push_back(static_cast<int>(c));
+    std::set<std::string> off;
+    for (const Table& table : tables.tables)
+      off.insert(table.loss.off.begin(), table.loss.off.end());
+    const Platform platform = platform_with(platform_, {off.begin(), off.end()});
+    std::vector<std::vector<int>> xpus;  // [table][XNode]
+    const auto create = [&](const Scenario& scenario, std::size_t table) {
+      return Problem::create(
+          app_with(app_under(app_, scenario), tables.tables[table].loss, all_chains), platform);
+    };
     for (std::size_t t = 0; t < n; ++t) {
       envelopes.push_back(envelope(tables, t, app_));
-      XAUTO_ASSIGN(Problem problem, Problem::create(app_under(app_, envelopes[t]), platform_));
-      XAUTO_ASSIGN(Windows of_table, windows_of(problem, tables.keys[t]));
+      XAUTO_ASSIGN(Problem problem, create(envelopes[t], t));
+      xpus.push_back(tables.tables[t].xpu);
+      for (std::size_t i = 0; i < xpus[t].size(); ++i)
+        if (xpus[t][i] < 0) xpus[t][i] = platform.find(off_xpu(app_.xnodes[i].module));
+      XAUTO_ASSIGN(Windows of_table, windows_of(problem, tables.keys[t], xpus[t]));
       problems.push_back(std::move(problem));
       windows.push_back(std::move(of_table));
     }
@@ -344,28 +442,29 @@ class KeyTablesSearch {
           continue;
         }
         XAUTO_ASSIGN(const Problem both,
-                     Problem::create(app_under(app_, across(app_, envelopes[from], envelopes[to])),
-                                     platform_));
-        const HandoverBound bound = bound_handover(
-            {problems[from], problems[to], both, tables.tables[from].xpu, tables.tables[to].xpu,
-             windows[from], windows[to], tables.notice_us * both.scale},
-            kMostWalked, {SteadyTime::max(), options_.stop});
+                     create(across(app_, envelopes[from], envelopes[to]), from));
+        const HandoverBound bound =
+            bound_handover({problems[from], problems[to], both, xpus[from], xpus[to], windows[from],
+                            windows[to], tables.notice_us * both.scale},
+                           kMostWalked, {SteadyTime::max(), options_.stop});
         const auto up = [&](Tick t) { return both.up_to_us(t) / both.scale; };
         for (std::size_t c = 0; c < bound.worst.size(); ++c)
-          if (bound.worst[c] != kNoTick) handover.worst_case_us[c] = up(bound.worst[c]);
+          if (bound.worst[c] != kNoTick)
+            handover.worst_case_us[c] = both_have(tables, handover.from, handover.to, c)
+                                            ? up(bound.worst[c])
+                                            : kNotThere;
         handover.settles_us = up(bound.settles);
         handover.not_claimed = bound.why_not;
       }
     return {};
   }
 
-  [[nodiscard]] Result<Windows> windows_of(const Problem& p, const KeyPolicy& keys) const {
+  [[nodiscard]] Result<Windows> windows_of(const Problem& p, const KeyPolicy& keys,
+                                           const std::vector<int>& xpu) const {
     Windows w;
     for (auto* values : {&w.a, &w.d, &w.hold, &w.e}) values->assign(at(p.num_slots), 0);
-    std::vector<int> xpu;
     for (int i = 0; i < p.num_xnodes; ++i) {
       const KeyPlacement& placed = keys.placements[at(i)];
-      xpu.push_back(placed.xpu);
       const std::size_t size = placed.key_us.size();
       for (int n = 0; n < p.jobs[at(i)]; ++n) {
         w.d[p.slot_of(i, n)] = placed.key_us[at(n) % size] * p.scale;
@@ -390,6 +489,8 @@ class KeyTablesSearch {
   /// XNode and XPU, where each clock has XPUs of its own; empty: they share.
   std::vector<std::pair<std::string, std::string>> forbids_;
   std::vector<AppSpec> under_;                    ///< [scenario]
+  std::vector<Loss> losses_{Loss{}};              ///< the first: nothing
+  std::vector<std::size_t> loss_of_;              ///< [scenario] index into them
   std::vector<std::vector<std::int64_t>> bound_;  ///< [scenario][chain]
   std::vector<double> bound_value_;               ///< [scenario]
   std::vector<KeyTable> candidates_;
@@ -399,10 +500,14 @@ class KeyTablesSearch {
 
 Result<Tables> solve_key_tables(const AppSpec& app, const Platform& platform,
                                 const Scenarios& scenarios, const TablesOptions& options) {
+  const bool deadlines = std::any_of(app.chains.begin(), app.chains.end(),
+                                     [](const ChainSpec& c) { return c.deadline_us.has_value(); });
   for (std::size_t s = 0; s < scenarios.list.size(); ++s)
-    if (scenarios.list[s].degraded)
-      return fail(ErrorCode::kInvalid, "is degraded: an app of version 2 loses nothing",
-                  "/scenarios/" + std::to_string(s) + "/degraded", "leave it out");
+    if (scenarios.list[s].degraded && !deadlines)
+      return fail(ErrorCode::kInvalid,
+                  "no chain has a deadline: nothing says for what the app would lose anything",
+                  "/scenarios/" + std::to_string(s) + "/degraded",
+                  "give chains of app.json deadline_us, or leave degraded out");
   return KeyTablesSearch(app, platform, scenarios, options).run();
 }
 

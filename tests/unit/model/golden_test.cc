@@ -317,12 +317,28 @@ TEST(Golden, TablesOfKeysAreWrittenAsTheyWereRead) {
   EXPECT_GT(tables->tables[0].priority[4], tables->tables[0].priority[2]) << "its key is smaller";
   EXPECT_EQ(tables->handovers[0].worst_case_us,
             (std::vector<std::optional<std::int64_t>>{51000, std::nullopt}));
+  // What is off is on no XPU, and its chain is not there.
+  EXPECT_EQ(words_of(tables->tables[2].loss, app), "LA off, fcd.infer half");
+  EXPECT_EQ(tables->tables[2].xpu[3], -1);
+  EXPECT_EQ(tables->keys[2].chains[1].worst_case_us, kNotThere);
+  EXPECT_EQ(tables->serves[3], (Served{2, 37500, 13000, {13000, kNotThere}}));
+  EXPECT_EQ(tables->handovers[1].worst_case_us,
+            (std::vector<std::optional<std::int64_t>>{52000, kNotThere}));
+  EXPECT_TRUE(tables->handovers[1].claims_all());
+  const Scenario hot = envelope(*tables, 2, app);
+  const AppSpec left = app_under(app, hot, tables->tables[2].loss);
+  EXPECT_EQ(left.xnodes[1].wcet_on("gpu"), 8000);
+  EXPECT_EQ(left.xnodes[3].wcet_us.size(), 1u);
+  EXPECT_EQ(left.xnodes[3].wcet_on(off_xpu("LA")), 1);
+  EXPECT_EQ(left.chains.size(), 1u);
+  EXPECT_EQ(keys_under(*tables, 2, app, platform, hot).placements[3].xpu,
+            static_cast<int>(platform.xpus.size()));
 }
 
 TEST(Golden, EveryMalformedFileOfTablesOfKeysIsRefusedWithItsMessage) {
   const AppSpec app = golden_app_2();
   const Platform platform = golden_platform();
-  every_case("tables-2", 16, [&](const std::string& text, const std::string& name) {
+  every_case("tables-2", 26, [&](const std::string& text, const std::string& name) {
     return parse_tables(text, name, app, platform);
   });
 }

@@ -223,7 +223,8 @@ class HandoverRun {
     Time last = 0;
     for (const auto& of : jobs_)
       for (const Job& j : of)
-        if (j.end >= 0 && j.lateness() > 0) last = std::max(last, j.end - choice_.change);
+        if (j.end >= 0 && j.work > 0 && j.lateness() > 0)
+          last = std::max(last, j.end - choice_.change);
     return last;
   }
   /// When a job first had its XPU for longer than p's envelope (and the preemption it paid) allows,
@@ -279,7 +280,10 @@ class HandoverRun {
         const Time own =
             w_.wcet(j.table == 0 ? w_.tables.app_from : w_.tables.app_to, j.xnode, j.xpu);
         j.work = std::max<Time>(1, own * entry(choice_.work, i, n, 255) / 255);
-        if (j.table == 0) {
+        // What is off is not executed: it has ended as soon as what it would wait for has.
+        if (w_.tables.platform.xpus[at(j.xpu)].id.starts_with("(off)")) {
+          j.work = 0;
+        } else if (j.table == 0) {
           const Time both = w_.wcet(w_.tables.app_both, j.xnode, j.xpu);
           j.more = (both - j.work) * entry(choice_.grown, i, n, 255) / 255;
         }

@@ -4,12 +4,14 @@
 #include "solver/steady/handover.h"
 
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
 
 #include "base/index.h"
+#include "model/periodic.h"
 #include "model/tables.h"
 #include "solver/steady/certificate.h"
 #include "solver/steady/chains.h"
@@ -147,6 +149,75 @@ TEST(SteadyHandover, NoPlayIsLongerThanTheSolversBoundAndTheCheckerDerivesNoMore
   EXPECT_GE(bounded, 30);
   EXPECT_GE(bounded * 10, chains * 6) << bounded << " of " << chains;
   EXPECT_GE(broken, 5);
+}
+
+/// The same where some modules, with all that wait for them, are off in one of the tables: `both_have`
+/// says which chains have none of them. nullopt: nothing to turn off, or no policy.
+std::optional<TwoPolicies> two_policies_with_losses(std::uint64_t seed,
+                                                    std::vector<char>& both_have) {
+  auto two = two_policies(seed);
+  if (!two) return std::nullopt;
+  solver::test::Dice dice(seed);
+  AppSpec app = two->from_app;
+  complete_modules(app);
+  // An XNode and all behind it, by modules.
+  std::set<std::string> off;
+  off.insert(app.xnodes[at(dice.roll(0, static_cast<int>(app.xnodes.size()) - 1))].module);
+  for (std::size_t round = 0; round < app.xnodes.size(); ++round)
+    for (const auto& [u, v] : app.edges)
+      if (off.contains(app.xnodes[at(u)].module)) off.insert(app.xnodes[at(v)].module);
+  Loss loss;
+  loss.off.assign(off.begin(), off.end());
+  const bool first = seed % 2 == 0;
+  std::vector<int> all;
+  for (std::size_t c = 0; c < app.chains.size(); ++c) all.push_back(static_cast<int>(c));
+  both_have.assign(app.chains.size(), 0);
+  for (const int c : kept_chains(app, loss)) both_have[at(c)] = 1;
+  const auto with = [&](AppSpec& of, bool lossy) {
+    of.modules = app.modules;
+    of = app_with(of, lossy ? loss : Loss{}, all);
+  };
+  with(two->from_app, first);
+  with(two->both, first);  // jobs of the first table
+  with(two->to_app, !first);
+  two->platform = platform_with(two->platform, loss.off);
+  const auto from = solved_quickly(two->from_app, two->platform, seed),
+             to = solved_quickly(two->to_app, two->platform, seed + 1);
+  if (!from || !to) return std::nullopt;
+  two->from = *from;
+  two->to = *to;
+  return two;
+}
+
+TEST(SteadyHandover, WhatIsOffInOneTableMakesNothingElseLater) {
+  int bounded = 0, off = 0;
+  for (std::uint64_t seed = 300; seed < 350; ++seed) {
+    std::vector<char> both_have;
+    const auto two = two_policies_with_losses(seed, both_have);
+    if (!two) continue;
+    Bounds bounds = bounds_of(*two);
+    if (bounds.settles_us == 0) continue;
+    const auto proof = checked(*two);
+    ASSERT_TRUE(proof) << proof.error().to_string();
+    EXPECT_LE(proof->settles_us, bounds.settles_us) << "seed " << seed;
+    for (std::size_t c = 0; c < bounds.us.size(); ++c) {
+      if (both_have[c] == 0) bounds.us[c].reset();
+      off += both_have[c] == 0;
+      if (!bounds.us[c]) continue;
+      ++bounded;
+      ASSERT_TRUE(proof->worst_case_us[c]) << "seed " << seed << ", chain " << c;
+      EXPECT_LE(*proof->worst_case_us[c], *bounds.us[c]) << "seed " << seed << ", chain " << c;
+    }
+    const NaiveTables naive{two->from_app, two->to_app, two->both,
+                            two->platform, two->from,   two->to};
+    HandoverClimb climb(naive, bounds.us, {kTinyNotice, 150, seed});
+    const HandoverFound found = climb.run();
+    EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << seed;
+    EXPECT_LE(found.worst, 1) << "seed " << seed;
+    EXPECT_LE(found.settles_us, static_cast<double>(bounds.settles_us)) << "seed " << seed;
+  }
+  EXPECT_GE(bounded, 20);
+  EXPECT_GE(off, 20);
 }
 
 TEST(SteadyHandover, FromATableToItselfWithTheSameTimesNothingIsLonger) {
