@@ -4,13 +4,15 @@
 //   camera ─► see ─► act           see.infer: 10 ms on the GPU; its variants small and tiny 4 and 2 ms
 //                └─► show ─► log   both optional; show.draw 8 ms on the GPU
 //
-//   lossapp FILE    one line per activation: "see 7 small", "act 7", "show 7", "log 7"
+//   lossapp FILE [rates]    one line per activation: "see 7 small", "act 7", "show 7", "log 7"
+//   rates: beside them a loop of 20 ms, which reads what see saw last: "steer 21"
 #include <chrono>
 #include <cstdint>
 #include <cstdlib>
 #include <memory>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 
 #include <fcntl.h>
 #include <unistd.h>
@@ -78,5 +80,14 @@ int main(int argc, char** argv) {
   show.add_node(draw).add_input_topic(objects).add_output_topic(picture, &State::frame).optional();
   write_log.add_node(log).add_input_topic(picture).optional();
   app.add_module(see).add_module(go).add_module(show).add_module(write_log);
+  const xauto::Topic<std::uint64_t> tick("tick");
+  Node steer("steer.go");
+  steer.add_impl(xauto::XPU::CPU, open_context, work(1ms, "steer"));
+  xauto::XModule<State> loop("steer");
+  loop.add_node(steer).add_input_topic(tick).add_sampled_topic(objects);
+  if (argc > 2 && std::string_view(argv[2]) == "rates") {
+    app.add_source(tick, 20ms, [](std::uint64_t k) { return k; });
+    app.add_module(loop);
+  }
   return app.main(argc, argv);
 }
