@@ -313,11 +313,12 @@ Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& p
     for (std::size_t c = 0; c < app.chains.size(); ++c)
       if (h.worst_case_us[c] &&
           (*h.worst_case_us[c] == kNotThere) == both_have(tables, h.from, h.to, c))
-        return fail(ErrorCode::kInvalid,
-                    "chain '" + app.chains[c].name +
-                        "' has a worst case where a table does not have the chain, or \"off\" where "
-                        "both have it",
-                    "/handovers/" + std::to_string(k) + "/chains");
+        return fail(
+            ErrorCode::kInvalid,
+            "chain '" + app.chains[c].name +
+                "' has a worst case where a table does not have the chain, or \"off\" where "
+                "both have it",
+            "/handovers/" + std::to_string(k) + "/chains");
   }
   return {};
 }

@@ -62,7 +62,9 @@ void Ledger::show_claims() {
     for (std::size_t i = 0; i < std::min(routes_.size(), largest_us.size()); ++i)
       context_.board.flow(i + 1).worst_case_us = largest_us[i];
     unproven_.assign(routes_.size(), 0);
-    routes_.claim(0, allowed_by(static_cast<std::size_t>(session.tables->serves.front().table)));
+    const auto first = static_cast<std::size_t>(session.tables->serves.front().table);
+    routes_.claim(0, allowed_by(first));
+    tell_chains(0, first);
     return;
   }
   if (session.keys) {
@@ -97,6 +99,18 @@ std::vector<std::int64_t> Ledger::allowed_by(std::size_t table) const {
   return allowed;
 }
 
+/// Which chains the table has, where some table lacks one.
+void Ledger::tell_chains(std::int64_t from_ns, std::size_t table) {
+  const std::vector<Table>& tables = context_.session.tables->tables;
+  if (std::all_of(tables.begin(), tables.end(), [](const Table& t) { return t.loss.off.empty(); }))
+    return;
+  std::vector<char> there(routes_.size(), 1);
+  const std::vector<ChainClaim>& claims = context_.session.tables->keys[table].chains;
+  for (std::size_t i = 0; i < std::min(there.size(), claims.size()); ++i)
+    there[i] = claims[i].worst_case_us == kNotThere ? 0 : 1;
+  routes_.have(from_ns, std::move(there));
+}
+
 void Ledger::claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::size_t table,
                             const Handover* change) {
   if (!role_.leads()) return;
@@ -114,6 +128,7 @@ void Ledger::claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::
   const std::int64_t before_us = longest_us == largest_us.end() ? 0 : *longest_us;
   routes_.claim(from_ns - (before_us + tables.notice_us) * 1000, std::move(across));
   routes_.claim(settled_ns, allowed_by(table));
+  tell_chains(from_ns, table);
 }
 
 void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {

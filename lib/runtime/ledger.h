@@ -82,6 +82,7 @@ class Ledger {
   void show_claims();
   [[nodiscard]] std::int64_t allowed_us(std::int64_t worst_us) const;
   [[nodiscard]] std::vector<std::int64_t> allowed_by(std::size_t table) const;
+  void tell_chains(std::int64_t from_ns, std::size_t table);
   void account(int module, std::uint64_t sequence, std::int64_t now_ns, bool lost, bool off);
   /// Whether its results are told to who keeps the accounts.
   [[nodiscard]] bool asked_for(int module) const {

@@ -44,6 +44,7 @@ Result<Routes> Routes::make(const Graph& graph, const Grid& grid, const Deployme
     if (grid.periodic) {
       const int topic = graph.topic_of_source[source];
       const int component = graph.modules[static_cast<std::size_t>(route.module)].component;
+      route.shift_ns = grid.sources[source].shift_ns;
       route.period_ns = grid.sources[source].period_ns();
       route.through_samples =
           std::none_of(graph.modules.begin(), graph.modules.end(), [&](const Graph::Module& m) {
@@ -128,9 +129,33 @@ void Routes::claim(std::int64_t from_ns, std::vector<std::int64_t> allowed_us) {
   if (claims_.size() > kKeptClaims) claims_.pop_front();
 }
 
+void Routes::have(std::int64_t from_ns, std::vector<char> chains) {
+  const Guard lock(*mutex_);
+  while (!haves_.empty() && haves_.back().from_ns >= from_ns) haves_.pop_back();
+  haves_.push_back({from_ns, std::move(chains)});
+  if (haves_.size() > kKeptClaims) haves_.pop_front();
+}
+
+/// Whether the release at `origin_ns` has a table without the chain, or one that has it was followed by
+/// one without, and that by one with it again.
+bool Routes::was_off(const Route& route, std::int64_t origin_ns, std::int64_t now_ns) const {
+  const auto chain = static_cast<std::size_t>(&route - routes_.data());
+  std::int64_t until_ns = INT64_MAX;
+  for (auto have = haves_.rbegin(); have != haves_.rend(); ++have) {
+    if (have->chains[chain] == 0) {
+      if (origin_ns - route.shift_ns >= have->from_ns) return origin_ns - route.shift_ns < until_ns;
+      if (now_ns >= until_ns) return true;
+    }
+    if (origin_ns - route.shift_ns >= have->from_ns) return false;
+    until_ns = have->from_ns;
+  }
+  return false;
+}
+
 /// Of the release at `origin_ns`.
 void Routes::count(Route& route, std::int64_t origin_ns, std::int64_t now_ns,
                    std::optional<std::int64_t>& missed_us) {
+  if (was_off(route, origin_ns, now_ns)) return;
   RouteReport& counts = route.counts;
   const std::int64_t latency_us = (now_ns - origin_ns) / 1000;
   const auto claimed = std::find_if(claims_.rbegin(), claims_.rend(), [&](const Claims& claims) {
@@ -188,7 +213,7 @@ std::optional<std::int64_t> Routes::published(int node, std::int64_t origin_ns,
     } else {
       count(route, origin, now_ns, missed_us);
     }
-    if (route.last_origin_ns != 0) {
+    if (route.last_origin_ns != 0 && !was_off(route, route.last_origin_ns, now_ns)) {
       const std::int64_t age_us = (now_ns - route.last_origin_ns) / 1000;
       counts.age_us.add(age_us);
       if (route.line != nullptr)

@@ -60,6 +60,10 @@ class Routes {
   /// Releases of the chains' sources from `from_ns` on, until that of the next call, may take so long
   /// (us, by chain; 0: nothing is claimed). At most kKeptClaims calls are remembered.
   void claim(std::int64_t from_ns, std::vector<std::int64_t> allowed_us);
+  /// Activations released at `from_ns` or later, until that of the next call, are of a table that has these
+  /// chains (by chain). A release in whose table a chain is off, or whose result waited while it was off,
+  /// counts for nothing there. At most kKeptClaims calls are remembered; none: all are always there.
+  void have(std::int64_t from_ns, std::vector<char> chains);
   /// `lost`: [module] activations that failed or were dropped.
   [[nodiscard]] std::vector<RouteReport> report(const std::vector<std::uint64_t>& lost) const;
 
@@ -70,6 +74,7 @@ class Routes {
     std::size_t source = 0;  ///< index into Origins; beyond it: the oldest origin
     std::int64_t last_origin_ns = 0;
     bool through_samples = false;
+    std::int64_t shift_ns = 0;   ///< of the source's releases against its component's
     std::int64_t period_ns = 0;  ///< of the source, where each of its releases counts; 0: results
     FlowLine* line = nullptr;    ///< null: nobody looks
     bool hurries = false;        ///< an urgent activation of its end is of an urgent release
@@ -80,12 +85,18 @@ class Routes {
     std::int64_t from_ns = 0;
     std::vector<std::int64_t> allowed_us;  ///< [chain]
   };
+  [[nodiscard]] bool was_off(const Route& route, std::int64_t origin_ns, std::int64_t now_ns) const;
+  struct Have {
+    std::int64_t from_ns = 0;
+    std::vector<char> chains;
+  };
   static constexpr std::size_t kKeptClaims = 64;
   std::vector<std::vector<std::size_t>> ends_;  ///< [node of the graph] -> routes
   bool single_rate_ = true;
   mutable std::unique_ptr<PiMutex> mutex_ = std::make_unique<PiMutex>();
   std::vector<Route> routes_;  ///< counts guarded by mutex_
   std::deque<Claims> claims_;  ///< likewise; by time
+  std::deque<Have> haves_;     ///< likewise
 };
 
 }  // namespace xauto::runtime

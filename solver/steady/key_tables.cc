@@ -450,9 +450,8 @@ class KeyTablesSearch {
         const auto up = [&](Tick t) { return both.up_to_us(t) / both.scale; };
         for (std::size_t c = 0; c < bound.worst.size(); ++c)
           if (bound.worst[c] != kNoTick)
-            handover.worst_case_us[c] = both_have(tables, handover.from, handover.to, c)
-                                            ? up(bound.worst[c])
-                                            : kNotThere;
+            handover.worst_case_us[c] =
+                both_have(tables, handover.from, handover.to, c) ? up(bound.worst[c]) : kNotThere;
         handover.settles_us = up(bound.settles);
         handover.not_claimed = bound.why_not;
       }

@@ -166,9 +166,12 @@ BEYOND = {
     "tables": {"another-app", "change-to-an-unknown-scenario", "changes-not-all", "changes-out-of-order", "not-placed", "not-served", "order-cycle", "order-of-two-xpus", "placed-twice",
                "priority-twice", "scenario-unknown", "served-twice", "serves-with-a-lost-xpu", "stale", "table-twice",
                "table-unknown", "xpu-of-no-implementation", "xpu-unknown"},
-    "tables-2": {"chain-missing", "chain-twice", "chain-unknown", "degraded", "handover-to-an-unknown-table", "handovers-not-all",
-                 "handovers-out-of-order", "key-count", "key-too-early-for-what-it-serves", "keys-that-fall", "not-placed",
-                 "serves-with-a-lost-xpu"},
+    "tables-2": {"chain-missing", "chain-twice", "chain-unknown", "handover-claims-what-is-off",
+                 "handover-off-where-both-have-it", "handover-off-with-a-worst-case", "handover-to-an-unknown-table",
+                 "handovers-not-all", "handovers-out-of-order", "key-count", "key-too-early-for-what-it-serves",
+                 "keys-that-fall", "loses-where-it-is-not-degraded", "not-off-and-no-chain", "not-placed",
+                 "off-and-not-optional", "off-chain-with-a-bound", "off-chain-with-a-worst-case", "off-with-an-xpu",
+                 "off-without-a-key", "serves-with-a-lost-xpu", "variant-unknown"},
 }
 
 

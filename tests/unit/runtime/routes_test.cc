@@ -195,5 +195,28 @@ TEST(Routes, EachReleaseIsHeldAgainstItsOwnClaim) {
   EXPECT_EQ(over(), 4u);
 }
 
+/// A table without the chain: nobody waits for a result of its releases, nor for those that had none yet.
+TEST(Routes, WhatIsOffIsNeitherLateNorOld) {
+  Deployment d;
+  d.chains = {{"x", "lidar", "Fuse", 50, 100}};
+  auto routes = Routes::make(make_graph(true), {}, d, {});
+  ASSERT_TRUE(routes);
+  const auto result = [&](std::int64_t origin_us, std::int64_t at_us) {
+    return routes->published(0, origin_us * 1000, nullptr, at_us * 1000);
+  };
+  routes->have(0, {1});
+  EXPECT_FALSE(result(900, 920));
+  routes->have(1'000'000, {0});
+  EXPECT_EQ(result(940, 1010), 110) << "of a table that has it: late, and the one before is old";
+  routes->have(3'000'000, {1});
+  EXPECT_FALSE(result(980, 3010)) << "it waited while the chain was off";
+  EXPECT_FALSE(result(2900, 3020)) << "had no such table";
+  EXPECT_FALSE(result(3010, 3040));
+  EXPECT_EQ(result(3100, 3160), 150) << "late, and what it replaces is old";
+  const RouteReport report = routes->report({0, 0, 0}).at(0);
+  EXPECT_EQ(report.latency_us.exact(), (std::vector<std::int64_t>{20, 70, 30, 60}));
+  EXPECT_EQ(report.deadline_misses, 2u);
+}
+
 }  // namespace
 }  // namespace xauto::runtime
