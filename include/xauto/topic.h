@@ -105,10 +105,13 @@ using Encode = std::vector<std::byte> (*)(const void*);
 using Decode = std::shared_ptr<const void> (*)(std::span<const std::byte>);
 using EncodedBytes = std::size_t (*)(const void*);
 using EncodeInto = void (*)(const void*, std::span<std::byte>);
+using DecodeInto = void (*)(void*, std::span<const std::byte>);
 using StampNs = std::int64_t (*)(const void*);
 
 std::shared_ptr<TopicSpec> make_topic(const std::string& name, const std::type_info& type);
 void set_codec(TopicSpec& topic, Encode encode, Decode decode);
+/// Into a message that somebody had before; throws as decode does.
+void set_decode_into(TopicSpec& topic, DecodeInto decode);
 /// Of an encoded message; 8 MiB unless said.
 void set_max_bytes(TopicSpec& topic, std::size_t bytes);
 void set_plain_bytes(TopicSpec& topic, std::size_t bytes);
@@ -147,6 +150,10 @@ TopicHandle topic_spec(const Topic<T>& topic) {
             return std::make_shared<const T>(Codec<T>::decode(b));
           }
         });
+    if constexpr (requires(T & m, std::span<const std::byte> b) { Codec<T>::decode_into(m, b); })
+      set_decode_into(*spec, [](void* m, std::span<const std::byte> b) {
+        Codec<T>::decode_into(*static_cast<T*>(m), b);
+      });
     if constexpr (requires { Codec<T>::kMaxBytes; }) set_max_bytes(*spec, Codec<T>::kMaxBytes);
   }
   if constexpr (std::is_trivially_copyable_v<T> && !std::is_pointer_v<T>)

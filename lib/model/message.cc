@@ -71,6 +71,10 @@ void set_buffered(TopicSpec& topic, std::size_t info_bytes, InfoOf info, BufferO
   topic.buffered = {info_bytes, info, buffer, make};
 }
 
+void set_decode_into(TopicSpec& topic, DecodeInto decode) {
+  topic.decode_into = decode;
+}
+
 void set_interface(TopicSpec& topic, const char* name, const char* schema, EncodedBytes bytes,
                    EncodeInto encode, StampNs stamp_ns) {
   topic.ros_type = name;

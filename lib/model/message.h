@@ -61,6 +61,7 @@ struct TopicSpec {
   /// Null where the type has no Codec.
   Encode encode = nullptr;
   Decode decode = nullptr;
+  DecodeInto decode_into = nullptr;  ///< into a message that there is; null: the type cannot
   /// sizeof(T) of plain data, which other processes read where it lies; 0: it is encoded.
   std::size_t plain_bytes = 0;
   /// Largest encoded message between processes: Codec<T>::kMaxBytes, if it says so.

@@ -500,7 +500,7 @@ std::optional<detail::Envelope> ShmSubscriber::take() {
   }
   if (spec_.plain_bytes == 0 && fits && spec_.decode != nullptr) {
     try {
-      envelope.message = spec_.decode({at, static_cast<std::size_t>(taken->bytes)});
+      envelope.message = kept_->decode(spec_, {at, static_cast<std::size_t>(taken->bytes)});
     } catch (...) {  // as if it had been lost on the way
     }
   }

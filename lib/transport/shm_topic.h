@@ -42,6 +42,7 @@
 #include "base/unique_fd.h"
 #include "model/message.h"
 #include "transport/buffer_passing.h"
+#include "transport/kept_messages.h"
 #include "transport/transport.h"
 
 namespace xauto::transport {
@@ -237,6 +238,7 @@ class ShmSubscriber final : public Subscriber, public std::enable_shared_from_th
   std::uint32_t index_ = 0;
   std::uint64_t bit_ = 0, head_ = 0, lost_ = 0;
   std::unique_ptr<BufferReceiver> buffers_;  ///< null: it passes none
+  const std::shared_ptr<KeptMessages> kept_ = std::make_shared<KeptMessages>();
 };
 
 /// A topic in new shared memory.

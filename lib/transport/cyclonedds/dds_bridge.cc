@@ -7,17 +7,21 @@
 //
 // Nothing from outside can hold up the app, or make it store more than one message per topic (and
 // reader: subscriber.h), none of which is larger than the deployment's largest.
+//
+// "xauto/dds" also makes the second readers: Cyclone's own threads must not (subscriber.h).
 #include <algorithm>
 #include <cctype>
 #include <cstdlib>
 #include <limits>
 #include <map>
+#include <set>
 #include <thread>
 #include <utility>
 
 #include <dds/dds.h>
 
 #include "base/clock.h"
+#include "base/log.h"
 #include "base/pi_mutex.h"
 #include "base/rt.h"
 #include "transport/bridge.h"
@@ -32,6 +36,7 @@ constexpr std::int64_t kBlockingNs = 10'000'000;  ///< dds_write, when a reader 
 constexpr std::int64_t kDrainNs = 1'000'000'000;  ///< of the last messages
 constexpr std::size_t kLeastBytes = 64 * 1024;    ///< what DDS says of itself must fit, too
 constexpr int kMaxDomain = 232;
+constexpr const char* kReceiveBuffer = "16 MB";  ///< as far as net.core.rmem_max lets it
 
 std::string reason(dds_return_t code) {
   return dds_strretcode(code);
@@ -82,8 +87,12 @@ class DdsBridge final : public Bridge {
     const char* uri = std::getenv("CYCLONEDDS_URI");
     const std::size_t limit = std::min<std::size_t>(options.largest_bytes + kLeastBytes,
                                                     std::numeric_limits<std::int32_t>::max());
+    // Before it what it may say better. A message of 6 MB is 500 datagrams in a row, and Cyclone asks
+    // for room for 1 MB of them: what then is lost is sent again, after 100 ms where it is the last one.
     const std::string config =
-        std::string(uri != nullptr && *uri != '\0' ? uri + std::string(",") : "") +
+        std::string("<CycloneDDS><Domain id=\"any\"><Internal><SocketReceiveBufferSize max=\"") +
+        kReceiveBuffer + "\"/></Internal></Domain></CycloneDDS>," +
+        (uri != nullptr && *uri != '\0' ? uri + std::string(",") : "") +
         "<CycloneDDS><Domain id=\"any\"><Internal><MaxSampleSize>" + std::to_string(limit) +
         " B</MaxSampleSize></Internal><SharedMemory><Enable>false</Enable></SharedMemory></Domain>"
         "</CycloneDDS>";
@@ -124,21 +133,17 @@ class DdsBridge final : public Bridge {
                                                 const TopicQos& asked, Doorbell& arrived) override {
     Wire wire(spec);
     XAUTO_ASSIGN(const Made topic, make_topic(wire));
-    auto subscriber = std::make_shared<DdsSubscriber>(std::move(wire), arrived);
-    const TopicQos resolved = asked.resolved();
-    std::vector<dds_entity_t> made;
-    for (const Reliability reliability : {Reliability::kReliable, Reliability::kBestEffort}) {
-      if (resolved.reliability.value_or(reliability) != reliability) continue;
-      const Qos qos(resolved, reliability, 1);
-      dds_listener_t* listener = dds_create_listener(subscriber.get());
-      dds_lset_data_available(listener, &DdsSubscriber::on_data);
-      made.push_back(dds_create_reader(participant_, topic.entity, qos.qos, listener));
-      dds_delete_listener(listener);
-      if (made.back() < 0) return failed("reader", spec, made.back());
+    auto subscriber = std::make_shared<DdsSubscriber>(std::move(wire), arrived, work_);
+    TopicQos resolved = asked.resolved();
+    const bool hears_all = !resolved.reliability;
+    resolved.reliability = resolved.reliability.value_or(Reliability::kReliable);
+    const dds_entity_t reader = make_reader(topic.entity, resolved, subscriber, hears_all);
+    if (reader < 0) return failed("reader", spec, reader);
+    if (hears_all) {
+      resolved.reliability = Reliability::kBestEffort;
       const Guard lock(mutex_);
-      subscribers_.emplace(made.back(), subscriber);  // which it calls from now on
+      seconds_.push_back({subscriber, topic.entity, resolved});
     }
-    subscriber->read_from(std::move(made));
     return subscriber;
   }
 
@@ -155,9 +160,9 @@ class DdsBridge final : public Bridge {
     std::vector<std::string> notes;
     const Guard lock(mutex_);
     for (const auto& publisher : publishers_) publisher->note(notes);
-    const DdsSubscriber* last = nullptr;
+    std::set<const DdsSubscriber*> told;
     for (const auto& [reader, subscriber] : subscribers_)
-      if (std::exchange(last, subscriber.get()) != subscriber.get()) subscriber->note(notes);
+      if (told.insert(subscriber.get()).second) subscriber->note(notes);
     return notes;
   }
 
@@ -192,6 +197,40 @@ class DdsBridge final : public Bridge {
                 "topic '" + spec.name + "'");
   }
 
+  /// Below 0: Cyclone's error. `hears_all`: the subscriber wants to know whom this one does not hear.
+  dds_entity_t make_reader(dds_entity_t topic, const TopicQos& asked,
+                           const std::shared_ptr<DdsSubscriber>& subscriber, bool hears_all) {
+    const Qos qos(asked, Reliability::kReliable, 1);
+    dds_listener_t* listener = dds_create_listener(subscriber.get());
+    dds_lset_data_available(listener, &DdsSubscriber::on_data);
+    if (hears_all) dds_lset_requested_incompatible_qos(listener, &DdsSubscriber::on_misfit);
+    const dds_entity_t reader = dds_create_reader(participant_, topic, qos.qos, listener);
+    dds_delete_listener(listener);
+    if (reader < 0) return reader;
+    subscriber->read_from(reader);
+    const Guard lock(mutex_);
+    subscribers_.emplace(reader, subscriber);  // which it calls from now on
+    return reader;
+  }
+  /// Readers of best effort, of those that have found a publisher for one.
+  void make_seconds() {
+    std::vector<Second> wanted;
+    {
+      const Guard lock(mutex_);
+      for (const Second& second : seconds_)
+        if (second.subscriber->takes_wish()) wanted.push_back(second);
+    }
+    for (const Second& second : wanted)
+      if (make_reader(second.topic, second.qos, second.subscriber, false) < 0)
+        log::error("topic '{}': DDS has no second reader: publishers of best effort are not heard",
+                   second.subscriber->topic());
+  }
+  [[nodiscard]] bool wants_second() const {
+    const Guard lock(mutex_);
+    return std::any_of(seconds_.begin(), seconds_.end(),
+                       [](const Second& second) { return second.subscriber->wishes(); });
+  }
+
   std::vector<std::shared_ptr<DdsPublisher>> publishers() const {
     const Guard lock(mutex_);
     return publishers_;
@@ -203,10 +242,11 @@ class DdsBridge final : public Bridge {
       const auto all = publishers();
       bool any = false;
       for (const auto& publisher : all) any = publisher->write_one() || any;
+      make_seconds();
       if (any) continue;
       if (work_->quit.load()) break;
       work_->doorbell.wait([&] {
-        return !work_->quit.load() &&
+        return !work_->quit.load() && !wants_second() &&
                std::all_of(all.begin(), all.end(), [](const auto& p) { return p->empty(); });
       });
     }
@@ -220,6 +260,12 @@ class DdsBridge final : public Bridge {
   std::thread thread_;
   mutable PiMutex mutex_;
   std::vector<std::shared_ptr<DdsPublisher>> publishers_ XAUTO_GUARDED_BY(mutex_);
+  struct Second {
+    std::shared_ptr<DdsSubscriber> subscriber;
+    dds_entity_t topic = 0;
+    TopicQos qos;
+  };
+  std::vector<Second> seconds_ XAUTO_GUARDED_BY(mutex_);
   /// By their readers.
   std::map<dds_entity_t, std::shared_ptr<DdsSubscriber>> subscribers_ XAUTO_GUARDED_BY(mutex_);
 };

@@ -13,16 +13,10 @@
 
 #include "base/pi_mutex.h"
 #include "transport/cyclonedds/wire.h"
-#include "transport/doorbell.h"
+#include "transport/cyclonedds/work.h"
 #include "transport/transport.h"
 
 namespace xauto::transport {
-
-/// The writing thread's alarm clock: rung by publishers, which may be real-time threads.
-struct Work {
-  std::atomic<bool> quit{false};
-  Doorbell doorbell;
-};
 
 class DdsPublisher final : public Publisher {
  public:

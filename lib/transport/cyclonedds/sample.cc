@@ -2,12 +2,17 @@
 #include "transport/cyclonedds/sample.h"
 
 #include <algorithm>
+#include <array>
 #include <cstdlib>
 #include <cstring>
 #include <limits>
 #include <new>
+#include <utility>
 
 #include <dds/ddsi/q_radmin.h>
+
+#include "base/pi_mutex.h"
+#include "base/thread_safety.h"
 
 namespace xauto::transport {
 namespace {
@@ -20,13 +25,65 @@ constexpr std::size_t filled_up(std::size_t size) {
   return (size + 3) / 4 * 4;
 }
 
+/// Memory of large samples that nobody has any more, for those to come: see kept_messages.h.
+class Spare {
+ public:
+  static constexpr std::size_t kLeast = std::size_t{64} << 10;  ///< smaller ones are not kept
+
+  /// Room for `bytes`; `room` says for how many. Null: no memory.
+  void* take(std::size_t bytes, std::size_t& room) {
+    if (bytes >= kLeast) {
+      const Guard lock(mutex_);
+      for (Block& block : blocks_)
+        // What is far too large waits for who needs it.
+        if (block.at != nullptr && block.room >= bytes && block.room / 2 <= bytes) {
+          room = block.room;
+          return std::exchange(block.at, nullptr);
+        }
+    }
+    room = bytes;
+    return std::malloc(bytes);
+  }
+  /// Of `take`.
+  void give(void* at, std::size_t room) {
+    if (room >= kLeast) {
+      const Guard lock(mutex_);
+      auto block = std::find_if(blocks_.begin(), blocks_.end(),
+                                [](const Block& b) { return b.at == nullptr; });
+      // In turns, so that what fits nobody goes, too.
+      if (block == blocks_.end()) block = blocks_.begin() + next_++ % kBlocks;
+      std::swap(block->at, at);
+      block->room = room;
+    }
+    std::free(at);
+  }
+
+ private:
+  struct Block {
+    void* at = nullptr;
+    std::size_t room = 0;
+  };
+  PiMutex mutex_;
+  static constexpr std::size_t kBlocks = 4;
+  std::array<Block, kBlocks> blocks_ XAUTO_GUARDED_BY(mutex_);
+  std::size_t next_ XAUTO_GUARDED_BY(mutex_) = 0;
+};
+
+/// Cyclone's threads may still let go of samples while the process ends.
+Spare& spare() {
+  static auto& spare = *new Spare;
+  return spare;
+}
+
 Sample* allocate(const ddsi_sertype* type, ddsi_serdata_kind kind, std::size_t size) {
   if (size > std::numeric_limits<std::uint32_t>::max() - 3) return nullptr;
-  void* at = std::malloc(sizeof(Sample) + filled_up(size));
+  std::size_t room = 0;
+  void* at = spare().take(sizeof(Sample) + filled_up(size), room);
   if (at == nullptr) return nullptr;
   auto* sample = new (at) Sample{};
   ddsi_serdata_init(sample, type, kind);
   sample->size = size;
+  sample->room = room;
   std::byte* bytes = sample->bytes().data();
   std::memset(bytes + size, 0, filled_up(size) - size);
   return sample;
@@ -123,7 +180,8 @@ bool to_sample(const ddsi_serdata*, void*, void**, void*) {
 }
 
 void free_sample(ddsi_serdata* data) {
-  std::free(static_cast<Sample*>(data));
+  auto* sample = static_cast<Sample*>(data);
+  spare().give(sample, sample->room);
 }
 std::size_t print(const ddsi_sertype*, const ddsi_serdata* data, char* to, std::size_t size) {
   const int length = std::snprintf(to, size, "%zu bytes", of(data).size);

@@ -21,6 +21,7 @@ namespace xauto::transport {
 /// Shared, counted by Cyclone; the bytes lie behind it.
 struct Sample : ddsi_serdata {
   std::size_t size;  ///< without the bytes that fill it up
+  std::size_t room;  ///< of its memory, this header included
 
   [[nodiscard]] std::span<std::byte> bytes() {
     return {reinterpret_cast<std::byte*>(this + 1), size};

@@ -35,11 +35,22 @@ void DdsSubscriber::on_data(dds_entity_t, void* self) {
   subscriber.calls_.fetch_add(1, std::memory_order_release);
 }
 
+void DdsSubscriber::on_misfit(dds_entity_t, dds_requested_incompatible_qos_status_t status,
+                              void* self) {
+  auto& subscriber = *static_cast<DdsSubscriber*>(self);
+  if (status.last_policy_id == DDS_RELIABILITY_QOS_POLICY_ID &&
+      !subscriber.wished_.exchange(true)) {
+    subscriber.wish_.store(true);
+    subscriber.ask_->doorbell.ring();
+  }
+  subscriber.calls_.fetch_add(1, std::memory_order_release);
+}
+
 std::optional<detail::Envelope> DdsSubscriber::next(bool with_message) {
   for (;;) {
     fresh_.store(false);
     bool any = false;
-    for (std::size_t r = 0; r < readers_.size(); ++r) {
+    for (std::size_t r = 0; r < num_readers_.load(); ++r) {
       SamplePtr sample;
       if (!take_from(r, sample)) continue;
       any = true;
@@ -110,8 +121,9 @@ void DdsSubscriber::note(std::vector<std::string>& notes) const {
     notes.push_back(topic + std::to_string(n) + " of " + std::to_string(taken_.load()) +
                     " messages count from their arrival: their stamp is not set, in the future, "
                     "or more than 10 s old");
-  if (readers_.empty()) return;
-  const dds_entity_t reader = readers_.back();  // what it does not hear nobody does
+  if (num_readers_.load() == 0) return;
+  const dds_entity_t reader =
+      readers_[num_readers_.load() - 1];  // what it does not hear nobody does
   dds_requested_incompatible_qos_status_t qos{};
   if (dds_get_requested_incompatible_qos_status(reader, &qos) == DDS_RETCODE_OK &&
       qos.total_count > 0)

@@ -96,7 +96,7 @@ std::optional<Wire::Received> Wire::decode(std::span<const std::byte> bytes,
   if (native()) {
     if (bytes.size() > largest() + 3) return std::nullopt;
     if (!with_message) return received;
-    received.message = spec_.decode(bytes);
+    received.message = kept_->decode(spec_, bytes);
     received.stamped = spec_.stamp_ns != nullptr;
     if (received.stamped) received.stamp_ns = spec_.stamp_ns(received.message.get());
     return received;
@@ -115,7 +115,8 @@ std::optional<Wire::Received> Wire::decode(std::span<const std::byte> bytes,
   received.stamped = true;
   received.stamp_ns = std::int64_t{front.sec} * 1'000'000'000 + front.nanosec;
   if (with_message)
-    received.message = spec_.decode(bytes.subspan(cdr::kHeaderBytes + Front::kBytes, front.bytes));
+    received.message =
+        kept_->decode(spec_, bytes.subspan(cdr::kHeaderBytes + Front::kBytes, front.bytes));
   return received;
 } catch (...) {  // not a message of this type
   return std::nullopt;

@@ -11,6 +11,7 @@
 
 #include "model/message.h"
 #include "transport/cyclonedds/sample.h"
+#include "transport/kept_messages.h"
 
 namespace xauto::transport {
 
@@ -40,6 +41,7 @@ class Wire {
   /// Of the message alone.
   [[nodiscard]] std::size_t largest() const;
   const detail::TopicSpec spec_;
+  const std::shared_ptr<KeptMessages> kept_ = std::make_shared<KeptMessages>();
 };
 
 }  // namespace xauto::transport

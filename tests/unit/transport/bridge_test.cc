@@ -8,6 +8,7 @@
 #include <chrono>
 #include <cstdlib>
 #include <filesystem>
+#include <set>
 #include <string>
 #include <thread>
 
@@ -126,6 +127,29 @@ TEST_F(Dds, FeedHearsReliableAndBestEffortPublishersAndEachMessageOnce) {
         EXPECT_NE(envelope->sequence, last);
         highest = std::max(highest, last = envelope->sequence);
       }
+    }
+  }
+  EXPECT_TRUE(there_->notes().empty());
+}
+
+/// The second reader comes with the publisher that needs it, and leaves out what the first one hears.
+TEST_F(Dds, ABestEffortPublisherThatComesLaterIsHeardToo) {
+  const auto spec = *detail::topic_spec(Topic<std::string>("both"));
+  const auto reliable = *here_->publish(spec, {});
+  const auto subscriber = *there_->subscribe(spec, {}, doorbell_);
+  ASSERT_NE(until_heard(*reliable, *subscriber, std::string("x")), nullptr);
+  const auto other = *here_->publish(spec, {.reliability = Reliability::kBestEffort});
+  std::set<std::uint64_t> heard;
+  bool of_both[2] = {false, false};
+  for (std::uint64_t k = 10'000; !of_both[0] || !of_both[1] || k < 10'200; ++k) {
+    ASSERT_LT(k, 20'000u);
+    (k % 2 == 0 ? reliable : other)
+        ->publish({std::make_shared<const std::string>("y"), now_ns(), k});
+    std::this_thread::sleep_for(milliseconds(1));
+    while (const auto envelope = subscriber->take()) {
+      if (envelope->sequence < 10'000) continue;
+      EXPECT_TRUE(heard.insert(envelope->sequence).second) << envelope->sequence << " twice";
+      of_both[envelope->sequence % 2] = true;
     }
   }
   EXPECT_TRUE(there_->notes().empty());
