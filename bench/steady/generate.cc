@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <map>
 #include <numeric>
 
 #include "base/check.h"
@@ -289,6 +290,21 @@ class Generator {
       module.max_in_flight = span / period + (span * 10 > period * 7 ? 2 : 1);
       if (is({Kind::kPipelined, Kind::kMixed}) && chance(50)) ++module.max_in_flight;
       module.optional = chance(10);
+    }
+    keep_what_others_wait_for();
+  }
+
+  void keep_what_others_wait_for() {
+    std::map<std::string, ModuleSpec*> module;
+    for (ModuleSpec& m : app().modules) module[m.name] = &m;
+    for (bool again = true; again;) {
+      again = false;
+      for (const auto& [u, v] : app().edges) {
+        ModuleSpec& from = *module.at(app().xnodes[at(u)].module);
+        if (!from.optional || module.at(app().xnodes[at(v)].module)->optional) continue;
+        from.optional = false;
+        again = true;
+      }
     }
   }
 

@@ -80,7 +80,7 @@ class Supervisor {
     watch();
     outcome_.wall_s = static_cast<double>(now_ns() - started) * 1e-9;
     outcome_.app = *app_.wait(0);
-    for (ModuleProcess& process : processes_) process.child.stop(kGraceMs);
+    for (ModuleProcess& process : processes_) end(process);
     daemons_->stop(kGraceMs);
     outcome_.coordinators_cpu_us = daemons_->coordinators_cpu_us();
     outcome_.deaths += daemons_->deaths();
@@ -232,6 +232,15 @@ class Supervisor {
                         .index = static_cast<std::uint32_t>(process.index)};
       (void)send_packet(socket->get(), &gone, sizeof gone);
     }
+  }
+
+  /// The run is over. Who crashes now loses nothing of it, and is no death, but it is a fault.
+  void end(ModuleProcess& process) {
+    const Exit exit = process.child.stop(kGraceMs);
+    if (process.noticed || !exit.signalled || exit.value == SIGTERM || exit.value == SIGKILL)
+      return;
+    outcome_.notes.push_back("the process of " + process.name + " crashed after the run (" +
+                             exit.to_string() + ")");
   }
 
   /// Sleeps until a child ends, at most 200 ms.

@@ -119,6 +119,40 @@ std::int64_t loss_pct(const Loss& loss, const AppSpec& app) {
   return pct;
 }
 
+Loss forced_loss(const AppSpec& app, const Platform& platform) {
+  const std::vector<std::string> types = platform.types();
+  const auto runs = [&](const auto& wcet_us) {
+    return std::any_of(types.begin(), types.end(),
+                       [&](const std::string& type) { return wcet_us.contains(type); });
+  };
+  const auto optional = optional_modules(app);
+  std::set<std::string> off;
+  Loss loss;
+  for (std::size_t i = 0; i < app.xnodes.size(); ++i) {
+    const XNodeSpec& x = app.xnodes[i];
+    if (runs(x.wcet_us)) continue;
+    int best = -1;
+    for (std::size_t v = 0; v < x.variants.size(); ++v)
+      if (runs(x.variants[v].wcet_us) &&
+          (best < 0 || x.variants[v].quality_pct > x.variants[at(best)].quality_pct))
+        best = static_cast<int>(v);
+    if (best >= 0) {
+      loss.variant.resize(app.xnodes.size(), -1);
+      loss.variant[i] = best;
+    } else if (optional.contains(x.module)) {
+      off.insert(x.module);
+    }
+  }
+  for (bool again = !off.empty(); again;) {
+    again = false;
+    for (const auto& [u, v] : app.edges)
+      if (off.contains(app.xnodes[at(u)].module))
+        again = off.insert(app.xnodes[at(v)].module).second || again;
+  }
+  loss.off.assign(off.begin(), off.end());
+  return loss;
+}
+
 std::string words_of(const Loss& loss, const AppSpec& app) {
   std::string words;
   const auto add = [&](const std::string& what) { words += (words.empty() ? "" : ", ") + what; };

@@ -48,6 +48,11 @@ struct Loss {
 /// is off 100. 0: nothing.
 [[nodiscard]] std::int64_t loss_pct(const Loss& loss, const AppSpec& app);
 
+/// What the app has to do without on this platform: optional modules of which an XNode can run nowhere,
+/// with all that wait for them; and for an XNode that only variants let run, the best of these. What is
+/// then left may not run all the same: validate_on() says so.
+[[nodiscard]] Loss forced_loss(const AppSpec& app, const Platform& platform);
+
 /// "lane off, fcd.infer small"; "" for none.
 [[nodiscard]] std::string words_of(const Loss& loss, const AppSpec& app);
 

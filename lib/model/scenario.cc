@@ -5,6 +5,8 @@
 #include <map>
 #include <set>
 
+#include "model/loss.h"
+
 namespace xauto {
 namespace {
 
@@ -129,7 +131,11 @@ Status validate(const Scenarios& scenarios, const AppSpec& app, const Platform& 
     }
     if (lost.size() == platform.xpus.size())
       return fail(ErrorCode::kInfeasible, "no XPU is left", here + "/lost");
-    if (Status possible = validate_on(app_under(app, s), platform_under(platform, s)); !possible) {
+    const AppSpec under = app_under(app, s);
+    const Platform left = platform_under(platform, s);
+    const Loss forced = s.degraded ? forced_loss(under, left) : Loss{};
+    if (Status possible = validate_on(app_with(under, forced), platform_with(left, forced.off));
+        !possible) {
       Error error = std::move(possible).error();
       error.what = "under scenario '" + s.name + "': " + error.what;
       error.where = here;

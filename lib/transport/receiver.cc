@@ -27,9 +27,11 @@ void Receiver::start(std::function<void()> enter) {
 }
 
 void Receiver::stop() {
+  // The second time the doorbell may be gone: in a member its memory goes before the receiver.
+  if (!thread_.joinable()) return;
   stop_.store(true);
   doorbell_.ring();
-  if (thread_.joinable()) thread_.join();
+  thread_.join();
 }
 
 std::uint64_t Receiver::lost() const {

@@ -292,6 +292,7 @@ class LossByKeys(unittest.TestCase):
         self.assertLessEqual(log["results"], modules["log"]["activations"])
         self.assertGreaterEqual(log["results"], modules["log"]["activations"] - len(changes))
         self.assertEqual(report["lost_activations"], 0)
+        self.assertNotIn("crashed after the run", " ".join(report["notes"]))
         self.assertNotIn("no worst case for some chains", " ".join(report["worst_case_broken"]))
 
     def test_each_activation_runs_what_its_table_has(self):

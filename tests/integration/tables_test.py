@@ -198,13 +198,6 @@ class Tables(unittest.TestCase):
         done = xauto(*run, "--scheduling", "timeshare", "--", DRIVING)
         self.assertEqual(done.returncode, 2)
         self.assertIn("tables are scheduled", done.stderr)
-        golden = pathlib.Path(__file__).parents[1] / "golden"
-        self.write("degraded.json", {"schema": "xauto.scenarios", "version": 1, "app": "driving",
-                                     "scenarios": [{"name": "a"}, {"name": "b", "degraded": True}]})
-        done = xauto("solve", "--app", golden / "app-2.json", "--platform", "small", "--scenarios", self.folder / "degraded.json",
-                     "--tables", 2)
-        self.assertEqual(done.returncode, 2)
-        self.assertIn("/scenarios/1/degraded: is degraded: an app of version 2 loses nothing", done.stderr)
         self.start()
         self.assertIn("there is no scenario 'highway'", self.mode("highway", status=2))
         self.end()

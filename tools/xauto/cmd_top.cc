@@ -130,11 +130,6 @@ struct Observed {
   }
 };
 
-/// A flow of counts that has one: -1 is no measurement.
-Json measured(std::int64_t us) {
-  return us < 0 ? Json() : us;
-}
-
 Json as_json(const Observed& observed, const Look& now, const Look& before) {
   const Counts &c = now.counts, &b = before.counts;
   const double s = static_cast<double>(c.at_ns - b.at_ns) * 1e-9;
@@ -214,8 +209,8 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
     j["xnodes"].push_back({{"xnode", live.names[i].xnode},
                            {"xpu", live.names[i].xpu},
                            {"jobs", n.jobs},
-                           {"latency_p50_us", n.latency_p50_us},
-                           {"latency_p99_us", n.latency_p99_us},
+                           {"latency_p50_us", measured(n.latency_p50_us)},
+                           {"latency_p99_us", measured(n.latency_p99_us)},
                            {"run_ms", n.run_ms},
                            {"wait_ms", n.wait_ms},
                            {"preemptions", n.preemptions}});
@@ -229,8 +224,9 @@ std::string list_of(const std::vector<std::string>& names) {
   return text.empty() ? "-" : text;
 }
 
-/// Loads and XNodes, as BPF saw them.
-std::string kernel_part(const Live& live, const KernelLook& now, const KernelLook& before) {
+/// Loads and XNodes, as BPF saw them. `tables`: each of them has all XNodes; shown are those with jobs.
+std::string kernel_part(const Live& live, const KernelLook& now, const KernelLook& before,
+                        bool tables) {
   std::string out;
   const xauto_bpf_losses losses = live.tracer.losses();
   if (losses.jobs > 0)
@@ -247,10 +243,11 @@ std::string kernel_part(const Live& live, const KernelLook& now, const KernelLoo
   for (std::size_t i = 0; i < now.hist.size(); ++i) {
     if (live.names[i].xnode.empty()) continue;  // room for apps that join the run
     const XNodeNumbers n = numbers_of(now.hist[i], before.hist[i]);
-    out +=
-        fmt::format("  {:<18}{:<8}{:>7.1f}{:>13}{:>8}{:>11.2f}{:>11.2f}{:>11}\n",
-                    live.names[i].xnode, live.names[i].xpu, static_cast<double>(n.jobs) / s,
-                    n.latency_p50_us, n.latency_p99_us, n.run_ms / s, n.wait_ms / s, n.preemptions);
+    if (tables && n.jobs == 0) continue;
+    out += fmt::format("  {:<18}{:<8}{:>7.1f}{:>13}{:>8}{:>11.2f}{:>11.2f}{:>11}\n",
+                       live.names[i].xnode, live.names[i].xpu, static_cast<double>(n.jobs) / s,
+                       measured_text(n.latency_p50_us), measured_text(n.latency_p99_us),
+                       n.run_ms / s, n.wait_ms / s, n.preemptions);
   }
   return out;
 }
@@ -292,7 +289,7 @@ void draw(const Observed& observed, const Look& now, const Look& before, bool te
         fmt::format("  {:<8}{:<28}{}\n", state.xpu, list_of(state.running), list_of(state.waiting));
   if (now.xpus.empty()) out += "  nobody schedules this run: XPUs are not watched\n";
   if (now.kernel && before.kernel)
-    out += kernel_part(*observed.live, *now.kernel, *before.kernel);
+    out += kernel_part(*observed.live, *now.kernel, *before.kernel, !c.scenarios.empty());
   else
     out += fmt::format("\n  load and XNodes one by one need BPF: {}\n", observed.why_not);
   std::cout << out << std::flush;

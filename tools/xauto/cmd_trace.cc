@@ -152,9 +152,11 @@ Result<int> trace(const TraceFlags& flags, const Options& options) {
            {"xpu", live.names[i].xpu},
            {"jobs", n.jobs},
            {"latency_us",
-            {{"p50", n.latency_p50_us}, {"p99", n.latency_p99_us}, {"max", n.latency_max_us}}},
-           {"run_us", {{"p50", n.run_p50_us}, {"p99", n.run_p99_us}}},
-           {"wait_p99_us", n.wait_p99_us},
+            {{"p50", measured(n.latency_p50_us)},
+             {"p99", measured(n.latency_p99_us)},
+             {"max", measured(n.latency_max_us)}}},
+           {"run_us", {{"p50", measured(n.run_p50_us)}, {"p99", measured(n.run_p99_us)}}},
+           {"wait_p99_us", measured(n.wait_p99_us)},
            {"preemptions", n.preemptions},
            {"migrations", n.migrations}});
     }
@@ -176,10 +178,11 @@ Result<int> trace(const TraceFlags& flags, const Options& options) {
   for (std::size_t i = 0; i < hist.size(); ++i) {
     const XNodeNumbers n = numbers_of(hist[i], zero);
     if (n.jobs + n.wakeups == 0) continue;
-    std::cout << fmt::format("  {:<18}{:<8}{:>7}{:>12}{:>9}{:>9}{:>11}{:>9}{:>10}{:>10}{:>7}\n",
-                             live.names[i].xnode, live.names[i].xpu, n.jobs, n.latency_p50_us,
-                             n.latency_p99_us, n.latency_max_us, n.run_p50_us, n.run_p99_us,
-                             n.wait_p99_us, n.preemptions, n.migrations);
+    std::cout << fmt::format(
+        "  {:<18}{:<8}{:>7}{:>12}{:>9}{:>9}{:>11}{:>9}{:>10}{:>10}{:>7}\n", live.names[i].xnode,
+        live.names[i].xpu, n.jobs, measured_text(n.latency_p50_us), measured_text(n.latency_p99_us),
+        measured_text(n.latency_max_us), measured_text(n.run_p50_us), measured_text(n.run_p99_us),
+        measured_text(n.wait_p99_us), n.preemptions, n.migrations);
   }
   std::cout
       << "\n  us; p50 and p99 are upper edges of powers of two; run and wait per job on a CPU\n";

@@ -273,15 +273,28 @@ XNodeNumbers numbers_of(const xauto_bpf_hist& now, const xauto_bpf_hist& before)
   n.wakeups = now.wakeups - before.wakeups;
   n.preemptions = now.preemptions - before.preemptions;
   n.migrations = now.migrations - before.migrations;
-  n.latency_p50_us = kernel::quantile_us(d.latency, 500);
-  n.latency_p99_us = kernel::quantile_us(d.latency, 990);
-  n.latency_max_us = now.latency_max_ns / 1000;
-  n.run_p50_us = kernel::quantile_us(d.run, 500);
-  n.run_p99_us = kernel::quantile_us(d.run, 990);
-  n.wait_p99_us = kernel::quantile_us(d.wait, 990);
+  const auto any = [](const auto& buckets) {
+    return std::any_of(std::begin(buckets), std::end(buckets), [](__u64 k) { return k != 0; });
+  };
+  const auto quantile = [&](const auto& buckets, int permille) {
+    return any(buckets) ? static_cast<std::int64_t>(kernel::quantile_us(buckets, permille)) : -1;
+  };
+  n.latency_p50_us = quantile(d.latency, 500);
+  n.latency_p99_us = quantile(d.latency, 990);
+  if (any(now.latency)) n.latency_max_us = static_cast<std::int64_t>(now.latency_max_ns / 1000);
+  n.run_p50_us = quantile(d.run, 500);
+  n.run_p99_us = quantile(d.run, 990);
+  n.wait_p99_us = quantile(d.wait, 990);
   n.run_ms = static_cast<double>(now.run_ns - before.run_ns) * 1e-6;
   n.wait_ms = static_cast<double>(now.wait_ns - before.wait_ns) * 1e-6;
   return n;
+}
+
+Json measured(std::int64_t us) {
+  return us < 0 ? Json() : Json(us);
+}
+std::string measured_text(std::int64_t us) {
+  return us < 0 ? "-" : std::to_string(us);
 }
 
 std::string losses_line(const xauto_bpf_losses& losses, std::uint64_t not_kept) {

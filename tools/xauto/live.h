@@ -66,13 +66,18 @@ struct Live {
 /// One XNode's numbers over a time: the difference of two histograms.
 struct XNodeNumbers {
   std::uint64_t jobs = 0, wakeups = 0, preemptions = 0, migrations = 0;
-  std::uint64_t latency_p50_us = 0, latency_p99_us = 0, latency_max_us = 0;
-  std::uint64_t run_p50_us = 0, run_p99_us = 0, wait_p99_us = 0;
+  /// -1: there was none.
+  std::int64_t latency_p50_us = -1, latency_p99_us = -1, latency_max_us = -1;
+  std::int64_t run_p50_us = -1, run_p99_us = -1, wait_p99_us = -1;
   double run_ms = 0, wait_ms = 0;
 };
 [[nodiscard]] XNodeNumbers numbers_of(const xauto_bpf_hist& now, const xauto_bpf_hist& before);
 
-/// "INCOMPLETE: ..." or "complete: ...", the first line of every report.
+/// Null, and "-", where it is -1: no number that nobody measured.
+[[nodiscard]] Json measured(std::int64_t us);
+[[nodiscard]] std::string measured_text(std::int64_t us);
+
+/// "INCOMPLETE: ... or "complete: ...", the first line of every report.
 [[nodiscard]] std::string losses_line(const xauto_bpf_losses& losses, std::uint64_t not_kept);
 
 }  // namespace xauto::cli

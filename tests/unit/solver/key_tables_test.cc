@@ -192,6 +192,33 @@ TEST(KeyTables, WhereItIsDegradedTheAppLosesWhatItMustAndNowhereElse) {
   }
 }
 
+/// The display's XPU is gone: where it is degraded the display is off, and elsewhere that is no scenario.
+TEST(KeyTables, WhatCanRunNowhereIsOffWhereItMayBe) {
+  AppSpec app = that_can_do_without();
+  app.xnodes[4].wcet_us.erase("cpu");
+  app.xnodes[1].wcet_us.erase("cpu");  // its variant is left
+  Scenarios list{"two", {{.name = "nominal"}, {.name = "no GPU", .lost = {"gpu0"}}}};
+  TablesOptions options;
+  options.tables = 2;
+  options.time_limit_s = 1000;
+  options.max_evaluations = 200;
+  EXPECT_FALSE(solve_tables(app, of_two_cpus(), list, options));
+  list.list[1].degraded = true;
+  const auto tables = solve_tables(app, of_two_cpus(), list, options);
+  ASSERT_TRUE(tables) << tables.error().to_string();
+  const Table& less = tables->tables[at(tables->serves[1].table)];
+  EXPECT_EQ(words_of(less.loss, app), "show off, infer small");
+  EXPECT_EQ(forced_loss(app, platform_under(of_two_cpus(), list.list[1])), less.loss);
+  const TablesVerification v = verify_tables(app, of_two_cpus(), *tables);
+  EXPECT_TRUE(v.truthful()) << v.lies.front();
+  EXPECT_TRUE(parse_tables(to_json(*tables, app, of_two_cpus()), "t", app, of_two_cpus()));
+  // A module that is not optional has to have a place.
+  app.modules[2].optional = false;
+  const auto none = solve_tables(app, of_two_cpus(), list, options);
+  ASSERT_FALSE(none);
+  EXPECT_EQ(none.error().where, "/scenarios/1");
+}
+
 TEST(KeyTables, NothingSaysForWhatAnythingIsLostWithoutDeadlines) {
   AppSpec app = that_can_do_without();
   for (ChainSpec& chain : app.chains) chain.deadline_us.reset();

@@ -318,6 +318,30 @@ TEST(Tables, WhereItIsDegradedTheAppLosesWhatItMustAndNowhereElse) {
   EXPECT_LT(all_lost, 6);
 }
 
+/// An XNode whose XPU is gone is off where its module may be.
+TEST(Tables, WhatCanRunNowhereIsOffWhereItMayBe) {
+  ManyScenarios c = with_losses(91);
+  const std::string optional =
+      std::find_if(c.app.modules.begin(), c.app.modules.end(), [](const ModuleSpec& m) {
+        return m.optional;
+      })->name;
+  for (XNodeSpec& x : c.app.xnodes) {
+    if (x.module == optional) x.wcet_us = {{"dla", 2000}};
+    if (x.module == optional) x.variants.clear();
+    if (x.module != optional) x.wcet_us.emplace("cpu", 9000);
+  }
+  c.scenarios.list = {{"nominal"}, {"no DLA", {}, {}, {"dla0"}}};
+  EXPECT_FALSE(solve_tables(c.app, c.platform, c.scenarios, tables_budget(2)));
+  c.scenarios.list[1].degraded = true;
+  const auto tables = solve_tables(c.app, c.platform, c.scenarios, tables_budget(2));
+  ASSERT_TRUE(tables) << tables.error().to_string();
+  EXPECT_TRUE(
+      tables->tables[static_cast<std::size_t>(tables->serves[1].table)].loss.is_off(optional));
+  const VerifyOptions quick{.executions = 100, .proof_nodes = 500, .schedules = 300};
+  const TablesVerification v = verify_tables(c.app, c.platform, *tables, quick);
+  EXPECT_TRUE(v.truthful()) << v.lies.front();
+}
+
 /// A schedule that keeps no order is shorter sooner, and certifies nothing: it must not end the search.
 TEST(Tables, NothingIsLostWhereACertifiedPolicyKeepsTheTime) {
   int shorter_without_order = 0;
