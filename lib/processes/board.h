@@ -111,6 +111,9 @@ struct alignas(64) FlowLine {
   std::atomic<std::int64_t> last_origin_ns{}, max_age_us{};
   std::atomic<std::int64_t> last_us{-1}, longest_us{-1};  ///< -1: there was none
   std::atomic<std::int64_t> longest_urgent_us{-1};        ///< of urgent releases
+  /// By tables of keys: 1: the newest table does not have the chain; and since when it was not, or is again.
+  std::atomic<std::uint32_t> gone{};
+  std::atomic<std::int64_t> gone_or_back_ns{};
   std::atomic<std::uint32_t> latency_us[kBuckets] = {};
   /// What a result may take: the deadline, and without one what the policy claims; 0: anything.
   [[nodiscard]] std::int64_t limit_us() const { return deadline_us > 0 ? deadline_us : allowed_us; }

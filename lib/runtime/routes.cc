@@ -134,6 +134,13 @@ void Routes::have(std::int64_t from_ns, std::vector<char> chains) {
   while (!haves_.empty() && haves_.back().from_ns >= from_ns) haves_.pop_back();
   haves_.push_back({from_ns, std::move(chains)});
   if (haves_.size() > kKeptClaims) haves_.pop_front();
+  for (std::size_t i = 0; i < routes_.size(); ++i) {
+    FlowLine* line = routes_[i].line;
+    const std::uint32_t gone = haves_.back().chains[i] == 0 ? 1 : 0;
+    if (line == nullptr || line->gone.load() == gone) continue;
+    line->gone_or_back_ns.store(from_ns);
+    line->gone.store(gone);
+  }
 }
 
 /// Whether the release at `origin_ns` has a table without the chain, or one that has it was followed by

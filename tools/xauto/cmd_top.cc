@@ -148,7 +148,8 @@ Json as_json(const Observed& observed, const Look& now, const Look& before) {
                            {"p50_us", measured(n.p50_us)},
                            {"p99_us", measured(n.p99_us)},
                            {"max_us", measured(n.max_us)},
-                           {"age_us", measured(n.age_us)},
+                           {"age_us", chain.gone ? Json() : measured(n.age_us)},
+                           {"off", chain.gone},
                            {"results", chain.results},
                            {"lost", chain.lost},
                            {"deadline_misses", chain.late},
@@ -268,8 +269,8 @@ void draw(const Observed& observed, const Look& now, const Look& before, bool te
     const FlowCounts& chain = c.chains[i];
     const FlowNumbers n = numbers_of(chain, b.chains[i], c.at_ns, b.at_ns);
     out += fmt::format("  {:<28}{:>9.1f}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>6}\n", chain.name,
-                       n.rate_hz, ms(n.p50_us), ms(n.p99_us), ms(n.max_us), ms(n.age_us),
-                       chain.lost, chain.late, chain.old);
+                       n.rate_hz, ms(n.p50_us), ms(n.p99_us), ms(n.max_us),
+                       chain.gone ? "off" : ms(n.age_us), chain.lost, chain.late, chain.old);
   }
   out += claims_text(c);
   out += scenario_text(c);

@@ -39,6 +39,8 @@ FlowCounts flow_of(const runtime::FlowLine& line) {
   flow.urgent_worst_case_us = line.urgent_worst_case_us;
   flow.urgent_allowed_us = line.urgent_allowed_us;
   flow.longest_urgent_us = line.longest_urgent_us.load();
+  flow.gone = line.gone.load() != 0;
+  flow.gone_or_back_ns = line.gone_or_back_ns.load();
   for (std::uint32_t b = 0; b < runtime::FlowLine::kBuckets; ++b)
     if (const std::uint32_t count = line.latency_us[b].load(std::memory_order_relaxed); count > 0) {
       flow.latency_us.resize(b + 1);

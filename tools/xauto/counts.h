@@ -35,7 +35,9 @@ struct FlowCounts {
   std::int64_t worst_case_us = 0, lower_bound_us = 0, allowed_us = 0;
   std::int64_t urgent_worst_case_us = 0, urgent_allowed_us = 0;  ///< likewise, of urgent releases
   std::int64_t longest_urgent_us = -1;
-  std::uint64_t off = 0;  ///< ModuleCounts::off of the chain's end
+  std::uint64_t off = 0;             ///< ModuleCounts::off of the chain's end
+  bool gone = false;                 ///< the table that is in force does not have it
+  std::int64_t gone_or_back_ns = 0;  ///< since then it is gone, or there again; 0: always there
   [[nodiscard]] bool exceeds() const {
     return (worst_case_us > 0 && over > 0) ||
            (urgent_worst_case_us > 0 && longest_urgent_us > urgent_allowed_us);

@@ -82,19 +82,23 @@ Diagnostic of_flow(const std::string& name, const FlowCounts& now, const FlowCou
   bool goes_on = false;
   const std::int64_t most_us = limit_us > 0 && now.period_us > 0 ? 2 * now.period_us + limit_us : 0;
   const bool watched = limit_us > 0 && limit_us == now.limit_us;  // with tables deadlines alone
-  // Its end is off: nothing is late, and nothing comes.
-  const bool off = now.off > before.off && now.results == before.results;
+  // Nothing is late, and nothing comes.
+  const bool off = now.gone || (now.off > before.off && now.results == before.results);
   if (off) {
-    found.add(Level::kOk, "its end is off in this table");
+    found.add(Level::kOk, now.gone ? "a module on its way is off in this table"
+                                   : "its end is off in this table");
   } else if (watched && now.results > 0) {
     const bool in_time = now.in_time_ns == now.last_ns;
-    delay_us = in_time ? 0 : std::max<std::int64_t>(0, at_ns - now.in_time_ns) / 1000;
+    const std::int64_t since_ns = std::max(now.in_time_ns, now.gone_or_back_ns);
+    delay_us = in_time ? 0 : std::max<std::int64_t>(0, at_ns - since_ns) / 1000;
     goes_on = most_us > 0 && delay_us > most_us;
     if (goes_on)
       found.add(Level::kError, fmt::format("no result in time for {} ms", millis(delay_us)));
   }
   const std::int64_t silent_us =
-      now.last_ns > 0 ? std::max<std::int64_t>(0, at_ns - now.last_ns) / 1000 : -1;
+      now.last_ns > 0
+          ? std::max<std::int64_t>(0, at_ns - std::max(now.last_ns, now.gone_or_back_ns)) / 1000
+          : -1;
   if (!off && now.results == 0)
     found.add(Level::kStale, "no result yet");
   else if (!off && (most_us > 0 ? silent_us > most_us : now.results == before.results))

@@ -4,6 +4,8 @@
 
 #include <gtest/gtest.h>
 
+#include "processes/board.h"
+
 namespace xauto::runtime {
 namespace {
 
@@ -216,6 +218,26 @@ TEST(Routes, WhatIsOffIsNeitherLateNorOld) {
   const RouteReport report = routes->report({0, 0, 0}).at(0);
   EXPECT_EQ(report.latency_us.exact(), (std::vector<std::int64_t>{20, 70, 30, 60}));
   EXPECT_EQ(report.deadline_misses, 2u);
+}
+
+TEST(Routes, WhoLooksSeesWhatIsOff) {
+  Deployment d;
+  d.chains = {{"x", "lidar", "Fuse", 50, 100}};
+  auto routes = Routes::make(make_graph(true), {}, d, {});
+  ASSERT_TRUE(routes);
+  const auto board = Board::local({1, 3, 0, 2});
+  routes->show_on(*board);
+  const FlowLine& line = board->flow(1);
+  routes->have(0, {1});
+  EXPECT_EQ(line.gone.load(), 0u);
+  EXPECT_EQ(line.gone_or_back_ns.load(), 0);
+  routes->have(1'000, {0});
+  routes->have(2'000, {0});
+  EXPECT_EQ(line.gone.load(), 1u);
+  EXPECT_EQ(line.gone_or_back_ns.load(), 1'000);
+  routes->have(3'000, {1});
+  EXPECT_EQ(line.gone.load(), 0u);
+  EXPECT_EQ(line.gone_or_back_ns.load(), 3'000);
 }
 
 }  // namespace

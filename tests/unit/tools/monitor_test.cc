@@ -183,6 +183,26 @@ TEST(Diagnostics, AChainWhoseEndIsOffIsNeitherLateNorStale) {
   EXPECT_EQ(find(diagnostics_of(now, &before), "module fcd").message, "off in this table");
 }
 
+/// By tables of keys the run says so itself, and since when: from then on what comes back has its time.
+TEST(Diagnostics, AChainThatATableDoesNotHaveIsNeitherLateNorStale) {
+  RunLook before = look(10 * kSecond), now = look(20 * kSecond);
+  const auto chain_of = [&] {
+    return find(diagnostics_of(now, &before), "chain " + now.counts.chains[0].name);
+  };
+  FlowCounts& chain = now.counts.chains[0];
+  chain.results = before.counts.chains[0].results = 7;
+  chain.last_ns = chain.in_time_ns = 9 * kSecond;
+  chain.gone = true;
+  chain.gone_or_back_ns = 10 * kSecond;
+  EXPECT_EQ(chain_of().level, Level::kOk);
+  EXPECT_EQ(chain_of().message, "a module on its way is off in this table");
+  chain.gone = false;
+  chain.gone_or_back_ns = 20 * kSecond - 1'000'000;
+  EXPECT_EQ(chain_of().level, Level::kOk) << "it is back since a millisecond";
+  chain.gone_or_back_ns = 11 * kSecond;
+  EXPECT_NE(chain_of().level, Level::kOk) << "nine seconds, and nothing came";
+}
+
 TEST(Diagnostics, ModulesAndXpus) {
   RunLook before = look(10 * kSecond), now = look(11 * kSecond);
   before.counts.modules = {{"fcd", 5, 0, 1, 0}};
