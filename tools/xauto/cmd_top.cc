@@ -4,6 +4,7 @@
 // what the kernel knows: load, and XNodes one by one.
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <ctime>
 #include <iostream>
 #include <map>
@@ -234,7 +235,7 @@ std::string kernel_part(const Live& live, const KernelLook& now, const KernelLoo
     out += fmt::format("\nINCOMPLETE: {} short jobs are in no histogram\n", losses.jobs);
   out += fmt::format("\n  {}\n", live.maps.sched().running != 0 ? "sched_ext" : "no sched_ext");
   for (const XpuLoad& load : loads_of(live, now, before)) {
-    const auto full = static_cast<std::size_t>(std::min(load.percent, 100.0) / 5 + 0.5);
+    const auto full = static_cast<std::size_t>(std::lround(std::min(load.percent, 100.0) / 5));
     out += fmt::format("  {:<8}{:>6.1f} %  {:<20}  {}\n", load.name, load.percent,
                        std::string(full, '|'), load.detail);
   }
