@@ -143,13 +143,8 @@ class TablesSearch {
           s, loss, std::max(0.02, std::min(seconds / kTries, until_s - run_.elapsed())), limit);
       return policy && policy->worst_case_us.value_or(kNever) <= limit;
     };
-    const auto deadline =
-        options_.max_evaluations > 0
-            ? SteadyTime::max()
-            : std::chrono::steady_clock::now() + std::chrono::duration_cast<SteadyTime::duration>(
-                                                     std::chrono::duration<double>(seconds));
     return least_loss(app_, platform_under(platform_, scenarios_[s]), suffices,
-                      {deadline, options_.stop})
+                      run_.until_after(seconds))
         .loss;
   }
 

@@ -12,6 +12,7 @@
 #include "model/loss.h"
 #include "solver/choose_tables.h"
 #include "solver/tables.h"
+#include "solver/until.h"
 
 namespace xauto::solver {
 
@@ -33,6 +34,15 @@ class TablesRun {
   }
   [[nodiscard]] int most() const {
     return options_.tables > 0 ? options_.tables : static_cast<int>(scenarios_);
+  }
+  /// Evaluations are counted per search: where they are limited, time is not.
+  [[nodiscard]] Until until_after(double seconds) const {
+    const auto deadline =
+        options_.max_evaluations > 0
+            ? SteadyTime::max()
+            : std::chrono::steady_clock::now() + std::chrono::duration_cast<SteadyTime::duration>(
+                                                     std::chrono::duration<double>(seconds));
+    return {deadline, options_.stop};
   }
   void tell(std::size_t solved, double worst) const {
     if (options_.on_progress) options_.on_progress(elapsed(), static_cast<int>(solved), worst);

@@ -2,7 +2,6 @@
 #include "solver/verify_tables.h"
 
 #include <algorithm>
-#include <set>
 
 #include "base/index.h"
 #include "solver/steady/check.h"
@@ -122,9 +121,8 @@ KeyPolicy keys_of_all(const Tables& tables, std::size_t table, const AppSpec& ap
                       const Platform& platform) {
   KeyPolicy keys = tables.keys[table];
   keys.app = app.name;
-  for (std::size_t i = 0; i < keys.placements.size(); ++i)
-    if (int& xpu = keys.placements[i].xpu; xpu < 0)
-      xpu = platform.find(off_xpu(app.xnodes[i].module));
+  const std::vector<int> xpus = xpus_on(platform, tables.tables[table], app);
+  for (std::size_t i = 0; i < xpus.size(); ++i) keys.placements[i].xpu = xpus[i];
   for (ChainClaim& claim : keys.chains)
     claim.worst_case_us = std::max<std::int64_t>(claim.worst_case_us, 0);
   return keys;
@@ -132,14 +130,9 @@ KeyPolicy keys_of_all(const Tables& tables, std::size_t table, const AppSpec& ap
 
 void verify_handovers(const AppSpec& app, const Platform& platform, const Tables& tables,
                       TablesVerification& all) {
-  // What is off in some table has its XPU in all of them.
-  std::set<std::string> off;
-  for (const Table& table : tables.tables) off.insert(table.loss.off.begin(), table.loss.off.end());
-  const Platform whole = platform_with(platform, {off.begin(), off.end()});
-  std::vector<int> chains;
-  for (std::size_t c = 0; c < app.chains.size(); ++c) chains.push_back(static_cast<int>(c));
+  const Platform whole = platform_of_all(tables, platform);
   const auto left = [&](const Scenario& scenario, std::size_t table) {
-    return app_with(app_under(app, scenario), tables.tables[table].loss, chains);
+    return app_of_all_chains(app_under(app, scenario), tables.tables[table].loss);
   };
   std::vector<AppSpec> under;
   std::vector<Scenario> envelopes;

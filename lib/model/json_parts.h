@@ -13,7 +13,6 @@
 
 #include "model/app.h"
 #include "model/json_document.h"
-#include "model/loss.h"
 
 namespace xauto::json_parts {
 
@@ -44,12 +43,13 @@ NameIndex index_by_name(const std::vector<Named>& list) {
                                                           const NameIndex& index,
                                                           std::size_t limit = kMaxEdges);
 
-/// "chains" of `x`, each chain of the app that `loss` leaves once, in any order: each(chain, its line).
+/// "chains" of `x`, each chain of the app once, in any order: each(chain, its line). `kept`: [chain]
+/// whether it is one of them; all are without it.
 template <class Each>
-void each_chain(const Reader& x, const AppSpec& app, Each each, const Loss& loss = {}) {
+void each_chain(const Reader& x, const AppSpec& app, Each each, std::vector<char> kept = {}) {
   const NameIndex index = index_by_name(app.chains);
-  std::vector<char> there(app.chains.size(), 0), kept(app.chains.size(), 0);
-  for (const int k : kept_chains(app, loss)) kept[static_cast<std::size_t>(k)] = 1;
+  std::vector<char> there(app.chains.size(), 0);
+  kept.resize(app.chains.size(), kept.empty() ? 1 : 0);
   x["chains"].each_element(kMaxAppChains, [&](std::size_t, const Reader& c) {
     const int found = read_name(c["name"], index, "chain", "the app");
     if (c.failed()) return;

@@ -173,6 +173,8 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
         x["xnodes"].refuse("XNode '" + app.xnodes[i].name + "' " +
                            (placed_already[i] == 0 ? "is not placed" : "has no key"));
     for (const ChainSpec& chain : app.chains) keys->chains.push_back({chain.name, kNotThere});
+    std::vector<char> kept(app.chains.size(), 0);
+    for (const int k : kept_chains(app, table.loss)) kept[static_cast<std::size_t>(k)] = 1;
     each_chain(
         x, app,
         [&](std::size_t k, const Reader& c) {
@@ -180,7 +182,7 @@ Table read_table(const Reader& x, const AppSpec& app, const Platform& platform,
           if (c.has("urgent_worst_case_us"))
             keys->chains[k].urgent_worst_case_us = c["urgent_worst_case_us"].time();
         },
-        table.loss);
+        std::move(kept));
     return table;
   }
   if (x.has("order")) table.order = read_pairs(x["order"], index);
@@ -246,7 +248,7 @@ Result<Tables> parse_tables(std::string_view text, std::string_view origin, cons
           [&](std::size_t k, const Reader& c) {
             served.chain_bound_us[k] = c["lower_bound_us"].time();
           },
-          tables.tables[static_cast<std::size_t>(t)].loss);
+          chains_of(tables.keys[static_cast<std::size_t>(t)]));
     }
     if (x.failed()) return;
     Served& of = tables.serves[static_cast<std::size_t>(s)];

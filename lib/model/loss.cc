@@ -256,8 +256,14 @@ void take_variant(XNodeSpec& x, int variant) {
 }  // namespace
 
 AppSpec app_with(const AppSpec& app, const Loss& loss) {
-  if (app.version == 2) return app_with(app, loss, kept_chains(app, loss));
   AppSpec left = app;
+  if (app.version == 2) {
+    if (loss.none()) return left;
+    left = app_of_all_chains(app, loss);
+    left.chains.clear();
+    for (const int c : kept_chains(app, loss)) left.chains.push_back(app.chains[at(c)]);
+    return left;
+  }
   left.modules.clear();
   left.xnodes.clear();
   left.edges.clear();
@@ -271,9 +277,9 @@ AppSpec app_with(const AppSpec& app, const Loss& loss) {
   return left;
 }
 
-AppSpec app_with(const AppSpec& app, const Loss& loss, const std::vector<int>& chains) {
-  if (loss.none() && chains.size() == app.chains.size()) return app;
+AppSpec app_of_all_chains(const AppSpec& app, const Loss& loss) {
   AppSpec left = app;
+  if (loss.none()) return left;
   for (std::size_t i = 0; i < left.xnodes.size(); ++i) {
     take_variant(left.xnodes[i], loss.variant_of(i));
     if (loss.is_off(app.xnodes[i].module)) {
@@ -286,8 +292,6 @@ AppSpec app_with(const AppSpec& app, const Loss& loss, const std::vector<int>& c
     const auto [u, v] = left.edges[at(t.edge)];
     return !left.xnodes[at(u)].wcet_on(t.from_type) || !left.xnodes[at(v)].wcet_on(t.to_type);
   });
-  left.chains.clear();
-  for (const int c : chains) left.chains.push_back(app.chains[at(c)]);
   return left;
 }
 

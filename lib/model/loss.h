@@ -66,10 +66,9 @@ struct Loss {
 /// them the releases of all others, stay what they are: an XNode that is off takes 1 us on an XPU that
 /// only its module has (platform_with). What is not off waits for none of these, so no other job is
 /// later by that.
-/// `chains`: which of them it has.
 [[nodiscard]] AppSpec app_with(const AppSpec& app, const Loss& loss);
-[[nodiscard]] AppSpec app_with(const AppSpec& app, const Loss& loss,
-                               const std::vector<int>& chains);
+/// The same of version 2 with all chains, so that two tables with different losses have the same shape.
+[[nodiscard]] AppSpec app_of_all_chains(const AppSpec& app, const Loss& loss);
 /// That XPU's id, and its type.
 [[nodiscard]] std::string off_xpu(const std::string& module);
 /// With such an XPU for each of these modules; preempting it costs nothing.

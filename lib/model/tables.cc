@@ -118,6 +118,19 @@ KeyPolicy keys_under(const Tables& tables, std::size_t table, const AppSpec& app
   return policy;
 }
 
+Platform platform_of_all(const Tables& tables, const Platform& platform) {
+  std::set<std::string> off;
+  for (const Table& table : tables.tables) off.insert(table.loss.off.begin(), table.loss.off.end());
+  return platform_with(platform, {off.begin(), off.end()});
+}
+
+std::vector<int> xpus_on(const Platform& platform_of_all, const Table& table, const AppSpec& app) {
+  std::vector<int> xpus = table.xpu;
+  for (std::size_t i = 0; i < xpus.size(); ++i)
+    if (xpus[i] < 0) xpus[i] = platform_of_all.find(off_xpu(app.xnodes[i].module));
+  return xpus;
+}
+
 Objective chain_objective(const AppSpec& app, const std::vector<std::int64_t>& us) {
   Objective objective;
   for (std::size_t k = 0; k < app.chains.size(); ++k) {
@@ -155,6 +168,13 @@ bool both_have(const Tables& tables, int from, int to, std::size_t chain) {
 bool Handover::claims_all() const {
   return std::all_of(worst_case_us.begin(), worst_case_us.end(),
                      [](const auto& us) { return us.has_value(); });
+}
+
+std::vector<char> chains_of(const KeyPolicy& keys) {
+  std::vector<char> there;
+  for (const ChainClaim& claim : keys.chains)
+    there.push_back(claim.worst_case_us == kNotThere ? 0 : 1);
+  return there;
 }
 
 std::vector<std::int64_t> largest_claims(const Tables& tables) {
@@ -257,11 +277,9 @@ Status validate(const Table& table, const AppSpec& app, const Platform& platform
   return {};
 }
 
-/// [chain] a time where the table has the chain, kNotThere elsewhere.
-bool are_of_chains(const std::vector<std::int64_t>& us, const AppSpec& app, const Loss& loss) {
-  if (us.size() != app.chains.size()) return false;
-  std::vector<char> there(us.size(), 0);
-  for (const int c : kept_chains(app, loss)) there[at(c)] = 1;
+/// [chain] a time where `there` has the chain, kNotThere elsewhere.
+bool are_of_chains(const std::vector<std::int64_t>& us, const std::vector<char>& there) {
+  if (us.size() != there.size()) return false;
   for (std::size_t c = 0; c < us.size(); ++c)
     if (there[c] != 0 ? us[c] < 0 || us[c] > kMaxTimeUs : us[c] != kNotThere) return false;
   return true;
@@ -272,20 +290,14 @@ Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& p
   const auto is_time = [](std::int64_t us) { return us >= 0 && us <= kMaxTimeUs; };
   if (tables.keys.size() != tables.tables.size())
     return fail(ErrorCode::kInvalid, "not every table has keys", "/tables");
-  for (std::size_t s = 0; s < tables.serves.size(); ++s) {
-    const std::string place = "/serves/" + std::to_string(s);
-    const std::vector<std::int64_t>& bounds = tables.serves[s].chain_bound_us;
-    if (!are_of_chains(bounds, app, tables.tables[at(tables.serves[s].table)].loss))
-      return fail(ErrorCode::kInvalid,
-                  "has no lower bound for each chain of its table, or one too many",
-                  place + "/chains");
-  }
   for (std::size_t t = 0; t < tables.tables.size(); ++t) {
     const Scenario all = envelope(tables, t, app);
     const Loss& loss = tables.tables[t].loss;
     std::vector<std::int64_t> worst;
     for (const ChainClaim& claim : tables.keys[t].chains) worst.push_back(claim.worst_case_us);
-    if (tables.keys[t].placements.size() != app.xnodes.size() || !are_of_chains(worst, app, loss))
+    std::vector<char> there(app.chains.size(), 0);
+    for (const int c : kept_chains(app, loss)) there[at(c)] = 1;
+    if (tables.keys[t].placements.size() != app.xnodes.size() || !are_of_chains(worst, there))
       return fail(
           ErrorCode::kInvalid,
           "does not place every XNode, or has no worst case for each chain without a module "
@@ -299,6 +311,14 @@ Status validate_keys(const Tables& tables, const AppSpec& app, const Platform& p
       error.where = "/tables/" + std::to_string(t) + error.where;
       return tl::unexpected<Error>(std::move(error));
     }
+  }
+  for (std::size_t s = 0; s < tables.serves.size(); ++s) {
+    const std::string place = "/serves/" + std::to_string(s);
+    const std::vector<std::int64_t>& bounds = tables.serves[s].chain_bound_us;
+    if (!are_of_chains(bounds, chains_of(tables.keys[at(tables.serves[s].table)])))
+      return fail(ErrorCode::kInvalid,
+                  "has no lower bound for each chain of its table, or one too many",
+                  place + "/chains");
   }
   if (!is_time(tables.notice_us)) return fail(ErrorCode::kInvalid, "is out of range", "/notice_us");
   XAUTO_TRY(validate_pairs(tables.handovers, tables.tables, "/handovers",

@@ -125,6 +125,11 @@ inline constexpr std::size_t kMaxTables = 100;
 /// are indices into platform_with(platform_under()). xpu -1: it uses an XPU that is lost.
 [[nodiscard]] KeyPolicy keys_under(const Tables& tables, std::size_t table, const AppSpec& app,
                                    const Platform& platform, const Scenario& scenario);
+/// The platform with XPUs for what is off in some table, and [xnode] where a table has it there: changes
+/// from one table to another are about that.
+[[nodiscard]] Platform platform_of_all(const Tables& tables, const Platform& platform);
+[[nodiscard]] std::vector<int> xpus_on(const Platform& platform_of_all, const Table& table,
+                                       const AppSpec& app);
 /// Sets each table's priorities: those that come nearest to its keys (assignment_of).
 void set_priorities(Tables& tables);
 /// Sets what follows from the chains' figures: the two of each Served.
@@ -141,6 +146,8 @@ struct Objective {
 /// From scenario `from` to `to`; of keys, from table to table. Null: they are the same, or the file has none.
 [[nodiscard]] const Change* change_of(const Tables& tables, int from, int to);
 [[nodiscard]] const Handover* handover_of(const Tables& tables, int from, int to);
+/// [chain] whether a table, of these keys, has it.
+[[nodiscard]] std::vector<char> chains_of(const KeyPolicy& keys);
 /// Whether table `from` and table `to` both have the chain.
 [[nodiscard]] bool both_have(const Tables& tables, int from, int to, std::size_t chain);
 /// The table has an XNode on an XPU that the scenario has lost.

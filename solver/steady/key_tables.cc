@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <chrono>
 #include <optional>
-#include <set>
 #include <utility>
 
 #include "base/index.h"
@@ -182,13 +181,8 @@ class KeyTablesSearch {
       }
       return true;
     };
-    const auto deadline =
-        options_.max_evaluations > 0
-            ? SteadyTime::max()
-            : std::chrono::steady_clock::now() + std::chrono::duration_cast<SteadyTime::duration>(
-                                                     std::chrono::duration<double>(seconds));
     return least_loss(app_, platform_under(platform_, scenarios_[s]), suffices,
-                      {deadline, options_.stop})
+                      run_.until_after(seconds))
         .loss;
   }
 
@@ -409,23 +403,16 @@ class KeyTablesSearch {
     std::vector<Scenario> envelopes;
     std::vector<Problem> problems;
     std::vector<Windows> windows;
-    std::vector<int> all_chains;  // so that all problems have the same
-    for (std::size_t c = 0; c < app_.chains.size(); ++c) all_chains.push_back(static_cast<int>(c));
-    std::set<std::string> off;
-    for (const Table& table : tables.tables)
-      off.insert(table.loss.off.begin(), table.loss.off.end());
-    const Platform platform = platform_with(platform_, {off.begin(), off.end()});
+    const Platform platform = platform_of_all(tables, platform_);
     std::vector<std::vector<int>> xpus;  // [table][XNode]
     const auto create = [&](const Scenario& scenario, std::size_t table) {
       return Problem::create(
-          app_with(app_under(app_, scenario), tables.tables[table].loss, all_chains), platform);
+          app_of_all_chains(app_under(app_, scenario), tables.tables[table].loss), platform);
     };
     for (std::size_t t = 0; t < n; ++t) {
       envelopes.push_back(envelope(tables, t, app_));
       XAUTO_ASSIGN(Problem problem, create(envelopes[t], t));
-      xpus.push_back(tables.tables[t].xpu);
-      for (std::size_t i = 0; i < xpus[t].size(); ++i)
-        if (xpus[t][i] < 0) xpus[t][i] = platform.find(off_xpu(app_.xnodes[i].module));
+      xpus.push_back(xpus_on(platform, tables.tables[t], app_));
       XAUTO_ASSIGN(Windows of_table, windows_of(problem, tables.keys[t], xpus[t]));
       problems.push_back(std::move(problem));
       windows.push_back(std::move(of_table));

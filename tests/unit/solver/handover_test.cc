@@ -169,13 +169,11 @@ std::optional<TwoPolicies> two_policies_with_losses(std::uint64_t seed,
   Loss loss;
   loss.off.assign(off.begin(), off.end());
   const bool first = seed % 2 == 0;
-  std::vector<int> all;
-  for (std::size_t c = 0; c < app.chains.size(); ++c) all.push_back(static_cast<int>(c));
   both_have.assign(app.chains.size(), 0);
   for (const int c : kept_chains(app, loss)) both_have[at(c)] = 1;
   const auto with = [&](AppSpec& of, bool lossy) {
     of.modules = app.modules;
-    of = app_with(of, lossy ? loss : Loss{}, all);
+    of = app_of_all_chains(of, lossy ? loss : Loss{});
   };
   with(two->from_app, first);
   with(two->both, first);  // jobs of the first table
