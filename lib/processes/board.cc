@@ -11,6 +11,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "base/counter.h"
 #include "base/memory_file.h"
 #include "base/utf8.h"
 #include "model/app.h"
@@ -167,17 +168,16 @@ Result<std::shared_ptr<Board>> Board::look(int fd, int protection) {
 }
 
 void FlowLine::add(std::int64_t us, std::int64_t now_ns) {
-  results.fetch_add(1, std::memory_order_relaxed);
-  sum_us.fetch_add(us, std::memory_order_relaxed);
+  add_alone(results);
+  add_alone(sum_us, us);
   last_ns.store(now_ns, std::memory_order_relaxed);
   // A run whose first result is late counts from there.
   if (limit_us() > 0 && (us <= limit_us() || in_time_ns.load(std::memory_order_relaxed) == 0))
     in_time_ns.store(now_ns, std::memory_order_relaxed);
-  if (allowed_us > 0 && us > allowed_us) over.fetch_add(1, std::memory_order_relaxed);
-  latency_us[std::min(Distribution::bucket_of(us), kBuckets - 1)].fetch_add(
-      1, std::memory_order_relaxed);
+  if (allowed_us > 0 && us > allowed_us) add_alone(over);
+  add_alone(latency_us[std::min(Distribution::bucket_of(us), kBuckets - 1)]);
   last_us.store(us, std::memory_order_relaxed);
-  if (us > longest_us.load(std::memory_order_relaxed))  // one at a time adds
+  if (us > longest_us.load(std::memory_order_relaxed))
     longest_us.store(us, std::memory_order_relaxed);
 }
 

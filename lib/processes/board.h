@@ -117,8 +117,8 @@ struct alignas(64) FlowLine {
   std::atomic<std::uint32_t> latency_us[kBuckets] = {};
   /// What a result may take: the deadline, and without one what the policy claims; 0: anything.
   [[nodiscard]] std::int64_t limit_us() const { return deadline_us > 0 ? deadline_us : allowed_us; }
-  void add(std::int64_t us, std::int64_t now_ns);
-  void add_urgent(std::int64_t us);  ///< beside `add`
+  void add(std::int64_t us, std::int64_t now_ns);  ///< one thread at a time
+  void add_urgent(std::int64_t us);                ///< beside `add`
 };
 
 inline constexpr std::size_t kParameterWords = 32;  ///< a number, or a length and a text

@@ -7,6 +7,7 @@
 #include <uapi/xauto/event.h>
 
 #include "base/clock.h"
+#include "base/counter.h"
 #include "base/futex.h"
 #include "model/claims.h"
 
@@ -147,9 +148,7 @@ void Ledger::open(std::uint64_t sequence, std::int64_t origin_ns) {
 void Ledger::done(int module, std::int64_t origin_ns, std::uint64_t sequence,
                   const detail::Origins* origins, bool urgent) {
   ModuleLine& counts = context_.board.module(module);
-  // In order, so one at a time: no locked access on the hot path.
-  counts.activations.store(counts.activations.load(std::memory_order_relaxed) + 1,
-                           std::memory_order_relaxed);
+  add_alone(counts.activations);  // in order
   const bool tells = asked_for(module);
   if (!tells && context_.trace == nullptr) return;
   const std::int64_t now = now_ns();  // one instant for all accounts: the trace and the table agree
@@ -185,8 +184,7 @@ void Ledger::through(int module, std::uint64_t sequence, std::int64_t origin_ns,
                      const detail::Origins* origins, std::int64_t now, bool lost, bool urgent) {
   if (role_.tell(module, sequence, origin_ns, now, lost, origins, urgent)) return;
   if (!lost) {
-    std::atomic<std::uint64_t>& told = latencies_[static_cast<std::size_t>(module)]->told;
-    told.store(told.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
+    add_alone(latencies_[static_cast<std::size_t>(module)]->told);
     if (const auto late_us =
             routes_.published(context_.graph.modules[static_cast<std::size_t>(module)].nodes.back(),
                               origin_ns, origins, now, urgent);
@@ -295,29 +293,35 @@ bool Ledger::wait_quiet() {
 
 bool Ledger::wait_drained(const std::function<bool()>& idle) {
   if (!context_.graph.single_rate) return wait_quiet();
-  std::int64_t since = now_ns();
+  std::int64_t since = 0;  // when nothing had moved; nobody looks at the clock before that
+  const auto stalled = [&] {
+    const std::int64_t now = now_ns();
+    if (since == 0) since = now;
+    return now - since > kStallNs;
+  };
   std::uint64_t settled_before = 0;
-  for (std::uint32_t last = in_flight_.load();;) {
+  for (;;) {
     const std::uint32_t left = in_flight_.load();
-    if (left == 0 && !settled()) {
-      if (const std::uint64_t sum = context_.board.settled(); sum != settled_before) {
-        settled_before = sum;
-        since = now_ns();
-      }
-      if (now_ns() - since > kStallNs) return false;
-      sleep_until_ns(now_ns() + 20'000);
+    if (left > 0) {
+      futex_wait_local(in_flight_, left, kLookNs);
+      if (in_flight_.load() != left)
+        since = 0;
+      else if (stalled())
+        return false;
       continue;
     }
-    if (left == 0) {
-      // A sink's process says that it is through beside its messages, which observers here get.
-      while (!idle()) sleep_until_ns(now_ns() + 20'000);
-      return true;
+    if (settled()) break;
+    if (const std::uint64_t sum = context_.board.settled(); sum != settled_before) {
+      settled_before = sum;
+      since = 0;
+    } else if (stalled()) {
+      return false;
     }
-    if (left != last) since = now_ns();
-    last = left;
-    if (now_ns() - since > kStallNs) return false;
-    futex_wait_local(in_flight_, left, kLookNs);
+    sleep_until_ns(now_ns() + 20'000);
   }
+  // A sink's process says that it is through beside its messages, which observers here get.
+  while (!idle()) sleep_until_ns(now_ns() + 20'000);
+  return true;
 }
 
 std::string Ledger::what_did_not_end() const {
