@@ -133,10 +133,14 @@ Status validate(const Scenarios& scenarios, const AppSpec& app, const Platform& 
       return fail(ErrorCode::kInfeasible, "no XPU is left", here + "/lost");
     const AppSpec under = app_under(app, s);
     const Platform left = platform_under(platform, s);
-    const Loss forced = s.degraded ? forced_loss(under, left) : Loss{};
-    if (Status possible = validate_on(app_with(under, forced), platform_with(left, forced.off));
-        !possible) {
+    const auto possible_with = [&](const Loss& loss) {
+      return validate_on(app_with(under, loss), platform_with(left, loss.off));
+    };
+    const Loss forced = forced_loss(under, left);
+    if (Status possible = possible_with(s.degraded ? forced : Loss{}); !possible) {
       Error error = std::move(possible).error();
+      if (!s.degraded && possible_with(forced))
+        error.hint = "let it be degraded, and it is possible with " + words_of(forced, app);
       error.what = "under scenario '" + s.name + "': " + error.what;
       error.where = here;
       return tl::unexpected<Error>(std::move(error));

@@ -3,13 +3,25 @@
 // p, the others q. For each S of a hyperperiod, and each interval [t', t''] that t may be in, the
 // jobs that have not ended by t are walked by their keys: A, by when each is ready, and F, by when it
 // has ended. The walk ends when nothing can be late any more. Then chains are followed on these F.
+//
+// Time is the clock's own. Where the clock has a tolerance, instants that are counted in real time
+// are known from `soon` to `late`. All is then as in "A clock with a tolerance", but:
+//
+// - A is found as soon as nothing is waited for, not by batches: it does not depend on others, and
+//   the more A are known the smaller is each V(s).
+// - What a key or hold is counted from is its release, so nothing is before that.
+// - In B(s), what is in V(s) does not count: it is in the sum.
+// - q's certificate knows only preempting and blocking of q's jobs. So a sum for s is excused only if
+//   no job of p may be there at s that blocks, or costs its preemption.
 #include "solver/steady/check_handover.h"
 
 #include <algorithm>
 #include <functional>
 #include <limits>
+#include <map>
 #include <queue>
 #include <set>
+#include <tuple>
 #include <utility>
 
 #include <fmt/format.h>
@@ -24,8 +36,24 @@ namespace checking::tables {
 constexpr Ticks kUnknown = std::numeric_limits<Ticks>::max() / 2;
 /// A walk of so many jobs is quadratic at worst: seconds. The solver claims nothing beyond 42 000.
 constexpr std::size_t kMaxJobsOfAWalk = 60'000;
-constexpr Ticks kMostHyperperiods = 50;    ///< after S; what has not settled then piles up
-constexpr std::size_t kMaxWays = 100'000;  ///< of all chains
+constexpr Ticks kMostHyperperiods = 50;     ///< after S; what has not settled then piles up
+constexpr std::size_t kMaxWays = 100'000;   ///< of all chains
+constexpr Ticks kMaxWork = Ticks{1} << 60;  ///< of all jobs of a walk, so that sums fit
+
+/// Of the clock's own time: how much a real length is, from the least to the most.
+struct Drift {
+  std::int64_t ppm = 0;
+  /// w(l)
+  [[nodiscard]] Ticks longest(Ticks l) const {
+    return ppm == 0 ? l : ceil_div(static_cast<__int128>(l) * kMillion, kMillion - ppm);
+  }
+  /// l + b(l) and l - b(l), counted from a release
+  [[nodiscard]] Ticks late(Ticks l) const { return ppm == 0 ? l : longest(l) + 1; }
+  [[nodiscard]] Ticks soon(Ticks l) const { return std::max<Ticks>(0, 2 * l - late(l)); }
+  [[nodiscard]] Ticks shortest(Ticks l) const {
+    return floor_div(static_cast<__int128>(l) * kMillion, kMillion + ppm);
+  }
+};
 
 /// Of U.
 struct Job {
@@ -34,21 +62,28 @@ struct Job {
   std::int64_t n = 0;
   bool of_q = false;
   Ticks release = 0, key = 0, starts = 0;    ///< starts: not before that
+  Ticks soon = 0, late = 0;                  ///< the real key is in between
   Ticks work = 0;                            ///< what preempting costs included, once that is known
   Ticks ready = kUnknown, ended = kUnknown;  ///< A and F
   int waits = 0;                             ///< for so many of U that the walk has not come to
+  bool on_time = false, clean = false;       ///< of q, where the clock drifts
 };
 
 /// Jobs of U on one XPU.
 struct Line {
   bool preemptive = true;
   Ticks cost = 0;                          ///< of preempting
-  std::vector<std::pair<Ticks, int>> all;  ///< key, job; sorted
+  std::vector<std::pair<Ticks, int>> all;  ///< soon, job; sorted
   std::size_t low = 0;                     ///< all before it have been walked
   std::vector<int> known;                  ///< those whose A is known, by A
+  std::vector<int> pending;                ///< those of them whose F is not
   std::vector<Ticks> latest;               ///< [of known] the largest F up to here
-  /// Key and WCET of p's jobs from t'' on, had there been no change; those with keys up to S + H.
-  std::vector<std::pair<Ticks, Ticks>> without_change;
+  std::vector<int> of_p;
+  int of_p_left = 0;     ///< whose F is not known
+  Ticks of_p_ended = 0;  ///< the largest F of the others
+  /// Of p's jobs from t'' on, had there been no change, those with keys up to S + H: the key, from the
+  /// earliest to the latest that it can be, and the WCET.
+  std::vector<std::tuple<Ticks, Ticks, Ticks>> without_change;
 };
 
 /// Both tables, and the WCETs of p's jobs that have not ended at t.
@@ -64,7 +99,11 @@ struct Both {
 class Walk {
  public:
   Walk(const Both& both, int clock, Ticks hyperperiod)
-      : both_(both), hyperperiod_(hyperperiod), lags_(both.p.wcet.size()) {
+      : both_(both),
+        hyperperiod_(hyperperiod),
+        drift_{both.p.app.clocks[at(clock)].ppm},
+        drifts_(drift_.ppm > 0),
+        lags_(both.p.wcet.size()) {
     for (std::size_t c = 0; c < both.p.components.size(); ++c) {
       if (both.p.components[c].clock != clock) continue;
       components_.push_back(static_cast<int>(c));
@@ -76,6 +115,8 @@ class Walk {
             if (of_q) deepest_of_q_ = std::max(deepest_of_q_, window.d);
           }
     }
+    blur_ = drift_.late(deepest_) - drift_.soon(deepest_);
+    deepest_of_q_ += 2 * (drift_.late(deepest_of_q_) - deepest_of_q_);
     lines_.resize(both.p.platform.xpus.size());
     jobs_of_.resize(both.p.wcet.size());
     first_kept_.resize(both.p.wcet.size());
@@ -88,8 +129,9 @@ class Walk {
     begin(change, low, high);
     std::vector<int> batch;
     while (true) {
+      if (!know_fresh()) return false;
       // What is released before a key may have a smaller one.
-      if (heap_.empty() || heap_.top().first >= generated_) {
+      if (heap_.empty() || jobs_[at(heap_.top().second)].late >= generated_) {
         if (!generate(generated_ + 1)) return false;
         continue;
       }
@@ -102,20 +144,20 @@ class Walk {
         batch.push_back(heap_.top().second);
         heap_.pop();
       }
-      for (const int x : batch) {
-        const Ticks ready = by_when_ready(jobs_[at(x)]);
-        if (!generate(ready)) return false;  // who may have started before
-        jobs_[at(x)].ready = ready;
-        charge(jobs_[at(x)]);
-        insert(x);
-      }
+      for (const int x : batch)
+        if (!drifts_ && !know(x)) return false;
+      for (const int x : batch)
+        if (!generate(jobs_[at(x)].late + 1)) return false;
+      if (!know_fresh()) return false;
       for (const int x : batch) {
         Job& job = jobs_[at(x)];
-        job.ended = by_when_ended(job);
+        find_end(job);
         note_end(x);
-        if (!job.of_q || job.ended > job.key ||
-            job.ready > job.release + both_.q.window(job.xnode, job.n).a)
-          last_ = std::max({last_, job.key, job.ready, job.ended});
+        const bool late = drifts_
+                              ? !job.clean
+                              : !job.of_q || job.ended > job.key ||
+                                    job.ready > job.release + both_.q.window(job.xnode, job.n).a;
+        if (late) last_ = std::max({last_, job.key, job.ready, job.ended});
       }
       for (const int x : batch) release_waiting(jobs_[at(x)]);
     }
@@ -126,6 +168,9 @@ class Walk {
   [[nodiscard]] Ticks span_end() const { return last() + 2 * deepest_of_q_ + hyperperiod_; }
   /// L. What is released later is of q, and in time.
   [[nodiscard]] Ticks last() const { return std::max(last_, change_); }
+  [[nodiscard]] const Drift& drift() const { return drift_; }
+  /// Whether a change may make that job another than under p alone.
+  [[nodiscard]] bool in_u(int xnode, std::int64_t n) const { return n >= first_kept_[at(xnode)]; }
   [[nodiscard]] bool of_q(int xnode, std::int64_t n) const {
     return n >= first_of_q_[at(both_.p.component_of[at(xnode)])];
   }
@@ -137,10 +182,18 @@ class Walk {
   [[nodiscard]] Ticks end(int xnode, std::int64_t n) const {
     const Job* job = find(xnode, n);
     if (job != nullptr && job->ended < kUnknown) return job->ended;
-    return release(xnode, n) + both_.of(of_q(xnode, n)).window(xnode, n).d;
+    return release(xnode, n) + drift_.late(both_.of(of_q(xnode, n)).window(xnode, n).d);
+  }
+  /// In real time; where the clock drifts.
+  [[nodiscard]] bool ends_by_key(int xnode, std::int64_t n) const {
+    const Job* job = find(xnode, n);
+    return job == nullptr || job->ended == kUnknown || job->clean;
+  }
+  [[nodiscard]] const Window& window(int xnode, std::int64_t n) const {
+    return both_.of(of_q(xnode, n)).window(xnode, n);
   }
   [[nodiscard]] Ticks starts(int xnode, std::int64_t n) const {
-    return release(xnode, n) + both_.of(of_q(xnode, n)).window(xnode, n).e;
+    return release(xnode, n) + drift_.soon(both_.of(of_q(xnode, n)).window(xnode, n).e);
   }
 
  private:
@@ -151,7 +204,9 @@ class Walk {
     low_ = low;
     high_ = high;
     last_ = -kUnknown;
+    all_work_ = 0;
     jobs_.clear();
+    fresh_.clear();
     heap_ = {};
     for (std::size_t m = 0; m < lines_.size(); ++m) {
       const Xpu& xpu = both_.p.platform.xpus[m];
@@ -167,7 +222,10 @@ class Walk {
         jobs_of_[at(i)].clear();
         // Keys do not fall from one activation to the next.
         std::int64_t n = first;
-        while (release(i, n - 1) + both_.p.window(i, n - 1).d >= high) --n;
+        const auto key_late = [&](std::int64_t k) {
+          return release(i, k) + drift_.late(both_.p.window(i, k).d);
+        };
+        while (key_late(n - 1) >= high) --n;
         first_kept_[at(i)] = n;
         for (; n < first; ++n) {
           add(i, n);
@@ -175,12 +233,17 @@ class Walk {
         }
         auto& without = lines_[at(both_.p.policy.placements[at(i)].xpu)].without_change;
         for (n = first_kept_[at(i)]; release(i, n) < change + hyperperiod_; ++n)
-          if (const Ticks key = release(i, n) + both_.p.window(i, n).d;
-              key <= change + hyperperiod_)
-            without.emplace_back(key, both_.p.wcet[at(i)]);
+          if (const Ticks d = both_.p.window(i, n).d; release(i, n) + d <= change + hyperperiod_)
+            without.emplace_back(release(i, n) + drift_.soon(d), key_late(n),
+                                 drift_.shortest(both_.p.wcet[at(i)]));
       }
     }
     for (Line& line : lines_) std::sort(line.without_change.begin(), line.without_change.end());
+    for (std::size_t k = 0; k < jobs_.size(); ++k) {
+      Line& line = lines_[at(jobs_[k].xpu)];
+      line.of_p.push_back(static_cast<int>(k));
+      ++line.of_p_left;
+    }
     ready_to_walk(0);
   }
 
@@ -195,11 +258,19 @@ class Walk {
     job.of_q = q;
     job.release = release(xnode, n);
     job.key = job.release + window.d;
-    job.starts = job.release + window.e;
+    job.soon = job.release + drift_.soon(window.d);
+    job.late = job.release + drift_.late(window.d);
+    job.starts = job.release + drift_.soon(window.e);
     // As long as A is not known it may preempt.
-    job.work = (q ? w.wcet[at(xnode)] : both_.larger[at(xnode)]) + lines_[at(job.xpu)].cost;
+    job.work = work_of(job, lines_[at(job.xpu)].cost);
+    all_work_ += job.work;
     jobs_of_[at(xnode)].push_back(static_cast<int>(jobs_.size()));
     jobs_.push_back(job);
+  }
+
+  [[nodiscard]] Ticks work_of(const Job& job, Ticks cost) const {
+    const Ticks wcet = job.of_q ? both_.q.wcet[at(job.xnode)] : both_.larger[at(job.xnode)];
+    return drift_.longest(wcet + cost);
   }
 
   /// All of q that is released before `until` is there; false: too many.
@@ -211,7 +282,7 @@ class Walk {
       const Component& home = both_.p.components[at(c)];
       for (std::int64_t n = ceil_div(generated_ - home.phi, home.period);
            home.phi + n * home.period < until; ++n) {
-        if (jobs_.size() > most_) return false;
+        if (jobs_.size() > most_ || all_work_ > kMaxWork) return false;
         for (const int i : home.xnodes) add(i, n);
       }
     }
@@ -226,9 +297,9 @@ class Walk {
     for (const Line& line : lines_) sizes.push_back(line.all.size());
     for (std::size_t k = old; k < jobs_.size(); ++k) {
       Job& job = jobs_[k];
-      lines_[at(job.xpu)].all.emplace_back(job.key, static_cast<int>(k));
+      lines_[at(job.xpu)].all.emplace_back(job.soon, static_cast<int>(k));
       for_each_before(job, [&](const Job& before) { job.waits += before.ended == kUnknown; });
-      if (job.waits == 0) heap_.emplace(job.key, static_cast<int>(k));
+      if (job.waits == 0) walk_next(static_cast<int>(k));
     }
     for (std::size_t m = 0; m < lines_.size(); ++m) {
       auto& all = lines_[m].all;
@@ -236,6 +307,31 @@ class Walk {
       std::sort(middle, all.end());
       std::inplace_merge(all.begin(), middle, all.end());
     }
+  }
+
+  /// It waits for nobody any more.
+  void walk_next(int x) {
+    heap_.emplace(jobs_[at(x)].key, x);
+    if (drifts_) fresh_.push_back(x);
+  }
+  bool know_fresh() {
+    while (!fresh_.empty()) {
+      const int x = fresh_.back();
+      fresh_.pop_back();
+      if (!know(x)) return false;
+    }
+    return true;
+  }
+  /// A, and what follows from it. False: too many jobs.
+  bool know(int x) {
+    const Ticks ready = by_when_ready(jobs_[at(x)]);
+    if (!generate(ready)) return false;  // who may have started before
+    Job& job = jobs_[at(x)];
+    job.ready = ready;
+    job.on_time = drifts_ && is_on_time(job);
+    charge(job);
+    insert(x);
+    return true;
   }
 
   [[nodiscard]] const Job* find(int xnode, std::int64_t n) const {
@@ -268,7 +364,7 @@ class Walk {
       const Job* after = find(i, n);
       if (after == nullptr) return;  // not generated yet
       const auto k = static_cast<std::size_t>(after - jobs_.data());
-      if (--jobs_[k].waits == 0) heap_.emplace(jobs_[k].key, static_cast<int>(k));
+      if (--jobs_[k].waits == 0) walk_next(static_cast<int>(k));
     };
     for (const int v : w.after[at(job.xnode)]) one(v, job.n);
     one(job.xnode, job.n + 1);
@@ -294,17 +390,17 @@ class Walk {
     Ticks ready = x.release;
     for (const int s : w.app.xnodes[at(x.xnode)].sources) {
       const SourceSpec& source = w.app.sources[at(s)];
-      ready =
-          std::max(ready, x.release - home.phi + (source.offset_us + source.jitter_us) * w.scale);
+      ready = std::max(ready, x.release - home.phi + source.offset_us * w.scale +
+                                  drift_.longest(source.jitter_us * w.scale));
     }
     const auto& holds = w.policy.placements[at(x.xnode)].hold_us;
     if (!holds.empty()) {
       const auto size = static_cast<std::int64_t>(holds.size());
       const auto j = static_cast<std::size_t>((x.n % size + size) % size);
-      ready = std::max(ready, x.release + holds[j] * w.scale);
+      ready = std::max(ready, x.release + drift_.longest(holds[j] * w.scale));
     }
     for (const auto& [u, transfer] : w.before[at(x.xnode)])
-      ready = std::max(ready, end(u, x.n) + transfer);
+      ready = std::max(ready, end(u, x.n) + drift_.longest(transfer));
     const int m = w.module_of[at(x.xnode)];
     if (w.entry[at(x.xnode)])
       for (const int i : w.module_xnodes[at(m)])
@@ -312,23 +408,54 @@ class Walk {
     const Job* previous = find(x.xnode, x.n - 1);
     if (previous == nullptr) {  // it has ended by its key, which is at most t'
       const World& before = both_.of(of_q(x.xnode, x.n - 1));
-      return std::max(ready, release(x.xnode, x.n - 1) + before.window(x.xnode, x.n - 1).a);
+      return std::max(
+          ready, release(x.xnode, x.n - 1) + drift_.longest(before.window(x.xnode, x.n - 1).a));
     }
-    ready = std::max(ready, previous->ready);
-    if (previous->xpu != x.xpu || previous->key > x.key) ready = std::max(ready, previous->ended);
-    return ready;
+    return std::max(ready, leaves_it(x, *previous));
+  }
+
+  /// By then the activation before x does not keep it any more, but for its work.
+  [[nodiscard]] static Ticks leaves_it(const Job& x, const Job& previous) {
+    const bool larger_key = previous.of_q != x.of_q && previous.late > x.soon;
+    return previous.xpu != x.xpu || larger_key ? std::max(previous.ready, previous.ended)
+                                               : previous.ready;
+  }
+
+  /// What x of q waits for leaves it no later than `a`.
+  [[nodiscard]] bool is_on_time(const Job& x) const {
+    if (!x.of_q) return false;
+    const World& w = both_.q;
+    const Ticks by = opens(x);
+    const auto fits = [&](int i, std::int64_t n, Ticks transfer) {
+      const Job* before = find(i, n);
+      return (before != nullptr && before->clean) || end(i, n) + drift_.longest(transfer) <= by;
+    };
+    for (const auto& [u, transfer] : w.before[at(x.xnode)])
+      if (!fits(u, x.n, transfer)) return false;
+    const int m = w.module_of[at(x.xnode)];
+    if (w.entry[at(x.xnode)])
+      for (const int i : w.module_xnodes[at(m)])
+        if (!fits(i, x.n - w.in_flight[at(m)], 0)) return false;
+    const Job* previous = find(x.xnode, x.n - 1);
+    return previous == nullptr || previous->on_time || leaves_it(x, *previous) <= by;
+  }
+  /// The least that `a` may be, of a job of q.
+  [[nodiscard]] Ticks opens(const Job& x) const {
+    return x.release + drift_.soon(both_.q.window(x.xnode, x.n).a);
   }
 
   /// Jobs of larger keys on x's XPU that may have started before `instant`, and do not wait for x.
   template <typename Visit>
   void for_each_started(const Job& x, Ticks instant, const Visit& visit) {
     const auto& all = lines_[at(x.xpu)].all;
-    auto k =
-        std::upper_bound(all.begin(), all.end(), std::pair(x.key, std::numeric_limits<int>::max()));
+    auto k = std::upper_bound(all.begin(), all.end(),
+                              std::pair(x.soon - blur_, std::numeric_limits<int>::max()));
     // Later ones are released at `instant` or after it.
     for (; k != all.end() && k->first < instant + deepest_; ++k) {
       const Job& other = jobs_[at(k->second)];
-      if (other.starts < instant && !waits_for(other, x) && !visit(other)) return;
+      if (other.late > x.soon && other.starts < instant && &other != &x && !waits_for(other, x) &&
+          !visit(other))
+        return;
     }
   }
 
@@ -338,10 +465,10 @@ class Walk {
     if (cost == 0) return;
     bool pays = false;
     for_each_started(x, x.ready, [&](const Job& other) {
-      pays = other.xnode != x.xnode;
+      pays = other.xnode != x.xnode && !(drifts_ && waits_for(x, other));
       return !pays;
     });
-    if (!pays) x.work -= cost;
+    if (!pays) x.work = work_of(x, 0);
   }
 
   void insert(int x) {
@@ -350,38 +477,49 @@ class Walk {
                                                 [&](int y) { return jobs_[at(y)].ready; });
     const auto k = static_cast<std::size_t>(place - line.known.begin());
     line.known.insert(place, x);
+    line.pending.push_back(x);
     set_latest(line, k);
   }
   void note_end(int x) {
     Line& line = lines_[at(jobs_[at(x)].xpu)];
     const auto found = std::find(line.known.rbegin(), line.known.rend(), x);
     set_latest(line, static_cast<std::size_t>(line.known.rend() - found) - 1);
+    std::erase(line.pending, x);
+    if (const Job& job = jobs_[at(x)]; !job.of_q) {
+      --line.of_p_left;
+      line.of_p_ended = std::max(line.of_p_ended, job.ended);
+    }
     while (line.low < line.all.size() && jobs_[at(line.all[line.low].second)].ended < kUnknown)
       ++line.low;
   }
   void set_latest(Line& line, std::size_t from) {
     line.latest.resize(line.known.size());
-    for (std::size_t k = from; k < line.known.size(); ++k)
+    for (std::size_t k = from; k < line.known.size(); ++k) {
+      const Ticks ended = jobs_[at(line.known[k])].ended;
       line.latest[k] =
-          std::max(k > 0 ? line.latest[k - 1] : -kUnknown, jobs_[at(line.known[k])].ended);
+          std::max(k > 0 ? line.latest[k - 1] : -kUnknown, ended < kUnknown ? ended : -kUnknown);
+    }
   }
 
   /// Whom x may find on an XPU that does not preempt.
   struct Blocker {
     const Job* job;
-    Ticks left;  ///< less what it waits for, of those in V(s)
+    Ticks left;  ///< less what it waits for, of those in V(s); 0 if it is one
   };
   void find_blockers(const Job& x) {
     blockers_.clear();
     if (lines_[at(x.xpu)].preemptive) return;
     for_each_started(x, std::max(x.ready, high_), [&](const Job& other) {
-      blockers_.push_back({&other, other.work});
+      // What x waits for has a smaller key, or A(x) is at least its F, which counts V(s) too.
+      if (!drifts_ || !waits_for(x, other)) blockers_.push_back({&other, other.work});
       return true;
     });
   }
   void count(const Job& of_v) {
-    for (Blocker& b : blockers_)
+    for (Blocker& b : blockers_) {
       if (waits_for(*b.job, of_v)) b.left -= of_v.work;
+      if (b.job == &of_v) b.left = 0;
+    }
   }
   /// B(s), what is counted being V(s).
   [[nodiscard]] Ticks blocked(Ticks s) const {
@@ -390,69 +528,120 @@ class Walk {
       if (b.job->starts < s) longest = std::max(longest, b.left);
     return longest;
   }
+  /// The same for t, where all of V is counted.
+  [[nodiscard]] Ticks blocked_at_high(const Job& x) const {
+    Ticks longest = 0;
+    for (const Blocker& b : blockers_)
+      if (b.job->starts < high_ && b.job->soon > x.late) longest = std::max(longest, b.left);
+    return longest;
+  }
+
+  /// Whether a job of p may be there at s that q's certificate does not know: it blocks x, or is
+  /// preempted by one of V(s), whose keys are at least `least_key`.
+  [[nodiscard]] bool meets_p(const Job& x, Ticks s, Ticks least_key) const {
+    const Line& line = lines_[at(x.xpu)];
+    if (line.preemptive && line.cost == 0) return false;
+    if (line.of_p_left == 0 && line.of_p_ended <= s) return false;
+    const Ticks key = line.preemptive ? least_key : x.soon;
+    return std::ranges::any_of(line.of_p, [&](int k) {
+      const Job& job = jobs_[at(k)];
+      return job.ended > s && job.late > key && (line.preemptive || job.starts < s);
+    });
+  }
 
   /// F(x). V is gone through by A, the largest first.
   ///
-  /// Once all of V with A < s has F <= s, s >= t'', smaller s and the term of t give no more. Let G be
-  /// those, if any, and z the one of G with the largest key, of these the last walked. Then G is in z's
-  /// V. Where s' <= A(z), F(z) >= s' + C(G) or, where a job of G was not known then, even from a later
-  /// s' on: such a job is in all of z's V(s). So s' + C(V(s')) = s' + C(G) + C(V(s)) <= s + C(V(s)),
-  /// with G here those of it in V(s'). What may block at s' or t'' may do so at s, and what is taken
-  /// off for V(s) is no more. In the same way F(z) >= I(z) + C(G), and I(x) <= I(z), since z's key is
-  /// not the larger one. Where G is empty, I(x) <= t'' <= s.
-  Ticks by_when_ended(const Job& x) {
+  /// Once all of V with A < s has F <= s, s >= t'', smaller s and the term of t are not needed: if m is
+  /// busy with V since s' < s or since t, then from s on with V(s) alone, or with what blocked s' or t
+  /// and may block s. So x has ended by the sum for s.
+  ///
+  /// They give no more, either, where the clock does not drift. Let G be those with A < s, if any, and
+  /// z the one of G with the largest key, of these the last walked. Then G is in z's V. Where s' <=
+  /// A(z), F(z) >= s' + C(G) or, where a job of G was not known then, even from a later s' on: such a
+  /// job is in all of z's V(s). So s' + C(V(s')) = s' + C(G) + C(V(s)) <= s + C(V(s)), with G here
+  /// those of it in V(s'). What may block at s' or t'' may do so at s, and what is taken off for V(s)
+  /// is no more. In the same way F(z) >= I(z) + C(G), and I(x) <= I(z), since z's key is not the
+  /// larger one. Where G is empty, I(x) <= t'' <= s.
+  ///
+  /// Where x is clean so far it stays so, too, if the sum for s is in time, or if G has ended before any
+  /// of V(s) has to be ready: then q's certificate bounds V(s) from there on.
+  void find_end(Job& x) {
     const Line& line = lines_[at(x.xpu)];
     find_blockers(x);
     Ticks sum = 0, worst = 0;
-    for (std::size_t k = line.low; k < line.all.size() && line.all[k].first <= x.key; ++k) {
+    bool clean = x.on_time, certain = true;  // certain: all of V(s) are known, of q, and on time
+    for (std::size_t k = line.low; k < line.all.size() && line.all[k].first <= x.late; ++k) {
       const Job& y = jobs_[at(line.all[k].second)];
       if (y.ready < kUnknown) continue;
       sum += y.work;
       count(y);
+      certain = false;
     }
-    bool first = true, below = false;
-    Ticks blocked_at_high = 0;
+    const auto is_before = [&](int y) { return jobs_[at(y)].soon <= x.late; };
+    auto pending = std::ranges::count_if(line.pending, is_before);  // of V, not in V(s)
+    Ticks least_key = kUnknown, open = kUnknown;                    // of V(s)
+    bool first = true;
+    const auto end = [&](Ticks by) {
+      x.clean = clean;
+      x.ended = clean ? std::min(by, x.late) : by;
+    };
     std::size_t k = line.known.size();
     for (; k > 0; --k) {
       const Job& y = jobs_[at(line.known[k - 1])];
       if (y.ready <= low_) break;
-      if (y.key > x.key) continue;
+      if (y.soon > x.late) continue;
       const Ticks s = y.ready;
-      if (s < high_ && !below) {
-        below = true;
-        blocked_at_high = blocked(high_);
-      }
       sum += y.work;
       count(y);
+      pending -= y.ended == kUnknown;
+      if (clean) {
+        certain &= y.on_time;
+        least_key = std::min(least_key, y.soon);
+        if (y.of_q) open = std::min(open, opens(y));
+      }
       if (s > x.ready) continue;
       // Of several with this A, the last one has counted all.
-      worst = first ? s + sum + blocked(s) : std::max(worst, s + sum + blocked(s));
+      const Ticks by = s + sum + blocked(s);
+      worst = first ? by : std::max(worst, by);
       first = false;
-      if (s >= high_ && (k == 1 || line.latest[k - 2] <= s)) return worst;
+      clean = clean && (by <= x.soon || (certain && !meets_p(x, s, least_key)));
+      if (s < high_ || pending > 0) continue;
+      const Ticks ended = k == 1 ? -kUnknown : line.latest[k - 2];
+      if (ended <= s && (!clean || by <= x.soon || ended <= open)) return end(worst);
     }
-    if (!below) blocked_at_high = blocked(high_);
-    for (; k > 0; --k)
-      if (jobs_[at(line.known[k - 1])].key <= x.key) sum += jobs_[at(line.known[k - 1])].work;
-    Ticks begun = high_, work = 0;
-    for (const auto& [key, wcet] : line.without_change) {
-      if (key > x.key) break;
+    for (; k > 0; --k) {
+      const Job& y = jobs_[at(line.known[k - 1])];
+      if (!is_before(line.known[k - 1])) continue;
+      sum += y.work;
+      count(y);
+    }
+    Ticks begun = high_, work = 0, ended = -kUnknown;
+    for (const auto& [soon, late, wcet] : line.without_change) {
+      if (soon > x.late) break;  // it is not in V
       work += wcet;
-      begun = std::min(begun, key - work);
+      ended = std::max(ended, late);
+      begun = std::min(begun, ended - work);
     }
-    const Ticks second = begun + sum + blocked_at_high;
-    return first ? second : std::max(worst, second);
+    const Ticks by = begun + sum + blocked_at_high(x);
+    clean = clean && by <= x.soon;
+    end(first ? by : std::max(worst, by));
   }
 
   const Both& both_;
   Ticks hyperperiod_;
+  Drift drift_;
+  bool drifts_;
   std::vector<std::vector<std::int64_t>> lags_;  ///< [xnode], as asked for
   std::vector<int> components_;
-  Ticks step_ = 1, deepest_ = 0, deepest_of_q_ = 0;  ///< D
+  Ticks step_ = 1, deepest_ = 0, deepest_of_q_ = 0;  ///< the largest keys; of q: D
+  Ticks blur_ = 0;                                   ///< no key is known less
   Ticks change_ = 0, low_ = 0, high_ = 0;            ///< S, t', t''
   Ticks generated_ = 0;                              ///< all that is released before it is there
   Ticks last_ = 0;                                   ///< L, but for S
   std::size_t most_ = 0;
+  Ticks all_work_ = 0;
   std::vector<Job> jobs_;
+  std::vector<int> fresh_;                 ///< whose A may be found
   std::vector<Line> lines_;                ///< [xpu]
   std::vector<std::vector<int>> jobs_of_;  ///< [xnode] from first_kept_ on
   std::vector<std::int64_t> first_kept_;   ///< [xnode]
@@ -519,32 +708,145 @@ class Ways {
   std::size_t visits_ = 0;
 };
 
-struct Chain {
-  std::size_t index = 0;
-  std::vector<Way> ways;
-  Ticks alone = 0;  ///< the worst case under p
-  Ticks worst = 0;  ///< of all walks
+/// Of a way, on one clock: from a release of the source, or from what a reader has just missed.
+struct Part {
+  int clock = -1;
+  int source = -1;  ///< that the way begins at, or
+  int reader = -1;  ///< the XNode through which it enters that clock
+  Way samples;
+  int last = -1;    ///< XNode
+  Ticks alone = 0;  ///< no longer under p
+  Ticks worst = 0;  ///< of all that was looked at; both are in the clock's own time
 };
 
-/// From S and [t', t''] on: the longest from a release whose way meets a job that was walked.
-void follow(const Both& both, const Walk& walk, Ticks high, Chain& chain) {
-  const ChainSpec& spec = both.p.app.chains[chain.index];
-  const SourceSpec& source = both.p.app.sources[at(spec.from)];
-  const Ticks offset = source.offset_us * both.p.scale;
-  const Ticks period = source.period.num * (both.p.scale / source.period.den);
-  // A release that p alone brings through before t'' meets none; those after L are q's alone.
-  for (std::int64_t k = floor_div(high - chain.alone - offset, period);
-       offset + k * period <= walk.last(); ++k)
-    for (const Way& way : chain.ways) {
-      std::int64_t n = k;
-      for (const auto& [u, v] : way) {
-        const Ticks end = walk.end(u, n);
-        const Component& to = both.p.home(v);
-        n = floor_div(end - both.latest_start[at(v)] - to.phi, to.period);
-        while (walk.starts(v, n) < end) ++n;
+struct Chain {
+  std::size_t index = 0;
+  std::vector<Part> parts;
+  std::vector<std::vector<std::size_t>> ways;  ///< of parts
+  Ticks worst = 0;                             ///< under one table, in real time
+};
+
+/// Each way cut where it enters another clock.
+Chain cut(const World& w, std::size_t index, const Ways& ways) {
+  const ChainSpec& spec = w.app.chains[index];
+  Chain chain{index, {}, {}, 0};
+  std::map<std::tuple<int, Way, int>, std::size_t> known;
+  for (const Way& way : ways.all()) {
+    std::vector<std::size_t>& parts = chain.ways.emplace_back();
+    Part part;
+    part.source = spec.from;
+    part.clock = w.app.sources[at(spec.from)].clock;
+    const auto end_with = [&](int last) {
+      part.last = last;
+      const auto [found, is_new] =
+          known.try_emplace({part.reader, part.samples, last}, chain.parts.size());
+      if (is_new) chain.parts.push_back(part);
+      parts.push_back(found->second);
+    };
+    for (const auto& [u, v] : way) {
+      if (const int clock = w.home(v).clock; clock != part.clock) {
+        end_with(u);
+        part = {};
+        part.clock = clock;
+        part.reader = v;
+      } else {
+        part.samples.emplace_back(u, v);
       }
-      chain.worst = std::max(chain.worst, walk.end(spec.to, n) - (offset + k * period));
     }
+    end_with(spec.to);
+  }
+  return chain;
+}
+
+/// One table alone, as a Walk in which nothing happens.
+struct Alone {
+  const World& w;
+  Drift clock;
+  [[nodiscard]] const Drift& drift() const { return clock; }
+  [[nodiscard]] static bool ends_by_key(int /*xnode*/, std::int64_t /*n*/) { return true; }
+  [[nodiscard]] const Window& window(int xnode, std::int64_t n) const { return w.window(xnode, n); }
+  [[nodiscard]] Ticks instant(int xnode, std::int64_t n, Ticks after) const {
+    const Component& c = w.home(xnode);
+    return c.phi + n * c.period + after;
+  }
+  [[nodiscard]] Ticks end(int xnode, std::int64_t n) const {
+    return instant(xnode, n, clock.late(w.window(xnode, n).d));
+  }
+  [[nodiscard]] Ticks starts(int xnode, std::int64_t n) const {
+    return instant(xnode, n, clock.soon(w.window(xnode, n).e));
+  }
+};
+
+/// The activation of the part's last XNode that certainly knows what activation n of its first does.
+template <typename On>
+std::int64_t arrives(const Both& both, const On& on, const Part& part, std::int64_t n) {
+  for (const auto& [u, v] : part.samples) {
+    const Ticks end = on.end(u, n);
+    const Component &to = both.p.home(v), &from = both.p.home(u);
+    const Ticks released = from.phi + n * from.period;
+    // What ends by its key does so a real time after its release, as its reader starts after its own.
+    const bool by_key = on.drift().ppm > 0 && on.ends_by_key(u, n);
+    const Ticks due = by_key ? on.window(u, n).d : 0;
+    const auto knows = [&](std::int64_t m) {
+      return on.starts(v, m) >= end ||
+             (by_key &&
+              least(to.phi + m * to.period - released, on.drift().ppm) + on.window(v, m).e >= due);
+    };
+    const Ticks from_on = by_key ? std::min(end, released + due) : end;
+    n = floor_div(from_on - both.latest_start[at(v)] - to.phi, to.period);
+    while (!knows(n)) ++n;
+  }
+  return n;
+}
+
+/// When the part begins for activation n: n reads what ends by then, or later than n - 1 can have read.
+template <typename On>
+Ticks begins(const Both& both, const On& on, const Part& part, std::int64_t n) {
+  if (part.reader >= 0) return on.starts(part.reader, n - 1);
+  const SourceSpec& source = both.p.app.sources[at(part.source)];
+  return source.offset_us * both.p.scale +
+         n * source.period.num * (both.p.scale / source.period.den);
+}
+
+/// The longest under p and under q alone, of a part that no claim is known of. False: too many jobs.
+bool follow_alone(const Both& both, Ticks hyperperiod, std::int64_t& budget, Part& part) {
+  const int first = part.reader >= 0       ? part.reader
+                    : part.samples.empty() ? part.last
+                                           : part.samples[0].first;
+  const Drift drift{both.p.app.clocks[at(part.clock)].ppm};
+  for (const World* w : {&both.p, &both.q}) {
+    const Alone alone{*w, drift};
+    for (std::int64_t n = 0; n < hyperperiod / w->home(first).period; ++n) {
+      if (--budget < 0) return false;
+      part.worst = std::max(part.worst, alone.end(part.last, arrives(both, alone, part, n)) -
+                                            begins(both, alone, part, n));
+    }
+    if (w == &both.p) part.alone = part.worst;
+  }
+  return true;
+}
+
+/// From S and [t', t''] on: the longest that meets a job that was walked.
+void follow(const Both& both, const Walk& walk, Ticks high, Part& part) {
+  // What p alone brings through before t'' meets none; what is released after L is q's alone.
+  const Ticks from = high - part.alone - 2 * (walk.drift().late(0));
+  std::int64_t n = 0;
+  if (part.reader < 0) {
+    const Ticks period = begins(both, walk, part, 1) - begins(both, walk, part, 0);
+    n = floor_div(from - begins(both, walk, part, 0), period);
+  } else {
+    const Component& home = both.p.home(part.reader);
+    n = floor_div(from - both.latest_start[at(part.reader)] - home.phi, home.period);
+  }
+  for (;; ++n) {
+    if (part.reader < 0
+            ? begins(both, walk, part, n) > walk.last()
+            : walk.release(part.reader, n) > walk.last() && walk.of_q(part.reader, n - 1))
+      return;
+    const std::int64_t last = arrives(both, walk, part, n);
+    if (walk.in_u(part.last, last))
+      part.worst = std::max(part.worst, walk.end(part.last, last) - begins(both, walk, part, n));
+  }
 }
 
 // --------------------------------------------------------------------------------------- clocks
@@ -555,8 +857,9 @@ struct Budget {
 
 /// All S of a hyperperiod, and all t. False: too many jobs.
 bool walk_clock(const Both& both, int clock, Ticks hyperperiod, Ticks notice, Budget& budget,
-                std::vector<Chain>& chains, Ticks& settles) {
+                const std::vector<Part*>& parts, Ticks& settles) {
   const World& p = both.p;
+  const Drift drift{p.app.clocks[at(clock)].ppm};
   std::set<Ticks> releases;  // of a hyperperiod
   for (const Component& c : p.components)
     if (c.clock == clock)
@@ -569,13 +872,13 @@ bool walk_clock(const Both& both, int clock, Ticks hyperperiod, Ticks notice, Bu
   Ticks before = *releases.rbegin() - hyperperiod;
   for (const Ticks change : releases) {
     // t is in [low, change]; keys of p in between.
-    const Ticks low = before - notice;
+    const Ticks low = before - drift.longest(notice);
     std::set<Ticks> cuts = {low, change};
     for (const Component& c : p.components) {
       if (c.clock != clock) continue;
       for (const int i : c.xnodes)
         for (std::int64_t n = ceil_div(change - c.phi, c.period) - 1;; --n) {
-          const Ticks key = c.phi + n * c.period + p.window(i, n).d;
+          const Ticks key = c.phi + n * c.period + drift.late(p.window(i, n).d);
           if (key <= low) break;
           if (--budget.jobs < 0) return false;
           if (key < change) cuts.insert(key);
@@ -588,7 +891,7 @@ bool walk_clock(const Both& both, int clock, Ticks hyperperiod, Ticks notice, Bu
       budget.jobs -= static_cast<std::int64_t>(walk.jobs());
       if (!done || budget.jobs < 0) return false;
       settles = std::max(settles, walk.span_end() - change);
-      for (Chain& chain : chains) follow(both, walk, high, chain);
+      for (Part* part : parts) follow(both, walk, high, *part);
     }
     before = change;
   }
@@ -598,7 +901,6 @@ bool walk_clock(const Both& both, int clock, Ticks hyperperiod, Ticks notice, Bu
 /// Why nothing follows for a clock, by both placements alone; empty: something may.
 std::string why_unclaimed(const Both& both, const AppSpec& app, int clock) {
   const ClockSpec& spec = app.clocks[at(clock)];
-  if (spec.ppm > 0) return fmt::format("clock '{}' has a tolerance of {} ppm", spec.name, spec.ppm);
   std::vector<char> used(both.p.platform.xpus.size(), 0);
   const auto each_use = [&](const auto& visit) {
     for (std::size_t i = 0; i < both.p.wcet.size(); ++i)
@@ -615,10 +917,22 @@ std::string why_unclaimed(const Both& both, const AppSpec& app, int clock) {
   return why;
 }
 
-/// Its drift left out: what drifts is not claimed, and would only make ticks smaller.
-AppSpec without_drift(AppSpec app) {
-  for (ClockSpec& clock : app.clocks) clock.ppm = 0;
-  return app;
+/// In ticks of 1/scale us, where its own are finer. `a` and `e` are taken short: q's certificate may
+/// be of the finer ones.
+void coarsen(World& w, std::int64_t scale) {
+  const std::int64_t by = w.scale / scale;
+  if (by == 1) return;
+  w.scale = scale;
+  for (Component& c : w.components) {
+    c.period /= by;
+    c.phi /= by;
+  }
+  for (Ticks& c : w.wcet) c /= by;
+  for (auto& before : w.before)
+    for (auto& [u, transfer] : before) transfer /= by;
+  for (auto& windows : w.windows)
+    for (Window& window : windows)
+      window = {floor_div(window.a, by), window.d / by, floor_div(window.e, by)};
 }
 
 /// The same keys for an app that differs in times.
@@ -668,16 +982,23 @@ Status check_input(const TwoTables& tables, std::int64_t most_jobs) {
 Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most_jobs) {
   namespace own = checking::tables;
   XAUTO_TRY(own::check_input(tables, most_jobs));
-  const AppSpec app_from = own::without_drift(tables.app_from),
-                app_to = own::without_drift(tables.app_to),
-                app_both = own::without_drift(tables.app_both);
-  const KeyPolicy from = own::meant_for(tables.from, app_from),
-                  to = own::meant_for(tables.to, app_to),
-                  from_both = own::meant_for(tables.from, app_both);
-  XAUTO_ASSIGN(const checking::World p, checking::derive(app_from, tables.platform, from));
-  XAUTO_ASSIGN(const checking::World q, checking::derive(app_to, tables.platform, to));
-  XAUTO_ASSIGN(const checking::World larger,
-               checking::structure(app_both, tables.platform, from_both, false));
+  const AppSpec& app_from = tables.app_from;
+  const KeyPolicy from_both = own::meant_for(tables.from, tables.app_both);
+  XAUTO_ASSIGN(checking::World p, checking::derive(app_from, tables.platform, tables.from));
+  XAUTO_ASSIGN(checking::World q, checking::derive(tables.app_to, tables.platform, tables.to));
+  XAUTO_ASSIGN(checking::World larger,
+               checking::structure(tables.app_both, tables.platform, from_both, true));
+  // [chain] the longer of both tables' own, and p's; 0 beside urgent releases.
+  std::vector<std::pair<std::int64_t, std::int64_t>> steady_us(app_from.chains.size());
+  const bool urgent = std::ranges::any_of(app_from.sources,
+                                          [](const SourceSpec& s) { return s.urgent.has_value(); });
+  for (std::size_t k = 0; k < app_from.chains.size() && !urgent; ++k) {
+    XAUTO_ASSIGN(const ChainProof under_p, checking::derive_chain(p, k, false));
+    XAUTO_ASSIGN(const ChainProof under_q, checking::derive_chain(q, k, false));
+    steady_us[k] = {std::max(under_p.derived_us, under_q.derived_us), under_p.derived_us};
+  }
+  const std::int64_t scale = std::min({p.scale, q.scale, larger.scale});
+  for (checking::World* w : {&p, &q, &larger}) own::coarsen(*w, scale);
   for (std::size_t i = 0; i < p.wcet.size(); ++i)
     if (larger.wcet[i] < p.wcet[i])
       return fail(ErrorCode::kInvalid, "its larger WCET is less than that of one table",
@@ -696,29 +1017,23 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
     proof.worst_case_us[chain].reset();
     proof.why_not.push_back(fmt::format("chain '{}': {}", tables.app_from.chains[chain].name, why));
   };
-  if (std::ranges::any_of(app_from.sources,
-                          [](const SourceSpec& s) { return s.urgent.has_value(); })) {
+  if (urgent) {
     for (std::size_t k = 0; k < app_from.chains.size(); ++k)
       nothing(k, "the app has urgent releases");
     return proof;
   }
-  // Chains by clock; those that follow have one.
-  std::vector<std::vector<own::Chain>> chains(app_from.clocks.size());
+  std::vector<own::Chain> chains;
+  std::vector<std::set<int>> passes;  // [chain] clocks
+  std::vector<char> too_many;
   for (std::size_t k = 0; k < app_from.chains.size(); ++k) {
-    XAUTO_ASSIGN(const ChainProof under_p, checking::derive_chain(p, k, false));
-    XAUTO_ASSIGN(const ChainProof under_q, checking::derive_chain(q, k, false));
     const own::Ways ways(p, app_from.chains[k]);
-    if (ways.too_many()) {
-      nothing(k, "it has too many ways");
-    } else if (ways.clocks().size() != 1) {
-      nothing(k, "it passes through several clocks");
-    } else {
-      own::Chain chain{k, ways.all(), under_p.derived_us * p.scale, 0};
-      chain.worst = std::max(under_p.derived_us, under_q.derived_us) * p.scale;
-      chains[at(*ways.clocks().begin())].push_back(std::move(chain));
-    }
+    too_many.push_back(ways.too_many());
+    passes.push_back(ways.clocks());
+    chains.push_back(ways.too_many() ? own::Chain{k, {}, {}, 0} : own::cut(p, k, ways));
+    chains.back().worst = steady_us[k].first * p.scale;
   }
   own::Budget budget{most_jobs};
+  std::vector<std::string> why(app_from.clocks.size());
   for (std::size_t clock = 0; clock < app_from.clocks.size(); ++clock) {
     checking::Ticks hyperperiod = 1, settles = 0;  // 0: does not fit
     bool used = false;
@@ -729,19 +1044,48 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
         if (hyperperiod > 0) hyperperiod = checking::lcm(hyperperiod, c.pattern());
       }
     if (!used) continue;
-    std::string why = own::why_unclaimed(both, tables.app_from, static_cast<int>(clock));
-    if (why.empty() && hyperperiod == 0)
-      why = fmt::format("the hyperperiod of clock '{}' does not fit", app_from.clocks[clock].name);
-    if (why.empty() && !own::walk_clock(both, static_cast<int>(clock), hyperperiod,
-                                        tables.notice_us * p.scale, budget, chains[clock], settles))
-      why = fmt::format("clock '{}' takes more jobs than are looked at, or does not settle",
-                        app_from.clocks[clock].name);
-    if (why.empty()) proof.settles_us = std::max(proof.settles_us, p.us_up(settles));
-    for (const own::Chain& chain : chains[clock]) {
-      if (why.empty())
-        proof.worst_case_us[chain.index] = p.us_up(chain.worst);
-      else
-        nothing(chain.index, why);
+    why[clock] = own::why_unclaimed(both, app_from, static_cast<int>(clock));
+    if (why[clock].empty() && hyperperiod == 0)
+      why[clock] =
+          fmt::format("the hyperperiod of clock '{}' does not fit", app_from.clocks[clock].name);
+    if (!why[clock].empty()) continue;
+    const own::Drift drift{app_from.clocks[clock].ppm};
+    std::vector<own::Part*> parts;
+    bool done = true;
+    for (own::Chain& chain : chains)
+      for (own::Part& part : chain.parts) {
+        if (part.clock != static_cast<int>(clock)) continue;
+        parts.push_back(&part);
+        // A way on one clock is in the chain's own worst cases.
+        if (part.source >= 0 && part.last == app_from.chains[chain.index].to)
+          part.alone = drift.longest(steady_us[chain.index].second * p.scale);
+        else
+          done = done && own::follow_alone(both, hyperperiod, budget.jobs, part);
+      }
+    if (!done || !own::walk_clock(both, static_cast<int>(clock), hyperperiod,
+                                  tables.notice_us * p.scale, budget, parts, settles))
+      why[clock] = fmt::format("clock '{}' takes more jobs than are looked at, or does not settle",
+                               app_from.clocks[clock].name);
+    else
+      proof.settles_us = std::max(proof.settles_us, p.us_up(checking::most(settles, drift.ppm)));
+  }
+  for (const own::Chain& chain : chains) {
+    const auto failed = std::ranges::find_if(passes[chain.index],
+                                             [&](int clock) { return !why[at(clock)].empty(); });
+    if (too_many[chain.index]) {
+      nothing(chain.index, "it has too many ways");
+    } else if (failed != passes[chain.index].end()) {
+      nothing(chain.index, why[at(*failed)]);
+    } else {
+      checking::Ticks worst = chain.worst;
+      for (const auto& way : chain.ways) {
+        checking::Ticks sum = 0;
+        for (const std::size_t part : way)
+          sum += checking::most(chain.parts[part].worst,
+                                app_from.clocks[at(chain.parts[part].clock)].ppm);
+        worst = std::max(worst, sum);
+      }
+      proof.worst_case_us[chain.index] = p.us_up(worst);
     }
   }
   return proof;

@@ -141,8 +141,9 @@ bool Evaluator::serves(const Decision& decision, Figures& out) {
 /// Which domains have to be simulated.
 void Evaluator::find_changes(const Decision& decision, const Figures& out) {
   changed_.assign(p_.domains.size(), 1);
-  if (base_ == nullptr || base_figures_->w.d.empty() || !base_figures_->simulated) return;
-  was_shared_ = shared_xpus(p_, base_->xpu);
+  if (base_ == nullptr) return;
+  was_shared_ = shared_xpus(p_, base_->xpu);  // as_before reads it in any case
+  if (base_figures_->w.d.empty() || !base_figures_->simulated) return;
   std::fill(changed_.begin(), changed_.end(), 0);
   for (int i = 0; i < p_.num_xnodes; ++i) {
     const std::size_t x = at(i), m = at(decision.xpu[x]);

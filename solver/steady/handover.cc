@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <optional>
 #include <queue>
 #include <tuple>
 
@@ -17,16 +18,34 @@ constexpr int kMostHyperperiods = 40;
   return 10'000 + 4 * domain.jobs;
 }
 
-/// Walks the jobs of one domain around one S.
+/// floor(t * 10^6 / (10^6 + ppm)), t >= 0: the least of a clock's time that `t` takes.
+Tick least_of_clock(Tick t, std::int64_t ppm) {
+  return static_cast<Tick>(static_cast<__int128>(t) * kMillion / (kMillion + ppm));
+}
+
+/// A real distance that is no longer than `apart` of the clock, which may be below 0.
+Tick shortest(Tick apart, std::int64_t ppm) {
+  if (ppm == 0) return apart;
+  const Tick length = apart < 0 ? -apart : apart;
+  return apart - (in_slow_time(length, ppm) - length + 1);
+}
+
+/// Walks the jobs of one domain around one S. Time is the domain's clock.
 class Walk {
  public:
   Walk(const HandoverInput& in, int domain)
-      : in_(in), p_(in.now), domain_(in.now.domains[at(domain)]), by_xpu_(at(p_.num_xpus)) {
+      : in_(in),
+        p_(in.now),
+        domain_(in.now.domains[at(domain)]),
+        ppm_(domain_.ppm),
+        by_xpu_(at(p_.num_xpus)) {
     first_.assign(at(p_.num_xnodes), 0);
     index_.resize(at(p_.num_xnodes));
     for (const int i : domain_.xnodes)
       for (int n = 0; n < p_.jobs[at(i)]; ++n)
         deepest_ = std::max({deepest_, in.from.d[p_.slot_of(i, n)], in.to.d[p_.slot_of(i, n)]});
+    blur_ = blur(deepest_);
+    reach_ = deepest_ + 2 * blur_;
   }
 
   /// t is in [since, until], S is after all of the first table's releases. False: not settled within
@@ -36,20 +55,20 @@ class Walk {
     most = std::min(most, walked_ + most_of_walk(domain_));
     for (const int i : domain_.xnodes) add_before(i);
     plan_all();
-    settled_by_ = last_late_ + 2 * deepest_ + domain_.hyper;
-    extend(s + deepest_ + domain_.hyper);
+    settled_by_ = last_late_ + 2 * reach_ + domain_.hyper;
+    extend(s + reach_ + domain_.hyper);
     while (!settled()) {
-      if (horizon_ > s + kMostHyperperiods * domain_.hyper + 4 * deepest_ || walked_ > most)
+      if (horizon_ > s + kMostHyperperiods * domain_.hyper + 4 * reach_ || walked_ > most)
         return false;
       if (ready_.empty() || jobs_[at(ready_.top().job)].key > horizon_) {
         extend(horizon_ + domain_.hyper);
         continue;
       }
-      // Of equal keys it is known first by when all of them are ready: else the one that comes later
-      // would count as if it might be ready at any time, again and again.
-      const Tick key = jobs_[at(ready_.top().job)].key;
+      // Of keys that may be equal it is known first by when all of them are ready: else the one that comes
+      // later would count as if it might be ready at any time, again and again.
+      const Tick key = latest_key(jobs_[at(ready_.top().job)]);
       equals_.clear();
-      for (; !ready_.empty() && jobs_[at(ready_.top().job)].key == key; ready_.pop())
+      for (; !ready_.empty() && earliest_key(jobs_[at(ready_.top().job)]) <= key; ready_.pop())
         equals_.push_back(ready_.top().job);
       for (const int x : equals_) make_ready(x);
       for (const int x : equals_) visit(x);
@@ -71,13 +90,24 @@ class Walk {
     const int x = find(xnode, n);
     if (x >= 0 && jobs_[at(x)].walked) return jobs_[at(x)].ends;
     const Tick at_release = release(xnode, n);
-    return at_release + windows(at_release).d[p_.slot_of(xnode, n)];
+    const Tick key = windows(at_release).d[p_.slot_of(xnode, n)];
+    return at_release + key + blur(key);
   }
   /// Before which activation n does not start.
   [[nodiscard]] Tick held(int xnode, std::int64_t n) const {
-    const Tick at_release = release(xnode, n);
-    return at_release + windows(at_release).hold[p_.slot_of(xnode, n)];
+    return release(xnode, n) + hold(xnode, n) - blur(hold(xnode, n));
   }
+  /// After its release, if it has ended by its key.
+  [[nodiscard]] std::optional<Tick> key(int xnode, std::int64_t n) const {
+    const int x = find(xnode, n);
+    if (x >= 0 && jobs_[at(x)].walked && !jobs_[at(x)].clean) return std::nullopt;
+    return windows(release(xnode, n)).d[p_.slot_of(xnode, n)];
+  }
+  [[nodiscard]] Tick hold(int xnode, std::int64_t n) const {
+    return windows(release(xnode, n)).hold[p_.slot_of(xnode, n)];
+  }
+  /// By how much a length that counts from a release may be another one of the clock's.
+  [[nodiscard]] Tick blur(Tick length) const { return lost_in(length, ppm_); }
   [[nodiscard]] Tick most_hold(int xnode) const {
     Tick most = 0;
     for (int n = 0; n < p_.jobs[at(xnode)]; ++n)
@@ -91,9 +121,12 @@ class Walk {
     int xnode, xpu;
     std::int64_t n;
     Tick release, key, starts;  ///< starts: not before
+    Tick blur;                  ///< of the key
     Tick wcet;
-    bool second, walked = false;
-    int waits = 0;  ///< for so many that are not walked
+    bool second, walked = false, visited = false;
+    bool on_time = false;  ///< ready by the second table's `a`
+    bool clean = false;    ///< ends by that table's key
+    int waits = 0;         ///< for so many that are not walked
     Tick ready = 0, ends = 0, work = 0;
   };
   struct Next {
@@ -111,14 +144,16 @@ class Walk {
   };
   /// A job of the first table on an XPU, had there been no change.
   struct Planned {
-    Tick key, work;
-    Tick begun;  ///< least key less all work with keys up to it, of those up to here
+    Tick key, late;  ///< at the earliest, at the latest
+    Tick work;
+    Tick begun = 0;  ///< the latest key less all work, of those up to here; the least so far
   };
   static constexpr Tick kNotYet = kMostTicks * 1024;  ///< its end is not known yet
   struct OnXpu {
-    std::vector<int> by_key;  ///< all, the walked ones too
-    std::size_t first = 0;    ///< all before it are walked
-    std::vector<Done> done;   ///< by `ready`
+    std::vector<int> by_key;    ///< all, the walked ones too
+    std::size_t first = 0;      ///< all before it are walked
+    std::vector<Done> done;     ///< by `ready`
+    std::vector<int> of_first;  ///< jobs of the first table
     std::vector<Planned> plan;
   };
 
@@ -136,6 +171,14 @@ class Walk {
       first_[at(i)] = 0;
     }
     for (OnXpu& m : by_xpu_) m = {};
+  }
+
+  [[nodiscard]] static Tick earliest_key(const Job& j) { return j.key - j.blur; }
+  [[nodiscard]] static Tick latest_key(const Job& j) { return j.key + j.blur; }
+  /// Of the second table: by then it is to be ready.
+  [[nodiscard]] Tick earliest_ready(const Job& j) const {
+    const Tick a = in_.to.a[p_.slot_of(j.xnode, j.n)];
+    return j.release + a - blur(a);
   }
 
   [[nodiscard]] const Windows& windows(Tick release) const {
@@ -158,8 +201,10 @@ class Walk {
   void plan(int xnode) {
     const int xpu = in_.from_xpu[at(xnode)];
     for (std::int64_t n = first_[at(xnode)]; release(xnode, n) < s_ + domain_.hyper; ++n) {
-      const Tick key = release(xnode, n) + in_.from.d[p_.slot_of(xnode, n)];
-      if (key <= s_ + domain_.hyper) by_xpu_[at(xpu)].plan.push_back({key, p_.wcet(xnode, xpu), 0});
+      const Tick d = in_.from.d[p_.slot_of(xnode, n)], key = release(xnode, n) + d;
+      if (key <= s_ + domain_.hyper)
+        by_xpu_[at(xpu)].plan.push_back(
+            {key - blur(d), key + blur(d), least_of_clock(p_.wcet(xnode, xpu), ppm_)});
     }
   }
   void plan_all() {
@@ -167,10 +212,11 @@ class Walk {
     for (OnXpu& m : by_xpu_) {
       std::sort(m.plan.begin(), m.plan.end(),
                 [](const Planned& a, const Planned& b) { return a.key < b.key; });
-      Tick work = 0;
+      Tick work = 0, late = 0;
       for (std::size_t k = 0; k < m.plan.size(); ++k) {
         work += m.plan[k].work;
-        m.plan[k].begun = m.plan[k].key - work;
+        late = k == 0 ? m.plan[k].late : std::max(late, m.plan[k].late);
+        m.plan[k].begun = late - work;
         if (k > 0) m.plan[k].begun = std::min(m.plan[k].begun, m.plan[k - 1].begun);
       }
     }
@@ -186,11 +232,15 @@ class Walk {
   void add_before(int xnode) {
     const std::int64_t end = from_on(xnode, s_);
     std::int64_t n = end;
-    while (release(xnode, n - 1) + in_.from.d[p_.slot_of(xnode, n - 1)] >= until_) --n;
+    const auto latest = [&](std::int64_t k) {
+      const Tick d = in_.from.d[p_.slot_of(xnode, k)];
+      return release(xnode, k) + d + blur(d);
+    };
+    while (latest(n - 1) >= until_) --n;
     first_[at(xnode)] = n;
     for (; n < end; ++n) {
       const int x = add(xnode, n, false);
-      last_late_ = std::max(last_late_, jobs_[at(x)].key);
+      last_late_ = std::max(last_late_, latest_key(jobs_[at(x)]));
     }
   }
 
@@ -199,12 +249,14 @@ class Walk {
     const Windows& w = second ? in_.to : in_.from;
     const std::size_t slot = p_.slot_of(xnode, n);
     const int xpu = second ? in_.to_xpu[at(xnode)] : in_.from_xpu[at(xnode)];
-    Job job{xnode, xpu, n, released, released + w.d[slot], released + w.e[slot], 0, second};
-    job.wcet = (second ? in_.then : in_.both).wcet(xnode, xpu);
+    Job job{xnode, xpu, n, released, released + w.d[slot], 0, blur(w.d[slot]), 0, second};
+    job.starts = released + w.e[slot] - blur(w.e[slot]);
+    job.wcet = in_fast_time((second ? in_.then : in_.both).wcet(xnode, xpu), ppm_);
     const auto x = static_cast<int>(jobs_.size());
     jobs_.push_back(job);
     index_[at(xnode)].push_back(x);
     by_xpu_[at(xpu)].by_key.push_back(x);
+    if (!second) by_xpu_[at(xpu)].of_first.push_back(x);
     return x;
   }
 
@@ -271,47 +323,78 @@ class Walk {
            j.n - z.n >= p_.modules[at(module)].in_flight;
   }
 
+  /// A(x), and whether that is known to be in time.
   void set_ready(Job& x) const {
-    const bool root = p_.root[at(x.xnode)] != 0;
-    Tick ready = x.release + (root ? p_.root_ready[at(x.xnode)] : 0);
+    const auto long_at_most = [&](Tick length) { return in_fast_time(length, ppm_); };
+    const std::size_t slot = p_.slot_of(x.xnode, x.n);
     const Windows& w = x.second ? in_.to : in_.from;
     const std::vector<int>& xpu = x.second ? in_.to_xpu : in_.from_xpu;
     const Problem& of_table = x.second ? in_.then : in_.now;  // it may have a message less
-    ready = std::max(ready, x.release + w.hold[p_.slot_of(x.xnode, x.n)]);
+    const Tick in_time = x.second ? earliest_ready(x) : 0;
+    const bool root = p_.root[at(x.xnode)] != 0;
+    Tick ready = x.release + (root ? long_at_most(p_.root_ready[at(x.xnode)]) : 0);
+    ready = std::max(ready, x.release + long_at_most(w.hold[slot]));
+    x.on_time = x.second;
+    const auto after = [&](int xnode, std::int64_t n, Tick passes) {
+      const Tick left = ends(xnode, n) + passes;
+      ready = std::max(ready, left);
+      const int u = find(xnode, n);
+      x.on_time = x.on_time && (left <= in_time || (u >= 0 && jobs_[at(u)].clean));
+    };
     for (const Link& link : of_table.pred[at(x.xnode)])
-      ready = std::max(ready, ends(link.xnode, x.n) +
-                                  of_table.transfer(link, xpu[at(link.xnode)], xpu[at(x.xnode)]));
+      after(link.xnode, x.n,
+            long_at_most(of_table.transfer(link, xpu[at(link.xnode)], xpu[at(x.xnode)])));
     if (const int u = find(x.xnode, x.n - 1); u >= 0) {
       const Job& last = jobs_[at(u)];
-      const bool ordered = last.xpu == x.xpu && last.key <= x.key;
-      ready = std::max(ready, ordered ? last.ready : last.ends);
+      const bool ordered =
+          last.xpu == x.xpu && (last.second == x.second || latest_key(last) <= earliest_key(x));
+      const Tick left = ordered ? last.ready : last.ends;
+      ready = std::max(ready, left);
+      x.on_time = x.on_time && (left <= in_time || (ordered && last.on_time));
     }
     const int module = p_.module_of[at(x.xnode)];
     if (module >= 0 && p_.entry[at(x.xnode)] != 0) {
       const Module& m = p_.modules[at(module)];
       if (m.in_flight < kMillion)
-        for (const int i : m.xnodes) ready = std::max(ready, ends(i, x.n - m.in_flight));
+        for (const int i : m.xnodes) after(i, x.n - m.in_flight, 0);
     }
     x.ready = ready;
   }
 
-  /// Jobs of its XPU with larger keys that may have started before `time`, and do not wait for x.
+  /// Jobs of its XPU that may have larger keys and may have started before `time`; neither waits for the
+  /// other.
   template <class Each>
   void larger(const Job& x, Tick time, Each each) const {
     const std::vector<int>& by_key = by_xpu_[at(x.xpu)].by_key;
-    auto j = std::upper_bound(by_key.begin(), by_key.end(), x.key,
+    auto j = std::upper_bound(by_key.begin(), by_key.end(), earliest_key(x) - blur_,
                               [&](Tick key, int job) { return key < jobs_[at(job)].key; });
-    for (; j != by_key.end() && jobs_[at(*j)].key < time + deepest_; ++j)
-      if (jobs_[at(*j)].starts < time && !waits_for(jobs_[at(*j)], x)) each(*j);
+    for (; j != by_key.end() && jobs_[at(*j)].key < time + deepest_ + blur_; ++j) {
+      const Job& other = jobs_[at(*j)];
+      if (latest_key(other) <= earliest_key(x) || other.starts >= time) continue;
+      if (waits_for(other, x) || (other.key <= x.key && is_or_before(other, x))) continue;
+      each(*j);
+    }
+  }
+  /// Only for keys that may be equal: `u` is x, or x waits for it.
+  [[nodiscard]] bool is_or_before(const Job& u, const Job& x) const {
+    return (u.xnode == x.xnode && u.n == x.n) || waits_for(x, u);
   }
 
+  /// Who pays for a job of the first table is not in time by the second one's certificate, which does not
+  /// know that job.
   void set_work(Job& x) const {
     x.work = x.wcet;
-    const Tick cost = p_.preempt[at(x.xpu)];
+    const Tick cost = in_fast_time(p_.preempt[at(x.xpu)], ppm_);
     if (p_.preemptive[at(x.xpu)] == 0 || cost == 0) return;
-    bool preempts = false;
-    larger(x, x.ready, [&](int j) { preempts |= jobs_[at(j)].xnode != x.xnode; });
-    if (preempts) x.work += cost;
+    bool preempts = false, known = false;
+    larger(x, x.ready, [&](int j) {
+      if (jobs_[at(j)].xnode == x.xnode) return;
+      preempts = true;
+      known |= jobs_[at(j)].second;
+    });
+    if (!preempts) return;
+    x.work += cost;
+    x.on_time = x.on_time && known;
   }
 
   /// A job that x's XPU may be busy with, and that it does not interrupt.
@@ -323,7 +406,7 @@ class Walk {
   /// A(x), its work, and its place among those of its XPU.
   void make_ready(int index) {
     set_ready(jobs_[at(index)]);
-    const Tick last = std::max(jobs_[at(index)].ready, jobs_[at(index)].key);
+    const Tick last = std::max(jobs_[at(index)].ready, jobs_[at(index)].key + blur_) + blur_;
     if (last >= horizon_) extend(last + domain_.hyper);
     Job& x = jobs_[at(index)];
     set_work(x);
@@ -357,54 +440,83 @@ class Walk {
         if (jobs_[at(b.job)].starts < s) most = std::max(most, jobs_[at(b.job)].wcet - b.less);
       return most;
     };
+    // The second table's certificate does not know jobs of the first one: who blocks x at s, or is there to
+    // be preempted, at a cost, by what comes from s on.
+    const auto meets_first = [&](Tick s, Tick least_key) {
+      if (!blocks && p_.preempt[at(x.xpu)] == 0) return false;
+      return std::any_of(m.of_first.begin(), m.of_first.end(), [&](int j) {
+        const Job& v = jobs_[at(j)];
+        if (blocks) return v.starts < s && latest_key(v) > earliest_key(x);
+        return (!v.visited || v.ends > s) && latest_key(v) > least_key;
+      });
+    };
+    const auto may_be_first = [&](const Job& z) { return earliest_key(z) <= latest_key(x); };
+    // What q's certificate says of x holds for a sum of nothing but jobs of q that are ready in time.
+    bool certified = true;
+    Tick opens = kNotYet;      // the first of their windows, at the earliest
+    Tick least_key = kNotYet;  // of them
+    x.clean = x.on_time;
+    Tick ends = x.ready + x.work;
+    const auto sum_is = [&](Tick by, bool of_q) {
+      ends = std::max(ends, by);
+      x.clean = x.clean && (of_q || by <= earliest_key(x));
+    };
     // Not walked, and not less urgent: in all sums.
     Tick sum = 0;
-    for (std::size_t k = m.first; k < m.by_key.size() && jobs_[at(m.by_key[k])].key <= x.key; ++k) {
+    for (std::size_t k = m.first;
+         k < m.by_key.size() && jobs_[at(m.by_key[k])].key <= latest_key(x) + blur_; ++k) {
       Job& z = jobs_[at(m.by_key[k])];
-      if (z.walked) continue;
-      z.work = z.wcet + (blocks ? 0 : p_.preempt[at(x.xpu)]);
+      if (z.walked || !may_be_first(z)) continue;
+      z.work = z.wcet + (blocks ? 0 : in_fast_time(p_.preempt[at(x.xpu)], ppm_));
       sum += z.work;
+      certified = false;
       pass(m.by_key[k]);
     }
-    Tick ends = x.ready + x.work;
     bool all = true;  // the rest counts
     std::size_t k = m.done.size();
     while (k > 0 && m.done[k - 1].ready > since_) {
       const Tick s = m.done[k - 1].ready;
       for (; k > 0 && m.done[k - 1].ready == s; --k) {
-        if (jobs_[at(m.done[k - 1].job)].key > x.key) continue;  // walked before: x waited for it
+        const Job& z = jobs_[at(m.done[k - 1].job)];
+        if (!may_be_first(z)) continue;  // walked before: x waited for it
         sum += m.done[k - 1].work;
+        certified = certified && z.on_time;
+        if (z.on_time) opens = std::min(opens, earliest_ready(z));
+        least_key = std::min(least_key, earliest_key(z));
         if (blocks) pass(m.done[k - 1].job);
       }
       if (s > x.ready) continue;
-      ends = std::max(ends, s + sum + blocked(s));
+      sum_is(s + sum + blocked(s), certified && !meets_first(s, least_key));
       // What is ready earlier has ended by s: then its work fits between, and an earlier s gives no
-      // more, nor does t (its F is at least its own first s, or begun_by, and all of that work).
-      if (s >= until_ && (k == 0 || m.done[k - 1].all_end <= s)) {
+      // more, nor does t (its F is at least its own first s, or begun_by, and all of that work). But
+      // what q's certificate says needs that it has ended before the first window opens.
+      if (s < until_) continue;
+      const Tick ended = k == 0 ? -kNotYet : m.done[k - 1].all_end;
+      const bool goes_on = x.clean && s + sum + blocked(s) > earliest_key(x) && ended > opens;
+      if (ended <= s && !goes_on) {
         all = false;
         break;
       }
     }
     if (all) {
       for (; k > 0; --k) {
-        if (jobs_[at(m.done[k - 1].job)].key > x.key) continue;
+        if (!may_be_first(jobs_[at(m.done[k - 1].job)])) continue;
         sum += m.done[k - 1].work;
         if (blocks) pass(m.done[k - 1].job);
       }
-      ends = std::max(ends, begun_by(m, x.key) + sum + blocked(until_));
+      sum_is(begun_by(m, latest_key(x)) + sum + blocked(until_), false);
     }
-    x.ends = ends;
+    x.ends = x.clean ? std::min(ends, latest_key(x)) : ends;
+    x.visited = true;
     std::size_t mine = m.done.size();
     while (m.done[--mine].job != index) {
     }
-    m.done[mine].ends = ends;
+    m.done[mine].ends = x.ends;
     set_all_end(m, mine);
     while (m.first < m.by_key.size() && jobs_[at(m.by_key[m.first])].walked) ++m.first;
-    const bool late =
-        !x.second || x.ends > x.key || x.ready > x.release + in_.to.a[p_.slot_of(x.xnode, x.n)];
-    if (late) {
-      last_late_ = std::max({last_late_, x.key, x.ready, x.ends});
-      settled_by_ = last_late_ + 2 * deepest_ + domain_.hyper;
+    if (!x.clean) {
+      last_late_ = std::max({last_late_, latest_key(x), x.ready, x.ends});
+      settled_by_ = last_late_ + 2 * reach_ + domain_.hyper;
     }
     const Job copy = x;
     release_waiting(copy);
@@ -421,7 +533,9 @@ class Walk {
   const HandoverInput& in_;
   const Problem& p_;
   const Domain& domain_;
-  Tick deepest_ = 0;
+  const std::int64_t ppm_;
+  Tick deepest_ = 0, blur_ = 0;  ///< the largest key, and its blur
+  Tick reach_ = 0;               ///< no key is farther after its release
   Tick s_ = 0, since_ = 0, until_ = 0, horizon_ = 0, last_late_ = 0, settled_by_ = 0;
   bool known_all_ = false;
   std::int64_t walked_ = 0;
@@ -433,23 +547,100 @@ class Walk {
   std::priority_queue<Next, std::vector<Next>, std::greater<>> ready_;
 };
 
-/// The way of release k, as chains.h follows it, with what the walk knows.
-Tick follow(const Problem& p, const Chain& chain, const Path& path, const Walk& walk,
-            std::int64_t k) {
-  const auto leaves = [&](std::size_t next) {
-    return next < path.samples.size() ? p.samples[at(path.samples[next])].first : chain.to;
-  };
-  const Component& c = p.components[at(p.component_of[at(leaves(0))])];
-  const Tick begin = walk.release(leaves(0), k) - c.phase + chain.offset;
-  std::int64_t n = k;
-  for (std::size_t next = 0;; ++next) {
-    const Tick known = walk.ends(leaves(next), n);
-    if (next == path.samples.size()) return known - begin;
-    const int v = p.samples[at(path.samples[next])].second;
-    const Component& cv = p.components[at(p.component_of[at(v)])];
-    n = floor_div(known - walk.most_hold(v) - cv.phase, cv.period);
-    while (walk.held(v, n) < known) ++n;
+/// One table alone, with what Walk tells of a change.
+struct Unchanged {
+  const Problem& p;
+  const Windows& w;
+  std::int64_t ppm;
+  [[nodiscard]] Tick release(int xnode, std::int64_t n) const {
+    const Component& c = p.components[at(p.component_of[at(xnode)])];
+    return c.phase + n * c.period;
   }
+  [[nodiscard]] Tick ends(int xnode, std::int64_t n) const {
+    const Tick d = w.d[p.slot_of(xnode, n)];
+    return release(xnode, n) + d + lost_in(d, ppm);
+  }
+  [[nodiscard]] Tick held(int xnode, std::int64_t n) const {
+    return release(xnode, n) + hold(xnode, n) - lost_in(hold(xnode, n), ppm);
+  }
+  [[nodiscard]] std::optional<Tick> key(int xnode, std::int64_t n) const {
+    return w.d[p.slot_of(xnode, n)];
+  }
+  [[nodiscard]] Tick hold(int xnode, std::int64_t n) const { return w.hold[p.slot_of(xnode, n)]; }
+  [[nodiscard]] Tick most_hold(int xnode) const {
+    const auto first = w.hold.begin() + p.slot[at(xnode)];
+    return *std::max_element(first, first + p.jobs[at(xnode)]);
+  }
+};
+
+/// What a way does on one clock.
+struct Part {
+  std::size_t chain, way;
+  int begins;                ///< the first XNode that it leaves a component by, or is sampled by
+  bool first;                ///< from the release of the chain's source on
+  std::vector<int> samples;  ///< within the clock
+  int ends;                  ///< an XNode
+  Tick unchanged = 0;        ///< of the first table alone, in the clock's time
+  Tick worst = 0;            ///< likewise, whatever happens
+};
+
+/// Whether activation n of `v` starts when activation k of `u` has certainly ended.
+template <class Times>
+bool reads(const Problem& p, const Times& times, int u, std::int64_t k, int v, std::int64_t n) {
+  if (times.held(v, n) >= times.ends(u, k)) return true;
+  const std::optional<Tick> key = times.key(u, k);
+  // Where keys are kept, both are counted in real time: only the releases' distance drifts.
+  return key &&
+         shortest(times.release(v, n) - times.release(u, k), p.domains[at(p.domain_of(v))].ppm) +
+                 times.hold(v, n) >=
+             *key;
+}
+
+/// Its length in the clock's time, from release k of the source on, or if its first reader just misses at
+/// release k - 1 what it reads at k. As chains.h follows it.
+template <class Times>
+Tick follow(const Problem& p, const Part& part, const Times& times, std::int64_t k) {
+  const Component& c = p.components[at(p.component_of[at(part.begins)])];
+  const Tick begin = part.first
+                         ? times.release(part.begins, k) - c.phase + p.chains[part.chain].offset
+                         : times.held(part.begins, k - 1);
+  std::int64_t n = k;
+  for (const int s : part.samples) {
+    const auto [u, v] = p.samples[at(s)];
+    const Component& cv = p.components[at(p.component_of[at(v)])];
+    const Tick sooner = times.ends(u, n) - 2 * lost_in(times.ends(u, n) - times.release(u, n),
+                                                       p.domains[at(cv.domain)].ppm);
+    std::int64_t by = floor_div(sooner - times.most_hold(v) - cv.phase, cv.period);
+    while (!reads(p, times, u, n, v, by)) ++by;
+    n = by;
+  }
+  return times.ends(part.ends, n) - begin;
+}
+
+/// [domain], of all chains.
+std::vector<std::vector<Part>> parts_of(const Problem& p) {
+  std::vector<std::vector<Part>> parts(p.domains.size());
+  for (std::size_t c = 0; c < p.chains.size(); ++c)
+    for (std::size_t way = 0; way < p.chains[c].paths.size(); ++way) {
+      const std::vector<int>& samples = p.chains[c].paths[way].samples;
+      Part part{c,    way, samples.empty() ? p.chains[c].to : p.samples[at(samples[0])].first,
+                true, {},  -1};
+      const auto close = [&](int ends) {
+        part.ends = ends;
+        parts[at(p.domain_of(ends))].push_back(part);
+      };
+      for (const int s : samples) {
+        const auto [u, v] = p.samples[at(s)];
+        if (p.domain_of(u) == p.domain_of(v)) {
+          part.samples.push_back(s);
+          continue;
+        }
+        close(u);
+        part = {c, way, v, false, {}, -1};
+      }
+      close(p.chains[c].to);
+    }
+  return parts;
 }
 
 /// Why nothing follows for the domain; empty: it does.
@@ -459,7 +650,6 @@ std::string refuses(const HandoverInput& in, int d) {
   const std::string clock = "clock '" + p.clock_name[at(domain.clock)] + "' ";
   if (p.any_urgent) return "releases may be urgent";
   if (domain.part) return clock + "has too long a hyperperiod";
-  if (domain.ppm != 0) return clock + "has a tolerance";
   std::vector<char> mine(at(p.num_xpus), 0);
   for (const int i : domain.xnodes) mine[at(in.from_xpu[at(i)])] = mine[at(in.to_xpu[at(i)])] = 1;
   for (int i = 0; i < p.num_xnodes; ++i)
@@ -487,7 +677,8 @@ std::vector<Tick> pieces(const HandoverInput& in, const Domain& domain, Tick sin
   for (const int i : domain.xnodes) {
     const Component& c = p.components[at(p.component_of[at(i)])];
     for (std::int64_t n = floor_div(s - 1 - c.phase, c.period);; --n) {
-      const Tick key = c.phase + n * c.period + in.from.d[p.slot_of(i, n)];
+      const Tick d = in.from.d[p.slot_of(i, n)];
+      const Tick key = c.phase + n * c.period + d + lost_in(d, domain.ppm);
       if (key <= since) break;
       if (key < s) ends.push_back(key);
     }
@@ -497,70 +688,75 @@ std::vector<Tick> pieces(const HandoverInput& in, const Domain& domain, Tick sin
   return ends;
 }
 
+/// All S and t of a domain. False: nothing follows.
+bool walk_all(const HandoverInput& in, int d, std::int64_t most_jobs, const Until& until,
+              std::vector<Part>& parts, Tick& settles) {
+  const Problem& p = in.now;
+  const Domain& domain = p.domains[at(d)];
+  const Unchanged from{p, in.from, domain.ppm}, to{p, in.to, domain.ppm};
+  for (Part& part : parts) {
+    for (int k = 0; k < p.jobs[at(part.begins)]; ++k) {
+      part.unchanged = std::max(part.unchanged, follow(p, part, from, k));
+      part.worst = std::max(part.worst, follow(p, part, to, k));
+    }
+    part.worst = std::max(part.worst, part.unchanged);
+  }
+  Walk walk(in, d);
+  const std::vector<Tick> at_release = releases(p, domain);
+  for (std::size_t r = 0; r < at_release.size(); ++r) {
+    const Tick s = at_release[r];
+    const Tick last = r > 0 ? at_release[r - 1] : at_release.back() - domain.hyper;
+    const Tick since = last - in_fast_time(in.notice, domain.ppm);
+    const std::vector<Tick> ends = pieces(in, domain, since, s);
+    for (std::size_t e = 0; e + 1 < ends.size(); ++e) {
+      if (!walk.run(s, ends[e], ends[e + 1], most_jobs) || until.over()) return false;
+      settles = std::max(settles, walk.settles());
+      for (Part& part : parts) {
+        const Component& of = p.components[at(p.component_of[at(part.begins)])];
+        // What the first table alone brings through by t meets nobody.
+        const Tick longest = part.unchanged + walk.most_hold(part.begins);
+        std::int64_t k = floor_div(ends[e] - longest - of.phase, of.period) - 1;
+        const Tick end = walk.last_late() + (part.first ? 0 : of.period);
+        for (; of.phase + k * of.period <= end; ++k)
+          part.worst = std::max(part.worst, follow(p, part, walk, k));
+      }
+    }
+  }
+  return true;
+}
+
 }  // namespace
 
 HandoverBound bound_handover(const HandoverInput& in, std::int64_t most_jobs, const Until& until) {
   const Problem& p = in.now;
   HandoverBound bound;
-  std::vector<Tick> from, to;
+  std::vector<std::vector<Tick>> ways;  // [chain][way]
   for (const Chain& chain : p.chains) {
-    from.push_back(worst_case(p, chain, in.from));
-    to.push_back(worst_case(p, chain, in.to));
+    bound.worst.push_back(std::max(worst_case(p, chain, in.from), worst_case(p, chain, in.to)));
+    ways.emplace_back(chain.paths.size(), 0);
   }
-  bound.worst.assign(p.chains.size(), kNoTick);
-  // A chain's domain; -1: it passes through several.
-  std::vector<int> home;
-  for (const Chain& chain : p.chains) {
-    int d = p.domain_of(chain.to);
-    for (const Path& path : chain.paths)
-      for (const int s : path.samples)
-        if (p.domain_of(p.samples[at(s)].first) != d || p.domain_of(p.samples[at(s)].second) != d)
-          d = -1;
-    home.push_back(d);
-    if (d < 0) bound.why_not.push_back("chain '" + chain.name + "' passes through several clocks");
-  }
+  std::vector<std::vector<Part>> parts = parts_of(p);
   for (int d = 0; d < static_cast<int>(p.domains.size()); ++d) {
-    const Domain& domain = p.domains[at(d)];
-    if (std::string why = refuses(in, d); !why.empty()) {
-      bound.why_not.push_back(std::move(why));
-      continue;
-    }
-    std::vector<int> chains;
-    for (std::size_t k = 0; k < home.size(); ++k)
-      if (home[k] == d) chains.push_back(static_cast<int>(k));
-    for (const int k : chains) bound.worst[at(k)] = std::max(from[at(k)], to[at(k)]);
-    Walk walk(in, d);
-    const std::vector<Tick> at_release = releases(p, domain);
+    std::string why = refuses(in, d);
     Tick settles = 0;
-    bool follows = true;
-    for (std::size_t r = 0; r < at_release.size() && follows; ++r) {
-      const Tick s = at_release[r];
-      const Tick last = r > 0 ? at_release[r - 1] : at_release.back() - domain.hyper;
-      const std::vector<Tick> ends = pieces(in, domain, last - in.notice, s);
-      for (std::size_t e = 0; e + 1 < ends.size() && follows; ++e) {
-        follows = walk.run(s, ends[e], ends[e + 1], most_jobs) && !until.over();
-        if (!follows) break;
-        settles = std::max(settles, walk.settles());
-        for (const int c : chains) {
-          const Chain& chain = p.chains[at(c)];
-          for (const Path& path : chain.paths) {
-            const int u = path.samples.empty() ? chain.to : p.samples[at(path.samples[0])].first;
-            const Component& of = p.components[at(p.component_of[at(u)])];
-            std::int64_t k = floor_div(ends[e] - from[at(c)] - of.phase, of.period) - 1;
-            for (; of.phase + k * of.period <= walk.last_late(); ++k)
-              bound.worst[at(c)] = std::max(bound.worst[at(c)], follow(p, chain, path, walk, k));
-          }
-        }
-      }
+    if (why.empty() && !walk_all(in, d, most_jobs, until, parts[at(d)], settles))
+      why = "clock '" + p.clock_name[at(p.domains[at(d)].clock)] +
+            "' was not seen to settle, as far as jobs were looked at";
+    const std::int64_t ppm = p.domains[at(d)].ppm;
+    if (why.empty()) bound.settles = std::max(bound.settles, in_slow_time(settles, ppm));
+    for (const Part& part : parts[at(d)]) {
+      Tick& way = ways[part.chain][part.way];
+      if (!why.empty())
+        way = kNoTick;
+      else if (way != kNoTick)
+        way += in_slow_time(part.worst, ppm);
     }
-    if (follows) {
-      bound.settles = std::max(bound.settles, settles);
-      continue;
-    }
-    bound.why_not.push_back("clock '" + p.clock_name[at(domain.clock)] +
-                            "' was not seen to settle, as far as jobs were looked at");
-    for (const int k : chains) bound.worst[at(k)] = kNoTick;
+    if (!why.empty()) bound.why_not.push_back(std::move(why));
   }
+  for (std::size_t c = 0; c < ways.size(); ++c)
+    for (const Tick way : ways[c])
+      bound.worst[c] =
+          way == kNoTick || bound.worst[c] == kNoTick ? kNoTick : std::max(bound.worst[c], way);
   return bound;
 }
 

@@ -62,8 +62,9 @@ class KeyTablesSearch {
   }
 
   /// Where clocks share no XPU, and so a change has a worst case: for each type, how many of its XPUs
-  /// each clock has. Nothing is split where that costs more than kMostForSplit, under the first
-  /// scenario; the first such splits are tried, as many as there is time for.
+  /// each clock has. Of the first splits, as many as there is time for, the one that costs least under the
+  /// first scenario. It is taken where that is at most kMostForSplit, or where no chain misses its
+  /// deadline by it: a change that is not certified may miss all of them.
   Status split_by_clock() {
     XAUTO_ASSIGN(const Components components, find_components(app_));
     const std::size_t clocks = components.domains.size();
@@ -75,7 +76,8 @@ class KeyTablesSearch {
     const auto shared =
         solve_for(scenarios_.front(), {}, 4 * slice, options_.threads, options_.seed, nullptr);
     if (!shared || shared->outcome != Outcome::kPolicy) return {};
-    double most = kMostForSplit * value_of(worst_of(shared->policy));
+    const double cheap = kMostForSplit * value_of(worst_of(shared->policy));
+    double most = std::max(cheap, has_deadlines() ? 1.0 : 0.0);
     do {
       if (run_.elapsed() > options_.time_limit_s / 4) break;
       forbids_ = forbids_of(owner, clock_of);
@@ -88,8 +90,28 @@ class KeyTablesSearch {
       best = owner;
     } while (next_split(owner, static_cast<int>(clocks)));
     forbids_.clear();
-    if (!best.empty()) forbids_ = forbids_of(best, clock_of);
+    if (best.empty()) return {};
+    auto forbids = forbids_of(best, clock_of);
+    for (std::size_t s = 1; s < scenarios_.size() && most > cheap; ++s) {
+      if (keeps_deadlines(s, slice, forbids) || !keeps_deadlines(s, slice, {})) continue;
+      return {};
+    }
+    forbids_ = std::move(forbids);
     return {};
+  }
+
+  [[nodiscard]] bool has_deadlines() const {
+    return std::any_of(app_.chains.begin(), app_.chains.end(),
+                       [](const ChainSpec& c) { return c.deadline_us.has_value(); });
+  }
+  using Forbids = std::vector<std::pair<std::string, std::string>>;
+  /// As far as is found in so many seconds.
+  [[nodiscard]] bool keeps_deadlines(std::size_t scenario, double seconds, Forbids forbids) {
+    forbids_.swap(forbids);
+    const auto answer =
+        solve_for(scenarios_[scenario], {}, seconds, options_.threads, options_.seed, nullptr);
+    forbids_.swap(forbids);
+    return answer && answer->outcome == Outcome::kPolicy && value_of(worst_of(answer->policy)) <= 1;
   }
 
   /// XPUs of a type are alike: of all splits with the same counts the one in which owners do not fall.
@@ -108,9 +130,9 @@ class KeyTablesSearch {
     return false;
   }
 
-  [[nodiscard]] std::vector<std::pair<std::string, std::string>> forbids_of(
-      const std::vector<int>& owner, const std::vector<int>& clock_of) const {
-    std::vector<std::pair<std::string, std::string>> forbids;
+  [[nodiscard]] Forbids forbids_of(const std::vector<int>& owner,
+                                   const std::vector<int>& clock_of) const {
+    Forbids forbids;
     for (std::size_t i = 0; i < app_.xnodes.size(); ++i)
       for (std::size_t x = 0; x < owner.size(); ++x)
         if (owner[x] != clock_of[i])
@@ -473,7 +495,7 @@ class KeyTablesSearch {
   Random random_;
   static constexpr double kMostForSplit = 1.15;
   /// XNode and XPU, where each clock has XPUs of its own; empty: they share.
-  std::vector<std::pair<std::string, std::string>> forbids_;
+  Forbids forbids_;
   std::vector<AppSpec> under_;                    ///< [scenario]
   std::vector<Loss> losses_{Loss{}};              ///< the first: nothing
   std::vector<std::size_t> loss_of_;              ///< [scenario] index into them

@@ -150,6 +150,66 @@ TEST(CheckHandover, ANoticeOnlyMakesItLonger) {
   EXPECT_GE(noticed.settles_us, at_once.settles_us);
 }
 
+TEST(CheckHandover, AClockWithATolerance) {
+  Handover p = one_stage(2000, 3000), q = one_stage(4500, 5000);
+  p.app.clocks[0].ppm = q.app.clocks[0].ppm = 100;
+  // 2500 more than by 3000, as above, and of 5500 what both may be off.
+  const HandoverProof proof = proven(p, q);
+  EXPECT_GT(proof.worst_case_us[0], 5500);
+  EXPECT_LE(proof.worst_case_us[0], 5503);
+  EXPECT_GE(proof.settles_us, 2 * 5000 + 10'000);
+  EXPECT_LE(proof.settles_us, 2 * 5000 + 10'000 + 10);
+}
+
+TEST(CheckHandover, FromClockToClock) {
+  Handover p;
+  add_stage(p, "a", 10'000, 2000, 3000);
+  p.app.clocks.push_back({"other", 0});
+  add_stage(p, "b", 7000, 1000, 2000, 1);
+  p.policy.placements[1].xpu = 1;
+  p.app.samples = {{0, 1}};
+  p.app.chains.push_back({"a to b", 0, 1});
+  Handover q = p;
+  // By 3000; just missed, by the end of the next.
+  EXPECT_EQ(proven(p, q).worst_case_us[2], 3000 + 7000 + 2000);
+  // An earlier hold that may read just missed it, and the next is held longer.
+  q.policy.placements[1] = {1, {3500}, {2500}};
+  EXPECT_EQ(proven(p, q).worst_case_us[2], 3000 + 7000 + 3500);
+  // Each part is longest around S: a may end by 5500 (AJobMayTakeAsLongAsUnderBoth).
+  q.app.xnodes[0].wcet_us = {{"cpu", 4500}, {"gpu", 4500}};
+  q.policy.placements[0].key_us = {5000};
+  EXPECT_EQ(proven(p, q).worst_case_us[2], 5500 + 7000 + 3500);
+  // What drifts, in real time: 7000 + 3500 and little more.
+  p.app.clocks[1].ppm = q.app.clocks[1].ppm = 100;
+  const HandoverProof proof = proven(p, q);
+  EXPECT_GT(proof.worst_case_us[2], 5500 + 7000 + 3500);
+  EXPECT_LE(proof.worst_case_us[2], 5500 + 7000 + 3500 + 3);
+}
+
+/// A job of p arrives so late that it begins just before x of q does, which under q has the XPU alone.
+std::int64_t beside_a_late_arrival(bool preemptive, std::int64_t key, std::int64_t ppm) {
+  Handover p;
+  p.platform.xpus[0].preemptive = preemptive;
+  p.platform.xpus[0].preempt_us = preemptive ? 3000 : 0;
+  add_stage(p, "late", 200'000, 10'000, 90'000);
+  add_stage(p, "x", 200'000, 5000, key);
+  p.app.clocks[0].ppm = ppm;
+  p.app.sources[0].jitter_us = 70'000;
+  p.app.sources[1].offset_us = 50'000;
+  p.policy.placements[1] = {1, {key}, {20'000}};
+  Handover q = p;
+  std::swap(q.policy.placements[0].xpu, q.policy.placements[1].xpu);
+  return proven(p, q).worst_case_us[1].value_or(0);
+}
+
+TEST(CheckHandover, TheNextTablesCertificateDoesNotKnowJobsOfThisOne) {
+  // x is held until 70 000. It waits for `late`, 10 000, or pays 3000 for preempting it.
+  for (const std::int64_t ppm : {0, 1, 100}) {
+    EXPECT_GE(beside_a_late_arrival(false, 28'000, ppm), 20'000 + 10'000 + 5000) << ppm;
+    EXPECT_GE(beside_a_late_arrival(true, 26'500, ppm), 20'000 + 3000 + 5000) << ppm;
+  }
+}
+
 TEST(CheckHandover, OfWhatNothingFollows) {
   Handover p = one_stage(2000, 3000);
   p.app.clocks.push_back({"other", 100});
@@ -161,9 +221,7 @@ TEST(CheckHandover, OfWhatNothingFollows) {
   auto proof = derived(p, q);
   ASSERT_TRUE(proof) << proof.error().to_string();
   EXPECT_EQ(proof->worst_case_us[0], 3000);
-  EXPECT_FALSE(proof->worst_case_us[1]) << "its clock drifts";
-  EXPECT_FALSE(proof->worst_case_us[2]) << "two clocks";
-  EXPECT_EQ(proof->why_not.size(), 2u);
+  EXPECT_TRUE(proof->why_not.empty());
   // Under q they share gpu0.
   q.app.clocks[1].ppm = p.app.clocks[1].ppm = 0;
   q.policy.placements[0] = {1, {4000}};
@@ -172,6 +230,8 @@ TEST(CheckHandover, OfWhatNothingFollows) {
   ASSERT_TRUE(proof) << proof.error().to_string();
   EXPECT_FALSE(proof->worst_case_us[0]);
   EXPECT_FALSE(proof->worst_case_us[1]);
+  EXPECT_FALSE(proof->worst_case_us[2]) << "it passes through both";
+  EXPECT_EQ(proof->why_not.size(), 3u);
   EXPECT_EQ(proof->settles_us, 0);
 
   p = q = one_stage(2000, 5000);

@@ -2,8 +2,8 @@
 // Plays a change of tables straight from the text of docs/steady-state.md (theorem 8), event by
 // event over all jobs, and measures what chains and jobs take. Shares nothing with solver/steady.
 //
-// Times are integers of 1 / scale() us ("ticks"). Clocks do not drift; each begins at an instant of
-// its own.
+// Times are integers of 1 / scale() us ("ticks"). Each clock begins at an instant of its own, and runs
+// faster or slower than it says by at most its ppm: by one rate up to a bend, and by another one after it.
 #pragma once
 
 #include <algorithm>
@@ -39,6 +39,11 @@ struct HandoverChoice {
   std::int64_t change = 0;          ///< S, in ticks
   std::int64_t grows = 0;           ///< t: from then on jobs of p may be longer than p's envelope
   std::vector<std::int64_t> begin;  ///< [clock] in ticks; empty: 0
+  struct Drift {
+    int before = 0, after = 0;  ///< 1: as slow as it may be, -1: as fast, 0: right
+    std::int64_t bend = 0;      ///< in ticks of the clock
+  };
+  std::vector<Drift> drift;                       ///< [clock]; empty: none
   std::vector<std::vector<std::uint8_t>> work;    ///< [xnode][n] of the WCET of its own table
   std::vector<std::vector<std::uint8_t>> grown;   ///< [xnode][n] of what app_both has more
   std::vector<std::vector<std::uint8_t>> jitter;  ///< [source][n]
@@ -64,6 +69,10 @@ class HandoverWorld {
   explicit HandoverWorld(const NaiveTables& of) : tables(of), app(of.app_both) {
     for (const SourceSpec& s : app.sources) scale = std::lcm(scale, s.period.den);
     scale *= 8;  // so that changes fall between microseconds
+    // And rates are exact: an instant of a clock is a multiple of `exact`.
+    for (const ClockSpec& c : app.clocks)
+      if (c.ppm > 0) exact = std::lcm(exact, kMillion / std::gcd(kMillion, Time{c.ppm}));
+    scale *= exact;
     const std::size_t count = app.xnodes.size();
     component.resize(count);
     std::iota(component.begin(), component.end(), 0);
@@ -85,6 +94,19 @@ class HandoverWorld {
   }
 
   static std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
+  /// Nominal release k of a source.
+  [[nodiscard]] Time release(const HandoverChoice& choice, int source, std::int64_t k) const {
+    const SourceSpec& s = app.sources[at(source)];
+    const Time nominal = s.offset_us * scale + k * s.period.num * (scale / s.period.den);
+    const Time begin = choice.begin.empty() ? 0 : choice.begin[at(s.clock)];
+    if (choice.drift.empty()) return begin + nominal;
+    const HandoverChoice::Drift& drift = choice.drift[at(s.clock)];
+    const auto longer = [&](Time length, int rate) {
+      return rate * (length / exact * (exact * app.clocks[at(s.clock)].ppm / kMillion));
+    };
+    const Time bend = drift.bend / exact * exact, until = std::min(nominal, bend);
+    return begin + nominal + longer(until, drift.before) + longer(nominal - until, drift.after);
+  }
   [[nodiscard]] const KeyPolicy& policy(int table) const {
     return table == 0 ? tables.from : tables.to;
   }
@@ -106,7 +128,8 @@ class HandoverWorld {
   };
   NaiveTables tables;
   const AppSpec& app;  ///< for everything but WCETs
-  Time scale = 1;
+  static constexpr Time kMillion = 1'000'000;
+  Time scale = 1, exact = 1;
   Time hyperperiod = 1;                        ///< of all clocks together
   std::vector<int> component, first_source;    ///< [xnode]
   std::vector<std::vector<Before>> before;     ///< [xnode] by edges
@@ -251,9 +274,7 @@ class HandoverRun {
   }
 
   [[nodiscard]] Time nominal(int source, std::int64_t k) const {
-    const SourceSpec& s = w_.app.sources[at(source)];
-    const Time begin = choice_.begin.empty() ? 0 : choice_.begin[at(s.clock)];
-    return begin + s.offset_us * w_.scale + k * s.period.num * (w_.scale / s.period.den);
+    return w_.release(choice_, source, k);
   }
 
   void make_jobs(Time until) {
@@ -438,9 +459,14 @@ inline HandoverChoice disturbed(const HandoverWorld& world, std::int64_t change,
   for (std::size_t k = 1; k < c.begin.size(); ++k)
     c.begin[k] = static_cast<std::int64_t>(random.below(
         static_cast<std::uint64_t>(std::min(world.hyperperiod, std::int64_t{1} << 31))));
+  for (const ClockSpec& clock : world.app.clocks) {
+    const auto rate = [&] { return clock.ppm == 0 ? 0 : static_cast<int>(random.below(3)) - 1; };
+    c.drift.push_back({rate(), rate(), change});
+  }
   const auto byte = [&] { return static_cast<std::uint8_t>(random.below(256)); };
   const auto releases = [&](const SourceSpec& s) {
-    return HandoverWorld::at(until / (s.period.num * (world.scale / s.period.den)) + 1);
+    return HandoverWorld::at(2 * until / (s.period.num * (world.scale / s.period.den)) +
+                             1);  // fast
   };
   for (std::size_t i = 0; i < world.app.xnodes.size(); ++i) {
     const auto count = releases(world.app.sources[HandoverWorld::at(world.first_source[i])]);
@@ -581,12 +607,12 @@ class HandoverClimb {
   Time a_change(const HandoverChoice& c) {
     const auto which = random_.below(4);
     if (which == 0) return warm_ + draw(round_);
-    const SourceSpec& s =
-        world_.app.sources[HandoverWorld::at(draw(static_cast<Time>(world_.app.sources.size())))];
+    const int index = static_cast<int>(draw(static_cast<Time>(world_.app.sources.size())));
+    const SourceSpec& s = world_.app.sources[HandoverWorld::at(index)];
     const Time period = s.period.num * (world_.scale / s.period.den);
-    const Time first = c.begin[HandoverWorld::at(s.clock)] + s.offset_us * world_.scale;
+    const Time first = world_.release(c, index, 0);
     const Time n = (warm_ + draw(round_) - first) / period + 1;
-    return first + n * period + (which == 1 ? 1 : 0);
+    return world_.release(c, index, n) + (which == 1 ? 1 : 0);
   }
   Time a_growth(const HandoverChoice& c) {
     switch (random_.below(4)) {
@@ -597,13 +623,14 @@ class HandoverClimb {
       case 2: {  // on or beside a key of p
         const auto i = HandoverWorld::at(draw(static_cast<Time>(world_.app.xnodes.size())));
         const auto& keys = world_.tables.from.placements[i].key_us;
-        const SourceSpec& s = world_.app.sources[HandoverWorld::at(world_.first_source[i])];
+        const int source = world_.first_source[i];
+        const SourceSpec& s = world_.app.sources[HandoverWorld::at(source)];
         const Time period = s.period.num * (world_.scale / s.period.den);
-        const Time first = c.begin[HandoverWorld::at(s.clock)] + s.offset_us * world_.scale;
+        const Time first = world_.release(c, source, 0);
         const Time about = c.change - draw(notice_ + 1);
         const Time n =
             std::max<Time>(0, (about - first) / period - draw(2 + world_.deepest() / period));
-        const Time key = first + n * period +
+        const Time key = world_.release(c, source, n) +
                          keys[HandoverWorld::at(n) % keys.size()] * world_.scale + draw(3) - 1;
         return std::clamp(key, c.change - notice_, c.change);
       }
@@ -652,6 +679,18 @@ class HandoverClimb {
         *some(c.jitter) = another();
         break;
       default: {
+        const std::size_t clock =
+            HandoverWorld::at(draw(static_cast<Time>(world_.app.clocks.size())));
+        if (world_.app.clocks[clock].ppm > 0 && random_.below(2) == 0) {
+          HandoverChoice::Drift& drift = c.drift[clock];
+          (random_.below(2) == 0 ? drift.before : drift.after) =
+              static_cast<int>(random_.below(3)) - 1;
+          drift.bend = c.change - c.begin[clock] + draw(2 * round_) - round_;
+        }
+        if (c.begin.size() > 1 && random_.below(2) == 0) {  // the others' phase
+          Time& begin = c.begin[1 + HandoverWorld::at(draw(static_cast<Time>(c.begin.size()) - 1))];
+          begin = random_.below(2) == 0 ? draw(round_) : std::max<Time>(0, begin + draw(9) - 4);
+        }
         if (random_.below(4) == 0) c.last_first = !c.last_first;
         // All activations of one XNode.
         auto& row = c.work[HandoverWorld::at(draw(static_cast<Time>(c.work.size())))];

@@ -11,6 +11,7 @@
 #include <gtest/gtest.h>
 
 #include "base/index.h"
+#include "model/components.h"
 #include "model/periodic.h"
 #include "model/tables.h"
 #include "solver/steady/certificate.h"
@@ -30,12 +31,16 @@ constexpr std::int64_t kTinyNotice = 2;
 struct TwoPolicies {
   AppSpec from_app, to_app, both;
   Platform platform;
+  std::int64_t notice_us = kTinyNotice;
   KeyPolicy from, to;
 };
 
+using Forbids = std::vector<std::pair<std::string, std::string>>;
+
 std::optional<KeyPolicy> solved_quickly(const AppSpec& app, const Platform& platform,
-                                        std::uint64_t seed) {
+                                        std::uint64_t seed, const Forbids& forbids = {}) {
   Options options;
+  options.wishes.forbids = forbids;
   options.max_evaluations = 300;
   options.seed = seed;
   const auto answer = solve(app, platform, options);
@@ -43,10 +48,32 @@ std::optional<KeyPolicy> solved_quickly(const AppSpec& app, const Platform& plat
   return answer->policy;
 }
 
-std::optional<TwoPolicies> two_policies(std::uint64_t seed, int clocks = 1) {
+enum class Clocks : std::uint8_t {
+  kOne,
+  kShared,    ///< two, which may share XPUs
+  kApart,     ///< two with XPUs of their own; the second has a tolerance
+  kDrifting,  ///< one with a tolerance
+};
+
+/// The same with `factor` times the microseconds: else what is rounded up is more than what drifts.
+void stretch(AppSpec& app, Platform& platform, std::int64_t factor) {
+  for (SourceSpec& source : app.sources) {
+    source.period.num *= factor;
+    source.offset_us *= factor;
+    source.jitter_us *= factor;
+  }
+  for (XNodeSpec& xnode : app.xnodes)
+    for (auto& [type, us] : xnode.wcet_us) us *= factor;
+  for (TransferSpec& transfer : app.transfers) transfer.transfer_us *= factor;
+  for (Xpu& xpu : platform.xpus) xpu.preempt_us *= factor;
+}
+
+std::optional<TwoPolicies> two_policies(std::uint64_t seed, Clocks clocks = Clocks::kOne,
+                                        int ppm = 0) {
   solver::test::Dice dice(seed);
   SteadyShape shape;
-  shape.clocks = clocks;
+  shape.clocks = clocks == Clocks::kOne ? 1 : 2;
+  shape.ppm = ppm;
   shape.max_components = 3;
   shape.least_period = 12;
   TwoPolicies two;
@@ -54,17 +81,34 @@ std::optional<TwoPolicies> two_policies(std::uint64_t seed, int clocks = 1) {
   if (seed % 3 == 0)  // what blocks shows where most XPUs do not preempt
     for (Xpu& xpu : two.platform.xpus) xpu.preemptive = false;
   two.from_app = random_steady_app(dice, shape);
+  const std::int64_t factor = ppm > 0 ? 1000 : 1;
+  stretch(two.from_app, two.platform, factor);
+  two.notice_us *= factor;
+  Forbids forbids;
+  if (clocks == Clocks::kDrifting)
+    for (SourceSpec& source : two.from_app.sources) source.clock = 1;
+  if (clocks == Clocks::kApart) {
+    std::vector<Xpu> others = two.platform.xpus;
+    for (Xpu& xpu : others) xpu.id = "other-" + xpu.id;
+    const Components found = *find_components(two.from_app);
+    for (std::size_t i = 0; i < two.from_app.xnodes.size(); ++i) {
+      const int clock = found.domains[at(found.components[at(found.of[i])].domain)].clock;
+      for (const Xpu& xpu : clock == 0 ? others : two.platform.xpus)
+        forbids.emplace_back(two.from_app.xnodes[i].name, xpu.id);
+    }
+    two.platform.xpus.insert(two.platform.xpus.end(), others.begin(), others.end());
+  }
   if (seed % 3 == 1)  // and what waits for a module in pipelines
     for (ModuleSpec& module : two.from_app.modules) module.max_in_flight = 2;
   two.to_app = two.both = two.from_app;
   for (std::size_t i = 0; i < two.to_app.xnodes.size(); ++i)
     for (auto& [type, us] : two.to_app.xnodes[i].wcet_us) {
-      us = std::max<std::int64_t>(1, us + dice.roll(-1, 3));
+      us = std::max(factor, us + factor * dice.roll(-1, 3));
       std::int64_t& larger = two.both.xnodes[i].wcet_us.at(type);
       larger = std::max(larger, us);
     }
-  const auto from = solved_quickly(two.from_app, two.platform, seed),
-             to = solved_quickly(two.to_app, two.platform, seed + 1);
+  const auto from = solved_quickly(two.from_app, two.platform, seed, forbids),
+             to = solved_quickly(two.to_app, two.platform, seed + 1, forbids);
   if (!from || !to) return std::nullopt;
   two.from = *from;
   two.to = *to;
@@ -91,27 +135,28 @@ Windows windows_by(const Problem& p, const KeyPolicy& keys, std::vector<int>& xp
 
 struct Bounds {
   std::vector<std::optional<std::int64_t>> us;
-  std::int64_t settles_us = 0;
+  std::int64_t settles_us = 0;  ///< 0: of some clock nothing follows
 };
 
 Bounds bounds_of(const TwoPolicies& two) {
   const Problem now = *Problem::create(two.from_app, two.platform),
                 then = *Problem::create(two.to_app, two.platform),
                 both = *Problem::create(two.both, two.platform);
-  HandoverInput in{now, then, both, {}, {}, {}, {}, kTinyNotice * now.scale};
+  HandoverInput in{now, then, both, {}, {}, {}, {}, two.notice_us * now.scale};
   in.from = windows_by(now, two.from, in.from_xpu);
   in.to = windows_by(then, two.to, in.to_xpu);
   const HandoverBound bound = bound_handover(in, 200'000);
   Bounds bounds;
   for (const Tick t : bound.worst)
     bounds.us.push_back(t == kNoTick ? std::nullopt : std::optional(now.up_to_us(t) / now.scale));
-  bounds.settles_us = now.up_to_us(bound.settles) / now.scale;
+  if (bound.why_not.empty()) bounds.settles_us = now.up_to_us(bound.settles) / now.scale;
   return bounds;
 }
 
 Result<HandoverProof> checked(const TwoPolicies& two) {
   return derive_handover(
-      {two.from_app, two.to_app, two.both, two.platform, two.from, two.to, kTinyNotice}, 1'000'000);
+      {two.from_app, two.to_app, two.both, two.platform, two.from, two.to, two.notice_us},
+      1'000'000);
 }
 
 TEST(SteadyHandover, NoPlayIsLongerThanTheSolversBoundAndTheCheckerDerivesNoMore) {
@@ -136,7 +181,7 @@ TEST(SteadyHandover, NoPlayIsLongerThanTheSolversBoundAndTheCheckerDerivesNoMore
     EXPECT_LE(proof->settles_us, bounds.settles_us) << "seed " << seed;
     const NaiveTables naive{two->from_app, two->to_app, two->both,
                             two->platform, two->from,   two->to};
-    HandoverAttack attack{kTinyNotice, 150, seed};
+    HandoverAttack attack{two->notice_us, 150, seed};
     HandoverClimb climb(naive, bounds.us, attack);
     const HandoverFound found = climb.run();
     EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << seed;
@@ -149,6 +194,56 @@ TEST(SteadyHandover, NoPlayIsLongerThanTheSolversBoundAndTheCheckerDerivesNoMore
   EXPECT_GE(bounded, 30);
   EXPECT_GE(bounded * 10, chains * 6) << bounded << " of " << chains;
   EXPECT_GE(broken, 5);
+}
+
+/// Clocks that drift, and chains through several: attacked by plays in which clocks do that.
+void attack_clocks(Clocks clocks, int ppm, std::uint64_t first, int least_bounded) {
+  int bounded = 0, unclaimed = 0, broken = 0;
+  for (std::uint64_t seed = first; seed < first + 40; ++seed) {
+    const auto two = two_policies(seed, clocks, ppm);
+    if (!two) continue;
+    const Bounds bounds = bounds_of(*two);
+    const auto proof = checked(*two);
+    ASSERT_TRUE(proof) << proof.error().to_string();
+    if (bounds.settles_us > 0) {
+      EXPECT_LE(proof->settles_us, bounds.settles_us) << "seed " << seed;
+    }
+    std::vector<std::optional<std::int64_t>> steady;
+    for (std::size_t c = 0; c < bounds.us.size(); ++c) {
+      (bounds.us[c] ? bounded : unclaimed) += 1;
+      if (bounds.us[c]) {
+        ASSERT_TRUE(proof->worst_case_us[c]) << "seed " << seed << ", chain " << c;
+        EXPECT_LE(*proof->worst_case_us[c], *bounds.us[c]) << "seed " << seed << ", chain " << c;
+      }
+      steady.emplace_back(
+          std::max(two->from.chains[c].worst_case_us, two->to.chains[c].worst_case_us));
+    }
+    const NaiveTables naive{two->from_app, two->to_app, two->both,
+                            two->platform, two->from,   two->to};
+    const HandoverAttack attack{two->notice_us, 150, seed};
+    HandoverClimb climb(naive, bounds.us, attack);
+    const HandoverFound found = climb.run();
+    EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << seed;
+    EXPECT_LE(found.worst, 1) << "seed " << seed;
+    if (bounds.settles_us > 0) {
+      EXPECT_LE(found.settles_us, static_cast<double>(bounds.settles_us)) << "seed " << seed;
+    }
+    HandoverClimb weaker(naive, steady, attack);
+    broken += weaker.run().worst > 1;
+  }
+  EXPECT_GE(bounded, least_bounded) << unclaimed << " are not claimed";
+  EXPECT_GE(broken, 2);
+}
+
+TEST(SteadyHandover, OnAClockWithATolerance) {
+  attack_clocks(Clocks::kDrifting, 100, 1000, 40);
+  attack_clocks(Clocks::kDrifting, 20'000, 1100, 40);
+}
+
+TEST(SteadyHandover, ThroughSeveralClocks) {
+  attack_clocks(Clocks::kApart, 0, 1200, 40);
+  attack_clocks(Clocks::kApart, 100, 1300, 40);
+  attack_clocks(Clocks::kApart, 20'000, 1400, 40);
 }
 
 /// The same where some modules, with all that wait for them, are off in one of the tables: `both_have`
@@ -208,7 +303,7 @@ TEST(SteadyHandover, WhatIsOffInOneTableMakesNothingElseLater) {
     }
     const NaiveTables naive{two->from_app, two->to_app, two->both,
                             two->platform, two->from,   two->to};
-    HandoverClimb climb(naive, bounds.us, {kTinyNotice, 150, seed});
+    HandoverClimb climb(naive, bounds.us, {two->notice_us, 150, seed});
     const HandoverFound found = climb.run();
     EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << seed;
     EXPECT_LE(found.worst, 1) << "seed " << seed;
@@ -243,7 +338,7 @@ TEST(SteadyHandover, FromATableToItselfWithTheSameTimesNothingIsLonger) {
 TEST(SteadyHandover, WhatSeveralClocksShareIsNotClaimed) {
   int shared = 0, apart = 0;
   for (std::uint64_t seed = 200; seed < 240; ++seed) {
-    const auto two = two_policies(seed, 2);
+    const auto two = two_policies(seed, Clocks::kShared);
     if (!two) continue;
     const Bounds bounds = bounds_of(*two);
     const auto proof = checked(*two);

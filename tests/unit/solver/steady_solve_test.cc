@@ -120,6 +120,28 @@ TEST(SteadySolve, NoDriftBreaksAPolicy) {
 
 // What the proof takes into account, left out: the same attack has to find each.
 
+TEST(SteadySolve, ClocksThatDriftALotAreNoTrouble) {
+  for (std::uint64_t seed = 1; seed <= 60; ++seed) {
+    solver::test::Dice dice(seed);
+    SteadyShape shape;
+    shape.clocks = 2;
+    shape.max_components = 4;
+    shape.least_period = 12;
+    shape.ppm = 20'000;
+    Platform platform = random_steady_platform(dice);
+    platform.xpus.push_back({"cpu8", "cpu", true, 0});
+    platform.xpus.push_back({"gpu8", "gpu", true, 0});
+    const AppSpec app = random_steady_app(dice, shape);
+    Options options;
+    options.max_evaluations = 200;
+    options.seed = seed;
+    const auto answer = solve(app, platform, options);
+    ASSERT_TRUE(answer) << "seed " << seed;
+    if (answer->outcome != Outcome::kPolicy) continue;
+    EXPECT_TRUE(check(app, platform, answer->policy)) << "seed " << seed;
+  }
+}
+
 TEST(SteadySolve, TheAttackFindsJitterThatIsLeftOut) {
   Played played;
   EXPECT_NE(attack(one_clock(), 150, 24, 1, played,
