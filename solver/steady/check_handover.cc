@@ -150,7 +150,8 @@ struct Alone {
 /// The activation of the part's last XNode that certainly knows what activation n of its first does.
 template <typename On>
 std::int64_t arrives(const Both& both, const On& on, const Part& part, std::int64_t n) {
-  for (const auto& [u, v] : part.samples) {
+  for (const auto& sample : part.samples) {
+    const int u = sample.first, v = sample.second;
     const Ticks end = on.end(u, n);
     const Component &to = both.p.home(v), &from = both.p.home(u);
     const Ticks released = from.phi + n * from.period;
