@@ -15,10 +15,10 @@ SOURCE = pathlib.Path(__file__).resolve().parents[1]
 PROGRAMS = ("bin/xauto", "bin/xauto-coordinator", "bin/xauto-emud", "bench/bench_standin")
 
 
-def run(build, files, commands, limit_s=3600, cpus=1):
+def run(build, files, commands, limit_s=3600, cpus=1, icount=1):
     """Executes `commands` (lists of words) one after the other in folder /case, which holds `files` (name there: path here).
 
-    Programs are in PATH: PROGRAMS. Returns what `subprocess.run` would, of each command.
+    Programs are in PATH: PROGRAMS. `icount`: an instruction lasts 2^icount ns. Returns what `subprocess.run` would, of each command.
     """
     kernel = subprocess.run([SOURCE / "scripts/vm/fetch-kernel.sh", "7.x"], check=True, capture_output=True,
                             text=True).stdout.strip()
@@ -33,7 +33,7 @@ def run(build, files, commands, limit_s=3600, cpus=1):
                         *(f"{pathlib.Path(build).resolve()}/{program}" for program in PROGRAMS),
                         *(f"{path}:/case/{name}" for name, path in files.items())], check=True, stdout=subprocess.DEVNULL)
         status = subprocess.run([SOURCE / "scripts/vm/run-vm.sh", kernel, folder / "initrd", folder / "log"],
-                                env={**os.environ, "VM_ICOUNT": "1", "VM_CPUS": str(cpus), "VM_LIMIT_S": str(limit_s)}).returncode
+                                env={**os.environ, "VM_ICOUNT": str(icount), "VM_CPUS": str(cpus), "VM_LIMIT_S": str(limit_s)}).returncode
         log = (folder / "log").read_text(errors="replace")
     done = []
     for n, command in enumerate(commands):

@@ -8,13 +8,17 @@
     deaths      the same in processes of their own, one of which is killed at a random moment around each wish
     violations  clocks and a mode of no scenario, a job longer than every scenario has it: how long until it is said
 
+One more is in a guest that keeps time (bench/guest.py, 1 ns an instruction), and runs when it is named:
+
+    guest-switches a file's text names the scenario, and changes again and again; WCETs are what jobs take
+
 Three more are of tables of keys, with the case's three rates by one clock; they run when they are named:
 
     key-switches   as `switches`, but a wish comes when the change before has settled: else it waits, and nothing is claimed
     key-clocks     the same with the LiDAR's own clock, each clock on XPUs of its own
     key-deaths     as `deaths`
 
-    bench/tables/online.py [--bin build/bin] [--json FILE] [throttle switches deaths violations key-switches key-clocks key-deaths]
+    bench/tables/online.py [--bin build/bin] [--json FILE] [throttle switches deaths violations guest-switches key-switches key-clocks key-deaths]
 """
 import argparse
 import contextlib
@@ -231,6 +235,39 @@ def switches(case, options):
     return result
 
 
+def guest_switches(case, options):
+    sys.path.insert(0, str(SOURCE / "bench"))
+    import guest
+    def when(text):
+        return [{"file": "/case/mode", "equals": text}]
+    case.solve("three.json", [{"name": "nominal", "when": when("A")},
+                              {"name": "GPU 8 % slower", "when": when("B"), "wcet_scale_pct": {"gpu": 108}},
+                              {"name": "DLA 30 % slower", "when": when("C"), "wcet_scale_pct": {"dla": 130}},
+                              {"name": "CPUs 50 % slower", "when": when("D"), "wcet_scale_pct": {"cpu": 150}}], 3)
+    draw, now, script = random.Random(options.seed), "A", [
+        "printf A >mode", "xauto run --app app.json --platform small --emulate --policy three.json --deployment deployment.json "
+        "--json --period-us 33333 --activations 0 -- ./driving >report &", "tool=$!", "sleep 3"]
+    for _ in range(options.switches * 3 // 2):  # some come before the one before is heard
+        now = draw.choice([mode for mode in "ABCD" if mode != now])
+        script += [f"printf {now} 1<>mode", f"sleep {draw.uniform(0.03, 0.12):.3f}"]  # never empty
+    script += ["kill -TERM $tool", "wait $tool", "cat report"]
+    (case.folder / "switches").write_text("\n".join(script) + "\n")
+    files = {name: case.folder / name for name in ("app.json", "three.json", "deployment.json", "switches")}
+    build = pathlib.Path(options.bin).parent
+    done = guest.run(build, {**files, "driving": build / "bin/driving"}, [["sh", "switches"]], icount=0)[0]
+    if done.returncode != 0:
+        raise RuntimeError(f"in the guest: status {done.returncode}\n{done.stdout[-500:]}{done.stderr[-500:]}")
+    report = json.loads(done.stdout)["runs"][0]
+    spanned = [s["spanned_us"] / s["worst_case_us"] for s in report["switches"] if s.get("worst_case_us") and (s["spanned_us"] or -1) >= 0]
+    any_release = [s["longest_us"] / s["worst_case_us"] for s in report["scenarios"] if s["releases"]]
+    result = {"switches": report["num_switches"], "table_changes": tables_changed(report["switches"]), "releases": report["activations"],
+              "lost": report["lost_activations"], "claimed": len(spanned), "longest": max(spanned, default=None),
+              "longest_of_all": max(any_release, default=None), "broken": report.get("worst_case_broken", [])}
+    print(f"  guest-switches  {result['switches']} ({result['table_changes']} to another table), {result['releases']} releases, {result['lost']} lost; "
+          f"of {len(spanned)} that met a change the longest took {result['longest']:.4f} of its worst case, of all {result['longest_of_all']:.4f}")
+    return result
+
+
 def key_switches(case, options):
     """Each result of a chain is held against its table's worst case, or that of the change which its release met, by the run.
     Here only what the run tells is counted, and the longest result of each chain set beside the largest of its claims."""
@@ -394,7 +431,7 @@ def main():
     options = parse()
     os.environ["XAUTO_BIN"] = options.bin
     parts = {"throttle": throttle, "switches": switches, "deaths": deaths, "violations": violations,
-             "key-switches": key_switches, "key-clocks": key_switches, "key-deaths": deaths}
+             "guest-switches": guest_switches, "key-switches": key_switches, "key-clocks": key_switches, "key-deaths": deaths}
     result = {}
     for part in options.parts:
         with tempfile.TemporaryDirectory() as folder:
