@@ -6,6 +6,10 @@
 //     ros2_relay does. Status 1: one was not, and which.
 //   ros2_peer turns BYTES COUNT PERIOD_MS     sends images in turns on /there and /here, stamped
 //   ros2_peer hear FILE COUNT                 hears /here: NUMBER LATENCY_NS, from the stamp until the callback has it
+//   ros2_peer talk String|Image RELIABILITY DEPTH BYTES COUNT PERIOD_US READERS
+//     sends numbered messages on /there, once so many hear it
+//   ros2_peer listen String|Image TOPIC RELIABILITY DEPTH FILE
+//     hears TOPIC until SIGINT: NUMBER LATENCY_NS TAKEN_NS, the last by the wall clock
 //
 // RELIABILITY: reliable, best_effort. DURABILITY: volatile, transient_local.
 #include <chrono>
@@ -16,6 +20,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <thread>
 #include <utility>
 
 #include <rclcpp/rclcpp.hpp>
@@ -39,20 +44,12 @@ std::vector<std::uint8_t> filled(std::size_t bytes, std::uint32_t number) {
     data[i] = static_cast<std::uint8_t>((i * 2654435761u >> 13) + number);
   return data;
 }
-std_msgs::msg::Header head(std::uint32_t number) {
-  const std::chrono::nanoseconds now = std::chrono::system_clock::now().time_since_epoch();
-  std_msgs::msg::Header header;
-  header.stamp.sec = static_cast<std::int32_t>(now / 1s);
-  header.stamp.nanosec = static_cast<std::uint32_t>((now % 1s) / 1ns);
-  header.frame_id = std::to_string(number);
-  return header;
-}
-
 void fill(String& message, std::uint32_t number, std::size_t bytes) {
-  message.data = std::to_string(number) + " Grüße " + std::string(bytes, 'x');
+  name(message, number);
+  message.data += "Grüße " + std::string(bytes, 'x');
 }
 void fill(Image& message, std::uint32_t number, std::size_t bytes) {
-  message.header = head(number);
+  name(message, number);
   message.height = 3 + number;
   message.width = 1000 + number;
   message.encoding = "rgb8";
@@ -61,7 +58,7 @@ void fill(Image& message, std::uint32_t number, std::size_t bytes) {
   message.data = filled(bytes, number);
 }
 void fill(PointCloud2& message, std::uint32_t number, std::size_t bytes) {
-  message.header = head(number);
+  name(message, number);
   message.height = 1;
   message.width = 1000 + number;
   for (const char* name : {"x", "y", "z", "intensity"}) {
@@ -79,16 +76,9 @@ void fill(PointCloud2& message, std::uint32_t number, std::size_t bytes) {
   message.data = filled(bytes, number);
 }
 
-std::uint32_t number_of(const String& message) {
-  return static_cast<std::uint32_t>(std::atoll(message.data.c_str()));
-}
-template <class Message>
-std::uint32_t number_of(const Message& message) {
-  return static_cast<std::uint32_t>(std::atoll(message.header.frame_id.c_str()));
-}
-
-rclcpp::QoS qos(const std::string& reliability, const std::string& durability) {
-  rclcpp::QoS made(rclcpp::KeepLast(4));
+rclcpp::QoS qos(const std::string& reliability, const std::string& durability,
+                std::size_t depth = 4) {
+  rclcpp::QoS made{rclcpp::KeepLast(depth)};
   if (reliability == "best_effort")
     made.best_effort();
   else
@@ -137,7 +127,7 @@ int turns(std::size_t bytes, std::uint32_t count, std::chrono::milliseconds peri
   fill(message, 0, bytes);
   for (std::uint32_t k = 0; k < 2 * count && rclcpp::ok(); ++k) {
     rclcpp::sleep_for(period);
-    message.header = head(k);
+    name(message, k);
     out[k % 2]->publish(message);
   }
   rclcpp::sleep_for(500ms);
@@ -150,13 +140,42 @@ int hear(const std::string& path, std::size_t count) {
   std::size_t came = 0;
   const auto in = node->create_subscription<Image>(
       "here", rclcpp::QoS(rclcpp::KeepLast(1)).reliable(), [&](const Image& message) {
-        const std::chrono::nanoseconds now = std::chrono::system_clock::now().time_since_epoch();
-        file << message.header.frame_id << ' '
-             << (now - std::chrono::seconds(message.header.stamp.sec)) / 1ns -
-                    message.header.stamp.nanosec
-             << std::endl;
+        file << number_of(message) << ' ' << age_ns(message) << std::endl;
         if (++came == count) rclcpp::shutdown();
       });
+  rclcpp::spin(node);
+  return 0;
+}
+
+/// `readers`: begins when so many hear it.
+template <class Message>
+int talk(const rclcpp::QoS& with, std::size_t bytes, std::uint32_t count,
+         std::chrono::microseconds period, std::size_t readers) {
+  const auto node = std::make_shared<rclcpp::Node>("talker");
+  const auto out = node->create_publisher<Message>("there", with);
+  while (rclcpp::ok() && out->get_subscription_count() < readers) rclcpp::sleep_for(10ms);
+  Message message;
+  fill(message, 0, bytes);
+  auto due = std::chrono::steady_clock::now() + 200ms;
+  for (std::uint32_t k = 0; k < count && rclcpp::ok(); ++k, due += period) {
+    std::this_thread::sleep_until(due);
+    if constexpr (requires { message.header; })
+      name(message, k);  // and the rest as it is: to make it takes longer than to send it
+    else
+      fill(message, k, bytes);
+    out->publish(message);
+  }
+  rclcpp::sleep_for(500ms);
+  return 0;
+}
+
+template <class Message>
+int listen(const std::string& topic, const rclcpp::QoS& with, const std::string& path) {
+  const auto node = std::make_shared<rclcpp::Node>("listener");
+  std::ofstream file(path);
+  const auto in = node->create_subscription<Message>(topic, with, [&](const Message& message) {
+    file << number_of(message) << ' ' << age_ns(message) << ' ' << wall_ns() << std::endl;
+  });
   rclcpp::spin(node);
   return 0;
 }
@@ -172,6 +191,18 @@ int main(int argc, char** argv) {
     if (type == "String") return trip<String>(with, number(5), number(6));
     if (type == "Image") return trip<Image>(with, number(5), number(6));
     if (type == "PointCloud2") return trip<PointCloud2>(with, number(5), number(6));
+  }
+  if (verb == "talk" && argc == 9) {
+    const rclcpp::QoS with = qos(argv[3], "volatile", number(4));
+    const std::chrono::microseconds period(std::atoll(argv[7]));
+    const auto count = static_cast<std::uint32_t>(number(6));
+    if (type == "String") return talk<String>(with, number(5), count, period, number(8));
+    if (type == "Image") return talk<Image>(with, number(5), count, period, number(8));
+  }
+  if (verb == "listen" && argc == 7) {
+    const rclcpp::QoS with = qos(argv[4], "volatile", number(5));
+    if (type == "String") return listen<String>(argv[3], with, argv[6]);
+    if (type == "Image") return listen<Image>(argv[3], with, argv[6]);
   }
   if (verb == "turns" && argc == 5)
     return turns(number(2), static_cast<std::uint32_t>(number(3)),

@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 // An app between topics of ROS 2, by the types of xauto_add_messages:
 //
-//   ros2_relay String|Image|PointCloud2 [FILE [PERIOD_MS]]
+//   ros2_relay String|Image|PointCloud2 [FILE [PERIOD_MS [BYTES]]]
 //
 // What comes on "there" goes out on "back", changed in a way that shows which field was taken for which. FILE gets a
-// line per message: NUMBER LATENCY_NS, from the header's stamp until the job has the message.
+// line per message: NUMBER LATENCY_NS TAKEN_NS, from the header's stamp until the job has the message, and when that
+// is, by the wall clock. Where nothing feeds it, its source makes numbered messages of BYTES: for recordings.
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <fstream>
 #include <string>
-#include <utility>
 
 #include <sensor_msgs/msg/image.h>
 #include <sensor_msgs/msg/point_cloud2.h>
@@ -23,7 +24,6 @@
 
 namespace {
 
-using namespace std::chrono_literals;
 using sensor_msgs::msg::Image;
 using sensor_msgs::msg::PointCloud2;
 using std_msgs::msg::String;
@@ -41,21 +41,22 @@ int relay(int argc, char** argv) {
       xauto::XPU::CPU, [](const xauto::XpuId&) { return xauto::SchedHandle::thread(); },
       [&](State& state, const xauto::Input& input) {
         const Message& message = input.get(there);
-        if constexpr (requires { message.header; }) {
-          const auto now = std::chrono::system_clock::now().time_since_epoch();
-          const std::chrono::nanoseconds stamp =
-              std::chrono::seconds(message.header.stamp.sec) +
-              std::chrono::nanoseconds(message.header.stamp.nanosec);
-          file << message.header.frame_id << ' ' << (now - stamp) / 1ns << '\n';
-        }
+        file << number_of(message) << ' ' << age_ns(message) << ' ' << wall_ns() << std::endl;
         state.message = message;
         change(state.message);
       });
   xauto::XModule<State> module("relay");
   module.add_node(node).add_input_topic(there).add_output_topic(back, &State::message);
   xauto::App app("ros2_relay");
-  const std::chrono::milliseconds period(argc > 3 ? std::atoll(argv[3]) : 20);
-  app.add_source(there, period, [](std::uint64_t) { return Message{}; });
+  const std::chrono::microseconds period(
+      static_cast<std::int64_t>((argc > 3 ? std::atof(argv[3]) : 20) * 1000));
+  const auto bytes = static_cast<std::size_t>(argc > 4 ? std::atoll(argv[4]) : 0);
+  app.add_source(there, period, [bytes](std::uint64_t number) {
+    Message message;
+    name(message, number);
+    message.data.resize(message.data.size() + bytes, 'x');
+    return message;
+  });
   app.add_module(module);
   return app.main(argc, argv);
 }
@@ -67,7 +68,8 @@ int main(int argc, char** argv) {
   if (type == "String") return relay<String>(argc, argv);
   if (type == "Image") return relay<Image>(argc, argv);
   if (type == "PointCloud2") return relay<PointCloud2>(argc, argv);
-  std::fprintf(stderr,
-               "usage: xauto run ... -- ros2_relay String|Image|PointCloud2 [FILE [PERIOD_MS]]\n");
+  std::fprintf(
+      stderr,
+      "usage: xauto run ... -- ros2_relay String|Image|PointCloud2 [FILE [PERIOD_MS [BYTES]]]\n");
   return 2;
 }
