@@ -64,18 +64,23 @@ Interop::~Interop() {
   stop();
 }
 
-std::vector<detail::Envelope> Interop::take(const std::vector<int>& topics, std::int64_t until_ns,
-                                            const std::atomic<bool>& stop) {
-  std::vector<detail::Envelope> messages(topics.size());
-  for (;;) {
+Interop::Taken Interop::take(const std::vector<int>& topics, std::int64_t until_ns,
+                             const std::atomic<bool>& stop) {
+  Taken taken;
+  auto& messages = taken.messages;
+  messages.resize(topics.size());
+  for (bool first = true;; first = false) {
     bool all = true;
+    const std::int64_t looked_ns = now_ns();
     for (std::size_t i = 0; i < topics.size(); ++i) {
-      if (auto newest = take(static_cast<std::size_t>(topics[i])); newest.message != nullptr)
+      if (auto newest = take(static_cast<std::size_t>(topics[i])); newest.message != nullptr) {
         messages[i] = std::move(newest);
+        if (!first) taken.came_ns = looked_ns;
+      }
       all = all && messages[i].message != nullptr;
     }
     const std::int64_t now = now_ns();
-    if (all || until_ns <= now || stop.load()) return messages;
+    if (all || until_ns <= now || stop.load()) return taken;
     // Rung also for what was taken already, or is refused: then there is another round.
     wait(std::min(until_ns, now + kLookNs), [&] {
       return !stop.load() && std::none_of(topics.begin(), topics.end(), [&](int t) {

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -34,11 +35,15 @@ class Interop {
   }
   /// Messages of this source's topic come from outside.
   [[nodiscard]] bool feeds(std::size_t topic) const { return feeds_[topic] != nullptr; }
+  struct Taken {
+    std::vector<detail::Envelope> messages;  ///< null: none came
+    /// When the last of them was found, before it was decoded; nullopt: they lay there.
+    std::optional<std::int64_t> came_ns;
+  };
   /// The newest message of each of `topics` that was not taken yet. Waits until all have one, not
-  /// beyond `until_ns` or a stop; null: none came.
-  [[nodiscard]] std::vector<detail::Envelope> take(const std::vector<int>& topics,
-                                                   std::int64_t until_ns,
-                                                   const std::atomic<bool>& stop);
+  /// beyond `until_ns` or a stop.
+  [[nodiscard]] Taken take(const std::vector<int>& topics, std::int64_t until_ns,
+                           const std::atomic<bool>& stop);
   /// Something has come for this source's topic that was not taken yet.
   [[nodiscard]] bool waits(std::size_t topic) const { return !feeds_[topic]->empty(); }
   /// The newest of it, with its stamp or arrival as origin; null: it is no message of that type.

@@ -1,14 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sources that programs outside feed, in a run by keys: their messages come when they come, and are
-// then what a driver's are that pushes (graph/inlet.h). Only as fast as app.json allows: nobody
-// outside makes the app work more than its certificate counts with. What comes faster waits, and is
-// replaced by what is newer.
+// Sources that programs outside feed. Nobody outside makes the app work more than its sources' periods
+// say: what comes faster waits, and is replaced by what is newer.
+//
+// In a run by keys (`Feeds`) messages come when they come, and are then what a driver's are that pushes
+// (graph/inlet.h), only as fast as app.json allows and the certificate counts with. Without keys the
+// releases of an app of one rate are on a grid that follows the feeder (`FedGrid`).
 #pragma once
 
 #include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <thread>
 #include <vector>
 
@@ -35,6 +38,39 @@ class Pace {
  private:
   const std::int64_t interval_ns_, jitter_ns_;
   std::int64_t due_ns_ = 0;
+};
+
+/// The grid of releases of an app of one rate without keys: it follows the feeder.
+///
+/// A release that waited for its messages puts the next one a period after they came. When it took them
+/// is of no account: else each wake-up and each decoding made the grid later, and where they add up
+/// to a period a message is lost. Where they lay there already, the next one is a little sooner than a
+/// period after this one was due. So
+///
+///   - what was late once does not hold up all to come: the grid goes back by as much, a 16th of a
+///     period at a time;
+///   - of a feeder whose clock is a little faster than ours nothing is lost: beyond that, it goes
+///     forward by a thousandth of a period, ten times what two crystals differ by.
+///
+/// In the long run there is no more than a release per 0.999 periods, whatever comes.
+class FedGrid {
+ public:
+  /// By how much the grid moves after a release that was due at `due_ns`. `came_ns`: until when it
+  /// waited; nullopt: its messages lay there.
+  std::int64_t move_ns(std::int64_t due_ns, std::int64_t period_ns,
+                       std::optional<std::int64_t> came_ns) {
+    const std::int64_t late_ns = came_ns ? std::max<std::int64_t>(*came_ns - due_ns, 0) : 0;
+    behind_ns_ = std::min(behind_ns_ + late_ns, period_ns);
+    if (came_ns) return late_ns;
+    const std::int64_t back_ns = std::min(behind_ns_, period_ns / 16);
+    behind_ns_ -= back_ns;
+    return -(back_ns + period_ns / 1000);
+  }
+
+ private:
+  /// By how much the releases are later than they might be: a period at most, or a feeder that was slow
+  /// for long could then be fast for long. Before the first one it is any time.
+  std::int64_t behind_ns_ = INT64_MAX / 4;
 };
 
 class Feeds {

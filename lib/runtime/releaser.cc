@@ -339,13 +339,10 @@ Status Releaser::release_periodic() {
     // Messages are made before their release, so that making them does not count as latency.
     samples.clear();
     fed.clear();
-    std::int64_t fed_period_ns = 0;
     for (Source& s : sources) {
       if (s.due_ns > next_ns) continue;
       if (wiring_.interop() != nullptr &&
           wiring_.interop()->feeds(static_cast<std::size_t>(s.topic))) {
-        fed_period_ns =
-            s.sequence == 0 ? INT64_MAX : s.grid->period_ns();  // nothing to do before the first
         fed.push_back({s.topic, s.sequence++, nullptr, 0});
         continue;
       }
@@ -373,11 +370,8 @@ Status Releaser::release_periodic() {
       if (stop_.load()) break;
     }
     if (!fed.empty()) {
-      const bool came = take_fed(std::move(fed), fed_period_ns, samples);
+      start += take_fed(std::move(fed), due, samples);
       if (stop_.load()) break;
-      // The next release is a period after this one: the time grid follows whoever feeds us. After one that waited
-      // in vain the next waits at once: else what came a little late would lie there until a period later.
-      if (context_.graph.single_rate && came) start += now_ns() - due;
       if (samples.empty()) continue;
     }
     // Nobody has a use for it any more: the next one is there.
@@ -391,23 +385,29 @@ Status Releaser::release_periodic() {
 
 /// Messages that programs outside feed us. In an app of one rate a release waits for its message,
 /// for up to a period; without one it is lost, and told so downstream. Otherwise there is one or
-/// there is none. True: all came.
-bool Releaser::take_fed(std::vector<Sample> fed, std::int64_t period_ns,
-                        std::vector<Sample>& samples) {
-  const std::int64_t now = now_ns();
-  std::int64_t until = now;
-  if (context_.graph.single_rate) until = period_ns > INT64_MAX - now ? INT64_MAX : now + period_ns;
+/// there is none. Returns by how much the time grid moves.
+std::int64_t Releaser::take_fed(std::vector<Sample> fed, std::int64_t due_ns,
+                                std::vector<Sample>& samples) {
+  const auto source = static_cast<std::size_t>(
+      context_.graph.topics[static_cast<std::size_t>(fed.front().topic)].source);
+  const std::int64_t period_ns = context_.grid.sources[source].period_ns();
+  std::int64_t until = now_ns();
+  if (context_.graph.single_rate)  // nothing to do before the first
+    until = fed.front().sequence == 0 ? INT64_MAX : until + period_ns;
   std::vector<int> topics;
   for (const Sample& sample : fed) topics.push_back(sample.topic);
   auto taken = wiring_.interop()->take(topics, until, stop_);
   const bool all =
-      std::ranges::all_of(taken, [](const auto& one) { return one.message != nullptr; });
+      std::ranges::all_of(taken.messages, [](const auto& one) { return one.message != nullptr; });
   for (std::size_t i = 0; i < fed.size(); ++i) {
-    fed[i].message = std::move(taken[i].message);  // null: a tombstone, for whoever counts
-    fed[i].stamp_ns = taken[i].origin_ns;
+    fed[i].message = std::move(taken.messages[i].message);  // null: a tombstone, for whoever counts
+    fed[i].stamp_ns = taken.messages[i].origin_ns;
     samples.push_back(std::move(fed[i]));
   }
-  return all;
+  // After one that waited in vain the next waits at once: else what came a little late would lie there until a
+  // period later.
+  return context_.graph.single_rate && all ? fed_grid_.move_ns(due_ns, period_ns, taken.came_ns)
+                                           : 0;
 }
 
 /// An app of version 2 states how late a release may be.

@@ -87,7 +87,7 @@ class Releaser {
   void sleep(std::int64_t until_ns) const;
   [[nodiscard]] Status drain_for_lockstep();
   [[nodiscard]] Status release_recorded();
-  bool take_fed(std::vector<Sample> fed, std::int64_t period_ns, std::vector<Sample>& samples);
+  std::int64_t take_fed(std::vector<Sample> fed, std::int64_t due_ns, std::vector<Sample>& samples);
   [[nodiscard]] std::int64_t component_release_ns(std::int64_t now_ns,
                                                   const std::vector<Sample>& samples) const;
   void release(std::int64_t now_ns, const std::vector<Sample>& samples);
@@ -108,9 +108,10 @@ class Releaser {
   std::string recording_error_ XAUTO_GUARDED_BY(recording_mutex_);
   std::atomic<bool> records_{false};      ///< open, and nothing has gone wrong
   std::optional<detail::Inlets> inlets_;  ///< while it releases
-  std::optional<Feeds> feeds_;            ///< likewise; before its inlets
-  std::vector<std::uint64_t> pushed_;     ///< [topic] releases of pushed sources
-  std::uint64_t pushes_left_ = 0;         ///< of the slowest source; 0: no end
+  FedGrid fed_grid_;
+  std::optional<Feeds> feeds_;         ///< likewise; before its inlets
+  std::vector<std::uint64_t> pushed_;  ///< [topic] releases of pushed sources
+  std::uint64_t pushes_left_ = 0;      ///< of the slowest source; 0: no end
   std::vector<std::string> notes_;
   /// What is not as app.json states.
   struct Seen {
