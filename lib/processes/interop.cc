@@ -46,6 +46,8 @@ Result<std::unique_ptr<Interop>> Interop::open(const Graph& graph, const Plan& p
   XAUTO_ASSIGN(interop->bridge_, transport::open_bridge("cyclonedds", options));
   interop->publishers_.resize(graph.topics.size());
   interop->feeds_.resize(graph.topics.size());
+  interop->replaced_ = std::vector<std::atomic<std::uint64_t>>(graph.topics.size());
+  for (const Graph::Topic& topic : graph.topics) interop->names_.push_back(topic.spec.name);
   for (const std::size_t t : out) {
     const detail::TopicSpec& spec = graph.topics[t].spec;
     XAUTO_ASSIGN(interop->publishers_[t],
@@ -74,6 +76,8 @@ Interop::Taken Interop::take(const std::vector<int>& topics, std::int64_t until_
     const std::int64_t looked_ns = now_ns();
     for (std::size_t i = 0; i < topics.size(); ++i) {
       if (auto newest = take(static_cast<std::size_t>(topics[i])); newest.message != nullptr) {
+        if (messages[i].message != nullptr)
+          replaced_[static_cast<std::size_t>(topics[i])].fetch_add(1);
         messages[i] = std::move(newest);
         if (!first) taken.came_ns = looked_ns;
       }
@@ -92,7 +96,10 @@ Interop::Taken Interop::take(const std::vector<int>& topics, std::int64_t until_
 
 detail::Envelope Interop::take(std::size_t topic) {
   detail::Envelope newest;
-  while (auto envelope = feeds_[topic]->take()) newest = std::move(*envelope);
+  while (auto envelope = feeds_[topic]->take()) {
+    if (newest.message != nullptr) replaced_[topic].fetch_add(1);
+    newest = std::move(*envelope);
+  }
   return newest;
 }
 
@@ -101,7 +108,14 @@ void Interop::stop() {
 }
 
 std::vector<std::string> Interop::notes() const {
-  return bridge_->notes();
+  std::vector<std::string> notes = bridge_->notes();
+  for (std::size_t t = 0; t < feeds_.size(); ++t) {
+    if (feeds_[t] == nullptr) continue;
+    if (const auto n = feeds_[t]->replaced() + replaced_[t].load(); n > 0)
+      notes.push_back("topic '" + names_[t] + "' from DDS: " + std::to_string(n) +
+                      " messages were not used, a newer one came before a release took them");
+  }
+  return notes;
 }
 
 }  // namespace xauto::runtime

@@ -66,6 +66,9 @@ class Interop {
   std::unique_ptr<transport::Bridge> bridge_;
   std::vector<std::shared_ptr<transport::Publisher>> publishers_;  ///< [topic]
   std::vector<std::shared_ptr<transport::Subscriber>> feeds_;      ///< [topic]
+  std::vector<std::string> names_;                                 ///< [topic]
+  /// [topic] Taken, and replaced by a newer one before they were used.
+  std::vector<std::atomic<std::uint64_t>> replaced_;
 };
 
 }  // namespace xauto::runtime

@@ -52,6 +52,8 @@ class Subscriber {
   [[nodiscard]] virtual bool empty() const = 0;
   /// Messages that came too fast for this reader, or were not acceptable.
   [[nodiscard]] virtual std::uint64_t lost() const = 0;
+  /// Messages that a newer one has replaced before they were taken, where only the newest waits.
+  [[nodiscard]] virtual std::uint64_t replaced() const { return 0; }
 };
 
 /// Where a publisher rings after it has put something into somebody's queue; see doorbell.h.

@@ -142,6 +142,10 @@ class Dds(Peers):
         self.assertTrue(0 < modules["A"]["activations"] <= 60, run)
         self.assertEqual(modules["A"]["failed"], 0)
 
+    def test_who_feeds_too_fast_is_told_what_was_not_used(self):
+        run, _ = self.feed([(k, bytes([k % 250]) * 4096) for k in range(400)], 1_000, activations=20, app_period=20_000)
+        self.assertRegex(" ".join(run["notes"]), "topic 'src' from DDS: [1-9][0-9]* messages were not used, a newer one came before")
+
     def test_listener_that_is_stopped_or_dead_holds_nobody_up(self):
         listener = self.peer("hear", "rt/src", self.path("stopped"), 60)
         other = self.peer("hear", "rt/src", self.path("dead"), 60)
@@ -250,6 +254,7 @@ class FedByKeys(Peers):
         # 30 of them at their period, less the jitter, wherever it begins.
         self.assertGreater(took_s, (29 * self.PERIOD_US - self.JITTER_US) * 1e-6)
         self.assertIn("off its grid", broken)
+        self.assertRegex(" ".join(run["notes"]), "topic 'src' from DDS: [1-9][0-9]* messages were not used, a newer one came before")
         self.assertEqual(run["modules"][0]["failed"], 0)
 
 

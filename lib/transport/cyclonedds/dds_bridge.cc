@@ -132,8 +132,10 @@ class DdsBridge final : public Bridge {
   Result<std::shared_ptr<Subscriber>> subscribe(const detail::TopicSpec& spec,
                                                 const TopicQos& asked, Doorbell& arrived) override {
     Wire wire(spec);
-    XAUTO_ASSIGN(const Made topic, make_topic(wire));
-    auto subscriber = std::make_shared<DdsSubscriber>(std::move(wire), arrived, work_);
+    auto replaced = std::make_shared<std::atomic<std::uint64_t>>(0);
+    XAUTO_ASSIGN(const Made topic, make_topic(wire, replaced));
+    auto subscriber =
+        std::make_shared<DdsSubscriber>(std::move(wire), arrived, work_, std::move(replaced));
     TopicQos resolved = asked.resolved();
     const bool hears_all = !resolved.reliability;
     resolved.reliability = resolved.reliability.value_or(Reliability::kReliable);
@@ -173,7 +175,7 @@ class DdsBridge final : public Bridge {
     dds_entity_t entity;
     const ddsi_sertype* type;  ///< of the topic
   };
-  Result<Made> make_topic(const Wire& wire) {
+  Result<Made> make_topic(const Wire& wire, Replaced replaced = nullptr) {
     const detail::TopicSpec& spec = wire.spec();
     if (!ros_name(spec.name))
       return fail(ErrorCode::kInvalid, "is no name that ROS 2 allows", "topic '" + spec.name + "'",
@@ -182,7 +184,7 @@ class DdsBridge final : public Bridge {
       return fail(ErrorCode::kInvalid,
                   "messages of type " + spec.type_name + " cannot leave their process",
                   "topic '" + spec.name + "'", "specialise xauto::Codec for it");
-    ddsi_sertype* type = make_type(wire.type_name());
+    ddsi_sertype* type = make_type(wire.type_name(), std::move(replaced));
     const dds_entity_t topic = dds_create_topic_sertype(participant_, ("rt/" + spec.name).c_str(),
                                                         &type, nullptr, nullptr, nullptr);
     if (topic < 0) {

@@ -21,6 +21,13 @@ const Sample& of(const ddsi_serdata* data) {
   return *static_cast<const Sample*>(data);
 }
 
+struct Type : ddsi_sertype {
+  Replaced replaced;
+};
+const Type& of(const ddsi_sertype* type) {
+  return *static_cast<const Type*>(type);
+}
+
 constexpr std::size_t filled_up(std::size_t size) {
   return (size + 3) / 4 * 4;
 }
@@ -100,10 +107,17 @@ std::uint32_t get_size(const ddsi_serdata* data) {
   return static_cast<std::uint32_t>(filled_up(of(data).size));
 }
 
+/// What comes from elsewhere.
+Sample* allocate_received(const ddsi_sertype* type, ddsi_serdata_kind kind, std::size_t size) {
+  Sample* sample = allocate(type, kind, size);
+  if (sample != nullptr && kind == SDK_DATA) sample->replaced = of(type).replaced;
+  return sample;
+}
+
 /// From the network: fragments in order, which may overlap.
 ddsi_serdata* from_ser(const ddsi_sertype* type, ddsi_serdata_kind kind, const nn_rdata* fragment,
                        std::size_t size) {
-  Sample* sample = allocate(type, kind, size);
+  Sample* sample = allocate_received(type, kind, size);
   if (sample == nullptr) return nullptr;
   std::byte* to = sample->bytes().data();
   std::size_t have = 0;
@@ -124,7 +138,7 @@ ddsi_serdata* from_ser(const ddsi_sertype* type, ddsi_serdata_kind kind, const n
 ddsi_serdata* from_ser_iov(const ddsi_sertype* type, ddsi_serdata_kind kind,
                            ddsrt_msg_iovlen_t pieces, const ddsrt_iovec_t* piece,
                            std::size_t size) {
-  Sample* sample = allocate(type, kind, size);
+  Sample* sample = allocate_received(type, kind, size);
   if (sample == nullptr) return nullptr;
   std::byte* to = sample->bytes().data();
   std::size_t have = 0;
@@ -181,7 +195,10 @@ bool to_sample(const ddsi_serdata*, void*, void**, void*) {
 
 void free_sample(ddsi_serdata* data) {
   auto* sample = static_cast<Sample*>(data);
-  spare().give(sample, sample->room);
+  if (sample->replaced != nullptr && !sample->taken.load()) sample->replaced->fetch_add(1);
+  const std::size_t room = sample->room;
+  sample->~Sample();
+  spare().give(sample, room);
 }
 std::size_t print(const ddsi_sertype*, const ddsi_serdata* data, char* to, std::size_t size) {
   const int length = std::snprintf(to, size, "%zu bytes", of(data).size);
@@ -210,15 +227,15 @@ const ddsi_serdata_ops kSampleOps = {equal_key,       get_size,    from_ser,    
 
 void free_type(ddsi_sertype* type) {
   ddsi_sertype_fini(type);
-  delete type;
+  delete static_cast<Type*>(type);
 }
 void zero_samples(const ddsi_sertype*, void*, std::size_t) {}
 void realloc_samples(void** samples, const ddsi_sertype*, void*, std::size_t, std::size_t count) {
   std::fill(samples, samples + count, nullptr);
 }
 void free_samples(const ddsi_sertype*, void**, std::size_t, dds_free_op_t) {}
-bool equal_types(const ddsi_sertype*, const ddsi_sertype*) {
-  return true;  // the names are, and there is nothing else
+bool equal_types(const ddsi_sertype* one, const ddsi_sertype* other) {
+  return of(one).replaced == of(other).replaced;  // the names are, and there is nothing else
 }
 std::uint32_t hash_type(const ddsi_sertype*) {
   return 0;
@@ -238,8 +255,9 @@ const ddsi_sertype_ops kTypeOps = {ddsi_sertype_v0, nullptr,       free_type,   
 
 }  // namespace
 
-ddsi_sertype* make_type(const std::string& name) {
-  auto* type = new ddsi_sertype{};
+ddsi_sertype* make_type(const std::string& name, Replaced replaced) {
+  auto* type = new Type{};
+  type->replaced = std::move(replaced);
   ddsi_sertype_init_flags(type, name.c_str(), &kTypeOps, &kSampleOps,
                           DDSI_SERTYPE_FLAG_TOPICKIND_NO_KEY);
   type->allowed_data_representation = DDS_DATA_REPRESENTATION_FLAG_XCDR1;

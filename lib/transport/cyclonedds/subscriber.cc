@@ -73,6 +73,7 @@ bool DdsSubscriber::take_from(std::size_t reader, SamplePtr& sample) {
   if (dds_takecdr(readers_[reader], &data, 1, &info, kAnyState) != 1) return false;
   SamplePtr taken(static_cast<Sample*>(data));
   if (!info.valid_data) return true;  // a publisher went
+  taken->taken.store(true);
   if (reader == 0) {
     last_publisher_ = info.publication_handle;
     last_sent_ = info.source_timestamp;

@@ -12,6 +12,7 @@
 
 #include <dds/dds.h>
 
+#include "transport/cyclonedds/sample.h"
 #include "transport/cyclonedds/wire.h"
 #include "transport/cyclonedds/work.h"
 #include "transport/doorbell.h"
@@ -30,8 +31,11 @@ inline constexpr std::int64_t kOldestStampNs = 10'000'000'000;
 class DdsSubscriber final : public Subscriber {
  public:
   /// `ask`: rung where it wants a second reader.
-  DdsSubscriber(Wire wire, Doorbell& arrived, std::shared_ptr<Work> ask)
-      : wire_(std::move(wire)), arrived_(arrived), ask_(std::move(ask)) {}
+  DdsSubscriber(Wire wire, Doorbell& arrived, std::shared_ptr<Work> ask, Replaced replaced)
+      : wire_(std::move(wire)),
+        arrived_(arrived),
+        ask_(std::move(ask)),
+        replaced_(std::move(replaced)) {}
 
   // Called on threads of Cyclone DDS.
   static void on_data(dds_entity_t, void* self);
@@ -53,6 +57,7 @@ class DdsSubscriber final : public Subscriber {
   std::optional<detail::Envelope> take_blank() override { return next(false); }
   [[nodiscard]] bool empty() const override { return !fresh_.load(); }
   [[nodiscard]] std::uint64_t lost() const override { return refused_.load(); }
+  [[nodiscard]] std::uint64_t replaced() const override { return replaced_->load(); }
 
   void note(std::vector<std::string>& notes) const;
   [[nodiscard]] const std::string& topic() const { return wire_.spec().name; }
@@ -67,6 +72,7 @@ class DdsSubscriber final : public Subscriber {
   const Wire wire_;
   Doorbell& arrived_;
   const std::shared_ptr<Work> ask_;
+  const Replaced replaced_;
   std::array<dds_entity_t, 2> readers_{};  ///< written before num_readers_ counts them
   std::atomic<std::size_t> num_readers_{0};
   std::atomic<bool> wish_{false}, wished_{false};

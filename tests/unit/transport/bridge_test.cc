@@ -97,6 +97,37 @@ TEST_F(Dds, MessageOfAnotherSizeIsRefusedAndCounted) {
   EXPECT_EQ(static_cast<const Point*>(message.get())->x, 0x0101010101010101);
 }
 
+TEST_F(Dds, MessagesThatANewerOneReplacesAreCounted) {
+  const auto spec = *detail::topic_spec(Topic<std::string>("fast"));
+  const auto publisher = *here_->publish(spec, {});
+  const auto subscriber = *there_->subscribe(spec, {}, doorbell_);
+  const auto other =
+      *there_->subscribe(*detail::topic_spec(Topic<std::string>("other")), {}, doorbell_);
+  ASSERT_NE(until_heard(*publisher, *subscriber, std::string("x")), nullptr);
+  // A number is known to have come once it waits, or has replaced the one before.
+  const auto come = [&](std::uint64_t number, auto seen) {
+    publisher->publish({std::make_shared<const std::string>("y"), now_ns(), number});
+    for (int i = 0; i < 20'000 && !seen(); ++i) std::this_thread::sleep_for(milliseconds(1));
+  };
+  // What until_heard has sent may still be under way: the first of ours is the last of it.
+  std::uint64_t number = 10'000;
+  come(number, [&] {
+    const auto envelope = subscriber->take();
+    return envelope && envelope->sequence == number;
+  });
+  const std::uint64_t before = subscriber->replaced();
+  come(++number, [&] { return !subscriber->empty(); });
+  for (std::uint64_t k = 1; k <= 5; ++k)
+    come(++number, [&] { return subscriber->replaced() == before + k; });
+  EXPECT_EQ(subscriber->replaced(), before + 5);
+  const auto newest = subscriber->take();
+  ASSERT_TRUE(newest);
+  EXPECT_EQ(newest->sequence, number);
+  EXPECT_FALSE(subscriber->take());
+  EXPECT_EQ(subscriber->replaced(), before + 5);
+  EXPECT_EQ(other->replaced(), 0u);  // of the same type
+}
+
 TEST_F(Dds, TombstonesAreOfTheAppAlone) {
   const auto spec = *detail::topic_spec(Topic<std::string>("quiet"));
   const auto publisher = *here_->publish(spec, {});
