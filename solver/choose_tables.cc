@@ -2,7 +2,9 @@
 #include "solver/choose_tables.h"
 
 #include <algorithm>
+#include <set>
 #include <string>
+#include <utility>
 
 #include "base/index.h"
 #include "solver/ilp_model.h"
@@ -60,6 +62,21 @@ std::vector<int> cover(const Regrets& of, double regret, int most, const std::at
   return static_cast<int>(chosen.size()) <= most ? chosen : std::vector<int>();
 }
 
+/// Each scenario by the best of `chosen`.
+TableChoice serve(const Regrets& regret, std::vector<int> chosen) {
+  TableChoice choice;
+  choice.worst = 0;
+  for (std::size_t s = 0; s < regret.front().size(); ++s) {
+    const int by = *std::min_element(chosen.begin(), chosen.end(), [&](int a, int b) {
+      return regret[at(a)][s] < regret[at(b)][s];
+    });
+    choice.serves.push_back(by);
+    choice.worst = std::max(choice.worst, regret[at(by)][s]);
+  }
+  choice.chosen = std::move(chosen);
+  return choice;
+}
+
 }  // namespace
 
 TableChoice choose_tables(const Regrets& regret, int most, double within,
@@ -72,7 +89,7 @@ TableChoice choose_tables(const Regrets& regret, int most, double within,
   levels.erase(std::unique(levels.begin(), levels.end()), levels.end());
   TableChoice choice;
   if (levels.empty()) return choice;
-  std::vector<int>& best = choice.chosen;
+  std::vector<int> best;
   if (within >= 1) best = cover(regret, within, most, stop);
   if (best.empty()) {
     std::size_t low = 0, high = levels.size() - 1;
@@ -87,16 +104,45 @@ TableChoice choose_tables(const Regrets& regret, int most, double within,
       }
     }
   }
-  if (best.empty()) return choice;
-  choice.worst = 0;
-  for (std::size_t s = 0; s < regret.front().size(); ++s) {
-    const int by = *std::min_element(best.begin(), best.end(), [&](int a, int b) {
-      return regret[at(a)][s] < regret[at(b)][s];
-    });
-    choice.serves.push_back(by);
-    choice.worst = std::max(choice.worst, regret[at(by)][s]);
+  return best.empty() ? choice : serve(regret, std::move(best));
+}
+
+TableChoice fewer_instances(const Regrets& regret, const std::vector<std::vector<int>>& xpu,
+                            const TableChoice& choice, double within) {
+  if (choice.chosen.empty()) return choice;
+  const auto price = [&](const TableChoice& c) {
+    std::size_t instances = 0;
+    for (std::size_t i = 0; i < xpu.front().size(); ++i) {
+      std::set<int> used;
+      for (const int table : c.serves)
+        if (xpu[at(table)][i] >= 0) used.insert(xpu[at(table)][i]);
+      instances += used.size();
+    }
+    double sum = 0;
+    for (std::size_t s = 0; s < c.serves.size(); ++s)
+      sum += std::max(within, regret[at(c.serves[s])][s]);
+    return std::max(within, c.worst) + sum / static_cast<double>(c.serves.size()) +
+           kRegretOfAnInstance * static_cast<double>(instances);
+  };
+  TableChoice best = choice;
+  double least = price(best);
+  for (bool better = true; better;) {
+    better = false;
+    const TableChoice from = best;
+    for (std::size_t k = 0; k < from.chosen.size(); ++k)
+      for (std::size_t c = 0; c < regret.size(); ++c) {
+        std::vector<int> chosen = from.chosen;
+        chosen[k] = static_cast<int>(c);
+        TableChoice other = serve(regret, std::move(chosen));
+        if (other.worst >= least || price(other) >= least - 1e-9) continue;
+        least = price(other);
+        best = std::move(other);
+        better = true;
+      }
   }
-  return choice;
+  std::sort(best.chosen.begin(), best.chosen.end());
+  best.chosen.erase(std::unique(best.chosen.begin(), best.chosen.end()), best.chosen.end());
+  return best;
 }
 
 }  // namespace xauto::solver

@@ -24,4 +24,14 @@ struct TableChoice {
 [[nodiscard]] TableChoice choose_tables(const std::vector<std::vector<double>>& regret, int most,
                                         double within, const std::atomic<bool>* stop);
 
+/// Each XNode has an instance on each XPU that some table in use gives it: one more has to be worth so
+/// much regret.
+inline constexpr double kRegretOfAnInstance = 0.0005;
+/// The same choice, or one with other candidates in the place of some of it: with less largest regret +
+/// mean regret + that of the instances, as found by replacing one after the other. What is at most
+/// `within` counts alike. `xpu`: [candidate][XNode], -1: it is off.
+[[nodiscard]] TableChoice fewer_instances(const std::vector<std::vector<double>>& regret,
+                                          const std::vector<std::vector<int>>& xpu,
+                                          const TableChoice& choice, double within);
+
 }  // namespace xauto::solver

@@ -52,7 +52,7 @@ class KeyTablesSearch {
       best = choose();
       run_.tell(bound_.size(), best.worst);
     }
-    return answer(best);
+    return answer(fewer_moves(best));
   }
 
  private:
@@ -309,10 +309,23 @@ class KeyTablesSearch {
                                  : kCannotServe);
   }
 
-  [[nodiscard]] TableChoice choose() const {
+  [[nodiscard]] std::vector<std::vector<double>> regrets() const {
     std::vector<std::vector<double>> regret;
     for (const KeyTable& c : candidates_) regret.push_back(c.regret);
-    return run_.choose(regret);
+    return regret;
+  }
+  [[nodiscard]] TableChoice choose() const { return run_.choose(regrets()); }
+  [[nodiscard]] TableChoice fewer_moves(const TableChoice& choice) const {
+    std::vector<std::vector<int>> xpu;  // [candidate][XNode]
+    for (const KeyTable& c : candidates_) {
+      std::vector<int>& all = xpu.emplace_back();
+      for (const KeyPlacement& p : hint_for(c, {}).placements) all.push_back(on_platform(p.xpu));
+    }
+    return run_.fewer_moves(regrets(), xpu, choice);
+  }
+  /// -1: of what is off, whose XPUs come after the others.
+  [[nodiscard]] int on_platform(int xpu) const {
+    return xpu < static_cast<int>(platform_.xpus.size()) ? xpu : -1;
   }
 
   /// The policy of a candidate on the platform that is left under another envelope.
@@ -406,8 +419,8 @@ class KeyTablesSearch {
     table.loss = losses_[candidate.loss];
     table.name = name_of_table(tables.tables.size() - 1, table.loss, app_);
     KeyPolicy& keys = tables.keys.emplace_back();
-    for (const KeyPlacement& p : hint_for(candidate, {}).placements) {      // on the whole platform
-      table.xpu.push_back(at(p.xpu) < platform_.xpus.size() ? p.xpu : -1);  // is off
+    for (const KeyPlacement& p : hint_for(candidate, {}).placements) {  // on the whole platform
+      table.xpu.push_back(on_platform(p.xpu));
       keys.placements.push_back({table.xpu.back(), p.key_us, p.hold_us});
     }
     table.priority.assign(table.xpu.size(), 0);

@@ -6,6 +6,7 @@
 
 #include <gtest/gtest.h>
 
+#include "solver/choose_tables.h"
 #include "solver/generate.h"
 #include "solver/simulate.h"
 #include "solver/solve.h"
@@ -134,6 +135,27 @@ TEST(Tables, TheAnswerOfABudgetIsTheSameEveryTime) {
   ASSERT_TRUE(first && second);
   first->solve_ms = second->solve_ms = 0;
   EXPECT_EQ(*first, *second);
+}
+
+TEST(Tables, WhatMovesHasToBeWorthIt) {
+  // Two scenarios; candidates 0 and 1 are the best of each, 2 is nearly as good as 1 and moves nothing.
+  const std::vector<std::vector<double>> regret = {
+      {1, kCannotServe}, {kCannotServe, 1.1}, {1.3, 1.1002}, {1.3, 1.2}};
+  const std::vector<std::vector<int>> xpu = {{0, 1, 2}, {1, 0, 2}, {0, 1, 2}, {0, 1, 2}};
+  const TableChoice best = choose_tables(regret, 2, 0, nullptr);
+  ASSERT_EQ(best.serves, (std::vector<int>{0, 1}));
+  const TableChoice fewer = fewer_instances(regret, xpu, best, 0);
+  EXPECT_EQ(fewer.serves, (std::vector<int>{0, 2}));
+  EXPECT_DOUBLE_EQ(fewer.worst, 1.1002);
+  // Two instances are not worth a tenth of a regret.
+  EXPECT_EQ(
+      fewer_instances({regret[0], regret[1], {1.3, 1.2}}, {xpu[0], xpu[1], xpu[3]}, best, 0).serves,
+      best.serves);
+  // What was asked for is good enough.
+  EXPECT_EQ(fewer_instances({regret[0], regret[1], {1.3, 1.2}}, {xpu[0], xpu[1], xpu[3]}, best, 1.2)
+                .serves,
+            (std::vector<int>{0, 2}));
+  EXPECT_TRUE(fewer_instances(regret, xpu, TableChoice(), 0).chosen.empty());
 }
 
 TEST(Tables, AScenarioThatCannotRunIsNamed) {
