@@ -48,7 +48,8 @@ struct HandoverChoice {
   std::vector<std::vector<std::uint8_t>> grown;   ///< [xnode][n] of what app_both has more
   std::vector<std::vector<std::uint8_t>> jitter;  ///< [source][n]
   bool last_first =
-      false;  ///< of two XNodes with equal keys the one of the larger index goes first
+      false;            ///< of two XNodes with equal keys the one of the larger index goes first
+  bool drains = false;  ///< another rule than theorem 8's: q's jobs wait until all of p has ended
 };
 
 /// How a play is disturbed that nobody has thought about.
@@ -309,6 +310,7 @@ class HandoverRun {
           j.more = (both - j.work) * entry(choice_.grown, i, n, 255) / 255;
         }
         j.left = j.work;
+        left_of_first_ += j.table == 0 ? 1 : 0;
         jobs_[i].push_back(j);
       }
   }
@@ -316,6 +318,10 @@ class HandoverRun {
   /// When it becomes ready, or -1: not known yet. The activations before of its XNode have ended.
   [[nodiscard]] Time ready(const Job& j) const {
     Time t = std::max(j.arrival, j.release + j.hold);
+    if (choice_.drains && j.table == 1) {
+      if (left_of_first_ > 0) return -1;
+      t = std::max(t, first_ended_);
+    }
     for (const HandoverWorld::Before& b : w_.before[at(j.xnode)]) {
       const Job& u = jobs_[at(b.xnode)][at(j.n)];
       if (u.end < 0) return -1;
@@ -359,6 +365,10 @@ class HandoverRun {
       for (Job*& r : running)
         if (r != nullptr && r->left == 0) {
           r->end = now;
+          if (r->table == 0) {
+            --left_of_first_;
+            first_ended_ = now;
+          }
           ++next_of[at(r->xnode)];
           r = nullptr;
         }
@@ -444,6 +454,8 @@ class HandoverRun {
   HandoverChoice choice_;
   std::vector<std::vector<Job>> jobs_;  ///< [xnode][n]
   Time grown_ = -1, passed_ = -1;
+  int left_of_first_ = 0;  ///< jobs of p
+  Time first_ended_ = 0;
 };
 
 /// `change` and `grows` in ticks.
@@ -495,6 +507,7 @@ struct HandoverAttack {
   std::int64_t plays = 1000;
   std::uint64_t seed = 1;
   int steps = 60;  ///< of a climb, until it begins anew elsewhere
+  bool drains = false;
 };
 
 struct HandoverFound {
@@ -598,6 +611,7 @@ class HandoverClimb {
         static_cast<HandoverDisturbance::Times>(random_.below(2) == 0 ? 0 : random_.below(3));
     how.jitter = static_cast<HandoverDisturbance::Jitter>(random_.below(3));
     HandoverChoice c = disturbed(world_, 0, 0, until_, how);
+    c.drains = attack_.drains;
     c.change = a_change(c);
     c.grows = a_growth(c);
     return c;

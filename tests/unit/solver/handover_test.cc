@@ -160,7 +160,7 @@ Result<HandoverProof> checked(const TwoPolicies& two) {
 }
 
 TEST(SteadyHandover, NoPlayIsLongerThanTheSolversBoundAndTheCheckerDerivesNoMore) {
-  int bounded = 0, broken = 0, chains = 0;
+  int bounded = 0, broken = 0, chains = 0, slower = 0;
   for (std::uint64_t seed = 1; seed <= 40; ++seed) {
     const auto two = two_policies(seed);
     if (!two) continue;
@@ -190,7 +190,12 @@ TEST(SteadyHandover, NoPlayIsLongerThanTheSolversBoundAndTheCheckerDerivesNoMore
     // That neither table alone bounds a change shows that the plays find something.
     HandoverClimb weaker(naive, steady, attack);
     broken += weaker.run().worst > 1;
+    // Nor is it better to let everything end first.
+    attack.drains = true;
+    HandoverClimb drained(naive, bounds.us, attack);
+    slower += drained.run().worst > 1;
   }
+  EXPECT_GE(slower, 5);
   EXPECT_GE(bounded, 30);
   EXPECT_GE(bounded * 10, chains * 6) << bounded << " of " << chains;
   EXPECT_GE(broken, 5);
