@@ -58,7 +58,7 @@ class TablesSearch {
       if (next.worst < best.worst || next.chosen.size() < best.chosen.size()) best = next;
       run_.tell(bound_.size(), best.worst);
     }
-    return answer(fewer_moves(best));
+    return answer(fewer_instances(best));
   }
 
  private:
@@ -183,14 +183,14 @@ class TablesSearch {
     return regret;
   }
   [[nodiscard]] TableChoice choose() const { return run_.choose(regrets()); }
-  [[nodiscard]] TableChoice fewer_moves(const TableChoice& choice) const {
+  [[nodiscard]] TableChoice fewer_instances(const TableChoice& choice) const {
     std::vector<std::vector<int>> xpu;  // [candidate][XNode of the app]
     for (const Plan& c : candidates_) {
       const std::vector<int>& of = lossy_[at(c.loss)].kept;
       std::vector<int>& all = xpu.emplace_back(app_.xnodes.size(), -1);
       for (std::size_t i = 0; i < of.size(); ++i) all[at(of[i])] = c.xpu[i];
     }
-    return run_.fewer_moves(regrets(), xpu, choice);
+    return run_.fewer_instances(regrets(), xpu, choice);
   }
 
   /// One candidate more for each group of scenarios that a table serves, and for each with one more

@@ -57,10 +57,10 @@ class TablesRun {
     return choose_tables(regret, most(), options_.regret, options_.stop);
   }
   /// `xpu`: [candidate][XNode].
-  [[nodiscard]] TableChoice fewer_moves(const std::vector<std::vector<double>>& regret,
-                                        const std::vector<std::vector<int>>& xpu,
-                                        const TableChoice& choice) const {
-    return fewer_instances(regret, xpu, choice, options_.regret);
+  [[nodiscard]] TableChoice fewer_instances(const std::vector<std::vector<double>>& regret,
+                                            const std::vector<std::vector<int>>& xpu,
+                                            const TableChoice& choice) const {
+    return solver::fewer_instances(regret, xpu, choice, options_.regret);
   }
   /// kInfeasible: it is more than was asked for.
   [[nodiscard]] Status judge(double worst, const std::string& app) const {

@@ -38,12 +38,7 @@ std::int64_t first_reader(const Problem& p, const Component& cu, std::int64_t k,
   const std::int64_t ppm = p.domains[at(cv.domain)].ppm;
   const Tick from = cu.phase + k * cu.period;
   const auto late_enough = [&](std::int64_t n) {
-    const Tick apart = cv.phase + n * cv.period - from;
-    // A fast clock makes a distance shorter, a slow one makes one into the past longer.
-    const Tick drift =
-        ppm == 0 ? 0
-                 : in_slow_time(apart < 0 ? -apart : apart, ppm) - (apart < 0 ? -apart : apart) + 1;
-    return apart - drift + hold(v, n) >= after;
+    return least_distance(cv.phase + n * cv.period - from, ppm) + hold(v, n) >= after;
   };
   // From the earliest that could do upwards.
   std::int64_t n = floor_div(from + after - most_hold - cv.phase, cv.period);
@@ -152,6 +147,13 @@ struct Way {
 };
 
 }  // namespace
+
+Tick least_distance(Tick length, std::int64_t ppm) {
+  if (ppm == 0) return length;
+  // A fast clock makes a distance shorter, a slow one makes one into the past longer.
+  const Tick distance = length < 0 ? -length : length;
+  return length - (in_slow_time(distance, ppm) - distance + 1);
+}
 
 Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w,
                 bool urgent) {

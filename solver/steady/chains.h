@@ -8,12 +8,16 @@
 //   Two domains: from d_u to v's release + hold at most the largest distance of two of them.
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 #include "solver/steady/problem.h"
 #include "solver/steady/windows.h"
 
 namespace xauto::solver::steady {
+
+/// The least real distance of two releases that are `length` of their clock apart, which may be below 0.
+[[nodiscard]] Tick least_distance(Tick length, std::int64_t ppm);
 
 /// The worst of its ways, in ticks. d and hold of `w` are read. `urgent`: of a release that the
 /// chain's source marks so; the source may.

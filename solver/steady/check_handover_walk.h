@@ -176,7 +176,7 @@ class Walk {
   [[nodiscard]] Ticks end(int xnode, std::int64_t n) const {
     const Job* job = find(xnode, n);
     if (job != nullptr && job->ended < kUnknown) return job->ended;
-    return release(xnode, n) + drift_.late(both_.of(of_q(xnode, n)).window(xnode, n).d);
+    return release(xnode, n) + drift_.late(window(xnode, n).d);
   }
   /// In real time; where the clock drifts.
   [[nodiscard]] bool ends_by_key(int xnode, std::int64_t n) const {
@@ -187,7 +187,7 @@ class Walk {
     return both_.of(of_q(xnode, n)).window(xnode, n);
   }
   [[nodiscard]] Ticks starts(int xnode, std::int64_t n) const {
-    return release(xnode, n) + drift_.soon(both_.of(of_q(xnode, n)).window(xnode, n).e);
+    return release(xnode, n) + drift_.soon(window(xnode, n).e);
   }
 
  private:

@@ -9,34 +9,8 @@
 namespace xauto::solver::steady {
 namespace {
 
-using handover::shortest;
+using handover::Unchanged;
 using handover::Walk;
-
-/// One table alone, with what Walk tells of a change.
-struct Unchanged {
-  const Problem& p;
-  const Windows& w;
-  std::int64_t ppm;
-  [[nodiscard]] Tick release(int xnode, std::int64_t n) const {
-    const Component& c = p.components[at(p.component_of[at(xnode)])];
-    return c.phase + n * c.period;
-  }
-  [[nodiscard]] Tick ends(int xnode, std::int64_t n) const {
-    const Tick d = w.d[p.slot_of(xnode, n)];
-    return release(xnode, n) + d + lost_in(d, ppm);
-  }
-  [[nodiscard]] Tick held(int xnode, std::int64_t n) const {
-    return release(xnode, n) + hold(xnode, n) - lost_in(hold(xnode, n), ppm);
-  }
-  [[nodiscard]] std::optional<Tick> key(int xnode, std::int64_t n) const {
-    return w.d[p.slot_of(xnode, n)];
-  }
-  [[nodiscard]] Tick hold(int xnode, std::int64_t n) const { return w.hold[p.slot_of(xnode, n)]; }
-  [[nodiscard]] Tick most_hold(int xnode) const {
-    const auto first = w.hold.begin() + p.slot[at(xnode)];
-    return *std::max_element(first, first + p.jobs[at(xnode)]);
-  }
-};
 
 /// What a way does on one clock.
 struct Part {
@@ -55,10 +29,10 @@ bool reads(const Problem& p, const Times& times, int u, std::int64_t k, int v, s
   if (times.held(v, n) >= times.ends(u, k)) return true;
   const std::optional<Tick> key = times.key(u, k);
   // Where keys are kept, both are counted in real time: only the releases' distance drifts.
-  return key &&
-         shortest(times.release(v, n) - times.release(u, k), p.domains[at(p.domain_of(v))].ppm) +
-                 times.hold(v, n) >=
-             *key;
+  return key && least_distance(times.release(v, n) - times.release(u, k),
+                               p.domains[at(p.domain_of(v))].ppm) +
+                        times.hold(v, n) >=
+                    *key;
 }
 
 /// Its length in the clock's time, from release k of the source on, or if its first reader just misses at
@@ -138,12 +112,12 @@ std::vector<Tick> releases(const Problem& p, const Domain& domain) {
 /// Where t may be, in pieces: no key of the first table is inside of one.
 std::vector<Tick> pieces(const HandoverInput& in, const Domain& domain, Tick since, Tick s) {
   const Problem& p = in.now;
+  const Unchanged from{p, in.from, domain.ppm};
   std::vector<Tick> ends = {since, s};
   for (const int i : domain.xnodes) {
     const Component& c = p.components[at(p.component_of[at(i)])];
     for (std::int64_t n = floor_div(s - 1 - c.phase, c.period);; --n) {
-      const Tick d = in.from.d[p.slot_of(i, n)];
-      const Tick key = c.phase + n * c.period + d + lost_in(d, domain.ppm);
+      const Tick key = from.ends(i, n);
       if (key <= since) break;
       if (key < s) ends.push_back(key);
     }

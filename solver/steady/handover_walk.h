@@ -26,12 +26,31 @@ inline Tick least_of_clock(Tick t, std::int64_t ppm) {
   return static_cast<Tick>(static_cast<__int128>(t) * kMillion / (kMillion + ppm));
 }
 
-/// A real distance that is no longer than `apart` of the clock, which may be below 0.
-inline Tick shortest(Tick apart, std::int64_t ppm) {
-  if (ppm == 0) return apart;
-  const Tick length = apart < 0 ? -apart : apart;
-  return apart - (in_slow_time(length, ppm) - length + 1);
-}
+/// One table alone, with what Walk tells of a change.
+struct Unchanged {
+  const Problem& p;
+  const Windows& w;
+  std::int64_t ppm;
+  [[nodiscard]] Tick release(int xnode, std::int64_t n) const {
+    const Component& c = p.components[at(p.component_of[at(xnode)])];
+    return c.phase + n * c.period;
+  }
+  [[nodiscard]] Tick ends(int xnode, std::int64_t n) const {
+    const Tick d = w.d[p.slot_of(xnode, n)];
+    return release(xnode, n) + d + lost_in(d, ppm);
+  }
+  [[nodiscard]] Tick held(int xnode, std::int64_t n) const {
+    return release(xnode, n) + hold(xnode, n) - lost_in(hold(xnode, n), ppm);
+  }
+  [[nodiscard]] std::optional<Tick> key(int xnode, std::int64_t n) const {
+    return w.d[p.slot_of(xnode, n)];
+  }
+  [[nodiscard]] Tick hold(int xnode, std::int64_t n) const { return w.hold[p.slot_of(xnode, n)]; }
+  [[nodiscard]] Tick most_hold(int xnode) const {
+    const auto first = w.hold.begin() + p.slot[at(xnode)];
+    return *std::max_element(first, first + p.jobs[at(xnode)]);
+  }
+};
 
 /// Walks the jobs of one domain around one S. Time is the domain's clock.
 class Walk {
@@ -41,6 +60,8 @@ class Walk {
         p_(in.now),
         domain_(in.now.domains[at(domain)]),
         ppm_(domain_.ppm),
+        from_{p_, in.from, ppm_},
+        to_{p_, in.to, ppm_},
         by_xpu_(at(p_.num_xpus)) {
     first_.assign(at(p_.num_xnodes), 0);
     index_.resize(at(p_.num_xnodes));
@@ -84,39 +105,30 @@ class Walk {
   /// Whoever is released later is as the second table says.
   [[nodiscard]] Tick last_late() const { return last_late_; }
 
-  [[nodiscard]] Tick release(int xnode, std::int64_t n) const {
-    const Component& c = p_.components[at(p_.component_of[at(xnode)])];
-    return c.phase + n * c.period;
-  }
+  [[nodiscard]] Tick release(int xnode, std::int64_t n) const { return from_.release(xnode, n); }
   /// By when activation n has ended.
   [[nodiscard]] Tick ends(int xnode, std::int64_t n) const {
     const int x = find(xnode, n);
     if (x >= 0 && jobs_[at(x)].walked) return jobs_[at(x)].ends;
-    const Tick at_release = release(xnode, n);
-    const Tick key = windows(at_release).d[p_.slot_of(xnode, n)];
-    return at_release + key + blur(key);
+    return alone(xnode, n).ends(xnode, n);
   }
   /// Before which activation n does not start.
   [[nodiscard]] Tick held(int xnode, std::int64_t n) const {
-    return release(xnode, n) + hold(xnode, n) - blur(hold(xnode, n));
+    return alone(xnode, n).held(xnode, n);
   }
   /// After its release, if it has ended by its key.
   [[nodiscard]] std::optional<Tick> key(int xnode, std::int64_t n) const {
     const int x = find(xnode, n);
     if (x >= 0 && jobs_[at(x)].walked && !jobs_[at(x)].clean) return std::nullopt;
-    return windows(release(xnode, n)).d[p_.slot_of(xnode, n)];
+    return alone(xnode, n).key(xnode, n);
   }
   [[nodiscard]] Tick hold(int xnode, std::int64_t n) const {
-    return windows(release(xnode, n)).hold[p_.slot_of(xnode, n)];
+    return alone(xnode, n).hold(xnode, n);
   }
   /// By how much a length that counts from a release may be another one of the clock's.
   [[nodiscard]] Tick blur(Tick length) const { return lost_in(length, ppm_); }
   [[nodiscard]] Tick most_hold(int xnode) const {
-    Tick most = 0;
-    for (int n = 0; n < p_.jobs[at(xnode)]; ++n)
-      most =
-          std::max({most, in_.from.hold[p_.slot_of(xnode, n)], in_.to.hold[p_.slot_of(xnode, n)]});
-    return most;
+    return std::max(from_.most_hold(xnode), to_.most_hold(xnode));
   }
 
  private:
@@ -184,8 +196,9 @@ class Walk {
     return j.release + a - blur(a);
   }
 
-  [[nodiscard]] const Windows& windows(Tick release) const {
-    return release < s_ ? in_.from : in_.to;
+  /// The table that the activation has.
+  [[nodiscard]] const Unchanged& alone(int xnode, std::int64_t n) const {
+    return release(xnode, n) < s_ ? from_ : to_;
   }
   [[nodiscard]] int find(int xnode, std::int64_t n) const {
     const auto& index = index_[at(xnode)];
@@ -235,11 +248,7 @@ class Walk {
   void add_before(int xnode) {
     const std::int64_t end = from_on(xnode, s_);
     std::int64_t n = end;
-    const auto latest = [&](std::int64_t k) {
-      const Tick d = in_.from.d[p_.slot_of(xnode, k)];
-      return release(xnode, k) + d + blur(d);
-    };
-    while (latest(n - 1) >= until_) --n;
+    while (from_.ends(xnode, n - 1) >= until_) --n;
     first_[at(xnode)] = n;
     for (; n < end; ++n) {
       const int x = add(xnode, n, false);
@@ -537,6 +546,7 @@ class Walk {
   const Problem& p_;
   const Domain& domain_;
   const std::int64_t ppm_;
+  const Unchanged from_, to_;
   Tick deepest_ = 0, blur_ = 0;  ///< the largest key, and its blur
   Tick reach_ = 0;               ///< no key is farther after its release
   Tick s_ = 0, since_ = 0, until_ = 0, horizon_ = 0, last_late_ = 0, settled_by_ = 0;

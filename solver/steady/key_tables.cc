@@ -17,6 +17,11 @@
 namespace xauto::solver::steady {
 namespace {
 
+bool has_deadlines(const AppSpec& app) {
+  return std::any_of(app.chains.begin(), app.chains.end(),
+                     [](const ChainSpec& c) { return c.deadline_us.has_value(); });
+}
+
 /// Keys that are certified for an envelope.
 struct KeyTable {
   Scenario of;                 ///< the envelope
@@ -52,7 +57,7 @@ class KeyTablesSearch {
       best = choose();
       run_.tell(bound_.size(), best.worst);
     }
-    return answer(fewer_moves(best));
+    return answer(fewer_instances(best));
   }
 
  private:
@@ -77,7 +82,7 @@ class KeyTablesSearch {
         solve_for(scenarios_.front(), {}, 4 * slice, options_.threads, options_.seed, nullptr);
     if (!shared || shared->outcome != Outcome::kPolicy) return {};
     const double cheap = kMostForSplit * value_of(worst_of(shared->policy));
-    double most = std::max(cheap, has_deadlines() ? 1.0 : 0.0);
+    double most = std::max(cheap, has_deadlines(app_) ? 1.0 : 0.0);
     do {
       if (run_.elapsed() > options_.time_limit_s / 4) break;
       forbids_ = forbids_of(owner, clock_of);
@@ -100,10 +105,6 @@ class KeyTablesSearch {
     return {};
   }
 
-  [[nodiscard]] bool has_deadlines() const {
-    return std::any_of(app_.chains.begin(), app_.chains.end(),
-                       [](const ChainSpec& c) { return c.deadline_us.has_value(); });
-  }
   using Forbids = std::vector<std::pair<std::string, std::string>>;
   /// As far as is found in so many seconds.
   [[nodiscard]] bool keeps_deadlines(std::size_t scenario, double seconds, Forbids forbids) {
@@ -315,13 +316,13 @@ class KeyTablesSearch {
     return regret;
   }
   [[nodiscard]] TableChoice choose() const { return run_.choose(regrets()); }
-  [[nodiscard]] TableChoice fewer_moves(const TableChoice& choice) const {
+  [[nodiscard]] TableChoice fewer_instances(const TableChoice& choice) const {
     std::vector<std::vector<int>> xpu;  // [candidate][XNode]
     for (const KeyTable& c : candidates_) {
       std::vector<int>& all = xpu.emplace_back();
       for (const KeyPlacement& p : hint_for(c, {}).placements) all.push_back(on_platform(p.xpu));
     }
-    return run_.fewer_moves(regrets(), xpu, choice);
+    return run_.fewer_instances(regrets(), xpu, choice);
   }
   /// -1: of what is off, whose XPUs come after the others.
   [[nodiscard]] int on_platform(int xpu) const {
@@ -521,10 +522,8 @@ class KeyTablesSearch {
 
 Result<Tables> solve_key_tables(const AppSpec& app, const Platform& platform,
                                 const Scenarios& scenarios, const TablesOptions& options) {
-  const bool deadlines = std::any_of(app.chains.begin(), app.chains.end(),
-                                     [](const ChainSpec& c) { return c.deadline_us.has_value(); });
   for (std::size_t s = 0; s < scenarios.list.size(); ++s)
-    if (scenarios.list[s].degraded && !deadlines)
+    if (scenarios.list[s].degraded && !has_deadlines(app))
       return fail(ErrorCode::kInvalid,
                   "no chain has a deadline: nothing says for what the app would lose anything",
                   "/scenarios/" + std::to_string(s) + "/degraded",
