@@ -23,8 +23,10 @@ namespace xauto::rt {
 [[nodiscard]] int highest_fifo();
 /// As far as it may: `priority`, or the highest below it.
 [[nodiscard]] Status set_fifo_up_to(int priority);
-/// One line: how to get the right to real-time priorities.
+/// One line: how far the right to real-time priorities goes, and way_to_fifo().
 [[nodiscard]] std::string fifo_hint();
+/// How to get it, as who this process is.
+[[nodiscard]] std::string way_to_fifo();
 
 [[nodiscard]] Status pin_to_core(int core);
 /// To any of these; `thread`: the kernel's number of another one than the calling thread.

@@ -17,6 +17,11 @@
 namespace xauto::coord {
 namespace {
 
+/// As WorkerLine::acked_us has it.
+std::uint32_t low_us(std::int64_t ns) {
+  return static_cast<std::uint32_t>(ns / 1000);
+}
+
 /// How long to knock at a successor's door. While the parent of the run lives, it either starts one,
 /// again if that hangs (launch/pulse.h), or closes the door, which ends this at once: so the limit is
 /// for a parent that hangs, and generous to a machine that stalls.
@@ -148,6 +153,8 @@ void Port::begin(const Job& job) {
   const bool alone = (shm_.header->owner.load(std::memory_order_relaxed) & ~kParkings) == 0;
   job_.since_ns = static_cast<std::uint64_t>(alone ? coarse_now_ns() : now_ns());
   const Start start = words_.start(slot_, generation_, job_);
+  took_.store(start.started == Started::kTook || start.started == Started::kDecided,
+              std::memory_order_relaxed);
   switch (start.started) {
     case Started::kRuns:
       return;
@@ -179,6 +186,29 @@ void Port::finish() {
   if (finished.wake >= 0) futex_wake(shm_.slots[finished.wake].coordinator.grant, 1);
   if (finished.victim >= 0) ring_manager(finished.victim);
   if (finished.ring) ring();
+}
+
+std::int64_t Port::beside_ns(std::int64_t since_ns, std::int64_t until_ns) const {
+  if (!took_.load(std::memory_order_relaxed) || discipline() != Discipline::kPreemptive) return 0;
+  const std::int64_t ran_ns = until_ns - since_ns;
+  std::int64_t beside_ns = -1;
+  // The one from whom it got the XPU is the first that was suspended since.
+  for (int i = 0; i < kMaxSlots; ++i) {
+    const SlotMemory& slot = shm_.slots[i];
+    if (i == slot_ || slot.coordinator.used.load(std::memory_order_relaxed) == 0) continue;
+    const std::uint32_t command = slot.coordinator.command.load(std::memory_order_acquire);
+    const std::uint32_t ack = slot.worker.ack.load(std::memory_order_acquire);
+    if ((command & 1u) == 0) continue;
+    const bool answered = (ack & ~kAckFailed) == command;
+    if (answered && (ack & kAckFailed) != 0) continue;
+    const std::int64_t after_ns =
+        answered ? std::int64_t{slot.worker.acked_us.load(std::memory_order_relaxed) -
+                                low_us(since_ns)} *
+                       1000
+                 : ran_ns;
+    if (after_ns <= ran_ns && (beside_ns < 0 || after_ns < beside_ns)) beside_ns = after_ns;
+  }
+  return std::max<std::int64_t>(0, beside_ns);
 }
 
 void Port::skip(std::uint32_t xnode, std::uint64_t sequence) {
@@ -215,6 +245,7 @@ Command Port::wait_command(int timeout_ms) {
 }
 
 void Port::acknowledge(bool succeeded) {
+  shm_.slots[slot_].worker.acked_us.store(low_us(now_ns()), std::memory_order_relaxed);
   if (words_.acknowledge(slot_, pending_command_ | (succeeded ? 0u : kAckFailed))) ring();
 }
 

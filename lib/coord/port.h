@@ -3,7 +3,7 @@
 // atomic each when nobody else is on the XPU; see shm_layout.h for the protocol.
 //
 // Threads: `start`, `finish` from the execution thread; `wait_command`, `acknowledge`, `begun`,
-// `lend` from the management thread; `skip` and `interrupt` from any thread.
+// `lend` from the management thread; `skip`, `interrupt` and `beside_ns` from any thread.
 #pragma once
 
 #include <atomic>
@@ -63,6 +63,9 @@ class alignas(64) Port {
   [[nodiscard]] int level() const { return lost() ? 0 : words_.level(slot_, generation_); }
   /// FINISH of the job last started.
   void finish();
+  /// For how long from `since_ns`, when that job was let run, until `until_ns` (both CLOCK_MONOTONIC) the
+  /// queue of the one from whom it got the XPU was not suspended yet. 0: it got it from nobody. Any thread.
+  [[nodiscard]] std::int64_t beside_ns(std::int64_t since_ns, std::int64_t until_ns) const;
   /// Activations of `xnode` up to and including `sequence` will not be started: nobody waits for
   /// them.
   void skip(std::uint32_t xnode, std::uint64_t sequence);
@@ -99,7 +102,8 @@ class alignas(64) Port {
   Job job_;
   int slot_ = -1;
   std::uint32_t generation_ = 0;
-  bool waits_ = false;  ///< begun, and not known to run
+  bool waits_ = false;             ///< begun, and not known to run
+  std::atomic<bool> took_{false};  ///< the job last started may have got the XPU from another
   std::atomic<bool> lost_{false}, interrupted_{false};
   std::atomic<bool> ended_{false};  ///< the socket: its coordinator is dead
   std::uint32_t pending_command_ = 0;

@@ -61,7 +61,7 @@
 namespace xauto::coord {
 
 inline constexpr std::uint32_t kShmMagic = 0x58434f52;  // "XCOR"
-inline constexpr std::uint32_t kShmVersion = 7;
+inline constexpr std::uint32_t kShmVersion = 8;
 
 /// Owner word: bit 63 the coordinator decides, bit 62 somebody is parked, bit 61 the owner took the
 /// XPU from its `victim`, bits 48..60 count of parkings, bits 40..47 slot + 1
@@ -143,6 +143,9 @@ struct alignas(64) WorkerLine {
   /// if that is the more urgent; written in this order.
   std::atomic<Key> lent_key{};
   std::atomic<std::uint32_t> lent{kNoGeneration};
+  /// [W] management thread: when it carried out `ack`, CLOCK_MONOTONIC in us modulo 2^32. Who runs beside
+  /// a queue that is being suspended knows from it for how long; nothing is decided by it.
+  std::atomic<std::uint32_t> acked_us{};
 };
 struct alignas(64) CoordinatorLine {
   std::atomic<std::uint32_t> grant{};    ///< [*] generation that may run; a futex

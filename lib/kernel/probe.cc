@@ -115,10 +115,7 @@ class Probe {
     else
       add("realtime", Verdict::kDegraded, "SCHED_FIFO refused, " + limit,
           "CPU XNodes run as ordinary threads: priorities are not enforced on real CPUs",
-          group_has_no_runtime() ? "see rt_groups"
-                                 : "put '@GROUP - rtprio 60' into "
-                                   "/etc/security/limits.d/xauto.conf and log in again (in a "
-                                   "systemd unit: LimitRTPRIO=60), or run as root");
+          group_has_no_runtime() ? "see rt_groups" : rt::way_to_fifo());
   }
 
   void throttling() {

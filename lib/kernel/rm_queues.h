@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Channel groups of NVIDIA's RM driver (Thor; desktop and data-centre GPUs from Turing on), this
 // process's own, suspended by itself. No descriptor shows them: libxauto_watch.so sees them made.
-// Read in the open driver's source, not run on hardware: docs/backends.md.
+// Read in the open driver's source, and run on an H100: docs/backends.md.
 #pragma once
 
 #include <cstdint>

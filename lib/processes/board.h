@@ -16,6 +16,7 @@
 #include <xauto/result.h>
 
 #include "base/context_counts.h"
+#include "base/counter.h"
 #include "base/unique_fd.h"
 #include "transport/doorbell.h"
 #include "transport/shm_topic.h"
@@ -145,9 +146,7 @@ struct alignas(64) XNodeLine {
   static constexpr int kTableBits = 8;
   void saw(std::int64_t ns, std::uint32_t table) {
     const std::uint64_t word = static_cast<std::uint64_t>(ns) << kTableBits | table;
-    std::uint64_t seen = seen_job.load(std::memory_order_relaxed);
-    while (word > seen && !seen_job.compare_exchange_weak(seen, word)) {
-    }
+    keep_largest(seen_job, word);
   }
 };
 
@@ -165,6 +164,8 @@ struct alignas(64) XpuLine {
   char name[kBoardNameBytes] = {};  ///< [H] before the run
   // [M], by the workers of all processes:
   std::atomic<std::uint64_t> suspensions{};  ///< of queues, by the backend
+  /// Of the backend's calls that suspended and resumed one.
+  std::atomic<std::int64_t> longest_suspend_ns{}, longest_resume_ns{};
   /// For how long jobs that ended had it, less what they were suspended for. On a real CPU, which the
   /// kernel takes away unseen, the CPU time of the threads that run jobs, told when they sleep.
   std::atomic<std::int64_t> busy_ns{};

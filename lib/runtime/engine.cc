@@ -182,6 +182,26 @@ void Engine::tell_notes(RunReport& into) {
   add_note(into.note, left_behind_);
 }
 
+/// A core's threads are not suspended by calls that a policy counts with: preempt_us of a cpu is 0.
+void Engine::tell_preemptions(RunReport& into) const {
+  const Platform& platform = context_->session.platform;
+  for (std::size_t x = 0; x < platform.xpus.size(); ++x) {
+    const XpuLine& line = context_->board.xpu(x);
+    const Xpu& xpu = platform.xpus[x];
+    if (line.suspensions == 0 || xpu.type == "cpu" ||
+        context_->session.emulated(static_cast<int>(x)))
+      continue;
+    const PreemptionReport cost{xpu.id, line.suspensions, line.longest_suspend_ns / 1000,
+                                line.longest_resume_ns / 1000, xpu.preempt_us};
+    if (cost.suspend_us + cost.resume_us > cost.preempt_us)
+      into.unkept.push_back(fmt::format(
+          "suspending a job's work on {} and resuming it took up to {} us and {} us; the "
+          "platform file says preempt_us {}",
+          cost.xpu, cost.suspend_us, cost.resume_us, cost.preempt_us));
+    into.preemptions.push_back(cost);
+  }
+}
+
 RunReport Engine::report() {
   RunReport result;
   tell_notes(result);
@@ -195,6 +215,7 @@ RunReport Engine::report() {
   result.contexts = {contexts.partial.load(),  contexts.unclaimed.load(), contexts.assumed.load(),
                      contexts.shared.load(),   contexts.gated.load(),     contexts.held_up.load(),
                      contexts.misplaced.load()};
+  tell_preemptions(result);
   add_note(result.note, changed_parameters(context_->board));
   if (!releaser_) return result;
   result.broken = releaser_->broken();

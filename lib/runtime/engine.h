@@ -68,6 +68,7 @@ class Engine final : private ModuleHost {
   void note_chain_ends();
   void stop_workers();
   void tell_notes(RunReport& into);
+  void tell_preemptions(RunReport& into) const;
   [[nodiscard]] RunReport report();
 
   OneThread thread_;

@@ -245,6 +245,7 @@ Result<WorkerOptions> Placing::worker(const Context& context, std::size_t module
   WorkerOptions options{.backend = {x, xpu_id(platform, at), emulated, session.emulator_modules,
                                     scheduled, session.cpu_by_keys}};
   options.xpu = at;
+  options.preempt_ns = x.preempt_us * 1000;
   options.name = context.graph.modules[module].name +
                  (index > 0 ? "#" + std::to_string(index + 1) : "") + "@" + x.id;
   options.mgmt_fifo = workers.management;

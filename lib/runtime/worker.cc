@@ -333,9 +333,15 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
     chain_.activation->set_due(key_of(placed), key_of(chain[chain_.length() - 1]));
   if (observed || placed.fifo_priority > 0) thread_->next(cpu_job(placed));
   // Told before: after the hold it is woken with this job's key.
-  if (placed.urgency.holds())
-    sleep_until_ns(placed.urgency.hold(chain_.activation->origin_ns(),
-                                       chain_.activation->sequence(), chain_.activation->urgent()));
+  overslept_ns_ = 0;
+  if (placed.urgency.holds()) {
+    const std::int64_t until = placed.urgency.hold(
+        chain_.activation->origin_ns(), chain_.activation->sequence(), chain_.activation->urgent());
+    const bool early = until > now_ns();
+    sleep_until_ns(until);
+    if (early && !options_.backend.emulated && !backend_->on_thread())
+      overslept_ns_ = now_ns() - until;
+  }
   if (port_) {
     if (!begun) begin(placed);
     port_->wait();

@@ -90,6 +90,7 @@ struct WorkerOptions {
   std::string name;             ///< "fcd@gpu0"
   int xpu = -1;                 ///< index into Platform::xpus
   xpu::BackendRequest backend;  ///< how its work is suspended
+  std::int64_t preempt_ns = 0;  ///< what the platform says that taking the XPU from another costs
   std::optional<int> core;      ///< pin the execution thread here
   int exec_fifo = 0;            ///< SCHED_FIFO priority of the execution thread; 0: SCHED_OTHER
   int mgmt_fifo = 0;
@@ -176,6 +177,7 @@ class Worker {
   void note_failure(const Placed& placed, const std::string& what);
   void begin_timed(const Placed& placed, std::uint64_t sequence);
   [[nodiscard]] std::int64_t on_core_ns(std::int64_t wall_ns) const;
+  [[nodiscard]] std::int64_t own_ns(std::int64_t ran_ns, std::int64_t now_ns) const;
   bool end_timed(const Placed& placed);
   void tell_cpu_time();
 
@@ -205,8 +207,11 @@ class Worker {
   /// 1: the execution thread takes no job any more; 2: it is through, too, with what its inits have
   /// made; a futex.
   std::atomic<std::uint32_t> ended_{0};
-  Stopwatch watch_;                                    ///< of the job that runs
-  std::atomic<const Placed*> timed_{nullptr};          ///< whose job that is
+  Stopwatch watch_;                              ///< of the job that runs
+  std::atomic<const Placed*> timed_{nullptr};    ///< whose job that is
+  std::atomic<std::int64_t> timed_since_ns_{0};  ///< when that job was let run
+  std::int64_t overslept_ns_ =
+      0;  ///< for how long it slept after its hold; of real XPUs that it queues on
   std::atomic<std::uint64_t> hung_job_{0};             ///< the last one that find_hung found
   std::atomic<std::int64_t> cpu_since_ns_{0};          ///< of the execution thread's CPU time
   std::optional<std::int64_t> without_core_since_ns_;  ///< at the begin of the job that runs

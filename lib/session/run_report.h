@@ -61,6 +61,14 @@ struct ContextReport {
   }
 };
 
+/// What suspending work on a real XPU cost, by the calls of its driver.
+struct PreemptionReport {
+  std::string xpu;
+  std::uint64_t suspensions = 0;
+  std::int64_t suspend_us = 0, resume_us = 0;  ///< the longest
+  std::int64_t preempt_us = 0;                 ///< what the platform says of both
+};
+
 /// A scenario of a run with tables: releases under it that met no change of the scenario.
 struct ScenarioReport {
   std::string name, table;
@@ -93,6 +101,7 @@ struct RunReport {
   std::vector<XNodeReport> xnodes;  ///< those with limits
   std::vector<RouteReport> routes;
   ContextReport contexts;
+  std::vector<PreemptionReport> preemptions;  ///< of real XPUs on which work was suspended
   std::vector<std::string> lost_coordinators;
   std::vector<std::string> died;  ///< modules whose process ended before its time, each time
   std::uint64_t deadline_misses = 0;

@@ -60,6 +60,12 @@ void fields(Io io, T& x) {
      "gated", x.gated, "held_up", x.held_up, "misplaced", x.misplaced);
 }
 
+template <class Io, Is<PreemptionReport> T>
+void fields(Io io, T& x) {
+  io("xpu", x.xpu, "suspensions", x.suspensions, "suspend_us", x.suspend_us, "resume_us",
+     x.resume_us, "preempt_us", x.preempt_us);
+}
+
 template <class Io, Is<ScenarioReport> T>
 void fields(Io io, T& x) {
   io("name", x.name, "table", x.table, "releases", x.releases, "longest_us", x.longest_us,
@@ -76,8 +82,8 @@ template <class Io, Is<RunReport> T>
 void fields(Io io, T& x) {
   io("complete", x.complete, "note", x.note, "releases", x.releases, "num_releases", x.num_releases,
      "lost_releases", x.lost_releases, "latencies_us", x.latencies_us, "modules", x.modules,
-     "xnodes", x.xnodes, "routes", x.routes, "contexts", x.contexts, "lost_coordinators",
-     x.lost_coordinators, "died", x.died, "deadline_misses", x.deadline_misses,
+     "xnodes", x.xnodes, "routes", x.routes, "contexts", x.contexts, "preemptions", x.preemptions,
+     "lost_coordinators", x.lost_coordinators, "died", x.died, "deadline_misses", x.deadline_misses,
      "overlapping_releases", x.overlapping_releases, "unkept", x.unkept, "broken", x.broken,
      "scenarios", x.scenarios, "switches", x.switches, "num_switches", x.num_switches,
      "several_rates", x.several_rates, "recording_error", x.recording_error);

@@ -87,6 +87,8 @@ class Backends(unittest.TestCase):
                 run, err = self.end(tool)
                 who = "put on priority levels" if driver == "i915" else "suspended"
                 self.assertIn(f"work on gpu0 is {who} by each process itself", " ".join(run["notes"]), err)
+                if driver != "i915":  # suspends nothing
+                    self.assertIn("gpu0", [p["xpu"] for p in run["preemptions"] if p["suspensions"] > 4])
                 doubts = run.get("contexts", {})
                 self.assertEqual([doubts.get(d, 0) for d in ("unclaimed", "assumed", "shared", "gated", "held_up", "misplaced")], [0] * 6)
 

@@ -451,6 +451,12 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       xnodes.push_back(std::move(entry));
     }
     j["limited_xnodes"] = std::move(xnodes);
+    for (const runtime::PreemptionReport& of : run.report.preemptions)
+      j["preemptions"].push_back({{"xpu", of.xpu},
+                                  {"suspensions", of.suspensions},
+                                  {"suspend_us", of.suspend_us},
+                                  {"resume_us", of.resume_us},
+                                  {"preempt_us", of.preempt_us}});
     if (const runtime::ContextReport& of = run.report.contexts; of.any())
       j["contexts"] = {{"partial", of.partial},    {"unclaimed", of.unclaimed},
                        {"assumed", of.assumed},    {"shared", of.shared},
@@ -509,6 +515,11 @@ std::string report_table(const RunFlags& flags, const std::vector<PolicyRun>& ru
                          coordinators_cpu_pct(run));
     if (!run.outcome.real_cpus.empty())
       out += fmt::format("  {}: real CPUs: {}\n", run.name, run.outcome.real_cpus);
+    for (const runtime::PreemptionReport& of : run.report.preemptions)
+      out += fmt::format(
+          "  {}: {}: {} suspensions, longest call {} us, longest that resumed {} us; preempt_us "
+          "{}\n",
+          run.name, of.xpu, of.suspensions, of.suspend_us, of.resume_us, of.preempt_us);
     if (const auto worst = worst_case_of(flags, run))
       out += fmt::format("  {}: {}\n", run.name, to_string(*worst));
     if (const auto of_tables = table_claims_of(flags, run)) out += tables_text(run, *of_tables);

@@ -14,6 +14,7 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
+#include "base/clock.h"
 #include "base/memory_file.h"
 #include "base/socket.h"
 #include "coord/observer.h"
@@ -127,6 +128,42 @@ TEST(Server, AJobIsToldItsLevelAndTheOneAboveAllWaits) {
   high->start(numbered(2, 1, 3));
   EXPECT_EQ(high->level(), 0);
   high->finish();
+}
+
+/// How long a suspension lasts is known to who runs meanwhile, and to nobody else; by no clock of the test's.
+TEST(Server, WhoTakesTheXpuKnowsForHowLongTheOtherWasStillOnIt) {
+  Running running(Discipline::kPreemptive);
+  const auto low = running.port(0), high = running.port(1);
+  std::promise<void> may_suspend, may_resume;
+  std::thread manager([&] {
+    EXPECT_EQ(low->wait_command(), Command::kSuspend);
+    may_suspend.get_future().wait();
+    low->acknowledge(true);
+    EXPECT_EQ(low->wait_command(), Command::kResume);
+    may_resume.get_future().wait();
+    low->acknowledge(true);
+  });
+  low->start(numbered(0, 0, 1));
+  EXPECT_EQ(low->beside_ns(now_ns() - 1'000'000, now_ns()), 0) << "it took the XPU from nobody";
+  high->start(numbered(1, 0, 2));
+  const std::int64_t since = now_ns();
+  sleep_until_ns(since + 3'000'000);
+  EXPECT_EQ(high->beside_ns(since, since + 2'000'000), 2'000'000) << "as yet all of its time";
+  const std::int64_t before = now_ns();
+  may_suspend.set_value();
+  std::int64_t beside = 0;
+  wait_for([&] {
+    return (beside = high->beside_ns(since, since + 3'600'000'000'000)) < 3'600'000'000'000;
+  });
+  const std::int64_t after = now_ns();
+  EXPECT_GE(beside, before - since - 1000) << "in whole us";
+  EXPECT_LE(beside, after - since + 1000);
+  EXPECT_EQ(high->beside_ns(after, after + 1'000'000), 0) << "it was suspended before";
+  high->finish();
+  may_resume.set_value();
+  manager.join();
+  EXPECT_EQ(high->beside_ns(since, now_ns()), 0) << "nobody is suspended for it";
+  low->finish();
 }
 
 TEST(Server, UncontendedStartAndFinishNeedNoCoordinator) {
