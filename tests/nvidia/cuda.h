@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Stands in for CUDA's cuda.h where there is no CUDA: the few declarations of the driver API that include/xauto/
- * uses, written from its documentation. cuda.cc acts them out. */
+ * and bench/nvidia/ use, written from its documentation. cuda.cc acts out those of include/xauto/. */
 #pragma once
 
 #include <cstddef>
@@ -19,6 +19,8 @@ using CUdeviceptr = unsigned long long;
 using CUcontext = struct CUctx_st*;
 using CUstream = struct CUstream_st*;
 using cudaStream_t = CUstream;  // as the runtime API has it
+using CUmodule = struct CUmod_st*;
+using CUfunction = struct CUfunc_st*;
 
 constexpr unsigned CU_STREAM_NON_BLOCKING = 1;
 constexpr unsigned CU_MEMHOSTALLOC_DEVICEMAP = 2;
@@ -40,4 +42,9 @@ CUresult cuMemHostGetDevicePointer(CUdeviceptr* device, void* host, unsigned fla
 CUresult cuMemFreeHost(void* memory);
 CUresult cuMemcpyHtoDAsync(CUdeviceptr to, const void* from, std::size_t bytes, CUstream stream);
 CUresult cuMemcpyDtoHAsync(void* to, CUdeviceptr from, std::size_t bytes, CUstream stream);
+CUresult cuModuleLoadData(CUmodule* module, const void* image);
+CUresult cuModuleGetFunction(CUfunction* function, CUmodule module, const char* name);
+CUresult cuLaunchKernel(CUfunction function, unsigned grid_x, unsigned grid_y, unsigned grid_z,
+                        unsigned block_x, unsigned block_y, unsigned block_z, unsigned shared_bytes,
+                        CUstream stream, void** arguments, void** extra);
 }
