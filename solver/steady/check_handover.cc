@@ -384,6 +384,7 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
 
   HandoverProof proof;
   proof.worst_case_us.resize(app_from.chains.size());
+  proof.chain_settles_us.resize(app_from.chains.size());
   const auto nothing = [&](std::size_t chain, const std::string& why) {
     proof.worst_case_us[chain].reset();
     proof.why_not.push_back(fmt::format("chain '{}': {}", tables.app_from.chains[chain].name, why));
@@ -405,6 +406,7 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
   }
   own::Budget budget{most_jobs};
   std::vector<std::string> why(app_from.clocks.size());
+  std::vector<std::int64_t> settles_us(app_from.clocks.size(), 0);
   for (std::size_t clock = 0; clock < app_from.clocks.size(); ++clock) {
     checking::Ticks hyperperiod = 1, settles = 0;  // 0: does not fit
     bool used = false;
@@ -438,9 +440,14 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
       why[clock] = fmt::format("clock '{}' takes more jobs than are looked at, or does not settle",
                                app_from.clocks[clock].name);
     else
-      proof.settles_us = std::max(proof.settles_us, p.us_up(checking::most(settles, drift.ppm)));
+      settles_us[clock] = p.us_up(checking::most(settles, drift.ppm));
   }
+  for (const std::int64_t of_clock : settles_us)
+    proof.settles_us = std::max(proof.settles_us, of_clock);
   for (const own::Chain& chain : chains) {
+    for (const int clock : passes[chain.index])
+      proof.chain_settles_us[chain.index] =
+          std::max(proof.chain_settles_us[chain.index], settles_us[at(clock)]);
     const auto failed = std::ranges::find_if(passes[chain.index],
                                              [&](int clock) { return !why[at(clock)].empty(); });
     if (too_many[chain.index]) {

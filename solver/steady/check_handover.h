@@ -32,7 +32,8 @@ struct HandoverProof {
   std::vector<std::optional<std::int64_t>> worst_case_us;
   /// By then after S no job is late any more, of the clocks for which that follows; rounded up.
   std::int64_t settles_us = 0;
-  std::vector<std::string> why_not;  ///< for whom nothing follows, a line each
+  std::vector<std::int64_t> chain_settles_us;  ///< [chain] the same, of the clocks that it passes
+  std::vector<std::string> why_not;            ///< for whom nothing follows, a line each
 };
 
 /// kInvalid: the input makes no sense. `most_jobs`: of all walks together; beyond it nothing follows.

@@ -252,6 +252,13 @@ TEST(KeyTables, ClocksThatCanHaveXpusOfTheirOwnDo) {
     *lying.handovers[0].worst_case_us[c] -= *lying.handovers[0].worst_case_us[c] / 5;
     EXPECT_FALSE(verify_tables(app, of_two_cpus(), lying).truthful()) << c;
   }
+  // What settles last is the camera's clock: who claims nothing of it need not say so.
+  Tables lying = *tables;
+  lying.handovers[0].settles_us -= 10;
+  EXPECT_FALSE(verify_tables(app, of_two_cpus(), lying).truthful());
+  lying.handovers[0].worst_case_us[0].reset();
+  lying.handovers[0].not_claimed = {"the camera's clock"};
+  EXPECT_TRUE(verify_tables(app, of_two_cpus(), lying).truthful());
 }
 
 TEST(KeyTables, WhatCannotBeIsRefused) {
