@@ -46,6 +46,7 @@ std::string solve_in_words(const SteadyCase& made, const Asked& asked) {
   said["first_ms"] = answer->first_answer_ms;
   said["evaluations"] = answer->evaluations;
   said["bounds"] = answer->lower_bound_us;
+  said["objective_bound"] = answer->objective_bound;
   said["outcome"] = answer->outcome == steady::Outcome::kPolicy          ? "policy"
                     : answer->outcome == steady::Outcome::kUnsustainable ? "overload"
                                                                          : "unknown";
@@ -165,7 +166,7 @@ Result<Measured> measure(const SteadyCase& made, const Asked& asked) {
   XAUTO_ASSIGN(const KeyPolicy ours, parse_key_policy(said.at("policy").text().value_or(""),
                                                       made.name, app, made.platform));
   m.objective = objective_of(app, ours);
-  m.bound = objective_of(app, bounds);
+  m.bound = std::max(objective_of(app, bounds), said.at("objective_bound").number().value_or(0));
   std::vector<double> claimed;
   for (const ChainClaim& claim : ours.chains)
     claimed.push_back(static_cast<double>(claim.worst_case_us));

@@ -236,6 +236,11 @@ int XNodeSpec::find_variant(std::string_view variant) const {
   return -1;
 }
 
+bool AppSpec::has_deadlines() const {
+  return std::any_of(chains.begin(), chains.end(),
+                     [](const ChainSpec& chain) { return chain.deadline_us.has_value(); });
+}
+
 int AppSpec::find(std::string_view xnode) const {
   for (std::size_t i = 0; i < xnodes.size(); ++i)
     if (xnodes[i].name == xnode) return static_cast<int>(i);

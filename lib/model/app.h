@@ -128,6 +128,7 @@ struct AppSpec {
   /// A topological order, smallest index first among equals; shorter than `xnodes` iff there is a
   /// cycle.
   [[nodiscard]] std::vector<int> topological_order() const;
+  [[nodiscard]] bool has_deadlines() const;  ///< some chain has one
   bool operator==(const AppSpec&) const = default;
 
   /// 64-bit FNV-1a over the canonical text of names, modules, WCETs, edges and deadline, as 16 hex

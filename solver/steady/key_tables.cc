@@ -17,11 +17,6 @@
 namespace xauto::solver::steady {
 namespace {
 
-bool has_deadlines(const AppSpec& app) {
-  return std::any_of(app.chains.begin(), app.chains.end(),
-                     [](const ChainSpec& c) { return c.deadline_us.has_value(); });
-}
-
 /// Keys that are certified for an envelope.
 struct KeyTable {
   Scenario of;                 ///< the envelope
@@ -82,7 +77,7 @@ class KeyTablesSearch {
         solve_for(scenarios_.front(), {}, 4 * slice, options_.threads, options_.seed, nullptr);
     if (!shared || shared->outcome != Outcome::kPolicy) return {};
     const double cheap = kMostForSplit * value_of(worst_of(shared->policy));
-    double most = std::max(cheap, has_deadlines(app_) ? 1.0 : 0.0);
+    double most = std::max(cheap, app_.has_deadlines() ? 1.0 : 0.0);
     do {
       if (run_.elapsed() > options_.time_limit_s / 4) break;
       forbids_ = forbids_of(owner, clock_of);
@@ -523,7 +518,7 @@ class KeyTablesSearch {
 Result<Tables> solve_key_tables(const AppSpec& app, const Platform& platform,
                                 const Scenarios& scenarios, const TablesOptions& options) {
   for (std::size_t s = 0; s < scenarios.list.size(); ++s)
-    if (scenarios.list[s].degraded && !has_deadlines(app))
+    if (scenarios.list[s].degraded && !app.has_deadlines())
       return fail(ErrorCode::kInvalid,
                   "no chain has a deadline: nothing says for what the app would lose anything",
                   "/scenarios/" + std::to_string(s) + "/degraded",

@@ -2,39 +2,84 @@
 #include "solver/steady/load_bound.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
+#include <deque>
+#include <limits>
 #include <queue>
+#include <utility>
 
 namespace xauto::solver::steady {
 namespace {
 
-/// Prices are whole, in units of 2^-20 ticks of time per share of an XPU; paths count alike.
+using Int = __int128;
+
+/// Weights, and the values of objectives, are whole, in units of 2^-20.
 constexpr int kShift = 20;
-constexpr int kPaths = 48, kAscent = 160;
+constexpr std::int64_t kOne = std::int64_t{1} << kShift;
+constexpr int kPicks = 48, kAscent = 160;
+/// Prices and visits up to here times work of 2^47 fit 127 bits, with room for their sums.
+constexpr double kMostPrice = 0x1p66;
+constexpr std::int64_t kMostVisits = std::int64_t{1} << 58;
+
+/// What is bounded: the sum of weight * term, or the largest of them.
+struct Objective {
+  const std::vector<Term>& terms;
+  std::vector<std::int64_t> weight;  ///< [term] in units of 2^-20; 0: it does not count
+  bool largest = false;
+};
 
 /// One case: types that are left to each XNode, a bit per type.
 struct Case {
-  Tick bound = 0;
+  Int bound = 0;
   std::vector<std::uint32_t> left;
   std::vector<double> price;  ///< [type] to begin the ascent with
   int split = -1;             ///< XNode to be fixed next; -1: none is split
 };
 
+bool is_fixed(std::uint32_t left) {
+  return std::has_single_bit(left);
+}
+
+/// Visits of one or more picks, and what they wait.
+struct Visits {
+  std::vector<std::int64_t> of;  ///< [xnode] times the weights
+  Int waits = 0;
+  std::int64_t picks = 0;
+
+  explicit Visits(std::size_t n) : of(n, 0) {}
+  struct Pick {
+    std::vector<std::pair<int, std::int64_t>> visits;  ///< XNode and weight
+    Int waits = 0;
+  };
+  void add(const Pick& pick, std::int64_t sign) {
+    for (const auto& [xnode, weight] : pick.visits) of[at(xnode)] += sign * weight;
+    waits += sign * pick.waits;
+    picks += sign;
+  }
+  [[nodiscard]] double mean(std::size_t i) const {
+    return static_cast<double>(of[i]) / static_cast<double>(std::max<std::int64_t>(1, picks));
+  }
+};
+
 class Bounder {
  public:
-  Bounder(const Problem& p, const std::vector<Piece>& pieces) : p_(p), pieces_(pieces) {
+  Bounder(const Problem& p, Objective objective)
+      : p_(p), objective_(std::move(objective)), best_(at(p.num_xnodes)) {
     types_ = at(p.num_types);
     work_.assign(at(p.num_xnodes) * types_, kNoTick);
     for (int i = 0; i < p.num_xnodes; ++i)
       for (const int m : p.may_run[at(i)])
         work_[at(i) * types_ + at(p.xpu_type[at(m)])] = p.wcet(i, m);
     for (const auto& xpus : p.type_xpus) count_.push_back(static_cast<double>(xpus.size()));
-    for (const Piece& piece : pieces) {
-      std::vector<int> order;
-      for (const int i : p.components[at(p.component_of[at(piece.to)])].xnodes)
-        if (i == piece.to || p.before(i, piece.to)) order.push_back(i);
-      order_.push_back(std::move(order));
-    }
+    for (const Term& term : objective_.terms)
+      for (const LoadWay& way : term.ways)
+        for (const Piece& piece : way.pieces) {
+          std::vector<int> order;
+          for (const int i : p.components[at(p.component_of[at(piece.to)])].xnodes)
+            if (i == piece.to || p.before(i, piece.to)) order.push_back(i);
+          order_.push_back(std::move(order));
+        }
     until_.resize(at(p.num_xnodes));
     by_.resize(at(p.num_xnodes));
     type_.resize(at(p.num_xnodes));
@@ -52,36 +97,35 @@ class Bounder {
     return c;
   }
 
-  /// Its bound, the prices and who is split. True if the prices prove that it overloads a type.
+  /// Its bound, the prices and who is to be fixed next.
   void bound(Case& c) {
     const std::size_t n = at(p_.num_xnodes);
-    std::vector<double> y = c.price, best_y = y, visits(n, 0), load(types_);
-    std::vector<std::vector<int>> ways;
+    std::vector<double> y = c.price, best_y = y, load(types_);
+    Visits visits(n);
+    std::deque<Visits::Pick> picks;
     std::vector<double> share(n * types_, 0);
-    double scale = 0;
-    // Paths answer to the mean of the prices so far, prices to the mean of the paths.
+    double scale = 0, best = 0;
+    // Picks answer to the mean of the prices so far, prices to the mean of the picks.
     for (int round = 0; round < kAscent; ++round) {
-      assign(c, visits, std::max(1.0, static_cast<double>(ways.size())), y, load);
+      assign(c, visits, y, load);
       if (round >= kAscent / 2)
         for (std::size_t i = 0; i < n; ++i) share[i * types_ + at(type_[i])] += 1;
-      std::vector<int> way;
-      const double length = longest(way);
-      scale = std::max(scale, length);
-      for (const int i : way) visits[at(i)] += 1;
-      ways.push_back(std::move(way));
-      if (ways.size() > kPaths) {  // the oldest know least
-        for (const int i : ways.front()) visits[at(i)] -= 1;
-        ways.erase(ways.begin());
+      double value = 0;
+      picks.push_back(pick(value));
+      scale = std::max(scale, value);
+      visits.add(picks.back(), 1);
+      if (picks.size() > kPicks) {  // the oldest know least
+        visits.add(picks.front(), -1);
+        picks.pop_front();
       }
       const double step = scale / (2 + 0.25 * round);
       for (std::size_t t = 0; t < types_; ++t)
         y[t] = std::max(0.0, y[t] + step * (load[t] - count_[t]));
-      const double value = estimate(c, visits, static_cast<double>(ways.size()), y);
-      if (round == 0 || value > best_) {
-        best_ = value;
+      const double found = estimate(c, visits, y);
+      if (round == 0 || found > best) {
+        best = found;
         best_y = y;
-        best_visits_ = visits;
-        best_ways_ = static_cast<int>(ways.size());
+        best_ = visits;
       }
     }
     c.bound = std::max(c.bound, exact(c, best_y));
@@ -95,26 +139,27 @@ class Bounder {
         sum += share[i * types_ + t];
       }
       // Who is much split, and weighs much.
-      const double weight = (sum - largest) * (best_visits_[i] > 0 ? 4 : 1);
-      if ((c.left[i] & (c.left[i] - 1)) != 0 && weight > most) {
+      const double weight = (sum - largest) * (best_.of[i] > 0 ? 4 : 1);
+      if (!is_fixed(c.left[i]) && weight > most) {
         most = weight;
         c.split = static_cast<int>(i);
       }
     }
+    if (c.split < 0) c.split = unfixed_of_pairs(c);
   }
 
  private:
   /// The cheapest type of each, and the load that follows.
-  void assign(const Case& c, const std::vector<double>& visits, double ways,
-              const std::vector<double>& y, std::vector<double>& load) {
+  void assign(const Case& c, const Visits& visits, const std::vector<double>& y,
+              std::vector<double>& load) {
     std::fill(load.begin(), load.end(), 0.0);
-    for (std::size_t i = 0; i < visits.size(); ++i) {
+    for (std::size_t i = 0; i < type_.size(); ++i) {
       const auto period = static_cast<double>(p_.period_of(static_cast<int>(i)));
+      const double mean = visits.mean(i);
       double least = -1;
       for (std::size_t t = 0; t < types_; ++t) {
         if (((c.left[i] >> t) & 1U) == 0) continue;
-        const auto work = static_cast<double>(work_[i * types_ + t]);
-        const double cost = (visits[i] / ways + y[t] / period) * work;
+        const double cost = (mean + y[t] / period) * static_cast<double>(work_[i * types_ + t]);
         if (least < 0 || cost < least) {
           least = cost;
           type_[i] = static_cast<int>(t);
@@ -125,90 +170,181 @@ class Bounder {
     }
   }
 
-  double longest(std::vector<int>& way) {
-    double sum = 0;
-    for (std::size_t q = 0; q < pieces_.size(); ++q) {
-      const Piece& piece = pieces_[q];
-      for (const int i : order_[q]) until_[at(i)] = -1;
-      for (const int i : piece.from) until_[at(i)] = 0, by_[at(i)] = -1;
-      for (const int i : order_[q]) {
+  /// Longest paths by `type_`: of each term, or of the term that is largest.
+  Visits::Pick pick(double& value) {
+    Visits::Pick sum, largest, way, longest;
+    std::size_t piece = 0;
+    value = 0;
+    for (std::size_t k = 0; k < objective_.terms.size(); ++k) {
+      const Term& term = objective_.terms[k];
+      double most = -1;
+      for (const LoadWay& w : term.ways) {
+        const double takes = follow(w, piece, objective_.weight[k], way);
+        piece += w.pieces.size();
+        if (takes > most) {
+          most = takes;
+          std::swap(longest, way);
+        }
+      }
+      if (most < static_cast<double>(term.known)) {
+        most = static_cast<double>(term.known);
+        longest = {{}, Int{term.known} * objective_.weight[k]};
+      }
+      const double weighted = most * static_cast<double>(objective_.weight[k]);
+      if (objective_.largest) {
+        if (weighted <= value) continue;
+        value = weighted;
+        std::swap(largest, longest);
+      } else {
+        value += weighted;
+        sum.visits.insert(sum.visits.end(), longest.visits.begin(), longest.visits.end());
+        sum.waits += longest.waits;
+      }
+    }
+    return objective_.largest ? largest : sum;
+  }
+
+  /// Its longest path in each piece, whose orders begin at `piece`. Less than 0: there is none.
+  double follow(const LoadWay& way, std::size_t piece, std::int64_t weight, Visits::Pick& pick) {
+    pick.visits.clear();
+    pick.waits = Int{way.waits} * weight;
+    auto sum = static_cast<double>(way.waits);
+    for (const Piece& q : way.pieces) {
+      const std::vector<int>& order = order_[piece++];
+      for (const int i : order) until_[at(i)] = -1;
+      for (const int i : q.from) until_[at(i)] = 0, by_[at(i)] = -1;
+      for (const int i : order) {
         for (const Link& link : p_.pred[at(i)])
-          if (p_.before(link.xnode, piece.to) && until_[at(link.xnode)] > until_[at(i)]) {
+          if (p_.before(link.xnode, q.to) && until_[at(link.xnode)] > until_[at(i)]) {
             until_[at(i)] = until_[at(link.xnode)];
             by_[at(i)] = link.xnode;
           }
         if (until_[at(i)] >= 0)
           until_[at(i)] += static_cast<double>(work_[at(i) * types_ + at(type_[at(i)])]);
       }
-      sum += until_[at(piece.to)];
-      for (int i = piece.to; i >= 0; i = by_[at(i)]) way.push_back(i);
+      if (until_[at(q.to)] < 0) return -1;
+      sum += until_[at(q.to)];
+      for (int i = q.to; i >= 0; i = by_[at(i)]) pick.visits.emplace_back(i, weight);
     }
     return sum;
   }
 
-  double estimate(const Case& c, const std::vector<double>& visits, double ways,
-                  const std::vector<double>& y) const {
-    double sum = 0;
-    for (std::size_t i = 0; i < visits.size(); ++i) {
+  double estimate(const Case& c, const Visits& visits, const std::vector<double>& y) const {
+    double sum = static_cast<double>(visits.waits) / static_cast<double>(visits.picks);
+    for (std::size_t i = 0; i < type_.size(); ++i) {
       const auto period = static_cast<double>(p_.period_of(static_cast<int>(i)));
+      const double mean = visits.mean(i);
       double least = -1;
       for (std::size_t t = 0; t < types_; ++t) {
         if (((c.left[i] >> t) & 1U) == 0) continue;
-        const double cost =
-            (visits[i] / ways + y[t] / period) * static_cast<double>(work_[i * types_ + t]);
+        const double cost = (mean + y[t] / period) * static_cast<double>(work_[i * types_ + t]);
         if (least < 0 || cost < least) least = cost;
       }
       sum += std::max(0.0, least);
     }
     for (std::size_t t = 0; t < types_; ++t) sum -= y[t] * count_[t];
-    return sum;
+    return sum + static_cast<double>(of_pairs(c, visits)) / static_cast<double>(visits.picks);
   }
 
   /// In integers, rounded down.
-  [[nodiscard]] Tick exact(const Case& c, const std::vector<double>& y) const {
-    __int128 sum = 0;
-    std::vector<std::int64_t> price;
+  [[nodiscard]] Int exact(const Case& c, const std::vector<double>& y) const {
+    std::vector<Int> price;
+    // A negative mean is rounded down, too.
+    Int sum = best_.waits / best_.picks - (best_.waits < 0 ? 1 : 0);
     for (std::size_t t = 0; t < types_; ++t) {
-      if (y[t] > static_cast<double>(kMostTicks)) return 0;
-      price.push_back(static_cast<std::int64_t>(y[t]));
-      sum -= (static_cast<__int128>(price[t]) << kShift) *
-             static_cast<std::int64_t>(p_.type_xpus[t].size());
+      if (y[t] > kMostPrice) return 0;
+      price.push_back(static_cast<Int>(y[t]));
+      sum -= price[t] * static_cast<Int>(p_.type_xpus[t].size());
     }
-    for (std::size_t i = 0; i < best_visits_.size(); ++i) {
-      const auto visits = static_cast<std::int64_t>(std::llround(best_visits_[i]));
-      __int128 least = -1;
+    for (std::size_t i = 0; i < best_.of.size(); ++i) {
+      Int least = -1;
       for (std::size_t t = 0; t < types_; ++t) {
         if (((c.left[i] >> t) & 1U) == 0) continue;
-        const __int128 work = work_[i * types_ + t];
-        // 2^47 * 2^47 * 2^20 fit, as do their parts.
-        const __int128 cost = (work << kShift) * visits / best_ways_ +
-                              (work << kShift) * price[t] / p_.period_of(static_cast<int>(i));
+        const Int work = work_[i * types_ + t];
+        const Int cost =
+            work * best_.of[i] / best_.picks + work * price[t] / p_.period_of(static_cast<int>(i));
         if (least < 0 || cost < least) least = cost;
       }
       if (least > 0) sum += least;
     }
-    return sum <= 0 ? 0 : static_cast<Tick>(std::min<__int128>(sum >> kShift, kMostTicks));
+    sum += of_pairs(c, best_) / best_.picks;
+    return std::max<Int>(0, sum);
+  }
+
+  struct Pair {
+    Int gain;
+    int u, v;
+  };
+  /// What two XNodes of different clocks on the one XPU of type `t` add to the picks' sum.
+  [[nodiscard]] Pair pair(std::size_t t, int u, int v, const Visits& visits) const {
+    if (p_.domains[at(p_.domain_of(u))].clock == p_.domains[at(p_.domain_of(v))].clock)
+      return {0, u, v};
+    const Int of_u = Int{visits.of[at(v)]} * work_[at(u) * types_ + t];
+    const Int of_v = Int{visits.of[at(u)]} * work_[at(v) * types_ + t];
+    return {std::min(of_u, of_v), u, v};
+  }
+
+  /// The sum of pairs without a common XNode, the largest first, of those that are fixed.
+  [[nodiscard]] Int of_pairs(const Case& c, const Visits& visits) const {
+    Int sum = 0;
+    for (std::size_t t = 0; t < types_; ++t) {
+      if (p_.type_xpus[t].size() != 1) continue;
+      std::vector<int> on;
+      for (std::size_t i = 0; i < c.left.size(); ++i)
+        if (c.left[i] == 1U << t && visits.of[i] > 0) on.push_back(static_cast<int>(i));
+      std::vector<Pair> pairs;
+      for (std::size_t a = 0; a < on.size(); ++a)
+        for (std::size_t b = a + 1; b < on.size(); ++b)
+          if (const Pair both = pair(t, on[a], on[b], visits); both.gain > 0) pairs.push_back(both);
+      std::stable_sort(pairs.begin(), pairs.end(),
+                       [](const Pair& a, const Pair& b) { return a.gain > b.gain; });
+      std::vector<char> used(c.left.size(), 0);
+      for (const Pair& both : pairs) {
+        if (used[at(both.u)] != 0 || used[at(both.v)] != 0) continue;
+        used[at(both.u)] = used[at(both.v)] = 1;
+        sum += both.gain;
+      }
+    }
+    return sum;
+  }
+
+  /// An XNode that is not fixed, of the pair that adds most if it is where the ascent has it.
+  [[nodiscard]] int unfixed_of_pairs(const Case& c) const {
+    Pair most{0, -1, -1};
+    for (std::size_t t = 0; t < types_; ++t) {
+      if (p_.type_xpus[t].size() != 1) continue;
+      std::vector<int> on;
+      for (std::size_t i = 0; i < c.left.size(); ++i)
+        if (at(type_[i]) == t && best_.of[i] > 0) on.push_back(static_cast<int>(i));
+      for (const int u : on)
+        for (const int v : on)
+          if (!is_fixed(c.left[at(u)]))
+            if (const Pair both = pair(t, u, v, best_); both.gain > most.gain) most = both;
+    }
+    return most.u;
   }
 
   const Problem& p_;
-  const std::vector<Piece>& pieces_;
+  Objective objective_;
   std::size_t types_ = 0;
   std::vector<Tick> work_;  ///< [xnode * types + type]
   std::vector<double> count_;
   std::vector<std::vector<int>> order_;  ///< [piece] its XNodes, in topological order
   std::vector<double> until_;
   std::vector<int> by_, type_;
-  double best_ = 0;
-  std::vector<double> best_visits_;
-  int best_ways_ = 1;
+  Visits best_;
 };
 
-}  // namespace
-
-Tick load_bound(const Problem& p, const std::vector<Piece>& pieces, int most_cases,
-                const Until& until) {
+/// In units of 2^-20.
+Int bound_of_cases(const Problem& p, const Objective& objective, int most_cases,
+                   const Until& until) {
   if (p.num_types > 31) return 0;
-  Bounder bounder(p, pieces);
+  Int visits = 0;
+  for (std::size_t k = 0; k < objective.terms.size(); ++k)
+    for (const LoadWay& way : objective.terms[k].ways)
+      visits += Int{objective.weight[k]} * kPicks * static_cast<Int>(way.pieces.size());
+  if (visits > kMostVisits) return 0;
+  Bounder bounder(p, objective);
   const auto later = [](const Case& a, const Case& b) { return a.bound > b.bound; };
   std::priority_queue<Case, std::vector<Case>, decltype(later)> open(later);
   Case first = bounder.whole();
@@ -227,6 +363,44 @@ Tick load_bound(const Problem& p, const std::vector<Piece>& pieces, int most_cas
     }
   }
   return open.top().bound;
+}
+
+double down(double value) {
+  return value <= 0 ? 0 : std::nextafter(value, 0.0);
+}
+
+}  // namespace
+
+Tick load_bound(const Problem& p, const std::vector<LoadWay>& ways, int most_cases,
+                const Until& until) {
+  const std::vector<Term> one = {{ways}};
+  return static_cast<Tick>(std::min<Int>(
+      bound_of_cases(p, {one, {kOne}, true}, most_cases, until) >> kShift, kMostTicks));
+}
+
+double sum_bound(const Problem& p, const std::vector<Term>& terms, int most_cases,
+                 const Until& until) {
+  Objective sum{terms, {}};
+  for (const Term& term : terms) {
+    if (term.by > kMostVisits >> kShift) return 0;
+    sum.weight.push_back(term.by * kOne);
+  }
+  return down(static_cast<double>(bound_of_cases(p, sum, most_cases, until)) /
+              static_cast<double>(kOne));
+}
+
+double largest_bound(const Problem& p, const std::vector<Term>& terms, int most_cases,
+                     const Until& until) {
+  std::int64_t longest = 1;
+  for (const Term& term : terms) longest = std::max(longest, term.by);
+  // A weight of longest / deadline, rounded down: no ratio is less than it says.
+  Objective largest{terms, {}, true};
+  for (const Term& term : terms)
+    largest.weight.push_back(static_cast<std::int64_t>(std::min<Int>(
+        (Int{longest} << kShift) / std::max<std::int64_t>(1, term.by), std::int64_t{1} << 44)));
+  return down(down(static_cast<double>(bound_of_cases(p, largest, most_cases, until)) /
+                   static_cast<double>(kOne)) /
+              static_cast<double>(longest));
 }
 
 }  // namespace xauto::solver::steady

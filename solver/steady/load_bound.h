@@ -1,15 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
-// Load bound: the least time along a way, over all assignments that overload no type of XPU.
+// Load bound: the least worst case of a chain, or of several together, over all assignments that
+// overload no type of XPU.
 //
-// A way has pieces; of each its longest path counts, and the sum of all pieces is the time. For
-// paths 1..K of whole ways, each taken 1/K, and prices y >= 0 of the types
-//   time >= sum over i of min over t of (n_i / K + y_t / T_i) C_it  -  sum over t of y_t |t|
-// with n_i the number of the K paths that visit i: the mean of K paths is at most the longest, and
-// what runs on a type is at most |t| of its time. Paths and prices are found by ascent in floating
-// point; the sum is then taken in integers, rounded down. Where a bound depends on who is split
-// between types, one XNode after the other is fixed: the least of all cases holds.
+// A way has pieces; of each its longest path counts. A term is the longest of its ways, each with
+// what it waits; several terms are summed, or the largest counts. In both cases a mean over picks of
+// paths is at most the objective. With n_i how often the picks visit XNode i (times the weights of
+// the terms), K picks, and prices y >= 0 of the types
+//   objective >= mean of the waits + sum over i of min over t of (n_i / K + y_t / T_i) C_it
+//                - sum over t of y_t |t|
+// since what runs on a type is at most |t| of its time. Paths and prices are found by ascent in
+// floating point; the sum is then taken in integers, rounded down. Where a bound depends on who is
+// split between types, one XNode after the other is fixed: the least of all cases holds.
+//
+// Two XNodes u, v of different clocks that are fixed on the one XPU of their type meet at every phase:
+// the longer of their windows has C_u + C_v. So min(n_v C_u, n_u C_v) / K more, for pairs that have
+// no XNode in common. docs/steady-state.md, theorems 5 and 9, has the proofs.
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 #include "solver/steady/problem.h"
@@ -23,8 +31,27 @@ struct Piece {
   int to = -1;
 };
 
-/// In ticks. `most_cases`: how many times an XNode is fixed at most.
-[[nodiscard]] Tick load_bound(const Problem& problem, const std::vector<Piece>& pieces,
+struct LoadWay {
+  std::vector<Piece> pieces;
+  Tick waits = 0;  ///< what the way takes apart from its XNodes, at least; may be negative
+};
+
+/// A chain of an objective.
+struct Term {
+  std::vector<LoadWay> ways;
+  Tick known = 0;  ///< a bound of its own
+  /// Of a sum: its weight. Of the largest: its deadline, by which its worst case is divided.
+  std::int64_t by = 1;
+};
+
+/// Of one chain, in ticks. `most_cases`: how many times an XNode is fixed at most.
+[[nodiscard]] Tick load_bound(const Problem& problem, const std::vector<LoadWay>& ways,
                               int most_cases, const Until& until = {});
+/// Of the weighted sum of the terms, in ticks, rounded down. 0: nothing follows.
+[[nodiscard]] double sum_bound(const Problem& problem, const std::vector<Term>& terms,
+                               int most_cases, const Until& until = {});
+/// Of the largest worst case / deadline, rounded down. 0: nothing follows.
+[[nodiscard]] double largest_bound(const Problem& problem, const std::vector<Term>& terms,
+                                   int most_cases, const Until& until = {});
 
 }  // namespace xauto::solver::steady

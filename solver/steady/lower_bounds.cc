@@ -82,6 +82,44 @@ Tick waits(const Problem& p, const Path& path, int first) {
   return std::max(sum, rounds(slowest, source.period));
 }
 
+/// Where a way of a chain begins and what follows, for load_bound.
+LoadWay way_of(const Problem& p, const Chain& chain, const Path& path) {
+  const auto leaves_by = [&](std::size_t s) {
+    return s < path.samples.size() ? p.samples[at(path.samples[s])].first : chain.to;
+  };
+  const int first = leaves_by(0);
+  const Component& c = p.components[at(p.component_of[at(first)])];
+  LoadWay way;
+  way.pieces.resize(1);
+  way.pieces[0].to = first;
+  Tick earliest = kMostTicks;
+  for (const int i : c.xnodes)
+    if (p.root[at(i)] != 0 && (i == first || p.before(i, first))) {
+      way.pieces[0].from.push_back(i);
+      earliest = std::min(earliest, p.root_ready[at(i)]);
+    }
+  for (std::size_t s = 0; s < path.samples.size(); ++s)
+    way.pieces.push_back({{p.samples[at(path.samples[s])].second}, leaves_by(s + 1)});
+  way.waits = earliest - (chain.offset - c.phase) + waits(p, path, first);
+  return way;
+}
+
+std::vector<LoadWay> ways_of(const Problem& p, const Chain& chain) {
+  std::vector<LoadWay> ways;
+  for (const Path& path : chain.paths) ways.push_back(way_of(p, chain, path));
+  return ways;
+}
+
+/// A part of the time that is left, so that others have theirs.
+Until share_of(const Until& until, std::size_t parts) {
+  Until share = until;
+  if (until.deadline == SteadyTime::max()) return share;
+  const SteadyTime now = std::chrono::steady_clock::now();
+  if (now < until.deadline)
+    share.deadline = now + (until.deadline - now) / static_cast<SteadyTime::rep>(parts);
+  return share;
+}
+
 }  // namespace
 
 std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platform& platform,
@@ -132,32 +170,41 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
   std::vector<Tick> bounds;
   for (const Chain& chain : p.chains) {
     Tick bound = 0;
-    for (const Path& path : chain.paths) {
-      const auto leaves_by = [&](std::size_t s) {
-        return s < path.samples.size() ? p.samples[at(path.samples[s])].first : chain.to;
-      };
-      const int first = leaves_by(0);
+    const std::vector<LoadWay> ways = ways_of(p, chain);
+    for (std::size_t w = 0; w < ways.size(); ++w) {
+      const std::vector<Piece>& pieces = ways[w].pieces;
+      const int first = pieces.front().to;
       const Component& c = p.components[at(p.component_of[at(first)])];
-      std::vector<Piece> pieces(1);
-      pieces[0].to = first;
-      Tick earliest = kMostTicks;
-      for (const int i : c.xnodes)
-        if (p.root[at(i)] != 0 && (i == first || p.before(i, first))) {
-          pieces[0].from.push_back(i);
-          earliest = std::min(earliest, p.root_ready[at(i)]);
-        }
       Tick work = bound_of(first);
-      for (std::size_t s = 0; s < path.samples.size(); ++s) {
-        const int v = p.samples[at(path.samples[s])].second;
-        work += std::max(Tick{0}, least_way(p, least, v, leaves_by(s + 1)));
-        pieces.push_back({{v}, leaves_by(s + 1)});
-      }
-      if (!until.over()) work = std::max(work, earliest + load_bound(p, pieces, most_cases, until));
-      bound = std::max(bound, work - (chain.offset - c.phase) + waits(p, path, first));
+      for (std::size_t q = 1; q < pieces.size(); ++q)
+        work += std::max(Tick{0}, least_way(p, least, pieces[q].from.front(), pieces[q].to));
+      bound = std::max(bound, work - (chain.offset - c.phase) + waits(p, chain.paths[w], first));
     }
+    if (!until.over())
+      bound = std::max(bound, load_bound(p, ways, most_cases,
+                                         share_of(until, p.chains.size() - bounds.size() + 1)));
     bounds.push_back(bound);
   }
   return bounds;
+}
+
+double objective_bound(const Problem& p, const std::vector<Tick>& bounds, int most_cases,
+                       const Until& until) {
+  std::vector<Term> deadlines, all;
+  double largest = 0, sum = 0;
+  for (std::size_t c = 0; c < p.chains.size(); ++c) {
+    const Chain& chain = p.chains[c];
+    const Term term{ways_of(p, chain), bounds[c], chain.weight};
+    sum += static_cast<double>(chain.weight) * static_cast<double>(bounds[c]);
+    all.push_back(term);
+    if (chain.deadline == kNoTick) continue;
+    deadlines.push_back(term);
+    deadlines.back().by = std::max(Tick{1}, chain.deadline);
+    largest = std::max(largest,
+                       static_cast<double>(bounds[c]) / static_cast<double>(deadlines.back().by));
+  }
+  if (!deadlines.empty()) return std::max(largest, largest_bound(p, deadlines, most_cases, until));
+  return std::max(sum, sum_bound(p, all, most_cases, until));
 }
 
 }  // namespace xauto::solver::steady

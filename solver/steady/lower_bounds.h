@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lower bounds: the worst case that no keys and holds have less of, chain by chain.
+// Lower bounds: the worst case that no keys and holds have less of, chain by chain and together.
 //
 // A way's time is its work and its waits.
 //   Work of the first component: version 1's bound of the ancestors of the XNode that is left by;
@@ -18,9 +18,15 @@
 
 namespace xauto::solver::steady {
 
-/// [chain] in ticks. `most_cases`: of load_bound, for each way.
+/// [chain] in ticks. `most_cases`: of load_bound, for each chain.
 [[nodiscard]] std::vector<Tick> lower_bounds(const Problem& problem, const AppSpec& app,
                                              const Platform& platform, const Objectives& wishes,
                                              int most_cases = 0, const Until& until = {});
+
+/// Of the objective, given the bounds of its chains: where chains have deadlines, of the largest
+/// worst case / deadline; else of the weighted sum of the worst cases, in ticks. One assignment has
+/// to serve them all.
+[[nodiscard]] double objective_bound(const Problem& problem, const std::vector<Tick>& bounds,
+                                     int most_cases = 0, const Until& until = {});
 
 }  // namespace xauto::solver::steady

@@ -169,10 +169,14 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
   for (std::thread& t : pool) t.join();
   for (const std::int64_t e : evaluations) answer.evaluations += e;
   // What is left of the time makes the bounds better.
-  const std::vector<Tick> finer =
-      lower_bounds(p, app, platform, options.wishes, kMostCases, for_finer);
-  for (std::size_t c = 0; c < finer.size(); ++c)
-    answer.lower_bound_us[c] = std::max(answer.lower_bound_us[c], us_above(p, finer[c]));
+  std::vector<Tick> finer = lower_bounds(p, app, platform, options.wishes, kMostCases, for_finer);
+  for (std::size_t c = 0; c < finer.size(); ++c) {
+    finer[c] = std::max(finer[c], reference[c]);
+    answer.lower_bound_us[c] = us_above(p, finer[c]);
+  }
+  answer.objective_bound = objective_bound(p, finer, kMostCases, for_finer);
+  if (std::ranges::none_of(p.chains, [](const Chain& c) { return c.deadline != kNoTick; }))
+    answer.objective_bound /= static_cast<double>(p.scale);
   if (!shared.any) return answer;
   answer.outcome = Outcome::kPolicy;
   answer.policy = policy_of(app, platform, p, shared.best, answer.lower_bound_us);

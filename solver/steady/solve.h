@@ -52,6 +52,9 @@ struct Answer {
   Overload overload;  ///< kUnsustainable
   /// [chain] where no policy was found, too.
   std::vector<std::int64_t> lower_bound_us;
+  /// No policy has less of the objective: where chains have deadlines, the largest worst case /
+  /// deadline; else the weighted sum of worst cases, in us. At least what lower_bound_us add up to.
+  double objective_bound = 0;
   std::vector<int> moved;  ///< XNodes that are not where the hint has them
   double first_answer_ms = 0;
   std::int64_t evaluations = 0;

@@ -22,9 +22,10 @@ namespace {
 
 struct Best {
   bool any = false;
-  std::vector<Tick> chain;  ///< [chain] least worst case, each by itself
-  Tick sum = std::numeric_limits<Tick>::max();
-  std::vector<int> xpu;  ///< of `sum`
+  std::vector<Tick> chain;                      ///< [chain] least worst case, each by itself
+  Tick sum = std::numeric_limits<Tick>::max();  ///< least weighted sum
+  double largest = std::numeric_limits<double>::max();  ///< least of the largest / deadline
+  std::vector<int> xpu;                                 ///< of `sum`
   Windows w;
   std::int64_t tried = 0, accepted = 0;
 };
@@ -69,11 +70,16 @@ struct Exhaustion {
     ++best.accepted;
     best.any = true;
     Tick sum = 0;
+    double largest = 0;
     for (std::size_t c = 0; c < p.chains.size(); ++c) {
       const Tick worst = report->chains[c].derived_us;
       best.chain[c] = std::min(best.chain[c], worst);
-      sum += worst;
+      sum += p.chains[c].weight * worst;
+      if (p.chains[c].deadline != kNoTick)
+        largest = std::max(largest, static_cast<double>(worst * p.scale) /
+                                        static_cast<double>(p.chains[c].deadline));
     }
+    best.largest = std::min(best.largest, largest);
     if (sum >= best.sum) return;
     best.sum = sum;
     best.xpu = xpu;
@@ -161,6 +167,46 @@ TEST(SteadyBounds, NoneIsAboveWhatExhaustionFinds) {
   // Not a claim; the search would be broken where it seldom is as good as scalar keys.
   EXPECT_GT(sums, with_policy * 9 / 10);
   EXPECT_GT(sums_reached, sums * 8 / 10);
+}
+
+TEST(SteadyBounds, NoObjectiveIsBelowItsBound) {
+  int with_policy = 0, together = 0, tight = 0;
+  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+    solver::test::Dice dice(seed + 7000);
+    AppSpec app = tiny_app(dice);
+    const bool deadlines = dice.roll(0, 1) == 0;
+    for (ChainSpec& chain : app.chains) {
+      chain.weight = dice.roll(1, 3);
+      if (deadlines && dice.roll(0, 3) > 0) chain.deadline_us = dice.roll(2, 12);
+    }
+    Platform platform = random_steady_platform(dice);
+    if (dice.roll(0, 1) == 0)  // one instance of each type: clocks meet
+      for (std::size_t m = 0; m < platform.xpus.size(); ++m)
+        for (std::size_t other = platform.xpus.size() - 1; other > m; --other)
+          if (platform.xpus[other].type == platform.xpus[m].type)
+            platform.xpus.erase(platform.xpus.begin() + static_cast<std::ptrdiff_t>(other));
+    const Result<Problem> p = Problem::create(app, platform);
+    ASSERT_TRUE(p) << p.error().to_string();
+    const Best best = exhaust(app, platform, *p, 10);
+    if (!best.any) continue;
+    ++with_policy;
+    const std::vector<Tick> bounds = lower_bounds(*p, app, platform, {}, 20);
+    for (std::size_t c = 0; c < bounds.size(); ++c)
+      ASSERT_LE(bounds[c], best.chain[c]) << "seed " << seed << " chain " << app.chains[c].name;
+    const double bound = objective_bound(*p, bounds, 20);
+    const bool ratio = std::ranges::any_of(
+        p->chains, [](const Chain& chain) { return chain.deadline != kNoTick; });
+    const double least = ratio ? best.largest : static_cast<double>(best.sum * p->scale);
+    ASSERT_LE(bound, least) << "seed " << seed;
+    tight += bound > 0.9999 * least ? 1 : 0;
+    double apart = 0;
+    for (std::size_t c = 0; c < bounds.size(); ++c)
+      apart += static_cast<double>(p->chains[c].weight * bounds[c]);
+    together += !ratio && bound > 1.0001 * apart ? 1 : 0;
+  }
+  EXPECT_GT(with_policy, 20);
+  EXPECT_GT(tight, 4);
+  EXPECT_GT(together, 1);
 }
 
 /// Every accepted choice of windows holds: the certificate by itself, not only on what the search
