@@ -68,14 +68,15 @@ Status set_fifo_up_to(int priority) {
 std::string fifo_hint() {
   rlimit limit{};
   getrlimit(RLIMIT_RTPRIO, &limit);
-  return "the real-time limit is " + std::to_string(limit.rlim_cur) + ": " + way_to_fifo();
+  return "the real-time limit is " + std::to_string(limit.rlim_cur) + ": " +
+         way_to_fifo(geteuid() == 0);
 }
 
-std::string way_to_fifo() {
-  if (geteuid() == 0)
+std::string way_to_fifo(bool root) {
+  if (root)
     return "root has no CAP_SYS_NICE here: give it to the container (`--cap-add SYS_NICE`) or "
-           "unit, or "
-           "a real-time limit (`--ulimit rtprio=60`, LimitRTPRIO=60)";
+           "unit, "
+           "or a real-time limit (`--ulimit rtprio=60`, LimitRTPRIO=60)";
   return "put '@GROUP - rtprio 60' into /etc/security/limits.d/xauto.conf and log in again (in a "
          "systemd unit: LimitRTPRIO=60), or run as root";
 }

@@ -25,8 +25,8 @@ namespace xauto::rt {
 [[nodiscard]] Status set_fifo_up_to(int priority);
 /// One line: how far the right to real-time priorities goes, and way_to_fifo().
 [[nodiscard]] std::string fifo_hint();
-/// How to get it, as who this process is.
-[[nodiscard]] std::string way_to_fifo();
+/// How to get it, for root or for somebody else.
+[[nodiscard]] std::string way_to_fifo(bool root);
 
 [[nodiscard]] Status pin_to_core(int core);
 /// To any of these; `thread`: the kernel's number of another one than the calling thread.

@@ -7,6 +7,7 @@
 
 #include <sys/resource.h>
 #include <sys/utsname.h>
+#include <unistd.h>
 
 #include "base/first_line.h"
 #include "base/rt.h"
@@ -115,7 +116,7 @@ class Probe {
     else
       add("realtime", Verdict::kDegraded, "SCHED_FIFO refused, " + limit,
           "CPU XNodes run as ordinary threads: priorities are not enforced on real CPUs",
-          group_has_no_runtime() ? "see rt_groups" : rt::way_to_fifo());
+          group_has_no_runtime() ? "see rt_groups" : rt::way_to_fifo(limits_.root));
   }
 
   void throttling() {
@@ -295,6 +296,7 @@ class Probe {
 
 Permitted Permitted::of_this_process() {
   Permitted limits;
+  limits.root = geteuid() == 0;
   utsname name{};
   uname(&name);
   limits.kernel_release = name.release;

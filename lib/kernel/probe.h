@@ -29,6 +29,7 @@ struct Permitted {
   int highest_fifo = 0;  ///< SCHED_FIFO priority that this process may use; 0: none
   unsigned long rtprio_limit = 0;
   unsigned long long memlock_bytes = 0;  ///< ~0: unlimited
+  bool root = false;
   bool may_use_bpf = false;
   bool has_bpf = true;  ///< bpf(2) is in the kernel
   [[nodiscard]] static Permitted of_this_process();

@@ -18,6 +18,10 @@ using Int = __int128;
 constexpr int kShift = 20;
 constexpr std::int64_t kOne = std::int64_t{1} << kShift;
 constexpr int kPicks = 48, kAscent = 160;
+/// Of one XPU, whose pairs are looked at.
+constexpr std::ptrdiff_t kMostOnXpu = 64;
+/// Steps of one round of an ascent, some ms: larger objectives are left without a bound.
+constexpr std::size_t kMostStepsOfRound = 2'000'000;
 /// Prices and visits up to here times work of 2^47 fit 127 bits, with room for their sums.
 constexpr double kMostPrice = 0x1p66;
 constexpr std::int64_t kMostVisits = std::int64_t{1} << 58;
@@ -97,8 +101,9 @@ class Bounder {
     return c;
   }
 
-  /// Its bound, the prices and who is to be fixed next.
-  void bound(Case& c) {
+  /// Its bound, the prices and who is to be fixed next. Ended by `until` after some rounds it is
+  /// weaker.
+  void bound(Case& c, const Until& until) {
     const std::size_t n = at(p_.num_xnodes);
     std::vector<double> y = c.price, best_y = y, load(types_);
     Visits visits(n);
@@ -127,6 +132,7 @@ class Bounder {
         best_y = y;
         best_ = visits;
       }
+      if (until.over()) break;
     }
     c.bound = std::max(c.bound, exact(c, best_y));
     c.price = best_y;
@@ -284,14 +290,28 @@ class Bounder {
     return {std::min(of_u, of_v), u, v};
   }
 
+  /// Who is visited, of those of which `is_on` says that they are on type `t`; of many the heaviest.
+  template <class IsOn>
+  [[nodiscard]] std::vector<int> heaviest(std::size_t t, const Visits& visits, IsOn is_on) const {
+    std::vector<int> on;
+    for (std::size_t i = 0; i < visits.of.size(); ++i)
+      if (visits.of[i] > 0 && is_on(i)) on.push_back(static_cast<int>(i));
+    if (on.size() > static_cast<std::size_t>(kMostOnXpu)) {
+      std::nth_element(on.begin(), on.begin() + kMostOnXpu, on.end(), [&](int a, int b) {
+        return work_[at(a) * types_ + t] > work_[at(b) * types_ + t];
+      });
+      on.resize(static_cast<std::size_t>(kMostOnXpu));
+    }
+    return on;
+  }
+
   /// The sum of pairs without a common XNode, the largest first, of those that are fixed.
   [[nodiscard]] Int of_pairs(const Case& c, const Visits& visits) const {
     Int sum = 0;
     for (std::size_t t = 0; t < types_; ++t) {
       if (p_.type_xpus[t].size() != 1) continue;
-      std::vector<int> on;
-      for (std::size_t i = 0; i < c.left.size(); ++i)
-        if (c.left[i] == 1U << t && visits.of[i] > 0) on.push_back(static_cast<int>(i));
+      const std::vector<int> on =
+          heaviest(t, visits, [&](std::size_t i) { return c.left[i] == 1U << t; });
       std::vector<Pair> pairs;
       for (std::size_t a = 0; a < on.size(); ++a)
         for (std::size_t b = a + 1; b < on.size(); ++b)
@@ -313,9 +333,8 @@ class Bounder {
     Pair most{0, -1, -1};
     for (std::size_t t = 0; t < types_; ++t) {
       if (p_.type_xpus[t].size() != 1) continue;
-      std::vector<int> on;
-      for (std::size_t i = 0; i < c.left.size(); ++i)
-        if (at(type_[i]) == t && best_.of[i] > 0) on.push_back(static_cast<int>(i));
+      const std::vector<int> on =
+          heaviest(t, best_, [&](std::size_t i) { return at(type_[i]) == t; });
       for (const int u : on)
         for (const int v : on)
           if (!is_fixed(c.left[at(u)]))
@@ -340,15 +359,19 @@ Int bound_of_cases(const Problem& p, const Objective& objective, int most_cases,
                    const Until& until) {
   if (p.num_types > 31) return 0;
   Int visits = 0;
+  std::size_t steps = at(p.num_xnodes) * at(p.num_types);
   for (std::size_t k = 0; k < objective.terms.size(); ++k)
     for (const LoadWay& way : objective.terms[k].ways)
-      visits += Int{objective.weight[k]} * kPicks * static_cast<Int>(way.pieces.size());
-  if (visits > kMostVisits) return 0;
+      for (const Piece& piece : way.pieces) {
+        visits += Int{objective.weight[k]} * kPicks;
+        steps += p.components[at(p.component_of[at(piece.to)])].xnodes.size();
+      }
+  if (visits > kMostVisits || steps > kMostStepsOfRound) return 0;
   Bounder bounder(p, objective);
   const auto later = [](const Case& a, const Case& b) { return a.bound > b.bound; };
   std::priority_queue<Case, std::vector<Case>, decltype(later)> open(later);
   Case first = bounder.whole();
-  bounder.bound(first);
+  bounder.bound(first, until);
   open.push(std::move(first));
   for (int cases = 0; cases < most_cases && !until.over() && open.top().split >= 0; ++cases) {
     Case c = open.top();
@@ -358,7 +381,7 @@ Int bound_of_cases(const Problem& p, const Objective& objective, int most_cases,
       if (((c.left[at(i)] >> t) & 1U) == 0) continue;
       Case next = c;
       next.left[at(i)] = 1U << t;
-      bounder.bound(next);
+      bounder.bound(next, until);
       open.push(std::move(next));
     }
   }

@@ -89,8 +89,12 @@ TEST(Rt, WithoutRootTheLimitDecides) {
 }
 
 TEST(Rt, HintSaysWhereTheLimitComesFrom) {
-  EXPECT_NE(fifo_hint().find("/etc/security/limits.d/xauto.conf"), std::string::npos);
-  EXPECT_NE(fifo_hint().find("LimitRTPRIO=60"), std::string::npos);
+  EXPECT_NE(way_to_fifo(false).find("/etc/security/limits.d/xauto.conf"), std::string::npos);
+  EXPECT_NE(way_to_fifo(true).find("CAP_SYS_NICE"), std::string::npos);
+  EXPECT_EQ(way_to_fifo(true).find("as root"), std::string::npos);
+  for (const bool root : {false, true})
+    EXPECT_NE(way_to_fifo(root).find("LimitRTPRIO=60"), std::string::npos);
+  EXPECT_NE(fifo_hint().find(way_to_fifo(geteuid() == 0)), std::string::npos);
 }
 
 }  // namespace

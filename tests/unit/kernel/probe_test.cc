@@ -146,6 +146,8 @@ TEST_F(Machine, UnprivilegedUserIsToldHowToGetMore) {
   EXPECT_NE(find("realtime").advice.find("/etc/security/limits.d/xauto.conf"), std::string::npos);
   EXPECT_NE(find("realtime").advice.find("LimitRTPRIO=60"), std::string::npos);
   EXPECT_EQ(find("memlock").verdict, Verdict::kDegraded);
+  limits_.root = true;  // in a container, say
+  EXPECT_NE(find("realtime").advice.find("CAP_SYS_NICE"), std::string::npos);
 }
 
 TEST_F(Machine, RangeOfPrioritiesThatIsPermittedIsTold) {
