@@ -436,17 +436,6 @@ Annealed anneal(const AppSpec& app, const Platform& platform, double time_limit_
   return Annealer(app, platform, seed).go(time_limit_s);
 }
 
-double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) {
-  double late = 0, sum = 0;
-  for (std::size_t c = 0; c < app.chains.size() && c < chain_us.size(); ++c) {
-    const auto us = static_cast<double>(chain_us[c]);
-    if (app.chains[c].deadline_us)
-      late = std::max(late, us / static_cast<double>(*app.chains[c].deadline_us));
-    sum += static_cast<double>(app.chains[c].weight) * us;
-  }
-  return late > 0 ? late : sum;
-}
-
 double objective_of(const AppSpec& app, const KeyPolicy& policy) {
   std::vector<std::int64_t> chain_us;
   for (const ChainClaim& chain : policy.chains) chain_us.push_back(chain.worst_case_us);

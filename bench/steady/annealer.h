@@ -11,6 +11,7 @@
 #include "model/app.h"
 #include "model/key_policy.h"
 #include "model/platform.h"
+#include "solver/steady/solve.h"
 
 namespace xauto::bench {
 
@@ -24,9 +25,7 @@ struct Annealed {
 [[nodiscard]] Annealed anneal(const AppSpec& app, const Platform& platform, double time_limit_s,
                               std::uint64_t seed);
 
-/// What is minimised: the largest worst case / deadline, where a chain has a deadline; otherwise the
-/// weighted sum of the worst cases, in us. Smaller is better.
-[[nodiscard]] double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us);
+using solver::steady::objective_of;
 [[nodiscard]] double objective_of(const AppSpec& app, const KeyPolicy& policy);
 
 }  // namespace xauto::bench

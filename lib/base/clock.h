@@ -27,13 +27,14 @@ inline constexpr std::int64_t kLookNs = 50'000'000;
   return clock_ns(CLOCK_MONOTONIC_COARSE);
 }
 
-/// Sleeps until `due` on the same clock; returns at once if it has passed.
-inline void sleep_until_ns(std::int64_t due) {
+/// Sleeps until `due` on the same clock. False, at once: it has passed.
+inline bool sleep_until_ns(std::int64_t due) {
   // The kernel would set a timer and give the CPU away, even for an instant that has passed.
-  if (now_ns() >= due) return;
+  if (now_ns() >= due) return false;
   const timespec until{due / 1'000'000'000, due % 1'000'000'000};
   while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr) == EINTR) {
   }
+  return true;
 }
 
 }  // namespace xauto

@@ -74,9 +74,9 @@ std::string fifo_hint() {
 
 std::string way_to_fifo(bool root) {
   if (root)
-    return "root has no CAP_SYS_NICE here: give it to the container (`--cap-add SYS_NICE`) or "
-           "unit, "
-           "or a real-time limit (`--ulimit rtprio=60`, LimitRTPRIO=60)";
+    return "root is refused here: a container or unit needs CAP_SYS_NICE (`--cap-add SYS_NICE`), "
+           "or "
+           "a real-time limit (`--ulimit rtprio=60`, LimitRTPRIO=60); see `xauto doctor`, too";
   return "put '@GROUP - rtprio 60' into /etc/security/limits.d/xauto.conf and log in again (in a "
          "systemd unit: LimitRTPRIO=60), or run as root";
 }

@@ -193,7 +193,8 @@ std::int64_t Port::beside_ns(std::int64_t since_ns, std::int64_t until_ns) const
   const std::int64_t ran_ns = until_ns - since_ns;
   std::int64_t beside_ns = -1;
   // The one from whom it got the XPU is the first that was suspended since.
-  for (int i = 0; i < kMaxSlots; ++i) {
+  const int high = static_cast<int>(shm_.header->high.load(std::memory_order_relaxed));
+  for (int i = 0; i < high && i < kMaxSlots; ++i) {
     const SlotMemory& slot = shm_.slots[i];
     if (i == slot_ || slot.coordinator.used.load(std::memory_order_relaxed) == 0) continue;
     const std::uint32_t command = slot.coordinator.command.load(std::memory_order_acquire);

@@ -186,6 +186,14 @@ void FlowLine::add_urgent(std::int64_t us) {
     longest_urgent_us.store(us, std::memory_order_relaxed);
 }
 
+std::string XpuLine::slow_suspensions() const {
+  const std::int64_t suspend_us = longest_suspend_ns / 1000, resume_us = longest_resume_ns / 1000;
+  if (preempt_us < 0 || suspend_us + resume_us <= preempt_us) return {};
+  return "suspending a job's work on " + line_name(name) + " and resuming it took up to " +
+         std::to_string(suspend_us) + " us and " + std::to_string(resume_us) +
+         " us; the platform file says preempt_us " + std::to_string(preempt_us);
+}
+
 void Board::count_late(std::int64_t ns) {
   header_->late.fetch_add(1, std::memory_order_relaxed);
   if (ns > header_->latest_ns.load(std::memory_order_relaxed))

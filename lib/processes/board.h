@@ -166,6 +166,11 @@ struct alignas(64) XpuLine {
   std::atomic<std::uint64_t> suspensions{};  ///< of queues, by the backend
   /// Of the backend's calls that suspended and resumed one.
   std::atomic<std::int64_t> longest_suspend_ns{}, longest_resume_ns{};
+  /// [H] before the run: what the platform says that both cost. -1: nobody asks, since it is emulated,
+  /// or a core, whose threads are not suspended by calls that a policy counts with.
+  std::int64_t preempt_us = -1;
+  /// How they took longer than that; empty: they did not.
+  [[nodiscard]] std::string slow_suspensions() const;
   /// For how long jobs that ended had it, less what they were suspended for. On a real CPU, which the
   /// kernel takes away unseen, the CPU time of the threads that run jobs, told when they sleep.
   std::atomic<std::int64_t> busy_ns{};

@@ -63,8 +63,12 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
     for (std::size_t m = 0; m < e.graph_.modules.size(); ++m)
       name_line(board.module(static_cast<int>(m)).name, e.graph_.modules[m].name);
   if (e.role_->leads())
-    for (std::size_t x = 0; x < session.platform.xpus.size(); ++x)
-      name_line(board.xpu(x).name, session.platform.xpus[x].id);
+    for (std::size_t x = 0; x < session.platform.xpus.size(); ++x) {
+      const Xpu& xpu = session.platform.xpus[x];
+      name_line(board.xpu(x).name, xpu.id);
+      if (xpu.type != "cpu" && !session.emulated(static_cast<int>(x)))
+        board.xpu(x).preempt_us = xpu.preempt_us;
+    }
   if (e.role_->leads()) XAUTO_TRY(post_parameters(board, e.graph_, session.deployment));
   e.context_ = std::make_unique<Context>(
       Context{app, session, e.graph_, e.plan_, e.grid_, board, e.trace_.get()});
@@ -182,23 +186,15 @@ void Engine::tell_notes(RunReport& into) {
   add_note(into.note, left_behind_);
 }
 
-/// A core's threads are not suspended by calls that a policy counts with: preempt_us of a cpu is 0.
 void Engine::tell_preemptions(RunReport& into) const {
-  const Platform& platform = context_->session.platform;
-  for (std::size_t x = 0; x < platform.xpus.size(); ++x) {
+  for (std::size_t x = 0; x < context_->session.platform.xpus.size(); ++x) {
     const XpuLine& line = context_->board.xpu(x);
-    const Xpu& xpu = platform.xpus[x];
-    if (line.suspensions == 0 || xpu.type == "cpu" ||
-        context_->session.emulated(static_cast<int>(x)))
-      continue;
-    const PreemptionReport cost{xpu.id, line.suspensions, line.longest_suspend_ns / 1000,
-                                line.longest_resume_ns / 1000, xpu.preempt_us};
-    if (cost.suspend_us + cost.resume_us > cost.preempt_us)
-      into.unkept.push_back(fmt::format(
-          "suspending a job's work on {} and resuming it took up to {} us and {} us; the "
-          "platform file says preempt_us {}",
-          cost.xpu, cost.suspend_us, cost.resume_us, cost.preempt_us));
-    into.preemptions.push_back(cost);
+    if (line.suspensions == 0 || line.preempt_us < 0) continue;
+    into.preemptions.push_back({line_name(line.name), line.suspensions,
+                                line.longest_suspend_ns / 1000, line.longest_resume_ns / 1000,
+                                line.preempt_us});
+    if (std::string slow = line.slow_suspensions(); !slow.empty())
+      into.unkept.push_back(std::move(slow));
   }
 }
 

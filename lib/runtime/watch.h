@@ -49,6 +49,8 @@ class Stopwatch {
     std::uint64_t sequence;
     std::int64_t took_ns;
   };
+  /// Any thread: when the job that runs, or ran last, began.
+  [[nodiscard]] std::int64_t since_ns() const { return since_.load(std::memory_order_relaxed); }
   /// Any thread: the job that runs now, if one does.
   [[nodiscard]] std::optional<Look> look(std::int64_t now_ns) const;
 

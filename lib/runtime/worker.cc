@@ -337,9 +337,7 @@ bool Worker::run_job(const Placed* chain, std::size_t position, bool begun) {
   if (placed.urgency.holds()) {
     const std::int64_t until = placed.urgency.hold(
         chain_.activation->origin_ns(), chain_.activation->sequence(), chain_.activation->urgent());
-    const bool early = until > now_ns();
-    sleep_until_ns(until);
-    if (early && !options_.backend.emulated && !backend_->on_thread())
+    if (sleep_until_ns(until) && !options_.backend.emulated && !backend_->on_thread())
       overslept_ns_ = now_ns() - until;
   }
   if (port_) {

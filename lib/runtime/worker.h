@@ -207,9 +207,8 @@ class Worker {
   /// 1: the execution thread takes no job any more; 2: it is through, too, with what its inits have
   /// made; a futex.
   std::atomic<std::uint32_t> ended_{0};
-  Stopwatch watch_;                              ///< of the job that runs
-  std::atomic<const Placed*> timed_{nullptr};    ///< whose job that is
-  std::atomic<std::int64_t> timed_since_ns_{0};  ///< when that job was let run
+  Stopwatch watch_;                            ///< of the job that runs
+  std::atomic<const Placed*> timed_{nullptr};  ///< whose job that is
   std::int64_t overslept_ns_ =
       0;  ///< for how long it slept after its hold; of real XPUs that it queues on
   std::atomic<std::uint64_t> hung_job_{0};             ///< the last one that find_hung found

@@ -129,17 +129,14 @@ void Worker::begin_timed(const Placed& placed, std::uint64_t sequence) {
     without_core_since_ns_ = rt::without_core_ns();
     if (placed.watched || !without_core_since_ns_) cpu_since_ns_.store(clock_ns(cpu_clock_));
   }
-  const std::int64_t now = now_ns();
-  timed_since_ns_.store(now, std::memory_order_relaxed);
-  watch_.begin(now, sequence);
+  watch_.begin(now_ns(), sequence);
 }
 
 /// Of the `ran_ns` of its job until `now_ns`: without what it was on the XPU beside the one from whom it got
 /// it, which is the cost of a preemption; no more than the platform says that one costs.
 std::int64_t Worker::own_ns(std::int64_t ran_ns, std::int64_t now_ns) const {
   if (!port_ || options_.preempt_ns == 0) return ran_ns;
-  const std::int64_t beside_ns =
-      port_->beside_ns(timed_since_ns_.load(std::memory_order_relaxed), now_ns);
+  const std::int64_t beside_ns = port_->beside_ns(watch_.since_ns(), now_ns);
   return std::max<std::int64_t>(0, ran_ns - std::min(beside_ns, options_.preempt_ns));
 }
 

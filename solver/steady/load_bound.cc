@@ -213,8 +213,8 @@ class Bounder {
   /// Its longest path in each piece, whose orders begin at `piece`. Less than 0: there is none.
   double follow(const LoadWay& way, std::size_t piece, std::int64_t weight, Visits::Pick& pick) {
     pick.visits.clear();
-    pick.waits = Int{way.waits} * weight;
-    auto sum = static_cast<double>(way.waits);
+    pick.waits = Int{way.ready + way.waits} * weight;
+    auto sum = static_cast<double>(way.ready + way.waits);
     for (const Piece& q : way.pieces) {
       const std::vector<int>& order = order_[piece++];
       for (const int i : order) until_[at(i)] = -1;

@@ -33,7 +33,8 @@ struct Piece {
 
 struct LoadWay {
   std::vector<Piece> pieces;
-  Tick waits = 0;  ///< what the way takes apart from its XNodes, at least; may be negative
+  Tick ready = 0;  ///< its first XNode cannot begin before
+  Tick waits = 0;  ///< what the way takes apart from that and its XNodes, at least; may be negative
 };
 
 /// A chain of an objective.

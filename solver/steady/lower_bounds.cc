@@ -92,15 +92,15 @@ LoadWay way_of(const Problem& p, const Chain& chain, const Path& path) {
   LoadWay way;
   way.pieces.resize(1);
   way.pieces[0].to = first;
-  Tick earliest = kMostTicks;
+  way.ready = kMostTicks;
   for (const int i : c.xnodes)
     if (p.root[at(i)] != 0 && (i == first || p.before(i, first))) {
       way.pieces[0].from.push_back(i);
-      earliest = std::min(earliest, p.root_ready[at(i)]);
+      way.ready = std::min(way.ready, p.root_ready[at(i)]);
     }
   for (std::size_t s = 0; s < path.samples.size(); ++s)
     way.pieces.push_back({{p.samples[at(path.samples[s])].second}, leaves_by(s + 1)});
-  way.waits = earliest - (chain.offset - c.phase) + waits(p, path, first);
+  way.waits = waits(p, path, first) - (chain.offset - c.phase);
   return way;
 }
 
@@ -171,14 +171,12 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
   for (const Chain& chain : p.chains) {
     Tick bound = 0;
     const std::vector<LoadWay> ways = ways_of(p, chain);
-    for (std::size_t w = 0; w < ways.size(); ++w) {
-      const std::vector<Piece>& pieces = ways[w].pieces;
-      const int first = pieces.front().to;
-      const Component& c = p.components[at(p.component_of[at(first)])];
-      Tick work = bound_of(first);
-      for (std::size_t q = 1; q < pieces.size(); ++q)
-        work += std::max(Tick{0}, least_way(p, least, pieces[q].from.front(), pieces[q].to));
-      bound = std::max(bound, work - (chain.offset - c.phase) + waits(p, chain.paths[w], first));
+    for (const LoadWay& way : ways) {
+      Tick work = bound_of(way.pieces.front().to);
+      for (std::size_t q = 1; q < way.pieces.size(); ++q)
+        work +=
+            std::max(Tick{0}, least_way(p, least, way.pieces[q].from.front(), way.pieces[q].to));
+      bound = std::max(bound, work + way.waits);
     }
     if (!until.over())
       bound = std::max(bound, load_bound(p, ways, most_cases,
@@ -190,21 +188,21 @@ std::vector<Tick> lower_bounds(const Problem& p, const AppSpec& app, const Platf
 
 double objective_bound(const Problem& p, const std::vector<Tick>& bounds, int most_cases,
                        const Until& until) {
-  std::vector<Term> deadlines, all;
+  const bool deadlines =
+      std::ranges::any_of(p.chains, [](const Chain& chain) { return chain.deadline != kNoTick; });
+  std::vector<Term> terms;
   double largest = 0, sum = 0;
   for (std::size_t c = 0; c < p.chains.size(); ++c) {
     const Chain& chain = p.chains[c];
-    const Term term{ways_of(p, chain), bounds[c], chain.weight};
-    sum += static_cast<double>(chain.weight) * static_cast<double>(bounds[c]);
-    all.push_back(term);
-    if (chain.deadline == kNoTick) continue;
-    deadlines.push_back(term);
-    deadlines.back().by = std::max(Tick{1}, chain.deadline);
-    largest = std::max(largest,
-                       static_cast<double>(bounds[c]) / static_cast<double>(deadlines.back().by));
+    if (deadlines && chain.deadline == kNoTick) continue;
+    const std::int64_t by = deadlines ? std::max(Tick{1}, chain.deadline) : chain.weight;
+    const auto bound = static_cast<double>(bounds[c]);
+    largest = std::max(largest, bound / static_cast<double>(by));
+    sum += bound * static_cast<double>(by);
+    terms.push_back({ways_of(p, chain), bounds[c], by});
   }
-  if (!deadlines.empty()) return std::max(largest, largest_bound(p, deadlines, most_cases, until));
-  return std::max(sum, sum_bound(p, all, most_cases, until));
+  if (deadlines) return std::max(largest, largest_bound(p, terms, most_cases, until));
+  return std::max(sum, sum_bound(p, terms, most_cases, until));
 }
 
 }  // namespace xauto::solver::steady

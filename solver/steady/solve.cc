@@ -102,6 +102,17 @@ struct Shared {
 
 }  // namespace
 
+double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us) {
+  double late = 0, sum = 0;
+  for (std::size_t c = 0; c < app.chains.size() && c < chain_us.size(); ++c) {
+    const auto us = static_cast<double>(chain_us[c]);
+    if (app.chains[c].deadline_us)
+      late = std::max(late, us / static_cast<double>(*app.chains[c].deadline_us));
+    sum += static_cast<double>(app.chains[c].weight) * us;
+  }
+  return late > 0 ? late : sum;
+}
+
 Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options& options) {
   const SteadyTime began = std::chrono::steady_clock::now();
   const auto elapsed = [&] {
@@ -175,11 +186,13 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     answer.lower_bound_us[c] = us_above(p, finer[c]);
   }
   answer.objective_bound = objective_bound(p, finer, kMostCases, for_finer);
-  if (std::ranges::none_of(p.chains, [](const Chain& c) { return c.deadline != kNoTick; }))
-    answer.objective_bound /= static_cast<double>(p.scale);
+  if (!app.has_deadlines()) answer.objective_bound /= static_cast<double>(p.scale);
   if (!shared.any) return answer;
   answer.outcome = Outcome::kPolicy;
   answer.policy = policy_of(app, platform, p, shared.best, answer.lower_bound_us);
+  std::vector<std::int64_t> chain_us;
+  for (const ChainClaim& chain : answer.policy.chains) chain_us.push_back(chain.worst_case_us);
+  answer.objective = objective_of(app, chain_us);
   answer.policy.solve_ms = static_cast<std::int64_t>(elapsed() * 1e3);
   answer.first_answer_ms = shared.first_ms;
   if (options.hint != nullptr)

@@ -52,13 +52,17 @@ struct Answer {
   Overload overload;  ///< kUnsustainable
   /// [chain] where no policy was found, too.
   std::vector<std::int64_t> lower_bound_us;
-  /// No policy has less of the objective: where chains have deadlines, the largest worst case /
-  /// deadline; else the weighted sum of worst cases, in us. At least what lower_bound_us add up to.
-  double objective_bound = 0;
+  /// kPolicy: objective_of the policy's chains. No policy has less than the bound, which is at least
+  /// what lower_bound_us say.
+  double objective = 0, objective_bound = 0;
   std::vector<int> moved;  ///< XNodes that are not where the hint has them
   double first_answer_ms = 0;
   std::int64_t evaluations = 0;
 };
+
+/// What is minimised: the largest worst case / deadline, where a chain has a deadline; otherwise the
+/// weighted sum of the worst cases, in us. Smaller is better.
+[[nodiscard]] double objective_of(const AppSpec& app, const std::vector<std::int64_t>& chain_us);
 
 /// kInvalid, kInfeasible: Problem::create; a hint for another app.
 [[nodiscard]] Result<Answer> solve(const AppSpec& app, const Platform& platform,

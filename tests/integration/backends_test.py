@@ -88,7 +88,11 @@ class Backends(unittest.TestCase):
                 who = "put on priority levels" if driver == "i915" else "suspended"
                 self.assertIn(f"work on gpu0 is {who} by each process itself", " ".join(run["notes"]), err)
                 if driver != "i915":  # suspends nothing
-                    self.assertIn("gpu0", [p["xpu"] for p in run["preemptions"] if p["suspensions"] > 4])
+                    cost, = run["preemptions"]
+                    self.assertEqual((cost["xpu"], cost["preempt_us"]), ("gpu0", 100))
+                    self.assertGreater(cost["suspensions"], 4)
+                    self.assertEqual(any("preempt_us" in line for line in run["worst_case_broken"]),
+                                     cost["suspend_us"] + cost["resume_us"] > 100)
                 doubts = run.get("contexts", {})
                 self.assertEqual([doubts.get(d, 0) for d in ("unclaimed", "assumed", "shared", "gated", "held_up", "misplaced")], [0] * 6)
 

@@ -79,6 +79,8 @@ ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
   };
   if (std::string unkept = board.unkept(); !unkept.empty()) broken(std::move(unkept));
   if (std::string line = board.contexts().not_complete(); !line.empty()) broken(std::move(line));
+  for (std::uint32_t x = 0; x < board.shape().xpus; ++x)
+    if (std::string slow = board.xpu(x).slow_suspensions(); !slow.empty()) broken(std::move(slow));
   const auto count = [&](const char* kind, std::uint64_t n, bool breaks, const std::string& line) {
     claims.violations.push_back({kind, n, breaks && claims.claimed});
     if (n > 0 && breaks) broken(line);

@@ -105,46 +105,19 @@ bool misses(const AppSpec& app, const KeyPolicy& policy) {
   return false;
 }
 
-/// What the solver makes as small as it can, and what no policy has less of.
-struct OfAllChains {
-  bool deadlines = false;  ///< the largest worst case / deadline; else the weighted sum, in us
-  double value = 0, bound = 0;
-  [[nodiscard]] bool optimal() const { return value <= bound * (1 + 1e-9); }
-};
-
-OfAllChains of_all_chains(const AppSpec& app, const steady::Answer& answer) {
-  OfAllChains all{app.has_deadlines(), 0, answer.objective_bound};
-  for (std::size_t c = 0; c < app.chains.size(); ++c) {
-    const auto us = static_cast<double>(answer.policy.chains[c].worst_case_us);
-    const auto& deadline = app.chains[c].deadline_us;
-    if (!all.deadlines)
-      all.value += static_cast<double>(app.chains[c].weight) * us;
-    else if (deadline)
-      all.value = std::max(all.value, us / static_cast<double>(*deadline));
-  }
-  return all;
-}
-
-std::string of_all_chains_line(const AppSpec& app, const OfAllChains& all) {
+/// How far the policy is from the least of any, all chains together.
+std::string of_all_chains(const AppSpec& app, const steady::Answer& answer) {
   if (app.chains.empty()) return "";
-  const char* optimal = all.optimal() ? ": optimal" : "";
-  if (all.deadlines)
+  const char* optimal = answer.objective <= answer.objective_bound * (1 + 1e-9) ? ": optimal" : "";
+  if (app.has_deadlines())
     return fmt::format(
         "\n  together: the largest worst case is {:.1f} % of its deadline; of no policy of keys "
         "less than {:.1f} %{}\n",
-        100 * all.value, 100 * all.bound, optimal);
+        100 * answer.objective, 100 * answer.objective_bound, optimal);
   return fmt::format(
       "\n  together: the weighted sum of worst cases is {:.2f} ms; of no policy of keys less than "
       "{:.2f} ms{}\n",
-      all.value / 1000, all.bound / 1000, optimal);
-}
-
-/// Some chain's bound alone is above its deadline, or that of all together.
-bool impossible(const AppSpec& app, const steady::Answer& answer) {
-  for (std::size_t c = 0; c < answer.lower_bound_us.size() && c < app.chains.size(); ++c)
-    if (app.chains[c].deadline_us && answer.lower_bound_us[c] > *app.chains[c].deadline_us)
-      return true;
-  return app.has_deadlines() && answer.objective_bound > 1;
+      answer.objective / 1000, answer.objective_bound / 1000, optimal);
 }
 
 Json proofs(const steady::CheckReport& report) {
@@ -359,17 +332,16 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
     ifs.push_back(std::move(*what));
   }
   const bool late = misses(app, answer.policy);
-  const bool never = impossible(app, answer);
-  const OfAllChains all = of_all_chains(app, answer);
+  const bool never = app.has_deadlines() && answer.objective_bound > 1;
   if (options.json) {
     Json root = Json::parse(to_json(answer.policy, app, platform)).value_or(Json());
     root["evaluations"] = answer.evaluations;
     root["first_answer_ms"] = answer.first_answer_ms;
     root["proofs"] = proofs(*checked);
-    root["objective"] = {
-        {"of", all.deadlines ? "largest worst case / deadline" : "weighted sum of worst cases"},
-        {"value", all.value},
-        {"lower_bound", all.bound}};
+    root["objective"] = {{"of", app.has_deadlines() ? "largest worst case / deadline"
+                                                    : "weighted sum of worst cases"},
+                         {"value", answer.objective},
+                         {"lower_bound", answer.objective_bound}};
     if (asked.hint != nullptr) root["moved"] = moved(app, platform, *asked.hint, answer);
     if (!ifs.empty()) root["what_if"] = cases_of(app, ifs);
     root["deadlines"] = never  ? "proven impossible"
@@ -380,7 +352,7 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
     std::cout << fmt::format("{} on {}: {}, {:.2f} s\n\n", app.name, platform.name, shape(app),
                              static_cast<double>(answer.policy.solve_ms) / 1000)
               << proof_table(answer.policy, *checked) << "\n"
-              << chain_table(app, answer.policy) << of_all_chains_line(app, all)
+              << chain_table(app, answer.policy) << of_all_chains(app, answer)
               << fmt::format(
                      "\n  worst case: {}.\n  The check has derived these worst cases again. Lower "
                      "bounds are the solver's alone: of no policy of keys that\n  keeps to the "
