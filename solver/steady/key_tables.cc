@@ -10,7 +10,7 @@
 #include "model/components.h"
 #include "solver/least_loss.h"
 #include "solver/random.h"
-#include "solver/steady/handover.h"
+#include "solver/steady/changes.h"
 #include "solver/steady/solve.h"
 #include "solver/tables_run.h"
 
@@ -24,6 +24,13 @@ struct KeyTable {
   KeyPolicy policy;            ///< of what that leaves of the scenario's app, and its platform
   double value = 0;            ///< of its worst cases, what is compared
   std::vector<double> regret;  ///< [scenario]
+};
+
+/// How one of them is searched.
+struct How {
+  Keep keep = Keep::kNothing;  ///< of the hint
+  int slack_pct = 0;           ///< every WCET counts as longer by so much
+  bool in_time = false;        ///< it may end where every chain keeps its deadline
 };
 
 class KeyTablesSearch {
@@ -45,8 +52,7 @@ class KeyTablesSearch {
     for (std::size_t loss = 0; loss < losses_.size(); ++loss) solve_all(loss);
     TableChoice best = choose();
     constexpr int kRounds = 12;  // of a fixed number of evaluations each
-    for (int round = 0; (options_.max_evaluations == 0 || round < kRounds) && !run_.over();
-         ++round) {
+    for (int round = 0; more(round, kRounds, options_.time_limit_s * (1 - kForChanges)); ++round) {
       if (best.chosen.empty() || best.worst <= run_.goal()) break;
       improve(best);
       best = choose();
@@ -56,6 +62,11 @@ class KeyTablesSearch {
   }
 
  private:
+  /// Whether there is time for another round; where evaluations are counted, for so many.
+  [[nodiscard]] bool more(int round, int most, double until_s) const {
+    return !run_.over() && (options_.max_evaluations > 0 ? round < most : run_.elapsed() < until_s);
+  }
+
   [[nodiscard]] double value_of(const std::vector<std::int64_t>& us) const {
     const Objective of = chain_objective(app_, us);
     return of.chain >= 0 ? of.late : static_cast<double>(of.sum_us);
@@ -155,17 +166,16 @@ class KeyTablesSearch {
     return platform_with(platform_under(platform_, scenario), loss.off);
   }
 
-  /// `in_time`: it may end where every chain keeps its deadline.
   [[nodiscard]] Result<Answer> solve_for(const Scenario& scenario, const Loss& loss, double seconds,
                                          int threads, std::uint64_t seed, const KeyPolicy* hint,
-                                         bool in_time = false) const {
+                                         const How& how = {}) const {
     Options solving;
     const Platform left = platform_for(scenario, loss);
     for (const auto& [xnode, xpu] : forbids_)
       if (left.find(xpu) >= 0 && !loss.is_off(app_.xnodes[at(app_.find(xnode))].module))
         solving.wishes.forbids.emplace_back(xnode, xpu);
     std::atomic<bool> enough{false};
-    if (in_time)
+    if (how.in_time)
       solving.on_progress = [&](const Progress& progress) {
         const bool told = options_.stop != nullptr && options_.stop->load();
         if (progress.late <= 1 || told) enough.store(true);
@@ -174,9 +184,13 @@ class KeyTablesSearch {
     solving.threads = threads;
     solving.seed = seed;
     solving.max_evaluations = options_.max_evaluations;
-    solving.stop = in_time ? &enough : options_.stop;
+    solving.stop = how.in_time ? &enough : options_.stop;
     solving.hint = hint;
-    return solve(app_under(app_, scenario, loss), left, solving);
+    solving.keep = how.keep;
+    AppSpec app = app_under(app_, scenario, loss);
+    for (XNodeSpec& xnode : app.xnodes)
+      for (auto& [type, us] : xnode.wcet_us) us += (us * how.slack_pct + 99) / 100;
+    return solve(app, left, solving);
   }
 
   /// The least that was found with which each chain that is left keeps its deadline; all that the app
@@ -189,7 +203,7 @@ class KeyTablesSearch {
       if (there.empty()) return true;  // solve_each refuses it
       const auto answer = solve_for(
           scenarios_[s], loss, std::max(0.02, std::min(seconds / kTries, until_s - run_.elapsed())),
-          options_.threads, options_.seed + s, nullptr, true);
+          options_.threads, options_.seed + s, nullptr, {.in_time = true});
       if (!answer || answer->outcome != Outcome::kPolicy) return false;
       for (std::size_t k = 0; k < there.size(); ++k) {
         const ChainClaim& claim = answer->policy.chains[k];
@@ -288,9 +302,13 @@ class KeyTablesSearch {
   }
 
   void add(const Scenario& envelope, std::size_t loss, KeyPolicy policy) {
+    candidates_.push_back(table_for(envelope, loss, std::move(policy)));
+  }
+  [[nodiscard]] KeyTable table_for(const Scenario& envelope, std::size_t loss,
+                                   KeyPolicy policy) const {
     KeyTable table{envelope, loss, std::move(policy)};
     table.value = value_of(of_all_chains(worst_of(table.policy), losses_[loss]));
-    candidates_.push_back(std::move(table));
+    return table;
   }
 
   /// A scenario is served by tables of its own loss alone: with more it would lose without need, and less
@@ -388,33 +406,189 @@ class KeyTablesSearch {
                       "longest WCETs of several of them together",
                   app_.name, "ask for more tables, or give it more time");
     XAUTO_TRY(run_.judge(choice.worst, app_.name));
+    XAUTO_ASSIGN(Tables tables, with_cheap_changes(choice));
+    tables.solve_ms = static_cast<std::int64_t>(run_.elapsed() * 1000);
+    return tables;
+  }
+
+  /// All but handovers. `candidate`: [table] which it is.
+  [[nodiscard]] Tables tables_of(const TableChoice& choice, std::vector<int>& candidate) const {
     Tables tables;
     tables.app = app_.name;
     tables.app_hash = app_.hash();
     tables.platform = platform_.name;
     tables.scenarios = scenarios_;
     tables.notice_us = kNoticeUs;
-    std::vector<int> number(candidates_.size(), -1);
+    candidate.clear();
     for (std::size_t s = 0; s < scenarios_.size(); ++s) {
-      const std::size_t c = at(choice.serves[s]);
-      if (number[c] < 0) {
-        number[c] = static_cast<int>(tables.tables.size());
-        put(candidates_[c], tables);
+      const int c = choice.serves[s];
+      const auto known = std::find(candidate.begin(), candidate.end(), c);
+      const auto number = static_cast<int>(known - candidate.begin());
+      if (known == candidate.end()) {
+        candidate.push_back(c);
+        put(candidates_[at(c)], tables);
       }
-      tables.serves.push_back({number[c], 0, 0, bound_[s]});
+      tables.serves.push_back({number, 0, 0, bound_[s]});
     }
     set_priorities(tables);
     set_figures(tables, app_);
-    XAUTO_TRY(add_handovers(tables));
-    tables.solve_ms = static_cast<std::int64_t>(run_.elapsed() * 1000);
     return tables;
+  }
+
+  /// Handovers of `table` from and to all others, the rest as before; all of them for -1.
+  Status set_handovers(Tables& tables, int table, const Until& until) const {
+    XAUTO_ASSIGN(const Changes changes, Changes::create(tables, app_, platform_));
+    std::vector<Handover> all;
+    const auto n = static_cast<int>(tables.tables.size());
+    for (int from = 0; from < n; ++from)
+      for (int to = 0; to < n; ++to) {
+        if (from == to) continue;
+        if (table >= 0 && from != table && to != table) {
+          all.push_back(*handover_of(tables, from, to));
+          continue;
+        }
+        XAUTO_ASSIGN(Handover handover, changes.between(from, to, until));
+        all.push_back(std::move(handover));
+      }
+    tables.handovers = std::move(all);
+    return {};
+  }
+
+  /// One of the tables in other keys, for the same scenarios.
+  struct Trial {
+    int table;
+    int from;  ///< whose policy the search begins with
+    How how;
+    std::uint64_t seed;
+    std::optional<KeyTable> found = {};
+    Tables tables = {};  ///< with it, and with handovers
+    ChangeCost cost = {};
+  };
+
+  /// Of equal tables many policies are as good, and only their changes differ. So each table in turn is
+  /// searched again, from what the others do and from itself; what makes changes cheaper is taken.
+  Result<Tables> with_cheap_changes(TableChoice choice) {
+    const std::vector<double> regret_before = regrets_of(choice);
+    merge(choice, regret_before);
+    std::vector<int> candidate;
+    Tables best = tables_of(choice, candidate);
+    const Until no_limit{SteadyTime::max(), options_.stop};
+    XAUTO_TRY(set_handovers(best, -1, no_limit));
+    const auto n = static_cast<int>(candidate.size());
+    if (n < 2) return best;
+    ChangeCost cost = cost_of(best.handovers, best, app_);
+    const double slice =
+        std::max(0.05, (options_.time_limit_s - run_.elapsed()) / kSlicesForChanges);
+    constexpr int kRounds = 3;  // of a fixed number of evaluations each
+    for (int round = 0; more(round, kRounds * n, options_.time_limit_s - slice); ++round) {
+      // What has not settled does so where there is time to spare.
+      const bool with_slack = cost.unclaimed > 0 && round / n % 2 == 0;
+      std::vector<Trial> trials = next_trials(round % n, candidate, with_slack ? kSlackPct : 0);
+      run_.on_threads(trials.size(),
+                      [&](std::size_t k) { play(trials[k], choice, candidate, best, slice); });
+      const Trial* cheapest = nullptr;
+      for (const Trial& trial : trials)
+        if (trial.found && trial.cost < cost &&
+            allowed(*trial.found, choice, candidate[at(trial.table)], regret_before,
+                    trial.cost.unclaimed < cost.unclaimed || trial.cost.missed < cost.missed) &&
+            (cheapest == nullptr || trial.cost < cheapest->cost))
+          cheapest = &trial;
+      if (cheapest == nullptr) continue;
+      const int was = candidate[at(cheapest->table)];
+      const auto now = static_cast<int>(candidates_.size());
+      candidates_.push_back(*cheapest->found);
+      candidate[at(cheapest->table)] = now;
+      std::replace(choice.chosen.begin(), choice.chosen.end(), was, now);
+      std::replace(choice.serves.begin(), choice.serves.end(), was, now);
+      best = cheapest->tables;
+      cost = cheapest->cost;
+    }
+    return best;
+  }
+
+  [[nodiscard]] std::vector<double> regrets_of(const TableChoice& choice) const {
+    std::vector<double> regret;
+    for (std::size_t s = 0; s < scenarios_.size(); ++s)
+      regret.push_back(candidates_[at(choice.serves[s])].regret[s]);
+    return regret;
+  }
+
+  /// Of one table: from each other one, with its placement and without, and from itself.
+  [[nodiscard]] std::vector<Trial> next_trials(int table, const std::vector<int>& candidate,
+                                               int slack_pct) {
+    std::vector<Trial> trials;
+    for (const int from : candidate)
+      for (const Keep keep : {Keep::kPlacement, Keep::kNothing})
+        if (candidates_[at(from)].loss == candidates_[at(candidate[at(table)])].loss)
+          trials.push_back({table, from, {keep, slack_pct}, random_.next()});
+    return trials;
+  }
+
+  void play(Trial& trial, const TableChoice& choice, const std::vector<int>& candidate,
+            const Tables& before, double slice) const {
+    const int replaced = candidate[at(trial.table)];
+    std::vector<int> group;
+    for (std::size_t s = 0; s < scenarios_.size(); ++s)
+      if (choice.serves[s] == replaced) group.push_back(static_cast<int>(s));
+    const Scenario envelope = join(group);
+    const std::size_t loss = candidates_[at(replaced)].loss;
+    const KeyPolicy hint = hint_for(candidates_[at(trial.from)], envelope);
+    const auto answer = solve_for(envelope, losses_[loss], slice, 1, trial.seed, &hint, trial.how);
+    if (!answer || answer->outcome != Outcome::kPolicy) return;
+    KeyTable found = table_for(envelope, loss, answer->policy);
+    rate(found);
+    Tables tables = before;
+    replace(tables, trial.table, found);
+    if (!set_handovers(tables, trial.table, run_.until_after(4 * slice))) return;
+    trial.cost = cost_of(tables.handovers, tables, app_);
+    trial.tables = std::move(tables);
+    trial.found = std::move(found);
+  }
+
+  /// What changes cost less for may cost this much regret. `before`: [scenario].
+  [[nodiscard]] bool allowed(const KeyTable& table, const TableChoice& choice, int replaced,
+                             const std::vector<double>& before, bool claims_more) const {
+    const double factor = claims_more ? kMostForClaims : kMostForChanges;
+    for (std::size_t s = 0; s < scenarios_.size(); ++s) {
+      if (choice.serves[s] != replaced) continue;
+      const double most = std::max(factor * before[s], run_.goal());
+      if (table.regret[s] > (options_.regret >= 1 ? std::min(most, options_.regret) : most))
+        return false;
+    }
+    return true;
+  }
+
+  /// A table less needs no changes, where another one is nearly as good.
+  void merge(TableChoice& choice, const std::vector<double>& before) const {
+    for (std::size_t t = 0; t < choice.chosen.size();) {
+      const int spared = choice.chosen[t];
+      const auto other = std::find_if(choice.chosen.begin(), choice.chosen.end(), [&](int c) {
+        return c != spared && allowed(candidates_[at(c)], choice, spared, before, false);
+      });
+      if (other == choice.chosen.end()) {
+        ++t;
+        continue;
+      }
+      std::replace(choice.serves.begin(), choice.serves.end(), spared, *other);
+      choice.chosen.erase(choice.chosen.begin() + static_cast<std::ptrdiff_t>(t));
+    }
   }
 
   void put(const KeyTable& candidate, Tables& tables) const {
     Table& table = tables.tables.emplace_back();
     table.loss = losses_[candidate.loss];
     table.name = name_of_table(tables.tables.size() - 1, table.loss, app_);
-    KeyPolicy& keys = tables.keys.emplace_back();
+    fill(candidate, table, tables.keys.emplace_back());
+  }
+  /// The same scenarios, another policy.
+  void replace(Tables& tables, int number, const KeyTable& candidate) const {
+    Table& table = tables.tables[at(number)];
+    table.xpu.clear();
+    fill(candidate, table, tables.keys[at(number)] = {});
+    set_priorities(tables);
+    set_figures(tables, app_);
+  }
+  void fill(const KeyTable& candidate, Table& table, KeyPolicy& keys) const {
     for (const KeyPlacement& p : hint_for(candidate, {}).placements) {  // on the whole platform
       table.xpu.push_back(on_platform(p.xpu));
       keys.placements.push_back({table.xpu.back(), p.key_us, p.hold_us});
@@ -429,73 +603,6 @@ class KeyTablesSearch {
     }
   }
 
-  Status add_handovers(Tables& tables) const {
-    const std::size_t n = tables.tables.size();
-    std::vector<Scenario> envelopes;
-    std::vector<Problem> problems;
-    std::vector<Windows> windows;
-    const Platform platform = platform_of_all(tables, platform_);
-    std::vector<std::vector<int>> xpus;  // [table][XNode]
-    const auto create = [&](const Scenario& scenario, std::size_t table) {
-      return Problem::create(
-          app_of_all_chains(app_under(app_, scenario), tables.tables[table].loss), platform);
-    };
-    for (std::size_t t = 0; t < n; ++t) {
-      envelopes.push_back(envelope(tables, t, app_));
-      XAUTO_ASSIGN(Problem problem, create(envelopes[t], t));
-      xpus.push_back(xpus_on(platform, tables.tables[t], app_));
-      XAUTO_ASSIGN(Windows of_table, windows_of(problem, tables.keys[t], xpus[t]));
-      problems.push_back(std::move(problem));
-      windows.push_back(std::move(of_table));
-    }
-    for (std::size_t from = 0; from < n; ++from)
-      for (std::size_t to = 0; to < n; ++to) {
-        if (from == to) continue;
-        Handover& handover = tables.handovers.emplace_back();
-        handover.from = static_cast<int>(from);
-        handover.to = static_cast<int>(to);
-        handover.worst_case_us.resize(app_.chains.size());
-        if (needs_lost(tables.tables[from], platform_, envelopes[to])) {
-          handover.not_claimed.emplace_back("it may need an XPU that is lost");
-          continue;
-        }
-        XAUTO_ASSIGN(const Problem both,
-                     create(across(app_, envelopes[from], envelopes[to]), from));
-        const HandoverBound bound =
-            bound_handover({problems[from], problems[to], both, xpus[from], xpus[to], windows[from],
-                            windows[to], tables.notice_us * both.scale},
-                           kMostWalked, {SteadyTime::max(), options_.stop});
-        const auto up = [&](Tick t) { return both.up_to_us(t) / both.scale; };
-        for (std::size_t c = 0; c < bound.worst.size(); ++c)
-          if (bound.worst[c] != kNoTick)
-            handover.worst_case_us[c] =
-                both_have(tables, handover.from, handover.to, c) ? up(bound.worst[c]) : kNotThere;
-        handover.settles_us = up(bound.settles);
-        handover.not_claimed = bound.why_not;
-      }
-    return {};
-  }
-
-  [[nodiscard]] Result<Windows> windows_of(const Problem& p, const KeyPolicy& keys,
-                                           const std::vector<int>& xpu) const {
-    Windows w;
-    for (auto* values : {&w.a, &w.d, &w.hold, &w.e}) values->assign(at(p.num_slots), 0);
-    for (int i = 0; i < p.num_xnodes; ++i) {
-      const KeyPlacement& placed = keys.placements[at(i)];
-      const std::size_t size = placed.key_us.size();
-      for (int n = 0; n < p.jobs[at(i)]; ++n) {
-        w.d[p.slot_of(i, n)] = placed.key_us[at(n) % size] * p.scale;
-        if (!placed.hold_us.empty())
-          w.hold[p.slot_of(i, n)] = placed.hold_us[at(n) % size] * p.scale;
-      }
-    }
-    std::string why;
-    if (!certify(p, xpu, w, &why))
-      return fail(ErrorCode::kInternal, "a table does not hold for what it serves: " + why,
-                  app_.name, "please report this");
-    return w;
-  }
-
   const AppSpec& app_;
   const Platform& platform_;
   const std::vector<Scenario>& scenarios_;
@@ -503,6 +610,12 @@ class KeyTablesSearch {
   const TablesRun run_;
   Random random_;
   static constexpr double kMostForSplit = 1.15;
+  static constexpr double kForChanges = 0.2;  ///< of the time
+  static constexpr double kSlicesForChanges = 12;
+  static constexpr int kSlackPct = 3;
+  /// How much more regret a scenario may have, so that changes are shorter; so that more is claimed of
+  /// them, or fewer deadlines are missed.
+  static constexpr double kMostForChanges = 1.01, kMostForClaims = 1.05;
   /// XNode and XPU, where each clock has XPUs of its own; empty: they share.
   Forbids forbids_;
   std::vector<AppSpec> under_;                    ///< [scenario]
