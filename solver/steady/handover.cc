@@ -4,11 +4,15 @@
 #include <algorithm>
 
 #include "solver/steady/chains.h"
+#include "solver/steady/handover_shared.h"
 #include "solver/steady/handover_walk.h"
 
 namespace xauto::solver::steady {
 namespace {
 
+using handover::Cluster;
+using handover::Lateness;
+using handover::MaybeLate;
 using handover::Unchanged;
 using handover::Walk;
 
@@ -82,20 +86,32 @@ std::vector<std::vector<Part>> parts_of(const Problem& p) {
   return parts;
 }
 
-/// Why nothing follows for the domain; empty: it does.
+/// Why nothing follows for the domain; empty: something may.
 std::string refuses(const HandoverInput& in, int d) {
   const Problem& p = in.now;
-  const Domain& domain = p.domains[at(d)];
-  const std::string clock = "clock '" + p.clock_name[at(domain.clock)] + "' ";
   if (p.any_urgent) return "releases may be urgent";
-  if (domain.part) return clock + "has too long a hyperperiod";
-  std::vector<char> mine(at(p.num_xpus), 0);
-  for (const int i : domain.xnodes) mine[at(in.from_xpu[at(i)])] = mine[at(in.to_xpu[at(i)])] = 1;
-  for (int i = 0; i < p.num_xnodes; ++i)
-    for (const int m : {in.from_xpu[at(i)], in.to_xpu[at(i)]})
-      if (p.domain_of(i) != d && mine[at(m)] != 0)
-        return clock + "shares " + p.xpu_name[at(m)] + " with another one";
+  if (p.domains[at(d)].part)
+    return "clock '" + p.clock_name[at(p.domains[at(d)].clock)] + "' has too long a hyperperiod";
   return {};
+}
+
+/// Domains that share XPUs, directly or through others; most are alone.
+std::vector<std::vector<int>> clusters(const HandoverInput& in) {
+  const Problem& p = in.now;
+  std::vector<int> of(p.domains.size());  // the least of those with it
+  for (std::size_t d = 0; d < of.size(); ++d) of[d] = static_cast<int>(d);
+  std::vector<int> user(at(p.num_xpus), -1);
+  for (int i = 0; i < p.num_xnodes; ++i)
+    for (const int m : {in.from_xpu[at(i)], in.to_xpu[at(i)]}) {
+      if (user[at(m)] < 0) user[at(m)] = p.domain_of(i);
+      const auto [least, most] = std::minmax(of[at(user[at(m)])], of[at(p.domain_of(i))]);
+      for (const int with = most, into = least; int& o : of)
+        if (o == with) o = into;
+    }
+  std::vector<std::vector<int>> all(of.size());
+  for (std::size_t d = 0; d < of.size(); ++d) all[at(of[d])].push_back(static_cast<int>(d));
+  std::erase_if(all, [](const std::vector<int>& c) { return c.empty(); });
+  return all;
 }
 
 /// Nominal releases of a hyperperiod, each once.
@@ -127,11 +143,9 @@ std::vector<Tick> pieces(const HandoverInput& in, const Domain& domain, Tick sin
   return ends;
 }
 
-/// All S and t of a domain. False: nothing follows.
-bool walk_all(const HandoverInput& in, int d, std::int64_t most_jobs, const Until& until,
-              std::vector<Part>& parts, Tick& settles) {
+/// Of either table alone.
+void follow_unchanged(const HandoverInput& in, const Domain& domain, std::vector<Part>& parts) {
   const Problem& p = in.now;
-  const Domain& domain = p.domains[at(d)];
   const Unchanged from{p, in.from, domain.ppm}, to{p, in.to, domain.ppm};
   for (Part& part : parts) {
     for (int k = 0; k < p.jobs[at(part.begins)]; ++k) {
@@ -140,6 +154,36 @@ bool walk_all(const HandoverInput& in, int d, std::int64_t most_jobs, const Unti
     }
     part.worst = std::max(part.worst, part.unchanged);
   }
+}
+
+/// By theorem 10.
+void follow_late(const HandoverInput& in, int d, const Cluster& cluster, std::vector<Part>& parts) {
+  const Problem& p = in.now;
+  const Domain& domain = p.domains[at(d)];
+  const Unchanged from{p, in.from, domain.ppm}, to{p, in.to, domain.ppm};
+  follow_unchanged(in, domain, parts);
+  for (const handover::LateAround& around : cluster.lateness(d).around) {
+    const MaybeLate times{p, from, to, around, cluster.most_of_others(d)};
+    // From then on all is as late as ever, and repeats.
+    const Tick still =
+        std::max(around.s, around.rises.empty() ? around.s : around.rises.back().key);
+    for (Part& part : parts) {
+      const Component& of = p.components[at(p.component_of[at(part.begins)])];
+      const Tick longest = part.unchanged + times.most_hold(part.begins);
+      std::int64_t k = floor_div(around.since - longest - of.phase, of.period) - 1;
+      const Tick end = still + domain.hyper + (part.first ? 0 : of.period);
+      for (; of.phase + k * of.period <= end; ++k)
+        part.worst = std::max(part.worst, follow(p, part, times, k));
+    }
+  }
+}
+
+/// All S and t of a domain. False: nothing follows.
+bool walk_all(const HandoverInput& in, int d, std::int64_t most_jobs, const Until& until,
+              std::vector<Part>& parts, Tick& settles) {
+  const Problem& p = in.now;
+  const Domain& domain = p.domains[at(d)];
+  follow_unchanged(in, domain, parts);
   Walk walk(in, d);
   const std::vector<Tick> at_release = releases(p, domain);
   for (std::size_t r = 0; r < at_release.size(); ++r) {
@@ -175,22 +219,37 @@ HandoverBound bound_handover(const HandoverInput& in, std::int64_t most_jobs, co
     ways.emplace_back(chain.paths.size(), 0);
   }
   std::vector<std::vector<Part>> parts = parts_of(p);
-  for (int d = 0; d < static_cast<int>(p.domains.size()); ++d) {
-    std::string why = refuses(in, d);
-    Tick settles = 0;
-    if (why.empty() && !walk_all(in, d, most_jobs, until, parts[at(d)], settles))
-      why = "clock '" + p.clock_name[at(p.domains[at(d)].clock)] +
-            "' was not seen to settle, as far as jobs were looked at";
-    const std::int64_t ppm = p.domains[at(d)].ppm;
-    if (why.empty()) bound.settles = std::max(bound.settles, in_slow_time(settles, ppm));
+  const auto add = [&](int d, Tick settles, const std::string& why) {
+    if (why.empty()) bound.settles = std::max(bound.settles, settles);
     for (const Part& part : parts[at(d)]) {
       Tick& way = ways[part.chain][part.way];
       if (!why.empty())
         way = kNoTick;
       else if (way != kNoTick)
-        way += in_slow_time(part.worst, ppm);
+        way += in_slow_time(part.worst, p.domains[at(d)].ppm);
     }
-    if (!why.empty()) bound.why_not.push_back(std::move(why));
+    if (!why.empty()) bound.why_not.push_back(why);
+  };
+  std::int64_t pairs = handover::kMostPairs;
+  for (const std::vector<int>& domains : clusters(in)) {
+    std::string why;
+    for (const int d : domains)
+      if (why.empty()) why = refuses(in, d);
+    if (domains.size() > 1) {
+      Cluster cluster(in, domains);
+      if (why.empty()) why = cluster.derive(pairs, until);
+      for (const int d : domains) {
+        if (why.empty()) follow_late(in, d, cluster, parts[at(d)]);
+        add(d, cluster.settles(), why);
+      }
+      continue;
+    }
+    const int d = domains.front();
+    Tick settles = 0;
+    if (why.empty() && !walk_all(in, d, most_jobs, until, parts[at(d)], settles))
+      why = "clock '" + p.clock_name[at(p.domains[at(d)].clock)] +
+            "' was not seen to settle, as far as jobs were looked at";
+    add(d, in_slow_time(settles, p.domains[at(d)].ppm), why);
   }
   for (std::size_t c = 0; c < ways.size(); ++c)
     for (const Tick way : ways[c])

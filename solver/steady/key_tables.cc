@@ -24,6 +24,7 @@ struct KeyTable {
   KeyPolicy policy;            ///< of what that leaves of the scenario's app, and its platform
   double value = 0;            ///< of its worst cases, what is compared
   std::vector<double> regret;  ///< [scenario]
+  bool for_all = false;        ///< of all scenarios together
 };
 
 /// How one of them is searched.
@@ -72,8 +73,8 @@ class KeyTablesSearch {
     return of.chain >= 0 ? of.late : static_cast<double>(of.sum_us);
   }
 
-  /// Where clocks share no XPU, and so a change has a worst case: for each type, how many of its XPUs
-  /// each clock has. Of the first splits, as many as there is time for, the one that costs least under the
+  /// A change has a worst case, and a short one, where clocks share no XPU: for each type, how many of its
+  /// XPUs each clock has. Of the first splits, as many as there is time for, the one that costs least under the
   /// first scenario. It is taken where that is at most kMostForSplit, or where no chain misses its
   /// deadline by it: a change that is not certified may miss all of them.
   Status split_by_clock() {
@@ -188,9 +189,19 @@ class KeyTablesSearch {
     solving.hint = hint;
     solving.keep = how.keep;
     AppSpec app = app_under(app_, scenario, loss);
-    for (XNodeSpec& xnode : app.xnodes)
-      for (auto& [type, us] : xnode.wcet_us) us += (us * how.slack_pct + 99) / 100;
+    if (how.slack_pct > 0) leave_slack(app, left, how.slack_pct);
     return solve(app, left, solving);
+  }
+
+  /// Every WCET longer by so much, and by what a preemption costs: what theorem 10 asks for.
+  static void leave_slack(AppSpec& app, const Platform& platform, int pct) {
+    for (XNodeSpec& xnode : app.xnodes)
+      for (auto& [type, us] : xnode.wcet_us) {
+        std::int64_t cost = 0;
+        for (const Xpu& xpu : platform.xpus)
+          if (xpu.type == type) cost = std::max(cost, xpu.preempt_us);
+        us = ((us + cost) * 100 + (100 - pct) - 1) / (100 - pct);
+      }
   }
 
   /// The least that was found with which each chain that is left keeps its deadline; all that the app
@@ -284,6 +295,7 @@ class KeyTablesSearch {
                                   options_.threads, options_.seed, nullptr);
     if (!answer || answer->outcome != Outcome::kPolicy) return;
     add(envelope, loss, answer->policy);
+    candidates_.back().for_all = true;
     rate(candidates_.back());
   }
 
@@ -479,10 +491,13 @@ class KeyTablesSearch {
     ChangeCost cost = cost_of(best.handovers, best, app_);
     const double slice =
         std::max(0.05, (options_.time_limit_s - run_.elapsed()) / kSlicesForChanges);
+    const int unclaimed = cost.unclaimed;
+    if (unclaimed > 0) place_alike(choice, regret_before, slice, candidate, best, cost);
+    const bool needs_slack = cost.unclaimed < unclaimed;
     constexpr int kRounds = 3;  // of a fixed number of evaluations each
     for (int round = 0; more(round, kRounds * n, options_.time_limit_s - slice); ++round) {
       // What has not settled does so where there is time to spare.
-      const bool with_slack = cost.unclaimed > 0 && round / n % 2 == 0;
+      const bool with_slack = needs_slack || (cost.unclaimed > 0 && round / n % 2 == 0);
       std::vector<Trial> trials = next_trials(round % n, candidate, with_slack ? kSlackPct : 0);
       run_.on_threads(trials.size(),
                       [&](std::size_t k) { play(trials[k], choice, candidate, best, slice); });
@@ -494,16 +509,55 @@ class KeyTablesSearch {
             (cheapest == nullptr || trial.cost < cheapest->cost))
           cheapest = &trial;
       if (cheapest == nullptr) continue;
-      const int was = candidate[at(cheapest->table)];
-      const auto now = static_cast<int>(candidates_.size());
-      candidates_.push_back(*cheapest->found);
-      candidate[at(cheapest->table)] = now;
-      std::replace(choice.chosen.begin(), choice.chosen.end(), was, now);
-      std::replace(choice.serves.begin(), choice.serves.end(), was, now);
+      take(*cheapest->found, at(cheapest->table), choice, candidate);
       best = cheapest->tables;
       cost = cheapest->cost;
     }
     return best;
+  }
+
+  /// Of clocks that share XPUs something is known where these have slack, and not one clock more work there
+  /// and another one less (theorem 10). So: all tables with slack, and with the placement of one candidate:
+  /// each chosen one, or one for everything.
+  void place_alike(TableChoice& choice, const std::vector<double>& regret_before, double slice,
+                   std::vector<int>& candidate, Tables& best, ChangeCost& cost) {
+    std::vector<int> bases = candidate;
+    for (std::size_t c = 0; c < candidates_.size(); ++c)
+      if (candidates_[c].for_all) bases.push_back(static_cast<int>(c));
+    const std::size_t n = candidate.size();
+    for (const int base : bases) {
+      if (run_.over()) return;
+      std::vector<std::optional<KeyTable>> found(n);
+      std::vector<std::uint64_t> seeds;
+      for (std::size_t t = 0; t < n; ++t) seeds.push_back(random_.next());
+      run_.on_threads(n, [&](std::size_t t) {
+        if (candidates_[at(candidate[t])].loss != candidates_[at(base)].loss) return;
+        found[t] = search_from(choice, candidate[t], base, {Keep::kPlacement, kSlackPct}, seeds[t],
+                               2 * slice);
+        if (found[t] && !allowed(*found[t], choice, candidate[t], regret_before, true))
+          found[t].reset();
+      });
+      if (!std::all_of(found.begin(), found.end(), [](const auto& f) { return f.has_value(); }))
+        continue;
+      Tables tables = best;
+      for (std::size_t t = 0; t < n; ++t) replace(tables, static_cast<int>(t), *found[t]);
+      if (!set_handovers(tables, -1, run_.until_after(4 * slice))) continue;
+      const ChangeCost of = cost_of(tables.handovers, tables, app_);
+      if (!(of < cost)) continue;
+      cost = of;
+      best = std::move(tables);
+      for (std::size_t t = 0; t < n; ++t) take(*found[t], t, choice, candidate);
+    }
+  }
+
+  /// In the place of table `t`'s.
+  void take(KeyTable found, std::size_t t, TableChoice& choice, std::vector<int>& candidate) {
+    const int was = candidate[t];
+    const auto now = static_cast<int>(candidates_.size());
+    candidates_.push_back(std::move(found));
+    candidate[t] = now;
+    std::replace(choice.chosen.begin(), choice.chosen.end(), was, now);
+    std::replace(choice.serves.begin(), choice.serves.end(), was, now);
   }
 
   [[nodiscard]] std::vector<double> regrets_of(const TableChoice& choice) const {
@@ -524,21 +578,30 @@ class KeyTablesSearch {
     return trials;
   }
 
-  void play(Trial& trial, const TableChoice& choice, const std::vector<int>& candidate,
-            const Tables& before, double slice) const {
-    const int replaced = candidate[at(trial.table)];
+  /// Another policy for the scenarios that candidate `replaced` serves, searched from candidate `from` on.
+  [[nodiscard]] std::optional<KeyTable> search_from(const TableChoice& choice, int replaced,
+                                                    int from, const How& how, std::uint64_t seed,
+                                                    double slice) const {
     std::vector<int> group;
     for (std::size_t s = 0; s < scenarios_.size(); ++s)
       if (choice.serves[s] == replaced) group.push_back(static_cast<int>(s));
     const Scenario envelope = join(group);
     const std::size_t loss = candidates_[at(replaced)].loss;
-    const KeyPolicy hint = hint_for(candidates_[at(trial.from)], envelope);
-    const auto answer = solve_for(envelope, losses_[loss], slice, 1, trial.seed, &hint, trial.how);
-    if (!answer || answer->outcome != Outcome::kPolicy) return;
+    const KeyPolicy hint = hint_for(candidates_[at(from)], envelope);
+    const auto answer = solve_for(envelope, losses_[loss], slice, 1, seed, &hint, how);
+    if (!answer || answer->outcome != Outcome::kPolicy) return std::nullopt;
     KeyTable found = table_for(envelope, loss, answer->policy);
     rate(found);
+    return found;
+  }
+
+  void play(Trial& trial, const TableChoice& choice, const std::vector<int>& candidate,
+            const Tables& before, double slice) const {
+    auto found =
+        search_from(choice, candidate[at(trial.table)], trial.from, trial.how, trial.seed, slice);
+    if (!found) return;
     Tables tables = before;
-    replace(tables, trial.table, found);
+    replace(tables, trial.table, *found);
     if (!set_handovers(tables, trial.table, run_.until_after(4 * slice))) return;
     trial.cost = cost_of(tables.handovers, tables, app_);
     trial.tables = std::move(tables);
@@ -615,9 +678,10 @@ class KeyTablesSearch {
   static constexpr int kSlackPct = 3;
   /// How much more regret a scenario may have, so that changes are shorter; so that more is claimed of
   /// them, or fewer deadlines are missed.
-  static constexpr double kMostForChanges = 1.01, kMostForClaims = 1.05;
+  static constexpr double kMostForChanges = 1.01, kMostForClaims = 1.1;
   /// XNode and XPU, where each clock has XPUs of its own; empty: they share.
   Forbids forbids_;
+  int slack_pct_ = 0;                             ///< then each policy leaves at least so much
   std::vector<AppSpec> under_;                    ///< [scenario]
   std::vector<Loss> losses_{Loss{}};              ///< the first: nothing
   std::vector<std::size_t> loss_of_;              ///< [scenario] index into them

@@ -55,6 +55,18 @@ enum class Clocks : std::uint8_t {
   kDrifting,  ///< one with a tolerance
 };
 
+/// Longer by what a preemption costs, and some percent: what theorem 10 wants to be left.
+AppSpec with_slack(AppSpec app, const Platform& platform) {
+  for (XNodeSpec& xnode : app.xnodes)
+    for (auto& [type, us] : xnode.wcet_us) {
+      std::int64_t cost = 0;
+      for (const Xpu& xpu : platform.xpus)
+        if (xpu.type == type) cost = std::max(cost, xpu.preempt_us);
+      us = ((us + cost) * 100 + 98) / 99;
+    }
+  return app;
+}
+
 /// The same with `factor` times the microseconds: else what is rounded up is more than what drifts.
 void stretch(AppSpec& app, Platform& platform, std::int64_t factor) {
   for (SourceSpec& source : app.sources) {
@@ -103,15 +115,20 @@ std::optional<TwoPolicies> two_policies(std::uint64_t seed, Clocks clocks = Cloc
   two.to_app = two.both = two.from_app;
   for (std::size_t i = 0; i < two.to_app.xnodes.size(); ++i)
     for (auto& [type, us] : two.to_app.xnodes[i].wcet_us) {
-      us = std::max(factor, us + factor * dice.roll(-1, 3));
+      us = std::max(factor, us + factor * dice.roll(-1, clocks == Clocks::kShared ? 6 : 3));
       std::int64_t& larger = two.both.xnodes[i].wcet_us.at(type);
       larger = std::max(larger, us);
     }
-  const auto from = solved_quickly(two.from_app, two.platform, seed, forbids),
-             to = solved_quickly(two.to_app, two.platform, seed + 1, forbids);
+  const bool spare = clocks == Clocks::kShared;
+  const auto from = solved_quickly(spare ? with_slack(two.from_app, two.platform) : two.from_app,
+                                   two.platform, seed, forbids),
+             to = solved_quickly(spare ? with_slack(two.to_app, two.platform) : two.to_app,
+                                 two.platform, seed + 1, forbids);
   if (!from || !to) return std::nullopt;
   two.from = *from;
   two.to = *to;
+  two.from.app_hash = two.from_app.hash();
+  two.to.app_hash = two.to_app.hash();
   return two;
 }
 
@@ -340,21 +357,10 @@ TEST(SteadyHandover, FromATableToItselfWithTheSameTimesNothingIsLonger) {
   EXPECT_GT(same, 10);
 }
 
-TEST(SteadyHandover, WhatSeveralClocksShareIsNotClaimed) {
-  int shared = 0, apart = 0;
-  for (std::uint64_t seed = 200; seed < 240; ++seed) {
-    const auto two = two_policies(seed, Clocks::kShared);
-    if (!two) continue;
-    const Bounds bounds = bounds_of(*two);
-    const auto proof = checked(*two);
-    ASSERT_TRUE(proof);
-    for (std::size_t c = 0; c < bounds.us.size(); ++c) {
-      EXPECT_EQ(bounds.us[c].has_value(), proof->worst_case_us[c].has_value())
-          << "seed " << seed << ", chain " << c;
-      (bounds.us[c] ? apart : shared) += 1;
-    }
-  }
-  EXPECT_GT(shared, 0);
+TEST(SteadyHandover, OfClocksThatShareXpus) {
+  attack_clocks(Clocks::kShared, 0, 2000, 60);
+  attack_clocks(Clocks::kShared, 100, 2100, 60);
+  attack_clocks(Clocks::kShared, 20'000, 2200, 60);
 }
 
 }  // namespace
