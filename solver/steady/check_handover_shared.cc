@@ -103,6 +103,7 @@ struct Item {
 /// Of one XPU.
 struct Lane {
   bool shared = false;
+  bool by_q = false;        ///< r is q
   Dbf dbf;                  ///< where it is shared
   std::vector<Item> items;  ///< by alpha
   std::size_t known = 0;    ///< of them have `before`
@@ -189,31 +190,36 @@ class Bound {
 
   // ---------------------------------------------------------------------------- the jobs of one S
 
-  /// What a job of q may wait for that is of p, beside its `a`. Visits q's jobs of an XNode in order,
-  /// until `visit` says no: n, α, whether that is later than `a`, key.
+  /// Visits q's jobs of an XNode in order, until `visit` says no: n, α, whether what is of p may make
+  /// it later than `a`, key. Of p is what it may wait for beside its `a`: none of that matters if it has
+  /// ended by `a`, whatever the clock does.
   template <typename Visit>
   void each_of_q(const Component& c, int i, Ticks change, const Drift& drift,
                  const Visit& visit) const {
     const std::int64_t first = ceil_div(change - c.phi, c.period);
-    const auto release = [&](std::int64_t n) { return c.phi + n * c.period; };
-    const auto key_of_p = [&](int xnode, std::int64_t n) {
-      return release(n) + drift.late(p_.window(xnode, n).d);
-    };
     const int module = p_.module_of[at(i)];
-    Ticks alpha = release(first - 1) + drift.late(a_of(p_.window(i, first - 1)));
-    bool raised = true;  // else q's `a` counts the activation before, whatever is rounded here
+    Ticks alpha = 0;
+    bool raised = false;
     for (std::int64_t n = first;; ++n) {
       const Window& window = q_.window(i, n);
-      const Ticks key = release(n) + drift.soon(window.d);
-      const Ticks own = release(n) + drift.late(a_of(window));
-      if (!raised) alpha = own;
-      if (n == first && (xpu_of(false, i) != xpu_of(true, i) || key_of_p(i, n - 1) > key))
-        alpha = std::max(alpha, key_of_p(i, n - 1));
-      if (const std::int64_t left = n - p_.in_flight[at(module)]; p_.entry[at(i)] && left < first)
-        for (const int x : p_.module_xnodes[at(module)]) alpha = std::max(alpha, key_of_p(x, left));
-      raised = alpha > own;
-      alpha = std::max(alpha, own);
-      if (!visit(n, alpha, raised, key)) return;
+      const Ticks release = c.phi + n * c.period, by = a_of(window);
+      const Ticks own = release + drift.late(by);
+      raised = raised && alpha > release + drift.soon(by);
+      alpha = raised ? std::max(alpha, own) : own;
+      const auto wait = [&](std::int64_t lag, Ticks length) {
+        if (length <= least(lag * c.period, drift.ppm) + by) return;
+        alpha = std::max(alpha, release - lag * c.period + drift.late(length));
+        raised = true;
+      };
+      if (n == first) {
+        const Window& before = p_.window(i, n - 1);
+        const bool larger = before.d > least(c.period, drift.ppm) + window.d;
+        wait(1, xpu_of(false, i) != xpu_of(true, i) || larger ? before.d : a_of(before));
+      }
+      const std::int64_t lag = p_.in_flight[at(module)];
+      if (p_.entry[at(i)] && n - lag < first)
+        for (const int x : p_.module_xnodes[at(module)]) wait(lag, p_.window(x, n - lag).d);
+      if (!visit(n, alpha, raised, release + drift.soon(window.d))) return;
     }
   }
 
@@ -367,7 +373,11 @@ class Bound {
       } else {
         less = least(y - x, r.drift.ppm);
       }
-      best = std::max(best.value_or(before + sum - less), before + sum - less);
+      Ticks excess = sum - less;
+      // Jobs of q alone are a pattern of q as they are; α may be 2b after `a`.
+      if (lane.by_q && x > around.before + r.meets_p)
+        excess = std::min(excess, most(2 * r.blur, r.drift.ppm));
+      best = std::max(best.value_or(before + excess), before + excess);
     };
     pairs_ -= static_cast<std::int64_t>(lane.known);
     if (pairs_ < 0) return best;
@@ -432,6 +442,7 @@ class Bound {
   bool make_dbf(const OfClock& of, const Reach& r, std::size_t m) {
     Lane& lane = lanes_[m];
     lane.shared = true;
+    lane.by_q = rule_[m] != 0;
     std::vector<Dbf::Span> spans;
     bool fits = true;
     each_xnode(of.clock, [&](const Component& c, int i) {

@@ -374,6 +374,18 @@ TEST(CheckHandover, AnotherClocksKeyIsBetween) {
   EXPECT_GE(proven(p, q).worst_case_us[0], 8900 + 3000 - 4800);
 }
 
+TEST(CheckHandover, ClocksThatShareAndDrift) {
+  Handover p = two_clocks(2000, 3000), q = two_clocks(3000, 6000);
+  for (Handover* h : {&p, &q}) h->app.clocks[1].ppm = 100;
+  // `b` may be as late as one of its jobs, since windows of 4000 us may be a little shorter; and
+  // `a` as late as that and as its own 3000.
+  const HandoverProof proof = proven(p, q);
+  EXPECT_GE(*proof.worst_case_us[0], 6000 + 3000 + 1000);
+  EXPECT_LE(*proof.worst_case_us[0], 6000 + 3000 + 1000 + 10);
+  EXPECT_GE(*proof.worst_case_us[1], 4000 + 3000 + 1000);
+  EXPECT_LE(*proof.worst_case_us[1], 4000 + 3000 + 1000 + 10);
+}
+
 TEST(CheckHandover, WhyNothingFollowsForClocksThatShare) {
   const auto why = [](Handover p, Handover q, std::int64_t most_pairs = 10'000'000) {
     const auto proof = derived(p, q, 0, 1'000'000, most_pairs);
