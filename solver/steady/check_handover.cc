@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Changes of tables, derived again: the walks of check_handover_walk.h for each S and t, and chains
-// followed on what they find.
+// Changes of tables, derived again: the walks of check_handover_walk.h for each S and t, where clocks
+// share XPUs what check_handover_shared.h says, and chains followed on what they find.
 #include "solver/steady/check_handover.h"
 
 #include <algorithm>
 #include <map>
+#include <optional>
 #include <set>
 #include <tuple>
 #include <utility>
@@ -13,6 +14,7 @@
 
 #include "base/index.h"
 #include "solver/steady/check_chains.h"
+#include "solver/steady/check_handover_shared.h"
 #include "solver/steady/check_handover_walk.h"
 #include "solver/steady/check_world.h"
 
@@ -198,7 +200,8 @@ bool follow_alone(const Both& both, Ticks hyperperiod, std::int64_t& budget, Par
 }
 
 /// From S and [t', t''] on: the longest that meets a job that was walked.
-void follow(const Both& both, const Walk& walk, Ticks high, Part& part) {
+template <typename On>
+void follow(const Both& both, const On& walk, Ticks high, Part& part) {
   // What p alone brings through before t'' meets none; what is released after L is q's alone.
   const Ticks from = high - part.alone - 2 * (walk.drift().late(0));
   std::int64_t n = 0;
@@ -269,8 +272,8 @@ bool walk_clock(const Both& both, int clock, Ticks hyperperiod, Ticks notice, Bu
   return true;
 }
 
-/// Why nothing follows for a clock, by both placements alone; empty: something may.
-std::string why_unclaimed(const Both& both, const AppSpec& app, int clock) {
+/// The first XPU that a clock shares with another one, by both placements alone.
+std::string who_shares(const Both& both, const AppSpec& app, int clock) {
   const ClockSpec& spec = app.clocks[at(clock)];
   std::vector<char> used(both.p.platform.xpus.size(), 0);
   const auto each_use = [&](const auto& visit) {
@@ -286,6 +289,15 @@ std::string why_unclaimed(const Both& both, const AppSpec& app, int clock) {
                         both.p.platform.xpus[at(xpu)].id, app.clocks[at(other)].name);
   });
   return why;
+}
+
+/// Of both tables; 0: it does not fit, nullopt: nothing has that clock.
+std::optional<Ticks> hyperperiod_of(const Both& both, int clock) {
+  std::optional<Ticks> all;
+  for (const World* w : {&both.p, &both.q})
+    for (const Component& c : w->components)
+      if (c.clock == clock && all.value_or(1) > 0) all = lcm(all.value_or(1), c.pattern());
+  return all;
 }
 
 /// In ticks of 1/scale us, where its own are finer. `a` and `e` are taken short: q's certificate may
@@ -304,6 +316,22 @@ void coarsen(World& w, std::int64_t scale) {
   for (auto& windows : w.windows)
     for (Window& window : windows)
       window = {floor_div(window.a, by), window.d / by, floor_div(window.e, by)};
+}
+
+/// What follows for the clocks of a cluster (theorem 10), and for the parts that are on them: [clock].
+/// Not empty: why nothing does.
+std::string walk_cluster(const shared::Question& ask, int percent, std::int64_t& pairs,
+                         shared::Cluster& cluster, const std::vector<std::vector<Part*>>& parts) {
+  shared::bound_cluster(ask, percent, pairs, cluster);
+  if (!cluster.why.empty()) return cluster.why;
+  for (std::size_t k = 0; k < cluster.clocks.size(); ++k) {
+    const shared::OfClock& of = cluster.clocks[k];
+    for (const shared::Lateness& lateness : of.changes) {
+      const shared::Around around(ask.both, of, lateness, cluster.largest_of_others(k));
+      for (Part* part : parts[at(of.clock)]) follow(ask.both, around, lateness.low + 1, *part);
+    }
+  }
+  return {};
 }
 
 /// The same keys for an app that differs in times.
@@ -350,7 +378,8 @@ Status check_input(const TwoTables& tables, std::int64_t most_jobs) {
 
 }  // namespace checking::tables
 
-Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most_jobs) {
+Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most_jobs,
+                                      std::int64_t most_pairs) {
   namespace own = checking::tables;
   XAUTO_TRY(own::check_input(tables, most_jobs));
   const AppSpec& app_from = tables.app_from;
@@ -369,6 +398,7 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
     steady_us[k] = {std::max(under_p.derived_us, under_q.derived_us), under_p.derived_us};
   }
   const std::int64_t scale = std::min({p.scale, q.scale, larger.scale});
+  const bool coarse = p.scale != scale || q.scale != scale;
   for (checking::World* w : {&p, &q, &larger}) own::coarsen(*w, scale);
   for (std::size_t i = 0; i < p.wcet.size(); ++i)
     if (larger.wcet[i] < p.wcet[i])
@@ -407,40 +437,59 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
   own::Budget budget{most_jobs};
   std::vector<std::string> why(app_from.clocks.size());
   std::vector<std::int64_t> settles_us(app_from.clocks.size(), 0);
+  std::vector<std::vector<own::Part*>> parts(app_from.clocks.size());
+  std::vector<checking::Ticks> hyperperiods(app_from.clocks.size(), 0);
+  std::vector<char> shares(app_from.clocks.size(), 0);
+  const std::vector<std::vector<int>> clusters = checking::shared::clusters(both);
+  for (const std::vector<int>& clocks : clusters)
+    for (const int clock : clocks) shares[at(clock)] = 1;
   for (std::size_t clock = 0; clock < app_from.clocks.size(); ++clock) {
-    checking::Ticks hyperperiod = 1, settles = 0;  // 0: does not fit
-    bool used = false;
-    for (const checking::World* w : {&p, &q})
-      for (const checking::Component& c : w->components) {
-        if (c.clock != static_cast<int>(clock)) continue;
-        used = true;
-        if (hyperperiod > 0) hyperperiod = checking::lcm(hyperperiod, c.pattern());
-      }
-    if (!used) continue;
-    why[clock] = own::why_unclaimed(both, app_from, static_cast<int>(clock));
-    if (why[clock].empty() && hyperperiod == 0)
-      why[clock] =
-          fmt::format("the hyperperiod of clock '{}' does not fit", app_from.clocks[clock].name);
-    if (!why[clock].empty()) continue;
+    const auto number = static_cast<int>(clock);
+    const std::string& name = app_from.clocks[clock].name;
+    const auto hyperperiod = own::hyperperiod_of(both, number);
+    if (!hyperperiod) continue;
+    hyperperiods[clock] = *hyperperiod;
+    if (*hyperperiod == 0) {
+      why[clock] = fmt::format("the hyperperiod of clock '{}' does not fit", name);
+      continue;
+    }
     const own::Drift drift{app_from.clocks[clock].ppm};
-    std::vector<own::Part*> parts;
     bool done = true;
     for (own::Chain& chain : chains)
       for (own::Part& part : chain.parts) {
-        if (part.clock != static_cast<int>(clock)) continue;
-        parts.push_back(&part);
+        if (part.clock != number) continue;
+        parts[clock].push_back(&part);
         // A way on one clock is in the chain's own worst cases.
         if (part.source >= 0 && part.last == app_from.chains[chain.index].to)
           part.alone = drift.longest(steady_us[chain.index].second * p.scale);
         else
-          done = done && own::follow_alone(both, hyperperiod, budget.jobs, part);
+          done = done && own::follow_alone(both, *hyperperiod, budget.jobs, part);
       }
-    if (!done || !own::walk_clock(both, static_cast<int>(clock), hyperperiod,
-                                  tables.notice_us * p.scale, budget, parts, settles))
-      why[clock] = fmt::format("clock '{}' takes more jobs than are looked at, or does not settle",
-                               app_from.clocks[clock].name);
+    checking::Ticks settles = 0;
+    if (!done || (shares[clock] == 0 &&
+                  !own::walk_clock(both, number, *hyperperiod, tables.notice_us * p.scale, budget,
+                                   parts[clock], settles)))
+      why[clock] =
+          fmt::format("clock '{}' takes more jobs than are looked at, or does not settle", name);
     else
       settles_us[clock] = p.us_up(checking::most(settles, drift.ppm));
+  }
+  const checking::shared::Question ask{both, coarse, tables.notice_us * p.scale};
+  const int percent = clusters.empty() ? 0 : checking::shared::slack_percent(ask);
+  std::int64_t pairs = most_pairs;
+  for (const std::vector<int>& clocks : clusters) {
+    checking::shared::Cluster cluster;
+    std::string failed;
+    for (const int clock : clocks) {
+      cluster.clocks.push_back({clock, hyperperiods[at(clock)], {}, 0});
+      if (failed.empty()) failed = why[at(clock)];
+    }
+    if (failed.empty()) failed = own::walk_cluster(ask, percent, pairs, cluster, parts);
+    for (const int clock : clocks)
+      if (failed.empty())
+        settles_us[at(clock)] = p.us_up(cluster.settles);
+      else
+        why[at(clock)] = own::who_shares(both, app_from, clock) + ", and " + failed;
   }
   for (const std::int64_t of_clock : settles_us)
     proof.settles_us = std::max(proof.settles_us, of_clock);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Cases of theorem 8 (docs/steady-state.md) by hand. Times are in us.
+// Cases of theorems 8 and 10 (docs/steady-state.md) by hand. Times are in us.
 #include "solver/steady/check_handover.h"
 
 #include <gtest/gtest.h>
@@ -50,15 +50,16 @@ CheckReport steady_of(Handover& h) {
 }
 
 Result<HandoverProof> derived(Handover& p, Handover& q, std::int64_t notice_us = 0,
-                              std::int64_t most_jobs = 1'000'000) {
+                              std::int64_t most_jobs = 1'000'000,
+                              std::int64_t most_pairs = 10'000'000) {
   steady_of(p);
   steady_of(q);
   AppSpec both = p.app;
   for (std::size_t i = 0; i < both.xnodes.size(); ++i)
     for (auto& [type, wcet] : both.xnodes[i].wcet_us)
       wcet = std::max(wcet, q.app.xnodes[i].wcet_us.at(type));
-  return derive_handover({p.app, q.app, both, p.platform, p.policy, q.policy, notice_us},
-                         most_jobs);
+  return derive_handover({p.app, q.app, both, p.platform, p.policy, q.policy, notice_us}, most_jobs,
+                         most_pairs);
 }
 
 HandoverProof proven(Handover& p, Handover& q, std::int64_t notice_us = 0) {
@@ -222,8 +223,9 @@ TEST(CheckHandover, OfWhatNothingFollows) {
   ASSERT_TRUE(proof) << proof.error().to_string();
   EXPECT_EQ(proof->worst_case_us[0], 3000);
   EXPECT_TRUE(proof->why_not.empty());
-  // Under q they share gpu0.
+  // Under q they share gpu0, which does not preempt.
   q.app.clocks[1].ppm = p.app.clocks[1].ppm = 0;
+  q.platform.xpus[1].preemptive = p.platform.xpus[1].preemptive = false;
   q.policy.placements[0] = {1, {4000}};
   q.policy.placements[1] = {1, {4000}};
   proof = derived(p, q);
@@ -256,6 +258,195 @@ TEST(CheckHandover, WhatMakesNoSense) {
   steady_of(p);
   steady_of(q);
   EXPECT_FALSE(derive_handover({p.app, q.app, both, p.platform, p.policy, q.policy, 0}));
+}
+
+// --------------------------------------------------------------------------------- theorem 10
+
+/// `a` and `b` on one CPU, each with a clock of its own.
+Handover two_clocks(std::int64_t wcet, std::int64_t key) {
+  Handover h = one_stage(wcet, key);
+  h.app.clocks.push_back({"other", 0});
+  add_stage(h, "b", 7000, 1000, 4000, 1);
+  return h;
+}
+
+void set_wcet(Handover& h, std::size_t xnode, std::int64_t us) {
+  for (auto& [type, wcet] : h.app.xnodes[xnode].wcet_us) wcet = us;
+}
+
+TEST(CheckHandover, ClocksThatShareToTheSameTable) {
+  Handover p = two_clocks(2000, 5000), q = p;
+  const HandoverProof proof = proven(p, q);
+  EXPECT_EQ(proof.worst_case_us[0], 5000);
+  EXPECT_EQ(proof.worst_case_us[1], 4000);
+  EXPECT_EQ(proof.settles_us, 0) << "nobody is late, and all of p was ready at once";
+  // Those of p that are ready by 1500 may be so that long after S.
+  p.app.sources[1].jitter_us = q.app.sources[1].jitter_us = 1500;
+  EXPECT_EQ(proven(p, q).settles_us, 1500);
+}
+
+TEST(CheckHandover, WhatTheNextTablesCertificateCountsIsNotLate) {
+  Handover p = two_clocks(2000, 5000), q = two_clocks(3000, 5000);
+  for (const auto& [from, to] : {std::pair(&p, &q), std::pair(&q, &p)}) {
+    const HandoverProof proof = proven(*from, *to);
+    EXPECT_EQ(proof.worst_case_us[0], 5000);
+    EXPECT_EQ(proof.worst_case_us[1], 4000);
+  }
+}
+
+TEST(CheckHandover, ALateJobOfOneClockMakesTheOtherLate) {
+  Handover p = two_clocks(2000, 3000), q = two_clocks(3000, 6000);
+  const HandoverProof proof = proven(p, q);
+  // 3000 have to end by 3000, and q lets none of `a` do so. q's own are no later than that.
+  EXPECT_EQ(proof.worst_case_us[0], 6000 + 3000);
+  EXPECT_EQ(proof.worst_case_us[1], 4000 + 3000);
+  // M is 0. Of each later us 8 % are left: 3261 by 6000 and 1087 by 4000, 2174 by 3000.
+  EXPECT_EQ(proof.settles_us, 3000 * 100 / 8);
+  // 2 % are left where both take 3900 of 4000.
+  p = two_clocks(2900, 3000);
+  EXPECT_EQ(proven(p, q).settles_us, 3000 * 100 / 2);
+}
+
+TEST(CheckHandover, AClocksOwnXpuMakesAnotherClockLate) {
+  Handover p = two_clocks(2000, 5000);
+  add_stage(p, "c", 10'000, 2000, 3000);
+  p.policy.placements[2].xpu = 1;
+  p.app.sources[2].clock = 0;
+  Handover q = p;
+  set_wcet(q, 2, 4500);
+  q.policy.placements[2].key_us = {5000};
+  const HandoverProof proof = proven(p, q);
+  // `c` has ended by 4500, 1500 late. All of both clocks may wait for such a job.
+  EXPECT_EQ(proof.worst_case_us[0], 5000 + 1500);
+  EXPECT_EQ(proof.worst_case_us[1], 4000 + 1500);
+  EXPECT_EQ(proof.worst_case_us[2], 5000 + 1500);
+  // From 3000 after S on.
+  EXPECT_EQ(proof.settles_us, 3000 + 1500 * 100 / 8);
+  EXPECT_EQ(proof.chain_settles_us[1], proof.settles_us);
+}
+
+TEST(CheckHandover, WhatDoesNotRiseMayStillBeLate) {
+  Handover p = two_clocks(2000, 5000);
+  p.platform.xpus.push_back({"gpu1", "gpu", true, 0});
+  add_stage(p, "u", 20'000, 1000, 1100);
+  add_stage(p, "v", 20'000, 11'400, 12'500);
+  p.policy.placements[2].xpu = 1;
+  p.policy.placements[3].xpu = 2;
+  Handover q = p;
+  set_wcet(q, 2, 1200);
+  q.policy.placements[2].key_us = {1400};
+  q.policy.placements[3].xpu = 1;
+  q.policy.placements[2].xpu = 2;
+  // S just after the last release of `u` under p, whose 1200 are before `v`'s 11 400 on gpu1.
+  q.app.sources[3].offset_us = p.app.sources[3].offset_us = 1;
+  const HandoverProof proof = proven(p, q);
+  // `u` is 100 late at 1100, and λ does not rise any more. But `v` is late at 12 501: by 99.
+  EXPECT_GT(proof.settles_us, 1100 + 100 * 100 / 8 + 1000);
+  EXPECT_GE(proof.settles_us, 12'501 + 99 * 100 / 8);
+}
+
+TEST(CheckHandover, AMessageMakesLatenessLast) {
+  Handover p = two_clocks(2000, 3000);
+  Handover q = two_clocks(3000, 6000);
+  const auto settles = [&] { return proven(p, q).settles_us; };
+  for (Handover* h : {&p, &q}) {
+    h->app.xnodes.push_back({"c", "b", {{"cpu", 100}, {"gpu", 100}}, {}});
+    h->app.edges = {{1, 2}};
+    h->policy.placements.push_back({1, {6000}});
+  }
+  EXPECT_EQ(settles(), 4000 + 3000 * 100 / 8) << "M is 4000";
+  for (Handover* h : {&p, &q}) h->app.transfers = {{0, "cpu", "gpu", 1000}};
+  // `c` is late by what `b` was 1000 before its window of 1000 began.
+  EXPECT_EQ(settles(), 5000 + 2 * 3000 * 100 / 8);
+}
+
+TEST(CheckHandover, AnotherClocksKeyIsBetween) {
+  // Under p `b` has windows of 5000 us, under q of 10 000.
+  Handover p = one_stage(1000, 5400);
+  p.app.sources[0].period = {20'000, 1};
+  p.app.clocks.push_back({"other", 0});
+  add_stage(p, "b", 10'000, 4000, 9900, 1);
+  p.policy.placements[1].hold_us = {4900};
+  Handover q = p;
+  set_wcet(q, 0, 3000);
+  q.policy.placements[1] = {0, {10'000}};
+  // S just after 10 000: `b` ran from 4900 to 8900, `a`, of [4800, 10 200], has to run for 3000 then.
+  EXPECT_GE(proven(p, q).worst_case_us[0], 8900 + 3000 - 4800);
+}
+
+TEST(CheckHandover, ClocksThatShareAndDrift) {
+  Handover p = two_clocks(2000, 3000), q = two_clocks(3000, 6000);
+  for (Handover* h : {&p, &q}) h->app.clocks[1].ppm = 100;
+  // `b` may be as late as one of its jobs, since windows of 4000 us may be a little shorter; and
+  // `a` as late as that and as its own 3000.
+  const HandoverProof proof = proven(p, q);
+  EXPECT_GE(*proof.worst_case_us[0], 6000 + 3000 + 1000);
+  EXPECT_LE(*proof.worst_case_us[0], 6000 + 3000 + 1000 + 10);
+  EXPECT_GE(*proof.worst_case_us[1], 4000 + 3000 + 1000);
+  EXPECT_LE(*proof.worst_case_us[1], 4000 + 3000 + 1000 + 10);
+}
+
+TEST(CheckHandover, WhyNothingFollowsForClocksThatShare) {
+  const auto why = [](Handover p, Handover q, std::int64_t most_pairs = 10'000'000) {
+    const auto proof = derived(p, q, 0, 1'000'000, most_pairs);
+    EXPECT_TRUE(proof) << proof.error().to_string();
+    if (!proof || proof->why_not.empty()) return std::string();
+    EXPECT_EQ(proof->settles_us, 0);
+    EXPECT_FALSE(proof->worst_case_us[0]);
+    return proof->why_not[0];
+  };
+  const std::string begin = "chain 'a': clock 'main' shares cpu0 with clock 'other', and ";
+  Handover p = two_clocks(2000, 5000), q = p;
+  EXPECT_EQ(why(p, q), "");
+  EXPECT_EQ(why(p, q, 10), begin + "that takes more work than is looked at");
+
+  p.platform.xpus[0].preemptive = q.platform.xpus[0].preemptive = false;
+  EXPECT_EQ(why(p, q), begin + "cpu0 does not preempt");
+
+  p = q = two_clocks(2000, 5000);
+  set_wcet(q, 0, 2001);
+  set_wcet(q, 1, 999);
+  EXPECT_EQ(why(p, q), begin + "of their work on cpu0 some becomes more and some less");
+  set_wcet(q, 0, 1999);
+  EXPECT_EQ(why(p, q), "");
+
+  p = q = two_clocks(2000, 2005);
+  EXPECT_EQ(why(p, q), begin + "both tables leave less than 1 % of an XPU");
+
+  // `c` moves. The last of p may end 5000 after S, and only then the first of q begins.
+  p = two_clocks(2000, 5000);
+  p.platform.xpus.push_back({"gpu1", "gpu", true, 0});
+  add_stage(p, "c", 10'000, 3000, 15'000);
+  p.app.modules.back().max_in_flight = 2;
+  p.policy.placements[2].xpu = 1;
+  q = p;
+  q.policy.placements[2] = {2, {5000}};
+  EXPECT_EQ(why(p, q), begin +
+                           "XNode 'c' may be ready no sooner than its key, after what it waits for "
+                           "of the table before");
+  q.policy.placements[2] = {2, {6000}};
+  EXPECT_EQ(why(p, q), "");
+
+  p = two_clocks(2000, 5000);
+  add_stage(p, "c", 1'000'000'007, 1000, 9000);
+  add_stage(p, "d", 1'000'000'009, 1000, 9000);
+  for (const std::size_t k : {2, 3}) p.policy.placements[k].xpu = 1;
+  EXPECT_EQ(why(p, p), begin + "the hyperperiod of clock 'main' does not fit");
+}
+
+TEST(CheckHandover, ALateStartIsCaughtUp) {
+  Handover p = two_clocks(2000, 5000);
+  p.platform.xpus.push_back({"gpu1", "gpu", true, 0});
+  add_stage(p, "c", 10'000, 3000, 15'000);
+  p.app.modules.back().max_in_flight = 2;
+  p.policy.placements[2].xpu = 1;
+  Handover q = p;
+  q.policy.placements[2] = {2, {6000}};
+  // Ready by 5000 after S, 3000 have to end by 6000. S + M is after that.
+  const HandoverProof proof = proven(p, q);
+  EXPECT_EQ(proof.worst_case_us[2], 15'000);
+  EXPECT_EQ(proof.worst_case_us[0], 5000 + 2000);
+  EXPECT_EQ(proof.worst_case_us[1], 4000 + 2000);
 }
 
 }  // namespace

@@ -1,0 +1,593 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "solver/steady/check_handover_shared.h"
+
+#include <algorithm>
+#include <numeric>
+#include <optional>
+#include <set>
+
+#include <fmt/format.h>
+
+#include "solver/steady/check_load.h"
+
+namespace xauto::solver::steady::checking::shared {
+
+/// Of all jobs around one S, so that sums of several clocks fit.
+constexpr Ticks kMostWork = Ticks{1} << 57;
+
+/// C+ of a table's own envelope.
+Ticks work_with_cost(const World& w, int xnode) {
+  const Xpu& xpu = w.platform.xpus[at(w.policy.placements[at(xnode)].xpu)];
+  return w.wcet[at(xnode)] + (xpu.preemptive ? xpu.preempt_us * w.scale : 0);
+}
+
+/// The most work of a clock on an XPU under one table whose windows lie in an interval of a length.
+class Dbf {
+ public:
+  struct Span {
+    Ticks begin, end, work;
+  };
+  /// One hyperperiod's windows. False: too many pairs.
+  bool make(std::vector<Span> spans, Ticks hyperperiod, Ticks longest, std::int64_t& pairs) {
+    steps_ = {{0, 0}};
+    if (spans.empty()) return true;
+    Ticks deepest = 0, turn = 0;
+    for (Span& s : spans) {
+      const Ticks shift = floor_div(s.begin, hyperperiod) * hyperperiod;
+      s.begin -= shift;
+      s.end -= shift;
+      deepest = std::max(deepest, s.end - s.begin);
+      turn += s.work;
+    }
+    std::ranges::sort(spans, {}, &Span::begin);
+    const Ticks until = deepest + hyperperiod;
+    std::vector<std::pair<Ticks, Ticks>> own;
+    for (std::size_t from = 0; from < spans.size(); ++from) {
+      own.clear();
+      const Ticks begin = spans[from].begin;
+      Ticks base = 0;
+      for (std::size_t k = from; spans[k].begin + base <= begin + until;) {
+        if (--pairs < 0) return false;
+        if (const Ticks length = spans[k].end + base - begin; length <= until)
+          own.emplace_back(length, spans[k].work);
+        if (++k == spans.size()) {
+          k = 0;
+          base += hyperperiod;
+        }
+      }
+      std::ranges::sort(own);
+      Ticks sum = 0;
+      for (const auto& [length, work] : own) steps_.emplace_back(length, sum += work);
+      if (steps_.size() > kMostLoose) keep_rising();
+    }
+    keep_rising();
+    // An interval as long as all windows, and one hyperperiod: the longer one has just a turn more.
+    const auto repeats = static_cast<std::size_t>(
+        std::ranges::upper_bound(steps_, deepest, {}, &std::pair<Ticks, Ticks>::first) -
+        steps_.begin());
+    const std::size_t size = steps_.size() - repeats;
+    while (steps_.back().first <= longest) {
+      pairs -= static_cast<std::int64_t>(size);
+      if (pairs < 0 || steps_.back().second > kMostWork) return false;
+      for (std::size_t k = 0; k < size; ++k) {
+        const auto [length, work] = steps_[steps_.size() - size];
+        steps_.emplace_back(length + hyperperiod, work + turn);
+      }
+    }
+    return true;
+  }
+  /// Lengths, and what may be in one of at least that; the first is 0 and nothing.
+  [[nodiscard]] const std::vector<std::pair<Ticks, Ticks>>& steps() const { return steps_; }
+
+ private:
+  static constexpr std::size_t kMostLoose = 2'000'000;
+  void keep_rising() {
+    std::ranges::sort(steps_);
+    std::size_t kept = 0;
+    for (const auto& [length, work] : std::vector(steps_)) {
+      if (kept > 0 && work <= steps_[kept - 1].second) continue;
+      if (kept > 0 && steps_[kept - 1].first == length) --kept;
+      steps_[kept++] = {length, work};
+    }
+    steps_.resize(kept);
+  }
+  std::vector<std::pair<Ticks, Ticks>> steps_;
+};
+
+struct Item {
+  Ticks alpha = 0, key = 0;  ///< late and early
+  Ticks work = 0;
+  Ticks before = 0;  ///< λ(alpha), once it is known
+};
+
+/// Of one XPU.
+struct Lane {
+  bool shared = false;
+  bool by_q = false;        ///< r is q
+  Dbf dbf;                  ///< where it is shared
+  std::vector<Item> items;  ///< by alpha
+  std::size_t known = 0;    ///< of them have `before`
+};
+
+class Bound {
+ public:
+  Bound(const Question& ask, std::int64_t& pairs, Cluster& of)
+      : ask_(ask), p_(ask.both.p), q_(ask.both.q), pairs_(pairs), of_(of) {}
+
+  void run(int percent) {
+    if (!acceptable(percent)) return;
+    for (const OfClock& clock : of_.clocks)
+      if (!scan(clock)) return;
+    find_slope(percent);
+    for (std::size_t k = 0; k < of_.clocks.size(); ++k)
+      if (!walk(k)) return;
+    settle();
+  }
+
+ private:
+  struct Grid {
+    std::vector<Ticks> releases;  ///< of a hyperperiod
+    Ticks deepest = 0;            ///< the largest d
+    Ticks latest = 0;             ///< and a
+    Ticks keys_of_p = 0;
+    Ticks meets_p = 0;  ///< M, as far as it is this clock's; in its own time
+  };
+
+  bool refuse(std::string why) {
+    of_.why = std::move(why);
+    return false;
+  }
+  bool too_much() { return refuse("that takes more work than is looked at"); }
+
+  [[nodiscard]] int xpu_of(bool of_q, int xnode) const {
+    return ask_.both.of(of_q).policy.placements[at(xnode)].xpu;
+  }
+  /// Its `a`, or a little more.
+  [[nodiscard]] Ticks a_of(const Window& window) const { return window.a + (ask_.coarse ? 1 : 0); }
+
+  template <typename Visit>
+  void each_xnode(int clock, const Visit& visit) const {
+    for (const Component& c : p_.components)
+      if (c.clock == clock)
+        for (const int i : c.xnodes) visit(c, i);
+  }
+
+  // ------------------------------------------------------------------------------------- refusals
+
+  bool acceptable(int percent) {
+    const auto& xpus = p_.platform.xpus;
+    users_.assign(xpus.size(), {});
+    for (const OfClock& clock : of_.clocks) {
+      each_xnode(clock.clock, [&](const Component& /*c*/, int i) {
+        for (const bool of_q : {false, true}) users_[at(xpu_of(of_q, i))].insert(clock.clock);
+      });
+    }
+    rule_.assign(xpus.size(), true);
+    for (std::size_t m = 0; m < xpus.size(); ++m) {
+      if (users_[m].empty()) continue;
+      if (!xpus[m].preemptive) return refuse(xpus[m].id + " does not preempt");
+      if (users_[m].size() < 2) continue;
+      bool more = true, less = true;  // in q
+      for (const OfClock& clock : of_.clocks) {
+        __int128 work[2] = {0, 0};
+        each_xnode(clock.clock, [&](const Component& c, int i) {
+          for (const bool of_q : {false, true})
+            if (xpu_of(of_q, i) == static_cast<int>(m))
+              work[of_q ? 1 : 0] += static_cast<__int128>(work_with_cost(ask_.both.of(of_q), i)) *
+                                    (clock.hyperperiod / c.period);
+        });
+        more = more && work[1] >= work[0];
+        less = less && work[1] <= work[0];
+      }
+      if (!more && !less)
+        return refuse(
+            fmt::format("of their work on {} some becomes more and some less", xpus[m].id));
+      rule_[m] = more;
+    }
+    if (percent == 0) return refuse("both tables leave less than 1 % of an XPU");
+    return true;
+  }
+
+  // ---------------------------------------------------------------------------- the jobs of one S
+
+  /// Visits q's jobs of an XNode in order, until `visit` says no: n, α, whether what is of p may make
+  /// it later than `a`, key. Of p is what it may wait for beside its `a`: none of that matters if it has
+  /// ended by `a`, whatever the clock does.
+  template <typename Visit>
+  void each_of_q(const Component& c, int i, Ticks change, const Drift& drift,
+                 const Visit& visit) const {
+    const std::int64_t first = ceil_div(change - c.phi, c.period);
+    const int module = p_.module_of[at(i)];
+    Ticks alpha = 0;
+    bool raised = false;
+    for (std::int64_t n = first;; ++n) {
+      const Window& window = q_.window(i, n);
+      const Ticks release = c.phi + n * c.period, by = a_of(window);
+      const Ticks own = release + drift.late(by);
+      raised = raised && alpha > release + drift.soon(by);
+      alpha = raised ? std::max(alpha, own) : own;
+      const auto wait = [&](std::int64_t lag, Ticks length) {
+        if (length <= least(lag * c.period, drift.ppm) + by) return;
+        alpha = std::max(alpha, release - lag * c.period + drift.late(length));
+        raised = true;
+      };
+      if (n == first) {
+        const Window& before = p_.window(i, n - 1);
+        const bool larger = before.d > least(c.period, drift.ppm) + window.d;
+        wait(1, xpu_of(false, i) != xpu_of(true, i) || larger ? before.d : a_of(before));
+      }
+      const std::int64_t lag = p_.in_flight[at(module)];
+      if (p_.entry[at(i)] && n - lag < first)
+        for (const int x : p_.module_xnodes[at(module)]) wait(lag, p_.window(x, n - lag).d);
+      if (!visit(n, alpha, raised, release + drift.soon(window.d))) return;
+    }
+  }
+
+  /// The releases of a clock, M, and the longest windows.
+  bool scan(const OfClock& of) {
+    const Drift drift{p_.app.clocks[at(of.clock)].ppm};
+    Grid& grid = grids_.emplace_back();
+    std::set<Ticks> releases;
+    bool fits = true;
+    each_xnode(of.clock, [&](const Component& c, int i) {
+      pairs_ -= of.hyperperiod / c.period;
+      fits = fits && pairs_ >= 0;
+      for (std::int64_t n = 0; fits && n < of.hyperperiod / c.period; ++n) {
+        const Ticks at_phi = c.phi + n * c.period;
+        releases.insert(at_phi - floor_div(at_phi, of.hyperperiod) * of.hyperperiod);
+      }
+      for (const bool of_q : {false, true})
+        for (const Window& window : ask_.both.of(of_q).windows[at(i)]) {
+          grid.deepest = std::max({grid.deepest, window.d, a_of(window)});
+          grid.latest = std::max(grid.latest, a_of(window));
+          if (!of_q) grid.keys_of_p = std::max(grid.keys_of_p, window.d);
+          if (!of_q) grid.meets_p = std::max(grid.meets_p, drift.late(a_of(window)));
+        }
+    });
+    if (!fits) return too_much();
+    grid.releases.assign(releases.begin(), releases.end());
+    Ticks before = grid.releases.back() - of.hyperperiod;
+    for (const Ticks change : grid.releases) {
+      each_xnode(of.clock, [&](const Component& c, int i) {
+        each_of_q(c, i, change, drift, [&](std::int64_t n, Ticks alpha, bool raised, Ticks) {
+          if (raised) grid.meets_p = std::max(grid.meets_p, alpha - before);
+          return --pairs_ >= 0 && c.phi + n * c.period <= change + drift.late(grid.keys_of_p);
+        });
+      });
+      before = change;
+      if (pairs_ < 0) return too_much();
+    }
+    meets_p_ = std::max(meets_p_, most(grid.meets_p, drift.ppm));
+    return true;
+  }
+
+  /// τ: from S + E on lateness falls by so much of what time passes. It is σ where nobody waits for a
+  /// message. Who does so is late by what his predecessor was, a transfer before his α: his window, w,
+  /// has to make up for that time, too. So it is σ w / (w + transfer) at least.
+  void find_slope(int percent) {
+    __int128 window = 1, transfer = 0;
+    for (const OfClock& clock : of_.clocks)
+      each_xnode(clock.clock, [&](const Component& /*c*/, int i) {
+        Ticks longest = 0, shortest = kMaxTicks;
+        for (const auto& [u, message] : q_.before[at(i)]) longest = std::max(longest, message);
+        for (const Window& w : q_.windows[at(i)]) shortest = std::min(shortest, w.d - a_of(w));
+        if (longest * window <= transfer * shortest) return;
+        window = shortest;
+        transfer = longest;
+      });
+    slope_ = window * percent;
+    slope_of_ = (window + transfer) * 100;
+    if (transfer == 0) {
+      slope_ = percent;
+      slope_of_ = 100;
+    }
+  }
+
+  /// D, b and M of a clock, in its own time.
+  struct Reach {
+    Drift drift;
+    Ticks blur = 0, deepest = 0, meets_p = 0, back = 0, ahead = 0;
+  };
+  [[nodiscard]] Reach reach_of(std::size_t k) const {
+    const OfClock& of = of_.clocks[k];
+    Reach r{{p_.app.clocks[at(of.clock)].ppm}};
+    r.blur = r.drift.late(grids_[k].deepest) - grids_[k].deepest;
+    r.deepest = grids_[k].deepest + 2 * r.blur;
+    for (std::size_t other = 0; other < grids_.size(); ++other) {
+      const std::int64_t ppm = p_.app.clocks[at(of_.clocks[other].clock)].ppm;
+      r.meets_p =
+          std::max(r.meets_p, other == k ? grids_[k].meets_p
+                                         : r.drift.longest(most(grids_[other].meets_p, ppm)));
+    }
+    r.back = r.deepest + 2 * of.hyperperiod + 2 * r.blur;
+    r.ahead = r.deepest + r.meets_p + 2 * of.hyperperiod + 2 * r.blur;
+    return r;
+  }
+
+  /// All jobs that one has to look at.
+  bool make_items(const OfClock& of, const Reach& r, const Grid& grid, const Lateness& around) {
+    const Ticks first = around.low - r.back, last = around.change + r.ahead;
+    Ticks work = 0;
+    int wrong = -1;
+    bool fits = true;
+    for (Lane& lane : lanes_) {
+      lane.items.clear();
+      lane.known = 0;
+    }
+    const auto add = [&](bool of_q, int i, Ticks alpha, Ticks key, Ticks takes) {
+      if (alpha >= key) wrong = i;
+      work += takes;
+      fits = --pairs_ >= 0 && work <= kMostWork;
+      lanes_[at(xpu_of(of_q, i))].items.push_back({alpha, key, takes});
+      return fits && wrong < 0;
+    };
+    each_xnode(of.clock, [&](const Component& c, int i) {
+      if (!fits || wrong >= 0) return;
+      const Ticks in_p = work_with_cost(p_, i), in_q = work_with_cost(q_, i);
+      const Ticks more = ask_.both.larger[at(i)] - p_.wcet[at(i)];
+      std::int64_t n = floor_div(first - c.phi - r.drift.late(grid.latest), c.period);
+      for (; c.phi + n * c.period < around.change; ++n) {
+        const Ticks release = c.phi + n * c.period;
+        const Window& window = p_.window(i, n);
+        const Ticks alpha = release + r.drift.late(a_of(window));
+        const bool as_in_p = release + r.drift.late(window.d) <= around.low;
+        if (alpha >= first &&
+            !add(false, i, alpha, release + r.drift.soon(window.d), as_in_p ? in_p : in_p + more))
+          return;
+      }
+      each_of_q(c, i, around.change, r.drift, [&](std::int64_t, Ticks alpha, bool, Ticks key) {
+        if (key > last) return key <= last + 4 * r.blur;  // what drifts may have keys that fall
+        return add(true, i, alpha, key, in_q);
+      });
+    });
+    if (!fits) return too_much();
+    if (wrong >= 0)
+      return refuse(
+          fmt::format("XNode '{}' may be ready no sooner than its key, after what it "
+                      "waits for of the table before",
+                      p_.name(wrong)));
+    for (Lane& lane : lanes_) std::ranges::sort(lane.items, {}, &Item::alpha);
+    return true;
+  }
+
+  // --------------------------------------------------------------------------------------- λ
+
+  /// The largest λ(x) + excess(x, y) on a lane. `limit`: S + M, or the latest x.
+  std::optional<Ticks> reached(Lane& lane, const Lateness& around, const Reach& r, Ticks y) {
+    while (lane.known < lane.items.size() && lane.items[lane.known].alpha < y) {
+      Item& item = lane.items[lane.known++];
+      item.before = around.at(item.alpha);
+    }
+    std::optional<Ticks> best;
+    // The x of a shared XPU may be another clock's: as late as just before S + M.
+    const Ticks limit = lane.shared ? around.change + r.meets_p : around.before + r.meets_p + 1;
+    bool at_limit = !lane.shared || limit >= y;
+    Ticks sum = 0;
+    std::size_t step = 0;
+    const auto look = [&](Ticks x, Ticks before) {
+      Ticks less = 0;
+      if (lane.shared) {
+        const auto& steps = lane.dbf.steps();
+        while (step + 1 < steps.size() && steps[step + 1].first <= y - x - 2 * r.blur) ++step;
+        less = steps[step].second;
+      } else {
+        less = least(y - x, r.drift.ppm);
+      }
+      Ticks excess = sum - less;
+      // Jobs of q alone are a pattern of q as they are; α may be 2b after `a`.
+      if (lane.by_q && x > around.before + r.meets_p)
+        excess = std::min(excess, most(2 * r.blur, r.drift.ppm));
+      best = std::max(best.value_or(before + excess), before + excess);
+    };
+    pairs_ -= static_cast<std::int64_t>(lane.known);
+    if (pairs_ < 0) return best;
+    for (std::size_t k = lane.known; k-- > 0;) {
+      const Item& item = lane.items[k];
+      if (item.key > y) continue;
+      if (item.alpha < limit && !at_limit) {
+        if (sum > 0) look(limit, around.at(limit - 1));
+        at_limit = true;
+      }
+      sum += item.work;
+      if (item.alpha < limit) look(item.alpha, item.before);
+    }
+    if (!at_limit && sum > 0) look(limit, around.at(limit - 1));
+    return best;
+  }
+
+  bool walk(std::size_t k) {
+    OfClock& of = of_.clocks[k];
+    const Grid& grid = grids_[k];
+    const Reach r = reach_of(k);
+    lanes_.assign(p_.platform.xpus.size(), {});
+    for (std::size_t m = 0; m < lanes_.size(); ++m)
+      if (users_[m].size() > 1 && users_[m].contains(of.clock) && !make_dbf(of, r, m))
+        return too_much();
+    __int128 reaches = 0;  // see `settle`
+    const Ticks notice = r.drift.longest(ask_.notice);
+    std::vector<std::pair<Ticks, std::size_t>> keys;
+    Ticks before = grid.releases.back() - of.hyperperiod;
+    for (const Ticks change : grid.releases) {
+      Lateness around{change, before, before - notice, {}};
+      if (!make_items(of, r, grid, around)) return false;
+      keys.clear();
+      for (std::size_t m = 0; m < lanes_.size(); ++m) {
+        if (!lanes_[m].items.empty()) keys.emplace_back(around.low, m);
+        for (const Item& item : lanes_[m].items)
+          if (item.key > around.low) keys.emplace_back(item.key, m);
+      }
+      std::ranges::sort(keys);
+      keys.erase(std::ranges::unique(keys).begin(), keys.end());
+      for (const auto& [y, m] : keys) {
+        const auto found = reached(lanes_[m], around, r, y);
+        if (pairs_ < 0) return too_much();
+        if (!found) continue;
+        if (!lanes_[m].shared)
+          reaches = std::max(reaches, slope_of_ * *found + slope_ * end_of_it(y - before, r));
+        if (*found <= around.largest()) continue;
+        const Ticks from = y == around.low ? y + 1 : y;
+        if (!around.rises.empty() && around.rises.back().first == from)
+          around.rises.back().second = *found;
+        else
+          around.rises.emplace_back(from, *found);
+      }
+      of.largest = std::max(of.largest, around.largest());
+      of.changes.push_back(std::move(around));
+      before = change;
+    }
+    reaches_.push_back(reaches);
+    return true;
+  }
+
+  bool make_dbf(const OfClock& of, const Reach& r, std::size_t m) {
+    Lane& lane = lanes_[m];
+    lane.shared = true;
+    lane.by_q = rule_[m] != 0;
+    std::vector<Dbf::Span> spans;
+    bool fits = true;
+    each_xnode(of.clock, [&](const Component& c, int i) {
+      const World& w = ask_.both.of(rule_[m]);
+      if (w.policy.placements[at(i)].xpu != static_cast<int>(m)) return;
+      pairs_ -= of.hyperperiod / c.period;
+      fits = fits && pairs_ >= 0;
+      for (std::int64_t n = 0; fits && n < of.hyperperiod / c.period; ++n) {
+        const Ticks release = c.phi + n * c.period;
+        const Window& window = w.window(i, n);
+        spans.push_back({release + a_of(window), release + window.d, work_with_cost(w, i)});
+      }
+    });
+    const Ticks longest = r.back + r.ahead + of.hyperperiod + r.drift.longest(ask_.notice);
+    return fits && lane.dbf.make(std::move(spans), of.hyperperiod, longest, pairs_);
+  }
+
+  // ------------------------------------------------------------------------------------- settling
+
+  /// From the release before S to y, in real time, at the rate in which `least` counts from x to y. x
+  /// may be M later than that release.
+  [[nodiscard]] Ticks end_of_it(Ticks length, const Reach& r) const {
+    const std::int64_t ppm = r.drift.ppm;
+    return ceil_div(static_cast<__int128>(length) * (kMillion - ppm), kMillion) +
+           most(r.meets_p, ppm) - least(r.meets_p, ppm);
+  }
+
+  /// From S + E on lateness is at most Λ - τ (y - S - E). On a shared XPU that follows, with E = M,
+  /// from r's slack. On one of a clock alone a job of p may be in the sum with q's work of any length,
+  /// and no certificate is of both: so all λ(x) + excess(x, y) have to be below that line, if x is one
+  /// of those up to M after the release before S. Later ones are q's, with its slack. The rise of λ
+  /// alone does not tell: what stays below Λ does not rise, and may be above the line. Beyond the keys
+  /// looked at, it falls from hyperperiod to hyperperiod.
+  void settle() {
+    __int128 sum = 0;
+    for (const OfClock& of : of_.clocks) sum += of.largest;
+    __int128 last = meets_p_ * slope_ + sum * slope_of_;
+    for (std::size_t k = 0; k < of_.clocks.size(); ++k)
+      last = std::max(last, reaches_[k] + (sum - of_.clocks[k].largest) * slope_of_);
+    if (sum > kMostWork || last / slope_ >= kMostWork) {
+      too_much();
+      return;
+    }
+    of_.settles = ceil_div(last, static_cast<Ticks>(slope_));
+  }
+
+  const Question& ask_;
+  const World& p_;
+  const World& q_;
+  std::int64_t& pairs_;
+  Cluster& of_;
+  std::vector<std::set<int>> users_;  ///< [xpu] clocks of this cluster
+  std::vector<char> rule_;            ///< [xpu] r is q
+  std::vector<Grid> grids_;           ///< [clock of the cluster]
+  Ticks meets_p_ = 0;                 ///< M, in real time
+  __int128 slope_ = 1, slope_of_ = 100;
+  std::vector<__int128> reaches_;  ///< [clock of the cluster]
+  std::vector<Lane> lanes_;        ///< [xpu]
+};
+
+/// Both tables' WCETs for `percent` of slack, preempting included; nullopt: a window is too short.
+std::optional<std::vector<Ticks>> inflated(const World& w, bool coarse, int percent) {
+  std::vector<Ticks> wcet;
+  for (std::size_t i = 0; i < w.wcet.size(); ++i) {
+    const __int128 work = work_with_cost(w, static_cast<int>(i));
+    wcet.push_back(ceil_div(work * 100, 100 - percent));
+    for (const Window& window : w.windows[i])
+      if (window.a + (coarse ? 1 : 0) + wcet.back() > window.d) return std::nullopt;
+  }
+  return wcet;
+}
+
+bool leaves(const World& w, bool coarse, int percent) {
+  auto wcet = inflated(w, coarse, percent);
+  if (!wcet) return false;
+  Platform platform = w.platform;
+  for (Xpu& xpu : platform.xpus) xpu.preempt_us = 0;
+  World slower{w.app,          platform,      w.policy, w.scale,          w.components,
+               w.component_of, w.before,      w.after,  w.module_xnodes,  w.in_flight,
+               w.module_of,    w.entry,       w.order,  std::move(*wcet), w.windows,
+               w.urgent,       w.hears_urgent};
+  if (coarse)
+    for (auto& windows : slower.windows)
+      for (Window& window : windows) ++window.a;
+  for (std::size_t m = 0; m < platform.xpus.size(); ++m)
+    if (!prove_load(slower, static_cast<int>(m))) return false;
+  return true;
+}
+
+Ticks Lateness::at(Ticks instant) const {
+  const auto after = std::ranges::upper_bound(rises, instant, {}, &std::pair<Ticks, Ticks>::first);
+  return after == rises.begin() ? 0 : std::prev(after)->second;
+}
+
+Ticks Cluster::largest_of_others(std::size_t k) const {
+  Ticks sum = 0;
+  for (std::size_t other = 0; other < clocks.size(); ++other)
+    if (other != k) sum += clocks[other].largest;
+  return sum;
+}
+
+std::vector<std::vector<int>> clusters(const Both& both) {
+  const std::size_t clocks = both.p.app.clocks.size();
+  std::vector<int> of(clocks);
+  std::iota(of.begin(), of.end(), 0);
+  std::vector<int> user(both.p.platform.xpus.size(), -1);
+  for (const bool of_q : {false, true})
+    for (std::size_t i = 0; i < both.p.wcet.size(); ++i) {
+      int& other = user[at(both.of(of_q).policy.placements[i].xpu)];
+      const int clock = both.p.home(static_cast<int>(i)).clock;
+      if (other < 0) other = clock;
+      const int joined = of[at(clock)], to = of[at(other)];
+      std::ranges::replace(of, joined, to);
+    }
+  std::vector<std::vector<int>> all(clocks);
+  for (std::size_t clock = 0; clock < clocks; ++clock)
+    all[at(of[clock])].push_back(static_cast<int>(clock));
+  std::erase_if(all, [](const std::vector<int>& cluster) { return cluster.size() < 2; });
+  return all;
+}
+
+int slack_percent(const Question& ask) {
+  for (const int percent : {8, 5, 3, 2, 1})
+    if (leaves(ask.both.p, ask.coarse, percent) && leaves(ask.both.q, ask.coarse, percent))
+      return percent;
+  return 0;
+}
+
+void bound_cluster(const Question& ask, int percent, std::int64_t& pairs, Cluster& of) {
+  Bound(ask, pairs, of).run(percent);
+}
+
+Around::Around(const Both& both, const OfClock& of, const Lateness& lateness, Ticks others)
+    : both_(both),
+      lateness_(lateness),
+      drift_{both.p.app.clocks[at(of.clock)].ppm},
+      others_(others) {
+  Ticks step = 0, offset = 0;
+  for (const Component& c : both.p.components)
+    if (c.clock == of.clock) {
+      step = std::max(step, c.period);
+      for (const int s : c.sources)
+        offset = std::max(offset, both.p.app.sources[at(s)].offset_us * both.p.scale - c.phi);
+    }
+  last_ = std::max(lateness.change, lateness.last_rise()) + of.hyperperiod + step + offset;
+}
+
+}  // namespace xauto::solver::steady::checking::shared

@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: Apache-2.0
+// A change of tables where clocks share XPUs. The words are those of docs/steady-state.md, theorem 10:
+// how much later than their keys the jobs of each clock may end is a function of time that rises at
+// keys; those of a cluster's clocks add up.
+//
+// Where the text leaves something open, or says too little, this is what is done:
+//
+// - M is no less than what `α` of a job of q is after S, if that is later than its `a`.
+// - Between which keys of one clock the key of another falls is open. So λ also rises just after t_lo,
+//   by what the jobs with keys up to then have in excess; and S + M counts as an x on a shared XPU.
+// - What has its key at t_lo has ended in time, as t is after t_lo.
+// - An end of lateness: `end_of_it`.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "base/index.h"
+#include "solver/steady/check_handover_walk.h"
+#include "solver/steady/check_world.h"
+
+namespace xauto::solver::steady::checking::shared {
+
+using tables::Both;
+using tables::Drift;
+
+/// λ of a clock around one S.
+struct Lateness {
+  Ticks change = 0;                            ///< S
+  Ticks before = 0;                            ///< the release that precedes it
+  Ticks low = 0;                               ///< t_lo
+  std::vector<std::pair<Ticks, Ticks>> rises;  ///< from then on so much; both rise
+  [[nodiscard]] Ticks at(Ticks instant) const;
+  [[nodiscard]] Ticks last_rise() const { return rises.empty() ? low : rises.back().first; }
+  [[nodiscard]] Ticks largest() const { return rises.empty() ? 0 : rises.back().second; }
+};
+
+struct OfClock {
+  int clock = -1;
+  Ticks hyperperiod = 0;  ///< of both tables; 0: it does not fit
+  std::vector<Lateness> changes;
+  Ticks largest = 0;  ///< Λ, in real time
+};
+
+struct Cluster {
+  std::vector<OfClock> clocks;
+  Ticks settles = 0;  ///< in real time
+  std::string why;    ///< nothing follows
+  [[nodiscard]] Ticks largest_of_others(std::size_t k) const;
+};
+
+/// What is asked of both tables, beside `both`.
+struct Question {
+  const Both& both;
+  /// Windows of p or q were rounded to coarser ticks, `a` to the earlier one.
+  bool coarse = false;
+  Ticks notice = 0;  ///< in real time
+};
+
+/// Clocks that share XPUs, in p or in q, directly or through others; only those of two or more.
+[[nodiscard]] std::vector<std::vector<int>> clusters(const Both& both);
+
+/// σ in percent that both tables leave on all XPUs, preemptions of all jobs paid; 0: none.
+[[nodiscard]] int slack_percent(const Question& ask);
+
+/// λ and Λ of each clock of `of`, whose clocks and hyperperiods are set. `pairs` (x, y) may be looked
+/// at: it is counted down.
+void bound_cluster(const Question& ask, int percent, std::int64_t& pairs, Cluster& of);
+
+/// One clock around one S as a tables::Walk: who has ended by when.
+class Around {
+ public:
+  Around(const Both& both, const OfClock& of, const Lateness& lateness, Ticks others);
+  [[nodiscard]] const Drift& drift() const { return drift_; }
+  [[nodiscard]] Ticks release(int xnode, std::int64_t n) const {
+    const Component& c = both_.p.home(xnode);
+    return c.phi + n * c.period;
+  }
+  [[nodiscard]] bool of_q(int xnode, std::int64_t n) const {
+    return release(xnode, n) >= lateness_.change;
+  }
+  [[nodiscard]] const Window& window(int xnode, std::int64_t n) const {
+    return both_.of(of_q(xnode, n)).window(xnode, n);
+  }
+  [[nodiscard]] bool in_u(int xnode, std::int64_t n) const {
+    return of_q(xnode, n) || key(xnode, n) > lateness_.low;
+  }
+  /// What is released later has been looked at one hyperperiod before.
+  [[nodiscard]] Ticks last() const { return last_; }
+  [[nodiscard]] bool ends_by_key(int xnode, std::int64_t n) const { return late(xnode, n) == 0; }
+  [[nodiscard]] Ticks end(int xnode, std::int64_t n) const {
+    return release(xnode, n) + drift_.late(window(xnode, n).d + late(xnode, n));
+  }
+  [[nodiscard]] Ticks starts(int xnode, std::int64_t n) const {
+    return release(xnode, n) + drift_.soon(window(xnode, n).e);
+  }
+
+ private:
+  [[nodiscard]] Ticks key(int xnode, std::int64_t n) const {
+    return release(xnode, n) + drift_.late(window(xnode, n).d);
+  }
+  /// In real time.
+  [[nodiscard]] Ticks late(int xnode, std::int64_t n) const {
+    return in_u(xnode, n) ? lateness_.at(key(xnode, n)) + others_ : 0;
+  }
+
+  const Both& both_;
+  const Lateness& lateness_;
+  Drift drift_;
+  Ticks others_ = 0, last_ = 0;
+};
+
+}  // namespace xauto::solver::steady::checking::shared
