@@ -39,7 +39,7 @@ struct LateAround {
 struct Lateness {
   std::vector<LateAround> around;  ///< each S of a hyperperiod
   Tick most = 0;                   ///< the largest
-  Tick rises_until = 0;            ///< after the release before S, in real time
+  __int128 line = 0;               ///< see Cluster::rise
 };
 
 /// Clocks that share XPUs, directly or through others.
@@ -54,18 +54,18 @@ class Cluster {
     if (!find_slack())
       return "XPUs that clocks share have no slack in one of the tables, in which a delay would "
              "end";
-    Tick last = 0;
-    for (const int d : domains_) {
-      for (const int i : p_.domains[at(d)].xnodes)
-        for (int n = 0; n < p_.jobs[at(i)]; ++n)
-          last_a_ = std::max(last_a_, in_.from.a[p_.slot_of(i, n)]);
-    }
+    find_slope();
+    for (const int d : domains_) find_last_ready(d);
     for (const int d : domains_) {
       if (std::string why = derive(d, pairs, until); !why.empty()) return why;
       most_ += of_domain_[at(d)].most;
-      last = std::max(last, of_domain_[at(d)].rises_until);
     }
-    settles_ = std::max(last, last_a_) + (most_ * 100 + slack_pct_ - 1) / slack_pct_;
+    __int128 last =
+        static_cast<__int128>(last_ready_) * slope_.up + static_cast<__int128>(most_) * slope_.of;
+    for (const int d : domains_)
+      last = std::max(
+          last, of_domain_[at(d)].line + static_cast<__int128>(most_of_others(d)) * slope_.of);
+    settles_ = static_cast<Tick>((last + slope_.up - 1) / slope_.up);
     return {};
   }
   [[nodiscard]] const Lateness& lateness(int domain) const { return of_domain_[at(domain)]; }
@@ -146,6 +146,94 @@ class Cluster {
     return false;
   }
 
+  /// By how much lateness falls in time: at least sigma, but where messages take time.
+  void find_slope() {
+    slope_ = {slack_pct_, 100};
+    for (const int d : domains_)
+      for (const int i : p_.domains[at(d)].xnodes) {
+        Tick passes = 0, window = kMostTicks;
+        for (const Link& link : in_.then.pred[at(i)])
+          passes = std::max(passes,
+                            in_.then.transfer(link, in_.to_xpu[at(link.xnode)], in_.to_xpu[at(i)]));
+        for (int n = 0; n < p_.jobs[at(i)]; ++n)
+          window = std::min(window, in_.to.d[p_.slot_of(i, n)] - in_.to.a[p_.slot_of(i, n)]);
+        const __int128 up = static_cast<__int128>(slack_pct_) * window,
+                       of = 100 * (static_cast<__int128>(window) + passes);
+        if (up * slope_.of < slope_.up * of) slope_ = {up, of};
+      }
+  }
+
+  /// alpha of the second table's jobs around S, from the first on: each(n, alpha, raised) until it says no.
+  template <class Each>
+  void each_second(int d, Tick s, int xnode, Each each) const {
+    const Component& c = p_.components[at(p_.component_of[at(xnode)])];
+    const auto release = [&](std::int64_t n) { return c.phase + n * c.period; };
+    const auto blur = [&](Tick t) { return lost_in(t, p_.domains[at(d)].ppm); };
+    const auto late = [&](Tick t) { return t + blur(t); };
+    const auto first_key = [&](int u, std::int64_t n) {
+      return release(n) + late(in_.from.d[p_.slot_of(u, n)]);
+    };
+    const std::int64_t first = floor_div(s - 1 - c.phase, c.period) + 1;
+    Tick before = release(first - 1) + late(in_.from.a[p_.slot_of(xnode, first - 1)]);
+    for (std::int64_t n = first;; ++n) {
+      const std::size_t slot = p_.slot_of(xnode, n);
+      const Tick own = release(n) + late(in_.to.a[slot]);
+      Tick ready = std::max(own, before);
+      if (n == first) {
+        const Tick last = first_key(xnode, n - 1);
+        if (in_.to_xpu[at(xnode)] != in_.from_xpu[at(xnode)] ||
+            last > release(n) + in_.to.d[slot] - blur(in_.to.d[slot]))
+          ready = std::max(ready, last);
+      }
+      const int module = p_.module_of[at(xnode)];
+      if (module >= 0 && p_.entry[at(xnode)] != 0) {
+        const Module& of = p_.modules[at(module)];
+        if (of.in_flight < kMillion && n - of.in_flight < first)
+          for (const int u : of.xnodes) ready = std::max(ready, first_key(u, n - of.in_flight));
+      }
+      if (!each(n, ready, ready > own)) return;
+      before = ready;
+    }
+  }
+
+  /// M.
+  void find_last_ready(int d) {
+    const Domain& domain = p_.domains[at(d)];
+    const std::vector<Tick> all = releases_of(domain);
+    Tick deepest = 0;
+    for (const int i : domain.xnodes)
+      for (int n = 0; n < p_.jobs[at(i)]; ++n) {
+        last_ready_ = std::max(last_ready_, in_.from.a[p_.slot_of(i, n)]);
+        deepest = std::max(deepest, in_.from.d[p_.slot_of(i, n)]);
+      }
+    const Tick reach = deepest + lost_in(deepest, domain.ppm);
+    for (std::size_t r = 0; r < all.size(); ++r)
+      for (const int i : domain.xnodes)
+        each_second(d, all[r], i, [&](std::int64_t n, Tick ready, bool raised) {
+          if (raised)
+            last_ready_ =
+                std::max(last_ready_, in_slow_time(ready - before(all, r, domain), domain.ppm));
+          return p_.components[at(p_.component_of[at(i)])].phase + n * p_.period_of(i) <=
+                 all[r] + reach;
+        });
+  }
+  /// Nominal releases of a hyperperiod, each once.
+  [[nodiscard]] std::vector<Tick> releases_of(const Domain& domain) const {
+    std::vector<Tick> all;
+    for (const int c : domain.components)
+      for (int n = 0; n < p_.components[at(c)].jobs; ++n)
+        all.push_back((p_.components[at(c)].phase + n * p_.components[at(c)].period) %
+                      domain.hyper);
+    std::sort(all.begin(), all.end());
+    all.erase(std::unique(all.begin(), all.end()), all.end());
+    return all;
+  }
+  /// The one that precedes number `r`.
+  [[nodiscard]] static Tick before(const std::vector<Tick>& all, std::size_t r,
+                                   const Domain& domain) {
+    return r > 0 ? all[r - 1] : all.back() - domain.hyper;
+  }
+
   std::string derive(int d, std::int64_t& pairs, const Until& until) {
     const Domain& domain = p_.domains[at(d)];
     const std::int64_t ppm = domain.ppm;
@@ -155,39 +243,30 @@ class Cluster {
       for (int n = 0; n < p_.jobs[at(i)]; ++n)
         deepest = std::max({deepest, in_.from.d[p_.slot_of(i, n)], in_.to.d[p_.slot_of(i, n)]});
     const Tick blur = lost_in(deepest, ppm), reach = deepest + 2 * blur;
-    const Tick last_a = last_a_ + lost_in(last_a_, ppm);
-    std::vector<Tick> all;
-    for (const int c : domain.components)
-      for (int n = 0; n < p_.components[at(c)].jobs; ++n)
-        all.push_back((p_.components[at(c)].phase + n * p_.components[at(c)].period) %
-                      domain.hyper);
-    std::sort(all.begin(), all.end());
-    all.erase(std::unique(all.begin(), all.end()), all.end());
+    const Tick last_ready = last_ready_ + lost_in(last_ready_, ppm);
+    const std::vector<Tick> all = releases_of(domain);
     const Tick before_most = reach + 2 * domain.hyper + 2 * blur,
-               after_most = reach + last_a + 2 * domain.hyper + 2 * blur;
+               after_most = reach + last_ready + 2 * domain.hyper + 2 * blur;
     std::vector<std::vector<Step>> due(at(p_.num_xpus));
     const Tick notice = in_fast_time(in_.notice, ppm);
     Tick gap = 0;
     for (std::size_t r = 0; r < all.size(); ++r)
-      gap = std::max(gap, all[r] - (r > 0 ? all[r - 1] : all.back() - domain.hyper));
+      gap = std::max(gap, all[r] - before(all, r, domain));
     for (int m = 0; m < p_.num_xpus; ++m)
       if (kinds_[at(m)] == Kind::kLikeFrom || kinds_[at(m)] == Kind::kLikeTo)
         if (!dbf(d, m, deepest, before_most + gap + notice + after_most, pairs, due[at(m)]))
           return clock_of(d) + "takes more jobs than are looked at";
     for (std::size_t r = 0; r < all.size(); ++r) {
-      const Tick last = r > 0 ? all[r - 1] : all.back() - domain.hyper;
+      const Tick last = before(all, r, domain);
       LateAround around{all[r], last - notice, {}};
       std::vector<std::vector<Job>> jobs(at(p_.num_xpus));
-      const Range look{around.since - before_most, all[r] + last_a, all[r] + after_most};
+      const Range look{around.since - before_most, all[r] + last_ready, all[r] + after_most};
       if (!list(d, around, look, jobs))
         return clock_of(d) + "has jobs that wait for the other table until after their keys";
-      rise(around, look, 2 * blur, ppm, due, jobs, pairs);
+      lateness.line =
+          std::max(lateness.line, rise(around, look, last, 2 * blur, ppm, due, jobs, pairs));
       if (pairs < 0 || until.over()) return clock_of(d) + "takes more jobs than are looked at";
-      if (!around.rises.empty()) {
-        lateness.most = std::max(lateness.most, around.rises.back().by);
-        lateness.rises_until =
-            std::max(lateness.rises_until, in_slow_time(around.rises.back().key - last, ppm));
-      }
+      if (!around.rises.empty()) lateness.most = std::max(lateness.most, around.rises.back().by);
       lateness.around.push_back(std::move(around));
     }
     return {};
@@ -240,49 +319,38 @@ class Cluster {
             std::vector<std::vector<Job>>& jobs) const {
     const Domain& domain = p_.domains[at(d)];
     const auto blur = [&](Tick t) { return lost_in(t, domain.ppm); };
+    bool fits = true;
     for (const int i : domain.xnodes) {
       const Component& c = p_.components[at(p_.component_of[at(i)])];
       const auto release = [&](std::int64_t n) { return c.phase + n * c.period; };
-      const std::int64_t first = floor_div(around.s - 1 - c.phase, c.period) + 1;
-      const auto late_key = [&](int xnode, std::int64_t n) {  // of the first table
-        const Tick key = in_.from.d[p_.slot_of(xnode, n)];
-        return release(n) + key + blur(key);
-      };
-      Tick before = 0;  // alpha of the activation before
-      std::int64_t n = first;
-      while (late_key(i, n - 1) >= look.low) --n;
-      for (bool any = false; release(n) <= look.high; ++n) {
-        const bool second = n >= first;
-        const Windows& w = second ? in_.to : in_.from;
+      const auto add = [&](std::int64_t n, bool second, Tick ready) {
         const int m = (second ? in_.to_xpu : in_.from_xpu)[at(i)];
-        const std::size_t slot = p_.slot_of(i, n);
-        Tick ready = release(n) + w.a[slot] + blur(w.a[slot]);
-        const Tick key = release(n) + w.d[slot] - blur(w.d[slot]);
-        if (second && any) ready = std::max(ready, before);
-        if (n == first) {
-          const Tick last = late_key(i, n - 1);
-          if (m != in_.from_xpu[at(i)] || last > key) ready = std::max(ready, last);
-        }
-        const int module = p_.module_of[at(i)];
-        if (second && module >= 0 && p_.entry[at(i)] != 0) {
-          const Module& of = p_.modules[at(module)];
-          if (of.in_flight < kMillion && n - of.in_flight < first)
-            for (const int u : of.xnodes) ready = std::max(ready, late_key(u, n - of.in_flight));
-        }
-        if (ready >= key) return false;
-        before = ready;
-        any = true;
-        const bool grown = !second && late_key(i, n) >= around.since;
+        const Tick d_of = (second ? in_.to : in_.from).d[p_.slot_of(i, n)];
+        const bool grown = !second && release(n) + d_of + blur(d_of) >= around.since;
         const Problem& of = second ? in_.then : grown ? in_.both : in_.now;
+        const Tick key = release(n) + d_of - blur(d_of);
+        fits = fits && ready < key;
         jobs[at(m)].push_back({ready, key, cost_of(of, i, m)});
+      };
+      std::int64_t n = floor_div(around.s - 1 - c.phase, c.period);
+      for (; release(n) + in_.from.d[p_.slot_of(i, n)] >= look.low - 4 * blur(look.high - look.low);
+           --n) {
+        const Tick a = in_.from.a[p_.slot_of(i, n)];
+        add(n, false, release(n) + a + blur(a));
       }
+      each_second(d, around.s, i, [&](std::int64_t k, Tick ready, bool) {
+        add(k, true, ready);
+        return release(k) <= look.high;
+      });
     }
-    return true;
+    return fits;
   }
 
-  void rise(LateAround& around, const Range& look, Tick shorter, std::int64_t ppm,
-            const std::vector<std::vector<Step>>& due, std::vector<std::vector<Job>>& jobs,
-            std::int64_t& pairs) const {
+  /// Fills around.rises. Returns the largest of up * y + of * what is reached at y, for the keys y after the
+  /// release before S on XPUs of this clock alone, up / of the slope: from where lateness may fall.
+  __int128 rise(LateAround& around, const Range& look, Tick last, Tick shorter, std::int64_t ppm,
+                const std::vector<std::vector<Step>>& due, std::vector<std::vector<Job>>& jobs,
+                std::int64_t& pairs) const {
     struct At {
       Tick key;
       int xpu;
@@ -291,23 +359,22 @@ class Cluster {
     for (int m = 0; m < p_.num_xpus; ++m) {
       std::sort(jobs[at(m)].begin(), jobs[at(m)].end(),
                 [](const Job& a, const Job& b) { return a.ready > b.ready; });
+      // Another clock's key may be just after t_lo.
+      if (!jobs[at(m)].empty()) keys.push_back({around.since, m});
       for (const Job& job : jobs[at(m)])
         if (job.key > around.since && job.key <= look.high) keys.push_back({job.key, m});
     }
     std::sort(keys.begin(), keys.end(), [](const At& a, const At& b) { return a.key < b.key; });
+    __int128 line = 0;
     for (const At& y : keys) {
       const std::vector<Step>& steps = due[at(y.xpu)];
       const bool alone = kinds_[at(y.xpu)] == Kind::kAlone;
-      Tick sum = 0, most = around.rises.empty() ? 0 : around.rises.back().by;
-      const Tick so_far = most;
+      const Tick so_far = around.rises.empty() ? 0 : around.rises.back().by;
+      std::optional<Tick> most;
+      Tick sum = 0;
       std::size_t step = 0;
-      for (const Job& x : jobs[at(y.xpu)]) {
-        if (x.ready >= y.key) continue;
-        if (x.ready < look.low) break;
-        if (--pairs < 0) return;
-        if (x.key <= y.key) sum += x.work;
-        if (x.ready >= look.end) continue;
-        const Tick length = y.key - x.ready;
+      const auto look_at = [&](Tick x) {
+        const Tick length = y.key - x;
         Tick served = 0;
         if (alone) {
           served = std::max(Tick{0}, length - lost_in(length, ppm));
@@ -315,11 +382,31 @@ class Cluster {
           while (step < steps.size() && steps[step].length <= length - shorter) ++step;
           served = step == 0 ? 0 : steps[step - 1].value;
         }
-        if (sum <= served) continue;
-        most = std::max(most, around.at_key(x.ready) + sum - served);
+        const Tick reached = around.at_key(x) + sum - served;
+        most = std::max(most.value_or(reached), reached);
+      };
+      // Another clock's alpha may be just before `end`.
+      bool at_end = alone || look.end >= y.key;
+      for (const Job& x : jobs[at(y.xpu)]) {
+        if (x.ready >= y.key || x.key > y.key) continue;
+        if (x.ready < look.low) break;
+        if (--pairs < 0) return line;
+        if (x.ready < look.end && !at_end) {
+          look_at(look.end);
+          at_end = true;
+        }
+        sum += x.work;
+        if (x.ready < look.end) look_at(x.ready);
       }
-      if (most > so_far) around.rises.push_back({y.key, most});
+      if (!at_end && sum > 0) look_at(look.end);
+      if (!most) continue;
+      if (alone)
+        line = std::max(line, slope_.up * in_slow_time(std::max(Tick{0}, y.key - last), ppm) +
+                                  slope_.of * *most);
+      if (*most > so_far)
+        around.rises.push_back({y.key == around.since ? y.key + 1 : y.key, *most});
     }
+    return line;
   }
 
   const HandoverInput& in_;
@@ -327,7 +414,10 @@ class Cluster {
   const std::vector<int> domains_;
   std::vector<Kind> kinds_;  ///< [xpu]
   int slack_pct_ = 0;
-  Tick last_a_ = 0;  ///< M, before it is taken late
+  struct Slope {
+    __int128 up = 1, of = 1;
+  } slope_;
+  Tick last_ready_ = 0;  ///< M, in real time
   std::vector<Lateness> of_domain_;
   Tick most_ = 0, settles_ = 0;
 };
