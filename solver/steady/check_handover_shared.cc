@@ -39,28 +39,33 @@ class Dbf {
       deepest = std::max(deepest, s.end - s.begin);
       turn += s.work;
     }
-    std::ranges::sort(spans, {}, &Span::begin);
+    std::ranges::sort(spans, {}, &Span::end);
     const Ticks until = deepest + hyperperiod;
-    std::vector<std::pair<Ticks, Ticks>> own;
-    for (std::size_t from = 0; from < spans.size(); ++from) {
-      own.clear();
-      const Ticks begin = spans[from].begin;
-      Ticks base = 0;
-      for (std::size_t k = from; spans[k].begin + base <= begin + until;) {
+    std::vector<std::pair<Ticks, Ticks>> higher;
+    for (const Span& first : spans) {
+      // From the first key after its begin on.
+      const Ticks begin = first.begin;
+      Ticks base = floor_div(begin - spans.back().end, hyperperiod) * hyperperiod, sum = 0;
+      std::size_t step = 0;
+      higher.clear();
+      for (std::size_t k = 0; spans[k].end + base <= begin + until;) {
         if (--pairs < 0) return false;
-        if (const Ticks length = spans[k].end + base - begin; length <= until)
-          own.emplace_back(length, spans[k].work);
+        if (spans[k].begin + base >= begin) {
+          const Ticks length = spans[k].end + base - begin;
+          sum += spans[k].work;
+          while (step + 1 < steps_.size() && steps_[step + 1].first <= length) ++step;
+          if (sum > steps_[step].second) higher.emplace_back(length, sum);
+        }
         if (++k == spans.size()) {
           k = 0;
           base += hyperperiod;
         }
       }
-      std::ranges::sort(own);
-      Ticks sum = 0;
-      for (const auto& [length, work] : own) steps_.emplace_back(length, sum += work);
-      if (steps_.size() > kMostLoose) keep_rising();
+      if (higher.empty()) continue;
+      steps_.insert(steps_.end(), higher.begin(), higher.end());
+      keep_rising();
+      pairs -= static_cast<std::int64_t>(steps_.size());
     }
-    keep_rising();
     // An interval as long as all windows, and one hyperperiod: the longer one has just a turn more.
     const auto repeats = static_cast<std::size_t>(
         std::ranges::upper_bound(steps_, deepest, {}, &std::pair<Ticks, Ticks>::first) -
@@ -80,11 +85,11 @@ class Dbf {
   [[nodiscard]] const std::vector<std::pair<Ticks, Ticks>>& steps() const { return steps_; }
 
  private:
-  static constexpr std::size_t kMostLoose = 2'000'000;
   void keep_rising() {
     std::ranges::sort(steps_);
     std::size_t kept = 0;
-    for (const auto& [length, work] : std::vector(steps_)) {
+    for (std::size_t k = 0; k < steps_.size(); ++k) {
+      const auto [length, work] = steps_[k];
       if (kept > 0 && work <= steps_[kept - 1].second) continue;
       if (kept > 0 && steps_[kept - 1].first == length) --kept;
       steps_[kept++] = {length, work};
@@ -423,7 +428,7 @@ class Bound {
         if (pairs_ < 0) return too_much();
         if (!found) continue;
         if (!lanes_[m].shared)
-          reaches = std::max(reaches, slope_of_ * *found + slope_ * end_of_it(y - before, r));
+          reaches = std::max(reaches, slope_of_ * *found + slope_ * since_release(y - before, r));
         if (*found <= around.largest()) continue;
         const Ticks from = y == around.low ? y + 1 : y;
         if (!around.rises.empty() && around.rises.back().first == from)
@@ -464,7 +469,7 @@ class Bound {
 
   /// From the release before S to y, in real time, at the rate in which `least` counts from x to y. x
   /// may be M later than that release.
-  [[nodiscard]] Ticks end_of_it(Ticks length, const Reach& r) const {
+  [[nodiscard]] Ticks since_release(Ticks length, const Reach& r) const {
     const std::int64_t ppm = r.drift.ppm;
     return ceil_div(static_cast<__int128>(length) * (kMillion - ppm), kMillion) +
            most(r.meets_p, ppm) - least(r.meets_p, ppm);

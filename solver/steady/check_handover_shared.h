@@ -5,11 +5,12 @@
 //
 // Where the text leaves something open, or says too little, this is what is done:
 //
-// - M is no less than what `α` of a job of q is after S, if that is later than its `a`.
+// - M is no less than what the α of a job of q is after S, if that is later than its `a`.
 // - Between which keys of one clock the key of another falls is open. So λ also rises just after t_lo,
-//   by what the jobs with keys up to then have in excess; and S + M counts as an x on a shared XPU.
+//   by what the jobs with keys up to then have in excess, and on a shared XPU an x may be just before
+//   S + M. Where all that is counted is of q, r's certificate, if that is q's, bounds it.
 // - What has its key at t_lo has ended in time, as t is after t_lo.
-// - An end of lateness: `end_of_it`.
+// - When all is over: see `settle` and `find_slope`.
 #pragma once
 
 #include <cstdint>

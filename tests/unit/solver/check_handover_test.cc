@@ -434,19 +434,50 @@ TEST(CheckHandover, WhyNothingFollowsForClocksThatShare) {
   EXPECT_EQ(why(p, p), begin + "the hyperperiod of clock 'main' does not fit");
 }
 
-TEST(CheckHandover, ALateStartIsCaughtUp) {
+TEST(CheckHandover, LatenessLastsThroughMessages) {
+  Handover p = two_clocks(2000, 5000);
+  for (const char* id : {"gpu1", "gpu2"}) p.platform.xpus.push_back({id, "gpu", true, 0});
+  p.platform.xpus.push_back({"cpu1", "cpu", true, 0});
+  add_stage(p, "u", 400'000, 2000, 3000);
+  add_stage(p, "v", 400'000, 9000, 10'000);
+  p.app.sources[3].offset_us = 1;
+  Handover q = p;
+  set_wcet(q, 2, 4500);
+  q.policy.placements[2].key_us = {5000};
+  p.policy.placements[2].xpu = q.policy.placements[3].xpu = 1;
+  p.policy.placements[3].xpu = q.policy.placements[2].xpu = 2;
+  constexpr int kAfter = 12;
+  for (Handover* h : {&p, &q}) {
+    std::int64_t key = 10'000;
+    for (int k = 0; k < kAfter; ++k) {
+      h->app.xnodes.push_back({"v" + std::to_string(k), "v", {{"cpu", 100}, {"gpu", 100}}, {}});
+      h->app.edges.emplace_back(3 + k, 4 + k);
+      h->app.transfers.push_back({k, "gpu", "cpu", 20'000});
+      h->app.transfers.push_back({k, "cpu", "cpu", 20'000});
+      key += (h == &q ? 20'000 : 0) + 110;
+      h->policy.placements.push_back({h == &q ? 4 : 3, {key}});
+    }
+  }
+  // `u` takes 4500, so `v` has ended by 13 500, and each that waits for it catches up with 10 us.
+  EXPECT_GE(proven(p, q).settles_us, 13'500 + kAfter * 20'100);
+}
+
+TEST(CheckHandover, WhatWaitsForTheTableBeforeMayBeLate) {
   Handover p = two_clocks(2000, 5000);
   p.platform.xpus.push_back({"gpu1", "gpu", true, 0});
-  add_stage(p, "c", 10'000, 3000, 15'000);
+  add_stage(p, "c", 10'000, 3000, 17'000);
   p.app.modules.back().max_in_flight = 2;
-  p.policy.placements[2].xpu = 1;
+  add_stage(p, "d", 40'000, 12'000, 14'000);
+  p.policy.placements[2].xpu = p.policy.placements[3].xpu = 1;
   Handover q = p;
-  q.policy.placements[2] = {2, {6000}};
-  // Ready by 5000 after S, 3000 have to end by 6000. S + M is after that.
+  q.policy.placements[2] = {2, {7100}};
+  // `c` under p has ended by 15 000, after `d`: 5000 after S, where the next one begins, on gpu1.
   const HandoverProof proof = proven(p, q);
-  EXPECT_EQ(proof.worst_case_us[2], 15'000);
-  EXPECT_EQ(proof.worst_case_us[0], 5000 + 2000);
-  EXPECT_EQ(proof.worst_case_us[1], 4000 + 2000);
+  EXPECT_GE(proof.settles_us, 5000 + 3000);
+  // By its key it is known to be ready by 7000 after S, when all of p's own have been so for long.
+  EXPECT_EQ(proof.worst_case_us[2], 17'000);
+  EXPECT_EQ(proof.worst_case_us[0], 5000 + 2900);
+  EXPECT_EQ(proof.worst_case_us[1], 4000 + 2900);
 }
 
 }  // namespace
