@@ -401,7 +401,8 @@ class Cluster {
       if (!at_end && sum > 0) look_at(look.end);
       if (!most) continue;
       if (alone)
-        line = std::max(line, slope_.up * in_slow_time(std::max(Tick{0}, y.key - last), ppm) +
+        line = std::max(line, slope_.up * (in_slow_time(std::max(Tick{0}, y.key - last), ppm) +
+                                           2 * lost_in(last_ready_, ppm)) +
                                   slope_.of * *most);
       if (*most > so_far)
         around.rises.push_back({y.key == around.since ? y.key + 1 : y.key, *most});

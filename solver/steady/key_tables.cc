@@ -75,7 +75,7 @@ class KeyTablesSearch {
 
   /// A change has a worst case, and a short one, where clocks share no XPU: for each type, how many of its
   /// XPUs each clock has. Of the first splits, as many as there is time for, the one that costs least under the
-  /// first scenario. It is taken where that is at most kMostForSplit, or where no chain misses its
+  /// first scenario. It is taken where that is at most kMostForClaims, or where no chain misses its
   /// deadline by it: a change that is not certified may miss all of them.
   Status split_by_clock() {
     XAUTO_ASSIGN(const Components components, find_components(app_));
@@ -88,7 +88,7 @@ class KeyTablesSearch {
     const auto shared =
         solve_for(scenarios_.front(), {}, 4 * slice, options_.threads, options_.seed, nullptr);
     if (!shared || shared->outcome != Outcome::kPolicy) return {};
-    const double cheap = kMostForSplit * value_of(worst_of(shared->policy));
+    const double cheap = kMostForClaims * value_of(worst_of(shared->policy));
     double most = std::max(cheap, app_.has_deadlines() ? 1.0 : 0.0);
     do {
       if (run_.elapsed() > options_.time_limit_s / 4) break;
@@ -521,12 +521,14 @@ class KeyTablesSearch {
   /// each chosen one, or one for everything.
   void place_alike(TableChoice& choice, const std::vector<double>& regret_before, double slice,
                    std::vector<int>& candidate, Tables& best, ChangeCost& cost) {
+    const Forbids apart = std::exchange(forbids_, {});
+    bool alike = false;
     std::vector<int> bases = candidate;
     for (std::size_t c = 0; c < candidates_.size(); ++c)
       if (candidates_[c].for_all) bases.push_back(static_cast<int>(c));
     const std::size_t n = candidate.size();
     for (const int base : bases) {
-      if (run_.over()) return;
+      if (run_.over()) break;
       std::vector<std::optional<KeyTable>> found(n);
       std::vector<std::uint64_t> seeds;
       for (std::size_t t = 0; t < n; ++t) seeds.push_back(random_.next());
@@ -547,7 +549,9 @@ class KeyTablesSearch {
       cost = of;
       best = std::move(tables);
       for (std::size_t t = 0; t < n; ++t) take(*found[t], t, choice, candidate);
+      alike = true;
     }
+    if (!alike) forbids_ = apart;
   }
 
   /// In the place of table `t`'s.
@@ -672,13 +676,12 @@ class KeyTablesSearch {
   const TablesOptions& options_;
   const TablesRun run_;
   Random random_;
-  static constexpr double kMostForSplit = 1.15;
   static constexpr double kForChanges = 0.2;  ///< of the time
   static constexpr double kSlicesForChanges = 12;
   static constexpr int kSlackPct = 3;
   /// How much more regret a scenario may have, so that changes are shorter; so that more is claimed of
   /// them, or fewer deadlines are missed.
-  static constexpr double kMostForChanges = 1.01, kMostForClaims = 1.1;
+  static constexpr double kMostForChanges = 1.01, kMostForClaims = 1.15;
   /// XNode and XPU, where each clock has XPUs of its own; empty: they share.
   Forbids forbids_;
   int slack_pct_ = 0;                             ///< then each policy leaves at least so much
