@@ -163,10 +163,9 @@ void follow_late(const HandoverInput& in, int d, const Cluster& cluster, std::ve
   const Unchanged from{p, in.from, domain.ppm}, to{p, in.to, domain.ppm};
   follow_unchanged(in, domain, parts);
   for (const handover::LateAround& around : cluster.lateness(d).around) {
-    const MaybeLate times{p, from, to, around, cluster.most_of_others(d)};
+    const MaybeLate times{p, from, to, around, in, cluster, d};
     // From then on all is as late as ever, and repeats.
-    const Tick still =
-        std::max(around.s, around.rises.empty() ? around.s : around.rises.back().key);
+    const Tick still = around.last_rise();
     for (Part& part : parts) {
       const Component& of = p.components[at(p.component_of[at(part.begins)])];
       const Tick longest = part.unchanged + times.most_hold(part.begins);

@@ -23,23 +23,32 @@ struct Rise {
   Tick key = 0, by = 0;
 };
 
+/// By key; `by` rises, too.
+using Rises = std::vector<Rise>;
+[[nodiscard]] inline Tick late_at(const Rises& rises, Tick key) {
+  const auto next = std::upper_bound(rises.begin(), rises.end(), key,
+                                     [](Tick k, const Rise& r) { return k < r.key; });
+  return next == rises.begin() ? 0 : (next - 1)->by;
+}
+
 /// The jobs of one clock around one S.
 struct LateAround {
   Tick s = 0;
-  Tick since = 0;           ///< t_lo
-  std::vector<Rise> rises;  ///< by key; `by` rises, too
-  [[nodiscard]] Tick at_key(Tick key) const {
-    const auto next = std::upper_bound(rises.begin(), rises.end(), key,
-                                       [](Tick k, const Rise& r) { return k < r.key; });
-    return next == rises.begin() ? 0 : (next - 1)->by;
+  Tick since = 0;            ///< t_lo
+  std::vector<Rises> rises;  ///< [set of XPUs]
+  [[nodiscard]] Tick last_rise() const {
+    Tick last = s;
+    for (const Rises& of : rises)
+      if (!of.empty()) last = std::max(last, of.back().key);
+    return last;
   }
 };
 
 /// Of one clock of a cluster.
 struct Lateness {
   std::vector<LateAround> around;  ///< each S of a hyperperiod
-  Tick most = 0;                   ///< the largest
-  __int128 line = 0;               ///< see Cluster::rise
+  std::vector<Tick> most;          ///< [set of XPUs] the largest
+  std::vector<__int128> line;      ///< [set of XPUs] see Cluster::rise
 };
 
 /// Clocks that share XPUs, directly or through others.
@@ -55,24 +64,34 @@ class Cluster {
       return "XPUs that clocks share have no slack in one of the tables, in which a delay would "
              "end";
     find_slope();
+    find_sets();
     for (const int d : domains_) find_last_ready(d);
     for (const int d : domains_) {
+      Lateness& of = of_domain_[at(d)];
+      of.most.assign(sets_.size(), 0);
+      of.line.assign(sets_.size(), 0);
       if (std::string why = derive(d, pairs, until); !why.empty()) return why;
-      most_ += of_domain_[at(d)].most;
     }
-    __int128 last =
-        static_cast<__int128>(last_ready_) * slope_.up + static_cast<__int128>(most_) * slope_.of;
-    for (const int d : domains_)
-      last = std::max(
-          last, of_domain_[at(d)].line + static_cast<__int128>(most_of_others(d)) * slope_.of);
-    settles_ = static_cast<Tick>((last + slope_.up - 1) / slope_.up);
+    for (std::size_t set = 0; set < sets_.size(); ++set) {
+      Tick most = 0;
+      for (const int d : domains_) most += of_domain_[at(d)].most[set];
+      most_.push_back(most);
+      __int128 last =
+          static_cast<__int128>(last_ready_) * slope_.up + static_cast<__int128>(most) * slope_.of;
+      for (const int d : domains_)
+        last = std::max(last, of_domain_[at(d)].line[set] +
+                                  static_cast<__int128>(most_of_others(d, set)) * slope_.of);
+      settles_ = std::max(settles_, static_cast<Tick>((last + slope_.up - 1) / slope_.up));
+    }
     return {};
   }
   [[nodiscard]] const Lateness& lateness(int domain) const { return of_domain_[at(domain)]; }
   /// Of the other clocks, together.
-  [[nodiscard]] Tick most_of_others(int domain) const {
-    return most_ - of_domain_[at(domain)].most;
+  [[nodiscard]] Tick most_of_others(int domain, std::size_t set) const {
+    return most_[set] - of_domain_[at(domain)].most[set];
   }
+  /// R(m), by number.
+  [[nodiscard]] std::size_t set_of(int xpu) const { return set_of_[at(xpu)]; }
   /// After S, in real time.
   [[nodiscard]] Tick settles() const { return settles_; }
 
@@ -144,6 +163,39 @@ class Cluster {
       return true;
     }
     return false;
+  }
+
+  /// The distinct R(m).
+  void find_sets() {
+    const std::size_t xpus = at(p_.num_xpus);
+    std::vector<std::vector<char>> fed(xpus, std::vector<char>(xpus, 0));  // [m][by]
+    for (std::size_t m = 0; m < xpus; ++m) fed[m][m] = 1;
+    const auto waits = [&](int x, int u) {
+      fed[at(in_.from_xpu[at(x)])][at(in_.from_xpu[at(u)])] = 1;
+      fed[at(in_.to_xpu[at(x)])][at(in_.to_xpu[at(u)])] = 1;
+    };
+    for (const int d : domains_)
+      for (const int i : p_.domains[at(d)].xnodes) {
+        for (const Link& link : p_.pred[at(i)]) waits(i, link.xnode);
+        fed[at(in_.to_xpu[at(i)])][at(in_.from_xpu[at(i)])] = 1;
+        const int module = p_.module_of[at(i)];
+        if (module < 0 || p_.entry[at(i)] == 0) continue;
+        for (const int u : p_.modules[at(module)].xnodes) {
+          waits(i, u);
+          fed[at(in_.to_xpu[at(i)])][at(in_.from_xpu[at(u)])] = 1;
+        }
+      }
+    for (std::size_t by = 0; by < xpus; ++by)
+      for (std::size_t m = 0; m < xpus; ++m)
+        for (std::size_t other = 0; fed[m][by] != 0 && other < xpus; ++other)
+          fed[m][other] = static_cast<char>(fed[m][other] | fed[by][other]);
+    set_of_.assign(xpus, 0);
+    for (std::size_t m = 0; m < xpus; ++m) {
+      if (kinds_[m] == Kind::kUnused) continue;
+      const auto known = std::find(sets_.begin(), sets_.end(), fed[m]);
+      set_of_[m] = static_cast<std::size_t>(known - sets_.begin());
+      if (known == sets_.end()) sets_.push_back(fed[m]);
+    }
   }
 
   /// By how much lateness falls in time: at least sigma, but where messages take time.
@@ -263,10 +315,17 @@ class Cluster {
       const Range look{around.since - before_most, all[r] + last_ready, all[r] + after_most};
       if (!list(d, around, look, jobs))
         return clock_of(d) + "has jobs that wait for the other table until after their keys";
-      lateness.line =
-          std::max(lateness.line, rise(around, look, last, 2 * blur, ppm, due, jobs, pairs));
+      around.rises.resize(sets_.size());
+      for (std::vector<Job>& of : jobs)
+        std::sort(of.begin(), of.end(),
+                  [](const Job& a, const Job& b) { return a.ready > b.ready; });
+      for (std::size_t set = 0; set < sets_.size() && pairs >= 0; ++set)
+        lateness.line[set] = std::max(
+            lateness.line[set], rise(around, set, look, last, 2 * blur, ppm, due, jobs, pairs));
       if (pairs < 0 || until.over()) return clock_of(d) + "takes more jobs than are looked at";
-      if (!around.rises.empty()) lateness.most = std::max(lateness.most, around.rises.back().by);
+      for (std::size_t set = 0; set < sets_.size(); ++set)
+        if (!around.rises[set].empty())
+          lateness.most[set] = std::max(lateness.most[set], around.rises[set].back().by);
       lateness.around.push_back(std::move(around));
     }
     return {};
@@ -348,17 +407,17 @@ class Cluster {
 
   /// Fills around.rises. Returns the largest of up * y + of * what is reached at y, for the keys y after the
   /// release before S on XPUs of this clock alone, up / of the slope: from where lateness may fall.
-  __int128 rise(LateAround& around, const Range& look, Tick last, Tick shorter, std::int64_t ppm,
-                const std::vector<std::vector<Step>>& due, std::vector<std::vector<Job>>& jobs,
-                std::int64_t& pairs) const {
+  __int128 rise(LateAround& around, std::size_t set, const Range& look, Tick last, Tick shorter,
+                std::int64_t ppm, const std::vector<std::vector<Step>>& due,
+                const std::vector<std::vector<Job>>& jobs, std::int64_t& pairs) const {
     struct At {
       Tick key;
       int xpu;
     };
+    Rises& rises = around.rises[set];
     std::vector<At> keys;
     for (int m = 0; m < p_.num_xpus; ++m) {
-      std::sort(jobs[at(m)].begin(), jobs[at(m)].end(),
-                [](const Job& a, const Job& b) { return a.ready > b.ready; });
+      if (sets_[set][at(m)] == 0) continue;
       // Another clock's key may be just after t_lo.
       if (!jobs[at(m)].empty()) keys.push_back({around.since, m});
       for (const Job& job : jobs[at(m)])
@@ -369,7 +428,7 @@ class Cluster {
     for (const At& y : keys) {
       const std::vector<Step>& steps = due[at(y.xpu)];
       const bool alone = kinds_[at(y.xpu)] == Kind::kAlone;
-      const Tick so_far = around.rises.empty() ? 0 : around.rises.back().by;
+      const Tick so_far = rises.empty() ? 0 : rises.back().by;
       std::optional<Tick> most;
       Tick sum = 0;
       std::size_t step = 0;
@@ -382,7 +441,7 @@ class Cluster {
           while (step < steps.size() && steps[step].length <= length - shorter) ++step;
           served = step == 0 ? 0 : steps[step - 1].value;
         }
-        const Tick reached = around.at_key(x) + sum - served;
+        const Tick reached = late_at(rises, x) + sum - served;
         most = std::max(most.value_or(reached), reached);
       };
       // Another clock's alpha may be just before `end`.
@@ -404,8 +463,7 @@ class Cluster {
         line = std::max(line, slope_.up * (in_slow_time(std::max(Tick{0}, y.key - last), ppm) +
                                            2 * lost_in(last_ready_, ppm)) +
                                   slope_.of * *most);
-      if (*most > so_far)
-        around.rises.push_back({y.key == around.since ? y.key + 1 : y.key, *most});
+      if (*most > so_far) rises.push_back({y.key == around.since ? y.key + 1 : y.key, *most});
     }
     return line;
   }
@@ -418,9 +476,12 @@ class Cluster {
   struct Slope {
     __int128 up = 1, of = 1;
   } slope_;
-  Tick last_ready_ = 0;  ///< M, in real time
+  Tick last_ready_ = 0;                  ///< M, in real time
+  std::vector<std::vector<char>> sets_;  ///< [set][xpu]
+  std::vector<std::size_t> set_of_;      ///< [xpu] R(m)
   std::vector<Lateness> of_domain_;
-  Tick most_ = 0, settles_ = 0;
+  std::vector<Tick> most_;  ///< [set]
+  Tick settles_ = 0;
 };
 
 /// What a walk tells of jobs (handover_walk.h), by theorem 10.
@@ -428,7 +489,9 @@ struct MaybeLate {
   const Problem& p;
   const Unchanged from, to;
   const LateAround& around;
-  Tick others;  ///< lateness of other clocks
+  const HandoverInput& in;
+  const Cluster& cluster;
+  int domain;
   [[nodiscard]] bool on_time(int xnode, std::int64_t n) const {
     return release(xnode, n) < around.s && from.ends(xnode, n) < around.since;
   }
@@ -439,7 +502,10 @@ struct MaybeLate {
   [[nodiscard]] Tick ends(int xnode, std::int64_t n) const {
     const Tick key = table(xnode, n).ends(xnode, n);
     if (on_time(xnode, n)) return key;
-    return key + in_fast_time(around.at_key(key) + others, from.ppm);
+    const bool first = release(xnode, n) < around.s;
+    const std::size_t set = cluster.set_of((first ? in.from_xpu : in.to_xpu)[at(xnode)]);
+    return key + in_fast_time(late_at(around.rises[set], key) + cluster.most_of_others(domain, set),
+                              from.ppm);
   }
   [[nodiscard]] Tick held(int xnode, std::int64_t n) const {
     return table(xnode, n).held(xnode, n);
