@@ -407,22 +407,26 @@ TEST(CheckHandover, WhoWaitsForTheTableBeforeIsLateWithIt) {
   std::swap(p.policy.placements[3].xpu, q.policy.placements[3].xpu);
   EXPECT_EQ(proven(p, q).worst_case_us[2], 1500);
 
-  // `e`, the entry of its module, moves from gpu0 to cpu1. `f` has left with it, on cpu0 under p.
-  p = two_clocks(2000, 3000), q = two_clocks(3000, 6000);
-  for (Handover* h : {&p, &q}) {
-    h->platform.xpus.push_back({"cpu1", "cpu", true, 0});
-    add_stage(*h, "c", 5000, 1000, 1500);
-    add_stage(*h, "e", 10'000, 100, 200);
-    h->app.xnodes.push_back({"f", "e", {{"cpu", 100}, {"gpu", 100}}, {}});
-    h->app.edges = {{3, 4}};
-    h->policy.placements[2].xpu = 2;
-    h->policy.placements[3].xpu = h == &p ? 1 : 2;
-    h->policy.placements.push_back({h == &p ? 0 : 1, {8000}});
-  }
-  EXPECT_EQ(proven(p, q).worst_case_us[2], 1500 + 3000);
-  // Not if `f` was elsewhere.
-  p.policy.placements[4].xpu = 1;
-  EXPECT_EQ(proven(p, q).worst_case_us[2], 1500);
+  // `e`, the entry of its module, waits for `f` of the activation before. 2 is the CPU of `c`.
+  const auto worst = [](std::pair<int, int> of_p, std::pair<int, int> of_q) {
+    Handover from = two_clocks(2000, 3000), to = two_clocks(3000, 6000);
+    for (auto& [h, of] : {std::pair(&from, of_p), std::pair(&to, of_q)}) {
+      h->platform.xpus.push_back({"cpu1", "cpu", true, 0});
+      add_stage(*h, "c", 5000, 1000, 1500);
+      add_stage(*h, "e", 10'000, 100, 200);
+      h->app.xnodes.push_back({"f", "e", {{"cpu", 100}, {"gpu", 100}}, {}});
+      h->app.edges = {{3, 4}};
+      h->policy.placements[2].xpu = 2;
+      h->policy.placements[3].xpu = of.first;
+      h->policy.placements.push_back({of.second, {8000}});
+    }
+    return *proven(from, to).worst_case_us[2];
+  };
+  EXPECT_EQ(worst({2, 0}, {1, 1}), 1500 + 3000) << "under p";
+  EXPECT_EQ(worst({1, 1}, {2, 0}), 1500 + 3000) << "under q";
+  EXPECT_EQ(worst({1, 0}, {2, 1}), 1500 + 3000) << "of q for p";
+  EXPECT_EQ(worst({1, 1}, {2, 1}), 1500);
+  EXPECT_EQ(worst({2, 2}, {1, 0}), 1500) << "nobody of p waits for one of q";
 }
 
 TEST(CheckHandover, WhatDoesNotRiseMayStillBeLate) {
