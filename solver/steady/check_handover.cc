@@ -327,7 +327,7 @@ std::string walk_cluster(const shared::Question& ask, int percent, std::int64_t&
   for (std::size_t k = 0; k < cluster.clocks.size(); ++k) {
     const shared::OfClock& of = cluster.clocks[k];
     for (const shared::Lateness& lateness : of.changes) {
-      const shared::Around around(ask.both, of, lateness, cluster.largest_of_others(k));
+      const shared::Around around(ask.both, cluster, k, lateness);
       for (Part* part : parts[at(of.clock)]) follow(ask.both, around, lateness.low + 1, *part);
     }
   }
@@ -481,7 +481,7 @@ Result<HandoverProof> derive_handover(const TwoTables& tables, std::int64_t most
     checking::shared::Cluster cluster;
     std::string failed;
     for (const int clock : clocks) {
-      cluster.clocks.push_back({clock, hyperperiods[at(clock)], {}, 0});
+      cluster.clocks.push_back({clock, hyperperiods[at(clock)], {}, {}});
       if (failed.empty()) failed = why[at(clock)];
     }
     if (failed.empty()) failed = own::walk_cluster(ask, percent, pairs, cluster, parts);

@@ -102,7 +102,7 @@ class Dbf {
 struct Item {
   Ticks alpha = 0, key = 0;  ///< late and early
   Ticks work = 0;
-  Ticks before = 0;  ///< λ(alpha), once it is known
+  Ticks before = 0;  ///< λ(alpha) of the set that is looked at, once it is known
 };
 
 /// Of one XPU.
@@ -121,6 +121,7 @@ class Bound {
 
   void run(int percent) {
     if (!acceptable(percent)) return;
+    find_sets();
     for (const OfClock& clock : of_.clocks)
       if (!scan(clock)) return;
     find_slope(percent);
@@ -191,6 +192,42 @@ class Bound {
     }
     if (percent == 0) return refuse("both tables leave less than 1 % of an XPU");
     return true;
+  }
+
+  // ----------------------------------------------------------------------------------------- sets
+
+  /// Who feeds whom, and R(m) of each XPU that the cluster uses.
+  void find_sets() {
+    std::vector<std::set<int>> fed_by(users_.size());
+    // Jobs of both tables may wait for one of the same table, and those of q for one of p.
+    const auto waits = [&](int i, int other) {
+      for (const bool of_q : {false, true}) fed_by[at(xpu_of(of_q, i))].insert(xpu_of(of_q, other));
+    };
+    const auto waits_for_p = [&](int i, int other) {
+      fed_by[at(xpu_of(true, i))].insert(xpu_of(false, other));
+    };
+    for (const OfClock& clock : of_.clocks)
+      each_xnode(clock.clock, [&](const Component& /*c*/, int i) {
+        for (const auto& [u, transfer] : p_.before[at(i)]) waits(i, u);
+        waits_for_p(i, i);
+        if (!p_.entry[at(i)]) return;
+        for (const int x : p_.module_xnodes[at(p_.module_of[at(i)])]) {
+          waits(i, x);
+          waits_for_p(i, x);
+        }
+      });
+    of_.set_of.resize(users_.size());
+    for (std::size_t m = 0; m < users_.size(); ++m) {
+      if (users_[m].empty()) continue;
+      std::vector<int> set = {static_cast<int>(m)};
+      for (std::size_t k = 0; k < set.size(); ++k)
+        for (const int feeder : fed_by[at(set[k])])
+          if (std::ranges::count(set, feeder) == 0) set.push_back(feeder);
+      std::ranges::sort(set);
+      const auto known = std::ranges::find(of_.sets, set);
+      of_.set_of[m] = static_cast<std::size_t>(known - of_.sets.begin());
+      if (known == of_.sets.end()) of_.sets.push_back(std::move(set));
+    }
   }
 
   // ---------------------------------------------------------------------------- the jobs of one S
@@ -315,10 +352,7 @@ class Bound {
     Ticks work = 0;
     int wrong = -1;
     bool fits = true;
-    for (Lane& lane : lanes_) {
-      lane.items.clear();
-      lane.known = 0;
-    }
+    for (Lane& lane : lanes_) lane.items.clear();
     const auto add = [&](bool of_q, int i, Ticks alpha, Ticks key, Ticks takes) {
       if (alpha >= key) wrong = i;
       work += takes;
@@ -358,10 +392,11 @@ class Bound {
   // --------------------------------------------------------------------------------------- λ
 
   /// The largest λ(x) + excess(x, y) on a lane. `limit`: S + M, or the latest x.
-  std::optional<Ticks> reached(Lane& lane, const Lateness& around, const Reach& r, Ticks y) {
+  std::optional<Ticks> reached(Lane& lane, const Lateness& around, const Lambda& lambda,
+                               const Reach& r, Ticks y) {
     while (lane.known < lane.items.size() && lane.items[lane.known].alpha < y) {
       Item& item = lane.items[lane.known++];
-      item.before = around.at(item.alpha);
+      item.before = lambda.at(item.alpha);
     }
     std::optional<Ticks> best;
     // The x of a shared XPU may be another clock's: as late as just before S + M.
@@ -390,14 +425,45 @@ class Bound {
       const Item& item = lane.items[k];
       if (item.key > y) continue;
       if (item.alpha < limit && !at_limit) {
-        if (sum > 0) look(limit, around.at(limit - 1));
+        if (sum > 0) look(limit, lambda.at(limit - 1));
         at_limit = true;
       }
       sum += item.work;
       if (item.alpha < limit) look(item.alpha, item.before);
     }
-    if (!at_limit && sum > 0) look(limit, around.at(limit - 1));
+    if (!at_limit && sum > 0) look(limit, lambda.at(limit - 1));
     return best;
+  }
+
+  /// λ of a set. `reaches`: see `settle`. False: too many pairs.
+  bool rise(const std::vector<int>& set, const Lateness& around, const Reach& r, Lambda& lambda,
+            __int128& reaches) {
+    std::vector<std::pair<Ticks, int>> keys;
+    for (const int m : set) {
+      Lane& lane = lanes_[at(m)];
+      lane.known = 0;
+      if (!lane.items.empty()) keys.emplace_back(around.low, m);
+      for (const Item& item : lane.items)
+        if (item.key > around.low) keys.emplace_back(item.key, m);
+    }
+    std::ranges::sort(keys);
+    keys.erase(std::ranges::unique(keys).begin(), keys.end());
+    for (const auto& [y, m] : keys) {
+      Lane& lane = lanes_[at(m)];
+      const auto found = reached(lane, around, lambda, r, y);
+      if (pairs_ < 0) return false;
+      if (!found) continue;
+      if (!lane.shared)
+        reaches =
+            std::max(reaches, slope_of_ * *found + slope_ * since_release(y - around.before, r));
+      if (*found <= lambda.largest()) continue;
+      const Ticks from = y == around.low ? y + 1 : y;
+      if (!lambda.rises.empty() && lambda.rises.back().first == from)
+        lambda.rises.back().second = *found;
+      else
+        lambda.rises.emplace_back(from, *found);
+    }
+    return true;
   }
 
   bool walk(std::size_t k) {
@@ -408,39 +474,22 @@ class Bound {
     for (std::size_t m = 0; m < lanes_.size(); ++m)
       if (users_[m].size() > 1 && users_[m].contains(of.clock) && !make_dbf(of, r, m))
         return too_much();
-    __int128 reaches = 0;  // see `settle`
+    const std::size_t sets = of_.sets.size();
+    std::vector<__int128>& reaches = reaches_.emplace_back(sets, 0);
+    of.largest.assign(sets, 0);
     const Ticks notice = r.drift.longest(ask_.notice);
-    std::vector<std::pair<Ticks, std::size_t>> keys;
     Ticks before = grid.releases.back() - of.hyperperiod;
     for (const Ticks change : grid.releases) {
-      Lateness around{change, before, before - notice, {}};
+      Lateness around{change, before, before - notice, std::vector<Lambda>(sets)};
       if (!make_items(of, r, grid, around)) return false;
-      keys.clear();
-      for (std::size_t m = 0; m < lanes_.size(); ++m) {
-        if (!lanes_[m].items.empty()) keys.emplace_back(around.low, m);
-        for (const Item& item : lanes_[m].items)
-          if (item.key > around.low) keys.emplace_back(item.key, m);
+      for (std::size_t set = 0; set < sets; ++set) {
+        Lambda& lambda = around.lambdas[set];
+        if (!rise(of_.sets[set], around, r, lambda, reaches[set])) return too_much();
+        of.largest[set] = std::max(of.largest[set], lambda.largest());
       }
-      std::ranges::sort(keys);
-      keys.erase(std::ranges::unique(keys).begin(), keys.end());
-      for (const auto& [y, m] : keys) {
-        const auto found = reached(lanes_[m], around, r, y);
-        if (pairs_ < 0) return too_much();
-        if (!found) continue;
-        if (!lanes_[m].shared)
-          reaches = std::max(reaches, slope_of_ * *found + slope_ * since_release(y - before, r));
-        if (*found <= around.largest()) continue;
-        const Ticks from = y == around.low ? y + 1 : y;
-        if (!around.rises.empty() && around.rises.back().first == from)
-          around.rises.back().second = *found;
-        else
-          around.rises.emplace_back(from, *found);
-      }
-      of.largest = std::max(of.largest, around.largest());
       of.changes.push_back(std::move(around));
       before = change;
     }
-    reaches_.push_back(reaches);
     return true;
   }
 
@@ -480,18 +529,21 @@ class Bound {
   /// and no certificate is of both: so all λ(x) + excess(x, y) have to be below that line, if x is one
   /// of those up to M after the release before S. Later ones are q's, with its slack. The rise of λ
   /// alone does not tell: what stays below Λ does not rise, and may be above the line. Beyond the keys
-  /// looked at, it falls from hyperperiod to hyperperiod.
+  /// looked at, it falls from hyperperiod to hyperperiod. So it is for each set: of two, one of which has
+  /// all XPUs of the other, it has the higher line.
   void settle() {
-    __int128 sum = 0;
-    for (const OfClock& of : of_.clocks) sum += of.largest;
-    __int128 last = meets_p_ * slope_ + sum * slope_of_;
-    for (std::size_t k = 0; k < of_.clocks.size(); ++k)
-      last = std::max(last, reaches_[k] + (sum - of_.clocks[k].largest) * slope_of_);
-    if (sum > kMostWork || last / slope_ >= kMostWork) {
-      too_much();
-      return;
+    for (std::size_t set = 0; set < of_.sets.size(); ++set) {
+      __int128 sum = 0;
+      for (const OfClock& of : of_.clocks) sum += of.largest[set];
+      __int128 last = meets_p_ * slope_ + sum * slope_of_;
+      for (std::size_t k = 0; k < of_.clocks.size(); ++k)
+        last = std::max(last, reaches_[k][set] + (sum - of_.clocks[k].largest[set]) * slope_of_);
+      if (sum > kMostWork || last / slope_ >= kMostWork) {
+        too_much();
+        return;
+      }
+      of_.settles = std::max(of_.settles, ceil_div(last, static_cast<Ticks>(slope_)));
     }
-    of_.settles = ceil_div(last, static_cast<Ticks>(slope_));
   }
 
   const Question& ask_;
@@ -504,8 +556,8 @@ class Bound {
   std::vector<Grid> grids_;           ///< [clock of the cluster]
   Ticks meets_p_ = 0;                 ///< M, in real time
   __int128 slope_ = 1, slope_of_ = 100;
-  std::vector<__int128> reaches_;  ///< [clock of the cluster]
-  std::vector<Lane> lanes_;        ///< [xpu]
+  std::vector<std::vector<__int128>> reaches_;  ///< [clock of the cluster][set]
+  std::vector<Lane> lanes_;                     ///< [xpu]
 };
 
 /// Both tables' WCETs for `percent` of slack, preempting included; nullopt: a window is too short.
@@ -537,15 +589,15 @@ bool leaves(const World& w, bool coarse, int percent) {
   return true;
 }
 
-Ticks Lateness::at(Ticks instant) const {
+Ticks Lambda::at(Ticks instant) const {
   const auto after = std::ranges::upper_bound(rises, instant, {}, &std::pair<Ticks, Ticks>::first);
   return after == rises.begin() ? 0 : std::prev(after)->second;
 }
 
-Ticks Cluster::largest_of_others(std::size_t k) const {
+Ticks Cluster::largest_of_others(std::size_t k, std::size_t set) const {
   Ticks sum = 0;
   for (std::size_t other = 0; other < clocks.size(); ++other)
-    if (other != k) sum += clocks[other].largest;
+    if (other != k) sum += clocks[other].largest[set];
   return sum;
 }
 
@@ -580,11 +632,18 @@ void bound_cluster(const Question& ask, int percent, std::int64_t& pairs, Cluste
   Bound(ask, pairs, of).run(percent);
 }
 
-Around::Around(const Both& both, const OfClock& of, const Lateness& lateness, Ticks others)
+Around::Around(const Both& both, const Cluster& cluster, std::size_t k, const Lateness& lateness)
     : both_(both),
+      set_of_(cluster.set_of),
       lateness_(lateness),
-      drift_{both.p.app.clocks[at(of.clock)].ppm},
-      others_(others) {
+      drift_{both.p.app.clocks[at(cluster.clocks[k].clock)].ppm} {
+  const OfClock& of = cluster.clocks[k];
+  Ticks last = std::max(lateness.change, lateness.low);
+  for (std::size_t set = 0; set < cluster.sets.size(); ++set) {
+    others_.push_back(cluster.largest_of_others(k, set));
+    const auto& rises = lateness.lambdas[set].rises;
+    if (!rises.empty()) last = std::max(last, rises.back().first);
+  }
   Ticks step = 0, offset = 0;
   for (const Component& c : both.p.components)
     if (c.clock == of.clock) {
@@ -592,7 +651,7 @@ Around::Around(const Both& both, const OfClock& of, const Lateness& lateness, Ti
       for (const int s : c.sources)
         offset = std::max(offset, both.p.app.sources[at(s)].offset_us * both.p.scale - c.phi);
     }
-  last_ = std::max(lateness.change, lateness.last_rise()) + of.hyperperiod + step + offset;
+  last_ = last + of.hyperperiod + step + offset;
 }
 
 }  // namespace xauto::solver::steady::checking::shared

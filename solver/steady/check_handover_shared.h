@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // A change of tables where clocks share XPUs. The words are those of docs/steady-state.md, theorem 10:
 // how much later than their keys the jobs of each clock may end is a function of time that rises at
-// keys; those of a cluster's clocks add up.
+// keys; those of a cluster's clocks add up. For the jobs on an XPU only that XPU counts, and those that
+// feed it: a *set*, R(m). Each set has functions of its own, from the same jobs.
 //
 // Where the text leaves something open, or says too little, this is what is done:
 //
@@ -10,7 +11,9 @@
 //   by what the jobs with keys up to then have in excess, and on a shared XPU an x may be just before
 //   S + M. Where all that is counted is of q, r's certificate, if that is q's, bounds it.
 // - What has its key at t_lo has ended in time, as t is after t_lo.
-// - When all is over: see `settle` and `find_slope`.
+// - When all is over: see `settle` and `find_slope`. M and τ are the whole cluster's, for each set.
+// - Edges are between activations of one release, so of one table: of p and q together are modules, and
+//   an XNode that moves.
 #pragma once
 
 #include <cstdint>
@@ -27,29 +30,35 @@ namespace xauto::solver::steady::checking::shared {
 using tables::Both;
 using tables::Drift;
 
-/// λ of a clock around one S.
-struct Lateness {
-  Ticks change = 0;                            ///< S
-  Ticks before = 0;                            ///< the release that precedes it
-  Ticks low = 0;                               ///< t_lo
+/// λ of a clock and a set.
+struct Lambda {
   std::vector<std::pair<Ticks, Ticks>> rises;  ///< from then on so much; both rise
   [[nodiscard]] Ticks at(Ticks instant) const;
-  [[nodiscard]] Ticks last_rise() const { return rises.empty() ? low : rises.back().first; }
   [[nodiscard]] Ticks largest() const { return rises.empty() ? 0 : rises.back().second; }
+};
+
+/// Of a clock around one S.
+struct Lateness {
+  Ticks change = 0;             ///< S
+  Ticks before = 0;             ///< the release that precedes it
+  Ticks low = 0;                ///< t_lo
+  std::vector<Lambda> lambdas;  ///< [set]
 };
 
 struct OfClock {
   int clock = -1;
   Ticks hyperperiod = 0;  ///< of both tables; 0: it does not fit
   std::vector<Lateness> changes;
-  Ticks largest = 0;  ///< Λ, in real time
+  std::vector<Ticks> largest;  ///< [set] Λ, in real time
 };
 
 struct Cluster {
   std::vector<OfClock> clocks;
-  Ticks settles = 0;  ///< in real time
-  std::string why;    ///< nothing follows
-  [[nodiscard]] Ticks largest_of_others(std::size_t k) const;
+  std::vector<std::vector<int>> sets;  ///< all R(m), each once: their XPUs
+  std::vector<std::size_t> set_of;     ///< [xpu]; of those that the cluster uses
+  Ticks settles = 0;                   ///< in real time
+  std::string why;                     ///< nothing follows
+  [[nodiscard]] Ticks largest_of_others(std::size_t k, std::size_t set) const;
 };
 
 /// What is asked of both tables, beside `both`.
@@ -66,14 +75,14 @@ struct Question {
 /// σ in percent that both tables leave on all XPUs, preemptions of all jobs paid; 0: none.
 [[nodiscard]] int slack_percent(const Question& ask);
 
-/// λ and Λ of each clock of `of`, whose clocks and hyperperiods are set. `pairs` (x, y) may be looked
-/// at: it is counted down.
+/// The sets, and λ and Λ of each clock of `of`, whose clocks and hyperperiods are given. `pairs` (x, y)
+/// may be looked at: it is counted down.
 void bound_cluster(const Question& ask, int percent, std::int64_t& pairs, Cluster& of);
 
 /// One clock around one S as a tables::Walk: who has ended by when.
 class Around {
  public:
-  Around(const Both& both, const OfClock& of, const Lateness& lateness, Ticks others);
+  Around(const Both& both, const Cluster& cluster, std::size_t k, const Lateness& lateness);
   [[nodiscard]] const Drift& drift() const { return drift_; }
   [[nodiscard]] Ticks release(int xnode, std::int64_t n) const {
     const Component& c = both_.p.home(xnode);
@@ -104,13 +113,18 @@ class Around {
   }
   /// In real time.
   [[nodiscard]] Ticks late(int xnode, std::int64_t n) const {
-    return in_u(xnode, n) ? lateness_.at(key(xnode, n)) + others_ : 0;
+    if (!in_u(xnode, n)) return 0;
+    const int xpu = both_.of(of_q(xnode, n)).policy.placements[at(xnode)].xpu;
+    const std::size_t set = set_of_[at(xpu)];
+    return lateness_.lambdas[set].at(key(xnode, n)) + others_[set];
   }
 
   const Both& both_;
+  const std::vector<std::size_t>& set_of_;
   const Lateness& lateness_;
   Drift drift_;
-  Ticks others_ = 0, last_ = 0;
+  std::vector<Ticks> others_;  ///< [set] Λ of the other clocks
+  Ticks last_ = 0;
 };
 
 }  // namespace xauto::solver::steady::checking::shared

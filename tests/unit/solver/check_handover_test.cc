@@ -315,14 +315,118 @@ TEST(CheckHandover, AClocksOwnXpuMakesAnotherClockLate) {
   Handover q = p;
   set_wcet(q, 2, 4500);
   q.policy.placements[2].key_us = {5000};
-  const HandoverProof proof = proven(p, q);
-  // `c` has ended by 4500, 1500 late. All of both clocks may wait for such a job.
+  // `c` has ended by 4500, 1500 late. Nobody on the CPU waits for it.
+  HandoverProof proof = proven(p, q);
+  EXPECT_EQ(proof.worst_case_us[0], 5000);
+  EXPECT_EQ(proof.worst_case_us[1], 4000);
+  EXPECT_EQ(proof.worst_case_us[2], 5000 + 1500);
+  EXPECT_EQ(proof.settles_us, 3000 + 1500 * 100 / 8);
+  // Now somebody does, and all of both clocks may wait for that.
+  for (Handover* h : {&p, &q}) {
+    h->app.xnodes.push_back({"d", "c", {{"cpu", 100}, {"gpu", 100}}, {}});
+    h->app.edges = {{2, 3}};
+    h->policy.placements.push_back({0, {7000}});
+  }
+  proof = proven(p, q);
   EXPECT_EQ(proof.worst_case_us[0], 5000 + 1500);
   EXPECT_EQ(proof.worst_case_us[1], 4000 + 1500);
   EXPECT_EQ(proof.worst_case_us[2], 5000 + 1500);
   // From 3000 after S on.
   EXPECT_EQ(proof.settles_us, 3000 + 1500 * 100 / 8);
   EXPECT_EQ(proof.chain_settles_us[1], proof.settles_us);
+}
+
+TEST(CheckHandover, WhereNobodyWaitsForClocksThatShareNobodyIsLate) {
+  // `a` and `b` may be 3000 late on cpu0. `c`, a control loop of the clock of `a`, is on cpu2.
+  Handover p = two_clocks(2000, 3000), q = two_clocks(3000, 6000);
+  for (Handover* h : {&p, &q}) {
+    h->platform.xpus.push_back({"cpu1", "cpu", true, 0});
+    h->platform.xpus.push_back({"cpu2", "cpu", true, 0});
+    add_stage(*h, "c", 5000, 1000, 1500);
+    h->policy.placements[2].xpu = 3;
+  }
+  const auto worst = [&] { return *proven(p, q).worst_case_us[2]; };
+  HandoverProof proof = proven(p, q);
+  EXPECT_EQ(proof.worst_case_us[0], 6000 + 3000);
+  EXPECT_EQ(proof.worst_case_us[1], 4000 + 3000);
+  EXPECT_EQ(proof.worst_case_us[2], 1500);
+  EXPECT_EQ(proof.settles_us, 3000 * 100 / 8);
+  // What becomes longer on its own CPU is its own, and nobody else's.
+  set_wcet(q, 2, 1600);
+  q.policy.placements[2].key_us = {1700};
+  proof = proven(p, q);
+  EXPECT_EQ(proof.worst_case_us[0], 6000 + 3000);
+  EXPECT_EQ(proof.worst_case_us[1], 4000 + 3000);
+  EXPECT_EQ(proof.worst_case_us[2], 1700 + 100);
+  set_wcet(q, 2, 1000);
+  q.policy.placements[2].key_us = {1500};
+
+  // A reader of `a` on that CPU, by an edge, is late, and so is who shares the CPU with it.
+  for (Handover* h : {&p, &q}) {
+    h->app.xnodes.push_back({"d", "a", {{"cpu", 100}, {"gpu", 100}}, {}});
+    h->app.edges = {{0, 3}};
+    h->app.chains.push_back({"a to d", 0, 3});
+    h->policy.placements.push_back({3, {8000}});
+  }
+  proof = proven(p, q);
+  EXPECT_EQ(proof.worst_case_us[3], 8000 + 3000);
+  EXPECT_EQ(proof.worst_case_us[2], 1500 + 3000);
+  // Not if it is elsewhere, unless somebody on cpu2 waits for that.
+  p.policy.placements[3].xpu = q.policy.placements[3].xpu = 2;
+  proof = proven(p, q);
+  EXPECT_EQ(proof.worst_case_us[3], 8000 + 3000);
+  EXPECT_EQ(proof.worst_case_us[2], 1500);
+  for (Handover* h : {&p, &q}) {
+    h->app.xnodes.push_back({"e", "a", {{"cpu", 100}, {"gpu", 100}}, {}});
+    h->app.edges.emplace_back(3, 4);
+    h->policy.placements.push_back({3, {9000}});
+  }
+  EXPECT_EQ(worst(), 1500 + 3000);
+  // One table is enough.
+  p.policy.placements[4].xpu = 2;
+  EXPECT_EQ(worst(), 1500 + 3000);
+  p.policy.placements[4].xpu = 3;
+  q.policy.placements[4].xpu = 2;
+  EXPECT_EQ(worst(), 1500 + 3000);
+  q.policy.placements[4].xpu = p.policy.placements[4].xpu = 2;
+  EXPECT_EQ(worst(), 1500);
+}
+
+TEST(CheckHandover, WhoWaitsForTheTableBeforeIsLateWithIt) {
+  // As above, and `d` moves from cpu0 to the CPU of `c`, or back.
+  Handover p = two_clocks(2000, 3000), q = two_clocks(3000, 6000);
+  for (Handover* h : {&p, &q}) {
+    add_stage(*h, "c", 5000, 1000, 1500);
+    add_stage(*h, "d", 10'000, 100, 8000);
+    h->policy.placements[2].xpu = 1;
+  }
+  EXPECT_EQ(proven(p, q).worst_case_us[2], 1500);
+  q.policy.placements[3].xpu = 1;
+  EXPECT_EQ(proven(p, q).worst_case_us[2], 1500 + 3000);
+  // On cpu0 it waits for what is never late.
+  std::swap(p.policy.placements[3].xpu, q.policy.placements[3].xpu);
+  EXPECT_EQ(proven(p, q).worst_case_us[2], 1500);
+
+  // `e`, the entry of its module, waits for `f` of the activation before. 2 is the CPU of `c`.
+  const auto worst = [](std::pair<int, int> of_p, std::pair<int, int> of_q) {
+    Handover from = two_clocks(2000, 3000), to = two_clocks(3000, 6000);
+    for (auto& [h, of] : {std::pair(&from, of_p), std::pair(&to, of_q)}) {
+      h->platform.xpus.push_back({"cpu1", "cpu", true, 0});
+      add_stage(*h, "c", 5000, 1000, 1500);
+      add_stage(*h, "e", 10'000, 100, 200);
+      h->app.xnodes.push_back({"f", "e", {{"cpu", 100}, {"gpu", 100}}, {}});
+      h->app.edges = {{3, 4}};
+      h->policy.placements[2].xpu = 2;
+      h->policy.placements[3].xpu = of.first;
+      h->policy.placements.push_back({of.second, {8000}});
+    }
+    return *proven(from, to).worst_case_us[2];
+  };
+  EXPECT_EQ(worst({2, 0}, {1, 1}), 1500 + 3000) << "under p";
+  EXPECT_EQ(worst({1, 1}, {2, 0}), 1500 + 3000) << "under q";
+  EXPECT_EQ(worst({1, 0}, {2, 1}), 1500 + 3000) << "of q for p";
+  EXPECT_EQ(worst({1, 1}, {2, 1}), 1500);
+  EXPECT_EQ(worst({2, 2}, {1, 0}), 1500) << "nobody of p waits for one of q";
 }
 
 TEST(CheckHandover, WhatDoesNotRiseMayStillBeLate) {
@@ -476,8 +580,16 @@ TEST(CheckHandover, WhatWaitsForTheTableBeforeMayBeLate) {
   EXPECT_GE(proof.settles_us, 5000 + 3000);
   // By its key it is known to be ready by 7000 after S, when all of p's own have been so for long.
   EXPECT_EQ(proof.worst_case_us[2], 17'000);
-  EXPECT_EQ(proof.worst_case_us[0], 5000 + 2900);
-  EXPECT_EQ(proof.worst_case_us[1], 4000 + 2900);
+  EXPECT_EQ(proof.worst_case_us[0], 5000) << "nobody on cpu0 waits for `c`";
+  // Once somebody does, all that is there may be as late.
+  for (Handover* h : {&p, &q}) {
+    h->app.xnodes.push_back({"e", "c", {{"cpu", 100}, {"gpu", 100}}, {}});
+    h->app.edges = {{2, 4}};
+    h->policy.placements.push_back({0, {h == &p ? 19'000 : 9000}});
+  }
+  const HandoverProof waits = proven(p, q);
+  EXPECT_EQ(waits.worst_case_us[0], 5000 + 2900);
+  EXPECT_EQ(waits.worst_case_us[1], 4000 + 2900);
 }
 
 }  // namespace
