@@ -424,7 +424,7 @@ TEST(CheckHandover, WhoWaitsForTheTableBeforeIsLateWithIt) {
   };
   EXPECT_EQ(worst({2, 0}, {1, 1}), 1500 + 3000) << "under p";
   EXPECT_EQ(worst({1, 1}, {2, 0}), 1500 + 3000) << "under q";
-  EXPECT_EQ(worst({1, 0}, {2, 1}), 1500 + 3000) << "of q for p";
+  EXPECT_EQ(worst({1, 0}, {2, 2}), 1500 + 3000) << "of q for p";
   EXPECT_EQ(worst({1, 1}, {2, 1}), 1500);
   EXPECT_EQ(worst({2, 2}, {1, 0}), 1500) << "nobody of p waits for one of q";
 }
