@@ -209,6 +209,8 @@ class Cluster {
                             in_.then.transfer(link, in_.to_xpu[at(link.xnode)], in_.to_xpu[at(i)]));
         for (int n = 0; n < p_.jobs[at(i)]; ++n)
           window = std::min(window, in_.to.d[p_.slot_of(i, n)] - in_.to.a[p_.slot_of(i, n)]);
+        // A check may know `a` a tick less well, where clocks drift.
+        if (p_.domains[at(d)].ppm > 0) window = std::max(Tick{1}, window - 1);
         const __int128 up = static_cast<__int128>(slack_pct_) * window,
                        of = 100 * (static_cast<__int128>(window) + passes);
         if (up * slope_.of < slope_.up * of) slope_ = {up, of};
@@ -255,7 +257,8 @@ class Cluster {
     Tick deepest = 0;
     for (const int i : domain.xnodes)
       for (int n = 0; n < p_.jobs[at(i)]; ++n) {
-        last_ready_ = std::max(last_ready_, in_.from.a[p_.slot_of(i, n)]);
+        const Tick a = in_.from.a[p_.slot_of(i, n)];
+        last_ready_ = std::max(last_ready_, in_slow_time(a + lost_in(a, domain.ppm), domain.ppm));
         deepest = std::max(deepest, in_.from.d[p_.slot_of(i, n)]);
       }
     const Tick reach = deepest + lost_in(deepest, domain.ppm);
