@@ -171,7 +171,11 @@ Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Wi
     origins.assign(1, {&c, k, before});
     worst = std::max(worst, way.from(0, k, 0, before, origins));
   }
-  return worst;
+  // A check may round what drifts once more at each sample.
+  const auto drifts = [&](int s) {
+    return p.domains[at(p.domain_of(p.samples[at(s)].second))].ppm > 0;
+  };
+  return worst + std::count_if(path.samples.begin(), path.samples.end(), drifts);
 }
 
 Tick worst_case(const Problem& p, const Chain& chain, const Windows& w, bool urgent) {

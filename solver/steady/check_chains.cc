@@ -14,6 +14,7 @@
 #include <algorithm>
 #include <numeric>
 #include <set>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -31,12 +32,13 @@ struct Mark {
 };
 using Late = std::vector<Mark>;
 
-/// The later of both, or what is later than each.
-Mark later(const Mark& a, const Mark& b, std::int64_t ppm) {
+/// What is at least as late as each, however far the grid goes on: most(x + y) <= most(x) + most(y). The
+/// grid of the later one stays, since who goes back on it takes drift off again.
+Mark later(Mark a, Mark b, std::int64_t ppm) {
   if (a.real <= kUnreached) return b;
   if (b.real <= kUnreached) return a;
-  if (a.real == b.real) return {a.real, std::max(a.grid, b.grid)};
-  return {std::max(a.real + most(a.grid, ppm), b.real + most(b.grid, ppm)), 0};
+  if (a.real + most(a.grid, ppm) < b.real + most(b.grid, ppm)) std::swap(a, b);
+  return {std::max(a.real, b.real + most(b.grid - a.grid, ppm)), a.grid};
 }
 
 class Walk {
@@ -47,6 +49,8 @@ class Walk {
     reads_.resize(w.app.xnodes.size());
     for (const auto& [u, v] : samples_) reads_[at(u)].push_back(v);
     visited_.assign(w.components.size(), 0);
+    for (const auto& windows : w.windows)
+      for (const Window& window : windows) latest_ = std::max(latest_, window.e);
     shortest_.resize(w.wcet.size());
     for (std::size_t i = 0; i < shortest_.size(); ++i) {
       Ticks least_us = kMaxTimeUs;
@@ -191,7 +195,9 @@ class Walk {
         Mark mark{so_far.real, so_far.grid + gap(m)};
         const Ticks latest_release =
             value(so_far, from) + end - w_.earliest(v, m - 1) + most(to.period, to.ppm);
-        if (latest_release < value(mark, to)) mark = {latest_release, 0};
+        // That has no grid to go back on.
+        if (latest_release + most(latest_, to.ppm) - least(latest_, to.ppm) < value(mark, to))
+          mark = {latest_release, 0};
         const std::int64_t k = m % classes;
         Mark& best = next[static_cast<std::size_t>(k < 0 ? k + classes : k)];
         best = later(best, mark, to.ppm);
@@ -219,6 +225,7 @@ class Walk {
   std::vector<std::vector<int>> reads_;
   std::vector<char> visited_;
   std::vector<Ticks> shortest_;  ///< [xnode] least WCET
+  Ticks latest_ = 0;             ///< the largest e
   std::vector<std::string> path_;
   ChainProof proof_;
   Ticks worst_ = kUnreached, bound_ = 0;

@@ -61,8 +61,7 @@ class Cluster {
   std::string derive(std::int64_t& pairs, const Until& until) {
     if (std::string why = find_kinds(); !why.empty()) return why;
     if (!find_slack())
-      return "XPUs that clocks share have no slack in one of the tables, in which a delay would "
-             "end";
+      return "clocks share XPUs, and one of the tables leaves less than 1 % of one";
     find_slope();
     find_sets();
     for (const int d : domains_) find_last_ready(d);
@@ -137,9 +136,10 @@ class Cluster {
       }
       if (users == 0) continue;
       if (p_.preemptive[at(m)] == 0)
-        return p_.xpu_name[at(m)] + " is not preemptive, and is of clocks that share XPUs";
+        return "clocks share XPUs, and " + p_.xpu_name[at(m)] + " does not preempt";
       if (users > 1 && !more && !less)
-        return p_.xpu_name[at(m)] + " has more work of one clock, and less of another one";
+        return "clocks share " + p_.xpu_name[at(m)] +
+               ", and one gets more work there, another one less";
       kinds_[at(m)] = users == 1 ? Kind::kAlone : more ? Kind::kLikeTo : Kind::kLikeFrom;
     }
     return {};
@@ -310,14 +310,16 @@ class Cluster {
     for (int m = 0; m < p_.num_xpus; ++m)
       if (kinds_[at(m)] == Kind::kLikeFrom || kinds_[at(m)] == Kind::kLikeTo)
         if (!dbf(d, m, deepest, before_most + gap + notice + after_most, pairs, due[at(m)]))
-          return clock_of(d) + "takes more jobs than are looked at";
+          return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
     for (std::size_t r = 0; r < all.size(); ++r) {
       const Tick last = before(all, r, domain);
       LateAround around{all[r], last - notice, {}};
       std::vector<std::vector<Job>> jobs(at(p_.num_xpus));
       const Range look{around.since - before_most, all[r] + last_ready, all[r] + after_most};
       if (!list(d, around, look, jobs))
-        return clock_of(d) + "has jobs that wait for the other table until after their keys";
+        return clock_of(d) +
+               "shares XPUs, and has jobs that wait for the other table until after their keys";
+      for (const std::vector<Job>& of : jobs) pairs -= static_cast<std::int64_t>(of.size());
       around.rises.resize(sets_.size());
       for (std::vector<Job>& of : jobs)
         std::sort(of.begin(), of.end(),
@@ -325,7 +327,8 @@ class Cluster {
       for (std::size_t set = 0; set < sets_.size() && pairs >= 0; ++set)
         lateness.line[set] = std::max(
             lateness.line[set], rise(around, set, look, last, 2 * blur, ppm, due, jobs, pairs));
-      if (pairs < 0 || until.over()) return clock_of(d) + "takes more jobs than are looked at";
+      if (pairs < 0 || until.over())
+        return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
       for (std::size_t set = 0; set < sets_.size(); ++set)
         if (!around.rises[set].empty())
           lateness.most[set] = std::max(lateness.most[set], around.rises[set].back().by);

@@ -53,7 +53,11 @@ class KeyTablesSearch {
     for (std::size_t loss = 0; loss < losses_.size(); ++loss) solve_all(loss);
     TableChoice best = choose();
     constexpr int kRounds = 12;  // of a fixed number of evaluations each
-    for (int round = 0; more(round, kRounds, options_.time_limit_s * (1 - kForChanges)); ++round) {
+    for (int round = 0;
+         options_.max_evaluations > 0 ? round < kRounds
+                                      : run_.elapsed() < options_.time_limit_s * (1 - kForChanges);
+         ++round) {
+      if (run_.over()) break;
       if (best.chosen.empty() || best.worst <= run_.goal()) break;
       improve(best);
       best = choose();
@@ -63,9 +67,12 @@ class KeyTablesSearch {
   }
 
  private:
-  /// Whether there is time for another round; where evaluations are counted, for so many.
-  [[nodiscard]] bool more(int round, int most, double until_s) const {
-    return !run_.over() && (options_.max_evaluations > 0 ? round < most : run_.elapsed() < until_s);
+  /// Whether so many searches of `slice` seconds each end in time.
+  [[nodiscard]] bool fit(std::size_t searches, double slice) const {
+    if (run_.over() || options_.max_evaluations > 0) return !run_.over();
+    const auto threads = static_cast<std::size_t>(std::max(1, options_.threads));
+    const auto turns = static_cast<double>((searches + threads - 1) / threads);
+    return run_.elapsed() + turns * slice <= options_.time_limit_s;
   }
 
   [[nodiscard]] double value_of(const std::vector<std::int64_t>& us) const {
@@ -495,10 +502,11 @@ class KeyTablesSearch {
     if (unclaimed > 0) place_alike(choice, regret_before, slice, candidate, best, cost);
     const bool needs_slack = cost.unclaimed < unclaimed;
     constexpr int kRounds = 3;  // of a fixed number of evaluations each
-    for (int round = 0; more(round, kRounds * n, options_.time_limit_s - slice); ++round) {
+    for (int round = 0; options_.max_evaluations == 0 || round < kRounds * n; ++round) {
       // What has not settled does so where there is time to spare.
       const bool with_slack = needs_slack || (cost.unclaimed > 0 && round / n % 2 == 0);
       std::vector<Trial> trials = next_trials(round % n, candidate, with_slack ? kSlackPct : 0);
+      if (!fit(trials.size(), slice)) break;
       run_.on_threads(trials.size(),
                       [&](std::size_t k) { play(trials[k], choice, candidate, best, slice); });
       const Trial* cheapest = nullptr;
@@ -528,7 +536,7 @@ class KeyTablesSearch {
       if (candidates_[c].for_all) bases.push_back(static_cast<int>(c));
     const std::size_t n = candidate.size();
     for (const int base : bases) {
-      if (run_.over()) break;
+      if (!fit(n, 2 * slice)) break;
       std::vector<std::optional<KeyTable>> found(n);
       std::vector<std::uint64_t> seeds;
       for (std::size_t t = 0; t < n; ++t) seeds.push_back(random_.next());
@@ -612,13 +620,14 @@ class KeyTablesSearch {
     trial.found = std::move(found);
   }
 
-  /// What changes cost less for may cost this much regret. `before`: [scenario].
+  /// What changes cost less for may cost this much regret, or none more. `before`: [scenario].
   [[nodiscard]] bool allowed(const KeyTable& table, const TableChoice& choice, int replaced,
                              const std::vector<double>& before, bool claims_more) const {
     const double factor = claims_more ? kMostForClaims : kMostForChanges;
     for (std::size_t s = 0; s < scenarios_.size(); ++s) {
       if (choice.serves[s] != replaced) continue;
-      const double most = std::max(factor * before[s], run_.goal());
+      const double most =
+          std::max({factor * before[s], candidates_[at(replaced)].regret[s], run_.goal()});
       if (table.regret[s] > (options_.regret >= 1 ? std::min(most, options_.regret) : most))
         return false;
     }
