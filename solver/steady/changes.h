@@ -2,8 +2,7 @@
 // Changes between the tables of a set, each with its worst case (handover.h), and what they cost together.
 #pragma once
 
-#include <atomic>
-#include <compare>
+#include <tuple>
 #include <vector>
 
 #include <xauto/result.h>
@@ -20,7 +19,9 @@ struct ChangeCost {
   /// The mean worst case, relative to the deadline, or where there is none to the tables' own; the mean
   /// time until a change has settled, relative to kSettlesForUs; and kRegretOfAnInstance for each instance.
   double price = 0;
-  auto operator<=>(const ChangeCost&) const = default;
+  bool operator<(const ChangeCost& o) const {
+    return std::tie(unclaimed, missed, price) < std::tie(o.unclaimed, o.missed, o.price);
+  }
 };
 
 /// A run keeps its table until a change has settled: so long is as bad as a chain longer by a deadline.

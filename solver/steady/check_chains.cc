@@ -54,9 +54,9 @@ class Walk {
     shortest_.resize(w.wcet.size());
     for (std::size_t i = 0; i < shortest_.size(); ++i) {
       Ticks least_us = kMaxTimeUs;
-      for (const auto& [type, wcet] : w.app.xnodes[i].wcet_us)
-        if (std::ranges::any_of(w.platform.xpus, [&](const Xpu& x) { return x.type == type; }))
-          least_us = std::min(least_us, wcet);
+      for (const auto& of : w.app.xnodes[i].wcet_us)
+        if (std::ranges::any_of(w.platform.xpus, [&](const Xpu& x) { return x.type == of.first; }))
+          least_us = std::min(least_us, of.second);
       shortest_[i] = least_us * w.scale;
     }
   }

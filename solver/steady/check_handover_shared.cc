@@ -447,7 +447,7 @@ class Bound {
         if (item.key > around.low) keys.emplace_back(item.key, m);
     }
     std::ranges::sort(keys);
-    keys.erase(std::ranges::unique(keys).begin(), keys.end());
+    keys.erase(std::unique(keys.begin(), keys.end()), keys.end());
     for (const auto& [y, m] : keys) {
       Lane& lane = lanes_[at(m)];
       const auto found = reached(lane, around, lambda, r, y);

@@ -11,7 +11,6 @@ namespace xauto::solver::steady {
 namespace {
 
 using handover::Cluster;
-using handover::Lateness;
 using handover::MaybeLate;
 using handover::Unchanged;
 using handover::Walk;

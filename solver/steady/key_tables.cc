@@ -71,8 +71,8 @@ class KeyTablesSearch {
   [[nodiscard]] bool fit(std::size_t searches, double slice) const {
     if (run_.over() || options_.max_evaluations > 0) return !run_.over();
     const auto threads = static_cast<std::size_t>(std::max(1, options_.threads));
-    const auto turns = static_cast<double>((searches + threads - 1) / threads);
-    return run_.elapsed() + turns * slice <= options_.time_limit_s;
+    const std::size_t turns = (searches + threads - 1) / threads;
+    return run_.elapsed() + static_cast<double>(turns) * slice <= options_.time_limit_s;
   }
 
   [[nodiscard]] double value_of(const std::vector<std::int64_t>& us) const {

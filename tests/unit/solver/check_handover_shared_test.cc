@@ -29,9 +29,9 @@ struct SharedCase {
 
 /// With keys that leave some slack: those for jobs that take 10 % more, preempting included.
 std::optional<KeyPolicy> slack_policy(
-    AppSpec app, Platform platform, std::uint64_t seed,
+    const AppSpec& meant_for, Platform platform, std::uint64_t seed,
     const std::vector<std::pair<std::string, std::string>>& not_on) {
-  const std::string hash = app.hash();
+  AppSpec app = meant_for;
   std::int64_t cost = 0;
   for (Xpu& xpu : platform.xpus) cost = std::max(cost, std::exchange(xpu.preempt_us, 0));
   for (XNodeSpec& xnode : app.xnodes)
@@ -42,7 +42,7 @@ std::optional<KeyPolicy> slack_policy(
   options.seed = seed;
   auto answer = solve(app, platform, options);
   if (!answer || answer->outcome != Outcome::kPolicy) return std::nullopt;
-  answer->policy.app_hash = hash;
+  answer->policy.app_hash = meant_for.hash();
   return answer->policy;
 }
 
