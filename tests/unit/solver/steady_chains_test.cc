@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+// The worst case of a chain: the solver's count against the checker's, which share no code.
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "base/index.h"
+#include "solver/steady/certificate.h"
+#include "solver/steady/chains.h"
+#include "solver/steady/check.h"
+#include "solver/steady/problem.h"
+
+namespace xauto::solver::steady {
+namespace {
+
+/// From a camera through three stages on another clock, each of which samples the one before. The last one
+/// is held for so long that it begins before what it reads is released: the way goes back on the clock.
+AppSpec going_back(int ppm) {
+  AppSpec app;
+  app.version = 2;
+  app.name = "back";
+  app.clocks = {{"main", 0}, {"other", ppm}};
+  app.sources = {{"camera", {10'000}},
+                 {"u", {40'000}, 0, 0, 1},
+                 {"v", {50'000}, 0, 0, 1},
+                 {"w", {100'000}, 0, 0, 1}};
+  for (int i = 0; i < 4; ++i) {
+    const std::string name(1, "xuvw"[i]);
+    app.modules.push_back({name, 2, false});
+    app.xnodes.push_back({name, name, {{"cpu", 500}}, {i}});
+  }
+  app.samples = {{0, 1}, {1, 2}, {2, 3}};
+  app.chains = {{"all", 0, 3, {}}};
+  return app;
+}
+
+TEST(SteadyChains, ACheckDerivesNoMoreWhereAWayGoesBackOnAClockThatDrifts) {
+  Platform platform;
+  platform.name = "four";
+  for (int i = 0; i < 4; ++i) platform.xpus.push_back({"cpu" + std::to_string(i), "cpu"});
+  for (const int ppm : {0, 100, 1000, 5000}) {
+    const AppSpec app = going_back(ppm);
+    const Problem p = *Problem::create(app, platform);
+    KeyPolicy keys;
+    keys.app = app.name;
+    keys.app_hash = app.hash();
+    keys.placements = {{0, {1000}, {}, {}, {}},
+                       {1, {5000, 9000, 5000, 9000, 6000}, {0, 4000, 0, 4000, 1000}, {}, {}},
+                       {2, {20'000}, {}, {}, {}},
+                       {3, {145'000}, {140'000}, {}, {}}};
+    std::vector<int> xpu;
+    Windows w;
+    for (auto* values : {&w.a, &w.d, &w.hold, &w.e}) values->assign(at(p.num_slots), 0);
+    for (int i = 0; i < p.num_xnodes; ++i) {
+      const KeyPlacement& placed = keys.placements[at(i)];
+      xpu.push_back(placed.xpu);
+      for (int n = 0; n < p.jobs[at(i)]; ++n) {
+        w.d[p.slot_of(i, n)] = placed.key_us[at(n) % placed.key_us.size()] * p.scale;
+        if (!placed.hold_us.empty())
+          w.hold[p.slot_of(i, n)] = placed.hold_us[at(n) % placed.hold_us.size()] * p.scale;
+      }
+    }
+    std::string why;
+    ASSERT_TRUE(certify(p, xpu, w, &why)) << why;
+    const Tick worst = p.up_to_us(worst_case(p, p.chains[0], w, false)) / p.scale;
+    keys.chains = {{"all", worst, 0, false}};
+    const auto report = check(app, platform, keys);
+    ASSERT_TRUE(report) << ppm << ": " << report.error().to_string();
+    EXPECT_LE(report->chains[0].derived_us, worst);
+    EXPECT_GE(report->chains[0].derived_us, worst - 5);
+  }
+}
+
+}  // namespace
+}  // namespace xauto::solver::steady
