@@ -13,16 +13,7 @@ namespace {
 
 /// Of keys that were certified for the same times.
 Result<Windows> windows_of(const Problem& p, const KeyPolicy& keys, const std::vector<int>& xpu) {
-  Windows w;
-  for (auto* values : {&w.a, &w.d, &w.hold, &w.e}) values->assign(at(p.num_slots), 0);
-  for (int i = 0; i < p.num_xnodes; ++i) {
-    const KeyPlacement& placed = keys.placements[at(i)];
-    const std::size_t size = placed.key_us.size();
-    for (int n = 0; n < p.jobs[at(i)]; ++n) {
-      w.d[p.slot_of(i, n)] = placed.key_us[at(n) % size] * p.scale;
-      if (!placed.hold_us.empty()) w.hold[p.slot_of(i, n)] = placed.hold_us[at(n) % size] * p.scale;
-    }
-  }
+  Windows w = keys_and_holds(p, keys);
   std::string why;
   if (!certify(p, xpu, w, &why))
     return fail(ErrorCode::kInternal, "a table does not hold for what it serves: " + why,

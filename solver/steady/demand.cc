@@ -2,16 +2,13 @@
 #include "solver/steady/demand.h"
 
 #include <algorithm>
+#include <utility>
 
 namespace xauto::solver::steady {
 namespace {
 
 constexpr std::size_t kMostSteps = 200'000;
-
-/// A function of the length of an interval: `value` from `length` on.
-struct Step {
-  Tick length, value;
-};
+constexpr std::size_t kMostLoose = 1'000'000;  ///< of a curve, before what is below others goes
 
 /// Nominal length -> a real one that is not longer: the clock may be fast by ppm, and moves the
 /// releases of two jobs, at most `length + deepest` apart, against each other.
@@ -64,6 +61,8 @@ bool curves(const Pattern& g, Tick horizon, std::size_t& budget, Curves& out) {
       }
       if (g.once && k == s) break;
     }
+    for (auto* steps : {&out.due, &out.arrived})
+      if (steps->size() > kMostLoose) envelope(*steps);
     std::sort(ends.begin(), ends.end(),
               [](const End& a, const End& b) { return a.length < b.length; });
     Tick sum = 0, window = 0;
@@ -77,6 +76,12 @@ bool curves(const Pattern& g, Tick horizon, std::size_t& budget, Curves& out) {
   envelope(out.due);
   envelope(out.arrived);
   return true;
+}
+
+void sort_by_arrival(Pattern& g) {
+  std::sort(g.jobs.begin(), g.jobs.end(), [](const WindowedJob& a, const WindowedJob& b) {
+    return a.arrival != b.arrival ? a.arrival < b.arrival : a.length < b.length;
+  });
 }
 
 Tick block(const std::vector<Blocking>& blocking, Tick length) {
@@ -133,15 +138,23 @@ Tick busy_end(const std::vector<Curves>& all, Tick blocked, Tick horizon) {
 
 }  // namespace
 
+bool demand_curve(Pattern& g, Tick horizon, std::int64_t& budget, std::vector<Step>& due) {
+  sort_by_arrival(g);
+  Curves both;
+  auto left = static_cast<std::size_t>(std::max<std::int64_t>(0, budget));
+  const bool known = curves(g, horizon, left, both);
+  budget = known ? static_cast<std::int64_t>(left) : -1;
+  due = std::move(both.due);
+  return known;
+}
+
 bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& blocking,
                  Tightest* tightest) {
   Tick work = 0, horizon = 0, blocked = 0;
   for (const Blocking& b : blocking) blocked = std::max(blocked, b.work);
   for (Pattern& g : patterns) {
     Tick most = 0;
-    std::sort(g.jobs.begin(), g.jobs.end(), [](const WindowedJob& a, const WindowedJob& b) {
-      return a.arrival != b.arrival ? a.arrival < b.arrival : a.length < b.length;
-    });
+    sort_by_arrival(g);
     for (const WindowedJob& job : g.jobs) {
       if (job.length < job.work) return false;
       work += job.work;

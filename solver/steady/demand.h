@@ -10,6 +10,7 @@
 // 1990; the patterns make it exact for windows, since phases are free.
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 #include "solver/steady/problem.h"
@@ -33,6 +34,15 @@ struct Pattern {
   Tick deepest = 0;   ///< largest d; a clock that drifts shifts releases against a and d by so much
   std::vector<WindowedJob> jobs;
 };
+
+/// A function of the length of an interval: `value` from `length` on. Both rise.
+struct Step {
+  Tick length, value;
+};
+/// dbf_g of one pattern, for lengths up to `horizon`; sorts its jobs. Takes of `budget`, a step each. False:
+/// that does not suffice.
+[[nodiscard]] bool demand_curve(Pattern& g, Tick horizon, std::int64_t& budget,
+                                std::vector<Step>& due);
 
 struct Blocking {
   Tick until = 0;  ///< d_j - e_j: it blocks intervals shorter than this

@@ -113,17 +113,6 @@ std::vector<std::vector<int>> clusters(const HandoverInput& in) {
   return all;
 }
 
-/// Nominal releases of a hyperperiod, each once.
-std::vector<Tick> releases(const Problem& p, const Domain& domain) {
-  std::vector<Tick> all;
-  for (const int c : domain.components)
-    for (int n = 0; n < p.components[at(c)].jobs; ++n)
-      all.push_back((p.components[at(c)].phase + n * p.components[at(c)].period) % domain.hyper);
-  std::sort(all.begin(), all.end());
-  all.erase(std::unique(all.begin(), all.end()), all.end());
-  return all;
-}
-
 /// Where t may be, in pieces: no key of the first table is inside of one.
 std::vector<Tick> pieces(const HandoverInput& in, const Domain& domain, Tick since, Tick s) {
   const Problem& p = in.now;
@@ -162,7 +151,7 @@ void follow_late(const HandoverInput& in, int d, const Cluster& cluster, std::ve
   const Unchanged from{p, in.from, domain.ppm}, to{p, in.to, domain.ppm};
   follow_unchanged(in, domain, parts);
   for (const handover::LateAround& around : cluster.lateness(d).around) {
-    const MaybeLate times{p, from, to, around, in, cluster, d};
+    const MaybeLate times{from, to, around, in, cluster, d};
     // From then on all is as late as ever, and repeats.
     const Tick still = around.last_rise();
     for (Part& part : parts) {
@@ -183,10 +172,7 @@ bool walk_all(const HandoverInput& in, int d, std::int64_t most_jobs, const Unti
   const Domain& domain = p.domains[at(d)];
   follow_unchanged(in, domain, parts);
   Walk walk(in, d);
-  const std::vector<Tick> at_release = releases(p, domain);
-  for (std::size_t r = 0; r < at_release.size(); ++r) {
-    const Tick s = at_release[r];
-    const Tick last = r > 0 ? at_release[r - 1] : at_release.back() - domain.hyper;
+  for (const auto& [s, last] : handover::releases_of(p, domain)) {
     const Tick since = last - in_fast_time(in.notice, domain.ppm);
     const std::vector<Tick> ends = pieces(in, domain, since, s);
     for (std::size_t e = 0; e + 1 < ends.size(); ++e) {

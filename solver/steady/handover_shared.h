@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "solver/steady/certificate.h"
+#include "solver/steady/demand.h"
 #include "solver/steady/handover.h"
 #include "solver/steady/handover_walk.h"
 
@@ -97,10 +98,6 @@ class Cluster {
  private:
   struct Job {
     Tick ready, key, work;  ///< alpha, late; the key, early
-  };
-  /// `value` from `length` on.
-  struct Step {
-    Tick length, value;
   };
   /// x from `low` to `end`, y up to `high`.
   struct Range {
@@ -253,7 +250,6 @@ class Cluster {
   /// M.
   void find_last_ready(int d) {
     const Domain& domain = p_.domains[at(d)];
-    const std::vector<Tick> all = releases_of(domain);
     Tick deepest = 0;
     for (const int i : domain.xnodes)
       for (int n = 0; n < p_.jobs[at(i)]; ++n) {
@@ -262,31 +258,14 @@ class Cluster {
         deepest = std::max(deepest, in_.from.d[p_.slot_of(i, n)]);
       }
     const Tick reach = deepest + lost_in(deepest, domain.ppm);
-    for (std::size_t r = 0; r < all.size(); ++r)
+    for (const Release& r : releases_of(p_, domain))
       for (const int i : domain.xnodes)
-        each_second(d, all[r], i, [&](std::int64_t n, Tick ready, bool raised) {
+        each_second(d, r.at, i, [&](std::int64_t n, Tick ready, bool raised) {
           if (raised)
-            last_ready_ =
-                std::max(last_ready_, in_slow_time(ready - before(all, r, domain), domain.ppm));
+            last_ready_ = std::max(last_ready_, in_slow_time(ready - r.before, domain.ppm));
           return p_.components[at(p_.component_of[at(i)])].phase + n * p_.period_of(i) <=
-                 all[r] + reach;
+                 r.at + reach;
         });
-  }
-  /// Nominal releases of a hyperperiod, each once.
-  [[nodiscard]] std::vector<Tick> releases_of(const Domain& domain) const {
-    std::vector<Tick> all;
-    for (const int c : domain.components)
-      for (int n = 0; n < p_.components[at(c)].jobs; ++n)
-        all.push_back((p_.components[at(c)].phase + n * p_.components[at(c)].period) %
-                      domain.hyper);
-    std::sort(all.begin(), all.end());
-    all.erase(std::unique(all.begin(), all.end()), all.end());
-    return all;
-  }
-  /// The one that precedes number `r`.
-  [[nodiscard]] static Tick before(const std::vector<Tick>& all, std::size_t r,
-                                   const Domain& domain) {
-    return r > 0 ? all[r - 1] : all.back() - domain.hyper;
   }
 
   std::string derive(int d, std::int64_t& pairs, const Until& until) {
@@ -299,23 +278,21 @@ class Cluster {
         deepest = std::max({deepest, in_.from.d[p_.slot_of(i, n)], in_.to.d[p_.slot_of(i, n)]});
     const Tick blur = lost_in(deepest, ppm), reach = deepest + 2 * blur;
     const Tick last_ready = last_ready_ + lost_in(last_ready_, ppm);
-    const std::vector<Tick> all = releases_of(domain);
+    const std::vector<Release> all = releases_of(p_, domain);
     const Tick before_most = reach + 2 * domain.hyper + 2 * blur,
                after_most = reach + last_ready + 2 * domain.hyper + 2 * blur;
     std::vector<std::vector<Step>> due(at(p_.num_xpus));
     const Tick notice = in_fast_time(in_.notice, ppm);
     Tick gap = 0;
-    for (std::size_t r = 0; r < all.size(); ++r)
-      gap = std::max(gap, all[r] - before(all, r, domain));
+    for (const Release& r : all) gap = std::max(gap, r.at - r.before);
     for (int m = 0; m < p_.num_xpus; ++m)
       if (kinds_[at(m)] == Kind::kLikeFrom || kinds_[at(m)] == Kind::kLikeTo)
-        if (!dbf(d, m, deepest, before_most + gap + notice + after_most, pairs, due[at(m)]))
+        if (!dbf(d, m, before_most + gap + notice + after_most, pairs, due[at(m)]))
           return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
-    for (std::size_t r = 0; r < all.size(); ++r) {
-      const Tick last = before(all, r, domain);
-      LateAround around{all[r], last - notice, {}};
+    for (const Release& r : all) {
+      LateAround around{r.at, r.before - notice, {}};
       std::vector<std::vector<Job>> jobs(at(p_.num_xpus));
-      const Range look{around.since - before_most, all[r] + last_ready, all[r] + after_most};
+      const Range look{around.since - before_most, r.at + last_ready, r.at + after_most};
       if (!list(d, around, look, jobs))
         return clock_of(d) +
                "shares XPUs, and has jobs that wait for the other table until after their keys";
@@ -326,7 +303,7 @@ class Cluster {
                   [](const Job& a, const Job& b) { return a.ready > b.ready; });
       for (std::size_t set = 0; set < sets_.size() && pairs >= 0; ++set)
         lateness.line[set] = std::max(
-            lateness.line[set], rise(around, set, look, last, 2 * blur, ppm, due, jobs, pairs));
+            lateness.line[set], rise(around, set, look, r.before, 2 * blur, ppm, due, jobs, pairs));
       if (pairs < 0 || until.over())
         return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
       for (std::size_t set = 0; set < sets_.size(); ++set)
@@ -338,45 +315,23 @@ class Cluster {
   }
 
   /// The demand bound of a clock on a shared XPU, with each job's cost, no drift. False: too many.
-  bool dbf(int d, int m, Tick deepest, Tick longest, std::int64_t& pairs,
-           std::vector<Step>& steps) const {
+  bool dbf(int d, int m, Tick longest, std::int64_t& pairs, std::vector<Step>& steps) const {
     const bool second = kinds_[at(m)] == Kind::kLikeTo;
     const Domain& domain = p_.domains[at(d)];
     const Windows& w = second ? in_.to : in_.from;
-    std::vector<Job> jobs;
+    Pattern pattern;
+    pattern.period = domain.hyper;
     for (const int i : domain.xnodes) {
       if ((second ? in_.to_xpu : in_.from_xpu)[at(i)] != m) continue;
       const Component& c = p_.components[at(p_.component_of[at(i)])];
       const Tick work = cost_of(second ? in_.then : in_.now, i, m);
-      for (std::int64_t n = floor_div(-deepest - c.phase, c.period);
-           c.phase + n * c.period < domain.hyper + longest; ++n) {
+      for (std::int64_t n = 0; n < c.jobs; ++n) {
         const std::size_t slot = p_.slot_of(i, n);
-        const Tick release = c.phase + n * c.period;
-        jobs.push_back({release + w.a[slot], release + w.d[slot], work});
-      }
-      if (jobs.size() > 200'000) return false;
-    }
-    std::sort(jobs.begin(), jobs.end(), [](const Job& a, const Job& b) { return a.key < b.key; });
-    for (const Job& first : jobs) {
-      // One hyperperiod of begins, each with all that comes before it.
-      if (first.ready < 0 || first.ready >= domain.hyper) continue;
-      Tick sum = 0;
-      for (const Job& job : jobs) {
-        if (--pairs < 0) return false;
-        if (job.key > first.ready + longest) break;
-        if (job.ready < first.ready) continue;
-        sum += job.work;
-        steps.push_back({job.key - first.ready, sum});
+        pattern.jobs.push_back(
+            {(c.phase + n * c.period + w.a[slot]) % domain.hyper, w.d[slot] - w.a[slot], work});
       }
     }
-    std::sort(steps.begin(), steps.end(), [](const Step& a, const Step& b) {
-      return a.length != b.length ? a.length < b.length : a.value > b.value;
-    });
-    std::size_t kept = 0;
-    for (const Step& s : steps)
-      if (kept == 0 || s.value > steps[kept - 1].value) steps[kept++] = s;
-    steps.resize(kept);
-    return true;
+    return demand_curve(pattern, longest, pairs, steps);
   }
 
   /// All jobs that matter, by XPU. False: one is ready after its key.
@@ -492,7 +447,6 @@ class Cluster {
 
 /// What a walk tells of jobs (handover_walk.h), by theorem 10.
 struct MaybeLate {
-  const Problem& p;
   const Unchanged from, to;
   const LateAround& around;
   const HandoverInput& in;

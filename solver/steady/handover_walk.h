@@ -26,6 +26,26 @@ inline Tick least_of_clock(Tick t, std::int64_t ppm) {
   return static_cast<Tick>(static_cast<__int128>(t) * kMillion / (kMillion + ppm));
 }
 
+/// Nominal releases of a hyperperiod, each once, with the one that precedes it.
+struct Release {
+  Tick at, before;
+};
+[[nodiscard]] inline std::vector<Release> releases_of(const Problem& p, const Domain& domain) {
+  std::vector<Tick> all;
+  for (const int c : domain.components)
+    for (int n = 0; n < p.components[at(c)].jobs; ++n)
+      all.push_back((p.components[at(c)].phase + n * p.components[at(c)].period) % domain.hyper);
+  std::sort(all.begin(), all.end());
+  all.erase(std::unique(all.begin(), all.end()), all.end());
+  std::vector<Release> releases;
+  Tick before = all.back() - domain.hyper;
+  for (const Tick t : all) {
+    releases.push_back({t, before});
+    before = t;
+  }
+  return releases;
+}
+
 /// One table alone, with what Walk tells of a change.
 struct Unchanged {
   const Problem& p;

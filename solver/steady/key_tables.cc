@@ -693,7 +693,6 @@ class KeyTablesSearch {
   static constexpr double kMostForChanges = 1.01, kMostForClaims = 1.15;
   /// XNode and XPU, where each clock has XPUs of its own; empty: they share.
   Forbids forbids_;
-  int slack_pct_ = 0;                             ///< then each policy leaves at least so much
   std::vector<AppSpec> under_;                    ///< [scenario]
   std::vector<Loss> losses_{Loss{}};              ///< the first: nothing
   std::vector<std::size_t> loss_of_;              ///< [scenario] index into them

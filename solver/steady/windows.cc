@@ -110,6 +110,20 @@ Tick lost_in(Tick distance, std::int64_t ppm) {
   return ppm == 0 ? 0 : in_fast_time(distance, ppm) - distance + 1;
 }
 
+Windows keys_and_holds(const Problem& p, const KeyPolicy& policy) {
+  Windows w;
+  for (auto* values : {&w.a, &w.d, &w.hold, &w.e}) values->assign(at(p.num_slots), 0);
+  for (int i = 0; i < p.num_xnodes; ++i) {
+    const KeyPlacement& placed = policy.placements[at(i)];
+    const std::size_t size = placed.key_us.size();
+    for (int n = 0; n < p.jobs[at(i)]; ++n) {
+      w.d[p.slot_of(i, n)] = placed.key_us[at(n) % size] * p.scale;
+      if (!placed.hold_us.empty()) w.hold[p.slot_of(i, n)] = placed.hold_us[at(n) % size] * p.scale;
+    }
+  }
+  return w;
+}
+
 void derive_ready(const Problem& p, int domain, const std::vector<int>& xpu, Windows& w) {
   w.e.resize(w.a.size());
   for (const int c : p.domains[at(domain)].components) {

@@ -11,6 +11,7 @@
 
 #include <vector>
 
+#include "model/key_policy.h"
 #include "solver/steady/problem.h"
 
 namespace xauto::solver::steady {
@@ -22,6 +23,8 @@ struct Windows {
   std::vector<Tick> e;     ///< earliest start
 };
 
+/// Keys and holds of a policy for this app; `a` and `e` are 0. Its arrays divide the activations.
+[[nodiscard]] Windows keys_and_holds(const Problem& problem, const KeyPolicy& policy);
 /// Fills `a` and `e` of the domain from d and hold.
 void derive_ready(const Problem& problem, int domain, const std::vector<int>& xpu, Windows& w);
 

@@ -134,17 +134,8 @@ std::optional<TwoPolicies> two_policies(std::uint64_t seed, Clocks clocks = Cloc
 
 /// `why`: of windows that do not hold; there are none.
 Windows windows_by(const Problem& p, const KeyPolicy& keys, std::vector<int>& xpu) {
-  Windows w;
-  for (auto* values : {&w.a, &w.d, &w.hold, &w.e}) values->assign(at(p.num_slots), 0);
-  for (int i = 0; i < p.num_xnodes; ++i) {
-    const KeyPlacement& placed = keys.placements[at(i)];
-    xpu.push_back(placed.xpu);
-    for (int n = 0; n < p.jobs[at(i)]; ++n) {
-      const std::size_t k = at(n) % placed.key_us.size();
-      w.d[p.slot_of(i, n)] = placed.key_us[k] * p.scale;
-      if (!placed.hold_us.empty()) w.hold[p.slot_of(i, n)] = placed.hold_us[k] * p.scale;
-    }
-  }
+  Windows w = keys_and_holds(p, keys);
+  for (const KeyPlacement& placed : keys.placements) xpu.push_back(placed.xpu);
   std::string why;
   EXPECT_TRUE(certify(p, xpu, w, &why)) << why;
   return w;

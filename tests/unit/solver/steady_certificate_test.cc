@@ -18,21 +18,14 @@ bool certified(const Case& c) {
   const auto p = Problem::create(c.app, c.platform);
   if (!p) return false;
   std::vector<int> xpu;
-  Windows w;
-  w.d.assign(at(p->num_slots), 0);
-  w.hold.assign(at(p->num_slots), 0);
   for (int i = 0; i < p->num_xnodes; ++i) {
     const KeyPlacement& placement = c.policy.placements[at(i)];
     xpu.push_back(placement.xpu);
     const std::size_t keys = placement.key_us.size(), holds = placement.hold_us.size();
     const std::size_t jobs = at(p->jobs[at(i)]);
     if (jobs % keys != 0 || (holds > 0 && jobs % holds != 0)) return false;
-    for (std::size_t n = 0; n < jobs; ++n) {
-      w.d[p->slot_of(i, static_cast<int>(n))] = placement.key_us[n % keys] * p->scale;
-      if (holds > 0)
-        w.hold[p->slot_of(i, static_cast<int>(n))] = placement.hold_us[n % holds] * p->scale;
-    }
   }
+  Windows w = keys_and_holds(*p, c.policy);
   return certify(*p, xpu, w);
 }
 

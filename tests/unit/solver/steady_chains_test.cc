@@ -50,17 +50,8 @@ TEST(SteadyChains, ACheckDerivesNoMoreWhereAWayGoesBackOnAClockThatDrifts) {
                        {2, {20'000}, {}, {}, {}},
                        {3, {145'000}, {140'000}, {}, {}}};
     std::vector<int> xpu;
-    Windows w;
-    for (auto* values : {&w.a, &w.d, &w.hold, &w.e}) values->assign(at(p.num_slots), 0);
-    for (int i = 0; i < p.num_xnodes; ++i) {
-      const KeyPlacement& placed = keys.placements[at(i)];
-      xpu.push_back(placed.xpu);
-      for (int n = 0; n < p.jobs[at(i)]; ++n) {
-        w.d[p.slot_of(i, n)] = placed.key_us[at(n) % placed.key_us.size()] * p.scale;
-        if (!placed.hold_us.empty())
-          w.hold[p.slot_of(i, n)] = placed.hold_us[at(n) % placed.hold_us.size()] * p.scale;
-      }
-    }
+    for (const KeyPlacement& placed : keys.placements) xpu.push_back(placed.xpu);
+    Windows w = keys_and_holds(p, keys);
     std::string why;
     ASSERT_TRUE(certify(p, xpu, w, &why)) << why;
     const Tick worst = p.up_to_us(worst_case(p, p.chains[0], w, false)) / p.scale;
