@@ -12,17 +12,19 @@ namespace {
 
 constexpr int kCpu = 1;
 
+// The emulator is slow: nothing gets a turn by its age.
+const std::vector<std::string> kKeysAlone = {"--floor-permille", "0", "--age-ms", "20000"};
+
 // As order_of_eight, but each job tells its key, as far apart as keys may be, and many are equal.
 // What is expected is put in order here, by hand.
 void order_of_keys() {
   constexpr int kRounds = 200, kThreads = 8;
   constexpr std::int64_t kMost = XAUTO_BPF_KEY_LIMIT - 1;
   const std::int64_t keys[] = {-kMost, -1, 0, 1, 5'000'000'000'000, kMost};
-  World world(kThreads + 1, kCpu);
+  World& world = loaded_world(kKeysAlone);
   for (kernel::TableRow& row : world.rows) row.key = 0;
   world.rows[kThreads].key = -kMost;
   world.put_rows();
-  world.load({"--floor-permille", "0", "--age-ms", "20000"});  // the emulator is slow
   // No memory is taken and nothing is half written: who waits for a page is overtaken.
   std::array<int, kThreads> order{};
   std::atomic<std::size_t> ended{0};
@@ -89,10 +91,9 @@ void order_of_keys() {
 }
 
 void smaller_key_takes() {
-  World world(4, kCpu);
+  World& world = loaded_world(kKeysAlone);
   for (kernel::TableRow& row : world.rows) row.key = 0;
   world.put_rows();
-  world.load({"--floor-permille", "0", "--age-ms", "20000"});
   std::atomic<bool> stop{false}, told{false};
   {
     Waiter equal(world, 1, [](const kernel::ThreadSlot&) {});

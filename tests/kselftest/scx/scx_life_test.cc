@@ -29,7 +29,7 @@ int g_kills = 200, g_tables = 10'000;
 // written once per job before it runs.
 void tables() {
   constexpr std::uint32_t kXNodes = 8;
-  World world(kXNodes, kCpu);
+  World& world = loaded_world();
   const auto key_of = [](std::uint64_t version, std::uint32_t xnode) {
     return static_cast<std::int64_t>(1000 + version % 5000 + xnode);
   };
@@ -41,7 +41,6 @@ void tables() {
     world.put_rows();
   };
   put();
-  world.load();
   std::atomic<bool> stop{false};
   std::atomic<std::uint64_t> jobs{0}, mixed{0}, seen{0};
   {
@@ -156,8 +155,7 @@ void killed_loader() {
 // ---- what is wrong: with what user space wrote we live, with what cannot be we end --------------
 
 void wrong_slot() {
-  World world(1, kCpu);
-  world.load();
+  World& world = loaded_world();
   std::atomic<bool> stop{false};
   std::atomic<std::uint64_t> rounds{0};
   std::thread stray([&] {
@@ -226,8 +224,8 @@ bool refused(const Result<kernel::ScxProcess>& result, const char* expected) {
 }
 
 void another_scheduler() {
-  World first(1, kCpu), second(1, kCpu);
-  first.load();
+  (void)loaded_world();
+  World second(1, kCpu);
   ktap_test(refused(second.try_load(), "another sched_ext scheduler is loaded: 'xauto"),
             "with another scheduler loaded");
   ktap_test(scx_state() == "enabled", "... which stays");
@@ -312,12 +310,13 @@ void isolated_mode() {
             choice.why.c_str());
 }
 
+// Those that share a scheduler first.
 const Test kTests[] = {
     {"tables", 1, tables},
-    {"killed_loader", 2, killed_loader},
     {"wrong_slot", 1, wrong_slot},
-    {"impossible_maps", 4, impossible_maps},
     {"another_scheduler", 2, another_scheduler},
+    {"killed_loader", 2, killed_loader},
+    {"impossible_maps", 4, impossible_maps},
     {"wrong_layout", 3, wrong_layout},
     {"without_btf", 1, without_btf},
     {"without_privilege", 2, without_privilege},

@@ -150,8 +150,7 @@ void be_ordinary(int cpu = -1) {
 
 void hotplug() {
   constexpr int kRounds = 4;
-  World world(2, kCpu);
-  world.load();
+  World& world = loaded_world();
   std::atomic<bool> stop{false};
   std::atomic<double> low{0}, high{0}, ordinary{0}, pinned{0};
   std::atomic<int> where{-1};
@@ -210,6 +209,7 @@ void hotplug() {
 int g_loads = 8;
 
 void loaded_meanwhile() {
+  end_loaded_world();
   World world(1, 0);
   int loaded = 0, stayed = 0, switched = 0;
   for (int i = 0; i < g_loads; ++i) {

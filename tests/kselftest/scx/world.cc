@@ -24,6 +24,7 @@ T must(Result<T> result, const char* what) {
 }
 
 std::optional<World> g_loaded;
+std::vector<std::string> g_arguments;  // it was loaded with
 
 std::string next_run() {
   static int number = 0;
@@ -112,12 +113,14 @@ std::uint64_t World::stat(int which) const {
   return must(maps.counts(), "counts").stats[which] - before_.stats[which];
 }
 
-World& loaded_world() {
-  if (g_loaded) {
+World& loaded_world(const std::vector<std::string>& arguments) {
+  if (g_loaded && g_arguments == arguments) {
     g_loaded->renew();
   } else {
+    end_loaded_world();
     g_loaded.emplace(16U, 1);
-    g_loaded->load();
+    g_loaded->load(arguments);
+    g_arguments = arguments;
   }
   return *g_loaded;
 }

@@ -62,15 +62,15 @@ class World {
   int cpu;
 
  private:
-  friend World& loaded_world();
+  friend World& loaded_world(const std::vector<std::string>& arguments);
   void renew();
   xauto_bpf_counts before_{};
 };
 
-/// One with 16 XNodes on CPU 1 and the scheduler as it is without arguments, for the tests that do with
-/// it: the kernel proves the program at each load, which takes an emulated machine seconds. Rows and
-/// counts are as in a new one. It ends when another world loads, and with end_loaded_world().
-[[nodiscard]] World& loaded_world();
+/// One with 16 XNodes on CPU 1 and the scheduler of these arguments, shared by tests that follow one another:
+/// the kernel proves the program at each load, which takes an emulated machine seconds. Rows and counts
+/// are as in a new one. It ends when another world loads, and with end_loaded_world().
+[[nodiscard]] World& loaded_world(const std::vector<std::string>& arguments = {});
 void end_loaded_world();
 
 /// A thread of one slot, told to run XNode `xnode`. `body` gets the slot.
