@@ -115,7 +115,8 @@ tsan_build() {
 }
 tsan_tests() { note "tests, TSan"; areas build-tsan -R "^area\.($threaded)\$"; }
 tsan() { tsan_build && tsan_tests; }
-# A VM takes one core most of the time: what compiles goes on beside it, then tests one by one.
+# A VM takes one core most of the time: what compiles goes on beside it, then tests, one by one until the last VM has ended.
+one_core_while_beside() { if kill -0 "$side" 2>/dev/null; then parallel=1; else parallel=$jobs; fi; }
 kernel_and_sanitizers() {
   local asan_built=1 tsan_built=1
   kernel_build || { asan; tsan; return; }
@@ -123,8 +124,10 @@ kernel_and_sanitizers() {
   renice -n 10 -p $$ >/dev/null # a guest that waits for its core sees a stall
   asan_build && asan_built=0
   tsan_build && tsan_built=0
-  local parallel=1
+  local parallel
+  one_core_while_beside
   [ $asan_built -ne 0 ] || asan_tests
+  one_core_while_beside
   [ $tsan_built -ne 0 ] || tsan_tests
   note "the rest of the VMs"
   joined

@@ -140,12 +140,13 @@ class Team {
     const Space order = TabuSearch::serves(problem_) ? Space::kTabu : kOrdered;
     if (options_.priorities_only) return {kPriorities};
     if (options_.certify) return {order, kOrdered};
+    // Of any size: with a quarter of the turns, Brandimarte's job shops ended 0.2 % longer.
+    if (!some_preempt_) return {order, kPriorities, order, order, kOrdered, order};
     const bool mixing = some_preempt_ && some_pay_;
     if (large()) {
       const Space last = mixing ? kMixed : kPriorities;
       return {order, kPriorities, kPriorities, kOrdered, order, kPriorities, last, kOrdered};
     }
-    if (!some_preempt_) return {order, kPriorities, order, order, kOrdered, order};
     if (!mixing) return {kPriorities, kOrdered, order, kDispatched};
     // Tabu search finds nothing here that these do not, and each of them has to have its turns.
     return {kPriorities, kOrdered, kDispatched, kMixed};
@@ -223,7 +224,7 @@ class Team {
                         options_.stop};
       raise_bound(composite_bound(problem_, 1, until).bound);
     }
-    if (large() && !options_.certify) own = race(t, budget);
+    if (large() && some_preempt_ && !options_.certify) own = race(t, budget);
     if (counted() && budget <= 0) return;
     for (int turn = 0; !over(); ++turn) {
       std::int64_t used = 0;
