@@ -103,7 +103,12 @@ class Cluster {
   struct Range {
     Tick low, end, high;
   };
-  enum class Kind : std::uint8_t { kUnused, kAlone, kLikeFrom, kLikeTo };
+  /// Of an XPU: how a clock's share there is found.
+  enum class Kind : std::uint8_t { kUnused, kAlone, kLikeFrom, kLikeTo, kSplit };
+  /// The demand bounds of a clock on one XPU; of r both are the same, and one is there.
+  struct Due {
+    std::vector<Step> from, to;
+  };
 
   [[nodiscard]] std::string clock_of(int domain) const {
     return "clock '" + p_.clock_name[at(p_.domains[at(domain)].clock)] + "' ";
@@ -134,10 +139,10 @@ class Cluster {
       if (users == 0) continue;
       if (p_.preemptive[at(m)] == 0)
         return "clocks share XPUs, and " + p_.xpu_name[at(m)] + " does not preempt";
-      if (users > 1 && !more && !less)
-        return "clocks share " + p_.xpu_name[at(m)] +
-               ", and one gets more work there, another one less";
-      kinds_[at(m)] = users == 1 ? Kind::kAlone : more ? Kind::kLikeTo : Kind::kLikeFrom;
+      kinds_[at(m)] = users == 1 ? Kind::kAlone
+                      : more     ? Kind::kLikeTo
+                      : less     ? Kind::kLikeFrom
+                                 : Kind::kSplit;
     }
     return {};
   }
@@ -281,14 +286,19 @@ class Cluster {
     const std::vector<Release> all = releases_of(p_, domain);
     const Tick before_most = reach + 2 * domain.hyper + 2 * blur,
                after_most = reach + last_ready + 2 * domain.hyper + 2 * blur;
-    std::vector<std::vector<Step>> due(at(p_.num_xpus));
+    std::vector<Due> due(at(p_.num_xpus));
     const Tick notice = in_fast_time(in_.notice, ppm);
     Tick gap = 0;
     for (const Release& r : all) gap = std::max(gap, r.at - r.before);
-    for (int m = 0; m < p_.num_xpus; ++m)
-      if (kinds_[at(m)] == Kind::kLikeFrom || kinds_[at(m)] == Kind::kLikeTo)
-        if (!dbf(d, m, before_most + gap + notice + after_most, pairs, due[at(m)]))
-          return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
+    const Tick longest = before_most + gap + notice + after_most;
+    for (int m = 0; m < p_.num_xpus; ++m) {
+      const Kind kind = kinds_[at(m)];
+      const bool from = kind == Kind::kLikeFrom || kind == Kind::kSplit;
+      const bool to = kind == Kind::kLikeTo || kind == Kind::kSplit;
+      if ((from && !dbf(d, m, false, longest, pairs, due[at(m)].from)) ||
+          (to && !dbf(d, m, true, longest, pairs, due[at(m)].to)))
+        return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
+    }
     for (const Release& r : all) {
       LateAround around{r.at, r.before - notice, {}};
       std::vector<std::vector<Job>> jobs(at(p_.num_xpus));
@@ -315,8 +325,8 @@ class Cluster {
   }
 
   /// The demand bound of a clock on a shared XPU, with each job's cost, no drift. False: too many.
-  bool dbf(int d, int m, Tick longest, std::int64_t& pairs, std::vector<Step>& steps) const {
-    const bool second = kinds_[at(m)] == Kind::kLikeTo;
+  bool dbf(int d, int m, bool second, Tick longest, std::int64_t& pairs,
+           std::vector<Step>& steps) const {
     const Domain& domain = p_.domains[at(d)];
     const Windows& w = second ? in_.to : in_.from;
     Pattern pattern;
@@ -366,10 +376,34 @@ class Cluster {
     return fits;
   }
 
+  [[nodiscard]] static Tick value_at(const std::vector<Step>& steps, Tick length) {
+    const auto next = std::upper_bound(steps.begin(), steps.end(), length,
+                                       [](Tick l, const Step& s) { return l < s.length; });
+    return next == steps.begin() ? 0 : (next - 1)->value;
+  }
+  /// f(x, y), of both tables: the least over all S' in [first, last]. The part of the second one falls as
+  /// S' grows. So it is just before the first one's part rises, or at the end.
+  static Tick split_share(const Due& due, Tick x, Tick y, Tick first, Tick last, Tick shorter,
+                          std::int64_t& pairs) {
+    first = std::clamp(first, x, y);
+    last = std::clamp(last, x, y);
+    auto next = std::upper_bound(due.from.begin(), due.from.end(), first - x - shorter,
+                                 [](Tick l, const Step& s) { return l < s.length; });
+    Tick least = kMostTicks;
+    while (true) {
+      --pairs;
+      const Tick rises = next == due.from.end() ? last : x + shorter + next->length;
+      least = std::min(least, (next == due.from.begin() ? 0 : (next - 1)->value) +
+                                  value_at(due.to, y - std::min(rises, last) - shorter));
+      if (rises >= last) return least;
+      ++next;
+    }
+  }
+
   /// Fills around.rises. Returns the largest of up * y + of * what is reached at y, for the keys y after the
   /// release before S on XPUs of this clock alone, up / of the slope: from where lateness may fall.
   __int128 rise(LateAround& around, std::size_t set, const Range& look, Tick last, Tick shorter,
-                std::int64_t ppm, const std::vector<std::vector<Step>>& due,
+                std::int64_t ppm, const std::vector<Due>& due,
                 const std::vector<std::vector<Job>>& jobs, std::int64_t& pairs) const {
     struct At {
       Tick key;
@@ -387,8 +421,10 @@ class Cluster {
     std::sort(keys.begin(), keys.end(), [](const At& a, const At& b) { return a.key < b.key; });
     __int128 line = 0;
     for (const At& y : keys) {
-      const std::vector<Step>& steps = due[at(y.xpu)];
-      const bool alone = kinds_[at(y.xpu)] == Kind::kAlone;
+      const Kind kind = kinds_[at(y.xpu)];
+      const bool alone = kind == Kind::kAlone;
+      const std::vector<Step>& steps =
+          kind == Kind::kLikeTo ? due[at(y.xpu)].to : due[at(y.xpu)].from;
       const Tick so_far = rises.empty() ? 0 : rises.back().by;
       std::optional<Tick> most;
       Tick sum = 0;
@@ -398,6 +434,8 @@ class Cluster {
         Tick served = 0;
         if (alone) {
           served = std::max(Tick{0}, length - lost_in(length, ppm));
+        } else if (kind == Kind::kSplit) {
+          served = split_share(due[at(y.xpu)], x, y.key, last, around.s, shorter, pairs);
         } else {
           while (step < steps.size() && steps[step].length <= length - shorter) ++step;
           served = step == 0 ? 0 : steps[step - 1].value;
