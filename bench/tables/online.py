@@ -12,13 +12,14 @@ One more is in a guest that keeps time (bench/guest.py, 1 ns an instruction), an
 
     guest-switches a file's text names the scenario, and changes again and again; WCETs are what jobs take
 
-Three more are of tables of keys, with the case's three rates by one clock; they run when they are named:
+Four more are of tables of keys, with the case's three rates by one clock; they run when they are named:
 
     key-switches   as `switches`, but a wish comes when the change before has settled: else it waits, and nothing is claimed
     key-clocks     the same with the LiDAR's own clock, each clock on XPUs of its own
+    key-shared     the same with a slower GPU as well, so that the clocks share XPUs
     key-deaths     as `deaths`
 
-    bench/tables/online.py [--bin build/bin] [--json FILE] [throttle switches deaths violations guest-switches key-switches key-clocks key-deaths]
+    bench/tables/online.py [--bin build/bin] [--json FILE] [throttle switches deaths violations guest-switches key-switches key-clocks key-shared key-deaths]
 """
 import argparse
 import contextlib
@@ -61,11 +62,12 @@ def parse():
 class Case:
     """The files of one app, and runs of it."""
 
-    def __init__(self, folder, options, keys=False, clocks=False):
+    def __init__(self, folder, options, part):
+        keys, clocks = part.startswith("key-"), part in ("key-clocks", "key-shared")
         self.folder, self.options = pathlib.Path(folder), options
         self.app = json.loads((STEADY if keys else APP).read_text())
         self.program = "/driving-steady" if keys else "/driving"
-        self.own_rates, self.own_clocks = keys, clocks
+        self.part, self.own_rates, self.own_clocks = part, keys, clocks
         if not clocks:
             for source in self.app.get("sources", []):
                 source.pop("clock", None)
@@ -272,14 +274,18 @@ def key_switches(case, options):
     """Each result of a chain is held against its table's worst case, or that of the change which its release met, by the run.
     Here only what the run tells is counted, and the longest result of each chain set beside the largest of its claims."""
     case.with_margin(KEY_MARGIN_PCT)
-    part = "key-clocks" if case.own_clocks else "key-switches"
-    names = ["nominal", "CPUs slow"]
-    scenarios = [{"name": names[0]}, {"name": names[1], "wcet_scale_pct": {"cpu": 130}}]
-    if not case.own_clocks:  # on a slow GPU both clocks do not fit without each other's XPUs
-        names.insert(1, "GPU at half")
-        scenarios.insert(1, {"name": names[1], "wcet_scale_pct": {"gpu": 200}})
-    case.solve("keys.json", scenarios, len(scenarios))
-    settles_s = max(h["settles_us"] for h in json.loads((case.folder / "keys.json").read_text())["handovers"]) / 1e6
+    # On a slow GPU the two clocks do not fit without each other's XPUs; with margin and at half of its clock not even so.
+    gpu_pct = {"key-clocks": None, "key-shared": 150, "key-switches": 200}[case.part]
+    scenarios = [{"name": "nominal"}, {"name": "CPUs slow", "wcet_scale_pct": {"cpu": 130}}]
+    if gpu_pct:
+        scenarios.insert(1, {"name": "GPU slow", "wcet_scale_pct": {"gpu": gpu_pct}})
+    names = [s["name"] for s in scenarios]
+    case.solve("keys.json", scenarios, len(scenarios), 20 if case.part == "key-shared" else 10)
+    tables = json.loads((case.folder / "keys.json").read_text())
+    settles_s = max(h["settles_us"] for h in tables["handovers"]) / 1e6
+    shared = [] if not case.own_clocks else shared_by_clocks(tables)
+    if (case.part == "key-shared") != bool(shared):
+        raise RuntimeError(f"the clocks share {' '.join(shared) or 'nothing'}")
     draw, asked = random.Random(options.seed), names[0]
     with case.running("keys.json"):
         since = time.monotonic()
@@ -292,16 +298,26 @@ def key_switches(case, options):
     chains = {c["name"]: {"results": c["results"], "lost": c["lost"], "max_us": c["latency_us"]["max"],
                           "worst_case_us": c.get("worst_case_us"), "longer_than_claimed": c["longer_than_claimed"]}
               for c in report["chains"]}
-    result = {"asked": options.switches, "seconds": round(seconds, 1), "settles_s": settles_s, "switches": report["num_switches"],
+    result = {"asked": options.switches, "seconds": round(seconds, 1), "settles_s": settles_s, "shared": shared, "switches": report["num_switches"],
               "table_changes": tables_changed(report["switches"]), "why": sorted({s["why"] for s in report["switches"]}),
               "activations": report["activations"], "lost": report["lost_activations"], "chains": chains,
               "broken": report.get("worst_case_broken", []), "claims": report.get("worst_case_of")}
-    print(f"  {part:12}  {result['switches']} in {seconds:.0f} s, {result['lost']} activations lost")
+    part = case.part
+    print(f"  {part:12}  {result['switches']} in {seconds:.0f} s, {result['lost']} activations lost; the clocks share {' '.join(shared) or 'nothing'}")
     for name, c in chains.items():
         longest = f"longest {c['max_us'] / 1000:.2f} ms" if c["results"] else "none to measure"
         claim = f"largest claim {c['worst_case_us'] / 1000:.2f} ms" if c["worst_case_us"] else "nothing is claimed"
         print(f"  {part:12}  {name:8} {c['results']} results, {c['longer_than_claimed']} longer than claimed; {longest}, {claim}")
     return result
+
+
+def shared_by_clocks(tables):
+    """XPUs of both of steady.json's clocks, in one table or in several."""
+    users = {}
+    for table in tables["tables"]:
+        for xnode in table["xnodes"]:
+            users.setdefault(xnode["xpu"], set()).add(xnode["name"].startswith("ld."))  # the LiDAR's
+    return sorted(xpu for xpu, kinds in users.items() if len(kinds) > 1)
 
 
 def tables_changed(changes):
@@ -431,11 +447,11 @@ def main():
     options = parse()
     os.environ["XAUTO_BIN"] = options.bin
     parts = {"throttle": throttle, "switches": switches, "deaths": deaths, "violations": violations,
-             "guest-switches": guest_switches, "key-switches": key_switches, "key-clocks": key_switches, "key-deaths": deaths}
+             "guest-switches": guest_switches, "key-switches": key_switches, "key-clocks": key_switches, "key-shared": key_switches, "key-deaths": deaths}
     result = {}
     for part in options.parts:
         with tempfile.TemporaryDirectory() as folder:
-            result[part] = parts[part](Case(folder, options, part.startswith("key-"), part == "key-clocks"), options)
+            result[part] = parts[part](Case(folder, options, part), options)
             if options.json:
                 pathlib.Path(options.json).write_text(json.dumps(result, indent=1) + "\n")
 

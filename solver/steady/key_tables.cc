@@ -32,6 +32,7 @@ struct How {
   Keep keep = Keep::kNothing;  ///< of the hint
   int slack_pct = 0;           ///< every WCET counts as longer by so much
   bool in_time = false;        ///< it may end where every chain keeps its deadline
+  bool together = false;       ///< clocks may share XPUs, also where each one has its own
 };
 
 class KeyTablesSearch {
@@ -53,12 +54,13 @@ class KeyTablesSearch {
     for (std::size_t loss = 0; loss < losses_.size(); ++loss) solve_all(loss);
     TableChoice best = choose();
     constexpr int kRounds = 12;  // of a fixed number of evaluations each
-    for (int round = 0;
-         options_.max_evaluations > 0 ? round < kRounds
-                                      : run_.elapsed() < options_.time_limit_s * (1 - kForChanges);
-         ++round) {
-      if (run_.over()) break;
-      if (best.chosen.empty() || best.worst <= run_.goal()) break;
+    std::optional<bool> all_claimed;
+    for (int round = 0; options_.max_evaluations == 0 || round < kRounds; ++round) {
+      if (run_.over() || best.chosen.empty() || best.worst <= run_.goal()) break;
+      if (options_.max_evaluations == 0 && is_time(kForClaims)) {
+        if (!all_claimed) all_claimed = claims_all(best);
+        if (!*all_claimed || is_time(kForChanges)) break;
+      }
       improve(best);
       best = choose();
       run_.tell(bound_.size(), best.worst);
@@ -75,6 +77,11 @@ class KeyTablesSearch {
     return run_.elapsed() + static_cast<double>(turns) * slice <= options_.time_limit_s;
   }
 
+  /// Whether no more than that share of the time is left.
+  [[nodiscard]] bool is_time(double share) const {
+    return run_.elapsed() >= options_.time_limit_s * (1 - share);
+  }
+
   [[nodiscard]] double value_of(const std::vector<std::int64_t>& us) const {
     const Objective of = chain_objective(app_, us);
     return of.chain >= 0 ? of.late : static_cast<double>(of.sum_us);
@@ -87,9 +94,8 @@ class KeyTablesSearch {
   Status split_by_clock() {
     XAUTO_ASSIGN(const Components components, find_components(app_));
     const std::size_t clocks = components.domains.size();
+    for (const int c : components.of) clock_of_.push_back(components.components[at(c)].domain);
     if (clocks < 2) return {};
-    std::vector<int> clock_of;  // [xnode] index of its domain
-    for (const int c : components.of) clock_of.push_back(components.components[at(c)].domain);
     std::vector<int> owner(platform_.xpus.size(), 0), best;
     const double slice = std::max(0.02, options_.time_limit_s / 200);
     const auto shared =
@@ -99,7 +105,7 @@ class KeyTablesSearch {
     double most = std::max(cheap, app_.has_deadlines() ? 1.0 : 0.0);
     do {
       if (run_.elapsed() > options_.time_limit_s / 4) break;
-      forbids_ = forbids_of(owner, clock_of);
+      forbids_ = forbids_of(owner);
       const auto answer =
           solve_for(scenarios_.front(), {}, slice, options_.threads, options_.seed, nullptr);
       if (!answer || answer->outcome != Outcome::kPolicy) continue;
@@ -110,7 +116,7 @@ class KeyTablesSearch {
     } while (next_split(owner, static_cast<int>(clocks)));
     forbids_.clear();
     if (best.empty()) return {};
-    auto forbids = forbids_of(best, clock_of);
+    auto forbids = forbids_of(best);
     for (std::size_t s = 1; s < scenarios_.size() && most > cheap; ++s) {
       if (keeps_deadlines(s, slice, forbids) || !keeps_deadlines(s, slice, {})) continue;
       return {};
@@ -145,12 +151,11 @@ class KeyTablesSearch {
     return false;
   }
 
-  [[nodiscard]] Forbids forbids_of(const std::vector<int>& owner,
-                                   const std::vector<int>& clock_of) const {
+  [[nodiscard]] Forbids forbids_of(const std::vector<int>& owner) const {
     Forbids forbids;
     for (std::size_t i = 0; i < app_.xnodes.size(); ++i)
       for (std::size_t x = 0; x < owner.size(); ++x)
-        if (owner[x] != clock_of[i])
+        if (owner[x] != clock_of_[i])
           forbids.emplace_back(app_.xnodes[i].name, platform_.xpus[x].id);
     return forbids;
   }
@@ -179,7 +184,7 @@ class KeyTablesSearch {
                                          const How& how = {}) const {
     Options solving;
     const Platform left = platform_for(scenario, loss);
-    for (const auto& [xnode, xpu] : forbids_)
+    for (const auto& [xnode, xpu] : how.together ? Forbids{} : forbids_)
       if (left.find(xpu) >= 0 && !loss.is_off(app_.xnodes[at(app_.find(xnode))].module))
         solving.wishes.forbids.emplace_back(xnode, xpu);
     std::atomic<bool> enough{false};
@@ -196,12 +201,12 @@ class KeyTablesSearch {
     solving.hint = hint;
     solving.keep = how.keep;
     AppSpec app = app_under(app_, scenario, loss);
-    if (how.slack_pct > 0) leave_slack(app, left, how.slack_pct);
+    if (how.slack_pct > 0) lengthen(app, left, how.slack_pct);
     return solve(app, left, solving);
   }
 
   /// Every WCET longer by so much, and by what a preemption costs: what theorem 10 asks for.
-  static void leave_slack(AppSpec& app, const Platform& platform, int pct) {
+  static void lengthen(AppSpec& app, const Platform& platform, int pct) {
     for (XNodeSpec& xnode : app.xnodes)
       for (auto& [type, us] : xnode.wcet_us) {
         std::int64_t cost = 0;
@@ -361,6 +366,29 @@ class KeyTablesSearch {
     return xpu < static_cast<int>(platform_.xpus.size()) ? xpu : -1;
   }
 
+  /// Whether clocks share XPUs there although others have their own: no other policy was found for it.
+  [[nodiscard]] bool is_together(const KeyTable& table) const {
+    const std::vector<KeyPlacement> placed = hint_for(table, {}).placements;
+    return std::any_of(forbids_.begin(), forbids_.end(), [&](const auto& forbid) {
+      const int xpu = on_platform(placed[at(app_.find(forbid.first))].xpu);
+      return xpu >= 0 && platform_.xpus[at(xpu)].id == forbid.second;
+    });
+  }
+  [[nodiscard]] bool clocks_share(const std::vector<int>& tables) const {
+    std::vector<int> user(platform_.xpus.size(), -1);
+    for (const int c : tables) {
+      const std::vector<KeyPlacement> placed = hint_for(candidates_[at(c)], {}).placements;
+      for (std::size_t i = 0; i < placed.size(); ++i) {
+        const int xpu = on_platform(placed[i].xpu);
+        if (xpu < 0) continue;
+        int& clock = user[at(xpu)];
+        if (clock >= 0 && clock != clock_of_[i]) return true;
+        clock = clock_of_[i];
+      }
+    }
+    return false;
+  }
+
   /// The policy of a candidate on the platform that is left under another envelope.
   [[nodiscard]] KeyPolicy hint_for(const KeyTable& table, const Scenario& envelope) const {
     const Platform had = platform_for(table.of, losses_[table.loss]),
@@ -407,8 +435,9 @@ class KeyTablesSearch {
       const KeyPolicy hint = hint_for(candidates_[at(tasks[k].from)], envelope);
       const bool placed = std::any_of(hint.placements.begin(), hint.placements.end(),
                                       [](const KeyPlacement& p) { return p.xpu >= 0; });
-      tasks[k].result = solve_for(envelope, losses_[candidates_[at(tasks[k].from)].loss], slice, 1,
-                                  tasks[k].seed, placed ? &hint : nullptr);
+      const KeyTable& from = candidates_[at(tasks[k].from)];
+      tasks[k].result = solve_for(envelope, losses_[from.loss], slice, 1, tasks[k].seed,
+                                  placed ? &hint : nullptr, {.together = is_together(from)});
     });
     for (const Task& task : tasks) {
       if (!task.result || task.result->outcome != Outcome::kPolicy) continue;
@@ -452,6 +481,14 @@ class KeyTablesSearch {
     set_priorities(tables);
     set_figures(tables, app_);
     return tables;
+  }
+
+  /// Whether each change has a worst case, as far as there is time to know.
+  [[nodiscard]] bool claims_all(const TableChoice& choice) const {
+    std::vector<int> candidate;
+    Tables tables = tables_of(choice, candidate);
+    return set_handovers(tables, -1, run_.until_after(options_.time_limit_s / 50)) &&
+           cost_of(tables.handovers, tables, app_).unclaimed == 0;
   }
 
   /// Handovers of `table` from and to all others, the rest as before; all of them for -1.
@@ -499,7 +536,8 @@ class KeyTablesSearch {
     const double slice =
         std::max(0.05, (options_.time_limit_s - run_.elapsed()) / kSlicesForChanges);
     const int unclaimed = cost.unclaimed;
-    if (unclaimed > 0) place_alike(choice, regret_before, slice, candidate, best, cost);
+    if (unclaimed > 0 && clocks_share(candidate))
+      leave_slack(choice, regret_before, slice, candidate, best, cost);
     const bool needs_slack = cost.unclaimed < unclaimed;
     constexpr int kRounds = 3;  // of a fixed number of evaluations each
     for (int round = 0; options_.max_evaluations == 0 || round < kRounds * n; ++round) {
@@ -524,26 +562,30 @@ class KeyTablesSearch {
     return best;
   }
 
-  /// Of clocks that share XPUs something is known where these have slack, and not one clock more work there
-  /// and another one less (theorem 10). So: all tables with slack, and with the placement of one candidate:
-  /// each chosen one, or one for everything.
-  void place_alike(TableChoice& choice, const std::vector<double>& regret_before, double slice,
+  /// Of clocks that share XPUs something is known where both tables leave slack (theorem 10). So: all tables
+  /// with slack, each from itself; and with the placement of one candidate, each chosen one, or one for
+  /// everything: where little moves changes are shorter.
+  void leave_slack(TableChoice& choice, const std::vector<double>& regret_before, double slice,
                    std::vector<int>& candidate, Tables& best, ChangeCost& cost) {
-    const Forbids apart = std::exchange(forbids_, {});
-    bool alike = false;
-    std::vector<int> bases = candidate;
+    constexpr int kItself = -1;
+    std::vector<int> bases = {kItself};
+    bases.insert(bases.end(), candidate.begin(), candidate.end());
     for (std::size_t c = 0; c < candidates_.size(); ++c)
       if (candidates_[c].for_all) bases.push_back(static_cast<int>(c));
+    const Forbids apart = forbids_;
+    bool alike = false;
     const std::size_t n = candidate.size();
     for (const int base : bases) {
       if (!fit(n, 2 * slice)) break;
+      if (base != kItself) forbids_.clear();
       std::vector<std::optional<KeyTable>> found(n);
       std::vector<std::uint64_t> seeds;
       for (std::size_t t = 0; t < n; ++t) seeds.push_back(random_.next());
       run_.on_threads(n, [&](std::size_t t) {
-        if (candidates_[at(candidate[t])].loss != candidates_[at(base)].loss) return;
-        found[t] = search_from(choice, candidate[t], base, {Keep::kPlacement, kSlackPct}, seeds[t],
-                               2 * slice);
+        const int from = base == kItself ? candidate[t] : base;
+        if (candidates_[at(candidate[t])].loss != candidates_[at(from)].loss) return;
+        const Keep keep = base == kItself ? Keep::kNothing : Keep::kPlacement;
+        found[t] = search_from(choice, candidate[t], from, {keep, kSlackPct}, seeds[t], 2 * slice);
         if (found[t] && !allowed(*found[t], choice, candidate[t], regret_before, true))
           found[t].reset();
       });
@@ -557,7 +599,7 @@ class KeyTablesSearch {
       cost = of;
       best = std::move(tables);
       for (std::size_t t = 0; t < n; ++t) take(*found[t], t, choice, candidate);
-      alike = true;
+      alike = alike || base != kItself;
     }
     if (!alike) forbids_ = apart;
   }
@@ -600,7 +642,9 @@ class KeyTablesSearch {
     const Scenario envelope = join(group);
     const std::size_t loss = candidates_[at(replaced)].loss;
     const KeyPolicy hint = hint_for(candidates_[at(from)], envelope);
-    const auto answer = solve_for(envelope, losses_[loss], slice, 1, seed, &hint, how);
+    How as_before = how;
+    as_before.together = is_together(candidates_[at(replaced)]);
+    const auto answer = solve_for(envelope, losses_[loss], slice, 1, seed, &hint, as_before);
     if (!answer || answer->outcome != Outcome::kPolicy) return std::nullopt;
     KeyTable found = table_for(envelope, loss, answer->policy);
     rate(found);
@@ -685,7 +729,8 @@ class KeyTablesSearch {
   const TablesOptions& options_;
   const TablesRun run_;
   Random random_;
-  static constexpr double kForChanges = 0.2;  ///< of the time
+  /// Of the time; where some change has no worst case yet.
+  static constexpr double kForChanges = 0.2, kForClaims = 0.4;
   static constexpr double kSlicesForChanges = 12;
   static constexpr int kSlackPct = 3;
   /// How much more regret a scenario may have, so that changes are shorter; so that more is claimed of
@@ -693,6 +738,7 @@ class KeyTablesSearch {
   static constexpr double kMostForChanges = 1.01, kMostForClaims = 1.15;
   /// XNode and XPU, where each clock has XPUs of its own; empty: they share.
   Forbids forbids_;
+  std::vector<int> clock_of_;                     ///< [xnode] number of its domain
   std::vector<AppSpec> under_;                    ///< [scenario]
   std::vector<Loss> losses_{Loss{}};              ///< the first: nothing
   std::vector<std::size_t> loss_of_;              ///< [scenario] index into them
