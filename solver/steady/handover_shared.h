@@ -5,8 +5,11 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
+#include <tuple>
+#include <utility>
 #include <vector>
 
 #include "solver/steady/certificate.h"
@@ -32,15 +35,30 @@ using Rises = std::vector<Rise>;
   return next == rises.begin() ? 0 : (next - 1)->by;
 }
 
+/// A job of the second table that may be ready later than its `a`, since it waits for the first one.
+struct Raised {
+  int xnode = 0;
+  std::int64_t n = 0;
+  Tick ready = 0;      ///< alpha
+  Tick due = kNoTick;  ///< where that is after its key
+  bool operator<(const Raised& o) const { return std::tie(xnode, n) < std::tie(o.xnode, o.n); }
+};
+
 /// The jobs of one clock around one S.
 struct LateAround {
   Tick s = 0;
-  Tick since = 0;            ///< t_lo
-  std::vector<Rises> rises;  ///< [set of XPUs]
+  Tick since = 0;              ///< t_lo
+  std::vector<Raised> raised;  ///< in order
+  std::vector<Rises> rises;    ///< [set of XPUs]
+  [[nodiscard]] const Raised* find(int xnode, std::int64_t n) const {
+    const auto found = std::lower_bound(raised.begin(), raised.end(), Raised{xnode, n});
+    return found != raised.end() && found->xnode == xnode && found->n == n ? &*found : nullptr;
+  }
   [[nodiscard]] Tick last_rise() const {
     Tick last = s;
     for (const Rises& of : rises)
       if (!of.empty()) last = std::max(last, of.back().key);
+    for (const Raised& job : raised) last = std::max(last, job.due);
     return last;
   }
 };
@@ -65,7 +83,8 @@ class Cluster {
       return "clocks share XPUs, and one of the tables leaves less than 1 % of one";
     find_slope();
     find_sets();
-    for (const int d : domains_) find_last_ready(d);
+    for (const int d : domains_)
+      if (std::string why = find_raised(d, pairs); !why.empty()) return why;
     for (const int d : domains_) {
       Lateness& of = of_domain_[at(d)];
       of.most.assign(sets_.size(), 0);
@@ -98,6 +117,7 @@ class Cluster {
  private:
   struct Job {
     Tick ready, key, work;  ///< alpha, late; the key, early
+    Tick due;               ///< where it is after the key
   };
   /// x from `low` to `end`, y up to `high`.
   struct Range {
@@ -219,58 +239,90 @@ class Cluster {
       }
   }
 
-  /// alpha of the second table's jobs around S, from the first on: each(n, alpha, raised) until it says no.
-  template <class Each>
-  void each_second(int d, Tick s, int xnode, Each each) const {
-    const Component& c = p_.components[at(p_.component_of[at(xnode)])];
-    const auto release = [&](std::int64_t n) { return c.phase + n * c.period; };
-    const auto blur = [&](Tick t) { return lost_in(t, p_.domains[at(d)].ppm); };
-    const auto late = [&](Tick t) { return t + blur(t); };
-    const auto first_key = [&](int u, std::int64_t n) {
-      return release(n) + late(in_.from.d[p_.slot_of(u, n)]);
-    };
-    const std::int64_t first = floor_div(s - 1 - c.phase, c.period) + 1;
-    Tick before = release(first - 1) + late(in_.from.a[p_.slot_of(xnode, first - 1)]);
-    for (std::int64_t n = first;; ++n) {
-      const std::size_t slot = p_.slot_of(xnode, n);
-      const Tick own = release(n) + late(in_.to.a[slot]);
-      Tick ready = std::max(own, before);
-      if (n == first) {
-        const Tick last = first_key(xnode, n - 1);
-        if (in_.to_xpu[at(xnode)] != in_.from_xpu[at(xnode)] ||
-            last > release(n) + in_.to.d[slot] - blur(in_.to.d[slot]))
-          ready = std::max(ready, last);
-      }
-      const int module = p_.module_of[at(xnode)];
-      if (module >= 0 && p_.entry[at(xnode)] != 0) {
-        const Module& of = p_.modules[at(module)];
-        if (of.in_flight < kMillion && n - of.in_flight < first)
-          for (const int u : of.xnodes) ready = std::max(ready, first_key(u, n - of.in_flight));
-      }
-      if (!each(n, ready, ready > own)) return;
-      before = ready;
-    }
-  }
-
-  /// M.
-  void find_last_ready(int d) {
+  /// Around each S, and M as far as it is this clock's. Why nothing follows; empty: it does.
+  std::string find_raised(int d, std::int64_t& pairs) {
     const Domain& domain = p_.domains[at(d)];
     Tick deepest = 0;
     for (const int i : domain.xnodes)
       for (int n = 0; n < p_.jobs[at(i)]; ++n) {
         const Tick a = in_.from.a[p_.slot_of(i, n)];
         last_ready_ = std::max(last_ready_, in_slow_time(a + lost_in(a, domain.ppm), domain.ppm));
-        deepest = std::max(deepest, in_.from.d[p_.slot_of(i, n)]);
+        deepest = std::max({deepest, in_.from.d[p_.slot_of(i, n)], in_.to.d[p_.slot_of(i, n)]});
       }
-    const Tick reach = deepest + lost_in(deepest, domain.ppm);
-    for (const Release& r : releases_of(p_, domain))
-      for (const int i : domain.xnodes)
-        each_second(d, r.at, i, [&](std::int64_t n, Tick ready, bool raised) {
-          if (raised)
-            last_ready_ = std::max(last_ready_, in_slow_time(ready - r.before, domain.ppm));
-          return p_.components[at(p_.component_of[at(i)])].phase + n * p_.period_of(i) <=
-                 r.at + reach;
-        });
+    const Tick reach = deepest + 2 * lost_in(deepest, domain.ppm);
+    for (const Release& r : releases_of(p_, domain)) {
+      LateAround around{r.at, r.before - in_fast_time(in_.notice, domain.ppm), {}, {}};
+      for (const int c : domain.components)
+        if (!find_raised(p_.components[at(c)], domain, r.at + reach + 2 * domain.hyper, around,
+                         pairs))
+          return clock_of(d) +
+                 "shares XPUs, and has jobs that wait for the other table again and again";
+      if (pairs < 0) return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
+      std::sort(around.raised.begin(), around.raised.end());
+      for (const Raised& job : around.raised)
+        last_ready_ = std::max(last_ready_,
+                               in_slow_time(std::max(job.ready, job.due) - r.before, domain.ppm));
+      of_domain_[at(d)].around.push_back(std::move(around));
+    }
+    return {};
+  }
+
+  /// Of one component. False: not even those released after `last` are ready by their `a`.
+  bool find_raised(const Component& c, const Domain& domain, Tick last, LateAround& around,
+                   std::int64_t& pairs) const {
+    const auto release = [&](std::int64_t n) { return c.phase + n * c.period; };
+    const auto blur = [&](Tick t) { return lost_in(t, domain.ppm); };
+    const auto late = [&](Tick t) { return t + blur(t); };
+    const auto first_key = [&](int u, std::int64_t n) {
+      return release(n) + late(in_.from.d[p_.slot_of(u, n)]);
+    };
+    const std::int64_t first = floor_div(around.s - 1 - c.phase, c.period) + 1;
+    std::int64_t longest_lag = 1;
+    for (const int i : c.xnodes)
+      if (const int m = p_.module_of[at(i)]; m >= 0 && p_.modules[at(m)].in_flight < kMillion)
+        longest_lag = std::max(longest_lag, p_.modules[at(m)].in_flight);
+    std::map<std::pair<std::int64_t, int>, Tick>
+        dues;                                        // of (n, XNode), where they are after the key
+    std::vector<Tick> before(at(p_.num_xnodes), 0);  // [xnode] alpha of the last one
+    for (const int i : c.xnodes)
+      before[at(i)] = release(first - 1) + late(in_.from.a[p_.slot_of(i, first - 1)]);
+    std::int64_t last_raised = first;
+    for (std::int64_t n = first; n <= std::max(first, last_raised) + longest_lag; ++n) {
+      for (const int i : c.xnodes) {
+        if (--pairs < 0) return true;
+        const std::size_t slot = p_.slot_of(i, n);
+        const Tick own = release(n) + late(in_.to.a[slot]);
+        const Tick key = release(n) + in_.to.d[slot] - blur(in_.to.d[slot]);
+        Tick ready = std::max(own, before[at(i)]);
+        const auto after = [&](int u, std::int64_t k, Tick passes) {
+          if (k < first) {
+            ready = std::max(ready, first_key(u, k));
+          } else if (const auto due = dues.find({k, u}); due != dues.end()) {
+            ready = std::max(ready, due->second + passes);
+          }
+        };
+        if (n == first && (in_.to_xpu[at(i)] != in_.from_xpu[at(i)] || first_key(i, n - 1) > key))
+          after(i, n - 1, 0);
+        for (const Link& link : in_.then.pred[at(i)])
+          after(link.xnode, n,
+                in_fast_time(in_.then.transfer(link, in_.to_xpu[at(link.xnode)], in_.to_xpu[at(i)]),
+                             domain.ppm));
+        if (const int m = p_.module_of[at(i)]; m >= 0 && p_.entry[at(i)] != 0)
+          if (const Module& of = p_.modules[at(m)]; of.in_flight < kMillion)
+            for (const int u : of.xnodes) after(u, n - of.in_flight, 0);
+        before[at(i)] = ready;
+        if (ready <= own) continue;
+        Raised job{i, n, ready};
+        if (ready >= key) {
+          job.due = ready + in_fast_time(in_.to.d[slot] - in_.to.a[slot], domain.ppm);
+          dues[{n, i}] = job.due;
+        }
+        around.raised.push_back(job);
+        last_raised = n;
+        if (release(n) > last) return false;
+      }
+    }
+    return true;
   }
 
   std::string derive(int d, std::int64_t& pairs, const Until& until) {
@@ -299,13 +351,13 @@ class Cluster {
           (to && !dbf(d, m, true, longest, pairs, due[at(m)].to)))
         return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
     }
-    for (const Release& r : all) {
-      LateAround around{r.at, r.before - notice, {}};
+    for (std::size_t k = 0; k < all.size(); ++k) {
+      const Release& r = all[k];
+      LateAround& around = lateness.around[k];
       std::vector<std::vector<Job>> jobs(at(p_.num_xpus));
       const Range look{around.since - before_most, r.at + last_ready, r.at + after_most};
       if (!list(d, around, look, jobs))
-        return clock_of(d) +
-               "shares XPUs, and has jobs that wait for the other table until after their keys";
+        return clock_of(d) + "shares XPUs, and drifts too far for its shortest windows";
       for (const std::vector<Job>& of : jobs) pairs -= static_cast<std::int64_t>(of.size());
       around.rises.resize(sets_.size());
       for (std::vector<Job>& of : jobs)
@@ -319,7 +371,6 @@ class Cluster {
       for (std::size_t set = 0; set < sets_.size(); ++set)
         if (!around.rises[set].empty())
           lateness.most[set] = std::max(lateness.most[set], around.rises[set].back().by);
-      lateness.around.push_back(std::move(around));
     }
     return {};
   }
@@ -353,25 +404,30 @@ class Cluster {
     for (const int i : domain.xnodes) {
       const Component& c = p_.components[at(p_.component_of[at(i)])];
       const auto release = [&](std::int64_t n) { return c.phase + n * c.period; };
-      const auto add = [&](std::int64_t n, bool second, Tick ready) {
+      const auto add = [&](std::int64_t n, bool second, Tick ready, Tick due) {
         const int m = (second ? in_.to_xpu : in_.from_xpu)[at(i)];
         const Tick d_of = (second ? in_.to : in_.from).d[p_.slot_of(i, n)];
         const bool grown = !second && release(n) + d_of + blur(d_of) >= around.since;
         const Problem& of = second ? in_.then : grown ? in_.both : in_.now;
         const Tick key = release(n) + d_of - blur(d_of);
-        fits = fits && ready < key;
-        jobs[at(m)].push_back({ready, key, cost_of(of, i, m)});
+        fits = fits && (ready < key || due != kNoTick);
+        jobs[at(m)].push_back({ready, key, cost_of(of, i, m), due});
       };
       std::int64_t n = floor_div(around.s - 1 - c.phase, c.period);
       for (; release(n) + in_.from.d[p_.slot_of(i, n)] >= look.low - 4 * blur(look.high - look.low);
            --n) {
         const Tick a = in_.from.a[p_.slot_of(i, n)];
-        add(n, false, release(n) + a + blur(a));
+        add(n, false, release(n) + a + blur(a), kNoTick);
       }
-      each_second(d, around.s, i, [&](std::int64_t k, Tick ready, bool) {
-        add(k, true, ready);
-        return release(k) <= look.high;
-      });
+      n = floor_div(around.s - 1 - c.phase, c.period) + 1;
+      for (; release(n) <= look.high; ++n) {
+        const Tick a = in_.to.a[p_.slot_of(i, n)];
+        const Raised* raised = around.find(i, n);
+        if (raised != nullptr)
+          add(n, true, raised->ready, raised->due);
+        else
+          add(n, true, release(n) + a + blur(a), kNoTick);
+      }
     }
     return fits;
   }
@@ -416,7 +472,8 @@ class Cluster {
       // Another clock's key may be just after t_lo.
       if (!jobs[at(m)].empty()) keys.push_back({around.since, m});
       for (const Job& job : jobs[at(m)])
-        if (job.key > around.since && job.key <= look.high) keys.push_back({job.key, m});
+        for (const Tick y : {job.key, job.due})
+          if (y > around.since && y <= look.high) keys.push_back({y, m});
     }
     std::sort(keys.begin(), keys.end(), [](const At& a, const At& b) { return a.key < b.key; });
     __int128 line = 0;
@@ -446,7 +503,7 @@ class Cluster {
       // Another clock's alpha may be just before `end`.
       bool at_end = alone || look.end >= y.key;
       for (const Job& x : jobs[at(y.xpu)]) {
-        if (x.ready >= y.key || x.key > y.key) continue;
+        if (x.key > y.key) continue;
         if (x.ready < look.low) break;
         if (--pairs < 0) return line;
         if (x.ready < look.end && !at_end) {
@@ -454,7 +511,7 @@ class Cluster {
           at_end = true;
         }
         sum += x.work;
-        if (x.ready < look.end) look_at(x.ready);
+        if (x.ready < look.end && x.ready < y.key) look_at(x.ready);
       }
       if (!at_end && sum > 0) look_at(look.end);
       if (!most) continue;
@@ -498,10 +555,12 @@ struct MaybeLate {
   }
   [[nodiscard]] Tick release(int xnode, std::int64_t n) const { return from.release(xnode, n); }
   [[nodiscard]] Tick ends(int xnode, std::int64_t n) const {
-    const Tick key = table(xnode, n).ends(xnode, n);
+    Tick key = table(xnode, n).ends(xnode, n);
     if (on_time(xnode, n)) return key;
     const bool first = release(xnode, n) < around.s;
     const std::size_t set = cluster.set_of((first ? in.from_xpu : in.to_xpu)[at(xnode)]);
+    if (const Raised* raised = around.find(xnode, n); raised != nullptr && raised->due != kNoTick)
+      key = raised->due;
     return key + in_fast_time(late_at(around.rises[set], key) + cluster.most_of_others(domain, set),
                               from.ppm);
   }
