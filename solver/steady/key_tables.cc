@@ -568,15 +568,21 @@ class KeyTablesSearch {
   void leave_slack(TableChoice& choice, const std::vector<double>& regret_before, double slice,
                    std::vector<int>& candidate, Tables& best, ChangeCost& cost) {
     constexpr int kItself = -1;
-    std::vector<int> bases = {kItself};
-    bases.insert(bases.end(), candidate.begin(), candidate.end());
+    struct Try {
+      int base, slack_pct;
+    };
+    std::vector<Try> tries = {{kItself, kSlackPct}, {kItself, kLeastSlackPct}};
+    for (const int c : candidate) tries.push_back({c, kSlackPct});
     for (std::size_t c = 0; c < candidates_.size(); ++c)
-      if (candidates_[c].for_all) bases.push_back(static_cast<int>(c));
+      if (candidates_[c].for_all) tries.push_back({static_cast<int>(c), kSlackPct});
     const Forbids apart = forbids_;
     bool alike = false;
     const std::size_t n = candidate.size();
-    for (const int base : bases) {
+    const int unclaimed = cost.unclaimed;
+    for (const Try& attempt : tries) {
+      const int base = attempt.base, slack = attempt.slack_pct;
       if (!fit(n, 2 * slice)) break;
+      if (slack == kLeastSlackPct && cost.unclaimed < unclaimed) continue;
       if (base != kItself) forbids_.clear();
       std::vector<std::optional<KeyTable>> found(n);
       std::vector<std::uint64_t> seeds;
@@ -585,7 +591,7 @@ class KeyTablesSearch {
         const int from = base == kItself ? candidate[t] : base;
         if (candidates_[at(candidate[t])].loss != candidates_[at(from)].loss) return;
         const Keep keep = base == kItself ? Keep::kNothing : Keep::kPlacement;
-        found[t] = search_from(choice, candidate[t], from, {keep, kSlackPct}, seeds[t], 2 * slice);
+        found[t] = search_from(choice, candidate[t], from, {keep, slack}, seeds[t], 2 * slice);
         if (found[t] && !allowed(*found[t], choice, candidate[t], regret_before, true))
           found[t].reset();
       });
@@ -732,7 +738,8 @@ class KeyTablesSearch {
   /// Of the time; where some change has no worst case yet.
   static constexpr double kForChanges = 0.2, kForClaims = 0.4;
   static constexpr double kSlicesForChanges = 12;
-  static constexpr int kSlackPct = 3;
+  static constexpr int kSlackPct = 3,
+                       kLeastSlackPct = 1;  ///< the latter is what theorem 10 asks for
   /// How much more regret a scenario may have, so that changes are shorter; so that more is claimed of
   /// them, or fewer deadlines are missed.
   static constexpr double kMostForChanges = 1.01, kMostForClaims = 1.15;
