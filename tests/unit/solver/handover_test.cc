@@ -377,5 +377,87 @@ TEST(SteadyHandover, OfClocksThatShareXpus) {
   attack_clocks(Clocks::kShared, 20'000, 3600, 40, 240, true);
 }
 
+/// A module of one clock in a loop as long as its period, held in the first table: in the second one its entry
+/// has a key before which the last activation of the first one may not have ended. Another clock shares its CPU.
+TwoPolicies waits_past_its_key(std::uint64_t seed, int ppm) {
+  solver::test::Dice dice(seed);
+  TwoPolicies two;
+  two.platform = {"p",
+                  {{"cpu0", "cpu", true, 0}, {"cpu1", "cpu", true, 0}, {"gpu0", "gpu", true, 20}}};
+  AppSpec& app = two.from_app;
+  app.version = 2;
+  app.name = "waits";
+  app.clocks = {{"main", 0}, {"own", ppm}};
+  const bool drifts_itself = dice.roll(0, 1) != 0;  // whose clock has the tolerance
+  const std::int64_t period = 12'000, flight = dice.roll(1, 2);
+  app.sources = {{"s", {period, 1}, 0, dice.roll(0, 1) * 100, drifts_itself ? 1 : 0},
+                 {"t", {dice.roll(50, 90) * 100, 1}, 0, 0, drifts_itself ? 0 : 1}};
+  const std::int64_t least = dice.roll(4, 9) * 100, mid = dice.roll(4, 9) * 100;
+  const std::int64_t span = flight * period;  // from a release until the one that waits for it
+  const std::int64_t lost = span * ppm / 1'000'000 * 3;
+  const std::int64_t longest =
+      (flight > 1 ? 10'500 : period - least - mid) - dice.roll(8, 12) * 100 - lost;
+  app.xnodes = {{"m.e", "M", {{"cpu", least}}, {0}},
+                {"m.h", "M", {{"cpu", mid}}},
+                {"m.f", "M", {{"gpu", longest}}},
+                {"g", "G", {{"cpu", dice.roll(1, 2) * 20}}, {1}}};
+  app.edges = {{0, 1}, {1, 2}};
+  app.transfers = {{1, "cpu", "gpu", dice.roll(0, 1) * 50}};
+  app.modules = {{"M", flight}, {"G", 1}};
+  app.chains = {{"s -> m.f", 0, 2}, {"s -> m.e", 0, 0}, {"t -> g", 1, 3}};
+  two.to_app = two.both = app;
+  std::int64_t& shorter = two.to_app.xnodes[2].wcet_us.at("gpu");
+  shorter = longest / dice.roll(2, 4);
+  const std::int64_t held = dice.roll(15, 25) * 100 + lost;
+  const std::int64_t room = 160 + 3 * least / 100, passes = app.transfers[0].transfer_us;
+  std::int64_t key = held + least + room;
+  two.from.placements = {{0, {key}, {held}},
+                         {1, {key + mid + 60 + mid / 50}},
+                         {2, {span + held - dice.roll(0, 3) * 100 - lost}},
+                         {0, {4000}}};
+  key = app.sources[0].jitter_us + least + room;
+  two.to.placements = {{0, {key}},
+                       {1, {key + mid + 60 + mid / 50}},
+                       {2, {key + mid + 120 + mid / 50 + passes + shorter + shorter / 20 + lost}},
+                       {0, {4000}}};
+  for (KeyPolicy* keys : {&two.from, &two.to}) keys->app = app.name;
+  two.from.app_hash = app.hash();
+  two.to.app_hash = two.to_app.hash();
+  for (const auto& [of, keys] : {std::pair(&app, &two.from), std::pair(&two.to_app, &two.to)}) {
+    const Problem p = *Problem::create(*of, two.platform);
+    std::vector<int> xpu;
+    const Windows w = windows_by(p, *keys, xpu);
+    for (const Chain& chain : p.chains)
+      keys->chains.push_back({chain.name, p.up_to_us(worst_case(p, chain, w)) / p.scale});
+  }
+  return two;
+}
+
+TEST(SteadyHandover, WhoWaitsForTheTableBeforeUntilAfterItsKey) {
+  for (const int ppm : {0, 100, 5'000}) {
+    int claimed = 0;
+    for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+      const TwoPolicies two = waits_past_its_key(seed, ppm);
+      const Bounds bounds = bounds_of(two);
+      if (bounds.settles_us == 0) continue;
+      ++claimed;
+      const auto proof = checked(two);
+      ASSERT_TRUE(proof) << proof.error().to_string();
+      for (std::size_t c = 0; c < bounds.us.size(); ++c) {
+        ASSERT_TRUE(proof->worst_case_us[c]) << "seed " << seed << ", chain " << c;
+        EXPECT_LE(*proof->worst_case_us[c], *bounds.us[c]) << "seed " << seed << ", chain " << c;
+      }
+      EXPECT_LE(proof->settles_us, bounds.settles_us) << "seed " << seed;
+      const NaiveTables naive{two.from_app, two.to_app, two.both, two.platform, two.from, two.to};
+      HandoverClimb climb(naive, bounds.us, {two.notice_us, 100, seed});
+      const HandoverFound found = climb.run();
+      EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << seed;
+      EXPECT_LE(found.worst, 1) << "seed " << seed;
+      EXPECT_LE(found.settles_us, static_cast<double>(bounds.settles_us)) << "seed " << seed;
+    }
+    EXPECT_GE(claimed, 36) << ppm;
+  }
+}
+
 }  // namespace
 }  // namespace xauto::solver::steady
