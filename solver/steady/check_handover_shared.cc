@@ -33,7 +33,8 @@ class Dbf {
     if (spans.empty()) return true;
     Ticks deepest = 0, turn = 0;
     for (Span& s : spans) {
-      const Ticks shift = floor_div(s.begin, hyperperiod) * hyperperiod;
+      // All ends are of one turn, so those of the next one are later, however long windows are.
+      const Ticks shift = floor_div(s.end, hyperperiod) * hyperperiod;
       s.begin -= shift;
       s.end -= shift;
       deepest = std::max(deepest, s.end - s.begin);

@@ -307,6 +307,21 @@ TEST(CheckHandover, ALateJobOfOneClockMakesTheOtherLate) {
   EXPECT_EQ(proven(p, q).settles_us, 3000 * 100 / 2);
 }
 
+TEST(CheckHandover, AWindowIsLongerThanAHyperperiod) {
+  Handover p = two_clocks(3000, 6000);
+  add_stage(p, "c", 10'000, 100, 2000);
+  add_stage(p, "d", 10'000, 3500, 10'500);
+  p.app.modules.back().max_in_flight = 3;
+  p.policy.placements[2].hold_us = {1000};
+  Handover q = p;
+  q.policy.placements[3] = {0, {21'000}, {9000}};
+  // In [0, 10 500] is all of p. Of q any 10 500 have but `a` and `c`: `a` is in the window of the `d`
+  // before, but that ends 5000 later.
+  const HandoverProof proof = proven(p, q);
+  EXPECT_EQ(proof.worst_case_us[0], 6000 + 3500);
+  EXPECT_EQ(proof.worst_case_us[1], 4000 + 3500);
+}
+
 TEST(CheckHandover, AClocksOwnXpuMakesAnotherClockLate) {
   Handover p = two_clocks(2000, 5000);
   add_stage(p, "c", 10'000, 2000, 3000);
