@@ -118,7 +118,7 @@ struct Lane {
   std::size_t known = 0;    ///< of them have `before`
 };
 
-/// dbf of lengths that rise from call to call. There may be many more steps than calls, so it leaps.
+/// dbf of lengths that rise from call to call. Steps may be many more than calls, so it leaps.
 class Rising {
  public:
   explicit Rising(const Dbf& of) : steps_(of.steps()) {}
@@ -153,16 +153,16 @@ class Share {
         p_(lane.dbf_p),
         q_(lane.dbf_q) {}
 
-  /// No more than f. It is f, but for the third kind: there it has p's work for the first S', and q's
-  /// for the last one.
+  /// No more than f. It is f, but for the third kind: there it has p's work for the first S', and
+  /// q's for the last one.
   Ticks at_least(Ticks x) {
     if (lane_.kind == Kind::kOfQ) return q_.at(y_ - x - 2 * blur_);
     if (lane_.kind == Kind::kOfP) return p_.at(y_ - x - 2 * blur_);
     return p_sooner_.at(std::min(y_, before_) - x - 2 * blur_) + of_q(x);
   }
-  /// f of the third kind. With a later S' p's part does not fall, and q's does not rise. So it is least
-  /// for the last S', or for those just before p's part rises. S' is a real number: there q's part is
-  /// that of where p's rises, since dbf is the same from its step on.
+  /// f of the third kind. With a later S' p's part does not fall, and q's does not rise. So it is
+  /// least for the last S', or for one just before p's part rises. S' is a real number: there q's
+  /// part is what it is where p's rises, since dbf is the same from a step on.
   Ticks of_both(Ticks x, std::int64_t& pairs) {
     Ticks least = p_.at(std::min(y_, change_) - x - 2 * blur_) + of_q(x);
     const auto& p = lane_.dbf_p.steps();

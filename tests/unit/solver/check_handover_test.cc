@@ -315,8 +315,8 @@ TEST(CheckHandover, AWindowIsLongerThanAHyperperiod) {
   p.policy.placements[2].hold_us = {1000};
   Handover q = p;
   q.policy.placements[3] = {0, {21'000}, {9000}};
-  // In [0, 10 500] is all of p. Of q any 10 500 have but `a` and `c`: `a` is in the window of the `d`
-  // before, but that ends 5000 later.
+  // In [0, 10 500] is all of p. Of q any 10 500 have but `a` and `c`: a later `a` ends before the
+  // `d` that began sooner, but that `d` is not within.
   const HandoverProof proof = proven(p, q);
   EXPECT_EQ(proof.worst_case_us[0], 6000 + 3500);
   EXPECT_EQ(proof.worst_case_us[1], 4000 + 3500);
@@ -326,8 +326,8 @@ TEST(CheckHandover, OneClockGainsAndAnotherOneLoses) {
   Handover p = two_clocks(2000, 5000), q = two_clocks(3000, 5000);
   set_wcet(q, 1, 900);
   HandoverProof proof = proven(p, q);
-  // S just after a release of both. In [0, 5000] `a` takes 3000, as p's. Neither table's certificate
-  // counts any window: up to S, and from S on, it is not whole. So it is with the 1000 of `b`.
+  // S just after a release of both. In [0, 5000] `a` takes 3000, as p's. Neither table's
+  // certificate counts any window: none is whole up to S, or from S on. So it is with `b`'s 1000.
   EXPECT_EQ(proof.worst_case_us[0], 5000 + 3000 + 1000);
   EXPECT_EQ(proof.worst_case_us[1], 4000 + 3000 + 1000);
   EXPECT_EQ(proof.settles_us, (3000 + 1000) * 100 / 8);
