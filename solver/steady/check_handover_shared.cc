@@ -33,7 +33,8 @@ class Dbf {
     if (spans.empty()) return true;
     Ticks deepest = 0, turn = 0;
     for (Span& s : spans) {
-      const Ticks shift = floor_div(s.begin, hyperperiod) * hyperperiod;
+      // All ends are of one turn, so those of the next one are later, however long windows are.
+      const Ticks shift = floor_div(s.end, hyperperiod) * hyperperiod;
       s.begin -= shift;
       s.end -= shift;
       deepest = std::max(deepest, s.end - s.begin);
@@ -96,7 +97,7 @@ class Dbf {
     }
     steps_.resize(kept);
   }
-  std::vector<std::pair<Ticks, Ticks>> steps_;
+  std::vector<std::pair<Ticks, Ticks>> steps_ = {{0, 0}};
 };
 
 struct Item {
@@ -105,13 +106,82 @@ struct Item {
   Ticks before = 0;  ///< λ(alpha) of the set that is looked at, once it is known
 };
 
+/// The kinds of share: of which tables dbf is.
+enum class Kind : std::uint8_t { kOfQ, kOfP, kOfBoth };
+
 /// Of one XPU.
 struct Lane {
   bool shared = false;
-  bool by_q = false;        ///< r is q
-  Dbf dbf;                  ///< where it is shared
+  Kind kind = Kind::kOfQ;   ///< where it is shared
+  Dbf dbf_p, dbf_q;         ///< those that its kind has
   std::vector<Item> items;  ///< by alpha
   std::size_t known = 0;    ///< of them have `before`
+};
+
+/// dbf of lengths that rise from call to call. Steps may be many more than calls, so it leaps.
+class Rising {
+ public:
+  explicit Rising(const Dbf& of) : steps_(of.steps()) {}
+  Ticks at(Ticks length) {
+    const auto leap = [&](std::size_t by) {
+      if (by >= steps_.size() - step_ || steps_[step_ + by].first > length) return false;
+      step_ += by;
+      return true;
+    };
+    std::size_t by = 1;
+    while (leap(by)) by *= 2;
+    while (by /= 2) leap(by);
+    return steps_[step_].second;
+  }
+  [[nodiscard]] std::size_t step() const { return step_; }
+
+ private:
+  const std::vector<std::pair<Ticks, Ticks>>& steps_;
+  std::size_t step_ = 0;
+};
+
+/// f(x, y) of a lane for one y, and for x that fall from call to call.
+class Share {
+ public:
+  Share(const Lane& lane, const Lateness& around, Ticks blur, Ticks y)
+      : lane_(lane),
+        before_(around.before),
+        change_(around.change),
+        blur_(blur),
+        y_(y),
+        p_sooner_(lane.dbf_p),
+        p_(lane.dbf_p),
+        q_(lane.dbf_q) {}
+
+  /// No more than f. It is f, but for the third kind: there it has p's work for the first S', and
+  /// q's for the last one.
+  Ticks at_least(Ticks x) {
+    if (lane_.kind == Kind::kOfQ) return q_.at(y_ - x - 2 * blur_);
+    if (lane_.kind == Kind::kOfP) return p_.at(y_ - x - 2 * blur_);
+    return p_sooner_.at(std::min(y_, before_) - x - 2 * blur_) + of_q(x);
+  }
+  /// f of the third kind. With a later S' p's part does not fall, and q's does not rise. So it is
+  /// least for the last S', or for one just before p's part rises. S' is a real number: there q's
+  /// part is what it is where p's rises, since dbf is the same from a step on.
+  Ticks of_both(Ticks x, std::int64_t& pairs) {
+    Ticks least = p_.at(std::min(y_, change_) - x - 2 * blur_) + of_q(x);
+    const auto& p = lane_.dbf_p.steps();
+    Rising q = q_;
+    for (std::size_t step = p_.step(); step > 0; --step) {
+      const Ticks rises = x + 2 * blur_ + p[step].first;
+      if (rises <= before_) break;
+      least = std::min(least, p[step - 1].second + q.at(y_ - rises - 2 * blur_));
+      --pairs;
+    }
+    return least;
+  }
+
+ private:
+  Ticks of_q(Ticks x) { return q_.at(y_ - std::max(x, change_) - 2 * blur_); }
+
+  const Lane& lane_;
+  Ticks before_, change_, blur_, y_;
+  Rising p_sooner_, p_, q_;
 };
 
 class Bound {
@@ -168,7 +238,7 @@ class Bound {
         for (const bool of_q : {false, true}) users_[at(xpu_of(of_q, i))].insert(clock.clock);
       });
     }
-    rule_.assign(xpus.size(), true);
+    kind_.assign(xpus.size(), Kind::kOfQ);
     for (std::size_t m = 0; m < xpus.size(); ++m) {
       if (users_[m].empty()) continue;
       if (!xpus[m].preemptive) return refuse(xpus[m].id + " does not preempt");
@@ -185,10 +255,7 @@ class Bound {
         more = more && work[1] >= work[0];
         less = less && work[1] <= work[0];
       }
-      if (!more && !less)
-        return refuse(
-            fmt::format("of their work on {} some becomes more and some less", xpus[m].id));
-      rule_[m] = more;
+      if (!more) kind_[m] = less ? Kind::kOfP : Kind::kOfBoth;
     }
     if (percent == 0) return refuse("both tables leave less than 1 % of an XPU");
     return true;
@@ -403,25 +470,25 @@ class Bound {
     const Ticks limit = lane.shared ? around.change + r.meets_p : around.before + r.meets_p + 1;
     bool at_limit = !lane.shared || limit >= y;
     Ticks sum = 0;
-    std::size_t step = 0;
-    const auto look = [&](Ticks x, Ticks before) {
-      Ticks less = 0;
-      if (lane.shared) {
-        const auto& steps = lane.dbf.steps();
-        while (step + 1 < steps.size() && steps[step + 1].first <= y - x - 2 * r.blur) ++step;
-        less = steps[step].second;
-      } else {
-        less = least(y - x, r.drift.ppm);
-      }
-      Ticks excess = sum - less;
+    Share share(lane, around, r.blur, y);
+    const auto excess = [&](Ticks x, Ticks less) {
       // Jobs of q alone are a pattern of q as they are; α may be 2b after `a`.
-      if (lane.by_q && x > around.before + r.meets_p)
-        excess = std::min(excess, most(2 * r.blur, r.drift.ppm));
-      best = std::max(best.value_or(before + excess), before + excess);
+      if (lane.shared && lane.kind != Kind::kOfP && x > around.before + r.meets_p)
+        return std::min(sum - less, most(2 * r.blur, r.drift.ppm));
+      return sum - less;
+    };
+    const auto look = [&](Ticks x, Ticks before) {
+      const Ticks less = lane.shared ? share.at_least(x) : least(y - x, r.drift.ppm);
+      Ticks found = before + excess(x, less);
+      // What λ does not rise by need not be known exactly.
+      if (lane.shared && lane.kind == Kind::kOfBoth &&
+          found > std::max(lambda.largest(), best.value_or(0)))
+        found = before + excess(x, share.of_both(x, pairs_));
+      best = std::max(best.value_or(found), found);
     };
     pairs_ -= static_cast<std::int64_t>(lane.known);
     if (pairs_ < 0) return best;
-    for (std::size_t k = lane.known; k-- > 0;) {
+    for (std::size_t k = lane.known; k-- > 0 && pairs_ >= 0;) {
       const Item& item = lane.items[k];
       if (item.key > y) continue;
       if (item.alpha < limit && !at_limit) {
@@ -472,7 +539,7 @@ class Bound {
     const Reach r = reach_of(k);
     lanes_.assign(p_.platform.xpus.size(), {});
     for (std::size_t m = 0; m < lanes_.size(); ++m)
-      if (users_[m].size() > 1 && users_[m].contains(of.clock) && !make_dbf(of, r, m))
+      if (users_[m].size() > 1 && users_[m].contains(of.clock) && !make_lane(of, r, m))
         return too_much();
     const std::size_t sets = of_.sets.size();
     std::vector<__int128>& reaches = reaches_.emplace_back(sets, 0);
@@ -493,14 +560,19 @@ class Bound {
     return true;
   }
 
-  bool make_dbf(const OfClock& of, const Reach& r, std::size_t m) {
+  bool make_lane(const OfClock& of, const Reach& r, std::size_t m) {
     Lane& lane = lanes_[m];
     lane.shared = true;
-    lane.by_q = rule_[m] != 0;
+    lane.kind = kind_[m];
+    return (lane.kind == Kind::kOfQ || make_dbf(of, r, m, false, lane.dbf_p)) &&
+           (lane.kind == Kind::kOfP || make_dbf(of, r, m, true, lane.dbf_q));
+  }
+
+  bool make_dbf(const OfClock& of, const Reach& r, std::size_t m, bool of_q, Dbf& dbf) {
+    const World& w = ask_.both.of(of_q);
     std::vector<Dbf::Span> spans;
     bool fits = true;
     each_xnode(of.clock, [&](const Component& c, int i) {
-      const World& w = ask_.both.of(rule_[m]);
       if (w.policy.placements[at(i)].xpu != static_cast<int>(m)) return;
       pairs_ -= of.hyperperiod / c.period;
       fits = fits && pairs_ >= 0;
@@ -511,7 +583,7 @@ class Bound {
       }
     });
     const Ticks longest = r.back + r.ahead + of.hyperperiod + r.drift.longest(ask_.notice);
-    return fits && lane.dbf.make(std::move(spans), of.hyperperiod, longest, pairs_);
+    return fits && dbf.make(std::move(spans), of.hyperperiod, longest, pairs_);
   }
 
   // ------------------------------------------------------------------------------------- settling
@@ -552,7 +624,7 @@ class Bound {
   std::int64_t& pairs_;
   Cluster& of_;
   std::vector<std::set<int>> users_;  ///< [xpu] clocks of this cluster
-  std::vector<char> rule_;            ///< [xpu] r is q
+  std::vector<Kind> kind_;            ///< [xpu] of the shares on it
   std::vector<Grid> grids_;           ///< [clock of the cluster]
   Ticks meets_p_ = 0;                 ///< M, in real time
   __int128 slope_ = 1, slope_of_ = 100;

@@ -9,7 +9,8 @@
 // - M is no less than what the α of a job of q is after S, if that is later than its `a`.
 // - Between which keys of one clock the key of another falls is open. So λ also rises just after t_lo,
 //   by what the jobs with keys up to then have in excess, and on a shared XPU an x may be just before
-//   S + M. Where all that is counted is of q, r's certificate, if that is q's, bounds it.
+//   S + M. Where all that is counted is of q, q's certificate bounds it, if shares are not of p
+//   alone. So it is with the third kind, too: such jobs have windows that begin at S or later.
 // - What has its key at t_lo has ended in time, as t is after t_lo.
 // - When all is over: see `settle` and `find_slope`. M and τ are the whole cluster's, for each set.
 // - Edges are between activations of one release, so of one table: of p and q together are modules, and
