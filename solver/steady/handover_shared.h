@@ -497,7 +497,10 @@ class Cluster {
           while (step < steps.size() && steps[step].length <= length - shorter) ++step;
           served = step == 0 ? 0 : steps[step - 1].value;
         }
-        const Tick reached = late_at(rises, x) + sum - served;
+        Tick excess = sum - served;
+        if (kind != Kind::kAlone && kind != Kind::kLikeFrom && x > last + (look.end - around.s))
+          excess = std::min(excess, in_slow_time(shorter, ppm));
+        const Tick reached = late_at(rises, x) + excess;
         most = std::max(most.value_or(reached), reached);
       };
       // Another clock's alpha may be just before `end`.
