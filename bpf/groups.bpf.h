@@ -34,14 +34,23 @@ struct {
 
 static unsigned long long limited_ns; /* when a cgroup with a limit was last seen */
 
+/* Without CONFIG_CFS_BANDWIDTH there is a struct cfs_bandwidth all the same, an empty one. */
+static __always_inline bool has_quotas(void)
+{
+	return bpf_core_field_exists(((struct task_group *)0)->cfs_bandwidth.quota);
+}
+
 /* Charges the group for `ran` and ends its period if it is over: true if it is beyond its quota. */
 __noinline int group_is_over(u64 group, u64 ran, u64 now)
 {
 	struct task_group *g = (struct task_group *)group;
-	u64 quota = BPF_CORE_READ(g, cfs_bandwidth.quota);
-	u64 period, since, ended, paid, used;
+	u64 quota, period, since, ended, paid, used;
 	struct group_use fresh = {}, *use;
 
+	/* Here, too: the kernel verifies this function by itself, so what its caller has asked is not known. */
+	if (!has_quotas())
+		return false;
+	quota = BPF_CORE_READ(g, cfs_bandwidth.quota);
 	if (quota == NO_QUOTA)
 		return false;
 	limited_ns = now;
@@ -73,6 +82,8 @@ __noinline int groups_are_over(u64 group, u64 ran, u64 now)
 	bool over = false;
 	int i;
 
+	if (!has_quotas())
+		return false;
 	for (i = 0; i < DEEPEST_GROUP && group; i++) {
 		if (group_is_over(group, ran, now))
 			over = true;
@@ -84,8 +95,7 @@ __noinline int groups_are_over(u64 group, u64 ran, u64 now)
 /* `ran`: since it was last charged. */
 static __always_inline bool is_throttled(struct task_struct *p, u64 ran, u64 now)
 {
-	if (!bpf_core_field_exists(p->sched_task_group) ||
-	    !bpf_core_field_exists(((struct task_group *)0)->cfs_bandwidth))
+	if (!bpf_core_field_exists(p->sched_task_group) || !has_quotas())
 		return false;
 	return groups_are_over((u64)BPF_CORE_READ(p, sched_task_group), ran, now);
 }

@@ -1061,6 +1061,8 @@ static int on_parked_timer(void *map, u32 *key, struct parked_timer *t)
 	struct task_struct *p;
 
 	if (scx_bpf_dsq_nr_queued(PARKED_DSQ) > 0) {
+		/* 6.12 takes it for part of xauto_init(), which may sleep. */
+		bpf_rcu_read_lock();
 		if (iterate(&it, PARKED_DSQ)) {
 			while ((p = bpf_iter_scx_dsq_next(&it))) {
 				if (is_throttled(p, 0, now))
@@ -1070,6 +1072,7 @@ static int on_parked_timer(void *map, u32 *key, struct parked_timer *t)
 			}
 		}
 		bpf_iter_scx_dsq_destroy(&it);
+		bpf_rcu_read_unlock();
 	}
 	bpf_timer_start(&t->timer, now - limited_ns < 1000000000ULL ? 2 * PARKED_LOOK_NS : 50 * PARKED_LOOK_NS,
 			0);
