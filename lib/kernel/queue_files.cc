@@ -24,6 +24,7 @@
 #include "kernel/device_nodes.h"
 #include "kernel/i915_contexts.h"
 #include "kernel/kfd_queues.h"
+#include "kernel/pid_namespace.h"
 #include "kernel/rm_queues.h"
 
 namespace xauto::kernel {
@@ -43,13 +44,6 @@ bool is_anonymous_tsg(std::string_view target) {
   const std::size_t at = target.rfind("-tsg");
   int number = 0;
   return at != std::string_view::npos && ends_with_number(target.substr(at), "-tsg", number);
-}
-
-constexpr ino_t kFirstPidNamespace = 0xEFFFFFFC;  // Linux: PROC_PID_INIT_INO
-
-bool in_first_pid_namespace() {
-  struct stat space {};
-  return stat("/proc/self/ns/pid", &space) == 0 && space.st_ino == kFirstPidNamespace;
 }
 
 std::optional<std::size_t> count_by_node(int node, pid_t pid) {
@@ -121,7 +115,7 @@ Result<std::vector<QueueFile>> find_queue_files(pid_t pid, const std::string& ro
 }
 
 std::optional<std::size_t> count_tsgs(pid_t pid) {
-  if (!in_first_pid_namespace()) return {};
+  if (own_pid_namespace() != kFirstPidNamespace) return {};
   for (const char* path : kGpuSchedNodes)
     if (const UniqueFd node(open(path, O_RDWR | O_CLOEXEC | O_NONBLOCK)); node)
       return count_by_node(node.get(), pid);

@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "kernel/pid_namespace.h"
 
 namespace xauto::kernel {
 namespace {
@@ -23,11 +24,11 @@ using Entry = std::array<std::uint64_t, 2>;
 /// The key of a thread of this process. Its id is that of its PID namespace, so the namespace belongs
 /// to it: in a container the same number is somebody else's, too.
 Result<std::uint64_t> key_of(std::uint32_t tid) {
-  struct stat space {};
-  if (stat("/proc/thread-self/ns/pid", &space) != 0)
+  const std::optional<ino_t> space = own_pid_namespace();
+  if (!space)
     return fail(ErrorCode::kUnavailable,
                 std::string("/proc/thread-self/ns/pid: ") + strerror(errno), {}, "mount /proc");
-  return std::uint64_t{space.st_ino} << 32 | tid;
+  return std::uint64_t{*space} << 32 | tid;
 }
 
 }  // namespace

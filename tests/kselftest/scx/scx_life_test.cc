@@ -15,6 +15,7 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "kernel/pid_namespace.h"
 
 #include "tests.h"
 
@@ -159,9 +160,8 @@ void wrong_slot() {
   std::atomic<bool> stop{false};
   std::atomic<std::uint64_t> rounds{0};
   std::thread stray([&] {
-    struct stat space {};
-    stat("/proc/self/ns/pid", &space);
-    const std::uint64_t key = space.st_ino << 32 | static_cast<std::uint64_t>(gettid());
+    const std::uint64_t key = std::uint64_t{kernel::own_pid_namespace().value()} << 32 |
+                              static_cast<std::uint64_t>(gettid());
     const std::uint64_t nowhere[2] = {4711, static_cast<std::uint64_t>(now_ns())};
     if (!kernel::set_element(world.maps.fd("threads"), &key, nowhere)) ktap_bail("entering");
     while (!stop) {
