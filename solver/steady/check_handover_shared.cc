@@ -102,8 +102,24 @@ class Dbf {
 
 struct Item {
   Ticks alpha = 0, key = 0;  ///< late and early
+  Ticks due = 0;             ///< the key, or later
   Ticks work = 0;
   Ticks before = 0;  ///< λ(alpha) of the set that is looked at, once it is known
+};
+
+/// When a job of q is ready, and has ended, if nothing is late.
+struct When {
+  Ticks alpha = 0, key = 0;  ///< late and early
+  Ticks due = 0;             ///< δ; the key, or later
+  bool waits = false;        ///< for p, directly or through others, maybe until after its `a`
+  bool wrong = false;        ///< `a` is not before the key
+  [[nodiscard]] bool is_past_key() const { return due > key; }
+};
+
+/// The first jobs of q of an XNode: all of those that wait for p are among them.
+struct First {
+  std::int64_t n = 0;
+  std::vector<When> jobs;
 };
 
 /// The kinds of share: of which tables dbf is.
@@ -116,6 +132,7 @@ struct Lane {
   Dbf dbf_p, dbf_q;         ///< those that its kind has
   std::vector<Item> items;  ///< by alpha
   std::size_t known = 0;    ///< of them have `before`
+  std::vector<Item> past;   ///< those of them that are ready no sooner than their key
 };
 
 /// dbf of lengths that rise from call to call. Steps may be many more than calls, so it leaps.
@@ -299,37 +316,94 @@ class Bound {
 
   // ---------------------------------------------------------------------------- the jobs of one S
 
-  /// Visits q's jobs of an XNode in order, until `visit` says no: n, α, whether what is of p may make
-  /// it later than `a`, key. Of p is what it may wait for beside its `a`: none of that matters if it has
-  /// ended by `a`, whatever the clock does.
-  template <typename Visit>
-  void each_of_q(const Component& c, int i, Ticks change, const Drift& drift,
-                 const Visit& visit) const {
-    const std::int64_t first = ceil_div(change - c.phi, c.period);
-    const int module = p_.module_of[at(i)];
-    Ticks alpha = 0;
-    bool raised = false;
-    for (std::int64_t n = first;; ++n) {
-      const Window& window = q_.window(i, n);
-      const Ticks release = c.phi + n * c.period, by = a_of(window);
-      const Ticks own = release + drift.late(by);
-      raised = raised && alpha > release + drift.soon(by);
-      alpha = raised ? std::max(alpha, own) : own;
-      const auto wait = [&](std::int64_t lag, Ticks length) {
-        if (length <= least(lag * c.period, drift.ppm) + by) return;
-        alpha = std::max(alpha, release - lag * c.period + drift.late(length));
-        raised = true;
-      };
-      if (n == first) {
-        const Window& before = p_.window(i, n - 1);
-        const bool larger = before.d > least(c.period, drift.ppm) + window.d;
-        wait(1, xpu_of(false, i) != xpu_of(true, i) || larger ? before.d : a_of(before));
-      }
-      const std::int64_t lag = p_.in_flight[at(module)];
-      if (p_.entry[at(i)] && n - lag < first)
-        for (const int x : p_.module_xnodes[at(module)]) wait(lag, p_.window(x, n - lag).d);
-      if (!visit(n, alpha, raised, release + drift.soon(window.d))) return;
+  /// Activation n of q, as long as it waits for nothing of p.
+  [[nodiscard]] When when_alone(const Component& c, int i, std::int64_t n,
+                                const Drift& drift) const {
+    const Window& window = q_.window(i, n);
+    const Ticks release = c.phi + n * c.period;
+    const Ticks alpha = release + drift.late(a_of(window)), key = release + drift.soon(window.d);
+    return {alpha, key, key, false, alpha >= key};
+  }
+  [[nodiscard]] When when(const Component& c, int i, std::int64_t n, const Drift& drift) const {
+    const First& first = first_[at(i)];
+    const auto k = static_cast<std::size_t>(n - first.n);
+    return k < first.jobs.size() ? first.jobs[k] : when_alone(c, i, n, drift);
+  }
+
+  /// α and δ of activation n of q, where those before it, and those that it waits for, are known.
+  When when_of(const Component& c, int i, std::int64_t n, std::int64_t first, const Drift& drift) {
+    When of = when_alone(c, i, n, drift);
+    const Window& window = q_.window(i, n);
+    const Ticks release = c.phi + n * c.period, by = a_of(window);
+    const Ticks own = of.alpha;
+    // What has ended by `a`, whatever the clock does, does not matter.
+    const auto wait_until = [&](Ticks instant) {
+      if (instant <= release + drift.soon(by)) return;
+      of.alpha = std::max(of.alpha, instant);
+      of.waits = true;
+    };
+    const auto wait_for_p = [&](std::int64_t lag, Ticks length) {
+      if (length <= least(lag * c.period, drift.ppm) + by) return;
+      of.alpha = std::max(of.alpha, release - lag * c.period + drift.late(length));
+      of.waits = true;
+    };
+    if (n == first) {
+      const Window& before = p_.window(i, n - 1);
+      const bool larger = before.d > least(c.period, drift.ppm) + window.d;
+      wait_for_p(1, xpu_of(false, i) != xpu_of(true, i) || larger ? before.d : a_of(before));
+    } else if (const When& before = first_[at(i)].jobs.back(); before.waits) {
+      wait_until(before.alpha);
     }
+    const auto found = [&](int other, std::int64_t m) -> const When& {
+      --pairs_;
+      return first_[at(other)].jobs[at(static_cast<int>(m - first))];
+    };
+    for (const auto& [u, transfer] : q_.before[at(i)])
+      if (const When& sooner = found(u, n); sooner.is_past_key())
+        wait_until(sooner.due + drift.longest(transfer));
+    const int module = p_.module_of[at(i)];
+    const std::int64_t lag = p_.in_flight[at(module)];
+    if (p_.entry[at(i)]) {
+      for (const int x : p_.module_xnodes[at(module)]) {
+        if (n - lag < first)
+          wait_for_p(lag, p_.window(x, n - lag).d);
+        else if (const When& sooner = found(x, n - lag); sooner.is_past_key())
+          wait_until(sooner.due);
+      }
+    }
+    if (of.alpha > own) of.wrong = false;
+    if (of.alpha >= of.key && !of.wrong) of.due = of.alpha + drift.longest(window.d - by);
+    return of;
+  }
+
+  /// All jobs of q that wait for p, for one S. What is released after all that they wait for waits
+  /// for nothing, so this ends.
+  bool find_first(const OfClock& of, Ticks change, const Grid& grid, const Drift& drift) {
+    first_.assign(p_.wcet.size(), {});
+    const Ticks most = change + deepest_of(grid, drift) + 2 * of.hyperperiod;
+    for (const Component& c : p_.components) {
+      if (c.clock != of.clock) continue;
+      const std::set<int> members(c.xnodes.begin(), c.xnodes.end());
+      std::vector<int> order;
+      for (const int i : p_.order)
+        if (members.contains(i)) order.push_back(i);
+      const std::int64_t first = ceil_div(change - c.phi, c.period);
+      for (const int i : order) first_[at(i)].n = first;
+      Ticks latest = change + drift.late(grid.keys_of_p);
+      for (std::int64_t n = first; c.phi + n * c.period <= latest; ++n)
+        for (const int i : order) {
+          if (--pairs_ < 0) return too_much();
+          const When when = when_of(c, i, n, first, drift);
+          if (when.waits && c.phi + n * c.period > most)
+            return refuse(
+                fmt::format("XNode '{}' may still wait for the table before when that should have "
+                            "been over",
+                            p_.name(i)));
+          if (when.waits) latest = std::max({latest, when.alpha, when.due});
+          first_[at(i)].jobs.push_back(when);
+        }
+    }
+    return true;
   }
 
   /// The releases of a clock, M, and the longest windows.
@@ -357,14 +431,13 @@ class Bound {
     grid.releases.assign(releases.begin(), releases.end());
     Ticks before = grid.releases.back() - of.hyperperiod;
     for (const Ticks change : grid.releases) {
-      each_xnode(of.clock, [&](const Component& c, int i) {
-        each_of_q(c, i, change, drift, [&](std::int64_t n, Ticks alpha, bool raised, Ticks) {
-          if (raised) grid.meets_p = std::max(grid.meets_p, alpha - before);
-          return --pairs_ >= 0 && c.phi + n * c.period <= change + drift.late(grid.keys_of_p);
-        });
-      });
+      if (!find_first(of, change, grid, drift)) return false;
+      for (const First& first : first_)
+        for (const When& when : first.jobs) {
+          if (when.waits) grid.meets_p = std::max(grid.meets_p, when.alpha - before);
+          if (when.is_past_key()) grid.meets_p = std::max(grid.meets_p, when.due - before);
+        }
       before = change;
-      if (pairs_ < 0) return too_much();
     }
     meets_p_ = std::max(meets_p_, most(grid.meets_p, drift.ppm));
     return true;
@@ -392,6 +465,11 @@ class Bound {
     }
   }
 
+  /// D
+  static Ticks deepest_of(const Grid& grid, const Drift& drift) {
+    return grid.deepest + 2 * (drift.late(grid.deepest) - grid.deepest);
+  }
+
   /// D, b and M of a clock, in its own time.
   struct Reach {
     Drift drift;
@@ -401,7 +479,7 @@ class Bound {
     const OfClock& of = of_.clocks[k];
     Reach r{{p_.app.clocks[at(of.clock)].ppm}};
     r.blur = r.drift.late(grids_[k].deepest) - grids_[k].deepest;
-    r.deepest = grids_[k].deepest + 2 * r.blur;
+    r.deepest = deepest_of(grids_[k], r.drift);
     for (std::size_t other = 0; other < grids_.size(); ++other) {
       const std::int64_t ppm = p_.app.clocks[at(of_.clocks[other].clock)].ppm;
       r.meets_p =
@@ -414,17 +492,23 @@ class Bound {
   }
 
   /// All jobs that one has to look at.
-  bool make_items(const OfClock& of, const Reach& r, const Grid& grid, const Lateness& around) {
+  bool make_items(const OfClock& of, const Reach& r, const Grid& grid, Lateness& around) {
+    if (!find_first(of, around.change, grid, r.drift)) return false;
     const Ticks first = around.low - r.back, last = around.change + r.ahead;
     Ticks work = 0;
     int wrong = -1;
     bool fits = true;
-    for (Lane& lane : lanes_) lane.items.clear();
-    const auto add = [&](bool of_q, int i, Ticks alpha, Ticks key, Ticks takes) {
-      if (alpha >= key) wrong = i;
+    for (Lane& lane : lanes_) {
+      lane.items.clear();
+      lane.past.clear();
+    }
+    const auto add = [&](bool of_q, int i, const When& when, Ticks takes) {
+      if (when.wrong) wrong = i;
       work += takes;
       fits = --pairs_ >= 0 && work <= kMostWork;
-      lanes_[at(xpu_of(of_q, i))].items.push_back({alpha, key, takes});
+      Lane& lane = lanes_[at(xpu_of(of_q, i))];
+      lane.items.push_back({when.alpha, when.key, when.due, takes});
+      if (when.is_past_key()) lane.past.push_back(lane.items.back());
       return fits && wrong < 0;
     };
     each_xnode(of.clock, [&](const Component& c, int i) {
@@ -436,21 +520,24 @@ class Bound {
         const Ticks release = c.phi + n * c.period;
         const Window& window = p_.window(i, n);
         const Ticks alpha = release + r.drift.late(a_of(window));
+        const Ticks key = release + r.drift.soon(window.d);
         const bool as_in_p = release + r.drift.late(window.d) <= around.low;
         if (alpha >= first &&
-            !add(false, i, alpha, release + r.drift.soon(window.d), as_in_p ? in_p : in_p + more))
+            !add(false, i, {alpha, key, key, false, alpha >= key}, as_in_p ? in_p : in_p + more))
           return;
       }
-      each_of_q(c, i, around.change, r.drift, [&](std::int64_t, Ticks alpha, bool, Ticks key) {
-        if (key > last) return key <= last + 4 * r.blur;  // what drifts may have keys that fall
-        return add(true, i, alpha, key, in_q);
-      });
+      for (n = ceil_div(around.change - c.phi, c.period);; ++n) {
+        const When of_q = when(c, i, n, r.drift);
+        if (of_q.is_past_key()) around.dues[{i, n}] = of_q.due;
+        if (of_q.key > last + 4 * r.blur) return;  // what drifts may have keys that fall
+        if (of_q.key <= last && !add(true, i, of_q, in_q)) return;
+      }
     });
     if (!fits) return too_much();
     if (wrong >= 0)
       return refuse(
-          fmt::format("XNode '{}' may be ready no sooner than its key, after what it "
-                      "waits for of the table before",
+          fmt::format("XNode '{}' may be ready no sooner than its key, so little is known of its "
+                      "clock",
                       p_.name(wrong)));
     for (Lane& lane : lanes_) std::ranges::sort(lane.items, {}, &Item::alpha);
     return true;
@@ -469,7 +556,9 @@ class Bound {
     // The x of a shared XPU may be another clock's: as late as just before S + M.
     const Ticks limit = lane.shared ? around.change + r.meets_p : around.before + r.meets_p + 1;
     bool at_limit = !lane.shared || limit >= y;
-    Ticks sum = 0;
+    Ticks sum = 0;  // D(x, y)
+    for (const Item& item : lane.past)
+      if (item.alpha >= y && item.key <= y) sum += item.work;
     Share share(lane, around, r.blur, y);
     const auto excess = [&](Ticks x, Ticks less) {
       // Jobs of q alone are a pattern of q as they are; α may be 2b after `a`.
@@ -486,7 +575,7 @@ class Bound {
         found = before + excess(x, share.of_both(x, pairs_));
       best = std::max(best.value_or(found), found);
     };
-    pairs_ -= static_cast<std::int64_t>(lane.known);
+    pairs_ -= static_cast<std::int64_t>(lane.known + lane.past.size());
     if (pairs_ < 0) return best;
     for (std::size_t k = lane.known; k-- > 0 && pairs_ >= 0;) {
       const Item& item = lane.items[k];
@@ -512,6 +601,8 @@ class Bound {
       if (!lane.items.empty()) keys.emplace_back(around.low, m);
       for (const Item& item : lane.items)
         if (item.key > around.low) keys.emplace_back(item.key, m);
+      for (const Item& item : lane.past)
+        if (item.due > around.low) keys.emplace_back(item.due, m);
     }
     std::ranges::sort(keys);
     keys.erase(std::unique(keys.begin(), keys.end()), keys.end());
@@ -547,7 +638,7 @@ class Bound {
     const Ticks notice = r.drift.longest(ask_.notice);
     Ticks before = grid.releases.back() - of.hyperperiod;
     for (const Ticks change : grid.releases) {
-      Lateness around{change, before, before - notice, std::vector<Lambda>(sets)};
+      Lateness around{change, before, before - notice, {}, std::vector<Lambda>(sets)};
       if (!make_items(of, r, grid, around)) return false;
       for (std::size_t set = 0; set < sets; ++set) {
         Lambda& lambda = around.lambdas[set];
@@ -626,6 +717,7 @@ class Bound {
   std::vector<std::set<int>> users_;  ///< [xpu] clocks of this cluster
   std::vector<Kind> kind_;            ///< [xpu] of the shares on it
   std::vector<Grid> grids_;           ///< [clock of the cluster]
+  std::vector<First> first_;          ///< [xnode] of one S
   Ticks meets_p_ = 0;                 ///< M, in real time
   __int128 slope_ = 1, slope_of_ = 100;
   std::vector<std::vector<__int128>> reaches_;  ///< [clock of the cluster][set]
@@ -716,6 +808,7 @@ Around::Around(const Both& both, const Cluster& cluster, std::size_t k, const La
     const auto& rises = lateness.lambdas[set].rises;
     if (!rises.empty()) last = std::max(last, rises.back().first);
   }
+  for (const auto& [job, due] : lateness.dues) last = std::max(last, due);
   Ticks step = 0, offset = 0;
   for (const Component& c : both.p.components)
     if (c.clock == of.clock) {

@@ -11,6 +11,10 @@
 //   by what the jobs with keys up to then have in excess, and on a shared XPU an x may be just before
 //   S + M. Where all that is counted is of q, q's certificate bounds it, if shares are not of p
 //   alone. So it is with the third kind, too: such jobs have windows that begin at S or later.
+// - A job of q *waits* if what it waits for of p, directly or through others, may be later than its
+//   `a`, whatever the clock does: also where its α is no more than `a`, taken late.
+// - An x counts for a y only if it is an α of the same XPU, and its job's key is not after y: such
+//   are the x' of the proof.
 // - What has its key at t_lo has ended in time, as t is after t_lo.
 // - When all is over: see `settle` and `find_slope`. M and τ are the whole cluster's, for each set.
 // - Edges are between activations of one release, so of one table: of p and q together are modules, and
@@ -18,6 +22,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <string>
 #include <utility>
 #include <vector>
@@ -40,9 +45,11 @@ struct Lambda {
 
 /// Of a clock around one S.
 struct Lateness {
-  Ticks change = 0;             ///< S
-  Ticks before = 0;             ///< the release that precedes it
-  Ticks low = 0;                ///< t_lo
+  Ticks change = 0;  ///< S
+  Ticks before = 0;  ///< the release that precedes it
+  Ticks low = 0;     ///< t_lo
+  /// [XNode, n] δ of those jobs of q for which it is after the key.
+  std::map<std::pair<int, std::int64_t>, Ticks> dues;
   std::vector<Lambda> lambdas;  ///< [set]
 };
 
@@ -100,9 +107,13 @@ class Around {
   }
   /// What is released later has been looked at one hyperperiod before.
   [[nodiscard]] Ticks last() const { return last_; }
-  [[nodiscard]] bool ends_by_key(int xnode, std::int64_t n) const { return late(xnode, n) == 0; }
+  [[nodiscard]] bool ends_by_key(int xnode, std::int64_t n) const {
+    return !lateness_.dues.contains({xnode, n}) && late(xnode, n, key(xnode, n)) == 0;
+  }
   [[nodiscard]] Ticks end(int xnode, std::int64_t n) const {
-    return release(xnode, n) + drift_.late(window(xnode, n).d + late(xnode, n));
+    if (const auto due = lateness_.dues.find({xnode, n}); due != lateness_.dues.end())
+      return due->second + drift_.longest(late(xnode, n, due->second));
+    return release(xnode, n) + drift_.late(window(xnode, n).d + late(xnode, n, key(xnode, n)));
   }
   [[nodiscard]] Ticks starts(int xnode, std::int64_t n) const {
     return release(xnode, n) + drift_.soon(window(xnode, n).e);
@@ -112,12 +123,12 @@ class Around {
   [[nodiscard]] Ticks key(int xnode, std::int64_t n) const {
     return release(xnode, n) + drift_.late(window(xnode, n).d);
   }
-  /// In real time.
-  [[nodiscard]] Ticks late(int xnode, std::int64_t n) const {
+  /// By how much after `due`, its δ; in real time.
+  [[nodiscard]] Ticks late(int xnode, std::int64_t n, Ticks due) const {
     if (!in_u(xnode, n)) return 0;
     const int xpu = both_.of(of_q(xnode, n)).policy.placements[at(xnode)].xpu;
     const std::size_t set = set_of_[at(xpu)];
-    return lateness_.lambdas[set].at(key(xnode, n)) + others_[set];
+    return lateness_.lambdas[set].at(due) + others_[set];
   }
 
   const Both& both_;
