@@ -125,7 +125,7 @@ class Cluster {
   };
   /// Of an XPU: how a clock's share there is found.
   enum class Kind : std::uint8_t { kUnused, kAlone, kLikeFrom, kLikeTo, kSplit };
-  /// The demand bounds of a clock on one XPU; of r both are the same, and one is there.
+  /// The demand bounds of a clock on one XPU, of both tables; where its share is by one of them, that one.
   struct Due {
     std::vector<Step> from, to;
   };
@@ -267,7 +267,7 @@ class Cluster {
     return {};
   }
 
-  /// Of one component. False: not even those released after `last` are ready by their `a`.
+  /// Of one component. False: one that is released after `last` still waits past its `a`.
   bool find_raised(const Component& c, const Domain& domain, Tick last, LateAround& around,
                    std::int64_t& pairs) const {
     const auto release = [&](std::int64_t n) { return c.phase + n * c.period; };
@@ -281,9 +281,8 @@ class Cluster {
     for (const int i : c.xnodes)
       if (const int m = p_.module_of[at(i)]; m >= 0 && p_.modules[at(m)].in_flight < kMillion)
         longest_lag = std::max(longest_lag, p_.modules[at(m)].in_flight);
-    std::map<std::pair<std::int64_t, int>, Tick>
-        dues;                                        // of (n, XNode), where they are after the key
-    std::vector<Tick> before(at(p_.num_xnodes), 0);  // [xnode] alpha of the last one
+    std::map<std::pair<std::int64_t, int>, Tick> dues;  // [n, xnode] those after keys
+    std::vector<Tick> before(at(p_.num_xnodes), 0);     // [xnode] alpha of the activation before
     for (const int i : c.xnodes)
       before[at(i)] = release(first - 1) + late(in_.from.a[p_.slot_of(i, first - 1)]);
     std::int64_t last_raised = first;
@@ -473,7 +472,7 @@ class Cluster {
       if (!jobs[at(m)].empty()) keys.push_back({around.since, m});
       for (const Job& job : jobs[at(m)])
         for (const Tick y : {job.key, job.due})
-          if (y > around.since && y <= look.high) keys.push_back({y, m});
+          if (y != kNoTick && y > around.since && y <= look.high) keys.push_back({y, m});
     }
     std::sort(keys.begin(), keys.end(), [](const At& a, const At& b) { return a.key < b.key; });
     __int128 line = 0;

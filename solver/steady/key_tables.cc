@@ -87,7 +87,7 @@ class KeyTablesSearch {
     return of.chain >= 0 ? of.late : static_cast<double>(of.sum_us);
   }
 
-  /// A change has a worst case, and a short one, where clocks share no XPU: for each type, how many of its
+  /// A change is short, and takes no slack, where clocks share no XPU: for each type, how many of its
   /// XPUs each clock has. Of the first splits, as many as there is time for, the one that costs least under the
   /// first scenario. It is taken where that is at most kMostForClaims, or where no chain misses its
   /// deadline by it: a change that is not certified may miss all of them.

@@ -5,8 +5,8 @@
 // component-wise below. So a table is a policy for an *envelope*, of each WCET the longest of the
 // scenarios that it serves; its worst cases are the same in all of them.
 //
-//  0. Of an app with several clocks: can each have XPUs of its own, at little cost? Only then has a
-//     change a worst case.
+//  0. Of an app with several clocks: can each have XPUs of its own, at little cost? A change is shorter
+//     then, and needs no slack.
 //  1. Each scenario is solved alone: its lower bounds, and a candidate that serves what it covers.
 //  2. Choice: of the candidates the K of least largest regret (choose_tables.h). The regret is of the
 //     largest worst case relative to its deadline, over the same of the lower bounds; without
@@ -17,8 +17,9 @@
 //  4. A table that another chosen one nearly equals is spared.
 //  5. From each table to each other one the worst case of the change (changes.h). Many policies are as
 //     good for a table's scenarios, and differ in that. So the last fifth of the time is for searches
-//     that begin with what the other tables do, or the table itself. What comes of them is taken where
-//     changes claim more, miss fewer deadlines, or are shorter, and regrets grow by little.
+//     that begin with what the other tables do, or the table itself; two fifths where some change has
+//     no worst case. What comes of them is taken where changes claim more, miss fewer deadlines, or are
+//     shorter, and regrets grow by little.
 #pragma once
 
 #include "solver/tables.h"
