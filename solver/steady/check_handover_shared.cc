@@ -503,10 +503,11 @@ class Bound {
       lane.past.clear();
     }
     const auto add = [&](bool of_q, int i, const When& when, Ticks takes) {
-      if (when.wrong) wrong = i;
+      Lane& lane = lanes_[at(xpu_of(of_q, i))];
+      // On a shared XPU it goes before all jobs of other clocks that lie between its key and its alpha.
+      if (when.wrong || (lane.shared && when.is_past_key())) wrong = i;
       work += takes;
       fits = --pairs_ >= 0 && work <= kMostWork;
-      Lane& lane = lanes_[at(xpu_of(of_q, i))];
       lane.items.push_back({when.alpha, when.key, when.due, takes});
       if (when.is_past_key()) lane.past.push_back(lane.items.back());
       return fits && wrong < 0;

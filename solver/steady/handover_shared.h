@@ -356,7 +356,9 @@ class Cluster {
       std::vector<std::vector<Job>> jobs(at(p_.num_xpus));
       const Range look{around.since - before_most, r.at + last_ready, r.at + after_most};
       if (!list(d, around, look, jobs))
-        return clock_of(d) + "shares XPUs, and drifts too far for its shortest windows";
+        return clock_of(d) +
+               "shares XPUs, and has jobs on them that wait for the other table until after their "
+               "keys";
       for (const std::vector<Job>& of : jobs) pairs -= static_cast<std::int64_t>(of.size());
       around.rises.resize(sets_.size());
       for (std::vector<Job>& of : jobs)
@@ -409,7 +411,8 @@ class Cluster {
         const bool grown = !second && release(n) + d_of + blur(d_of) >= around.since;
         const Problem& of = second ? in_.then : grown ? in_.both : in_.now;
         const Tick key = release(n) + d_of - blur(d_of);
-        fits = fits && (ready < key || due != kNoTick);
+        // On a shared XPU it goes before all jobs of other clocks that lie between its key and its alpha.
+        fits = fits && (ready < key || (due != kNoTick && kinds_[at(m)] == Kind::kAlone));
         jobs[at(m)].push_back({ready, key, cost_of(of, i, m), due});
       };
       std::int64_t n = floor_div(around.s - 1 - c.phase, c.period);
@@ -470,9 +473,13 @@ class Cluster {
       if (sets_[set][at(m)] == 0) continue;
       // Another clock's key may be just after t_lo.
       if (!jobs[at(m)].empty()) keys.push_back({around.since, m});
-      for (const Job& job : jobs[at(m)])
-        for (const Tick y : {job.key, job.due})
-          if (y != kNoTick && y > around.since && y <= look.high) keys.push_back({y, m});
+      const auto add = [&](Tick y) {
+        if (y > around.since && y <= look.high) keys.push_back({y, m});
+      };
+      for (const Job& job : jobs[at(m)]) {
+        add(job.key);
+        if (job.due != kNoTick) add(job.due);
+      }
     }
     std::sort(keys.begin(), keys.end(), [](const At& a, const At& b) { return a.key < b.key; });
     __int128 line = 0;

@@ -751,5 +751,36 @@ TEST(CheckHandover, WhatIsDueLaterHasToBeMadeUpFor) {
   EXPECT_FALSE(never->worst_case_us[0]);
 }
 
+/// Of clock `main` under q: `z` has [0, 3500] of each period, and `u` [10 000, 18 500] of two. `x`, another
+/// clock's, has its window anywhere.
+std::pair<Handover, Handover> with_z_that_waits(int z_goes_to) {
+  Handover p;
+  p.platform.xpus.push_back({"gpu1", "gpu", true, 0});
+  add_stage(p, "z", 10'000, 2000, 15'000);
+  add_stage(p, "u", 20'000, 2000, 8500);
+  p.app.clocks.push_back({"other", 0});
+  add_stage(p, "x", 20'000, 1000, 1300, 1);
+  p.app.xnodes[0].wcet_us = {{"cpu", 2000}, {"gpu", 4000}};
+  p.app.modules[0].max_in_flight = 2;
+  p.app.sources[1].offset_us = 10'000;
+  p.policy.placements[0] = {1, {15'000, 9500}, {9500, 0}};
+  Handover q = p;
+  q.policy.placements[0] = {z_goes_to, {z_goes_to == 0 ? 3500 : 4500}};
+  return {p, q};
+}
+
+TEST(CheckHandover, WhoWaitsUntilAfterItsKeyMayMeetAnotherClock) {
+  // `z` of 10 000 is ready by 15 000, with the key 13 500. If so between both, it goes before an `x` there,
+  // which needs 3000 then; no job of `main` would tell.
+  auto [p, q] = with_z_that_waits(0);
+  const auto proof = derived(p, q);
+  ASSERT_TRUE(proof) << proof.error().to_string();
+  EXPECT_FALSE(proof->worst_case_us[2]);
+  ASSERT_FALSE(proof->why_not.empty());
+  // On an XPU that `main` has for itself it meets nobody.
+  std::tie(p, q) = with_z_that_waits(2);
+  EXPECT_EQ(proven(p, q).worst_case_us[2], 1300);
+}
+
 }  // namespace
 }  // namespace xauto::solver::steady

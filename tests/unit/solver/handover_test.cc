@@ -378,12 +378,16 @@ TEST(SteadyHandover, OfClocksThatShareXpus) {
 }
 
 /// A module of one clock in a loop as long as its period, held in the first table: in the second one its entry
-/// has a key before which the last activation of the first one may not have ended. Another clock shares its CPU.
+/// has a key before which the last activation of the first one may not have ended. Another XNode of that clock
+/// shares a CPU with another clock.
 TwoPolicies waits_past_its_key(std::uint64_t seed, int ppm) {
   solver::test::Dice dice(seed);
   TwoPolicies two;
   two.platform = {"p",
-                  {{"cpu0", "cpu", true, 0}, {"cpu1", "cpu", true, 0}, {"gpu0", "gpu", true, 20}}};
+                  {{"cpu0", "cpu", true, 0},
+                   {"cpu1", "cpu", true, 0},
+                   {"gpu0", "gpu", true, 20},
+                   {"cpu2", "cpu", true, 0}}};
   AppSpec& app = two.from_app;
   app.version = 2;
   app.name = "waits";
@@ -396,30 +400,33 @@ TwoPolicies waits_past_its_key(std::uint64_t seed, int ppm) {
   const std::int64_t span = flight * period;  // from a release until the one that waits for it
   const std::int64_t lost = span * ppm / 1'000'000 * 3;
   const std::int64_t longest =
-      (flight > 1 ? 10'500 : period - least - mid) - dice.roll(8, 12) * 100 - lost;
+      (flight > 1 ? 10'300 : period - least - mid) - dice.roll(10, 14) * 100 - lost;
   app.xnodes = {{"m.e", "M", {{"cpu", least}}, {0}},
                 {"m.h", "M", {{"cpu", mid}}},
                 {"m.f", "M", {{"gpu", longest}}},
-                {"g", "G", {{"cpu", dice.roll(1, 2) * 20}}, {1}}};
+                {"g", "G", {{"cpu", dice.roll(1, 2) * 20}}, {1}},
+                {"k", "K", {{"cpu", 1000}}, {0}}};
   app.edges = {{0, 1}, {1, 2}};
   app.transfers = {{1, "cpu", "gpu", dice.roll(0, 1) * 50}};
-  app.modules = {{"M", flight}, {"G", 1}};
-  app.chains = {{"s -> m.f", 0, 2}, {"s -> m.e", 0, 0}, {"t -> g", 1, 3}};
+  app.modules = {{"M", flight}, {"G", 1}, {"K", 1}};
+  app.chains = {{"s -> m.f", 0, 2}, {"s -> m.e", 0, 0}, {"t -> g", 1, 3}, {"s -> k", 0, 4}};
   two.to_app = two.both = app;
   std::int64_t& shorter = two.to_app.xnodes[2].wcet_us.at("gpu");
-  shorter = longest / dice.roll(2, 4);
+  shorter = longest * dice.roll(5, 8) / 10;
   const std::int64_t held = dice.roll(15, 25) * 100 + lost;
   const std::int64_t room = 160 + 3 * least / 100, passes = app.transfers[0].transfer_us;
   std::int64_t key = held + least + room;
   two.from.placements = {{0, {key}, {held}},
                          {1, {key + mid + 60 + mid / 50}},
                          {2, {span + held - dice.roll(0, 3) * 100 - lost}},
-                         {0, {4000}}};
+                         {3, {4000}},
+                         {3, {3000}}};
   key = app.sources[0].jitter_us + least + room;
   two.to.placements = {{0, {key}},
                        {1, {key + mid + 60 + mid / 50}},
                        {2, {key + mid + 120 + mid / 50 + passes + shorter + shorter / 20 + lost}},
-                       {0, {4000}}};
+                       {3, {4000}},
+                       {3, {3000}}};
   for (KeyPolicy* keys : {&two.from, &two.to}) keys->app = app.name;
   two.from.app_hash = app.hash();
   two.to.app_hash = two.to_app.hash();
