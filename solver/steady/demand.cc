@@ -148,6 +148,60 @@ bool demand_curve(Pattern& g, Tick horizon, std::int64_t& budget, std::vector<St
   return known;
 }
 
+bool Lack::find(std::vector<Pattern>& patterns, std::vector<Blocking> blocking) {
+  blocking_ = std::move(blocking);
+  std::erase_if(patterns, [](const Pattern& g) { return g.jobs.empty(); });
+  Tick horizon = 1, blocked = 0;
+  for (const Blocking& b : blocking_) blocked = std::max(blocked, b.work);
+  for (Pattern& g : patterns) {
+    sort_by_arrival(g);
+    for (const WindowedJob& job : g.jobs) horizon = std::max(horizon, 2 * job.work);
+  }
+  std::size_t budget = kMostSteps;
+  std::vector<Curves> all(patterns.size());
+  for (horizon += 2 * blocked; horizon < kMostTicks * 1024; horizon *= 2) {
+    Tick known = horizon;
+    for (std::size_t g = 0; g < patterns.size(); ++g) {
+      if (!curves(patterns[g], horizon, budget, all[g])) return false;
+      known = std::min(known, shortest(horizon - patterns[g].slip, patterns[g]));
+    }
+    // What fits with the longest blocking leaves no lack beyond.
+    const Tick end = busy_end(all, blocked, known);
+    if (end == kNoTick) continue;
+    over_.assign(1, {0, 0, 0});
+    bool fits = true;
+    walk(all, &Curves::due, [&](Tick length, Tick sum) {
+      if (length > end) return false;
+      fits = sum <= length;
+      if (!fits) return false;
+      over_.push_back({length, sum, 0});
+      return true;
+    });
+    if (!fits) return false;
+    Tick most = 0;
+    none_from_ = 0;
+    for (std::size_t k = over_.size(); k-- > 0;) {
+      Over& o = over_[k];
+      const Tick total = o.value + block(blocking_, o.length);
+      most = o.most = std::max(most, total - o.length);
+      if (total <= o.length) continue;
+      const Tick next = k + 1 < over_.size() ? over_[k + 1].length : end;
+      none_from_ = std::max(none_from_, std::min(next, total));
+    }
+    return true;
+  }
+  return false;
+}
+
+Tick Lack::from(Tick length) const {
+  if (length >= none_from_) return 0;
+  const auto next = std::upper_bound(over_.begin(), over_.end(), length,
+                                     [](Tick l, const Over& o) { return l < o.length; });
+  const Tick later = next == over_.end() ? 0 : next->most;
+  const Tick value = next == over_.begin() ? 0 : (next - 1)->value;
+  return std::max(later, value + block(blocking_, length) - length);
+}
+
 bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& blocking,
                  Tightest* tightest) {
   Tick work = 0, horizon = 0, blocked = 0;

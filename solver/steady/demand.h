@@ -49,6 +49,24 @@ struct Blocking {
   Tick work = 0;
 };
 
+/// By how much demand and blocking together are above the length of an interval.
+class Lack {
+ public:
+  /// False: the demand alone is above some length, or it takes too many steps to know.
+  [[nodiscard]] bool find(std::vector<Pattern>& patterns, std::vector<Blocking> blocking);
+  /// The most of all intervals that are not shorter than `length`; 0: never. It does not rise.
+  [[nodiscard]] Tick from(Tick length) const;
+
+ private:
+  struct Over {
+    Tick length, value;  ///< the demand from here on
+    Tick most;           ///< at this step and all later ones
+  };
+  std::vector<Over> over_;
+  std::vector<Blocking> blocking_;
+  Tick none_from_ = 0;  ///< no lack at this length or a longer one
+};
+
 /// The interval in which least is left.
 struct Tightest {
   Tick length = 0, demand = 0;

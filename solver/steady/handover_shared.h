@@ -78,13 +78,75 @@ class Cluster {
 
   /// Why nothing follows; empty: lateness() and settles() are there. Takes of `pairs`.
   std::string derive(std::int64_t& pairs, const Until& until) {
-    if (std::string why = find_kinds(); !why.empty()) return why;
-    if (!find_slack())
-      return "clocks share XPUs, and one of the tables leaves less than 1 % of one";
-    find_slope();
+    find_kinds();
     find_sets();
     for (const int d : domains_)
       if (std::string why = find_raised(d, pairs); !why.empty()) return why;
+    if (std::string why = find_dues(pairs); !why.empty()) return why;
+    for (int round = 0; round < kMostRounds; ++round) {
+      if (!find_slack(pairs))
+        return round == 0 ? "clocks share XPUs, and one of the tables leaves less than 1 % of one"
+                          : "clocks share XPUs, one of which does not preempt, and who is late "
+                            "lets others in before it";
+      find_slope();
+      if (std::string why = find_late(pairs, until); !why.empty()) return why;
+      if (!let_in_more()) return {};
+    }
+    return "clocks share XPUs, one of which does not preempt, and who is late lets in more and "
+           "more";
+  }
+  [[nodiscard]] const Lateness& lateness(int domain) const { return of_domain_[at(domain)]; }
+  /// Of the other clocks, together.
+  [[nodiscard]] Tick most_of_others(int domain, std::size_t set) const {
+    return most_[set] - of_domain_[at(domain)].most[set];
+  }
+  /// R(m), by number.
+  [[nodiscard]] std::size_t set_of(int xpu) const { return set_of_[at(xpu)]; }
+  /// After S, in real time.
+  [[nodiscard]] Tick settles() const { return settles_; }
+
+ private:
+  /// So often L is raised, beyond which nothing is claimed.
+  static constexpr int kMostRounds = 8;
+  struct Job {
+    Tick ready, key, work;  ///< alpha, late; the key, early
+    Tick due;               ///< where it is after the key
+    Tick starts, late_key;  ///< release + e, early; the key, late
+    Tick blocks;            ///< C, where it is in the way of a smaller key
+  };
+  /// x from `low` to `end`, y up to `high`.
+  struct Range {
+    Tick low, end, high;
+  };
+  /// Of an XPU: how a clock's share there is found.
+  enum class Kind : std::uint8_t { kUnused, kAlone, kLikeFrom, kLikeTo, kSplit };
+  /// The demand bounds of a clock on one XPU, of both tables; where its share is by one of them, that one.
+  struct Due {
+    std::vector<Step> from, to;
+  };
+
+  [[nodiscard]] std::string clock_of(int domain) const {
+    return "clock '" + p_.clock_name[at(p_.domains[at(domain)].clock)] + "' ";
+  }
+  [[nodiscard]] Tick preempt_of(int xpu) const {
+    return p_.preemptive[at(xpu)] != 0 ? p_.preempt[at(xpu)] : 0;
+  }
+  [[nodiscard]] Tick cost_of(const Problem& p, int xnode, int xpu) const {
+    return p.wcet(xnode, xpu) + preempt_of(xpu);
+  }
+  /// W of a clock on an XPU.
+  [[nodiscard]] Tick work_of(int domain, int xpu, bool second) const {
+    Tick work = 0;
+    for (const int i : p_.domains[at(domain)].xnodes)
+      if ((second ? in_.to_xpu : in_.from_xpu)[at(i)] == xpu)
+        work += p_.jobs[at(i)] * cost_of(second ? in_.then : in_.now, i, xpu);
+    return work;
+  }
+
+  /// lambda and all that comes of it, with L as it is.
+  std::string find_late(std::int64_t& pairs, const Until& until) {
+    most_.clear();
+    settles_ = 0;
     for (const int d : domains_) {
       Lateness& of = of_domain_[at(d)];
       of.most.assign(sets_.size(), 0);
@@ -104,48 +166,22 @@ class Cluster {
     }
     return {};
   }
-  [[nodiscard]] const Lateness& lateness(int domain) const { return of_domain_[at(domain)]; }
-  /// Of the other clocks, together.
-  [[nodiscard]] Tick most_of_others(int domain, std::size_t set) const {
-    return most_[set] - of_domain_[at(domain)].most[set];
-  }
-  /// R(m), by number.
-  [[nodiscard]] std::size_t set_of(int xpu) const { return set_of_[at(xpu)]; }
-  /// After S, in real time.
-  [[nodiscard]] Tick settles() const { return settles_; }
-
- private:
-  struct Job {
-    Tick ready, key, work;  ///< alpha, late; the key, early
-    Tick due;               ///< where it is after the key
-  };
-  /// x from `low` to `end`, y up to `high`.
-  struct Range {
-    Tick low, end, high;
-  };
-  /// Of an XPU: how a clock's share there is found.
-  enum class Kind : std::uint8_t { kUnused, kAlone, kLikeFrom, kLikeTo, kSplit };
-  /// The demand bounds of a clock on one XPU, of both tables; where its share is by one of them, that one.
-  struct Due {
-    std::vector<Step> from, to;
-  };
-
-  [[nodiscard]] std::string clock_of(int domain) const {
-    return "clock '" + p_.clock_name[at(p_.domains[at(domain)].clock)] + "' ";
-  }
-  [[nodiscard]] Tick cost_of(const Problem& p, int xnode, int xpu) const {
-    return p.wcet(xnode, xpu) + p_.preempt[at(xpu)];
-  }
-  /// W of a clock on an XPU.
-  [[nodiscard]] Tick work_of(int domain, int xpu, bool second) const {
-    Tick work = 0;
-    for (const int i : p_.domains[at(domain)].xnodes)
-      if ((second ? in_.to_xpu : in_.from_xpu)[at(i)] == xpu)
-        work += p_.jobs[at(i)] * cost_of(second ? in_.then : in_.now, i, xpu);
-    return work;
+  /// Raises L where lateness is more than it says. False: nowhere.
+  bool let_in_more() {
+    bool more = false;
+    for (int m = 0; m < p_.num_xpus; ++m) {
+      if (kinds_[at(m)] == Kind::kUnused || p_.preemptive[at(m)] != 0) continue;
+      for (int by = 0; by < p_.num_xpus; ++by) {
+        if (feeds_[at(m)][at(by)] == 0 || kinds_[at(by)] == Kind::kUnused) continue;
+        const Tick late = most_[set_of(by)];
+        more = more || late > lets_in_[at(m)];
+        lets_in_[at(m)] = std::max(lets_in_[at(m)], late);
+      }
+    }
+    return more;
   }
 
-  std::string find_kinds() {
+  void find_kinds() {
     kinds_.assign(at(p_.num_xpus), Kind::kUnused);
     for (int m = 0; m < p_.num_xpus; ++m) {
       int users = 0;
@@ -157,34 +193,184 @@ class Cluster {
         less = less && after <= before;
       }
       if (users == 0) continue;
-      if (p_.preemptive[at(m)] == 0)
-        return "clocks share XPUs, and " + p_.xpu_name[at(m)] + " does not preempt";
+      blocks_ = blocks_ || p_.preemptive[at(m)] == 0;
       kinds_[at(m)] = users == 1 ? Kind::kAlone
                       : more     ? Kind::kLikeTo
                       : less     ? Kind::kLikeFrom
                                  : Kind::kSplit;
     }
-    return {};
+    for (const int d : domains_)
+      shift_ = std::max(shift_, in_slow_time(looks_at(d).shorter, p_.domains[at(d)].ppm));
+    lets_in_.assign(at(p_.num_xpus), 0);
   }
 
-  /// Both tables with so much slack, as if each job paid for a preemption.
-  bool find_slack() {
+  /// work / (1 - pct %)
+  [[nodiscard]] static Tick with_slack(Tick work, int pct) {
+    return (work * 100 + (100 - pct) - 1) / (100 - pct);
+  }
+
+  /// Both tables with so much slack, as if each job paid for a preemption; and with what L lets in.
+  bool find_slack(std::int64_t& pairs) {
     for (const int pct : {8, 5, 3, 2, 1}) {
+      if (slack_pct_ > 0 && pct > slack_pct_) continue;
       const auto passes = [&](const Problem& of, const std::vector<int>& xpu, Windows w) {
         Problem p = of;
         for (int i = 0; i < p.num_xnodes; ++i)
           for (int m = 0; m < p.num_xpus; ++m)
             if (Tick& c = p.wcet_flat[at(i) * at(p.num_xpus) + at(m)]; c != kNoTick)
-              c = ((c + p.preempt[at(m)]) * 100 + (100 - pct) - 1) / (100 - pct);
+              c = with_slack(c + preempt_of(m), pct);
         std::fill(p.preempt.begin(), p.preempt.end(), 0);
         return certify(p, xpu, w);
       };
-      if (!passes(in_.now, in_.from_xpu, in_.from) || !passes(in_.then, in_.to_xpu, in_.to))
+      // What has passed once passes again.
+      if (pct != slack_pct_ &&
+          (!passes(in_.now, in_.from_xpu, in_.from) || !passes(in_.then, in_.to_xpu, in_.to)))
         continue;
+      if (!has_room(pct, pairs)) continue;
       slack_pct_ = pct;
       return true;
     }
     return false;
+  }
+
+  /// On all XPUs that do not preempt, for those that lateness lets in; finds what is lacking.
+  bool has_room(int pct, std::int64_t& pairs) {
+    lacks_.assign(at(p_.num_xpus), {});
+    for (int m = 0; m < p_.num_xpus; ++m) {
+      if (kinds_[at(m)] == Kind::kUnused || p_.preemptive[at(m)] != 0) continue;
+      if (kinds_[at(m)] == Kind::kAlone ? !has_room_alone(m, pct, pairs) : !has_room_shared(m, pct))
+        return false;
+    }
+    return true;
+  }
+
+  bool has_room_shared(int m, int pct) {
+    const auto patterns = [&](bool second) {
+      std::vector<Pattern> all;
+      for (const int d : domains_) {
+        Pattern of = pattern_of(d, m, second, pct);
+        if (!of.jobs.empty()) all.push_back(std::move(of));
+      }
+      return all;
+    };
+    std::vector<Pattern> from = patterns(false), to = patterns(true);
+    std::vector<Blocking> of_second, of_both;
+    for (const int d : domains_)
+      for (const int i : p_.domains[at(d)].xnodes)
+        for (const bool second : {false, true}) {
+          if ((second ? in_.to_xpu : in_.from_xpu)[at(i)] != m) continue;
+          const Windows& w = second ? in_.to : in_.from;
+          Tick longest = 0;
+          for (int n = 0; n < p_.jobs[at(i)]; ++n)
+            longest = std::max(longest, w.d[p_.slot_of(i, n)] - w.e[p_.slot_of(i, n)]);
+          const Blocking blocking{longest + lets_in_[at(m)] + shift_,
+                                  with_slack((second ? in_.then : in_.both).wcet(i, m), pct)};
+          of_both.push_back(blocking);
+          if (second) of_second.push_back(blocking);
+        }
+    if (!to.empty() && !demand_fits(to, of_second)) return false;
+    return lacks_[at(m)].from.find(from, of_both) && lacks_[at(m)].to.find(to, of_both);
+  }
+
+  /// All jobs are of the second table, and in time.
+  bool has_room_alone(int m, int pct, std::int64_t& pairs) const {
+    const auto user = std::find_if(domains_.begin(), domains_.end(),
+                                   [&](int d) { return work_of(d, m, true) > 0; });
+    if (user == domains_.end()) return true;
+    const Domain& domain = p_.domains[at(*user)];
+    const std::int64_t ppm = domain.ppm;
+    const Tick hyper = domain.hyper;
+    if (work_of(*user, m, true) * 100 > (100 - pct) * (hyper - lost_in(hyper, ppm))) return false;
+    const Looked looked = looks_at(*user);  // `before` is D + 2H + 2b
+    const Tick in = in_fast_time(lets_in_[at(m)], ppm);
+    const Tick end = hyper + std::max(looked.before, in);
+    std::vector<Job> jobs;
+    for (const int i : domain.xnodes) {
+      if (in_.to_xpu[at(i)] != m) continue;
+      const Component& c = p_.components[at(p_.component_of[at(i)])];
+      for (std::int64_t n = floor_div(-looked.before - c.phase, c.period);
+           c.phase + n * c.period <= end && --pairs >= 0; ++n)
+        jobs.push_back(job_of(i, n, true, ppm));
+    }
+    std::sort(jobs.begin(), jobs.end(),
+              [](const Job& a, const Job& b) { return a.ready > b.ready; });
+    for (const Job& y : jobs) {
+      const std::vector<Job> met = who_blocks(jobs, y.key, y.key, in);
+      Tick sum = 0;
+      for (const Job& x : jobs) {
+        if (x.key > y.key) continue;
+        if (x.ready < 0) break;
+        if (--pairs < 0) return false;
+        sum += x.work;
+        if (x.ready >= hyper || x.ready >= y.key || y.key - x.ready > looked.before) continue;
+        const Tick length = y.key - x.ready;
+        if ((sum + blocked(met, x.ready, y.key, in)) * 100 >
+            (100 - pct) * std::max(Tick{0}, length - lost_in(length, ppm)))
+          return false;
+      }
+    }
+    return true;
+  }
+
+  /// As its table says.
+  [[nodiscard]] Job job_of(int i, std::int64_t n, bool second, std::int64_t ppm) const {
+    const Component& c = p_.components[at(p_.component_of[at(i)])];
+    const Windows& w = second ? in_.to : in_.from;
+    const int m = (second ? in_.to_xpu : in_.from_xpu)[at(i)];
+    const std::size_t slot = p_.slot_of(i, n);
+    const Tick release = c.phase + n * c.period;
+    const auto blur = [&](Tick t) { return lost_in(t, ppm); };
+    return {release + w.a[slot] + blur(w.a[slot]),      release + w.d[slot] - blur(w.d[slot]),
+            cost_of(second ? in_.then : in_.now, i, m), kNoTick,
+            release + w.e[slot] - blur(w.e[slot]),      release + w.d[slot] + blur(w.d[slot]),
+            (second ? in_.then : in_.both).wcet(i, m)};
+  }
+
+  /// Of an XPU of one clock: those that may be in the way of one with a key after `after`, if `y` is looked
+  /// at, and jobs may be ready `in` later than they should.
+  [[nodiscard]] static std::vector<Job> who_blocks(const std::vector<Job>& jobs, Tick y, Tick after,
+                                                   Tick in) {
+    std::vector<Job> met;
+    for (const Job& z : jobs)
+      if (z.late_key > after && z.starts < y + in) met.push_back(z);
+    return met;
+  }
+  /// B(x, y)
+  [[nodiscard]] static Tick blocked(const std::vector<Job>& met, Tick x, Tick y, Tick in) {
+    Tick longest = 0;
+    for (const Job& z : met)
+      if (z.starts <= x + in && !(z.key <= y && z.ready >= x))
+        longest = std::max(longest, z.blocks);
+    return longest;
+  }
+
+  /// What a clock does on an XPU, with each job's cost, / (1 - pct %).
+  [[nodiscard]] Pattern pattern_of(int d, int m, bool second, int pct) const {
+    const Domain& domain = p_.domains[at(d)];
+    const Windows& w = second ? in_.to : in_.from;
+    Pattern pattern;
+    pattern.period = domain.hyper;
+    pattern.ppm = domain.ppm;
+    for (const int i : domain.xnodes) {
+      if ((second ? in_.to_xpu : in_.from_xpu)[at(i)] != m) continue;
+      const Component& c = p_.components[at(p_.component_of[at(i)])];
+      const Tick work = with_slack(cost_of(second ? in_.then : in_.now, i, m), pct);
+      for (std::int64_t n = 0; n < c.jobs; ++n) {
+        const std::size_t slot = p_.slot_of(i, n);
+        pattern.deepest = std::max(pattern.deepest, w.d[slot]);
+        pattern.jobs.push_back(
+            {(c.phase + n * c.period + w.a[slot]) % domain.hyper, w.d[slot] - w.a[slot], work});
+      }
+    }
+    return pattern;
+  }
+
+  /// g of an XPU that clocks share and that does not preempt.
+  [[nodiscard]] Tick lack(int m, Tick length) const {
+    const Lacks& of = lacks_[at(m)];
+    if (kinds_[at(m)] == Kind::kLikeTo) return of.to.from(length);
+    if (kinds_[at(m)] == Kind::kLikeFrom) return of.from.from(length);
+    return std::max(of.from.from(length / 2), of.to.from(length / 2));
   }
 
   /// The distinct R(m).
@@ -207,6 +393,17 @@ class Cluster {
           fed[at(in_.to_xpu[at(i)])][at(in_.from_xpu[at(u)])] = 1;
         }
       }
+    feeds_ = fed;
+    for (std::size_t m = 0; m < xpus; ++m) feeds_[m][m] = 0;
+    for (const int d : domains_)
+      for (const int i : p_.domains[at(d)].xnodes)
+        for (const bool second : {false, true}) {
+          const std::vector<int>& xpu = second ? in_.to_xpu : in_.from_xpu;
+          const int m = xpu[at(i)];
+          for (const Link& link : p_.pred[at(i)])
+            if (xpu[at(link.xnode)] == m && (second ? in_.then : in_.now).transfer(link, m, m) > 0)
+              feeds_[at(m)][at(m)] = 1;
+        }
     for (std::size_t by = 0; by < xpus; ++by)
       for (std::size_t m = 0; m < xpus; ++m)
         for (std::size_t other = 0; fed[m][by] != 0 && other < xpus; ++other)
@@ -245,7 +442,8 @@ class Cluster {
     Tick deepest = 0;
     for (const int i : domain.xnodes)
       for (int n = 0; n < p_.jobs[at(i)]; ++n) {
-        const Tick a = in_.from.a[p_.slot_of(i, n)];
+        // Where XPUs do not preempt, nobody of the first table is in the way from then on.
+        const Tick a = (blocks_ ? in_.from.d : in_.from.a)[p_.slot_of(i, n)];
         last_ready_ = std::max(last_ready_, in_slow_time(a + lost_in(a, domain.ppm), domain.ppm));
         deepest = std::max({deepest, in_.from.d[p_.slot_of(i, n)], in_.to.d[p_.slot_of(i, n)]});
       }
@@ -324,49 +522,71 @@ class Cluster {
     return true;
   }
 
-  std::string derive(int d, std::int64_t& pairs, const Until& until) {
+  /// The demand bounds that shares are made of.
+  std::string find_dues(std::int64_t& pairs) {
+    dues_.resize(p_.domains.size());
+    for (const int d : domains_) {
+      const Domain& domain = p_.domains[at(d)];
+      const Looked looked = looks_at(d);
+      const Tick notice = in_fast_time(in_.notice, domain.ppm);
+      Tick gap = 0;
+      for (const Release& r : releases_of(p_, domain)) gap = std::max(gap, r.at - r.before);
+      const Tick longest = looked.before + gap + notice + looked.after;
+      std::vector<Due>& due = dues_[at(d)];
+      due.resize(at(p_.num_xpus));
+      for (int m = 0; m < p_.num_xpus; ++m) {
+        const Kind kind = kinds_[at(m)];
+        const bool from = kind == Kind::kLikeFrom || kind == Kind::kSplit;
+        const bool to = kind == Kind::kLikeTo || kind == Kind::kSplit;
+        if ((from && !dbf(d, m, false, longest, pairs, due[at(m)].from)) ||
+            (to && !dbf(d, m, true, longest, pairs, due[at(m)].to)))
+          return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
+      }
+    }
+    return {};
+  }
+
+  /// How far before t_lo, and after S; M and 2b in the clock's time.
+  struct Looked {
+    Tick before, after, last_ready, shorter;
+  };
+  [[nodiscard]] Looked looks_at(int d) const {
     const Domain& domain = p_.domains[at(d)];
-    const std::int64_t ppm = domain.ppm;
-    Lateness& lateness = of_domain_[at(d)];
     Tick deepest = 0;
     for (const int i : domain.xnodes)
       for (int n = 0; n < p_.jobs[at(i)]; ++n)
         deepest = std::max({deepest, in_.from.d[p_.slot_of(i, n)], in_.to.d[p_.slot_of(i, n)]});
-    const Tick blur = lost_in(deepest, ppm), reach = deepest + 2 * blur;
-    const Tick last_ready = last_ready_ + lost_in(last_ready_, ppm);
+    const Tick shorter = 2 * lost_in(deepest, domain.ppm);
+    const Tick far = deepest + shorter + 2 * domain.hyper + shorter;
+    const Tick last_ready = last_ready_ + lost_in(last_ready_, domain.ppm);
+    return {far, far + last_ready, last_ready, shorter};
+  }
+
+  std::string derive(int d, std::int64_t& pairs, const Until& until) {
+    const Domain& domain = p_.domains[at(d)];
+    const std::int64_t ppm = domain.ppm;
+    Lateness& lateness = of_domain_[at(d)];
+    const Looked looked = looks_at(d);
     const std::vector<Release> all = releases_of(p_, domain);
-    const Tick before_most = reach + 2 * domain.hyper + 2 * blur,
-               after_most = reach + last_ready + 2 * domain.hyper + 2 * blur;
-    std::vector<Due> due(at(p_.num_xpus));
-    const Tick notice = in_fast_time(in_.notice, ppm);
-    Tick gap = 0;
-    for (const Release& r : all) gap = std::max(gap, r.at - r.before);
-    const Tick longest = before_most + gap + notice + after_most;
-    for (int m = 0; m < p_.num_xpus; ++m) {
-      const Kind kind = kinds_[at(m)];
-      const bool from = kind == Kind::kLikeFrom || kind == Kind::kSplit;
-      const bool to = kind == Kind::kLikeTo || kind == Kind::kSplit;
-      if ((from && !dbf(d, m, false, longest, pairs, due[at(m)].from)) ||
-          (to && !dbf(d, m, true, longest, pairs, due[at(m)].to)))
-        return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
-    }
+    const std::vector<Due>& due = dues_[at(d)];
     for (std::size_t k = 0; k < all.size(); ++k) {
       const Release& r = all[k];
       LateAround& around = lateness.around[k];
       std::vector<std::vector<Job>> jobs(at(p_.num_xpus));
-      const Range look{around.since - before_most, r.at + last_ready, r.at + after_most};
+      const Range look{around.since - looked.before, r.at + looked.last_ready, r.at + looked.after};
       if (!list(d, around, look, jobs))
         return clock_of(d) +
                "shares XPUs, and has jobs on them that wait for the other table until after their "
                "keys";
       for (const std::vector<Job>& of : jobs) pairs -= static_cast<std::int64_t>(of.size());
-      around.rises.resize(sets_.size());
+      around.rises.assign(sets_.size(), {});
       for (std::vector<Job>& of : jobs)
         std::sort(of.begin(), of.end(),
                   [](const Job& a, const Job& b) { return a.ready > b.ready; });
       for (std::size_t set = 0; set < sets_.size() && pairs >= 0; ++set)
-        lateness.line[set] = std::max(
-            lateness.line[set], rise(around, set, look, r.before, 2 * blur, ppm, due, jobs, pairs));
+        lateness.line[set] =
+            std::max(lateness.line[set],
+                     rise(around, set, look, r.before, looked.shorter, ppm, due, jobs, pairs));
       if (pairs < 0 || until.over())
         return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
       for (std::size_t set = 0; set < sets_.size(); ++set)
@@ -379,20 +599,8 @@ class Cluster {
   /// The demand bound of a clock on a shared XPU, with each job's cost, no drift. False: too many.
   bool dbf(int d, int m, bool second, Tick longest, std::int64_t& pairs,
            std::vector<Step>& steps) const {
-    const Domain& domain = p_.domains[at(d)];
-    const Windows& w = second ? in_.to : in_.from;
-    Pattern pattern;
-    pattern.period = domain.hyper;
-    for (const int i : domain.xnodes) {
-      if ((second ? in_.to_xpu : in_.from_xpu)[at(i)] != m) continue;
-      const Component& c = p_.components[at(p_.component_of[at(i)])];
-      const Tick work = cost_of(second ? in_.then : in_.now, i, m);
-      for (std::int64_t n = 0; n < c.jobs; ++n) {
-        const std::size_t slot = p_.slot_of(i, n);
-        pattern.jobs.push_back(
-            {(c.phase + n * c.period + w.a[slot]) % domain.hyper, w.d[slot] - w.a[slot], work});
-      }
-    }
+    Pattern pattern = pattern_of(d, m, second, 0);
+    pattern.ppm = 0;
     return demand_curve(pattern, longest, pairs, steps);
   }
 
@@ -402,18 +610,20 @@ class Cluster {
     const Domain& domain = p_.domains[at(d)];
     const auto blur = [&](Tick t) { return lost_in(t, domain.ppm); };
     bool fits = true;
+    // Those that lateness lets in.
+    const Tick in = in_fast_time(*std::max_element(lets_in_.begin(), lets_in_.end()), domain.ppm);
     for (const int i : domain.xnodes) {
       const Component& c = p_.components[at(p_.component_of[at(i)])];
       const auto release = [&](std::int64_t n) { return c.phase + n * c.period; };
       const auto add = [&](std::int64_t n, bool second, Tick ready, Tick due) {
         const int m = (second ? in_.to_xpu : in_.from_xpu)[at(i)];
-        const Tick d_of = (second ? in_.to : in_.from).d[p_.slot_of(i, n)];
-        const bool grown = !second && release(n) + d_of + blur(d_of) >= around.since;
-        const Problem& of = second ? in_.then : grown ? in_.both : in_.now;
-        const Tick key = release(n) + d_of - blur(d_of);
+        Job job = job_of(i, n, second, domain.ppm);
+        job.ready = ready;
+        job.due = due;
+        if (!second && job.late_key >= around.since) job.work = cost_of(in_.both, i, m);
         // On a shared XPU it goes before all jobs of other clocks that lie between its key and its alpha.
-        fits = fits && (ready < key || (due != kNoTick && kinds_[at(m)] == Kind::kAlone));
-        jobs[at(m)].push_back({ready, key, cost_of(of, i, m), due});
+        fits = fits && (ready < job.key || (due != kNoTick && kinds_[at(m)] == Kind::kAlone));
+        jobs[at(m)].push_back(job);
       };
       std::int64_t n = floor_div(around.s - 1 - c.phase, c.period);
       for (; release(n) + in_.from.d[p_.slot_of(i, n)] >= look.low - 4 * blur(look.high - look.low);
@@ -422,7 +632,7 @@ class Cluster {
         add(n, false, release(n) + a + blur(a), kNoTick);
       }
       n = floor_div(around.s - 1 - c.phase, c.period) + 1;
-      for (; release(n) <= look.high; ++n) {
+      for (; release(n) <= look.high + in; ++n) {
         const Tick a = in_.to.a[p_.slot_of(i, n)];
         const Raised* raised = around.find(i, n);
         if (raised != nullptr)
@@ -466,26 +676,30 @@ class Cluster {
     struct At {
       Tick key;
       int xpu;
+      Tick after;  ///< the key of the job that it is the due of, else as `key`
     };
     Rises& rises = around.rises[set];
     std::vector<At> keys;
     for (int m = 0; m < p_.num_xpus; ++m) {
       if (sets_[set][at(m)] == 0) continue;
       // Another clock's key may be just after t_lo.
-      if (!jobs[at(m)].empty()) keys.push_back({around.since, m});
-      const auto add = [&](Tick y) {
-        if (y > around.since && y <= look.high) keys.push_back({y, m});
+      if (!jobs[at(m)].empty()) keys.push_back({around.since, m, around.since});
+      const auto add = [&](Tick y, Tick after) {
+        if (y > around.since && y <= look.high) keys.push_back({y, m, after});
       };
       for (const Job& job : jobs[at(m)]) {
-        add(job.key);
-        if (job.due != kNoTick) add(job.due);
+        add(job.key, job.key);
+        if (job.due != kNoTick) add(job.due, job.key);
       }
     }
     std::sort(keys.begin(), keys.end(), [](const At& a, const At& b) { return a.key < b.key; });
     __int128 line = 0;
     for (const At& y : keys) {
       const Kind kind = kinds_[at(y.xpu)];
-      const bool alone = kind == Kind::kAlone;
+      const bool alone = kind == Kind::kAlone, blocks = p_.preemptive[at(y.xpu)] == 0;
+      const Tick in = in_fast_time(lets_in_[at(y.xpu)], ppm);
+      const std::vector<Job> met =
+          alone && blocks ? who_blocks(jobs[at(y.xpu)], y.key, y.after, in) : std::vector<Job>{};
       const std::vector<Step>& steps =
           kind == Kind::kLikeTo ? due[at(y.xpu)].to : due[at(y.xpu)].from;
       const Tick so_far = rises.empty() ? 0 : rises.back().by;
@@ -506,6 +720,9 @@ class Cluster {
         Tick excess = sum - served;
         if (kind != Kind::kAlone && kind != Kind::kLikeFrom && x > last + (look.end - around.s))
           excess = std::min(excess, in_slow_time(shorter, ppm));
+        if (blocks)
+          excess += alone ? blocked(met, x, y.key, in)
+                          : lack(y.xpu, std::max(Tick{0}, length - lost_in(length, ppm)));
         const Tick reached = late_at(rises, x) + excess;
         most = std::max(most.value_or(reached), reached);
       };
@@ -536,7 +753,16 @@ class Cluster {
   const HandoverInput& in_;
   const Problem& p_;
   const std::vector<int> domains_;
-  std::vector<Kind> kinds_;  ///< [xpu]
+  std::vector<Kind> kinds_;               ///< [xpu]
+  bool blocks_ = false;                   ///< an XPU does not preempt
+  Tick shift_ = 0;                        ///< beta
+  std::vector<std::vector<char>> feeds_;  ///< [m][by] directly
+  std::vector<Tick> lets_in_;             ///< [xpu] L
+  struct Lacks {
+    Lack from, to;
+  };
+  std::vector<Lacks> lacks_;            ///< [xpu] G of both tables
+  std::vector<std::vector<Due>> dues_;  ///< [domain][xpu]
   int slack_pct_ = 0;
   struct Slope {
     __int128 up = 1, of = 1;
