@@ -91,7 +91,18 @@ Tick block(const std::vector<Blocking>& blocking, Tick length) {
   return longest;
 }
 
-/// Walks the sum of the curves `of`; `visit(length, sum)` at each step, false ends it.
+/// Together with the demand of its own pattern where that is known.
+Tick block(const std::vector<Blocking>& blocking, Tick length, const std::vector<Tick>& demand) {
+  Tick longest = 0;
+  for (const Blocking& b : blocking) {
+    if (b.until <= length) continue;
+    const Tick of = b.pattern < 0 ? 0 : demand[static_cast<std::size_t>(b.pattern)];
+    longest = std::max(longest, b.work - (b.pattern < 0 ? 0 : of - std::min(of, b.beside)));
+  }
+  return longest;
+}
+
+/// Walks the sum of the curves `of`; `visit(length, sum, each)` at each step, false ends it.
 template <class Visit>
 void walk(const std::vector<Curves>& all, std::vector<Step> Curves::*of, const Visit& visit) {
   std::vector<std::size_t> next(all.size(), 0);
@@ -114,7 +125,7 @@ void walk(const std::vector<Curves>& all, std::vector<Step> Curves::*of, const V
         value[g] = steps[next[g]++].value;
       sum += value[g];
     }
-    if (!visit(length, sum)) return;
+    if (!visit(length, sum, value)) return;
   }
 }
 
@@ -122,7 +133,7 @@ void walk(const std::vector<Curves>& all, std::vector<Step> Curves::*of, const V
 Tick busy_end(const std::vector<Curves>& all, Tick blocked, Tick horizon) {
   Tick end = kNoTick, sum_before = blocked;
   bool first = true;
-  walk(all, &Curves::arrived, [&](Tick length, Tick sum) {
+  walk(all, &Curves::arrived, [&](Tick length, Tick sum, const std::vector<Tick>& /*each*/) {
     // Until this step the sum was `sum_before`.
     if (!first && sum_before <= length) {
       end = std::max(sum_before, Tick{0});
@@ -170,7 +181,7 @@ bool Lack::find(std::vector<Pattern>& patterns, std::vector<Blocking> blocking) 
     if (end == kNoTick) continue;
     over_.assign(1, {0, 0, 0});
     bool fits = true;
-    walk(all, &Curves::due, [&](Tick length, Tick sum) {
+    walk(all, &Curves::due, [&](Tick length, Tick sum, const std::vector<Tick>& /*each*/) {
       if (length > end) return false;
       fits = sum <= length;
       if (!fits) return false;
@@ -240,9 +251,9 @@ bool demand_fits(std::vector<Pattern>& patterns, const std::vector<Blocking>& bl
     bool fits = true;
     if (tightest != nullptr) *tightest = {};
     const Tick end = busy_end(all, blocked, known);
-    walk(all, &Curves::due, [&](Tick length, Tick sum) {
+    walk(all, &Curves::due, [&](Tick length, Tick sum, const std::vector<Tick>& each) {
       if (length > known || (end != kNoTick && length > end)) return false;
-      const Tick demand = sum + block(blocking, length);
+      const Tick demand = sum + block(blocking, length, each);
       if (tightest != nullptr &&
           (tightest->demand == 0 || length - demand < tightest->length - tightest->demand))
         *tightest = {length, demand};

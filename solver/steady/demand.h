@@ -47,6 +47,9 @@ struct Step {
 struct Blocking {
   Tick until = 0;  ///< d_j - e_j: it blocks intervals shorter than this
   Tick work = 0;
+  int pattern =
+      -1;  ///< whose it is, where it is known by how much others of that are then in the interval
+  Tick beside = 0;  ///< at most
 };
 
 /// By how much demand and blocking together are above the length of an interval.

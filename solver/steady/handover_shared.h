@@ -82,6 +82,8 @@ class Cluster {
     find_sets();
     for (const int d : domains_)
       if (std::string why = find_raised(d, pairs); !why.empty()) return why;
+    // Nobody waits for the first table then, whatever the clock has done.
+    if (blocks_) last_ready_ += shift_;
     if (std::string why = find_dues(pairs); !why.empty()) return why;
     for (int round = 0; round < kMostRounds; ++round) {
       if (!find_slack(pairs))
@@ -109,10 +111,18 @@ class Cluster {
   /// So often L is raised, beyond which nothing is claimed.
   static constexpr int kMostRounds = 8;
   struct Job {
+    int xnode;
+    std::int64_t n;
     Tick ready, key, work;  ///< alpha, late; the key, early
     Tick due;               ///< where it is after the key
     Tick starts, late_key;  ///< release + e, early; the key, late
     Tick blocks;            ///< C, where it is in the way of a smaller key
+  };
+  /// y, of an XPU; where it is a due, of that job.
+  struct At {
+    Tick key;
+    int xpu;
+    const Job* due_of;
   };
   /// x from `low` to `end`, y up to `high`.
   struct Range {
@@ -238,38 +248,73 @@ class Cluster {
     lacks_.assign(at(p_.num_xpus), {});
     for (int m = 0; m < p_.num_xpus; ++m) {
       if (kinds_[at(m)] == Kind::kUnused || p_.preemptive[at(m)] != 0) continue;
-      if (kinds_[at(m)] == Kind::kAlone ? !has_room_alone(m, pct, pairs) : !has_room_shared(m, pct))
+      if (kinds_[at(m)] == Kind::kAlone ? !has_room_alone(m, pct, pairs)
+                                        : !has_room_shared(m, pct, pairs))
         return false;
     }
     return true;
   }
 
-  bool has_room_shared(int m, int pct) {
-    const auto patterns = [&](bool second) {
-      std::vector<Pattern> all;
-      for (const int d : domains_) {
-        Pattern of = pattern_of(d, m, second, pct);
-        if (!of.jobs.empty()) all.push_back(std::move(of));
-      }
-      return all;
-    };
-    std::vector<Pattern> from = patterns(false), to = patterns(true);
+  bool has_room_shared(int m, int pct, std::int64_t& pairs) {
+    std::vector<Pattern> from, to;
     std::vector<Blocking> of_second, of_both;
-    for (const int d : domains_)
+    const Tick in = lets_in_[at(m)];
+    for (const int d : domains_) {
+      const int own = static_cast<int>(to.size());
+      for (const bool second : {false, true})
+        if (Pattern of = pattern_of(d, m, second, pct); !of.jobs.empty())
+          (second ? to : from).push_back(std::move(of));
       for (const int i : p_.domains[at(d)].xnodes)
         for (const bool second : {false, true}) {
           if ((second ? in_.to_xpu : in_.from_xpu)[at(i)] != m) continue;
           const Windows& w = second ? in_.to : in_.from;
-          Tick longest = 0;
-          for (int n = 0; n < p_.jobs[at(i)]; ++n)
+          Tick longest = 0, beside = 0;
+          for (int n = 0; n < p_.jobs[at(i)]; ++n) {
             longest = std::max(longest, w.d[p_.slot_of(i, n)] - w.e[p_.slot_of(i, n)]);
-          const Blocking blocking{longest + lets_in_[at(m)] + shift_,
-                                  with_slack((second ? in_.then : in_.both).wcet(i, m), pct)};
-          of_both.push_back(blocking);
-          if (second) of_second.push_back(blocking);
+            if (second) beside = std::max(beside, work_beside(i, n, in, pct, pairs));
+          }
+          const Tick work = with_slack((second ? in_.then : in_.both).wcet(i, m), pct);
+          of_both.push_back({longest + in + shift_, work});
+          if (second) of_second.push_back({longest + in, work, own, beside});
         }
-    if (!to.empty() && !demand_fits(to, of_second)) return false;
+    }
+    if (pairs < 0 || (!to.empty() && !demand_fits(to, of_second))) return false;
     return lacks_[at(m)].from.find(from, of_both) && lacks_[at(m)].to.find(to, of_both);
+  }
+
+  /// W(z), of job n of `z` in the second table: what there may be of its clock between its start and its key
+  /// if jobs may be ready `in` later than they should.
+  [[nodiscard]] Tick work_beside(int z, std::int64_t n, Tick in, int pct,
+                                 std::int64_t& pairs) const {
+    const Windows& w = in_.to;
+    const int m = in_.to_xpu[at(z)];
+    const Domain& domain = p_.domains[at(p_.domain_of(z))];
+    const auto release = [&](int i, std::int64_t k) {
+      const Component& c = p_.components[at(p_.component_of[at(i)])];
+      return c.phase + k * c.period;
+    };
+    const Tick from = w.e[p_.slot_of(z, n)] - in, to = w.d[p_.slot_of(z, n)];
+    const Tick begin = release(z, n);
+    Tick sum = 0;
+    for (const int i : domain.xnodes) {
+      if (in_.to_xpu[at(i)] != m || i == z) continue;
+      const Component& c = p_.components[at(p_.component_of[at(i)])];
+      const Tick work = with_slack(cost_of(in_.then, i, m), pct);
+      Tick deepest = 0;
+      for (int k = 0; k < p_.jobs[at(i)]; ++k) deepest = std::max(deepest, w.a[p_.slot_of(i, k)]);
+      // The latest release that may count, and then back to the first one.
+      for (std::int64_t k = floor_div(begin + to + lost_in(to, domain.ppm) - c.phase, c.period) + 1;
+           --pairs >= 0; --k) {
+        const Tick apart = release(i, k) - begin, error = lost_in(std::abs(apart), domain.ppm);
+        const std::size_t slot = p_.slot_of(i, k);
+        if (apart + error + deepest < from) break;
+        if (apart + error + w.a[slot] < from) continue;
+        if (apart - error + w.d[slot] >= to) continue;
+        if (k <= n && p_.component_of[at(i)] == p_.component_of[at(z)] && p_.before(i, z)) continue;
+        sum += work;
+      }
+    }
+    return sum;
   }
 
   /// All jobs are of the second table, and in time.
@@ -295,7 +340,7 @@ class Cluster {
     std::sort(jobs.begin(), jobs.end(),
               [](const Job& a, const Job& b) { return a.ready > b.ready; });
     for (const Job& y : jobs) {
-      const std::vector<Job> met = who_blocks(jobs, y.key, y.key, in);
+      const std::vector<Job> met = who_blocks(jobs, {y.key, m, nullptr}, in);
       Tick sum = 0;
       for (const Job& x : jobs) {
         if (x.key > y.key) continue;
@@ -320,19 +365,44 @@ class Cluster {
     const std::size_t slot = p_.slot_of(i, n);
     const Tick release = c.phase + n * c.period;
     const auto blur = [&](Tick t) { return lost_in(t, ppm); };
-    return {release + w.a[slot] + blur(w.a[slot]),      release + w.d[slot] - blur(w.d[slot]),
-            cost_of(second ? in_.then : in_.now, i, m), kNoTick,
-            release + w.e[slot] - blur(w.e[slot]),      release + w.d[slot] + blur(w.d[slot]),
+    return {i,
+            n,
+            release + w.a[slot] + blur(w.a[slot]),
+            release + w.d[slot] - blur(w.d[slot]),
+            cost_of(second ? in_.then : in_.now, i, m),
+            kNoTick,
+            release + w.e[slot] - blur(w.e[slot]),
+            release + w.d[slot] + blur(w.d[slot]),
             (second ? in_.then : in_.both).wcet(i, m)};
   }
 
-  /// Of an XPU of one clock: those that may be in the way of one with a key after `after`, if `y` is looked
-  /// at, and jobs may be ready `in` later than they should.
-  [[nodiscard]] static std::vector<Job> who_blocks(const std::vector<Job>& jobs, Tick y, Tick after,
-                                                   Tick in) {
+  /// z cannot start before v has ended.
+  [[nodiscard]] bool waits_for(const Job& z, const Job& v) const {
+    if (p_.component_of[at(z.xnode)] != p_.component_of[at(v.xnode)]) return false;
+    if (z.xnode == v.xnode) return z.n > v.n;
+    if (z.n >= v.n && p_.before(v.xnode, z.xnode)) return true;
+    const int module = p_.module_of[at(z.xnode)];
+    return module >= 0 && module == p_.module_of[at(v.xnode)] &&
+           z.n - v.n >= p_.modules[at(module)].in_flight;
+  }
+  /// Of an XPU of one clock: those that may be in the way of one that has to end by `y`, if jobs may be
+  /// ready `in` later than they should.
+  [[nodiscard]] std::vector<Job> who_blocks(const std::vector<Job>& jobs, const At& y,
+                                            Tick in) const {
+    std::vector<const Job*> ends;
+    if (y.due_of != nullptr) {
+      ends.push_back(y.due_of);
+    } else {
+      for (const Job& v : jobs)
+        if (v.key <= y.key && v.late_key >= y.key) ends.push_back(&v);
+    }
     std::vector<Job> met;
     for (const Job& z : jobs)
-      if (z.late_key > after && z.starts < y + in) met.push_back(z);
+      if (z.late_key > (y.due_of != nullptr ? y.due_of->key : y.key) && z.starts < y.key + in &&
+          std::any_of(ends.begin(), ends.end(), [&](const Job* v) {
+            return (v->xnode != z.xnode || v->n != z.n) && !waits_for(z, *v);
+          }))
+        met.push_back(z);
     return met;
   }
   /// B(x, y)
@@ -673,33 +743,34 @@ class Cluster {
   __int128 rise(LateAround& around, std::size_t set, const Range& look, Tick last, Tick shorter,
                 std::int64_t ppm, const std::vector<Due>& due,
                 const std::vector<std::vector<Job>>& jobs, std::int64_t& pairs) const {
-    struct At {
-      Tick key;
-      int xpu;
-      Tick after;  ///< the key of the job that it is the due of, else as `key`
-    };
     Rises& rises = around.rises[set];
     std::vector<At> keys;
     for (int m = 0; m < p_.num_xpus; ++m) {
       if (sets_[set][at(m)] == 0) continue;
       // Another clock's key may be just after t_lo.
-      if (!jobs[at(m)].empty()) keys.push_back({around.since, m, around.since});
-      const auto add = [&](Tick y, Tick after) {
-        if (y > around.since && y <= look.high) keys.push_back({y, m, after});
+      if (!jobs[at(m)].empty()) keys.push_back({around.since, m, nullptr});
+      const auto add = [&](Tick y, const Job* due_of) {
+        if (y > around.since && y <= look.high) keys.push_back({y, m, due_of});
       };
       for (const Job& job : jobs[at(m)]) {
-        add(job.key, job.key);
-        if (job.due != kNoTick) add(job.due, job.key);
+        add(job.key, nullptr);
+        if (job.due != kNoTick) add(job.due, &job);
       }
     }
     std::sort(keys.begin(), keys.end(), [](const At& a, const At& b) { return a.key < b.key; });
     __int128 line = 0;
     for (const At& y : keys) {
       const Kind kind = kinds_[at(y.xpu)];
-      const bool alone = kind == Kind::kAlone, blocks = p_.preemptive[at(y.xpu)] == 0;
+      const bool alone = kind == Kind::kAlone;
+      // Just after t_lo: another clock's key may be there; this one's only if it is not known better.
+      const bool blocks =
+          p_.preemptive[at(y.xpu)] == 0 &&
+          (y.key > around.since ||
+           std::any_of(jobs[at(y.xpu)].begin(), jobs[at(y.xpu)].end(),
+                       [&](const Job& job) { return job.key <= y.key && job.late_key >= y.key; }));
       const Tick in = in_fast_time(lets_in_[at(y.xpu)], ppm);
       const std::vector<Job> met =
-          alone && blocks ? who_blocks(jobs[at(y.xpu)], y.key, y.after, in) : std::vector<Job>{};
+          alone && blocks ? who_blocks(jobs[at(y.xpu)], y, in) : std::vector<Job>{};
       const std::vector<Step>& steps =
           kind == Kind::kLikeTo ? due[at(y.xpu)].to : due[at(y.xpu)].from;
       const Tick so_far = rises.empty() ? 0 : rises.back().by;
