@@ -466,5 +466,128 @@ TEST(SteadyHandover, WhoWaitsForTheTableBeforeUntilAfterItsKey) {
   }
 }
 
+/// Adds what only certify() and worst_case() know.
+void finish(TwoPolicies& two) {
+  for (KeyPolicy* keys : {&two.from, &two.to}) keys->app = two.from_app.name;
+  two.from.app_hash = two.from_app.hash();
+  two.to.app_hash = two.to_app.hash();
+  for (const auto& [of, keys] :
+       {std::pair(&two.from_app, &two.from), std::pair(&two.to_app, &two.to)}) {
+    const Problem p = *Problem::create(*of, two.platform);
+    std::vector<int> xpu;
+    const Windows w = windows_by(p, *keys, xpu);
+    for (const Chain& chain : p.chains)
+      keys->chains.push_back({chain.name, p.up_to_us(worst_case(p, chain, w)) / p.scale});
+  }
+}
+
+/// A CPU that does not preempt, of two clocks. One of them has short windows beside a job that is short in the
+/// first table, and very long in the second one, where these are elsewhere.
+TwoPolicies long_job_in_the_way(std::uint64_t seed, int ppm) {
+  solver::test::Dice dice(seed);
+  TwoPolicies two;
+  two.platform = {"p", {{"cpu0", "cpu", false, 0}, {"cpu1", "cpu", false, 0}}};
+  AppSpec& app = two.from_app;
+  app.version = 2;
+  app.name = "blocks";
+  app.clocks = {{"main", 0}, {"own", ppm}};
+  const std::int64_t period = 30'000, small = dice.roll(2, 6) * 50, other = dice.roll(2, 6) * 50;
+  const std::int64_t before = dice.roll(12, 20) * 100, after = dice.roll(60, 100) * 100;
+  const bool apart = dice.roll(0, 1) != 0;  // whether both of the clock come round together
+  app.sources = {{"s", {period, 1}, 0, 0, 0},
+                 {"l", {apart ? period + 1000 : period, 1}, period - dice.roll(1, 10) * 100, 0, 0},
+                 {"t", {dice.roll(250, 350) * 100, 1}, 0, 0, 1}};
+  app.xnodes = {{"a", "A", {{"cpu", small}}, {0}},
+                {"z", "Z", {{"cpu", before}}, {1}},
+                {"b", "B", {{"cpu", other}}, {2}}};
+  app.modules = {{"A", 1}, {"Z", 1}, {"B", 1}};
+  app.chains = {{"s -> a", 0, 0}, {"l -> z", 1, 1}, {"t -> b", 2, 2}};
+  two.to_app = two.both = app;
+  two.to_app.xnodes[1].wcet_us.at("cpu") = two.both.xnodes[1].wcet_us.at("cpu") = after;
+  const auto room = [&](std::int64_t work) {
+    return work + work / 12 + 20 + 3 * work * ppm / kMillion;
+  };
+  const std::int64_t tight = room(before + small + other), wide = room(after + small + other);
+  two.from.placements = {{0, {tight}}, {0, {wide + 4000}}, {0, {tight + dice.roll(0, 2) * 50}}};
+  two.to.placements = {{1, {room(small)}}, {0, {wide + dice.roll(0, 2) * 500}}, {0, {wide}}};
+  finish(two);
+  return two;
+}
+
+/// A DLA that does not preempt, of one clock alone. What waits there for the GPU, which clocks share, is planned
+/// before a long job: not so if the GPU is late. In the second table that is on another DLA.
+TwoPolicies lets_a_long_job_in(std::uint64_t seed, int ppm) {
+  solver::test::Dice dice(seed);
+  TwoPolicies two;
+  two.platform = {
+      "p", {{"gpu0", "gpu", true, 20}, {"dla0", "dla", false, 0}, {"dla1", "dla", false, 0}}};
+  AppSpec& app = two.from_app;
+  app.version = 2;
+  app.name = "lets in";
+  app.clocks = {{"main", dice.roll(0, 1) != 0 ? ppm : 0}, {"own", ppm}};
+  const std::int64_t period = 20'000, first = dice.roll(5, 10) * 100, other = dice.roll(1, 3) * 100;
+  const std::int64_t second = first + dice.roll(10, 30) * 100, x = dice.roll(2, 5) * 100,
+                     z = dice.roll(50, 80) * 100, passes = dice.roll(0, 2) * 50;
+  app.sources = {{"s", {period, 1}, 0, 0, 0}, {"t", {dice.roll(90, 120) * 100, 1}, 0, 0, 1}};
+  app.xnodes = {{"u", "U", {{"gpu", first}}, {0}},
+                {"x", "X", {{"dla", x}}},
+                {"z", "Z", {{"dla", z}}, {0}},
+                {"g", "G", {{"gpu", other}}, {1}}};
+  app.edges = {{0, 1}};
+  app.transfers = {{0, "gpu", "dla", passes}};
+  app.modules = {{"U", 1}, {"X", 1}, {"Z", 1}, {"G", 1}};
+  app.chains = {{"s -> x", 0, 1}, {"s -> u", 0, 0}, {"s -> z", 0, 2}, {"t -> g", 1, 3}};
+  two.to_app = two.both = app;
+  two.to_app.xnodes[0].wcet_us.at("gpu") = two.both.xnodes[0].wcet_us.at("gpu") = second;
+  const auto room = [&](std::int64_t work) {
+    return work + work / 12 + 20 + 4 * (work + 20'000) * ppm / kMillion;
+  };
+  const std::int64_t gpu = room(first + other + 40), later = room(second + other + 40);
+  const std::int64_t ends = gpu + passes + room(x), held = ends + room(dice.roll(0, 2) * 100);
+  two.from.placements = {{0, {gpu}}, {1, {ends}}, {1, {held + room(z)}, {held}}, {0, {gpu}}};
+  two.to.placements = {{0, {later}}, {1, {later + passes + room(x)}}, {2, {room(z)}}, {0, {later}}};
+  finish(two);
+  return two;
+}
+
+void attack_blocking(TwoPolicies (*make)(std::uint64_t, int), int least_claimed,
+                     double least_close) {
+  for (const int ppm : {0, 100, 5'000}) {
+    int claimed = 0, broken = 0;
+    double closest = 0;
+    for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+      const TwoPolicies two = make(seed, ppm);
+      const Bounds bounds = bounds_of(two);
+      if (bounds.settles_us == 0) continue;
+      ++claimed;
+      std::vector<std::optional<std::int64_t>> steady;
+      for (std::size_t c = 0; c < bounds.us.size(); ++c)
+        steady.emplace_back(
+            std::max(two.from.chains[c].worst_case_us, two.to.chains[c].worst_case_us));
+      const NaiveTables naive{two.from_app, two.to_app, two.both, two.platform, two.from, two.to};
+      const HandoverAttack attack{two.notice_us, 200, seed};
+      HandoverClimb climb(naive, bounds.us, attack);
+      const HandoverFound found = climb.run();
+      EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << seed;
+      EXPECT_LE(found.worst, 1) << "seed " << seed << ", ppm " << ppm;
+      EXPECT_LE(found.settles_us, static_cast<double>(bounds.settles_us)) << "seed " << seed;
+      closest = std::max(closest, found.worst);
+      HandoverClimb weaker(naive, steady, attack);
+      broken += weaker.run().worst > 1;
+    }
+    EXPECT_GE(claimed, least_claimed) << ppm;
+    EXPECT_GE(broken, 10) << ppm;
+    EXPECT_GE(closest, least_close) << ppm;
+  }
+}
+
+TEST(SteadyHandover, ALongJobMayBeInTheWayWhereXpusDoNotPreempt) {
+  attack_blocking(long_job_in_the_way, 36, 0.2);
+}
+
+TEST(SteadyHandover, LatenessLetsALongJobInWhereXpusDoNotPreempt) {
+  attack_blocking(lets_a_long_job_in, 36, 0.7);
+}
+
 }  // namespace
 }  // namespace xauto::solver::steady
