@@ -303,7 +303,8 @@ class Cluster {
       Tick deepest = 0;
       for (int k = 0; k < p_.jobs[at(i)]; ++k) deepest = std::max(deepest, w.a[p_.slot_of(i, k)]);
       // The latest release that may count, and then back to the first one.
-      for (std::int64_t k = floor_div(begin + to + lost_in(to, domain.ppm) - c.phase, c.period) + 1;
+      for (std::int64_t k =
+               floor_div(begin + to + 2 * lost_in(to, domain.ppm) - c.phase, c.period) + 1;
            --pairs >= 0; --k) {
         const Tick apart = release(i, k) - begin, error = lost_in(std::abs(apart), domain.ppm);
         const std::size_t slot = p_.slot_of(i, k);

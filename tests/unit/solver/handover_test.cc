@@ -550,6 +550,56 @@ TwoPolicies lets_a_long_job_in(std::uint64_t seed, int ppm) {
   return two;
 }
 
+/// As lets_a_long_job_in, where that DLA is of two clocks. The long job has a shorter window than who waits for the
+/// GPU: in time nobody is blocked by it.
+TwoPolicies lets_in_beside_another_clock(std::uint64_t seed, int ppm) {
+  solver::test::Dice dice(seed);
+  TwoPolicies two;
+  two.platform = {
+      "p", {{"gpu0", "gpu", true, 20}, {"dla0", "dla", false, 0}, {"dla1", "dla", false, 0}}};
+  AppSpec& app = two.from_app;
+  app.version = 2;
+  app.name = "lets in beside";
+  app.clocks = {{"main", 0}, {"own", ppm}};
+  const std::int64_t first = dice.roll(5, 10) * 100, other = dice.roll(1, 3) * 100,
+                     x = dice.roll(30, 50) * 100, z = dice.roll(30, 50) * 100,
+                     small = dice.roll(1, 3) * 100, passes = dice.roll(0, 2) * 50;
+  const std::int64_t second = first + x + dice.roll(10, 30) * 100;
+  app.sources = {{"s", {40'000, 1}, 0, 0, 0}, {"t", {dice.roll(300, 400) * 100, 1}, 0, 0, 1}};
+  app.xnodes = {{"u", "U", {{"gpu", first}}, {0}},
+                {"x", "X", {{"dla", x}}},
+                {"z", "Z", {{"dla", z}}, {0}},
+                {"g", "G", {{"gpu", other}}, {1}},
+                {"h", "H", {{"dla", small}}, {1}}};
+  app.edges = {{0, 1}};
+  app.transfers = {{0, "gpu", "dla", passes}};
+  app.modules = {{"U", 1}, {"X", 1}, {"Z", 1}, {"G", 1}, {"H", 1}};
+  app.chains = {
+      {"s -> x", 0, 1}, {"s -> u", 0, 0}, {"s -> z", 0, 2}, {"t -> g", 1, 3}, {"t -> h", 1, 4}};
+  two.to_app = two.both = app;
+  two.to_app.xnodes[0].wcet_us.at("gpu") = two.both.xnodes[0].wcet_us.at("gpu") = second;
+  const auto room = [&](std::int64_t work) {
+    return work + work / 12 + 20 + 4 * (work + 20'000) * ppm / kMillion;
+  };
+  const std::int64_t gpu = room(first + other + 40), later = room(second + other + 40);
+  const std::int64_t window = room(std::max(x, z) + 2 * small);
+  const std::int64_t ready = gpu + passes, ends = ready + window;
+  const std::int64_t held = ready + room(x) + dice.roll(0, 1) * 200;
+  const std::int64_t beside = room(std::max(x, z) + small);
+  two.from.placements = {{0, {gpu}},
+                         {1, {ends}, {ready}},
+                         {1, {held + window}, {held}},
+                         {0, {gpu}},
+                         {1, {beside + dice.roll(0, 3) * 1000}}};
+  two.to.placements = {{0, {later}},
+                       {1, {later + passes + room(x + 2 * small)}, {later + passes}},
+                       {2, {room(z)}},
+                       {0, {later}},
+                       {1, {beside + 1000}}};
+  finish(two);
+  return two;
+}
+
 void attack_blocking(TwoPolicies (*make)(std::uint64_t, int), int least_claimed,
                      double least_close) {
   for (const int ppm : {0, 100, 5'000}) {
@@ -587,6 +637,10 @@ TEST(SteadyHandover, ALongJobMayBeInTheWayWhereXpusDoNotPreempt) {
 
 TEST(SteadyHandover, LatenessLetsALongJobInWhereXpusDoNotPreempt) {
   attack_blocking(lets_a_long_job_in, 36, 0.7);
+}
+
+TEST(SteadyHandover, LatenessLetsALongJobInBesideAnotherClockWhereXpusDoNotPreempt) {
+  attack_blocking(lets_in_beside_another_clock, 30, 0.4);
 }
 
 }  // namespace
