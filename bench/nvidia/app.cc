@@ -4,69 +4,17 @@
 //
 //   KERNELS=kernels.ptx app
 #include <chrono>
-#include <cstdlib>
-#include <fstream>
-#include <iterator>
 #include <memory>
-#include <stdexcept>
 #include <string>
 #include <utility>
 
-#include <xauto/cuda.h>
-#include <xauto/xauto.h>
+#include "stage.h"
 
 namespace {
 
 using namespace std::chrono_literals;
-using xauto::cuda::checked;
-using xauto::cuda::Context;
-
-void must(CUresult done, const char* call) {
-  if (const xauto::Status status = checked(done, call); !status)
-    throw std::runtime_error(status.error().to_string());
-}
-
-const std::string& kernels() {
-  static const std::string ptx = [] {
-    const char* path = std::getenv("KERNELS");
-    std::ifstream file(path != nullptr ? path : "kernels.ptx");
-    return std::string(std::istreambuf_iterator<char>(file), {});
-  }();
-  return ptx;
-}
-
-/// A context with the kernel `work` in it.
-class Stage {
- public:
-  explicit Stage(int gpu) {
-    auto made = Context::create(gpu);
-    if (!made) throw std::runtime_error(made.error().to_string());
-    context_ = std::move(made.value());
-    const Context::Scope scope(*context_);
-    CUmodule module = nullptr;
-    must(cuModuleLoadData(&module, kernels().c_str()), "cuModuleLoadData");
-    must(cuModuleGetFunction(&work_, module, "work"), "cuModuleGetFunction");
-    must(cuMemAlloc(&out_, sizeof(float)), "cuMemAlloc");
-  }
-  [[nodiscard]] xauto::SchedHandle handle() const {
-    return xauto::SchedHandle::cuda_context(context_->get());
-  }
-  /// Returns when it is over, as an exec has to.
-  xauto::Status work(unsigned long long iterations) {
-    const Context::Scope scope(*context_);
-    XAUTO_TRY(scope.entered());
-    void* arguments[] = {&iterations, &out_};
-    XAUTO_TRY(checked(
-        cuLaunchKernel(work_, 264, 1, 1, 256, 1, 1, 0, context_->stream(), arguments, nullptr),
-        "cuLaunchKernel"));
-    return context_->synchronize();
-  }
-
- private:
-  std::unique_ptr<Context> context_;
-  CUfunction work_ = nullptr;
-  CUdeviceptr out_ = 0;
-};
+using nvidia::kPerMs;
+using nvidia::Stage;
 
 struct State {
   int done = 0;
@@ -96,7 +44,6 @@ void add(xauto::App& app, const std::string& name, std::chrono::milliseconds per
 }  // namespace
 
 int main(int argc, char** argv) {
-  constexpr unsigned long long kPerMs = 320'000;  // an H100 at 1980 MHz
   xauto::App app("gpus");
   add(app, "fast", 10ms, kPerMs);
   add(app, "mid", 40ms, 6 * kPerMs);

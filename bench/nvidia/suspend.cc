@@ -11,6 +11,7 @@
 //     calls              CUDA's calls in a suspended context, and in another one
 //     hang               suspended until it is killed
 //     once               a context, and a job
+//     load               computes until it is killed
 #include <algorithm>
 #include <atomic>
 #include <chrono>
@@ -298,6 +299,12 @@ void once(const std::string& ptx) {
   std::printf(", a job in %.0f us\n", gpu.job_us(100'000));
 }
 
+void load(const std::string& ptx) {
+  Gpu gpu(ptx);
+  gpu.begin("compute");
+  for (;;) pause();
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -318,6 +325,8 @@ int main(int argc, char** argv) {
     hang(ptx);
   else if (part == "once")
     once(ptx);
+  else if (part == "load")
+    load(ptx);
   else
     give_up("no part '" + part + "'");
 }

@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: Apache-2.0
+// What app.cc and tables.cc run on a GPU: the kernel `work` of kernels.cu, in a context of its own.
+#pragma once
+
+#include <cstdlib>
+#include <fstream>
+#include <iterator>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+#include <xauto/cuda.h>
+#include <xauto/xauto.h>
+
+namespace nvidia {
+
+constexpr unsigned long long kPerMs = 320'000;  // an H100 at 1980 MHz
+
+using xauto::cuda::checked;
+using xauto::cuda::Context;
+
+inline void must(CUresult done, const char* call) {
+  if (const xauto::Status status = checked(done, call); !status)
+    throw std::runtime_error(status.error().to_string());
+}
+
+inline const std::string& kernels() {
+  static const std::string ptx = [] {
+    const char* path = std::getenv("KERNELS");
+    std::ifstream file(path != nullptr ? path : "kernels.ptx");
+    return std::string(std::istreambuf_iterator<char>(file), {});
+  }();
+  return ptx;
+}
+
+/// A context with the kernel `work` in it.
+class Stage {
+ public:
+  explicit Stage(int gpu) {
+    auto made = Context::create(gpu);
+    if (!made) throw std::runtime_error(made.error().to_string());
+    context_ = std::move(made.value());
+    const Context::Scope scope(*context_);
+    CUmodule module = nullptr;
+    must(cuModuleLoadData(&module, kernels().c_str()), "cuModuleLoadData");
+    must(cuModuleGetFunction(&work_, module, "work"), "cuModuleGetFunction");
+    must(cuMemAlloc(&out_, sizeof(float)), "cuMemAlloc");
+  }
+  [[nodiscard]] xauto::SchedHandle handle() const {
+    return xauto::SchedHandle::cuda_context(context_->get());
+  }
+  /// Returns when it is over, as an exec has to.
+  xauto::Status work(unsigned long long iterations) {
+    const Context::Scope scope(*context_);
+    XAUTO_TRY(scope.entered());
+    void* arguments[] = {&iterations, &out_};
+    XAUTO_TRY(checked(
+        cuLaunchKernel(work_, 264, 1, 1, 256, 1, 1, 0, context_->stream(), arguments, nullptr),
+        "cuLaunchKernel"));
+    return context_->synchronize();
+  }
+
+ private:
+  std::unique_ptr<Context> context_;
+  CUfunction work_ = nullptr;
+  CUdeviceptr out_ = 0;
+};
+
+}  // namespace nvidia
