@@ -47,7 +47,8 @@ struct Raised {
 /// The jobs of one clock around one S.
 struct LateAround {
   Tick s = 0;
-  Tick since = 0;              ///< t_lo
+  Tick since = 0;   ///< t_lo
+  Tick waited = 0;  ///< by then all that wait for the first table are ready, and have their dues
   std::vector<Raised> raised;  ///< in order
   std::vector<Rises> rises;    ///< [set of XPUs]
   [[nodiscard]] const Raised* find(int xnode, std::int64_t n) const {
@@ -520,7 +521,7 @@ class Cluster {
       }
     const Tick reach = deepest + 2 * lost_in(deepest, domain.ppm);
     for (const Release& r : releases_of(p_, domain)) {
-      LateAround around{r.at, r.before - in_fast_time(in_.notice, domain.ppm), {}, {}};
+      LateAround around{r.at, r.before - in_fast_time(in_.notice, domain.ppm), r.before, {}, {}};
       for (const int c : domain.components)
         if (!find_raised(p_.components[at(c)], domain, r.at + reach + 2 * domain.hyper, around,
                          pairs))
@@ -528,9 +529,7 @@ class Cluster {
                  "shares XPUs, and has jobs that wait for the other table again and again";
       if (pairs < 0) return clock_of(d) + "shares XPUs, and has more jobs than are looked at";
       std::sort(around.raised.begin(), around.raised.end());
-      for (const Raised& job : around.raised)
-        last_ready_ = std::max(last_ready_,
-                               in_slow_time(std::max(job.ready, job.due) - r.before, domain.ppm));
+      last_ready_ = std::max(last_ready_, in_slow_time(around.waited - r.before, domain.ppm));
       of_domain_[at(d)].around.push_back(std::move(around));
     }
     return {};
@@ -554,6 +553,7 @@ class Cluster {
     std::vector<Tick> before(at(p_.num_xnodes), 0);     // [xnode] alpha of the activation before
     for (const int i : c.xnodes)
       before[at(i)] = release(first - 1) + late(in_.from.a[p_.slot_of(i, first - 1)]);
+    std::vector<Tick> waits_until = before;  // [xnode] what of that is not its own `a`
     std::int64_t last_raised = first;
     for (std::int64_t n = first; n <= std::max(first, last_raised) + longest_lag; ++n) {
       for (const int i : c.xnodes) {
@@ -561,12 +561,12 @@ class Cluster {
         const std::size_t slot = p_.slot_of(i, n);
         const Tick own = release(n) + late(in_.to.a[slot]);
         const Tick key = release(n) + in_.to.d[slot] - blur(in_.to.d[slot]);
-        Tick ready = std::max(own, before[at(i)]);
+        Tick& waits = waits_until[at(i)];
         const auto after = [&](int u, std::int64_t k, Tick passes) {
           if (k < first) {
-            ready = std::max(ready, first_key(u, k));
+            waits = std::max(waits, first_key(u, k));
           } else if (const auto due = dues.find({k, u}); due != dues.end()) {
-            ready = std::max(ready, due->second + passes);
+            waits = std::max(waits, due->second + passes);
           }
         };
         if (n == first && (in_.to_xpu[at(i)] != in_.from_xpu[at(i)] || first_key(i, n - 1) > key))
@@ -578,16 +578,23 @@ class Cluster {
         if (const int m = p_.module_of[at(i)]; m >= 0 && p_.entry[at(i)] != 0)
           if (const Module& of = p_.modules[at(m)]; of.in_flight < kMillion)
             for (const int u : of.xnodes) after(u, n - of.in_flight, 0);
+        const Tick ready = std::max({own, before[at(i)], waits});
         before[at(i)] = ready;
+        // Whether what it waits for is before its `a` is not known where it is within the drift.
+        if (waits > release(n) + in_.to.a[slot] - blur(in_.to.a[slot])) {
+          around.waited = std::max(around.waited, ready);
+          last_raised = n;
+          if (release(n) > last) return false;
+        }
         if (ready <= own) continue;
         Raised job{i, n, ready};
         if (ready >= key) {
-          job.due = ready + in_fast_time(in_.to.d[slot] - in_.to.a[slot], domain.ppm);
+          job.due = std::max(ready + in_fast_time(in_.to.d[slot] - in_.to.a[slot], domain.ppm),
+                             release(n) + late(in_.to.d[slot]));
           dues[{n, i}] = job.due;
+          around.waited = std::max(around.waited, job.due);
         }
         around.raised.push_back(job);
-        last_raised = n;
-        if (release(n) > last) return false;
       }
     }
     return true;
