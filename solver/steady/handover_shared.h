@@ -589,8 +589,8 @@ class Cluster {
         if (ready <= own) continue;
         Raised job{i, n, ready};
         if (ready >= key) {
-          job.due = std::max(ready + in_fast_time(in_.to.d[slot] - in_.to.a[slot], domain.ppm),
-                             release(n) + late(in_.to.d[slot]));
+          // No earlier than its key may be: `ready` is no earlier than its `a` may be.
+          job.due = ready + in_fast_time(in_.to.d[slot] - in_.to.a[slot], domain.ppm);
           dues[{n, i}] = job.due;
           around.waited = std::max(around.waited, job.due);
         }
