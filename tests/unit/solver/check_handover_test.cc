@@ -226,11 +226,11 @@ TEST(CheckHandover, OfWhatNothingFollows) {
   ASSERT_TRUE(proof) << proof.error().to_string();
   EXPECT_EQ(proof->worst_case_us[0], 3000);
   EXPECT_TRUE(proof->why_not.empty());
-  // Under q they share gpu0, which does not preempt.
+  // Under q they share gpu0, which does not preempt, and both need all of it.
   q.app.clocks[1].ppm = p.app.clocks[1].ppm = 0;
   q.platform.xpus[1].preemptive = p.platform.xpus[1].preemptive = false;
-  q.policy.placements[0] = {1, {4000}};
-  q.policy.placements[1] = {1, {4000}};
+  q.policy.placements[0] = {1, {3000}};
+  q.policy.placements[1] = {1, {3000}};
   proof = derived(p, q);
   ASSERT_TRUE(proof) << proof.error().to_string();
   EXPECT_FALSE(proof->worst_case_us[0]);
@@ -552,8 +552,13 @@ TEST(CheckHandover, WhyNothingFollowsForClocksThatShare) {
   EXPECT_EQ(why(p, q), "");
   EXPECT_EQ(why(p, q, 10), begin + "that takes more work than is looked at");
 
+  // It may be in the way, as 3000 of `a` in 4000 are.
   p.platform.xpus[0].preemptive = q.platform.xpus[0].preemptive = false;
-  EXPECT_EQ(why(p, q), begin + "cpu0 does not preempt");
+  EXPECT_EQ(why(p, q), "");
+  set_wcet(p, 0, 2990);
+  set_wcet(q, 0, 2990);
+  p.policy.placements[0] = q.policy.placements[0] = {0, {5000}};
+  EXPECT_EQ(why(p, q), begin + "both tables leave less than 1 % of an XPU");
 
   p = q = two_clocks(2000, 5000);
   set_wcet(q, 0, 2001);
