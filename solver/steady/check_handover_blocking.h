@@ -8,7 +8,13 @@
 //   soon as the clock allows for it alone.
 // - G is of lengths at which B is above 0. At others both certificates say that it is 0.
 // - g is added where D is above 0, as the proof needs.
-// - Just after t_lo κ is t_lo. Of several κ of one instant the least one leaves the most in the way.
+// - Just after t_lo is the key of who may have it later than t_lo. One at t_lo has ended.
+// - Who waits for whom is what follows through any number of others.
+// - What is asked for of an XPU that clocks share is so for each activation by itself. What has its
+//   window in the interval of who is not in time is above 0, and no longer than the interval.
+// - What is asked for of an XPU of one clock: y is the key of a job that D(x, y) counts.
+// - On an XPU of one clock one has to look w(L) further. With y earlier by H, what is in the way of
+//   one activation may wait for the other one. From there on nothing that begins in time is left.
 #pragma once
 
 #include <algorithm>
@@ -24,10 +30,38 @@ namespace xauto::solver::steady::checking::shared {
 
 /// A job that may be in the way of others, in its clock's own time.
 struct InTheWay {
+  int xnode = -1;
+  Ticks release = 0;
   Ticks opens = 0;              ///< it does not start before
   Ticks alpha = 0;              ///< late
-  Ticks key = 0, key_late = 0;  /// early and late
+  Ticks key = 0, key_late = 0;  ///< early and late
   Ticks work = 0;
+};
+
+/// A job that others may be in the way of.
+struct Hindered {
+  int xnode = -1;
+  Ticks release = 0;
+  Ticks key = 0, key_late = 0;
+  Ticks due = 0;  ///< the key, or later
+};
+
+/// Who waits for whom, under both tables and from one to the other.
+class WhoWaits {
+ public:
+  explicit WhoWaits(const World& w) : w_(w), lags_(w.wcet.size()) {}
+  /// `z`, of the same clock, does not start before `v` has ended.
+  bool operator()(int z, Ticks release_of_z, int v, Ticks release_of_v) {
+    if (w_.component_of[at(z)] != w_.component_of[at(v)]) return false;
+    auto& lags = lags_[at(v)];
+    if (lags.empty()) lags = w_.lags_after(v);
+    const std::int64_t lag = lags[at(z)];
+    return lag < kNever && (release_of_z - release_of_v) / w_.home(z).period >= lag;
+  }
+
+ private:
+  const World& w_;
+  std::vector<std::vector<std::int64_t>> lags_;  ///< [xnode], as asked for
 };
 
 /// Lengths, and a value from each on; both rise.
@@ -64,7 +98,7 @@ inline Stairs sum_of(const Stairs& a, const Stairs& b) {
   return sum;
 }
 
-/// B of real lengths, or B_q.
+/// B of real lengths.
 class LongestInTheWay {
  public:
   /// `reach`: d - e. All are added before `sort`.
@@ -129,12 +163,31 @@ inline bool real_demand(const std::vector<RealWindow>& all, Ticks hyperperiod, s
   return true;
 }
 
-/// A percentage of each length is left beside demand, and what is in the way.
-inline bool leaves_beside(const Stairs& demand, const LongestInTheWay& of_q, int percent) {
-  return std::ranges::all_of(demand, [&](const auto& step) {
-    const Ticks longest = of_q.at(step.first);
-    return longest == 0 || static_cast<__int128>(step.second + longest) * 100 <=
-                               static_cast<__int128>(step.first) * (100 - percent);
+/// A job of q that is in the way on an XPU that clocks share.
+struct InTheWayOfQ {
+  std::size_t clock = 0;
+  Ticks reach = 0;       ///< d - e
+  Ticks work = 0;        ///< its own
+  Ticks of_its_own = 0;  ///< W: of its own clock, while it is
+  auto operator<=>(const InTheWayOfQ&) const = default;
+};
+
+/// A percentage of each length is left beside demand, and what is in the way. `demand`: of each clock;
+/// `lag`: L.
+inline bool leaves_beside(const std::vector<Stairs>& demand, const Stairs& of_all,
+                          const std::vector<InTheWayOfQ>& in_the_way, Ticks lag, int percent,
+                          std::int64_t& pairs) {
+  return std::ranges::all_of(in_the_way, [&](const InTheWayOfQ& z) {
+    for (const auto& [length, work] : of_all) {
+      if (length >= z.reach + lag) break;
+      if (--pairs < 0) return false;
+      const Ticks own = stairs_at(demand[z.clock], length);
+      const Ticks sum = work - own + std::min(own, z.of_its_own);
+      if (sum > 0 && static_cast<__int128>(sum + z.work) * 100 >
+                         static_cast<__int128>(length) * (100 - percent))
+        return false;
+    }
+    return true;
   });
 }
 
@@ -179,13 +232,22 @@ class Overrun {
 /// B(x, y) on an XPU of one clock, for one y and for x that fall from call to call.
 class BlocksOne {
  public:
-  /// `all` by `opens`; `lag`: w(L).
-  BlocksOne(const std::vector<InTheWay>& all, Ticks lag, Ticks y, Ticks kappa) : lag_(lag) {
-    for (const InTheWay& z : all)
+  /// `all` by `opens`; `whom`: who may have his key at y, or his due; `lag`: w(L).
+  BlocksOne(const std::vector<InTheWay>& all, const std::vector<const Hindered*>& whom,
+            WhoWaits& waits, Ticks lag, Ticks y)
+      : lag_(lag) {
+    for (const InTheWay& z : all) {
+      const bool hinders = std::ranges::any_of(whom, [&](const Hindered* v) {
+        if (z.key_late <= (v->due > v->key ? v->key : y)) return false;
+        return (z.xnode != v->xnode || z.release != v->release) &&
+               !waits(z.xnode, z.release, v->xnode, v->release);
+      });
+      if (!hinders) continue;
       if (z.key > y)
         add(behind_, z.opens, z.work);
-      else if (z.key_late > kappa)
+      else
         passed_.emplace_back(z.alpha, z.work);
+    }
     passed_ = rising(std::move(passed_));
   }
   /// Those with a key after y are in no D(x, y), others are from their α on.
@@ -204,48 +266,85 @@ class BlocksOne {
   Stairs behind_, passed_;
 };
 
-/// Whether jobs of one clock under one table leave so much beside what is in the way. `all`: of one
-/// hyperperiod. `lag`: w(L); `depth`: D + 2b.
-inline bool one_leaves(const std::vector<InTheWay>& all, Ticks hyperperiod, std::int64_t ppm,
-                       Ticks lag, Ticks depth, int percent, std::int64_t& pairs) {
-  const auto fits = [&](__int128 work, Ticks length) {
-    return work * 100 <= static_cast<__int128>(least(length, ppm)) * (100 - percent);
-  };
-  __int128 turn = 0;
-  for (const InTheWay& z : all) turn += z.work;
-  if (!fits(turn, hyperperiod)) return false;
-  Stairs counted, threshold;
-  for (const InTheWay& first : all) {
-    const Ticks x = first.alpha, last = x + depth + 2 * hyperperiod;
-    counted.clear();
-    threshold.clear();
-    for (const InTheWay& z : all) {
-      // What opens long before x has its key before it.
-      Ticks base = floor_div(x - depth - z.opens, hyperperiod) * hyperperiod;
-      for (; z.opens + base <= std::max(last, x + lag); base += hyperperiod) {
-        if (--pairs < 0) return false;
-        const bool later = z.alpha + base >= x;
-        if (later && z.key + base <= last) counted.emplace_back(z.key + base, z.work);
-        if (z.opens + base <= x + lag)
-          threshold.emplace_back((later ? z.key : z.key_late) + base, z.work);
+/// Whether jobs of one clock under one table leave a percentage beside what is in the way.
+class OneLeaves {
+ public:
+  /// `all`: of one hyperperiod. `lag`: w(L); `depth`: D + 2b.
+  OneLeaves(const std::vector<InTheWay>& all, WhoWaits& waits, Ticks hyperperiod, std::int64_t ppm,
+            Ticks lag, Ticks depth)
+      : all_(all), waits_(waits), hyperperiod_(hyperperiod), ppm_(ppm), lag_(lag), depth_(depth) {}
+
+  bool operator()(int percent, std::int64_t& pairs) {
+    __int128 turn = 0;
+    for (const InTheWay& z : all_) turn += z.work;
+    if (!fits(turn, hyperperiod_, percent)) return false;
+    for (const InTheWay& first : all_) {
+      const Ticks x = first.alpha;
+      if (!collect(x, pairs)) return false;
+      __int128 sum = 0;
+      for (std::size_t k = 0; k < counted_.size(); ++k) {
+        sum += counted_[k].work;
+        const Ticks y = counted_[k].key;
+        if (k + 1 < counted_.size() && counted_[k + 1].key == y) continue;
+        if (!fits(sum + longest_at(k, pairs), y - x, percent)) return false;
       }
     }
-    std::ranges::sort(counted);
-    // By thresholds from the last one on: the longest that is still in the way.
-    std::ranges::sort(threshold, std::greater<>());
-    Ticks longest = 0;
-    for (auto& step : threshold) step.second = longest = std::max(longest, step.second);
-    __int128 sum = 0;
-    for (std::size_t k = 0; k < counted.size(); ++k) {
-      sum += counted[k].second;
-      const Ticks y = counted[k].first;
-      if (k + 1 < counted.size() && counted[k + 1].first == y) continue;
-      while (!threshold.empty() && threshold.back().first <= y) threshold.pop_back();
-      const Ticks longest_left = threshold.empty() ? 0 : threshold.back().second;
-      if (!fits(sum + longest_left, y - x)) return false;
-    }
+    return true;
   }
-  return true;
-}
+
+ private:
+  struct Candidate {
+    InTheWay job;
+    Ticks until = 0;  ///< in the way for an earlier y
+  };
+
+  [[nodiscard]] bool fits(__int128 work, Ticks length, int percent) const {
+    return work * 100 <= static_cast<__int128>(least(length, ppm_)) * (100 - percent);
+  }
+
+  /// What D(x, y) counts for some y, and what may be in the way. False: too many.
+  bool collect(Ticks x, std::int64_t& pairs) {
+    const Ticks last = x + depth_ + 2 * hyperperiod_ + lag_;
+    counted_.clear();
+    candidates_.clear();
+    for (const InTheWay& z : all_) {
+      // What opens long before x has its key before it.
+      Ticks base = floor_div(x - depth_ - z.opens, hyperperiod_) * hyperperiod_;
+      for (; z.opens + base <= last; base += hyperperiod_) {
+        if (--pairs < 0) return false;
+        InTheWay job = z;
+        for (Ticks* t : {&job.release, &job.opens, &job.alpha, &job.key, &job.key_late}) *t += base;
+        const bool later = job.alpha >= x;
+        if (later && job.key <= last) counted_.push_back(job);
+        if (job.opens <= x + lag_) candidates_.push_back({job, later ? job.key : job.key_late});
+      }
+    }
+    std::ranges::sort(counted_, {}, &InTheWay::key);
+    std::ranges::sort(candidates_, std::greater<>(), [](const Candidate& z) { return z.job.work; });
+    return true;
+  }
+
+  /// Of those that are in the way of a job with a key that may be that of counted_[k]. y does not fall.
+  Ticks longest_at(std::size_t k, std::int64_t& pairs) {
+    const Ticks y = counted_[k].key;
+    std::erase_if(candidates_, [&](const Candidate& z) { return z.until <= y; });
+    for (const Candidate& z : candidates_)
+      for (std::size_t v = k + 1; v-- > 0 && counted_[v].key + depth_ >= y;) {
+        --pairs;
+        if (counted_[v].key_late >= y &&
+            !waits_(z.job.xnode, z.job.release, counted_[v].xnode, counted_[v].release))
+          return z.job.work;
+      }
+    return 0;
+  }
+
+  const std::vector<InTheWay>& all_;
+  WhoWaits& waits_;
+  Ticks hyperperiod_;
+  std::int64_t ppm_;
+  Ticks lag_, depth_;
+  std::vector<InTheWay> counted_;  ///< by key
+  std::vector<Candidate> candidates_;
+};
 
 }  // namespace xauto::solver::steady::checking::shared

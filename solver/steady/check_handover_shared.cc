@@ -142,8 +142,11 @@ struct Lane {
   std::size_t known = 0;              ///< of them have `before`
   std::vector<Item> past;             ///< those of them that are ready no sooner than their key
   const Overruns* overrun = nullptr;  ///< where it is shared and does not preempt
+  bool at_low = false;                ///< some job may have its key just after t_lo
   bool blocks = false;                ///< it is not shared, and does not preempt
   std::vector<InTheWay> in_the_way;   ///< there, by `opens`
+  std::vector<Hindered> hindered;     ///< there, by key, but for those
+  std::vector<Hindered> waiting;      ///< that are ready no sooner than that
   Ticks lag = 0;                      ///< w(L)
   /// g of a length, and of any.
   [[nodiscard]] Ticks beside(Ticks length) const {
@@ -225,13 +228,14 @@ class Share {
 class Bound {
  public:
   Bound(const Question& ask, std::int64_t& pairs, Cluster& of)
-      : ask_(ask), p_(ask.both.p), q_(ask.both.q), pairs_(pairs), of_(of) {}
+      : ask_(ask), p_(ask.both.p), q_(ask.both.q), pairs_(pairs), of_(of), waits_(p_) {}
 
   void run(int percent) {
     if (!acceptable(percent)) return;
     find_sets();
     for (const OfClock& clock : of_.clocks)
       if (!scan(clock)) return;
+    blur_instants();
     lags_.assign(users_.size(), 0);
     for (int round = 0; round < kMostRounds; ++round) {
       if (!find_overruns(percent)) return;
@@ -383,28 +387,42 @@ class Bound {
     return raised;
   }
 
-  /// B, and dbf of both tables in real time as far as that matters, of an XPU that clocks share.
-  struct Beside {
-    Stairs of_p, of_q;
-    LongestInTheWay all, all_of_q;
-  };
-  bool find_beside(std::size_t m, Beside& beside) {
-    Ticks blur = 0;  // β
+  /// β, and M with it.
+  void blur_instants() {
+    if (!some_block_) return;
+    Ticks blur = 0;
     for (std::size_t k = 0; k < of_.clocks.size(); ++k) {
       const Reach r = reach_of(k);
       blur = std::max(blur, most(2 * r.blur, r.drift.ppm));
-      each_xnode(of_.clocks[k].clock, [&](const Component& /*c*/, int i) {
-        for (const bool of_q : {false, true}) {
-          if (xpu_of(of_q, i) != static_cast<int>(m)) continue;
-          for (const Window& window : ask_.both.of(of_q).windows[at(i)]) {
-            beside.all.add(window.d - window.e, work_in_the_way(of_q, i));
-            if (of_q) beside.all_of_q.add(window.d - window.e, work_in_the_way(of_q, i));
-          }
-        }
-      });
     }
-    beside.all.sort(lags_[m] + blur);
-    beside.all_of_q.sort(lags_[m] + blur);
+    beta_ = blur;
+    meets_p_ += blur;
+  }
+
+  /// B, and dbf of both tables in real time as far as that matters, of an XPU that clocks share.
+  struct Beside {
+    Stairs of_p, of_q;
+    std::vector<Stairs> of_q_by_clock;
+    LongestInTheWay all;
+    std::vector<InTheWayOfQ> in_q;
+  };
+  bool find_beside(std::size_t m, Beside& beside) {
+    for (std::size_t k = 0; k < of_.clocks.size(); ++k)
+      for (const bool of_q : {false, true}) {
+        bool fits = true;
+        if (!each_window(of_.clocks[k], of_q, m, [&](Ticks release, const Window& z, int i) {
+              const Ticks work = work_in_the_way(of_q, i);
+              beside.all.add(z.d - z.e, work);
+              if (!of_q || !fits) return;
+              beside.in_q.push_back({k, z.d - z.e, work, 0});
+              fits = while_in_the_way(m, k, i, release, beside.in_q.back().of_its_own);
+            }))
+          return false;
+        if (!fits) return false;
+      }
+    std::ranges::sort(beside.in_q);
+    beside.in_q.erase(std::unique(beside.in_q.begin(), beside.in_q.end()), beside.in_q.end());
+    beside.all.sort(lags_[m] + beta_);
     for (const OfClock& of : of_.clocks)
       for (const bool of_q : {false, true}) {
         std::vector<RealWindow> windows;
@@ -419,8 +437,35 @@ class Bound {
           return false;
         Stairs& sum = of_q ? beside.of_q : beside.of_p;
         sum = sum_of(sum, demand);
+        if (of_q) beside.of_q_by_clock.push_back(std::move(demand));
       }
     return true;
+  }
+
+  /// W: of q and the clock of the job of `xnode` that is in the way. False: too many pairs.
+  bool while_in_the_way(std::size_t m, std::size_t k, int xnode, Ticks release, Ticks& work) {
+    const OfClock& of = of_.clocks[k];
+    const Reach r = reach_of(k);
+    const Component& home = p_.home(xnode);
+    const Window& z = q_.window(xnode, (release - home.phi) / home.period);
+    const Ticks lag = lags_[m];
+    each_xnode(of.clock, [&](const Component& c, int i) {
+      if (xpu_of(true, i) != static_cast<int>(m)) return;
+      const Ticks from = release - r.drift.longest(grids_[k].deepest + lag) - 1;
+      const Ticks until = release + r.drift.longest(z.d) + 1;
+      for (std::int64_t n = ceil_div(from - c.phi, c.period); c.phi + n * c.period <= until; ++n) {
+        if (--pairs_ < 0) return;
+        const Ticks other = c.phi + n * c.period, shift = other - release;
+        const Window& window = q_.window(i, n);
+        if (most(shift, r.drift.ppm) + a_of(window) < z.e - lag ||
+            least(shift, r.drift.ppm) + window.d >= z.d ||
+            window.d - a_of(window) >= z.d - z.e + lag)
+          continue;
+        if ((i == xnode && shift == 0) || waits_(xnode, release, i, other)) continue;
+        work += work_with_cost(q_, i);
+      }
+    });
+    return pairs_ >= 0;
   }
 
   /// Of an XPU of one clock: whether q leaves a percentage beside what is in the way.
@@ -431,19 +476,24 @@ class Bound {
       const Reach r = reach_of(k);
       std::vector<InTheWay> all;
       if (!each_window(of, true, m, [&](Ticks release, const Window& window, int i) {
-            all.push_back(in_the_way(r.drift, release, window, work_in_the_way(true, i)));
+            all.push_back(in_the_way(r.drift, release, window, i, work_in_the_way(true, i)));
           }))
         return false;
-      if (!one_leaves(all, of.hyperperiod, r.drift.ppm, r.drift.longest(lags_[m]),
-                      r.deepest + 2 * r.blur, percent, pairs_))
-        return false;
+      OneLeaves leaves(all, waits_, of.hyperperiod, r.drift.ppm, r.drift.longest(lags_[m]),
+                       r.deepest + 2 * r.blur);
+      if (!leaves(percent, pairs_)) return false;
     }
     return true;
   }
   [[nodiscard]] InTheWay in_the_way(const Drift& drift, Ticks release, const Window& window,
-                                    Ticks work) const {
-    return {release + drift.soon(window.e), release + drift.late(a_of(window)),
-            release + drift.soon(window.d), release + drift.late(window.d), work};
+                                    int xnode, Ticks work) const {
+    return {xnode,
+            release,
+            release + drift.soon(window.e),
+            release + drift.late(a_of(window)),
+            release + drift.soon(window.d),
+            release + drift.late(window.d),
+            work};
   }
 
   /// G of each XPU that clocks share and that does not preempt; σ is the largest that is left on all of
@@ -454,8 +504,10 @@ class Bound {
       if (blocks(m) && users_[m].size() > 1 && !find_beside(m, beside[m])) return too_much();
     const auto fails = [&](std::size_t m) {
       if (!blocks(m)) return false;
-      return users_[m].size() > 1 ? !leaves_beside(beside[m].of_q, beside[m].all_of_q, percent)
-                                  : !one_clock_leaves(m, percent);
+      const Beside& of = beside[m];
+      return users_[m].size() > 1
+                 ? !leaves_beside(of.of_q_by_clock, of.of_q, of.in_q, lags_[m], percent, pairs_)
+                 : !one_clock_leaves(m, percent);
     };
     for (const int next : {5, 3, 2, 1, 0}) {
       if (next >= percent) continue;
@@ -667,6 +719,7 @@ class Bound {
           std::max(r.meets_p, other == k ? grids_[k].meets_p
                                          : r.drift.longest(most(grids_[other].meets_p, ppm)));
     }
+    r.meets_p += r.drift.longest(beta_);
     r.back = r.deepest + 2 * of.hyperperiod + 2 * r.blur;
     r.ahead = r.deepest + r.meets_p + 2 * of.hyperperiod + 2 * r.blur;
     return r;
@@ -683,9 +736,19 @@ class Bound {
       lane.items.clear();
       lane.past.clear();
       lane.in_the_way.clear();
+      lane.hindered.clear();
+      lane.waiting.clear();
+      lane.at_low = false;
     }
-    const auto add = [&](bool of_q, int i, const When& when, Ticks takes) {
+    const auto add = [&](bool of_q, int i, std::int64_t n, const When& when, Ticks takes) {
       Lane& lane = lanes_[at(xpu_of(of_q, i))];
+      const Component& home = p_.home(i);
+      const Ticks release = home.phi + n * home.period;
+      const Ticks key_late = release + r.drift.late(ask_.both.of(of_q).window(i, n).d);
+      lane.at_low = lane.at_low || (when.key <= around.low && key_late > around.low);
+      if (lane.blocks && std::max(key_late, when.due) > around.low)
+        (when.is_past_key() ? lane.waiting : lane.hindered)
+            .push_back({i, release, when.key, key_late, when.due});
       // On a shared XPU it goes before all jobs of other clocks that lie between its key and its alpha.
       if (when.wrong || (lane.shared && when.is_past_key())) wrong = i;
       work += takes;
@@ -706,14 +769,16 @@ class Bound {
         const Ticks key = release + r.drift.soon(window.d);
         const bool as_in_p = release + r.drift.late(window.d) <= around.low;
         if (alpha >= first &&
-            !add(false, i, {alpha, key, key, false, alpha >= key}, as_in_p ? in_p : in_p + more))
+            !add(false, i, n, {alpha, key, key, false, alpha >= key}, as_in_p ? in_p : in_p + more))
           return;
       }
+      const Lane& lane = lanes_[at(xpu_of(true, i))];
+      const Ticks until = last + (lane.blocks ? lane.lag : 0);
       for (n = ceil_div(around.change - c.phi, c.period);; ++n) {
         const When of_q = when(c, i, n, r.drift);
         if (of_q.is_past_key()) around.dues[{i, n}] = of_q.due;
-        if (of_q.key > last + 4 * r.blur) return;  // what drifts may have keys that fall
-        if (of_q.key <= last && !add(true, i, of_q, in_q)) return;
+        if (of_q.key > until + 4 * r.blur) return;  // what drifts may have keys that fall
+        if (of_q.key <= until && !add(true, i, n, of_q, in_q)) return;
       }
     });
     if (!fits) return too_much();
@@ -722,7 +787,10 @@ class Bound {
           fmt::format("XNode '{}' may be ready no sooner than its key, so little is known of its "
                       "clock",
                       p_.name(wrong)));
-    for (Lane& lane : lanes_) std::ranges::sort(lane.items, {}, &Item::alpha);
+    for (Lane& lane : lanes_) {
+      std::ranges::sort(lane.items, {}, &Item::alpha);
+      std::ranges::sort(lane.hindered, {}, &Hindered::key);
+    }
     return find_in_the_way(of, r, around);
   }
 
@@ -739,7 +807,7 @@ class Bound {
         for (; (of_q || n < first_of_q) && c.phi + n * c.period <= last; ++n) {
           if (--pairs_ < 0) return;
           const Ticks release = c.phi + n * c.period;
-          InTheWay z = in_the_way(r.drift, release, ask_.both.of(of_q).window(i, n),
+          InTheWay z = in_the_way(r.drift, release, ask_.both.of(of_q).window(i, n), i,
                                   work_in_the_way(of_q, i));
           if (of_q) z.alpha = when(c, i, n, r.drift).alpha;
           if (z.opens <= last && z.key_late > around.low) lane.in_the_way.push_back(z);
@@ -757,10 +825,22 @@ class Bound {
     return around.before + r.meets_p + 1;
   }
 
-  /// The largest λ(x) + excess(x, y) on a lane. `limit`: S + M, or the latest x. What has its key after
-  /// `kappa` may be in the way.
+  /// Who may have his key at y, or his due.
+  [[nodiscard]] static std::vector<const Hindered*> hindered_at(const Lane& lane,
+                                                                const Lateness& around, Ticks blur,
+                                                                Ticks y) {
+    std::vector<const Hindered*> found;
+    auto v = std::ranges::upper_bound(lane.hindered, y, {}, &Hindered::key);
+    while (v != lane.hindered.begin() && (--v)->key + 2 * blur >= y)
+      if (v->key_late >= (y == around.low ? y + 1 : y)) found.push_back(&*v);
+    for (const Hindered& past : lane.waiting)
+      if (past.due == y) found.push_back(&past);
+    return found;
+  }
+
+  /// The largest λ(x) + excess(x, y) on a lane. `limit`: S + M, or the latest x.
   std::optional<Ticks> reached(Lane& lane, const Lateness& around, const Lambda& lambda,
-                               const Reach& r, Ticks y, Ticks kappa) {
+                               const Reach& r, Ticks y) {
     while (lane.known < lane.items.size() && lane.items[lane.known].alpha < y) {
       Item& item = lane.items[lane.known++];
       item.before = lambda.at(item.alpha);
@@ -775,8 +855,9 @@ class Bound {
     Share share(lane, around, r.blur, y);
     std::optional<BlocksOne> in_the_way;
     if (lane.blocks) {
-      in_the_way.emplace(lane.in_the_way, lane.lag, y, kappa);
-      pairs_ -= static_cast<std::int64_t>(lane.in_the_way.size());
+      const auto whom = hindered_at(lane, around, r.blur, y);
+      pairs_ -= static_cast<std::int64_t>(lane.in_the_way.size() * (whom.size() + 1));
+      in_the_way.emplace(lane.in_the_way, whom, waits_, lane.lag, y);
     }
     const auto excess = [&](Ticks x, Ticks less) {
       // Jobs of q alone are a pattern of q as they are; α may be 2b after `a`.
@@ -784,7 +865,9 @@ class Bound {
         return std::min(sum - less, most(2 * r.blur, r.drift.ppm));
       return sum - less;
     };
-    const Ticks most_beside = lane.overrun == nullptr ? 0 : lane.most_beside();
+    // Just after t_lo it counts only for who may have his key there.
+    const bool beside = lane.overrun != nullptr && (y != around.low || lane.at_low);
+    const Ticks most_beside = beside ? lane.most_beside() : 0;
     const auto look = [&](Ticks x, Ticks before) {
       const Ticks length = least(y - x, r.drift.ppm);
       const Ticks less = lane.shared ? share.at_least(x) : length;
@@ -794,7 +877,7 @@ class Bound {
       if (lane.shared && found > std::max(lambda.largest(), best.value_or(0))) {
         const bool of_both = lane.kind == Kind::kOfBoth;
         found = before + excess(x, of_both ? share.of_both(x, pairs_) : less);
-        if (lane.overrun != nullptr) found += lane.beside(length);
+        if (beside) found += lane.beside(length);
       }
       best = std::max(best.value_or(found), found);
     };
@@ -817,30 +900,21 @@ class Bound {
   /// λ of a set. `reaches`: see `settle`. False: too many pairs.
   bool rise(const std::vector<int>& set, const Lateness& around, const Reach& r, Lambda& lambda,
             __int128& reaches) {
-    struct End {
-      Ticks y = 0;
-      int m = -1;
-      Ticks kappa = 0;
-      auto operator<=>(const End&) const = default;
-    };
-    std::vector<End> keys;
+    std::vector<std::pair<Ticks, int>> keys;
     for (const int m : set) {
       Lane& lane = lanes_[at(m)];
       lane.known = 0;
-      if (!lane.items.empty()) keys.push_back({around.low, m, around.low});
+      if (!lane.items.empty()) keys.emplace_back(around.low, m);
       for (const Item& item : lane.items)
-        if (item.key > around.low) keys.push_back({item.key, m, item.key});
+        if (item.key > around.low) keys.emplace_back(item.key, m);
       for (const Item& item : lane.past)
-        if (item.due > around.low) keys.push_back({item.due, m, item.key});
+        if (item.due > around.low) keys.emplace_back(item.due, m);
     }
     std::ranges::sort(keys);
-    // Of several of the same instant the least kappa.
-    keys.erase(std::unique(keys.begin(), keys.end(),
-                           [](const End& a, const End& b) { return a.y == b.y && a.m == b.m; }),
-               keys.end());
-    for (const auto& [y, m, kappa] : keys) {
+    keys.erase(std::unique(keys.begin(), keys.end()), keys.end());
+    for (const auto& [y, m] : keys) {
       Lane& lane = lanes_[at(m)];
-      const auto found = reached(lane, around, lambda, r, y, kappa);
+      const auto found = reached(lane, around, lambda, r, y);
       if (pairs_ < 0) return false;
       if (!found) continue;
       if (!lane.shared)
@@ -960,6 +1034,8 @@ class Bound {
   std::vector<Grid> grids_;            ///< [clock of the cluster]
   std::vector<First> first_;           ///< [xnode] of one S
   Ticks meets_p_ = 0;                  ///< M, in real time
+  Ticks beta_ = 0;                     ///< β
+  WhoWaits waits_;
   __int128 slope_ = 1, slope_of_ = 100;
   std::vector<std::vector<__int128>> reaches_;  ///< [clock of the cluster][set]
   std::vector<Lane> lanes_;                     ///< [xpu]
