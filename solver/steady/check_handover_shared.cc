@@ -715,11 +715,10 @@ class Bound {
     r.deepest = deepest_of(grids_[k], r.drift);
     for (std::size_t other = 0; other < grids_.size(); ++other) {
       const std::int64_t ppm = p_.app.clocks[at(of_.clocks[other].clock)].ppm;
-      r.meets_p =
-          std::max(r.meets_p, other == k ? grids_[k].meets_p
-                                         : r.drift.longest(most(grids_[other].meets_p, ppm)));
+      r.meets_p = std::max(r.meets_p,
+                           other == k ? grids_[k].meets_p + r.drift.longest(beta_)
+                                      : r.drift.longest(most(grids_[other].meets_p, ppm) + beta_));
     }
-    r.meets_p += r.drift.longest(beta_);
     r.back = r.deepest + 2 * of.hyperperiod + 2 * r.blur;
     r.ahead = r.deepest + r.meets_p + 2 * of.hyperperiod + 2 * r.blur;
     return r;
