@@ -8,12 +8,15 @@
 
 #include <fmt/format.h>
 
+#include "solver/steady/check_handover_blocking.h"
 #include "solver/steady/check_load.h"
 
 namespace xauto::solver::steady::checking::shared {
 
 /// Of all jobs around one S, so that sums of several clocks fit.
 constexpr Ticks kMostWork = Ticks{1} << 57;
+/// What lateness lets in may make all later, which lets in more.
+constexpr int kMostRounds = 8;
 
 /// C+ of a table's own envelope.
 Ticks work_with_cost(const World& w, int xnode) {
@@ -125,14 +128,35 @@ struct First {
 /// The kinds of share: of which tables dbf is.
 enum class Kind : std::uint8_t { kOfQ, kOfP, kOfBoth };
 
+/// G of both tables, as far as a kind has them.
+struct Overruns {
+  Overrun of_p, of_q;
+};
+
 /// Of one XPU.
 struct Lane {
   bool shared = false;
-  Kind kind = Kind::kOfQ;   ///< where it is shared
-  Dbf dbf_p, dbf_q;         ///< those that its kind has
-  std::vector<Item> items;  ///< by alpha
-  std::size_t known = 0;    ///< of them have `before`
-  std::vector<Item> past;   ///< those of them that are ready no sooner than their key
+  Kind kind = Kind::kOfQ;             ///< where it is shared
+  Dbf dbf_p, dbf_q;                   ///< those that its kind has
+  std::vector<Item> items;            ///< by alpha
+  std::size_t known = 0;              ///< of them have `before`
+  std::vector<Item> past;             ///< those of them that are ready no sooner than their key
+  const Overruns* overrun = nullptr;  ///< where it is shared and does not preempt
+  bool at_low = false;                ///< some job may have its key just after t_lo
+  bool blocks = false;                ///< it is not shared, and does not preempt
+  std::vector<InTheWay> in_the_way;   ///< there, by `opens`
+  std::vector<Hindered> hindered;     ///< there, by key, but for those
+  std::vector<Hindered> waiting;      ///< that are ready no sooner than that
+  Ticks lag = 0;                      ///< w(L)
+  /// g of a length, and of any.
+  [[nodiscard]] Ticks beside(Ticks length) const {
+    if (kind == Kind::kOfQ) return overrun->of_q.at(length);
+    if (kind == Kind::kOfP) return overrun->of_p.at(length);
+    return std::max(overrun->of_p.at(length / 2), overrun->of_q.at(length / 2));
+  }
+  [[nodiscard]] Ticks most_beside() const {
+    return std::max(overrun->of_p.largest(), overrun->of_q.largest());
+  }
 };
 
 /// dbf of lengths that rise from call to call. Steps may be many more than calls, so it leaps.
@@ -204,17 +228,27 @@ class Share {
 class Bound {
  public:
   Bound(const Question& ask, std::int64_t& pairs, Cluster& of)
-      : ask_(ask), p_(ask.both.p), q_(ask.both.q), pairs_(pairs), of_(of) {}
+      : ask_(ask), p_(ask.both.p), q_(ask.both.q), pairs_(pairs), of_(of), waits_(p_) {}
 
   void run(int percent) {
     if (!acceptable(percent)) return;
     find_sets();
     for (const OfClock& clock : of_.clocks)
       if (!scan(clock)) return;
-    find_slope(percent);
-    for (std::size_t k = 0; k < of_.clocks.size(); ++k)
-      if (!walk(k)) return;
-    settle();
+    blur_instants();
+    lags_.assign(users_.size(), 0);
+    for (int round = 0; round < kMostRounds; ++round) {
+      if (!find_overruns(percent)) return;
+      find_slope(percent);
+      reaches_.clear();
+      for (std::size_t k = 0; k < of_.clocks.size(); ++k)
+        if (!walk(k)) return;
+      if (!raise_lags()) {
+        settle();
+        return;
+      }
+    }
+    refuse("lateness lets in what makes all later again, on XPUs that do not preempt");
   }
 
  private:
@@ -258,7 +292,7 @@ class Bound {
     kind_.assign(xpus.size(), Kind::kOfQ);
     for (std::size_t m = 0; m < xpus.size(); ++m) {
       if (users_[m].empty()) continue;
-      if (!xpus[m].preemptive) return refuse(xpus[m].id + " does not preempt");
+      some_block_ = some_block_ || !xpus[m].preemptive;
       if (users_[m].size() < 2) continue;
       bool more = true, less = true;  // in q
       for (const OfClock& clock : of_.clocks) {
@@ -282,7 +316,8 @@ class Bound {
 
   /// Who feeds whom, and R(m) of each XPU that the cluster uses.
   void find_sets() {
-    std::vector<std::set<int>> fed_by(users_.size());
+    std::vector<std::set<int>>& fed_by = fed_by_;
+    fed_by.assign(users_.size(), {});
     // Jobs of both tables may wait for one of the same table, and those of q for one of p.
     const auto waits = [&](int i, int other) {
       for (const bool of_q : {false, true}) fed_by[at(xpu_of(of_q, i))].insert(xpu_of(of_q, other));
@@ -312,6 +347,203 @@ class Bound {
       of_.set_of[m] = static_cast<std::size_t>(known - of_.sets.begin());
       if (known == of_.sets.end()) of_.sets.push_back(std::move(set));
     }
+    // What L is of: m itself only where a message takes time there.
+    for (std::size_t m = 0; m < users_.size(); ++m) fed_by[m].erase(static_cast<int>(m));
+    for (const OfClock& clock : of_.clocks)
+      each_xnode(clock.clock, [&](const Component& /*c*/, int i) {
+        for (const bool of_q : {false, true})
+          for (const auto& [u, transfer] : ask_.both.of(of_q).before[at(i)])
+            if (transfer > 0 && xpu_of(of_q, u) == xpu_of(of_q, i))
+              fed_by[at(xpu_of(of_q, i))].insert(xpu_of(of_q, i));
+      });
+  }
+
+  // ------------------------------------------------------------------------------------- blocking
+
+  [[nodiscard]] bool blocks(std::size_t m) const {
+    return !users_[m].empty() && !p_.platform.xpus[m].preemptive;
+  }
+  [[nodiscard]] Drift drift_of(const OfClock& of) const {
+    return {p_.app.clocks[at(of.clock)].ppm};
+  }
+  /// Both for a job of p, as it may be after t.
+  [[nodiscard]] Ticks work_in_the_way(bool of_q, int i) const {
+    return of_q ? q_.wcet[at(i)] : ask_.both.larger[at(i)];
+  }
+
+  /// Whether L of some XPU that does not preempt is less than what has been found. Then it is raised.
+  bool raise_lags() {
+    bool raised = false;
+    for (std::size_t m = 0; m < users_.size(); ++m) {
+      if (!blocks(m)) continue;
+      for (const int feeder : fed_by_[m]) {
+        Ticks sum = 0;
+        for (const OfClock& of : of_.clocks) sum += of.largest[of_.set_of[at(feeder)]];
+        if (sum <= lags_[m]) continue;
+        lags_[m] = sum;
+        raised = true;
+      }
+    }
+    return raised;
+  }
+
+  /// β, and M with it.
+  void blur_instants() {
+    if (!some_block_) return;
+    Ticks blur = 0;
+    for (std::size_t k = 0; k < of_.clocks.size(); ++k) {
+      const Reach r = reach_of(k);
+      blur = std::max(blur, most(2 * r.blur, r.drift.ppm));
+    }
+    beta_ = blur;
+    meets_p_ += blur;
+  }
+
+  /// B, and dbf of both tables in real time as far as that matters, of an XPU that clocks share.
+  struct Beside {
+    Stairs of_p, of_q;
+    std::vector<Stairs> of_q_by_clock;
+    LongestInTheWay all;
+    std::vector<InTheWayOfQ> in_q;
+  };
+  bool find_beside(std::size_t m, Beside& beside) {
+    for (std::size_t k = 0; k < of_.clocks.size(); ++k)
+      for (const bool of_q : {false, true}) {
+        bool fits = true;
+        if (!each_window(of_.clocks[k], of_q, m, [&](Ticks release, const Window& z, int i) {
+              const Ticks work = work_in_the_way(of_q, i);
+              beside.all.add(z.d - z.e, work);
+              if (!of_q || !fits) return;
+              beside.in_q.push_back({k, z.d - z.e, work, 0});
+              fits = while_in_the_way(m, k, i, release, beside.in_q.back().of_its_own);
+            }))
+          return false;
+        if (!fits) return false;
+      }
+    std::ranges::sort(beside.in_q);
+    beside.in_q.erase(std::unique(beside.in_q.begin(), beside.in_q.end()), beside.in_q.end());
+    beside.all.sort(lags_[m] + beta_);
+    for (const OfClock& of : of_.clocks)
+      for (const bool of_q : {false, true}) {
+        std::vector<RealWindow> windows;
+        if (!each_window(of, of_q, m, [&](Ticks release, const Window& window, int i) {
+              windows.push_back(
+                  {release, a_of(window), window.d, work_with_cost(ask_.both.of(of_q), i)});
+            }))
+          return false;
+        Stairs demand;
+        if (!real_demand(windows, of.hyperperiod, drift_of(of).ppm, beside.all.end(), pairs_,
+                         demand))
+          return false;
+        Stairs& sum = of_q ? beside.of_q : beside.of_p;
+        sum = sum_of(sum, demand);
+        if (of_q) beside.of_q_by_clock.push_back(std::move(demand));
+      }
+    return true;
+  }
+
+  /// W: of q and the clock of the job of `xnode` that is in the way. False: too many pairs.
+  bool while_in_the_way(std::size_t m, std::size_t k, int xnode, Ticks release, Ticks& work) {
+    const OfClock& of = of_.clocks[k];
+    const Reach r = reach_of(k);
+    const Component& home = p_.home(xnode);
+    const Window& z = q_.window(xnode, (release - home.phi) / home.period);
+    const Ticks lag = lags_[m];
+    each_xnode(of.clock, [&](const Component& c, int i) {
+      if (xpu_of(true, i) != static_cast<int>(m)) return;
+      const Ticks from = release - r.drift.longest(grids_[k].deepest + lag) - 1;
+      const Ticks until = release + r.drift.longest(z.d) + 1;
+      for (std::int64_t n = ceil_div(from - c.phi, c.period); c.phi + n * c.period <= until; ++n) {
+        if (--pairs_ < 0) return;
+        const Ticks other = c.phi + n * c.period, shift = other - release;
+        const Window& window = q_.window(i, n);
+        if (most(shift, r.drift.ppm) + a_of(window) < z.e - lag ||
+            least(shift, r.drift.ppm) + window.d >= z.d ||
+            window.d - a_of(window) >= z.d - z.e + lag)
+          continue;
+        if ((i == xnode && shift == 0) || waits_(xnode, release, i, other)) continue;
+        work += work_with_cost(q_, i);
+      }
+    });
+    return pairs_ >= 0;
+  }
+
+  /// Of an XPU of one clock: whether q leaves a percentage beside what is in the way.
+  bool one_clock_leaves(std::size_t m, int percent) {
+    for (std::size_t k = 0; k < of_.clocks.size(); ++k) {
+      const OfClock& of = of_.clocks[k];
+      if (!users_[m].contains(of.clock)) continue;
+      const Reach r = reach_of(k);
+      std::vector<InTheWay> all;
+      if (!each_window(of, true, m, [&](Ticks release, const Window& window, int i) {
+            all.push_back(in_the_way(r.drift, release, window, i, work_in_the_way(true, i)));
+          }))
+        return false;
+      OneLeaves leaves(all, waits_, of.hyperperiod, r.drift.ppm, r.drift.longest(lags_[m]),
+                       r.deepest + 2 * r.blur);
+      if (!leaves(percent, pairs_)) return false;
+    }
+    return true;
+  }
+  [[nodiscard]] InTheWay in_the_way(const Drift& drift, Ticks release, const Window& window,
+                                    int xnode, Ticks work) const {
+    return {xnode,
+            release,
+            release + drift.soon(window.e),
+            release + drift.late(a_of(window)),
+            release + drift.soon(window.d),
+            release + drift.late(window.d),
+            work};
+  }
+
+  /// G of each XPU that clocks share and that does not preempt; σ is the largest that is left on all of
+  /// those XPUs, too. False: none is.
+  bool find_overruns(int& percent) {
+    std::vector<Beside> beside(users_.size());
+    for (std::size_t m = 0; m < users_.size(); ++m)
+      if (blocks(m) && users_[m].size() > 1 && !find_beside(m, beside[m])) return too_much();
+    const auto fails = [&](std::size_t m) {
+      if (!blocks(m)) return false;
+      const Beside& of = beside[m];
+      return users_[m].size() > 1
+                 ? !leaves_beside(of.of_q_by_clock, of.of_q, of.in_q, lags_[m], percent, pairs_)
+                 : !one_clock_leaves(m, percent);
+    };
+    for (const int next : {5, 3, 2, 1, 0}) {
+      if (next >= percent) continue;
+      std::size_t m = 0;
+      while (m < users_.size() && !fails(m)) ++m;
+      if (pairs_ < 0) return too_much();
+      if (m == users_.size()) break;
+      if (next == 0)
+        return refuse(p_.platform.xpus[m].id +
+                      " does not preempt, and less than 1 % of it is left beside what may be in "
+                      "the way");
+      percent = next;
+    }
+    overruns_.assign(users_.size(), {});
+    for (std::size_t m = 0; m < users_.size(); ++m) {
+      if (!blocks(m) || users_[m].size() < 2) continue;
+      const Beside& of = beside[m];
+      if (kind_[m] != Kind::kOfP) overruns_[m].of_q = Overrun(of.of_q, of.all, percent);
+      if (kind_[m] != Kind::kOfQ) overruns_[m].of_p = Overrun(of.of_p, of.all, percent);
+    }
+    return true;
+  }
+
+  /// The windows of a hyperperiod. False: too many.
+  template <typename Visit>
+  bool each_window(const OfClock& of, bool of_q, std::size_t m, const Visit& visit) {
+    const World& w = ask_.both.of(of_q);
+    bool fits = true;
+    each_xnode(of.clock, [&](const Component& c, int i) {
+      if (w.policy.placements[at(i)].xpu != static_cast<int>(m)) return;
+      pairs_ -= of.hyperperiod / c.period;
+      fits = fits && pairs_ >= 0;
+      for (std::int64_t n = 0; fits && n < of.hyperperiod / c.period; ++n)
+        visit(c.phi + n * c.period, w.window(i, n), i);
+    });
+    return fits;
   }
 
   // ---------------------------------------------------------------------------- the jobs of one S
@@ -425,6 +657,7 @@ class Bound {
           grid.latest = std::max(grid.latest, a_of(window));
           if (!of_q) grid.keys_of_p = std::max(grid.keys_of_p, window.d);
           if (!of_q) grid.meets_p = std::max(grid.meets_p, drift.late(a_of(window)));
+          if (!of_q && some_block_) grid.meets_p = std::max(grid.meets_p, drift.late(window.d));
         }
     });
     if (!fits) return too_much();
@@ -482,9 +715,9 @@ class Bound {
     r.deepest = deepest_of(grids_[k], r.drift);
     for (std::size_t other = 0; other < grids_.size(); ++other) {
       const std::int64_t ppm = p_.app.clocks[at(of_.clocks[other].clock)].ppm;
-      r.meets_p =
-          std::max(r.meets_p, other == k ? grids_[k].meets_p
-                                         : r.drift.longest(most(grids_[other].meets_p, ppm)));
+      r.meets_p = std::max(r.meets_p,
+                           other == k ? grids_[k].meets_p + r.drift.longest(beta_)
+                                      : r.drift.longest(most(grids_[other].meets_p, ppm) + beta_));
     }
     r.back = r.deepest + 2 * of.hyperperiod + 2 * r.blur;
     r.ahead = r.deepest + r.meets_p + 2 * of.hyperperiod + 2 * r.blur;
@@ -501,9 +734,20 @@ class Bound {
     for (Lane& lane : lanes_) {
       lane.items.clear();
       lane.past.clear();
+      lane.in_the_way.clear();
+      lane.hindered.clear();
+      lane.waiting.clear();
+      lane.at_low = false;
     }
-    const auto add = [&](bool of_q, int i, const When& when, Ticks takes) {
+    const auto add = [&](bool of_q, int i, std::int64_t n, const When& when, Ticks takes) {
       Lane& lane = lanes_[at(xpu_of(of_q, i))];
+      const Component& home = p_.home(i);
+      const Ticks release = home.phi + n * home.period;
+      const Ticks key_late = release + r.drift.late(ask_.both.of(of_q).window(i, n).d);
+      lane.at_low = lane.at_low || (when.key <= around.low && key_late > around.low);
+      if (lane.blocks && std::max(key_late, when.due) > around.low)
+        (when.is_past_key() ? lane.waiting : lane.hindered)
+            .push_back({i, release, when.key, key_late, when.due});
       // On a shared XPU it goes before all jobs of other clocks that lie between its key and its alpha.
       if (when.wrong || (lane.shared && when.is_past_key())) wrong = i;
       work += takes;
@@ -524,14 +768,16 @@ class Bound {
         const Ticks key = release + r.drift.soon(window.d);
         const bool as_in_p = release + r.drift.late(window.d) <= around.low;
         if (alpha >= first &&
-            !add(false, i, {alpha, key, key, false, alpha >= key}, as_in_p ? in_p : in_p + more))
+            !add(false, i, n, {alpha, key, key, false, alpha >= key}, as_in_p ? in_p : in_p + more))
           return;
       }
+      const Lane& lane = lanes_[at(xpu_of(true, i))];
+      const Ticks until = last + (lane.blocks ? lane.lag : 0);
       for (n = ceil_div(around.change - c.phi, c.period);; ++n) {
         const When of_q = when(c, i, n, r.drift);
         if (of_q.is_past_key()) around.dues[{i, n}] = of_q.due;
-        if (of_q.key > last + 4 * r.blur) return;  // what drifts may have keys that fall
-        if (of_q.key <= last && !add(true, i, of_q, in_q)) return;
+        if (of_q.key > until + 4 * r.blur) return;  // what drifts may have keys that fall
+        if (of_q.key <= until && !add(true, i, n, of_q, in_q)) return;
       }
     });
     if (!fits) return too_much();
@@ -540,11 +786,56 @@ class Bound {
           fmt::format("XNode '{}' may be ready no sooner than its key, so little is known of its "
                       "clock",
                       p_.name(wrong)));
-    for (Lane& lane : lanes_) std::ranges::sort(lane.items, {}, &Item::alpha);
-    return true;
+    for (Lane& lane : lanes_) {
+      std::ranges::sort(lane.items, {}, &Item::alpha);
+      std::ranges::sort(lane.hindered, {}, &Hindered::key);
+    }
+    return find_in_the_way(of, r, around);
+  }
+
+  /// Those that begin by the last x + w(L), whatever their keys are.
+  bool find_in_the_way(const OfClock& of, const Reach& r, const Lateness& around) {
+    each_xnode(of.clock, [&](const Component& c, int i) {
+      for (const bool of_q : {false, true}) {
+        Lane& lane = lanes_[at(xpu_of(of_q, i))];
+        if (!lane.blocks) continue;
+        const Ticks last = last_x_alone(around, r) + lane.lag;
+        const std::int64_t first_of_q = ceil_div(around.change - c.phi, c.period);
+        std::int64_t n =
+            of_q ? first_of_q : floor_div(around.low - r.deepest - r.blur - c.phi, c.period);
+        for (; (of_q || n < first_of_q) && c.phi + n * c.period <= last; ++n) {
+          if (--pairs_ < 0) return;
+          const Ticks release = c.phi + n * c.period;
+          InTheWay z = in_the_way(r.drift, release, ask_.both.of(of_q).window(i, n), i,
+                                  work_in_the_way(of_q, i));
+          if (of_q) z.alpha = when(c, i, n, r.drift).alpha;
+          if (z.opens <= last && z.key_late > around.low) lane.in_the_way.push_back(z);
+        }
+      }
+    });
+    for (Lane& lane : lanes_) std::ranges::sort(lane.in_the_way, {}, &InTheWay::opens);
+    return pairs_ >= 0 || too_much();
   }
 
   // --------------------------------------------------------------------------------------- λ
+
+  /// On an XPU of one clock each x is before it.
+  [[nodiscard]] static Ticks last_x_alone(const Lateness& around, const Reach& r) {
+    return around.before + r.meets_p + 1;
+  }
+
+  /// Who may have his key at y, or his due.
+  [[nodiscard]] static std::vector<const Hindered*> hindered_at(const Lane& lane,
+                                                                const Lateness& around, Ticks blur,
+                                                                Ticks y) {
+    std::vector<const Hindered*> found;
+    auto v = std::ranges::upper_bound(lane.hindered, y, {}, &Hindered::key);
+    while (v != lane.hindered.begin() && (--v)->key + 2 * blur >= y)
+      if (v->key_late >= (y == around.low ? y + 1 : y)) found.push_back(&*v);
+    for (const Hindered& past : lane.waiting)
+      if (past.due == y) found.push_back(&past);
+    return found;
+  }
 
   /// The largest λ(x) + excess(x, y) on a lane. `limit`: S + M, or the latest x.
   std::optional<Ticks> reached(Lane& lane, const Lateness& around, const Lambda& lambda,
@@ -555,25 +846,38 @@ class Bound {
     }
     std::optional<Ticks> best;
     // The x of a shared XPU may be another clock's: as late as just before S + M.
-    const Ticks limit = lane.shared ? around.change + r.meets_p : around.before + r.meets_p + 1;
+    const Ticks limit = lane.shared ? around.change + r.meets_p : last_x_alone(around, r);
     bool at_limit = !lane.shared || limit >= y;
     Ticks sum = 0;  // D(x, y)
     for (const Item& item : lane.past)
       if (item.alpha >= y && item.key <= y) sum += item.work;
     Share share(lane, around, r.blur, y);
+    std::optional<BlocksOne> in_the_way;
+    if (lane.blocks) {
+      const auto whom = hindered_at(lane, around, r.blur, y);
+      pairs_ -= static_cast<std::int64_t>(lane.in_the_way.size() * (whom.size() + 1));
+      in_the_way.emplace(lane.in_the_way, whom, waits_, lane.lag, y);
+    }
     const auto excess = [&](Ticks x, Ticks less) {
       // Jobs of q alone are a pattern of q as they are; α may be 2b after `a`.
       if (lane.shared && lane.kind != Kind::kOfP && x > around.before + r.meets_p)
         return std::min(sum - less, most(2 * r.blur, r.drift.ppm));
       return sum - less;
     };
+    // Just after t_lo it counts only for who may have his key there.
+    const bool beside = lane.overrun != nullptr && (y != around.low || lane.at_low);
+    const Ticks most_beside = beside ? lane.most_beside() : 0;
     const auto look = [&](Ticks x, Ticks before) {
-      const Ticks less = lane.shared ? share.at_least(x) : least(y - x, r.drift.ppm);
-      Ticks found = before + excess(x, less);
+      const Ticks length = least(y - x, r.drift.ppm);
+      const Ticks less = lane.shared ? share.at_least(x) : length;
+      Ticks found = before + excess(x, less) + most_beside;
+      if (in_the_way) found += in_the_way->at(x);
       // What λ does not rise by need not be known exactly.
-      if (lane.shared && lane.kind == Kind::kOfBoth &&
-          found > std::max(lambda.largest(), best.value_or(0)))
-        found = before + excess(x, share.of_both(x, pairs_));
+      if (lane.shared && found > std::max(lambda.largest(), best.value_or(0))) {
+        const bool of_both = lane.kind == Kind::kOfBoth;
+        found = before + excess(x, of_both ? share.of_both(x, pairs_) : less);
+        if (beside) found += lane.beside(length);
+      }
       best = std::max(best.value_or(found), found);
     };
     pairs_ -= static_cast<std::int64_t>(lane.known + lane.past.size());
@@ -630,12 +934,16 @@ class Bound {
     const Grid& grid = grids_[k];
     const Reach r = reach_of(k);
     lanes_.assign(p_.platform.xpus.size(), {});
-    for (std::size_t m = 0; m < lanes_.size(); ++m)
-      if (users_[m].size() > 1 && users_[m].contains(of.clock) && !make_lane(of, r, m))
-        return too_much();
+    for (std::size_t m = 0; m < lanes_.size(); ++m) {
+      if (!users_[m].contains(of.clock)) continue;
+      lanes_[m].blocks = blocks(m) && users_[m].size() == 1;
+      lanes_[m].lag = r.drift.longest(lags_[m]);
+      if (users_[m].size() > 1 && !make_lane(of, r, m)) return too_much();
+    }
     const std::size_t sets = of_.sets.size();
     std::vector<__int128>& reaches = reaches_.emplace_back(sets, 0);
     of.largest.assign(sets, 0);
+    of.changes.clear();
     const Ticks notice = r.drift.longest(ask_.notice);
     Ticks before = grid.releases.back() - of.hyperperiod;
     for (const Ticks change : grid.releases) {
@@ -656,6 +964,7 @@ class Bound {
     Lane& lane = lanes_[m];
     lane.shared = true;
     lane.kind = kind_[m];
+    if (blocks(m)) lane.overrun = &overruns_[m];
     return (lane.kind == Kind::kOfQ || make_dbf(of, r, m, false, lane.dbf_p)) &&
            (lane.kind == Kind::kOfP || make_dbf(of, r, m, true, lane.dbf_q));
   }
@@ -715,11 +1024,17 @@ class Bound {
   const World& q_;
   std::int64_t& pairs_;
   Cluster& of_;
-  std::vector<std::set<int>> users_;  ///< [xpu] clocks of this cluster
-  std::vector<Kind> kind_;            ///< [xpu] of the shares on it
-  std::vector<Grid> grids_;           ///< [clock of the cluster]
-  std::vector<First> first_;          ///< [xnode] of one S
-  Ticks meets_p_ = 0;                 ///< M, in real time
+  std::vector<std::set<int>> users_;   ///< [xpu] clocks of this cluster
+  std::vector<Kind> kind_;             ///< [xpu] of the shares on it
+  bool some_block_ = false;            ///< of the XPUs of this cluster
+  std::vector<std::set<int>> fed_by_;  ///< [xpu] directly, by those that L is of
+  std::vector<Ticks> lags_;            ///< [xpu] L
+  std::vector<Overruns> overruns_;     ///< [xpu]
+  std::vector<Grid> grids_;            ///< [clock of the cluster]
+  std::vector<First> first_;           ///< [xnode] of one S
+  Ticks meets_p_ = 0;                  ///< M, in real time
+  Ticks beta_ = 0;                     ///< β
+  WhoWaits waits_;
   __int128 slope_ = 1, slope_of_ = 100;
   std::vector<std::vector<__int128>> reaches_;  ///< [clock of the cluster][set]
   std::vector<Lane> lanes_;                     ///< [xpu]

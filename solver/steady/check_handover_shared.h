@@ -16,6 +16,7 @@
 // - An x counts for a y only if it is an α of the same XPU, and its job's key is not after y: such
 //   are the x' of the proof.
 // - What has its key at t_lo has ended in time, as t is after t_lo.
+// - What is in the way on an XPU that does not preempt: see check_handover_blocking.h.
 // - When all is over: see `settle` and `find_slope`. M and τ are the whole cluster's, for each set.
 // - Edges are between activations of one release, so of one table: of p and q together are modules, and
 //   an XNode that moves.

@@ -226,11 +226,11 @@ TEST(CheckHandover, OfWhatNothingFollows) {
   ASSERT_TRUE(proof) << proof.error().to_string();
   EXPECT_EQ(proof->worst_case_us[0], 3000);
   EXPECT_TRUE(proof->why_not.empty());
-  // Under q they share gpu0, which does not preempt.
+  // Under q they share gpu0, which does not preempt, and both need all of it.
   q.app.clocks[1].ppm = p.app.clocks[1].ppm = 0;
   q.platform.xpus[1].preemptive = p.platform.xpus[1].preemptive = false;
-  q.policy.placements[0] = {1, {4000}};
-  q.policy.placements[1] = {1, {4000}};
+  q.policy.placements[0] = {1, {3000}};
+  q.policy.placements[1] = {1, {3000}};
   proof = derived(p, q);
   ASSERT_TRUE(proof) << proof.error().to_string();
   EXPECT_FALSE(proof->worst_case_us[0]);
@@ -552,8 +552,13 @@ TEST(CheckHandover, WhyNothingFollowsForClocksThatShare) {
   EXPECT_EQ(why(p, q), "");
   EXPECT_EQ(why(p, q, 10), begin + "that takes more work than is looked at");
 
+  // It may be in the way, as 3000 of `a` in 4000 are.
   p.platform.xpus[0].preemptive = q.platform.xpus[0].preemptive = false;
-  EXPECT_EQ(why(p, q), begin + "cpu0 does not preempt");
+  EXPECT_EQ(why(p, q), "");
+  set_wcet(p, 0, 2990);
+  set_wcet(q, 0, 2990);
+  p.policy.placements[0] = q.policy.placements[0] = {0, {5000}};
+  EXPECT_EQ(why(p, q), begin + "both tables leave less than 1 % of an XPU");
 
   p = q = two_clocks(2000, 5000);
   set_wcet(q, 0, 2001);
@@ -578,6 +583,54 @@ TEST(CheckHandover, WhyNothingFollowsForClocksThatShare) {
   add_stage(p, "d", 1'000'000'009, 1000, 9000);
   for (const std::size_t k : {2, 3}) p.policy.placements[k].xpu = 1;
   EXPECT_EQ(why(p, p), begin + "the hyperperiod of clock 'main' does not fit");
+}
+
+/// Beside clocks that share cpu0: `u`, and `v` after it, on gpu0, which does not preempt. `key_of_x`: of
+/// another clock's `x` there, between them; 0: there is none.
+Handover with_v_after_u(std::int64_t key_of_u, std::int64_t key_of_x) {
+  Handover h = two_clocks(2000, 5000);
+  h.platform.xpus[1].preemptive = false;
+  add_stage(h, "u", 10'000, 1000, key_of_u);
+  if (key_of_x > 0) add_stage(h, "x", 7000, 500, key_of_x, 1);
+  h.app.xnodes.push_back({"v", "u", {{"cpu", 2000}, {"gpu", 2000}}, {}});
+  h.app.edges = {{2, static_cast<int>(h.app.xnodes.size()) - 1}};
+  h.policy.placements.push_back({1, {8000}});
+  for (std::size_t k = 2; k < h.policy.placements.size(); ++k) h.policy.placements[k].xpu = 1;
+  return h;
+}
+
+TEST(CheckHandover, WhoWaitsIsNotInTheWay) {
+  // `v` takes 2000, and does not begin before `u` has ended.
+  Handover p = with_v_after_u(1100, 0), q = p;
+  const HandoverProof proof = proven(p, q);
+  EXPECT_EQ(proof.worst_case_us[2], 1100);
+  EXPECT_EQ(proof.settles_us, 8000) << "M, with the keys of p";
+}
+
+TEST(CheckHandover, WhoWaitsMayBeInTheWayOfAnotherClock) {
+  // `v` may be in the way of `x`, but not while `u` is served.
+  Handover p = with_v_after_u(2000, 4500), q = p;
+  const HandoverProof proof = proven(p, q);
+  // Around a change G says less: 1000 and 2000 in 2000, or 1500 and 2000 in less than 3500.
+  EXPECT_GT(*proof.worst_case_us[2], 2000);
+  EXPECT_GT(*proof.worst_case_us[3], 4500);
+}
+
+TEST(CheckHandover, WhoBeganUnderTheTableBeforeIsInTheWay) {
+  Handover p = two_clocks(2000, 5000);
+  p.platform.xpus[1].preemptive = false;
+  p.platform.xpus.push_back({"gpu1", "gpu", true, 0});
+  add_stage(p, "z", 20'000, 3000, 5000);
+  add_stage(p, "x", 20'000, 1000, 2500);
+  p.app.sources[3].offset_us = 1000;
+  p.policy.placements[2].xpu = 1;
+  p.policy.placements[3].xpu = 2;
+  Handover q = p;
+  // Under q both are on gpu0, where `z` is held until `x` has been there.
+  q.policy.placements[2] = {1, {7000}, {1100}};
+  q.policy.placements[3] = {1, {1500}};
+  // S after 0: `z` has gpu0 until 3000, and then `x`, which was there at 1000.
+  EXPECT_GE(proven(p, q).worst_case_us[3], 3000);
 }
 
 TEST(CheckHandover, LatenessLastsThroughMessages) {
