@@ -60,9 +60,9 @@ std::vector<int> clocks_of(const AppSpec& app) {
   return clocks;
 }
 
-/// All XPUs preempt.
+/// All XPUs preempt, or none does.
 std::optional<SharedCase> shared_case(std::uint64_t seed, int ppm,
-                                      Changes changes = Changes::kOneWay) {
+                                      Changes changes = Changes::kOneWay, bool preempt = true) {
   constexpr std::int64_t kFactor = 1000;  // else what is rounded up is more than what drifts
   solver::test::Dice dice(seed);
   SteadyShape shape;
@@ -74,8 +74,8 @@ std::optional<SharedCase> shared_case(std::uint64_t seed, int ppm,
   made.platform = random_steady_platform(dice);
   made.from_app = random_steady_app(dice, shape);
   for (Xpu& xpu : made.platform.xpus) {
-    xpu.preemptive = true;
-    xpu.preempt_us *= kFactor;
+    xpu.preemptive = preempt;
+    xpu.preempt_us *= preempt ? kFactor : 0;
   }
   for (SourceSpec& source : made.from_app.sources) {
     source.period.num *= kFactor;
@@ -197,6 +197,20 @@ TEST(CheckHandoverShared, NoPlayIsLongerWhereOneClockGainsAndAnotherOneLoses) {
     EXPECT_GE(attacked.claimed, 50) << ppm;
     EXPECT_GE(attacked.broken, 5) << "neither table alone bounds a change; " << ppm;
   }
+}
+
+TEST(CheckHandoverShared, NoPlayIsLongerWhereXpusDoNotPreempt) {
+  int broken = 0;
+  for (const int ppm : {0, 100, 20'000}) {
+    Attacked attacked;
+    for (std::uint64_t seed = 1; seed <= 300; ++seed) {
+      const auto two = shared_case(seed, ppm, Changes::kOneWay, false);
+      if (two && clocks_meet(*two)) attack(*two, seed, attacked);
+    }
+    EXPECT_GE(attacked.claimed, 15) << ppm;
+    broken += attacked.broken;
+  }
+  EXPECT_GE(broken, 2) << "neither table alone bounds a change";
 }
 
 TEST(CheckHandoverShared, FromATableToItselfNothingIsLonger) {

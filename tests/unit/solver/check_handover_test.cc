@@ -835,5 +835,126 @@ TEST(CheckHandover, WhoWaitsUntilAfterItsKeyMayMeetAnotherClock) {
   EXPECT_EQ(proven(p, q).worst_case_us[2], 1300);
 }
 
+// ------------------------------------------------------------------- XPUs that do not preempt
+
+/// An XNode after another one, of its own module, held until what that has as its key.
+void add_after(Handover& h, int before, const std::string& name, std::int64_t wcet,
+               std::int64_t window) {
+  h.app.edges.emplace_back(before, static_cast<int>(h.app.xnodes.size()));
+  h.app.xnodes.push_back({name, name, {{"cpu", wcet}, {"gpu", wcet}}, {}});
+  h.app.modules.push_back({name, 1});
+  const std::int64_t held = h.policy.placements[at(before)].key_us[0];
+  h.policy.placements.push_back({0, {held + window}, {held}});
+}
+
+/// As add_stage, where some XNodes have no source.
+void add_other_stage(Handover& h, const std::string& name, std::int64_t period, std::int64_t wcet,
+                     std::int64_t key, int clock) {
+  add_stage(h, name, period, wcet, key, clock);
+  h.app.xnodes.back().sources = {static_cast<int>(h.app.sources.size()) - 1};
+  h.app.chains.back().from = static_cast<int>(h.app.sources.size()) - 1;
+}
+
+/// Under p `a` takes 3000 of cpu0, and `b` has a GPU. Under q `b` is on cpu0 with a short window, beside
+/// three jobs of the other clock that take 1000 each.
+std::pair<Handover, Handover> with_a_short_window(bool preemptive) {
+  Handover p = two_clocks(3000, 9500);
+  p.platform.xpus[0].preemptive = preemptive;
+  p.platform.xpus.push_back({"gpu1", "gpu", true, 0});
+  for (const char* name : {"c", "d"}) {
+    add_stage(p, name, 10'000, 1000, 9500);
+    p.app.sources.back().clock = 0;
+    p.policy.placements.back().xpu = 2;
+  }
+  Handover q = p;
+  set_wcet(q, 0, 1000);
+  q.policy.placements[1] = {0, {2500}};
+  p.policy.placements[1] = {1, {1100}};
+  q.policy.placements[2].xpu = q.policy.placements[3].xpu = 0;
+  return {p, q};
+}
+
+TEST(CheckHandover, ALongJobOfTheTableBeforeIsInTheWay) {
+  auto [p, q] = with_a_short_window(true);
+  EXPECT_EQ(proven(p, q).worst_case_us[1], 2500);
+  std::tie(p, q) = with_a_short_window(false);
+  // `a` of p may have begun just before: 3000, and 1000 of its own. 8 % are left, so 1848 are counted, and
+  // once more for the second job, which is also before S + M.
+  EXPECT_EQ(proven(p, q).worst_case_us[1], 2500 + 2 * 1848);
+  // It is as before where `a` takes no longer under p than under q.
+  set_wcet(p, 0, 1000);
+  EXPECT_EQ(proven(p, q).worst_case_us[1], 2500);
+}
+
+/// Of one clock under p: `z`, which takes 3000. Under q: `s`, which needs 1000 of its first 1100, and is
+/// released so long after `z`.
+std::pair<Handover, Handover> with_one_clock_beside(std::int64_t after) {
+  Handover p = two_clocks(2000, 5000);
+  p.platform.xpus.push_back({"cpu1", "cpu", false, 0});
+  add_stage(p, "z", 10'000, 3000, 9000);
+  add_stage(p, "s", 10'000, 1000, 1100);
+  p.app.sources[2].clock = p.app.sources[3].clock = 0;
+  p.app.sources[3].offset_us = after;
+  p.policy.placements[2].xpu = 2;
+  p.policy.placements[3].xpu = 1;
+  Handover q = p;
+  std::swap(q.policy.placements[2].xpu, q.policy.placements[3].xpu);
+  return {p, q};
+}
+
+TEST(CheckHandover, OnAnXpuOfOneClockItIsInTheWayIfItMayHaveBegun) {
+  auto [p, q] = with_one_clock_beside(0);
+  EXPECT_EQ(proven(p, q).worst_case_us[3], 1100) << "all of p had its key before";
+  std::tie(p, q) = with_one_clock_beside(1);
+  const HandoverProof proof = proven(p, q);
+  EXPECT_EQ(proof.worst_case_us[3], 3000 + 1000);
+  EXPECT_EQ(proof.worst_case_us[0], 5000) << "nobody on cpu0 waits for it";
+  std::tie(p, q) = with_one_clock_beside(2500);
+  EXPECT_EQ(proven(p, q).worst_case_us[3], 3000 + 1000);
+  // It goes first if it has the smaller key. Then it is not in the way; all of it counts from its α on.
+  p.policy.placements[2].key_us = {3300};
+  EXPECT_EQ(proven(p, q).worst_case_us[3], 3000 + 1000 - 2500);
+}
+
+/// `z` and `b` wait for `u` of a GPU, which under p may take 2400 too long. `w` of the same clock comes 2450
+/// after they should have begun. All have windows of the same length.
+std::pair<Handover, Handover> with_w_let_in(std::int64_t window) {
+  Handover p;
+  p.platform.xpus[0].preemptive = false;
+  p.platform.xpus.push_back({"cpu1", "cpu", true, 0});
+  add_stage(p, "u", 20'000, 1000, 1100);
+  p.policy.placements[0].xpu = 1;
+  add_after(p, 0, "z", 1500, window);
+  add_after(p, 0, "b", 500, window);
+  add_other_stage(p, "w", 20'000, 2000, window, 0);
+  p.app.sources.back().offset_us = 3550;
+  p.app.clocks.push_back({"other", 0});
+  add_other_stage(p, "x", 7000, 100, window, 1);
+  p.app.chains.push_back({"u to b", 0, 2});
+  Handover q = p;
+  q.policy.placements[0].xpu = 2;
+  q.app.xnodes[0].wcet_us["gpu"] = 3500;
+  return {p, q};
+}
+
+TEST(CheckHandover, LatenessLetsInWhoWouldHaveComeTooLate) {
+  // 1500, 500 and 100 fit into 3000. But `w` may have begun before all of that, with a larger key.
+  auto [p, q] = with_w_let_in(3000);
+  const auto proof = derived(p, q);
+  ASSERT_TRUE(proof) << proof.error().to_string();
+  ASSERT_FALSE(proof->why_not.empty());
+  EXPECT_EQ(
+      proof->why_not[0],
+      "chain 'u': clock 'main' shares cpu0 with clock 'other', and cpu0 does not preempt, and "
+      "less than 1 % of it is left beside what may be in the way");
+  // With 4600 that fits, too.
+  std::tie(p, q) = with_w_let_in(4600);
+  EXPECT_EQ(proven(p, q).worst_case_us[3], 1100 + 4600 + 2400);
+  // So it does where `u` is never late.
+  std::tie(p, q) = with_w_let_in(3000);
+  q.app.xnodes[0].wcet_us["gpu"] = 1000;
+  EXPECT_EQ(proven(p, q).worst_case_us[3], 1100 + 3000);
+}
+
 }  // namespace
 }  // namespace xauto::solver::steady
