@@ -21,7 +21,7 @@ constexpr int kShift = 20;
 constexpr std::int64_t kOne = std::int64_t{1} << kShift;
 constexpr int kPicks = 48;
 /// Rounds of the ascent: of the first case, and of those that begin with the prices of another one.
-constexpr int kAscent = 160, kAscentAgain = 56;
+constexpr int kAscent = 160, kAscentAgain = 20;
 /// Of one XPU, who is looked at in pairs, and in threes.
 constexpr std::size_t kMostOnXpu = 64, kMostInThrees = 16;
 /// A bound that is so near to the value of an assignment is not looked at any further.

@@ -17,7 +17,7 @@ bool all_equal(const std::vector<std::int64_t>& values) {
 }
 
 /// Cases that are parted, at most, for each chain's bound at the end, and for that of all together.
-constexpr int kMostCases = 60, kMostCasesOfAll = 2000;
+constexpr int kMostCases = 60, kMostCasesOfAll = 4000;
 
 /// Rounded up: what is claimed may be larger, never smaller.
 std::int64_t us_above(const Problem& p, Tick t) {
