@@ -12,9 +12,10 @@
 // floating point; the sum is then taken in integers, rounded down. Where a bound depends on who is
 // split between types, one XNode after the other is fixed: the least of all cases holds.
 //
-// Two XNodes u, v of different clocks that are fixed on the one XPU of their type meet at every phase:
-// the longer of their windows has C_u + C_v. So min(n_v C_u, n_u C_v) / K more, for pairs that have
-// no XNode in common. docs/steady-state.md, theorems 5 and 9, has the proofs.
+// Cases part further by who has the longer windows on an XPU where clocks meet (meetings.h): in each
+// of them XNodes take more than their work. Choices that are still open add the least of their options,
+// those that have no XNode in common. A pick that meets its own earlier activations is longer by that.
+// docs/steady-state.md, theorems 5, 9 and 11, has the proofs.
 #pragma once
 
 #include <cstdint>
@@ -45,7 +46,7 @@ struct Term {
   std::int64_t by = 1;
 };
 
-/// Of one chain, in ticks. `most_cases`: how many times an XNode is fixed at most.
+/// Of one chain, in ticks. `most_cases`: how many cases are parted at most.
 [[nodiscard]] Tick load_bound(const Problem& problem, const std::vector<LoadWay>& ways,
                               int most_cases, const Until& until = {});
 /// Of the weighted sum of the terms, in ticks, rounded down. 0: nothing follows.

@@ -16,8 +16,8 @@ bool all_equal(const std::vector<std::int64_t>& values) {
   return std::adjacent_find(values.begin(), values.end(), std::not_equal_to<>()) == values.end();
 }
 
-/// Times that an XNode is fixed, at most, for each way's bound at the end.
-constexpr int kMostCases = 60;
+/// Cases that are parted, at most, for each chain's bound at the end, and for that of all together.
+constexpr int kMostCases = 60, kMostCasesOfAll = 4000;
 
 /// Rounded up: what is claimed may be larger, never smaller.
 std::int64_t us_above(const Problem& p, Tick t) {
@@ -185,7 +185,7 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     finer[c] = std::max(finer[c], reference[c]);
     answer.lower_bound_us[c] = us_above(p, finer[c]);
   }
-  answer.objective_bound = objective_bound(p, finer, kMostCases, for_finer);
+  answer.objective_bound = objective_bound(p, finer, kMostCasesOfAll, for_finer);
   if (!app.has_deadlines()) answer.objective_bound /= static_cast<double>(p.scale);
   if (!shared.any) return answer;
   answer.outcome = Outcome::kPolicy;

@@ -169,43 +169,124 @@ TEST(SteadyBounds, NoneIsAboveWhatExhaustionFinds) {
   EXPECT_GT(sums_reached, sums * 8 / 10);
 }
 
+/// One XPU of each type, so that all XNodes of a type meet.
+void keep_one_of_each_type(Platform& platform) {
+  for (std::size_t m = 0; m < platform.xpus.size(); ++m)
+    for (std::size_t other = platform.xpus.size() - 1; other > m; --other)
+      if (platform.xpus[other].type == platform.xpus[m].type)
+        platform.xpus.erase(platform.xpus.begin() + static_cast<std::ptrdiff_t>(other));
+}
+
+struct Against {
+  bool any = false;    ///< exhaustion has a policy
+  bool tight = false;  ///< it is as good as the bound
+  bool above_sum = false;
+};
+
+void choose_wishes(AppSpec& app, solver::test::Dice& dice) {
+  const bool deadlines = dice.roll(0, 1) == 0;
+  for (ChainSpec& chain : app.chains) {
+    chain.weight = dice.roll(1, 3);
+    if (deadlines && dice.roll(0, 3) > 0) chain.deadline_us = dice.roll(2, 12);
+  }
+}
+
+/// The bounds of chains and of all together against exhaustion.
+Against against_exhaustion(const AppSpec& app, const Platform& platform, Tick most) {
+  Against found;
+  const Result<Problem> p = Problem::create(app, platform);
+  EXPECT_TRUE(p);
+  if (!p) return found;
+  const Best best = exhaust(app, platform, *p, most);
+  if (!best.any) return found;
+  found.any = true;
+  const std::vector<Tick> bounds = lower_bounds(*p, app, platform, {}, 200);
+  double apart = 0;
+  for (std::size_t c = 0; c < bounds.size(); ++c) {
+    EXPECT_LE(bounds[c], best.chain[c]) << app.chains[c].name;
+    apart += static_cast<double>(p->chains[c].weight * bounds[c]);
+  }
+  const double bound = objective_bound(*p, bounds, 200);
+  const bool ratio = app.has_deadlines();
+  const double least = ratio ? best.largest : static_cast<double>(best.sum * p->scale);
+  EXPECT_LE(bound, least);
+  found.tight = bound > 0.9999 * least;
+  found.above_sum = !ratio && bound > 1.0001 * apart;
+  return found;
+}
+
 TEST(SteadyBounds, NoObjectiveIsBelowItsBound) {
   int with_policy = 0, together = 0, tight = 0;
   for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+    SCOPED_TRACE(seed);
     solver::test::Dice dice(seed + 7000);
     AppSpec app = tiny_app(dice);
-    const bool deadlines = dice.roll(0, 1) == 0;
-    for (ChainSpec& chain : app.chains) {
-      chain.weight = dice.roll(1, 3);
-      if (deadlines && dice.roll(0, 3) > 0) chain.deadline_us = dice.roll(2, 12);
-    }
+    choose_wishes(app, dice);
     Platform platform = random_steady_platform(dice);
-    if (dice.roll(0, 1) == 0)  // one instance of each type: clocks meet
-      for (std::size_t m = 0; m < platform.xpus.size(); ++m)
-        for (std::size_t other = platform.xpus.size() - 1; other > m; --other)
-          if (platform.xpus[other].type == platform.xpus[m].type)
-            platform.xpus.erase(platform.xpus.begin() + static_cast<std::ptrdiff_t>(other));
-    const Result<Problem> p = Problem::create(app, platform);
-    ASSERT_TRUE(p) << p.error().to_string();
-    const Best best = exhaust(app, platform, *p, 10);
-    if (!best.any) continue;
-    ++with_policy;
-    const std::vector<Tick> bounds = lower_bounds(*p, app, platform, {}, 20);
-    for (std::size_t c = 0; c < bounds.size(); ++c)
-      ASSERT_LE(bounds[c], best.chain[c]) << "seed " << seed << " chain " << app.chains[c].name;
-    const double bound = objective_bound(*p, bounds, 20);
-    const bool ratio = app.has_deadlines();
-    const double least = ratio ? best.largest : static_cast<double>(best.sum * p->scale);
-    ASSERT_LE(bound, least) << "seed " << seed;
-    tight += bound > 0.9999 * least ? 1 : 0;
-    double apart = 0;
-    for (std::size_t c = 0; c < bounds.size(); ++c)
-      apart += static_cast<double>(p->chains[c].weight * bounds[c]);
-    together += !ratio && bound > 1.0001 * apart ? 1 : 0;
+    if (dice.roll(0, 1) == 0) keep_one_of_each_type(platform);
+    const Against found = against_exhaustion(app, platform, 10);
+    with_policy += found.any ? 1 : 0;
+    tight += found.tight ? 1 : 0;
+    together += found.above_sum ? 1 : 0;
+    ASSERT_FALSE(HasFailure());
   }
   EXPECT_GT(with_policy, 20);
   EXPECT_GT(tight, 4);
-  EXPECT_GT(together, 1);
+  EXPECT_GT(together, 0);
+}
+
+/// Clocks that meet on one XPU, some of which cannot preempt, or pay for it: theorem 9.
+TEST(SteadyBounds, NoMeetingOfClocksIsBelowItsBound) {
+  int with_policy = 0, tight = 0;
+  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+    SCOPED_TRACE(seed);
+    solver::test::Dice dice(seed + 17000);
+    SteadyShape shape;
+    shape.max_components = 3;
+    shape.max_nodes = 2;
+    shape.max_wcet = 3;
+    shape.least_period = 3;
+    shape.most_period = 6;
+    shape.clocks = 3;
+    AppSpec app = random_steady_app(dice, shape);
+    while (app.xnodes.size() > 3 || app.sources.size() < 2) app = random_steady_app(dice, shape);
+    choose_wishes(app, dice);
+    Platform platform = random_steady_platform(dice);
+    keep_one_of_each_type(platform);
+    platform.xpus.front().preemptive = dice.chance(70);
+    if (platform.xpus.front().preemptive) platform.xpus.front().preempt_us = dice.roll(0, 1);
+    const Against found = against_exhaustion(app, platform, 10);
+    with_policy += found.any ? 1 : 0;
+    tight += found.tight ? 1 : 0;
+    ASSERT_FALSE(HasFailure());
+  }
+  EXPECT_GT(with_policy, 20);
+  EXPECT_GT(tight, 10);
+}
+
+/// A pipeline that meets its own activations, and more in flight than one: theorem 11.
+TEST(SteadyBounds, NoPipelineIsBelowItsBound) {
+  int with_policy = 0, tight = 0;
+  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+    SCOPED_TRACE(seed);
+    solver::test::Dice dice(seed + 27000);
+    SteadyShape shape;
+    shape.max_components = 1;
+    shape.jitter = shape.offsets = false;
+    AppSpec app = random_steady_app(dice, shape);
+    while (app.xnodes.size() != 3) app = random_steady_app(dice, shape);
+    choose_wishes(app, dice);
+    app.sources.front().period = {dice.roll(4, 7), 1};
+    for (ModuleSpec& module : app.modules) module.max_in_flight = 4;
+    Platform platform = random_steady_platform(dice);
+    keep_one_of_each_type(platform);
+    const Against found = against_exhaustion(app, platform, 17);
+    with_policy += found.any ? 1 : 0;
+    tight += found.tight ? 1 : 0;
+    ASSERT_FALSE(HasFailure());
+  }
+  EXPECT_GT(with_policy, 20);
+  EXPECT_GT(tight, 15);
 }
 
 /// Every accepted choice of windows holds: the certificate by itself, not only on what the search
