@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// A change of tables on XPUs that do not preempt, where clocks share XPUs (docs/steady-state.md, theorem
-// 10): who may be in the way, and what both tables leave beside that. Used by check_handover_shared.cc.
+// A change of tables on XPUs that do not preempt, where clocks share XPUs (docs/steady-state.md,
+// theorem 10): who may be in the way, and what both tables leave beside that. Used by
+// check_handover_shared.cc.
 //
 // Where the text leaves something open:
 //
-// - Demand in real time is counted job by job: from the begin of a window on, each other one ends as
-//   soon as the clock allows for it alone.
+// - Demand in real time is counted job by job: from the begin of a window on, each other one ends
+//   as soon as the clock allows for it alone.
 // - G is of lengths at which B is above 0. At others both certificates say that it is 0.
 // - g is added where D is above 0, as the proof needs.
 // - Just after t_lo is the key of who may have it later than t_lo. One at t_lo has ended.
@@ -126,8 +127,8 @@ struct RealWindow {
   Ticks work = 0;
 };
 
-/// Theorem 4's dbf of one clock in real time, up to `limit`. `all`: one hyperperiod's windows. False: too
-/// many pairs.
+/// Theorem 4's dbf of one clock in real time, up to `limit`. `all`: one hyperperiod's windows. False:
+/// too many pairs.
 inline bool real_demand(const std::vector<RealWindow>& all, Ticks hyperperiod, std::int64_t ppm,
                         Ticks limit, std::int64_t& pairs, Stairs& demand) {
   const tables::Drift drift{ppm};
@@ -172,8 +173,8 @@ struct InTheWayOfQ {
   auto operator<=>(const InTheWayOfQ&) const = default;
 };
 
-/// A percentage of each length is left beside demand, and what is in the way. `demand`: of each clock;
-/// `lag`: L.
+/// A percentage of each length is left beside demand, and what is in the way. `demand`: of each
+/// clock; `lag`: L.
 inline bool leaves_beside(const std::vector<Stairs>& demand, const Stairs& of_all,
                           const std::vector<InTheWayOfQ>& in_the_way, Ticks lag, int percent,
                           std::int64_t& pairs) {
@@ -324,7 +325,7 @@ class OneLeaves {
     return true;
   }
 
-  /// Of those that are in the way of a job with a key that may be that of counted_[k]. y does not fall.
+  /// Of those that are in the way of a job that may have the key of counted_[k]. k only rises.
   Ticks longest_at(std::size_t k, std::int64_t& pairs) {
     const Ticks y = counted_[k].key;
     std::erase_if(candidates_, [&](const Candidate& z) { return z.until <= y; });

@@ -585,8 +585,8 @@ TEST(CheckHandover, WhyNothingFollowsForClocksThatShare) {
   EXPECT_EQ(why(p, p), begin + "the hyperperiod of clock 'main' does not fit");
 }
 
-/// Beside clocks that share cpu0: `u`, and `v` after it, on gpu0, which does not preempt. `key_of_x`: of
-/// another clock's `x` there, between them; 0: there is none.
+/// Beside clocks that share cpu0: `u`, and `v` after it, on gpu0, which does not preempt. `key_of_x`:
+/// of another clock's `x` there, between them; 0: there is none.
 Handover with_v_after_u(std::int64_t key_of_u, std::int64_t key_of_x) {
   Handover h = two_clocks(2000, 5000);
   h.platform.xpus[1].preemptive = false;
