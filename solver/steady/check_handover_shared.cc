@@ -1109,7 +1109,25 @@ int slack_percent(const Question& ask) {
 }
 
 void bound_cluster(const Question& ask, int percent, std::int64_t& pairs, Cluster& of) {
-  Bound(ask, pairs, of).run(percent);
+  const auto preempts = [](const Xpu& xpu) { return xpu.preemptive; };
+  if (std::ranges::all_of(ask.both.p.platform.xpus, preempts)) {
+    Bound(ask, pairs, of).run(percent);
+    return;
+  }
+  // All that follows from some slack holds. Who is in the way adds less where σ is less: so λ is least with
+  // the least σ. But with a larger one lateness may fall sooner.
+  std::optional<Cluster> least;
+  for (const int tried : {1, 2, 3, 5, 8}) {
+    if (tried > std::max(percent, 1)) break;
+    Cluster with = of;
+    Bound(ask, pairs, with).run(std::min(tried, percent));
+    if (!least)
+      least = std::move(with);
+    else if (with.why.empty())
+      least->settles = std::min(least->settles, with.settles);
+    if (!least->why.empty()) break;
+  }
+  of = std::move(*least);
 }
 
 Around::Around(const Both& both, const Cluster& cluster, std::size_t k, const Lateness& lateness)

@@ -94,6 +94,13 @@ class Cluster {
       find_slope();
       if (std::string why = find_late(pairs, until); !why.empty()) return why;
       if (!let_in_more()) return {};
+      // Else one has to look further than looks_at().
+      for (const int d : domains_)
+        if (in_fast_time(*std::max_element(lets_in_.begin(), lets_in_.end()),
+                         p_.domains[at(d)].ppm) > p_.domains[at(d)].hyper)
+          return clock_of(d) +
+                 "shares XPUs, one of which does not preempt, and jobs may be late by "
+                 "more than its hyperperiod";
     }
     return "clocks share XPUs, one of which does not preempt, and who is late lets in more and "
            "more";
@@ -812,7 +819,7 @@ class Cluster {
         if (x.ready < look.low) break;
         if (--pairs < 0) return line;
         if (x.ready < look.end && !at_end) {
-          look_at(look.end);
+          if (sum > 0) look_at(look.end);
           at_end = true;
         }
         sum += x.work;
