@@ -85,8 +85,8 @@ class Cluster {
       if (std::string why = find_raised(d, pairs); !why.empty()) return why;
     // Nobody waits for the first table then, whatever the clock has done.
     if (blocks_) last_ready_ += shift_;
-    if (std::string why = find_dues(pairs); !why.empty()) return why;
     for (int round = 0; round < kMostRounds; ++round) {
+      if (std::string why = find_dues(pairs); !why.empty()) return why;
       if (!find_slack(pairs))
         return round == 0 ? "clocks share XPUs, and one of the tables leaves less than 1 % of one"
                           : "clocks share XPUs, one of which does not preempt, and who is late "
@@ -94,13 +94,6 @@ class Cluster {
       find_slope();
       if (std::string why = find_late(pairs, until); !why.empty()) return why;
       if (!let_in_more()) return {};
-      // Else one has to look further than looks_at().
-      for (const int d : domains_)
-        if (in_fast_time(*std::max_element(lets_in_.begin(), lets_in_.end()),
-                         p_.domains[at(d)].ppm) > p_.domains[at(d)].hyper)
-          return clock_of(d) +
-                 "shares XPUs, one of which does not preempt, and jobs may be late by "
-                 "more than its hyperperiod";
     }
     return "clocks share XPUs, one of which does not preempt, and who is late lets in more and "
            "more";
@@ -217,9 +210,9 @@ class Cluster {
                       : less     ? Kind::kLikeFrom
                                  : Kind::kSplit;
     }
+    lets_in_.assign(at(p_.num_xpus), 0);
     for (const int d : domains_)
       shift_ = std::max(shift_, in_slow_time(looks_at(d).shorter, p_.domains[at(d)].ppm));
-    lets_in_.assign(at(p_.num_xpus), 0);
   }
 
   /// work / (1 - pct %)
@@ -335,7 +328,7 @@ class Cluster {
     const std::int64_t ppm = domain.ppm;
     const Tick hyper = domain.hyper;
     if (work_of(*user, m, true) * 100 > (100 - pct) * (hyper - lost_in(hyper, ppm))) return false;
-    const Looked looked = looks_at(*user);  // `before` is D + 2H + 2b
+    const Looked looked = looks_at(*user);  // `before` is D + 2H + 2b + w(L)
     const Tick in = in_fast_time(lets_in_[at(m)], ppm);
     const Tick end = hyper + std::max(looked.before, in);
     std::vector<Job> jobs;
@@ -642,7 +635,9 @@ class Cluster {
       for (int n = 0; n < p_.jobs[at(i)]; ++n)
         deepest = std::max({deepest, in_.from.d[p_.slot_of(i, n)], in_.to.d[p_.slot_of(i, n)]});
     const Tick shorter = 2 * lost_in(deepest, domain.ppm);
-    const Tick far = deepest + shorter + 2 * domain.hyper + shorter;
+    // Who is let in may wait for a job of one hyperperiod before: so w(L) further.
+    const Tick in = in_fast_time(*std::max_element(lets_in_.begin(), lets_in_.end()), domain.ppm);
+    const Tick far = deepest + shorter + 2 * domain.hyper + shorter + in;
     const Tick last_ready = last_ready_ + lost_in(last_ready_, domain.ppm);
     return {far, far + last_ready, last_ready, shorter};
   }
