@@ -96,7 +96,10 @@ class Bounder {
         for (const Piece& piece : way.pieces) {
           std::vector<int> order;
           for (const int i : p.components[at(p.component_of[at(piece.to)])].xnodes)
-            if (i == piece.to || p.before(i, piece.to)) order.push_back(i), on_way_[at(i)] = 1;
+            if (i == piece.to || p.before(i, piece.to)) {
+              order.push_back(i);
+              on_way_[at(i)] = 1;
+            }
           order_.push_back(std::move(order));
         }
     until_.resize(at(p.num_xnodes));
