@@ -4,9 +4,7 @@
 //
 //   KERNELS=kernels.ptx app
 #include <chrono>
-#include <memory>
 #include <string>
-#include <utility>
 
 #include "stage.h"
 
@@ -14,7 +12,6 @@ namespace {
 
 using namespace std::chrono_literals;
 using nvidia::kPerMs;
-using nvidia::Stage;
 
 struct State {
   int done = 0;
@@ -22,23 +19,9 @@ struct State {
 
 void add(xauto::App& app, const std::string& name, std::chrono::milliseconds period,
          unsigned long long iterations) {
-  const xauto::Topic<int> in(name), out(name + "/out");
-  app.add_source(in, period, [](std::uint64_t k) { return static_cast<int>(k); });
   xauto::XNode<State> node(name + ".run");
-  node.add_impl(
-      xauto::XPU::GPU,
-      [](const xauto::XpuId& xpu) {
-        auto stage = std::make_unique<Stage>(xpu.index);
-        const xauto::SchedHandle handle = stage->handle();
-        return xauto::own(std::move(stage), handle);
-      },
-      [iterations](Stage& stage, State& state, const xauto::Input&) {
-        ++state.done;
-        return stage.work(iterations);
-      });
-  xauto::XModule<State> module(name + "M");
-  module.add_node(node).add_input_topic(in).add_output_topic(out, &State::done);
-  app.add_module(module);
+  nvidia::run_on_gpu(node, iterations);
+  nvidia::add_module(app, name, period, node);
 }
 
 }  // namespace

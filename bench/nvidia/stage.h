@@ -2,6 +2,8 @@
 // What app.cc and tables.cc run on a GPU: the kernel `work` of kernels.cu, in a context of its own.
 #pragma once
 
+#include <chrono>
+#include <cstdint>
 #include <cstdlib>
 #include <fstream>
 #include <iterator>
@@ -66,5 +68,32 @@ class Stage {
   CUfunction work_ = nullptr;
   CUdeviceptr out_ = 0;
 };
+
+/// A job of it counts in State::done.
+template <class State>
+void run_on_gpu(xauto::XNode<State>& node, unsigned long long iterations) {
+  node.add_impl(
+      xauto::XPU::GPU,
+      [](const xauto::XpuId& xpu) {
+        auto stage = std::make_unique<Stage>(xpu.index);
+        const xauto::SchedHandle handle = stage->handle();
+        return xauto::own(std::move(stage), handle);
+      },
+      [iterations](Stage& stage, State& state, const xauto::Input&) {
+        ++state.done;
+        return stage.work(iterations);
+      });
+}
+
+/// A module of this node alone, with a source of its own.
+template <class State>
+void add_module(xauto::App& app, const std::string& name, std::chrono::microseconds period,
+                const xauto::XNode<State>& node) {
+  const xauto::Topic<int> in(name), out(name + "/out");
+  app.add_source(in, period, [](std::uint64_t k) { return static_cast<int>(k); });
+  xauto::XModule<State> module(name + "M");
+  module.add_node(node).add_input_topic(in).add_output_topic(out, &State::done);
+  app.add_module(module);
+}
 
 }  // namespace nvidia

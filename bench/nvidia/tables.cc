@@ -4,10 +4,8 @@
 //
 //   KERNELS=kernels.ptx tables
 #include <chrono>
-#include <memory>
 #include <optional>
 #include <string>
-#include <utility>
 
 #include "stage.h"
 
@@ -15,7 +13,6 @@ namespace {
 
 using namespace std::chrono_literals;
 using nvidia::kPerMs;
-using nvidia::Stage;
 
 struct State {
   int done = 0;
@@ -31,30 +28,15 @@ xauto::Status compute(State& state, int units) {
   return {};
 }
 
-void add(xauto::App& app, const std::string& name, std::chrono::microseconds period, int gpu_ms,
-         std::optional<int> cpu_ms = {}) {
-  const xauto::Topic<int> in(name), out(name + "/out");
-  app.add_source(in, period, [](std::uint64_t k) { return static_cast<int>(k); });
+void add(xauto::App& app, const std::string& name, std::chrono::microseconds period,
+         unsigned long long gpu_ms, std::optional<int> cpu_units = {}) {
   xauto::XNode<State> node(name + ".run");
-  node.add_impl(
-      xauto::XPU::GPU,
-      [](const xauto::XpuId& xpu) {
-        auto stage = std::make_unique<Stage>(xpu.index);
-        const xauto::SchedHandle handle = stage->handle();
-        return xauto::own(std::move(stage), handle);
-      },
-      [iterations = kPerMs * static_cast<unsigned long long>(gpu_ms)](Stage& stage, State& state,
-                                                                      const xauto::Input&) {
-        ++state.done;
-        return stage.work(iterations);
-      });
-  if (cpu_ms)
+  nvidia::run_on_gpu(node, kPerMs * gpu_ms);
+  if (cpu_units)
     node.add_impl(
         xauto::XPU::CPU, [](const xauto::XpuId&) { return xauto::SchedHandle::thread(); },
-        [units = *cpu_ms](State& state, const xauto::Input&) { return compute(state, units); });
-  xauto::XModule<State> module(name + "M");
-  module.add_node(node).add_input_topic(in).add_output_topic(out, &State::done);
-  app.add_module(module);
+        [units = *cpu_units](State& state, const xauto::Input&) { return compute(state, units); });
+  nvidia::add_module(app, name, period, node);
 }
 
 }  // namespace

@@ -167,6 +167,45 @@ Result<HandoverProof> checked(const TwoPolicies& two) {
       1'000'000);
 }
 
+/// The checker claims all that the solver claims, and nothing longer.
+void expect_checked(const TwoPolicies& two, const Bounds& bounds, std::uint64_t seed) {
+  const auto proof = checked(two);
+  ASSERT_TRUE(proof) << proof.error().to_string();
+  if (bounds.settles_us > 0) {
+    EXPECT_LE(proof->settles_us, bounds.settles_us) << "seed " << seed;
+  }
+  for (std::size_t c = 0; c < bounds.us.size(); ++c) {
+    if (!bounds.us[c]) continue;
+    ASSERT_TRUE(proof->worst_case_us[c]) << "seed " << seed << ", chain " << c;
+    EXPECT_LE(*proof->worst_case_us[c], *bounds.us[c]) << "seed " << seed << ", chain " << c;
+  }
+}
+
+/// What a climb finds; no play is longer than a bound, nor settles later.
+HandoverFound expect_none_longer(const NaiveTables& naive, const Bounds& bounds,
+                                 const HandoverAttack& attack) {
+  HandoverClimb climb(naive, bounds.us, attack);
+  const HandoverFound found = climb.run();
+  EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << attack.seed;
+  EXPECT_LE(found.worst, 1) << "seed " << attack.seed;
+  if (bounds.settles_us > 0) {
+    EXPECT_LE(found.settles_us, static_cast<double>(bounds.settles_us)) << "seed " << attack.seed;
+  }
+  return found;
+}
+
+NaiveTables naive_of(const TwoPolicies& two) {
+  return {two.from_app, two.to_app, two.both, two.platform, two.from, two.to};
+}
+
+/// Of each chain the longer one of both tables' own.
+std::vector<std::optional<std::int64_t>> own_worst_cases(const TwoPolicies& two) {
+  std::vector<std::optional<std::int64_t>> own;
+  for (std::size_t c = 0; c < two.from.chains.size(); ++c)
+    own.emplace_back(std::max(two.from.chains[c].worst_case_us, two.to.chains[c].worst_case_us));
+  return own;
+}
+
 TEST(SteadyHandover, NoPlayIsLongerThanTheSolversBoundAndTheCheckerDerivesNoMore) {
   int bounded = 0, broken = 0, chains = 0, slower = 0;
   for (std::uint64_t seed = 1; seed <= 40; ++seed) {
@@ -175,28 +214,13 @@ TEST(SteadyHandover, NoPlayIsLongerThanTheSolversBoundAndTheCheckerDerivesNoMore
     const Bounds bounds = bounds_of(*two);
     chains += static_cast<int>(bounds.us.size());
     if (bounds.settles_us == 0) continue;  // it does not settle
-    const auto proof = checked(*two);
-    ASSERT_TRUE(proof) << proof.error().to_string();
-    std::vector<std::optional<std::int64_t>> steady;
-    for (std::size_t c = 0; c < bounds.us.size(); ++c) {
-      steady.emplace_back(
-          std::max(two->from.chains[c].worst_case_us, two->to.chains[c].worst_case_us));
-      if (!bounds.us[c]) continue;
-      ++bounded;
-      ASSERT_TRUE(proof->worst_case_us[c]) << "seed " << seed << ", chain " << c;
-      EXPECT_LE(*proof->worst_case_us[c], *bounds.us[c]) << "seed " << seed << ", chain " << c;
-    }
-    EXPECT_LE(proof->settles_us, bounds.settles_us) << "seed " << seed;
-    const NaiveTables naive{two->from_app, two->to_app, two->both,
-                            two->platform, two->from,   two->to};
+    for (const auto& us : bounds.us) bounded += us ? 1 : 0;
+    ASSERT_NO_FATAL_FAILURE(expect_checked(*two, bounds, seed));
+    const NaiveTables naive = naive_of(*two);
     HandoverAttack attack{two->notice_us, 150, seed};
-    HandoverClimb climb(naive, bounds.us, attack);
-    const HandoverFound found = climb.run();
-    EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << seed;
-    EXPECT_LE(found.worst, 1) << "seed " << seed;
-    EXPECT_LE(found.settles_us, static_cast<double>(bounds.settles_us)) << "seed " << seed;
+    expect_none_longer(naive, bounds, attack);
     // That neither table alone bounds a change shows that the plays find something.
-    HandoverClimb weaker(naive, steady, attack);
+    HandoverClimb weaker(naive, own_worst_cases(*two), attack);
     broken += weaker.run().worst > 1;
     // Nor is it better to let everything end first.
     attack.drains = true;
@@ -233,32 +257,12 @@ void attack_clocks(Clocks clocks, int ppm, std::uint64_t first, int least_bounde
     const auto two = two_policies(seed, clocks, ppm);
     if (!two || (shared && !share_an_xpu(*two))) continue;
     const Bounds bounds = bounds_of(*two);
-    const auto proof = checked(*two);
-    ASSERT_TRUE(proof) << proof.error().to_string();
-    if (bounds.settles_us > 0) {
-      EXPECT_LE(proof->settles_us, bounds.settles_us) << "seed " << seed;
-    }
-    std::vector<std::optional<std::int64_t>> steady;
-    for (std::size_t c = 0; c < bounds.us.size(); ++c) {
-      (bounds.us[c] ? bounded : unclaimed) += 1;
-      if (bounds.us[c]) {
-        ASSERT_TRUE(proof->worst_case_us[c]) << "seed " << seed << ", chain " << c;
-        EXPECT_LE(*proof->worst_case_us[c], *bounds.us[c]) << "seed " << seed << ", chain " << c;
-      }
-      steady.emplace_back(
-          std::max(two->from.chains[c].worst_case_us, two->to.chains[c].worst_case_us));
-    }
-    const NaiveTables naive{two->from_app, two->to_app, two->both,
-                            two->platform, two->from,   two->to};
+    for (const auto& us : bounds.us) (us ? bounded : unclaimed) += 1;
+    ASSERT_NO_FATAL_FAILURE(expect_checked(*two, bounds, seed));
+    const NaiveTables naive = naive_of(*two);
     const HandoverAttack attack{two->notice_us, 150, seed};
-    HandoverClimb climb(naive, bounds.us, attack);
-    const HandoverFound found = climb.run();
-    EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << seed;
-    EXPECT_LE(found.worst, 1) << "seed " << seed;
-    if (bounds.settles_us > 0) {
-      EXPECT_LE(found.settles_us, static_cast<double>(bounds.settles_us)) << "seed " << seed;
-    }
-    HandoverClimb weaker(naive, steady, attack);
+    expect_none_longer(naive, bounds, attack);
+    HandoverClimb weaker(naive, own_worst_cases(*two), attack);
     broken += weaker.run().worst > 1;
   }
   EXPECT_GE(bounded, least_bounded) << unclaimed << " are not claimed";
@@ -448,19 +452,8 @@ TEST(SteadyHandover, WhoWaitsForTheTableBeforeUntilAfterItsKey) {
       const Bounds bounds = bounds_of(two);
       if (bounds.settles_us == 0) continue;
       ++claimed;
-      const auto proof = checked(two);
-      ASSERT_TRUE(proof) << proof.error().to_string();
-      for (std::size_t c = 0; c < bounds.us.size(); ++c) {
-        ASSERT_TRUE(proof->worst_case_us[c]) << "seed " << seed << ", chain " << c;
-        EXPECT_LE(*proof->worst_case_us[c], *bounds.us[c]) << "seed " << seed << ", chain " << c;
-      }
-      EXPECT_LE(proof->settles_us, bounds.settles_us) << "seed " << seed;
-      const NaiveTables naive{two.from_app, two.to_app, two.both, two.platform, two.from, two.to};
-      HandoverClimb climb(naive, bounds.us, {two.notice_us, 100, seed});
-      const HandoverFound found = climb.run();
-      EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << seed;
-      EXPECT_LE(found.worst, 1) << "seed " << seed;
-      EXPECT_LE(found.settles_us, static_cast<double>(bounds.settles_us)) << "seed " << seed;
+      ASSERT_NO_FATAL_FAILURE(expect_checked(two, bounds, seed));
+      expect_none_longer(naive_of(two), bounds, {two.notice_us, 100, seed});
     }
     EXPECT_GE(claimed, 36) << ppm;
   }
@@ -514,34 +507,51 @@ TwoPolicies long_job_in_the_way(std::uint64_t seed, int ppm) {
   return two;
 }
 
-/// A DLA that does not preempt, of one clock alone. What waits there for the GPU, which clocks share, is planned
-/// before a long job: not so if the GPU is late. In the second table that is on another DLA.
-TwoPolicies lets_a_long_job_in(std::uint64_t seed, int ppm) {
-  solver::test::Dice dice(seed);
-  TwoPolicies two;
+/// Of an app on a GPU that clocks share: `u` takes longer in the second table. `x` waits for it on a DLA that does
+/// not preempt, and `z` is long there; `g` is the other clock's on the GPU, and so is `h` on the DLA if there.
+struct GpuAndDlas {
+  std::int64_t first, second, other, x, z, passes, small = 0;
+};
+void fill(TwoPolicies& two, const char* name, const GpuAndDlas& takes, std::int64_t period,
+          std::int64_t other_period) {
   two.platform = {
       "p", {{"gpu0", "gpu", true, 20}, {"dla0", "dla", false, 0}, {"dla1", "dla", false, 0}}};
   AppSpec& app = two.from_app;
   app.version = 2;
-  app.name = "lets in";
-  app.clocks = {{"main", dice.roll(0, 1) != 0 ? ppm : 0}, {"own", ppm}};
-  const std::int64_t period = 20'000, first = dice.roll(5, 10) * 100, other = dice.roll(1, 3) * 100;
-  const std::int64_t second = first + dice.roll(10, 30) * 100, x = dice.roll(2, 5) * 100,
-                     z = dice.roll(50, 80) * 100, passes = dice.roll(0, 2) * 50;
-  app.sources = {{"s", {period, 1}, 0, 0, 0}, {"t", {dice.roll(90, 120) * 100, 1}, 0, 0, 1}};
-  app.xnodes = {{"u", "U", {{"gpu", first}}, {0}},
-                {"x", "X", {{"dla", x}}},
-                {"z", "Z", {{"dla", z}}, {0}},
-                {"g", "G", {{"gpu", other}}, {1}}};
+  app.name = name;
+  app.sources = {{"s", {period, 1}, 0, 0, 0}, {"t", {other_period, 1}, 0, 0, 1}};
+  app.xnodes = {{"u", "U", {{"gpu", takes.first}}, {0}},
+                {"x", "X", {{"dla", takes.x}}},
+                {"z", "Z", {{"dla", takes.z}}, {0}},
+                {"g", "G", {{"gpu", takes.other}}, {1}}};
   app.edges = {{0, 1}};
-  app.transfers = {{0, "gpu", "dla", passes}};
+  app.transfers = {{0, "gpu", "dla", takes.passes}};
   app.modules = {{"U", 1}, {"X", 1}, {"Z", 1}, {"G", 1}};
   app.chains = {{"s -> x", 0, 1}, {"s -> u", 0, 0}, {"s -> z", 0, 2}, {"t -> g", 1, 3}};
+  if (takes.small > 0) {
+    app.xnodes.push_back({"h", "H", {{"dla", takes.small}}, {1}});
+    app.modules.push_back({"H", 1});
+    app.chains.push_back({"t -> h", 1, 4});
+  }
   two.to_app = two.both = app;
-  two.to_app.xnodes[0].wcet_us.at("gpu") = two.both.xnodes[0].wcet_us.at("gpu") = second;
-  const auto room = [&](std::int64_t work) {
-    return work + work / 12 + 20 + 4 * (work + 20'000) * ppm / kMillion;
-  };
+  two.to_app.xnodes[0].wcet_us.at("gpu") = two.both.xnodes[0].wcet_us.at("gpu") = takes.second;
+}
+/// A window for so much, with a slack of some percent.
+std::int64_t room_for(std::int64_t work, int ppm) {
+  return work + work / 12 + 20 + 4 * (work + 20'000) * ppm / kMillion;
+}
+
+/// That DLA is of one clock alone. What waits there is planned before the long job: not so if the GPU is late. In
+/// the second table that is on another DLA.
+TwoPolicies lets_a_long_job_in(std::uint64_t seed, int ppm) {
+  solver::test::Dice dice(seed);
+  TwoPolicies two;
+  two.from_app.clocks = {{"main", dice.roll(0, 1) != 0 ? ppm : 0}, {"own", ppm}};
+  const std::int64_t first = dice.roll(5, 10) * 100, other = dice.roll(1, 3) * 100;
+  const std::int64_t second = first + dice.roll(10, 30) * 100, x = dice.roll(2, 5) * 100,
+                     z = dice.roll(50, 80) * 100, passes = dice.roll(0, 2) * 50;
+  fill(two, "lets in", {first, second, other, x, z, passes}, 20'000, dice.roll(90, 120) * 100);
+  const auto room = [&](std::int64_t work) { return room_for(work, ppm); };
   const std::int64_t gpu = room(first + other + 40), later = room(second + other + 40);
   const std::int64_t ends = gpu + passes + room(x), held = ends + room(dice.roll(0, 2) * 100);
   two.from.placements = {{0, {gpu}}, {1, {ends}}, {1, {held + room(z)}, {held}}, {0, {gpu}}};
@@ -550,37 +560,19 @@ TwoPolicies lets_a_long_job_in(std::uint64_t seed, int ppm) {
   return two;
 }
 
-/// As lets_a_long_job_in, where that DLA is of two clocks. The long job has a shorter window than who waits for the
-/// GPU: in time nobody is blocked by it.
+/// That DLA is of two clocks. The long job has a shorter window than who waits for the GPU: in time nobody is
+/// blocked by it.
 TwoPolicies lets_in_beside_another_clock(std::uint64_t seed, int ppm) {
   solver::test::Dice dice(seed);
   TwoPolicies two;
-  two.platform = {
-      "p", {{"gpu0", "gpu", true, 20}, {"dla0", "dla", false, 0}, {"dla1", "dla", false, 0}}};
-  AppSpec& app = two.from_app;
-  app.version = 2;
-  app.name = "lets in beside";
-  app.clocks = {{"main", 0}, {"own", ppm}};
+  two.from_app.clocks = {{"main", 0}, {"own", ppm}};
   const std::int64_t first = dice.roll(5, 10) * 100, other = dice.roll(1, 3) * 100,
                      x = dice.roll(30, 50) * 100, z = dice.roll(30, 50) * 100,
                      small = dice.roll(1, 3) * 100, passes = dice.roll(0, 2) * 50;
   const std::int64_t second = first + x + dice.roll(10, 30) * 100;
-  app.sources = {{"s", {40'000, 1}, 0, 0, 0}, {"t", {dice.roll(300, 400) * 100, 1}, 0, 0, 1}};
-  app.xnodes = {{"u", "U", {{"gpu", first}}, {0}},
-                {"x", "X", {{"dla", x}}},
-                {"z", "Z", {{"dla", z}}, {0}},
-                {"g", "G", {{"gpu", other}}, {1}},
-                {"h", "H", {{"dla", small}}, {1}}};
-  app.edges = {{0, 1}};
-  app.transfers = {{0, "gpu", "dla", passes}};
-  app.modules = {{"U", 1}, {"X", 1}, {"Z", 1}, {"G", 1}, {"H", 1}};
-  app.chains = {
-      {"s -> x", 0, 1}, {"s -> u", 0, 0}, {"s -> z", 0, 2}, {"t -> g", 1, 3}, {"t -> h", 1, 4}};
-  two.to_app = two.both = app;
-  two.to_app.xnodes[0].wcet_us.at("gpu") = two.both.xnodes[0].wcet_us.at("gpu") = second;
-  const auto room = [&](std::int64_t work) {
-    return work + work / 12 + 20 + 4 * (work + 20'000) * ppm / kMillion;
-  };
+  fill(two, "lets in beside", {first, second, other, x, z, passes, small}, 40'000,
+       dice.roll(300, 400) * 100);
+  const auto room = [&](std::int64_t work) { return room_for(work, ppm); };
   const std::int64_t gpu = room(first + other + 40), later = room(second + other + 40);
   const std::int64_t window = room(std::max(x, z) + 2 * small);
   const std::int64_t ready = gpu + passes, ends = ready + window;
@@ -610,19 +602,11 @@ void attack_blocking(TwoPolicies (*make)(std::uint64_t, int), int least_claimed,
       const Bounds bounds = bounds_of(two);
       if (bounds.settles_us == 0) continue;
       ++claimed;
-      std::vector<std::optional<std::int64_t>> steady;
-      for (std::size_t c = 0; c < bounds.us.size(); ++c)
-        steady.emplace_back(
-            std::max(two.from.chains[c].worst_case_us, two.to.chains[c].worst_case_us));
-      const NaiveTables naive{two.from_app, two.to_app, two.both, two.platform, two.from, two.to};
+      ASSERT_NO_FATAL_FAILURE(expect_checked(two, bounds, seed));
+      const NaiveTables naive = naive_of(two);
       const HandoverAttack attack{two.notice_us, 200, seed};
-      HandoverClimb climb(naive, bounds.us, attack);
-      const HandoverFound found = climb.run();
-      EXPECT_FALSE(found.deadlock || found.illegal) << "seed " << seed;
-      EXPECT_LE(found.worst, 1) << "seed " << seed << ", ppm " << ppm;
-      EXPECT_LE(found.settles_us, static_cast<double>(bounds.settles_us)) << "seed " << seed;
-      closest = std::max(closest, found.worst);
-      HandoverClimb weaker(naive, steady, attack);
+      closest = std::max(closest, expect_none_longer(naive, bounds, attack).worst);
+      HandoverClimb weaker(naive, own_worst_cases(two), attack);
       broken += weaker.run().worst > 1;
     }
     EXPECT_GE(claimed, least_claimed) << ppm;

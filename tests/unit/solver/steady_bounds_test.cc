@@ -191,8 +191,8 @@ void choose_wishes(AppSpec& app, solver::test::Dice& dice) {
   }
 }
 
-/// The bounds of chains and of all together against exhaustion.
-Against against_exhaustion(const AppSpec& app, const Platform& platform, Tick most) {
+/// The bounds of chains and of all together, by so many cases, against exhaustion.
+Against against_exhaustion(const AppSpec& app, const Platform& platform, Tick most, int cases) {
   Against found;
   const Result<Problem> p = Problem::create(app, platform);
   EXPECT_TRUE(p);
@@ -200,13 +200,13 @@ Against against_exhaustion(const AppSpec& app, const Platform& platform, Tick mo
   const Best best = exhaust(app, platform, *p, most);
   if (!best.any) return found;
   found.any = true;
-  const std::vector<Tick> bounds = lower_bounds(*p, app, platform, {}, 200);
+  const std::vector<Tick> bounds = lower_bounds(*p, app, platform, {}, cases);
   double apart = 0;
   for (std::size_t c = 0; c < bounds.size(); ++c) {
     EXPECT_LE(bounds[c], best.chain[c]) << app.chains[c].name;
     apart += static_cast<double>(p->chains[c].weight * bounds[c]);
   }
-  const double bound = objective_bound(*p, bounds, 200);
+  const double bound = objective_bound(*p, bounds, cases);
   const bool ratio = app.has_deadlines();
   const double least = ratio ? best.largest : static_cast<double>(best.sum * p->scale);
   EXPECT_LE(bound, least);
@@ -217,14 +217,14 @@ Against against_exhaustion(const AppSpec& app, const Platform& platform, Tick mo
 
 TEST(SteadyBounds, NoObjectiveIsBelowItsBound) {
   int with_policy = 0, together = 0, tight = 0;
-  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+  for (std::uint64_t seed = 1; seed <= 100; ++seed) {
     SCOPED_TRACE(seed);
     solver::test::Dice dice(seed + 7000);
     AppSpec app = tiny_app(dice);
     choose_wishes(app, dice);
     Platform platform = random_steady_platform(dice);
     if (dice.roll(0, 1) == 0) keep_one_of_each_type(platform);
-    const Against found = against_exhaustion(app, platform, 10);
+    const Against found = against_exhaustion(app, platform, 10, 20);
     with_policy += found.any ? 1 : 0;
     tight += found.tight ? 1 : 0;
     together += found.above_sum ? 1 : 0;
@@ -232,7 +232,7 @@ TEST(SteadyBounds, NoObjectiveIsBelowItsBound) {
   }
   EXPECT_GT(with_policy, 20);
   EXPECT_GT(tight, 4);
-  EXPECT_GT(together, 0);
+  EXPECT_GT(together, 1);
 }
 
 /// Clocks that meet on one XPU, some of which cannot preempt, or pay for it: theorem 9.
@@ -255,7 +255,7 @@ TEST(SteadyBounds, NoMeetingOfClocksIsBelowItsBound) {
     keep_one_of_each_type(platform);
     platform.xpus.front().preemptive = dice.chance(70);
     if (platform.xpus.front().preemptive) platform.xpus.front().preempt_us = dice.roll(0, 1);
-    const Against found = against_exhaustion(app, platform, 10);
+    const Against found = against_exhaustion(app, platform, 10, 200);
     with_policy += found.any ? 1 : 0;
     tight += found.tight ? 1 : 0;
     ASSERT_FALSE(HasFailure());
@@ -280,7 +280,7 @@ TEST(SteadyBounds, NoPipelineIsBelowItsBound) {
     for (ModuleSpec& module : app.modules) module.max_in_flight = 4;
     Platform platform = random_steady_platform(dice);
     keep_one_of_each_type(platform);
-    const Against found = against_exhaustion(app, platform, 17);
+    const Against found = against_exhaustion(app, platform, 17, 200);
     with_policy += found.any ? 1 : 0;
     tight += found.tight ? 1 : 0;
     ASSERT_FALSE(HasFailure());
