@@ -236,22 +236,43 @@ class Bound {
     for (const OfClock& clock : of_.clocks)
       if (!scan(clock)) return;
     blur_instants();
-    lags_.assign(users_.size(), 0);
-    for (int round = 0; round < kMostRounds; ++round) {
-      if (!find_overruns(percent)) return;
-      find_slope(percent);
-      reaches_.clear();
-      for (std::size_t k = 0; k < of_.clocks.size(); ++k)
-        if (!walk(k)) return;
-      if (!raise_lags()) {
-        settle();
-        return;
-      }
+    if (!some_block_) {
+      derive(percent);
+      return;
     }
-    refuse("lateness lets in what makes all later again, on XPUs that do not preempt");
+    // All that follows from some slack holds. Who is in the way adds less where σ is less: so λ is least with
+    // the least σ. But with a larger one lateness may fall sooner.
+    if (!derive(1)) return;
+    const std::vector<OfClock> least = of_.clocks;
+    Ticks soonest = of_.settles;
+    for (const int more : {2, 3, 5, 8}) {
+      if (more > percent || !derive(more)) break;
+      soonest = std::min(soonest, of_.settles);
+    }
+    of_.clocks = least;
+    of_.settles = soonest;
+    of_.why.clear();
   }
 
  private:
+  /// λ, Λ and when all is over, from so much slack.
+  bool derive(int percent) {
+    of_.settles = 0;
+    lags_.assign(users_.size(), 0);
+    for (int round = 0; round < kMostRounds; ++round) {
+      if (!find_overruns(percent)) return false;
+      find_slope(percent);
+      reaches_.clear();
+      for (std::size_t k = 0; k < of_.clocks.size(); ++k)
+        if (!walk(k)) return false;
+      if (!raise_lags()) {
+        settle();
+        return of_.why.empty();
+      }
+    }
+    return refuse("lateness lets in what makes all later again, on XPUs that do not preempt");
+  }
+
   struct Grid {
     std::vector<Ticks> releases;  ///< of a hyperperiod
     Ticks deepest = 0;            ///< the largest d
@@ -496,9 +517,9 @@ class Bound {
             work};
   }
 
-  /// G of each XPU that clocks share and that does not preempt; σ is the largest that is left on all of
-  /// those XPUs, too. False: none is.
-  bool find_overruns(int& percent) {
+  /// G of each XPU that clocks share and that does not preempt. False: so much slack is not left on all that
+  /// do not preempt.
+  bool find_overruns(int percent) {
     std::vector<Beside> beside(users_.size());
     for (std::size_t m = 0; m < users_.size(); ++m)
       if (blocks(m) && users_[m].size() > 1 && !find_beside(m, beside[m])) return too_much();
@@ -509,17 +530,13 @@ class Bound {
                  ? !leaves_beside(of.of_q_by_clock, of.of_q, of.in_q, lags_[m], percent, pairs_)
                  : !one_clock_leaves(m, percent);
     };
-    for (const int next : {5, 3, 2, 1, 0}) {
-      if (next >= percent) continue;
-      std::size_t m = 0;
-      while (m < users_.size() && !fails(m)) ++m;
+    for (std::size_t m = 0; m < users_.size(); ++m) {
+      const bool refused = fails(m);
       if (pairs_ < 0) return too_much();
-      if (m == users_.size()) break;
-      if (next == 0)
+      if (refused)
         return refuse(p_.platform.xpus[m].id +
                       " does not preempt, and less than 1 % of it is left beside what may be in "
                       "the way");
-      percent = next;
     }
     overruns_.assign(users_.size(), {});
     for (std::size_t m = 0; m < users_.size(); ++m) {
@@ -1109,25 +1126,7 @@ int slack_percent(const Question& ask) {
 }
 
 void bound_cluster(const Question& ask, int percent, std::int64_t& pairs, Cluster& of) {
-  const auto preempts = [](const Xpu& xpu) { return xpu.preemptive; };
-  if (std::ranges::all_of(ask.both.p.platform.xpus, preempts)) {
-    Bound(ask, pairs, of).run(percent);
-    return;
-  }
-  // All that follows from some slack holds. Who is in the way adds less where σ is less: so λ is least with
-  // the least σ. But with a larger one lateness may fall sooner.
-  std::optional<Cluster> least;
-  for (const int tried : {1, 2, 3, 5, 8}) {
-    if (tried > std::max(percent, 1)) break;
-    Cluster with = of;
-    Bound(ask, pairs, with).run(std::min(tried, percent));
-    if (!least)
-      least = std::move(with);
-    else if (with.why.empty())
-      least->settles = std::min(least->settles, with.settles);
-    if (!least->why.empty()) break;
-  }
-  of = std::move(*least);
+  Bound(ask, pairs, of).run(percent);
 }
 
 Around::Around(const Both& both, const Cluster& cluster, std::size_t k, const Lateness& lateness)
