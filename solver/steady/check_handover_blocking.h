@@ -167,10 +167,10 @@ inline bool real_demand(const std::vector<RealWindow>& all, Ticks hyperperiod, s
 /// A job of q that is in the way on an XPU that clocks share.
 struct InTheWayOfQ {
   std::size_t clock = 0;
-  Ticks reach = 0;       ///< d - e
-  Ticks work = 0;        ///< its own
-  Ticks of_its_own = 0;  ///< W: of its own clock, while it is
-  auto operator<=>(const InTheWayOfQ&) const = default;
+  Ticks reach = 0;                                       ///< d - e
+  Ticks work = 0;                                        ///< its own
+  Ticks of_its_own = 0;                                  ///< W: of its own clock, while it is
+  auto operator<=>(const InTheWayOfQ&) const = default;  // NOLINT(modernize-use-nullptr)
 };
 
 /// A percentage of each length is left beside demand, and what is in the way. `demand`: of each
