@@ -13,7 +13,12 @@ trap 'rm -f "$failures"' EXIT
 started=$(date +%s)
 
 failure() { failed=$((failed + 1)); echo "$1" >>"$failures"; }
-note() { echo "check: $* ($(($(date +%s) - started)) s)"; }
+# With the time since the start, and the CPU time of what has ended (in /proc in hundredths).
+note() {
+  local stat
+  read -ra stat </proc/$$/stat
+  echo "check: $* ($(($(date +%s) - started)) s, CPU $(((stat[15] + stat[16]) / 100)) s)"
+}
 
 # One check that is no ctest: counts as a test. Status 77: skipped, and it says why.
 one() {
