@@ -85,18 +85,24 @@ class Cluster {
       if (std::string why = find_raised(d, pairs); !why.empty()) return why;
     // Nobody waits for the first table then, whatever the clock has done.
     if (blocks_) last_ready_ += shift_;
-    for (int round = 0; round < kMostRounds; ++round) {
-      if (std::string why = find_dues(pairs); !why.empty()) return why;
-      if (!find_slack(pairs))
-        return round == 0 ? "clocks share XPUs, and one of the tables leaves less than 1 % of one"
-                          : "clocks share XPUs, one of which does not preempt, and who is late "
-                            "lets others in before it";
-      find_slope();
-      if (std::string why = find_late(pairs, until); !why.empty()) return why;
-      if (!let_in_more()) return {};
+    std::string why = derive_late(pairs, until);
+    if (!why.empty() || !blocks_ || slack_pct_ == kLeastSlackPct) return why;
+    // With the largest slack lateness falls soonest; with the least one G, and so λ, is least. Both hold.
+    const std::vector<Lateness> with_most = of_domain_;
+    const std::vector<Tick> most = most_;
+    const Tick settles = settles_;
+    std::int64_t left = pairs;
+    slack_pct_ = kLeastSlackPct;
+    lets_in_.assign(at(p_.num_xpus), 0);
+    if (derive_late(left, until).empty()) {
+      settles_ = std::min(settles, settles_);
+      pairs = left;
+    } else {
+      of_domain_ = with_most;
+      most_ = most;
+      settles_ = settles;
     }
-    return "clocks share XPUs, one of which does not preempt, and who is late lets in more and "
-           "more";
+    return why;
   }
   [[nodiscard]] const Lateness& lateness(int domain) const { return of_domain_[at(domain)]; }
   /// Of the other clocks, together.
@@ -111,6 +117,25 @@ class Cluster {
  private:
   /// So often L is raised, beyond which nothing is claimed.
   static constexpr int kMostRounds = 8;
+  static constexpr int kLeastSlackPct = 1;
+
+  /// λ and settles(), with the largest slack that is left, of those up to slack_pct_ if that is set. Why
+  /// nothing follows; empty: it does.
+  std::string derive_late(std::int64_t& pairs, const Until& until) {
+    for (int round = 0; round < kMostRounds; ++round) {
+      if (std::string why = find_dues(pairs); !why.empty()) return why;
+      if (!find_slack(pairs))
+        return round == 0 ? "clocks share XPUs, and one of the tables leaves less than 1 % of one"
+                          : "clocks share XPUs, one of which does not preempt, and who is late "
+                            "lets others in before it";
+      find_slope();
+      if (std::string why = find_late(pairs, until); !why.empty()) return why;
+      if (!let_in_more()) return {};
+    }
+    return "clocks share XPUs, one of which does not preempt, and who is late lets in more and "
+           "more";
+  }
+
   struct Job {
     int xnode;
     std::int64_t n;

@@ -33,6 +33,7 @@ struct How {
   int slack_pct = 0;           ///< every WCET counts as longer by so much
   bool in_time = false;        ///< it may end where every chain keeps its deadline
   bool together = false;       ///< clocks may share XPUs, also where each one has its own
+  bool lets_in = false;        ///< with room for whom lateness lets in (Options::lets_in)
 };
 
 class KeyTablesSearch {
@@ -200,6 +201,7 @@ class KeyTablesSearch {
     solving.stop = how.in_time ? &enough : options_.stop;
     solving.hint = hint;
     solving.keep = how.keep;
+    solving.lets_in = how.lets_in;
     AppSpec app = app_under(app_, scenario, loss);
     if (how.slack_pct > 0) lengthen(app, left, how.slack_pct);
     return solve(app, left, solving);
@@ -211,7 +213,7 @@ class KeyTablesSearch {
       for (auto& [type, us] : xnode.wcet_us) {
         std::int64_t cost = 0;
         for (const Xpu& xpu : platform.xpus)
-          if (xpu.type == type) cost = std::max(cost, xpu.preempt_us);
+          if (xpu.type == type && xpu.preemptive) cost = std::max(cost, xpu.preempt_us);
         us = ((us + cost) * 100 + (100 - pct) - 1) / (100 - pct);
       }
   }
@@ -535,15 +537,15 @@ class KeyTablesSearch {
     ChangeCost cost = cost_of(best.handovers, best, app_);
     const double slice =
         std::max(0.05, (options_.time_limit_s - run_.elapsed()) / kSlicesForChanges);
-    const int unclaimed = cost.unclaimed;
-    if (unclaimed > 0 && clocks_share(candidate))
-      leave_slack(choice, regret_before, slice, candidate, best, cost);
-    const bool needs_slack = cost.unclaimed < unclaimed;
+    How needs;
+    if (cost.unclaimed > 0 && clocks_share(candidate))
+      needs = leave_slack(choice, regret_before, slice, candidate, best, cost);
     constexpr int kRounds = 3;  // of a fixed number of evaluations each
     for (int round = 0; options_.max_evaluations == 0 || round < kRounds * n; ++round) {
       // What has not settled does so where there is time to spare.
-      const bool with_slack = needs_slack || (cost.unclaimed > 0 && round / n % 2 == 0);
-      std::vector<Trial> trials = next_trials(round % n, candidate, with_slack ? kSlackPct : 0);
+      How how = needs;
+      if (cost.unclaimed > 0 && round / n % 2 == 0) how.slack_pct = kSlackPct;
+      std::vector<Trial> trials = next_trials(round % n, candidate, how);
       if (!fit(trials.size(), slice)) break;
       run_.on_threads(trials.size(),
                       [&](std::size_t k) { play(trials[k], choice, candidate, best, slice); });
@@ -562,52 +564,77 @@ class KeyTablesSearch {
     return best;
   }
 
-  /// Of clocks that share XPUs something is known where both tables leave slack (theorem 10). So: all tables
-  /// with slack, each from itself; and with the placement of one candidate, each chosen one, or one for
-  /// everything: where little moves changes are shorter.
-  void leave_slack(TableChoice& choice, const std::vector<double>& regret_before, double slice,
-                   std::vector<int>& candidate, Tables& best, ChangeCost& cost) {
+  /// Of clocks that share XPUs something is known where both tables leave slack (theorem 10), and, where an
+  /// XPU does not preempt, room for whom lateness lets in. So: all tables with slack, each from itself; with
+  /// room as well; and with the placement of one candidate, of those with room, each chosen one, or one for
+  /// everything: where little moves changes are shorter. How those are that it takes.
+  How leave_slack(TableChoice& choice, const std::vector<double>& regret_before, double slice,
+                  std::vector<int>& candidate, Tables& best, ChangeCost& cost) {
     constexpr int kItself = -1;
     struct Try {
-      int base, slack_pct;
+      int base;
+      How how;
     };
-    std::vector<Try> tries = {{kItself, kSlackPct}, {kItself, kLeastSlackPct}};
-    for (const int c : candidate) tries.push_back({c, kSlackPct});
+    std::vector<Try> tries = {{kItself, {.slack_pct = kSlackPct}}};
+    if (std::any_of(platform_.xpus.begin(), platform_.xpus.end(),
+                    [](const Xpu& xpu) { return !xpu.preemptive; }))
+      for (const int pct : {kSlackPct, kLeastSlackPct})
+        tries.push_back({kItself, {.slack_pct = pct, .lets_in = true}});
+    tries.push_back({kItself, {.slack_pct = kLeastSlackPct}});
+    for (const int c : candidate)
+      tries.push_back({c, {.keep = Keep::kPlacement, .slack_pct = kSlackPct}});
     for (std::size_t c = 0; c < candidates_.size(); ++c)
-      if (candidates_[c].for_all) tries.push_back({static_cast<int>(c), kSlackPct});
+      if (candidates_[c].for_all)
+        tries.push_back({static_cast<int>(c), {.keep = Keep::kPlacement, .slack_pct = kSlackPct}});
     const Forbids apart = forbids_;
     bool alike = false;
+    How needs;
     const std::size_t n = candidate.size();
     const int unclaimed = cost.unclaimed;
-    for (const Try& attempt : tries) {
-      const int base = attempt.base, slack = attempt.slack_pct;
-      if (!fit(n, 2 * slice)) break;
-      if (slack == kLeastSlackPct && cost.unclaimed < unclaimed) continue;
+    std::vector<int> itself = candidate;  // or, with room, what was found so far
+    for (std::size_t k = 0; k < tries.size(); ++k) {
+      const int base = tries[k].base;
+      const How how = tries[k].how;
+      const bool room = base == kItself && how.lets_in;
+      // Room takes longer to find.
+      const double each = (room ? 3 : 2) * slice;
+      if (!fit(n, each)) continue;
+      if (base == kItself && k > 0 && cost.unclaimed < (room ? 1 : unclaimed)) continue;
       if (base != kItself) forbids_.clear();
       std::vector<std::optional<KeyTable>> found(n);
       std::vector<std::uint64_t> seeds;
       for (std::size_t t = 0; t < n; ++t) seeds.push_back(random_.next());
       run_.on_threads(n, [&](std::size_t t) {
-        const int from = base == kItself ? candidate[t] : base;
+        const int from = room ? itself[t] : base == kItself ? candidate[t] : base;
         if (candidates_[at(candidate[t])].loss != candidates_[at(from)].loss) return;
-        const Keep keep = base == kItself ? Keep::kNothing : Keep::kPlacement;
-        found[t] = search_from(choice, candidate[t], from, {keep, slack}, seeds[t], 2 * slice);
-        if (found[t] && !allowed(*found[t], choice, candidate[t], regret_before, true))
-          found[t].reset();
+        found[t] = search_from(choice, candidate[t], from, how, seeds[t], each);
       });
+      for (std::size_t t = 0; t < n; ++t) {
+        if (!found[t]) continue;
+        if (room) {
+          itself[t] = static_cast<int>(candidates_.size());
+          candidates_.push_back(*found[t]);
+        }
+        if (!allowed(*found[t], choice, candidate[t], regret_before, true)) found[t].reset();
+      }
       if (!std::all_of(found.begin(), found.end(), [](const auto& f) { return f.has_value(); }))
         continue;
+      for (const int c : room ? itself : std::vector<int>{})
+        tries.insert(tries.begin() + static_cast<std::ptrdiff_t>(k) + 1,
+                     {c, {.keep = Keep::kPlacement, .slack_pct = how.slack_pct, .lets_in = true}});
       Tables tables = best;
       for (std::size_t t = 0; t < n; ++t) replace(tables, static_cast<int>(t), *found[t]);
       if (!set_handovers(tables, -1, run_.until_after(4 * slice))) continue;
       const ChangeCost of = cost_of(tables.handovers, tables, app_);
       if (!(of < cost)) continue;
+      if (of.unclaimed < unclaimed) needs = {.slack_pct = kSlackPct, .lets_in = how.lets_in};
       cost = of;
       best = std::move(tables);
       for (std::size_t t = 0; t < n; ++t) take(*found[t], t, choice, candidate);
       alike = alike || base != kItself;
     }
     if (!alike) forbids_ = apart;
+    return needs;
   }
 
   /// In the place of table `t`'s.
@@ -629,12 +656,14 @@ class KeyTablesSearch {
 
   /// Of one table: from each other one, with its placement and without, and from itself.
   [[nodiscard]] std::vector<Trial> next_trials(int table, const std::vector<int>& candidate,
-                                               int slack_pct) {
+                                               How how) {
     std::vector<Trial> trials;
     for (const int from : candidate)
       for (const Keep keep : {Keep::kPlacement, Keep::kNothing})
-        if (candidates_[at(from)].loss == candidates_[at(candidate[at(table)])].loss)
-          trials.push_back({table, from, {keep, slack_pct}, random_.next()});
+        if (candidates_[at(from)].loss == candidates_[at(candidate[at(table)])].loss) {
+          how.keep = keep;
+          trials.push_back({table, from, how, random_.next()});
+        }
     return trials;
   }
 

@@ -97,10 +97,13 @@ struct Problem {
   std::vector<std::vector<int>> type_xpus;  ///< [type]
   std::vector<char> preemptive;             ///< [xpu]
   std::vector<Tick> preempt;                ///< [xpu] cost of starting by preempting
-  std::vector<Tick> wcet_flat;              ///< [xnode * num_xpus + xpu], kNoTick: not there
-  std::vector<std::vector<int>> may_run;    ///< [xnode] XPUs, ascending
-  std::vector<std::vector<int>> groups;     ///< XNodes that share one XPU
-  std::vector<int> group_of;                ///< [xnode], -1: none
+  /// Where an XPU does not preempt, any other job may be in a job's way, whatever their windows are: so it
+  /// may be where jobs become ready late (theorem 10).
+  bool lets_in = false;
+  std::vector<Tick> wcet_flat;            ///< [xnode * num_xpus + xpu], kNoTick: not there
+  std::vector<std::vector<int>> may_run;  ///< [xnode] XPUs, ascending
+  std::vector<std::vector<int>> groups;   ///< XNodes that share one XPU
+  std::vector<int> group_of;              ///< [xnode], -1: none
 
   std::vector<Component> components;
   std::vector<Domain> domains;

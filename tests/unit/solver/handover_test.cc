@@ -3,6 +3,7 @@
 // that share no code with them (handover_naive.h).
 #include "solver/steady/handover.h"
 
+#include <array>
 #include <optional>
 #include <set>
 #include <string>
@@ -38,8 +39,10 @@ struct TwoPolicies {
 using Forbids = std::vector<std::pair<std::string, std::string>>;
 
 std::optional<KeyPolicy> solved_quickly(const AppSpec& app, const Platform& platform,
-                                        std::uint64_t seed, const Forbids& forbids = {}) {
+                                        std::uint64_t seed, const Forbids& forbids = {},
+                                        bool lets_in = false) {
   Options options;
+  options.lets_in = lets_in;
   options.wishes.forbids = forbids;
   options.max_evaluations = 300;
   options.seed = seed;
@@ -80,8 +83,9 @@ void stretch(AppSpec& app, Platform& platform, std::int64_t factor) {
   for (Xpu& xpu : platform.xpus) xpu.preempt_us *= factor;
 }
 
+/// `lets_in`: as Options.
 std::optional<TwoPolicies> two_policies(std::uint64_t seed, Clocks clocks = Clocks::kOne,
-                                        int ppm = 0) {
+                                        int ppm = 0, bool lets_in = false) {
   solver::test::Dice dice(seed);
   SteadyShape shape;
   shape.clocks = clocks == Clocks::kOne ? 1 : 2;
@@ -121,9 +125,9 @@ std::optional<TwoPolicies> two_policies(std::uint64_t seed, Clocks clocks = Cloc
     }
   const bool spare = clocks == Clocks::kShared;
   const auto from = solved_quickly(spare ? with_slack(two.from_app, two.platform) : two.from_app,
-                                   two.platform, seed, forbids),
+                                   two.platform, seed, forbids, lets_in),
              to = solved_quickly(spare ? with_slack(two.to_app, two.platform) : two.to_app,
-                                 two.platform, seed + 1, forbids);
+                                 two.platform, seed + 1, forbids, lets_in);
   if (!from || !to) return std::nullopt;
   two.from = *from;
   two.to = *to;
@@ -379,6 +383,49 @@ TEST(SteadyHandover, OfClocksThatShareXpus) {
   attack_clocks(Clocks::kShared, 0, 3000, 40, 240, true);
   attack_clocks(Clocks::kShared, 100, 3300, 40, 240, true);
   attack_clocks(Clocks::kShared, 20'000, 3600, 40, 240, true);
+}
+
+/// With much slack lateness falls sooner, and with little of it there is less: the checker takes the best of both.
+TEST(SteadyHandover, WhereXpusDoNotPreemptTheLeastSlackBoundsLateness) {
+  double longer = 0;
+  int chains = 0;
+  for (std::uint64_t seed = 3000; seed < 3240; seed += 3) {
+    auto two = two_policies(seed, Clocks::kShared, 100, true);
+    if (!two || !share_an_xpu(*two)) continue;
+    for (AppSpec* app : {&two->from_app, &two->to_app, &two->both})
+      for (XNodeSpec& xnode : app->xnodes)
+        for (auto& [type, us] : xnode.wcet_us) us -= us / 8;
+    two->from.app_hash = two->from_app.hash();
+    two->to.app_hash = two->to_app.hash();
+    const Bounds bounds = bounds_of(*two);
+    ASSERT_NO_FATAL_FAILURE(expect_checked(*two, bounds, seed));
+    const auto proof = checked(*two);
+    ASSERT_TRUE(proof) << proof.error().to_string();
+    for (std::size_t c = 0; c < bounds.us.size(); ++c) {
+      if (!bounds.us[c]) continue;
+      ++chains;
+      longer += static_cast<double>(*bounds.us[c]) / static_cast<double>(*proof->worst_case_us[c]);
+    }
+  }
+  EXPECT_LE(longer, 1.01 * chains);  // of one slack alone, the largest: 1.06
+  EXPECT_GE(chains, 50);
+}
+
+TEST(SteadyHandover, WhereXpusDoNotPreemptRoomForWhomLatenessLetsInLetsMoreChangesHaveAWorstCase) {
+  std::array<int, 2> chains = {}, bounded = {};            // [with room]
+  for (std::uint64_t seed = 3000; seed < 3240; seed += 3)  // most XPUs do not preempt
+    for (const std::size_t room : {0, 1}) {
+      const auto two = two_policies(seed, Clocks::kShared, 100, room != 0);
+      if (!two || !share_an_xpu(*two)) continue;
+      const Bounds bounds = bounds_of(*two);
+      chains[room] += static_cast<int>(bounds.us.size());
+      for (const auto& us : bounds.us) bounded[room] += us ? 1 : 0;
+      ASSERT_NO_FATAL_FAILURE(expect_checked(*two, bounds, seed));
+    }
+  // 32 of 58 and 64 of 82.
+  EXPECT_LE(bounded[0] * 10, chains[0] * 6);
+  EXPECT_GE(bounded[1] * 10, chains[1] * 7) << bounded[1] << " of " << chains[1];
+  EXPECT_GE(chains[1], 50);
 }
 
 /// A module of one clock in a loop as long as its period, held in the first table: in the second one its entry
