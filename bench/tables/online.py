@@ -17,7 +17,7 @@ Five more are of tables of keys, with the case's three rates by one clock; they 
     key-switches   as `switches`, but a wish comes when the change before has settled: else it waits, and nothing is claimed
     key-clocks     the same with the LiDAR's own clock, each clock on XPUs of its own
     key-shared     the same with a slower GPU as well, so that the clocks share XPUs
-    key-gated      the same where the GPU and the DLAs do not preempt
+    key-gated      the same, but for the slower CPUs, where neither GPU nor DLA preempts
     key-deaths     as `deaths`
 
     bench/tables/online.py [--bin build/bin] [--json FILE] [throttle switches deaths violations guest-switches key-switches key-clocks key-shared key-gated key-deaths]

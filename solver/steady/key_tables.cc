@@ -619,9 +619,11 @@ class KeyTablesSearch {
       }
       if (!std::all_of(found.begin(), found.end(), [](const auto& f) { return f.has_value(); }))
         continue;
-      for (const int c : room ? itself : std::vector<int>{})
-        tries.insert(tries.begin() + static_cast<std::ptrdiff_t>(k) + 1,
-                     {c, {.keep = Keep::kPlacement, .slack_pct = how.slack_pct, .lets_in = true}});
+      if (room)
+        for (const int c : itself)
+          tries.insert(
+              tries.begin() + static_cast<std::ptrdiff_t>(k) + 1,
+              {c, {.keep = Keep::kPlacement, .slack_pct = how.slack_pct, .lets_in = true}});
       Tables tables = best;
       for (std::size_t t = 0; t < n; ++t) replace(tables, static_cast<int>(t), *found[t]);
       if (!set_handovers(tables, -1, run_.until_after(4 * slice))) continue;

@@ -63,7 +63,7 @@ std::vector<int> clocks_of(const AppSpec& app) {
 /// All XPUs preempt, or none does.
 std::optional<SharedCase> shared_case(std::uint64_t seed, int ppm,
                                       Changes changes = Changes::kOneWay, bool preempt = true) {
-  constexpr std::int64_t kFactor = 1000;  // else what is rounded up is more than what drifts
+  constexpr std::int64_t kFactor = 1000;
   solver::test::Dice dice(seed);
   SteadyShape shape;
   shape.clocks = 2;
@@ -75,16 +75,9 @@ std::optional<SharedCase> shared_case(std::uint64_t seed, int ppm,
   made.from_app = random_steady_app(dice, shape);
   for (Xpu& xpu : made.platform.xpus) {
     xpu.preemptive = preempt;
-    xpu.preempt_us *= preempt ? kFactor : 0;
+    if (!preempt) xpu.preempt_us = 0;
   }
-  for (SourceSpec& source : made.from_app.sources) {
-    source.period.num *= kFactor;
-    source.offset_us *= kFactor;
-    source.jitter_us *= kFactor;
-  }
-  for (TransferSpec& transfer : made.from_app.transfers) transfer.transfer_us *= kFactor;
-  for (XNodeSpec& xnode : made.from_app.xnodes)
-    for (auto& [type, us] : xnode.wcet_us) us *= kFactor;
+  stretch(made.from_app, made.platform, kFactor);
   if (seed % 4 != 0) made.notice_us = 2 * kFactor;
   if (seed % 3 == 1)
     for (ModuleSpec& module : made.from_app.modules) module.max_in_flight = 2;

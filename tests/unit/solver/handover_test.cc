@@ -70,19 +70,6 @@ AppSpec with_slack(AppSpec app, const Platform& platform) {
   return app;
 }
 
-/// The same with `factor` times the microseconds: else what is rounded up is more than what drifts.
-void stretch(AppSpec& app, Platform& platform, std::int64_t factor) {
-  for (SourceSpec& source : app.sources) {
-    source.period.num *= factor;
-    source.offset_us *= factor;
-    source.jitter_us *= factor;
-  }
-  for (XNodeSpec& xnode : app.xnodes)
-    for (auto& [type, us] : xnode.wcet_us) us *= factor;
-  for (TransferSpec& transfer : app.transfers) transfer.transfer_us *= factor;
-  for (Xpu& xpu : platform.xpus) xpu.preempt_us *= factor;
-}
-
 /// `lets_in`: as Options.
 std::optional<TwoPolicies> two_policies(std::uint64_t seed, Clocks clocks = Clocks::kOne,
                                         int ppm = 0, bool lets_in = false) {

@@ -50,13 +50,18 @@ Scenarios with_slower_gpus() {
            {.name = "no GPU", .lost = {"gpu0"}}}};
 }
 
+TablesOptions ended_by_evaluations(int tables, int evaluations = 200) {
+  TablesOptions options;
+  options.tables = tables;
+  options.time_limit_s = 1000;
+  options.max_evaluations = evaluations;
+  return options;
+}
+
 Result<Tables> few(const AppSpec& app, int count, bool with_loss = true) {
   Scenarios list = with_slower_gpus();
   if (!with_loss) list.list.pop_back();
-  TablesOptions options;
-  options.tables = count;
-  options.time_limit_s = 1000;
-  options.max_evaluations = 200;
+  const TablesOptions options = ended_by_evaluations(count);
   return solve_tables(app, of_two_cpus(), list, options);
 }
 
@@ -133,10 +138,7 @@ TEST(KeyTables, WhereItIsDegradedTheAppLosesWhatItMustAndNowhereElse) {
                  {{.name = "nominal"},
                   {.name = "hot", .wcet_scale_pct = {{"gpu", 400}, {"cpu", 210}}, .degraded = true},
                   {.name = "no GPU", .lost = {"gpu0"}, .degraded = true}}};
-  TablesOptions options;
-  options.tables = 3;
-  options.time_limit_s = 1000;
-  options.max_evaluations = 200;
+  const TablesOptions options = ended_by_evaluations(3);
   const auto tables = solve_tables(app, platform, list, options);
   ASSERT_TRUE(tables) << tables.error().to_string();
   const auto table = [&](int s) { return static_cast<std::size_t>(tables->serves[at(s)].table); };
@@ -200,10 +202,7 @@ TEST(KeyTables, WhatCanRunNowhereIsOffWhereItMayBe) {
   app.xnodes[4].wcet_us.erase("cpu");
   app.xnodes[1].wcet_us.erase("cpu");  // its variant is left
   Scenarios list{"two", {{.name = "nominal"}, {.name = "no GPU", .lost = {"gpu0"}}}};
-  TablesOptions options;
-  options.tables = 2;
-  options.time_limit_s = 1000;
-  options.max_evaluations = 200;
+  const TablesOptions options = ended_by_evaluations(2);
   const auto refused = solve_tables(app, of_two_cpus(), list, options);
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().hint,
@@ -266,7 +265,6 @@ TEST(KeyTables, ClocksThatCanHaveXpusOfTheirOwnDo) {
 /// Clocks that share XPUs, none of which preempts. What lateness lets in has no room in tables that leave slack
 /// alone: of the 36 that are asked for none had a worst case.
 TEST(KeyTables, WhereXpusDoNotPreemptTheyLeaveRoomForWhomLatenessLetsIn) {
-  constexpr std::int64_t kFactor = 1000;
   steady::SteadyShape shape;
   shape.clocks = 2;
   shape.ppm = 100;
@@ -284,20 +282,10 @@ TEST(KeyTables, WhereXpusDoNotPreemptTheyLeaveRoomForWhomLatenessLetsIn) {
       xpu.preempt_us = 0;
     }
     AppSpec app = steady::random_steady_app(dice, shape);
-    for (SourceSpec& source : app.sources) {
-      source.period.num *= kFactor;
-      source.offset_us *= kFactor;
-      source.jitter_us *= kFactor;
-    }
-    for (TransferSpec& transfer : app.transfers) transfer.transfer_us *= kFactor;
-    for (XNodeSpec& xnode : app.xnodes)
-      for (auto& [type, us] : xnode.wcet_us) us *= kFactor;
+    steady::stretch(app, platform, 1000);
     const Scenarios list{app.name,
                          {{.name = "nominal"}, {.name = "hot", .wcet_scale_pct = {{"gpu", 150}}}}};
-    TablesOptions options;
-    options.tables = 2;
-    options.time_limit_s = 1000;
-    options.max_evaluations = 600;
+    const TablesOptions options = ended_by_evaluations(2, 600);
     const auto tables = solve_tables(app, platform, list, options);
     ASSERT_TRUE(tables) << tables.error().to_string();
     const TablesVerification v = verify_tables(app, platform, *tables);
@@ -310,10 +298,7 @@ TEST(KeyTables, WhereXpusDoNotPreemptTheyLeaveRoomForWhomLatenessLetsIn) {
 
 TEST(KeyTables, WhatCannotBeIsRefused) {
   AppSpec app = seeing_and_acting();
-  TablesOptions options;
-  options.tables = 2;
-  options.time_limit_s = 1000;
-  options.max_evaluations = 200;
+  const TablesOptions options = ended_by_evaluations(2);
   Scenarios list = with_slower_gpus();
   list.list[1].wcet_scale_pct = {{"cpu", 3000}};
   const auto overload = solve_tables(app, of_two_cpus(), list, options);

@@ -33,6 +33,19 @@ inline Platform random_steady_platform(solver::test::Dice& dice) {
   return platform;
 }
 
+/// The same with `factor` times the microseconds: else what is rounded up is more than what drifts.
+inline void stretch(AppSpec& app, Platform& platform, std::int64_t factor) {
+  for (SourceSpec& source : app.sources) {
+    source.period.num *= factor;
+    source.offset_us *= factor;
+    source.jitter_us *= factor;
+  }
+  for (XNodeSpec& xnode : app.xnodes)
+    for (auto& [type, us] : xnode.wcet_us) us *= factor;
+  for (TransferSpec& transfer : app.transfers) transfer.transfer_us *= factor;
+  for (Xpu& xpu : platform.xpus) xpu.preempt_us *= factor;
+}
+
 inline AppSpec random_steady_app(solver::test::Dice& dice, const SteadyShape& shape) {
   AppSpec app;
   app.version = 2;
