@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 # Compares libxauto's ABI (its symbols, and the layout of the types in include/xauto/ that they use) with the committed reference,
 # packaging/abi/libxauto.so.1.ARCH.abi. Red on a change that breaks programs already built; docs/packages.md says what to do then.
-# usage: package-abi.sh OUT [SOURCE_TREE]      compares; OUT gets what was compared
-#        package-abi.sh --update               writes the reference anew
+# usage: package-abi.sh OUT                         compares; OUT gets what was compared
+#        package-abi.sh OUT SOURCE_TREE FILE...     ... with FILEs of another tree; OUT holds the objects of the others
+#        package-abi.sh --update                    writes the reference anew
 set -euo pipefail
 root=$(realpath "$(dirname "$0")/..")
 update=
@@ -21,13 +22,20 @@ mkdir -p "$out"
 # The release build has no debug information, and the types are in it: so the API's files once more, with nothing behind them.
 compiler=(g++)
 command -v ccache >/dev/null && compiler=(ccache g++)
-objects=()
-for file in lib/app/app.cc lib/app/run_options.cc lib/app/testing.cc lib/graph/app_spec.cc lib/graph/inlet.cc lib/model/message.cc lib/model/parameter.cc lib/xpu/sched_handle.cc lib/transport/buffer.cc lib/emu/client.cc; do
-  object=$out/$(basename "$file" .cc).o
-  (cd "$source" && "${compiler[@]}" -std=c++20 -g -O0 -fPIC -Iinclude -Ilib -I. -c "$file" -o "$object") &
-  objects+=("$object")
+files=(lib/app/app.cc lib/app/run_options.cc lib/app/testing.cc lib/graph/app_spec.cc lib/graph/inlet.cc lib/model/message.cc
+  lib/model/parameter.cc lib/xpu/sched_handle.cc lib/transport/buffer.cc lib/emu/client.cc)
+compiled=("${files[@]}")
+[ $# -le 2 ] || compiled=("${@:3}")
+object() { echo "$out/$(basename "$1" .cc).o"; }
+objects=() # what is compiled now stands first: of a type that two files define differently, abidw takes the first
+for file in "${compiled[@]}"; do
+  (cd "$source" && "${compiler[@]}" -std=c++20 -g -O0 -fPIC -Iinclude -Ilib -I. -c "$file" -o "$(object "$file")") &
+  objects+=("$(object "$file")")
 done
 for _ in "${objects[@]}"; do wait -n; done
+for file in "${files[@]}"; do
+  [[ " ${compiled[*]} " == *" $file "* ]] || objects+=("$(object "$file")")
+done
 g++ -shared -Wl,-soname,libxauto.so.1 -Wl,--version-script="$source/packaging/libxauto.map" "${objects[@]}" -o "$out/libxauto.so.1"
 abidw --headers-dir "$source/include/xauto" --drop-private-types --exported-interfaces-only --no-comp-dir-path --no-corpus-path \
   --no-show-locs --type-id-style hash --out-file "$out/libxauto.abi" "$out/libxauto.so.1"
