@@ -408,6 +408,7 @@ TEST(SteadyHandover, WhereXpusDoNotPreemptRoomForWhomLatenessLetsInLetsMoreChang
       chains[room] += static_cast<int>(bounds.us.size());
       for (const auto& us : bounds.us) bounded[room] += us ? 1 : 0;
       ASSERT_NO_FATAL_FAILURE(expect_checked(*two, bounds, seed));
+      if (room != 0) expect_none_longer(naive_of(*two), bounds, {two->notice_us, 150, seed});
     }
   // 32 of 58 and 64 of 82.
   EXPECT_LE(bounded[0] * 10, chains[0] * 6);
