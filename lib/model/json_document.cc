@@ -2,7 +2,9 @@
 #include "model/json_document.h"
 
 #include <algorithm>
+#include <array>
 #include <set>
+#include <string_view>
 #include <vector>
 
 #include "base/number.h"
@@ -11,6 +13,24 @@
 
 namespace xauto::json_document {
 namespace {
+
+/// Where a file of this schema goes; empty: nobody knows it.
+std::string where_read(std::string_view schema) {
+  static constexpr std::array<std::array<std::string_view, 2>, 8> kRead = {{
+      {"xauto.app", "--app"},
+      {"xauto.platform", "--platform"},
+      {"xauto.policy", "--policy"},
+      {"xauto.tables", "--policy of check and run"},
+      {"xauto.scenarios", "--scenarios of solve"},
+      {"xauto.profile", "profile --merge"},
+      {"xauto.emulation", "--emulate-script"},
+      {"xauto.deployment", "--deployment"},
+  }};
+  for (const auto& [name, option] : kRead)
+    if (name == schema)
+      return " A file of " + std::string(schema) + " goes to " + std::string(option);
+  return {};
+}
 
 using nlohmann::json;
 using nlohmann::ordered_json;
@@ -469,7 +489,8 @@ std::int64_t Reader::expect(const char* schema, std::int64_t newest) const {
   const Reader given = (*this)["schema"];
   const std::string name = given.text();
   if (!failed() && name != schema)
-    given.refuse("is " + shown(name) + ", expected \"" + schema + "\"", "is this the right file?");
+    given.refuse("is " + shown(name) + ", expected \"" + schema + "\"",
+                 "is this the right file?" + where_read(name));
   const Reader version = (*this)["version"];
   const std::int64_t number = version.integer(0, INT32_MAX);
   if (!failed() && (number < 1 || number > newest)) {
