@@ -6,13 +6,13 @@
 #include <condition_variable>
 #include <mutex>
 #include <optional>
-#include <thread>
 
 #include "solver/bounds.h"
 #include "solver/composite.h"
 #include "solver/exact.h"
 #include "solver/ordered.h"
 #include "solver/tabu.h"
+#include "solver/threads.h"
 
 namespace xauto::solver {
 namespace {
@@ -60,18 +60,23 @@ class Team {
   }
 
   AutoResult run() {
-    std::vector<std::thread> workers;
+    Threads workers;
     running_ = threads_;
-    for (int t = 0; t < threads_; ++t) {
-      workers.emplace_back([this, t] {
-        work(t);
-        const std::lock_guard lock(mutex_);
-        --running_;
-        changed_.notify_all();
-      });
+    const auto run = [this](int t) {
+      const Ends ends{*this};
+      work(t);
+    };
+    int started = 0;
+    while (started < threads_ && workers.start([run, started] { run(started); })) ++started;
+    // Without that many threads: the last one has the proof, and the answer to a budget needs all.
+    for (int t = started; t < threads_; ++t) {
+      if (counted() || t == threads_ - 1)
+        run(t);
+      else
+        const Ends ends{*this};
     }
     report_until_done();
-    for (std::thread& worker : workers) worker.join();
+    workers.join();
     // With a budget the proof comes last, and with a budget of its own.
     if (counted() && with_proof_ && !met() && problem_.num_xnodes <= kMostToProve) prove();
     for (const Found& found : found_) {
@@ -91,6 +96,15 @@ class Team {
   }
 
  private:
+  /// One of `running_`, which ends however its work does.
+  struct Ends {
+    Team& of;
+    ~Ends() {
+      const std::lock_guard lock(of.mutex_);
+      --of.running_;
+      of.changed_.notify_all();
+    }
+  };
   struct Found {
     Solution best, ordered;
   };

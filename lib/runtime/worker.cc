@@ -14,6 +14,7 @@
 #include "base/futex.h"
 #include "base/log.h"
 #include "base/rt.h"
+#include "base/thread.h"
 
 namespace xauto::runtime {
 namespace {
@@ -47,15 +48,15 @@ Status Worker::start() {
       if (placed.worker == this) xnodes.push_back(placed.task);
     XAUTO_ASSIGN(port_, coord::Port::connect(options_.coordinator, options_.name, xnodes,
                                              options_.order, options_.mgmt_fifo));
-    mgmt_ = std::thread([this] {
-      manage();
-      managed_.store(1);
-      futex_wake_local(managed_, INT_MAX);
-    });
+    XAUTO_ASSIGN(mgmt_, start_thread([this] {
+                   manage();
+                   managed_.store(1);
+                   futex_wake_local(managed_, INT_MAX);
+                 }));
   }
   std::promise<Status> ready;
   std::future<Status> started = ready.get_future();
-  exec_ = std::thread([this, &ready, around = xpu::Surroundings::of_this_thread()] {
+  auto run = [this, &ready, around = xpu::Surroundings::of_this_thread()] {
     around.enter();
     Status status = init_nodes();
     const bool good = status.has_value();
@@ -66,7 +67,8 @@ Status Worker::start() {
     thread_->leave();
     ended_.store(kThrough);
     futex_wake_local(ended_, INT_MAX);
-  });
+  };
+  XAUTO_ASSIGN(exec_, start_thread(std::move(run)));
   return started.get();
 }
 

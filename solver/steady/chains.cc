@@ -2,6 +2,7 @@
 #include "solver/steady/chains.h"
 
 #include <algorithm>
+#include <limits>
 #include <numeric>
 
 namespace xauto::solver::steady {
@@ -54,6 +55,8 @@ int leaves_by(const Problem& p, const Chain& chain, const std::vector<int>& samp
 
 /// Releases of a way, on one clock, that are followed one by one: `check` follows as many.
 constexpr Tick kMostFollowed = 500'000;
+/// No way takes as long.
+constexpr Tick kForeverAfter = std::numeric_limits<Tick>::max();
 
 /// Worst time of a way, from the release of its source on.
 struct Way {
@@ -64,6 +67,9 @@ struct Way {
   Holds hold;
   Tick sooner = 0;              ///< keys of the first component, where its release is urgent
   std::vector<Tick> most_hold;  ///< [sample of the way] of its reader
+  /// [sample of the way] what is left behind it, where its reader is of another domain, at any phase;
+  /// kNoTick: not known yet.
+  std::vector<Tick> left;
 
   /// Whether the releases from the first component on the clock of `v` to that of `v`, which
   /// samples[next] enters, come round soon enough.
@@ -94,7 +100,7 @@ struct Way {
   /// `before` after the way's beginning; `since` nominal ticks after the beginning of this domain's
   /// part.
   [[nodiscard]] Tick from(std::size_t next, std::int64_t k, Tick since, Tick before,
-                          std::vector<Origin>& origins) const {
+                          std::vector<Origin>& origins) {
     for (;;) {
       const int u = leaves_by(p, chain, samples, next);
       const Component& cu = p.components[at(p.component_of[at(u)])];
@@ -112,21 +118,45 @@ struct Way {
     }
   }
 
+  /// Domain of the reader of samples[s - 1]; of the way's beginning for 0.
+  [[nodiscard]] const Domain& domain_at(std::size_t s) const {
+    return p.domains[at(p.domain_of(s == 0 ? leaves_by(p, chain, samples, 0)
+                                           : p.samples[at(samples[s - 1])].second))];
+  }
+
+  /// Whether a phase that is known before samples[next] matters behind it: the way comes back there, on the
+  /// same clock all the way.
+  [[nodiscard]] bool comes_back(std::size_t next) const {
+    const int clock = domain_at(next + 1).clock;
+    for (std::size_t later = next + 2; later <= samples.size(); ++later) {
+      if (domain_at(later).clock != clock) return false;
+      for (std::size_t s = next + 1; s-- > 0 && domain_at(s).clock == clock;)
+        if (&domain_at(s) == &domain_at(later)) return true;
+    }
+    return false;
+  }
+
   /// A result of another domain, `ends` after the way's beginning, just missed by activation n - 1
-  /// of v.
-  [[nodiscard]] Tick across(std::size_t next, int v, Tick ends,
-                            std::vector<Origin>& origins) const {
+  /// of v, for any n. Not more than `enough` is asked for.
+  [[nodiscard]] Tick at_any_phase(std::size_t next, int v, Tick ends, Tick enough,
+                                  std::vector<Origin>& origins) {
     const Component& cv = p.components[at(p.component_of[at(v)])];
-    const std::int64_t ppm = p.domains[at(cv.domain)].ppm;
-    const Tick apart = in_slow_time(cv.period, ppm);
+    const Tick apart = in_slow_time(cv.period, p.domains[at(cv.domain)].ppm);
     const std::size_t known = origins.size();
     Tick worst = 0;
-    for (int n = 0; n < cv.jobs; ++n) {
+    for (int n = 0; n < cv.jobs && worst < enough; ++n) {
       const Tick read = ends + apart - hold(v, n - 1);
       origins.push_back({&cv, n, read});
       worst = std::max(worst, from(next + 1, n, 0, read, origins));
       origins.resize(known);
     }
+    return worst;
+  }
+
+  [[nodiscard]] Tick across(std::size_t next, int v, Tick ends, std::vector<Origin>& origins) {
+    const Component& cv = p.components[at(p.component_of[at(v)])];
+    const std::size_t known = origins.size();
+    Tick least = kForeverAfter;
     // Back in a domain whose phase is known, on the same clock all the way: not later than by its
     // first activation that starts when the result is certainly there.
     for (std::size_t o = known; o-- > 0;) {
@@ -138,11 +168,17 @@ struct Way {
       const Tick since =
           cv.phase + n * cv.period - origin.component->phase - origin.k * origin.component->period;
       const Tick after = origin.after;
-      worst = std::min(worst, from(next + 1, n, since, after, origins));
+      least = from(next + 1, n, since, after, origins);
       origins.resize(known);
       break;
     }
-    return worst;
+    if (comes_back(next)) return std::min(least, at_any_phase(next, v, ends, least, origins));
+    // Once for all that come here: what is left does not depend on when.
+    if (left[next] == kNoTick) {
+      std::vector<Origin> none;
+      left[next] = at_any_phase(next, v, 0, kForeverAfter, none);
+    }
+    return std::min(least, ends + left[next]);
   }
 };
 
@@ -158,7 +194,8 @@ Tick least_distance(Tick length, std::int64_t ppm) {
 Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Windows& w,
                 bool urgent) {
   const Component& c = p.components[at(p.component_of[at(leaves_by(p, chain, path.samples, 0))])];
-  Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}, urgent ? c.urgent_by : 0, {}};
+  Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}, urgent ? c.urgent_by : 0, {}, {}};
+  way.left.assign(path.samples.size(), kNoTick);
   for (const int s : path.samples) {
     const int v = p.samples[at(s)].second;
     const auto first = w.hold.begin() + p.slot[at(v)];

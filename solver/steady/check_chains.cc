@@ -22,7 +22,7 @@ namespace xauto::solver::steady::checking {
 namespace chains {
 
 constexpr std::size_t kMaxClasses = 1'000'000;
-constexpr std::int64_t kMaxWork = 200'000'000;
+constexpr std::int64_t kMaxWork = 50'000'000;  ///< a second
 constexpr Ticks kUnreached = -4 * kMaxTicks;
 
 /// At most `real`, and `grid` on the clock's grid: what drifts together is added before it drifts.
@@ -157,7 +157,7 @@ class Walk {
     if (from.clock != to.clock || !follow(u, v, late, next)) any_phase(u, v, late, next);
     work_ += static_cast<std::int64_t>(late.size() + next.size() + w_.wcet.size());
     if (work_ > kMaxWork)
-      return fail(ErrorCode::kInvalid, "it has too many paths to follow all of them",
+      return fail(ErrorCode::kUnavailable, "it has too many paths to follow all of them",
                   "chain '" + chain_.name + "'", "take out samples that it does not need");
     std::vector<Ticks> ends(w_.wcet.size(), kUnreached);
     ends[at(v)] = bound + shortest_[at(v)];

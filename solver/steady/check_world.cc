@@ -2,8 +2,10 @@
 #include "solver/steady/check_world.h"
 
 #include <algorithm>
+#include <map>
 #include <numeric>
 #include <queue>
+#include <string_view>
 
 #include <fmt/format.h>
 
@@ -189,25 +191,22 @@ Status set_graph(World& w) {
       if (--waits[at(v)] == 0) w.order.push_back(v);
   if (w.order.size() != n) return invalid("the edges have a cycle", "app '" + w.app.name + "'");
 
-  std::vector<std::string> names;
+  std::map<std::string_view, int> numbers;
   w.module_of.resize(n);
   for (std::size_t i = 0; i < n; ++i) {
-    const auto found = std::ranges::find(names, w.app.xnodes[i].module);
-    w.module_of[i] = static_cast<int>(found - names.begin());
-    if (found == names.end()) {
-      names.push_back(w.app.xnodes[i].module);
-      w.module_xnodes.emplace_back();
-    }
+    const auto [found, fresh] =
+        numbers.emplace(w.app.xnodes[i].module, static_cast<int>(numbers.size()));
+    w.module_of[i] = found->second;
+    if (fresh) w.module_xnodes.emplace_back();
     w.module_xnodes[at(w.module_of[i])].push_back(static_cast<int>(i));
   }
-  w.in_flight.assign(names.size(), 1);
+  w.in_flight.assign(numbers.size(), 1);
   for (const ModuleSpec& m : w.app.modules) {
     if (m.max_in_flight < 1 || m.max_in_flight > kMillion)
       return invalid(fmt::format("max_in_flight {} is out of range", m.max_in_flight),
                      "module '" + m.name + "'");
-    const auto found = std::ranges::find(names, m.name);
-    if (found != names.end())
-      w.in_flight[static_cast<std::size_t>(found - names.begin())] = m.max_in_flight;
+    const auto found = numbers.find(m.name);
+    if (found != numbers.end()) w.in_flight[at(found->second)] = m.max_in_flight;
   }
   w.entry.assign(n, 1);
   for (const auto& [u, v] : w.app.edges)

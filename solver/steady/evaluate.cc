@@ -10,6 +10,15 @@ namespace {
 
 /// What drift takes makes windows deeper, and deeper windows lose more: seldom more than twice.
 constexpr int kMostTries = 12;
+/// Releases of ways that are followed before the time is looked at.
+constexpr std::size_t kStepsAtOnce = 1 << 16;
+
+/// Releases that a way is followed from.
+std::size_t steps_of(const Problem& p, const Path& path) {
+  std::size_t steps = 1;
+  for (const int s : path.samples) steps += at(p.jobs[at(p.samples[at(s)].second)]);
+  return steps;
+}
 
 }  // namespace
 
@@ -241,24 +250,35 @@ bool Evaluator::simulate(const Decision& decision, const Figures* keys, Figures&
     }
   }
   if (!plan(decision, out, until)) return false;
-  set_costs(out);
+  if (!set_costs(out, until)) return false;
   // What is refused anyway need not be served.
   if (out.cost > most_) return false;
   return serves(decision, out);
 }
 
-void Evaluator::set_costs(Figures& out) const {
-  out.chain.resize(p_.chains.size());
+/// False: it is over before all ways are known.
+bool Evaluator::set_costs(Figures& out, const Until& until) const {
+  out.chain.assign(p_.chains.size(), 0);
   out.late = out.sum = 0;
+  std::size_t steps = 0;
   for (std::size_t c = 0; c < p_.chains.size(); ++c) {
     const Chain& chain = p_.chains[c];
-    out.chain[c] = worst_case(p_, chain, out.w);
+    for (const Path& path : chain.paths) {
+      out.chain[c] = std::max(out.chain[c], worst_case(p_, chain, path, out.w));
+      steps += steps_of(p_, path);
+      if (steps < kStepsAtOnce) continue;
+      steps = 0;
+      if (!until.over()) continue;
+      out.cost = 2 * kInvalidCost;
+      return false;
+    }
     const auto worst = static_cast<double>(out.chain[c]);
     out.sum += static_cast<double>(chain.weight) * worst;
     if (chain.deadline != kNoTick)
       out.late = std::max(out.late, worst / static_cast<double>(std::max(chain.deadline, Tick{1})));
   }
   out.cost = deadlines_ ? out.late + 0.02 * out.sum / reference_sum_ : out.sum / reference_sum_;
+  return true;
 }
 
 /// A chain takes at least as long as the jobs of its ways, from their release. By how much a

@@ -67,7 +67,7 @@ class Evaluator {
   bool serves(const Decision& decision, Figures& out);
   [[nodiscard]] bool as_before(const Decision& decision, int xpu, const Figures& out) const;
   bool deepen_pads(const Decision& decision, Figures& out);
-  void set_costs(Figures& out) const;
+  bool set_costs(Figures& out, const Until& until) const;
   void set_limits(double most);
   [[nodiscard]] double overload(const Decision& decision) const;
 

@@ -2,8 +2,10 @@
 #include "solver/steady/problem.h"
 
 #include <algorithm>
+#include <map>
 #include <numeric>
 #include <set>
+#include <string_view>
 
 namespace xauto::solver::steady {
 namespace {
@@ -292,6 +294,8 @@ struct Builder {
 
   Status set_modules() const {
     std::map<std::string, int> number;
+    std::map<std::string_view, std::int64_t> in_flight;
+    for (const ModuleSpec& m : app.modules) in_flight[m.name] = m.max_in_flight;
     p.module_of.assign(at(p.num_xnodes), -1);
     p.entry.assign(at(p.num_xnodes), 0);
     for (int i = 0; i < p.num_xnodes; ++i) {
@@ -300,8 +304,8 @@ struct Builder {
       if (fresh) {
         Module module;
         module.component = p.component_of[at(i)];
-        for (const ModuleSpec& m : app.modules)
-          if (m.name == name) module.in_flight = m.max_in_flight;
+        if (const auto limit = in_flight.find(name); limit != in_flight.end())
+          module.in_flight = limit->second;
         if (module.in_flight < 1)
           return fail(ErrorCode::kInvalid, "max_in_flight has to be at least 1",
                       "module '" + name + "'");

@@ -3,11 +3,11 @@
 
 #include <algorithm>
 #include <mutex>
-#include <thread>
 
 #include "solver/steady/chains.h"
 #include "solver/steady/lower_bounds.h"
 #include "solver/steady/search.h"
+#include "solver/threads.h"
 
 namespace xauto::solver::steady {
 namespace {
@@ -175,10 +175,13 @@ Result<Answer> solve(const AppSpec& app, const Platform& platform, const Options
     });
     evaluations[at(index)] = search.evaluations();
   };
-  std::vector<std::thread> pool;
-  for (int t = 1; t < threads; ++t) pool.emplace_back(work, t);
+  Threads pool;
+  int started = 1;
+  while (started < threads && pool.start([&work, started] { work(started); })) ++started;
   work(0);
-  for (std::thread& t : pool) t.join();
+  // The answer to a budget depends on all of them, wherever they run.
+  for (; started < threads && options.max_evaluations > 0; ++started) work(started);
+  pool.join();
   for (const std::int64_t e : evaluations) answer.evaluations += e;
   // What is left of the time makes the bounds better.
   std::vector<Tick> finer = lower_bounds(p, app, platform, options.wishes, kMostCases, for_finer);

@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every malformed file of tests/golden/errors makes the tool exit with 2 and say what its .expected says."""
 import json
+import os
 import pathlib
+import resource
 import shutil
+import signal
 import sqlite3
+import subprocess
 import tempfile
 import unittest
 
-from common import SOURCE, xauto
+from common import SOURCE, XAUTO, wait_for, xauto
 
 GOLDEN = SOURCE / "tests/golden"
 COMMANDS = {
@@ -20,6 +24,10 @@ COMMANDS = {
     "recording": lambda f: ["record", "check", f],
     "mcap": lambda f: ["record", "check", f],
 }
+
+
+def wchan(pid):
+    return pathlib.Path(f"/proc/{pid}/wchan").read_text()
 
 
 class Errors(unittest.TestCase):
@@ -106,6 +114,32 @@ class Errors(unittest.TestCase):
             result = xauto("simulate", "--model", "ros2", "--app", "a.json", cwd=folder)
             self.assertEqual(result.returncode, 2)
             self.assertIn("a.json: has more than 8000000 values", result.stderr)
+
+    def test_where_memory_ends_solve_goes_on_with_fewer_threads_or_says_so(self):
+        def little(bytes_):
+            return lambda: resource.setrlimit(resource.RLIMIT_AS, (bytes_, bytes_))
+        for megabytes in (64, 96, 128, 192):
+            result = subprocess.run([XAUTO, "solve", "--app", GOLDEN / "app.json", "--platform", "small", "--threads", "16",
+                                     "--time-limit-s", "0.2"], preexec_fn=little(megabytes << 20), capture_output=True,
+                                    text=True, timeout=120)
+            if "error while loading shared libraries" in result.stderr:
+                continue
+            if result.returncode != 0:
+                self.assertEqual(result.returncode, 1, result.stderr)
+                self.assertIn("there is no memory left", result.stderr)
+
+    def test_a_pipe_that_nobody_reads_holds_up_no_sigterm(self):
+        with tempfile.TemporaryDirectory() as folder:
+            pipe = os.path.join(folder, "pipe")
+            os.mkfifo(pipe)
+            process = subprocess.Popen([XAUTO, "solve", "--app", GOLDEN / "app.json", "--platform", "small",
+                                        "--time-limit-s", "0.1", "--out", pipe], stdout=subprocess.PIPE,
+                                       stderr=subprocess.PIPE, text=True)
+            wait_for("it waits for a reader", lambda: "wait_for_partner" in wchan(process.pid))
+            process.send_signal(signal.SIGTERM)
+            _, err = process.communicate(timeout=60)
+            self.assertEqual(process.returncode, 1, err)
+            self.assertIn("cannot be written: Interrupted system call", err)
 
     def test_missing_files(self):
         result = xauto("simulate", "--model", "ros2", "--app", "/nowhere/app.json")

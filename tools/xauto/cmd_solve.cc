@@ -31,7 +31,15 @@ std::atomic<bool> interrupted{false};
 
 extern "C" void on_interrupt(int) {
   interrupted.store(true);
-  std::signal(SIGINT, SIG_DFL);  // a second Ctrl-C ends the program at once
+}
+/// The second Ctrl-C, and the second SIGTERM, end the program at once. What waits in the kernel meanwhile, for who
+/// reads a pipe that is written to, goes on with an error.
+void stop_on_interrupt() {
+  struct sigaction action = {};
+  action.sa_handler = on_interrupt;
+  action.sa_flags = static_cast<int>(SA_RESETHAND);
+  sigaction(SIGINT, &action, nullptr);
+  sigaction(SIGTERM, &action, nullptr);
 }
 
 struct SolveFlags {
@@ -225,8 +233,7 @@ Result<int> solve_on_and_on(SolveFlags& flags, const AppSpec& app, const Options
                 "name the policy: --hint policy.json");
   if (flags.keep) asked.keep = solver::steady::Keep::kMost;
   asked.stop = &interrupted;
-  std::signal(SIGINT, on_interrupt);
-  std::signal(SIGTERM, on_interrupt);
+  stop_on_interrupt();
   return solve_periodic(app, platform, asked, flags.assume, flags.out, options);
 }
 
@@ -262,8 +269,7 @@ Result<int> solve_tables(SolveFlags& flags, const AppSpec& app, const Options& o
   tables.threads = flags.options.threads;
   tables.seed = flags.options.seed;
   tables.stop = &interrupted;
-  std::signal(SIGINT, on_interrupt);
-  std::signal(SIGTERM, on_interrupt);
+  stop_on_interrupt();
   return solve_with_tables(app, platform, flags.scenarios, tables, flags.out, options);
 }
 
@@ -286,8 +292,7 @@ Result<int> solve(SolveFlags& flags, const Options& options) {
   SearchLine line;
   flags.options.stop = &interrupted;
   flags.options.on_progress = [&](const solver::Progress& progress) { show(line, progress); };
-  std::signal(SIGINT, on_interrupt);
-  std::signal(SIGTERM, on_interrupt);
+  stop_on_interrupt();
   const double reading_ms =
       std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - began).count();
   const auto solved = solver::solve(app, platform, flags.options);

@@ -3,6 +3,7 @@
 
 #include <cstdio>
 #include <iostream>
+#include <new>
 
 #include <fmt/format.h>
 
@@ -65,9 +66,12 @@ int Commands::run(int argc, char** argv) {
     if (std::fflush(stdout) == 0 && std::cout && std::ferror(stdout) == 0) return *status;
     log::error("the result could not be written to stdout");
     return *status == kDone ? kAnswerIsNo : *status;
+  } catch (const std::bad_alloc&) {
+    log::error("there is no memory left");
+    log::hint("raise the limit (`ulimit -v`, systemd's MemoryMax=), or free some");
+    return kAnswerIsNo;
   } catch (const std::exception& e) {
-    // Our own code does not throw; this is memory exhaustion or a bug, and it gets a name either
-    // way.
+    // Our own code does not throw; this is a bug, and it gets a name.
     log::error("unexpected: {}", e.what());
     return kAnswerIsNo;
   }

@@ -316,6 +316,8 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                 "give it more time (--time-limit-s), longer periods, or another XPU");
   // No worst case is told that code of its own does not derive again.
   const auto checked = steady::check(app, platform, answer.policy);
+  if (!checked && checked.error().code == ErrorCode::kUnavailable)  // nobody could check it
+    return tl::unexpected<Error>(checked.error());
   if (!checked)
     return fail(ErrorCode::kInternal,
                 "the solver's answer does not pass the check: " + checked.error().to_string(),

@@ -63,5 +63,42 @@ TEST(SteadyChains, ACheckDerivesNoMoreWhereAWayGoesBackOnAClockThatDrifts) {
   }
 }
 
+/// A camera of 33 333 us beside another rate on its clock, and a LiDAR's clock between them: the releases of one
+/// clock come round after 50 000, and a way crosses clocks `crossings` times. Whoever followed each release
+/// behind each crossing again would not come to an end.
+TEST(SteadyChains, WhatIsBehindACrossingIsFollowedOnce) {
+  Platform platform;
+  platform.name = "four";
+  for (int i = 0; i < 4; ++i) platform.xpus.push_back({"cpu" + std::to_string(i), "cpu"});
+  AppSpec app;
+  app.version = 2;
+  app.name = "three";
+  app.clocks = {{"main", 0}, {"lidar", 50}};
+  app.sources = {
+      {"a", {33'333}}, {"b", {99'991}, 0, 0, 1}, {"c", {50'000}}, {"d", {70'001}, 0, 0, 1}};
+  KeyPolicy keys;
+  for (int i = 0; i < 4; ++i) {
+    const std::string name(1, "abcd"[i]);
+    app.modules.push_back({name, 1, false});
+    app.xnodes.push_back({name, name, {{"cpu", 500}}, {i}});
+    keys.placements.push_back({i, {510}});  // drift costs some
+  }
+  app.samples = {{0, 1}, {1, 2}, {2, 3}};
+  app.chains = {{"all", 0, 3, {}}};
+  keys.app = app.name;
+  keys.app_hash = app.hash();
+  const Problem p = *Problem::create(app, platform);
+  Windows w = keys_and_holds(p, keys);
+  std::string why;
+  ASSERT_TRUE(certify(p, {0, 1, 2, 3}, w, &why)) << why;
+  const Tick worst = p.up_to_us(worst_case(p, p.chains[0], w, false)) / p.scale;
+  // Each result just missed, of the camera too, and periods of a slow clock.
+  EXPECT_EQ(worst, 510 + (510 + 99'996) + (510 + 50'000) + (510 + 70'005) + 2);
+  keys.chains = {{"all", worst, 0, false}};
+  const auto report = check(app, platform, keys);
+  ASSERT_TRUE(report) << report.error().to_string();
+  EXPECT_LE(report->chains.front().derived_us, worst);
+}
+
 }  // namespace
 }  // namespace xauto::solver::steady

@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+// Threads that compute for one answer: as many as the system gives, joined however their owner ends. What one of
+// them throws (memory that ends), join() throws again.
+#pragma once
+
+#include <exception>
+#include <mutex>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "base/thread.h"
+
+namespace xauto::solver {
+
+class Threads {
+ public:
+  Threads() = default;
+  Threads(const Threads&) = delete;
+  Threads& operator=(const Threads&) = delete;
+  ~Threads() { wait(); }
+
+  /// False: there is none for it.
+  template <class F>
+  [[nodiscard]] bool start(F run) {
+    auto thread = start_thread([this, run = std::move(run)] {
+      try {
+        run();
+      } catch (...) {
+        const std::lock_guard<std::mutex> lock(mutex_);
+        thrown_ = std::current_exception();
+      }
+    });
+    if (thread) threads_.push_back(std::move(*thread));
+    return thread.has_value();
+  }
+  void join() {
+    wait();
+    if (thrown_) std::rethrow_exception(std::exchange(thrown_, nullptr));
+  }
+
+ private:
+  void wait() {
+    for (std::thread& thread : threads_) thread.join();
+    threads_.clear();
+  }
+
+  std::vector<std::thread> threads_;
+  std::mutex mutex_;
+  std::exception_ptr thrown_;
+};
+
+}  // namespace xauto::solver
