@@ -16,6 +16,8 @@ constexpr double kEpsilon = 1e-9;
 constexpr int kMaxPivots = 600;        // plus four per column
 constexpr std::size_t kMaxEdges = 48;  // window ends tried per type; beyond, an even sample of them
 constexpr std::size_t kMaxRows = 160;
+constexpr double kNearlyFull = 0.9;   // of all instances: such a window is looked at more closely
+constexpr std::size_t kMostFull = 6;  // of these, by type
 
 void sort_and_thin(std::vector<Time>& times) {
   std::sort(times.begin(), times.end());
@@ -45,7 +47,7 @@ Time EnergyLp::energy(const Windows& windows, std::size_t i, int type, Time a, T
 
 Time EnergyLp::coefficient(const Windows& windows, const Row& row, std::size_t i, int type) const {
   if (row.type == kChain) return problem_.wcet(static_cast<int>(i), type) + windows.extra[i];
-  return energy(windows, i, type, row.a, row.b);
+  return packed(energy(windows, i, type, row.a, row.b), row.b - row.a, row.grain);
 }
 
 void EnergyLp::start(const Windows& windows) {
@@ -93,7 +95,7 @@ void EnergyLp::add_row(const Windows& windows, const Row& row) {
     }
   } else {
     // Scaled to the window's length, so that tolerances mean the same in every row.
-    const auto length = static_cast<double>(std::max<Time>(1, row.b - row.a));
+    const auto length = static_cast<double>(std::max<Time>(1, row.room()));
     rhs = row.type == kChain ? static_cast<double>(row.b - row.a) / length
                              : static_cast<double>(problem_.type_xpus[at(row.type)].size());
     const auto add = [&](std::size_t i, int type) {
@@ -214,6 +216,8 @@ int EnergyLp::separate(const Windows& windows) {
   }
   if (added > 0) return added;
   added = separate_chains(windows);
+  full_.resize(at(types_));
+  for (auto& full : full_) full.clear();
   struct Item {
     Time r, d, w;
     double x;
@@ -259,6 +263,7 @@ int EnergyLp::separate(const Windows& windows) {
         slope[full] -= item.x;
         level[full] += item.x * static_cast<double>(from + left - a);
       }
+      Full fullest{kNearlyFull * instances, a, a};
       double best_here = 1e-6, rate = 0, base = 0;
       Row here{kNone, 0, 0};
       for (std::size_t k = 0; k < ends.size(); ++k) {
@@ -267,12 +272,14 @@ int EnergyLp::separate(const Windows& windows) {
         const Time b = ends[k];
         if (b <= a) continue;
         const auto length = static_cast<double>(b - a);
-        const double violation = (rate * length + base) / length - instances;
+        const double used = (rate * length + base) / length, violation = used - instances;
+        if (used > fullest.instances) fullest = {used, a, b};
         if (violation > best_here) {
           best_here = violation;
           here = {t, a, b};
         }
       }
+      if (fullest.b > a) full_[at(t)].push_back(fullest);
       if (here.type == kNone) continue;
       if (best_here > best[0]) {
         best[1] = best[0];
@@ -289,6 +296,38 @@ int EnergyLp::separate(const Windows& windows) {
       add_row(windows, row);
       ++added;
     }
+  }
+  return added;
+}
+
+int EnergyLp::separate_packing(const Windows& windows) {
+  int added = 0;
+  for (int t = 0; t < types_; ++t) {
+    auto& full = full_[at(t)];
+    const std::size_t tried = std::min(kMostFull, full.size());
+    std::partial_sort(full.begin(), full.begin() + static_cast<std::ptrdiff_t>(tried), full.end(),
+                      [](const Full& p, const Full& q) { return p.instances > q.instances; });
+    const auto instances = static_cast<double>(problem_.type_xpus[at(t)].size());
+    double most = 1e-3;
+    Row found{kNone, 0, 0};
+    for (std::size_t k = 0; k < tried; ++k) {
+      const Time a = full[k].a, b = full[k].b;
+      packing_.clear();
+      for (std::size_t i = 0; i < at(n_); ++i) {
+        const double x = share(static_cast<int>(i), t);
+        if (x < 1e-9) continue;
+        const Time work = energy(windows, i, t, a, b);
+        if (work > 0) packing_.add(work, x);
+      }
+      Time grain = 0;
+      const double excess = packing_.excess(b - a, instances, grain);
+      if (excess <= most) continue;
+      most = excess;
+      found = {t, a, b, grain};
+    }
+    if (found.type == kNone) continue;
+    add_row(windows, found);
+    ++added;
   }
   return added;
 }
@@ -345,7 +384,7 @@ bool EnergyLp::refutation_holds(const Windows& windows) {
     const Row& row = rows_[k];
     if (row.type == kShares) y[k] = 0;  // implied below: each XNode takes its cheapest type
     // Back to unscaled rows.
-    y[k] /= static_cast<double>(std::max<Time>(1, row.b - row.a));
+    y[k] /= static_cast<double>(std::max<Time>(1, row.room()));
     largest = std::max(largest, y[k]);
   }
   if (largest <= 0) return false;
@@ -357,7 +396,7 @@ bool EnergyLp::refutation_holds(const Windows& windows) {
     const Row& row = rows_[k];
     const std::int64_t instances =
         row.type == kChain ? 1 : static_cast<std::int64_t>(problem_.type_xpus[at(row.type)].size());
-    capacity += static_cast<__int128>(multiplier) * (row.b - row.a) * instances;
+    capacity += static_cast<__int128>(multiplier) * row.room() * instances;
     const auto add = [&](std::size_t i, int t) {
       sum[i * at(types_) + at(t)] +=
           static_cast<__int128>(multiplier) * coefficient(windows, row, i, t);
@@ -402,7 +441,8 @@ bool EnergyLp::feasible(const Windows& windows) {
     const int status = dual_simplex();
     if (status == 0) return !refutation_holds(windows);
     read_shares(windows);
-    if (status < 0 || rows_.size() > kMaxRows || separate(windows) == 0) break;
+    if (status < 0 || rows_.size() > kMaxRows) break;
+    if (separate(windows) == 0 && separate_packing(windows) == 0) break;
   }
   const std::size_t structurals = columns_;
   for (std::size_t j = 0; j < columns_; ++j) {

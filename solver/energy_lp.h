@@ -9,6 +9,7 @@
 //     sum over i of e_it(a, b) x_it  <=  (b - a) * instances(t),
 // and for every chain i_1, ..., i_k of XNodes, each of which finishes before the next one starts,
 //     sum over j, t of (w_(i_j) t + extra_(i_j)) x_(i_j) t  <=  d_(i_k) - r_(i_1).
+// An XNode stays on one instance, so that the first holds for the functions of e in packing.h, too.
 //
 // Source: energetic reasoning (Erschler, Lopez 1991; Baptiste, Le Pape, Nuijten, "Constraint-based
 // scheduling", 2001, section 3.3.3), here for fractional assignments, as an LP whose rows are
@@ -22,6 +23,7 @@
 #include <vector>
 
 #include "base/index.h"
+#include "solver/packing.h"
 #include "solver/problem.h"
 
 namespace xauto::solver {
@@ -61,9 +63,17 @@ class EnergyLp {
   struct Row {
     int type;  ///< kShares: the fractions of one XNode sum to at most 1 (xnode in `a`)
     Time a, b;
+    Time grain = 0;               ///< how the work in a window is counted (packing.h)
     std::vector<int> chain = {};  ///< type kChain: its XNodes; [a, b] is the time that it has
 
     bool operator==(const Row&) const = default;
+    /// What there is of one instance, in the unit of the coefficients.
+    [[nodiscard]] Time room() const { return packed_room(b - a, grain); }
+  };
+  /// A window of a type and how many of its instances it fills.
+  struct Full {
+    double instances;
+    Time a, b;
   };
   static constexpr int kShares = -1, kChain = -2, kNone = -3;
 
@@ -75,6 +85,7 @@ class EnergyLp {
   void read_shares(const Windows& windows);
   int separate(const Windows& windows);
   int separate_chains(const Windows& windows);
+  int separate_packing(const Windows& windows);
   /// The row's coefficient of the fraction of `i` on `type`.
   [[nodiscard]] Time coefficient(const Windows& windows, const Row& row, std::size_t i,
                                  int type) const;
@@ -96,6 +107,8 @@ class EnergyLp {
   std::vector<int> column_var_,
       row_var_;  ///< < structurals: structural; else slack of rows_[v - structurals]
   std::vector<Row> rows_;
+  std::vector<std::vector<Full>> full_;  ///< by type: windows that separate() found nearly full
+  Packing packing_;
   std::vector<double> spans_, heads_;  ///< separate_chains(): fractional, by XNode
   std::vector<int> before_;
   std::size_t bad_row_ = 0;

@@ -13,6 +13,7 @@
 #include "solver/energy_lp.h"
 #include "solver/evaluate.h"
 #include "solver/instance_fit.h"
+#include "solver/one_machine.h"
 #include "solver/rules.h"
 
 namespace xauto::solver {
@@ -26,6 +27,7 @@ class Refuter : private Rules {
       : Rules(problem),
         control_(control),
         lp_(problem, [&control] { return control.stopped(); }),
+        machine_(problem),
         fit_(problem),
         evaluator_(problem),
         with_deadlines_(with_deadlines && !problem.goal.plain()),
@@ -35,6 +37,12 @@ class Refuter : private Rules {
   }
 
   enum class Answer { kRefuted, kOpen };
+
+  /// What is branched on first once all types are decided: the instance of an XNode, or pairs. Where
+  /// instances are short of room pairs first is a tree without end, and the other way round where
+  /// pairs are what is tight.
+  void take_turns() { pairs_first_ = !pairs_first_; }
+  [[nodiscard]] bool pairs_first() const { return pairs_first_; }
 
   /// The last refute() met a leaf that nothing refutes, with nodes and time to spare.
   [[nodiscard]] bool met_open_leaf() const { return open_leaf_; }
@@ -115,7 +123,16 @@ class Refuter : private Rules {
     if (known_.size() > kMost) known_.erase(std::prev(known_.end()));
   }
 
-  bool dead(Windows& w) { return !tighten(w) || !lp_.feasible(w); }
+  /// Windows from the precedence graph and from each instance, until neither changes them.
+  bool narrow(Windows& w) {
+    for (;;) {
+      if (!tighten(w)) return false;
+      const OneMachine::Answer answer = machine_.narrow(w);
+      if (answer != OneMachine::Answer::kNarrowed) return answer == OneMachine::Answer::kSame;
+    }
+  }
+
+  bool dead(Windows& w) { return !narrow(w) || !lp_.feasible(w); }
 
   /// Shaving: assume the extreme part of a window, refute it, cut it off. -1 refuted, 1 changed, 0
   /// not.
@@ -196,9 +213,9 @@ class Refuter : private Rules {
   }
 
   bool dead_end(Windows& w, int& open_i, int& open_j) {
-    if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
+    if (!narrow(w) || !settle_pairs(w, open_i, open_j)) return true;
     while (open_i < 0 && charge_starters(w))
-      if (!tighten(w) || !settle_pairs(w, open_i, open_j)) return true;
+      if (!narrow(w) || !settle_pairs(w, open_i, open_j)) return true;
     return !lp_.feasible(w) || !fit_.possible(w, kSteps);
   }
 
@@ -265,18 +282,7 @@ class Refuter : private Rules {
     if (branch >= 0) return decide(w, branch, type, depth);
     decided_ = -1;
     if (try_as_policy(w)) return false;
-    if (open_i >= 0) {
-      const int shared = std::countr_zero(w.types[at(open_i)]);
-      const unsigned possible = relations(w, open_i, open_j, shared);
-      for (const Relation relation : {kFirst, kSecond, kInFirst, kInSecond}) {
-        if ((possible & relation) == 0) continue;
-        Windows child = w;
-        relate(child, open_i, open_j, shared, relation);
-        if (!descend(child, depth + 1)) return false;
-      }
-      return true;
-    }
-    branch = unplaced(w);
+    branch = pairs_first_ && open_i >= 0 ? -1 : unplaced(w);
     if (branch >= 0) {
       const int shared = std::countr_zero(w.types[at(branch)]);
       int used = 0;
@@ -287,6 +293,17 @@ class Refuter : private Rules {
       for (int k = 0; k <= std::min(used, instances - 1); ++k) {
         Windows child = w;
         child.place[at(branch)] = k;
+        if (!descend(child, depth + 1)) return false;
+      }
+      return true;
+    }
+    if (open_i >= 0) {
+      const int shared = std::countr_zero(w.types[at(open_i)]);
+      const unsigned possible = relations(w, open_i, open_j, shared);
+      for (const Relation relation : {kFirst, kSecond, kInFirst, kInSecond}) {
+        if ((possible & relation) == 0) continue;
+        Windows child = w;
+        relate(child, open_i, open_j, shared, relation);
         if (!descend(child, depth + 1)) return false;
       }
       return true;
@@ -355,6 +372,7 @@ class Refuter : private Rules {
 
   const ProofControl& control_;
   EnergyLp lp_;
+  OneMachine machine_;
   InstanceFit fit_;
   Evaluator evaluator_;
   CompositeBound start_;
@@ -367,6 +385,7 @@ class Refuter : private Rules {
   int decided_ = -1;  ///< the XNode whose type was decided last; -1: something else was
   Time guess_ = 0;
   bool open_leaf_ = false;
+  bool pairs_first_ = true;
 };
 
 /// A node budget that no clock lets be used up; rounds that end early would otherwise overflow it.
@@ -381,6 +400,7 @@ bool deadlines_refuted(const Problem& problem, Time makespan_limit, const ProofC
     if (refuter.refute(makespan_limit, nodes, nodes > 1 ? 2 : 0) == Refuter::Answer::kRefuted)
       return true;
     if (refuter.met_open_leaf()) return false;
+    refuter.take_turns();
   }
   return false;
 }
@@ -430,6 +450,8 @@ Time prove_bound(const Problem& problem, const ProofControl& control) {
     }
     if (any) continue;
     if (!more_nodes_help) break;
+    refuter.take_turns();
+    if (!refuter.pairs_first()) continue;
     nodes = std::min(kMostNodes, nodes * 3);
   }
   return bound;
