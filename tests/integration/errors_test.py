@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 import unittest
 
-from common import SOURCE, XAUTO, wait_for, xauto
+from common import APP, DRIVING, SOURCE, XAUTO, wait_for, xauto
 
 GOLDEN = SOURCE / "tests/golden"
 COMMANDS = {
@@ -24,6 +24,10 @@ COMMANDS = {
     "recording": lambda f: ["record", "check", f],
     "mcap": lambda f: ["record", "check", f],
 }
+
+
+def little_memory(megabytes):
+    return lambda: resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
 
 
 def wchan(pid):
@@ -116,17 +120,26 @@ class Errors(unittest.TestCase):
             self.assertIn("a.json: has more than 8000000 values", result.stderr)
 
     def test_where_memory_ends_solve_goes_on_with_fewer_threads_or_says_so(self):
-        def little(bytes_):
-            return lambda: resource.setrlimit(resource.RLIMIT_AS, (bytes_, bytes_))
         for megabytes in (64, 96, 128, 192):
             result = subprocess.run([XAUTO, "solve", "--app", GOLDEN / "app.json", "--platform", "small", "--threads", "16",
-                                     "--time-limit-s", "0.2"], preexec_fn=little(megabytes << 20), capture_output=True,
+                                     "--time-limit-s", "0.2"], preexec_fn=little_memory(megabytes), capture_output=True,
                                     text=True, timeout=120)
             if "error while loading shared libraries" in result.stderr:
                 continue
             if result.returncode != 0:
                 self.assertEqual(result.returncode, 1, result.stderr)
                 self.assertIn("there is no memory left", result.stderr)
+
+    def test_where_threads_end_a_run_says_so(self):
+        with tempfile.TemporaryDirectory() as folder:
+            policy = os.path.join(folder, "policy.json")
+            xauto("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", policy)
+            result = subprocess.run([XAUTO, "run", "--app", APP, "--platform", "small", "--policy", policy, "--emulate",
+                                     "--activations", "3", "--", DRIVING], preexec_fn=little_memory(100), capture_output=True,
+                                    text=True, timeout=120)
+            self.assertEqual(result.returncode, 1, result.stderr)
+            self.assertIn("no more threads", result.stderr)
+            self.assertNotIn("terminate called", result.stderr)
 
     def test_a_pipe_that_nobody_reads_holds_up_no_sigterm(self):
         with tempfile.TemporaryDirectory() as folder:
