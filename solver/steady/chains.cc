@@ -55,6 +55,8 @@ int leaves_by(const Problem& p, const Chain& chain, const std::vector<int>& samp
 
 /// Releases of a way, on one clock, that are followed one by one: `check` follows as many.
 constexpr Tick kMostFollowed = 500'000;
+/// Activations of a way that are gone through where it comes back to a phase; beyond, that phase is forgotten.
+constexpr std::int64_t kMostReturns = 100'000;
 /// No way takes as long.
 constexpr Tick kForeverAfter = std::numeric_limits<Tick>::max();
 
@@ -71,16 +73,18 @@ struct Way {
   /// kNoTick: not known yet.
   std::vector<Tick> left;
 
-  /// Whether the releases from the first component on the clock of `v` to that of `v`, which
+  std::int64_t returns = kMostReturns;
+
+  /// Whether releases and keys, from those of the first component on the clock of `v` to those of `v`, which
   /// samples[next] enters, come round soon enough.
   [[nodiscard]] bool followed(std::size_t next, int v) const {
     const auto clock_of = [&](int i) { return p.domains[at(p.domain_of(i))].clock; };
-    Tick hyper = p.period_of(v), least = hyper;
+    Tick hyper = p.domains[at(p.domain_of(v))].hyper, least = p.period_of(v);
     for (std::size_t s = next + 1; s-- > 0;) {
       const int u = p.samples[at(samples[s])].first;
       if (clock_of(u) != clock_of(v)) break;
       least = std::min(least, p.period_of(u));
-      const Tick period = p.period_of(u), by = period / std::gcd(hyper, period);
+      const Tick turn = p.domains[at(p.domain_of(u))].hyper, by = turn / std::gcd(hyper, turn);
       if (by > kMostTicks / hyper) return false;
       hyper *= by;
       if (hyper / least > kMostFollowed) return false;
@@ -129,7 +133,9 @@ struct Way {
   [[nodiscard]] bool comes_back(std::size_t next) const {
     const int clock = domain_at(next + 1).clock;
     for (std::size_t later = next + 2; later <= samples.size(); ++later) {
-      if (domain_at(later).clock != clock) return false;
+      if (domain_at(later).clock != clock ||
+          !followed(later - 1, p.samples[at(samples[later - 1])].second))
+        return false;
       for (std::size_t s = next + 1; s-- > 0 && domain_at(s).clock == clock;)
         if (&domain_at(s) == &domain_at(later)) return true;
     }
@@ -145,6 +151,7 @@ struct Way {
     const std::size_t known = origins.size();
     Tick worst = 0;
     for (int n = 0; n < cv.jobs && worst < enough; ++n) {
+      --returns;
       const Tick read = ends + apart - hold(v, n - 1);
       origins.push_back({&cv, n, read});
       worst = std::max(worst, from(next + 1, n, 0, read, origins));
@@ -160,19 +167,27 @@ struct Way {
     // Back in a domain whose phase is known, on the same clock all the way: not later than by its
     // first activation that starts when the result is certainly there.
     for (std::size_t o = known; o-- > 0;) {
-      const Origin& origin = origins[o];
+      const Origin origin = origins[o];
       if (p.domains[at(origin.component->domain)].clock != p.domains[at(cv.domain)].clock) break;
       if (origin.component->domain != cv.domain || !followed(next, v)) continue;
       const std::int64_t n = first_reader(p, *origin.component, origin.k, ends - origin.after, v,
                                           hold, most_hold[next]);
       const Tick since =
           cv.phase + n * cv.period - origin.component->phase - origin.k * origin.component->period;
-      const Tick after = origin.after;
-      least = from(next + 1, n, since, after, origins);
-      origins.resize(known);
+      // By how much that is after what began since `origin` is not known any more: the sooner one of
+      // these began, the longer.
+      const std::vector<Origin> later(origins.begin() + static_cast<std::ptrdiff_t>(o) + 1,
+                                      origins.end());
+      origins.resize(o + 1);
+      least = from(next + 1, n, since, origin.after, origins);
+      origins.resize(o + 1);
+      origins.insert(origins.end(), later.begin(), later.end());
       break;
     }
-    if (comes_back(next)) return std::min(least, at_any_phase(next, v, ends, least, origins));
+    if (comes_back(next)) {
+      if (returns > 0) return std::min(least, at_any_phase(next, v, ends, least, origins));
+      if (least < kForeverAfter) return least;
+    }
     // Once for all that come here: what is left does not depend on when.
     if (left[next] == kNoTick) {
       std::vector<Origin> none;

@@ -10,6 +10,7 @@
 #include "solver/steady/chains.h"
 #include "solver/steady/check.h"
 #include "solver/steady/problem.h"
+#include "solver/steady/solve.h"
 
 namespace xauto::solver::steady {
 namespace {
@@ -98,6 +99,38 @@ TEST(SteadyChains, WhatIsBehindACrossingIsFollowedOnce) {
   const auto report = check(app, platform, keys);
   ASSERT_TRUE(report) << report.error().to_string();
   EXPECT_LE(report->chains.front().derived_us, worst);
+}
+
+/// One clock, whose rates meet so late that it is planned in groups, and a way that goes to and fro between two
+/// of them: their phases to each other are known all the same, by `check` too.
+TEST(SteadyChains, AWayToAndFroBetweenGroupsOfOneClockIsWhatCheckDerives) {
+  AppSpec app;
+  app.version = 2;
+  app.name = "groups";
+  app.clocks = {{"main", 0}};
+  const auto add = [&](const std::string& name, std::int64_t period) {
+    const int i = static_cast<int>(app.xnodes.size());
+    app.sources.push_back({"of " + name, {period}});
+    app.modules.push_back({name, 1, false});
+    app.xnodes.push_back({name, name, {{"cpu", 30}}, {i}});
+  };
+  for (const char* name : {"x0", "x1", "x2", "x3", "x4", "x5"}) {
+    add(name, app.xnodes.size() % 2 == 0 ? 1000 : 1001);
+    if (app.xnodes.size() > 1)
+      app.samples.emplace_back(static_cast<int>(app.xnodes.size()) - 2,
+                               static_cast<int>(app.xnodes.size()) - 1);
+  }
+  for (const std::int64_t period : {1'000'000, 1'001'000, 997'000})
+    add("y" + std::to_string(period), period);
+  for (int to = 1; to < 6; ++to) app.chains.push_back({"to " + std::to_string(to), 0, to, {}});
+  Options options;
+  options.max_evaluations = 200;
+  const Platform platform = *Platform::builtin("small");
+  const auto answer = solve(app, platform, options);
+  ASSERT_TRUE(answer) << answer.error().to_string();
+  ASSERT_EQ(answer->outcome, Outcome::kPolicy);
+  const auto report = check(app, platform, answer->policy);
+  EXPECT_TRUE(report) << report.error().to_string();
 }
 
 }  // namespace
