@@ -30,7 +30,8 @@ class ClaimedWcets {
     return table * xnodes_ + xnode;
   }
   std::size_t xnodes_;
-  std::vector<std::vector<std::int64_t>> ns_;  ///< [scenario][at()]
+  std::vector<std::size_t> row_of_;            ///< [scenario]; of keys its table
+  std::vector<std::vector<std::int64_t>> ns_;  ///< [row][at()]
   std::vector<std::int64_t> least_ns_;         ///< [at()]
 };
 
