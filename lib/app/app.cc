@@ -160,6 +160,7 @@ Result<RunReport> App::Data::run(const RunOptions& options, const std::shared_pt
   }
   auto data = std::make_shared<RunReport::Data>();
   data->report = *std::move(ran.report);
+  data->report.dead_daemons = keeper->who_died();
   data->app = spec.name;
   data->emulator_died = emulator_died;
   data->emulates = held->session.emulates();

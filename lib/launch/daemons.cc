@@ -154,6 +154,17 @@ bool Daemons::restart(Daemon& daemon, const Exit& exit) {
   return true;
 }
 
+std::vector<std::string> Daemons::who_died() const {
+  std::vector<std::string> lines;
+  for (const Daemon& daemon : daemons_) {
+    if (daemon.deaths > 0)
+      lines.push_back(daemon.name + " died and was restarted" +
+                      (daemon.deaths > 1 ? ", " + std::to_string(daemon.deaths) + " times" : ""));
+    if (daemon.noticed) lines.push_back(daemon.name + " died, and was not restarted");
+  }
+  return lines;
+}
+
 void Daemons::add_to(std::vector<pollfd>& fds) const {
   for (const Daemon& daemon : daemons_)
     if (!daemon.noticed) fds.push_back({daemon.child.pidfd(), POLLIN, 0});

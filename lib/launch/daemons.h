@@ -57,6 +57,8 @@ class Daemons {
 
   [[nodiscard]] bool emulator_died() const { return emulator_died_; }
   [[nodiscard]] std::uint64_t deaths() const { return deaths_; }
+  /// Of which daemons these were, a line each: "xauto-emud died and was restarted, 2 times".
+  [[nodiscard]] std::vector<std::string> who_died() const;
   /// CPU time of all coordinators together.
   [[nodiscard]] std::int64_t coordinators_cpu_us() const { return coordinators_cpu_us_; }
 

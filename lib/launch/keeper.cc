@@ -118,6 +118,7 @@ void Keeper::keep(runtime::Session& session, const std::string& bin, std::promis
     if (fds.front().revents != 0) break;
     if (!daemons.look_after(now_ns())) lost_();
   }
+  died_ = daemons.who_died();
   daemons.stop(kGraceMs);
 }
 

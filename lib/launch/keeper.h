@@ -40,6 +40,8 @@ class Keeper {
   [[nodiscard]] const std::string& emulator() const { return emulator_; }
   /// Stops them, and returns what happened to them, for people. Idempotent.
   const std::vector<std::string>& stop();
+  /// After `stop`: Daemons::who_died().
+  [[nodiscard]] const std::vector<std::string>& who_died() const { return died_; }
 
  private:
   Keeper() = default;
@@ -48,7 +50,7 @@ class Keeper {
   std::function<void()> lost_;
   std::string emulator_;
   UniqueFd quit_;  ///< eventfd
-  std::vector<std::string> notes_;
+  std::vector<std::string> notes_, died_;
   std::thread thread_;
 };
 

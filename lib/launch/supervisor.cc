@@ -84,6 +84,7 @@ class Supervisor {
     daemons_->stop(kGraceMs);
     outcome_.coordinators_cpu_us = daemons_->coordinators_cpu_us();
     outcome_.deaths += daemons_->deaths();
+    outcome_.dead_daemons = daemons_->who_died();
     outcome_.emulator_died = daemons_->emulator_died();
     return collect();
   }
@@ -270,6 +271,15 @@ class Supervisor {
     if (board) (void)send_packet(peer->get(), text.data(), text.size(), {board->get()});
   }
 
+  /// Of daemons, to whoever looks at the run.
+  void show_deaths() {
+    if (daemons_->deaths() == shown_deaths_ || !board_fd_) return;
+    auto board = Board::steer(board_fd_.get());
+    if (!board) return;  // the app has not made it yet
+    shown_deaths_ = daemons_->deaths();
+    (*board)->header().daemon_deaths.store(shown_deaths_);
+  }
+
   /// The trace says by two counters that there is something new; what it was is among its events.
   /// `now` is INT64_MAX when the app has ended: no aftermath will come.
   void look_for_incidents(std::int64_t now) {
@@ -333,6 +343,7 @@ class Supervisor {
         request_.on_tick(static_cast<double>(now - started) * 1e-9, board_.get());
       look_for_incidents(now);
       if (!daemons_->look_after(now)) tell(nullptr);
+      show_deaths();
       if (cpus_.scheduler)
         if (const auto exit = cpus_.scheduler->child.poll()) {
           outcome_.notes.push_back("xauto-cpusched ended (" + exit->to_string() + ")");
@@ -392,6 +403,7 @@ class Supervisor {
   std::string base_, bin_;
   UniqueFd answer_, trace_, session_, board_fd_, live_;
   std::shared_ptr<const Board> board_;
+  std::uint64_t shown_deaths_ = 0;
   std::unique_ptr<Desk> desk_;  ///< null: it is no run
   std::optional<Daemons> daemons_;
   std::vector<ModuleProcess> processes_;

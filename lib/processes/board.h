@@ -40,7 +40,8 @@ struct alignas(64) BoardHeader {
   std::atomic<std::uint64_t> outside_jobs{}, outside_clocks{};
   /// [H] before the run: what the policy's claims take for granted and this run does not keep.
   char unkept[kBoardTextBytes] = {};
-  ContextCounts contexts{};  ///< by the workers of all processes
+  ContextCounts contexts{};                    ///< by the workers of all processes
+  std::atomic<std::uint64_t> daemon_deaths{};  ///< [S] of the emulator and coordinators
   // Of a run with tables:
   std::atomic<std::uint32_t> asked{};            ///< [S], and any process: scenario + 1; 0: none
   std::atomic<std::uint32_t> scenario{}, why{};  ///< [H] in force, and runtime::Why
@@ -136,17 +137,37 @@ struct alignas(64) ParameterLine {
 
 /// Jobs of one XNode that has limits (watch.h).
 struct alignas(64) XNodeLine {
-  // [M]; overruns: of the budget; over_wcet: of Limits::wcet_ns
-  std::atomic<std::uint64_t> jobs{}, overruns{}, over_wcet{}, hangs{};
+  // [M]; overruns: of the budget
+  std::atomic<std::uint64_t> jobs{}, overruns{}, hangs{};
   std::atomic<std::int64_t> longest_ns{};  ///< [M]
+  /// [M] jobs longer than Limits::wcet_ns, and the most that one was. With tables [H], of those that no
+  /// scenario in force covered.
+  std::atomic<std::uint64_t> over_wcet{};
+  std::atomic<std::int64_t> over_ns{};
   /// With tables: the longest job since the hub last looked, and by which of them it ran, as one word.
   /// [M] raises it, [H] takes it. 0: there was none.
   std::atomic<std::uint64_t> seen_job{};
   std::atomic<std::uint32_t> hung_table{};  ///< [M] of the last job that hung
+  /// With tables: jobs past Limits::wcet_ns since the hub last looked, and as seen_job the longest.
+  std::atomic<std::uint64_t> past_jobs{}, past_job{};
   static constexpr int kTableBits = 8;
-  void saw(std::int64_t ns, std::uint32_t table) {
-    const std::uint64_t word = static_cast<std::uint64_t>(ns) << kTableBits | table;
-    keep_largest(seen_job, word);
+  static constexpr std::uint64_t word(std::int64_t ns, std::uint32_t table) {
+    return static_cast<std::uint64_t>(ns) << kTableBits | table;
+  }
+  static constexpr std::size_t table_of(std::uint64_t word) {
+    return static_cast<std::size_t>(word & ((1U << kTableBits) - 1));
+  }
+  static constexpr std::int64_t ns_of(std::uint64_t word) {
+    return static_cast<std::int64_t>(word >> kTableBits);
+  }
+  void saw(std::int64_t ns, std::uint32_t table) { keep_largest(seen_job, word(ns, table)); }
+  void past(std::int64_t ns, std::uint32_t table) {
+    keep_largest(past_job, word(ns, table));
+    past_jobs.fetch_add(1);
+  }
+  void over(std::uint64_t more, std::int64_t by_ns) {
+    over_wcet.fetch_add(more, std::memory_order_relaxed);
+    keep_largest(over_ns, by_ns);
   }
 };
 

@@ -201,7 +201,7 @@ void Engine::tell_preemptions(RunReport& into) const {
 RunReport Engine::report() {
   RunReport result;
   tell_notes(result);
-  ledger_->report(placing_.limits.front(), result);
+  ledger_->report(placing_.limits, result);
   result.unkept = placing_.unkept;
   if (context_->session.keys && wiring_->lost_scheduler())
     result.unkept.emplace_back(

@@ -64,7 +64,7 @@ void Ledger::show_claims() {
       context_.board.flow(i + 1).worst_case_us = largest_us[i];
     unproven_.assign(routes_.size(), 0);
     const auto first = static_cast<std::size_t>(session.tables->serves.front().table);
-    routes_.claim(0, allowed_by(first));
+    routes_.claim(0, claimed_by(first), more_pct());
     tell_chains(0, first);
     return;
   }
@@ -86,18 +86,23 @@ void Ledger::show_claims() {
     claim(context_.board.flow(i), *session.policy.worst_case_us);
 }
 
-std::int64_t Ledger::allowed_us(std::int64_t worst_us) const {
-  return worst_us + (context_.session.emulates() ? worst_us * kEmulatorPct / 100 : 0);
+/// What a chain may take beside its claim.
+std::int64_t Ledger::more_pct() const {
+  return context_.session.emulates() ? kEmulatorPct : 0;
 }
 
-/// [chain] what a release may take by the table's claims, once all changes before it are proven.
-std::vector<std::int64_t> Ledger::allowed_by(std::size_t table) const {
-  std::vector<std::int64_t> allowed(routes_.size(), 0);
+std::int64_t Ledger::allowed_us(std::int64_t worst_us) const {
+  return worst_us + worst_us * more_pct() / 100;
+}
+
+/// [chain] what the table claims of a release, once all changes before it are proven.
+std::vector<std::int64_t> Ledger::claimed_by(std::size_t table) const {
+  std::vector<std::int64_t> claimed(routes_.size(), 0);
   const std::vector<ChainClaim>& claims = context_.session.tables->keys[table].chains;
-  for (std::size_t i = 0; i < std::min(allowed.size(), claims.size()); ++i)
+  for (std::size_t i = 0; i < std::min(claimed.size(), claims.size()); ++i)
     if (unproven_[i] == 0 && claims[i].worst_case_us != kNotThere)
-      allowed[i] = allowed_us(claims[i].worst_case_us);
-  return allowed;
+      claimed[i] = claims[i].worst_case_us;
+  return claimed;
 }
 
 /// Which chains the table has, where some table lacks one.
@@ -121,14 +126,14 @@ void Ledger::claim_handover(std::int64_t from_ns, std::int64_t settled_ns, std::
     if (change == nullptr || i >= change->worst_case_us.size() || !change->worst_case_us[i])
       unproven_[i] = 1;  // nobody knows when its jobs are in time again
     else if (unproven_[i] == 0 && *change->worst_case_us[i] != kNotThere)
-      across[i] = allowed_us(*change->worst_case_us[i]);
+      across[i] = *change->worst_case_us[i];
   }
   // What was released so long before may still be under way when a job begins to be too long.
   const std::vector<std::int64_t> largest_us = largest_claims(tables);
   const auto longest_us = std::max_element(largest_us.begin(), largest_us.end());
   const std::int64_t before_us = longest_us == largest_us.end() ? 0 : *longest_us;
-  routes_.claim(from_ns - (before_us + tables.notice_us) * 1000, std::move(across));
-  routes_.claim(settled_ns, allowed_by(table));
+  routes_.claim(from_ns - (before_us + tables.notice_us) * 1000, std::move(across), more_pct());
+  routes_.claim(settled_ns, claimed_by(table), more_pct());
   tell_chains(from_ns, table);
 }
 
@@ -339,7 +344,7 @@ std::optional<std::int64_t> Ledger::latency_us(std::uint64_t sequence) const {
   return at->latency_us;
 }
 
-void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
+void Ledger::report(const std::vector<std::vector<Limits>>& limits, RunReport& into) {
   {
     const Guard lock(mutex_);
     into.releases.assign(releases_.begin(), releases_.end());
@@ -366,11 +371,16 @@ void Ledger::report(const std::vector<Limits>& limits, RunReport& into) {
   }
   into.routes = routes_.report(lost);
   for (std::size_t n = 0; n < context_.graph.nodes.size(); ++n) {
-    if (!limits[n].any()) continue;
+    // Of the first table that has it.
+    const auto of = std::find_if(limits.begin(), limits.end(),
+                                 [&](const std::vector<Limits>& l) { return l[n].any(); });
+    if (of == limits.end()) continue;
+    const Limits& limit = (*of)[n];
     const XNodeLine& line = context_.board.xnode(n);
-    into.xnodes.push_back({context_.graph.nodes[n].name, limits[n].budget_ns / 1000,
-                           limits[n].wcet_ns / 1000, limits[n].hang_ns / 1000, line.jobs,
-                           line.overruns, line.over_wcet, line.hangs, line.longest_ns / 1000});
+    into.xnodes.push_back({context_.graph.nodes[n].name, limit.budget_ns / 1000,
+                           context_.session.tables ? 0 : limit.wcet_ns / 1000, limit.hang_ns / 1000,
+                           line.jobs, line.overruns, line.over_wcet, line.hangs,
+                           line.longest_ns / 1000, line.over_ns / 1000});
   }
   into.overlapping_releases = context_.board.header().overlapping.load();
   into.deadline_misses = deadline_misses_.load();

@@ -62,7 +62,7 @@ class Ledger {
                       const Handover* change);
 
   /// Adds counts, latencies and chains.
-  void report(const std::vector<Limits>& limits, RunReport& into);
+  void report(const std::vector<std::vector<Limits>>& limits, RunReport& into);
 
  private:
   /// A release that some sinks are not yet through with.
@@ -81,7 +81,8 @@ class Ledger {
 
   void show_claims();
   [[nodiscard]] std::int64_t allowed_us(std::int64_t worst_us) const;
-  [[nodiscard]] std::vector<std::int64_t> allowed_by(std::size_t table) const;
+  [[nodiscard]] std::int64_t more_pct() const;
+  [[nodiscard]] std::vector<std::int64_t> claimed_by(std::size_t table) const;
   void tell_chains(std::int64_t from_ns, std::size_t table);
   void account(int module, std::uint64_t sequence, std::int64_t now_ns, bool lost, bool off);
   /// Whether its results are told to who keeps the accounts.

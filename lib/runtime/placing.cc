@@ -2,12 +2,14 @@
 #include "runtime/placing.h"
 
 #include <algorithm>
+#include <optional>
 
 #include <fmt/format.h>
 
 #include "base/log.h"
 #include "base/rt.h"
 #include "model/claims.h"
+#include "runtime/claimed_wcets.h"
 #include "session/notes.h"
 #include "xpu/kind.h"
 #include "xpu/presence.h"
@@ -145,8 +147,7 @@ std::vector<std::string> unkept_by_xpus(const Session& session) {
   return lines;
 }
 
-/// By jobs within one WCET each. In a set of tables that depends on the scenario: the choice between
-/// tables watches it (table_switch.h).
+/// By jobs within one WCET each.
 bool claims_worst_case(const Session& session) {
   if (session.scheduling != Scheduling::kXAuto || session.tables) return false;
   return session.keys || session.policy.worst_case_us;
@@ -171,6 +172,8 @@ Placing Placing::of(const Session& session, const Graph& graph) {
   for (const Graph::Node& node : graph.nodes)
     placing.xnode.push_back(static_cast<std::uint32_t>(session.app.find(node.name)));
   const AppSpec app = longest(session);
+  std::optional<ClaimedWcets> claimed;
+  if (session.tables) claimed.emplace(session);
   for (std::size_t t = 0; t < session.num_tables(); ++t) {
     placing.xpu.emplace_back();
     placing.limits.emplace_back();
@@ -178,6 +181,8 @@ Placing Placing::of(const Session& session, const Graph& graph) {
       const int at = xpu_of(session, t, graph.nodes[n], placing.xnode[n]);
       placing.xpu.back().push_back(at);
       placing.limits.back().push_back(placing.limits_of(session, app, graph, t, n, at));
+      if (claimed && at >= 0)
+        placing.limits.back().back().wcet_ns = claimed->least(t, placing.xnode[n]);
     }
   }
   return placing;

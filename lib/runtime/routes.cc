@@ -122,10 +122,11 @@ void Routes::show_on(Board& board, const Grid* grid) {
   }
 }
 
-void Routes::claim(std::int64_t from_ns, std::vector<std::int64_t> allowed_us) {
+void Routes::claim(std::int64_t from_ns, std::vector<std::int64_t> claimed_us,
+                   std::int64_t more_pct) {
   const Guard lock(*mutex_);
   while (!claims_.empty() && claims_.back().from_ns >= from_ns) claims_.pop_back();
-  claims_.push_back({from_ns, std::move(allowed_us)});
+  claims_.push_back({from_ns, std::move(claimed_us), more_pct});
   if (claims_.size() > kKeptClaims) claims_.pop_front();
 }
 
@@ -169,10 +170,14 @@ void Routes::count(Route& route, std::int64_t origin_ns, std::int64_t now_ns,
     return claims.from_ns <= origin_ns;
   });
   if (claimed != claims_.rend()) {
-    const std::int64_t allowed_us =
-        claimed->allowed_us[static_cast<std::size_t>(&route - routes_.data())];
-    if (allowed_us > 0 && latency_us > allowed_us) {
+    const std::int64_t claimed_us =
+        claimed->claimed_us[static_cast<std::size_t>(&route - routes_.data())];
+    if (claimed_us > 0 && latency_us > claimed_us + claimed_us * claimed->more_pct / 100) {
       ++counts.over_claim;
+      if (latency_us - claimed_us > counts.over_us - counts.over_claimed_us) {
+        counts.over_us = latency_us;
+        counts.over_claimed_us = claimed_us;
+      }
       if (route.line != nullptr) route.line->over.fetch_add(1, std::memory_order_relaxed);
     }
   }

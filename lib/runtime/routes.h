@@ -57,9 +57,10 @@ class Routes {
   std::optional<std::int64_t> published(int node, std::int64_t origin_ns,
                                         const detail::Origins* origins, std::int64_t now_ns,
                                         bool urgent = false);
-  /// Releases of the chains' sources from `from_ns` on, until that of the next call, may take so long
-  /// (us, by chain; 0: nothing is claimed). At most kKeptClaims calls are remembered.
-  void claim(std::int64_t from_ns, std::vector<std::int64_t> allowed_us);
+  /// Releases of the chains' sources from `from_ns` on, until that of the next call, are said to take at
+  /// most so long (us, by chain; 0: nothing is claimed), and may take `more_pct` more. At most kKeptClaims
+  /// calls are remembered.
+  void claim(std::int64_t from_ns, std::vector<std::int64_t> claimed_us, std::int64_t more_pct = 0);
   /// Activations released at `from_ns` or later, until that of the next call, are of a table that has these
   /// chains (by chain). A release in whose table a chain is off, or whose result waited while it was off,
   /// counts for nothing there. At most kKeptClaims calls are remembered; none: all are always there.
@@ -83,7 +84,8 @@ class Routes {
              std::optional<std::int64_t>& missed_us);
   struct Claims {
     std::int64_t from_ns = 0;
-    std::vector<std::int64_t> allowed_us;  ///< [chain]
+    std::vector<std::int64_t> claimed_us;  ///< [chain]
+    std::int64_t more_pct = 0;
   };
   [[nodiscard]] bool was_off(const Route& route, std::int64_t origin_ns, std::int64_t now_ns) const;
   struct Have {

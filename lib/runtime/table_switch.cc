@@ -61,6 +61,8 @@ TableSwitch::TableSwitch(const Context& context, const Wiring& wiring, Ledger& l
           },
           options_of(context.session.deployment)),
       node_of_(context.session.app.xnodes.size()),
+      claimed_(context.session),
+      past_(context.session.app.xnodes.size()),
       hangs_(context.session.app.xnodes.size()),
       table_(choice_.now().table),
       scenario_(choice_.now().scenario) {
@@ -99,10 +101,9 @@ void TableSwitch::look(const Machine& machine) {
     XNodeLine& line = context_.board.xnode(node_of_[x]);
     if (line.seen_job.load(std::memory_order_relaxed) != 0) {
       const std::uint64_t seen = line.seen_job.exchange(0);
-      const auto table = static_cast<std::size_t>(seen & ((1U << XNodeLine::kTableBits) - 1));
+      const std::size_t table = XNodeLine::table_of(seen);
       if (table < tables_.tables.size())
-        choice_.saw(static_cast<int>(table), x,
-                    static_cast<std::int64_t>(seen >> XNodeLine::kTableBits));
+        choice_.saw(static_cast<int>(table), x, XNodeLine::ns_of(seen));
     }
     if (const std::uint64_t hangs = line.hangs.load(); hangs > hangs_[x]) {
       hangs_[x] = hangs;
@@ -112,6 +113,31 @@ void TableSwitch::look(const Machine& machine) {
   }
   choice_.ask(static_cast<int>(context_.board.header().asked.load()) - 1);
   choice_.expect(machine.scenario);
+}
+
+/// Before `look`, so that the choice knows of all of them.
+void TableSwitch::take_past() {
+  for (std::size_t x = 0; x < past_.size(); ++x) {
+    XNodeLine& line = context_.board.xnode(node_of_[x]);
+    past_[x] = {};
+    if (line.past_jobs.load(std::memory_order_relaxed) != 0)
+      past_[x] = {line.past_jobs.exchange(0), line.past_job.exchange(0)};
+  }
+}
+
+/// They ended under the scenario that was told last; what is chosen now is from the next release on, and
+/// the change between both is claimed with the longer jobs of either.
+void TableSwitch::judge_past() {
+  for (std::size_t x = 0; x < past_.size(); ++x) {
+    const std::size_t table = XNodeLine::table_of(past_[x].longest);
+    if (past_[x].jobs == 0 || table >= tables_.tables.size()) continue;
+    const auto may = [&](int scenario) {
+      return claimed_.under(static_cast<std::size_t>(scenario), table, x);
+    };
+    const std::int64_t by_ns =
+        XNodeLine::ns_of(past_[x].longest) - std::max(may(scenario_), may(choice_.now().scenario));
+    if (by_ns > 0) context_.board.xnode(node_of_[x]).over(past_[x].jobs, by_ns);
+  }
 }
 
 bool TableSwitch::glance(const Machine& machine) {
@@ -132,6 +158,9 @@ void TableSwitch::stop_watch() {
   const Machine machine = conditions_->now();
   conditions_.reset();
   (void)glance(machine);
+  const Guard lock(mutex_);
+  take_past();
+  judge_past();  // no release comes that another scenario would be for
 }
 
 /// What shall be in force, and the table that is. What no scenario covers is said here where the watch
@@ -142,8 +171,10 @@ std::pair<Choice, int> TableSwitch::choose() {
   {
     const Machine machine = conditions_->now();
     const Guard lock(mutex_);
+    take_past();
     look(machine);
     choice_.decide(now_ns());
+    judge_past();
     chosen = {choice_.now(), table_};
     said = outside(chosen.first, machine);
   }

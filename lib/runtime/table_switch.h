@@ -22,6 +22,10 @@
 // A job that runs too long decides for the next release, which is the first that can have another table.
 // In another process its watchdog tells (HangWatch). That no scenario covers it is said at once, by the
 // watch's thread (ConditionWatch), which asks the same choice.
+//
+// A job past its WCET is no matter if the scenario in force when it ended, or the one that is chosen
+// for the next release, covers it: then a change is claimed with it. Else it is counted, and nothing is
+// claimed, also where it was too little for another scenario (kEmulatorStallUs).
 #pragma once
 
 #include <algorithm>
@@ -36,6 +40,7 @@
 #include <xauto/result.h>
 
 #include "base/pi_mutex.h"
+#include "runtime/claimed_wcets.h"
 #include "runtime/condition_watch.h"
 #include "runtime/context.h"
 #include "runtime/ledger.h"
@@ -95,6 +100,8 @@ class TableSwitch {
   [[nodiscard]] std::vector<std::string> outside(const Choice& choice, const Machine& machine)
       XAUTO_REQUIRES(mutex_);
   [[nodiscard]] std::string words_of(const Choice& choice) const;
+  void take_past() XAUTO_REQUIRES(mutex_);
+  void judge_past() XAUTO_REQUIRES(mutex_);
 
   const Context& context_;
   const Wiring& wiring_;
@@ -102,7 +109,13 @@ class TableSwitch {
   const Tables& tables_;
   PiMutex mutex_;  ///< of the releases and the watch; nobody logs or waits under it
   ScenarioChoice choice_ XAUTO_GUARDED_BY(mutex_);
-  std::vector<std::size_t> node_of_;                           ///< [XNode] -> graph node
+  std::vector<std::size_t> node_of_;  ///< [XNode] -> graph node
+  const ClaimedWcets claimed_;
+  /// Jobs past a WCET since the last choice, as XNodeLine has them.
+  struct Past {
+    std::uint64_t jobs = 0, longest = 0;
+  };
+  std::vector<Past> past_ XAUTO_GUARDED_BY(mutex_);            ///< [XNode]
   std::vector<std::uint64_t> hangs_ XAUTO_GUARDED_BY(mutex_);  ///< [XNode] that were looked at
   std::int64_t period_ns_ = 0;                                 ///< 0: none is stated
   std::int64_t longest_delay_ns_ = 0;

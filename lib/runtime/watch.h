@@ -25,7 +25,9 @@ struct XNodeLine;
 /// What the jobs of one XNode may take; 0: no limit.
 struct Limits {
   std::int64_t budget_ns = 0, hang_ns = 0;
-  std::int64_t wcet_ns = 0;  ///< the policy claims worst cases of jobs that take no longer
+  /// The policy claims worst cases of jobs that take no longer. With tables: in each scenario that the
+  /// table serves; of longer ones the scenario in force decides (table_switch.h).
+  std::int64_t wcet_ns = 0;
   OnHang on_hang = OnHang::kLog;
   [[nodiscard]] bool any() const { return budget_ns > 0 || hang_ns > 0 || wcet_ns > 0; }
 

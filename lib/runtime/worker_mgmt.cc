@@ -163,8 +163,13 @@ bool Worker::end_timed(const Placed& placed) {
     line.overruns.fetch_add(1, std::memory_order_relaxed);
   // By the certificate a job has its WCET from its hold on: being woken late takes of it.
   const std::int64_t charged_ns = took_ns + overslept_ns_;
-  if (placed.limits.wcet_ns > 0 && charged_ns > placed.limits.wcet_ns)
-    line.over_wcet.fetch_add(1, std::memory_order_relaxed);
+  const std::int64_t wcet_ns = placed.limits.wcet_ns, hang_ns = placed.limits.hang_ns;
+  if (wcet_ns > 0 && charged_ns > wcet_ns) {
+    if (!placed.watched)
+      line.over(1, charged_ns - wcet_ns);
+    else if (hang_ns == 0 || wall_ns <= hang_ns)  // else its XPU counts as lost
+      line.past(charged_ns, placed.table);
+  }
   keep_largest(line.longest_ns, charged_ns);
   return !chain_.activation->abandoned();
 }

@@ -31,9 +31,12 @@ struct ModuleReport {
 /// An XNode with limits; see watch.h for what is timed.
 struct XNodeReport {
   std::string name;
-  std::int64_t budget_us = 0, wcet_us = 0, hang_us = 0;  ///< 0: none; wcet_us: Limits::wcet_ns
+  /// 0: none; wcet_us: Limits::wcet_ns, with tables none: it depends on the scenario.
+  std::int64_t budget_us = 0, wcet_us = 0, hang_us = 0;
+  /// over_wcet with tables: longer than what any scenario in force covered.
   std::uint64_t jobs = 0, overruns = 0, over_wcet = 0, hangs = 0;
   std::int64_t longest_us = 0;
+  std::int64_t over_us = 0;  ///< the most by which one outran its WCET
 };
 inline constexpr std::size_t kKeptReleases = 65'536;
 
@@ -50,6 +53,8 @@ struct RouteReport {
   Distribution latency_us, age_us;
   Distribution urgent_us =
       {};  ///< of latency_us, the releases that the chain's source marked urgent
+  std::int64_t over_us = 0,
+               over_claimed_us = 0;  ///< of over_claim: the worst one, and what is claimed
 };
 
 /// What was not suspended as it should (base/context_counts.h).
@@ -104,6 +109,9 @@ struct RunReport {
   std::vector<PreemptionReport> preemptions;  ///< of real XPUs on which work was suspended
   std::vector<std::string> lost_coordinators;
   std::vector<std::string> died;  ///< modules whose process ended before its time, each time
+  /// Coordinators and emulators that did, a line each; by whom they are looked after, who adds it to the
+  /// app's report.
+  std::vector<std::string> dead_daemons;
   std::uint64_t deadline_misses = 0;
   /// Of an app of one rate: releases that came while an earlier one was still in flight.
   std::uint64_t overlapping_releases = 0;

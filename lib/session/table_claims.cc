@@ -2,6 +2,7 @@
 #include "session/table_claims.h"
 
 #include <cstdint>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -35,8 +36,9 @@ TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys
   if (lost > 0) claims.broken.push_back(fmt::format("{} activations were lost", lost));
   if (report.lost_releases > 0)
     claims.broken.push_back(fmt::format("{} releases were lost", report.lost_releases));
-  if (!report.lost_coordinators.empty() || !report.died.empty())
-    claims.broken.emplace_back("processes of the run died");
+  if (std::string over = words_of_overruns(report); !over.empty())
+    claims.broken.push_back(std::move(over));
+  for (std::string& line : words_of_deaths(report)) claims.broken.push_back(std::move(line));
   const auto judge = [&](const std::string& what, std::int64_t us, std::int64_t worst_us) {
     if (us > worst_us + (emulates ? worst_us * kEmulatorPct / 100 : 0))
       claims.exceeded.push_back(
@@ -55,6 +57,27 @@ TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys
       judge(fmt::format("change from '{}' to '{}' at release {}", s.from, s.to, s.release),
             s.spanned_us, *s.worst_case_us);
   return claims;
+}
+
+std::vector<std::string> words_of_deaths(const RunReport& report) {
+  std::vector<std::string> lines = report.dead_daemons;
+  if (!report.lost_coordinators.empty() || !report.died.empty())
+    lines.emplace_back("processes of the run died");
+  return lines;
+}
+
+std::string words_of_overruns(const RunReport& report) {
+  std::uint64_t count = 0, jobs = 0;
+  const XNodeReport* worst = nullptr;
+  for (const XNodeReport& x : report.xnodes) {
+    jobs += x.jobs;
+    count += x.over_wcet;
+    if (x.over_wcet > 0 && (worst == nullptr || x.over_us > worst->over_us)) worst = &x;
+  }
+  if (worst == nullptr) return {};
+  return fmt::format("{} of {} jobs outran {}, {} by {:.2f} ms", count, jobs,
+                     report.scenarios.empty() ? "their WCET" : "the WCET of their scenario",
+                     worst->name, in_ms(worst->over_us));
 }
 
 std::string words_of_unproven(std::uint64_t switches) {

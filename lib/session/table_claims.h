@@ -24,6 +24,12 @@ struct TableClaims {
 /// `emulates`: the emulator's own part is allowed for (kEmulatorPct). `by_keys`: the app is of version 2.
 [[nodiscard]] TableClaims table_claims_of(const RunReport& report, bool emulates, bool by_keys);
 
+/// What died of the run's processes, a line each.
+[[nodiscard]] std::vector<std::string> words_of_deaths(const RunReport& report);
+
+/// Jobs longer than their WCET, of tables longer than their scenario's; empty: there was none.
+[[nodiscard]] std::string words_of_overruns(const RunReport& report);
+
 /// Of a run by tables of keys, what breaks its claims.
 [[nodiscard]] std::string words_of_unproven(std::uint64_t switches);
 [[nodiscard]] std::string words_of_unsettled(std::uint64_t releases);

@@ -153,6 +153,20 @@ class Prometheus(Monitored):
         os.kill(member, signal.SIGKILL)
         wait_for("its death", lambda: value_of(self.metrics(tool), "xauto_assumption_violations_total", kind="process_death"), tool)
 
+    def test_a_coordinator_and_an_emulator_that_are_started_again_are_deaths_too(self):
+        tool = self.start_testapp("period", 50000, "emulated", 1000, more=["--emulate"])
+        wait_for("results", lambda: activations(tool).get("C", 0) > 1, tool)
+        deaths = lambda: value_of(self.metrics(tool), "xauto_assumption_violations_total", kind="process_death")
+        self.assertEqual(deaths(), 0)
+        for n, name in enumerate(("xauto-emud", "xauto-coordinat")):
+            child = next(p for p in self.children(tool) if pathlib.Path(f"/proc/{p}/comm").read_text().strip() == name)
+            os.kill(child, signal.SIGKILL)
+            wait_for("its death", lambda: deaths() == n + 1, tool)
+        self.assertEqual(value_of(self.metrics(tool), "xauto_claim_stands"), 0)
+        broken = self.report(tool)["worst_case_broken"]
+        self.assertIn("xauto-emud died and was restarted", broken)
+        self.assertRegex(" ".join(broken), r"xauto-coordinator of (cpu0|npu0) died and was restarted")
+
     @staticmethod
     def children(tool):
         return [int(pid) for pid in pathlib.Path(f"/proc/{tool.pid}/task/{tool.pid}/children").read_text().split()]
@@ -246,6 +260,27 @@ class Prometheus(Monitored):
         page = set(re.findall(r"`(xauto_\w+)`", PAGE.read_text()))
         exported = {re.sub("^xauto_release_(?!s_total)", "xauto_chain_", name) for name in {*seen, *self.metrics(other)}}
         self.assertLessEqual(exported, page, "not in docs/monitoring.md")
+
+    def test_a_job_that_is_too_long_for_its_scenario_by_less_than_is_told_breaks_the_claim(self):
+        # A stage takes 3 ms of 2.6: past the emulator's part (2 % and 0.1 ms), and less than 1 ms past it.
+        arguments = testapp_files(str(self.folder), QUEUES)
+        app = json.loads((self.folder / "app.json").read_text())
+        for xnode in app["xnodes"]:
+            xnode["wcet_us"] = {kind: 2600 for kind in xnode["wcet_us"]}
+        (self.folder / "app.json").write_text(json.dumps(app))
+        scenarios = {"schema": "xauto.scenarios", "version": 1, "app": "testapp", "scenarios": [{"name": "nominal"}]}
+        (self.folder / "scenarios.json").write_text(json.dumps(scenarios))
+        done = xauto("solve", "--app", "app.json", "--platform", "platform.json", "--scenarios", "scenarios.json", "--tables", 1,
+                     "--time-limit-s", 2, "--out", "policy.json", cwd=self.folder)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        tool = self.run_tool(*arguments, "--emulate", program=[TESTAPP, self.folder / "result", "period", "100000", "emulated", "3000"])
+        wait_for("overruns", lambda: value_of(self.metrics(tool), "xauto_assumption_violations_total", kind="wcet_overrun"), tool)
+        self.assertEqual(value_of(self.metrics(tool), "xauto_claim_stands"), 0)
+        self.assertIn("jobs outran the WCET of their scenario", self.once(tool, "--json"))
+        report = self.report(tool)
+        self.assertRegex(" ".join(report["worst_case_broken"]), r"[1-9]\d* of \d+ jobs outran the WCET of their scenario, \w+ by \d+\.\d\d ms")
+        over = sum(x["over_wcet"] for x in report["limited_xnodes"])
+        self.assertIn(f"{over} of ", " ".join(report["worst_case_broken"]))
 
     def board_asks_for_what_there_is(self, *exported):
         """Each metric and label in the Grafana board's queries is in what these runs export."""

@@ -81,6 +81,15 @@ class Periodic(unittest.TestCase):
         played = self.run_tool("simulate", "--app", "app.json", "--policy", "policy.json").stdout
         self.assertIn("0 late", played)
 
+    def test_true_numbers_that_miss_a_deadline_end_with_the_reason_of_the_status(self):
+        chain = self.app["chains"][0]
+        chain["deadline_us"] = 1
+        self.solve(status=1)
+        self.assertEqual([m.split(":")[0] for m in self.check(status=1)["missed"]], [f"chain '{chain['name']}'"])
+        said = self.run_tool("check", "--app", "app.json", "--policy", "policy.json", status=1).stdout
+        self.assertIn("policy.json tells the truth", said)
+        self.assertRegex(said.splitlines()[-1], f"^But it misses what was asked for, so the exit status is 1: chain '{chain['name']}': ")
+
     def test_a_claim_that_does_not_follow_is_a_lie(self):
         self.solve()
         policy = self.policy()

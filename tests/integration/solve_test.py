@@ -114,6 +114,7 @@ class Solve(unittest.TestCase):
         late = checked(*asked, "--deadline-us", policy["latency_us"] - 1)
         self.assertEqual(late.returncode, 1)
         self.assertIn("MISSED the deadline", late.stdout)
+        self.assertRegex(late.stdout.splitlines()[-1], "^But it misses what was asked for, so the exit status is 1: the deadline: ")
         # The same in app.json: solve and check read it from there.
         spec["pins"] = [{"xnode": first, "xpu": "cpu3"}]
         app.write_text(json.dumps(spec))

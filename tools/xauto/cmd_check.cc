@@ -85,7 +85,8 @@ Result<int> check(const CheckFlags& flags, const Options& options) {
   for (const std::string& taken : v.taken) std::cout << "  taken  " << taken << "\n";
   std::cout << (v.truthful() ? fmt::format("\n{} tells the truth.\n", flags.policy)
                              : fmt::format("\n{} lies: {} of its statements are false.\n",
-                                           flags.policy, v.lies.size()));
+                                           flags.policy, v.lies.size()))
+            << words_of_missed(v.missed);
   if (!v.counterexample.empty())
     std::cout << "\n  COUNTEREXAMPLE  " << v.counterexample
               << ".\n  If both are about the same pins, forbids and groups, that bound is false: a "
@@ -98,10 +99,12 @@ Result<int> check(const CheckFlags& flags, const Options& options) {
 
 void add_check(Commands& commands) {
   auto flags = std::make_shared<CheckFlags>();
-  Verb verb = commands.add(
-      "check", "Re-derive every number of a policy; exit status 1 if one of them is false.",
-      "xauto check --app app.json --platform small --policy policy.json",
-      [flags](const Options& options) { return check(*flags, options); });
+  Verb verb = commands.add("check",
+                           "Re-derive every number of a policy; exit status 1 if one of them is "
+                           "false, or a deadline, a pin, "
+                           "a forbid or a group is missed.",
+                           "xauto check --app app.json --platform small --policy policy.json",
+                           [flags](const Options& options) { return check(*flags, options); });
   verb.option("--app", flags->app, "app.json").required();
   verb.option("--platform", flags->platform, kPlatformNames).shown();
   verb.option("--policy", flags->policy, "policy.json, or tables.json").required();

@@ -13,7 +13,17 @@
 namespace xauto::cli {
 
 std::string ms(std::int64_t us) {
-  return fmt::format("{:.2f} ms", static_cast<double>(us) / 1000);
+  return fmt::format("{:.{}f} ms", static_cast<double>(us) / 1000, us > -1000 && us < 1000 ? 3 : 2);
+}
+
+std::string words_of_missed(const std::vector<std::string>& missed) {
+  if (missed.empty()) return {};
+  constexpr std::size_t kShown = 3;
+  std::string text = "But it misses what was asked for, so the exit status is 1: ";
+  for (std::size_t i = 0; i < std::min(kShown, missed.size()); ++i)
+    text += (i == 0 ? "" : "; ") + missed[i];
+  if (missed.size() > kShown) text += fmt::format("; {} more", missed.size() - kShown);
+  return text + ".\n";
 }
 
 int exit_status(const Error& error) {

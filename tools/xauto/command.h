@@ -24,8 +24,12 @@ enum Exit : int { kDone = 0, kAnswerIsNo = 1, kBadInput = 2 };
 /// kInfeasible -> 1; bad input, missing files -> 2; everything else (I/O, peers) -> 1.
 [[nodiscard]] int exit_status(const Error& error);
 
-/// "12.34 ms"
+/// "12.34 ms", and below a millisecond "0.004 ms".
 [[nodiscard]] std::string ms(std::int64_t us);
+
+/// The last line of what says that all numbers are true, where not all that was asked for is kept: why
+/// the exit status is 1. Empty: nothing is missed.
+[[nodiscard]] std::string words_of_missed(const std::vector<std::string>& missed);
 
 struct Options {
   bool json = false;    ///< --json, accepted by every verb

@@ -110,17 +110,18 @@ ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
                       unsettled = header.unsettled.load();
   count("change_without_claim", unproven, true, runtime::words_of_unproven(unproven));
   count("change_too_soon", unsettled, true, runtime::words_of_unsettled(unsettled));
-  std::uint64_t jobs = 0, overruns = 0, over_wcet = 0, hangs = 0, lost = 0, deaths = 0;
+  std::uint64_t jobs = 0, overruns = 0, over_wcet = 0, hangs = 0, lost = 0;
+  std::uint64_t deaths = header.daemon_deaths.load();
   for (std::uint32_t n = 0; n < board.shape().nodes; ++n) {
     jobs += board.xnode(n).jobs.load();
     overruns += board.xnode(n).overruns.load();
     over_wcet += board.xnode(n).over_wcet.load();
     hangs += board.xnode(n).hangs.load();
   }
-  // Of tables it is the scenarios' matter (job_outside_scenarios); where nothing is claimed nobody looks.
-  if (keys || one_policy)
+  if (keys || one_policy || tables)  // where nothing is claimed nobody looks
     count("wcet_overrun", over_wcet, true,
-          fmt::format("{} of {} jobs outran their WCET", over_wcet, jobs));
+          fmt::format("{} of {} jobs outran {}", over_wcet, jobs,
+                      tables ? "the WCET of their scenario" : "their WCET"));
   count("budget_overrun", overruns, false, {});
   count("hang", hangs, false, {});
   for (const ModuleCounts& module : counts.modules) {

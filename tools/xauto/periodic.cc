@@ -28,6 +28,10 @@ constexpr double kMovesS = 10;
 std::string ms_of(double us) {
   return fmt::format("{:.3f} ms", us / 1000);
 }
+/// Beside what ms_of() tells. Microseconds of a quarter of an hour are nobody's concern, and too wide.
+std::string exact_ms(std::int64_t us) {
+  return us < 1'000'000'000 ? ms_of(static_cast<double>(us)) : ms(us);
+}
 
 /// "22 XNodes, 3 sources, 2 clocks, repeats every 100.000 ms"
 std::string shape(const AppSpec& app) {
@@ -195,9 +199,9 @@ Json cases_of(const AppSpec& app, const std::vector<steady::WhatIf>& ifs) {
   return list;
 }
 
-/// A line per case: the chains that change, and by how much.
+/// A line per case: the chains that change, and by how much. Each was searched for `limit_s`.
 std::string what_if_table(const AppSpec& app, const KeyPolicy& policy,
-                          const std::vector<steady::WhatIf>& ifs) {
+                          const std::vector<steady::WhatIf>& ifs, double limit_s) {
   std::string out;
   if (!ifs.empty()) out += "\n  What if ... (by the solver alone)\n";
   for (const steady::WhatIf& what : ifs) {
@@ -205,7 +209,7 @@ std::string what_if_table(const AppSpec& app, const KeyPolicy& policy,
     if (what.outcome != steady::Outcome::kPolicy) {
       out += what.outcome == steady::Outcome::kUnsustainable
                  ? "no policy keeps up: " + what.overload + "\n"
-                 : "unknown: no policy found in this time\n";
+                 : fmt::format("unknown: no policy found in {:.2f} s\n", limit_s);
       continue;
     }
     std::string changes;
@@ -323,9 +327,9 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                 "the solver's answer does not pass the check: " + checked.error().to_string(),
                 app.name + " on " + platform.name, "report it with app and platform");
   std::vector<steady::WhatIf> ifs;
+  steady::Options small = asked;
+  small.time_limit_s = std::min(2.0, asked.time_limit_s);
   for (const std::string& text : assume) {
-    steady::Options small = asked;
-    small.time_limit_s = std::min(2.0, asked.time_limit_s);
     auto what = steady::assume(app, platform, answer.policy, text, small);
     if (!what) {
       what.error().where = "--assume " + what.error().where;
@@ -362,7 +366,7 @@ Result<int> solve_periodic(const AppSpec& app, const Platform& platform,
                      kKeyScope)
               << urgency(app);
     if (asked.hint != nullptr) std::cout << moved_line(app, platform, *asked.hint, answer);
-    std::cout << what_if_table(app, answer.policy, ifs);
+    std::cout << what_if_table(app, answer.policy, ifs, small.time_limit_s);
     if (late)
       std::cout
           << (never ? "\n  A deadline is missed, and of no policy of keys can all be certified: "
@@ -469,7 +473,7 @@ Result<int> explain_periodic(const AppSpec& app, const Platform& platform, const
       std::cout << fmt::format(
                        "\n  The worst off is {}. Its XNodes elsewhere, all others where they are:",
                        report.chains[worst].name)
-                << what_if_table(app, policy, moved);
+                << what_if_table(app, policy, moved, small.time_limit_s);
   }
   std::cout.flush();
   if (!picture.empty()) outputs.write(picture, story::windows_svg(app, platform, policy, report));
@@ -494,11 +498,14 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
     }
     return kAnswerIsNo;
   }
-  const bool late =
-      !broken.empty() || std::any_of(report->chains.begin(), report->chains.end(),
-                                     [](const steady::ChainProof& c) { return c.late(); });
+  std::vector<std::string> missed = broken;
+  for (const steady::ChainProof& chain : report->chains)
+    if (chain.late())
+      missed.push_back(fmt::format("chain '{}': {} of {}", chain.name, ms(chain.derived_us),
+                                   ms(*chain.deadline_us)));
+  const int status = missed.empty() ? kDone : kAnswerIsNo;
   if (options.json) {
-    root["missed"] = broken;
+    root["missed"] = missed;
     root["lies"] = Json::array();
     root["proofs"] = proofs(*report);
     for (const steady::ChainProof& chain : report->chains) {
@@ -516,7 +523,7 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
       root["chains"].push_back(std::move(j));
     }
     std::cout << root.dump(2) << "\n";
-    return late ? kAnswerIsNo : kDone;
+    return status;
   }
   std::cout << proof_table(policy, *report);
   std::cout << fmt::format("\n  {:<24}{:>14}{:>14}   {}\n", "chain", "derived", "claimed",
@@ -530,9 +537,10 @@ Result<int> check_periodic(const AppSpec& app, const Platform& platform, const s
       std::cout << fmt::format("  {:<24}{:>14}{:>14}\n", "  urgent", ms(*chain.urgent_us),
                                ms(chain.claimed_urgent_us.value_or(0)));
   }
-  for (const std::string& missed : broken) std::cout << "  MISSED " << missed << "\n";
-  std::cout << fmt::format("\n{} tells the truth: {}.\n", path, kKeyScope);
-  return late ? kAnswerIsNo : kDone;
+  for (const std::string& wish : broken) std::cout << "  MISSED " << wish << "\n";
+  std::cout << fmt::format("\n{} tells the truth: {}.\n", path, kKeyScope)
+            << words_of_missed(missed);
+  return status;
 }
 
 Result<int> simulate_periodic(const AppSpec& app, const Platform& platform, const std::string& path,
@@ -568,15 +576,15 @@ Result<int> simulate_periodic(const AppSpec& app, const Platform& platform, cons
                   {"worst_case_us", chain.claimed_us},
                   {"releases", chain.releases}};
     table += fmt::format("  {:<24}{:>14}{:>14}{:>10}\n", chain.name,
-                         chain.releases > 0 ? ms_of(chain.longest_us) : "-", ms(chain.claimed_us),
-                         chain.releases);
+                         chain.releases > 0 ? ms_of(chain.longest_us) : "-",
+                         exact_ms(chain.claimed_us), chain.releases);
     if (chain.urgent > 0) {
       entry["urgent"] = {{"longest_us", chain.longest_urgent_us},
                          {"worst_case_us", chain.claimed_urgent_us},
                          {"releases", chain.urgent}};
       table +=
           fmt::format("  {:<24}{:>14}{:>14}{:>10}\n", "  urgent", ms_of(chain.longest_urgent_us),
-                      ms(chain.claimed_urgent_us), chain.urgent);
+                      exact_ms(chain.claimed_urgent_us), chain.urgent);
     }
     chains.push_back(std::move(entry));
   }

@@ -257,7 +257,8 @@ Result<int> check_tables(const AppSpec& app, const Platform& platform, const std
   std::cout << (v.truthful() ? fmt::format("\n{} tells the truth; its worst regret is {:.3f}.\n",
                                            path, v.worst_regret)
                              : fmt::format("\n{} lies: {} of its statements are false.\n", path,
-                                           v.lies.size()));
+                                           v.lies.size()))
+            << words_of_missed(missed);
   return status;
 }
 

@@ -16,11 +16,11 @@
 namespace xauto::cli {
 namespace {
 
-/// Jobs that ran for longer than their WCET, in words; empty: none. `traced`: the trace tells of those
-/// on XPUs that we schedule, and sees no allowance of emulated ones. Of real CPUs, where the kernel
-/// preempts unseen, the workers have counted; and of all, where nothing is traced.
-std::string overruns(const RunFlags& flags, const PolicyRun& run, bool traced) {
-  traced = traced && run.story.has_value();
+/// Jobs that ran for longer than their WCET, in words; empty: none. The trace tells of those on XPUs that
+/// we schedule, and sees no allowance of emulated ones. Of real CPUs, where the kernel preempts unseen,
+/// the workers have counted; and of all, where nothing is traced.
+std::string overruns(const RunFlags& flags, const PolicyRun& run) {
+  const bool traced = run.story.has_value();
   std::vector<bool> seen;
   for (std::size_t x = 0; x < flags.spec.xpus.size(); ++x)
     seen.push_back(traced && !flags.kernel_schedules(x));
@@ -43,7 +43,7 @@ std::string overruns(const RunFlags& flags, const PolicyRun& run, bool traced) {
     const int xnode = flags.app.find(x.name);
     if (xnode < 0) continue;
     const int on = run.policy->placements[static_cast<std::size_t>(xnode)].xpu;
-    if (!seen[static_cast<std::size_t>(on)]) add(x.over_wcet, x.name, x.longest_us - x.wcet_us);
+    if (!seen[static_cast<std::size_t>(on)]) add(x.over_wcet, x.name, x.over_us);
   }
   if (traced) jobs = std::max<std::uint64_t>(jobs, run.story->jobs.size());
   if (count == 0) return {};
@@ -63,10 +63,10 @@ std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& r
   if (run.report.overlapping_releases > 0)
     worst.broken.push_back(fmt::format("{} of {} releases came while an earlier one was in flight",
                                        run.report.overlapping_releases, run.report.num_releases));
-  if (std::string over = overruns(flags, run, true); !over.empty())
+  if (std::string over = overruns(flags, run); !over.empty())
     worst.broken.push_back(std::move(over));
-  if (!run.report.lost_coordinators.empty() || !run.report.died.empty())
-    worst.broken.emplace_back("processes of the run died");
+  for (std::string& line : runtime::words_of_deaths(run.report))
+    worst.broken.push_back(std::move(line));
   return worst;
 }
 
@@ -99,11 +99,10 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
   std::uint64_t lost = 0;
   for (const runtime::ModuleReport& m : run.report.modules) lost += m.failed + m.dropped;
   if (lost > 0) claims.broken.push_back(fmt::format("{} activations were lost", lost));
-  // With tables a WCET is the scenario's matter; what none covers is among the broken ones.
-  if (std::string over = run.tables ? "" : overruns(flags, run, false); !over.empty())
+  if (std::string over = runtime::words_of_overruns(run.report); !over.empty())
     claims.broken.push_back(std::move(over));
-  if (!run.report.lost_coordinators.empty() || !run.report.died.empty())
-    claims.broken.emplace_back("processes of the run died");
+  for (std::string& line : runtime::words_of_deaths(run.report))
+    claims.broken.push_back(std::move(line));
   std::size_t unmeasured = 0;
   const std::size_t count = std::min(claimed.size(), run.report.routes.size());
   for (std::size_t i = 0; i < count; ++i) {

@@ -195,6 +195,18 @@ TEST(Routes, EachReleaseIsHeldAgainstItsOwnClaim) {
   EXPECT_EQ(over(), 3u);
   result(3100, 31);
   EXPECT_EQ(over(), 4u);
+  const auto worst = [&] {
+    const RouteReport r = routes->report({0, 0, 0}).at(0);
+    return std::pair(r.over_us, r.over_claimed_us);
+  };
+  EXPECT_EQ(worst(), std::pair(std::int64_t{11}, std::int64_t{10})) << "the first of equal ones";
+  routes->claim(4'000'000, {100}, 2);  // an emulator's own part
+  result(4000, 102);
+  EXPECT_EQ(over(), 4u);
+  result(4100, 103);
+  EXPECT_EQ(over(), 5u);
+  EXPECT_EQ(worst(), std::pair(std::int64_t{103}, std::int64_t{100}))
+      << "what is claimed, without it";
 }
 
 /// A table without the chain: nobody waits for a result of its releases, nor for those that had none yet.

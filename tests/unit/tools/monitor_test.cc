@@ -440,6 +440,30 @@ TEST(Counts, AJobPastItsWcetBreaksTheClaimOfOnePolicyAndABudgetDoesNot) {
   EXPECT_EQ(count("budget_overrun"), -4);
 }
 
+TEST(Counts, AJobThatNoScenarioCoversBreaksTheClaimOfTables) {
+  const auto board = runtime::Board::local({.nodes = 1, .scenarios = 1});
+  board->scenario(0).worst_case_us = board->scenario(0).allowed_us = 50'000;
+  board->xnode(0).jobs = 9;
+  ASSERT_TRUE(counts_of(*board).claims.claimed);
+  EXPECT_TRUE(counts_of(*board).claims.stands());
+  board->xnode(0).over(2, 500'000);
+  EXPECT_EQ(counts_of(*board).claims.broken,
+            std::vector<std::string>{"2 of 9 jobs outran the WCET of their scenario"});
+}
+
+TEST(Counts, ADaemonThatDiedIsADeathAlsoIfItWasStartedAgain) {
+  const auto board = runtime::Board::local({.modules = 1});
+  board->flow(0).worst_case_us = board->flow(0).allowed_us = 50'000;
+  board->module(0).deaths = 1;
+  board->header().daemon_deaths = 2;
+  const ClaimCounts claims = counts_of(*board).claims;
+  EXPECT_EQ(claims.broken, std::vector<std::string>{"processes of the run died"});
+  const auto deaths = std::find_if(claims.violations.begin(), claims.violations.end(),
+                                   [](const Violation& v) { return v.kind == "process_death"; });
+  ASSERT_NE(deaths, claims.violations.end());
+  EXPECT_EQ(deaths->count, 3u);
+}
+
 /// Nobody looks there: no number, instead of 0.
 TEST(Counts, WhereNothingIsClaimedWcetsAreNotCounted) {
   const auto board = runtime::Board::local({.nodes = 1});
