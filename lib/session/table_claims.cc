@@ -75,7 +75,7 @@ std::string words_of_overruns(const RunReport& report) {
     if (x.over_wcet > 0 && (worst == nullptr || x.over_us > worst->over_us)) worst = &x;
   }
   if (worst == nullptr) return {};
-  return fmt::format("{} of {} jobs outran {}, {} by {:.2f} ms", count, jobs,
+  return fmt::format("{} of {} jobs outran {}, {} by {:.3f} ms", count, jobs,
                      report.scenarios.empty() ? "their WCET" : "the WCET of their scenario",
                      worst->name, in_ms(worst->over_us));
 }
