@@ -101,9 +101,9 @@ TEST(SteadyChains, WhatIsBehindACrossingIsFollowedOnce) {
   EXPECT_LE(report->chains.front().derived_us, worst);
 }
 
-/// One clock, whose rates meet so late that it is planned in groups, and a way that goes to and fro between two
+/// One clock, whose rates meet so late that it is planned in groups, and a way that goes back and forth between two
 /// of them: their phases to each other are known all the same, by `check` too.
-TEST(SteadyChains, AWayToAndFroBetweenGroupsOfOneClockIsWhatCheckDerives) {
+TEST(SteadyChains, AWayBackAndForthBetweenGroupsOfOneClockIsWhatCheckDerives) {
   AppSpec app;
   app.version = 2;
   app.name = "groups";
