@@ -247,10 +247,6 @@ Status validate_samples(const AppSpec& app, const Components& components) {
   std::set<std::pair<int, int>> seen;
   for (std::size_t k = 0; k < app.samples.size(); ++k) {
     const auto [u, v] = app.samples[k];
-    if (u == v)
-      return invalid("XNode " + quoted(app.xnodes[at(u)].name) + " samples itself",
-                     nth("samples", k),
-                     "what it keeps from one activation to the next is its state");
     if (!seen.insert({u, v}).second)
       return invalid("sample " + quoted(app.xnodes[at(u)].name) + " -> " +
                          quoted(app.xnodes[at(v)].name) + " is there twice",

@@ -64,14 +64,14 @@ Status check_indices(const AppSpec& app, const Platform& platform, const KeyPoli
                    "write it as version 2: sources with periods, see docs/formats.md");
   const std::size_t n = app.xnodes.size();
   if (n == 0) return invalid("no XNode", "app '" + app.name + "'");
-  const auto pairs = [&](const auto& all, const char* what) -> Status {
+  const auto pairs = [&](const auto& all, const char* what, bool with_itself) -> Status {
     for (const auto& [u, v] : all)
-      if (!in(u, n) || !in(v, n) || u == v)
+      if (!in(u, n) || !in(v, n) || (u == v && !with_itself))
         return invalid(fmt::format("[{}, {}] is no pair of XNodes", u, v), what);
     return {};
   };
-  XAUTO_TRY(pairs(app.edges, "edges"));
-  XAUTO_TRY(pairs(app.samples, "samples"));
+  XAUTO_TRY(pairs(app.edges, "edges", false));
+  XAUTO_TRY(pairs(app.samples, "samples", true));
   for (const SourceSpec& s : app.sources)
     if (!in(s.clock, app.clocks.size()) || s.period.num < 1 || s.period.den < 1 ||
         s.period.num / s.period.den > kMaxPeriodUs || s.period.den > kMaxPeriodDen ||

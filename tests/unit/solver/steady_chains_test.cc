@@ -133,5 +133,24 @@ TEST(SteadyChains, AWayBackAndForthBetweenGroupsOfOneClockIsWhatCheckDerives) {
   EXPECT_TRUE(report) << report.error().to_string();
 }
 
+/// What it left the time before: no chain, and no reason to refuse the app.
+TEST(SteadyChains, AnXNodeMaySampleItself) {
+  AppSpec app = going_back(0);
+  app.chains = {{"all", 0, 3, {}}};
+  Options options;
+  options.max_evaluations = 50;
+  const Platform platform = *Platform::builtin("small");
+  std::vector<std::int64_t> worst;
+  for (int round = 0; round < 2; ++round) {
+    const auto answer = solve(app, platform, options);
+    ASSERT_TRUE(answer && answer->outcome == Outcome::kPolicy);
+    const auto report = check(app, platform, answer->policy);
+    ASSERT_TRUE(report) << report.error().to_string();
+    worst.push_back(report->chains.front().derived_us);
+    app.samples.emplace_back(3, 3);
+  }
+  EXPECT_EQ(worst.front(), worst.back());
+}
+
 }  // namespace
 }  // namespace xauto::solver::steady
