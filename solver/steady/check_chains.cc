@@ -25,20 +25,30 @@ constexpr std::size_t kMaxClasses = 1'000'000;
 constexpr std::int64_t kMaxWork = 50'000'000;  ///< a second
 constexpr Ticks kUnreached = -4 * kMaxTicks;
 
+/// Millionths of a tick, in which drift is exact: what is compared and added again and again is not rounded.
+using Fine = __int128;
+Fine fine(Ticks x) {
+  return static_cast<Fine>(x) * kMillion;
+}
+Fine fine_most(Ticks x, std::int64_t ppm) {
+  return static_cast<Fine>(x) * (kMillion + (x < 0 ? -ppm : ppm));
+}
+
 /// At most `real`, and `grid` on the clock's grid: what drifts together is added before it drifts.
 struct Mark {
-  Ticks real = kUnreached;
+  Fine real = fine(kUnreached);
   Ticks grid = 0;
+  [[nodiscard]] bool reached() const { return real > fine(kUnreached); }
 };
 using Late = std::vector<Mark>;
 
 /// What is at least as late as each, however far the grid goes on: most(x + y) <= most(x) + most(y). The
 /// grid of the later one stays, since who goes back on it takes drift off again.
 Mark later(Mark a, Mark b, std::int64_t ppm) {
-  if (a.real <= kUnreached) return b;
-  if (b.real <= kUnreached) return a;
-  if (a.real + most(a.grid, ppm) < b.real + most(b.grid, ppm)) std::swap(a, b);
-  return {std::max(a.real, b.real + most(b.grid - a.grid, ppm)), a.grid};
+  if (!a.reached()) return b;
+  if (!b.reached()) return a;
+  if (a.real + fine_most(a.grid, ppm) < b.real + fine_most(b.grid, ppm)) std::swap(a, b);
+  return {std::max(a.real, b.real + fine_most(b.grid - a.grid, ppm)), a.grid};
 }
 
 class Walk {
@@ -134,16 +144,16 @@ class Walk {
   }
 
   /// To the nominal release of what is marked, in a component of that drift.
-  [[nodiscard]] static Ticks value(const Mark& mark, const Component& c) {
-    return mark.real + most(mark.grid, c.ppm);
+  [[nodiscard]] static Fine value(const Mark& mark, const Component& c) {
+    return mark.real + fine_most(mark.grid, c.ppm);
   }
 
   void arrive(int c, const Late& late, Ticks bound) {
     bound_ = std::max(bound_, bound);
     for (std::size_t n = 0; n < late.size(); ++n) {
-      if (late[n].real <= kUnreached) continue;
-      const Ticks end =
-          value(late[n], w_.components[at(c)]) + due(chain_.to, static_cast<std::int64_t>(n));
+      if (!late[n].reached()) continue;
+      const Ticks end = ceil_div(value(late[n], w_.components[at(c)]), kMillion) +
+                        due(chain_.to, static_cast<std::int64_t>(n));
       if (!proof_.path.empty() && end <= worst_) continue;
       worst_ = end;
       proof_.path = path_;
@@ -154,7 +164,9 @@ class Walk {
   Status sample(int u, int v, const Late& late, Ticks bound) {
     const Component &from = w_.home(u), &to = w_.home(v);
     Late next;
-    if (from.clock != to.clock || !follow(u, v, late, next)) any_phase(u, v, late, next);
+    if (from.clock != to.clock ||
+        (!follow(u, v, late, next) && !follow(u, v, of_own_classes(late, from), next)))
+      any_phase(u, v, late, next);
     work_ += static_cast<std::int64_t>(late.size() + next.size() + w_.wcet.size());
     if (work_ > kMaxWork)
       return fail(ErrorCode::kUnavailable, "it has too many paths to follow all of them",
@@ -166,6 +178,14 @@ class Walk {
         if (ends[at(p)] > kUnreached && x != v)
           ends[at(x)] = std::max(ends[at(x)], ends[at(p)] + shortest_[at(x)]);
     return visit(w_.component_of[at(v)], {v}, next, ends);
+  }
+
+  /// The phases to components before it are forgotten.
+  [[nodiscard]] static Late of_own_classes(const Late& late, const Component& c) {
+    Late own(static_cast<std::size_t>(c.classes));
+    for (std::size_t n = 0; n < late.size(); ++n)
+      own[n % own.size()] = later(own[n % own.size()], late[n], c.ppm);
+    return own;
   }
 
   /// Phases are known. False: they repeat too late.
@@ -181,7 +201,7 @@ class Walk {
     work_ += pattern / from.period;
     for (std::int64_t n = 0; n < pattern / from.period; ++n) {
       const Mark& so_far = late[static_cast<std::size_t>(n) % late.size()];
-      if (so_far.real <= kUnreached) continue;
+      if (!so_far.reached()) continue;
       const Ticks release = from.phi + n * from.period;
       const Ticks end = due(u, n);
       // The first that knows it with the least drift, up to the one that does with the most.
@@ -193,10 +213,10 @@ class Walk {
       for (;; ++m) {
         if (++work_ > kMaxWork) return true;  // sample() says so
         Mark mark{so_far.real, so_far.grid + gap(m)};
-        const Ticks latest_release =
-            value(so_far, from) + end - w_.earliest(v, m - 1) + most(to.period, to.ppm);
+        const Fine latest_release =
+            value(so_far, from) + fine(end - w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm);
         // That has no grid to go back on.
-        if (latest_release + most(latest_, to.ppm) - least(latest_, to.ppm) < value(mark, to))
+        if (latest_release + 2 * fine_most(latest_, to.ppm) - 2 * fine(latest_) < value(mark, to))
           mark = {latest_release, 0};
         const std::int64_t k = m % classes;
         Mark& best = next[static_cast<std::size_t>(k < 0 ? k + classes : k)];
@@ -208,13 +228,14 @@ class Walk {
   }
 
   void any_phase(int u, int v, const Late& late, Late& next) const {
-    Ticks end = kUnreached;
+    Fine end = fine(kUnreached);
     for (std::size_t n = 0; n < late.size(); ++n)
-      if (late[n].real > kUnreached)
-        end = std::max(end, value(late[n], w_.home(u)) + due(u, static_cast<std::int64_t>(n)));
+      if (late[n].reached())
+        end =
+            std::max(end, value(late[n], w_.home(u)) + fine(due(u, static_cast<std::int64_t>(n))));
     const Component& to = w_.home(v);
     for (std::int64_t m = 0; m < to.classes; ++m)
-      next.push_back({end - w_.earliest(v, m - 1) + most(to.period, to.ppm), 0});
+      next.push_back({end - fine(w_.earliest(v, m - 1)) + fine_most(to.period, to.ppm), 0});
   }
 
   const World& w_;

@@ -285,20 +285,32 @@ Status set_components(World& w) {
   return {};
 }
 
+/// Whether that many activations of `c` divide all that there are until the rates of its clock come round, which may
+/// be too long for a number: gcd(x, lcm(T...)) = lcm(gcd(x, T)...).
+bool come_round(const World& w, const Component& c, std::int64_t activations) {
+  if (activations > kMaxTicks / c.period) return false;
+  const Ticks span = activations * c.period;
+  Ticks common = 1;
+  for (const Component& other : w.components)
+    if (other.clock == c.clock) common = lcm(common, std::gcd(span, other.period));
+  return common == span;
+}
+
 /// How many windows each component has, and whether the arrays' sizes are those of the format.
 Status set_classes(World& w) {
-  std::vector<Ticks> hyper(w.app.clocks.size(), 1);
-  for (const Component& c : w.components)
-    if (hyper[at(c.clock)] > 0) hyper[at(c.clock)] = lcm(hyper[at(c.clock)], c.period);
   std::int64_t windows = 0;
   for (std::size_t i = 0; i < w.app.xnodes.size(); ++i) {
     Component& c = w.components[at(w.component_of[i])];
     const auto size = static_cast<std::int64_t>(w.policy.placements[i].key_us.size());
-    const Ticks h = hyper[at(c.clock)];
-    if (size > 1 && (h == 0 || h / c.period % size != 0))
-      return invalid(fmt::format("{} keys do not divide the {} activations of a hyperperiod", size,
-                                 h == 0 ? 0 : h / c.period),
-                     "XNode '" + w.app.xnodes[i].name + "'");
+    if (size > 1 && !come_round(w, c, size)) {
+      Ticks turn = c.period;
+      for (const Component& other : w.components)
+        if (other.clock == c.clock && turn > 0) turn = lcm(turn, other.period);
+      return invalid(
+          fmt::format("{} keys do not divide the {} of a hyperperiod", size,
+                      turn == 0 ? "activations" : fmt::format("{} activations", turn / c.period)),
+          "XNode '" + w.app.xnodes[i].name + "'");
+    }
     c.classes = lcm(c.classes, size);
   }
   for (const Component& c : w.components) {

@@ -278,7 +278,7 @@ class Prometheus(Monitored):
         self.assertEqual(value_of(self.metrics(tool), "xauto_claim_stands"), 0)
         self.assertIn("jobs outran the WCET of their scenario", self.once(tool, "--json"))
         report = self.report(tool)
-        self.assertRegex(" ".join(report["worst_case_broken"]), r"[1-9]\d* of \d+ jobs outran the WCET of their scenario, \w+ by \d+\.\d\d ms")
+        self.assertRegex(" ".join(report["worst_case_broken"]), r"[1-9]\d* of \d+ jobs outran the WCET of their scenario, \w+ by \d+\.\d{3} ms")
         over = sum(x["over_wcet"] for x in report["limited_xnodes"])
         self.assertIn(f"{over} of ", " ".join(report["worst_case_broken"]))
 

@@ -133,6 +133,34 @@ TEST(SteadyChains, AWayBackAndForthBetweenGroupsOfOneClockIsWhatCheckDerives) {
   EXPECT_TRUE(report) << report.error().to_string();
 }
 
+/// A way into a group of components from another one of its clock: where all rates together come round too late to
+/// be followed, `check` still knows the phases inside the group.
+TEST(SteadyChains, PhasesInsideAGroupAreKnownWhereverTheWayComesFrom) {
+  AppSpec app;
+  app.version = 2;
+  app.name = "into";
+  app.clocks = {{"main", 20}};
+  app.sources = {
+      {"a", {66'667}}, {"b", {10'000}}, {"c", {12'500}}, {"d", {5'000}}, {"e", {40'000}}};
+  const char* names[] = {"a", "b", "c", "d", "e"};
+  for (int i = 0; i < 5; ++i) {
+    app.modules.push_back({names[i], 1, false});
+    app.xnodes.push_back({names[i], names[i], {{i == 0 ? "gpu" : "cpu", 100 + 400 * i}}, {i}});
+  }
+  app.samples = {{0, 1}, {1, 2}, {2, 3}, {4, 3}};
+  app.chains = {{"all", 0, 3, {}}, {"e", 4, 3, {}}};
+  const Platform platform{"two", {{"cpu0", "cpu"}, {"gpu0", "gpu"}}};
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    Options options;
+    options.max_evaluations = 60;
+    options.seed = seed;
+    const auto answer = solve(app, platform, options);
+    ASSERT_TRUE(answer && answer->outcome == Outcome::kPolicy);
+    const auto report = check(app, platform, answer->policy);
+    EXPECT_TRUE(report) << report.error().to_string();
+  }
+}
+
 /// What it left the time before: no chain, and no reason to refuse the app.
 TEST(SteadyChains, AnXNodeMaySampleItself) {
   AppSpec app = going_back(0);
