@@ -223,11 +223,19 @@ Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Wi
     origins.assign(1, {&c, k, before});
     worst = std::max(worst, way.from(0, k, 0, before, origins));
   }
-  // A check may round what drifts once more at each sample.
-  const auto drifts = [&](int s) {
-    return p.domains[at(p.domain_of(p.samples[at(s)].second))].ppm > 0;
-  };
-  return worst + std::count_if(path.samples.begin(), path.samples.end(), drifts);
+  // A check may round what drifts once more at each sample. Between groups of a clock it keeps a release's place on
+  // the clock, also where any phase would be sooner by what the latest start drifts, twice.
+  Tick latest = -1;
+  for (const int s : path.samples) {
+    const auto& [u, v] = p.samples[at(s)];
+    const Domain &from = p.domains[at(p.domain_of(u))], &to = p.domains[at(p.domain_of(v))];
+    if (to.ppm == 0) continue;
+    ++worst;
+    if (&from == &to || from.clock != to.clock) continue;
+    if (latest < 0) latest = *std::max_element(w.e.begin(), w.e.end());
+    worst += 2 * (in_slow_time(latest, to.ppm) - latest);
+  }
+  return worst;
 }
 
 Tick worst_case(const Problem& p, const Chain& chain, const Windows& w, bool urgent) {
