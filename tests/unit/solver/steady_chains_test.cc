@@ -1,16 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 // The worst case of a chain: the solver's count against the checker's, which share no code.
+#include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
 
 #include "base/index.h"
+#include "model/periodic.h"
 #include "solver/steady/certificate.h"
 #include "solver/steady/chains.h"
 #include "solver/steady/check.h"
 #include "solver/steady/problem.h"
 #include "solver/steady/solve.h"
+
+#include "problem_random.h"
 
 namespace xauto::solver::steady {
 namespace {
@@ -178,6 +183,64 @@ TEST(SteadyChains, AnXNodeMaySampleItself) {
     app.samples.emplace_back(3, 3);
   }
   EXPECT_EQ(worst.front(), worst.back());
+}
+
+/// Components of three rates that nearly are one another's multiples, beside three whose rates meet after hours: their
+/// clocks are planned in groups.
+AppSpec random_groups(std::uint64_t seed) {
+  solver::test::Dice dice(seed);
+  AppSpec app;
+  app.version = 2;
+  app.name = "random";
+  app.clocks = {{"main", 50 * dice.roll(0, 2)}, {"own", 50 * dice.roll(0, 20)}};
+  const bool two_clocks = dice.roll(0, 2) == 0;
+  const auto add = [&](std::int64_t period, std::int64_t wcet, bool free) {
+    const int source = static_cast<int>(app.sources.size()),
+              xnode = static_cast<int>(app.xnodes.size());
+    const std::string name = "m" + std::to_string(source);
+    app.sources.push_back({"s" + name, {period}});
+    if (free && dice.roll(0, 2) == 0)
+      app.sources.back().offset_us = dice.roll(0, static_cast<int>(period) - 1);
+    if (free && dice.roll(0, 2) == 0) app.sources.back().jitter_us = period / 20;
+    if (free && two_clocks && dice.roll(0, 2) == 0) app.sources.back().clock = 1;
+    app.modules.push_back({name, 1, false});
+    app.xnodes.push_back({name + ".0", name, {{"cpu", wcet}}, {source}});
+    if (!free || dice.roll(0, 1) == 0) return;
+    app.xnodes.push_back({name + ".1", name, {{"cpu", wcet}}});
+    app.edges.emplace_back(xnode, xnode + 1);
+  };
+  const std::int64_t rates[] = {1000, 1001, 997, 2000, 2002, 1994, 10'000, 10'010, 9970};
+  for (int left = dice.roll(4, 9); left > 0; --left)
+    add(rates[dice.roll(0, 8)], dice.roll(5, 40), true);
+  const int size = static_cast<int>(app.xnodes.size());
+  for (const std::int64_t period : {1'000'000, 1'001'000, 997'000}) add(period, 30, false);
+  std::set<std::pair<int, int>> there;
+  for (int k = dice.roll(3, 9); k > 0; --k) {
+    const int u = dice.roll(0, size - 1), v = dice.roll(0, size - 1);
+    if (app.xnodes[at(u)].module != app.xnodes[at(v)].module && there.emplace(u, v).second)
+      app.samples.emplace_back(u, v);
+  }
+  complete_chains(app);
+  return app;
+}
+
+TEST(SteadyChains, OfRandomGroupsCheckDerivesNoMore) {
+  const Platform platform = *Platform::builtin("small");
+  int solved = 0;
+  for (std::uint64_t seed = 1; seed <= 40; ++seed) {
+    const AppSpec app = random_groups(seed);
+    Options options;
+    options.max_evaluations = 40;
+    options.threads = 1;
+    options.seed = seed;
+    const auto answer = solve(app, platform, options);
+    ASSERT_TRUE(answer) << seed << ": " << answer.error().to_string();
+    if (answer->outcome != Outcome::kPolicy) continue;
+    ++solved;
+    const auto report = check(app, platform, answer->policy);
+    EXPECT_TRUE(report) << seed << ": " << report.error().to_string();
+  }
+  EXPECT_GE(solved, 30);
 }
 
 }  // namespace
