@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <limits>
 #include <numeric>
+#include <optional>
 
 namespace xauto::solver::steady {
 namespace {
@@ -69,10 +70,12 @@ struct Way {
   Holds hold;
   Tick sooner = 0;              ///< keys of the first component, where its release is urgent
   std::vector<Tick> most_hold;  ///< [sample of the way] of its reader
-  /// [sample of the way] what is left behind it, where its reader is of another domain, at any phase;
-  /// kNoTick: not known yet.
-  std::vector<Tick> left;
-
+  /// What is the same whenever its reader, of another domain, is reached.
+  struct Crossing {
+    Tick left = kNoTick;  ///< what is left behind it, at any phase; kNoTick: not known yet
+    std::optional<bool> comes_back;  ///< comes_back(); none: not known yet
+  };
+  std::vector<Crossing> crossings;  ///< [sample of the way]
   std::int64_t returns = kMostReturns;
 
   /// Whether releases and keys, from those of the first component on the clock of `v` to those of `v`, which
@@ -184,16 +187,18 @@ struct Way {
       origins.insert(origins.end(), later.begin(), later.end());
       break;
     }
-    if (comes_back(next)) {
+    Crossing& crossing = crossings[next];
+    if (!crossing.comes_back) crossing.comes_back = comes_back(next);
+    if (*crossing.comes_back) {
       if (returns > 0) return std::min(least, at_any_phase(next, v, ends, least, origins));
       if (least < kForeverAfter) return least;
     }
     // Once for all that come here: what is left does not depend on when.
-    if (left[next] == kNoTick) {
+    if (crossing.left == kNoTick) {
       std::vector<Origin> none;
-      left[next] = at_any_phase(next, v, 0, kForeverAfter, none);
+      crossing.left = at_any_phase(next, v, 0, kForeverAfter, none);
     }
-    return std::min(least, ends + left[next]);
+    return std::min(least, ends + crossing.left);
   }
 };
 
@@ -210,7 +215,7 @@ Tick worst_case(const Problem& p, const Chain& chain, const Path& path, const Wi
                 bool urgent) {
   const Component& c = p.components[at(p.component_of[at(leaves_by(p, chain, path.samples, 0))])];
   Way way{p, chain, path.samples, {p, w.d}, {p, w.hold}, urgent ? c.urgent_by : 0, {}, {}};
-  way.left.assign(path.samples.size(), kNoTick);
+  way.crossings.resize(path.samples.size());
   for (const int s : path.samples) {
     const int v = p.samples[at(s)].second;
     const auto first = w.hold.begin() + p.slot[at(v)];

@@ -120,15 +120,18 @@ class Errors(unittest.TestCase):
             self.assertIn("a.json: has more than 8000000 values", result.stderr)
 
     def test_where_memory_ends_solve_goes_on_with_fewer_threads_or_says_so(self):
+        tried = 0
         for megabytes in (64, 96, 128, 192):
             result = subprocess.run([XAUTO, "solve", "--app", GOLDEN / "app.json", "--platform", "small", "--threads", "16",
                                      "--time-limit-s", "0.2"], preexec_fn=little_memory(megabytes), capture_output=True,
                                     text=True, timeout=120)
             if "error while loading shared libraries" in result.stderr:
                 continue
+            tried += 1
             if result.returncode != 0:
                 self.assertEqual(result.returncode, 1, result.stderr)
                 self.assertIn("there is no memory left", result.stderr)
+        self.assertGreater(tried, 0)
 
     def test_where_threads_end_a_run_says_so(self):
         with tempfile.TemporaryDirectory() as folder:

@@ -36,7 +36,7 @@ bool in_time_on_one(const std::vector<Time>& work, const std::vector<Time>& r,
 struct Sandwich {
   Problem problem;
   Windows w;
-  std::vector<Time> work;
+  std::vector<Time> work, r, d;  ///< of those inside
 };
 
 Sandwich sandwich(test::Dice& dice, int inside) {
@@ -70,6 +70,8 @@ Sandwich sandwich(test::Dice& dice, int inside) {
     w.types[x] = TypeSet{1} << gpu;
     w.r[x] = dice.roll(20, 28);  // the CPU has room for all others before and after
     w.d[x] = w.r[x] + s.work[at(i)] + dice.roll(0, 8);
+    s.r.push_back(w.r[x]);
+    s.d.push_back(w.d[x]);
   }
   return s;
 }
@@ -80,26 +82,21 @@ TEST(OneMachine, SaysExactlyWhatSchedulesOfOneInstanceAllow) {
     test::Dice dice(seed);
     const int inside = dice.roll(2, 6);
     Sandwich s = sandwich(dice, inside);
-    std::vector<Time> r, d;
-    for (int i = 0; i < inside; ++i) {
-      r.push_back(s.w.r[at(3 * i)]);
-      d.push_back(s.w.d[at(3 * i)]);
-    }
     OneMachine machine(s.problem);
     const OneMachine::Answer answer = machine.narrow(s.w);
-    ASSERT_EQ(answer != OneMachine::Answer::kImpossible, in_time_on_one(s.work, r, d)) << seed;
+    ASSERT_EQ(answer != OneMachine::Answer::kImpossible, in_time_on_one(s.work, s.r, s.d)) << seed;
     if (answer == OneMachine::Answer::kImpossible) {
       ++impossible;
       continue;
     }
     for (int i = 0; i < inside; ++i) {
       // The least end that some schedule reaches, the latest start.
-      std::vector<Time> to = d, from = r;
-      for (to[at(i)] = r[at(i)]; !in_time_on_one(s.work, r, to);) ++to[at(i)];
-      for (from[at(i)] = d[at(i)]; !in_time_on_one(s.work, from, d);) --from[at(i)];
+      std::vector<Time> to = s.d, from = s.r;
+      for (to[at(i)] = s.r[at(i)]; !in_time_on_one(s.work, s.r, to);) ++to[at(i)];
+      for (from[at(i)] = s.d[at(i)]; !in_time_on_one(s.work, from, s.d);) --from[at(i)];
       ASSERT_EQ(s.w.r[at(3 * i + 2)], to[at(i)]) << seed;
       ASSERT_EQ(s.w.d[at(3 * i + 1)], from[at(i)]) << seed;
-      narrowed += to[at(i)] > r[at(i)] + s.work[at(i)];
+      narrowed += to[at(i)] > s.r[at(i)] + s.work[at(i)];
     }
   }
   EXPECT_GT(impossible, 500);
@@ -113,12 +110,7 @@ TEST(OneMachine, TakesATypeFromWhomItHasNoRoomFor) {
     const int inside = dice.roll(2, 5);
     Sandwich s = sandwich(dice, inside);
     const std::size_t last = at(3 * (inside - 1));
-    std::vector<Time> r, d;
-    for (int i = 0; i < inside; ++i) {
-      r.push_back(s.w.r[at(3 * i)]);
-      d.push_back(s.w.d[at(3 * i)]);
-    }
-    const bool fits = in_time_on_one(s.work, r, d);
+    const bool fits = in_time_on_one(s.work, s.r, s.d);
     const TypeSet gpu = s.w.types[last];
     s.w.types[last] = 3;
     OneMachine machine(s.problem);
@@ -128,6 +120,15 @@ TEST(OneMachine, TakesATypeFromWhomItHasNoRoomFor) {
   }
   EXPECT_GT(taken, 300);
   EXPECT_GT(left, 300);
+}
+
+/// What is proven where the best policy that is known takes `known`.
+Time proven_beside(const Problem& problem, Time known) {
+  const std::atomic<Time> incumbent{known};
+  ProofControl control;
+  control.incumbent = &incumbent;
+  control.max_lps = 1000;
+  return prove_bound(problem, control);
 }
 
 TEST(OneMachine, NoProofWithItIsAboveWhatAPolicyReaches) {
@@ -143,11 +144,7 @@ TEST(OneMachine, NoProofWithItIsAboveWhatAPolicyReaches) {
     const Platform platform = test::random_platform(dice, shape);
     const Problem problem = *Problem::create(test::random_app(dice, shape, platform), platform);
     const Time best = test::brute_force_policies(problem).makespan;
-    const std::atomic<Time> incumbent{best + dice.roll(1, 3)};
-    ProofControl control;
-    control.incumbent = &incumbent;
-    control.max_lps = 1000;
-    const Time bound = prove_bound(problem, control);
+    const Time bound = proven_beside(problem, best + dice.roll(1, 3));
     ASSERT_LE(bound, best) << "case " << k;
     reached += bound == best;
   }
@@ -167,11 +164,7 @@ TEST(OneMachine, NoProofOnManyInstancesIsAboveTheOptimum) {
     const Platform platform = test::random_platform(dice, shape);
     const Problem problem = *Problem::create(test::random_app(dice, shape, platform), platform);
     const Time best = test::brute_force(problem).makespan;
-    const std::atomic<Time> incumbent{best + dice.roll(1, 3)};
-    ProofControl control;
-    control.incumbent = &incumbent;
-    control.max_lps = 1000;
-    const Time bound = prove_bound(problem, control);
+    const Time bound = proven_beside(problem, best + dice.roll(1, 3));
     ASSERT_LE(bound, best) << "case " << k;
     reached += bound == best;
   }
