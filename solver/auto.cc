@@ -6,11 +6,13 @@
 #include <condition_variable>
 #include <mutex>
 #include <optional>
+#include <utility>
 
 #include "solver/bounds.h"
 #include "solver/composite.h"
 #include "solver/exact.h"
 #include "solver/ordered.h"
+#include "solver/stretches.h"
 #include "solver/tabu.h"
 #include "solver/threads.h"
 
@@ -138,9 +140,9 @@ class Team {
            (!counted() && done_.load());
   }
 
-  /// kDispatched: priorities on XPUs that do not preempt, kept as the order that this gives. kTabu:
-  /// order on every XPU as kOrdered, searched in another way.
-  enum class Space { kPriorities, kOrdered, kTabu, kDispatched, kMixed };
+  /// kDispatched: priorities on XPUs that do not preempt, kept as the order that this gives. kTabu,
+  /// kStretches: order on every XPU as kOrdered, searched in other ways.
+  enum class Space { kPriorities, kOrdered, kTabu, kStretches, kDispatched, kMixed };
 
   /// Whose turn it is. Where preemption is free everywhere, priorities alone reach what any policy
   /// reaches; where it is possible nowhere, they are dispatched as they are, and order alone does.
@@ -151,14 +153,18 @@ class Team {
   [[nodiscard]] std::vector<Space> rounds() const {
     constexpr auto kPriorities = Space::kPriorities, kOrdered = Space::kOrdered;
     constexpr auto kDispatched = Space::kDispatched, kMixed = Space::kMixed;
+    constexpr auto kStretches = Space::kStretches;
     const Space order = TabuSearch::serves(problem_) ? Space::kTabu : kOrdered;
     if (options_.priorities_only) return {kPriorities};
+    if (options_.certify && stretches()) return {kStretches, order, kStretches, kOrdered};
     if (options_.certify) return {order, kOrdered};
     // Of any size: with a quarter of the turns, Brandimarte's job shops ended 0.2 % longer.
     if (!some_preempt_) return {order, kPriorities, order, order, kOrdered, order};
     const bool mixing = some_preempt_ && some_pay_;
     if (large()) {
       const Space last = mixing ? kMixed : kPriorities;
+      if (stretches())
+        return {kStretches, kPriorities, kStretches, kOrdered, kStretches, order, kStretches, last};
       return {order, kPriorities, kPriorities, kOrdered, order, kPriorities, last, kOrdered};
     }
     if (!mixing) return {kPriorities, kOrdered, order, kDispatched};
@@ -180,6 +186,9 @@ class Team {
   }
 
   [[nodiscard]] bool large() const { return problem_.num_xnodes > kLarge; }
+  [[nodiscard]] bool stretches() const {
+    return large() && !options_.priorities_only && stretches_serve(problem_);
+  }
 
   /// A few starts get a little time each, the better half of them more, until one is left.
   Solution race(int t, std::int64_t& budget) {
@@ -197,17 +206,20 @@ class Team {
       used += count;
       evaluations_.fetch_add(count, std::memory_order_relaxed);
     };
-    callbacks.on_better = [&](const Solution& solution) { note(t, solution, false); };
+    const bool ordered = stretches();
+    callbacks.on_better = [&](const Solution& solution) { note(t, solution, ordered); };
+    if (ordered)
+      for (Solution& runner : runners) runner = in_order(runner);
     const std::int64_t level = budget / 9;
     for (int round = 0; runners.size() > 1 && !over(); ++round) {
       const double each = options_.time_limit_s / 9 / static_cast<double>(runners.size());
       for (std::size_t k = 0; k < runners.size() && !over(); ++k) {
         const StopWhen mine =
             stop_when(seconds(each), level / static_cast<std::int64_t>(runners.size()) + 1, 0);
-        runners[k] = anneal(problem_, runners[k],
-                            options_.seed * 1000003 + static_cast<std::uint64_t>(t) * 7919 + 500 +
-                                static_cast<std::uint64_t>(round) * 31 + k,
-                            mine, callbacks);
+        const std::uint64_t seed = options_.seed * 1000003 + static_cast<std::uint64_t>(t) * 7919 +
+                                   500 + static_cast<std::uint64_t>(round) * 31 + k;
+        runners[k] = ordered ? anneal_stretches(problem_, runners[k], seed, mine, callbacks)
+                             : anneal(problem_, runners[k], seed, mine, callbacks);
       }
       std::stable_sort(runners.begin(), runners.end(), [](const Solution& a, const Solution& b) {
         return a.makespan < b.makespan;
@@ -238,7 +250,10 @@ class Team {
                         options_.stop};
       raise_bound(composite_bound(problem_, 1, until).bound);
     }
-    if (large() && some_preempt_ && !options_.certify) own = race(t, budget);
+    if (large() && some_preempt_ && !options_.certify) {
+      own = race(t, budget);
+      if (own.ordered) own_ordered = std::exchange(own, by_finish(problem_, own));
+    }
     if (counted() && budget <= 0) return;
     for (int turn = 0; !over(); ++turn) {
       std::int64_t used = 0;
@@ -249,7 +264,8 @@ class Team {
       };
       const Space space = space_of(turn);
       callbacks.on_better = [&](const Solution& solution) {
-        note(t, solution, space == Space::kOrdered || space == Space::kTabu);
+        note(t, solution,
+             space == Space::kOrdered || space == Space::kTabu || space == Space::kStretches);
       };
       const StopWhen mine =
           stop_when(slice, counted() ? std::min(budget, share) : 0, turn / round_length());
@@ -269,6 +285,12 @@ class Team {
           Solution start = own_ordered;
           if (own.makespan < start.makespan) start = in_order(own);
           Solution found = tabu->run(start, mine, callbacks);
+          if (found.makespan < own_ordered.makespan) own_ordered = std::move(found);
+          break;
+        }
+        case Space::kStretches: {
+          const Solution start = own.makespan < own_ordered.makespan ? in_order(own) : own_ordered;
+          Solution found = anneal_stretches(problem_, start, seed, mine, callbacks);
           if (found.makespan < own_ordered.makespan) own_ordered = std::move(found);
           break;
         }

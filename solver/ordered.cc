@@ -11,16 +11,26 @@
 #include "solver/evaluate.h"
 
 namespace xauto::solver {
-namespace {}  // namespace
 
-OrderedEvaluator::OrderedEvaluator(const Problem& problem)
+OrderedEvaluator::OrderedEvaluator(const Problem& problem, const Surroundings* around)
     : problem_(problem), n_(at(problem.num_xnodes)), m_(at(problem.num_xpus)) {
   position_.assign(n_, 0);
   start_.assign(n_, 0);
   finish_.assign(n_, 0);
   try_finish_.assign(n_, 0);
   free_at_.assign(m_, 0);
-  tail_ = static_tails(problem);  // of least WCETs: valid whatever the candidate's assignment
+  if (around != nullptr)
+    around_ = *around;
+  else
+    around_ = {std::vector<Time>(m_, 0), std::vector<Time>(n_, 0), std::vector<Time>(n_, 0),
+               std::vector<Time>(m_, 0)};
+  // Of least WCETs: valid whatever the candidate's assignment.
+  const std::vector<Time> least = least_wcet(problem);
+  tail_ = around_.behind;
+  for (std::size_t k = n_; k-- > 0;) {
+    const std::size_t i = at(problem.topo[k]);
+    for (int s : problem.succ[i]) tail_[i] = std::max(tail_[i], least[at(s)] + tail_[at(s)]);
+  }
 }
 
 void OrderedEvaluator::reset(const std::vector<int>& xpu, const std::vector<int>& sequence) {
@@ -87,41 +97,45 @@ Time OrderedEvaluator::evaluate(Time limit) {
   ++evaluations_;
   const auto first = at(first_);
   const bool plain = problem_.goal.plain(), weighted = problem_.goal.weighted;
-  Time makespan = 0, charged = 0;
-  std::fill(free_at_.begin(), free_at_.end(), 0);
+  Time makespan = -kNever, charged = 0;
+  free_at_ = around_.free_at;
   for (std::size_t k = 0; k < first; ++k) {
     const std::size_t i = at(sequence_[k]);
     free_at_[at(xpu_[i])] = try_finish_[i] = finish_[i];
-    makespan = std::max(makespan, finish_[i]);
+    makespan = std::max(makespan, finish_[i] + around_.behind[i]);
     if (!plain) charged += problem_.goal.charge(i, finish_[i]);
   }
   for (std::size_t k = first; k < n_; ++k) {
     const int xnode = sequence_[k];
     const std::size_t i = at(xnode);
-    Time begin = free_at_[at(xpu_[i])];
+    Time begin = std::max(free_at_[at(xpu_[i])], around_.released[i]);
     for (int p : problem_.pred[i]) begin = std::max(begin, try_finish_[at(p)]);
     const Time end = begin + problem_.wcet_on(xnode, xpu_[i]);
     if (end + tail_[i] >= limit && !weighted) return kNever;
     try_finish_[i] = free_at_[at(xpu_[i])] = end;
-    makespan = std::max(makespan, end);
+    makespan = std::max(makespan, end + around_.behind[i]);
     if (!plain) charged += problem_.goal.charge(i, end);
   }
+  for (std::size_t x = 0; x < m_; ++x)
+    makespan = std::max(makespan, free_at_[x] + around_.after[x]);
   const Time cost = (weighted ? 0 : makespan) + charged;
   return cost < limit ? cost : kNever;
 }
 
 void OrderedEvaluator::commit() {
   edited_ = false;
-  std::fill(free_at_.begin(), free_at_.end(), 0);
-  makespan_ = 0;
+  free_at_ = around_.free_at;
+  makespan_ = -kNever;
   for (int xnode : sequence_) {
     const std::size_t i = at(xnode);
-    Time begin = free_at_[at(xpu_[i])];
+    Time begin = std::max(free_at_[at(xpu_[i])], around_.released[i]);
     for (int p : problem_.pred[i]) begin = std::max(begin, finish_[at(p)]);
     start_[i] = begin;
     finish_[i] = free_at_[at(xpu_[i])] = begin + problem_.wcet_on(xnode, xpu_[i]);
-    makespan_ = std::max(makespan_, finish_[i]);
+    makespan_ = std::max(makespan_, finish_[i] + around_.behind[i]);
   }
+  for (std::size_t x = 0; x < m_; ++x)
+    makespan_ = std::max(makespan_, free_at_[x] + around_.after[x]);
   const Goal& goal = problem_.goal;
   if (goal.plain()) return;
   if (goal.weighted) makespan_ = 0;
@@ -139,20 +153,26 @@ void OrderedEvaluator::rollback() {
 
 void OrderedEvaluator::critical_chain(std::vector<int>& chain) const {
   chain.clear();
-  int current = -1;
-  for (std::size_t i = 0; i < n_; ++i)
-    if (current < 0 || finish_[i] > finish_[at(current)]) current = static_cast<int>(i);
   std::vector<int> before(n_, -1), last(m_, -1);  // on the same XPU
   for (const int i : sequence_) before[at(i)] = std::exchange(last[at(xpu_[at(i)])], i);
+  int current = -1;
+  Time latest = 0;
+  const auto ends = [&](int i, Time behind) {
+    const Time end = finish_[at(i)] + behind;
+    if (current >= 0 && end <= latest) return;
+    current = i;
+    latest = end;
+  };
+  for (std::size_t i = 0; i < n_; ++i) ends(static_cast<int>(i), around_.behind[i]);
+  for (std::size_t x = 0; x < m_; ++x)
+    if (last[x] >= 0) ends(last[x], around_.after[x]);
   while (current >= 0) {
     chain.push_back(current);
     const std::size_t i = at(current);
     int next = -1;
-    if (start_[i] > 0) {
-      if (before[i] >= 0 && finish_[at(before[i])] == start_[i]) next = before[i];
-      for (int p : problem_.pred[i])
-        if (finish_[at(p)] == start_[i]) next = p;
-    }
+    if (before[i] >= 0 && finish_[at(before[i])] == start_[i]) next = before[i];
+    for (int p : problem_.pred[i])
+      if (finish_[at(p)] == start_[i]) next = p;
     current = next;
   }
 }

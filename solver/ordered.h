@@ -20,9 +20,19 @@
 
 namespace xauto::solver {
 
+/// What lies around a part of a schedule, all else being kept as it is: microseconds from any one
+/// instant on, and to any other.
+struct Surroundings {
+  std::vector<Time> free_at;   ///< [xpu] it is free from then on
+  std::vector<Time> released;  ///< [xnode] its last predecessor outside the part ends
+  std::vector<Time> behind;    ///< [xnode] from its end to that of all, past successors outside
+  std::vector<Time> after;     ///< [xpu] from the end of its last XNode of the part to that of all
+};
+
 class OrderedEvaluator {
  public:
-  explicit OrderedEvaluator(const Problem& problem);
+  /// The makespan is that of all of a schedule of which `problem` is a part, if `around` is given.
+  explicit OrderedEvaluator(const Problem& problem, const Surroundings* around = nullptr);
 
   /// `sequence`: any permutation; it is repaired into a linear extension, keeping its order where
   /// possible.
@@ -46,6 +56,7 @@ class OrderedEvaluator {
 
   const Problem& problem_;
   std::size_t n_, m_;
+  Surroundings around_;
   std::vector<int> xpu_, sequence_, position_;
   std::vector<Time> start_, finish_;  // of the committed schedule
   std::vector<Time> try_finish_, free_at_, tail_;

@@ -116,12 +116,14 @@ Solution list_schedule(const Problem& problem, const std::vector<double>& rank, 
 template <class Eval, bool kMixed = false>
 class Annealer {
  public:
+  /// `around`: for an evaluator that takes it.
+  template <class... Around>
   Annealer(const Problem& problem, std::uint64_t seed, const StopWhen& stop_when,
-           const SearchCallbacks& callbacks)
+           const SearchCallbacks& callbacks, const Around*... around)
       : problem_(problem),
         stop_when_(stop_when),
         callbacks_(callbacks),
-        evaluator_(problem),
+        evaluator_(problem, around...),
         random_(seed) {
     const std::size_t n = at(problem.num_xnodes);
     options_.resize(n);
@@ -152,8 +154,9 @@ class Annealer {
           std::min(1.0, static_cast<double>(kLarge) / static_cast<double>(problem_.num_xnodes));
       const double scale = share * share;
       const double hot = (round % kHottestEvery == 2 ? kHottest : kHot) * scale;
-      cool(length, hot * static_cast<double>(best_.makespan),
-           kCold * scale * static_cast<double>(best_.makespan));
+      // That of a part (ordered.h) may be nothing, or less.
+      const auto base = static_cast<double>(std::max<Time>(1, best_.makespan));
+      cool(length, hot * base, kCold * scale * base);
       if (round % 2 == 1) length += length / 2;
       if (random_.below(kRoundsPerStay) != 0) reset(best_);
     }
@@ -428,8 +431,10 @@ Solution anneal(const Problem& problem, const Solution& start, std::uint64_t see
 }
 
 Solution anneal_ordered(const Problem& problem, const Solution& start, std::uint64_t seed,
-                        const StopWhen& stop_when, const SearchCallbacks& callbacks) {
-  Solution answer = Annealer<OrderedEvaluator>(problem, seed, stop_when, callbacks).run(start);
+                        const StopWhen& stop_when, const SearchCallbacks& callbacks,
+                        const Surroundings* around) {
+  Solution answer =
+      Annealer<OrderedEvaluator>(problem, seed, stop_when, callbacks, around).run(start);
   answer.ordered = true;
   return answer;
 }

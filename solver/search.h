@@ -15,6 +15,8 @@
 
 namespace xauto::solver {
 
+struct Surroundings;  // ordered.h
+
 /// When to end. `target`: an answer this good cannot be beaten (a lower bound, may rise meanwhile).
 struct StopWhen {
   SteadyTime deadline = SteadyTime::max();
@@ -64,10 +66,11 @@ struct SearchCallbacks {
 /// Anneals from `start` until the limits; returns the best seen, `start` included.
 [[nodiscard]] Solution anneal(const Problem& problem, const Solution& start, std::uint64_t seed,
                               const StopWhen& stop_when, const SearchCallbacks& callbacks = {});
-/// The same over ordered schedules (ordered.h); `start` may be any solution.
+/// The same over ordered schedules (ordered.h); `start` may be any solution. `around`: of a part.
 [[nodiscard]] Solution anneal_ordered(const Problem& problem, const Solution& start,
                                       std::uint64_t seed, const StopWhen& stop_when,
-                                      const SearchCallbacks& callbacks = {});
+                                      const SearchCallbacks& callbacks = {},
+                                      const Surroundings* around = nullptr);
 /// The same over all policies: priorities, and each XNode may wait for another one of its XPU.
 [[nodiscard]] Solution anneal_mixed(const Problem& problem, const Solution& start,
                                     std::uint64_t seed, const StopWhen& stop_when,

@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+// Large neighbourhood search over ordered schedules (ordered.h), for large apps: one stretch of the
+// schedule, some tens of XNodes that start one after the other, is annealed while all before and
+// behind it stays.
+//
+// What stays gives each XNode of the stretch a release and a tail, each XPU an instant from which
+// it is free and a time that it needs behind its last one. With these the makespan of the whole
+// schedule follows from the stretch alone, exactly (docs/solver.md, "Stretches"). So a candidate
+// costs some tens of XNodes in place of all, and each stretch cools down like a small app.
+//
+// Only for the makespan alone, without groups. Threads: one owner. Deterministic like anneal().
+// Units: microseconds.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "solver/ordered.h"
+#include "solver/problem.h"
+#include "solver/search.h"
+
+namespace xauto::solver {
+
+/// Starts, ends and tails (from its end to that of all) of the XNodes of an ordered schedule.
+struct Times {
+  std::vector<Time> start, finish, tail;  ///< [xnode]
+};
+
+/// Sorts the sequence of `schedule` by start, and sets its makespan.
+[[nodiscard]] Times timed(const Problem& problem, Solution& schedule);
+
+/// Some XNodes of a schedule as a problem of their own.
+struct Stretch {
+  std::vector<int> members;  ///< [xnode of the part] -> xnode of the whole
+  Problem part;
+  Surroundings around;
+  Solution now;  ///< what the schedule does with them
+  Time outside =
+      0;  ///< the whole's makespan is the part's and this, if no path beside it is longer
+};
+
+/// Those at the places `first` to `first + length - 1` of `schedule`, as timed() has left it.
+[[nodiscard]] Stretch stretch_of(const Problem& problem, const Solution& schedule,
+                                 const Times& times, std::size_t first, std::size_t length);
+
+[[nodiscard]] bool stretches_serve(const Problem& problem);
+
+/// Goes on from `start`, which is ordered, until the limits; the best, `start` included.
+[[nodiscard]] Solution anneal_stretches(const Problem& problem, const Solution& start,
+                                        std::uint64_t seed, const StopWhen& stop_when,
+                                        const SearchCallbacks& callbacks = {});
+
+}  // namespace xauto::solver
