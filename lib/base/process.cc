@@ -59,7 +59,7 @@ void close_at_exec(unsigned first, unsigned last, int error_fd) {
   sigset_t none;
   sigemptyset(&none);
   sigprocmask(SIG_SETMASK, &none, nullptr);
-  for (const int number : {SIGINT, SIGTERM, SIGPIPE}) ::signal(number, SIG_DFL);
+  for (const int number : {SIGINT, SIGTERM, SIGPIPE, SIGXFSZ}) ::signal(number, SIG_DFL);
   // `keep` is sorted: close the gaps between what is kept.
   unsigned next = 3;
   for (const int fd : keep) {
@@ -75,6 +75,13 @@ void close_at_exec(unsigned first, unsigned last, int error_fd) {
 }
 
 }  // namespace
+
+void open_standard_streams() {
+  // The least number that is free is the next one's.
+  for (const int fd : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO})
+    if (fcntl(fd, F_GETFD) < 0 && errno == EBADF) [[maybe_unused]]
+      const int opened = open("/dev/null", fd == STDIN_FILENO ? O_RDONLY : O_WRONLY);
+}
 
 std::string Exit::to_string() const {
   if (unknown) return "an exit status that this program's own waitpid took";

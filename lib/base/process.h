@@ -37,6 +37,10 @@ struct Exit {
   [[nodiscard]] std::string to_string() const;
 };
 
+/// /dev/null for those of stdin, stdout and stderr that are closed: else the next file that is
+/// opened is one of them, and children read or print into it. First thing in main().
+void open_standard_streams();
+
 /// Threads: one. Must be destroyed on the thread that spawned it, since that thread's end kills the
 /// child.
 class Child {

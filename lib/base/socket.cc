@@ -135,8 +135,12 @@ Result<std::size_t> receive_packet(int socket, void* data, std::size_t bytes,
   }
   if (received < 0) return fail(ErrorCode::kUnavailable, errno_text("cannot receive"));
   if (received == 0) return fail(ErrorCode::kUnavailable, "the peer closed the connection");
-  if ((message.msg_flags & (MSG_TRUNC | MSG_CTRUNC)) != 0)
+  if ((message.msg_flags & MSG_TRUNC) != 0)
     return fail(ErrorCode::kInvalid, "packet is longer than " + std::to_string(bytes) + " bytes");
+  // More than we read, or more than this process may have open.
+  if ((message.msg_flags & MSG_CTRUNC) != 0)
+    return fail(ErrorCode::kUnavailable, "not all file descriptors of a packet could be taken", "",
+                "allow more open files: ulimit -n");
   if (fds != nullptr) *fds = std::move(passed);
   return static_cast<std::size_t>(received);
 }

@@ -10,6 +10,7 @@
 
 #include "base/rt.h"
 #include "base/socket.h"
+#include "base/thread.h"
 
 namespace xauto::coord {
 
@@ -25,7 +26,7 @@ Result<std::shared_ptr<SocketWatch>> SocketWatch::of_process(int fifo) {
   if (!watch->epoll_ || !watch->stop_ ||
       epoll_ctl(watch->epoll_.get(), EPOLL_CTL_ADD, watch->stop_.get(), &stop) != 0)
     return fail(ErrorCode::kIo, std::string("epoll/eventfd: ") + strerror(errno));
-  watch->thread_ = std::thread([self = watch.get(), fifo] { self->run(fifo); });
+  XAUTO_ASSIGN(watch->thread_, start_thread([self = watch.get(), fifo] { self->run(fifo); }));
   current = watch;
   return watch;
 }

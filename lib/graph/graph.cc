@@ -6,6 +6,7 @@
 #include <set>
 #include <utility>
 
+#include "model/app.h"
 #include "model/onward.h"
 
 namespace xauto::runtime {
@@ -20,6 +21,7 @@ class Builder {
   explicit Builder(const detail::AppSpecErased& app) : app_(app) { graph_.name = app.name; }
 
   Result<Graph> build() {
+    check_name("app", app_.name);
     add_sources();
     for (const auto& module : app_.modules) add_module(*module);
     connect();
@@ -38,11 +40,22 @@ class Builder {
  private:
   void problem(std::string text) { problems_.push_back(std::move(text)); }
 
+  /// app.json has the names: those that it would refuse are none here.
+  void check_name(const std::string& what, const std::string& name) {
+    const std::string fault = fault_of_name(name);
+    if (fault.empty()) return;
+    std::string shown = name.substr(0, 60);
+    for (char& c : shown)
+      if (static_cast<unsigned char>(c) < 0x20 || static_cast<unsigned char>(c) > 0x7e) c = '?';
+    problem(what + " '" + shown + (name.size() > 60 ? "..." : "") + "': the name " + fault);
+  }
+
   /// The topic's index; reports a second type for one name.
   int topic(const detail::TopicSpec& spec, const std::string& who) {
     const auto [at, added] =
         topic_by_name_.try_emplace(spec.name, static_cast<int>(graph_.topics.size()));
     if (added) {
+      check_name("topic", spec.name);
       graph_.topics.push_back({spec, -1, -1, {}});
       first_user_.push_back(who);
       return at->second;
@@ -102,6 +115,7 @@ class Builder {
   void add_module(const detail::XModuleSpec& spec) {
     const int index = static_cast<int>(graph_.modules.size());
     for (const std::string& text : spec.misuse) problem(text);
+    check_name("XModule", spec.name);
     if (spec.name.empty()) problem("an XModule has no name");
     if (!module_names_.insert(spec.name).second)
       problem("two XModules are called '" + spec.name + "'");
@@ -114,6 +128,8 @@ class Builder {
     module.spec = &spec;
     for (const auto& node : spec.nodes) {
       for (const std::string& text : node->misuse) problem(text);
+      check_name("XNode", node->name);
+      for (const detail::ImplSpec& impl : node->impls) check_name("variant", impl.variant);
       if (node->name.empty()) problem("an XNode of XModule '" + spec.name + "' has no name");
       const auto [at, added] = node_module_.try_emplace(node->name, spec.name);
       if (!added && at->second != spec.name)

@@ -6,10 +6,12 @@
 #include <functional>
 #include <queue>
 #include <set>
+#include <string_view>
 #include <tuple>
 #include <unordered_map>
 
 #include "base/index.h"
+#include "base/utf8.h"
 #include "model/loss.h"
 #include "model/periodic.h"
 #include "model/refusal.h"
@@ -509,6 +511,21 @@ Status validate_on(const AppSpec& app, const Platform& platform) {
                     std::to_string(kMaxTimeUs) + " us",
                 "/xnodes", "is the unit a microsecond?");
   return {};
+}
+
+std::string fault_of_name(const std::string& name) {
+  if (name.size() > kMaxNameBytes)
+    return "is longer than " + std::to_string(kMaxNameBytes) + " bytes";
+  for (std::size_t i = 0; i < name.size();) {
+    const std::size_t length = utf8_length(std::string_view(name).substr(i));
+    if (length == 0) return "is no UTF-8";
+    const auto byte = static_cast<unsigned char>(name[i]);
+    if (byte < 0x20 || byte == 0x7f ||
+        (byte == 0xc2 && static_cast<unsigned char>(name[i + 1]) < 0xa0))
+      return "has a control character";
+    i += length;
+  }
+  return "";
 }
 
 }  // namespace xauto

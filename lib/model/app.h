@@ -141,6 +141,9 @@ struct AppSpec {
 inline constexpr std::size_t kMaxXNodes = 20'000;
 inline constexpr std::size_t kMaxEdges = 2'000'000;
 inline constexpr std::size_t kMaxNameBytes = 256;
+/// Why `name` is none: longer than kMaxNameBytes, a control character (C0, DEL, and C1, which some
+/// terminals obey), bytes that are no UTF-8. Empty: it is one.
+[[nodiscard]] std::string fault_of_name(const std::string& name);
 inline constexpr std::size_t kMaxSources = 4096;
 inline constexpr std::size_t kMaxAppChains = 20'000;
 inline constexpr std::size_t kMaxSamples = 200'000;

@@ -46,17 +46,6 @@ std::string shown(const std::string& text) {
   return quoted;
 }
 
-/// C0, DEL, and C1 (U+0080 to U+009F, which some terminals obey).
-bool has_control_character(const std::string& text) {
-  for (std::size_t i = 0; i < text.size(); ++i) {
-    const auto byte = static_cast<unsigned char>(text[i]);
-    if (byte < 0x20 || byte == 0x7f) return true;
-    if (byte == 0xc2 && i + 1 < text.size() && static_cast<unsigned char>(text[i + 1]) < 0xa0)
-      return true;
-  }
-  return false;
-}
-
 std::string shown(const json& value) {
   if (value.is_string()) return shown(value.get_ref<const std::string&>());
   if (value.is_object()) return "an object";
@@ -415,11 +404,8 @@ bool Reader::is_object(std::size_t limit) const {
 }
 
 bool Reader::is_name(const std::string& text) const {
-  if (text.size() > kMaxNameBytes) {
-    refuse("name " + shown(text) + " is longer than " + std::to_string(kMaxNameBytes) + " bytes");
-  } else if (has_control_character(text)) {
-    refuse("name " + shown(text) + " has a control character");
-  }
+  if (const std::string fault = fault_of_name(text); !fault.empty())
+    refuse("name " + shown(text) + " " + fault);
   return !failed();
 }
 

@@ -110,6 +110,12 @@ class Errors(unittest.TestCase):
                           ["simulate", "--model", "cyberrt", "--app", GOLDEN / "app.json"]):
             with self.subTest(arguments=arguments):
                 self.assertEqual(xauto(*arguments).returncode, 2)
+        for option in ("--time-limit-s", "--regret"):
+            for number in ("nan", "inf", "-nan", "infinity"):
+                with self.subTest(option=option, number=number):
+                    result = xauto("solve", "--app", GOLDEN / "app.json", "--platform", "small", option, number)
+                    self.assertEqual(result.returncode, 2)
+                    self.assertIn(f"'{number}' is no finite number", result.stderr)
 
     def test_too_many_values_are_refused_before_they_fill_the_memory(self):
         with tempfile.TemporaryDirectory() as folder:
@@ -143,6 +149,32 @@ class Errors(unittest.TestCase):
             self.assertEqual(result.returncode, 1, result.stderr)
             self.assertIn("no more threads", result.stderr)
             self.assertNotIn("terminate called", result.stderr)
+
+    def test_a_run_with_closed_streams_few_descriptors_or_without_room_for_a_file(self):
+        def without(*streams):
+            return lambda: [os.close(stream) for stream in streams]
+
+        def at_most(what, limit):
+            return lambda: resource.setrlimit(what, (limit, limit))
+
+        with tempfile.TemporaryDirectory() as folder:
+            policy = os.path.join(folder, "policy.json")
+            xauto("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", policy)
+            for name, before, status, said in (
+                    ("stdin", without(0), 0, ""),
+                    ("stdout and stderr", without(1, 2), 0, ""),
+                    ("all three", without(0, 1, 2), 0, ""),
+                    ("64 descriptors", at_most(resource.RLIMIT_NOFILE, 64), None, "open files"),
+                    ("files of no bytes", at_most(resource.RLIMIT_FSIZE, 0), 1, "File too large")):
+                with self.subTest(name=name):
+                    result = subprocess.run([XAUTO, "run", "--app", APP, "--platform", "small", "--policy", policy,
+                                             "--emulate", "--activations", "3", "--", DRIVING], preexec_fn=before,
+                                            stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120)
+                    self.assertIn(said, result.stderr)
+                    if status is None:
+                        self.assertIn(result.returncode, (1, 2), result.stderr)
+                    else:
+                        self.assertEqual(result.returncode, status, result.stderr)
 
     def test_a_pipe_that_nobody_reads_holds_up_no_sigterm(self):
         with tempfile.TemporaryDirectory() as folder:

@@ -2,7 +2,10 @@
 // The only file that includes CLI11; tests/unit/model/layering_test.cc sees to that.
 #include "cli/cli.h"
 
+#include <cmath>
+#include <cstdlib>
 #include <map>
+#include <type_traits>
 
 #include <CLI/CLI.hpp>
 
@@ -10,6 +13,13 @@ namespace xauto::cli {
 namespace {
 
 constexpr int kBadUsage = 2;
+
+/// CLI11 reads "nan" and "inf" as numbers, and its ranges let the first one pass.
+std::string no_number(const std::string& text) {
+  char* end = nullptr;
+  const double value = std::strtod(text.c_str(), &end);
+  return end != text.c_str() && !std::isfinite(value) ? "'" + text + "' is no finite number" : "";
+}
 
 /// CLI11 keeps the words of IsMember in the option's type only: "TEXT:{auto,heft}".
 std::vector<std::string> values_of(const CLI::Option& option) {
@@ -109,7 +119,10 @@ bool Argument::given() const {
 
 template <class T>
 Argument Verb::option(const std::string& name, T& target, const std::string& help) {
-  return Argument(app_->add_option(name, target, help));
+  CLI::Option* option = app_->add_option(name, target, help);
+  if constexpr (std::is_same_v<T, double> || std::is_same_v<T, std::vector<double>>)
+    option->check(no_number, "");
+  return Argument(option);
 }
 template Argument Verb::option(const std::string&, std::string&, const std::string&);
 template Argument Verb::option(const std::string&, int&, const std::string&);

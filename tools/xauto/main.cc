@@ -1,8 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // xauto: one tool, one verb per step. Each verb is in cmd_<verb>.cc.
+#include <signal.h>
+
+#include "base/process.h"
+
 #include "xauto/command.h"
 
 int main(int argc, char** argv) {
+  xauto::open_standard_streams();
+  signal(SIGXFSZ, SIG_IGN);  // past `ulimit -f` a write fails, and is told
   xauto::cli::Program program(
       "XAuto: schedule the stages of a perception stack over CPUs, GPUs and DLAs.", "xauto");
   xauto::cli::Commands commands(program);

@@ -47,10 +47,13 @@ StopOnSignal::StopOnSignal() {
   g_stopped_ns.store(0);
   signal(SIGINT, on_signal);
   signal(SIGTERM, on_signal);
+  // The terminal has gone. nohup(1) has it ignored.
+  if (signal(SIGHUP, on_signal) == SIG_IGN) signal(SIGHUP, SIG_IGN);
 }
 StopOnSignal::~StopOnSignal() {
   signal(SIGINT, SIG_DFL);
   signal(SIGTERM, SIG_DFL);
+  if (signal(SIGHUP, SIG_DFL) == SIG_IGN) signal(SIGHUP, SIG_IGN);
 }
 const std::atomic<bool>* StopOnSignal::flag() const {
   return &g_stop;

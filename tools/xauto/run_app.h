@@ -27,7 +27,7 @@
 
 namespace xauto::cli {
 
-/// Set by SIGINT and SIGTERM while a `StopOnSignal` lives: the run drains, its answer is still
+/// Set by SIGINT, SIGTERM and SIGHUP while a `StopOnSignal` lives: the run drains, its answer is still
 /// written. A second signal, half a second later or more, ends the tool at once (and the kernel its
 /// children).
 class StopOnSignal {

@@ -56,6 +56,25 @@ TEST(Graph, ChainsAndTopicsGiveTheEdges) {
 #define EXPECT_REFUSAL(builder, text) \
   EXPECT_NE((builder).refusal().find(text), std::string::npos) << (builder).refusal()
 
+TEST(Graph, RefusesNamesThatNoFileHolds) {
+  for (const auto& [name, text] :
+       {std::pair<std::string, std::string>{"a\nb", "'a?b': the name has a control"},
+        {"a\x1b[31m", "'a?[31m': the name has a control"},
+        {"a\xc2\x9b", "the name has a control"},
+        {"x\xff", "'x?': the name is no UTF-8"},
+        {std::string(257, 'n'), "nnn...': the name is longer than 256"}}) {
+    Builder b;
+    b.app.add_module(XModule<State>(name).add_node(node("n")).add_input_topic(kIn));
+    EXPECT_REFUSAL(b, text);
+    Builder c;
+    c.app.add_module(XModule<State>("M").add_node(node(name)).add_input_topic(kIn));
+    EXPECT_REFUSAL(c, text);
+  }
+  Builder good;
+  good.app.add_module(XModule<State>("Straße").add_node(node("检测")).add_input_topic(kIn));
+  EXPECT_EQ(good.refusal(), "");
+}
+
 TEST(Graph, RefusesAPeriodThatNoFileHolds) {
   for (const auto& [period, text] :
        {std::pair(0us, "0 us"), std::pair(2h + 0us, "7200000000 us")}) {
