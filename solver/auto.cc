@@ -355,7 +355,10 @@ class Team {
       raise_bound(bound);
       if (met()) done_.store(true);
     };
-    control.on_solution = [&](const Solution& solution) { note(threads_ - 1, solution, false); };
+    control.on_solution = [&](const Solution& solution) {
+      if (options_.priorities_only && !solution.waits_for.empty()) return;
+      note(threads_ - 1, solution, false);
+    };
     control.on_bound(prove_bound(problem_, control));
     proof_ended_at_ = incumbent_.load();
   }

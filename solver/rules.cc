@@ -25,6 +25,20 @@ bool lower(Time& value, Time to) {
 
 }  // namespace
 
+Rules::Rules(const Problem& problem)
+    : problem_(problem), n_(problem.num_xnodes), settled_(at(n_) * at(n_), 0) {
+  for (const auto& xpus : problem.type_xpus)
+    for (const int x : xpus)
+      uniform_ = uniform_ && problem.levels[at(x)] == 0 &&
+                 problem.preemptive[at(x)] == problem.preemptive[at(xpus.front())] &&
+                 problem.preempt[at(x)] == problem.preempt[at(xpus.front())];
+  uniform_ =
+      uniform_ && problem.groups.empty() &&
+      std::find(problem.wcet_flat.begin(), problem.wcet_flat.end(), 0) == problem.wcet_flat.end() &&
+      std::find_if(problem.forbidden.begin(), problem.forbidden.end(),
+                   [](char forbidden) { return forbidden != 0; }) == problem.forbidden.end();
+}
+
 bool Rules::tighten(Windows& w) const {
   bool again = true;
   while (again) {
@@ -146,17 +160,29 @@ void Rules::interrupt(Windows& w, int outer, Time inner_work, Time cost) {
   w.cut[at(outer)] = cost;
 }
 
+bool Rules::may_share(const Windows& w, int i, int j) const {
+  if ((w.types[at(i)] & w.types[at(j)]) == 0) return false;
+  if (w.place[at(i)] >= 0 && w.place[at(j)] >= 0 && w.place[at(i)] != w.place[at(j)]) return false;
+  return w.r[at(i)] < w.d[at(j)] && w.r[at(j)] < w.d[at(i)];
+}
+
 bool Rules::charge_starters(Windows& w) const {
+  if (w.nested.empty()) return false;
+  mark_settled(w, 1);
+  const bool changed = charge_marked(w);
+  mark_settled(w, 0);
+  return changed;
+}
+
+bool Rules::charge_marked(Windows& w) const {
   bool changed = false;
   for (int outer = 0; outer < n_; ++outer) {
     if (w.cut[at(outer)] == 0) continue;
     const int type = std::countr_zero(w.types[at(outer)]);
-    const bool several = problem_.type_xpus[at(type)].size() > 1;
     bool open = false;
     for (int i = 0; i < n_ && !open; ++i)
-      open = (w.types[at(i)] >> type & 1u) != 0 &&
-             (!std::has_single_bit(w.types[at(i)]) || (several && w.place[at(i)] < 0)) &&
-             w.r[at(i)] < w.d[at(outer)] && w.r[at(outer)] < w.d[at(i)];
+      open = i != outer && may_share(w, outer, i) && !settled(i, outer) &&
+             (relations(w, outer, i, type) & kInFirst) != 0;
     if (open) continue;
     const Time cost = w.cut[at(outer)];
     Time within = 0;
@@ -189,6 +215,47 @@ bool Rules::charge_starters(Windows& w) const {
     // The XPU's loss now counts with those that suspend.
     w.paid[at(outer)] = w.starter[at(outer)] != 0 ? cost : 0;
     changed |= raise(w.extra[at(outer)], within + (w.starter[at(outer)] != 0 ? cost : 0));
+  }
+  return changed;
+}
+
+bool Rules::end_as_ready(Windows& w) const {
+  if (!uniform_) return false;
+  end_.assign(at(n_), -1);
+  pays_.assign(at(n_), 0);
+  mark_settled(w, 1);
+  bool any = false;
+  for (int i = 0; i < n_; ++i) {
+    if (!std::has_single_bit(w.types[at(i)])) continue;
+    bool known =
+        w.place[at(i)] >= 0 || problem_.type_xpus[at(std::countr_zero(w.types[at(i)]))].size() == 1;
+    for (int k = 0; k < n_ && known; ++k)
+      if (k != i && may_share(w, i, k) && !settled(i, k)) {
+        const unsigned possible = relations(w, i, k, std::countr_zero(w.types[at(i)]));
+        known = (possible & (kSecond | kInFirst)) == 0;
+        pays_[at(i)] = pays_[at(i)] != 0 || (possible & kInSecond) != 0;
+      }
+    if (!known) continue;
+    any = true;
+    end_[at(i)] = std::max(w.r[at(i)], latest_ready(w, i));
+  }
+  mark_settled(w, 0);
+  if (!any) return false;
+  for (const auto& [i, j] : w.arcs)
+    if (end_[at(j)] >= 0) end_[at(j)] = std::max(end_[at(j)], w.d[at(i)]);
+  for (const auto& [outer, i] : w.nested) {
+    const int type = std::countr_zero(w.types[at(i)]);
+    const Time cost = suspension(type);
+    pays_[at(i)] = 1;
+    if (end_[at(outer)] >= 0) end_[at(outer)] += problem_.wcet(i, type) + cost;
+  }
+  bool changed = false;
+  for (int i = 0; i < n_; ++i) {
+    if (end_[at(i)] < 0) continue;
+    const int type = std::countr_zero(w.types[at(i)]);
+    // Once, however many it is nested in.
+    const Time own = problem_.wcet(i, type) + (pays_[at(i)] != 0 ? suspension(type) : 0);
+    changed |= lower(w.d[at(i)], end_[at(i)] + own);
   }
   return changed;
 }

@@ -5,6 +5,9 @@
 // Each rule only narrows the windows; the arguments are in docs/solver.md, "Proof".
 #pragma once
 
+#include <algorithm>
+#include <vector>
+
 #include "base/index.h"
 #include "solver/energy_lp.h"
 #include "solver/problem.h"
@@ -13,8 +16,7 @@ namespace xauto::solver {
 
 class Rules {
  public:
-  explicit Rules(const Problem& problem)
-      : problem_(problem), n_(problem.num_xnodes), settled_(at(n_) * at(n_), 0) {}
+  explicit Rules(const Problem& problem);
 
   /// How two XNodes of one instance may share it; see docs/solver.md, "pairs".
   enum Relation : unsigned { kFirst = 1, kSecond = 2, kInFirst = 4, kInSecond = 8 };
@@ -24,6 +26,8 @@ class Rules {
   [[nodiscard]] Time least(const Windows& w, int i) const;
   /// Both are on one instance, whichever it is.
   [[nodiscard]] bool share(const Windows& w, int i, int j) const;
+  /// They may be on one instance at one time.
+  [[nodiscard]] bool may_share(const Windows& w, int i, int j) const;
   /// What a suspension costs at least on an instance of `type`; -1 if none suspends.
   [[nodiscard]] Time suspension(int type) const;
   [[nodiscard]] unsigned relations(const Windows& w, int i, int j, int type) const;
@@ -38,8 +42,16 @@ class Rules {
   static void interrupt(Windows& w, int outer, Time inner_work, Time cost);
   /// Of those nested in one XNode, whoever starts first has suspended it, hence pays. So does one
   /// that starts after all earlier ones have ended: in between, the suspended one was back. Certain
-  /// once no other XNode can join them: all types that could are decided, and all pairs.
+  /// once no other XNode can join them: that all who may share the XPU with the one that is
+  /// suspended are known not to, or how.
   [[nodiscard]] bool charge_starters(Windows& w) const;
+  /// An XNode starts the moment its predecessors and those before it on its XPU have finished, and
+  /// only what is nested in it delays its end: a latest finish, for all whose instance is known and
+  /// whose relation to all that may share it. Only where uniform().
+  [[nodiscard]] bool end_as_ready(Windows& w) const;
+  /// Every WCET is positive, and the instances of each type cannot be told apart: by the user's
+  /// constraints, by what a suspension costs, or by levels. All pairs then say what happens, exactly.
+  [[nodiscard]] bool uniform() const { return uniform_; }
   [[nodiscard]] bool starts_before(const Windows& w, int k, int i) const;
   /// Pairs on one instance: decides those with one relation left; false: a pair has none.
   /// `open_*`: the tightest pair that is still open, -1 if all are decided.
@@ -56,6 +68,14 @@ class Rules {
   const int n_;
 
  private:
+  [[nodiscard]] bool settled(int i, int j) const {
+    return settled_[at(std::min(i, j)) * at(n_) + at(std::max(i, j))] != 0;
+  }
+  bool charge_marked(Windows& w) const;
+
+  bool uniform_ = true;
+  mutable std::vector<Time> end_;  ///< end_as_ready(): by XNode, -1 where it says nothing
+  mutable std::vector<char> pays_;
   mutable std::vector<char> settled_;  ///< settle_pairs(): [lesser * n + greater]; 0 between calls
 };
 
