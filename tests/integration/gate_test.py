@@ -8,7 +8,7 @@ import subprocess
 import tempfile
 import unittest
 
-from common import TESTAPP, XAUTO, activations, children_of, testapp_files, wait_for, xauto
+from common import BIN, SOURCE, TESTAPP, XAUTO, activations, children_of, testapp_files, wait_for, xauto
 
 
 class Gate(unittest.TestCase):
@@ -94,10 +94,32 @@ class Gate(unittest.TestCase):
                 self.assertEqual(json.loads(out)["runs"][0]["fail_on"], {"lost": 0, "restart": 1})
                 self.assertIn("--fail-on restart: 1 ", err)
 
+    def test_a_worst_case_that_is_exceeded(self):
+        done, run = self.run_app("claim", "slow", "B", 0, 200)
+        self.assertEqual((done.returncode, run["fail_on"]), (1, {"claim": 1}), done.stderr)
+        self.assertIn("--fail-on claim: 1 ", done.stderr)
+
+    def test_a_policy_of_another_platform(self):
+        """A GPU that does not preempt: blocking counts, and the policy does not know it."""
+        app, policy, platform = SOURCE / "examples/driving/steady.json", f"{self.folder}/s.json", f"{self.folder}/p.json"
+        made = xauto("solve", "--app", app, "--platform", "small", "--time-limit-s", "1", "--out", policy)
+        self.assertEqual(made.returncode, 0, made.stderr)
+        hardware = json.loads((SOURCE / "tests/golden/platform.json").read_text())
+        with open(policy) as f:
+            xpus = {x["xpu"] for x in json.load(f)["xnodes"]}
+        hardware["xpus"] = [{"id": x, "type": x.rstrip("0123456789"), "preemptive": False} for x in sorted(xpus)]
+        with open(platform, "w") as f:
+            json.dump(hardware, f)
+        done = xauto("run", "--app", app, "--platform", platform, "--policy", policy, "--emulate", "--seconds", "1",
+                     "--json", "--", BIN / "driving-steady")
+        self.assertIn("its worst cases are not true here", done.stderr)
+        self.assertIn("the policy does not keep them (xauto check)",
+                      "".join(json.loads(done.stdout)["runs"][0]["worst_case_broken"]))
+
     def test_what_cannot_be_is_refused(self):
         done, _ = self.run_app("miss,late")
         self.assertEqual(done.returncode, 2)
-        for word in ("late", "miss", "lost", "hang", "restart"):
+        for word in ("late", "miss", "lost", "hang", "restart", "claim"):
             self.assertIn(word, done.stderr)
         for word in ("miss", "hang"):  # it could not fail, whatever happens
             done, _ = self.run_app(word)

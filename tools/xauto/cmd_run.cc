@@ -8,6 +8,7 @@
 
 #include "base/log.h"
 #include "model/json.h"
+#include "solver/steady/check.h"
 
 #include "xauto/command.h"
 #include "xauto/gate.h"
@@ -45,6 +46,19 @@ Status take_tables(const OneRunFlags& flags, PolicyRun& run) {
   return {};
 }
 
+/// A policy of another platform, or one that was edited, is worth a run; its worst cases are not.
+void warn_of_untrue_claims(const OneRunFlags& flags, PolicyRun& run) {
+  if (run.scheduling != runtime::Scheduling::kXAuto) return;
+  const auto checked = solver::steady::check(flags.app, flags.spec, *run.keys);
+  // What takes too long to derive is not said to be false.
+  if (checked || checked.error().code == ErrorCode::kUnavailable) return;
+  run.untrue = checked.error().what;
+  log::warn(
+      "{}: its worst cases are not true here: {} (`xauto check` derives them; `xauto solve` "
+      "makes a policy for this app and platform)",
+      flags.policy_path, checked.error().to_string());
+}
+
 Result<int> run(const OneRunFlags& given, const Options& options) {
   OneRunFlags flags = given;
   XAUTO_TRY(flags.prepare());
@@ -63,6 +77,7 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
       XAUTO_TRY(take_tables(flags, run));
     } else if (flags.app.version == 2) {
       XAUTO_ASSIGN(run.keys, load_key_policy(flags.policy_path, flags.app, flags.spec));
+      warn_of_untrue_claims(flags, run);
       run.policy = assignment_of(*run.keys);
     } else {
       XAUTO_ASSIGN(run.policy, load_policy(flags.policy_path, flags.app, flags.spec));
@@ -72,7 +87,7 @@ Result<int> run(const OneRunFlags& given, const Options& options) {
     run.id = run.name = std::filesystem::path(flags.policy_path).stem().string();
   }
   if (!flags.name.empty()) run.id = run.name = flags.name;
-  XAUTO_TRY(check_gate(flags));
+  XAUTO_TRY(check_gate(flags, run));
   if (flags.record_outputs && flags.record.empty())
     return fail(ErrorCode::kInvalid, "has no recording", "--record-outputs",
                 "say where to: --record drive.mcap");
@@ -156,7 +171,8 @@ void add_run(Commands& commands) {
               "FILE.hang-1.pftrace, ... at once");
   verb.option("--fail-on", flags->fail_on,
               "exit status 1 if the run had any of these: miss (deadlines), lost "
-              "(activations), hang, restart (processes that died)")
+              "(activations), hang, restart (processes that died), claim (worst cases that "
+              "results took longer than)")
       .separated_by(',')
       .one_of(kGateWords);
   verb.option("--record", flags->record,

@@ -5,6 +5,8 @@
 
 #include <fmt/format.h>
 
+#include "xauto/worst_case.h"
+
 namespace xauto::cli {
 namespace {
 
@@ -23,6 +25,17 @@ std::uint64_t misses(const RunFlags& flags, const runtime::RunReport& report) {
   return count;
 }
 
+/// Worst cases that results took longer than, whatever else was broken.
+std::uint64_t exceeded(const RunFlags& flags, const PolicyRun& run) {
+  if (const auto of_tables = table_claims_of(flags, run)) return of_tables->exceeded.size();
+  if (const auto claims = key_claims_of(flags, run))
+    return static_cast<std::uint64_t>(
+        std::count_if(claims->chains.begin(), claims->chains.end(),
+                      [](const ChainClaimed& chain) { return chain.exceeded; }));
+  const auto worst = worst_case_of(flags, run);
+  return worst && worst->exceeded ? 1 : 0;
+}
+
 }  // namespace
 
 std::uint64_t lost_results(const runtime::RunReport& report) {
@@ -33,7 +46,7 @@ std::uint64_t lost_results(const runtime::RunReport& report) {
   return count;
 }
 
-Status check_gate(const RunFlags& flags) {
+Status check_gate(const RunFlags& flags, const PolicyRun& run) {
   const Deployment& deployment = flags.deployment;
   const bool deadline =
       flags.app.deadline_us.has_value() ||
@@ -53,6 +66,11 @@ Status check_gate(const RunFlags& flags) {
                    [&](const auto& m) { return limited(m.second); }))
     return fail(ErrorCode::kInvalid, "no XNode has a limit past which it hangs", "--fail-on hang",
                 "give `hang_us` or `hang_pct` in the deployment");
+  const bool claimed =
+      run.keys || run.tables || (run.policy && run.policy->worst_case_us.has_value());
+  if (asks(flags, "claim") && (run.scheduling != runtime::Scheduling::kXAuto || !claimed))
+    return fail(ErrorCode::kInvalid, "the run claims no worst case", "--fail-on claim",
+                "run a policy of `xauto solve`, with --scheduling xauto");
   return {};
 }
 
@@ -70,6 +88,9 @@ std::vector<GateCount> gate_of(const RunFlags& flags, const PolicyRun& run) {
     } else if (word == "hang") {
       for (const runtime::XNodeReport& x : run.report.xnodes) gate.count += x.hangs;
       gate.what = fmt::format("{} jobs ran past their hang limit", gate.count);
+    } else if (word == "claim") {
+      gate.count = exceeded(flags, run);
+      gate.what = fmt::format("{} worst cases were exceeded", gate.count);
     } else {
       gate.count = run.outcome.deaths;
       gate.what = fmt::format("{} processes died, or were started again", gate.count);

@@ -11,7 +11,7 @@
 namespace xauto::cli {
 
 /// The words of --fail-on.
-inline const std::vector<std::string> kGateWords = {"miss", "lost", "hang", "restart"};
+inline const std::vector<std::string> kGateWords = {"miss", "lost", "hang", "restart", "claim"};
 
 /// Releases without a result; with several rates there are no releases of the whole: of each module
 /// whose results the app is there for, its own.
@@ -25,7 +25,7 @@ struct GateCount {
 };
 
 /// Errors: a word that nothing in the app could ever trip, since it would pass whatever happens.
-[[nodiscard]] Status check_gate(const RunFlags& flags);
+[[nodiscard]] Status check_gate(const RunFlags& flags, const PolicyRun& run);
 /// [word of --fail-on]
 [[nodiscard]] std::vector<GateCount> gate_of(const RunFlags& flags, const PolicyRun& run);
 

@@ -87,6 +87,8 @@ struct PolicyRun {
   std::optional<KeyPolicy> keys;  ///< of an app of version 2
   /// Several policies, of which each release gets one; then `policy` is that of the first scenario.
   std::optional<Tables> tables;
+  std::string
+      untrue;  ///< why `keys` does not keep what it claims here (`xauto check`); empty: not known
   solver::Simulation predicted;  ///< of version 1: of one release; of version 2 empty
   // Filled in by `execute`.
   runtime::RunReport report;

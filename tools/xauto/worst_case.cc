@@ -72,7 +72,9 @@ std::optional<WorstCase> worst_case_of(const RunFlags& flags, const PolicyRun& r
 
 std::string verdict(bool exceeded, const std::vector<std::string>& broken) {
   if (broken.empty())
-    return exceeded ? "exceeded, though nothing that is watched was broken; please report this run"
+    return exceeded ? "exceeded, though nothing that is watched was broken; if `xauto check` "
+                      "agrees to the "
+                      "policy, please report this run"
                     : "kept, as far as it is watched";
   std::string text = exceeded ? "exceeded, and not claimed here: " : "not claimed here: ";
   for (std::size_t i = 0; i < broken.size(); ++i) text += (i == 0 ? "" : "; ") + broken[i];
@@ -95,6 +97,8 @@ std::optional<KeyClaims> key_claims_of(const RunFlags& flags, const PolicyRun& r
     return std::nullopt;
   KeyClaims claims;
   claims.broken = run.report.unkept;
+  if (!run.untrue.empty())
+    claims.broken.push_back("the policy does not keep them (xauto check): " + run.untrue);
   claims.broken.insert(claims.broken.end(), run.report.broken.begin(), run.report.broken.end());
   std::uint64_t lost = 0;
   for (const runtime::ModuleReport& m : run.report.modules) lost += m.failed + m.dropped;
