@@ -36,7 +36,8 @@ namespace {
 
 using namespace runtime;  // session, board: what the app is asked, and what it shows
 
-constexpr int kDrainMs = 15'000;        ///< without progress: more than the app's own patience
+constexpr int kDrainMs = 15'000;  ///< without progress: more than the app's own patience
+constexpr std::int64_t kSilenceNs = 10'000'000'000;  ///< of an app that does not begin
 constexpr int kProfileDrainMs = 3'000;  ///< an app that profiles answers with what it has
 
 constexpr std::uint64_t kMaxDumps = 3;  ///< of misses, and of hangs
@@ -337,8 +338,16 @@ class Supervisor {
       wait_for_children();
       if (app_.poll()) return;
       const std::int64_t now = now_ns();
-      if (!board_ && board_fd_)
+      if (!board_ && board_fd_) {
         if (auto board = Board::observe(board_fd_.get())) board_ = std::move(*board);
+        if (!board_ && !silence_told_ && now - started > kSilenceNs) {
+          silence_told_ = true;
+          log::warn(
+              "{} has not begun after {} s: an init takes long, or it is no program of XAuto "
+              "(App::main)",
+              request_.command.front(), kSilenceNs / 1'000'000'000);
+        }
+      }
       if (request_.on_tick)
         request_.on_tick(static_cast<double>(now - started) * 1e-9, board_.get());
       look_for_incidents(now);
@@ -410,7 +419,8 @@ class Supervisor {
   Child app_;
   CpuRun cpus_;
   bool stopped_ = false;  ///< by the user
-  Dumps dumps_[2];        ///< misses, hangs
+  bool silence_told_ = false;
+  Dumps dumps_[2];  ///< misses, hangs
   Outcome outcome_;
 };
 

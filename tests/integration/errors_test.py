@@ -176,6 +176,15 @@ class Errors(unittest.TestCase):
                     else:
                         self.assertEqual(result.returncode, status, result.stderr)
 
+    def test_a_program_that_is_none_of_xauto(self):
+        with tempfile.TemporaryDirectory() as folder:
+            policy = os.path.join(folder, "policy.json")
+            xauto("solve", "--app", APP, "--platform", "small", "--method", "heft", "--out", policy)
+            result = xauto("run", "--app", APP, "--platform", "small", "--policy", policy, "--emulate", "--", "sleep", "12")
+            self.assertEqual(result.returncode, 1, result.stderr)
+            self.assertIn("sleep has not begun after 10 s", result.stderr)
+            self.assertIn("sleep: ended without an answer (exit status 0)", result.stderr)
+
     def test_a_pipe_that_nobody_reads_holds_up_no_sigterm(self):
         with tempfile.TemporaryDirectory() as folder:
             pipe = os.path.join(folder, "pipe")
