@@ -63,6 +63,13 @@ Result<std::unique_ptr<Engine>> Engine::create(const detail::AppSpecErased& app,
     for (std::size_t m = 0; m < e.graph_.modules.size(); ++m)
       name_line(board.module(static_cast<int>(m)).name, e.graph_.modules[m].name);
   if (e.role_->leads())
+    for (std::size_t n = 0; n < e.graph_.nodes.size(); ++n) {
+      const Graph::Node& node = e.graph_.nodes[n];
+      name_line(board.xnode(n).name, node.name);
+      name_line(board.xnode(n).module,
+                e.graph_.modules[static_cast<std::size_t>(node.module)].name);
+    }
+  if (e.role_->leads())
     for (std::size_t x = 0; x < session.platform.xpus.size(); ++x) {
       const Xpu& xpu = session.platform.xpus[x];
       name_line(board.xpu(x).name, xpu.id);
@@ -144,16 +151,26 @@ Result<RunReport> Engine::run_all() {
   const bool drained = releaser_->wait_drained();
   role_->end();
   stop_workers();
+  if (!drained) ledger_->give_up(waiting());
   RunReport result = report();
   role_->gather(result);
   result.recording_error = releaser_->close(result.releases);
   // A run without an end of its own is complete when it has been told to stop.
   const bool endless = session_.activations == 0 && session_.duration_us == 0;
   result.complete = drained && (!stop_.load() || endless);
-  if (!drained) add_note(result.note, ledger_->what_did_not_end());
+  if (!drained) result.not_complete = ledger_->what_did_not_end();
+  add_note(result.note, result.not_complete);
   for (const std::string& note : releaser_->notes()) add_note(result.note, note);
   XAUTO_TRY(detail::call(app_.on_end, "on_end", app_.name));
   return result;
+}
+
+/// [module] messages that wait for it here.
+std::vector<std::size_t> Engine::waiting() const {
+  std::vector<std::size_t> waiting;
+  for (std::size_t m = 0; m < graph_.modules.size(); ++m)
+    waiting.push_back(wiring_->module(m) == nullptr ? 0 : wiring_->module(m)->waiting());
+  return waiting;
 }
 
 /// A member's: the counts are on the board, so only notes are left to tell.

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include <pthread.h>
+#include <unistd.h>
 
 #include "base/clock.h"
 #include "base/futex.h"
@@ -79,6 +80,7 @@ Status Worker::init_nodes() {
   if (options_.core) XAUTO_TRY(rt::pin_to_core(*options_.core));
   XAUTO_TRY(thread_->enter(backend_->on_thread(), options_.exec_fifo));
   (void)pthread_getcpuclockid(pthread_self(), &cpu_clock_);
+  tid_ = gettid();
   for (Placed& placed : chain_.nodes) {
     if (placed.worker != this || std::exchange(placed.here->there, true)) continue;
     detail::Made& made = placed.here->made;

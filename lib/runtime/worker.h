@@ -130,6 +130,9 @@ class Worker {
     int module;
   };
   [[nodiscard]] std::optional<Hung> find_hung(std::int64_t now_ns);
+  /// Tells the board of the job that runs that it is past its WCET, if it is: it may never end. The thread of
+  /// find_hung.
+  void tell_past_wcet(std::int64_t now_ns);
   /// Tells the board for how long the job that runs has had its XPU, if that is watched. Any thread.
   void tell_time(std::int64_t now_ns) const;
 
@@ -177,6 +180,7 @@ class Worker {
   void note_failure(const Placed& placed, const std::string& what);
   void begin_timed(const Placed& placed, std::uint64_t sequence);
   [[nodiscard]] std::int64_t on_core_ns(std::int64_t wall_ns) const;
+  [[nodiscard]] std::int64_t so_far_ns(const Stopwatch::Look& seen, std::int64_t now_ns) const;
   [[nodiscard]] std::int64_t own_ns(std::int64_t ran_ns, std::int64_t now_ns) const;
   bool end_timed(const Placed& placed);
   void tell_cpu_time();
@@ -211,11 +215,15 @@ class Worker {
   std::atomic<const Placed*> timed_{nullptr};  ///< whose job that is
   std::int64_t overslept_ns_ =
       0;  ///< for how long it slept after its hold; of real XPUs that it queues on
-  std::atomic<std::uint64_t> hung_job_{0};             ///< the last one that find_hung found
-  std::atomic<std::int64_t> cpu_since_ns_{0};          ///< of the execution thread's CPU time
-  std::optional<std::int64_t> without_core_since_ns_;  ///< at the begin of the job that runs
-  std::int64_t cpu_told_ns_ = 0;                       ///< ... what is on the board
+  std::atomic<std::uint64_t> hung_job_{0};  ///< the last one that find_hung found
+  /// The last job that was told to be past its WCET while it ran; one more than a job: that one has ended.
+  std::atomic<std::uint64_t> past_job_{0};
+  std::atomic<std::int64_t> cpu_since_ns_{0};  ///< of the execution thread's CPU time
+  /// At the begin of the job that runs; below 0: nobody counts it.
+  std::atomic<std::int64_t> without_core_since_ns_{-1};
+  std::int64_t cpu_told_ns_ = 0;           ///< ... what is on the board
   clockid_t cpu_clock_ = CLOCK_MONOTONIC;  ///< of the execution thread; set before its first job
+  pid_t tid_ = 0;                          ///< likewise
   mutable PiMutex failure_mutex_;
   std::string failure_ XAUTO_GUARDED_BY(failure_mutex_);
 };

@@ -126,8 +126,9 @@ void Worker::tell_held_up(const Placed& placed, std::uint64_t sequence, std::uin
 void Worker::begin_timed(const Placed& placed, std::uint64_t sequence) {
   timed_.store(&placed, std::memory_order_release);
   if (backend_->on_thread() && placed.limited) {
-    without_core_since_ns_ = rt::without_core_ns();
-    if (placed.watched || !without_core_since_ns_) cpu_since_ns_.store(clock_ns(cpu_clock_));
+    without_core_since_ns_.store(rt::without_core_ns().value_or(-1));
+    if (placed.limits.wcet_ns > 0 || placed.watched || without_core_since_ns_.load() < 0)
+      cpu_since_ns_.store(clock_ns(cpu_clock_));
   }
   watch_.begin(now_ns(), sequence);
 }
@@ -144,14 +145,16 @@ std::int64_t Worker::own_ns(std::int64_t ran_ns, std::int64_t now_ns) const {
 /// run queue. A WCET was measured so, with nobody to wait for: an exec that sleeps for a lock or a file
 /// is on its core.
 std::int64_t Worker::on_core_ns(std::int64_t wall_ns) const {
-  if (!without_core_since_ns_) return clock_ns(cpu_clock_) - cpu_since_ns_.load();
-  const std::int64_t until_ns = rt::without_core_ns().value_or(*without_core_since_ns_);
-  return std::max<std::int64_t>(0, wall_ns - (until_ns - *without_core_since_ns_));
+  const std::int64_t since_ns = without_core_since_ns_.load();
+  if (since_ns < 0) return clock_ns(cpu_clock_) - cpu_since_ns_.load();
+  const std::int64_t until_ns = rt::without_core_ns().value_or(since_ns);
+  return std::max<std::int64_t>(0, wall_ns - (until_ns - since_ns));
 }
 
 /// False: the activation was given up meanwhile.
 bool Worker::end_timed(const Placed& placed) {
   const std::int64_t now = now_ns();
+  const std::uint64_t job = watch_.job();
   const std::int64_t wall_ns = watch_.end(now);
   if (holds_) options_.counts->busy_ns.fetch_add(wall_ns, std::memory_order_relaxed);
   if (!placed.limited) return true;
@@ -164,12 +167,15 @@ bool Worker::end_timed(const Placed& placed) {
   // By the certificate a job has its WCET from its hold on: being woken late takes of it.
   const std::int64_t charged_ns = took_ns + overslept_ns_;
   const std::int64_t wcet_ns = placed.limits.wcet_ns, hang_ns = placed.limits.hang_ns;
-  if (wcet_ns > 0 && charged_ns > wcet_ns) {
+  // From here on nobody tells that it has not ended.
+  const bool told = past_job_.exchange(job + 1) == job;
+  if (told || (wcet_ns > 0 && charged_ns > wcet_ns)) {
     if (!placed.watched)
-      line.over(1, charged_ns - wcet_ns);
+      line.over(1, std::max<std::int64_t>(0, charged_ns - wcet_ns));
     else if (hang_ns == 0 || wall_ns <= hang_ns)  // else its XPU counts as lost
       line.past(charged_ns, placed.table);
   }
+  if (told) line.ended();
   keep_largest(line.longest_ns, charged_ns);
   return !chain_.activation->abandoned();
 }
@@ -186,6 +192,35 @@ void Worker::tell_time(std::int64_t now_ns) const {
   const auto again = watch_.look(now_ns);
   if (again && again->job == seen->job && placed->watched)
     placed->line->saw(took_ns, placed->table);
+}
+
+/// By another thread: no more than what it will be charged with. On a real core only what it has run for, as
+/// long as it has or wants one.
+std::int64_t Worker::so_far_ns(const Stopwatch::Look& seen, std::int64_t now_ns) const {
+  if (!backend_->on_thread()) return own_ns(seen.took_ns, now_ns);
+  const std::int64_t since_ns = without_core_since_ns_.load();
+  const auto until_ns = since_ns < 0 ? std::nullopt : rt::without_core_ns(tid_);
+  if (!until_ns) return clock_ns(cpu_clock_) - cpu_since_ns_.load();
+  return std::max<std::int64_t>(0, seen.took_ns - (*until_ns - since_ns));
+}
+
+void Worker::tell_past_wcet(std::int64_t now_ns) {
+  std::uint64_t told = past_job_.load();  // before the look: of what ends meanwhile it is another
+  const auto seen = watch_.look(now_ns);
+  if (!seen) return;
+  const Placed* placed = timed_.load(std::memory_order_acquire);
+  const std::int64_t wcet_ns = placed->limits.wcet_ns;
+  if (wcet_ns <= 0 || placed->watched || seen->took_ns <= wcet_ns) return;
+  const std::int64_t took_ns = so_far_ns(*seen, now_ns);
+  const auto again = watch_.look(now_ns);
+  if (took_ns <= wcet_ns || !again || again->job != seen->job) return;
+  XNodeLine& line = *placed->line;
+  if (told != seen->job) {
+    line.unended.fetch_add(1);
+    if (!past_job_.compare_exchange_strong(told, seen->job)) return line.ended();
+  }
+  line.unended_wcet_ns.store(wcet_ns);
+  keep_largest(line.unended_ns, took_ns);
 }
 
 std::optional<Worker::Hung> Worker::find_hung(std::int64_t now_ns) {

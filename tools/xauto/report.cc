@@ -153,9 +153,10 @@ std::string limits_table(const PolicyRun& run, int version, const std::string& w
 std::string losses_of(const PolicyRun& run) {
   std::string out;
   for (const runtime::ModuleReport& m : run.report.modules)
-    if (m.failed + m.dropped > 0)
-      out += fmt::format("  {}: XModule {}: {} activations done, {} dropped, {} failed\n", run.name,
-                         m.name, m.activations, m.dropped, m.failed);
+    if (m.failed + m.dropped + m.unended > 0)
+      out += fmt::format("  {}: XModule {}: {} activations done, {} dropped, {} failed{}\n",
+                         run.name, m.name, m.activations, m.dropped, m.failed,
+                         m.unended > 0 ? fmt::format(", {} did not end", m.unended) : "");
   return out;
 }
 
@@ -235,10 +236,11 @@ std::vector<Error> complaints(const PolicyRun& run) {
     std::string modules;
     std::uint64_t failed = 0;
     for (const runtime::ModuleReport& m : run.report.modules) {
-      if (m.failed + m.dropped == 0) continue;
-      modules += fmt::format("{}{}: {} failed, {} dropped", modules.empty() ? "" : "; ", m.name,
-                             m.failed, m.dropped);
-      failed += m.failed;
+      if (m.failed + m.dropped + m.unended == 0) continue;
+      modules += fmt::format("{}{}: {} failed, {} dropped{}", modules.empty() ? "" : "; ", m.name,
+                             m.failed, m.dropped,
+                             m.unended > 0 ? fmt::format(", {} did not end", m.unended) : "");
+      failed += m.failed + m.unended;
     }
     add(fmt::format("{} of {} activations were lost (of XModule {})", lost, run.report.num_releases,
                     modules),
@@ -392,6 +394,7 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                     {"failed", m.failed},
                     {"dropped", m.dropped}};
       if (m.off > 0) entry["off"] = m.off;
+      if (m.unended > 0) entry["unended"] = m.unended;
       if (m.sink) {
         const Latency latency = summarise(m.latencies_us);
         entry["p50_us"] = or_null(latency.p50_us, latency.count);
@@ -451,6 +454,10 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
       }
       if (x.wcet_us > 0) entry["wcet_us"] = x.wcet_us;
       if (x.wcet_us > 0 || run.tables) entry["over_wcet"] = x.over_wcet;
+      if (x.unended > 0) {
+        entry["unended"] = x.unended;
+        entry["unended_us"] = x.unended_us;
+      }
       if (x.hang_us > 0) {
         entry["hang_us"] = x.hang_us;
         entry["hangs"] = x.hangs;

@@ -451,6 +451,36 @@ TEST(Counts, AJobThatNoScenarioCoversBreaksTheClaimOfTables) {
             std::vector<std::string>{"2 of 9 jobs outran the WCET of their scenario"});
 }
 
+TEST(Counts, WhatHasNotEndedBreaksTheClaim) {
+  const auto board = runtime::Board::local({.nodes = 1});
+  board->flow(0).worst_case_us = board->flow(0).allowed_us = 50'000;
+  runtime::XNodeLine& line = board->xnode(0);
+  runtime::name_line(line.name, "m.x");
+  runtime::name_line(line.module, "m");
+  line.unended = 1;
+  line.unended_ns = 9'123'456'789;
+  line.unended_wcet_ns = 18'602'000;
+  line.hangs = 2;
+  const ClaimCounts claims = counts_of(*board).claims;
+  EXPECT_FALSE(claims.stands());
+  EXPECT_EQ(claims.broken, (std::vector<std::string>{
+                               "XNode 'm.x' of XModule 'm' has run for 9123.46 ms and has not "
+                               "ended; its WCET is 18.60 ms",
+                               "2 jobs of XNode 'm.x' of XModule 'm' ran past their hang limit"}));
+  std::vector<std::string> kinds;
+  for (const Violation& v : claims.violations)
+    if (v.count > 0 && v.breaks) kinds.push_back(v.kind + " " + std::to_string(v.count));
+  EXPECT_EQ(kinds, (std::vector<std::string>{"wcet_overrun 1", "hang 2"}));
+}
+
+/// There its XPU counts as lost, and they say what is claimed then.
+TEST(Counts, AHangByTablesBreaksNothingByItself) {
+  const auto board = runtime::Board::local({.nodes = 1, .scenarios = 1});
+  board->scenario(0).worst_case_us = board->scenario(0).allowed_us = 50'000;
+  board->xnode(0).hangs = 1;
+  EXPECT_TRUE(counts_of(*board).claims.stands());
+}
+
 TEST(Counts, ADaemonThatDiedIsADeathAlsoIfItWasStartedAgain) {
   const auto board = runtime::Board::local({.modules = 1});
   board->flow(0).worst_case_us = board->flow(0).allowed_us = 50'000;
