@@ -149,6 +149,10 @@ struct alignas(64) XNodeLine {
   /// For how long the longest has run, and its Limits::wcet_ns. Without tables.
   std::atomic<std::uint32_t> unended{};
   std::atomic<std::int64_t> unended_ns{}, unended_wcet_ns{};
+  /// [M] calls of the backend that should suspend its work, or resume it, and failed; and on which XPU the last
+  /// one did, by the platform's order.
+  std::atomic<std::uint64_t> failed_suspends{}, failed_resumes{};
+  std::atomic<std::uint32_t> failed_on{};
   /// With tables: the longest job since the hub last looked, and by which of them it ran, as one word.
   /// [M] raises it, [H] takes it. 0: there was none.
   std::atomic<std::uint64_t> seen_job{};

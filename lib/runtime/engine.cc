@@ -10,6 +10,7 @@
 #include "processes/parameters.h"
 #include "runtime/routes.h"
 #include "session/notes.h"
+#include "session/table_claims.h"
 
 namespace xauto::runtime {
 namespace {
@@ -215,6 +216,19 @@ void Engine::tell_preemptions(RunReport& into) const {
   }
 }
 
+void Engine::tell_failed_preemptions(RunReport& into) const {
+  const std::vector<Xpu>& xpus = context_->session.platform.xpus;
+  for (std::size_t n = 0; n < graph_.nodes.size(); ++n) {
+    const XNodeLine& line = context_->board.xnode(n);
+    const std::size_t on = line.failed_on.load();
+    FailedPreemptionReport failed{graph_.nodes[n].name, on < xpus.size() ? xpus[on].id : "",
+                                  line.failed_suspends.load(), line.failed_resumes.load()};
+    if (failed.suspends + failed.resumes == 0) continue;
+    for (std::string& text : words_of(failed)) into.unkept.push_back(std::move(text));
+    into.failed_preemptions.push_back(std::move(failed));
+  }
+}
+
 RunReport Engine::report() {
   RunReport result;
   tell_notes(result);
@@ -229,6 +243,7 @@ RunReport Engine::report() {
                      contexts.shared.load(),   contexts.gated.load(),     contexts.held_up.load(),
                      contexts.misplaced.load()};
   tell_preemptions(result);
+  tell_failed_preemptions(result);
   add_note(result.note, changed_parameters(context_->board));
   if (!releaser_) return result;
   result.broken = releaser_->broken();

@@ -70,6 +70,7 @@ class Engine final : private ModuleHost {
   void stop_workers();
   void tell_notes(RunReport& into);
   void tell_preemptions(RunReport& into) const;
+  void tell_failed_preemptions(RunReport& into) const;
   [[nodiscard]] RunReport report();
 
   OneThread thread_;

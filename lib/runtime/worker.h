@@ -159,6 +159,7 @@ class Worker {
   void ask_early();
   void withdraw();
   void manage();
+  void tell_failed(const Placed& placed, bool suspend, const Error& error);
   void tell_held_up(const Placed& placed, std::uint64_t sequence, std::uint32_t who);
   [[nodiscard]] Status init_nodes();
   [[nodiscard]] bool may_share() const;

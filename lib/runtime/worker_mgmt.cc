@@ -60,7 +60,7 @@ void Worker::manage() {
           thread_->gave_xpu(now);
           record(XAUTO_EV_SUSPENDED, *job, sequence);
         } else {
-          log::debug("{}: not suspended: {}", options_.name, done.error().to_string());
+          tell_failed(*job, true, done.error());
         }
         port_->acknowledge(done.has_value());
         break;
@@ -70,7 +70,7 @@ void Worker::manage() {
           record(XAUTO_EV_RESUME, *suspended->job, suspended->sequence);
           const std::int64_t asked = now_ns();
           if (const Status done = backend_->restore(suspended->handle); !done)
-            log::warn("{}: not resumed: {}", options_.name, done.error().to_string());
+            tell_failed(*suspended->job, false, done.error());
           const std::int64_t now = now_ns();
           if (options_.counts != nullptr)
             keep_largest(options_.counts->longest_resume_ns, now - asked);
@@ -108,6 +108,19 @@ void Worker::manage() {
         break;
     }
   }
+}
+
+/// Nobody but the report and whoever looks hears of it: the job that is more urgent waits, or its XPU stands still.
+void Worker::tell_failed(const Placed& placed, bool suspend, const Error& error) {
+  bool first = true;
+  if (XNodeLine* line = placed.line; line != nullptr) {
+    line->failed_on.store(static_cast<std::uint32_t>(options_.xpu));
+    first = (suspend ? line->failed_suspends : line->failed_resumes).fetch_add(1) == 0;
+  }
+  if (first)
+    log::warn("the work of XNode '{}' was not {} on {}: {} (further failures are only counted)",
+              placed.name, suspend ? "suspended for a more urgent job" : "resumed", xpu_name(),
+              error.to_string());
 }
 
 /// Before the coordinator resumes it, so that the trace tells them in this order.

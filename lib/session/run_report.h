@@ -81,6 +81,12 @@ struct PreemptionReport {
   std::int64_t preempt_us = 0;                 ///< what the platform says of both
 };
 
+/// An XNode whose work was not suspended for others, or not resumed, since the call failed.
+struct FailedPreemptionReport {
+  std::string xnode, xpu;
+  std::uint64_t suspends = 0, resumes = 0;
+};
+
 /// A scenario of a run with tables: releases under it that met no change of the scenario.
 struct ScenarioReport {
   std::string name, table;
@@ -116,6 +122,7 @@ struct RunReport {
   std::vector<RouteReport> routes;
   ContextReport contexts;
   std::vector<PreemptionReport> preemptions;  ///< of real XPUs on which work was suspended
+  std::vector<FailedPreemptionReport> failed_preemptions;
   std::vector<std::string> lost_coordinators;
   std::vector<std::string> died;  ///< modules whose process ended before its time, each time
   /// Coordinators and emulators that did, a line each; by whom they are looked after, who adds it to the

@@ -67,6 +67,11 @@ void fields(Io io, T& x) {
      x.resume_us, "preempt_us", x.preempt_us);
 }
 
+template <class Io, Is<FailedPreemptionReport> T>
+void fields(Io io, T& x) {
+  io("xnode", x.xnode, "xpu", x.xpu, "suspends", x.suspends, "resumes", x.resumes);
+}
+
 template <class Io, Is<ScenarioReport> T>
 void fields(Io io, T& x) {
   io("name", x.name, "table", x.table, "releases", x.releases, "longest_us", x.longest_us,
@@ -84,11 +89,11 @@ void fields(Io io, T& x) {
   io("complete", x.complete, "not_complete", x.not_complete, "note", x.note, "releases", x.releases,
      "num_releases", x.num_releases, "lost_releases", x.lost_releases, "latencies_us",
      x.latencies_us, "modules", x.modules, "xnodes", x.xnodes, "routes", x.routes, "contexts",
-     x.contexts, "preemptions", x.preemptions, "lost_coordinators", x.lost_coordinators, "died",
-     x.died, "deadline_misses", x.deadline_misses, "overlapping_releases", x.overlapping_releases,
-     "unkept", x.unkept, "broken", x.broken, "scenarios", x.scenarios, "switches", x.switches,
-     "num_switches", x.num_switches, "several_rates", x.several_rates, "recording_error",
-     x.recording_error);
+     x.contexts, "preemptions", x.preemptions, "failed_preemptions", x.failed_preemptions,
+     "lost_coordinators", x.lost_coordinators, "died", x.died, "deadline_misses", x.deadline_misses,
+     "overlapping_releases", x.overlapping_releases, "unkept", x.unkept, "broken", x.broken,
+     "scenarios", x.scenarios, "switches", x.switches, "num_switches", x.num_switches,
+     "several_rates", x.several_rates, "recording_error", x.recording_error);
 }
 
 template <class Io, Is<Error> T>

@@ -96,6 +96,20 @@ std::string words_of_hangs(const std::string& xnode, const std::string& module,
                      jobs > 1 ? "s" : "", xnode, module, jobs > 1 ? "their" : "its");
 }
 
+std::vector<std::string> words_of(const FailedPreemptionReport& failed) {
+  std::vector<std::string> lines;
+  const auto times = [](std::uint64_t n) { return fmt::format("{} time{}", n, n == 1 ? "" : "s"); };
+  if (failed.suspends > 0)
+    lines.push_back(
+        fmt::format("preemption failed {} on {}: the work of XNode '{}' was not suspended",
+                    times(failed.suspends), failed.xpu, failed.xnode));
+  if (failed.resumes > 0)
+    lines.push_back(
+        fmt::format("preemption failed {} on {}: the work of XNode '{}' was not resumed",
+                    times(failed.resumes), failed.xpu, failed.xnode));
+  return lines;
+}
+
 std::string words_of_overruns(const RunReport& report) {
   std::uint64_t count = 0, jobs = 0;
   const XNodeReport* worst = nullptr;

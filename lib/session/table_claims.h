@@ -37,6 +37,9 @@ struct TableClaims {
 [[nodiscard]] std::string words_of_hangs(const std::string& xnode, const std::string& module,
                                          std::uint64_t jobs);
 
+/// "preemption failed 3 times on gpu0: the work of XNode 'x' was not suspended"; and of resuming; a line each.
+[[nodiscard]] std::vector<std::string> words_of(const FailedPreemptionReport& failed);
+
 /// Jobs longer than their WCET, of tables longer than their scenario's; empty: there was none.
 [[nodiscard]] std::string words_of_overruns(const RunReport& report);
 

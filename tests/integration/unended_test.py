@@ -40,7 +40,7 @@ class Unended(unittest.TestCase):
             "modules": [{"name": "Fast", "max_in_flight": 1}, {"name": "Slow", "max_in_flight": 1}],
             "xnodes": [{"name": "fast.a", "module": "Fast", "source": "fast", "wcet_us": {"npu": 3894}, "real_on": ["npu"]},
                        {"name": "slow.b", "module": "Slow", "source": "slow", "wcet_us": {"npu": 37778}, "real_on": ["npu"]}],
-            "edges": [], "chains": [{"name": "fast", "from": "fast", "to": "fast.a"},
+            "edges": [], "chains": [{"name": "fast", "from": "fast", "to": "fast.a", "deadline_us": 12000},
                                     {"name": "slow", "from": "slow", "to": "slow.b", "deadline_us": 110000}]})
         policy = os.path.join(cls.folder, "policy.json")
         done = xauto("solve", "--app", app, "--platform", platform, "--time-limit-s", 1, "--out", policy)
@@ -108,6 +108,27 @@ class Unended(unittest.TestCase):
         top = json.loads(xauto("top", "--run", f"{tool.pid}-0", "--json", "--once").stdout)
         self.assertRegex("\n".join(top["claims"]["broken"]), HUNG)
         self.assertRegex(xauto("status").stdout, "not claimed here: .*" + HUNG)
+
+    def test_a_suspend_that_fails_is_counted_and_told_once(self):
+        for fault, why in (("suspend-fails", "told to"), ("suspend-throws", "suspend threw: told to")):
+            run, err = self.run_app(fault, status=0)
+            failed, = run["failed_preemptions"]
+            self.assertEqual((failed["xnode"], failed["xpu"], failed["resumes"]), ("slow.b", "npu0", 0))
+            self.assertGreater(failed["suspends"], 2)
+            self.assert_broken(run, f"preemption failed {failed['suspends']} times on npu0: the work of XNode 'slow.b' was not suspended")
+            self.assertEqual(err.count("was not suspended for a more urgent job on npu0"), 1, err)
+            self.assertIn(why, err)
+
+    def test_a_resume_that_fails_is_named_at_once(self):
+        tool = self.start("resume-fails", "--seconds", 3600)
+        self.live(r"preemption failed \d+ times? on npu0: the work of XNode 'slow\.b' was not resumed", tool)
+        self.live(HUNG, tool)  # it stands still
+        tool.terminate()
+        run, err = self.report(tool)
+        failed, = run["failed_preemptions"]
+        self.assertEqual((failed["xnode"], failed["suspends"]), ("slow.b", 0))
+        self.assertGreaterEqual(failed["resumes"], 1)
+        self.assertEqual(err.count("the work of XNode 'slow.b' was not resumed on npu0"), 1, err)
 
     def test_an_app_of_one_rate_counts_what_was_released(self):
         """By testapp, whose D hangs in release 10."""

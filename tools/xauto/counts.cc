@@ -81,6 +81,20 @@ ClaimCounts claims_of(const runtime::Board& board, const Counts& counts) {
   if (std::string line = board.contexts().not_complete(); !line.empty()) broken(std::move(line));
   for (std::uint32_t x = 0; x < board.shape().xpus; ++x)
     if (std::string slow = board.xpu(x).slow_suspensions(); !slow.empty()) broken(std::move(slow));
+  std::uint64_t failed_suspends = 0, failed_resumes = 0;
+  for (std::uint32_t n = 0; n < board.shape().nodes; ++n) {
+    const runtime::XNodeLine& line = board.xnode(n);
+    const std::uint32_t on = line.failed_on.load();
+    const runtime::FailedPreemptionReport failed{
+        runtime::line_name(line.name),
+        on < board.shape().xpus ? runtime::line_name(board.xpu(on).name) : "",
+        line.failed_suspends.load(), line.failed_resumes.load()};
+    failed_suspends += failed.suspends;
+    failed_resumes += failed.resumes;
+    for (std::string& text : runtime::words_of(failed)) broken(std::move(text));
+  }
+  claims.violations.push_back({"failed_suspension", failed_suspends, claims.claimed});
+  claims.violations.push_back({"failed_resumption", failed_resumes, claims.claimed});
   const auto count = [&](const char* kind, std::uint64_t n, bool breaks, const std::string& line) {
     claims.violations.push_back({kind, n, breaks && claims.claimed});
     if (n > 0 && breaks) broken(line);

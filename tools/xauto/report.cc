@@ -142,6 +142,8 @@ std::string limits_table(const PolicyRun& run, int version, const std::string& w
                          r.max_age_us ? std::to_string(r.age_misses) : "", l.count);
     }
   }
+  for (const runtime::FailedPreemptionReport& f : run.report.failed_preemptions)
+    for (const std::string& text : runtime::words_of(f)) out += fmt::format("  {}{}\n", who, text);
   for (const runtime::XNodeReport& x : run.report.xnodes)
     if (x.overruns > 0 || x.hangs > 0)
       out += fmt::format(
@@ -471,6 +473,11 @@ std::string report_json(const RunFlags& flags, const std::vector<PolicyRun>& run
                                   {"suspend_us", of.suspend_us},
                                   {"resume_us", of.resume_us},
                                   {"preempt_us", of.preempt_us}});
+    for (const runtime::FailedPreemptionReport& of : run.report.failed_preemptions)
+      j["failed_preemptions"].push_back({{"xnode", of.xnode},
+                                         {"xpu", of.xpu},
+                                         {"suspends", of.suspends},
+                                         {"resumes", of.resumes}});
     if (const runtime::ContextReport& of = run.report.contexts; of.any())
       j["contexts"] = {{"partial", of.partial},    {"unclaimed", of.unclaimed},
                        {"assumed", of.assumed},    {"shared", of.shared},

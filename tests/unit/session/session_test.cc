@@ -61,6 +61,7 @@ TEST(Session, KeysTravelAsKeys) {
 TEST(RunReport, WhatWasNotSuspendedTravels) {
   RunReport report;
   report.contexts = {1, 2, 3, 4, 5, 6};
+  report.failed_preemptions = {{"m.x", "gpu0", 7, 8}};
   const auto read = parse_run_report(to_json(report));
   ASSERT_TRUE(read) << read.error().to_string();
   EXPECT_EQ(read->contexts.partial, 1u);
@@ -69,6 +70,11 @@ TEST(RunReport, WhatWasNotSuspendedTravels) {
   EXPECT_EQ(read->contexts.shared, 4u);
   EXPECT_EQ(read->contexts.gated, 5u);
   EXPECT_EQ(read->contexts.held_up, 6u);
+  ASSERT_EQ(read->failed_preemptions.size(), 1u);
+  EXPECT_EQ(read->failed_preemptions[0].xnode, "m.x");
+  EXPECT_EQ(read->failed_preemptions[0].xpu, "gpu0");
+  EXPECT_EQ(read->failed_preemptions[0].suspends, 7u);
+  EXPECT_EQ(read->failed_preemptions[0].resumes, 8u);
 }
 
 Session full() {
