@@ -154,12 +154,20 @@ Result<RunReport> Engine::run_all() {
   stop_workers();
   if (!drained) ledger_->give_up(waiting());
   RunReport result = report();
+  std::string stuck_calls;
   role_->gather(result);
   result.recording_error = releaser_->close(result.releases);
   // A run without an end of its own is complete when it has been told to stop.
   const bool endless = session_.activations == 0 && session_.duration_us == 0;
   result.complete = drained && (!stop_.load() || endless);
-  if (!drained) result.not_complete = ledger_->what_did_not_end();
+  // Its job may have ended without having been suspended; whoever made the call waits for ever.
+  for (const auto& worker : wiring_->workers())
+    if (const std::string call = worker->stuck_call(); !call.empty()) {
+      result.complete = false;
+      add_note(stuck_calls, call + " never returned");
+    }
+  if (!drained) add_note(result.not_complete, ledger_->what_did_not_end());
+  add_note(result.not_complete, stuck_calls);
   add_note(result.note, result.not_complete);
   for (const std::string& note : releaser_->notes()) add_note(result.note, note);
   XAUTO_TRY(detail::call(app_.on_end, "on_end", app_.name));

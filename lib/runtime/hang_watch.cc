@@ -52,6 +52,7 @@ HangWatch::HangWatch(const Context& context, const Wiring& wiring, Role& role,
       if (const auto job = worker->find_hung(now)) hung(*worker, *job);
       if (tells) worker->tell_time(now);
       if (claims) worker->tell_past_wcet(now);
+      if (claims) worker->tell_stuck_call(now);
     }
     role_.looked(now);
   });

@@ -117,11 +117,16 @@ class Worker {
   /// Waits for the running job, ends both threads. Idempotent. False: its exec has not returned
   /// within `patience_ns`, or what an `init` has made is not destroyed 10 s later. Nothing can end
   /// it but the end of the process, so its thread is left behind; this object must then outlive the
-  /// process.
+  /// process. So it is with a call that suspends or resumes, which may be the app's, a second later.
   bool stop(std::int64_t patience_ns = INT64_MAX);
 
   /// It still takes jobs, or is at one.
   [[nodiscard]] bool in_exec() const { return ended_.load() == 0; }
+  /// Of one that has stopped, or did not in time: a call that suspends or resumes and does not return, for people;
+  /// empty: there is none.
+  [[nodiscard]] std::string stuck_call() const;
+  /// Of one that did not stop in time: what does not return, likewise.
+  [[nodiscard]] std::string stuck_in() const;
 
   /// A job that has run past its hang limit, each once. One thread.
   struct Hung {
@@ -130,6 +135,8 @@ class Worker {
     int module;
   };
   [[nodiscard]] std::optional<Hung> find_hung(std::int64_t now_ns);
+  /// Counts a call that suspends or resumes as failed that has not returned for a second. Likewise.
+  void tell_stuck_call(std::int64_t now_ns);
   /// Tells the board of the job that runs that it is past its WCET, if it is: it may never end. The thread of
   /// find_hung.
   void tell_past_wcet(std::int64_t now_ns);
@@ -159,7 +166,9 @@ class Worker {
   void ask_early();
   void withdraw();
   void manage();
-  void tell_failed(const Placed& placed, bool suspend, const Error& error);
+  [[nodiscard]] Status suspend(const Placed& placed);
+  [[nodiscard]] Status resume(const Placed& placed, const SchedHandle& handle);
+  void tell_failed(const Placed& placed, bool suspend, const std::string& why);
   void tell_held_up(const Placed& placed, std::uint64_t sequence, std::uint32_t who);
   [[nodiscard]] Status init_nodes();
   [[nodiscard]] bool may_share() const;
@@ -209,6 +218,12 @@ class Worker {
   std::thread exec_, mgmt_;
   std::atomic<bool> lost_{false};
   std::atomic<std::uint32_t> managed_{0};  ///< 1: the management thread is through; a futex
+  /// What its backend is told to do, and for whom; null: nothing.
+  std::atomic<const char*> call_{nullptr};
+  std::atomic<const Placed*> call_for_{nullptr};
+  std::atomic<std::int64_t> call_since_ns_{0};
+  std::int64_t told_call_ns_ =
+      0;  ///< of the thread of find_hung: the last one that was stuck began then
   /// 1: the execution thread takes no job any more; 2: it is through, too, with what its inits have
   /// made; a futex.
   std::atomic<std::uint32_t> ended_{0};

@@ -12,6 +12,12 @@
 #include "runtime/worker.h"
 
 namespace xauto::runtime {
+namespace {
+
+constexpr const char *kSuspendCall = "suspend", *kResumeCall = "resume";
+constexpr std::int64_t kStuckCallNs = 1'000'000'000;
+
+}  // namespace
 
 void Worker::manage() {
   rt::set_thread_name(options_.name + "/m");
@@ -45,7 +51,7 @@ void Worker::manage() {
         const std::uint64_t sequence = current & ((std::uint64_t{1} << kSequenceBits) - 1);
         record(XAUTO_EV_SUSPEND, *job, sequence);
         const std::int64_t asked = now_ns();
-        const Status done = backend_->preempt(job->here->made.handle);
+        const Status done = suspend(*job);
         if (done) {
           const std::int64_t now = now_ns();
           suspended.emplace(Suspended{job->here->made.handle, job, sequence, {}, now});
@@ -60,7 +66,7 @@ void Worker::manage() {
           thread_->gave_xpu(now);
           record(XAUTO_EV_SUSPENDED, *job, sequence);
         } else {
-          tell_failed(*job, true, done.error());
+          tell_failed(*job, true, done.error().to_string());
         }
         port_->acknowledge(done.has_value());
         break;
@@ -69,8 +75,8 @@ void Worker::manage() {
         if (suspended) {  // otherwise it is back before we came to suspend it, or could not be
           record(XAUTO_EV_RESUME, *suspended->job, suspended->sequence);
           const std::int64_t asked = now_ns();
-          if (const Status done = backend_->restore(suspended->handle); !done)
-            tell_failed(*suspended->job, false, done.error());
+          if (const Status done = resume(*suspended->job, suspended->handle); !done)
+            tell_failed(*suspended->job, false, done.error().to_string());
           const std::int64_t now = now_ns();
           if (options_.counts != nullptr)
             keep_largest(options_.counts->longest_resume_ns, now - asked);
@@ -98,7 +104,7 @@ void Worker::manage() {
         break;
       case coord::Command::kLost:
       case coord::Command::kInterrupted:
-        if (suspended) (void)backend_->restore(suspended->handle);
+        if (suspended) (void)resume(*suspended->job, suspended->handle);
         suspended.reset();
         watch_.back(now_ns());
         if (command == coord::Command::kInterrupted) return;
@@ -110,8 +116,35 @@ void Worker::manage() {
   }
 }
 
+/// May never return: `stop` then says of whom.
+Status Worker::suspend(const Placed& placed) {
+  call_for_.store(&placed);
+  call_since_ns_.store(now_ns());
+  call_.store(kSuspendCall);
+  const Status done = backend_->preempt(placed.here->made.handle);
+  call_.store(nullptr);
+  return done;
+}
+
+Status Worker::resume(const Placed& placed, const SchedHandle& handle) {
+  call_for_.store(&placed);
+  call_since_ns_.store(now_ns());
+  call_.store(kResumeCall);
+  const Status done = backend_->restore(handle);
+  call_.store(nullptr);
+  return done;
+}
+
+void Worker::tell_stuck_call(std::int64_t now_ns) {
+  const char* call = call_.load();
+  const std::int64_t since_ns = call_since_ns_.load();
+  if (call == nullptr || since_ns == told_call_ns_ || now_ns - since_ns <= kStuckCallNs) return;
+  told_call_ns_ = since_ns;
+  tell_failed(*call_for_.load(), call == kSuspendCall, "it has not returned for a second");
+}
+
 /// Nobody but the report and whoever looks hears of it: the job that is more urgent waits, or its XPU stands still.
-void Worker::tell_failed(const Placed& placed, bool suspend, const Error& error) {
+void Worker::tell_failed(const Placed& placed, bool suspend, const std::string& why) {
   bool first = true;
   if (XNodeLine* line = placed.line; line != nullptr) {
     line->failed_on.store(static_cast<std::uint32_t>(options_.xpu));
@@ -120,7 +153,7 @@ void Worker::tell_failed(const Placed& placed, bool suspend, const Error& error)
   if (first)
     log::warn("the work of XNode '{}' was not {} on {}: {} (further failures are only counted)",
               placed.name, suspend ? "suspended for a more urgent job" : "resumed", xpu_name(),
-              error.to_string());
+              why);
 }
 
 /// Before the coordinator resumes it, so that the trace tells them in this order.

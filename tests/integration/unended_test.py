@@ -130,6 +130,17 @@ class Unended(unittest.TestCase):
         self.assertGreaterEqual(failed["resumes"], 1)
         self.assertEqual(err.count("the work of XNode 'slow.b' was not resumed on npu0"), 1, err)
 
+    def test_a_call_that_never_returns_ends_the_run_with_its_report(self):
+        for call in ("suspend", "resume"):
+            tool = self.start(f"{call}-hangs", "--seconds", 3)
+            self.live(f"preemption failed 1 time on npu0: the work of XNode 'slow.b' was not {call}e?d", tool)
+            run, err = self.report(tool)
+            self.assertFalse(run["complete"])
+            self.assertIn(f"the {call} of XNode 'slow.b' on npu0 never returned; its thread was left behind",
+                          " ".join(run["notes"]))
+            self.assert_broken(run, f"the run is not complete: .*the {call} of XNode 'slow.b' on npu0 never returned")
+            self.assertIn("on npu0: it has not returned for a second", err)
+
     def test_an_app_of_one_rate_counts_what_was_released(self):
         """By testapp, whose D hangs in release 10."""
         folder = tempfile.TemporaryDirectory()
