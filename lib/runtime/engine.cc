@@ -146,7 +146,10 @@ Result<RunReport> Engine::run_all() {
   if (!begun) {
     role_->end();
     stop_workers();
-    return report();
+    RunReport nothing = report();
+    nothing.not_complete = "it was told to stop before it began";
+    add_note(nothing.note, nothing.not_complete);
+    return nothing;
   }
   XAUTO_TRY(releaser_->run(placing_.fifo.sources));
   const bool drained = releaser_->wait_drained();
@@ -168,6 +171,8 @@ Result<RunReport> Engine::run_all() {
     }
   if (!drained) add_note(result.not_complete, ledger_->what_did_not_end());
   add_note(result.not_complete, stuck_calls);
+  if (!result.complete && result.not_complete.empty())
+    result.not_complete = "it was told to stop before its end";
   add_note(result.note, result.not_complete);
   for (const std::string& note : releaser_->notes()) add_note(result.note, note);
   XAUTO_TRY(detail::call(app_.on_end, "on_end", app_.name));

@@ -7,11 +7,12 @@ import json
 import os
 import pathlib
 import re
+import signal
 import subprocess
 import tempfile
 import unittest
 
-from common import BIN, TESTAPP, XAUTO, testapp_files, wait_for, xauto
+from common import BIN, TESTAPP, XAUTO, activations, children_of, testapp_files, wait_for, xauto
 
 FAULTY = str(BIN / "faulty")
 HUNG = r"XNode 'slow\.b' of XModule 'Slow' has run for \d+\.\d\d ms and has not ended; its WCET is 37\.78 ms"
@@ -154,6 +155,20 @@ class Unended(unittest.TestCase):
         self.assertGreaterEqual(run["deadline_misses"], 40)
         self.assertIn("40 of 50 activations of XModule 'D' did not end", done.stderr)
         self.assertEqual({m["name"]: m.get("unended", 0) for m in run["modules"]}["D"], 40)
+
+    def test_a_run_that_was_told_to_stop_says_so_and_claims_nothing(self):
+        tool = self.start("", "--seconds", 3600)
+        wait_for("results", lambda: sum(activations(tool).values()) > 3, tool)
+        for pid in app_of(tool.pid):
+            os.kill(pid, signal.SIGTERM)
+        run, err = self.report(tool)
+        self.assert_broken(run, "the run is not complete: it was told to stop before its end")
+        self.assertIn("is not complete: it was told to stop before its end", err)
+
+
+def app_of(tool):
+    """The tool's children that are `faulty`."""
+    return [pid for pid, name in children_of(tool).items() if name == "faulty"]
 
 
 if __name__ == "__main__":
