@@ -153,6 +153,8 @@ class Unended(unittest.TestCase):
         run = json.loads(done.stdout)["runs"][0]
         self.assertEqual((run["activations"], run["lost_activations"]), (10, 40))
         self.assertGreaterEqual(run["deadline_misses"], 40)
+        overlapping = [line for line in run["worst_case_broken"] if "while an earlier one was in flight" in line]
+        self.assertRegex(overlapping[0], r"^\d+ of 50 releases came ")
         self.assertIn("40 of 50 activations of XModule 'D' did not end", done.stderr)
         self.assertEqual({m["name"]: m.get("unended", 0) for m in run["modules"]}["D"], 40)
 
